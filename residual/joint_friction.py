@@ -1,0 +1,100 @@
+"""Friction left between the torque sensor and the link, as a function of joint velocity."""
+
+from dataclasses import dataclass
+from typing import Protocol
+
+import numpy as np
+from numpy.typing import NDArray
+
+from residual.errors import ConfigurationError
+
+
+class FrictionModel(Protocol):
+    """Anything that tells the friction torque of every joint at a velocity."""
+
+    def torque(self, dq: NDArray[np.float64]) -> NDArray[np.float64]:
+        """Torque that opposes the motion [Nm], shape (n,), at velocity ``dq`` [rad/s]."""
+        ...
+
+
+def _frozen_vectors(owner: object, names: tuple[str, ...]) -> None:
+    """Store each named field as a read-only float copy; all of one length."""
+    sizes = set()
+    for name in names:
+        array = np.array(getattr(owner, name), dtype=np.float64, ndmin=1)
+        if array.ndim != 1 or not np.isfinite(array).all():
+            raise ConfigurationError(
+                f"{name} must be one finite number per joint, got {getattr(owner, name)!r}"
+            )
+        array.setflags(write=False)
+        object.__setattr__(owner, name, array)
+        sizes.add(array.size)
+    if len(sizes) > 1:
+        raise ConfigurationError(f"{', '.join(names)} differ in length: {sorted(sizes)}")
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class JointFriction:
+    """Viscous and Coulomb friction with a smooth reversal, plus a constant offset.
+
+    ``tau_f = viscous * dq + coulomb * tanh(dq / reversal_speed) + offset``
+
+    Attributes:
+        viscous_Nms: Viscous coefficient per joint [Nm s/rad].
+        coulomb_Nm: Coulomb level per joint [Nm].
+        offset_Nm: Constant per joint [Nm].
+        reversal_speed_rad_s: Speed over which Coulomb friction changes sign [rad/s].
+
+    Raises:
+        ConfigurationError: If lengths differ, a number is not finite, a viscous or Coulomb
+            coefficient is negative, or the reversal speed is not positive.
+    """
+
+    viscous_Nms: NDArray[np.float64]
+    coulomb_Nm: NDArray[np.float64]
+    offset_Nm: NDArray[np.float64]
+    reversal_speed_rad_s: float = 0.01
+
+    def __post_init__(self) -> None:
+        _frozen_vectors(self, ("viscous_Nms", "coulomb_Nm", "offset_Nm"))
+        if (self.viscous_Nms < 0).any() or (self.coulomb_Nm < 0).any():
+            raise ConfigurationError("viscous_Nms and coulomb_Nm must not be negative")
+        if not self.reversal_speed_rad_s > 0:
+            raise ConfigurationError(
+                f"reversal_speed_rad_s is {self.reversal_speed_rad_s!r}, expected > 0"
+            )
+
+    def torque(self, dq: NDArray[np.float64]) -> NDArray[np.float64]:
+        """Friction torque opposing the motion [Nm], shape (n,)."""
+        smooth_sign = np.tanh(dq / self.reversal_speed_rad_s)
+        return self.viscous_Nms * dq + self.coulomb_Nm * smooth_sign + self.offset_Nm
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class SigmoidFriction:
+    """The Franka Panda's friction as identified by Gaz et al., RA-L 2019.
+
+    ``tau_f = A / (1 + exp(-alpha (dq + s))) - A / (1 + exp(-alpha s))``: zero at rest, with a
+    level that may differ between the two directions.
+
+    Attributes:
+        amplitude_Nm: A per joint [Nm].
+        slope_s_rad: alpha per joint [s/rad].
+        shift_rad_s: s per joint [rad/s].
+
+    Raises:
+        ConfigurationError: If lengths differ or a number is not finite.
+    """
+
+    amplitude_Nm: NDArray[np.float64]
+    slope_s_rad: NDArray[np.float64]
+    shift_rad_s: NDArray[np.float64]
+
+    def __post_init__(self) -> None:
+        _frozen_vectors(self, ("amplitude_Nm", "slope_s_rad", "shift_rad_s"))
+
+    def torque(self, dq: NDArray[np.float64]) -> NDArray[np.float64]:
+        """Friction torque opposing the motion [Nm], shape (n,)."""
+        moving = 1.0 / (1.0 + np.exp(-self.slope_s_rad * (dq + self.shift_rad_s)))
+        at_rest = 1.0 / (1.0 + np.exp(-self.slope_s_rad * self.shift_rad_s))
+        return self.amplitude_Nm * (moving - at_rest)

@@ -1,0 +1,53 @@
+"""What an online step may be fed: the one place where samples are refused."""
+
+import math
+
+import numpy as np
+from numpy.typing import NDArray
+
+from residual.errors import SampleError
+
+
+def check_interval(dt_s: float, name: str = "dt_s") -> None:
+    """Refuse a time step that does not advance.
+
+    Args:
+        dt_s: Time since the previous sample [s].
+        name: How the caller calls it.
+
+    Raises:
+        SampleError: If it is not a finite positive number.
+    """
+    if not (math.isfinite(dt_s) and dt_s > 0.0):
+        raise SampleError(
+            f"{name} is {dt_s!r} s, expected a finite positive time step; "
+            "skip this sample or repair the clock"
+        )
+
+
+def check_joint_vector(name: str, value: object, joints: int) -> NDArray[np.float64]:
+    """Return the value as a float array of one number per joint.
+
+    Args:
+        name: What the value is, for the message.
+        value: Anything numpy can read.
+        joints: Number of joints.
+
+    Returns:
+        The same numbers, shape (joints,); the array itself when it already fits.
+
+    Raises:
+        SampleError: If the shape is wrong or a number is not finite.
+    """
+    try:
+        array = np.asarray(value, dtype=np.float64)
+    except (TypeError, ValueError) as error:
+        raise SampleError(f"{name} is not an array of numbers: {error}") from error
+    if array.shape != (joints,):
+        raise SampleError(
+            f"{name} has shape {array.shape}, expected ({joints},): one number per joint"
+        )
+    if not np.isfinite(array).all():
+        bad = [int(i) for i in np.flatnonzero(~np.isfinite(array))]
+        raise SampleError(f"{name} is not finite at joint index {bad}; skip this sample")
+    return array
