@@ -1,0 +1,1 @@
+"""Needle-tissue interaction from depth, speed and axial force; knows nothing of robots."""
