@@ -1,0 +1,157 @@
+"""Every calibration number of the tissues, with its reason.
+
+Friction. Table I gives the friction of the paper's three gels as the product B d, measured over
+one constant and one sinusoidal speed profile: 113, 283, 534 Ns/m, for layers 28.2, 37.7 and
+32.2 mm thick (the authors' own gels). At 2.3 mm/s that is 0.26, 0.65 and 1.23 N.
+
+Coulomb share. The two profiles of Table I pass the far end of a gel at 2.3 and about 3 mm/s and
+differ by 7-12 % of the mean: purely viscous friction would give the same B at both, purely Coulomb
+friction B values 25-30 % apart. Two fifths Coulomb fit, and leave after a sinusoidal exit the
+residue the paper describes (Fig. 9). Real liver (de Jong 2017, 19 insertions) holds 0.3-0.75 N a
+minute after the needle stopped at 85 mm, where it pulls back with 0.9 N at 5 mm/s: three fifths.
+
+Tip force. Fig. 8: the 70 % gel peaks at 2.5-3 N, half of it gone within a second after the exit.
+1.4 N at the tip and 1.23 N of friction make 2.6 N. The others follow with the friction; a tenth of
+the tip force is cutting, the rest elastic, its chord 10 % steeper at the end than at the start.
+"""
+
+from dataclasses import replace
+
+from groundtruth.friction import ShaftFriction
+from groundtruth.layer import CUTTING_ONSET_M, Layer
+from groundtruth.membrane import Membrane
+
+TABLE_I_SPEED_M_S = 2.3e-3
+"""The paper's constant speed for single gels and liver: where gel friction is Table I's."""
+TABLE_I_FRICTION_NS_PER_M = {25: 113.0, 50: 283.0, 70: 534.0}
+"""B d of each gel (isinglass per cent), offline column."""
+GEL_THICKNESS_M = {25: 28.2e-3, 50: 37.7e-3, 70: 32.2e-3}
+"""Measured by the authors."""
+GEL_TIP_FORCE_N = {25: 0.30, 50: 0.75, 70: 1.40}
+"""At the far end of the gel; about as much as its friction at 2.3 mm/s, as in Fig. 8."""
+GEL_COULOMB_SHARE = 0.4
+GEL_PRESLIDING_M = 0.2e-3
+"""A fraction of a needle diameter: gel sticks little to a wet shaft."""
+GEL_RELEASE_M = 0.3e-3
+"""Clean fracture of a brittle gel."""
+CUTTING_SHARE = 0.1
+STIFFENING = 0.1
+
+LIVER_SPEED_M_S = 5e-3
+"""Speed of the recordings the liver friction comes from."""
+LIVER_FRICTION_N_PER_M = 10.6
+"""Median pull-out force per embedded length (de Jong 2017)."""
+ABDOMEN_SPEED_M_S = 6e-3
+"""About the speed of the abdomen's sinusoid inside the tissue (4.6 to 7.2 mm/s)."""
+TISSUE_COULOMB_SHARE = 0.6
+TISSUE_PRESLIDING_M = 0.4e-3
+"""Soft tissue clings to the shaft and moves along further than gel."""
+TISSUE_RELEASE_M = 0.5e-3
+"""Fibrous tissue tears more gradually than gel."""
+
+
+def _tissue_layer(
+    name: str,
+    thickness_m: float,
+    exit_force_N: float,
+    friction: ShaftFriction,
+    *,
+    release_m: float = TISSUE_RELEASE_M,
+    membrane: Membrane | None = None,
+) -> Layer:
+    """A layer whose tip force at its far end is `exit_force_N`."""
+    cut_m = thickness_m - (0.0 if membrane is None else membrane.indentation_m)
+    cutting_N = CUTTING_SHARE * exit_force_N if cut_m > CUTTING_ONSET_M else 0.0
+    chord = cut_m * (1.0 + STIFFENING * cut_m / thickness_m)
+    return Layer(
+        name=name,
+        thickness_m=thickness_m,
+        stiffness_N_per_m=(exit_force_N - cutting_N) / chord,
+        stiffening=STIFFENING,
+        cutting_N=cutting_N,
+        release_m=release_m,
+        friction=friction,
+        membrane=membrane,
+    )
+
+
+def gel(percent: int, *, membrane: Membrane | None = None) -> Layer:
+    """One of the paper's isinglass gels.
+
+    Args:
+        percent: 25, 50 or 70.
+        membrane: What envelops it, if anything.
+    """
+    thickness = GEL_THICKNESS_M[percent]
+    friction = ShaftFriction.calibrated(
+        force_N_per_m=TABLE_I_FRICTION_NS_PER_M[percent] * TABLE_I_SPEED_M_S / thickness,
+        reference_speed_m_s=TABLE_I_SPEED_M_S,
+        coulomb_share=GEL_COULOMB_SHARE,
+        presliding_m=GEL_PRESLIDING_M,
+    )
+    return _tissue_layer(
+        f"gel {percent} %",
+        thickness,
+        GEL_TIP_FORCE_N[percent],
+        friction,
+        release_m=GEL_RELEASE_M,
+        membrane=membrane,
+    )
+
+
+def soft_tissue_friction(force_N_per_m: float, nominal_speed_m_s: float) -> ShaftFriction:
+    """Friction of organic tissue that is `force_N_per_m` at the recordings' 5 mm/s.
+
+    Args:
+        force_N_per_m: That friction.
+        nominal_speed_m_s: Speed of the scenario: where the textbook law shall agree.
+    """
+    measured = ShaftFriction.calibrated(
+        force_N_per_m=force_N_per_m,
+        reference_speed_m_s=LIVER_SPEED_M_S,
+        coulomb_share=TISSUE_COULOMB_SHARE,
+        presliding_m=TISSUE_PRESLIDING_M,
+    )
+    return replace(measured, reference_speed_m_s=nominal_speed_m_s)
+
+
+GLOVE = Membrane(puncture_N=1.0, indentation_m=4e-3, hardening=0.6, release_m=0.5e-3)
+"""Latex of a glove under a blunt needle: around a newton, stretched by a few millimetres."""
+
+BOVINE_CAPSULE = Membrane(puncture_N=1.43, indentation_m=11.2e-3, hardening=0.7, release_m=0.5e-3)
+"""Okamura 2004: contact at 8 mm, puncture at 19.2 mm with 1.43 N, almost nothing afterwards."""
+
+PHANTOM_CAPSULE = Membrane(puncture_N=0.6, indentation_m=4e-3, hardening=0.5, release_m=0.4e-3)
+"""Synthetic skin around the liver of an abdominal phantom: thinner than a real capsule."""
+
+
+def bovine_liver() -> Layer:
+    """A slice of bovine liver behind its capsule, 32 mm: 9 s from puncture to exit in Fig. 13."""
+    return _tissue_layer(
+        "liver",
+        32e-3,
+        0.9,  # human liver peaks at 1.1-3.4 N over 85 mm, friction included: this is mid-range
+        soft_tissue_friction(LIVER_FRICTION_N_PER_M, TABLE_I_SPEED_M_S),
+        membrane=BOVINE_CAPSULE,
+    )
+
+
+def abdominal_fat() -> Layer:
+    """Fat: slippery and soft; its end is the transition the paper's method misses (Fig. 14)."""
+    return _tissue_layer("fat", 25e-3, 0.12, soft_tissue_friction(4.0, ABDOMEN_SPEED_M_S))
+
+
+def abdominal_muscle() -> Layer:
+    """Muscle: fibres grip the shaft about twice as hard as liver does."""
+    return _tissue_layer("muscle", 15e-3, 1.0, soft_tissue_friction(20.0, ABDOMEN_SPEED_M_S))
+
+
+def abdominal_liver() -> Layer:
+    """Liver of the phantom behind its synthetic capsule."""
+    return _tissue_layer(
+        "liver",
+        40e-3,
+        1.1,
+        soft_tissue_friction(LIVER_FRICTION_N_PER_M, ABDOMEN_SPEED_M_S),
+        membrane=PHANTOM_CAPSULE,
+    )

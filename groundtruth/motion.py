@@ -1,0 +1,190 @@
+"""How the needle moves in a scenario: rest, tare stroke, insertion, rest, withdrawal, rest."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import overload
+
+import numpy as np
+from numpy.typing import NDArray
+
+from groundtruth.checks import require_positive
+from groundtruth.errors import MotionError
+from groundtruth.stroke import Profile, Stroke
+
+FIRST_REST_S = 1.0
+TARE_STROKE_M = 60e-3
+"""About an insertion's length: what is learnt in free air then extends along the insertion."""
+TARE_SPEED_M_S = 20e-3
+"""Mean speed of the tare stroke: fast enough to excite the arm, slow enough to be safe in air."""
+TURNING_REST_S = 2.0
+LAST_REST_S = 0.5
+RAMP_S = 0.5
+"""Time in which a constant-speed stroke reaches its speed: under 1 mm of travel."""
+
+Real = NDArray[np.float64]
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Motion:
+    """Position of the needle tip along the insertion axis over time.
+
+    Zero is the undeformed surface of the tissue; negative is above it, in free air. Before the
+    first stroke and after the last the needle rests.
+
+    Attributes:
+        strokes: Contiguous in time and position.
+        tare_end_s: End of the stroke in free air; contact has not happened before it.
+        insertion_end_s: The needle is at its deepest and rests.
+        withdrawal_start_s: It starts on its way out.
+        withdrawal_end_s: It is back above the surface.
+    """
+
+    strokes: tuple[Stroke, ...]
+    tare_end_s: float
+    insertion_end_s: float
+    withdrawal_start_s: float
+    withdrawal_end_s: float
+
+    @property
+    def duration_s(self) -> float:
+        """End of the last rest."""
+        return self.strokes[-1].end_s
+
+    @property
+    def start_m(self) -> float:
+        """Where the tip begins."""
+        return self.strokes[0].start_m
+
+    @property
+    def deepest_m(self) -> float:
+        """The deepest point reached."""
+        return max(stroke.end_m for stroke in self.strokes)
+
+    @overload
+    def position_m(self, t_s: float) -> float: ...
+    @overload
+    def position_m(self, t_s: Real) -> Real: ...
+    def position_m(self, t_s: float | Real) -> float | Real:
+        """Position of the tip at one time or an array of times."""
+        return self._at(t_s, 0)
+
+    @overload
+    def speed_m_s(self, t_s: float) -> float: ...
+    @overload
+    def speed_m_s(self, t_s: Real) -> Real: ...
+    def speed_m_s(self, t_s: float | Real) -> float | Real:
+        """Speed of the tip at one time or an array of times, positive inwards."""
+        return self._at(t_s, 1)
+
+    def _at(self, t_s: float | Real, which: int) -> float | Real:
+        t = np.asarray(t_s, dtype=np.float64)
+        if not np.isfinite(t).all():
+            raise MotionError("t_s has a value that is not finite; give times in seconds")
+        starts = [stroke.start_s for stroke in self.strokes[1:]]
+        index = np.searchsorted(starts, t, side="right")
+        out = np.empty_like(t)
+        for i in np.unique(index):
+            inside = index == i
+            out[inside] = self.strokes[i].evaluate(t[inside])[which]
+        return out if isinstance(t_s, np.ndarray) else float(out)
+
+
+def _chain(start_m: float, moves: Sequence[tuple[Profile, float, float, float]]) -> list[Stroke]:
+    """Strokes one after the other from (profile, duration, travel, ramp share) rows."""
+    strokes: list[Stroke] = []
+    time, place = 0.0, start_m
+    for profile, duration, travel, ramp in moves:
+        stroke = Stroke(
+            profile=profile,
+            start_s=time,
+            duration_s=duration,
+            start_m=place,
+            travel_m=travel,
+            ramp_share=ramp,
+        )
+        strokes.append(stroke)
+        time, place = stroke.end_s, stroke.end_m
+    return strokes
+
+
+def _protocol(
+    standoff_m: float, travel_m: float, insertion: tuple[Profile, float, float]
+) -> Motion:
+    """The protocol around an insertion stroke (profile, duration, ramp share)."""
+    profile, duration, ramp = insertion
+    tare_s = TARE_STROKE_M / TARE_SPEED_M_S
+    strokes = _chain(
+        -standoff_m - TARE_STROKE_M,
+        [
+            ("rest", FIRST_REST_S, 0.0, 0.5),
+            ("quintic", tare_s, TARE_STROKE_M, 0.5),
+            ("quintic", tare_s, -TARE_STROKE_M, 0.5),
+            ("quintic", tare_s, TARE_STROKE_M, 0.5),
+            (profile, duration, travel_m, ramp),
+            ("rest", TURNING_REST_S, 0.0, 0.5),
+            (profile, duration, -travel_m, ramp),
+            ("rest", LAST_REST_S, 0.0, 0.5),
+        ],
+    )
+    return Motion(
+        strokes=tuple(strokes),
+        tare_end_s=strokes[3].end_s,
+        insertion_end_s=strokes[4].end_s,
+        withdrawal_start_s=strokes[5].end_s,
+        withdrawal_end_s=strokes[6].end_s,
+    )
+
+
+def constant_motion(*, speed_m_s: float, depth_m: float, standoff_m: float) -> Motion:
+    """The protocol with an insertion at constant speed between smooth ramps.
+
+    Args:
+        speed_m_s: Speed of insertion and withdrawal.
+        depth_m: How deep below the surface the tip goes.
+        standoff_m: How far above the surface the insertion begins and the withdrawal ends.
+
+    Raises:
+        MotionError: A figure is not positive, or the way is too short to reach the speed.
+    """
+    require_positive(MotionError, speed_m_s=speed_m_s, depth_m=depth_m, standoff_m=standoff_m)
+    travel = depth_m + standoff_m
+    duration = travel / speed_m_s + RAMP_S
+    if duration < 2.0 * RAMP_S:
+        raise MotionError(f"{travel} m are too short to reach {speed_m_s} m/s: go deeper or slower")
+    return _protocol(standoff_m, travel, ("cruise", duration, RAMP_S / duration))
+
+
+def sinusoidal_motion(*, stroke_m: float, frequency_Hz: float, standoff_m: float) -> Motion:
+    """The protocol with an insertion z = A/2 (1 - cos 2πft): A is the stroke.
+
+    Contact happens inside the stroke, at the speed the sinusoid then has.
+
+    Args:
+        stroke_m: A of the paper.
+        frequency_Hz: f of the paper; in and out take one period, the rest between them aside.
+        standoff_m: How far above the surface the stroke begins and the withdrawal ends.
+
+    Raises:
+        MotionError: A figure is not positive, or the stroke does not reach the surface.
+    """
+    require_positive(
+        MotionError, stroke_m=stroke_m, frequency_Hz=frequency_Hz, standoff_m=standoff_m
+    )
+    if stroke_m <= standoff_m:
+        raise MotionError(f"a stroke of {stroke_m} m ends above the surface, {standoff_m} m away")
+    return _protocol(standoff_m, stroke_m, ("cosine", 0.5 / frequency_Hz, 0.5))
+
+
+def free_motion(*, height_m: float, stroke_m: float, frequency_Hz: float) -> Motion:
+    """The protocol in free air: the sinusoidal stroke turns `height_m` above the surface.
+
+    Args:
+        height_m: Least distance from the surface.
+        stroke_m: Stroke along the needle axis.
+        frequency_Hz: Frequency of the stroke.
+
+    Raises:
+        MotionError: A figure is not positive.
+    """
+    require_positive(MotionError, height_m=height_m, stroke_m=stroke_m, frequency_Hz=frequency_Hz)
+    return _protocol(height_m + stroke_m, stroke_m, ("cosine", 0.5 / frequency_Hz, 0.5))
