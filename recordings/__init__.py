@@ -1,0 +1,45 @@
+"""The edge of the toolkit: logs in and out, which column is which channel, and units.
+
+`read_log` turns a CSV or npz file into a `Log` in SI units; `write_table` and `write_log` write
+results. A `ColumnMapping`, from a small TOML file or the command line, says which columns to use
+where their names do not.
+"""
+
+from recordings.channel import CHANNELS
+from recordings.column_spec import ColumnSpec
+from recordings.errors import (
+    ColumnError,
+    FileAccessError,
+    FormatError,
+    LogError,
+    MappingError,
+    RecordingError,
+)
+from recordings.log import Log
+from recordings.mapping import ColumnMapping
+from recordings.mapping_arguments import mapping_arguments, mapping_from_arguments
+from recordings.mapping_file import load_mapping
+from recordings.read_log import read_log, read_table
+from recordings.table import Table
+from recordings.write_table import write_log, write_table
+
+__all__ = [
+    "CHANNELS",
+    "ColumnError",
+    "ColumnMapping",
+    "ColumnSpec",
+    "FileAccessError",
+    "FormatError",
+    "Log",
+    "LogError",
+    "MappingError",
+    "RecordingError",
+    "Table",
+    "load_mapping",
+    "mapping_arguments",
+    "mapping_from_arguments",
+    "read_log",
+    "read_table",
+    "write_log",
+    "write_table",
+]

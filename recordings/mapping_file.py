@@ -1,0 +1,90 @@
+"""Column mappings written by hand as a small TOML file."""
+
+import tomllib
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any
+
+from recordings.column_spec import ColumnSpec
+from recordings.errors import FileAccessError, MappingError
+from recordings.mapping import ColumnMapping
+
+_KEYS = ("columns", "unit", "scale")
+
+
+def load_mapping(path: str | Path) -> ColumnMapping:
+    """Read a column mapping from a TOML file.
+
+    Each channel is a table with `columns` and, if needed, `unit` and `scale`, or just the columns
+    (`depth = "z"`). `rate_hz` at the top gives the sample rate of a file without time stamps.
+
+    Args:
+        path: the TOML file.
+
+    Returns:
+        The mapping.
+
+    Raises:
+        FileAccessError: the file cannot be read.
+        MappingError: it is not TOML, or a channel, key, unit or value in it is not valid.
+    """
+    path = Path(path)
+    try:
+        content = tomllib.loads(path.read_text(encoding="utf-8"))
+    except OSError as error:
+        raise FileAccessError(
+            f"cannot read the mapping {path}: {error.strerror or error}"
+        ) from error
+    except (tomllib.TOMLDecodeError, UnicodeDecodeError) as error:
+        raise MappingError(f"{path} is not valid TOML: {error}") from error
+    try:
+        return _mapping(content)
+    except MappingError as error:
+        raise MappingError(f"{path}: {error}") from error
+
+
+def _mapping(content: Mapping[str, Any]) -> ColumnMapping:
+    entries = dict(content)
+    rate_hz = entries.pop("rate_hz", None)
+    if rate_hz is not None and not _is_number(rate_hz):
+        raise MappingError(f"rate_hz = {rate_hz!r} must be a number")
+    channels = {name: _spec(name, entry) for name, entry in entries.items()}
+    return ColumnMapping(channels=channels, rate_hz=rate_hz)
+
+
+def _spec(name: str, entry: Any) -> ColumnSpec:
+    if not isinstance(entry, dict):
+        entry = {"columns": entry}
+    unknown = [key for key in entry if key not in _KEYS]
+    if unknown or "columns" not in entry:
+        raise MappingError(
+            f"[{name}] has the keys {', '.join(entry) or 'none'}; "
+            "it needs columns, and may have unit and scale"
+        )
+    unit = entry.get("unit")
+    if not (unit is None or isinstance(unit, str)):
+        raise MappingError(f"[{name}] unit = {unit!r} must be text")
+    return ColumnSpec(
+        columns=_columns(name, entry["columns"]), unit=unit, scale=_scale(name, entry)
+    )
+
+
+def _columns(name: str, value: Any) -> str | tuple[str, ...]:
+    if isinstance(value, str):
+        return value
+    if isinstance(value, list) and all(isinstance(item, str) for item in value):
+        return tuple(value)
+    raise MappingError(f"[{name}] columns = {value!r} must be a name or a list of names")
+
+
+def _scale(name: str, entry: Mapping[str, Any]) -> float | tuple[float, ...]:
+    value = entry.get("scale", 1.0)
+    if _is_number(value):
+        return float(value)
+    if isinstance(value, list) and all(map(_is_number, value)):
+        return tuple(map(float, value))
+    raise MappingError(f"[{name}] scale = {value!r} must be a number or a list of numbers")
+
+
+def _is_number(value: Any) -> bool:
+    return isinstance(value, int | float) and not isinstance(value, bool)

@@ -1,0 +1,71 @@
+"""Reading a recording, whatever its format."""
+
+from collections.abc import Callable, Iterable, Mapping
+from pathlib import Path
+
+from recordings.csv_format import read_csv
+from recordings.errors import FileAccessError
+from recordings.log import Log
+from recordings.mapping import ColumnMapping
+from recordings.npz_format import read_npz
+from recordings.select_channels import select_channels
+from recordings.table import Table
+
+# A new format is a reader in a file of its own and a line here.
+_READERS: Mapping[str, Callable[[Path], Table]] = {
+    ".csv": read_csv,
+    ".csv.gz": read_csv,
+    ".tsv": read_csv,
+    ".tsv.gz": read_csv,
+    ".txt": read_csv,
+    ".npz": read_npz,
+}
+
+
+def read_table(path: str | Path) -> Table:
+    """Read a file's columns as they stand, without saying what they mean.
+
+    Args:
+        path: a file ending in `.csv`, `.tsv` or `.txt` (the first two also with `.gz`), or `.npz`.
+
+    Returns:
+        The columns in the file's units.
+
+    Raises:
+        FileAccessError: the file cannot be read, or its suffix is not known.
+        FormatError: nothing usable is in it.
+    """
+    path = Path(path)
+    for suffix, reader in _READERS.items():
+        if path.name.lower().endswith(suffix):
+            return reader(path)
+    raise FileAccessError(f"{path} has no known suffix; known are: {', '.join(_READERS)}")
+
+
+def read_log(
+    path: str | Path,
+    mapping: ColumnMapping | None = None,
+    *,
+    required: Iterable[str] = (),
+    optional: Iterable[str] = (),
+) -> Log:
+    """Read a recording into SI units.
+
+    Args:
+        path: see `read_table`.
+        mapping: which columns are which channels; channels it does not list, or all without a
+            mapping, are found by their usual names.
+        required: channels that must be there: `q`, `dq`, `tau`, `depth`, `speed`, `force`.
+        optional: channels taken if they are there. With neither given, all are optional.
+
+    Returns:
+        The log. Its `warnings` tell what is wrong with the recording.
+
+    Raises:
+        FileAccessError: the file cannot be read, or its suffix is not known.
+        FormatError: nothing usable is in it.
+        ColumnError: time, a required or a mapped channel was not found, or is ambiguous.
+        MappingError: a channel name is unknown, or a scale does not fit its columns.
+        LogError: the channels do not form a log.
+    """
+    return select_channels(read_table(path), mapping or ColumnMapping(), required, optional)

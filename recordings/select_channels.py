@@ -1,0 +1,109 @@
+"""From a table to a log: the mapping applied."""
+
+from collections.abc import Iterable, Mapping
+
+import numpy as np
+
+from recordings.channel import CHANNELS, Channel
+from recordings.errors import ColumnError, LogError, MappingError
+from recordings.log import Log
+from recordings.mapping import ColumnMapping
+from recordings.si_channel import SiChannel, find_si_channel
+from recordings.table import Table
+from recordings.time_channel import find_time
+from recordings.unit_hints import unit_hints
+
+
+def select_channels(
+    table: Table,
+    mapping: ColumnMapping,
+    required: Iterable[str] = (),
+    optional: Iterable[str] = (),
+) -> Log:
+    """Return the log that a mapping makes of a table.
+
+    Args:
+        table: the file's columns.
+        mapping: which columns are which channels; others are found by their usual names.
+        required: channel names (keys of `CHANNELS`) that must be there.
+        optional: channel names taken if they are there. With neither given, all channels are
+            optional.
+
+    Returns:
+        The log in SI units. Rows without a finite time stamp are left out, with a warning.
+
+    Raises:
+        ColumnError: time, a required or a mapped channel was not found, or is ambiguous.
+        MappingError: a channel name is unknown, or a scale does not fit its columns.
+        LogError: the channels do not form a log.
+    """
+    required, optional = tuple(required), tuple(optional)
+    _check_names((*required, *optional))
+    if not (required or optional):
+        optional = _names()
+    selected, warnings = {}, table.warnings
+    for name in (*required, *optional):
+        found = find_si_channel(table, CHANNELS[name], mapping.channels.get(name))
+        if found is None and name in required:
+            raise _missing(table, CHANNELS[name])
+        must_have = name in required or name in mapping.channels
+        if found is None:
+            continue
+        if must_have or np.isfinite(found.values).any():
+            selected[CHANNELS[name].key] = found
+        else:
+            warnings += (f"{name}: its columns hold no finite value and were left out",)
+    if not selected:
+        raise ColumnError(f"no channel was recognised. Columns are: {table.describe()}")
+    return _assemble(table, mapping, selected, warnings)
+
+
+def _names() -> tuple[str, ...]:
+    return tuple(name for name in CHANNELS if name != "time")
+
+
+def _check_names(names: tuple[str, ...]) -> None:
+    for name in names:
+        if name not in _names():
+            raise MappingError(f"unknown channel {name!r}; channels are: {', '.join(_names())}")
+
+
+def _missing(table: Table, channel: Channel) -> ColumnError:
+    return ColumnError(
+        f"no column found for {channel.name} ({channel.meaning}); usual names are "
+        f"{', '.join(channel.spellings)}. Say which one with --{channel.name}, or under "
+        f"{channel.name} in the mapping. Columns are: {table.describe()}"
+    )
+
+
+def _assemble(
+    table: Table,
+    mapping: ColumnMapping,
+    selected: Mapping[str, SiChannel],
+    warnings: tuple[str, ...],
+) -> Log:
+    rows = len(next(iter(selected.values())).values)
+    time, notes = find_time(table, mapping, rows)
+    everything = {"t_s": time, **selected}
+    _check_sizes(everything)
+    hints = unit_hints({k: f.values for k, f in everything.items() if not f.is_unit_stated})
+    keep = np.isfinite(time.values)
+    if not keep.all():
+        lost = np.flatnonzero(~keep)
+        notes += (f"time: rows without a stamp, left out: {lost.size} (first: row {lost[0] + 1})",)
+    return Log(
+        t_s=time.values[keep],
+        channels={key: found.values[keep] for key, found in selected.items()},
+        warnings=(*warnings, *notes, *hints),
+    )
+
+
+def _check_sizes(channels: Mapping[str, SiChannel]) -> None:
+    shapes = {key: found.values.shape for key, found in channels.items()}
+    if len({shape[0] for shape in shapes.values()}) > 1:
+        lengths = ", ".join(f"{key} {shape[0]}" for key, shape in shapes.items())
+        raise LogError(f"channels differ in length, in rows: {lengths}")
+    joints = {key: shape[1] for key, shape in shapes.items() if len(shape) == 2}
+    if len(set(joints.values())) > 1:
+        widths = ", ".join(f"{key} {width}" for key, width in joints.items())
+        raise LogError(f"channels differ in the number of joints: {widths}")
