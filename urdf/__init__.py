@@ -1,0 +1,40 @@
+"""The robot: the LWR 4+ or any other arm as a Pinocchio model with a tool and a payload.
+
+Conventions: SI units; joint vectors in the order of ``Robot.joint_names``; a payload is given in
+the axes of the robot's flange frame, whose z points outward; gravity in base axes.
+"""
+
+from .errors import (
+    InertiaError,
+    InputError,
+    MissingPackageError,
+    UnknownNameError,
+    UnsupportedJointError,
+    UrdfError,
+    UrdfFileError,
+)
+from .example_robots import example_robot_path
+from .loading import load_urdf
+from .lwr import load_lwr
+from .needle_tool import NeedleTool
+from .payload import Payload
+from .robot import Robot
+from .serial_robot import SerialJoint, build_serial_robot
+
+__all__ = [
+    "InertiaError",
+    "InputError",
+    "MissingPackageError",
+    "NeedleTool",
+    "Payload",
+    "Robot",
+    "SerialJoint",
+    "UnknownNameError",
+    "UnsupportedJointError",
+    "UrdfError",
+    "UrdfFileError",
+    "build_serial_robot",
+    "example_robot_path",
+    "load_lwr",
+    "load_urdf",
+]

@@ -1,0 +1,39 @@
+"""The KUKA LWR 4+ of the paper."""
+
+from importlib.resources import files
+
+from numpy.typing import ArrayLike
+
+from .assembly import STANDARD_GRAVITY_M_S2
+from .loading import robot_from_text
+from .needle_tool import NeedleTool
+from .payload import Payload
+from .robot import Robot
+
+_FILE = "lwr4plus.urdf"
+
+
+def load_lwr(
+    payload: Payload | NeedleTool | None = None,
+    *,
+    gravity_m_s2: ArrayLike = STANDARD_GRAVITY_M_S2,
+) -> Robot:
+    """Load the KUKA LWR 4+ that ships with the package.
+
+    Joints ``lwr_joint_1`` to ``lwr_joint_7`` in the order of KUKA's interface (A1, A2, E1, A3, A4,
+    A5, A6), zero when the arm points straight up. The frame ``flange`` lies in the flange's face, z
+    outward.
+
+    Args:
+        payload: A body in the flange frame; or a needle tool, which adds the frames ``ft_sensor``
+            and ``needle_tip`` (z in the direction of insertion) and makes ``needle_tip`` the tool
+            frame. Without one the tool frame is ``flange``.
+        gravity_m_s2: Gravity in base axes, shape (3,), m/s^2.
+
+    Raises:
+        InputError: Payload or gravity of the wrong kind.
+    """
+    text = files("urdf.data").joinpath(_FILE).read_text(encoding="utf-8")
+    return robot_from_text(
+        text, _FILE, tool_frame="flange", payload=payload, gravity_m_s2=gravity_m_s2
+    )

@@ -1,0 +1,144 @@
+"""A serial arm from numbers instead of a file: real arms are often published as tables."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+import pinocchio as pin
+from numpy.typing import ArrayLike, NDArray
+
+from .assembly import STANDARD_GRAVITY_M_S2, assemble_robot
+from .errors import InertiaError, InputError
+from .finite_array import finite_array, read_only
+from .needle_tool import NeedleTool
+from .payload import Payload
+from .pseudo_inertia import require_physical
+from .robot import Robot
+
+TOOL_FRAME = "tool"
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class SerialJoint:
+    """One revolute joint and the link behind it.
+
+    A row (alpha, a, d) of a modified Denavit-Hartenberg table is the placement Rx(alpha) Tx(a)
+    Tz(d) with axis z; a URDF row (xyz, rpy, axis) is that placement and axis.
+
+    Attributes:
+        name: Name of the joint, and of the frame of the link behind it.
+        placement: Frame of the joint at zero in the frame of the previous one (the base for the
+            first): ``pin.SE3`` or a homogeneous matrix of shape (4, 4), m.
+        axis: Axis of rotation in the joint's frame, shape (3,); any length but zero.
+        inertia: Ten parameters of the link in the joint's frame, inertia about its origin, in
+            Pinocchio's order (m, m c, I_xx, I_xy, I_yy, I_xz, I_yz, I_zz), shape (10,), kg, kg m,
+            kg m^2.
+
+    Raises:
+        InputError: Wrong shape, not finite, a placement that is no rigid motion, or an axis of
+            length zero.
+        InertiaError: No mass, but moments.
+    """
+
+    name: str
+    placement: pin.SE3 | NDArray[np.float64]
+    axis: NDArray[np.float64]
+    inertia: NDArray[np.float64]
+
+    def __post_init__(self) -> None:
+        owner = f"joint {self.name!r}"
+        axis = finite_array(self.axis, (3,), f"{owner} axis")
+        length = float(np.linalg.norm(axis))
+        if length == 0.0:
+            raise InputError(f"{owner} axis is zero, expected a direction")
+        inertia = finite_array(self.inertia, (10,), f"{owner} inertia")
+        if inertia[0] == 0.0 and np.any(inertia):
+            raise InertiaError(f"{owner}: mass is 0 kg but its moments are not; give it a mass")
+        object.__setattr__(self, "placement", _rigid(self.placement, f"{owner} placement"))
+        object.__setattr__(self, "axis", read_only(axis / length))
+        object.__setattr__(self, "inertia", inertia)
+
+
+def build_serial_robot(
+    joints: Sequence[SerialJoint],
+    *,
+    name: str = "serial",
+    tool_placement: pin.SE3 | ArrayLike | None = None,
+    gravity_m_s2: ArrayLike = STANDARD_GRAVITY_M_S2,
+    rotor_inertia_kg_m2: ArrayLike | None = None,
+    payload: Payload | NeedleTool | None = None,
+    check_inertias: bool = True,
+) -> Robot:
+    """Build a serial arm of revolute joints in memory, without limits.
+
+    Args:
+        joints: From base to tip.
+        name: Name of the robot, for messages.
+        tool_placement: Frame ``tool`` (tool frame and flange) in the last joint's frame; default:
+            the same.
+        gravity_m_s2: Gravity in base axes, shape (3,), m/s^2.
+        rotor_inertia_kg_m2: Rotor inertias at the joints, shape (n,); default none.
+        payload: What hangs on the frame ``tool``.
+        check_inertias: False accepts links no rigid body could be; identified models often have
+            such.
+
+    Raises:
+        InputError: No joints, names used twice, or an argument of the wrong kind.
+        InertiaError: A link with inertia no rigid body can have, or a joint that moves none.
+        UnknownNameError: A joint has the name of a frame of the needle tool.
+    """
+    names = [joint.name for joint in joints]
+    if not names or len({*names, TOOL_FRAME}) != len(names) + 1:
+        raise InputError(
+            f"joints must have names, each once and none {TOOL_FRAME!r} or empty list: {names}"
+        )
+    model = pin.Model()
+    model.name = name
+    for joint in joints:
+        if check_inertias:
+            require_physical(joint.inertia, f"link behind joint {joint.name!r}")
+        _add_joint(model, joint)
+    placement = pin.SE3.Identity() if tool_placement is None else _rigid(tool_placement, "tool")
+    last = model.njoints - 1
+    parent = model.getFrameId(names[-1])
+    model.addFrame(pin.Frame(TOOL_FRAME, last, parent, placement, pin.FrameType.OP_FRAME))
+    robot = assemble_robot(
+        model,
+        flange_frame=TOOL_FRAME,
+        payload=payload,
+        gravity_m_s2=gravity_m_s2,
+        check_inertias=check_inertias,
+    )
+    return robot if rotor_inertia_kg_m2 is None else robot.with_armature(rotor_inertia_kg_m2)
+
+
+def _add_joint(model: pin.Model, joint: SerialJoint) -> None:
+    # The joints along a coordinate axis are cheaper in every algorithm.
+    aligned = (pin.JointModelRX, pin.JointModelRY, pin.JointModelRZ)
+    along = np.flatnonzero(joint.axis == 1.0)
+    kind = aligned[along[0]]() if along.size else pin.JointModelRevoluteUnaligned(joint.axis.copy())
+    no_limit = np.array([np.inf])
+    index = model.addJoint(
+        model.njoints - 1,
+        kind,
+        joint.placement,
+        joint.name,
+        no_limit,
+        no_limit,
+        -no_limit,
+        no_limit,
+    )
+    model.addJointFrame(index, -1)
+    if joint.inertia[0] != 0.0:
+        model.inertias[index] = pin.Inertia.FromDynamicParameters(joint.inertia.copy())
+
+
+def _rigid(placement: Any, name: str) -> pin.SE3:
+    homogeneous = placement.homogeneous if isinstance(placement, pin.SE3) else placement
+    matrix = finite_array(homogeneous, (4, 4), name)
+    rotation = matrix[:3, :3]
+    is_rotation = np.allclose(rotation @ rotation.T, np.eye(3), atol=1e-6)
+    if not is_rotation or np.linalg.det(rotation) < 0.0 or np.any(matrix[3] != [0, 0, 0, 1]):
+        raise InputError(f"{name} is not a rigid motion: {matrix.tolist()}")
+    return pin.SE3(rotation.copy(), matrix[:3, 3].copy())
