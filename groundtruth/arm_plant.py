@@ -1,0 +1,144 @@
+"""The physics of arm, needle and tissue, one controller tick at a time."""
+
+from dataclasses import dataclass
+
+import mujoco
+import numpy as np
+from numpy.typing import NDArray
+
+from groundtruth.mjcf import arm_mjcf
+from groundtruth.plant_bodies import PlantBodies
+from groundtruth.tissue_force import TissueForce, TissueLaw, no_force
+
+Array = NDArray[np.float64]
+
+TICK_s = 1e-3
+"""Period of controller and sensors."""
+
+SUBSTEPS = 4
+"""Physics steps per tick. Fourth-order Runge-Kutta closes the momentum balance of a moving arm to 4e-7 Nm even with
+one step per tick (semi-implicit Euler: 6e-4 Nm with four); four resolve the release of a rupture."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class TissueContact:
+    """Tissue in front of the needle."""
+
+    law: TissueLaw
+    surface_in_base_m: Array
+    """Point of the surface that the tip meets, shape (3,)."""
+    axis_in_base: Array
+    """Direction of insertion, shape (3,), along which depth is measured."""
+
+
+class ArmPlant:
+    """MuJoCo arm with a needle, driven by joint torques held over each tick.
+
+    Attributes:
+        q_rad: Joint positions now, shape (7,), a view.
+        dq_rad_s: Joint velocities now, shape (7,), a view.
+        axial_jacobian: Speed of the tip along the needle per joint velocity, shape (7,), now.
+        depth_m: Depth of the tip now; travel of the tip below the surface.
+        ft_wrench: Reading of the F/T sensor at the start of the last tick, shape (6,), a view: force
+            (N) and torque (Nm) of the environment on the needle, plus weight, minus inertia, in
+            ``ft_sensor`` axes.
+        tissue_force: Force of the tissue at the start of the last tick.
+        mean_axial_N: Its axial part, mean over the last tick.
+    """
+
+    def __init__(
+        self, bodies: PlantBodies, contact: TissueContact | None, *, substeps: int = SUBSTEPS
+    ) -> None:
+        """Compile the model.
+
+        Args:
+            bodies: The true arm.
+            contact: The tissue, None for an arm in free air.
+            substeps: Physics steps per tick.
+        """
+        self._substep_s = TICK_s / substeps
+        self._repeats = range(substeps - 1)
+        self._model = mujoco.MjModel.from_xml_string(arm_mjcf(bodies, self._substep_s))
+        self._data = mujoco.MjData(self._model)
+        self._tip = self._model.body("tip").id
+        self._contact = contact
+        self._tip_force: Array = self._data.xfrc_applied[self._tip, :3]
+        self._tip_axis: Array = self._data.xmat[self._tip].reshape(3, 3)[:, 2]
+        self._tip_position: Array = self._data.xpos[self._tip]
+        self._jacobian = np.zeros((3, self._model.nv))
+        self.q_rad: Array = self._data.qpos
+        self.dq_rad_s: Array = self._data.qvel
+        self.ft_wrench = np.zeros(6)
+        self.tissue_force: TissueForce = no_force(len(contact.law.layers) if contact else 0)
+        self.mean_axial_N = 0.0
+        self.place(self.q_rad.copy())
+
+    def place(self, q_rad: Array, dq_rad_s: Array | float = 0.0) -> None:
+        """Put the arm into a state.
+
+        Args:
+            q_rad: Shape (7,).
+            dq_rad_s: Shape (7,), or zero.
+        """
+        self.q_rad[:] = q_rad
+        self.dq_rad_s[:] = dq_rad_s
+        self._locate()
+
+    def tick(self, torque_Nm: Array) -> None:
+        """Hold a joint torque for one tick.
+
+        Args:
+            torque_Nm: Shape (7,).
+        """
+        self._data.qfrc_applied[:] = torque_Nm
+        if self._contact is None:
+            self._free_tick()
+        else:
+            self._tissue_tick(self._contact.law)
+        self._locate()
+
+    def _free_tick(self) -> None:
+        self._step_and_read()
+        for _ in self._repeats:
+            mujoco.mj_step(self._model, self._data)
+
+    def _tissue_tick(self, law: TissueLaw) -> None:
+        """Let tissue act at each substep, its force along the needle and held over the substep.
+
+        The Jacobian of the tick's start serves all its substeps: the arm turns by 1e-5 rad meanwhile.
+        """
+        step_s, rate, back = self._substep_s, self.axial_jacobian, -self._tip_axis
+        depth, speed = self.depth_m, float(rate.dot(self.dq_rad_s))
+        force = self.tissue_force = law.step(depth, speed, step_s)
+        total = force.axial_N
+        self._tip_force[:] = total * back
+        self._step_and_read()
+        for _ in self._repeats:
+            before, speed = speed, float(rate.dot(self.dq_rad_s))
+            depth += 0.5 * step_s * (before + speed)
+            axial = law.step(depth, speed, step_s).axial_N
+            total += axial
+            self._tip_force[:] = axial * back
+            mujoco.mj_step(self._model, self._data)
+        self.mean_axial_N = total / (len(self._repeats) + 1)
+
+    def _step_and_read(self) -> None:
+        """Step once and read the F/T sensor.
+
+        MuJoCo evaluates its sensors at the state the step starts from, and reports what the arm exerts on
+        the needle; the reading is what the needle exerts on the arm.
+        """
+        mujoco.mj_step(self._model, self._data)
+        np.negative(self._data.sensordata, out=self.ft_wrench)
+
+    def _locate(self) -> None:
+        """Update the tip's position and Jacobian, which a Runge-Kutta step leaves at a stage."""
+        mujoco.mj_kinematics(self._model, self._data)
+        mujoco.mj_comPos(self._model, self._data)
+        mujoco.mj_jac(self._model, self._data, self._jacobian, None, self._tip_position, self._tip)
+        self.axial_jacobian = self._tip_axis @ self._jacobian
+        if self._contact is not None:
+            from_surface = self._tip_position - self._contact.surface_in_base_m
+            self.depth_m = float(from_surface.dot(self._contact.axis_in_base))
+        else:
+            self.depth_m = 0.0
