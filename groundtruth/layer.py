@@ -58,6 +58,49 @@ class Layer:
                 f"onset and release take {taken:.4g} m: make it thicker"
             )
 
+    @classmethod
+    def ending_at(
+        cls,
+        exit_force_N: float,
+        *,
+        name: str,
+        thickness_m: float,
+        cutting_share: float,
+        stiffening: float,
+        release_m: float,
+        friction: ShaftFriction,
+        membrane: Membrane | None = None,
+    ) -> "Layer":
+        """The layer whose tip force at its far end is a given one.
+
+        Args:
+            exit_force_N: That force.
+            cutting_share: Share of it, 0 to 1, that is cutting force; the rest is elastic.
+            name: See the class, as for all that follow.
+            thickness_m: See the class.
+            stiffening: See the class.
+            release_m: See the class.
+            friction: See the class.
+            membrane: See the class.
+
+        Raises:
+            TissueError: The share is outside 0 to 1, or a figure is not physical.
+        """
+        if not 0.0 <= cutting_share <= 1.0:
+            raise TissueError(f"cutting_share is {cutting_share!r}; give a share from 0 to 1")
+        cut_m = thickness_m - (0.0 if membrane is None else membrane.indentation_m)
+        chord_m = cut_m * (1.0 + stiffening * cut_m / thickness_m)
+        return cls(
+            name=name,
+            thickness_m=thickness_m,
+            stiffness_N_per_m=(1.0 - cutting_share) * exit_force_N / chord_m,
+            stiffening=stiffening,
+            cutting_N=cutting_share * exit_force_N,
+            release_m=release_m,
+            friction=friction,
+            membrane=membrane,
+        )
+
     @property
     def entry_m(self) -> float:
         """Depth into the layer at which the tip begins to cut it: the membrane's indentation."""

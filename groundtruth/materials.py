@@ -18,7 +18,7 @@ the tip force is cutting, the rest elastic, its chord 10 % steeper at the end th
 from dataclasses import replace
 
 from groundtruth.friction import ShaftFriction
-from groundtruth.layer import CUTTING_ONSET_M, Layer
+from groundtruth.layer import Layer
 from groundtruth.membrane import Membrane
 
 TABLE_I_SPEED_M_S = 2.3e-3
@@ -50,26 +50,20 @@ TISSUE_RELEASE_M = 0.5e-3
 """Fibrous tissue tears more gradually than gel."""
 
 
-def _tissue_layer(
+def _layer(
     name: str,
     thickness_m: float,
     exit_force_N: float,
     friction: ShaftFriction,
-    *,
-    release_m: float = TISSUE_RELEASE_M,
     membrane: Membrane | None = None,
 ) -> Layer:
-    """A layer whose tip force at its far end is `exit_force_N`."""
-    cut_m = thickness_m - (0.0 if membrane is None else membrane.indentation_m)
-    cutting_N = CUTTING_SHARE * exit_force_N if cut_m > CUTTING_ONSET_M else 0.0
-    chord = cut_m * (1.0 + STIFFENING * cut_m / thickness_m)
-    return Layer(
+    return Layer.ending_at(
+        exit_force_N,
         name=name,
         thickness_m=thickness_m,
-        stiffness_N_per_m=(exit_force_N - cutting_N) / chord,
+        cutting_share=CUTTING_SHARE,
         stiffening=STIFFENING,
-        cutting_N=cutting_N,
-        release_m=release_m,
+        release_m=TISSUE_RELEASE_M,
         friction=friction,
         membrane=membrane,
     )
@@ -89,12 +83,14 @@ def gel(percent: int, *, membrane: Membrane | None = None) -> Layer:
         coulomb_share=GEL_COULOMB_SHARE,
         presliding_m=GEL_PRESLIDING_M,
     )
-    return _tissue_layer(
-        f"gel {percent} %",
-        thickness,
+    return Layer.ending_at(
         GEL_TIP_FORCE_N[percent],
-        friction,
+        name=f"gel {percent} %",
+        thickness_m=thickness,
+        cutting_share=CUTTING_SHARE,
+        stiffening=STIFFENING,
         release_m=GEL_RELEASE_M,
+        friction=friction,
         membrane=membrane,
     )
 
@@ -127,7 +123,7 @@ PHANTOM_CAPSULE = Membrane(puncture_N=0.6, indentation_m=4e-3, hardening=0.5, re
 
 def bovine_liver() -> Layer:
     """A slice of bovine liver behind its capsule, 32 mm: 9 s from puncture to exit in Fig. 13."""
-    return _tissue_layer(
+    return _layer(
         "liver",
         32e-3,
         0.9,  # human liver peaks at 1.1-3.4 N over 85 mm, friction included: this is mid-range
@@ -138,17 +134,17 @@ def bovine_liver() -> Layer:
 
 def abdominal_fat() -> Layer:
     """Fat: slippery and soft; its end is the transition the paper's method misses (Fig. 14)."""
-    return _tissue_layer("fat", 25e-3, 0.12, soft_tissue_friction(4.0, ABDOMEN_SPEED_M_S))
+    return _layer("fat", 25e-3, 0.12, soft_tissue_friction(4.0, ABDOMEN_SPEED_M_S))
 
 
 def abdominal_muscle() -> Layer:
     """Muscle: fibres grip the shaft about twice as hard as liver does."""
-    return _tissue_layer("muscle", 15e-3, 1.0, soft_tissue_friction(20.0, ABDOMEN_SPEED_M_S))
+    return _layer("muscle", 15e-3, 1.0, soft_tissue_friction(20.0, ABDOMEN_SPEED_M_S))
 
 
 def abdominal_liver() -> Layer:
     """Liver of the phantom behind its synthetic capsule."""
-    return _tissue_layer(
+    return _layer(
         "liver",
         40e-3,
         1.1,

@@ -154,37 +154,37 @@ def constant_motion(*, speed_m_s: float, depth_m: float, standoff_m: float) -> M
     return _protocol(standoff_m, travel, ("cruise", duration, RAMP_S / duration))
 
 
-def sinusoidal_motion(*, stroke_m: float, frequency_Hz: float, standoff_m: float) -> Motion:
+def sinusoidal_motion(*, stroke_m: float, frequency_hz: float, standoff_m: float) -> Motion:
     """The protocol with an insertion z = A/2 (1 - cos 2πft): A is the stroke.
 
     Contact happens inside the stroke, at the speed the sinusoid then has.
 
     Args:
         stroke_m: A of the paper.
-        frequency_Hz: f of the paper; in and out take one period, the rest between them aside.
+        frequency_hz: f of the paper; in and out take one period, the rest between them aside.
         standoff_m: How far above the surface the stroke begins and the withdrawal ends.
 
     Raises:
         MotionError: A figure is not positive, or the stroke does not reach the surface.
     """
     require_positive(
-        MotionError, stroke_m=stroke_m, frequency_Hz=frequency_Hz, standoff_m=standoff_m
+        MotionError, stroke_m=stroke_m, frequency_hz=frequency_hz, standoff_m=standoff_m
     )
     if stroke_m <= standoff_m:
         raise MotionError(f"a stroke of {stroke_m} m ends above the surface, {standoff_m} m away")
-    return _protocol(standoff_m, stroke_m, ("cosine", 0.5 / frequency_Hz, 0.5))
+    return _protocol(standoff_m, stroke_m, ("cosine", 0.5 / frequency_hz, 0.5))
 
 
-def free_motion(*, height_m: float, stroke_m: float, frequency_Hz: float) -> Motion:
+def free_motion(*, height_m: float, stroke_m: float, frequency_hz: float) -> Motion:
     """The protocol in free air: the sinusoidal stroke turns `height_m` above the surface.
 
     Args:
         height_m: Least distance from the surface.
         stroke_m: Stroke along the needle axis.
-        frequency_Hz: Frequency of the stroke.
+        frequency_hz: Frequency of the stroke.
 
     Raises:
         MotionError: A figure is not positive.
     """
-    require_positive(MotionError, height_m=height_m, stroke_m=stroke_m, frequency_Hz=frequency_Hz)
-    return _protocol(height_m + stroke_m, stroke_m, ("cosine", 0.5 / frequency_Hz, 0.5))
+    require_positive(MotionError, height_m=height_m, stroke_m=stroke_m, frequency_hz=frequency_hz)
+    return _protocol(height_m + stroke_m, stroke_m, ("cosine", 0.5 / frequency_hz, 0.5))

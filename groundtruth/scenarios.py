@@ -37,8 +37,8 @@ def _constant(layers: tuple[Layer, ...], speed_m_s: float) -> Motion:
     return constant_motion(speed_m_s=speed_m_s, depth_m=depth, standoff_m=CONSTANT_STANDOFF_M)
 
 
-def _sinusoidal(stroke_m: float, frequency_Hz: float, standoff_m: float) -> Motion:
-    return sinusoidal_motion(stroke_m=stroke_m, frequency_Hz=frequency_Hz, standoff_m=standoff_m)
+def _sinusoidal(stroke_m: float, frequency_hz: float, standoff_m: float) -> Motion:
+    return sinusoidal_motion(stroke_m=stroke_m, frequency_hz=frequency_hz, standoff_m=standoff_m)
 
 
 def _gels() -> list[Scenario]:
@@ -104,7 +104,7 @@ def _organs() -> list[Scenario]:
             id="free-motion",
             title="no tissue",
             layers=(),
-            motion=free_motion(height_m=20e-3, stroke_m=120e-3, frequency_Hz=0.05),
+            motion=free_motion(height_m=20e-3, stroke_m=120e-3, frequency_hz=0.05),
         ),
     ]
 

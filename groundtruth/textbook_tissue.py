@@ -1,7 +1,9 @@
 """The textbook tissue: exactly the multi-layer model the estimators identify."""
 
+from dataclasses import replace
 from typing import NamedTuple
 
+from groundtruth.interface import Interface, interfaces
 from groundtruth.layer import Layer
 from groundtruth.sample import NeedleSample, checked_sample
 from groundtruth.tissue_force import TissueForce, no_force
@@ -70,6 +72,20 @@ class TextbookTissue:
     def layers(self) -> tuple[Layer, ...]:
         """The layers, first the one the needle meets first."""
         return self._layers
+
+    @property
+    def interfaces(self) -> tuple[Interface, ...]:
+        """The boundaries; the tip force of the layer above vanishes at once, membranes are bare."""
+        return tuple(
+            replace(
+                boundary,
+                onset_m=boundary.depth_m,
+                release_m=0.0,
+                drop_N=0.0 if i == 0 else self._layers[i - 1].exit_force_N,
+                membrane=None,
+            )
+            for i, boundary in enumerate(interfaces(self._layers))
+        )
 
     def step(self, depth_m: float, speed_m_s: float, dt_s: float) -> TissueForce:
         """Advance by one step and return the force at its end.

@@ -170,6 +170,11 @@ class Tissue:
         return self._stack.layers
 
     @property
+    def interfaces(self) -> tuple[Interface, ...]:
+        """The boundaries, from the surface to the exit."""
+        return self._stack.interfaces
+
+    @property
     def state(self) -> TissueState:
         """What the tissue remembers (immutable)."""
         return self._state

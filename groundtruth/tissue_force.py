@@ -1,7 +1,8 @@
-"""What a tissue law answers at each step, and the three methods every law has."""
+"""What a tissue law answers at each step, and what every law offers."""
 
 from typing import NamedTuple, Protocol
 
+from groundtruth.interface import Interface
 from groundtruth.layer import Layer
 
 
@@ -32,6 +33,11 @@ class TissueLaw(Protocol):
     @property
     def layers(self) -> tuple[Layer, ...]:
         """The layers, first the one the needle meets first."""
+        ...
+
+    @property
+    def interfaces(self) -> tuple[Interface, ...]:
+        """The boundaries, from the surface to the exit, as this law has them give way."""
         ...
 
     def step(self, depth_m: float, speed_m_s: float, dt_s: float) -> TissueForce:
