@@ -1,0 +1,37 @@
+"""Joint signals to external joint torque to wrench: the virtual force/torque sensor.
+
+Reading order: `momentum_step` (the equation), `momentum_observer` (the residual), `wrench`
+(equation 13), `tare` (offset removal), `virtual_force_sensor` (all of it in two calls).
+"""
+
+from residual.errors import ConfigurationError, ResidualError, SampleError, TareError
+from residual.joint_friction import FrictionModel, JointFriction, SigmoidFriction
+from residual.kalman_observer import KalmanObserver
+from residual.momentum_observer import MomentumObserver
+from residual.sensor_config import DEFAULT, PAPER, SensorConfig
+from residual.tare_prior import TarePrior
+from residual.velocity_estimator import VelocityEstimator
+from residual.virtual_force_sensor import VirtualForceSensor
+from residual.wrench import WrenchEstimator
+from residual.wrench_estimate import Status, WrenchEstimate
+
+__all__ = [
+    "DEFAULT",
+    "PAPER",
+    "ConfigurationError",
+    "FrictionModel",
+    "JointFriction",
+    "KalmanObserver",
+    "MomentumObserver",
+    "ResidualError",
+    "SampleError",
+    "SensorConfig",
+    "SigmoidFriction",
+    "Status",
+    "TareError",
+    "TarePrior",
+    "VelocityEstimator",
+    "VirtualForceSensor",
+    "WrenchEstimate",
+    "WrenchEstimator",
+]

@@ -1,0 +1,105 @@
+"""Joint signals to external joint torque, whether or not the robot sends velocities."""
+
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from residual.errors import SampleError
+from residual.momentum_observer import MomentumObserver
+from residual.sensor_config import SensorConfig
+from residual.velocity_estimator import VelocityEstimator
+from urdf import Robot
+
+
+class TorqueSample(NamedTuple):
+    """External joint torque with the motion it belongs to.
+
+    Attributes:
+        q: Position [rad], shape (n,); delayed like the residual when velocity is estimated.
+        dq: Velocity [rad/s], shape (n,).
+        residual: External joint torque before offset removal [Nm], shape (n,).
+        settled: Whether the filters have forgotten their start.
+    """
+
+    q: NDArray[np.float64]
+    dq: NDArray[np.float64]
+    residual: NDArray[np.float64]
+    settled: bool
+
+
+class ExternalTorqueEstimator:
+    """The residual of one stream of samples, all with ``dq`` or all without.
+
+    Args:
+        robot: The arm with its payload.
+        config: Settings of the sensor.
+        has_velocity: Whether the robot sends joint velocities.
+    """
+
+    SETTLING_LAGS = 5.0
+    """Lags after which the start of the residual has faded to 1 %."""
+
+    def __init__(self, robot: Robot, config: SensorConfig, *, has_velocity: bool) -> None:
+        self._velocity = (
+            None
+            if has_velocity
+            else VelocityEstimator(
+                robot.nv,
+                config.velocity_bandwidth_per_s,
+                alignment=config.alignment,
+                max_gap_s=config.max_gap_s,
+            )
+        )
+        self._observer = MomentumObserver(
+            robot,
+            config.gain_per_s,
+            # The matched filter hands on a continuous torque.
+            alignment=config.alignment if has_velocity else "trapezoid",
+            friction=config.friction,
+            max_gap_s=config.max_gap_s,
+        )
+        self._max_gap_s = config.max_gap_s
+        self._settling_s = self.SETTLING_LAGS / config.gain_per_s
+        self._age_s = 0.0
+        self._unread_s = 0.0
+        delay = 0.0 if self._velocity is None else self._velocity.delay_s
+        self.lag_s = 1.0 / config.gain_per_s + delay
+        """Time by which the estimate follows the torque [s]."""
+
+    def update(
+        self, q: ArrayLike, dq: ArrayLike | None, tau: ArrayLike, dt_s: float
+    ) -> TorqueSample:
+        """Take one sample; see `MomentumObserver.update`, with ``dq`` None when there is none.
+
+        Raises:
+            SampleError: For a bad sample, or for ``dq`` that comes and goes; state unchanged.
+        """
+        if (dq is None) != (self._velocity is not None):
+            raise SampleError(
+                "dq was given before and is missing now, or the reverse; keep to one of the two "
+                "for a stream, or reset() first"
+            )
+        if self._velocity is not None:
+            return self._update_without_velocity(self._velocity, q, tau, dt_s)
+        assert dq is not None
+        q, dq = np.asarray(q, dtype=np.float64), np.asarray(dq, dtype=np.float64)
+        residual = self._observer.update(q, dq, tau, dt_s)
+        self._grow_older(dt_s)
+        return TorqueSample(q, dq, residual, self._age_s >= self._settling_s)
+
+    def _update_without_velocity(
+        self, velocity: VelocityEstimator, q: ArrayLike, tau: ArrayLike, dt_s: float
+    ) -> TorqueSample:
+        sample = velocity.update(q, tau, dt_s)
+        self._unread_s += dt_s
+        if not sample.settled:
+            self._age_s = 0.0
+            return TorqueSample(sample.q, sample.dq, self._observer.residual, False)
+        residual = self._observer.update(sample.q, sample.dq, sample.tau, self._unread_s)
+        self._grow_older(self._unread_s)
+        self._unread_s = 0.0
+        return TorqueSample(sample.q, sample.dq, residual, self._age_s >= self._settling_s)
+
+    def _grow_older(self, dt_s: float) -> None:
+        self._age_s = 0.0 if dt_s > self._max_gap_s else self._age_s + dt_s

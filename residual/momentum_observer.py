@@ -1,0 +1,194 @@
+"""The momentum observer: joint signals in, external joint torque out."""
+
+import math
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from residual.errors import ConfigurationError, SampleError
+from residual.joint_friction import FrictionModel
+from residual.momentum_step import ROWS, Alignment, step_coefficients
+from residual.momentum_terms import MomentumTerms
+from residual.sample_check import check_interval, check_joint_vector
+from urdf import Robot
+
+
+class MomentumState(NamedTuple):
+    """All that a `MomentumObserver` remembers.
+
+    Attributes:
+        rows: Its rows, shape (ROWS, n); None before a sample.
+        slot: Which of its two slots they stand in; sums are then formed in the same order, so
+            that a resumed observer is bit-equal.
+    """
+
+    rows: NDArray[np.float64] | None
+    slot: int = 0
+
+
+def gain_vector(gain_per_s: float | ArrayLike, joints: int) -> NDArray[np.float64]:
+    """Observer gains as one positive number per joint.
+
+    Args:
+        gain_per_s: One gain for all joints, or one each [1/s].
+        joints: Number of joints.
+
+    Raises:
+        ConfigurationError: If a gain is not finite and positive, or their number is wrong.
+    """
+    gain = (
+        np.array(np.broadcast_to(np.asarray(gain_per_s, dtype=np.float64), joints))
+        if (np.ndim(gain_per_s) == 0 or np.shape(gain_per_s) == (joints,))
+        else None
+    )
+    if gain is None or not (np.isfinite(gain).all() and (gain > 0).all()):
+        raise ConfigurationError(
+            f"gain_per_s is {gain_per_s!r}, expected one positive number or {joints} of them [1/s]"
+        )
+    return gain
+
+
+class MomentumObserver:
+    """Residual of the generalised momentum, by the exact step of `momentum_step`.
+
+    The first sample only seats the momentum, so a start on a moving arm makes no spike; after a
+    gap in time longer than ``max_gap_s`` the momentum is seated anew and the residual goes on from
+    its last value, rather than integrating across the hole.
+
+    Args:
+        robot: The arm with its payload.
+        gain_per_s: K, one for all joints or one each [1/s]; 1/K is the lag of the residual.
+        alignment: How torque fills a tick, see `Alignment`.
+        friction: Joint friction between torque sensor and link, if any is modelled.
+        max_gap_s: Longest time step that is still integrated [s].
+
+    Raises:
+        ConfigurationError: For a gain, alignment or gap that cannot work.
+    """
+
+    def __init__(
+        self,
+        robot: Robot,
+        gain_per_s: float | ArrayLike = 50.0,
+        *,
+        alignment: Alignment = "trapezoid",
+        friction: FrictionModel | None = None,
+        max_gap_s: float = 0.1,
+    ) -> None:
+        if alignment not in ("hold", "trapezoid"):
+            raise ConfigurationError(f"alignment is {alignment!r}, expected 'hold' or 'trapezoid'")
+        if not max_gap_s > 0:
+            raise ConfigurationError(f"max_gap_s is {max_gap_s!r}, expected > 0")
+        self._gain = gain_vector(gain_per_s, robot.nv)
+        self._terms = MomentumTerms(robot, friction)
+        self._alignment: Alignment = alignment
+        self._max_gap_s = max_gap_s
+        self._joints = robot.nv
+        # Two sample slots take turns as "before" and "after": a refused sample has only written
+        # into the spare one, so the state stays as it was.
+        self._rows = np.zeros((2 * ROWS, robot.nv))
+        self._joint_rows = self._rows.T
+        self._slots = tuple(tuple(self._rows[k * ROWS + i] for i in range(ROWS)) for k in (0, 1))
+        self._spare = 0
+        self._seated = False
+        self._dt_s = math.nan
+        self._coefficients: tuple[NDArray[np.float64], NDArray[np.float64]] | None = None
+
+    @property
+    def residual(self) -> NDArray[np.float64]:
+        """Latest residual [Nm], shape (n,), a copy; zeros before the first sample."""
+        return self._slots[1 - self._spare][0].copy()
+
+    @property
+    def gain_per_s(self) -> NDArray[np.float64]:
+        """K per joint [1/s], shape (n,), a copy."""
+        return self._gain.copy()
+
+    def update(
+        self, q: ArrayLike, dq: ArrayLike, tau: ArrayLike, dt_s: float
+    ) -> NDArray[np.float64]:
+        """Take one sample and return the residual.
+
+        Args:
+            q: Joint positions [rad], shape (n,).
+            dq: Joint velocities [rad/s], shape (n,).
+            tau: Measured link-side joint torques [Nm], shape (n,).
+            dt_s: Time since the previous sample [s]; not read on the first one.
+
+        Returns:
+            Estimate of the external joint torque, environment on robot [Nm], shape (n,), a new
+            read-only array.
+
+        Raises:
+            SampleError: For a wrong shape, a number that is not finite or a time step that does
+                not advance; the state is then unchanged.
+        """
+        q = np.asarray(q, dtype=np.float64)
+        dq = np.asarray(dq, dtype=np.float64)
+        tau = np.asarray(tau, dtype=np.float64)
+        shape = (self._joints,)
+        if q.shape != shape or dq.shape != shape or tau.shape != shape:
+            self._refuse(q, dq, tau)
+        residual_row, momentum, coriolis, gravity, torque = self._slots[self._spare]
+        self._terms.write(q, dq, momentum, coriolis, gravity)
+        torque[:] = tau
+        residual = self._advance(dt_s)
+        if not math.isfinite(residual.dot(residual)):
+            self._refuse(q, dq, tau)
+        residual_row[:] = residual
+        self._spare = 1 - self._spare
+        self._seated = True
+        residual.setflags(write=False)
+        return residual
+
+    def _advance(self, dt_s: float) -> NDArray[np.float64]:
+        """Residual after the tick, from the rows in place."""
+        if dt_s != self._dt_s and self._seated:
+            check_interval(dt_s)
+            if dt_s <= self._max_gap_s:
+                before, after = step_coefficients(self._gain, dt_s, self._alignment)
+                self._coefficients = (
+                    np.concatenate((after, before), axis=1),
+                    np.concatenate((before, after), axis=1),
+                )
+                self._dt_s = dt_s
+        if not self._seated or dt_s > self._max_gap_s or self._coefficients is None:
+            held = self._slots[1 - self._spare][0]
+            # Any non-finite number in the new rows must still be seen.
+            return held + 0.0 * self._rows[self._spare * ROWS + 1 : (self._spare + 1) * ROWS].sum(0)
+        return np.vecdot(self._coefficients[self._spare], self._joint_rows)
+
+    def _refuse(self, *sample: NDArray[np.float64]) -> None:
+        for name, value in zip(("q", "dq", "tau"), sample, strict=True):
+            check_joint_vector(name, value, self._joints)
+        raise SampleError("q, dq and tau are finite but the dynamics overflow; check their units")
+
+    @property
+    def state(self) -> MomentumState:
+        """All that the observer remembers, as copies."""
+        if not self._seated:
+            return MomentumState(None)
+        slot = 1 - self._spare
+        return MomentumState(self._rows[slot * ROWS : (slot + 1) * ROWS].copy(), slot)
+
+    def restore(self, state: MomentumState) -> None:
+        """Go on from a `state` taken earlier.
+
+        Raises:
+            ConfigurationError: If it belongs to a robot with another number of joints.
+        """
+        self._seated = state.rows is not None
+        if state.rows is None:
+            self._rows[:] = 0.0
+            return
+        if state.rows.shape != (ROWS, self._joints):
+            raise ConfigurationError(
+                f"state has rows of shape {state.rows.shape}, expected {(ROWS, self._joints)}"
+            )
+        self._spare = 1 - state.slot
+        self._rows[state.slot * ROWS : (state.slot + 1) * ROWS] = state.rows
+
+    def reset(self) -> None:
+        """Forget everything; the next sample is a first one."""
+        self.restore(MomentumState(None))

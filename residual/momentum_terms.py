@@ -1,0 +1,41 @@
+"""What the residual needs of the robot's dynamics, straight from Pinocchio."""
+
+import numpy as np
+import pinocchio as pin
+from numpy.typing import NDArray
+
+from residual.joint_friction import FrictionModel
+from urdf import Robot
+
+
+class MomentumTerms:
+    """Momentum, C' dq and g + tau_f of one robot, written into the caller's rows.
+
+    Rotor inertia, where an arm needs it (motor-current torque), is part of the robot's model
+    (`Robot.with_armature`); on the LWR, whose torque is measured behind the gear, it is zero.
+    """
+
+    def __init__(self, robot: Robot, friction: FrictionModel | None = None) -> None:
+        self._model = robot.model
+        self._data = robot.create_data()
+        self._friction = friction
+
+    def write(
+        self,
+        q: NDArray[np.float64],
+        dq: NDArray[np.float64],
+        momentum: NDArray[np.float64],
+        coriolis: NDArray[np.float64],
+        gravity: NDArray[np.float64],
+    ) -> None:
+        """Write p = M dq, C' dq and g + tau_f at (q, dq) into the last three arrays, each (n,)."""
+        model, data = self._model, self._data
+        np.dot(pin.crba(model, data, q), dq, momentum)
+        np.dot(dq, pin.computeCoriolisMatrix(model, data, q, dq), coriolis)
+        gravity[:] = pin.computeGeneralizedGravity(model, data, q)
+        if self._friction is not None:
+            gravity += self._friction.torque(dq)
+
+    def momentum_variance(self, velocity_noise_rad_s: NDArray[np.float64]) -> NDArray[np.float64]:
+        """Variance of M dq at the last `write` for a velocity noise per joint [rad/s], (n,)."""
+        return np.square(self._data.M).dot(np.square(velocity_noise_rad_s))

@@ -1,0 +1,101 @@
+"""Keeps the tare: records free motion, fits, subtracts, and says how far it may be trusted."""
+
+
+import numpy as np
+from numpy.typing import NDArray
+
+from residual.contact_guard import check_free_of_contact
+from residual.sensor_config import SensorConfig
+from residual.tare import Tare, fit_tare, prior_tare
+from residual.tare_prior import TareBasis, direction_step
+from residual.tare_recorder import TareRecorder
+from residual.wrench import WrenchEstimator
+from urdf import Robot
+
+
+class OffsetRemoval:
+    """Subtracts the residual's error without contact from the observer's output.
+
+    Until the first `tare` the prior stands in: no offset, a large covariance.
+
+    Args:
+        robot: The arm with its payload.
+        config: Settings of the sensor.
+    """
+
+    BLOCK_LAGS = 2.0
+    """Length of a recorded block in lags of the observer: blocks are then nearly independent."""
+
+    def __init__(self, robot: Robot, config: SensorConfig) -> None:
+        self._config = config
+        self._basis = TareBasis(robot, config.tare, config.prior)
+        self._recorder = TareRecorder(robot.nv, self.BLOCK_LAGS / config.gain_per_s)
+        self._still = np.zeros(robot.nv)
+        self.reset()
+
+    @property
+    def tared(self) -> bool:
+        """Whether `tare` has succeeded since the last `reset`."""
+        return self._tared
+
+    @property
+    def model(self) -> Tare:
+        """The tare in force; the prior before the first one."""
+        return self._tare
+
+    def follow(self, q: NDArray[np.float64], dq: NDArray[np.float64], dt_s: float) -> None:
+        """Follow the motion [rad, rad/s]: direction memory and age of the tare."""
+        self._q = q
+        self._now_s += dt_s
+        self._direction = direction_step(
+            self._direction, dq * dt_s, self._config.prior.reversal_width_rad
+        )
+
+    def record(self, residual: NDArray[np.float64], dt_s: float) -> None:
+        """Record one settled residual [Nm] of free motion; ignored once tared."""
+        if not self._tared:
+            self._recorder.add(self._q, self._direction, residual, self._now_s, dt_s)
+
+    def correct(self, residual: NDArray[np.float64]) -> NDArray[np.float64]:
+        """Residual without its offset [Nm], shape (n,)."""
+        return residual - self._tare.bias_Nm(self._q, self._direction, self._age_s)
+
+    def covariance_Nm2(self) -> NDArray[np.float64]:
+        """Covariance of the corrected residual here and now [Nm^2], shape (n, n)."""
+        return self._tare.covariance_Nm2(self._q, self._direction, self._age_s)
+
+    @property
+    def _age_s(self) -> float:
+        return self._now_s - self._tared_s
+
+    def tare(self, wrench: WrenchEstimator, *, force: bool) -> Tare:
+        """Fit the offset to what was recorded.
+
+        Args:
+            wrench: Reads axial force, to look for contact.
+            force: Take it even where contact is seen.
+
+        Raises:
+            TareError: Without data, or with contact in sight; the tare in force then stays.
+        """
+        blocks = self._recorder.blocks(self._now_s, self._config.tare_window_s)
+        fitted = fit_tare(self._basis, blocks)
+        if not force:
+            limit = self._config.contact_force_N
+            check_free_of_contact(fitted, prior_tare(self._basis), blocks, wrench, limit)
+        self._tare, self._tared, self._tared_s = fitted, True, self._now_s
+        return fitted
+
+    def start_recording(self) -> None:
+        """Forget what was recorded and record anew; the tare in force stays until the next."""
+        self._recorder.clear()
+        self._tared = False
+
+    def reset(self) -> None:
+        """Forget everything."""
+        self._recorder.clear()
+        self._tare = prior_tare(self._basis)
+        self._tared = False
+        self._tared_s = self._now_s = 0.0
+        self._direction = self._still
+        self._q = self._still

@@ -1,0 +1,74 @@
+"""Settings of the virtual force sensor, validated once, and the two presets."""
+
+from dataclasses import dataclass, field
+
+from residual.errors import ConfigurationError
+from residual.joint_friction import FrictionModel
+from residual.momentum_step import Alignment
+from residual.tare_prior import TareKind, TarePrior
+from residual.wrench import Axes, Mode, Weighting
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class SensorConfig:
+    """How joint signals become a force.
+
+    Attributes:
+        gain_per_s: Observer gain K [1/s]; 1/K is the lag.
+        alignment: How torque fills a tick: ``trapezoid`` for a sampled sensor, ``hold`` for a
+            command held until the next sample.
+        velocity_bandwidth_per_s: Of the velocity estimate used when ``dq`` is None [1/s].
+        friction: Joint friction between torque sensor and link, if any is modelled.
+        mode: What is assumed of the contact.
+        weighting: ``covariance``: by what the tare has learnt of each joint; ``none``: the plain
+            pseudo-inverse of equation (13).
+        frame: Frame of the wrench; the robot's tool frame when None.
+        axes: Axes of force and torque.
+        insertion_axis: Insertion direction in the frame.
+        expected_force_N: See `WrenchEstimator`; None for no damping.
+        tare: Kind of offset removal.
+        tare_window_s: Only this much of the past enters a tare [s]; None for all of it.
+        prior: What the residual may be off by before data.
+        contact_force_N: Smallest axial force that makes a tare be refused [N].
+        max_gap_s: Longest time step that is integrated [s]; after a longer one filters restart.
+
+    Raises:
+        ConfigurationError: For numbers that are not positive.
+    """
+
+    gain_per_s: float = 50.0
+    alignment: Alignment = "trapezoid"
+    velocity_bandwidth_per_s: float = 200.0
+    friction: FrictionModel | None = None
+    mode: Mode = "axial"
+    weighting: Weighting = "covariance"
+    frame: str | None = None
+    axes: Axes = "base"
+    insertion_axis: tuple[float, float, float] = (0.0, 0.0, 1.0)
+    expected_force_N: float | None = 100.0
+    tare: TareKind = "model"
+    tare_window_s: float | None = None
+    prior: TarePrior = field(default_factory=TarePrior)
+    contact_force_N: float = 0.25
+    max_gap_s: float = 0.1
+
+    def __post_init__(self) -> None:
+        for name in ("gain_per_s", "velocity_bandwidth_per_s", "contact_force_N", "max_gap_s"):
+            if not getattr(self, name) > 0:
+                raise ConfigurationError(f"{name} is {getattr(self, name)!r}, expected > 0")
+        if self.tare_window_s is not None and not self.tare_window_s > 0:
+            raise ConfigurationError(f"tare_window_s is {self.tare_window_s!r}, expected > 0")
+
+
+DEFAULT = SensorConfig()
+"""Ours."""
+
+PAPER = SensorConfig(
+    gain_per_s=5.0,
+    mode="full",
+    weighting="none",
+    expected_force_N=None,
+    tare="constant",
+    tare_window_s=0.5,
+)
+"""Section IV as published: K = 5 1/s, r_0 from just before contact, six-dimensional (J')#."""

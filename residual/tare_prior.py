@@ -1,0 +1,143 @@
+"""What a robot's residual may be off by before anything has touched it."""
+
+from dataclasses import dataclass
+from typing import Literal
+
+import numpy as np
+import pinocchio as pin
+from numpy.typing import NDArray
+
+from residual.errors import ConfigurationError
+from urdf import Robot
+
+TareKind = Literal["constant", "model"]
+"""``constant``: the paper's r_0, one number per joint. ``model``: r_0 and the torque of a small
+error of every link's mass and first moments, of the sensors' hysteresis and of their drift."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class TarePrior:
+    """Standard deviations of what the tare fits, before it has seen data.
+
+    They are properties of a class of arms, not of one recording; shares are of each joint's
+    effort limit, the range of its torque sensor.
+
+    Attributes:
+        offset_share: Constant offset. 1 %: joint-torque sensors of the LWR kind start with
+            0.1 to 1 Nm on joints of 100 to 176 Nm.
+        mass_share: Error of a link's mass, as a share of it. 5 %: two published CAD-grade tables
+            of one arm differ by that much.
+        com_m: Error of a link's centre of mass [m]. 5 mm, after the same two tables.
+        reversal_share: Half the jump at a reversal of motion (hysteresis, Coulomb friction).
+            0.02 %: well within the 0.5 % linearity such sensors are sold with.
+        reversal_width_rad: Joint travel over which that jump happens [rad].
+        drift_share_per_min: Linear drift. 0.01 % a minute, as strain gauges warm up (an ATI Mini45
+            was seen to drift 0.04 % of its range in 4 minutes).
+        walk_share_per_sqrt_min: Random walk beside it.
+        fallback_effort_Nm: Stands in where a description gives no effort limit [Nm].
+
+    Raises:
+        ConfigurationError: If a number is not finite and positive.
+    """
+
+    offset_share: float = 0.01
+    mass_share: float = 0.05
+    com_m: float = 0.005
+    reversal_share: float = 2e-4
+    reversal_width_rad: float = 1e-3
+    drift_share_per_min: float = 1e-4
+    walk_share_per_sqrt_min: float = 3e-5
+    fallback_effort_Nm: float = 100.0
+
+    def __post_init__(self) -> None:
+        for name in self.__slots__:
+            value = getattr(self, name)
+            if not (np.isfinite(value) and value > 0):
+                raise ConfigurationError(f"{name} is {value!r}, expected a finite number > 0")
+
+
+class TareBasis:
+    """The linear model of a residual without contact: ``bias = H(q, direction, age) theta``.
+
+    Columns in order: offset per joint; mass and first moments per link (static columns of the
+    joint-torque regressor, `method [18]`); hysteresis per joint; drift per joint. The constant kind
+    has the first group only.
+
+    Args:
+        robot: The arm with its payload.
+        kind: See `TareKind`.
+        prior: How large each group may be.
+
+    Raises:
+        ConfigurationError: For an unknown kind.
+    """
+
+    def __init__(self, robot: Robot, kind: TareKind, prior: TarePrior) -> None:
+        if kind not in ("constant", "model"):
+            raise ConfigurationError(f"tare is {kind!r}, expected 'constant' or 'model'")
+        self.joints = robot.nv
+        self.kind: TareKind = kind
+        self.prior = prior
+        self._model, self._data = robot.model, robot.create_data()
+        self._still = np.zeros(robot.nv)
+        limit = robot.effort_limit_Nm
+        self.effort_Nm = np.where(np.isfinite(limit) & (limit > 0), limit, prior.fallback_effort_Nm)
+        bodies = self._model.njoints - 1
+        self._static = np.concatenate([10 * k + np.arange(4) for k in range(bodies)])
+        self.std = self._prior_std()
+        n = robot.nv
+        self.groups = {"offset": slice(0, n)}
+        if kind == "model":
+            links = n + 4 * bodies
+            self.groups |= {
+                "links": slice(n, links),
+                "reversal": slice(links, links + n),
+                "drift": slice(links + n, links + 2 * n),
+            }
+
+    def _prior_std(self) -> NDArray[np.float64]:
+        prior, effort = self.prior, self.effort_Nm
+        if self.kind == "constant":
+            return 100.0 * prior.offset_share * effort
+        links = []
+        for inertia in list(self._model.inertias)[1:]:
+            mass = max(inertia.mass, 1e-3)
+            moment = mass * np.hypot(prior.com_m, prior.mass_share * np.abs(inertia.lever))
+            links += [prior.mass_share * mass, *moment]
+        return np.concatenate(
+            [
+                prior.offset_share * effort,
+                links,
+                prior.reversal_share * effort,
+                prior.drift_share_per_min / 60.0 * effort,
+            ]
+        )
+
+    def regressor(self, q: NDArray[np.float64]) -> NDArray[np.float64]:
+        """Static torque per mass and first moment of every link, shape (n, 4 links)."""
+        still = self._still
+        full = pin.computeJointTorqueRegressor(self._model, self._data, q, still, still)
+        return full[:, self._static]
+
+    def columns(
+        self, q: NDArray[np.float64], direction: NDArray[np.float64], age_s: float
+    ) -> NDArray[np.float64]:
+        """H at a configuration [rad], direction (-1 to 1 per joint) and age of the tare [s]."""
+        identity = np.eye(self.joints)
+        if self.kind == "constant":
+            return identity
+        return np.concatenate(
+            [identity, self.regressor(q), np.diag(direction), age_s * identity], axis=1
+        )
+
+    def walk_variance(self, age_s: float) -> NDArray[np.float64]:
+        """Variance that the random walk has added since the tare [Nm^2], shape (n,)."""
+        share = self.prior.walk_share_per_sqrt_min * self.effort_Nm
+        return share**2 * (max(age_s, 0.0) / 60.0)
+
+
+def direction_step(
+    direction: NDArray[np.float64], travel_rad: NDArray[np.float64], width_rad: float
+) -> NDArray[np.float64]:
+    """Direction of motion with a memory at rest: a play operator of the given width, -1 to 1."""
+    return np.minimum(np.maximum(direction + travel_rad * (2.0 / width_rad), -1.0), 1.0)

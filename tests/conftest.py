@@ -1,0 +1,29 @@
+"""Fixtures shared by all rooms, and where recordings are looked for."""
+
+import os
+from pathlib import Path
+
+import pytest
+from hypothesis import settings
+
+from urdf import NeedleTool, load_lwr
+
+settings.register_profile("ci", derandomize=True, deadline=None)
+settings.load_profile("ci")
+
+
+@pytest.fixture(scope="session")
+def lwr():
+    """The LWR 4+ with F/T sensor and needle."""
+    return load_lwr(payload=NeedleTool())
+
+
+@pytest.fixture(scope="session")
+def recordings_dir():
+    """Folder of real recordings; tests that need it skip, saying so, when it is absent."""
+    named = os.environ.get("NEEDLEFORCE_DATA")
+    beside = Path(__file__).resolve().parents[1] / ".." / "shared" / "data"
+    folder = Path(named) if named else beside
+    if not folder.is_dir():
+        pytest.skip("no recordings: set NEEDLEFORCE_DATA to their folder")
+    return folder

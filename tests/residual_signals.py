@@ -1,0 +1,45 @@
+"""Joint signals of an ideal arm for the tests of `residual`: rigid-body torque minus J' F."""
+
+import numpy as np
+import pinocchio as pin
+
+JOINTS = 7
+MIDDLE = np.array([0.1, 0.5, -0.2, -1.5, 0.3, 1.0, 0.2])
+
+
+def external_torque_of(robot, q, force_at_tip_in_base):
+    """J' F of a force on the tool frame, in base axes."""
+    data = robot.create_data()
+    jacobian = pin.computeFrameJacobian(
+        robot.model, data, q, robot.tool_frame_id, pin.LOCAL_WORLD_ALIGNED
+    )
+    return jacobian[:3].T @ np.asarray(force_at_tip_in_base)
+
+
+def swing(
+    robot,
+    *,
+    seconds,
+    rate_hz=1000.0,
+    amplitude=0.2,
+    start=0.0,
+    middle=None,
+    force_at_tip_in_base=(0.0, 0.0, 0.0),
+):
+    """Times, q, dq and link-side torque of a smooth joint motion under a constant tip force."""
+    times = start + np.arange(round(seconds * rate_hz)) / rate_hz
+    middle = (MIDDLE if middle is None else np.asarray(middle))[: robot.nv]
+    omega = 1.0 + 0.3 * np.arange(robot.nv)
+    phase = np.outer(times, omega)
+    q = middle + amplitude * (1 - np.cos(phase))
+    dq = amplitude * omega * np.sin(phase)
+    ddq = amplitude * omega**2 * np.cos(phase)
+    data = robot.create_data()
+    tau = np.array(
+        [
+            pin.rnea(robot.model, data, q[k], dq[k], ddq[k])
+            - external_torque_of(robot, q[k], force_at_tip_in_base)
+            for k in range(len(times))
+        ]
+    )
+    return times, q, dq, tau

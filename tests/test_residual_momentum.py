@@ -1,0 +1,213 @@
+"""The momentum residual: its exact step and the observer around it."""
+
+import numpy as np
+import pinocchio as pin
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from residual_signals import JOINTS, external_torque_of, swing
+
+from residual import ConfigurationError, JointFriction, MomentumObserver, SampleError
+from residual.momentum_step import ROWS, momentum_step
+from urdf import load_lwr
+
+numbers = st.floats(-100.0, 100.0)
+
+
+def rows(momentum, coriolis, gravity, torque, residual=0.0):
+    return np.array([[residual], [momentum], [coriolis], [gravity], [torque]])
+
+
+@given(
+    residual=numbers,
+    slope=numbers,
+    held=numbers,
+    gain=st.floats(0.1, 1000.0),
+    dt=st.floats(1e-5, 0.05),
+)
+def test_two_half_steps_equal_one_step_for_a_held_input(residual, slope, held, gain, dt):
+    gain = np.array([gain])
+    start = rows(0.0, 1.0, 2.0, held, residual)
+    middle = rows(slope * dt / 2, 1.0, 2.0, held)
+    end = rows(slope * dt, 1.0, 2.0, held)
+    whole = momentum_step(start, end, gain, dt)
+    middle[0] = momentum_step(start, middle, gain, dt / 2)
+    assert momentum_step(middle, end, gain, dt / 2) == pytest.approx(whole, rel=1e-9, abs=1e-9)
+
+
+@given(gain_dt=st.floats(1e-6, 50.0), residual=numbers, target=numbers)
+def test_step_never_diverges_whatever_the_gain(gain_dt, residual, target):
+    before = rows(0.0, 0.0, 0.0, 0.0, residual)
+    after = rows(target * 1e-3, 0.0, 0.0, 0.0)
+    step = momentum_step(before, after, np.array([gain_dt / 1e-3]), 1e-3)
+    low, high = sorted((residual, target))
+    assert low - 1e-9 <= step[0] <= high + 1e-9
+
+
+def test_step_is_the_first_order_low_pass():
+    gain, dt, target = 30.0, 1e-3, 2.0
+    residual = np.zeros(1)
+    for k in range(200):
+        before, after = (rows(target * dt * (k + i), 0.0, 0.0, 0.0) for i in (0, 1))
+        before[0] = residual
+        residual = momentum_step(before, after, np.array([gain]), dt)
+    assert residual[0] == pytest.approx(target * (1 - np.exp(-gain * 0.2)), rel=1e-12)
+
+
+def test_observer_and_pure_step_agree(lwr):
+    observer = MomentumObserver(lwr, 40.0)
+    times, q, dq, tau = swing(lwr, seconds=0.1)
+    data = lwr.create_data()
+
+    def sample_rows(k):
+        inertia = pin.crba(lwr.model, data, q[k]).copy()
+        coriolis = pin.computeCoriolisMatrix(lwr.model, data, q[k], dq[k]).copy()
+        gravity = pin.computeGeneralizedGravity(lwr.model, data, q[k]).copy()
+        return np.stack([np.zeros(7), inertia @ dq[k], coriolis.T @ dq[k], gravity, tau[k]])
+
+    expected, before = np.zeros(7), sample_rows(0)
+    observer.update(q[0], dq[0], tau[0], 0.0)
+    for k in range(1, len(times)):
+        after, dt = sample_rows(k), times[k] - times[k - 1]
+        before[0] = expected
+        expected = momentum_step(before, after, np.full(7, 40.0), dt)
+        before = after
+        np.testing.assert_allclose(observer.update(q[k], dq[k], tau[k], dt), expected, atol=1e-12)
+
+
+def test_residual_converges_to_the_external_torque(lwr):
+    force = np.array([1.0, -2.0, 3.0])
+    times, q, dq, tau = swing(lwr, seconds=0.5, force_at_tip_in_base=force)
+    observer = MomentumObserver(lwr, 200.0)
+    for k in range(len(times)):
+        residual = observer.update(q[k], dq[k], tau[k], 1e-3)
+    np.testing.assert_allclose(residual, external_torque_of(lwr, q[-1], force), atol=0.02)
+
+
+def test_start_on_a_moving_arm_has_no_spike(lwr):
+    _, q, dq, tau = swing(lwr, seconds=0.2, start=0.4)
+    observer = MomentumObserver(lwr, 500.0)
+    peak = max(np.abs(observer.update(*sample, 1e-3)).max() for sample in zip(q, dq, tau, strict=True))
+    assert np.abs(dq[0]).max() > 0.1
+    assert peak < 1e-3
+
+
+@settings(max_examples=20, deadline=None)
+@given(gain=st.floats(1.0, 50_000.0), seed=st.integers(0, 100))
+def test_observer_is_stable_for_any_gain_and_jittered_clock(gain, seed):
+    robot = load_lwr()
+    rng = np.random.default_rng(seed)
+    observer = MomentumObserver(robot, gain)
+    q = np.array([0, 0.5, 0, -1.5, 0, 1, 0])
+    gravity = pin.computeGeneralizedGravity(robot.model, robot.create_data(), q)
+    external = rng.normal(size=7)
+    for _ in range(100):
+        residual = observer.update(q, np.zeros(7), gravity - external, rng.uniform(2e-4, 3e-3))
+    assert np.abs(residual).max() <= np.abs(external).max() * (1 + 1e-9)
+
+
+def test_gap_in_time_restarts_without_integrating_across_the_hole(lwr):
+    times, q, dq, tau = swing(lwr, seconds=2.0)
+    observer = MomentumObserver(lwr, 50.0)
+    for k in range(500):
+        observer.update(q[k], dq[k], tau[k], 1e-3)
+    after_gap = observer.update(q[1500], dq[1500], tau[1500], times[1500] - times[499])
+    assert np.abs(after_gap).max() < 1e-3
+    assert np.abs(observer.update(q[1501], dq[1501], tau[1501], 1e-3)).max() < 1e-3
+
+
+BAD_SAMPLES = {
+    "q has shape": lambda q, dq, tau: (q[:6], dq, tau, 1e-3),
+    "dq has shape": lambda q, dq, tau: (q, np.zeros((7, 1)), tau, 1e-3),
+    "q is not finite": lambda q, dq, tau: (q * np.nan, dq, tau, 1e-3),
+    "dq is not finite at joint index .0.": lambda q, dq, tau: (q, np.r_[np.inf, dq[1:]], tau, 1e-3),
+    "tau is not finite": lambda q, dq, tau: (q, dq, tau + np.nan, 1e-3),
+    "overflow": lambda q, dq, tau: (q, dq + 1e200, tau, 1e-3),
+    "dt_s is 0": lambda q, dq, tau: (q, dq, tau, 0.0),
+    "dt_s is -0.001": lambda q, dq, tau: (q, dq, tau, -1e-3),
+    "dt_s is nan": lambda q, dq, tau: (q, dq, tau, np.nan),
+}
+
+
+@pytest.mark.parametrize("reason", BAD_SAMPLES)
+@pytest.mark.filterwarnings("ignore::RuntimeWarning")
+def test_bad_sample_is_refused_and_leaves_the_state_unchanged(lwr, reason):
+    _, q, dq, tau = swing(lwr, seconds=0.05)
+    observer, twin = MomentumObserver(lwr, 50.0), MomentumObserver(lwr, 50.0)
+    for k in range(20):
+        observer.update(q[k], dq[k], tau[k], 1e-3)
+        twin.update(q[k], dq[k], tau[k], 1e-3)
+    with pytest.raises(SampleError, match=reason):
+        observer.update(*BAD_SAMPLES[reason](q[20], dq[20], tau[20]))
+    np.testing.assert_array_equal(
+        observer.update(q[20], dq[20], tau[20], 1e-3), twin.update(q[20], dq[20], tau[20], 1e-3)
+    )
+
+
+def test_bad_first_sample_is_refused_too(lwr):
+    observer = MomentumObserver(lwr, 50.0)
+    with pytest.raises(SampleError, match="tau is not finite"):
+        observer.update(np.zeros(7), np.zeros(7), np.full(7, np.nan), 1e-3)
+    assert observer.state.rows is None
+
+
+def test_snapshot_resumes_bit_equal(lwr):
+    _, q, dq, tau = swing(lwr, seconds=0.1)
+    one, other = MomentumObserver(lwr, 50.0), MomentumObserver(lwr, 50.0)
+    for k in range(51):
+        one.update(q[k], dq[k], tau[k], 1e-3)
+    other.restore(one.state)
+    for k in range(51, 100):
+        first = one.update(q[k], dq[k], tau[k], 1e-3)
+        np.testing.assert_array_equal(first, other.update(q[k], dq[k], tau[k], 1e-3))
+    one.reset()
+    assert one.state.rows is None
+    with pytest.raises(ConfigurationError, match="rows of shape"):
+        one.restore(type(one.state)(np.zeros((ROWS, 3))))
+
+
+def test_residual_handed_out_is_read_only_and_a_copy(lwr):
+    _, q, dq, tau = swing(lwr, seconds=0.05)
+    observer = MomentumObserver(lwr)
+    first = observer.update(q[0], dq[0], tau[0], 1e-3)
+    second = observer.update(q[1], dq[1], tau[1], 1e-3)
+    kept = second.copy()
+    assert not first.flags.writeable
+    observer.update(q[2], dq[2], tau[2] + 5.0, 1e-3)
+    np.testing.assert_array_equal(second, kept)
+
+
+def test_per_joint_gains_and_lists_are_taken(lwr):
+    observer = MomentumObserver(lwr, [10, 20, 30, 40, 50, 60, 70])
+    residual = observer.update([0.0] * 7, [0.0] * 7, [0.0] * 7, 1e-3)
+    assert residual.shape == (7,)
+    np.testing.assert_array_equal(observer.gain_per_s, [10, 20, 30, 40, 50, 60, 70])
+
+
+def test_modelled_friction_does_not_read_as_force(lwr):
+    friction = JointFriction(
+        viscous_Nms=np.full(JOINTS, 2.0), coulomb_Nm=np.full(JOINTS, 1.0), offset_Nm=np.zeros(JOINTS)
+    )
+    _, q, dq, tau = swing(lwr, seconds=1.0)
+    with_friction = np.array([t + friction.torque(v) for t, v in zip(tau, dq, strict=True)])
+    known, unknown = MomentumObserver(lwr, 50.0, friction=friction), MomentumObserver(lwr, 50.0)
+    worst_known = worst_unknown = 0.0
+    for sample in zip(q, dq, with_friction, strict=True):
+        worst_known = max(worst_known, np.abs(known.update(*sample, 1e-3)).max())
+        worst_unknown = max(worst_unknown, np.abs(unknown.update(*sample, 1e-3)).max())
+    assert worst_known < 0.01 < 0.5 < worst_unknown
+
+
+@pytest.mark.parametrize(
+    ("settings_", "match"),
+    [
+        ({"gain_per_s": 0.0}, "gain_per_s"),
+        ({"gain_per_s": [1.0, 2.0]}, "7 of them"),
+        ({"gain_per_s": np.nan}, "gain_per_s"),
+        ({"alignment": "euler"}, "alignment"),
+        ({"max_gap_s": 0.0}, "max_gap_s"),
+    ],
+)
+def test_settings_that_cannot_work_are_refused(lwr, settings_, match):
+    with pytest.raises(ConfigurationError, match=match):
+        MomentumObserver(lwr, **settings_)
