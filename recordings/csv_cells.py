@@ -47,22 +47,25 @@ class _Reader:
             self.rows.append([self.number(line, i, cell) for i, cell in enumerate(cells)])
 
     def number(self, line: int, column: int, cell: str) -> float:
-        if not cell.strip():
-            return nan
-        try:
-            return float(cell)
-        except ValueError:
-            pass
-        if self.layout.delimiter != ",":
-            try:
-                value = float(cell.replace(",", "."))
-            except ValueError:
-                pass
-            else:
+        value = to_number(cell)
+        if value is None and self.layout.delimiter != ",":
+            value = to_number(cell.replace(",", "."))
+            if value is not None:
                 self.commas.add(f"line {line}")
-                return value
-        self.words.setdefault(column, _Faults()).add(f"line {line}, {cell.strip()[:40]!r}")
+        if value is None:
+            self.words.setdefault(column, _Faults()).add(f"line {line}, {cell.strip()[:40]!r}")
+            return nan
+        return value
+
+
+def to_number(cell: str) -> float | None:
+    """Return the number in a cell, NaN if it is empty, None if it holds something else."""
+    if not cell.strip():
         return nan
+    try:
+        return float(cell)
+    except ValueError:
+        return None
 
 
 def read_cells(layout: CsvLayout) -> tuple[dict[str, FloatArray], tuple[str, ...]]:

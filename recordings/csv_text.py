@@ -6,6 +6,8 @@ from pathlib import Path
 from recordings.errors import FileAccessError, FormatError
 
 _GZIP_MAGIC = b"\x1f\x8b"
+_NEWLINE = b"\n"
+_CHUNK = 1 << 16  # bytes
 _GZIP_WINDOW = 31  # zlib's code for "expect a gzip header"
 
 
@@ -29,31 +31,47 @@ def read_text(path: Path) -> tuple[str, tuple[str, ...]]:
     warnings: tuple[str, ...] = ()
     if data.startswith(_GZIP_MAGIC):
         data, warnings = _decompress(data)
+    told = "".join(f" ({warning})" for warning in warnings)
     if not data.strip():
-        raise FormatError(f"{path} is empty; expected a header row and rows of numbers")
+        raise FormatError(f"{path} is empty; expected a header row and rows of numbers{told}")
     if b"\x00" in data:
-        raise FormatError(f"{path} is not text; expected CSV")
-    text, notes = _decode(data, is_complete=not warnings)
+        raise FormatError(f"{path} is not text; expected CSV{told}")
+    text, notes = _decode(data)
     return text.replace("\r\n", "\n").replace("\r", "\n"), warnings + notes
 
 
 def _decompress(data: bytes) -> tuple[bytes, tuple[str, ...]]:
-    parts = []
-    while data.startswith(_GZIP_MAGIC):
-        member = zlib.decompressobj(_GZIP_WINDOW)
+    """Return all whole lines that a compressed file yields, and what is wrong with it."""
+    parts: list[bytes] = []
+    reason = ""
+    while data.startswith(_GZIP_MAGIC) and not reason:
+        data, reason = _decompress_member(data, parts)
+    text = b"".join(parts)
+    if not reason:
+        return text, ()
+    whole = text[: text.rfind(_NEWLINE) + 1]
+    return whole, (
+        f"the compressed file {reason}; what follows line {whole.count(_NEWLINE)} is lost",
+    )
+
+
+def _decompress_member(data: bytes, parts: list[bytes]) -> tuple[bytes, str]:
+    """Append a gzip member's content to `parts`; return the data after it, and its fault."""
+    member = zlib.decompressobj(_GZIP_WINDOW)
+    for start in range(0, len(data), _CHUNK):
+        # In chunks, so that what precedes a damaged place is kept.
         try:
-            parts.append(member.decompress(data))
+            parts.append(member.decompress(data[start : start + _CHUNK]))
         except zlib.error:
-            return b"".join(parts), ("the compressed file is damaged; the rest of it is lost",)
-        if not member.eof:
-            return b"".join(parts), ("the compressed file is cut short; its end is lost",)
-        data = member.unused_data
-    return b"".join(parts), ()
+            return b"", "is damaged"
+        if member.eof:
+            return member.unused_data + data[start + _CHUNK :], ""
+    return b"", "is cut short"
 
 
-def _decode(data: bytes, is_complete: bool) -> tuple[str, tuple[str, ...]]:
+def _decode(data: bytes) -> tuple[str, tuple[str, ...]]:
     try:
-        return data.decode("utf-8-sig", errors="strict" if is_complete else "ignore"), ()
+        return data.decode("utf-8-sig"), ()
     except UnicodeDecodeError:
-        note = "the file is not UTF-8; its header was read as Windows text (cp1252)"
+        note = "the file is not UTF-8; it was read as Windows text (cp1252)"
         return data.decode("cp1252", errors="replace"), (note,)
