@@ -1,0 +1,120 @@
+"""What an identifier tells: per sample, per rupture and per layer."""
+
+from dataclasses import dataclass
+
+from identification.rupture_state import RuptureState
+from identification.sample_check import SampleStatus
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Rupture:
+    """The tip leaves a layer.
+
+    Attributes:
+        layer: Number of the layer left, from 1.
+        alarm_s: Time of the sample that raised the alarm.
+        alarm_depth_m: Depth at the alarm.
+        time_s: Estimated instant t_r, not later than the alarm.
+        depth_m: Depth at that instant.
+        force_N: Axial force at that instant.
+        speed_m_s: Speed at that instant.
+        confidence: 1 - probability that the alarm is chance, 0 to 1.
+    """
+
+    layer: int
+    alarm_s: float
+    alarm_depth_m: float
+    time_s: float
+    depth_m: float
+    force_N: float
+    speed_m_s: float
+    confidence: float
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class LayerEstimate:
+    """A layer that has been left, as known now.
+
+    Standard deviations are None where the method states none (`paper`).
+
+    Attributes:
+        layer: Number from 1.
+        start_depth_m: Depth at which it begins.
+        thickness_m: d_i, travel from there to its rupture.
+        rupture: How it ended.
+        force_drop_N: Elastic force released.
+        force_drop_std_N: Its standard deviation.
+        stiffness_N_per_m: K_i.
+        stiffness_std_N_per_m: Its standard deviation.
+        stiffness_identified: Whether the data determine it.
+        friction_Ns_per_m2: B_i at the rupture's speed (for `kv` in Ns/m).
+        friction_std_Ns_per_m2: Its standard deviation.
+        friction_identified: Whether the data determine it.
+        friction_N: Friction of this layer on the shaft at its rupture, B_i d_i v.
+        friction_std_N: Its standard deviation.
+    """
+
+    layer: int
+    start_depth_m: float
+    thickness_m: float
+    rupture: Rupture
+    force_drop_N: float
+    force_drop_std_N: float | None = None
+    stiffness_N_per_m: float
+    stiffness_std_N_per_m: float | None = None
+    stiffness_identified: bool
+    friction_Ns_per_m2: float
+    friction_std_Ns_per_m2: float | None = None
+    friction_identified: bool
+    friction_N: float
+    friction_std_N: float | None = None
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Estimate:
+    """State of knowledge after one sample. Every number is finite.
+
+    Attributes:
+        time_s: Time since reset.
+        status: What became of the sample; anything but `OK` was not absorbed.
+        rupture_state: State of the rupture machine.
+        in_contact: Whether the needle has met the first layer (and not left it again).
+        layer: Number of the layer the tip is in, from 1; 0 before contact.
+        enhanced_force_N: Axial force less the friction of the layers already traversed.
+        tip_force_N: Axial force less all shaft friction, the current layer's included.
+        shaft_friction_N: All shaft friction; opposes motion, negative on the way out.
+        shaft_friction_std_N: Its standard deviation, None where the method states none.
+        predicted_force_N: Axial force the model expected at this sample.
+        stiffness_N_per_m: K of the current layer.
+        stiffness_std_N_per_m: Its standard deviation or None.
+        stiffness_identified: Whether the data so far determine it.
+        friction_Ns_per_m2: B of the current layer, at the present speed (for `kv` in Ns/m).
+        friction_std_Ns_per_m2: Its standard deviation or None.
+        friction_identified: Whether the data so far determine it.
+        cumulative_friction_Ns_per_m: Sum of B_j d_j over the traversed layers, at the speed of
+            their ruptures.
+        cumulative_friction_std_Ns_per_m: Its standard deviation or None.
+        rupture: The rupture raised by this sample, or None.
+        compensated: The layer whose friction was identified at this sample, or None.
+    """
+
+    time_s: float
+    status: SampleStatus
+    rupture_state: RuptureState
+    in_contact: bool
+    layer: int
+    enhanced_force_N: float
+    tip_force_N: float
+    shaft_friction_N: float
+    shaft_friction_std_N: float | None
+    predicted_force_N: float
+    stiffness_N_per_m: float
+    stiffness_std_N_per_m: float | None
+    stiffness_identified: bool
+    friction_Ns_per_m2: float
+    friction_std_Ns_per_m2: float | None
+    friction_identified: bool
+    cumulative_friction_Ns_per_m: float
+    cumulative_friction_std_Ns_per_m: float | None
+    rupture: Rupture | None
+    compensated: LayerEstimate | None

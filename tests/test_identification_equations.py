@@ -1,0 +1,141 @@
+"""Every online equation of the paper, one by one."""
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from identification.cusum import cusum_constants, cusum_step
+from identification.force_derivative import derivative_step
+from identification.force_drop import drop_interval_s, force_drop_N, force_ratios
+from identification.reweighting import reweighted_friction_variance
+from identification.rls import RlsState, reset_covariance, rls_step
+from identification.window_sums import (
+    WindowSums,
+    add_sample,
+    less_viscous_force,
+    merge_pairs,
+    rerun_windows,
+)
+
+number = st.floats(-2.0, 2.0)
+
+
+@settings(deadline=None, max_examples=60)
+@given(st.lists(st.tuples(number, number, number), min_size=1, max_size=30))
+def test_rls_equals_ridge_regression(rows):
+    """(7)(8) with lambda = 1 from covariance Psi_0 is a ridge regression."""
+    state = RlsState(0.0, 0.0, 4.0, 0.0, 9.0)
+    for x, y, f in rows:
+        state, _ = rls_step(state, (x, y), f)
+    table = np.array(rows)
+    phi, f = table[:, :2], table[:, 2]
+    information = np.diag([1 / 4.0, 1 / 9.0]) + phi.T @ phi
+    expected = np.linalg.solve(information, phi.T @ f)
+    assert np.allclose(state[:2], expected, atol=1e-8)
+    covariance = np.linalg.inv(information)
+    assert np.allclose(state[2:], [covariance[0, 0], covariance[0, 1], covariance[1, 1]], atol=1e-8)
+
+
+def test_rls_error_is_the_innovation():
+    _, error = rls_step(RlsState(2.0, 3.0, 1.0, 0.0, 1.0), (0.5, 0.25), 4.0)
+    assert error == pytest.approx(4.0 - 2.0 * 0.5 - 3.0 * 0.25)
+
+
+def test_covariance_reset_keeps_the_estimate():
+    state = reset_covariance(RlsState(2.0, 3.0, 0.1, 0.05, 0.1), 7.0, 8.0)
+    assert state == RlsState(2.0, 3.0, 7.0, 0.0, 8.0)
+
+
+def test_cusum_constants_are_those_of_equation_9():
+    drift, threshold = cusum_constants(0.01, 0.08)
+    assert drift == pytest.approx((0.08**2 + 0.01**2) / 2)
+    assert threshold == pytest.approx((0.08**2 - 0.01**2) / 2)
+
+
+def test_cusum_stays_at_zero_in_the_standard_case_and_grows_in_the_other():
+    drift, _ = cusum_constants(0.01, 0.08)
+    assert cusum_step(0.0, 0.01, drift) == 0.0
+    assert cusum_step(0.5, 0.08, drift) == pytest.approx(0.5 + 0.08**2 - drift)
+
+
+@given(st.floats(1e-3, 1.0), st.floats(1e-3, 1.0))
+def test_derivative_of_a_ramp_needs_no_particular_step(first_s, second_s):
+    """Two steps over a ramp equal one over both."""
+    slope = 3.0
+    twice = derivative_step(1.0, slope * first_s, first_s, 0.2)
+    twice = derivative_step(twice, slope * second_s, second_s, 0.2)
+    once = derivative_step(1.0, slope * (first_s + second_s), first_s + second_s, 0.2)
+    assert twice == pytest.approx(once)
+
+
+def test_force_drop_and_ratios():
+    assert drop_interval_s(1e-3, 2.3e-3) == pytest.approx(0.4348, abs=1e-4)
+    assert force_drop_N(2.6, 1.2) == pytest.approx(1.4)
+    assert force_ratios(1.4, 2.6, 0.0, 2.3e-3) == pytest.approx((1.4 / 2.6, 1.2 / 2.6))
+    elastic, _ = force_ratios(1.0, 3.0, 400.0, 2.5e-3)
+    assert elastic == pytest.approx(1.0 / 2.0)
+
+
+@given(number, st.floats(-1.0, 3.0))
+def test_ratios_stay_physical_whatever_was_measured(drop, force):
+    elastic, friction = force_ratios(drop, force, 100.0, 2e-3)
+    assert 0.0 < elastic < 1.0
+    assert elastic + friction == pytest.approx(1.0)
+
+
+def test_reweighting_is_equation_12_and_shares_the_force_by_the_ratios():
+    """Collinear columns: RLS from Psi'_0 splits the force as r_K : r_B."""
+    speed, share = 2.3e-3, 0.4
+    variance = reweighted_friction_variance(1e6, 1 - share, share, speed)
+    assert variance == pytest.approx(1e6 * share / (1 - share) / speed**2)
+    state = RlsState(0.0, 0.0, 1e6, 0.0, variance)
+    for depth in np.linspace(1e-4, 0.03, 200):
+        state, _ = rls_step(state, (depth, depth * speed), 80.0 * depth)
+    assert state.friction * speed / 80.0 == pytest.approx(share, rel=1e-3)
+
+
+@settings(deadline=None, max_examples=40)
+@given(
+    seed=st.integers(0, 10_000),
+    length=st.integers(1, 120),
+    window=st.integers(1, 30),
+    ratio=st.floats(0.01, 100.0),
+    is_constant=st.booleans(),
+)
+def test_rerun_from_sums_equals_the_rerun_over_samples(seed, length, window, ratio, is_constant):
+    rng = np.random.default_rng(seed)
+    speed = np.full(length, 2.3e-3) if is_constant else 2e-3 + 1e-3 * np.sin(np.arange(length) / 9)
+    depth = 1e-3 + np.cumsum(speed) * 1e-3
+    force = 30.0 * depth + 8000.0 * depth * speed + 0.01 * rng.standard_normal(length)
+    variances = (1e6, 1e6 * ratio / 2.3e-3**2)
+    state = RlsState(0.0, 0.0, variances[0], 0.0, variances[1])
+    sums, windows = WindowSums(), []
+    for k in range(length):
+        if k and k % window == 0:
+            state = reset_covariance(state, *variances)
+            windows.append(sums)
+            sums = WindowSums()
+        phi = (depth[k], depth[k] * speed[k])
+        state, _ = rls_step(state, phi, force[k])
+        sums = add_sample(sums, phi, force[k], speed[k])
+    windows.append(sums)
+    scale = np.abs([state.stiffness, state.friction]) + np.sqrt(variances) * 1e-6
+    gap = np.abs(np.array(rerun_windows(windows, variances)) - state[:2])
+    assert np.all(gap < 1e-6 * scale)
+
+
+def test_sums_follow_a_later_friction():
+    rows = [(0.01, 2e-5, 0.5, 2e-3), (0.02, 5e-5, 0.9, 2.5e-3)]
+    late, early = WindowSums(), WindowSums()
+    for x, y, f, v in rows:
+        late = add_sample(late, (x, y), f, v)
+        early = add_sample(early, (x, y), f - 100.0 * v, v)
+    assert less_viscous_force(late, 100.0) == pytest.approx(early)
+
+
+def test_merging_windows_keeps_their_sum():
+    windows = tuple(WindowSums(*np.full(7, float(k))) for k in range(5))
+    merged = merge_pairs(windows)
+    assert len(merged) == 3
+    assert np.allclose(np.sum(merged, axis=0), np.sum(windows, axis=0))
