@@ -1,13 +1,12 @@
 """Reading CSV rows cell by cell: slower than numpy's reader, but it can say what is wrong."""
 
-import csv
-from collections.abc import Iterator
 from dataclasses import dataclass, field
 from math import nan
 
 import numpy as np
 
 from recordings.csv_header import CsvLayout
+from recordings.csv_line import split_line, to_number
 from recordings.errors import FormatError
 from recordings.table import FloatArray
 
@@ -33,6 +32,7 @@ class _Reader:
     ragged: _Faults = field(default_factory=_Faults)
     commas: _Faults = field(default_factory=_Faults)
     words: dict[int, _Faults] = field(default_factory=dict)
+    has_number: set[int] = field(default_factory=set)
 
     def add(self, line: int, cells: list[str]) -> None:
         width = len(self.layout.names)
@@ -43,10 +43,13 @@ class _Reader:
             return
         try:
             self.rows.append([float(cell) for cell in cells])
+            self.has_number.update(range(width))
         except ValueError:
             self.rows.append([self.number(line, i, cell) for i, cell in enumerate(cells)])
 
     def number(self, line: int, column: int, cell: str) -> float:
+        if not cell.strip():
+            return nan
         value = to_number(cell)
         if value is None and self.layout.delimiter != ",":
             value = to_number(cell.replace(",", "."))
@@ -55,17 +58,8 @@ class _Reader:
         if value is None:
             self.words.setdefault(column, _Faults()).add(f"line {line}, {cell.strip()[:40]!r}")
             return nan
+        self.has_number.add(column)
         return value
-
-
-def to_number(cell: str) -> float | None:
-    """Return the number in a cell, NaN if it is empty, None if it holds something else."""
-    if not cell.strip():
-        return nan
-    try:
-        return float(cell)
-    except ValueError:
-        return None
 
 
 def read_cells(layout: CsvLayout) -> tuple[dict[str, FloatArray], tuple[str, ...]]:
@@ -85,8 +79,8 @@ def read_cells(layout: CsvLayout) -> tuple[dict[str, FloatArray], tuple[str, ...
         FormatError: no row fits the header, or no column holds a number.
     """
     reader = _Reader(layout=layout)
-    for line, cells in _cells(layout):
-        reader.add(line, cells)
+    for line_number, row in zip(layout.line_numbers, layout.rows, strict=True):
+        reader.add(line_number, split_line(row, layout.delimiter))
     width = len(layout.names)
     if not reader.rows:
         raise FormatError(
@@ -104,22 +98,12 @@ def read_cells(layout: CsvLayout) -> tuple[dict[str, FloatArray], tuple[str, ...
     return columns, tuple(warnings)
 
 
-def _cells(layout: CsvLayout) -> Iterator[tuple[int, list[str]]]:
-    reader = csv.reader(layout.rows, delimiter=layout.delimiter)
-    try:
-        for cells in reader:
-            yield layout.line_numbers[reader.line_num - 1], cells
-    except csv.Error as error:
-        line = layout.line_numbers[min(reader.line_num, len(layout.rows)) - 1]
-        raise FormatError(f"line {line} cannot be split into cells: {error}") from error
-
-
 def _columns(reader: _Reader) -> tuple[dict[str, FloatArray], list[str]]:
     values = np.array(reader.rows)
     columns, warnings = {}, []
     for i, name in enumerate(reader.layout.names):
         words = reader.words.get(i, _Faults())
-        if np.isnan(values[:, i]).all():
+        if i not in reader.has_number:
             why = f"holds text ({words.first})" if words.count else "is empty"
             warnings.append(f"column {name!r} {why} and was left out")
             continue

@@ -1,8 +1,8 @@
 """Where a CSV file's header is, and what it says."""
 
-import csv
 from dataclasses import dataclass
 
+from recordings.csv_line import split_line, to_number
 from recordings.errors import FormatError
 
 DELIMITERS = (",", ";", "\t")
@@ -49,7 +49,7 @@ def find_layout(text: str) -> CsvLayout:
     header = lines[data[0]]
     delimiter = max(DELIMITERS, key=header.count)
     names = _split(header, delimiter)
-    if any(map(_is_number, names)):
+    if _any_number(names):
         names = _commented_header(lines, filled, data[0], len(names), delimiter)
     else:
         data = data[1:]
@@ -69,7 +69,7 @@ def _commented_header(
     before = filled.index(first) - 1
     if before >= 0:
         names = _split(lines[filled[before]].lstrip(_COMMENT), delimiter)
-        if len(names) == width and not any(map(_is_number, names)):
+        if len(names) == width and not _any_number(names):
             return names
     raise FormatError(
         f"no header row: line {first + 1} already holds numbers ({lines[first][:60]!r}). "
@@ -78,16 +78,7 @@ def _commented_header(
 
 
 def _split(line: str, delimiter: str) -> list[str]:
-    cells = next(csv.reader([line], delimiter=delimiter, skipinitialspace=True))
-    return [cell.strip() for cell in cells]
-
-
-def _is_number(cell: str) -> bool:
-    try:
-        float(cell)
-    except ValueError:
-        return False
-    return True
+    return [cell.strip() for cell in split_line(line, delimiter)]
 
 
 def _unique(names: list[str]) -> tuple[str, ...]:
@@ -98,3 +89,7 @@ def _unique(names: list[str]) -> tuple[str, ...]:
                 f"the header names {name!r} twice, in columns {unique.index(name) + 1} and {i + 1}"
             )
     return unique
+
+
+def _any_number(cells: list[str]) -> bool:
+    return any(to_number(cell) is not None for cell in cells)

@@ -61,8 +61,15 @@ def write_log(path: str | Path, log: Log) -> None:
     write_table(path, {"t_s": log.t_s, **log.channels})
 
 
+def _as_array(name: str, values: ArrayLike) -> np.ndarray:
+    try:
+        return np.asarray(values)
+    except ValueError as error:
+        raise LogError(f"column {name!r} is not an array of numbers: {error}") from error
+
+
 def _checked(columns: Mapping[str, ArrayLike]) -> _Columns:
-    arrays = {name: np.asarray(values) for name, values in columns.items()}
+    arrays = {name: _as_array(name, values) for name, values in columns.items()}
     if not arrays:
         raise LogError("no columns to write")
     rows = len(next(iter(arrays.values()))) if next(iter(arrays.values())).ndim else 0
