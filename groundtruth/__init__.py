@@ -1,28 +1,37 @@
 """The simulated truth: arm, needle, tissue and sensors, which the estimators never see."""
 
+from groundtruth.arm_level import ARM_LEVELS, ArmLevel
 from groundtruth.errors import GroundTruthError
 from groundtruth.force_noise import ForceNoise
 from groundtruth.layer import Layer
 from groundtruth.motion import Motion
 from groundtruth.needle_run import NeedleRun, insert_needle
 from groundtruth.random_stack import random_stack
+from groundtruth.run import Run, Signals, Truth
 from groundtruth.rupture import Rupture
 from groundtruth.scenario import Scenario
 from groundtruth.scenarios import SCENARIOS, scenario
+from groundtruth.simulate import simulate
 from groundtruth.tissue_force import TissueForce, TissueLaw
 
 __all__ = [
+    "ARM_LEVELS",
     "SCENARIOS",
+    "ArmLevel",
     "ForceNoise",
     "GroundTruthError",
     "Layer",
     "Motion",
     "NeedleRun",
+    "Run",
     "Rupture",
     "Scenario",
+    "Signals",
     "TissueForce",
     "TissueLaw",
+    "Truth",
     "insert_needle",
     "random_stack",
     "scenario",
+    "simulate",
 ]

@@ -1,135 +1,110 @@
 """The arms, as named levels of dishonesty: every number and its reason in one place.
 
-A level says by how much the simulated arm differs from what the estimator believes (links, payload)
-and how much its sensors lie. Fact sheets of the real arm: torque noise floor 0.03 % of the joint limit,
-torque sensor linearity < 0.5 % of range, harmonic drives 160:1 (joints 1-4) and 100:1 (joints 5-7), no
-velocity in the interface, 1 kHz. "Limit" below is the joint's effort limit (176 ... 38 Nm).
+A level says how far the simulated arm is from what the estimator believes (links, payload) and how
+much its sensors lie. From the fact sheets of the real arm: torque noise floor 0.03 % of the joint
+limit, torque sensor linearity better than 0.5 % of range, harmonic drives 160:1 (J1-J4) and 100:1
+(J5-J7), 1 kHz, no velocity in the interface. "Limit" below is a joint's effort limit, 176 to 38 Nm.
 """
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 
 from groundtruth.errors import ArmLevelError
+from groundtruth.force_noise import MINI45
 
-_ZERO_7 = (0.0,) * 7
-_ZERO_6 = (0.0,) * 6
+GEAR_RATIO = (160.0, 160.0, 160.0, 160.0, 100.0, 100.0, 100.0)
+"""Harmonic-drive ratios J1..J7; sources give 60 or 160 for J4."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class ArmLevel:
     """Everything in which a simulated arm and its sensors differ from the estimator's beliefs.
 
-    Joint-wise tuples are ordered J1..J7, six-tuples force x, y, z then torque x, y, z in sensor axes.
-    A zero switches the effect off.
+    Joint-wise tuples are ordered J1..J7; six-tuples are force x, y, z, torque x, y, z in sensor
+    axes. The default of every number is zero: no such fault.
     """
 
     name: str
 
-    cad_share: float
-    """Share a of the CAD link table in the plant, (1-a) nominal + a CAD. 0.1 shifts gravity torques by
-    0.15 Nm rms at J2 (0.3 N at the flange), 0.3 by 0.45 Nm (0.9 N): the disagreement of two published
-    tables of the same arm, hence of the size a user has to expect."""
+    cad_share: float = 0.0
+    """Share a of the CAD link table in the arm, (1 - a) nominal + a CAD. Two published tables of
+    one arm disagree by 1.5 Nm rms at J2; 0.1 of that (0.15 Nm, 0.3 N at the flange) stands for
+    a model identified with care, 0.3 (0.45 Nm, 0.9 N) for one taken over from elsewhere."""
 
-    payload_error: float
-    """Relative error of the tool's mass as the estimator knows it; its sign is drawn per seed.
-    A kitchen scale and a cable that is sometimes held: 2 %; a tool taken from its data sheet: 5 %."""
+    payload_error: float = 0.0
+    """Relative error of the tool's mass as the estimator knows it; the sign is drawn. 0.02: weighed
+    without its cable; 0.05: from data sheets."""
 
-    payload_com_spread_m: float
-    """Std, per axis, of the tool's centre-of-mass error. Relative mass error x the 50 mm size of an F/T
-    sensor with its adapter: 1 mm and 2.5 mm."""
+    payload_com_spread_m: float = 0.0
+    """Standard deviation, per axis, of the error of the tool's centre of mass: the mass error
+    times the 50 mm size of an F/T sensor with its adapters."""
 
-    torque_noise_std_Nm: tuple[float, ...]
-    """White noise per sample. 0.03 % of limit, the published floor of the joint torque sensors (quoted
-    after an 8 Hz filter; taken here as per-sample white noise, which every filter then reduces)."""
+    torque_noise_std_Nm: tuple[float, ...] = (0.0,) * 7
+    """White noise of one sample. 0.03 % of limit; the source quotes it after an 8 Hz filter, here
+    it is taken per sample."""
 
-    torque_bias_min_Nm: tuple[float, ...]
-    """Smallest magnitude of the constant offset per joint; magnitude uniform, sign drawn per seed."""
+    torque_bias_min_Nm: tuple[float, ...] = (0.0,) * 7
+    """Least magnitude of the constant offset; the magnitude is drawn uniformly, the sign too."""
 
-    torque_bias_max_Nm: tuple[float, ...]
-    """Largest magnitude of the offset. 0.1-1 Nm and 0.05-0.3 Nm: the offsets a published identification
-    of a real LWR 4+ soaked up as 'Coulomb friction'."""
+    torque_bias_max_Nm: tuple[float, ...] = (0.0,) * 7
+    """Greatest magnitude. Up to 1 Nm (J1-J5) and 0.3 Nm (J6-J7): what an identification of a real
+    LWR 4+ had to absorb in its friction offsets."""
 
-    torque_drift_std_per_min: float
-    """Std of the linear drift rate, as a share of limit per minute. 1e-4: a strain-gauge sensor (ATI Mini45)
-    drifts 0.115 N in 4 min on a range of 290 N, that is 0.04 % of range in 4 min."""
+    torque_drift_std_per_min: float = 0.0
+    """Standard deviation of the linear drift rate, as a share of limit per minute. 1e-4: the zero
+    of a strain-gauge sensor (ATI Mini45) wanders by 0.115 N of 290 N, 4e-4, in 4 minutes."""
 
-    torque_walk_std_per_sqrt_min: float
+    torque_walk_std_per_sqrt_min: float = 0.0
     """Random walk on top, as a share of limit after one minute. 3e-5, a third of the linear part:
-    drift is never quite straight, and its curvature is small over the two minutes of an insertion."""
+    real drift is not straight, but nearly so over the two minutes of an insertion."""
 
-    torque_ripple: float
-    """Amplitude, as a share of limit, of the torque sensor's ripple periodic in joint position through the
-    gear: the elliptic wave generator passes twice per motor turn, sin(2 N q). 1e-4: one fiftieth of
-    the sensor's 0.5 % linearity, most of which is calibrated away per joint."""
+    torque_ripple: float = 0.0
+    """Amplitude, as a share of limit, of a ripple periodic in joint position: the sensor feels the
+    elliptic wave generator pass twice per motor turn, sin(2 N q) with gear ratio N. 1e-4, one
+    fiftieth of the 0.5 % linearity, most of which is smooth and calibrated away."""
 
-    torque_hysteresis: float
-    """Half-width, as a share of limit, of the torque sensor's play (output lags until the input has moved by
-    this much). 1e-4: strain gauges on metal are specified at this order, well within 0.5 %."""
+    torque_hysteresis: float = 0.0
+    """Half-width, as a share of limit, of the torque sensor's play: the output lags until the
+    torque has moved by this much. 1e-4, one fiftieth of the linearity as well."""
 
-    position_noise_std_rad: float
-    """White noise of the reported position. 1e-5: float32 and the motor encoder seen through the gear;
-    the absolute link-side sensor (1.75e-4) would be the worst case."""
+    position_noise_std_rad: float = 0.0
+    """White noise of the reported position. 1e-5: a motor encoder seen through the gear; the
+    absolute sensor on the link (1.75e-4) would be the worst case."""
 
-    position_step_rad: float
+    position_step_rad: float = 0.0
     """Step to which the position is rounded after the noise; as large as the noise."""
 
-    velocity_noise_std_rad_s: float | None
+    velocity_noise_std_rad_s: float | None = 0.0
     """White noise of the reported velocity, None if none is reported (as over FRI). 2e-4: an 18-bit
-    motor encoder behind 160:1 (1.5e-7 rad) differenced over one period of the 3 kHz joint loop,
-    1.5e-7 x 3000 / sqrt(6) = 1.8e-4."""
+    motor encoder behind 160:1, a step of 1.5e-7 rad, differenced at the 3 kHz of the joint
+    loop: 1.5e-7 x 3000 / sqrt(6) = 1.8e-4."""
 
-    clock_jitter_std_s: float
-    """Std of the error of the time stamps, cut at 40 % of the tick so that time stays monotone. 5e-5: stamps
-    taken on arrival by a PC without a tuned real-time kernel."""
+    clock_jitter_std_s: float = 0.0
+    """Error of the time stamps, cut at 0.4 ticks so that they keep their order. 5e-5: stamps taken
+    on arrival by a PC without a tuned real-time kernel."""
 
-    drop_probability: float
-    """Probability, per sample, that a loss begins. 1e-3: UDP over a shared switch."""
+    drop_probability: float = 0.0
+    """Probability, at each sample, that a loss begins. 1e-3: UDP through a shared switch."""
 
-    drop_max_samples: int
-    """A loss takes 1 ... this many consecutive samples, uniformly."""
+    drop_max_samples: int = 1
+    """A loss takes 1 to this many samples in a row, each number equally likely."""
 
-    ft_noise_std: tuple[float, ...]
-    """White noise per sample of the reference F/T sensor, N and Nm: one sample of a measured ATI Mini45
-    SI-145-5 (0.020, 0.019, 0.050 N; 0.53, 0.53, 0.50 mNm)."""
+    ft_noise_std: tuple[float, ...] = (0.0,) * 6
+    """White noise of one sample of the reference F/T sensor, N and Nm. Along z that of `MINI45`;
+    the other axes in proportion to raw samples of one: 20, 19, 50 mN; 0.53, 0.53, 0.50 mNm."""
 
-    ft_drift_std_per_min: tuple[float, ...]
-    """Std of the F/T sensor's linear drift rate, N/min and Nm/min: 0.115 N in 4 min along z, the other
-    axes in proportion to their range (145 N, 5 Nm)."""
-
-    gear_ratio: tuple[float, ...] = field(default=(160.0, 160.0, 160.0, 160.0, 100.0, 100.0, 100.0))
-    """Harmonic-drive ratios, J4 taken as 160 (sources: 60 or 160)."""
+    ft_drift_std_per_min: tuple[float, ...] = (0.0,) * 6
+    """Standard deviation of its linear drift rate, N/min and Nm/min. Along z that of `MINI45`; the
+    other axes in proportion to their range: 145, 145, 290 N; 5 Nm."""
 
 
-def _twice(values: tuple[float, ...]) -> tuple[float, ...]:
-    return tuple(2.0 * value for value in values)
-
-
-_TORQUE_NOISE_Nm = (0.05, 0.05, 0.03, 0.03, 0.03, 0.011, 0.011)
-_FT_NOISE = (0.020, 0.019, 0.050, 5.3e-4, 5.3e-4, 5.0e-4)
-_FT_DRIFT_PER_MIN = (0.014, 0.014, 0.029, 5e-4, 5e-4, 5e-4)
-_BIAS_MIN_Nm = (0.1, 0.1, 0.1, 0.1, 0.1, 0.05, 0.05)
-_BIAS_MAX_Nm = (1.0, 1.0, 1.0, 1.0, 1.0, 0.3, 0.3)
-
-TEXTBOOK = ArmLevel(
-    name="textbook",
-    cad_share=0.0,
-    payload_error=0.0,
-    payload_com_spread_m=0.0,
-    torque_noise_std_Nm=_ZERO_7,
-    torque_bias_min_Nm=_ZERO_7,
-    torque_bias_max_Nm=_ZERO_7,
-    torque_drift_std_per_min=0.0,
-    torque_walk_std_per_sqrt_min=0.0,
-    torque_ripple=0.0,
-    torque_hysteresis=0.0,
-    position_noise_std_rad=0.0,
-    position_step_rad=0.0,
-    velocity_noise_std_rad_s=0.0,
-    clock_jitter_std_s=0.0,
-    drop_probability=0.0,
-    drop_max_samples=1,
-    ft_noise_std=_ZERO_6,
-    ft_drift_std_per_min=_ZERO_6,
+_FT_NOISE = tuple(
+    MINI45.white_std_N * raw / 0.050 for raw in (0.020, 0.019, 0.050, 5.3e-4, 5.3e-4, 5.0e-4)
 )
+_FT_DRIFT = tuple(
+    MINI45.drift_std_N_per_s * 60.0 * span / 290.0 for span in (145.0, 145.0, 290.0, 5.0, 5.0, 5.0)
+)
+
+TEXTBOOK = ArmLevel(name="textbook")
 """The estimator's own parameters and clean signals: proves algebra only."""
 
 REALISTIC = ArmLevel(
@@ -137,21 +112,16 @@ REALISTIC = ArmLevel(
     cad_share=0.1,
     payload_error=0.02,
     payload_com_spread_m=0.001,
-    torque_noise_std_Nm=_TORQUE_NOISE_Nm,
-    torque_bias_min_Nm=_BIAS_MIN_Nm,
-    torque_bias_max_Nm=_BIAS_MAX_Nm,
+    torque_noise_std_Nm=(0.05, 0.05, 0.03, 0.03, 0.03, 0.011, 0.011),
+    torque_bias_min_Nm=(0.1, 0.1, 0.1, 0.1, 0.1, 0.05, 0.05),
+    torque_bias_max_Nm=(1.0, 1.0, 1.0, 1.0, 1.0, 0.3, 0.3),
     torque_drift_std_per_min=1e-4,
     torque_walk_std_per_sqrt_min=3e-5,
-    torque_ripple=0.0,
-    torque_hysteresis=0.0,
     position_noise_std_rad=1e-5,
     position_step_rad=1e-5,
     velocity_noise_std_rad_s=2e-4,
-    clock_jitter_std_s=0.0,
-    drop_probability=0.0,
-    drop_max_samples=1,
     ft_noise_std=_FT_NOISE,
-    ft_drift_std_per_min=_FT_DRIFT_PER_MIN,
+    ft_drift_std_per_min=_FT_DRIFT,
 )
 """A well-kept arm with an identified model."""
 
@@ -160,9 +130,9 @@ HARD = ArmLevel(
     cad_share=0.3,
     payload_error=0.05,
     payload_com_spread_m=0.0025,
-    torque_noise_std_Nm=_twice(_TORQUE_NOISE_Nm),
-    torque_bias_min_Nm=_BIAS_MIN_Nm,
-    torque_bias_max_Nm=_BIAS_MAX_Nm,
+    torque_noise_std_Nm=tuple(2.0 * std for std in REALISTIC.torque_noise_std_Nm),
+    torque_bias_min_Nm=REALISTIC.torque_bias_min_Nm,
+    torque_bias_max_Nm=REALISTIC.torque_bias_max_Nm,
     torque_drift_std_per_min=1e-4,
     torque_walk_std_per_sqrt_min=3e-5,
     torque_ripple=1e-4,
@@ -173,10 +143,10 @@ HARD = ArmLevel(
     clock_jitter_std_s=5e-5,
     drop_probability=1e-3,
     drop_max_samples=3,
-    ft_noise_std=_twice(_FT_NOISE),
-    ft_drift_std_per_min=_FT_DRIFT_PER_MIN,
+    ft_noise_std=tuple(2.0 * std for std in _FT_NOISE),
+    ft_drift_std_per_min=_FT_DRIFT,
 )
-"""A neglected arm seen through its bare research interface."""
+"""A neglected arm seen through its bare research interface: twice the noise, and more faults."""
 
 ARM_LEVELS = {level.name: level for level in (TEXTBOOK, REALISTIC, HARD)}
 """The levels by name."""
@@ -188,15 +158,9 @@ def arm_level(name: str) -> ArmLevel:
     Args:
         name: ``textbook``, ``realistic`` or ``hard``.
 
-    Returns:
-        The level.
-
     Raises:
         ArmLevelError: There is no such level.
     """
-    try:
-        return ARM_LEVELS[name]
-    except (KeyError, TypeError):
-        raise ArmLevelError(
-            f"unknown arm level {name!r}; choose one of {', '.join(ARM_LEVELS)}"
-        ) from None
+    if name not in ARM_LEVELS:
+        raise ArmLevelError(f"unknown arm level {name!r}; choose one of {', '.join(ARM_LEVELS)}")
+    return ARM_LEVELS[name]

@@ -16,19 +16,24 @@ TICK_s = 1e-3
 """Period of controller and sensors."""
 
 SUBSTEPS = 4
-"""Physics steps per tick. Fourth-order Runge-Kutta closes the momentum balance of a moving arm to 4e-7 Nm even with
-one step per tick (semi-implicit Euler: 6e-4 Nm with four); four resolve the release of a rupture."""
+"""Physics steps per tick. Runge-Kutta steps of fourth order close the momentum balance of a moving
+arm to 7e-7 Nm at any number of them (semi-implicit Euler: 6e-4 Nm with four), so the number is set
+by the tissue: four per tick follow the release of a rupture."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class TissueContact:
-    """Tissue in front of the needle."""
+    """Tissue in front of the needle.
+
+    Attributes:
+        law: The tissue; one without layers is free air.
+        surface_in_base_m: Point of the surface that the tip meets, shape (3,).
+        axis_in_base: Direction of insertion along which depth is measured, shape (3,).
+    """
 
     law: TissueLaw
     surface_in_base_m: Array
-    """Point of the surface that the tip meets, shape (3,)."""
     axis_in_base: Array
-    """Direction of insertion, shape (3,), along which depth is measured."""
 
 
 class ArmPlant:
@@ -38,30 +43,31 @@ class ArmPlant:
         q_rad: Joint positions now, shape (7,), a view.
         dq_rad_s: Joint velocities now, shape (7,), a view.
         axial_jacobian: Speed of the tip along the needle per joint velocity, shape (7,), now.
-        depth_m: Depth of the tip now; travel of the tip below the surface.
-        ft_wrench: Reading of the F/T sensor at the start of the last tick, shape (6,), a view: force
-            (N) and torque (Nm) of the environment on the needle, plus weight, minus inertia, in
-            ``ft_sensor`` axes.
+        depth_m: Travel of the tip below the surface, now; zero where there is no tissue.
+        ft_wrench: Reading of the F/T sensor at the start of the last tick, shape (6,), a view:
+            force (N) and torque (Nm) of the environment on the needle, plus weight, minus
+            inertia, in ``ft_sensor`` axes.
         tissue_force: Force of the tissue at the start of the last tick.
         mean_axial_N: Its axial part, mean over the last tick.
     """
 
     def __init__(
-        self, bodies: PlantBodies, contact: TissueContact | None, *, substeps: int = SUBSTEPS
+        self, bodies: PlantBodies, contact: TissueContact, *, substeps: int = SUBSTEPS
     ) -> None:
         """Compile the model.
 
         Args:
             bodies: The true arm.
-            contact: The tissue, None for an arm in free air.
+            contact: The tissue.
             substeps: Physics steps per tick.
         """
         self._substep_s = TICK_s / substeps
         self._repeats = range(substeps - 1)
         self._model = mujoco.MjModel.from_xml_string(arm_mjcf(bodies, self._substep_s))
         self._data = mujoco.MjData(self._model)
-        self._tip = self._model.body("tip").id
         self._contact = contact
+        self._has_tissue = bool(contact.law.layers)
+        self._tip = self._model.body("tip").id
         self._tip_force: Array = self._data.xfrc_applied[self._tip, :3]
         self._tip_axis: Array = self._data.xmat[self._tip].reshape(3, 3)[:, 2]
         self._tip_position: Array = self._data.xpos[self._tip]
@@ -69,16 +75,16 @@ class ArmPlant:
         self.q_rad: Array = self._data.qpos
         self.dq_rad_s: Array = self._data.qvel
         self.ft_wrench = np.zeros(6)
-        self.tissue_force: TissueForce = no_force(len(contact.law.layers) if contact else 0)
+        self.tissue_force: TissueForce = no_force(len(contact.law.layers))
         self.mean_axial_N = 0.0
-        self.place(self.q_rad.copy())
+        self._locate()
 
-    def place(self, q_rad: Array, dq_rad_s: Array | float = 0.0) -> None:
+    def place(self, q_rad: Array, dq_rad_s: Array) -> None:
         """Put the arm into a state.
 
         Args:
-            q_rad: Shape (7,).
-            dq_rad_s: Shape (7,), or zero.
+            q_rad: Joint positions, shape (7,).
+            dq_rad_s: Joint velocities, shape (7,).
         """
         self.q_rad[:] = q_rad
         self.dq_rad_s[:] = dq_rad_s
@@ -91,21 +97,19 @@ class ArmPlant:
             torque_Nm: Shape (7,).
         """
         self._data.qfrc_applied[:] = torque_Nm
-        if self._contact is None:
-            self._free_tick()
-        else:
+        if self._has_tissue:
             self._tissue_tick(self._contact.law)
+        else:
+            self._step_and_read()
+            for _ in self._repeats:
+                mujoco.mj_step(self._model, self._data)
         self._locate()
 
-    def _free_tick(self) -> None:
-        self._step_and_read()
-        for _ in self._repeats:
-            mujoco.mj_step(self._model, self._data)
-
     def _tissue_tick(self, law: TissueLaw) -> None:
-        """Let tissue act at each substep, its force along the needle and held over the substep.
+        """Let the tissue act at each substep, along the needle and held over the substep.
 
-        The Jacobian of the tick's start serves all its substeps: the arm turns by 1e-5 rad meanwhile.
+        The Jacobian of the tick's start serves all its substeps: the arm turns by less than
+        1e-4 rad meanwhile.
         """
         step_s, rate, back = self._substep_s, self.axial_jacobian, -self._tip_axis
         depth, speed = self.depth_m, float(rate.dot(self.dq_rad_s))
@@ -125,8 +129,8 @@ class ArmPlant:
     def _step_and_read(self) -> None:
         """Step once and read the F/T sensor.
 
-        MuJoCo evaluates its sensors at the state the step starts from, and reports what the arm exerts on
-        the needle; the reading is what the needle exerts on the arm.
+        MuJoCo evaluates its sensors at the state the step starts from, and reports what the arm
+        exerts on the needle; the reading is what the needle exerts on the arm.
         """
         mujoco.mj_step(self._model, self._data)
         np.negative(self._data.sensordata, out=self.ft_wrench)
@@ -137,8 +141,6 @@ class ArmPlant:
         mujoco.mj_comPos(self._model, self._data)
         mujoco.mj_jac(self._model, self._data, self._jacobian, None, self._tip_position, self._tip)
         self.axial_jacobian = self._tip_axis @ self._jacobian
-        if self._contact is not None:
-            from_surface = self._tip_position - self._contact.surface_in_base_m
-            self.depth_m = float(from_surface.dot(self._contact.axis_in_base))
-        else:
-            self.depth_m = 0.0
+        from_surface = self._tip_position - self._contact.surface_in_base_m
+        depth = float(from_surface.dot(self._contact.axis_in_base))
+        self.depth_m = depth if self._has_tissue else 0.0

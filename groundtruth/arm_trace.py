@@ -1,4 +1,4 @@
-"""Drive the simulated arm along a motion and write down everything, without any sensor's faults."""
+"""Drive the simulated arm along a motion and write down what is true at each tick."""
 
 from collections.abc import Callable
 from dataclasses import dataclass
@@ -10,6 +10,7 @@ from groundtruth.arm_plant import ArmPlant
 from groundtruth.errors import PlantError
 from groundtruth.joint_controller import joint_torque
 from groundtruth.joint_reference import MASS_TICKS, JointReference
+from groundtruth.tissue_force import TissueForce
 
 Array = NDArray[np.float64]
 
@@ -19,22 +20,38 @@ _MAX_POSITION_ERROR_rad = 0.02
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class ArmTrace:
-    """True signals at each tick, n rows; row k belongs to the instant t_k = k dt."""
+    """True signals of n ticks of an arm with m joints; row k belongs to the tick's start.
+
+    Attributes:
+        q_rad: Joint positions, shape (n, m).
+        dq_rad_s: Joint velocities, shape (n, m).
+        tau_Nm: Joint torques held over the tick, shape (n, m).
+        ft_wrench: Reading of the F/T sensor, shape (n, 6), see `ArmPlant`.
+        axial_jacobian: Speed of the tip along the needle per joint velocity, shape (n + 1, m).
+        depth_m: Depth of the tip, shape (n,).
+        mean_axial_N: Axial force of the tissue, mean over the tick, shape (n,).
+        forces: The tissue's answer, n of them.
+    """
 
     q_rad: Array
     dq_rad_s: Array
     tau_Nm: Array
-    """Joint torque held from t_k to t_k+1, shape (n, 7)."""
     ft_wrench: Array
-    """Shape (n, 6), see `ArmPlant`."""
+    axial_jacobian: Array
     depth_m: Array
-    speed_m_s: Array
-    axial_N: Array
-    tip_N: Array
-    friction_N: Array
-    layer: NDArray[np.int64]
-    external_torque_Nm: Array
-    """Torque of the tissue on the joints, mean from t_k to t_k+1, shape (n, 7)."""
+    mean_axial_N: Array
+    forces: list[TissueForce]
+
+    @property
+    def speed_m_s(self) -> Array:
+        """Speed of the tip along the needle, shape (n,)."""
+        return np.vecdot(self.axial_jacobian[:-1], self.dq_rad_s)
+
+    @property
+    def external_torque_Nm(self) -> Array:
+        """Torque of the tissue on the joints, mean over each tick, shape (n, m)."""
+        middle = 0.5 * (self.axial_jacobian[:-1] + self.axial_jacobian[1:])
+        return -self.mean_axial_N[:, None] * middle
 
 
 def drive(
@@ -49,62 +66,52 @@ def drive(
         reference: The motion, n ticks.
         progress: Called with the share done, 0 to 1.
 
-    Returns:
-        n rows.
-
     Raises:
         PlantError: The arm has lost the motion.
     """
-    motion, feed_forward = reference.motion, reference.feed_forward_Nm
-    ticks, joints = feed_forward.shape
-    q, dq, tau = (np.empty((ticks, joints)) for _ in range(3))
-    jacobian = np.empty((ticks + 1, joints))
-    ft = np.empty((ticks, 6))
-    scalar = np.empty((ticks, 5))
-    layer = np.empty(ticks, dtype=np.int64)
-    plant.place(motion.q_rad[0], motion.dq_rad_s[0])
-    for k in range(ticks):
-        q[k], dq[k], jacobian[k] = plant.q_rad, plant.dq_rad_s, plant.axial_jacobian
-        error = motion.q_rad[k] - q[k]
-        tau[k] = torque = joint_torque(
+    wanted_q, wanted_dq = reference.motion.q_rad, reference.motion.dq_rad_s
+    trace = _empty_trace(*reference.feed_forward_Nm.shape)
+    plant.place(wanted_q[0], wanted_dq[0])
+    for k, feed_forward in enumerate(reference.feed_forward_Nm):
+        error = wanted_q[k] - plant.q_rad
+        torque = joint_torque(
             error,
-            motion.dq_rad_s[k] - dq[k],
+            wanted_dq[k] - plant.dq_rad_s,
             reference.mass_matrix[k // MASS_TICKS],
-            feed_forward[k],
+            feed_forward,
         )
-        depth = plant.depth_m
-        plant.tick(torque)
-        ft[k] = plant.ft_wrench
-        force = plant.tissue_force
-        scalar[k] = depth, force.axial_N, force.tip_N, force.friction_N, plant.mean_axial_N
-        layer[k] = force.layer
         if k % _REPORT_TICKS == 0:
             _check(error, k)
             if progress is not None:
-                progress(k / ticks)
-    jacobian[ticks] = plant.axial_jacobian
+                progress(k / len(reference.feed_forward_Nm))
+        trace.q_rad[k], trace.dq_rad_s[k], trace.tau_Nm[k] = plant.q_rad, plant.dq_rad_s, torque
+        trace.axial_jacobian[k], trace.depth_m[k] = plant.axial_jacobian, plant.depth_m
+        plant.tick(torque)
+        trace.ft_wrench[k], trace.mean_axial_N[k] = plant.ft_wrench, plant.mean_axial_N
+        trace.forces.append(plant.tissue_force)
+    trace.axial_jacobian[-1] = plant.axial_jacobian
     if progress is not None:
         progress(1.0)
-    mean_jacobian = 0.5 * (jacobian[:-1] + jacobian[1:])
+    return trace
+
+
+def _empty_trace(ticks: int, joints: int) -> ArmTrace:
     return ArmTrace(
-        q_rad=q,
-        dq_rad_s=dq,
-        tau_Nm=tau,
-        ft_wrench=ft,
-        depth_m=scalar[:, 0],
-        speed_m_s=np.vecdot(jacobian[:-1], dq),
-        axial_N=scalar[:, 1],
-        tip_N=scalar[:, 2],
-        friction_N=scalar[:, 3],
-        layer=layer,
-        external_torque_Nm=-scalar[:, 4, None] * mean_jacobian,
+        q_rad=np.empty((ticks, joints)),
+        dq_rad_s=np.empty((ticks, joints)),
+        tau_Nm=np.empty((ticks, joints)),
+        ft_wrench=np.empty((ticks, 6)),
+        axial_jacobian=np.empty((ticks + 1, joints)),
+        depth_m=np.empty(ticks),
+        mean_axial_N=np.empty(ticks),
+        forces=[],
     )
 
 
-def _check(error: Array, tick: int) -> None:
-    worst = np.abs(error).max()
+def _check(error_rad: Array, tick: int) -> None:
+    worst = np.abs(error_rad).max()
     if not worst < _MAX_POSITION_ERROR_rad:
         raise PlantError(
-            f"a joint is {worst:.3g} rad off its motion at tick {tick}; the tissue is too stiff or the "
-            "motion too fast for the arm's controller"
+            f"a joint is {worst:.3g} rad off its motion at tick {tick}, expected less than "
+            f"{_MAX_POSITION_ERROR_rad}; use softer tissue or a slower motion"
         )

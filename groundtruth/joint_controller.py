@@ -6,8 +6,8 @@ from numpy.typing import NDArray
 Array = NDArray[np.float64]
 
 BANDWIDTH_rad_s = 200.0
-"""Natural frequency of the loop, critically damped: a tip stiffness near 1e5 N/m, so that the few newtons of a
-rupture move the tip by less than 0.1 mm, yet slow against the 1 kHz tick."""
+"""Natural frequency of the loop, critically damped: stiff enough that the few newtons of a rupture
+move the tip by less than 0.1 mm, slow against the 1 kHz tick."""
 
 
 def joint_torque(
@@ -19,8 +19,8 @@ def joint_torque(
     """Torque to hold over the next tick.
 
     The mass matrix makes all directions of the arm equally fast, whatever its posture. The loop
-    reads the true joint state: it runs inside the robot on the fine motor encoders, while the noise of an
-    arm level belongs to what the robot's interface reports.
+    reads the true joint state: it runs inside the robot on the fine motor encoders, while the
+    noise of an arm level belongs to what the robot's interface reports.
 
     Args:
         position_error_rad: Wanted minus actual, shape (n,).

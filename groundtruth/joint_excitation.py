@@ -25,7 +25,7 @@ def joint_excitation(
     Returns:
         The motion, n = duration / tick + 1 samples.
     """
-    time = np.arange(round(duration_s / tick_s) + 1) * tick_s
+    time = np.arange(round(duration_s / tick_s) + 1, dtype=np.float64) * tick_s
     moving = np.clip(time - _REST_s, 0.0, duration_s - 2.0 * _REST_s)
     fade, fade_rate = _fade(moving, duration_s - 2.0 * _REST_s)
     angle = 2.0 * np.pi * _FREQUENCY_Hz

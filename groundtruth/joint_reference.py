@@ -1,4 +1,4 @@
-"""What the arm is told to do, tick by tick: the joint motion and what its controller needs to know ahead."""
+"""What the arm is told to do, tick by tick, and the dynamics along that motion."""
 
 from dataclasses import dataclass
 
@@ -11,7 +11,7 @@ from groundtruth.insertion_path import InsertionPath
 Array = NDArray[np.float64]
 
 MASS_TICKS = 10
-"""The mass matrix is refreshed every so many ticks: the arm turns by 5 mrad meanwhile, at most."""
+"""The mass matrix is refreshed every so many ticks: the arm turns by 5 mrad meanwhile at most."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -58,8 +58,8 @@ def motion_along(path: InsertionPath, travel_m: Array, speed_m_s: Array) -> Join
 def joint_reference(model: pin.Model, motion: JointMotion, tick_s: float) -> JointReference:
     """Work out the dynamics along a motion.
 
-    The feed-forward is the inverse dynamics at the middle of each tick with the mean acceleration over
-    it: a torque held over a tick sets the mean, not the value at its start.
+    The feed-forward is the inverse dynamics at the middle of each tick with the mean acceleration
+    over it: a torque held over a tick sets the mean, not the value at its start.
 
     Args:
         model: The true arm.

@@ -1,8 +1,8 @@
 """The second link table of the LWR 4+: the end point of the plant's model mismatch.
 
-The estimator believes the nominal table of the ``urdf`` room (a fit to KUKA's own interface data). The
-simulated arm may be built from a blend of that table with this one, so that no estimator is judged
-on an arm that obeys its own numbers.
+The estimator believes the nominal table of the ``urdf`` room, a fit to KUKA's own interface data.
+The simulated arm may blend that table with this one, so that no estimator is judged on an arm that
+obeys its own numbers.
 """
 
 import numpy as np
@@ -11,8 +11,8 @@ from numpy.typing import NDArray
 
 from groundtruth.errors import ArmLevelError
 
-# CAD set 2.7/2.7/2.7/2.7/1.7/1.6/0.3 kg (believed to stem from CoppeliaSim's LBR4p; the same numbers
-# circulate in several public LWR 4 simulators). Joint-aligned frames, inertia about the centre of mass.
+# Read in two public LWR 4 simulators (a course work of Sapienza, models of the KUKA_LWR MATLAB
+# simulator); believed to stem from CoppeliaSim's LBR4p. Joint frames, inertia about the com.
 #  mass kg, com x, y, z m,            Ixx,      Ixy,   Ixz,   Iyy,      Iyz,       Izz  kg m^2
 _CAD_TABLE = (
     (2.7, 0.00134, 0.02622, 0.11222, 0.016341, 1e-6, 3e-6, 0.016172, -0.003533, 0.005026),
@@ -29,8 +29,8 @@ def cad_link_parameters() -> NDArray[np.float64]:
     """Inertial parameters of the CAD link table.
 
     Returns:
-        Shape (7, 10): per link (m, m c, Ixx, Ixy, Iyy, Ixz, Iyz, Izz) in the link's joint frame, the
-        inertia about the joint origin (Pinocchio's order).
+        Shape (7, 10): per link (m, m c, Ixx, Ixy, Iyy, Ixz, Iyz, Izz) in the link's joint frame,
+        inertia about the joint's origin (Pinocchio's order).
     """
     rows = []
     for mass, cx, cy, cz, ixx, ixy, ixz, iyy, iyz, izz in _CAD_TABLE:
@@ -45,7 +45,7 @@ def blend_link_parameters(
 ) -> NDArray[np.float64]:
     """Blend two link tables: phi = (1 - a) phi_nominal + a phi_CAD.
 
-    The set of physically consistent 10-vectors is convex, so every blend of two consistent links is one.
+    Physically consistent 10-vectors form a convex set: a blend of two consistent links is one.
 
     Args:
         nominal: Shape (n, 10), the estimator's links.

@@ -1,8 +1,9 @@
-"""The simulated arm as a MuJoCo model: a second library, so that truth and estimator share no dynamics code.
+"""The simulated arm as a MuJoCo model: truth and estimator share no dynamics code.
 
-Bodies: one per joint, ``sensor`` (rigid on link 7), ``needle`` (rigid beyond the F/T sensor's measuring plane) and the massless
-``tip``, whose only purpose is that a force applied to it acts at the needle's tip. No geometry, contacts, joint
-limits, damping, armature or friction: the torque of a joint is the link-side torque that its sensor reads.
+Bodies: one per joint; ``sensor``, rigid on the flange; ``needle``, all that lies beyond the F/T
+sensor's measuring plane; and the massless ``tip``, so that a force on it acts at the needle's tip.
+No geometry, contacts, joint limits, damping, armature or friction: the torque of a joint is the
+link-side torque its sensor reads.
 """
 
 from collections.abc import Iterable

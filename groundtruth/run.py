@@ -5,17 +5,11 @@ from dataclasses import dataclass, fields
 import numpy as np
 from numpy.typing import NDArray
 
+from groundtruth.rupture import Rupture
 from groundtruth.scenario import Scenario
 from urdf import NeedleTool, Robot
 
 Array = NDArray[np.float64]
-
-
-def _freeze(result: object) -> None:
-    for item in fields(result):  # type: ignore[arg-type]
-        value = getattr(result, item.name)
-        if isinstance(value, np.ndarray):
-            value.flags.writeable = False
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -26,11 +20,11 @@ class Signals:
         t_s: Time stamps, shape (n,), increasing; jittered and with gaps on a hard arm.
         q_rad: Joint positions, shape (n, 7).
         dq_rad_s: Joint velocities, shape (n, 7), or None where the interface reports none.
-        tau_Nm: Link-side joint torques, shape (n, 7). Row k is the torque held from sample k to the next tick
-            (torque alignment ``hold``); at rest it equals the gravity torque.
-        ft_wrench: F/T reading in ``ft_sensor`` axes (z along the insertion), shape (n, 6), force N then torque
-            Nm: wrench of the environment on the needle plus weight of the needle (so tissue pushing back
-            lowers z), minus its inertia.
+        tau_Nm: Link-side joint torques, shape (n, 7). Row k is held from its sample to the next
+            tick (torque alignment ``hold``); at rest it equals the gravity torque.
+        ft_wrench: F/T reading in ``ft_sensor`` axes (z along the insertion), shape (n, 6), force N,
+            then torque Nm: wrench of the environment on the needle plus the needle's weight (so
+            tissue that pushes back lowers z), minus its inertia.
     """
 
     t_s: Array
@@ -52,16 +46,19 @@ class Truth:
         t_s: True instants of the samples, shape (n,).
         q_rad: Joint positions, shape (n, 7).
         dq_rad_s: Joint velocities, shape (n, 7).
-        tau_Nm: Joint torques, held from sample k to the next tick, shape (n, 7).
-        external_torque_Nm: Torque of the tissue on the joints, shape (n, 7), mean over the tick that begins at
-            sample k: what a momentum observer fed with samples k and k + 1 can at best see.
-        axial_N: Force of the tissue against insertion, shape (n,), positive when it pushes back.
+        tau_Nm: Joint torques, held from each sample to the next tick, shape (n, 7).
+        external_torque_Nm: Torque of the tissue on the joints, shape (n, 7), mean over the tick
+            that begins at the sample: what a momentum observer can learn from that sample and
+            the next.
+        axial_N: Force of the tissue on the needle, shape (n,), positive when it pushes back.
         tip_N: Its part at the tip, shape (n,).
-        friction_N: Its part along the shaft, shape (n,).
-        layer: 0 above the tissue, i in layer i, shape (n,).
-        depth_m: Travel of the tip below the surface, negative above, shape (n,); zero if there is no tissue.
-        speed_m_s: Its rate, shape (n,).
-        rupture_s: Instants at which a boundary gave way, ascending.
+        friction_N: Its part along the shaft, shape (n,), negative on the way out.
+        layer_friction_N: Share of each layer in it, shape (n, number of layers).
+        layer: 0 above the tissue, i in layer i, see `TissueForce`, shape (n,).
+        depth_m: Travel of the tip since first contact, negative above, shape (n,); zero where
+            there is no tissue.
+        speed_m_s: Speed of the tip along the needle, shape (n,).
+        ruptures: In the order they happened.
     """
 
     t_s: Array
@@ -72,14 +69,20 @@ class Truth:
     axial_N: Array
     tip_N: Array
     friction_N: Array
+    layer_friction_N: Array
     layer: NDArray[np.int64]
     depth_m: Array
     speed_m_s: Array
-    rupture_s: Array
+    ruptures: tuple[Rupture, ...]
 
     def __post_init__(self) -> None:
         """Make the arrays read-only."""
         _freeze(self)
+
+    @property
+    def rupture_s(self) -> Array:
+        """Onset of each rupture, shape (number of ruptures,)."""
+        return np.array([rupture.onset_s for rupture in self.ruptures], dtype=np.float64)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -94,9 +97,9 @@ class Run:
         tool: The tool as the estimator knows it.
         signals: What the robot gave.
         truth: What was true.
-        tare_end_s: The needle has certainly not met anything before this (a user knows that).
-        contact_s: True first contact, None without tissue.
-        withdrawn_s: The tip is back above the surface for good, None without tissue.
+        tare_end_s: The needle has not met anything before this; a user knows that.
+        contact_s: True first contact, nan without tissue.
+        withdrawn_s: The tip has left the surface on its way out, nan without tissue.
     """
 
     scenario: Scenario
@@ -107,5 +110,12 @@ class Run:
     signals: Signals
     truth: Truth
     tare_end_s: float
-    contact_s: float | None
-    withdrawn_s: float | None
+    contact_s: float
+    withdrawn_s: float
+
+
+def _freeze(result: Signals | Truth) -> None:
+    for item in fields(result):
+        value = getattr(result, item.name)
+        if isinstance(value, np.ndarray):
+            value.setflags(write=False)

@@ -3,7 +3,7 @@
 import numpy as np
 from numpy.typing import NDArray
 
-from groundtruth.arm_level import ArmLevel
+from groundtruth.arm_level import GEAR_RATIO, ArmLevel
 
 Array = NDArray[np.float64]
 
@@ -40,13 +40,13 @@ def measured_torque(
     if level.torque_hysteresis > 0.0:
         seen = play(tau_Nm, level.torque_hysteresis * limit_Nm)
     if level.torque_ripple > 0.0:
-        angle = 2.0 * np.array(level.gear_ratio) * q_rad + phase
+        angle = 2.0 * np.array(GEAR_RATIO) * q_rad + phase
         seen = seen + level.torque_ripple * limit_Nm * np.sin(angle)
     return seen + bias + drift + noise
 
 
 def play(signal: Array, half_width: Array) -> Array:
-    """Backlash operator: the output rests until the input has moved by the half-width, then follows.
+    """Backlash: the output rests until the input has moved by the half-width, then follows.
 
     Args:
         signal: Shape (n, k).
