@@ -44,12 +44,10 @@ def select_channels(
     selected, warnings = {}, table.warnings
     for name in (*required, *optional):
         found = find_si_channel(table, CHANNELS[name], mapping.channels.get(name))
-        if found is None and name in required:
-            raise _missing(table, CHANNELS[name])
-        must_have = name in required or name in mapping.channels
         if found is None:
-            continue
-        if must_have or np.isfinite(found.values).any():
+            if name in required:
+                raise _missing(table, CHANNELS[name])
+        elif name in required or name in mapping.channels or np.isfinite(found.values).any():
             selected[CHANNELS[name].key] = found
         else:
             warnings += (f"{name}: its columns hold no finite value and were left out",)
