@@ -3,7 +3,7 @@
 import math
 from dataclasses import dataclass
 
-from groundtruth.checks import require_non_negative, require_positive
+from groundtruth.checks import require_non_negative, require_positive, require_share
 from groundtruth.errors import TissueError
 
 
@@ -13,7 +13,7 @@ class ShaftFriction:
 
     In steady sliding the force per length is `coulomb sign(v) + viscous v`. Around a reversal the
     tissue first moves along with the shaft: the Coulomb part builds up over `presliding_m`
-    (Dahl's model).
+    (Dahl's model, see `bristle_step`).
 
     Attributes:
         coulomb_N_per_m: Part that does not depend on speed.
@@ -64,8 +64,7 @@ class ShaftFriction:
         Raises:
             TissueError: The share is outside 0 to 1, or a figure is not physical.
         """
-        if not 0.0 <= coulomb_share <= 1.0:
-            raise TissueError(f"coulomb_share is {coulomb_share!r}; give a share from 0 to 1")
+        require_share(TissueError, coulomb_share=coulomb_share)
         require_positive(TissueError, reference_speed_m_s=reference_speed_m_s)
         return cls(
             coulomb_N_per_m=coulomb_share * force_N_per_m,
@@ -85,23 +84,3 @@ class ShaftFriction:
     def textbook_Ns_per_m2(self) -> float:
         """The B of equation (3) that gives the same friction at the reference speed."""
         return self.sliding_N_per_m(self.reference_speed_m_s) / self.reference_speed_m_s
-
-
-def presliding_step(bristle: float, travel_m: float, presliding_m: float) -> float:
-    """Advance the deflection of the shaft's bristles by one step of travel.
-
-    Exact solution of Dahl's dw/dx = (sign(dx) - w) / presliding over the step: it cannot leave
-    [-1, 1] and two half steps equal one, whatever the step (Dahl 1968, shape exponent 1).
-
-    Args:
-        bristle: Deflection before, -1 to 1; the Coulomb force is `coulomb * bristle`.
-        travel_m: Signed travel of the shaft during the step; zero leaves the bristle as it is.
-        presliding_m: Travel constant of the tissue.
-
-    Returns:
-        The deflection after the step.
-    """
-    if travel_m == 0.0:
-        return bristle
-    target = 1.0 if travel_m > 0.0 else -1.0
-    return target + (bristle - target) * math.exp(-abs(travel_m) / presliding_m)

@@ -2,7 +2,7 @@
 
 from dataclasses import dataclass
 
-from groundtruth.checks import require_positive
+from groundtruth.checks import require_positive, require_share
 from groundtruth.errors import TissueError
 
 
@@ -37,8 +37,7 @@ class Membrane:
             indentation_m=self.indentation_m,
             release_m=self.release_m,
         )
-        if not 0.0 <= self.hardening <= 1.0:
-            raise TissueError(f"hardening is {self.hardening!r}; give a share from 0 to 1")
+        require_share(TissueError, hardening=self.hardening)
 
     def force_N(self, indentation_m: float) -> float:
         """Force of the intact membrane, zero when it is not touched.

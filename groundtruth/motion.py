@@ -2,6 +2,7 @@
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from itertools import pairwise
 from typing import overload
 
 import numpy as np
@@ -20,6 +21,8 @@ TURNING_REST_S = 2.0
 LAST_REST_S = 0.5
 RAMP_S = 0.5
 """Time in which a constant-speed stroke reaches its speed: under 1 mm of travel."""
+TOLERANCE = 1e-9
+"""Seconds and metres within which two strokes meet."""
 
 Real = NDArray[np.float64]
 
@@ -44,6 +47,22 @@ class Motion:
     insertion_end_s: float
     withdrawal_start_s: float
     withdrawal_end_s: float
+
+    def __post_init__(self) -> None:
+        """Check that the strokes follow each other.
+
+        Raises:
+            MotionError: There is no stroke, or one does not begin where and when the last ended.
+        """
+        if not self.strokes:
+            raise MotionError("a motion without strokes; give at least one")
+        for last, following in pairwise(self.strokes):
+            gap_s, gap_m = following.start_s - last.end_s, following.start_m - last.end_m
+            if abs(gap_s) > TOLERANCE or abs(gap_m) > TOLERANCE:
+                raise MotionError(
+                    f"a stroke begins {gap_s:.3g} s and {gap_m:.3g} m after the end of the one "
+                    "before; strokes must follow each other"
+                )
 
     @property
     def duration_s(self) -> float:

@@ -20,8 +20,11 @@ TOTAL_MAX_M = 110e-3
 FRICTION_N_PER_M = (4.0, 40.0)
 """At the nominal speed: phantom fat 4, gels 9-38, real liver 6.5-18."""
 COULOMB_SHARE = (0.2, 0.8)
-"""Gels 0.4, liver 0.6."""
-PRESLIDING_M = (0.1e-3, 0.6e-3)
+"""Gels 0.4, liver 0.8."""
+PRESLIDING_M = (0.1e-3, 0.9e-3)
+"""Gels 0.2, liver 0.9 mm."""
+RELAXED_SHARE = (0.1, 0.6)
+"""Gels 0.2, liver 0.55."""
 EXIT_FORCE_N = (0.15, 2.0)
 """Tip force at the end of a layer: gels 0.3-1.4 N; ruptures in real liver drop 0.15-1.4 N."""
 CUTTING_SHARE = (0.0, 0.2)
@@ -71,13 +74,14 @@ def _layer(rng: np.random.Generator, name: str, thickness_m: float, speed_m_s: f
         coulomb_share=_uniform(rng, COULOMB_SHARE),
         presliding_m=_uniform(rng, PRESLIDING_M),
     )
-    return Layer.ending_at(
-        _log_uniform(rng, EXIT_FORCE_N),
+    return Layer(
+        exit_force_N=_log_uniform(rng, EXIT_FORCE_N),
         name=name,
         thickness_m=thickness_m,
         cutting_share=_uniform(rng, CUTTING_SHARE),
         stiffening=_uniform(rng, STIFFENING),
         release_m=_uniform(rng, RELEASE_M),
+        relaxed_share=_uniform(rng, RELAXED_SHARE),
         friction=friction,
         membrane=_membrane(rng, thickness_m),
     )

@@ -23,6 +23,8 @@ class Rupture:
         layer: The layer the tip leaves; 0 for a membrane on the surface.
         is_membrane: A membrane was punctured.
         drop_N: Force the tip loses: elastic, membrane and cutting force held at the onset.
+        visible_drop_N: Fall of the axial force from the onset to its least value before the end:
+            smaller than `drop_N` where the next layer or its friction already pushes.
         layer_friction_N: Friction of the layer left, at the onset.
         friction_N: Friction of the whole shaft when the release has ended.
     """
@@ -33,6 +35,7 @@ class Rupture:
     layer: int
     is_membrane: bool
     drop_N: float
+    visible_drop_N: float
     layer_friction_N: float
     friction_N: float
 
@@ -56,6 +59,8 @@ def find_ruptures(
         layer_friction_N: True friction per layer, shape (n, number of layers).
     """
     found: list[Rupture] = []
+    friction_N = layer_friction_N.sum(axis=1)
+    axial_N = tip_N + friction_N
     for left, boundary in enumerate(boundaries):
         onset_s = first_crossing_s(t_s, depth_m, boundary.onset_m)
         if boundary.drop_N == 0.0 or np.isnan(onset_s):
@@ -72,8 +77,9 @@ def find_ruptures(
                 layer=left,
                 is_membrane=boundary.membrane is not None,
                 drop_N=float(tip_N[before]),
+                visible_drop_N=float(axial_N[before] - axial_N[before : after + 1].min()),
                 layer_friction_N=float(layer_friction_N[before, left - 1]) if left else 0.0,
-                friction_N=float(layer_friction_N[after].sum()),
+                friction_N=float(friction_N[after]),
             )
         )
     return tuple(found)

@@ -48,7 +48,7 @@ def textbook_step(
             traversed = max(traversed, index)
             index += 1
         elif i >= traversed:
-            tip = layer.textbook_stiffness_N_per_m * (z - top)
+            tip = layer.stiffness_N_per_m * (z - top)
         top += d
     friction = sum(shares)
     return TextbookState(

@@ -4,24 +4,17 @@ It is deliberately not the law the estimators identify (equation 3). What it sha
 geometry and, at each layer's reference speed, the shaft friction.
 """
 
-import math
 from dataclasses import dataclass
 from typing import NamedTuple
 
-from groundtruth.friction import presliding_step
 from groundtruth.interface import Interface, interfaces
 from groundtruth.layer import Layer
+from groundtruth.relaxation import bristle_step, relaxation_step
 from groundtruth.sample import NeedleSample, checked_sample
 from groundtruth.tissue_force import TissueForce, no_force
 
 UNLOADING_M = 0.5e-3
 """Backward travel over which the tip unloads: it leaves the front of a channel already cut."""
-RELAXED_SHARE = 0.3
-"""Share of the tip force lost after a long rest; liver under a resting needle loses 20-60 %."""
-RELAXATION_S = 8.0
-"""Time constant of that loss: most of it within the first half minute of a 60 s hold."""
-RECOVERY_M = 0.5e-3
-"""Travel over which an advancing tip meets fresh, unrelaxed tissue again."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -44,7 +37,7 @@ class TissueState(NamedTuple):
         depth_m: Depth of the tip at the last step; None before the first.
         deepest_m: Deepest point reached: the end of the channel.
         broken: Interfaces given way so far, the surface included.
-        relaxed: Share of the tip force lost to rest.
+        relaxed: Relaxation of the tip force, 0 (fresh) to 1 (a long rest).
         bristles: Presliding deflection per layer, -1 to 1.
         force: The force at the last step.
     """
@@ -55,24 +48,6 @@ class TissueState(NamedTuple):
     relaxed: float
     bristles: tuple[float, ...]
     force: TissueForce
-
-
-def relaxation_step(relaxed: float, speed_m_s: float, dt_s: float) -> float:
-    """Advance the relaxed share of the tip force: it grows with time and fades with travel.
-
-    Exact step of dr/dt = (share - r) / T - r |v| / L for a held speed, so any step is stable.
-
-    Args:
-        relaxed: Relaxed share before.
-        speed_m_s: Speed of the tip.
-        dt_s: Length of the step.
-
-    Returns:
-        The relaxed share after the step, 0 to `RELAXED_SHARE`.
-    """
-    rate = 1.0 / RELAXATION_S + abs(speed_m_s) / RECOVERY_M
-    settled = RELAXED_SHARE / (RELAXATION_S * rate)
-    return settled + (relaxed - settled) * math.exp(-rate * dt_s)
 
 
 def tissue_step(state: TissueState, sample: NeedleSample, stack: TissueStack) -> TissueState:
@@ -93,7 +68,7 @@ def tissue_step(state: TissueState, sample: NeedleSample, stack: TissueStack) ->
     relaxed = relaxation_step(state.relaxed, speed, dt)
     bristles = tuple(
         [
-            presliding_step(w, travel, layer.friction.presliding_m)
+            bristle_step(w, travel, dt, layer.friction.presliding_m, layer.relaxed_share)
             for w, layer in zip(state.bristles, stack.layers, strict=True)
         ]
     )
@@ -103,7 +78,8 @@ def tissue_step(state: TissueState, sample: NeedleSample, stack: TissueStack) ->
     if index == 0 and depth <= 0.0:
         force = no_force(len(bristles))
     else:
-        tip = (1.0 - relaxed) * _tip_force_N(depth, deepest, broken, stack)
+        tip = _tip_force_N(depth, deepest, broken, stack)
+        tip *= 1.0 - relaxed * stack.layers[max(min(broken, len(bristles)) - 1, 0)].relaxed_share
         shares = _friction_shares_N(depth, speed, deepest, index, bristles, stack)
         friction = sum(shares)
         force = TissueForce(tip + friction, tip, friction, index, shares)
