@@ -18,6 +18,8 @@ from .loading import load_urdf
 from .lwr import load_lwr
 from .needle_tool import NeedleTool
 from .payload import Payload
+from .payload_estimate import PayloadEstimate
+from .payload_identification import identify_payload, identify_payload_static
 from .robot import Robot
 from .serial_robot import SerialJoint, build_serial_robot
 
@@ -27,6 +29,7 @@ __all__ = [
     "MissingPackageError",
     "NeedleTool",
     "Payload",
+    "PayloadEstimate",
     "Robot",
     "SerialJoint",
     "UnknownNameError",
@@ -35,6 +38,8 @@ __all__ = [
     "UrdfFileError",
     "build_serial_robot",
     "example_robot_path",
+    "identify_payload",
+    "identify_payload_static",
     "load_lwr",
     "load_urdf",
 ]
