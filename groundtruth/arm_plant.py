@@ -1,5 +1,7 @@
 """The physics of arm, needle and tissue, one controller tick at a time."""
 
+# MuJoCo's names live in a compiled module without stubs.
+# pyright: reportAttributeAccessIssue=false
 from dataclasses import dataclass
 
 import mujoco

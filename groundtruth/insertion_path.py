@@ -52,14 +52,16 @@ def needle_down(robot: Robot, posture_rad: NDArray[np.float64]) -> NDArray[np.fl
         Joint positions, shape (n,).
 
     Raises:
-        PathError: The posture cannot be reached.
+        PathError: The posture cannot be reached, or lies outside the limits or near a singularity.
     """
     data = robot.create_data()
     pin.framesForwardKinematics(robot.model, data, posture_rad)
     tool = data.oMf[robot.tool_frame_id]
     down = np.array([0.0, 0.0, -1.0])
     turn = pin.Quaternion.FromTwoVectors(tool.rotation[:, 2], down).matrix()
-    return _solve(robot, data, posture_rad, pin.SE3(turn @ tool.rotation, tool.translation))
+    turned = _solve(robot, data, posture_rad, pin.SE3(turn @ tool.rotation, tool.translation))
+    _check(robot, data, turned[None])
+    return turned
 
 
 def insertion_path(
@@ -120,7 +122,7 @@ def _check(robot: Robot, data: pin.Data, postures: NDArray[np.float64]) -> None:
     outside = (postures < robot.position_lower_rad) | (postures > robot.position_upper_rad)
     if outside.any():
         joints = [robot.joint_names[j] for j in np.flatnonzero(outside.any(axis=0))]
-        raise PathError(f"the line leaves the limits of {', '.join(joints)}; start elsewhere")
+        raise PathError(f"the limits of {', '.join(joints)} are exceeded; start elsewhere")
     for posture in postures:
         jacobian = pin.computeFrameJacobian(robot.model, data, posture, robot.tool_frame_id)
         if np.linalg.cond(jacobian) > _MAX_CONDITION:
