@@ -25,7 +25,7 @@ def relaxation_step(relaxed: float, speed_m_s: float, dt_s: float) -> float:
     """
     rate = 1.0 / RELAXATION_S + abs(speed_m_s) / RECOVERY_M
     settled = 1.0 / (RELAXATION_S * rate)
-    return settled + (relaxed - settled) * math.exp(-rate * dt_s)
+    return relaxed - (settled - relaxed) * math.expm1(-rate * dt_s)
 
 
 def bristle_step(
@@ -56,5 +56,4 @@ def bristle_step(
         target += fade * math.copysign(held, bristle)
     if pull == 0.0:
         return bristle
-    target /= pull
-    return target + (bristle - target) * math.exp(-pull)
+    return bristle - (target / pull - bristle) * math.expm1(-pull)

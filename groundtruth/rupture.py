@@ -23,8 +23,9 @@ class Rupture:
         layer: The layer the tip leaves; 0 for a membrane on the surface.
         is_membrane: A membrane was punctured.
         drop_N: Force the tip loses: elastic, membrane and cutting force held at the onset.
-        visible_drop_N: Fall of the axial force from the onset to its least value before the end:
-            smaller than `drop_N` where the next layer or its friction already pushes.
+        visible_drop_N: Fall of the axial force from the onset to its least value before the end;
+            smaller than `drop_N` where the next layer or its friction already pushes, a little
+            larger where the needle slows down meanwhile.
         layer_friction_N: Friction of the layer left, at the onset.
         friction_N: Friction of the whole shaft when the release has ended.
     """

@@ -4,91 +4,41 @@ It is deliberately not the law the estimators identify (equation 3). What it sha
 geometry and, at each layer's reference speed, the shaft friction.
 """
 
-from dataclasses import dataclass
-from typing import NamedTuple
-
 from groundtruth.interface import Interface, interfaces
 from groundtruth.layer import Layer
-from groundtruth.relaxation import bristle_step, relaxation_step
 from groundtruth.sample import NeedleSample, checked_sample
 from groundtruth.tissue_force import TissueForce, no_force
+from groundtruth.tissue_state import TissueStack, TissueState, fresh_tissue, tissue_step
 
 UNLOADING_M = 0.5e-3
 """Backward travel over which the tip unloads: it leaves the front of a channel already cut."""
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
-class TissueStack:
-    """Layers and the boundaries between them, worked out once.
-
-    Attributes:
-        layers: First the one the needle meets first.
-        interfaces: From the surface to the exit, one more than layers; empty without layers.
-    """
-
-    layers: tuple[Layer, ...]
-    interfaces: tuple[Interface, ...]
-
-
-class TissueState(NamedTuple):
-    """What the tissue remembers.
-
-    Attributes:
-        depth_m: Depth of the tip at the last step; None before the first.
-        deepest_m: Deepest point reached: the end of the channel.
-        broken: Interfaces given way so far, the surface included.
-        relaxed: Relaxation of the tip force, 0 (fresh) to 1 (a long rest).
-        bristles: Presliding deflection per layer, -1 to 1.
-        force: The force at the last step.
-    """
-
-    depth_m: float | None
-    deepest_m: float
-    broken: int
-    relaxed: float
-    bristles: tuple[float, ...]
-    force: TissueForce
-
-
-def tissue_step(state: TissueState, sample: NeedleSample, stack: TissueStack) -> TissueState:
-    """Advance the tissue by one sample; the new state carries the force.
+def tissue_force(state: TissueState, sample: NeedleSample, stack: TissueStack) -> TissueForce:
+    """The force on the needle.
 
     Args:
-        state: The tissue before.
-        sample: Where the needle is now.
+        state: The tissue, already advanced to the sample.
+        sample: Where the needle is.
         stack: What it is pushed into.
     """
-    depth, speed, dt = sample
-    travel = 0.0 if state.depth_m is None else depth - state.depth_m
-    deepest = max(state.deepest_m, depth)
-    broken = state.broken
-    boundaries = stack.interfaces
-    while broken < len(boundaries) and deepest >= boundaries[broken].onset_m:
-        broken += 1
-    relaxed = relaxation_step(state.relaxed, speed, dt)
-    bristles = tuple(
-        [
-            bristle_step(w, travel, dt, layer.friction.presliding_m, layer.relaxed_share)
-            for w, layer in zip(state.bristles, stack.layers, strict=True)
-        ]
-    )
-    index = broken
-    while index > 0 and depth < boundaries[index - 1].depth_m:
-        index -= 1
-    if index == 0 and depth <= 0.0:
-        force = no_force(len(bristles))
-    else:
-        tip = _tip_force_N(depth, deepest, broken, stack)
-        tip *= 1.0 - relaxed * stack.layers[max(min(broken, len(bristles)) - 1, 0)].relaxed_share
-        shares = _friction_shares_N(depth, speed, deepest, index, bristles, stack)
-        friction = sum(shares)
-        force = TissueForce(tip + friction, tip, friction, index, shares)
-    return TissueState(depth, deepest, broken, relaxed, bristles, force)
+    depth = sample.depth_m
+    count = len(stack.layers)
+    if count == 0 or depth <= 0.0:
+        return no_force(count)
+    layer = state.broken
+    while layer > 0 and depth < stack.interfaces[layer - 1].depth_m:
+        layer -= 1
+    holding = stack.layers[max(min(state.broken, count) - 1, 0)]
+    tip = (1.0 - state.relaxed * holding.relaxed_share) * _fresh_tip_N(state, depth, stack)
+    shares = _layer_friction_N(state, sample, stack, min(layer, count))
+    friction = sum(shares)
+    return TissueForce(tip + friction, tip, friction, layer, shares)
 
 
-def _tip_force_N(depth: float, deepest: float, broken: int, stack: TissueStack) -> float:
+def _fresh_tip_N(state: TissueState, depth: float, stack: TissueStack) -> float:
     """Tip force of unrelaxed tissue: what the front holds, and what a rupture still lets go."""
-    boundaries = stack.interfaces
+    boundaries, broken, deepest = stack.interfaces, state.broken, state.deepest_m
     back = (deepest - depth) / UNLOADING_M
     force = 0.0
     if back < 1.0 and broken > 0:
@@ -105,26 +55,20 @@ def _tip_force_N(depth: float, deepest: float, broken: int, stack: TissueStack) 
     return force
 
 
-def _friction_shares_N(
-    depth: float,
-    speed: float,
-    deepest: float,
-    index: int,
-    bristles: tuple[float, ...],
-    stack: TissueStack,
+def _layer_friction_N(
+    state: TissueState, sample: NeedleSample, stack: TissueStack, count: int
 ) -> tuple[float, ...]:
-    """Friction of each layer on the length of shaft now inside it."""
-    shares = [0.0] * len(bristles)
-    for i in range(min(index, len(bristles))):
+    """Friction of each layer on the length of shaft in it; only the first `count` hold any."""
+    shares = [0.0] * len(stack.layers)
+    for i in range(count):
         entry = stack.interfaces[i]
         friction = stack.layers[i].friction
-        embedded = min(depth, stack.interfaces[i + 1].depth_m) - entry.depth_m
+        embedded = min(sample.depth_m, stack.interfaces[i + 1].depth_m) - entry.depth_m
         if entry.membrane is not None:
             # The pushed-in tissue springs back along the shaft while the membrane lets go.
-            embedded *= entry.released(deepest)
-        shares[i] = embedded * (
-            friction.coulomb_N_per_m * bristles[i] + friction.viscous_Ns_per_m2 * speed
-        )
+            embedded *= entry.released(state.deepest_m)
+        coulomb = friction.coulomb_N_per_m * state.bristles[i]
+        shares[i] = embedded * (coulomb + friction.viscous_Ns_per_m2 * sample.speed_m_s)
     return tuple(shares)
 
 
@@ -138,7 +82,7 @@ class Tissue:
             layers: First the one the needle meets first; none is free air.
         """
         self._stack = TissueStack(layers=tuple(layers), interfaces=interfaces(tuple(layers)))
-        self.reset()
+        self._state = fresh_tissue(self._stack)
 
     @property
     def layers(self) -> tuple[Layer, ...]:
@@ -166,12 +110,10 @@ class Tissue:
         Raises:
             TissueError: A value is not finite or `dt_s` is not positive; the state is unchanged.
         """
-        self._state = tissue_step(
-            self._state, checked_sample(depth_m, speed_m_s, dt_s), self._stack
-        )
-        return self._state.force
+        sample = checked_sample(depth_m, speed_m_s, dt_s)
+        self._state = tissue_step(self._state, sample, self._stack)
+        return tissue_force(self._state, sample, self._stack)
 
     def reset(self) -> None:
         """Forget everything: a fresh, uncut tissue."""
-        count = len(self._stack.layers)
-        self._state = TissueState(None, 0.0, 0, 0.0, (0.0,) * count, no_force(count))
+        self._state = fresh_tissue(self._stack)
