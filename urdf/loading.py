@@ -74,10 +74,10 @@ def robot_from_text(
         model = pin.buildModelFromXML(text)
     except (ValueError, RuntimeError) as error:
         raise UrdfFileError(f"{source}: is not a valid URDF: {error}") from error
-    model = _lock(model, locked, source)
+    flange_frame = tool_frame if tool_frame is not None else _last_link(model, source)
     return assemble_robot(
-        model,
-        flange_frame=tool_frame if tool_frame is not None else _last_link(model, source),
+        _lock(model, locked, source),
+        flange_frame=flange_frame,
         payload=payload,
         gravity_m_s2=gravity_m_s2,
         check_inertias=check_inertias,

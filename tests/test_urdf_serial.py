@@ -1,0 +1,138 @@
+"""Arms from numbers: the same arm as its URDF, and identified tables of real arms."""
+
+import json
+
+import numpy as np
+import pinocchio as pin
+import pytest
+
+from urdf import InertiaError, InputError, NeedleTool, SerialJoint, build_serial_robot, load_lwr
+
+POINT = np.array([1.0, 0, 0, 0.1, 0.02, 0, 0.02, 0, 0, 0.01])
+
+
+def a_joint(**change):
+    good = {"name": "j1", "placement": np.eye(4), "axis": np.array([0, 1.0, 0]), "inertia": POINT}
+    return SerialJoint(**(good | change))
+
+
+def test_the_lwr_from_numbers_is_the_lwr_from_its_urdf():
+    lwr = load_lwr()
+    axes = [(0, 0, 1), (0, -1, 0), (0, 0, 1), (0, 1, 0), (0, 0, 1), (0, -1, 0), (0, 0, 2)]
+    heights = [0.110, 0.200, 0.200, 0.200, 0.200, 0.190, 0.078]
+    joints = [
+        SerialJoint(
+            name=f"j{i}",
+            placement=pin.SE3(np.eye(3), np.array([0, 0, height])),
+            axis=np.array(axis, dtype=float),
+            inertia=inertia.toDynamicParameters(),
+        )
+        for i, (axis, height, inertia) in enumerate(
+            zip(axes, heights, list(lwr.model.inertias)[1:], strict=True)
+        )
+    ]
+    built = build_serial_robot(joints, payload=NeedleTool())
+    lwr = load_lwr(NeedleTool())
+    rng = np.random.default_rng(2)
+    for _ in range(5):
+        q, dq, ddq = rng.uniform(-1, 1, (3, 7))
+        torque = [pin.rnea(r.model, r.create_data(), q, dq, ddq) for r in (built, lwr)]
+        assert torque[0] == pytest.approx(torque[1], abs=1e-12)
+    assert built.tool_frame == "needle_tip"
+    assert built.flange_frame == "tool"
+    assert built.joint_names == tuple(f"j{i}" for i in range(7))
+
+
+def test_tool_placement_and_rotor_inertia():
+    offset = np.eye(4)
+    offset[:3, 3] = [0.1, 0.2, 0.3]
+    robot = build_serial_robot([a_joint()], tool_placement=offset, rotor_inertia_kg_m2=[0.7])
+    frame = robot.model.frames[robot.tool_frame_id]
+    assert frame.placement.translation == pytest.approx([0.1, 0.2, 0.3])
+    mass_matrix = pin.crba(robot.model, robot.create_data(), np.zeros(1))
+    assert mass_matrix[0, 0] == pytest.approx(0.02 + 0.7)
+
+
+def test_a_modified_dh_row_is_its_placement(recordings_dir):
+    """The Panda's published table puts the flange where the arm's data sheet does."""
+    table = json.loads((recordings_dir / "panda_gaz2019" / "model.json").read_text())
+    joints = []
+    for i in range(7):
+        turn = pin.exp3(np.array([table["alpha_rad"][i], 0, 0]))
+        step = np.array([table["a_m"][i], 0, 0]) + turn @ np.array([0, 0, table["d_m"][i]])
+        xx, xy, xz, yy, yz, zz = table["inertia_kg_m2"][i]
+        about_com = pin.Inertia(
+            table["mass_kg"][i],
+            np.array(table["com_m"][i]),
+            np.array([[xx, xy, xz], [xy, yy, yz], [xz, yz, zz]]),
+        )
+        joints.append(
+            SerialJoint(
+                name=f"j{i + 1}",
+                placement=pin.SE3(turn, step),
+                axis=np.array([0, 0, 1.0]),
+                inertia=about_com.toDynamicParameters(),
+            )
+        )
+    flange = pin.SE3(np.eye(3), np.array([0, 0, 0.107]))
+    robot = build_serial_robot(joints, tool_placement=flange)
+    data = robot.create_data()
+    pin.framesForwardKinematics(robot.model, data, np.zeros(7))
+    height = 0.333 + 0.316 + 0.384 - 0.107
+    assert data.oMf[robot.tool_frame_id].translation == pytest.approx([0.088, 0, height])
+
+
+def test_unphysical_links_are_refused_unless_asked_for():
+    bad = POINT.copy()
+    bad[9] = 0.9
+    with pytest.raises(InertiaError, match=r"link behind joint 'j1'.*triangle"):
+        build_serial_robot([a_joint(inertia=bad)])
+    assert build_serial_robot([a_joint(inertia=bad)], check_inertias=False).nv == 1
+
+
+def test_a_massless_last_link_is_refused_unless_asked_for():
+    joints = [a_joint(), a_joint(name="j2", inertia=np.zeros(10))]
+    with pytest.raises(InertiaError, match="move no inertia: j2"):
+        build_serial_robot(joints)
+    assert build_serial_robot(joints, check_inertias=False).nv == 2
+
+
+def test_joint_arrays_are_read_only_copies():
+    axis = np.array([0, 0, 3.0])
+    joint = a_joint(axis=axis)
+    axis[0] = 1.0
+    assert joint.axis == pytest.approx([0, 0, 1])
+    with pytest.raises(ValueError, match="read-only"):
+        joint.inertia[0] = 2.0
+
+
+@pytest.mark.parametrize(
+    ("change", "error", "message"),
+    [
+        ({"axis": np.zeros(3)}, InputError, "axis is zero"),
+        ({"axis": np.zeros(2)}, InputError, "axis has shape"),
+        ({"inertia": np.zeros(6)}, InputError, "inertia has shape"),
+        ({"inertia": np.full(10, np.nan)}, InputError, "inertia has NaN"),
+        ({"inertia": np.eye(10)[1]}, InertiaError, "mass is 0 kg but"),
+        ({"placement": np.eye(3)}, InputError, "placement has shape"),
+        ({"placement": np.diag([1.0, 1, -1, 1])}, InputError, "not a rigid motion"),
+        ({"placement": np.diag([1.0, 1, 1, 2])}, InputError, "not a rigid motion"),
+        ({"placement": 2.0 * np.eye(4)}, InputError, "not a rigid motion"),
+    ],
+)
+def test_malformed_joints(change, error, message):
+    with pytest.raises(error, match=message):
+        a_joint(**change)
+
+
+@pytest.mark.parametrize("names", [[], ["a", "a"], ["tool"]])
+def test_malformed_chains(names):
+    with pytest.raises(InputError, match="names"):
+        build_serial_robot([a_joint(name=name) for name in names])
+
+
+def test_malformed_tool_placement_and_rotor():
+    with pytest.raises(InputError, match="tool"):
+        build_serial_robot([a_joint()], tool_placement=np.eye(3))
+    with pytest.raises(InputError, match="rotor_inertia_kg_m2"):
+        build_serial_robot([a_joint()], rotor_inertia_kg_m2=[1.0, 1.0])
