@@ -1,0 +1,297 @@
+"""Payload identification: what simulation knows, it finds; what it says of itself is true."""
+
+from dataclasses import FrozenInstanceError
+
+import numpy as np
+import pinocchio as pin
+import pytest
+
+from urdf import (
+    InputError,
+    NeedleTool,
+    Payload,
+    identify_payload,
+    identify_payload_static,
+    load_lwr,
+    load_urdf,
+)
+
+NOISE_NM = np.array([0.05, 0.05, 0.03, 0.03, 0.03, 0.011, 0.011])
+OFFSETS_NM = np.array([0.5, -0.7, 0.3, 0.4, -0.2, 0.1, 0.05])
+HOME_RAD = np.array([0, 0.6, 0, -1.2, 0, 1.0, 0])
+TRUE = NeedleTool().payload
+
+
+def motion(count=3000, dt_s=0.02, seed=0):
+    """A minute of three sines per joint: positions, velocities, accelerations."""
+    rng = np.random.default_rng(seed)
+    t = dt_s * np.arange(count)[:, None]
+    q, dq, ddq = np.tile(HOME_RAD, (count, 1)), np.zeros((count, 7)), np.zeros((count, 7))
+    for k in (1, 2, 3):
+        w, phase, size = 0.2 * np.pi * k, rng.uniform(0, 2 * np.pi, 7), rng.normal(0, 0.35, 7) / k
+        q += size * np.sin(w * t + phase)
+        dq += size * w * np.cos(w * t + phase)
+        ddq -= size * w**2 * np.sin(w * t + phase)
+    return q, dq, ddq
+
+
+def torques(robot, q, dq, ddq):
+    data = robot.create_data()
+    return np.array(
+        [pin.rnea(robot.model, data, *row).copy() for row in zip(q, dq, ddq, strict=True)]
+    )
+
+
+@pytest.fixture(scope="module")
+def moved(lwr):
+    q, dq, ddq = motion()
+    return q, dq, ddq, torques(lwr, q, dq, ddq)
+
+
+@pytest.fixture(scope="module")
+def posed(lwr):
+    q = HOME_RAD + np.random.default_rng(4).uniform(-1, 1, (60, 7))
+    return q, torques(lwr, q, np.zeros_like(q), np.zeros_like(q))
+
+
+def noisy(tau, seed, offsets=0.0):
+    return tau + np.random.default_rng(seed).normal(size=tau.shape) * NOISE_NM + offsets
+
+
+def test_ten_parameters_exactly_from_clean_motion(lwr, moved):
+    estimate = identify_payload(lwr, *moved)
+    assert estimate.payload.parameters == pytest.approx(TRUE.parameters, abs=1e-9)
+    assert (estimate.rank, estimate.parameter_count) == (10, 10)
+    assert estimate.is_identified
+    assert np.all(estimate.residual_rms_Nm < 1e-9)
+
+
+def test_what_the_robot_carries_already_does_not_matter(lwr, moved):
+    other = Payload(mass_kg=5.0, com_m=np.zeros(3), inertia_kg_m2=np.zeros((3, 3)))
+    for robot in (lwr.with_payload(None), lwr.with_payload(other)):
+        estimate = identify_payload(robot, *moved)
+        assert estimate.payload.parameters == pytest.approx(TRUE.parameters, abs=1e-9)
+
+
+@pytest.mark.parametrize("seed", range(5))
+def test_mass_within_one_percent_at_realistic_noise(lwr, moved, seed):
+    q, dq, ddq, tau = moved
+    estimate = identify_payload(lwr, q, dq, ddq, noisy(tau, seed))
+    assert estimate.payload.mass_kg == pytest.approx(0.304, rel=0.01)
+    assert estimate.payload.com_m == pytest.approx(TRUE.com_m, abs=0.004)
+
+
+@pytest.mark.parametrize("seed", range(5))
+def test_mass_within_one_percent_with_biased_sensors(lwr, moved, seed):
+    q, dq, ddq, tau = moved
+    estimate = identify_payload(
+        lwr,
+        q,
+        dq,
+        ddq,
+        noisy(tau, seed, OFFSETS_NM),
+        torque_noise_std_Nm=NOISE_NM,
+        fit_offsets=True,
+    )
+    assert estimate.payload.mass_kg == pytest.approx(0.304, rel=0.01)
+    assert estimate.offsets_Nm == pytest.approx(OFFSETS_NM, abs=0.05)
+    wrong = identify_payload(lwr, q, dq, ddq, noisy(tau, seed, OFFSETS_NM))
+    assert abs(wrong.payload.mass_kg - 0.304) > 0.01
+
+
+def scores(run):
+    """Errors over stated standard deviations, over 40 seeds."""
+    rows = []
+    for seed in range(40):
+        estimate = run(seed)
+        error = estimate.unconstrained_parameters - TRUE.parameters
+        rows.append(error[: estimate.parameter_count])
+        rows[-1] = rows[-1] / estimate.standard_deviations[: estimate.parameter_count]
+    return np.sqrt(np.mean(np.square(rows)))
+
+
+@pytest.mark.parametrize("fit_offsets", [False, True])
+def test_standard_deviations_are_true_for_white_noise(lwr, moved, fit_offsets):
+    q, dq, ddq, tau = (x[::6] for x in moved)
+    score = scores(
+        lambda seed: identify_payload(lwr, q, dq, ddq, noisy(tau, seed), fit_offsets=fit_offsets)
+    )
+    assert 0.8 < score < 1.2
+
+
+def test_standard_deviations_are_true_for_coloured_noise(lwr, moved):
+    """Noise that lasts half a second: samples are not independent, and the answer knows."""
+    q, dq, ddq, tau = (x[::3] for x in moved)
+
+    def run(seed):
+        white = np.random.default_rng(seed).normal(size=(len(q) + 9, 7)) * NOISE_NM
+        slow = np.array([white[k : k + 10].sum(axis=0) for k in range(len(q))]) / np.sqrt(10)
+        return identify_payload(lwr, q, dq, ddq, tau + slow)
+
+    assert 0.7 < scores(run) < 1.4
+
+
+def test_standard_deviations_are_true_for_few_poses(lwr, posed):
+    q, tau = posed[0][:30], posed[1][:30]
+    assert 0.8 < scores(lambda seed: identify_payload_static(lwr, q, noisy(tau, seed))) < 1.2
+
+
+def test_centre_of_mass_deviation_is_true(lwr, posed):
+    q, tau = posed
+    found = [identify_payload_static(lwr, q, noisy(tau, seed)) for seed in range(40)]
+    errors = [(e.payload.com_m - TRUE.com_m) / e.com_std_m for e in found]
+    assert 0.8 < np.sqrt(np.mean(np.square(errors))) < 1.25
+
+
+def test_four_parameters_at_rest(lwr, posed):
+    estimate = identify_payload_static(lwr, *posed)
+    assert (estimate.rank, estimate.parameter_count, estimate.is_identified) == (4, 4, True)
+    assert estimate.payload.mass_kg == pytest.approx(0.304)
+    assert estimate.payload.com_m == pytest.approx(TRUE.com_m, abs=1e-9)
+    assert estimate.payload.inertia_kg_m2 == pytest.approx(np.zeros((3, 3)), abs=1e-15)
+    assert np.all(np.isinf(estimate.standard_deviations[4:]))
+
+
+def test_poses_with_offsets_and_noise(lwr, posed):
+    q, tau = posed
+    estimate = identify_payload_static(lwr, q, noisy(tau, 3, OFFSETS_NM), fit_offsets=True)
+    assert abs(estimate.payload.mass_kg - 0.304) < 4.0 * estimate.mass_std_kg < 0.08
+    assert np.all(np.abs(estimate.offsets_Nm - OFFSETS_NM) < 5.0 * estimate.offsets_std_Nm)
+
+
+def test_a_single_pose_is_not_enough_and_says_so(lwr, posed):
+    estimate = identify_payload_static(lwr, posed[0][:1], posed[1][:1])
+    assert estimate.rank < 4
+    assert not estimate.is_identified
+    assert np.all(np.isinf(estimate.com_std_m))
+
+
+def test_poses_alone_leave_the_inertia_open_in_the_full_fit(lwr, posed):
+    q, tau = posed
+    rest = np.zeros_like(q)
+    estimate = identify_payload(lwr, q, rest, rest, tau)
+    assert (estimate.rank, estimate.is_identified) == (4, False)
+    assert np.isfinite(estimate.standard_deviations[:4]).all()
+    assert np.isinf(estimate.standard_deviations[4:]).all()
+    assert estimate.payload.mass_kg == pytest.approx(0.304, abs=1e-4)
+
+
+def test_without_gravity_poses_tell_nothing(posed):
+    floating = load_lwr(gravity_m_s2=np.zeros(3))
+    estimate = identify_payload_static(floating, posed[0], np.zeros((60, 7)))
+    assert estimate.rank == 0
+    assert np.isinf(estimate.mass_std_kg)
+    assert estimate.payload.mass_kg == 0.0
+
+
+def test_an_unphysical_answer_is_moved_to_a_body_and_flagged(lwr, moved):
+    """Noise makes the inertia of so small a tool come out as no body's; the answer is one."""
+    q, dq, ddq, tau = moved
+    estimate = identify_payload(lwr, q, dq, ddq, noisy(tau, 1))
+    assert estimate.is_constrained
+    with pytest.raises(ValueError, match=r"not positive definite|triangle"):
+        Payload.from_parameters(estimate.unconstrained_parameters)
+    lwr.with_payload(estimate.payload)
+
+
+@pytest.mark.parametrize("static", [False, True])
+def test_a_wrong_sign_of_torque_ends_at_no_payload_and_shows(lwr, moved, posed, static):
+    """A negative payload does not exist: the nearest body weighs next to nothing, and is flagged."""
+    bare = lwr.with_payload(None)
+    if static:
+        q, tau = posed
+        flipped = 2 * torques(bare, q, 0 * q, 0 * q) - tau
+        estimate = identify_payload_static(lwr, q, flipped)
+    else:
+        q, dq, ddq, tau = moved
+        estimate = identify_payload(lwr, q, dq, ddq, 2 * torques(bare, q, dq, ddq) - tau)
+    assert estimate.is_constrained
+    assert estimate.payload.mass_kg < 0.05
+    assert estimate.unconstrained_parameters[0] == pytest.approx(-0.304)
+
+
+def test_no_payload_is_found_to_be_none(lwr, moved):
+    q, dq, ddq, _ = moved
+    tau = noisy(torques(lwr.with_payload(None), q, dq, ddq), 2)
+    estimate = identify_payload(lwr, q, dq, ddq, tau)
+    assert estimate.payload.mass_kg < 4.0 * estimate.mass_std_kg < 0.01
+
+
+def test_flange_in_the_middle_of_a_chain_and_off_its_joint(tmp_path):
+    """The answer is in the flange's own axes, wherever the flange sits."""
+    path = tmp_path / "arm.urdf"
+    inertial = (
+        '<inertial><mass value="1"/>'
+        '<inertia ixx="0.1" ixy="0" ixz="0" iyy="0.1" iyz="0" izz="0.1"/></inertial>'
+    )
+    links = "".join(f'<link name="{n}">{inertial}</link>' for n in "abcd")
+    joints = "".join(
+        f'<joint name="j{n}" type="revolute"><parent link="{p}"/><child link="{n}"/>'
+        f'<origin xyz="0.1 0.2 0.3"/><axis xyz="{axis}"/>'
+        '<limit lower="-2" upper="2" effort="9" velocity="9"/></joint>'
+        for p, n, axis in (("base", "a", "0 0 1"), ("a", "b", "0 1 0"), ("b", "c", "1 0 0"))
+    )
+    weld = (
+        '<joint name="weld" type="fixed"><parent link="b"/><child link="d"/>'
+        '<origin xyz="0.05 0.1 -0.2" rpy="0.3 0.4 0.5"/></joint>'
+    )
+    path.write_text(f'<robot name="x"><link name="base"/>{links}{joints}{weld}</robot>')
+    tool = Payload(
+        mass_kg=0.8, com_m=np.array([0.1, 0, 0.2]), inertia_kg_m2=np.diag([0.01, 0.02, 0.02])
+    )
+    robot = load_urdf(path, tool_frame="d", payload=tool)
+    rng = np.random.default_rng(0)
+    q, dq, ddq = rng.uniform(-1, 1, (3, 200, 3))
+    tau = torques(robot, q, dq, ddq)
+    estimate = identify_payload(robot, q, dq, ddq, tau)
+    # Two joints behind which the payload hangs cannot tell all ten parameters apart...
+    assert estimate.rank < 10
+    # ... but what is found explains every torque.
+    again = torques(robot.with_payload(estimate.payload), q, dq, ddq)
+    assert again == pytest.approx(tau, abs=1e-3)
+
+
+def test_rotor_inertia_of_the_robot_is_accounted_for(lwr, moved):
+    q, dq, ddq, tau = moved
+    rotor = np.array([3.19, 3.05, 1.98, 2.05, 0.787, 0.391, 0.394])
+    estimate = identify_payload(lwr.with_armature(rotor), q, dq, ddq, tau + rotor * ddq)
+    assert estimate.payload.parameters == pytest.approx(TRUE.parameters, abs=1e-9)
+
+
+def test_estimate_is_frozen_and_its_arrays_read_only(lwr, posed):
+    estimate = identify_payload_static(lwr, *posed)
+    with pytest.raises(FrozenInstanceError):
+        estimate.rank = 4
+    for name in ("covariance", "unconstrained_parameters", "offsets_Nm", "residual_rms_Nm"):
+        with pytest.raises(ValueError, match="read-only"):
+            getattr(estimate, name)[0] = 1.0
+
+
+@pytest.mark.parametrize(
+    ("which", "bad", "message"),
+    [
+        (0, np.zeros((5, 6)), r"q_rad has shape \(5, 6\), expected \(n, 7\)"),
+        (0, np.zeros((0, 7)), r"q_rad has shape \(0, 7\)"),
+        (1, np.zeros((4, 7)), r"dq_rad_s has shape \(4, 7\), expected \(5, 7\)"),
+        (2, np.full((5, 7), np.inf), "ddq_rad_s2 has NaN or infinite"),
+        (3, np.full((5, 7), np.nan), "tau_Nm has NaN or infinite"),
+    ],
+)
+def test_malformed_recordings(lwr, which, bad, message):
+    arguments = [np.zeros((5, 7)) for _ in range(4)]
+    arguments[which] = bad
+    with pytest.raises(InputError, match=message):
+        identify_payload(lwr, *arguments)
+
+
+def test_malformed_poses_and_noise(lwr, posed):
+    q, tau = posed
+    with pytest.raises(InputError, match="q_rad"):
+        identify_payload_static(lwr, q[0], tau)
+    with pytest.raises(InputError, match="tau_Nm"):
+        identify_payload_static(lwr, q, tau[:-1])
+    for noise in (np.zeros(7), -NOISE_NM):
+        with pytest.raises(InputError, match="torque_noise_std_Nm must be positive"):
+            identify_payload_static(lwr, q, tau, torque_noise_std_Nm=noise)
+    with pytest.raises(InputError, match="torque_noise_std_Nm has shape"):
+        identify_payload_static(lwr, q, tau, torque_noise_std_Nm=NOISE_NM[:3])
