@@ -196,7 +196,7 @@ def test_an_unphysical_answer_is_moved_to_a_body_and_flagged(lwr, moved):
 
 @pytest.mark.parametrize("static", [False, True])
 def test_a_wrong_sign_of_torque_ends_at_no_payload_and_shows(lwr, moved, posed, static):
-    """A negative payload does not exist: the nearest body weighs next to nothing, and is flagged."""
+    """A negative payload does not exist: the nearest body weighs next to nothing."""
     bare = lwr.with_payload(None)
     if static:
         q, tau = posed
