@@ -63,7 +63,8 @@ def fit_linear(
         std = np.maximum(rms, max(1e-3 * rms.max(), 1e-12))
     solution, values, axes, rank = _solve(regressor, target, std)
     residual = (target - regressor @ solution) / std
-    covariance = _covariance(regressor / std[:, None], residual, values, axes, rank)
+    constants = len(std) if fit_offsets else 0
+    covariance = _covariance(regressor / std[:, None], residual, values, axes[:rank], constants)
     offsets_std = np.zeros(len(std))
     if fit_offsets:
         through_x = np.einsum("jp,pr,jr->j", mean_regressor, covariance, mean_regressor)
@@ -82,8 +83,7 @@ def _solve(
 ) -> tuple[NDArray[np.float64], NDArray[np.float64], NDArray[np.float64], int]:
     """Return the shortest solution, singular values, right singular vectors and rank."""
     matrix = (regressor / std[:, None]).reshape(-1, regressor.shape[2])
-    # Squaring the matrix would halve the digits of the small singular values; its QR factor keeps
-    # them.
+    # Squaring the matrix would halve the digits of the small singular values; QR keeps them.
     factor = np.asarray(np.linalg.qr(np.column_stack([matrix, (target / std).ravel()]), mode="r"))
     size = matrix.shape[1]
     triangle, right = np.zeros((size, size)), np.zeros(size)
@@ -100,7 +100,7 @@ def _covariance(
     residual: NDArray[np.float64],
     values: NDArray[np.float64],
     axes: NDArray[np.float64],
-    rank: int,
+    constants: int,
 ) -> NDArray[np.float64]:
     """Return the covariance on the determined subspace, from whitened data.
 
@@ -109,14 +109,15 @@ def _covariance(
     used (a cluster-robust covariance); with few, the classical formula with the residual's
     variance.
     """
-    inverse = axes[:rank].T @ np.diag(values[:rank] ** -2.0) @ axes[:rank]
+    rank = len(axes)
+    inverse = axes.T @ np.diag(values[:rank] ** -2.0) @ axes
     count, joints = residual.shape
     if count >= 2 * _BLOCKS:
         gradient = np.einsum("njp,nj->np", regressor, residual)
         bounds = np.linspace(0, count, _BLOCKS + 1).astype(int)[:-1]
         blocks = np.add.reduceat(gradient, bounds, axis=0)
         return inverse @ (blocks.T @ blocks) @ inverse * _BLOCKS / (_BLOCKS - rank)
-    freedom = count * joints - rank
+    freedom = count * joints - rank - constants
     variance = float(np.sum(residual**2)) / freedom if freedom > 0 else np.inf
     return inverse * max(variance, 1e-300)
 

@@ -22,8 +22,7 @@ from .payload_estimate import PayloadEstimate
 from .pseudo_inertia import moved_parameters
 from .robot import Robot
 
-# A length of the size of payloads, m: in units of it mass, moments and inertias are comparable
-# numbers.
+# A length of the size of payloads, m: in units of it the ten parameters are of comparable size.
 _LENGTH_M = 0.1
 _UNITS = np.array([1.0, *[_LENGTH_M] * 3, *[_LENGTH_M**2] * 6])
 # Below this a payload is none, kg: its centre of mass would be noise divided by noise.
@@ -117,8 +116,7 @@ def identify_payload_static(
         fit_offsets=fit_offsets,
     )
     mass, first = fit.solution[0], fit.solution[1:4] * _LENGTH_M
-    # Any first moment goes with a positive mass, so the sign of the mass is all there is to
-    # consistency.
+    # With a positive mass any first moment is consistent, so the sign of the mass decides.
     if mass < _NO_MASS_KG:
         return _estimate(np.zeros(10), True, fit, regressor, unexplained, fit_offsets=fit_offsets)
     point = Payload(mass_kg=mass, com_m=first / mass, inertia_kg_m2=np.zeros((3, 3)))

@@ -19,8 +19,7 @@ from numpy.typing import NDArray
 
 from .errors import InertiaError
 
-# Descriptions are written with a few digits: a thin rod rounded there may miss the boundary by this
-# share.
+# Tables carry a few digits: a thin rod, once rounded, may miss the boundary by this share.
 _ROUNDING = 1e-6
 # Share of the inertia about the origin that subtracting m c^2 may lose in double precision.
 _CANCELLATION = 1e-12
