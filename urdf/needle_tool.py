@@ -15,7 +15,7 @@ class NeedleTool:
     """F/T sensor, hub and needle in a row along the flange's z axis, pointing outward.
 
     The tool of the paper's authors weighs 236 g up to the sensor's measuring plane and 68 g beyond
-    it, and its needle reaches 153 mm from there. Inertias are not known, so they follow from shapes:
+    it, and its needle reaches 153 mm from there. Its inertias follow from shapes:
 
     - Sensor: a Mini45 fills 45 mm by 15.7 mm with 92 g; at that density 236 g of sensor and
       adapters of the same diameter are 40 mm high. A homogeneous cylinder.
