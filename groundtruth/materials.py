@@ -129,7 +129,7 @@ def soft_tissue_friction(force_N_per_m: float, nominal_speed_m_s: float) -> Shaf
 GLOVE = Membrane(puncture_N=1.0, indentation_m=4e-3, hardening=0.6, release_m=0.5e-3)
 """Latex of a glove under a blunt needle: around a newton, stretched by a few millimetres."""
 
-BOVINE_CAPSULE = Membrane(puncture_N=1.43, indentation_m=11.2e-3, hardening=0.7, release_m=0.5e-3)
+BOVINE_CAPSULE = Membrane(puncture_N=1.43, indentation_m=11.2e-3, hardening=1.0, release_m=0.5e-3)
 """Okamura 2004: contact at 8 mm, puncture at 19.2 mm with 1.43 N, almost nothing afterwards."""
 
 PHANTOM_CAPSULE = Membrane(puncture_N=0.6, indentation_m=4e-3, hardening=0.5, release_m=0.4e-3)

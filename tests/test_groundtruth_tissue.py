@@ -181,6 +181,15 @@ def test_membrane_holds_back_the_layer_until_its_puncture():
     assert forces[-1].friction_N > 0.0
 
 
+def test_shaft_enters_the_punctured_layer_gradually():
+    law = Tissue((bovine_liver(),))
+    depth, forces = advance(law, -1e-3, BOVINE_CAPSULE.indentation_m + 3e-3)
+    friction = np.array([force.friction_N for force in forces])
+    slope = bovine_liver().friction.sliding_N_per_m(SPEED)
+    assert np.diff(friction).max() < 0.05 * friction[-1]
+    assert friction[-1] == pytest.approx(slope * depth[-1], rel=0.03)
+
+
 def test_intact_membrane_springs_back():
     law = Tissue((bovine_liver(),))
     _, pushed = advance(law, -1e-3, 8e-3)

@@ -7,6 +7,7 @@ import pytest
 
 from groundtruth.errors import TissueError
 from groundtruth.interface import interfaces
+from groundtruth.layer import CUTTING_ONSET_M
 from groundtruth.materials import GLOVE, bovine_liver, gel
 
 
@@ -17,6 +18,13 @@ def test_tip_force_rises_to_the_exit_force(layer):
     assert force[0] == 0.0
     assert force[-1] == pytest.approx(layer.exit_force_N)
     assert (np.diff(force) > 0.0).all()
+
+
+def test_cutting_force_builds_up_within_a_needle_diameter_and_stays():
+    cutting = replace(gel(50), cutting_share=1.0)
+    assert cutting.tip_force_N(0.5 * CUTTING_ONSET_M) == pytest.approx(0.75 * cutting.exit_force_N)
+    for penetration in (CUTTING_ONSET_M, 0.01, 0.03):
+        assert cutting.tip_force_N(penetration) == pytest.approx(cutting.exit_force_N)
 
 
 @pytest.mark.parametrize("percent", [25, 50, 70])
