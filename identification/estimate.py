@@ -52,6 +52,13 @@ class LayerEstimate:
         friction_identified: Whether the data determine it.
         friction_N: Friction of this layer on the shaft at its rupture, B_i d_i v.
         friction_std_N: Its standard deviation.
+        coulomb_N_per_m: Part of the friction that does not depend on speed, per embedded length;
+            None for `paper`, which knows viscous friction only.
+        coulomb_std_N_per_m: Its standard deviation.
+        coulomb_identified: Whether the motion told it from the viscous part.
+        viscous_Ns_per_m2: Part of the friction proportional to speed, per embedded length.
+        viscous_std_Ns_per_m2: Its standard deviation.
+        viscous_identified: Whether the motion told it from the Coulomb part.
     """
 
     layer: int
@@ -68,6 +75,12 @@ class LayerEstimate:
     friction_identified: bool
     friction_N: float
     friction_std_N: float | None = None
+    coulomb_N_per_m: float | None = None
+    coulomb_std_N_per_m: float | None = None
+    coulomb_identified: bool = False
+    viscous_Ns_per_m2: float | None = None
+    viscous_std_Ns_per_m2: float | None = None
+    viscous_identified: bool = False
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

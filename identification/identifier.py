@@ -4,9 +4,13 @@ from collections.abc import Callable
 from dataclasses import dataclass, replace
 from typing import Any, NamedTuple
 
+from identification.default_config import DEFAULT, DefaultConfig
+from identification.default_report import report_default
+from identification.default_state import initial_default_state
+from identification.default_step import default_step
 from identification.errors import InvalidConfigError, InvalidSnapshotError
 from identification.estimate import Estimate, LayerEstimate
-from identification.paper_config import PAPER, PaperConfig
+from identification.paper_config import PaperConfig
 from identification.paper_report import report_paper
 from identification.paper_step import initial_paper_state, paper_step
 from identification.sample import Sample
@@ -21,6 +25,7 @@ class _Method:
 
 
 _METHODS: dict[type, _Method] = {
+    DefaultConfig: _Method(initial_default_state, default_step, report_default),
     PaperConfig: _Method(initial_paper_state, paper_step, report_paper),
 }
 
@@ -47,7 +52,7 @@ class Identifier:
     Depth grows into the tissue, speed is its rate, force is positive when tissue pushes back.
     """
 
-    def __init__(self, config: PaperConfig = PAPER) -> None:
+    def __init__(self, config: DefaultConfig | PaperConfig = DEFAULT) -> None:
         """Choose the method by its configuration.
 
         Args:

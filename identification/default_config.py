@@ -1,0 +1,77 @@
+"""Settings of this toolkit's own identification: one set for every recording."""
+
+import math
+from dataclasses import dataclass, field
+
+from identification.errors import InvalidConfigError
+from identification.sample_check import CheckConfig
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class DefaultConfig:
+    """Physical priors and wanted error rates; nothing here depends on a sensor or a tissue.
+
+    Attributes:
+        false_alarm_interval_s: Wanted mean time between false alarms: ten hours of insertion.
+        noise_memory_s: How far back the noise is learned; an insertion's noise may change.
+        block_s: Length of the detector's blocks: an eighth of the delay wanted.
+        rest_speed_m_s: Slower than this the needle rests; ruptures need travel.
+        expected_share: Share of the threshold at which a rupture is expected.
+        track_step_m: Travel between kept points; a release of 0.1 mm still spans a few.
+        presliding_m: Travel over which friction turns after a reversal: gel clings for a fifth,
+            soft tissue for half a millimetre.
+        cutting_onset_m: Travel over which the cutting force of a fresh layer builds up: about a
+            needle diameter (18G: 1.27 mm).
+        cutting_reach_m: Standard deviation of that force, as the travel over which the layer's
+            growing force reaches as much: twice the needle's diameter.
+        first_look_m: Travel after a rupture at which its friction is first identified (the
+            published k_v).
+        second_look_m: Travel at which it is identified for good.
+        model_error_share: Relative error of a linear law, correlated over `model_error_m`.
+        model_error_m: Travel over which the error of the linear law stays the same.
+        friction_share: Share of friction in a layer's growing force before anything is known.
+        friction_share_std: Its standard deviation.
+        coulomb_share: Share of Coulomb friction at the speed of insertion before the motion
+            tells: 0.4 in gels, 0.6 in liver.
+        coulomb_share_std: Its standard deviation.
+        check: Limits of a believable sample.
+    """
+
+    false_alarm_interval_s: float = 36_000.0
+    noise_memory_s: float = 4.0
+    block_s: float = 5e-3
+    rest_speed_m_s: float = 1e-4
+    expected_share: float = 0.6
+    track_step_m: float = 2e-5
+    presliding_m: float = 0.3e-3
+    cutting_onset_m: float = 1e-3
+    cutting_reach_m: float = 2e-3
+    first_look_m: float = 1e-3
+    second_look_m: float = 3e-3
+    model_error_share: float = 0.03
+    model_error_m: float = 5e-3
+    friction_share: float = 0.5
+    friction_share_std: float = 0.2
+    coulomb_share: float = 0.5
+    coulomb_share_std: float = 0.2
+    check: CheckConfig = field(default_factory=CheckConfig)
+
+    def __post_init__(self) -> None:
+        """Check the figures.
+
+        Raises:
+            InvalidConfigError: A figure is not positive and finite, or the looks are unordered.
+        """
+        for name in self.__slots__:
+            value = getattr(self, name)
+            if name != "check" and not (math.isfinite(value) and value > 0):
+                raise InvalidConfigError(f"{name} must be positive and finite, got {value}")
+        if self.second_look_m <= self.first_look_m:
+            raise InvalidConfigError(
+                f"second_look_m ({self.second_look_m}) must exceed first_look_m "
+                f"({self.first_look_m})"
+            )
+
+
+DEFAULT = DefaultConfig()
+"""The one configuration for simulated and real, F/T and virtual sensors."""

@@ -1,0 +1,133 @@
+"""Memory of this toolkit's own identification between two samples."""
+
+from typing import NamedTuple
+
+import numpy as np
+
+from identification.baseline import Baseline
+from identification.block import EMPTY, BlockSums
+from identification.estimate import LayerEstimate, Rupture
+from identification.kink_detector import DetectorState, initial_detector
+from identification.layer_model import Information, LayerFit, layer_fit, no_information
+from identification.rupture_state import RuptureState
+from identification.track import Track, initial_track
+
+
+class LayerData(NamedTuple):
+    """What has been gathered about the layer the tip is in.
+
+    Attributes:
+        start_m: Depth at which it begins.
+        prior: What was known of C and V when it began.
+        data: Normal equations of the points inside it.
+        points: Number of those points.
+    """
+
+    start_m: float
+    prior: Information
+    data: Information
+    points: int = 0
+
+
+class Traversed(NamedTuple):
+    """Friction of one traversed layer, for the way out.
+
+    Attributes:
+        start_m: Depth at which it begins.
+        thickness_m: Its thickness.
+        coulomb_N: c d.
+        viscous: b d [N/(mm/s)].
+    """
+
+    start_m: float
+    thickness_m: float
+    coulomb_N: float
+    viscous: float
+
+
+class Pending(NamedTuple):
+    """A rupture whose force drop is being measured.
+
+    Attributes:
+        rupture: The alarm.
+        left: The layer left, as it was at the alarm.
+        left_fit: Its fit at the alarm.
+        is_closed: Whether a first look has already identified it.
+    """
+
+    rupture: Rupture
+    left: LayerData
+    left_fit: LayerFit
+    is_closed: bool = False
+
+
+class DefaultState(NamedTuple):
+    """Immutable state of `default_step`.
+
+    Attributes:
+        blocks: Block being filled.
+        bristle: Presliding deflection.
+        depth_m: Last depth, None at the start.
+        deepest_m: Deepest point so far.
+        baseline: Force in free air.
+        detector: Kink detector.
+        track: Recent past.
+        in_contact: The first layer has been met.
+        layer: Current layer.
+        fit: Its latest fit.
+        shaft_std_N: Standard deviation of the shaft friction at that fit.
+        pending: Rupture being measured.
+        rupture_state: State of the rupture machine.
+        layers: Layers identified so far.
+        traversed: Their friction, for the way out.
+        rupture: Raised by this sample.
+        compensated: Identified at this sample.
+    """
+
+    blocks: BlockSums
+    bristle: float
+    depth_m: float | None
+    deepest_m: float
+    baseline: Baseline
+    detector: DetectorState
+    track: Track
+    in_contact: bool
+    layer: LayerData
+    fit: LayerFit
+    shaft_std_N: float
+    pending: Pending | None
+    rupture_state: RuptureState
+    layers: tuple[LayerEstimate, ...]
+    traversed: tuple[Traversed, ...]
+    rupture: Rupture | None
+    compensated: LayerEstimate | None
+
+
+def untouched_layer(start_m: float) -> LayerData:
+    """First layer, met at `start_m`: no friction has been gathered before it."""
+    certain = np.zeros((6, 6))
+    certain[0, 0] = certain[1, 1] = 1e8
+    return LayerData(start_m, Information(certain, np.zeros(6)), no_information())
+
+
+def initial_default_state(_config: object) -> DefaultState:
+    """State before the first sample."""
+    return DefaultState(
+        blocks=EMPTY,
+        bristle=0.0,
+        depth_m=None,
+        deepest_m=float("-inf"),
+        baseline=Baseline(),
+        detector=initial_detector(),
+        track=initial_track(),
+        in_contact=False,
+        layer=untouched_layer(0.0),
+        fit=layer_fit(np.zeros(6), np.zeros((6, 6))),
+        shaft_std_N=0.0,
+        pending=None,
+        rupture_state=RuptureState.NO_RUPTURE,
+        layers=(),
+        traversed=(),
+        rupture=None,
+        compensated=None,
+    )

@@ -1,0 +1,74 @@
+"""One sample through this toolkit's own identification."""
+
+from identification.block import Block, block_step
+from identification.contact import free_air_step, lose_contact
+from identification.default_config import DefaultConfig
+from identification.default_state import DefaultState
+from identification.kink_detector import detector_step, restart_detector
+from identification.layer_step import layer_step
+from identification.presliding import bristle_step
+from identification.rupture_state import MUTED, RuptureState, next_rupture_state
+from identification.rupture_step import measure_rupture, raise_rupture
+from identification.sample import Sample
+from identification.track import track_step
+
+_CHANNEL_M = 2e-4
+
+
+def default_step(state: DefaultState, sample: Sample, config: DefaultConfig) -> DefaultState:
+    """Absorb one sample: presliding at every sample, everything else once per block."""
+    last = sample.depth_m if state.depth_m is None else state.depth_m
+    bristle = bristle_step(state.bristle, sample.depth_m - last, config.presliding_m)
+    sums, block = block_step(state.blocks, sample, bristle, config.block_s)
+    deepest = max(state.deepest_m, sample.depth_m)
+    state = state._replace(
+        blocks=sums,
+        bristle=bristle,
+        depth_m=sample.depth_m,
+        deepest_m=deepest,
+        rupture=None,
+        compensated=None,
+    )
+    if block is None:
+        return state
+    if block.dt_s > 10.0 * config.block_s and block.dt_s > config.check.gap_s:
+        return state._replace(detector=restart_detector(state.detector))
+    if not state.in_contact:
+        return free_air_step(state, block, config)
+    is_cutting = block.speed_m_s > config.rest_speed_m_s and block.depth_m > deepest - _CHANNEL_M
+    return _cut(state, block, config) if is_cutting else _idle(state, config)
+
+
+def _idle(state: DefaultState, config: DefaultConfig) -> DefaultState:
+    """Rest, reversal or an old channel: no rupture can happen, a pending one is settled."""
+    state = state._replace(detector=restart_detector(state.detector))
+    if state.pending is not None:
+        state = measure_rupture(state, config, is_last=True)
+    return _advance(state)
+
+
+def _cut(state: DefaultState, block: Block, config: DefaultConfig) -> DefaultState:
+    """The tip meets fresh tissue: look for a rupture, measure one, learn the layer."""
+    force = block.force_N - state.baseline.offset_N
+    block = block._replace(force_N=force)
+    track, point = track_step(state.track, block, config.track_step_m)
+    state = state._replace(track=track)
+    detector, verdict = detector_step(state.detector, block, config)
+    if state.rupture_state in MUTED:
+        detector = restart_detector(state.detector)
+    state = state._replace(detector=detector)
+    if state.rupture_state not in MUTED and verdict.fall > 1.0:
+        return raise_rupture(state, block, verdict, config)
+    if state.pending is not None and point is not None:
+        state = measure_rupture(state, config)
+    elif point is not None:
+        state = lose_contact(layer_step(state, point, config), config)
+    return _advance(state, is_expected=verdict.fall > config.expected_share)
+
+
+def _advance(state: DefaultState, *, is_expected: bool = False) -> DefaultState:
+    """Move the machine on; what raises and settles a rupture sets its own states."""
+    machine = state.rupture_state
+    if machine is RuptureState.FORCE_DROP_MEASURING or state.compensated is not None:
+        return state
+    return state._replace(rupture_state=next_rupture_state(machine, is_expected=is_expected))

@@ -1,0 +1,20 @@
+"""Presliding: how friction builds up after a reversal (Dahl 1968, shape exponent 1)."""
+
+import math
+
+
+def bristle_step(bristle: float, travel_m: float, presliding_m: float) -> float:
+    """Advance the deflection of the tissue clinging to the shaft by one step of travel.
+
+    Exact solution of dw/dx = (sign(dx) - w) / presliding: two half steps equal one, and the
+    deflection never leaves [-1, 1]. Coulomb friction is its limit for a short `presliding_m`.
+
+    Args:
+        bristle: Deflection before, -1 to 1.
+        travel_m: Signed travel; none leaves the deflection, so friction holds at rest.
+        presliding_m: Travel over which 63 % of a reversal is done.
+    """
+    if travel_m == 0.0:
+        return bristle
+    target = math.copysign(1.0, travel_m)
+    return target + (bristle - target) * math.exp(-abs(travel_m) / presliding_m)

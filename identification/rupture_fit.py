@@ -1,0 +1,166 @@
+"""Force on both sides of a rupture, extrapolated to the same instant."""
+
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from identification.default_config import DefaultConfig
+from identification.layer_model import cutting_onset
+from identification.track import BLOCKS, DEPTH, FORCE, SPEED
+
+_BEFORE_M = 2e-3
+_LEAST_POINTS = 4
+_AGREEMENT = 2.5
+_CHUNK = 4
+
+
+class RuptureFit(NamedTuple):
+    """Axial force just before and just after a rupture.
+
+    Attributes:
+        before_N: Force at t_r, extrapolated from before.
+        before_var: Its variance [N^2].
+        after_N: Force at t_r without the tip force of the layer left, extrapolated from after the
+            release; the next layer's push is taken out.
+        after_var: Its variance [N^2].
+    """
+
+    before_N: float
+    before_var: float
+    after_N: float
+    after_var: float
+
+    @property
+    def drop_N(self) -> float:
+        """Elastic force released, equation (10) with both forces at the same instant."""
+        return self.before_N - self.after_N
+
+    @property
+    def drop_std_N(self) -> float:
+        """Standard deviation of the drop."""
+        return float(np.sqrt(self.before_var + self.after_var))
+
+
+def _before(
+    points: NDArray[np.float64], depth_m: float, noise_N2: float
+) -> tuple[float, float] | None:
+    reach = points[:, DEPTH] - depth_m
+    side = points[(reach > -_BEFORE_M) & (reach < 0.0)]
+    if len(side) < 2:
+        return None
+    offset = 1e3 * (side[:, DEPTH] - depth_m)
+    columns = np.column_stack([np.ones_like(offset), offset])[:, : 2 if len(side) > 3 else 1]
+    weight = side[:, BLOCKS] / noise_N2
+    normal = columns.T @ (columns * weight[:, None])
+    covariance = np.linalg.inv(normal + 1e-9 * np.eye(len(normal)))
+    solution = covariance @ (columns.T @ (weight * side[:, FORCE]))
+    return float(solution[0]), float(covariance[0, 0])
+
+
+def _columns(
+    side: NDArray[np.float64], depth_m: float, speed_m_s: float, config: DefaultConfig
+) -> NDArray[np.float64]:
+    """Friction at the rupture's speed, cutting force of the next layer, its slope."""
+    reach = side[:, DEPTH] - depth_m
+    share = config.coulomb_share
+    friction = share + (1.0 - share) * side[:, SPEED] / max(speed_m_s, 1e-6)
+    onset = np.array([cutting_onset(x, config.cutting_onset_m) for x in reach])
+    return np.column_stack([friction, onset, 1e3 * reach])
+
+
+def _solve(
+    columns: NDArray[np.float64],
+    force: NDArray[np.float64],
+    weight: NDArray[np.float64],
+    cutting_var: float,
+) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    """Weighted least squares, cutting force small by prior and never negative."""
+    normal = columns.T @ (columns * weight[:, None]) + np.diag([1e-9, 1.0 / cutting_var, 1e-9])
+    target = columns.T @ (weight * force)
+    covariance = np.linalg.inv(normal)
+    solution = covariance @ target
+    if solution[1] < 0.0:
+        kept = [0, 2]
+        inner = np.linalg.inv(normal[np.ix_(kept, kept)])
+        part = inner @ target[kept]
+        solution = np.array([part[0], 0.0, part[1]])
+    return solution, covariance
+
+
+def _cutting_variance(
+    columns: NDArray[np.float64],
+    force: NDArray[np.float64],
+    weight: NDArray[np.float64],
+    config: DefaultConfig,
+) -> float:
+    """Prior variance of the next layer's cutting force, from how fast its force grows.
+
+    A layer that hardly pushes back hardly resists cutting either; free air does neither.
+    """
+    half = len(force) // 2
+    line = columns[half:, [0, 2]]
+    normal = line.T @ (line * weight[half:, None]) + 1e-9 * np.eye(2)
+    covariance = np.linalg.inv(normal)
+    slope = float((covariance @ (line.T @ (weight[half:] * force[half:])))[1])
+    reach = 1e3 * config.cutting_reach_m
+    largest = max(slope, 0.0) + float(np.sqrt(covariance[1, 1]))
+    return max(reach * largest, 1e-6) ** 2
+
+
+def _after(
+    points: NDArray[np.float64],
+    depth_m: float,
+    speed_m_s: float,
+    noise_N2: float,
+    config: DefaultConfig,
+) -> tuple[float, float] | None:
+    """Grow the window back towards the rupture as long as the points agree with the fit."""
+    side = points[points[:, DEPTH] > depth_m]
+    if len(side) < _LEAST_POINTS:
+        return None
+    columns = _columns(side, depth_m, speed_m_s, config)
+    force, weight = side[:, FORCE], side[:, BLOCKS] / noise_N2
+    cutting_var = _cutting_variance(columns, force, weight, config)
+    start = max(len(side) - max(_LEAST_POINTS, int(0.5 * len(side))), 0)
+    while True:
+        solution, covariance = _solve(columns[start:], force[start:], weight[start:], cutting_var)
+        if start == 0:
+            break
+        chunk = slice(max(start - _CHUNK, 0), start)
+        mean = np.average(columns[chunk], axis=0, weights=weight[chunk])
+        surprise = np.average(force[chunk], weights=weight[chunk]) - mean @ solution
+        variance = mean @ covariance @ mean + 1.0 / np.sum(weight[chunk])
+        if abs(surprise) > _AGREEMENT * np.sqrt(variance):
+            break
+        start = chunk.start
+    return float(solution[0]), float(covariance[0, 0])
+
+
+def fit_rupture(
+    points: NDArray[np.float64],
+    depth_m: float,
+    speed_m_s: float,
+    noise_N2: float,
+    config: DefaultConfig,
+) -> RuptureFit | None:
+    """Measure the force drop of a rupture from the track around it.
+
+    Args:
+        points: Track points, see `track`.
+        depth_m: Depth of the rupture.
+        speed_m_s: Speed at the rupture.
+        noise_N2: Long-run variance of one block.
+        config: Settings.
+
+    Returns:
+        Both forces with variances, or None while too few points are at hand.
+    """
+    noise = max(noise_N2, 1e-12)
+    before = _before(points, depth_m, noise)
+    if before is None:
+        return None
+    after = _after(points, depth_m, speed_m_s, noise, config)
+    if after is None:
+        return None
+    return RuptureFit(*before, *after)

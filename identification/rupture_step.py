@@ -1,0 +1,147 @@
+"""From alarm to compensation."""
+
+import math
+
+import numpy as np
+
+from identification.block import Block
+from identification.change_point import blocks_since_kink
+from identification.default_config import DefaultConfig
+from identification.default_state import DefaultState, Pending
+from identification.estimate import Rupture
+from identification.kink_detector import Verdict, block_noise_N2, restart_detector
+from identification.kink_kernels import kink_kernels
+from identification.layer_close import ClosedLayer, close_layer
+from identification.layer_model import (
+    MM,
+    OWN_COULOMB,
+    OWN_VISCOUS,
+    layer_fit,
+    no_information,
+)
+from identification.rupture_fit import fit_rupture
+from identification.rupture_state import RuptureState
+from identification.track import DEPTH
+
+_SIGNIFICANT = 3.0
+"""Standard deviations a drop must have to be believed at the first look."""
+_REAL = 1.0
+"""The same at the last look: the alarm itself was significant, only a fall that has been made good
+again is no rupture."""
+
+
+def raise_rupture(
+    state: DefaultState, block: Block, verdict: Verdict, config: DefaultConfig
+) -> DefaultState:
+    """An alarm: date the rupture, set the layer left aside, begin the next."""
+    if state.pending is not None:
+        state = measure_rupture(state, config, is_last=True)
+    rupture = _date(state, block, verdict)
+    left, fit = state.layer, state.fit
+    thickness = MM * max(rupture.depth_m - left.start_m, 0.0)
+    values = np.zeros(6)
+    values[0] = fit.values[0] + thickness * fit.values[OWN_COULOMB]
+    values[1] = fit.values[1] + thickness * fit.values[OWN_VISCOUS]
+    layer = left._replace(start_m=rupture.depth_m, data=no_information(), points=0)
+    return state._replace(
+        detector=restart_detector(state.detector),
+        layer=layer,
+        fit=layer_fit(values, np.zeros((6, 6))),
+        pending=Pending(rupture, left, fit),
+        rupture_state=RuptureState.DETECTED,
+        rupture=rupture,
+    )
+
+
+def _date(state: DefaultState, block: Block, verdict: Verdict) -> Rupture:
+    kernels, detector = kink_kernels(), state.detector
+    span = int(kernels.spans[list(kernels.scales).index(verdict.scale)])
+    since = blocks_since_kink(detector.force_N[-span:], -1.0)
+    travel = float(np.sum(detector.speed_m_s[-since:])) * block.dt_s
+    depth = max(block.depth_m - travel, state.layer.start_m)
+    chance = math.erfc(verdict.deviations / math.sqrt(2.0))
+    return Rupture(
+        layer=len(state.layers) + 1,
+        alarm_s=block.time_s,
+        alarm_depth_m=block.depth_m,
+        time_s=block.time_s - since * block.dt_s,
+        depth_m=depth,
+        force_N=float(detector.force_N[-1 - since]),
+        speed_m_s=float(detector.speed_m_s[-1 - since]),
+        confidence=1.0 - chance,
+    )
+
+
+def measure_rupture(
+    state: DefaultState, config: DefaultConfig, *, is_last: bool = False
+) -> DefaultState:
+    """Look at the force drop: once early, once for good; dismiss what is no drop after all."""
+    pending = state.pending
+    if pending is None or len(state.track.points) == 0:
+        return state
+    travel = float(state.track.points[-1, DEPTH]) - pending.rupture.depth_m
+    is_final = is_last or travel >= config.second_look_m
+    if not is_final and (pending.is_closed or travel < config.first_look_m):
+        return state._replace(rupture_state=_waiting(state))
+    closed = _close(state, pending, config, is_final)
+    if closed is not None:
+        return _accept(state, pending, closed, is_final)
+    if not is_final:
+        return state._replace(rupture_state=_waiting(state))
+    if pending.is_closed:
+        return state._replace(pending=None)
+    return _dismiss(state, pending)
+
+
+def _waiting(state: DefaultState) -> RuptureState:
+    pending = state.pending
+    if pending is not None and not pending.is_closed:
+        return RuptureState.FORCE_DROP_MEASURING
+    return state.rupture_state
+
+
+def _close(
+    state: DefaultState, pending: Pending, config: DefaultConfig, is_final: bool
+) -> ClosedLayer | None:
+    rupture = pending.rupture
+    measured = fit_rupture(
+        state.track.points,
+        rupture.depth_m,
+        rupture.speed_m_s,
+        block_noise_N2(state.detector),
+        config,
+    )
+    needed = _REAL if is_final else _SIGNIFICANT
+    if measured is None or measured.drop_N < needed * measured.drop_std_N:
+        return None
+    return close_layer(pending.left, rupture, measured, state.baseline.variance, config)
+
+
+def _accept(
+    state: DefaultState, pending: Pending, closed: ClosedLayer, is_final: bool
+) -> DefaultState:
+    keep = len(state.layers) - pending.is_closed
+    layers = (*state.layers[:keep], closed.estimate)
+    traversed = (*state.traversed[:keep], closed.traversed)
+    machine = state.rupture_state if pending.is_closed else RuptureState.COMPENSATED
+    row = closed.next_fit.covariance
+    return state._replace(
+        layer=closed.next_layer,
+        fit=closed.next_fit,
+        shaft_std_N=math.sqrt(max(float(row[0, 0]), 0.0)),
+        pending=None if is_final else pending._replace(is_closed=True),
+        rupture_state=machine,
+        layers=layers,
+        traversed=traversed,
+        compensated=closed.estimate,
+    )
+
+
+def _dismiss(state: DefaultState, pending: Pending) -> DefaultState:
+    """The force came back: no layer was left."""
+    return state._replace(
+        layer=pending.left,
+        fit=pending.left_fit,
+        pending=None,
+        rupture_state=RuptureState.NO_RUPTURE,
+    )
