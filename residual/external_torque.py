@@ -7,6 +7,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from residual.errors import SampleError
 from residual.momentum_observer import MomentumObserver
+from residual.noise_probe import NoiseProbe
 from residual.sensor_config import SensorConfig
 from residual.velocity_estimator import VelocityEstimator
 from urdf import Robot
@@ -59,6 +60,7 @@ class ExternalTorqueEstimator:
             friction=config.friction,
             max_gap_s=config.max_gap_s,
         )
+        self._probe = NoiseProbe(robot.nv) if config.smooth_momentum else None
         self._max_gap_s = config.max_gap_s
         self._settling_s = self.SETTLING_LAGS / config.gain_per_s
         self._age_s = 0.0
@@ -86,7 +88,8 @@ class ExternalTorqueEstimator:
         q, dq = np.asarray(q, dtype=np.float64), np.asarray(dq, dtype=np.float64)
         residual = self._observer.update(q, dq, tau, dt_s)
         self._grow_older(dt_s)
-        return TorqueSample(q, dq, residual, self._age_s >= self._settling_s)
+        self._learn_noise(dq, 1.0)
+        return TorqueSample(q, dq, residual, self._settled)
 
     def _update_without_velocity(
         self, velocity: VelocityEstimator, q: ArrayLike, tau: ArrayLike, dt_s: float
@@ -99,7 +102,20 @@ class ExternalTorqueEstimator:
         residual = self._observer.update(sample.q, sample.dq, sample.tau, self._unread_s)
         self._grow_older(self._unread_s)
         self._unread_s = 0.0
-        return TorqueSample(sample.q, sample.dq, residual, self._age_s >= self._settling_s)
+        self._learn_noise(np.asarray(q, dtype=np.float64), velocity.noise_per_position_noise(dt_s))
+        return TorqueSample(sample.q, sample.dq, residual, self._settled)
+
+    @property
+    def _settled(self) -> bool:
+        return self._probe is None and self._age_s >= self._settling_s
+
+    def _learn_noise(self, signal: NDArray[np.float64], factor: float) -> None:
+        """Learn the velocity's noise from the first samples, then quieten the momentum."""
+        if self._probe is not None:
+            noise = self._probe.add(signal)
+            if noise is not None:
+                self._observer.smooth_momentum(factor * noise)
+                self._probe = None
 
     def _grow_older(self, dt_s: float) -> None:
         self._age_s = 0.0 if dt_s > self._max_gap_s else self._age_s + dt_s

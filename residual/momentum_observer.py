@@ -8,10 +8,15 @@ from numpy.typing import ArrayLike, NDArray
 
 from residual.errors import ConfigurationError, SampleError
 from residual.joint_friction import FrictionModel
+from residual.momentum_smoother import smoothing_step
 from residual.momentum_step import ROWS, Alignment, step_coefficients
 from residual.momentum_terms import MomentumTerms
 from residual.sample_check import check_interval, check_joint_vector
 from urdf import Robot
+
+
+_LEAST_MOMENTUM_NOISE = 1e-9
+"""Keeps the smoother's ratios finite for a signal without noise [kg m^2/s]."""
 
 
 class MomentumState(NamedTuple):
@@ -93,6 +98,7 @@ class MomentumObserver:
         self._spare = 0
         self._seated = False
         self._dt_s = math.nan
+        self._noise: NDArray[np.float64] | None = None
         self._coefficients: tuple[NDArray[np.float64], NDArray[np.float64]] | None = None
 
     @property
@@ -133,6 +139,9 @@ class MomentumObserver:
         residual_row, momentum, coriolis, gravity, torque = self._slots[self._spare]
         self._terms.write(q, dq, momentum, coriolis, gravity)
         torque[:] = tau
+        if self._noise is not None and self._seated and dt_s <= self._max_gap_s:
+            before = self._slots[1 - self._spare][1]
+            momentum[:] = smoothing_step(before, momentum, self._noise, dt_s)
         residual = self._advance(dt_s)
         if not math.isfinite(residual.dot(residual)):
             self._refuse(q, dq, tau)
@@ -141,6 +150,17 @@ class MomentumObserver:
         self._seated = True
         residual.setflags(write=False)
         return residual
+
+    def smooth_momentum(self, velocity_noise_rad_s: NDArray[np.float64]) -> None:
+        """From now on quieten the momentum of an arm that hardly accelerates.
+
+        See `residual.momentum_smoother`. Joints whose velocity has no noise pass untouched.
+
+        Args:
+            velocity_noise_rad_s: Standard deviation of ``dq`` per joint [rad/s], shape (n,).
+        """
+        variance = self._terms.momentum_variance(velocity_noise_rad_s)
+        self._noise = np.sqrt(variance) + _LEAST_MOMENTUM_NOISE
 
     def _advance(self, dt_s: float) -> NDArray[np.float64]:
         """Residual after the tick, from the rows in place."""

@@ -18,6 +18,8 @@ class SensorConfig:
         alignment: How torque fills a tick: ``trapezoid`` for a sampled sensor, ``hold`` for a
             command held until the next sample.
         velocity_bandwidth_per_s: Of the velocity estimate used when ``dq`` is None [1/s].
+        smooth_momentum: Quieten the momentum of an arm that hardly accelerates, see
+            `residual.momentum_smoother`.
         friction: Joint friction between torque sensor and link, if any is modelled.
         mode: What is assumed of the contact.
         weighting: ``covariance``: by what the tare has learnt of each joint; ``none``: the plain
@@ -36,9 +38,10 @@ class SensorConfig:
         ConfigurationError: For numbers that are not positive.
     """
 
-    gain_per_s: float = 50.0
+    gain_per_s: float = 70.0
     alignment: Alignment = "trapezoid"
     velocity_bandwidth_per_s: float = 200.0
+    smooth_momentum: bool = True
     friction: FrictionModel | None = None
     mode: Mode = "axial"
     weighting: Weighting = "covariance"
@@ -65,6 +68,7 @@ DEFAULT = SensorConfig()
 
 PAPER = SensorConfig(
     gain_per_s=5.0,
+    smooth_momentum=False,
     mode="full",
     weighting="none",
     expected_force_N=None,

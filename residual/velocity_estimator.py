@@ -1,5 +1,6 @@
 """Joint velocity when the robot sends none, with torque delayed to match."""
 
+import math
 from typing import NamedTuple
 
 import numpy as np
@@ -65,6 +66,10 @@ class VelocityEstimator:
     def delay_s(self) -> float:
         """Common delay of position, velocity and torque [s]."""
         return 2.0 / self._bandwidth
+
+    def noise_per_position_noise(self, dt_s: float) -> float:
+        """Velocity noise [rad/s] per rad of white position noise at a sample period [s]."""
+        return math.sqrt(dt_s * self._bandwidth**3 / 4.0)
 
     def update(self, q: ArrayLike, tau: ArrayLike, dt_s: float) -> MatchedSample:
         """Take one sample of position [rad] and torque [Nm], each (n,).

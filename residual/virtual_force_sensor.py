@@ -83,6 +83,8 @@ class VirtualForceSensor:
                 self._robot, self._config, has_velocity=dq is not None
             )
         try:
+            if self._last is not None:
+                check_interval(dt_s)
             sample = self._torque.update(q, dq, tau, dt_s + self._missed_s)
         except SampleError as error:
             return self._skip(dt_s, str(error))
@@ -172,7 +174,9 @@ class VirtualForceSensor:
         if lag_s > 0.0:
             # One more lag of the same length: what it still misses is about what ours missed.
             self._slow_axial_N += behind * -math.expm1(-dt_s / lag_s)
-        std = math.hypot(estimate.axial_std, behind)
+        # Only what stands out of the noise counts as a change that the lag may hide.
+        variance = estimate.axial_std**2
+        std = math.sqrt(variance + max(0.0, behind**2 - 4.0 * variance))
         if not settled:
             return estimate._replace(
                 axial_std=std, status=Status.SETTLING, message="the filters have just started"
