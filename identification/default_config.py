@@ -31,9 +31,9 @@ class DefaultConfig:
         model_error_m: Travel over which the error of the linear law stays the same.
         friction_share: Share of friction in a layer's growing force before anything is known.
         friction_share_std: Its standard deviation.
-        coulomb_share: Share of Coulomb friction at the speed of insertion before the motion
-            tells: 0.4 in gels, 0.6 in liver.
-        coulomb_share_std: Its standard deviation.
+        coulomb_speed_m_s: Speed at which Coulomb and viscous friction are equal, before the motion
+            tells: 1.5 mm/s in gels (Table I at two speeds), 7.5 mm/s in liver; their middle.
+        coulomb_speed_factor: Factor by which that speed may differ, one standard deviation.
         check: Limits of a believable sample.
     """
 
@@ -52,8 +52,8 @@ class DefaultConfig:
     model_error_m: float = 5e-3
     friction_share: float = 0.5
     friction_share_std: float = 0.2
-    coulomb_share: float = 0.5
-    coulomb_share_std: float = 0.2
+    coulomb_speed_m_s: float = 3.4e-3
+    coulomb_speed_factor: float = 2.2
     check: CheckConfig = field(default_factory=CheckConfig)
 
     def __post_init__(self) -> None:
@@ -71,6 +71,15 @@ class DefaultConfig:
                 f"second_look_m ({self.second_look_m}) must exceed first_look_m "
                 f"({self.first_look_m})"
             )
+
+    def coulomb_share(self, speed_m_s: float) -> float:
+        """Share of Coulomb friction at a speed, before the motion tells."""
+        return self.coulomb_speed_m_s / (self.coulomb_speed_m_s + abs(speed_m_s))
+
+    def coulomb_share_std(self, speed_m_s: float) -> float:
+        """Standard deviation of that share."""
+        share = self.coulomb_share(speed_m_s)
+        return share * (1.0 - share) * math.log(self.coulomb_speed_factor)
 
 
 DEFAULT = DefaultConfig()

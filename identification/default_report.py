@@ -38,7 +38,7 @@ def report_default(
     usual = MM * state.layers[-1].rupture.speed_m_s if state.layers else speed
     d = MM * (fit[COULOMB] / usual + fit[VISCOUS])
     d_var = spread.coulomb / usual**2 + 2.0 * spread.both / usual + spread.viscous
-    depth = max(sample.depth_m - state.layer.start_m, 0.0)
+    tip = max(sample.depth_m - state.layer.tip_m, 0.0)
     return Estimate(
         time_s=sample.time_s,
         status=status,
@@ -49,7 +49,7 @@ def report_default(
         tip_force_N=force - friction.earlier_N - friction.own_N,
         shaft_friction_N=friction.earlier_N + friction.own_N,
         shaft_friction_std_N=state.shaft_std_N,
-        predicted_force_N=friction.earlier_N + friction.own_N + k * depth,
+        predicted_force_N=friction.earlier_N + friction.own_N + k * tip,
         stiffness_N_per_m=k,
         stiffness_std_N_per_m=k_std,
         stiffness_identified=state.in_contact and is_identified(k, k_std),

@@ -17,13 +17,15 @@ class LayerData(NamedTuple):
     """What has been gathered about the layer the tip is in.
 
     Attributes:
-        start_m: Depth at which it begins.
+        start_m: Depth at which it begins: from here on it rubs along the shaft.
+        tip_m: Depth from which on it resists the tip: `start_m`, or its membrane's puncture.
         prior: What was known of C and V when it began.
         data: Normal equations of the points inside it.
         points: Number of those points.
     """
 
     start_m: float
+    tip_m: float
     prior: Information
     data: Information
     points: int = 0
@@ -107,7 +109,7 @@ def untouched_layer(start_m: float) -> LayerData:
     """First layer, met at `start_m`: no friction has been gathered before it."""
     certain = np.zeros((6, 6))
     certain[0, 0] = certain[1, 1] = 1e8
-    return LayerData(start_m, Information(certain, np.zeros(6)), no_information())
+    return LayerData(start_m, start_m, Information(certain, np.zeros(6)), no_information())
 
 
 def initial_default_state(_config: object) -> DefaultState:

@@ -5,7 +5,7 @@ from identification.contact import free_air_step, lose_contact
 from identification.default_config import DefaultConfig
 from identification.default_state import DefaultState
 from identification.kink_detector import detector_step, restart_detector
-from identification.layer_step import layer_step
+from identification.layer_step import layer_step, refit
 from identification.presliding import bristle_step
 from identification.rupture_state import MUTED, RuptureState, next_rupture_state
 from identification.rupture_step import measure_rupture, raise_rupture
@@ -41,7 +41,10 @@ def default_step(state: DefaultState, sample: Sample, config: DefaultConfig) -> 
 
 def _idle(state: DefaultState, config: DefaultConfig) -> DefaultState:
     """Rest, reversal or an old channel: no rupture can happen, a pending one is settled."""
+    is_new = state.detector.filled > 0
     state = state._replace(detector=restart_detector(state.detector))
+    if is_new and state.pending is None and state.layer.points > 0:
+        state = refit(state, state.track.points[-1], config)
     if state.pending is not None:
         state = measure_rupture(state, config, is_last=True)
     return _advance(state)

@@ -8,6 +8,7 @@ from numpy.typing import NDArray
 from identification.default_config import DefaultConfig
 from identification.default_state import LayerData, Traversed
 from identification.estimate import LayerEstimate, Rupture
+from identification.layer_ending import LayerEnding
 from identification.layer_model import (
     MM,
     OWN_COULOMB,
@@ -22,7 +23,6 @@ from identification.layer_model import (
     solve_layer,
 )
 from identification.layer_prior import add_layer_prior
-from identification.rupture_fit import RuptureFit
 
 _DROP_ERROR_SHARE = 0.01
 _IDENTIFIED_SHARE = 0.25
@@ -47,7 +47,7 @@ class ClosedLayer(NamedTuple):
 def close_layer(
     left: LayerData,
     rupture: Rupture,
-    measured: RuptureFit,
+    ending: LayerEnding,
     bias_var: float,
     config: DefaultConfig,
 ) -> ClosedLayer:
@@ -60,22 +60,25 @@ def close_layer(
     Args:
         left: Data of the layer.
         rupture: Its end.
-        measured: Forces on both sides.
+        ending: Forces on both sides of the rupture.
         bias_var: Variance of the sensor's slow error [N^2].
         config: Settings.
     """
-    thickness = max(rupture.depth_m - left.start_m, config.track_step_m)
-    before = model_row(thickness, rupture.speed_m_s, 1.0, config.cutting_onset_m)
+    thickness = max(ending.boundary_m - left.start_m, config.track_step_m)
+    tip = max(ending.boundary_m - left.tip_m, config.track_step_m)
+    before = model_row(thickness, tip, rupture.speed_m_s, 1.0, config.cutting_onset_m)
     after = before.copy()
     after[[2, STIFFNESS]] = 0.0
-    own = measured.before_N - _earlier_N(left, before)
-    known = Information(left.prior.matrix + left.data.matrix, left.prior.vector + left.data.vector)
+    own = ending.before_N - _earlier_N(left, before)
+    known = left.prior
+    if not ending.has_membrane:  # else its spring is in the data
+        known = Information(known.matrix + left.data.matrix, known.vector + left.data.vector)
     known = add_layer_prior(known, own, thickness, rupture.speed_m_s, config)
-    known = add_row(known, before, measured.before_N, measured.before_var + bias_var)
-    law = (_DROP_ERROR_SHARE * measured.drop_N) ** 2
-    known = add_row(known, after, measured.after_N, measured.after_var + bias_var + law)
+    known = add_row(known, before, ending.before_N, ending.before_var + bias_var)
+    law = (_DROP_ERROR_SHARE * ending.drop_N) ** 2
+    known = add_row(known, after, ending.after_N, ending.after_var + bias_var + law)
     fit = solve_layer(known)
-    return _hand_over(left, rupture, measured, fit, thickness)
+    return _hand_over(left, rupture, ending, fit, thickness, config)
 
 
 def _earlier_N(left: LayerData, row: NDArray[np.float64]) -> float:
@@ -85,7 +88,12 @@ def _earlier_N(left: LayerData, row: NDArray[np.float64]) -> float:
 
 
 def _hand_over(
-    left: LayerData, rupture: Rupture, measured: RuptureFit, fit: LayerFit, thickness_m: float
+    left: LayerData,
+    rupture: Rupture,
+    ending: LayerEnding,
+    fit: LayerFit,
+    thickness_m: float,
+    config: DefaultConfig,
 ) -> ClosedLayer:
     depth = MM * thickness_m
     carry = np.zeros((2, 6))
@@ -98,21 +106,32 @@ def _hand_over(
     vector[:2] = prior[:2, :2] @ cumulative
     next_values, next_covariance = np.zeros(6), np.zeros((6, 6))
     next_values[:2], next_covariance[:2, :2] = cumulative, covariance
+    next_values[STIFFNESS:] = _guess(ending.next_slope_N_per_mm, rupture.speed_m_s, config)
     return ClosedLayer(
-        _estimate(left, rupture, measured, fit, thickness_m),
+        _estimate(left, rupture, ending, fit, thickness_m),
         Traversed(
             left.start_m,
             thickness_m,
             depth * fit.values[OWN_COULOMB],
             depth * fit.values[OWN_VISCOUS],
         ),
-        LayerData(rupture.depth_m, Information(prior, vector), no_information()),
+        LayerData(ending.boundary_m, rupture.depth_m, Information(prior, vector), no_information()),
         layer_fit(next_values, next_covariance),
     )
 
 
+def _guess(
+    slope_N_per_mm: float, speed_m_s: float, config: DefaultConfig
+) -> tuple[float, float, float]:
+    """K, c and b a layer of that slope has by prior."""
+    friction = config.friction_share * slope_N_per_mm
+    share = config.coulomb_share(speed_m_s)
+    viscous = (1.0 - share) * friction / (MM * max(speed_m_s, config.rest_speed_m_s))
+    return slope_N_per_mm - friction, share * friction, viscous
+
+
 def _estimate(
-    left: LayerData, rupture: Rupture, measured: RuptureFit, fit: LayerFit, thickness_m: float
+    left: LayerData, rupture: Rupture, ending: LayerEnding, fit: LayerFit, thickness_m: float
 ) -> LayerEstimate:
     """Back to SI: c in N/m is 1e3 c in N/mm, b in Ns/m^2 is 1e6 b in N/(mm mm/s)."""
     values, std = np.array(fit.values), np.sqrt(np.maximum(np.diag(fit.covariance), 0.0))
@@ -130,8 +149,8 @@ def _estimate(
         start_depth_m=left.start_m,
         thickness_m=thickness_m,
         rupture=rupture,
-        force_drop_N=measured.drop_N,
-        force_drop_std_N=measured.drop_std_N,
+        force_drop_N=ending.drop_N,
+        force_drop_std_N=ending.drop_std_N,
         stiffness_N_per_m=stiffness,
         stiffness_std_N_per_m=stiffness_std,
         stiffness_identified=is_identified(stiffness, stiffness_std),

@@ -1,8 +1,10 @@
 """Force of the current layer as a linear model, fitted with priors and without negative values.
 
-Equation (3) with friction beyond viscous: f = s C + v V + F_c g(dz) + K dz + s c dz + v b dz, with
+Equation (3) with friction beyond viscous: f = s C + v V + F_c g(x) + K x + s c dz + v b dz, with
 s the presliding deflection (1 when sliding inwards), C and V the Coulomb and viscous friction of
 the layers traversed, F_c the cutting force building up over g, and K, c, b of the current layer.
+dz is the length of shaft in the layer, x the travel of the tip in it: less than dz by what a
+membrane was pushed in before its puncture.
 Lengths are in millimetres in here, so that all six unknowns are of similar size.
 """
 
@@ -87,12 +89,12 @@ def cutting_onset(layer_depth_m: float, onset_m: float) -> float:
 
 
 def model_row(
-    layer_depth_m: float, speed_m_s: float, bristle: float, onset_m: float
+    layer_depth_m: float, tip_depth_m: float, speed_m_s: float, bristle: float, onset_m: float
 ) -> NDArray[np.float64]:
     """Regressor phi, shape (6,)."""
     depth, speed = MM * max(layer_depth_m, 0.0), MM * speed_m_s
-    onset = cutting_onset(layer_depth_m, onset_m)
-    return np.array([bristle, speed, onset, depth, depth * bristle, depth * speed])
+    tip, onset = MM * max(tip_depth_m, 0.0), cutting_onset(tip_depth_m, onset_m)
+    return np.array([bristle, speed, onset, tip, depth * bristle, depth * speed])
 
 
 def add_row(

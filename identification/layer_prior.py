@@ -38,14 +38,16 @@ def add_layer_prior(
     """
     depth, speed = max(MM * layer_depth_m, 1e-3), MM * max(abs(speed_m_s), config.rest_speed_m_s)
     slope = max(own_N / depth, _LEAST_SLOPE)
-    rho, kappa = config.friction_share, config.coulomb_share
+    rho, kappa = config.friction_share, config.coulomb_share(speed / MM)
     row = np.zeros(6)
     row[STIFFNESS] = -rho
     row[OWN_COULOMB], row[OWN_VISCOUS] = 1.0 - rho, (1.0 - rho) * speed
     information = add_row(information, row, 0.0, (config.friction_share_std * slope) ** 2)
     row = np.zeros(6)
     row[OWN_COULOMB], row[OWN_VISCOUS] = 1.0 - kappa, -kappa * speed
-    information = add_row(information, row, 0.0, (config.coulomb_share_std * rho * slope) ** 2)
+    information = add_row(
+        information, row, 0.0, (config.coulomb_share_std(speed / MM) * rho * slope) ** 2
+    )
     row = np.zeros(6)
     row[CUTTING] = 1.0
     return add_row(information, row, 0.0, (MM * config.cutting_reach_m * slope) ** 2)

@@ -9,8 +9,9 @@ from identification.default_config import DefaultConfig
 from identification.default_state import DefaultState, LayerData
 from identification.kink_detector import block_noise_N2
 from identification.layer_model import (
+    CUTTING,
+    STIFFNESS,
     Information,
-    LayerFit,
     add_row,
     model_row,
     solve_layer,
@@ -34,30 +35,45 @@ def layer_step(
     A point weighs by its noise and by the error of the linear law, which points within a few
     millimetres share: many points do not make a wrong law right.
     """
-    layer = state.layer
-    depth = float(point[DEPTH]) - layer.start_m
-    speed, force = float(point[SPEED]), float(point[FORCE])
-    row = model_row(depth, speed, float(point[BRISTLE]), config.cutting_onset_m)
-    earlier = float(row[0]) * state.fit.values[0] + float(row[1]) * state.fit.values[1]
-    own = force - earlier
+    row, force = _row(state.layer, point, config), float(point[FORCE])
+    own = force - _earlier_N(state, row)
     error = config.model_error_share * max(abs(own), _OTHER_SHARE * abs(force))
     shared = max(config.model_error_m / max(float(point[TRAVEL]), 1e-6), 1.0)
     variance = block_noise_N2(state.detector) / float(point[BLOCKS]) + error * error * shared
+    layer = state.layer
     layer = layer._replace(data=add_row(layer.data, row, force, variance), points=layer.points + 1)
     state = state._replace(layer=layer)
-    if not is_solved or layer.points % _SOLVE_EVERY:
-        return state
-    fit = fit_layer(layer, own, depth, speed, config)
-    row[2] = row[3] = 0.0
+    is_due = is_solved and layer.points % _SOLVE_EVERY == 0
+    return refit(state, point, config) if is_due else state
+
+
+def refit(state: DefaultState, point: NDArray[np.float64], config: DefaultConfig) -> DefaultState:
+    """Fit the layer with everything known so far, `point` being the newest."""
+    layer = state.layer
+    row = _row(layer, point, config)
+    own = float(point[FORCE]) - _earlier_N(state, row)
+    known = Information(
+        layer.prior.matrix + layer.data.matrix, layer.prior.vector + layer.data.vector
+    )
+    depth = float(point[DEPTH]) - layer.start_m
+    fit = solve_layer(add_layer_prior(known, own, depth, float(point[SPEED]), config))
+    row[[CUTTING, STIFFNESS]] = 0.0
     spread = float(row @ fit.covariance @ row)
     return state._replace(fit=fit, shaft_std_N=math.sqrt(max(spread, 0.0)))
 
 
-def fit_layer(
-    layer: LayerData, own_N: float, layer_depth_m: float, speed_m_s: float, config: DefaultConfig
-) -> LayerFit:
-    """Fit of the layer with everything known so far."""
-    known = Information(
-        layer.prior.matrix + layer.data.matrix, layer.prior.vector + layer.data.vector
+def _row(
+    layer: LayerData, point: NDArray[np.float64], config: DefaultConfig
+) -> NDArray[np.float64]:
+    depth = float(point[DEPTH])
+    return model_row(
+        depth - layer.start_m,
+        depth - layer.tip_m,
+        float(point[SPEED]),
+        float(point[BRISTLE]),
+        config.cutting_onset_m,
     )
-    return solve_layer(add_layer_prior(known, own_N, layer_depth_m, speed_m_s, config))
+
+
+def _earlier_N(state: DefaultState, row: NDArray[np.float64]) -> float:
+    return float(row[0]) * state.fit.values[0] + float(row[1]) * state.fit.values[1]

@@ -1,6 +1,6 @@
 """Force on both sides of a rupture, extrapolated to the same instant."""
 
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -10,6 +10,7 @@ from identification.layer_model import cutting_onset
 from identification.track import BLOCKS, DEPTH, FORCE, SPEED
 
 _BEFORE_M = 2e-3
+_MARGIN_M = 2e-5
 _LEAST_POINTS = 4
 _AGREEMENT = 2.5
 _CHUNK = 4
@@ -24,34 +25,29 @@ class RuptureFit(NamedTuple):
         after_N: Force at t_r without the tip force of the layer left, extrapolated from after the
             release; the next layer's push is taken out.
         after_var: Its variance [N^2].
+        slope_N_per_mm: Growth of the force per travel after the release.
+        drop_N: Force released, equation (10) with both forces at the same instant.
     """
 
     before_N: float
     before_var: float
     after_N: float
     after_var: float
-
-    @property
-    def drop_N(self) -> float:
-        """Elastic force released, equation (10) with both forces at the same instant."""
-        return self.before_N - self.after_N
-
-    @property
-    def drop_std_N(self) -> float:
-        """Standard deviation of the drop."""
-        return float(np.sqrt(self.before_var + self.after_var))
+    slope_N_per_mm: float
+    drop_N: float
 
 
-def _before(
+def force_before(
     points: NDArray[np.float64], depth_m: float, noise_N2: float
 ) -> tuple[float, float] | None:
+    """Force at `depth_m` extrapolated from the last millimetres before it, and its variance."""
     reach = points[:, DEPTH] - depth_m
-    side = points[(reach > -_BEFORE_M) & (reach < 0.0)]
+    side = points[(reach > -_BEFORE_M) & (reach < -_MARGIN_M)]
     if len(side) < 2:
         return None
     offset = 1e3 * (side[:, DEPTH] - depth_m)
     columns = np.column_stack([np.ones_like(offset), offset])[:, : 2 if len(side) > 3 else 1]
-    weight = side[:, BLOCKS] / noise_N2
+    weight = side[:, BLOCKS] / max(noise_N2, 1e-12)
     normal = columns.T @ (columns * weight[:, None])
     covariance = np.linalg.inv(normal + 1e-9 * np.eye(len(normal)))
     solution = covariance @ (columns.T @ (weight * side[:, FORCE]))
@@ -63,7 +59,7 @@ def _columns(
 ) -> NDArray[np.float64]:
     """Friction at the rupture's speed, cutting force of the next layer, its slope."""
     reach = side[:, DEPTH] - depth_m
-    share = config.coulomb_share
+    share = config.coulomb_share(speed_m_s)
     friction = share + (1.0 - share) * side[:, SPEED] / max(speed_m_s, 1e-6)
     onset = np.array([cutting_onset(x, config.cutting_onset_m) for x in reach])
     return np.column_stack([friction, onset, 1e3 * reach])
@@ -74,7 +70,7 @@ def _solve(
     force: NDArray[np.float64],
     weight: NDArray[np.float64],
     cutting_var: float,
-) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+) -> tuple[NDArray[np.float64], NDArray[Any]]:
     """Weighted least squares, cutting force small by prior and never negative."""
     normal = columns.T @ (columns * weight[:, None]) + np.diag([1e-9, 1.0 / cutting_var, 1e-9])
     target = columns.T @ (weight * force)
@@ -114,27 +110,33 @@ def _after(
     speed_m_s: float,
     noise_N2: float,
     config: DefaultConfig,
-) -> tuple[float, float] | None:
-    """Grow the window back towards the rupture as long as the points agree with the fit."""
+) -> tuple[float, float, float] | None:
+    """Grow the window back towards the rupture until the release is met.
+
+    The release lifts two neighbouring chunks of points above what the later ones predict; the
+    chunk before which that happens may hold its tail and is left out too.
+    """
     side = points[points[:, DEPTH] > depth_m]
     if len(side) < _LEAST_POINTS:
         return None
     columns = _columns(side, depth_m, speed_m_s, config)
     force, weight = side[:, FORCE], side[:, BLOCKS] / noise_N2
     cutting_var = _cutting_variance(columns, force, weight, config)
-    start = max(len(side) - max(_LEAST_POINTS, int(0.5 * len(side))), 0)
-    while True:
+    latest = max(len(side) - max(_LEAST_POINTS, len(side) // 2), 0)
+    start, lifted = latest, 0
+    for begin in range(latest - _CHUNK, -1, -_CHUNK):
         solution, covariance = _solve(columns[start:], force[start:], weight[start:], cutting_var)
-        if start == 0:
-            break
-        chunk = slice(max(start - _CHUNK, 0), start)
+        chunk = slice(begin, begin + _CHUNK)
         mean = np.average(columns[chunk], axis=0, weights=weight[chunk])
         surprise = np.average(force[chunk], weights=weight[chunk]) - mean @ solution
         variance = mean @ covariance @ mean + 1.0 / np.sum(weight[chunk])
-        if abs(surprise) > _AGREEMENT * np.sqrt(variance):
+        lifted = lifted + 1 if surprise > _AGREEMENT * np.sqrt(variance) else 0
+        if lifted == 2:
             break
-        start = chunk.start
-    return float(solution[0]), float(covariance[0, 0])
+        start = start if lifted else begin
+    start = min(start + _CHUNK, latest)
+    solution, covariance = _solve(columns[start:], force[start:], weight[start:], cutting_var)
+    return float(solution[0]), float(covariance[0, 0]), max(float(solution[2]), 0.0)
 
 
 def fit_rupture(
@@ -157,10 +159,10 @@ def fit_rupture(
         Both forces with variances, or None while too few points are at hand.
     """
     noise = max(noise_N2, 1e-12)
-    before = _before(points, depth_m, noise)
+    before = force_before(points, depth_m, noise)
     if before is None:
         return None
     after = _after(points, depth_m, speed_m_s, noise, config)
     if after is None:
         return None
-    return RuptureFit(*before, *after)
+    return RuptureFit(*before, *after, drop_N=before[0] - after[0])

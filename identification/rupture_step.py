@@ -12,6 +12,7 @@ from identification.estimate import Rupture
 from identification.kink_detector import Verdict, block_noise_N2, restart_detector
 from identification.kink_kernels import kink_kernels
 from identification.layer_close import ClosedLayer, close_layer
+from identification.layer_ending import layer_ending
 from identification.layer_model import (
     MM,
     OWN_COULOMB,
@@ -19,7 +20,6 @@ from identification.layer_model import (
     layer_fit,
     no_information,
 )
-from identification.rupture_fit import fit_rupture
 from identification.rupture_state import RuptureState
 from identification.track import DEPTH
 
@@ -42,7 +42,9 @@ def raise_rupture(
     values = np.zeros(6)
     values[0] = fit.values[0] + thickness * fit.values[OWN_COULOMB]
     values[1] = fit.values[1] + thickness * fit.values[OWN_VISCOUS]
-    layer = left._replace(start_m=rupture.depth_m, data=no_information(), points=0)
+    layer = left._replace(
+        start_m=rupture.depth_m, tip_m=rupture.depth_m, data=no_information(), points=0
+    )
     return state._replace(
         detector=restart_detector(state.detector),
         layer=layer,
@@ -103,18 +105,17 @@ def _waiting(state: DefaultState) -> RuptureState:
 def _close(
     state: DefaultState, pending: Pending, config: DefaultConfig, is_final: bool
 ) -> ClosedLayer | None:
-    rupture = pending.rupture
-    measured = fit_rupture(
+    ending = layer_ending(
         state.track.points,
-        rupture.depth_m,
-        rupture.speed_m_s,
+        pending.left.start_m,
+        pending.rupture,
         block_noise_N2(state.detector),
         config,
     )
     needed = _REAL if is_final else _SIGNIFICANT
-    if measured is None or measured.drop_N < needed * measured.drop_std_N:
+    if ending is None or ending.drop_N < needed * ending.drop_std_N:
         return None
-    return close_layer(pending.left, rupture, measured, state.baseline.variance, config)
+    return close_layer(pending.left, pending.rupture, ending, state.baseline.variance, config)
 
 
 def _accept(

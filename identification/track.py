@@ -7,7 +7,7 @@ from numpy.typing import NDArray
 
 from identification.block import Block
 
-LENGTH = 256
+LENGTH = 512
 DEPTH, SPEED, FORCE, BRISTLE, BLOCKS, TRAVEL = range(6)
 
 
