@@ -73,13 +73,22 @@ _ROWS = (
         "measured joint torques",
         per_joint=True,
     ),
+    _channel(
+        "tau_ext",
+        "tau_ext_Nm",
+        u.TORQUE,
+        "tau_ext tau_external tau_ext_hat tau_ext_hat_filtered external_torque external_torques "
+        "external_joint_torque external_joint_torques",
+        "external joint torques as the robot estimates them",
+        per_joint=True,
+    ),
     _channel("depth", "depth_m", u.LENGTH, "depth z insertion_depth", "depth of the needle tip"),
     _channel("speed", "speed_m_s", u.SPEED, "speed v insertion_speed", "rate of depth"),
     _channel(
         "force",
         "force_N",
         u.FORCE,
-        "force f fz f_z force_z axial_force insertion_force",
+        "force f fz f_z force_z axial axial_force insertion_force",
         "axial force, positive when tissue pushes back",
     ),
 )

@@ -20,8 +20,8 @@ class Log:
 
     Attributes:
         t_s: time stamps in s, shape (n,), finite, read-only; the file's clock, not rebased.
-        channels: name with SI unit (`q_rad`, `dq_rad_s`, `tau_Nm`, `depth_m`, `speed_m_s`,
-            `force_N`) to values, shape (n,) or (n, joints), read-only.
+        channels: name with SI unit (`q_rad`, `dq_rad_s`, `tau_Nm`, `tau_ext_Nm`, `depth_m`,
+            `speed_m_s`, `force_N`) to values, shape (n,) or (n, joints), read-only.
         warnings: what is wrong with the recording, one sentence each.
     """
 

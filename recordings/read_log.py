@@ -55,7 +55,8 @@ def read_log(
         path: see `read_table`.
         mapping: which columns are which channels; channels it does not list, or all without a
             mapping, are found by their usual names.
-        required: channels that must be there: `q`, `dq`, `tau`, `depth`, `speed`, `force`.
+        required: channels that must be there: `q`, `dq`, `tau`, `tau_ext`, `depth`, `speed`,
+            `force`.
         optional: channels taken if they are there. With neither given, all are optional.
 
     Returns:

@@ -6,7 +6,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from recordings import CHANNELS, ColumnError, MappingError, Table
-from recordings.column_name import parse_column_name
+from recordings.column_name import parse_column_name, split_unit
 from recordings.detect_columns import detect_columns
 from recordings.find_columns import find_columns
 from recordings.units import find_unit, require_unit
@@ -54,7 +54,7 @@ def test_an_unknown_unit_is_refused_with_the_known_ones():
 @pytest.mark.parametrize("channel", CHANNELS.values(), ids=lambda channel: channel.name)
 def test_each_channel_is_si_first_and_named_after_it(channel):
     assert channel.units[channel.si_unit] == 1.0
-    assert find_unit(channel.key.split("_", 1)[1], channel.units) == channel.si_unit
+    assert split_unit(channel.key, channel.units)[1] == channel.si_unit
 
 
 @pytest.mark.parametrize(
