@@ -21,7 +21,7 @@ from recordings.mapping_arguments import mapping_arguments, mapping_from_argumen
 from recordings.mapping_file import load_mapping
 from recordings.read_log import read_log, read_table
 from recordings.table import Table
-from recordings.write_table import write_log, write_table
+from recordings.write_table import check_writable, write_log, write_table
 
 __all__ = [
     "CHANNELS",
@@ -35,6 +35,7 @@ __all__ = [
     "MappingError",
     "RecordingError",
     "Table",
+    "check_writable",
     "load_mapping",
     "mapping_arguments",
     "mapping_from_arguments",

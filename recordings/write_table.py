@@ -33,9 +33,7 @@ def write_table(path: str | Path, columns: Mapping[str, ArrayLike]) -> None:
             `#` or stands twice.
     """
     path = Path(path)
-    write = next((w for suffix, w in _WRITERS.items() if path.name.lower().endswith(suffix)), None)
-    if write is None:
-        raise FileAccessError(f"{path} has no known suffix; known are: {', '.join(_WRITERS)}")
+    write = _writer(path)
     arrays = _checked(columns)
     part = path.with_name(f".{path.name}.{os.getpid()}.part")
     try:
@@ -46,6 +44,21 @@ def write_table(path: str | Path, columns: Mapping[str, ArrayLike]) -> None:
         raise FileAccessError(f"cannot write {path}: {error.strerror or error}") from error
     finally:
         part.unlink(missing_ok=True)
+
+
+def check_writable(path: str | Path) -> None:
+    """Find out before the work what `write_table` would refuse after it.
+
+    Args:
+        path: see `write_table`.
+
+    Raises:
+        FileAccessError: the suffix is not known, or there is no such folder.
+    """
+    path = Path(path)
+    _writer(path)
+    if not path.parent.is_dir():
+        raise FileAccessError(f"cannot write {path}: there is no folder {path.parent}")
 
 
 def write_log(path: str | Path, log: Log) -> None:
@@ -59,6 +72,13 @@ def write_log(path: str | Path, log: Log) -> None:
         FileAccessError: the file cannot be written, or its suffix is not known.
     """
     write_table(path, {"t_s": log.t_s, **log.channels})
+
+
+def _writer(path: Path) -> Callable[[io.BufferedIOBase, _Columns], None]:
+    for suffix, write in _WRITERS.items():
+        if path.name.lower().endswith(suffix):
+            return write
+    raise FileAccessError(f"{path} has no known suffix; known are: {', '.join(_WRITERS)}")
 
 
 def _as_array(name: str, values: ArrayLike) -> np.ndarray:

@@ -10,6 +10,7 @@ from recordings import (
     FileAccessError,
     Log,
     LogError,
+    check_writable,
     read_log,
     read_table,
     write_log,
@@ -105,3 +106,13 @@ def test_unknown_suffix_and_missing_folder_are_told(tmp_path):
         write_table(tmp_path / "t.xlsx", {"t": T_S})
     with pytest.raises(FileAccessError, match=r"cannot write .*No such file"):
         write_table(tmp_path / "none" / "t.csv", {"t": T_S})
+
+
+@pytest.mark.parametrize(
+    ("name", "message"), [("t.xlsx", "known are"), ("none/t.csv", "no folder")]
+)
+def test_what_cannot_be_written_is_known_before_the_work(tmp_path, name, message):
+    with pytest.raises(FileAccessError, match=message):
+        check_writable(tmp_path / name)
+    check_writable(tmp_path / "t.csv.gz")
+    assert not list(tmp_path.iterdir())

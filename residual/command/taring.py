@@ -1,0 +1,114 @@
+"""Tares a sensor while a log runs through it."""
+
+from dataclasses import dataclass
+from typing import Literal
+
+import numpy as np
+
+from residual.command.errors import CommandError
+from residual.command.tare_window import TareWindow
+from residual.errors import TareError
+from residual.tare import Tare
+from residual.virtual_force_sensor import VirtualForceSensor
+from residual.wrench_estimate import Status
+
+AUTOMATIC_S = 2.0
+"""Without a choice of the user's, so much from the start of the log is taken for free motion [s]:
+whoever records an insertion starts before contact, but not long before."""
+
+_CHOICES = "choose where the needle is free with --tare START:END, or go without with --no-tare"
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class TareRequest:
+    """What the user wants.
+
+    Attributes:
+        window: Where to tare; ``automatic`` for the first `AUTOMATIC_S` once the filters have
+            settled, None for no tare.
+        force: Whether to tare even where contact is seen.
+    """
+
+    window: TareWindow | Literal["automatic"] | None = "automatic"
+    force: bool = False
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class TareDone:
+    """A tare that was taken.
+
+    Attributes:
+        window: Where.
+        tare: The fit.
+    """
+
+    window: TareWindow
+    tare: Tare
+
+    @property
+    def largest_offset_Nm(self) -> float:
+        """Largest constant offset of a joint [Nm]."""
+        return float(np.abs(self.tare.mean[self.tare.basis.groups["offset"]]).max())
+
+
+class Taring:
+    """Starts the recording and takes the tare when their times come.
+
+    Args:
+        sensor: The sensor that the log runs through.
+        request: What the user wants.
+    """
+
+    def __init__(self, sensor: VirtualForceSensor, request: TareRequest) -> None:
+        self._sensor, self._request = sensor, request
+        self._window = request.window if isinstance(request.window, TareWindow) else None
+        self._must_start = self._window is not None
+        self.done: TareDone | None = None
+
+    def before(self, t_s: float) -> None:
+        """Act before the sample of time ``t_s`` [s] is taken.
+
+        Raises:
+            CommandError: The tare was due and is refused.
+        """
+        window = self._window
+        if window is None or self.done is not None:
+            return
+        if self._must_start and t_s >= window.start_s:
+            self._sensor.start_recording()
+            self._must_start = False
+        if t_s > window.end_s:
+            self._tare(window)
+
+    def after(self, t_s: float, status: Status) -> None:
+        """Learn from the status of the sample of time ``t_s`` [s] when the filters have settled."""
+        automatic = self._request.window == "automatic" and self._window is None
+        if automatic and status is Status.NOT_TARED:
+            self._window = TareWindow(start_s=t_s, end_s=t_s + AUTOMATIC_S)
+
+    def finish(self, last_s: float) -> None:
+        """Take a tare whose window ends with the log.
+
+        Raises:
+            CommandError: It is refused, or the log is too short for a tare.
+        """
+        if self._request.window is None or self.done is not None:
+            return
+        window = self._window
+        if window is None or (self._request.window == "automatic" and last_s < window.end_s):
+            raise CommandError(
+                f"the log ends before the filters have settled and {AUTOMATIC_S:g} s of free "
+                f"motion were seen, so it cannot be tared; {_CHOICES}"
+            )
+        self._tare(window)
+
+    def _tare(self, window: TareWindow) -> None:
+        try:
+            tare = self._sensor.tare(force=self._request.force)
+        except TareError as error:
+            reason = str(error).replace("force=True", "--force-tare")
+            raise CommandError(
+                f"no tare from {window.start_s:.9g} to {window.end_s:.9g} s: {reason}. "
+                f"Or {_CHOICES}"
+            ) from error
+        self.done = TareDone(window=window, tare=tare)
