@@ -1,0 +1,87 @@
+"""The command line."""
+
+import argparse
+import os
+from pathlib import Path
+
+DATA_VARIABLE = "NEEDLEFORCE_DATA"
+
+
+def parser() -> argparse.ArgumentParser:
+    """The parser of ``python -m benchmarks``."""
+    top = argparse.ArgumentParser(
+        prog="python -m benchmarks",
+        description="Estimators against truth: simulated insertions and real recordings.",
+        epilog="Exit codes: 0 all well, 1 a target missed (--strict), a regression or a benchmark "
+        "that failed, 2 wrong usage or unreadable files.",
+    )
+    commands = top.add_subparsers(dest="command", required=True, metavar="COMMAND")
+    commands.add_parser("list", help="what can be run")
+    _add_run(commands.add_parser("run", help="run benchmarks and print the verdict"))
+    compare = commands.add_parser("compare", help="find what has become worse between two runs")
+    compare.add_argument("old", type=Path, metavar="OLD", help="results of the earlier run")
+    compare.add_argument("new", type=Path, metavar="NEW", help="results of the later run")
+    speed = commands.add_parser("speed", help="time the estimators beside their bare dynamics")
+    speed.add_argument("--strict", action="store_true", help="exit with 1 if a target is missed")
+    return top
+
+
+def _add_run(run: argparse.ArgumentParser) -> None:
+    run.add_argument(
+        "ids", nargs="*", metavar="ID", help="benchmarks (see list), or all; default: a quick set"
+    )
+    run.add_argument(
+        "--plant",
+        action="append",
+        type=_names,
+        metavar="LEVEL[,LEVEL]",
+        help="textbook, realistic, hard; may be given more than once (default realistic)",
+    )
+    run.add_argument(
+        "--seeds", type=_positive, default=1, metavar="N", help="run seeds 0 to N-1 (default 1)"
+    )
+    run.add_argument(
+        "--data",
+        type=Path,
+        metavar="DIR",
+        default=_data_folder(),
+        help=f"folder of real recordings (default: the environment's {DATA_VARIABLE})",
+    )
+    run.add_argument("--json", type=Path, metavar="FILE", help="write the numbers there")
+    run.add_argument("--report", type=Path, metavar="DIR", help="write tables and pictures there")
+    run.add_argument(
+        "--jobs",
+        type=_positive,
+        metavar="N",
+        default=_processors(),
+        help="processes at a time (default: one per processor)",
+    )
+    run.add_argument("--strict", action="store_true", help="exit with 1 if a target is missed")
+
+
+def _names(text: str) -> list[str]:
+    names = [name.strip() for name in text.split(",") if name.strip()]
+    if not names:
+        raise argparse.ArgumentTypeError("expected at least one name")
+    return names
+
+
+def _positive(text: str) -> int:
+    try:
+        number = int(text)
+    except ValueError:
+        number = 0
+    if number < 1:
+        raise argparse.ArgumentTypeError(f"{text!r} is not a whole number from 1 up")
+    return number
+
+
+def _data_folder() -> Path | None:
+    named = os.environ.get(DATA_VARIABLE)
+    return Path(named) if named else None
+
+
+def _processors() -> int:
+    if hasattr(os, "sched_getaffinity"):
+        return len(os.sched_getaffinity(0))
+    return os.cpu_count() or 1

@@ -1,0 +1,45 @@
+"""One thing that can be run by name."""
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from pathlib import Path
+from typing import NamedTuple
+
+from benchmarks.job import Job, Progress
+from benchmarks.measurement import Measurement
+
+RECORDING = "recording"
+"""The plant of a benchmark on real data."""
+
+
+class Findings(NamedTuple):
+    """What running a job gives."""
+
+    measurements: list[Measurement]
+    picture: Path | None = None
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Benchmark:
+    """One thing that can be run by name.
+
+    Attributes:
+        id: Permanent name.
+        title: One line for people.
+        run: Does a job of it.
+        needs: Folders of recordings it reads; none for a simulation.
+        seeds: How many different seeds it has; None for any number.
+        is_default: Whether it runs when nothing is named.
+    """
+
+    id: str
+    title: str
+    run: Callable[[Job, Progress], Findings]
+    needs: tuple[str, ...] = ()
+    seeds: int | None = None
+    is_default: bool = True
+
+    @property
+    def is_recorded(self) -> bool:
+        """Whether it reads real data; it has no arm levels then."""
+        return bool(self.needs)

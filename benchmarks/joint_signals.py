@@ -1,0 +1,37 @@
+"""Joint signals of an arm, simulated or recorded: all that the virtual sensor gets."""
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+Array = NDArray[np.float64]
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class JointSignals:
+    """n samples of an arm with j joints.
+
+    Attributes:
+        t_s: Time stamps, shape (n,), increasing.
+        q_rad: Positions, shape (n, j).
+        dq_rad_s: Velocities, shape (n, j), or None where the arm sends none.
+        tau_Nm: Torques, shape (n, j).
+    """
+
+    t_s: Array
+    q_rad: Array
+    dq_rad_s: Array | None
+    tau_Nm: Array
+
+    @property
+    def dt_s(self) -> Array:
+        """Time since the previous sample, shape (n,); that of the first, which nobody reads, is 1.
+
+        The first sample of a stream has no previous one.
+        """
+        return np.diff(self.t_s, prepend=self.t_s[0] - 1.0)
+
+    def velocity(self, k: int) -> Array | None:
+        """Velocities of sample k, or None."""
+        return None if self.dq_rad_s is None else self.dq_rad_s[k]

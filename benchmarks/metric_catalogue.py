@@ -1,0 +1,103 @@
+"""Every metric a row may carry. A new metric is a line here and a function that measures it."""
+
+from collections.abc import Mapping
+from types import MappingProxyType
+
+from benchmarks.errors import UnknownMetricError
+from benchmarks.metric import Metric
+
+# Axial force against the true one, from first contact to the end of withdrawal.
+_WRENCH = (
+    Metric(name="wrench_rmse_N", unit="N", meaning="rms error of the axial force", tolerance=1e-3),
+    Metric(name="wrench_bias_N", unit="N", meaning="mean error", tolerance=5e-3),
+    Metric(
+        name="wrench_lag_ms",
+        unit="ms",
+        meaning="time shift that best aligns the estimate with the truth",
+        tolerance=2.0,
+    ),
+    Metric(
+        name="wrench_coverage_2sigma",
+        unit="1",
+        meaning="share of samples whose error lies within twice the stated standard deviation",
+        best=0.95,
+        tolerance=0.02,
+    ),
+)
+
+_RESIDUAL = (
+    Metric(
+        name="residual_rms_Nm",
+        unit="Nm",
+        meaning="momentum residual against the ideal first-order filter of the true torque, "
+        "worst joint",
+        tolerance=1e-6,
+    ),
+    *(
+        Metric(
+            name=f"residual_rms_J{joint}_Nm",
+            unit="Nm",
+            meaning=f"rms residual of joint {joint} without contact",
+            tolerance=5e-3,
+        )
+        for joint in range(1, 8)
+    ),
+)
+
+_WEIGHT = (
+    Metric(
+        name="force_up_unloaded_N",
+        unit="N",
+        meaning="mean vertical force without payload, truth 0",
+        tolerance=0.1,
+    ),
+    Metric(
+        name="force_up_unloaded_std_N",
+        unit="N",
+        meaning="its scatter over the recording",
+        tolerance=0.1,
+    ),
+    Metric(
+        name="force_up_loaded_N",
+        unit="N",
+        meaning="mean vertical force with the payload",
+        best=-27.5,
+        tolerance=0.1,
+    ),
+    Metric(
+        name="force_up_loaded_std_N",
+        unit="N",
+        meaning="its scatter over the recording",
+        tolerance=0.1,
+    ),
+    Metric(
+        name="torque_scale",
+        unit="1",
+        meaning="common factor on all joint torques, fitted on the first half",
+        best=1.0,
+        tolerance=0.01,
+    ),
+    Metric(
+        name="weight_error_pct",
+        unit="%",
+        meaning="weight over the second half, with that factor, against the true one",
+        tolerance=0.2,
+    ),
+)
+
+METRICS: Mapping[str, Metric] = MappingProxyType(
+    {metric.name: metric for metric in (*_WRENCH, *_RESIDUAL, *_WEIGHT)}
+)
+"""By name."""
+
+
+def metric(name: str) -> Metric:
+    """The metric of that name.
+
+    Raises:
+        UnknownMetricError: There is none.
+    """
+    try:
+        return METRICS[name]
+    except KeyError:
+        raise UnknownMetricError(f"no metric {name!r}; known: {', '.join(METRICS)}") from None

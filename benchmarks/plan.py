@@ -1,0 +1,112 @@
+"""From what was asked for to jobs."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+from benchmarks.benchmark import RECORDING, Benchmark
+from benchmarks.catalogue import BENCHMARKS, benchmark
+from benchmarks.errors import DataError, UnknownIdError
+from benchmarks.job import Job
+from groundtruth import ARM_LEVELS
+
+ALL = "all"
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Request:
+    """What was asked for.
+
+    Attributes:
+        ids: Names of benchmarks; none for the quick ones, ``all`` for all.
+        plants: Arm levels of simulations.
+        seeds: Seeds 0 to seeds - 1 are run.
+        data: Folder of recordings, if any.
+        pictures: Folder for pictures, if wanted.
+    """
+
+    ids: Sequence[str] = ()
+    plants: Sequence[str] = ("realistic",)
+    seeds: int = 1
+    data: Path | None = None
+    pictures: Path | None = None
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Plan:
+    """What will be done.
+
+    Attributes:
+        jobs: In order.
+        skipped: Names of benchmarks that are left out for want of recordings.
+    """
+
+    jobs: tuple[Job, ...]
+    skipped: tuple[str, ...]
+
+
+def make_plan(request: Request) -> Plan:
+    """Turn a request into jobs.
+
+    Raises:
+        UnknownIdError: A benchmark or an arm level of that name does not exist.
+        DataError: The folder of recordings does not exist, or a benchmark that was asked for by
+            name needs one.
+    """
+    _check_plants(request.plants)
+    if request.data is not None and not request.data.is_dir():
+        raise DataError(f"no folder of recordings at {request.data}")
+    jobs: list[Job] = []
+    skipped = []
+    for item in _chosen(request.ids):
+        missing = _missing(item, request.data)
+        if not missing:
+            jobs += _jobs(item, request)
+        elif item.id in request.ids:
+            raise DataError(f"{item.id} needs {missing}")
+        else:
+            skipped.append(item.id)
+    return Plan(jobs=tuple(jobs), skipped=tuple(skipped))
+
+
+def _check_plants(plants: Sequence[str]) -> None:
+    for plant in plants:
+        if plant not in ARM_LEVELS:
+            raise UnknownIdError(f"no plant {plant!r}; choose from: {', '.join(ARM_LEVELS)}")
+
+
+def _chosen(ids: Sequence[str]) -> list[Benchmark]:
+    """The benchmarks in the catalogue's order, each once."""
+    for name in ids:
+        if name != ALL:
+            benchmark(name)
+    if not ids:
+        return [item for item in BENCHMARKS.values() if item.is_default]
+    return [item for item in BENCHMARKS.values() if ALL in ids or item.id in ids]
+
+
+def _missing(item: Benchmark, data: Path | None) -> str:
+    """What a benchmark lacks, nothing for one that can run."""
+    if not item.is_recorded:
+        return ""
+    if data is None:
+        return "recordings: give --data DIR or set NEEDLEFORCE_DATA"
+    absent = [name for name in item.needs if not (data / name).is_dir()]
+    return f"the folder {', '.join(absent)} in {data}" if absent else ""
+
+
+def _jobs(item: Benchmark, request: Request) -> list[Job]:
+    seeds = request.seeds if item.seeds is None else min(item.seeds, request.seeds)
+    plants = (RECORDING,) if item.is_recorded else tuple(dict.fromkeys(request.plants))
+    return [
+        Job(
+            benchmark=item.id,
+            plant=plant,
+            seed=seed,
+            data=request.data if item.is_recorded else None,
+            # One picture of each kind tells enough.
+            pictures=request.pictures if seed == 0 else None,
+        )
+        for plant in plants
+        for seed in range(seeds)
+    ]

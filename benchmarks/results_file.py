@@ -1,0 +1,82 @@
+"""Results as JSON: rows and nothing else, so that equal runs give equal bytes."""
+
+import json
+import math
+from collections.abc import Iterable
+from dataclasses import asdict, fields
+from pathlib import Path
+from typing import Any
+
+from benchmarks.errors import ResultsError
+from benchmarks.row import Row
+
+SCHEMA = 1
+SIGNIFICANT_DIGITS = 6
+"""More would only record rounding."""
+
+NAMES = tuple(field.name for field in fields(Row))
+_KINDS: dict[str, tuple[Any, str]] = {
+    "seed": (int, "a whole number"),
+    "value": (int | float, "a number or null"),
+}
+"""What a field must be, where it is not text."""
+
+
+def to_json(rows: Iterable[Row]) -> str:
+    """Rows as text; a value that is not finite becomes null, which JSON can say."""
+    lines = ",\n".join("  " + json.dumps(_plain(row), allow_nan=False) for row in rows)
+    return f'{{"schema": {SCHEMA}, "rows": [\n{lines}\n]}}\n'
+
+
+def write_results(path: str | Path, rows: Iterable[Row]) -> None:
+    """Write rows to a file.
+
+    Raises:
+        ResultsError: The file cannot be written.
+    """
+    try:
+        Path(path).write_text(to_json(rows), encoding="utf-8")
+    except OSError as error:
+        raise ResultsError(f"cannot write {path}: {error.strerror}") from error
+
+
+def read_results(path: str | Path) -> list[Row]:
+    """Read rows from a file; null becomes nan.
+
+    Raises:
+        ResultsError: The file cannot be read, is not JSON of this schema, lacks a field, or has
+            two rows with one key.
+    """
+    try:
+        content = json.loads(Path(path).read_text(encoding="utf-8"))
+    except OSError as error:
+        raise ResultsError(f"cannot read {path}: {error.strerror}") from error
+    except ValueError as error:
+        raise ResultsError(f"{path} is not JSON: {error}") from error
+    if not isinstance(content, dict) or content.get("schema") != SCHEMA:
+        raise ResultsError(f'{path} is not a file of results: expected {{"schema": {SCHEMA}, ...}}')
+    rows = content.get("rows")
+    if not isinstance(rows, list):
+        raise ResultsError(f'{path} has no list of "rows"')
+    found = [_row(item, f"{path}, row {number}") for number, item in enumerate(rows, 1)]
+    keys = [row.key for row in found]
+    if len(set(keys)) != len(keys):
+        twice = next(key for key in keys if keys.count(key) > 1)
+        raise ResultsError(f"{path} has more than one row for: {twice}")
+    return found
+
+
+def _plain(row: Row) -> dict[str, Any]:
+    value = float(f"{row.value:.{SIGNIFICANT_DIGITS}g}") if math.isfinite(row.value) else None
+    return asdict(row) | {"value": value}
+
+
+def _row(item: Any, where: str) -> Row:
+    if not isinstance(item, dict) or set(item) != set(NAMES):
+        raise ResultsError(f"{where}: expected the fields {', '.join(NAMES)}")
+    values: dict[str, Any] = item | {"value": math.nan if item["value"] is None else item["value"]}
+    for name, value in values.items():
+        kind, wanted = _KINDS.get(name, (str, "text"))
+        if isinstance(value, bool) or not isinstance(value, kind):
+            raise ResultsError(f"{where}: {name} is {value!r}, expected {wanted}")
+    return Row(**values)

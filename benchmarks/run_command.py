@@ -1,0 +1,73 @@
+"""``python -m benchmarks run``."""
+
+import argparse
+from pathlib import Path
+
+from rich.console import Console
+
+from benchmarks.errors import ResultsError
+from benchmarks.plan import Plan, Request, make_plan
+from benchmarks.pool import run_jobs
+from benchmarks.progress_bar import progress_bar
+from benchmarks.report import write_report
+from benchmarks.results_file import write_results
+from benchmarks.run_tables import run_tables
+from benchmarks.screen import new_console
+from benchmarks.verdict import verdicts
+
+FAILURE = 1
+
+
+def execute(arguments: argparse.Namespace) -> int:
+    """Run what was asked for, print the tables, write the files.
+
+    Raises:
+        BenchmarkError: Nothing can be run, or a file cannot be written.
+    """
+    pictures = _folder(arguments.report)
+    plants = [name for names in arguments.plant or [["realistic"]] for name in names]
+    request = Request(
+        ids=arguments.ids,
+        plants=plants,
+        seeds=arguments.seeds,
+        data=arguments.data,
+        pictures=pictures,
+    )
+    plan = make_plan(request)
+    # The bar goes to stderr, so that stdout can be piped.
+    with progress_bar(new_console(stderr=True), len(plan.jobs)) as tell:
+        outcomes = run_jobs(plan.jobs, arguments.jobs, tell)
+    rows = [row for outcome in outcomes for row in outcome.rows]
+    console = new_console()
+    for table in run_tables(rows):
+        console.print(table)
+    failures = [f"{item.job}: {item.failure}" for item in outcomes if item.failure is not None]
+    _tell_gaps(console, plan, failures)
+    if arguments.json is not None:
+        write_results(arguments.json, rows)
+    if pictures is not None:
+        index = write_report(pictures, rows, [item.picture for item in outcomes if item.picture])
+        console.print(f"Report: {index}")
+    missed = arguments.strict and not all(verdict.is_met for verdict in verdicts(rows))
+    return FAILURE if failures or missed else 0
+
+
+def _folder(path: Path | None) -> Path | None:
+    """Make the report's folder before minutes of work, not after."""
+    if path is not None:
+        try:
+            path.mkdir(parents=True, exist_ok=True)
+        except OSError as error:
+            raise ResultsError(f"cannot write to {path}: {error.strerror}") from error
+    return path
+
+
+def _tell_gaps(console: Console, plan: Plan, failures: list[str]) -> None:
+    for failure in failures:
+        console.print(f"failed: {failure}", style="red", markup=False)
+    if plan.skipped:
+        names = ", ".join(plan.skipped)
+        console.print(
+            f"Skipped for want of recordings (--data DIR or NEEDLEFORCE_DATA): {names}",
+            style="yellow",
+        )

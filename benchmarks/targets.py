@@ -1,0 +1,121 @@
+"""Every figure this toolkit has set itself, in one place."""
+
+import math
+from dataclasses import dataclass
+from typing import Literal
+
+from benchmarks.row import Row
+from groundtruth import SCENARIOS
+
+Statistic = Literal["worst", "mean", "median"]
+"""What of all runs must keep the limits."""
+
+TISSUE = tuple(item.id for item in SCENARIOS.values() if item.layers)
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Target:
+    """Limits for one metric over the runs it applies to.
+
+    Attributes:
+        what: One line for people.
+        metric: A name of `benchmarks.metric_catalogue`.
+        plant: The plant it applies to.
+        scenarios: The benchmarks it applies to; None for all.
+        source: See `Source`.
+        method: See `Method`.
+        at_least: Lower limit, in the metric's unit.
+        at_most: Upper limit.
+        statistic: See `Statistic`.
+        of_paper: The limits are for the ratio to ``paper`` in the same run.
+    """
+
+    what: str
+    metric: str
+    plant: str
+    scenarios: tuple[str, ...] | None = None
+    source: str = "virtual"
+    method: str = "default"
+    at_least: float = -math.inf
+    at_most: float = math.inf
+    statistic: Statistic = "worst"
+    of_paper: bool = False
+
+    def applies_to(self, row: Row) -> bool:
+        """Whether the row is one of those judged."""
+        named = self.scenarios is None or row.scenario in self.scenarios
+        wanted = (self.metric, self.plant, self.source, self.method)
+        return named and (row.metric, row.plant, row.source, row.method) == wanted
+
+    def is_met_by(self, value: float) -> bool:
+        """Whether a value keeps the limits; one that is not finite does not."""
+        return math.isfinite(value) and self.at_least <= value <= self.at_most
+
+
+PANDA_RESIDUAL_Nm = (0.37, 0.76, 0.37, 0.39, 0.14, 0.10, 0.06)
+"""Known-good rms residuals of the recorded Panda, published with two decimals."""
+HALF_A_DIGIT_Nm = 0.005
+
+TARGETS: tuple[Target, ...] = (
+    Target(
+        what="textbook arm: residual against the ideal filter",
+        metric="residual_rms_Nm",
+        plant="textbook",
+        at_most=1e-4,
+    ),
+    Target(
+        what="realistic arm: axial force, each tissue",
+        metric="wrench_rmse_N",
+        plant="realistic",
+        scenarios=TISSUE,
+        at_most=0.05,
+    ),
+    Target(
+        what="realistic arm: standard deviation to be believed, all runs together",
+        metric="wrench_coverage_2sigma",
+        plant="realistic",
+        scenarios=TISSUE,
+        at_least=0.90,
+        at_most=0.99,
+        # One run has one offset error: nearly all of its samples are inside, or nearly none.
+        statistic="mean",
+    ),
+    Target(
+        what="hard arm: axial force, each tissue",
+        metric="wrench_rmse_N",
+        plant="hard",
+        scenarios=TISSUE,
+        at_most=0.12,
+    ),
+    Target(
+        what="hard arm: axial force as a share of the paper's method, each tissue",
+        metric="wrench_rmse_N",
+        plant="hard",
+        scenarios=TISSUE,
+        at_most=0.5,
+        of_paper=True,
+    ),
+    *(
+        Target(
+            what=f"real Panda: rms residual of joint {joint}",
+            metric=f"residual_rms_J{joint}_Nm",
+            plant="recording",
+            scenarios=("panda-real",),
+            at_most=known + HALF_A_DIGIT_Nm,
+        )
+        for joint, known in enumerate(PANDA_RESIDUAL_Nm, 1)
+    ),
+    Target(
+        what="real UR10e: weight with one fitted torque scale",
+        metric="weight_error_pct",
+        plant="recording",
+        scenarios=("ur10e-payload",),
+        at_least=-10.0,
+        at_most=10.0,
+    ),
+)
+
+OBSERVER_COST_RATIO = 2.0
+"""Most an observer tick may cost, in times of the bare Pinocchio calls it needs."""
+SENSOR_COST_RATIO = 3.0
+"""The same of a full sensor tick."""
