@@ -30,5 +30,6 @@ def sensor_config(arguments: Namespace, friction: FrictionModel | None) -> Senso
         table = read_toml(where, "config")
         values |= dataclass_values(SensorConfig, table, where, leave_out=("friction",))
     given = {name: getattr(arguments, option) for option, name in _OPTIONS.items()}
-    values |= {name: value for name, value in given.items() if value is not None}
+    given = {name: value for name, value in given.items() if value is not None}
+    values |= dataclass_values(SensorConfig, given, "options")
     return build(SensorConfig, values | {"friction": friction}, where)

@@ -1,7 +1,8 @@
 """A validated dataclass from a table of a TOML file, with errors that name key and value."""
 
+import sys
 from collections.abc import Collection, Mapping
-from dataclasses import fields
+from dataclasses import MISSING, fields
 from types import NoneType, UnionType
 from typing import Any, Literal, TypeVar, get_args, get_origin, get_type_hints
 
@@ -46,6 +47,13 @@ def build(kind: type[T], values: Mapping[str, Any], where: str) -> T:
     Raises:
         CommandError: A value is missing or refused; the message starts with ``where``.
     """
+    missing = [
+        item.name
+        for item in fields(kind)  # type: ignore[arg-type]
+        if item.init and item.name not in values and item.default is item.default_factory is MISSING
+    ]
+    if missing:
+        raise CommandError(f"{where}: {', '.join(missing)} missing")
     try:
         return kind(**values)
     except (ValueError, TypeError) as error:
@@ -91,13 +99,13 @@ def _array(value: Any) -> np.ndarray | None:
         array = np.array(value)
     except ValueError:
         return None
-    return (
-        array.astype(np.float64) if isinstance(value, list) and array.dtype.kind in "if" else None
-    )
+    is_numbers = isinstance(value, list) and array.dtype.kind in "if" and np.isfinite(array).all()
+    return array.astype(np.float64) if is_numbers else None
 
 
 def _is_number(value: Any) -> bool:
-    return isinstance(value, int | float) and not isinstance(value, bool)
+    is_number = isinstance(value, int | float) and not isinstance(value, bool)
+    return is_number and abs(value) <= sys.float_info.max
 
 
 def _describe(option: Any) -> str:

@@ -63,7 +63,7 @@ def _friction(name: str, table: Any, where: str, joints: int) -> FrictionModel:
     values = dataclass_values(kind, table, where)
     for key, value in values.items():
         if isinstance(value, np.ndarray):
-            _per_joint(value, f"{where}: {key}", joints)
+            _per_joint(value.tolist(), f"{where}: {key}", joints)
     return build(kind, values, where)
 
 

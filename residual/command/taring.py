@@ -63,6 +63,7 @@ class Taring:
         self._sensor, self._request = sensor, request
         self._window = request.window if isinstance(request.window, TareWindow) else None
         self._must_start = self._window is not None
+        self._seen = 0
         self.done: TareDone | None = None
 
     def before(self, t_s: float) -> None:
@@ -82,8 +83,10 @@ class Taring:
 
     def after(self, t_s: float, status: Status) -> None:
         """Learn from the status of the sample of time ``t_s`` [s] when the filters have settled."""
-        automatic = self._request.window == "automatic" and self._window is None
-        if automatic and status is Status.NOT_TARED:
+        if status is not Status.NOT_TARED or self._must_start:
+            return
+        self._seen += 1
+        if self._request.window == "automatic" and self._window is None:
             self._window = TareWindow(start_s=t_s, end_s=t_s + AUTOMATIC_S)
 
     def finish(self, last_s: float) -> None:
@@ -103,12 +106,14 @@ class Taring:
         self._tare(window)
 
     def _tare(self, window: TareWindow) -> None:
+        what = f"no tare from {window.start_s:.9g} to {window.end_s:.9g} s"
+        if not self._seen:
+            raise CommandError(
+                f"{what}: the filters had not settled by then; choose a window that ends later"
+            )
         try:
             tare = self._sensor.tare(force=self._request.force)
         except TareError as error:
             reason = str(error).replace("force=True", "--force-tare")
-            raise CommandError(
-                f"no tare from {window.start_s:.9g} to {window.end_s:.9g} s: {reason}. "
-                f"Or {_CHOICES}"
-            ) from error
+            raise CommandError(f"{what}: {reason}. Or {_CHOICES}") from error
         self.done = TareDone(window=window, tare=tare)

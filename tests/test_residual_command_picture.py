@@ -1,0 +1,86 @@
+"""The picture of `python -m residual`: it is written, and shows what the table holds."""
+
+import numpy as np
+import pytest
+from residual_command_log import insertion
+
+from recordings import write_table
+from residual.__main__ import main
+from residual.command.curves import Curve, broken_at_gaps, limits
+from residual.command.replay import Replay
+from residual.command.status_marks import runs
+
+pytest.importorskip("matplotlib")
+
+
+def result_of(status, t_s=None):
+    rows = len(status)
+    return Replay(
+        t_s=np.arange(rows) * 0.01 if t_s is None else np.array(t_s),
+        axial_N=np.arange(rows, dtype=float),
+        axial_std_N=np.full(rows, 0.5),
+        force_N=np.zeros((rows, 3)),
+        torque_Nm=np.zeros((rows, 3)),
+        std=np.full((rows, 1), 0.5),
+        status=np.array(status),
+    )
+
+
+def curve_of(result):
+    return Curve("axial force", "k", result.axial_N, result.axial_std_N)
+
+
+@pytest.mark.parametrize(
+    "options",
+    [
+        ["--tare", "+0:+2.5"],
+        ["--tare", "+0:+2.5", "--mode", "point"],
+        ["--tare", "+0:+2.5", "--mode", "full"],
+        ["--no-tare"],
+    ],
+    ids=" ".join,
+)
+@pytest.mark.parametrize("start_s", [0.0, 1.7e9])
+def test_a_png_is_written_for_every_mode(lwr, tmp_path, options, start_s):
+    columns = insertion(lwr, seconds=3.0, start_s=start_s)
+    columns["tau_Nm"][2600:2650] = np.nan
+    keep = np.r_[0:1500, 1700:3000]
+    write_table(tmp_path / "log.npz", {name: values[keep] for name, values in columns.items()})
+    path = tmp_path / "forces.png"
+    assert main([str(tmp_path / "log.npz"), *options, "--png", str(path)]) == 0
+    content = path.read_bytes()
+    assert content.startswith(b"\x89PNG")
+    assert len(content) > 10_000
+
+
+def test_a_log_without_a_sound_row_still_has_a_picture(lwr, tmp_path, capsys):
+    columns = insertion(lwr, seconds=0.1)
+    columns["q_rad"][:, 0] = np.nan
+    write_table(tmp_path / "log.npz", columns)
+    path = tmp_path / "forces.png"
+    argv = [str(tmp_path / "log.npz"), "--no-tare", "--png", str(path)]
+    assert main([*argv, "-o", str(tmp_path / "forces.csv")]) == 0
+    assert path.is_file()
+    assert "no sample was sound" in capsys.readouterr().out
+
+
+def test_a_skipped_row_leaves_no_hole_and_a_gap_does():
+    result = result_of([0, 0, 3, 0, 0], t_s=[0.0, 0.01, 0.02, 0.03, 1.0])
+    rows = broken_at_gaps(curve_of(result), result, 0.1)
+    np.testing.assert_array_equal(rows.value, [0.0, 1.0, 3.0, np.nan, 4.0])
+    np.testing.assert_array_equal(rows.is_tared, [True, True, True, False, True])
+
+
+def test_room_is_made_for_the_band_of_tared_rows_and_zero():
+    result = result_of([1, 1, 0, 0])
+    low, high = limits([curve_of(result)], result)
+    assert low < 0.0
+    assert 3.0 + 2 * 0.5 < high < 5.0
+    untared = result_of([1, 1, 1, 2])
+    low, high = limits([curve_of(untared)], untared)
+    assert 2.0 < high < 3.0
+
+
+def test_runs_are_the_unbroken_stretches():
+    assert runs(np.array([True, True, False, True])) == [(0, 1), (3, 3)]
+    assert runs(np.zeros(3, dtype=bool)) == []
