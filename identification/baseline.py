@@ -10,6 +10,8 @@ SEGMENT_S = 0.25
 """Length of the means whose wander is learned."""
 _MOST = 40
 _LEAST = 4
+_LOWER_HALF = 0.143
+"""Mean of the lower half of a squared standard normal."""
 
 
 class Segment(NamedTuple):
@@ -52,7 +54,7 @@ def baseline_step(state: Baseline, block: Block) -> Baseline:
     return state._replace(segments=segments, sum_Ns=0.0, time_s=0.0)
 
 
-def level_score(state: Baseline, interval_s: float) -> float:
+def level_score(state: Baseline, interval_s: float, noise_N2: float) -> float:
     """Newest segment's height above the older half, over the height chance would reach.
 
     Above 1, chance explains it less than once per `interval_s`. The spread comes from the
@@ -62,16 +64,35 @@ def level_score(state: Baseline, interval_s: float) -> float:
     Args:
         state: Free-air force.
         interval_s: Wanted time between false alarms.
+        noise_N2: Variance that noise alone gives a segment.
     """
     forces = [segment.force_N for segment in state.segments]
-    if len(forces) < 2 * _LEAST or state.time_s > 0.0:
+    if len(forces) < _LEAST or state.time_s > 0.0:
         return 0.0
     half = forces[: len(forces) // 2]
     squared = 2.0 * math.log(max(interval_s / SEGMENT_S, math.e))
     squared *= 1.0 + squared / (2.0 * len(forces))
-    spread = _neighbour_variance(forces) * (1.0 + 1.0 / len(half))
+    spread = max(_neighbour_variance(forces), noise_N2) * (1.0 + 1.0 / len(half))
     height = forces[-1] - sum(half) / len(half)
     return height / math.sqrt(max(squared * spread, 1e-18))
+
+
+def height_over_wander(state: Baseline, force_N: float, noise_N2: float) -> float:
+    """Height of a force above the older half of the segments, in units of their wander.
+
+    Zero while too little of free air is known.
+
+    Args:
+        state: Free-air force.
+        force_N: The force.
+        noise_N2: Variance that noise alone gives a segment.
+    """
+    forces = [segment.force_N for segment in state.segments]
+    if len(forces) < 2:
+        return 0.0
+    half = forces[: max(len(forces) // 2, 1)]
+    height = force_N - sum(half) / len(half)
+    return height / math.sqrt(max(_neighbour_variance(forces), noise_N2, 1e-18))
 
 
 def settle_baseline(state: Baseline, contact_m: float) -> Baseline:
@@ -85,6 +106,10 @@ def settle_baseline(state: Baseline, contact_m: float) -> Baseline:
 
 
 def _neighbour_variance(forces: list[float]) -> float:
-    """Half the mean square difference between neighbours (von Neumann)."""
-    squares = [(b - a) ** 2 for a, b in itertools.pairwise(forces)]
-    return 0.5 * sum(squares) / len(squares)
+    """Half the mean square difference between neighbours (von Neumann), from its lower half.
+
+    The upper half may hold the contact itself.
+    """
+    squares = sorted((b - a) ** 2 for a, b in itertools.pairwise(forces))
+    kept = squares[: max(len(squares) // 2, 1)]
+    return 0.5 * sum(kept) / len(kept) / _LOWER_HALF

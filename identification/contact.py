@@ -4,7 +4,13 @@ import math
 
 import numpy as np
 
-from identification.baseline import Baseline, baseline_step, level_score, settle_baseline
+from identification.baseline import (
+    SEGMENT_S,
+    baseline_step,
+    height_over_wander,
+    level_score,
+    settle_baseline,
+)
 from identification.block import Block
 from identification.change_point import blocks_since_kink
 from identification.default_config import DefaultConfig
@@ -31,18 +37,17 @@ def free_air_step(state: DefaultState, block: Block, config: DefaultConfig) -> D
         return state
     track, _ = track_step(state.track, block, config.track_step_m)
     state = state._replace(track=track)
-    is_slow = level_score(state.baseline, config.false_alarm_interval_s) > 1.0
-    if is_slow or (verdict.rise > 1.0 and _is_raised(state, verdict.rise_scale)):
+    noise = block_noise_N2(detector) * block.dt_s / SEGMENT_S
+    is_slow = level_score(state.baseline, config.false_alarm_interval_s, noise) > 1.0
+    if is_slow or (verdict.rise > 1.0 and _is_raised(state, verdict.rise_scale, noise)):
         return _touch(state, _contact_depth(state, block), config)
     return state
 
 
-def _is_raised(state: DefaultState, scale: int) -> bool:
+def _is_raised(state: DefaultState, scale: int, noise_N2: float) -> bool:
     """Whether the blocks since the kink stand above what the sensor wanders in free air."""
-    baseline = settle_baseline(state.baseline, math.inf)
-    level = float(np.mean(state.detector.force_N[-scale:])) - baseline.offset_N
-    spread = baseline.variance + block_noise_N2(state.detector) / scale
-    return level > _LEVEL * math.sqrt(spread)
+    level = float(np.mean(state.detector.force_N[-scale:]))
+    return height_over_wander(state.baseline, level, noise_N2) > _LEVEL
 
 
 def _contact_depth(state: DefaultState, block: Block) -> float:
@@ -80,6 +85,4 @@ def lose_contact(state: DefaultState, config: DefaultConfig) -> DefaultState:
         return state
     points = state.track.points.copy()
     points[:, FORCE] += state.baseline.offset_N
-    return state._replace(
-        in_contact=False, baseline=Baseline(), track=state.track._replace(points=points)
-    )
+    return state._replace(in_contact=False, track=state.track._replace(points=points))

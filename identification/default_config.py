@@ -12,7 +12,8 @@ class DefaultConfig:
     """Physical priors and wanted error rates; nothing here depends on a sensor or a tissue.
 
     Attributes:
-        false_alarm_interval_s: Wanted mean time between false alarms: ten hours of insertion.
+        false_alarm_interval_s: Wanted mean time between false alarms: an hour of insertion, some
+            hundred insertions.
         noise_memory_s: How far back the noise is learned; an insertion's noise may change.
         block_s: Length of the detector's blocks: an eighth of the delay wanted.
         rest_speed_m_s: Slower than this the needle rests; ruptures need travel.
@@ -22,8 +23,8 @@ class DefaultConfig:
             soft tissue for half a millimetre.
         cutting_onset_m: Travel over which the cutting force of a fresh layer builds up: about a
             needle diameter (18G: 1.27 mm).
-        cutting_reach_m: Standard deviation of that force, as the travel over which the layer's
-            growing force reaches as much: twice the needle's diameter.
+        cutting_reach_m: That force, give or take as much, as the travel over which the layer's
+            growing force reaches it: a needle diameter or so. Free air grows no force.
         first_look_m: Travel after a rupture at which its friction is first identified (the
             published k_v).
         second_look_m: Travel at which it is identified for good.
@@ -37,7 +38,7 @@ class DefaultConfig:
         check: Limits of a believable sample.
     """
 
-    false_alarm_interval_s: float = 36_000.0
+    false_alarm_interval_s: float = 3_600.0
     noise_memory_s: float = 4.0
     block_s: float = 5e-3
     rest_speed_m_s: float = 1e-4
@@ -45,7 +46,7 @@ class DefaultConfig:
     track_step_m: float = 2e-5
     presliding_m: float = 0.3e-3
     cutting_onset_m: float = 1e-3
-    cutting_reach_m: float = 2e-3
+    cutting_reach_m: float = 1.5e-3
     first_look_m: float = 1e-3
     second_look_m: float = 3e-3
     model_error_share: float = 0.03

@@ -54,13 +54,15 @@ class Pending(NamedTuple):
         rupture: The alarm.
         left: The layer left, as it was at the alarm.
         left_fit: Its fit at the alarm.
-        is_closed: Whether a first look has already identified it.
+        is_closed: Whether an earlier look has already identified it.
+        next_look_m: Travel since the rupture at which to look again.
     """
 
     rupture: Rupture
     left: LayerData
     left_fit: LayerFit
-    is_closed: bool = False
+    is_closed: bool
+    next_look_m: float
 
 
 class DefaultState(NamedTuple):

@@ -69,11 +69,13 @@ def _solve(
     columns: NDArray[np.float64],
     force: NDArray[np.float64],
     weight: NDArray[np.float64],
-    cutting_var: float,
+    cutting_N: float,
 ) -> tuple[NDArray[np.float64], NDArray[Any]]:
-    """Weighted least squares, cutting force small by prior and never negative."""
-    normal = columns.T @ (columns * weight[:, None]) + np.diag([1e-9, 1.0 / cutting_var, 1e-9])
+    """Weighted least squares, the cutting force near `cutting_N` by prior, never negative."""
+    normal = columns.T @ (columns * weight[:, None])
+    normal += np.diag([1e-9, cutting_N**-2, 1e-9])
     target = columns.T @ (weight * force)
+    target[1] += 1.0 / cutting_N
     covariance = np.linalg.inv(normal)
     solution = covariance @ target
     if solution[1] < 0.0:
@@ -84,13 +86,13 @@ def _solve(
     return solution, covariance
 
 
-def _cutting_variance(
+def _cutting_prior(
     columns: NDArray[np.float64],
     force: NDArray[np.float64],
     weight: NDArray[np.float64],
     config: DefaultConfig,
 ) -> float:
-    """Prior variance of the next layer's cutting force, from how fast its force grows.
+    """Expected cutting force of the next layer, from how fast its force grows.
 
     A layer that hardly pushes back hardly resists cutting either; free air does neither.
     """
@@ -100,8 +102,7 @@ def _cutting_variance(
     covariance = np.linalg.inv(normal)
     slope = float((covariance @ (line.T @ (weight[half:] * force[half:])))[1])
     reach = 1e3 * config.cutting_reach_m
-    largest = max(slope, 0.0) + float(np.sqrt(covariance[1, 1]))
-    return max(reach * largest, 1e-6) ** 2
+    return max(reach * slope, reach * float(np.sqrt(covariance[1, 1])), 1e-6)
 
 
 def _after(
@@ -121,11 +122,11 @@ def _after(
         return None
     columns = _columns(side, depth_m, speed_m_s, config)
     force, weight = side[:, FORCE], side[:, BLOCKS] / noise_N2
-    cutting_var = _cutting_variance(columns, force, weight, config)
+    cutting = _cutting_prior(columns, force, weight, config)
     latest = max(len(side) - max(_LEAST_POINTS, len(side) // 2), 0)
     start, lifted = latest, 0
     for begin in range(latest - _CHUNK, -1, -_CHUNK):
-        solution, covariance = _solve(columns[start:], force[start:], weight[start:], cutting_var)
+        solution, covariance = _solve(columns[start:], force[start:], weight[start:], cutting)
         chunk = slice(begin, begin + _CHUNK)
         mean = np.average(columns[chunk], axis=0, weights=weight[chunk])
         surprise = np.average(force[chunk], weights=weight[chunk]) - mean @ solution
@@ -135,7 +136,7 @@ def _after(
             break
         start = start if lifted else begin
     start = min(start + _CHUNK, latest)
-    solution, covariance = _solve(columns[start:], force[start:], weight[start:], cutting_var)
+    solution, covariance = _solve(columns[start:], force[start:], weight[start:], cutting)
     return float(solution[0]), float(covariance[0, 0]), max(float(solution[2]), 0.0)
 
 

@@ -49,7 +49,7 @@ def raise_rupture(
         detector=restart_detector(state.detector),
         layer=layer,
         fit=layer_fit(values, np.zeros((6, 6))),
-        pending=Pending(rupture, left, fit),
+        pending=Pending(rupture, left, fit, False, config.first_look_m),
         rupture_state=RuptureState.DETECTED,
         rupture=rupture,
     )
@@ -83,16 +83,15 @@ def measure_rupture(
         return state
     travel = float(state.track.points[-1, DEPTH]) - pending.rupture.depth_m
     is_final = is_last or travel >= config.second_look_m
-    if not is_final and (pending.is_closed or travel < config.first_look_m):
+    if not is_final and travel < pending.next_look_m:
         return state._replace(rupture_state=_waiting(state))
     closed = _close(state, pending, config, is_final)
     if closed is not None:
-        return _accept(state, pending, closed, is_final)
-    if not is_final:
-        return state._replace(rupture_state=_waiting(state))
-    if pending.is_closed:
-        return state._replace(pending=None)
-    return _dismiss(state, pending)
+        return _accept(state, pending, closed, is_final, config)
+    if is_final:
+        return state._replace(pending=None) if pending.is_closed else _dismiss(state, pending)
+    later = pending._replace(next_look_m=pending.next_look_m + config.first_look_m)
+    return state._replace(pending=later, rupture_state=_waiting(state))
 
 
 def _waiting(state: DefaultState) -> RuptureState:
@@ -119,18 +118,23 @@ def _close(
 
 
 def _accept(
-    state: DefaultState, pending: Pending, closed: ClosedLayer, is_final: bool
+    state: DefaultState,
+    pending: Pending,
+    closed: ClosedLayer,
+    is_final: bool,
+    config: DefaultConfig,
 ) -> DefaultState:
     keep = len(state.layers) - pending.is_closed
     layers = (*state.layers[:keep], closed.estimate)
     traversed = (*state.traversed[:keep], closed.traversed)
     machine = state.rupture_state if pending.is_closed else RuptureState.COMPENSATED
     row = closed.next_fit.covariance
+    later = pending._replace(is_closed=True, next_look_m=config.second_look_m)
     return state._replace(
         layer=closed.next_layer,
         fit=closed.next_fit,
         shaft_std_N=math.sqrt(max(float(row[0, 0]), 0.0)),
-        pending=None if is_final else pending._replace(is_closed=True),
+        pending=None if is_final else later,
         rupture_state=machine,
         layers=layers,
         traversed=traversed,
