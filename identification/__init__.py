@@ -1,1 +1,44 @@
-"""Needle-tissue interaction from depth, speed and axial force; knows nothing of robots."""
+"""Online identification of needle-tissue interaction; knows nothing of robots.
+
+From depth, speed and axial force: ruptures as they happen, stiffness and friction of each layer,
+the enhanced force without the friction of the layers traversed, and the force at the tip.
+
+    identifier = Identifier()                       # or Identifier(PAPER)
+    estimate = identifier.update(depth_m, speed_m_s, force_N, dt_s)
+
+Reading order: `identifier`; the published method in `paper_step` with one file per equation; ours
+in `default_step`, `kink_detector`, `rupture_fit`, `layer_model`; known layers in `offline`.
+"""
+
+from identification.default_config import DEFAULT, DefaultConfig
+from identification.errors import IdentificationError
+from identification.estimate import Estimate, LayerEstimate, Rupture
+from identification.identifier import Identifier, Snapshot
+from identification.offline import OfflineIdentification, OfflineLayer, identify_offline
+from identification.paper_config import PAPER, PAPER_KV, PaperConfig
+from identification.regressor import LayerSpan
+from identification.replay import Replay, replay
+from identification.rupture_state import RuptureState
+from identification.sample_check import SampleStatus
+
+__all__ = [
+    "DEFAULT",
+    "PAPER",
+    "PAPER_KV",
+    "DefaultConfig",
+    "Estimate",
+    "IdentificationError",
+    "Identifier",
+    "LayerEstimate",
+    "LayerSpan",
+    "OfflineIdentification",
+    "OfflineLayer",
+    "PaperConfig",
+    "Replay",
+    "Rupture",
+    "RuptureState",
+    "SampleStatus",
+    "Snapshot",
+    "identify_offline",
+    "replay",
+]

@@ -3,7 +3,7 @@
 import math
 
 from identification.default_config import DefaultConfig
-from identification.default_state import DefaultState
+from identification.default_state import DefaultState, Pending
 from identification.estimate import Estimate
 from identification.layer_close import is_identified
 from identification.layer_model import (
@@ -35,16 +35,14 @@ def report_default(
     b = 1e6 * (fit[OWN_COULOMB] / speed + fit[OWN_VISCOUS])
     b_var = spread.own_coulomb / speed**2 + 2.0 * spread.own_both / speed + spread.own_viscous
     b_std = 1e6 * math.sqrt(max(b_var, 0.0))
-    usual = MM * state.layers[-1].rupture.speed_m_s if state.layers else speed
-    d = MM * (fit[COULOMB] / usual + fit[VISCOUS])
-    d_var = spread.coulomb / usual**2 + 2.0 * spread.both / usual + spread.viscous
+    d, d_std = _cumulative(state, speed)
     tip = max(sample.depth_m - state.layer.tip_m, 0.0)
     return Estimate(
         time_s=sample.time_s,
         status=status,
         rupture_state=state.rupture_state,
         in_contact=state.in_contact,
-        layer=len(state.layers) + _is_open(state) + 1 if state.in_contact else 0,
+        layer=len(state.layers) + (_open(state) is not None) + 1 if state.in_contact else 0,
         enhanced_force_N=force - friction.earlier_N,
         tip_force_N=force - friction.earlier_N - friction.own_N,
         shaft_friction_N=friction.earlier_N + friction.own_N,
@@ -57,12 +55,24 @@ def report_default(
         friction_std_Ns_per_m2=b_std,
         friction_identified=state.in_contact and is_identified(b, b_std),
         cumulative_friction_Ns_per_m=d,
-        cumulative_friction_std_Ns_per_m=MM * math.sqrt(max(d_var, 0.0)),
+        cumulative_friction_std_Ns_per_m=d_std,
         rupture=state.rupture,
         compensated=state.compensated,
     )
 
 
-def _is_open(state: DefaultState) -> bool:
-    """Whether a rupture has been alarmed whose layer is not identified yet."""
-    return state.pending is not None and not state.pending.is_closed
+def _cumulative(state: DefaultState, speed_mm_s: float) -> tuple[float, float]:
+    """Sum of B_j d_j at the speed of the last rupture, and its standard deviation [Ns/m]."""
+    pending = _open(state)
+    fit = state.fit if pending is None else pending.left_fit
+    speed = MM * state.layers[-1].rupture.speed_m_s if state.layers else speed_mm_s
+    spread = fit.spread
+    variance = spread.coulomb / speed**2 + 2.0 * spread.both / speed + spread.viscous
+    mean = fit.values[COULOMB] / speed + fit.values[VISCOUS]
+    return MM * mean, MM * math.sqrt(max(variance, 0.0))
+
+
+def _open(state: DefaultState) -> Pending | None:
+    """The rupture alarmed whose layer is not identified yet, if any."""
+    pending = state.pending
+    return None if pending is None or pending.is_closed else pending

@@ -5,6 +5,8 @@ and punctures it later: t_r is not t_{i+1} (Section II). The boundary shows wher
 depth leaves its line upwards.
 """
 
+from typing import Any
+
 import numpy as np
 from numpy.typing import NDArray
 
@@ -53,7 +55,7 @@ def membrane_depth(points: NDArray[np.float64], start_m: float, rupture_m: float
 
 def _fit(
     columns: NDArray[np.float64], force: NDArray[np.float64]
-) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+) -> tuple[NDArray[Any], NDArray[Any]]:
     """Least squares of many column sets at once: sums of squares (m,), solutions (m, 4)."""
     transposed = columns.transpose(0, 2, 1)
     normal = transposed @ columns + 1e-9 * np.eye(columns.shape[2])

@@ -23,8 +23,10 @@ class SampleStatus(Enum):
     SPEED_SIGN = "speed has the sign opposite to the change of depth"
     FORCE_RANGE = "force beyond any needle's: check the unit"
 
-
-ABSORBED = frozenset({SampleStatus.OK, SampleStatus.TIME_GAP})
+    @property
+    def is_absorbed(self) -> bool:
+        """Whether the sample went into the estimate."""
+        return self in (SampleStatus.OK, SampleStatus.TIME_GAP)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -140,7 +142,7 @@ def check_step(
     if abs(force) > config.force_limit_N:
         return _skipped(state, dt), None, SampleStatus.FORCE_RANGE
     new, status = _motion_check(state, (depth, speed, force, dt), config)
-    if status not in ABSORBED:
+    if not status.is_absorbed:
         return new, None, status
     elapsed = dt + state.pending_s
     return new, Sample(new.time_s, elapsed, depth - new.depth_shift_m, speed, force), status

@@ -1,0 +1,56 @@
+"""Layers as a table for people, in millimetres."""
+
+from collections.abc import Sequence
+
+from identification.estimate import LayerEstimate
+from identification.replay import Replay
+
+_HEADER = (
+    "layer",
+    "from mm",
+    "thick mm",
+    "rupture s",
+    "alarm s",
+    "drop N",
+    "K N/m",
+    "friction N",
+    "B d Ns/m",
+    "B Ns/m2",
+)
+
+
+def layer_table(result: Replay) -> str:
+    """Text table, one line per layer; `?` marks what the data do not identify."""
+    if not result.layers:
+        return "no layer was left: no rupture found\n"
+    start = float(result.t_s[0])
+    lines = [_HEADER, *(_row(layer, start) for layer in result.layers)]
+    widths = [max(len(line[i]) for line in lines) for i in range(len(_HEADER))]
+    return "".join(
+        "  ".join(cell.rjust(width) for cell, width in zip(line, widths, strict=True)) + "\n"
+        for line in lines
+    )
+
+
+def _row(layer: LayerEstimate, start_s: float) -> Sequence[str]:
+    rupture = layer.rupture
+    product = layer.friction_N / max(rupture.speed_m_s, 1e-9)
+    unsure = "" if layer.friction_identified else "?"
+    return (
+        str(layer.layer),
+        f"{1e3 * layer.start_depth_m:.1f}",
+        f"{1e3 * layer.thickness_m:.1f}",
+        f"{start_s + rupture.time_s:.2f}",
+        f"{start_s + rupture.alarm_s:.2f}",
+        _with_std(layer.force_drop_N, layer.force_drop_std_N, 2),
+        _with_std(layer.stiffness_N_per_m, layer.stiffness_std_N_per_m, 1)
+        + ("" if layer.stiffness_identified else "?"),
+        _with_std(layer.friction_N, layer.friction_std_N, 3) + unsure,
+        f"{product:.0f}{unsure}",
+        f"{layer.friction_Ns_per_m2:.0f}{unsure}",
+    )
+
+
+def _with_std(value: float, std: float | None, digits: int) -> str:
+    text = f"{value:.{digits}f}"
+    return text if std is None else f"{text}±{std:.{digits}f}"
