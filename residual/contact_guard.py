@@ -1,65 +1,69 @@
 """Refuses a tare that would hide a contact."""
 
 import numpy as np
-from numpy.typing import NDArray
 
 from residual.errors import TareError
-from residual.tare import Tare, TareBlocks
+from residual.tare import Tare, TareBlocks, fit_tare
 from residual.wrench import WrenchEstimator
 
-_SMOOTHING_BLOCKS = 5
-_SIGMAS = 5.0
+SIGMAS = 5.0
+"""A force must exceed this many standard deviations to count as contact."""
+SPLITS = (0.1, 0.2, 0.35, 0.55, 0.75, 0.9)
+"""Shares of the motion from which the rest is foretold."""
+SMOOTHING_BLOCKS = 5
+"""A contact lasts: forces are averaged over this many blocks."""
 
 
 def check_free_of_contact(
-    fitted: Tare,
-    previous: Tare,
-    blocks: TareBlocks,
-    wrench: WrenchEstimator,
-    contact_force_N: float,
+    prior: Tare, blocks: TareBlocks, wrench: WrenchEstimator, contact_force_N: float
 ) -> None:
-    """Look for contact in the motion a tare was fitted to.
+    """Look for contact in the motion that a tare is to be fitted to.
 
-    Two signs count: an axial force that the new fit leaves unexplained (the needle touched
-    something on the way), and one that the previous tare, or the prior where there is none, does
-    not allow (the needle is in contact all the time). Both must exceed ``contact_force_N`` and
-    five standard deviations.
+    Free motion foretells itself: a tare fitted to its beginning must hold for the rest within its
+    own standard deviation. A needle that touches something on the way breaks that; one that is in
+    contact all the time breaks the prior. The measure is the arm's own misfit, so a coarse model
+    does not pass for contact.
 
     Args:
-        fitted: The new tare.
-        previous: The one before it; the prior when there is none.
+        prior: What is known before data, see `residual.tare.prior_tare`.
         blocks: The motion.
-        wrench: Reads the axial force from joint torques.
+        wrench: Reads the axial force from joint torques; its covariance is changed.
         contact_force_N: Smallest force that counts [N].
 
     Raises:
         TareError: If there is contact, with the force seen.
     """
-    left = _axial(wrench, blocks, fitted.misfit_Nm)
-    noise = float(np.sqrt(np.mean(np.diff(left) ** 2) / 2.0)) if len(left) > 1 else 0.0
-    width = min(_SMOOTHING_BLOCKS, len(left))
-    smooth = np.convolve(left, np.full(width, 1.0 / width), mode="valid")
-    worst = float(np.abs(smooth).max())
-    if worst > max(contact_force_N, _SIGMAS * noise / np.sqrt(width)):
+    force, doubt = _worst_excess(prior, blocks, wrench, contact_force_N)
+    for share in SPLITS:
+        if force == 0.0 and (known := round(share * len(blocks.age_s))) >= SMOOTHING_BLOCKS:
+            early, late = blocks.split(known)
+            force, doubt = _worst_excess(
+                fit_tare(prior.basis, early), late, wrench, contact_force_N
+            )
+    if force != 0.0:
         raise TareError(
-            f"{worst:.2f} N along the needle came and went while taring (limit "
-            f"{contact_force_N:g} N): the needle seems to touch something. Tare in free air, or "
-            "force=True if you know better"
-        )
-    q, direction, age = blocks.q_rad[-1], blocks.direction[-1], float(blocks.age_s[-1])
-    shift = blocks.residual_Nm[-1] - previous.bias_Nm(q, direction, age)
-    wrench.set_torque_covariance(previous.covariance_Nm2(q, direction, abs(age)))
-    seen = wrench.estimate(q, shift)
-    if abs(seen.axial) > max(contact_force_N, _SIGMAS * seen.axial_std):
-        raise TareError(
-            f"the sensor reads {seen.axial:.2f} N along the needle, expected 0 +/- "
-            f"{seen.axial_std:.2f} N without contact: the needle seems to be in contact, or the "
-            "payload is wrong. Tare in free air, or force=True if you know better"
+            f"the sensor reads {force:.2f} N along the needle where 0 +/- {doubt:.2f} N is "
+            "expected in free motion: the needle seems to be in contact, or the payload is wrong. "
+            "Tare in free air, or force=True if you know better"
         )
 
 
-def _axial(
-    wrench: WrenchEstimator, blocks: TareBlocks, torque_Nm: NDArray[np.float64]
-) -> NDArray[np.float64]:
-    rows = zip(blocks.q_rad, torque_Nm, strict=True)
-    return np.array([wrench.estimate(q, torque).axial for q, torque in rows])
+def _worst_excess(
+    known: Tare, blocks: TareBlocks, wrench: WrenchEstimator, contact_force_N: float
+) -> tuple[float, float]:
+    """Largest axial force beyond what a tare allows, with its standard deviation; zeros if none."""
+    forces, doubts = [], []
+    for q, direction, age, residual in zip(
+        blocks.q_rad, blocks.direction, blocks.age_s, blocks.residual_Nm, strict=True
+    ):
+        wrench.set_torque_covariance(known.covariance_Nm2(q, direction, abs(float(age))))
+        seen = wrench.estimate(q, residual - known.bias_Nm(q, direction, float(age)))
+        forces.append(seen.axial)
+        doubts.append(seen.axial_std)
+    width = min(SMOOTHING_BLOCKS, len(forces))
+    average = np.full(width, 1.0 / width)
+    force = np.convolve(forces, average, mode="valid")
+    doubt = np.convolve(doubts, average, mode="valid")
+    excess = np.abs(force) - np.maximum(contact_force_N, SIGMAS * doubt)
+    worst = int(np.argmax(excess))
+    return (float(force[worst]), float(doubt[worst])) if excess[worst] > 0.0 else (0.0, 0.0)

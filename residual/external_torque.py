@@ -85,10 +85,10 @@ class ExternalTorqueEstimator:
         if self._velocity is not None:
             return self._update_without_velocity(self._velocity, q, tau, dt_s)
         assert dq is not None
-        q, dq = np.asarray(q, dtype=np.float64), np.asarray(dq, dtype=np.float64)
         residual = self._observer.update(q, dq, tau, dt_s)
+        q, dq = np.asarray(q, dtype=np.float64), np.asarray(dq, dtype=np.float64)
         self._grow_older(dt_s)
-        self._learn_noise(dq, 1.0)
+        self._learn_noise(dq, 1.0, dt_s)
         return TorqueSample(q, dq, residual, self._settled)
 
     def _update_without_velocity(
@@ -102,17 +102,18 @@ class ExternalTorqueEstimator:
         residual = self._observer.update(sample.q, sample.dq, sample.tau, self._unread_s)
         self._grow_older(self._unread_s)
         self._unread_s = 0.0
-        self._learn_noise(np.asarray(q, dtype=np.float64), velocity.noise_per_position_noise(dt_s))
+        factor = velocity.noise_per_position_noise(dt_s)
+        self._learn_noise(np.asarray(q, dtype=np.float64), factor, dt_s)
         return TorqueSample(sample.q, sample.dq, residual, self._settled)
 
     @property
     def _settled(self) -> bool:
         return self._probe is None and self._age_s >= self._settling_s
 
-    def _learn_noise(self, signal: NDArray[np.float64], factor: float) -> None:
+    def _learn_noise(self, signal: NDArray[np.float64], factor: float, dt_s: float) -> None:
         """Learn the velocity's noise from the first samples, then quieten the momentum."""
         if self._probe is not None:
-            noise = self._probe.add(signal)
+            noise = self._probe.add(signal, dt_s)
             if noise is not None:
                 self._observer.smooth_momentum(factor * noise)
                 self._probe = None

@@ -1,7 +1,7 @@
 """The momentum observer: joint signals in, external joint torque out."""
 
 import math
-from typing import NamedTuple
+from typing import NamedTuple, NoReturn
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -13,7 +13,6 @@ from residual.momentum_step import ROWS, Alignment, step_coefficients
 from residual.momentum_terms import MomentumTerms
 from residual.sample_check import check_interval, check_joint_vector
 from urdf import Robot
-
 
 _LEAST_MOMENTUM_NOISE = 1e-9
 """Keeps the smoother's ratios finite for a signal without noise [kg m^2/s]."""
@@ -130,9 +129,12 @@ class MomentumObserver:
             SampleError: For a wrong shape, a number that is not finite or a time step that does
                 not advance; the state is then unchanged.
         """
-        q = np.asarray(q, dtype=np.float64)
-        dq = np.asarray(dq, dtype=np.float64)
-        tau = np.asarray(tau, dtype=np.float64)
+        try:
+            q = np.asarray(q, dtype=np.float64)
+            dq = np.asarray(dq, dtype=np.float64)
+            tau = np.asarray(tau, dtype=np.float64)
+        except (TypeError, ValueError):
+            self._refuse(q, dq, tau)
         shape = (self._joints,)
         if q.shape != shape or dq.shape != shape or tau.shape != shape:
             self._refuse(q, dq, tau)
@@ -179,7 +181,7 @@ class MomentumObserver:
             return held + 0.0 * self._rows[self._spare * ROWS + 1 : (self._spare + 1) * ROWS].sum(0)
         return np.vecdot(self._coefficients[self._spare], self._joint_rows)
 
-    def _refuse(self, *sample: NDArray[np.float64]) -> None:
+    def _refuse(self, *sample: ArrayLike) -> NoReturn:
         for name, value in zip(("q", "dq", "tau"), sample, strict=True):
             check_joint_vector(name, value, self._joints)
         raise SampleError("q, dq and tau are finite but the dynamics overflow; check their units")

@@ -15,23 +15,31 @@ class NoiseProbe:
 
     Args:
         size: Length of the vector.
-        samples: How many samples are taken.
+        seconds: For how long it listens [s].
     """
 
-    def __init__(self, size: int, samples: int = 512) -> None:
-        self._rows = np.empty((samples, size))
-        self._count = 0
+    LEAST_SAMPLES = 32
+    """However slow the clock."""
+    MOST_SAMPLES = 2048
+    """However fast the clock."""
 
-    def add(self, value: NDArray[np.float64]) -> NDArray[np.float64] | None:
-        """Take a sample, shape (size,).
+    def __init__(self, size: int, seconds: float = 0.5) -> None:
+        self._rows = np.empty((self.MOST_SAMPLES, size))
+        self._count = 0
+        self._left_s = seconds
+
+    def add(self, value: NDArray[np.float64], dt_s: float) -> NDArray[np.float64] | None:
+        """Take a sample, shape (size,), that came ``dt_s`` after the one before.
 
         Returns:
             Standard deviation of the noise, shape (size,), with the last sample; None before.
         """
         self._rows[self._count] = value
         self._count += 1
-        if self._count < len(self._rows):
+        self._left_s -= dt_s
+        enough = self._left_s <= 0.0 and self._count >= self.LEAST_SAMPLES
+        if not enough and self._count < self.MOST_SAMPLES:
             return None
-        differences = np.abs(np.diff(self._rows, n=3, axis=0))
+        differences = np.abs(np.diff(self._rows[: self._count], n=3, axis=0))
         # 0.6745 is the median of |x| for a standard normal x.
         return np.median(differences, axis=0) / (0.6745 * math.sqrt(20.0))

@@ -1,6 +1,5 @@
 """Keeps the tare: records free motion, fits, subtracts, and says how far it may be trusted."""
 
-
 import numpy as np
 from numpy.typing import NDArray
 
@@ -79,10 +78,10 @@ class OffsetRemoval:
             TareError: Without data, or with contact in sight; the tare in force then stays.
         """
         blocks = self._recorder.blocks(self._now_s, self._config.tare_window_s)
-        fitted = fit_tare(self._basis, blocks)
         if not force:
-            limit = self._config.contact_force_N
-            check_free_of_contact(fitted, prior_tare(self._basis), blocks, wrench, limit)
+            prior = prior_tare(self._basis)
+            check_free_of_contact(prior, blocks, wrench, self._config.contact_force_N)
+        fitted = fit_tare(self._basis, blocks)
         self._tare, self._tared, self._tared_s = fitted, True, self._now_s
         return fitted
 

@@ -1,5 +1,6 @@
 """Settings of the virtual force sensor, validated once, and the two presets."""
 
+import math
 from dataclasses import dataclass, field
 
 from residual.errors import ConfigurationError
@@ -35,7 +36,7 @@ class SensorConfig:
         max_gap_s: Longest time step that is integrated [s]; after a longer one filters restart.
 
     Raises:
-        ConfigurationError: For numbers that are not positive.
+        ConfigurationError: For numbers that are not finite and positive.
     """
 
     gain_per_s: float = 70.0
@@ -57,8 +58,10 @@ class SensorConfig:
 
     def __post_init__(self) -> None:
         for name in ("gain_per_s", "velocity_bandwidth_per_s", "contact_force_N", "max_gap_s"):
-            if not getattr(self, name) > 0:
-                raise ConfigurationError(f"{name} is {getattr(self, name)!r}, expected > 0")
+            if not 0 < getattr(self, name) < math.inf:
+                raise ConfigurationError(
+                    f"{name} is {getattr(self, name)!r}, expected a finite number > 0"
+                )
         if self.tare_window_s is not None and not self.tare_window_s > 0:
             raise ConfigurationError(f"tare_window_s is {self.tare_window_s!r}, expected > 0")
 

@@ -31,9 +31,13 @@ class TarePrior:
         reversal_share: Half the jump at a reversal of motion (hysteresis, Coulomb friction).
             0.02 %: well within the 0.5 % linearity such sensors are sold with.
         reversal_width_rad: Joint travel over which that jump happens [rad].
+        wave_rad: Length over which a torque sensor's own waviness changes [rad]. A harmonic drive
+            of 160:1 has a ripple of period pi/160 = 0.02 rad: a quarter of that.
         drift_share_per_min: Linear drift. 0.01 % a minute, as strain gauges warm up (an ATI Mini45
             was seen to drift 0.04 % of its range in 4 minutes).
         walk_share_per_sqrt_min: Random walk beside it.
+        resolution_share: What no torque sensor resolves; keeps the weights of joints sensible on
+            signals without noise. 0.001 %.
         fallback_effort_Nm: Stands in where a description gives no effort limit [Nm].
 
     Raises:
@@ -45,8 +49,10 @@ class TarePrior:
     com_m: float = 0.005
     reversal_share: float = 2e-4
     reversal_width_rad: float = 1e-3
+    wave_rad: float = 5e-3
     drift_share_per_min: float = 1e-4
     walk_share_per_sqrt_min: float = 3e-5
+    resolution_share: float = 1e-5
     fallback_effort_Nm: float = 100.0
 
     def __post_init__(self) -> None:
@@ -129,6 +135,10 @@ class TareBasis:
         return np.concatenate(
             [identity, self.regressor(q), np.diag(direction), age_s * identity], axis=1
         )
+
+    def resolution_variance(self) -> NDArray[np.float64]:
+        """Least variance of a residual [Nm^2], shape (n,)."""
+        return np.square(self.prior.resolution_share * self.effort_Nm)
 
     def walk_variance(self, age_s: float) -> NDArray[np.float64]:
         """Variance that the random walk has added since the tare [Nm^2], shape (n,)."""

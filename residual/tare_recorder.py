@@ -22,7 +22,7 @@ class TareRecorder:
     def __init__(self, joints: int, block_s: float, keep_s: float = 120.0) -> None:
         self._joints = joints
         self._block_s = block_s
-        self._blocks: deque[tuple[NDArray[np.float64], float, NDArray[np.float64], int]] = deque(
+        self._blocks: deque[tuple[NDArray[np.float64], float, NDArray[np.float64]]] = deque(
             maxlen=max(1, round(keep_s / block_s))
         )
         self.clear()
@@ -34,7 +34,7 @@ class TareRecorder:
 
     def _open(self) -> None:
         self._sum = np.zeros((3, self._joints))
-        self._outer = np.zeros((self._joints, self._joints))
+        self._squares = np.zeros(self._joints)
         self._count = 0
         self._age_s = 0.0
 
@@ -48,13 +48,13 @@ class TareRecorder:
     ) -> None:
         """Add one sample: position [rad], direction, residual [Nm], each (n,), at a time [s]."""
         self._sum += (q, direction, residual)
-        self._outer += np.outer(residual, residual)
+        self._squares += residual * residual
         self._count += 1
         self._age_s += dt_s
         if self._age_s >= self._block_s:
             means = self._sum / self._count
-            scatter = self._outer - self._count * np.outer(means[2], means[2])
-            self._blocks.append((means, time_s - 0.5 * self._age_s, scatter, self._count))
+            scatter = np.maximum(self._squares / self._count - means[2] ** 2, 0.0)
+            self._blocks.append((means, time_s - 0.5 * self._age_s, scatter))
             self._open()
 
     def blocks(self, now_s: float, window_s: float | None = None) -> TareBlocks:
@@ -70,11 +70,11 @@ class TareRecorder:
                 f"{self._block_s:g} s); update() the sensor without contact first, then tare()"
             )
         means = np.stack([b[0] for b in kept])
-        freedom = max(1, sum(b[3] - 1 for b in kept))
         return TareBlocks(
             q_rad=means[:, 0],
             direction=means[:, 1],
             residual_Nm=means[:, 2],
             age_s=np.array([b[1] for b in kept]) - now_s,
-            scatter_Nm2=np.sum([b[2] for b in kept], axis=0) / freedom,
+            # The median, so that a knock in one block does not pass for noise in all.
+            scatter_Nm2=np.median([b[2] for b in kept], axis=0),
         )

@@ -83,12 +83,11 @@ class VirtualForceSensor:
                 self._robot, self._config, has_velocity=dq is not None
             )
         try:
-            if self._last is not None:
-                check_interval(dt_s)
-            sample = self._torque.update(q, dq, tau, dt_s + self._missed_s)
+            elapsed_s = self._elapsed(dt_s)
+            sample = self._torque.update(q, dq, tau, elapsed_s)
         except SampleError as error:
             return self._skip(dt_s, str(error))
-        return self._finish(sample, dt_s)
+        return self._finish(sample, elapsed_s)
 
     def update_external_torque(
         self, q: ArrayLike, dq: ArrayLike, external_torque: ArrayLike, dt_s: float
@@ -106,7 +105,7 @@ class VirtualForceSensor:
         """
         joints = self._robot.nv
         try:
-            check_interval(dt_s)
+            elapsed_s = self._elapsed(dt_s)
             sample = TorqueSample(
                 check_joint_vector("q", q, joints),
                 check_joint_vector("dq", dq, joints),
@@ -115,7 +114,7 @@ class VirtualForceSensor:
             )
         except SampleError as error:
             return self._skip(dt_s, str(error))
-        return self._finish(sample, dt_s)
+        return self._finish(sample, elapsed_s)
 
     def tare(self, *, force: bool = False) -> Tare:
         """Fit the offset to the free motion seen since the start or `start_recording`.
@@ -131,6 +130,7 @@ class VirtualForceSensor:
         """
         tare = self._offset.tare(self._wrench, force=force)
         self._refresh_in_s = 0.0
+        self._slow_axial_N = math.nan
         return tare
 
     def start_recording(self) -> None:
@@ -147,9 +147,15 @@ class VirtualForceSensor:
         self._slow_axial_N = math.nan
         self._skipped = 0
 
-    def _finish(self, sample: TorqueSample, dt_s: float) -> WrenchEstimate:
+    def _elapsed(self, dt_s: float) -> float:
+        """Time since the last sample that was absorbed [s]; 0 for the first one."""
+        if self._last is None:
+            return 0.0
+        check_interval(dt_s)
+        return dt_s + self._missed_s
+
+    def _finish(self, sample: TorqueSample, elapsed_s: float) -> WrenchEstimate:
         """Remove the offset, project, and say what the caller should know."""
-        elapsed_s = dt_s + self._missed_s if self._last is not None else 0.0
         self._missed_s = 0.0
         offset = self._offset
         offset.follow(sample.q, sample.dq, elapsed_s)

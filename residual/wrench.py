@@ -37,7 +37,7 @@ class WrenchEstimator:
         axes: Axes in which force and torque are expressed.
         insertion_axis: Insertion direction in the frame's axes, normalised here.
         weighting: ``covariance``, by the inverse covariance of the torque; ``none``, the plain
-            pseudo-inverse of equation (13).
+            pseudo-inverse of equation (13), which has no damping either.
         expected_force_N: Size of force beyond which an estimate is drawn to zero where the joints
             cannot see it (damping near singular poses); None for no damping.
         expected_torque_Nm: The same of torque, in the full mode.
@@ -76,6 +76,8 @@ class WrenchEstimator:
         self._mode: Mode = mode
         self._in_base = axes == "base"
         self._damping = _damping(mode, expected_force_N, expected_torque_Nm)
+        if weighting == "none":
+            self._damping[:] = 0.0
         self._weighted = weighting == "covariance"
         self._covariance = self._precision = np.eye(robot.nv)
 
@@ -107,8 +109,9 @@ class WrenchEstimator:
 
     def estimate(self, q: NDArray[np.float64], residual: NDArray[np.float64]) -> WrenchEstimate:
         """Wrench at a configuration [rad] from the external joint torque [Nm], both shape (n,)."""
-        jacobian = pin.computeFrameJacobian(
-            self._model, self._data, q, self._frame_id, pin.ReferenceFrame.LOCAL
+        pin.computeJointJacobians(self._model, self._data, q)
+        jacobian = pin.getFrameJacobian(
+            self._model, self._data, self._frame_id, pin.ReferenceFrame.LOCAL
         )
         if self._mode == "axial":
             return self._axial(jacobian, residual)

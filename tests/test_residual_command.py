@@ -175,7 +175,6 @@ def test_any_urdf_with_locked_joints(run, tmp_path):
     assert np.isfinite(columns["axial_N"]).all()
 
 
-@pytest.mark.xfail(strict=True, reason="WrenchEstimator gives tool axes where base is asked for")
 def test_a_payload_that_the_model_lacks_reads_as_its_weight_downward(log, run, tmp_path):
     light = tmp_path / "light.toml"
     light.write_text("[needle]\nsensor_mass_kg = 0.0\n")

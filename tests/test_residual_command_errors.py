@@ -110,7 +110,7 @@ OPTIONS = {
     "--config no_prior.toml": "expected a table",
     "--config prior.toml": "offset_share is -1.0",
     "--gain inf": "gain_per_s = inf, expected a number",
-    "--gain 0": "gain_per_s is 0.0, expected > 0",
+    "--gain 0": "gain_per_s is 0.0, expected a finite number > 0",
     "--friction no_model.toml": r"has stribeck; expected one table of \[viscous_coulomb\]",
     "--friction no_table.toml": "must be a table",
     "--friction short.toml": "viscous_Nms = .1.0, 2.0., expected 7 numbers, one per joint",

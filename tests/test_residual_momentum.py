@@ -87,7 +87,9 @@ def test_residual_converges_to_the_external_torque(lwr):
 def test_start_on_a_moving_arm_has_no_spike(lwr):
     _, q, dq, tau = swing(lwr, seconds=0.2, start=0.4)
     observer = MomentumObserver(lwr, 500.0)
-    peak = max(np.abs(observer.update(*sample, 1e-3)).max() for sample in zip(q, dq, tau, strict=True))
+    peak = max(
+        np.abs(observer.update(*sample, 1e-3)).max() for sample in zip(q, dq, tau, strict=True)
+    )
     assert np.abs(dq[0]).max() > 0.1
     assert peak < 1e-3
 
@@ -186,7 +188,9 @@ def test_per_joint_gains_and_lists_are_taken(lwr):
 
 def test_modelled_friction_does_not_read_as_force(lwr):
     friction = JointFriction(
-        viscous_Nms=np.full(JOINTS, 2.0), coulomb_Nm=np.full(JOINTS, 1.0), offset_Nm=np.zeros(JOINTS)
+        viscous_Nms=np.full(JOINTS, 2.0),
+        coulomb_Nm=np.full(JOINTS, 1.0),
+        offset_Nm=np.zeros(JOINTS),
     )
     _, q, dq, tau = swing(lwr, seconds=1.0)
     with_friction = np.array([t + friction.torque(v) for t, v in zip(tau, dq, strict=True)])

@@ -1,0 +1,208 @@
+"""The facade: tare, insert, and what it says about bad samples."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from residual_signals import external_torque_of, swing
+
+from residual import (
+    DEFAULT,
+    PAPER,
+    ConfigurationError,
+    SensorConfig,
+    Status,
+    TareError,
+    VirtualForceSensor,
+)
+from residual.noise_probe import NoiseProbe
+
+BIAS = np.array([0.3, -0.8, 0.4, 0.5, -0.2, 0.1, -0.05])
+
+
+def tared_sensor(robot, config=DEFAULT, *, with_velocity=True, bias=BIAS):
+    """A sensor that has seen two seconds of free motion and was tared."""
+    sensor = VirtualForceSensor(robot, config)
+    _, q, dq, tau = swing(robot, seconds=2.0, amplitude=0.03)
+    for k in range(len(q)):
+        sensor.update(q[k], dq[k] if with_velocity else None, tau[k] - bias, 1e-3)
+    sensor.tare()
+    return sensor
+
+
+def push(robot, sensor, force, *, with_velocity=True, bias=BIAS):
+    _, q, dq, tau = swing(robot, seconds=0.5, start=2.0, amplitude=0.03, force_at_tip_in_base=force)
+    for k in range(len(q)):
+        estimate = sensor.update(q[k], dq[k] if with_velocity else None, tau[k] - bias, 1e-3)
+    return q[-1], estimate
+
+
+@pytest.mark.parametrize("with_velocity", [True, False])
+def test_force_is_read_through_a_sensor_bias(lwr, with_velocity):
+    sensor = tared_sensor(lwr, replace(DEFAULT, mode="point"), with_velocity=with_velocity)
+    force = np.array([1.0, -0.5, 2.0])
+    _, estimate = push(lwr, sensor, force, with_velocity=with_velocity)
+    assert estimate.status is Status.OK
+    np.testing.assert_allclose(estimate.force, force, atol=0.03)
+
+
+def test_paper_preset_reads_the_same_force_later(lwr):
+    sensor = tared_sensor(lwr, PAPER)
+    assert sensor.lag_s == pytest.approx(0.2)
+    _, estimate = push(lwr, sensor, [0.0, 0.0, 2.0])
+    assert estimate.force[2] == pytest.approx(2.0 * (1 - np.exp(-0.5 * 5.0)), abs=0.1)
+    assert estimate.covariance.shape == (6, 6)
+
+
+def test_tare_does_not_fade(lwr):
+    sensor = tared_sensor(lwr)
+    _, q, dq, tau = swing(lwr, seconds=3.0, start=2.0, amplitude=0.03)
+    last = [sensor.update(*sample, 1e-3) for sample in zip(q, dq, tau - BIAS, strict=True)]
+    assert max(abs(e.axial) for e in last) < 0.02
+
+
+def test_status_tells_settling_then_not_tared_then_ok(lwr):
+    sensor = VirtualForceSensor(lwr)
+    _, q, dq, tau = swing(lwr, seconds=1.0)
+    statuses = [sensor.update(q[k], dq[k], tau[k], 1e-3).status for k in range(len(q))]
+    assert statuses[0] is Status.SETTLING
+    assert statuses[-1] is Status.NOT_TARED
+    assert not sensor.tared
+    sensor.tare()
+    assert sensor.tared
+    assert sensor.update(q[-1], dq[-1], tau[-1], 1e-3).status is Status.OK
+    sensor.start_recording()
+    assert sensor.update(q[-1], dq[-1], tau[-1], 1e-3).status is Status.NOT_TARED
+    after_gap = sensor.update(q[-1], dq[-1], tau[-1], 5.0)
+    assert after_gap.status is Status.SETTLING
+
+
+def test_before_the_tare_the_standard_deviation_is_that_of_the_prior(lwr):
+    sensor = VirtualForceSensor(lwr)
+    _, q, dq, tau = swing(lwr, seconds=1.0, amplitude=0.03)
+    for sample in zip(q, dq, tau - BIAS, strict=True):
+        estimate = sensor.update(*sample, 1e-3)
+    assert abs(estimate.axial) < 2 * estimate.axial_std
+    sensor.tare()
+    assert sensor.update(q[-1], dq[-1], tau[-1] - BIAS, 1e-3).axial_std < 0.1 * estimate.axial_std
+
+
+BAD = {
+    "not finite": lambda q, dq, tau: (q, dq, np.where(np.arange(7) == 3, np.nan, tau), 1e-3),
+    "shape": lambda q, dq, tau: (q[:3], dq, tau, 1e-3),
+    "not an array of numbers": lambda q, dq, tau: (q, dq, ["a"] * 7, 1e-3),
+    "dt_s is -0.001": lambda q, dq, tau: (q, dq, tau, -1e-3),
+    "dt_s is inf": lambda q, dq, tau: (q, dq, tau, np.inf),
+    "dq was given before": lambda q, dq, tau: (q, None, tau, 1e-3),
+}
+
+
+@pytest.mark.parametrize("reason", BAD)
+def test_bad_sample_is_reported_and_skipped_never_absorbed(lwr, reason):
+    sensor, twin = tared_sensor(lwr), tared_sensor(lwr)
+    _, q, dq, tau = swing(lwr, seconds=0.02, start=2.0, amplitude=0.03)
+    good = sensor.update(q[0], dq[0], tau[0], 1e-3)
+    twin.update(q[0], dq[0], tau[0], 1e-3)
+    skipped = sensor.update(*BAD[reason](q[1], dq[1], tau[1]))
+    assert skipped.status is Status.SKIPPED
+    assert reason in skipped.message
+    assert skipped.axial == good.axial
+    assert sensor.skipped == 1
+    # The time of a bad sample with a sound clock still passes.
+    elapsed = 1e-3 if reason.startswith("dt_s") else 2e-3
+    next_one = sensor.update(q[2], dq[2], tau[2], 1e-3)
+    assert next_one.axial == twin.update(q[2], dq[2], tau[2], elapsed).axial
+
+
+def test_bad_first_sample_gives_finite_numbers_and_infinite_doubt(lwr):
+    sensor = VirtualForceSensor(lwr)
+    estimate = sensor.update(np.zeros(7), np.zeros(7), np.full(7, np.nan), 1e-3)
+    assert estimate.status is Status.SKIPPED
+    assert np.isfinite(estimate.axial)
+    assert np.isinf(estimate.axial_std)
+
+
+def test_tare_without_motion_is_refused_and_changes_nothing(lwr):
+    sensor = VirtualForceSensor(lwr)
+    with pytest.raises(TareError, match="no free motion"):
+        sensor.tare()
+    assert not sensor.tared
+
+
+def test_tare_in_contact_is_refused_unless_forced(lwr):
+    sensor = VirtualForceSensor(lwr)
+    _, q, dq, tau = swing(lwr, seconds=3.0, amplitude=0.03)
+    for k in range(len(q)):
+        touching = external_torque_of(lwr, q[k], [0.0, 0.0, 2.0]) if k > 2700 else 0.0
+        sensor.update(q[k], dq[k], tau[k] - touching, 1e-3)
+    with pytest.raises(TareError, match="in contact"):
+        sensor.tare()
+    assert not sensor.tared
+    sensor.tare(force=True)
+    assert sensor.tared
+
+
+def test_external_torque_of_the_robot_takes_the_same_way(lwr):
+    sensor = VirtualForceSensor(lwr, replace(DEFAULT, mode="point"))
+    _, q, dq, _ = swing(lwr, seconds=1.0, amplitude=0.03)
+    for k in range(500):
+        sensor.update_external_torque(q[k], dq[k], BIAS, 1e-3)
+    sensor.tare()
+    force = np.array([0.5, 1.0, -2.0])
+    torque = BIAS + external_torque_of(lwr, q[500], force)
+    estimate = sensor.update_external_torque(q[500], dq[500], torque, 1e-3)
+    np.testing.assert_allclose(estimate.force, force, atol=0.02)
+    assert (
+        sensor.update_external_torque(q[501], dq[501], torque * np.nan, 1e-3).status
+        is Status.SKIPPED
+    )
+    assert sensor.update_external_torque(q[501], dq[501], torque, -1.0).status is Status.SKIPPED
+
+
+def force_noise(robot, config, amplitude):
+    """Deviation of the force read in free motion with a noisy velocity, quiet or quick."""
+    rng = np.random.default_rng(0)
+    sensor = VirtualForceSensor(robot, config)
+    for size in (0.01, amplitude):
+        _, q, dq, tau = swing(robot, seconds=3.0, amplitude=size)
+        noisy = dq + 2e-4 * rng.normal(size=dq.shape)
+        found = [sensor.update(*sample, 1e-3).axial for sample in zip(q, noisy, tau, strict=True)]
+        if not sensor.tared:
+            sensor.tare()
+    return np.std(found[200:])
+
+
+def test_smoothed_momentum_is_quieter_and_steps_aside_when_the_arm_accelerates(lwr):
+    plain = replace(DEFAULT, smooth_momentum=False)
+    assert force_noise(lwr, DEFAULT, 0.005) < 0.5 * force_noise(lwr, plain, 0.005)
+    assert force_noise(lwr, DEFAULT, 0.3) < 2.0 * force_noise(lwr, plain, 0.3)
+
+
+def test_reset_forgets_everything(lwr):
+    sensor = tared_sensor(lwr)
+    sensor.reset()
+    assert not sensor.tared
+    assert sensor.skipped == 0
+    assert sensor.lag_s == 0.0
+
+
+def test_noise_of_a_moving_signal_is_learnt():
+    rng = np.random.default_rng(0)
+    probe = NoiseProbe(3)
+    noise = None
+    for k in range(2000):
+        motion = 0.3 * np.sin(3.0 * k * 1e-3 + np.arange(3))
+        noise = probe.add(motion + 1e-4 * rng.normal(size=3), 1e-3)
+        if noise is not None:
+            break
+    assert k == pytest.approx(500, abs=2)
+    np.testing.assert_allclose(noise, 1e-4, rtol=0.2)
+
+
+@pytest.mark.parametrize(
+    "settings",
+    [{"gain_per_s": 0.0}, {"gain_per_s": np.inf}, {"tare_window_s": -1.0}, {"max_gap_s": np.nan}],
+)
+def test_settings_that_cannot_work_are_refused(settings):
+    with pytest.raises(ConfigurationError, match=next(iter(settings))):
+        SensorConfig(**settings)

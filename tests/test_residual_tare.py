@@ -1,0 +1,172 @@
+"""Offset removal that lasts."""
+
+from dataclasses import replace
+
+import numpy as np
+import pinocchio as pin
+import pytest
+from residual_signals import MIDDLE
+
+from residual import ConfigurationError, TareError, TarePrior, WrenchEstimator
+from residual.contact_guard import check_free_of_contact
+from residual.tare import TareBlocks, fit_tare, prior_tare
+from residual.tare_prior import TareBasis, direction_step
+from residual.tare_recorder import TareRecorder
+
+TOWARDS = np.array([0.0, 0.12, 0.01, 0.15, 0.0, 0.1, 0.0])
+OFFSET = np.array([0.3, -0.8, 0.4, 0.5, -0.2, 0.1, -0.05])
+
+
+def stroke(robot, basis, *, truth=None, noise=0.005, seed=0, blocks=300, reach=1.0):
+    """Blocks of a there-and-back motion with a bias drawn from the prior (or given)."""
+    rng = np.random.default_rng(seed)
+    phase = np.linspace(0.0, 3 * np.pi, blocks)
+    place = 0.5 * (1 - np.cos(phase)) * reach - reach
+    q = MIDDLE + place[:, None] * TOWARDS
+    direction = np.sign(np.sin(phase))[:, None] * np.sign(TOWARDS)
+    age = np.linspace(-9.0, 0.0, blocks)
+    theta = basis.std * rng.normal(size=len(basis.std)) if truth is None else truth
+    bias = np.array([basis.columns(*row) @ theta for row in zip(q, direction, age, strict=True)])
+    residual = bias + noise * rng.normal(size=bias.shape)
+    scatter = np.full(robot.nv, (2 * noise) ** 2)
+    return theta, TareBlocks(
+        q_rad=q, direction=direction, residual_Nm=residual, age_s=age, scatter_Nm2=scatter
+    )
+
+
+@pytest.fixture
+def basis(lwr):
+    return TareBasis(lwr, "model", TarePrior())
+
+
+def test_bias_is_linear_in_its_physical_causes(lwr, basis):
+    """The link columns are the gravity torque of an error of mass and first moments."""
+    data = lwr.create_data()
+    model = lwr.model.copy()
+    heavier = model.inertias[5]
+    model.inertias[5] = pin.Inertia(heavier.mass + 0.1, heavier.lever, heavier.inertia)
+    change = pin.computeGeneralizedGravity(model, model.createData(), MIDDLE) - (
+        pin.computeGeneralizedGravity(lwr.model, data, MIDDLE)
+    )
+    theta = np.zeros(len(basis.std))
+    start = basis.groups["links"].start + 4 * 4
+    theta[start] = 0.1
+    theta[start + 1 : start + 4] = 0.1 * heavier.lever
+    got = basis.columns(MIDDLE, np.zeros(7), 0.0) @ theta
+    np.testing.assert_allclose(got, change, atol=1e-9)
+
+
+@pytest.mark.parametrize("seed", range(5))
+def test_fit_extrapolates_better_than_a_constant(lwr, basis, seed):
+    theta, blocks = stroke(lwr, basis, seed=seed)
+    ahead, forward = MIDDLE + 0.8 * TOWARDS, np.sign(TOWARDS)
+    truth = basis.columns(ahead, forward, 20.0) @ theta
+    fitted = fit_tare(basis, blocks)
+    constant = fit_tare(TareBasis(lwr, "constant", TarePrior()), blocks)
+    ours = np.abs(fitted.bias_Nm(ahead, forward, 20.0) - truth).max()
+    paper = np.abs(constant.bias_Nm(ahead, forward, 20.0) - truth).max()
+    assert ours < 0.5 * paper
+
+
+def test_stated_covariance_is_believable(lwr, basis):
+    ahead, forward, scores = MIDDLE + 0.8 * TOWARDS, np.sign(TOWARDS), []
+    for seed in range(40):
+        theta, blocks = stroke(lwr, basis, seed=seed)
+        fitted = fit_tare(basis, blocks)
+        error = fitted.bias_Nm(ahead, forward, 20.0) - basis.columns(ahead, forward, 20.0) @ theta
+        covariance = fitted.covariance_Nm2(ahead, forward, 20.0) - fitted.noise_Nm2
+        scores.append((error**2 / covariance.diagonal())[1:4])
+    assert 0.5 < np.mean(scores) < 1.6
+
+
+def test_waviness_does_not_pass_for_a_slope(lwr, basis):
+    """A ripple along joint position, half a period of it seen, must widen the uncertainty."""
+    _, blocks = stroke(lwr, basis, truth=np.zeros(len(basis.std)))
+    ripple = 0.02 * np.sin(320.0 * blocks.q_rad + 1.0)
+    wavy = replace(blocks, residual_Nm=blocks.residual_Nm + ripple)
+    ahead, forward = MIDDLE + 0.8 * TOWARDS, np.sign(TOWARDS)
+
+    def doubt(tare):
+        return np.sqrt((tare.covariance_Nm2(ahead, forward, 0.0) - tare.noise_Nm2).diagonal())
+
+    fitted = fit_tare(basis, wavy)
+    assert (doubt(fitted)[1:4] > 1.5 * doubt(fit_tare(basis, blocks))[1:4]).all()
+    assert (np.abs(fitted.bias_Nm(ahead, forward, 0.0))[1:4] < 3.0 * doubt(fitted)[1:4]).all()
+
+
+def test_doubt_grows_with_distance_and_time(lwr, basis):
+    fitted = fit_tare(basis, stroke(lwr, basis)[1])
+
+    def doubt(distance, age):
+        covariance = fitted.covariance_Nm2(MIDDLE + distance * TOWARDS, np.zeros(7), age)
+        return covariance.trace()
+
+    assert doubt(0.0, 0.0) < doubt(0.5, 0.0) < doubt(1.0, 0.0)
+    assert doubt(0.0, 0.0) < doubt(0.0, 60.0) < doubt(0.0, 600.0)
+
+
+def test_constant_kind_is_the_mean_residual(lwr):
+    basis = TareBasis(lwr, "constant", TarePrior())
+    _, blocks = stroke(lwr, basis, truth=OFFSET)
+    tare = fit_tare(basis, blocks)
+    mean = blocks.residual_Nm.mean(axis=0)
+    np.testing.assert_allclose(tare.bias_Nm(MIDDLE, np.zeros(7), 5.0), mean, atol=2e-4)
+
+
+def test_contact_on_the_way_is_refused(lwr, basis):
+    wrench = WrenchEstimator(lwr)
+    _, blocks = stroke(lwr, basis)
+    prior = prior_tare(basis)
+    check_free_of_contact(prior, blocks, wrench, 0.25)
+    push = np.where(np.arange(300) > 270, 1.0, 0.0)
+    jacobian = pin.computeFrameJacobian(
+        lwr.model, lwr.create_data(), MIDDLE, lwr.tool_frame_id, pin.LOCAL
+    )
+    touched = replace(blocks, residual_Nm=blocks.residual_Nm - push[:, None] * jacobian[2])
+    with pytest.raises(TareError, match="in contact"):
+        check_free_of_contact(prior, touched, wrench, 0.25)
+
+
+def test_standing_contact_is_refused(lwr, basis):
+    wrench = WrenchEstimator(lwr)
+    _, blocks = stroke(lwr, basis, truth=np.zeros(len(basis.std)))
+    jacobian = pin.computeFrameJacobian(
+        lwr.model, lwr.create_data(), MIDDLE, lwr.tool_frame_id, pin.LOCAL
+    )
+    pressed = replace(blocks, residual_Nm=blocks.residual_Nm - 60.0 * jacobian[2])
+    with pytest.raises(TareError, match="in contact"):
+        check_free_of_contact(prior_tare(basis), pressed, wrench, 0.25)
+
+
+def test_recorder_keeps_block_means_in_bounded_memory():
+    recorder = TareRecorder(2, block_s=0.01, keep_s=0.05)
+    for k in range(1000):
+        recorder.add(np.full(2, k), np.ones(2), np.full(2, 2.0 * k), k * 1e-3, 1e-3)
+    blocks = recorder.blocks(now_s=1.0)
+    assert len(blocks.age_s) == 5
+    np.testing.assert_allclose(blocks.residual_Nm, 2 * blocks.q_rad)
+    assert (np.diff(blocks.age_s) > 0).all()
+    assert len(recorder.blocks(now_s=1.0, window_s=0.021).age_s) == 2
+    recorder.clear()
+    with pytest.raises(TareError, match="no free motion"):
+        recorder.blocks(now_s=1.0)
+
+
+def test_direction_remembers_at_rest_and_turns_over_the_width():
+    direction = np.zeros(1)
+    for _ in range(10):
+        direction = direction_step(direction, np.array([2e-4]), 1e-3)
+    assert direction[0] == 1.0
+    assert direction_step(direction, np.zeros(1), 1e-3)[0] == 1.0
+    back = direction_step(direction, np.array([-5e-4]), 1e-3)
+    assert back[0] == pytest.approx(0.0)
+    assert direction_step(back, np.array([-1.0]), 1e-3)[0] == -1.0
+
+
+def test_settings_that_cannot_work_are_refused(lwr):
+    with pytest.raises(ConfigurationError, match="mass_share"):
+        TarePrior(mass_share=0.0)
+    with pytest.raises(ConfigurationError, match="com_m"):
+        TarePrior(com_m=np.nan)
+    with pytest.raises(ConfigurationError, match="constant"):
+        TareBasis(lwr, "quadratic", TarePrior())
