@@ -14,6 +14,8 @@ _CLIP = 4.0
 _CLIPPED_MEAN = 0.920
 """Mean of min(x^2, 4) for a standard normal x."""
 _EVENT = 25.0
+_TREND = 3.0
+"""Standard deviations by which the force must itself fall, not only leave its line."""
 _SLOWEST = 16
 """Longest scale noise is judged by: beyond 80 ms tissue, not the sensor, is what varies."""
 _LEAST_INDEPENDENT = 5.0
@@ -104,7 +106,7 @@ def detector_step(
     The standard deviation of each scale is learned from its own output, so coloured noise,
     sensor lag and the roughness of tissue all set their own threshold. A fall that the loss of
     speed could explain, were all the force viscous, does not count; nor does a mere flattening:
-    the force must fall at least as fast as it rose.
+    the force since then must fall, at half the rate it rose or faster.
 
     Args:
         state: Memory.
@@ -140,7 +142,8 @@ def _judge(
     lost = (kernels.kink @ state.speed_m_s) * viscous / np.maximum(np.abs(before), 1e-6)
     fall = -np.minimum(kink - np.minimum(lost, 0.0), 0.0) / deviation
     line = kernels.rise @ state.force_N
-    is_falling = line + kink < -np.maximum(line, 0.0)
+    chance = _TREND * deviation * np.sqrt(kernels.trend_gain / kernels.gain)
+    is_falling = kernels.trend @ state.force_N < -np.maximum(0.5 * line, chance)
     scores = np.where(is_ready & is_falling, fall / threshold, 0.0)
     best = int(np.argmax(scores))
     rises = np.where(is_ready, kink / deviation / threshold, 0.0)

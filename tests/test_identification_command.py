@@ -1,0 +1,124 @@
+"""The command: from a recording to layers, a table and a picture."""
+
+import builtins
+import sys
+
+import numpy as np
+import pytest
+
+import identification.__main__ as command
+from groundtruth import insert_needle
+from identification import replay
+from identification.errors import InvalidLogError, MissingExtraError
+from identification.figure import check_figure
+from identification.sign_hints import sign_hints
+
+
+@pytest.fixture(scope="module")
+def needle():
+    run = insert_needle("gel-50-constant", seed=1, rate_hz=250.0)
+    start = int(np.searchsorted(run.t_s, run.tare_end_s))
+    return run, slice(start, None)
+
+
+def write(path, needle, force_sign=1.0, speed=True):
+    run, part = needle
+    columns = [run.t_s[part], run.depth_m[part], force_sign * run.force_N[part]]
+    names = "t_s,depth_m,force_N"
+    if speed:
+        columns.append(run.speed_m_s[part])
+        names += ",speed_m_s"
+    np.savetxt(path, np.column_stack(columns), delimiter=",", header=names, comments="")
+    return str(path)
+
+
+def test_command_prints_layers_and_writes_table_and_picture(needle, tmp_path, capsys):
+    log = write(tmp_path / "log.csv", needle)
+    out, png = tmp_path / "out.csv", tmp_path / "out.png"
+    assert command.main([log, "-o", str(out), "--png", str(png)]) == 0
+    printed = capsys.readouterr().out.splitlines()
+    assert len(printed) == 2
+    assert "friction N" in printed[0]
+    table = np.genfromtxt(out, delimiter=",", names=True)
+    assert len(table) == len(needle[0].t_s[needle[1]])
+    assert np.count_nonzero(table["rupture"]) == 1
+    assert np.all(table["absorbed"] == 1)
+    assert png.read_bytes()[:4] == b"\x89PNG"
+
+
+@pytest.mark.parametrize("method", ["paper", "paper-kv"])
+def test_command_offers_the_published_method(needle, tmp_path, capsys, method):
+    log = write(tmp_path / "log.csv", needle)
+    assert command.main([log, "--method", method]) == 0
+    assert capsys.readouterr().out
+
+
+def test_speed_is_derived_when_it_is_not_recorded(needle):
+    run, part = needle
+    derived = replay(run.t_s[part], run.depth_m[part], run.force_N[part])
+    given = replay(run.t_s[part], run.depth_m[part], run.force_N[part], run.speed_m_s[part])
+    assert len(derived.layers) == len(given.layers) == 1
+    assert derived.layers[0].friction_N == pytest.approx(given.layers[0].friction_N, rel=0.05)
+
+
+def test_flipped_force_gets_a_hint(needle, tmp_path, capsys):
+    log = write(tmp_path / "log.csv", needle, force_sign=-1.0)
+    assert command.main([log]) == 0
+    assert "flip its sign" in capsys.readouterr().err
+
+
+def test_hints_name_what_is_odd(needle):
+    run, part = needle
+    z, v, f = run.depth_m[part], run.speed_m_s[part], run.force_N[part]
+    assert sign_hints(z, v, f) == ()
+    assert any("speed" in hint for hint in sign_hints(z, -v, f))
+    assert any("millimetres" in hint for hint in sign_hints(1e3 * z, v, f))
+    assert any("depth" in hint for hint in sign_hints(-z, None, f))
+    assert any("nothing to identify" in hint for hint in sign_hints(0.0 * z, None, f))
+
+
+def test_missing_file_and_empty_log_are_one_clear_line(tmp_path, capsys):
+    assert command.main([str(tmp_path / "none.csv")]) == 2
+    assert "error:" in capsys.readouterr().err
+    (tmp_path / "empty.csv").write_text("")
+    assert command.main([str(tmp_path / "empty.csv")]) == 2
+    assert capsys.readouterr().err.count("\n") == 1
+
+
+def test_outputs_are_refused_before_the_work(needle, tmp_path, capsys):
+    log = write(tmp_path / "log.csv", needle)
+    assert command.main([log, "--png", str(tmp_path / "no" / "x.png")]) == 2
+    assert command.main([log, "-o", str(tmp_path / "no" / "x.csv")]) == 2
+    assert "no folder" in capsys.readouterr().err
+
+
+def test_a_picture_without_matplotlib_says_what_to_install(monkeypatch, tmp_path):
+    real = builtins.__import__
+
+    def refuse(name, *args, **kwargs):
+        if name.startswith("matplotlib"):
+            raise ImportError(name)
+        return real(name, *args, **kwargs)
+
+    for name in [name for name in sys.modules if name.startswith("matplotlib")]:
+        monkeypatch.delitem(sys.modules, name)
+    monkeypatch.setattr(builtins, "__import__", refuse)
+    with pytest.raises(MissingExtraError, match=r"needleforce\[plots\]"):
+        check_figure(tmp_path / "x.png")
+
+
+@pytest.mark.parametrize(
+    ("columns", "message"),
+    [(([], [], []), "non-empty"), (([0.0, 1.0], [0.0], [0.0, 0.0]), "rows")],
+)
+def test_unusable_columns_are_refused(columns, message):
+    with pytest.raises(InvalidLogError, match=message):
+        replay(*columns)
+
+
+def test_gaps_in_a_recording_are_reported_not_dropped():
+    t = 0.01 * np.arange(200)
+    force = np.where(np.arange(200) == 50, np.nan, 0.0)
+    result = replay(t, 1e-5 * np.arange(200), force)
+    assert len(result.estimates) == 200
+    assert [k for k, e in enumerate(result.estimates) if not e.status.is_absorbed] == [50]

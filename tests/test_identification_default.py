@@ -1,0 +1,172 @@
+"""The default method on simulated tissue that does not obey its model."""
+
+import math
+from dataclasses import fields, replace
+
+import numpy as np
+import pytest
+
+from groundtruth import insert_needle
+from identification import DEFAULT, Identifier
+from identification.default_config import DefaultConfig
+from identification.errors import InvalidConfigError
+from identification.estimate import Estimate
+from identification.rupture_state import RuptureState
+
+
+def run(name, seed=0, noise="mini45", config=DEFAULT, rate_hz=1000.0):
+    needle = insert_needle(name, seed=seed, noise=noise, rate_hz=rate_hz)
+    identifier = Identifier(config)
+    first = int(np.searchsorted(needle.t_s, needle.tare_end_s))
+    rows = zip(
+        needle.depth_m[first:].tolist(),
+        needle.speed_m_s[first:].tolist(),
+        needle.force_N[first:].tolist(),
+        strict=True,
+    )
+    estimates = [identifier.update(z, v, f, 1.0 / rate_hz) for z, v, f in rows]
+    return needle, identifier, estimates, first
+
+
+@pytest.fixture(scope="module")
+def gel():
+    return run("gel-70-constant")
+
+
+@pytest.fixture(scope="module")
+def stack():
+    return run("stack-sinusoidal")
+
+
+def test_one_gel_one_rupture_its_friction_within_a_few_percent(gel):
+    needle, identifier, estimates, first = gel
+    truth = needle.truth.ruptures[0]
+    ruptures = [e.rupture for e in estimates if e.rupture]
+    assert len(ruptures) == 1
+    clock = needle.t_s[first] - estimates[0].time_s
+    assert 0.0 < ruptures[0].alarm_s + clock - truth.onset_s < 0.04
+    assert abs(ruptures[0].time_s + clock - truth.onset_s) < 0.01
+    assert ruptures[0].time_s <= ruptures[0].alarm_s
+    layer = identifier.layers[0]
+    assert layer.friction_N == pytest.approx(truth.layer_friction_N, rel=0.05)
+    assert layer.friction_identified
+    assert layer.force_drop_N == pytest.approx(truth.drop_N, rel=0.05)
+    assert layer.thickness_m == pytest.approx(32.2e-3, abs=5e-4)
+
+
+def test_constant_speed_does_not_tell_coulomb_from_viscous(gel):
+    layer = gel[1].layers[0]
+    assert not layer.viscous_identified or not layer.coulomb_identified
+
+
+def test_enhanced_force_vanishes_beyond_the_last_layer_and_at_rest(gel):
+    needle, _, estimates, first = gel
+    enhanced = np.array([e.enhanced_force_N for e in estimates])
+    motion = needle.scenario.motion
+    after = int(np.searchsorted(needle.t_s, needle.truth.ruptures[-1].end_s + 1.0)) - first
+    stop = int(np.searchsorted(needle.t_s, motion.insertion_end_s)) - first
+    plateau = float(np.mean(needle.truth.axial_N[first + after : first + stop]))
+    assert np.mean(np.abs(enhanced[after:stop])) < 0.05 * plateau
+    assert np.mean(np.abs(enhanced[stop + 300 : stop + 1900])) < 0.05 * plateau
+
+
+def test_tip_force_follows_the_truth_in_a_stack_at_sinusoidal_speed(stack):
+    needle, identifier, estimates, first = stack
+    assert len(identifier.layers) == 3
+    begun = next(k for k, e in enumerate(estimates) if e.compensated)
+    tip = np.array([e.tip_force_N for e in estimates])[begun:]
+    error = tip - needle.truth.tip_N[first + begun :]
+    assert np.sqrt(np.mean(error**2)) < 0.15
+    for layer, truth in zip(identifier.layers, needle.truth.ruptures, strict=True):
+        assert layer.friction_N == pytest.approx(truth.layer_friction_N, rel=0.1)
+
+
+def test_a_membrane_does_not_move_the_layer_behind_it():
+    needle, identifier, _, _ = run("stack-glove-constant")
+    boundaries = np.cumsum([layer.thickness_m for layer in needle.scenario.layers])
+    found = [layer.start_depth_m + layer.thickness_m for layer in identifier.layers]
+    assert found == pytest.approx(boundaries, abs=1e-3)
+    assert identifier.layers[0].rupture.depth_m > boundaries[0] + 3e-3
+    for layer, truth in zip(identifier.layers, needle.truth.ruptures, strict=True):
+        assert layer.friction_N == pytest.approx(truth.layer_friction_N, rel=0.1)
+
+
+def test_a_capsule_at_the_surface_is_a_fictitious_layer():
+    needle, identifier, _, _ = run("liver-constant")
+    capsule, liver = identifier.layers
+    assert capsule.force_drop_N == pytest.approx(needle.truth.ruptures[0].drop_N, rel=0.1)
+    total = capsule.friction_N + liver.friction_N
+    assert total == pytest.approx(needle.truth.ruptures[1].layer_friction_N, rel=0.1)
+
+
+def test_free_motion_meets_nothing():
+    _, identifier, estimates, _ = run("free-motion")
+    assert identifier.layers == ()
+    assert all(e.rupture is None for e in estimates)
+    assert estimates[-1].layer == 0
+
+
+def test_every_number_is_finite_and_nothing_physical_is_negative(stack):
+    _, identifier, estimates, _ = stack
+    names = [item.name for item in fields(Estimate)]
+    for estimate in estimates[::50]:
+        values = [getattr(estimate, name) for name in names]
+        assert all(math.isfinite(v) for v in values if isinstance(v, float))
+        assert estimate.stiffness_N_per_m >= 0.0
+        assert estimate.friction_Ns_per_m2 >= 0.0
+        assert estimate.cumulative_friction_Ns_per_m >= 0.0
+    for layer in identifier.layers:
+        assert layer.stiffness_N_per_m >= 0.0
+        assert layer.friction_N >= 0.0
+        assert layer.friction_std_N > 0.0
+
+
+def test_way_out_raises_no_rupture_and_leaves_all_force_to_friction(stack):
+    needle, _, estimates, first = stack
+    turn = needle.scenario.motion.withdrawal_start_s
+    start = int(np.searchsorted(needle.t_s, turn + 3.0)) - first
+    assert all(e.rupture is None for e in estimates[start:])
+    assert max(abs(e.tip_force_N) for e in estimates[start:]) < 0.05
+
+
+def test_states_follow_the_published_machine(gel):
+    states = [e.rupture_state for e in gel[2]]
+    at = states.index(RuptureState.DETECTED)
+    path = list(dict.fromkeys(states[at:]))
+    assert path[:3] == [
+        RuptureState.DETECTED,
+        RuptureState.FORCE_DROP_MEASURING,
+        RuptureState.COMPENSATED,
+    ]
+
+
+def test_sparse_samples_are_enough():
+    _, identifier, _, _ = run("gel-70-constant", rate_hz=50.0)
+    assert len(identifier.layers) == 1
+    assert identifier.layers[0].thickness_m == pytest.approx(32.2e-3, abs=1e-3)
+
+
+def test_an_offset_of_the_sensor_is_taken_out():
+    needle = insert_needle("gel-50-constant", noise="mini45", seed=2)
+    identifier = Identifier()
+    first = int(np.searchsorted(needle.t_s, needle.tare_end_s))
+    for k in range(first, len(needle.t_s)):
+        estimate = identifier.update(
+            float(needle.depth_m[k]),
+            float(needle.speed_m_s[k]),
+            float(needle.force_N[k]) - 0.4,
+            1e-3,
+        )
+    assert abs(estimate.enhanced_force_N) < 0.05
+    truth = needle.truth.ruptures[0].layer_friction_N
+    assert identifier.layers[0].friction_N == pytest.approx(truth, rel=0.05)
+
+
+@pytest.mark.parametrize(
+    ("change", "message"),
+    [({"presliding_m": 0.0}, "presliding_m"), ({"second_look_m": 1e-4}, "exceed")],
+)
+def test_bad_settings_are_refused(change, message):
+    with pytest.raises(InvalidConfigError, match=message):
+        replace(DEFAULT, **change)
+    assert DefaultConfig() == DEFAULT
