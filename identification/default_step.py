@@ -1,5 +1,8 @@
 """One sample through this toolkit's own identification."""
 
+import numpy as np
+from numpy.typing import NDArray
+
 from identification.block import Block, block_step
 from identification.contact import free_air_step, lose_contact
 from identification.default_config import DefaultConfig
@@ -57,16 +60,32 @@ def _cut(state: DefaultState, block: Block, config: DefaultConfig) -> DefaultSta
     track, point = track_step(state.track, block, config.track_step_m)
     state = state._replace(track=track)
     detector, verdict = detector_step(state.detector, block, config)
-    if state.rupture_state in MUTED:
-        detector = restart_detector(state.detector)
+    if _is_muted(state, block, config):
+        return _follow(state._replace(detector=restart_detector(detector)), point, config)
     state = state._replace(detector=detector)
-    if state.rupture_state not in MUTED and verdict.fall > 1.0:
+    if verdict.fall > 1.0:
         return raise_rupture(state, block, verdict, config)
-    if state.pending is not None and point is not None:
-        state = measure_rupture(state, config)
-    elif point is not None:
-        state = lose_contact(layer_step(state, point, config), config)
+    state = _follow(state, point, config)
     return _advance(state, is_expected=verdict.fall > config.expected_share)
+
+
+def _is_muted(state: DefaultState, block: Block, config: DefaultConfig) -> bool:
+    """No rupture is looked for while one is releasing: until its first look."""
+    pending = state.pending
+    if pending is None or state.rupture_state not in MUTED:
+        return False
+    return block.depth_m < pending.rupture.depth_m + config.first_look_m
+
+
+def _follow(
+    state: DefaultState, point: NDArray[np.float64] | None, config: DefaultConfig
+) -> DefaultState:
+    """Use a new track point: for the rupture being measured, else for the layer."""
+    if point is None:
+        return state
+    if state.pending is not None:
+        return measure_rupture(state, config)
+    return lose_contact(layer_step(state, point, config), config)
 
 
 def _advance(state: DefaultState, *, is_expected: bool = False) -> DefaultState:
