@@ -3,10 +3,14 @@
 from collections.abc import Mapping
 from types import MappingProxyType
 
+from benchmarks import liver, panda, ur10e
 from benchmarks.benchmark import Benchmark
 from benchmarks.errors import UnknownIdError
+from benchmarks.panda_liver import run_panda_liver
+from benchmarks.panda_real import run_panda_real
 from benchmarks.simulated import RANDOM_STACK
 from benchmarks.simulated_job import run_simulated
+from benchmarks.ur10e_payload import run_ur10e_payload
 from groundtruth import SCENARIOS
 
 QUICK = (
@@ -34,7 +38,34 @@ def _simulated() -> list[Benchmark]:
     return [*named, drawn]
 
 
-BENCHMARKS: Mapping[str, Benchmark] = MappingProxyType({item.id: item for item in (*_simulated(),)})
+def _recorded() -> list[Benchmark]:
+    return [
+        Benchmark(
+            id="panda-real",
+            title="residual of a real Panda in free motion",
+            run=run_panda_real,
+            needs=(panda.FOLDER,),
+            seeds=1,
+        ),
+        Benchmark(
+            id="panda-liver",
+            title="real liver force on the real torques of a Panda; one insertion per seed",
+            run=run_panda_liver,
+            needs=(panda.FOLDER, liver.FOLDER),
+            seeds=len(liver.NUMBERS),
+        ),
+        Benchmark(
+            id="ur10e-payload",
+            title="weight of a known payload from the currents of a real UR10e",
+            run=run_ur10e_payload,
+            needs=(ur10e.FOLDER,),
+            seeds=1,
+        ),
+    ]
+
+
+_ALL = (*_simulated(), *_recorded())
+BENCHMARKS: Mapping[str, Benchmark] = MappingProxyType({item.id: item for item in _ALL})
 """By name."""
 
 

@@ -60,7 +60,7 @@ def save_force_figure(
     ordered = sorted(readings, key=lambda item: list(STYLES).index((item.source, item.method)))
     places: list[tuple[str, Array]] = [("time / s", truth.t_s)]
     if np.ptp(truth.depth_m) > 0.0:
-        places.append(("depth since first contact, in and out again / mm", 1e3 * truth.depth_m))
+        places.append(("depth since first contact / mm", 1e3 * truth.depth_m))
     figure, axes = plt.subplots(
         2,
         len(places),

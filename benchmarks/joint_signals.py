@@ -7,6 +7,10 @@ from numpy.typing import NDArray
 
 Array = NDArray[np.float64]
 
+CLOCK_DIGITS = 9
+"""Time stamps are whole nanoseconds; differences of their floats are not, and a tick that differs
+in its last bit looks like a clock that jitters."""
+
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class JointSignals:
@@ -26,11 +30,11 @@ class JointSignals:
 
     @property
     def dt_s(self) -> Array:
-        """Time since the previous sample, shape (n,); that of the first, which nobody reads, is 1.
+        """Time since the previous sample, shape (n,).
 
-        The first sample of a stream has no previous one.
+        The first sample has no previous one: its entry is 1, and nobody reads it.
         """
-        return np.diff(self.t_s, prepend=self.t_s[0] - 1.0)
+        return np.round(np.diff(self.t_s, prepend=self.t_s[0] - 1.0), CLOCK_DIGITS)
 
     def velocity(self, k: int) -> Array | None:
         """Velocities of sample k, or None."""

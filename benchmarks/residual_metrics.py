@@ -3,10 +3,10 @@
 import numpy as np
 from scipy.signal import lfilter
 
+from benchmarks.joint_residual import joint_residual
 from benchmarks.joint_signals import JointSignals
 from benchmarks.measurement import Measurement
 from groundtruth import Run
-from residual import MomentumObserver
 
 GAIN_per_s = 50.0
 """As in the comparison with other people's observers."""
@@ -18,11 +18,9 @@ def residual_metrics(run: Run, signals: JointSignals) -> list[Measurement]:
     The ideal is r' = K (external torque - r) with the true torque's mean over each tick, solved
     exactly: row k of the truth, the tick from sample k to the next, gives the value at k + 1.
     """
-    if run.arm != "textbook" or signals.dq_rad_s is None:
+    if run.arm != "textbook":
         return []
-    observer = MomentumObserver(run.robot, GAIN_per_s, alignment="hold")
-    samples = zip(signals.q_rad, signals.dq_rad_s, signals.tau_Nm, signals.dt_s, strict=True)
-    residual = np.array([observer.update(q, dq, tau, float(dt)) for q, dq, tau, dt in samples])
+    residual = joint_residual(run.robot, signals, GAIN_per_s, alignment="hold")
     decay = np.exp(-GAIN_per_s * np.median(signals.dt_s))
     ideal = lfilter([0.0, 1.0 - decay], [1.0, -decay], run.truth.external_torque_Nm, axis=0)
     worst = np.sqrt(np.mean((residual - ideal) ** 2, axis=0)).max()

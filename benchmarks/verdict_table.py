@@ -23,7 +23,7 @@ def verdict_table(found: Sequence[Verdict]) -> Table | None:
     table.add_column("farthest out")
     for verdict in found:
         mark = "[green]met[/green]" if verdict.is_met else "[red]missed[/red]"
-        reached = f"{verdict.value:.3g}" if math.isfinite(verdict.value) else "not finite"
+        reached = f"{verdict.value:.4g}" if math.isfinite(verdict.value) else "not finite"
         table.add_row(
             verdict.target.what,
             limits_text(verdict.target),

@@ -1,0 +1,60 @@
+"""Insertions into real human liver.
+
+de Jong, Dankelman, van den Dobbelsteen, "Dataset on needle insertions in ex vivo human livers",
+Data in Brief 2017, doi 10.1016/j.dib.2017.01.018.
+"""
+
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from benchmarks.errors import DataError
+from benchmarks.recorded_arrays import read_arrays
+
+Array = NDArray[np.float64]
+
+FOLDER = "liver_dejong2017"
+NUMBERS = (0, 2, 4, 6, 8, 10, 12, 16, 18, 20, 22, 24, 26, 28, 30, 32, 34, 36, 38)
+"""Of the insertions, as in the file."""
+REST_s = 0.9
+"""The needle rests at least this long at the start of each recording."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class LiverInsertion:
+    """One recording, from the end of the rest at its start.
+
+    Attributes:
+        t_s: Time since then, shape (n,).
+        depth_m: Depth, shape (n,).
+        force_N: Axial force less its mean at rest, shape (n,).
+    """
+
+    t_s: Array
+    depth_m: Array
+    force_N: Array
+
+
+def read_liver(data: Path, index: int) -> LiverInsertion:
+    """Read one insertion.
+
+    Args:
+        data: Folder of recordings.
+        index: Into `NUMBERS`.
+
+    Raises:
+        DataError: There is no such insertion, or the file is missing or broken.
+    """
+    if not 0 <= index < len(NUMBERS):
+        raise DataError(f"there are {len(NUMBERS)} liver insertions, no number {index}")
+    number = f"{NUMBERS[index]:02d}"
+    names = ("sample_rate_Hz", f"depth_m_{number}", f"force_N_{number}")
+    rate, depth, force = read_arrays(data / FOLDER / "insertions.npz", names)
+    start = int(REST_s * float(rate))
+    return LiverInsertion(
+        t_s=np.arange(len(depth) - start) / float(rate),
+        depth_m=depth[start:],
+        force_N=force[start:] - force[:start].mean(),
+    )

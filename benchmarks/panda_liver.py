@@ -1,0 +1,87 @@
+"""``panda-liver``: a real tissue force on a real arm.
+
+The recorded Panda has touched nothing, the recorded needle had no robot. Both are put together: a
+force F on the flange makes the joints feel ``J' F``, and what they measure less than they would
+without it is just that, ``tau = tau_free - J' F``. Tissue that resists with f pushes along minus
+the flange's z axis, so ``tau = tau_free + f J_z'``.
+"""
+
+from dataclasses import replace
+
+import numpy as np
+import pinocchio as pin
+from numpy.typing import NDArray
+
+from benchmarks.benchmark import Findings
+from benchmarks.force_truth import ForceTruth
+from benchmarks.job import Job, Progress
+from benchmarks.liver import LiverInsertion, read_liver
+from benchmarks.measurement import Measurement
+from benchmarks.methods import METHODS
+from benchmarks.panda import Panda, read_panda
+from benchmarks.progress_part import progress_part
+from benchmarks.recordings_folder import recordings_folder
+from benchmarks.virtual_force import virtual_force
+from benchmarks.wrench_metrics import wrench_metrics
+
+Array = NDArray[np.float64]
+
+TARE_s = 4.0
+"""Free motion before the insertion begins; 17 s are left, 80 mm at 5 mm/s."""
+NOT_TOLD = "wrench_lag_ms"
+"""The force changes less than this arm's noise: its lag would be a guess."""
+
+
+def run_panda_liver(job: Job, progress: Progress) -> Findings:
+    """Recover the axial force of one liver insertion by both methods.
+
+    Raises:
+        DataError: A recording is missing or broken.
+    """
+    data = recordings_folder(job)
+    panda, insertion = read_panda(data), read_liver(data, job.seed)
+    truth = _truth(panda, insertion)
+    loaded = panda.signals.tau_Nm + truth.axial_N[:, None] * _axial_jacobian(panda)
+    signals = replace(panda.signals, tau_Nm=loaded)
+    readings = []
+    for k, (method, config) in enumerate(METHODS.items()):
+        part = progress_part(progress, k / len(METHODS), (k + 1) / len(METHODS))
+        real = replace(config, friction=panda.friction)
+        readings.append(virtual_force(panda.robot, signals, real, method, TARE_s, part))
+    picture = job.picture()
+    if picture is not None:
+        # Lazily: without --report nobody waits for matplotlib.
+        from benchmarks.force_figure import save_force_figure
+
+        title = f"real liver force {job.seed} on the real torques of a moving Panda"
+        save_force_figure(picture, title, truth, readings)
+    found: list[Measurement] = []
+    for reading in readings:
+        found += [item for item in wrench_metrics(reading, truth) if item.metric != NOT_TOLD]
+    return Findings(found, picture)
+
+
+def _truth(panda: Panda, insertion: LiverInsertion) -> ForceTruth:
+    """The liver's force at the Panda's time stamps: none before the tare."""
+    t_s = panda.signals.t_s
+    since = t_s - TARE_s
+    return ForceTruth(
+        t_s=t_s,
+        depth_m=np.interp(since, insertion.t_s, insertion.depth_m, left=0.0),
+        axial_N=np.interp(since, insertion.t_s, insertion.force_N, left=0.0),
+        zeroed_s=TARE_s,
+        start_s=TARE_s,
+        end_s=float(t_s[-1]),
+    )
+
+
+def _axial_jacobian(panda: Panda) -> Array:
+    """Rows of the flange's Jacobian along its own z axis, shape (n, 7)."""
+    robot, data = panda.robot, panda.robot.create_data()
+    frame, axes = robot.tool_frame_id, pin.ReferenceFrame.LOCAL
+    return np.array(
+        [
+            pin.computeFrameJacobian(robot.model, data, q, frame, axes)[2]
+            for q in panda.signals.q_rad
+        ]
+    )

@@ -1,0 +1,108 @@
+"""What a tick of the estimators costs, beside the bare Pinocchio calls it cannot do without."""
+
+from collections.abc import Callable
+from dataclasses import replace
+
+import numpy as np
+import pinocchio as pin
+from numpy.typing import NDArray
+
+from benchmarks.joint_signals import JointSignals
+from benchmarks.timing import Tick, Timing, time_side_by_side
+from groundtruth import simulate
+from residual import DEFAULT, MomentumObserver, VirtualForceSensor
+from urdf import Robot
+
+SCENARIO, ARM = "gel-25-constant", "realistic"
+JITTER_s = 5e-5
+"""Of the uneven clock: that of the hard arm."""
+OBSERVER, SENSOR = "observer", "sensor"
+UNEVEN_OBSERVER, UNEVEN_SENSOR = "observer, uneven clock", "sensor, uneven clock"
+BARE_OBSERVER, BARE_SENSOR = "dynamics of the observer", "dynamics of the sensor"
+
+
+def measure_speed(progress: Callable[[float], None]) -> dict[str, Timing]:
+    """Time all of them on the signals of a simulated insertion, from the tare on.
+
+    Args:
+        progress: Told the share of the simulation that is done.
+    """
+    run = simulate(SCENARIO, ARM, 0, progress)
+    sent = run.signals
+    even = JointSignals(t_s=sent.t_s, q_rad=sent.q_rad, dq_rad_s=sent.dq_rad_s, tau_Nm=sent.tau_Nm)
+    noise = np.random.default_rng(0).normal(scale=JITTER_s, size=len(sent.t_s))
+    uneven = replace(even, t_s=sent.t_s + noise)
+    tare = int(np.searchsorted(sent.t_s, run.tare_end_s))
+    subjects = {
+        BARE_OBSERVER: _bare_observer(run.robot, even),
+        OBSERVER: _observer(run.robot, even),
+        UNEVEN_OBSERVER: _observer(run.robot, uneven),
+        BARE_SENSOR: _bare_sensor(run.robot, even),
+        SENSOR: _sensor(run.robot, even, tare),
+        UNEVEN_SENSOR: _sensor(run.robot, uneven, tare),
+    }
+    # The first counted tick comes after that of the tare.
+    return time_side_by_side(subjects, tare + 1, len(sent.t_s))
+
+
+def _bare_observer(robot: Robot, signals: JointSignals) -> Tick:
+    """Mass matrix, Coriolis matrix and gravity."""
+    model, data = robot.model, robot.create_data()
+    positions, velocities = list(signals.q_rad), _velocities(signals)
+
+    def tick(k: int) -> None:
+        q = positions[k]
+        pin.crba(model, data, q)
+        pin.computeCoriolisMatrix(model, data, q, velocities[k])
+        pin.computeGeneralizedGravity(model, data, q)
+
+    return tick
+
+
+def _bare_sensor(robot: Robot, signals: JointSignals) -> Tick:
+    """The same, Jacobian and torque regressor."""
+    model, data = robot.model, robot.create_data()
+    positions, still = list(signals.q_rad), np.zeros(robot.nv)
+    frame, axes = robot.tool_frame_id, pin.ReferenceFrame.LOCAL
+    observer = _bare_observer(robot, signals)
+
+    def tick(k: int) -> None:
+        observer(k)
+        q = positions[k]
+        pin.computeFrameJacobian(model, data, q, frame, axes)
+        pin.computeJointTorqueRegressor(model, data, q, still, still)
+
+    return tick
+
+
+def _observer(robot: Robot, signals: JointSignals) -> Tick:
+    observer = MomentumObserver(robot, DEFAULT.gain_per_s, alignment="hold")
+    return _feed(signals, observer.update)
+
+
+def _sensor(robot: Robot, signals: JointSignals, tare: int) -> Tick:
+    sensor = VirtualForceSensor(robot, replace(DEFAULT, alignment="hold"))
+    update = _feed(signals, sensor.update)
+
+    def tick(k: int) -> None:
+        if k == tare:
+            sensor.tare()
+        update(k)
+
+    return tick
+
+
+def _feed(signals: JointSignals, update: Callable[..., object]) -> Tick:
+    # Lists: a controller has its sample at hand and need not cut it out of an array.
+    positions, velocities = list(signals.q_rad), _velocities(signals)
+    torques, steps = list(signals.tau_Nm), signals.dt_s.tolist()
+
+    def tick(k: int) -> None:
+        update(positions[k], velocities[k], torques[k], steps[k])
+
+    return tick
+
+
+def _velocities(signals: JointSignals) -> list[NDArray[np.float64]]:
+    assert signals.dq_rad_s is not None, "the arm that is timed sends velocities"
+    return list(signals.dq_rad_s)
