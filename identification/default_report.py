@@ -4,7 +4,7 @@ import math
 
 from identification.default_config import DefaultConfig
 from identification.default_state import DefaultState, Pending
-from identification.estimate import Estimate
+from identification.estimate import Estimate, layers_left
 from identification.layer_close import is_identified
 from identification.layer_model import (
     COULOMB,
@@ -42,7 +42,7 @@ def report_default(
         status=status,
         rupture_state=state.rupture_state,
         in_contact=state.in_contact,
-        layer=len(state.layers) + (_open(state) is not None) + 1 if state.in_contact else 0,
+        layer=layers_left(state.layers) + (_open(state) is not None) + 1 if state.in_contact else 0,
         enhanced_force_N=force - friction.earlier_N,
         tip_force_N=force - friction.earlier_N - friction.own_N,
         shaft_friction_N=friction.earlier_N + friction.own_N,

@@ -8,6 +8,7 @@ from identification.baseline import Baseline
 from identification.block import EMPTY, BlockSums
 from identification.estimate import LayerEstimate, Rupture
 from identification.kink_detector import DetectorState, initial_detector
+from identification.layer_ending import LayerEnding
 from identification.layer_model import Information, LayerFit, layer_fit, no_information
 from identification.rupture_state import RuptureState
 from identification.track import Track, initial_track
@@ -56,6 +57,7 @@ class Pending(NamedTuple):
         left_fit: Its fit at the alarm.
         is_closed: Whether an earlier look has already identified it.
         next_look_m: Travel since the rupture at which to look again.
+        first: What the first look found.
     """
 
     rupture: Rupture
@@ -63,6 +65,7 @@ class Pending(NamedTuple):
     left_fit: LayerFit
     is_closed: bool
     next_look_m: float
+    first: LayerEnding | None = None
 
 
 class DefaultState(NamedTuple):

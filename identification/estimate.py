@@ -131,3 +131,8 @@ class Estimate:
     cumulative_friction_std_Ns_per_m: float | None
     rupture: Rupture | None
     compensated: LayerEstimate | None
+
+
+def layers_left(layers: tuple[LayerEstimate, ...]) -> int:
+    """How many layers have been left, those no longer kept included."""
+    return layers[-1].layer if layers else 0

@@ -47,6 +47,7 @@ def layer_ending(
     rupture: Rupture,
     noise_N2: float,
     config: DefaultConfig,
+    first: LayerEnding | None = None,
 ) -> LayerEnding | None:
     """Measure the end of a layer that began at `start_m`.
 
@@ -59,6 +60,7 @@ def layer_ending(
         rupture: Its rupture.
         noise_N2: Long-run variance of one block.
         config: Settings.
+        first: What an earlier look found: its boundary stands, as the track forgets.
 
     Returns:
         The ending, or None while too few points are at hand.
@@ -66,11 +68,14 @@ def layer_ending(
     fit = fit_rupture(points, rupture.depth_m, rupture.speed_m_s, noise_N2, config)
     if fit is None:
         return None
-    membrane = membrane_depth(points, start_m, rupture.depth_m)
-    at_boundary = None if membrane is None else force_before(points, membrane, noise_N2)
     boundary, before = rupture.depth_m, (fit.before_N, fit.before_var)
-    if membrane is not None and at_boundary is not None:
-        boundary, before = membrane, at_boundary
+    if first is not None and first.has_membrane:
+        boundary, before = first.boundary_m, (first.before_N, first.before_var)
+    elif first is None:
+        membrane = membrane_depth(points, start_m, rupture.depth_m)
+        at_boundary = None if membrane is None else force_before(points, membrane, noise_N2)
+        if membrane is not None and at_boundary is not None:
+            boundary, before = membrane, at_boundary
     pushed_in = MM * (rupture.depth_m - boundary)
     rubbing = pushed_in * fit.slope_N_per_mm
     return LayerEnding(

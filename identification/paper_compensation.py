@@ -10,6 +10,7 @@ from identification.window_sums import less_viscous_force, rerun_windows, window
 
 _LEAST_THICKNESS_M = 1e-9
 _LEAST_SPEED_M_S = 1e-6
+_MOST_LAYERS = 256
 
 
 def compensate(state: PaperState, force_N: float, config: PaperConfig) -> PaperState:
@@ -40,7 +41,7 @@ def compensate(state: PaperState, force_N: float, config: PaperConfig) -> PaperS
         rupture=None,
         waited_s=0.0,
         cumulative_friction_Ns_per_m=state.cumulative_friction_Ns_per_m + friction,
-        layers=(*state.layers, layer),
+        layers=(*state.layers, layer)[-_MOST_LAYERS:],
     )
 
 

@@ -1,6 +1,6 @@
 """What the published method tells about a sample."""
 
-from identification.estimate import Estimate, LayerEstimate, Rupture
+from identification.estimate import Estimate, LayerEstimate, Rupture, layers_left
 from identification.paper_config import PaperConfig
 from identification.paper_state import PaperState
 from identification.paper_step import regressor
@@ -23,7 +23,7 @@ def report_paper(
         status=status,
         rupture_state=state.rupture_state,
         in_contact=in_contact,
-        layer=(len(state.layers) + (state.left is not None) + 1) if in_contact else 0,
+        layer=(layers_left(state.layers) + (state.left is not None) + 1) if in_contact else 0,
         enhanced_force_N=sample.force_N - earlier,
         tip_force_N=sample.force_N - earlier - own,
         shaft_friction_N=earlier + own,

@@ -1,7 +1,7 @@
 """One sample through the published method, equations (7) to (12)."""
 
 from identification.cusum import cusum_constants, cusum_step
-from identification.estimate import Rupture
+from identification.estimate import Rupture, layers_left
 from identification.force_derivative import derivative_step
 from identification.force_drop import drop_interval_s
 from identification.paper_compensation import compensate
@@ -85,7 +85,7 @@ def _watch(state: PaperState, sample: Sample, error_N: float, config: PaperConfi
     derivative = derivative_step(
         state.derivative_N_per_s, change, sample.dt_s, config.derivative_time_constant_s
     )
-    detections = len(state.layers) + (state.left is not None)
+    detections = layers_left(state.layers) + (state.left is not None)
     beta = config.derivative_threshold_N_per_s + detections * config.derivative_rise_N_per_s
     waited = state.waited_s + sample.dt_s
     machine = next_rupture_state(
@@ -118,7 +118,7 @@ def _open_layer(
     f(t_r) of (10) is the last force before the alarming sample, which may have dropped already.
     """
     rupture = Rupture(
-        layer=len(state.layers) + 1,
+        layer=layers_left(state.layers) + 1,
         alarm_s=sample.time_s,
         alarm_depth_m=sample.depth_m,
         time_s=sample.time_s,

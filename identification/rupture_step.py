@@ -8,11 +8,11 @@ from identification.block import Block
 from identification.change_point import blocks_since_kink
 from identification.default_config import DefaultConfig
 from identification.default_state import DefaultState, Pending
-from identification.estimate import Rupture
+from identification.estimate import Rupture, layers_left
 from identification.kink_detector import Verdict, block_noise_N2, restart_detector
 from identification.kink_kernels import kink_kernels
-from identification.layer_close import ClosedLayer, close_layer
-from identification.layer_ending import layer_ending
+from identification.layer_close import close_layer
+from identification.layer_ending import LayerEnding, layer_ending
 from identification.layer_model import (
     MM,
     OWN_COULOMB,
@@ -23,6 +23,8 @@ from identification.layer_model import (
 from identification.rupture_state import RuptureState
 from identification.track import DEPTH
 
+_MOST_LAYERS = 256
+"""Layers kept: far more than a needle meets; the oldest go first."""
 _SIGNIFICANT = 3.0
 """Standard deviations a drop must have to be believed at the first look."""
 _REAL = 1.0
@@ -63,7 +65,7 @@ def _date(state: DefaultState, block: Block, verdict: Verdict) -> Rupture:
     depth = max(block.depth_m - travel, state.layer.start_m)
     chance = math.erfc(verdict.deviations / math.sqrt(2.0))
     return Rupture(
-        layer=len(state.layers) + 1,
+        layer=layers_left(state.layers) + 1,
         alarm_s=block.time_s,
         alarm_depth_m=block.depth_m,
         time_s=block.time_s - since * block.dt_s,
@@ -85,9 +87,9 @@ def measure_rupture(
     is_final = is_last or travel >= config.second_look_m
     if not is_final and travel < pending.next_look_m:
         return state._replace(rupture_state=_waiting(state))
-    closed = _close(state, pending, config, is_final)
-    if closed is not None:
-        return _accept(state, pending, closed, is_final, config)
+    ending = _measure(state, pending, config, is_final)
+    if ending is not None:
+        return _accept(state, pending, ending, is_final, config)
     if is_final:
         return state._replace(pending=None) if pending.is_closed else _dismiss(state, pending)
     later = pending._replace(next_look_m=pending.next_look_m + config.first_look_m)
@@ -101,43 +103,46 @@ def _waiting(state: DefaultState) -> RuptureState:
     return state.rupture_state
 
 
-def _close(
+def _measure(
     state: DefaultState, pending: Pending, config: DefaultConfig, is_final: bool
-) -> ClosedLayer | None:
+) -> LayerEnding | None:
+    """Both sides of the rupture, if they make a drop to be believed."""
     ending = layer_ending(
         state.track.points,
         pending.left.start_m,
         pending.rupture,
         block_noise_N2(state.detector),
         config,
+        pending.first,
     )
     needed = _REAL if is_final else _SIGNIFICANT
     if ending is None or ending.drop_N < needed * ending.drop_std_N:
         return None
-    return close_layer(pending.left, pending.rupture, ending, state.baseline.variance, config)
+    return ending
 
 
 def _accept(
     state: DefaultState,
     pending: Pending,
-    closed: ClosedLayer,
+    ending: LayerEnding,
     is_final: bool,
     config: DefaultConfig,
 ) -> DefaultState:
+    """Close the layer; a later look replaces what an earlier one found."""
+    closed = close_layer(pending.left, pending.rupture, ending, state.baseline.variance, config)
     keep = len(state.layers) - pending.is_closed
-    layers = (*state.layers[:keep], closed.estimate)
-    traversed = (*state.traversed[:keep], closed.traversed)
     machine = state.rupture_state if pending.is_closed else RuptureState.COMPENSATED
-    row = closed.next_fit.covariance
-    later = pending._replace(is_closed=True, next_look_m=config.second_look_m)
+    later = pending._replace(is_closed=True, next_look_m=config.second_look_m, first=ending)
+    row = np.array([1.0, MM * pending.rupture.speed_m_s])
+    spread = float(row @ closed.next_fit.covariance[:2, :2] @ row)
     return state._replace(
         layer=closed.next_layer,
         fit=closed.next_fit,
-        shaft_std_N=math.sqrt(max(float(row[0, 0]), 0.0)),
+        shaft_std_N=math.sqrt(max(spread, 0.0)),
         pending=None if is_final else later,
         rupture_state=machine,
-        layers=layers,
-        traversed=traversed,
+        layers=(*state.layers[:keep], closed.estimate)[-_MOST_LAYERS:],
+        traversed=(*state.traversed[:keep], closed.traversed)[-_MOST_LAYERS:],
         compensated=closed.estimate,
     )
 
