@@ -42,6 +42,8 @@ POINTS = 6000
 """Drawn of a curve; more cannot be seen."""
 MOST_OF = 99.0
 """Per cent of each error curve that its panel must hold; single spikes may leave it."""
+CALM_SHARE = 3.0
+"""How many times as wide as the calmest virtual curve a panel may become for the others."""
 DPI = 110
 
 
@@ -78,7 +80,9 @@ def save_force_figure(
     axes[0, 0].set_ylabel("axial force / N")
     axes[0, 0].legend(loc="best")
     axes[1, 0].set_ylabel("error / N")
-    axes[1, 0].set_ylim(*_error_limits(index, truth, ordered))
+    force_limits, error_limits = _limits(index, truth, ordered)
+    axes[0, 0].set_ylim(*force_limits)
+    axes[1, 0].set_ylim(*error_limits)
     axes[1, 0].legend(loc="upper left", fontsize="small")
     figure.suptitle(title)
     figure.savefig(path, dpi=DPI)
@@ -121,7 +125,12 @@ def _draw_error(
         _draw(axes, place[index], _error(reading, truth)[index], reading)
         if (reading.source, reading.method) == OURS:
             band = 2.0 * reading.std_N[index]
-            edge: dict[str, Any] = {"color": "navy", "linewidth": 0.8, "linestyle": "--"}
+            edge: dict[str, Any] = {
+                "color": "navy",
+                "linewidth": 0.7,
+                "linestyle": "--",
+                "alpha": 0.7,
+            }
             axes.plot(place[index], band, label="± 2 standard deviations, as stated", **edge)
             axes.plot(place[index], -band, **edge)
     axes.axhline(0.0, color="black", linewidth=0.6)
@@ -134,14 +143,16 @@ def _draw(axes: Axes, x: Array, y: Array, reading: ForceReading, more: str | Non
     axes.plot(x, y, color=style.color, linewidth=style.width, alpha=style.alpha, label=label)
 
 
-def _error_limits(
+def _limits(
     index: NDArray[np.intp], truth: ForceTruth, ordered: Sequence[ForceReading]
-) -> tuple[float, float]:
-    sizes = [np.percentile(np.abs(_error(item, truth)[index]), MOST_OF) for item in ordered]
-    sizes += [
-        np.percentile(2.0 * item.std_N[index], MOST_OF)
+) -> tuple[tuple[float, float], tuple[float, float]]:
+    """Limits of the force and of the error axis: no wild curve may flatten the others."""
+    sizes = [
+        float(np.percentile(np.abs(_error(item, truth)[index]), MOST_OF))
         for item in ordered
-        if (item.source, item.method) == OURS
+        if item.source == "virtual"
     ]
-    limit = 1.2 * float(max(sizes, default=0.0)) or 1.0
-    return -limit, limit
+    error = 1.2 * min(max(sizes), CALM_SHARE * min(sizes)) if sizes else 0.0
+    error = error or 1.0
+    true = truth.axial_N[index]
+    return (true.min() - error, true.max() + error), (-error, error)

@@ -1,0 +1,18 @@
+"""Rows for the tests of `benchmarks`."""
+
+from benchmarks.row import Row
+
+TEMPLATE = {
+    "scenario": "gel-25-constant",
+    "plant": "hard",
+    "seed": 0,
+    "source": "virtual",
+    "method": "default",
+    "metric": "wrench_rmse_N",
+    "value": 0.1,
+    "unit": "N",
+}
+
+
+def make_row(**changes):
+    return Row(**(TEMPLATE | changes))

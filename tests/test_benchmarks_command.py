@@ -1,0 +1,233 @@
+"""The command: tables, files, exit codes, and one line for every mistake."""
+
+import json
+
+import numpy as np
+import pytest
+from benchmark_rows import make_row
+
+from benchmarks import catalogue, command, plan, speed_command
+from benchmarks.benchmark import Benchmark, Findings
+from benchmarks.command import main
+from benchmarks.errors import DataError
+from benchmarks.job import Job
+from benchmarks.measurement import Measurement
+from benchmarks.pool import run_jobs
+from benchmarks.results_file import read_results, write_results
+from benchmarks.timing import Timing
+
+HARD_RMSE_N = {"liver-constant": 0.05, "gel-25-constant": 0.2}
+"""The first meets its target, the second misses it."""
+
+
+def pretend(job, progress):
+    """A benchmark that takes no time; of seed 3 it fails."""
+    progress(0.5)
+    if job.seed == 3:
+        raise DataError("the third is broken")
+    rmse = HARD_RMSE_N[job.benchmark]
+    return Findings(
+        [
+            Measurement("virtual", "default", "wrench_rmse_N", rmse),
+            Measurement("virtual", "paper", "wrench_rmse_N", 10.0 * rmse),
+            Measurement("virtual", "default", "residual_rms_Nm", 1e-9),
+        ]
+    )
+
+
+@pytest.fixture(autouse=True)
+def _pretended(monkeypatch):
+    items = {
+        name: Benchmark(id=name, title=name, run=pretend, is_default=True) for name in HARD_RMSE_N
+    }
+    real = Benchmark(id="panda-real", title="real", run=pretend, needs=("panda_gaz2019",))
+    for module in (catalogue, plan):
+        monkeypatch.setattr(module, "BENCHMARKS", items | {"panda-real": real})
+    monkeypatch.delenv("NEEDLEFORCE_DATA", raising=False)
+
+
+def run(*arguments):
+    return main(["run", "--jobs", "1", *arguments])
+
+
+def test_a_run_prints_the_verdict_and_what_it_skipped(capsys):
+    assert run("--plant", "hard") == 0
+    out = capsys.readouterr().out
+    assert "liver-constant" in out
+    assert "met" in out
+    assert "missed" in out
+    assert "Skipped for want of recordings (--data DIR or NEEDLEFORCE_DATA): panda-real" in out
+
+
+def test_strict_fails_on_a_missed_target_and_only_then():
+    assert run("liver-constant", "--plant", "hard", "--strict") == 0
+    assert run("gel-25-constant", "--plant", "hard", "--strict") == 1
+    assert run("gel-25-constant", "--plant", "hard") == 0
+
+
+def test_the_papers_figure_stands_beside_ours(capsys, monkeypatch):
+    monkeypatch.setitem(HARD_RMSE_N, "stack-glove-constant", 0.1)
+    item = Benchmark(id="stack-glove-constant", title="glove", run=pretend)
+    for module in (catalogue, plan):
+        monkeypatch.setattr(module, "BENCHMARKS", {item.id: item})
+    assert run() == 0
+    assert "0.285" in capsys.readouterr().out
+
+
+def test_plants_may_be_listed_or_repeated(tmp_path):
+    path = tmp_path / "a.json"
+    run("liver-constant", "--plant", "hard,textbook", "--plant", "realistic", "--json", str(path))
+    plants = [row["plant"] for row in json.loads(path.read_text())["rows"]]
+    assert list(dict.fromkeys(plants)) == ["hard", "textbook", "realistic"]
+
+
+def test_two_runs_write_equal_bytes(tmp_path):
+    paths = [tmp_path / name for name in ("a.json", "b.json")]
+    for path in paths:
+        run("--seeds", "2", "--json", str(path))
+    assert paths[0].read_bytes() == paths[1].read_bytes()
+    assert len(read_results(paths[0])) == 12
+
+
+def test_a_report_has_page_numbers_and_tables(tmp_path, capsys):
+    assert run("--report", str(tmp_path / "deep" / "report")) == 0
+    page = (tmp_path / "deep" / "report" / "index.html").read_text()
+    assert "liver-constant" in page
+    assert len(read_results(tmp_path / "deep" / "report" / "results.json")) == 6
+    assert "index.html" in capsys.readouterr().out
+
+
+def test_a_benchmark_that_fails_is_told_and_the_others_go_on(tmp_path, capsys):
+    path = tmp_path / "a.json"
+    assert run("liver-constant", "--seeds", "5", "--json", str(path)) == 1
+    assert "liver-constant, realistic, seed 3: DataError: the third" in capsys.readouterr().out
+    assert {row.seed for row in read_results(path)} == {0, 1, 2, 4}
+
+
+@pytest.mark.parametrize(
+    ("arguments", "told"),
+    [
+        (["nothing"], "no benchmark 'nothing'; choose from: liver-constant"),
+        (["--plant", "soft"], "no plant 'soft'; choose from: textbook, realistic, hard"),
+        (["--data", "/no/such/folder"], "no folder of recordings at"),
+        (["panda-real"], "panda-real needs recordings: give --data DIR"),
+        (["--json", "/no/such/folder/a.json"], "cannot write"),
+    ],
+)
+def test_a_mistake_is_one_line_and_exit_code_2(capsys, arguments, told):
+    assert run(*arguments) == 2
+    error = capsys.readouterr().err
+    assert told in error
+    assert error.startswith("benchmarks: ")
+    assert error.count("\n") == 1
+
+
+@pytest.mark.parametrize(
+    "arguments",
+    [[], ["walk"], ["run", "--seeds", "0"], ["run", "--jobs", "x"], ["run", "--plant", ","]],
+)
+def test_wrong_usage_is_exit_code_2(arguments):
+    with pytest.raises(SystemExit) as stopped:
+        main(arguments)
+    assert stopped.value.code == 2
+
+
+def test_a_report_that_cannot_be_written_is_told_before_the_work(tmp_path, capsys):
+    (tmp_path / "file").write_text("")
+    assert run("--report", str(tmp_path / "file")) == 2
+    assert "cannot write to" in capsys.readouterr().err
+
+
+def test_a_page_that_cannot_be_written_is_told(tmp_path, capsys):
+    (tmp_path / "index.html").mkdir()
+    assert run("--report", str(tmp_path)) == 2
+    assert "cannot write" in capsys.readouterr().err
+
+
+def test_list_names_everything(capsys):
+    assert main(["list"]) == 0
+    out = capsys.readouterr().out
+    assert "liver-constant" in out
+    assert "textbook, realistic, hard" in out
+
+
+@pytest.mark.parametrize(("cost", "code"), [(1.9, 0), (3.5, 1)])
+def test_speed_fails_when_strict_and_too_slow(monkeypatch, capsys, cost, code):
+    def measured(progress):
+        progress(1.0)
+        names = {*speed_command.BARE, *speed_command.BARE.values()}
+        bare = set(speed_command.BARE.values())
+        return {
+            name: Timing(tick_us=np.full((2, 3), 1.0 if name in bare else cost))
+            for name in sorted(names)
+        }
+
+    monkeypatch.setattr(speed_command, "measure_speed", measured)
+    assert main(["speed", "--strict"]) == code
+    assert main(["speed"]) == 0
+    assert "99.9 %" in capsys.readouterr().out
+
+
+def results(tmp_path, name, *rows):
+    write_results(tmp_path / name, rows)
+    return str(tmp_path / name)
+
+
+def test_compare_fails_on_what_is_worse_and_says_it(tmp_path, capsys):
+    old = results(tmp_path, "old.json", make_row(), make_row(seed=1))
+    new = results(tmp_path, "new.json", make_row(value=0.3), make_row(seed=1))
+    assert main(["compare", old, new]) == 1
+    assert "1 same, 1 worse" in capsys.readouterr().out
+    assert main(["compare", new, old]) == 0
+    assert main(["compare", old, old]) == 0
+
+
+def test_compare_fails_on_a_lost_number(tmp_path):
+    old = results(tmp_path, "old.json", make_row(), make_row(seed=1))
+    assert main(["compare", old, results(tmp_path, "new.json", make_row())]) == 1
+    lost = results(tmp_path, "nan.json", make_row(value=float("nan")), make_row(seed=1))
+    assert main(["compare", old, lost]) == 1
+    assert main(["compare", lost, lost]) == 1
+
+
+def test_compare_refuses_what_it_cannot_compare(tmp_path, capsys):
+    empty = results(tmp_path, "empty.json")
+    assert main(["compare", empty, empty]) == 2
+    assert "nothing to compare" in capsys.readouterr().err
+    assert main(["compare", empty, str(tmp_path / "none.json")]) == 2
+    assert "cannot read" in capsys.readouterr().err
+
+
+def test_a_missing_package_is_told_and_any_other_fault_is_not_hidden(monkeypatch, capsys):
+    def missing(name):
+        def load(_):
+            raise ModuleNotFoundError(name=name)
+
+        return load
+
+    monkeypatch.setattr(command, "import_module", missing("rich"))
+    assert main(["list"]) == 2
+    assert "rich is not installed; pip install -e '.[bench]'" in capsys.readouterr().err
+    monkeypatch.setattr(command, "import_module", missing("ours"))
+    with pytest.raises(ModuleNotFoundError):
+        main(["list"])
+
+
+def test_an_interrupt_is_no_traceback(monkeypatch, capsys):
+    def interrupt(_):
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr(command, "import_module", interrupt)
+    assert main(["list"]) == 130
+    assert capsys.readouterr().err == "benchmarks: interrupted\n"
+
+
+def test_processes_return_outcomes_in_the_order_of_the_jobs():
+    """The names are unknown to the processes, which see the true catalogue: they fail at once."""
+    jobs = [Job(benchmark=f"none-{k}", plant="hard") for k in range(3)]
+    told = {}
+    outcomes = run_jobs(jobs, 2, told.__setitem__)
+    assert [item.job for item in outcomes] == jobs
+    for k, item in enumerate(outcomes):
+        assert f"no benchmark 'none-{k}'" in (item.failure or "")
+    assert set(told.values()) <= {1.0}

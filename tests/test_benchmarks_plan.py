@@ -1,0 +1,95 @@
+"""From what was asked for to jobs."""
+
+import pytest
+
+from benchmarks.catalogue import BENCHMARKS, benchmark
+from benchmarks.errors import DataError, UnknownIdError
+from benchmarks.plan import Request, make_plan
+from groundtruth import SCENARIOS
+
+RECORDED = {item.id for item in BENCHMARKS.values() if item.is_recorded}
+
+
+@pytest.fixture
+def data(tmp_path):
+    """A folder that looks like the recordings."""
+    for item in BENCHMARKS.values():
+        for name in item.needs:
+            (tmp_path / name).mkdir(exist_ok=True)
+    return tmp_path
+
+
+def names(plan):
+    return list(dict.fromkeys(job.benchmark for job in plan.jobs))
+
+
+def test_every_scenario_and_every_real_recording_can_be_run_by_name():
+    assert set(SCENARIOS) | {"random-stack"} | RECORDED == set(BENCHMARKS)
+    assert {"panda-real", "panda-liver", "ur10e-payload"} == RECORDED
+
+
+def test_without_recordings_the_rest_runs_and_the_skipped_are_named():
+    plan = make_plan(Request())
+    assert set(plan.skipped) == RECORDED
+    assert names(plan) == [item.id for item in BENCHMARKS.values() if item.is_default][:-3]
+
+
+def test_a_folder_that_lacks_one_recording_skips_what_needs_it(data):
+    (data / "liver_dejong2017").rmdir()
+    plan = make_plan(Request(data=data))
+    assert plan.skipped == ("panda-liver",)
+    assert "panda-real" in names(plan)
+
+
+def test_all_means_all(data):
+    plan = make_plan(Request(ids=["all"], data=data))
+    assert names(plan) == list(BENCHMARKS)
+    assert plan.skipped == ()
+
+
+def test_every_named_benchmark_runs_once_for_every_plant_and_seed():
+    request = Request(
+        ids=["liver-constant", "liver-constant"], plants=["hard", "hard", "textbook"], seeds=3
+    )
+    jobs = [(job.plant, job.seed) for job in make_plan(request).jobs]
+    assert jobs == [(plant, seed) for plant in ("hard", "textbook") for seed in range(3)]
+
+
+def test_a_recording_knows_no_plants_and_no_more_seeds_than_it_has(data):
+    request = Request(
+        ids=["panda-real", "panda-liver"], plants=["hard", "textbook"], seeds=100, data=data
+    )
+    jobs = make_plan(request).jobs
+    assert {job.plant for job in jobs} == {"recording"}
+    assert [job.benchmark for job in jobs].count("panda-real") == 1
+    assert [job.benchmark for job in jobs].count("panda-liver") == 19
+
+
+def test_only_the_first_seed_draws_a_picture(tmp_path):
+    jobs = make_plan(Request(ids=["liver-constant"], seeds=2, pictures=tmp_path)).jobs
+    assert jobs[0].picture() == tmp_path / "liver-constant-realistic-0.png"
+    assert jobs[1].picture() is None
+
+
+def test_an_unknown_name_is_refused_with_the_known_ones():
+    with pytest.raises(UnknownIdError, match=r"^no benchmark 'gel'; choose from: gel-25-constant"):
+        make_plan(Request(ids=["gel"]))
+    with pytest.raises(UnknownIdError, match="no benchmark 'gel'"):
+        benchmark("gel")
+
+
+def test_an_unknown_plant_is_refused_with_the_known_ones():
+    with pytest.raises(UnknownIdError, match="no plant 'soft'; choose from: textbook, realistic"):
+        make_plan(Request(plants=["soft"]))
+
+
+def test_a_folder_that_is_not_there_is_refused(tmp_path):
+    with pytest.raises(DataError, match="no folder of recordings at"):
+        make_plan(Request(data=tmp_path / "none"))
+
+
+def test_a_recording_asked_for_by_name_must_be_there(tmp_path):
+    with pytest.raises(DataError, match="panda-real needs recordings: give --data"):
+        make_plan(Request(ids=["panda-real"]))
+    with pytest.raises(DataError, match="panda-real needs the folder panda_gaz2019"):
+        make_plan(Request(ids=["panda-real"], data=tmp_path))
