@@ -49,14 +49,14 @@ def layer_ending(
     config: DefaultConfig,
     first: LayerEnding | None = None,
 ) -> LayerEnding | None:
-    """Measure the end of a layer that began at `start_m`.
+    """Measure the end of a layer that had begun, its own puncture over, by `start_m`.
 
     After the puncture of a membrane the next layer springs back along the shaft: it rubs on the
     length the membrane had been pushed in, a share of its slope that the prior guesses.
 
     Args:
         points: Track points, see `track`.
-        start_m: Depth at which the layer begins.
+        start_m: Depth from which on the layer was met undisturbed.
         rupture: Its rupture.
         noise_N2: Long-run variance of one block.
         config: Settings.

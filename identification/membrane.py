@@ -16,7 +16,7 @@ _MOST_POINTS = 128
 _LEAST_POINTS = 32
 _CANDIDATES = 30
 _STEEPER = 0.5
-_BETTER = 0.6
+_BETTER = 0.75
 
 
 def membrane_depth(points: NDArray[np.float64], start_m: float, rupture_m: float) -> float | None:

@@ -109,7 +109,7 @@ def _measure(
     """Both sides of the rupture, if they make a drop to be believed."""
     ending = layer_ending(
         state.track.points,
-        pending.left.start_m,
+        max(pending.left.start_m, pending.left.tip_m + config.first_look_m),
         pending.rupture,
         block_noise_N2(state.detector),
         config,
