@@ -26,7 +26,8 @@ def force_table(rows: Iterable[Row]) -> Table | None:
     table.add_column("arm")
     for name in ("F/T", "paper", "default"):
         table.add_column(f"RMSE {name}\nN", justify="right")
-    table.add_column("real arm\nN", justify="right")
+    for name in ("default\n/ paper", "real arm\nN"):
+        table.add_column(name, justify="right")
     for name in ("bias\nmN", "lag\nms", "within\n2 sigma"):
         table.add_column(name, justify="right")
     table.add_column("target")
@@ -47,11 +48,23 @@ def _cells(rows: Sequence[Row]) -> list[str]:
         summary(values(rmse, source="ft"), ".3f"),
         summary(values(rmse, method="paper"), ".3f"),
         summary(values(rmse), ".3f"),
+        summary(_ratios(rows), ".2f"),
         NOTHING if published is None else f"{published:g}",
         summary([1e3 * value for value in values("wrench_bias_N")], ".0f"),
         summary(values("wrench_lag_ms"), ".0f"),
         summary(values("wrench_coverage_2sigma"), ".2f", best=0.95),
     ]
+
+
+def _ratios(rows: Sequence[Row]) -> list[float]:
+    """Our RMSE in terms of the paper's method, run by run."""
+    rmse = {
+        (row.seed, row.method): row.value
+        for row in rows
+        if (row.metric, row.source) == ("wrench_rmse_N", "virtual")
+    }
+    pairs = [(rmse[seed, "default"], rmse.get((seed, "paper"))) for seed, m in rmse if m != "paper"]
+    return [ours / theirs for ours, theirs in pairs if theirs]
 
 
 def _mark(rows: Sequence[Row]) -> str:

@@ -54,7 +54,7 @@ _WEIGHT = (
     Metric(
         name="force_up_unloaded_std_N",
         unit="N",
-        meaning="its scatter over the recording",
+        meaning="scatter of that force over the recording",
         tolerance=0.1,
     ),
     Metric(
@@ -67,7 +67,7 @@ _WEIGHT = (
     Metric(
         name="force_up_loaded_std_N",
         unit="N",
-        meaning="its scatter over the recording",
+        meaning="scatter of that force over the recording",
         tolerance=0.1,
     ),
     Metric(
@@ -80,7 +80,7 @@ _WEIGHT = (
     Metric(
         name="weight_error_pct",
         unit="%",
-        meaning="weight over the second half, with that factor, against the true one",
+        meaning="error of the weight over the second half with that factor",
         tolerance=0.2,
     ),
 )

@@ -2,6 +2,7 @@
 
 import multiprocessing
 import os
+import signal
 from collections.abc import Callable, Sequence
 from concurrent.futures import FIRST_EXCEPTION, Future, ProcessPoolExecutor, wait
 from functools import partial
@@ -60,6 +61,8 @@ def _watch(futures: Sequence[Future[Outcome]], queue: Any, on_progress: Shares) 
 
 
 def _attach(queue: Any) -> None:
+    # Ctrl-C reaches the whole group: end without a traceback each, the parent tells.
+    signal.signal(signal.SIGINT, signal.SIG_DFL)
     global _worker_queue
     _worker_queue = queue
 
