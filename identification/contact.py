@@ -75,7 +75,7 @@ def _touch(state: DefaultState, depth_m: float, config: DefaultConfig) -> Defaul
     return state
 
 
-def lose_contact(state: DefaultState, config: DefaultConfig) -> DefaultState:
+def lose_contact(state: DefaultState) -> DefaultState:
     """Go back to free air if the force has: a bump, not a tissue, was met."""
     if state.layers or state.layer.points < _LOST_POINTS:
         return state

@@ -3,6 +3,7 @@
 from typing import NamedTuple
 
 import numpy as np
+from numpy.typing import NDArray
 
 from identification.baseline import Baseline
 from identification.block import EMPTY, BlockSums
@@ -23,6 +24,7 @@ class LayerData(NamedTuple):
         prior: What was known of C and V when it began.
         data: Normal equations of the points inside it.
         points: Number of those points.
+        pool: Points not in `data` yet, summed: weighted columns of the track.
     """
 
     start_m: float
@@ -30,6 +32,7 @@ class LayerData(NamedTuple):
     prior: Information
     data: Information
     points: int = 0
+    pool: NDArray[np.float64] | None = None
 
 
 class Traversed(NamedTuple):
@@ -74,7 +77,7 @@ class DefaultState(NamedTuple):
     Attributes:
         blocks: Block being filled.
         bristle: Presliding deflection.
-        depth_m: Last depth, None at the start.
+        follower_m: Depth less the jitter of its measurement, None at the start.
         deepest_m: Deepest point so far.
         baseline: Force in free air.
         detector: Kink detector.
@@ -93,7 +96,7 @@ class DefaultState(NamedTuple):
 
     blocks: BlockSums
     bristle: float
-    depth_m: float | None
+    follower_m: float | None
     deepest_m: float
     baseline: Baseline
     detector: DetectorState
@@ -122,7 +125,7 @@ def initial_default_state(_config: object) -> DefaultState:
     return DefaultState(
         blocks=EMPTY,
         bristle=0.0,
-        depth_m=None,
+        follower_m=None,
         deepest_m=float("-inf"),
         baseline=Baseline(),
         detector=initial_detector(),

@@ -8,8 +8,8 @@ from identification.contact import free_air_step, lose_contact
 from identification.default_config import DefaultConfig
 from identification.default_state import DefaultState
 from identification.kink_detector import detector_step, restart_detector
-from identification.layer_step import layer_step, refit
-from identification.presliding import bristle_step
+from identification.layer_step import layer_step, settle_pool
+from identification.presliding import bristle_step, follow_depth
 from identification.rupture_state import MUTED, RuptureState, next_rupture_state
 from identification.rupture_step import measure_rupture, raise_rupture
 from identification.sample import Sample
@@ -20,14 +20,15 @@ _CHANNEL_M = 2e-4
 
 def default_step(state: DefaultState, sample: Sample, config: DefaultConfig) -> DefaultState:
     """Absorb one sample: presliding at every sample, everything else once per block."""
-    last = sample.depth_m if state.depth_m is None else state.depth_m
-    bristle = bristle_step(state.bristle, sample.depth_m - last, config.presliding_m)
+    last = sample.depth_m if state.follower_m is None else state.follower_m
+    follower = follow_depth(last, sample.depth_m, config.track_step_m)
+    bristle = bristle_step(state.bristle, follower - last, config.presliding_m)
     sums, block = block_step(state.blocks, sample, bristle, config.block_s)
     deepest = max(state.deepest_m, sample.depth_m)
     state = state._replace(
         blocks=sums,
         bristle=bristle,
-        depth_m=sample.depth_m,
+        follower_m=follower,
         deepest_m=deepest,
         rupture=None,
         compensated=None,
@@ -44,12 +45,11 @@ def default_step(state: DefaultState, sample: Sample, config: DefaultConfig) -> 
 
 def _idle(state: DefaultState, config: DefaultConfig) -> DefaultState:
     """Rest, reversal or an old channel: no rupture can happen, a pending one is settled."""
-    is_new = state.detector.filled > 0
     state = state._replace(detector=restart_detector(state.detector))
-    if is_new and state.pending is None and state.layer.points > 0:
-        state = refit(state, state.track.points[-1], config)
     if state.pending is not None:
         state = measure_rupture(state, config, is_last=True)
+    else:
+        state = settle_pool(state, config)
     return _advance(state)
 
 
@@ -85,7 +85,7 @@ def _follow(
         return state
     if state.pending is not None:
         return measure_rupture(state, config)
-    return lose_contact(layer_step(state, point, config), config)
+    return lose_contact(layer_step(state, point, config))
 
 
 def _advance(state: DefaultState, *, is_expected: bool = False) -> DefaultState:

@@ -137,8 +137,8 @@ def _judge(
     kernels = kink_kernels()
     threshold = _thresholds(state, dt_s, config)
     deviation = np.sqrt(np.maximum(state.variance, 1e-18))
-    before = state.speed_m_s[kernels.length - kernels.spans]
-    viscous = np.maximum(state.force_N[kernels.length - kernels.spans], 0.0)
+    before = kernels.base @ state.speed_m_s
+    viscous = np.maximum(kernels.base @ state.force_N, 0.0)
     lost = (kernels.kink @ state.speed_m_s) * viscous / np.maximum(np.abs(before), 1e-6)
     fall = -np.minimum(kink - np.minimum(lost, 0.0), 0.0) / deviation
     line = kernels.rise @ state.force_N

@@ -22,6 +22,7 @@ class KinkKernels:
         kink: Departure at the newest block from the line through the base, shape (s, length).
         rise: Rise of that line over the scale, shape (s, length).
         trend: Rise over the blocks after the kink alone, shape (s, length).
+        base: Mean over the blocks before the kink, shape (s, length).
         gain: Sum of squares of each kink filter: its variance under white noise of variance 1.
         trend_gain: The same of each trend filter.
         spans: Blocks each filter needs.
@@ -32,6 +33,7 @@ class KinkKernels:
     kink: NDArray[np.float64]
     rise: NDArray[np.float64]
     trend: NDArray[np.float64]
+    base: NDArray[np.float64]
     gain: NDArray[np.float64]
     trend_gain: NDArray[np.float64]
     spans: NDArray[np.int64]
@@ -46,7 +48,7 @@ def kink_kernels() -> KinkKernels:
     bases = np.maximum(BASE_RATIO * scales, BASE_LEAST)
     spans = scales + bases
     length = int(spans.max())
-    kink, rise, trend = np.zeros((3, len(scales), length))
+    kink, rise, trend, mean = np.zeros((4, len(scales), length))
     for i, (scale, base) in enumerate(zip(scales, bases, strict=True)):
         time = np.arange(scale + base) - (base - 0.5)
         columns = np.column_stack([np.ones_like(time), time, np.maximum(time, 0.0)])
@@ -54,7 +56,8 @@ def kink_kernels() -> KinkKernels:
         kink[i, length - len(time) :] = filters[2] * scale
         rise[i, length - len(time) :] = filters[1] * scale
         trend[i, length - scale :] = np.linalg.pinv(columns[base:, :2])[1] * scale
-    for array in (kink, rise, trend):
+        mean[i, length - len(time) : length - scale] = 1.0 / base
+    for array in (kink, rise, trend, mean):
         array.setflags(write=False)
     gains = np.sum(kink**2, axis=1), np.sum(trend**2, axis=1)
-    return KinkKernels(kink, rise, trend, *gains, spans, scales, length)
+    return KinkKernels(kink, rise, trend, mean, *gains, spans, scales, length)

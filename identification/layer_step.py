@@ -19,7 +19,9 @@ from identification.layer_model import (
 from identification.layer_prior import add_layer_prior
 from identification.track import BLOCKS, BRISTLE, DEPTH, FORCE, SPEED, TRAVEL
 
-_SOLVE_EVERY = 10
+_POOLED_BLOCKS = 20.0
+_POOLED_M = 2.5e-4
+"""A row spans 0.1 s or a quarter of a millimetre, whichever is sooner."""
 _OTHER_SHARE = 0.2
 
 
@@ -30,24 +32,43 @@ def layer_step(
     *,
     is_solved: bool = True,
 ) -> DefaultState:
-    """Absorb one point; refit every few points.
+    """Absorb one point; every few of them make one row, and a new fit.
 
-    A point weighs by its noise and by the error of the linear law, which points within a few
-    millimetres share: many points do not make a wrong law right.
+    Rows of many points average the noise of the speed: in a regressor it would look like a change
+    of speed without a change of force, that is, like Coulomb friction.
     """
-    row, force = _row(state.layer, point, config), float(point[FORCE])
+    layer = state.layer
+    sums = np.append(point[:BLOCKS] * point[BLOCKS], point[BLOCKS:])
+    pool = sums if layer.pool is None else layer.pool + sums
+    state = state._replace(layer=layer._replace(pool=pool, points=layer.points + 1))
+    if pool[BLOCKS] < _POOLED_BLOCKS and pool[TRAVEL] < _POOLED_M:
+        return state
+    return settle_pool(state, config, is_solved=is_solved)
+
+
+def settle_pool(
+    state: DefaultState, config: DefaultConfig, *, is_solved: bool = True
+) -> DefaultState:
+    """Turn the pooled points into one row and fit anew.
+
+    A row weighs by its noise and by the error of the linear law, which rows within a few
+    millimetres share: many rows do not make a wrong law right.
+    """
+    layer, pool = state.layer, state.layer.pool
+    if pool is None:
+        return state
+    point = np.append(pool[:BLOCKS] / pool[BLOCKS], pool[BLOCKS:])
+    row, force = _row(layer, point, config), float(point[FORCE])
     own = force - _earlier_N(state, row)
     error = config.model_error_share * max(abs(own), _OTHER_SHARE * abs(force))
     shared = max(config.model_error_m / max(float(point[TRAVEL]), 1e-6), 1.0)
     variance = block_noise_N2(state.detector) / float(point[BLOCKS]) + error * error * shared
-    layer = state.layer
-    layer = layer._replace(data=add_row(layer.data, row, force, variance), points=layer.points + 1)
+    layer = layer._replace(data=add_row(layer.data, row, force, variance), pool=None)
     state = state._replace(layer=layer)
-    is_due = is_solved and layer.points % _SOLVE_EVERY == 0
-    return refit(state, point, config) if is_due else state
+    return _refit(state, point, config) if is_solved else state
 
 
-def refit(state: DefaultState, point: NDArray[np.float64], config: DefaultConfig) -> DefaultState:
+def _refit(state: DefaultState, point: NDArray[np.float64], config: DefaultConfig) -> DefaultState:
     """Fit the layer with everything known so far, `point` being the newest."""
     layer = state.layer
     row = _row(layer, point, config)

@@ -18,3 +18,12 @@ def bristle_step(bristle: float, travel_m: float, presliding_m: float) -> float:
         return bristle
     target = math.copysign(1.0, travel_m)
     return target + (bristle - target) * math.exp(-abs(travel_m) / presliding_m)
+
+
+def follow_depth(follower_m: float, depth_m: float, play_m: float) -> float:
+    """Depth without the jitter of its measurement: it moves only when more than `play_m` behind.
+
+    The play of a loose coupling: noise smaller than the play causes no reversal, a true reversal
+    is followed after twice the play.
+    """
+    return min(max(follower_m, depth_m - play_m), depth_m + play_m)

@@ -45,7 +45,7 @@ def raise_rupture(
     values[0] = fit.values[0] + thickness * fit.values[OWN_COULOMB]
     values[1] = fit.values[1] + thickness * fit.values[OWN_VISCOUS]
     layer = left._replace(
-        start_m=rupture.depth_m, tip_m=rupture.depth_m, data=no_information(), points=0
+        start_m=rupture.depth_m, tip_m=rupture.depth_m, data=no_information(), points=0, pool=None
     )
     return state._replace(
         detector=restart_detector(state.detector),
@@ -71,7 +71,7 @@ def _date(state: DefaultState, block: Block, verdict: Verdict) -> Rupture:
         time_s=block.time_s - since * block.dt_s,
         depth_m=depth,
         force_N=float(detector.force_N[-1 - since]),
-        speed_m_s=float(detector.speed_m_s[-1 - since]),
+        speed_m_s=float(np.mean(detector.speed_m_s[-span:-since])),
         confidence=1.0 - chance,
     )
 

@@ -9,7 +9,7 @@ from hypothesis import strategies as st
 
 from identification.baseline import Baseline, baseline_step, level_score, settle_baseline
 from identification.block import EMPTY, Block, block_step
-from identification.presliding import bristle_step
+from identification.presliding import bristle_step, follow_depth
 from identification.sample import Sample
 from identification.track import LENGTH, initial_track, track_step
 
@@ -28,6 +28,15 @@ def test_bristle_steps_compose_and_stay_bounded(start, first, second):
 def test_bristle_holds_at_rest_and_turns_after_a_reversal():
     assert bristle_step(0.7, 0.0, 3e-4) == 0.7
     assert bristle_step(1.0, -3e-3, 3e-4) == pytest.approx(-1.0, abs=1e-3)
+
+
+def test_jitter_of_the_depth_does_not_turn_the_bristle():
+    rng = np.random.default_rng(3)
+    bristle, follower = 0.0, 0.0
+    for depth in 2e-6 * np.arange(3000) + 6e-6 * rng.standard_normal(3000):
+        moved = follow_depth(follower, float(depth), 2e-5)
+        bristle, follower = bristle_step(bristle, moved - follower, 3e-4), moved
+    assert bristle > 0.95
 
 
 def test_block_is_the_time_weighted_mean():

@@ -2,6 +2,7 @@
 
 import builtins
 import sys
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -114,6 +115,14 @@ def test_a_picture_without_matplotlib_says_what_to_install(monkeypatch, tmp_path
 def test_unusable_columns_are_refused(columns, message):
     with pytest.raises(InvalidLogError, match=message):
         replay(*columns)
+
+
+def test_the_example_of_the_documentation_runs():
+    text = (Path(__file__).parents[1] / "docs" / "identification.md").read_text(encoding="utf-8")
+    names = {}
+    exec(text.split("```python\n")[1].split("```")[0], names)
+    assert names["estimate"].status.is_absorbed
+    assert names["identifier"].layers == ()
 
 
 def test_gaps_in_a_recording_are_reported_not_dropped():
