@@ -1,0 +1,69 @@
+"""What an installed wheel must do on its own, with the core dependencies only.
+
+Run from another directory by an interpreter into which nothing but the wheel was installed.
+"""
+
+import subprocess
+import sys
+from importlib.metadata import files, metadata
+from pathlib import Path
+
+import numpy as np
+import pinocchio
+
+import identification
+import recordings
+import residual
+import urdf
+from residual import Status, VirtualForceSensor
+from urdf import NeedleTool, load_lwr
+
+NAME = "needleforce"
+
+
+def check_files() -> None:
+    """The wheel holds the licence, the robot and the type markers, and no tests."""
+    shipped = [str(path) for path in files(NAME) or ()]
+    assert any(path.endswith("licenses/LICENSE") for path in shipped), "no LICENSE in the wheel"
+    assert metadata(NAME)["License-Expression"] == "Apache-2.0"
+    assert "urdf/data/lwr4plus.urdf" in shipped
+    for package in ("urdf", "residual", "identification", "groundtruth", "recordings"):
+        assert f"{package}/py.typed" in shipped, package
+    assert not [path for path in shipped if path.startswith(("tests", "benchmarks"))]
+
+
+def check_imported_from_the_wheel() -> None:
+    """No package comes from the repository."""
+    for package in (urdf, residual, identification, recordings):
+        assert "site-packages" in Path(package.__file__ or "").parts, package.__file__
+
+
+def check_a_force() -> None:
+    """An arm at rest that carries its own weight reads no force."""
+    robot = load_lwr(payload=NeedleTool())
+    sensor = VirtualForceSensor(robot)
+    q = np.array([0.0, 0.5, 0.0, -1.2, 0.0, 1.0, 0.0])
+    nothing = np.zeros(robot.nv)
+    weight = pinocchio.computeGeneralizedGravity(robot.model, robot.create_data(), q)
+    for _ in range(1500):
+        sensor.update(q, nothing, weight, 1e-3)
+    sensor.tare()
+    wrench = sensor.update(q, nothing, weight, 1e-3)
+    assert wrench.status is Status.OK, wrench.message
+    assert abs(wrench.axial) < 1e-6, wrench.axial
+
+
+def check_commands() -> None:
+    """The commands start without the optional extras."""
+    for package in ("residual", "identification"):
+        command = [sys.executable, "-I", "-m", package, "--help"]
+        said = subprocess.run(command, capture_output=True, text=True, check=True).stdout
+        assert f"python -m {package}" in said
+
+
+if __name__ == "__main__":
+    check_files()
+    check_imported_from_the_wheel()
+    check_a_force()
+    check_commands()
+    sys.stdout.write(f"{NAME} works as installed from its wheel\n")

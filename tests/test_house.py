@@ -1,0 +1,196 @@
+"""The rules of the house: size, names, public faces, docstrings, nothing private."""
+
+import ast
+import re
+import subprocess
+import tomllib
+from importlib import import_module
+from pathlib import Path
+
+import pytest
+
+ROOT = Path(__file__).resolve().parents[1]
+INSTALLED = ("groundtruth", "identification", "recordings", "residual", "urdf")
+ROOMS = (*INSTALLED, "benchmarks")
+PROJECT = tomllib.loads((ROOT / "pyproject.toml").read_text(encoding="utf-8"))
+MOST_LINES = 300
+MOST_CODE_LINES = 40
+MOST_PUBLIC_NAMES = 20
+VAGUE_NAMES = {"utils.py", "util.py", "common.py", "helpers.py", "misc.py"}
+
+
+def project_files():
+    """Files under version control; in a copy without it, what lies in the project's folders."""
+    listed = subprocess.run(["git", "ls-files", "-z"], cwd=ROOT, capture_output=True, check=False)
+    if listed.returncode == 0 and listed.stdout:
+        paths = [ROOT / name for name in listed.stdout.decode().split("\0") if name]
+    else:
+        folders = (*ROOMS, "tests", "docs", "examples")
+        paths = [path for folder in folders for path in (ROOT / folder).rglob("*")]
+        paths += [path for path in ROOT.glob("*.*") if not path.name.startswith(".")]
+    return [path for path in paths if path.is_file() and "__pycache__" not in path.parts]
+
+
+def text_files():
+    """Every file that is text, with its content."""
+    for path in project_files():
+        try:
+            yield path, path.read_text(encoding="utf-8")
+        except UnicodeDecodeError:
+            continue
+
+
+def name_of(path):
+    return str(path.relative_to(ROOT))
+
+
+def syntax(path):
+    return ast.parse(path.read_text(encoding="utf-8"))
+
+
+SOURCES = [path for path in project_files() if path.suffix == ".py"]
+ROOM_SOURCES = [path for path in SOURCES if path.relative_to(ROOT).parts[0] in ROOMS]
+TESTS = [path for path in SOURCES if path.parent == ROOT / "tests"]
+
+
+def functions(tree):
+    return [n for n in ast.walk(tree) if isinstance(n, ast.FunctionDef | ast.AsyncFunctionDef)]
+
+
+def test_files_are_short():
+    lengths = {name_of(path): text.count("\n") for path, text in text_files()}
+    assert lengths
+    assert {name: lines for name, lines in lengths.items() if lines > MOST_LINES} == {}
+
+
+def test_functions_are_short():
+    """Lines of a function without its docstring."""
+    long = {}
+    for path in SOURCES:
+        for node in functions(syntax(path)):
+            doc = ast.get_docstring(node, clean=False)
+            lines = node.end_lineno - node.lineno + 1 - (doc.count("\n") + 1 if doc else 0)
+            if lines > MOST_CODE_LINES:
+                long[f"{name_of(path)}:{node.name}"] = lines
+    assert long == {}
+
+
+def test_no_file_has_a_name_that_says_nothing():
+    assert [name_of(path) for path in project_files() if path.name in VAGUE_NAMES] == []
+
+
+@pytest.mark.parametrize("room", ROOMS)
+def test_the_public_face_is_sorted_small_and_resolves(room):
+    package = import_module(room)
+    assert package.__doc__
+    names = getattr(package, "__all__", [])
+    # Constants first, then classes, then functions, as the formatter sorts them.
+    assert names == sorted(names, key=lambda n: (not n.isupper(), not n[0].isupper(), n))
+    assert len(names) <= MOST_PUBLIC_NAMES
+    assert [name for name in names if not hasattr(package, name)] == []
+
+
+@pytest.mark.parametrize("room", INSTALLED)
+def test_an_installed_package_has_a_public_face_types_and_one_base_error(room):
+    package = import_module(room)
+    module = import_module(f"{room}.errors")
+    own = [
+        value
+        for value in vars(module).values()
+        if getattr(value, "__module__", "") == module.__name__
+    ]
+    bases = [error for error in own if error.__bases__ == (Exception,)]
+    assert len(bases) == 1
+    assert all(issubclass(error, bases[0]) for error in own)
+    assert bases[0].__name__ in package.__all__
+    assert (ROOT / room / "py.typed").is_file()
+
+
+def undocumented(tree):
+    """Public classes, functions and methods without a docstring."""
+    nodes = [(node, "") for node in tree.body]
+    while nodes:
+        node, owner = nodes.pop()
+        if not isinstance(node, ast.ClassDef | ast.FunctionDef) or node.name.startswith("_"):
+            continue
+        is_overload = any(ast.unparse(mark) == "overload" for mark in node.decorator_list)
+        if ast.get_docstring(node) is None and not is_overload:
+            yield f"{owner}{node.name}"
+        if isinstance(node, ast.ClassDef):
+            nodes += [(child, f"{node.name}.") for child in node.body]
+
+
+def test_everything_public_is_documented():
+    missing = {
+        name_of(path): names for path in ROOM_SOURCES if (names := list(undocumented(syntax(path))))
+    }
+    assert missing == {}
+    assert [name_of(path) for path in ROOM_SOURCES if not ast.get_docstring(syntax(path))] == []
+
+
+# Written so that these lines do not match themselves.
+PRIVATE = re.compile(
+    r"(?<![\w.>])/(?:home|root|work|tmp|opt|mnt|srv|var|builds|Users)/"
+    r"|\b[A-Z]:\\\w"
+    r"|\b(?:pypi|pythonhosted|npmjs)[.]org\b|\blocalhos[t]\b|\b\d{1,3}(?:[.]\d{1,3}){3}\b"
+    r"|https?://(?:[\w.-]+[.])?(?:internal|local|corp|lan)\b"
+)
+
+
+def test_no_file_names_a_machine_or_a_place_on_it():
+    found = [
+        f"{name_of(path)}: {hit.group()}"
+        for path, text in text_files()
+        for hit in PRIVATE.finditer(text)
+    ]
+    assert found == []
+
+
+@pytest.mark.parametrize(
+    "text", ["see /ho" + "me/me/x", "C:" + "\\data", "pypi." + "org", "10.0." + "0.1"]
+)
+def test_places_and_machines_would_be_noticed(text):
+    assert PRIVATE.search(text)
+
+
+def asserts(node, helpers):
+    """Whether a function asserts, itself or through a function of its file."""
+    for inner in ast.walk(node):
+        if isinstance(inner, ast.Assert):
+            return True
+        if isinstance(inner, ast.Call):
+            called = ast.unparse(inner.func).split(".")[-1]
+            if called in ("raises", "warns") or called.startswith("assert_"):
+                return True
+            if called in helpers and asserts(helpers.pop(called), helpers):
+                return True
+    return False
+
+
+@pytest.mark.parametrize("path", TESTS, ids=lambda path: path.stem)
+def test_every_test_asserts_something(path):
+    found = {node.name: node for node in functions(syntax(path))}
+    helpers = {name: node for name, node in found.items() if not name.startswith("test")}
+    tests = [node for name, node in found.items() if name.startswith("test")]
+    assert [node.name for node in tests if not asserts(node, dict(helpers))] == []
+    assert bool(tests) == path.name.startswith("test_")
+
+
+def test_the_project_file_lists_every_package_on_disk():
+    on_disk = {
+        ".".join(path.parent.relative_to(ROOT).parts)
+        for path in ROOM_SOURCES
+        if path.name == "__init__.py" and "benchmarks" not in path.parts
+    }
+    assert set(PROJECT["tool"]["setuptools"]["packages"]) == on_disk
+
+
+def test_every_dependency_has_a_range_and_a_reason():
+    text = (ROOT / "pyproject.toml").read_text(encoding="utf-8")
+    extras = PROJECT["project"]["optional-dependencies"].values()
+    wanted = [*PROJECT["project"]["dependencies"], *(item for extra in extras for item in extra)]
+    own = [item for item in wanted if not item.startswith("needleforce[")]
+    assert len(own) > 10
+    for item in own:
+        assert re.search(r">=[\d.]+,<[\d.]+$", item), item
+        assert re.search(rf'"{re.escape(item)}", +# \w', text), item
