@@ -1,6 +1,6 @@
 """A benchmark on the simulated arm: an insertion, the sensors that watch it, the metrics."""
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
 
@@ -10,7 +10,7 @@ from benchmarks.ft_force import ft_force
 from benchmarks.job import Job, Progress
 from benchmarks.joint_signals import JointSignals
 from benchmarks.measurement import Measurement
-from benchmarks.methods import METHODS
+from benchmarks.methods import METHODS, on_lwr
 from benchmarks.progress_part import progress_part
 from benchmarks.residual_metrics import residual_metrics
 from benchmarks.virtual_force import virtual_force
@@ -57,11 +57,9 @@ def simulated_case(job: Job, chosen: Scenario, progress: Progress) -> SimulatedC
     readings = [ft_force(run)] if chosen.layers else []
     start = SIMULATION_SHARE
     for method, config in METHODS.items():
-        # The simulated arm holds its torque over each tick.
-        held = replace(config, alignment="hold")
         end = start + (1.0 - SIMULATION_SHARE) / len(METHODS)
         part = progress_part(progress, start, end)
-        reading = virtual_force(run.robot, signals, held, method, run.tare_end_s, part)
+        reading = virtual_force(run.robot, signals, on_lwr(config), method, run.tare_end_s, part)
         readings.append(reading)
         start = end
     return SimulatedCase(run=run, signals=signals, truth=_truth(run), readings=tuple(readings))

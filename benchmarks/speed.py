@@ -1,13 +1,13 @@
 """What a tick of the estimators costs, beside the bare Pinocchio calls it cannot do without."""
 
 from collections.abc import Callable
-from dataclasses import replace
 
 import numpy as np
 import pinocchio as pin
 from numpy.typing import NDArray
 
 from benchmarks.joint_signals import JointSignals
+from benchmarks.methods import on_lwr
 from benchmarks.timing import Tick, Timing, time_side_by_side
 from groundtruth import simulate
 from residual import DEFAULT, MomentumObserver, VirtualForceSensor
@@ -81,7 +81,7 @@ def _observer(robot: Robot, signals: JointSignals) -> Tick:
 
 
 def _sensor(robot: Robot, signals: JointSignals, tare: int) -> Tick:
-    sensor = VirtualForceSensor(robot, replace(DEFAULT, alignment="hold"))
+    sensor = VirtualForceSensor(robot, on_lwr(DEFAULT))
     update = _feed(signals, sensor.update)
 
     def tick(k: int) -> None:

@@ -3,7 +3,8 @@
 import numpy as np
 
 from residual.errors import TareError
-from residual.tare import Tare, TareBlocks, fit_tare
+from residual.tare import Tare, TareBlocks
+from residual.tare_fit import fit_tare
 from residual.wrench import WrenchEstimator
 
 SIGMAS = 5.0
@@ -53,11 +54,11 @@ def _worst_excess(
 ) -> tuple[float, float]:
     """Largest axial force beyond what a tare allows, with its standard deviation; zeros if none."""
     forces, doubts = [], []
-    for q, direction, age, residual in zip(
-        blocks.q_rad, blocks.direction, blocks.age_s, blocks.residual_Nm, strict=True
+    for q, trend, age, residual in zip(
+        blocks.q_rad, blocks.trend, blocks.age_s, blocks.residual_Nm, strict=True
     ):
-        wrench.set_torque_covariance(known.covariance_Nm2(q, direction, abs(float(age))))
-        seen = wrench.estimate(q, residual - known.bias_Nm(q, direction, float(age)))
+        wrench.set_torque_covariance(known.covariance_Nm2(q, trend, abs(float(age))))
+        seen = wrench.estimate(q, residual - known.bias_Nm(q, trend, float(age)))
         forces.append(seen.axial)
         doubts.append(seen.axial_std)
     width = min(SMOOTHING_BLOCKS, len(forces))

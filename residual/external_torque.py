@@ -18,13 +18,13 @@ class TorqueSample(NamedTuple):
 
     Attributes:
         q: Position [rad], shape (n,); delayed like the residual when velocity is estimated.
-        dq: Velocity [rad/s], shape (n,).
+        tau: Measured torque [Nm], shape (n,), of the same instant.
         residual: External joint torque before offset removal [Nm], shape (n,).
         settled: Whether the filters have forgotten their start.
     """
 
     q: NDArray[np.float64]
-    dq: NDArray[np.float64]
+    tau: NDArray[np.float64]
     residual: NDArray[np.float64]
     settled: bool
 
@@ -86,10 +86,10 @@ class ExternalTorqueEstimator:
             return self._update_without_velocity(self._velocity, q, tau, dt_s)
         assert dq is not None
         residual = self._observer.update(q, dq, tau, dt_s)
-        q, dq = np.asarray(q, dtype=np.float64), np.asarray(dq, dtype=np.float64)
+        q, tau = np.asarray(q, dtype=np.float64), np.asarray(tau, dtype=np.float64)
         self._grow_older(dt_s)
         self._learn_noise(dq, 1.0, dt_s)
-        return TorqueSample(q, dq, residual, self._settled)
+        return TorqueSample(q, tau, residual, self._settled)
 
     def _update_without_velocity(
         self, velocity: VelocityEstimator, q: ArrayLike, tau: ArrayLike, dt_s: float
@@ -98,19 +98,19 @@ class ExternalTorqueEstimator:
         self._unread_s += dt_s
         if not sample.settled:
             self._age_s = 0.0
-            return TorqueSample(sample.q, sample.dq, self._observer.residual, False)
+            return TorqueSample(sample.q, sample.tau, self._observer.residual, False)
         residual = self._observer.update(sample.q, sample.dq, sample.tau, self._unread_s)
         self._grow_older(self._unread_s)
         self._unread_s = 0.0
         factor = velocity.noise_per_position_noise(dt_s)
-        self._learn_noise(np.asarray(q, dtype=np.float64), factor, dt_s)
-        return TorqueSample(sample.q, sample.dq, residual, self._settled)
+        self._learn_noise(q, factor, dt_s)
+        return TorqueSample(sample.q, sample.tau, residual, self._settled)
 
     @property
     def _settled(self) -> bool:
         return self._probe is None and self._age_s >= self._settling_s
 
-    def _learn_noise(self, signal: NDArray[np.float64], factor: float, dt_s: float) -> None:
+    def _learn_noise(self, signal: ArrayLike, factor: float, dt_s: float) -> None:
         """Learn the velocity's noise from the first samples, then quieten the momentum."""
         if self._probe is not None:
             noise = self._probe.add(signal, dt_s)

@@ -3,7 +3,7 @@
 import math
 
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike, NDArray
 
 
 class NoiseProbe:
@@ -28,7 +28,7 @@ class NoiseProbe:
         self._count = 0
         self._left_s = seconds
 
-    def add(self, value: NDArray[np.float64], dt_s: float) -> NDArray[np.float64] | None:
+    def add(self, value: ArrayLike, dt_s: float) -> NDArray[np.float64] | None:
         """Take a sample, shape (size,), that came ``dt_s`` after the one before.
 
         Returns:

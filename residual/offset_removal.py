@@ -5,9 +5,11 @@ from numpy.typing import NDArray
 
 from residual.contact_guard import check_free_of_contact
 from residual.sensor_config import SensorConfig
-from residual.tare import Tare, fit_tare, prior_tare
-from residual.tare_prior import TareBasis, direction_step
+from residual.tare import Tare, prior_tare
+from residual.tare_fit import fit_tare
+from residual.tare_prior import TareBasis
 from residual.tare_recorder import TareRecorder
+from residual.torque_trend import SMOOTHING_S, trend_step
 from residual.wrench import WrenchEstimator
 from urdf import Robot
 
@@ -28,8 +30,11 @@ class OffsetRemoval:
     def __init__(self, robot: Robot, config: SensorConfig) -> None:
         self._config = config
         self._basis = TareBasis(robot, config.tare, config.prior)
-        self._recorder = TareRecorder(robot.nv, self.BLOCK_LAGS / config.gain_per_s)
+        self._recorder = TareRecorder(
+            robot.nv, self._basis.loops, self.BLOCK_LAGS / config.gain_per_s
+        )
         self._still = np.zeros(robot.nv)
+        self._no_trend = np.zeros_like(self._basis.half_width_Nm)
         self.reset()
 
     @property
@@ -42,26 +47,28 @@ class OffsetRemoval:
         """The tare in force; the prior before the first one."""
         return self._tare
 
-    def follow(self, q: NDArray[np.float64], dq: NDArray[np.float64], dt_s: float) -> None:
-        """Follow the motion [rad, rad/s]: direction memory and age of the tare."""
+    def follow(self, q: NDArray[np.float64], tau: NDArray[np.float64], dt_s: float) -> None:
+        """Follow position [rad], torque [Nm] and time [s] since the sample before."""
         self._q = q
         self._now_s += dt_s
-        self._direction = direction_step(
-            self._direction, dq * dt_s, self._config.prior.reversal_width_rad
-        )
+        if self._smooth_torque is None:
+            self._smooth_torque = tau
+        change = (tau - self._smooth_torque) * (dt_s / (SMOOTHING_S + dt_s))
+        self._smooth_torque = self._smooth_torque + change
+        self._trend = trend_step(self._trend, change, self._basis.half_width_Nm)
 
     def record(self, residual: NDArray[np.float64], dt_s: float) -> None:
         """Record one settled residual [Nm] of free motion; ignored once tared."""
         if not self._tared:
-            self._recorder.add(self._q, self._direction, residual, self._now_s, dt_s)
+            self._recorder.add(self._q, self._trend, residual, self._now_s, dt_s)
 
     def correct(self, residual: NDArray[np.float64]) -> NDArray[np.float64]:
         """Residual without its offset [Nm], shape (n,)."""
-        return residual - self._tare.bias_Nm(self._q, self._direction, self._age_s)
+        return residual - self._tare.bias_Nm(self._q, self._trend, self._age_s)
 
     def covariance_Nm2(self) -> NDArray[np.float64]:
         """Covariance of the corrected residual here and now [Nm^2], shape (n, n)."""
-        return self._tare.covariance_Nm2(self._q, self._direction, self._age_s)
+        return self._tare.covariance_Nm2(self._q, self._trend, self._age_s)
 
     @property
     def _age_s(self) -> float:
@@ -96,5 +103,6 @@ class OffsetRemoval:
         self._tare = prior_tare(self._basis)
         self._tared = False
         self._tared_s = self._now_s = 0.0
-        self._direction = self._still
+        self._trend = self._no_trend
+        self._smooth_torque: NDArray[np.float64] | None = None
         self._q = self._still

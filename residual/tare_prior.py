@@ -28,9 +28,13 @@ class TarePrior:
         mass_share: Error of a link's mass, as a share of it. 5 %: two published CAD-grade tables
             of one arm differ by that much.
         com_m: Error of a link's centre of mass [m]. 5 mm, after the same two tables.
-        reversal_share: Half the jump at a reversal of motion (hysteresis, Coulomb friction).
-            0.02 %: well within the 0.5 % linearity such sensors are sold with.
-        reversal_width_rad: Joint travel over which that jump happens [rad].
+        hysteresis_share: Hysteresis of the torque sensor, per loop of `hysteresis_widths`. 0.01 %:
+            well within the 0.5 % linearity such sensors are sold with.
+        hysteresis_widths: Half widths of the loops, as shares of range: a Prandtl-Ishlinskii
+            model, since the width of a loop is not known beforehand.
+        ripple_share: Amplitude of the ripple of a joint with a known `gear_ratio`.
+        gear_ratio: Of the harmonic drive of each joint, if known: its torque sensor's ripple then
+            goes with twice the motor angle, and is fitted. Empty if unknown.
         wave_rad: Length over which a torque sensor's own waviness changes [rad]. A harmonic drive
             of 160:1 has a ripple of period pi/160 = 0.02 rad: a quarter of that.
         drift_share_per_min: Linear drift. 0.01 % a minute, as strain gauges warm up (an ATI Mini45
@@ -47,8 +51,10 @@ class TarePrior:
     offset_share: float = 0.01
     mass_share: float = 0.05
     com_m: float = 0.005
-    reversal_share: float = 2e-4
-    reversal_width_rad: float = 1e-3
+    hysteresis_share: float = 1e-4
+    hysteresis_widths: tuple[float, ...] = (5e-5, 1e-4, 2e-4)
+    ripple_share: float = 2e-4
+    gear_ratio: tuple[float, ...] = ()
     wave_rad: float = 5e-3
     drift_share_per_min: float = 1e-4
     walk_share_per_sqrt_min: float = 3e-5
@@ -58,16 +64,16 @@ class TarePrior:
     def __post_init__(self) -> None:
         for name in self.__slots__:
             value = getattr(self, name)
-            if not (np.isfinite(value) and value > 0):
-                raise ConfigurationError(f"{name} is {value!r}, expected a finite number > 0")
+            if not (np.isfinite(value) & (np.asarray(value) > 0)).all():
+                raise ConfigurationError(f"{name} is {value!r}, expected finite numbers > 0")
 
 
 class TareBasis:
-    """The linear model of a residual without contact: ``bias = H(q, direction, age) theta``.
+    """The linear model of a residual without contact: ``bias = H(q, trend, age) theta``.
 
     Columns in order: offset per joint; mass and first moments per link (static columns of the
-    joint-torque regressor, `method [18]`); hysteresis per joint; drift per joint. The constant kind
-    has the first group only.
+    joint-torque regressor, [18]); hysteresis per joint; drift per joint; where gear ratios are
+    known, ripple per joint. The constant kind has the first group only.
 
     Args:
         robot: The arm with its payload.
@@ -90,16 +96,25 @@ class TareBasis:
         self.effort_Nm = np.where(np.isfinite(limit) & (limit > 0), limit, prior.fallback_effort_Nm)
         bodies = self._model.njoints - 1
         self._static = np.concatenate([10 * k + np.arange(4) for k in range(bodies)])
+        ratio = prior.gear_ratio if kind == "model" else ()
+        if ratio and len(ratio) != robot.nv:
+            raise ConfigurationError(
+                f"gear_ratio has {len(ratio)} numbers, expected {robot.nv}: one per joint, or none"
+            )
+        self.ripple_per_rad = 2.0 * np.array(ratio) if ratio else None
+        self.loops = len(prior.hysteresis_widths)
+        self.half_width_Nm = np.outer(prior.hysteresis_widths, self.effort_Nm)
         self.std = self._prior_std()
         n = robot.nv
         self.groups = {"offset": slice(0, n)}
         if kind == "model":
-            links = n + 4 * bodies
-            self.groups |= {
-                "links": slice(n, links),
-                "reversal": slice(links, links + n),
-                "drift": slice(links + n, links + 2 * n),
-            }
+            sizes = {"links": 4 * bodies, "hysteresis": self.loops * n, "drift": n}
+            if self.ripple_per_rad is not None:
+                sizes |= {"sine": n, "cosine": n}
+            start = n
+            for name, size in sizes.items():
+                self.groups[name] = slice(start, start + size)
+                start += size
 
     def _prior_std(self) -> NDArray[np.float64]:
         prior, effort = self.prior, self.effort_Nm
@@ -114,8 +129,9 @@ class TareBasis:
             [
                 prior.offset_share * effort,
                 links,
-                prior.reversal_share * effort,
+                *(self.loops * [prior.hysteresis_share * effort]),
                 prior.drift_share_per_min / 60.0 * effort,
+                *([] if self.ripple_per_rad is None else 2 * [prior.ripple_share * effort]),
             ]
         )
 
@@ -126,15 +142,18 @@ class TareBasis:
         return full[:, self._static]
 
     def columns(
-        self, q: NDArray[np.float64], direction: NDArray[np.float64], age_s: float
+        self, q: NDArray[np.float64], trend: NDArray[np.float64], age_s: float
     ) -> NDArray[np.float64]:
-        """H at a configuration [rad], direction (-1 to 1 per joint) and age of the tare [s]."""
+        """H at a position [rad], torque trend (-1 to 1, (loops, n)) and age of the tare [s]."""
         identity = np.eye(self.joints)
         if self.kind == "constant":
             return identity
-        return np.concatenate(
-            [identity, self.regressor(q), np.diag(direction), age_s * identity], axis=1
-        )
+        loops = [np.diag(loop) for loop in trend]
+        columns = [identity, self.regressor(q), *loops, age_s * identity]
+        if self.ripple_per_rad is not None:
+            angle = self.ripple_per_rad * q
+            columns += [np.diag(np.sin(angle)), np.diag(np.cos(angle))]
+        return np.concatenate(columns, axis=1)
 
     def resolution_variance(self) -> NDArray[np.float64]:
         """Least variance of a residual [Nm^2], shape (n,)."""
@@ -144,10 +163,3 @@ class TareBasis:
         """Variance that the random walk has added since the tare [Nm^2], shape (n,)."""
         share = self.prior.walk_share_per_sqrt_min * self.effort_Nm
         return share**2 * (max(age_s, 0.0) / 60.0)
-
-
-def direction_step(
-    direction: NDArray[np.float64], travel_rad: NDArray[np.float64], width_rad: float
-) -> NDArray[np.float64]:
-    """Direction of motion with a memory at rest: a play operator of the given width, -1 to 1."""
-    return np.minimum(np.maximum(direction + travel_rad * (2.0 / width_rad), -1.0), 1.0)

@@ -1,6 +1,6 @@
 """Collects free motion for a tare, in bounded memory."""
 
-from collections import deque
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -8,32 +8,52 @@ from numpy.typing import NDArray
 from residual.errors import TareError
 from residual.tare import TareBlocks
 
+MOST_BLOCKS = 400
+"""When there are more, neighbours are merged: a fit then takes a fraction of a second."""
+
+
+class _Block(NamedTuple):
+    """Means over a block (rows: position, residual, trends), its middle and its scatter."""
+
+    means: NDArray[np.float64]
+    time_s: float
+    scatter: NDArray[np.float64]
+
+    def merge(self, other: "_Block") -> "_Block":
+        between = 0.25 * (self.means[1] - other.means[1]) ** 2
+        return _Block(
+            0.5 * (self.means + other.means),
+            0.5 * (self.time_s + other.time_s),
+            0.5 * (self.scatter + other.scatter) + between,
+        )
+
 
 class TareRecorder:
-    """Means of residual, position and direction over short blocks, the latest ones kept.
+    """Means of residual, position and torque trend over short blocks.
+
+    Memory is bounded: once there are `MOST_BLOCKS`, pairs of neighbours become one and blocks are
+    twice as long from then on.
 
     Args:
         joints: Number of joints.
+        loops: Number of hysteresis loops.
         block_s: Length of a block [s]; longer than the observer's lag, so that blocks are nearly
             independent.
-        keep_s: How much of the past is kept [s].
     """
 
-    def __init__(self, joints: int, block_s: float, keep_s: float = 120.0) -> None:
-        self._joints = joints
-        self._block_s = block_s
-        self._blocks: deque[tuple[NDArray[np.float64], float, NDArray[np.float64]]] = deque(
-            maxlen=max(1, round(keep_s / block_s))
-        )
+    def __init__(self, joints: int, loops: int, block_s: float) -> None:
+        self._joints, self._loops = joints, loops
+        self._first_block_s = block_s
         self.clear()
 
     def clear(self) -> None:
         """Forget all blocks."""
-        self._blocks.clear()
+        self._blocks: list[_Block] = []
+        self._block_s = self._first_block_s
         self._open()
 
     def _open(self) -> None:
-        self._sum = np.zeros((3, self._joints))
+        self._sum = np.zeros((2 + self._loops, self._joints))
         self._squares = np.zeros(self._joints)
         self._count = 0
         self._age_s = 0.0
@@ -41,40 +61,55 @@ class TareRecorder:
     def add(
         self,
         q: NDArray[np.float64],
-        direction: NDArray[np.float64],
+        trend: NDArray[np.float64],
         residual: NDArray[np.float64],
         time_s: float,
         dt_s: float,
     ) -> None:
-        """Add one sample: position [rad], direction, residual [Nm], each (n,), at a time [s]."""
-        self._sum += (q, direction, residual)
+        """Add one sample at a time [s].
+
+        Args:
+            q: Position [rad], shape (n,).
+            trend: Of the torques, shape (loops, n).
+            residual: Before offset removal [Nm], shape (n,).
+            time_s: Its time [s].
+            dt_s: Time since the sample before [s].
+        """
+        self._sum[0] += q
+        self._sum[1] += residual
+        self._sum[2:] += trend
         self._squares += residual * residual
         self._count += 1
         self._age_s += dt_s
         if self._age_s >= self._block_s:
             means = self._sum / self._count
-            scatter = np.maximum(self._squares / self._count - means[2] ** 2, 0.0)
-            self._blocks.append((means, time_s - 0.5 * self._age_s, scatter))
+            scatter = np.maximum(self._squares / self._count - means[1] ** 2, 0.0)
+            self._blocks.append(_Block(means, time_s - 0.5 * self._age_s, scatter))
             self._open()
+            if len(self._blocks) >= MOST_BLOCKS:
+                pairs = zip(self._blocks[::2], self._blocks[1::2], strict=True)
+                self._blocks = [one.merge(other) for one, other in pairs]
+                self._block_s *= 2.0
 
     def blocks(self, now_s: float, window_s: float | None = None) -> TareBlocks:
-        """What was recorded, or the last ``window_s`` of it [s].
+        """What was recorded, or the last ``window_s`` of it [s]; at least one block.
 
         Raises:
             TareError: If there is not a single block.
         """
-        kept = [b for b in self._blocks if window_s is None or now_s - b[1] <= window_s]
-        if not kept:
+        if not self._blocks:
             raise TareError(
-                f"no free motion has been recorded ({len(self._blocks)} blocks of "
-                f"{self._block_s:g} s); update() the sensor without contact first, then tare()"
+                f"no free motion has been recorded (less than {self._block_s:g} s of it); "
+                "update() the sensor without contact first, then tare()"
             )
-        means = np.stack([b[0] for b in kept])
+        kept = [b for b in self._blocks if window_s is None or now_s - b.time_s <= window_s]
+        kept = kept or self._blocks[-1:]
+        means = np.stack([b.means for b in kept])
         return TareBlocks(
             q_rad=means[:, 0],
-            direction=means[:, 1],
-            residual_Nm=means[:, 2],
-            age_s=np.array([b[1] for b in kept]) - now_s,
+            trend=means[:, 2:],
+            residual_Nm=means[:, 1],
+            age_s=np.array([b.time_s for b in kept]) - now_s,
             # The median, so that a knock in one block does not pass for noise in all.
-            scatter_Nm2=np.median([b[2] for b in kept], axis=0),
+            scatter_Nm2=np.median([b.scatter for b in kept], axis=0),
         )

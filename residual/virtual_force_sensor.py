@@ -90,13 +90,12 @@ class VirtualForceSensor:
         return self._finish(sample, elapsed_s)
 
     def update_external_torque(
-        self, q: ArrayLike, dq: ArrayLike, external_torque: ArrayLike, dt_s: float
+        self, q: ArrayLike, external_torque: ArrayLike, dt_s: float
     ) -> WrenchEstimate:
         """Take one sample of an external-torque estimate that the robot supplies itself.
 
         Args:
             q: Joint positions [rad], shape (n,).
-            dq: Joint velocities [rad/s], shape (n,); they only tell the direction of motion.
             external_torque: Torque of the environment on the joints [Nm], shape (n,).
             dt_s: Time since the previous call [s].
 
@@ -106,12 +105,8 @@ class VirtualForceSensor:
         joints = self._robot.nv
         try:
             elapsed_s = self._elapsed(dt_s)
-            sample = TorqueSample(
-                check_joint_vector("q", q, joints),
-                check_joint_vector("dq", dq, joints),
-                check_joint_vector("external_torque", external_torque, joints),
-                True,
-            )
+            torque = check_joint_vector("external_torque", external_torque, joints)
+            sample = TorqueSample(check_joint_vector("q", q, joints), torque, torque, True)
         except SampleError as error:
             return self._skip(dt_s, str(error))
         return self._finish(sample, elapsed_s)
@@ -158,7 +153,7 @@ class VirtualForceSensor:
         """Remove the offset, project, and say what the caller should know."""
         self._missed_s = 0.0
         offset = self._offset
-        offset.follow(sample.q, sample.dq, elapsed_s)
+        offset.follow(sample.q, sample.tau, elapsed_s)
         if sample.settled:
             offset.record(sample.residual, elapsed_s)
         self._refresh_in_s -= elapsed_s

@@ -9,11 +9,15 @@ from residual_signals import MIDDLE
 
 from residual import ConfigurationError, TareError, TarePrior, WrenchEstimator
 from residual.contact_guard import check_free_of_contact
-from residual.tare import TareBlocks, fit_tare, prior_tare
-from residual.tare_prior import TareBasis, direction_step
+from residual.tare import TareBlocks, prior_tare
+from residual.tare_fit import fit_tare
+from residual.tare_prior import TareBasis
 from residual.tare_recorder import TareRecorder
+from residual.torque_trend import trend_step
 
 TOWARDS = np.array([0.0, 0.12, 0.01, 0.15, 0.0, 0.1, 0.0])
+FORWARD = np.tile(np.sign(TOWARDS), (3, 1))
+STILL = np.zeros((3, 7))
 OFFSET = np.array([0.3, -0.8, 0.4, 0.5, -0.2, 0.1, -0.05])
 
 
@@ -23,14 +27,14 @@ def stroke(robot, basis, *, truth=None, noise=0.005, seed=0, blocks=300, reach=1
     phase = np.linspace(0.0, 3 * np.pi, blocks)
     place = 0.5 * (1 - np.cos(phase)) * reach - reach
     q = MIDDLE + place[:, None] * TOWARDS
-    direction = np.sign(np.sin(phase))[:, None] * np.sign(TOWARDS)
+    trend = np.sign(np.sin(phase))[:, None, None] * FORWARD
     age = np.linspace(-9.0, 0.0, blocks)
     theta = basis.std * rng.normal(size=len(basis.std)) if truth is None else truth
-    bias = np.array([basis.columns(*row) @ theta for row in zip(q, direction, age, strict=True)])
+    bias = np.array([basis.columns(*row) @ theta for row in zip(q, trend, age, strict=True)])
     residual = bias + noise * rng.normal(size=bias.shape)
     scatter = np.full(robot.nv, (2 * noise) ** 2)
     return theta, TareBlocks(
-        q_rad=q, direction=direction, residual_Nm=residual, age_s=age, scatter_Nm2=scatter
+        q_rad=q, trend=trend, residual_Nm=residual, age_s=age, scatter_Nm2=scatter
     )
 
 
@@ -52,14 +56,14 @@ def test_bias_is_linear_in_its_physical_causes(lwr, basis):
     start = basis.groups["links"].start + 4 * 4
     theta[start] = 0.1
     theta[start + 1 : start + 4] = 0.1 * heavier.lever
-    got = basis.columns(MIDDLE, np.zeros(7), 0.0) @ theta
+    got = basis.columns(MIDDLE, STILL, 0.0) @ theta
     np.testing.assert_allclose(got, change, atol=1e-9)
 
 
 @pytest.mark.parametrize("seed", range(5))
 def test_fit_extrapolates_better_than_a_constant(lwr, basis, seed):
     theta, blocks = stroke(lwr, basis, seed=seed)
-    ahead, forward = MIDDLE + 0.8 * TOWARDS, np.sign(TOWARDS)
+    ahead, forward = MIDDLE + 0.8 * TOWARDS, FORWARD
     truth = basis.columns(ahead, forward, 20.0) @ theta
     fitted = fit_tare(basis, blocks)
     constant = fit_tare(TareBasis(lwr, "constant", TarePrior()), blocks)
@@ -69,7 +73,7 @@ def test_fit_extrapolates_better_than_a_constant(lwr, basis, seed):
 
 
 def test_stated_covariance_is_believable(lwr, basis):
-    ahead, forward, scores = MIDDLE + 0.8 * TOWARDS, np.sign(TOWARDS), []
+    ahead, forward, scores = MIDDLE + 0.8 * TOWARDS, FORWARD, []
     for seed in range(40):
         theta, blocks = stroke(lwr, basis, seed=seed)
         fitted = fit_tare(basis, blocks)
@@ -84,7 +88,7 @@ def test_waviness_does_not_pass_for_a_slope(lwr, basis):
     _, blocks = stroke(lwr, basis, truth=np.zeros(len(basis.std)))
     ripple = 0.02 * np.sin(320.0 * blocks.q_rad + 1.0)
     wavy = replace(blocks, residual_Nm=blocks.residual_Nm + ripple)
-    ahead, forward = MIDDLE + 0.8 * TOWARDS, np.sign(TOWARDS)
+    ahead, forward = MIDDLE + 0.8 * TOWARDS, FORWARD
 
     def doubt(tare):
         return np.sqrt((tare.covariance_Nm2(ahead, forward, 0.0) - tare.noise_Nm2).diagonal())
@@ -98,7 +102,7 @@ def test_doubt_grows_with_distance_and_time(lwr, basis):
     fitted = fit_tare(basis, stroke(lwr, basis)[1])
 
     def doubt(distance, age):
-        covariance = fitted.covariance_Nm2(MIDDLE + distance * TOWARDS, np.zeros(7), age)
+        covariance = fitted.covariance_Nm2(MIDDLE + distance * TOWARDS, STILL, age)
         return covariance.trace()
 
     assert doubt(0.0, 0.0) < doubt(0.5, 0.0) < doubt(1.0, 0.0)
@@ -110,7 +114,7 @@ def test_constant_kind_is_the_mean_residual(lwr):
     _, blocks = stroke(lwr, basis, truth=OFFSET)
     tare = fit_tare(basis, blocks)
     mean = blocks.residual_Nm.mean(axis=0)
-    np.testing.assert_allclose(tare.bias_Nm(MIDDLE, np.zeros(7), 5.0), mean, atol=2e-4)
+    np.testing.assert_allclose(tare.bias_Nm(MIDDLE, STILL, 5.0), mean, atol=2e-4)
 
 
 def test_contact_on_the_way_is_refused(lwr, basis):
@@ -139,28 +143,47 @@ def test_standing_contact_is_refused(lwr, basis):
 
 
 def test_recorder_keeps_block_means_in_bounded_memory():
-    recorder = TareRecorder(2, block_s=0.01, keep_s=0.05)
-    for k in range(1000):
-        recorder.add(np.full(2, k), np.ones(2), np.full(2, 2.0 * k), k * 1e-3, 1e-3)
-    blocks = recorder.blocks(now_s=1.0)
-    assert len(blocks.age_s) == 5
+    recorder = TareRecorder(2, 1, block_s=0.01)
+    for k in range(20_000):
+        recorder.add(np.full(2, k), np.ones((1, 2)), np.full(2, 2.0 * k), k * 1e-3, 1e-3)
+        if k == 99:
+            assert len(recorder.blocks(now_s=0.1).age_s) == 10
+            assert len(recorder.blocks(now_s=0.1, window_s=0.021).age_s) == 2
+    blocks = recorder.blocks(now_s=20.0)
+    assert 100 < len(blocks.age_s) < 400
     np.testing.assert_allclose(blocks.residual_Nm, 2 * blocks.q_rad)
-    assert (np.diff(blocks.age_s) > 0).all()
-    assert len(recorder.blocks(now_s=1.0, window_s=0.021).age_s) == 2
+    np.testing.assert_allclose(blocks.q_rad[:, 0] * 1e-3, blocks.age_s + 20.0, atol=1e-3)
+    assert len(recorder.blocks(now_s=99.0, window_s=0.1).age_s) == 1
     recorder.clear()
     with pytest.raises(TareError, match="no free motion"):
         recorder.blocks(now_s=1.0)
 
 
-def test_direction_remembers_at_rest_and_turns_over_the_width():
-    direction = np.zeros(1)
+def test_ripple_of_a_known_gear_ratio_is_fitted(lwr):
+    ratio = (160.0,) * 4 + (100.0,) * 3
+    basis = TareBasis(lwr, "model", TarePrior(gear_ratio=ratio))
+    theta = np.zeros(len(basis.std))
+    theta[basis.groups["sine"]], theta[basis.groups["cosine"]] = 0.02, -0.01
+    _, blocks = stroke(lwr, basis, truth=theta)
+    ahead = MIDDLE + 0.5 * TOWARDS
+    expected = 0.02 * np.sin(2 * np.array(ratio) * ahead) - 0.01 * np.cos(
+        2 * np.array(ratio) * ahead
+    )
+    got = fit_tare(basis, blocks).bias_Nm(ahead, FORWARD, 0.0)
+    np.testing.assert_allclose(got[[1, 3]], expected[[1, 3]], atol=0.01)
+    with pytest.raises(ConfigurationError, match="expected 7"):
+        TareBasis(lwr, "model", TarePrior(gear_ratio=(160.0,)))
+
+
+def test_torque_trend_remembers_at_rest_and_turns_over_the_width():
+    half_width, trend = np.array([0.01]), np.zeros(1)
     for _ in range(10):
-        direction = direction_step(direction, np.array([2e-4]), 1e-3)
-    assert direction[0] == 1.0
-    assert direction_step(direction, np.zeros(1), 1e-3)[0] == 1.0
-    back = direction_step(direction, np.array([-5e-4]), 1e-3)
+        trend = trend_step(trend, np.array([0.002]), half_width)
+    assert trend[0] == 1.0
+    assert trend_step(trend, np.zeros(1), half_width)[0] == 1.0
+    back = trend_step(trend, np.array([-0.01]), half_width)
     assert back[0] == pytest.approx(0.0)
-    assert direction_step(back, np.array([-1.0]), 1e-3)[0] == -1.0
+    assert trend_step(back, np.array([-1.0]), half_width)[0] == -1.0
 
 
 def test_settings_that_cannot_work_are_refused(lwr):

@@ -15,7 +15,7 @@ from .errors import (
 )
 from .example_robots import example_robot_path
 from .loading import load_urdf
-from .lwr import load_lwr
+from .lwr import LWR_GEAR_RATIO, load_lwr
 from .needle_tool import NeedleTool
 from .payload import Payload
 from .payload_estimate import PayloadEstimate
@@ -24,6 +24,7 @@ from .robot import Robot
 from .serial_robot import SerialJoint, build_serial_robot
 
 __all__ = [
+    "LWR_GEAR_RATIO",
     "InertiaError",
     "InputError",
     "MissingPackageError",

@@ -12,6 +12,9 @@ from .robot import Robot
 
 _FILE = "lwr4plus.urdf"
 
+LWR_GEAR_RATIO = (160.0, 160.0, 160.0, 160.0, 100.0, 100.0, 100.0)
+"""Harmonic drives of the LWR 4+, joints 1 to 7; the torque sensors ripple with the motor angle."""
+
 
 def load_lwr(
     payload: Payload | NeedleTool | None = None,

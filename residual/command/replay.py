@@ -110,21 +110,14 @@ class _Feed:
 
     def __init__(self, sensor: VirtualForceSensor, signals: JointSignals) -> None:
         self._sensor, self._signals = sensor, signals
-        self._q = signals.q_rad[0]
 
     def __call__(self, k: int, dt_s: float) -> WrenchEstimate:
         signals = self._signals
         q, torque = signals.q_rad[k], signals.torque_Nm[k]
+        if signals.is_external:
+            return self._sensor.update_external_torque(q, torque, dt_s)
         dq = None if signals.dq_rad_s is None else signals.dq_rad_s[k]
-        if not signals.is_external:
-            return self._sensor.update(q, dq, torque, dt_s)
-        # Only the direction of motion is read there: a difference will do.
-        if dq is None:
-            dq = (q - self._q) / dt_s if dt_s > 0.0 else np.zeros_like(q)
-        estimate = self._sensor.update_external_torque(q, dq, torque, dt_s if k else 1.0)
-        if estimate.status is not Status.SKIPPED:
-            self._q = q
-        return estimate
+        return self._sensor.update(q, dq, torque, dt_s)
 
 
 def _empty(t_s: NDArray[np.float64], components: int) -> Replay:
