@@ -18,6 +18,8 @@ class DefaultConfig:
         block_s: Length of the detector's blocks: an eighth of the delay wanted.
         rest_speed_m_s: Slower than this the needle rests; ruptures need travel.
         expected_share: Share of the threshold at which a rupture is expected.
+        speed_smoothing_s: Time constant of the speed that decides on rest and turns friction into
+            force; short against any change of speed by a hand or a robot.
         track_step_m: Travel between kept points; a release of 0.1 mm still spans a few.
         presliding_m: Travel over which friction turns after a reversal: gel clings for a fifth,
             soft tissue for half a millimetre.
@@ -43,6 +45,7 @@ class DefaultConfig:
     block_s: float = 5e-3
     rest_speed_m_s: float = 1e-4
     expected_share: float = 0.6
+    speed_smoothing_s: float = 0.02
     track_step_m: float = 2e-5
     presliding_m: float = 0.3e-3
     cutting_onset_m: float = 1e-3

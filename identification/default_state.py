@@ -78,6 +78,7 @@ class DefaultState(NamedTuple):
         blocks: Block being filled.
         bristle: Presliding deflection.
         follower_m: Depth less the jitter of its measurement, None at the start.
+        speed_m_s: Speed without the noise of its measurement.
         deepest_m: Deepest point so far.
         baseline: Force in free air.
         detector: Kink detector.
@@ -97,6 +98,7 @@ class DefaultState(NamedTuple):
     blocks: BlockSums
     bristle: float
     follower_m: float | None
+    speed_m_s: float
     deepest_m: float
     baseline: Baseline
     detector: DetectorState
@@ -126,6 +128,7 @@ def initial_default_state(_config: object) -> DefaultState:
         blocks=EMPTY,
         bristle=0.0,
         follower_m=None,
+        speed_m_s=0.0,
         deepest_m=float("-inf"),
         baseline=Baseline(),
         detector=initial_detector(),

@@ -1,5 +1,7 @@
 """One sample through this toolkit's own identification."""
 
+import math
+
 import numpy as np
 from numpy.typing import NDArray
 
@@ -25,10 +27,15 @@ def default_step(state: DefaultState, sample: Sample, config: DefaultConfig) -> 
     bristle = bristle_step(state.bristle, follower - last, config.presliding_m)
     sums, block = block_step(state.blocks, sample, bristle, config.block_s)
     deepest = max(state.deepest_m, sample.depth_m)
+    keep = (
+        math.exp(-sample.dt_s / config.speed_smoothing_s) if state.follower_m is not None else 0.0
+    )
+    speed = keep * state.speed_m_s + (1.0 - keep) * sample.speed_m_s
     state = state._replace(
         blocks=sums,
         bristle=bristle,
         follower_m=follower,
+        speed_m_s=speed,
         deepest_m=deepest,
         rupture=None,
         compensated=None,
@@ -39,7 +46,7 @@ def default_step(state: DefaultState, sample: Sample, config: DefaultConfig) -> 
         return state._replace(detector=restart_detector(state.detector))
     if not state.in_contact:
         return free_air_step(state, block, config)
-    is_cutting = block.speed_m_s > config.rest_speed_m_s and block.depth_m > deepest - _CHANNEL_M
+    is_cutting = speed > config.rest_speed_m_s and block.depth_m > deepest - _CHANNEL_M
     return _cut(state, block, config) if is_cutting else _idle(state, config)
 
 

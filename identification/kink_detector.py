@@ -29,6 +29,8 @@ class DetectorState(NamedTuple):
         speed_m_s: Last blocks' speeds, shape (length,).
         filled: Blocks since the last restart.
         variance: Learned mean square of each scale's kink [N^2], shape (s,).
+        speed_variance: The same of the speed's kink at the fastest scale, shape (1,): noise of
+            the measured speed, which no true acceleration reaches in 10 ms.
         seen: Blocks each variance was learned from, shape (s,).
     """
 
@@ -36,6 +38,7 @@ class DetectorState(NamedTuple):
     speed_m_s: NDArray[np.float64]
     filled: int
     variance: NDArray[np.float64]
+    speed_variance: NDArray[np.float64]
     seen: NDArray[np.float64]
 
 
@@ -65,7 +68,7 @@ def initial_detector() -> DetectorState:
     kernels = kink_kernels()
     empty = np.zeros(kernels.length)
     zeros = np.zeros(len(kernels.scales))
-    return DetectorState(empty, empty, 0, zeros, zeros)
+    return DetectorState(empty, empty, 0, zeros, zeros[:1], zeros)
 
 
 def restart_detector(state: DetectorState) -> DetectorState:
@@ -105,7 +108,8 @@ def detector_step(
 
     The standard deviation of each scale is learned from its own output, so coloured noise,
     sensor lag and the roughness of tissue all set their own threshold. A fall that the loss of
-    speed could explain, were all the force viscous, does not count; nor does a mere flattening:
+    speed could explain, were all the force viscous, does not count, nor one within the noise of
+    that speed; nor does a mere flattening:
     the force since then must fall, at half the rate it rose or faster.
 
     Args:
@@ -136,17 +140,19 @@ def _judge(
 ) -> Verdict:
     kernels = kink_kernels()
     threshold = _thresholds(state, dt_s, config)
-    deviation = np.sqrt(np.maximum(state.variance, 1e-18))
-    before = kernels.base @ state.speed_m_s
-    viscous = np.maximum(kernels.base @ state.force_N, 0.0)
-    lost = (kernels.kink @ state.speed_m_s) * viscous / np.maximum(np.abs(before), 1e-6)
+    before = np.maximum(np.abs(kernels.base @ state.speed_m_s), 1e-6)
+    damping = np.maximum(kernels.base @ state.force_N, 0.0) / before
+    lost = (kernels.kink @ state.speed_m_s) * damping
+    known = np.maximum(state.variance, 1e-18)
+    speed_variance = state.speed_variance / kernels.gain[0] * kernels.gain
+    deviation = np.sqrt(known + damping * damping * speed_variance)
     fall = -np.minimum(kink - np.minimum(lost, 0.0), 0.0) / deviation
     line = kernels.rise @ state.force_N
-    chance = _TREND * deviation * np.sqrt(kernels.trend_gain / kernels.gain)
+    chance = _TREND * np.sqrt(known * kernels.trend_gain / kernels.gain)
     is_falling = kernels.trend @ state.force_N < -np.maximum(0.5 * line, chance)
     scores = np.where(is_ready & is_falling, fall / threshold, 0.0)
     best = int(np.argmax(scores))
-    rises = np.where(is_ready, kink / deviation / threshold, 0.0)
+    rises = np.where(is_ready, kink / np.sqrt(known) / threshold, 0.0)
     most = int(np.argmax(rises))
     return Verdict(
         float(scores[best]),
@@ -172,15 +178,25 @@ def _learn(
     as noisy as white noise would make it.
     """
     kernels = kink_kernels()
-    square = kink * kink
-    is_known = state.seen > 10.0 * kernels.scales
-    clipped = np.minimum(square, _CLIP * state.variance) / _CLIPPED_MEAN
-    is_event = is_known & (square > _EVENT * state.variance)
-    square = np.where(is_known, clipped, square)
     seen = np.where(is_full, np.minimum(state.seen + 1.0, config.noise_memory_s / dt_s), state.seen)
     rate = np.where(is_full, 1.0 / np.maximum(seen, 1.0), 0.0)
-    rate = np.where(is_event, 0.1 * rate, rate)
-    variance = state.variance + rate * (square - state.variance)
+    is_known = state.seen > 10.0 * kernels.scales
+    variance = _mean_square(state.variance, kink, rate, is_known)
     white = np.minimum(variance[0] / kernels.gain[0] * kernels.gain, variance[0])
     variance = np.where(is_full, np.maximum(variance, white), variance)
-    return state._replace(variance=variance, seen=seen)
+    change = kernels.kink[:1] @ state.speed_m_s
+    speed_variance = _mean_square(state.speed_variance, change, rate[:1], is_known[:1])
+    return state._replace(variance=variance, speed_variance=speed_variance, seen=seen)
+
+
+def _mean_square(
+    known: NDArray[np.float64],
+    output: NDArray[np.float64],
+    rate: NDArray[np.float64],
+    is_known: NDArray[np.bool_],
+) -> NDArray[np.float64]:
+    square = output * output
+    is_event = is_known & (square > _EVENT * known)
+    clipped = np.minimum(square, _CLIP * known) / _CLIPPED_MEAN
+    rate = np.where(is_event, 0.1 * rate, rate)
+    return known + rate * (np.where(is_known, clipped, square) - known)

@@ -34,7 +34,7 @@ def shaft_friction(
         force_N: Its force less the free-air offset.
         config: Settings.
     """
-    bristle, speed = state.bristle, MM * sample.speed_m_s
+    bristle, speed = state.bristle, MM * state.speed_m_s
     fit = state.fit.values
     if sample.depth_m < state.layer.start_m and state.traversed:
         coulomb_share, viscous_share = _embedded_shares(state, sample.depth_m)
