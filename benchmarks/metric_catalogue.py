@@ -29,8 +29,7 @@ _RESIDUAL = (
     Metric(
         name="residual_rms_Nm",
         unit="Nm",
-        meaning="momentum residual against the ideal first-order filter of the true torque, "
-        "worst joint",
+        meaning="residual against the ideal filter of the true torque, worst joint",
         tolerance=1e-6,
     ),
     *(

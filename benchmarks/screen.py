@@ -2,7 +2,7 @@
 
 from rich.console import Console
 
-LEAST_WIDTH = 120
+LEAST_WIDTH = 140
 """Of a table that goes into a file or a pipe."""
 
 

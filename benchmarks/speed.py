@@ -1,6 +1,7 @@
 """What a tick of the estimators costs, beside the bare Pinocchio calls it cannot do without."""
 
 from collections.abc import Callable
+from dataclasses import replace
 
 import numpy as np
 import pinocchio as pin
