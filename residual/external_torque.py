@@ -88,7 +88,8 @@ class ExternalTorqueEstimator:
         residual = self._observer.update(q, dq, tau, dt_s)
         q, tau = np.asarray(q, dtype=np.float64), np.asarray(tau, dtype=np.float64)
         self._grow_older(dt_s)
-        self._learn_noise(dq, 1.0, dt_s)
+        if self._probe is not None:
+            self._learn_noise(dq, 1.0, dt_s)
         return TorqueSample(q, tau, residual, self._settled)
 
     def _update_without_velocity(

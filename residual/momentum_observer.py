@@ -85,6 +85,7 @@ class MomentumObserver:
         if not max_gap_s > 0:
             raise ConfigurationError(f"max_gap_s is {max_gap_s!r}, expected > 0")
         self._gain = gain_vector(gain_per_s, robot.nv)
+        self._gain_of_all = float(self._gain[0]) if np.ndim(gain_per_s) == 0 else None
         self._terms = MomentumTerms(robot, friction)
         self._alignment: Alignment = alignment
         self._max_gap_s = max_gap_s
@@ -169,17 +170,21 @@ class MomentumObserver:
         if dt_s != self._dt_s and self._seated:
             check_interval(dt_s)
             if dt_s <= self._max_gap_s:
-                before, after = step_coefficients(self._gain, dt_s, self._alignment)
+                gain = self._gain if self._gain_of_all is None else self._gain_of_all
+                before, after = step_coefficients(gain, dt_s, self._alignment)
                 self._coefficients = (
-                    np.concatenate((after, before), axis=1),
-                    np.concatenate((before, after), axis=1),
+                    np.concatenate((after, before), axis=-1),
+                    np.concatenate((before, after), axis=-1),
                 )
                 self._dt_s = dt_s
         if not self._seated or dt_s > self._max_gap_s or self._coefficients is None:
             held = self._slots[1 - self._spare][0]
             # Any non-finite number in the new rows must still be seen.
             return held + 0.0 * self._rows[self._spare * ROWS + 1 : (self._spare + 1) * ROWS].sum(0)
-        return np.vecdot(self._coefficients[self._spare], self._joint_rows)
+        coefficients = self._coefficients[self._spare]
+        if self._gain_of_all is not None:
+            return coefficients.dot(self._rows)
+        return np.vecdot(coefficients, self._joint_rows)
 
     def _refuse(self, *sample: ArrayLike) -> NoReturn:
         for name, value in zip(("q", "dq", "tau"), sample, strict=True):

@@ -34,8 +34,10 @@ def smoothing_step(
         Smoothed momentum at the end of the tick, shape (n,).
     """
     behind = momentum - smooth
-    distance = behind / (KNEE_SIGMAS * noise)
+    distance = behind / noise
     square = distance * distance
-    rate = BANDWIDTH_PER_S * dt_s * (1.0 + square * square)
-    # The implicit step: never overshoots, whatever the rate.
-    return smooth + behind * (rate / (1.0 + rate))
+    # rate = bandwidth dt (1 + (distance / knee)^4), behind rate / (1 + rate) the implicit step,
+    # which never overshoots; both divided by bandwidth dt / knee^4 to spare operations.
+    unit = KNEE_SIGMAS**4
+    rate = square * square + unit
+    return smooth + behind * (rate / (rate + unit / (BANDWIDTH_PER_S * dt_s)))

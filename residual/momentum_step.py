@@ -11,6 +11,7 @@ stable for every K dt, free of a start-up spike, and linear in what was known be
 what is known after it: one row of coefficients per joint.
 """
 
+import math
 from typing import Literal
 
 import numpy as np
@@ -25,32 +26,36 @@ ROWS = 5
 
 
 def step_coefficients(
-    gain_per_s: NDArray[np.float64], dt_s: float, alignment: Alignment
+    gain_per_s: float | NDArray[np.float64], dt_s: float, alignment: Alignment
 ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
     """Coefficients of the exact step on the rows before and after the tick.
 
     Args:
-        gain_per_s: K per joint [1/s], shape (n,).
+        gain_per_s: K [1/s]: one for all joints, or an array of shape (n,).
         dt_s: Length of the tick [s].
         alignment: How torque fills the tick.
 
     Returns:
-        Two arrays of shape (n, ROWS): factors of the earlier and of the later rows.
+        Factors of the earlier and of the later rows, each of shape (ROWS,), or (n, ROWS) for one
+        gain per joint.
     """
-    decay = np.exp(-gain_per_s * dt_s)
-    share = -np.expm1(-gain_per_s * dt_s)
-    per_second, half = share / dt_s, 0.5 * share
-    zero = np.zeros_like(share)
+    # Plain floats where one gain serves all: on an uneven clock this runs every tick.
+    share = (
+        -math.expm1(-gain_per_s * dt_s)
+        if isinstance(gain_per_s, float)
+        else -np.expm1(-gain_per_s * dt_s)
+    )
+    decay, per_second, half, zero = 1.0 - share, share / dt_s, 0.5 * share, 0.0 * share
     held = alignment == "hold"
     before = (decay, -per_second, -half, half, -share if held else -half)
     after = (zero, per_second, -half, half, zero if held else -half)
-    return np.stack(before, axis=1), np.stack(after, axis=1)
+    return np.array(before).T, np.array(after).T
 
 
 def momentum_step(
     before: NDArray[np.float64],
     after: NDArray[np.float64],
-    gain_per_s: NDArray[np.float64],
+    gain_per_s: float | NDArray[np.float64],
     dt_s: float,
     alignment: Alignment = "trapezoid",
 ) -> NDArray[np.float64]:
@@ -60,7 +65,7 @@ def momentum_step(
         before: Rows at the start of the tick, shape (ROWS, n): residual [Nm], momentum
             [kg m^2/s], C' dq [Nm], g + tau_f [Nm], torque [Nm].
         after: Rows at its end; the residual row is not read.
-        gain_per_s: K per joint [1/s], shape (n,).
+        gain_per_s: K [1/s], one for all joints or shape (n,).
         dt_s: Length of the tick [s].
         alignment: How torque fills the tick.
 

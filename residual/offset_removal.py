@@ -24,6 +24,8 @@ class OffsetRemoval:
         config: Settings of the sensor.
     """
 
+    RENEW_S = 0.02
+    """The offset changes with pose and torque, slowly: it is renewed this often."""
     BLOCK_LAGS = 2.0
     """Length of a recorded block in lags of the observer: blocks are then nearly independent."""
 
@@ -47,15 +49,32 @@ class OffsetRemoval:
         """The tare in force; the prior before the first one."""
         return self._tare
 
-    def follow(self, q: NDArray[np.float64], tau: NDArray[np.float64], dt_s: float) -> None:
-        """Follow position [rad], torque [Nm] and time [s] since the sample before."""
+    def follow(self, q: NDArray[np.float64], tau: NDArray[np.float64], dt_s: float) -> bool:
+        """Follow position [rad], torque [Nm] and time [s] since the sample before.
+
+        Returns:
+            Whether trend and offset have been renewed; the covariance may then be read anew.
+        """
         self._q = q
         self._now_s += dt_s
+        self._torque_sum += tau
+        self._count += 1
+        if self._now_s < self._due_s:
+            return False
+        self._renew()
+        return True
+
+    def _renew(self) -> None:
+        """Renew what changes slowly: the trend of the torques and the offset."""
+        torque, dt_s = self._torque_sum / self._count, self._now_s - self._renewed_s
+        self._torque_sum, self._count = np.zeros(len(torque)), 0
+        self._renewed_s, self._due_s = self._now_s, self._now_s + self.RENEW_S
         if self._smooth_torque is None:
-            self._smooth_torque = tau
-        change = (tau - self._smooth_torque) * (dt_s / (SMOOTHING_S + dt_s))
+            self._smooth_torque = torque
+        change = (torque - self._smooth_torque) * (dt_s / (SMOOTHING_S + dt_s))
         self._smooth_torque = self._smooth_torque + change
         self._trend = trend_step(self._trend, change, self._basis.half_width_Nm)
+        self._bias = self._tare.bias_Nm(self._q, self._trend, self._age_s)
 
     def record(self, residual: NDArray[np.float64], dt_s: float) -> None:
         """Record one settled residual [Nm] of free motion; ignored once tared."""
@@ -64,7 +83,7 @@ class OffsetRemoval:
 
     def correct(self, residual: NDArray[np.float64]) -> NDArray[np.float64]:
         """Residual without its offset [Nm], shape (n,)."""
-        return residual - self._tare.bias_Nm(self._q, self._trend, self._age_s)
+        return residual - self._bias
 
     def covariance_Nm2(self) -> NDArray[np.float64]:
         """Covariance of the corrected residual here and now [Nm^2], shape (n, n)."""
@@ -90,6 +109,7 @@ class OffsetRemoval:
             check_free_of_contact(prior, blocks, wrench, self._config.contact_force_N)
         fitted = fit_tare(self._basis, blocks)
         self._tare, self._tared, self._tared_s = fitted, True, self._now_s
+        self._bias = fitted.bias_Nm(self._q, self._trend, 0.0)
         return fitted
 
     def start_recording(self) -> None:
@@ -105,4 +125,7 @@ class OffsetRemoval:
         self._tared_s = self._now_s = 0.0
         self._trend = self._no_trend
         self._smooth_torque: NDArray[np.float64] | None = None
+        self._torque_sum, self._count = np.zeros_like(self._still), 0
+        self._renewed_s = self._due_s = 0.0
+        self._bias = self._still
         self._q = self._still

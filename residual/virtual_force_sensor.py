@@ -31,9 +31,6 @@ class VirtualForceSensor:
         config: Settings; `PAPER` for the method as published.
     """
 
-    REFRESH_S = 0.05
-    """The covariance of the residual changes with the pose, slowly: it is renewed this often."""
-
     def __init__(self, robot: Robot, config: SensorConfig = DEFAULT) -> None:
         self._robot, self._config = robot, config
         self._offset = OffsetRemoval(robot, config)
@@ -124,7 +121,7 @@ class VirtualForceSensor:
             TareError: Without data, or with contact in sight; nothing has then changed.
         """
         tare = self._offset.tare(self._wrench, force=force)
-        self._refresh_in_s = 0.0
+        self._wrench.set_torque_covariance(self._offset.covariance_Nm2())
         self._slow_axial_N = math.nan
         return tare
 
@@ -138,7 +135,6 @@ class VirtualForceSensor:
         self._offset.reset()
         self._last: WrenchEstimate | None = None
         self._missed_s = 0.0
-        self._refresh_in_s = 0.0
         self._slow_axial_N = math.nan
         self._skipped = 0
 
@@ -153,12 +149,10 @@ class VirtualForceSensor:
         """Remove the offset, project, and say what the caller should know."""
         self._missed_s = 0.0
         offset = self._offset
-        offset.follow(sample.q, sample.tau, elapsed_s)
-        if sample.settled:
+        renewed = offset.follow(sample.q, sample.tau, elapsed_s)
+        if sample.settled and not offset.tared:
             offset.record(sample.residual, elapsed_s)
-        self._refresh_in_s -= elapsed_s
-        if self._refresh_in_s <= 0.0:
-            self._refresh_in_s = self.REFRESH_S
+        if renewed or self._last is None:
             self._wrench.set_torque_covariance(offset.covariance_Nm2())
         residual = offset.correct(sample.residual)
         residual.setflags(write=False)
@@ -177,7 +171,8 @@ class VirtualForceSensor:
             self._slow_axial_N += behind * -math.expm1(-dt_s / lag_s)
         # Only what stands out of the noise counts as a change that the lag may hide.
         variance = estimate.axial_std**2
-        std = math.sqrt(variance + max(0.0, behind**2 - 4.0 * variance))
+        hidden = behind**2 - 4.0 * variance
+        std = math.sqrt(variance + hidden) if hidden > 0.0 else estimate.axial_std
         if not settled:
             return estimate._replace(
                 axial_std=std, status=Status.SETTLING, message="the filters have just started"
@@ -186,7 +181,7 @@ class VirtualForceSensor:
             return estimate._replace(
                 axial_std=std, status=Status.NOT_TARED, message="tare() has not been called"
             )
-        return estimate._replace(axial_std=std)
+        return estimate._replace(axial_std=std) if hidden > 0.0 else estimate
 
     def _skip(self, dt_s: float, reason: str) -> WrenchEstimate:
         """The last sound estimate again; the time of a bad sample still passes."""
