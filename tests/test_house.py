@@ -19,13 +19,22 @@ MOST_PUBLIC_NAMES = 20
 VAGUE_NAMES = {"utils.py", "util.py", "common.py", "helpers.py", "misc.py"}
 
 
+def listed_by_git():
+    """Names of the files under version control; none in a copy without it."""
+    try:
+        listed = subprocess.run(
+            ["git", "ls-files", "-z"], cwd=ROOT, capture_output=True, check=True
+        )
+    except (OSError, subprocess.CalledProcessError):
+        return []
+    return [name for name in listed.stdout.decode().split("\0") if name]
+
+
 def project_files():
     """Files under version control; in a copy without it, what lies in the project's folders."""
-    listed = subprocess.run(["git", "ls-files", "-z"], cwd=ROOT, capture_output=True, check=False)
-    if listed.returncode == 0 and listed.stdout:
-        paths = [ROOT / name for name in listed.stdout.decode().split("\0") if name]
-    else:
-        folders = (*ROOMS, "tests", "docs", "examples")
+    paths = [ROOT / name for name in listed_by_git()]
+    if not paths:
+        folders = (*ROOMS, ".ci", "tests", "docs", "examples")
         paths = [path for folder in folders for path in (ROOT / folder).rglob("*")]
         paths += [path for path in ROOT.glob("*.*") if not path.name.startswith(".")]
     return [path for path in paths if path.is_file() and "__pycache__" not in path.parts]
