@@ -13,7 +13,7 @@ from urdf import Robot
 LWR_POSTURE_rad = (0.2, 0.4, 0.3, -1.5, -0.2, 1.2, 0.1)
 """Where every run of the LWR starts, once `needle_down` has made it exactly vertical: elbow
 bent and out of the vertical plane, tip 0.29 m above the base. Condition number of the Jacobian
-8 to 10 over 0.2 m of travel, no joint within 30 degrees of a limit."""
+8 to 10 over 0.24 m of travel, no joint within 25 degrees of a limit."""
 
 _KNOT_SPACING_m = 5e-3
 _TOLERANCE = 1e-12

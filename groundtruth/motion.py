@@ -13,9 +13,10 @@ from groundtruth.errors import MotionError
 from groundtruth.stroke import Profile, Stroke
 
 FIRST_REST_S = 1.0
-TARE_STROKE_M = 60e-3
-"""About an insertion's length: what is learnt in free air then extends along the insertion."""
-TARE_SPEED_M_S = 20e-3
+TARE_STROKE_M = 100e-3
+"""Length of the tare stroke in free air: about as long as the deepest insertion, since what is
+learnt on it is carried on along the insertion."""
+TARE_SPEED_M_S = 25e-3
 """Mean speed of the tare stroke: fast enough to excite the arm, slow enough to be safe in air."""
 TURNING_REST_S = 2.0
 LAST_REST_S = 0.5

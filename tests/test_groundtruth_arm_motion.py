@@ -16,7 +16,7 @@ from urdf import NeedleTool, load_lwr
 
 ROBOT = load_lwr(payload=NeedleTool())
 START = needle_down(ROBOT, np.array(LWR_POSTURE_rad))
-REACH_M = 0.20
+REACH_M = 0.24
 
 
 def tool_pose(q):
