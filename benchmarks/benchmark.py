@@ -16,7 +16,7 @@ class Findings(NamedTuple):
     """What running a job gives."""
 
     measurements: list[Measurement]
-    picture: Path | None = None
+    pictures: tuple[Path, ...] = ()
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -30,6 +30,7 @@ class Benchmark:
         needs: Folders of recordings it reads; none for a simulation.
         seeds: How many different seeds it has; None for any number.
         is_default: Whether it runs when nothing is named.
+        plants: On which plants a simulation runs when none is named.
     """
 
     id: str
@@ -38,6 +39,7 @@ class Benchmark:
     needs: tuple[str, ...] = ()
     seeds: int | None = None
     is_default: bool = True
+    plants: tuple[str, ...] = ("realistic",)
 
     @property
     def is_recorded(self) -> bool:

@@ -6,6 +6,7 @@ from types import MappingProxyType
 from benchmarks import liver, panda, ur10e
 from benchmarks.benchmark import Benchmark
 from benchmarks.errors import UnknownIdError
+from benchmarks.needle_benchmark import NEEDLE
 from benchmarks.panda_liver import run_panda_liver
 from benchmarks.panda_real import run_panda_real
 from benchmarks.simulated import RANDOM_STACK
@@ -34,6 +35,7 @@ def _simulated() -> list[Benchmark]:
         title="layers, motion and speed drawn anew for every seed",
         run=run_simulated,
         is_default=False,
+        plants=(NEEDLE,),
     )
     return [*named, drawn]
 

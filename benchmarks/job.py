@@ -16,7 +16,8 @@ class Job:
 
     Attributes:
         benchmark: Its name.
-        plant: Arm level of a simulation, ``recording`` for real data.
+        plant: Arm level of a simulation, ``needle`` for one without an arm, ``recording`` for real
+            data.
         seed: Of everything drawn; of real data, the number of the recording.
         data: Folder of recordings, for benchmarks that need it.
         pictures: Folder for pictures; None for none.
@@ -32,11 +33,12 @@ class Job:
         """One line for people."""
         return f"{self.benchmark}, {self.plant}, seed {self.seed}"
 
-    def picture(self) -> Path | None:
-        """Where this job's picture goes."""
+    def picture(self, kind: str = "") -> Path | None:
+        """Where this job's picture of a kind goes, nothing where none is wanted."""
         if self.pictures is None:
             return None
-        return self.pictures / f"{self.benchmark}-{self.plant}-{self.seed}.png"
+        ending = f"-{kind}" if kind else ""
+        return self.pictures / f"{self.benchmark}-{self.plant}-{self.seed}{ending}.png"
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -46,11 +48,11 @@ class Outcome:
     Attributes:
         job: The job.
         rows: Its numbers; none when it failed.
-        picture: The picture it has drawn.
+        pictures: The pictures it has drawn.
         failure: Why it failed, one line.
     """
 
     job: Job
     rows: tuple[Row, ...] = field(default=())
-    picture: Path | None = None
+    pictures: tuple[Path, ...] = ()
     failure: str | None = None

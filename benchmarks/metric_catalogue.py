@@ -4,6 +4,7 @@ from collections.abc import Mapping
 from types import MappingProxyType
 
 from benchmarks.errors import UnknownMetricError
+from benchmarks.identification_catalogue import IDENTIFICATION, REAL_TISSUE, TABLE_I
 from benchmarks.metric import Metric
 
 # Axial force against the true one, from first contact to the end of withdrawal.
@@ -85,7 +86,10 @@ _WEIGHT = (
 )
 
 METRICS: Mapping[str, Metric] = MappingProxyType(
-    {metric.name: metric for metric in (*_WRENCH, *_RESIDUAL, *_WEIGHT)}
+    {
+        metric.name: metric
+        for metric in (*_WRENCH, *_RESIDUAL, *_WEIGHT, *IDENTIFICATION, *TABLE_I, *REAL_TISSUE)
+    }
 )
 """By name."""
 

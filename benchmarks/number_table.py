@@ -4,16 +4,20 @@ from collections.abc import Iterable
 
 from rich.table import Table
 
+from benchmarks.identification_catalogue import IDENTIFICATION, REAL_TISSUE, TABLE_I
 from benchmarks.metric_catalogue import metric
 from benchmarks.row import Row
 from benchmarks.summary import summary
+
+ELSEWHERE = frozenset(item.name for item in (*IDENTIFICATION, *TABLE_I, *REAL_TISSUE))
+"""Metrics with tables of their own."""
 
 
 def number_table(rows: Iterable[Row]) -> Table | None:
     """One line per scenario, plant, method and metric; None when there are no such rows."""
     groups: dict[tuple[str, str, str, str], list[float]] = {}
     for row in rows:
-        if not row.metric.startswith("wrench_"):
+        if row.metric not in ELSEWHERE and not row.metric.startswith("wrench_"):
             key = (row.scenario, row.plant, row.method, row.metric)
             groups.setdefault(key, []).append(row.value)
     if not groups:

@@ -58,7 +58,7 @@ def run_panda_liver(job: Job, progress: Progress) -> Findings:
     found: list[Measurement] = []
     for reading in readings:
         found += [item for item in wrench_metrics(reading, truth) if item.metric != NOT_TOLD]
-    return Findings(found, picture)
+    return Findings(found, () if picture is None else (picture,))
 
 
 def _truth(panda: Panda, insertion: LiverInsertion) -> ForceTruth:

@@ -8,9 +8,11 @@ from benchmarks.benchmark import RECORDING, Benchmark
 from benchmarks.catalogue import BENCHMARKS, benchmark
 from benchmarks.errors import DataError, UnknownIdError
 from benchmarks.job import Job
+from benchmarks.needle_benchmark import NEEDLE
 from groundtruth import ARM_LEVELS
 
 ALL = "all"
+PLANTS = (*ARM_LEVELS, NEEDLE)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -19,14 +21,15 @@ class Request:
 
     Attributes:
         ids: Names of benchmarks; none for the quick ones, ``all`` for all.
-        plants: Arm levels of simulations.
+        plants: Arm levels of simulations, ``needle`` for none; when empty, every benchmark runs on
+            its own: the random stack with the needle alone, so that hundreds are affordable.
         seeds: Seeds 0 to seeds - 1 are run.
         data: Folder of recordings, if any.
         pictures: Folder for pictures, if wanted.
     """
 
     ids: Sequence[str] = ()
-    plants: Sequence[str] = ("realistic",)
+    plants: Sequence[str] = ()
     seeds: int = 1
     data: Path | None = None
     pictures: Path | None = None
@@ -71,8 +74,8 @@ def make_plan(request: Request) -> Plan:
 
 def _check_plants(plants: Sequence[str]) -> None:
     for plant in plants:
-        if plant not in ARM_LEVELS:
-            raise UnknownIdError(f"no plant {plant!r}; choose from: {', '.join(ARM_LEVELS)}")
+        if plant not in PLANTS:
+            raise UnknownIdError(f"no plant {plant!r}; choose from: {', '.join(PLANTS)}")
 
 
 def _chosen(ids: Sequence[str]) -> list[Benchmark]:
@@ -97,7 +100,8 @@ def _missing(item: Benchmark, data: Path | None) -> str:
 
 def _jobs(item: Benchmark, request: Request) -> list[Job]:
     seeds = request.seeds if item.seeds is None else min(item.seeds, request.seeds)
-    plants = (RECORDING,) if item.is_recorded else tuple(dict.fromkeys(request.plants))
+    asked = tuple(dict.fromkeys(request.plants)) or item.plants
+    plants = (RECORDING,) if item.is_recorded else asked
     return [
         Job(
             benchmark=item.id,

@@ -5,8 +5,9 @@ from typing import Literal, NamedTuple
 
 Source = Literal["ft", "virtual"]
 """Which force: read by the F/T sensor, or estimated from joint signals."""
-Method = Literal["paper", "default"]
-"""Whose method: as published, or ours. What does not depend on it stands under ``default``."""
+Method = Literal["paper", "default", "guess"]
+"""Whose method: as published, or ours. What does not depend on it stands under ``default``;
+``guess`` is a rule of thumb that an identification worth having must beat."""
 
 
 class RowKey(NamedTuple):

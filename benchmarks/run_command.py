@@ -25,7 +25,7 @@ def execute(arguments: argparse.Namespace) -> int:
         BenchmarkError: Nothing can be run, or a file cannot be written.
     """
     pictures = _folder(arguments.report)
-    plants = [name for names in arguments.plant or [["realistic"]] for name in names]
+    plants = [name for names in arguments.plant or [] for name in names]
     request = Request(
         ids=arguments.ids,
         plants=plants,
@@ -46,7 +46,8 @@ def execute(arguments: argparse.Namespace) -> int:
     if arguments.json is not None:
         write_results(arguments.json, rows)
     if pictures is not None:
-        index = write_report(pictures, rows, [item.picture for item in outcomes if item.picture])
+        drawn = [picture for item in outcomes for picture in item.pictures]
+        index = write_report(pictures, rows, drawn)
         console.print(f"Report: {index}")
     missed = arguments.strict and not all(verdict.is_met for verdict in verdicts(rows))
     return FAILURE if failures or missed else 0

@@ -24,4 +24,4 @@ def run_job(job: Job, progress: Progress) -> Outcome:
     except (BenchmarkError, GroundTruthError, ResidualError, UrdfError, RecordingError) as error:
         return Outcome(job=job, failure=f"{type(error).__name__}: {error}")
     rows = tuple(item.row(job.benchmark, job.plant, job.seed) for item in found.measurements)
-    return Outcome(job=job, rows=rows, picture=found.picture)
+    return Outcome(job=job, rows=rows, pictures=found.pictures)

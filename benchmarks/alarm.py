@@ -1,0 +1,51 @@
+"""Ruptures as an identifier reported them, on the run's own clock."""
+
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from identification import LayerEstimate, Replay
+
+
+class Alarm(NamedTuple):
+    """One reported rupture.
+
+    Attributes:
+        sample: Index of the sample that raised it.
+        alarm_s: Time of that sample.
+        dated_s: When the rupture happened, as estimated at last.
+        layer: The layer it ended, as known at the end; None if it was never identified.
+    """
+
+    sample: int
+    alarm_s: float
+    dated_s: float
+    layer: LayerEstimate | None
+
+
+def alarms_of(result: Replay, t_s: NDArray[np.float64]) -> list[Alarm]:
+    """Every rupture reported, in order.
+
+    Args:
+        result: Estimates, one per sample.
+        t_s: True instants of the samples, shape (n,).
+    """
+    by_alarm = {layer.rupture.alarm_s: layer for layer in result.layers}
+    found = []
+    for k, estimate in enumerate(result.estimates):
+        event = estimate.rupture
+        if event is None:
+            continue
+        layer = by_alarm.get(event.alarm_s)
+        # The date may have become better since the alarm.
+        last = event if layer is None else layer.rupture
+        dated_s = float(t_s[k]) - (event.alarm_s - last.time_s)
+        found.append(Alarm(k, float(t_s[k]), dated_s, layer))
+    return found
+
+
+def first_compensation(result: Replay) -> int | None:
+    """Index of the sample at which friction was first identified, if ever."""
+    is_compensated = (estimate.compensated is not None for estimate in result.estimates)
+    return next((k for k, found in enumerate(is_compensated) if found), None)

@@ -1,0 +1,47 @@
+"""Identification on the simulated arm: joint signals in, enhanced force out."""
+
+from benchmarks.force_reading import ForceReading
+from benchmarks.identification_metrics import Signals
+from benchmarks.joint_signals import JointSignals
+from benchmarks.needle_signal import NeedleSignal
+from benchmarks.row import Method, Source
+from benchmarks.simulated import SimulatedCase
+from benchmarks.tip_travel import TipTravel, tip_travel
+
+
+def arm_signals(case: SimulatedCase) -> list[Signals]:
+    """What identifiers get from the arm, one entry per source.
+
+    Depth and speed come from measured joints through the estimator's own robot. The F/T reading
+    is the same for both methods; the virtual force of a method is that of its own sensor, so that
+    under `virtual` each whole chain is judged.
+    """
+    travel = tip_travel(case.run.robot, case.signals, case.run.tare_end_s)
+    by_key = {(item.source, item.method): item for item in case.readings}
+    ft = by_key["ft", "default"]
+    wanted: list[tuple[Source, dict[Method, ForceReading]]] = [
+        ("ft", {"default": ft, "paper": ft}),
+        (
+            "virtual",
+            {
+                "default": by_key["virtual", "default"],
+                "paper": by_key["virtual", "paper"],
+            },
+        ),
+    ]
+    return [
+        {method: _signal(source, case.signals, travel, item) for method, item in readings.items()}
+        for source, readings in wanted
+    ]
+
+
+def _signal(
+    source: Source, signals: JointSignals, travel: TipTravel, reading: ForceReading
+) -> NeedleSignal:
+    return NeedleSignal(
+        source=source,
+        t_s=signals.t_s,
+        depth_m=travel.depth_m,
+        speed_m_s=travel.speed_m_s,
+        force_N=reading.axial_N,
+    )

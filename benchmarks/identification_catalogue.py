@@ -1,0 +1,145 @@
+"""The metrics of online identification; `benchmarks.metric_catalogue` lists them with the rest."""
+
+from benchmarks.metric import Metric
+
+IDENTIFICATION = (
+    Metric(
+        name="friction_error_worst_pct",
+        unit="%",
+        meaning="error of the shaft friction of a layer at its rupture, worst layer",
+        tolerance=0.5,
+    ),
+    Metric(
+        name="friction_error_mean_pct",
+        unit="%",
+        meaning="the same, mean over layers",
+        tolerance=0.5,
+    ),
+    Metric(
+        name="friction_coverage_2sigma",
+        unit="1",
+        meaning="share of layers whose friction lies within twice the stated standard deviation",
+        best=0.95,
+        tolerance=0.05,
+    ),
+    Metric(
+        name="exit_residue_pct",
+        unit="%",
+        meaning="mean |enhanced force| after the last exit, of the uncompensated force there",
+        tolerance=0.5,
+    ),
+    Metric(
+        name="enhanced_rmse_N",
+        unit="N",
+        meaning="rms error of the enhanced force from the first compensation to the deepest point",
+        tolerance=2e-3,
+    ),
+    Metric(
+        name="tip_rmse_N",
+        unit="N",
+        meaning="rms error of the tip force over the same time",
+        tolerance=2e-3,
+    ),
+    Metric(
+        name="rupture_recall",
+        unit="1",
+        meaning="share of true ruptures that were reported",
+        best=1.0,
+        tolerance=1e-3,
+        relative_tolerance=0.0,
+    ),
+    Metric(
+        name="rupture_precision",
+        unit="1",
+        meaning="share of reported ruptures that are true",
+        best=1.0,
+        tolerance=1e-3,
+        relative_tolerance=0.0,
+    ),
+    Metric(
+        name="soft_transition_recall",
+        unit="1",
+        meaning="share reported of true transitions whose force drop is below five times the noise",
+        best=1.0,
+        tolerance=1e-3,
+    ),
+    Metric(
+        name="rupture_delay_ms",
+        unit="ms",
+        meaning="alarm after the onset of the release, median",
+        tolerance=2.0,
+    ),
+    Metric(
+        name="rupture_dating_error_ms",
+        unit="ms",
+        meaning="error of the estimated instant of rupture, median",
+        tolerance=2.0,
+    ),
+    Metric(
+        name="rupture_overshoot_mm",
+        unit="mm",
+        meaning="travel of the tip from the onset of the release to the alarm, median",
+        tolerance=5e-3,
+    ),
+)
+"""Of a simulated insertion; one column each in the table of identification."""
+
+TABLE_I = (
+    Metric(
+        name="cumulative_friction_true_Ns_per_m",
+        unit="Ns/m",
+        meaning="B d of a single gel, true",
+        relative_tolerance=1.0,
+    ),
+    Metric(
+        name="cumulative_friction_offline_Ns_per_m",
+        unit="Ns/m",
+        meaning="B d of a single gel, identified offline",
+        relative_tolerance=1.0,
+    ),
+    Metric(
+        name="cumulative_friction_online_Ns_per_m",
+        unit="Ns/m",
+        meaning="B d of a single gel, identified online",
+        relative_tolerance=1.0,
+    ),
+)
+"""Figures to lay beside the paper's Table I; how good they are, `friction_error_*` tells."""
+
+REAL_TISSUE = (
+    *(
+        Metric(
+            name=f"pullout_error{where}_{name}_pct",
+            unit="%",
+            meaning=f"friction told during insertion against the pull-out force{text}, {which}",
+            tolerance=0.5,
+        )
+        for where, text in (
+            ("", " at 42 and 78 mm"),
+            ("_42mm", " at 42 mm"),
+            ("_78mm", " at 78 mm"),
+        )
+        for name, which in (("median", "median"), ("p90", "90th percentile"))
+    ),
+    Metric(
+        name="ruptures_per_insertion",
+        unit="1",
+        meaning="ruptures reported per insertion",
+        relative_tolerance=1.0,
+    ),
+    Metric(name="ruptures_missed", unit="1", meaning="annotated ruptures without an alarm"),
+    Metric(name="ruptures_false", unit="1", meaning="alarms without an annotated rupture"),
+    Metric(
+        name="rupture_depth_error_mm",
+        unit="mm",
+        meaning="worst distance of the alarm from the annotated depth",
+        tolerance=0.05,
+    ),
+    Metric(
+        name="rupture_dated_depth_error_mm",
+        unit="mm",
+        meaning="worst distance of the estimated depth of rupture from the annotated one",
+        tolerance=0.05,
+    ),
+)
+"""Of recordings of real tissue."""

@@ -1,0 +1,42 @@
+"""Every identification number of one simulated insertion."""
+
+from collections.abc import Iterator, Sequence
+
+from benchmarks.enhanced_metrics import enhanced_metrics
+from benchmarks.friction_metrics import friction_metrics, layer_frictions
+from benchmarks.identified import IDENTIFIERS, Identified, identify
+from benchmarks.insertion_truth import InsertionTruth
+from benchmarks.measurement import Measurement
+from benchmarks.needle_signal import NeedleSignal
+from benchmarks.row import Method
+from benchmarks.rupture_metrics import rupture_metrics
+from benchmarks.table_one import is_single_gel, table_one
+from benchmarks.transition import force_noise_N, match
+
+Signals = dict[Method, NeedleSignal]
+"""One source's signal for each method; a virtual force is the method's own."""
+
+
+def identify_all(signals: Signals, truth: InsertionTruth) -> list[Identified]:
+    """Both methods on one source."""
+    return [identify(signals[method], truth, method) for method in IDENTIFIERS]
+
+
+def identification_metrics(
+    signals: Signals, identified: Sequence[Identified], truth: InsertionTruth
+) -> Iterator[Measurement]:
+    """Measure both methods on one source.
+
+    The noise that decides which transitions count is that of our reading, for both methods: they
+    are judged on the same list.
+    """
+    noise_N = force_noise_N(signals["default"], truth)
+    for found in identified:
+        matching = match(truth.ruptures, found.alarms)
+        values = rupture_metrics(matching, truth, noise_N)
+        values |= friction_metrics(layer_frictions(truth.ruptures, found.alarms, noise_N))
+        values |= enhanced_metrics(found, truth)
+        if is_single_gel(truth):
+            values |= table_one(signals[found.method], truth, found)
+        for name, value in values.items():
+            yield Measurement(found.source, found.method, name, value)

@@ -1,0 +1,96 @@
+"""The tables of online identification: every simulated insertion, and Table I."""
+
+from collections.abc import Iterable, Sequence
+
+from rich.table import Table
+
+from benchmarks.identification_catalogue import IDENTIFICATION, TABLE_I
+from benchmarks.row import Row
+from benchmarks.summary import summary
+
+FORCE_CAPTION = (
+    "Several seeds: median (worst). Residue: |enhanced force| beyond the last layer over the force "
+    "there. RMSE: from the first compensation to the deepest point."
+)
+RUPTURE_CAPTION = (
+    "Several seeds: median (worst). Ruptures drop the force by more than five times the source's "
+    "noise in free air; an alarm belongs to one within 0.2 s before to 1.5 s after its onset."
+)
+Columns = tuple[tuple[str, str, str], ...]
+FORCES: Columns = (
+    ("friction_error_worst_pct", "friction error\nworst layer, %", ".1f"),
+    ("friction_error_mean_pct", "\nmean, %", ".1f"),
+    ("friction_coverage_2sigma", "within\n2 sigma", ".2f"),
+    ("exit_residue_pct", "residue\n%", ".1f"),
+    ("enhanced_rmse_N", "enhanced\nRMSE, N", ".3f"),
+    ("tip_rmse_N", "tip\nRMSE, N", ".3f"),
+)
+"""Metric, head, format."""
+RUPTURES: Columns = (
+    ("rupture_recall", "recall", ".2f"),
+    ("rupture_precision", "precision", ".2f"),
+    ("soft_transition_recall", "recall,\nsoft ones", ".2f"),
+    ("rupture_delay_ms", "delay\nms", ".0f"),
+    ("rupture_dating_error_ms", "dating\nms", ".0f"),
+    ("rupture_overshoot_mm", "overshoot\nmm", ".2f"),
+)
+PUBLISHED_PCT = {"25": -26, "50": -18, "70": -10}
+"""Error of the paper's online identification against its offline one, Table I."""
+
+
+def friction_table(rows: Iterable[Row]) -> Table | None:
+    """Friction and forces, one line per scenario, plant, source and method; None without."""
+    return _table("Online identification: friction and forces", FORCE_CAPTION, FORCES, rows)
+
+
+def rupture_table(rows: Iterable[Row]) -> Table | None:
+    """Ruptures, one line per scenario, plant, source and method; None without."""
+    return _table("Online identification: ruptures", RUPTURE_CAPTION, RUPTURES, rows)
+
+
+def _table(title: str, caption: str, columns: Columns, rows: Iterable[Row]) -> Table | None:
+    best = {item.name: item.best for item in IDENTIFICATION}
+    groups = _groups(row for row in rows if row.metric in {name for name, _, _ in columns})
+    if not groups:
+        return None
+    table = Table(title=title, caption=caption)
+    for name in ("scenario", "arm", "force", "method"):
+        table.add_column(name, no_wrap=True)
+    for _, head, _ in columns:
+        table.add_column(head, justify="right", no_wrap=True)
+    for key, found in groups.items():
+        cells = [summary(_values(found, name), form, best[name]) for name, _, form in columns]
+        table.add_row(*key, *cells)
+    return table
+
+
+def table_one_table(rows: Iterable[Row]) -> Table | None:
+    """Table I side by side; None without single gels."""
+    groups = _groups(row for row in rows if row.metric in {item.name for item in TABLE_I})
+    if not groups:
+        return None
+    caption = "Of several seeds the median and, in brackets, the largest."
+    table = Table(title="Table I: cumulative friction of single gels, Ns/m", caption=caption)
+    for name in ("scenario", "arm", "force", "method"):
+        table.add_column(name, no_wrap=True)
+    for head in ("true", "offline", "online", "online to\noffline, %", "published\n%"):
+        table.add_column(head, justify="right")
+    for key, found in groups.items():
+        columns = [_values(found, item.name) for item in TABLE_I]
+        pairs = zip(columns[2], columns[1], strict=True)
+        errors = [100.0 * (online / offline - 1.0) for online, offline in pairs if offline]
+        published = PUBLISHED_PCT.get(key[0].split("-")[1], "–")
+        cells = [summary(values, ".0f") for values in columns]
+        table.add_row(*key, *cells, summary(errors, "+.0f"), str(published))
+    return table
+
+
+def _groups(rows: Iterable[Row]) -> dict[tuple[str, str, str, str], list[Row]]:
+    found: dict[tuple[str, str, str, str], list[Row]] = {}
+    for row in rows:
+        found.setdefault((row.scenario, row.plant, row.source, row.method), []).append(row)
+    return found
+
+
+def _values(rows: Sequence[Row], name: str) -> list[float]:
+    return [row.value for row in rows if row.metric == name]

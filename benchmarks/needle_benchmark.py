@@ -1,0 +1,69 @@
+"""A simulated needle without an arm: the identification alone, at half a second a run."""
+
+from dataclasses import replace
+
+import numpy as np
+
+from benchmarks.benchmark import Findings
+from benchmarks.identification_metrics import Signals, identification_metrics, identify_all
+from benchmarks.insertion_truth import truth_of_needle
+from benchmarks.job import Job, Progress
+from benchmarks.needle_signal import NeedleSignal
+from groundtruth import ForceNoise, NeedleRun, Scenario, insert_needle
+
+NEEDLE = "needle"
+"""The plant of a needle-only simulation."""
+SENSOR = ForceNoise(white_std_N=0.01, drift_std_N_per_s=1.5e-4, step_N=1.0 / 256.0)
+"""As `groundtruth` describes the paper's F/T sensor."""
+NOISE_FACTOR = (0.5, 2.0)
+"""Range of the noise of drawn runs, of white noise and drift each: a better and a worse sensor."""
+
+
+def run_needle(job: Job, chosen: Scenario, progress: Progress, *, is_drawn: bool) -> Findings:
+    """Insert, identify by both methods, measure, draw.
+
+    Args:
+        job: What to do; its seed is that of the noise.
+        chosen: The scenario; without tissue there is nothing to identify.
+        progress: Told the share done.
+        is_drawn: Whether the noise level is drawn with the scenario.
+    """
+    if not chosen.layers:
+        return Findings([])
+    noise = drawn_noise(np.random.default_rng([job.seed, 1])) if is_drawn else SENSOR
+    run = insert_needle(chosen, seed=job.seed, noise=noise)
+    progress(0.2)
+    truth, signal = truth_of_needle(run), _signal(run)
+    signals: Signals = {"default": signal, "paper": signal}
+    identified = identify_all(signals, truth)
+    picture = job.picture("identification")
+    if picture is not None:
+        # Lazily: without --report nobody waits for matplotlib.
+        from benchmarks.identification_figure import save_identification_figure
+
+        title = f"{chosen.title} (needle only, seed {job.seed})"
+        save_identification_figure(picture, title, truth, identified)
+    measured = list(identification_metrics(signals, identified, truth))
+    return Findings(measured, () if picture is None else (picture,))
+
+
+def drawn_noise(rng: np.random.Generator) -> ForceNoise:
+    """A sensor somewhat better or worse than the catalogued one."""
+    white, drift = np.exp(rng.uniform(*np.log(NOISE_FACTOR), size=2)).tolist()
+    return replace(
+        SENSOR,
+        white_std_N=white * SENSOR.white_std_N,
+        drift_std_N_per_s=drift * SENSOR.drift_std_N_per_s,
+    )
+
+
+def _signal(run: NeedleRun) -> NeedleSignal:
+    """The zero of depth is where the tare ended: a user does not know the surface."""
+    zero = run.depth_m[int(np.searchsorted(run.t_s, run.tare_end_s))]
+    return NeedleSignal(
+        source="ft",
+        t_s=run.t_s,
+        depth_m=run.depth_m - zero,
+        speed_m_s=run.speed_m_s,
+        force_N=run.force_N,
+    )

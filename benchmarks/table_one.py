@@ -1,0 +1,51 @@
+"""Table I: cumulative friction of a single gel, true, offline and online."""
+
+import numpy as np
+
+from benchmarks.identified import Identified
+from benchmarks.insertion_truth import InsertionTruth
+from benchmarks.needle_signal import NeedleSignal
+from identification import LayerSpan, identify_offline
+
+
+def table_one(
+    signal: NeedleSignal, truth: InsertionTruth, identified: Identified
+) -> dict[str, float]:
+    """B d of the one layer in Ns/m, by name.
+
+    True: friction over speed at the rupture. Offline: equation (6) with the multi-layer model on
+    the insertion, rupture known. Online: as the method states it in the end.
+    """
+    rupture = truth.ruptures[0]
+    speed = float(np.interp(rupture.onset_s, truth.t_s, truth.speed_m_s))
+    online = sum(
+        alarm.layer.friction_N / max(alarm.layer.rupture.speed_m_s, 1e-9)
+        for alarm in identified.alarms
+        if alarm.layer is not None
+    )
+    return {
+        "cumulative_friction_true_Ns_per_m": rupture.layer_friction_N / speed,
+        "cumulative_friction_offline_Ns_per_m": _offline(signal, truth),
+        "cumulative_friction_online_Ns_per_m": online,
+    }
+
+
+def is_single_gel(truth: InsertionTruth) -> bool:
+    """Whether the table has a line for such a run: one layer that ruptures, and no membrane."""
+    return len(truth.ruptures) == 1 and truth.ruptures[0].layer == 1
+
+
+def _offline(signal: NeedleSignal, truth: InsertionTruth) -> float:
+    rupture = truth.ruptures[0]
+    inside = truth.is_insertion
+    depth = signal.depth_m - np.interp(truth.contact_s, truth.t_s, signal.depth_m)
+    span = LayerSpan(
+        start_s=truth.contact_s,
+        start_depth_m=0.0,
+        thickness_m=rupture.onset_m,
+        rupture_s=rupture.onset_s,
+    )
+    found = identify_offline(
+        truth.t_s[inside], depth[inside], signal.speed_m_s[inside], signal.force_N[inside], [span]
+    )
+    return found.layers[0].cumulative_friction_Ns_per_m

@@ -1,0 +1,62 @@
+"""Depth and speed of the needle as the robot's own kinematics tell them."""
+
+from typing import NamedTuple
+
+import numpy as np
+import pinocchio as pin
+from numpy.typing import NDArray
+
+from benchmarks.joint_signals import JointSignals
+from residual import VelocityEstimator
+from urdf import Robot
+
+Array = NDArray[np.float64]
+
+
+class TipTravel(NamedTuple):
+    """Travel of the tip along the needle's axis, and its rate.
+
+    Attributes:
+        depth_m: Zero where the tare ended, shape (n,).
+        speed_m_s: Its rate, shape (n,).
+    """
+
+    depth_m: Array
+    speed_m_s: Array
+
+
+def tip_travel(robot: Robot, signals: JointSignals, zero_s: float) -> TipTravel:
+    """Forward kinematics of measured positions, Jacobian of measured velocities.
+
+    Where the arm sends no velocity it is estimated as the virtual sensor does it, causally.
+
+    Args:
+        robot: The arm as the estimator knows it; its tool frame's z axis is the needle.
+        signals: What the arm sent.
+        zero_s: The tip's place and axis at that time are the zero and the direction of depth.
+    """
+    data, tip = robot.create_data(), robot.tool_frame_id
+    place = np.zeros((len(signals.t_s), 3))
+    speed = np.zeros(len(signals.t_s))
+    for k, (q, dq) in enumerate(zip(signals.q_rad, _velocities(signals), strict=True)):
+        pin.computeJointJacobians(robot.model, data, q)
+        pose = pin.updateFramePlacement(robot.model, data, tip)
+        jacobian = pin.getFrameJacobian(robot.model, data, tip, pin.ReferenceFrame.LOCAL)
+        place[k], speed[k] = pose.translation, jacobian[2] @ dq
+    zero = int(np.searchsorted(signals.t_s, zero_s))
+    pin.framesForwardKinematics(robot.model, data, signals.q_rad[zero])
+    axis = data.oMf[tip].rotation[:, 2]
+    return TipTravel((place - place[zero]) @ axis, speed)
+
+
+def _velocities(signals: JointSignals) -> Array:
+    """Measured joint velocities, or estimates of them, shape (n, j)."""
+    if signals.dq_rad_s is not None:
+        return signals.dq_rad_s
+    estimator = VelocityEstimator(signals.q_rad.shape[1])
+    found = np.zeros_like(signals.q_rad)
+    for k, dt in enumerate(signals.dt_s.tolist()):
+        matched = estimator.update(signals.q_rad[k], signals.tau_Nm[k], dt)
+        if matched.settled:
+            found[k] = matched.dq
+    return found
