@@ -3,10 +3,13 @@
 from collections.abc import Mapping
 from types import MappingProxyType
 
-from benchmarks import liver, panda, ur10e
+from benchmarks import bovine, liver, panda, ur10e
 from benchmarks.benchmark import Benchmark
+from benchmarks.bovine_real import run_bovine_real
 from benchmarks.errors import UnknownIdError
+from benchmarks.liver_real import run_liver_real
 from benchmarks.needle_benchmark import NEEDLE
+from benchmarks.observers import run_observers
 from benchmarks.panda_liver import run_panda_liver
 from benchmarks.panda_real import run_panda_real
 from benchmarks.simulated import RANDOM_STACK
@@ -37,7 +40,13 @@ def _simulated() -> list[Benchmark]:
         is_default=False,
         plants=(NEEDLE,),
     )
-    return [*named, drawn]
+    observers = Benchmark(
+        id="observers",
+        title="momentum, smoothed momentum and Kalman observer on the same samples",
+        run=run_observers,
+        is_default=False,
+    )
+    return [*named, drawn, observers]
 
 
 def _recorded() -> list[Benchmark]:
@@ -61,6 +70,20 @@ def _recorded() -> list[Benchmark]:
             title="weight of a known payload from the currents of a real UR10e",
             run=run_ur10e_payload,
             needs=(ur10e.FOLDER,),
+            seeds=1,
+        ),
+        Benchmark(
+            id="liver-real",
+            title="friction in 19 insertions into real liver against the pull-out force",
+            run=run_liver_real,
+            needs=(liver.FOLDER,),
+            seeds=1,
+        ),
+        Benchmark(
+            id="bovine-real",
+            title="the ruptures of an insertion into real bovine liver",
+            run=run_bovine_real,
+            needs=(bovine.FOLDER,),
             seeds=1,
         ),
     ]

@@ -44,6 +44,20 @@ _RESIDUAL = (
     ),
 )
 
+_OBSERVERS = tuple(
+    Metric(
+        name=f"observer_{name}_rmse_N",
+        unit="N",
+        meaning=f"noise and lag of the {meaning}, at its best setting",
+        tolerance=1e-3,
+    )
+    for name, meaning in (
+        ("momentum", "momentum observer"),
+        ("smoothed", "momentum observer with smoothed momentum"),
+        ("kalman", "Kalman observer"),
+    )
+)
+
 _WEIGHT = (
     Metric(
         name="force_up_unloaded_N",
@@ -88,7 +102,15 @@ _WEIGHT = (
 METRICS: Mapping[str, Metric] = MappingProxyType(
     {
         metric.name: metric
-        for metric in (*_WRENCH, *_RESIDUAL, *_WEIGHT, *IDENTIFICATION, *TABLE_I, *REAL_TISSUE)
+        for metric in (
+            *_WRENCH,
+            *_RESIDUAL,
+            *_OBSERVERS,
+            *_WEIGHT,
+            *IDENTIFICATION,
+            *TABLE_I,
+            *REAL_TISSUE,
+        )
     }
 )
 """By name."""

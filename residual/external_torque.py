@@ -89,7 +89,7 @@ class ExternalTorqueEstimator:
         q, tau = np.asarray(q, dtype=np.float64), np.asarray(tau, dtype=np.float64)
         self._grow_older(dt_s)
         if self._probe is not None:
-            self._learn_noise(dq, 1.0, dt_s)
+            self._learn_noise(np.asarray(dq, dtype=np.float64), q, dt_s)
         return TorqueSample(q, tau, residual, self._settled)
 
     def _update_without_velocity(
@@ -103,21 +103,25 @@ class ExternalTorqueEstimator:
         residual = self._observer.update(sample.q, sample.dq, sample.tau, self._unread_s)
         self._grow_older(self._unread_s)
         self._unread_s = 0.0
-        factor = velocity.noise_per_position_noise(dt_s)
-        self._learn_noise(q, factor, dt_s)
+        self._learn_noise(np.asarray(q, dtype=np.float64), sample.q, dt_s)
         return TorqueSample(sample.q, sample.tau, residual, self._settled)
 
     @property
     def _settled(self) -> bool:
         return self._probe is None and self._age_s >= self._settling_s
 
-    def _learn_noise(self, signal: ArrayLike, factor: float, dt_s: float) -> None:
+    def _learn_noise(
+        self, signal: NDArray[np.float64], q: NDArray[np.float64], dt_s: float
+    ) -> None:
         """Learn the velocity's noise from the first samples, then quieten the momentum."""
-        if self._probe is not None:
-            noise = self._probe.add(signal, dt_s)
-            if noise is not None:
-                self._observer.smooth_momentum(factor * noise)
-                self._probe = None
+        if self._probe is None:
+            return
+        noise = self._probe.add(signal, dt_s)
+        if noise is not None:
+            if self._velocity is not None:
+                noise = noise * self._velocity.noise_per_position_noise(dt_s)
+            self._observer.smooth_momentum(noise, q)
+            self._probe = None
 
     def _grow_older(self, dt_s: float) -> None:
         self._age_s = 0.0 if dt_s > self._max_gap_s else self._age_s + dt_s

@@ -81,7 +81,7 @@ class KalmanObserver:
         momentum, coriolis, gravity = (np.empty(self._joints) for _ in range(3))
         self._terms.write(q, dq, momentum, coriolis, gravity)
         motion = coriolis - gravity
-        var_momentum = self._terms.momentum_variance(self._noise.velocity_rad_s)
+        var_momentum = self._terms.momentum_variance(self._noise.velocity_rad_s, q)
         if self._belief is not None:
             check_interval(dt_s)
         if self._belief is None or dt_s > self._max_gap_s:

@@ -154,15 +154,19 @@ class MomentumObserver:
         residual.setflags(write=False)
         return residual
 
-    def smooth_momentum(self, velocity_noise_rad_s: NDArray[np.float64]) -> None:
+    def smooth_momentum(
+        self, velocity_noise_rad_s: NDArray[np.float64], q: NDArray[np.float64]
+    ) -> None:
         """From now on quieten the momentum of an arm that hardly accelerates.
 
         See `residual.momentum_smoother`. Joints whose velocity has no noise pass untouched.
 
         Args:
             velocity_noise_rad_s: Standard deviation of ``dq`` per joint [rad/s], shape (n,).
+            q: Configuration about which the arm will move [rad], shape (n,): its inertia turns
+                noise of velocity into noise of momentum.
         """
-        variance = self._terms.momentum_variance(velocity_noise_rad_s)
+        variance = self._terms.momentum_variance(velocity_noise_rad_s, q)
         self._noise = np.sqrt(variance) + _LEAST_MOMENTUM_NOISE
 
     def _advance(self, dt_s: float) -> NDArray[np.float64]:

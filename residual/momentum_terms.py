@@ -36,6 +36,9 @@ class MomentumTerms:
         if self._friction is not None:
             gravity += self._friction.torque(dq)
 
-    def momentum_variance(self, velocity_noise_rad_s: NDArray[np.float64]) -> NDArray[np.float64]:
-        """Variance of M dq at the last `write` for a velocity noise per joint [rad/s], (n,)."""
-        return np.square(self._data.M).dot(np.square(velocity_noise_rad_s))
+    def momentum_variance(
+        self, velocity_noise_rad_s: NDArray[np.float64], q: NDArray[np.float64]
+    ) -> NDArray[np.float64]:
+        """Variance of M(q) dq for a velocity noise per joint [rad/s], shape (n,)."""
+        inertia = pin.crba(self._model, self._data, q)
+        return np.square(inertia).dot(np.square(velocity_noise_rad_s))

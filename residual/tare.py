@@ -74,7 +74,7 @@ class Tare:
         bias = (
             bias
             + self.basis.regressor(q).dot(mean[groups["links"]])
-            + np.vecdot(trend, mean[groups["hysteresis"]].reshape(trend.shape), axis=0)
+            + (trend * mean[groups["hysteresis"]].reshape(trend.shape)).sum(axis=0)
             + age_s * mean[groups["drift"]]
         )
         if self.basis.ripple_per_rad is not None:
