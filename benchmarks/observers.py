@@ -28,8 +28,10 @@ Array = NDArray[np.float64]
 
 
 def run_observers(job: Job, progress: Progress) -> Findings:
-    """Best error of every observer."""
+    """Best error of every observer; nothing on an arm that sends no velocities."""
     run = simulate(SCENARIO, job.plant, job.seed)
+    if run.signals.dq_rad_s is None:
+        return Findings([])
     weights = _axial_weights(run, np.array(ARM_LEVELS[job.plant].torque_noise_std_Nm))
     progress(0.3)
     found = []

@@ -24,7 +24,7 @@ def names(plan):
 
 
 def test_every_scenario_and_every_real_recording_can_be_run_by_name():
-    assert set(SCENARIOS) | {"random-stack"} | RECORDED == set(BENCHMARKS)
+    assert set(SCENARIOS) | {"random-stack", "observers"} | RECORDED == set(BENCHMARKS)
     assert {"panda-real", "panda-liver", "ur10e-payload"} == RECORDED
 
 
