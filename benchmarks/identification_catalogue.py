@@ -111,7 +111,7 @@ REAL_TISSUE = (
         Metric(
             name=f"pullout_error{where}_{name}_pct",
             unit="%",
-            meaning=f"friction told during insertion against the pull-out force{text}, {which}",
+            meaning=f"friction told{text} against the pull-out force, {which}",
             tolerance=0.5,
         )
         for where, text in (

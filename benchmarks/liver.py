@@ -24,12 +24,12 @@ REST_s = 0.9
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class LiverInsertion:
-    """One recording, from the end of the rest at its start.
+    """One recording, as a rule from the end of the rest at its start.
 
     Attributes:
-        t_s: Time since then, shape (n,).
+        t_s: Time since its first sample, shape (n,).
         depth_m: Depth, shape (n,).
-        force_N: Axial force less its mean at rest, shape (n,).
+        force_N: Axial force, as a rule less its mean at rest, shape (n,).
     """
 
     t_s: Array
@@ -37,12 +37,13 @@ class LiverInsertion:
     force_N: Array
 
 
-def read_liver(data: Path, index: int) -> LiverInsertion:
+def read_liver(data: Path, index: int, *, as_recorded: bool = False) -> LiverInsertion:
     """Read one insertion.
 
     Args:
         data: Folder of recordings.
         index: Into `NUMBERS`.
+        as_recorded: Whether to keep the rest at the start, and the force as it was read.
 
     Raises:
         DataError: There is no such insertion, or the file is missing or broken.
@@ -52,9 +53,10 @@ def read_liver(data: Path, index: int) -> LiverInsertion:
     number = f"{NUMBERS[index]:02d}"
     names = ("sample_rate_Hz", f"depth_m_{number}", f"force_N_{number}")
     rate, depth, force = read_arrays(data / FOLDER / "insertions.npz", names)
-    start = int(REST_s * float(rate))
+    rest = int(REST_s * float(rate))
+    start, offset = (0, 0.0) if as_recorded else (rest, float(force[:rest].mean()))
     return LiverInsertion(
         t_s=np.arange(len(depth) - start) / float(rate),
         depth_m=depth[start:],
-        force_N=force[start:] - force[:start].mean(),
+        force_N=force[start:] - offset,
     )

@@ -28,6 +28,7 @@ class Target:
         at_most: Upper limit.
         statistic: See `Statistic`.
         of_paper: The limits are for the ratio to ``paper`` in the same run.
+        where_paper_tells: Runs in which ``paper`` has no such number are left out.
     """
 
     what: str
@@ -40,6 +41,7 @@ class Target:
     at_most: float = math.inf
     statistic: Statistic = "worst"
     of_paper: bool = False
+    where_paper_tells: bool = False
 
     def applies_to(self, row: Row) -> bool:
         """Whether the row is one of those judged."""

@@ -5,8 +5,11 @@ import statistics
 from collections.abc import Iterable, Mapping, Sequence
 from typing import NamedTuple
 
+from benchmarks.identification_targets import IDENTIFICATION_TARGETS
 from benchmarks.row import Row, RowKey
 from benchmarks.targets import TARGETS, Target
+
+ALL_TARGETS = (*TARGETS, *IDENTIFICATION_TARGETS)
 
 
 class Verdict(NamedTuple):
@@ -31,12 +34,12 @@ class Verdict(NamedTuple):
         return self.target.is_met_by(self.value)
 
 
-def verdicts(rows: Iterable[Row], targets: Sequence[Target] = TARGETS) -> list[Verdict]:
+def verdicts(rows: Iterable[Row], targets: Sequence[Target] = ALL_TARGETS) -> list[Verdict]:
     """Judge every target that any of the rows belongs to."""
     by_key = {row.key: row for row in rows}
     found = []
     for target in targets:
-        judged = [row for row in by_key.values() if target.applies_to(row)]
+        judged = [row for row in by_key.values() if _is_judged(target, row, by_key)]
         if judged:
             found.append(_judge(target, judged, by_key))
     return found
@@ -48,6 +51,13 @@ def judged_value(target: Target, row: Row, by_key: Mapping[RowKey, Row]) -> floa
         return row.value
     paper = by_key.get(row.key._replace(method="paper"))
     return row.value / paper.value if paper is not None and paper.value != 0.0 else math.nan
+
+
+def _is_judged(target: Target, row: Row, by_key: Mapping[RowKey, Row]) -> bool:
+    """Whether a target looks at a row."""
+    if not target.applies_to(row):
+        return False
+    return not target.where_paper_tells or row.key._replace(method="paper") in by_key
 
 
 def _judge(target: Target, rows: Sequence[Row], by_key: Mapping[RowKey, Row]) -> Verdict:
