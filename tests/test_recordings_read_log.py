@@ -1,5 +1,6 @@
 """From a file to a log: channels, units, time, warnings; and real recordings."""
 
+import os
 import time
 from pathlib import Path
 
@@ -22,7 +23,8 @@ from recordings import (
 from recordings.channel import CHANNELS
 from recordings.select_channels import select_channels
 
-DATA = Path(__file__).parents[2] / "shared" / "data"
+BESIDE = Path(__file__).parents[2] / "shared" / "data"
+DATA = Path(os.environ.get("NEEDLEFORCE_DATA", BESIDE))
 
 
 def real(name):
