@@ -31,6 +31,7 @@ class Benchmark:
         seeds: How many different seeds it has; None for any number.
         is_default: Whether it runs when nothing is named.
         plants: On which plants a simulation runs when none is named.
+        needs_arm: Whether a simulation without an arm has nothing to show.
     """
 
     id: str
@@ -40,6 +41,7 @@ class Benchmark:
     seeds: int | None = None
     is_default: bool = True
     plants: tuple[str, ...] = ("realistic",)
+    needs_arm: bool = True
 
     @property
     def is_recorded(self) -> bool:

@@ -30,7 +30,13 @@ QUICK = (
 
 def _simulated() -> list[Benchmark]:
     named = [
-        Benchmark(id=item.id, title=item.title, run=run_simulated, is_default=item.id in QUICK)
+        Benchmark(
+            id=item.id,
+            title=item.title,
+            run=run_simulated,
+            is_default=item.id in QUICK,
+            needs_arm=not item.layers,
+        )
         for item in SCENARIOS.values()
     ]
     drawn = Benchmark(
@@ -39,6 +45,7 @@ def _simulated() -> list[Benchmark]:
         run=run_simulated,
         is_default=False,
         plants=(NEEDLE,),
+        needs_arm=False,
     )
     observers = Benchmark(
         id="observers",

@@ -40,7 +40,7 @@ def _targets(source: str, plant: str) -> Iterator[Target]:
         ("delay", "rupture_delay_ms"),
     ):
         yield Target(
-            what=f"{where}: {what} as a share of the paper's, each tissue",
+            what=f"{where}: {what} as a share of the paper's in the same run",
             metric=metric,
             plant=plant,
             source=source,
@@ -48,6 +48,8 @@ def _targets(source: str, plant: str) -> Iterator[Target]:
             at_most=PAPER_SHARE,
             of_paper=True,
             where_paper_tells=True,
+            # A single small error of the paper's method is luck.
+            statistic="median",
         )
     yield from _random_targets(source, plant, where)
 

@@ -54,7 +54,7 @@ def make_plan(request: Request) -> Plan:
     Raises:
         UnknownIdError: A benchmark or an arm level of that name does not exist.
         DataError: The folder of recordings does not exist, or a benchmark that was asked for by
-            name needs one.
+            name needs one, or an arm where only the needle was asked for.
     """
     _check_plants(request.plants)
     if request.data is not None and not request.data.is_dir():
@@ -62,12 +62,12 @@ def make_plan(request: Request) -> Plan:
     jobs: list[Job] = []
     skipped = []
     for item in _chosen(request.ids):
-        missing = _missing(item, request.data)
+        missing = _missing(item, request)
         if not missing:
             jobs += _jobs(item, request)
         elif item.id in request.ids:
             raise DataError(f"{item.id} needs {missing}")
-        else:
+        elif item.is_recorded:
             skipped.append(item.id)
     return Plan(jobs=tuple(jobs), skipped=tuple(skipped))
 
@@ -88,20 +88,26 @@ def _chosen(ids: Sequence[str]) -> list[Benchmark]:
     return [item for item in BENCHMARKS.values() if ALL in ids or item.id in ids]
 
 
-def _missing(item: Benchmark, data: Path | None) -> str:
+def _missing(item: Benchmark, request: Request) -> str:
     """What a benchmark lacks, nothing for one that can run."""
     if not item.is_recorded:
-        return ""
+        return "" if _plants(item, request) else f"an arm: a plant other than {NEEDLE}"
+    data = request.data
     if data is None:
         return "recordings: give --data DIR or set NEEDLEFORCE_DATA"
     absent = [name for name in item.needs if not (data / name).is_dir()]
     return f"the folder {', '.join(absent)} in {data}" if absent else ""
 
 
+def _plants(item: Benchmark, request: Request) -> tuple[str, ...]:
+    """The plants a simulation runs on, each once; none when it needs an arm and none was named."""
+    asked = tuple(dict.fromkeys(request.plants)) or item.plants
+    return tuple(plant for plant in asked if plant != NEEDLE or not item.needs_arm)
+
+
 def _jobs(item: Benchmark, request: Request) -> list[Job]:
     seeds = request.seeds if item.seeds is None else min(item.seeds, request.seeds)
-    asked = tuple(dict.fromkeys(request.plants)) or item.plants
-    plants = (RECORDING,) if item.is_recorded else asked
+    plants = (RECORDING,) if item.is_recorded else _plants(item, request)
     return [
         Job(
             benchmark=item.id,

@@ -25,19 +25,21 @@ def names(plan):
 
 def test_every_scenario_and_every_real_recording_can_be_run_by_name():
     assert set(SCENARIOS) | {"random-stack", "observers"} | RECORDED == set(BENCHMARKS)
-    assert {"panda-real", "panda-liver", "ur10e-payload"} == RECORDED
+    assert {"panda-real", "panda-liver", "ur10e-payload", "liver-real", "bovine-real"} == RECORDED
 
 
 def test_without_recordings_the_rest_runs_and_the_skipped_are_named():
     plan = make_plan(Request())
     assert set(plan.skipped) == RECORDED
-    assert names(plan) == [item.id for item in BENCHMARKS.values() if item.is_default][:-3]
+    assert names(plan) == [
+        item.id for item in BENCHMARKS.values() if item.is_default and not item.is_recorded
+    ]
 
 
 def test_a_folder_that_lacks_one_recording_skips_what_needs_it(data):
     (data / "liver_dejong2017").rmdir()
     plan = make_plan(Request(data=data))
-    assert plan.skipped == ("panda-liver",)
+    assert plan.skipped == ("panda-liver", "liver-real")
     assert "panda-real" in names(plan)
 
 
@@ -93,3 +95,16 @@ def test_a_recording_asked_for_by_name_must_be_there(tmp_path):
         make_plan(Request(ids=["panda-real"]))
     with pytest.raises(DataError, match="panda-real needs the folder panda_gaz2019"):
         make_plan(Request(ids=["panda-real"], data=tmp_path))
+
+
+def test_the_random_stack_runs_without_an_arm_unless_one_is_named():
+    assert {job.plant for job in make_plan(Request(ids=["random-stack"])).jobs} == {"needle"}
+    named = make_plan(Request(ids=["random-stack"], plants=["realistic"]))
+    assert {job.plant for job in named.jobs} == {"realistic"}
+
+
+def test_a_needle_alone_leaves_out_what_needs_an_arm():
+    found = names(make_plan(Request(ids=["all"], plants=["needle"])))
+    assert set(found) == set(SCENARIOS) - {"free-motion"} | {"random-stack"}
+    with pytest.raises(DataError, match="free-motion needs an arm"):
+        make_plan(Request(ids=["free-motion"], plants=["needle"]))

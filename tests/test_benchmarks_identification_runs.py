@@ -1,0 +1,131 @@
+"""Identification benchmarks end to end: the needle alone, the arm's kinematics, real tissue."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from benchmarks.bovine import FILE, FOLDER, read_bovine
+from benchmarks.bovine_real import depth_metrics
+from benchmarks.errors import DataError
+from benchmarks.identification_table import friction_table, rupture_table, table_one_table
+from benchmarks.job import Job
+from benchmarks.joint_signals import JointSignals
+from benchmarks.needle_benchmark import drawn_noise, run_needle
+from benchmarks.pullout import in_and_out, mean_at_depth
+from benchmarks.tip_travel import tip_travel
+from groundtruth import SCENARIOS, Scenario, simulate
+from groundtruth.motion import constant_motion
+
+GEL = SCENARIOS["gel-70-constant"].layers[0]
+SHORT = Scenario(
+    id="short",
+    title="a slice of gel",
+    layers=(replace(GEL, thickness_m=12e-3),),
+    motion=constant_motion(speed_m_s=5e-3, depth_m=23e-3, standoff_m=10e-3),
+)
+
+
+def silent(share):
+    assert 0.0 <= share <= 1.0
+
+
+@pytest.fixture(scope="module")
+def found(tmp_path_factory):
+    job = Job(benchmark="short", plant="needle", pictures=tmp_path_factory.mktemp("pictures"))
+    return run_needle(job, SHORT, silent, is_drawn=False)
+
+
+def test_a_needle_alone_gives_both_methods_on_the_ft_sensor(found):
+    by_key = {(item.source, item.method, item.metric): item.value for item in found.measurements}
+    assert {key[:2] for key in by_key} == {("ft", "default"), ("ft", "paper")}
+    assert by_key["ft", "default", "rupture_recall"] == 1.0
+    assert by_key["ft", "default", "rupture_precision"] == 1.0
+    assert by_key["ft", "default", "friction_error_worst_pct"] < 10.0
+    true = by_key["ft", "default", "cumulative_friction_true_Ns_per_m"]
+    assert true == by_key["ft", "paper", "cumulative_friction_true_Ns_per_m"] > 0.0
+
+
+def test_its_picture_is_drawn_and_its_tables_have_lines(found):
+    (picture,) = found.pictures
+    assert picture.name == "short-needle-0-identification.png"
+    assert picture.read_bytes().startswith(b"\x89PNG")
+    rows = [item.row("gel-70-constant", "needle", 0) for item in found.measurements]
+    for table in (friction_table(rows), rupture_table(rows), table_one_table(rows)):
+        assert table is not None
+        assert table.row_count == 2
+    assert friction_table([]) is rupture_table([]) is table_one_table([]) is None
+
+
+def test_without_tissue_there_is_nothing_to_identify():
+    job = Job(benchmark="short", plant="needle")
+    assert run_needle(job, replace(SHORT, layers=()), silent, is_drawn=False).measurements == []
+
+
+def test_drawn_noise_stays_within_a_factor_of_two():
+    levels = [drawn_noise(np.random.default_rng(k)).white_std_N for k in range(200)]
+    assert 0.005 <= min(levels) < 0.006
+    assert 0.019 < max(levels) <= 0.02
+
+
+@pytest.mark.parametrize("arm", ["textbook", "hard"])
+def test_the_robots_kinematics_tell_the_travel_of_the_tip(arm):
+    run = simulate(SHORT, arm)
+    sent = run.signals
+    signals = JointSignals(
+        t_s=sent.t_s, q_rad=sent.q_rad, dq_rad_s=sent.dq_rad_s, tau_Nm=sent.tau_Nm
+    )
+    travel = tip_travel(run.robot, signals, run.tare_end_s)
+    after = run.truth.t_s > run.tare_end_s
+    error = (travel.depth_m - run.truth.depth_m)[after]
+    assert np.std(error) < 2e-5
+    # The zero is where the tare ended, 10 mm above the surface, and not the surface.
+    assert np.mean(error) == pytest.approx(10e-3, abs=1e-4)
+    assert np.std((travel.speed_m_s - run.truth.speed_m_s)[after]) < 1e-3
+
+
+# Real tissue.
+
+
+def test_a_recording_is_split_where_the_needle_turns():
+    depth = np.concatenate(
+        (np.linspace(0, 0.08, 801), np.full(100, 0.08), np.linspace(0.08, 0, 801))
+    )
+    parts = in_and_out(depth)
+    assert depth[parts.insertion].max() == pytest.approx(0.08, abs=2e-4)
+    assert parts.withdrawal.start > 901
+    assert depth[parts.withdrawal].max() < 0.0785
+
+
+def test_a_mean_at_a_depth_where_the_needle_never_was_is_not_a_number():
+    depth = np.linspace(0, 0.05, 501)
+    assert mean_at_depth(depth, 10.0 * depth, 0.02) == pytest.approx(0.2)
+    assert np.isnan(mean_at_depth(depth, depth, 0.08))
+
+
+def test_annotated_ruptures_are_found_missed_or_invented():
+    values = depth_metrics([10.2, 20.4, 33.0], [10.0, 20.3, 32.9], [10.0, 20.0, 30.0])
+    assert (values["ruptures_missed"], values["ruptures_false"]) == (1.0, 1.0)
+    assert values["rupture_depth_error_mm"] == pytest.approx(0.4)
+    assert values["rupture_dated_depth_error_mm"] == pytest.approx(0.3)
+    assert depth_metrics([], [], [10.0]) == {"ruptures_missed": 1.0, "ruptures_false": 0.0}
+
+
+def test_a_digitised_curve_becomes_a_signal_at_its_speed(tmp_path):
+    folder = tmp_path / FOLDER
+    folder.mkdir()
+    # The last point begins a second stroke of the pen.
+    (folder / FILE).write_text("depth_m,force_N\n0,0\n0.03,3\n0.03,1\n0.06,2\n0.02,9\n")
+    signal = read_bovine(tmp_path, np.random.default_rng(0))
+    assert np.diff(signal.depth_m) / np.diff(signal.t_s) == pytest.approx(3e-3)
+    assert signal.depth_m[-1] == pytest.approx(0.06, abs=1e-5)
+    assert signal.force_N.max() < 3.1
+    assert signal.force_N[-1] == pytest.approx(2.0, abs=0.05)
+
+
+@pytest.mark.parametrize("text", ["", "depth_m,force_N\n0,x\n", "depth_m,force_N\n0,1,2\n1,2,3\n"])
+def test_a_broken_curve_is_refused(tmp_path, text):
+    (tmp_path / FOLDER).mkdir()
+    (tmp_path / FOLDER / FILE).write_text(text)
+    with pytest.raises(DataError):
+        read_bovine(tmp_path, np.random.default_rng(0))
