@@ -58,10 +58,11 @@ def read_bovine(data: Path, rng: np.random.Generator) -> BovineInsertion:
     """
     path = data / FOLDER / FILE
     try:
-        table = np.loadtxt(path, delimiter=",", skiprows=1, ndmin=2)
+        lines = path.read_text(encoding="utf-8").splitlines()[1:]
+        table = np.array([line.split(",") for line in lines], dtype=np.float64)
     except (OSError, ValueError) as error:
         raise DataError(f"cannot read {path}: {error}") from error
-    if table.shape[1] != 2 or len(table) < 2 or not np.isfinite(table).all():
+    if table.ndim != 2 or table.shape[1] != 2 or not np.isfinite(table).all():
         raise DataError(f"{path} should have two columns, depth_m and force_N, and finite values")
     lifts = np.flatnonzero(np.diff(table[:, 0]) < -PEN_UP_m)
     stroke = table[: lifts[0] + 1] if len(lifts) else table

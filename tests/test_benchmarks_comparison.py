@@ -83,6 +83,6 @@ def test_an_unknown_metric_is_refused_with_the_known_ones():
 
 
 def test_every_metric_ends_with_its_unit():
-    spoken = {"1": "", "%": "_pct"}
+    spoken = {"1": "", "%": "_pct", "Ns/m": "_Ns_per_m"}
     for item in METRICS.values():
         assert item.name.endswith(spoken.get(item.unit, f"_{item.unit}"))
