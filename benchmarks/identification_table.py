@@ -7,6 +7,7 @@ from collections.abc import Iterable, Sequence
 from rich.table import Table
 
 from benchmarks.identification_catalogue import IDENTIFICATION, TABLE_I
+from benchmarks.identification_targets import GELS
 from benchmarks.row import Row
 from benchmarks.summary import summary
 
@@ -70,7 +71,8 @@ def _table(title: str, caption: str, columns: Columns, rows: Iterable[Row]) -> T
 
 def table_one_table(rows: Iterable[Row]) -> Table | None:
     """Table I side by side; None without single gels."""
-    groups = _groups(row for row in rows if row.metric in {item.name for item in TABLE_I})
+    names = {item.name for item in TABLE_I}
+    groups = _groups(row for row in rows if row.metric in names and row.scenario in GELS)
     if not groups:
         return None
     caption = "Of several seeds the median and, in brackets, the largest."

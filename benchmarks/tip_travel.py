@@ -49,6 +49,21 @@ def tip_travel(robot: Robot, signals: JointSignals, zero_s: float) -> TipTravel:
     return TipTravel((place - place[zero]) @ axis, speed)
 
 
+def smoothed(travel: TipTravel, dt_s: Array, time_constant_s: float) -> TipTravel:
+    """The same travel, its speed through a causal first-order low-pass.
+
+    Args:
+        travel: As measured.
+        dt_s: Time since the previous sample, shape (n,).
+        time_constant_s: Of the low-pass.
+    """
+    speed = travel.speed_m_s.tolist()
+    shares = (1.0 - np.exp(-dt_s / time_constant_s)).tolist()
+    for k in range(1, len(speed)):
+        speed[k] = speed[k - 1] + shares[k] * (speed[k] - speed[k - 1])
+    return travel._replace(speed_m_s=np.array(speed))
+
+
 def _velocities(signals: JointSignals) -> Array:
     """Measured joint velocities, or estimates of them, shape (n, j)."""
     if signals.dq_rad_s is not None:

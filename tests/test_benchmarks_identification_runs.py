@@ -13,7 +13,7 @@ from benchmarks.job import Job
 from benchmarks.joint_signals import JointSignals
 from benchmarks.needle_benchmark import drawn_noise, run_needle
 from benchmarks.pullout import in_and_out, mean_at_depth
-from benchmarks.tip_travel import tip_travel
+from benchmarks.tip_travel import TipTravel, smoothed, tip_travel
 from groundtruth import SCENARIOS, Scenario, simulate
 from groundtruth.motion import constant_motion
 
@@ -82,6 +82,13 @@ def test_the_robots_kinematics_tell_the_travel_of_the_tip(arm):
     # The zero is where the tare ended, 10 mm above the surface, and not the surface.
     assert np.mean(error) == pytest.approx(10e-3, abs=1e-4)
     assert np.std((travel.speed_m_s - run.truth.speed_m_s)[after]) < 1e-3
+
+
+def test_a_smoothed_speed_lags_by_its_time_constant_and_leaves_the_depth_alone():
+    ramp = np.linspace(0.0, 1.0, 1001)
+    travel = smoothed(TipTravel(ramp, ramp), np.full(1001, 1e-3), 0.02)
+    assert np.array_equal(travel.depth_m, ramp)
+    assert travel.speed_m_s[-1] == pytest.approx(0.98, abs=1e-3)
 
 
 # Real tissue.
