@@ -28,7 +28,8 @@ def check_free_of_contact(
     Args:
         prior: What is known before data, see `residual.tare.prior_tare`.
         blocks: The motion.
-        wrench: Reads the axial force from joint torques; its covariance is changed.
+        wrench: Reads the axial force from joint torques; its covariance is overwritten, so it must
+            be the guard's own.
         contact_force_N: Smallest force that counts [N].
 
     Raises:

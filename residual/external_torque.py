@@ -62,11 +62,11 @@ class ExternalTorqueEstimator:
         )
         self._probe = NoiseProbe(robot.nv) if config.smooth_momentum else None
         self._max_gap_s = config.max_gap_s
-        self._settling_s = self.SETTLING_LAGS / config.gain_per_s
+        self._settling_s = self.SETTLING_LAGS / config.slowest_gain_per_s
         self._age_s = 0.0
         self._unread_s = 0.0
         delay = 0.0 if self._velocity is None else self._velocity.delay_s
-        self.lag_s = 1.0 / config.gain_per_s + delay
+        self.lag_s = 1.0 / config.slowest_gain_per_s + delay
         """Time by which the estimate follows the torque [s]."""
 
     def update(

@@ -9,6 +9,7 @@ from residual.kalman_step import KalmanBelief, KalmanNoise, kalman_step
 from residual.momentum_step import Alignment
 from residual.momentum_terms import MomentumTerms
 from residual.sample_check import check_interval, check_joint_vector
+from residual.settings_check import check_alignment, check_gap
 from urdf import Robot
 
 
@@ -28,7 +29,8 @@ class KalmanObserver:
         max_gap_s: Longest time step that is still integrated [s].
 
     Raises:
-        ConfigurationError: For noise that is negative, not finite or of the wrong length.
+        ConfigurationError: For noise that is negative, not finite or of the wrong length, and for
+            an alignment or gap that cannot work.
     """
 
     def __init__(
@@ -42,6 +44,8 @@ class KalmanObserver:
         friction: FrictionModel | None = None,
         max_gap_s: float = 0.1,
     ) -> None:
+        check_alignment(alignment)
+        check_gap(max_gap_s)
         self._joints = robot.nv
         self._noise = KalmanNoise(
             torque_Nm=self._vector("torque_noise_Nm", torque_noise_Nm),

@@ -11,7 +11,8 @@ from residual.joint_friction import FrictionModel
 from residual.momentum_smoother import smoothing_step
 from residual.momentum_step import ROWS, Alignment, step_coefficients
 from residual.momentum_terms import MomentumTerms
-from residual.sample_check import check_interval, check_joint_vector
+from residual.sample_check import MOST_PLAUSIBLE, check_interval, check_joint_vector
+from residual.settings_check import check_alignment, check_gap
 from urdf import Robot
 
 _LEAST_MOMENTUM_NOISE = 1e-9
@@ -25,10 +26,12 @@ class MomentumState(NamedTuple):
         rows: Its rows, shape (ROWS, n); None before a sample.
         slot: Which of its two slots they stand in; sums are then formed in the same order, so
             that a resumed observer is bit-equal.
+        noise: Momentum noise per joint for smoothing, shape (n,); None without.
     """
 
     rows: NDArray[np.float64] | None
     slot: int = 0
+    noise: NDArray[np.float64] | None = None
 
 
 def gain_vector(gain_per_s: float | ArrayLike, joints: int) -> NDArray[np.float64]:
@@ -80,10 +83,8 @@ class MomentumObserver:
         friction: FrictionModel | None = None,
         max_gap_s: float = 0.1,
     ) -> None:
-        if alignment not in ("hold", "trapezoid"):
-            raise ConfigurationError(f"alignment is {alignment!r}, expected 'hold' or 'trapezoid'")
-        if not max_gap_s > 0:
-            raise ConfigurationError(f"max_gap_s is {max_gap_s!r}, expected > 0")
+        check_alignment(alignment)
+        check_gap(max_gap_s)
         self._gain = gain_vector(gain_per_s, robot.nv)
         self._gain_of_all = float(self._gain[0]) if np.ndim(gain_per_s) == 0 else None
         self._terms = MomentumTerms(robot, friction)
@@ -95,6 +96,7 @@ class MomentumObserver:
         self._rows = np.zeros((2 * ROWS, robot.nv))
         self._joint_rows = self._rows.T
         self._slots = tuple(tuple(self._rows[k * ROWS + i] for i in range(ROWS)) for k in (0, 1))
+        self._flat_slots = tuple(self._rows[k * ROWS : (k + 1) * ROWS].reshape(-1) for k in (0, 1))
         self._spare = 0
         self._seated = False
         self._dt_s = math.nan
@@ -139,6 +141,8 @@ class MomentumObserver:
         shape = (self._joints,)
         if q.shape != shape or dq.shape != shape or tau.shape != shape:
             self._refuse(q, dq, tau)
+        if self._seated and dt_s != self._dt_s:
+            check_interval(dt_s)
         residual_row, momentum, coriolis, gravity, torque = self._slots[self._spare]
         self._terms.write(q, dq, momentum, coriolis, gravity)
         torque[:] = tau
@@ -146,9 +150,13 @@ class MomentumObserver:
             before = self._slots[1 - self._spare][1]
             momentum[:] = smoothing_step(before, momentum, self._noise, dt_s)
         residual = self._advance(dt_s)
-        if not math.isfinite(residual.dot(residual)):
-            self._refuse(q, dq, tau)
         residual_row[:] = residual
+        written = self._flat_slots[self._spare]
+        # Written so that a NaN is refused too.
+        if not written.dot(written) < MOST_PLAUSIBLE**2:
+            # This row is read with a factor of zero, which would not silence a NaN.
+            residual_row[:] = 0.0
+            self._refuse(q, dq, tau)
         self._spare = 1 - self._spare
         self._seated = True
         residual.setflags(write=False)
@@ -165,22 +173,25 @@ class MomentumObserver:
             velocity_noise_rad_s: Standard deviation of ``dq`` per joint [rad/s], shape (n,).
             q: Configuration about which the arm will move [rad], shape (n,): its inertia turns
                 noise of velocity into noise of momentum.
+
+        Raises:
+            SampleError: For a wrong shape or a number that is not finite.
         """
-        variance = self._terms.momentum_variance(velocity_noise_rad_s, q)
+        noise = check_joint_vector("velocity_noise_rad_s", velocity_noise_rad_s, self._joints)
+        q = check_joint_vector("q", q, self._joints)
+        variance = self._terms.momentum_variance(noise, q)
         self._noise = np.sqrt(variance) + _LEAST_MOMENTUM_NOISE
 
     def _advance(self, dt_s: float) -> NDArray[np.float64]:
         """Residual after the tick, from the rows in place."""
-        if dt_s != self._dt_s and self._seated:
-            check_interval(dt_s)
-            if dt_s <= self._max_gap_s:
-                gain = self._gain if self._gain_of_all is None else self._gain_of_all
-                before, after = step_coefficients(gain, dt_s, self._alignment)
-                self._coefficients = (
-                    np.concatenate((after, before), axis=-1),
-                    np.concatenate((before, after), axis=-1),
-                )
-                self._dt_s = dt_s
+        if self._seated and dt_s != self._dt_s and dt_s <= self._max_gap_s:
+            gain = self._gain if self._gain_of_all is None else self._gain_of_all
+            before, after = step_coefficients(gain, dt_s, self._alignment)
+            self._coefficients = (
+                np.concatenate((after, before), axis=-1),
+                np.concatenate((before, after), axis=-1),
+            )
+            self._dt_s = dt_s
         if not self._seated or dt_s > self._max_gap_s or self._coefficients is None:
             held = self._slots[1 - self._spare][0]
             # Any non-finite number in the new rows must still be seen.
@@ -193,15 +204,17 @@ class MomentumObserver:
     def _refuse(self, *sample: ArrayLike) -> NoReturn:
         for name, value in zip(("q", "dq", "tau"), sample, strict=True):
             check_joint_vector(name, value, self._joints)
-        raise SampleError("q, dq and tau are finite but the dynamics overflow; check their units")
+        raise SampleError(
+            "q, dq and tau are finite but the dynamics are not plausible; check their units"
+        )
 
     @property
     def state(self) -> MomentumState:
         """All that the observer remembers, as copies."""
         if not self._seated:
-            return MomentumState(None)
+            return MomentumState(None, noise=self._noise)
         slot = 1 - self._spare
-        return MomentumState(self._rows[slot * ROWS : (slot + 1) * ROWS].copy(), slot)
+        return MomentumState(self._rows[slot * ROWS : (slot + 1) * ROWS].copy(), slot, self._noise)
 
     def restore(self, state: MomentumState) -> None:
         """Go on from a `state` taken earlier.
@@ -210,8 +223,10 @@ class MomentumObserver:
             ConfigurationError: If it belongs to a robot with another number of joints.
         """
         self._seated = state.rows is not None
+        self._noise = state.noise
         if state.rows is None:
             self._rows[:] = 0.0
+            self._spare = 0
             return
         if state.rows.shape != (ROWS, self._joints):
             raise ConfigurationError(

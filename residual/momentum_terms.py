@@ -4,8 +4,20 @@ import numpy as np
 import pinocchio as pin
 from numpy.typing import NDArray
 
+from residual.errors import ConfigurationError
 from residual.joint_friction import FrictionModel
 from urdf import Robot
+
+
+def _check_length(friction: FrictionModel, joints: int) -> None:
+    try:
+        shape = np.shape(friction.torque(np.zeros(joints)))
+    except ValueError as error:
+        raise ConfigurationError(
+            f"friction does not fit a robot of {joints} joints: {error}"
+        ) from error
+    if shape != (joints,):
+        raise ConfigurationError(f"friction gives torques of shape {shape}, expected ({joints},)")
 
 
 class MomentumTerms:
@@ -13,9 +25,14 @@ class MomentumTerms:
 
     Rotor inertia, where an arm needs it (motor-current torque), is part of the robot's model
     (`Robot.with_armature`); on the LWR, whose torque is measured behind the gear, it is zero.
+
+    Raises:
+        ConfigurationError: If the friction model is of another number of joints.
     """
 
     def __init__(self, robot: Robot, friction: FrictionModel | None = None) -> None:
+        if friction is not None:
+            _check_length(friction, robot.nv)
         self._model = robot.model
         self._data = robot.create_data()
         self._friction = friction

@@ -4,6 +4,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from residual.contact_guard import check_free_of_contact
+from residual.errors import TareError
 from residual.sensor_config import SensorConfig
 from residual.tare import Tare, prior_tare
 from residual.tare_fit import fit_tare
@@ -33,7 +34,7 @@ class OffsetRemoval:
         self._config = config
         self._basis = TareBasis(robot, config.tare, config.prior)
         self._recorder = TareRecorder(
-            robot.nv, self._basis.loops, self.BLOCK_LAGS / config.gain_per_s
+            robot.nv, self._basis.loops, self.BLOCK_LAGS / config.slowest_gain_per_s
         )
         self._still = np.zeros(robot.nv)
         self._no_trend = np.zeros_like(self._basis.half_width_Nm)
@@ -55,7 +56,7 @@ class OffsetRemoval:
         Returns:
             Whether trend and offset have been renewed; the covariance may then be read anew.
         """
-        self._q = q
+        self._q[:] = q
         self._now_s += dt_s
         self._torque_sum += tau
         self._count += 1
@@ -101,8 +102,13 @@ class OffsetRemoval:
             force: Take it even where contact is seen.
 
         Raises:
-            TareError: Without data, or with contact in sight; the tare in force then stays.
+            TareError: Without new data, or with contact in sight; the tare in force then stays.
         """
+        if self._tared:
+            raise TareError(
+                "already tared, and nothing was recorded since; call start_recording(), move in "
+                "free air, then tare() again"
+            )
         blocks = self._recorder.blocks(self._now_s, self._config.tare_window_s)
         if not force:
             prior = prior_tare(self._basis)
@@ -128,4 +134,4 @@ class OffsetRemoval:
         self._torque_sum, self._count = np.zeros_like(self._still), 0
         self._renewed_s = self._due_s = 0.0
         self._bias = self._still
-        self._q = self._still
+        self._q = self._still.copy()

@@ -1,11 +1,15 @@
 """What an online step may be fed: the one place where samples are refused."""
 
 import math
+import numbers
 
 import numpy as np
 from numpy.typing import NDArray
 
 from residual.errors import SampleError
+
+MOST_PLAUSIBLE = 1e9
+"""No joint signal in SI units comes near it; beyond it products overflow."""
 
 
 def check_interval(dt_s: float, name: str = "dt_s") -> None:
@@ -18,7 +22,7 @@ def check_interval(dt_s: float, name: str = "dt_s") -> None:
     Raises:
         SampleError: If it is not a finite positive number.
     """
-    if not (math.isfinite(dt_s) and dt_s > 0.0):
+    if not (isinstance(dt_s, numbers.Real) and math.isfinite(dt_s) and dt_s > 0.0):
         raise SampleError(
             f"{name} is {dt_s!r} s, expected a finite positive time step; "
             "skip this sample or repair the clock"
@@ -37,7 +41,7 @@ def check_joint_vector(name: str, value: object, joints: int) -> NDArray[np.floa
         The same numbers, shape (joints,); the array itself when it already fits.
 
     Raises:
-        SampleError: If the shape is wrong or a number is not finite.
+        SampleError: If the shape is wrong or a number is not finite or beyond `MOST_PLAUSIBLE`.
     """
     try:
         array = np.asarray(value, dtype=np.float64)
@@ -50,4 +54,8 @@ def check_joint_vector(name: str, value: object, joints: int) -> NDArray[np.floa
     if not np.isfinite(array).all():
         bad = [int(i) for i in np.flatnonzero(~np.isfinite(array))]
         raise SampleError(f"{name} is not finite at joint index {bad}; skip this sample")
+    if np.abs(array).max(initial=0.0) > MOST_PLAUSIBLE:
+        raise SampleError(
+            f"{name} reaches {np.abs(array).max():.3g}, expected SI units below {MOST_PLAUSIBLE:g}"
+        )
     return array

@@ -1,11 +1,11 @@
 """Settings of the virtual force sensor, validated once, and the two presets."""
 
-import math
 from dataclasses import dataclass, field
+from typing import get_args
 
-from residual.errors import ConfigurationError
 from residual.joint_friction import FrictionModel
 from residual.momentum_step import Alignment
+from residual.settings_check import check_alignment, check_choice, check_positive
 from residual.tare_prior import TareKind, TarePrior
 from residual.wrench import Axes, Mode, Weighting
 
@@ -15,7 +15,7 @@ class SensorConfig:
     """How joint signals become a force.
 
     Attributes:
-        gain_per_s: Observer gain K [1/s]; 1/K is the lag.
+        gain_per_s: Observer gain K [1/s], one for all joints or one each; 1/K is the lag.
         alignment: How torque fills a tick: ``trapezoid`` for a sampled sensor, ``hold`` for a
             command held until the next sample.
         velocity_bandwidth_per_s: Of the velocity estimate used when ``dq`` is None [1/s].
@@ -36,10 +36,11 @@ class SensorConfig:
         max_gap_s: Longest time step that is integrated [s]; after a longer one filters restart.
 
     Raises:
-        ConfigurationError: For numbers that are not finite and positive.
+        ConfigurationError: For numbers that are not finite and positive, or a choice that does not
+            exist.
     """
 
-    gain_per_s: float = 70.0
+    gain_per_s: float | tuple[float, ...] = 70.0
     alignment: Alignment = "trapezoid"
     velocity_bandwidth_per_s: float = 200.0
     smooth_momentum: bool = True
@@ -57,13 +58,24 @@ class SensorConfig:
     max_gap_s: float = 0.1
 
     def __post_init__(self) -> None:
-        for name in ("gain_per_s", "velocity_bandwidth_per_s", "contact_force_N", "max_gap_s"):
-            if not 0 < getattr(self, name) < math.inf:
-                raise ConfigurationError(
-                    f"{name} is {getattr(self, name)!r}, expected a finite number > 0"
-                )
-        if self.tare_window_s is not None and not self.tare_window_s > 0:
-            raise ConfigurationError(f"tare_window_s is {self.tare_window_s!r}, expected > 0")
+        gains = self.gain_per_s if isinstance(self.gain_per_s, tuple) else (self.gain_per_s,)
+        for gain in gains or (None,):
+            check_positive("gain_per_s", gain)
+        for name in ("velocity_bandwidth_per_s", "contact_force_N", "max_gap_s"):
+            check_positive(name, getattr(self, name))
+        for name in ("tare_window_s", "expected_force_N"):
+            if getattr(self, name) is not None:
+                check_positive(name, getattr(self, name))
+        check_alignment(self.alignment)
+        check_choice("mode", self.mode, get_args(Mode))
+        check_choice("weighting", self.weighting, get_args(Weighting))
+        check_choice("axes", self.axes, get_args(Axes))
+        check_choice("tare", self.tare, get_args(TareKind))
+
+    @property
+    def slowest_gain_per_s(self) -> float:
+        """The smallest gain of any joint [1/s]: it sets the lag."""
+        return min(self.gain_per_s) if isinstance(self.gain_per_s, tuple) else self.gain_per_s
 
 
 DEFAULT = SensorConfig()

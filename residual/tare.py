@@ -63,6 +63,10 @@ class Tare:
     covariance: NDArray[np.float64]
     noise_Nm2: NDArray[np.float64]
 
+    def __post_init__(self) -> None:
+        for array in (self.mean, self.covariance, self.noise_Nm2):
+            array.setflags(write=False)
+
     def bias_Nm(
         self, q: NDArray[np.float64], trend: NDArray[np.float64], age_s: float
     ) -> NDArray[np.float64]:

@@ -12,6 +12,9 @@ LINK_SCALES = (0.25, 0.5, 1.0, 2.0)
 """How good the link table may be, against the prior's figure; the motion itself chooses."""
 
 
+FEW_BLOCKS = 8
+
+
 class _Normal(NamedTuple):
     """Normal equations of ``residual = design theta + noise``."""
 
@@ -41,7 +44,10 @@ def fit_tare(basis: TareBasis, blocks: TareBlocks) -> Tare:
         ]
     )
     residual = blocks.residual_Nm
-    white = _neighbour_variance(residual) + basis.resolution_variance()
+    few = len(residual) < FEW_BLOCKS
+    # Neighbours of which there are few tell nothing: then a block is as noisy as its samples.
+    white = blocks.scatter_Nm2 if few else _neighbour_variance(residual)
+    white = white + basis.resolution_variance()
     whiteners = [np.eye(len(residual)) / v for v in white]
     mean, _ = _posterior(_normal(design, residual, whiteners), basis.std)
     wave = _wave_variance(residual - design @ mean, white, np.ptp(blocks.q_rad, axis=0), basis)
@@ -63,8 +69,6 @@ def fit_tare(basis: TareBasis, blocks: TareBlocks) -> Tare:
 
 def _neighbour_variance(residual: NDArray[np.float64]) -> NDArray[np.float64]:
     """Variance of a block's noise per joint, from the differences of neighbours, shape (n,)."""
-    if len(residual) < 2:
-        return np.zeros(residual.shape[1])
     return np.square(np.diff(residual, axis=0)).mean(axis=0) / 2.0
 
 

@@ -64,8 +64,16 @@ class TarePrior:
     def __post_init__(self) -> None:
         for name in self.__slots__:
             value = getattr(self, name)
-            if not (np.isfinite(value) & (np.asarray(value) > 0)).all():
+            numeric = np.asarray(value)
+            if numeric.dtype.kind not in "fiu" or not (
+                np.isfinite(numeric).all() and (numeric > 0).all()
+            ):
                 raise ConfigurationError(f"{name} is {value!r}, expected finite numbers > 0")
+        if np.ndim(self.hysteresis_widths) != 1 or np.ndim(self.gear_ratio) != 1:
+            raise ConfigurationError(
+                "hysteresis_widths and gear_ratio must be tuples of numbers, got "
+                f"{self.hysteresis_widths!r} and {self.gear_ratio!r}"
+            )
 
 
 class TareBasis:

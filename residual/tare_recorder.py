@@ -9,7 +9,7 @@ from residual.errors import TareError
 from residual.tare import TareBlocks
 
 MOST_BLOCKS = 400
-"""When there are more, neighbours are merged: a fit then takes a fraction of a second."""
+"""When there are as many, the older half is merged in pairs: a fit takes a fraction of a second."""
 
 
 class _Block(NamedTuple):
@@ -18,21 +18,25 @@ class _Block(NamedTuple):
     means: NDArray[np.float64]
     time_s: float
     scatter: NDArray[np.float64]
+    samples: int
 
     def merge(self, other: "_Block") -> "_Block":
-        between = 0.25 * (self.means[1] - other.means[1]) ** 2
+        count = self.samples + other.samples
+        a, b = self.samples / count, other.samples / count
+        between = a * b * (self.means[1] - other.means[1]) ** 2
         return _Block(
-            0.5 * (self.means + other.means),
-            0.5 * (self.time_s + other.time_s),
-            0.5 * (self.scatter + other.scatter) + between,
+            a * self.means + b * other.means,
+            a * self.time_s + b * other.time_s,
+            a * self.scatter + b * other.scatter + between,
+            count,
         )
 
 
 class TareRecorder:
     """Means of residual, position and torque trend over short blocks.
 
-    Memory is bounded: once there are `MOST_BLOCKS`, pairs of neighbours become one and blocks are
-    twice as long from then on.
+    Memory is bounded: once there are `MOST_BLOCKS`, pairs of neighbours in the older half become
+    one; the latest blocks stay short.
 
     Args:
         joints: Number of joints.
@@ -43,13 +47,12 @@ class TareRecorder:
 
     def __init__(self, joints: int, loops: int, block_s: float) -> None:
         self._joints, self._loops = joints, loops
-        self._first_block_s = block_s
+        self._block_s = block_s
         self.clear()
 
     def clear(self) -> None:
         """Forget all blocks."""
         self._blocks: list[_Block] = []
-        self._block_s = self._first_block_s
         self._open()
 
     def _open(self) -> None:
@@ -84,12 +87,14 @@ class TareRecorder:
         if self._age_s >= self._block_s:
             means = self._sum / self._count
             scatter = np.maximum(self._squares / self._count - means[1] ** 2, 0.0)
-            self._blocks.append(_Block(means, time_s - 0.5 * self._age_s, scatter))
+            middle_s = time_s - 0.5 * self._age_s
+            self._blocks.append(_Block(means, middle_s, scatter, self._count))
             self._open()
             if len(self._blocks) >= MOST_BLOCKS:
-                pairs = zip(self._blocks[::2], self._blocks[1::2], strict=True)
-                self._blocks = [one.merge(other) for one, other in pairs]
-                self._block_s *= 2.0
+                half = MOST_BLOCKS // 2
+                older, newer = self._blocks[:half], self._blocks[half:]
+                pairs = zip(older[::2], older[1::2], strict=True)
+                self._blocks = [one.merge(other) for one, other in pairs] + newer
 
     def blocks(self, now_s: float, window_s: float | None = None) -> TareBlocks:
         """What was recorded, or the last ``window_s`` of it [s]; at least one block.
@@ -99,8 +104,9 @@ class TareRecorder:
         """
         if not self._blocks:
             raise TareError(
-                f"no free motion has been recorded (less than {self._block_s:g} s of it); "
-                "update() the sensor without contact first, then tare()"
+                f"no settled free motion has been recorded (less than {self._block_s:g} s of it); "
+                "update() the sensor without contact first, in steps no longer than max_gap_s, "
+                "then tare()"
             )
         kept = [b for b in self._blocks if window_s is None or now_s - b.time_s <= window_s]
         kept = kept or self._blocks[-1:]

@@ -6,9 +6,9 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from residual.errors import ConfigurationError
 from residual.momentum_step import Alignment
 from residual.sample_check import check_interval, check_joint_vector
+from residual.settings_check import check_alignment, check_gap, check_positive
 from residual.velocity_step import lag_pair_step
 
 
@@ -40,7 +40,7 @@ class VelocityEstimator:
         max_gap_s: A longer time step starts the filter anew [s].
 
     Raises:
-        ConfigurationError: If the bandwidth is not positive.
+        ConfigurationError: For a setting that cannot work.
     """
 
     SETTLING_LAGS = 10.0
@@ -54,8 +54,10 @@ class VelocityEstimator:
         alignment: Alignment = "trapezoid",
         max_gap_s: float = 0.1,
     ) -> None:
-        if not bandwidth_per_s > 0:
-            raise ConfigurationError(f"bandwidth_per_s is {bandwidth_per_s!r}, expected > 0")
+        check_positive("bandwidth_per_s", bandwidth_per_s)
+        check_positive("joints", joints)
+        check_alignment(alignment)
+        check_gap(max_gap_s)
         self._joints = joints
         self._bandwidth = bandwidth_per_s
         self._held = alignment == "hold"

@@ -1,9 +1,10 @@
 """The virtual force/torque sensor: the few calls that a controller makes."""
 
 import math
+import numbers
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
 from residual.errors import SampleError
 from residual.external_torque import ExternalTorqueEstimator, TorqueSample
@@ -11,7 +12,7 @@ from residual.offset_removal import OffsetRemoval
 from residual.sample_check import check_interval, check_joint_vector
 from residual.sensor_config import DEFAULT, SensorConfig
 from residual.tare import Tare
-from residual.wrench import WrenchEstimator
+from residual.wrench import COMPONENTS, Mode, WrenchEstimator
 from residual.wrench_estimate import Status, WrenchEstimate
 from urdf import Robot
 
@@ -31,18 +32,21 @@ class VirtualForceSensor:
         config: Settings; `PAPER` for the method as published.
     """
 
+    _SETTLING = "the filters have just started, or a time step was longer than max_gap_s"
+
     def __init__(self, robot: Robot, config: SensorConfig = DEFAULT) -> None:
         self._robot, self._config = robot, config
         self._offset = OffsetRemoval(robot, config)
+        where = {"frame": config.frame, "insertion_axis": config.insertion_axis}
         self._wrench = WrenchEstimator(
             robot,
             config.mode,
-            frame=config.frame,
             axes=config.axes,
-            insertion_axis=config.insertion_axis,
             weighting=config.weighting,
             expected_force_N=config.expected_force_N,
+            **where,
         )
+        self._guard = WrenchEstimator(robot, **where)
         self.reset()
 
     @property
@@ -52,7 +56,7 @@ class VirtualForceSensor:
 
     @property
     def lag_s(self) -> float:
-        """Time by which the estimate follows the force [s]."""
+        """Time by which the estimate follows the force [s]; 0 before the first sample."""
         return 0.0 if self._torque is None else self._torque.lag_s
 
     @property
@@ -75,15 +79,15 @@ class VirtualForceSensor:
             The wrench with its uncertainty and status. This method does not raise for a bad
             sample, it says so in the status.
         """
-        if self._torque is None:
-            self._torque = ExternalTorqueEstimator(
-                self._robot, self._config, has_velocity=dq is not None
-            )
+        torque = self._torque
+        if torque is None:
+            torque = ExternalTorqueEstimator(self._robot, self._config, has_velocity=dq is not None)
         try:
             elapsed_s = self._elapsed(dt_s)
-            sample = self._torque.update(q, dq, tau, elapsed_s)
+            sample = torque.update(q, dq, tau, elapsed_s)
         except SampleError as error:
             return self._skip(dt_s, str(error))
+        self._torque = torque
         return self._finish(sample, elapsed_s)
 
     def update_external_torque(
@@ -111,6 +115,10 @@ class VirtualForceSensor:
     def tare(self, *, force: bool = False) -> Tare:
         """Fit the offset to the free motion seen since the start or `start_recording`.
 
+        Call it while the arm rests or from outside the control loop: it takes a few tenths of a
+        second. A contact that stands during all of the motion is noticed only if it is larger than
+        what the prior lets the model be wrong by (tens of newtons on an LWR).
+
         Args:
             force: Take it even where contact is seen.
 
@@ -118,9 +126,10 @@ class VirtualForceSensor:
             The fitted tare.
 
         Raises:
-            TareError: Without data, or with contact in sight; nothing has then changed.
+            TareError: Without data, a second time without `start_recording`, or with contact in
+                sight; nothing has then changed.
         """
-        tare = self._offset.tare(self._wrench, force=force)
+        tare = self._offset.tare(self._guard, force=force)
         self._wrench.set_torque_covariance(self._offset.covariance_Nm2())
         self._slow_axial_N = math.nan
         return tare
@@ -171,12 +180,10 @@ class VirtualForceSensor:
             self._slow_axial_N += behind * -math.expm1(-dt_s / lag_s)
         # Only what stands out of the noise counts as a change that the lag may hide.
         variance = estimate.axial_std**2
-        hidden = behind**2 - 4.0 * variance
+        hidden = behind * behind - 4.0 * variance
         std = math.sqrt(variance + hidden) if hidden > 0.0 else estimate.axial_std
         if not settled:
-            return estimate._replace(
-                axial_std=std, status=Status.SETTLING, message="the filters have just started"
-            )
+            return estimate._replace(axial_std=std, status=Status.SETTLING, message=self._SETTLING)
         if not self._offset.tared:
             return estimate._replace(
                 axial_std=std, status=Status.NOT_TARED, message="tare() has not been called"
@@ -186,14 +193,17 @@ class VirtualForceSensor:
     def _skip(self, dt_s: float, reason: str) -> WrenchEstimate:
         """The last sound estimate again; the time of a bad sample still passes."""
         self._skipped += 1
-        if math.isfinite(dt_s) and dt_s > 0.0:
-            self._missed_s += dt_s
-        last = self._last if self._last is not None else _blank(self._robot.nv)
+        if isinstance(dt_s, numbers.Real) and math.isfinite(dt_s) and dt_s > 0.0:
+            self._missed_s += float(dt_s)
+        last = self._last if self._last is not None else _blank(self._robot.nv, self._config.mode)
         return last._replace(status=Status.SKIPPED, message=reason)
 
 
-def _blank(joints: int) -> WrenchEstimate:
+def _blank(joints: int, mode: Mode) -> WrenchEstimate:
     """An estimate that knows nothing, for a first sample that is bad."""
-    nothing, unknown = np.zeros(3), np.full((1, 1), math.inf)
-    zero: NDArray[np.float64] = np.zeros(joints)
-    return WrenchEstimate(0.0, math.inf, nothing, nothing, unknown, 1.0, np.zeros(1), zero)
+    size = COMPONENTS[mode]
+    nothing, residual, share = np.zeros(3), np.zeros(joints), np.zeros(size)
+    unknown = np.diag(np.full(size, math.inf))
+    for array in (nothing, residual, share, unknown):
+        array.setflags(write=False)
+    return WrenchEstimate(0.0, math.inf, nothing, nothing, unknown, math.inf, share, residual)

@@ -7,7 +7,8 @@ import numpy as np
 import pinocchio as pin
 from numpy.typing import ArrayLike, NDArray
 
-from residual.errors import ConfigurationError
+from residual.errors import ConfigurationError, SampleError
+from residual.settings_check import check_choice
 from residual.weighted_inverse import weighted_inverse
 from residual.wrench_estimate import WrenchEstimate
 from urdf import Robot
@@ -18,7 +19,8 @@ or a force and a torque."""
 Axes = Literal["base", "tool"]
 Weighting = Literal["covariance", "none"]
 
-_COMPONENTS = {"axial": 1, "point": 3, "full": 6}
+COMPONENTS = {"axial": 1, "point": 3, "full": 6}
+"""Unknowns of every mode."""
 _NOTHING = np.zeros(3)
 _NOTHING.setflags(write=False)
 
@@ -59,22 +61,15 @@ class WrenchEstimator:
         expected_force_N: float | None = 100.0,
         expected_torque_Nm: float = 10.0,
     ) -> None:
-        if mode not in _COMPONENTS:
-            raise ConfigurationError(f"mode is {mode!r}, expected one of {list(_COMPONENTS)}")
-        if weighting not in ("covariance", "none"):
-            raise ConfigurationError(f"weighting is {weighting!r}, expected 'covariance' or 'none'")
-        if axes not in ("base", "tool"):
-            raise ConfigurationError(f"axes is {axes!r}, expected 'base' or 'tool'")
-        axis = np.asarray(insertion_axis, dtype=np.float64)
-        if axis.shape != (3,) or not np.isfinite(axis).all() or not axis.any():
-            raise ConfigurationError(
-                f"insertion_axis is {insertion_axis!r}, expected three numbers, not all zero"
-            )
-        self._axis_in_tool = axis / np.linalg.norm(axis)
+        check_choice("mode", mode, tuple(COMPONENTS))
+        check_choice("weighting", weighting, ("covariance", "none"))
+        check_choice("axes", axes, ("base", "tool"))
+        self._axis_in_tool = _unit_axis(insertion_axis)
         self._model, self._data = robot.model, robot.create_data()
         self._frame_id = robot.frame_id(frame if frame is not None else robot.tool_frame)
         self._mode: Mode = mode
         self._in_base = axes == "base"
+        self._shape = (robot.nv,)
         self._damping = _damping(mode, expected_force_N, expected_torque_Nm)
         if weighting == "none":
             self._damping[:] = 0.0
@@ -99,6 +94,10 @@ class WrenchEstimator:
             raise ConfigurationError(
                 f"covariance has shape {covariance_Nm2.shape}, expected {self._covariance.shape}"
             )
+        asymmetry = np.abs(covariance_Nm2 - covariance_Nm2.T).max()
+        # Written so that a NaN is refused too.
+        if not asymmetry <= 1e-6 * abs(np.trace(covariance_Nm2)):
+            raise ConfigurationError("covariance_Nm2 must be finite and symmetric")
         try:
             root = np.linalg.inv(np.linalg.cholesky(covariance_Nm2))
         except np.linalg.LinAlgError as error:
@@ -108,7 +107,16 @@ class WrenchEstimator:
             self._precision = root.T @ root
 
     def estimate(self, q: NDArray[np.float64], residual: NDArray[np.float64]) -> WrenchEstimate:
-        """Wrench at a configuration [rad] from the external joint torque [Nm], both shape (n,)."""
+        """Wrench at a configuration [rad] from the external joint torque [Nm], both shape (n,).
+
+        Raises:
+            SampleError: For a wrong shape or numbers that are not finite.
+        """
+        q, residual = np.asarray(q, dtype=np.float64), np.asarray(residual, dtype=np.float64)
+        if q.shape != self._shape or residual.shape != self._shape:
+            raise SampleError(
+                f"q and residual have shapes {q.shape} and {residual.shape}, expected {self._shape}"
+            )
         pin.computeJointJacobians(self._model, self._data, q)
         jacobian = pin.getFrameJacobian(
             self._model, self._data, self._frame_id, pin.ReferenceFrame.LOCAL
@@ -134,19 +142,18 @@ class WrenchEstimator:
         axial = float(weighted.dot(residual)) / total
         noise = information if self._weighted else float(weighted @ self._covariance @ weighted)
         variance = (noise + damping) / total**2 if total < math.inf else math.inf
+        if not math.isfinite(axial):
+            raise SampleError("q and residual must be finite; skip this sample")
         force = self._axis_in_tool * -axial
         if self._in_base:
             force = self._rotation().dot(force)
-        force.setflags(write=False)
+        covariance, share = np.array([[variance]]), np.array([damping / total])
+        for array in (force, covariance, share):
+            array.setflags(write=False)
+        conditioning = 1.0 if information > 0.0 else math.inf
+        std = math.sqrt(variance)
         return WrenchEstimate(
-            axial,
-            math.sqrt(variance),
-            force,
-            _NOTHING,
-            np.array([[variance]]),
-            1.0 if information > 0.0 else math.inf,
-            np.array([damping / total]),
-            residual,
+            axial, std, force, _NOTHING, covariance, conditioning, share, residual
         )
 
     def _general(
@@ -154,7 +161,7 @@ class WrenchEstimator:
     ) -> WrenchEstimate:
         """Three or six unknowns."""
         axis = self._axis_in_tool
-        size = _COMPONENTS[self._mode]
+        size = COMPONENTS[self._mode]
         rows = jacobian[:size]
         if self._in_base:
             rotation = self._rotation()
@@ -167,6 +174,8 @@ class WrenchEstimator:
             precision=self._precision if self._weighted else None,
             damping=self._damping,
         )
+        if not np.isfinite(solution.value).all():
+            raise SampleError("q and residual must be finite; skip this sample")
         force, torque = solution.value[:3], solution.value[3:] if size == 6 else _NOTHING
         for array in (force, torque, solution.covariance, solution.damping_share):
             array.setflags(write=False)
@@ -182,6 +191,19 @@ class WrenchEstimator:
         )
 
 
+def _unit_axis(insertion_axis: ArrayLike) -> NDArray[np.float64]:
+    try:
+        axis = np.asarray(insertion_axis, dtype=np.float64)
+    except (TypeError, ValueError):
+        axis = np.zeros(0)
+    if axis.shape != (3,) or not np.isfinite(axis).all() or not axis.any():
+        raise ConfigurationError(
+            f"insertion_axis is {insertion_axis!r}, expected three numbers, not all zero"
+        )
+    axis = axis / np.abs(axis).max()
+    return axis / np.linalg.norm(axis)
+
+
 def _std_along(axis: NDArray[np.float64], covariance: NDArray[np.float64]) -> float:
     """Standard deviation along an axis; infinite if the axis has a share in an unseen direction."""
     unseen = np.isinf(np.diag(covariance))
@@ -194,7 +216,7 @@ def _damping(
     mode: Mode, expected_force_N: float | None, expected_torque_Nm: float
 ) -> NDArray[np.float64]:
     """Diagonal of the damping: inverse variance of the wrench that is expected at most."""
-    size = _COMPONENTS[mode]
+    size = COMPONENTS[mode]
     if expected_force_N is None:
         return np.zeros(size)
     if not (expected_force_N > 0 and expected_torque_Nm > 0):

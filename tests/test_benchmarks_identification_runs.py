@@ -6,11 +6,13 @@ import numpy as np
 import pytest
 
 from benchmarks.bovine import FILE, FOLDER, read_bovine
-from benchmarks.bovine_real import depth_metrics
+from benchmarks.bovine_real import depth_metrics, run_bovine_real
 from benchmarks.errors import DataError
+from benchmarks.force_falls import falls_found, force_falls
 from benchmarks.identification_table import friction_table, rupture_table, table_one_table
 from benchmarks.job import Job
 from benchmarks.joint_signals import JointSignals
+from benchmarks.liver_real import run_liver_real
 from benchmarks.needle_benchmark import drawn_noise, run_needle
 from benchmarks.pullout import in_and_out, mean_at_depth
 from benchmarks.tip_travel import TipTravel, smoothed, tip_travel
@@ -136,3 +138,38 @@ def test_a_broken_curve_is_refused(tmp_path, text):
     (tmp_path / FOLDER / FILE).write_text(text)
     with pytest.raises(DataError):
         read_bovine(tmp_path, np.random.default_rng(0))
+
+
+def test_sudden_falls_are_found_and_slow_ones_and_the_end_are_not():
+    depth = np.linspace(0.0, 0.08, 16_001)
+    force = 20.0 * depth
+    force -= 0.4 * np.clip((depth - 0.02) / 1e-3, 0.0, 1.0)
+    force -= 0.4 * np.clip((depth - 0.04) / 1e-2, 0.0, 1.0)
+    force -= 0.8 * np.clip((depth - 0.079) / 1e-3, 0.0, 1.0)
+    (fall,) = force_falls(depth, force)
+    assert fall.from_m == pytest.approx(0.02, abs=2e-4)
+    assert fall.to_m == pytest.approx(0.021, abs=2e-4)
+    assert falls_found([fall], [0.0205]) == falls_found([fall], [0.0213]) == 1
+    assert falls_found([fall], [0.019, 0.03]) == 0
+
+
+def test_real_liver_has_a_row_for_every_method(recordings_dir):
+    job = Job(benchmark="liver-real", plant="recording", data=recordings_dir)
+    by_key = {
+        (item.method, item.metric): item.value for item in run_liver_real(job, silent).measurements
+    }
+    # What the data's description says of the rule of thumb.
+    assert by_key["guess", "pullout_error_median_pct"] == pytest.approx(14.0, abs=1.0)
+    assert by_key["guess", "pullout_error_p90_pct"] == pytest.approx(42.0, abs=1.0)
+    assert ("guess", "ruptures_per_insertion") not in by_key
+    assert by_key["default", "fall_recall"] > 0.5
+    assert np.isfinite(list(by_key.values())).all()
+
+
+def test_bovine_liver_has_its_four_ruptures(recordings_dir):
+    job = Job(benchmark="bovine-real", plant="recording", data=recordings_dir)
+    by_key = {
+        (item.method, item.metric): item.value for item in run_bovine_real(job, silent).measurements
+    }
+    assert by_key["default", "ruptures_missed"] == 0.0
+    assert by_key["default", "rupture_depth_error_mm"] < 1.0

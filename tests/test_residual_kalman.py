@@ -94,3 +94,18 @@ def test_noise_that_cannot_be_is_refused(lwr, name):
 def test_torque_without_noise_is_refused(lwr):
     with pytest.raises(ConfigurationError, match="positive"):
         KalmanObserver(lwr, **(QUIET | {"torque_noise_Nm": 0.0}))
+
+
+def test_settings_that_cannot_work_are_refused(lwr):
+    for bad in ({"alignment": "x"}, {"max_gap_s": np.nan}):
+        with pytest.raises(ConfigurationError, match=next(iter(bad))):
+            KalmanObserver(lwr, **QUIET, **bad)
+
+
+def test_an_absurd_first_sample_does_not_poison_it(lwr):
+    _, q, dq, tau = swing(lwr, seconds=0.02)
+    kalman = KalmanObserver(lwr, **QUIET)
+    with pytest.raises(SampleError):
+        kalman.update(q[0], np.full(7, 1e308), tau[0], 1e-3)
+    for k in range(10):
+        assert np.isfinite(kalman.update(q[k], dq[k], tau[k], 1e-3)).all()

@@ -124,7 +124,7 @@ BAD_SAMPLES = {
     "q is not finite": lambda q, dq, tau: (q * np.nan, dq, tau, 1e-3),
     "dq is not finite at joint index .0.": lambda q, dq, tau: (q, np.r_[np.inf, dq[1:]], tau, 1e-3),
     "tau is not finite": lambda q, dq, tau: (q, dq, tau + np.nan, 1e-3),
-    "overflow": lambda q, dq, tau: (q, dq + 1e200, tau, 1e-3),
+    "dq reaches 1e.200": lambda q, dq, tau: (q, dq + 1e200, tau, 1e-3),
     "dt_s is 0": lambda q, dq, tau: (q, dq, tau, 0.0),
     "dt_s is -0.001": lambda q, dq, tau: (q, dq, tau, -1e-3),
     "dt_s is nan": lambda q, dq, tau: (q, dq, tau, np.nan),
@@ -200,6 +200,32 @@ def test_modelled_friction_does_not_read_as_force(lwr):
         worst_known = max(worst_known, np.abs(known.update(*sample, 1e-3)).max())
         worst_unknown = max(worst_unknown, np.abs(unknown.update(*sample, 1e-3)).max())
     assert worst_known < 0.01 < 0.5 < worst_unknown
+
+
+def test_smoothing_belongs_to_the_state_and_is_forgotten_by_reset(lwr):
+    _, q, dq, tau = swing(lwr, seconds=0.1)
+    one, other = MomentumObserver(lwr, 50.0), MomentumObserver(lwr, 50.0)
+    one.smooth_momentum(np.full(7, 1e-3), q[0])
+    for k in range(50):
+        one.update(q[k], dq[k], tau[k], 1e-3)
+    other.restore(one.state)
+    sample = (q[50], dq[50] + 1e-3, tau[50], 1e-3)
+    np.testing.assert_array_equal(one.update(*sample), other.update(*sample))
+    with pytest.raises(SampleError, match="dt_s"):
+        one.update(*sample[:3], 0.0)
+    one.reset()
+    fresh = MomentumObserver(lwr, 50.0)
+    for k in range(3):
+        sample = (q[k], dq[k] + 1e-3 * k, tau[k], 1e-3)
+        np.testing.assert_array_equal(one.update(*sample), fresh.update(*sample))
+    with pytest.raises(SampleError, match="velocity_noise"):
+        one.smooth_momentum(np.zeros(3), q[0])
+
+
+def test_friction_of_another_robot_is_refused(lwr):
+    short = JointFriction(viscous_Nms=[1.0] * 6, coulomb_Nm=[0.0] * 6, offset_Nm=[0.0] * 6)
+    with pytest.raises(ConfigurationError, match="7 joints"):
+        MomentumObserver(lwr, friction=short)
 
 
 @pytest.mark.parametrize(

@@ -4,7 +4,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from residual_signals import external_torque_of, swing
+from residual_signals import BIAS, external_torque_of, push, swing, tared_sensor
 
 from residual import (
     DEFAULT,
@@ -16,25 +16,6 @@ from residual import (
     VirtualForceSensor,
 )
 from residual.noise_probe import NoiseProbe
-
-BIAS = np.array([0.3, -0.8, 0.4, 0.5, -0.2, 0.1, -0.05])
-
-
-def tared_sensor(robot, config=DEFAULT, *, with_velocity=True, bias=BIAS):
-    """A sensor that has seen two seconds of free motion and was tared."""
-    sensor = VirtualForceSensor(robot, config)
-    _, q, dq, tau = swing(robot, seconds=2.0, amplitude=0.03)
-    for k in range(len(q)):
-        sensor.update(q[k], dq[k] if with_velocity else None, tau[k] - bias, 1e-3)
-    sensor.tare()
-    return sensor
-
-
-def push(robot, sensor, force, *, with_velocity=True, bias=BIAS):
-    _, q, dq, tau = swing(robot, seconds=0.5, start=2.0, amplitude=0.03, force_at_tip_in_base=force)
-    for k in range(len(q)):
-        estimate = sensor.update(q[k], dq[k] if with_velocity else None, tau[k] - bias, 1e-3)
-    return q[-1], estimate
 
 
 @pytest.mark.parametrize("with_velocity", [True, False])
@@ -124,7 +105,7 @@ def test_bad_first_sample_gives_finite_numbers_and_infinite_doubt(lwr):
 
 def test_tare_without_motion_is_refused_and_changes_nothing(lwr):
     sensor = VirtualForceSensor(lwr)
-    with pytest.raises(TareError, match="no free motion"):
+    with pytest.raises(TareError, match="no settled free motion"):
         sensor.tare()
     assert not sensor.tared
 
@@ -198,7 +179,20 @@ def test_noise_of_a_moving_signal_is_learnt():
 
 @pytest.mark.parametrize(
     "settings",
-    [{"gain_per_s": 0.0}, {"gain_per_s": np.inf}, {"tare_window_s": -1.0}, {"max_gap_s": np.nan}],
+    [
+        {"gain_per_s": 0.0},
+        {"gain_per_s": np.inf},
+        {"gain_per_s": "5"},
+        {"gain_per_s": ()},
+        {"tare_window_s": -1.0},
+        {"expected_force_N": 0.0},
+        {"max_gap_s": np.nan},
+        {"mode": "x"},
+        {"axes": "x"},
+        {"alignment": "x"},
+        {"weighting": "x"},
+        {"tare": "x"},
+    ],
 )
 def test_settings_that_cannot_work_are_refused(settings):
     with pytest.raises(ConfigurationError, match=next(iter(settings))):

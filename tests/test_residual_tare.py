@@ -155,7 +155,7 @@ def test_recorder_keeps_block_means_in_bounded_memory():
     np.testing.assert_allclose(blocks.q_rad[:, 0] * 1e-3, blocks.age_s + 20.0, atol=1e-3)
     assert len(recorder.blocks(now_s=99.0, window_s=0.1).age_s) == 1
     recorder.clear()
-    with pytest.raises(TareError, match="no free motion"):
+    with pytest.raises(TareError, match="no settled free motion"):
         recorder.blocks(now_s=1.0)
 
 
@@ -186,9 +186,60 @@ def test_torque_trend_remembers_at_rest_and_turns_over_the_width():
     assert trend_step(back, np.array([-1.0]), half_width)[0] == -1.0
 
 
+def test_merged_blocks_keep_the_variance_of_their_samples():
+    rng = np.random.default_rng(0)
+    recorder = TareRecorder(1, 1, block_s=0.02)
+    for k in range(30_000):
+        value = 0.01 * rng.normal(size=1)
+        recorder.add(np.zeros(1), np.zeros((1, 1)), value, k * 1e-3, 1e-3)
+    old = recorder._blocks[0]
+    assert old.samples > 200
+    assert old.scatter[0] == pytest.approx(1e-4, rel=0.25)
+    assert len(recorder.blocks(30.0, window_s=0.5).age_s) >= 20, "the latest blocks stay short"
+
+
+def test_age_counts_from_the_tare_and_hysteresis_from_the_trend(lwr):
+    basis = TareBasis(lwr, "model", TarePrior())
+    theta = np.zeros(len(basis.std))
+    theta[basis.groups["drift"]] = 0.01
+    theta[basis.groups["hysteresis"]] = np.repeat([0.1, 0.2, 0.4], 7)
+    trend = np.stack([np.ones(7), np.zeros(7), -np.ones(7)])
+    got = basis.columns(MIDDLE, trend, 10.0) @ theta
+    np.testing.assert_allclose(got, np.full(7, 0.1 + 0.1 - 0.4))
+    rising = trend_step(np.zeros((1, 7)), np.ones(7), np.ones((1, 7)))
+    assert (rising == 1.0).all()
+
+
+def test_motion_chooses_how_good_the_link_table_is(lwr, basis):
+    normal = []
+    for size in (0.0, 3.0):
+        theta = np.zeros(len(basis.std))
+        links = basis.groups["links"]
+        theta[links] = size * basis.std[links] * np.random.default_rng(3).normal(size=28)
+        _, blocks = stroke(lwr, basis, truth=theta, noise=1e-3)
+        ahead = basis.columns(MIDDLE + 0.5 * TOWARDS, FORWARD, 0.0)
+        normal.append(np.trace(ahead @ fit_tare(basis, blocks).covariance @ ahead.T))
+    assert normal[0] < normal[1]
+
+
+def test_pull_counts_as_contact_like_a_push(lwr, basis):
+    wrench = WrenchEstimator(lwr)
+    _, blocks = stroke(lwr, basis)
+    jacobian = pin.computeFrameJacobian(
+        lwr.model, lwr.create_data(), MIDDLE, lwr.tool_frame_id, pin.LOCAL
+    )
+    for sign in (1.0, -1.0):
+        pull = np.where(np.arange(300) > 270, sign, 0.0)
+        touched = replace(blocks, residual_Nm=blocks.residual_Nm - pull[:, None] * jacobian[2])
+        with pytest.raises(TareError, match="in contact"):
+            check_free_of_contact(prior_tare(basis), touched, wrench, 0.25)
+
+
 def test_settings_that_cannot_work_are_refused(lwr):
     with pytest.raises(ConfigurationError, match="mass_share"):
         TarePrior(mass_share=0.0)
+    with pytest.raises(ConfigurationError, match="hysteresis_widths"):
+        TarePrior(hysteresis_widths=1e-4)
     with pytest.raises(ConfigurationError, match="com_m"):
         TarePrior(com_m=np.nan)
     with pytest.raises(ConfigurationError, match="constant"):

@@ -92,6 +92,16 @@ def test_bad_sample_is_refused_and_leaves_the_state_unchanged():
     )
 
 
-def test_bandwidth_must_be_positive():
-    with pytest.raises(ConfigurationError, match="bandwidth_per_s"):
-        VelocityEstimator(7, 0.0)
+@pytest.mark.parametrize(
+    "bad",
+    [
+        {"bandwidth_per_s": 0.0},
+        {"bandwidth_per_s": np.inf},
+        {"alignment": "x"},
+        {"max_gap_s": np.nan},
+        {"joints": -1},
+    ],
+)
+def test_settings_that_cannot_work_are_refused(bad):
+    with pytest.raises(ConfigurationError, match=next(iter(bad))):
+        VelocityEstimator(**({"joints": 7} | bad))

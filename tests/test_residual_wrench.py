@@ -5,7 +5,7 @@ import pinocchio as pin
 import pytest
 from residual_signals import MIDDLE, external_torque_of
 
-from residual import ConfigurationError, WrenchEstimator
+from residual import ConfigurationError, SampleError, WrenchEstimator
 from residual.weighted_inverse import weighted_inverse
 from urdf import UrdfError, load_lwr
 
@@ -130,6 +130,8 @@ def test_settings_that_cannot_work_are_refused(lwr):
         ({"weighting": "some"}, "weighting"),
         ({"insertion_axis": (0, 0, 0)}, "insertion_axis"),
         ({"insertion_axis": (0, 1)}, "insertion_axis"),
+        ({"insertion_axis": "z"}, "insertion_axis"),
+        ({"mode": ["axial"]}, "mode"),
         ({"expected_force_N": -1.0}, "expected_force_N"),
     ]:
         with pytest.raises(ConfigurationError, match=match):
@@ -138,8 +140,28 @@ def test_settings_that_cannot_work_are_refused(lwr):
         WrenchEstimator(lwr, frame="nowhere")
     with pytest.raises(ConfigurationError, match="shape"):
         WrenchEstimator(lwr).set_torque_covariance(np.eye(6))
+    for matrix in (np.eye(7) * np.nan, 1.0 * np.eye(7) + np.triu(np.ones((7, 7)), 1)):
+        with pytest.raises(ConfigurationError, match="finite and symmetric"):
+            WrenchEstimator(lwr).set_torque_covariance(matrix)
     with pytest.raises(ConfigurationError, match="positive definite"):
         WrenchEstimator(lwr).set_torque_covariance(-np.eye(7))
+
+
+@pytest.mark.parametrize("mode", MODES)
+def test_bad_input_of_an_estimate_is_refused(lwr, mode):
+    estimator = WrenchEstimator(lwr, mode)
+    with pytest.raises(SampleError, match="shapes"):
+        estimator.estimate(MIDDLE[:3], np.zeros(7))
+    with pytest.raises(SampleError, match="finite"):
+        estimator.estimate(MIDDLE, np.full(7, np.nan))
+    assert estimator.estimate(list(MIDDLE), [0.0] * 7).axial == 0.0
+
+
+def test_length_of_the_insertion_axis_does_not_matter(lwr):
+    for axis in ((0, 0, 1e-200), (0, 0, 1e200)):
+        torque = external_torque_of(lwr, MIDDLE, -tip_axis(lwr, MIDDLE))
+        estimate = WrenchEstimator(lwr, insertion_axis=axis).estimate(MIDDLE, torque)
+        assert estimate.axial == pytest.approx(1.0, abs=2e-3)
 
 
 def test_arm_without_needle_reads_at_its_flange():

@@ -1,0 +1,134 @@
+"""The facade as a stream: what a caller may do wrong, and what is handed out."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from residual_signals import BIAS, external_torque_of, push, swing, tared_sensor
+
+from residual import DEFAULT, ConfigurationError, Status, TareError, VirtualForceSensor
+
+
+def test_a_buffer_that_the_caller_reuses_is_not_looked_at_later(lwr):
+    sensor, twin = VirtualForceSensor(lwr), VirtualForceSensor(lwr)
+    _, q, dq, tau = swing(lwr, seconds=1.6, amplitude=0.03)
+    buffer = np.empty(7)
+    for k in range(1500):
+        buffer[:] = q[k]
+        sensor.update(buffer, dq[k], tau[k], 1e-3)
+        twin.update(q[k], dq[k], tau[k], 1e-3)
+    buffer[:] = np.nan
+    sensor.tare()
+    twin.tare()
+    ours = sensor.update(q[1500], dq[1500], tau[1500], 1e-3)
+    assert ours.axial == twin.update(q[1500], dq[1500], tau[1500], 1e-3).axial
+
+
+def test_a_second_tare_needs_new_motion(lwr):
+    sensor = tared_sensor(lwr)
+    with pytest.raises(TareError, match="start_recording"):
+        sensor.tare()
+    sensor.start_recording()
+    _, q, dq, tau = swing(lwr, seconds=1.5, start=2.0, amplitude=0.03)
+    shifted = tau - 2.0 * BIAS
+    for sample in zip(q, dq, shifted, strict=True):
+        sensor.update(*sample, 1e-3)
+    sensor.tare()
+    assert abs(sensor.update(q[-1], dq[-1], shifted[-1], 1e-3).axial) < 0.02
+
+
+def test_a_bad_first_sample_does_not_decide_the_stream(lwr):
+    sensor = VirtualForceSensor(lwr)
+    _, q, dq, tau = swing(lwr, seconds=0.05)
+    sensor.update(q[0], None, np.full(7, np.nan), 1e-3)
+    assert sensor.update(q[1], dq[1], tau[1], 1e-3).status is Status.SETTLING
+
+
+def test_a_refused_tare_leaves_the_next_estimate_as_it_was(lwr):
+    sensor, twin = VirtualForceSensor(lwr), VirtualForceSensor(lwr)
+    _, q, dq, tau = swing(lwr, seconds=3.0, amplitude=0.03)
+    for k in range(2995):
+        touching = external_torque_of(lwr, q[k], [0.0, 0.0, 2.0]) if k > 2700 else 0.0
+        for one in (sensor, twin):
+            one.update(q[k], dq[k], tau[k] - touching, 1e-3)
+    with pytest.raises(TareError):
+        sensor.tare()
+    next_sample = (q[2995], dq[2995], tau[2995], 1e-3)
+    ours, theirs = sensor.update(*next_sample), twin.update(*next_sample)
+    assert (ours.axial, ours.axial_std) == (theirs.axial, theirs.axial_std)
+
+
+@pytest.mark.parametrize("dt_s", [None, "x", [1e-3], np.array([1e-3])])
+def test_a_time_step_that_is_no_number_is_skipped(lwr, dt_s):
+    sensor = tared_sensor(lwr)
+    _, q, dq, tau = swing(lwr, seconds=0.01)
+    estimate = sensor.update(q[0], dq[0], tau[0], dt_s)
+    assert estimate.status is Status.SKIPPED
+    assert "dt_s" in estimate.message
+
+
+@pytest.mark.filterwarnings("ignore::RuntimeWarning")
+@pytest.mark.parametrize("with_velocity", [True, False])
+def test_absurd_numbers_are_skipped_and_leave_no_trace(lwr, with_velocity):
+    sensor, twin = (tared_sensor(lwr, with_velocity=with_velocity) for _ in range(2))
+    _, q, dq, tau = swing(lwr, seconds=0.01, start=2.0, amplitude=0.03)
+    for absurd in (1e12, 1e200, 1.7e308):
+        bad = sensor.update(q[0], dq[0] if with_velocity else None, np.full(7, absurd), 1e-3)
+        assert bad.status is Status.SKIPPED
+        assert (
+            sensor.update_external_torque(q[0], np.full(7, absurd), 1e-3).status is Status.SKIPPED
+        )
+    sound = (q[1], dq[1] if with_velocity else None, tau[1])
+    assert sensor.update(*sound, 1e-3).axial == twin.update(*sound, 7e-3).axial
+
+
+def test_change_that_the_lag_hides_widens_the_standard_deviation(lwr):
+    sensor = tared_sensor(lwr, bias=BIAS)
+    _, q, dq, tau = swing(lwr, seconds=0.2, start=2.0, amplitude=0.03)
+    calm = sensor.update(q[0], dq[0], tau[0] - BIAS, 1e-3).axial_std
+    widest = 0.0
+    for k in range(1, 200):
+        step = external_torque_of(lwr, q[k], [0.0, 0.0, 2.0]) if k > 20 else 0.0
+        estimate = sensor.update(q[k], dq[k], tau[k] - BIAS - step, 1e-3)
+        widest = max(widest, estimate.axial_std)
+    assert widest > 20 * calm
+    assert estimate.axial_std < 2 * calm
+
+
+def test_a_clock_slower_than_the_longest_step_says_so(lwr):
+    sensor = VirtualForceSensor(lwr)
+    _, q, dq, tau = swing(lwr, seconds=20.0, rate_hz=5.0)
+    for sample in zip(q, dq, tau, strict=True):
+        estimate = sensor.update(*sample, 0.2)
+    assert estimate.status is Status.SETTLING
+    assert "max_gap_s" in estimate.message
+    with pytest.raises(TareError, match="max_gap_s"):
+        sensor.tare()
+
+
+def test_one_gain_per_joint_is_taken(lwr):
+    gains = (50.0, 50.0, 60.0, 60.0, 70.0, 70.0, 70.0)
+    sensor = tared_sensor(lwr, replace(DEFAULT, gain_per_s=gains))
+    assert sensor.lag_s == pytest.approx(0.02)
+    _, estimate = push(lwr, sensor, [0.0, 0.0, 2.0])
+    assert np.isfinite(estimate.axial)
+    with pytest.raises(ConfigurationError, match="7 of them"):
+        VirtualForceSensor(lwr, replace(DEFAULT, gain_per_s=(50.0, 60.0))).update(
+            np.zeros(7), np.zeros(7), np.zeros(7), 1e-3
+        )
+
+
+@pytest.mark.parametrize("mode", ["axial", "point", "full"])
+def test_everything_handed_out_is_read_only(lwr, mode):
+    sensor = VirtualForceSensor(lwr, replace(DEFAULT, mode=mode))
+    blank = sensor.update(np.full(7, np.nan), np.zeros(7), np.zeros(7), 1e-3)
+    size = {"axial": 1, "point": 3, "full": 6}[mode]
+    assert blank.covariance.shape == (size, size)
+    _, q, dq, tau = swing(lwr, seconds=1.5, amplitude=0.03)
+    for sample in zip(q, dq, tau, strict=True):
+        estimate = sensor.update(*sample, 1e-3)
+    tare = sensor.tare()
+    arrays = [x for e in (blank, estimate) for x in e if isinstance(x, np.ndarray)]
+    arrays += [tare.mean, tare.covariance, tare.noise_Nm2]
+    assert len(arrays) == 13
+    assert not any(array.flags.writeable for array in arrays)
