@@ -127,6 +127,19 @@ REAL_TISSUE = (
         meaning="ruptures reported per insertion",
         relative_tolerance=1.0,
     ),
+    Metric(
+        name="falls_per_insertion",
+        unit="1",
+        meaning="falls of the force by 0.15 N within 2 mm, found offline, per insertion",
+        relative_tolerance=1.0,
+    ),
+    Metric(
+        name="fall_recall",
+        unit="1",
+        meaning="share of these falls with an alarm",
+        best=1.0,
+        tolerance=0.02,
+    ),
     Metric(name="ruptures_missed", unit="1", meaning="annotated ruptures without an alarm"),
     Metric(name="ruptures_false", unit="1", meaning="alarms without an annotated rupture"),
     Metric(
