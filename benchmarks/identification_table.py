@@ -83,12 +83,18 @@ def table_one_table(rows: Iterable[Row]) -> Table | None:
         table.add_column(head, justify="right")
     for key, found in groups.items():
         columns = [_values(found, item.name) for item in TABLE_I]
-        pairs = zip(columns[2], columns[1], strict=True)
-        errors = [100.0 * (online / offline - 1.0) for online, offline in pairs if offline]
+        errors = _online_errors_pct(found)
         published = PUBLISHED_PCT.get(key[0].split("-")[1], "–")
         cells = [summary(values, ".0f") for values in columns]
         table.add_row(*_head(key), *cells, summary(errors, "+.0f"), str(published))
     return table
+
+
+def _online_errors_pct(rows: Sequence[Row]) -> list[float]:
+    """Online against offline, seed by seed."""
+    _, offline, online = ({r.seed: r.value for r in rows if r.metric == t.name} for t in TABLE_I)
+    both = [(online[seed], offline[seed]) for seed in online if offline.get(seed)]
+    return [100.0 * (told / known - 1.0) for told, known in both]
 
 
 def _head(key: Key) -> tuple[str, str, str]:

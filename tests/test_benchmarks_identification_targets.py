@@ -1,0 +1,99 @@
+"""Targets and tables of identification: the figures asked for, and where they are shown."""
+
+import math
+
+import pytest
+from benchmark_rows import make_row
+
+from benchmarks.catalogue import BENCHMARKS
+from benchmarks.identification_catalogue import IDENTIFICATION, REAL_TISSUE, TABLE_I
+from benchmarks.identification_table import friction_table, rupture_table, table_one_table
+from benchmarks.identification_targets import GELS, IDENTIFICATION_TARGETS, STACKS
+from benchmarks.metric_catalogue import METRICS
+from benchmarks.number_table import number_table
+from benchmarks.targets import Target
+from benchmarks.tissue_table import tissue_table
+from benchmarks.verdict import verdicts
+
+SHARE = Target(
+    what="delay",
+    metric="rupture_delay_ms",
+    plant="hard",
+    at_most=0.5,
+    of_paper=True,
+    where_paper_tells=True,
+)
+
+
+def delay(**changes):
+    return make_row(metric="rupture_delay_ms", unit="ms", **changes)
+
+
+def test_every_target_names_metrics_and_benchmarks_that_exist():
+    for target in IDENTIFICATION_TARGETS:
+        assert target.metric in METRICS
+        assert set(target.scenarios or ()) <= set(BENCHMARKS)
+        assert math.isfinite(target.at_most) or math.isfinite(target.at_least)
+    assert (len(GELS), len(STACKS)) == (6, 4)
+
+
+@pytest.mark.parametrize(
+    ("source", "plant", "expected"),
+    [
+        ("ft", "needle", (5.0, 10.0, 5.0, 40.0, 6.0)),
+        ("ft", "realistic", (5.0, 10.0, 5.0, 40.0, 6.0)),
+        ("virtual", "realistic", (10.0, 20.0, 10.0, 80.0, 12.0)),
+    ],
+)
+def test_upper_limits_are_those_asked_for(source, plant, expected):
+    """So that nobody eases one unseen."""
+    limits = [
+        item.at_most
+        for item in IDENTIFICATION_TARGETS
+        if (item.source, item.plant) == (source, plant)
+        and math.isfinite(item.at_most)
+        and not item.of_paper
+        and item.metric != "friction_coverage_2sigma"
+    ]
+    assert tuple(limits) == expected
+
+
+@pytest.mark.parametrize(
+    ("source", "expected"), [("ft", (1.0, 1.0, 0.98, 0.98)), ("virtual", (0.98, 0.98, 0.95, 0.95))]
+)
+def test_lower_limits_are_those_asked_for(source, expected):
+    limits = [
+        item.at_least
+        for item in IDENTIFICATION_TARGETS
+        if (item.source, item.plant) == (source, "realistic")
+        and item.metric in ("rupture_recall", "rupture_precision")
+    ]
+    assert tuple(limits) == expected
+
+
+def test_a_run_in_which_the_papers_method_is_silent_is_not_compared():
+    rows = [delay(value=20.0), delay(seed=1, value=30.0), delay(value=50.0, method="paper")]
+    (verdict,) = verdicts(rows, [SHARE])
+    assert (verdict.runs, verdict.value) == (1, pytest.approx(0.4))
+    assert verdicts([delay(value=20.0)], [SHARE]) == []
+
+
+@pytest.mark.parametrize("kind", [*IDENTIFICATION, *TABLE_I, *REAL_TISSUE])
+def test_every_metric_is_shown_in_its_own_table_or_is_a_detail(kind):
+    rows = [make_row(metric=kind.name, unit=kind.unit)]
+    assert number_table(rows) is None
+    tables = (friction_table, rupture_table, table_one_table, tissue_table)
+    shown = [table(rows) for table in tables]
+    # The mean over layers stands beside the worst in the results only.
+    expected = 0 if kind.name == "friction_error_mean_pct" else 1
+    assert sum(table is not None for table in shown) == expected
+
+
+def test_a_share_shows_its_mean_and_its_least():
+    rows = [
+        make_row(metric="rupture_recall", unit="1", seed=k, value=value)
+        for k, value in enumerate((1.0, 1.0, 0.4))
+    ]
+    table = rupture_table(rows)
+    assert table is not None
+    assert list(table.columns[3].cells) == ["0.80 (0.40)"]
