@@ -106,6 +106,17 @@ TABLE_I = (
 )
 """Figures to lay beside the paper's Table I; how good they are, `friction_error_*` tells."""
 
+OFFLINE = tuple(
+    Metric(
+        name=f"offline_rmse_{model}_N",
+        unit="N",
+        meaning=f"rms of what the {text} model leaves of an insertion, fitted offline",
+        tolerance=2e-3,
+    )
+    for model, text in (("ml", "multi-layer"), ("kv", "Kelvin-Voigt"))
+)
+"""The models themselves, as in Figures 2 and 3: nothing online enters."""
+
 REAL_TISSUE = (
     *(
         Metric(

@@ -8,6 +8,7 @@ from benchmarks.identified import IDENTIFIERS, Identified, identify
 from benchmarks.insertion_truth import InsertionTruth
 from benchmarks.measurement import Measurement
 from benchmarks.needle_signal import NeedleSignal
+from benchmarks.offline_fit import offline_metrics
 from benchmarks.row import Method
 from benchmarks.rupture_metrics import rupture_metrics
 from benchmarks.table_one import is_single_gel, table_one
@@ -28,7 +29,8 @@ def identification_metrics(
     """Measure both methods on one source.
 
     The noise that decides which transitions count is that of our reading, for both methods: they
-    are judged on the same list.
+    are judged on the same list. What the models can explain offline is no matter of method or
+    estimated force: it is stated once, on the F/T reading.
     """
     noise_N = force_noise_N(signals["default"], truth)
     for found in identified:
@@ -38,5 +40,7 @@ def identification_metrics(
         values |= enhanced_metrics(found, truth)
         if is_single_gel(truth):
             values |= table_one(signals[found.method], truth, found)
+        if (found.source, found.method) == ("ft", "default"):
+            values |= offline_metrics(signals[found.method], truth)
         for name, value in values.items():
             yield Measurement(found.source, found.method, name, value)

@@ -4,7 +4,7 @@ from collections.abc import Mapping
 from types import MappingProxyType
 
 from benchmarks.errors import UnknownMetricError
-from benchmarks.identification_catalogue import IDENTIFICATION, REAL_TISSUE, TABLE_I
+from benchmarks.identification_catalogue import IDENTIFICATION, OFFLINE, REAL_TISSUE, TABLE_I
 from benchmarks.metric import Metric
 
 # Axial force against the true one, from first contact to the end of withdrawal.
@@ -109,6 +109,7 @@ METRICS: Mapping[str, Metric] = MappingProxyType(
             *_WEIGHT,
             *IDENTIFICATION,
             *TABLE_I,
+            *OFFLINE,
             *REAL_TISSUE,
         )
     }

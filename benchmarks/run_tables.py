@@ -7,6 +7,7 @@ from rich.table import Table
 from benchmarks.force_table import force_table
 from benchmarks.identification_table import friction_table, rupture_table, table_one_table
 from benchmarks.number_table import number_table
+from benchmarks.offline_table import offline_table
 from benchmarks.row import Row
 from benchmarks.tissue_table import tissue_table
 from benchmarks.verdict import verdicts
@@ -20,6 +21,7 @@ def run_tables(rows: Sequence[Row]) -> list[Table]:
         rupture_table(rows),
         friction_table(rows),
         table_one_table(rows),
+        offline_table(rows),
         tissue_table(rows),
         number_table(rows),
         verdict_table(verdicts(rows)),

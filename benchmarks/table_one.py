@@ -5,7 +5,7 @@ import numpy as np
 from benchmarks.identified import Identified
 from benchmarks.insertion_truth import InsertionTruth
 from benchmarks.needle_signal import NeedleSignal
-from identification import LayerSpan, identify_offline
+from benchmarks.offline_fit import offline_fit
 
 
 def table_one(
@@ -23,9 +23,10 @@ def table_one(
         for alarm in identified.alarms
         if alarm.layer is not None
     )
+    offline = offline_fit(signal, truth).layers[0]
     return {
         "cumulative_friction_true_Ns_per_m": rupture.layer_friction_N / speed,
-        "cumulative_friction_offline_Ns_per_m": _offline(signal, truth),
+        "cumulative_friction_offline_Ns_per_m": offline.cumulative_friction_Ns_per_m,
         "cumulative_friction_online_Ns_per_m": online,
     }
 
@@ -33,19 +34,3 @@ def table_one(
 def is_single_gel(truth: InsertionTruth) -> bool:
     """Whether the table has a line for such a run: one layer that ruptures, and no membrane."""
     return len(truth.ruptures) == 1 and truth.ruptures[0].layer == 1
-
-
-def _offline(signal: NeedleSignal, truth: InsertionTruth) -> float:
-    rupture = truth.ruptures[0]
-    inside = truth.is_insertion
-    depth = signal.depth_m - np.interp(truth.contact_s, truth.t_s, signal.depth_m)
-    span = LayerSpan(
-        start_s=truth.contact_s,
-        start_depth_m=0.0,
-        thickness_m=rupture.onset_m,
-        rupture_s=rupture.onset_s,
-    )
-    found = identify_offline(
-        truth.t_s[inside], depth[inside], signal.speed_m_s[inside], signal.force_N[inside], [span]
-    )
-    return found.layers[0].cumulative_friction_Ns_per_m

@@ -1,6 +1,7 @@
 """Metrics of online identification, on small cases whose answer is known."""
 
 import math
+from dataclasses import replace
 from types import SimpleNamespace
 
 import numpy as np
@@ -10,6 +11,8 @@ from benchmarks.alarm import Alarm, alarms_of, first_compensation
 from benchmarks.enhanced_metrics import CLEAR_m, beyond_last_exit, enhanced_metrics
 from benchmarks.friction_metrics import LayerFriction, friction_metrics, layer_frictions
 from benchmarks.insertion_truth import InsertionTruth
+from benchmarks.needle_signal import NeedleSignal
+from benchmarks.offline_fit import layer_spans, offline_metrics
 from benchmarks.rupture_metrics import rupture_metrics
 from benchmarks.transition import EARLY_s, LATE_s, force_noise_N, is_visible, match
 from groundtruth import Rupture
@@ -224,6 +227,43 @@ def test_true_enhanced_force_loses_a_layers_friction_when_the_tip_leaves_it():
     before, after = np.searchsorted(T, [6.9, 7.1])
     assert true.enhanced_N[before] == true.axial_N[before]
     assert true.enhanced_N[after] == pytest.approx(0.0)
+
+
+# Offline.
+
+
+def offline_signal(true):
+    """The true force, with the zero of depth where a user has it: not at the surface."""
+    return NeedleSignal(
+        source="ft",
+        t_s=T,
+        depth_m=true.depth_m + 4e-3,
+        speed_m_s=true.speed_m_s,
+        force_N=true.axial_N,
+    )
+
+
+def test_the_multi_layer_model_fits_its_own_force_and_kelvin_voigt_does_not():
+    # The tip is free at 7 s already. Friction without speed, at rest, is in neither model.
+    true = replace(truth(rupture(6.995)), insertion_end_s=16.9)
+    values = offline_metrics(offline_signal(true), true)
+    assert values["offline_rmse_ml_N"] == pytest.approx(0.0, abs=1e-9)
+    assert values["offline_rmse_kv_N"] > 0.01
+
+
+def test_spans_run_from_contact_to_each_rupture_in_turn():
+    first, second = layer_spans(truth(rupture(4.0, layer=0), rupture(7.0)))
+    assert (first.start_s, first.start_depth_m, first.rupture_s) == (2.0, 0.0, 4.0)
+    assert (second.start_s, second.rupture_s) == (4.0, 7.0)
+    assert first.thickness_m + second.thickness_m == pytest.approx(10e-3)
+
+
+def test_a_layer_the_tip_stays_in_ends_at_the_deepest_point():
+    late = rupture(18.5)
+    true = replace(truth(late), layer=np.where(T < 2.0, 0, 1))
+    (span,) = layer_spans(true)
+    assert span.rupture_s == pytest.approx(true.insertion_end_s)
+    assert span.thickness_m == pytest.approx(SPEED * 15.0)
 
 
 # Alarms on the run's clock.

@@ -46,6 +46,9 @@ def test_a_needle_alone_gives_both_methods_on_the_ft_sensor(found):
     assert by_key["ft", "default", "friction_error_worst_pct"] < 10.0
     true = by_key["ft", "default", "cumulative_friction_true_Ns_per_m"]
     assert true == by_key["ft", "paper", "cumulative_friction_true_Ns_per_m"] > 0.0
+    assert ("ft", "paper", "offline_rmse_ml_N") not in by_key
+    ml, kv = (by_key["ft", "default", f"offline_rmse_{model}_N"] for model in ("ml", "kv"))
+    assert 0.0 < ml < kv
 
 
 def test_its_picture_is_drawn_and_its_tables_have_lines(found):
