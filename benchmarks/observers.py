@@ -28,14 +28,16 @@ Array = NDArray[np.float64]
 
 
 def run_observers(job: Job, progress: Progress) -> Findings:
-    """Best error of every observer; nothing on an arm that sends no velocities."""
-    run = simulate(SCENARIO, job.plant, job.seed)
-    if run.signals.dq_rad_s is None:
+    """Best error of every observer; nothing on an arm without velocities or without noise."""
+    level = ARM_LEVELS[job.plant]
+    if not level.velocity_noise_std_rad_s:
+        progress(1.0)
         return Findings([])
-    weights = _axial_weights(run, np.array(ARM_LEVELS[job.plant].torque_noise_std_Nm))
+    run = simulate(SCENARIO, job.plant, job.seed)
+    weights = _axial_weights(run, np.array(level.torque_noise_std_Nm))
     progress(0.3)
     found = []
-    for k, (name, observers) in enumerate(_observers(run, ARM_LEVELS[job.plant]).items()):
+    for k, (name, observers) in enumerate(_observers(run, level).items()):
         errors = [_error(run, weights, observer) for observer in observers]
         found.append(
             Measurement("virtual", "default", f"observer_{name}_rmse_N", float(min(errors)))
