@@ -26,7 +26,6 @@ GAIN_per_s = 20.0
 """That of the known-good figures."""
 SETTLING_s = 5.0 / GAIN_per_s
 PAYLOAD_kg = 2.805
-GRAVITY_m_s2 = 9.80665
 LEAST_SINGULAR_VALUE = 0.1
 """Of the Jacobian: nearer to a singular pose an undamped inverse only amplifies noise."""
 

@@ -193,9 +193,7 @@ class MomentumObserver:
             )
             self._dt_s = dt_s
         if not self._seated or dt_s > self._max_gap_s or self._coefficients is None:
-            held = self._slots[1 - self._spare][0]
-            # Any non-finite number in the new rows must still be seen.
-            return held + 0.0 * self._rows[self._spare * ROWS + 1 : (self._spare + 1) * ROWS].sum(0)
+            return self.residual
         coefficients = self._coefficients[self._spare]
         if self._gain_of_all is not None:
             return coefficients.dot(self._rows)

@@ -42,13 +42,8 @@ class OffsetRemoval:
 
     @property
     def tared(self) -> bool:
-        """Whether `tare` has succeeded since the last `reset`."""
+        """Whether `tare` has succeeded since the last `reset` or `start_recording`."""
         return self._tared
-
-    @property
-    def model(self) -> Tare:
-        """The tare in force; the prior before the first one."""
-        return self._tare
 
     def follow(self, q: NDArray[np.float64], tau: NDArray[np.float64], dt_s: float) -> bool:
         """Follow position [rad], torque [Nm] and time [s] since the sample before.

@@ -76,11 +76,6 @@ class WrenchEstimator:
         self._weighted = weighting == "covariance"
         self._covariance = self._precision = np.eye(robot.nv)
 
-    @property
-    def mode(self) -> Mode:
-        """What is assumed of the contact."""
-        return self._mode
-
     def set_torque_covariance(self, covariance_Nm2: NDArray[np.float64]) -> None:
         """Tell how far the residual may be trusted: it sets weights and standard deviations.
 

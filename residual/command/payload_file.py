@@ -8,9 +8,6 @@ from residual.command.errors import CommandError
 from residual.command.toml_file import read_toml
 from urdf import NeedleTool, Payload
 
-WORDS = ("needle", "none")
-"""What may stand in place of a file: the paper's needle tool, or nothing."""
-
 _POINT_MASS = [[0.0] * 3] * 3
 
 
