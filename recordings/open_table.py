@@ -1,0 +1,151 @@
+"""A table that is written chunk by chunk."""
+
+import os
+import sys
+from collections.abc import Callable, Iterator, Mapping
+from contextlib import contextmanager
+from pathlib import Path
+from typing import BinaryIO, Protocol
+
+from numpy.typing import ArrayLike
+
+from recordings.checked_columns import Columns, checked_columns, require_same_columns
+from recordings.csv_writer import CsvGzipWriter, CsvWriter
+from recordings.errors import FileAccessError
+from recordings.npz_writer import NpzWriter
+
+STANDARD_STREAM = "-"
+"""Instead of a file: standard input or standard output."""
+
+
+class TableWriter(Protocol):
+    """Writes one format to a stream of bytes; gets the same columns in every `append`."""
+
+    def append(self, columns: Columns) -> None:
+        """Write rows, or keep them until `finish`."""
+        ...
+
+    def flush(self) -> None:
+        """Let readers of the file see what was written, if the format allows it."""
+        ...
+
+    def finish(self) -> None:
+        """Write what is still held back; the stream stays open."""
+        ...
+
+
+# A new format is a writer in a file of its own and a line here.
+WRITERS: Mapping[str, Callable[[BinaryIO], TableWriter]] = {
+    ".csv": CsvWriter,
+    ".csv.gz": CsvGzipWriter,
+    ".npz": NpzWriter,
+}
+
+_GROWS = (".csv", ".csv.gz")
+
+
+class OpenTable:
+    """A table under construction; made by `open_table`.
+
+    Args:
+        writer: of the format.
+        is_live: whether readers are to see every chunk at once.
+        name: of the file, for messages.
+    """
+
+    def __init__(self, writer: TableWriter, *, is_live: bool, name: str) -> None:
+        self._writer, self._is_live, self._name = writer, is_live, name
+        self._columns: Columns | None = None
+
+    def append(self, columns: Mapping[str, ArrayLike]) -> None:
+        """Write rows.
+
+        Args:
+            columns: see `write_table`; the same in every call.
+
+        Raises:
+            FileAccessError: the file cannot be written.
+            LogError: the columns are no table, or not those of the rows before.
+            BrokenPipeError: the reader of standard output has gone.
+        """
+        arrays = checked_columns(columns)
+        if self._columns is None:
+            self._columns = {name: values[:0] for name, values in arrays.items()}
+        require_same_columns(self._columns, arrays)
+        with _told(self._name):
+            self._writer.append(arrays)
+            if self._is_live:
+                self._writer.flush()
+
+    def finish(self) -> None:
+        """Write what is still held back.
+
+        Raises:
+            FileAccessError: the file cannot be written.
+            BrokenPipeError: the reader of standard output has gone.
+        """
+        with _told(self._name):
+            self._writer.finish()
+
+
+@contextmanager
+def open_table(path: str | Path, *, is_live: bool = False) -> Iterator[OpenTable]:
+    """Open a table for writing.
+
+    Args:
+        path: a file with a suffix of `WRITERS`, or `-` for CSV on standard output.
+        is_live: Write rows to the file itself as they come, and leave them there whatever
+            happens. Otherwise the file is replaced when all rows are written, or not at all. What
+            cannot grow (npz) is always written at the end.
+
+    Yields:
+        The table, to be given rows.
+
+    Raises:
+        FileAccessError: the file cannot be written, or its suffix is not known.
+        BrokenPipeError: the reader of standard output has gone.
+    """
+    if str(path) == STANDARD_STREAM:
+        table = OpenTable(CsvWriter(sys.stdout.buffer), is_live=True, name="standard output")
+        yield table
+        table.finish()
+        return
+    path = Path(path)
+    writer = find_writer(path)
+    grows = is_live and path.name.lower().endswith(_GROWS)
+    part = path if grows else path.with_name(f".{path.name}.{os.getpid()}.part")
+    try:
+        with _told(str(path)):
+            stream = part.open("wb")
+        with stream:
+            table = OpenTable(writer(stream), is_live=grows, name=str(path))
+            yield table
+            table.finish()
+        if not grows:
+            with _told(str(path)):
+                os.replace(part, path)
+    finally:
+        if not grows:
+            part.unlink(missing_ok=True)
+
+
+def find_writer(path: Path) -> Callable[[BinaryIO], TableWriter]:
+    """Return what writes a file of this name.
+
+    Raises:
+        FileAccessError: the suffix is not known.
+    """
+    for suffix, writer in WRITERS.items():
+        if path.name.lower().endswith(suffix):
+            return writer
+    raise FileAccessError(f"{path} has no known suffix; known are: {', '.join(WRITERS)}")
+
+
+@contextmanager
+def _told(name: str) -> Iterator[None]:
+    try:
+        yield
+    except BrokenPipeError:
+        raise
+    except OSError as error:
+        raise FileAccessError(f"cannot write {name}: {error.strerror or error}") from error
