@@ -10,7 +10,7 @@ from pathlib import Path
 import pytest
 
 ROOT = Path(__file__).resolve().parents[1]
-INSTALLED = ("groundtruth", "identification", "recordings", "residual", "urdf")
+INSTALLED = ("figures", "groundtruth", "identification", "recordings", "residual", "urdf")
 ROOMS = (*INSTALLED, "benchmarks")
 PROJECT = tomllib.loads((ROOT / "pyproject.toml").read_text(encoding="utf-8"))
 MOST_LINES = 300
