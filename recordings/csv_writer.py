@@ -5,10 +5,9 @@ import gzip
 import io
 from typing import BinaryIO
 
-import numpy as np
-
 from recordings.checked_columns import Columns
-from recordings.errors import LogError
+from recordings.flat_columns import flat_columns
+from recordings.labels import PLAIN, Labels
 
 
 class CsvWriter:
@@ -19,9 +18,10 @@ class CsvWriter:
 
     Args:
         stream: where the bytes go.
+        labels: not written; the format has no room for them.
     """
 
-    def __init__(self, stream: BinaryIO) -> None:
+    def __init__(self, stream: BinaryIO, labels: Labels = PLAIN) -> None:
         self._stream = stream
         self._has_header = False
 
@@ -57,9 +57,10 @@ class CsvGzipWriter(CsvWriter):
 
     Args:
         stream: where the bytes go.
+        labels: not written; the format has no room for them.
     """
 
-    def __init__(self, stream: BinaryIO) -> None:
+    def __init__(self, stream: BinaryIO, labels: Labels = PLAIN) -> None:
         # No name and no time in the archive: the same columns give the same bytes.
         self._packed = gzip.GzipFile(
             filename="", mode="wb", fileobj=stream, mtime=0, compresslevel=3
@@ -72,23 +73,12 @@ class CsvGzipWriter(CsvWriter):
 
 
 def _cells(columns: Columns) -> tuple[list[str], list[list[float | int]]]:
-    names: list[str] = []
-    cells: list[list[float | int]] = []
-    for name, given in columns.items():
-        values = given.astype(int) if given.dtype.kind == "b" else given
-        if values.ndim == 1:
-            names.append(name)
-            cells.append(values.tolist())
-        else:
-            names += [f"{name}_{i + 1}" for i in range(values.shape[1])]
-            cells += np.ascontiguousarray(values.T).tolist()
-    return names, cells
+    flat = flat_columns(columns)
+    cells = [v.astype(int).tolist() if v.dtype.kind == "b" else v.tolist() for v in flat.values()]
+    return list(flat), cells
 
 
 def _header(names: list[str]) -> bytes:
-    if len(set(names)) < len(names):
-        twice = next(name for name in names if names.count(name) > 1)
-        raise LogError(f"column name {twice!r} would stand twice in the header")
     header = io.StringIO()
     csv.writer(header, lineterminator="\n").writerow(names)
     return header.getvalue().encode()

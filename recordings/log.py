@@ -23,11 +23,13 @@ class Log:
         channels: name with SI unit (`q_rad`, `dq_rad_s`, `tau_Nm`, `tau_ext_Nm`, `depth_m`,
             `speed_m_s`, `force_N`) to values, shape (n,) or (n, joints), read-only.
         warnings: what is wrong with the recording, one sentence each.
+        start_ns: the instant of t_s = 0 on the clock that stamped the file, see `Table`.
     """
 
     t_s: FloatArray
     channels: Mapping[str, FloatArray]
     warnings: tuple[str, ...] = ()
+    start_ns: int = 0
 
     def __post_init__(self) -> None:
         """Copy, freeze and check the data; add what is wrong with them to `warnings`.

@@ -9,6 +9,7 @@ from typing import Any, BinaryIO
 import numpy as np
 
 from recordings.checked_columns import Columns
+from recordings.labels import PLAIN, Labels
 
 _BLOCK = 1 << 20  # bytes
 
@@ -21,9 +22,10 @@ class NpzWriter:
 
     Args:
         stream: where the archive goes; must be able to seek.
+        labels: not written; the format has no room for them.
     """
 
-    def __init__(self, stream: BinaryIO) -> None:
+    def __init__(self, stream: BinaryIO, labels: Labels = PLAIN) -> None:
         self._stream = stream
         self._waiting: dict[str, Any] = {}
         self._kinds: dict[str, tuple[np.dtype, tuple[int, ...]]] = {}

@@ -12,7 +12,9 @@ from numpy.typing import ArrayLike
 from recordings.checked_columns import Columns, checked_columns, require_same_columns
 from recordings.csv_writer import CsvGzipWriter, CsvWriter
 from recordings.errors import FileAccessError
+from recordings.labels import PLAIN, Labels
 from recordings.npz_writer import NpzWriter
+from recordings.parquet_writer import ParquetWriter
 
 STANDARD_STREAM = "-"
 """Instead of a file: standard input or standard output."""
@@ -35,10 +37,11 @@ class TableWriter(Protocol):
 
 
 # A new format is a writer in a file of its own and a line here.
-WRITERS: Mapping[str, Callable[[BinaryIO], TableWriter]] = {
+WRITERS: Mapping[str, Callable[[BinaryIO, Labels], TableWriter]] = {
     ".csv": CsvWriter,
     ".csv.gz": CsvGzipWriter,
     ".npz": NpzWriter,
+    ".parquet": ParquetWriter,
 }
 
 _GROWS = (".csv", ".csv.gz")
@@ -89,7 +92,9 @@ class OpenTable:
 
 
 @contextmanager
-def open_table(path: str | Path, *, is_live: bool = False) -> Iterator[OpenTable]:
+def open_table(
+    path: str | Path, *, is_live: bool = False, labels: Labels = PLAIN
+) -> Iterator[OpenTable]:
     """Open a table for writing.
 
     Args:
@@ -97,6 +102,7 @@ def open_table(path: str | Path, *, is_live: bool = False) -> Iterator[OpenTable
         is_live: Write rows to the file itself as they come, and leave them there whatever
             happens. Otherwise the file is replaced when all rows are written, or not at all. What
             cannot grow (npz) is always written at the end.
+        labels: what the formats that have room for it say beside the numbers.
 
     Yields:
         The table, to be given rows.
@@ -118,7 +124,7 @@ def open_table(path: str | Path, *, is_live: bool = False) -> Iterator[OpenTable
         with _told(str(path)):
             stream = part.open("wb")
         with stream:
-            table = OpenTable(writer(stream), is_live=grows, name=str(path))
+            table = OpenTable(writer(stream, labels), is_live=grows, name=str(path))
             yield table
             table.finish()
         if not grows:
@@ -129,7 +135,7 @@ def open_table(path: str | Path, *, is_live: bool = False) -> Iterator[OpenTable
             part.unlink(missing_ok=True)
 
 
-def find_writer(path: Path) -> Callable[[BinaryIO], TableWriter]:
+def find_writer(path: Path) -> Callable[[BinaryIO, Labels], TableWriter]:
     """Return what writes a file of this name.
 
     Raises:

@@ -8,6 +8,7 @@ from recordings.errors import FileAccessError
 from recordings.log import Log
 from recordings.mapping import ColumnMapping
 from recordings.npz_format import read_npz
+from recordings.parquet_format import read_parquet
 from recordings.select_channels import select_channels
 from recordings.table import Table
 
@@ -19,6 +20,7 @@ _READERS: Mapping[str, Callable[[Path], Table]] = {
     ".tsv.gz": read_csv,
     ".txt": read_csv,
     ".npz": read_npz,
+    ".parquet": read_parquet,
 }
 
 
@@ -26,7 +28,8 @@ def read_table(path: str | Path) -> Table:
     """Read a file's columns as they stand, without saying what they mean.
 
     Args:
-        path: a file ending in `.csv`, `.tsv` or `.txt` (the first two also with `.gz`), or `.npz`.
+        path: a file ending in `.csv`, `.tsv` or `.txt` (the first two also with `.gz`), `.npz` or
+            `.parquet`.
 
     Returns:
         The columns in the file's units.

@@ -93,6 +93,7 @@ def _assemble(
         t_s=time.values[keep],
         channels={key: found.values[keep] for key, found in selected.items()},
         warnings=(*warnings, *notes, *hints),
+        start_ns=table.start_ns,
     )
 
 

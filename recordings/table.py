@@ -22,11 +22,17 @@ class Table:
         columns: name to values, shape (n,) or (n, k); stored as read-only copies.
         constants: single numbers of the file, such as a sample rate.
         warnings: what the reader had to leave out or guess.
+        joint_names: for two-dimensional columns of a file that names joints, their names in the
+            order of the column.
+        start_ns: the instant of t = 0 on the clock that stamped the file, in ns; not zero only
+            where stamps are too large for seconds in float64 to tell nanoseconds apart.
     """
 
     columns: Mapping[str, FloatArray]
     constants: Mapping[str, float] = field(default_factory=dict)
     warnings: tuple[str, ...] = ()
+    joint_names: Mapping[str, tuple[str, ...]] = field(default_factory=dict)
+    start_ns: int = 0
 
     def __post_init__(self) -> None:
         """Copy and freeze the columns.
@@ -45,6 +51,7 @@ class Table:
                 )
         object.__setattr__(self, "columns", MappingProxyType(columns))
         object.__setattr__(self, "constants", MappingProxyType(dict(self.constants)))
+        object.__setattr__(self, "joint_names", MappingProxyType(dict(self.joint_names)))
 
     def describe(self, limit: int = 40) -> str:
         """Return the column names for a message, two-dimensional ones with their width."""

@@ -6,26 +6,30 @@ from pathlib import Path
 from numpy.typing import ArrayLike
 
 from recordings.errors import FileAccessError
+from recordings.labels import PLAIN, Labels
 from recordings.log import Log
 from recordings.open_table import STANDARD_STREAM, find_writer, open_table
 
 
-def write_table(path: str | Path, columns: Mapping[str, ArrayLike]) -> None:
+def write_table(
+    path: str | Path, columns: Mapping[str, ArrayLike], *, labels: Labels = PLAIN
+) -> None:
     """Write named columns; readers see the old file or the whole new one, never a part.
 
     Floats are written so that they read back bit for bit. In CSV, a two-dimensional column
     `q_rad` becomes `q_rad_1`, `q_rad_2`, ...; `read_log` joins them again.
 
     Args:
-        path: a file ending in `.csv`, `.csv.gz` or `.npz`; replaced if it exists.
+        path: a file ending in `.csv`, `.csv.gz`, `.npz` or `.parquet`; replaced if it exists.
         columns: name, with its unit, to numbers, shape (n,) or (n, k), all of the same n.
+        labels: what the formats that have room for it say beside the numbers.
 
     Raises:
         FileAccessError: the file cannot be written, or its suffix is not known.
         LogError: the columns are not numbers, differ in length, or a name is empty, starts with
             `#` or stands twice.
     """
-    with open_table(path) as table:
+    with open_table(path, labels=labels) as table:
         table.append(columns)
 
 
@@ -56,4 +60,5 @@ def write_log(path: str | Path, log: Log) -> None:
     Raises:
         FileAccessError: the file cannot be written, or its suffix is not known.
     """
-    write_table(path, {"t_s": log.t_s, **log.channels})
+    columns = {"t_s": log.t_s, **log.channels}
+    write_table(path, columns, labels=Labels(start_ns=log.start_ns))

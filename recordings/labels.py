@@ -1,0 +1,27 @@
+"""What numbers do not say, for formats that have room for it."""
+
+from dataclasses import dataclass
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Labels:
+    """Names that go with the columns of a table that is written.
+
+    Bags carry all of them, Parquet carries `start_ns`; CSV and npz carry none.
+
+    Attributes:
+        start_ns: the instant of t_s = 0 on the clock of the source, in ns; a log read from a bag
+            has it, and the bag written from it then has the source's stamps, to the nanosecond.
+        joint_names: in the order of the columns of `q_rad`, `dq_rad_s` and `tau_Nm`.
+        frame: the frame in which forces are given.
+        prefix: how the topics of a bag begin that hold estimates.
+    """
+
+    start_ns: int = 0
+    joint_names: tuple[str, ...] = ()
+    frame: str = ""
+    prefix: str = "/needleforce"
+
+
+PLAIN = Labels()
+"""No names, and a clock that starts at zero."""
