@@ -1,15 +1,17 @@
-"""Reading CSV files, plain or compressed with gzip."""
+"""Reading CSV text, plain or compressed with gzip, whole or as it comes."""
 
-from dataclasses import replace
+from collections.abc import Iterable, Iterator
 from pathlib import Path
 
-import numpy as np
-
-from recordings.csv_cells import read_cells
-from recordings.csv_header import CsvLayout, find_layout
-from recordings.csv_text import read_text
+from recordings.byte_source import Patience, byte_blocks
+from recordings.csv_columns import CsvColumns
+from recordings.csv_rows import CsvRows
 from recordings.errors import FormatError
 from recordings.table import FloatArray, Table
+from recordings.text_lines import TextLines
+
+HEAD_ROWS = 200
+"""So many rows decide which columns a stream has; they come in one table, however they arrive."""
 
 
 def read_csv(path: Path) -> Table:
@@ -28,34 +30,50 @@ def read_csv(path: Path) -> Table:
         FileAccessError: the file cannot be read.
         FormatError: it is empty, has no header or no rows, or holds no numbers.
     """
-    text, warnings = read_text(path)
+    blocks = byte_blocks(path, Patience())
+    table, *_, last = csv_tables(blocks, str(path), head_rows=None)
+    return Table(columns=table.columns, warnings=last.warnings)
+
+
+def csv_tables(
+    blocks: Iterable[bytes],
+    name: str,
+    *,
+    head_rows: int | None = HEAD_ROWS,
+    is_growing: bool = False,
+) -> Iterator[Table]:
+    """Read CSV text as it comes.
+
+    Args:
+        blocks: bytes as read.
+        name: of the source, for errors.
+        head_rows: least rows of the first table; None to read all into one.
+        is_growing: whether the source may end in the middle of a line that is being written.
+
+    Yields:
+        Tables of consecutive rows with equal columns; then one without rows, whose warnings tell
+        all that was wrong.
+
+    Raises:
+        FileAccessError: the source cannot be read.
+        FormatError: it is empty, has no header or no rows, or holds no numbers.
+    """
+    lines, rows, columns = TextLines(blocks), CsvRows(), CsvColumns()
+    read: dict[str, FloatArray] = {}
     try:
-        layout, lost = _without_cut_line(find_layout(text), ends_clean=text.endswith("\n"))
-        columns, notes = _read_columns(layout)
+        for batch in lines:
+            rows.add(batch)
+            if head_rows is not None and len(rows) >= (1 if read else head_rows):
+                read = columns.read(rows.take())
+                yield Table(columns=read)
+        rows.end(lines.tail, is_growing=is_growing)
+        if len(rows):
+            read = columns.read(rows.take())
+            yield Table(columns=read)
     except FormatError as error:
-        told = "".join(f" ({warning})" for warning in warnings)
-        raise FormatError(f"{path}: {error}{told}") from error
-    return Table(columns=columns, warnings=warnings + lost + notes)
-
-
-def _without_cut_line(layout: CsvLayout, ends_clean: bool) -> tuple[CsvLayout, tuple[str, ...]]:
-    """Leave out a last line that has too few cells because writing was interrupted."""
-    cells = layout.rows[-1].count(layout.delimiter) + 1
-    if ends_clean or len(layout.rows) == 1 or cells >= len(layout.names):
-        return layout, ()
-    note = (
-        f"line {layout.line_numbers[-1]}, the last, is cut short "
-        f"({cells} of {len(layout.names)} cells) and was left out"
+        told = "".join(f" ({warning})" for warning in lines.warnings)
+        raise FormatError(f"{name}: {error}{told}") from error
+    yield Table(
+        columns={name: values[:0] for name, values in read.items()},
+        warnings=(*lines.warnings, *rows.notes, *columns.notes()),
     )
-    whole = replace(layout, rows=layout.rows[:-1], line_numbers=layout.line_numbers[:-1])
-    return whole, (note,)
-
-
-def _read_columns(layout: CsvLayout) -> tuple[dict[str, FloatArray], tuple[str, ...]]:
-    try:
-        values = np.loadtxt(layout.rows, delimiter=layout.delimiter, comments=None, ndmin=2)
-    except ValueError:
-        return read_cells(layout)
-    if values.shape[1] != len(layout.names):
-        return read_cells(layout)
-    return dict(zip(layout.names, values.T, strict=True)), ()

@@ -9,9 +9,10 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from recordings import FileAccessError, FormatError, read_table
-from recordings.csv_cells import read_cells
-from recordings.csv_format import _read_columns
-from recordings.csv_header import find_layout
+from recordings.csv_cells import CellReader
+from recordings.csv_columns import read_fast
+from recordings.csv_format import csv_tables
+from recordings.csv_rows import CsvRows
 
 
 @pytest.fixture
@@ -203,22 +204,22 @@ cells = st.floats() | st.integers(-(10**6), 10**6)
 @given(st.lists(st.lists(cells, min_size=3, max_size=3), min_size=1, max_size=20))
 def test_the_fast_and_the_slow_reader_agree(rows):
     text = "a,b,c\n" + "".join(",".join(map(repr, row)) + "\n" for row in rows)
-    layout = find_layout(text)
-    fast, _ = _read_columns(layout)
-    slow, warnings = read_cells(layout)
-    assert warnings == ()
-    for name in "abc":
-        np.testing.assert_array_equal(fast[name], slow[name])
-        np.testing.assert_array_equal(fast[name], [row["abc".index(name)] for row in rows])
+    found = CsvRows()
+    found.add(text.split("\n"))
+    layout, reader = found.take(), CellReader()
+    fast, slow = read_fast(layout), reader.read(layout)
+    assert reader == CellReader(has_number={0, 1, 2})
+    np.testing.assert_array_equal(fast, slow)
+    np.testing.assert_array_equal(fast, rows)
 
 
 @given(st.text(alphabet='t,f;\t\n#"0123.e-x ', max_size=60))
 def test_any_text_is_read_or_refused_with_our_own_error(text):
     try:
-        columns, _ = _read_columns(find_layout(text))
+        *_, table = csv_tables([text.encode()], "text")
     except FormatError:
         return
-    assert columns
+    assert table.columns
 
 
 def test_a_stray_quote_costs_no_more_than_its_line(read):

@@ -1,0 +1,86 @@
+"""The bytes of a file, of a pipe, or of a file that still grows, as they come."""
+
+import os
+import select
+import stat
+import sys
+import time
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass
+from pathlib import Path
+
+from recordings.errors import FileAccessError
+
+BLOCK = 1 << 18
+"""The most bytes that are read at a time."""
+
+_POLL_S = 0.05
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Patience:
+    """How long more is waited for.
+
+    Attributes:
+        follow: whether a file is read on when its end is reached, because it grows.
+        idle_s: stop when nothing came for this long; None to wait for ever.
+        should_stop: asked while nothing comes; True to stop.
+    """
+
+    follow: bool = False
+    idle_s: float | None = None
+    should_stop: Callable[[], bool] = lambda: False
+
+
+def byte_blocks(path: Path | None, patience: Patience) -> Iterator[bytes]:
+    """Read a file or standard input; whoever waits for more sees at once what there is.
+
+    Args:
+        path: the file, or None for standard input.
+        patience: how long more is waited for.
+
+    Yields:
+        Blocks of at least one byte.
+
+    Raises:
+        FileAccessError: the file cannot be read, or has become shorter while it was followed.
+    """
+    name = "standard input" if path is None else str(path)
+    try:
+        handle = _standard_input() if path is None else os.open(path, os.O_RDONLY)
+        try:
+            yield from _blocks(handle, patience, name)
+        finally:
+            if path is not None:
+                os.close(handle)
+    except FileAccessError:
+        raise
+    except OSError as error:
+        raise FileAccessError(f"cannot read {name}: {error.strerror or error}") from error
+
+
+def _standard_input() -> int:
+    if sys.stdin is None:
+        raise FileAccessError("cannot read standard input: it is closed")
+    return sys.stdin.fileno()
+
+
+def _blocks(handle: int, patience: Patience, name: str) -> Iterator[bytes]:
+    is_file = stat.S_ISREG(os.fstat(handle).st_mode)
+    done, last_s = 0, time.monotonic()
+    while not patience.should_stop():
+        if is_file or select.select([handle], [], [], _POLL_S)[0]:
+            block = os.read(handle, BLOCK)
+            if block:
+                done += len(block)
+                yield block
+                last_s = time.monotonic()
+                continue
+            # The writer of a pipe that has closed it will not come back.
+            if not (is_file and patience.follow):
+                return
+            if os.fstat(handle).st_size < done:
+                raise FileAccessError(f"{name} has become shorter while it was followed")
+            time.sleep(_POLL_S)
+        if patience.idle_s is not None and time.monotonic() - last_s >= patience.idle_s:
+            return
