@@ -7,6 +7,7 @@ from types import MappingProxyType
 import numpy as np
 
 from recordings.errors import ColumnError, LogError
+from recordings.finite_watch import FiniteWatch
 from recordings.table import FloatArray, read_only
 from recordings.time_stamps import check_time_stamps
 
@@ -46,7 +47,9 @@ class Log:
         warnings = [*self.warnings, *check_time_stamps(t_s)]
         for name, values in channels.items():
             _check_shape(name, values, t_s.size)
-            warnings += _gaps(name, values)
+            watch = FiniteWatch(name)
+            watch.update(values)
+            warnings += watch.warnings()
         object.__setattr__(self, "t_s", t_s)
         object.__setattr__(self, "channels", MappingProxyType(channels))
         object.__setattr__(self, "warnings", tuple(dict.fromkeys(warnings)))
@@ -86,13 +89,3 @@ def _check_shape(name: str, values: FloatArray, rows: int) -> None:
             f"{name} has shape {values.shape}; expected ({rows},) or ({rows}, k), as t_s has "
             f"{rows} stamps"
         )
-
-
-def _gaps(name: str, values: FloatArray) -> list[str]:
-    finite = np.isfinite(values)
-    rows = np.flatnonzero(~finite if values.ndim == 1 else ~finite.all(axis=1))
-    if not rows.size:
-        return []
-    if not finite.any():
-        raise LogError(f"{name} has no finite value in {len(values)} rows")
-    return [f"{name}: rows with NaN or infinity: {rows.size} (first: row {rows[0] + 1})"]

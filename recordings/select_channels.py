@@ -37,11 +37,48 @@ def select_channels(
         MappingError: a channel name is unknown, or a scale does not fit its columns.
         LogError: the channels do not form a log.
     """
+    selected, notes = find_channels(table, mapping, required, optional)
+    rows = len(next(iter(selected.values())).values)
+    time, told = find_time(table, mapping, rows)
+    everything = {"t_s": time, **selected}
+    check_sizes(everything)
+    hints = unit_hints({k: f.values for k, f in everything.items() if not f.is_unit_stated})
+    keep = np.isfinite(time.values)
+    if not keep.all():
+        told += (without_stamp(np.flatnonzero(~keep).size, int(np.argmin(keep))),)
+    return Log(
+        t_s=time.values[keep],
+        channels={key: found.values[keep] for key, found in selected.items()},
+        warnings=(*table.warnings, *notes, *told, *hints),
+        start_ns=table.start_ns,
+    )
+
+
+def find_channels(
+    table: Table,
+    mapping: ColumnMapping,
+    required: Iterable[str] = (),
+    optional: Iterable[str] = (),
+) -> tuple[dict[str, SiChannel], tuple[str, ...]]:
+    """Return the channels that a table has, by their key in a `Log`, and what was left out.
+
+    Args:
+        table: the file's columns.
+        mapping: see `select_channels`.
+        required: see `select_channels`.
+        optional: see `select_channels`.
+
+    Raises:
+        ColumnError: a required or a mapped channel was not found, or is ambiguous.
+        MappingError: a channel name is unknown, or a scale does not fit its columns.
+        LogError: the columns of a channel differ in length.
+    """
     required, optional = tuple(required), tuple(optional)
     _check_names((*required, *optional))
     if not (required or optional):
         optional = _names()
-    selected, warnings = {}, table.warnings
+    selected: dict[str, SiChannel] = {}
+    notes: tuple[str, ...] = ()
     for name in (*required, *optional):
         found = find_si_channel(table, CHANNELS[name], mapping.channels.get(name))
         if found is None:
@@ -50,10 +87,10 @@ def select_channels(
         elif name in required or name in mapping.channels or np.isfinite(found.values).any():
             selected[CHANNELS[name].key] = found
         else:
-            warnings += (f"{name}: its columns hold no finite value and were left out",)
+            notes += (f"{name}: its columns hold no finite value and were left out",)
     if not selected:
         raise ColumnError(f"no channel was recognised. Columns are: {table.describe()}")
-    return _assemble(table, mapping, selected, warnings)
+    return selected, notes
 
 
 def _names() -> tuple[str, ...]:
@@ -74,30 +111,22 @@ def _missing(table: Table, channel: Channel) -> ColumnError:
     )
 
 
-def _assemble(
-    table: Table,
-    mapping: ColumnMapping,
-    selected: Mapping[str, SiChannel],
-    warnings: tuple[str, ...],
-) -> Log:
-    rows = len(next(iter(selected.values())).values)
-    time, notes = find_time(table, mapping, rows)
-    everything = {"t_s": time, **selected}
-    _check_sizes(everything)
-    hints = unit_hints({k: f.values for k, f in everything.items() if not f.is_unit_stated})
-    keep = np.isfinite(time.values)
-    if not keep.all():
-        lost = np.flatnonzero(~keep)
-        notes += (f"time: rows without a stamp, left out: {lost.size} (first: row {lost[0] + 1})",)
-    return Log(
-        t_s=time.values[keep],
-        channels={key: found.values[keep] for key, found in selected.items()},
-        warnings=(*warnings, *notes, *hints),
-        start_ns=table.start_ns,
-    )
+def without_stamp(rows: int, first: int) -> str:
+    """Say how many rows have no time stamp.
+
+    Args:
+        rows: how many.
+        first: the first of them, counted from 0.
+    """
+    return f"time: rows without a stamp, left out: {rows} (first: row {first + 1})"
 
 
-def _check_sizes(channels: Mapping[str, SiChannel]) -> None:
+def check_sizes(channels: Mapping[str, SiChannel]) -> None:
+    """Check that channels belong together.
+
+    Raises:
+        LogError: they differ in length or in the number of joints.
+    """
     shapes = {key: found.values.shape for key, found in channels.items()}
     if len({shape[0] for shape in shapes.values()}) > 1:
         lengths = ", ".join(f"{key} {shape[0]}" for key, shape in shapes.items())

@@ -20,10 +20,12 @@ class SiChannel:
     Attributes:
         values: SI, shape (n,), or (n, joints) for a channel of joints.
         is_unit_stated: whether mapping or column names say the unit, rather than SI assumed.
+        columns: the names of its columns; none for a time that was made from a rate.
     """
 
     values: FloatArray
     is_unit_stated: bool
+    columns: tuple[str, ...] = ()
 
 
 def find_si_channel(table: Table, channel: Channel, spec: ColumnSpec | None) -> SiChannel | None:
@@ -60,7 +62,9 @@ def find_si_channel(table: Table, channel: Channel, spec: ColumnSpec | None) -> 
     factors = np.array([channel.units[unit or channel.si_unit] for unit in units])
     values = values * (factors * _scales(spec, len(units), channel))
     return SiChannel(
-        values=values if channel.per_joint else values[:, 0], is_unit_stated=all(units)
+        values=values if channel.per_joint else values[:, 0],
+        is_unit_stated=all(units),
+        columns=tuple(column.name for column in columns),
     )
 
 

@@ -6,40 +6,80 @@ from recordings.errors import LogError
 from recordings.table import FloatArray
 
 
-def check_time_stamps(t_s: FloatArray) -> tuple[str, ...]:
-    """Report stamps that do not advance; refuse a log in which none does.
+class TimeStampWatch:
+    """Counts stamps that do not advance, however many come at a time.
 
     A stamp advances if it is later than every stamp before it. The others stay in the log: an
     online step skips them.
+    """
+
+    def __init__(self) -> None:
+        self._rows = self._advanced = 0
+        self._latest_s = -np.inf
+        self._faults = {"running backward": _Fault(), "repeated": _Fault()}
+
+    def update(self, t_s: FloatArray) -> None:
+        """Take finite time stamps in s, shape (n,)."""
+        if not t_s.size:
+            return
+        latest_s = np.maximum.accumulate(np.concatenate(([self._latest_s], t_s)))
+        before_s = latest_s[:-1]
+        self._advanced += int(np.count_nonzero(t_s > before_s))
+        for fault, rows in zip(
+            self._faults.values(), (t_s < before_s, t_s == before_s), strict=True
+        ):
+            fault.add(np.flatnonzero(rows), self._rows, t_s, before_s)
+        self._rows += t_s.size
+        self._latest_s = float(latest_s[-1])
+
+    def warnings(self) -> tuple[str, ...]:
+        """Report stamps that do not advance; refuse a log in which none does.
+
+        Returns:
+            One warning for backward stamps and one for repeated ones, each with how many and
+            where the first stands (rows count from 1).
+
+        Raises:
+            LogError: fewer than two stamps advance, so that no time step can be formed.
+        """
+        # The first of all counts as one that advances.
+        if self._advanced < 2:
+            raise LogError(
+                f"no usable time: of {self._rows} samples none is later than the first; "
+                "at least two time stamps must advance"
+            )
+        return tuple(
+            f"time: stamps {what}: {fault.count} (first: {fault.first})"
+            for what, fault in self._faults.items()
+            if fault.count
+        )
+
+
+class _Fault:
+    """How many rows have a fault, and the first of them."""
+
+    def __init__(self) -> None:
+        self.count, self.first = 0, ""
+
+    def add(self, rows: np.ndarray, offset: int, t_s: FloatArray, before_s: FloatArray) -> None:
+        if rows.size and not self.count:
+            row = int(rows[0])
+            self.first = f"row {offset + row + 1}, {t_s[row]:.9g} s after {before_s[row]:.9g} s"
+        self.count += rows.size
+
+
+def check_time_stamps(t_s: FloatArray) -> tuple[str, ...]:
+    """Report stamps of a whole log that do not advance, see `TimeStampWatch`.
 
     Args:
         t_s: finite time stamps in s, shape (n,).
 
     Returns:
-        One warning for backward stamps and one for repeated ones, each with how many and where
-        the first stands (rows count from 1).
+        The warnings.
 
     Raises:
         LogError: fewer than two stamps advance, so that no time step can be formed.
     """
-    latest_before_s = np.maximum.accumulate(t_s)[:-1]
-    late = t_s[1:]
-    if not np.any(late > latest_before_s):
-        raise LogError(
-            f"no usable time: of {t_s.size} samples none is later than the first; "
-            "at least two time stamps must advance"
-        )
-    backward = np.flatnonzero(late < latest_before_s)
-    repeated = np.flatnonzero(late == latest_before_s)
-    warnings = []
-    if backward.size:
-        warnings.append(f"time: stamps running backward: {_where(t_s, backward)}")
-    if repeated.size:
-        warnings.append(f"time: stamps repeated: {_where(t_s, repeated)}")
-    return tuple(warnings)
-
-
-def _where(t_s: FloatArray, rows: np.ndarray) -> str:
-    row = int(rows[0]) + 1
-    latest_s = t_s[:row].max()
-    return f"{rows.size} (first: row {row + 1}, {t_s[row]:.9g} s after {latest_s:.9g} s)"
+    watch = TimeStampWatch()
+    watch.update(t_s)
+    return watch.warnings()

@@ -16,8 +16,43 @@ _LIMITS = {
 }
 
 
+class UnitWatch:
+    """Looks at channels whose unit was assumed, however many rows come at a time."""
+
+    def __init__(self) -> None:
+        self._sizes: dict[str, float] = {}
+        self._told: set[str] = set()
+
+    def update(self, channels: Mapping[str, FloatArray]) -> None:
+        """Take rows; the step of time is that of the first ones.
+
+        Args:
+            channels: by their key in a `Log`, converted as assumed.
+        """
+        for key, values in channels.items():
+            if key == "t_s":
+                self._sizes.setdefault(key, _median_step(values))
+            elif key in _LIMITS:
+                largest = float(np.max(np.abs(values[np.isfinite(values)]), initial=0.0))
+                self._sizes[key] = max(largest, self._sizes.get(key, 0.0))
+
+    def news(self) -> tuple[str, ...]:
+        """Return a warning for each channel that looks as if it were not in SI units; each once."""
+        warnings = []
+        for key, size in self._sizes.items():
+            name, limit, unit = _LIMITS[key]
+            if size > limit and key not in self._told:
+                self._told.add(key)
+                what = "its median step" if key == "t_s" else "it"
+                warnings.append(
+                    f"{name}: {what} reaches {size:.4g} in SI; if the file is in {unit}, "
+                    f"say unit = {unit!r}"
+                )
+        return tuple(warnings)
+
+
 def unit_hints(channels: Mapping[str, FloatArray]) -> tuple[str, ...]:
-    """Return a warning for each channel that looks as if it were not in SI units.
+    """Return a warning for each channel of a whole log that hardly is in SI units.
 
     Args:
         channels: channels whose unit was assumed, by their key in a `Log`, converted as assumed.
@@ -25,24 +60,11 @@ def unit_hints(channels: Mapping[str, FloatArray]) -> tuple[str, ...]:
     Returns:
         The warnings; empty if all is plausible.
     """
-    warnings = []
-    for key, values in channels.items():
-        if key not in _LIMITS:
-            continue
-        name, limit, unit = _LIMITS[key]
-        size = _size(key, values)
-        if size > limit:
-            what = "its median step" if key == "t_s" else "it"
-            warnings.append(
-                f"{name}: {what} reaches {size:.4g} in SI; if the file is in {unit}, "
-                f"say unit = {unit!r}"
-            )
-    return tuple(warnings)
+    watch = UnitWatch()
+    watch.update(channels)
+    return watch.news()
 
 
-def _size(key: str, values: FloatArray) -> float:
-    finite = values[np.isfinite(values)]
-    if key == "t_s":
-        finite = np.diff(finite)
-        return float(np.median(np.abs(finite))) if finite.size else 0.0
-    return float(np.max(np.abs(finite), initial=0.0))
+def _median_step(t_s: FloatArray) -> float:
+    steps = np.diff(t_s[np.isfinite(t_s)])
+    return float(np.median(np.abs(steps))) if steps.size else 0.0
