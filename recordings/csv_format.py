@@ -10,6 +10,8 @@ from recordings.errors import FormatError
 from recordings.table import FloatArray, Table
 from recordings.text_lines import TextLines
 
+CSV_SUFFIXES = (".csv", ".csv.gz", ".tsv", ".tsv.gz", ".txt")
+
 HEAD_ROWS = 200
 """So many rows decide which columns a stream has; they come in one table, however they arrive."""
 

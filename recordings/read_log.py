@@ -3,7 +3,7 @@
 from collections.abc import Callable, Iterable, Mapping
 from pathlib import Path
 
-from recordings.csv_format import read_csv
+from recordings.csv_format import CSV_SUFFIXES, read_csv
 from recordings.errors import FileAccessError
 from recordings.log import Log
 from recordings.mapping import ColumnMapping
@@ -14,11 +14,7 @@ from recordings.table import Table
 
 # A new format is a reader in a file of its own and a line here.
 _READERS: Mapping[str, Callable[[Path], Table]] = {
-    ".csv": read_csv,
-    ".csv.gz": read_csv,
-    ".tsv": read_csv,
-    ".tsv.gz": read_csv,
-    ".txt": read_csv,
+    **dict.fromkeys(CSV_SUFFIXES, read_csv),
     ".npz": read_npz,
     ".parquet": read_parquet,
 }

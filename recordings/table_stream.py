@@ -1,0 +1,58 @@
+"""A recording as tables of consecutive rows, whatever its format, so that memory stays bounded."""
+
+from collections.abc import Callable, Iterator, Mapping
+from pathlib import Path
+
+from recordings.byte_source import Patience, byte_blocks
+from recordings.csv_format import CSV_SUFFIXES, csv_tables
+from recordings.errors import FileAccessError
+from recordings.npz_format import npz_chunks
+from recordings.open_table import STANDARD_STREAM
+from recordings.parquet_format import parquet_chunks
+from recordings.read_log import read_table
+from recordings.table import Table
+
+CHUNK_ROWS = 2048
+"""The most rows of a table of a binary format."""
+
+# A format that can be read in part has a line here; of any other the whole file is read.
+_CHUNKED: Mapping[str, Callable[[Path, int], Iterator[Table]]] = {
+    ".npz": npz_chunks,
+    ".parquet": parquet_chunks,
+}
+
+
+def stream_tables(source: str | Path, patience: Patience) -> Iterator[Table]:
+    """Read a recording as it comes.
+
+    Args:
+        source: a file, see `read_table`, or `-` for CSV on standard input, plain or compressed.
+        patience: how long more is waited for where the source is text.
+
+    Yields:
+        Tables of consecutive rows with equal columns, the first with `HEAD_ROWS` rows at least,
+        if there are so many; the last may have none, but warnings.
+
+    Raises:
+        FileAccessError: the source cannot be read, is not text but to be followed, or its suffix
+            is not known.
+        FormatError: nothing usable is in it.
+    """
+    path = None if str(source) == STANDARD_STREAM else Path(source)
+    name = "standard input" if path is None else str(path)
+    if path is None or _is_csv(path):
+        blocks = byte_blocks(path, patience)
+        yield from csv_tables(blocks, name, is_growing=patience.follow)
+        return
+    if patience.follow:
+        raise FileAccessError(f"{name} cannot be followed while it grows; only text can")
+    for suffix, reader in _CHUNKED.items():
+        if path.name.lower().endswith(suffix):
+            yield from reader(path, CHUNK_ROWS)
+            return
+    yield read_table(path)
+
+
+def _is_csv(path: Path) -> bool:
+    """Return whether a path is text by its suffix, or a pipe of any name."""
+    return path.name.lower().endswith(CSV_SUFFIXES) or path.is_fifo()

@@ -1,0 +1,241 @@
+"""A recording read as it comes is the recording read whole: rows, numbers and warnings."""
+
+import gzip
+import os
+import threading
+import time
+from itertools import pairwise
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from recordings import (
+    ColumnError,
+    ColumnMapping,
+    ColumnSpec,
+    FileAccessError,
+    FormatError,
+    LogError,
+    read_log,
+    write_table,
+)
+from recordings.byte_source import Patience, byte_blocks
+from recordings.csv_format import HEAD_ROWS, csv_tables
+from recordings.log_stream import LogStream
+from recordings.table_stream import CHUNK_ROWS, stream_tables
+
+ASKED = {"required": ("q", "tau"), "optional": ("dq",)}
+
+
+def text_of(rows, broken=True):
+    """A CSV text of two joints with the faults that recordings have."""
+    rng = np.random.default_rng(rows)
+    t_s = 0.001 * np.arange(rows)
+    values = rng.normal(size=(rows, 6))
+    lines = ["t,q1,q2,dq1,dq2,tau1,tau2,phase"]
+    lines += [
+        f"{t!r},{','.join(map(repr, row))},rest"
+        for t, row in zip(t_s.tolist(), values.tolist(), strict=True)
+    ]
+    if broken:
+        lines[5] = lines[5].replace(",rest", "")
+        lines[rows // 2] = "# a comment half way"
+        lines[rows // 2 + 1] = lines[rows // 2 - 1]
+        lines[rows // 2 + 3] = ",".join([*lines[rows // 2 + 3].split(",")[:-2], "oops,rest"])
+        lines[rows // 2 + 5] = ",1,2,3,4,5,6,rest"
+        lines[rows // 2 + 7] += ",more"
+    return "\n".join(lines) + "\n"
+
+
+def streamed(tables, mapping=None, **asked):
+    """Time, channels and warnings of a stream, joined."""
+    stream = LogStream(tables, mapping, **(asked or ASKED))
+    chunks = list(stream)
+    t_s = np.concatenate([chunk.t_s for chunk in chunks])
+    channels = {
+        key: np.concatenate([chunk.channels[key] for chunk in chunks]) for key in chunks[0].channels
+    }
+    return t_s, channels, stream.take_warnings()
+
+
+def assert_same(found, log):
+    t_s, channels, warnings = found
+    np.testing.assert_array_equal(t_s, log.t_s)
+    assert list(channels) == list(log.channels)
+    for key, values in channels.items():
+        np.testing.assert_array_equal(values, log[key])
+    assert set(warnings) == set(log.warnings)
+
+
+@given(st.integers(1, 3000), st.sampled_from([20, HEAD_ROWS, HEAD_ROWS + 7, 1000]), st.booleans())
+def test_text_in_pieces_of_any_size_is_the_whole_text(tmp_path_factory, size, rows, packed):
+    text = text_of(rows).encode()
+    path = tmp_path_factory.mktemp("log") / "log.csv"
+    path.write_bytes(text)
+    data = gzip.compress(text, mtime=0) if packed else text
+    pieces = [data[start : start + size] for start in range(0, len(data), size)]
+    assert_same(streamed(csv_tables(pieces, "log")), read_log(path, **ASKED))
+
+
+@pytest.mark.parametrize("suffix", ["csv", "csv.gz", "npz", "parquet"])
+def test_every_format_streams_what_it_reads(tmp_path, suffix):
+    if suffix == "parquet":
+        pytest.importorskip("pyarrow")
+    rng, rows = np.random.default_rng(3), 2 * CHUNK_ROWS + 100
+    columns = {
+        "t_s": np.arange(rows) / 1000,
+        "q_rad": rng.normal(size=(rows, 7)),
+        "tau_Nm": np.asfortranarray(rng.normal(size=(rows, 7))),
+    }
+    columns["tau_Nm"][CHUNK_ROWS + 5, 2] = np.nan
+    path = tmp_path / f"log.{suffix}"
+    write_table(path, columns)
+    tables = list(stream_tables(path, Patience()))
+    assert len(tables) >= 3
+    assert_same(streamed(tables), read_log(path, **ASKED))
+
+
+def test_arrays_that_lie_column_by_column_and_numbers_of_the_file_stream_too(tmp_path):
+    rows = CHUNK_ROWS + 11
+    q, tau = np.random.default_rng(1).normal(size=(2, rows, 7))
+    path = tmp_path / "log.npz"
+    np.savez_compressed(path, q=np.asfortranarray(q), tau=tau.astype(">f4"), sample_rate_Hz=500.0)
+    t_s, channels, warnings = streamed(stream_tables(path, Patience()))
+    assert_same((t_s, channels, warnings), read_log(path, **ASKED))
+    np.testing.assert_array_equal(t_s, np.arange(rows) / 500.0)
+    assert warnings == ("no time column: time from sample_rate_Hz = 500",)
+
+
+def test_an_array_damaged_further_back_is_told_when_it_is_met(tmp_path):
+    path = tmp_path / "log.npz"
+    rows = 4 * CHUNK_ROWS
+    np.savez(path, t=np.arange(rows) / 1000, f=np.ones(rows))
+    data = bytearray(path.read_bytes())
+    data[len(data) // 3] ^= 0xFF
+    path.write_bytes(data)
+    with pytest.raises(ColumnError, match=r"no column 't' .column 't' cannot be read .Bad CRC"):
+        streamed(stream_tables(path, Patience()), required=("force",))
+
+
+def test_a_mapping_is_applied_to_every_chunk():
+    mapping = ColumnMapping(
+        channels={"q": ColumnSpec(columns="q{1..2}", unit="deg", scale=(1.0, -1.0))}, rate_hz=100.0
+    )
+    text = text_of(1000, broken=False).encode()
+    t_s, channels, _ = streamed(csv_tables([text[:40_000], text[40_000:]], "log"), mapping)
+    np.testing.assert_array_equal(t_s, np.arange(1000) / 100.0)
+    plain = streamed(csv_tables([text], "log"))[1]
+    np.testing.assert_allclose(channels["q_rad"], plain["q_rad"] * [1, -1] * np.pi / 180)
+
+
+def test_a_unit_is_doubted_at_once_or_when_the_values_show_it():
+    rows = 3 * HEAD_ROWS
+    depth = np.where(np.arange(rows) < 2 * HEAD_ROWS, 0.0, 85.0)
+    lines = [f"{k / 1000},{z},0.1\n" for k, z in enumerate(depth)]
+    tables = csv_tables([b"t,depth,f\n", *(line.encode() for line in lines)], "log")
+    stream = LogStream(tables, required=("depth", "force"))
+    seen = [warning for _ in stream for warning in stream.take_warnings()]
+    assert seen == []
+    assert stream.take_warnings() == (
+        "depth: it reaches 85 in SI; if the file is in mm, say unit = 'mm'",
+    )
+    assert stream.take_warnings() == ()
+
+
+@pytest.mark.parametrize(
+    ("text", "error", "message"),
+    [
+        ("", FormatError, "log: it is empty"),
+        ("t,q1,tau1\n", FormatError, "a header but no rows"),
+        ("\x00\x01\x02", FormatError, "not text"),
+        ("t,q1,tau1\n1,2,3\n1,2,3\n", LogError, "no usable time"),
+        ("t,q1,tau1\n,2,3\n,2,3\nnan,1,1\n", LogError, "t"),
+        ("t,q1,tau1\n0,nan,3\n1,nan,3\n", LogError, "q_rad has no finite value in 2 rows"),
+        ("t,q1\n0,1\n1,2\n", ColumnError, "no column found for tau"),
+    ],
+)
+def test_what_is_no_log_is_refused(text, error, message):
+    with pytest.raises(error, match=message):
+        streamed(csv_tables([text.encode()], "log"))
+
+
+def test_a_line_that_never_ends_is_refused():
+    with pytest.raises(FormatError, match="line 1 does not end"):
+        list(csv_tables([b"x" * (1 << 20)] * 20, "log"))
+
+
+def grow(path, pieces, pause_s=0.02):
+    """Append to a file from another thread."""
+
+    def write():
+        for piece in pieces:
+            time.sleep(pause_s)
+            with path.open("ab") as stream:
+                stream.write(piece)
+
+    writer = threading.Thread(target=write)
+    writer.start()
+    return writer
+
+
+def test_a_growing_file_is_followed_and_half_lines_wait_for_their_rest(tmp_path):
+    text = text_of(600).encode()
+    path, whole = tmp_path / "log.csv", tmp_path / "whole.csv"
+    whole.write_bytes(text)
+    path.write_bytes(text[:10])
+    cuts = [10, 5000, 17_777, 33_333, len(text)]
+    writer = grow(path, [text[a:b] for a, b in pairwise(cuts)])
+    found = streamed(stream_tables(path, Patience(follow=True, idle_s=0.6)))
+    writer.join()
+    assert_same(found, read_log(whole, **ASKED))
+
+
+def test_following_ends_when_asked_and_leaves_out_the_line_being_written(tmp_path):
+    path = tmp_path / "log.csv"
+    path.write_text("t,q1,tau1\n0,1,2\n1,1,2\n2,1,2.3")
+    asked = []
+
+    def should_stop():
+        asked.append(1)
+        return len(asked) > 3
+
+    patience = Patience(follow=True, should_stop=should_stop)
+    t_s, _, warnings = streamed(stream_tables(path, patience))
+    assert t_s.tolist() == [0.0, 1.0]
+    assert warnings[0] == "line 4, the last, is cut short (3 of 3 cells) and was left out"
+
+
+def test_a_pipe_is_read_as_it_comes_and_ends_when_it_is_closed(tmp_path):
+    path = tmp_path / "pipe"
+    os.mkfifo(path)
+    text = text_of(400).encode()
+    writer = threading.Thread(target=lambda: path.write_bytes(text))
+    writer.start()
+    found = streamed(stream_tables(path, Patience()))
+    writer.join()
+    (tmp_path / "log.csv").write_bytes(text)
+    assert_same(found, read_log(tmp_path / "log.csv", **ASKED))
+
+
+def test_what_cannot_be_followed_or_read_is_told(tmp_path):
+    with pytest.raises(FileAccessError, match="cannot be followed"):
+        list(stream_tables(tmp_path / "log.npz", Patience(follow=True)))
+    with pytest.raises(FileAccessError, match=r"cannot read .*No such file"):
+        list(stream_tables(tmp_path / "log.csv", Patience()))
+    with pytest.raises(FileAccessError, match="no known suffix"):
+        list(stream_tables(tmp_path / "log.xlsx", Patience()))
+    path = tmp_path / "log.csv"
+    path.write_bytes(b"t,f\n0,1\n1,2\n")
+    blocks = byte_blocks(path, Patience(follow=True))
+    assert next(blocks) == b"t,f\n0,1\n1,2\n"
+    path.write_bytes(b"t,f\n")
+    with pytest.raises(FileAccessError, match="has become shorter"):
+        next(blocks)
+
+
+def test_standard_input_that_is_closed_is_told(monkeypatch):
+    monkeypatch.setattr("sys.stdin", None)
+    with pytest.raises(FileAccessError, match="standard input: it is closed"):
+        list(stream_tables("-", Patience()))
