@@ -24,12 +24,14 @@ class Patience:
     Attributes:
         follow: whether a file is read on when its end is reached, because it grows.
         idle_s: stop when nothing came for this long; None to wait for ever.
-        should_stop: asked while nothing comes; True to stop.
+        should_stop: asked before more is read; True to stop.
+        advance: told how many more bytes were read.
     """
 
     follow: bool = False
     idle_s: float | None = None
     should_stop: Callable[[], bool] = lambda: False
+    advance: Callable[[float], None] = lambda more: None
 
 
 def byte_blocks(path: Path | None, patience: Patience) -> Iterator[bytes]:
@@ -73,6 +75,7 @@ def _blocks(handle: int, patience: Patience, name: str) -> Iterator[bytes]:
             block = os.read(handle, BLOCK)
             if block:
                 done += len(block)
+                patience.advance(len(block))
                 yield block
                 last_s = time.monotonic()
                 continue

@@ -3,7 +3,7 @@
 import os
 import sys
 from collections.abc import Callable, Iterator, Mapping
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from pathlib import Path
 from typing import BinaryIO, Protocol
 
@@ -51,14 +51,15 @@ class OpenTable:
     """A table under construction; made by `open_table`.
 
     Args:
-        writer: of the format.
+        begin: opens the file and returns what writes its format; called with the first rows.
         is_live: whether readers are to see every chunk at once.
         name: of the file, for messages.
     """
 
-    def __init__(self, writer: TableWriter, *, is_live: bool, name: str) -> None:
-        self._writer, self._is_live, self._name = writer, is_live, name
-        self._columns: Columns | None = None
+    def __init__(self, begin: Callable[[], TableWriter], *, is_live: bool, name: str) -> None:
+        self._begin, self._is_live, self._name = begin, is_live, name
+        self._writer: TableWriter | None = None
+        self._columns: Columns = {}
 
     def append(self, columns: Mapping[str, ArrayLike]) -> None:
         """Write rows.
@@ -72,30 +73,37 @@ class OpenTable:
             BrokenPipeError: the reader of standard output has gone.
         """
         arrays = checked_columns(columns)
-        if self._columns is None:
-            self._columns = {name: values[:0] for name, values in arrays.items()}
-        require_same_columns(self._columns, arrays)
         with _told(self._name):
+            if self._writer is None:
+                self._columns = {name: values[:0] for name, values in arrays.items()}
+                self._writer = self._begin()
+            require_same_columns(self._columns, arrays)
             self._writer.append(arrays)
             if self._is_live:
                 self._writer.flush()
 
-    def finish(self) -> None:
+    def finish(self) -> bool:
         """Write what is still held back.
+
+        Returns:
+            Whether there was anything to write.
 
         Raises:
             FileAccessError: the file cannot be written.
             BrokenPipeError: the reader of standard output has gone.
         """
+        if self._writer is None:
+            return False
         with _told(self._name):
             self._writer.finish()
+        return True
 
 
 @contextmanager
 def open_table(
     path: str | Path, *, is_live: bool = False, labels: Labels = PLAIN
 ) -> Iterator[OpenTable]:
-    """Open a table for writing.
+    """Open a table for writing; the file is not touched before there are rows.
 
     Args:
         path: a file with a suffix of `WRITERS`, or `-` for CSV on standard output.
@@ -112,25 +120,35 @@ def open_table(
         BrokenPipeError: the reader of standard output has gone.
     """
     if str(path) == STANDARD_STREAM:
-        table = OpenTable(CsvWriter(sys.stdout.buffer), is_live=True, name="standard output")
-        yield table
-        table.finish()
+        output = OpenTable(
+            lambda: CsvWriter(sys.stdout.buffer), is_live=True, name="standard output"
+        )
+        yield output
+        output.finish()
         return
     path = Path(path)
     writer = find_writer(path)
     grows = is_live and path.name.lower().endswith(_GROWS)
     part = path if grows else path.with_name(f".{path.name}.{os.getpid()}.part")
+    streams: list[BinaryIO] = []
+
+    def begin() -> TableWriter:
+        streams.append(part.open("wb"))
+        return writer(streams[0], labels)
+
     try:
-        with _told(str(path)):
-            stream = part.open("wb")
-        with stream:
-            table = OpenTable(writer(stream, labels), is_live=grows, name=str(path))
-            yield table
-            table.finish()
-        if not grows:
+        table = OpenTable(begin, is_live=grows, name=str(path))
+        yield table
+        if table.finish():
             with _told(str(path)):
-                os.replace(part, path)
+                streams[0].close()
+                if not grows:
+                    os.replace(part, path)
     finally:
+        for stream in streams:
+            # On a full disk closing fails too, but that has been told.
+            with suppress(OSError):
+                stream.close()
         if not grows:
             part.unlink(missing_ok=True)
 

@@ -27,7 +27,8 @@ def stream_tables(source: str | Path, patience: Patience) -> Iterator[Table]:
 
     Args:
         source: a file, see `read_table`, or `-` for CSV on standard input, plain or compressed.
-        patience: how long more is waited for where the source is text.
+        patience: how long more is waited for where the source is text; any source is left when
+            it says to stop.
 
     Yields:
         Tables of consecutive rows with equal columns, the first with `HEAD_ROWS` rows at least,
@@ -48,7 +49,10 @@ def stream_tables(source: str | Path, patience: Patience) -> Iterator[Table]:
         raise FileAccessError(f"{name} cannot be followed while it grows; only text can")
     for suffix, reader in _CHUNKED.items():
         if path.name.lower().endswith(suffix):
-            yield from reader(path, CHUNK_ROWS)
+            for table in reader(path, CHUNK_ROWS):
+                yield table
+                if patience.should_stop():
+                    return
             return
     yield read_table(path)
 

@@ -33,14 +33,15 @@ def write_table(
         table.append(columns)
 
 
-def check_writable(path: str | Path) -> None:
+def check_writable(path: str | Path, *, source: str | Path | None = None) -> None:
     """Find out before the work what `write_table` would refuse after it.
 
     Args:
         path: see `write_table`; or `-` for standard output.
+        source: a file that is being read and must not be replaced.
 
     Raises:
-        FileAccessError: the suffix is not known, or there is no such folder.
+        FileAccessError: the suffix is not known, there is no such folder, or it is the source.
     """
     if str(path) == STANDARD_STREAM:
         return
@@ -48,6 +49,8 @@ def check_writable(path: str | Path) -> None:
     find_writer(path)
     if not path.parent.is_dir():
         raise FileAccessError(f"cannot write {path}: there is no folder {path.parent}")
+    if source is not None and path.exists() and Path(source).exists() and path.samefile(source):
+        raise FileAccessError(f"cannot write {path}: it is the log itself; give another name")
 
 
 def write_log(path: str | Path, log: Log) -> None:

@@ -1,0 +1,80 @@
+"""What every command does with errors, with Ctrl-C, and when nobody reads what it prints."""
+
+import os
+import sys
+from collections.abc import Callable
+
+from recordings.errors import FileAccessError
+
+FAILED = 2
+"""Exit code after one line that says what is wrong with options or files."""
+
+INTERRUPTED = 130
+"""Exit code after Ctrl-C, as shells have it."""
+
+READER_GONE = 141
+"""Exit code when the reader of standard output has gone, as in `| head`; as shells have it."""
+
+
+def run_command(work: Callable[[], int], errors: tuple[type[Exception], ...]) -> int:
+    """Do a command's work; put every foreseen failure into one line on stderr.
+
+    Args:
+        work: returns the exit code when all went well.
+        errors: what it may raise; the message is meant for the user.
+
+    Returns:
+        The exit code of the work, or one of those above.
+    """
+    try:
+        code = work()
+        write_out("")
+    except BrokenPipeError:
+        _close_output()
+        return READER_GONE
+    except errors as error:
+        say(f"error: {error}")
+        return FAILED
+    except KeyboardInterrupt:
+        say("interrupted")
+        return INTERRUPTED
+    return code
+
+
+def say(text: str) -> None:
+    """Write one line to stderr, whatever line ends a message has."""
+    sys.stderr.write(f"{' '.join(text.split())}\n")
+
+
+def write_out(text: str, *, to_stderr: bool = False) -> None:
+    """Write a result to standard output, now.
+
+    Args:
+        text: whole lines.
+        to_stderr: write to stderr, because a table goes to standard output.
+
+    Raises:
+        FileAccessError: it cannot be written.
+        BrokenPipeError: the reader has gone.
+    """
+    stream = sys.stderr if to_stderr else sys.stdout
+    try:
+        stream.write(text)
+        stream.flush()
+    except BrokenPipeError:
+        raise
+    except OSError as error:
+        _close_output()
+        reason = error.strerror or error
+        raise FileAccessError(f"cannot write standard output: {reason}") from error
+
+
+def _close_output() -> None:
+    """Let what is still buffered go nowhere, or Python would complain at its end."""
+    try:
+        handle = sys.stdout.fileno()
+    except (OSError, ValueError):
+        return
+    nowhere = os.open(os.devnull, os.O_WRONLY)
+    os.dup2(nowhere, handle)
+    os.close(nowhere)

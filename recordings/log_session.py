@@ -1,0 +1,108 @@
+"""A command reads its log: mapping, Ctrl-C, warnings and progress bar in one place."""
+
+from argparse import Namespace
+from collections.abc import Iterable, Iterator
+from contextlib import ExitStack
+from pathlib import Path
+
+from recordings.byte_source import Patience
+from recordings.command_line import INTERRUPTED, say
+from recordings.errors import RecordingError
+from recordings.log_stream import LogChunk, LogStream
+from recordings.mapping_arguments import mapping_from_arguments
+from recordings.open_table import STANDARD_STREAM
+from recordings.progress import progress
+from recordings.stop_request import StopRequest
+from recordings.table_stream import stream_tables
+
+
+class LogSession:
+    """Iterates over the log that the command line names; says on stderr what is wrong with it.
+
+    Ctrl-C ends the log: the rows read so far are all there are. A second one interrupts.
+
+    Args:
+        arguments: of a parser with `source_arguments` and `mapping_arguments`.
+        required: see `read_log`.
+        optional: see `read_log`.
+
+    Raises:
+        RecordingError: the mapping is not valid.
+    """
+
+    def __init__(
+        self, arguments: Namespace, *, required: Iterable[str], optional: Iterable[str]
+    ) -> None:
+        self._source = arguments.log
+        self._follow, self._idle_s = arguments.follow, arguments.idle
+        self._channels = {"required": tuple(required), "optional": tuple(optional)}
+        self._mapping = mapping_from_arguments(arguments)
+        self._stop, self._stack = StopRequest(), ExitStack()
+
+    @property
+    def name(self) -> str:
+        """What to call the log."""
+        return "standard input" if self._source == STANDARD_STREAM else Path(self._source).name
+
+    @property
+    def is_live(self) -> bool:
+        """Whether rows come as they are recorded, so that results must not wait for the end."""
+        return self._follow or self._source == STANDARD_STREAM or Path(self._source).is_fifo()
+
+    @property
+    def is_interrupted(self) -> bool:
+        """Whether Ctrl-C has ended the log."""
+        return self._stop.is_set
+
+    @property
+    def exit_code(self) -> int:
+        """Exit code of a command that has done its work: Ctrl-C is how following ends."""
+        return INTERRUPTED if self._stop.is_set and not self._follow else 0
+
+    def __enter__(self) -> "LogSession":
+        """Listen to Ctrl-C."""
+        self._stack.enter_context(self._stop)
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        """Leave Ctrl-C as it was."""
+        self._stack.close()
+
+    def __iter__(self) -> Iterator[LogChunk]:
+        """Yield the rows.
+
+        Raises:
+            RecordingError: see `LogStream`.
+            KeyboardInterrupt: Ctrl-C came before there was a log.
+        """
+        with progress(self._size(), self.name) as advance:
+            patience = Patience(
+                follow=self._follow,
+                idle_s=self._idle_s,
+                should_stop=self._stop,
+                advance=advance,
+            )
+            tables = stream_tables(self._source, patience)
+            stream = LogStream(tables, self._mapping, **self._channels)
+            try:
+                for chunk in stream:
+                    _warn(stream)
+                    yield chunk
+            except RecordingError:
+                _warn(stream)
+                if self._stop.is_set:
+                    raise KeyboardInterrupt from None
+                raise
+            _warn(stream)
+        if self.exit_code:
+            say("interrupted: the results are those of the rows read so far")
+
+    def _size(self) -> float | None:
+        """Bytes in all, if they are known."""
+        path = Path(self._source)
+        return float(path.stat().st_size) if path.is_file() and not self._follow else None
+
+
+def _warn(stream: LogStream) -> None:
+    for warning in stream.take_warnings():
+        say(f"warning: {warning}")
