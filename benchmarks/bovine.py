@@ -23,7 +23,8 @@ CONTACT_m = 8e-3
 PEN_UP_m = 1e-3
 """Where the depth of one point is so much less than that of the one before, a new stroke begins."""
 NOISE_N = 0.01
-"""White noise put on it: a drawn line shows none, and every sensor has some (here sigma_0)."""
+"""White noise put on it: a drawn line shows none, and every sensor has some. This is sigma_0, and
+what the points of the later strokes scatter by in free air, between two dips there."""
 RUPTURES_mm = (19.2, 29.9, 32.7, 36.7)
 """The capsule as annotated by the authors; the others read off the curve."""
 
@@ -42,7 +43,7 @@ class BovineInsertion(NamedTuple):
     force_N: Array
 
 
-def read_bovine(data: Path, rng: np.random.Generator) -> BovineInsertion:
+def read_bovine(data: Path, rng: np.random.Generator | None) -> BovineInsertion:
     """Turn the points of the figure into a signal.
 
     The curve was traced in one stroke of 232 points; those that follow it in the file go over parts
@@ -51,7 +52,7 @@ def read_bovine(data: Path, rng: np.random.Generator) -> BovineInsertion:
 
     Args:
         data: Folder of recordings.
-        rng: Source of the noise.
+        rng: Source of the noise; None for the line as it was drawn.
 
     Raises:
         DataError: The file is missing or broken.
@@ -68,9 +69,7 @@ def read_bovine(data: Path, rng: np.random.Generator) -> BovineInsertion:
     stroke = table[: lifts[0] + 1] if len(lifts) else table
     depth, force = np.maximum.accumulate(stroke[:, 0]), stroke[:, 1]
     depth_m = np.arange(int(depth[-1] / SPEED_m_s * RATE_hz)) / RATE_hz * SPEED_m_s
-    clean = np.interp(depth_m, depth, force)
-    return BovineInsertion(
-        t_s=np.arange(len(depth_m)) / RATE_hz,
-        depth_m=depth_m,
-        force_N=clean + NOISE_N * rng.standard_normal(len(depth_m)),
-    )
+    force_N = np.interp(depth_m, depth, force)
+    if rng is not None:
+        force_N += NOISE_N * rng.standard_normal(len(depth_m))
+    return BovineInsertion(t_s=np.arange(len(depth_m)) / RATE_hz, depth_m=depth_m, force_N=force_N)

@@ -1,4 +1,9 @@
-"""``bovine-real``: the four ruptures of an insertion into bovine liver."""
+"""``bovine-real``: the four ruptures of an insertion into bovine liver.
+
+The curve falls in more places than the annotated ones (docs/limits.md). An alarm that belongs to
+none of the four counts as false, whatever the force does there; whether it falls there by more than
+five times the noise, as a true rupture of a simulated tissue must, is told beside it.
+"""
 
 from collections.abc import Sequence
 from dataclasses import replace
@@ -6,11 +11,13 @@ from dataclasses import replace
 import numpy as np
 
 from benchmarks.benchmark import Findings
-from benchmarks.bovine import CONTACT_m, RUPTURES_mm, read_bovine
+from benchmarks.bovine import NOISE_N, CONTACT_m, RUPTURES_mm, read_bovine
+from benchmarks.force_falls import alarms_at_falls, force_falls
 from benchmarks.identified import IDENTIFIERS
 from benchmarks.job import Job, Progress
 from benchmarks.measurement import Measurement
 from benchmarks.recordings_folder import recordings_folder
+from benchmarks.transition import VISIBLE_SIGMAS
 from identification import PaperConfig, Replay, replay
 
 NEAR_mm = 1.5
@@ -23,14 +30,20 @@ def run_bovine_real(job: Job, progress: Progress) -> Findings:
     Raises:
         DataError: The recording is missing or broken.
     """
-    signal = read_bovine(recordings_folder(job), np.random.default_rng(job.seed))
+    data = recordings_folder(job)
+    signal = read_bovine(data, np.random.default_rng(job.seed))
+    drawn = read_bovine(data, None)
+    falls = force_falls(drawn.depth_m, drawn.force_N, VISIBLE_SIGMAS * NOISE_N)
     found: list[Measurement] = []
     for k, (method, config) in enumerate(IDENTIFIERS.items()):
         progress(k / len(IDENTIFIERS))
         if isinstance(config, PaperConfig):
             config = replace(config, contact_depth_m=CONTACT_m)
         result = replay(signal.t_s, signal.depth_m, signal.force_N, config=config)
-        values = depth_metrics(*_depths_mm(result), RUPTURES_mm)
+        alarms_mm, dated_mm = _depths_mm(result)
+        values = depth_metrics(alarms_mm, dated_mm, RUPTURES_mm)
+        with_fall = alarms_at_falls([1e-3 * alarm for alarm in alarms_mm], falls)
+        values["ruptures_without_fall"] = float(len(alarms_mm) - with_fall)
         found += [Measurement("ft", method, name, value) for name, value in values.items()]
     return Findings(found)
 

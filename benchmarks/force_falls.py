@@ -35,14 +35,15 @@ NEAR_m = 0.5e-3
 """An alarm belongs to a fall when it lies between its top and its foot, or so close to either."""
 
 
-def force_falls(depth_m: Array, force_N: Array) -> list[Fall]:
-    """Every fall by at least `LEAST_N` within `LONGEST_m` of travel.
+def force_falls(depth_m: Array, force_N: Array, least_N: float = LEAST_N) -> list[Fall]:
+    """Every fall by at least `least_N` within `LONGEST_m` of travel.
 
     Overlapping falls are one. The last `LONGEST_m` do not count: there the needle slows down.
 
     Args:
         depth_m: Depth of the advancing needle, shape (n,), not decreasing but for noise.
         force_N: Axial force, shape (n,).
+        least_N: The smallest fall that counts.
     """
     depth = np.maximum.accumulate(depth_m)
     force = uniform_filter1d(force_N, SMOOTHING, mode="nearest")
@@ -52,7 +53,7 @@ def force_falls(depth_m: Array, force_N: Array) -> list[Fall]:
     for k in inside.tolist():
         top = int(begin[k]) + int(np.argmax(force[begin[k] : k + 1]))
         drop = float(force[top] - force[k])
-        if drop < LEAST_N:
+        if drop < least_N:
             continue
         fall = Fall(float(depth[top]), float(depth[k]), drop)
         if not found or fall.from_m > found[-1].to_m:
@@ -69,7 +70,18 @@ def falls_found(falls: Sequence[Fall], alarms_m: Sequence[float]) -> int:
         falls: Found offline.
         alarms_m: Depths of the alarms.
     """
-    return sum(
-        any(fall.from_m - NEAR_m <= alarm <= fall.to_m + NEAR_m for alarm in alarms_m)
-        for fall in falls
-    )
+    return sum(any(_is_at(alarm, fall) for alarm in alarms_m) for fall in falls)
+
+
+def alarms_at_falls(alarms_m: Sequence[float], falls: Sequence[Fall]) -> int:
+    """How many alarms have a fall; several may share one.
+
+    Args:
+        alarms_m: Depths of the alarms.
+        falls: Found offline.
+    """
+    return sum(any(_is_at(alarm, fall) for fall in falls) for alarm in alarms_m)
+
+
+def _is_at(alarm_m: float, fall: Fall) -> bool:
+    return fall.from_m - NEAR_m <= alarm_m <= fall.to_m + NEAR_m

@@ -151,8 +151,26 @@ REAL_TISSUE = (
         best=1.0,
         tolerance=0.02,
     ),
+    Metric(
+        name="ruptures_at_falls",
+        unit="1",
+        meaning="share of alarms where the force falls by five times its noise",
+        best=1.0,
+        tolerance=0.02,
+    ),
+    Metric(
+        name="enhanced_against_ft_rmse_N",
+        unit="N",
+        meaning="rms difference of the enhanced force from that told by the same method on F/T",
+        tolerance=0.02,
+    ),
     Metric(name="ruptures_missed", unit="1", meaning="annotated ruptures without an alarm"),
     Metric(name="ruptures_false", unit="1", meaning="alarms without an annotated rupture"),
+    Metric(
+        name="ruptures_without_fall",
+        unit="1",
+        meaning="alarms where the force does not fall by five times its noise",
+    ),
     Metric(
         name="rupture_depth_error_mm",
         unit="mm",

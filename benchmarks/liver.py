@@ -18,6 +18,8 @@ Array = NDArray[np.float64]
 FOLDER = "liver_dejong2017"
 NUMBERS = (0, 2, 4, 6, 8, 10, 12, 16, 18, 20, 22, 24, 26, 28, 30, 32, 34, 36, 38)
 """Of the insertions, as in the file."""
+NOISE_N = 7e-3
+"""Of the recorded force, above 20 Hz, as the recordings' description says."""
 REST_s = 0.9
 """The needle rests at least this long at the start of each recording."""
 

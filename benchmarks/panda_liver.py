@@ -4,6 +4,9 @@ The recorded Panda has touched nothing, the recorded needle had no robot. Both a
 force F on the flange makes the joints feel ``J' F``, and what they measure less than they would
 without it is just that, ``tau = tau_free - J' F``. Tissue that resists with f pushes along minus
 the flange's z axis, so ``tau = tau_free + f J_z'``.
+
+The whole chain runs on it: joint signals in, enhanced force out, beside the same force as an F/T
+sensor would have read it. Only the depth is the recorded needle's: the Panda moves otherwise.
 """
 
 from dataclasses import replace
@@ -15,10 +18,11 @@ from numpy.typing import NDArray
 from benchmarks.benchmark import Findings
 from benchmarks.force_truth import ForceTruth
 from benchmarks.job import Job, Progress
-from benchmarks.liver import LiverInsertion, read_liver
+from benchmarks.liver import LiverInsertion, REST_s, read_liver
 from benchmarks.measurement import Measurement
 from benchmarks.methods import METHODS
 from benchmarks.panda import Panda, read_panda
+from benchmarks.panda_liver_told import told_values
 from benchmarks.progress_part import progress_part
 from benchmarks.recordings_folder import recordings_folder
 from benchmarks.virtual_force import virtual_force
@@ -27,19 +31,22 @@ from benchmarks.wrench_metrics import wrench_metrics
 Array = NDArray[np.float64]
 
 TARE_s = 4.0
-"""Free motion before the insertion begins; 17 s are left, 80 mm at 5 mm/s."""
+"""Free motion before the tare."""
+FREE_s = 1.0
+"""Free motion between tare and insertion: about the rest at the start of every liver recording,
+from which the identifiers learn the noise of the force. 16 s are left, 80 mm at 5 mm/s."""
 NOT_TOLD = "wrench_lag_ms"
 """The force changes less than this arm's noise: its lag would be a guess."""
 
 
 def run_panda_liver(job: Job, progress: Progress) -> Findings:
-    """Recover the axial force of one liver insertion by both methods.
+    """Recover axial force, ruptures and friction of one liver insertion by both methods.
 
     Raises:
         DataError: A recording is missing or broken.
     """
     data = recordings_folder(job)
-    panda, insertion = read_panda(data), read_liver(data, job.seed)
+    panda, insertion = read_panda(data), read_liver(data, job.seed, as_recorded=True)
     truth = _truth(panda, insertion)
     loaded = panda.signals.tau_Nm + truth.axial_N[:, None] * _axial_jacobian(panda)
     signals = replace(panda.signals, tau_Nm=loaded)
@@ -58,19 +65,21 @@ def run_panda_liver(job: Job, progress: Progress) -> Findings:
     found: list[Measurement] = []
     for reading in readings:
         found += [item for item in wrench_metrics(reading, truth) if item.metric != NOT_TOLD]
+    found += told_values(insertion, truth, readings)
     return Findings(found, () if picture is None else (picture,))
 
 
 def _truth(panda: Panda, insertion: LiverInsertion) -> ForceTruth:
-    """The liver's force at the Panda's time stamps: none before the tare."""
+    """The liver's force at the Panda's time stamps: none before the insertion."""
     t_s = panda.signals.t_s
     since = t_s - TARE_s
+    force_N = insertion.force_N - np.mean(insertion.force_N[insertion.t_s < REST_s])
     return ForceTruth(
         t_s=t_s,
         depth_m=np.interp(since, insertion.t_s, insertion.depth_m, left=0.0),
-        axial_N=np.interp(since, insertion.t_s, insertion.force_N, left=0.0),
+        axial_N=np.interp(since, insertion.t_s, force_N, left=0.0),
         zeroed_s=TARE_s,
-        start_s=TARE_s,
+        start_s=TARE_s + FREE_s,
         end_s=float(t_s[-1]),
     )
 

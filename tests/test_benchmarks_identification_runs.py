@@ -5,10 +5,10 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from benchmarks.bovine import FILE, FOLDER, read_bovine
+from benchmarks.bovine import FILE, FOLDER, NOISE_N, read_bovine
 from benchmarks.bovine_real import depth_metrics, run_bovine_real
 from benchmarks.errors import DataError
-from benchmarks.force_falls import falls_found, force_falls
+from benchmarks.force_falls import alarms_at_falls, falls_found, force_falls
 from benchmarks.identification_table import friction_table, rupture_table, table_one_table
 from benchmarks.job import Job
 from benchmarks.joint_signals import JointSignals
@@ -16,6 +16,7 @@ from benchmarks.liver_real import run_liver_real
 from benchmarks.needle_benchmark import drawn_noise, run_needle
 from benchmarks.pullout import in_and_out, mean_at_depth
 from benchmarks.tip_travel import TipTravel, smoothed, tip_travel
+from benchmarks.transition import VISIBLE_SIGMAS
 from groundtruth import SCENARIOS, Scenario, simulate
 from groundtruth.motion import constant_motion
 
@@ -154,6 +155,9 @@ def test_sudden_falls_are_found_and_slow_ones_and_the_end_are_not():
     assert fall.to_m == pytest.approx(0.021, abs=2e-4)
     assert falls_found([fall], [0.0205]) == falls_found([fall], [0.0213]) == 1
     assert falls_found([fall], [0.019, 0.03]) == 0
+    assert alarms_at_falls([0.019, 0.0201, 0.0205, 0.03], [fall]) == 2
+    assert alarms_at_falls([0.0205], []) == 0
+    assert [len(force_falls(depth, force, least)) for least in (0.3, 0.5)] == [1, 0]
 
 
 def test_real_liver_has_a_row_for_every_method(recordings_dir):
@@ -176,3 +180,16 @@ def test_bovine_liver_has_its_four_ruptures(recordings_dir):
     }
     assert by_key["default", "ruptures_missed"] == 0.0
     assert by_key["default", "rupture_depth_error_mm"] < 1.0
+    # Whatever else it reports is a fall of the curve, too.
+    assert by_key["default", "ruptures_without_fall"] == 0.0
+
+
+def test_the_bovine_curve_falls_in_two_more_places(recordings_dir):
+    """As docs/limits.md says: a dip that fills again, and the last fall before the plateau."""
+    drawn = read_bovine(recordings_dir, None)
+    falls = force_falls(drawn.depth_m, drawn.force_N, VISIBLE_SIGMAS * NOISE_N)
+    # The first lies in free air: it is as high as the dip at 15.7 mm.
+    depths = [1e3 * fall.from_m for fall in falls]
+    assert depths == pytest.approx([0.1, 15.7, 19.1, 30.0, 32.7, 36.6, 38.6], abs=0.06)
+    drops = [fall.drop_N for fall in falls]
+    assert drops == pytest.approx([0.09, 0.09, 1.20, 0.83, 0.93, 0.74, 0.16], abs=0.01)

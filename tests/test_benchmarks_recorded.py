@@ -44,6 +44,25 @@ def test_a_liver_force_is_found_again_in_the_pandas_torques(recordings_dir, tmp_
     assert (tmp_path / "panda-liver-recording-0.png").exists()
 
 
+def test_the_whole_chain_runs_on_real_torques_with_real_tissue(recordings_dir):
+    job = Job(benchmark="panda-liver", plant="recording", data=recordings_dir, seed=1)
+    found = {
+        (item.source, item.method, item.metric): item.value
+        for item in run_panda_liver(job, lambda share: None).measurements
+    }
+    names = {name for source, _, name in found if source == "ft"}
+    assert {"pullout_error_42mm_median_pct", "pullout_error_78mm_median_pct"} < names
+    assert {"fall_recall", "ruptures_at_falls", "ruptures_per_insertion"} < names
+    # The force itself at the arm's uneven clock: as in liver-real.
+    assert found["ft", "default", "fall_recall"] == 1.0
+    assert found["ft", "default", "ruptures_at_falls"] > 0.8
+    # Its falls are smaller than this arm's noise: what matters is that noise raises few alarms.
+    assert found["virtual", "default", "ruptures_per_insertion"] <= 3.0
+    off = "enhanced_against_ft_rmse_N"
+    assert found["virtual", "default", off] < 0.3 * found["virtual", "paper", off]
+    assert np.isfinite(list(found.values())).all()
+
+
 def test_the_weight_on_the_ur10e_is_found(recordings_dir):
     found = values(run_ur10e_payload, "ur10e-payload", recordings_dir)
     assert found["default", "force_up_unloaded_N"] == pytest.approx(-1.7, abs=1.0)
