@@ -2,6 +2,7 @@
 
 from argparse import ArgumentParser, Namespace
 from collections.abc import Iterable
+from dataclasses import replace
 
 from recordings.channel import CHANNELS
 from recordings.column_spec import parse_column_spec
@@ -64,4 +65,4 @@ def mapping_from_arguments(arguments: Namespace) -> ColumnMapping:
         channels.pop("time", None)
     if rate_hz is None and "time" not in given:
         rate_hz = base.rate_hz
-    return ColumnMapping(channels=channels, rate_hz=rate_hz)
+    return replace(base, channels=channels, rate_hz=rate_hz)

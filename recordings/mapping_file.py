@@ -16,7 +16,8 @@ def load_mapping(path: str | Path) -> ColumnMapping:
     """Read a column mapping from a TOML file.
 
     Each channel is a table with `columns` and, if needed, `unit` and `scale`, or just the columns
-    (`depth = "z"`). `rate_hz` at the top gives the sample rate of a file without time stamps.
+    (`depth = "z"`). At the top may stand `rate_hz`, `joints`, `clock` and `payload`, see
+    `ColumnMapping`.
 
     Args:
         path: the TOML file.
@@ -48,8 +49,19 @@ def _mapping(content: Mapping[str, Any]) -> ColumnMapping:
     rate_hz = entries.pop("rate_hz", None)
     if rate_hz is not None and not _is_number(rate_hz):
         raise MappingError(f"rate_hz = {rate_hz!r} must be a number")
-    channels = {name: _spec(name, entry) for name, entry in entries.items()}
-    return ColumnMapping(channels=channels, rate_hz=rate_hz)
+    joints, clock = entries.pop("joints", []), entries.pop("clock", None)
+    if not (isinstance(joints, list) and all(isinstance(name, str) for name in joints)):
+        raise MappingError(f"joints = {joints!r} must be a list of names")
+    if not (clock is None or isinstance(clock, str)):
+        raise MappingError(f"clock = {clock!r} must be the name of a topic")
+    payload = entries.pop("payload", None)
+    return ColumnMapping(
+        channels={name: _spec(name, entry) for name, entry in entries.items()},
+        rate_hz=rate_hz,
+        joints=tuple(joints),
+        clock=clock,
+        payload=payload,
+    )
 
 
 def _spec(name: str, entry: Any) -> ColumnSpec:

@@ -3,6 +3,8 @@
 from collections.abc import Callable, Iterable, Mapping
 from pathlib import Path
 
+from recordings.bag_files import BAG_SUFFIXES, is_bag
+from recordings.bag_format import read_bag
 from recordings.csv_format import CSV_SUFFIXES, read_csv
 from recordings.errors import FileAccessError
 from recordings.log import Log
@@ -11,6 +13,7 @@ from recordings.npz_format import read_npz
 from recordings.parquet_format import read_parquet
 from recordings.select_channels import select_channels
 from recordings.table import Table
+from recordings.wanted import Wanted
 
 # A new format is a reader in a file of its own and a line here.
 _READERS: Mapping[str, Callable[[Path], Table]] = {
@@ -20,12 +23,13 @@ _READERS: Mapping[str, Callable[[Path], Table]] = {
 }
 
 
-def read_table(path: str | Path) -> Table:
+def read_table(path: str | Path, wanted: Wanted | None = None) -> Table:
     """Read a file's columns as they stand, without saying what they mean.
 
     Args:
         path: a file ending in `.csv`, `.tsv` or `.txt` (the first two also with `.gz`), `.npz` or
-            `.parquet`.
+            `.parquet`; or a ROS 2 bag: a file ending in `.mcap` or `.db3`, or a folder of them.
+        wanted: what is read of a bag; of other files everything is.
 
     Returns:
         The columns in the file's units.
@@ -33,12 +37,16 @@ def read_table(path: str | Path) -> Table:
     Raises:
         FileAccessError: the file cannot be read, or its suffix is not known.
         FormatError: nothing usable is in it.
+        ColumnError: a bag has not what is wanted.
     """
     path = Path(path)
+    if is_bag(path):
+        return read_bag(path, wanted)
     for suffix, reader in _READERS.items():
         if path.name.lower().endswith(suffix):
             return reader(path)
-    raise FileAccessError(f"{path} has no known suffix; known are: {', '.join(_READERS)}")
+    known = (*_READERS, *BAG_SUFFIXES)
+    raise FileAccessError(f"{path} has no known suffix; known are: {', '.join(known)}")
 
 
 def read_log(
@@ -47,6 +55,7 @@ def read_log(
     *,
     required: Iterable[str] = (),
     optional: Iterable[str] = (),
+    joints: Iterable[str] = (),
 ) -> Log:
     """Read a recording into SI units.
 
@@ -57,6 +66,7 @@ def read_log(
         required: channels that must be there: `q`, `dq`, `tau`, `tau_ext`, `depth`, `speed`,
             `force`.
         optional: channels taken if they are there. With neither given, all are optional.
+        joints: names of the robot's joints; a recording that names joints is put into this order.
 
     Returns:
         The log. Its `warnings` tell what is wrong with the recording.
@@ -68,4 +78,6 @@ def read_log(
         MappingError: a channel name is unknown, or a scale does not fit its columns.
         LogError: the channels do not form a log.
     """
-    return select_channels(read_table(path), mapping or ColumnMapping(), required, optional)
+    mapping, required, optional = mapping or ColumnMapping(), tuple(required), tuple(optional)
+    wanted = Wanted(mapping=mapping, required=required, optional=optional, joints=tuple(joints))
+    return select_channels(read_table(path, wanted), mapping, required, optional)

@@ -1,0 +1,86 @@
+"""The messages of a bag, whatever its storage."""
+
+import shutil
+import tempfile
+from collections.abc import Collection, Iterator
+from contextlib import contextmanager
+from pathlib import Path
+
+from recordings.bag_files import BagFiles
+from recordings.bag_message import RawMessage
+from recordings.errors import FileAccessError, FormatError
+from recordings.mcap_compression import zstd_library
+from recordings.mcap_messages import mcap_messages
+from recordings.sqlite_messages import sqlite_messages
+
+
+def bag_messages(
+    files: BagFiles, faults: list[str], topics: Collection[str] | None = None
+) -> Iterator[RawMessage]:
+    """Read messages in the order in which they were recorded.
+
+    Args:
+        files: the bag.
+        faults: what is wrong with its files is appended here, one sentence each.
+        topics: names of those to read; all if None.
+
+    Yields:
+        The messages; of a damaged or cut file those that can be had.
+
+    Raises:
+        FileAccessError: a file cannot be read, or a library is missing.
+        FormatError: a file is not what its suffix says.
+    """
+    for path in files.paths:
+        found: list[str] = []
+        try:
+            with _unpacked(path, found) as plain:
+                yield from _of_file(plain, found, topics, is_packed=files.is_packed)
+        except FormatError as error:
+            raise FormatError(f"{path} {error}") from error
+        except FileAccessError:
+            raise
+        except OSError as error:
+            raise FileAccessError(f"cannot read {path}: {error.strerror or error}") from error
+        finally:
+            faults += [f"{path.name} {fault}" for fault in found]
+
+
+def _of_file(
+    path: Path, faults: list[str], topics: Collection[str] | None, *, is_packed: bool
+) -> Iterator[RawMessage]:
+    if path.name.lower().endswith(".db3"):
+        messages = sqlite_messages(path, faults, topics)
+        yield from _with_data_unpacked(messages, faults) if is_packed else messages
+        return
+    with path.open("rb") as stream:
+        messages = mcap_messages(stream, faults, topics)
+        yield from _with_data_unpacked(messages, faults) if is_packed else messages
+
+
+def _with_data_unpacked(messages: Iterator[RawMessage], faults: list[str]) -> Iterator[RawMessage]:
+    zstd, damaged = zstd_library(), 0
+    for message in messages:
+        try:
+            yield message._replace(data=zstd.decompress(message.data))
+        except zstd.ZstdError:
+            damaged += 1
+    if damaged:
+        faults.append(f"has {damaged} damaged messages")
+
+
+@contextmanager
+def _unpacked(path: Path, faults: list[str]) -> Iterator[Path]:
+    """Give the file itself, or its content in a temporary file if it is compressed as a whole."""
+    if not path.name.endswith(".zstd"):
+        yield path
+        return
+    zstd = zstd_library()
+    with tempfile.TemporaryDirectory() as folder:
+        plain = Path(folder) / path.name.removesuffix(".zstd")
+        with plain.open("wb") as target, zstd.open(path, "rb") as source:
+            try:
+                shutil.copyfileobj(source, target)
+            except (EOFError, zstd.ZstdError):
+                faults.append("is cut short or damaged")
+        yield plain

@@ -1,0 +1,109 @@
+"""The records of an MCAP file in the order in which they stand, as far as they can be read.
+
+The index at the end is not used: a recording whose end is missing is read like any other. The
+layout is that of https://mcap.dev/spec.
+"""
+
+from collections.abc import Iterator
+from struct import Struct
+from typing import BinaryIO, NamedTuple
+from zlib import crc32
+
+from recordings.errors import FormatError
+from recordings.mcap_compression import decompressed
+
+MAGIC = b"\x89MCAP0\r\n"
+FOOTER, SCHEMA, CHANNEL, MESSAGE, CHUNK, DATA_END = 0x02, 0x03, 0x04, 0x05, 0x06, 0x0F
+
+_HEAD = Struct("<BQ")
+_CHUNK_HEAD = Struct("<QQQII")
+_SIZE = Struct("<Q")
+_READ = (SCHEMA, CHANNEL, MESSAGE, CHUNK)
+_BLOCK = 1 << 24  # bytes
+
+
+class Record(NamedTuple):
+    """A schema, channel or message.
+
+    Attributes:
+        opcode: which of them.
+        body: its bytes.
+    """
+
+    opcode: int
+    body: bytes
+
+
+def mcap_records(stream: BinaryIO, faults: list[str]) -> Iterator[Record]:
+    """Read schemas, channels and messages, those inside chunks included.
+
+    Args:
+        stream: an MCAP file, open at its start; need not seek.
+        faults: what is wrong with the file is appended here, one phrase each.
+
+    Yields:
+        The records; of a damaged or cut chunk those that can be had.
+
+    Raises:
+        FormatError: it is not an MCAP file.
+    """
+    if stream.read(len(MAGIC)) != MAGIC:
+        raise FormatError("is not an MCAP file: it does not begin as one")
+    at = len(MAGIC)
+    while len(head := stream.read(_HEAD.size)) == _HEAD.size:
+        opcode, size = _HEAD.unpack(head)
+        if opcode in (DATA_END, FOOTER):
+            return
+        body = _read(stream, size)
+        is_whole = len(body) == size
+        if opcode == CHUNK:
+            yield from _chunk(body, at, faults)
+        elif is_whole and opcode in _READ:
+            yield Record(opcode, body)
+        if not is_whole:
+            break
+        at += _HEAD.size + size
+    faults.append(f"is cut short in the record that starts at byte {at}")
+
+
+def _read(stream: BinaryIO, size: int) -> bytes:
+    """Return `size` bytes, or what is left; a damaged size must not ask for all memory at once."""
+    parts = []
+    while size > 0 and (part := stream.read(min(size, _BLOCK))):
+        parts.append(part)
+        size -= len(part)
+    return b"".join(parts)
+
+
+def _chunk(body: bytes, at: int, faults: list[str]) -> Iterator[Record]:
+    if len(body) < _CHUNK_HEAD.size:
+        return
+    *_, full_size, crc, name_size = _CHUNK_HEAD.unpack_from(body)
+    start = _CHUNK_HEAD.size + name_size
+    if len(body) < start + _SIZE.size:
+        return
+    compression = body[_CHUNK_HEAD.size : start].decode(errors="replace")
+    (packed_size,) = _SIZE.unpack_from(body, start)
+    packed = body[start + _SIZE.size :][:packed_size]
+    data, is_sound = decompressed(packed, compression)
+    is_whole = is_sound and len(data) == full_size
+    if is_whole and crc and crc32(data) != crc:
+        faults.append(f"has a chunk at byte {at} whose checksum is wrong, which was left out")
+        return
+    yield from _split(data)
+    if not is_whole and len(packed) == packed_size:
+        faults.append(
+            f"has a damaged chunk at byte {at}, of which {len(data)} of {full_size} bytes were read"
+        )
+
+
+def _split(data: bytes) -> Iterator[Record]:
+    at, end = 0, len(data)
+    while at + _HEAD.size <= end:
+        opcode, size = _HEAD.unpack_from(data, at)
+        at += _HEAD.size
+        if at + size > end:
+            return
+        if opcode in _READ:
+            yield Record(opcode, data[at : at + size])
+        at += size

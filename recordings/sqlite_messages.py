@@ -1,0 +1,111 @@
+"""The messages of a bag in an SQLite file."""
+
+import sqlite3
+from collections.abc import Collection, Iterator, Mapping
+from contextlib import closing
+from pathlib import Path
+
+from recordings.bag_message import BagTopic, RawMessage
+from recordings.errors import FormatError
+from recordings.sqlite_salvage import MAGIC, salvage_rows
+
+_IDL = "ros2idl"
+_ENCODINGS = ("ros2msg", _IDL)
+
+
+def sqlite_messages(
+    path: Path, faults: list[str], topics: Collection[str] | None = None
+) -> Iterator[RawMessage]:
+    """Read messages in the order in which they were recorded.
+
+    Args:
+        path: the file.
+        faults: what is wrong with the file is appended here, one phrase each.
+        topics: names of those to read; all if None.
+
+    Yields:
+        The messages; of a damaged or cut file those that can be had.
+
+    Raises:
+        FormatError: it is not a bag in an SQLite file.
+    """
+    with path.open("rb") as stream:
+        if stream.read(len(MAGIC)) != MAGIC:
+            raise FormatError("is not an SQLite file: it does not begin as one")
+    last = 0
+    try:
+        with closing(_connect(path)) as connection:
+            known = _wanted(_topics(connection), topics)
+            query = (
+                "SELECT id, topic_id, timestamp, data FROM messages "
+                f"WHERE topic_id IN ({','.join(map(str, known))}) ORDER BY id"
+            )
+            for number, topic, log_ns, data in connection.execute(query):
+                last = number
+                yield RawMessage(known[topic], log_ns, data)
+    except sqlite3.OperationalError as error:
+        # Sound, but without the tables of a bag.
+        if "no such" in str(error):
+            raise FormatError(f"is not a bag: {error}") from error
+        raise FormatError(f"cannot be read: {error}") from error
+    except sqlite3.DatabaseError as error:
+        faults.append(f"is damaged or cut short ({error})")
+        yield from _salvaged(path, last, topics)
+
+
+def _wanted(
+    known: Mapping[int, BagTopic], topics: Collection[str] | None
+) -> Mapping[int, BagTopic]:
+    if topics is None:
+        return known
+    return {number: topic for number, topic in known.items() if topic.name in topics}
+
+
+def _connect(path: Path) -> sqlite3.Connection:
+    # A recorder that was killed leaves its last messages in a file beside, which only the first
+    # way reads; the second can also read in folders where nothing may be written.
+    way = "mode=ro" if Path(f"{path}-wal").exists() else "immutable=1"
+    return sqlite3.connect(f"{path.absolute().as_uri()}?{way}", uri=True)
+
+
+def _topics(connection: sqlite3.Connection) -> Mapping[int, BagTopic]:
+    definitions: dict[str, tuple[str, bool]] = {}
+    tables = {name for (name,) in connection.execute("SELECT name FROM sqlite_master")}
+    if "message_definitions" in tables:
+        query = "SELECT topic_type, encoding, encoded_message_definition FROM message_definitions"
+        for kind, encoding, text in connection.execute(query):
+            definitions[kind] = (text, encoding == _IDL)
+    query = "SELECT id, name, type, serialization_format FROM topics"
+    return {
+        number: BagTopic(name, kind, encoding, *definitions.get(kind, ("", False)))
+        for number, name, kind, encoding in connection.execute(query)
+    }
+
+
+def _salvaged(path: Path, last: int, topics: Collection[str] | None) -> Iterator[RawMessage]:
+    """Yield the messages after number `last` from the pages that are left."""
+    known = _wanted(_salvaged_topics(path), topics)
+    for number, values in salvage_rows(path):
+        if number <= last or len(values) != 4:
+            continue
+        _, topic_id, log_ns, data = values
+        topic = known.get(topic_id) if isinstance(topic_id, int) else None
+        if topic is not None and isinstance(log_ns, int) and isinstance(data, bytes):
+            yield RawMessage(topic, log_ns, data)
+
+
+def _salvaged_topics(path: Path) -> Mapping[int, BagTopic]:
+    topics: dict[int, BagTopic] = {}
+    definitions: dict[str, tuple[str, bool]] = {}
+    for number, values in salvage_rows(path):
+        texts = [value for value in values[1:] if isinstance(value, str)]
+        if len(texts) < 3 or len(texts) != len(values) - 1:
+            continue
+        if texts[1] in _ENCODINGS:
+            definitions[texts[0]] = (texts[2], texts[1] == _IDL)
+        elif "/" in texts[1]:
+            topics[number] = BagTopic(texts[0], texts[1], texts[2])
+    return {
+        number: BagTopic(*topic[:3], *definitions.get(topic.kind, ("", False)))
+        for number, topic in topics.items()
+    }
