@@ -20,13 +20,11 @@ class BagFiles:
 
     Attributes:
         paths: the files in order.
-        is_packed: whether each message is compressed by itself.
         expected: how many messages the metadata speak of; None if there are none.
         warnings: what is wrong with the folder.
     """
 
     paths: tuple[Path, ...]
-    is_packed: bool = False
     expected: int | None = None
     warnings: tuple[str, ...] = ()
 
@@ -58,7 +56,6 @@ def bag_files(path: Path) -> BagFiles:
     expected = told.get("message_count")
     return BagFiles(
         paths=paths,
-        is_packed=str(told.get("compression_mode", "")).lower() == "message",
         expected=expected if isinstance(expected, int) else None,
         warnings=warnings,
     )

@@ -13,6 +13,8 @@ from recordings.mcap_compression import zstd_library
 from recordings.mcap_messages import mcap_messages
 from recordings.sqlite_messages import sqlite_messages
 
+_ZSTD_MAGIC = b"\x28\xb5\x2f\xfd"
+
 
 def bag_messages(
     files: BagFiles, faults: list[str], topics: Collection[str] | None = None
@@ -35,7 +37,7 @@ def bag_messages(
         found: list[str] = []
         try:
             with _unpacked(path, found) as plain:
-                yield from _of_file(plain, found, topics, is_packed=files.is_packed)
+                yield from _of_file(plain, found, topics)
         except FormatError as error:
             raise FormatError(f"{path} {error}") from error
         except FileAccessError:
@@ -46,21 +48,22 @@ def bag_messages(
             faults += [f"{path.name} {fault}" for fault in found]
 
 
-def _of_file(
-    path: Path, faults: list[str], topics: Collection[str] | None, *, is_packed: bool
-) -> Iterator[RawMessage]:
+def _of_file(path: Path, faults: list[str], topics: Collection[str] | None) -> Iterator[RawMessage]:
     if path.name.lower().endswith(".db3"):
-        messages = sqlite_messages(path, faults, topics)
-        yield from _with_data_unpacked(messages, faults) if is_packed else messages
+        yield from _with_data_unpacked(sqlite_messages(path, faults, topics), faults)
         return
     with path.open("rb") as stream:
-        messages = mcap_messages(stream, faults, topics)
-        yield from _with_data_unpacked(messages, faults) if is_packed else messages
+        yield from _with_data_unpacked(mcap_messages(stream, faults, topics), faults)
 
 
 def _with_data_unpacked(messages: Iterator[RawMessage], faults: list[str]) -> Iterator[RawMessage]:
-    zstd, damaged = zstd_library(), 0
+    """Unpack messages that are compressed one by one, which no serialised message looks like."""
+    damaged = 0
     for message in messages:
+        if not message.data.startswith(_ZSTD_MAGIC):
+            yield message
+            continue
+        zstd = zstd_library()
         try:
             yield message._replace(data=zstd.decompress(message.data))
         except zstd.ZstdError:

@@ -10,6 +10,9 @@ from recordings.errors import ColumnError, FormatError
 from recordings.table import Table
 from recordings.wanted import Wanted
 
+_AS_MANY = 0.9
+"""A topic with this share of another's messages counts as equally fast."""
+
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class BagPlan:
@@ -73,7 +76,7 @@ def plan_bag(survey: BagSurvey, wanted: Wanted, needed: frozenset[str]) -> BagPl
     }
     clock = wanted.mapping.clock
     if clock is None:
-        clock = max(topics, key=lambda name: survey.topics[name].count)
+        clock = _fastest({name: survey.topics[name].count for name in topics})
     elif clock not in survey.topics or survey.topics[clock].fault:
         raise ColumnError(
             f"clock = {clock!r} is no topic that can be read; topics are: "
@@ -92,6 +95,12 @@ def plan_bag(survey: BagSurvey, wanted: Wanted, needed: frozenset[str]) -> BagPl
             f"interpolated to their stamps: {rates}"
         )
     return BagPlan(columns=topics, clock=clock, joints=joints, notes=tuple(notes))
+
+
+def _fastest(counts: Mapping[str, int]) -> str:
+    """Return the topic with most messages; a few that were lost shall not make a difference."""
+    most = max(counts.values())
+    return next(name for name, count in counts.items() if count >= _AS_MANY * most)
 
 
 def _joints(found: SurveyedTopic, wanted: Wanted) -> tuple[tuple[str, ...], list[str]]:

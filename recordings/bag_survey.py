@@ -134,11 +134,14 @@ def _lost(files: BagFiles, topics: Mapping[str, SurveyedTopic], faults: list[str
     is_short = files.expected is not None and count < files.expected
     if not (faults or is_short):
         return []
-    told = [f"{fault}; the rest was read" for fault in faults]
     span = ""
     if topics:
         first_ns = min(topic.first_ns for topic in topics.values())
         last_ns = max(topic.last_ns for topic in topics.values())
         span = f" from {first_ns / NS_PER_S:.3f} s to {last_ns / NS_PER_S:.3f} s"
-    missing = f"; {files.expected - count} are lost" if files.expected and is_short else ""
-    return [*told, f"{count} messages{span} could be read{missing}"]
+        span += f" ({(last_ns - first_ns) / NS_PER_S:.3f} s)"
+    missing = "what came after, if anything, is lost"
+    if files.expected is not None:
+        missing = f"{files.expected - count} of {files.expected} are lost"
+    told = "; ".join(faults) or "the bag is not whole"
+    return [f"{told}: {count} messages{span} could be read, {missing}"]

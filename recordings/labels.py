@@ -1,6 +1,7 @@
 """What numbers do not say, for formats that have room for it."""
 
-from dataclasses import dataclass
+from collections.abc import Mapping
+from dataclasses import dataclass, field
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -15,12 +16,16 @@ class Labels:
         joint_names: in the order of the columns of `q_rad`, `dq_rad_s` and `tau_Nm`.
         frame: the frame in which forces are given.
         prefix: how the topics of a bag begin that hold estimates.
+        events: columns of small whole numbers to what their values 0, 1, 2, ... mean, `{}` for
+            the value; the last text holds for all values beyond. A bag gets a diagnostic message
+            where the value changes, unless the text is empty.
     """
 
     start_ns: int = 0
     joint_names: tuple[str, ...] = ()
     frame: str = ""
     prefix: str = "/needleforce"
+    events: Mapping[str, tuple[str, ...]] = field(default_factory=dict)
 
 
 PLAIN = Labels()

@@ -63,7 +63,7 @@ def mcap_records(stream: BinaryIO, faults: list[str]) -> Iterator[Record]:
         if not is_whole:
             break
         at += _HEAD.size + size
-    faults.append(f"is cut short in the record that starts at byte {at}")
+    faults.append("is cut short")
 
 
 def _read(stream: BinaryIO, size: int) -> bytes:
@@ -93,7 +93,7 @@ def _chunk(body: bytes, at: int, faults: list[str]) -> Iterator[Record]:
     yield from _split(data)
     if not is_whole and len(packed) == packed_size:
         faults.append(
-            f"has a damaged chunk at byte {at}, of which {len(data)} of {full_size} bytes were read"
+            f"has a damaged chunk at byte {at}, of which {len(data)} of {full_size} bytes are sound"
         )
 
 

@@ -9,6 +9,8 @@ from typing import BinaryIO, Protocol
 
 from numpy.typing import ArrayLike
 
+from recordings.bag_folder import FOLDER_SUFFIX, bag_folder, is_folder_name
+from recordings.bag_writer import McapWriter
 from recordings.checked_columns import Columns, checked_columns, require_same_columns
 from recordings.csv_writer import CsvGzipWriter, CsvWriter
 from recordings.errors import FileAccessError
@@ -42,6 +44,7 @@ WRITERS: Mapping[str, Callable[[BinaryIO, Labels], TableWriter]] = {
     ".csv.gz": CsvGzipWriter,
     ".npz": NpzWriter,
     ".parquet": ParquetWriter,
+    ".mcap": McapWriter,
 }
 
 _GROWS = (".csv", ".csv.gz")
@@ -106,7 +109,8 @@ def open_table(
     """Open a table for writing; the file is not touched before there are rows.
 
     Args:
-        path: a file with a suffix of `WRITERS`, or `-` for CSV on standard output.
+        path: a file with a suffix of `WRITERS`, a folder ending in `.db3` for a ROS 2 bag in an
+            SQLite file, or `-` for CSV on standard output.
         is_live: Write rows to the file itself as they come, and leave them there whatever
             happens. Otherwise the file is replaced when all rows are written, or not at all. What
             cannot grow (npz) is always written at the end.
@@ -127,6 +131,12 @@ def open_table(
         output.finish()
         return
     path = Path(path)
+    if is_folder_name(path):
+        with bag_folder(path, labels) as begin_bag:
+            folder = OpenTable(begin_bag, is_live=False, name=str(path))
+            yield folder
+            folder.finish()
+        return
     writer = find_writer(path)
     grows = is_live and path.name.lower().endswith(_GROWS)
     part = path if grows else path.with_name(f".{path.name}.{os.getpid()}.part")
@@ -162,7 +172,8 @@ def find_writer(path: Path) -> Callable[[BinaryIO, Labels], TableWriter]:
     for suffix, writer in WRITERS.items():
         if path.name.lower().endswith(suffix):
             return writer
-    raise FileAccessError(f"{path} has no known suffix; known are: {', '.join(WRITERS)}")
+    known = (*WRITERS, FOLDER_SUFFIX)
+    raise FileAccessError(f"{path} has no known suffix; known are: {', '.join(known)}")
 
 
 @contextmanager

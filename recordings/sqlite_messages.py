@@ -7,7 +7,7 @@ from pathlib import Path
 
 from recordings.bag_message import BagTopic, RawMessage
 from recordings.errors import FormatError
-from recordings.sqlite_salvage import MAGIC, salvage_rows
+from recordings.sqlite_salvage import MAGIC, is_cut, salvage_rows
 
 _IDL = "ros2idl"
 _ENCODINGS = ("ros2msg", _IDL)
@@ -32,6 +32,10 @@ def sqlite_messages(
     with path.open("rb") as stream:
         if stream.read(len(MAGIC)) != MAGIC:
             raise FormatError("is not an SQLite file: it does not begin as one")
+    if is_cut(path):
+        faults.append("is cut short")
+        yield from _salvaged(path, 0, topics)
+        return
     last = 0
     try:
         with closing(_connect(path)) as connection:
@@ -49,7 +53,7 @@ def sqlite_messages(
             raise FormatError(f"is not a bag: {error}") from error
         raise FormatError(f"cannot be read: {error}") from error
     except sqlite3.DatabaseError as error:
-        faults.append(f"is damaged or cut short ({error})")
+        faults.append(f"is damaged ({error})")
         yield from _salvaged(path, last, topics)
 
 

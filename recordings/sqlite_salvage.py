@@ -24,6 +24,21 @@ _REAL, _BLOB = 7, 12
 _SHORT, _LONG, _DOUBLE = Struct(">H"), Struct(">I"), Struct(">d")
 
 
+def is_cut(path: Path) -> bool:
+    """Return whether a file is shorter than its header says, which SQLite does not always see.
+
+    Args:
+        path: a file that begins as an SQLite file.
+    """
+    with path.open("rb") as stream:
+        head = stream.read(_HEADER_SIZE)
+        if len(head) < _HEADER_SIZE:
+            return True
+        pages = _Pages(stream, head)
+        (written,) = _LONG.unpack_from(head, 28)
+        return pages.size * written > pages.length
+
+
 def salvage_rows(path: Path) -> Iterator[Row]:
     """Read the rows of all tables, in the order of the pages.
 
@@ -40,8 +55,7 @@ def salvage_rows(path: Path) -> Iterator[Row]:
         head = stream.read(_HEADER_SIZE)
         if len(head) < _HEADER_SIZE or not head.startswith(MAGIC):
             raise FormatError("is not an SQLite file: it does not begin as one")
-        (size,) = _SHORT.unpack_from(head, 16)
-        pages = _Pages(stream, 65536 if size == 1 else size, head[20])
+        pages = _Pages(stream, head)
         for number in range(1, pages.count + 1):
             yield from _leaf_rows(pages, number)
 
@@ -49,16 +63,19 @@ def salvage_rows(path: Path) -> Iterator[Row]:
 class _Pages:
     """The pages of a file, counted from 1; those beyond its end are empty."""
 
-    def __init__(self, stream: BinaryIO, size: int, reserved: int) -> None:
-        if size < 512:
+    def __init__(self, stream: BinaryIO, head: bytes) -> None:
+        (size,) = _SHORT.unpack_from(head, 16)
+        self.size = 65536 if size == 1 else size
+        if self.size < 512:
             raise FormatError("has a damaged SQLite header")
-        self._stream, self._size = stream, size
-        self.usable = size - reserved
-        self.count = -(-stream.seek(0, 2) // size)
+        self._stream = stream
+        self.usable = self.size - head[20]
+        self.length = stream.seek(0, 2)
+        self.count = -(-self.length // self.size)
 
     def __getitem__(self, number: int) -> bytes:
-        self._stream.seek((number - 1) * self._size)
-        return self._stream.read(self._size)
+        self._stream.seek((number - 1) * self.size)
+        return self._stream.read(self.size)
 
     def overflow(self, number: int, size: int) -> bytes:
         parts = []

@@ -5,6 +5,7 @@ from pathlib import Path
 
 from numpy.typing import ArrayLike
 
+from recordings.bag_folder import is_folder_name
 from recordings.errors import FileAccessError
 from recordings.labels import PLAIN, Labels
 from recordings.log import Log
@@ -20,7 +21,8 @@ def write_table(
     `q_rad` becomes `q_rad_1`, `q_rad_2`, ...; `read_log` joins them again.
 
     Args:
-        path: a file ending in `.csv`, `.csv.gz`, `.npz` or `.parquet`; replaced if it exists.
+        path: a file ending in `.csv`, `.csv.gz`, `.npz`, `.parquet` or `.mcap`, or a folder
+            ending in `.db3`; replaced if it exists.
         columns: name, with its unit, to numbers, shape (n,) or (n, k), all of the same n.
         labels: what the formats that have room for it say beside the numbers.
 
@@ -46,7 +48,8 @@ def check_writable(path: str | Path, *, source: str | Path | None = None) -> Non
     if str(path) == STANDARD_STREAM:
         return
     path = Path(path)
-    find_writer(path)
+    if not is_folder_name(path):
+        find_writer(path)
     if not path.parent.is_dir():
         raise FileAccessError(f"cannot write {path}: there is no folder {path.parent}")
     if source is not None and path.exists() and Path(source).exists() and path.samefile(source):
