@@ -20,12 +20,12 @@ def is_folder_name(path: Path) -> bool:
 
 
 @contextmanager
-def bag_folder(path: Path, labels: Labels) -> Iterator[Callable[[], BagWriter]]:
+def bag_folder(path: Path, labels: Callable[[], Labels]) -> Iterator[Callable[[], BagWriter]]:
     """Write a bag in an SQLite file, which ROS 2 wants in a folder with `metadata.yaml`.
 
     Args:
         path: the folder; what stands there is replaced at the end, if something was written.
-        labels: see `BagWriter`.
+        labels: gives those of the bag when it begins, see `BagWriter`.
 
     Yields:
         A function that begins the bag.
@@ -36,7 +36,7 @@ def bag_folder(path: Path, labels: Labels) -> Iterator[Callable[[], BagWriter]]:
     part = path.with_name(f".{path.name}.{os.getpid()}.part")
     bag = part / path.stem
     try:
-        yield lambda: BagWriter(bag, "sqlite3", labels)
+        yield lambda: BagWriter(bag, "sqlite3", labels())
         if bag.exists():
             if path.exists():
                 path.rename(part / "old")

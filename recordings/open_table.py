@@ -47,6 +47,8 @@ WRITERS: Mapping[str, Callable[[BinaryIO, Labels], TableWriter]] = {
     ".mcap": McapWriter,
 }
 
+LabelSource = Callable[[], Labels]
+
 _GROWS = (".csv", ".csv.gz")
 
 
@@ -104,7 +106,7 @@ class OpenTable:
 
 @contextmanager
 def open_table(
-    path: str | Path, *, is_live: bool = False, labels: Labels = PLAIN
+    path: str | Path, *, is_live: bool = False, labels: LabelSource = lambda: PLAIN
 ) -> Iterator[OpenTable]:
     """Open a table for writing; the file is not touched before there are rows.
 
@@ -114,7 +116,8 @@ def open_table(
         is_live: Write rows to the file itself as they come, and leave them there whatever
             happens. Otherwise the file is replaced when all rows are written, or not at all. What
             cannot grow (npz) is always written at the end.
-        labels: what the formats that have room for it say beside the numbers.
+        labels: gives what the formats that have room for it say beside the numbers; asked when
+            the first rows are there.
 
     Yields:
         The table, to be given rows.
@@ -132,19 +135,24 @@ def open_table(
         return
     path = Path(path)
     if is_folder_name(path):
-        with bag_folder(path, labels) as begin_bag:
-            folder = OpenTable(begin_bag, is_live=False, name=str(path))
+        with bag_folder(path, labels) as begin:
+            folder = OpenTable(begin, is_live=False, name=str(path))
             yield folder
             folder.finish()
         return
+    with _open_file(path, labels, grows=is_live and path.name.lower().endswith(_GROWS)) as table:
+        yield table
+
+
+@contextmanager
+def _open_file(path: Path, labels: LabelSource, *, grows: bool) -> Iterator[OpenTable]:
     writer = find_writer(path)
-    grows = is_live and path.name.lower().endswith(_GROWS)
     part = path if grows else path.with_name(f".{path.name}.{os.getpid()}.part")
     streams: list[BinaryIO] = []
 
     def begin() -> TableWriter:
         streams.append(part.open("wb"))
-        return writer(streams[0], labels)
+        return writer(streams[0], labels())
 
     try:
         table = OpenTable(begin, is_live=grows, name=str(path))

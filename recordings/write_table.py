@@ -31,7 +31,7 @@ def write_table(
         LogError: the columns are not numbers, differ in length, or a name is empty, starts with
             `#` or stands twice.
     """
-    with open_table(path, labels=labels) as table:
+    with open_table(path, labels=lambda: labels) as table:
         table.append(columns)
 
 
