@@ -14,7 +14,7 @@ class RowOverview:
     that memory stays bounded and no spike or rupture is lost.
 
     Args:
-        tracked: the one-dimensional columns whose extremes count.
+        tracked: the columns whose extremes count.
         most_rows: more are never kept, but for those of one `add`.
     """
 
@@ -67,8 +67,8 @@ class RowOverview:
         starts = np.flatnonzero(np.diff(stretch, prepend=-1))
         of_row = np.cumsum(np.diff(stretch, prepend=-1) != 0) - 1
         kept = [starts]
-        for name in self._tracked:
-            values = np.asarray(columns[name], dtype=np.float64)
+        tracked = [np.atleast_2d(columns[name].T) for name in self._tracked]
+        for values in np.concatenate(tracked, dtype=np.float64):
             for sign in (1.0, -1.0):
                 signed = np.where(np.isnan(values), np.inf, sign * values)
                 least = np.minimum.reduceat(signed, starts)

@@ -11,7 +11,7 @@ from residual_command_log import SMALL_ARM, write_insertion
 from recordings import read_table
 from residual import SensorConfig
 from residual.__main__ import main
-from residual.command.replay import STATUS_CODES
+from residual.command.force_rows import STATUS_CODES
 from residual.command.taring import AUTOMATIC_S
 from urdf import load_urdf
 

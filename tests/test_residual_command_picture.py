@@ -7,27 +7,29 @@ from residual_command_log import insertion
 from recordings import write_table
 from residual.__main__ import main
 from residual.command.curves import Curve, broken_at_gaps, limits
-from residual.command.replay import Replay
+from residual.command.force_rows import ForceRows
 from residual.command.status_marks import runs
 
 pytest.importorskip("matplotlib")
 
 
-def result_of(status, t_s=None):
+def rows_of(status, after_gap=()):
     rows = len(status)
-    return Replay(
-        t_s=np.arange(rows) * 0.01 if t_s is None else np.array(t_s),
+    return ForceRows(
+        t_s=np.arange(rows) * 0.01,
+        travel_m=np.zeros(rows),
         axial_N=np.arange(rows, dtype=float),
         axial_std_N=np.full(rows, 0.5),
         force_N=np.zeros((rows, 3)),
         torque_Nm=np.zeros((rows, 3)),
         std=np.full((rows, 1), 0.5),
         status=np.array(status),
+        after_gap=np.isin(np.arange(rows), after_gap),
     )
 
 
-def curve_of(result):
-    return Curve("axial force", "k", result.axial_N, result.axial_std_N)
+def curve_of(rows):
+    return Curve("axial force", "k", rows.axial_N, rows.axial_std_N)
 
 
 @pytest.mark.parametrize(
@@ -65,18 +67,18 @@ def test_a_log_without_a_sound_row_still_has_a_picture(lwr, tmp_path, capsys):
 
 
 def test_a_skipped_row_leaves_no_hole_and_a_gap_does():
-    result = result_of([0, 0, 3, 0, 0], t_s=[0.0, 0.01, 0.02, 0.03, 1.0])
-    rows = broken_at_gaps(curve_of(result), result, 0.1)
-    np.testing.assert_array_equal(rows.value, [0.0, 1.0, 3.0, np.nan, 4.0])
-    np.testing.assert_array_equal(rows.is_tared, [True, True, True, False, True])
+    rows = rows_of([0, 0, 3, 0, 0], after_gap=[4])
+    drawn = broken_at_gaps(curve_of(rows), rows)
+    np.testing.assert_array_equal(drawn.value, [0.0, 1.0, 3.0, np.nan, 4.0])
+    np.testing.assert_array_equal(drawn.is_tared, [True, True, True, False, True])
 
 
 def test_room_is_made_for_the_band_of_tared_rows_and_zero():
-    result = result_of([1, 1, 0, 0])
-    low, high = limits([curve_of(result)], result)
+    tared = rows_of([1, 1, 0, 0])
+    low, high = limits([curve_of(tared)], tared)
     assert low < 0.0
     assert 3.0 + 2 * 0.5 < high < 5.0
-    untared = result_of([1, 1, 1, 2])
+    untared = rows_of([1, 1, 1, 2])
     low, high = limits([curve_of(untared)], untared)
     assert 2.0 < high < 3.0
 

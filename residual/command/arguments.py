@@ -3,6 +3,7 @@
 from argparse import ArgumentParser, RawDescriptionHelpFormatter
 
 from recordings import mapping_arguments
+from recordings.source_arguments import source_arguments
 from residual.command.robot_options import robot_arguments
 from residual.command.taring import AUTOMATIC_S
 
@@ -29,7 +30,7 @@ def build_parser() -> ArgumentParser:
         epilog=_EPILOG,
         formatter_class=RawDescriptionHelpFormatter,
     )
-    parser.add_argument("log", metavar="LOG", help="CSV or npz: time, q, tau and perhaps dq")
+    source_arguments(parser, "time, q, tau and perhaps dq")
     _output_arguments(parser)
     robot_arguments(parser)
     _sensor_arguments(parser)
@@ -41,7 +42,10 @@ def build_parser() -> ArgumentParser:
 def _output_arguments(parser: ArgumentParser) -> None:
     group = parser.add_argument_group("output", "Without any, only the summary is printed.")
     group.add_argument(
-        "-o", "--output", metavar="FILE", help="table of forces: .csv, .csv.gz or .npz"
+        "-o",
+        "--output",
+        metavar="FILE",
+        help="table of forces: .csv, .csv.gz, .npz, ..., or - for CSV on standard output",
     )
     group.add_argument("--png", metavar="FILE", help="picture of forces over time")
 

@@ -5,7 +5,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from residual.command.replay import Replay
+from residual.command.force_rows import ForceRows
 from residual.wrench_estimate import Status
 
 
@@ -34,28 +34,28 @@ class CurveRows(NamedTuple):
     is_tared: NDArray[np.bool_]
 
 
-def broken_at_gaps(curve: Curve, result: Replay, max_gap_s: float) -> CurveRows:
-    """Return what is drawn: a skipped row leaves no hole, a gap longer than ``max_gap_s`` does."""
-    kept = ~result.has_status(Status.SKIPPED)
-    t_s = result.t_s[kept]
-    gaps = np.flatnonzero(np.diff(t_s) > max_gap_s) + 1
+def broken_at_gaps(curve: Curve, rows: ForceRows) -> CurveRows:
+    """Return what is drawn: a skipped row leaves no hole, a gap in time does."""
+    kept = ~rows.has_status(Status.SKIPPED)
+    t_s = rows.t_s[kept]
+    gaps = np.flatnonzero(rows.after_gap[kept])
     return CurveRows(
         t_s=np.insert(t_s, gaps, t_s[gaps]),
         value=np.insert(curve.value[kept], gaps, np.nan),
         std=np.insert(curve.std[kept], gaps, np.nan),
-        is_tared=np.insert(result.has_status(Status.OK)[kept], gaps, False),
+        is_tared=np.insert(rows.has_status(Status.OK)[kept], gaps, False),
     )
 
 
-def limits(curves: list[Curve], result: Replay) -> tuple[float, float]:
+def limits(curves: list[Curve], rows: ForceRows) -> tuple[float, float]:
     """Return lower and upper limit of a panel.
 
     Room is made for tared rows with their bands, and for zero; what was not tared may leave the
     picture, unless there is nothing else.
     """
-    shown, width = result.has_status(Status.OK), 2.0
+    shown, width = rows.has_status(Status.OK), 2.0
     if not shown.any():
-        shown, width = result.has_status(Status.NOT_TARED), 0.0
+        shown, width = rows.has_status(Status.NOT_TARED), 0.0
     edges = [c.value[shown] + sign * c.std[shown] for c in curves for sign in (-width, width)]
     finite = np.concatenate([[0.0], *edges])
     finite = finite[np.isfinite(finite)]

@@ -8,7 +8,8 @@ from numpy.typing import NDArray
 
 from residual.command.curves import Curve, broken_at_gaps, limits
 from residual.command.errors import CommandError
-from residual.command.replay import Replay
+from residual.command.force_result import ForceResult
+from residual.command.force_rows import ForceRows
 from residual.command.status_marks import MARKS, draw_status_marks
 from residual.sensor_config import SensorConfig
 
@@ -44,57 +45,56 @@ def check_picture(path: str | Path) -> None:
         ) from error
 
 
-def save_picture(path: str | Path, result: Replay, config: SensorConfig, title: str) -> None:
+def save_picture(path: str | Path, result: ForceResult) -> None:
     """Draw the estimates.
 
     Args:
         path: PNG file to write.
         result: The estimates.
-        config: The sensor's settings, for mode, axes and gaps.
-        title: What stands above.
 
     Raises:
         CommandError: The file cannot be written.
     """
     try:
-        _draw(result, config, title).savefig(path, format="png")
+        _draw(result).savefig(path, format="png")
     except OSError as error:
         raise CommandError(f"cannot write {path}: {error.strerror or error}") from error
 
 
-def _draw(result: Replay, config: SensorConfig, title: str) -> "Figure":
+def _draw(result: ForceResult) -> "Figure":
+    rows, config = result.overview, result.config
     # Not pyplot: no window and no global state.
     from matplotlib.figure import Figure
 
-    groups = _groups(result, config)
+    groups = _groups(rows, config)
     figure = Figure(figsize=(11.0, 1.4 + 2.8 * len(groups)), dpi=130, layout="constrained")
     panels = figure.subplots(len(groups), 1, sharex=True, squeeze=False)[:, 0]
     # Seconds since 1970 would leave the axis no digits for what happened.
-    is_late = abs(float(result.t_s[0])) > _LATE_CLOCK_S
-    start_s = float(result.t_s[0]) if is_late else 0.0
+    is_late = abs(float(rows.t_s[0])) > _LATE_CLOCK_S
+    start_s = float(rows.t_s[0]) if is_late else 0.0
     for panel, (label, curves) in zip(panels, groups.items(), strict=True):
-        draw_status_marks(panel, result, start_s)
-        _draw_curves(panel, curves, result, start_s, config.max_gap_s)
+        draw_status_marks(panel, rows, result.replay.tare, start_s)
+        _draw_curves(panel, curves, rows, start_s)
         panel.set_ylabel(label)
         panel.grid(color="0.9", linewidth=0.7)
         panel.set_axisbelow(True)
         panel.spines[["top", "right"]].set_visible(False)
         _legend(panel, has_marks=panel is panels[0])
-    panels[0].set_title(title, loc="left", fontsize=11)
+    panels[0].set_title(f"{result.log}: {result.sensor_line}", loc="left", fontsize=11)
     panels[-1].set_xlabel("time since the first sample [s]" if is_late else "time of the log [s]")
-    panels[-1].set_xlim(result.t_s.min() - start_s, result.t_s.max() - start_s)
+    panels[-1].set_xlim(rows.t_s.min() - start_s, rows.t_s.max() - start_s)
     return figure
 
 
-def _groups(result: Replay, config: SensorConfig) -> dict[str, list[Curve]]:
-    axial = Curve("axial force", _AXIAL, result.axial_N, result.axial_std_N)
+def _groups(rows: ForceRows, config: SensorConfig) -> dict[str, list[Curve]]:
+    axial = Curve("axial force", _AXIAL, rows.axial_N, rows.axial_std_N)
     groups = {"axial force [N]": [axial]}
     if config.mode != "axial":
         label = f"force, {config.axes} axes [N]"
-        groups[label] = _vector(result.force_N, result.std[:, :3])
+        groups[label] = _vector(rows.force_N, rows.std[:, :3])
     if config.mode == "full":
         label = f"torque, {config.axes} axes [Nm]"
-        groups[label] = _vector(result.torque_Nm, result.std[:, 3:])
+        groups[label] = _vector(rows.torque_Nm, rows.std[:, 3:])
     return groups
 
 
@@ -102,15 +102,13 @@ def _vector(values: NDArray[np.float64], std: NDArray[np.float64]) -> list[Curve
     return [Curve(name, _XYZ[i], values[:, i], std[:, i]) for i, name in enumerate("xyz")]
 
 
-def _draw_curves(
-    panel: "Axes", curves: list[Curve], result: Replay, start_s: float, max_gap_s: float
-) -> None:
+def _draw_curves(panel: "Axes", curves: list[Curve], rows: ForceRows, start_s: float) -> None:
     panel.axhline(0.0, color="0.35", linewidth=0.7)
     for curve in curves:
-        rows = broken_at_gaps(curve, result, max_gap_s)
-        time_s, value, tared = rows.t_s - start_s, rows.value, rows.is_tared
+        drawn = broken_at_gaps(curve, rows)
+        time_s, value, tared = drawn.t_s - start_s, drawn.value, drawn.is_tared
         if tared.any():
-            low, high = value - 2.0 * rows.std, value + 2.0 * rows.std
+            low, high = value - 2.0 * drawn.std, value + 2.0 * drawn.std
             panel.fill_between(time_s, low, high, where=tared, color=curve.color, **_BAND)
             panel.plot(
                 time_s, np.where(tared, value, np.nan), label=curve.name, color=curve.color, **_LINE
@@ -118,7 +116,7 @@ def _draw_curves(
         # Before a tare the band is the prior's, wider than any picture: the line alone tells more.
         name, color = (None, _GREY) if tared.any() else (f"{curve.name}, not tared", curve.color)
         panel.plot(time_s, np.where(tared, np.nan, value), label=name, color=color, **_LINE)
-    panel.set_ylim(*limits(curves, result))
+    panel.set_ylim(*limits(curves, rows))
 
 
 def _legend(panel: "Axes", has_marks: bool) -> None:

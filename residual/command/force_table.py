@@ -3,36 +3,35 @@
 import numpy as np
 from numpy.typing import NDArray
 
-from residual.command.replay import Replay
+from residual.command.force_rows import ForceRows
 from residual.sensor_config import SensorConfig
 
 Columns = dict[str, NDArray[np.float64] | NDArray[np.int64]]
 
 
-def force_table(result: Replay, config: SensorConfig, travel_m: NDArray[np.float64]) -> Columns:
+def force_table(rows: ForceRows, config: SensorConfig) -> Columns:
     """Return the columns in the order in which they are written.
 
     Args:
-        result: The estimates.
+        rows: The estimates.
         config: The sensor's settings, for mode and axes.
-        travel_m: Travel of the tip [m], shape (n,).
 
     Returns:
         Name to values, each of shape (n,).
     """
     columns: Columns = {
-        "t_s": result.t_s,
-        "travel_m": travel_m,
-        "axial_N": result.axial_N,
-        "axial_std_N": result.axial_std_N,
+        "t_s": rows.t_s,
+        "travel_m": rows.travel_m,
+        "axial_N": rows.axial_N,
+        "axial_std_N": rows.axial_std_N,
     }
-    columns |= _vector("force", "N", config.axes, result.force_N)
+    columns |= _vector("force", "N", config.axes, rows.force_N)
     if config.mode != "axial":
-        columns |= _vector("force_std", "N", config.axes, result.std[:, :3])
+        columns |= _vector("force_std", "N", config.axes, rows.std[:, :3])
     if config.mode == "full":
-        columns |= _vector("torque", "Nm", config.axes, result.torque_Nm)
-        columns |= _vector("torque_std", "Nm", config.axes, result.std[:, 3:])
-    columns["status"] = result.status
+        columns |= _vector("torque", "Nm", config.axes, rows.torque_Nm)
+        columns |= _vector("torque_std", "Nm", config.axes, rows.std[:, 3:])
+    columns["status"] = rows.status
     return columns
 
 

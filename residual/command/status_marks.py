@@ -5,7 +5,8 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.typing import NDArray
 
-from residual.command.replay import Replay
+from residual.command.force_rows import ForceRows
+from residual.command.taring import TareDone
 from residual.wrench_estimate import Status
 
 if TYPE_CHECKING:
@@ -17,27 +18,30 @@ MARKS = ("tare", "filters settle", "skipped")
 _COLORS = dict(zip(MARKS, ("#d5efd9", "#e4e4e4", "#c0392b"), strict=True))
 
 
-def draw_status_marks(panel: "Axes", result: Replay, start_s: float) -> None:
+def draw_status_marks(
+    panel: "Axes", rows: ForceRows, tare: TareDone | None, start_s: float
+) -> None:
     """Shade the tare and settling filters, and tick skipped rows along the lower edge.
 
     Args:
         panel: Where to draw.
-        result: The estimates.
+        rows: The estimates.
+        tare: The tare, if one was taken.
         start_s: Log time that is zero in the picture [s].
     """
-    tare, settling, skipping = MARKS
-    time_s = result.t_s - start_s
-    if result.tare is not None:
-        window = result.tare.window
+    taring, settling, skipping = MARKS
+    time_s = rows.t_s - start_s
+    if tare is not None:
+        window = tare.window
         span = (window.start_s - start_s, window.end_s - start_s)
-        panel.axvspan(*span, color=_COLORS[tare], linewidth=0, label=tare)
-    for number, (first, last) in enumerate(runs(result.has_status(Status.SETTLING))):
+        panel.axvspan(*span, color=_COLORS[taring], linewidth=0, label=taring)
+    for number, (first, last) in enumerate(runs(rows.has_status(Status.SETTLING))):
         # A label on each span would stand in the legend as often.
         label = settling if number == 0 else None
         panel.axvspan(
             time_s[first], time_s[last], color=_COLORS[settling], linewidth=0, label=label
         )
-    skipped = time_s[result.has_status(Status.SKIPPED)]
+    skipped = time_s[rows.has_status(Status.SKIPPED)]
     if len(skipped):
         panel.plot(
             skipped,

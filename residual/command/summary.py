@@ -1,8 +1,7 @@
 """The table a user reads at the end: what was used, what was done, what came out."""
 
-import numpy as np
-
-from residual.command.joint_signals import JointSignals
+from residual.command.force_result import ForceResult
+from residual.command.force_statistics import ForceStatistics
 from residual.command.replay import Replay
 from residual.sensor_config import SensorConfig
 from residual.wrench_estimate import Status
@@ -11,17 +10,19 @@ from urdf import Robot
 Rows = list[tuple[str, str]]
 
 
-def summary_rows(robot: Robot, config: SensorConfig, signals: JointSignals, result: Replay) -> Rows:
+def summary_rows(result: ForceResult) -> Rows:
     """Return label and text of every line of the summary."""
+    replay, forces = result.replay, result.statistics
+    own_lag = "that of the robot's own estimate"
     return [
-        ("robot", _robot(robot)),
-        ("sensor", sensor_line(robot, config, signals)),
-        ("samples", _samples(result)),
-        ("skipped", _skipped(result)),
-        ("gaps", _gaps(result, config)),
-        ("tare", _tare(result)),
-        ("axial force", _force(result)),
-        ("lag", _lag(result, signals)),
+        ("robot", _robot(result.robot)),
+        ("sensor", result.sensor_line),
+        ("samples", _samples(forces)),
+        ("skipped", _skipped(replay)),
+        ("gaps", _gaps(replay, result.config)),
+        ("tare", _tare(replay)),
+        ("axial force", _force(forces)),
+        ("lag", own_lag if result.is_external else f"{1e3 * replay.lag_s:.1f} ms"),
     ]
 
 
@@ -36,46 +37,32 @@ def _robot(robot: Robot) -> str:
     return f"{robot.model.name}, {robot.nv} joints, payload {mass_kg:.3g} kg"
 
 
-def sensor_line(robot: Robot, config: SensorConfig, signals: JointSignals) -> str:
-    """Return in one line what is estimated from what."""
-    frame = config.frame if config.frame is not None else robot.tool_frame
-    where = f"{config.mode} force at {frame}" if config.mode != "full" else f"wrench at {frame}"
-    if signals.is_external:
-        return f"{where}, from the robot's own external torque"
-    velocity = "velocity from the log" if signals.dq_rad_s is not None else "velocity estimated"
-    return f"{where}, K = {config.gain_per_s:g} 1/s, {velocity}"
+def _samples(forces: ForceStatistics) -> str:
+    duration_s = forces.last_s - forces.first_s
+    counts = [f"{forces[status].count} {status.value}" for status in Status if forces[status].count]
+    rate_hz = 1.0 / forces.step_s
+    return f"{forces.rows} in {duration_s:.4g} s at {rate_hz:.4g} Hz: {', '.join(counts)}"
 
 
-def _samples(result: Replay) -> str:
-    duration_s = float(result.t_s.max() - result.t_s.min())
-    rate_hz = 1.0 / float(np.median(np.diff(np.unique(result.t_s))))
-    counts = [
-        f"{int(result.has_status(status).sum())} {status.value}"
-        for status in Status
-        if result.has_status(status).any()
-    ]
-    return f"{len(result.t_s)} in {duration_s:.4g} s at {rate_hz:.4g} Hz: {', '.join(counts)}"
-
-
-def _skipped(result: Replay) -> str:
-    if not result.skipped:
+def _skipped(replay: Replay) -> str:
+    if not replay.skipped:
         return "none"
-    reasons = "; ".join(f"{count} x {reason}" for reason, count in result.skipped.most_common(4))
-    more = len(result.skipped) - 4
-    return f"{result.skipped.total()}: {reasons}" + (f"; {more} other reasons" if more > 0 else "")
+    reasons = "; ".join(f"{count} x {reason}" for reason, count in replay.skipped.most_common(4))
+    more = len(replay.skipped) - 4
+    return f"{replay.skipped.total()}: {reasons}" + (f"; {more} other reasons" if more > 0 else "")
 
 
-def _gaps(result: Replay, config: SensorConfig) -> str:
-    if not result.gaps_s:
+def _gaps(replay: Replay, config: SensorConfig) -> str:
+    if not replay.gaps:
         return f"none longer than {config.max_gap_s:g} s"
     return (
-        f"{len(result.gaps_s)} longer than {config.max_gap_s:g} s (longest "
-        f"{max(result.gaps_s):.3g} s), after which the filters started anew"
+        f"{replay.gaps} longer than {config.max_gap_s:g} s (longest "
+        f"{replay.longest_gap_s:.3g} s), after which the filters started anew"
     )
 
 
-def _tare(result: Replay) -> str:
-    done = result.tare
+def _tare(replay: Replay) -> str:
+    done = replay.tare
     if done is None:
         return "none: forces carry the errors of the model and of the torque sensors"
     return (
@@ -84,21 +71,13 @@ def _tare(result: Replay) -> str:
     )
 
 
-def _force(result: Replay) -> str:
-    rows = result.has_status(Status.OK)
-    note = ""
-    if not rows.any():
-        rows, note = result.has_status(Status.NOT_TARED), ", not tared"
-    if not rows.any():
+def _force(forces: ForceStatistics) -> str:
+    shown, note = forces[Status.OK], ""
+    if not shown.count:
+        shown, note = forces[Status.NOT_TARED], ", not tared"
+    if not shown.count:
         return "none: no sample was sound and settled"
-    axial, std = result.axial_N[rows], result.axial_std_N[rows]
     return (
-        f"{axial.min():.3f} to {axial.max():.3f} N, standard deviation {np.median(std):.3f} N "
+        f"{shown.least_N:.3f} to {shown.largest_N:.3f} N, standard deviation {shown.std_N:.3f} N "
         f"(median){note}"
     )
-
-
-def _lag(result: Replay, signals: JointSignals) -> str:
-    if signals.is_external:
-        return "that of the robot's own estimate"
-    return f"{1e3 * result.lag_s:.1f} ms"

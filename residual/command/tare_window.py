@@ -21,39 +21,61 @@ class TareWindow:
     end_s: float
 
 
-def parse_tare_window(text: str, first_s: float, last_s: float) -> TareWindow:
-    """Read a window.
+@dataclass(frozen=True, slots=True)
+class TareOption:
+    """What the option says; the window is known with the log's first stamp.
 
-    Args:
+    Attributes:
         text: ``START:END``; either may be counted from the log's first stamp with a leading
             ``+``, and START may be left out.
-        first_s: First stamp of the log [s].
-        last_s: Last stamp [s].
-
-    Raises:
-        CommandError: It is not a window, or not one inside the log.
     """
-    start_text, colon, end_text = text.partition(":")
-    if not colon:
-        raise CommandError(f"--tare {text}: {_EXPECTED}")
-    start_s = _time(start_text, first_s, text) if start_text.strip() else first_s
-    end_s = _time(end_text, first_s, text)
-    if not start_s < end_s:
-        raise CommandError(f"--tare {text}: START must come before END; {_EXPECTED}")
-    if start_s >= last_s or end_s > last_s or end_s <= first_s:
-        raise CommandError(
-            f"--tare {text} lies outside the log, which runs from {first_s:.9g} to {last_s:.9g} s; "
-            f"{_EXPECTED}"
-        )
-    return TareWindow(start_s=start_s, end_s=end_s)
 
+    text: str
 
-def _time(text: str, first_s: float, whole: str) -> float:
-    text = text.strip()
-    try:
-        value = float(text)
-    except ValueError as error:
-        raise CommandError(f"--tare {whole}: {text!r} is no time; {_EXPECTED}") from error
-    if not math.isfinite(value):
-        raise CommandError(f"--tare {whole}: {text!r} is no time; {_EXPECTED}")
-    return first_s + value if text.startswith("+") else value
+    def __post_init__(self) -> None:
+        """Check what can be checked without a log.
+
+        Raises:
+            CommandError: It is not a window.
+        """
+        self._ends(0.0)
+
+    def window(self, first_s: float) -> TareWindow:
+        """Return the window in a log that starts at ``first_s`` [s].
+
+        Raises:
+            CommandError: It does not end after it starts.
+        """
+        start_s, end_s = self._ends(first_s)
+        if not start_s < end_s:
+            raise CommandError(f"--tare {self.text}: START must come before END; {_EXPECTED}")
+        return TareWindow(start_s=start_s, end_s=end_s)
+
+    def require_inside(self, window: TareWindow, first_s: float, last_s: float) -> None:
+        """Check that the log reaches as far as the window.
+
+        Raises:
+            CommandError: It does not.
+        """
+        if window.start_s >= last_s or window.end_s > last_s or window.end_s <= first_s:
+            raise CommandError(
+                f"--tare {self.text} lies outside the log, which runs from {first_s:.9g} to "
+                f"{last_s:.9g} s; {_EXPECTED}"
+            )
+
+    def _ends(self, first_s: float) -> tuple[float, float]:
+        start_text, colon, end_text = self.text.partition(":")
+        if not colon:
+            raise CommandError(f"--tare {self.text}: {_EXPECTED}")
+        start_s = self._time(start_text, first_s) if start_text.strip() else first_s
+        return start_s, self._time(end_text, first_s)
+
+    def _time(self, text: str, first_s: float) -> float:
+        text = text.strip()
+        try:
+            value = float(text)
+        except ValueError:
+            value = math.nan
+        if not math.isfinite(value):
+            raise CommandError(f"--tare {self.text}: {text!r} is no time; {_EXPECTED}")
+        return first_s + value if text.startswith("+") else value

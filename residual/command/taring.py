@@ -1,12 +1,13 @@
 """Tares a sensor while a log runs through it."""
 
+import math
 from dataclasses import dataclass
 from typing import Literal
 
 import numpy as np
 
 from residual.command.errors import CommandError
-from residual.command.tare_window import TareWindow
+from residual.command.tare_window import TareOption, TareWindow
 from residual.errors import TareError
 from residual.tare import Tare
 from residual.virtual_force_sensor import VirtualForceSensor
@@ -24,12 +25,12 @@ class TareRequest:
     """What the user wants.
 
     Attributes:
-        window: Where to tare; ``automatic`` for the first `AUTOMATIC_S` once the filters have
+        where: Where to tare; ``automatic`` for the first `AUTOMATIC_S` once the filters have
             settled, None for no tare.
         force: Whether to tare even where contact is seen.
     """
 
-    window: TareWindow | Literal["automatic"] | None = "automatic"
+    where: TareOption | Literal["automatic"] | None = "automatic"
     force: bool = False
 
 
@@ -57,11 +58,18 @@ class Taring:
     Args:
         sensor: The sensor that the log runs through.
         request: What the user wants.
+        first_s: First stamp of the log [s].
+
+    Raises:
+        CommandError: The window does not suit the log.
     """
 
-    def __init__(self, sensor: VirtualForceSensor, request: TareRequest) -> None:
-        self._sensor, self._request = sensor, request
-        self._window = request.window if isinstance(request.window, TareWindow) else None
+    def __init__(self, sensor: VirtualForceSensor, request: TareRequest, first_s: float) -> None:
+        self._sensor, self._request, self._first_s = sensor, request, first_s
+        self._window: TareWindow | None = None
+        if isinstance(request.where, TareOption):
+            self._window = request.where.window(first_s)
+            request.where.require_inside(self._window, first_s, math.inf)
         self._must_start = self._window is not None
         self._seen = 0
         self.done: TareDone | None = None
@@ -86,19 +94,27 @@ class Taring:
         if status is not Status.NOT_TARED or self._must_start:
             return
         self._seen += 1
-        if self._request.window == "automatic" and self._window is None:
+        if self._request.where == "automatic" and self._window is None:
             self._window = TareWindow(start_s=t_s, end_s=t_s + AUTOMATIC_S)
 
-    def finish(self, last_s: float) -> None:
+    def finish(self, last_s: float, *, is_whole: bool) -> None:
         """Take a tare whose window ends with the log.
+
+        Args:
+            last_s: Latest stamp of the log [s].
+            is_whole: Whether the log was read to its end; if not, it may end before the tare.
 
         Raises:
             CommandError: It is refused, or the log is too short for a tare.
         """
-        if self._request.window is None or self.done is not None:
+        where, window = self._request.where, self._window
+        if where is None or self.done is not None:
             return
-        window = self._window
-        if window is None or (self._request.window == "automatic" and last_s < window.end_s):
+        if window is None or last_s < window.end_s:
+            if not is_whole:
+                return
+            if isinstance(where, TareOption) and window is not None:
+                where.require_inside(window, self._first_s, last_s)
             raise CommandError(
                 f"the log ends before the filters have settled and {AUTOMATIC_S:g} s of free "
                 f"motion were seen, so it cannot be tared; {_CHOICES}"
