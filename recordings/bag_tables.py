@@ -18,6 +18,8 @@ _SHORTEST_LIMIT_S = 0.1
 _PERIODS = 5.0
 """So many periods of a topic may lie between two of its messages and still be bridged."""
 
+_NEVER_NS = -(1 << 62)
+
 
 def bag_tables(survey: BagSurvey, plan: BagPlan, rows: int | None) -> Iterator[Table]:
     """Read what a plan says.
@@ -36,13 +38,12 @@ def bag_tables(survey: BagSurvey, plan: BagPlan, rows: int | None) -> Iterator[T
     }
     clock = readers[plan.clock]
     rest = _Rest(survey, plan)
-    # Rows are given out when as many again have come, so that slower topics are ahead of them.
-    ahead = 2 if len(readers) > 1 else 1
     for message in bag_messages(survey.files, [], plan.columns):
         readers[message.topic.name].add(message)
-        if rows is not None and len(clock) + rest.waiting >= ahead * rows:
+        if rows is not None and len(clock) >= rows:
             rest.add(readers)
-            yield rest.table(rows)
+            while rest.is_ready(rows):
+                yield rest.table(rows)
     rest.add(readers)
     while rest.waiting or rest.has_news:
         yield rest.table(rows or rest.waiting)
@@ -54,6 +55,7 @@ class _Signal:
 
     rows: TopicRows
     limit_ns: float
+    latest_ns: int
 
 
 class _Rest:
@@ -87,6 +89,17 @@ class _Rest:
         signal = self._signals.get(self._plan.clock)
         return 0 if signal is None else signal.rows.stamps_ns.size
 
+    def is_ready(self, rows: int) -> bool:
+        """Return whether nothing that may still come can change the next rows."""
+        if self.waiting < rows:
+            return False
+        stamps_ns = self._signals[self._plan.clock].rows.stamps_ns
+        last_ns, latest_ns = stamps_ns[:rows].max(), stamps_ns.max()
+        return all(
+            signal.latest_ns >= last_ns or latest_ns - last_ns > signal.limit_ns
+            for signal in self._signals.values()
+        )
+
     @property
     def has_news(self) -> bool:
         """Whether something is to be told: that there are columns, or a warning."""
@@ -99,7 +112,9 @@ class _Rest:
             self._warnings += reader.notes()
             old = self._signals.get(name)
             rows = new if old is None else _joined(old.rows, new)
-            self._signals[name] = _Signal(rows, self._limits_ns[name])
+            latest_ns = _NEVER_NS if old is None else old.latest_ns
+            latest_ns = int(new.stamps_ns.max(initial=latest_ns))
+            self._signals[name] = _Signal(rows, self._limits_ns[name], latest_ns)
 
     def table(self, rows: int) -> Table:
         """Give out rows."""
