@@ -167,7 +167,7 @@ def _open_file(path: Path, labels: LabelSource, *, grows: bool) -> Iterator[Open
             # On a full disk closing fails too, but that has been told.
             with suppress(OSError):
                 stream.close()
-        if not grows:
+        if streams and not grows:
             part.unlink(missing_ok=True)
 
 
