@@ -168,9 +168,13 @@ def test_what_is_written_is_read_without_a_mapping(path):
 
 def test_an_existing_bag_is_replaced_only_by_a_whole_one(path):
     write_table(path, estimate_columns(5))
-    with pytest.raises(LogError), open_table(path) as table:
+    with open_table(path) as table:
         table.append(estimate_columns(20))
-        table.append(estimate_columns(1) | {"more": [1.0]})
+        assert read_table(path).columns["t_s"].size == 5
+    assert read_table(path).columns["t_s"].size == 20
+    with pytest.raises(LogError):
+        write_table(path, {"t_s": [np.nan]})
+    assert read_table(path).columns["t_s"].size == 20
     assert read_table(path).columns["t_s"].size == 5
     write_table(path, estimate_columns(7))
     assert read_table(path).columns["t_s"].size == 7
