@@ -49,7 +49,13 @@ def _add_run(run: argparse.ArgumentParser) -> None:
         help=f"folder of real recordings (default: the environment's {DATA_VARIABLE})",
     )
     run.add_argument("--json", type=Path, metavar="FILE", help="write the numbers there")
-    run.add_argument("--report", type=Path, metavar="DIR", help="write tables and pictures there")
+    run.add_argument(
+        "--report",
+        type=Path,
+        metavar="DIR",
+        help="write a page there: the paper's figures from these runs, and all tables; with no ID "
+        "named, runs all that the figures need",
+    )
     run.add_argument(
         "--jobs",
         type=_positive,

@@ -2,11 +2,11 @@
 
 from collections.abc import Callable
 from dataclasses import dataclass
-from pathlib import Path
 from typing import NamedTuple
 
 from benchmarks.job import Job, Progress
 from benchmarks.measurement import Measurement
+from benchmarks.report.drawing import Drawing
 
 RECORDING = "recording"
 """The plant of a benchmark on real data."""
@@ -16,7 +16,7 @@ class Findings(NamedTuple):
     """What running a job gives."""
 
     measurements: list[Measurement]
-    pictures: tuple[Path, ...] = ()
+    drawings: tuple[Drawing, ...] = ()
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

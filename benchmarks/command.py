@@ -6,6 +6,7 @@ from importlib import import_module
 
 from benchmarks.arguments import parser
 from benchmarks.errors import BenchmarkError
+from figures import FiguresError
 
 USAGE = 2
 INTERRUPTED = 130
@@ -26,7 +27,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
         # Lazily: `compare` needs no simulator, and a missing package is said in one line.
         module = import_module(f"benchmarks.{chosen.command}_command")
         return module.execute(chosen)
-    except BenchmarkError as error:
+    except (BenchmarkError, FiguresError) as error:
         return _complain(str(error))
     except ModuleNotFoundError as error:
         if error.name not in EXTRA_PACKAGES:

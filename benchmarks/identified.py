@@ -52,14 +52,19 @@ class Identified:
         return np.array([estimate.tip_force_N for estimate in self.result.estimates])
 
 
-def identify(signal: NeedleSignal, truth: InsertionTruth, method: Method) -> Identified:
+def identify(
+    signal: NeedleSignal,
+    truth: InsertionTruth,
+    method: Method,
+    config: DefaultConfig | PaperConfig | None = None,
+) -> Identified:
     """Feed a method from the end of the tare to the end of the run.
 
     `default` finds first contact by itself. `paper` assumes it known, and is told: the one thing
     of the truth that an identifier sees here.
     """
     start = int(np.searchsorted(truth.t_s, truth.tare_end_s))
-    config = IDENTIFIERS[method]
+    config = IDENTIFIERS[method] if config is None else config
     if isinstance(config, PaperConfig):
         touch = float(np.interp(truth.contact_s, truth.t_s, signal.depth_m))
         config = replace(config, contact_depth_m=touch)

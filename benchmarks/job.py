@@ -4,6 +4,7 @@ from collections.abc import Callable
 from dataclasses import dataclass, field
 from pathlib import Path
 
+from benchmarks.report.drawing import Drawing
 from benchmarks.row import Row
 
 Progress = Callable[[float], None]
@@ -20,25 +21,18 @@ class Job:
             data.
         seed: Of everything drawn; of real data, the number of the recording.
         data: Folder of recordings, for benchmarks that need it.
-        pictures: Folder for pictures; None for none.
+        drawings: Folder for charts; None for none.
     """
 
     benchmark: str
     plant: str
     seed: int = 0
     data: Path | None = None
-    pictures: Path | None = None
+    drawings: Path | None = None
 
     def __str__(self) -> str:
         """One line for people."""
         return f"{self.benchmark}, {self.plant}, seed {self.seed}"
-
-    def picture(self, kind: str = "") -> Path | None:
-        """Where this job's picture of a kind goes, nothing where none is wanted."""
-        if self.pictures is None:
-            return None
-        ending = f"-{kind}" if kind else ""
-        return self.pictures / f"{self.benchmark}-{self.plant}-{self.seed}{ending}.png"
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -48,11 +42,11 @@ class Outcome:
     Attributes:
         job: The job.
         rows: Its numbers; none when it failed.
-        pictures: The pictures it has drawn.
+        drawings: The charts it has drawn.
         failure: Why it failed, one line.
     """
 
     job: Job
     rows: tuple[Row, ...] = field(default=())
-    pictures: tuple[Path, ...] = ()
+    drawings: tuple[Drawing, ...] = ()
     failure: str | None = None

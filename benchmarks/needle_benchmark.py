@@ -9,6 +9,7 @@ from benchmarks.identification_metrics import Signals, identification_metrics, i
 from benchmarks.insertion_truth import truth_of_needle
 from benchmarks.job import Job, Progress
 from benchmarks.needle_signal import NeedleSignal
+from benchmarks.report.run_drawings import identification_drawings
 from groundtruth import ForceNoise, NeedleRun, Scenario, insert_needle
 
 NEEDLE = "needle"
@@ -36,15 +37,11 @@ def run_needle(job: Job, chosen: Scenario, progress: Progress, *, is_drawn: bool
     truth, signal = truth_of_needle(run), _signal(run)
     signals: Signals = {"default": signal, "paper": signal}
     identified = identify_all(signals, truth)
-    picture = job.picture("identification")
-    if picture is not None:
-        # Lazily: without --report nobody waits for matplotlib.
-        from benchmarks.identification_figure import save_identification_figure
-
-        title = f"{chosen.title} (needle only, seed {job.seed})"
-        save_identification_figure(picture, title, truth, identified)
     measured = list(identification_metrics(signals, identified, truth))
-    return Findings(measured, () if picture is None else (picture,))
+    if job.drawings is None:
+        return Findings(measured)
+    found = [(signals, identified)]
+    return Findings(measured, identification_drawings(job, job.drawings, truth, found))
 
 
 def drawn_noise(rng: np.random.Generator) -> ForceNoise:

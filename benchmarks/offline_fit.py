@@ -3,10 +3,16 @@
 from typing import Literal
 
 import numpy as np
+from numpy.typing import NDArray
+from scipy.ndimage import median_filter
 
 from benchmarks.insertion_truth import InsertionTruth
 from benchmarks.needle_signal import NeedleSignal
 from identification import LayerSpan, OfflineIdentification, identify_offline
+
+SPEED_WINDOW_s = 0.2
+"""Over which the median of the speed is taken, centred, as one may offline: the models are judged,
+not the noise of an arm's velocity, which B Δz would turn into force."""
 
 
 def offline_metrics(signal: NeedleSignal, truth: InsertionTruth) -> dict[str, float]:
@@ -26,11 +32,17 @@ def offline_fit(
     return identify_offline(
         truth.t_s[inside],
         depth[inside],
-        signal.speed_m_s[inside],
+        quiet_speed_m_s(signal)[inside],
         signal.force_N[inside],
         layer_spans(truth),
         model,
     )
+
+
+def quiet_speed_m_s(signal: NeedleSignal) -> NDArray[np.float64]:
+    """The speed without its noise, its steps as they are, shape (n,)."""
+    samples = max(round(SPEED_WINDOW_s / float(np.median(np.diff(signal.t_s)))), 1)
+    return median_filter(signal.speed_m_s, samples + 1 - samples % 2, mode="nearest")
 
 
 def layer_spans(truth: InsertionTruth) -> list[LayerSpan]:

@@ -25,6 +25,8 @@ from benchmarks.panda import Panda, read_panda
 from benchmarks.panda_liver_told import told_values
 from benchmarks.progress_part import progress_part
 from benchmarks.recordings_folder import recordings_folder
+from benchmarks.report.drawing import Drawing
+from benchmarks.report.run_drawings import force_drawings
 from benchmarks.virtual_force import virtual_force
 from benchmarks.wrench_metrics import wrench_metrics
 
@@ -55,18 +57,15 @@ def run_panda_liver(job: Job, progress: Progress) -> Findings:
         part = progress_part(progress, k / len(METHODS), (k + 1) / len(METHODS))
         real = replace(config, friction=panda.friction)
         readings.append(virtual_force(panda.robot, signals, real, method, TARE_s, part))
-    picture = job.picture()
-    if picture is not None:
-        # Lazily: without --report nobody waits for matplotlib.
-        from benchmarks.force_figure import save_force_figure
-
-        title = f"real liver force {job.seed} on the real torques of a moving Panda"
-        save_force_figure(picture, title, truth, readings)
+    drawings: tuple[Drawing, ...] = ()
+    if job.drawings is not None:
+        what = "real liver on a real Panda"
+        drawings = force_drawings(job, job.drawings, truth, readings, what)
     found: list[Measurement] = []
     for reading in readings:
         found += [item for item in wrench_metrics(reading, truth) if item.metric != NOT_TOLD]
     found += told_values(insertion, truth, readings)
-    return Findings(found, () if picture is None else (picture,))
+    return Findings(found, drawings)
 
 
 def _truth(panda: Panda, insertion: LiverInsertion) -> ForceTruth:

@@ -9,6 +9,7 @@ from benchmarks.catalogue import BENCHMARKS, benchmark
 from benchmarks.errors import DataError, UnknownIdError
 from benchmarks.job import Job
 from benchmarks.needle_benchmark import NEEDLE
+from benchmarks.report.paper_figures import NEEDED
 from groundtruth import ARM_LEVELS
 
 ALL = "all"
@@ -20,19 +21,20 @@ class Request:
     """What was asked for.
 
     Attributes:
-        ids: Names of benchmarks; none for the quick ones, ``all`` for all.
+        ids: Names of benchmarks; none for the quick ones (and, where charts are wanted, for what
+            the paper's figures need), ``all`` for all.
         plants: Arm levels of simulations, ``needle`` for none; when empty, every benchmark runs on
             its own: the random stack with the needle alone, so that hundreds are affordable.
         seeds: Seeds 0 to seeds - 1 are run.
         data: Folder of recordings, if any.
-        pictures: Folder for pictures, if wanted.
+        drawings: Folder for charts, if wanted.
     """
 
     ids: Sequence[str] = ()
     plants: Sequence[str] = ()
     seeds: int = 1
     data: Path | None = None
-    pictures: Path | None = None
+    drawings: Path | None = None
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -61,7 +63,7 @@ def make_plan(request: Request) -> Plan:
         raise DataError(f"no folder of recordings at {request.data}")
     jobs: list[Job] = []
     skipped = []
-    for item in _chosen(request.ids):
+    for item in _chosen(request):
         missing = _missing(item, request)
         if not missing:
             jobs += _jobs(item, request)
@@ -78,13 +80,15 @@ def _check_plants(plants: Sequence[str]) -> None:
             raise UnknownIdError(f"no plant {plant!r}; choose from: {', '.join(PLANTS)}")
 
 
-def _chosen(ids: Sequence[str]) -> list[Benchmark]:
+def _chosen(request: Request) -> list[Benchmark]:
     """The benchmarks in the catalogue's order, each once."""
+    ids = request.ids
     for name in ids:
         if name != ALL:
             benchmark(name)
     if not ids:
-        return [item for item in BENCHMARKS.values() if item.is_default]
+        drawn = NEEDED if request.drawings is not None else ()
+        return [item for item in BENCHMARKS.values() if item.is_default or item.id in drawn]
     return [item for item in BENCHMARKS.values() if ALL in ids or item.id in ids]
 
 
@@ -114,8 +118,8 @@ def _jobs(item: Benchmark, request: Request) -> list[Job]:
             plant=plant,
             seed=seed,
             data=request.data if item.is_recorded else None,
-            # One picture of each kind tells enough.
-            pictures=request.pictures if seed == 0 else None,
+            # One chart of each kind tells enough.
+            drawings=request.drawings if seed == 0 else None,
         )
         for plant in plants
         for seed in range(seeds)

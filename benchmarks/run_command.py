@@ -9,11 +9,12 @@ from benchmarks.errors import ResultsError
 from benchmarks.plan import Plan, Request, make_plan
 from benchmarks.pool import run_jobs
 from benchmarks.progress_bar import progress_bar
-from benchmarks.report import write_report
+from benchmarks.report.report_page import write_report
 from benchmarks.results_file import write_results
 from benchmarks.run_tables import run_tables
 from benchmarks.screen import new_console
 from benchmarks.verdict import verdicts
+from figures import require_matplotlib
 
 FAILURE = 1
 
@@ -23,15 +24,16 @@ def execute(arguments: argparse.Namespace) -> int:
 
     Raises:
         BenchmarkError: Nothing can be run, or a file cannot be written.
+        figures.FiguresError: The report cannot be drawn or written.
     """
-    pictures = _folder(arguments.report)
+    folder = _folder(arguments.report)
     plants = [name for names in arguments.plant or [] for name in names]
     request = Request(
         ids=arguments.ids,
         plants=plants,
         seeds=arguments.seeds,
         data=arguments.data,
-        pictures=pictures,
+        drawings=folder,
     )
     plan = make_plan(request)
     # The bar goes to stderr, so that stdout can be piped.
@@ -45,17 +47,18 @@ def execute(arguments: argparse.Namespace) -> int:
     _tell_gaps(console, plan, failures)
     if arguments.json is not None:
         write_results(arguments.json, rows)
-    if pictures is not None:
-        drawn = [picture for item in outcomes for picture in item.pictures]
-        index = write_report(pictures, rows, drawn)
+    if folder is not None:
+        drawn = [drawing for item in outcomes for drawing in item.drawings]
+        index = write_report(folder, rows, drawn)
         console.print(f"Report: {index}")
     missed = arguments.strict and not all(verdict.is_met for verdict in verdicts(rows))
     return FAILURE if failures or missed else 0
 
 
 def _folder(path: Path | None) -> Path | None:
-    """Make the report's folder before minutes of work, not after."""
+    """Make sure that the report can be written before minutes of work, not after."""
     if path is not None:
+        require_matplotlib("--report")
         try:
             path.mkdir(parents=True, exist_ok=True)
         except OSError as error:

@@ -3,10 +3,20 @@
 from benchmarks.catalogue import benchmark
 from benchmarks.errors import BenchmarkError
 from benchmarks.job import Job, Outcome, Progress
+from figures import FiguresError
 from groundtruth import GroundTruthError
 from recordings import RecordingError
 from residual import ResidualError
 from urdf import UrdfError
+
+KNOWN = (
+    BenchmarkError,
+    GroundTruthError,
+    ResidualError,
+    UrdfError,
+    RecordingError,
+    FiguresError,
+)
 
 
 def run_job(job: Job, progress: Progress) -> Outcome:
@@ -21,7 +31,7 @@ def run_job(job: Job, progress: Progress) -> Outcome:
     """
     try:
         found = benchmark(job.benchmark).run(job, progress)
-    except (BenchmarkError, GroundTruthError, ResidualError, UrdfError, RecordingError) as error:
+    except KNOWN as error:
         return Outcome(job=job, failure=f"{type(error).__name__}: {error}")
     rows = tuple(item.row(job.benchmark, job.plant, job.seed) for item in found.measurements)
-    return Outcome(job=job, rows=rows, pictures=found.pictures)
+    return Outcome(job=job, rows=rows, drawings=found.drawings)

@@ -1,6 +1,4 @@
-"""A job on simulated tissue, from its name to its numbers and its pictures."""
-
-from pathlib import Path
+"""A job on simulated tissue, from its name to its numbers and its charts."""
 
 from benchmarks.arm_identification import arm_signals
 from benchmarks.benchmark import Findings
@@ -10,6 +8,8 @@ from benchmarks.job import Job, Progress
 from benchmarks.measurement import Measurement
 from benchmarks.needle_benchmark import NEEDLE, run_needle
 from benchmarks.progress_part import progress_part
+from benchmarks.report.drawing import Drawing
+from benchmarks.report.run_drawings import force_drawings, identification_drawings
 from benchmarks.simulated import (
     RANDOM_STACK,
     SimulatedCase,
@@ -28,37 +28,28 @@ def run_simulated(job: Job, progress: Progress) -> Findings:
     if job.plant == NEEDLE:
         return run_needle(job, chosen, progress, is_drawn=job.benchmark == RANDOM_STACK)
     case = simulated_case(job, chosen, progress_part(progress, 0.0, READING_SHARE))
-    pictures: list[Path] = []
-    picture = job.picture()
-    if picture is not None:
-        # Lazily: without --report nobody waits for matplotlib.
-        from benchmarks.force_figure import save_force_figure
-
-        save_force_figure(picture, _title(case), case.truth, case.readings)
-        pictures.append(picture)
+    drawings: tuple[Drawing, ...] = ()
+    if job.drawings is not None:
+        what = case.run.scenario.title
+        drawings += force_drawings(job, job.drawings, case.truth, case.readings, what)
     measured = simulated_metrics(case)
     if chosen.layers:
-        measured += _identify(job, case, pictures)
-    return Findings(measured, tuple(pictures))
+        found = _identify(job, case)
+        measured += found.measurements
+        drawings += found.drawings
+    return Findings(measured, drawings)
 
 
-def _identify(job: Job, case: SimulatedCase, pictures: list[Path]) -> list[Measurement]:
-    """Numbers of online identification on every source; its picture is appended."""
+def _identify(job: Job, case: SimulatedCase) -> Findings:
+    """Online identification on every source."""
     truth = truth_of_run(case.run)
     measured: list[Measurement] = []
-    drawn = []
+    found = []
     for signals in arm_signals(case):
         identified = identify_all(signals, truth)
         measured += identification_metrics(signals, identified, truth)
-        drawn += identified
-    picture = job.picture("identification")
-    if picture is not None:
-        from benchmarks.identification_figure import save_identification_figure
-
-        save_identification_figure(picture, _title(case), truth, drawn)
-        pictures.append(picture)
-    return measured
-
-
-def _title(case: SimulatedCase) -> str:
-    return f"{case.run.scenario.title} ({case.run.arm} arm, seed {case.run.seed})"
+        found.append((signals, identified))
+    if job.drawings is None:
+        return Findings(measured)
+    ft = next(item for item in case.readings if item.source == "ft")
+    return Findings(measured, identification_drawings(job, job.drawings, truth, found, ft))

@@ -6,7 +6,7 @@ from figures.errors import ChartError
 from figures.marks import Instants, Shading, Ticks
 from figures.panel import Panel
 
-WIDTH_IN = 5.2
+WIDTH_IN = 4.4
 """At the width of a phone the letters are then still large enough to read."""
 
 
@@ -36,7 +36,7 @@ class Chart:
     x_limits: tuple[float, float] | None = None
     x_ticks: tuple[tuple[float, str], ...] = ()
     width_in: float = WIDTH_IN
-    height_in: float = 3.4
+    height_in: float = 3.0
 
     def __post_init__(self) -> None:
         """Check that there is something to draw.

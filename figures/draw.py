@@ -1,10 +1,11 @@
 """From a chart to a matplotlib figure."""
 
+from textwrap import wrap
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from figures.chart import Chart
+from figures.chart import WIDTH_IN, Chart
 from figures.curve import Curve
 from figures.limits import limits_of
 from figures.line_style import LineStyle
@@ -17,8 +18,7 @@ if TYPE_CHECKING:
 
 SETTINGS: dict[Any, Any] = {
     "font.family": "DejaVu Sans",  # comes with matplotlib: the same everywhere
-    "font.size": 9.0,
-    "axes.titlesize": 9.0,
+    "font.size": 9.5,
     "axes.spines.top": False,
     "axes.spines.right": False,
     "axes.linewidth": 0.7,
@@ -27,7 +27,7 @@ SETTINGS: dict[Any, Any] = {
     "grid.color": "#e3e3e3",
     "grid.linewidth": 0.6,
     "legend.frameon": False,
-    "legend.fontsize": 8.5,
+    "legend.fontsize": 9.0,
     "lines.solid_capstyle": "round",
     "axes.formatter.useoffset": False,
     "svg.fonttype": "path",
@@ -35,8 +35,11 @@ SETTINGS: dict[Any, Any] = {
 }
 """Of matplotlib; must hold while a chart is drawn and while it is saved."""
 BAND_OPACITY = 0.2
-LEGEND_COLUMNS = 2
-LEGEND_ROW_IN = 0.16
+TWO_COLUMNS = 54
+"""Letters that two columns of a legend have room for at the usual width; longer words get one."""
+LEGEND_ROW_IN = 0.17
+TITLE_LETTERS = 50
+"""Of a line at the usual width."""
 
 
 def draw(chart: Chart) -> "Figure":
@@ -57,7 +60,7 @@ def draw(chart: Chart) -> "Figure":
         places[-1].set_xlim(*chart.x_limits)
     if chart.x_ticks:
         places[-1].set_xticks(*zip(*chart.x_ticks, strict=True))
-    figure.suptitle(chart.title, x=0.01, ha="left", fontsize=9.5, fontweight="bold")
+    figure.suptitle(_title(chart), x=0.01, ha="left", fontsize=9.5, fontweight="bold")
     rows = _legend(figure, list(places), chart)
     figure.set_size_inches(chart.width_in, chart.height_in + rows * LEGEND_ROW_IN)
     return figure
@@ -135,13 +138,25 @@ def _legend(figure: "Figure", places: list["Axes"], chart: Chart) -> int:
         return 0
     marks = [mark.label for mark in (*chart.shadings, *chart.instants, *chart.ticks)]
     ordered = sorted(shown, key=lambda label: label in marks)
+    columns = _legend_columns(ordered, chart)
     figure.legend(
         [shown[label] for label in ordered],
         ordered,
         loc="outside lower left",
-        ncols=LEGEND_COLUMNS,
-        handlelength=2.6,
-        columnspacing=1.4,
+        ncols=columns,
+        handlelength=2.2,
+        columnspacing=1.2,
         labelspacing=0.3,
     )
-    return -(-len(ordered) // LEGEND_COLUMNS)
+    return -(-len(ordered) // columns)
+
+
+def _legend_columns(labels: list[str], chart: Chart) -> int:
+    half = -(-len(labels) // 2)
+    longest = [max(map(len, part), default=0) for part in (labels[:half], labels[half:])]
+    return 2 if sum(longest) <= TWO_COLUMNS * chart.width_in / WIDTH_IN else 1
+
+
+def _title(chart: Chart) -> str:
+    most = int(TITLE_LETTERS * chart.width_in / WIDTH_IN)
+    return "\n".join(part for line in chart.title.splitlines() for part in wrap(line, most))

@@ -29,8 +29,8 @@ DASH_DOTTED: Dash = (0.0, (6.0, 2.0, 1.2, 2.0))
 TRUE = LineStyle(color=BLACK, width_pt=0.9)
 TRUE_PART = LineStyle(color=BLACK, dash=DOTTED, width_pt=1.5)
 """A part of the true force, or a true parameter."""
-READING = LineStyle(color=GREEN, width_pt=0.9)
-"""The force an identifier is given."""
+READING = LineStyle(color=GREEN, width_pt=2.6, opacity=0.45)
+"""The force an identifier is given: broad and pale, for others run along it."""
 OTHER_SENSOR = LineStyle(color=GREY, width_pt=0.8)
 """Another sensor's force, or what was made of it, for comparison."""
 OTHER_DASHED = replace(OTHER_SENSOR, dash=DASHED)

@@ -33,16 +33,16 @@ class Attachment:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Section:
-    """A part of a page: text, then figures, then tables, then a command.
+    """A part of a page: text, then a command, figures and tables.
 
     Attributes:
         heading: Above it.
         anchor: Under which it can be reached within the page.
         paragraphs: Text.
         notices: Text that must not be overlooked, such as warnings.
+        command: Shown below the text, as it would be typed; none where empty.
         figures: Side by side where there is room.
         tables: Below the figures.
-        command: Shown last, as it would be typed; none where empty.
         attachments: Files to save.
     """
 
@@ -50,9 +50,9 @@ class Section:
     anchor: str
     paragraphs: tuple[str, ...] = ()
     notices: tuple[str, ...] = ()
+    command: str = ""
     figures: tuple[PageFigure, ...] = ()
     tables: tuple[PageTable, ...] = ()
-    command: str = ""
     attachments: tuple[Attachment, ...] = ()
 
     def html(self) -> str:
@@ -64,12 +64,12 @@ class Section:
         parts = [f"<h2>{inline(self.heading)}</h2>"]
         parts += [f"<p>{inline(text)}</p>" for text in self.paragraphs]
         parts += [f"<p class=notice>{inline(text)}</p>" for text in self.notices]
+        if self.command:
+            parts.append(f"<pre tabindex=0><code>{escape(self.command)}</code></pre>")
         if self.figures:
             drawn = "\n".join(figure.html() for figure in self.figures)
             parts.append(f"<div class=figures>{drawn}</div>")
         parts += [table.html() for table in self.tables]
-        if self.command:
-            parts.append(f"<pre tabindex=0><code>{escape(self.command)}</code></pre>")
         if self.attachments:
             links = ", ".join(item.html() for item in self.attachments)
             parts.append(f"<p>Kept inside this page, to be saved: {links}.</p>")

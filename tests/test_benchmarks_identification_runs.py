@@ -35,7 +35,7 @@ def silent(share):
 
 @pytest.fixture(scope="module")
 def found(tmp_path_factory):
-    job = Job(benchmark="short", plant="needle", pictures=tmp_path_factory.mktemp("pictures"))
+    job = Job(benchmark="short", plant="needle", drawings=tmp_path_factory.mktemp("drawings"))
     return run_needle(job, SHORT, silent, is_drawn=False)
 
 
@@ -52,10 +52,12 @@ def test_a_needle_alone_gives_both_methods_on_the_ft_sensor(found):
     assert 0.0 < ml < kv
 
 
-def test_its_picture_is_drawn_and_its_tables_have_lines(found):
-    (picture,) = found.pictures
-    assert picture.name == "short-needle-0-identification.png"
-    assert picture.read_bytes().startswith(b"\x89PNG")
+def test_its_charts_are_drawn_and_its_tables_have_lines(found):
+    assert [drawing.path.name for drawing in found.drawings] == [
+        "short-needle-0-ft-paper.svg",
+        "short-needle-0-ft-default.svg",
+    ]
+    assert all(drawing.path.stat().st_size > 10_000 for drawing in found.drawings)
     rows = [item.row("gel-70-constant", "needle", 0) for item in found.measurements]
     for table in (friction_table(rows), rupture_table(rows), table_one_table(rows)):
         assert table is not None

@@ -5,6 +5,7 @@ import pytest
 from benchmarks.catalogue import BENCHMARKS, benchmark
 from benchmarks.errors import DataError, UnknownIdError
 from benchmarks.plan import Request, make_plan
+from benchmarks.report.paper_figures import NEEDED
 from groundtruth import SCENARIOS
 
 RECORDED = {item.id for item in BENCHMARKS.values() if item.is_recorded}
@@ -67,10 +68,17 @@ def test_a_recording_knows_no_plants_and_no_more_seeds_than_it_has(data):
     assert [job.benchmark for job in jobs].count("panda-liver") == 19
 
 
-def test_only_the_first_seed_draws_a_picture(tmp_path):
-    jobs = make_plan(Request(ids=["liver-constant"], seeds=2, pictures=tmp_path)).jobs
-    assert jobs[0].picture() == tmp_path / "liver-constant-realistic-0.png"
-    assert jobs[1].picture() is None
+def test_only_the_first_seed_draws(tmp_path):
+    jobs = make_plan(Request(ids=["liver-constant"], seeds=2, drawings=tmp_path)).jobs
+    assert [job.drawings for job in jobs] == [tmp_path, None]
+
+
+def test_a_report_without_names_runs_all_that_the_papers_figures_need(tmp_path):
+    drawn = {job.benchmark for job in make_plan(Request(drawings=tmp_path)).jobs}
+    assert drawn == set(NEEDED) | {job.benchmark for job in make_plan(Request()).jobs}
+    assert set(NEEDED) <= set(BENCHMARKS)
+    named = make_plan(Request(ids=["liver-constant"], drawings=tmp_path)).jobs
+    assert [job.benchmark for job in named] == ["liver-constant"]
 
 
 def test_an_unknown_name_is_refused_with_the_known_ones():

@@ -5,7 +5,6 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from benchmarks.force_figure import save_force_figure
 from benchmarks.job import Job
 from benchmarks.results_file import to_json
 from benchmarks.simulated import scenario_of, simulated_case, simulated_metrics
@@ -97,12 +96,6 @@ def test_without_tissue_only_the_virtual_sensor_is_judged_and_from_the_tare_on()
         "wrench_bias_N",
         "wrench_coverage_2sigma",
     }
-
-
-def test_a_picture_is_drawn(hard, tmp_path):
-    path = tmp_path / "a.png"
-    save_force_figure(path, "short", hard.truth, hard.readings)
-    assert path.read_bytes().startswith(b"\x89PNG")
 
 
 def test_a_random_stack_is_drawn_from_the_seed():

@@ -1,0 +1,63 @@
+"""The clock of the charts: seconds since the needle set out, as in the paper."""
+
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from benchmarks.identified import Identified
+from benchmarks.insertion_truth import InsertionTruth
+from figures import Instants, LineStyle, Shading, palette
+
+Array = NDArray[np.float64]
+
+MARGIN_s = 1.0
+"""Shown before contact and after the deepest point."""
+
+
+class InsertionAxis(NamedTuple):
+    """Turns times of a run into places on the x axis.
+
+    Attributes:
+        truth: Of the run. The insertion begins where the tare stroke ends.
+    """
+
+    truth: InsertionTruth
+
+    def place(self, t_s: Array) -> Array:
+        """Seconds since the insertion began."""
+        return t_s - self.truth.tare_end_s
+
+    def at(self, t_s: float) -> float:
+        """The same for one time."""
+        return t_s - self.truth.tare_end_s
+
+    @property
+    def limits(self) -> tuple[float, float]:
+        """From just before contact to just after the deepest point."""
+        truth = self.truth
+        return self.at(truth.contact_s - MARGIN_s), self.at(truth.insertion_end_s + MARGIN_s)
+
+    def true_ruptures(self) -> Shading:
+        """When layers really gave way: from the onset to the end of the release."""
+        spans = tuple((self.at(item.onset_s), self.at(item.end_s)) for item in self.truth.ruptures)
+        return Shading(label="a layer gives way (truth)", color=palette.TRUE_RUPTURE, spans=spans)
+
+    def events(self, item: Identified, who: str = "", color: str = "") -> list[Instants]:
+        """Alarms and compensations of a method, in a colour of its own if one is given."""
+        times = self.truth.t_s[item.start :]
+        compensated = [
+            self.at(float(times[k]))
+            for k, estimate in enumerate(item.result.estimates)
+            if estimate.compensated is not None
+        ]
+        alarms = [self.at(alarm.alarm_s) for alarm in item.alarms]
+        return [
+            _instants(f"rupture detected{who}", palette.RUPTURE, color, alarms),
+            _instants(f"friction compensated{who}", palette.COMPENSATION, color, compensated),
+        ]
+
+
+def _instants(label: str, style: LineStyle, color: str, places: list[float]) -> Instants:
+    chosen = LineStyle(color=color or style.color, dash=style.dash, width_pt=style.width_pt)
+    return Instants(label=label, style=chosen, places=tuple(places))

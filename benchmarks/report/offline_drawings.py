@@ -1,0 +1,36 @@
+"""Draws the offline fit of one run: Figures 2 and 3."""
+
+from benchmarks.insertion_truth import InsertionTruth
+from benchmarks.needle_signal import NeedleSignal
+from benchmarks.offline_fit import offline_metrics
+from benchmarks.report.drawing import Fact
+from benchmarks.report.offline_chart import offline_chart
+from benchmarks.report.paper_figures import OFFLINE_PANELS
+from benchmarks.report.sketchbook import Sketchbook
+
+
+def draw_offline(book: Sketchbook, signal: NeedleSignal, truth: InsertionTruth) -> None:
+    """Both models on the F/T reading, where the paper shows that scenario so."""
+    if book.job.benchmark not in OFFLINE_PANELS:
+        return
+    figure, panel = OFFLINE_PANELS[book.job.benchmark]
+    found = offline_metrics(signal, truth)
+    name = f"`{book.job.benchmark}`: RMSE of the insertion [N]"
+    said = "ML below KV"
+    book.add(
+        offline_chart(book.title(figure, panel, "models fitted offline"), signal, truth),
+        "offline",
+        figure=figure,
+        alt="F/T reading with the reconstructions of the Kelvin-Voigt and the multi-layer model; "
+        "below, what each leaves",
+        caption="Broad and pale the reading, thin the two models with layers and ruptures given; "
+        "below what each leaves. RMSE from first contact to the deepest point.",
+        facts=(
+            Fact(
+                what=name,
+                paper=said,
+                published=f"KV {found['offline_rmse_kv_N']:.3f}",
+                ours=f"ML {found['offline_rmse_ml_N']:.3f}",
+            ),
+        ),
+    )
