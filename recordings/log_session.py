@@ -14,6 +14,7 @@ from recordings.open_table import STANDARD_STREAM
 from recordings.progress import progress
 from recordings.stop_request import StopRequest
 from recordings.table_stream import stream_tables
+from recordings.wanted import Wanted
 
 
 class LogSession:
@@ -25,18 +26,29 @@ class LogSession:
         arguments: of a parser with `source_arguments` and `mapping_arguments`.
         required: see `read_log`.
         optional: see `read_log`.
+        joints: see `read_log`.
 
     Raises:
         RecordingError: the mapping is not valid.
     """
 
     def __init__(
-        self, arguments: Namespace, *, required: Iterable[str], optional: Iterable[str]
+        self,
+        arguments: Namespace,
+        *,
+        required: Iterable[str],
+        optional: Iterable[str],
+        joints: Iterable[str] = (),
     ) -> None:
         self._source = arguments.log
         self._follow, self._idle_s = arguments.follow, arguments.idle
-        self._channels = {"required": tuple(required), "optional": tuple(optional)}
-        self._mapping = mapping_from_arguments(arguments)
+        self._wanted = Wanted(
+            mapping=mapping_from_arguments(arguments),
+            required=tuple(required),
+            optional=tuple(optional),
+            joints=tuple(joints),
+        )
+        self._stream: LogStream | None = None
         self._stop, self._stack = StopRequest(), ExitStack()
 
     @property
@@ -48,6 +60,11 @@ class LogSession:
     def is_live(self) -> bool:
         """Whether rows come as they are recorded, so that results must not wait for the end."""
         return self._follow or self._source == STANDARD_STREAM or Path(self._source).is_fifo()
+
+    @property
+    def start_ns(self) -> int:
+        """The instant of t = 0, see `Table`; known when the first rows are."""
+        return 0 if self._stream is None else self._stream.start_ns
 
     @property
     def is_interrupted(self) -> bool:
@@ -82,8 +99,11 @@ class LogSession:
                 should_stop=self._stop,
                 advance=advance,
             )
-            tables = stream_tables(self._source, patience)
-            stream = LogStream(tables, self._mapping, **self._channels)
+            wanted = self._wanted
+            tables = stream_tables(self._source, patience, wanted)
+            stream = self._stream = LogStream(
+                tables, wanted.mapping, required=wanted.required, optional=wanted.optional
+            )
             try:
                 for chunk in stream:
                     _warn(stream)

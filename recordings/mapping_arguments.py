@@ -38,6 +38,11 @@ def mapping_arguments(parser: ArgumentParser, channels: Iterable[str]) -> None:
     group.add_argument(
         "--mapping", dest="mapping_file", metavar="FILE", help="TOML file that says all this"
     )
+    group.add_argument(
+        "--print-config",
+        action="store_true",
+        help="print such a file for this log, to be edited, and stop",
+    )
 
 
 def mapping_from_arguments(arguments: Namespace) -> ColumnMapping:

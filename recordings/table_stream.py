@@ -3,6 +3,8 @@
 from collections.abc import Callable, Iterator, Mapping
 from pathlib import Path
 
+from recordings.bag_files import is_bag
+from recordings.bag_format import bag_chunks
 from recordings.byte_source import Patience, byte_blocks
 from recordings.csv_format import CSV_SUFFIXES, csv_tables
 from recordings.errors import FileAccessError
@@ -11,6 +13,7 @@ from recordings.open_table import STANDARD_STREAM
 from recordings.parquet_format import parquet_chunks
 from recordings.read_log import read_table
 from recordings.table import Table
+from recordings.wanted import Wanted
 
 CHUNK_ROWS = 2048
 """The most rows of a table of a binary format."""
@@ -22,13 +25,16 @@ _CHUNKED: Mapping[str, Callable[[Path, int], Iterator[Table]]] = {
 }
 
 
-def stream_tables(source: str | Path, patience: Patience) -> Iterator[Table]:
+def stream_tables(
+    source: str | Path, patience: Patience, wanted: Wanted | None = None
+) -> Iterator[Table]:
     """Read a recording as it comes.
 
     Args:
         source: a file, see `read_table`, or `-` for CSV on standard input, plain or compressed.
         patience: how long more is waited for where the source is text; any source is left when
             it says to stop.
+        wanted: what is read of a bag; of other sources everything is.
 
     Yields:
         Tables of consecutive rows with equal columns, the first with `HEAD_ROWS` rows at least,
@@ -38,6 +44,7 @@ def stream_tables(source: str | Path, patience: Patience) -> Iterator[Table]:
         FileAccessError: the source cannot be read, is not text but to be followed, or its suffix
             is not known.
         FormatError: nothing usable is in it.
+        ColumnError: a bag has not what is wanted.
     """
     path = None if str(source) == STANDARD_STREAM else Path(source)
     name = "standard input" if path is None else str(path)
@@ -47,14 +54,19 @@ def stream_tables(source: str | Path, patience: Patience) -> Iterator[Table]:
         return
     if patience.follow:
         raise FileAccessError(f"{name} cannot be followed while it grows; only text can")
+    for table in _chunks(path, wanted):
+        yield table
+        if patience.should_stop():
+            return
+
+
+def _chunks(path: Path, wanted: Wanted | None) -> Iterator[Table]:
+    if is_bag(path):
+        return bag_chunks(path, CHUNK_ROWS, wanted)
     for suffix, reader in _CHUNKED.items():
         if path.name.lower().endswith(suffix):
-            for table in reader(path, CHUNK_ROWS):
-                yield table
-                if patience.should_stop():
-                    return
-            return
-    yield read_table(path)
+            return reader(path, CHUNK_ROWS)
+    return iter((read_table(path),))
 
 
 def _is_csv(path: Path) -> bool:

@@ -8,18 +8,20 @@ from recordings import RecordingError, check_writable
 from recordings.command_line import run_command, write_out
 from recordings.log_session import LogSession
 from recordings.open_table import STANDARD_STREAM
+from recordings.suggest_mapping import suggest_mapping
 from residual.command.arguments import build_parser
 from residual.command.config_file import sensor_config
 from residual.command.force_log import run_log
 from residual.command.force_picture import check_picture, save_picture
 from residual.command.friction_file import Drive, load_drive
 from residual.command.joint_signals import torque_channel
+from residual.command.payload_file import payload_from_arguments, payload_lines
 from residual.command.robot_options import robot_from_arguments
 from residual.command.summary import format_rows, summary_rows
 from residual.command.tare_window import TareOption
 from residual.command.taring import TareRequest
 from residual.errors import ResidualError
-from urdf import UrdfError
+from urdf import Robot, UrdfError
 
 
 def main(argv: Sequence[str] | None = None) -> int:
@@ -38,18 +40,30 @@ def main(argv: Sequence[str] | None = None) -> int:
 def _run(arguments: Namespace) -> int:
     _check_outputs(arguments)
     robot = robot_from_arguments(arguments)
+    if arguments.print_config:
+        return _print_config(arguments, robot)
     drive = load_drive(arguments.friction, robot.nv) if arguments.friction else Drive()
     if drive.rotor_inertia_kg_m2 is not None:
         robot = robot.with_armature(drive.rotor_inertia_kg_m2)
     config = sensor_config(arguments, drive.friction)
     torque = torque_channel(is_external=arguments.external_torque)
-    with LogSession(arguments, required=("q", torque), optional=("dq",)) as log:
+    channels = {"required": ("q", torque), "optional": ("dq",)}
+    with LogSession(arguments, **channels, joints=robot.joint_names) as log:
         result = run_log(arguments, log, robot, config, _tare_request(arguments))
         if arguments.png is not None:
             save_picture(arguments.png, result)
     is_table_out = arguments.output == STANDARD_STREAM
     write_out(format_rows(summary_rows(result)), to_stderr=is_table_out)
     return log.exit_code
+
+
+def _print_config(arguments: Namespace, robot: Robot) -> int:
+    channels = ("q", "dq", torque_channel(is_external=arguments.external_torque))
+    default = "needle" if arguments.urdf is None else "none"
+    payload = payload_lines(payload_from_arguments(arguments, default))
+    text = suggest_mapping(arguments.log, channels, joints=robot.joint_names, payload=payload)
+    write_out(text)
+    return 0
 
 
 def _check_outputs(arguments: Namespace) -> None:

@@ -6,6 +6,7 @@ from contextlib import nullcontext
 from recordings.log_session import LogSession
 from recordings.open_table import open_table
 from recordings.row_overview import RowOverview
+from residual.command.force_labels import force_labels
 from residual.command.force_result import ForceResult
 from residual.command.force_rows import ForceRows
 from residual.command.force_statistics import ForceStatistics
@@ -43,7 +44,14 @@ def run_log(
     replay, forces = Replay(robot, config, request), ForceStatistics()
     overview = RowOverview(_tracked(config))
     has_velocity, output = False, arguments.output
-    with nullcontext() if output is None else open_table(output, is_live=log.is_live) as table:
+    writing = (
+        nullcontext()
+        if output is None
+        else open_table(
+            output, is_live=log.is_live, labels=lambda: force_labels(log, robot, config)
+        )
+    )
+    with writing as table:
         for chunk in log:
             signals = joint_signals(chunk, robot, is_external=arguments.external_torque)
             has_velocity = signals.dq_rad_s is not None

@@ -1,14 +1,60 @@
-"""What hangs on the flange, from the option ``--payload``."""
+"""What hangs on the flange, from the option ``--payload`` or the mapping."""
 
+from argparse import Namespace
 from collections.abc import Mapping
+from dataclasses import fields
 from typing import Any
 
+from recordings import load_mapping
 from residual.command.dataclass_table import build, dataclass_values
 from residual.command.errors import CommandError
 from residual.command.toml_file import read_toml
 from urdf import NeedleTool, Payload
 
 _POINT_MASS = [[0.0] * 3] * 3
+
+
+def payload_from_arguments(arguments: Namespace, default: str) -> Payload | NeedleTool | None:
+    """Return the payload of the option ``--payload``, else of the mapping, else the default.
+
+    Args:
+        arguments: With ``payload`` and ``mapping_file``, both None if not given.
+        default: As for the option.
+
+    Raises:
+        CommandError: A file cannot be read, or describes no physical body.
+        recordings.RecordingError: The mapping cannot be read.
+    """
+    if arguments.payload is not None or arguments.mapping_file is None:
+        return payload_from_option(arguments.payload or default)
+    value = load_mapping(arguments.mapping_file).payload
+    if isinstance(value, dict):
+        return _from_table(value, f"{arguments.mapping_file}: [payload]")
+    if value is None or isinstance(value, str):
+        return payload_from_option(value or default)
+    raise CommandError(
+        f"{arguments.mapping_file}: payload = {value!r}, expected a table, a file, needle or none"
+    )
+
+
+def payload_lines(payload: Payload | NeedleTool | None) -> list[str]:
+    """Return a payload as lines of a mapping.
+
+    Args:
+        payload: What hangs on the flange.
+    """
+    if payload is None:
+        return ['payload = "none"  # or "needle", a file, or a table [payload]']
+    if isinstance(payload, NeedleTool):
+        numbers = {item.name: getattr(payload, item.name) for item in fields(payload)}
+        lines = [f"{name} = {number!r}" for name, number in numbers.items()]
+        return ["[payload.needle]  # force sensor and needle; see docs/residual.md", *lines]
+    return [
+        "[payload]  # in flange axes; inertia about the centre of mass",
+        f"mass_kg = {payload.mass_kg!r}",
+        f"com_m = {payload.com_m.tolist()}",
+        f"inertia_kg_m2 = {payload.inertia_kg_m2.tolist()}",
+    ]
 
 
 def payload_from_option(text: str) -> Payload | NeedleTool | None:
@@ -29,7 +75,11 @@ def payload_from_option(text: str) -> Payload | NeedleTool | None:
     if text == "needle":
         return NeedleTool()
     content = read_toml(text, "payload")
-    return _needle(content, text) if "needle" in content else _body(content, text)
+    return _from_table(content, text)
+
+
+def _from_table(content: Mapping[str, Any], where: str) -> Payload | NeedleTool:
+    return _needle(content, where) if "needle" in content else _body(content, where)
 
 
 def _needle(content: Mapping[str, Any], path: str) -> NeedleTool:

@@ -3,7 +3,7 @@
 from argparse import ArgumentParser, Namespace
 
 from residual.command.errors import CommandError
-from residual.command.payload_file import payload_from_option
+from residual.command.payload_file import payload_from_arguments
 from urdf import Robot, load_lwr, load_urdf
 
 
@@ -32,7 +32,7 @@ def robot_arguments(parser: ArgumentParser) -> None:
         "--payload",
         metavar="FILE|needle|none",
         help="what hangs on the flange: a TOML file; the paper's 304 g force sensor and needle "
-        "(default of the LWR); or nothing (default with --urdf)",
+        "(default of the LWR); or nothing (default with --urdf); else what the mapping says",
     )
 
 
@@ -44,17 +44,18 @@ def robot_from_arguments(arguments: Namespace) -> Robot:
 
     Raises:
         CommandError: Options contradict each other, or the payload is not valid.
+        recordings.RecordingError: The mapping that names the payload cannot be read.
         urdf.UrdfError: The URDF, a frame or a joint in it is not valid.
     """
     if arguments.urdf is None:
         if arguments.tool_frame is not None or arguments.lock:
             raise CommandError("--tool-frame and --lock describe a robot of --urdf FILE; give it")
-        return load_lwr(payload=payload_from_option(arguments.payload or "needle"))
+        return load_lwr(payload=payload_from_arguments(arguments, "needle"))
     return load_urdf(
         arguments.urdf,
         tool_frame=arguments.tool_frame,
         locked_joints=dict(_locked(text) for text in arguments.lock),
-        payload=payload_from_option(arguments.payload or "none"),
+        payload=payload_from_arguments(arguments, "none"),
     )
 
 
