@@ -1,0 +1,107 @@
+"""A recording through the online identifier, any number of rows at a time."""
+
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from identification.default_config import DEFAULT, DefaultConfig
+from identification.derived_speed import DerivedSpeed
+from identification.estimate import Estimate, LayerEstimate
+from identification.identifier import Identifier
+from identification.paper_config import PaperConfig
+from identification.sign_hints import SignWatch
+
+Array = NDArray[np.float64]
+
+HEAD_ROWS = 200
+"""The usual time step is the median over so many first rows."""
+
+
+class ReplayedRows(NamedTuple):
+    """Consecutive rows with their estimates.
+
+    Attributes:
+        t_s: Time stamps [s], shape (n,).
+        force_N: Axial force as recorded [N], shape (n,).
+        estimates: One per row.
+    """
+
+    t_s: Array
+    force_N: Array
+    estimates: list[Estimate]
+
+
+class ReplayStream:
+    """Runs the identifier over a recording; results do not depend on how the rows come.
+
+    Args:
+        config: `DEFAULT`, `PAPER` or a variant.
+    """
+
+    def __init__(self, config: DefaultConfig | PaperConfig = DEFAULT) -> None:
+        self._identifier = Identifier(config)
+        self._signs = SignWatch()
+        self._speed: DerivedSpeed | None = None
+        self._first_step_s = 0.0
+        self._last_s = np.empty(0)
+        self._waiting = np.empty((4, 0))
+
+    @property
+    def layers(self) -> tuple[LayerEstimate, ...]:
+        """Layers left so far, in order, as known now."""
+        return self._identifier.layers
+
+    @property
+    def hints(self) -> tuple[str, ...]:
+        """Suspicions about signs and units of all rows so far."""
+        return self._signs.hints()
+
+    def run(
+        self, t_s: Array, depth_m: Array, force_N: Array, speed_m_s: Array | None = None
+    ) -> ReplayedRows:
+        """Take further rows.
+
+        Args:
+            t_s: Time stamps [s], shape (n,), n > 0; the first call must bring `HEAD_ROWS` rows, or
+                all that there are.
+            depth_m: Tip depth, growing into the tissue [m], shape (n,).
+            force_N: Axial force, positive when tissue pushes back [N], shape (n,).
+            speed_m_s: Rate of depth [m/s], shape (n,); None, always, to derive it from depth,
+                for which rows wait 25 ms.
+
+        Returns:
+            The rows whose speed is known, beginning with the first that has not been returned.
+        """
+        if not self._last_s.size:
+            self._begin(t_s, is_derived=speed_m_s is None)
+        self._signs.update(depth_m, speed_m_s, force_N)
+        dt_s = np.diff(t_s, prepend=self._last_s)
+        if not self._last_s.size:
+            dt_s = np.concatenate(([self._first_step_s], dt_s))
+        self._last_s = t_s[-1:]
+        self._waiting = np.hstack((self._waiting, np.stack((t_s, depth_m, force_N, dt_s))))
+        if self._speed is None:
+            assert speed_m_s is not None
+            return self._replayed(speed_m_s)
+        return self._replayed(self._speed.update(t_s, depth_m))
+
+    def finish(self) -> ReplayedRows:
+        """Return the rows that still waited for what would come after them."""
+        return self._replayed(np.empty(0) if self._speed is None else self._speed.finish())
+
+    def _begin(self, t_s: Array, *, is_derived: bool) -> None:
+        steps = np.diff(t_s[:HEAD_ROWS])
+        forward = steps[steps > 0.0]
+        self._first_step_s = float(np.median(forward)) if forward.size else 1e-3
+        if is_derived:
+            usual_s = float(np.median(steps)) if steps.size else 0.0
+            self._speed = DerivedSpeed(usual_s if usual_s > 0.0 else self._first_step_s)
+
+    def _replayed(self, speed_m_s: Array) -> ReplayedRows:
+        rows = len(speed_m_s)
+        t_s, depth_m, force_N, dt_s = self._waiting[:, :rows]
+        self._waiting = self._waiting[:, rows:]
+        columns = (depth_m, speed_m_s, force_N, dt_s)
+        estimates = list(map(self._identifier.update, *(column.tolist() for column in columns)))
+        return ReplayedRows(t_s, force_N, estimates)

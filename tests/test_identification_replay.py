@@ -1,0 +1,106 @@
+"""A recording through the identifier: what comes out does not depend on how rows come."""
+
+from itertools import pairwise
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from scipy.ndimage import uniform_filter1d
+
+from groundtruth import insert_needle
+from identification import Identifier, replay
+from identification.derived_speed import DerivedSpeed
+from identification.replay_stream import HEAD_ROWS, ReplayStream
+from identification.sign_hints import SignWatch, sign_hints
+
+
+@pytest.fixture(scope="module")
+def columns():
+    run = insert_needle("gel-50-constant", seed=1, rate_hz=100.0)
+    depth_m = run.depth_m.copy()
+    depth_m[300] = np.nan
+    return run.t_s, depth_m, run.force_N, run.speed_m_s
+
+
+def pieces(rows, cuts):
+    """The rows cut in pieces, of which the first is the head at least."""
+    edges = [0, *sorted({max(HEAD_ROWS, cut) for cut in cuts}), rows]
+    return [slice(a, b) for a, b in pairwise(edges) if b > a]
+
+
+def test_with_recorded_speed_it_is_a_loop_over_update(columns):
+    t_s, depth_m, force_N, speed_m_s = columns
+    result = replay(*columns)
+    identifier = Identifier()
+    usual = float(np.median(np.diff(t_s[:HEAD_ROWS])))
+    dt_s = np.concatenate(([usual], np.diff(t_s))).tolist()
+    rows = zip(depth_m.tolist(), speed_m_s.tolist(), force_N.tolist(), dt_s, strict=True)
+    assert list(result.estimates) == [identifier.update(*row) for row in rows]
+    assert result.layers == identifier.layers
+
+
+@settings(max_examples=3)
+@given(st.lists(st.integers(HEAD_ROWS, 3000), max_size=6), st.booleans())
+def test_pieces_give_what_the_whole_gives_bit_for_bit(columns, cuts, has_speed):
+    t_s, depth_m, force_N, speed_m_s = columns
+    speed_m_s = speed_m_s if has_speed else None
+    whole = replay(t_s, depth_m, force_N, speed_m_s)
+    stream = ReplayStream()
+    found = [
+        stream.run(t_s[p], depth_m[p], force_N[p], speed_m_s[p] if has_speed else None)
+        for p in pieces(len(t_s), cuts)
+    ]
+    found.append(stream.finish())
+    np.testing.assert_array_equal(np.concatenate([rows.t_s for rows in found]), t_s)
+    np.testing.assert_array_equal(np.concatenate([rows.force_N for rows in found]), force_N)
+    assert [e for rows in found for e in rows.estimates] == list(whole.estimates)
+    assert stream.layers == whole.layers
+    assert stream.hints == whole.hints
+
+
+def test_derived_speed_is_the_mean_rate_over_50_ms():
+    rng = np.random.default_rng(0)
+    t_s = np.arange(500) / 1000
+    depth_m = np.cumsum(rng.normal(size=500))
+    speed = DerivedSpeed(0.001)
+    found = np.concatenate([speed.update(t_s, depth_m), speed.finish()])
+    rate = np.diff(depth_m) / np.diff(t_s)
+    expected = uniform_filter1d(np.concatenate((rate[:1], rate)), 50, mode="nearest")
+    np.testing.assert_allclose(found, expected, rtol=1e-9, atol=1e-9)
+
+
+def test_one_absurd_depth_spoils_the_speed_around_it_only():
+    t_s = np.arange(500) / 1000
+    depth_m = 0.01 * t_s
+    depth_m[250] = 1e300
+    speed = DerivedSpeed(0.001)
+    found = np.concatenate([speed.update(t_s, depth_m), speed.finish()])
+    assert found[200] == pytest.approx(0.01)
+    assert found[300] == pytest.approx(0.01)
+
+
+@pytest.mark.parametrize("rows", [1, 2, 3])
+def test_the_shortest_recordings_have_a_speed(rows):
+    t_s = np.arange(rows) / 1000
+    speed = DerivedSpeed(0.001)
+    found = np.concatenate([speed.update(t_s, 0.01 * t_s), speed.finish()])
+    np.testing.assert_allclose(found, 0.01 if rows > 1 else 0.0)
+    assert len(replay(t_s, 0.01 * t_s, 0.0 * t_s).estimates) == rows
+
+
+@given(st.integers(1, 900), st.sampled_from([1.0, -1.0]), st.sampled_from([1.0, -1.0]))
+def test_hints_do_not_depend_on_how_rows_come(columns, cut, sign, speed_sign):
+    _, depth_m, force_N, speed_m_s = columns
+    whole = sign_hints(sign * depth_m, speed_sign * speed_m_s, force_N)
+    watch = SignWatch()
+    for part in (slice(0, cut), slice(cut, None)):
+        watch.update(sign * depth_m[part], speed_sign * speed_m_s[part], force_N[part])
+    assert watch.hints() == whole
+    assert bool(whole) == (sign < 0.0 or speed_sign < 0.0)
+
+
+def test_a_clock_that_mostly_stands_still_has_a_usual_step_all_the_same():
+    t_s = np.repeat(np.arange(100) / 100, 3)
+    result = replay(t_s, 0.01 * t_s, 0.0 * t_s)
+    assert sum(estimate.status.is_absorbed for estimate in result.estimates) == 100
