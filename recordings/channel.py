@@ -82,7 +82,9 @@ _ROWS = (
         "external joint torques as the robot estimates them",
         per_joint=True,
     ),
-    _channel("depth", "depth_m", u.LENGTH, "depth z insertion_depth", "depth of the needle tip"),
+    _channel(
+        "depth", "depth_m", u.LENGTH, "depth z insertion_depth travel", "depth of the needle tip"
+    ),
     _channel("speed", "speed_m_s", u.SPEED, "speed v insertion_speed", "rate of depth"),
     _channel(
         "force",
