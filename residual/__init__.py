@@ -4,7 +4,13 @@ Reading order: `momentum_step` (the equation), `momentum_observer` (the residual
 (equation 13), `tare` (offset removal), `virtual_force_sensor` (all of it in two calls).
 """
 
-from residual.errors import ConfigurationError, ResidualError, SampleError, TareError
+from residual.errors import (
+    ConfigurationError,
+    ResidualError,
+    SampleError,
+    SnapshotError,
+    TareError,
+)
 from residual.joint_friction import FrictionModel, JointFriction, SigmoidFriction
 from residual.kalman_observer import KalmanObserver
 from residual.momentum_observer import MomentumObserver
@@ -13,11 +19,12 @@ from residual.tare_prior import TarePrior
 from residual.velocity_estimator import VelocityEstimator
 from residual.virtual_force_sensor import VirtualForceSensor
 from residual.wrench import WrenchEstimator
-from residual.wrench_estimate import Status, WrenchEstimate
+from residual.wrench_estimate import Caution, Status, WrenchEstimate
 
 __all__ = [
     "DEFAULT",
     "PAPER",
+    "Caution",
     "ConfigurationError",
     "FrictionModel",
     "JointFriction",
@@ -27,6 +34,7 @@ __all__ = [
     "SampleError",
     "SensorConfig",
     "SigmoidFriction",
+    "SnapshotError",
     "Status",
     "TareError",
     "TarePrior",

@@ -1,5 +1,10 @@
 """Errors of the `residual` package: one base, each leaf also a standard exception."""
 
+from typing import TYPE_CHECKING
+
+if TYPE_CHECKING:
+    from residual.wrench_estimate import Caution
+
 
 class ResidualError(Exception):
     """Base of every error that `residual` raises."""
@@ -16,5 +21,21 @@ class SampleError(ResidualError, ValueError):
     """
 
 
+class SuspectSampleError(SampleError):
+    """A sample of sound numbers that is no measurement: a spike, a frozen or a saturated torque.
+
+    Attributes:
+        caution: Which of these, a `residual.Caution`.
+    """
+
+    def __init__(self, message: str, caution: "Caution") -> None:
+        super().__init__(message)
+        self.caution = caution
+
+
 class TareError(ResidualError, RuntimeError):
     """A tare that was asked for where it would be wrong: no data, or contact in sight."""
+
+
+class SnapshotError(ResidualError, ValueError):
+    """A snapshot that cannot be restored here: the message says what it is of."""

@@ -3,13 +3,14 @@
 from typing import NamedTuple
 
 import numpy as np
+import pinocchio as pin
 from numpy.typing import ArrayLike, NDArray
 
 from residual.errors import SampleError
-from residual.momentum_observer import MomentumObserver
-from residual.noise_probe import NoiseProbe
+from residual.momentum_observer import MomentumObserver, MomentumState
+from residual.noise_probe import NoiseProbe, NoiseState
 from residual.sensor_config import SensorConfig
-from residual.velocity_estimator import VelocityEstimator
+from residual.velocity_estimator import VelocityEstimator, VelocityState
 from urdf import Robot
 
 
@@ -18,15 +19,37 @@ class TorqueSample(NamedTuple):
 
     Attributes:
         q: Position [rad], shape (n,); delayed like the residual when velocity is estimated.
+        dq: Velocity [rad/s], shape (n,), of the same instant.
         tau: Measured torque [Nm], shape (n,), of the same instant.
         residual: External joint torque before offset removal [Nm], shape (n,).
         settled: Whether the filters have forgotten their start.
+        data: Workspace in which joint placements and Jacobians at q stand; None if in none.
     """
 
     q: NDArray[np.float64]
+    dq: NDArray[np.float64]
     tau: NDArray[np.float64]
     residual: NDArray[np.float64]
     settled: bool
+    data: pin.Data | None = None
+
+
+class ExternalTorqueState(NamedTuple):
+    """All that an `ExternalTorqueEstimator` remembers.
+
+    Attributes:
+        velocity: Of the velocity estimator; None where the robot sends velocities.
+        observer: Of the momentum observer.
+        probe: Of the noise probe; None once the noise is known.
+        age_s: Time since the filters started [s].
+        unread_s: Time that the observer has not seen yet [s].
+    """
+
+    velocity: VelocityState | None
+    observer: MomentumState
+    probe: NoiseState | None
+    age_s: float
+    unread_s: float
 
 
 class ExternalTorqueEstimator:
@@ -65,8 +88,9 @@ class ExternalTorqueEstimator:
         self._settling_s = self.SETTLING_LAGS / config.slowest_gain_per_s
         self._age_s = 0.0
         self._unread_s = 0.0
-        delay = 0.0 if self._velocity is None else self._velocity.delay_s
-        self.lag_s = 1.0 / config.slowest_gain_per_s + delay
+        self.delay_s = 0.0 if self._velocity is None else self._velocity.delay_s
+        """Age of position and velocity of a `TorqueSample` [s]."""
+        self.lag_s = 1.0 / config.slowest_gain_per_s + self.delay_s
         """Time by which the estimate follows the torque [s]."""
 
     def update(
@@ -86,11 +110,12 @@ class ExternalTorqueEstimator:
             return self._update_without_velocity(self._velocity, q, tau, dt_s)
         assert dq is not None
         residual = self._observer.update(q, dq, tau, dt_s)
-        q, tau = np.asarray(q, dtype=np.float64), np.asarray(tau, dtype=np.float64)
+        q, dq = np.asarray(q, dtype=np.float64), np.asarray(dq, dtype=np.float64)
+        tau = np.asarray(tau, dtype=np.float64)
         self._grow_older(dt_s)
         if self._probe is not None:
-            self._learn_noise(np.asarray(dq, dtype=np.float64), q, dt_s)
-        return TorqueSample(q, tau, residual, self._settled)
+            self._learn_noise(dq, q, dt_s)
+        return TorqueSample(q, dq, tau, residual, self._settled, self._observer.data)
 
     def _update_without_velocity(
         self, velocity: VelocityEstimator, q: ArrayLike, tau: ArrayLike, dt_s: float
@@ -99,12 +124,42 @@ class ExternalTorqueEstimator:
         self._unread_s += dt_s
         if not sample.settled:
             self._age_s = 0.0
-            return TorqueSample(sample.q, sample.tau, self._observer.residual, False)
+            return TorqueSample(sample.q, sample.dq, sample.tau, self._observer.residual, False)
         residual = self._observer.update(sample.q, sample.dq, sample.tau, self._unread_s)
         self._grow_older(self._unread_s)
         self._unread_s = 0.0
         self._learn_noise(np.asarray(q, dtype=np.float64), sample.q, dt_s)
-        return TorqueSample(sample.q, sample.tau, residual, self._settled)
+        return TorqueSample(
+            sample.q, sample.dq, sample.tau, residual, self._settled, self._observer.data
+        )
+
+    def restart_velocity(self) -> None:
+        """Start the velocity estimate anew: the position reading is elsewhere now."""
+        if self._velocity is not None:
+            self._velocity.reset()
+
+    @property
+    def state(self) -> ExternalTorqueState:
+        """All that the estimator remembers, as copies."""
+        return ExternalTorqueState(
+            None if self._velocity is None else self._velocity.state,
+            self._observer.state,
+            None if self._probe is None else self._probe.state,
+            self._age_s,
+            self._unread_s,
+        )
+
+    def restore(self, state: ExternalTorqueState) -> None:
+        """Go on from a `state` taken earlier, of a stream with or without velocity as this one."""
+        if self._velocity is not None and state.velocity is not None:
+            self._velocity.restore(state.velocity)
+        self._observer.restore(state.observer)
+        if state.probe is None:
+            self._probe = None
+        else:
+            self._probe = NoiseProbe(state.probe.rows.shape[1])
+            self._probe.restore(state.probe)
+        self._age_s, self._unread_s = state.age_s, state.unread_s
 
     @property
     def _settled(self) -> bool:

@@ -4,6 +4,7 @@ import math
 from typing import NamedTuple, NoReturn
 
 import numpy as np
+import pinocchio as pin
 from numpy.typing import ArrayLike, NDArray
 
 from residual.errors import ConfigurationError, SampleError
@@ -107,6 +108,11 @@ class MomentumObserver:
     def residual(self) -> NDArray[np.float64]:
         """Latest residual [Nm], shape (n,), a copy; zeros before the first sample."""
         return self._slots[1 - self._spare][0].copy()
+
+    @property
+    def data(self) -> pin.Data:
+        """Workspace in which joint placements and Jacobians of the latest sample stand."""
+        return self._terms.data
 
     @property
     def gain_per_s(self) -> NDArray[np.float64]:

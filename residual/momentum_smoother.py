@@ -33,11 +33,15 @@ def smoothing_step(
     Returns:
         Smoothed momentum at the end of the tick, shape (n,).
     """
+    # The bandwidth grows with the fourth power of distance / knee. The step is the implicit one,
+    # which never overshoots: of what it is behind, 1 / (1 + rate) remains.
+    slack = 1.0 + 1.0 / (BANDWIDTH_PER_S * dt_s)
     behind = momentum - smooth
     distance = behind / noise
     square = distance * distance
-    # rate = bandwidth dt (1 + (distance / knee)^4), behind rate / (1 + rate) the implicit step,
-    # which never overshoots; both divided by bandwidth dt / knee^4 to spare operations.
-    unit = KNEE_SIGMAS**4
-    rate = square * square + unit
-    return smooth + behind * (rate / (rate + unit / (BANDWIDTH_PER_S * dt_s)))
+    square *= square
+    square *= KNEE_SIGMAS**-4
+    square += slack
+    behind /= square
+    behind *= slack - 1.0
+    return momentum - behind

@@ -26,6 +26,9 @@ class MomentumTerms:
     Rotor inertia, where an arm needs it (motor-current torque), is part of the robot's model
     (`Robot.with_armature`); on the LWR, whose torque is measured behind the gear, it is zero.
 
+    Attributes:
+        data: Workspace; joint placements and Jacobians of the latest `write` stand in it.
+
     Raises:
         ConfigurationError: If the friction model is of another number of joints.
     """
@@ -34,7 +37,7 @@ class MomentumTerms:
         if friction is not None:
             _check_length(friction, robot.nv)
         self._model = robot.model
-        self._data = robot.create_data()
+        self.data = robot.create_data()
         self._friction = friction
 
     def write(
@@ -46,7 +49,7 @@ class MomentumTerms:
         gravity: NDArray[np.float64],
     ) -> None:
         """Write p = M dq, C' dq and g + tau_f at (q, dq) into the last three arrays, each (n,)."""
-        model, data = self._model, self._data
+        model, data = self._model, self.data
         np.dot(pin.crba(model, data, q), dq, momentum)
         np.dot(dq, pin.computeCoriolisMatrix(model, data, q, dq), coriolis)
         gravity[:] = pin.computeGeneralizedGravity(model, data, q)
@@ -57,5 +60,5 @@ class MomentumTerms:
         self, velocity_noise_rad_s: NDArray[np.float64], q: NDArray[np.float64]
     ) -> NDArray[np.float64]:
         """Variance of M(q) dq for a velocity noise per joint [rad/s], shape (n,)."""
-        inertia = pin.crba(self._model, self._data, q)
+        inertia = pin.crba(self._model, self.data, q)
         return np.square(inertia).dot(np.square(velocity_noise_rad_s))

@@ -1,9 +1,22 @@
 """Learns the white noise of a sampled signal from its first samples."""
 
 import math
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
+
+
+class NoiseState(NamedTuple):
+    """All that a `NoiseProbe` remembers.
+
+    Attributes:
+        rows: Samples so far, shape (m, size).
+        left_s: For how long it still listens [s].
+    """
+
+    rows: NDArray[np.float64]
+    left_s: float
 
 
 class NoiseProbe:
@@ -43,3 +56,13 @@ class NoiseProbe:
         differences = np.abs(np.diff(self._rows[: self._count], n=3, axis=0))
         # 0.6745 is the median of |x| for a standard normal x.
         return np.median(differences, axis=0) / (0.6745 * math.sqrt(20.0))
+
+    @property
+    def state(self) -> NoiseState:
+        """All that the probe remembers, as copies."""
+        return NoiseState(self._rows[: self._count].copy(), self._left_s)
+
+    def restore(self, state: NoiseState) -> None:
+        """Go on from a `state` taken earlier."""
+        self._count, self._left_s = len(state.rows), state.left_s
+        self._rows[: self._count] = state.rows

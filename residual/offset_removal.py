@@ -1,5 +1,7 @@
 """Keeps the tare: records free motion, fits, subtracts, and says how far it may be trusted."""
 
+from typing import NamedTuple
+
 import numpy as np
 from numpy.typing import NDArray
 
@@ -9,10 +11,58 @@ from residual.sensor_config import SensorConfig
 from residual.tare import Tare, prior_tare
 from residual.tare_fit import fit_tare
 from residual.tare_prior import TareBasis
-from residual.tare_recorder import TareRecorder
+from residual.tare_recorder import RecorderState, TareRecorder
 from residual.torque_trend import SMOOTHING_S, trend_step
 from residual.wrench import WrenchEstimator
 from urdf import Robot
+
+
+class TareNumbers(NamedTuple):
+    """A fitted `Tare` without its basis, which robot and settings give.
+
+    Attributes:
+        mean: See `Tare`.
+        covariance: See `Tare`.
+        noise_Nm2: See `Tare`.
+    """
+
+    mean: NDArray[np.float64]
+    covariance: NDArray[np.float64]
+    noise_Nm2: NDArray[np.float64]
+
+
+class OffsetState(NamedTuple):
+    """All that an `OffsetRemoval` remembers.
+
+    Attributes:
+        recorder: Free motion recorded for the next tare.
+        tare: The tare in force; None before the first.
+        tared: Whether it is the current one.
+        tared_s: When it was taken [s].
+        now_s: Time since the start [s].
+        renewed_s: When trend and offset were renewed last [s].
+        due_s: When they are renewed next [s].
+        trend: Of the torques, shape (loops, n).
+        smooth_torque: Torque whose trend is followed [Nm], shape (n,); None before the first.
+        torque_sum: Of the torques since the last renewal [Nm], shape (n,).
+        summed: Their number.
+        bias: Offset that is subtracted [Nm], shape (n,).
+        q: Last position [rad], shape (n,).
+    """
+
+    recorder: RecorderState
+    tare: TareNumbers | None
+    tared: bool
+    tared_s: float
+    now_s: float
+    renewed_s: float
+    due_s: float
+    trend: NDArray[np.float64]
+    smooth_torque: NDArray[np.float64] | None
+    torque_sum: NDArray[np.float64]
+    summed: int
+    bias: NDArray[np.float64]
+    q: NDArray[np.float64]
 
 
 class OffsetRemoval:
@@ -36,8 +86,7 @@ class OffsetRemoval:
         self._recorder = TareRecorder(
             robot.nv, self._basis.loops, self.BLOCK_LAGS / config.slowest_gain_per_s
         )
-        self._still = np.zeros(robot.nv)
-        self._no_trend = np.zeros_like(self._basis.half_width_Nm)
+        self._joints = robot.nv
         self.reset()
 
     @property
@@ -110,6 +159,7 @@ class OffsetRemoval:
             check_free_of_contact(prior, blocks, wrench, self._config.contact_force_N)
         fitted = fit_tare(self._basis, blocks)
         self._tare, self._tared, self._tared_s = fitted, True, self._now_s
+        self._is_fitted = True
         self._bias = fitted.bias_Nm(self._q, self._trend, 0.0)
         return fitted
 
@@ -118,15 +168,62 @@ class OffsetRemoval:
         self._recorder.clear()
         self._tared = False
 
+    @property
+    def q(self) -> NDArray[np.float64]:
+        """Position of the last sample [rad], shape (n,): not to be written."""
+        return self._q
+
+    @property
+    def state(self) -> OffsetState:
+        """All that is remembered, as copies."""
+        tare = self._tare
+        return OffsetState(
+            self._recorder.state,
+            TareNumbers(tare.mean, tare.covariance, tare.noise_Nm2) if self._is_fitted else None,
+            self._tared,
+            self._tared_s,
+            self._now_s,
+            self._renewed_s,
+            self._due_s,
+            self._trend,
+            self._smooth_torque,
+            self._torque_sum.copy(),
+            self._count,
+            self._bias,
+            self._q.copy(),
+        )
+
+    def restore(self, state: OffsetState) -> None:
+        """Go on from a `state` taken earlier with the same robot and settings."""
+        self._recorder.restore(state.recorder)
+        self._is_fitted = state.tare is not None
+        self._tare = prior_tare(self._basis)
+        if state.tare is not None:
+            self._tare = Tare(basis=self._basis, **state.tare._asdict())
+        self._tared, self._tared_s, self._now_s = state.tared, state.tared_s, state.now_s
+        self._renewed_s, self._due_s = state.renewed_s, state.due_s
+        self._trend, self._smooth_torque = state.trend, state.smooth_torque
+        self._torque_sum, self._count = state.torque_sum.copy(), state.summed
+        self._bias, self._q = state.bias, state.q.copy()
+
     def reset(self) -> None:
         """Forget everything."""
         self._recorder.clear()
-        self._tare = prior_tare(self._basis)
-        self._tared = False
-        self._tared_s = self._now_s = 0.0
-        self._trend = self._no_trend
-        self._smooth_torque: NDArray[np.float64] | None = None
-        self._torque_sum, self._count = np.zeros_like(self._still), 0
-        self._renewed_s = self._due_s = 0.0
-        self._bias = self._still
-        self._q = self._still.copy()
+        still = np.zeros(self._joints)
+        self.restore(
+            OffsetState(
+                recorder=self._recorder.state,
+                tare=None,
+                tared=False,
+                tared_s=0.0,
+                now_s=0.0,
+                renewed_s=0.0,
+                due_s=0.0,
+                trend=np.zeros_like(self._basis.half_width_Nm),
+                smooth_torque=None,
+                torque_sum=still,
+                summed=0,
+                bias=still,
+                q=still,
+            )
+        )

@@ -33,6 +33,7 @@ class SensorConfig:
         tare_window_s: Only this much of the past enters a tare [s]; None for all of it.
         prior: What the residual may be off by before data.
         contact_force_N: Smallest axial force that makes a tare be refused [N].
+        guard: Hold back spikes and frozen or saturated torques, see `residual.sample_guard`.
         max_gap_s: Longest time step that is integrated [s]; after a longer one filters restart.
 
     Raises:
@@ -55,6 +56,7 @@ class SensorConfig:
     tare_window_s: float | None = None
     prior: TarePrior = field(default_factory=TarePrior)
     contact_force_N: float = 0.25
+    guard: bool = True
     max_gap_s: float = 0.1
 
     def __post_init__(self) -> None:
@@ -89,5 +91,6 @@ PAPER = SensorConfig(
     expected_force_N=None,
     tare="constant",
     tare_window_s=0.5,
+    guard=False,
 )
 """Section IV as published: K = 5 1/s, r_0 from just before contact, six-dimensional (J')#."""

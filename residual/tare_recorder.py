@@ -32,6 +32,30 @@ class _Block(NamedTuple):
         )
 
 
+class RecorderState(NamedTuple):
+    """All that a `TareRecorder` remembers.
+
+    Attributes:
+        means: Of every block: position, residual, trends; shape (m, 2 + loops, n).
+        time_s: Middle of every block [s], shape (m,).
+        scatter: Variance within every block [Nm^2], shape (m, n).
+        samples: Number of samples of every block.
+        sums: Of the open block, shape (2 + loops, n).
+        squares: Of its residuals [Nm^2], shape (n,).
+        summed: Number of its samples.
+        age_s: Its length so far [s].
+    """
+
+    means: NDArray[np.float64]
+    time_s: NDArray[np.float64]
+    scatter: NDArray[np.float64]
+    samples: tuple[int, ...]
+    sums: NDArray[np.float64]
+    squares: NDArray[np.float64]
+    summed: int
+    age_s: float
+
+
 class TareRecorder:
     """Means of residual, position and torque trend over short blocks.
 
@@ -119,3 +143,25 @@ class TareRecorder:
             # The median, so that a knock in one block does not pass for noise in all.
             scatter_Nm2=np.median([b.scatter for b in kept], axis=0),
         )
+
+    @property
+    def state(self) -> RecorderState:
+        """All that the recorder remembers, as copies."""
+        blocks, shape = self._blocks, self._sum.shape
+        return RecorderState(
+            np.array([b.means for b in blocks]).reshape(-1, *shape),
+            np.array([b.time_s for b in blocks]),
+            np.array([b.scatter for b in blocks]).reshape(-1, shape[1]),
+            tuple(b.samples for b in blocks),
+            self._sum.copy(),
+            self._squares.copy(),
+            self._count,
+            self._age_s,
+        )
+
+    def restore(self, state: RecorderState) -> None:
+        """Go on from a `state` taken earlier."""
+        rows = zip(state.means, state.time_s.tolist(), state.scatter, state.samples, strict=True)
+        self._blocks = [_Block(*row) for row in rows]
+        self._sum, self._squares = state.sums.copy(), state.squares.copy()
+        self._count, self._age_s = state.summed, state.age_s

@@ -6,10 +6,11 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from residual.errors import ConfigurationError
 from residual.momentum_step import Alignment
 from residual.sample_check import check_interval, check_joint_vector
 from residual.settings_check import check_alignment, check_gap, check_positive
-from residual.velocity_step import lag_pair_step
+from residual.velocity_step import ROWS, lag_pair_coefficients
 
 
 class MatchedSample(NamedTuple):
@@ -26,6 +27,19 @@ class MatchedSample(NamedTuple):
     dq: NDArray[np.float64]
     tau: NDArray[np.float64]
     settled: bool
+
+
+class VelocityState(NamedTuple):
+    """All that a `VelocityEstimator` remembers.
+
+    Attributes:
+        rows: Output of both lags and the last sample, position then torque, shape (3, 2 n); None
+            before a sample.
+        age_s: Time since the filter started [s].
+    """
+
+    rows: NDArray[np.float64] | None
+    age_s: float = 0.0
 
 
 class VelocityEstimator:
@@ -62,6 +76,10 @@ class VelocityEstimator:
         self._bandwidth = bandwidth_per_s
         self._held = alignment == "hold"
         self._max_gap_s = max_gap_s
+        self._settling_s = self.SETTLING_LAGS / bandwidth_per_s
+        self._rows = np.zeros((ROWS, 2 * int(joints)))
+        self._dt_s = math.nan
+        self._coefficients = np.zeros((2, ROWS))
         self.reset()
 
     @property
@@ -79,30 +97,57 @@ class VelocityEstimator:
         Raises:
             SampleError: For a bad sample; the state is then unchanged.
         """
-        sample = np.stack(
-            (check_joint_vector("q", q, self._joints), check_joint_vector("tau", tau, self._joints))
-        )
-        if self._sample is not None:
-            check_interval(dt_s)
-        if self._sample is None or dt_s > self._max_gap_s:
-            self._first = self._second = sample
+        n = self._joints
+        q, tau = check_joint_vector("q", q, n), check_joint_vector("tau", tau, n)
+        starts = not self._seated or (dt_s != self._dt_s and self._is_gap(dt_s))
+        rows = self._rows
+        if starts:
+            rows[:, :n], rows[:, n:] = q, tau
             self._age_s = 0.0
+            self._seated = True
         else:
-            end = np.stack((sample[0], self._sample[1])) if self._held else sample
-            self._first, self._second = lag_pair_step(
-                self._first, self._second, self._sample, end, self._bandwidth, dt_s
-            )
+            rows[3, :n], rows[3, n:] = q, rows[2, n:] if self._held else tau
+            rows[:2] = self._coefficients.dot(rows)
+            rows[2, :n], rows[2, n:] = q, tau
             self._age_s += dt_s
-        self._sample = sample
+        out = rows[:2].copy()
+        second = out[1]
         return MatchedSample(
-            q=self._second[0],
-            dq=self._bandwidth * (self._first[0] - self._second[0]),
-            tau=self._second[1],
-            settled=self._age_s * self._bandwidth >= self.SETTLING_LAGS,
+            second[:n],
+            self._bandwidth * (out[0, :n] - second[:n]),
+            second[n:],
+            self._age_s >= self._settling_s,
         )
+
+    def _is_gap(self, dt_s: float) -> bool:
+        """Whether a new time step is too long; renews the coefficients if it is not."""
+        check_interval(dt_s)
+        if dt_s > self._max_gap_s:
+            return True
+        self._coefficients = lag_pair_coefficients(self._bandwidth, dt_s)
+        self._dt_s = dt_s
+        return False
+
+    @property
+    def state(self) -> VelocityState:
+        """All that the estimator remembers, as copies."""
+        return VelocityState(self._rows[:3].copy() if self._seated else None, self._age_s)
+
+    def restore(self, state: VelocityState) -> None:
+        """Go on from a `state` taken earlier.
+
+        Raises:
+            ConfigurationError: If it belongs to another number of joints.
+        """
+        if state.rows is not None:
+            if state.rows.shape != (3, 2 * self._joints):
+                raise ConfigurationError(
+                    f"state has rows of shape {state.rows.shape}, expected {(3, 2 * self._joints)}"
+                )
+            self._rows[:3] = state.rows
+        self._seated = state.rows is not None
+        self._age_s = state.age_s
 
     def reset(self) -> None:
         """Forget everything; the next sample is a first one."""
-        self._sample: NDArray[np.float64] | None = None
-        self._first = self._second = np.zeros((2, self._joints))
-        self._age_s = 0.0
+        self.restore(VelocityState(None))

@@ -10,6 +10,36 @@ import math
 import numpy as np
 from numpy.typing import NDArray
 
+ROWS = 4
+"""Rows of a step: output of the first lag, of the second, input at the start and at the end."""
+
+
+def lag_pair_coefficients(bandwidth_per_s: float, dt_s: float) -> NDArray[np.float64]:
+    """Factors of the exact step of two equal first-order lags in a row.
+
+    The input runs straight over the tick; a held one is the case of equal ends.
+
+    Args:
+        bandwidth_per_s: w of each lag [1/s].
+        dt_s: Length of the tick [s].
+
+    Returns:
+        Shape (2, ROWS): times the rows, both outputs at the end of the tick.
+    """
+    tick = bandwidth_per_s * dt_s
+    decay, share, per_tick = math.exp(-tick), -math.expm1(-tick), 1.0 / tick
+    return np.array(
+        [
+            [decay, 0.0, share * per_tick - decay, 1.0 - share * per_tick],
+            [
+                decay * tick,
+                decay,
+                2.0 * (share * per_tick - decay) - tick * decay,
+                1.0 + decay - 2.0 * share * per_tick,
+            ],
+        ]
+    )
+
 
 def lag_pair_step(
     first: NDArray[np.float64],
@@ -18,27 +48,18 @@ def lag_pair_step(
     end: NDArray[np.float64],
     bandwidth_per_s: float,
     dt_s: float,
-) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+) -> NDArray[np.float64]:
     """Exact step of two equal first-order lags in a row, for an input that runs straight.
 
-    A held input is the case ``start == end``.
-
     Args:
-        first: Output of the first lag before the tick.
-        second: Output of the second lag before the tick.
-        start: Input at the start of the tick.
-        end: Input at its end.
+        first: Output of the first lag before the tick, shape (n,).
+        second: Output of the second lag before the tick, shape (n,).
+        start: Input at the start of the tick, shape (n,).
+        end: Input at its end, shape (n,).
         bandwidth_per_s: w of each lag [1/s].
         dt_s: Length of the tick [s].
 
     Returns:
-        Both outputs at the end of the tick.
+        Both outputs at the end of the tick, shape (2, n).
     """
-    slope_lag = (end - start) * (1.0 / (bandwidth_per_s * dt_s))
-    decay = math.exp(-bandwidth_per_s * dt_s)
-    off_first = first - start + slope_lag
-    off_second = second - start + 2.0 * slope_lag
-    return (
-        end - slope_lag + decay * off_first,
-        end - 2.0 * slope_lag + decay * (off_second + bandwidth_per_s * dt_s * off_first),
-    )
+    return lag_pair_coefficients(bandwidth_per_s, dt_s).dot(np.stack((first, second, start, end)))

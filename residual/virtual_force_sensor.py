@@ -1,19 +1,23 @@
 """The virtual force/torque sensor: the few calls that a controller makes."""
 
-import math
-import numbers
-
 import numpy as np
-from numpy.typing import ArrayLike
+from numpy.typing import ArrayLike, NDArray
 
-from residual.errors import SampleError
+from residual.errors import SampleError, SuspectSampleError
 from residual.external_torque import ExternalTorqueEstimator, TorqueSample
+from residual.lag_doubt import LagDoubt
 from residual.offset_removal import OffsetRemoval
-from residual.sample_check import check_interval, check_joint_vector
+from residual.robot_digest import robot_digest
+from residual.sample_check import check_joint_vector
+from residual.sample_clock import SampleClock
+from residual.sample_guard import SampleGuard
 from residual.sensor_config import DEFAULT, SensorConfig
+from residual.sensor_state import SensorState, check_belongs
+from residual.slow_checks import SlowChecks, SlowState
 from residual.tare import Tare
-from residual.wrench import COMPONENTS, Mode, WrenchEstimator
-from residual.wrench_estimate import Status, WrenchEstimate
+from residual.tool_kinematics import ToolKinematics
+from residual.wrench import COMPONENTS, WrenchEstimator
+from residual.wrench_estimate import Status, WrenchEstimate, unknown_wrench
 from urdf import Robot
 
 
@@ -33,9 +37,11 @@ class VirtualForceSensor:
     """
 
     _SETTLING = "the filters have just started, or a time step was longer than max_gap_s"
+    _NOT_TARED = "tare() has not been called"
 
     def __init__(self, robot: Robot, config: SensorConfig = DEFAULT) -> None:
-        self._robot, self._config = robot, config
+        self._robot, self._config, self._guarded = robot, config, config.guard
+        self._digest = robot_digest(robot)
         self._offset = OffsetRemoval(robot, config)
         where = {"frame": config.frame, "insertion_axis": config.insertion_axis}
         self._wrench = WrenchEstimator(
@@ -46,7 +52,9 @@ class VirtualForceSensor:
             expected_force_N=config.expected_force_N,
             **where,
         )
-        self._guard = WrenchEstimator(robot, **where)
+        self._contact = WrenchEstimator(robot, **where)
+        self._slow = SlowChecks(robot, self._wrench)
+        self._doubt = LagDoubt()
         self.reset()
 
     @property
@@ -63,6 +71,16 @@ class VirtualForceSensor:
     def skipped(self) -> int:
         """Bad samples since the last `reset`."""
         return self._skipped
+
+    @property
+    def kinematics(self) -> ToolKinematics:
+        """Pose and Jacobian of the tool at the last sample that was absorbed."""
+        return self._wrench.kinematics
+
+    @property
+    def velocity_rad_s(self) -> NDArray[np.float64]:
+        """Joint velocity of that sample, given or estimated, shape (n,): not to be written."""
+        return self._velocity
 
     def update(
         self, q: ArrayLike, dq: ArrayLike | None, tau: ArrayLike, dt_s: float
@@ -83,11 +101,17 @@ class VirtualForceSensor:
         if torque is None:
             torque = ExternalTorqueEstimator(self._robot, self._config, has_velocity=dq is not None)
         try:
-            elapsed_s = self._elapsed(dt_s)
+            elapsed_s = 0.0 if self._last is None else self._clock.elapsed(dt_s)
+            guard = self._guard
+            if guard is None:
+                guard = self._new_guard(dq is not None, torque.delay_s)
+            if self._guarded and guard.check(q, dq, tau, elapsed_s):
+                torque.restart_velocity()
             sample = torque.update(q, dq, tau, elapsed_s)
         except SampleError as error:
-            return self._skip(dt_s, str(error))
-        self._torque = torque
+            return self._skip(dt_s, error)
+        self._torque, self._guard = torque, guard
+        guard.accept(sample.dq, elapsed_s)
         return self._finish(sample, elapsed_s)
 
     def update_external_torque(
@@ -105,12 +129,21 @@ class VirtualForceSensor:
         """
         joints = self._robot.nv
         try:
-            elapsed_s = self._elapsed(dt_s)
+            elapsed_s = 0.0 if self._last is None else self._clock.elapsed(dt_s)
             torque = check_joint_vector("external_torque", external_torque, joints)
-            sample = TorqueSample(check_joint_vector("q", q, joints), torque, torque, True)
+            q = check_joint_vector("q", q, joints)
+            guard = self._external_guard
+            if guard is None:
+                guard = self._new_guard(False)
+            if self._guarded:
+                guard.check(q, None, torque, elapsed_s)
         except SampleError as error:
-            return self._skip(dt_s, str(error))
-        return self._finish(sample, elapsed_s)
+            return self._skip(dt_s, error)
+        self._external_guard = guard
+        step = q - self._offset.q
+        dq = step / elapsed_s if 0.0 < elapsed_s <= self._config.max_gap_s else np.zeros(joints)
+        guard.accept(dq, elapsed_s)
+        return self._finish(TorqueSample(q, dq, torque, torque, True), elapsed_s)
 
     def tare(self, *, force: bool = False) -> Tare:
         """Fit the offset to the free motion seen since the start or `start_recording`.
@@ -129,9 +162,9 @@ class VirtualForceSensor:
             TareError: Without data, a second time without `start_recording`, or with contact in
                 sight; nothing has then changed.
         """
-        tare = self._offset.tare(self._guard, force=force)
+        tare = self._offset.tare(self._contact, force=force)
         self._wrench.set_torque_covariance(self._offset.covariance_Nm2())
-        self._slow_axial_N = math.nan
+        self._doubt.restart()
         return tare
 
     def start_recording(self) -> None:
@@ -141,69 +174,115 @@ class VirtualForceSensor:
     def reset(self) -> None:
         """Forget everything, the tare included."""
         self._torque: ExternalTorqueEstimator | None = None
+        self._guard: SampleGuard | None = None
+        self._external_guard: SampleGuard | None = None
         self._offset.reset()
+        self._slow.restore(SlowState())
+        self._doubt.restart()
+        self._looked_s = 0.0
+        self._velocity = np.zeros(self._robot.nv)
         self._last: WrenchEstimate | None = None
-        self._missed_s = 0.0
-        self._slow_axial_N = math.nan
+        self._clock = SampleClock(self._config.max_gap_s)
         self._skipped = 0
 
-    def _elapsed(self, dt_s: float) -> float:
-        """Time since the last sample that was absorbed [s]; 0 for the first one."""
-        if self._last is None:
-            return 0.0
-        check_interval(dt_s)
-        return dt_s + self._missed_s
+    def snapshot(self) -> SensorState:
+        """All that the sensor remembers; immutable. `insertion.write_snapshot` stores it."""
+        torque, guard, external = self._torque, self._guard, self._external_guard
+        return SensorState(
+            robot=self._digest,
+            config=repr(self._config),
+            torque=None if torque is None else torque.state,
+            guard=None if guard is None else guard.state,
+            external_guard=None if external is None else external.state,
+            offset=self._offset.state,
+            torque_covariance=self._wrench.torque_covariance,
+            slow=self._slow.state,
+            doubt=self._doubt.state,
+            looked_s=self._looked_s,
+            velocity=self._velocity,
+            last=self._last,
+            missed_s=self._clock.missed_s,
+            skipped=self._skipped,
+        )
+
+    def restore(self, state: SensorState) -> None:
+        """Go on, bit for bit, from where `snapshot` was taken.
+
+        Raises:
+            SnapshotError: Not a snapshot of such a sensor, or one of another robot or other
+                settings; nothing has then changed.
+        """
+        check_belongs(state, self._digest, repr(self._config))
+        self.reset()
+        if state.torque is not None and state.guard is not None:
+            given = state.torque.velocity is None
+            self._torque = ExternalTorqueEstimator(self._robot, self._config, has_velocity=given)
+            self._torque.restore(state.torque)
+            self._guard = self._new_guard(given, self._torque.delay_s)
+            self._guard.restore(state.guard)
+        if state.external_guard is not None:
+            self._external_guard = self._new_guard(False)
+            self._external_guard.restore(state.external_guard)
+        self._offset.restore(state.offset)
+        self._wrench.set_torque_covariance(state.torque_covariance)
+        self._slow.restore(state.slow)
+        self._doubt.restore(state.doubt)
+        self._looked_s, self._velocity = state.looked_s, state.velocity
+        self._last, self._skipped = state.last, state.skipped
+        self._clock.missed_s = state.missed_s
+        if state.last is not None:
+            self.kinematics.update(self._offset.q)
+
+    def _new_guard(self, has_velocity: bool, delay_s: float = 0.0) -> SampleGuard:
+        return SampleGuard(self._robot, has_velocity=has_velocity, velocity_delay_s=delay_s)
 
     def _finish(self, sample: TorqueSample, elapsed_s: float) -> WrenchEstimate:
         """Remove the offset, project, and say what the caller should know."""
-        self._missed_s = 0.0
-        offset = self._offset
-        renewed = offset.follow(sample.q, sample.tau, elapsed_s)
-        if sample.settled and not offset.tared:
+        self._clock.missed_s, self._velocity = 0.0, sample.dq
+        offset, wrench, slow = self._offset, self._wrench, self._slow
+        renewed, tared = offset.follow(sample.q, sample.tau, elapsed_s), offset.tared
+        if sample.settled and not tared:
             offset.record(sample.residual, elapsed_s)
         if renewed or self._last is None:
-            self._wrench.set_torque_covariance(offset.covariance_Nm2())
-        residual = offset.correct(sample.residual)
-        residual.setflags(write=False)
-        estimate = self._wrench.estimate(sample.q, residual)
-        self._last = self._judge(estimate, sample.settled, elapsed_s)
+            wrench.set_torque_covariance(offset.covariance_Nm2())
+        corrected = offset.correct(sample.residual)
+        corrected.setflags(write=False)
+        wrench.kinematics.update(sample.q, sample.data)
+        axial, std, force, torque, spread, ratio, share, residual = wrench.solve(corrected)
+        self._looked_s += elapsed_s
+        if renewed:
+            slow.look(sample.q, residual, self._looked_s, tared=tared)
+            self._looked_s = 0.0
+        status, message = Status.OK, slow.message
+        if not sample.settled:
+            status, message = Status.SETTLING, self._SETTLING
+        elif not tared:
+            status, message = Status.NOT_TARED, self._NOT_TARED
+        self._last = WrenchEstimate(
+            axial,
+            self._doubt.widen(axial, std, self.lag_s, elapsed_s),
+            force,
+            torque,
+            spread,
+            ratio,
+            share,
+            residual,
+            status,
+            message,
+            slow.misfit,
+            slow.cautions,
+        )
         return self._last
 
-    def _judge(self, estimate: WrenchEstimate, settled: bool, dt_s: float) -> WrenchEstimate:
-        """Add what the lag may hide to the standard deviation, and the status."""
-        lag_s = self.lag_s
-        if math.isnan(self._slow_axial_N):
-            self._slow_axial_N = estimate.axial
-        behind = estimate.axial - self._slow_axial_N
-        if lag_s > 0.0:
-            # One more lag of the same length: what it still misses is about what ours missed.
-            self._slow_axial_N += behind * -math.expm1(-dt_s / lag_s)
-        # Only what stands out of the noise counts as a change that the lag may hide.
-        variance = estimate.axial_std**2
-        hidden = behind * behind - 4.0 * variance
-        std = math.sqrt(variance + hidden) if hidden > 0.0 else estimate.axial_std
-        if not settled:
-            return estimate._replace(axial_std=std, status=Status.SETTLING, message=self._SETTLING)
-        if not self._offset.tared:
-            return estimate._replace(
-                axial_std=std, status=Status.NOT_TARED, message="tare() has not been called"
-            )
-        return estimate._replace(axial_std=std) if hidden > 0.0 else estimate
-
-    def _skip(self, dt_s: float, reason: str) -> WrenchEstimate:
+    def _skip(self, dt_s: float, error: SampleError) -> WrenchEstimate:
         """The last sound estimate again; the time of a bad sample still passes."""
         self._skipped += 1
-        if isinstance(dt_s, numbers.Real) and math.isfinite(dt_s) and dt_s > 0.0:
-            self._missed_s += float(dt_s)
-        last = self._last if self._last is not None else _blank(self._robot.nv, self._config.mode)
-        return last._replace(status=Status.SKIPPED, message=reason)
-
-
-def _blank(joints: int, mode: Mode) -> WrenchEstimate:
-    """An estimate that knows nothing, for a first sample that is bad."""
-    size = COMPONENTS[mode]
-    nothing, residual, share = np.zeros(3), np.zeros(joints), np.zeros(size)
-    unknown = np.diag(np.full(size, math.inf))
-    for array in (nothing, residual, share, unknown):
-        array.setflags(write=False)
-    return WrenchEstimate(0.0, math.inf, nothing, nothing, unknown, math.inf, share, residual)
+        last = self._last
+        if last is None:
+            last = unknown_wrench(self._robot.nv, COMPONENTS[self._config.mode])
+        else:
+            self._clock.miss(dt_s)
+        cautions = last.cautions
+        if isinstance(error, SuspectSampleError):
+            cautions |= error.caution
+        return last._replace(status=Status.SKIPPED, message=str(error), cautions=cautions)

@@ -5,13 +5,15 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from residual.wrench_estimate import MOST_CONDITIONING, UNSEEN_STD
+
 
 class WeightedSolution(NamedTuple):
     """Solution of ``torque = map' x`` for x.
 
     Attributes:
         value: x, shape (k,).
-        covariance: Of x, shape (k, k); infinite on the diagonal where x cannot be seen.
+        covariance: Of x, shape (k, k); `UNSEEN_STD` squared on the diagonal where x cannot be seen.
         conditioning: Ratio of the largest to the smallest standard deviation over directions.
         damping_share: Share of each true component that damping removes, shape (k,).
     """
@@ -58,12 +60,12 @@ def weighted_inverse(
     covariance = gain.dot(error_covariance).dot(gain.T) + inverse * prior @ inverse
     if not seen.all():
         blind = (np.abs(vectors[:, ~seen]) > 1e-9).any(axis=1)
-        covariance[blind, blind] = np.inf
+        covariance[blind, blind] = UNSEEN_STD**2
     own = np.linalg.eigvalsh(information)
-    sightless = own[0] <= own[-1] * 1e-12
+    sightless = own[0] <= own[-1] / MOST_CONDITIONING**2
     return WeightedSolution(
         value=gain.dot(torque),
         covariance=covariance,
-        conditioning=float("inf") if sightless else float(np.sqrt(own[-1] / own[0])),
+        conditioning=MOST_CONDITIONING if sightless else float(np.sqrt(own[-1] / own[0])),
         damping_share=np.diag(inverse) * prior,
     )

@@ -4,20 +4,24 @@ import math
 from typing import Literal
 
 import numpy as np
-import pinocchio as pin
 from numpy.typing import ArrayLike, NDArray
 
 from residual.errors import ConfigurationError, SampleError
 from residual.settings_check import check_choice
+from residual.tool_kinematics import ToolKinematics
 from residual.weighted_inverse import weighted_inverse
-from residual.wrench_estimate import WrenchEstimate
+from residual.wrench_estimate import MOST_CONDITIONING, UNSEEN_STD, WrenchEstimate
 from urdf import Robot
 
+Array = NDArray[np.float64]
 Mode = Literal["axial", "point", "full"]
 """What is assumed of the contact: a force along the needle axis, a force at the frame's origin,
 or a force and a torque."""
 Axes = Literal["base", "tool"]
 Weighting = Literal["covariance", "none"]
+
+WrenchNumbers = tuple[float, float, Array, Array, Array, float, Array, Array]
+"""The first eight fields of a `WrenchEstimate`."""
 
 COMPONENTS = {"axial": 1, "point": 3, "full": 6}
 """Unknowns of every mode."""
@@ -64,17 +68,16 @@ class WrenchEstimator:
         check_choice("mode", mode, tuple(COMPONENTS))
         check_choice("weighting", weighting, ("covariance", "none"))
         check_choice("axes", axes, ("base", "tool"))
-        self._axis_in_tool = _unit_axis(insertion_axis)
-        self._model, self._data = robot.model, robot.create_data()
-        self._frame_id = robot.frame_id(frame if frame is not None else robot.tool_frame)
+        self.kinematics = ToolKinematics(robot, frame, insertion_axis)
         self._mode: Mode = mode
         self._in_base = axes == "base"
         self._shape = (robot.nv,)
         self._damping = _damping(mode, expected_force_N, expected_torque_Nm)
         if weighting == "none":
             self._damping[:] = 0.0
+        self._axial_damping = float(self._damping[0])
         self._weighted = weighting == "covariance"
-        self._covariance = self._precision = np.eye(robot.nv)
+        self._covariance = self._inverse = self._precision = np.eye(robot.nv)
 
     def set_torque_covariance(self, covariance_Nm2: NDArray[np.float64]) -> None:
         """Tell how far the residual may be trusted: it sets weights and standard deviations.
@@ -98,8 +101,14 @@ class WrenchEstimator:
         except np.linalg.LinAlgError as error:
             raise ConfigurationError("covariance_Nm2 is not positive definite") from error
         self._covariance = covariance_Nm2.copy()
+        self._inverse = root.T @ root
         if self._weighted:
-            self._precision = root.T @ root
+            self._precision = self._inverse
+
+    @property
+    def torque_covariance(self) -> NDArray[np.float64]:
+        """What `set_torque_covariance` was told last, or 1 [Nm^2], shape (n, n), a copy."""
+        return self._covariance.copy()
 
     def estimate(self, q: NDArray[np.float64], residual: NDArray[np.float64]) -> WrenchEstimate:
         """Wrench at a configuration [rad] from the external joint torque [Nm], both shape (n,).
@@ -112,55 +121,51 @@ class WrenchEstimator:
             raise SampleError(
                 f"q and residual have shapes {q.shape} and {residual.shape}, expected {self._shape}"
             )
-        pin.computeJointJacobians(self._model, self._data, q)
-        jacobian = pin.getFrameJacobian(
-            self._model, self._data, self._frame_id, pin.ReferenceFrame.LOCAL
-        )
-        if self._mode == "axial":
-            return self._axial(jacobian, residual)
-        return self._general(jacobian, residual)
+        self.kinematics.update(q)
+        return WrenchEstimate(*self.solve(residual))
 
-    def _rotation(self) -> NDArray[np.float64]:
-        return pin.updateFramePlacement(self._model, self._data, self._frame_id).rotation
+    def solve(self, residual: NDArray[np.float64]) -> WrenchNumbers:
+        """Wrench where `kinematics` stands, from an external joint torque [Nm], shape (n,).
 
-    def _axial(
-        self, jacobian: NDArray[np.float64], residual: NDArray[np.float64]
-    ) -> WrenchEstimate:
+        Returns:
+            The numbers of a `WrenchEstimate`, from ``axial`` to ``residual``.
+
+        Raises:
+            SampleError: For numbers that are not finite.
+        """
+        return self._axial(residual) if self._mode == "axial" else self._general(residual)
+
+    def _axial(self, residual: NDArray[np.float64]) -> WrenchNumbers:
         """One unknown along the needle: scalars instead of matrices, for the hot path."""
-        resisting = -self._axis_in_tool.dot(jacobian[:3])
-        weighted = self._precision.dot(resisting) if self._weighted else resisting
-        information = float(weighted.dot(resisting))
-        damping = float(self._damping[0])
+        advance = self.kinematics.advance
+        weighted = self._precision.dot(advance) if self._weighted else advance
+        information = float(weighted.dot(advance))
+        damping = self._axial_damping
         total = information + damping
         if total <= 0.0:
             total = math.inf
-        axial = float(weighted.dot(residual)) / total
+        axial = -float(weighted.dot(residual)) / total
         noise = information if self._weighted else float(weighted @ self._covariance @ weighted)
-        variance = (noise + damping) / total**2 if total < math.inf else math.inf
+        variance = (noise + damping) / total**2 if total < math.inf else UNSEEN_STD**2
         if not math.isfinite(axial):
             raise SampleError("q and residual must be finite; skip this sample")
-        force = self._axis_in_tool * -axial
-        if self._in_base:
-            force = self._rotation().dot(force)
-        covariance, share = np.array([[variance]]), np.array([damping / total])
-        for array in (force, covariance, share):
-            array.setflags(write=False)
-        conditioning = 1.0 if information > 0.0 else math.inf
+        kinematics = self.kinematics
+        axis = kinematics.axis_in_base if self._in_base else kinematics.axis_in_tool
+        force = axis * -axial
+        pair = np.array((variance, damping / total))
+        force.setflags(write=False)
+        pair.setflags(write=False)
+        conditioning = 1.0 if information > 0.0 else MOST_CONDITIONING
         std = math.sqrt(variance)
-        return WrenchEstimate(
-            axial, std, force, _NOTHING, covariance, conditioning, share, residual
-        )
+        return axial, std, force, _NOTHING, pair[:1, None], conditioning, pair[1:], residual
 
-    def _general(
-        self, jacobian: NDArray[np.float64], residual: NDArray[np.float64]
-    ) -> WrenchEstimate:
+    def _general(self, residual: NDArray[np.float64]) -> WrenchNumbers:
         """Three or six unknowns."""
-        axis = self._axis_in_tool
+        axis = self.kinematics.axis_in_tool
         size = COMPONENTS[self._mode]
-        rows = jacobian[:size]
+        rows = self.kinematics.jacobian[:size]
         if self._in_base:
-            rotation = self._rotation()
-            axis = rotation.dot(axis)
+            axis, rotation = self.kinematics.axis_in_base, self.kinematics.rotation_tool_to_base
             rows = np.concatenate([rotation.dot(rows[k : k + 3]) for k in range(0, size, 3)])
         solution = weighted_inverse(
             rows,
@@ -174,7 +179,7 @@ class WrenchEstimator:
         force, torque = solution.value[:3], solution.value[3:] if size == 6 else _NOTHING
         for array in (force, torque, solution.covariance, solution.damping_share):
             array.setflags(write=False)
-        return WrenchEstimate(
+        return (
             -float(axis.dot(force)),
             _std_along(axis, solution.covariance[:3, :3]),
             force,
@@ -185,25 +190,48 @@ class WrenchEstimator:
             residual,
         )
 
+    def lever_m(self) -> float:
+        """How much the joints feel of a newton in the direction they feel least [m].
 
-def _unit_axis(insertion_axis: ArrayLike) -> NDArray[np.float64]:
-    try:
-        axis = np.asarray(insertion_axis, dtype=np.float64)
-    except (TypeError, ValueError):
-        axis = np.zeros(0)
-    if axis.shape != (3,) or not np.isfinite(axis).all() or not axis.any():
-        raise ConfigurationError(
-            f"insertion_axis is {insertion_axis!r}, expected three numbers, not all zero"
-        )
-    axis = axis / np.abs(axis).max()
-    return axis / np.linalg.norm(axis)
+        Of the directions that the mode asks for (in the full mode a newton metre counts as a
+        newton), at the last configuration.
+        """
+        if self._mode == "axial":
+            return math.sqrt(self.kinematics.advance.dot(self.kinematics.advance))
+        rows = self.kinematics.jacobian[: COMPONENTS[self._mode]]
+        return float(np.linalg.svd(rows, compute_uv=False)[-1])
+
+    def misfit_squared(self, residual: NDArray[np.float64]) -> float:
+        """Mean square of the joint torque [Nm] that no wrench of the mode explains.
+
+        In units of its covariance, at the last configuration: about 1 when the model holds, 0 where
+        the mode has as many unknowns as there are joints.
+
+        Args:
+            residual: External joint torque after offset removal [Nm], shape (n,).
+        """
+        rows = self.kinematics.jacobian[: COMPONENTS[self._mode]]
+        if self._mode == "axial":
+            rows = self.kinematics.advance[None]
+        spare = rows.shape[1] - len(rows)
+        if spare <= 0:
+            return 0.0
+        weighted = rows.dot(self._inverse)
+        known, seen = weighted.dot(rows.T), weighted.dot(residual)
+        wrench = seen / max(known[0, 0], 1e-300) if len(rows) == 1 else _least(known, seen)
+        left = float(residual.dot(self._inverse).dot(residual) - seen.dot(wrench))
+        return max(left, 0.0) / spare
+
+
+def _least(matrix: Array, right: Array) -> Array:
+    """Smallest solution of a symmetric system: nothing where it sees nothing."""
+    return np.asarray(np.linalg.lstsq(matrix, right, rcond=1e-12)[0], dtype=np.float64)
 
 
 def _std_along(axis: NDArray[np.float64], covariance: NDArray[np.float64]) -> float:
-    """Standard deviation along an axis; infinite if the axis has a share in an unseen direction."""
-    unseen = np.isinf(np.diag(covariance))
-    if unseen.any():
-        return math.inf
+    """Standard deviation along an axis; that of the unseen if the axis has a share in it."""
+    if (np.diag(covariance) >= UNSEEN_STD**2).any():
+        return UNSEEN_STD
     return float(np.sqrt(axis.dot(covariance).dot(axis)))
 
 

@@ -1,0 +1,70 @@
+"""How far a joint signal may jump between two samples."""
+
+import numpy as np
+from numpy.typing import NDArray
+
+from urdf import Robot
+
+SIGMAS = 12.0
+"""A jump within this many standard deviations of the signal's noise is noise."""
+TORQUE_SHARE = 0.02
+"""Share of the effort limit by which a torque may step: a hundred newtons at arm's length."""
+TORQUE_SHARE_PER_S = 2.0
+"""Share of the effort limit per second, beyond the step: for lost samples."""
+ACCELERATION_RAD_S2 = 20.0
+"""An arm that inserts a needle stays far below."""
+LEAST_POSITION_RAD = 1e-4
+UNKNOWN_EFFORT_NM = 100.0
+"""Stands in where a description gives no effort limit."""
+CLOCK_SHARE = 1.0
+"""Share of a tick by which a time stamp may be off: a sample that comes twice is no spike."""
+
+
+class SpikeGates:
+    """Largest believable jump of position (less its velocity times the time), velocity and torque.
+
+    Args:
+        robot: Gives the effort limits.
+        has_velocity: Whether samples carry a velocity.
+        delay_s: Age of the velocity that positions are foretold with [s].
+    """
+
+    def __init__(self, robot: Robot, *, has_velocity: bool, delay_s: float) -> None:
+        n = self._joints = robot.nv
+        self._has_velocity, self._delay_s = has_velocity, delay_s
+        limit = robot.effort_limit_Nm
+        self.effort_Nm = np.where(np.isfinite(limit) & (limit > 0), limit, np.inf)
+        """Effort limits [Nm], infinite where the description gives none, shape (n,)."""
+        self._effort = np.where(np.isfinite(self.effort_Nm), limit, UNKNOWN_EFFORT_NM)
+        self.learn(np.zeros((3 if has_velocity else 2) * n))
+
+    def learn(self, noise: NDArray[np.float64]) -> None:
+        """Tell the noise of all signals: position, velocity if there is one, torque."""
+        n = self._joints
+        # The difference of two samples has sqrt(2) times the noise of one.
+        self._base = SIGMAS * np.sqrt(2.0) * noise
+        self._base[:n] += LEAST_POSITION_RAD
+        self._base[-n:] += TORQUE_SHARE * self._effort
+        sure = self._base.copy()
+        if self._has_velocity:
+            sure[n:-n] += ACCELERATION_RAD_S2 * 1e-4
+        self._per_gate = 1.0 / sure
+
+    def surely_pass(self, off: NDArray[np.float64]) -> bool:
+        """Whether a difference is within the narrowest gates, all signals together: one product."""
+        share = off * self._per_gate
+        return bool(share.dot(share) < 1.0)
+
+    def joints(
+        self, off: NDArray[np.float64], velocity: NDArray[np.float64], dt_s: float
+    ) -> list[int]:
+        """Indices of joints whose difference is beyond what an arm can do in a time [s]."""
+        n = self._joints
+        gate = self._base.copy()
+        late_s = dt_s + self._delay_s
+        gate[:n] += CLOCK_SHARE * np.abs(velocity) * dt_s + ACCELERATION_RAD_S2 * dt_s * late_s
+        if self._has_velocity:
+            gate[n:-n] += ACCELERATION_RAD_S2 * dt_s
+        gate[-n:] += TORQUE_SHARE_PER_S * dt_s * self._effort
+        beyond = (np.abs(off) > gate).reshape(-1, n).any(axis=0)
+        return [int(i) for i in np.flatnonzero(beyond)]
