@@ -10,8 +10,8 @@ import pytest
 import identification.__main__ as command
 from groundtruth import insert_needle
 from identification import replay
+from identification.command.figure import check_figure
 from identification.errors import InvalidLogError, MissingExtraError
-from identification.figure import check_figure
 from identification.sign_hints import sign_hints
 
 

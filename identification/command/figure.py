@@ -1,22 +1,25 @@
 """The picture after the paper's Figure 8."""
 
+from collections.abc import Mapping
 from pathlib import Path
 from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import NDArray
 
+from identification.command.result import IdentificationResult
 from identification.errors import InvalidLogError, MissingExtraError
-from identification.replay import Replay
+
+Columns = Mapping[str, NDArray[np.float64]]
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
 
 _FORCES = (
-    ("axial force", "#3b8f5a", 1.0),
-    ("predicted", "#d9a21b", 0.9),
-    ("enhanced", "#c8553d", 1.2),
-    ("tip", "#1f5fa8", 0.9),
+    ("force_N", "axial force", "#3b8f5a", 1.0),
+    ("predicted_force_N", "predicted", "#d9a21b", 0.9),
+    ("enhanced_force_N", "enhanced", "#c8553d", 1.2),
+    ("tip_force_N", "tip", "#1f5fa8", 0.9),
 )
 _PANELS = (
     ("stiffness_N_per_m", "stiffness_std_N_per_m", "K  N/m"),
@@ -44,18 +47,17 @@ def check_figure(path: str | Path) -> None:
         ) from error
 
 
-def save_figure(path: str | Path, result: Replay, force_N: NDArray[np.float64], title: str) -> None:
+def save_figure(path: str | Path, result: IdentificationResult) -> None:
     """Draw forces above; stiffness, friction and cumulative friction below.
 
     Continuous vertical lines mark the dated ruptures, dashed ones the compensations.
 
     Args:
         path: PNG file to write.
-        result: Estimates.
-        force_N: Axial force as recorded, shape (n,).
-        title: One line above.
+        result: With an overview.
 
     Raises:
+        InvalidLogError: The file cannot be written.
         MissingExtraError: matplotlib is not installed.
     """
     check_figure(path)
@@ -63,48 +65,36 @@ def save_figure(path: str | Path, result: Replay, force_N: NDArray[np.float64], 
 
     figure = Figure(figsize=(9, 9), layout="constrained")
     axes = figure.subplots(4, 1, sharex=True, height_ratios=(2.4, 1, 1, 1))
-    _draw_forces(axes[0], result, force_N)
-    axes[0].set_title(title, loc="left", fontsize=10)
+    _draw_forces(axes[0], result.overview)
+    axes[0].set_title(f"{result.log}, method {result.method}", loc="left", fontsize=10)
     for axis, (name, spread, label) in zip(axes[1:], _PANELS, strict=True):
-        _draw_panel(axis, result, name, spread)
+        _draw_panel(axis, result.overview, name, spread)
         axis.set_ylabel(label)
     for axis in axes:
-        _mark_ruptures(axis, result)
+        for time_s in result.ruptures_s:
+            axis.axvline(time_s, color="black", linewidth=0.8)
+        for time_s in result.compensations_s:
+            axis.axvline(time_s, color="black", linewidth=0.8, linestyle="--")
         axis.grid(alpha=0.25)
     axes[-1].set_xlabel("time  s")
-    figure.savefig(path, dpi=120)
+    try:
+        figure.savefig(path, format="png", dpi=120)
+    except OSError as error:
+        raise InvalidLogError(f"cannot write {path}: {error.strerror or error}") from error
 
 
-def _draw_forces(axis: "Axes", result: Replay, force_N: NDArray[np.float64]) -> None:
-    rows = result.estimates
-    curves = (
-        force_N,
-        [row.predicted_force_N for row in rows],
-        [row.enhanced_force_N for row in rows],
-        [row.tip_force_N for row in rows],
-    )
-    for values, (label, color, width) in zip(curves, _FORCES, strict=True):
-        axis.plot(result.t_s, values, color=color, linewidth=width, label=label)
+def _draw_forces(axis: "Axes", rows: Columns) -> None:
+    for name, label, color, width in _FORCES:
+        axis.plot(rows["t_s"], rows[name], color=color, linewidth=width, label=label)
     axis.set_ylabel("force  N")
     axis.legend(frameon=False, fontsize=9, ncols=4)
 
 
-def _draw_panel(axis: "Axes", result: Replay, name: str, spread: str) -> None:
-    values = np.array([getattr(row, name) for row in result.estimates])
-    axis.plot(result.t_s, values, color="#1f5fa8", linewidth=1.0)
-    stds = [getattr(row, spread) for row in result.estimates]
+def _draw_panel(axis: "Axes", rows: Columns, name: str, spread: str) -> None:
+    values, band = rows[name], 2.0 * rows[spread]
+    axis.plot(rows["t_s"], values, color="#1f5fa8", linewidth=1.0)
     top = float(np.percentile(values, 99)) * 1.5
-    if all(std is not None for std in stds):
-        band = 2.0 * np.array(stds, dtype=float)
+    if np.isfinite(band).all():
         low, high = np.maximum(values - band, 0.0), values + band
-        axis.fill_between(result.t_s, low, high, color="#1f5fa8", alpha=0.2, linewidth=0)
+        axis.fill_between(rows["t_s"], low, high, color="#1f5fa8", alpha=0.2, linewidth=0)
     axis.set_ylim(min(0.0, float(np.percentile(values, 1))), max(top, 1e-9))
-
-
-def _mark_ruptures(axis: "Axes", result: Replay) -> None:
-    start = float(result.t_s[0]) - result.estimates[0].time_s
-    for row, time in zip(result.estimates, result.t_s, strict=True):
-        if row.rupture is not None:
-            axis.axvline(start + row.rupture.time_s, color="black", linewidth=0.8)
-        if row.compensated is not None:
-            axis.axvline(time, color="black", linewidth=0.8, linestyle="--")

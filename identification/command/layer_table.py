@@ -2,8 +2,8 @@
 
 from collections.abc import Sequence
 
+from identification.command.result import IdentificationResult
 from identification.estimate import LayerEstimate
-from identification.replay import Replay
 
 _HEADER = (
     "layer",
@@ -19,12 +19,11 @@ _HEADER = (
 )
 
 
-def layer_table(result: Replay) -> str:
+def layer_table(result: IdentificationResult) -> str:
     """Text table, one line per layer; `?` marks what the data do not identify."""
     if not result.layers:
         return "no layer was left: no rupture found\n"
-    start = float(result.t_s[0])
-    lines = [_HEADER, *(_row(layer, start) for layer in result.layers)]
+    lines = [_HEADER, *(_row(layer, result.start_s) for layer in result.layers)]
     widths = [max(len(line[i]) for line in lines) for i in range(len(_HEADER))]
     return "".join(
         "  ".join(cell.rjust(width) for cell, width in zip(line, widths, strict=True)) + "\n"

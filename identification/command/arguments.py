@@ -1,0 +1,37 @@
+"""The command line of ``python -m identification``."""
+
+from argparse import ArgumentParser
+
+from identification.default_config import DEFAULT
+from identification.paper_config import PAPER, PAPER_KV
+from recordings import mapping_arguments
+from recordings.source_arguments import source_arguments
+
+METHODS = {"default": DEFAULT, "paper": PAPER, "paper-kv": PAPER_KV}
+"""What ``--method`` may be."""
+
+
+def build_parser() -> ArgumentParser:
+    """Return the parser of the command."""
+    parser = ArgumentParser(
+        prog="python -m identification",
+        description="Ruptures, layers, stiffness and friction from depth, speed and axial force.",
+        epilog="Depth grows into the tissue; force is positive when tissue pushes back. Times of "
+        "the table are on the log's clock. A ? marks what the data do not identify.",
+    )
+    source_arguments(parser, "time, depth, force, perhaps speed")
+    parser.add_argument(
+        "-o",
+        "--output",
+        metavar="FILE",
+        help="table of online estimates: .csv, .csv.gz, .npz, ..., or - for CSV on standard output",
+    )
+    parser.add_argument("--png", metavar="FILE", help="picture after the paper's Figure 8")
+    parser.add_argument(
+        "--method",
+        choices=tuple(METHODS),
+        default="default",
+        help="ours, or the method as published with the multi-layer or the Kelvin-Voigt model",
+    )
+    mapping_arguments(parser, ["depth", "speed", "force"])
+    return parser

@@ -1,0 +1,95 @@
+"""From a log to its result: rows in, online estimates out, as they come."""
+
+from argparse import Namespace
+from collections import deque
+from contextlib import nullcontext
+
+from identification.command.arguments import METHODS
+from identification.command.estimate_table import estimate_table
+from identification.command.result import IdentificationResult
+from identification.replay_stream import ReplayedRows, ReplayStream
+from recordings.command_line import say
+from recordings.log_session import LogSession
+from recordings.open_table import OpenTable, open_table
+from recordings.row_overview import RowOverview
+
+_TRACKED = (
+    "force_N",
+    "predicted_force_N",
+    "enhanced_force_N",
+    "tip_force_N",
+    "stiffness_N_per_m",
+    "friction_Ns_per_m2",
+    "cumulative_friction_Ns_per_m",
+)
+_MOST_EVENTS = 1000
+
+
+def run_log(arguments: Namespace, log: LogSession, *, needs_overview: bool) -> IdentificationResult:
+    """Run the identifier over a log and write its estimates.
+
+    Args:
+        arguments: Of the command: the method and where the table goes.
+        log: The log, entered.
+        needs_overview: Whether a picture is to be drawn.
+
+    Raises:
+        recordings.RecordingError: The log cannot be read, or the table not written.
+    """
+    stream, output = ReplayStream(METHODS[arguments.method]), arguments.output
+    with nullcontext() if output is None else open_table(output, is_live=log.is_live) as table:
+        found = _Found(table, needs_overview=needs_overview)
+        for chunk in log:
+            channels = chunk.channels
+            found.add(
+                stream.run(
+                    chunk.t_s, channels["depth_m"], channels["force_N"], channels.get("speed_m_s")
+                )
+            )
+        found.add(stream.finish())
+    for hint in stream.hints:
+        say(f"warning: {hint}")
+    return IdentificationResult(
+        log=log.name,
+        method=arguments.method,
+        layers=stream.layers,
+        start_s=found.start_s,
+        ruptures_s=tuple(found.ruptures_s),
+        compensations_s=tuple(found.compensations_s),
+        overview=found.overview.columns(),
+    )
+
+
+class _Found:
+    """Writes rows of estimates and keeps what is needed at the end."""
+
+    def __init__(self, table: OpenTable | None, *, needs_overview: bool) -> None:
+        self._table, self._needs_overview = table, needs_overview
+        self._has_begun = False
+        self.start_s = self._zero_s = 0.0
+        self.overview = RowOverview(_TRACKED)
+        self.ruptures_s: deque[float] = deque(maxlen=_MOST_EVENTS)
+        self.compensations_s: deque[float] = deque(maxlen=_MOST_EVENTS)
+
+    def add(self, rows: ReplayedRows) -> None:
+        if not rows.estimates:
+            return
+        if not self._has_begun:
+            self._has_begun = True
+            self.start_s = float(rows.t_s[0])
+            self._zero_s = self.start_s - rows.estimates[0].time_s
+        self._note_events(rows)
+        if self._table is None and not self._needs_overview:
+            return
+        columns = estimate_table(rows)
+        if self._table is not None:
+            self._table.append(columns)
+        if self._needs_overview:
+            self.overview.add({"force_N": rows.force_N} | columns)
+
+    def _note_events(self, rows: ReplayedRows) -> None:
+        for t_s, estimate in zip(rows.t_s.tolist(), rows.estimates, strict=True):
+            if estimate.rupture is not None:
+                self.ruptures_s.append(self._zero_s + estimate.rupture.time_s)
+            if estimate.compensated is not None:
+                self.compensations_s.append(t_s)
