@@ -23,6 +23,7 @@ def parser() -> argparse.ArgumentParser:
     compare.add_argument("new", type=Path, metavar="NEW", help="results of the later run")
     speed = commands.add_parser("speed", help="time the estimators beside their bare dynamics")
     speed.add_argument("--strict", action="store_true", help="exit with 1 if a target is missed")
+    commands.add_parser("bound", help="what the noise of a force allows any estimator to know")
     return top
 
 

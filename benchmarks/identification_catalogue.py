@@ -84,6 +84,28 @@ IDENTIFICATION = (
 )
 """Of a simulated insertion; one column each in the table of identification."""
 
+BOUNDS = (
+    Metric(
+        name="friction_bound_pct",
+        unit="%",
+        meaning="least mean error of the friction of a layer that the noise allows (Cramér-Rao)",
+        relative_tolerance=1.0,
+    ),
+    Metric(
+        name="friction_bound_white_pct",
+        unit="%",
+        meaning="the same, were noise of that size white",
+        relative_tolerance=1.0,
+    ),
+    Metric(
+        name="rupture_delay_bound_ms",
+        unit="ms",
+        meaning="least mean delay at one false alarm an hour (Lorden), median over ruptures",
+        relative_tolerance=1.0,
+    ),
+)
+"""What a simulated insertion and its noise would have allowed; no property of a method."""
+
 TABLE_I = (
     Metric(
         name="cumulative_friction_true_Ns_per_m",

@@ -2,6 +2,7 @@
 
 from collections.abc import Iterator, Sequence
 
+from benchmarks.bound_metrics import bound_metrics
 from benchmarks.enhanced_metrics import enhanced_metrics
 from benchmarks.friction_metrics import friction_metrics, layer_frictions
 from benchmarks.identified import IDENTIFIERS, Identified, identify
@@ -42,5 +43,7 @@ def identification_metrics(
             values |= table_one(signals[found.method], truth, found)
         if (found.source, found.method) == ("ft", "default"):
             values |= offline_metrics(signals[found.method], truth)
+        if found.method == "default":
+            values |= bound_metrics(signals["default"], truth, noise_N)
         for name, value in values.items():
             yield Measurement(found.source, found.method, name, value)

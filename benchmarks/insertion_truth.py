@@ -1,11 +1,12 @@
 """What was true of one insertion: what its identification is judged against."""
 
 from dataclasses import dataclass
+from itertools import accumulate
 
 import numpy as np
 from numpy.typing import NDArray
 
-from groundtruth import NeedleRun, Run, Rupture
+from groundtruth import NeedleRun, Run, Rupture, Scenario
 
 Array = NDArray[np.float64]
 
@@ -26,6 +27,7 @@ class InsertionTruth:
         tare_end_s: Nothing has been touched before.
         contact_s: First contact.
         insertion_end_s: The needle is at its deepest.
+        boundaries_m: Where each layer ends in undeformed tissue; none where that is not told.
     """
 
     t_s: Array
@@ -39,6 +41,7 @@ class InsertionTruth:
     tare_end_s: float
     contact_s: float
     insertion_end_s: float
+    boundaries_m: tuple[float, ...] = ()
 
     @property
     def enhanced_N(self) -> Array:
@@ -68,6 +71,7 @@ def truth_of_run(run: Run) -> InsertionTruth:
         tare_end_s=run.tare_end_s,
         contact_s=run.contact_s,
         insertion_end_s=run.scenario.motion.insertion_end_s,
+        boundaries_m=_boundaries_m(run.scenario),
     )
 
 
@@ -86,4 +90,9 @@ def truth_of_needle(run: NeedleRun) -> InsertionTruth:
         tare_end_s=run.tare_end_s,
         contact_s=true.contact_s,
         insertion_end_s=run.scenario.motion.insertion_end_s,
+        boundaries_m=_boundaries_m(run.scenario),
     )
+
+
+def _boundaries_m(scenario: Scenario) -> tuple[float, ...]:
+    return tuple(accumulate(layer.thickness_m for layer in scenario.layers))

@@ -4,7 +4,13 @@ from collections.abc import Mapping
 from types import MappingProxyType
 
 from benchmarks.errors import UnknownMetricError
-from benchmarks.identification_catalogue import IDENTIFICATION, OFFLINE, REAL_TISSUE, TABLE_I
+from benchmarks.identification_catalogue import (
+    BOUNDS,
+    IDENTIFICATION,
+    OFFLINE,
+    REAL_TISSUE,
+    TABLE_I,
+)
 from benchmarks.metric import Metric
 
 # Axial force against the true one, from first contact to the end of withdrawal.
@@ -108,6 +114,7 @@ METRICS: Mapping[str, Metric] = MappingProxyType(
             *_OBSERVERS,
             *_WEIGHT,
             *IDENTIFICATION,
+            *BOUNDS,
             *TABLE_I,
             *OFFLINE,
             *REAL_TISSUE,

@@ -4,12 +4,20 @@ from collections.abc import Iterable
 
 from rich.table import Table
 
-from benchmarks.identification_catalogue import IDENTIFICATION, OFFLINE, REAL_TISSUE, TABLE_I
+from benchmarks.identification_catalogue import (
+    BOUNDS,
+    IDENTIFICATION,
+    OFFLINE,
+    REAL_TISSUE,
+    TABLE_I,
+)
 from benchmarks.metric_catalogue import metric
 from benchmarks.row import Row
 from benchmarks.summary import summary
 
-ELSEWHERE = frozenset(item.name for item in (*IDENTIFICATION, *TABLE_I, *OFFLINE, *REAL_TISSUE))
+ELSEWHERE = frozenset(
+    item.name for item in (*IDENTIFICATION, *BOUNDS, *TABLE_I, *OFFLINE, *REAL_TISSUE)
+)
 """Metrics with tables of their own."""
 
 

@@ -4,6 +4,7 @@ from collections.abc import Sequence
 
 from rich.table import Table
 
+from benchmarks.bound_table import bound_table
 from benchmarks.force_table import force_table
 from benchmarks.identification_table import friction_table, rupture_table, table_one_table
 from benchmarks.number_table import number_table
@@ -20,6 +21,7 @@ def run_tables(rows: Sequence[Row]) -> list[Table]:
         force_table(rows),
         rupture_table(rows),
         friction_table(rows),
+        bound_table(rows),
         table_one_table(rows),
         offline_table(rows),
         tissue_table(rows),

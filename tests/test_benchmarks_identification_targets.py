@@ -5,8 +5,15 @@ import math
 import pytest
 from benchmark_rows import make_row
 
+from benchmarks.bound_table import bound_table
 from benchmarks.catalogue import BENCHMARKS
-from benchmarks.identification_catalogue import IDENTIFICATION, OFFLINE, REAL_TISSUE, TABLE_I
+from benchmarks.identification_catalogue import (
+    BOUNDS,
+    IDENTIFICATION,
+    OFFLINE,
+    REAL_TISSUE,
+    TABLE_I,
+)
 from benchmarks.identification_table import friction_table, rupture_table, table_one_table
 from benchmarks.identification_targets import GELS, IDENTIFICATION_TARGETS, STACKS
 from benchmarks.metric_catalogue import METRICS
@@ -79,11 +86,18 @@ def test_a_run_in_which_the_papers_method_is_silent_is_not_compared():
     assert verdicts([delay(value=20.0)], [SHARE]) == []
 
 
-@pytest.mark.parametrize("kind", [*IDENTIFICATION, *TABLE_I, *OFFLINE, *REAL_TISSUE])
+@pytest.mark.parametrize("kind", [*IDENTIFICATION, *BOUNDS, *TABLE_I, *OFFLINE, *REAL_TISSUE])
 def test_every_metric_is_shown_in_its_own_table_or_is_a_detail(kind):
     rows = [make_row(metric=kind.name, unit=kind.unit)]
     assert number_table(rows) is None
-    tables = (friction_table, rupture_table, table_one_table, offline_table, tissue_table)
+    tables = (
+        friction_table,
+        rupture_table,
+        bound_table,
+        table_one_table,
+        offline_table,
+        tissue_table,
+    )
     shown = [table(rows) for table in tables]
     # The mean over layers stands beside the worst in the results only.
     expected = 0 if kind.name == "friction_error_mean_pct" else 1
