@@ -21,6 +21,7 @@ class DefaultConfig:
         speed_smoothing_s: Time constant of the speed that decides on rest and turns friction into
             force; short against any change of speed by a hand or a robot.
         track_step_m: Travel between kept points; a release of 0.1 mm still spans a few.
+        row_m: Travel over which points are averaged before they count as data of a layer.
         presliding_m: Travel over which friction turns after a reversal: gel clings for a fifth,
             soft tissue for half a millimetre.
         cutting_onset_m: Travel over which the cutting force of a fresh layer builds up: about a
@@ -47,6 +48,7 @@ class DefaultConfig:
     expected_share: float = 0.6
     speed_smoothing_s: float = 0.02
     track_step_m: float = 2e-5
+    row_m: float = 2.5e-4
     presliding_m: float = 0.3e-3
     cutting_onset_m: float = 1e-3
     cutting_reach_m: float = 1.5e-3

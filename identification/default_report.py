@@ -2,10 +2,13 @@
 
 import math
 
+import numpy as np
+
 from identification.default_config import DefaultConfig
 from identification.default_state import DefaultState, Pending
-from identification.estimate import Estimate, layers_left
-from identification.layer_close import is_identified
+from identification.estimate import Estimate, LayerEstimate, layers_left
+from identification.layer_figures import is_identified, revised
+from identification.layer_hindsight import Belief, look_back
 from identification.layer_model import (
     COULOMB,
     MM,
@@ -59,6 +62,19 @@ def report_default(
         rupture=state.rupture,
         compensated=state.compensated,
     )
+
+
+def layers_now(state: DefaultState) -> tuple[LayerEstimate, ...]:
+    """The layers left, as all that has been felt since tells them."""
+    pending = _open(state)
+    fit = state.fit if pending is None else pending.left_fit
+    friction = Belief(np.array(fit.values[:2]), fit.covariance[:2, :2])
+    layers: list[LayerEstimate] = []
+    for estimate, left in zip(reversed(state.layers), reversed(state.traversed), strict=True):
+        belief = look_back(left.belief, left.thickness_m, friction)
+        layers.append(revised(estimate, belief))
+        friction = Belief(belief.values[:2], belief.covariance[:2, :2])
+    return tuple(reversed(layers))
 
 
 def _cumulative(state: DefaultState, speed_mm_s: float) -> tuple[float, float]:

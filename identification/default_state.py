@@ -10,7 +10,9 @@ from identification.block import EMPTY, BlockSums
 from identification.estimate import LayerEstimate, Rupture
 from identification.kink_detector import DetectorState, initial_detector
 from identification.layer_ending import LayerEnding
+from identification.layer_hindsight import Belief
 from identification.layer_model import Information, LayerFit, layer_fit, no_information
+from identification.layer_rows import NO_ROWS
 from identification.rupture_state import RuptureState
 from identification.track import Track, initial_track
 
@@ -25,6 +27,7 @@ class LayerData(NamedTuple):
         data: Normal equations of the points inside it.
         points: Number of those points.
         pool: Points not in `data` yet, summed: weighted columns of the track.
+        rows: The same points at a coarse resolution, see `layer_rows`.
     """
 
     start_m: float
@@ -33,6 +36,7 @@ class LayerData(NamedTuple):
     data: Information
     points: int = 0
     pool: NDArray[np.float64] | None = None
+    rows: NDArray[np.float64] = NO_ROWS
 
 
 class Traversed(NamedTuple):
@@ -43,12 +47,14 @@ class Traversed(NamedTuple):
         thickness_m: Its thickness.
         coulomb_N: c d.
         viscous: b d [N/(mm/s)].
+        belief: What was believed of it before the force after its rupture was known.
     """
 
     start_m: float
     thickness_m: float
     coulomb_N: float
     viscous: float
+    belief: Belief
 
 
 class Pending(NamedTuple):
@@ -119,7 +125,8 @@ def untouched_layer(start_m: float) -> LayerData:
     """First layer, met at `start_m`: no friction has been gathered before it."""
     certain = np.zeros((6, 6))
     certain[0, 0] = certain[1, 1] = 1e8
-    return LayerData(start_m, start_m, Information(certain, np.zeros(6)), no_information())
+    prior = Information(certain, np.zeros(6))
+    return LayerData(start_m, start_m, prior, no_information())
 
 
 def initial_default_state(_config: object) -> DefaultState:

@@ -5,13 +5,13 @@ from dataclasses import dataclass, replace
 from typing import Any, NamedTuple
 
 from identification.default_config import DEFAULT, DefaultConfig
-from identification.default_report import report_default
+from identification.default_report import layers_now, report_default
 from identification.default_state import initial_default_state
 from identification.default_step import default_step
 from identification.errors import InvalidConfigError, InvalidSnapshotError
 from identification.estimate import Estimate, LayerEstimate
 from identification.paper_config import PaperConfig
-from identification.paper_report import report_paper
+from identification.paper_report import paper_layers, report_paper
 from identification.paper_step import initial_paper_state, paper_step
 from identification.sample import Sample
 from identification.sample_check import CheckState, SampleStatus, check_step, to_scalars
@@ -22,11 +22,12 @@ class _Method:
     initial: Callable[[Any], Any]
     step: Callable[[Any, Sample, Any], Any]
     report: Callable[[Any, Sample, SampleStatus, Any], Estimate]
+    layers: Callable[[Any], tuple[LayerEstimate, ...]]
 
 
 _METHODS: dict[type, _Method] = {
-    DefaultConfig: _Method(initial_default_state, default_step, report_default),
-    PaperConfig: _Method(initial_paper_state, paper_step, report_paper),
+    DefaultConfig: _Method(initial_default_state, default_step, report_default, layers_now),
+    PaperConfig: _Method(initial_paper_state, paper_step, report_paper, paper_layers),
 }
 
 
@@ -72,7 +73,7 @@ class Identifier:
     @property
     def layers(self) -> tuple[LayerEstimate, ...]:
         """Layers left so far, in order, as known now."""
-        return self._state.layers
+        return self._method.layers(self._state)
 
     def reset(self) -> None:
         """Forget everything: a new insertion begins."""

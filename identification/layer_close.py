@@ -1,5 +1,6 @@
 """Identification of a layer from its data and the rupture that ended it."""
 
+import math
 from typing import NamedTuple
 
 import numpy as np
@@ -9,6 +10,8 @@ from identification.default_config import DefaultConfig
 from identification.default_state import LayerData, Traversed
 from identification.estimate import LayerEstimate, Rupture
 from identification.layer_ending import LayerEnding
+from identification.layer_figures import layer_estimate
+from identification.layer_hindsight import Belief, believe, carried_friction
 from identification.layer_model import (
     MM,
     OWN_COULOMB,
@@ -25,7 +28,6 @@ from identification.layer_model import (
 from identification.layer_prior import add_layer_prior
 
 _DROP_ERROR_SHARE = 0.01
-_IDENTIFIED_SHARE = 0.25
 
 
 class ClosedLayer(NamedTuple):
@@ -64,21 +66,53 @@ def close_layer(
         bias_var: Variance of the sensor's slow error [N^2].
         config: Settings.
     """
-    thickness = max(ending.boundary_m - left.start_m, config.track_step_m)
-    tip = max(ending.boundary_m - left.tip_m, config.track_step_m)
-    before = model_row(thickness, tip, rupture.speed_m_s, 1.0, config.cutting_onset_m)
-    after = before.copy()
-    after[[2, STIFFNESS]] = 0.0
-    own = ending.before_N - _earlier_N(left, before)
+    boundary = ending.boundary
+    thickness = max(boundary.depth_m - left.start_m, config.track_step_m)
+    tip = max(boundary.depth_m - left.tip_m, config.track_step_m)
+    before = model_row(thickness, tip, boundary.speed_m_s, 1.0, config.cutting_onset_m)
+    own = boundary.force_N - _earlier_N(left, before)
     known = left.prior
     if not ending.has_membrane:  # else its spring is in the data
         known = Information(known.matrix + left.data.matrix, known.vector + left.data.vector)
-    known = add_layer_prior(known, own, thickness, rupture.speed_m_s, config)
-    known = add_row(known, before, ending.before_N, ending.before_var + bias_var)
+    known = add_layer_prior(known, own, thickness, boundary.speed_m_s, config)
+    known = add_row(known, before, boundary.force_N, boundary.force_var + bias_var)
     law = (_DROP_ERROR_SHARE * ending.drop_N) ** 2
-    known = add_row(known, after, ending.after_N, ending.after_var + bias_var + law)
-    fit = solve_layer(known)
-    return _hand_over(left, rupture, ending, fit, thickness, config)
+    after = _After(ending, ending.after_var + bias_var + law, rupture.speed_m_s)
+    fit = solve_layer(_with_after(known, after, thickness, config))
+    belief = believe(known)
+    return ClosedLayer(
+        layer_estimate(
+            rupture, ending, left.start_m, thickness, Belief(np.array(fit.values), fit.covariance)
+        ),
+        Traversed(
+            left.start_m,
+            thickness,
+            MM * thickness * fit.values[OWN_COULOMB],
+            MM * thickness * fit.values[OWN_VISCOUS],
+            belief,
+        ),
+        LayerData(
+            boundary.depth_m,
+            rupture.depth_m,
+            _next_prior(carried_friction(belief, thickness), after, config),
+            no_information(),
+        ),
+        _next_fit(fit, thickness, after, config),
+    )
+
+
+class _After(NamedTuple):
+    """The force after a rupture as a measurement.
+
+    Attributes:
+        ending: Its value, and the next layer's share in it.
+        variance: Of the value [N^2].
+        speed_m_s: At the rupture.
+    """
+
+    ending: LayerEnding
+    variance: float
+    speed_m_s: float
 
 
 def _earlier_N(left: LayerData, row: NDArray[np.float64]) -> float:
@@ -87,37 +121,47 @@ def _earlier_N(left: LayerData, row: NDArray[np.float64]) -> float:
     return float(row[:2] @ np.linalg.solve(matrix, left.prior.vector[:2]))
 
 
-def _hand_over(
-    left: LayerData,
-    rupture: Rupture,
-    ending: LayerEnding,
-    fit: LayerFit,
-    thickness_m: float,
-    config: DefaultConfig,
-) -> ClosedLayer:
-    depth = MM * thickness_m
-    carry = np.zeros((2, 6))
-    carry[0, 0], carry[0, OWN_COULOMB] = 1.0, depth
-    carry[1, 1], carry[1, OWN_VISCOUS] = 1.0, depth
-    cumulative, covariance = carry @ np.array(fit.values), carry @ fit.covariance @ carry.T
-    prior = np.zeros((6, 6))
-    prior[:2, :2] = np.linalg.inv(covariance + 1e-12 * np.eye(2))
-    vector = np.zeros(6)
-    vector[:2] = prior[:2, :2] @ cumulative
-    next_values, next_covariance = np.zeros(6), np.zeros((6, 6))
-    next_values[:2], next_covariance[:2, :2] = cumulative, covariance
-    next_values[STIFFNESS:] = _guess(ending.next_slope_N_per_mm, rupture.speed_m_s, config)
-    return ClosedLayer(
-        _estimate(left, rupture, ending, fit, thickness_m),
-        Traversed(
-            left.start_m,
-            thickness_m,
-            depth * fit.values[OWN_COULOMB],
-            depth * fit.values[OWN_VISCOUS],
-        ),
-        LayerData(ending.boundary_m, rupture.depth_m, Information(prior, vector), no_information()),
-        layer_fit(next_values, next_covariance),
+def _with_after(
+    known: Information, after: _After, thickness_m: float, config: DefaultConfig
+) -> Information:
+    """Add the force after the rupture to what is known of the layer left.
+
+    After the puncture of a membrane the next layer springs back along the shaft: it rubs on the
+    length that had been pushed in. That share of its slope is here what the prior guesses.
+    """
+    ending, slope = after.ending, after.ending.next_slope_N_per_mm
+    rubbing = ending.pushed_in_mm * slope
+    doubt = math.hypot(
+        config.friction_share_std * rubbing,
+        config.friction_share * slope * MM * ending.boundary.std_m,
     )
+    row = model_row(thickness_m, 0.0, after.speed_m_s, 1.0, config.cutting_onset_m)
+    value = ending.after_N - config.friction_share * rubbing
+    return add_row(known, row, value, after.variance + doubt**2)
+
+
+def _next_prior(friction: Belief, after: _After, config: DefaultConfig) -> Information:
+    """What is known when the next layer begins: the friction carried into it, and the force then.
+
+    With a membrane that force holds some of the layer's own friction: what it identifies tells
+    later how much.
+    """
+    matrix, vector = np.zeros((6, 6)), np.zeros(6)
+    matrix[:2, :2] = np.linalg.inv(friction.covariance + 1e-12 * np.eye(2))
+    vector[:2] = matrix[:2, :2] @ friction.values
+    ending = after.ending
+    row = model_row(ending.pushed_in_mm / MM, 0.0, after.speed_m_s, 1.0, config.cutting_onset_m)
+    edge = config.friction_share * ending.next_slope_N_per_mm * MM * ending.boundary.std_m
+    return add_row(Information(matrix, vector), row, ending.after_N, after.variance + edge**2)
+
+
+def _next_fit(fit: LayerFit, thickness_m: float, after: _After, config: DefaultConfig) -> LayerFit:
+    """Fit with which the next layer begins."""
+    friction = carried_friction(Belief(np.array(fit.values), fit.covariance), thickness_m)
+    values, covariance = np.zeros(6), np.zeros((6, 6))
+    values[:2], covariance[:2, :2] = friction
+    values[STIFFNESS:] = _guess(after.ending.next_slope_N_per_mm, after.speed_m_s, config)
+    return layer_fit(values, covariance)
 
 
 def _guess(
@@ -128,46 +172,3 @@ def _guess(
     share = config.coulomb_share(speed_m_s)
     viscous = (1.0 - share) * friction / (MM * max(speed_m_s, config.rest_speed_m_s))
     return slope_N_per_mm - friction, share * friction, viscous
-
-
-def _estimate(
-    left: LayerData, rupture: Rupture, ending: LayerEnding, fit: LayerFit, thickness_m: float
-) -> LayerEstimate:
-    """Back to SI: c in N/m is 1e3 c in N/mm, b in Ns/m^2 is 1e6 b in N/(mm mm/s)."""
-    values, std = np.array(fit.values), np.sqrt(np.maximum(np.diag(fit.covariance), 0.0))
-    speed = max(rupture.speed_m_s, 1e-6)
-    row = np.zeros(6)
-    row[OWN_COULOMB], row[OWN_VISCOUS] = MM * thickness_m, MM * thickness_m * MM * speed
-    friction = float(row @ values)
-    friction_std = float(np.sqrt(max(row @ fit.covariance @ row, 0.0)))
-    stiffness, stiffness_std = MM * float(values[STIFFNESS]), MM * float(std[STIFFNESS])
-    coulomb, coulomb_std = MM * float(values[OWN_COULOMB]), MM * float(std[OWN_COULOMB])
-    viscous, viscous_std = 1e6 * float(values[OWN_VISCOUS]), 1e6 * float(std[OWN_VISCOUS])
-    per_length = 1.0 / (thickness_m * speed)
-    return LayerEstimate(
-        layer=rupture.layer,
-        start_depth_m=left.start_m,
-        thickness_m=thickness_m,
-        rupture=rupture,
-        force_drop_N=ending.drop_N,
-        force_drop_std_N=ending.drop_std_N,
-        stiffness_N_per_m=stiffness,
-        stiffness_std_N_per_m=stiffness_std,
-        stiffness_identified=is_identified(stiffness, stiffness_std),
-        friction_Ns_per_m2=friction * per_length,
-        friction_std_Ns_per_m2=friction_std * per_length,
-        friction_identified=is_identified(friction, friction_std),
-        friction_N=friction,
-        friction_std_N=friction_std,
-        coulomb_N_per_m=coulomb,
-        coulomb_std_N_per_m=coulomb_std,
-        coulomb_identified=is_identified(coulomb, coulomb_std),
-        viscous_Ns_per_m2=viscous,
-        viscous_std_Ns_per_m2=viscous_std,
-        viscous_identified=is_identified(viscous, viscous_std),
-    )
-
-
-def is_identified(value: float, std: float) -> bool:
-    """Whether a value is known to within a quarter of itself."""
-    return std <= _IDENTIFIED_SHARE * abs(value)

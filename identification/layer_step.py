@@ -17,11 +17,11 @@ from identification.layer_model import (
     solve_layer,
 )
 from identification.layer_prior import add_layer_prior
+from identification.layer_rows import add_layer_row
 from identification.track import BLOCKS, BRISTLE, DEPTH, FORCE, SPEED, TRAVEL
 
 _POOLED_BLOCKS = 20.0
-_POOLED_M = 2.5e-4
-"""A row spans 0.1 s or a quarter of a millimetre, whichever is sooner."""
+"""A row spans 0.1 s or `row_m` of travel, whichever is sooner."""
 _OTHER_SHARE = 0.2
 
 
@@ -41,7 +41,7 @@ def layer_step(
     sums = np.append(point[:BLOCKS] * point[BLOCKS], point[BLOCKS:])
     pool = sums if layer.pool is None else layer.pool + sums
     state = state._replace(layer=layer._replace(pool=pool, points=layer.points + 1))
-    if pool[BLOCKS] < _POOLED_BLOCKS and pool[TRAVEL] < _POOLED_M:
+    if pool[BLOCKS] < _POOLED_BLOCKS and pool[TRAVEL] < config.row_m:
         return state
     return settle_pool(state, config, is_solved=is_solved)
 
@@ -63,7 +63,11 @@ def settle_pool(
     error = config.model_error_share * max(abs(own), _OTHER_SHARE * abs(force))
     shared = max(config.model_error_m / max(float(point[TRAVEL]), 1e-6), 1.0)
     variance = block_noise_N2(state.detector) / float(point[BLOCKS]) + error * error * shared
-    layer = layer._replace(data=add_row(layer.data, row, force, variance), pool=None)
+    layer = layer._replace(
+        data=add_row(layer.data, row, force, variance),
+        rows=add_layer_row(layer.rows, point),
+        pool=None,
+    )
     state = state._replace(layer=layer)
     return _refit(state, point, config) if is_solved else state
 

@@ -50,3 +50,8 @@ def _event(state: PaperState, sample: Sample) -> Rupture | None:
 def _identified(state: PaperState) -> LayerEstimate | None:
     is_now = state.rupture_state is RuptureState.COMPENSATED and state.waited_s == 0.0
     return state.layers[-1] if is_now and state.layers else None
+
+
+def paper_layers(state: PaperState) -> tuple[LayerEstimate, ...]:
+    """The layers left; what follows does not change them."""
+    return state.layers

@@ -1,12 +1,12 @@
 """Force on both sides of a rupture, extrapolated to the same instant."""
 
-from typing import Any, NamedTuple
+import math
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
 from identification.default_config import DefaultConfig
-from identification.layer_model import cutting_onset
 from identification.track import BLOCKS, DEPTH, FORCE, SPEED
 
 _BEFORE_M = 2e-3
@@ -67,29 +67,46 @@ def _columns(
     change = float(x @ side[:, SPEED]) / max(float(x @ x), 1e-18)
     speed = side[:, SPEED].mean() + change * x
     friction = share + (1.0 - share) * speed / max(speed_m_s, 1e-6)
-    onset = np.array([cutting_onset(x, config.cutting_onset_m) for x in reach])
+    onset = np.minimum(reach / config.cutting_onset_m, 1.0)
+    onset = onset * (2.0 - onset)
     return np.column_stack([friction, onset, 1e3 * reach])
 
 
-def _solve(
+class _Windows(NamedTuple):
+    """Fits of every window that ends at the newest point, one per first point.
+
+    Attributes:
+        solution: Friction, cutting force (never negative), slope, shape (k, 3).
+        covariance: Shape (k, 3, 3).
+    """
+
+    solution: NDArray[np.float64]
+    covariance: NDArray[np.float64]
+
+
+def _windows(
     columns: NDArray[np.float64],
     force: NDArray[np.float64],
     weight: NDArray[np.float64],
     cutting_N: float,
-) -> tuple[NDArray[np.float64], NDArray[Any]]:
-    """Weighted least squares, the cutting force near `cutting_N` by prior, never negative."""
-    normal = columns.T @ (columns * weight[:, None])
+    first: NDArray[np.int64],
+) -> _Windows:
+    """Weighted least squares from each of `first` on; the cutting force is near `cutting_N`."""
+    weighted = columns * weight[:, None]
+    products = weighted[:, :, None] * np.column_stack((columns, force))[:, None, :]
+    sums = np.cumsum(products[::-1], axis=0)[::-1][first]
+    normal, target = sums[:, :, :3].copy(), sums[:, :, 3].copy()
     normal += np.diag([1e-9, cutting_N**-2, 1e-9])
-    target = columns.T @ (weight * force)
-    target[1] += 1.0 / cutting_N
-    covariance = np.linalg.inv(normal)
-    solution = covariance @ target
-    if solution[1] < 0.0:
-        kept = [0, 2]
-        inner = np.linalg.inv(normal[np.ix_(kept, kept)])
-        part = inner @ target[kept]
-        solution = np.array([part[0], 0.0, part[1]])
-    return solution, covariance
+    target[:, 1] += 1.0 / cutting_N
+    covariance = np.asarray(np.linalg.inv(normal), dtype=float)
+    solution = (covariance @ target[:, :, None])[:, :, 0]
+    without = solution[:, 1] < 0.0
+    if without.any():
+        inner = np.linalg.inv(normal[without][:, ::2, ::2])
+        part = (inner @ target[without][:, ::2, None])[:, :, 0]
+        solution[without, 1] = 0.0
+        solution[without, ::2] = part
+    return _Windows(solution, covariance)
 
 
 def _cutting_prior(
@@ -130,20 +147,41 @@ def _after(
     force, weight = side[:, FORCE], side[:, BLOCKS] / noise_N2
     cutting = _cutting_prior(columns, force, weight, config)
     latest = max(len(side) - max(_LEAST_POINTS, len(side) // 2), 0)
-    start, lifted = latest, 0
-    for begin in range(latest - _CHUNK, -1, -_CHUNK):
-        solution, covariance = _solve(columns[start:], force[start:], weight[start:], cutting)
-        chunk = slice(begin, begin + _CHUNK)
-        mean = np.average(columns[chunk], axis=0, weights=weight[chunk])
-        surprise = np.average(force[chunk], weights=weight[chunk]) - mean @ solution
-        variance = mean @ covariance @ mean + 1.0 / np.sum(weight[chunk])
-        lifted = lifted + 1 if surprise > _AGREEMENT * np.sqrt(variance) else 0
+    first = latest - _CHUNK * np.arange(latest // _CHUNK + 1)
+    windows = _windows(columns, force, weight, cutting, first)
+    begin = _first_undisturbed(windows, columns, force, weight, first)
+    solution = windows.solution[begin]
+    return (
+        float(solution[0]),
+        float(windows.covariance[begin, 0, 0]),
+        max(float(solution[2]), 0.0),
+    )
+
+
+def _first_undisturbed(
+    windows: _Windows,
+    columns: NDArray[np.float64],
+    force: NDArray[np.float64],
+    weight: NDArray[np.float64],
+    first: NDArray[np.int64],
+) -> int:
+    """Which window is the longest that the release does not reach into."""
+    chunks = first[1:, None] + np.arange(_CHUNK)
+    share = weight[chunks]
+    total = share.sum(axis=1)
+    share = share / total[:, None]
+    means = (share[:, None, :] @ columns[chunks])[:, 0, :]
+    forces = np.sum(share * force[chunks], axis=1)
+    used, lifted = 0, 0
+    for k in range(len(total)):
+        mean, covariance = means[k], windows.covariance[used]
+        surprise = float(forces[k] - mean @ windows.solution[used])
+        variance = float(mean @ covariance @ mean) + 1.0 / float(total[k])
+        lifted = lifted + 1 if surprise > _AGREEMENT * math.sqrt(variance) else 0
         if lifted == 2:
             break
-        start = start if lifted else begin
-    start = min(start + _CHUNK, latest)
-    solution, covariance = _solve(columns[start:], force[start:], weight[start:], cutting)
-    return float(solution[0]), float(covariance[0, 0]), max(float(solution[2]), 0.0)
+        used = used if lifted else k + 1
+    return max(used - 1, 0)
 
 
 def fit_rupture(

@@ -20,6 +20,7 @@ from identification.layer_model import (
     layer_fit,
     no_information,
 )
+from identification.layer_rows import NO_ROWS, rows_of_track
 from identification.rupture_state import RuptureState
 from identification.track import DEPTH
 
@@ -45,7 +46,12 @@ def raise_rupture(
     values[0] = fit.values[0] + thickness * fit.values[OWN_COULOMB]
     values[1] = fit.values[1] + thickness * fit.values[OWN_VISCOUS]
     layer = left._replace(
-        start_m=rupture.depth_m, tip_m=rupture.depth_m, data=no_information(), points=0, pool=None
+        start_m=rupture.depth_m,
+        tip_m=rupture.depth_m,
+        data=no_information(),
+        rows=NO_ROWS,
+        points=0,
+        pool=None,
     )
     return state._replace(
         detector=restart_detector(state.detector),
@@ -109,6 +115,7 @@ def _measure(
     """Both sides of the rupture, if they make a drop to be believed."""
     ending = layer_ending(
         state.track.points,
+        pending.left.rows,
         max(pending.left.start_m, pending.left.tip_m + config.first_look_m),
         pending.rupture,
         block_noise_N2(state.detector),
@@ -135,8 +142,10 @@ def _accept(
     later = pending._replace(is_closed=True, next_look_m=config.second_look_m, first=ending)
     row = np.array([1.0, MM * pending.rupture.speed_m_s])
     spread = float(row @ closed.next_fit.covariance[:2, :2] @ row)
+    undisturbed_m = pending.rupture.depth_m + config.first_look_m
+    rows = rows_of_track(state.track.points, undisturbed_m, config.row_m)
     return state._replace(
-        layer=closed.next_layer,
+        layer=closed.next_layer._replace(rows=rows),
         fit=closed.next_fit,
         shaft_std_N=math.sqrt(max(spread, 0.0)),
         pending=None if is_final else later,

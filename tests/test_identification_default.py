@@ -54,9 +54,15 @@ def test_one_gel_one_rupture_its_friction_within_a_few_percent(gel):
     assert layer.thickness_m == pytest.approx(32.2e-3, abs=5e-4)
 
 
-def test_constant_speed_does_not_tell_coulomb_from_viscous(gel):
-    layer = gel[1].layers[0]
-    assert not layer.viscous_identified or not layer.coulomb_identified
+def test_constant_speed_does_not_tell_coulomb_from_viscous_but_the_stop_does(gel):
+    needle, identifier, estimates, _ = gel
+    felt = [e.compensated for e in estimates if e.compensated][-1]
+    assert not felt.viscous_identified or not felt.coulomb_identified
+    layer, truth = identifier.layers[0], needle.scenario.layers[0].friction
+    assert layer.viscous_identified
+    assert layer.coulomb_identified
+    assert layer.coulomb_N_per_m == pytest.approx(truth.coulomb_N_per_m, rel=0.15)
+    assert layer.viscous_Ns_per_m2 == pytest.approx(truth.viscous_Ns_per_m2, rel=0.15)
 
 
 def test_enhanced_force_vanishes_beyond_the_last_layer_and_at_rest(gel):
