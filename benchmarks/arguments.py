@@ -24,7 +24,26 @@ def parser() -> argparse.ArgumentParser:
     speed = commands.add_parser("speed", help="time the estimators beside their bare dynamics")
     speed.add_argument("--strict", action="store_true", help="exit with 1 if a target is missed")
     commands.add_parser("bound", help="what the noise of a force allows any estimator to know")
+    _add_stream(commands.add_parser("stream", help="send a long recording through the commands"))
     return top
+
+
+def _add_stream(stream: argparse.ArgumentParser) -> None:
+    stream.add_argument(
+        "--seconds",
+        type=_positive,
+        default=60,
+        metavar="S",
+        help="length of the recording (default 60; 3600 needs 3 GB on the disk and ten minutes)",
+    )
+    stream.add_argument(
+        "--format",
+        action="append",
+        choices=(".csv", ".csv.gz", ".npz", ".parquet"),
+        help="of the recording; may be given more than once (default .csv)",
+    )
+    stream.add_argument("--folder", type=Path, metavar="DIR", help="where the files lie meanwhile")
+    stream.add_argument("--strict", action="store_true", help="exit with 1 if a target is missed")
 
 
 def _add_run(run: argparse.ArgumentParser) -> None:

@@ -1,0 +1,69 @@
+"""``python -m benchmarks stream``: recordings of any length, time and memory of the commands."""
+
+import sys
+
+import numpy as np
+import pytest
+
+from benchmarks.command import main
+from benchmarks.errors import BenchmarkError
+from benchmarks.long_recording import joint_recording, needle_recording
+from benchmarks.stream_speed import StreamCase, StreamSpeed
+from benchmarks.watched_process import Watched, watch_process
+
+
+@pytest.mark.parametrize("make", [joint_recording, needle_recording])
+def test_a_recording_is_as_long_as_asked_smooth_and_the_same_every_time(make):
+    parts = list(make(75.0, np.random.default_rng(0)))
+    whole = {name: np.concatenate([part[name] for part in parts]) for name in parts[0]}
+    assert len(parts) > 1
+    assert len(whole["t_s"]) == 75_000
+    np.testing.assert_allclose(np.diff(whole["t_s"]), 0.001)
+    moved = whole.get("q_rad", whole.get("depth_m"))
+    steps = np.abs(np.diff(moved, axis=0))
+    assert steps.max() < 1e-3
+    again = next(iter(make(75.0, np.random.default_rng(0))))
+    for name, values in again.items():
+        np.testing.assert_array_equal(values, parts[0][name])
+
+
+def test_a_process_is_watched_to_its_end():
+    told = []
+    watched = watch_process(["-c", "x = bytearray(50_000_000); import time; time.sleep(0.3)"])
+    assert watched.wall_s > 0.3
+    assert 0.0 < watched.cpu_s < watched.wall_s + 0.1
+    if sys.platform == "linux":
+        assert watched.peak_MB > 50.0
+    watch_process(["-c", "import time; time.sleep(0.2)"], told.append)
+    assert told == sorted(told)
+    with pytest.raises(BenchmarkError, match="no such thing"):
+        watch_process(["-c", "raise SystemExit('no such thing')"])
+
+
+def speed(cpu_s, memory_MB):
+    return StreamSpeed(
+        case=StreamCase(command="residual", suffix=".csv"),
+        seconds=100.0,
+        rows=100_000,
+        watched=Watched(wall_s=9.0, cpu_s=cpu_s, memory_MB=memory_MB),
+    )
+
+
+def test_both_targets_count_and_unknown_memory_is_a_miss():
+    assert speed(4.9, (100.0,) * 10).is_met
+    assert not speed(5.1, (100.0,) * 10).is_met
+    assert not speed(4.9, (100.0,) * 9 + (150.0,)).is_met
+    assert not speed(4.9, ()).is_met
+    assert speed(4.9, (1.0,)).times_real == pytest.approx(100.0 / 4.9)
+
+
+def test_the_command_prints_both_commands_and_refuses_too_short_a_recording(capsys, tmp_path):
+    assert main(["stream", "--seconds", "20", "--folder", str(tmp_path)]) == 0
+    printed = capsys.readouterr().out
+    assert "│ residual" in printed
+    assert "│ identification │ .csv" in printed
+    assert printed.count("20000") == 2
+    assert not list(tmp_path.iterdir())
+    assert main(["stream", "--seconds", "5"]) == 2
+    assert main(["stream", "--seconds", "20", "--folder", str(tmp_path / "none")]) == 2
+    assert "no recording to stream" in capsys.readouterr().err
