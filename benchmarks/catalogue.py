@@ -7,6 +7,7 @@ from benchmarks import bovine, liver, panda, ur10e
 from benchmarks.benchmark import Benchmark
 from benchmarks.bovine_real import run_bovine_real
 from benchmarks.errors import UnknownIdError
+from benchmarks.liver_limit import run_liver_limit
 from benchmarks.liver_real import run_liver_real
 from benchmarks.needle_benchmark import NEEDLE
 from benchmarks.observers import run_observers
@@ -56,7 +57,7 @@ def _simulated() -> list[Benchmark]:
     return [*named, drawn, observers]
 
 
-def _recorded() -> list[Benchmark]:
+def _recorded_arms() -> list[Benchmark]:
     return [
         Benchmark(
             id="panda-real",
@@ -79,12 +80,25 @@ def _recorded() -> list[Benchmark]:
             needs=(ur10e.FOLDER,),
             seeds=1,
         ),
+    ]
+
+
+def _recorded_tissue() -> list[Benchmark]:
+    return [
         Benchmark(
             id="liver-real",
             title="friction in 19 insertions into real liver against the pull-out force",
             run=run_liver_real,
             needs=(liver.FOLDER,),
             seeds=1,
+        ),
+        Benchmark(
+            id="liver-limit",
+            title="what 19 insertions into real liver tell of the pull-out force at all",
+            run=run_liver_limit,
+            needs=(liver.FOLDER,),
+            seeds=1,
+            is_default=False,
         ),
         Benchmark(
             id="bovine-real",
@@ -96,7 +110,7 @@ def _recorded() -> list[Benchmark]:
     ]
 
 
-_ALL = (*_simulated(), *_recorded())
+_ALL = (*_simulated(), *_recorded_arms(), *_recorded_tissue())
 BENCHMARKS: Mapping[str, Benchmark] = MappingProxyType({item.id: item for item in _ALL})
 """By name."""
 

@@ -207,3 +207,50 @@ REAL_TISSUE = (
     ),
 )
 """Of recordings of real tissue."""
+
+LIVER_LIMIT = (
+    *(
+        Metric(
+            name=f"pullout_left_out_{name}_{share}_pct",
+            unit="%",
+            meaning=f"pull-out force of an unseen insertion from {text}, {which}",
+            relative_tolerance=1.0,
+        )
+        for name, text in (
+            ("depth", "depth alone"),
+            ("force", "depth and force"),
+            ("told", "depth and friction told"),
+            ("few", "the best features"),
+            ("ridge", "all features, ridge"),
+            ("gp_few", "the best features, Gaussian process"),
+            ("gp", "all features, Gaussian process"),
+        )
+        for share, which in (("median", "median error"), ("p90", "90th percentile"))
+    ),
+    Metric(
+        name="pullout_above_insertion_share",
+        unit="1",
+        meaning="share of insertions whose pull-out force at 20 mm exceeds all of the insertion's",
+        relative_tolerance=1.0,
+    ),
+    Metric(
+        name="pullout_over_insertion_most",
+        unit="1",
+        meaning="largest pull-out force at 20 mm as a share of the insertion force there",
+        relative_tolerance=1.0,
+    ),
+    *(
+        Metric(
+            name=f"pullout_{name}_{share}_pct",
+            unit="%",
+            meaning=f"{text}, {which}",
+            relative_tolerance=1.0,
+        )
+        for name, text in (
+            ("shallower_peak", "largest pull-out force at 60 to 78 mm above that at 78 mm"),
+            ("neighbour", "difference of the pull-out force from the next insertion's"),
+        )
+        for share, which in (("median", "median"), ("p90", "90th percentile"))
+    ),
+)
+"""Of real liver itself: what could be known, and how far its yardstick is to be trusted."""

@@ -39,6 +39,7 @@ class LiverTold(NamedTuple):
 
     Attributes:
         error_pct: Relative error of the friction at each depth.
+        friction_N: That friction.
         ruptures: Ruptures reported; none for a rule that reports none.
         at_falls: How many of them have a fall of the force.
         falls_found: Falls as large as a rupture that have an alarm.
@@ -46,6 +47,7 @@ class LiverTold(NamedTuple):
     """
 
     error_pct: tuple[float, ...]
+    friction_N: tuple[float, ...] = ()
     ruptures: int = 0
     at_falls: int = 0
     falls_found: int = 0
@@ -75,6 +77,7 @@ def tell(
     alarms = [event.alarm_depth_m for event in events]
     return LiverTold(
         errors_pct(told, known.pullout_N),
+        tuple(told),
         len(alarms),
         alarms_at_falls(alarms, known.small_falls),
         falls_found(known.falls, alarms),

@@ -7,6 +7,7 @@ from benchmarks.errors import UnknownMetricError
 from benchmarks.identification_catalogue import (
     BOUNDS,
     IDENTIFICATION,
+    LIVER_LIMIT,
     OFFLINE,
     REAL_TISSUE,
     TABLE_I,
@@ -118,6 +119,7 @@ METRICS: Mapping[str, Metric] = MappingProxyType(
             *TABLE_I,
             *OFFLINE,
             *REAL_TISSUE,
+            *LIVER_LIMIT,
         )
     }
 )

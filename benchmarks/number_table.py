@@ -30,7 +30,7 @@ def number_table(rows: Iterable[Row]) -> Table | None:
             groups.setdefault(key, []).append(row.value)
     if not groups:
         return None
-    table = Table(title="Residuals and weights")
+    table = Table(title="Other numbers")
     for name in ("scenario", "arm", "method", "what"):
         table.add_column(name)
     table.add_column("value", justify="right")
