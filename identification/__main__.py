@@ -4,7 +4,7 @@ import sys
 from argparse import Namespace
 from collections.abc import Sequence
 
-from identification.command.arguments import build_parser
+from identification.command.arguments import CHANNELS, build_parser
 from identification.command.figure import check_figure, save_figure
 from identification.command.layer_table import layer_table
 from identification.command.run_log import run_log
@@ -13,6 +13,7 @@ from recordings import RecordingError, check_writable
 from recordings.command_line import run_command, write_out
 from recordings.log_session import LogSession
 from recordings.open_table import STANDARD_STREAM
+from recordings.suggest_mapping import suggest_mapping
 
 
 def main(argv: Sequence[str] | None = None) -> int:
@@ -29,11 +30,15 @@ def main(argv: Sequence[str] | None = None) -> int:
 
 
 def _run(arguments: Namespace) -> int:
+    if arguments.print_config:
+        write_out(suggest_mapping(arguments.log, CHANNELS))
+        return 0
     if arguments.output is not None:
         check_writable(arguments.output, source=arguments.log)
     if arguments.png is not None:
         check_figure(arguments.png)
-    with LogSession(arguments, required=("depth", "force"), optional=("speed",)) as log:
+    channels = {"required": ("depth", "force"), "optional": ("speed", "status")}
+    with LogSession(arguments, **channels) as log:
         result = run_log(arguments, log, needs_overview=arguments.png is not None)
         if arguments.png is not None:
             save_figure(arguments.png, result)

@@ -93,6 +93,13 @@ _ROWS = (
         "force f fz f_z force_z axial axial_force insertion_force",
         "axial force, positive when tissue pushes back",
     ),
+    _channel(
+        "status",
+        "status",
+        u.CODE,
+        "status",
+        "whether the force can be used, as `python -m residual` writes it",
+    ),
 )
 
 CHANNELS: Mapping[str, Channel] = MappingProxyType({row.name: row for row in _ROWS})

@@ -15,6 +15,8 @@ TORQUE: Units = MappingProxyType({"Nm": 1.0, "mNm": 1e-3})
 LENGTH: Units = MappingProxyType({"m": 1.0, "cm": 1e-2, "mm": 1e-3, "um": 1e-6})
 SPEED: Units = MappingProxyType({"m/s": 1.0, "cm/s": 1e-2, "mm/s": 1e-3, "um/s": 1e-6})
 FORCE: Units = MappingProxyType({"N": 1.0, "mN": 1e-3})
+CODE: Units = MappingProxyType({"1": 1.0})
+"""A whole number that stands for something."""
 
 # How people write the same unit; applied in this order.
 _SPELLINGS = (("µ", "u"), ("μ", "u"), ("°", "deg"), ("N·m", "Nm"), ("N.m", "Nm"), ("N*m", "Nm"))

@@ -10,6 +10,9 @@ from recordings.source_arguments import source_arguments
 METHODS = {"default": DEFAULT, "paper": PAPER, "paper-kv": PAPER_KV}
 """What ``--method`` may be."""
 
+CHANNELS = ("depth", "speed", "force", "status")
+"""What is read of a log beside time."""
+
 
 def build_parser() -> ArgumentParser:
     """Return the parser of the command."""
@@ -33,5 +36,10 @@ def build_parser() -> ArgumentParser:
         default="default",
         help="ours, or the method as published with the multi-layer or the Kelvin-Voigt model",
     )
-    mapping_arguments(parser, ["depth", "speed", "force"])
+    parser.add_argument(
+        "--ignore-status",
+        action="store_true",
+        help="use rows, too, that `python -m residual` has marked as not tared or not settled",
+    )
+    mapping_arguments(parser, CHANNELS)
     return parser

@@ -6,9 +6,11 @@ from contextlib import nullcontext
 
 from identification.command.arguments import METHODS
 from identification.command.estimate_table import estimate_table
+from identification.command.force_status import ForceStatus
 from identification.command.result import IdentificationResult
 from identification.replay_stream import ReplayedRows, ReplayStream
 from recordings.command_line import say
+from recordings.labels import Labels
 from recordings.log_session import LogSession
 from recordings.open_table import OpenTable, open_table
 from recordings.row_overview import RowOverview
@@ -37,17 +39,19 @@ def run_log(arguments: Namespace, log: LogSession, *, needs_overview: bool) -> I
         recordings.RecordingError: The log cannot be read, or the table not written.
     """
     stream, output = ReplayStream(METHODS[arguments.method]), arguments.output
-    with nullcontext() if output is None else open_table(output, is_live=log.is_live) as table:
+    status = ForceStatus(is_ignored=arguments.ignore_status)
+    writing = (
+        nullcontext()
+        if output is None
+        else open_table(output, is_live=log.is_live, labels=lambda: _labels(log))
+    )
+    with writing as table:
         found = _Found(table, needs_overview=needs_overview)
         for chunk in log:
-            channels = chunk.channels
-            found.add(
-                stream.run(
-                    chunk.t_s, channels["depth_m"], channels["force_N"], channels.get("speed_m_s")
-                )
-            )
+            depth_m, speed_m_s = chunk.channels["depth_m"], chunk.channels.get("speed_m_s")
+            found.add(stream.run(chunk.t_s, depth_m, status.force_N(chunk), speed_m_s))
         found.add(stream.finish())
-    for hint in stream.hints:
+    for hint in (*status.warnings, *stream.hints):
         say(f"warning: {hint}")
     return IdentificationResult(
         log=log.name,
@@ -58,6 +62,15 @@ def run_log(arguments: Namespace, log: LogSession, *, needs_overview: bool) -> I
         compensations_s=tuple(found.compensations_s),
         overview=found.overview.columns(),
     )
+
+
+def _labels(log: LogSession) -> Labels:
+    """What a bag of estimates says beside the numbers: the source's clock, and events in words."""
+    events = {
+        "rupture": ("", "left layer {}"),
+        "compensated": ("", "friction of layer {} identified"),
+    }
+    return Labels(start_ns=log.start_ns, prefix="/needleforce/identification", events=events)
 
 
 class _Found:
