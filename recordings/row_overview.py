@@ -4,7 +4,7 @@ from collections.abc import Mapping, Sequence
 
 import numpy as np
 
-_MOST_ROWS = 20_000
+MOST_ROWS = 20_000
 
 
 class RowOverview:
@@ -18,7 +18,7 @@ class RowOverview:
         most_rows: more are never kept, but for those of one `add`.
     """
 
-    def __init__(self, tracked: Sequence[str], most_rows: int = _MOST_ROWS) -> None:
+    def __init__(self, tracked: Sequence[str], most_rows: int = MOST_ROWS) -> None:
         self._tracked, self._most_rows = tuple(tracked), most_rows
         self._stretch = 1
         self._parts: list[dict[str, np.ndarray]] = []
