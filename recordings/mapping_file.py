@@ -1,13 +1,13 @@
 """Column mappings written by hand as a small TOML file."""
 
-import tomllib
 from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
 from recordings.column_spec import ColumnSpec
-from recordings.errors import FileAccessError, MappingError
+from recordings.errors import FormatError, MappingError
 from recordings.mapping import ColumnMapping
+from recordings.toml_file import read_toml
 
 _KEYS = ("columns", "unit", "scale")
 
@@ -29,15 +29,10 @@ def load_mapping(path: str | Path) -> ColumnMapping:
         FileAccessError: the file cannot be read.
         MappingError: it is not TOML, or a channel, key, unit or value in it is not valid.
     """
-    path = Path(path)
     try:
-        content = tomllib.loads(path.read_text(encoding="utf-8"))
-    except OSError as error:
-        raise FileAccessError(
-            f"cannot read the mapping {path}: {error.strerror or error}"
-        ) from error
-    except (tomllib.TOMLDecodeError, UnicodeDecodeError) as error:
-        raise MappingError(f"{path} is not valid TOML: {error}") from error
+        content = read_toml(path, "mapping")
+    except FormatError as error:
+        raise MappingError(str(error)) from error
     try:
         return _mapping(content)
     except MappingError as error:

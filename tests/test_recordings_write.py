@@ -1,5 +1,7 @@
 """Writing: what is written reads back, and a failed write leaves no trace."""
 
+from contextlib import suppress
+
 import numpy as np
 import pytest
 from hypothesis import HealthCheck, given, settings
@@ -16,6 +18,7 @@ from recordings import (
     write_log,
     write_table,
 )
+from recordings.open_table import open_table
 
 SUFFIXES = ("csv", "csv.gz", "npz")
 T_S = np.arange(3) / 1000.0
@@ -116,3 +119,72 @@ def test_what_cannot_be_written_is_known_before_the_work(tmp_path, name, message
         check_writable(tmp_path / name)
     check_writable(tmp_path / "t.csv.gz")
     assert not list(tmp_path.iterdir())
+
+
+@pytest.mark.parametrize("suffix", SUFFIXES)
+def test_rows_appended_are_rows_written_at_once(tmp_path, suffix):
+    rng = np.random.default_rng(5)
+    columns = {"t_s": np.arange(50.0), "q_rad": rng.normal(size=(50, 7)), "status": np.arange(50)}
+    write_table(tmp_path / f"once.{suffix}", columns)
+    path = tmp_path / f"pieces.{suffix}"
+    with open_table(path) as table:
+        for start in range(0, 50, 7):
+            table.append({name: values[start : start + 7] for name, values in columns.items()})
+    assert path.read_bytes() == (tmp_path / f"once.{suffix}").read_bytes()
+    if suffix == "npz":
+        assert np.load(path)["status"].dtype == columns["status"].dtype
+
+
+@pytest.mark.parametrize("suffix", ["csv", "csv.gz"])
+def test_a_live_table_shows_its_rows_and_keeps_them(tmp_path, suffix):
+    path = tmp_path / f"t.{suffix}"
+    write_table(path, {"old": [1.0]})
+    with suppress(ZeroDivisionError), open_table(path, is_live=True) as table:
+        assert list(read_table(path).columns) == ["old"]
+        table.append({"t": T_S})
+        assert len(read_table(path).columns["t"]) == 3
+        table.append({"t": T_S})
+        raise ZeroDivisionError
+    assert len(read_table(path).columns["t"]) == 6
+    assert [entry.name for entry in tmp_path.iterdir()] == [path.name]
+
+
+def test_what_cannot_grow_is_written_in_the_end_and_not_after_a_failure(tmp_path):
+    path = tmp_path / "t.npz"
+    with open_table(path, is_live=True) as table:
+        table.append({"t": T_S})
+        assert not path.exists()
+    assert len(read_table(path).columns["t"]) == 3
+    with suppress(ZeroDivisionError), open_table(path) as table:
+        table.append({"t": [1.0]})
+        raise ZeroDivisionError
+    assert len(read_table(path).columns["t"]) == 3
+
+
+def test_a_table_without_rows_touches_nothing(tmp_path):
+    with open_table(tmp_path / "t.csv", is_live=True):
+        pass
+    with open_table(tmp_path / "t.npz"):
+        pass
+    assert list(tmp_path.iterdir()) == []
+
+
+@pytest.mark.parametrize(
+    "later", [{"t": T_S}, {"t": T_S, "x": T_S}, {"f": T_S, "t": T_S}, {"t": T_S, "f": [1, 2, 3]}]
+)
+def test_rows_with_other_columns_are_refused(tmp_path, later):
+    with open_table(tmp_path / "t.csv") as table:
+        table.append({"t": T_S, "f": T_S})
+        with pytest.raises(LogError, match="do not fit those before"):
+            table.append(later)
+    assert len(read_table(tmp_path / "t.csv").columns["t"]) == 3
+
+
+def test_the_log_that_is_being_read_is_no_place_to_write(tmp_path):
+    path = tmp_path / "log.csv"
+    write_table(path, {"t": T_S})
+    (tmp_path / "link.csv").symlink_to(path)
+    check_writable(tmp_path / "other.csv", source=path)
+    check_writable("-", source=path)
+    with pytest.raises(FileAccessError, match="it is the log itself"):
+        check_writable(tmp_path / "link.csv", source=path)

@@ -4,8 +4,8 @@ from argparse import Namespace
 from dataclasses import fields
 from typing import Any
 
+from recordings.toml_file import read_toml
 from residual.command.dataclass_table import build, dataclass_values
-from residual.command.toml_file import read_toml
 from residual.joint_friction import FrictionModel
 from residual.sensor_config import DEFAULT, PAPER, SensorConfig
 
@@ -20,14 +20,15 @@ def sensor_config(arguments: Namespace, friction: FrictionModel | None) -> Senso
         friction: Joint friction, or None.
 
     Raises:
-        CommandError: The file cannot be read or a setting is not valid.
+        CommandError: A setting is not valid.
+        recordings.RecordingError: The file cannot be read.
     """
     preset = PAPER if arguments.paper else DEFAULT
     values: dict[str, Any] = {item.name: getattr(preset, item.name) for item in fields(preset)}
     where = "options"
     if arguments.config is not None:
         where = arguments.config
-        table = read_toml(where, "config")
+        table = read_toml(where, "config file")
         values |= dataclass_values(SensorConfig, table, where, leave_out=("friction",))
     given = {name: getattr(arguments, option) for option, name in _OPTIONS.items()}
     given = {name: value for name, value in given.items() if value is not None}

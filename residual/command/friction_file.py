@@ -6,9 +6,9 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from recordings.toml_file import read_toml
 from residual.command.dataclass_table import build, dataclass_values
 from residual.command.errors import CommandError
-from residual.command.toml_file import read_toml
 from residual.joint_friction import FrictionModel, JointFriction, SigmoidFriction
 
 _MODELS = {"viscous_coulomb": JointFriction, "sigmoid": SigmoidFriction}
@@ -38,9 +38,10 @@ def load_drive(path: str, joints: int) -> Drive:
         joints: How many numbers every list must have.
 
     Raises:
-        CommandError: The file cannot be read, or something in it is missing or not valid.
+        CommandError: Something in it is missing or not valid.
+        recordings.RecordingError: The file cannot be read.
     """
-    content = read_toml(path, "friction")
+    content = read_toml(path, "friction file")
     rotor = content.pop("rotor_inertia_kg_m2", None)
     unknown = [name for name in content if name not in _MODELS]
     if unknown or len(content) > 1:

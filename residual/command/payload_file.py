@@ -6,9 +6,9 @@ from dataclasses import fields
 from typing import Any
 
 from recordings import load_mapping
+from recordings.toml_file import read_toml
 from residual.command.dataclass_table import build, dataclass_values
 from residual.command.errors import CommandError
-from residual.command.toml_file import read_toml
 from urdf import NeedleTool, Payload
 
 _POINT_MASS = [[0.0] * 3] * 3
@@ -22,8 +22,8 @@ def payload_from_arguments(arguments: Namespace, default: str) -> Payload | Need
         default: As for the option.
 
     Raises:
-        CommandError: A file cannot be read, or describes no physical body.
-        recordings.RecordingError: The mapping cannot be read.
+        CommandError: The payload is no physical body.
+        recordings.RecordingError: A file cannot be read.
     """
     if arguments.payload is not None or arguments.mapping_file is None:
         return payload_from_option(arguments.payload or default)
@@ -68,13 +68,14 @@ def payload_from_option(text: str) -> Payload | NeedleTool | None:
         text: ``needle``, ``none`` or the path of a TOML file.
 
     Raises:
-        CommandError: The file cannot be read, or describes no physical body.
+        CommandError: It describes no physical body.
+        recordings.RecordingError: The file cannot be read.
     """
     if text == "none":
         return None
     if text == "needle":
         return NeedleTool()
-    content = read_toml(text, "payload")
+    content = read_toml(text, "payload file")
     return _from_table(content, text)
 
 
