@@ -1,0 +1,63 @@
+"""A run as a table: what a robot's own recording would hold, and apart from it, what was true."""
+
+import numpy as np
+from numpy.typing import NDArray
+
+from groundtruth.run import Run
+
+Columns = dict[str, NDArray]
+
+
+def signal_table(run: Run) -> Columns:
+    """Return what the robot and its F/T sensor gave; n rows, units in the names.
+
+    Args:
+        run: The run.
+
+    Returns:
+        Time stamps, joint signals of shape (n, 7) (no velocities from an arm that reports none),
+        force and torque of the sensor in its axes of shape (n, 3).
+    """
+    signals = run.signals
+    columns: Columns = {"t_s": signals.t_s, "q_rad": signals.q_rad}
+    if signals.dq_rad_s is not None:
+        columns["dq_rad_s"] = signals.dq_rad_s
+    columns["tau_Nm"] = signals.tau_Nm
+    columns["ft_force_N"] = signals.ft_wrench[:, :3]
+    columns["ft_torque_Nm"] = signals.ft_wrench[:, 3:]
+    return columns
+
+
+def truth_table(run: Run) -> Columns:
+    """Return what was true at the same samples; see `Truth` for the meaning.
+
+    `rupture` is the number of the layer that the tip begins to leave at a row, counted from 1, or
+    -1 for a membrane on the surface; else 0.
+
+    Args:
+        run: The run.
+    """
+    truth = run.truth
+    columns: Columns = {
+        "t_s": truth.t_s,
+        "depth_m": truth.depth_m,
+        "speed_m_s": truth.speed_m_s,
+        "axial_N": truth.axial_N,
+        "tip_N": truth.tip_N,
+        "friction_N": truth.friction_N,
+        "layer": truth.layer,
+        "rupture": _ruptures(run),
+        "tau_ext_Nm": truth.external_torque_Nm,
+    }
+    if truth.layer_friction_N.shape[1]:
+        columns["layer_friction_N"] = truth.layer_friction_N
+    return columns
+
+
+def _ruptures(run: Run) -> NDArray[np.int64]:
+    marks = np.zeros(len(run.truth.t_s), dtype=np.int64)
+    for rupture in run.truth.ruptures:
+        row = np.searchsorted(run.truth.t_s, rupture.onset_s)
+        if row < len(marks):
+            marks[row] = rupture.layer or -1
+    return marks

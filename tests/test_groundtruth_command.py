@@ -1,0 +1,164 @@
+"""``python -m groundtruth``: a simulated insertion as a recording, and the commands after it."""
+
+import re
+import subprocess
+import sys
+from dataclasses import fields, replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from groundtruth import SCENARIOS, simulate
+from groundtruth import __main__ as command
+from groundtruth.signal_table import signal_table, truth_table
+from identification.__main__ import main as identify
+from recordings import read_log, read_table
+from residual.__main__ import main as estimate
+
+ID = "gel-25-constant"
+SUFFIXES = (".csv", ".csv.gz", ".npz", ".parquet", ".mcap", ".db3")
+
+
+END_S = 34.0
+"""The needle rests beyond the gel by then."""
+
+
+@pytest.fixture(scope="module")
+def run():
+    """One simulated insertion, without its way out, for all tests."""
+    whole = simulate(ID, arm="realistic", seed=0)
+    rows = whole.signals.t_s < END_S
+    return replace(
+        whole, signals=cut(whole.signals, rows), truth=cut(whole.truth, whole.truth.t_s < END_S)
+    )
+
+
+def cut(result, rows):
+    """Keep some rows of signals or truth."""
+    arrays = {item.name: getattr(result, item.name) for item in fields(result)}
+    kept = {k: v[rows] for k, v in arrays.items() if isinstance(v, np.ndarray)}
+    return replace(result, **kept)
+
+
+@pytest.fixture
+def quick(run, monkeypatch, tmp_path):
+    """The command with the simulation done already, in an empty folder."""
+    asked = []
+
+    def simulated(chosen, *, arm, seed, progress):
+        asked.append((chosen.id, arm, seed))
+        progress(0.5)
+        progress(1.0)
+        return run
+
+    monkeypatch.setattr(command, "simulate", simulated)
+    monkeypatch.chdir(tmp_path)
+    return asked
+
+
+@pytest.mark.parametrize("suffix", SUFFIXES)
+def test_every_format_goes_through_both_commands_without_an_option(quick, capsys, suffix, run):
+    assert command.main([ID, "-o", f"x{suffix}"]) == 0
+    assert quick == [(ID, "realistic", 0)]
+    told = capsys.readouterr().out
+    assert "free of contact until 13 s" in told
+    assert f"python -m residual x{suffix} --tare 0:13 -o forces{suffix}" in told
+    assert estimate([f"x{suffix}", "-o", f"forces{suffix}"]) == 0
+    capsys.readouterr()
+    assert identify([f"forces{suffix}"]) == 0
+    out, err = capsys.readouterr()
+    (layer,) = [line.split() for line in out.splitlines()[1:]]
+    true = run.truth.ruptures[0]
+    assert float(layer[3]) == pytest.approx(true.onset_s, abs=0.1)
+    friction_N = float(layer[7].partition("±")[0])
+    assert friction_N == pytest.approx(true.layer_friction_N, rel=0.1)
+    assert "--ignore-status takes them" in err
+    assert len(err.splitlines()) == 1
+
+
+def test_the_recording_holds_what_a_robot_gives_and_nothing_else(quick, run):
+    assert command.main([ID, "-o", "x.mcap"]) == 0
+    log = read_log("x.mcap", required=["q", "tau"], optional=["dq"])
+    np.testing.assert_array_equal(log["q_rad"], run.signals.q_rad)
+    np.testing.assert_array_equal(log["tau_Nm"], run.signals.tau_Nm)
+    np.testing.assert_allclose(log.t_s, run.signals.t_s, atol=5e-10, rtol=0)
+    table = read_table("x.mcap")
+    assert set(table.columns) == {
+        "t_s",
+        *(f"/joint_states/{field}" for field in ("position", "velocity", "effort")),
+        *(f"/ft_sensor/wrench/{field}_xyz" for field in ("force", "torque")),
+    }
+    assert table.joint_names["/joint_states/effort"] == run.robot.joint_names
+    wrench = np.hstack([table.columns[f"/ft_sensor/wrench/{f}_xyz"] for f in ("force", "torque")])
+    np.testing.assert_array_equal(wrench, run.signals.ft_wrench)
+
+
+def test_the_truth_goes_into_a_file_of_its_own(quick, run):
+    assert command.main([ID, "--truth", "truth.npz"]) == 0
+    columns = read_table("truth.npz").columns
+    np.testing.assert_array_equal(columns["axial_N"], run.truth.axial_N)
+    np.testing.assert_array_equal(columns["layer_friction_N"], run.truth.layer_friction_N)
+    (row,) = np.flatnonzero(columns["rupture"])
+    assert columns["t_s"][row] == pytest.approx(run.truth.rupture_s[0], abs=1e-3)
+    assert columns["rupture"][row] == 1.0
+    log = read_log("truth.npz", required=["depth", "speed", "force"])
+    np.testing.assert_array_equal(log["force_N"], run.truth.axial_N)
+
+
+def test_the_truth_in_a_bag_tells_layers_as_events(quick):
+    from rosbags.highlevel import AnyReader
+
+    assert command.main([ID, "--truth", "truth.db3"]) == 0
+    with AnyReader([Path("truth.db3")]) as bag:
+        connections = [c for c in bag.connections if c.topic == "/diagnostics"]
+        told = [
+            bag.deserialize(data, connection.msgtype).status[0].message
+            for connection, _, data in bag.messages(connections=connections)
+        ]
+    assert told == ["above the tissue", "in layer 1", "in layer 2", "layer 1 gives way"]
+
+
+def test_tables_have_one_row_per_sample(run):
+    for table in (signal_table(run), truth_table(run)):
+        assert {len(values) for values in table.values()} == {len(run.signals.t_s)}
+    assert not any("axial" in name or "depth" in name for name in signal_table(run))
+
+
+def test_options_reach_the_simulation(quick):
+    assert command.main(["stack-constant", "-o", "x.npz", "--arm", "hard", "--seed", "5"]) == 0
+    assert command.main(["random-stack", "-o", "x.npz", "--arm", "textbook"]) == 0
+    assert quick == [("stack-constant", "hard", 5), ("random-stack", "textbook", 0)]
+
+
+def test_list_names_every_scenario(capsys):
+    assert command.main(["--list"]) == 0
+    listed = [line.split()[0] for line in capsys.readouterr().out.splitlines()]
+    assert listed == [*SCENARIOS, "random-stack"]
+
+
+@pytest.mark.parametrize(
+    ("arguments", "told"),
+    [
+        ([ID], "nothing to write: name a file with -o FILE or --truth FILE"),
+        (["-o", "x.csv"], "no scenario is named; --list prints them"),
+        (["gel-26", "-o", "x.csv"], "no scenario 'gel-26'; known: gel-25-constant"),
+        ([ID, "-o", "x.xyz"], "x.xyz has no known suffix; known are: .csv"),
+        ([ID, "-o", "no/x.csv"], "there is no folder no"),
+        ([ID, "-o", "x.csv", "--seed", "-1"], "expected a whole number from 0 up"),
+        ([ID, "-o", "x.csv", "--truth", "./x.csv"], "would be both the recording and the truth"),
+    ],
+)
+def test_bad_requests_are_one_line_before_anything_is_simulated(quick, capsys, arguments, told):
+    assert command.main(arguments) == 2
+    out, err = capsys.readouterr()
+    assert out == ""
+    assert re.fullmatch(rf"error: .*{re.escape(told)}.*\n", err)
+    assert quick == []
+
+
+def test_the_module_runs_as_a_program():
+    done = subprocess.run(
+        [sys.executable, "-m", "groundtruth", "--list"], capture_output=True, text=True, check=True
+    )
+    assert "gel-25-constant" in done.stdout
