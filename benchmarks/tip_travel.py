@@ -3,11 +3,12 @@
 from typing import NamedTuple
 
 import numpy as np
-import pinocchio as pin
 from numpy.typing import NDArray
 
 from benchmarks.joint_signals import JointSignals
+from insertion import TipTravel as OnlineTravel
 from residual import VelocityEstimator
+from residual.tool_kinematics import ToolKinematics
 from urdf import Robot
 
 Array = NDArray[np.float64]
@@ -35,18 +36,14 @@ def tip_travel(robot: Robot, signals: JointSignals, zero_s: float) -> TipTravel:
         signals: What the arm sent.
         zero_s: The tip's place and axis at that time are the zero and the direction of depth.
     """
-    data, tip = robot.create_data(), robot.tool_frame_id
-    place = np.zeros((len(signals.t_s), 3))
-    speed = np.zeros(len(signals.t_s))
+    kinematics = ToolKinematics(robot)
+    kinematics.update(signals.q_rad[int(np.searchsorted(signals.t_s, zero_s))])
+    travel = OnlineTravel(kinematics)
+    found = np.zeros((len(signals.t_s), 2))
     for k, (q, dq) in enumerate(zip(signals.q_rad, _velocities(signals), strict=True)):
-        pin.computeJointJacobians(robot.model, data, q)
-        pose = pin.updateFramePlacement(robot.model, data, tip)
-        jacobian = pin.getFrameJacobian(robot.model, data, tip, pin.ReferenceFrame.LOCAL)
-        place[k], speed[k] = pose.translation, jacobian[2] @ dq
-    zero = int(np.searchsorted(signals.t_s, zero_s))
-    pin.framesForwardKinematics(robot.model, data, signals.q_rad[zero])
-    axis = data.oMf[tip].rotation[:, 2]
-    return TipTravel((place - place[zero]) @ axis, speed)
+        kinematics.update(q)
+        found[k] = travel.read(dq)
+    return TipTravel(found[:, 0].copy(), found[:, 1].copy())
 
 
 def smoothed(travel: TipTravel, dt_s: Array, time_constant_s: float) -> TipTravel:

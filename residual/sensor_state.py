@@ -6,10 +6,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from residual.errors import SnapshotError
-from residual.external_torque import ExternalTorqueState
+from residual.joint_stream import EstimateStreamState, JointStreamState
 from residual.offset_removal import OffsetState
-from residual.sample_guard import GuardState
 from residual.slow_checks import SlowState
+from residual.wrench import AxialWeights
 from residual.wrench_estimate import WrenchEstimate
 
 
@@ -19,11 +19,11 @@ class SensorState(NamedTuple):
     Attributes:
         robot: `robot_digest` of its robot.
         config: Its settings in words; they must be the same to go on.
-        torque: Of the external torque; None before a sample has been absorbed.
-        guard: Of the sample guard of that stream.
-        external_guard: Of the sample guard of a stream of external torques; None if there is none.
+        joints: Of the stream of joint signals; None before the first sample of one.
+        estimates: Of the stream of the robot's own estimates; None before the first of one.
         offset: Of the offset removal.
         torque_covariance: Of the residual's error, as last renewed [Nm^2], shape (n, n).
+        weights: Of the wrench, as last renewed.
         slow: Of the slow checks.
         doubt: Of the doubt that the lag adds [N].
         looked_s: Time since the last slow check [s].
@@ -35,11 +35,11 @@ class SensorState(NamedTuple):
 
     robot: str
     config: str
-    torque: ExternalTorqueState | None
-    guard: GuardState | None
-    external_guard: GuardState | None
+    joints: JointStreamState | None
+    estimates: EstimateStreamState | None
     offset: OffsetState
     torque_covariance: NDArray[np.float64]
+    weights: AxialWeights
     slow: SlowState
     doubt: float | None
     looked_s: float

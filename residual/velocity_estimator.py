@@ -8,7 +8,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from residual.errors import ConfigurationError
 from residual.momentum_step import Alignment
-from residual.sample_check import check_interval, check_joint_vector
+from residual.sample_check import MOST_PLAUSIBLE, check_interval, check_joint_vector
 from residual.settings_check import check_alignment, check_gap, check_positive
 from residual.velocity_step import ROWS, lag_pair_coefficients
 
@@ -79,7 +79,7 @@ class VelocityEstimator:
         self._settling_s = self.SETTLING_LAGS / bandwidth_per_s
         self._rows = np.zeros((ROWS, 2 * int(joints)))
         self._dt_s = math.nan
-        self._coefficients = np.zeros((2, ROWS))
+        self._coefficients = np.zeros((3, ROWS))
         self.reset()
 
     @property
@@ -97,27 +97,36 @@ class VelocityEstimator:
         Raises:
             SampleError: For a bad sample; the state is then unchanged.
         """
-        n = self._joints
-        q, tau = check_joint_vector("q", q, n), check_joint_vector("tau", tau, n)
+        n, rows, last = self._joints, self._rows, self._rows[3]
+        q, tau = self._checked(q, tau)
         starts = not self._seated or (dt_s != self._dt_s and self._is_gap(dt_s))
-        rows = self._rows
         if starts:
             rows[:, :n], rows[:, n:] = q, tau
             self._age_s = 0.0
             self._seated = True
-        else:
-            rows[3, :n], rows[3, n:] = q, rows[2, n:] if self._held else tau
-            rows[:2] = self._coefficients.dot(rows)
-            rows[2, :n], rows[2, n:] = q, tau
-            self._age_s += dt_s
-        out = rows[:2].copy()
+            still = last.copy()
+            return MatchedSample(still[:n], np.zeros(n), still[n:], False)
+        last[:n], last[n:] = q, rows[2, n:] if self._held else tau
+        out = self._coefficients.dot(rows)
+        rows[:2] = out[:2]
+        rows[2, :n], rows[2, n:] = q, tau
+        self._age_s += dt_s
         second = out[1]
-        return MatchedSample(
-            second[:n],
-            self._bandwidth * (out[0, :n] - second[:n]),
-            second[n:],
-            self._age_s >= self._settling_s,
-        )
+        return MatchedSample(second[:n], out[2, :n], second[n:], self._age_s >= self._settling_s)
+
+    def _checked(
+        self, q: ArrayLike, tau: ArrayLike
+    ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+        """Both as arrays of one number per joint; the quick way for almost every sample."""
+        if (
+            isinstance(q, np.ndarray)
+            and isinstance(tau, np.ndarray)
+            and q.shape == tau.shape == (self._joints,)
+            and math.hypot(*q.tolist(), *tau.tolist()) < MOST_PLAUSIBLE
+        ):
+            return q, tau
+        n = self._joints
+        return check_joint_vector("q", q, n), check_joint_vector("tau", tau, n)
 
     def _is_gap(self, dt_s: float) -> bool:
         """Whether a new time step is too long; renews the coefficients if it is not."""

@@ -24,21 +24,21 @@ def lag_pair_coefficients(bandwidth_per_s: float, dt_s: float) -> NDArray[np.flo
         dt_s: Length of the tick [s].
 
     Returns:
-        Shape (2, ROWS): times the rows, both outputs at the end of the tick.
+        Shape (3, ROWS): times the rows, both outputs at the end of the tick, and the rate of the
+        second one.
     """
     tick = bandwidth_per_s * dt_s
     decay, share, per_tick = math.exp(-tick), -math.expm1(-tick), 1.0 / tick
-    return np.array(
+    first = np.array([decay, 0.0, share * per_tick - decay, 1.0 - share * per_tick])
+    second = np.array(
         [
-            [decay, 0.0, share * per_tick - decay, 1.0 - share * per_tick],
-            [
-                decay * tick,
-                decay,
-                2.0 * (share * per_tick - decay) - tick * decay,
-                1.0 + decay - 2.0 * share * per_tick,
-            ],
+            decay * tick,
+            decay,
+            2.0 * (share * per_tick - decay) - tick * decay,
+            1.0 + decay - 2.0 * share * per_tick,
         ]
     )
+    return np.stack((first, second, bandwidth_per_s * (first - second)))
 
 
 def lag_pair_step(
@@ -62,4 +62,5 @@ def lag_pair_step(
     Returns:
         Both outputs at the end of the tick, shape (2, n).
     """
-    return lag_pair_coefficients(bandwidth_per_s, dt_s).dot(np.stack((first, second, start, end)))
+    rows = np.stack((first, second, start, end))
+    return lag_pair_coefficients(bandwidth_per_s, dt_s)[:2].dot(rows)

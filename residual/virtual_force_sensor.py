@@ -4,13 +4,12 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from residual.errors import SampleError, SuspectSampleError
-from residual.external_torque import ExternalTorqueEstimator, TorqueSample
+from residual.external_torque import TorqueSample
+from residual.joint_stream import EstimateStream, JointStream
 from residual.lag_doubt import LagDoubt
 from residual.offset_removal import OffsetRemoval
 from residual.robot_digest import robot_digest
-from residual.sample_check import check_joint_vector
 from residual.sample_clock import SampleClock
-from residual.sample_guard import SampleGuard
 from residual.sensor_config import DEFAULT, SensorConfig
 from residual.sensor_state import SensorState, check_belongs
 from residual.slow_checks import SlowChecks, SlowState
@@ -40,7 +39,7 @@ class VirtualForceSensor:
     _NOT_TARED = "tare() has not been called"
 
     def __init__(self, robot: Robot, config: SensorConfig = DEFAULT) -> None:
-        self._robot, self._config, self._guarded = robot, config, config.guard
+        self._robot, self._config = robot, config
         self._digest = robot_digest(robot)
         self._offset = OffsetRemoval(robot, config)
         where = {"frame": config.frame, "insertion_axis": config.insertion_axis}
@@ -65,7 +64,7 @@ class VirtualForceSensor:
     @property
     def lag_s(self) -> float:
         """Time by which the estimate follows the force [s]; 0 before the first sample."""
-        return 0.0 if self._torque is None else self._torque.lag_s
+        return 0.0 if self._joints is None else self._joints.lag_s
 
     @property
     def skipped(self) -> int:
@@ -97,25 +96,19 @@ class VirtualForceSensor:
             The wrench with its uncertainty and status. This method does not raise for a bad
             sample, it says so in the status.
         """
-        torque = self._torque
-        if torque is None:
-            torque = ExternalTorqueEstimator(self._robot, self._config, has_velocity=dq is not None)
+        stream = self._joints
+        if stream is None:
+            stream = JointStream(self._robot, self._config, has_velocity=dq is not None)
         try:
             elapsed_s = 0.0 if self._last is None else self._clock.elapsed(dt_s)
-            guard = self._guard
-            if guard is None:
-                guard = self._new_guard(dq is not None, torque.delay_s)
-            if self._guarded and guard.check(q, dq, tau, elapsed_s):
-                torque.restart_velocity()
-            sample = torque.update(q, dq, tau, elapsed_s)
+            sample = stream.update(q, dq, tau, elapsed_s)
         except SampleError as error:
             return self._skip(dt_s, error)
-        self._torque, self._guard = torque, guard
-        guard.accept(sample.dq, elapsed_s)
+        self._joints = stream
         return self._finish(sample, elapsed_s)
 
     def update_external_torque(
-        self, q: ArrayLike, external_torque: ArrayLike, dt_s: float
+        self, q: ArrayLike, external_torque: ArrayLike, dt_s: float, dq: ArrayLike | None = None
     ) -> WrenchEstimate:
         """Take one sample of an external-torque estimate that the robot supplies itself.
 
@@ -123,27 +116,20 @@ class VirtualForceSensor:
             q: Joint positions [rad], shape (n,).
             external_torque: Torque of the environment on the joints [Nm], shape (n,).
             dt_s: Time since the previous call [s].
+            dq: Joint velocities [rad/s], shape (n,); None to have them estimated from positions.
+                Only `velocity_rad_s` and the guard against spikes use them.
 
         Returns:
             As `update`.
         """
-        joints = self._robot.nv
+        stream = self._estimates or EstimateStream(self._robot, self._config)
         try:
             elapsed_s = 0.0 if self._last is None else self._clock.elapsed(dt_s)
-            torque = check_joint_vector("external_torque", external_torque, joints)
-            q = check_joint_vector("q", q, joints)
-            guard = self._external_guard
-            if guard is None:
-                guard = self._new_guard(False)
-            if self._guarded:
-                guard.check(q, None, torque, elapsed_s)
+            sample = stream.update(q, dq, external_torque, elapsed_s)
         except SampleError as error:
             return self._skip(dt_s, error)
-        self._external_guard = guard
-        step = q - self._offset.q
-        dq = step / elapsed_s if 0.0 < elapsed_s <= self._config.max_gap_s else np.zeros(joints)
-        guard.accept(dq, elapsed_s)
-        return self._finish(TorqueSample(q, dq, torque, torque, True), elapsed_s)
+        self._estimates = stream
+        return self._finish(sample, elapsed_s)
 
     def tare(self, *, force: bool = False) -> Tare:
         """Fit the offset to the free motion seen since the start or `start_recording`.
@@ -164,6 +150,7 @@ class VirtualForceSensor:
         """
         tare = self._offset.tare(self._contact, force=force)
         self._wrench.set_torque_covariance(self._offset.covariance_Nm2())
+        self._wrench.weigh()
         self._doubt.restart()
         return tare
 
@@ -173,9 +160,8 @@ class VirtualForceSensor:
 
     def reset(self) -> None:
         """Forget everything, the tare included."""
-        self._torque: ExternalTorqueEstimator | None = None
-        self._guard: SampleGuard | None = None
-        self._external_guard: SampleGuard | None = None
+        self._joints: JointStream | None = None
+        self._estimates: EstimateStream | None = None
         self._offset.reset()
         self._slow.restore(SlowState())
         self._doubt.restart()
@@ -187,15 +173,14 @@ class VirtualForceSensor:
 
     def snapshot(self) -> SensorState:
         """All that the sensor remembers; immutable. `insertion.write_snapshot` stores it."""
-        torque, guard, external = self._torque, self._guard, self._external_guard
         return SensorState(
             robot=self._digest,
             config=repr(self._config),
-            torque=None if torque is None else torque.state,
-            guard=None if guard is None else guard.state,
-            external_guard=None if external is None else external.state,
+            joints=None if self._joints is None else self._joints.state,
+            estimates=None if self._estimates is None else self._estimates.state,
             offset=self._offset.state,
             torque_covariance=self._wrench.torque_covariance,
+            weights=self._wrench.weights,
             slow=self._slow.state,
             doubt=self._doubt.state,
             looked_s=self._looked_s,
@@ -214,17 +199,16 @@ class VirtualForceSensor:
         """
         check_belongs(state, self._digest, repr(self._config))
         self.reset()
-        if state.torque is not None and state.guard is not None:
-            given = state.torque.velocity is None
-            self._torque = ExternalTorqueEstimator(self._robot, self._config, has_velocity=given)
-            self._torque.restore(state.torque)
-            self._guard = self._new_guard(given, self._torque.delay_s)
-            self._guard.restore(state.guard)
-        if state.external_guard is not None:
-            self._external_guard = self._new_guard(False)
-            self._external_guard.restore(state.external_guard)
+        if state.joints is not None:
+            given = state.joints.torque.velocity is None
+            self._joints = JointStream(self._robot, self._config, has_velocity=given)
+            self._joints.restore(state.joints)
+        if state.estimates is not None:
+            self._estimates = EstimateStream(self._robot, self._config)
+            self._estimates.restore(state.estimates)
         self._offset.restore(state.offset)
         self._wrench.set_torque_covariance(state.torque_covariance)
+        self._wrench.restore(state.weights)
         self._slow.restore(state.slow)
         self._doubt.restore(state.doubt)
         self._looked_s, self._velocity = state.looked_s, state.velocity
@@ -233,9 +217,6 @@ class VirtualForceSensor:
         if state.last is not None:
             self.kinematics.update(self._offset.q)
 
-    def _new_guard(self, has_velocity: bool, delay_s: float = 0.0) -> SampleGuard:
-        return SampleGuard(self._robot, has_velocity=has_velocity, velocity_delay_s=delay_s)
-
     def _finish(self, sample: TorqueSample, elapsed_s: float) -> WrenchEstimate:
         """Remove the offset, project, and say what the caller should know."""
         self._clock.missed_s, self._velocity = 0.0, sample.dq
@@ -243,11 +224,12 @@ class VirtualForceSensor:
         renewed, tared = offset.follow(sample.q, sample.tau, elapsed_s), offset.tared
         if sample.settled and not tared:
             offset.record(sample.residual, elapsed_s)
-        if renewed or self._last is None:
-            wrench.set_torque_covariance(offset.covariance_Nm2())
         corrected = offset.correct(sample.residual)
         corrected.setflags(write=False)
         wrench.kinematics.update(sample.q, sample.data)
+        if renewed or self._last is None:
+            wrench.set_torque_covariance(offset.covariance_Nm2())
+            wrench.weigh()
         axial, std, force, torque, spread, ratio, share, residual = wrench.solve(corrected)
         self._looked_s += elapsed_s
         if renewed:

@@ -1,7 +1,7 @@
 """From external joint torque to the wrench at a named frame: equation (13) and better."""
 
 import math
-from typing import Literal
+from typing import Literal, NamedTuple
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -27,6 +27,22 @@ COMPONENTS = {"axial": 1, "point": 3, "full": 6}
 """Unknowns of every mode."""
 _NOTHING = np.zeros(3)
 _NOTHING.setflags(write=False)
+
+
+class AxialWeights(NamedTuple):
+    """How the axial mode weighs the joints, until it is told to weigh them anew.
+
+    Attributes:
+        weighted: W a, a the torque per newton; shape (n,).
+        variance_N2: Of the axial force.
+        damping_share: Share of it that damping removes.
+        conditioning: See `WrenchEstimate`.
+    """
+
+    weighted: Array
+    variance_N2: float
+    damping_share: float
+    conditioning: float
 
 
 class WrenchEstimator:
@@ -78,6 +94,7 @@ class WrenchEstimator:
         self._axial_damping = float(self._damping[0])
         self._weighted = weighting == "covariance"
         self._covariance = self._inverse = self._precision = np.eye(robot.nv)
+        self.restore(AxialWeights(np.zeros(robot.nv), UNSEEN_STD**2, 0.0, MOST_CONDITIONING))
 
     def set_torque_covariance(self, covariance_Nm2: NDArray[np.float64]) -> None:
         """Tell how far the residual may be trusted: it sets weights and standard deviations.
@@ -122,7 +139,39 @@ class WrenchEstimator:
                 f"q and residual have shapes {q.shape} and {residual.shape}, expected {self._shape}"
             )
         self.kinematics.update(q)
+        self.weigh()
         return WrenchEstimate(*self.solve(residual))
+
+    def weigh(self) -> None:
+        """Weigh the joints anew where `kinematics` stands; `solve` keeps the weights until then.
+
+        Only the axial mode does; the others weigh with every sample. The force of older weights is
+        no less true, it is only not quite as quiet as it could be.
+        """
+        if self._mode != "axial":
+            return
+        advance = self.kinematics.advance
+        weighted = self._precision.dot(advance) if self._weighted else advance.copy()
+        information = float(weighted.dot(advance))
+        damping = self._axial_damping
+        total = information + damping
+        noise = information if self._weighted else float(weighted @ self._covariance @ weighted)
+        variance = (noise + damping) / total**2 if total > 0.0 else UNSEEN_STD**2
+        share = damping / total if total > 0.0 else 0.0
+        sees = information > 0.0
+        self.restore(AxialWeights(weighted, variance, share, 1.0 if sees else MOST_CONDITIONING))
+
+    @property
+    def weights(self) -> AxialWeights:
+        """The weights in force."""
+        return self._weights
+
+    def restore(self, weights: AxialWeights) -> None:
+        """Go on with weights of an earlier time."""
+        self._weights = weights
+        self._std = math.sqrt(weights.variance_N2)
+        self._numbers = np.array((weights.variance_N2, weights.damping_share))
+        self._numbers.setflags(write=False)
 
     def solve(self, residual: NDArray[np.float64]) -> WrenchNumbers:
         """Wrench where `kinematics` stands, from an external joint torque [Nm], shape (n,).
@@ -133,31 +182,27 @@ class WrenchEstimator:
         Raises:
             SampleError: For numbers that are not finite.
         """
-        return self._axial(residual) if self._mode == "axial" else self._general(residual)
-
-    def _axial(self, residual: NDArray[np.float64]) -> WrenchNumbers:
-        """One unknown along the needle: scalars instead of matrices, for the hot path."""
-        advance = self.kinematics.advance
-        weighted = self._precision.dot(advance) if self._weighted else advance
-        information = float(weighted.dot(advance))
-        damping = self._axial_damping
-        total = information + damping
-        if total <= 0.0:
-            total = math.inf
-        axial = -float(weighted.dot(residual)) / total
-        noise = information if self._weighted else float(weighted @ self._covariance @ weighted)
-        variance = (noise + damping) / total**2 if total < math.inf else UNSEEN_STD**2
+        if self._mode != "axial":
+            return self._general(residual)
+        kinematics, weights, numbers = self.kinematics, self._weights, self._numbers
+        weighted = weights.weighted
+        total = float(weighted.dot(kinematics.advance)) + self._axial_damping
+        axial = -float(weighted.dot(residual)) / total if total > 0.0 else 0.0
         if not math.isfinite(axial):
             raise SampleError("q and residual must be finite; skip this sample")
-        kinematics = self.kinematics
-        axis = kinematics.axis_in_base if self._in_base else kinematics.axis_in_tool
-        force = axis * -axial
-        pair = np.array((variance, damping / total))
+        force = (kinematics.axis_in_base if self._in_base else kinematics.axis_in_tool) * -axial
         force.setflags(write=False)
-        pair.setflags(write=False)
-        conditioning = 1.0 if information > 0.0 else MOST_CONDITIONING
-        std = math.sqrt(variance)
-        return axial, std, force, _NOTHING, pair[:1, None], conditioning, pair[1:], residual
+        covariance, share = numbers[:1, None], numbers[1:]
+        return (
+            axial,
+            self._std,
+            force,
+            _NOTHING,
+            covariance,
+            weights.conditioning,
+            share,
+            residual,
+        )
 
     def _general(self, residual: NDArray[np.float64]) -> WrenchNumbers:
         """Three or six unknowns."""

@@ -10,7 +10,8 @@ from pathlib import Path
 import pytest
 
 ROOT = Path(__file__).resolve().parents[1]
-INSTALLED = ("figures", "groundtruth", "identification", "recordings", "residual", "urdf")
+ESTIMATORS = ("residual", "identification", "insertion")
+INSTALLED = (*ESTIMATORS, "figures", "groundtruth", "recordings", "urdf")
 ROOMS = (*INSTALLED, "benchmarks")
 PROJECT = tomllib.loads((ROOT / "pyproject.toml").read_text(encoding="utf-8"))
 MOST_LINES = 300

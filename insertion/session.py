@@ -1,0 +1,222 @@
+"""One insertion, tick by tick, from joint signals to the force at the needle's tip."""
+
+import math
+import numbers
+from dataclasses import replace
+
+from numpy.typing import ArrayLike
+
+from identification import DEFAULT as DEFAULT_IDENTIFIER
+from identification import DefaultConfig, Estimate, Identifier, LayerEstimate, PaperConfig
+from insertion.errors import SettingError, SnapshotMismatchError
+from insertion.session_estimate import SessionEstimate, SessionSnapshot
+from insertion.tip_travel import TipTravel, Travel
+from residual import DEFAULT as DEFAULT_SENSOR
+from residual import Caution, SensorConfig, Status, VirtualForceSensor, WrenchEstimate
+from residual.tare import Tare
+from urdf import Robot
+
+_NOT_FED = Caution.JOINT_LIMIT | Caution.NEAR_SINGULAR
+_LONGEST_IDLE_S = 1e6
+
+
+class InsertionSession:
+    """Virtual sensor, tip travel and identifier in one.
+
+    Call `update` every tick from the start of the robot; move in free air, call `tare`, insert.
+    For another insertion with the same tare call `begin_insertion` above the tissue.
+
+    The identifier is fed only forces of this tick (`Status.OK`) that no joint limit or singular
+    pose makes worthless. Otherwise its last estimate stays, and the time passes: after a longer gap
+    it says ``TIME_GAP`` and starts its local predictions anew.
+
+    Args:
+        robot: The arm with its payload; the z axis of its tool frame is the needle, unless
+            ``sensor_config`` names another frame or axis.
+        sensor_config: Settings of the virtual sensor.
+        identifier_config: Settings of the identifier.
+        speed_lag_s: Time constant of a low-pass on the speed that the identifier gets [s]. Ours
+            needs none; the published one takes speed as exact and wants 20 ms on an arm.
+
+    Raises:
+        SettingError: For a negative or infinite lag.
+        residual.ConfigurationError: For settings of the sensor that cannot work.
+        identification.IdentificationError: For settings of another kind of identifier.
+    """
+
+    def __init__(
+        self,
+        robot: Robot,
+        sensor_config: SensorConfig = DEFAULT_SENSOR,
+        identifier_config: DefaultConfig | PaperConfig = DEFAULT_IDENTIFIER,
+        *,
+        speed_lag_s: float = 0.0,
+    ) -> None:
+        if not (isinstance(speed_lag_s, numbers.Real) and 0.0 <= float(speed_lag_s) < math.inf):
+            raise SettingError(f"speed_lag_s is {speed_lag_s!r}, expected a finite number >= 0")
+        self._sensor = VirtualForceSensor(robot, sensor_config)
+        self._identifier = Identifier(identifier_config)
+        self._travel = TipTravel(self._sensor.kinematics)
+        self._speed_lag_s = float(speed_lag_s)
+        self.reset()
+
+    @property
+    def tared(self) -> bool:
+        """Whether the offset has been removed."""
+        return self._sensor.tared
+
+    @property
+    def lag_s(self) -> float:
+        """Time by which the estimate follows the force [s]; 0 before the first sample."""
+        return self._sensor.lag_s
+
+    @property
+    def skipped(self) -> int:
+        """Bad samples since the last `reset`."""
+        return self._sensor.skipped
+
+    @property
+    def layers(self) -> tuple[LayerEstimate, ...]:
+        """Layers left so far, in order, as known now."""
+        return self._identifier.layers
+
+    def update(
+        self, q: ArrayLike, dq: ArrayLike | None, tau: ArrayLike, dt_s: float
+    ) -> SessionEstimate:
+        """Take one sample of joint signals; see `VirtualForceSensor.update`.
+
+        Args:
+            q: Joint positions [rad], shape (n,).
+            dq: Joint velocities [rad/s], shape (n,); None, always, for a robot that sends none.
+            tau: Measured link-side joint torques [Nm], shape (n,).
+            dt_s: Time since the previous call [s]; not read on the first one.
+
+        Returns:
+            What is known now. A bad sample does not raise, it is told in the status.
+        """
+        return self._follow(self._sensor.update(q, dq, tau, dt_s), dt_s)
+
+    def update_external_torque(
+        self, q: ArrayLike, dq: ArrayLike | None, external_torque: ArrayLike, dt_s: float
+    ) -> SessionEstimate:
+        """Take one sample of an external-torque estimate that the robot supplies itself.
+
+        Args:
+            q: Joint positions [rad], shape (n,).
+            dq: Joint velocities [rad/s], shape (n,), or None: the speed is then estimated.
+            external_torque: Torque of the environment on the joints [Nm], shape (n,).
+            dt_s: Time since the previous call [s].
+
+        Returns:
+            As `update`.
+        """
+        wrench = self._sensor.update_external_torque(q, external_torque, dt_s, dq)
+        return self._follow(wrench, dt_s)
+
+    def tare(self, *, force: bool = False) -> Tare:
+        """Remove the offset and begin an insertion here; see `VirtualForceSensor.tare`.
+
+        Args:
+            force: Take it even where contact is seen.
+
+        Raises:
+            TareError: Without data, a second time without `start_recording`, or with contact in
+                sight; nothing has then changed.
+        """
+        tare = self._sensor.tare(force=force)
+        self.begin_insertion()
+        return tare
+
+    def start_recording(self) -> None:
+        """Record free motion anew for the next `tare`; estimates are `NOT_TARED` until then."""
+        self._sensor.start_recording()
+
+    def begin_insertion(self) -> None:
+        """Count depth from here and forget the layers; the tare stays."""
+        self._travel.zero()
+        self._last_travel = Travel(0.0, 0.0)
+        self._identifier.reset()
+        self._identification = self._identifier.snapshot().last
+        self._unfed_s = 0.0
+
+    def reset(self) -> None:
+        """Forget everything, the tare included."""
+        self._sensor.reset()
+        self._is_started = False
+        self.begin_insertion()
+
+    def snapshot(self) -> SessionSnapshot:
+        """All that the session remembers; `write_snapshot` stores it."""
+        return SessionSnapshot(
+            self._sensor.snapshot(),
+            self._identifier.snapshot(),
+            self._travel.state,
+            self._last_travel,
+            self._speed_lag_s,
+            self._unfed_s,
+        )
+
+    def restore(self, snapshot: SessionSnapshot) -> None:
+        """Go on, bit for bit, from where `snapshot` was taken.
+
+        Raises:
+            SnapshotMismatchError: Not a snapshot of a session, or one of another speed lag.
+            residual.SnapshotError: One of another robot or other settings of the sensor.
+            identification.IdentificationError: One of other settings of the identifier.
+                In each case nothing has changed.
+        """
+        if not isinstance(snapshot, SessionSnapshot):
+            raise SnapshotMismatchError(
+                f"expected a SessionSnapshot, got {type(snapshot).__name__}"
+            )
+        if snapshot.speed_lag_s != self._speed_lag_s:
+            raise SnapshotMismatchError(
+                f"the snapshot is of speed_lag_s {snapshot.speed_lag_s:g}, this session has "
+                f"{self._speed_lag_s:g}"
+            )
+        before = self._identifier.snapshot()
+        self._identifier.restore(snapshot.identifier)
+        try:
+            self._sensor.restore(snapshot.sensor)
+        except ValueError:
+            self._identifier.restore(before)
+            raise
+        self._travel.restore(snapshot.zero)
+        self._is_started = snapshot.sensor.last is not None
+        self._last_travel, self._unfed_s = snapshot.travel, snapshot.unfed_s
+        self._identification = _without_events(snapshot.identifier.last)
+
+    def _follow(self, wrench: WrenchEstimate, dt_s: float) -> SessionEstimate:
+        """Depth, speed and, where the force is worth it, the identifier."""
+        status = wrench.status
+        if status is Status.SKIPPED:
+            return self._idle(wrench, dt_s)
+        if not self._is_started:
+            self._travel.zero()
+            self._is_started, dt_s = True, 0.0
+        travel = self._travel.read(self._sensor.velocity_rad_s)
+        if self._speed_lag_s > 0.0:
+            last = self._last_travel.speed_m_s
+            share = -math.expm1(-dt_s / self._speed_lag_s)
+            travel = travel._replace(speed_m_s=last + share * (travel.speed_m_s - last))
+        self._last_travel = travel
+        if status is not Status.OK or (wrench.cautions and wrench.cautions & _NOT_FED):
+            return self._idle(wrench, dt_s)
+        depth_m, speed_m_s = travel
+        elapsed_s, self._unfed_s = dt_s + self._unfed_s, 0.0
+        found = self._identifier.update(depth_m, speed_m_s, wrench.axial, elapsed_s)
+        self._identification = found
+        return SessionEstimate(wrench, depth_m, speed_m_s, found, status, True)
+
+    def _idle(self, wrench: WrenchEstimate, dt_s: float) -> SessionEstimate:
+        """A tick that the identifier does not see."""
+        if isinstance(dt_s, numbers.Real) and abs(float(dt_s)) < _LONGEST_IDLE_S:
+            self._unfed_s += float(dt_s)
+        last = self._identification
+        if last.rupture is not None or last.compensated is not None:
+            last = self._identification = _without_events(last)
+        return SessionEstimate(wrench, *self._last_travel, last, wrench.status, False)
+
+
+def _without_events(estimate: Estimate) -> Estimate:
+    return replace(estimate, rupture=None, compensated=None)
