@@ -1,0 +1,193 @@
+"""``--print-config`` writes a mapping for a given recording, which reads as without one."""
+
+import sys
+import tomllib
+
+import numpy as np
+import pytest
+from bag_samples import data_file, insertion_rows, joint_state, write_bag
+from residual_command_log import insertion
+
+from identification.__main__ import main as identify
+from recordings import FileAccessError, load_mapping, read_log, write_table
+from recordings.labels import Labels
+from recordings.suggest_mapping import suggest_mapping
+from residual.__main__ import main as estimate
+
+JOINTS = ("q", "dq", "tau")
+
+
+@pytest.fixture(scope="module")
+def columns(lwr):
+    """Joint signals of a short insertion."""
+    wanted = ("t_s", "q_rad", "dq_rad_s", "tau_Nm")
+    return {name: insertion(lwr)[name] for name in wanted}
+
+
+def written(tmp_path, text):
+    path = tmp_path / "map.toml"
+    path.write_text(text, encoding="utf-8")
+    return path
+
+
+@pytest.mark.parametrize("suffix", [".csv", ".npz", ".parquet", ".mcap", ".db3"])
+def test_the_mapping_reads_what_is_found_without_it(tmp_path, columns, suffix, lwr):
+    path = tmp_path / f"log{suffix}"
+    write_table(path, columns, labels=Labels(joint_names=lwr.joint_names))
+    mapping = load_mapping(written(tmp_path, suggest_mapping(path, JOINTS)))
+    assert set(mapping.channels) >= set(JOINTS)
+    plain, mapped = (read_log(path, given, required=JOINTS) for given in (None, mapping))
+    np.testing.assert_array_equal(plain.t_s, mapped.t_s)
+    for name in plain.channels:
+        np.testing.assert_array_equal(plain[name], mapped[name])
+
+
+def test_a_bag_is_described_by_its_topics(tmp_path):
+    folder = write_bag(tmp_path / "bag", insertion_rows(40, names=("b", "a", "c")))
+    text = suggest_mapping(folder, JOINTS, joints=("a", "b"), payload=['payload = "none"'])
+    content = tomllib.loads(text)
+    assert content["clock"] == "/joint_states"
+    assert content["joints"] == ["a", "b"]
+    assert content["payload"] == "none"
+    assert content["q"] == {"columns": "/joint_states/position", "unit": "rad", "scale": 1.0}
+    assert "dq" not in content
+    assert "# columns = " in text.split("# [dq]")[1]
+    lines = text.splitlines()
+    topic = "sensor_msgs/msg/JointState, 40 messages, 1000 Hz, source stamps"
+    assert f"#   /joint_states: {topic}" in lines
+    assert "#   /log: std_msgs/msg/String, 4 messages, 100 Hz, no numbers" in lines
+    assert "#   /ft/wrench/force_xyz[0] to [2]" in lines
+
+
+def test_joints_of_another_robot_are_listed_as_they_are(tmp_path):
+    folder = write_bag(tmp_path / "bag", insertion_rows(4))
+    text = suggest_mapping(folder, JOINTS, joints=("x", "y", "z"))
+    assert tomllib.loads(text)["joints"] == ["a", "b", "c"]
+    assert "# The robot calls them: x, y, z" in text.splitlines()
+
+
+def test_what_cannot_be_decided_is_left_to_the_user(tmp_path):
+    rows = [(topic, k, joint_state(k, "ab", [k, k])) for k in range(1, 4) for topic in ("/l", "/r")]
+    text = suggest_mapping(write_bag(tmp_path / "bag", rows), JOINTS)
+    assert "q" not in tomllib.loads(text)
+    assert "# q: several columns would fit (/l/position, /r/position)" in text.splitlines()
+    chosen = text.replace("# [q]", "[q]").replace('# columns = ""', 'columns = "/r/position"', 1)
+    mapping = load_mapping(written(tmp_path, chosen))
+    assert len(read_log(tmp_path / "bag", mapping, required=["q"])) == 3
+
+
+def test_what_was_lost_is_a_comment(tmp_path):
+    path = data_file(write_bag(tmp_path / "bag", insertion_rows(2000)))
+    path.write_bytes(path.read_bytes()[:100_000])
+    text = suggest_mapping(path, JOINTS)
+    assert any(line.startswith("# bag.mcap is cut short") for line in text.splitlines())
+    assert tomllib.loads(text)["clock"] == "/joint_states"
+
+
+def test_units_in_names_are_taken_and_others_are_said_to_be_assumed(tmp_path):
+    path = tmp_path / "log.csv"
+    path.write_text("time_ms,depth_mm,force\n0,1,2\n1,2,3\n", encoding="utf-8")
+    text = suggest_mapping(path, ("depth", "force"))
+    assert tomllib.loads(text)["depth"]["unit"] == "mm"
+    assert tomllib.loads(text)["time"]["unit"] == "ms"
+    assert 'unit = "N"  # assumed; of N, mN' in text.splitlines()
+
+
+def test_a_missing_recording_is_told(tmp_path):
+    for name in ("no.mcap", "no.csv"):
+        with pytest.raises(FileAccessError, match="cannot read"):
+            suggest_mapping(tmp_path / name, JOINTS)
+
+
+def test_the_commands_print_edit_and_read_it(tmp_path, columns, lwr, capsys, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    order = [6, 5, 4, 3, 2, 1, 0]
+    turned = columns | {n: columns[n][:, order] for n in ("q_rad", "dq_rad_s", "tau_Nm")}
+    names = tuple(lwr.joint_names[i] for i in order)
+    write_table("log.mcap", turned, labels=Labels(joint_names=names))
+    write_table("log.csv", columns)
+    assert estimate(["log.mcap", "--print-config"]) == 0
+    text = capsys.readouterr().out
+    assert tomllib.loads(text)["joints"] == list(lwr.joint_names)
+    assert tomllib.loads(text)["payload"]["needle"]["needle_mass_kg"] == 0.068
+    edited = written(tmp_path, text.replace("scale = 1.0  # -1.0", "scale = -1.0  # -1.0"))
+    tare = ["--tare", "0:2.5"]
+    results = []
+    for options in (
+        ["log.csv", "-o", "a.npz", *tare],
+        ["log.mcap", "-o", "b.npz", *tare],
+        ["log.mcap", "-o", "c.npz", "--no-tare", "--mapping", str(edited)],
+    ):
+        assert estimate(options) == 0
+        results.append(np.load(options[2])["axial_N"])
+    np.testing.assert_allclose(results[1], results[0], atol=1e-9)
+    assert not np.allclose(results[2], results[0], equal_nan=True)
+    capsys.readouterr()
+    assert identify(["b.npz", "--print-config"]) == 0
+    content = tomllib.loads(capsys.readouterr().out)
+    assert content["force"]["columns"] == "axial_N"
+    assert content["depth"]["columns"] == "travel_m"
+
+
+@pytest.mark.parametrize(
+    ("lines", "options", "told"),
+    [
+        ("joints = []", [], "payload 0.304 kg"),
+        ('payload = "none"', [], "payload 0 kg"),
+        ('payload = "none"', ["--payload", "needle"], "payload 0.304 kg"),
+        ("[payload]\nmass_kg = 1.5\ncom_m = [0.0, 0.0, 0.1]", [], "payload 1.5 kg"),
+        ("[payload.needle]\nsensor_mass_kg = 0.0", [], "payload 0.068 kg"),
+    ],
+)
+def test_the_payload_may_stand_in_the_mapping(
+    tmp_path, columns, capsys, monkeypatch, lines, options, told
+):
+    monkeypatch.chdir(tmp_path)
+    write_table("log.npz", columns)
+    mapping = written(tmp_path, lines)
+    assert estimate(["log.npz", "--no-tare", "--mapping", str(mapping), *options]) == 0
+    assert told in capsys.readouterr().out.splitlines()[0]
+
+
+@pytest.mark.parametrize(
+    ("lines", "told"),
+    [
+        ("payload = 3", "payload = 3, expected a table, a file, needle or none"),
+        ("[payload]\nmass_kg = 1.5", "com_m is missing"),
+        ('joints = "a"', "joints = 'a' must be a list of names"),
+        ('joints = ["a", "a"]', "names a joint twice"),
+        ("clock = 1", "clock = 1 must be the name of a topic"),
+    ],
+)
+def test_a_mapping_that_makes_no_sense_is_refused(
+    tmp_path, columns, capsys, monkeypatch, lines, told
+):
+    monkeypatch.chdir(tmp_path)
+    write_table("log.npz", columns)
+    assert estimate(["log.npz", "--mapping", str(written(tmp_path, lines))]) == 2
+    assert told in capsys.readouterr().err
+
+
+def test_a_payload_is_printed_as_it_is_read(tmp_path, columns, capsys, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    write_table("log.npz", columns)
+    lines = "[payload]\nmass_kg = 1.5\ncom_m = [0.0, 0.0, 0.1]"
+    mapping = written(tmp_path, lines)
+    assert estimate(["log.npz", "--mapping", str(mapping), "--print-config"]) == 0
+    payload = tomllib.loads(capsys.readouterr().out)["payload"]
+    assert payload["mass_kg"] == 1.5
+    assert payload["com_m"] == [0.0, 0.0, 0.1]
+    assert estimate(["log.npz", "--payload", "none", "--print-config"]) == 0
+    assert tomllib.loads(capsys.readouterr().out)["payload"] == "none"
+
+
+def test_without_rosbags_the_command_says_what_to_install_in_one_line(
+    tmp_path, columns, capsys, monkeypatch
+):
+    monkeypatch.chdir(tmp_path)
+    write_table("log.mcap", columns)
+    monkeypatch.setitem(sys.modules, "rosbags.typesys", None)
+    assert estimate(["log.mcap"]) == 2
+    assert capsys.readouterr().err == (
+        "error: ROS 2 bags need the library rosbags: pip install 'needleforce[recordings]'\n"
+    )
