@@ -33,7 +33,7 @@ CAPTION = (
 
 def execute(_arguments: argparse.Namespace) -> int:
     """Compute and print."""
-    with progress_bar(new_console(stderr=True), 1) as tell:
+    with progress_bar(1) as tell:
         noises = [_ft_noise(), *_virtual_noise(lambda share: tell(0, share))]
     new_console().print(case_table(list(bound_cases(noises)), noises))
     return 0

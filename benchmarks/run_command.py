@@ -37,7 +37,7 @@ def execute(arguments: argparse.Namespace) -> int:
     )
     plan = make_plan(request)
     # The bar goes to stderr, so that stdout can be piped.
-    with progress_bar(new_console(stderr=True), len(plan.jobs)) as tell:
+    with progress_bar(len(plan.jobs)) as tell:
         outcomes = run_jobs(plan.jobs, arguments.jobs, tell)
     rows = [row for outcome in outcomes for row in outcome.rows]
     console = new_console()

@@ -6,9 +6,9 @@ LEAST_WIDTH = 140
 """Of a table that goes into a file or a pipe."""
 
 
-def new_console(*, stderr: bool = False) -> Console:
+def new_console() -> Console:
     """A console as wide as the terminal, or wide enough for every table where there is none."""
-    console = Console(stderr=stderr, highlight=False)
+    console = Console(highlight=False)
     if not console.is_terminal:
         console.width = max(console.width, LEAST_WIDTH)
     return console

@@ -33,7 +33,7 @@ LIMITS = {OBSERVER: OBSERVER_COST_RATIO, SENSOR: SENSOR_COST_RATIO}
 
 def execute(arguments: argparse.Namespace) -> int:
     """Measure, print, and with --strict hold to the targets."""
-    with progress_bar(new_console(stderr=True), 1) as tell:
+    with progress_bar(1) as tell:
         timings = measure_speed(lambda share: tell(0, share))
     console = new_console()
     console.print(speed_table(timings))

@@ -36,7 +36,7 @@ def execute(arguments: argparse.Namespace) -> int:
         for command in COMMANDS
     ]
     speeds: list[StreamSpeed] = []
-    with progress_bar(new_console(stderr=True), len(cases)) as tell:
+    with progress_bar(len(cases)) as tell:
         for case in cases:
             told = partial(tell, len(speeds))
             speeds.append(measure_stream(case, arguments.seconds, arguments.folder, told))

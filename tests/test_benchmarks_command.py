@@ -118,7 +118,7 @@ def test_a_mistake_is_one_line_and_exit_code_2(capsys, arguments, told):
     assert run(*arguments) == 2
     error = capsys.readouterr().err
     assert told in error
-    assert error.startswith("benchmarks: ")
+    assert error.startswith("error: ")
     assert error.count("\n") == 1
 
 
@@ -219,7 +219,7 @@ def test_an_interrupt_is_no_traceback(monkeypatch, capsys):
 
     monkeypatch.setattr(command, "import_module", interrupt)
     assert main(["list"]) == 130
-    assert capsys.readouterr().err == "benchmarks: interrupted\n"
+    assert capsys.readouterr().err == "interrupted\n"
 
 
 def test_processes_return_outcomes_in_the_order_of_the_jobs():
