@@ -1,9 +1,12 @@
 """`python -m identification` on pipes and growing files, and behind `python -m residual`."""
 
 import os
+import re
+import shlex
 import signal
 import subprocess
 import sys
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -116,3 +119,13 @@ def test_the_log_is_not_overwritten_and_a_folder_is_no_picture(log, tmp_path, ca
     assert log.read_bytes() == before
     assert command.main([str(log), "--png", str(tmp_path)]) == 2
     assert "cannot write" in capsys.readouterr().err
+
+
+def test_the_command_of_the_page_runs(log, tmp_path, monkeypatch, capsys):
+    page = Path(__file__).parents[1] / "docs" / "identification.md"
+    (line,) = re.findall(r"^python -m identification (.*)$", page.read_text("utf-8"), re.MULTILINE)
+    monkeypatch.chdir(tmp_path)
+    Path("insertion.csv").write_bytes(log.read_bytes())
+    assert command.main(shlex.split(line)) == 0
+    assert "friction N" in capsys.readouterr().out
+    assert Path("estimates.csv").is_file()

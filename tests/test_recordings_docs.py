@@ -10,6 +10,7 @@ import pytest
 
 import recordings
 from recordings import CHANNELS, load_mapping, mapping_arguments, mapping_from_arguments, read_log
+from recordings.csv_format import HEAD_ROWS
 from recordings.read_log import _READERS
 
 PAGE = Path(__file__).parents[1] / "docs" / "recordings.md"
@@ -80,3 +81,7 @@ def test_the_table_of_faults_holds_for_a_header_alone():
     Path("header.csv").write_text("t,f\n", encoding="utf-8")
     with pytest.raises(recordings.FormatError):
         read_log("header.csv")
+
+
+def test_so_many_rows_decide_as_the_page_says():
+    assert f"decided from the first {HEAD_ROWS} rows" in TEXT

@@ -2,6 +2,8 @@
 
 import re
 import shlex
+import subprocess
+import sys
 from dataclasses import fields
 from pathlib import Path
 
@@ -9,6 +11,8 @@ import pytest
 from residual_command_log import SMALL_ARM, write_insertion
 
 from recordings import read_table
+from recordings.command_line import FAILED, INTERRUPTED, READER_GONE
+from recordings.row_overview import MOST_ROWS
 from residual import SensorConfig
 from residual.__main__ import main
 from residual.command.force_rows import STATUS_CODES
@@ -47,8 +51,24 @@ def test_every_command_of_the_page_runs(command, capsys):
 
 
 def test_the_page_uses_every_file_it_shows():
-    assert len(COMMANDS) == 8
+    assert len(COMMANDS) == 9
     assert set(FILES) == set(re.findall(r"\w+\.toml", " ".join(COMMANDS)))
+
+
+def test_the_pipe_of_the_page_runs_to_its_end():
+    (line,) = re.findall(r"^cat .*$", TEXT, re.MULTILINE)
+    line = line.replace("python ", f"{shlex.quote(sys.executable)} ")
+    done = subprocess.run(line, shell=True, capture_output=True, text=True, check=False)
+    assert done.returncode == 0, done.stderr
+    assert len(read_table("layers.csv").columns["t_s"]) == 4000
+
+
+def test_the_table_of_exit_codes_is_the_codes():
+    codes = TEXT.split("## Exit codes")[1]
+    assert [int(code) for code in re.findall(r"^\| (\d+) \|", codes, re.MULTILINE)] == [
+        *(0, FAILED, INTERRUPTED, READER_GONE)
+    ]
+    assert f"at most {MOST_ROWS // 1000} {MOST_ROWS % 1000:03d}" in TEXT
 
 
 def test_the_summary_has_the_lines_that_the_page_shows(capsys):
