@@ -41,7 +41,8 @@ def run_needle(job: Job, chosen: Scenario, progress: Progress, *, is_drawn: bool
     if job.drawings is None:
         return Findings(measured)
     found = [(signals, identified)]
-    return Findings(measured, identification_drawings(job, job.drawings, truth, found))
+    commanded = chosen.motion.speed_m_s(truth.t_s)
+    return Findings(measured, identification_drawings(job, job.drawings, truth, commanded, found))
 
 
 def drawn_noise(rng: np.random.Generator) -> ForceNoise:

@@ -59,8 +59,7 @@ def run_panda_liver(job: Job, progress: Progress) -> Findings:
         readings.append(virtual_force(panda.robot, signals, real, method, TARE_s, part))
     drawings: tuple[Drawing, ...] = ()
     if job.drawings is not None:
-        what = "real liver on a real Panda"
-        drawings = force_drawings(job, job.drawings, truth, readings, what)
+        drawings = force_drawings(job, job.drawings, truth, readings)
     found: list[Measurement] = []
     for reading in readings:
         found += [item for item in wrench_metrics(reading, truth) if item.metric != NOT_TOLD]

@@ -30,8 +30,7 @@ def run_simulated(job: Job, progress: Progress) -> Findings:
     case = simulated_case(job, chosen, progress_part(progress, 0.0, READING_SHARE))
     drawings: tuple[Drawing, ...] = ()
     if job.drawings is not None:
-        what = case.run.scenario.title
-        drawings += force_drawings(job, job.drawings, case.truth, case.readings, what)
+        drawings += force_drawings(job, job.drawings, case.truth, case.readings)
     measured = simulated_metrics(case)
     if chosen.layers:
         found = _identify(job, case)
@@ -52,4 +51,6 @@ def _identify(job: Job, case: SimulatedCase) -> Findings:
     if job.drawings is None:
         return Findings(measured)
     ft = next(item for item in case.readings if item.source == "ft")
-    return Findings(measured, identification_drawings(job, job.drawings, truth, found, ft))
+    commanded = case.run.scenario.motion.speed_m_s(truth.t_s)
+    drawings = identification_drawings(job, job.drawings, truth, commanded, found, ft)
+    return Findings(measured, drawings)

@@ -74,10 +74,10 @@ def _others(
 ) -> Sequence[Curve]:
     x, curves = axis.place(axis.truth.t_s), []
     if ft is not None:
-        label = "F/T reading, for comparison"
+        label = "F/T reading, to compare"
         curves.append(Curve(style=palette.OTHER_SENSOR, x=x, y=ft.axial_N, label=label))
     if other is not None:
-        label = "enhanced, published, Kelvin-Voigt"
+        label = "enhanced, published, KV"
         curves.append(
             Curve(style=palette.PAPER_KV, x=x[other.start :], y=other.enhanced_N, label=label)
         )

@@ -36,10 +36,9 @@ def force_over_depth(title: str, truth: ForceTruth, readings: Sequence[ForceRead
     return _chart(title, palette.DEPTH, 1e3 * truth.depth_m, truth, readings)
 
 
-def rmse_N(reading: ForceReading, truth: ForceTruth, against: Array | None = None) -> float:
-    """Error of a reading over the judged part, against the true force or another one."""
-    target = truth.axial_N if against is None else against
-    return float(np.sqrt(np.mean((reading.axial_N - target)[truth.judged] ** 2)))
+def rmse_N(reading: ForceReading, truth: ForceTruth, target_N: Array) -> float:
+    """Difference of a reading from the true force, or another one, over the judged part."""
+    return float(np.sqrt(np.mean((reading.axial_N - target_N)[truth.judged] ** 2)))
 
 
 def _chart(
@@ -53,7 +52,7 @@ def _chart(
     for item in ordered:
         name, style = STYLES[item.source, item.method]
         told, is_ours = item.axial_N[shown], (item.source, item.method) == OURS
-        label = f"{name}, RMSE {rmse_N(item, truth):.3f} N"
+        label = f"{name}, RMSE {rmse_N(item, truth, truth.axial_N):.3f} N"
         forces.append(Curve(style=style, x=x, y=told, label=label))
         errors.append(
             Curve(

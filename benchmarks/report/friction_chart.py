@@ -14,7 +14,7 @@ SERIES = (
     ("offline", "default", "ft", "^", "offline"),
     ("online", "default", "ft", "*", "online, ours, F/T"),
     ("online", "default", "virtual", "D", "online, ours, virtual"),
-    ("online", "paper", "ft", "x", "online, published, F/T"),
+    ("tuned", "paper", "ft", "x", "online, published"),
 )
 """Kind, method, source, marker, words."""
 PAPER_PLACE, FIRST_PLACE, STEP = -0.36, -0.2, 0.14

@@ -1,9 +1,11 @@
 """Cumulative friction of the single gels, gathered from the rows of a run."""
 
+import math
 import statistics
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 
+from benchmarks.report.drawing import Drawing
 from benchmarks.report.paper_figures import GELS
 from benchmarks.row import Row
 
@@ -21,10 +23,12 @@ class GelFriction:
     Attributes:
         plant: Which.
         rows: Of that plant and these gels.
+        tuned: By the published method as its authors ran it, by scenario, seed 0.
     """
 
     plant: str
     rows: tuple[Row, ...]
+    tuned: Mapping[str, float]
 
     def values(
         self, percent: int, speed: str, kind: str, source: str = "ft", method: str = "default"
@@ -34,10 +38,13 @@ class GelFriction:
         Args:
             percent: Of isinglass.
             speed: One of `SPEEDS`.
-            kind: ``true``, ``offline`` or ``online``.
+            kind: ``true``, ``offline``, ``online``, or ``tuned``: see `tuned`.
             source: Of the force.
             method: Of the identification.
         """
+        if kind == "tuned":
+            told = self.tuned.get(f"gel-{percent}-{speed}")
+            return [] if told is None else [told]
         wanted = (f"gel-{percent}-{speed}", source, method, METRIC.format(kind=kind))
         return [
             row.value
@@ -58,11 +65,16 @@ class GelFriction:
         return {row.scenario for row in self.rows}
 
 
-def gel_friction(rows: Iterable[Row]) -> GelFriction | None:
+def gel_friction(rows: Iterable[Row], drawings: Iterable[Drawing]) -> GelFriction | None:
     """The gels of the best plant they were run on; None without any."""
     found = [row for row in rows if row.scenario in GELS and row.metric.startswith("cumulative_")]
     for plant in PLANTS:
         mine = tuple(row for row in found if row.plant == plant)
         if mine:
-            return GelFriction(plant=plant, rows=mine)
+            tuned = {
+                item.scenario: item.tuned_friction_Ns_per_m
+                for item in drawings
+                if item.plant == plant and not math.isnan(item.tuned_friction_Ns_per_m)
+            }
+            return GelFriction(plant=plant, rows=mine, tuned=tuned)
     return None

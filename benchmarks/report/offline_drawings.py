@@ -21,6 +21,7 @@ def draw_offline(book: Sketchbook, signal: NeedleSignal, truth: InsertionTruth) 
         offline_chart(book.title(figure, panel, "models fitted offline"), signal, truth),
         "offline",
         figure=figure,
+        panel=panel,
         alt="F/T reading with the reconstructions of the Kelvin-Voigt and the multi-layer model; "
         "below, what each leaves",
         caption="Broad and pale the reading, thin the two models with layers and ruptures given; "
@@ -29,8 +30,10 @@ def draw_offline(book: Sketchbook, signal: NeedleSignal, truth: InsertionTruth) 
             Fact(
                 what=name,
                 paper=said,
-                published=f"KV {found['offline_rmse_kv_N']:.3f}",
-                ours=f"ML {found['offline_rmse_ml_N']:.3f}",
+                here=(
+                    ("Kelvin-Voigt, here", f"{found['offline_rmse_kv_N']:.3f}"),
+                    ("multi-layer, here", f"{found['offline_rmse_ml_N']:.3f}"),
+                ),
             ),
         ),
     )

@@ -76,9 +76,10 @@ RESIDUE_IN_PAPER = {
 }
 
 _ENHANCED = (
-    "Left of the first line all curves are one: nothing is known yet, and nothing is taken off. "
-    "After the compensation the enhanced force should follow the dotted truth: only what the tip "
-    "feels in the layer it is in."
+    "Up to the first rupture nothing is known and nothing is taken off. Continuous upright lines: "
+    "a rupture is detected; dashed ones: friction is identified and taken off from there on, by "
+    "ours at a first look and then for good; grey: the layer really gives way. From then on the "
+    "enhanced force should follow the dotted truth: what the tip feels in the layer it is in."
 )
 PAPER_FIGURES = (
     PaperFigure(
@@ -165,7 +166,9 @@ PAPER_FIGURES = (
         scenarios=("liver-constant",),
         shows="Liver with its capsule, 2.3 mm/s: two ruptures found; the way to the first, on "
         "which the capsule is stretched, counts as a layer of its own.",
-        see=_ENHANCED,
+        see="What holds the needle before the capsule gives way is counted as friction in part, "
+        "which is taken off between the two ruptures: the price of the fictitious layer, by "
+        "either method. " + _ENHANCED,
     ),
     PaperFigure(
         number="14",
@@ -174,7 +177,8 @@ PAPER_FIGURES = (
         shows="Fat, muscle and liver of a phantom, sinusoidal speed (A = 11.5 cm, 0.02 Hz; the "
         "caption says constant, the text and the curve say sinusoidal). The first transition is "
         "not detected.",
-        see=_ENHANCED,
+        see="The step from fat to muscle frees no force and is not detected here either. "
+        + _ENHANCED,
     ),
 )
 """In the order of the page."""

@@ -3,30 +3,35 @@
 from collections.abc import Sequence
 from pathlib import Path
 
+import numpy as np
+from numpy.typing import NDArray
+
 from benchmarks.force_reading import ForceReading
 from benchmarks.force_truth import ForceTruth
 from benchmarks.identification_metrics import Signals
-from benchmarks.identified import Identified, identify
+from benchmarks.identified import Identified
 from benchmarks.insertion_truth import InsertionTruth
 from benchmarks.job import Job
 from benchmarks.report.drawing import Drawing
-from benchmarks.report.enhanced_drawings import draw_enhanced
+from benchmarks.report.enhanced_drawings import Compared, draw_enhanced
 from benchmarks.report.force_drawings import draw_forces
 from benchmarks.report.offline_drawings import draw_offline
-from benchmarks.report.paper_figures import ENHANCED_FIGURES
+from benchmarks.report.paper_figures import ENHANCED_FIGURES, GELS
 from benchmarks.report.sketchbook import Sketchbook
+from benchmarks.report.tuned_paper import tuned_paper
 from identification import PAPER_KV
 
+Array = NDArray[np.float64]
 Found = Sequence[tuple[Signals, Sequence[Identified]]]
 """Of every source: what the methods were given, and what they made of it."""
 
 
 def force_drawings(
-    job: Job, folder: Path, truth: ForceTruth, readings: Sequence[ForceReading], what: str
+    job: Job, folder: Path, truth: ForceTruth, readings: Sequence[ForceReading]
 ) -> tuple[Drawing, ...]:
     """The forces of a run."""
     book = Sketchbook(job, folder)
-    draw_forces(book, truth, readings, what)
+    draw_forces(book, truth, readings)
     return tuple(book.drawings)
 
 
@@ -34,6 +39,7 @@ def identification_drawings(
     job: Job,
     folder: Path,
     truth: InsertionTruth,
+    commanded_m_s: Array,
     found: Found,
     ft: ForceReading | None = None,
 ) -> tuple[Drawing, ...]:
@@ -43,29 +49,35 @@ def identification_drawings(
         job: The run.
         folder: Where the drawings go.
         truth: Of the run.
-        found: The F/T sensor's first.
+        commanded_m_s: Speed as the robot was told, shape (n,).
+        found: By source, the F/T sensor's first.
         ft: The F/T reading, if another source is among them.
     """
     book = Sketchbook(job, folder)
-    on_ft = {item.method: item for item in found[0][1]}["default"]
     draw_offline(book, found[0][0]["default"], truth)
+    on_ft = {item.method: item for item in found[0][1]}["default"]
     for signals, identified in found:
         by_method = {item.method: item for item in identified}
-        ours, published = by_method["default"], by_method["paper"]
-        figure = ENHANCED_FIGURES.get((job.benchmark, ours.source), "")
-        is_ft = ours.source == "ft"
-        # Runs beside the paper's are shown once: by the whole chain, if there is one.
-        if not figure and is_ft and len(found) > 1:
+        source = by_method["default"].source
+        figure = ENHANCED_FIGURES.get((job.benchmark, source), "")
+        if not figure and source != _usual_source(job, found):
             continue
-        kv = identify(signals["paper"], truth, "paper", PAPER_KV) if figure and is_ft else None
-        draw_enhanced(
-            book,
-            figure,
-            truth,
-            published,
-            ours,
-            kelvin_voigt=kv,
+        is_ft = source == "ft"
+        given, has_kv = signals["paper"], bool(figure) and is_ft
+        told = Compared(
+            ours=by_method["default"],
+            tuned=tuned_paper(given, truth, commanded_m_s, figure),
+            published=by_method["paper"],
+            kelvin_voigt=tuned_paper(given, truth, commanded_m_s, figure, PAPER_KV)
+            if has_kv
+            else None,
             ft=None if is_ft else ft,
             on_ft=None if is_ft else on_ft,
         )
+        draw_enhanced(book, figure, truth, told)
     return tuple(book.drawings)
+
+
+def _usual_source(job: Job, found: Found) -> str:
+    """What is shown without a figure: the whole chain; of gels, for Table I, the F/T sensor."""
+    return "ft" if job.benchmark in GELS or len(found) == 1 else "virtual"

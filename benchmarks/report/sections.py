@@ -14,11 +14,6 @@ from benchmarks.report.paper_figures import (
 from benchmarks.row import Row
 from figures import PageFigure, PageTable, Section
 
-FACT_HEADS = {
-    number: ("", "paper", "Kelvin-Voigt, here", "multi-layer, here") for number in ("2", "3")
-}
-USUAL_HEAD = ("", "paper", "published method, here", "ours, here")
-
 
 def paper_sections(drawings: Sequence[Drawing], rows: Sequence[Row]) -> list[Section]:
     """One section per figure that these runs give, at least in part."""
@@ -26,13 +21,13 @@ def paper_sections(drawings: Sequence[Drawing], rows: Sequence[Row]) -> list[Sec
     for item in PAPER_FIGURES:
         mine = chosen(drawings, item.number)
         if item.number == TABLE_ONE:
-            gels = gel_friction(rows)
+            gels = gel_friction(rows, drawings)
             if gels is not None:
                 sections.append(_section(item, (), (gel_table(gels),), gels.scenarios))
         elif mine:
             here = {drawing.scenario for drawing in mine}
             if item.number == FRICTION_FIGURE:
-                gels = gel_friction(rows)
+                gels = gel_friction(rows, drawings)
                 here = gels.scenarios if gels is not None else set()
             sections.append(_section(item, mine, _facts(item, mine), here))
     return sections
@@ -75,7 +70,8 @@ def missing_section(sections: Sequence[Section]) -> Section | None:
 
 def chosen(drawings: Iterable[Drawing], figure: str) -> list[Drawing]:
     """The drawings of a figure, on the one plant that is shown."""
-    mine = [drawing for drawing in drawings if drawing.figure == figure]
+    found = [drawing for drawing in drawings if drawing.figure == figure]
+    mine = sorted(found, key=lambda drawing: drawing.panel)
     plants = {drawing.plant for drawing in mine}
     best = next((plant for plant in PLANTS if plant in plants), "")
     return [drawing for drawing in mine if drawing.plant == best]
@@ -117,7 +113,9 @@ def _facts(item: PaperFigure, mine: Sequence[Drawing]) -> tuple[PageTable, ...]:
     return (
         PageTable(
             caption=f"Figure {item.number}, in numbers",
-            head=FACT_HEADS.get(item.number, USUAL_HEAD),
-            rows=tuple((fact.what, fact.paper, fact.published, fact.ours) for fact in facts),
+            head=("", "paper", *(head for head, _ in facts[0].here)),
+            rows=tuple(
+                (fact.what, fact.paper, *(value for _, value in fact.here)) for fact in facts
+            ),
         ),
     )

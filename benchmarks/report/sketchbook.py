@@ -1,5 +1,6 @@
 """Where the charts of one run are drawn."""
 
+import math
 from dataclasses import dataclass, field
 from pathlib import Path
 
@@ -33,9 +34,11 @@ class Sketchbook:
         kind: str,
         *,
         figure: str = "",
+        panel: str = "",
         alt: str,
         caption: str,
         facts: tuple[Fact, ...] = (),
+        tuned_friction_Ns_per_m: float = math.nan,
     ) -> None:
         """Draw a chart.
 
@@ -43,9 +46,11 @@ class Sketchbook:
             chart: What to draw.
             kind: Ending of the file's name.
             figure: Of the paper to which it is the counterpart.
+            panel: Letter of the panel.
             alt: What it shows.
             caption: What to look at.
             facts: Numbers to stand below.
+            tuned_friction_Ns_per_m: See `Drawing`.
 
         Raises:
             figures.FiguresError: It cannot be drawn or saved.
@@ -56,6 +61,7 @@ class Sketchbook:
         self.drawings.append(
             Drawing(
                 figure=figure,
+                panel=panel,
                 scenario=job.benchmark,
                 plant=job.plant,
                 seed=job.seed,
@@ -63,5 +69,6 @@ class Sketchbook:
                 alt=alt,
                 caption=caption,
                 facts=facts,
+                tuned_friction_Ns_per_m=tuned_friction_Ns_per_m,
             )
         )

@@ -1,0 +1,285 @@
+"""The charts of a run: the right curves, marks, times and numbers."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from benchmarks.force_reading import ForceReading
+from benchmarks.force_truth import ForceTruth
+from benchmarks.identification_metrics import identify_all
+from benchmarks.identified import identify
+from benchmarks.insertion_truth import truth_of_needle
+from benchmarks.job import Job
+from benchmarks.needle_signal import NeedleSignal
+from benchmarks.report.enhanced_chart import enhanced_chart
+from benchmarks.report.force_chart import force_over_depth, force_over_time, rmse_N
+from benchmarks.report.force_drawings import draw_forces
+from benchmarks.report.insertion_axis import InsertionAxis
+from benchmarks.report.offline_chart import offline_chart
+from benchmarks.report.parameter_chart import parameter_chart
+from benchmarks.report.run_drawings import identification_drawings
+from benchmarks.report.sketchbook import Sketchbook
+from benchmarks.report.true_friction import true_friction
+from benchmarks.report.tuned_paper import sigma1_N, tuned_paper
+from figures import palette
+from groundtruth import SCENARIOS, Scenario, insert_needle
+from groundtruth.motion import constant_motion
+
+pytest.importorskip("matplotlib")
+
+GEL = SCENARIOS["gel-70-constant"].layers[0]
+SHORT = Scenario(
+    id="short",
+    title="a slice of gel",
+    layers=(replace(GEL, thickness_m=12e-3),),
+    motion=constant_motion(speed_m_s=5e-3, depth_m=23e-3, standoff_m=10e-3),
+)
+
+
+class Told:
+    """A short insertion, and what both methods made of it."""
+
+    def __init__(self):
+        run = insert_needle(SHORT, seed=0)
+        self.truth = truth_of_needle(run)
+        self.signal = NeedleSignal(
+            source="ft",
+            t_s=run.t_s,
+            depth_m=run.depth_m,
+            speed_m_s=run.speed_m_s,
+            force_N=run.force_N,
+        )
+        self.signals = {"default": self.signal, "paper": self.signal}
+        self.identified = identify_all(self.signals, self.truth)
+        by_method = {item.method: item for item in self.identified}
+        self.ours, self.published = by_method["default"], by_method["paper"]
+        self.commanded_m_s = SHORT.motion.speed_m_s(self.truth.t_s)
+
+
+@pytest.fixture(scope="module")
+def told():
+    return Told()
+
+
+def curves(chart):
+    """Curves by label, of the first panel that has them."""
+    found = {}
+    for panel in chart.panels:
+        for curve in panel.curves:
+            found.setdefault(curve.label, curve)
+    return found
+
+
+def instants(chart):
+    return {item.label: item for item in chart.instants}
+
+
+def test_times_count_from_where_the_needle_sets_out(told):
+    axis = InsertionAxis(told.truth)
+    assert axis.at(told.truth.tare_end_s) == 0.0
+    assert axis.place(np.array([told.truth.tare_end_s + 2.0])) == pytest.approx(2.0)
+    low, high = axis.limits
+    assert low < axis.at(told.truth.contact_s) < axis.at(told.truth.insertion_end_s) < high
+
+
+def test_true_ruptures_alarms_and_compensations_are_marked(told):
+    chart = enhanced_chart("a", told.truth, told.ours)
+    (shading,) = chart.shadings
+    (rupture,) = told.truth.ruptures
+    zero = told.truth.tare_end_s
+    assert shading.spans == ((rupture.onset_s - zero, rupture.end_s - zero),)
+    marks = instants(chart)
+    alarms = tuple(alarm.alarm_s - zero for alarm in told.ours.alarms)
+    assert marks["rupture detected"].places == alarms
+    assert marks["rupture detected"].style.dash == "-"
+    compensated = marks["friction compensated"]
+    assert len(compensated.places) >= 1
+    assert all(place > alarms[0] for place in compensated.places)
+    assert compensated.style.dash != "-"
+
+
+def test_the_forces_of_a_method_are_drawn_in_its_style(told):
+    ours = curves(enhanced_chart("a", told.truth, told.ours))
+    assert ours["enhanced, ours"].style is palette.OURS
+    assert np.array_equal(ours["enhanced, ours"].y, told.ours.enhanced_N)
+    assert np.array_equal(ours["F/T reading"].y, told.ours.force_N)
+    assert np.array_equal(ours["enhanced, truth"].y, told.truth.enhanced_N)
+    published = enhanced_chart("a", told.truth, told.published, told.published, has_speed=True)
+    assert {"enhanced, published", "enhanced, published, KV", "speed, no scale"} <= set(
+        curves(published)
+    )
+
+
+def test_another_sensor_is_drawn_for_comparison(told):
+    n = len(told.truth.t_s)
+    ft = ForceReading(source="ft", method="default", axial_N=np.ones(n), std_N=np.ones(n))
+    drawn = curves(enhanced_chart("a", told.truth, told.ours, ft=ft))
+    assert np.array_equal(drawn["F/T reading, to compare"].y, ft.axial_N)
+
+
+def test_parameters_have_units_bands_and_the_truth_where_there_is_one(told):
+    chart = parameter_chart("a", told.truth, told.ours, told.published, told.published, told.ours)
+    assert [panel.y_label.count("[") for panel in chart.panels] == [1, 1, 1]
+    stiffness, friction, total = chart.panels
+    labels = [{curve.label for curve in panel.curves} for panel in chart.panels]
+    assert "truth" not in labels[0]
+    assert "truth" in labels[1] & labels[2]
+    assert "published, Kelvin-Voigt" in labels[0] & labels[2]
+    assert "published, Kelvin-Voigt" not in labels[1], "its unit is another"
+    ours = next(curve for curve in friction.curves if curve.label == "ours")
+    assert ours.std is not None
+    assert stiffness.limits is not None
+    assert total.limits is not None
+    assert total.limits[1] > true_friction(told.truth)["cumulative_friction_Ns_per_m"][1][-1]
+
+
+def test_true_friction_is_force_over_speed_at_the_rupture(told):
+    (rupture,) = told.truth.ruptures
+    steps = true_friction(told.truth)
+    times, total = steps["cumulative_friction_Ns_per_m"]
+    assert total[0] == 0.0
+    assert total[-1] == pytest.approx(rupture.layer_friction_N / 5e-3, rel=1e-3)
+    assert times[-1] == told.truth.insertion_end_s
+    _, local = steps["friction_Ns_per_m2"]
+    assert local[0] == pytest.approx(total[-1] / rupture.onset_m)
+
+
+def test_the_published_method_run_as_by_its_authors_comes_near_the_truth(told):
+    noise = np.random.default_rng(0).normal(scale=0.2e-3, size=len(told.truth.t_s))
+    noisy = replace(told.signal, speed_m_s=told.signal.speed_m_s + noise)
+    tuned = tuned_paper(noisy, told.truth, told.commanded_m_s)
+    (rupture,) = told.truth.ruptures
+
+    def error_N(item):
+        inside = [alarm for alarm in item.alarms if alarm.alarm_s < told.truth.insertion_end_s]
+        return abs(sum(alarm.layer.friction_N for alarm in inside) - rupture.layer_friction_N)
+
+    assert error_N(tuned) < 0.15 * rupture.layer_friction_N
+    assert error_N(tuned) < 0.5 * error_N(identify(noisy, told.truth, "paper"))
+
+
+def test_sigma_1_stays_within_what_its_authors_used():
+    for figure, source in (("8", "ft"), ("11", "virtual"), ("13", "virtual"), ("", "ft")):
+        assert 0.03 <= sigma1_N(figure, source) <= 0.15
+
+
+def test_the_offline_fit_foretells_the_withdrawal(told):
+    chart = offline_chart("a", told.signal, told.truth)
+    (_, unfitted) = chart.shadings
+    assert unfitted.spans[0][0] == told.truth.insertion_end_s - told.truth.tare_end_s
+    labels = list(curves(chart))
+    assert labels[0] == "F/T reading"
+    assert [label.split(",")[0] for label in labels[1:3]] == ["Kelvin-Voigt", "multi-layer"]
+    ml = next(curve for label, curve in curves(chart).items() if label.startswith("multi"))
+    assert ml.y.min() < -0.1, "on the way out the needle is held back"
+    assert chart.x_limits[1] == pytest.approx(ml.x[-1])
+
+
+# Forces of a virtual sensor.
+
+T = np.linspace(0.0, 20.0, 4001)
+TRUTH = ForceTruth(
+    t_s=T,
+    depth_m=np.where(T < 10.0, T, 20.0 - T) * 1e-3,
+    axial_N=np.where(T > 4.0, 1.0, 0.0),
+    zeroed_s=3.0,
+    start_s=4.0,
+    end_s=19.0,
+)
+
+
+def reading(source, method, error):
+    return ForceReading(
+        source=source, method=method, axial_N=TRUTH.axial_N + error, std_N=np.full(len(T), 0.1)
+    )
+
+
+READINGS = (
+    reading("virtual", "default", 0.05),
+    reading("ft", "default", 0.01),
+    reading("virtual", "paper", 0.2),
+)
+
+
+def test_forces_are_drawn_over_time_and_depth_with_their_errors():
+    over_time, over_depth = (
+        draw("a", TRUTH, READINGS) for draw in (force_over_time, force_over_depth)
+    )
+    assert over_time.x_label == palette.INSERTION_TIME
+    assert over_depth.x_label == palette.DEPTH
+    first = over_time.panels[0].curves[0]
+    assert first.x[0] == pytest.approx(0.0, abs=0.01), "zeroed before, nothing is shown"
+    assert over_depth.panels[0].curves[0].x.max() == pytest.approx(10.0, abs=0.01)
+    labels = [curve.label for curve in over_time.panels[0].curves]
+    assert labels == [
+        "F/T sensor, RMSE 0.010 N",
+        "virtual, published, RMSE 0.200 N",
+        "virtual, ours, RMSE 0.050 N",
+        "true force",
+    ]
+    errors = over_time.panels[1].curves
+    assert [curve.std is not None for curve in errors] == [False, False, True]
+    assert errors[2].y == pytest.approx(0.05)
+
+
+def test_no_wild_curve_flattens_the_others():
+    wild = force_over_time("a", TRUTH, (*READINGS[:2], reading("virtual", "paper", 50.0)))
+    low, high = wild.panels[1].limits
+    assert -low == high < 0.5
+
+
+def test_an_rmse_counts_the_judged_part_only():
+    late = ForceReading(
+        source="ft", method="default", axial_N=np.where(T < 4.0, 9.0, 1.0), std_N=np.ones(len(T))
+    )
+    assert rmse_N(late, TRUTH, TRUTH.axial_N) == pytest.approx(0.0, abs=0.05)
+
+
+def test_figure_5_has_two_panels_and_the_papers_numbers(tmp_path):
+    book = Sketchbook(Job(benchmark="gel-70-constant", plant="realistic"), tmp_path)
+    draw_forces(book, TRUTH, READINGS)
+    over_time, over_depth = book.drawings
+    assert [item.panel for item in book.drawings] == ["a", "c"]
+    assert {item.figure for item in book.drawings} == {"5"}
+    against_ft, against_truth = over_time.facts
+    assert against_ft.paper == "0.2444"
+    assert dict(against_ft.here) == {"published, here": "0.1900", "ours, here": "0.0400"}
+    assert dict(against_truth.here)["ours, here"] == "0.0500"
+    assert over_depth.path.is_file()
+
+
+def test_other_runs_have_their_force_over_time_only(tmp_path):
+    book = Sketchbook(Job(benchmark="random-stack", plant="hard", seed=3), tmp_path)
+    draw_forces(book, TRUTH, READINGS)
+    (drawing,) = book.drawings
+    assert drawing.figure == ""
+    assert drawing.facts == ()
+    assert drawing.path.name == "random-stack-hard-3-force-time.svg"
+    assert drawing.provenance == "`random-stack`, hard arm, seed 3"
+
+
+def test_a_run_of_a_figure_draws_its_panels_and_numbers(told, tmp_path):
+    job = Job(benchmark="gel-70-constant", plant="needle")
+    found = [(told.signals, told.identified)]
+    drawings = identification_drawings(job, tmp_path, told.truth, told.commanded_m_s, found)
+    assert [(item.figure, item.panel) for item in drawings] == [
+        ("2", "a"),
+        ("8", "a"),
+        ("8", "a"),
+        ("8", "b"),
+    ]
+    facts = [fact for item in drawings if item.figure == "8" for fact in item.facts]
+    assert [fact.paper for fact in facts] == [
+        "1, at about 15 s",
+        "481 online, 534 offline (Table I)",
+        "almost zero (ML)",
+    ]
+    ours = [dict(fact.here)["ours, one setting, here"] for fact in facts]
+    (rupture,) = told.truth.ruptures
+    assert ours[0] == f"1, at {told.ours.alarms[0].alarm_s - told.truth.tare_end_s:.1f} s"
+    assert float(ours[1]) == pytest.approx(rupture.layer_friction_N / 5e-3, rel=0.05)
+    assert 0.0 <= float(ours[2]) < 10.0
+    (tuned,) = [item for item in drawings if not np.isnan(item.tuned_friction_Ns_per_m)]
+    assert tuned.tuned_friction_Ns_per_m == pytest.approx(float(ours[1]), rel=0.15)
+    assert all(item.alt and item.caption and item.path.is_file() for item in drawings)

@@ -1,0 +1,233 @@
+"""The report of a run: every figure, the paper's numbers beside ours, nothing passed off."""
+
+import json
+
+import pytest
+from chromium import DESK, PHONE, logged, measured, needs_chromium, printed
+from rich.table import Table
+
+from benchmarks.command import main
+from benchmarks.published import TABLE_ONE_Ns_per_m
+from benchmarks.report.drawing import Drawing, Fact
+from benchmarks.report.friction_chart import friction_chart
+from benchmarks.report.gel_friction import gel_friction
+from benchmarks.report.gel_table import gel_table
+from benchmarks.report.paper_figures import ENHANCED_FIGURES, GELS, NEEDED, PAPER_FIGURES
+from benchmarks.report.report_page import write_report
+from benchmarks.report.sections import chosen, further_sections, missing_section, paper_sections
+from benchmarks.report.tables import page_tables
+from benchmarks.row import Row
+from groundtruth import SCENARIOS
+
+pytest.importorskip("matplotlib")
+
+DOT = b'<svg xmlns="http://www.w3.org/2000/svg" width="90" height="90"><circle r="40"/></svg>'
+NUMBERS = ("2", "3", "5", "8", "9", "10", "I", "11", "12", "13", "14")
+
+
+@pytest.fixture
+def dot(tmp_path):
+    path = tmp_path / "dot.svg"
+    path.write_bytes(DOT)
+    return path
+
+
+def drawing(path, figure="", scenario="gel-70-constant", plant="realistic", **more):
+    fact = Fact(what="RMSE [N]", paper="0.2444", here=(("ours, here", "0.0190"),))
+    return Drawing(
+        figure=figure,
+        scenario=scenario,
+        plant=plant,
+        seed=0,
+        path=path,
+        alt="a chart",
+        caption=f"What to see in {figure}.",
+        facts=(fact,) if figure == "5" else (),
+        **more,
+    )
+
+
+def rows(plant="realistic", scenarios=GELS, seeds=(0,)):
+    """Friction of gels: true 100, offline 110, online 104, more with the seed."""
+    values = {"true": 100.0, "offline": 110.0, "online": 104.0}
+    return [
+        Row(
+            scenario=scenario,
+            plant=plant,
+            seed=seed,
+            source=source,
+            method=method,
+            metric=f"cumulative_friction_{kind}_Ns_per_m",
+            value=value + seed,
+            unit="Ns/m",
+        )
+        for scenario in scenarios
+        for seed in seeds
+        for source in ("ft", "virtual")
+        for method in ("paper", "default")
+        for kind, value in values.items()
+    ]
+
+
+def everything(path):
+    """A drawing of every figure from every run that it needs."""
+    return [
+        drawing(path, item.number, scenario)
+        for item in PAPER_FIGURES
+        if item.number not in ("10", "I")
+        for scenario in item.scenarios
+    ]
+
+
+def test_the_figures_are_those_of_the_paper_and_their_runs_exist():
+    assert tuple(item.number for item in PAPER_FIGURES) == NUMBERS
+    assert set(NEEDED) <= set(SCENARIOS)
+    by_number = {item.number: item for item in PAPER_FIGURES}
+    for (scenario, _), number in ENHANCED_FIGURES.items():
+        assert by_number[number].scenarios == (scenario,)
+
+
+def test_all_runs_give_all_figures_and_nothing_is_missing(dot, tmp_path):
+    page = write_report(tmp_path, rows(), everything(dot)).read_text(encoding="utf-8")
+    for number in NUMBERS:
+        anchor = f"table-{number}" if number == "I" else f"figure-{number}"
+        assert f'<section id="{anchor}">' in page
+    assert 'id="missing"' not in page
+    assert "Not among these runs" not in page
+    assert "0.2444" in page
+    assert "534 ± 56" in page
+
+
+def test_a_figure_without_its_run_is_told_with_the_command_that_draws_it(dot):
+    sections = paper_sections([drawing(dot, "11")], [])
+    assert [section.anchor for section in sections] == ["figure-11"]
+    missing = missing_section(sections)
+    assert missing is not None
+    (table,) = missing.tables
+    told = {row[0].split(":")[0]: row[1] for row in table.rows}
+    assert told["Figure 13"] == "`python -m benchmarks run liver-constant --report DIR`"
+    assert "Figure 11" not in told
+    assert len(told) == len(NUMBERS) - 1
+
+
+def test_half_a_figure_says_which_half_is_missing(dot):
+    (section,) = paper_sections([drawing(dot, "5")], [])
+    assert "stack-glove-constant" in section.notices[0]
+    assert section.command == (
+        "python -m benchmarks run gel-70-constant stack-glove-constant --report DIR"
+    )
+
+
+def test_a_figure_shows_one_arm_and_the_others_are_further_runs(dot, tmp_path):
+    other = tmp_path / "other.svg"
+    other.write_bytes(DOT)
+    both = [drawing(other, "8", plant="hard"), drawing(dot, "8", plant="realistic")]
+    assert [item.plant for item in chosen(both, "8")] == ["realistic"]
+    assert [item.plant for item in chosen(both[:1], "8")] == ["hard"]
+    (further,) = further_sections(both)
+    assert "hard arm" in further.heading
+
+
+def test_panels_stand_in_their_order(dot):
+    shuffled = [drawing(dot, "2", panel=panel) for panel in "cadb"]
+    assert [item.panel for item in chosen(shuffled, "2")] == ["a", "b", "c", "d"]
+
+
+def test_every_figure_says_where_it_comes_from(dot):
+    (section,) = paper_sections([drawing(dot, "9", "gel-70-sinusoidal")], [])
+    assert section.figures[0].caption.endswith("From `gel-70-sinusoidal`, realistic arm, seed 0.")
+    assert drawing(dot, plant="needle").provenance.endswith("needle without an arm, seed 0")
+    assert drawing(dot, plant="recording").provenance.endswith("recording 0")
+
+
+def test_table_one_has_the_papers_figures_beside_ours(dot):
+    tuned = [
+        drawing(dot, scenario=name, tuned_friction_Ns_per_m=99.0)
+        for name in ("gel-25-constant", "gel-25-sinusoidal")
+    ]
+    gels = gel_friction(rows(seeds=(0, 2)), tuned)
+    assert gels is not None
+    table = gel_table(gels)
+    first = dict(zip(table.head, table.rows[0], strict=True))
+    assert first["paper\noffline"] == "113 ± 14"
+    assert first["paper\nonline"] == "84 ± 10 (-26 %)"
+    assert first["here\ntrue"] == "101 ± 1"
+    assert first["here online\nours, F/T"] == "105 ± 1 (-5 %)"
+    assert first["here online\npublished, tuned, F/T"] == "99 ± 0 (-11 %)"
+    assert table.rows[1][5] == "–"
+    assert [row[0] for row in table.rows] == [f"{percent} %" for percent in TABLE_ONE_Ns_per_m]
+
+
+def test_gels_are_those_of_the_best_arm():
+    found = gel_friction([*rows("needle"), *rows("hard"), *rows("realistic")], [])
+    assert found is not None
+    assert found.plant == "realistic"
+    assert gel_friction(rows(scenarios=("stack-constant",)), []) is None
+
+
+def test_friction_points_stand_at_their_gels():
+    gels = gel_friction(rows(scenarios=("gel-50-constant",)), [])
+    assert gels is not None
+    chart = friction_chart("a", gels)
+    points = {curve.label: curve for curve in chart.panels[0].curves}
+    assert list(points["paper, offline (mean)"].y) == [113.0, 283.0, 534.0]
+    ours = points["online, ours, F/T, constant"]
+    assert ours.y[1] == 104.0
+    assert round(ours.x[1]) == 1
+    assert "online, ours, F/T, sinusoidal" not in points
+    assert [text for _, text in chart.x_ticks] == ["25 %", "50 %", "70 %"]
+
+
+def test_tables_of_the_terminal_lose_nothing_but_their_colours():
+    table = Table(title="Targets", caption="A note.")
+    table.add_column("what")
+    table.add_column("reached\nN", justify="right")
+    table.add_row("a [b]", "[green]met[/green]")
+    (converted,) = page_tables([table])
+    assert converted.caption == "Targets"
+    assert converted.head == ("what", "reached\nN")
+    assert converted.rows[0][1] == "met"
+    assert converted.numeric == {1}
+    assert converted.note == "A note."
+
+
+@pytest.fixture(scope="module")
+def report(tmp_path_factory):
+    """A real one, of what needs no arm."""
+    folder = tmp_path_factory.mktemp("report")
+    ids = ["gel-70-constant", "gel-70-sinusoidal", "stack-glove-constant"]
+    arguments = ["run", *ids, "--plant", "needle", "--jobs", "1", "--report", str(folder)]
+    assert main(arguments) == 0
+    return folder
+
+
+def test_the_command_writes_page_drawings_and_numbers(report):
+    page = (report / "index.html").read_text(encoding="utf-8")
+    for anchor in ("figure-2", "figure-3", "figure-8", "figure-9", "figure-10", "table-I"):
+        assert f'<section id="{anchor}">' in page
+    assert "python -m benchmarks run liver-constant --report DIR" in page
+    assert len(list(report.glob("*.svg"))) == page.count("<figure>")
+    assert json.loads((report / "results.json").read_text())["rows"]
+
+
+@needs_chromium
+def test_the_report_opens_without_a_complaint(report):
+    assert logged(report / "index.html") == []
+
+
+@needs_chromium
+@pytest.mark.parametrize("size", [PHONE, DESK], ids=["phone", "desk"])
+def test_every_figure_of_the_report_is_seen_and_nothing_sticks_out(report, size):
+    found = measured(report / "index.html", size)
+    assert found["content"] <= size[0]
+    assert found["wide"] == []
+    assert len(found["images"]) == len(list(report.glob("*.svg")))
+    for image in found["images"]:
+        assert image["natural"] > 0, image["alt"]
+        assert image["height"] > 150, image["alt"]
+    assert found["letters"] >= 14.0
+
+
+@needs_chromium
+def test_the_report_prints(report, tmp_path):
+    assert printed(report / "index.html", tmp_path / "a.pdf") >= 3
