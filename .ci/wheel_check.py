@@ -27,7 +27,8 @@ def check_files() -> None:
     assert any(path.endswith("licenses/LICENSE") for path in shipped), "no LICENSE in the wheel"
     assert metadata(NAME)["License-Expression"] == "Apache-2.0"
     assert "urdf/data/lwr4plus.urdf" in shipped
-    for package in ("urdf", "residual", "identification", "groundtruth", "recordings"):
+    assert "figures/page.css" in shipped
+    for package in ("urdf", "residual", "identification", "groundtruth", "recordings", "figures"):
         assert f"{package}/py.typed" in shipped, package
     assert not [path for path in shipped if path.startswith(("tests", "benchmarks"))]
 
