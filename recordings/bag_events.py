@@ -7,9 +7,9 @@ from numpy.typing import NDArray
 
 from recordings.checked_columns import Columns
 from recordings.labels import Labels
+from recordings.nanoseconds import NS_PER_S
 
 DIAGNOSTICS, KIND = "/diagnostics", "diagnostic_msgs/msg/DiagnosticArray"
-_NS = 1_000_000_000
 _OK, _WARN = 0, 1
 
 
@@ -65,7 +65,7 @@ class EventEncoder:
 
     def _message(self, name: str, text: str, value: int, stamp_ns: int) -> bytes:
         kinds = self._types.types
-        stamp = kinds["builtin_interfaces/msg/Time"](stamp_ns // _NS, stamp_ns % _NS)
+        stamp = kinds["builtin_interfaces/msg/Time"](stamp_ns // NS_PER_S, stamp_ns % NS_PER_S)
         status = kinds["diagnostic_msgs/msg/DiagnosticStatus"](
             level=_OK if value == 0 else _WARN,
             name=f"{self._labels.prefix.strip('/')}: {name}",

@@ -7,7 +7,7 @@ from recordings.table import FloatArray
 
 _EXACT_NS = 1 << 52
 """Up to here (52 days) a double of seconds tells nanoseconds apart."""
-NS_PER_S = 1e9
+NS_PER_S = 1_000_000_000
 
 
 def start_of_clock(first_ns: int) -> int:

@@ -8,8 +8,8 @@ from numpy.typing import NDArray
 from recordings.bag_layout import OutTopic
 from recordings.cdr_layout import Path, Place, learn_layout
 from recordings.checked_columns import Columns
+from recordings.nanoseconds import NS_PER_S
 
-_NS = 1_000_000_000
 _FRAME: Path = ("header", "frame_id")
 
 
@@ -39,7 +39,7 @@ class TopicEncoder:
         """
         cells = np.tile(self._pattern, (stamps_ns.size, 1))
         if ("header", "stamp", "sec") in self._places:
-            seconds, nanoseconds = np.divmod(stamps_ns, _NS)
+            seconds, nanoseconds = np.divmod(stamps_ns, NS_PER_S)
             _fill(cells, self._places["header", "stamp", "sec"], seconds)
             _fill(cells, self._places["header", "stamp", "nanosec"], nanoseconds)
         for path, (name, element) in self._topic.values.items():

@@ -12,9 +12,8 @@ from recordings.cdr_layout import CdrLayout, Place
 from recordings.errors import FormatError
 from recordings.message_columns import MessageColumns, message_columns
 from recordings.message_types import MessageTypes
+from recordings.nanoseconds import NS_PER_S
 from recordings.table import FloatArray
-
-_NS = 1_000_000_000
 
 
 class TopicRows(NamedTuple):
@@ -123,7 +122,7 @@ class TopicReader:
         if columns.stamp is None:
             return
         seconds, nanoseconds = (_numbers(cells, place)[:, 0] for place in columns.stamp)
-        source_ns = seconds.astype(np.int64) * _NS + nanoseconds.astype(np.int64)
+        source_ns = seconds.astype(np.int64) * NS_PER_S + nanoseconds.astype(np.int64)
         is_set = source_ns != 0
         self._tell(
             "messages without a source time stamp; the recorder's was taken",

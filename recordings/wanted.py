@@ -5,7 +5,8 @@ from dataclasses import dataclass, field
 from recordings.channel import CHANNELS
 from recordings.column_spec import ColumnSpec
 from recordings.detect_columns import detect_columns
-from recordings.find_columns import find_columns
+from recordings.errors import ColumnError
+from recordings.find_columns import FoundColumn, find_columns
 from recordings.mapping import ColumnMapping
 from recordings.table import Table
 
@@ -41,23 +42,35 @@ class Wanted:
         """
         names = (*self.required, *self.optional) or tuple(CHANNELS)
         needed: set[str] = set()
-        for name in dict.fromkeys((*names, *self._time())):
-            spec = self.mapping.channels.get(name)
-            found = _columns(table, name, spec)
+        mapped = [name for name in (*names, "time") if name in self.mapping.channels]
+        # Mapped channels first: the topics they choose decide where others would be ambiguous.
+        for name in dict.fromkeys((*mapped, *names)):
+            found = _columns(table, name, self.mapping.channels.get(name), needed)
             if not found and name in self.required:
                 return None
             needed |= found
         return frozenset(needed)
 
-    def _time(self) -> tuple[str, ...]:
-        return ("time",) if "time" in self.mapping.channels else ()
 
-
-def _columns(table: Table, name: str, spec: ColumnSpec | None) -> set[str]:
+def _columns(table: Table, name: str, spec: ColumnSpec | None, chosen: set[str]) -> set[str]:
     if spec is None:
-        found = detect_columns(table, CHANNELS[name])
+        found = _detected(table, name, chosen)
     else:
         found = tuple(c for pattern in spec.patterns for c in find_columns(table, pattern))
     names = {column.name for column in found}
     # An element such as `force_xyz[2]` is found under its own name.
     return {name if name in table.columns else name.rpartition("[")[0] for name in names}
+
+
+def _detected(table: Table, name: str, chosen: set[str]) -> tuple[FoundColumn, ...]:
+    """Find a channel by its usual names; of several that would fit, one beside chosen columns."""
+    try:
+        return detect_columns(table, CHANNELS[name])
+    except ColumnError:
+        parents = {column.rpartition("/")[0] for column in chosen}
+        beside = {n: v for n, v in table.columns.items() if n.rpartition("/")[0] in parents}
+        if not beside:
+            raise
+        if found := detect_columns(Table(columns=beside), CHANNELS[name]):
+            return found
+        raise

@@ -90,6 +90,18 @@ def test_several_topics_that_would_fit_must_be_chosen_from(folder):
     assert len(read_log(folder, mapped(q="/r/position"), required=["q"])) == 3
 
 
+def test_a_channel_that_is_mapped_decides_for_those_that_are_not(folder):
+    rows = [
+        (topic, k, joint_state(k, "ab", [k, k], [k, k], [factor * k, k]))
+        for k in range(1, 4)
+        for topic, factor in (("/l", 2.0), ("/r", 3.0))
+    ]
+    write_bag(folder, rows)
+    log = read_log(folder, mapped(q="/r/position"), required=["q", "tau"], optional=["dq"])
+    assert log["tau_Nm"][:, 0].tolist() == [3.0, 6.0, 9.0]
+    assert "dq_rad_s" in log
+
+
 def test_messages_of_another_length_are_told(folder):
     array = TYPES.types["std_msgs/msg/Float64MultiArray"]
     layout = TYPES.types["std_msgs/msg/MultiArrayLayout"]([], 0)
