@@ -15,6 +15,7 @@ BLOCK = 1 << 18
 """The most bytes that are read at a time."""
 
 _POLL_S = 0.05
+_SMALL, _PAUSE_S = 4096, 0.005  # rows that come one by one are taken some at a time
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -78,6 +79,8 @@ def _blocks(handle: int, patience: Patience, name: str) -> Iterator[bytes]:
                 patience.advance(len(block))
                 yield block
                 last_s = time.monotonic()
+                if len(block) < _SMALL:
+                    time.sleep(_PAUSE_S)
                 continue
             # The writer of a pipe that has closed it will not come back.
             if not (is_file and patience.follow):
