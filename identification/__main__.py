@@ -4,9 +4,12 @@ import sys
 from argparse import Namespace
 from collections.abc import Sequence
 
+from figures import FiguresError
+from figures.report_folder import report_folder
 from identification.command.arguments import CHANNELS, build_parser
 from identification.command.figure import check_figure, save_figure
 from identification.command.layer_table import layer_table
+from identification.command.report import write_report
 from identification.command.run_log import run_log
 from identification.errors import IdentificationError
 from recordings import RecordingError, check_writable
@@ -14,6 +17,9 @@ from recordings.command_line import run_command, write_out
 from recordings.log_session import LogSession
 from recordings.open_table import STANDARD_STREAM
 from recordings.suggest_mapping import suggest_mapping
+
+ERRORS = (IdentificationError, RecordingError, FiguresError)
+"""What is told in one line."""
 
 
 def main(argv: Sequence[str] | None = None) -> int:
@@ -26,7 +32,7 @@ def main(argv: Sequence[str] | None = None) -> int:
         The exit code, see `recordings.command_line`.
     """
     arguments = build_parser().parse_args(argv)
-    return run_command(lambda: _run(arguments), (IdentificationError, RecordingError))
+    return run_command(lambda: _run(arguments), ERRORS)
 
 
 def _run(arguments: Namespace) -> int:
@@ -37,11 +43,16 @@ def _run(arguments: Namespace) -> int:
         check_writable(arguments.output, source=arguments.log)
     if arguments.png is not None:
         check_figure(arguments.png)
+    if arguments.report is not None:
+        report_folder(arguments.report)
     channels = {"required": ("depth", "force"), "optional": ("speed", "status")}
     with LogSession(arguments, **channels) as log:
-        result = run_log(arguments, log, needs_overview=arguments.png is not None)
+        is_drawn = arguments.png is not None or arguments.report is not None
+        result = run_log(arguments, log, needs_overview=is_drawn)
         if arguments.png is not None:
             save_figure(arguments.png, result)
+        if arguments.report is not None:
+            write_report(arguments.report, result)
     write_out(layer_table(result), to_stderr=arguments.output == STANDARD_STREAM)
     return log.exit_code
 

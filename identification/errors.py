@@ -15,7 +15,3 @@ class InvalidLogError(IdentificationError, ValueError):
 
 class InvalidSnapshotError(IdentificationError, ValueError):
     """A snapshot does not belong to the identifier it is restored into."""
-
-
-class MissingExtraError(IdentificationError, ImportError):
-    """An optional dependency is needed for what was asked."""

@@ -49,6 +49,7 @@ class LogSession:
             joints=tuple(joints),
         )
         self._stream: LogStream | None = None
+        self._warnings: list[str] = []
         self._stop, self._stack = StopRequest(), ExitStack()
 
     @property
@@ -65,6 +66,11 @@ class LogSession:
     def start_ns(self) -> int:
         """The instant of t = 0, see `Table`; known when the first rows are."""
         return 0 if self._stream is None else self._stream.start_ns
+
+    @property
+    def warnings(self) -> tuple[str, ...]:
+        """What was said about the log so far."""
+        return tuple(self._warnings)
 
     @property
     def is_interrupted(self) -> bool:
@@ -106,14 +112,14 @@ class LogSession:
             )
             try:
                 for chunk in stream:
-                    _warn(stream)
+                    self._warn(stream)
                     yield chunk
             except RecordingError:
-                _warn(stream)
+                self._warn(stream)
                 if self._stop.is_set:
                     raise KeyboardInterrupt from None
                 raise
-            _warn(stream)
+            self._warn(stream)
         if self.exit_code:
             say("interrupted: the results are those of the rows read so far")
 
@@ -122,7 +128,7 @@ class LogSession:
         path = Path(self._source)
         return float(path.stat().st_size) if path.is_file() and not self._follow else None
 
-
-def _warn(stream: LogStream) -> None:
-    for warning in stream.take_warnings():
-        say(f"warning: {warning}")
+    def _warn(self, stream: LogStream) -> None:
+        for warning in stream.take_warnings():
+            self._warnings.append(warning)
+            say(f"warning: {warning}")

@@ -4,6 +4,8 @@ import sys
 from argparse import Namespace
 from collections.abc import Sequence
 
+from figures import FiguresError
+from figures.report_folder import report_folder
 from recordings import RecordingError, check_writable
 from recordings.command_line import run_command, write_out
 from recordings.log_session import LogSession
@@ -13,6 +15,7 @@ from residual.command.arguments import build_parser
 from residual.command.config_file import sensor_config
 from residual.command.force_log import run_log
 from residual.command.force_picture import check_picture, save_picture
+from residual.command.force_report import write_report
 from residual.command.friction_file import Drive, load_drive
 from residual.command.joint_signals import torque_channel
 from residual.command.payload_file import payload_from_arguments, payload_lines
@@ -22,6 +25,9 @@ from residual.command.tare_window import TareOption
 from residual.command.taring import TareRequest
 from residual.errors import ResidualError
 from urdf import Robot, UrdfError
+
+ERRORS = (ResidualError, RecordingError, UrdfError, FiguresError)
+"""What is told in one line."""
 
 
 def main(argv: Sequence[str] | None = None) -> int:
@@ -34,7 +40,7 @@ def main(argv: Sequence[str] | None = None) -> int:
         The exit code, see `recordings.command_line`.
     """
     arguments = build_parser().parse_args(argv)
-    return run_command(lambda: _run(arguments), (ResidualError, RecordingError, UrdfError))
+    return run_command(lambda: _run(arguments), ERRORS)
 
 
 def _run(arguments: Namespace) -> int:
@@ -52,6 +58,8 @@ def _run(arguments: Namespace) -> int:
         result = run_log(arguments, log, robot, config, _tare_request(arguments))
         if arguments.png is not None:
             save_picture(arguments.png, result)
+        if arguments.report is not None:
+            write_report(arguments.report, result, log.warnings)
     is_table_out = arguments.output == STANDARD_STREAM
     write_out(format_rows(summary_rows(result)), to_stderr=is_table_out)
     return log.exit_code
@@ -72,6 +80,8 @@ def _check_outputs(arguments: Namespace) -> None:
         check_writable(arguments.output, source=arguments.log)
     if arguments.png is not None:
         check_picture(arguments.png)
+    if arguments.report is not None:
+        report_folder(arguments.report)
 
 
 def _tare_request(arguments: Namespace) -> TareRequest:

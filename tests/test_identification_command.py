@@ -8,10 +8,11 @@ import numpy as np
 import pytest
 
 import identification.__main__ as command
+from figures.errors import MissingExtraError
 from groundtruth import insert_needle
 from identification import replay
 from identification.command.figure import check_figure
-from identification.errors import InvalidLogError, MissingExtraError
+from identification.errors import InvalidLogError
 from identification.sign_hints import sign_hints
 
 

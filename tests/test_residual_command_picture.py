@@ -4,9 +4,10 @@ import numpy as np
 import pytest
 from residual_command_log import insertion
 
+from figures import palette
 from recordings import write_table
 from residual.__main__ import main
-from residual.command.curves import Curve, broken_at_gaps, limits
+from residual.command.curves import Component, broken_at_gaps, component_curves, limits
 from residual.command.force_rows import ForceRows
 from residual.command.status_marks import runs
 
@@ -29,7 +30,7 @@ def rows_of(status, after_gap=()):
 
 
 def curve_of(rows):
-    return Curve("axial force", "k", rows.axial_N, rows.axial_std_N)
+    return Component("axial force", palette.OURS, rows.axial_N, rows.axial_std_N)
 
 
 @pytest.mark.parametrize(
@@ -86,3 +87,18 @@ def test_room_is_made_for_the_band_of_tared_rows_and_zero():
 def test_runs_are_the_unbroken_stretches():
     assert runs(np.array([True, True, False, True])) == [(0, 1), (3, 3)]
     assert runs(np.zeros(3, dtype=bool)) == []
+
+
+def test_what_is_not_tared_is_grey_and_without_a_band():
+    rows = rows_of([1, 1, 0, 0])
+    untared, tared = component_curves(curve_of(rows), rows, start_s=0.0)
+    assert untared.label == "not tared"
+    assert untared.std is None
+    np.testing.assert_array_equal(np.isfinite(untared.y), [True, True, False, False])
+    assert tared.style is palette.OURS
+    assert tared.label == "axial force"
+    np.testing.assert_array_equal(np.isfinite(tared.y), [False, False, True, True])
+    never = rows_of([1, 1])
+    (only,) = component_curves(curve_of(never), never, start_s=0.0)
+    assert only.label == "axial force, not tared"
+    assert only.style.color == palette.OURS.color

@@ -1,6 +1,7 @@
 """The command line of ``python -m identification``."""
 
 from argparse import ArgumentParser
+from pathlib import Path
 
 from identification.default_config import DEFAULT
 from identification.paper_config import PAPER, PAPER_KV
@@ -30,6 +31,12 @@ def build_parser() -> ArgumentParser:
         help="table of online estimates: .csv, .csv.gz, .npz, ..., or - for CSV on standard output",
     )
     parser.add_argument("--png", metavar="FILE", help="picture after the paper's Figure 8")
+    parser.add_argument(
+        "--report",
+        type=Path,
+        metavar="DIR",
+        help="folder for a page with that picture, the layers, warnings and settings",
+    )
     parser.add_argument(
         "--method",
         choices=tuple(METHODS),

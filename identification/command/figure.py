@@ -1,31 +1,37 @@
-"""The picture after the paper's Figure 8."""
+"""The chart after the paper's Figure 8."""
 
 from collections.abc import Mapping
 from pathlib import Path
-from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import NDArray
 
+from figures import Chart, Curve, Instants, Panel, palette, require_matplotlib, save_png
+from figures.chart import WIDTH_IN
 from identification.command.result import IdentificationResult
-from identification.errors import InvalidLogError, MissingExtraError
+from identification.errors import InvalidLogError
 
 Columns = Mapping[str, NDArray[np.float64]]
 
-if TYPE_CHECKING:
-    from matplotlib.axes import Axes
-
 _FORCES = (
-    ("force_N", "axial force", "#3b8f5a", 1.0),
-    ("predicted_force_N", "predicted", "#d9a21b", 0.9),
-    ("enhanced_force_N", "enhanced", "#c8553d", 1.2),
-    ("tip_force_N", "tip", "#1f5fa8", 0.9),
+    ("force_N", "axial force, as recorded", palette.READING),
+    ("predicted_force_N", "predicted", palette.PREDICTED),
+    ("tip_force_N", "tip force", palette.TIP),
+    ("enhanced_force_N", "enhanced force", palette.OURS),
 )
 _PANELS = (
-    ("stiffness_N_per_m", "stiffness_std_N_per_m", "K  N/m"),
-    ("friction_Ns_per_m2", "friction_std_Ns_per_m2", "B  Ns/m²"),
-    ("cumulative_friction_Ns_per_m", "cumulative_friction_std_Ns_per_m", "Σ B d  Ns/m"),
+    ("stiffness_N_per_m", "stiffness_std_N_per_m", palette.STIFFNESS),
+    ("friction_Ns_per_m2", "friction_std_Ns_per_m2", palette.FRICTION),
+    (
+        "cumulative_friction_Ns_per_m",
+        "cumulative_friction_std_Ns_per_m",
+        palette.CUMULATIVE_FRICTION,
+    ),
 )
+_OF_KELVIN_VOIGT = "friction B\n[Ns/m]"
+_MOST_OF, _ROOM = 97.0, 1.5
+"""Per cent of a parameter's values that its panel must hold, and how much more it shows."""
+_PICTURE_IN = 8.0
 
 
 def check_figure(path: str | Path) -> None:
@@ -33,68 +39,84 @@ def check_figure(path: str | Path) -> None:
 
     Raises:
         InvalidLogError: There is no such folder.
-        MissingExtraError: matplotlib is not installed.
+        figures.FiguresError: matplotlib is not installed.
     """
     folder = Path(path).parent
     if not folder.is_dir():
         raise InvalidLogError(f"cannot write {path}: there is no folder {folder}")
-    try:
-        import matplotlib.figure  # noqa: F401
-    except ImportError as error:
-        raise MissingExtraError(
-            "--png needs matplotlib, which is not installed; "
-            "install it with: pip install 'needleforce[plots]'"
-        ) from error
+    require_matplotlib("--png")
 
 
 def save_figure(path: str | Path, result: IdentificationResult) -> None:
-    """Draw forces above; stiffness, friction and cumulative friction below.
-
-    Continuous vertical lines mark the dated ruptures, dashed ones the compensations.
+    """Write the chart as PNG.
 
     Args:
-        path: PNG file to write.
+        path: File to write.
         result: With an overview.
 
     Raises:
-        InvalidLogError: The file cannot be written.
-        MissingExtraError: matplotlib is not installed.
+        figures.FiguresError: It cannot be drawn or written.
     """
-    check_figure(path)
-    from matplotlib.figure import Figure
-
-    figure = Figure(figsize=(9, 9), layout="constrained")
-    axes = figure.subplots(4, 1, sharex=True, height_ratios=(2.4, 1, 1, 1))
-    _draw_forces(axes[0], result.overview)
-    axes[0].set_title(f"{result.log}, method {result.method}", loc="left", fontsize=10)
-    for axis, (name, spread, label) in zip(axes[1:], _PANELS, strict=True):
-        _draw_panel(axis, result.overview, name, spread)
-        axis.set_ylabel(label)
-    for axis in axes:
-        for time_s in result.ruptures_s:
-            axis.axvline(time_s, color="black", linewidth=0.8)
-        for time_s in result.compensations_s:
-            axis.axvline(time_s, color="black", linewidth=0.8, linestyle="--")
-        axis.grid(alpha=0.25)
-    axes[-1].set_xlabel("time  s")
-    try:
-        figure.savefig(path, format="png", dpi=120)
-    except OSError as error:
-        raise InvalidLogError(f"cannot write {path}: {error.strerror or error}") from error
+    save_png(identification_chart(result, _PICTURE_IN), path)
 
 
-def _draw_forces(axis: "Axes", rows: Columns) -> None:
-    for name, label, color, width in _FORCES:
-        axis.plot(rows["t_s"], rows[name], color=color, linewidth=width, label=label)
-    axis.set_ylabel("force  N")
-    axis.legend(frameon=False, fontsize=9, ncols=4)
+def identification_chart(result: IdentificationResult, width_in: float = WIDTH_IN) -> Chart:
+    """Forces above; stiffness, friction and cumulative friction below.
+
+    Continuous upright lines mark the dated ruptures, dashed ones the compensations.
+
+    Args:
+        result: With an overview.
+        width_in: Of the chart.
+    """
+    rows = result.overview
+    forces = tuple(
+        Curve(style=style, x=rows["t_s"], y=rows[name], label=label)
+        for name, label, style in _FORCES
+    )
+    return Chart(
+        title=f"{result.log}, method {result.method}",
+        x_label=palette.TIME,
+        panels=(
+            Panel(y_label=palette.FORCE, curves=forces, height=2.0),
+            *(_parameter(result, *panel) for panel in _PANELS),
+        ),
+        instants=(
+            Instants(label="rupture, as dated", style=palette.RUPTURE, places=result.ruptures_s),
+            Instants(
+                label="friction compensated",
+                style=palette.COMPENSATION,
+                places=result.compensations_s,
+            ),
+        ),
+        x_limits=(float(rows["t_s"].min()), float(rows["t_s"].max())),
+        width_in=width_in,
+        height_in=6.4,
+    )
 
 
-def _draw_panel(axis: "Axes", rows: Columns, name: str, spread: str) -> None:
-    values, band = rows[name], 2.0 * rows[spread]
-    axis.plot(rows["t_s"], values, color="#1f5fa8", linewidth=1.0)
-    top = float(np.percentile(values, 99)) * 1.5
-    if np.isfinite(band).all():
-        low, high = np.maximum(values - band, 0.0), values + band
-        axis.fill_between(rows["t_s"], low, high, color="#1f5fa8", alpha=0.2, linewidth=0)
-    axis.set_ylim(min(0.0, float(np.percentile(values, 1))), max(top, 1e-9))
+def _parameter(result: IdentificationResult, name: str, spread: str, label: str) -> Panel:
+    rows = result.overview
+    values, std = rows[name], rows[spread]
+    is_stated = bool(np.isfinite(std).any())
+    curve = Curve(
+        style=palette.OURS,
+        x=rows["t_s"],
+        y=values,
+        std=std if is_stated else None,
+        band_label="± 2 std" if is_stated else None,
+    )
+    is_kv = name == "friction_Ns_per_m2" and result.method.endswith("kv")
+    return Panel(
+        y_label=_OF_KELVIN_VOIGT if is_kv else label, curves=(curve,), limits=_limits(values)
+    )
+
+
+def _limits(values: NDArray[np.float64]) -> tuple[float, float]:
+    """Return room for nearly all values that are not zero; transients may leave the panel."""
+    told = values[np.isfinite(values) & (values != 0.0)]
+    if not told.size:
+        return -0.1, 1.0
+    low, high = np.percentile(told, (100.0 - _MOST_OF, _MOST_OF)).tolist()
+    top = max(_ROOM * high, 1e-9)
+    return min(_ROOM * low, -0.08 * top), top

@@ -1,11 +1,9 @@
 """Layers as a table for people, in millimetres."""
 
-from collections.abc import Sequence
-
 from identification.command.result import IdentificationResult
 from identification.estimate import LayerEstimate
 
-_HEADER = (
+HEADER = (
     "layer",
     "from mm",
     "thick mm",
@@ -17,21 +15,28 @@ _HEADER = (
     "B d Ns/m",
     "B Ns/m2",
 )
+"""Of the columns."""
 
 
 def layer_table(result: IdentificationResult) -> str:
     """Text table, one line per layer; `?` marks what the data do not identify."""
     if not result.layers:
         return "no layer was left: no rupture found\n"
-    lines = [_HEADER, *(_row(layer, result.start_s) for layer in result.layers)]
-    widths = [max(len(line[i]) for line in lines) for i in range(len(_HEADER))]
+    lines = [HEADER, *(layer_cells(layer, result.start_s) for layer in result.layers)]
+    widths = [max(len(line[i]) for line in lines) for i in range(len(HEADER))]
     return "".join(
         "  ".join(cell.rjust(width) for cell, width in zip(line, widths, strict=True)) + "\n"
         for line in lines
     )
 
 
-def _row(layer: LayerEstimate, start_s: float) -> Sequence[str]:
+def layer_cells(layer: LayerEstimate, start_s: float) -> tuple[str, ...]:
+    """The line of a layer.
+
+    Args:
+        layer: As known at the end.
+        start_s: First stamp of the log [s].
+    """
     rupture = layer.rupture
     product = layer.friction_N / max(rupture.speed_m_s, 1e-9)
     unsure = "" if layer.friction_identified else "?"

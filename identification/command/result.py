@@ -20,6 +20,7 @@ class IdentificationResult:
         start_s: First stamp of the log [s]; times of `layers` count from there.
         ruptures_s: Times of the ruptures on the log's clock, as dated [s]; the latest ones.
         compensations_s: Times on that clock at which a layer's friction was identified [s].
+        warnings: What was told about the log and its signs.
         overview: So many rows as a picture needs, with `force_N` and the columns of
             `estimate_table`; all rows of a short log, of a long one those in which a value is
             least or largest for a while. Empty if it was not asked for.
@@ -31,4 +32,5 @@ class IdentificationResult:
     start_s: float
     ruptures_s: tuple[float, ...]
     compensations_s: tuple[float, ...]
+    warnings: tuple[str, ...]
     overview: Mapping[str, NDArray[np.float64]]

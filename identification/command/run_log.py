@@ -33,7 +33,7 @@ def run_log(arguments: Namespace, log: LogSession, *, needs_overview: bool) -> I
     Args:
         arguments: Of the command: the method and where the table goes.
         log: The log, entered.
-        needs_overview: Whether a picture is to be drawn.
+        needs_overview: Whether a chart is to be drawn.
 
     Raises:
         recordings.RecordingError: The log cannot be read, or the table not written.
@@ -51,7 +51,8 @@ def run_log(arguments: Namespace, log: LogSession, *, needs_overview: bool) -> I
             depth_m, speed_m_s = chunk.channels["depth_m"], chunk.channels.get("speed_m_s")
             found.add(stream.run(chunk.t_s, depth_m, status.force_N(chunk), speed_m_s))
         found.add(stream.finish())
-    for hint in (*status.warnings, *stream.hints):
+    hints = (*status.warnings, *stream.hints)
+    for hint in hints:
         say(f"warning: {hint}")
     return IdentificationResult(
         log=log.name,
@@ -60,6 +61,7 @@ def run_log(arguments: Namespace, log: LogSession, *, needs_overview: bool) -> I
         start_s=found.start_s,
         ruptures_s=tuple(found.ruptures_s),
         compensations_s=tuple(found.compensations_s),
+        warnings=(*log.warnings, *hints),
         overview=found.overview.columns(),
     )
 

@@ -1,6 +1,7 @@
 """The command line of ``python -m residual``."""
 
 from argparse import ArgumentParser, RawDescriptionHelpFormatter
+from pathlib import Path
 
 from recordings import mapping_arguments
 from recordings.source_arguments import source_arguments
@@ -48,6 +49,12 @@ def _output_arguments(parser: ArgumentParser) -> None:
         help="table of forces: .csv, .csv.gz, .npz, ..., or - for CSV on standard output",
     )
     group.add_argument("--png", metavar="FILE", help="picture of forces over time")
+    group.add_argument(
+        "--report",
+        type=Path,
+        metavar="DIR",
+        help="folder for a page with charts, summary, warnings and settings",
+    )
 
 
 def _sensor_arguments(parser: ArgumentParser) -> None:

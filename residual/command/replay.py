@@ -129,7 +129,7 @@ def _rows(
     estimates: Sequence[WrenchEstimate],
     gaps: Sequence[bool],
 ) -> ForceRows:
-    variances = np.array([np.diagonal(estimate.covariance) for estimate in estimates])
+    covariances = np.array([estimate.covariance for estimate in estimates])
     rows = ForceRows(
         t_s=signals.t_s,
         travel_m=travel_m,
@@ -137,7 +137,7 @@ def _rows(
         axial_std_N=np.array([estimate.axial_std for estimate in estimates]),
         force_N=np.array([estimate.force for estimate in estimates]),
         torque_Nm=np.array([estimate.torque for estimate in estimates]),
-        std=np.sqrt(variances),
+        std=np.sqrt(np.diagonal(covariances, axis1=1, axis2=2)),
         status=np.array([STATUS_CODES[estimate.status] for estimate in estimates]),
         after_gap=np.array(gaps),
     )

@@ -1,57 +1,42 @@
-"""What a reader of the picture must know about each stretch: tare, settling, skipped rows."""
-
-from typing import TYPE_CHECKING
+"""What a reader of the chart must know about each stretch: tare, settling, skipped rows."""
 
 import numpy as np
 from numpy.typing import NDArray
 
+from figures import Shading, Ticks, palette
 from residual.command.force_rows import ForceRows
 from residual.command.taring import TareDone
 from residual.wrench_estimate import Status
 
-if TYPE_CHECKING:
-    from matplotlib.axes import Axes
 
-MARKS = ("tare", "filters settle", "skipped")
-"""What the legend calls them."""
-
-_COLORS = dict(zip(MARKS, ("#d5efd9", "#e4e4e4", "#c0392b"), strict=True))
-
-
-def draw_status_marks(
-    panel: "Axes", rows: ForceRows, tare: TareDone | None, start_s: float
-) -> None:
-    """Shade the tare and settling filters, and tick skipped rows along the lower edge.
+def shadings(rows: ForceRows, tare: TareDone | None, start_s: float) -> tuple[Shading, ...]:
+    """Return the stretches of the tare and of settling filters.
 
     Args:
-        panel: Where to draw.
         rows: The estimates.
         tare: The tare, if one was taken.
-        start_s: Log time that is zero in the picture [s].
+        start_s: Log time that is zero in the chart [s].
     """
-    taring, settling, skipping = MARKS
-    time_s = rows.t_s - start_s
+    found = []
     if tare is not None:
-        window = tare.window
-        span = (window.start_s - start_s, window.end_s - start_s)
-        panel.axvspan(*span, color=_COLORS[taring], linewidth=0, label=taring)
-    for number, (first, last) in enumerate(runs(rows.has_status(Status.SETTLING))):
-        # A label on each span would stand in the legend as often.
-        label = settling if number == 0 else None
-        panel.axvspan(
-            time_s[first], time_s[last], color=_COLORS[settling], linewidth=0, label=label
-        )
-    skipped = time_s[rows.has_status(Status.SKIPPED)]
-    if len(skipped):
-        panel.plot(
-            skipped,
-            np.full(len(skipped), 0.015),
-            "|",
-            color=_COLORS[skipping],
-            markersize=9,
-            transform=panel.get_xaxis_transform(),
-            label=skipping,
-        )
+        span = (tare.window.start_s - start_s, tare.window.end_s - start_s)
+        found.append(Shading(label="tare", color=palette.TARE, spans=(span,)))
+    time_s = rows.t_s - start_s
+    settling = tuple(
+        (float(time_s[first]), float(time_s[last]))
+        for first, last in runs(rows.has_status(Status.SETTLING))
+    )
+    if settling:
+        found.append(Shading(label="filters settle", color=palette.SETTLING, spans=settling))
+    return tuple(found)
+
+
+def skipped_ticks(rows: ForceRows, start_s: float) -> tuple[Ticks, ...]:
+    """Return strokes at rows that were skipped."""
+    places = (rows.t_s - start_s)[rows.has_status(Status.SKIPPED)]
+    if not len(places):
+        return ()
+    return (Ticks(label="skipped", color=palette.SKIPPED, places=tuple(places.tolist())),)
 
 
 def runs(flags: NDArray[np.bool_]) -> list[tuple[int, int]]:
