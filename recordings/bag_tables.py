@@ -45,6 +45,7 @@ def bag_tables(survey: BagSurvey, plan: BagPlan, rows: int | None) -> Iterator[T
             while rest.is_ready(rows):
                 yield rest.table(rows)
     rest.add(readers)
+    rest.note([note for reader in readers.values() for note in reader.notes()])
     while rest.waiting or rest.has_news:
         yield rest.table(rows or rest.waiting)
 
@@ -109,12 +110,15 @@ class _Rest:
         """Take what readers hold."""
         for name, reader in readers.items():
             new = reader.take()
-            self._warnings += reader.notes()
             old = self._signals.get(name)
             rows = new if old is None else _joined(old.rows, new)
             latest_ns = _NEVER_NS if old is None else old.latest_ns
             latest_ns = int(new.stamps_ns.max(initial=latest_ns))
             self._signals[name] = _Signal(rows, self._limits_ns[name], latest_ns)
+
+    def note(self, notes: list[str]) -> None:
+        """Take what is to be told with the next rows."""
+        self._warnings += notes
 
     def table(self, rows: int) -> Table:
         """Give out rows."""

@@ -47,8 +47,8 @@ def mcap_records(stream: BinaryIO, faults: list[str]) -> Iterator[Record]:
     Raises:
         FormatError: it is not an MCAP file.
     """
-    if stream.read(len(MAGIC)) != MAGIC:
-        raise FormatError("is not an MCAP file: it does not begin as one")
+    if (head := stream.read(len(MAGIC))) != MAGIC:
+        raise FormatError("is not an MCAP file: it does not begin as one" if head else "is empty")
     at = len(MAGIC)
     while len(head := stream.read(_HEAD.size)) == _HEAD.size:
         opcode, size = _HEAD.unpack(head)

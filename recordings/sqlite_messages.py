@@ -30,8 +30,9 @@ def sqlite_messages(
         FormatError: it is not a bag in an SQLite file.
     """
     with path.open("rb") as stream:
-        if stream.read(len(MAGIC)) != MAGIC:
-            raise FormatError("is not an SQLite file: it does not begin as one")
+        if (head := stream.read(len(MAGIC))) != MAGIC:
+            what = "is not an SQLite file: it does not begin as one" if head else "is empty"
+            raise FormatError(what)
     if is_cut(path):
         faults.append("is cut short")
         yield from _salvaged(path, 0, topics)

@@ -15,6 +15,9 @@ from recordings.message_types import MessageTypes
 from recordings.nanoseconds import NS_PER_S
 from recordings.table import FloatArray
 
+_MOST_LAYOUTS = 32
+"""So many are remembered, in case every message of a topic has another one."""
+
 
 class TopicRows(NamedTuple):
     """Messages of one topic.
@@ -96,12 +99,12 @@ class TopicReader:
                 self._tell("messages that lack joints", len(where))
             for name in self._wanted:
                 self._fill(values[name], name, where, cells, columns)
+        self._layouts = self._layouts[-_MOST_LAYOUTS:]
         return TopicRows(stamps_ns, values)
 
     def notes(self) -> list[str]:
-        """Return what was left out or guessed since the last call, one sentence each."""
-        faults, self._faults = self._faults, {}
-        return [f"{self._found.topic.name}: {what}: {n}" for what, n in faults.items()]
+        """Return what was left out or guessed so far, one sentence each."""
+        return [f"{self._found.topic.name}: {what}: {n}" for what, n in self._faults.items()]
 
     def _tell(self, what: str, count: int = 1) -> None:
         if count:

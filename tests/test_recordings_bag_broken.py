@@ -8,11 +8,14 @@ import pytest
 from bag_samples import data_file, insertion_rows, write_bag
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from residual_command_log import insertion
 
-from recordings import FormatError, RecordingError, read_table
+from recordings import FormatError, RecordingError, read_table, write_table
 from recordings.bag_files import bag_files
 from recordings.bag_messages import bag_messages
+from recordings.labels import Labels
 from recordings.mcap_compression import decompressed
+from residual.__main__ import main as estimate
 
 COUNT = 4000
 KINDS = {
@@ -173,6 +176,27 @@ def test_damaged_bytes_end_in_a_table_or_in_one_of_our_errors(
     except RecordingError:
         return
     assert np.isfinite(table.columns["t_s"]).all()
+
+
+@pytest.mark.parametrize("name", ["x.mcap", "x.db3"])
+def test_the_command_goes_on_with_what_is_left(tmp_path, lwr, capsys, monkeypatch, name):
+    monkeypatch.chdir(tmp_path)
+    columns = {n: v for n, v in insertion(lwr).items() if n != "tau_ext_Nm"}
+    write_table(name, columns, labels=Labels(joint_names=lwr.joint_names))
+    path = data_file(name) if name.endswith("db3") else tmp_path / name
+    path.write_bytes(path.read_bytes()[: path.stat().st_size * 3 // 4])
+    shutil.move(path, tmp_path / f"cut{path.suffix}")
+    assert estimate([f"cut{path.suffix}", "--no-tare", "-o", "forces.npz"]) == 0
+    (told,) = capsys.readouterr().err.splitlines()
+    assert told.startswith(f"warning: cut{path.suffix} is cut short: ")
+    assert 2000 < np.load("forces.npz")["t_s"].size < 4000
+
+
+@pytest.mark.parametrize("name", ["x.mcap", "x.db3"])
+def test_an_empty_file_is_refused(tmp_path, name):
+    (tmp_path / name).write_bytes(b"")
+    with pytest.raises(FormatError, match=f"{name} is empty"):
+        read_table(tmp_path / name)
 
 
 @pytest.mark.parametrize("compression", ["zstd", "lz4"])
