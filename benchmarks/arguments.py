@@ -23,6 +23,14 @@ def parser() -> argparse.ArgumentParser:
     compare.add_argument("new", type=Path, metavar="NEW", help="results of the later run")
     speed = commands.add_parser("speed", help="time the estimators beside their bare dynamics")
     speed.add_argument("--strict", action="store_true", help="exit with 1 if a target is missed")
+    speed.add_argument(
+        "--soak",
+        type=_positive,
+        nargs="?",
+        const=1_000_000,
+        metavar="N",
+        help="instead, N ticks of the chain (default 1000000): growth of memory, cost at the end",
+    )
     commands.add_parser("bound", help="what the noise of a force allows any estimator to know")
     _add_stream(commands.add_parser("stream", help="send a long recording through the commands"))
     return top

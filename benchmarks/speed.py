@@ -1,28 +1,53 @@
 """What a tick of the estimators costs, beside the bare Pinocchio calls it cannot do without."""
 
 from collections.abc import Callable
-from dataclasses import replace
+from dataclasses import dataclass, replace
 
 import numpy as np
 import pinocchio as pin
 from numpy.typing import NDArray
 
+from benchmarks.chain_tick import ChainTick
+from benchmarks.gc_pauses import GcPauses
 from benchmarks.joint_signals import JointSignals
 from benchmarks.methods import on_lwr
 from benchmarks.timing import Tick, Timing, time_side_by_side
 from groundtruth import simulate
+from identification import PAPER as PAPER_IDENTIFIER
 from residual import DEFAULT, MomentumObserver, VirtualForceSensor
 from urdf import Robot
 
-SCENARIO, ARM = "gel-25-constant", "realistic"
+SCENARIO, ARM = "stack-constant", "realistic"
 JITTER_s = 5e-5
 """Of the uneven clock: that of the hard arm."""
 OBSERVER, SENSOR = "observer", "sensor"
 UNEVEN_OBSERVER, UNEVEN_SENSOR = "observer, uneven clock", "sensor, uneven clock"
+CHAIN, CHAIN_WITHOUT_VELOCITY = "chain", "chain, velocity estimated"
+PAPER_CHAIN, PAPER_CHAIN_WITHOUT_VELOCITY = (
+    "chain, paper's identifier",
+    "chain, paper's identifier, velocity estimated",
+)
 BARE_OBSERVER, BARE_SENSOR = "dynamics of the observer", "dynamics of the sensor"
 
 
-def measure_speed(progress: Callable[[float], None]) -> dict[str, Timing]:
+@dataclass(frozen=True, slots=True, kw_only=True)
+class SpeedReport:
+    """What was timed.
+
+    Attributes:
+        timings: By subject.
+        alarms: Ticks that raised a rupture, by chain, counted from the first that was timed.
+        reruns: Ticks that identified a layer anew, counted alike.
+        pauses: Garbage collections meanwhile.
+    """
+
+    timings: dict[str, Timing]
+    alarms: dict[str, tuple[int, ...]]
+    reruns: dict[str, tuple[int, ...]]
+    pauses: GcPauses
+
+
+def measure_speed(progress: Callable[[float], None]) -> SpeedReport:
     """Time all of them on the signals of a simulated insertion, from the tare on.
 
     Args:
@@ -33,7 +58,14 @@ def measure_speed(progress: Callable[[float], None]) -> dict[str, Timing]:
     even = JointSignals(t_s=sent.t_s, q_rad=sent.q_rad, dq_rad_s=sent.dq_rad_s, tau_Nm=sent.tau_Nm)
     noise = np.random.default_rng(0).normal(scale=JITTER_s, size=len(sent.t_s))
     uneven = replace(even, t_s=sent.t_s + noise)
+    blind = replace(even, dq_rad_s=None)
     tare = int(np.searchsorted(sent.t_s, run.tare_end_s))
+    chains = {
+        CHAIN: ChainTick(run.robot, even, tare),
+        CHAIN_WITHOUT_VELOCITY: ChainTick(run.robot, blind, tare),
+        PAPER_CHAIN: ChainTick(run.robot, even, tare, PAPER_IDENTIFIER),
+        PAPER_CHAIN_WITHOUT_VELOCITY: ChainTick(run.robot, blind, tare, PAPER_IDENTIFIER),
+    }
     subjects = {
         BARE_OBSERVER: _bare_observer(run.robot, even),
         OBSERVER: _observer(run.robot, even),
@@ -41,9 +73,18 @@ def measure_speed(progress: Callable[[float], None]) -> dict[str, Timing]:
         BARE_SENSOR: _bare_sensor(run.robot, even),
         SENSOR: _sensor(run.robot, even, tare),
         UNEVEN_SENSOR: _sensor(run.robot, uneven, tare),
+        **chains,
     }
     # The first counted tick comes after that of the tare.
-    return time_side_by_side(subjects, tare + 1, len(sent.t_s))
+    first = tare + 1
+    with GcPauses() as pauses:
+        timings = time_side_by_side(subjects, first, len(sent.t_s))
+    return SpeedReport(
+        timings=timings,
+        alarms={name: tuple(k - first for k in tick.alarms) for name, tick in chains.items()},
+        reruns={name: tuple(k - first for k in tick.reruns) for name, tick in chains.items()},
+        pauses=pauses,
+    )
 
 
 def _bare_observer(robot: Robot, signals: JointSignals) -> Tick:

@@ -1,74 +1,83 @@
 """``python -m benchmarks speed``."""
 
 import argparse
-from collections.abc import Mapping
 
 from rich.table import Table
 
 from benchmarks.progress_bar import progress_bar
+from benchmarks.rerun_speed import LONG_S, SHORT_S, rerun_us
 from benchmarks.screen import new_console
-from benchmarks.speed import (
-    BARE_OBSERVER,
-    BARE_SENSOR,
-    OBSERVER,
-    SENSOR,
-    UNEVEN_OBSERVER,
-    UNEVEN_SENSOR,
-    measure_speed,
+from benchmarks.soak import soak
+from benchmarks.speed import measure_speed
+from benchmarks.speed_table import (
+    LIMITS,
+    event_table,
+    pause_line,
+    ratio_of,
+    rerun_ratio,
+    rerun_table,
+    speed_table,
 )
-from benchmarks.targets import OBSERVER_COST_RATIO, SENSOR_COST_RATIO
-from benchmarks.timing import Timing
+from benchmarks.targets import RERUN_COST_RATIO, SOAK_COST_SHARE, SOAK_GROWTH_KB
+from identification import DEFAULT, PAPER
 
 FAILURE = 1
-PERCENTILES = {"median": 50.0, "99 %": 99.0, "99.9 %": 99.9}
-BARE = {
-    OBSERVER: BARE_OBSERVER,
-    UNEVEN_OBSERVER: BARE_OBSERVER,
-    SENSOR: BARE_SENSOR,
-    UNEVEN_SENSOR: BARE_SENSOR,
-}
-"""What a subject's cost is a multiple of."""
-LIMITS = {OBSERVER: OBSERVER_COST_RATIO, SENSOR: SENSOR_COST_RATIO}
+IDENTIFIERS = {"default": DEFAULT, "paper": PAPER}
 
 
 def execute(arguments: argparse.Namespace) -> int:
     """Measure, print, and with --strict hold to the targets."""
-    with progress_bar(1) as tell:
-        timings = measure_speed(lambda share: tell(0, share))
-    console = new_console()
-    console.print(speed_table(timings))
-    missed = any(ratio_of(timings, name) > most for name, most in LIMITS.items())
+    missed = _soak(arguments.soak) if arguments.soak else _speed()
     return FAILURE if arguments.strict and missed else 0
 
 
-def speed_table(timings: Mapping[str, Timing]) -> Table:
-    """Microseconds per tick, and the ratio to the bare dynamics with its target."""
-    ticks = next(iter(timings.values())).tick_us.size
-    table = Table(
-        title="Cost of a tick",
-        caption=f"{ticks} ticks each of a simulated insertion, taking turns; ratios of medians",
-    )
-    table.add_column("what", no_wrap=True)
-    for name in PERCENTILES:
-        table.add_column(f"{name}\nus", justify="right")
-    for name in ("ratio", "target", ""):
-        table.add_column(name, justify="right", no_wrap=True)
-    for name, timing in timings.items():
-        times = [f"{timing.percentile_us(percent):.1f}" for percent in PERCENTILES.values()]
-        table.add_row(name, *times, *_ratio_cells(timings, name))
-    return table
+def _speed() -> bool:
+    """Print what ticks cost; whether a target was missed."""
+    with progress_bar(1) as tell:
+        report = measure_speed(lambda share: tell(0, share))
+    reruns = {
+        (name, seconds): rerun_us(seconds, config)
+        for name, config in IDENTIFIERS.items()
+        for seconds in (SHORT_S, LONG_S)
+    }
+    console = new_console()
+    console.print(speed_table(report.timings))
+    console.print(event_table(report))
+    console.print(rerun_table(report, reruns))
+    console.print(pause_line(report.pauses))
+    too_dear = any(ratio_of(report.timings, name) > most for name, most in LIMITS.items())
+    return too_dear or any(rerun_ratio(report, us) > RERUN_COST_RATIO for us in reruns.values())
 
 
-def ratio_of(timings: Mapping[str, Timing], name: str) -> float:
-    """Cost of a subject in times of its bare dynamics."""
-    return timings[name].ratio_to(timings[BARE[name]])
-
-
-def _ratio_cells(timings: Mapping[str, Timing], name: str) -> tuple[str, str, str]:
-    if name not in BARE:
-        return "", "", ""
-    ratio = ratio_of(timings, name)
-    if name not in LIMITS:
-        return f"{ratio:.2f}", "", ""
-    mark = "[green]met[/green]" if ratio <= LIMITS[name] else "[red]missed[/red]"
-    return f"{ratio:.2f}", f"≤ {LIMITS[name]:g}", mark
+def _soak(ticks: int) -> bool:
+    """Print what many ticks do to memory and to their own cost; whether a target was missed."""
+    with progress_bar(1) as tell:
+        found = soak(ticks, lambda share: tell(0, share))
+    table = Table(title=f"{ticks} ticks of the chain: insertions, rests and cycles on one tare")
+    for name in ("what", "start", "end", "target", ""):
+        table.add_column(name, justify="left" if name == "what" else "right")
+    cheap, lean = found.cost_share <= SOAK_COST_SHARE, found.growth_kB <= SOAK_GROWTH_KB
+    mark = {True: "[green]met[/green]", False: "[red]missed[/red]"}
+    for name, pair, target, met in (
+        (
+            "median tick, us",
+            (f"{found.first_us:.1f}", f"{found.last_us:.1f}"),
+            f"≤ {SOAK_COST_SHARE:g} x start",
+            mark[cheap],
+        ),
+        (
+            "Python's memory, kB",
+            (f"{found.first_kB:.0f}", f"{found.last_kB:.0f}"),
+            f"+ {SOAK_GROWTH_KB:g} at most",
+            mark[lean],
+        ),
+        (
+            "memory of the process, MB",
+            (f"{found.first_rss_MB:.1f}", f"{found.last_rss_MB:.1f}"),
+            "",
+            "",
+        ),
+    ):
+        table.add_row(name, *pair, target, met)
+    new_console().print(table)
+    return not (cheap and lean)

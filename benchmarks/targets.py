@@ -122,3 +122,12 @@ OBSERVER_COST_RATIO = 2.0
 """Most an observer tick may cost, in times of the bare Pinocchio calls it needs."""
 SENSOR_COST_RATIO = 3.0
 """The same of a full sensor tick."""
+CHAIN_COST_RATIO = 5.0
+"""The same of a tick of the whole chain, in times of what the sensor needs."""
+RERUN_COST_RATIO = 60.0
+"""The same of the tick that identifies a layer anew, after 60 s in the layer."""
+SOAK_COST_SHARE = 1.1
+"""Most a tick may cost after a million, in times of one at the start."""
+SOAK_GROWTH_KB = 100.0
+"""Most that Python may hold more after a million ticks: a tenth of a byte a tick. What is left of
+layers found meanwhile and of caches that fill late is below it."""

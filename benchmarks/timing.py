@@ -1,6 +1,6 @@
 """Times ticks of several subjects side by side."""
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass
 from time import perf_counter_ns
 
@@ -29,6 +29,16 @@ class Timing:
     def percentile_us(self, percent: float) -> float:
         """Time that this share of all ticks keeps [us]."""
         return float(np.percentile(self.tick_us, percent))
+
+    @property
+    def worst_us(self) -> float:
+        """Time of the slowest tick [us]."""
+        return float(self.tick_us.max())
+
+    def ticks_us(self, indices: Iterable[int]) -> NDArray[np.float64]:
+        """Times of some ticks [us], counted from the first that was timed, shape (m,)."""
+        flat = self.tick_us.reshape(-1)
+        return np.array([flat[k] for k in indices if 0 <= k < flat.size])
 
     def ratio_to(self, other: "Timing") -> float:
         """Cost in times of the other's: median of the ratios of neighbouring blocks' medians."""

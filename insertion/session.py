@@ -202,9 +202,10 @@ class InsertionSession:
         self._last_travel = travel
         if status is not Status.OK or (wrench.cautions and wrench.cautions & _NOT_FED):
             return self._idle(wrench, dt_s)
+        if self._unfed_s:
+            dt_s, self._unfed_s = dt_s + self._unfed_s, 0.0
         depth_m, speed_m_s = travel
-        elapsed_s, self._unfed_s = dt_s + self._unfed_s, 0.0
-        found = self._identifier.update(depth_m, speed_m_s, wrench.axial, elapsed_s)
+        found = self._identifier.update(depth_m, speed_m_s, wrench.axial, dt_s)
         self._identification = found
         return SessionEstimate(wrench, depth_m, speed_m_s, found, status, True)
 

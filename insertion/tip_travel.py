@@ -46,15 +46,13 @@ class TipTravel:
     def zero(self) -> None:
         """Count depth from where the tip is, along the needle as it stands."""
         tool = self._kinematics
-        self.restore(TravelZero(tool.position_in_base_m.copy(), tool.axis_in_base.copy()))
+        self.restore(TravelZero(tool.placement.translation.copy(), tool.axis_in_base.copy()))
 
     def read(self, dq: NDArray[np.float64]) -> Travel:
         """Depth and speed where the kinematics stand, for joint velocities [rad/s], shape (n,)."""
         tool = self._kinematics
-        return Travel(
-            float(self._axis.dot(tool.position_in_base_m)) - self._start_m,
-            float(tool.advance.dot(dq)),
-        )
+        along_m = float(self._axis.dot(tool.placement.translation))
+        return Travel(along_m - self._start_m, float(tool.advance.dot(dq)))
 
     @property
     def state(self) -> TravelZero:

@@ -21,6 +21,7 @@ class ToolKinematics:
         advance: Its row along the insertion axis [m]: advance · dq is the speed of the needle,
             and minus advance the joint torque per newton of resistance, shape (n,).
         axis_in_base: Insertion direction in base axes, shape (3,).
+        placement: Pose of the frame in the base.
 
     Raises:
         ConfigurationError: For a zero axis.
@@ -42,7 +43,7 @@ class ToolKinematics:
         self.jacobian = np.zeros((6, robot.nv))
         self.advance = np.zeros(robot.nv)
         self.axis_in_base = self.axis_in_tool
-        self._placement = pin.SE3.Identity()
+        self.placement = pin.SE3.Identity()
 
     def update(self, q: NDArray[np.float64], computed: pin.Data | None = None) -> None:
         """Move to a configuration [rad], shape (n,).
@@ -58,23 +59,18 @@ class ToolKinematics:
             data = computed
         jacobian = pin.getFrameJacobian(self._model, data, self._frame_id, pin.ReferenceFrame.LOCAL)
         self.jacobian = jacobian
-        self._placement = pin.updateFramePlacement(self._model, data, self._frame_id)
+        self.placement = pin.updateFramePlacement(self._model, data, self._frame_id)
         if self._row is None:
             self.advance = self.axis_in_tool.dot(jacobian[:3])
-            self.axis_in_base = self._placement.rotation.dot(self.axis_in_tool)
+            self.axis_in_base = self.placement.rotation.dot(self.axis_in_tool)
         else:
             self.advance = jacobian[self._row]
-            self.axis_in_base = self._placement.rotation[:, self._row]
+            self.axis_in_base = self.placement.rotation[:, self._row]
 
     @property
     def rotation_tool_to_base(self) -> NDArray[np.float64]:
         """Axes of the frame in base axes, shape (3, 3)."""
-        return self._placement.rotation
-
-    @property
-    def position_in_base_m(self) -> NDArray[np.float64]:
-        """Origin of the frame in base axes [m], shape (3,)."""
-        return self._placement.translation
+        return self.placement.rotation
 
 
 def unit_axis(axis: ArrayLike) -> NDArray[np.float64]:

@@ -1,9 +1,18 @@
 """Timing: subjects take turns over the same samples, and the ratio is that of neighbours."""
 
+import gc
+
 import numpy as np
 import pytest
+from insertion_run import short_run, tare_index
 
-from benchmarks.speed_command import LIMITS, speed_table
+from benchmarks.chain_tick import ChainTick
+from benchmarks.gc_pauses import GcPauses
+from benchmarks.joint_signals import JointSignals
+from benchmarks.rerun_speed import slab
+from benchmarks.soak import Soak
+from benchmarks.speed import SpeedReport
+from benchmarks.speed_table import LIMITS, event_table, pause_line, rerun_table, speed_table
 from benchmarks.timing import BLOCK, Timing, time_side_by_side
 
 
@@ -42,8 +51,80 @@ def test_the_table_marks_what_is_too_slow():
         "dynamics of the sensor",
         "sensor",
         "sensor, uneven clock",
+        "chain",
     )
-    timings = dict(zip(names, map(timing, (1.0, 1.9, 9.0, 1.0, 3.1, 9.0)), strict=True))
+    timings = dict(zip(names, map(timing, (1.0, 1.9, 9.0, 1.0, 3.1, 9.0, 5.0)), strict=True))
     marks = list(speed_table(timings).columns[-1].cells)
-    assert marks == ["", "[green]met[/green]", "", "", "[red]missed[/red]", ""]
-    assert LIMITS == {"observer": 2.0, "sensor": 3.0}
+    met, missed = "[green]met[/green]", "[red]missed[/red]"
+    assert marks == ["", met, "", "", missed, "", met]
+    assert (LIMITS["observer"], LIMITS["sensor"]) == (2.0, 3.0)
+    assert LIMITS["chain"] == LIMITS["chain, velocity estimated"] == 5.0
+
+
+def report(**changed):
+    pauses = GcPauses()
+    known = {
+        "timings": {
+            "dynamics of the sensor": timing(2.0),
+            "sensor": timing(6.0),
+            "chain": Timing(tick_us=np.array([[10.0, 11.0, 80.0], [10.0, 40.0, 10.0]])),
+        },
+        "alarms": {"chain": (2,)},
+        "reruns": {"chain": (4, 100)},
+        "pauses": pauses,
+    }
+    return SpeedReport(**(known | changed))
+
+
+def test_ticks_with_an_event_are_told_apart():
+    table = event_table(report())
+    assert list(table.columns[0].cells) == ["rupture raised", "layer identified"]
+    assert list(table.columns[4].cells) == ["80", "40"]
+    assert list(table.columns[5].cells) == ["40", "20"]
+
+
+def test_the_tick_that_identifies_a_layer_counts_the_sensor_too():
+    table = rerun_table(report(), {("default", 10.0): 54.0, ("paper", 60.0): 1000.0})
+    assert list(table.columns[2].cells) == ["60", "1006"]
+    assert list(table.columns[5].cells) == ["[green]met[/green]", "[red]missed[/red]"]
+
+
+def test_garbage_collections_are_timed_while_it_is_entered():
+    with GcPauses() as pauses:
+        gc.collect()
+    assert len(pauses.pauses_us) >= 1
+    assert min(pauses.pauses_us) > 0.0
+    count = len(pauses.pauses_us)
+    gc.collect()
+    assert len(pauses.pauses_us) == count
+    assert str(count) in pause_line(pauses)
+    assert "No garbage" in pause_line(GcPauses())
+
+
+def test_a_chain_tick_notes_what_happened_in_it():
+    run = short_run()
+    sent = run.signals
+    signals = JointSignals(
+        t_s=sent.t_s, q_rad=sent.q_rad, dq_rad_s=sent.dq_rad_s, tau_Nm=sent.tau_Nm
+    )
+    tick = ChainTick(run.robot, signals, tare_index(run))
+    for k in range(tare_index(run) + 17_500):
+        tick(k)
+    assert len(tick.alarms) == 1
+    assert len(tick.reruns) >= 1
+    assert tick.alarms[0] < tick.reruns[0]
+
+
+def test_a_slab_takes_its_time():
+    motion = slab(10.0).motion
+    time = np.arange(0.0, motion.duration_s, 1e-2)
+    inside = np.array([0.0 < motion.position_m(t) < slab(10.0).thickness_m for t in time])
+    assert np.sum(inside[time < motion.insertion_end_s]) * 1e-2 == pytest.approx(10.0, abs=0.5)
+
+
+def test_a_soak_compares_end_with_start():
+    found = Soak(
+        first_us=10.0, last_us=11.0, first_kB=5.0, last_kB=25.0, first_rss_MB=1.0, last_rss_MB=1.0
+    )
+    assert found.cost_share == pytest.approx(1.1)
+    assert found.growth_kB == pytest.approx(20.0)
