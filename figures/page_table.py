@@ -13,7 +13,7 @@ class PageTable:
 
     Attributes:
         caption: What it holds; stands above.
-        head: Of the columns.
+        head: Of the columns; empty texts for none.
         rows: Text of the cells, each as long as the head.
         numeric: Columns, from 0, whose cells line up on the right.
         note: A line below.
@@ -40,15 +40,16 @@ class PageTable:
 
     def html(self) -> str:
         """The table in a box of its own, which scrolls where the screen is narrow."""
-        head = "".join(
+        heads = "".join(
             f"<th scope=col{self._side(i)}>{inline(text)}</th>" for i, text in enumerate(self.head)
         )
+        head = f"<thead><tr>{heads}</tr></thead>" if any(self.head) else ""
         body = "\n".join(f"<tr>{self._row(row)}</tr>" for row in self.rows)
         note = f"<p class=note>{inline(self.note)}</p>" if self.note else ""
         return (
             f'<div class=scroll role=region tabindex=0 aria-label="{escape(self.caption)}">'
             f"<table><caption>{inline(self.caption)}</caption>"
-            f"<thead><tr>{head}</tr></thead><tbody>{body}</tbody></table></div>{note}"
+            f"{head}<tbody>{body}</tbody></table></div>{note}"
         )
 
     def _row(self, row: tuple[str, ...]) -> str:

@@ -40,7 +40,8 @@ PAPER = LineStyle(color=VERMILION, dash=DASHED, width_pt=1.2)
 """The published method, with its multi-layer model."""
 PAPER_KV = LineStyle(color=PURPLE, dash=DASH_DOTTED, width_pt=1.1)
 """The published method, with the Kelvin-Voigt model."""
-TIP = LineStyle(color=ORANGE, dash=DOTTED, width_pt=1.2)
+TIP = LineStyle(color=PURPLE, dash=DASH_DOTTED, width_pt=1.0)
+"""The force at the tip alone."""
 
 RUPTURE = LineStyle(color=BLACK, width_pt=0.9)
 COMPENSATION = LineStyle(color=BLACK, dash=DASHED, width_pt=0.9)

@@ -27,7 +27,7 @@ def _rows(settings: Any, prefix: str) -> Iterator[tuple[str, str]]:
 
 
 def _text(value: Any) -> str:
-    if value is None:
+    if value is None or value == ():
         return "none"
     if isinstance(value, float):
         return f"{value:g}"

@@ -70,4 +70,6 @@ def _figures(folder: Path, result: ForceResult) -> list[PageFigure]:
 
 
 def _summary(result: ForceResult) -> PageTable:
-    return PageTable(caption="Summary", head=("what", ""), rows=tuple(summary_rows(result)))
+    return PageTable(
+        caption="What was used, done and found", head=("", ""), rows=tuple(summary_rows(result))
+    )
