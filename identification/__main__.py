@@ -4,18 +4,19 @@ import sys
 from argparse import Namespace
 from collections.abc import Sequence
 
-from figures import FiguresError
+from figures import FiguresError, require_matplotlib
 from figures.report_folder import report_folder
 from identification.command.arguments import CHANNELS, build_parser
-from identification.command.figure import check_figure, save_figure
+from identification.command.figure import save_figure
 from identification.command.layer_table import layer_table
 from identification.command.report import write_report
 from identification.command.run_log import run_log
 from identification.errors import IdentificationError
-from recordings import RecordingError, check_writable
+from recordings import RecordingError
 from recordings.command_line import run_command, write_out
 from recordings.log_session import LogSession
 from recordings.open_table import STANDARD_STREAM
+from recordings.output_arguments import check_outputs
 from recordings.suggest_mapping import suggest_mapping
 
 ERRORS = (IdentificationError, RecordingError, FiguresError)
@@ -39,10 +40,9 @@ def _run(arguments: Namespace) -> int:
     if arguments.print_config:
         write_out(suggest_mapping(arguments.log, CHANNELS))
         return 0
-    if arguments.output is not None:
-        check_writable(arguments.output, source=arguments.log)
+    check_outputs(arguments)
     if arguments.png is not None:
-        check_figure(arguments.png)
+        require_matplotlib("--png")
     if arguments.report is not None:
         report_folder(arguments.report)
     channels = {"required": ("depth", "force"), "optional": ("speed", "status")}

@@ -4,17 +4,18 @@ import sys
 from argparse import Namespace
 from collections.abc import Sequence
 
-from figures import FiguresError
+from figures import FiguresError, require_matplotlib
 from figures.report_folder import report_folder
-from recordings import RecordingError, check_writable
+from recordings import RecordingError
 from recordings.command_line import run_command, write_out
 from recordings.log_session import LogSession
 from recordings.open_table import STANDARD_STREAM
+from recordings.output_arguments import check_outputs
 from recordings.suggest_mapping import suggest_mapping
 from residual.command.arguments import build_parser
 from residual.command.config_file import sensor_config
 from residual.command.force_log import run_log
-from residual.command.force_picture import check_picture, save_picture
+from residual.command.force_picture import save_picture
 from residual.command.force_report import write_report
 from residual.command.friction_file import Drive, load_drive
 from residual.command.joint_signals import torque_channel
@@ -44,7 +45,11 @@ def main(argv: Sequence[str] | None = None) -> int:
 
 
 def _run(arguments: Namespace) -> int:
-    _check_outputs(arguments)
+    check_outputs(arguments)
+    if arguments.png is not None:
+        require_matplotlib("--png")
+    if arguments.report is not None:
+        report_folder(arguments.report)
     robot = robot_from_arguments(arguments)
     if arguments.print_config:
         return _print_config(arguments, robot)
@@ -72,16 +77,6 @@ def _print_config(arguments: Namespace, robot: Robot) -> int:
     text = suggest_mapping(arguments.log, channels, joints=robot.joint_names, payload=payload)
     write_out(text)
     return 0
-
-
-def _check_outputs(arguments: Namespace) -> None:
-    """Refuse now what would fail after the work is done."""
-    if arguments.output is not None:
-        check_writable(arguments.output, source=arguments.log)
-    if arguments.png is not None:
-        check_picture(arguments.png)
-    if arguments.report is not None:
-        report_folder(arguments.report)
 
 
 def _tare_request(arguments: Namespace) -> TareRequest:

@@ -8,10 +8,8 @@ import numpy as np
 import pytest
 
 import identification.__main__ as command
-from figures.errors import MissingExtraError
 from groundtruth import insert_needle
 from identification import replay
-from identification.command.figure import check_figure
 from identification.errors import InvalidLogError
 from identification.sign_hints import sign_hints
 
@@ -94,7 +92,7 @@ def test_outputs_are_refused_before_the_work(needle, tmp_path, capsys):
     assert "no folder" in capsys.readouterr().err
 
 
-def test_a_picture_without_matplotlib_says_what_to_install(monkeypatch, tmp_path):
+def test_a_picture_without_matplotlib_says_what_to_install(monkeypatch, tmp_path, capsys):
     real = builtins.__import__
 
     def refuse(name, *args, **kwargs):
@@ -105,8 +103,8 @@ def test_a_picture_without_matplotlib_says_what_to_install(monkeypatch, tmp_path
     for name in [name for name in sys.modules if name.startswith("matplotlib")]:
         monkeypatch.delitem(sys.modules, name)
     monkeypatch.setattr(builtins, "__import__", refuse)
-    with pytest.raises(MissingExtraError, match=r"needleforce\[plots\]"):
-        check_figure(tmp_path / "x.png")
+    assert command.main([str(tmp_path / "log.csv"), "--png", str(tmp_path / "x.png")]) == 2
+    assert "pip install 'needleforce[plots]'" in capsys.readouterr().err
 
 
 @pytest.mark.parametrize(

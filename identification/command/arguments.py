@@ -1,11 +1,11 @@
 """The command line of ``python -m identification``."""
 
 from argparse import ArgumentParser
-from pathlib import Path
 
 from identification.default_config import DEFAULT
 from identification.paper_config import PAPER, PAPER_KV
 from recordings import mapping_arguments
+from recordings.output_arguments import output_arguments
 from recordings.source_arguments import source_arguments
 
 METHODS = {"default": DEFAULT, "paper": PAPER, "paper-kv": PAPER_KV}
@@ -24,18 +24,11 @@ def build_parser() -> ArgumentParser:
         "the table are on the log's clock. A ? marks what the data do not identify.",
     )
     source_arguments(parser, "time, depth, force, perhaps speed")
-    parser.add_argument(
-        "-o",
-        "--output",
-        metavar="FILE",
-        help="table of online estimates: .csv, .csv.gz, .npz, ..., or - for CSV on standard output",
-    )
-    parser.add_argument("--png", metavar="FILE", help="picture after the paper's Figure 8")
-    parser.add_argument(
-        "--report",
-        type=Path,
-        metavar="DIR",
-        help="folder for a page with that picture, the layers, warnings and settings",
+    output_arguments(
+        parser,
+        table="online estimates",
+        picture="picture after the paper's Figure 8",
+        page="that picture, the layers, warnings and settings",
     )
     parser.add_argument(
         "--method",

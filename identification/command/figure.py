@@ -6,10 +6,9 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from figures import Chart, Curve, Instants, Panel, palette, require_matplotlib, save_png
+from figures import Chart, Curve, Instants, Panel, palette, save_png
 from figures.chart import WIDTH_IN
 from identification.command.result import IdentificationResult
-from identification.errors import InvalidLogError
 
 Columns = Mapping[str, NDArray[np.float64]]
 
@@ -32,19 +31,6 @@ _OF_KELVIN_VOIGT = "friction B\n[Ns/m]"
 _MOST_OF, _ROOM = 97.0, 1.5
 """Per cent of a parameter's values that its panel must hold, and how much more it shows."""
 _PICTURE_IN = 8.0
-
-
-def check_figure(path: str | Path) -> None:
-    """Find out before the work what `save_figure` would refuse after it.
-
-    Raises:
-        InvalidLogError: There is no such folder.
-        figures.FiguresError: matplotlib is not installed.
-    """
-    folder = Path(path).parent
-    if not folder.is_dir():
-        raise InvalidLogError(f"cannot write {path}: there is no folder {folder}")
-    require_matplotlib("--png")
 
 
 def save_figure(path: str | Path, result: IdentificationResult) -> None:

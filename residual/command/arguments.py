@@ -1,9 +1,9 @@
 """The command line of ``python -m residual``."""
 
 from argparse import ArgumentParser, RawDescriptionHelpFormatter
-from pathlib import Path
 
 from recordings import mapping_arguments
+from recordings.output_arguments import output_arguments
 from recordings.source_arguments import source_arguments
 from residual.command.robot_options import robot_arguments
 from residual.command.taring import AUTOMATIC_S
@@ -32,29 +32,17 @@ def build_parser() -> ArgumentParser:
         formatter_class=RawDescriptionHelpFormatter,
     )
     source_arguments(parser, "time, q, tau and perhaps dq")
-    _output_arguments(parser)
+    output_arguments(
+        parser,
+        table="forces",
+        picture="picture of forces over time",
+        page="charts, summary, warnings and settings",
+    )
     robot_arguments(parser)
     _sensor_arguments(parser)
     _tare_arguments(parser)
     mapping_arguments(parser, ["q", "dq", "tau", "tau_ext"])
     return parser
-
-
-def _output_arguments(parser: ArgumentParser) -> None:
-    group = parser.add_argument_group("output", "Without any, only the summary is printed.")
-    group.add_argument(
-        "-o",
-        "--output",
-        metavar="FILE",
-        help="table of forces: .csv, .csv.gz, .npz, ..., or - for CSV on standard output",
-    )
-    group.add_argument("--png", metavar="FILE", help="picture of forces over time")
-    group.add_argument(
-        "--report",
-        type=Path,
-        metavar="DIR",
-        help="folder for a page with charts, summary, warnings and settings",
-    )
 
 
 def _sensor_arguments(parser: ArgumentParser) -> None:
