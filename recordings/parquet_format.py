@@ -9,6 +9,8 @@ from recordings.optional_library import optional_library
 from recordings.parquet_column import ParquetColumn, is_number_column
 from recordings.table import Table
 
+_BUFFER = 1 << 16  # bytes of a column
+
 START_KEY = b"needleforce.start_ns"
 """Where the schema's metadata say when t = 0 was."""
 
@@ -50,7 +52,8 @@ def parquet_chunks(path: Path, rows: int | None) -> Iterator[Table]:
     parquet = optional_library("pyarrow.parquet", "Parquet files")
     arrow = optional_library("pyarrow", "Parquet files")
     try:
-        with parquet.ParquetFile(path) as file:
+        # Read ahead, columns would stay in memory to the end.
+        with parquet.ParquetFile(path, pre_buffer=False, buffer_size=_BUFFER) as file:
             yield from _tables(path, file, rows, arrow)
     except arrow.ArrowInvalid as error:
         raise FormatError(
