@@ -15,11 +15,12 @@ def signal_table(run: Run) -> Columns:
         run: The run.
 
     Returns:
-        Time stamps, joint signals of shape (n, 7) (no velocities from an arm that reports none),
-        force and torque of the sensor in its axes of shape (n, 3).
+        Time stamps (from zero on, like those of the truth), joint signals of shape (n, 7) (no
+        velocities from an arm that reports none), force and torque of the sensor in its axes of
+        shape (n, 3).
     """
     signals = run.signals
-    columns: Columns = {"t_s": signals.t_s, "q_rad": signals.q_rad}
+    columns: Columns = {"t_s": signals.t_s + _shift_s(run), "q_rad": signals.q_rad}
     if signals.dq_rad_s is not None:
         columns["dq_rad_s"] = signals.dq_rad_s
     columns["tau_Nm"] = signals.tau_Nm
@@ -39,7 +40,7 @@ def truth_table(run: Run) -> Columns:
     """
     truth = run.truth
     columns: Columns = {
-        "t_s": truth.t_s,
+        "t_s": truth.t_s + _shift_s(run),
         "depth_m": truth.depth_m,
         "speed_m_s": truth.speed_m_s,
         "axial_N": truth.axial_N,
@@ -52,6 +53,11 @@ def truth_table(run: Run) -> Columns:
     if truth.layer_friction_N.shape[1]:
         columns["layer_friction_N"] = truth.layer_friction_N
     return columns
+
+
+def _shift_s(run: Run) -> float:
+    """What makes the first stamp of a clock with jitter no less than zero, as bags want it."""
+    return max(0.0, -float(run.signals.t_s[0]))
 
 
 def _ruptures(run: Run) -> NDArray[np.int64]:

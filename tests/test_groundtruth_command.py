@@ -125,6 +125,13 @@ def test_tables_have_one_row_per_sample(run):
     assert not any("axial" in name or "depth" in name for name in signal_table(run))
 
 
+def test_a_clock_that_begins_before_zero_is_shifted_with_the_truth(run):
+    signals = replace(run.signals, t_s=run.signals.t_s - 7e-5)
+    early = replace(run, signals=signals)
+    assert signal_table(early)["t_s"][0] == 0.0
+    np.testing.assert_array_equal(truth_table(early)["t_s"], run.truth.t_s + 7e-5)
+
+
 def test_options_reach_the_simulation(quick):
     assert command.main(["stack-constant", "-o", "x.npz", "--arm", "hard", "--seed", "5"]) == 0
     assert command.main(["random-stack", "-o", "x.npz", "--arm", "textbook"]) == 0
