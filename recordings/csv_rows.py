@@ -1,10 +1,14 @@
 """The header and the rows of a CSV text, from lines as they come."""
 
+import re
 from collections.abc import Sequence
 from dataclasses import dataclass
 
 from recordings.csv_header import COMMENT, CsvHeader, read_header
 from recordings.errors import FormatError
+from recordings.labels import START_KEY
+
+_START = re.compile(rf"{COMMENT}\s*{START_KEY}\s*=\s*(-?\d{{1,19}})\s*$")
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -31,6 +35,8 @@ class CsvRows:
         self._lines = self._total = 0
         self._rows: list[str] = []
         self._numbers: list[int] = []
+        self.start_ns = 0
+        """The start of the clock, if a comment before the header says it."""
         self.notes: list[str] = []
         """What was left out."""
 
@@ -103,6 +109,8 @@ class CsvRows:
                 return lines[past:]
             if line.strip():
                 self._comment = line
+            if match := _START.match(line):
+                self.start_ns = int(match[1])
         self._lines += len(lines)
         return []
 

@@ -7,7 +7,7 @@ from typing import BinaryIO
 
 from recordings.checked_columns import Columns
 from recordings.flat_columns import flat_columns
-from recordings.labels import PLAIN, Labels
+from recordings.labels import PLAIN, START_KEY, Labels
 
 
 class CsvWriter:
@@ -18,10 +18,11 @@ class CsvWriter:
 
     Args:
         stream: where the bytes go.
-        labels: not written; the format has no room for them.
+        labels: the start of the clock, unless it is zero, goes into a comment.
     """
 
     def __init__(self, stream: BinaryIO, labels: Labels = PLAIN) -> None:
+        self._comment = f"# {START_KEY} = {labels.start_ns}\n" if labels.start_ns else ""
         self._stream = stream
         self._has_header = False
 
@@ -36,7 +37,7 @@ class CsvWriter:
         """
         names, cells = _cells(columns)
         if not self._has_header:
-            self._stream.write(_header(names))
+            self._stream.write(self._comment.encode() + _header(names))
             self._has_header = True
         # repr is the shortest text that reads back to the same float.
         rows = [",".join(row) for row in zip(*(map(repr, column) for column in cells), strict=True)]
@@ -57,7 +58,7 @@ class CsvGzipWriter(CsvWriter):
 
     Args:
         stream: where the bytes go.
-        labels: not written; the format has no room for them.
+        labels: see `CsvWriter`.
     """
 
     def __init__(self, stream: BinaryIO, labels: Labels = PLAIN) -> None:
@@ -65,7 +66,7 @@ class CsvGzipWriter(CsvWriter):
         self._packed = gzip.GzipFile(
             filename="", mode="wb", fileobj=stream, mtime=0, compresslevel=3
         )
-        super().__init__(self._packed)  # type: ignore[arg-type]
+        super().__init__(self._packed, labels)  # type: ignore[arg-type]
 
     def finish(self) -> None:
         """Write what is still held back, and the end of the archive."""

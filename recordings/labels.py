@@ -3,12 +3,15 @@
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 
+START_KEY = "start_ns"
+"""What files of numbers call `Labels.start_ns`."""
+
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Labels:
     """Names that go with the columns of a table that is written.
 
-    Bags carry all of them, Parquet carries `start_ns`; CSV and npz carry none.
+    Bags carry all of them, the other formats `start_ns`, if it is not zero.
 
     Attributes:
         start_ns: the instant of t_s = 0 on the clock of the source, in ns; a log read from a bag

@@ -9,6 +9,7 @@ from pathlib import Path
 import numpy as np
 
 from recordings.errors import FileAccessError, FormatError
+from recordings.labels import START_KEY
 from recordings.npz_member import NpzMember, UnusableArrayError
 from recordings.table import Table
 
@@ -72,12 +73,15 @@ class _Members:
         self._arrays: dict[str, NpzMember] = {}
         self._constants: dict[str, float] = {}
         self._warnings: list[str] = []
+        self._start_ns = 0
         for member in archive.namelist():
             name = member.removesuffix(_SUFFIX)
             try:
                 array = NpzMember(archive, member, stack)
                 if array.shape:
                     self._arrays[name] = array
+                elif name == START_KEY:
+                    self._start_ns = int(array.read(1)[0])
                 else:
                     self._constants[name] = float(array.read(1)[0])
             except _DAMAGE as error:
@@ -92,7 +96,12 @@ class _Members:
             if not any(map(len, columns.values())):
                 return
             warnings, self._warnings = tuple(self._warnings), []
-            yield Table(columns=columns, constants=self._constants, warnings=warnings)
+            yield Table(
+                columns=columns,
+                constants=self._constants,
+                warnings=warnings,
+                start_ns=self._start_ns,
+            )
 
     def _read(self, rows: int) -> dict[str, np.ndarray]:
         columns = {}

@@ -9,7 +9,7 @@ from typing import Any, BinaryIO
 import numpy as np
 
 from recordings.checked_columns import Columns
-from recordings.labels import PLAIN, Labels
+from recordings.labels import PLAIN, START_KEY, Labels
 
 _BLOCK = 1 << 20  # bytes
 
@@ -22,10 +22,11 @@ class NpzWriter:
 
     Args:
         stream: where the archive goes; must be able to seek.
-        labels: not written; the format has no room for them.
+        labels: the start of the clock, unless it is zero, becomes a single number.
     """
 
     def __init__(self, stream: BinaryIO, labels: Labels = PLAIN) -> None:
+        self._start_ns = labels.start_ns
         self._stream = stream
         self._waiting: dict[str, Any] = {}
         self._kinds: dict[str, tuple[np.dtype, tuple[int, ...]]] = {}
@@ -50,6 +51,9 @@ class NpzWriter:
     def finish(self) -> None:
         """Write the archive."""
         with zipfile.ZipFile(self._stream, "w") as archive:
+            if self._start_ns:
+                with archive.open(zipfile.ZipInfo(f"{START_KEY}.npy"), "w") as member:
+                    np.lib.format.write_array(member, np.array(self._start_ns, dtype=np.int64))
             for name, waiting in self._waiting.items():
                 dtype, shape = self._kinds[name]
                 # numpy.savez would stamp the time and could not write a column called "file".

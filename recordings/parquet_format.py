@@ -5,13 +5,14 @@ from pathlib import Path
 from typing import Any
 
 from recordings.errors import FileAccessError, FormatError
+from recordings.labels import START_KEY
 from recordings.optional_library import optional_library
 from recordings.parquet_column import ParquetColumn, is_number_column
 from recordings.table import Table
 
 _BUFFER = 1 << 16  # bytes of a column
 
-START_KEY = b"needleforce.start_ns"
+START = START_KEY.encode()
 """Where the schema's metadata say when t = 0 was."""
 
 
@@ -78,7 +79,7 @@ def _tables(path: Path, file: Any, rows: int | None, arrow: Any) -> Iterator[Tab
         told = "".join(f" ({warning})" for warning in warnings)
         raise FormatError(f"{path} holds {total} rows of {len(wanted)} columns of numbers{told}")
     readers = {name: ParquetColumn(arrow) for name in wanted}
-    start_ns = int((schema.metadata or {}).get(START_KEY, 0))
+    start_ns = int((schema.metadata or {}).get(START, 0))
     for batch in _batches(file, rows, wanted):
         columns = {}
         for name, reader in readers.items():

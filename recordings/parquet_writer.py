@@ -4,9 +4,8 @@ from typing import Any, BinaryIO
 
 from recordings.checked_columns import Columns
 from recordings.flat_columns import flat_columns
-from recordings.labels import PLAIN, Labels
+from recordings.labels import PLAIN, START_KEY, Labels
 from recordings.optional_library import optional_library
-from recordings.parquet_format import START_KEY
 
 
 class ParquetWriter:
