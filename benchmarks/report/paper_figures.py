@@ -108,7 +108,8 @@ PAPER_FIGURES = (
         shows="Force of the F/T sensor, force estimated from the residual, and their difference, "
         "over time and over depth: RMSE 0.2444 N (one layer) and 0.285 N (stack with glove).",
         see="The published sensor follows 0.2 s late, which costs most where the force falls. "
-        "Ours is late by 14 ms, and its error stays within the band that it states.",
+        "Ours is late by 14 ms, and its error stays within the band that it states. The paper's "
+        "numbers are of a real arm and real gels: to be laid beside ours, not to be equalled.",
     ),
     PaperFigure(
         number="8",
