@@ -128,7 +128,7 @@ def open_table(
     """
     if str(path) == STANDARD_STREAM:
         output = OpenTable(
-            lambda: CsvWriter(sys.stdout.buffer), is_live=True, name="standard output"
+            lambda: CsvWriter(sys.stdout.buffer, labels()), is_live=True, name="standard output"
         )
         yield output
         output.finish()
