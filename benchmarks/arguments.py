@@ -47,7 +47,7 @@ def _add_stream(stream: argparse.ArgumentParser) -> None:
     stream.add_argument(
         "--format",
         action="append",
-        choices=(".csv", ".csv.gz", ".npz", ".parquet"),
+        choices=(".csv", ".csv.gz", ".npz", ".parquet", ".mcap"),
         help="of the recording; may be given more than once (default .csv)",
     )
     stream.add_argument("--folder", type=Path, metavar="DIR", help="where the files lie meanwhile")

@@ -13,7 +13,7 @@ from recordings.mapping_arguments import mapping_from_arguments
 from recordings.open_table import STANDARD_STREAM
 from recordings.progress import progress
 from recordings.stop_request import StopRequest
-from recordings.table_stream import stream_tables
+from recordings.table_stream import is_text, stream_tables
 from recordings.wanted import Wanted
 
 
@@ -124,9 +124,10 @@ class LogSession:
             say("interrupted: the results are those of the rows read so far")
 
     def _size(self) -> float | None:
-        """Bytes in all, if they are known."""
+        """Bytes in all, if they are known and counted."""
         path = Path(self._source)
-        return float(path.stat().st_size) if path.is_file() and not self._follow else None
+        is_counted = path.is_file() and is_text(path) and not self._follow
+        return float(path.stat().st_size) if is_counted else None
 
     def _warn(self, stream: LogStream) -> None:
         for warning in stream.take_warnings():

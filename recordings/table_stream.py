@@ -48,7 +48,7 @@ def stream_tables(
     """
     path = None if str(source) == STANDARD_STREAM else Path(source)
     name = "standard input" if path is None else str(path)
-    if path is None or _is_csv(path):
+    if path is None or is_text(path):
         blocks = byte_blocks(path, patience)
         yield from csv_tables(blocks, name, is_growing=patience.follow)
         return
@@ -69,6 +69,6 @@ def _chunks(path: Path, wanted: Wanted | None) -> Iterator[Table]:
     return iter((read_table(path),))
 
 
-def _is_csv(path: Path) -> bool:
-    """Return whether a path is text by its suffix, or a pipe of any name."""
+def is_text(path: Path) -> bool:
+    """Return whether a path is read as CSV: by its suffix, or because it is a pipe."""
     return path.name.lower().endswith(CSV_SUFFIXES) or path.is_fifo()
