@@ -28,7 +28,8 @@ def run_command(work: Callable[[], int], errors: tuple[type[Exception], ...]) ->
     """
     try:
         code = work()
-        write_out("")
+        if sys.stdout is not None:
+            write_out("")
     except BrokenPipeError:
         _close_output()
         return READER_GONE
@@ -38,12 +39,20 @@ def run_command(work: Callable[[], int], errors: tuple[type[Exception], ...]) ->
     except KeyboardInterrupt:
         say("interrupted")
         return INTERRUPTED
+    except OSError as error:
+        if error.filename is not None:
+            raise
+        # A failure without a file: another library could not write standard output.
+        _close_output()
+        say(f"error: cannot write standard output: {error.strerror or error}")
+        return FAILED
     return code
 
 
 def say(text: str) -> None:
     """Write one line to stderr, whatever line ends a message has."""
-    sys.stderr.write(f"{' '.join(text.split())}\n")
+    if sys.stderr is not None:
+        sys.stderr.write(f"{' '.join(text.split())}\n")
 
 
 def write_out(text: str, *, to_stderr: bool = False) -> None:
@@ -58,6 +67,10 @@ def write_out(text: str, *, to_stderr: bool = False) -> None:
         BrokenPipeError: the reader has gone.
     """
     stream = sys.stderr if to_stderr else sys.stdout
+    if stream is None:
+        if to_stderr:
+            return
+        raise FileAccessError("cannot write standard output: it is closed")
     try:
         stream.write(text)
         stream.flush()

@@ -127,6 +127,8 @@ def open_table(
         BrokenPipeError: the reader of standard output has gone.
     """
     if str(path) == STANDARD_STREAM:
+        if sys.stdout is None:
+            raise FileAccessError("cannot write standard output: it is closed")
         output = OpenTable(
             lambda: CsvWriter(sys.stdout.buffer, labels()), is_live=True, name="standard output"
         )

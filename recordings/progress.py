@@ -16,7 +16,7 @@ def progress(total: float | None, label: str) -> Iterator[Callable[[float], None
     Yields:
         A function to be told how much more is done.
     """
-    if not sys.stderr.isatty():
+    if sys.stderr is None or not sys.stderr.isatty():
         yield lambda more: None
         return
     try:

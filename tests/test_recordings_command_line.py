@@ -15,6 +15,7 @@ from hypothesis import strategies as st
 
 from recordings import FileAccessError, RecordingError
 from recordings.command_line import FAILED, INTERRUPTED, READER_GONE, run_command, say, write_out
+from recordings.open_table import open_table
 from recordings.progress import progress
 from recordings.row_overview import RowOverview
 from recordings.source_arguments import source_arguments
@@ -28,12 +29,19 @@ def failing(error):
     return work
 
 
+@pytest.fixture(autouse=True)
+def _open_output(monkeypatch):
+    """What is done to standard output must not outlive the test."""
+    monkeypatch.setattr("recordings.command_line._close_output", lambda: None)
+
+
 @pytest.mark.parametrize(
     ("error", "code", "said"),
     [
         (FileAccessError("no such\nfile"), FAILED, "error: no such file\n"),
         (KeyboardInterrupt(), INTERRUPTED, "interrupted\n"),
         (BrokenPipeError(), READER_GONE, ""),
+        (OSError(28, "disk full"), FAILED, "error: cannot write standard output: disk full\n"),
     ],
 )
 def test_a_foreseen_failure_is_one_line_and_a_code(capsys, error, code, said):
@@ -42,8 +50,9 @@ def test_a_foreseen_failure_is_one_line_and_a_code(capsys, error, code, said):
 
 
 def test_what_was_not_foreseen_is_not_hidden():
-    with pytest.raises(ZeroDivisionError):
-        run_command(failing(ZeroDivisionError()), (RecordingError,))
+    for error in (ZeroDivisionError(), PermissionError(13, "forbidden", "some.file")):
+        with pytest.raises(type(error)):
+            run_command(failing(error), (RecordingError,))
 
 
 def test_the_code_of_the_work_is_handed_on(capsys):
@@ -65,6 +74,21 @@ def test_standard_output_that_cannot_be_written_is_told(monkeypatch):
     monkeypatch.setattr(sys, "stdout", FullDisk())
     with pytest.raises(FileAccessError, match="cannot write standard output: No space left"):
         write_out("result\n")
+
+
+def test_closed_standard_streams_are_told_or_done_without(monkeypatch, capsys):
+    monkeypatch.setattr(sys, "stdout", None)
+    with pytest.raises(FileAccessError, match="standard output: it is closed"):
+        write_out("result\n")
+    with pytest.raises(FileAccessError, match="standard output: it is closed"):
+        open_table("-").__enter__()
+    monkeypatch.setattr(sys, "stderr", None)
+    say("nobody hears this")
+    write_out("nor this\n", to_stderr=True)
+    with progress(None, "unseen") as advance:
+        advance(1.0)
+    monkeypatch.undo()
+    assert capsys.readouterr().err == ""
 
 
 def test_the_first_ctrl_c_asks_and_the_second_interrupts():
