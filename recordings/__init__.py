@@ -3,6 +3,10 @@
 `read_log` turns a CSV or npz file into a `Log` in SI units; `write_table` and `write_log` write
 results. A `ColumnMapping`, from a small TOML file or the command line, says which columns to use
 where their names do not.
+
+Row by row, whatever the length: `table_stream` and `log_stream` in, `open_table` out. What the
+commands share: `command_line` (errors, Ctrl-C), `source_arguments` and `output_arguments`,
+`log_session` (a command reads its log), `row_overview` (few rows for a picture), `toml_file`.
 """
 
 from recordings.channel import CHANNELS
