@@ -12,8 +12,9 @@ from figures.errors import MissingExtraError, WriteError
 MOST_SVG_BYTES = 1_000_000
 """A larger drawing is quicker to show as dots."""
 DPI = 160
-_COORDINATE = re.compile(r"(-?\d+\.\d\d)\d+")
-_PATH = re.compile(r' d="[^"]*"')
+_COORDINATE = re.compile(r"(-?\d+\.\d)\d+")
+_SPACE = re.compile(r"\s*\n|(?<=[A-Za-z]) ")
+_PATH = re.compile(r' d="([^"]*)"')
 
 
 def require_matplotlib(what: str) -> None:
@@ -77,10 +78,11 @@ def _rendered(chart: Chart, kind: str) -> bytes:
 
 
 def _rounded(drawing: bytes) -> bytes:
-    """Two digits of a point are finer than any printer; the other four are half of the file."""
+    """A tenth of a point is finer than any line; the other digits are half of the file."""
 
     def round_path(match: re.Match[str]) -> str:
-        return _COORDINATE.sub(r"\1", match.group())
+        shorter = _SPACE.sub("", _COORDINATE.sub(r"\1", match.group(1)))
+        return f' d="{shorter}"'
 
     return _PATH.sub(round_path, drawing.decode()).encode()
 

@@ -170,11 +170,11 @@ def test_friction_points_stand_at_their_gels():
     assert gels is not None
     chart = friction_chart("a", gels)
     points = {curve.label: curve for curve in chart.panels[0].curves}
-    assert list(points["paper, offline (mean)"].y) == [113.0, 283.0, 534.0]
-    ours = points["online, ours, F/T, constant"]
+    assert list(points["paper, offline"].y) == [113.0, 283.0, 534.0]
+    ours = points["ours, F/T, constant"]
     assert ours.y[1] == 104.0
     assert round(ours.x[1]) == 1
-    assert "online, ours, F/T, sinusoidal" not in points
+    assert "ours, F/T, sinusoidal" not in points
     assert [text for _, text in chart.x_ticks] == ["25 %", "50 %", "70 %"]
 
 

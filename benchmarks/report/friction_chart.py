@@ -12,9 +12,9 @@ COLORS = {"constant": palette.BLUE, "sinusoidal": palette.VERMILION}
 """As in the paper."""
 SERIES = (
     ("offline", "default", "ft", "^", "offline"),
-    ("online", "default", "ft", "*", "online, ours, F/T"),
-    ("online", "default", "virtual", "D", "online, ours, virtual"),
-    ("tuned", "paper", "ft", "x", "online, published"),
+    ("online", "default", "ft", "*", "ours, F/T"),
+    ("online", "default", "virtual", "D", "ours, virtual"),
+    ("tuned", "paper", "ft", "x", "published"),
 )
 """Kind, method, source, marker, words."""
 PAPER_PLACE, FIRST_PLACE, STEP = -0.36, -0.2, 0.14
@@ -50,13 +50,13 @@ def _paper_points() -> list[Curve]:
             style=style,
             x=x,
             y=np.array([item.offline for item in published]),
-            label="paper, offline (mean)",
+            label="paper, offline",
         ),
         Curve(
             style=replace(style, marker="*", size_pt=8.0),
             x=x,
             y=np.array([item.online for item in published]),
-            label="paper, online (mean)",
+            label="paper, online",
         ),
     ]
 
