@@ -14,13 +14,13 @@ from recordings.output_arguments import check_outputs
 from recordings.suggest_mapping import suggest_mapping
 from residual.command.arguments import build_parser
 from residual.command.config_file import sensor_config
-from residual.command.force_log import run_log
 from residual.command.force_picture import save_picture
 from residual.command.force_report import write_report
 from residual.command.friction_file import Drive, load_drive
 from residual.command.joint_signals import torque_channel
 from residual.command.payload_file import payload_from_arguments, payload_lines
 from residual.command.robot_options import robot_from_arguments
+from residual.command.run_log import run_log
 from residual.command.summary import format_rows, summary_rows
 from residual.command.tare_window import TareOption
 from residual.command.taring import TareRequest
