@@ -8,9 +8,6 @@ from benchmarks.job import Job, Progress
 from benchmarks.measurement import Measurement
 from benchmarks.report.drawing import Drawing
 
-RECORDING = "recording"
-"""The plant of a benchmark on real data."""
-
 
 class Findings(NamedTuple):
     """What running a job gives."""

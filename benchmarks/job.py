@@ -7,6 +7,8 @@ from pathlib import Path
 from benchmarks.report.drawing import Drawing
 from benchmarks.row import Row
 
+RECORDING = "recording"
+"""The plant of a benchmark on real data."""
 Progress = Callable[[float], None]
 """Takes the share done, 0 to 1."""
 

@@ -4,10 +4,10 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
-from benchmarks.benchmark import RECORDING, Benchmark
+from benchmarks.benchmark import Benchmark
 from benchmarks.catalogue import BENCHMARKS, benchmark
 from benchmarks.errors import DataError, UnknownIdError
-from benchmarks.job import Job
+from benchmarks.job import RECORDING, Job
 from benchmarks.needle_benchmark import NEEDLE
 from benchmarks.report.paper_figures import NEEDED
 from groundtruth import ARM_LEVELS

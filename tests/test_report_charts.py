@@ -283,3 +283,10 @@ def test_a_run_of_a_figure_draws_its_panels_and_numbers(told, tmp_path):
     (tuned,) = [item for item in drawings if not np.isnan(item.tuned_friction_Ns_per_m)]
     assert tuned.tuned_friction_Ns_per_m == pytest.approx(float(ours[1]), rel=0.15)
     assert all(item.alt and item.caption and item.path.is_file() for item in drawings)
+
+
+def test_a_title_says_which_run_it_is(tmp_path):
+    simulated = Sketchbook(Job(benchmark="a", plant="hard", seed=2), tmp_path)
+    assert simulated.title("8", "b", "forces") == "8b  forces\na, hard, seed 2"
+    recorded = Sketchbook(Job(benchmark="a", plant="recording", seed=3), tmp_path)
+    assert recorded.title("", "", "forces") == "forces\na, recording 3"

@@ -4,7 +4,7 @@ import math
 from dataclasses import dataclass, field
 from pathlib import Path
 
-from benchmarks.job import Job
+from benchmarks.job import RECORDING, Job
 from benchmarks.report.drawing import Drawing, Fact
 from figures import Chart, save_svg
 
@@ -26,7 +26,9 @@ class Sketchbook:
     def title(self, figure: str, panel: str, text: str) -> str:
         """One line above a chart: which figure, what, and from where."""
         number = f"{figure}{panel}  " if figure else ""
-        return f"{number}{text}\n{self.job.benchmark}, {self.job.plant}, seed {self.job.seed}"
+        job = self.job
+        which = "recording" if job.plant == RECORDING else f"{job.plant}, seed"
+        return f"{number}{text}\n{job.benchmark}, {which} {job.seed}"
 
     def add(
         self,
