@@ -1,10 +1,10 @@
 """The records of an MCAP file in the order in which they stand, as far as they can be read.
 
-The index at the end is not used: a recording whose end is missing is read like any other. The
+The index at the end is not needed: a recording whose end is missing is read like any other. The
 layout is that of https://mcap.dev/spec.
 """
 
-from collections.abc import Iterator
+from collections.abc import Generator, Iterator
 from struct import Struct
 from typing import BinaryIO, NamedTuple
 from zlib import crc32
@@ -18,6 +18,7 @@ FOOTER, SCHEMA, CHANNEL, MESSAGE, CHUNK, DATA_END = 0x02, 0x03, 0x04, 0x05, 0x06
 _HEAD = Struct("<BQ")
 _CHUNK_HEAD = Struct("<QQQII")
 _SIZE = Struct("<Q")
+_FOOTER = Struct("<BQQQI8s")
 _READ = (SCHEMA, CHANNEL, MESSAGE, CHUNK)
 _BLOCK = 1 << 24  # bytes
 
@@ -38,7 +39,7 @@ def mcap_records(stream: BinaryIO, faults: list[str]) -> Iterator[Record]:
     """Read schemas, channels and messages, those inside chunks included.
 
     Args:
-        stream: an MCAP file, open at its start; need not seek.
+        stream: an MCAP file, open at its start.
         faults: what is wrong with the file is appended here, one phrase each.
 
     Yields:
@@ -66,6 +67,28 @@ def mcap_records(stream: BinaryIO, faults: list[str]) -> Iterator[Record]:
     faults.append("is cut short")
 
 
+def summary_records(stream: BinaryIO) -> Iterator[Record]:
+    """Read schemas and channels from the end of a file; the chunk that held them may be damaged.
+
+    Args:
+        stream: an MCAP file, open at its start, where it is left again.
+
+    Yields:
+        The records; none if the file was not finished.
+    """
+    length = stream.seek(0, 2)
+    stream.seek(max(length - _FOOTER.size, 0))
+    end = stream.read()
+    start = length
+    if len(end) == _FOOTER.size and end.endswith(MAGIC):
+        opcode, _, start, _, _, _ = _FOOTER.unpack(end)
+        start = start if opcode == FOOTER and 0 < start < length else length
+    stream.seek(start)
+    summary = stream.read()
+    stream.seek(0)
+    yield from (record for record in _split(summary) if record.opcode in (SCHEMA, CHANNEL))
+
+
 def _read(stream: BinaryIO, size: int) -> bytes:
     """Return `size` bytes, or what is left; a damaged size must not ask for all memory at once."""
     parts = []
@@ -90,20 +113,22 @@ def _chunk(body: bytes, at: int, faults: list[str]) -> Iterator[Record]:
     if is_whole and crc and crc32(data) != crc:
         faults.append(f"has a chunk at byte {at} whose checksum is wrong, which was left out")
         return
-    yield from _split(data)
-    if not is_whole and len(packed) == packed_size:
+    sound = yield from _split(data)
+    if sound < full_size and len(packed) == packed_size:
         faults.append(
-            f"has a damaged chunk at byte {at}, of which {len(data)} of {full_size} bytes are sound"
+            f"has a damaged chunk at byte {at}, of which {sound} of {full_size} bytes are sound"
         )
 
 
-def _split(data: bytes) -> Iterator[Record]:
-    at, end = 0, len(data)
-    while at + _HEAD.size <= end:
+def _split(data: bytes) -> Generator[Record, None, int]:
+    """Yield the records of a chunk, and return how many bytes they take."""
+    at = 0
+    while at + _HEAD.size <= len(data):
         opcode, size = _HEAD.unpack_from(data, at)
-        at += _HEAD.size
-        if at + size > end:
-            return
+        start = at + _HEAD.size
+        if start + size > len(data):
+            break
+        at = start + size
         if opcode in _READ:
-            yield Record(opcode, data[at : at + size])
-        at += size
+            yield Record(opcode, data[start:at])
+    return at

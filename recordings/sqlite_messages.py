@@ -10,6 +10,8 @@ from recordings.errors import FormatError
 from recordings.sqlite_salvage import MAGIC, is_cut, salvage_rows
 
 _IDL = "ros2idl"
+_DAMAGE = (sqlite3.DatabaseError, UnicodeDecodeError, MemoryError, OverflowError)
+"""What reading a damaged file ends in: a length in it may ask for any memory."""
 _ENCODINGS = ("ros2msg", _IDL)
 
 
@@ -47,13 +49,11 @@ def sqlite_messages(
             )
             for number, topic, log_ns, data in connection.execute(query):
                 last = number
-                yield RawMessage(known[topic], log_ns, data)
-    except sqlite3.OperationalError as error:
-        # Sound, but without the tables of a bag.
-        if "no such" in str(error):
-            raise FormatError(f"is not a bag: {error}") from error
-        raise FormatError(f"cannot be read: {error}") from error
-    except sqlite3.DatabaseError as error:
+                if isinstance(log_ns, int) and isinstance(data, bytes):
+                    yield RawMessage(known[topic], log_ns, data)
+    except _DAMAGE as error:
+        if "unable to open" in str(error):
+            raise FormatError(f"cannot be read: {error}") from error
         faults.append(f"is damaged ({error})")
         yield from _salvaged(path, last, topics)
 
@@ -76,6 +76,8 @@ def _connect(path: Path) -> sqlite3.Connection:
 def _topics(connection: sqlite3.Connection) -> Mapping[int, BagTopic]:
     definitions: dict[str, tuple[str, bool]] = {}
     tables = {name for (name,) in connection.execute("SELECT name FROM sqlite_master")}
+    if missing := {"topics", "messages"} - tables:
+        raise FormatError(f"is not a bag: it has no table {' and no '.join(sorted(missing))}")
     if "message_definitions" in tables:
         query = "SELECT topic_type, encoding, encoded_message_definition FROM message_definitions"
         for kind, encoding, text in connection.execute(query):

@@ -17,7 +17,7 @@ from recordings.labels import Labels
 from recordings.mcap_compression import decompressed
 from residual.__main__ import main as estimate
 
-COUNT = 4000
+COUNT = 6000
 KINDS = {
     "mcap": ("mcap", None),
     "zstd": ("mcap", "STORAGE"),
@@ -221,3 +221,14 @@ def test_a_cut_chunk_is_unpacked_as_far_as_it_goes(compression):
 def test_another_compression_is_refused():
     with pytest.raises(FormatError, match="compressed with 'snappy'; zstd and lz4 can be read"):
         decompressed(b"", "snappy")
+
+
+def test_a_damaged_first_chunk_costs_that_chunk_only(tmp_path, bags):
+    """The types and topics stand in the first chunk; they are known from the end of the file."""
+    name, data = bags["mcap"]
+    start = data.index(b"string frame_id")
+    (tmp_path / name).write_bytes(data[:start] + b"\xff" * 3000 + data[start + 3000 :])
+    found, faults = messages_in(tmp_path / name)
+    assert {topic for topic, _ in found} == {"/joint_states", "/ft/wrench", "/depth_mm", "/log"}
+    assert len(found) > COUNT // 2
+    assert faults

@@ -185,7 +185,7 @@ def test_an_sqlite_file_that_is_no_bag_is_refused(tmp_path):
     with sqlite3.connect(tmp_path / "x.db3") as connection:
         connection.execute("CREATE TABLE notes(a)")
     connection.close()
-    with pytest.raises(FormatError, match="is not a bag: no such table"):
+    with pytest.raises(FormatError, match="is not a bag: it has no table messages and no topics"):
         read_log(tmp_path / "x.db3")
 
 
