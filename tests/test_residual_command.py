@@ -9,6 +9,7 @@ import pytest
 from residual_command_log import AXIAL_N, CONTACT_S, SMALL_ARM, insertion, write_insertion
 
 from recordings import read_log, read_table, write_table
+from residual import Caution
 from residual.__main__ import main
 from urdf import load_urdf
 
@@ -87,9 +88,10 @@ def test_every_column_says_its_unit_and_the_vector_agrees_with_the_axial_force(
     log, run, mode, components
 ):
     columns, _ = run(log, *TARE, "--mode", mode)
-    assert len(columns) == 5 + components
+    assert len(columns) == 7 + components
+    plain = ("misfit", "cautions", "status")
     for name in columns:
-        assert name == "status" or name.rsplit("_", 1)[1] in ("s", "m", "N", "Nm"), name
+        assert name in plain or name.rsplit("_", 1)[1] in ("s", "m", "N", "Nm"), name
     force = np.stack([columns[f"force_{xyz}_in_base_N"] for xyz in "xyz"], axis=1)
     assert np.linalg.norm(force[-1]) == pytest.approx(AXIAL_N, abs=0.2)
 
@@ -164,6 +166,22 @@ def test_bad_rows_are_skipped_counted_and_leave_the_rest_right(run, lwr, tmp_pat
     assert "1 longer than 0.1 s (longest 0.151 s)" in printed
 
 
+def test_what_may_be_wrong_beyond_the_standard_deviation_is_told(run, lwr, tmp_path):
+    columns = insertion(lwr)
+    columns["tau_Nm"][3500, 2] += 80.0
+    columns["tau_Nm"][3700:3800, 1] = lwr.effort_limit_Nm[1]
+    write_table(tmp_path / "log.npz", columns)
+    found, printed = run(str(tmp_path / "log.npz"), *TARE)
+    cautions = found["cautions"].astype(int)
+    assert cautions[3500] & Caution.SPIKE
+    assert found["status"][3500] == 3
+    assert (cautions[3710:3800] & Caution.SATURATED).all()
+    assert not cautions[:3000].any()
+    assert "x saturated" in printed
+    assert 0.3 < np.median(found["misfit"][found["status"] == 0]) < 3.0
+    assert found["axial_N"][-1] == pytest.approx(AXIAL_N, abs=0.2)
+
+
 def test_any_urdf_with_locked_joints(run, tmp_path):
     urdf = tmp_path / "arm.urdf"
     urdf.write_text(SMALL_ARM)
@@ -192,7 +210,8 @@ def test_the_command_runs_as_a_module_and_explains_itself(log):
     done = subprocess.run([*command, log, *TARE], capture_output=True, text=True, check=False)
     assert (done.returncode, done.stderr) == (0, "")
     labels = [line.split("  ")[0] for line in done.stdout.splitlines()]
-    expected = ["robot", "sensor", "samples", "skipped", "gaps", "tare", "axial force", "lag"]
+    expected = ["robot", "sensor", "samples", "skipped", "gaps", "cautions"]
+    expected += ["tare", "axial force", "lag"]
     assert labels == expected
     told = subprocess.run([*command, "--help"], capture_output=True, text=True, check=True).stdout
     assert "first 2 s of the log" in told

@@ -13,7 +13,7 @@ from residual_command_log import SMALL_ARM, write_insertion
 from recordings import read_table
 from recordings.command_line import FAILED, INTERRUPTED, READER_GONE
 from recordings.row_overview import MOST_ROWS
-from residual import SensorConfig
+from residual import Caution, SensorConfig
 from residual.__main__ import main
 from residual.command.force_rows import STATUS_CODES
 from residual.command.taring import AUTOMATIC_S
@@ -100,6 +100,8 @@ def test_codes_and_numbers_in_the_text_are_the_codes():
     for status, code in STATUS_CODES.items():
         words = {"settling": "filters settle"}.get(status.value, status.value)
         assert f"{code} {words}" in TEXT
+    for caution in Caution:
+        assert f"{caution.value} {caution.name.lower().replace('_', ' ')}" in TEXT
     assert f"the first {AUTOMATIC_S:g} s after the filters have settled" in TEXT
     known = {item.name for item in fields(SensorConfig)}
     settings = FILES["settings.toml"].split("[prior]")[0]

@@ -25,6 +25,8 @@ class ForceRows:
         torque_Nm: Torque on the tool [Nm], shape (n, 3).
         std: Standard deviations of the estimated components, shape (n, k): k = 1 axial force,
             3 force [N], 6 force and torque [N, Nm].
+        misfit: Of the joint torques to the assumed contact, see `WrenchEstimate`, shape (n,).
+        cautions: Sum of the values of `Caution`, shape (n,).
         status: `STATUS_CODES`, shape (n,).
         after_gap: Whether the filters started anew because of a gap in time before the row,
             shape (n,).
@@ -37,6 +39,8 @@ class ForceRows:
     force_N: NDArray[np.float64]
     torque_Nm: NDArray[np.float64]
     std: NDArray[np.float64]
+    misfit: NDArray[np.float64]
+    cautions: NDArray[np.int64]
     status: NDArray[np.int64]
     after_gap: NDArray[np.bool_]
 

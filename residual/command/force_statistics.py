@@ -1,13 +1,14 @@
 """What the summary tells about the estimates of a log of any length."""
 
 import math
+from collections import Counter
 
 import numpy as np
 from numpy.typing import NDArray
 
 from residual.command.force_rows import ForceRows
 from residual.command.thinned_median import ThinnedMedian
-from residual.wrench_estimate import Status
+from residual.wrench_estimate import Caution, Status
 
 
 class ForceStatistics:
@@ -17,6 +18,8 @@ class ForceStatistics:
         self.rows = 0
         self.first_s, self.last_s = math.inf, -math.inf
         self._steps = ThinnedMedian()
+        self.cautions: Counter[Caution] = Counter()
+        """Rows with each caution."""
         self._of_status = {status: StatusStatistics() for status in Status}
 
     def add(self, rows: ForceRows) -> None:
@@ -27,6 +30,8 @@ class ForceStatistics:
         self.rows += len(rows.t_s)
         self.first_s = min(self.first_s, float(rows.t_s.min()))
         self.last_s = float(latest_s[-1])
+        for caution in Caution:
+            self.cautions[caution] += int(np.count_nonzero(rows.cautions & caution))
         for status in Status:
             chosen = rows.has_status(status)
             if chosen.any():

@@ -138,11 +138,14 @@ def _rows(
         force_N=np.array([estimate.force for estimate in estimates]),
         torque_Nm=np.array([estimate.torque for estimate in estimates]),
         std=np.sqrt(np.diagonal(covariances, axis1=1, axis2=2)),
+        misfit=np.array([estimate.misfit for estimate in estimates]),
+        cautions=np.array([int(estimate.cautions) for estimate in estimates]),
         status=np.array([STATUS_CODES[estimate.status] for estimate in estimates]),
         after_gap=np.array(gaps),
     )
     skipped = rows.has_status(Status.SKIPPED)
     if skipped.any():
-        for values in (rows.axial_N, rows.axial_std_N, rows.force_N, rows.torque_Nm, rows.std):
+        numbers = (rows.axial_N, rows.axial_std_N, rows.force_N, rows.torque_Nm, rows.std)
+        for values in (*numbers, rows.misfit):
             values[skipped] = np.nan
     return rows

@@ -20,6 +20,7 @@ def summary_rows(result: ForceResult) -> Rows:
         ("samples", _samples(forces)),
         ("skipped", _skipped(replay)),
         ("gaps", _gaps(replay, result.config)),
+        ("cautions", _cautions(forces)),
         ("tare", _tare(replay)),
         ("axial force", _force(forces)),
         ("lag", own_lag if result.is_external else f"{1e3 * replay.lag_s:.1f} ms"),
@@ -59,6 +60,15 @@ def _gaps(replay: Replay, config: SensorConfig) -> str:
         f"{replay.gaps} longer than {config.max_gap_s:g} s (longest "
         f"{replay.longest_gap_s:.3g} s), after which the filters started anew"
     )
+
+
+def _cautions(forces: ForceStatistics) -> str:
+    told = [
+        f"{count} x {str(caution.name).lower().replace('_', ' ')}"
+        for caution, count in forces.cautions.most_common()
+        if count
+    ]
+    return ", ".join(told) or "none"
 
 
 def _tare(replay: Replay) -> str:
