@@ -32,14 +32,35 @@ def enhanced_chart(
         has_speed: Whether the profile of the speed is drawn, as in Figure 9.
     """
     axis = InsertionAxis(truth)
+    top_N = float(truth.axial_N[truth.is_insertion].max())
+    curves = _curves(axis, item, other, ft)
+    if has_speed:
+        share = truth.speed_m_s / float(np.max(truth.speed_m_s[truth.is_insertion]))
+        profile = 0.5 * top_N * share
+        x = axis.place(truth.t_s)
+        curves.insert(0, Curve(style=palette.OTHER_DASHED, x=x, y=profile, label="speed, no scale"))
+    limits = (-0.25 * top_N, 1.15 * top_N)
+    return Chart(
+        title=title,
+        x_label=palette.INSERTION_TIME,
+        panels=(Panel(y_label=palette.FORCE, curves=tuple(curves), limits=limits),),
+        shadings=(axis.true_ruptures(),),
+        instants=tuple(axis.events(item)),
+        x_limits=axis.limits,
+        height_in=2.7,
+    )
+
+
+def _curves(
+    axis: InsertionAxis, item: Identified, other: Identified | None, ft: ForceReading | None
+) -> list[Curve]:
+    truth, is_ours = axis.truth, item.method == "default"
     x = axis.place(truth.t_s)
     own = x[item.start :]
-    is_ours = item.method == "default"
-    top_N = float(truth.axial_N[truth.is_insertion].max())
-    curves = [
+    return [
         Curve(style=palette.READING, x=own, y=item.force_N, label=READINGS[item.source]),
         Curve(style=palette.PREDICTED, x=own, y=_predicted(item), label="predicted"),
-        *_others(axis, other, ft, item),
+        *_others(axis, other, ft),
         Curve(
             style=palette.OURS if is_ours else palette.PAPER,
             x=own,
@@ -48,29 +69,10 @@ def enhanced_chart(
         ),
         Curve(style=palette.TRUE_PART, x=x, y=truth.enhanced_N, label="enhanced, truth"),
     ]
-    if has_speed:
-        share = truth.speed_m_s / float(np.max(truth.speed_m_s[truth.is_insertion]))
-        curves.insert(
-            0,
-            Curve(style=palette.OTHER_DASHED, x=x, y=0.5 * top_N * share, label="speed, no scale"),
-        )
-    return Chart(
-        title=title,
-        x_label=palette.INSERTION_TIME,
-        panels=(
-            Panel(
-                y_label=palette.FORCE, curves=tuple(curves), limits=(-0.25 * top_N, 1.15 * top_N)
-            ),
-        ),
-        shadings=(axis.true_ruptures(),),
-        instants=tuple(axis.events(item)),
-        x_limits=axis.limits,
-        height_in=2.7,
-    )
 
 
 def _others(
-    axis: InsertionAxis, other: Identified | None, ft: ForceReading | None, item: Identified
+    axis: InsertionAxis, other: Identified | None, ft: ForceReading | None
 ) -> Sequence[Curve]:
     x, curves = axis.place(axis.truth.t_s), []
     if ft is not None:
