@@ -56,15 +56,16 @@ def parquet_chunks(path: Path, rows: int | None) -> Iterator[Table]:
         # Read ahead, columns would stay in memory to the end.
         with parquet.ParquetFile(path, pre_buffer=False, buffer_size=_BUFFER) as file:
             yield from _tables(path, file, rows, arrow)
-    except arrow.ArrowInvalid as error:
+    except (FileAccessError, FormatError):
+        raise
+    except (arrow.ArrowException, UnicodeDecodeError, OSError) as error:
+        # Arrow's own failures come as OSError too, but have no number.
+        if getattr(error, "errno", None) is not None:
+            raise FileAccessError(f"cannot read {path}: {error}") from error
         raise FormatError(
             f"{path} is not a Parquet file, or it is damaged or cut short: a Parquet file ends "
             f"with its table of contents, so that nothing can be read without its end ({error})"
         ) from error
-    except (FileAccessError, FormatError):
-        raise
-    except OSError as error:
-        raise FileAccessError(f"cannot read {path}: {error.strerror or error}") from error
 
 
 def _tables(path: Path, file: Any, rows: int | None, arrow: Any) -> Iterator[Table]:

@@ -119,3 +119,24 @@ def test_without_pyarrow_the_error_says_what_to_install(path, monkeypatch):
         read_table(path)
     with pytest.raises(FileAccessError, match=r"pip install 'needleforce\[recordings\]'"):
         write_table(path, {"t_s": [0.0]})
+
+
+@given(where=st.floats(0.0, 1.0, exclude_max=True), byte=st.integers(0, 255))
+def test_damaged_bytes_end_in_a_table_or_in_one_of_our_errors(tmp_path_factory, where, byte):
+    path = tmp_path_factory.mktemp("damaged") / "log.parquet"
+    write_table(path, {"t_s": np.arange(50.0), "force_N": np.ones(50)})
+    data = bytearray(path.read_bytes())
+    data[int(where * len(data))] ^= byte
+    path.write_bytes(data)
+    try:
+        table = read_table(path)
+    except (FormatError, FileAccessError):
+        return
+    assert table.columns
+
+
+def test_a_damaged_name_is_told(path):
+    write_table(path, {"t_s": [0.0, 1.0]})
+    path.write_bytes(path.read_bytes().replace(b"t_s", b"t\xffs"))
+    with pytest.raises(FormatError, match="damaged"):
+        read_table(path)
