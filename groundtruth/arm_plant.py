@@ -1,16 +1,21 @@
 """The physics of arm, needle and tissue, one controller tick at a time."""
 
 # MuJoCo's names live in a compiled module without stubs.
-# pyright: reportAttributeAccessIssue=false
+# pyright: reportAttributeAccessIssue=false, reportOptionalMemberAccess=false
 from dataclasses import dataclass
 
-import mujoco
 import numpy as np
 from numpy.typing import NDArray
 
+from groundtruth.errors import PlantError
 from groundtruth.mjcf import arm_mjcf
 from groundtruth.plant_bodies import PlantBodies
 from groundtruth.tissue_force import TissueForce, TissueLaw, no_force
+
+try:
+    import mujoco
+except ModuleNotFoundError:  # The needle without an arm does not need it.
+    mujoco = None
 
 Array = NDArray[np.float64]
 
@@ -62,7 +67,14 @@ class ArmPlant:
             bodies: The true arm.
             contact: The tissue.
             substeps: Physics steps per tick.
+
+        Raises:
+            PlantError: MuJoCo is not installed.
         """
+        if mujoco is None:
+            raise PlantError(
+                "the simulated arm needs the library mujoco: pip install 'needleforce[sim]'"
+            )
         self._substep_s = TICK_s / substeps
         self._repeats = range(substeps - 1)
         self._model = mujoco.MjModel.from_xml_string(arm_mjcf(bodies, self._substep_s))

@@ -164,6 +164,14 @@ def test_bad_requests_are_one_line_before_anything_is_simulated(quick, capsys, a
     assert quick == []
 
 
+def test_without_mujoco_the_command_says_what_to_install(capsys, monkeypatch, tmp_path):
+    monkeypatch.setattr("groundtruth.arm_plant.mujoco", None)
+    assert command.main(["free-motion", "-o", str(tmp_path / "x.csv")]) == 2
+    assert capsys.readouterr().err == (
+        "error: the simulated arm needs the library mujoco: pip install 'needleforce[sim]'\n"
+    )
+
+
 def test_the_module_runs_as_a_program():
     done = subprocess.run(
         [sys.executable, "-m", "groundtruth", "--list"], capture_output=True, text=True, check=True
