@@ -31,9 +31,25 @@ def parser() -> argparse.ArgumentParser:
         metavar="N",
         help="instead, N ticks of the chain (default 1000000): growth of memory, cost at the end",
     )
+    _add_faults(commands.add_parser("faults", help="break the signals of a running insertion"))
     commands.add_parser("bound", help="what the noise of a force allows any estimator to know")
     _add_stream(commands.add_parser("stream", help="send a long recording through the commands"))
     return top
+
+
+def _add_faults(faults: argparse.ArgumentParser) -> None:
+    faults.add_argument(
+        "--without-velocity",
+        action="store_true",
+        dest="blind",
+        help="the arm sends no velocities, they are estimated",
+    )
+    faults.add_argument("--markdown", action="store_true", help="print the table of docs/loop.md")
+    faults.add_argument(
+        "--strict",
+        action="store_true",
+        help="exit with 1 if a fault is not recovered from, or a number is not finite",
+    )
 
 
 def _add_stream(stream: argparse.ArgumentParser) -> None:

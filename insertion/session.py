@@ -16,7 +16,7 @@ from residual import Caution, SensorConfig, Status, VirtualForceSensor, WrenchEs
 from residual.tare import Tare
 from urdf import Robot
 
-_NOT_FED = Caution.JOINT_LIMIT | Caution.NEAR_SINGULAR
+_NOT_FED = Caution.JOINT_LIMIT | Caution.NEAR_SINGULAR | Caution.MISFIT
 _LONGEST_IDLE_S = 1e6
 
 
@@ -26,9 +26,9 @@ class InsertionSession:
     Call `update` every tick from the start of the robot; move in free air, call `tare`, insert.
     For another insertion with the same tare call `begin_insertion` above the tissue.
 
-    The identifier is fed only forces of this tick (`Status.OK`) that no joint limit or singular
-    pose makes worthless. Otherwise its last estimate stays, and the time passes: after a longer gap
-    it says ``TIME_GAP`` and starts its local predictions anew.
+    The identifier is fed only forces of this tick (`Status.OK`) that no joint limit, singular pose
+    or misfit makes worthless. Otherwise its last estimate stays, and the time passes: after a
+    longer gap it says ``TIME_GAP`` and starts its local predictions anew.
 
     Args:
         robot: The arm with its payload; the z axis of its tool frame is the needle, unless
