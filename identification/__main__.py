@@ -45,8 +45,8 @@ def _run(arguments: Namespace) -> int:
         require_matplotlib("--png")
     if arguments.report is not None:
         report_folder(arguments.report)
-    channels = {"required": ("depth", "force"), "optional": ("speed", "status")}
-    with LogSession(arguments, **channels) as log:
+    optional = ("speed", "force_status", "force_cautions")
+    with LogSession(arguments, required=("depth", "force"), optional=optional) as log:
         is_drawn = arguments.png is not None or arguments.report is not None
         result = run_log(arguments, log, needs_overview=is_drawn)
         if arguments.png is not None:

@@ -94,11 +94,18 @@ _ROWS = (
         "axial force, positive when tissue pushes back",
     ),
     _channel(
-        "status",
-        "status",
+        "force_status",
+        "force_status",
         u.CODE,
-        "status",
+        "force_status",
         "whether the force can be used, as `python -m residual` writes it",
+    ),
+    _channel(
+        "force_cautions",
+        "force_cautions",
+        u.CODE,
+        "force_cautions",
+        "what may be wrong with the force, as `python -m residual` writes it",
     ),
 )
 

@@ -77,7 +77,7 @@ def test_the_paper_and_a_log_without_velocity_find_the_force_too(log, run, lwr, 
 def test_rows_and_times_are_those_of_the_log(log, run):
     columns, _ = run(log, *TARE, name="forces.npz")
     np.testing.assert_array_equal(columns["t_s"], read_log(log).t_s)
-    status = columns["status"]
+    status = columns["force_status"]
     assert status[0] == 2
     assert set(status[columns["t_s"] > 2.5]) == {0}
     assert 1 in status[columns["t_s"] < 2.5]
@@ -89,7 +89,7 @@ def test_every_column_says_its_unit_and_the_vector_agrees_with_the_axial_force(
 ):
     columns, _ = run(log, *TARE, "--mode", mode)
     assert len(columns) == 7 + components
-    plain = ("misfit", "cautions", "status")
+    plain = ("misfit", "force_cautions", "force_status")
     for name in columns:
         assert name in plain or name.rsplit("_", 1)[1] in ("s", "m", "N", "Nm"), name
     force = np.stack([columns[f"force_{xyz}_in_base_N"] for xyz in "xyz"], axis=1)
@@ -117,13 +117,13 @@ def test_a_choice_is_made_and_told_when_none_was_given(log, run):
     (line,) = [line for line in printed.splitlines() if line.startswith("tare")]
     start_s, end_s = float(line.split()[1]), float(line.split()[3])
     assert end_s - start_s == pytest.approx(2.0)
-    assert columns["status"][columns["t_s"] > end_s].max() == 0
+    assert columns["force_status"][columns["t_s"] > end_s].max() == 0
     assert columns["axial_N"][-1] == pytest.approx(AXIAL_N, abs=0.15)
 
 
 def test_without_a_tare_no_row_claims_to_be_tared(log, run):
     columns, printed = run(log, "--no-tare")
-    assert 0 not in columns["status"]
+    assert 0 not in columns["force_status"]
     assert "tare         none" in printed
 
 
@@ -135,7 +135,7 @@ def test_a_tare_may_be_counted_from_the_first_stamp_or_end_with_the_log(run, lwr
     assert relative["axial_N"][-1] == pytest.approx(AXIAL_N, abs=0.15)
     calm = str(write_insertion(tmp_path / "calm.npz", lwr, seconds=2.0, contact_s=9.0))
     columns, printed = run(calm, "--tare", "+0.6:1.999")
-    assert columns["status"].max() == 2
+    assert columns["force_status"].max() == 2
     assert "0.6 to 1.999 s" in printed
 
 
@@ -155,10 +155,10 @@ def test_bad_rows_are_skipped_counted_and_leave_the_rest_right(run, lwr, tmp_pat
     path = tmp_path / "broken.npz"
     write_table(path, {name: values[keep] for name, values in columns.items()})
     found, printed = run(str(path), *TARE)
-    skipped = np.flatnonzero(found["status"] == 3)
+    skipped = np.flatnonzero(found["force_status"] == 3)
     np.testing.assert_array_equal(skipped, [1500, *range(2000, 2010), 3150])
     assert np.isnan(found["axial_N"][skipped]).all()
-    sound = found["status"] != 3
+    sound = found["force_status"] != 3
     assert np.isfinite(np.stack([found[n][sound] for n in found])).all()
     assert found["axial_N"][-1] == pytest.approx(AXIAL_N, abs=0.15)
     assert "12: 10 x q is not finite" in printed
@@ -172,13 +172,13 @@ def test_what_may_be_wrong_beyond_the_standard_deviation_is_told(run, lwr, tmp_p
     columns["tau_Nm"][3700:3800, 1] = lwr.effort_limit_Nm[1]
     write_table(tmp_path / "log.npz", columns)
     found, printed = run(str(tmp_path / "log.npz"), *TARE)
-    cautions = found["cautions"].astype(int)
+    cautions = found["force_cautions"].astype(int)
     assert cautions[3500] & Caution.SPIKE
-    assert found["status"][3500] == 3
+    assert found["force_status"][3500] == 3
     assert (cautions[3710:3800] & Caution.SATURATED).all()
     assert not cautions[:3000].any()
     assert "x saturated" in printed
-    assert 0.3 < np.median(found["misfit"][found["status"] == 0]) < 3.0
+    assert 0.3 < np.median(found["misfit"][found["force_status"] == 0]) < 3.0
     assert found["axial_N"][-1] == pytest.approx(AXIAL_N, abs=0.2)
 
 

@@ -36,7 +36,7 @@ def test_a_real_arm_in_free_motion_reads_no_more_force_than_its_model_is_off(
     path = tmp_path / "forces.csv"
     assert main([*command, "--tare", ":10", "--force-tare", "-o", str(path)]) == 0
     columns = read_table(path).columns
-    tared = columns["status"] == 0
+    tared = columns["force_status"] == 0
     axial_N, std_N = columns["axial_N"][tared], columns["axial_std_N"][tared]
     assert tared.sum() > 10_000
     # The public model is wrong by up to 0.75 Nm rms per joint, a few N at the hand.

@@ -187,7 +187,7 @@ def test_a_whole_file_that_fails_leaves_the_old_table_a_stream_what_it_gave(lwr,
     assert "--force-tare" in capsys.readouterr().err
     columns = read_table(out).columns
     assert 1000 < len(columns["t_s"]) <= 2500
-    assert columns["status"].min() == 1
+    assert columns["force_status"].min() == 1
 
 
 def test_a_window_beyond_the_log_is_told_when_the_log_has_ended(lwr, tmp_path, capsys):
@@ -218,5 +218,5 @@ def test_the_picture_of_a_long_log_keeps_its_spikes(lwr, tmp_path, monkeypatch):
     for least in (np.min, np.max):
         assert least(overview.axial_N) == least(table["axial_N"])
     assert overview.t_s[0] == table["t_s"][0]
-    assert set(overview.status) == set(table["status"].astype(int))
+    assert set(overview.status) == set(table["force_status"].astype(int))
     assert (tmp_path / "f.png").read_bytes().startswith(b"\x89PNG")

@@ -11,7 +11,7 @@ from recordings.source_arguments import source_arguments
 METHODS = {"default": DEFAULT, "paper": PAPER, "paper-kv": PAPER_KV}
 """What ``--method`` may be."""
 
-CHANNELS = ("depth", "speed", "force", "status")
+CHANNELS = ("depth", "speed", "force", "force_status", "force_cautions")
 """What is read of a log beside time."""
 
 
@@ -39,7 +39,7 @@ def build_parser() -> ArgumentParser:
     parser.add_argument(
         "--ignore-status",
         action="store_true",
-        help="use rows, too, that `python -m residual` has marked as not tared or not settled",
+        help="use also rows that `python -m residual` has marked as not tared, settling, doubtful",
     )
     mapping_arguments(parser, CHANNELS)
     return parser

@@ -3,41 +3,51 @@
 import numpy as np
 from numpy.typing import NDArray
 
+from recordings.force_codes import FORCE_STATUS, WORTHLESS
 from recordings.log_stream import LogChunk
 
-_NOT_USABLE = (1, 2, 3)
-"""Not tared, filters settle, skipped: how ``python -m residual`` marks rows; 0 is usable."""
+_USABLE = FORCE_STATUS.index("ok")
+_WORTHLESS = sum(WORTHLESS.values())
 
 
 class ForceStatus:
     """Takes out forces that are marked: one from before the tare is off by a newton.
+
+    These are the rows that `insertion.InsertionSession` keeps from its identifier.
 
     Args:
         is_ignored: Take all forces as they are.
     """
 
     def __init__(self, *, is_ignored: bool) -> None:
-        self._is_ignored, self._left_out = is_ignored, 0
+        self._is_ignored, self._marked, self._warned = is_ignored, 0, 0
 
     def force_N(self, chunk: LogChunk) -> NDArray[np.float64]:
         """Return the force, NaN where it is not usable, shape (n,).
 
         Args:
-            chunk: Rows with `force_N` and perhaps `status`.
+            chunk: Rows with `force_N`, perhaps `force_status` and `force_cautions`.
         """
-        force_N, status = chunk.channels["force_N"], chunk.channels.get("status")
-        if status is None or self._is_ignored:
+        force_N = chunk.channels["force_N"]
+        if self._is_ignored:
             return force_N
-        is_marked = np.isin(status, _NOT_USABLE)
-        self._left_out += int(is_marked.sum())
-        return np.where(is_marked, np.nan, force_N)
+        usable = np.full(len(force_N), float(_USABLE))
+        is_marked = chunk.channels.get("force_status", usable) != _USABLE
+        cautions = np.nan_to_num(chunk.channels.get("force_cautions", np.zeros(len(force_N))))
+        is_worthless = (cautions.astype(np.int64) & _WORTHLESS) != 0
+        self._marked += int(is_marked.sum())
+        self._warned += int((is_worthless & ~is_marked).sum())
+        return np.where(is_marked | is_worthless, np.nan, force_N)
 
     @property
     def warnings(self) -> tuple[str, ...]:
         """What was left out, if anything was."""
-        if not self._left_out:
-            return ()
-        return (
-            f"rows whose status says that the force is not tared or not settled were left out: "
-            f"{self._left_out} (--ignore-status takes them)",
+        reasons = {
+            "whose status says that the force is not tared or not settled": self._marked,
+            f"with a caution ({', '.join(WORTHLESS)})": self._warned,
+        }
+        return tuple(
+            f"rows {reason} were left out: {count} (--ignore-status takes them)"
+            for reason, count in reasons.items()
+            if count
         )

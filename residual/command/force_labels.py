@@ -1,8 +1,8 @@
 """What a bag of forces says beside the numbers."""
 
+from recordings.force_codes import FORCE_STATUS
 from recordings.labels import Labels
 from recordings.log_session import LogSession
-from residual.command.force_rows import STATUS_CODES
 from residual.sensor_config import SensorConfig
 from urdf import Robot
 
@@ -18,9 +18,8 @@ def force_labels(log: LogSession, robot: Robot, config: SensorConfig) -> Labels:
     tool_frame = config.frame if config.frame is not None else robot.tool_frame
     # Frame 0 is Pinocchio's own "universe"; the first of the URDF is its root link.
     base_frame = robot.frame_names[1]
-    words = {code: status.value for status, code in STATUS_CODES.items()}
     return Labels(
         start_ns=log.start_ns,
         frame=base_frame if config.axes == "base" else tool_frame,
-        events={"status": tuple(words[code] for code in range(len(words)))},
+        events={"force_status": FORCE_STATUS},
     )

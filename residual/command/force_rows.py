@@ -6,9 +6,10 @@ from dataclasses import dataclass, fields
 import numpy as np
 from numpy.typing import NDArray
 
+from recordings.force_codes import FORCE_STATUS
 from residual.wrench_estimate import Status
 
-STATUS_CODES = {Status.OK: 0, Status.NOT_TARED: 1, Status.SETTLING: 2, Status.SKIPPED: 3}
+STATUS_CODES = {Status(word): code for code, word in enumerate(FORCE_STATUS)}
 """How a status is written to a file of numbers."""
 
 

@@ -31,7 +31,11 @@ def force_table(rows: ForceRows, config: SensorConfig) -> Columns:
     if config.mode == "full":
         columns |= _vector("torque", "Nm", config.axes, rows.torque_Nm)
         columns |= _vector("torque_std", "Nm", config.axes, rows.std[:, 3:])
-    columns |= {"misfit": rows.misfit, "cautions": rows.cautions, "status": rows.status}
+    columns |= {
+        "misfit": rows.misfit,
+        "force_cautions": rows.cautions,
+        "force_status": rows.status,
+    }
     return columns
 
 
