@@ -12,6 +12,10 @@ MOST_PLAUSIBLE = 1e9
 """No joint signal in SI units comes near it; beyond it products overflow."""
 
 
+LONGEST_STEP_S = 86_400.0
+"""A time step beyond a day is no pause but a clock that was set, from boot time to date perhaps."""
+
+
 def check_interval(dt_s: float, name: str = "dt_s") -> None:
     """Refuse a time step that does not advance.
 
@@ -20,14 +24,19 @@ def check_interval(dt_s: float, name: str = "dt_s") -> None:
         name: How the caller calls it.
 
     Raises:
-        SampleError: If it is not a finite positive number.
+        SampleError: If it is not a finite positive number, or beyond `LONGEST_STEP_S`.
     """
-    if type(dt_s) is float and 0.0 < dt_s < math.inf:  # the quick way for almost every sample
+    if type(dt_s) is float and 0.0 < dt_s <= LONGEST_STEP_S:  # the quick way for almost every one
         return
     if not (isinstance(dt_s, numbers.Real) and math.isfinite(dt_s) and dt_s > 0.0):
         raise SampleError(
             f"{name} is {dt_s!r} s, expected a finite positive time step; "
             "skip this sample or repair the clock"
+        )
+    if dt_s > LONGEST_STEP_S:
+        raise SampleError(
+            f"{name} is {dt_s:.4g} s, more than a day: the clock was set; skip this sample and "
+            "go on with the next time step"
         )
 
 

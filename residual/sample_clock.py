@@ -1,17 +1,16 @@
 """Time between the samples that were absorbed, over those that were not."""
 
-import math
 import numbers
 
 from residual.errors import SampleError
-from residual.sample_check import check_interval
+from residual.sample_check import LONGEST_STEP_S, check_interval
 
 
 class SampleClock:
     """Adds the time of skipped samples to that of the next sound one.
 
     A clock that goes back a little comes forward again: samples are skipped until it has caught
-    up. One that was set back by more goes on from there.
+    up. One that was set back by more, or forward by more than a day, goes on from there.
 
     Args:
         most_back_s: How far back still counts as a little [s].
@@ -26,20 +25,20 @@ class SampleClock:
         """Time since the last sample that was absorbed [s].
 
         Raises:
-            SampleError: For a time step that does not advance.
+            SampleError: For a time step that does not advance, or for a clock that was set.
         """
-        if type(dt_s) is float and 0.0 < dt_s < math.inf and self.missed_s == 0.0:
-            return dt_s
         check_interval(dt_s)
+        if self.missed_s == 0.0:
+            return dt_s
         elapsed_s = dt_s + self.missed_s
         if elapsed_s <= 0.0:
             raise SampleError(
                 f"dt_s is {dt_s!r} s after a clock that went back by {-self.missed_s:.3g} s; "
                 "skipped until it has caught up"
             )
-        return elapsed_s
+        return min(elapsed_s, LONGEST_STEP_S)
 
     def miss(self, dt_s: object) -> None:
-        """A sample was skipped: its time still passes, if it has one."""
-        if isinstance(dt_s, numbers.Real) and -self._most_back_s < float(dt_s) < math.inf:
+        """A sample was skipped: its time still passes, if it has a sound one."""
+        if isinstance(dt_s, numbers.Real) and -self._most_back_s < float(dt_s) <= LONGEST_STEP_S:
             self.missed_s += float(dt_s)

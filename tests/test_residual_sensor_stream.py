@@ -132,3 +132,24 @@ def test_everything_handed_out_is_read_only(lwr, mode):
     arrays += [tare.mean, tare.covariance, tare.noise_Nm2]
     assert len(arrays) == 13
     assert not any(array.flags.writeable for array in arrays)
+
+
+@pytest.mark.parametrize("dt_s", [1e200, 1.8e9, 86_401.0])
+def test_a_clock_that_was_set_forward_is_told_and_goes_on_from_there(lwr, dt_s):
+    sensor, twin = tared_sensor(lwr), tared_sensor(lwr)
+    _, q, dq, tau = swing(lwr, seconds=0.01, start=2.0, amplitude=0.03)
+    told = sensor.update(q[0], dq[0], tau[0], dt_s)
+    assert told.status is Status.SKIPPED
+    assert "clock was set" in told.message
+    ours = sensor.update(q[1], dq[1], tau[1], 2e-3)
+    theirs = twin.update(q[1], dq[1], tau[1], 2e-3)
+    assert ours.status is Status.OK
+    assert (ours.axial, ours.axial_std) == (theirs.axial, theirs.axial_std)
+
+
+def test_days_of_bad_samples_do_not_make_the_next_sound_one_a_bad_one(lwr):
+    sensor = tared_sensor(lwr)
+    _, q, dq, tau = swing(lwr, seconds=0.01, start=2.0, amplitude=0.03)
+    for _ in range(3):
+        sensor.update(q[0], dq[0], np.full(7, np.nan), 80_000.0)
+    assert sensor.update(q[1], dq[1], tau[1], 1e-3).status is Status.SETTLING
