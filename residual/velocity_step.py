@@ -39,28 +39,3 @@ def lag_pair_coefficients(bandwidth_per_s: float, dt_s: float) -> NDArray[np.flo
         ]
     )
     return np.stack((first, second, bandwidth_per_s * (first - second)))
-
-
-def lag_pair_step(
-    first: NDArray[np.float64],
-    second: NDArray[np.float64],
-    start: NDArray[np.float64],
-    end: NDArray[np.float64],
-    bandwidth_per_s: float,
-    dt_s: float,
-) -> NDArray[np.float64]:
-    """Exact step of two equal first-order lags in a row, for an input that runs straight.
-
-    Args:
-        first: Output of the first lag before the tick, shape (n,).
-        second: Output of the second lag before the tick, shape (n,).
-        start: Input at the start of the tick, shape (n,).
-        end: Input at its end, shape (n,).
-        bandwidth_per_s: w of each lag [1/s].
-        dt_s: Length of the tick [s].
-
-    Returns:
-        Both outputs at the end of the tick, shape (2, n).
-    """
-    rows = np.stack((first, second, start, end))
-    return lag_pair_coefficients(bandwidth_per_s, dt_s)[:2].dot(rows)

@@ -7,18 +7,19 @@ from hypothesis import strategies as st
 from residual_signals import swing
 
 from residual import ConfigurationError, MomentumObserver, SampleError, VelocityEstimator
-from residual.velocity_step import lag_pair_step
+from residual.velocity_step import lag_pair_coefficients
 
 
 @given(split=st.floats(0.05, 0.95), start=st.floats(-5, 5), end=st.floats(-5, 5))
 def test_two_part_steps_equal_one_for_a_straight_input(split, start, end):
-    first, second = np.array([1.0]), np.array([-2.0])
-    start, end = np.array([start]), np.array([end])
+    def outputs(before, first, last, dt_s):
+        return lag_pair_coefficients(120.0, dt_s)[:2] @ (*before, first, last)
+
     middle = start + split * (end - start)
-    whole = lag_pair_step(first, second, start, end, 120.0, 0.01)
-    part = lag_pair_step(first, second, start, middle, 120.0, 0.01 * split)
-    parts = lag_pair_step(*part, middle, end, 120.0, 0.01 * (1 - split))
-    np.testing.assert_allclose(np.array(parts), np.array(whole), atol=1e-12)
+    whole = outputs((1.0, -2.0), start, end, 0.01)
+    part = outputs((1.0, -2.0), start, middle, 0.01 * split)
+    parts = outputs(part, middle, end, 0.01 * (1 - split))
+    np.testing.assert_allclose(parts, whole, atol=1e-12)
 
 
 def test_velocity_of_a_ramp_is_exact_and_position_lags_by_the_stated_delay():
