@@ -1,6 +1,7 @@
 """The command: from a recording to layers, a table and a picture."""
 
 import builtins
+import re
 import sys
 from pathlib import Path
 
@@ -12,6 +13,7 @@ from groundtruth import insert_needle
 from identification import replay
 from identification.errors import InvalidLogError
 from identification.sign_hints import sign_hints
+from recordings import write_table
 
 
 @pytest.fixture(scope="module")
@@ -51,6 +53,21 @@ def test_command_offers_the_published_method(needle, tmp_path, capsys, method):
     log = write(tmp_path / "log.csv", needle)
     assert command.main([log, "--method", method]) == 0
     assert capsys.readouterr().out
+
+
+def test_the_table_and_the_rows_tell_the_same_instant_of_an_alarm(tmp_path, capsys):
+    run = insert_needle("gel-50-constant", seed=1, rate_hz=20.0)
+    log, out = tmp_path / "log.csv", tmp_path / "out.csv"
+    columns = {"t_s": run.t_s + 100.0, "depth_m": run.depth_m, "force_N": run.force_N}
+    write_table(log, columns | {"speed_m_s": run.speed_m_s})
+    assert command.main([str(log), "-o", str(out)]) == 0
+    rows = np.genfromtxt(out, delimiter=",", names=True)
+    alarm_s = rows["t_s"][rows["rupture"] > 0]
+    header, *lines = capsys.readouterr().out.splitlines()
+    at = [name.strip() for name in re.split(r"  +", header.strip())].index("alarm s")
+    told = [float(re.split(r"  +", line.strip())[at]) for line in lines]
+    assert len(told) == 1
+    assert told == pytest.approx(alarm_s, abs=0.006)
 
 
 def test_speed_is_derived_when_it_is_not_recorded(needle):

@@ -107,34 +107,30 @@ def test_hindsight_equals_all_data_at_once():
     assert np.allclose(smoothed.covariance, spread)
 
 
+def layer_of(name, friction_N_per_m, membrane=None):
+    friction = ShaftFriction.calibrated(
+        force_N_per_m=friction_N_per_m,
+        reference_speed_m_s=SPEED_M_S,
+        coulomb_share=0.5,
+        presliding_m=0.2e-3,
+    )
+    return Layer(
+        name=name,
+        thickness_m=25e-3,
+        exit_force_N=1.0,
+        cutting_share=0.05,
+        stiffening=0.1,
+        release_m=0.3e-3,
+        relaxed_share=0.2,
+        friction=friction,
+        membrane=membrane,
+    )
+
+
 def test_the_next_rupture_tells_what_the_membrane_hid():
     """Slippery behind rough: half of the slope, the prior, would be a bad guess of the friction."""
-    layers = tuple(
-        Layer(
-            name=name,
-            thickness_m=25e-3,
-            exit_force_N=1.0,
-            cutting_share=0.05,
-            stiffening=0.1,
-            release_m=0.3e-3,
-            relaxed_share=0.2,
-            friction=ShaftFriction.calibrated(
-                force_N_per_m=friction,
-                reference_speed_m_s=SPEED_M_S,
-                coulomb_share=0.5,
-                presliding_m=0.2e-3,
-            ),
-            membrane=membrane,
-        )
-        for name, friction, membrane in (
-            ("slippery", 6.0, None),
-            (
-                "rough",
-                35.0,
-                Membrane(puncture_N=1.0, indentation_m=6e-3, hardening=0.6, release_m=0.3e-3),
-            ),
-        )
-    )
+    membrane = Membrane(puncture_N=1.0, indentation_m=6e-3, hardening=0.6, release_m=0.3e-3)
+    layers = (layer_of("slippery", 6.0), layer_of("rough", 35.0, membrane))
     motion = constant_motion(speed_m_s=SPEED_M_S, depth_m=63e-3, standoff_m=5e-3)
     needle = insert_needle(
         Scenario(id="hidden", title="hidden", layers=layers, motion=motion), seed=1, noise="mini45"

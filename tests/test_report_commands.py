@@ -101,7 +101,7 @@ def result(**changes):
         "log": "log",
         "method": "paper-kv",
         "layers": (),
-        "start_s": 0.0,
+        "zero_s": 0.0,
         "ruptures_s": (0.4,),
         "compensations_s": (),
         "warnings": (),

@@ -17,7 +17,7 @@ class IdentificationResult:
         log: What the log is called.
         method: One of ``--method``.
         layers: Layers left, as known at the end.
-        start_s: First stamp of the log [s]; times of `layers` count from there.
+        zero_s: Instant on the log's clock from which times of `layers` count [s].
         ruptures_s: Times of the ruptures on the log's clock, as dated [s]; the latest ones.
         compensations_s: Times on that clock at which a layer's friction was identified [s].
         warnings: What was told about the log and its signs.
@@ -29,7 +29,7 @@ class IdentificationResult:
     log: str
     method: str
     layers: tuple[LayerEstimate, ...]
-    start_s: float
+    zero_s: float
     ruptures_s: tuple[float, ...]
     compensations_s: tuple[float, ...]
     warnings: tuple[str, ...]

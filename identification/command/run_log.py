@@ -58,7 +58,7 @@ def run_log(arguments: Namespace, log: LogSession, *, needs_overview: bool) -> I
         log=log.name,
         method=arguments.method,
         layers=stream.layers,
-        start_s=found.start_s,
+        zero_s=found.zero_s,
         ruptures_s=tuple(found.ruptures_s),
         compensations_s=tuple(found.compensations_s),
         warnings=(*log.warnings, *hints),
@@ -81,7 +81,7 @@ class _Found:
     def __init__(self, table: OpenTable | None, *, needs_overview: bool) -> None:
         self._table, self._needs_overview = table, needs_overview
         self._has_begun = False
-        self.start_s = self._zero_s = 0.0
+        self.zero_s = 0.0
         self.overview = RowOverview(_TRACKED)
         self.ruptures_s: deque[float] = deque(maxlen=_MOST_EVENTS)
         self.compensations_s: deque[float] = deque(maxlen=_MOST_EVENTS)
@@ -91,8 +91,8 @@ class _Found:
             return
         if not self._has_begun:
             self._has_begun = True
-            self.start_s = float(rows.t_s[0])
-            self._zero_s = self.start_s - rows.estimates[0].time_s
+            # The first row comes one step after the identifier's zero.
+            self.zero_s = float(rows.t_s[0]) - rows.estimates[0].time_s
         self._note_events(rows)
         if self._table is None and not self._needs_overview:
             return
@@ -105,6 +105,6 @@ class _Found:
     def _note_events(self, rows: ReplayedRows) -> None:
         for t_s, estimate in zip(rows.t_s.tolist(), rows.estimates, strict=True):
             if estimate.rupture is not None:
-                self.ruptures_s.append(self._zero_s + estimate.rupture.time_s)
+                self.ruptures_s.append(self.zero_s + estimate.rupture.time_s)
             if estimate.compensated is not None:
                 self.compensations_s.append(t_s)
