@@ -12,6 +12,7 @@ from residual.robot_digest import robot_digest
 from residual.sample_clock import SampleClock
 from residual.sensor_config import DEFAULT, SensorConfig
 from residual.sensor_state import SensorState, check_belongs
+from residual.settings_text import settings_text
 from residual.slow_checks import SlowChecks, SlowState
 from residual.tare import Tare
 from residual.tool_kinematics import ToolKinematics
@@ -175,7 +176,7 @@ class VirtualForceSensor:
         """All that the sensor remembers; immutable. `insertion.write_snapshot` stores it."""
         return SensorState(
             robot=self._digest,
-            config=repr(self._config),
+            config=settings_text(self._config, self._robot.nv),
             joints=None if self._joints is None else self._joints.state,
             estimates=None if self._estimates is None else self._estimates.state,
             offset=self._offset.state,
@@ -197,7 +198,7 @@ class VirtualForceSensor:
             SnapshotError: Not a snapshot of such a sensor, or one of another robot or other
                 settings; nothing has then changed.
         """
-        check_belongs(state, self._digest, repr(self._config))
+        check_belongs(state, self._digest, settings_text(self._config, self._robot.nv))
         self.reset()
         if state.joints is not None:
             given = state.joints.torque.velocity is None
