@@ -61,6 +61,7 @@ def report_default(
         cumulative_friction_std_Ns_per_m=d_std,
         rupture=state.rupture,
         compensated=state.compensated,
+        withdrawn=state.withdrawn,
     )
 
 

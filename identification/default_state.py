@@ -14,6 +14,7 @@ from identification.layer_hindsight import Belief
 from identification.layer_model import Information, LayerFit, layer_fit, no_information
 from identification.layer_rows import NO_ROWS
 from identification.rupture_state import RuptureState
+from identification.speed_lag import SpeedLag
 from identification.track import Track, initial_track
 
 
@@ -82,6 +83,7 @@ class DefaultState(NamedTuple):
 
     Attributes:
         blocks: Block being filled.
+        lag: Lag of the measured speed behind the depth.
         bristle: Presliding deflection.
         follower_m: Depth less the jitter of its measurement, None at the start.
         speed_m_s: Speed without the noise of its measurement.
@@ -99,9 +101,11 @@ class DefaultState(NamedTuple):
         traversed: Their friction, for the way out.
         rupture: Raised by this sample.
         compensated: Identified at this sample.
+        withdrawn: Alarm this sample showed to be false.
     """
 
     blocks: BlockSums
+    lag: SpeedLag
     bristle: float
     follower_m: float | None
     speed_m_s: float
@@ -119,6 +123,7 @@ class DefaultState(NamedTuple):
     traversed: tuple[Traversed, ...]
     rupture: Rupture | None
     compensated: LayerEstimate | None
+    withdrawn: Rupture | None
 
 
 def untouched_layer(start_m: float) -> LayerData:
@@ -133,6 +138,7 @@ def initial_default_state(_config: object) -> DefaultState:
     """State before the first sample."""
     return DefaultState(
         blocks=EMPTY,
+        lag=SpeedLag(),
         bristle=0.0,
         follower_m=None,
         speed_m_s=0.0,
@@ -150,4 +156,5 @@ def initial_default_state(_config: object) -> DefaultState:
         traversed=(),
         rupture=None,
         compensated=None,
+        withdrawn=None,
     )

@@ -15,6 +15,7 @@ from identification.presliding import bristle_step, follow_depth
 from identification.rupture_state import MUTED, RuptureState, next_rupture_state
 from identification.rupture_step import measure_rupture, raise_rupture
 from identification.sample import Sample
+from identification.speed_lag import lag_step
 from identification.track import track_step
 
 _CHANNEL_M = 2e-4
@@ -31,18 +32,24 @@ def default_step(state: DefaultState, sample: Sample, config: DefaultConfig) -> 
         math.exp(-sample.dt_s / config.speed_smoothing_s) if state.follower_m is not None else 0.0
     )
     speed = keep * state.speed_m_s + (1.0 - keep) * sample.speed_m_s
+    is_gap = block is not None and block.dt_s > max(10.0 * config.block_s, config.check.gap_s)
+    lag = state.lag._replace(last=None) if is_gap else state.lag
+    if block is not None and not is_gap:
+        lag, block = lag_step(lag, block)
     state = state._replace(
         blocks=sums,
+        lag=lag,
         bristle=bristle,
         follower_m=follower,
         speed_m_s=speed,
         deepest_m=deepest,
         rupture=None,
         compensated=None,
+        withdrawn=None,
     )
     if block is None:
         return state
-    if block.dt_s > 10.0 * config.block_s and block.dt_s > config.check.gap_s:
+    if is_gap:
         return state._replace(detector=restart_detector(state.detector))
     if not state.in_contact:
         return free_air_step(state, block, config)

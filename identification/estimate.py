@@ -109,6 +109,8 @@ class Estimate:
         cumulative_friction_std_Ns_per_m: Its standard deviation or None.
         rupture: The rupture raised by this sample, or None.
         compensated: The layer whose friction was identified at this sample, or None.
+        withdrawn: The rupture, raised before, that this sample showed to be none (the force came
+            back; its layer goes on and is not listed), or None.
     """
 
     time_s: float
@@ -131,6 +133,7 @@ class Estimate:
     cumulative_friction_std_Ns_per_m: float | None
     rupture: Rupture | None
     compensated: LayerEstimate | None
+    withdrawn: Rupture | None = None
 
 
 def layers_left(layers: tuple[LayerEstimate, ...]) -> int:

@@ -103,6 +103,7 @@ class Identifier:
                 status=status,
                 rupture=None,
                 compensated=None,
+                withdrawn=None,
             )
             return self._last
         self._state = self._method.step(self._state, sample, self._config)

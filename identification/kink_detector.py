@@ -16,6 +16,8 @@ _CLIPPED_MEAN = 0.920
 _EVENT = 25.0
 _TREND = 3.0
 """Standard deviations by which the force must itself fall, not only leave its line."""
+_SLOWED = 0.5
+"""Least share of its usual speed at which the needle's friction is judged."""
 _SLOWEST = 16
 """Longest scale noise is judged by: beyond 80 ms tissue, not the sensor, is what varies."""
 _LEAST_INDEPENDENT = 5.0
@@ -58,6 +60,16 @@ class Verdict(NamedTuple):
     deviations: float
     scale: int
     rise_scale: int
+
+
+class Outputs(NamedTuple):
+    """What the filters of `KinkKernels` make of one signal, each of shape (s,)."""
+
+    kink: NDArray[np.float64]
+    rise: NDArray[np.float64]
+    trend: NDArray[np.float64]
+    base: NDArray[np.float64]
+    ahead: NDArray[np.float64]
 
 
 CALM = Verdict(0.0, 0.0, 0.0, 0, 0)
@@ -109,8 +121,8 @@ def detector_step(
     The standard deviation of each scale is learned from its own output, so coloured noise,
     sensor lag and the roughness of tissue all set their own threshold. A fall that the loss of
     speed could explain, were all the force viscous, does not count, nor one within the noise of
-    that speed; nor does a mere flattening:
-    the force since then must fall, at half the rate it rose or faster.
+    that speed; nor does a mere flattening: the force since then must fall, at half the rate it
+    rose or faster.
 
     Args:
         state: Memory.
@@ -121,38 +133,39 @@ def detector_step(
     force = np.append(state.force_N[1:], block.force_N)
     speed = np.append(state.speed_m_s[1:], block.speed_m_s)
     filled = min(state.filled + 1, kernels.length)
-    kink = kernels.kink @ force
+    of_force = Outputs(*(kernels.all @ force).reshape(5, -1))
+    of_speed = Outputs(*(kernels.all @ speed).reshape(5, -1))
     is_full = filled >= kernels.spans
     moved = state._replace(force_N=force, speed_m_s=speed, filled=filled)
     is_ready = is_full & (state.seen > _LEAST_INDEPENDENT * kernels.scales)
     verdict = CALM
     if is_ready.any():
-        verdict = _judge(moved, kink, is_ready, block.dt_s, config)
-    return _learn(moved, kink, is_full, block.dt_s, config), verdict
+        verdict = _judge(moved, of_force, of_speed, is_ready, block.dt_s, config)
+    return _learn(moved, of_force, of_speed, is_full, block.dt_s, config), verdict
 
 
 def _judge(
     state: DetectorState,
-    kink: NDArray[np.float64],
+    force: Outputs,
+    speed: Outputs,
     is_ready: NDArray[np.bool_],
     dt_s: float,
     config: DefaultConfig,
 ) -> Verdict:
     kernels = kink_kernels()
     threshold = _thresholds(state, dt_s, config)
-    before = np.maximum(np.abs(kernels.base @ state.speed_m_s), 1e-6)
-    damping = np.maximum(kernels.base @ state.force_N, 0.0) / before
-    lost = (kernels.kink @ state.speed_m_s) * damping
+    damping = _damping(force, speed)
+    lost = np.minimum(speed.kink * damping, 0.0)
     known = np.maximum(state.variance, 1e-18)
     speed_variance = state.speed_variance / kernels.gain[0] * kernels.gain
-    deviation = np.sqrt(known + damping * damping * speed_variance)
-    fall = -np.minimum(kink - np.minimum(lost, 0.0), 0.0) / deviation
-    line = kernels.rise @ state.force_N
+    law = config.model_error_share * lost
+    deviation = np.sqrt(known + damping * damping * speed_variance + law * law)
+    fall = -np.minimum(force.kink - lost, 0.0) / deviation
     chance = _TREND * np.sqrt(known * kernels.trend_gain / kernels.gain)
-    is_falling = kernels.trend @ state.force_N < -np.maximum(0.5 * line, chance)
+    is_falling = force.trend < -np.maximum(0.5 * force.rise, chance)
     scores = np.where(is_ready & is_falling, fall / threshold, 0.0)
     best = int(np.argmax(scores))
-    rises = np.where(is_ready, kink / np.sqrt(known) / threshold, 0.0)
+    rises = np.where(is_ready, force.kink / np.sqrt(known) / threshold, 0.0)
     most = int(np.argmax(rises))
     return Verdict(
         float(scores[best]),
@@ -163,9 +176,17 @@ def _judge(
     )
 
 
+def _damping(force: Outputs, speed: Outputs) -> NDArray[np.float64]:
+    """Force per speed, were all the force viscous: as it was, or as it is with more shaft in."""
+    usual = np.maximum(np.abs(speed.base), 1e-6)
+    now = force.ahead / np.maximum(speed.ahead, _SLOWED * usual)
+    return np.maximum(np.maximum(force.base / usual, now), 0.0)
+
+
 def _learn(
     state: DetectorState,
-    kink: NDArray[np.float64],
+    force: Outputs,
+    speed: Outputs,
     is_full: NDArray[np.bool_],
     dt_s: float,
     config: DefaultConfig,
@@ -181,11 +202,10 @@ def _learn(
     seen = np.where(is_full, np.minimum(state.seen + 1.0, config.noise_memory_s / dt_s), state.seen)
     rate = np.where(is_full, 1.0 / np.maximum(seen, 1.0), 0.0)
     is_known = state.seen > 10.0 * kernels.scales
-    variance = _mean_square(state.variance, kink, rate, is_known)
+    variance = _mean_square(state.variance, force.kink, rate, is_known)
     white = np.minimum(variance[0] / kernels.gain[0] * kernels.gain, variance[0])
     variance = np.where(is_full, np.maximum(variance, white), variance)
-    change = kernels.kink[:1] @ state.speed_m_s
-    speed_variance = _mean_square(state.speed_variance, change, rate[:1], is_known[:1])
+    speed_variance = _mean_square(state.speed_variance, speed.kink[:1], rate[:1], is_known[:1])
     return state._replace(variance=variance, speed_variance=speed_variance, seen=seen)
 
 

@@ -21,6 +21,7 @@ from identification.layer_model import (
     no_information,
 )
 from identification.layer_rows import NO_ROWS, rows_of_track
+from identification.made_good import is_made_good
 from identification.rupture_state import RuptureState
 from identification.track import DEPTH
 
@@ -93,8 +94,10 @@ def measure_rupture(
     is_final = is_last or travel >= config.second_look_m
     if not is_final and travel < pending.next_look_m:
         return state._replace(rupture_state=_waiting(state))
-    ending = _measure(state, pending, config, is_final)
-    if ending is not None:
+    ending = _measure(state, pending, config)
+    if is_final and _has_come_back(state, pending, ending):
+        return _dismiss(state, pending)
+    if ending is not None and _is_believed(ending, is_final=is_final):
         return _accept(state, pending, ending, is_final, config)
     if is_final:
         return state._replace(pending=None) if pending.is_closed else _dismiss(state, pending)
@@ -109,11 +112,9 @@ def _waiting(state: DefaultState) -> RuptureState:
     return state.rupture_state
 
 
-def _measure(
-    state: DefaultState, pending: Pending, config: DefaultConfig, is_final: bool
-) -> LayerEnding | None:
-    """Both sides of the rupture, if they make a drop to be believed."""
-    ending = layer_ending(
+def _measure(state: DefaultState, pending: Pending, config: DefaultConfig) -> LayerEnding | None:
+    """Both sides of the rupture, if there are enough points."""
+    return layer_ending(
         state.track.points,
         pending.left.rows,
         max(pending.left.start_m, pending.left.tip_m + config.first_look_m),
@@ -122,10 +123,18 @@ def _measure(
         config,
         pending.first,
     )
-    needed = _REAL if is_final else _SIGNIFICANT
-    if ending is None or ending.drop_N < needed * ending.drop_std_N:
-        return None
-    return ending
+
+
+def _has_come_back(state: DefaultState, pending: Pending, ending: LayerEnding | None) -> bool:
+    seen = pending.first or ending
+    if seen is None:
+        return False
+    noise = block_noise_N2(state.detector)
+    return is_made_good(state.track.points, pending.rupture.depth_m, seen.drop_N, noise)
+
+
+def _is_believed(ending: LayerEnding, *, is_final: bool) -> bool:
+    return ending.drop_N >= (_REAL if is_final else _SIGNIFICANT) * ending.drop_std_N
 
 
 def _accept(
@@ -157,10 +166,14 @@ def _accept(
 
 
 def _dismiss(state: DefaultState, pending: Pending) -> DefaultState:
-    """The force came back: no layer was left."""
+    """The force came back: no layer was left, and the alarm is withdrawn."""
+    kept = len(state.layers) - pending.is_closed
     return state._replace(
         layer=pending.left,
         fit=pending.left_fit,
         pending=None,
         rupture_state=RuptureState.NO_RUPTURE,
+        layers=state.layers[:kept],
+        traversed=state.traversed[:kept],
+        withdrawn=pending.rupture,
     )

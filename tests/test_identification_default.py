@@ -176,3 +176,24 @@ def test_bad_settings_are_refused(change, message):
     with pytest.raises(InvalidConfigError, match=message):
         replace(DEFAULT, **change)
     assert DefaultConfig() == DEFAULT
+
+
+@pytest.mark.parametrize("width_m", [0.4e-3, 0.7e-3, 1.1e-3])
+@pytest.mark.parametrize("fall_N", [0.1, 0.4])
+def test_an_alarm_whose_force_comes_back_is_withdrawn_and_leaves_no_layer(width_m, fall_N):
+    """A dent in a growing force: a fall, but nothing was let go."""
+    rng = np.random.default_rng(7)
+    depth = -2e-3 + 3e-6 * np.arange(9000)
+    since = (depth - 12e-3) / 0.3e-3
+    dent = np.clip(since, 0.0, 1.0) - np.clip(since - width_m / 0.3e-3, 0.0, 1.0)
+    force = 60.0 * np.maximum(depth, 0.0) - fall_N * dent + 0.005 * rng.standard_normal(len(depth))
+    identifier = Identifier()
+    rows = zip(depth.tolist(), force.tolist(), strict=True)
+    estimates = [identifier.update(z, 3e-3, f, 1e-3) for z, f in rows]
+    raised = [e.rupture for e in estimates if e.rupture]
+    withdrawn = [e.withdrawn for e in estimates if e.withdrawn]
+    assert len(raised) == 1
+    assert withdrawn == raised
+    assert identifier.layers == ()
+    assert estimates[-1].layer == 1
+    assert estimates[-1].rupture_state is RuptureState.NO_RUPTURE
