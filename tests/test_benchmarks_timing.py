@@ -3,6 +3,7 @@
 import gc
 
 import numpy as np
+import pinocchio as pin
 import pytest
 from insertion_run import short_run, tare_index
 
@@ -11,7 +12,7 @@ from benchmarks.gc_pauses import GcPauses
 from benchmarks.joint_signals import JointSignals
 from benchmarks.rerun_speed import slab
 from benchmarks.soak import Soak
-from benchmarks.speed import SpeedReport
+from benchmarks.speed import SpeedReport, bare_sensor
 from benchmarks.speed_table import LIMITS, event_table, pause_line, rerun_table, speed_table
 from benchmarks.timing import BLOCK, Timing, time_side_by_side
 
@@ -128,3 +129,14 @@ def test_a_soak_compares_end_with_start():
     )
     assert found.cost_share == pytest.approx(1.1)
     assert found.growth_kB == pytest.approx(20.0)
+
+
+def test_the_bare_sensor_asks_for_a_regressor_as_often_as_the_sensor(lwr, monkeypatch):
+    asked = []
+    monkeypatch.setattr(pin, "computeJointTorqueRegressor", lambda *given: asked.append(given))
+    still = np.zeros((200, lwr.nv))
+    t_s = 1e-3 * np.arange(200)
+    tick = bare_sensor(lwr, JointSignals(t_s=t_s, q_rad=still, dq_rad_s=still, tau_Nm=still))
+    for k in range(200):
+        tick(k)
+    assert len(asked) == 10, "once in 20 ms"
