@@ -16,6 +16,8 @@ from residual import DEFAULT
 SCENARIO, ARM = "gel-25-constant", "realistic"
 WINDOW = 20_000
 """Ticks of the first and of the last median: more than one cycle's worth of either."""
+SETTLED_S, STILL = 0.5, 1000
+"""The needle has come to rest so long after its way in, for so many ticks at least."""
 NS_PER_US, BYTES_PER_KB, BYTES_PER_MB = 1e3, 1024.0, 1024.0**2
 
 
@@ -30,6 +32,8 @@ class Soak:
         last_kB: The same at the end.
         first_rss_MB: Memory of the process then; 0 where the system does not tell.
         last_rss_MB: The same at the end.
+        ruptures: Found in each whole insertion.
+        skipped: Samples that the session refused.
     """
 
     first_us: float
@@ -38,6 +42,13 @@ class Soak:
     last_kB: float
     first_rss_MB: float
     last_rss_MB: float
+    ruptures: tuple[int, ...]
+    skipped: int
+
+    @property
+    def is_busy(self) -> bool:
+        """Whether every insertion had its rupture and no sample was lost: idling is cheap."""
+        return self.skipped == 0 and min(self.ruptures) > 0
 
     @property
     def cost_share(self) -> float:
@@ -51,18 +62,18 @@ class Soak:
 
 
 def soak(ticks: int, progress: Callable[[float], None] = lambda share: None) -> Soak:
-    """Insert, rest and withdraw over and over on one tare, and never begin a new insertion.
+    """Insert, rest and withdraw over and over on one tare, every time as a new insertion.
 
-    The second half of every cycle repeats the samples at rest: the needle stands still for as long
-    as it moves. Cost and memory are measured in separate passes, since watching memory costs time.
+    In every cycle the needle stands still in the tissue for as long as it moves. Cost and memory
+    are measured in separate passes, since watching memory costs time.
 
     Args:
         ticks: How many, after the tare; at least two cycles.
         progress: Told the share done.
     """
-    cycle = _Cycle()
+    cycle = Cycle()
     ticks = max(ticks, 2 * cycle.length)
-    times = cycle.time(ticks, lambda share: progress(0.5 * share))
+    times, ruptures, skipped = cycle.time(ticks, lambda share: progress(0.5 * share))
     first = times[cycle.length : cycle.length + WINDOW]
     # The same part of a cycle at the end.
     start = ((len(times) - WINDOW) // cycle.length) * cycle.length
@@ -76,11 +87,17 @@ def soak(ticks: int, progress: Callable[[float], None] = lambda share: None) -> 
         last_kB=memory[1][0],
         first_rss_MB=memory[0][1],
         last_rss_MB=memory[1][1],
+        ruptures=ruptures,
+        skipped=skipped,
     )
 
 
-class _Cycle:
-    """An insertion and as long a rest, without end."""
+class Cycle:
+    """An insertion with as long a rest in the tissue, without end.
+
+    Attributes:
+        length: Ticks of one.
+    """
 
     def __init__(self) -> None:
         run = simulate(SCENARIO, ARM, 0)
@@ -90,11 +107,12 @@ class _Cycle:
         step = [1e-3] * len(sent.t_s)
         self._rows = list(zip(sent.q_rad, sent.dq_rad_s, sent.tau_Nm, step, strict=True))
         self._tare = int(np.searchsorted(sent.t_s, run.tare_end_s))
-        deepest = int(np.argmax(run.truth.depth_m))
-        moving = list(range(self._tare, len(self._rows)))
-        at = moving.index(deepest)
-        rest = [deepest + k for k in range(1000)]
-        self._order = moving[:at] + rest * (len(moving) // 1000) + moving[at:]
+        at = int(np.searchsorted(sent.t_s, run.scenario.motion.insertion_end_s + SETTLED_S))
+        still = list(range(at, at + STILL))
+        # Forth and back: a jump from the last to the first would be a spike to the session.
+        moving = len(self._rows) - self._tare
+        rest = (still + still[::-1]) * (moving // (2 * STILL))
+        self._order = [*range(self._tare, at), *rest, *range(at, len(self._rows))]
         self.length = len(self._order)
 
     def _tared(self) -> InsertionSession:
@@ -104,17 +122,23 @@ class _Cycle:
         session.tare()
         return session
 
-    def time(self, ticks: int, progress: Callable[[float], None]) -> np.ndarray:
-        """Time of every tick [us], shape (ticks,)."""
-        session, taken = self._tared(), np.zeros(ticks)
+    def time(
+        self, ticks: int, progress: Callable[[float], None]
+    ) -> tuple[np.ndarray, tuple[int, ...], int]:
+        """Time of every tick [us], shape (ticks,); ruptures by whole cycle; samples skipped."""
+        session, taken, ruptures = self._tared(), np.zeros(ticks), [0] * (ticks // self.length + 1)
         for k in range(ticks):
-            row = self._rows[self._order[k % self.length]]
+            cycle, at = divmod(k, self.length)
+            if at == 0:
+                session.begin_insertion()
+            row = self._rows[self._order[at]]
             before = perf_counter_ns()
-            session.update(*row)
+            found = session.update(*row)
             taken[k] = (perf_counter_ns() - before) / NS_PER_US
+            ruptures[cycle] += found.identification.rupture is not None
             if k % WINDOW == 0:
                 progress(k / ticks)
-        return taken
+        return taken, tuple(ruptures[:-1]), session.skipped
 
     def memory(
         self, ticks: int, progress: Callable[[float], None]
@@ -124,7 +148,10 @@ class _Cycle:
         tracemalloc.start()
         try:
             for k in range(ticks):
-                session.update(*self._rows[self._order[k % self.length]])
+                at = k % self.length
+                if at == 0:
+                    session.begin_insertion()
+                session.update(*self._rows[self._order[at]])
                 if k == self.length:
                     first = _held()
                 if k % WINDOW == 0:

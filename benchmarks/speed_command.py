@@ -77,7 +77,13 @@ def _soak(ticks: int) -> bool:
             "",
             "",
         ),
+        (
+            "ruptures an insertion",
+            (f"{found.ruptures[0]}", f"{found.ruptures[-1]}"),
+            "≥ 1 in all, none skipped",
+            mark[found.is_busy],
+        ),
     ):
         table.add_row(name, *pair, target, met)
     new_console().print(table)
-    return not (cheap and lean)
+    return not (cheap and lean and found.is_busy)

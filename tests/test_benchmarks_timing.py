@@ -11,7 +11,7 @@ from benchmarks.chain_tick import ChainTick
 from benchmarks.gc_pauses import GcPauses
 from benchmarks.joint_signals import JointSignals
 from benchmarks.rerun_speed import slab
-from benchmarks.soak import Soak
+from benchmarks.soak import Cycle, Soak
 from benchmarks.speed import SpeedReport, bare_sensor
 from benchmarks.speed_table import LIMITS, event_table, pause_line, rerun_table, speed_table
 from benchmarks.timing import BLOCK, Timing, time_side_by_side
@@ -123,12 +123,27 @@ def test_a_slab_takes_its_time():
     assert np.sum(inside[time < motion.insertion_end_s]) * 1e-2 == pytest.approx(10.0, abs=0.5)
 
 
+def soaked(**changes):
+    known = {"first_us": 10.0, "last_us": 11.0, "first_kB": 5.0, "last_kB": 25.0}
+    known |= {"first_rss_MB": 1.0, "last_rss_MB": 1.0, "ruptures": (1, 2), "skipped": 0}
+    return Soak(**(known | changes))
+
+
 def test_a_soak_compares_end_with_start():
-    found = Soak(
-        first_us=10.0, last_us=11.0, first_kB=5.0, last_kB=25.0, first_rss_MB=1.0, last_rss_MB=1.0
-    )
-    assert found.cost_share == pytest.approx(1.1)
-    assert found.growth_kB == pytest.approx(20.0)
+    assert soaked().cost_share == pytest.approx(1.1)
+    assert soaked().growth_kB == pytest.approx(20.0)
+
+
+def test_a_soak_that_idles_is_told():
+    assert soaked().is_busy
+    assert not soaked(ruptures=(1, 0)).is_busy
+    assert not soaked(skipped=1).is_busy
+
+
+def test_every_cycle_of_a_soak_is_an_insertion_of_which_nothing_is_skipped():
+    cycle = Cycle()
+    _, ruptures, skipped = cycle.time(2 * cycle.length, lambda share: None)
+    assert (ruptures, skipped) == ((1, 1), 0)
 
 
 def test_the_bare_sensor_asks_for_a_regressor_as_often_as_the_sensor(lwr, monkeypatch):
