@@ -8,7 +8,7 @@ from scipy.signal import lfilter
 
 from benchmarks.faults.fault_stream import Array, FaultStream
 from insertion import InsertionSession, SessionEstimate
-from residual import Caution, Status
+from residual import DEFAULT, Caution, Status
 
 CLOSE_N = 0.1
 """An estimate has recovered when it stays this close to that of an undisturbed run."""
@@ -81,10 +81,21 @@ def judge(
     )
 
 
-def late(force_N: Array, lag_s: float) -> Array:
-    """A force as late as an ideal sensor of that lag [s] would read it, shape (n,), at 1 kHz."""
-    decay = np.exp(-1e-3 / lag_s)
-    return np.asarray(lfilter([1.0 - decay], [1.0, -decay], force_N), dtype=np.float64)
+def late(force_N: Array, *, with_velocity: bool = True) -> Array:
+    """A force as late as an ideal arm would let the sensor read it, shape (n,), at 1 kHz.
+
+    Args:
+        force_N: The true force.
+        with_velocity: Whether the arm sends velocities; without, position and torque are filtered.
+    """
+    assert isinstance(DEFAULT.gain_per_s, float)
+    rates_per_s = [DEFAULT.gain_per_s]
+    if not with_velocity:
+        rates_per_s += [DEFAULT.velocity_bandwidth_per_s] * 2
+    for rate in rates_per_s:
+        decay = np.exp(-1e-3 * rate)
+        force_N = np.asarray(lfilter([1.0 - decay], [1.0, -decay], force_N), dtype=np.float64)
+    return force_N
 
 
 def _told(found: list[SessionEstimate]) -> tuple[str, ...]:

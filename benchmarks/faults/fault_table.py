@@ -7,7 +7,7 @@ from rich.table import Table
 
 from benchmarks.faults.fault import FaultResult
 
-COLUMNS = ("fault", "worst error, N", "recovered after", "what the caller is told", "")
+COLUMNS = ("fault", "worst error, N", "in σ", "recovered after", "what the caller is told", "")
 
 
 def cells(result: FaultResult) -> tuple[str, ...]:
@@ -17,6 +17,7 @@ def cells(result: FaultResult) -> tuple[str, ...]:
     return (
         result.name,
         f"{result.worst_N:.2f}",
+        f"{result.worst_sigma:.0f}",
         recovery(result.recovery_s),
         told,
         note,
@@ -34,7 +35,7 @@ def fault_table(results: Iterable[FaultResult]) -> Table:
     """For the terminal."""
     table = Table(title="Faults in a running insertion")
     for name in COLUMNS:
-        table.add_column(name, justify="right" if "N" in name or "after" in name else "left")
+        table.add_column(name, justify="right" if name in COLUMNS[1:4] else "left")
     for result in results:
         table.add_row(*cells(result))
     return table
@@ -42,6 +43,6 @@ def fault_table(results: Iterable[FaultResult]) -> Table:
 
 def fault_lines(results: Iterable[FaultResult]) -> list[str]:
     """Lines of the same table in Markdown."""
-    rule = "| --- | ---: | ---: | --- | --- |"
+    rule = "| --- | ---: | ---: | ---: | --- | --- |"
     rows = ["| " + " | ".join(cells(result)) + " |" for result in results]
     return ["| " + " | ".join(COLUMNS) + " |", rule, *rows]

@@ -101,7 +101,7 @@ def motion_results(arm: str, *, with_velocity: bool = True) -> list[FaultResult]
     session.tare()
     rest = stream_of(run, tare, len(nothing), nothing)
     found += feed(session, rest, with_velocity=with_velocity)
-    whole = stream_of(run, 0, len(nothing), late(run.truth.axial_N, session.lag_s))
+    whole = stream_of(run, 0, len(nothing), late(run.truth.axial_N, with_velocity=with_velocity))
     ruptures = [k for k, e in enumerate(found) if e.identification.rupture is not None]
     results = []
     for name, (begin_s, end_s) in spans.items():
@@ -109,5 +109,6 @@ def motion_results(arm: str, *, with_velocity: bool = True) -> list[FaultResult]
         part = whole.bent(start, stop)
         inside = sum(start <= k < stop for k in ruptures)
         true = sum(begin_s <= one.onset_s < end_s for one in run.truth.ruptures)
-        results.append(judge(name, part, found, f"{inside} ruptures raised, {true} true"))
+        note = "" if inside == true else f"{inside} ruptures raised, {true} true"
+        results.append(judge(name, part, found, note))
     return results

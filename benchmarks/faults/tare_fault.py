@@ -60,7 +60,7 @@ def wrong_payload(run: Run) -> FaultResult:
 def _insert(session: InsertionSession, run: Run, name: str) -> FaultResult:
     """The insertion after the tare; it is all fault, and its recovery that of its whole length."""
     tare, count = _tare_index(run), len(run.signals.t_s)
-    forces = late(run.truth.axial_N, session.lag_s)
+    forces = late(run.truth.axial_N)
     insertion = stream_of(run, tare, count, forces)
     found = feed(session, insertion)
     worst = judge(name, insertion.bent(0, count - tare), found)

@@ -1,0 +1,101 @@
+"""Faults in a running insertion: told, got over, never infinite; and the table of docs/loop.md."""
+
+import math
+import re
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from benchmarks.faults.fault import FaultResult, is_finite, late
+from benchmarks.faults.fault_study import FaultStudy
+from benchmarks.faults.fault_table import COLUMNS, fault_lines, fault_table, recovery
+from benchmarks.faults.motion_faults import PARTS, troubled_scenario
+from benchmarks.faults.signal_faults import SIGNAL_FAULTS
+
+PAGE = (Path(__file__).parents[1] / "docs" / "loop.md").read_text(encoding="utf-8")
+
+
+def documented():
+    """The documented rows: worst error [N], recovery and what is told, by fault."""
+    found = re.search(r"<!-- faults:begin -->\n(.*?)<!-- faults:end -->", PAGE, re.DOTALL)
+    rows = [line.split("|")[1:-1] for line in found[1].splitlines()[2:]]
+    return {name.strip(): [cell.strip() for cell in cells] for name, *cells in rows}
+
+
+@pytest.fixture(scope="module")
+def results():
+    study = FaultStudy(through_layer=False)
+    return [*study.signal_results(), *study.pose_results()]
+
+
+def test_every_fault_of_the_issue_is_in_the_table():
+    names = list(documented())
+    assert names[: len(SIGNAL_FAULTS)] == list(SIGNAL_FAULTS)
+    assert names[-len(PARTS) :] == list(PARTS)
+    for word in ("limit", "stretched", "payload", "tare", "saturated", "jitter", "NaN", "frozen"):
+        assert any(word in name for name in names), word
+
+
+def test_no_number_is_infinite_and_every_fault_is_got_over(results):
+    for result in results:
+        assert result.is_finite, result
+        assert result.recovery_s <= 0.1, result
+
+
+def test_what_is_told_is_what_the_page_says(results):
+    page = documented()
+    for result in results:
+        worst, _, after, told = page[result.name][:4]
+        assert told == (", ".join(result.told) or "–"), result
+        assert result.worst_N == pytest.approx(float(worst), abs=0.05, rel=0.1), result
+        assert recovery(result.recovery_s).split()[-1] == after.split()[-1], result
+
+
+def test_faults_that_must_be_told_are_told(results):
+    told = {result.name: set(result.told) for result in results}
+    for name, words in told.items():
+        for word, caution in (("spike", "SPIKE"), ("frozen", "FROZEN"), ("saturated", "SATURATED")):
+            assert (word in name) == (caution in words) or "wrist" in name, name
+    assert "JOINT_LIMIT" in told["wrist pressed to its limit, 1 s"]
+    assert "NEAR_SINGULAR" in told["arm stretched along the needle, 1 s"]
+    assert "MISFIT" in told["pushed aside with 1 N, 2 s"]
+
+
+def test_the_troubled_insertion_does_all_it_should():
+    scenario, spans = troubled_scenario()
+    assert list(spans) == list(PARTS)
+    begin_s, end_s = spans[PARTS[0]]
+    assert end_s - begin_s == pytest.approx(60.0)
+    motion = scenario.motion
+    assert motion.position_m(end_s) == motion.position_m(begin_s)
+    times = np.linspace(*spans[PARTS[1]], 100)
+    depth = np.array([motion.position_m(float(t)) for t in times])
+    assert depth.max() - depth.min() == pytest.approx(5e-3, rel=1e-3)
+    assert motion.position_m(spans[PARTS[2]][1]) < 0.0 < motion.position_m(spans[PARTS[3]][1])
+
+
+def test_the_table_prints_what_was_found():
+    bad = FaultResult(
+        name="x", worst_N=1.234, worst_sigma=2.0, recovery_s=math.inf, told=(), is_finite=False
+    )
+    good = FaultResult(
+        name="y", worst_N=0.0, worst_sigma=0.0, recovery_s=0.0123, told=("a", "B"), is_finite=True
+    )
+    header, _, *rows = fault_lines([bad, good])
+    assert all(column in header for column in COLUMNS)
+    assert rows[0].startswith("| x | 1.23 | 2 | never | – | not finite")
+    assert rows[1] == "| y | 0.00 | 0 | 12 ms | a, B |  |"
+    assert fault_table([bad, good]).row_count == 2
+
+
+def test_a_number_that_is_not_finite_is_found_anywhere():
+    assert is_finite((1.0, (np.zeros(2), "text", None)))
+    assert not is_finite((1.0, (np.array([0.0, np.inf]),)))
+    assert not is_finite((math.nan,))
+
+
+def test_a_late_force_lags_by_what_it_should():
+    ramp = 1e-3 * np.arange(2000)
+    assert late(ramp)[-1] == pytest.approx(ramp[-1] - 0.014, abs=1e-3)
+    assert late(ramp, with_velocity=False)[-1] == pytest.approx(ramp[-1] - 0.024, abs=2e-3)
