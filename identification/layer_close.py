@@ -72,7 +72,7 @@ def close_layer(
     before = model_row(thickness, tip, boundary.speed_m_s, 1.0, config.cutting_onset_m)
     own = boundary.force_N - _earlier_N(left, before)
     known = left.prior
-    if not ending.has_membrane:  # else its spring is in the data
+    if ending.is_one_law:  # else a spring or another layer is in the data
         known = Information(known.matrix + left.data.matrix, known.vector + left.data.vector)
     known = add_layer_prior(known, own, thickness, boundary.speed_m_s, config)
     known = add_row(known, before, boundary.force_N, boundary.force_var + bias_var)

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from groundtruth import Layer, Scenario, insert_needle
+from groundtruth import ForceNoise, Layer, Scenario, insert_needle
 from groundtruth.friction import ShaftFriction
 from groundtruth.membrane import Membrane
 from groundtruth.motion import constant_motion
@@ -147,3 +147,20 @@ def test_the_next_rupture_tells_what_the_membrane_hid():
     first = next(layer for layer in reversed(told) if layer.layer == 1)
     assert now[0].friction_std_N < 0.5 * first.friction_std_N
     assert abs(now[0].friction_N - truth[0]) < 2.0 * now[0].friction_std_N
+
+
+@pytest.mark.parametrize("seed", [0, 1])
+def test_a_missed_transition_is_not_taken_for_a_membrane(seed):
+    """Fat to muscle drowns in this noise: their friction is found together, the liver's alone."""
+    noise = ForceNoise(white_std_N=0.06, drift_std_N_per_s=0.0, step_N=1.0 / 256.0)
+    needle = insert_needle("abdomen-sinusoidal", seed=seed, noise=noise)
+    identifier = Identifier()
+    for k in range(int(np.searchsorted(needle.t_s, needle.tare_end_s)), len(needle.t_s)):
+        identifier.update(
+            float(needle.depth_m[k]), float(needle.speed_m_s[k]), float(needle.force_N[k]), 1e-3
+        )
+    fat, muscle, liver = (rupture.layer_friction_N for rupture in needle.truth.ruptures)
+    both, last = identifier.layers
+    assert both.thickness_m == pytest.approx(40e-3, abs=4e-3)
+    assert both.friction_N == pytest.approx(fat + muscle, rel=0.25)
+    assert last.friction_N == pytest.approx(liver, rel=0.2)
