@@ -20,7 +20,7 @@ _REACH_RAD = 0.05
 _PUSH_N = 1.5
 _TORQUE_NOISE_NM = 0.01
 _FORCE_NOISE_N = 0.003
-_RETURN_S = 5.0
+_WAY_S = 20.0
 
 
 def joint_recording(seconds: float, rng: np.random.Generator) -> Iterator[Columns]:
@@ -41,7 +41,10 @@ def joint_recording(seconds: float, rng: np.random.Generator) -> Iterator[Column
 
 
 def needle_recording(seconds: float, rng: np.random.Generator) -> Iterator[Columns]:
-    """Depth, speed and force of a needle that goes into gel and out, in every cycle.
+    """Depth, speed and force of a needle that goes into gel and out, again and again.
+
+    Every cycle is in fresh tissue, whose surface lies as deep as the needle has come before: in
+    the channel of an insertion there is nothing left to rupture.
 
     Args:
         seconds: Length [s].
@@ -51,29 +54,32 @@ def needle_recording(seconds: float, rng: np.random.Generator) -> Iterator[Colum
         Columns of consecutive rows.
     """
     run = insert_needle("gel-50-constant", seed=0, rate_hz=RATE_HZ)
-    back_m = float(run.depth_m[0] - run.depth_m[-1])
-    phase = np.arange(1.0, _RETURN_S * RATE_HZ) / (_RETURN_S * RATE_HZ) * np.pi
-    back = run.depth_m[-1] + 0.5 * back_m * (1.0 - np.cos(phase))
+    taring = int(np.searchsorted(run.t_s, run.tare_end_s))
+    deepest_m = float(run.depth_m.max())
+    way_m = deepest_m + float(run.depth_m[taring] - run.depth_m[-1])
+    phase = np.arange(1.0, _WAY_S * RATE_HZ) / (_WAY_S * RATE_HZ) * np.pi
+    way = run.depth_m[-1] + 0.5 * way_m * (1.0 - np.cos(phase))
+    way_speed = 0.5 * way_m * np.pi / _WAY_S * np.sin(phase)
     cycle = {
-        "depth_m": np.concatenate((run.depth_m, back)),
-        "speed_m_s": np.concatenate(
-            (run.speed_m_s, 0.5 * back_m * np.pi / _RETURN_S * np.sin(phase))
-        ),
-        "force_N": np.concatenate((run.force_N, np.zeros(len(back)))),
+        "depth_m": np.concatenate((run.depth_m, way)),
+        "speed_m_s": np.concatenate((run.speed_m_s, way_speed)),
+        "force_N": np.concatenate((run.force_N, np.zeros(len(way)))),
     }
-    for columns in _repeated(cycle, seconds):
+    for number, columns in enumerate(_repeated(cycle, seconds, taring)):
+        columns["depth_m"] += number * deepest_m
         force = columns["force_N"]
         columns["force_N"] = force + _FORCE_NOISE_N * rng.normal(size=force.shape)
         yield columns
 
 
-def _repeated(cycle: Columns, seconds: float) -> Iterator[Columns]:
-    left, done = round(seconds * RATE_HZ), 0
+def _repeated(cycle: Columns, seconds: float, again_from: int = 0) -> Iterator[Columns]:
+    """The cycle, and then over and over its rows from `again_from` on."""
+    left, done, start = round(seconds * RATE_HZ), 0, 0
     while left > 0:
-        columns = {name: values[:left].copy() for name, values in cycle.items()}
+        columns = {name: values[start : start + left].copy() for name, values in cycle.items()}
         rows = len(next(iter(columns.values())))
         yield {"t_s": np.arange(done, done + rows) / RATE_HZ, **columns}
-        left, done = left - rows, done + rows
+        left, done, start = left - rows, done + rows, again_from
 
 
 def _joint_cycle(robot: Robot) -> Columns:

@@ -52,10 +52,10 @@ def stream_table(speeds: Sequence[StreamSpeed]) -> Table:
         f"memory grows by {MOST_GROWTH_MB:g} MB at most)"
     )
     for heading in ("command", "log"):
-        table.add_column(heading)
+        table.add_column(heading, no_wrap=True)
     for heading in (
         *("rows", "us per row", "x real time", "x real time (clock on the wall)"),
-        *("MB at 10 %", "MB at the end", "MB at most", "met"),
+        *("MB at 10 %", "MB at the end", "MB at most", "late ruptures", "late skipped", "met"),
     ):
         table.add_column(heading, justify="right")
     for speed in speeds:
@@ -70,6 +70,8 @@ def stream_table(speeds: Sequence[StreamSpeed]) -> Table:
             f"{watched.memory_at(0.1):.0f}",
             f"{watched.memory_at(1.0):.0f}",
             f"{watched.peak_MB:.0f}",
+            "" if speed.late.ruptures is None else str(speed.late.ruptures),
+            str(speed.late.skipped),
             "yes" if speed.is_met else "no",
         )
     return table

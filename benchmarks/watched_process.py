@@ -7,6 +7,7 @@ import time
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
+from tempfile import TemporaryFile
 
 from benchmarks.errors import BenchmarkError
 
@@ -56,20 +57,19 @@ def watch_process(
     # One thread of linear algebra: what is measured is one core.
     environment = os.environ | {"OMP_NUM_THREADS": "1"}
     before, start_s = os.times(), time.perf_counter()
-    process = subprocess.Popen(
-        [sys.executable, *arguments],
-        env=environment,
-        stdout=subprocess.DEVNULL,
-        stderr=subprocess.PIPE,
-        text=True,
-    )
     memory_MB: list[float] = []
-    while process.poll() is None:
-        memory_MB += _resident_MB(process.pid)
-        tell(time.perf_counter() - start_s)
-        time.sleep(_LOOK_S)
-    wall_s, after = time.perf_counter() - start_s, os.times()
-    said = process.stderr.read().strip() if process.stderr is not None else ""
+    # A file, not a pipe: that would be full after 64 kB, and the process would wait for ever.
+    with TemporaryFile() as errors:
+        process = subprocess.Popen(
+            [sys.executable, *arguments], env=environment, stdout=subprocess.DEVNULL, stderr=errors
+        )
+        while process.poll() is None:
+            memory_MB += _resident_MB(process.pid)
+            tell(time.perf_counter() - start_s)
+            time.sleep(_LOOK_S)
+        wall_s, after = time.perf_counter() - start_s, os.times()
+        errors.seek(0)
+        said = errors.read().decode(errors="replace").strip()
     if process.returncode != 0:
         raise BenchmarkError(f"python {' '.join(arguments)} failed: {said.splitlines()[-1:]}")
     user_s = after.children_user - before.children_user

@@ -7,22 +7,26 @@ import pytest
 
 from benchmarks.command import main
 from benchmarks.errors import BenchmarkError
+from benchmarks.late_rows import LATE_ROWS, LateRows, late_rows
 from benchmarks.long_recording import joint_recording, needle_recording
 from benchmarks.stream_speed import StreamCase, StreamSpeed
 from benchmarks.watched_process import Watched, watch_process
+from identification.default_config import DEFAULT
+from identification.replay_stream import ReplayStream
+from recordings import write_table
 
 
 @pytest.mark.parametrize("make", [joint_recording, needle_recording])
 def test_a_recording_is_as_long_as_asked_smooth_and_the_same_every_time(make):
-    parts = list(make(75.0, np.random.default_rng(0)))
+    parts = list(make(100.0, np.random.default_rng(0)))
     whole = {name: np.concatenate([part[name] for part in parts]) for name in parts[0]}
     assert len(parts) > 1
-    assert len(whole["t_s"]) == 75_000
+    assert len(whole["t_s"]) == 100_000
     np.testing.assert_allclose(np.diff(whole["t_s"]), 0.001)
     moved = whole.get("q_rad", whole.get("depth_m"))
     steps = np.abs(np.diff(moved, axis=0))
     assert steps.max() < 1e-3
-    again = next(iter(make(75.0, np.random.default_rng(0))))
+    again = next(iter(make(100.0, np.random.default_rng(0))))
     for name, values in again.items():
         np.testing.assert_array_equal(values, parts[0][name])
 
@@ -40,12 +44,18 @@ def test_a_process_is_watched_to_its_end():
         watch_process(["-c", "raise SystemExit('no such thing')"])
 
 
-def speed(cpu_s, memory_MB):
+def test_a_process_that_says_much_does_not_block():
+    much = "import sys; sys.stderr.write('x' * 1_000_000)"
+    assert watch_process(["-c", much]).wall_s < 20.0
+
+
+def speed(cpu_s, memory_MB, ruptures=1, skipped=0, rows=200_000):
     return StreamSpeed(
         case=StreamCase(command="residual", suffix=".csv"),
         seconds=100.0,
-        rows=100_000,
+        rows=rows,
         watched=Watched(wall_s=9.0, cpu_s=cpu_s, memory_MB=memory_MB),
+        late=LateRows(ruptures=ruptures, skipped=skipped),
     )
 
 
@@ -55,6 +65,36 @@ def test_both_targets_count_and_unknown_memory_is_a_miss():
     assert not speed(4.9, (100.0,) * 9 + (150.0,)).is_met
     assert not speed(4.9, ()).is_met
     assert speed(4.9, (1.0,)).times_real == pytest.approx(100.0 / 4.9)
+
+
+def test_a_command_that_idles_at_the_end_misses():
+    memory = (100.0,) * 10
+    assert not speed(4.9, memory, ruptures=0).is_met
+    assert speed(4.9, memory, ruptures=0, rows=20_000).is_met
+    assert speed(4.9, memory, ruptures=None).is_met
+    assert not speed(4.9, memory, skipped=1).is_met
+
+
+def test_a_long_recording_ruptures_fresh_tissue_in_every_cycle():
+    stream, ruptures_s = ReplayStream(DEFAULT), []
+    for columns in needle_recording(230.0, np.random.default_rng(0)):
+        estimates = stream.run(**columns).estimates
+        assert all(estimate.status.is_absorbed for estimate in estimates)
+        ruptures_s += [e.rupture.time_s for e in estimates if e.rupture]
+    late_s = 230.0 - LATE_ROWS / 1000.0
+    assert len(ruptures_s) >= 3
+    assert max(ruptures_s) > late_s
+
+
+def test_the_end_of_a_table_is_read(tmp_path):
+    rows = LATE_ROWS + 5
+    early = (np.arange(rows) < 5).astype(float)
+    write_table(tmp_path / "a.csv", {"t_s": np.arange(rows), "force_status": 3 * early})
+    assert late_rows(tmp_path / "a.csv") == LateRows(ruptures=None, skipped=0)
+    late = np.where(np.arange(rows) == rows - 2, 4.0, 0.0)
+    columns = {"t_s": np.arange(rows), "absorbed": 1.0 - early, "rupture": late + early}
+    write_table(tmp_path / "b.csv", columns)
+    assert late_rows(tmp_path / "b.csv") == LateRows(ruptures=1, skipped=0)
 
 
 def test_the_command_prints_both_commands_and_refuses_too_short_a_recording(capsys, tmp_path):
