@@ -24,6 +24,7 @@ from urdf import UrdfError
 RANDOM = "random-stack"
 _LAYER_WORDS = ("above the tissue", "in layer {}")
 _RUPTURE_WORDS = ("", "layer {} gives way")
+_SURFACE_WORDS = ("", "the membrane on the surface gives way")
 
 
 def main(argv: Sequence[str] | None = None) -> int:
@@ -52,7 +53,11 @@ def _run(arguments: Namespace) -> int:
         labels = Labels(joint_names=run.robot.joint_names)
         write_table(arguments.output, signal_table(run), labels=labels)
     if arguments.truth is not None:
-        events = {"layer": _LAYER_WORDS, "rupture": _RUPTURE_WORDS}
+        events = {
+            "layer": _LAYER_WORDS,
+            "rupture": _RUPTURE_WORDS,
+            "surface_rupture": _SURFACE_WORDS,
+        }
         labels = Labels(joint_names=run.robot.joint_names, prefix="/truth", events=events)
         write_table(arguments.truth, truth_table(run), labels=labels)
     write_out(_summary(run, arguments))

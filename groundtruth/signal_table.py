@@ -32,8 +32,9 @@ def signal_table(run: Run) -> Columns:
 def truth_table(run: Run) -> Columns:
     """Return what was true at the same samples; see `Truth` for the meaning.
 
-    `rupture` is the number of the layer that the tip begins to leave at a row, counted from 1, or
-    -1 for a membrane on the surface; else 0.
+    `rupture` is the number of the layer that the tip begins to leave at a row, counted from 1, else
+    0; of two that give way within one row the second is told at the next. `surface_rupture` is 1
+    where a membrane on the surface gives way.
 
     Args:
         run: The run.
@@ -47,7 +48,8 @@ def truth_table(run: Run) -> Columns:
         "tip_N": truth.tip_N,
         "friction_N": truth.friction_N,
         "layer": truth.layer,
-        "rupture": _ruptures(run),
+        "rupture": _ruptures(run, on_surface=False),
+        "surface_rupture": _ruptures(run, on_surface=True),
         "tau_ext_Nm": truth.external_torque_Nm,
     }
     if truth.layer_friction_N.shape[1]:
@@ -60,10 +62,14 @@ def _shift_s(run: Run) -> float:
     return max(0.0, -float(run.signals.t_s[0]))
 
 
-def _ruptures(run: Run) -> NDArray[np.int64]:
+def _ruptures(run: Run, *, on_surface: bool) -> NDArray[np.int64]:
     marks = np.zeros(len(run.truth.t_s), dtype=np.int64)
     for rupture in run.truth.ruptures:
-        row = np.searchsorted(run.truth.t_s, rupture.onset_s)
+        if (rupture.layer == 0) is not on_surface:
+            continue
+        row = int(np.searchsorted(run.truth.t_s, rupture.onset_s))
+        while row < len(marks) and marks[row]:
+            row += 1
         if row < len(marks):
-            marks[row] = rupture.layer or -1
+            marks[row] = rupture.layer or 1
     return marks

@@ -106,17 +106,40 @@ def test_the_truth_goes_into_a_file_of_its_own(quick, run):
     np.testing.assert_array_equal(log["force_N"], run.truth.axial_N)
 
 
-def test_the_truth_in_a_bag_tells_layers_as_events(quick):
+def messages(path):
+    """What a bag tells in words."""
     from rosbags.highlevel import AnyReader
 
-    assert command.main([ID, "--truth", "truth.db3"]) == 0
-    with AnyReader([Path("truth.db3")]) as bag:
+    with AnyReader([Path(path)]) as bag:
         connections = [c for c in bag.connections if c.topic == "/diagnostics"]
-        told = [
+        return [
             bag.deserialize(data, connection.msgtype).status[0].message
             for connection, _, data in bag.messages(connections=connections)
         ]
+
+
+def test_the_truth_in_a_bag_tells_layers_as_events(quick):
+    assert command.main([ID, "--truth", "truth.db3"]) == 0
+    told = messages("truth.db3")
     assert told == ["above the tissue", "in layer 1", "in layer 2", "layer 1 gives way"]
+
+
+def test_a_membrane_on_the_surface_is_told_and_no_rupture_hides_another(run, monkeypatch, tmp_path):
+    first = run.truth.ruptures[0]
+    together = tuple(replace(first, layer=number) for number in (0, 1, 2))
+    truth = replace(run.truth, ruptures=together)
+    columns = truth_table(replace(run, truth=truth))
+    assert columns["rupture"][columns["rupture"] > 0].tolist() == [1, 2]
+    assert np.count_nonzero(columns["surface_rupture"]) == 1
+    monkeypatch.setattr(command, "simulate", lambda *given, **named: replace(run, truth=truth))
+    monkeypatch.chdir(tmp_path)
+    assert command.main([ID, "--truth", "truth.db3"]) == 0
+    told = messages("truth.db3")
+    assert "the membrane on the surface gives way" in told
+    assert [text for text in told if text.startswith("layer")] == [
+        "layer 1 gives way",
+        "layer 2 gives way",
+    ]
 
 
 def test_tables_have_one_row_per_sample(run):
