@@ -17,11 +17,12 @@ from scipy.linalg import solve_triangular
 from benchmarks.insertion_truth import InsertionTruth
 from benchmarks.noise_colour import autocovariance, lagging, whitener
 from groundtruth import Rupture
+from identification import DEFAULT
 
 Array = NDArray[np.float64]
 
-INTERVAL_s = 3600.0
-"""Between false alarms, as in `identification.DEFAULT`."""
+INTERVAL_s = DEFAULT.false_alarm_interval_s
+"""Between false alarms."""
 BEFORE_s = 0.3
 """Past of the noise that is known: what wanders slowly is taken off by it."""
 WITHIN_s = 0.5

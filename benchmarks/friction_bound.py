@@ -15,14 +15,15 @@ from scipy.linalg import cholesky, solve_triangular, toeplitz
 from benchmarks.insertion_truth import InsertionTruth
 from benchmarks.noise_colour import autocovariance
 from groundtruth import Rupture
+from identification import DEFAULT
 
 Array = NDArray[np.float64]
 
-LOOK_m = 3e-3
-"""Travel after a rupture by which its layer is identified for good (`second_look_m`)."""
+LOOK_m = DEFAULT.second_look_m
+"""Travel after a rupture by which its layer is identified for good."""
 BLOCK_s = 0.02
 MOST_BLOCKS = 1000
-ONSET_m = 1e-3
+ONSET_m = DEFAULT.cutting_onset_m
 """Travel over which the cutting force of a layer builds up."""
 CUTTING_SHARE = 0.12
 """Root mean square share of cutting in the tip force of drawn layers (0 to 0.2)."""

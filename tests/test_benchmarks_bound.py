@@ -12,17 +12,19 @@ from benchmarks.bound_command import case_table
 from benchmarks.bound_metrics import bound_metrics
 from benchmarks.bound_table import bound_table
 from benchmarks.delay_bound import (
+    INTERVAL_s,
     delay_bounds_s,
     evidence_nats,
     least_delay_s,
     release_course_N,
 )
-from benchmarks.friction_bound import friction_bounds
+from benchmarks.friction_bound import LOOK_m, ONSET_m, friction_bounds
 from benchmarks.insertion_truth import truth_of_needle
 from benchmarks.needle_signal import NeedleSignal
 from benchmarks.noise_colour import autocovariance, lagging, reading_error_N, whitener
 from groundtruth import SCENARIOS, Scenario, insert_needle
 from groundtruth.motion import constant_motion
+from identification import DEFAULT
 
 RNG = np.random.default_rng(3)
 WHITE = 0.01 * RNG.standard_normal(8000)
@@ -162,3 +164,9 @@ def test_the_command_has_a_line_for_every_change():
     by_change = {(case.changed, case.value): case for case in cases}
     assert by_change["release_m", 0.1e-3].friction_pct < by_change["release_m", 2e-3].friction_pct
     assert by_change["speed_m_s", 6e-3].delay_ms < by_change["speed_m_s", 2e-3].delay_ms
+
+
+def test_the_bounds_are_of_the_settings_that_ours_has():
+    assert DEFAULT.second_look_m == LOOK_m
+    assert DEFAULT.cutting_onset_m == ONSET_m
+    assert DEFAULT.false_alarm_interval_s == INTERVAL_s

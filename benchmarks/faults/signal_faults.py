@@ -6,11 +6,10 @@ import numpy as np
 
 from benchmarks.faults.fault import Injection
 from benchmarks.faults.fault_stream import FaultStream
+from urdf import load_lwr
 
 SHOULDER = 1
 """Joint whose torque carries most of a force along the needle."""
-EFFORT_NM = 176.0
-"""Of that joint."""
 
 
 def not_finite(stream: FaultStream, at: int, *, samples: int, value: float) -> FaultStream:
@@ -78,7 +77,7 @@ def spike(
 def saturated(stream: FaultStream, at: int, *, samples: int) -> FaultStream:
     """One torque reads its joint's effort limit."""
     bent = stream.bent(at, at + samples)
-    bent.tau_Nm[at : at + samples, SHOULDER] = -EFFORT_NM
+    bent.tau_Nm[at : at + samples, SHOULDER] = -load_lwr().effort_limit_Nm[SHOULDER]
     return bent
 
 
