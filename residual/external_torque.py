@@ -4,9 +4,8 @@ from typing import NamedTuple
 
 import numpy as np
 import pinocchio as pin
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import NDArray
 
-from residual.errors import SampleError
 from residual.momentum_observer import MomentumObserver, MomentumState
 from residual.noise_probe import NoiseProbe, NoiseState
 from residual.sensor_config import SensorConfig
@@ -20,7 +19,8 @@ class TorqueSample(NamedTuple):
     Attributes:
         q: Position [rad], shape (n,); delayed like the residual when velocity is estimated.
         dq: Velocity [rad/s], shape (n,), of the same instant.
-        tau: Measured torque [Nm], shape (n,), of the same instant.
+        tau: Measured torque [Nm], shape (n,), of the same instant; the external torque where the
+            robot sends that.
         residual: External joint torque before offset removal [Nm], shape (n,).
         settled: Whether the filters have forgotten their start.
         data: Workspace in which joint placements and Jacobians at q stand; None if in none.
@@ -42,14 +42,14 @@ class ExternalTorqueState(NamedTuple):
         observer: Of the momentum observer.
         probe: Of the noise probe; None once the noise is known.
         age_s: Time since the filters started [s].
-        unread_s: Time that the observer has not seen yet [s].
+        missed_s: Time that the observer has not seen yet [s].
     """
 
     velocity: VelocityState | None
     observer: MomentumState
     probe: NoiseState | None
     age_s: float
-    unread_s: float
+    missed_s: float
 
 
 class ExternalTorqueEstimator:
@@ -87,48 +87,55 @@ class ExternalTorqueEstimator:
         self._max_gap_s = config.max_gap_s
         self._settling_s = self.SETTLING_LAGS / config.slowest_gain_per_s
         self._age_s = 0.0
-        self._unread_s = 0.0
+        self._missed_s = 0.0
         self.delay_s = 0.0 if self._velocity is None else self._velocity.delay_s
         """Age of position and velocity of a `TorqueSample` [s]."""
         self.lag_s = 1.0 / config.slowest_gain_per_s + self.delay_s
         """Time by which the estimate follows the torque [s]."""
 
     def update(
-        self, q: ArrayLike, dq: ArrayLike | None, tau: ArrayLike, dt_s: float
+        self,
+        q: NDArray[np.float64],
+        dq: NDArray[np.float64] | None,
+        tau: NDArray[np.float64],
+        dt_s: float,
     ) -> TorqueSample:
-        """Take one sample; see `MomentumObserver.update`, with ``dq`` None when there is none.
+        """Take one sample; see `MomentumObserver.update`.
+
+        Args:
+            q: Positions [rad], shape (n,): kept, not copied, as the others.
+            dq: Velocities [rad/s], shape (n,); None for a stream without.
+            tau: Torques [Nm], shape (n,).
+            dt_s: Time since the previous sample [s].
 
         Raises:
-            SampleError: For a bad sample, or for ``dq`` that comes and goes; state unchanged.
+            SampleError: For a bad sample; the state is then unchanged.
         """
-        if (dq is None) != (self._velocity is not None):
-            raise SampleError(
-                "dq was given before and is missing now, or the reverse; keep to one of the two "
-                "for a stream, or reset() first"
-            )
         if self._velocity is not None:
             return self._update_without_velocity(self._velocity, q, tau, dt_s)
-        assert dq is not None
+        assert dq is not None, "this stream has velocities"
         residual = self._observer.update(q, dq, tau, dt_s)
-        q, dq = np.asarray(q, dtype=np.float64), np.asarray(dq, dtype=np.float64)
-        tau = np.asarray(tau, dtype=np.float64)
         self._grow_older(dt_s)
         if self._probe is not None:
             self._learn_noise(dq, q, dt_s)
         return TorqueSample(q, dq, tau, residual, self._settled, self._observer.data)
 
     def _update_without_velocity(
-        self, velocity: VelocityEstimator, q: ArrayLike, tau: ArrayLike, dt_s: float
+        self,
+        velocity: VelocityEstimator,
+        q: NDArray[np.float64],
+        tau: NDArray[np.float64],
+        dt_s: float,
     ) -> TorqueSample:
         sample = velocity.update(q, tau, dt_s)
-        self._unread_s += dt_s
+        self._missed_s += dt_s
         if not sample.settled:
             self._age_s = 0.0
             return TorqueSample(sample.q, sample.dq, sample.tau, self._observer.residual, False)
-        residual = self._observer.update(sample.q, sample.dq, sample.tau, self._unread_s)
-        self._grow_older(self._unread_s)
-        self._unread_s = 0.0
-        self._learn_noise(np.asarray(q, dtype=np.float64), sample.q, dt_s)
+        residual = self._observer.update(sample.q, sample.dq, sample.tau, self._missed_s)
+        self._grow_older(self._missed_s)
+        self._missed_s = 0.0
+        self._learn_noise(q, sample.q, dt_s)
         return TorqueSample(
             sample.q, sample.dq, sample.tau, residual, self._settled, self._observer.data
         )
@@ -146,7 +153,7 @@ class ExternalTorqueEstimator:
             self._observer.state,
             None if self._probe is None else self._probe.state,
             self._age_s,
-            self._unread_s,
+            self._missed_s,
         )
 
     def restore(self, state: ExternalTorqueState) -> None:
@@ -159,7 +166,7 @@ class ExternalTorqueEstimator:
         else:
             self._probe = NoiseProbe(state.probe.rows.shape[1])
             self._probe.restore(state.probe)
-        self._age_s, self._unread_s = state.age_s, state.unread_s
+        self._age_s, self._missed_s = state.age_s, state.missed_s
 
     @property
     def _settled(self) -> bool:

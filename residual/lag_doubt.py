@@ -22,11 +22,11 @@ class LagDoubt:
             lag_s: By how much it follows the true one; 0 for not at all.
             dt_s: Time since the force before.
         """
-        if self._slow_N is None:
+        if self._slow_N is None or lag_s <= 0.0:
             self._slow_N = axial_N
+            return std_N
         behind = axial_N - self._slow_N
-        if lag_s > 0.0:
-            self._slow_N += behind * -math.expm1(-dt_s / lag_s)
+        self._slow_N += behind * -math.expm1(-dt_s / lag_s)
         variance = std_N * std_N
         hidden = behind * behind - 4.0 * variance
         return math.sqrt(variance + hidden) if hidden > 0.0 else std_N

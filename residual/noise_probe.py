@@ -58,6 +58,11 @@ class NoiseProbe:
         return np.median(differences, axis=0) / (0.6745 * math.sqrt(20.0))
 
     @property
+    def rows(self) -> NDArray[np.float64]:
+        """Samples so far, shape (m, size): not to be written."""
+        return self._rows[: self._count]
+
+    @property
     def state(self) -> NoiseState:
         """All that the probe remembers, as copies."""
         return NoiseState(self._rows[: self._count].copy(), self._left_s)

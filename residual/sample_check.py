@@ -10,6 +10,7 @@ from residual.errors import SampleError
 
 MOST_PLAUSIBLE = 1e9
 """No joint signal in SI units comes near it; beyond it products overflow."""
+_MOST_SQUARE = MOST_PLAUSIBLE**2
 
 
 LONGEST_STEP_S = 86_400.0
@@ -73,3 +74,32 @@ def check_joint_vector(name: str, value: object, joints: int) -> NDArray[np.floa
             f"{name} reaches {np.abs(array).max():.3g}, expected SI units below {MOST_PLAUSIBLE:g}"
         )
     return array
+
+
+def read_rows(
+    names: tuple[str, ...], values: tuple[object, ...], joints: int
+) -> NDArray[np.float64]:
+    """Read all signals of a sample into one new array.
+
+    Args:
+        names: What each signal is called.
+        values: Its numbers: anything numpy can read.
+        joints: Number of joints.
+
+    Returns:
+        A row for each signal, shape (k, joints): a read-only copy.
+
+    Raises:
+        SampleError: As `check_joint_vector`.
+    """
+    try:
+        rows = np.array(values, dtype=np.float64)
+    except (TypeError, ValueError):
+        rows = np.zeros(0)
+    flat = rows.reshape(-1)
+    # Almost every sample is done with here; written so that a NaN is not.
+    if rows.shape != (len(names), joints) or not flat.dot(flat) < _MOST_SQUARE:
+        vectors = zip(names, values, strict=True)
+        rows = np.stack([check_joint_vector(name, value, joints) for name, value in vectors])
+    rows.setflags(write=False)
+    return rows

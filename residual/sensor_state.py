@@ -6,7 +6,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from residual.errors import SnapshotError
-from residual.joint_stream import EstimateStreamState, JointStreamState
+from residual.external_torque_stream import ExternalTorqueStreamState
+from residual.joint_stream import JointStreamState
 from residual.offset_removal import OffsetState
 from residual.slow_checks import SlowState
 from residual.wrench import AxialWeights
@@ -20,7 +21,8 @@ class SensorState(NamedTuple):
         robot: `robot_digest` of its robot.
         config: Its settings in words; they must be the same to go on.
         joints: Of the stream of joint signals; None before the first sample of one.
-        estimates: Of the stream of the robot's own estimates; None before the first of one.
+        external_torque: Of the stream of external torques; None before the first sample of one.
+        lag_s: Of the stream that the last sample came by [s].
         offset: Of the offset removal.
         torque_covariance: Of the residual's error, as last renewed [Nm^2], shape (n, n).
         weights: Of the wrench, as last renewed.
@@ -36,7 +38,8 @@ class SensorState(NamedTuple):
     robot: str
     config: str
     joints: JointStreamState | None
-    estimates: EstimateStreamState | None
+    external_torque: ExternalTorqueStreamState | None
+    lag_s: float
     offset: OffsetState
     torque_covariance: NDArray[np.float64]
     weights: AxialWeights

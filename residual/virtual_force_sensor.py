@@ -5,7 +5,8 @@ from numpy.typing import ArrayLike, NDArray
 
 from residual.errors import SampleError, SuspectSampleError
 from residual.external_torque import TorqueSample
-from residual.joint_stream import EstimateStream, JointStream
+from residual.external_torque_stream import ExternalTorqueStream
+from residual.joint_stream import JointStream
 from residual.lag_doubt import LagDoubt
 from residual.offset_removal import OffsetRemoval
 from residual.robot_digest import robot_digest
@@ -17,7 +18,7 @@ from residual.slow_checks import SlowChecks, SlowState
 from residual.tare import Tare
 from residual.tool_kinematics import ToolKinematics
 from residual.wrench import COMPONENTS, WrenchEstimator
-from residual.wrench_estimate import Status, WrenchEstimate, unknown_wrench
+from residual.wrench_estimate import Caution, Status, WrenchEstimate, unknown_wrench
 from urdf import Robot
 
 
@@ -64,8 +65,16 @@ class VirtualForceSensor:
 
     @property
     def lag_s(self) -> float:
-        """Time by which the estimate follows the force [s]; 0 before the first sample."""
-        return 0.0 if self._joints is None else self._joints.lag_s
+        """Time by which the estimate follows the force [s]; 0 before the first sample.
+
+        It is 0 for external torques of the robot itself too: their lag is not known here.
+        """
+        return self._lag_s
+
+    @property
+    def elapsed_s(self) -> float:
+        """Time between the last two samples that were absorbed [s]; 0 for the first."""
+        return self._elapsed_s
 
     @property
     def skipped(self) -> int:
@@ -106,7 +115,7 @@ class VirtualForceSensor:
         except SampleError as error:
             return self._skip(dt_s, error)
         self._joints = stream
-        return self._finish(sample, elapsed_s)
+        return self._finish(sample, stream, elapsed_s)
 
     def update_external_torque(
         self, q: ArrayLike, external_torque: ArrayLike, dt_s: float, dq: ArrayLike | None = None
@@ -117,20 +126,22 @@ class VirtualForceSensor:
             q: Joint positions [rad], shape (n,).
             external_torque: Torque of the environment on the joints [Nm], shape (n,).
             dt_s: Time since the previous call [s].
-            dq: Joint velocities [rad/s], shape (n,); None to have them estimated from positions.
-                Only `velocity_rad_s` and the guard against spikes use them.
+            dq: Joint velocities [rad/s], shape (n,); None, always, to have them estimated from
+                positions, which are then as late as they are. Forces do not depend on them.
 
         Returns:
             As `update`.
         """
-        stream = self._estimates or EstimateStream(self._robot, self._config)
+        stream = self._external_torque
+        if stream is None:
+            stream = ExternalTorqueStream(self._robot, self._config, has_velocity=dq is not None)
         try:
             elapsed_s = 0.0 if self._last is None else self._clock.elapsed(dt_s)
             sample = stream.update(q, dq, external_torque, elapsed_s)
         except SampleError as error:
             return self._skip(dt_s, error)
-        self._estimates = stream
-        return self._finish(sample, elapsed_s)
+        self._external_torque = stream
+        return self._finish(sample, stream, elapsed_s)
 
     def tare(self, *, force: bool = False) -> Tare:
         """Fit the offset to the free motion seen since the start or `start_recording`.
@@ -162,7 +173,8 @@ class VirtualForceSensor:
     def reset(self) -> None:
         """Forget everything, the tare included."""
         self._joints: JointStream | None = None
-        self._estimates: EstimateStream | None = None
+        self._external_torque: ExternalTorqueStream | None = None
+        self._lag_s = self._elapsed_s = 0.0
         self._offset.reset()
         self._slow.restore(SlowState())
         self._doubt.restart()
@@ -178,7 +190,8 @@ class VirtualForceSensor:
             robot=self._digest,
             config=settings_text(self._config, self._robot.nv),
             joints=None if self._joints is None else self._joints.state,
-            estimates=None if self._estimates is None else self._estimates.state,
+            external_torque=None if self._external_torque is None else self._external_torque.state,
+            lag_s=self._lag_s,
             offset=self._offset.state,
             torque_covariance=self._wrench.torque_covariance,
             weights=self._wrench.weights,
@@ -204,9 +217,13 @@ class VirtualForceSensor:
             given = state.joints.torque.velocity is None
             self._joints = JointStream(self._robot, self._config, has_velocity=given)
             self._joints.restore(state.joints)
-        if state.estimates is not None:
-            self._estimates = EstimateStream(self._robot, self._config)
-            self._estimates.restore(state.estimates)
+        if state.external_torque is not None:
+            given = state.external_torque.velocity is None
+            self._external_torque = ExternalTorqueStream(
+                self._robot, self._config, has_velocity=given
+            )
+            self._external_torque.restore(state.external_torque)
+        self._lag_s = state.lag_s
         self._offset.restore(state.offset)
         self._wrench.set_torque_covariance(state.torque_covariance)
         self._wrench.restore(state.weights)
@@ -218,9 +235,12 @@ class VirtualForceSensor:
         if state.last is not None:
             self.kinematics.update(self._offset.q)
 
-    def _finish(self, sample: TorqueSample, elapsed_s: float) -> WrenchEstimate:
+    def _finish(
+        self, sample: TorqueSample, stream: JointStream | ExternalTorqueStream, elapsed_s: float
+    ) -> WrenchEstimate:
         """Remove the offset, project, and say what the caller should know."""
         self._clock.missed_s, self._velocity = 0.0, sample.dq
+        self._elapsed_s, self._lag_s = elapsed_s, stream.lag_s
         offset, wrench, slow = self._offset, self._wrench, self._slow
         renewed, tared = offset.follow(sample.q, sample.tau, elapsed_s), offset.tared
         if sample.settled and not tared:
@@ -228,32 +248,24 @@ class VirtualForceSensor:
         corrected = offset.correct(sample.residual)
         corrected.setflags(write=False)
         wrench.kinematics.update(sample.q, sample.data)
-        if renewed or self._last is None:
-            wrench.set_torque_covariance(offset.covariance_Nm2())
-            wrench.weigh()
-        axial, std, force, torque, spread, ratio, share, residual = wrench.solve(corrected)
         self._looked_s += elapsed_s
         if renewed:
-            slow.look(sample.q, residual, self._looked_s, tared=tared)
+            wrench.set_torque_covariance(offset.covariance_Nm2())
+            wrench.weigh()
+            slow.look(sample.q, corrected, self._looked_s, tared=tared)
             self._looked_s = 0.0
-        status, message = Status.OK, slow.message
+        numbers = wrench.solve(corrected)
+        std = self._doubt.widen(numbers[0], numbers[1], stream.lag_s, elapsed_s)
+        status, message, cautions = Status.OK, slow.message, slow.cautions
+        if stream.warning:
+            cautions |= Caution.FROZEN
+            message = f"{stream.warning}; {message}" if message else stream.warning
         if not sample.settled:
             status, message = Status.SETTLING, self._SETTLING
         elif not tared:
             status, message = Status.NOT_TARED, self._NOT_TARED
         self._last = WrenchEstimate(
-            axial,
-            self._doubt.widen(axial, std, self.lag_s, elapsed_s),
-            force,
-            torque,
-            spread,
-            ratio,
-            share,
-            residual,
-            status,
-            message,
-            slow.misfit,
-            slow.cautions,
+            numbers[0], std, *numbers[2:], status, message, slow.misfit, cautions
         )
         return self._last
 

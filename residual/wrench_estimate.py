@@ -35,7 +35,9 @@ class Caution(IntFlag):
     SPIKE = 1
     """A signal jumped further than an arm can, and has not stayed there."""
     FROZEN = 2
-    """A torque repeats bit for bit although its sensor is a noisy one."""
+    """Torques, or positions and velocities, repeat bit for bit although they are noisy ones. A
+    sample is skipped if they do so in all joints, for 5 s at most; then, or if one torque does so
+    by itself, the caution is all."""
     SATURATED = 4
     """A torque is at the joint's effort limit: the true one may be anything beyond."""
     JOINT_LIMIT = 8

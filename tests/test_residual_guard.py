@@ -4,40 +4,12 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from residual_signals import BIAS, external_torque_of, swing
+from guarded_sensor import feed, signals, tared
+from residual_signals import external_torque_of
 
-from residual import DEFAULT, Caution, Status, VirtualForceSensor
+from residual import DEFAULT, Caution, SampleError, Status, VirtualForceSensor
+from residual.sample_entry import SampleEntry
 from residual.sample_guard import SampleGuard
-
-NOISE = {"q": 1e-5, "dq": 2e-4, "tau": 0.03}
-
-
-def signals(robot, seconds, *, middle=None, noisy=True, start=0.0):
-    """Free motion with the noise of a good arm."""
-    _, q, dq, tau = swing(robot, seconds=seconds, amplitude=0.03, middle=middle, start=start)
-    rng = np.random.default_rng(0)
-    tau = tau - BIAS
-    if noisy:
-        q, dq, tau = (
-            value + NOISE[name] * rng.normal(size=value.shape)
-            for name, value in (("q", q), ("dq", dq), ("tau", tau))
-        )
-    return q, dq, tau
-
-
-def tared(robot, config=DEFAULT, *, with_velocity=True, more=1.0, **kinds):
-    """A tared sensor and the samples that come next."""
-    q, dq, tau = signals(robot, 2.0 + more, **kinds)
-    sensor = VirtualForceSensor(robot, config)
-    for k in range(2000):
-        sensor.update(q[k], dq[k] if with_velocity else None, tau[k], 1e-3)
-    sensor.tare()
-    rest = [(q[k], dq[k] if with_velocity else None, tau[k]) for k in range(2000, len(q))]
-    return sensor, rest
-
-
-def feed(sensor, rows, dt_s=1e-3):
-    return [sensor.update(*row, dt_s) for row in rows]
 
 
 @pytest.mark.parametrize("with_velocity", [True, False])
@@ -88,30 +60,6 @@ def test_garbage_is_not_held_back_for_ever(lwr):
     recovered = feed(sensor, rows[400:])
     assert recovered[-1].status is Status.OK
     assert abs(recovered[-1].axial) < 0.1
-
-
-@pytest.mark.parametrize("joints", [[1], list(range(7))])
-def test_a_torque_that_repeats_is_frozen_until_it_moves_again(lwr, joints):
-    sensor, rows = tared(lwr)
-    feed(sensor, rows[:100])
-    stuck = np.isin(np.arange(7), joints)
-    value = rows[99][2]
-    found = feed(sensor, [(q, dq, np.where(stuck, value, tau)) for q, dq, tau in rows[100:400]])
-    assert all(e.status is Status.SKIPPED and Caution.FROZEN in e.cautions for e in found[64:])
-    assert f"joint index {joints}" in found[-1].message
-    after = feed(sensor, rows[400:600])
-    assert after[0].status is Status.SETTLING
-    assert after[-1].status is Status.OK
-    assert not after[-1].cautions
-    assert max(abs(e.axial) for e in after) < 0.2
-
-
-def test_signals_without_noise_may_repeat_themselves(lwr):
-    sensor = VirtualForceSensor(lwr)
-    q, tau = np.array([0.1, 0.5, -0.2, -1.5, 0.3, 1.0, 0.2]), np.zeros(7)
-    found = [sensor.update(q, np.zeros(7), tau, 1e-3) for _ in range(1000)]
-    assert found[-1].status is Status.NOT_TARED
-    assert not found[-1].cautions
 
 
 @pytest.mark.parametrize("slowly", [False, True])
@@ -170,16 +118,16 @@ def test_a_push_aside_misfits_the_axial_mode_and_fits_the_point_mode(lwr):
 
 
 def test_a_guard_resumes_where_it_was(lwr):
-    q, dq, tau = signals(lwr, 1.0)
+    rows = np.concatenate(signals(lwr, 1.0), axis=1)
     guard, other = (SampleGuard(lwr, has_velocity=True) for _ in range(2))
-    for k in range(700):
-        guard.check(q[k], dq[k], tau[k], 1e-3)
-        guard.accept(dq[k], 1e-3)
+    for row in rows[:700]:
+        guard.check(row, 1e-3)
+        guard.accept(row, row[7:14], 1e-3)
     other.restore(guard.state)
-    for k in range(700, 900):
+    for row in rows[700:900]:
         for one in (guard, other):
-            one.check(q[k], dq[k], tau[k], 1e-3)
-            one.accept(dq[k], 1e-3)
+            one.check(row, 1e-3)
+            one.accept(row, row[7:14], 1e-3)
     for ours, theirs in zip(guard.state, other.state, strict=True):
         np.testing.assert_equal(ours, theirs)
 
@@ -187,3 +135,67 @@ def test_a_guard_resumes_where_it_was(lwr):
 def test_a_robot_of_six_joints_has_nothing_left_to_tell_a_misfit_by(lwr):
     sensor, rows = tared(lwr, replace(DEFAULT, mode="full"))
     assert feed(sensor, rows[:100])[-1].misfit >= 0.0
+
+
+MIDDLES = [
+    np.array([0.1, 0.5, -0.2, -1.5, 0.3, 1.0, 0.2]),
+    np.array([1.0, 0.2, 0.5, -1.0, -0.4, 1.3, 0.0]),
+    np.array([0.0, 0.9, 0.0, -1.1, 0.0, 1.1, 0.0]),
+]
+
+
+@pytest.mark.parametrize("with_velocity", [True, False])
+@pytest.mark.parametrize("middle", MIDDLES)
+@pytest.mark.parametrize("newton", [5.0, 12.0, 40.0])
+def test_a_force_that_comes_in_one_sample_loses_none(lwr, newton, middle, with_velocity):
+    sensor, rows = tared(lwr, with_velocity=with_velocity, middle=middle)
+    directions = np.repeat(
+        [[0, 0, 0], [1, 0, 0], [0, 0, 0], [0, 1, 0], [0, 0, 0], [0, 0, 1]], 50, 0
+    )
+    pushed = [
+        (q, dq, tau - external_torque_of(lwr, q, newton * direction))
+        for direction, (q, dq, tau) in zip(directions, rows, strict=False)
+    ]
+    assert {e.status for e in feed(sensor, pushed)} == {Status.OK}
+
+
+@pytest.mark.parametrize("joint", range(7))
+def test_a_torque_spike_of_one_joint_is_no_contact(lwr, joint):
+    sensor, rows = tared(lwr)
+    before = feed(sensor, rows[:50])[-1]
+    q, dq, tau = rows[50]
+    spike = np.where(np.arange(7) == joint, 0.06 * lwr.effort_limit_Nm, 0.0)
+    held = sensor.update(q, dq, tau + spike, 1e-3)
+    assert held.status is Status.SKIPPED
+    assert held.axial == before.axial
+
+
+def test_a_torque_jump_does_not_restart_the_velocity(lwr):
+    sensor, rows = tared(lwr, with_velocity=False)
+    feed(sensor, rows[:50])
+    step = np.where(np.arange(7) == 1, 12.0, 0.0)
+    found = feed(sensor, [(q, dq, tau - step) for q, dq, tau in rows[50:150]])
+    assert sum(e.status is Status.SKIPPED for e in found) <= 6
+    assert Status.SETTLING not in {e.status for e in found}
+
+
+@pytest.mark.parametrize("with_velocity", [True, False])
+def test_without_a_guard_nothing_of_it_is_remembered(lwr, with_velocity):
+    sensor, rows = tared(lwr, replace(DEFAULT, guard=False), with_velocity=with_velocity)
+    feed(sensor, rows[:50])
+    sensor.update_external_torque(rows[50][0], rows[50][2], 1e-3)
+    state = sensor.snapshot()
+    assert state.joints.guard is None
+    assert state.external_torque.guard is None
+
+
+def test_garbage_in_the_first_samples_is_refused_by_name(lwr):
+    entry = SampleEntry(
+        lwr, DEFAULT, has_velocity=False, torque_name="external_torque", velocity_delay_s=0.0
+    )
+    with pytest.raises(SampleError, match=r"external_torque is not finite at joint index \[2\]"):
+        entry.read(np.zeros(7), None, np.where(np.arange(7) == 2, np.nan, 0.0), 1e-3)
+    with pytest.raises(SampleError, match="q has shape"):
+        entry.read(np.zeros(6), None, np.zeros(7), 1e-3)
+    with pytest.raises(SampleError, match="dq was given"):
+        entry.read(np.zeros(7), np.zeros(7), np.zeros(7), 1e-3)

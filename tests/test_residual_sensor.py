@@ -147,6 +147,7 @@ def test_external_torque_of_the_robot_takes_the_same_way(lwr):
     torque = BIAS + external_torque_of(lwr, q[500], force)
     estimate = sensor.update_external_torque(q[500], torque, 1e-3)
     np.testing.assert_allclose(estimate.force, force, atol=0.02)
+    assert estimate.axial_std < 0.1
     assert sensor.update_external_torque(q[501], torque * np.nan, 1e-3).status is Status.SKIPPED
     assert sensor.update_external_torque(q[501], torque, -1.0).status is Status.SKIPPED
 

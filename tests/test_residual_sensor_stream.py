@@ -153,3 +153,92 @@ def test_days_of_bad_samples_do_not_make_the_next_sound_one_a_bad_one(lwr):
     for _ in range(3):
         sensor.update(q[0], dq[0], np.full(7, np.nan), 80_000.0)
     assert sensor.update(q[1], dq[1], tau[1], 1e-3).status is Status.SETTLING
+
+
+@pytest.mark.parametrize("with_velocity", [True, False])
+def test_the_robots_own_estimate_has_its_own_standard_deviation_and_motion(lwr, with_velocity):
+    sensor = VirtualForceSensor(lwr)
+    _, q, dq, _ = swing(lwr, seconds=2.0, amplitude=0.03)
+    rng = np.random.default_rng(0)
+    noise = 0.03 * rng.normal(size=q.shape)
+    found = []
+    for k in range(2000):
+        if k == 1000:
+            sensor.tare()
+        force = external_torque_of(lwr, q[k], [0.0, 0.0, 5.0]) if k >= 1000 else 0.0
+        torque = BIAS + force + noise[k]
+        estimate = sensor.update_external_torque(
+            q[k], torque, 1e-3, dq[k] if with_velocity else None
+        )
+        found.append(estimate)
+        settling = not with_velocity and k < 40
+        assert (estimate.status is Status.SETTLING) == settling or k >= 40
+        if estimate.status is not Status.SETTLING:
+            delay_s = 0.0 if with_velocity else 0.01
+            at = k - round(delay_s * 1000)
+            np.testing.assert_allclose(sensor.velocity_rad_s, dq[at], atol=2e-3)
+    assert found[60].status is Status.NOT_TARED
+    stated = np.array([e.axial_std for e in found[1000:]])
+    error = np.array([e.axial for e in found[1000:]]) - np.mean([e.axial for e in found[1000:]])
+    assert stated.max() < 0.2
+    assert 0.3 < np.std(error) / stated.mean() < 3.0
+    assert sensor.lag_s == 0.0
+
+
+def test_the_lag_is_that_of_the_stream_in_use(lwr):
+    sensor = tared_sensor(lwr)
+    assert sensor.lag_s > 0.0
+    _, q, dq, tau = swing(lwr, seconds=0.01, start=2.0, amplitude=0.03)
+    sensor.update_external_torque(q[0], np.zeros(7), 1e-3)
+    assert sensor.lag_s == 0.0
+    twin = VirtualForceSensor(lwr)
+    twin.restore(sensor.snapshot())
+    assert twin.lag_s == 0.0
+    sensor.update(q[1], dq[1], tau[1], 1e-3)
+    assert sensor.lag_s > 0.0
+
+
+def test_a_velocity_that_comes_and_goes_is_refused_beside_external_torques_too(lwr):
+    sensor = VirtualForceSensor(lwr)
+    q, still = np.zeros(7), np.zeros(7)
+    sensor.update_external_torque(q, still, 1e-3)
+    told = sensor.update_external_torque(q, still, 1e-3, still)
+    assert told.status is Status.SKIPPED
+    assert "dq was given before" in told.message
+
+
+def test_speed_of_external_torques_settles_anew_after_a_gap(lwr):
+    sensor = VirtualForceSensor(lwr)
+    _, q, _, _ = swing(lwr, seconds=0.5)
+    for k in range(400):
+        sensor.update_external_torque(q[k], BIAS, 1e-3)
+    assert sensor.update_external_torque(q[400], BIAS, 0.5).status is Status.SETTLING
+    for k in range(401, 460):
+        last = sensor.update_external_torque(q[k], BIAS, 1e-3)
+    assert last.status is Status.NOT_TARED
+
+
+@pytest.mark.parametrize("with_velocity", [True, False])
+@pytest.mark.parametrize("own_torque", [True, False])
+def test_no_state_is_an_array_of_the_caller(lwr, with_velocity, own_torque):
+    sensor, twin = VirtualForceSensor(lwr), VirtualForceSensor(lwr)
+    _, q, dq, tau = swing(lwr, seconds=0.7, amplitude=0.03)
+    mine = [np.empty(7) for _ in range(3)]
+
+    def feed(one, q_k, dq_k, tau_k):
+        dq_k = dq_k if with_velocity else None
+        if own_torque:
+            return one.update_external_torque(q_k, tau_k, 1e-3, dq_k)
+        return one.update(q_k, dq_k, tau_k, 1e-3)
+
+    for k in range(700):
+        for buffer, value in zip(mine, (q[k], dq[k], tau[k]), strict=True):
+            buffer[:] = value
+        ours, theirs = feed(sensor, *mine), feed(twin, q[k], dq[k], tau[k])
+        velocity = sensor.velocity_rad_s.copy()
+        kept = sensor.snapshot()
+        for buffer in mine:
+            buffer[:] = 7.0
+        assert ours.axial == theirs.axial
+        np.testing.assert_array_equal(sensor.velocity_rad_s, velocity)
+        np.testing.assert_array_equal(kept.velocity, velocity)

@@ -1,0 +1,36 @@
+"""A tared sensor behind its guard, and the samples that come next."""
+
+import numpy as np
+from residual_signals import BIAS, swing
+
+from residual import DEFAULT, VirtualForceSensor
+
+NOISE = {"q": 1e-5, "dq": 2e-4, "tau": 0.03}
+
+
+def signals(robot, seconds, *, middle=None, noisy=True, start=0.0):
+    """Free motion with the noise of a good arm."""
+    _, q, dq, tau = swing(robot, seconds=seconds, amplitude=0.03, middle=middle, start=start)
+    rng = np.random.default_rng(0)
+    tau = tau - BIAS
+    if noisy:
+        q, dq, tau = (
+            value + NOISE[name] * rng.normal(size=value.shape)
+            for name, value in (("q", q), ("dq", dq), ("tau", tau))
+        )
+    return q, dq, tau
+
+
+def tared(robot, config=DEFAULT, *, with_velocity=True, more=1.0, **kinds):
+    """A tared sensor and the samples that come next."""
+    q, dq, tau = signals(robot, 2.0 + more, **kinds)
+    sensor = VirtualForceSensor(robot, config)
+    for k in range(2000):
+        sensor.update(q[k], dq[k] if with_velocity else None, tau[k], 1e-3)
+    sensor.tare()
+    rest = [(q[k], dq[k] if with_velocity else None, tau[k]) for k in range(2000, len(q))]
+    return sensor, rest
+
+
+def feed(sensor, rows, dt_s=1e-3):
+    return [sensor.update(*row, dt_s) for row in rows]

@@ -1,0 +1,124 @@
+"""Signals that are stuck are told from sound ones that repeat."""
+
+import numpy as np
+import pytest
+from guarded_sensor import NOISE, feed, tared
+from residual_signals import MIDDLE, swing
+
+from residual import Caution, Status, VirtualForceSensor
+from residual.repeat_watch import LONGEST_REFUSAL_S, stands_out
+
+
+def held(values, samples):
+    """A slower source: every value comes several times."""
+    return values[np.arange(len(values)) // samples * samples]
+
+
+def rounded(values, resolution):
+    return np.round(values / resolution) * resolution if resolution else values
+
+
+SOURCES = {
+    **{
+        f"resolution of {lsb:g} Nm, noise of {noise:g} Nm": (lsb, noise, 1)
+        for lsb in (0.0, 1e-3, 4e-3, 0.02, 0.1)
+        for noise in (0.0, 4e-3, 0.03)
+    },
+    "100 Hz": (0.0, 0.03, 10),
+    "250 Hz and 0.02 Nm": (0.02, 4e-3, 4),
+}
+
+
+@pytest.mark.parametrize("moves_first", [False, True])
+@pytest.mark.parametrize("source", SOURCES)
+def test_an_arm_at_rest_is_not_refused_whatever_its_source(lwr, source, moves_first):
+    resolution, noise, samples = SOURCES[source]
+    rng = np.random.default_rng(1)
+    _, q, dq, tau = swing(lwr, seconds=0.8, amplitude=0.1)
+    if not moves_first:
+        q, dq, tau = (np.repeat(x[:1], len(x), axis=0) for x in (q, 0.0 * dq, tau))
+    q, dq, tau = (np.concatenate((x, np.repeat(x[-1:], 2000, axis=0))) for x in (q, dq, tau))
+    tau = held(rounded(tau + noise * rng.normal(size=tau.shape), resolution), samples)
+    sensor = VirtualForceSensor(lwr)
+    for q_k, tau_k in zip(q[:800], tau[:800], strict=True):
+        sensor.update_external_torque(q_k, tau_k, 1e-3)
+    found = [
+        sensor.update_external_torque(q_k, tau_k, 1e-3)
+        for q_k, tau_k in zip(q[800:], tau[800:], strict=True)
+    ]
+    assert sum(Caution.FROZEN in e.cautions for e in found) == 0
+
+
+@pytest.mark.parametrize("which", ["torque", "position", "all"])
+@pytest.mark.parametrize("resolution", [0.0, 1e-3, 1e-2])
+def test_what_stays_the_same_in_all_joints_is_frozen_until_it_moves_again(lwr, resolution, which):
+    sensor, rows = tared(lwr)
+    rows = [(q, dq, rounded(tau, resolution)) for q, dq, tau in rows]
+    feed(sensor, rows[:100])
+    q0, dq0, tau0 = rows[99]
+    stuck = [
+        (q, dq, tau0) if which == "torque" else (q0, dq0, tau if which == "position" else tau0)
+        for q, dq, tau in rows[100:400]
+    ]
+    found = feed(sensor, stuck)
+    assert all(e.status is Status.SKIPPED and Caution.FROZEN in e.cautions for e in found[30:])
+    assert ("position and torque" if which == "all" else which) in found[-1].message
+    after = feed(sensor, rows[400:600])
+    assert after[0].status is Status.SETTLING
+    assert after[-1].status is Status.OK
+    assert not after[-1].cautions
+    assert max(abs(e.axial) for e in after) < 0.2
+
+
+def test_a_source_that_holds_its_values_is_frozen_after_far_longer(lwr):
+    rng = np.random.default_rng(0)
+    tau = held(NOISE["tau"] * rng.normal(size=(2000, 7)), 10)
+    tau[1000:] = tau[999]
+    sensor = VirtualForceSensor(lwr)
+    found = [sensor.update_external_torque(MIDDLE, tau_k, 1e-3) for tau_k in tau]
+    frozen = [Caution.FROZEN in e.cautions for e in found]
+    assert not any(frozen[:1150])
+    assert all(frozen[1250:])
+
+
+def test_one_torque_that_stays_the_same_is_told_and_not_refused(lwr):
+    sensor, rows = tared(lwr, more=1.5)
+    feed(sensor, rows[:100])
+    alone, value = np.arange(7) == 1, rows[99][2]
+    found = feed(sensor, [(q, dq, np.where(alone, value, tau)) for q, dq, tau in rows[100:1000]])
+    assert all(e.status is Status.OK for e in found)
+    assert not any(Caution.FROZEN in e.cautions for e in found[:400])
+    assert all(Caution.FROZEN in e.cautions for e in found[600:])
+    assert "joint index [1]" in found[-1].message
+    assert Caution.FROZEN not in feed(sensor, rows[1000:1100])[-1].cautions
+
+
+def test_nothing_is_refused_for_ever(lwr):
+    sensor, rows = tared(lwr)
+    feed(sensor, rows[:100])
+    dt_s = 0.01
+    found = feed(sensor, [rows[99]] * 1000, dt_s)
+    refused = sum(e.status is Status.SKIPPED for e in found) * dt_s
+    assert 0.9 * LONGEST_REFUSAL_S < refused <= LONGEST_REFUSAL_S
+    assert found[-1].status is Status.OK
+    assert Caution.FROZEN in found[-1].cautions
+    assert "no longer held back" in found[-1].message
+
+
+def test_signals_without_noise_may_repeat_themselves(lwr):
+    sensor = VirtualForceSensor(lwr)
+    found = [sensor.update(MIDDLE, np.zeros(7), np.zeros(7), 1e-3) for _ in range(1000)]
+    assert found[-1].status is Status.NOT_TARED
+    assert not found[-1].cautions
+
+
+@pytest.mark.parametrize("slope", [0.0, 0.3, 1.0, 2.7])
+def test_noise_stands_out_of_a_resolution_finer_than_itself_and_motion_never_does(slope):
+    rng = np.random.default_rng(0)
+    ramp = slope * np.arange(500.0)[:, None] * 1e-3
+    quiet, loud = (sigma * rng.normal(size=(500, 50)) for sigma in (3e-4, 3e-3))
+    assert not stands_out(np.repeat(ramp, 3, axis=1)).any()
+    assert not stands_out(rounded(ramp + quiet, 1e-3)).any()
+    assert stands_out(rounded(ramp + loud, 1e-3)).all()
+    assert stands_out(ramp + quiet).all()
+    assert stands_out(held(ramp + loud, 4)).all()
