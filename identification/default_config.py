@@ -35,6 +35,11 @@ class DefaultConfig:
         model_error_m: Travel over which the error of the linear law stays the same.
         friction_share: Share of friction in a layer's growing force before anything is known.
         friction_share_std: Its standard deviation.
+        tear_travel_m: Travel of a release that is as likely a tear as the end of a layer: gels and
+            layers let go within 0.1 to 0.5 mm, tears within liver take 0.5 to 2 mm.
+        tear_share: Share of friction in the force that a tear leaves: it is least then, and the
+            share larger than the two thirds of an insertion into liver as a whole.
+        tear_share_std: Its standard deviation.
         coulomb_speed_m_s: Speed at which Coulomb and viscous friction are equal, before the motion
             tells: 1.5 mm/s in gels (Table I at two speeds), 7.5 mm/s in liver; their middle.
         coulomb_speed_factor: Factor by which that speed may differ, one standard deviation.
@@ -58,6 +63,9 @@ class DefaultConfig:
     model_error_m: float = 5e-3
     friction_share: float = 0.5
     friction_share_std: float = 0.2
+    tear_travel_m: float = 0.4e-3
+    tear_share: float = 0.8
+    tear_share_std: float = 0.15
     coulomb_speed_m_s: float = 3.4e-3
     coulomb_speed_factor: float = 2.2
     check: CheckConfig = field(default_factory=CheckConfig)

@@ -15,6 +15,7 @@ from identification.layer_model import Information, LayerFit, layer_fit, no_info
 from identification.layer_rows import NO_ROWS
 from identification.rupture_state import RuptureState
 from identification.speed_lag import SpeedLag
+from identification.tear import NOTHING_HELD, Held
 from identification.track import Track, initial_track
 
 
@@ -29,6 +30,7 @@ class LayerData(NamedTuple):
         points: Number of those points.
         pool: Points not in `data` yet, summed: weighted columns of the track.
         rows: The same points at a coarse resolution, see `layer_rows`.
+        held: Tip force it began with, see `tear`.
     """
 
     start_m: float
@@ -38,6 +40,7 @@ class LayerData(NamedTuple):
     points: int = 0
     pool: NDArray[np.float64] | None = None
     rows: NDArray[np.float64] = NO_ROWS
+    held: Held = NOTHING_HELD
 
 
 class Traversed(NamedTuple):
@@ -49,6 +52,7 @@ class Traversed(NamedTuple):
         coulomb_N: c d.
         viscous: b d [N/(mm/s)].
         belief: What was believed of it before the force after its rupture was known.
+        end_probability: How likely its rupture was its end, see `tear`.
     """
 
     start_m: float
@@ -56,6 +60,7 @@ class Traversed(NamedTuple):
     coulomb_N: float
     viscous: float
     belief: Belief
+    end_probability: float
 
 
 class Pending(NamedTuple):

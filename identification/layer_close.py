@@ -55,9 +55,9 @@ def close_layer(
 ) -> ClosedLayer:
     """Batch refit of the layer with both sides of its rupture as measurements.
 
-    The force before is tip and friction together, the force after is friction alone: their
-    difference is (10), K d = f_drop. With small noise the answer is that of the re-weighting
-    (12); here it comes with a covariance.
+    The force before is tip and friction together, the force after is friction alone (unless the
+    tissue only tore, see `tear`): their difference is (10), K d = f_drop. With small noise the
+    answer is that of the re-weighting (12); here it comes with a covariance.
 
     Args:
         left: Data of the layer.
@@ -74,28 +74,27 @@ def close_layer(
     known = left.prior
     if ending.is_one_law:  # else a spring or another layer is in the data
         known = Information(known.matrix + left.data.matrix, known.vector + left.data.vector)
-    known = add_layer_prior(known, own, thickness, boundary.speed_m_s, config)
+    known = add_layer_prior(known, own, thickness, boundary.speed_m_s, config, left.held)
     known = add_row(known, before, boundary.force_N, boundary.force_var + bias_var)
-    law = (_DROP_ERROR_SHARE * ending.drop_N) ** 2
-    after = _After(ending, ending.after_var + bias_var + law, rupture.speed_m_s)
+    after = _after(ending, bias_var, rupture.speed_m_s)
     fit = solve_layer(_with_after(known, after, thickness, config))
-    belief = believe(known)
+    belief, found = believe(known), Belief(np.array(fit.values), fit.covariance)
     return ClosedLayer(
-        layer_estimate(
-            rupture, ending, left.start_m, thickness, Belief(np.array(fit.values), fit.covariance)
-        ),
+        layer_estimate(rupture, ending, left.start_m, thickness, found),
         Traversed(
             left.start_m,
             thickness,
             MM * thickness * fit.values[OWN_COULOMB],
             MM * thickness * fit.values[OWN_VISCOUS],
             belief,
+            ending.end_probability,
         ),
         LayerData(
             boundary.depth_m,
             rupture.depth_m,
             _next_prior(carried_friction(belief, thickness), after, config),
             no_information(),
+            held=ending.held,
         ),
         _next_fit(fit, thickness, after, config),
     )
@@ -113,6 +112,11 @@ class _After(NamedTuple):
     ending: LayerEnding
     variance: float
     speed_m_s: float
+
+
+def _after(ending: LayerEnding, bias_var: float, speed_m_s: float) -> _After:
+    law = (_DROP_ERROR_SHARE * ending.drop_N) ** 2
+    return _After(ending, ending.friction_var + bias_var + law, speed_m_s)
 
 
 def _earlier_N(left: LayerData, row: NDArray[np.float64]) -> float:
@@ -136,7 +140,7 @@ def _with_after(
         config.friction_share * slope * MM * ending.boundary.std_m,
     )
     row = model_row(thickness_m, 0.0, after.speed_m_s, 1.0, config.cutting_onset_m)
-    value = ending.after_N - config.friction_share * rubbing
+    value = ending.friction_N - config.friction_share * rubbing
     return add_row(known, row, value, after.variance + doubt**2)
 
 
@@ -152,7 +156,8 @@ def _next_prior(friction: Belief, after: _After, config: DefaultConfig) -> Infor
     ending = after.ending
     row = model_row(ending.pushed_in_mm / MM, 0.0, after.speed_m_s, 1.0, config.cutting_onset_m)
     edge = config.friction_share * ending.next_slope_N_per_mm * MM * ending.boundary.std_m
-    return add_row(Information(matrix, vector), row, ending.after_N, after.variance + edge**2)
+    variance = after.variance + edge**2
+    return add_row(Information(matrix, vector), row, ending.friction_N, variance)
 
 
 def _next_fit(fit: LayerFit, thickness_m: float, after: _After, config: DefaultConfig) -> LayerFit:

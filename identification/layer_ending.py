@@ -1,7 +1,8 @@
 """How a layer ended, measured on the track around its rupture."""
 
 import math
-from dataclasses import dataclass
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -11,6 +12,13 @@ from identification.estimate import Rupture
 from identification.layer_model import MM
 from identification.membrane import Boundary, find_membrane
 from identification.rupture_fit import fit_rupture
+from identification.tear import (
+    NOTHING_HELD,
+    Held,
+    end_probability,
+    held_force,
+    release_travel_m,
+)
 
 _MOST_PUSHED_M = 13e-3
 """No membrane gives more: the capsule of bovine liver 11 mm."""
@@ -31,6 +39,9 @@ class LayerEnding:
         drop_std_N: Its standard deviation.
         next_slope_N_per_mm: Growth of the force in the next layer.
         pushed_in_mm: Length of the next layer on the shaft when its membrane had been punctured.
+        release_m: Travel over which the force fell; nan if not known.
+        end_probability: How likely the rupture ended a layer, see `tear`.
+        held: Tip force that it left if not.
     """
 
     boundary: Boundary
@@ -42,6 +53,19 @@ class LayerEnding:
     drop_std_N: float
     next_slope_N_per_mm: float
     pushed_in_mm: float
+    release_m: float
+    end_probability: float = 1.0
+    held: Held = NOTHING_HELD
+
+    @property
+    def friction_N(self) -> float:
+        """Force after the rupture less what is believed to be held at the tip."""
+        return self.after_N - self.held.mean_N
+
+    @property
+    def friction_var(self) -> float:
+        """Variance of that [N^2]."""
+        return self.after_var + self.held.variance
 
 
 def layer_ending(
@@ -86,6 +110,7 @@ def layer_ending(
         drop_std_N=math.sqrt(fit.before_var + fit.after_var),
         next_slope_N_per_mm=fit.slope_N_per_mm,
         pushed_in_mm=MM * (rupture.depth_m - boundary.depth_m),
+        release_m=release_travel_m(points, rupture.depth_m, fit.after_N),
     )
 
 
@@ -106,3 +131,17 @@ def _look_for_membrane(
     if again is not None and rupture_m - again.depth_m > _MOST_PUSHED_M:
         again = None
     return again, False
+
+
+def weigh_tear(ending: LayerEnding, earlier: Sequence[float], config: DefaultConfig) -> LayerEnding:
+    """The same ending with what the rupture may have left at the tip.
+
+    Args:
+        ending: As measured.
+        earlier: How likely each rupture before ended a layer.
+        config: Settings.
+    """
+    share = ending.drop_N / max(ending.drop_N + ending.after_N, 1e-6)
+    probability = end_probability(ending.release_m, share, earlier, config)
+    held = held_force(ending.after_N, probability, config)
+    return replace(ending, end_probability=probability, held=held)

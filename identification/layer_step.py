@@ -81,7 +81,8 @@ def _refit(state: DefaultState, point: NDArray[np.float64], config: DefaultConfi
         layer.prior.matrix + layer.data.matrix, layer.prior.vector + layer.data.vector
     )
     depth = float(point[DEPTH]) - layer.start_m
-    fit = solve_layer(add_layer_prior(known, own, depth, float(point[SPEED]), config))
+    known = add_layer_prior(known, own, depth, float(point[SPEED]), config, layer.held)
+    fit = solve_layer(known)
     row[[CUTTING, STIFFNESS]] = 0.0
     spread = float(row @ fit.covariance @ row)
     return state._replace(fit=fit, shaft_std_N=math.sqrt(max(spread, 0.0)))

@@ -12,7 +12,7 @@ from identification.estimate import Rupture, layers_left
 from identification.kink_detector import Verdict, block_noise_N2, restart_detector
 from identification.kink_kernels import kink_kernels
 from identification.layer_close import close_layer
-from identification.layer_ending import LayerEnding, layer_ending
+from identification.layer_ending import LayerEnding, layer_ending, weigh_tear
 from identification.layer_model import (
     MM,
     OWN_COULOMB,
@@ -145,8 +145,9 @@ def _accept(
     config: DefaultConfig,
 ) -> DefaultState:
     """Close the layer; a later look replaces what an earlier one found."""
-    closed = close_layer(pending.left, pending.rupture, ending, state.baseline.variance, config)
     keep = len(state.layers) - pending.is_closed
+    ending = weigh_tear(ending, [layer.end_probability for layer in state.traversed[:keep]], config)
+    closed = close_layer(pending.left, pending.rupture, ending, state.baseline.variance, config)
     machine = state.rupture_state if pending.is_closed else RuptureState.COMPENSATED
     later = pending._replace(is_closed=True, next_look_m=config.second_look_m, first=ending)
     row = np.array([1.0, MM * pending.rupture.speed_m_s])
