@@ -100,7 +100,7 @@ class ExternalTorqueEstimator:
         tau: NDArray[np.float64],
         dt_s: float,
     ) -> TorqueSample:
-        """Take one sample; see `MomentumObserver.update`.
+        """Take one sample that has been checked; see `MomentumObserver.absorb`.
 
         Args:
             q: Positions [rad], shape (n,): kept, not copied, as the others.
@@ -114,8 +114,8 @@ class ExternalTorqueEstimator:
         if self._velocity is not None:
             return self._update_without_velocity(self._velocity, q, tau, dt_s)
         assert dq is not None, "this stream has velocities"
-        residual = self._observer.update(q, dq, tau, dt_s)
-        self._grow_older(dt_s)
+        residual = self._observer.absorb(q, dq, tau, dt_s)
+        self._age_s = 0.0 if dt_s > self._max_gap_s else self._age_s + dt_s
         if self._probe is not None:
             self._learn_noise(dq, q, dt_s)
         return TorqueSample(q, dq, tau, residual, self._settled, self._observer.data)
@@ -127,14 +127,14 @@ class ExternalTorqueEstimator:
         tau: NDArray[np.float64],
         dt_s: float,
     ) -> TorqueSample:
-        sample = velocity.update(q, tau, dt_s)
+        sample = velocity.absorb(q, tau, dt_s)
         self._missed_s += dt_s
         if not sample.settled:
             self._age_s = 0.0
             return TorqueSample(sample.q, sample.dq, sample.tau, self._observer.residual, False)
-        residual = self._observer.update(sample.q, sample.dq, sample.tau, self._missed_s)
-        self._grow_older(self._missed_s)
-        self._missed_s = 0.0
+        residual = self._observer.absorb(sample.q, sample.dq, sample.tau, self._missed_s)
+        missed_s, self._missed_s = self._missed_s, 0.0
+        self._age_s = 0.0 if missed_s > self._max_gap_s else self._age_s + missed_s
         self._learn_noise(q, sample.q, dt_s)
         return TorqueSample(
             sample.q, sample.dq, sample.tau, residual, self._settled, self._observer.data
@@ -184,6 +184,3 @@ class ExternalTorqueEstimator:
                 noise = noise * self._velocity.noise_per_position_noise(dt_s)
             self._observer.smooth_momentum(noise, q)
             self._probe = None
-
-    def _grow_older(self, dt_s: float) -> None:
-        self._age_s = 0.0 if dt_s > self._max_gap_s else self._age_s + dt_s

@@ -70,7 +70,7 @@ class ExternalTorqueStream:
         else:
             if has_jumped:
                 self._velocity.reset()
-            position, velocity, _, settled = self._velocity.update(position, torque, dt_s)
+            position, velocity, _, settled = self._velocity.absorb(position, torque, dt_s)
         self._entry.accept(velocity, dt_s)
         return TorqueSample(position, velocity, torque, torque, settled)
 

@@ -149,6 +149,20 @@ class MomentumObserver:
             self._refuse(q, dq, tau)
         if self._seated and dt_s != self._dt_s:
             check_interval(dt_s)
+        return self.absorb(q, dq, tau, dt_s)
+
+    def absorb(
+        self,
+        q: NDArray[np.float64],
+        dq: NDArray[np.float64],
+        tau: NDArray[np.float64],
+        dt_s: float,
+    ) -> NDArray[np.float64]:
+        """As `update`, for arrays of the right shape and a time step that somebody has checked.
+
+        Raises:
+            SampleError: For numbers that are not finite; the state is then unchanged.
+        """
         residual_row, momentum, coriolis, gravity, torque = self._slots[self._spare]
         self._terms.write(q, dq, momentum, coriolis, gravity)
         torque[:] = tau

@@ -97,10 +97,17 @@ class VelocityEstimator:
         Raises:
             SampleError: For a bad sample; the state is then unchanged.
         """
-        n, rows, last = self._joints, self._rows, self._rows[3]
         q, tau = self._checked(q, tau)
-        starts = not self._seated or (dt_s != self._dt_s and self._is_gap(dt_s))
-        if starts:
+        if self._seated and dt_s != self._dt_s:
+            check_interval(dt_s)
+        return self.absorb(q, tau, dt_s)
+
+    def absorb(
+        self, q: NDArray[np.float64], tau: NDArray[np.float64], dt_s: float
+    ) -> MatchedSample:
+        """As `update`, for finite arrays of the right shape and a checked time step."""
+        n, rows, last = self._joints, self._rows, self._rows[3]
+        if not self._seated or (dt_s != self._dt_s and self._is_gap(dt_s)):
             rows[:, :n], rows[:, n:] = q, tau
             self._age_s = 0.0
             self._seated = True
@@ -130,7 +137,6 @@ class VelocityEstimator:
 
     def _is_gap(self, dt_s: float) -> bool:
         """Whether a new time step is too long; renews the coefficients if it is not."""
-        check_interval(dt_s)
         if dt_s > self._max_gap_s:
             return True
         self._coefficients = lag_pair_coefficients(self._bandwidth, dt_s)

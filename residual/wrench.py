@@ -170,8 +170,9 @@ class WrenchEstimator:
         """Go on with weights of an earlier time."""
         self._weights = weights
         self._std = math.sqrt(weights.variance_N2)
-        self._numbers = np.array((weights.variance_N2, weights.damping_share))
-        self._numbers.setflags(write=False)
+        numbers = np.array((weights.variance_N2, weights.damping_share))
+        numbers.setflags(write=False)
+        self._spread, self._share = numbers[:1, None], numbers[1:]
 
     def solve(self, residual: NDArray[np.float64]) -> WrenchNumbers:
         """Wrench where `kinematics` stands, from an external joint torque [Nm], shape (n,).
@@ -184,7 +185,7 @@ class WrenchEstimator:
         """
         if self._mode != "axial":
             return self._general(residual)
-        kinematics, weights, numbers = self.kinematics, self._weights, self._numbers
+        kinematics, weights = self.kinematics, self._weights
         weighted = weights.weighted
         total = float(weighted.dot(kinematics.advance)) + self._axial_damping
         axial = -float(weighted.dot(residual)) / total if total > 0.0 else 0.0
@@ -192,15 +193,14 @@ class WrenchEstimator:
             raise SampleError("q and residual must be finite; skip this sample")
         force = (kinematics.axis_in_base if self._in_base else kinematics.axis_in_tool) * -axial
         force.setflags(write=False)
-        covariance, share = numbers[:1, None], numbers[1:]
         return (
             axial,
             self._std,
             force,
             _NOTHING,
-            covariance,
+            self._spread,
             weights.conditioning,
-            share,
+            self._share,
             residual,
         )
 
