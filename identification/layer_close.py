@@ -27,7 +27,7 @@ from identification.layer_model import (
 )
 from identification.layer_prior import add_layer_prior
 
-_DROP_ERROR_SHARE = 0.006
+_DROP_ERROR_SHARE = 0.004
 
 
 class ClosedLayer(NamedTuple):

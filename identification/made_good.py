@@ -11,6 +11,9 @@ _LATE_SHARE = 1.0 / 3.0
 _LEAST_POINTS = 8
 _CHANCE = 9.0
 """Squared deviations, of level and slope together, that chance reaches once in a hundred."""
+_TOLD = 0.2
+"""How well the two slopes must be known, as a share of the larger: a fresh layer's cutting force
+may also make a small fall good, only its slope gives it away."""
 _SHARE = 0.25
 """Share of the fall that must have been made good at the least, whatever the noise."""
 
@@ -37,8 +40,10 @@ def is_made_good(
     centre = float(reach[late].mean())
     was, was_covariance = _line(reach[before] - centre, points[before], noise_N2)
     now, now_covariance = _line(reach[late] - centre, points[late], noise_N2)
-    change = now - was
-    surprise = float(change @ np.linalg.solve(was_covariance + now_covariance, change))
+    change, covariance = now - was, was_covariance + now_covariance
+    if float(np.sqrt(covariance[1, 1])) > _TOLD * float(np.max(np.abs((was[1], now[1])))):
+        return False  # another slope could not be told from the same
+    surprise = float(change @ np.linalg.solve(covariance, change))
     return surprise < _CHANCE and abs(float(change[0])) < _SHARE * fall_N
 
 
