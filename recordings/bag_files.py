@@ -11,7 +11,7 @@ from recordings.optional_library import optional_library
 
 BAG_SUFFIXES = (".mcap", ".db3")
 _FILES = (*BAG_SUFFIXES, *(f"{suffix}.zstd" for suffix in BAG_SUFFIXES))
-_METADATA = "metadata.yaml"
+METADATA = "metadata.yaml"
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -49,7 +49,7 @@ def bag_files(path: Path) -> BagFiles:
     found = _storage(path)
     if not found:
         raise FormatError(f"{path} is a folder without {' or '.join(BAG_SUFFIXES)} files")
-    told, warnings = _metadata(path / _METADATA)
+    told, warnings = _metadata(path / METADATA)
     paths, missing = _listed(path, told, found)
     if missing:
         warnings += (f"files of the bag that are missing: {', '.join(missing)}",)
@@ -84,11 +84,11 @@ def _listed(
 def _metadata(path: Path) -> tuple[Mapping[str, Any], tuple[str, ...]]:
     """Return what `metadata.yaml` says; a bag can be read without it."""
     if not path.exists():
-        return {}, (f"the bag has no {_METADATA}: its recorder did not finish it",)
+        return {}, (f"the bag has no {METADATA}: its recorder did not finish it",)
     yaml = optional_library("ruamel.yaml", "bags in folders")
     try:
         content = yaml.YAML(typ="safe").load(path.read_text(encoding="utf-8"))
         told = content["rosbag2_bagfile_information"]
-        return (told, ()) if isinstance(told, dict) else ({}, (f"{_METADATA} is damaged",))
+        return (told, ()) if isinstance(told, dict) else ({}, (f"{METADATA} is damaged",))
     except (OSError, ValueError, TypeError, KeyError, yaml.error.YAMLError):
-        return {}, (f"{_METADATA} is damaged and was left aside",)
+        return {}, (f"{METADATA} is damaged and was left aside",)

@@ -3,8 +3,14 @@
 from argparse import ArgumentParser, Namespace
 from pathlib import Path
 
+from recordings.apart import require_apart, require_apart_from_log
 from recordings.errors import FileAccessError
+from recordings.open_table import STANDARD_STREAM
 from recordings.write_table import check_writable
+
+_PICTURE_SUFFIX = ".png"
+_PAGE = "index.html"
+"""What stands in the folder of a report, beside charts."""
 
 
 def output_arguments(parser: ArgumentParser, *, table: str, picture: str, page: str) -> None:
@@ -28,17 +34,35 @@ def output_arguments(parser: ArgumentParser, *, table: str, picture: str, page: 
 
 
 def check_outputs(arguments: Namespace) -> None:
-    """Refuse now what would fail after the work is done.
+    """Refuse now what would fail, or destroy something, after the work is done.
 
     Args:
         arguments: of a parser with `source_arguments` and `output_arguments`.
 
     Raises:
-        FileAccessError: a suffix is not known, a folder is not there, or the table would replace
-            the log.
+        FileAccessError: a suffix is not known, a folder is not there, or an output would replace
+            the log or another output.
     """
+    outputs: dict[str, Path] = {}
     if arguments.output is not None:
-        check_writable(arguments.output, source=arguments.log)
-    if arguments.png is not None and not Path(arguments.png).parent.is_dir():
-        folder = Path(arguments.png).parent
-        raise FileAccessError(f"cannot write {arguments.png}: there is no folder {folder}")
+        check_writable(arguments.output)
+        if arguments.output != STANDARD_STREAM:
+            outputs["-o"] = Path(arguments.output)
+    if arguments.png is not None:
+        outputs["--png"] = _picture(Path(arguments.png))
+    if arguments.report is not None:
+        outputs["--report"] = arguments.report / _PAGE
+    if arguments.log != STANDARD_STREAM:
+        for path in outputs.values():
+            require_apart_from_log(path, Path(arguments.log))
+    require_apart(outputs)
+
+
+def _picture(path: Path) -> Path:
+    if not path.parent.is_dir():
+        raise FileAccessError(f"cannot write {path}: there is no folder {path.parent}")
+    if path.is_dir():
+        raise FileAccessError(f"cannot write {path}: it is a folder")
+    if path.suffix.lower() != _PICTURE_SUFFIX:
+        raise FileAccessError(f"cannot write {path}: a picture's name must end in .png")
+    return path

@@ -5,7 +5,8 @@ from pathlib import Path
 
 from numpy.typing import ArrayLike
 
-from recordings.bag_folder import is_folder_name
+from recordings.apart import require_apart_from_log
+from recordings.bag_folder import is_folder_name, require_replaceable
 from recordings.errors import FileAccessError
 from recordings.labels import PLAIN, Labels
 from recordings.log import Log
@@ -40,10 +41,11 @@ def check_writable(path: str | Path, *, source: str | Path | None = None) -> Non
 
     Args:
         path: see `write_table`; or `-` for standard output.
-        source: a file that is being read and must not be replaced.
+        source: a file or folder that is being read and must not be harmed.
 
     Raises:
-        FileAccessError: the suffix is not known, there is no such folder, or it is the source.
+        FileAccessError: the suffix is not known, there is no such folder, something stands there
+            that must not be replaced, or it and the source lie one inside the other.
     """
     if str(path) == STANDARD_STREAM:
         return
@@ -52,8 +54,12 @@ def check_writable(path: str | Path, *, source: str | Path | None = None) -> Non
         find_writer(path)
     if not path.parent.is_dir():
         raise FileAccessError(f"cannot write {path}: there is no folder {path.parent}")
-    if source is not None and path.exists() and Path(source).exists() and path.samefile(source):
-        raise FileAccessError(f"cannot write {path}: it is the log itself; give another name")
+    if is_folder_name(path):
+        require_replaceable(path)
+    elif path.is_dir():
+        raise FileAccessError(f"cannot write {path}: it is a folder")
+    if source is not None:
+        require_apart_from_log(path, Path(source))
 
 
 def write_log(path: str | Path, log: Log) -> None:
