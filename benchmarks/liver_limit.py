@@ -21,7 +21,7 @@ from benchmarks.liver_told import DEPTHS_mm, known_of, tell
 from benchmarks.measurement import Measurement
 from benchmarks.pullout import in_and_out, mean_at_depth
 from benchmarks.recordings_folder import recordings_folder
-from benchmarks.regression import Fit, gaussian_process, left_out, level, linear, ridge
+from benchmarks.regression import Fit, Seen, gaussian_process, left_out, level, linear, ridge
 
 Array = NDArray[np.float64]
 
@@ -104,7 +104,7 @@ def regression_values(
     values: dict[str, float] = {}
     for name, (fit, wanted) in REGRESSIONS.items():
         table = np.array([[row[key] for key in wanted or row] for row in features])
-        told = np.exp(left_out(fit, table, np.log(true), group))
+        told = np.exp(left_out(fit, Seen(table, np.log(true), group)))
         errors = 100.0 * np.abs(told - true) / true
         values[f"pullout_left_out_{name}_median_pct"] = float(np.median(errors))
         values[f"pullout_left_out_{name}_p90_pct"] = float(np.percentile(errors, 90.0))

@@ -7,7 +7,7 @@ from benchmarks.job import Job
 from benchmarks.liver_features import liver_features
 from benchmarks.liver_limit import REGRESSIONS, regression_values, run_liver_limit
 from benchmarks.metric_catalogue import METRICS
-from benchmarks.regression import gaussian_process, left_out, level, linear, ridge
+from benchmarks.regression import Seen, gaussian_process, left_out, level, linear, ridge
 
 RNG = np.random.default_rng(5)
 GROUP = np.repeat(np.arange(20), 2)
@@ -17,20 +17,30 @@ FEATURES = RNG.standard_normal((40, 3))
 @pytest.mark.parametrize("fit", [linear, ridge, gaussian_process])
 def test_a_law_is_learned_and_holds_for_what_was_not_seen(fit):
     target = 2.0 + FEATURES @ [1.0, -0.5, 0.0]
-    assert left_out(fit, FEATURES, target, GROUP) == pytest.approx(target, abs=0.1)
+    assert left_out(fit, Seen(FEATURES, target, GROUP)) == pytest.approx(target, abs=0.1)
 
 
 @pytest.mark.parametrize("fit", [ridge, gaussian_process])
 def test_where_there_is_nothing_to_learn_the_mean_is_told(fit):
     features, target = RNG.standard_normal((40, 20)), RNG.standard_normal(40)
-    found = left_out(fit, features, target, GROUP)
+    found = left_out(fit, Seen(features, target, GROUP))
     assert np.sqrt(np.mean((found - target) ** 2)) < 1.25 * np.std(target)
+
+
+def test_a_penalty_is_chosen_without_seeing_the_twin_of_a_row():
+    """Rows in pairs: learning a pair by heart foretells its other row, and no other pair."""
+    features = np.repeat(RNG.standard_normal((15, 14)), 2, axis=0)
+    target = np.repeat(RNG.standard_normal(15), 2)
+    seen = Seen(features, target, np.repeat(np.arange(15), 2))
+    alone = seen._replace(group=np.arange(30))
+    asked = RNG.standard_normal((50, 14))
+    assert np.std(ridge(seen, asked)) < 0.5 * np.std(ridge(alone, asked))
 
 
 def test_a_bent_law_needs_the_process():
     target = np.sin(2.0 * FEATURES[:, 0])
     errors = [
-        float(np.std(left_out(fit, FEATURES[:, :1], target, GROUP) - target))
+        float(np.std(left_out(fit, Seen(FEATURES[:, :1], target, GROUP)) - target))
         for fit in (linear, gaussian_process)
     ]
     assert errors[1] < 0.5 * errors[0]
@@ -39,7 +49,7 @@ def test_a_bent_law_needs_the_process():
 def test_a_level_is_that_of_the_same_first_feature_and_nobody_is_seen():
     features = np.array([[1.0], [2.0], [1.0], [2.0], [1.0], [2.0]])
     target = np.array([1.0, 10.0, 2.0, 20.0, 9.0, 90.0])
-    found = left_out(level, features, target, np.repeat(np.arange(3), 2))
+    found = left_out(level, Seen(features, target, np.repeat(np.arange(3), 2)))
     assert found.tolist() == [5.5, 55.0, 5.0, 50.0, 1.5, 15.0]
 
 
@@ -69,20 +79,24 @@ def test_every_regression_is_judged():
     assert values["pullout_left_out_depth_median_pct"] == pytest.approx(0.0, abs=1e-9)
 
 
-def test_no_regression_reaches_the_aim_and_the_yardstick_contradicts_itself(recordings_dir):
-    """The argument of docs/limits.md."""
+# Numbers of the recording alone, to which no identifier contributes: they do not change.
+PINNED = {
+    "pullout_left_out_depth_median_pct": 10.299,
+    "pullout_left_out_depth_p90_pct": 29.983,
+    "pullout_left_out_force_median_pct": 10.640,
+    "pullout_left_out_few_median_pct": 11.431,
+    "pullout_above_insertion_share": 0.3684,
+    "pullout_over_insertion_most": 1.3248,
+    "pullout_shallower_peak_median_pct": 25.08,
+    "pullout_neighbour_median_pct": 16.865,
+}
+
+
+def test_the_study_gives_the_same_numbers_again(recordings_dir):
+    """Better regressions are welcome: only what no method can change is held fast."""
     job = Job(benchmark="liver-limit", plant="recording", data=recordings_dir)
     found = {
         item.metric: item.value for item in run_liver_limit(job, lambda share: None).measurements
     }
     assert set(found) <= set(METRICS)
-    medians = [value for name, value in found.items() if "left_out" in name and "median" in name]
-    assert min(medians) > 9.0
-    assert (
-        min(value for name, value in found.items() if "left_out" in name and "p90" in name) > 25.0
-    )
-    # Knowing nothing of the insertion is as good in the median as knowing all of it.
-    assert found["pullout_left_out_depth_median_pct"] < 1.05 * min(medians)
-    assert found["pullout_above_insertion_share"] > 0.3
-    assert found["pullout_over_insertion_most"] > 1.3
-    assert found["pullout_shallower_peak_median_pct"] > 20.0
+    assert {name: found[name] for name in PINNED} == pytest.approx(PINNED, rel=2e-3)
