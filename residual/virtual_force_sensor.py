@@ -3,7 +3,7 @@
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from residual.errors import SampleError, SuspectSampleError
+from residual.errors import SampleError, SnapshotError, SuspectSampleError
 from residual.external_torque import TorqueSample
 from residual.external_torque_stream import ExternalTorqueStream
 from residual.joint_stream import JointStream
@@ -208,10 +208,19 @@ class VirtualForceSensor:
         """Go on, bit for bit, from where `snapshot` was taken.
 
         Raises:
-            SnapshotError: Not a snapshot of such a sensor, or one of another robot or other
-                settings; nothing has then changed.
+            SnapshotError: Not a snapshot of such a sensor, a damaged one, or one of another robot
+                or other settings; nothing has then changed.
         """
         check_belongs(state, self._digest, settings_text(self._config, self._robot.nv))
+        before, elapsed_s = self.snapshot(), self._elapsed_s
+        try:
+            self._take(state)
+        except Exception as error:  # whatever a damaged state makes of its parts
+            self._take(before)
+            self._elapsed_s = elapsed_s
+            raise SnapshotError(f"the snapshot is damaged: {error!r}") from error
+
+    def _take(self, state: SensorState) -> None:
         self.reset()
         if state.joints is not None:
             given = state.joints.torque.velocity is None

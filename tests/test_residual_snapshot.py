@@ -5,6 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pinocchio as pin
 import pytest
+from guarded_sensor import feed, tared
 
 from residual import DEFAULT, JointFriction, SnapshotError, VirtualForceSensor
 from residual.robot_digest import robot_digest
@@ -81,3 +82,18 @@ def test_every_setting_is_named():
     text = settings_text(DEFAULT, 7)
     assert all(f"{name}=" in text for name in DEFAULT.__slots__)
     assert "friction=None" in text
+
+
+def test_a_damaged_snapshot_leaves_a_running_sensor_as_it_was(lwr):
+    (sensor, rows), (twin, _) = tared(lwr, more=0.2), tared(lwr, more=0.2)
+    state = sensor.snapshot()
+    for damaged in (
+        state._replace(offset=state.offset._replace(recorder=None)),
+        state._replace(weights=state.weights._replace(variance_N2=-1.0)),
+        state._replace(torque_covariance=-np.eye(7)),
+        state._replace(slow=None),
+    ):
+        with pytest.raises(SnapshotError, match="damaged"):
+            sensor.restore(damaged)
+    for ours, theirs in zip(feed(sensor, rows), feed(twin, rows), strict=True):
+        assert (ours.axial, ours.axial_std, ours.status) == (theirs.axial, theirs.axial_std, "ok")
