@@ -44,7 +44,7 @@ class ReplayStream:
         self._signs = SignWatch()
         self._speed: DerivedSpeed | None = None
         self._first_step_s = 0.0
-        self._last_s = np.empty(0)
+        self._latest_s: float | None = None
         self._waiting = np.empty((4, 0))
 
     @property
@@ -73,30 +73,34 @@ class ReplayStream:
         Returns:
             The rows whose speed is known, beginning with the first that has not been returned.
         """
-        if not self._last_s.size:
-            self._begin(t_s, is_derived=speed_m_s is None)
+        is_first = self._latest_s is None
+        dt_s = self._since_latest(t_s)
+        if is_first:
+            self._begin(dt_s[1:HEAD_ROWS], is_derived=speed_m_s is None)
+            dt_s[0] = self._first_step_s
         self._signs.update(depth_m, speed_m_s, force_N)
-        dt_s = np.diff(t_s, prepend=self._last_s)
-        if not self._last_s.size:
-            dt_s = np.concatenate(([self._first_step_s], dt_s))
-        self._last_s = t_s[-1:]
         self._waiting = np.hstack((self._waiting, np.stack((t_s, depth_m, force_N, dt_s))))
         if self._speed is None:
             assert speed_m_s is not None
             return self._replayed(speed_m_s)
-        return self._replayed(self._speed.update(t_s, depth_m))
+        return self._replayed(self._speed.update(dt_s, depth_m))
 
     def finish(self) -> ReplayedRows:
         """Return the rows that still waited for what would come after them."""
         return self._replayed(np.empty(0) if self._speed is None else self._speed.finish())
 
-    def _begin(self, t_s: Array, *, is_derived: bool) -> None:
-        steps = np.diff(t_s[:HEAD_ROWS])
-        forward = steps[steps > 0.0]
+    def _since_latest(self, t_s: Array) -> Array:
+        """Time since the latest stamp before each row, not positive where time does not advance."""
+        latest_s = t_s[0] if self._latest_s is None else self._latest_s
+        latest_s = np.maximum.accumulate(np.concatenate(([latest_s], t_s)))
+        self._latest_s = float(latest_s[-1])
+        return t_s - latest_s[:-1]
+
+    def _begin(self, steps_s: Array, *, is_derived: bool) -> None:
+        forward = steps_s[steps_s > 0.0]
         self._first_step_s = float(np.median(forward)) if forward.size else 1e-3
         if is_derived:
-            usual_s = float(np.median(steps)) if steps.size else 0.0
-            self._speed = DerivedSpeed(usual_s if usual_s > 0.0 else self._first_step_s)
+            self._speed = DerivedSpeed(self._first_step_s)
 
     def _replayed(self, speed_m_s: Array) -> ReplayedRows:
         rows = len(speed_m_s)

@@ -64,7 +64,7 @@ def test_derived_speed_is_the_mean_rate_over_50_ms():
     t_s = np.arange(500) / 1000
     depth_m = np.cumsum(rng.normal(size=500))
     speed = DerivedSpeed(0.001)
-    found = np.concatenate([speed.update(t_s, depth_m), speed.finish()])
+    found = np.concatenate([speed.update(np.diff(t_s, prepend=0.0), depth_m), speed.finish()])
     rate = np.diff(depth_m) / np.diff(t_s)
     expected = uniform_filter1d(np.concatenate((rate[:1], rate)), 50, mode="nearest")
     np.testing.assert_allclose(found, expected, rtol=1e-9, atol=1e-9)
@@ -75,7 +75,7 @@ def test_one_absurd_depth_spoils_the_speed_around_it_only():
     depth_m = 0.01 * t_s
     depth_m[250] = 1e300
     speed = DerivedSpeed(0.001)
-    found = np.concatenate([speed.update(t_s, depth_m), speed.finish()])
+    found = np.concatenate([speed.update(np.diff(t_s, prepend=0.0), depth_m), speed.finish()])
     assert found[200] == pytest.approx(0.01)
     assert found[300] == pytest.approx(0.01)
 
@@ -84,7 +84,7 @@ def test_one_absurd_depth_spoils_the_speed_around_it_only():
 def test_the_shortest_recordings_have_a_speed(rows):
     t_s = np.arange(rows) / 1000
     speed = DerivedSpeed(0.001)
-    found = np.concatenate([speed.update(t_s, 0.01 * t_s), speed.finish()])
+    found = np.concatenate([speed.update(np.diff(t_s, prepend=0.0), 0.01 * t_s), speed.finish()])
     np.testing.assert_allclose(found, 0.01 if rows > 1 else 0.0)
     assert len(replay(t_s, 0.01 * t_s, 0.0 * t_s).estimates) == rows
 
@@ -104,3 +104,52 @@ def test_a_clock_that_mostly_stands_still_has_a_usual_step_all_the_same():
     t_s = np.repeat(np.arange(100) / 100, 3)
     result = replay(t_s, 0.01 * t_s, 0.0 * t_s)
     assert sum(estimate.status.is_absorbed for estimate in result.estimates) == 100
+
+
+def ruptures_s(result):
+    """When the layers were left."""
+    return [layer.rupture.time_s for layer in result.layers]
+
+
+@pytest.mark.parametrize("coarse", ["twice", "clock of 10 ms"])
+def test_derived_speed_is_right_though_stamps_repeat(coarse):
+    t_s, depth_m = np.arange(3000) / 1000, 0.004 * np.arange(3000) / 1000
+    if coarse == "twice":
+        t_s, depth_m = np.repeat(t_s, 2), np.repeat(depth_m, 2)
+    else:
+        t_s = np.floor(t_s * 100.0 + 1e-6) / 100.0
+    stream = ReplayStream()
+    speeds = []
+    stream._replayed = speeds.append
+    for part in pieces(len(t_s), [750, 1111]):
+        stream.run(t_s[part], depth_m[part], 0.0 * t_s[part])
+    stream.finish()
+    found = np.concatenate(speeds)
+    assert len(found) == len(t_s)
+    np.testing.assert_allclose(found, 0.004, rtol=1e-6)
+
+
+def test_repeated_rows_change_no_layer(columns):
+    t_s, depth_m, force_N, _ = columns
+    once = replay(t_s, depth_m, force_N)
+    twice = replay(*(np.repeat(column, 2) for column in (t_s, depth_m, force_N)))
+    assert twice.layers == once.layers
+
+
+@pytest.mark.parametrize("has_speed", [True, False])
+def test_late_rows_shift_no_event(columns, has_speed):
+    t_s, depth_m, force_N, speed_m_s = columns
+    speed_m_s = speed_m_s if has_speed else None
+    late_s = t_s.copy()
+    late_s[400 :: len(t_s) // 30] -= 0.05
+    clean, late = (replay(t, depth_m, force_N, speed_m_s) for t in (t_s, late_s))
+    assert len(clean.layers) == 1
+    assert ruptures_s(late) == pytest.approx(ruptures_s(clean), abs=0.02)
+
+
+def test_a_gap_says_little_about_the_speed_beside_it():
+    t_s, depth_m = np.arange(1000) / 1000, 0.01 * np.arange(1000) / 1000
+    t_s[500:] += 3.0
+    speed = DerivedSpeed(0.001)
+    found = np.concatenate([speed.update(np.diff(t_s, prepend=0.0), depth_m), speed.finish()])
+    np.testing.assert_allclose(found, 0.01, rtol=1e-6)
