@@ -242,11 +242,27 @@ def test_figure_5_has_two_panels_and_the_papers_numbers(tmp_path):
     over_time, over_depth = book.drawings
     assert [item.panel for item in book.drawings] == ["a", "c"]
     assert {item.figure for item in book.drawings} == {"5"}
-    against_ft, against_truth = over_time.facts
+    against_ft, against_truth, delay, within = over_time.facts
     assert against_ft.paper == "0.2444"
     assert dict(against_ft.here) == {"published, here": "0.1900", "ours, here": "0.0400"}
     assert dict(against_truth.here)["ours, here"] == "0.0500"
+    assert dict(within.here)["ours, here"] == "100.0"
+    assert "delay" in delay.what
     assert over_depth.path.is_file()
+
+
+def test_what_figure_5_says_of_delay_and_band_is_of_this_run(tmp_path):
+    """A sensor that is late and too sure of itself must not be praised."""
+    wave = np.sin(T)
+    truth = replace(TRUTH, axial_N=wave)
+    late, sure = np.interp(T - 0.1, T, wave), np.full(len(T), 1e-4)
+    ours = ForceReading(source="virtual", method="default", axial_N=late, std_N=sure)
+    paper, ft = reading("virtual", "paper", 0.2), reading("ft", "default", 0.01)
+    book = Sketchbook(Job(benchmark="gel-70-constant", plant="realistic"), tmp_path)
+    draw_forces(book, truth, (ours, ft, replace(paper, axial_N=wave)))
+    *_, delay, within = book.drawings[0].facts
+    assert dict(delay.here) == {"published, here": "0", "ours, here": "100"}
+    assert float(dict(within.here)["ours, here"]) < 1.0
 
 
 def test_other_runs_have_their_force_over_time_only(tmp_path):

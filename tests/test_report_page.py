@@ -1,6 +1,7 @@
 """The report of a run: every figure, the paper's numbers beside ours, nothing passed off."""
 
 import json
+import re
 
 import pytest
 from chromium import DESK, PHONE, logged, measured, needs_chromium, printed
@@ -45,6 +46,11 @@ def drawing(path, figure="", scenario="gel-70-constant", plant="realistic", **mo
         facts=(fact,) if figure == "5" else (),
         **more,
     )
+
+
+def test_the_page_says_where_to_look_and_not_what_a_run_will_have_found():
+    for item in PAPER_FIGURES:
+        assert not re.search(r"\d+ ms|late by|not detected|follows the reading", item.see), item
 
 
 def rows(plant="realistic", scenarios=GELS, seeds=(0,)):

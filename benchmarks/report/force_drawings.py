@@ -5,6 +5,7 @@ from collections.abc import Sequence
 import numpy as np
 from numpy.typing import NDArray
 
+from benchmarks.force_lag import force_lag_s
 from benchmarks.force_reading import ForceReading
 from benchmarks.force_truth import ForceTruth
 from benchmarks.published import PUBLISHED_RMSE_N
@@ -58,6 +59,16 @@ def _facts(scenario: str, truth: ForceTruth, readings: Sequence[ForceReading]) -
     return (
         _fact(f"{name} the F/T sensor [N]", printed, truth, (paper, ours), ft.axial_N),
         _fact(f"{name} the true force [N]", "–", truth, (paper, ours), truth.axial_N),
+        _of_both(
+            f"`{scenario}`: delay behind the true force [ms]",
+            "–",
+            [f"{1e3 * _delay_s(item, truth):.0f}" for item in (paper, ours)],
+        ),
+        _of_both(
+            f"`{scenario}`: true force within 2 stated standard deviations [%]",
+            "–",
+            ["none stated", f"{100.0 * _share_within(ours, truth):.1f}"],
+        ),
     )
 
 
@@ -68,6 +79,20 @@ def _fact(
     both: tuple[ForceReading, ForceReading],
     target_N: Array,
 ) -> Fact:
-    values = [f"{rmse_N(item, truth, target_N):.4f}" for item in both]
+    return _of_both(what, printed, [f"{rmse_N(item, truth, target_N):.4f}" for item in both])
+
+
+def _of_both(what: str, printed: str, values: Sequence[str]) -> Fact:
     heads = ("published, here", "ours, here")
     return Fact(what=what, paper=printed, here=tuple(zip(heads, values, strict=True)))
+
+
+def _delay_s(item: ForceReading, truth: ForceTruth) -> float:
+    part = truth.judged
+    return force_lag_s(truth.t_s[part], item.axial_N[part], truth.axial_N[part])
+
+
+def _share_within(item: ForceReading, truth: ForceTruth) -> float:
+    part = truth.judged
+    error = np.abs(item.axial_N - truth.axial_N)[part]
+    return float(np.mean(error <= 2.0 * item.std_N[part]))

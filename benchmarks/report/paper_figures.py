@@ -17,7 +17,7 @@ class PaperFigure:
         title: What it is about.
         scenarios: Runs that give its counterpart.
         shows: What the paper shows.
-        see: What to see in ours.
+        see: Where to look in ours; what is found there, the numbers of the run say.
     """
 
     number: str
@@ -89,17 +89,18 @@ PAPER_FIGURES = (
         shows="Force measured, and reconstructed offline by the Kelvin-Voigt (KV) and the "
         "multi-layer (ML) model: one 70 % gel and a stack of three, at constant and sinusoidal "
         "speed. The paper's RMSE stand in its legends only; its text says that ML is better.",
-        see="ML follows the reading, KV cannot: it has no friction that grows with depth. In "
-        "the shaded part, which was not fitted, ML foretells the withdrawal. What both miss is "
-        "friction at rest and, at sinusoidal speed, after the exit, as the paper reports.",
+        see="Look at how near either model stays to the reading as the needle goes deeper: KV "
+        "has no friction that grows with depth. In the shaded part, which was not fitted, look at "
+        "what each foretells of the withdrawal; neither knows friction at rest. The RMSE below "
+        "are of these runs.",
     ),
     PaperFigure(
         number="3",
         title="the two models on the stack with the latex glove, fitted offline",
         scenarios=("stack-glove-constant",),
         shows="The same with a latex glove around the middle gel; ML again closer than KV.",
-        see="Each glove is stretched, a steep rise, and bursts. The straight lines of either "
-        "model cut that corner; between the bursts ML follows the reading.",
+        see="The glove is stretched, a steep rise, and bursts: look at these corners, for which "
+        "either model has straight lines only, and at the stretches between them.",
     ),
     PaperFigure(
         number="5",
@@ -107,9 +108,9 @@ PAPER_FIGURES = (
         scenarios=("gel-70-constant", "stack-glove-constant"),
         shows="Force of the F/T sensor, force estimated from the residual, and their difference, "
         "over time and over depth: RMSE 0.2444 N (one layer) and 0.285 N (stack with glove).",
-        see="The published sensor follows 0.2 s late, which costs most where the force falls. "
-        "Ours is late by 14 ms, and its error stays within the band that it states. The paper's "
-        "numbers are of a real arm and real gels: to be laid beside ours, not to be equalled.",
+        see="Look at how late each sensor follows where the force falls, and at whether the error "
+        "of ours stays within the band that it states: the table has both as numbers. The paper's "
+        "are of a real arm and real gels: to be laid beside ours, not to be equalled.",
     ),
     PaperFigure(
         number="8",
@@ -125,9 +126,8 @@ PAPER_FIGURES = (
         scenarios=("gel-70-sinusoidal",),
         shows="The same with a sinusoidal speed (A = 7 cm, 0.016 Hz). After the exit a rising "
         "curve is left: friction is not proportional to speed.",
-        see="The published method, which takes friction as proportional to speed, leaves the same "
-        "rising curve as in the paper. Ours also knows friction that does not depend on speed. "
-        + _ENHANCED,
+        see="Look at what is left after the exit: the published method takes friction as "
+        "proportional to speed, ours also knows friction that does not depend on it. " + _ENHANCED,
     ),
     PaperFigure(
         number=FRICTION_FIGURE,
@@ -167,9 +167,9 @@ PAPER_FIGURES = (
         scenarios=("liver-constant",),
         shows="Liver with its capsule, 2.3 mm/s: two ruptures found; the way to the first, on "
         "which the capsule is stretched, counts as a layer of its own.",
-        see="What holds the needle before the capsule gives way is counted as friction in part, "
-        "which is taken off between the two ruptures: the price of the fictitious layer, by "
-        "either method. " + _ENHANCED,
+        see="Look at the stretch between the two ruptures: with the fictitious layer, what holds "
+        "the needle before the capsule gives way may count as friction and be taken off there. "
+        + _ENHANCED,
     ),
     PaperFigure(
         number="14",
@@ -178,8 +178,8 @@ PAPER_FIGURES = (
         shows="Fat, muscle and liver of a phantom, sinusoidal speed (A = 11.5 cm, 0.02 Hz; the "
         "caption says constant, the text and the curve say sinusoidal). The first transition is "
         "not detected.",
-        see="The step from fat to muscle frees no force and is not detected here either. "
-        + _ENHANCED,
+        see="The step from fat to muscle frees no force: the table counts how many of the true "
+        "ruptures were detected. " + _ENHANCED,
     ),
 )
 """In the order of the page."""
