@@ -16,8 +16,7 @@ from residual import Caution, SensorConfig, Status, VirtualForceSensor, WrenchEs
 from residual.tare import Tare
 from urdf import Robot
 
-_NOT_FED = Caution.JOINT_LIMIT | Caution.NEAR_SINGULAR | Caution.MISFIT
-_LONGEST_IDLE_S = 1e6
+_NOT_FED = Caution.JOINT_LIMIT | Caution.NEAR_SINGULAR | Caution.MISFIT | Caution.FROZEN
 
 
 class InsertionSession:
@@ -26,9 +25,9 @@ class InsertionSession:
     Call `update` every tick from the start of the robot; move in free air, call `tare`, insert.
     For another insertion with the same tare call `begin_insertion` above the tissue.
 
-    The identifier is fed only forces of this tick (`Status.OK`) that no joint limit, singular pose
-    or misfit makes worthless. Otherwise its last estimate stays, and the time passes: after a
-    longer gap it says ``TIME_GAP`` and starts its local predictions anew.
+    The identifier is fed only forces of this tick (`Status.OK`) that no joint limit, singular pose,
+    frozen signal or misfit makes worthless. Otherwise its last estimate stays, and the time passes:
+    after a longer gap it says ``TIME_GAP`` and starts its local predictions anew.
 
     Args:
         robot: The arm with its payload; the z axis of its tool frame is the needle, unless
@@ -94,7 +93,7 @@ class InsertionSession:
         Returns:
             What is known now. A bad sample does not raise, it is told in the status.
         """
-        return self._follow(self._sensor.update(q, dq, tau, dt_s), dt_s)
+        return self._follow(self._sensor.update(q, dq, tau, dt_s))
 
     def update_external_torque(
         self, q: ArrayLike, dq: ArrayLike | None, external_torque: ArrayLike, dt_s: float
@@ -111,7 +110,7 @@ class InsertionSession:
             As `update`.
         """
         wrench = self._sensor.update_external_torque(q, external_torque, dt_s, dq)
-        return self._follow(wrench, dt_s)
+        return self._follow(wrench)
 
     def tare(self, *, force: bool = False) -> Tare:
         """Remove the offset and begin an insertion here; see `VirtualForceSensor.tare`.
@@ -186,33 +185,35 @@ class InsertionSession:
         self._last_travel, self._unfed_s = snapshot.travel, snapshot.unfed_s
         self._identification = _without_events(snapshot.identifier.last)
 
-    def _follow(self, wrench: WrenchEstimate, dt_s: float) -> SessionEstimate:
+    def _follow(self, wrench: WrenchEstimate) -> SessionEstimate:
         """Depth, speed and, where the force is worth it, the identifier."""
         status = wrench.status
         if status is Status.SKIPPED:
-            return self._idle(wrench, dt_s)
+            return self._idle(wrench)
         if not self._is_started:
             self._travel.zero()
-            self._is_started, dt_s = True, 0.0
+            self._is_started = True
+        # The sensor's clock counts the time of skipped samples and knows one that was set.
+        elapsed_s = self._sensor.elapsed_s
         travel = self._travel.read(self._sensor.velocity_rad_s)
         if self._speed_lag_s > 0.0:
             last = self._last_travel.speed_m_s
-            share = -math.expm1(-dt_s / self._speed_lag_s)
+            share = -math.expm1(-elapsed_s / self._speed_lag_s)
             travel = travel._replace(speed_m_s=last + share * (travel.speed_m_s - last))
         self._last_travel = travel
         if status is not Status.OK or (wrench.cautions and wrench.cautions & _NOT_FED):
-            return self._idle(wrench, dt_s)
+            self._unfed_s += elapsed_s
+            return self._idle(wrench)
         if self._unfed_s:
-            dt_s, self._unfed_s = dt_s + self._unfed_s, 0.0
+            elapsed_s, self._unfed_s = elapsed_s + self._unfed_s, 0.0
         depth_m, speed_m_s = travel
-        found = self._identifier.update(depth_m, speed_m_s, wrench.axial, dt_s)
+        found = self._identifier.update(depth_m, speed_m_s, wrench.axial, elapsed_s)
         self._identification = found
-        return SessionEstimate(wrench, depth_m, speed_m_s, found, status, True)
+        is_fed = found.status.is_absorbed
+        return SessionEstimate(wrench, depth_m, speed_m_s, found, status, is_fed)
 
-    def _idle(self, wrench: WrenchEstimate, dt_s: float) -> SessionEstimate:
+    def _idle(self, wrench: WrenchEstimate) -> SessionEstimate:
         """A tick that the identifier does not see."""
-        if isinstance(dt_s, numbers.Real) and abs(float(dt_s)) < _LONGEST_IDLE_S:
-            self._unfed_s += float(dt_s)
         last = self._identification
         if last.rupture is not None or last.compensated is not None:
             last = self._identification = _without_events(last)

@@ -44,7 +44,7 @@ class SessionSnapshot(NamedTuple):
         zero: Where depth is counted from.
         travel: Last depth and speed.
         speed_lag_s: Setting of the session.
-        unfed_s: Time that the identifier has not seen [s].
+        unfed_s: Time of samples taken by the sensor that the identifier has not seen [s].
     """
 
     sensor: SensorState
