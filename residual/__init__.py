@@ -1,7 +1,8 @@
 """Joint signals to external joint torque to wrench: the virtual force/torque sensor.
 
-Reading order: `momentum_step` (the equation), `momentum_observer` (the residual), `wrench`
-(equation 13), `tare` (offset removal), `virtual_force_sensor` (all of it in two calls).
+Reading order: `momentum_step` (the equation), `momentum_observer` (the residual), `sample_guard`
+(what is no measurement), `joint_stream` (samples to residual), `tare` (offset removal), `wrench`
+(equation 13), `slow_checks` (when to doubt it), `virtual_force_sensor` (all of it in two calls).
 """
 
 from residual.errors import (
