@@ -16,6 +16,7 @@ from benchmarks.arguments import parser
 from benchmarks.errors import ResultsError
 from benchmarks.readme_table import BEGIN, END, fill, main, results_block
 from benchmarks.results_file import write_results
+from identification import DEFAULT as IDENTIFIER
 from identification.__main__ import main as identification_main
 from residual.__main__ import main as residual_main
 from residual.sensor_config import DEFAULT
@@ -115,6 +116,29 @@ def test_every_link_leads_to_a_file():
     assert targets
     for target in targets:
         assert (ROOT / target).is_file(), target
+
+
+def test_where_to_find_what_is_told():
+    table = TEXT.split("| Where is … |")[1].split("\n\n")[0]
+    for word, file in (
+        ("NaN", "residual/sample_check.py"),
+        ("false_alarm_interval_s", "identification/default_config.py"),
+        ("(12)", "identification/reweighting.py"),
+    ):
+        (row,) = [line for line in table.splitlines() if word in line]
+        assert file in row
+    assert hasattr(IDENTIFIER, "false_alarm_interval_s")
+    assert "(12)" in (ROOT / "identification" / "reweighting.py").read_text(encoding="utf-8")
+
+
+def test_every_room_and_every_command_is_told():
+    rooms = {path.parent.name for path in ROOT.glob("*/__init__.py")}
+    table = TEXT.split("| room | job | imports |")[1].split("\n\n")[0]
+    assert set(re.findall(r"^\| `(\w+)` \|", table, re.MULTILINE)) == rooms
+    (commands,) = [line for line in TEXT.splitlines() if line.startswith("| `python -m benchmarks")]
+    known = next(action.choices for action in parser()._actions if action.choices)
+    for name in known:
+        assert re.search(rf"[ `]{name}`", commands), name
 
 
 def test_its_results_stand_between_their_marks():
