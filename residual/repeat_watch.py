@@ -84,19 +84,19 @@ class RepeatWatch:
         """
         if not self._tells or self.repeats < LEAST_REPEATS:
             return False
-        return self._limit_s <= self._repeat_s + dt_s < self._limit_s + LONGEST_REFUSAL_S
+        return self._limit_s <= self.repeat_s + dt_s < self._limit_s + LONGEST_REFUSAL_S
 
     @property
     def seems_stuck(self) -> bool:
         """Whether samples are accepted although the source seems to be stuck."""
-        return self._tells and self.repeats > 0 and self._repeat_s > self._limit_s
+        return self._tells and self.repeats > 0 and self.repeat_s > self._limit_s
 
     def accept(self, is_repeat: bool, dt_s: float, *, learning: bool) -> None:
         """A sample was accepted that came a time [s] after the one before."""
-        self._repeat_s = self._repeat_s + dt_s if is_repeat else 0.0
+        self.repeat_s = self.repeat_s + dt_s if is_repeat else 0.0
         self.repeats = self.repeats + 1 if is_repeat else 0
         if learning:
-            self.usual_s = min(max(self.usual_s, self._repeat_s), LONGEST_USUAL_S)
+            self.usual_s = min(max(self.usual_s, self.repeat_s), LONGEST_USUAL_S)
 
     def learn(self, tells: bool) -> None:
         """Learning has ended: does a repeat of these signals tell anything?"""
@@ -106,11 +106,11 @@ class RepeatWatch:
     @property
     def state(self) -> RepeatState:
         """All that is remembered."""
-        return RepeatState(self.usual_s, self._repeat_s, self.repeats, self._tells)
+        return RepeatState(self.usual_s, self.repeat_s, self.repeats, self._tells)
 
     def restore(self, state: RepeatState) -> None:
         """Go on from a `state` taken earlier."""
-        self.usual_s, self._repeat_s, self.repeats, tells = state
+        self.usual_s, self.repeat_s, self.repeats, tells = state
         self.learn(tells)
 
 

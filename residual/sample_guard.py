@@ -216,7 +216,7 @@ class SampleGuard:
         n = self._joints
         off = now - before
         off[:n] -= self._velocity * dt_s
-        beyond = self._gates.beyond(off, self._velocity, dt_s)
+        beyond = self._gates.beyond(off, self._velocity, dt_s, self._motion.repeat_s)
         if (
             beyond[-1].any()
             and not beyond[:-1].any()

@@ -16,10 +16,14 @@ TORQUE_SHARE_PER_S = 2.0
 ACCELERATION_RAD_S2 = 20.0
 """An arm that inserts a needle stays far below."""
 LEAST_POSITION_RAD = 1e-4
-UNKNOWN_EFFORT_NM = 100.0
-"""Stands in where a description gives no effort limit."""
-CLOCK_SHARE = 1.0
-"""Share of a tick by which a time stamp may be off: a sample that comes twice is no spike."""
+UNKNOWN_EFFORT_NM = 300.0
+"""Stands in where a description gives no effort limit: the shoulder of an arm for ten kilograms.
+Torques from motor currents step by 20 Nm there where the friction of its gears turns round."""
+CLOCK_S = 5e-3
+"""Time by which the stamps of a computer may be off from those of the robot [s]. At the speeds of a
+needle it is nothing: 0.1 rad/s make half a milliradian of it."""
+LONGEST_HELD_S = 0.1
+"""No source of positions is slower than ten samples a second."""
 
 
 class SpikeGates:
@@ -63,14 +67,31 @@ class SpikeGates:
         return self._base[-self._joints :]
 
     def beyond(
-        self, off: NDArray[np.float64], velocity: NDArray[np.float64], dt_s: float
+        self,
+        off: NDArray[np.float64],
+        velocity: NDArray[np.float64],
+        dt_s: float,
+        held_s: float = 0.0,
     ) -> NDArray[np.bool_]:
-        """Which differences are beyond what an arm can do in a time [s], a row for each signal."""
+        """Which differences are beyond what an arm can do.
+
+        Args:
+            off: Differences of all signals, positions less what the velocity foretells.
+            velocity: Joint velocity [rad/s], shape (n,).
+            dt_s: Time between the two samples [s].
+            held_s: Time for which positions had repeated before [s]: a source that is slower than
+                the clock makes up for it in one step.
+
+        Returns:
+            A row for each signal, shape (k, n).
+        """
         n = self._joints
         gate = self._base.copy()
         late_s = dt_s + self._delay_s
-        gate[:n] += CLOCK_SHARE * np.abs(velocity) * dt_s + ACCELERATION_RAD_S2 * dt_s * late_s
+        # A tick too: a sample that comes twice is no spike.
+        unsure_s = dt_s + CLOCK_S + min(held_s, LONGEST_HELD_S)
+        gate[:n] += np.abs(velocity) * unsure_s + ACCELERATION_RAD_S2 * dt_s * late_s
         if self._has_velocity:
             gate[n:-n] += ACCELERATION_RAD_S2 * dt_s
-        gate[-n:] += TORQUE_SHARE_PER_S * dt_s * self._effort
+        gate[-n:] += TORQUE_SHARE_PER_S * (dt_s + CLOCK_S) * self._effort
         return (np.abs(off) > gate).reshape(-1, n)

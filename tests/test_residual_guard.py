@@ -1,6 +1,7 @@
 """Samples of sound numbers that are no measurements are held back, told, and got over."""
 
 from dataclasses import replace
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -10,6 +11,7 @@ from residual_signals import external_torque_of
 from residual import DEFAULT, Caution, SampleError, Status, VirtualForceSensor
 from residual.sample_entry import SampleEntry
 from residual.sample_guard import SampleGuard
+from residual.spike_gates import SpikeGates
 
 
 @pytest.mark.parametrize("with_velocity", [True, False])
@@ -199,3 +201,30 @@ def test_garbage_in_the_first_samples_is_refused_by_name(lwr):
         entry.read(np.zeros(6), None, np.zeros(7), 1e-3)
     with pytest.raises(SampleError, match="dq was given"):
         entry.read(np.zeros(7), np.zeros(7), np.zeros(7), 1e-3)
+
+
+@pytest.mark.parametrize("with_velocity", [True, False])
+def test_a_source_slower_than_the_clock_makes_no_spikes(lwr, with_velocity):
+    q, dq, tau = signals(lwr, 4.0)
+    sensor, held = VirtualForceSensor(lwr), np.arange(4000) // 10 * 10
+    rows = [(q[k], dq[k] if with_velocity else None, tau[k]) for k in held]
+    assert not any(e.cautions & Caution.SPIKE for e in feed(sensor, rows))
+
+
+def test_time_stamps_may_be_off_by_milliseconds(lwr):
+    gates = SpikeGates(lwr, has_velocity=True, delay_s=0.0)
+    off = np.zeros(21)
+    off[3] = 4e-3
+    quick, slow = np.full(7, 1.0), np.full(7, 0.1)
+    assert not gates.beyond(off, quick, 1e-3).any()
+    assert gates.beyond(off, slow, 1e-3)[0, 3]
+
+
+def test_currents_that_turn_round_are_no_spike_where_the_effort_limit_is_unknown():
+    arm = SimpleNamespace(nv=2, effort_limit_Nm=np.zeros(2))
+    gates = SpikeGates(arm, has_velocity=True, delay_s=0.0)
+    off = np.zeros(6)
+    off[-1] = 14.0
+    assert not gates.beyond(off, np.zeros(2), 0.01).any()
+    off[-1] = 30.0
+    assert gates.beyond(off, np.zeros(2), 0.01)[-1, 1]
