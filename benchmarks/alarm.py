@@ -16,12 +16,15 @@ class Alarm(NamedTuple):
         alarm_s: Time of that sample.
         dated_s: When the rupture happened, as estimated at last.
         layer: The layer it ended, as known at the end; None if it was never identified.
+        online: The same layer as identified in the layer after it, before any later rupture told
+            more: what was taken off the force then.
     """
 
     sample: int
     alarm_s: float
     dated_s: float
     layer: LayerEstimate | None
+    online: LayerEstimate | None
 
 
 def alarms_of(result: Replay, t_s: NDArray[np.float64]) -> list[Alarm]:
@@ -32,6 +35,11 @@ def alarms_of(result: Replay, t_s: NDArray[np.float64]) -> list[Alarm]:
         t_s: True instants of the samples, shape (n,).
     """
     by_alarm = {layer.rupture.alarm_s: layer for layer in result.layers}
+    online = {
+        estimate.compensated.rupture.alarm_s: estimate.compensated
+        for estimate in result.estimates
+        if estimate.compensated is not None
+    }
     found = []
     for k, estimate in enumerate(result.estimates):
         event = estimate.rupture
@@ -41,7 +49,7 @@ def alarms_of(result: Replay, t_s: NDArray[np.float64]) -> list[Alarm]:
         # The date may have become better since the alarm.
         last = event if layer is None else layer.rupture
         dated_s = float(t_s[k]) - (event.alarm_s - last.time_s)
-        found.append(Alarm(k, float(t_s[k]), dated_s, layer))
+        found.append(Alarm(k, float(t_s[k]), dated_s, layer, online.get(event.alarm_s)))
     return found
 
 

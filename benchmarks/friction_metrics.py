@@ -9,6 +9,7 @@ import numpy as np
 from benchmarks.alarm import Alarm
 from benchmarks.transition import EARLY_s, LATE_s, is_visible
 from groundtruth import Rupture
+from identification import LayerEstimate
 
 
 class LayerFriction(NamedTuple):
@@ -31,7 +32,7 @@ class LayerFriction(NamedTuple):
 
 
 def layer_frictions(
-    ruptures: Sequence[Rupture], alarms: Sequence[Alarm], noise_N: float
+    ruptures: Sequence[Rupture], alarms: Sequence[Alarm], noise_N: float, *, online: bool = False
 ) -> list[LayerFriction]:
     """Pair every layer with what was identified of it.
 
@@ -44,6 +45,7 @@ def layer_frictions(
         ruptures: True ones of the run, in order.
         alarms: Reported ones.
         noise_N: Of the source.
+        online: Judge what was known in the layer after it, not what is known at the end.
     """
     found: list[LayerFriction] = []
     true_N, begin_s = 0.0, -math.inf
@@ -55,15 +57,16 @@ def layer_frictions(
         until_s = max(min(rupture.onset_s + LATE_s, following), rupture.end_s)
         mine = [alarm for alarm in alarms if begin_s < alarm.alarm_s <= until_s]
         was_seen = any(alarm.alarm_s >= rupture.onset_s - EARLY_s for alarm in mine)
-        found.append(_pair(true_N, mine if was_seen else []))
+        known = [alarm.online if online else alarm.layer for alarm in mine]
+        found.append(_pair(true_N, known if was_seen else []))
         if was_seen:
             begin_s = until_s
         true_N = 0.0
     return found
 
 
-def _pair(true_N: float, alarms: Sequence[Alarm]) -> LayerFriction:
-    layers = [alarm.layer for alarm in alarms if alarm.layer is not None]
+def _pair(true_N: float, found: Sequence[LayerEstimate | None]) -> LayerFriction:
+    layers = [layer for layer in found if layer is not None]
     stds = [layer.friction_std_N for layer in layers]
     known = [std for std in stds if std is not None]
     is_stated = bool(layers) and len(known) == len(stds)
@@ -93,3 +96,13 @@ def friction_metrics(frictions: Sequence[LayerFriction]) -> dict[str, float]:
         inside = [abs(layer.estimated_N - layer.true_N) <= 2.0 * layer.std_N for layer in stated]
         values["friction_coverage_2sigma"] = float(np.mean(inside))
     return values
+
+
+def online_friction_metrics(frictions: Sequence[LayerFriction]) -> dict[str, float]:
+    """The same numbers of what was known online, under names of their own."""
+    names = {
+        "friction_error_worst_pct": "friction_error_online_worst_pct",
+        "friction_error_mean_pct": "friction_error_online_mean_pct",
+        "friction_coverage_2sigma": "friction_coverage_online_2sigma",
+    }
+    return {names[name]: value for name, value in friction_metrics(frictions).items()}

@@ -6,7 +6,8 @@ IDENTIFICATION = (
     Metric(
         name="friction_error_worst_pct",
         unit="%",
-        meaning="error of the shaft friction of a layer at its rupture, worst layer",
+        meaning="error of the shaft friction of a layer at its rupture, worst layer, as known at "
+        "the end",
         tolerance=0.5,
     ),
     Metric(
@@ -19,6 +20,25 @@ IDENTIFICATION = (
         name="friction_coverage_2sigma",
         unit="1",
         meaning="share of layers whose friction lies within twice the stated standard deviation",
+        best=0.95,
+        tolerance=0.05,
+    ),
+    Metric(
+        name="friction_error_online_worst_pct",
+        unit="%",
+        meaning="error of that friction as identified in the layer after it, worst layer",
+        tolerance=0.5,
+    ),
+    Metric(
+        name="friction_error_online_mean_pct",
+        unit="%",
+        meaning="the same, mean over layers",
+        tolerance=0.5,
+    ),
+    Metric(
+        name="friction_coverage_online_2sigma",
+        unit="1",
+        meaning="share of layers within twice the standard deviation stated there",
         best=0.95,
         tolerance=0.05,
     ),

@@ -4,7 +4,11 @@ from collections.abc import Iterator, Sequence
 
 from benchmarks.bound_metrics import bound_metrics
 from benchmarks.enhanced_metrics import enhanced_metrics
-from benchmarks.friction_metrics import friction_metrics, layer_frictions
+from benchmarks.friction_metrics import (
+    friction_metrics,
+    layer_frictions,
+    online_friction_metrics,
+)
 from benchmarks.identified import IDENTIFIERS, Identified, identify
 from benchmarks.insertion_truth import InsertionTruth
 from benchmarks.measurement import Measurement
@@ -37,7 +41,9 @@ def identification_metrics(
     for found in identified:
         matching = match(truth.ruptures, found.alarms)
         values = rupture_metrics(matching, truth, noise_N)
-        values |= friction_metrics(layer_frictions(truth.ruptures, found.alarms, noise_N))
+        at_last = layer_frictions(truth.ruptures, found.alarms, noise_N)
+        online = layer_frictions(truth.ruptures, found.alarms, noise_N, online=True)
+        values |= friction_metrics(at_last) | online_friction_metrics(online)
         values |= enhanced_metrics(found, truth)
         if is_single_gel(truth):
             values |= table_one(signals[found.method], truth, found)

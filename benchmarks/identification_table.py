@@ -24,8 +24,9 @@ Key = tuple[str, str, str, str]
 """Scenario, plant, source, method."""
 Columns = tuple[tuple[str, str, str], ...]
 FORCES: Columns = (
-    ("friction_error_worst_pct", "friction, %\nworst layer", ".1f"),
-    ("friction_coverage_2sigma", "within\n2 sigma", ".2f"),
+    ("friction_error_online_worst_pct", "friction, %\nworst layer", ".1f"),
+    ("friction_coverage_online_2sigma", "within\n2 sigma", ".2f"),
+    ("friction_error_worst_pct", "at the end\n%", ".1f"),
     ("exit_residue_pct", "residue\n%", ".1f"),
     ("enhanced_rmse_N", "enhanced\nRMSE, N", ".3f"),
     ("tip_rmse_N", "tip\nRMSE, N", ".3f"),

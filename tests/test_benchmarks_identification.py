@@ -9,7 +9,12 @@ import pytest
 
 from benchmarks.alarm import Alarm, alarms_of, first_compensation
 from benchmarks.enhanced_metrics import CLEAR_m, beyond_last_exit, enhanced_metrics
-from benchmarks.friction_metrics import LayerFriction, friction_metrics, layer_frictions
+from benchmarks.friction_metrics import (
+    LayerFriction,
+    friction_metrics,
+    layer_frictions,
+    online_friction_metrics,
+)
 from benchmarks.insertion_truth import InsertionTruth
 from benchmarks.needle_signal import NeedleSignal
 from benchmarks.offline_fit import layer_spans, offline_metrics
@@ -36,12 +41,14 @@ def rupture(onset_s, layer=1, drop_N=0.5, friction_N=0.4):
     )
 
 
-def alarm(alarm_s, friction_N=None, std_N=None, dated_s=None):
-    layer = None
+def alarm(alarm_s, friction_N=None, std_N=None, dated_s=None, online_N=None):
+    layer = online = None
     if friction_N is not None:
         layer = SimpleNamespace(friction_N=friction_N, friction_std_N=std_N)
+    if online_N is not None:
+        online = SimpleNamespace(friction_N=online_N, friction_std_N=std_N)
     sample = int(np.searchsorted(T, alarm_s))
-    return Alarm(sample, alarm_s, alarm_s if dated_s is None else dated_s, layer)
+    return Alarm(sample, alarm_s, alarm_s if dated_s is None else dated_s, layer, online)
 
 
 def truth(*ruptures):
@@ -161,6 +168,16 @@ def test_the_friction_of_each_layer_is_judged_at_its_own_rupture():
     assert values["friction_error_worst_pct"] == pytest.approx(10.0)
     assert values["friction_error_mean_pct"] == pytest.approx(7.5)
     assert values["friction_coverage_2sigma"] == 0.5
+
+
+def test_what_was_known_online_is_judged_apart_from_what_is_known_at_the_end():
+    only = [rupture(7.0, friction_N=0.4)]
+    found = layer_frictions(only, [alarm(7.1, 0.40, 0.01, online_N=0.5)], 0.01, online=True)
+    assert online_friction_metrics(found) == {
+        "friction_error_online_worst_pct": pytest.approx(25.0),
+        "friction_error_online_mean_pct": pytest.approx(25.0),
+        "friction_coverage_online_2sigma": 0.0,
+    }
 
 
 def test_a_missed_layer_counts_as_estimated_at_zero_even_if_the_next_one_gets_its_friction():
