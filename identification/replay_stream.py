@@ -58,7 +58,12 @@ class ReplayStream:
         return self._signs.hints()
 
     def run(
-        self, t_s: Array, depth_m: Array, force_N: Array, speed_m_s: Array | None = None
+        self,
+        t_s: Array,
+        depth_m: Array,
+        force_N: Array,
+        speed_m_s: Array | None = None,
+        dt_s: Array | None = None,
     ) -> ReplayedRows:
         """Take further rows.
 
@@ -69,13 +74,15 @@ class ReplayStream:
             force_N: Axial force, positive when tissue pushes back [N], shape (n,).
             speed_m_s: Rate of depth [m/s], shape (n,); None, always, to derive it from depth,
                 for which rows wait 25 ms.
+            dt_s: Time since the latest row that advanced [s], shape (n,), not positive for rows
+                that do not; None, always, to count from the latest stamp. That of the very first
+                row is not read.
 
         Returns:
             The rows whose speed is known, beginning with the first that has not been returned.
         """
-        is_first = self._latest_s is None
-        dt_s = self._since_latest(t_s)
-        if is_first:
+        dt_s = self._since_latest(t_s) if dt_s is None else np.array(dt_s)
+        if not self._first_step_s:
             self._begin(dt_s[1:HEAD_ROWS], is_derived=speed_m_s is None)
             dt_s[0] = self._first_step_s
         self._signs.update(depth_m, speed_m_s, force_N)

@@ -26,10 +26,12 @@ class LogChunk:
 
     Attributes:
         t_s: time stamps in s, shape (n,), finite; as in a `Log`.
+        dt_s: time since the latest row that advanced, shape (n,), see `RowClock`.
         channels: as in a `Log`, shape (n,) or (n, joints); always the same.
     """
 
     t_s: FloatArray
+    dt_s: FloatArray
     channels: Mapping[str, FloatArray]
 
 
@@ -116,10 +118,12 @@ class LogStream:
         self._rows += rows
         if not keep.any():
             return
+        t_s = time.values[keep]
         chunk = LogChunk(
-            t_s=time.values[keep], channels={key: f.values[keep] for key, f in found.items()}
+            t_s=t_s,
+            dt_s=self._stamps.update(t_s),
+            channels={key: f.values[keep] for key, f in found.items()},
         )
-        self._stamps.update(chunk.t_s)
         for key, values in chunk.channels.items():
             self._finite[key].update(values)
         yield chunk

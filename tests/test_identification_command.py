@@ -147,3 +147,19 @@ def test_gaps_in_a_recording_are_reported_not_dropped():
     result = replay(t, 1e-5 * np.arange(200), force)
     assert len(result.estimates) == 200
     assert [k for k, e in enumerate(result.estimates) if not e.status.is_absorbed] == [50]
+
+
+def test_a_clock_that_was_set_back_hides_no_layer(needle, tmp_path, capsys):
+    run, part = needle
+    t_s = run.t_s[part].copy()
+    half = int(np.searchsorted(run.depth_m[part], 0.004))
+    t_s[half:] -= t_s[half]
+    log, out = tmp_path / "log.csv", tmp_path / "out.csv"
+    write_table(log, {"t_s": t_s, "depth_m": run.depth_m[part], "force_N": run.force_N[part]})
+    assert command.main([str(log), "-o", str(out)]) == 0
+    told = capsys.readouterr()
+    assert "clock set back" in told.err
+    assert len(told.out.splitlines()) == 2
+    rows = np.genfromtxt(out, delimiter=",", names=True)
+    np.testing.assert_array_equal(rows["t_s"], t_s)
+    assert 3 <= np.count_nonzero(rows["absorbed"] == 0) <= 20

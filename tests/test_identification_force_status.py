@@ -54,4 +54,4 @@ def test_a_status_column_of_the_user_does_not_silence_a_log(tmp_path, capsys):
 
 def _chunk(columns):
     rows = np.arange(6.0)
-    return LogChunk(t_s=rows, channels={"force_N": rows + 1.0} | columns)
+    return LogChunk(t_s=rows, dt_s=rows, channels={"force_N": rows + 1.0} | columns)

@@ -216,3 +216,17 @@ def test_the_command_runs_as_a_module_and_explains_itself(log):
     told = subprocess.run([*command, "--help"], capture_output=True, text=True, check=True).stdout
     assert "first 2 s of the log" in told
     assert "--tau_ext" in told
+
+
+def test_a_clock_that_was_set_back_costs_a_few_rows_and_no_more(run, lwr, tmp_path, capsys):
+    columns = insertion(lwr)
+    columns["t_s"] = columns["t_s"].copy()
+    columns["t_s"][2600:] -= columns["t_s"][2600]
+    path = tmp_path / "reset.npz"
+    write_table(path, columns)
+    found, _ = run(str(path), *TARE)
+    skipped = np.flatnonzero(found["force_status"] == 3)
+    assert 2600 in skipped
+    assert 3 <= len(skipped) <= 60
+    np.testing.assert_array_equal(found["t_s"], columns["t_s"])
+    assert found["axial_N"][-1] == pytest.approx(AXIAL_N, abs=0.15)

@@ -49,7 +49,8 @@ def run_log(arguments: Namespace, log: LogSession, *, needs_overview: bool) -> I
         found = _Found(table, needs_overview=needs_overview)
         for chunk in log:
             depth_m, speed_m_s = chunk.channels["depth_m"], chunk.channels.get("speed_m_s")
-            found.add(stream.run(chunk.t_s, depth_m, status.force_N(chunk), speed_m_s))
+            force_N = status.force_N(chunk)
+            found.add(stream.run(chunk.t_s, depth_m, force_N, speed_m_s, chunk.dt_s))
         found.add(stream.finish())
     hints = (*status.warnings, *stream.hints)
     for hint in hints:
@@ -105,6 +106,8 @@ class _Found:
     def _note_events(self, rows: ReplayedRows) -> None:
         for t_s, estimate in zip(rows.t_s.tolist(), rows.estimates, strict=True):
             if estimate.rupture is not None:
-                self.ruptures_s.append(self.zero_s + estimate.rupture.time_s)
+                # From the row's own stamp: the log's clock may have been set.
+                age_s = estimate.time_s - estimate.rupture.time_s
+                self.ruptures_s.append(t_s - age_s)
             if estimate.compensated is not None:
                 self.compensations_s.append(t_s)

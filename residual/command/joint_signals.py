@@ -16,6 +16,7 @@ class JointSignals:
 
     Attributes:
         t_s: Time stamps on the log's clock [s], shape (n,).
+        dt_s: Time since the latest row that advanced [s], shape (n,), see `recordings.row_clock`.
         q_rad: Joint positions [rad], shape (n, joints).
         dq_rad_s: Joint velocities [rad/s], shape (n, joints), or None.
         torque_Nm: Joint torques [Nm], shape (n, joints).
@@ -24,6 +25,7 @@ class JointSignals:
     """
 
     t_s: NDArray[np.float64]
+    dt_s: NDArray[np.float64]
     q_rad: NDArray[np.float64]
     dq_rad_s: NDArray[np.float64] | None
     torque_Nm: NDArray[np.float64]
@@ -61,6 +63,7 @@ def joint_signals(chunk: LogChunk, robot: Robot, *, is_external: bool) -> JointS
         )
     return JointSignals(
         t_s=chunk.t_s,
+        dt_s=chunk.dt_s,
         q_rad=channels["q_rad"],
         dq_rad_s=channels.get("dq_rad_s"),
         torque_Nm=channels[f"{torque_channel(is_external=is_external)}_Nm"],

@@ -40,7 +40,8 @@ class Replay:
         self._request, self._max_gap_s = request, config.max_gap_s
         self._travel = TipTravel(robot, config)
         self._taring: Taring | None = None
-        self._latest_s, self._taken_s = -math.inf, 0.0
+        # Of the clock of the first rows, which runs on when the log's clock is set back.
+        self._latest_s, self._taken_s, self._shift_s = -math.inf, 0.0, 0.0
         self.skipped: Counter[str] = Counter()
         """Reasons for skipped rows."""
         self.gaps = 0
@@ -72,14 +73,12 @@ class Replay:
             taring = self._taring = Taring(self._sensor, self._request, t_s[0])
             self._taken_s = t_s[0]
         estimates, gaps = [], []
-        for k, now_s in enumerate(t_s):
-            advances = now_s > self._latest_s
+        for k, (stamp_s, dt_s) in enumerate(zip(t_s, signals.dt_s.tolist(), strict=True)):
+            now_s, advances = self._running_s(stamp_s, dt_s), dt_s > 0.0
             if advances:
                 taring.before(now_s)
             # The sensor reads no time step of the first sample.
-            estimate = self._feed(signals, k, now_s - self._latest_s if advances else 0.0)
-            if advances:
-                self._latest_s = now_s
+            estimate = self._feed(signals, k, dt_s if advances else 0.0)
             estimates.append(estimate)
             if estimate.status is Status.SKIPPED:
                 self._count(estimate.message if advances else "time does not advance")
@@ -100,6 +99,16 @@ class Replay:
         """
         if self._taring is not None:
             self._taring.finish(self._latest_s, is_whole=is_whole)
+
+    def _running_s(self, stamp_s: float, dt_s: float) -> float:
+        """Return the time of a row [s] on a clock that never goes back."""
+        now_s = stamp_s + self._shift_s
+        if dt_s > 0.0:
+            if now_s <= self._latest_s:
+                self._shift_s += self._latest_s + dt_s - now_s
+                now_s = self._latest_s + dt_s
+            self._latest_s = now_s
+        return now_s
 
     def _feed(self, signals: JointSignals, k: int, dt_s: float) -> WrenchEstimate:
         """Give one row to the sensor, by the call that fits it."""
