@@ -6,7 +6,7 @@ from itertools import accumulate
 import numpy as np
 from numpy.typing import NDArray
 
-from groundtruth import NeedleRun, Run, Rupture, Scenario
+from groundtruth import NeedleRun, Run, Rupture, Truth
 
 Array = NDArray[np.float64]
 
@@ -58,41 +58,27 @@ class InsertionTruth:
 
 def truth_of_run(run: Run) -> InsertionTruth:
     """The truth of an insertion by the simulated arm."""
-    true = run.truth
-    return InsertionTruth(
-        t_s=true.t_s,
-        depth_m=true.depth_m,
-        speed_m_s=true.speed_m_s,
-        axial_N=true.axial_N,
-        tip_N=true.tip_N,
-        layer_friction_N=true.layer_friction_N,
-        layer=true.layer,
-        ruptures=true.ruptures,
-        tare_end_s=run.tare_end_s,
-        contact_s=run.contact_s,
-        insertion_end_s=run.scenario.motion.insertion_end_s,
-        boundaries_m=_boundaries_m(run.scenario),
-    )
+    return _truth(run, run.truth, run.contact_s)
 
 
 def truth_of_needle(run: NeedleRun) -> InsertionTruth:
     """The truth of an insertion by a needle without an arm."""
+    return _truth(run, run, run.truth.contact_s)
+
+
+def _truth(run: Run | NeedleRun, motion: Truth | NeedleRun, contact_s: float) -> InsertionTruth:
     true = run.truth
     return InsertionTruth(
-        t_s=run.t_s,
-        depth_m=run.depth_m,
-        speed_m_s=run.speed_m_s,
+        t_s=motion.t_s,
+        depth_m=motion.depth_m,
+        speed_m_s=motion.speed_m_s,
         axial_N=true.axial_N,
         tip_N=true.tip_N,
         layer_friction_N=true.layer_friction_N,
         layer=true.layer,
         ruptures=true.ruptures,
         tare_end_s=run.tare_end_s,
-        contact_s=true.contact_s,
+        contact_s=contact_s,
         insertion_end_s=run.scenario.motion.insertion_end_s,
-        boundaries_m=_boundaries_m(run.scenario),
+        boundaries_m=tuple(accumulate(layer.thickness_m for layer in run.scenario.layers)),
     )
-
-
-def _boundaries_m(scenario: Scenario) -> tuple[float, ...]:
-    return tuple(accumulate(layer.thickness_m for layer in scenario.layers))
