@@ -1,6 +1,6 @@
 """Reading CSV text, plain or compressed with gzip, whole or as it comes."""
 
-from collections.abc import Iterable, Iterator
+from collections.abc import Callable, Iterable, Iterator
 from pathlib import Path
 
 from recordings.byte_source import Patience, byte_blocks
@@ -43,6 +43,7 @@ def csv_tables(
     *,
     head_rows: int | None = HEAD_ROWS,
     is_growing: bool = False,
+    is_stopped: Callable[[], bool] = lambda: False,
 ) -> Iterator[Table]:
     """Read CSV text as it comes.
 
@@ -51,6 +52,7 @@ def csv_tables(
         name: of the source, for errors.
         head_rows: least rows of the first table; None to read all into one.
         is_growing: whether the source may end in the middle of a line that is being written.
+        is_stopped: tells at the end whether it is one only because the user wanted no more.
 
     Yields:
         Tables of consecutive rows with equal columns; then one without rows, whose warnings tell
@@ -68,6 +70,8 @@ def csv_tables(
             if head_rows is not None and len(rows) >= (1 if read else head_rows):
                 read = columns.read(rows.take())
                 yield Table(columns=read, start_ns=rows.start_ns)
+        if is_stopped():
+            lines.forgive_end()
         rows.end(lines.tail, is_growing=is_growing)
         if len(rows):
             read = columns.read(rows.take())

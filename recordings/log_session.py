@@ -104,6 +104,7 @@ class LogSession:
                 idle_s=self._idle_s,
                 should_stop=self._stop,
                 advance=advance,
+                warn=self._tell,
             )
             wanted = self._wanted
             tables = stream_tables(self._source, patience, wanted)
@@ -131,5 +132,8 @@ class LogSession:
 
     def _warn(self, stream: LogStream) -> None:
         for warning in stream.take_warnings():
-            self._warnings.append(warning)
-            say(f"warning: {warning}")
+            self._tell(warning)
+
+    def _tell(self, warning: str) -> None:
+        self._warnings.append(warning)
+        say(f"warning: {warning}")

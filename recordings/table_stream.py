@@ -50,7 +50,9 @@ def stream_tables(
     name = "standard input" if path is None else str(path)
     if path is None or is_text(path):
         blocks = byte_blocks(path, patience)
-        yield from csv_tables(blocks, name, is_growing=patience.follow)
+        yield from csv_tables(
+            blocks, name, is_growing=patience.follow, is_stopped=patience.should_stop
+        )
         return
     if patience.follow:
         raise FileAccessError(f"{name} cannot be followed while it grows; only text can")

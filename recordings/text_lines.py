@@ -28,6 +28,7 @@ class TextLines:
         """Lines so far."""
         self.tail = ""
         """Once all is read: what stands behind the last line end."""
+        self._note = ""
         self.warnings: list[str] = []
         """What was lost or guessed."""
 
@@ -47,12 +48,22 @@ class TextLines:
         if self._bytes.fault:
             # What follows the last line end is a piece of a line.
             self.tail = ""
-            note = (
+            self._note = (
                 f"the compressed file {self._bytes.fault}; what follows line {self.count} is lost"
             )
-            self.warnings.append(note)
+            if self._bytes.is_damaged:
+                self._note += (
+                    ", and rows before it may be wrong: gzip tells that there is damage, not where"
+                )
+            self.warnings.append(self._note)
         if is_blank:
             raise FormatError("it is empty; expected a header row and rows of numbers")
+
+    def forgive_end(self) -> None:
+        """Leave out a piece of a line at the end, and do not blame the source for it."""
+        self.tail = ""
+        if self._bytes.fault and not self._bytes.is_damaged:
+            self.warnings.remove(self._note)
 
     def _split(self, text: str, is_last: bool) -> Iterator[list[str]]:
         *lines, self.tail = (self.tail + self._ends.decode(text, final=is_last)).split("\n")

@@ -18,6 +18,8 @@ class Unpacked:
         self._blocks = iter(blocks)
         self.fault = ""
         """Once all is read: what is wrong with the compressed data, if anything."""
+        self.is_damaged = False
+        """Whether what was unpacked may be wrong: damage is seen blocks later, or at the end."""
 
     def __iter__(self) -> Iterator[bytes]:
         """Yield blocks of at least one byte."""
@@ -40,7 +42,7 @@ class Unpacked:
                 try:
                     content = member.decompress(data)
                 except zlib.error:
-                    self.fault = "is damaged"
+                    self.fault, self.is_damaged = "is damaged", True
                     return
                 if content:
                     yield content

@@ -183,6 +183,7 @@ def test_a_damaged_compressed_file_yields_what_precedes_the_damage(read):
     packed[place : place + 2000] = bytes(2000)
     table = read(bytes(packed), "log.csv.gz")
     assert "is damaged; what follows line" in table.warnings[0]
+    assert "rows before it may be wrong" in table.warnings[0]
     assert len(table.columns["t"]) > 10_000
 
 

@@ -204,6 +204,8 @@ def test_following_ends_when_asked_and_leaves_out_the_line_being_written(tmp_pat
     patience = Patience(follow=True, should_stop=should_stop)
     t_s, _, warnings = streamed(stream_tables(path, patience))
     assert t_s.tolist() == [0.0, 1.0]
+    assert "cut short" not in "".join(warnings)
+    _, _, warnings = streamed(stream_tables(path, Patience(follow=True, idle_s=0.1)))
     assert warnings[0] == "line 4, the last, is cut short (3 of 3 cells) and was left out"
 
 
@@ -233,6 +235,35 @@ def test_what_cannot_be_followed_or_read_is_told(tmp_path):
     path.write_bytes(b"t,f\n")
     with pytest.raises(FileAccessError, match="has become shorter"):
         next(blocks)
+
+
+@pytest.mark.parametrize("is_replaced", [False, True])
+def test_a_followed_file_that_was_moved_is_read_to_its_end_and_told(tmp_path, is_replaced):
+    path = tmp_path / "log.csv"
+    path.write_bytes(b"t,f\n0,1\n")
+    told = []
+    blocks = byte_blocks(path, Patience(follow=True, idle_s=30.0, warn=told.append))
+    found = [next(blocks)]
+    path.rename(tmp_path / "log.1.csv")
+    with (tmp_path / "log.1.csv").open("ab") as old:
+        old.write(b"1,2\n")
+    if is_replaced:
+        path.write_bytes(b"t,f\n5,6\n")
+    found += list(blocks)
+    assert b"".join(found) == b"t,f\n0,1\n1,2\n"
+    assert len(told) == 1
+    assert "log.csv was moved, deleted or replaced" in told[0]
+
+
+@pytest.mark.parametrize("packed", [False, True])
+def test_a_user_who_wants_no_more_hears_nothing_of_a_piece_of_a_line(packed):
+    data = text_of(50_000, broken=False).encode()
+    data = gzip.compress(data) if packed else data
+    half = data[: len(data) // 2]
+    *_, last = csv_tables([half], "log", is_stopped=lambda: True)
+    assert last.warnings == ("column 'phase' holds text (line 2, 'rest') and was left out",)
+    *_, last = csv_tables([half], "log")
+    assert "cut short" in "".join(last.warnings)
 
 
 def test_standard_input_that_is_closed_is_told(monkeypatch):
