@@ -6,7 +6,8 @@ from identification.paper_config import PaperConfig
 from identification.paper_state import PaperState, Traverse
 from identification.reweighting import reweighted_friction_variance
 from identification.rls import RlsState
-from identification.window_sums import less_viscous_force, rerun_windows, window_step
+from identification.window_history import less_viscous_rows, rerun_history
+from identification.window_sums import less_viscous_force, window_step
 
 _LEAST_THICKNESS_M = 1e-9
 _LEAST_SPEED_M_S = 1e-6
@@ -29,10 +30,10 @@ def compensate(state: PaperState, force_N: float, config: PaperConfig) -> PaperS
         return state
     layer, friction = _identify_layer(state, left, rupture, force_N, config)
     traverse = state.traverse
-    windows = tuple(less_viscous_force(sums, friction) for sums in traverse.windows)
+    windows = less_viscous_rows(traverse.windows, friction)
     window = less_viscous_force(state.window, friction)
     start = (config.var_stiffness, config.var_friction)
-    stiffness, own = window_step(rerun_windows(windows, start), window, start)
+    stiffness, own = window_step(rerun_history(windows, start), window, start)
     return state._replace(
         rls=RlsState(stiffness, own, config.var_stiffness, 0.0, config.var_friction),
         window=window,
@@ -55,7 +56,7 @@ def _identify_layer(
     )
     speed = max(abs(left.mean_speed_m_s), _LEAST_SPEED_M_S)
     variance = reweighted_friction_variance(config.var_friction, elastic, friction_share, speed)
-    stiffness, friction = rerun_windows(left.windows, (config.var_stiffness, variance))
+    stiffness, friction = rerun_history(left.windows, (config.var_stiffness, variance))
     thickness = max(rupture.depth_m - left.start_depth_m, _LEAST_THICKNESS_M)
     share = friction * (thickness if config.model == "ml" else 1.0)
     return LayerEstimate(

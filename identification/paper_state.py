@@ -5,6 +5,7 @@ from typing import NamedTuple
 from identification.estimate import LayerEstimate, Rupture
 from identification.rls import RlsState
 from identification.rupture_state import RuptureState
+from identification.window_history import WindowHistory
 from identification.window_sums import WindowSums
 
 
@@ -19,7 +20,7 @@ class Traverse(NamedTuple):
     """
 
     start_depth_m: float
-    windows: tuple[WindowSums, ...] = ()
+    windows: WindowHistory = WindowHistory()
     travel_s: float = 0.0
     mean_speed_m_s: float = 0.0
 

@@ -10,7 +10,8 @@ from identification.paper_state import PaperState, Traverse
 from identification.rls import RlsState, reset_covariance, rls_step
 from identification.rupture_state import MUTED, RuptureState, next_rupture_state
 from identification.sample import Sample
-from identification.window_sums import WindowSums, add_sample, merge_pairs
+from identification.window_history import append_window
+from identification.window_sums import WindowSums, add_sample
 
 
 def initial_paper_state(config: PaperConfig) -> PaperState:
@@ -62,9 +63,7 @@ def _identify(
     windows = traverse.windows
     if window_s * config.reset_frequency_Hz >= 1.0 - 1e-9:
         rls = reset_covariance(rls, config.var_stiffness, config.var_friction)
-        windows = (*windows, window)
-        if len(windows) > config.most_windows:
-            windows = merge_pairs(windows)
+        windows = append_window(windows, window, config.most_windows)
         window, window_s = WindowSums(), 0.0
     return state._replace(
         rls=rls,
@@ -127,7 +126,7 @@ def _open_layer(
         speed_m_s=sample.speed_m_s,
         confidence=1.0,
     )
-    windows = (*state.traverse.windows, state.window)
+    windows = append_window(state.traverse.windows, state.window, config.most_windows)
     rls = RlsState(0.0, 0.0, config.var_stiffness, 0.0, config.var_friction)
     return state._replace(
         rls=rls,

@@ -5,7 +5,6 @@ theta = (Psi_0^-1 + S)^-1 (Psi_0^-1 theta_prev + b) with S = sum phi phi' and b 
 a re-run over the layer needs S and b of each window, not its samples.
 """
 
-from collections.abc import Iterable
 from typing import NamedTuple
 
 
@@ -74,36 +73,3 @@ def window_step(
         k + p * (m22 * rk - m12 * rb) / determinant,
         b + q * (m11 * rb - m21 * rk) / determinant,
     )
-
-
-def rerun_windows(
-    windows: Iterable[WindowSums],
-    variances: tuple[float, float],
-    theta: tuple[float, float] = (0.0, 0.0),
-) -> tuple[float, float]:
-    """Re-run RLS with covariance resetting over whole windows (Section III-B).
-
-    Args:
-        windows: Sums of the layer's reset windows in order of time.
-        variances: Diagonal of the (re-weighted) Psi_0, restored at each window's start.
-        theta: Estimate at the start of the layer.
-
-    Returns:
-        (K, B), the same as the sample-by-sample re-run up to rounding.
-    """
-    for sums in windows:
-        theta = window_step(theta, sums, variances)
-    return theta
-
-
-def merge_pairs(windows: tuple[WindowSums, ...]) -> tuple[WindowSums, ...]:
-    """Halve the number of windows by adding neighbours: bounds memory in an endless layer.
-
-    The re-run then resets half as often over that stretch; an odd last window stays alone.
-    """
-    even = len(windows) // 2 * 2
-    merged = tuple(
-        WindowSums(*(a + b for a, b in zip(first, second, strict=True)))
-        for first, second in zip(windows[0:even:2], windows[1:even:2], strict=True)
-    )
-    return merged + windows[even:]

@@ -10,13 +10,8 @@ from identification.force_derivative import derivative_step
 from identification.force_drop import drop_interval_s, force_drop_N, force_ratios
 from identification.reweighting import reweighted_friction_variance
 from identification.rls import RlsState, reset_covariance, rls_step
-from identification.window_sums import (
-    WindowSums,
-    add_sample,
-    less_viscous_force,
-    merge_pairs,
-    rerun_windows,
-)
+from identification.window_history import WindowHistory, append_window, rerun_history
+from identification.window_sums import WindowSums, add_sample, less_viscous_force
 
 number = st.floats(-2.0, 2.0)
 
@@ -110,18 +105,18 @@ def test_rerun_from_sums_equals_the_rerun_over_samples(seed, length, window, rat
     force = 30.0 * depth + 8000.0 * depth * speed + 0.01 * rng.standard_normal(length)
     variances = (1e6, 1e6 * ratio / 2.3e-3**2)
     state = RlsState(0.0, 0.0, variances[0], 0.0, variances[1])
-    sums, windows = WindowSums(), []
+    sums, history = WindowSums(), WindowHistory()
     for k in range(length):
         if k and k % window == 0:
             state = reset_covariance(state, *variances)
-            windows.append(sums)
+            history = append_window(history, sums, 4096)
             sums = WindowSums()
         phi = (depth[k], depth[k] * speed[k])
         state, _ = rls_step(state, phi, force[k])
         sums = add_sample(sums, phi, force[k], speed[k])
-    windows.append(sums)
+    history = append_window(history, sums, 4096)
     scale = np.abs([state.stiffness, state.friction]) + np.sqrt(variances) * 1e-6
-    gap = np.abs(np.array(rerun_windows(windows, variances)) - state[:2])
+    gap = np.abs(np.array(rerun_history(history, variances)) - state[:2])
     assert np.all(gap < 1e-6 * scale)
 
 
@@ -132,10 +127,3 @@ def test_sums_follow_a_later_friction():
         late = add_sample(late, (x, y), f, v)
         early = add_sample(early, (x, y), f - 100.0 * v, v)
     assert less_viscous_force(late, 100.0) == pytest.approx(early)
-
-
-def test_merging_windows_keeps_their_sum():
-    windows = tuple(WindowSums(*np.full(7, float(k))) for k in range(5))
-    merged = merge_pairs(windows)
-    assert len(merged) == 3
-    assert np.allclose(np.sum(merged, axis=0), np.sum(windows, axis=0))
