@@ -16,7 +16,7 @@ from typing import Any, get_args, get_type_hints
 import numpy as np
 
 from insertion.errors import SnapshotFileError
-from insertion.snapshot_types import SNAPSHOT_TYPES
+from insertion.snapshot_types import SNAPSHOT_TYPES, is_state
 
 Plain = None | bool | int | float | str | list["Plain"] | dict[str, "Plain"]
 
@@ -67,7 +67,7 @@ def from_plain(plain: Plain) -> Any:
         return kind(**{name: from_plain(item) for name, item in members.items()})
     except SnapshotFileError:
         raise
-    except (KeyError, TypeError, ValueError, AssertionError) as error:
+    except (KeyError, TypeError, ValueError, OverflowError, AssertionError) as error:
         shown = str(plain)[:80]
         raise SnapshotFileError(f"cannot read {shown!r} of a snapshot: {error!r}") from error
 
@@ -98,16 +98,12 @@ def _known_types() -> dict[str, type]:
     while waiting:
         hint = waiting.pop()
         waiting.extend(get_args(hint))
-        if isinstance(hint, type) and hint not in found.values() and _is_ours(hint):
+        if isinstance(hint, type) and hint not in found.values() and is_state(hint):
             if hint.__name__ in found:
                 raise SnapshotFileError(f"two types of a snapshot are called {hint.__name__}")
             found[hint.__name__] = hint
             waiting.extend(get_type_hints(hint).values())
     return found
-
-
-def _is_ours(kind: type) -> bool:
-    return issubclass(kind, Enum) or is_dataclass(kind) or hasattr(kind, "_fields")
 
 
 def _names(kind: type) -> Iterator[str]:

@@ -4,11 +4,19 @@ import math
 import numbers
 from dataclasses import replace
 
+import numpy as np
 from numpy.typing import ArrayLike
 
 from identification import DEFAULT as DEFAULT_IDENTIFIER
-from identification import DefaultConfig, Estimate, Identifier, LayerEstimate, PaperConfig
-from insertion.errors import SettingError, SnapshotMismatchError
+from identification import (
+    DefaultConfig,
+    Estimate,
+    IdentificationError,
+    Identifier,
+    LayerEstimate,
+    PaperConfig,
+)
+from insertion.errors import InsertionError, SettingError, SnapshotMismatchError
 from insertion.session_estimate import SessionEstimate, SessionSnapshot
 from insertion.tip_travel import TipTravel, Travel
 from residual import DEFAULT as DEFAULT_SENSOR
@@ -54,7 +62,7 @@ class InsertionSession:
         if not (isinstance(speed_lag_s, numbers.Real) and 0.0 <= float(speed_lag_s) < math.inf):
             raise SettingError(f"speed_lag_s is {speed_lag_s!r}, expected a finite number >= 0")
         self._sensor = VirtualForceSensor(robot, sensor_config)
-        self._identifier = Identifier(identifier_config)
+        self._identifier, self._identifier_config = Identifier(identifier_config), identifier_config
         self._travel = TipTravel(self._sensor.kinematics)
         self._speed_lag_s = float(speed_lag_s)
         self.reset()
@@ -159,8 +167,10 @@ class InsertionSession:
         """Go on, bit for bit, from where `snapshot` was taken.
 
         Raises:
-            SnapshotMismatchError: Not a snapshot of a session, or one of another speed lag.
-            residual.SnapshotError: One of another robot or other settings of the sensor.
+            SnapshotMismatchError: Not a snapshot of a session, a damaged one, or one of another
+                speed lag.
+            residual.SnapshotError: A damaged one, or one of another robot or other settings of the
+                sensor.
             identification.IdentificationError: One of other settings of the identifier.
                 In each case nothing has changed.
         """
@@ -173,17 +183,29 @@ class InsertionSession:
                 f"the snapshot is of speed_lag_s {snapshot.speed_lag_s:g}, this session has "
                 f"{self._speed_lag_s:g}"
             )
-        before = self._identifier.snapshot()
+        self._try_out(snapshot)
+        # The last that can fail, and it fails as a whole.
+        self._sensor.restore(snapshot.sensor)
         self._identifier.restore(snapshot.identifier)
-        try:
-            self._sensor.restore(snapshot.sensor)
-        except ValueError:
-            self._identifier.restore(before)
-            raise
         self._travel.restore(snapshot.zero)
         self._is_started = snapshot.sensor.last is not None
         self._last_travel, self._unfed_s = snapshot.travel, snapshot.unfed_s
         self._identification = _without_events(snapshot.identifier.last)
+
+    def _try_out(self, snapshot: SessionSnapshot) -> None:
+        """Refuse what would fail in later updates; nothing of this session takes part."""
+        twin = Identifier(self._identifier_config)
+        try:
+            twin.restore(snapshot.identifier)
+            for _ in range(3):
+                twin.update(*snapshot.travel, 0.0, 1e-3)
+            sizes = [np.shape(part) for part in snapshot.zero]
+            if sizes != [(3,), (3,)] or not np.isfinite(snapshot.zero).all():
+                raise SnapshotMismatchError(f"the snapshot is damaged: its zero is {snapshot.zero}")
+        except (IdentificationError, InsertionError):
+            raise
+        except Exception as error:  # whatever a damaged state makes of its parts
+            raise SnapshotMismatchError(f"the snapshot is damaged: {error!r}") from error
 
     def _follow(self, wrench: WrenchEstimate) -> SessionEstimate:
         """Depth, speed and, where the force is worth it, the identifier."""

@@ -1,5 +1,6 @@
 """Snapshots in files: plain JSON with a format name and a version, see docs/loop.md."""
 
+import hashlib
 import json
 import os
 from pathlib import Path
@@ -7,12 +8,13 @@ from typing import Any
 
 from identification import Snapshot as IdentifierSnapshot
 from insertion.errors import SnapshotFileError
-from insertion.plain_value import from_plain, to_plain
+from insertion.plain_value import Plain, from_plain, to_plain
 from insertion.session_estimate import SessionSnapshot
+from insertion.typed_value import check_value
 from residual.sensor_state import SensorState
 
 SNAPSHOT_FORMAT = "needleforce-snapshot"
-SNAPSHOT_VERSION = 1
+SNAPSHOT_VERSION = 2
 """Grows whenever a file of the version before could no longer be read, or would be misread."""
 
 AnySnapshot = SessionSnapshot | SensorState | IdentifierSnapshot
@@ -36,10 +38,12 @@ def write_snapshot(snapshot: AnySnapshot, path: str | os.PathLike[str]) -> None:
             f"expected a snapshot of a session, a sensor or an identifier, got a "
             f"{type(snapshot).__name__}"
         )
+    plain = to_plain(snapshot)
     content = {
         "format": SNAPSHOT_FORMAT,
         "version": SNAPSHOT_VERSION,
-        "snapshot": to_plain(snapshot),
+        "sha256": _digest(plain),
+        "snapshot": plain,
     }
     target = Path(path)
     partial = target.with_name(target.name + ".part")
@@ -62,21 +66,35 @@ def read_snapshot(path: str | os.PathLike[str]) -> AnySnapshot:
     """
     try:
         content = json.loads(Path(path).read_text(encoding="utf-8"))
-    except ValueError as error:
+        _check_header(content, path)
+        snapshot = from_plain(content.get("snapshot"))
+    except SnapshotFileError:
+        raise
+    except (ValueError, RecursionError) as error:
         raise SnapshotFileError(f"{path} is not JSON, or cut short: {error}") from error
-    _check_header(content, path)
-    snapshot = from_plain(content.get("snapshot"))
     if not isinstance(snapshot, AnySnapshot):
         raise SnapshotFileError(f"{path} holds a {type(snapshot).__name__}, not a snapshot")
+    check_value(snapshot, type(snapshot), "snapshot")
     return snapshot
+
+
+def _digest(plain: Plain) -> str:
+    """SHA-256 of the value as JSON with sorted names and without spaces."""
+    text = json.dumps(plain, sort_keys=True, separators=(",", ":"))
+    return hashlib.sha256(text.encode()).hexdigest()
 
 
 def _check_header(content: Any, path: str | os.PathLike[str]) -> None:
     if not isinstance(content, dict) or content.get("format") != SNAPSHOT_FORMAT:
         raise SnapshotFileError(f"{path} is not a snapshot: it has no format {SNAPSHOT_FORMAT!r}")
     version = content.get("version")
-    if version != SNAPSHOT_VERSION:
+    if version != SNAPSHOT_VERSION or isinstance(version, bool):
         raise SnapshotFileError(
             f"{path} is a snapshot of version {version}, this package reads version "
             f"{SNAPSHOT_VERSION}: resume it with the package that wrote it"
+        )
+    if content.get("sha256") != _digest(content.get("snapshot")):
+        raise SnapshotFileError(
+            f"{path} is damaged: its sha256 is not that of its snapshot; take an older one, or "
+            "start and tare anew"
         )

@@ -1,5 +1,8 @@
 """What snapshots consist of: these types and those that their annotations name."""
 
+from dataclasses import is_dataclass
+from enum import Enum
+
 from identification import DefaultConfig, PaperConfig
 from identification import Snapshot as IdentifierSnapshot
 from identification.default_state import DefaultState
@@ -18,3 +21,8 @@ SNAPSHOT_TYPES = (
     PaperConfig,
 )
 """Roots; everything else is reached from them."""
+
+
+def is_state(kind: type) -> bool:
+    """Whether a type is one that snapshots may name: an enumeration, or a class of fields."""
+    return issubclass(kind, Enum) or is_dataclass(kind) or hasattr(kind, "_fields")

@@ -3,7 +3,7 @@
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from residual.errors import SampleError, SnapshotError, SuspectSampleError
+from residual.errors import SampleError, SuspectSampleError
 from residual.external_torque import TorqueSample
 from residual.external_torque_stream import ExternalTorqueStream
 from residual.joint_stream import JointStream
@@ -15,6 +15,7 @@ from residual.sensor_config import DEFAULT, SensorConfig
 from residual.sensor_state import SensorState, check_belongs
 from residual.settings_text import settings_text
 from residual.slow_checks import SlowChecks, SlowState
+from residual.state_trial import try_out
 from residual.tare import Tare
 from residual.tool_kinematics import ToolKinematics
 from residual.wrench import COMPONENTS, WrenchEstimator
@@ -212,13 +213,9 @@ class VirtualForceSensor:
                 or other settings; nothing has then changed.
         """
         check_belongs(state, self._digest, settings_text(self._config, self._robot.nv))
-        before, elapsed_s = self.snapshot(), self._elapsed_s
-        try:
-            self._take(state)
-        except Exception as error:  # whatever a damaged state makes of its parts
-            self._take(before)
-            self._elapsed_s = elapsed_s
-            raise SnapshotError(f"the snapshot is damaged: {error!r}") from error
+        twin = type(self)(self._robot, self._config)
+        try_out(twin, twin._take, state)
+        self._take(state)
 
     def _take(self, state: SensorState) -> None:
         self.reset()

@@ -1,10 +1,13 @@
 """A short simulated insertion on the realistic arm, for the tests of `insertion`."""
 
+import hashlib
+import json
 from functools import cache
 
 import numpy as np
 
 from groundtruth import simulate
+from insertion import SNAPSHOT_VERSION
 
 
 @cache
@@ -38,3 +41,11 @@ def same(one, other):
     if isinstance(one, tuple):
         return len(one) == len(other) and all(map(same, one, other))
     return one == other
+
+
+def sealed(plain):
+    """Content of a snapshot file as docs/loop.md describes it."""
+    text = json.dumps(plain, sort_keys=True, separators=(",", ":"))
+    digest = hashlib.sha256(text.encode()).hexdigest()
+    head = {"format": "needleforce-snapshot", "version": SNAPSHOT_VERSION, "sha256": digest}
+    return head | {"snapshot": plain}

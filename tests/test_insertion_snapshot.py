@@ -5,7 +5,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from insertion_run import same, samples, short_run, tare_index
+from insertion_run import same, samples, sealed, short_run, tare_index
 
 from identification import DEFAULT as IDENTIFIER_DEFAULT
 from identification import PAPER as IDENTIFIER_PAPER
@@ -147,13 +147,19 @@ def test_files_that_are_no_snapshots_say_so(lwr, tmp_path):
         (good | {"version": 99}, "version 99"),
         (good | {"format": "other"}, "no format"),
         ([], "no format"),
-        (good | {"snapshot": None}, "NoneType"),
-        (good | {"snapshot": {"type": "Popen", "fields": {}}}, "Popen"),
-        (good | {"snapshot": {"type": "Travel", "fields": {"depth_m": 0.0}}}, "speed_m_s"),
-        (good | {"snapshot": {"array": [1.0, 2.0], "shape": [3], "order": "C"}}, "array"),
+        (good | {"version": True}, "version True"),
+        (good | {"snapshot": None}, "sha256"),
+        (sealed(None), "NoneType"),
+        (sealed({"type": "Popen", "fields": {}}), "Popen"),
+        (sealed({"type": "Travel", "fields": {"depth_m": 0.0}}), "speed_m_s"),
+        (sealed({"array": [1.0, 2.0], "shape": [3], "order": "C"}), "array"),
     ]:
         path.write_text(json.dumps(content))
         with pytest.raises(SnapshotFileError, match=match):
+            read_snapshot(path)
+    for text in (json.dumps(good)[:1000], "[" * 100_000, "[" * 100_000 + "]" * 100_000):
+        path.write_text(text)
+        with pytest.raises(SnapshotFileError, match="cut short"):
             read_snapshot(path)
     path.write_text(json.dumps(good)[:1000])
     with pytest.raises(SnapshotFileError, match="cut short"):
