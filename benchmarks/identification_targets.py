@@ -30,21 +30,14 @@ def _targets(source: str, plant: str) -> Iterator[Target]:
             at_most=limit,
         )
 
-    yield most("friction, gels", "friction_error_online_worst_pct", 5.0 if ft else 10.0, GELS)
-    yield most(
-        "friction, stacks, worst layer",
-        "friction_error_online_worst_pct",
-        10.0 if ft else 20.0,
-        STACKS,
-    )
+    friction = "friction_error_online_worst_pct"
+    yield most("friction, gels", friction, 5.0 if ft else 10.0, GELS)
+    yield most("friction, stacks, worst layer", friction, 10.0 if ft else 20.0, STACKS)
     yield most(
         "residue, gels and stacks", "exit_residue_pct", 5.0 if ft else 10.0, (*GELS, *STACKS)
     )
     yield from _rupture_targets(source, plant, where)
-    for what, metric in (
-        ("friction", "friction_error_online_worst_pct"),
-        ("delay", "rupture_delay_ms"),
-    ):
+    for what, metric in (("friction", friction), ("delay", "rupture_delay_ms")):
         yield Target(
             what=f"{where}: {what} as a share of the paper's in the same run",
             metric=metric,

@@ -23,7 +23,7 @@ def check(*argv):
     parser = ArgumentParser()
     source_arguments(parser, "time")
     output_arguments(parser, table="t", picture="p", page="q")
-    check_outputs(parser.parse_args(argv))
+    return check_outputs(parser.parse_args(argv))
 
 
 @pytest.mark.parametrize(
@@ -74,10 +74,13 @@ def test_outputs_do_not_replace_each_other(tmp_path):
 
 
 def test_outputs_side_by_side_are_fine():
-    check("log.csv", "-o", "f.csv", "--png", "f.png", "--report", ".")
-    check("bag.db3", "-o", "f.db3", "--png", "f.png", "--report", "report")
-    check("log.csv", "-o", "bag.db3")
-    check("-", "-o", "-", "--png", "f.png")
+    for argv in (
+        ["log.csv", "-o", "f.csv", "--png", "f.png", "--report", "."],
+        ["bag.db3", "-o", "f.db3", "--png", "f.png", "--report", "report"],
+        ["log.csv", "-o", "bag.db3"],
+        ["-", "-o", "-", "--png", "f.png"],
+    ):
+        assert check(*argv) is None
 
 
 def test_only_a_bag_and_nothing_else_is_replaced_by_a_bag(tmp_path):
