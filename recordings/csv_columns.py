@@ -6,6 +6,7 @@ from recordings.csv_cells import CellReader, Faults
 from recordings.csv_rows import CsvLayout
 from recordings.errors import FormatError
 from recordings.table import FloatArray
+from recordings.whole_stamps import Stamps, whole_stamps_of_text
 
 
 class CsvColumns:
@@ -19,6 +20,8 @@ class CsvColumns:
         self._cells = CellReader()
         self._names: tuple[str, ...] = ()
         self._left_out: dict[int, str] = {}
+        self.stamps: Stamps = {}
+        """Whole numbers too large for float64 of the rows that were read last."""
 
     def read(self, layout: CsvLayout) -> dict[str, FloatArray]:
         """Return the columns of some rows.
@@ -31,7 +34,11 @@ class CsvColumns:
             values = self._choose(layout, values)
         elif values is None:
             values = self._cells.read(layout)
-        return {name: values[:, i] for i, name in enumerate(self._names) if i not in self._left_out}
+        columns = {
+            name: values[:, i] for i, name in enumerate(self._names) if i not in self._left_out
+        }
+        self.stamps = whole_stamps_of_text(layout, columns)
+        return columns
 
     def notes(self) -> tuple[str, ...]:
         """What was left out or could not be read so far, in words."""

@@ -34,7 +34,12 @@ def read_csv(path: Path) -> Table:
     """
     blocks = byte_blocks(path, Patience())
     table, *_, last = csv_tables(blocks, str(path), head_rows=None)
-    return Table(columns=table.columns, warnings=last.warnings, start_ns=table.start_ns)
+    return Table(
+        columns=table.columns,
+        warnings=last.warnings,
+        start_ns=table.start_ns,
+        stamps=table.stamps,
+    )
 
 
 def csv_tables(
@@ -69,13 +74,13 @@ def csv_tables(
             rows.add(batch)
             if head_rows is not None and len(rows) >= (1 if read else head_rows):
                 read = columns.read(rows.take())
-                yield Table(columns=read, start_ns=rows.start_ns)
+                yield Table(columns=read, start_ns=rows.start_ns, stamps=columns.stamps)
         if is_stopped():
             lines.forgive_end()
         rows.end(lines.tail, is_growing=is_growing)
         if len(rows):
             read = columns.read(rows.take())
-            yield Table(columns=read, start_ns=rows.start_ns)
+            yield Table(columns=read, start_ns=rows.start_ns, stamps=columns.stamps)
     except FormatError as error:
         told = "".join(f" ({warning})" for warning in lines.warnings)
         raise FormatError(f"{name}: {error}{told}") from error

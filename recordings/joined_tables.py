@@ -34,7 +34,16 @@ def joined_tables(tables: Iterator[Table], rows: int) -> Table:
         warnings=tuple(warning for table in taken for warning in table.warnings),
         joint_names=first.joint_names,
         start_ns=first.start_ns,
+        stamps=_joined_stamps([table for table in taken if _length(table)]),
     )
+
+
+def _joined_stamps(tables: list[Table]) -> dict[str, np.ndarray]:
+    """Join the stamps that every table with rows has."""
+    if not tables:
+        return {}
+    everywhere = set.intersection(*(set(table.stamps) for table in tables))
+    return {name: np.concatenate([table.stamps[name] for table in tables]) for name in everywhere}
 
 
 def _length(table: Table) -> int:

@@ -60,7 +60,7 @@ class LogStream:
         self._mapping = mapping or ColumnMapping()
         self._required, self._optional = tuple(required), tuple(optional)
         self._told: dict[str, bool] = {}
-        self._rows = self._lost = self._first_lost = 0
+        self._rows = self._lost = self._first_lost = self._clock_ns = 0
         self._stamps, self._units = TimeStampWatch(), UnitWatch()
         self._finite: dict[str, FiniteWatch] = {}
         self.start_ns = 0
@@ -103,7 +103,11 @@ class LogStream:
     def _chunk(self, table: Table, channels: Mapping[str, SiChannel | None]) -> Iterator[LogChunk]:
         found = {key: channel for key, channel in channels.items() if channel is not None}
         rows = len(next(iter(found.values())).values)
-        time, notes = find_time(table, self._mapping, rows, self._rows)
+        time, notes = find_time(
+            table, self._mapping, rows, self._rows, self._clock_ns if self._rows else None
+        )
+        self._clock_ns = time.start_ns
+        self.start_ns = self.start_ns or time.start_ns
         self._tell(notes)
         everything = {"t_s": time, **found}
         check_sizes(everything)

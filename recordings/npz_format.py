@@ -12,6 +12,7 @@ from recordings.errors import FileAccessError, FormatError
 from recordings.labels import START_KEY
 from recordings.npz_member import NpzMember, UnusableArrayError
 from recordings.table import Table
+from recordings.whole_stamps import whole_stamps
 
 _SUFFIX = ".npy"
 _DAMAGE = (ValueError, EOFError, RuntimeError, zipfile.BadZipFile, zlib.error)
@@ -101,6 +102,7 @@ class _Members:
                 constants=self._constants,
                 warnings=warnings,
                 start_ns=self._start_ns,
+                stamps=whole_stamps(columns),
             )
 
     def _read(self, rows: int) -> dict[str, np.ndarray]:

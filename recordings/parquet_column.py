@@ -53,6 +53,12 @@ class ParquetColumn:
             return self._stamps(cells, start_ns)
         return self._numbers(cells)
 
+    def whole(self, cells: Any) -> np.ndarray:
+        """Return a batch's whole numbers as they are, nothing where it holds others or none."""
+        if not self._arrow.types.is_integer(cells.type) or cells.null_count:
+            return np.empty(0)
+        return cells.to_numpy(zero_copy_only=False)
+
     def _numbers(self, cells: Any) -> FloatArray:
         # Without the check of `safe`, which refuses integers that a double rounds.
         numbers = cells.cast(self._arrow.float64(), safe=False)

@@ -9,6 +9,7 @@ from recordings.labels import START_KEY
 from recordings.optional_library import optional_library
 from recordings.parquet_column import ParquetColumn, is_number_column
 from recordings.table import Table
+from recordings.whole_stamps import whole_stamps
 
 _BUFFER = 1 << 16  # bytes of a column
 
@@ -82,11 +83,12 @@ def _tables(path: Path, file: Any, rows: int | None, arrow: Any) -> Iterator[Tab
     readers = {name: ParquetColumn(arrow) for name in wanted}
     start_ns = int((schema.metadata or {}).get(START, 0))
     for batch in _batches(file, rows, wanted):
-        columns = {}
+        columns, stamps = {}, {}
         for name, reader in readers.items():
             columns[name] = reader.read(batch.column(name), start_ns)
             start_ns = start_ns or reader.start_ns
-        yield Table(columns=columns, warnings=warnings, start_ns=start_ns)
+            stamps |= whole_stamps({name: reader.whole(batch.column(name))})
+        yield Table(columns=columns, warnings=warnings, start_ns=start_ns, stamps=stamps)
         warnings = ()
 
 

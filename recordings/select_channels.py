@@ -50,7 +50,7 @@ def select_channels(
         t_s=time.values[keep],
         channels={key: found.values[keep] for key, found in selected.items()},
         warnings=(*table.warnings, *notes, *told, *hints),
-        start_ns=table.start_ns,
+        start_ns=table.start_ns or time.start_ns,
     )
 
 

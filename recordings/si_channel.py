@@ -21,11 +21,15 @@ class SiChannel:
         values: SI, shape (n,), or (n, joints) for a channel of joints.
         is_unit_stated: whether mapping or column names say the unit, rather than SI assumed.
         columns: the names of its columns; none for a time that was made from a rate.
+        factor: from the file's unit to SI, of the first column.
+        start_ns: of time, the instant of zero, where it is not the table's; see `Table`.
     """
 
     values: FloatArray
     is_unit_stated: bool
     columns: tuple[str, ...] = ()
+    factor: float = 1.0
+    start_ns: int = 0
 
 
 def find_si_channel(table: Table, channel: Channel, spec: ColumnSpec | None) -> SiChannel | None:
@@ -60,11 +64,13 @@ def find_si_channel(table: Table, channel: Channel, spec: ColumnSpec | None) -> 
         for _ in range(column.width)
     ]
     factors = np.array([channel.units[unit or channel.si_unit] for unit in units])
-    values = values * (factors * _scales(spec, len(units), channel))
+    factors = factors * _scales(spec, len(units), channel)
+    values = values * factors
     return SiChannel(
         values=values if channel.per_joint else values[:, 0],
         is_unit_stated=all(units),
         columns=tuple(column.name for column in columns),
+        factor=float(factors[0]),
     )
 
 

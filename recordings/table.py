@@ -26,6 +26,7 @@ class Table:
             order of the column.
         start_ns: the instant of t = 0 on the clock that stamped the file, in ns; not zero only
             where stamps are too large for seconds in float64 to tell nanoseconds apart.
+        stamps: those of `columns` that float64 has rounded, as the whole numbers that they are.
     """
 
     columns: Mapping[str, FloatArray]
@@ -33,6 +34,7 @@ class Table:
     warnings: tuple[str, ...] = ()
     joint_names: Mapping[str, tuple[str, ...]] = field(default_factory=dict)
     start_ns: int = 0
+    stamps: Mapping[str, NDArray[np.int64]] = field(default_factory=dict)
 
     def __post_init__(self) -> None:
         """Copy and freeze the columns.
@@ -51,6 +53,7 @@ class Table:
                 )
         object.__setattr__(self, "columns", MappingProxyType(columns))
         object.__setattr__(self, "constants", MappingProxyType(dict(self.constants)))
+        object.__setattr__(self, "stamps", MappingProxyType(dict(self.stamps)))
         object.__setattr__(self, "joint_names", MappingProxyType(dict(self.joint_names)))
 
     def describe(self, limit: int = 40) -> str:

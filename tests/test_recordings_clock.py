@@ -5,7 +5,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from recordings import Log, read_log, write_log
+from recordings import Log, read_log, write_log, write_table
 from recordings.byte_source import Patience
 from recordings.log_stream import LogStream
 from recordings.nanoseconds import start_of_clock, to_nanoseconds, to_seconds
@@ -49,3 +49,36 @@ def test_the_comment_of_a_csv_is_read_and_others_are_not(tmp_path):
     for comment, start_ns in (("# start_ns = 17", 17), ("#start_ns=-3", -3), ("# start_ns = x", 0)):
         path.write_text(f"{comment}\nt,force\n0.0,1\n0.1,2\n", encoding="utf-8")
         assert read_log(path).start_ns == start_ns
+
+
+@pytest.mark.parametrize("suffix", ["csv", "csv.gz", "npz", "parquet"])
+@pytest.mark.parametrize("is_ragged", [False, True])
+def test_whole_nanoseconds_since_the_epoch_lose_no_digit(tmp_path, suffix, is_ragged):
+    stamps_ns = EPOCH_NS + np.cumsum(np.arange(5000)) % 7 + 1_000_003 * np.arange(5000)
+    path = tmp_path / f"log.{suffix}"
+    write_table(path, {"time [ns]": stamps_ns, "force_N": np.ones(5000)})
+    if is_ragged and suffix == "csv":
+        lines = path.read_text().splitlines()
+        lines[3000:3000] = ["1,2,3", f"{EPOCH_NS}"]
+        path.write_text("\n".join(lines) + "\n")
+    log = read_log(path)
+    assert to_nanoseconds(log.t_s, log.start_ns).tolist() == stamps_ns.tolist()
+    stream = LogStream(stream_tables(path, Patience()))
+    t_s = np.concatenate([chunk.t_s for chunk in stream])
+    assert to_nanoseconds(t_s, stream.start_ns).tolist() == stamps_ns.tolist()
+    write_log(tmp_path / "log.mcap", log)
+    again = read_log(tmp_path / "log.mcap")
+    assert to_nanoseconds(again.t_s, again.start_ns).tolist() == stamps_ns.tolist()
+
+
+@pytest.mark.parametrize("row", [100, 4000])
+def test_a_stamp_that_is_no_whole_number_costs_digits_but_no_second(tmp_path, row):
+    path = tmp_path / "log.csv"
+    stamps_ns = [EPOCH_NS + 1_000_000 * k for k in range(5000)]
+    lines = [f"{stamp},1.0" for stamp in stamps_ns]
+    lines[row] = "oops,1.0"
+    path.write_text("\n".join(["time_ns,force_N", *lines]) + "\n")
+    t_s = np.concatenate([chunk.t_s for chunk in LogStream(stream_tables(path, Patience()))])
+    assert len(t_s) == 4999
+    expected_s = np.delete(1e-3 * np.arange(5000), row)
+    np.testing.assert_allclose(t_s - t_s[0], expected_s, atol=2e-6)
