@@ -8,6 +8,7 @@ from numpy.typing import NDArray
 
 from residual.momentum_observer import MomentumObserver, MomentumState
 from residual.noise_probe import NoiseProbe, NoiseState
+from residual.sample_clock import ROUNDING_S
 from residual.sensor_config import SensorConfig
 from residual.velocity_estimator import VelocityEstimator, VelocityState
 from urdf import Robot
@@ -170,7 +171,7 @@ class ExternalTorqueEstimator:
 
     @property
     def _settled(self) -> bool:
-        return self._probe is None and self._age_s >= self._settling_s
+        return self._probe is None and self._age_s >= self._settling_s - ROUNDING_S
 
     def _learn_noise(
         self, signal: NDArray[np.float64], q: NDArray[np.float64], dt_s: float

@@ -6,6 +6,8 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from residual.sample_clock import ROUNDING_S
+
 
 class NoiseState(NamedTuple):
     """All that a `NoiseProbe` remembers.
@@ -50,7 +52,7 @@ class NoiseProbe:
         self._rows[self._count] = value
         self._count += 1
         self._left_s -= dt_s
-        enough = self._left_s <= 0.0 and self._count >= self.LEAST_SAMPLES
+        enough = self._left_s <= ROUNDING_S and self._count >= self.LEAST_SAMPLES
         if not enough and self._count < self.MOST_SAMPLES:
             return None
         differences = np.abs(np.diff(self._rows[: self._count], n=3, axis=0))

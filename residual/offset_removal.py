@@ -7,6 +7,7 @@ from numpy.typing import NDArray
 
 from residual.contact_guard import check_free_of_contact
 from residual.errors import TareError
+from residual.sample_clock import ROUNDING_S
 from residual.sensor_config import SensorConfig
 from residual.tare import Tare, prior_tare
 from residual.tare_fit import fit_tare
@@ -104,7 +105,7 @@ class OffsetRemoval:
         self._now_s += dt_s
         self._torque_sum += tau
         self._count += 1
-        if self._now_s < self._due_s:
+        if self._now_s < self._due_s - ROUNDING_S:
             return False
         self._renew()
         return True

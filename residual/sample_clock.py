@@ -5,6 +5,10 @@ import numbers
 from residual.errors import SampleError
 from residual.sample_check import LONGEST_STEP_S, check_interval
 
+ROUNDING_S = 1e-5
+"""Sums of time steps that come this near to a limit have reached it [s]: stamps since 1970 are
+rounded to a quarter of a microsecond, and rounding must not decide on a tick more or less."""
+
 
 class SampleClock:
     """Adds the time of skipped samples to that of the next sound one.

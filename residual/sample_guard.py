@@ -14,6 +14,7 @@ from residual.contact_step import ContactStep
 from residual.errors import SuspectSampleError
 from residual.noise_probe import NoiseProbe, NoiseState
 from residual.repeat_watch import AloneState, AloneWatch, RepeatState, RepeatWatch, stands_out
+from residual.sample_clock import ROUNDING_S
 from residual.spike_gates import SpikeGates
 from residual.wrench_estimate import Caution
 from urdf import Robot
@@ -125,7 +126,7 @@ class SampleGuard:
         if learning:
             self._learn(dt_s)
         self._age_s += dt_s
-        if self._age_s >= LOOK_S:
+        if self._age_s >= LOOK_S - ROUNDING_S:
             self._look()
 
     def _what_seems_frozen(self) -> str:
@@ -200,7 +201,7 @@ class SampleGuard:
         agrees = rejected is not None and not self._beyond(now, rejected, since_s).any()
         self._stayed_s = self._stayed_s + since_s if agrees else 0.0
         self._missed_s, self._rejected = dt_s, now
-        if self._stayed_s >= STAYED_S:
+        if self._stayed_s >= STAYED_S - ROUNDING_S:
             return has_moved
         jumped = [int(i) for i in np.flatnonzero(beyond.any(axis=0))]
         raise SuspectSampleError(

@@ -6,6 +6,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from residual.errors import TareError
+from residual.sample_clock import ROUNDING_S
 from residual.tare import TareBlocks
 
 MOST_BLOCKS = 400
@@ -108,7 +109,7 @@ class TareRecorder:
         self._squares += residual * residual
         self._count += 1
         self._age_s += dt_s
-        if self._age_s >= self._block_s:
+        if self._age_s >= self._block_s - ROUNDING_S:
             means = self._sum / self._count
             scatter = np.maximum(self._squares / self._count - means[1] ** 2, 0.0)
             middle_s = time_s - 0.5 * self._age_s

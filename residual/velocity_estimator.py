@@ -9,6 +9,7 @@ from numpy.typing import ArrayLike, NDArray
 from residual.errors import ConfigurationError
 from residual.momentum_step import Alignment
 from residual.sample_check import MOST_PLAUSIBLE, check_interval, check_joint_vector
+from residual.sample_clock import ROUNDING_S
 from residual.settings_check import check_alignment, check_gap, check_positive
 from residual.velocity_step import ROWS, lag_pair_coefficients
 
@@ -119,7 +120,8 @@ class VelocityEstimator:
         rows[2, :n], rows[2, n:] = q, tau
         self._age_s += dt_s
         second = out[1]
-        return MatchedSample(second[:n], out[2, :n], second[n:], self._age_s >= self._settling_s)
+        settled = self._age_s >= self._settling_s - ROUNDING_S
+        return MatchedSample(second[:n], out[2, :n], second[n:], settled)
 
     def _checked(
         self, q: ArrayLike, tau: ArrayLike
