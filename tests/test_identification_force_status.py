@@ -26,7 +26,7 @@ def test_the_command_leaves_out_the_cautions_that_a_session_leaves_out():
 @pytest.mark.parametrize("name", ["force_status", "force_cautions", "both"])
 def test_marked_rows_are_left_out_and_counted(name):
     status = np.array([0.0, 1.0, 2.0, 3.0, 0.0, 0.0])
-    cautions = np.array([0.0, 0.0, 0.0, 0.0, 7.0, 32.0 + 1.0])
+    cautions = np.array([0.0, 0.0, 0.0, 0.0, 5.0, 32.0 + 1.0])
     columns = {"force_status": status, "force_cautions": cautions}
     chosen = columns if name == "both" else {name: columns[name]}
     reader = ForceStatus(is_ignored=False)
