@@ -110,7 +110,7 @@ class LogStream:
         self.start_ns = self.start_ns or time.start_ns
         self._tell(notes)
         everything = {"t_s": time, **found}
-        check_sizes(everything)
+        check_sizes(everything, is_part=True)
         self._units.update({k: f.values for k, f in everything.items() if not f.is_unit_stated})
         if not self._rows:
             self._tell(self._units.news())

@@ -121,16 +121,29 @@ def without_stamp(rows: int, first: int) -> str:
     return f"time: rows without a stamp, left out: {rows} (first: row {first + 1})"
 
 
-def check_sizes(channels: Mapping[str, SiChannel]) -> None:
+def check_sizes(channels: Mapping[str, SiChannel], *, is_part: bool = False) -> None:
     """Check that channels belong together.
+
+    Args:
+        channels: by their key in a `Log`.
+        is_part: whether more rows may follow.
 
     Raises:
         LogError: they differ in length or in the number of joints.
     """
     shapes = {key: found.values.shape for key, found in channels.items()}
     if len({shape[0] for shape in shapes.values()}) > 1:
-        lengths = ", ".join(f"{key} {shape[0]}" for key, shape in shapes.items())
-        raise LogError(f"channels differ in length, in rows: {lengths}")
+        most = max(shape[0] for shape in shapes.values())
+        more = " or more" if is_part else ""
+        lengths = ", ".join(
+            f"{key} {shape[0]}{more if shape[0] == most else ''}" for key, shape in shapes.items()
+        )
+        turned = [
+            f"; {key} has {shape[0]} rows of {shape[1]}: is it transposed?"
+            for key, shape in shapes.items()
+            if len(shape) == 2 and shape[0] < shape[1]
+        ]
+        raise LogError(f"channels differ in length, in rows: {lengths}{''.join(turned)}")
     joints = {key: shape[1] for key, shape in shapes.items() if len(shape) == 2}
     if len(set(joints.values())) > 1:
         widths = ", ".join(f"{key} {width}" for key, width in joints.items())

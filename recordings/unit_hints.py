@@ -14,6 +14,8 @@ _LIMITS = {
     "depth_m": ("depth", 1.0, "mm"),
     "speed_m_s": ("speed", 1.0, "mm/s"),
 }
+# Steps of so many units belong to logs between 10 Hz and 10 kHz.
+_STEPS = ((1e5, "ns"), (200.0, "us"))
 
 
 class UnitWatch:
@@ -41,6 +43,8 @@ class UnitWatch:
         warnings = []
         for key, size in self._sizes.items():
             name, limit, unit = _LIMITS[key]
+            if key == "t_s":
+                unit = next((u for least, u in _STEPS if size >= least), unit)
             if size > limit and key not in self._told:
                 self._told.add(key)
                 what = "its median step" if key == "t_s" else "it"

@@ -3,7 +3,6 @@
 from dataclasses import dataclass, field
 
 from recordings.channel import CHANNELS
-from recordings.column_spec import ColumnSpec
 from recordings.detect_columns import detect_columns
 from recordings.errors import ColumnError
 from recordings.find_columns import FoundColumn, find_columns
@@ -45,30 +44,38 @@ class Wanted:
         mapped = [name for name in (*names, "time") if name in self.mapping.channels]
         # Mapped channels first: the topics they choose decide where others would be ambiguous.
         for name in dict.fromkeys((*mapped, *names)):
-            found = _columns(table, name, self.mapping.channels.get(name), needed)
+            found = self._columns(table, name, needed)
             if not found and name in self.required:
                 return None
             needed |= found
         return frozenset(needed)
 
+    def _columns(self, table: Table, name: str, chosen: set[str]) -> set[str]:
+        spec = self.mapping.channels.get(name)
+        if spec is None:
+            found = _detected(table, name, chosen, {*(self.mapping.joints or self.joints)})
+        else:
+            found = tuple(c for pattern in spec.patterns for c in find_columns(table, pattern))
+        names = {column.name for column in found}
+        # An element such as `force_xyz[2]` is found under its own name.
+        return {name if name in table.columns else name.rpartition("[")[0] for name in names}
 
-def _columns(table: Table, name: str, spec: ColumnSpec | None, chosen: set[str]) -> set[str]:
-    if spec is None:
-        found = _detected(table, name, chosen)
-    else:
-        found = tuple(c for pattern in spec.patterns for c in find_columns(table, pattern))
-    names = {column.name for column in found}
-    # An element such as `force_xyz[2]` is found under its own name.
-    return {name if name in table.columns else name.rpartition("[")[0] for name in names}
 
+def _detected(
+    table: Table, name: str, chosen: set[str], joints: set[str]
+) -> tuple[FoundColumn, ...]:
+    """Find a channel by its usual names.
 
-def _detected(table: Table, name: str, chosen: set[str]) -> tuple[FoundColumn, ...]:
-    """Find a channel by its usual names; of several that would fit, one beside chosen columns."""
+    Of several that would fit, one beside chosen columns, else one that has the robot's joints.
+    """
     try:
         return detect_columns(table, CHANNELS[name])
     except ColumnError:
         parents = {column.rpartition("/")[0] for column in chosen}
         beside = {n: v for n, v in table.columns.items() if n.rpartition("/")[0] in parents}
+        if not beside and joints:
+            named = table.joint_names
+            beside = {n: table.columns[n] for n in named if joints <= set(named[n])}
         if not beside:
             raise
         if found := detect_columns(Table(columns=beside), CHANNELS[name]):

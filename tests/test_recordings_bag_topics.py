@@ -17,6 +17,7 @@ from recordings import (
     read_log,
 )
 from recordings.bag_format import bag_chunks
+from recordings.log_stream import LogStream
 from recordings.wanted import Wanted
 
 
@@ -88,6 +89,21 @@ def test_several_topics_that_would_fit_must_be_chosen_from(folder):
     ):
         read_log(folder, required=["q"])
     assert len(read_log(folder, mapped(q="/r/position"), required=["q"])) == 3
+
+
+def test_of_several_topics_the_one_with_the_joints_of_the_robot_is_read(folder):
+    rows = [
+        (topic, k, joint_state(k, names, [k, factor * k], [k, k], [k, k]))
+        for k in range(1, 4)
+        for topic, names, factor in (("/arm", "ab", 2.0), ("/hand", "xy", 3.0))
+    ]
+    write_bag(folder, rows)
+    asked = {"required": ["q", "tau"], "optional": ["dq"]}
+    log = read_log(folder, joints=["b", "a"], **asked)
+    assert log["q_rad"][:, 0].tolist() == [2.0, 4.0, 6.0]
+    assert len(list(LogStream(bag_chunks(folder, 2, Wanted(joints=("a", "b"), **asked)), **asked)))
+    with pytest.raises(ColumnError, match="several columns would fit"):
+        read_log(folder, joints=["a", "x"], **asked)
 
 
 def test_a_channel_that_is_mapped_decides_for_those_that_are_not(folder):

@@ -197,7 +197,27 @@ def test_a_window_beyond_the_log_is_told_when_the_log_has_ended(lwr, tmp_path, c
     assert "lies outside the log, which runs from 0 to 1.199 s" in capsys.readouterr().err
     assert not out.exists()
     assert main([str(path), "--tare=-3:-1", "-o", str(out)]) == 2
-    assert "lies outside the log" in capsys.readouterr().err
+    assert "lies outside the log, which starts at 0 s; expected" in capsys.readouterr().err
+
+
+def test_stamps_in_another_unit_are_told_and_no_tare_is_blamed(lwr, tmp_path, capsys):
+    columns = insertion(lwr, seconds=1.2)
+    columns["t_s"] = 1_700_000_000_000_000_000 + np.rint(1e9 * columns["t_s"]).astype(np.int64)
+    write_table(tmp_path / "log.npz", {"time": columns.pop("t_s"), **columns})
+    assert main([str(tmp_path / "log.npz"), "--tare", "+0:+1"]) == 2
+    told = capsys.readouterr().err
+    assert "if the file is in ns, say unit = 'ns'" in told
+    assert "--tare +0:+1 does not fit the log, whose first stamp is 1.7e+18 s" in told
+
+
+def test_a_transposed_array_is_told(lwr, tmp_path, capsys):
+    columns = insertion(lwr)
+    write_table(tmp_path / "log.npz", columns)
+    np.savez(tmp_path / "log.npz", **{name: values.T for name, values in columns.items()})
+    assert main([str(tmp_path / "log.npz"), "--no-tare"]) == 2
+    told = capsys.readouterr().err
+    assert "t_s 2048 or more, q_rad 7" in told
+    assert "q_rad has 7 rows of 4000: is it transposed?" in told
 
 
 def test_the_picture_of_a_long_log_keeps_its_spikes(lwr, tmp_path, monkeypatch):

@@ -47,6 +47,12 @@ class TareOption:
             CommandError: It does not end after it starts.
         """
         start_s, end_s = self._ends(first_s)
+        plain_start_s, plain_end_s = self._ends(0.0)
+        if start_s >= end_s and plain_start_s < plain_end_s:
+            raise CommandError(
+                f"--tare {self.text} does not fit the log, whose first stamp is {first_s:.9g} s; "
+                f"if the unit is wrong, say --time COLUMN:UNIT; {_EXPECTED}"
+            )
         if not start_s < end_s:
             raise CommandError(f"--tare {self.text}: START must come before END; {_EXPECTED}")
         return TareWindow(start_s=start_s, end_s=end_s)
@@ -54,14 +60,19 @@ class TareOption:
     def require_inside(self, window: TareWindow, first_s: float, last_s: float) -> None:
         """Check that the log reaches as far as the window.
 
+        Args:
+            window: Of `window`.
+            first_s: The log's first stamp [s].
+            last_s: Its last [s]; inf while it is not known.
+
         Raises:
             CommandError: It does not.
         """
         if window.start_s >= last_s or window.end_s > last_s or window.end_s <= first_s:
-            raise CommandError(
-                f"--tare {self.text} lies outside the log, which runs from {first_s:.9g} to "
-                f"{last_s:.9g} s; {_EXPECTED}"
-            )
+            end = f"runs from {first_s:.9g} to {last_s:.9g} s"
+            if math.isinf(last_s):
+                end = f"starts at {first_s:.9g} s"
+            raise CommandError(f"--tare {self.text} lies outside the log, which {end}; {_EXPECTED}")
 
     def _ends(self, first_s: float) -> tuple[float, float]:
         start_text, colon, end_text = self.text.partition(":")
