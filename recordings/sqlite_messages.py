@@ -39,10 +39,10 @@ def sqlite_messages(
         faults.append("is cut short")
         yield from _salvaged(path, 0, topics)
         return
-    last = 0
+    last = unfit = 0
     try:
         with closing(_connect(path)) as connection:
-            known = _wanted(_topics(connection), topics)
+            known = _wanted(_topics(connection, faults), topics)
             query = (
                 "SELECT id, topic_id, timestamp, data FROM messages "
                 f"WHERE topic_id IN ({','.join(map(str, known))}) ORDER BY id"
@@ -51,6 +51,10 @@ def sqlite_messages(
                 last = number
                 if isinstance(log_ns, int) and isinstance(data, bytes):
                     yield RawMessage(known[topic], log_ns, data)
+                else:
+                    unfit += 1
+        if unfit:
+            faults.append(f"has {unfit} messages whose time stamp or data are of another type")
     except _DAMAGE as error:
         if "unable to open" in str(error):
             raise FormatError(f"cannot be read: {error}") from error
@@ -73,7 +77,7 @@ def _connect(path: Path) -> sqlite3.Connection:
     return sqlite3.connect(f"{path.absolute().as_uri()}?{way}", uri=True)
 
 
-def _topics(connection: sqlite3.Connection) -> Mapping[int, BagTopic]:
+def _topics(connection: sqlite3.Connection, faults: list[str]) -> Mapping[int, BagTopic]:
     definitions: dict[str, tuple[str, bool]] = {}
     tables = {name for (name,) in connection.execute("SELECT name FROM sqlite_master")}
     if missing := {"topics", "messages"} - tables:
@@ -83,10 +87,13 @@ def _topics(connection: sqlite3.Connection) -> Mapping[int, BagTopic]:
         for kind, encoding, text in connection.execute(query):
             definitions[kind] = (text, encoding == _IDL)
     query = "SELECT id, name, type, serialization_format FROM topics"
-    return {
-        number: BagTopic(name, kind, encoding, *definitions.get(kind, ("", False)))
-        for number, name, kind, encoding in connection.execute(query)
-    }
+    known: dict[int, BagTopic] = {}
+    for number, name, kind, encoding in connection.execute(query):
+        if all(isinstance(text, str) for text in (name, kind, encoding)):
+            known[number] = BagTopic(name, kind, encoding, *definitions.get(kind, ("", False)))
+        else:
+            faults.append(f"has a topic, number {number}, whose name or type is no text")
+    return known
 
 
 def _salvaged(path: Path, last: int, topics: Collection[str] | None) -> Iterator[RawMessage]:

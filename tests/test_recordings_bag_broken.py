@@ -2,6 +2,8 @@
 
 import re
 import shutil
+import sqlite3
+from contextlib import closing
 
 import numpy as np
 import pytest
@@ -232,3 +234,20 @@ def test_a_damaged_first_chunk_costs_that_chunk_only(tmp_path, bags):
     assert {topic for topic, _ in found} == {"/joint_states", "/ft/wrench", "/depth_mm", "/log"}
     assert len(found) > COUNT // 2
     assert faults
+
+
+@pytest.mark.parametrize(
+    ("change", "told"),
+    [
+        ("UPDATE messages SET data = 'text' WHERE id = 3", "has 1 messages whose time stamp or"),
+        ("UPDATE messages SET timestamp = 'text' WHERE id < 3", "has 2 messages whose time stamp"),
+        ("UPDATE topics SET name = x'00ff' WHERE id = 1", "has a topic, number 1, whose name"),
+    ],
+)
+def test_values_of_another_type_in_an_sqlite_bag_are_left_out_and_told(tmp_path, change, told):
+    path = data_file(write_bag(tmp_path / "bag", insertion_rows(40), storage="sqlite3"))
+    with closing(sqlite3.connect(path)) as connection, connection:
+        connection.execute(change)
+    table = read_table(path)
+    assert told in " ".join(table.warnings)
+    assert len(table.columns["t_s"]) > 3
