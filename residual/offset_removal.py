@@ -95,6 +95,11 @@ class OffsetRemoval:
         """Whether `tare` has succeeded since the last `reset` or `start_recording`."""
         return self._tared
 
+    @property
+    def is_fresh(self) -> bool:
+        """Whether neither tare nor recorded motion is of any use now."""
+        return not self._tared and self._recorder.is_empty
+
     def follow(self, q: NDArray[np.float64], tau: NDArray[np.float64], dt_s: float) -> bool:
         """Follow position [rad], torque [Nm] and time [s] since the sample before.
 

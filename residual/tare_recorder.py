@@ -80,6 +80,11 @@ class TareRecorder:
         self._blocks: list[_Block] = []
         self._open()
 
+    @property
+    def is_empty(self) -> bool:
+        """Whether nothing has been recorded since `clear`."""
+        return not (self._blocks or self._count)
+
     def _open(self) -> None:
         self._sum = np.zeros((2 + self._loops, self._joints))
         self._squares = np.zeros(self._joints)

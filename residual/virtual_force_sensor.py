@@ -13,6 +13,7 @@ from residual.robot_digest import robot_digest
 from residual.sample_clock import SampleClock
 from residual.sensor_config import DEFAULT, SensorConfig
 from residual.sensor_state import SensorState, check_belongs
+from residual.sensor_words import NOT_TARED, OTHER_KIND, SETTLING
 from residual.settings_text import settings_text
 from residual.slow_checks import SlowChecks, SlowState
 from residual.state_trial import try_out
@@ -37,9 +38,6 @@ class VirtualForceSensor:
         robot: The arm with its payload.
         config: Settings; `PAPER` for the method as published.
     """
-
-    _SETTLING = "the filters have just started, or a time step was longer than max_gap_s"
-    _NOT_TARED = "tare() has not been called"
 
     def __init__(self, robot: Robot, config: SensorConfig = DEFAULT) -> None:
         self._robot, self._config = robot, config
@@ -107,16 +105,7 @@ class VirtualForceSensor:
             The wrench with its uncertainty and status. This method does not raise for a bad
             sample, it says so in the status.
         """
-        stream = self._joints
-        if stream is None:
-            stream = JointStream(self._robot, self._config, has_velocity=dq is not None)
-        try:
-            elapsed_s = 0.0 if self._last is None else self._clock.elapsed(dt_s)
-            sample = stream.update(q, dq, tau, elapsed_s)
-        except SampleError as error:
-            return self._skip(dt_s, error)
-        self._joints = stream
-        return self._finish(sample, stream, elapsed_s)
+        return self._absorb(JointStream, q, dq, tau, dt_s)
 
     def update_external_torque(
         self, q: ArrayLike, external_torque: ArrayLike, dt_s: float, dq: ArrayLike | None = None
@@ -133,16 +122,7 @@ class VirtualForceSensor:
         Returns:
             As `update`.
         """
-        stream = self._external_torque
-        if stream is None:
-            stream = ExternalTorqueStream(self._robot, self._config, has_velocity=dq is not None)
-        try:
-            elapsed_s = 0.0 if self._last is None else self._clock.elapsed(dt_s)
-            sample = stream.update(q, dq, external_torque, elapsed_s)
-        except SampleError as error:
-            return self._skip(dt_s, error)
-        self._external_torque = stream
-        return self._finish(sample, stream, elapsed_s)
+        return self._absorb(ExternalTorqueStream, q, dq, external_torque, dt_s)
 
     def tare(self, *, force: bool = False) -> Tare:
         """Fit the offset to the free motion seen since the start or `start_recording`.
@@ -168,13 +148,15 @@ class VirtualForceSensor:
         return tare
 
     def start_recording(self) -> None:
-        """Record free motion anew for the next `tare`; estimates are `NOT_TARED` until then."""
+        """Record free motion anew for the next `tare`; estimates are `NOT_TARED` until then.
+
+        The next sample may be of the other kind of torque: everything then starts anew.
+        """
         self._offset.start_recording()
 
     def reset(self) -> None:
         """Forget everything, the tare included."""
-        self._joints: JointStream | None = None
-        self._external_torque: ExternalTorqueStream | None = None
+        self._stream: JointStream | ExternalTorqueStream | None = None
         self._lag_s = self._elapsed_s = 0.0
         self._offset.reset()
         self._slow.restore(SlowState())
@@ -187,11 +169,12 @@ class VirtualForceSensor:
 
     def snapshot(self) -> SensorState:
         """All that the sensor remembers; immutable. `insertion.write_snapshot` stores it."""
+        stream = self._stream
         return SensorState(
             robot=self._digest,
             config=settings_text(self._config, self._robot.nv),
-            joints=None if self._joints is None else self._joints.state,
-            external_torque=None if self._external_torque is None else self._external_torque.state,
+            joints=stream.state if isinstance(stream, JointStream) else None,
+            external_torque=stream.state if isinstance(stream, ExternalTorqueStream) else None,
             lag_s=self._lag_s,
             offset=self._offset.state,
             torque_covariance=self._wrench.torque_covariance,
@@ -221,14 +204,12 @@ class VirtualForceSensor:
         self.reset()
         if state.joints is not None:
             given = state.joints.torque.velocity is None
-            self._joints = JointStream(self._robot, self._config, has_velocity=given)
-            self._joints.restore(state.joints)
+            self._stream = JointStream(self._robot, self._config, has_velocity=given)
+            self._stream.restore(state.joints)
         if state.external_torque is not None:
             given = state.external_torque.velocity is None
-            self._external_torque = ExternalTorqueStream(
-                self._robot, self._config, has_velocity=given
-            )
-            self._external_torque.restore(state.external_torque)
+            self._stream = ExternalTorqueStream(self._robot, self._config, has_velocity=given)
+            self._stream.restore(state.external_torque)
         self._lag_s = state.lag_s
         self._offset.restore(state.offset)
         self._wrench.set_torque_covariance(state.torque_covariance)
@@ -240,6 +221,32 @@ class VirtualForceSensor:
         self._clock.missed_s = state.missed_s
         if state.last is not None:
             self.kinematics.update(self._offset.q)
+
+    def _absorb(
+        self,
+        kind: type[JointStream] | type[ExternalTorqueStream],
+        q: ArrayLike,
+        dq: ArrayLike | None,
+        torque: ArrayLike,
+        dt_s: float,
+    ) -> WrenchEstimate:
+        """One sample of either kind, or why it was not absorbed."""
+        stream = self._stream
+        try:
+            if stream is None or type(stream) is not kind:
+                if stream is not None and not self._offset.is_fresh:
+                    raise SampleError(OTHER_KIND)
+                stream = kind(self._robot, self._config, has_velocity=dq is not None)
+            elapsed_s = 0.0 if self._last is None else self._clock.elapsed(dt_s)
+            sample = stream.update(q, dq, torque, elapsed_s)
+        except SampleError as error:
+            return self._skip(dt_s, error)
+        if stream is not self._stream:
+            self._stream = stream
+            self._offset.reset()
+            self._slow.restore(SlowState())
+            self._doubt.restart()
+        return self._finish(sample, stream, elapsed_s)
 
     def _finish(
         self, sample: TorqueSample, stream: JointStream | ExternalTorqueStream, elapsed_s: float
@@ -267,9 +274,9 @@ class VirtualForceSensor:
             cautions |= Caution.FROZEN
             message = f"{stream.warning}; {message}" if message else stream.warning
         if not sample.settled:
-            status, message = Status.SETTLING, self._SETTLING
+            status, message = Status.SETTLING, SETTLING
         elif not tared:
-            status, message = Status.NOT_TARED, self._NOT_TARED
+            status, message = Status.NOT_TARED, NOT_TARED
         self._last = WrenchEstimate(
             numbers[0], std, *numbers[2:], status, message, slow.misfit, cautions
         )

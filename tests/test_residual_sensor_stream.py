@@ -189,13 +189,31 @@ def test_the_lag_is_that_of_the_stream_in_use(lwr):
     sensor = tared_sensor(lwr)
     assert sensor.lag_s > 0.0
     _, q, dq, tau = swing(lwr, seconds=0.01, start=2.0, amplitude=0.03)
+    sensor.start_recording()
     sensor.update_external_torque(q[0], np.zeros(7), 1e-3)
     assert sensor.lag_s == 0.0
     twin = VirtualForceSensor(lwr)
     twin.restore(sensor.snapshot())
     assert twin.lag_s == 0.0
+    sensor.start_recording()
     sensor.update(q[1], dq[1], tau[1], 1e-3)
     assert sensor.lag_s > 0.0
+
+
+def test_a_tare_of_one_kind_of_torque_is_not_used_for_the_other(lwr):
+    sensor, twin = tared_sensor(lwr), tared_sensor(lwr)
+    _, q, dq, tau = swing(lwr, seconds=0.01, start=2.0, amplitude=0.03)
+    told = sensor.update_external_torque(q[0], np.zeros(7), 1e-9)
+    assert told.status is Status.SKIPPED
+    assert "were mixed" in told.message
+    assert sensor.update(q[1], dq[1], tau[1], 1e-3).axial == pytest.approx(
+        twin.update(q[1], dq[1], tau[1], 1e-3).axial, abs=1e-6
+    )
+    sensor.start_recording()
+    assert sensor.update_external_torque(q[2], np.zeros(7), 1e-3, dq[2]).status is Status.NOT_TARED
+    assert sensor.update(q[3], dq[3], tau[3], 1e-3).status is Status.SKIPPED
+    sensor.reset()
+    assert sensor.update(q[3], dq[3], tau[3], 1e-3).status is not Status.SKIPPED
 
 
 def test_a_velocity_that_comes_and_goes_is_refused_beside_external_torques_too(lwr):
