@@ -6,7 +6,7 @@ import numpy as np
 
 from recordings.table import FloatArray
 
-_SET_AFTER_S = 0.05
+_SET_AFTER_S = 0.1
 _SET_AFTER_ROWS = 3
 """A row that is not later than those before came late. When so many rows in a row, over so much
 time, are later than each other but not than those before, it was not they: the clock was set."""

@@ -27,18 +27,25 @@ def test_late_and_repeated_rows_do_not_advance_and_shift_nothing():
     assert dt_s[advances][1:].sum() == pytest.approx(t_s.max() - t_s[0])
 
 
+def test_stamps_that_run_ahead_once_shift_nothing():
+    t_s = T_S.copy()
+    t_s[100:900:200] += 0.09
+    dt_s = RowClock().update(t_s)
+    assert dt_s[dt_s > 0.0][1:].sum() == pytest.approx(T_S[-1])
+
+
 @pytest.mark.parametrize("back_s", [0.5, 3600.0])
 def test_a_clock_that_stays_back_is_followed_after_a_few_rows(back_s):
     t_s = np.concatenate((T_S, T_S[-1] + T_S + 0.001 - back_s))
     dt_s = RowClock().update(t_s)
     late = dt_s[1000:] <= 0.0
-    assert 3 <= np.count_nonzero(late) <= 55
-    assert not late[60:].any()
+    assert 3 <= np.count_nonzero(late) <= 105
+    assert not late[110:].any()
     assert dt_s[dt_s > 0.0][1:].sum() == pytest.approx(1.998, abs=0.002)
 
 
 def test_a_clock_a_little_back_catches_up():
-    t_s = np.concatenate((T_S, T_S[-1] + T_S - 0.03))
+    t_s = np.concatenate((T_S, T_S[-1] + T_S - 0.08))
     dt_s = RowClock().update(t_s)
     assert dt_s[dt_s > 0.0][1:].sum() == pytest.approx(t_s[-1])
 
@@ -54,5 +61,5 @@ def test_pieces_give_what_the_whole_gives(cut, late):
 
 def test_a_log_tells_that_its_clock_was_set_back():
     log = Log(t_s=np.concatenate((T_S, T_S)), channels={"force_N": np.ones(2000)})
-    assert "clock set back, from where it counts anew: 1 (first: row 1051" in log.warnings[0]
-    assert "stamps running backward: 50 (first: row 1001, 0 s after 0.999 s)" in log.warnings[1]
+    assert "clock set back, from where it counts anew: 1 (first: row 1101" in log.warnings[0]
+    assert "stamps running backward: 100 (first: row 1001, 0 s after 0.999 s)" in log.warnings[1]
