@@ -2,6 +2,7 @@
 
 import math
 import numbers
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -10,7 +11,6 @@ from residual.errors import SampleError
 
 MOST_PLAUSIBLE = 1e9
 """No joint signal in SI units comes near it; beyond it products overflow."""
-_MOST_SQUARE = MOST_PLAUSIBLE**2
 
 
 LONGEST_STEP_S = 86_400.0
@@ -56,8 +56,8 @@ def check_joint_vector(name: str, value: object, joints: int) -> NDArray[np.floa
         SampleError: If the shape is wrong or a number is not finite or beyond `MOST_PLAUSIBLE`.
     """
     try:
-        array = np.asarray(value, dtype=np.float64)
-    except (TypeError, ValueError) as error:
+        array = _real(value)
+    except (TypeError, ValueError, OverflowError) as error:
         raise SampleError(f"{name} is not an array of numbers: {error}") from error
     if array.shape != (joints,):
         raise SampleError(
@@ -74,6 +74,13 @@ def check_joint_vector(name: str, value: object, joints: int) -> NDArray[np.floa
             f"{name} reaches {np.abs(array).max():.3g}, expected SI units below {MOST_PLAUSIBLE:g}"
         )
     return array
+
+
+def _real(value: Any) -> NDArray[np.float64]:
+    """As floats, without the warning by which numpy drops imaginary parts."""
+    if np.iscomplexobj(value):
+        raise TypeError("its numbers are complex")
+    return np.asarray(value, dtype=np.float64)
 
 
 def read_rows(
@@ -93,12 +100,15 @@ def read_rows(
         SampleError: As `check_joint_vector`.
     """
     try:
-        rows = np.array(values, dtype=np.float64)
-    except (TypeError, ValueError):
+        rows = np.array(values)
+    except ValueError:
         rows = np.zeros(0)
-    flat = rows.reshape(-1)
-    # Almost every sample is done with here; written so that a NaN is not.
-    if rows.shape != (len(names), joints) or not flat.dot(flat) < _MOST_SQUARE:
+    # Almost every sample is done with here; `hypot` does not overflow, and a NaN fails.
+    if (
+        rows.dtype != np.float64
+        or rows.shape != (len(names), joints)
+        or not math.hypot(*rows.reshape(-1).tolist()) < MOST_PLAUSIBLE
+    ):
         vectors = zip(names, values, strict=True)
         rows = np.stack([check_joint_vector(name, value, joints) for name, value in vectors])
     rows.setflags(write=False)

@@ -260,3 +260,14 @@ def test_no_state_is_an_array_of_the_caller(lwr, with_velocity, own_torque):
         assert ours.axial == theirs.axial
         np.testing.assert_array_equal(sensor.velocity_rad_s, velocity)
         np.testing.assert_array_equal(kept.velocity, velocity)
+
+
+@pytest.mark.parametrize("odd", [np.full(7, 1e300), np.full(7, 1.0 + 0.0j), [10**400] * 7])
+@pytest.mark.filterwarnings("error")
+def test_numbers_that_are_none_of_a_joint_are_refused_without_a_warning(lwr, odd):
+    sensor, still = VirtualForceSensor(lwr), np.zeros(7)
+    for sample in ((odd, still, still), (still, odd, still), (still, still, odd)):
+        told = sensor.update(*sample, 1e-3)
+        assert told.status is Status.SKIPPED
+        assert "1e+300" in told.message or "not an array of numbers" in told.message
+    assert sensor.update(still, still, still, 1e-3).status is Status.SETTLING
