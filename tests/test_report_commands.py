@@ -13,6 +13,7 @@ from figures.settings_table import settings_table
 from groundtruth import insert_needle
 from identification import DEFAULT, PAPER
 from identification.command.figure import identification_chart
+from identification.command.log_clock import LogClock
 from identification.command.result import IdentificationResult
 from recordings import write_table
 from residual import DEFAULT as SENSOR
@@ -101,7 +102,7 @@ def result(**changes):
         "log": "log",
         "method": "paper-kv",
         "layers": (),
-        "zero_s": 0.0,
+        "clock": LogClock(),
         "ruptures_s": (0.4,),
         "compensations_s": (),
         "warnings": (),

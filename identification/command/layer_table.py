@@ -1,5 +1,6 @@
 """Layers as a table for people, in millimetres."""
 
+from identification.command.log_clock import LogClock
 from identification.command.result import IdentificationResult
 from identification.estimate import LayerEstimate
 
@@ -22,7 +23,7 @@ def layer_table(result: IdentificationResult) -> str:
     """Text table, one line per layer; `?` marks what the data do not identify."""
     if not result.layers:
         return "no layer was left: no rupture found\n"
-    lines = [HEADER, *(layer_cells(layer, result.zero_s) for layer in result.layers)]
+    lines = [HEADER, *(layer_cells(layer, result.clock) for layer in result.layers)]
     widths = [max(len(line[i]) for line in lines) for i in range(len(HEADER))]
     return "".join(
         "  ".join(cell.rjust(width) for cell, width in zip(line, widths, strict=True)) + "\n"
@@ -30,12 +31,12 @@ def layer_table(result: IdentificationResult) -> str:
     )
 
 
-def layer_cells(layer: LayerEstimate, zero_s: float) -> tuple[str, ...]:
+def layer_cells(layer: LayerEstimate, clock: LogClock) -> tuple[str, ...]:
     """The line of a layer.
 
     Args:
         layer: As known at the end.
-        zero_s: Instant on the log's clock from which the layer's times count [s].
+        clock: From the layer's times to the log's clock.
     """
     rupture = layer.rupture
     product = layer.friction_N / max(rupture.speed_m_s, 1e-9)
@@ -44,8 +45,8 @@ def layer_cells(layer: LayerEstimate, zero_s: float) -> tuple[str, ...]:
         str(layer.layer),
         f"{1e3 * layer.start_depth_m:.1f}",
         f"{1e3 * layer.thickness_m:.1f}",
-        f"{zero_s + rupture.time_s:.2f}",
-        f"{zero_s + rupture.alarm_s:.2f}",
+        f"{clock.at(rupture.time_s):.2f}",
+        f"{clock.at(rupture.alarm_s):.2f}",
         _with_std(layer.force_drop_N, layer.force_drop_std_N, 2),
         _with_std(layer.stiffness_N_per_m, layer.stiffness_std_N_per_m, 1)
         + ("" if layer.stiffness_identified else "?"),

@@ -67,7 +67,7 @@ def _layers(result: IdentificationResult) -> Section:
     table = PageTable(
         caption="Layers left",
         head=HEADER,
-        rows=tuple(layer_cells(layer, result.zero_s) for layer in result.layers),
+        rows=tuple(layer_cells(layer, result.clock) for layer in result.layers),
         numeric=frozenset(range(len(HEADER))),
         note="Times on the log's clock. A ? marks what the data do not identify.",
     )

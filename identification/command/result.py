@@ -6,6 +6,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from identification.command.log_clock import LogClock
 from identification.estimate import LayerEstimate
 
 
@@ -17,7 +18,7 @@ class IdentificationResult:
         log: What the log is called.
         method: One of ``--method``.
         layers: Layers left, as known at the end.
-        zero_s: Instant on the log's clock from which times of `layers` count [s].
+        clock: From times of `layers` to the log's clock.
         ruptures_s: Times of the ruptures on the log's clock, as dated [s]; the latest ones.
         compensations_s: Times on that clock at which a layer's friction was identified [s].
         warnings: What was told about the log and its signs.
@@ -29,7 +30,7 @@ class IdentificationResult:
     log: str
     method: str
     layers: tuple[LayerEstimate, ...]
-    zero_s: float
+    clock: LogClock
     ruptures_s: tuple[float, ...]
     compensations_s: tuple[float, ...]
     warnings: tuple[str, ...]

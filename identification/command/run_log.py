@@ -4,9 +4,12 @@ from argparse import Namespace
 from collections import deque
 from contextlib import nullcontext
 
+import numpy as np
+
 from identification.command.arguments import METHODS
 from identification.command.estimate_table import estimate_table
 from identification.command.force_status import ForceStatus
+from identification.command.log_clock import LogClock
 from identification.command.result import IdentificationResult
 from identification.replay_stream import ReplayedRows, ReplayStream
 from recordings.command_line import say
@@ -59,7 +62,7 @@ def run_log(arguments: Namespace, log: LogSession, *, needs_overview: bool) -> I
         log=log.name,
         method=arguments.method,
         layers=stream.layers,
-        zero_s=found.zero_s,
+        clock=found.clock,
         ruptures_s=tuple(found.ruptures_s),
         compensations_s=tuple(found.compensations_s),
         warnings=(*log.warnings, *hints),
@@ -81,8 +84,7 @@ class _Found:
 
     def __init__(self, table: OpenTable | None, *, needs_overview: bool) -> None:
         self._table, self._needs_overview = table, needs_overview
-        self._has_begun = False
-        self.zero_s = 0.0
+        self.clock, self._time_s = LogClock(), 0.0
         self.overview = RowOverview(_TRACKED)
         self.ruptures_s: deque[float] = deque(maxlen=_MOST_EVENTS)
         self.compensations_s: deque[float] = deque(maxlen=_MOST_EVENTS)
@@ -90,10 +92,11 @@ class _Found:
     def add(self, rows: ReplayedRows) -> None:
         if not rows.estimates:
             return
-        if not self._has_begun:
-            self._has_begun = True
-            # The first row comes one step after the identifier's zero.
-            self.zero_s = float(rows.t_s[0]) - rows.estimates[0].time_s
+        times_s = np.array([estimate.time_s for estimate in rows.estimates])
+        # Where time does not advance, the identifier's stands still.
+        advances = np.diff(times_s, prepend=self._time_s) > 0.0
+        self._time_s = float(times_s[-1])
+        self.clock.add(rows.t_s[advances], times_s[advances])
         self._note_events(rows)
         if self._table is None and not self._needs_overview:
             return
@@ -106,8 +109,6 @@ class _Found:
     def _note_events(self, rows: ReplayedRows) -> None:
         for t_s, estimate in zip(rows.t_s.tolist(), rows.estimates, strict=True):
             if estimate.rupture is not None:
-                # From the row's own stamp: the log's clock may have been set.
-                age_s = estimate.time_s - estimate.rupture.time_s
-                self.ruptures_s.append(t_s - age_s)
+                self.ruptures_s.append(self.clock.at(estimate.rupture.time_s))
             if estimate.compensated is not None:
                 self.compensations_s.append(t_s)
