@@ -13,6 +13,7 @@ from identification.layer_ending import LayerEnding
 from identification.layer_hindsight import Belief
 from identification.layer_model import Information, LayerFit, layer_fit, no_information
 from identification.layer_rows import NO_ROWS
+from identification.membrane_search import MembraneSearch
 from identification.rupture_state import RuptureState
 from identification.speed_lag import SpeedLag
 from identification.tear import NOTHING_HELD, Held
@@ -73,6 +74,7 @@ class Pending(NamedTuple):
         is_closed: Whether an earlier look has already identified it.
         next_look_m: Travel since the rupture at which to look again.
         first: What the first look found.
+        search: What was found of a membrane that the layer left ended with, None before that.
     """
 
     rupture: Rupture
@@ -81,6 +83,7 @@ class Pending(NamedTuple):
     is_closed: bool
     next_look_m: float
     first: LayerEnding | None = None
+    search: MembraneSearch | None = None
 
 
 class DefaultState(NamedTuple):

@@ -10,7 +10,8 @@ from numpy.typing import NDArray
 from identification.default_config import DefaultConfig
 from identification.estimate import Rupture
 from identification.layer_model import MM
-from identification.membrane import Boundary, find_membrane
+from identification.membrane import Boundary
+from identification.membrane_search import MembraneSearch
 from identification.rupture_fit import fit_rupture
 from identification.tear import (
     NOTHING_HELD,
@@ -19,9 +20,6 @@ from identification.tear import (
     held_force,
     release_travel_m,
 )
-
-_MOST_PUSHED_M = 13e-3
-"""No membrane gives more: the capsule of bovine liver 11 mm."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -70,23 +68,19 @@ class LayerEnding:
 
 def layer_ending(
     points: NDArray[np.float64],
-    rows: NDArray[np.float64],
-    start_m: float,
+    search: MembraneSearch,
     rupture: Rupture,
     noise_N2: float,
     config: DefaultConfig,
-    first: LayerEnding | None = None,
 ) -> LayerEnding | None:
-    """Measure the end of a layer that had begun, its own puncture over, by `start_m`.
+    """Measure the end of a layer.
 
     Args:
         points: Track points, see `track`.
-        rows: Rows of the layer, see `layer_rows`.
-        start_m: Depth from which on the layer was met undisturbed.
+        search: What was found of a membrane before its rupture.
         rupture: Its rupture.
         noise_N2: Long-run variance of one block.
         config: Settings.
-        first: What an earlier look found: its boundary stands.
 
     Returns:
         The ending, or None while too few points are at hand.
@@ -94,16 +88,12 @@ def layer_ending(
     fit = fit_rupture(points, rupture.depth_m, rupture.speed_m_s, noise_N2, config)
     if fit is None:
         return None
-    if first is None:
-        membrane, is_one_law = _look_for_membrane(rows, start_m, rupture.depth_m, config)
-    else:
-        membrane, is_one_law = first.boundary if first.has_membrane else None, first.is_one_law
     here = Boundary(rupture.depth_m, 0.0, fit.before_N, fit.before_var, rupture.speed_m_s)
-    boundary = here if membrane is None else membrane
+    boundary = here if search.boundary is None else search.boundary
     return LayerEnding(
         boundary=boundary,
-        has_membrane=membrane is not None,
-        is_one_law=is_one_law,
+        has_membrane=search.boundary is not None,
+        is_one_law=search.is_one_law,
         after_N=fit.after_N,
         after_var=fit.after_var,
         drop_N=fit.drop_N,
@@ -112,25 +102,6 @@ def layer_ending(
         pushed_in_mm=MM * (rupture.depth_m - boundary.depth_m),
         release_m=release_travel_m(points, rupture.depth_m, fit.after_N),
     )
-
-
-def _look_for_membrane(
-    rows: NDArray[np.float64], start_m: float, rupture_m: float, config: DefaultConfig
-) -> tuple[Boundary | None, bool]:
-    """The membrane before a rupture, and whether the layer obeyed one law.
-
-    A boundary further back than any membrane gives is a soft transition that was missed. What
-    follows it is searched again; the friction of both parts is measured together.
-    """
-    found = find_membrane(rows, start_m, rupture_m)
-    if found is None:
-        return None, True
-    if rupture_m - found.depth_m <= _MOST_PUSHED_M:
-        return found, False
-    again = find_membrane(rows, found.depth_m + config.first_look_m, rupture_m)
-    if again is not None and rupture_m - again.depth_m > _MOST_PUSHED_M:
-        again = None
-    return again, False
 
 
 def weigh_tear(ending: LayerEnding, earlier: Sequence[float], config: DefaultConfig) -> LayerEnding:

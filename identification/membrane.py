@@ -6,7 +6,7 @@ grows; from there on the layer's own part stays and the membrane is a spring, in
 non-linear one (a parabola: Okamura, Simone, O'Leary 2004).
 """
 
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -30,7 +30,8 @@ _CURVATURE = 0.2
 _SPEED_SHARE = 0.5
 """Change of force with speed over mean force, one standard deviation: friction, part viscous."""
 _FREE = 1e-9
-_BOTH, _PARABOLA, _LINE = (0, 1, 2, 3, 4, 5, 6), (0, 1, 2, 3, 4, 6), (0, 1, 2, 3, 4, 5)
+_PARABOLA, _LINE = (0, 1, 2, 3, 4, 6), (0, 1, 2, 3, 4, 5)
+_STARTS = np.linspace(*_REACH, _CANDIDATES)
 
 Array = NDArray[np.float64]
 
@@ -89,12 +90,12 @@ def find_membrane(rows: Array, start_m: float, rupture_m: float) -> Boundary | N
     if len(side) < _LEAST_ROWS:
         return None
     layer = _scaled(side)
-    starts = np.linspace(*_REACH, _CANDIDATES)
-    columns = _membrane_columns(layer, starts)
+    columns = _membrane_columns(layer, _STARTS)
     transposed = columns.transpose(0, 2, 1)
     gram, vector = transposed @ columns, transposed @ layer.target
     priors = _priors(layer, max(0.5 * float(np.var(np.diff(layer.target))), 1e-12))
-    fits = _fit_membranes(gram + np.diag(priors), vector, float(layer.target @ layer.target))
+    normal = gram + np.diag(priors)
+    fits = _fit_membranes(normal, vector, float(layer.target @ layer.target))
     best = int(np.argmin(fits.squares))
     if not np.isfinite(fits.squares[best]):
         return None
@@ -103,10 +104,10 @@ def find_membrane(rows: Array, start_m: float, rupture_m: float) -> Boundary | N
     evidence = (smooth - fits.squares[best]) / variance
     if evidence < _EVIDENCE or fits.squares[best] > _BETTER * smooth:
         return None
-    if not _is_steeper(fits.solutions[best], 1.0 - starts[best]):
+    if not _is_steeper(fits.solutions[best], 1.0 - _STARTS[best]):
         return None
-    covariance = variance * np.linalg.inv(gram[best] + np.diag(priors))
-    return _membrane(side, fits, starts, variance, covariance)
+    covariance = variance * np.linalg.inv(normal[best])
+    return _membrane(side, fits, variance, covariance)
 
 
 def _scaled(side: Array) -> _Layer:
@@ -162,26 +163,23 @@ def _fit_membranes(normal: Array, vector: Array, total: float) -> _Fits:
 
     A straight spring must be steeper than the layer by half, or it is a bend of the layer.
     """
-    squares, solutions = _solve(normal, vector, total, _BOTH)
+    squares, solutions = _solve(normal, vector, total)
     squares[(solutions[:, 5] < 0.0) | (solutions[:, 6] < 0.0)] = np.inf
     for kept in (_PARABOLA, _LINE):
-        other, found = _solve(normal, vector, total, kept)
-        least = 1.5 * found[:, 1] if kept is _LINE else 0.0
-        other[found[:, 5] + found[:, 6] < least] = np.inf
-        is_better = other < squares
-        squares = np.where(is_better, other, squares)
-        solutions = np.where(is_better[:, None], found, solutions)
+        index = np.array(kept)
+        other, part = _solve(normal[:, index[:, None], index], vector[:, index], total)
+        least = 1.5 * part[:, 1] if kept is _LINE else 0.0
+        other[part[:, 5] < least] = np.inf
+        is_better = np.flatnonzero(other < squares)
+        squares[is_better] = other[is_better]
+        solutions[is_better] = 0.0
+        solutions[is_better[:, None], index] = part[is_better]
     return _Fits(squares, solutions)
 
 
-def _solve(
-    normal: Array, vector: Array, total: float, kept: tuple[int, ...]
-) -> tuple[Array, NDArray[Any]]:
-    index = np.array(kept)
-    part = np.linalg.solve(normal[:, index[:, None], index], vector[:, index, None])[:, :, 0]
-    solutions = np.zeros(vector.shape)
-    solutions[:, index] = part
-    return total - np.sum(part * vector[:, index], axis=1), solutions
+def _solve(normal: Array, vector: Array, total: float) -> tuple[Array, Array]:
+    part = np.asarray(np.linalg.solve(normal, vector[:, :, None])[:, :, 0], dtype=float)
+    return total - np.sum(part * vector, axis=1), part
 
 
 def _is_steeper(solution: Array, reach: float) -> bool:
@@ -189,17 +187,15 @@ def _is_steeper(solution: Array, reach: float) -> bool:
     return float(solution[5] + 2.0 * solution[6] * reach) > max(float(solution[1]), 0.0)
 
 
-def _membrane(
-    side: Array, fits: _Fits, starts: Array, variance: float, covariance: Array
-) -> Boundary:
+def _membrane(side: Array, fits: _Fits, variance: float, covariance: Array) -> Boundary:
     """Mean of the candidates by their likelihood, and the spread of it."""
     best = int(np.argmin(fits.squares))
     likelihood = np.exp(-0.5 * (fits.squares - fits.squares[best]) / variance)
     likelihood /= likelihood.sum()
     length = float(side[-1, DEPTH] - side[0, DEPTH])
-    start = float(likelihood @ starts)
-    step = float(starts[1] - starts[0])
-    spread = float(likelihood @ (starts - start) ** 2) + step * step / 12.0
+    start = float(likelihood @ _STARTS)
+    step = float(_STARTS[1] - _STARTS[0])
+    spread = float(likelihood @ (_STARTS - start) ** 2) + step * step / 12.0
     depth = float(side[0, DEPTH]) + start * length
     speed = float(np.interp(depth, side[:, DEPTH], side[:, SPEED]))
     relative = speed / max(float(side[:, SPEED].mean()), 1e-6) - 1.0

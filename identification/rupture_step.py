@@ -22,6 +22,7 @@ from identification.layer_model import (
 )
 from identification.layer_rows import NO_ROWS, rows_of_track
 from identification.made_good import is_made_good
+from identification.membrane_search import MembraneSearch, search_membrane
 from identification.rupture_state import RuptureState
 from identification.track import DEPTH
 
@@ -112,16 +113,28 @@ def _waiting(state: DefaultState) -> RuptureState:
     return state.rupture_state
 
 
+def search_pending(state: DefaultState, config: DefaultConfig) -> DefaultState:
+    """Look once for the membrane before the pending rupture: between blocks there is time."""
+    pending = state.pending
+    if pending is None or pending.search is not None:
+        return state
+    return state._replace(pending=pending._replace(search=_searched(pending, config)))
+
+
+def _searched(pending: Pending, config: DefaultConfig) -> MembraneSearch:
+    left = pending.left
+    start = max(left.start_m, left.tip_m + config.first_look_m)
+    return search_membrane(left.rows, start, pending.rupture.depth_m, config)
+
+
 def _measure(state: DefaultState, pending: Pending, config: DefaultConfig) -> LayerEnding | None:
     """Both sides of the rupture, if there are enough points."""
     return layer_ending(
         state.track.points,
-        pending.left.rows,
-        max(pending.left.start_m, pending.left.tip_m + config.first_look_m),
+        pending.search or _searched(pending, config),
         pending.rupture,
         block_noise_N2(state.detector),
         config,
-        pending.first,
     )
 
 
