@@ -24,7 +24,9 @@ from residual import Caution, SensorConfig, Status, VirtualForceSensor, WrenchEs
 from residual.tare import Tare
 from urdf import Robot
 
-_NOT_FED = Caution.JOINT_LIMIT | Caution.NEAR_SINGULAR | Caution.MISFIT | Caution.FROZEN
+_NOT_FED = (
+    Caution.JOINT_LIMIT | Caution.NEAR_SINGULAR | Caution.MISFIT | Caution.FROZEN | Caution.STALE
+)
 
 
 class InsertionSession:
@@ -34,8 +36,8 @@ class InsertionSession:
     For another insertion with the same tare call `begin_insertion` above the tissue.
 
     The identifier is fed only forces of this tick (`Status.OK`) that no joint limit, singular pose,
-    frozen signal or misfit makes worthless. Otherwise its last estimate stays, and the time passes:
-    after a longer gap it says ``TIME_GAP`` and starts its local predictions anew.
+    frozen signal, misfit or stale tare makes worthless. Otherwise its last estimate stays, and the
+    time passes: after a longer gap it says ``TIME_GAP`` and starts its local predictions anew.
 
     Args:
         robot: The arm with its payload; the z axis of its tool frame is the needle, unless

@@ -49,6 +49,7 @@ class OffsetState(NamedTuple):
         summed: Their number.
         bias: Offset that is subtracted [Nm], shape (n,).
         q: Last position [rad], shape (n,).
+        leapt_s: Time in steps longer than `OffsetRemoval.LEAP_S` since the tare [s].
     """
 
     recorder: RecorderState
@@ -64,6 +65,7 @@ class OffsetState(NamedTuple):
     summed: int
     bias: NDArray[np.float64]
     q: NDArray[np.float64]
+    leapt_s: float = 0.0
 
 
 class OffsetRemoval:
@@ -78,6 +80,10 @@ class OffsetRemoval:
 
     RENEW_S = 0.02
     """The offset changes with pose and torque, slowly: it is renewed this often."""
+    LEAP_S = 60.0
+    """A longer time step is a pause or a clock that was set: one step cannot tell which. Drift is
+    hundredths of a newton in a minute, newtons in an hour. It counts as a pause, and is told until
+    the next tare."""
     BLOCK_LAGS = 2.0
     """Length of a recorded block in lags of the observer: blocks are then nearly independent."""
 
@@ -96,6 +102,11 @@ class OffsetRemoval:
         return self._tared
 
     @property
+    def is_stale(self) -> bool:
+        """Whether the tare in force has aged in a leap."""
+        return self._tared and self._leapt_s > 0.0
+
+    @property
     def is_fresh(self) -> bool:
         """Whether neither tare nor recorded motion is of any use now."""
         return not self._tared and self._recorder.is_empty
@@ -108,6 +119,8 @@ class OffsetRemoval:
         """
         self._q[:] = q
         self._now_s += dt_s
+        if dt_s > self.LEAP_S:
+            self._leapt_s += dt_s
         self._torque_sum += tau
         self._count += 1
         if self._now_s < self._due_s - ROUNDING_S:
@@ -165,7 +178,7 @@ class OffsetRemoval:
             check_free_of_contact(prior, blocks, wrench, self._config.contact_force_N)
         fitted = fit_tare(self._basis, blocks)
         self._tare, self._tared, self._tared_s = fitted, True, self._now_s
-        self._is_fitted = True
+        self._is_fitted, self._leapt_s = True, 0.0
         self._bias = fitted.bias_Nm(self._q, self._trend, 0.0)
         return fitted
 
@@ -197,6 +210,7 @@ class OffsetRemoval:
             self._count,
             self._bias,
             self._q.copy(),
+            self._leapt_s,
         )
 
     def restore(self, state: OffsetState) -> None:
@@ -211,6 +225,7 @@ class OffsetRemoval:
         self._trend, self._smooth_torque = state.trend, state.smooth_torque
         self._torque_sum, self._count = state.torque_sum.copy(), state.summed
         self._bias, self._q = state.bias, state.q.copy()
+        self._leapt_s = state.leapt_s
 
     def reset(self) -> None:
         """Forget everything."""

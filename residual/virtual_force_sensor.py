@@ -13,7 +13,7 @@ from residual.robot_digest import robot_digest
 from residual.sample_clock import SampleClock
 from residual.sensor_config import DEFAULT, SensorConfig
 from residual.sensor_state import SensorState, check_belongs
-from residual.sensor_words import NOT_TARED, OTHER_KIND, SETTLING
+from residual.sensor_words import NOT_TARED, OTHER_KIND, SETTLING, STALE
 from residual.settings_text import settings_text
 from residual.slow_checks import SlowChecks, SlowState
 from residual.state_trial import try_out
@@ -270,9 +270,11 @@ class VirtualForceSensor:
         numbers = wrench.solve(corrected)
         std = self._doubt.widen(numbers[0], numbers[1], stream.lag_s, elapsed_s)
         status, message, cautions = Status.OK, slow.message, slow.cautions
-        if stream.warning:
-            cautions |= Caution.FROZEN
-            message = f"{stream.warning}; {message}" if message else stream.warning
+        if stream.warning or offset.is_stale:
+            cautions |= Caution.FROZEN if stream.warning else Caution.NONE
+            cautions |= Caution.STALE if offset.is_stale else Caution.NONE
+            told = (stream.warning, STALE if offset.is_stale else "", message)
+            message = "; ".join(filter(None, told))
         if not sample.settled:
             status, message = Status.SETTLING, SETTLING
         elif not tared:

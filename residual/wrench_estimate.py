@@ -47,6 +47,9 @@ class Caution(IntFlag):
     MISFIT = 32
     """The joint torques do not fit the assumed contact: a force from the side, a second contact, a
     payload or an arm that is not the model's."""
+    STALE = 64
+    """A single time step was so long that the drift it would stand for spoils the tare: a long
+    pause, or a clock that was set. It stays until the next tare."""
 
 
 class WrenchEstimate(NamedTuple):

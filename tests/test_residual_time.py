@@ -2,9 +2,9 @@
 
 import numpy as np
 import pytest
-from guarded_sensor import signals
+from guarded_sensor import feed, signals, tared
 
-from residual import VirtualForceSensor
+from residual import Caution, Status, VirtualForceSensor
 
 
 def run(robot, stamps_s, *, with_velocity=True):
@@ -28,3 +28,31 @@ def test_rounding_of_time_stamps_decides_nothing(lwr, with_velocity):
         assert [e.status for e in rounded] == [e.status for e in exact]
         axial = np.array([(a.axial, b.axial) for a, b in zip(rounded, exact, strict=True)])
         assert np.abs(np.diff(axial[2000:])).max() < 1e-4
+
+
+def test_a_leap_of_the_clock_is_told_until_the_next_tare(lwr):
+    sensor, rows = tared(lwr)
+    quiet = feed(sensor, rows[:50])[-1]
+    assert not quiet.cautions
+    sensor.update(*rows[50], 3600.0)
+    told = feed(sensor, rows[51:400])
+    assert told[-1].status is Status.OK
+    assert all(Caution.STALE in e.cautions for e in told)
+    assert "tare again" in told[-1].message
+    assert told[-1].axial_std > 10.0 * quiet.axial_std
+    resumed = VirtualForceSensor(lwr)
+    resumed.restore(sensor.snapshot())
+    assert Caution.STALE in resumed.update(*rows[400], 1e-3).cautions
+    sensor.start_recording()
+    feed(sensor, rows[400:900])
+    sensor.tare()
+    last = feed(sensor, rows[900:])[-1]
+    assert last.status is Status.OK
+    assert not last.cautions
+    assert last.axial_std < 2.0 * quiet.axial_std
+
+
+def test_a_pause_below_a_minute_is_no_leap(lwr):
+    sensor, rows = tared(lwr)
+    sensor.update(*rows[0], 59.0)
+    assert not feed(sensor, rows[1:400])[-1].cautions
