@@ -14,6 +14,7 @@ from numpy.typing import NDArray
 from identification.layer_model import MM, OWN_COULOMB, OWN_VISCOUS, Information
 
 _TINY = 1e-12
+_RIDGE = 1e-10 * np.eye(6)
 
 Array = NDArray[np.float64]
 
@@ -32,9 +33,9 @@ class Belief(NamedTuple):
 
 def believe(known: Information) -> Belief:
     """The belief that normal equations stand for, negative values not excluded."""
-    scale = 1.0 / np.sqrt(np.maximum(np.diag(known.matrix), _TINY))
-    scaled = known.matrix * np.outer(scale, scale) + 1e-10 * np.eye(len(scale))
-    covariance = np.linalg.inv(scaled) * np.outer(scale, scale)
+    scale = 1.0 / np.sqrt(np.maximum(known.matrix.diagonal(), _TINY))
+    both = scale[:, None] * scale
+    covariance = np.linalg.inv(known.matrix * both + _RIDGE) * both
     return Belief(covariance @ known.vector, covariance)
 
 

@@ -18,6 +18,7 @@ MM = 1e3
 COULOMB, VISCOUS, CUTTING, STIFFNESS, OWN_COULOMB, OWN_VISCOUS = range(6)
 _SIZE = 6
 _TINY = 1e-12
+_RIDGE = 1e-10 * np.eye(_SIZE)
 
 
 class Information(NamedTuple):
@@ -103,17 +104,18 @@ def add_row(
     """Add a measurement row @ x = value with the given variance."""
     weighted = row / max(variance, _TINY)
     return Information(
-        information.matrix + np.outer(weighted, row), information.vector + weighted * value
+        information.matrix + weighted[:, None] * row, information.vector + weighted * value
     )
 
 
 def solve_layer(information: Information) -> LayerFit:
     """Most likely non-negative values, and the covariance of the unconstrained ones."""
     matrix = information.matrix
-    scale = 1.0 / np.sqrt(np.maximum(np.diag(matrix), _TINY))
-    scaled = matrix * np.outer(scale, scale) + 1e-10 * np.eye(_SIZE)
+    scale = 1.0 / np.sqrt(np.maximum(matrix.diagonal(), _TINY))
+    both = scale[:, None] * scale
+    scaled = matrix * both + _RIDGE
     factor = np.linalg.cholesky(scaled)
     target = np.linalg.solve(factor, information.vector * scale)
     values, _ = nnls(factor.T, target)
     inverse = np.linalg.inv(factor)
-    return layer_fit(values * scale, (inverse.T @ inverse) * np.outer(scale, scale))
+    return layer_fit(values * scale, (inverse.T @ inverse) * both)

@@ -51,7 +51,8 @@ def _line(
     offset_mm: NDArray[np.float64], side: NDArray[np.float64], noise_N2: float
 ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
     """Level at zero offset and slope, with their covariance."""
-    columns = np.column_stack([np.ones_like(offset_mm), offset_mm])
+    columns = np.ones((len(offset_mm), 2))
+    columns[:, 1] = offset_mm
     weight = side[:, BLOCKS] / max(noise_N2, 1e-12)
     normal = columns.T @ (columns * weight[:, None])
     covariance = np.asarray(np.linalg.inv(normal), dtype=float)

@@ -46,7 +46,8 @@ def force_before(
     if len(side) < 2:
         return None
     offset = 1e3 * (side[:, DEPTH] - depth_m)
-    columns = np.column_stack([np.ones_like(offset), offset])[:, : 2 if len(side) > 3 else 1]
+    columns = np.ones((len(side), 2 if len(side) > 3 else 1))
+    columns[:, 1:] = offset[:, None]
     weight = side[:, BLOCKS] / max(noise_N2, 1e-12)
     normal = columns.T @ (columns * weight[:, None])
     covariance = np.linalg.inv(normal + 1e-9 * np.eye(len(normal)))
@@ -69,7 +70,9 @@ def _columns(
     friction = share + (1.0 - share) * speed / max(speed_m_s, 1e-6)
     onset = np.minimum(reach / config.cutting_onset_m, 1.0)
     onset = onset * (2.0 - onset)
-    return np.column_stack([friction, onset, 1e3 * reach])
+    columns = np.empty((len(side), 3))
+    columns[:, 0], columns[:, 1], columns[:, 2] = friction, onset, 1e3 * reach
+    return columns
 
 
 class _Windows(NamedTuple):
@@ -93,7 +96,9 @@ def _windows(
 ) -> _Windows:
     """Weighted least squares from each of `first` on; the cutting force is near `cutting_N`."""
     weighted = columns * weight[:, None]
-    products = weighted[:, :, None] * np.column_stack((columns, force))[:, None, :]
+    products = np.empty((len(force), 3, 4))
+    np.multiply(weighted[:, :, None], columns[:, None, :], out=products[:, :, :3])
+    np.multiply(weighted, force[:, None], out=products[:, :, 3])
     sums = np.cumsum(products[::-1], axis=0)[::-1][first]
     normal, target = sums[:, :, :3].copy(), sums[:, :, 3].copy()
     normal += np.diag([1e-9, cutting_N**-2, 1e-9])
@@ -173,15 +178,28 @@ def _first_undisturbed(
     means = (share[:, None, :] @ columns[chunks])[:, 0, :]
     forces = np.sum(share * force[chunks], axis=1)
     used, lifted = 0, 0
-    for k in range(len(total)):
-        mean, covariance = means[k], windows.covariance[used]
-        surprise = float(forces[k] - mean @ windows.solution[used])
-        variance = float(mean @ covariance @ mean) + 1.0 / float(total[k])
-        lifted = lifted + 1 if surprise > _AGREEMENT * math.sqrt(variance) else 0
+    rows = zip(means.tolist(), forces.tolist(), total.tolist(), strict=True)
+    for k, (mean, value, blocks) in enumerate(rows):
+        surprise, variance = _surprise(mean, value, windows, used)
+        lifted = lifted + 1 if surprise > _AGREEMENT * math.sqrt(variance + 1.0 / blocks) else 0
         if lifted == 2:
             break
         used = used if lifted else k + 1
     return max(used - 1, 0)
+
+
+def _surprise(
+    mean: list[float], force_N: float, windows: _Windows, used: int
+) -> tuple[float, float]:
+    """How far a force lies above what a window predicts, and the prediction's variance [N^2].
+
+    Plain floats: three numbers are too few for arrays to be worth it.
+    """
+    x, y, z = mean
+    a, b, c = windows.solution[used].tolist()
+    (xx, xy, xz), (_, yy, yz), (_, _, zz) = windows.covariance[used].tolist()
+    variance = x * (xx * x + 2.0 * (xy * y + xz * z)) + y * (yy * y + 2.0 * yz * z) + zz * z * z
+    return force_N - (x * a + y * b + z * c), max(variance, 0.0)
 
 
 def fit_rupture(
