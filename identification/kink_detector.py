@@ -8,7 +8,7 @@ from numpy.typing import NDArray
 
 from identification.block import Block
 from identification.default_config import DefaultConfig
-from identification.kink_kernels import kink_kernels
+from identification.kink_kernels import Scale, kink_kernels, kink_scales
 
 _CLIP = 4.0
 _CLIPPED_MEAN = 0.920
@@ -63,13 +63,13 @@ class Verdict(NamedTuple):
 
 
 class Outputs(NamedTuple):
-    """What the filters of `KinkKernels` make of one signal, each of shape (s,)."""
+    """What the filters of `KinkKernels` of one scale make of one signal."""
 
-    kink: NDArray[np.float64]
-    rise: NDArray[np.float64]
-    trend: NDArray[np.float64]
-    base: NDArray[np.float64]
-    ahead: NDArray[np.float64]
+    kink: float
+    rise: float
+    trend: float
+    base: float
+    ahead: float
 
 
 CALM = Verdict(0.0, 0.0, 0.0, 0, 0)
@@ -93,24 +93,27 @@ def block_noise_N2(state: DetectorState) -> float:
 
     For coloured noise this is the long-run variance that means over many blocks obey.
     """
-    kernels = kink_kernels()
-    ready = (state.seen > _LEAST_INDEPENDENT * kernels.scales) & (kernels.scales <= _SLOWEST)
-    if not ready.any():
-        return 0.0
-    return float(np.max(state.variance[ready] / kernels.gain[ready]))
+    rows = zip(kink_scales(), state.variance.tolist(), state.seen.tolist(), strict=True)
+    return max(
+        (
+            variance / scale.gain
+            for scale, variance, seen in rows
+            if scale.blocks <= _SLOWEST and seen > _LEAST_INDEPENDENT * scale.blocks
+        ),
+        default=0.0,
+    )
 
 
-def _thresholds(state: DetectorState, dt_s: float, config: DefaultConfig) -> NDArray[np.float64]:
+def _threshold(scale: Scale, seen: float, dt_s: float, config: DefaultConfig) -> float:
     """Deviations exceeded by chance once per `false_alarm_interval_s`, over all scales.
 
     Gaussian tail for one independent trial per scale length, widened (as Student's t is) while
     the variance rests on few independent values.
     """
-    kernels = kink_kernels()
-    trials = config.false_alarm_interval_s * len(kernels.scales) / (kernels.scales * dt_s)
-    squared = 2.0 * np.log(np.maximum(trials, math.e))
-    independent = np.maximum(state.seen / kernels.scales, 1e-9)
-    return np.sqrt(squared * (1.0 + squared / (2.0 * independent)))
+    trials = config.false_alarm_interval_s * len(kink_scales()) / (scale.blocks * dt_s)
+    squared = 2.0 * math.log(max(trials, math.e))
+    independent = max(seen / scale.blocks, 1e-9)
+    return math.sqrt(squared * (1.0 + squared / (2.0 * independent)))
 
 
 def detector_step(
@@ -133,61 +136,63 @@ def detector_step(
     force = np.append(state.force_N[1:], block.force_N)
     speed = np.append(state.speed_m_s[1:], block.speed_m_s)
     filled = min(state.filled + 1, kernels.length)
-    of_force = Outputs(*(kernels.all @ force).reshape(5, -1))
-    of_speed = Outputs(*(kernels.all @ speed).reshape(5, -1))
-    is_full = filled >= kernels.spans
+    of_force = [Outputs(*row) for row in (kernels.all @ force).reshape(5, -1).T.tolist()]
+    of_speed = [Outputs(*row) for row in (kernels.all @ speed).reshape(5, -1).T.tolist()]
     moved = state._replace(force_N=force, speed_m_s=speed, filled=filled)
-    is_ready = is_full & (state.seen > _LEAST_INDEPENDENT * kernels.scales)
-    verdict = CALM
-    if is_ready.any():
-        verdict = _judge(moved, of_force, of_speed, is_ready, block.dt_s, config)
-    return _learn(moved, of_force, of_speed, is_full, block.dt_s, config), verdict
+    verdict = _judge(moved, of_force, of_speed, block.dt_s, config)
+    return _learn(moved, of_force, of_speed, block.dt_s, config), verdict
 
 
 def _judge(
     state: DetectorState,
-    force: Outputs,
-    speed: Outputs,
-    is_ready: NDArray[np.bool_],
+    force: list[Outputs],
+    speed: list[Outputs],
     dt_s: float,
     config: DefaultConfig,
 ) -> Verdict:
-    kernels = kink_kernels()
-    threshold = _thresholds(state, dt_s, config)
+    verdict, scales = CALM, kink_scales()
+    white = float(state.speed_variance[0]) / scales[0].gain
+    rows = zip(scales, force, speed, state.variance.tolist(), state.seen.tolist(), strict=True)
+    for scale, of_force, of_speed, variance, seen in rows:
+        if state.filled < scale.span or seen <= _LEAST_INDEPENDENT * scale.blocks:
+            continue
+        threshold = _threshold(scale, seen, dt_s, config)
+        known = max(variance, 1e-18)
+        rise = of_force.kink / math.sqrt(known) / threshold
+        if rise > verdict.rise:
+            verdict = verdict._replace(rise=rise, rise_scale=scale.blocks)
+        chance = _TREND * math.sqrt(known * scale.trend_gain / scale.gain)
+        if of_force.trend < -max(0.5 * of_force.rise, chance):
+            deviations = _fall(of_force, of_speed, known, white * scale.gain, config)
+            if deviations / threshold > verdict.fall:
+                verdict = verdict._replace(
+                    fall=deviations / threshold, deviations=deviations, scale=scale.blocks
+                )
+    return verdict
+
+
+def _fall(
+    force: Outputs, speed: Outputs, variance: float, speed_variance: float, config: DefaultConfig
+) -> float:
+    """Standardised fall of the force beyond what the loss of speed explains."""
     damping = _damping(force, speed)
-    lost = np.minimum(speed.kink * damping, 0.0)
-    known = np.maximum(state.variance, 1e-18)
-    speed_variance = state.speed_variance / kernels.gain[0] * kernels.gain
+    lost = min(speed.kink * damping, 0.0)
     law = config.model_error_share * lost
-    deviation = np.sqrt(known + damping * damping * speed_variance + law * law)
-    fall = -np.minimum(force.kink - lost, 0.0) / deviation
-    chance = _TREND * np.sqrt(known * kernels.trend_gain / kernels.gain)
-    is_falling = force.trend < -np.maximum(0.5 * force.rise, chance)
-    scores = np.where(is_ready & is_falling, fall / threshold, 0.0)
-    best = int(np.argmax(scores))
-    rises = np.where(is_ready, force.kink / np.sqrt(known) / threshold, 0.0)
-    most = int(np.argmax(rises))
-    return Verdict(
-        float(scores[best]),
-        float(rises[most]),
-        float(fall[best]),
-        int(kernels.scales[best]),
-        int(kernels.scales[most]),
-    )
+    deviation = math.sqrt(variance + damping * damping * speed_variance + law * law)
+    return -min(force.kink - lost, 0.0) / deviation
 
 
-def _damping(force: Outputs, speed: Outputs) -> NDArray[np.float64]:
+def _damping(force: Outputs, speed: Outputs) -> float:
     """Force per speed, were all the force viscous: as it was, or as it is with more shaft in."""
-    usual = np.maximum(np.abs(speed.base), 1e-6)
-    now = force.ahead / np.maximum(speed.ahead, _SLOWED * usual)
-    return np.maximum(np.maximum(force.base / usual, now), 0.0)
+    usual = max(abs(speed.base), 1e-6)
+    now = force.ahead / max(speed.ahead, _SLOWED * usual)
+    return max(force.base / usual, now, 0.0)
 
 
 def _learn(
     state: DetectorState,
-    force: Outputs,
-    speed: Outputs,
-    is_full: NDArray[np.bool_],
+    force: list[Outputs],
+    speed: list[Outputs],
     dt_s: float,
     config: DefaultConfig,
 ) -> DetectorState:
@@ -198,25 +203,29 @@ def _learn(
     not raise the threshold but a sensor that has become noisier does. A slower scale is at least
     as noisy as white noise would make it.
     """
-    kernels = kink_kernels()
-    seen = np.where(is_full, np.minimum(state.seen + 1.0, config.noise_memory_s / dt_s), state.seen)
-    rate = np.where(is_full, 1.0 / np.maximum(seen, 1.0), 0.0)
-    is_known = state.seen > 10.0 * kernels.scales
-    variance = _mean_square(state.variance, force.kink, rate, is_known)
-    white = np.minimum(variance[0] / kernels.gain[0] * kernels.gain, variance[0])
-    variance = np.where(is_full, np.maximum(variance, white), variance)
-    speed_variance = _mean_square(state.speed_variance, speed.kink[:1], rate[:1], is_known[:1])
-    return state._replace(variance=variance, speed_variance=speed_variance, seen=seen)
+    scales, variances, seen = kink_scales(), state.variance.tolist(), state.seen.tolist()
+    of_speed, fastest, most = float(state.speed_variance[0]), 0.0, config.noise_memory_s / dt_s
+    for k, scale in enumerate(scales):
+        if state.filled < scale.span:
+            break
+        is_known = seen[k] > 10.0 * scale.blocks
+        seen[k] = min(seen[k] + 1.0, most)
+        rate = 1.0 / max(seen[k], 1.0)
+        variance = _mean_square(variances[k], force[k].kink, rate, is_known=is_known)
+        if k == 0:
+            fastest = variance
+            of_speed = _mean_square(of_speed, speed[0].kink, rate, is_known=is_known)
+        white = min(fastest / scales[0].gain * scale.gain, fastest)
+        variances[k] = max(variance, white)
+    return state._replace(
+        variance=np.array(variances), speed_variance=np.array([of_speed]), seen=np.array(seen)
+    )
 
 
-def _mean_square(
-    known: NDArray[np.float64],
-    output: NDArray[np.float64],
-    rate: NDArray[np.float64],
-    is_known: NDArray[np.bool_],
-) -> NDArray[np.float64]:
+def _mean_square(known: float, output: float, rate: float, *, is_known: bool) -> float:
     square = output * output
-    is_event = is_known & (square > _EVENT * known)
-    clipped = np.minimum(square, _CLIP * known) / _CLIPPED_MEAN
-    rate = np.where(is_event, 0.1 * rate, rate)
-    return known + rate * (np.where(is_known, clipped, square) - known)
+    if not is_known:
+        return known + rate * (square - known)
+    if square > _EVENT * known:
+        rate *= 0.1
+    return known + rate * (min(square, _CLIP * known) / _CLIPPED_MEAN - known)

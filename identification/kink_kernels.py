@@ -2,6 +2,7 @@
 
 from dataclasses import dataclass
 from functools import cache
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -43,6 +44,31 @@ class KinkKernels:
     spans: NDArray[np.int64]
     scales: NDArray[np.int64]
     length: int
+
+
+class Scale(NamedTuple):
+    """Figures of one scale as plain floats: too few for arrays to be worth it.
+
+    Attributes:
+        blocks: Blocks after the kink.
+        span: Blocks its filters need.
+        gain: See `KinkKernels`.
+        trend_gain: See `KinkKernels`.
+    """
+
+    blocks: int
+    span: int
+    gain: float
+    trend_gain: float
+
+
+@cache
+def kink_scales() -> tuple[Scale, ...]:
+    """One per row of the filters."""
+    kernels = kink_kernels()
+    columns = (kernels.scales, kernels.spans, kernels.gain, kernels.trend_gain)
+    rows = zip(*(column.tolist() for column in columns), strict=True)
+    return tuple(Scale(*row) for row in rows)
 
 
 @cache
