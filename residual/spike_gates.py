@@ -11,6 +11,8 @@ TORQUE_SHARE = 0.02
 """Share of the effort limit by which a torque may step for no reason. On the LWR that is 3.5 Nm at
 the shoulder, 5 N at 0.65 m, and 0.8 Nm at the wrist; what a force on the tool explains may step by
 more, see `residual.contact_step`."""
+LEAST_TORQUE_NM = 0.7
+"""Never less than this: the gears of a moving wrist of 12 Nm make as much in a millisecond."""
 TORQUE_SHARE_PER_S = 2.0
 """Share of the effort limit per second, beyond the step: for lost samples."""
 ACCELERATION_RAD_S2 = 20.0
@@ -50,7 +52,7 @@ class SpikeGates:
         # The difference of two samples has sqrt(2) times the noise of one.
         self._base = SIGMAS * np.sqrt(2.0) * noise
         self._base[:n] += LEAST_POSITION_RAD
-        self._base[-n:] += TORQUE_SHARE * self._effort
+        self._base[-n:] += np.maximum(TORQUE_SHARE * self._effort, LEAST_TORQUE_NM)
         sure = self._base.copy()
         if self._has_velocity:
             sure[n:-n] += ACCELERATION_RAD_S2 * 1e-4
@@ -93,5 +95,5 @@ class SpikeGates:
         gate[:n] += np.abs(velocity) * unsure_s + ACCELERATION_RAD_S2 * dt_s * late_s
         if self._has_velocity:
             gate[n:-n] += ACCELERATION_RAD_S2 * dt_s
-        gate[-n:] += TORQUE_SHARE_PER_S * (dt_s + CLOCK_S) * self._effort
+        gate[-n:] += TORQUE_SHARE_PER_S * dt_s * self._effort
         return (np.abs(off) > gate).reshape(-1, n)

@@ -220,11 +220,21 @@ def test_time_stamps_may_be_off_by_milliseconds(lwr):
     assert gates.beyond(off, slow, 1e-3)[0, 3]
 
 
+def test_gears_of_a_small_wrist_are_no_spike():
+    arm = SimpleNamespace(nv=2, effort_limit_Nm=np.array([87.0, 12.0]))
+    gates = SpikeGates(arm, has_velocity=True, delay_s=0.0)
+    off = np.zeros(6)
+    off[-1] = 0.65
+    assert not gates.beyond(off, np.zeros(2), 1e-3).any()
+    off[-1] = 1.0
+    assert gates.beyond(off, np.zeros(2), 1e-3)[-1, 1]
+
+
 def test_currents_that_turn_round_are_no_spike_where_the_effort_limit_is_unknown():
     arm = SimpleNamespace(nv=2, effort_limit_Nm=np.zeros(2))
     gates = SpikeGates(arm, has_velocity=True, delay_s=0.0)
     off = np.zeros(6)
-    off[-1] = 14.0
+    off[-1] = 11.0
     assert not gates.beyond(off, np.zeros(2), 0.01).any()
     off[-1] = 30.0
     assert gates.beyond(off, np.zeros(2), 0.01)[-1, 1]
