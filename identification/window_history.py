@@ -80,27 +80,33 @@ def rerun_history(
     if not len(rows):
         return theta
     maps = _window_maps(rows, variances)
-    while len(maps) > 1:
-        even = len(maps) // 2 * 2
-        pairs = np.matmul(maps[1:even:2], maps[0:even:2])
-        maps = pairs if even == len(maps) else np.concatenate((pairs, maps[even:]))
-    stiffness, friction, _ = maps[0] @ np.array((*theta, 1.0))
+    while (count := maps.shape[2]) > 1:
+        even = count // 2 * 2
+        pairs = _composed(maps[:, :, 1:even:2], maps[:, :, 0:even:2])
+        maps = pairs if even == count else np.concatenate((pairs, maps[:, :, even:]), axis=2)
+    stiffness, friction = maps[:, :2, 0] @ np.array(theta) + maps[:, 2, 0]
     return float(stiffness), float(friction)
 
 
+def _composed(later: NDArray[np.float64], earlier: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Each of `earlier` and after it its neighbour in `later`, as one map; shapes (2, 3, n)."""
+    pairs = later[:, 0, None] * earlier[0] + later[:, 1, None] * earlier[1]
+    pairs[:, 2] += later[:, 2]
+    return pairs
+
+
 def _window_maps(rows: NDArray[np.float64], variances: tuple[float, float]) -> NDArray[np.float64]:
-    """Each window's map of (K, B, 1), shape (m, 3, 3): `window_step` written out."""
+    """Each window's A and c side by side, shape (2, 3, m): `window_step` written out."""
     p, q = variances
-    kk, kb, bb, kf, bf = rows.T[:5]
+    kk, kb, bb, kf, bf = np.ascontiguousarray(rows.T[:5])
     first, second = 1.0 + q * bb, 1.0 + p * kk
     excitation = np.maximum(kk * bb - kb * kb, 0.0)
     share = 1.0 / (second + q * bb + (p * q) * excitation)
-    maps = np.zeros((len(rows), 3, 3))
-    maps[:, 0, 0], maps[:, 0, 1] = first * share, -p * kb * share
-    maps[:, 1, 0], maps[:, 1, 1] = -q * kb * share, second * share
-    maps[:, 0, 2] = p * (first * kf - q * kb * bf) * share
-    maps[:, 1, 2] = q * (second * bf - p * kb * kf) * share
-    maps[:, 2, 2] = 1.0
+    maps = np.empty((2, 3, len(rows)))
+    maps[0, 0], maps[0, 1] = first * share, -p * kb * share
+    maps[1, 0], maps[1, 1] = -q * kb * share, second * share
+    maps[0, 2] = p * (first * kf - q * kb * bf) * share
+    maps[1, 2] = q * (second * bf - p * kb * kf) * share
     return maps
 
 
