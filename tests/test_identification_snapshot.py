@@ -75,3 +75,20 @@ def test_equal_input_gives_equal_output():
         identifier = Identifier()
         rows.append([identifier.update(a, 2.5e-3, b, 1e-3) for a, b in zip(z, f, strict=True)])
     assert rows[0] == rows[1]
+
+
+def test_a_membrane_looked_for_between_blocks_or_in_the_measuring_tick_is_the_same():
+    z, f = signal(8000)
+    early, late, searched = Identifier(), Identifier(), 0
+    for a, b in zip(z, f, strict=True):
+        early.update(a, 2.5e-3, b, 1e-3)
+        late.update(a, 2.5e-3, b, 1e-3)
+        kept = late.snapshot()
+        pending = kept.state.pending
+        if pending is not None and pending.search is not None:
+            searched += 1
+            state = kept.state._replace(pending=pending._replace(search=None))
+            late.restore(kept._replace(state=state))
+    assert searched > 0
+    assert early.layers
+    assert late.layers == early.layers
