@@ -10,10 +10,13 @@ from benchmarks import catalogue, command, plan, speed_command
 from benchmarks.benchmark import Benchmark, Findings
 from benchmarks.command import main
 from benchmarks.errors import DataError
+from benchmarks.gc_pauses import GcPauses
 from benchmarks.job import Job
 from benchmarks.measurement import Measurement
 from benchmarks.pool import run_jobs
 from benchmarks.results_file import read_results, write_results
+from benchmarks.speed import SpeedReport
+from benchmarks.speed_table import BARE
 from benchmarks.timing import Timing
 
 HARD_RMSE_N = {"liver-constant": 0.05, "gel-25-constant": 0.2}
@@ -155,14 +158,15 @@ def test_list_names_everything(capsys):
 def test_speed_fails_when_strict_and_too_slow(monkeypatch, capsys, cost, code):
     def measured(progress):
         progress(1.0)
-        names = {*speed_command.BARE, *speed_command.BARE.values()}
-        bare = set(speed_command.BARE.values())
-        return {
+        bare = set(BARE.values())
+        timings = {
             name: Timing(tick_us=np.full((2, 3), 1.0 if name in bare else cost))
-            for name in sorted(names)
+            for name in sorted({*BARE, *bare})
         }
+        return SpeedReport(timings=timings, alarms={}, reruns={}, pauses=GcPauses())
 
     monkeypatch.setattr(speed_command, "measure_speed", measured)
+    monkeypatch.setattr(speed_command, "rerun_us", lambda seconds, config: 20.0)
     assert main(["speed", "--strict"]) == code
     assert main(["speed"]) == 0
     assert "99.9 %" in capsys.readouterr().out
