@@ -91,6 +91,15 @@ def test_closed_standard_streams_are_told_or_done_without(monkeypatch, capsys):
     assert capsys.readouterr().err == ""
 
 
+@pytest.fixture
+def _ctrl_c_is_heard():
+    # A job in the background of a shell starts with it ignored.
+    before = signal.signal(signal.SIGINT, signal.default_int_handler)
+    yield
+    signal.signal(signal.SIGINT, before)
+
+
+@pytest.mark.usefixtures("_ctrl_c_is_heard")
 def test_the_first_ctrl_c_asks_and_the_second_interrupts():
     with StopRequest() as stop:
         assert not stop()
