@@ -1,5 +1,6 @@
 """``python -m benchmarks``: which command, and what becomes of its errors."""
 
+from argparse import Namespace
 from collections.abc import Sequence
 from importlib import import_module
 
@@ -11,26 +12,18 @@ from recordings.command_line import run_command
 EXTRA_PACKAGES = ("rich", "mujoco", "matplotlib")
 
 
-def main(arguments: Sequence[str] | None = None) -> int:
-    """Run a command.
+def main(argv: Sequence[str] | None = None) -> int:
+    """Run a command and return its exit code, see ``--help``."""
+    return run_command(parser(), argv, _execute, (BenchmarkError, FiguresError))
 
-    Args:
-        arguments: The command line after the program's name; default: that of this process.
 
-    Returns:
-        The exit code, see ``--help``.
-    """
-    chosen = parser().parse_args(arguments)
-
-    def work() -> int:
-        # Lazily: `compare` needs no simulator, and a missing package is said in one line.
-        try:
-            module = import_module(f"benchmarks.{chosen.command}_command")
-            return module.execute(chosen)
-        except ModuleNotFoundError as error:
-            if error.name not in EXTRA_PACKAGES:
-                raise
-            told = f"{error.name} is not installed; pip install -e '.[bench]'"
-            raise BenchmarkError(told) from error
-
-    return run_command(work, (BenchmarkError, FiguresError))
+def _execute(arguments: Namespace) -> int:
+    # Lazily: `compare` needs no simulator, and a missing package is said in one line.
+    try:
+        module = import_module(f"benchmarks.{arguments.command}_command")
+        return module.execute(arguments)
+    except ModuleNotFoundError as error:
+        if error.name not in EXTRA_PACKAGES:
+            raise
+        told = f"{error.name} is not installed; pip install -e '.[bench]'"
+        raise BenchmarkError(told) from error

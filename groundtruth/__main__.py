@@ -21,6 +21,9 @@ from recordings.labels import Labels
 from recordings.progress import progress
 from urdf import UrdfError
 
+ERRORS = (GroundTruthError, RecordingError, UrdfError)
+"""What is told in one line."""
+
 RANDOM = "random-stack"
 _LAYER_WORDS = ("above the tissue", "in layer {}")
 _RUPTURE_WORDS = ("", "layer {} gives way")
@@ -28,16 +31,8 @@ _SURFACE_WORDS = ("", "the membrane on the surface gives way")
 
 
 def main(argv: Sequence[str] | None = None) -> int:
-    """Run the command.
-
-    Args:
-        argv: Arguments without the program's name; those of the process when None.
-
-    Returns:
-        The exit code, see `recordings.command_line`.
-    """
-    arguments = build_parser().parse_args(argv)
-    return run_command(lambda: _run(arguments), (GroundTruthError, RecordingError, UrdfError))
+    """Run the command and return its exit code, see `run_command`."""
+    return run_command(build_parser(), argv, _run, ERRORS)
 
 
 def _run(arguments: Namespace) -> int:

@@ -2,7 +2,8 @@
 
 import os
 import sys
-from collections.abc import Callable
+from argparse import ArgumentParser, Namespace
+from collections.abc import Callable, Sequence
 
 from recordings.errors import FileAccessError
 
@@ -16,18 +17,26 @@ READER_GONE = 141
 """Exit code when the reader of standard output has gone, as in `| head`; as shells have it."""
 
 
-def run_command(work: Callable[[], int], errors: tuple[type[Exception], ...]) -> int:
-    """Do a command's work; put every foreseen failure into one line on stderr.
+def run_command(
+    parser: ArgumentParser,
+    argv: Sequence[str] | None,
+    work: Callable[[Namespace], int],
+    errors: tuple[type[Exception], ...],
+) -> int:
+    """Run a command from its arguments to its exit code; every foreseen failure is one line.
 
     Args:
-        work: returns the exit code when all went well.
-        errors: what it may raise; the message is meant for the user.
+        parser: of its command line; it ends the process itself where that is wrong.
+        argv: arguments without the program's name; those of the process when None.
+        work: takes what was parsed, returns the exit code when all went well.
+        errors: what the work may raise; the message is meant for the user.
 
     Returns:
         The exit code of the work, or one of those above.
     """
+    arguments = parser.parse_args(argv)
     try:
-        code = work()
+        code = work(arguments)
         if sys.stdout is not None:
             write_out("")
     except BrokenPipeError:

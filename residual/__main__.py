@@ -32,16 +32,8 @@ ERRORS = (ResidualError, RecordingError, UrdfError, FiguresError)
 
 
 def main(argv: Sequence[str] | None = None) -> int:
-    """Run the command.
-
-    Args:
-        argv: Arguments without the program's name; those of the process when None.
-
-    Returns:
-        The exit code, see `recordings.command_line`.
-    """
-    arguments = build_parser().parse_args(argv)
-    return run_command(lambda: _run(arguments), ERRORS)
+    """Run the command and return its exit code, see `run_command`."""
+    return run_command(build_parser(), argv, _run, ERRORS)
 
 
 def _run(arguments: Namespace) -> int:

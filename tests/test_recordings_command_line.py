@@ -22,8 +22,13 @@ from recordings.source_arguments import source_arguments
 from recordings.stop_request import StopRequest
 
 
+def run(work):
+    """The exit code of a command without arguments."""
+    return run_command(ArgumentParser(), [], work, (RecordingError,))
+
+
 def failing(error):
-    def work():
+    def work(_arguments):
         raise error
 
     return work
@@ -45,18 +50,18 @@ def _open_output(monkeypatch):
     ],
 )
 def test_a_foreseen_failure_is_one_line_and_a_code(capsys, error, code, said):
-    assert run_command(failing(error), (RecordingError,)) == code
+    assert run(failing(error)) == code
     assert capsys.readouterr().err == said
 
 
 def test_what_was_not_foreseen_is_not_hidden():
     for error in (ZeroDivisionError(), PermissionError(13, "forbidden", "some.file")):
         with pytest.raises(type(error)):
-            run_command(failing(error), (RecordingError,))
+            run(failing(error))
 
 
 def test_the_code_of_the_work_is_handed_on(capsys):
-    assert run_command(lambda: 7, (RecordingError,)) == 7
+    assert run(lambda _: 7) == 7
     say("two\nlines")
     write_out("table\n", to_stderr=True)
     write_out("result\n")
