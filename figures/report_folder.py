@@ -9,12 +9,11 @@ PAGE = "index.html"
 """Name of the page in it."""
 
 
-def report_folder(path: str | Path, what: str = "--report") -> Path:
+def report_folder(path: str | Path) -> Path:
     """Make sure that a report can be written before minutes of work, not after.
 
     Args:
         path: Of the folder; it is made if there is none.
-        what: Who wants it, for messages.
 
     Returns:
         The folder.
@@ -23,7 +22,7 @@ def report_folder(path: str | Path, what: str = "--report") -> Path:
         MissingExtraError: matplotlib is not installed.
         WriteError: The folder cannot be made.
     """
-    require_matplotlib(what)
+    require_matplotlib("--report")
     folder = Path(path)
     try:
         folder.mkdir(parents=True, exist_ok=True)

@@ -1,11 +1,12 @@
 """What a command writes, on its command line; the same for every command that reads a log."""
 
 from argparse import ArgumentParser, Namespace
+from contextlib import AbstractContextManager, nullcontext
 from pathlib import Path
 
 from recordings.apart import require_apart, require_apart_from_log
 from recordings.errors import FileAccessError
-from recordings.open_table import STANDARD_STREAM
+from recordings.open_table import STANDARD_STREAM, LabelSource, OpenTable, open_table
 from recordings.write_table import check_writable
 
 _PICTURE_SUFFIX = ".png"
@@ -56,6 +57,21 @@ def check_outputs(arguments: Namespace) -> None:
         for path in outputs.values():
             require_apart_from_log(path, Path(arguments.log))
     require_apart(outputs)
+
+
+def open_output(
+    arguments: Namespace, *, is_live: bool, labels: LabelSource
+) -> AbstractContextManager[OpenTable | None]:
+    """Open the table that the command line names; None is entered if it names none.
+
+    Args:
+        arguments: of a parser with `output_arguments`.
+        is_live: see `open_table`.
+        labels: see `open_table`.
+    """
+    if arguments.output is None:
+        return nullcontext()
+    return open_table(arguments.output, is_live=is_live, labels=labels)
 
 
 def _picture(path: Path) -> Path:

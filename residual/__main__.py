@@ -37,14 +37,14 @@ def main(argv: Sequence[str] | None = None) -> int:
 
 
 def _run(arguments: Namespace) -> int:
+    robot = robot_from_arguments(arguments)
+    if arguments.print_config:
+        return _print_config(arguments, robot)
     check_outputs(arguments)
     if arguments.png is not None:
         require_matplotlib("--png")
     if arguments.report is not None:
         report_folder(arguments.report)
-    robot = robot_from_arguments(arguments)
-    if arguments.print_config:
-        return _print_config(arguments, robot)
     drive = load_drive(arguments.friction, robot.nv) if arguments.friction else Drive()
     if drive.rotor_inertia_kg_m2 is not None:
         robot = robot.with_armature(drive.rotor_inertia_kg_m2)

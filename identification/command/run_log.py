@@ -2,7 +2,6 @@
 
 from argparse import Namespace
 from collections import deque
-from contextlib import nullcontext
 
 import numpy as np
 
@@ -15,7 +14,8 @@ from identification.replay_stream import ReplayedRows, ReplayStream
 from recordings.command_line import say
 from recordings.labels import Labels
 from recordings.log_session import LogSession
-from recordings.open_table import OpenTable, open_table
+from recordings.open_table import OpenTable
+from recordings.output_arguments import open_output
 from recordings.row_overview import RowOverview
 
 _TRACKED = (
@@ -41,14 +41,9 @@ def run_log(arguments: Namespace, log: LogSession, *, needs_overview: bool) -> I
     Raises:
         recordings.RecordingError: The log cannot be read, or the table not written.
     """
-    stream, output = ReplayStream(METHODS[arguments.method]), arguments.output
+    stream = ReplayStream(METHODS[arguments.method])
     status = ForceStatus(is_ignored=arguments.ignore_status)
-    writing = (
-        nullcontext()
-        if output is None
-        else open_table(output, is_live=log.is_live, labels=lambda: _labels(log))
-    )
-    with writing as table:
+    with open_output(arguments, is_live=log.is_live, labels=lambda: _labels(log)) as table:
         found = _Found(table, needs_overview=needs_overview)
         for chunk in log:
             depth_m, speed_m_s = chunk.channels["depth_m"], chunk.channels.get("speed_m_s")

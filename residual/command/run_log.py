@@ -1,10 +1,10 @@
 """From a log to its result: rows in, forces out, as they come."""
 
 from argparse import Namespace
-from contextlib import nullcontext
 
+from recordings.labels import Labels
 from recordings.log_session import LogSession
-from recordings.open_table import open_table
+from recordings.output_arguments import open_output
 from recordings.row_overview import RowOverview
 from residual.command.force_labels import force_labels
 from residual.command.force_result import ForceResult
@@ -43,15 +43,12 @@ def run_log(
     """
     replay, forces = Replay(robot, config, request), ForceStatistics()
     overview = RowOverview(_tracked(config))
-    has_velocity, output = False, arguments.output
-    writing = (
-        nullcontext()
-        if output is None
-        else open_table(
-            output, is_live=log.is_live, labels=lambda: force_labels(log, robot, config)
-        )
-    )
-    with writing as table:
+    has_velocity = False
+
+    def labels() -> Labels:
+        return force_labels(log, robot, config)
+
+    with open_output(arguments, is_live=log.is_live, labels=labels) as table:
         for chunk in log:
             signals = joint_signals(chunk, robot, is_external=arguments.external_torque)
             has_velocity = signals.dq_rad_s is not None
