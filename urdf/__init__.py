@@ -4,7 +4,7 @@ Conventions: SI units; joint vectors in the order of ``Robot.joint_names``; a pa
 the axes of the robot's flange frame, whose z points outward; gravity in base axes.
 """
 
-from .errors import (
+from urdf.errors import (
     InertiaError,
     InputError,
     MissingPackageError,
@@ -13,15 +13,15 @@ from .errors import (
     UrdfError,
     UrdfFileError,
 )
-from .example_robots import example_robot_path
-from .loading import load_urdf
-from .lwr import LWR_GEAR_RATIO, load_lwr
-from .needle_tool import NeedleTool
-from .payload import Payload
-from .payload_estimate import PayloadEstimate
-from .payload_identification import identify_payload, identify_payload_static
-from .robot import Robot
-from .serial_robot import SerialJoint, build_serial_robot
+from urdf.example_robots import example_robot_path
+from urdf.loading import load_urdf
+from urdf.lwr import LWR_GEAR_RATIO, load_lwr
+from urdf.needle_tool import NeedleTool
+from urdf.payload import Payload
+from urdf.payload_estimate import PayloadEstimate
+from urdf.payload_identification import identify_payload, identify_payload_static
+from urdf.robot import Robot
+from urdf.serial_robot import SerialJoint, build_serial_robot
 
 __all__ = [
     "LWR_GEAR_RATIO",

@@ -1,22 +1,20 @@
-"""From a bare Pinocchio model to a :class:`Robot`: gravity, tool frames, last checks."""
-
-from typing import Final
+"""From a bare Pinocchio model to a `Robot`: gravity, tool frames, last checks."""
 
 import numpy as np
 import pinocchio as pin
 from numpy.typing import ArrayLike
 
-from .errors import InertiaError, InputError, UnknownNameError, UnsupportedJointError
-from .finite_array import finite_array
-from .needle_tool import NeedleTool
-from .payload import Payload
-from .robot import Robot
+from urdf.errors import InertiaError, InputError, UnknownNameError, UnsupportedJointError
+from urdf.finite_array import finite_array
+from urdf.needle_tool import NeedleTool
+from urdf.payload import Payload
+from urdf.robot import Robot
 
-#: Standard gravity, straight down along the base's z axis, m/s^2.
-STANDARD_GRAVITY_M_S2: Final = (0.0, 0.0, -9.80665)
+STANDARD_GRAVITY_M_S2 = (0.0, 0.0, -9.80665)
+"""Straight down along the base's z axis, m/s^2."""
 
-SENSOR_FRAME: Final = "ft_sensor"
-TIP_FRAME: Final = "needle_tip"
+SENSOR_FRAME, TIP_FRAME = "ft_sensor", "needle_tip"
+"""Frames that a needle tool adds."""
 
 
 def assemble_robot(

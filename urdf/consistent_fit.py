@@ -3,7 +3,7 @@
 import numpy as np
 from numpy.typing import NDArray
 
-from .pseudo_inertia import pseudo_inertia
+from urdf.pseudo_inertia import pseudo_inertia
 
 # Weight of directions the data say nothing about, against the strongest: enough to settle them.
 _PRIOR = 1e-6

@@ -2,7 +2,7 @@
 
 
 class UrdfError(Exception):
-    """Base of every error raised by :mod:`urdf`."""
+    """Base of every error raised by `urdf`."""
 
 
 class UrdfFileError(UrdfError, ValueError):

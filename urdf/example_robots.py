@@ -3,21 +3,20 @@
 import sys
 from importlib import metadata
 from pathlib import Path
-from typing import Final
 
-from .errors import MissingPackageError, UnknownNameError
+from urdf.errors import MissingPackageError, UnknownNameError
 
-_ROBOTS: Final = {
+_ROBOTS = {
     "panda": "panda_description/urdf/panda.urdf",
     "ur3": "ur_description/urdf/ur3_robot.urdf",
     "ur5": "ur_description/urdf/ur5_robot.urdf",
     "ur10": "ur_description/urdf/ur10_robot.urdf",
 }
-_PACKAGE: Final = "example-robot-data"
+_PACKAGE = "example-robot-data"
 
 
 def example_robot_path(name: str) -> Path:
-    """Return the URDF file of an arm of ``example-robot-data``, for :func:`urdf.load_urdf`.
+    """Return the URDF file of an arm of ``example-robot-data``, for `urdf.load_urdf`.
 
     Panda needs ``tool_frame`` (such as ``panda_hand_tcp``) and its two finger joints locked; the UR
     arms need ``tool_frame`` (``tool0``).

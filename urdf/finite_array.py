@@ -3,7 +3,7 @@
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from .errors import InputError
+from urdf.errors import InputError
 
 
 def read_only(array: ArrayLike) -> NDArray[np.float64]:

@@ -1,4 +1,4 @@
-"""Any URDF file as a :class:`Robot`."""
+"""Any URDF file as a `Robot`."""
 
 from collections.abc import Iterable, Mapping
 from os import PathLike
@@ -8,12 +8,12 @@ import numpy as np
 import pinocchio as pin
 from numpy.typing import ArrayLike
 
-from .assembly import STANDARD_GRAVITY_M_S2, assemble_robot
-from .description import check_description, read_description
-from .errors import InputError, UnknownNameError, UrdfFileError
-from .needle_tool import NeedleTool
-from .payload import Payload
-from .robot import Robot
+from urdf.assembly import STANDARD_GRAVITY_M_S2, assemble_robot
+from urdf.description import check_description, read_description
+from urdf.errors import InputError, UnknownNameError, UrdfFileError
+from urdf.needle_tool import NeedleTool
+from urdf.payload import Payload
+from urdf.robot import Robot
 
 
 def load_urdf(
@@ -46,28 +46,7 @@ def load_urdf(
         InertiaError: A link with inertia no rigid body can have, or a joint that moves none.
         InputError: Gravity, payload or locked positions of the wrong kind.
     """
-    return robot_from_text(
-        read_description(Path(path)),
-        str(path),
-        tool_frame=tool_frame,
-        locked_joints=locked_joints,
-        gravity_m_s2=gravity_m_s2,
-        payload=payload,
-        check_inertias=check_inertias,
-    )
-
-
-def robot_from_text(
-    text: str,
-    source: str,
-    *,
-    tool_frame: str | None = None,
-    locked_joints: Iterable[str] | Mapping[str, float] = (),
-    gravity_m_s2: ArrayLike = STANDARD_GRAVITY_M_S2,
-    payload: Payload | NeedleTool | None = None,
-    check_inertias: bool = True,
-) -> Robot:
-    """Build a robot from a URDF's text as :func:`load_urdf` does; messages call it ``source``."""
+    text, source = read_description(Path(path)), str(path)
     locked = _locked_positions(locked_joints)
     check_description(text, source, locked=locked, check_inertias=check_inertias)
     try:

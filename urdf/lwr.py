@@ -1,16 +1,14 @@
 """The KUKA LWR 4+ of the paper."""
 
-from importlib.resources import files
+from importlib.resources import as_file, files
 
 from numpy.typing import ArrayLike
 
-from .assembly import STANDARD_GRAVITY_M_S2
-from .loading import robot_from_text
-from .needle_tool import NeedleTool
-from .payload import Payload
-from .robot import Robot
-
-_FILE = "lwr4plus.urdf"
+from urdf.assembly import STANDARD_GRAVITY_M_S2
+from urdf.loading import load_urdf
+from urdf.needle_tool import NeedleTool
+from urdf.payload import Payload
+from urdf.robot import Robot
 
 LWR_GEAR_RATIO = (160.0, 160.0, 160.0, 160.0, 100.0, 100.0, 100.0)
 """Harmonic drives of the LWR 4+, joints 1 to 7; the torque sensors ripple with the motor angle."""
@@ -36,7 +34,5 @@ def load_lwr(
     Raises:
         InputError: Payload or gravity of the wrong kind.
     """
-    text = files("urdf.data").joinpath(_FILE).read_text(encoding="utf-8")
-    return robot_from_text(
-        text, _FILE, tool_frame="flange", payload=payload, gravity_m_s2=gravity_m_s2
-    )
+    with as_file(files("urdf.data").joinpath("lwr4plus.urdf")) as path:
+        return load_urdf(path, tool_frame="flange", payload=payload, gravity_m_s2=gravity_m_s2)

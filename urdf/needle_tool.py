@@ -5,9 +5,9 @@ from dataclasses import dataclass, fields
 import numpy as np
 from numpy.typing import NDArray
 
-from .errors import InputError
-from .finite_array import finite_array, read_only
-from .payload import Payload
+from urdf.errors import InputError
+from urdf.finite_array import finite_array, read_only
+from urdf.payload import Payload
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

@@ -7,12 +7,13 @@ import numpy as np
 import pinocchio as pin
 from numpy.typing import ArrayLike, NDArray
 
-from .errors import InertiaError, InputError
-from .finite_array import finite_array, read_only
-from .pseudo_inertia import (
+from urdf.errors import InputError
+from urdf.finite_array import finite_array, read_only
+from urdf.pseudo_inertia import (
     inertia_about_com,
     moved_parameters,
     parameters_about_com,
+    require_mass,
     require_physical,
 )
 
@@ -60,9 +61,8 @@ class Payload:
             InertiaError: Numbers no rigid body can have.
         """
         phi = finite_array(parameters, (10,), "payload parameters")
+        require_mass(phi, "payload")
         if phi[0] == 0.0:
-            if np.any(phi):
-                raise InertiaError("payload: mass is 0 kg but its moments are not; give it a mass")
             return cls(mass_kg=0.0, com_m=np.zeros(3), inertia_kg_m2=np.zeros((3, 3)))
         return cls(mass_kg=phi[0], com_m=phi[1:4] / phi[0], inertia_kg_m2=inertia_about_com(phi))
 

@@ -5,8 +5,8 @@ from dataclasses import dataclass, fields
 import numpy as np
 from numpy.typing import NDArray
 
-from .finite_array import read_only
-from .payload import Payload
+from urdf.finite_array import read_only
+from urdf.payload import Payload
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)

@@ -9,18 +9,20 @@ arm's model does not explain is linear in the payload's ten parameters,
 with Y the joint-torque regressor's columns of the body behind the flange.
 """
 
+from typing import NamedTuple
+
 import numpy as np
 import pinocchio as pin
 from numpy.typing import ArrayLike, NDArray
 
-from .consistent_fit import is_consistent, nearest_body
-from .errors import InputError
-from .finite_array import finite_array
-from .linear_fit import LinearFit, fit_linear
-from .payload import Payload
-from .payload_estimate import PayloadEstimate
-from .pseudo_inertia import moved_parameters
-from .robot import Robot
+from urdf.consistent_fit import is_consistent, nearest_body
+from urdf.errors import InputError
+from urdf.finite_array import finite_array
+from urdf.linear_fit import LinearFit, fit_linear
+from urdf.payload import Payload
+from urdf.payload_estimate import PayloadEstimate
+from urdf.pseudo_inertia import moved_parameters
+from urdf.robot import Robot
 
 # A length of the size of payloads, m: in units of it the ten parameters are of comparable size.
 _LENGTH_M = 0.1
@@ -63,20 +65,13 @@ def identify_payload(
     dq = finite_array(dq_rad_s, shape, "dq_rad_s")
     ddq = finite_array(ddq_rad_s2, shape, "ddq_rad_s2")
     tau = finite_array(tau_Nm, shape, "tau_Nm")
-    regressor, unexplained = _payload_equation(robot, q, dq, ddq, tau)
-    fit = fit_linear(
-        regressor * _UNITS,
-        unexplained,
-        noise_std=_checked_noise(torque_noise_std_Nm, robot.nv),
-        fit_offsets=fit_offsets,
-    )
+    equation = _payload_equation(robot, q, dq, ddq, tau)
+    fit = _fit(equation, 10, torque_noise_std_Nm, fit_offsets=fit_offsets)
     scaled = fit.solution
     constrained = not is_consistent(scaled)
     if constrained:
         scaled = nearest_body(scaled, fit.information_root)
-    return _estimate(
-        scaled * _UNITS, constrained, fit, regressor, unexplained, fit_offsets=fit_offsets
-    )
+    return _estimate(scaled * _UNITS, constrained, fit, equation, fit_offsets=fit_offsets)
 
 
 def identify_payload_static(
@@ -108,19 +103,26 @@ def identify_payload_static(
     q = finite_array(q_rad, (-1, robot.nv), "q_rad")
     tau = finite_array(tau_Nm, (len(q), robot.nv), "tau_Nm")
     rest = np.zeros_like(q)
-    regressor, unexplained = _payload_equation(robot, q, rest, rest, tau)
-    fit = fit_linear(
-        regressor[:, :, :4] * _UNITS[:4],
-        unexplained,
-        noise_std=_checked_noise(torque_noise_std_Nm, robot.nv),
-        fit_offsets=fit_offsets,
-    )
+    equation = _payload_equation(robot, q, rest, rest, tau)
+    fit = _fit(equation, 4, torque_noise_std_Nm, fit_offsets=fit_offsets)
     mass, first = fit.solution[0], fit.solution[1:4] * _LENGTH_M
     # With a positive mass any first moment is consistent, so the sign of the mass decides.
     if mass < _NO_MASS_KG:
-        return _estimate(np.zeros(10), True, fit, regressor, unexplained, fit_offsets=fit_offsets)
+        return _estimate(np.zeros(10), True, fit, equation, fit_offsets=fit_offsets)
     point = Payload(mass_kg=mass, com_m=first / mass, inertia_kg_m2=np.zeros((3, 3)))
-    return _estimate(point.parameters, False, fit, regressor, unexplained, fit_offsets=fit_offsets)
+    return _estimate(point.parameters, False, fit, equation, fit_offsets=fit_offsets)
+
+
+class _Equation(NamedTuple):
+    """The equation that the payload's parameters obey, for n samples of nv joints.
+
+    Attributes:
+        regressor: Y in flange axes, shape (n, nv, 10).
+        unexplained: Torque that the bare arm leaves open, shape (n, nv), Nm.
+    """
+
+    regressor: NDArray[np.float64]
+    unexplained: NDArray[np.float64]
 
 
 def _payload_equation(
@@ -129,8 +131,7 @@ def _payload_equation(
     dq: NDArray[np.float64],
     ddq: NDArray[np.float64],
     tau: NDArray[np.float64],
-) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-    """Return Y in flange axes, shape (n, nv, 10), and the torque the bare arm leaves open."""
+) -> _Equation:
     model = robot.bare_model
     data = model.createData()
     flange = model.frames[robot.frame_id(robot.flange_frame)]
@@ -145,7 +146,19 @@ def _payload_equation(
     flange_to_joint = np.column_stack(
         [moved_parameters(unit, placement.rotation, placement.translation) for unit in np.eye(10)]
     )
-    return regressor @ flange_to_joint, unexplained
+    return _Equation(regressor @ flange_to_joint, unexplained)
+
+
+def _fit(
+    equation: _Equation, count: int, noise_std_Nm: ArrayLike | None, *, fit_offsets: bool
+) -> LinearFit:
+    """Fit the first parameters, in units in which they are of comparable size."""
+    return fit_linear(
+        equation.regressor[:, :, :count] * _UNITS[:count],
+        equation.unexplained,
+        noise_std=_checked_noise(noise_std_Nm, equation.unexplained.shape[1]),
+        fit_offsets=fit_offsets,
+    )
 
 
 def _checked_noise(noise_std_Nm: ArrayLike | None, nv: int) -> NDArray[np.float64] | None:
@@ -161,8 +174,7 @@ def _estimate(
     parameters: NDArray[np.float64],
     is_constrained: bool,
     fit: LinearFit,
-    regressor: NDArray[np.float64],
-    unexplained: NDArray[np.float64],
+    equation: _Equation,
     *,
     fit_offsets: bool,
 ) -> PayloadEstimate:
@@ -174,7 +186,7 @@ def _estimate(
     unconstrained[:asked] = fit.solution * _UNITS[:asked]
     covariance = np.diag(np.full(10, np.inf))
     covariance[:asked, :asked] = fit.covariance * np.outer(_UNITS, _UNITS)[:asked, :asked]
-    left = unexplained - regressor @ parameters
+    left = equation.unexplained - equation.regressor @ parameters
     offsets = left.mean(axis=0) if fit_offsets else np.zeros(left.shape[1])
     return PayloadEstimate(
         payload=Payload.from_parameters(parameters),

@@ -17,12 +17,14 @@ inertia about the centre of mass, and principal moments that obey the triangle i
 import numpy as np
 from numpy.typing import NDArray
 
-from .errors import InertiaError
+from urdf.errors import InertiaError
 
 # Tables carry a few digits: a thin rod, once rounded, may miss the boundary by this share.
 _ROUNDING = 1e-6
 # Share of the inertia about the origin that subtracting m c^2 may lose in double precision.
 _CANCELLATION = 1e-12
+# Where the six moments stand in a matrix, in the order of the parameters.
+_MOMENTS = ([0, 0, 1, 0, 1, 2], [0, 1, 1, 2, 2, 2])
 
 
 def inertia_matrix(parameters: NDArray[np.float64]) -> NDArray[np.float64]:
@@ -42,12 +44,10 @@ def pseudo_inertia(parameters: NDArray[np.float64]) -> NDArray[np.float64]:
 
 
 def from_pseudo_inertia(matrix: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Return the ten parameters of a pseudo-inertia; the inverse of :func:`pseudo_inertia`."""
+    """Return the ten parameters of a pseudo-inertia; the inverse of `pseudo_inertia`."""
     second = matrix[:3, :3]
     inertia = np.trace(second) * np.eye(3) - second
-    return np.concatenate(
-        [[matrix[3, 3]], matrix[:3, 3], inertia[[0, 0, 1, 0, 1, 2], [0, 1, 1, 2, 2, 2]]]
-    )
+    return np.concatenate([[matrix[3, 3]], matrix[:3, 3], inertia[_MOMENTS]])
 
 
 def parameters_about_com(
@@ -56,9 +56,7 @@ def parameters_about_com(
     """Return the ten parameters of a body given by its inertia about the centre of mass."""
     steiner = mass_kg * (com_m @ com_m * np.eye(3) - np.outer(com_m, com_m))
     about_origin = inertia_kg_m2 + steiner
-    return np.concatenate(
-        [[mass_kg], mass_kg * com_m, about_origin[[0, 0, 1, 0, 1, 2], [0, 1, 1, 2, 2, 2]]]
-    )
+    return np.concatenate([[mass_kg], mass_kg * com_m, about_origin[_MOMENTS]])
 
 
 def inertia_about_com(parameters: NDArray[np.float64]) -> NDArray[np.float64]:
@@ -82,6 +80,20 @@ def moved_parameters(
     return from_pseudo_inertia(transform @ pseudo_inertia(parameters) @ transform.T)
 
 
+def require_mass(parameters: NDArray[np.float64], owner: str) -> None:
+    """Check that parameters without mass are those of no body at all.
+
+    Args:
+        parameters: Ten parameters, shape (10,).
+        owner: What they belong to, for the message.
+
+    Raises:
+        InertiaError: No mass, but moments.
+    """
+    if parameters[0] == 0.0 and np.any(parameters):
+        raise InertiaError(f"{owner}: mass is 0 kg but its moments are not; give it a mass")
+
+
 def require_physical(parameters: NDArray[np.float64], owner: str) -> None:
     """Check that a rigid body can have these parameters (to the rounding of a written table).
 
@@ -100,8 +112,7 @@ def require_physical(parameters: NDArray[np.float64], owner: str) -> None:
     if mass < 0.0:
         raise InertiaError(f"{owner}: mass is {mass:g} kg, expected a positive mass")
     if mass == 0.0:
-        if np.any(parameters != 0.0):
-            raise InertiaError(f"{owner}: mass is 0 kg but its moments are not; give it a mass")
+        require_mass(parameters, owner)
         return
     moments = np.linalg.eigvalsh(inertia_about_com(parameters))
     slack = _ROUNDING * moments[2] + _CANCELLATION * np.trace(inertia_matrix(parameters))

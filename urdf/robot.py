@@ -6,16 +6,16 @@ import numpy as np
 import pinocchio as pin
 from numpy.typing import ArrayLike, NDArray
 
-from .errors import InputError, UnknownNameError
-from .finite_array import finite_array, read_only
-from .payload import Payload
+from urdf.errors import InputError, UnknownNameError
+from urdf.finite_array import finite_array, read_only
+from urdf.payload import Payload
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class Robot:
     """An arm of one-number joints, what it carries, and the frame forces are asked for.
 
-    Build one with :func:`urdf.load_lwr`, :func:`urdf.load_urdf` or :func:`urdf.build_serial_robot`.
+    Build one with `urdf.load_lwr`, `urdf.load_urdf` or `urdf.build_serial_robot`.
 
     Attributes:
         bare_model: The arm without payload; copied on construction.

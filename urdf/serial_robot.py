@@ -8,13 +8,13 @@ import numpy as np
 import pinocchio as pin
 from numpy.typing import ArrayLike, NDArray
 
-from .assembly import STANDARD_GRAVITY_M_S2, assemble_robot
-from .errors import InertiaError, InputError
-from .finite_array import finite_array, read_only
-from .needle_tool import NeedleTool
-from .payload import Payload
-from .pseudo_inertia import require_physical
-from .robot import Robot
+from urdf.assembly import STANDARD_GRAVITY_M_S2, assemble_robot
+from urdf.errors import InputError
+from urdf.finite_array import finite_array, read_only
+from urdf.needle_tool import NeedleTool
+from urdf.payload import Payload
+from urdf.pseudo_inertia import require_mass, require_physical
+from urdf.robot import Robot
 
 TOOL_FRAME = "tool"
 
@@ -53,8 +53,7 @@ class SerialJoint:
         if length == 0.0:
             raise InputError(f"{owner} axis is zero, expected a direction")
         inertia = finite_array(self.inertia, (10,), f"{owner} inertia")
-        if inertia[0] == 0.0 and np.any(inertia):
-            raise InertiaError(f"{owner}: mass is 0 kg but its moments are not; give it a mass")
+        require_mass(inertia, owner)
         object.__setattr__(self, "placement", _rigid(self.placement, f"{owner} placement"))
         object.__setattr__(self, "axis", read_only(axis / length))
         object.__setattr__(self, "inertia", inertia)
