@@ -11,9 +11,6 @@ from dataclasses import dataclass
 from groundtruth.errors import ArmLevelError
 from groundtruth.force_noise import MINI45
 
-GEAR_RATIO = (160.0, 160.0, 160.0, 160.0, 100.0, 100.0, 100.0)
-"""Harmonic-drive ratios J1..J7; sources give 60 or 160 for J4."""
-
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class ArmLevel:

@@ -1,6 +1,7 @@
 """Range checks shared by the frozen descriptions of tissue, motion and noise."""
 
 import math
+from collections.abc import Callable, Mapping
 
 from groundtruth.errors import GroundTruthError
 
@@ -15,36 +16,27 @@ def require_positive(error: type[GroundTruthError], **values: float) -> None:
     Raises:
         GroundTruthError: Of class `error`, naming the field, its value and what was expected.
     """
-    for name, value in values.items():
-        if not (math.isfinite(value) and value > 0.0):
-            raise error(f"{name} is {value!r}; give a finite number above zero")
+    _require(error, values, lambda v: math.isfinite(v) and v > 0.0, "a finite number above zero")
 
 
 def require_non_negative(error: type[GroundTruthError], **values: float) -> None:
-    """Check that every named value is finite and not negative.
-
-    Args:
-        error: The error class to raise.
-        **values: Field name (with its unit) and value.
-
-    Raises:
-        GroundTruthError: Of class `error`, naming the field, its value and what was expected.
-    """
-    for name, value in values.items():
-        if not (math.isfinite(value) and value >= 0.0):
-            raise error(f"{name} is {value!r}; give a finite number, zero or above")
+    """Check that every named value is finite and not negative; else as `require_positive`."""
+    _require(
+        error, values, lambda v: math.isfinite(v) and v >= 0.0, "a finite number, zero or above"
+    )
 
 
 def require_share(error: type[GroundTruthError], **values: float) -> None:
-    """Check that every named value is a share from 0 to 1.
+    """Check that every named value is a share from 0 to 1; else as `require_positive`."""
+    _require(error, values, lambda v: 0.0 <= v <= 1.0, "a share from 0 to 1")
 
-    Args:
-        error: The error class to raise.
-        **values: Field name and value.
 
-    Raises:
-        GroundTruthError: Of class `error`, naming the field, its value and what was expected.
-    """
+def _require(
+    error: type[GroundTruthError],
+    values: Mapping[str, float],
+    is_valid: Callable[[float], bool],
+    wanted: str,
+) -> None:
     for name, value in values.items():
-        if not 0.0 <= value <= 1.0:
-            raise error(f"{name} is {value!r}; give a share from 0 to 1")
+        if not is_valid(value):
+            raise error(f"{name} is {value!r}; give {wanted}")

@@ -3,10 +3,10 @@
 import numpy as np
 from numpy.typing import NDArray
 
-Real = NDArray[np.float64]
+Array = NDArray[np.float64]
 
 
-def first_crossing_s(t_s: Real, signal: Real, level: float, *, after_s: float = -np.inf) -> float:
+def first_crossing_s(t_s: Array, signal: Array, level: float, *, after_s: float = -np.inf) -> float:
     """Time at which the signal first reaches the level from below, by linear interpolation.
 
     Args:

@@ -34,4 +34,4 @@ class PathError(GroundTruthError, ValueError):
 
 
 class PlantError(GroundTruthError, RuntimeError):
-    """The simulated arm has left the motion it was told to follow."""
+    """The simulated arm cannot run, or has left the motion it was told to follow."""

@@ -8,7 +8,7 @@ from numpy.typing import NDArray
 from groundtruth.checks import require_non_negative
 from groundtruth.errors import NoiseError
 
-Real = NDArray[np.float64]
+Array = NDArray[np.float64]
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -39,8 +39,8 @@ class ForceNoise:
         )
 
     def reading_N(
-        self, force_N: Real, t_s: Real, zeroed_s: float, rng: np.random.Generator
-    ) -> Real:
+        self, force_N: Array, t_s: Array, zeroed_s: float, rng: np.random.Generator
+    ) -> Array:
         """The sensor's reading of a true force; read-only, shape (n,).
 
         Args:

@@ -25,7 +25,7 @@ RAMP_S = 0.5
 TOLERANCE = 1e-9
 """Seconds and metres within which two strokes meet."""
 
-Real = NDArray[np.float64]
+Array = NDArray[np.float64]
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -83,20 +83,20 @@ class Motion:
     @overload
     def position_m(self, t_s: float) -> float: ...
     @overload
-    def position_m(self, t_s: Real) -> Real: ...
-    def position_m(self, t_s: float | Real) -> float | Real:
+    def position_m(self, t_s: Array) -> Array: ...
+    def position_m(self, t_s: float | Array) -> float | Array:
         """Position of the tip at one time or an array of times."""
         return self._at(t_s, 0)
 
     @overload
     def speed_m_s(self, t_s: float) -> float: ...
     @overload
-    def speed_m_s(self, t_s: Real) -> Real: ...
-    def speed_m_s(self, t_s: float | Real) -> float | Real:
+    def speed_m_s(self, t_s: Array) -> Array: ...
+    def speed_m_s(self, t_s: float | Array) -> float | Array:
         """Speed of the tip at one time or an array of times, positive inwards."""
         return self._at(t_s, 1)
 
-    def _at(self, t_s: float | Real, which: int) -> float | Real:
+    def _at(self, t_s: float | Array, which: int) -> float | Array:
         t = np.asarray(t_s, dtype=np.float64)
         if not np.isfinite(t).all():
             raise MotionError("t_s has a value that is not finite; give times in seconds")

@@ -12,7 +12,7 @@ from groundtruth.scenarios import scenario as scenario_named
 from groundtruth.tissue_force import TissueForce, TissueLaw
 from groundtruth.tissue_truth import TissueTruth, collect_truth
 
-Real = NDArray[np.float64]
+Array = NDArray[np.float64]
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -32,10 +32,10 @@ class NeedleRun:
 
     scenario: Scenario
     seed: int
-    t_s: Real
-    depth_m: Real
-    speed_m_s: Real
-    force_N: Real
+    t_s: Array
+    depth_m: Array
+    speed_m_s: Array
+    force_N: Array
     tare_end_s: float
     truth: TissueTruth
 
@@ -94,7 +94,7 @@ def _noise_named(noise: ForceNoise | str) -> ForceNoise:
     return NOISES[noise]
 
 
-def _clock(duration_s: float, rate_hz: float, substeps: int) -> tuple[Real, Real]:
+def _clock(duration_s: float, rate_hz: float, substeps: int) -> tuple[Array, Array]:
     """Times of the samples, and of the sub-steps between the first and the last of them."""
     if not (np.isfinite(rate_hz) and rate_hz > 0.0):
         raise RunError(f"rate_hz is {rate_hz!r}; give samples per second, above zero")
@@ -106,7 +106,7 @@ def _clock(duration_s: float, rate_hz: float, substeps: int) -> tuple[Real, Real
 
 
 def _drive(
-    law: TissueLaw, depth_m: Real, speed_m_s: Real, dt_s: float, substeps: int
+    law: TissueLaw, depth_m: Array, speed_m_s: Array, dt_s: float, substeps: int
 ) -> list[TissueForce]:
     """The law's answer at every sample, stepping it at every sub-step."""
     step = law.step

@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 from groundtruth.crossing import first_crossing_s
 from groundtruth.interface import Interface
 
-Real = NDArray[np.float64]
+Array = NDArray[np.float64]
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -43,10 +43,10 @@ class Rupture:
 
 def find_ruptures(
     boundaries: Sequence[Interface],
-    t_s: Real,
-    depth_m: Real,
-    tip_N: Real,
-    layer_friction_N: Real,
+    t_s: Array,
+    depth_m: Array,
+    tip_N: Array,
+    layer_friction_N: Array,
 ) -> tuple[Rupture, ...]:
     """List the ruptures of a run in the order they happen.
 

@@ -10,7 +10,7 @@ from groundtruth.checks import require_positive
 from groundtruth.errors import MotionError
 
 Profile = Literal["rest", "quintic", "cruise", "cosine"]
-Real = NDArray[np.float64]
+Array = NDArray[np.float64]
 
 RAMP_SHARE_MAX = 0.5
 
@@ -56,7 +56,7 @@ class Stroke:
         """Where it ends."""
         return self.start_m + self.travel_m
 
-    def evaluate(self, t_s: Real) -> tuple[Real, Real]:
+    def evaluate(self, t_s: Array) -> tuple[Array, Array]:
         """Position [m] and speed [m/s] at the given times; outside the stroke its ends, at rest.
 
         Args:
@@ -74,7 +74,7 @@ class Stroke:
         return self.start_m + self.travel_m * done, self.travel_m / self.duration_s * rate
 
 
-def _cruise(s: Real, ramp: float) -> tuple[Real, Real]:
+def _cruise(s: Array, ramp: float) -> tuple[Array, Array]:
     """Share of the travel done and its rate: speed rises as 3q² - 2q³, holds, falls alike."""
     mirrored = np.minimum(s, 1.0 - s)
     q = np.minimum(mirrored / ramp, 1.0)

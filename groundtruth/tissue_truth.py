@@ -10,7 +10,7 @@ from groundtruth.crossing import first_crossing_s
 from groundtruth.rupture import Rupture, find_ruptures
 from groundtruth.tissue_force import TissueForce, TissueLaw
 
-Real = NDArray[np.float64]
+Array = NDArray[np.float64]
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -28,23 +28,23 @@ class TissueTruth:
         withdrawn_s: It last leaves that surface on its way out; nan if it does not.
     """
 
-    axial_N: Real
-    tip_N: Real
-    friction_N: Real
-    layer_friction_N: Real
+    axial_N: Array
+    tip_N: Array
+    friction_N: Array
+    layer_friction_N: Array
     layer: NDArray[np.int64]
     ruptures: tuple[Rupture, ...]
     contact_s: float
     withdrawn_s: float
 
     @property
-    def rupture_s(self) -> Real:
+    def rupture_s(self) -> Array:
         """Onset of each rupture, shape (number of ruptures,)."""
         return np.array([rupture.onset_s for rupture in self.ruptures], dtype=np.float64)
 
 
 def collect_truth(
-    law: TissueLaw, t_s: Real, depth_m: Real, forces: Sequence[TissueForce]
+    law: TissueLaw, t_s: Array, depth_m: Array, forces: Sequence[TissueForce]
 ) -> TissueTruth:
     """Turn the forces of a run into its truth.
 

@@ -3,7 +3,8 @@
 import numpy as np
 from numpy.typing import NDArray
 
-from groundtruth.arm_level import GEAR_RATIO, ArmLevel
+from groundtruth.arm_level import ArmLevel
+from urdf import LWR_GEAR_RATIO
 
 Array = NDArray[np.float64]
 
@@ -40,7 +41,7 @@ def measured_torque(
     if level.torque_hysteresis > 0.0:
         seen = play(tau_Nm, level.torque_hysteresis * limit_Nm)
     if level.torque_ripple > 0.0:
-        angle = 2.0 * np.array(GEAR_RATIO) * q_rad + phase
+        angle = 2.0 * np.array(LWR_GEAR_RATIO) * q_rad + phase
         seen = seen + level.torque_ripple * limit_Nm * np.sin(angle)
     return seen + bias + drift + noise
 

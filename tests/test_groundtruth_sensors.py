@@ -6,11 +6,12 @@ from hypothesis import given
 from hypothesis import strategies as st
 from hypothesis.extra.numpy import arrays
 
-from groundtruth.arm_level import ARM_LEVELS, GEAR_RATIO
+from groundtruth.arm_level import ARM_LEVELS
 from groundtruth.ft_sensor import measured_wrench
 from groundtruth.joint_sensors import measured_position, measured_velocity
 from groundtruth.sample_clock import received, stamps
 from groundtruth.torque_sensor import measured_torque, play
+from urdf import LWR_GEAR_RATIO
 
 TEXTBOOK, REALISTIC, HARD = (ARM_LEVELS[name] for name in ("textbook", "realistic", "hard"))
 LIMIT_Nm = np.array([176.0, 176.0, 100.0, 100.0, 100.0, 38.0, 38.0])
@@ -76,7 +77,7 @@ def test_torque_drift_over_a_minute_has_the_levels_spread():
 
 def test_ripple_repeats_twice_per_motor_turn_with_the_levels_amplitude():
     only_ripple = replace(TEXTBOOK, torque_ripple=1e-4)
-    turn = np.linspace(0.0, 1.0, 2001)[:, None] * 2.0 * np.pi / np.array(GEAR_RATIO)
+    turn = np.linspace(0.0, 1.0, 2001)[:, None] * 2.0 * np.pi / np.array(LWR_GEAR_RATIO)
     error = torque_error(only_ripple, tau=np.zeros_like(turn), q=turn)
     np.testing.assert_allclose(error[:1001], error[1000:], atol=1e-12)
     np.testing.assert_allclose(error.max(axis=0), 1e-4 * LIMIT_Nm, rtol=1e-5)

@@ -11,7 +11,8 @@ from urdf.payload import Payload
 from urdf.robot import Robot
 
 LWR_GEAR_RATIO = (160.0, 160.0, 160.0, 160.0, 100.0, 100.0, 100.0)
-"""Harmonic drives of the LWR 4+, joints 1 to 7; the torque sensors ripple with the motor angle."""
+"""Harmonic drives of the LWR 4+, joints 1 to 7 (sources give 60 or 160 for joint 4); the torque
+sensors ripple with the motor angle."""
 
 
 def load_lwr(
