@@ -231,7 +231,15 @@ class InsertionSession:
         if self._unfed_s:
             elapsed_s, self._unfed_s = elapsed_s + self._unfed_s, 0.0
         depth_m, speed_m_s = travel
+        before = self._identifier.snapshot()
         found = self._identifier.update(depth_m, speed_m_s, wrench.axial, elapsed_s)
+        if found.rupture is not None:
+            # A push aside looks like a rupture before it has stayed for long enough to be told.
+            wrench = self._sensor.recheck(wrench)
+            if wrench.cautions & Caution.MISFIT:
+                self._identifier.restore(before)
+                self._unfed_s = elapsed_s
+                return self._idle(wrench)
         self._identification = found
         is_fed = found.status.is_absorbed
         return SessionEstimate(wrench, depth_m, speed_m_s, found, status, is_fed)

@@ -1,5 +1,7 @@
 """What the virtual sensor tells its caller in words."""
 
+from residual.wrench_estimate import Caution
+
 SETTLING = "the filters have just started, or a time step was longer than max_gap_s"
 NOT_TARED = "tare() has not been called"
 STALE = (
@@ -10,3 +12,21 @@ OTHER_KIND = (
     "update() and update_external_torque() were mixed; a tare is of one kind of torque: keep to "
     "one of the two, or start_recording() first"
 )
+
+
+def with_warnings(
+    cautions: Caution, message: str, frozen: str, is_stale: bool
+) -> tuple[Caution, str]:
+    """Cautions and message with what else is to be warned of.
+
+    Args:
+        cautions: So far.
+        message: So far.
+        frozen: What seems frozen, in words; empty if nothing does.
+        is_stale: Whether the tare is.
+    """
+    if frozen:
+        cautions |= Caution.FROZEN
+    if is_stale:
+        cautions |= Caution.STALE
+    return cautions, "; ".join(filter(None, (frozen, STALE if is_stale else "", message)))

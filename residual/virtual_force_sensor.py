@@ -13,14 +13,14 @@ from residual.robot_digest import robot_digest
 from residual.sample_clock import SampleClock
 from residual.sensor_config import DEFAULT, SensorConfig
 from residual.sensor_state import SensorState, check_belongs
-from residual.sensor_words import NOT_TARED, OTHER_KIND, SETTLING, STALE
+from residual.sensor_words import NOT_TARED, OTHER_KIND, SETTLING, with_warnings
 from residual.settings_text import settings_text
 from residual.slow_checks import SlowChecks, SlowState
 from residual.state_trial import try_out
 from residual.tare import Tare
 from residual.tool_kinematics import ToolKinematics
 from residual.wrench import COMPONENTS, WrenchEstimator
-from residual.wrench_estimate import Caution, Status, WrenchEstimate, unknown_wrench
+from residual.wrench_estimate import Status, WrenchEstimate, unknown_wrench
 from urdf import Robot
 
 
@@ -89,6 +89,10 @@ class VirtualForceSensor:
     def velocity_rad_s(self) -> NDArray[np.float64]:
         """Joint velocity of that sample, given or estimated, shape (n,): not to be written."""
         return self._velocity
+
+    def recheck(self, last: WrenchEstimate) -> WrenchEstimate:
+        """The last estimate, its `Caution.MISFIT` told at once if its sample alone misfits."""
+        return self._slow.recheck(last)
 
     def update(
         self, q: ArrayLike, dq: ArrayLike | None, tau: ArrayLike, dt_s: float
@@ -271,10 +275,7 @@ class VirtualForceSensor:
         std = self._doubt.widen(numbers[0], numbers[1], stream.lag_s, elapsed_s)
         status, message, cautions = Status.OK, slow.message, slow.cautions
         if stream.warning or offset.is_stale:
-            cautions |= Caution.FROZEN if stream.warning else Caution.NONE
-            cautions |= Caution.STALE if offset.is_stale else Caution.NONE
-            told = (stream.warning, STALE if offset.is_stale else "", message)
-            message = "; ".join(filter(None, told))
+            cautions, message = with_warnings(cautions, message, stream.warning, offset.is_stale)
         if not sample.settled:
             status, message = Status.SETTLING, SETTLING
         elif not tared:
