@@ -13,7 +13,8 @@ from identification.layer_ending import LayerEnding
 from identification.layer_hindsight import Belief
 from identification.layer_model import Information, LayerFit, layer_fit, no_information
 from identification.layer_rows import NO_ROWS
-from identification.membrane_search import MembraneSearch
+from identification.membrane_search import MembraneSearch, SearchWork
+from identification.rupture_look import RuptureLook
 from identification.rupture_state import RuptureState
 from identification.speed_lag import SpeedLag
 from identification.tear import NOTHING_HELD, Held
@@ -75,6 +76,8 @@ class Pending(NamedTuple):
         next_look_m: Travel since the rupture at which to look again.
         first: What the first look found.
         search: What was found of a membrane that the layer left ended with, None before that.
+        search_work: What has been done to find it.
+        look: The look that has begun and not ended, if any.
     """
 
     rupture: Rupture
@@ -84,6 +87,8 @@ class Pending(NamedTuple):
     next_look_m: float
     first: LayerEnding | None = None
     search: MembraneSearch | None = None
+    search_work: SearchWork | None = None
+    look: RuptureLook | None = None
 
 
 class DefaultState(NamedTuple):

@@ -13,7 +13,12 @@ from identification.kink_detector import detector_step, restart_detector
 from identification.layer_step import layer_step, settle_pool
 from identification.presliding import bristle_step, follow_depth
 from identification.rupture_state import MUTED, RuptureState, next_rupture_state
-from identification.rupture_step import measure_rupture, raise_rupture, search_pending
+from identification.rupture_step import (
+    finish_look,
+    measure_rupture,
+    raise_rupture,
+    work_on_rupture,
+)
 from identification.sample import Sample
 from identification.speed_lag import lag_step
 from identification.track import track_step
@@ -48,7 +53,9 @@ def default_step(state: DefaultState, sample: Sample, config: DefaultConfig) -> 
         withdrawn=None,
     )
     if block is None:
-        return state if state.pending is None else search_pending(state, config)
+        return state if state.pending is None else work_on_rupture(state, config)
+    if state.pending is not None:
+        state = finish_look(state, config)
     if is_gap:
         return state._replace(detector=restart_detector(state.detector))
     if not state.in_contact:

@@ -12,7 +12,7 @@ from identification.estimate import Rupture
 from identification.layer_model import MM
 from identification.membrane import Boundary
 from identification.membrane_search import MembraneSearch
-from identification.rupture_fit import fit_rupture
+from identification.rupture_fit import ForceAfter, force_before
 from identification.tear import (
     NOTHING_HELD,
     Held,
@@ -70,8 +70,8 @@ def layer_ending(
     points: NDArray[np.float64],
     search: MembraneSearch,
     rupture: Rupture,
+    after: ForceAfter,
     noise_N2: float,
-    config: DefaultConfig,
 ) -> LayerEnding | None:
     """Measure the end of a layer.
 
@@ -79,28 +79,29 @@ def layer_ending(
         points: Track points, see `track`.
         search: What was found of a membrane before its rupture.
         rupture: Its rupture.
+        after: Force after that.
         noise_N2: Long-run variance of one block.
-        config: Settings.
 
     Returns:
         The ending, or None while too few points are at hand.
     """
-    fit = fit_rupture(points, rupture.depth_m, rupture.speed_m_s, noise_N2, config)
-    if fit is None:
+    before = force_before(points, rupture.depth_m, noise_N2)
+    if before is None:
         return None
-    here = Boundary(rupture.depth_m, 0.0, fit.before_N, fit.before_var, rupture.speed_m_s)
+    here = Boundary(rupture.depth_m, 0.0, *before, rupture.speed_m_s)
     boundary = here if search.boundary is None else search.boundary
+    before_N, before_var = before
     return LayerEnding(
         boundary=boundary,
         has_membrane=search.boundary is not None,
         is_one_law=search.is_one_law,
-        after_N=fit.after_N,
-        after_var=fit.after_var,
-        drop_N=fit.drop_N,
-        drop_std_N=math.sqrt(fit.before_var + fit.after_var),
-        next_slope_N_per_mm=fit.slope_N_per_mm,
+        after_N=after.force_N,
+        after_var=after.variance,
+        drop_N=before_N - after.force_N,
+        drop_std_N=math.sqrt(before_var + after.variance),
+        next_slope_N_per_mm=after.slope_N_per_mm,
         pushed_in_mm=MM * (rupture.depth_m - boundary.depth_m),
-        release_m=release_travel_m(points, rupture.depth_m, fit.after_N),
+        release_m=release_travel_m(points, rupture.depth_m, after.force_N),
     )
 
 

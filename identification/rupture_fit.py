@@ -16,31 +16,34 @@ _AGREEMENT = 2.5
 _CHUNK = 4
 
 
-class RuptureFit(NamedTuple):
-    """Axial force just before and just after a rupture.
+class ForceAfter(NamedTuple):
+    """Axial force just after a rupture, and what follows it.
 
     Attributes:
-        before_N: Force at t_r, extrapolated from before.
-        before_var: Its variance [N^2].
-        after_N: Force at t_r without the tip force of the layer left, extrapolated from after the
+        force_N: Force at t_r without the tip force of the layer left, extrapolated from after the
             release; the next layer's push is taken out.
-        after_var: Its variance [N^2].
+        variance: Its variance [N^2].
         slope_N_per_mm: Growth of the force per travel after the release.
-        drop_N: Force released, equation (10) with both forces at the same instant.
     """
 
-    before_N: float
-    before_var: float
-    after_N: float
-    after_var: float
+    force_N: float
+    variance: float
     slope_N_per_mm: float
-    drop_N: float
 
 
 def force_before(
     points: NDArray[np.float64], depth_m: float, noise_N2: float
 ) -> tuple[float, float] | None:
-    """Force at `depth_m` extrapolated from the last millimetres before it, and its variance."""
+    """Force at a rupture extrapolated from the last millimetres before it, and its variance.
+
+    Args:
+        points: Track points, see `track`.
+        depth_m: Depth of the rupture.
+        noise_N2: Long-run variance of one block.
+
+    Returns:
+        Both, or None while too few points are at hand.
+    """
     reach = points[:, DEPTH] - depth_m
     side = points[(reach > -_BEFORE_M) & (reach < -_MARGIN_M)]
     if len(side) < 2:
@@ -133,36 +136,6 @@ def _cutting_prior(
     return max(reach * slope, reach * float(np.sqrt(covariance[1, 1])), 1e-6)
 
 
-def _after(
-    points: NDArray[np.float64],
-    depth_m: float,
-    speed_m_s: float,
-    noise_N2: float,
-    config: DefaultConfig,
-) -> tuple[float, float, float] | None:
-    """Grow the window back towards the rupture until the release is met.
-
-    The release lifts two neighbouring chunks of points above what the later ones predict; the
-    chunk before which that happens may hold its tail and is left out too.
-    """
-    side = points[points[:, DEPTH] > depth_m]
-    if len(side) < _LEAST_POINTS:
-        return None
-    columns = _columns(side, depth_m, speed_m_s, config)
-    force, weight = side[:, FORCE], side[:, BLOCKS] / noise_N2
-    cutting = _cutting_prior(columns, force, weight, config)
-    latest = max(len(side) - max(_LEAST_POINTS, len(side) // 2), 0)
-    first = latest - _CHUNK * np.arange(latest // _CHUNK + 1)
-    windows = _windows(columns, force, weight, cutting, first)
-    begin = _first_undisturbed(windows, columns, force, weight, first)
-    solution = windows.solution[begin]
-    return (
-        float(solution[0]),
-        float(windows.covariance[begin, 0, 0]),
-        max(float(solution[2]), 0.0),
-    )
-
-
 def _first_undisturbed(
     windows: _Windows,
     columns: NDArray[np.float64],
@@ -202,14 +175,17 @@ def _surprise(
     return force_N - (x * a + y * b + z * c), max(variance, 0.0)
 
 
-def fit_rupture(
+def force_after(
     points: NDArray[np.float64],
     depth_m: float,
     speed_m_s: float,
     noise_N2: float,
     config: DefaultConfig,
-) -> RuptureFit | None:
-    """Measure the force drop of a rupture from the track around it.
+) -> ForceAfter | None:
+    """Force after a rupture: grow the window back towards it until the release is met.
+
+    The release lifts two neighbouring chunks of points above what the later ones predict; the
+    chunk before which that happens may hold its tail and is left out too.
 
     Args:
         points: Track points, see `track`.
@@ -219,13 +195,19 @@ def fit_rupture(
         config: Settings.
 
     Returns:
-        Both forces with variances, or None while too few points are at hand.
+        The force, or None while too few points are at hand.
     """
-    noise = max(noise_N2, 1e-12)
-    before = force_before(points, depth_m, noise)
-    if before is None:
+    side = points[points[:, DEPTH] > depth_m]
+    if len(side) < _LEAST_POINTS:
         return None
-    after = _after(points, depth_m, speed_m_s, noise, config)
-    if after is None:
-        return None
-    return RuptureFit(*before, *after, drop_N=before[0] - after[0])
+    columns = _columns(side, depth_m, speed_m_s, config)
+    force, weight = side[:, FORCE], side[:, BLOCKS] / max(noise_N2, 1e-12)
+    cutting = _cutting_prior(columns, force, weight, config)
+    latest = max(len(side) - max(_LEAST_POINTS, len(side) // 2), 0)
+    first = latest - _CHUNK * np.arange(latest // _CHUNK + 1)
+    windows = _windows(columns, force, weight, cutting, first)
+    begin = _first_undisturbed(windows, columns, force, weight, first)
+    solution = windows.solution[begin]
+    return ForceAfter(
+        float(solution[0]), float(windows.covariance[begin, 0, 0]), max(float(solution[2]), 0.0)
+    )

@@ -1,4 +1,4 @@
-"""From alarm to compensation."""
+"""From alarm to compensation, a bounded amount of work per tick."""
 
 import math
 
@@ -9,10 +9,8 @@ from identification.change_point import blocks_since_kink
 from identification.default_config import DefaultConfig
 from identification.default_state import DefaultState, Pending
 from identification.estimate import Rupture, layers_left
-from identification.kink_detector import Verdict, block_noise_N2, restart_detector
+from identification.kink_detector import Verdict, restart_detector
 from identification.kink_kernels import kink_kernels
-from identification.layer_close import close_layer
-from identification.layer_ending import LayerEnding, layer_ending, weigh_tear
 from identification.layer_model import (
     MM,
     OWN_COULOMB,
@@ -20,19 +18,11 @@ from identification.layer_model import (
     layer_fit,
     no_information,
 )
-from identification.layer_rows import NO_ROWS, rows_of_track
-from identification.made_good import is_made_good
-from identification.membrane_search import MembraneSearch, search_membrane
+from identification.layer_rows import NO_ROWS
+from identification.rupture_look import RuptureLook
+from identification.rupture_stages import look_stage, search_stage
 from identification.rupture_state import RuptureState
 from identification.track import DEPTH
-
-_MOST_LAYERS = 256
-"""Layers kept: far more than a needle meets; the oldest go first."""
-_SIGNIFICANT = 3.0
-"""Standard deviations a drop must have to be believed at the first look."""
-_REAL = 1.0
-"""The same at the last look: the alarm itself was significant, only a fall that has been made good
-again is no rupture."""
 
 
 def raise_rupture(
@@ -40,7 +30,7 @@ def raise_rupture(
 ) -> DefaultState:
     """An alarm: date the rupture, set the layer left aside, begin the next."""
     if state.pending is not None:
-        state = measure_rupture(state, config, is_last=True)
+        state = finish_look(measure_rupture(state, config, is_last=True), config)
     rupture = _date(state, block, verdict)
     left, fit = state.layer, state.fit
     thickness = MM * max(rupture.depth_m - left.start_m, 0.0)
@@ -87,107 +77,34 @@ def _date(state: DefaultState, block: Block, verdict: Verdict) -> Rupture:
 def measure_rupture(
     state: DefaultState, config: DefaultConfig, *, is_last: bool = False
 ) -> DefaultState:
-    """Look at the force drop: once early, once for good; dismiss what is no drop after all."""
+    """Begin a look at the force drop where one is due: once early, once for good.
+
+    The ticks until the next block work it off, see `work_on_rupture`.
+    """
     pending = state.pending
     if pending is None or len(state.track.points) == 0:
         return state
     travel = float(state.track.points[-1, DEPTH]) - pending.rupture.depth_m
     is_final = is_last or travel >= config.second_look_m
-    if not is_final and travel < pending.next_look_m:
-        return state._replace(rupture_state=_waiting(state))
-    ending = _measure(state, pending, config)
-    if is_final and _has_come_back(state, pending, ending):
-        return _dismiss(state, pending)
-    if ending is not None and _is_believed(ending, is_final=is_final):
-        return _accept(state, pending, ending, is_final, config)
-    if is_final:
-        return state._replace(pending=None) if pending.is_closed else _dismiss(state, pending)
-    later = pending._replace(next_look_m=pending.next_look_m + config.first_look_m)
-    return state._replace(pending=later, rupture_state=_waiting(state))
+    if is_final or travel >= pending.next_look_m:
+        pending = pending._replace(look=RuptureLook(is_final))
+    is_open = not pending.is_closed
+    machine = RuptureState.FORCE_DROP_MEASURING if is_open else state.rupture_state
+    return state._replace(pending=pending, rupture_state=machine)
 
 
-def _waiting(state: DefaultState) -> RuptureState:
+def work_on_rupture(state: DefaultState, config: DefaultConfig) -> DefaultState:
+    """One stage of what the pending rupture asks for: in ticks between blocks there is time."""
     pending = state.pending
-    if pending is not None and not pending.is_closed:
-        return RuptureState.FORCE_DROP_MEASURING
-    return state.rupture_state
-
-
-def search_pending(state: DefaultState, config: DefaultConfig) -> DefaultState:
-    """Look once for the membrane before the pending rupture: between blocks there is time."""
-    pending = state.pending
-    if pending is None or pending.search is not None:
+    if pending is None:
         return state
-    return state._replace(pending=pending._replace(search=_searched(pending, config)))
+    if pending.search is None:
+        return state._replace(pending=search_stage(pending, config))
+    return state if pending.look is None else look_stage(state, pending, pending.look, config)
 
 
-def _searched(pending: Pending, config: DefaultConfig) -> MembraneSearch:
-    left = pending.left
-    start = max(left.start_m, left.tip_m + config.first_look_m)
-    return search_membrane(left.rows, start, pending.rupture.depth_m, config)
-
-
-def _measure(state: DefaultState, pending: Pending, config: DefaultConfig) -> LayerEnding | None:
-    """Both sides of the rupture, if there are enough points."""
-    return layer_ending(
-        state.track.points,
-        pending.search or _searched(pending, config),
-        pending.rupture,
-        block_noise_N2(state.detector),
-        config,
-    )
-
-
-def _has_come_back(state: DefaultState, pending: Pending, ending: LayerEnding | None) -> bool:
-    seen = pending.first or ending
-    if seen is None:
-        return False
-    noise = block_noise_N2(state.detector)
-    return is_made_good(state.track.points, pending.rupture.depth_m, seen.drop_N, noise)
-
-
-def _is_believed(ending: LayerEnding, *, is_final: bool) -> bool:
-    return ending.drop_N >= (_REAL if is_final else _SIGNIFICANT) * ending.drop_std_N
-
-
-def _accept(
-    state: DefaultState,
-    pending: Pending,
-    ending: LayerEnding,
-    is_final: bool,
-    config: DefaultConfig,
-) -> DefaultState:
-    """Close the layer; a later look replaces what an earlier one found."""
-    keep = len(state.layers) - pending.is_closed
-    ending = weigh_tear(ending, [layer.end_probability for layer in state.traversed[:keep]], config)
-    closed = close_layer(pending.left, pending.rupture, ending, state.baseline.variance, config)
-    machine = state.rupture_state if pending.is_closed else RuptureState.COMPENSATED
-    later = pending._replace(is_closed=True, next_look_m=config.second_look_m, first=ending)
-    row = np.array([1.0, MM * pending.rupture.speed_m_s])
-    spread = float(row @ closed.next_fit.covariance[:2, :2] @ row)
-    undisturbed_m = pending.rupture.depth_m + config.first_look_m
-    rows = rows_of_track(state.track.points, undisturbed_m, config.row_m)
-    return state._replace(
-        layer=closed.next_layer._replace(rows=rows),
-        fit=closed.next_fit,
-        shaft_std_N=math.sqrt(max(spread, 0.0)),
-        pending=None if is_final else later,
-        rupture_state=machine,
-        layers=(*state.layers[:keep], closed.estimate)[-_MOST_LAYERS:],
-        traversed=(*state.traversed[:keep], closed.traversed)[-_MOST_LAYERS:],
-        compensated=closed.estimate,
-    )
-
-
-def _dismiss(state: DefaultState, pending: Pending) -> DefaultState:
-    """The force came back: no layer was left, and the alarm is withdrawn."""
-    kept = len(state.layers) - pending.is_closed
-    return state._replace(
-        layer=pending.left,
-        fit=pending.left_fit,
-        pending=None,
-        rupture_state=RuptureState.NO_RUPTURE,
-        layers=state.layers[:kept],
-        traversed=state.traversed[:kept],
-        withdrawn=pending.rupture,
-    )
+def finish_look(state: DefaultState, config: DefaultConfig) -> DefaultState:
+    """What is left of a look that has begun, at once: the next block must find it ended."""
+    while state.pending is not None and state.pending.look is not None:
+        state = work_on_rupture(state, config)
+    return state

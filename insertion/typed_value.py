@@ -16,6 +16,7 @@ NOT_FINITE = {
     "AloneState.limit_s": math.inf,
     "DefaultState.deepest_m": -math.inf,
     "LayerEnding.release_m": math.nan,
+    "MembraneFits.squares": math.inf,
 }
 """The only places where a number may be other than finite, and which it then is."""
 

@@ -6,6 +6,8 @@ import numpy as np
 import pytest
 
 from identification import DEFAULT, PAPER, Identifier
+from identification.rupture_step import finish_look
+from insertion import read_snapshot, write_snapshot
 
 
 def signal(n, seed=4):
@@ -77,18 +79,54 @@ def test_equal_input_gives_equal_output():
     assert rows[0] == rows[1]
 
 
-def test_a_membrane_looked_for_between_blocks_or_in_the_measuring_tick_is_the_same():
+def is_at_work(identifier):
+    pending = identifier.snapshot().state.pending
+    return pending is not None and (pending.look or pending.search_work) is not None
+
+
+def test_what_is_worked_off_tick_by_tick_or_at_once_is_the_same():
     z, f = signal(8000)
-    early, late, searched = Identifier(), Identifier(), 0
+    slow, fast, early, late = Identifier(), Identifier(), [], []
+    for k, (a, b) in enumerate(zip(z, f, strict=True)):
+        early += [(k, found) for found in [slow.update(a, 2.5e-3, b, 1e-3).compensated] if found]
+        fast.update(a, 2.5e-3, b, 1e-3)
+        kept = fast.snapshot()
+        state = finish_look(kept.state._replace(compensated=None), DEFAULT)
+        late += [(k, found) for found in [state.compensated] if found]
+        fast.restore(kept._replace(state=state))
+    assert len(early) == len(late) == 2
+    assert [found for _, found in early] == [found for _, found in late]
+    assert all(0 < there - here < 5 for (there, _), (here, _) in zip(early, late, strict=True))
+
+
+def test_a_snapshot_taken_while_work_is_left_resumes_bit_for_bit(tmp_path):
+    z, f = signal(8000)
+    whole, part, files = Identifier(), Identifier(), 0
     for a, b in zip(z, f, strict=True):
-        early.update(a, 2.5e-3, b, 1e-3)
-        late.update(a, 2.5e-3, b, 1e-3)
-        kept = late.snapshot()
+        expected, found = (one.update(a, 2.5e-3, b, 1e-3) for one in (whole, part))
+        assert found == expected
+        if is_at_work(part):
+            files += 1
+            write_snapshot(part.snapshot(), tmp_path / "kept.json")
+            part = Identifier()
+            part.restore(read_snapshot(tmp_path / "kept.json"))
+    assert files > 10
+
+
+def test_a_second_event_finds_the_work_before_it_done():
+    """Rest begins while the look is under way: it ends with the next block, nothing is lost."""
+    z, f = signal(8000)
+    ahead, stopped, looks = Identifier(), Identifier(), 0
+    for a, b in zip(z, f, strict=True):
+        ahead.update(a, 2.5e-3, b, 1e-3)
+        kept = ahead.snapshot()
         pending = kept.state.pending
-        if pending is not None and pending.search is not None:
-            searched += 1
-            state = kept.state._replace(pending=pending._replace(search=None))
-            late.restore(kept._replace(state=state))
-    assert searched > 0
-    assert early.layers
-    assert late.layers == early.layers
+        if pending is None or pending.look is None:
+            continue
+        looks += 1
+        expected = finish_look(kept.state, DEFAULT).compensated
+        stopped.restore(kept)
+        # A block of one sample leaves no tick in between.
+        assert expected is not None
+        assert stopped.update(a, 0.0, b, 10e-3).compensated == expected
+    assert looks > 2
