@@ -28,8 +28,9 @@ def check_files() -> None:
     assert metadata(NAME)["License-Expression"] == "Apache-2.0"
     assert "urdf/data/lwr4plus.urdf" in shipped
     assert "figures/page.css" in shipped
-    for package in ("urdf", "residual", "identification", "groundtruth", "recordings", "figures"):
-        assert f"{package}/py.typed" in shipped, package
+    for room in ("urdf", "residual", "identification", "insertion", "groundtruth", "recordings"):
+        assert f"{room}/py.typed" in shipped, room
+    assert "figures/py.typed" in shipped
     assert not [path for path in shipped if path.startswith(("tests", "benchmarks"))]
 
 

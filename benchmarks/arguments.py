@@ -5,6 +5,8 @@ import os
 from pathlib import Path
 
 DATA_VARIABLE = "NEEDLEFORCE_DATA"
+FAILURE = 1
+"""Exit code of a command that has done its work, and found what the epilog below names."""
 
 
 def parser() -> argparse.ArgumentParser:

@@ -10,11 +10,11 @@ from benchmarks.bound_cases import CUTTING, BoundCase, ForceNoiseSeries, bound_c
 from benchmarks.force_lag import force_lag_s
 from benchmarks.insertion_truth import truth_of_run
 from benchmarks.job import Job, Progress
-from benchmarks.needle_benchmark import SENSOR
 from benchmarks.noise_colour import reading_error_N
 from benchmarks.progress_bar import progress_bar
 from benchmarks.screen import new_console
 from benchmarks.simulated import scenario_of, simulated_case
+from groundtruth.force_noise import MINI45
 
 RUN = Job(benchmark="stack-constant", plant="realistic", seed=0)
 """The insertion from which the noise of the virtual force is taken."""
@@ -59,7 +59,7 @@ def case_table(cases: list[BoundCase], noises: list[ForceNoiseSeries]) -> Table:
 
 def _ft_noise() -> ForceNoiseSeries:
     rng = np.random.default_rng(0)
-    error = SENSOR.white_std_N * rng.standard_normal(WHITE_SAMPLES)
+    error = MINI45.white_std_N * rng.standard_normal(WHITE_SAMPLES)
     return ForceNoiseSeries("F/T, white", error, is_white=True, lag_s=0.0)
 
 

@@ -7,14 +7,11 @@ from collections.abc import Iterable
 
 from rich.table import Table
 
+from benchmarks.arguments import FAILURE
 from benchmarks.comparison import Change, Comparison, compare_rows
 from benchmarks.errors import ResultsError
 from benchmarks.results_file import read_results
 from benchmarks.screen import new_console
-
-FAILURE = 1
-QUIET = frozenset({Change.SAME})
-"""Not worth a line."""
 
 
 def execute(arguments: argparse.Namespace) -> int:
@@ -27,9 +24,9 @@ def execute(arguments: argparse.Namespace) -> int:
     if not found:
         raise ResultsError(f"{arguments.old} and {arguments.new} have no rows: nothing to compare")
     console = new_console()
-    loud = [item for item in found if item.change not in QUIET]
-    if loud:
-        console.print(comparison_table(loud))
+    changed = [item for item in found if item.change is not Change.SAME]
+    if changed:
+        console.print(comparison_table(changed))
     counts = Counter(item.change for item in found)
     console.print(", ".join(f"{counts[change]} {change}" for change in Change if counts[change]))
     return FAILURE if any(item.is_failure for item in found) else 0

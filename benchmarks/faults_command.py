@@ -3,12 +3,11 @@
 import argparse
 import math
 
+from benchmarks.arguments import FAILURE
 from benchmarks.faults.fault_study import FaultStudy
 from benchmarks.faults.fault_table import fault_lines, fault_table
 from benchmarks.progress_bar import progress_bar
 from benchmarks.screen import new_console
-
-FAILURE = 1
 
 
 def execute(arguments: argparse.Namespace) -> int:

@@ -6,6 +6,7 @@ from rich.table import Table
 
 from benchmarks.published import PUBLISHED_RMSE_N
 from benchmarks.row import Row
+from benchmarks.screen import met_mark
 from benchmarks.summary import NOTHING, summary
 from benchmarks.targets import TARGETS
 from benchmarks.verdict import judged_value
@@ -74,6 +75,4 @@ def _mark(rows: Sequence[Row]) -> str:
         for row in rows
         if target.metric == "wrench_rmse_N" and target.applies_to(row)
     ]
-    if not kept:
-        return NOTHING
-    return "[green]met[/green]" if all(kept) else "[red]missed[/red]"
+    return met_mark(all(kept)) if kept else NOTHING

@@ -3,7 +3,8 @@
 Friction is judged as it was known online, in the layer after the one it is of, not with hindsight.
 """
 
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
+from functools import partial
 
 from benchmarks.targets import TISSUE, Target
 
@@ -12,37 +13,26 @@ STACKS = tuple(name for name in TISSUE if name.startswith("stack-"))
 RANDOM = ("random-stack",)
 JUDGED_ON = (("ft", "needle"), ("ft", "realistic"), ("virtual", "realistic"))
 """Source and plant: the F/T sensor on the needle alone and on the arm, the virtual one on it."""
+FRICTION, DELAY = "friction_error_online_worst_pct", "rupture_delay_ms"
 PAPER_SHARE = 0.5
 
 
 def _targets(source: str, plant: str) -> Iterator[Target]:
     """The targets of one source on one plant."""
-    ft = source == "ft"
-    where = f"{'F/T' if ft else 'virtual'}, {plant}"
-
-    def most(what: str, metric: str, limit: float, scenarios: tuple[str, ...]) -> Target:
-        return Target(
-            what=f"{where}: {what}",
-            metric=metric,
-            plant=plant,
-            source=source,
-            scenarios=scenarios,
-            at_most=limit,
-        )
-
-    friction = "friction_error_online_worst_pct"
-    yield most("friction, gels", friction, 5.0 if ft else 10.0, GELS)
-    yield most("friction, stacks, worst layer", friction, 10.0 if ft else 20.0, STACKS)
-    yield most(
-        "residue, gels and stacks", "exit_residue_pct", 5.0 if ft else 10.0, (*GELS, *STACKS)
-    )
-    yield from _rupture_targets(source, plant, where)
-    for what, metric in (("friction", friction), ("delay", "rupture_delay_ms")):
-        yield Target(
+    is_ft = source == "ft"
+    where = f"{'F/T' if is_ft else 'virtual'}, {plant}"
+    target = partial(Target, plant=plant, source=source)
+    for what, metric, scenarios, limit in (
+        ("friction, gels", FRICTION, GELS, 5.0 if is_ft else 10.0),
+        ("friction, stacks, worst layer", FRICTION, STACKS, 10.0 if is_ft else 20.0),
+        ("residue, gels and stacks", "exit_residue_pct", GELS + STACKS, 5.0 if is_ft else 10.0),
+    ):
+        yield target(what=f"{where}: {what}", metric=metric, scenarios=scenarios, at_most=limit)
+    yield from _rupture_targets(partial(target, scenarios=TISSUE), where, is_ft=is_ft)
+    for what, metric in (("friction", FRICTION), ("delay", DELAY)):
+        yield target(
             what=f"{where}: {what} as a share of the paper's in the same run",
             metric=metric,
-            plant=plant,
-            source=source,
             scenarios=TISSUE,
             at_most=PAPER_SHARE,
             of_paper=True,
@@ -50,61 +40,45 @@ def _targets(source: str, plant: str) -> Iterator[Target]:
             # A single small error of the paper's method is luck.
             statistic="median",
         )
-    yield from _random_targets(source, plant, where)
+    yield from _random_targets(partial(target, scenarios=RANDOM), where, is_ft=is_ft)
 
 
-def _rupture_targets(source: str, plant: str, where: str) -> Iterator[Target]:
+def _rupture_targets(target: Callable[..., Target], where: str, *, is_ft: bool) -> Iterator[Target]:
     """Recall, precision and delay over the catalogue's tissues."""
-    ft = source == "ft"
     for name in ("recall", "precision"):
-        yield Target(
-            what=f"{where}: {name}, each tissue" if ft else f"{where}: {name}, all together",
+        yield target(
+            what=f"{where}: {name}, {'each tissue' if is_ft else 'all together'}",
             metric=f"rupture_{name}",
-            plant=plant,
-            source=source,
-            scenarios=TISSUE,
-            at_least=1.0 if ft else 0.98,
-            statistic="worst" if ft else "mean",
+            at_least=1.0 if is_ft else 0.98,
+            statistic="worst" if is_ft else "mean",
         )
-    yield Target(
+    yield target(
         what=f"{where}: delay of the alarm",
-        metric="rupture_delay_ms",
-        plant=plant,
-        source=source,
-        scenarios=TISSUE,
-        at_most=40.0 if ft else 80.0,
+        metric=DELAY,
+        at_most=40.0 if is_ft else 80.0,
         statistic="median",
     )
 
 
-def _random_targets(source: str, plant: str, where: str) -> Iterator[Target]:
+def _random_targets(target: Callable[..., Target], where: str, *, is_ft: bool) -> Iterator[Target]:
     """What must hold on stacks drawn at random; means and medians over all seeds."""
-    ft = source == "ft"
+    where = f"{where}: random stacks"
     for name in ("recall", "precision"):
-        yield Target(
-            what=f"{where}: random stacks, {name}",
+        yield target(
+            what=f"{where}, {name}",
             metric=f"rupture_{name}",
-            plant=plant,
-            source=source,
-            scenarios=RANDOM,
-            at_least=0.98 if ft else 0.95,
+            at_least=0.98 if is_ft else 0.95,
             statistic="mean",
         )
-    yield Target(
-        what=f"{where}: random stacks, friction, mean of layers",
+    yield target(
+        what=f"{where}, friction, mean of layers",
         metric="friction_error_online_mean_pct",
-        plant=plant,
-        source=source,
-        scenarios=RANDOM,
-        at_most=6.0 if ft else 12.0,
+        at_most=6.0 if is_ft else 12.0,
         statistic="median",
     )
-    yield Target(
-        what=f"{where}: random stacks, friction within twice its standard deviation",
+    yield target(
+        what=f"{where}, friction within twice its standard deviation",
         metric="friction_coverage_online_2sigma",
-        plant=plant,
-        source=source,
-        scenarios=RANDOM,
         at_least=0.90,
         at_most=0.99,
         statistic="mean",

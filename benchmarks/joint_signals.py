@@ -5,6 +5,8 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from groundtruth import Run
+
 Array = NDArray[np.float64]
 
 CLOCK_DIGITS = 9
@@ -27,6 +29,12 @@ class JointSignals:
     q_rad: Array
     dq_rad_s: Array | None
     tau_Nm: Array
+
+    @classmethod
+    def of_run(cls, run: Run) -> "JointSignals":
+        """What the arm of a simulated insertion sent."""
+        sent = run.signals
+        return cls(t_s=sent.t_s, q_rad=sent.q_rad, dq_rad_s=sent.dq_rad_s, tau_Nm=sent.tau_Nm)
 
     @property
     def dt_s(self) -> Array:

@@ -6,6 +6,7 @@ import numpy as np
 import pinocchio as pin
 from numpy.typing import NDArray
 
+from benchmarks.tool_jacobians import tool_jacobians
 from groundtruth import insert_needle
 from urdf import NeedleTool, Robot, load_lwr
 
@@ -93,13 +94,8 @@ def _joint_cycle(robot: Robot) -> Columns:
     dq = np.asarray(_REACH_RAD * pulsation * np.cos(phase), dtype=np.float64)
     ddq = -_REACH_RAD * pulsation**2 * np.sin(phase)
     push = np.where(t > FREE_S, _PUSH_N * np.sin(np.pi * (t - FREE_S) / FREE_S) ** 2, 0.0)
-    data, frame = robot.create_data(), robot.tool_frame_id
-    tau = np.zeros((len(t), robot.nv))
-    for k, push_N in enumerate(push.tolist()):
-        jacobian = pin.computeFrameJacobian(
-            robot.model, data, q[k], frame, pin.ReferenceFrame.LOCAL
-        )
-        # The tissue pushes the tool back along its z axis: torque of the environment.
-        external = -push_N * jacobian[2]
-        tau[k] = pin.rnea(robot.model, data, q[k], dq[k], ddq[k]) - external
-    return {"q_rad": q, "dq_rad_s": dq, "tau_Nm": tau}
+    data = robot.create_data()
+    free = [pin.rnea(robot.model, data, *row) for row in zip(q, dq, ddq, strict=True)]
+    # The tissue pushes the tool back along its z axis: torque of the environment.
+    external = -push[:, None] * tool_jacobians(robot, q)[:, 2]
+    return {"q_rad": q, "dq_rad_s": dq, "tau_Nm": np.array(free) - external}

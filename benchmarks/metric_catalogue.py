@@ -16,18 +16,14 @@ from benchmarks.metric import Metric
 
 # Axial force against the true one, from first contact to the end of withdrawal.
 _WRENCH = (
-    Metric(name="wrench_rmse_N", unit="N", meaning="rms error of the axial force", tolerance=1e-3),
-    Metric(name="wrench_bias_N", unit="N", meaning="mean error", tolerance=5e-3),
+    Metric("wrench_rmse_N", "rms error of the axial force", tolerance=1e-3),
+    Metric("wrench_bias_N", "mean error", tolerance=5e-3),
     Metric(
-        name="wrench_lag_ms",
-        unit="ms",
-        meaning="time shift that best aligns the estimate with the truth",
-        tolerance=2.0,
+        "wrench_lag_ms", "time shift that best aligns the estimate with the truth", tolerance=2.0
     ),
     Metric(
-        name="wrench_coverage_2sigma",
-        unit="1",
-        meaning="share of samples whose error lies within twice the stated standard deviation",
+        "wrench_coverage_2sigma",
+        "share of samples whose error lies within twice the stated standard deviation",
         best=0.95,
         tolerance=0.02,
     ),
@@ -35,16 +31,14 @@ _WRENCH = (
 
 _RESIDUAL = (
     Metric(
-        name="residual_rms_Nm",
-        unit="Nm",
-        meaning="residual against the ideal filter of the true torque, worst joint",
+        "residual_rms_Nm",
+        "residual against the ideal filter of the true torque, worst joint",
         tolerance=1e-6,
     ),
     *(
         Metric(
-            name=f"residual_rms_J{joint}_Nm",
-            unit="Nm",
-            meaning=f"rms residual of joint {joint} without contact",
+            f"residual_rms_J{joint}_Nm",
+            f"rms residual of joint {joint} without contact",
             tolerance=5e-3,
         )
         for joint in range(1, 8)
@@ -53,9 +47,8 @@ _RESIDUAL = (
 
 _OBSERVERS = tuple(
     Metric(
-        name=f"observer_{name}_rmse_N",
-        unit="N",
-        meaning=f"noise and lag of the {meaning}, at its best setting",
+        f"observer_{name}_rmse_N",
+        f"noise and lag of the {meaning}, at its best setting",
         tolerance=1e-3,
     )
     for name, meaning in (
@@ -66,42 +59,19 @@ _OBSERVERS = tuple(
 )
 
 _WEIGHT = (
+    Metric("force_up_unloaded_N", "mean vertical force without payload, truth 0", tolerance=0.1),
+    Metric("force_up_unloaded_std_N", "scatter of that force over the recording", tolerance=0.1),
+    Metric("force_up_loaded_N", "mean vertical force with the payload", best=-27.5, tolerance=0.1),
+    Metric("force_up_loaded_std_N", "scatter of that force over the recording", tolerance=0.1),
     Metric(
-        name="force_up_unloaded_N",
-        unit="N",
-        meaning="mean vertical force without payload, truth 0",
-        tolerance=0.1,
-    ),
-    Metric(
-        name="force_up_unloaded_std_N",
-        unit="N",
-        meaning="scatter of that force over the recording",
-        tolerance=0.1,
-    ),
-    Metric(
-        name="force_up_loaded_N",
-        unit="N",
-        meaning="mean vertical force with the payload",
-        best=-27.5,
-        tolerance=0.1,
-    ),
-    Metric(
-        name="force_up_loaded_std_N",
-        unit="N",
-        meaning="scatter of that force over the recording",
-        tolerance=0.1,
-    ),
-    Metric(
-        name="torque_scale",
-        unit="1",
-        meaning="common factor on all joint torques, fitted on the first half",
+        "torque_scale",
+        "common factor on all joint torques, fitted on the first half",
         best=1.0,
         tolerance=0.01,
     ),
     Metric(
-        name="weight_error_pct",
-        unit="%",
-        meaning="error of the weight over the second half with that factor",
+        "weight_error_pct",
+        "error of the weight over the second half with that factor",
         tolerance=0.2,
     ),
 )

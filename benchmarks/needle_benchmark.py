@@ -11,11 +11,10 @@ from benchmarks.job import Job, Progress
 from benchmarks.needle_signal import NeedleSignal
 from benchmarks.report.run_drawings import identification_drawings
 from groundtruth import ForceNoise, NeedleRun, Scenario, insert_needle
+from groundtruth.force_noise import MINI45
 
 NEEDLE = "needle"
 """The plant of a needle-only simulation."""
-SENSOR = ForceNoise(white_std_N=0.01, drift_std_N_per_s=1.5e-4, step_N=1.0 / 256.0)
-"""As `groundtruth` describes the paper's F/T sensor."""
 NOISE_FACTOR = (0.5, 2.0)
 """Range of the noise of drawn runs, of white noise and drift each: a better and a worse sensor."""
 
@@ -31,7 +30,7 @@ def run_needle(job: Job, chosen: Scenario, progress: Progress, *, is_drawn: bool
     """
     if not chosen.layers:
         return Findings([])
-    noise = drawn_noise(np.random.default_rng([job.seed, 1])) if is_drawn else SENSOR
+    noise = drawn_noise(np.random.default_rng([job.seed, 1])) if is_drawn else MINI45
     run = insert_needle(chosen, seed=job.seed, noise=noise)
     progress(0.2)
     truth, signal = truth_of_needle(run), _signal(run)
@@ -49,9 +48,9 @@ def drawn_noise(rng: np.random.Generator) -> ForceNoise:
     """A sensor somewhat better or worse than the catalogued one."""
     white, drift = np.exp(rng.uniform(*np.log(NOISE_FACTOR), size=2)).tolist()
     return replace(
-        SENSOR,
-        white_std_N=white * SENSOR.white_std_N,
-        drift_std_N_per_s=drift * SENSOR.drift_std_N_per_s,
+        MINI45,
+        white_std_N=white * MINI45.white_std_N,
+        drift_std_N_per_s=drift * MINI45.drift_std_N_per_s,
     )
 
 

@@ -8,13 +8,13 @@ for all and taken out.
 from collections.abc import Iterable
 
 import numpy as np
-import pinocchio as pin
 from numpy.typing import NDArray
 from scipy.ndimage import uniform_filter1d
 
 from benchmarks.benchmark import Findings
 from benchmarks.job import Job, Progress
 from benchmarks.measurement import Measurement
+from benchmarks.tool_jacobians import tool_jacobians
 from groundtruth import ARM_LEVELS, ArmLevel, Run, simulate
 from residual import KalmanObserver, MomentumObserver
 
@@ -70,12 +70,10 @@ def _observers(run: Run, level: ArmLevel) -> dict[str, Iterable[MomentumObserver
 
 def _axial_weights(run: Run, noise: Array) -> Array:
     """Weights of the joints in the axial force at every sample, shape (n, 7)."""
-    data, frame = run.robot.create_data(), run.robot.tool_frame_id
     weights = []
-    for q in run.signals.q_rad:
-        jacobian = pin.computeFrameJacobian(run.robot.model, data, q, frame)
-        pushed = -jacobian[2] / noise**2
-        weights.append(pushed / (pushed @ -jacobian[2]))
+    for along in tool_jacobians(run.robot, run.signals.q_rad)[:, 2]:
+        pushed = -along / noise**2
+        weights.append(pushed / (pushed @ -along))
     return np.array(weights)
 
 

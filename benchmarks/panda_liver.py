@@ -12,8 +12,6 @@ sensor would have read it. Only the depth is the recorded needle's: the Panda mo
 from dataclasses import replace
 
 import numpy as np
-import pinocchio as pin
-from numpy.typing import NDArray
 
 from benchmarks.benchmark import Findings
 from benchmarks.force_truth import ForceTruth
@@ -27,10 +25,9 @@ from benchmarks.progress_part import progress_part
 from benchmarks.recordings_folder import recordings_folder
 from benchmarks.report.drawing import Drawing
 from benchmarks.report.run_drawings import force_drawings
+from benchmarks.tool_jacobians import tool_jacobians
 from benchmarks.virtual_force import virtual_force
 from benchmarks.wrench_metrics import wrench_metrics
-
-Array = NDArray[np.float64]
 
 TARE_s = 4.0
 """Free motion before the tare."""
@@ -50,7 +47,8 @@ def run_panda_liver(job: Job, progress: Progress) -> Findings:
     data = recordings_folder(job)
     panda, insertion = read_panda(data), read_liver(data, job.seed, as_recorded=True)
     truth = _truth(panda, insertion)
-    loaded = panda.signals.tau_Nm + truth.axial_N[:, None] * _axial_jacobian(panda)
+    along = tool_jacobians(panda.robot, panda.signals.q_rad)[:, 2]
+    loaded = panda.signals.tau_Nm + truth.axial_N[:, None] * along
     signals = replace(panda.signals, tau_Nm=loaded)
     readings = []
     for k, (method, config) in enumerate(METHODS.items()):
@@ -79,16 +77,4 @@ def _truth(panda: Panda, insertion: LiverInsertion) -> ForceTruth:
         zeroed_s=TARE_s,
         start_s=TARE_s + FREE_s,
         end_s=float(t_s[-1]),
-    )
-
-
-def _axial_jacobian(panda: Panda) -> Array:
-    """Rows of the flange's Jacobian along its own z axis, shape (n, 7)."""
-    robot, data = panda.robot, panda.robot.create_data()
-    frame, axes = robot.tool_frame_id, pin.ReferenceFrame.LOCAL
-    return np.array(
-        [
-            pin.computeFrameJacobian(robot.model, data, q, frame, axes)[2]
-            for q in panda.signals.q_rad
-        ]
     )

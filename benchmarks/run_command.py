@@ -1,11 +1,10 @@
 """``python -m benchmarks run``."""
 
 import argparse
-from pathlib import Path
 
 from rich.console import Console
 
-from benchmarks.errors import ResultsError
+from benchmarks.arguments import FAILURE
 from benchmarks.plan import Plan, Request, make_plan
 from benchmarks.pool import run_jobs
 from benchmarks.progress_bar import progress_bar
@@ -14,9 +13,7 @@ from benchmarks.results_file import write_results
 from benchmarks.run_tables import run_tables
 from benchmarks.screen import new_console
 from benchmarks.verdict import verdicts
-from figures import require_matplotlib
-
-FAILURE = 1
+from figures.report_folder import report_folder
 
 
 def execute(arguments: argparse.Namespace) -> int:
@@ -26,7 +23,8 @@ def execute(arguments: argparse.Namespace) -> int:
         BenchmarkError: Nothing can be run, or a file cannot be written.
         figures.FiguresError: The report cannot be drawn or written.
     """
-    folder = _folder(arguments.report)
+    # Before minutes of work, not after.
+    folder = None if arguments.report is None else report_folder(arguments.report)
     plants = [name for names in arguments.plant or [] for name in names]
     request = Request(
         ids=arguments.ids,
@@ -53,17 +51,6 @@ def execute(arguments: argparse.Namespace) -> int:
         console.print(f"Report: {index}")
     missed = arguments.strict and not all(verdict.is_met for verdict in verdicts(rows))
     return FAILURE if failures or missed else 0
-
-
-def _folder(path: Path | None) -> Path | None:
-    """Make sure that the report can be written before minutes of work, not after."""
-    if path is not None:
-        require_matplotlib("--report")
-        try:
-            path.mkdir(parents=True, exist_ok=True)
-        except OSError as error:
-            raise ResultsError(f"cannot write to {path}: {error.strerror}") from error
-    return path
 
 
 def _tell_gaps(console: Console, plan: Plan, failures: list[str]) -> None:

@@ -1,4 +1,4 @@
-"""Where tables go."""
+"""Where tables go, and how they say that a target is met."""
 
 from rich.console import Console
 
@@ -12,3 +12,8 @@ def new_console() -> Console:
     if not console.is_terminal:
         console.width = max(console.width, LEAST_WIDTH)
     return console
+
+
+def met_mark(is_met: bool) -> str:
+    """A target's last cell."""
+    return "[green]met[/green]" if is_met else "[red]missed[/red]"

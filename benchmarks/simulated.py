@@ -49,10 +49,7 @@ def scenario_of(job: Job) -> Scenario:
 def simulated_case(job: Job, chosen: Scenario, progress: Progress) -> SimulatedCase:
     """Simulate a scenario and read every sensor."""
     run = simulate(chosen, job.plant, job.seed, progress_part(progress, 0.0, SIMULATION_SHARE))
-    sent = run.signals
-    signals = JointSignals(
-        t_s=sent.t_s, q_rad=sent.q_rad, dq_rad_s=sent.dq_rad_s, tau_Nm=sent.tau_Nm
-    )
+    signals = JointSignals.of_run(run)
     # Where the wrist turns, the F/T reading is mostly the needle's weight.
     readings = [ft_force(run)] if chosen.layers else []
     start = SIMULATION_SHARE

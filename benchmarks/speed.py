@@ -55,12 +55,11 @@ def measure_speed(progress: Callable[[float], None]) -> SpeedReport:
         progress: Told the share of the simulation that is done.
     """
     run = simulate(SCENARIO, ARM, 0, progress)
-    sent = run.signals
-    even = JointSignals(t_s=sent.t_s, q_rad=sent.q_rad, dq_rad_s=sent.dq_rad_s, tau_Nm=sent.tau_Nm)
-    noise = np.random.default_rng(0).normal(scale=JITTER_s, size=len(sent.t_s))
-    uneven = replace(even, t_s=sent.t_s + noise)
+    even = JointSignals.of_run(run)
+    noise = np.random.default_rng(0).normal(scale=JITTER_s, size=len(even.t_s))
+    uneven = replace(even, t_s=even.t_s + noise)
     blind = replace(even, dq_rad_s=None)
-    tare = int(np.searchsorted(sent.t_s, run.tare_end_s))
+    tare = int(np.searchsorted(even.t_s, run.tare_end_s))
     chains = {
         CHAIN: ChainTick(run.robot, even, tare),
         CHAIN_WITHOUT_VELOCITY: ChainTick(run.robot, blind, tare),
@@ -79,7 +78,7 @@ def measure_speed(progress: Callable[[float], None]) -> SpeedReport:
     # The first counted tick comes after that of the tare.
     first = tare + 1
     with GcPauses() as pauses:
-        timings = time_side_by_side(subjects, first, len(sent.t_s))
+        timings = time_side_by_side(subjects, first, len(even.t_s))
     return SpeedReport(
         timings=timings,
         alarms={name: tuple(k - first for k in tick.alarms) for name, tick in chains.items()},

@@ -4,9 +4,10 @@ import argparse
 
 from rich.table import Table
 
+from benchmarks.arguments import FAILURE
 from benchmarks.progress_bar import progress_bar
 from benchmarks.rerun_speed import LONG_S, SHORT_S, rerun_us
-from benchmarks.screen import new_console
+from benchmarks.screen import met_mark, new_console
 from benchmarks.soak import soak
 from benchmarks.speed import measure_speed
 from benchmarks.speed_table import (
@@ -21,7 +22,6 @@ from benchmarks.speed_table import (
 from benchmarks.targets import RERUN_COST_RATIO, SOAK_COST_SHARE, SOAK_GROWTH_KB
 from identification import DEFAULT, PAPER
 
-FAILURE = 1
 IDENTIFIERS = {"default": DEFAULT, "paper": PAPER}
 
 
@@ -57,19 +57,18 @@ def _soak(ticks: int) -> bool:
     for name in ("what", "start", "end", "target", ""):
         table.add_column(name, justify="left" if name == "what" else "right")
     cheap, lean = found.cost_share <= SOAK_COST_SHARE, found.growth_kB <= SOAK_GROWTH_KB
-    mark = {True: "[green]met[/green]", False: "[red]missed[/red]"}
     for name, pair, target, met in (
         (
             "median tick, us",
             (f"{found.first_us:.1f}", f"{found.last_us:.1f}"),
             f"≤ {SOAK_COST_SHARE:g} x start",
-            mark[cheap],
+            met_mark(cheap),
         ),
         (
             "Python's memory, kB",
             (f"{found.first_kB:.0f}", f"{found.last_kB:.0f}"),
             f"+ {SOAK_GROWTH_KB:g} at most",
-            mark[lean],
+            met_mark(lean),
         ),
         (
             "memory of the process, MB",
@@ -81,7 +80,7 @@ def _soak(ticks: int) -> bool:
             "ruptures an insertion",
             (f"{found.ruptures[0]}", f"{found.ruptures[-1]}"),
             "≥ 1 in all, none skipped",
-            mark[found.is_busy],
+            met_mark(found.is_busy),
         ),
     ):
         table.add_row(name, *pair, target, met)

@@ -6,6 +6,7 @@ import numpy as np
 from rich.table import Table
 
 from benchmarks.gc_pauses import GcPauses
+from benchmarks.screen import met_mark
 from benchmarks.speed import (
     BARE_OBSERVER,
     BARE_SENSOR,
@@ -135,5 +136,4 @@ def _ratio_cells(ratio: float | None, limit: float | None) -> tuple[str, str, st
         return "", "", ""
     if limit is None:
         return f"{ratio:.2f}", "", ""
-    mark = "[green]met[/green]" if ratio <= limit else "[red]missed[/red]"
-    return f"{ratio:.2f}", f"≤ {limit:g}", mark
+    return f"{ratio:.2f}", f"≤ {limit:g}", met_mark(ratio <= limit)

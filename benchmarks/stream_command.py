@@ -6,6 +6,7 @@ from functools import partial
 
 from rich.table import Table
 
+from benchmarks.arguments import FAILURE
 from benchmarks.errors import BenchmarkError
 from benchmarks.progress_bar import progress_bar
 from benchmarks.screen import new_console
@@ -18,8 +19,6 @@ from benchmarks.stream_speed import (
     StreamSpeed,
     measure_stream,
 )
-
-FAILURE = 1
 
 
 def execute(arguments: argparse.Namespace) -> int:

@@ -16,6 +16,7 @@ from benchmarks.joint_residual import joint_residual
 from benchmarks.joint_signals import JointSignals
 from benchmarks.measurement import Measurement
 from benchmarks.recordings_folder import recordings_folder
+from benchmarks.tool_jacobians import tool_jacobians
 from benchmarks.ur10e import Ur10e, read_ur10e
 from residual import WrenchEstimator
 from urdf import Robot, identify_payload_static
@@ -79,10 +80,8 @@ def _force_up(robot: Robot, signals: JointSignals, residual: Array, name: str) -
 
 
 def _least_singular_value(robot: Robot, q_rad: Array) -> Array:
-    data = robot.create_data()
-    frame, axes = robot.tool_frame_id, pin.ReferenceFrame.LOCAL
-    jacobians = [pin.computeFrameJacobian(robot.model, data, q, frame, axes) for q in q_rad]
-    return np.linalg.svd(np.array(jacobians), compute_uv=False)[:, -1]
+    values = np.linalg.svd(tool_jacobians(robot, q_rad), compute_uv=False)
+    return np.asarray(values[:, -1], dtype=np.float64)
 
 
 def _payload_kg(robot: Robot, q_rad: Array, residual: Array, noise_Nm: Array) -> float:

@@ -6,6 +6,7 @@ from collections.abc import Sequence
 from rich.table import Table
 
 from benchmarks.metric_catalogue import metric
+from benchmarks.screen import met_mark
 from benchmarks.targets import Target
 from benchmarks.verdict import Verdict
 
@@ -22,14 +23,13 @@ def verdict_table(found: Sequence[Verdict]) -> Table | None:
     table.add_column("", no_wrap=True)
     table.add_column("farthest out")
     for verdict in found:
-        mark = "[green]met[/green]" if verdict.is_met else "[red]missed[/red]"
         reached = f"{verdict.value:.4g}" if math.isfinite(verdict.value) else "not finite"
         table.add_row(
             verdict.target.what,
             limits_text(verdict.target),
             reached,
             str(verdict.runs),
-            mark,
+            met_mark(verdict.is_met),
             f"{verdict.worst.scenario}, seed {verdict.worst.seed}",
         )
     return table

@@ -1,6 +1,7 @@
 """Comparison of two runs: what is worse, missing or not a number is found, and nothing else."""
 
 import math
+import re
 
 import pytest
 from benchmark_rows import make_row
@@ -82,7 +83,17 @@ def test_an_unknown_metric_is_refused_with_the_known_ones():
         metric("x")
 
 
-def test_every_metric_ends_with_its_unit():
-    spoken = {"1": "", "%": "_pct", "Ns/m": "_Ns_per_m"}
-    for item in METRICS.values():
-        assert item.name.endswith(spoken.get(item.unit, f"_{item.unit}"))
+def test_a_metric_has_the_unit_that_its_name_ends_with():
+    units = {
+        "wrench_rmse_N": "N",
+        "wrench_lag_ms": "ms",
+        "rupture_overshoot_mm": "mm",
+        "residual_rms_J1_Nm": "Nm",
+        "weight_error_pct": "%",
+        "cumulative_friction_true_Ns_per_m": "Ns/m",
+        "rupture_recall": "1",
+        "wrench_coverage_2sigma": "1",
+    }
+    assert {name: metric(name).unit for name in units} == units
+    bare = [item.name for item in METRICS.values() if item.unit == "1"]
+    assert [name for name in bare if re.search(r"_(N|Nm|Ns|s|ms|m|mm|pct|hz)(_|$)", name)] == []

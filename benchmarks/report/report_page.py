@@ -13,6 +13,7 @@ from benchmarks.results_file import to_json, write_results
 from benchmarks.row import Row
 from benchmarks.run_tables import run_tables
 from figures import Attachment, Page, Section, save_svg, write_page
+from figures.report_folder import PAGE
 
 TITLE = "needleforce: the paper's figures, from our own runs"
 LEAD = (
@@ -50,7 +51,7 @@ def write_report(folder: Path, rows: Sequence[Row], drawings: Sequence[Drawing])
     sections = [*figures, *further_sections(everything), _numbers(rows)]
     if missing is not None:
         sections.append(missing)
-    return write_page(folder / "index.html", Page(title=TITLE, lead=LEAD, sections=tuple(sections)))
+    return write_page(folder / PAGE, Page(title=TITLE, lead=LEAD, sections=tuple(sections)))
 
 
 def _numbers(rows: Sequence[Row]) -> Section:
