@@ -8,6 +8,32 @@ from numpy.typing import ArrayLike, NDArray
 
 from residual.sample_clock import ROUNDING_S
 
+ORDER = 3
+"""Of the differences: a smooth motion has almost none over three ticks."""
+
+
+def new_rows(rows: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Rows that are not all of the one before: a source slower than the clock, by its own clock.
+
+    Args:
+        rows: Samples of one source, shape (m, size), m > 0.
+    """
+    changed = (np.diff(rows, axis=0) != 0.0).any(axis=1)
+    return rows[np.concatenate(([True], changed))]
+
+
+def white_noise(rows: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Standard deviation of the noise of samples, shape (m, size); 0 where they are fewer than 4.
+
+    Returns:
+        Shape (size,).
+    """
+    if len(rows) <= ORDER:
+        return np.zeros(rows.shape[1])
+    differences = np.abs(np.diff(rows, n=ORDER, axis=0))
+    # 0.6745 is the median of |x| for a standard normal x.
+    return np.asarray(np.median(differences, axis=0) / (0.6745 * math.sqrt(20.0)))
+
 
 class NoiseState(NamedTuple):
     """All that a `NoiseProbe` remembers.
@@ -55,9 +81,7 @@ class NoiseProbe:
         enough = self._left_s <= ROUNDING_S and self._count >= self.LEAST_SAMPLES
         if not enough and self._count < self.MOST_SAMPLES:
             return None
-        differences = np.abs(np.diff(self._rows[: self._count], n=3, axis=0))
-        # 0.6745 is the median of |x| for a standard normal x.
-        return np.median(differences, axis=0) / (0.6745 * math.sqrt(20.0))
+        return white_noise(self.rows)
 
     @property
     def rows(self) -> NDArray[np.float64]:

@@ -12,6 +12,8 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from residual.noise_probe import new_rows
+
 LEAST_S, LEAST_REPEATS = 0.02, 8
 """No shorter repeat counts as a stuck source, whatever the signal."""
 FAR_LONGER = 20.0
@@ -40,9 +42,7 @@ def stands_out(rows: NDArray[np.float64]) -> NDArray[np.bool_]:
     Returns:
         Shape (size,).
     """
-    changed = (np.diff(rows, axis=0) != 0.0).any(axis=1)
-    # A source that is slower than the clock is looked at by its own clock.
-    rows = rows[np.concatenate(([True], changed))]
+    rows = new_rows(rows)
     if len(rows) < LEAST_ROWS:
         return np.zeros(rows.shape[1], dtype=bool)
     # Steps are multiples of the resolution, however fast the arm moves.

@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 
 from residual.contact_step import ContactStep
 from residual.errors import SuspectSampleError
-from residual.noise_probe import NoiseProbe, NoiseState
+from residual.noise_probe import NoiseProbe, NoiseState, new_rows, white_noise
 from residual.repeat_watch import AloneState, AloneWatch, RepeatState, RepeatWatch, stands_out
 from residual.sample_clock import ROUNDING_S
 from residual.spike_gates import SpikeGates
@@ -49,6 +49,8 @@ class GuardState(NamedTuple):
         age_s: Time since each torque was looked at by itself [s].
         is_loaded: Whether a torque was near its limit at that look.
         warning: What seemed frozen at that look.
+        held_s: Time for which positions have repeated now [s].
+        swept: Way that they may owe meanwhile [rad], shape (n,); None if they do not repeat.
     """
 
     last: NDArray[np.float64]
@@ -64,6 +66,8 @@ class GuardState(NamedTuple):
     age_s: float
     is_loaded: bool
     warning: str
+    held_s: float = 0.0
+    swept: NDArray[np.float64] | None = None
 
 
 class SampleGuard:
@@ -99,7 +103,7 @@ class SampleGuard:
         off = now - self._last
         if self._is_loaded:
             self._check_saturated(now)
-        self._motion_repeats = self._torque_repeats = False
+        self._position_repeats = self._motion_repeats = self._torque_repeats = False
         # One number of each tells of almost every sample that the rest need not be looked at.
         if off.item(0) == 0.0 or off.item(-1) == 0.0:
             self._check_frozen(off, dt_s)
@@ -117,6 +121,11 @@ class SampleGuard:
         """
         self._last, self._velocity = now, velocity
         learning = self._probe is not None
+        if self._position_repeats:
+            self._held_s += dt_s
+            self._swept = self._gates.sweep(self._swept, velocity, dt_s, self._held_s)
+        elif self._held_s:
+            self._held_s, self._swept = 0.0, None
         if self._motion_repeats or self._motion.repeats:
             self._motion.accept(self._motion_repeats, dt_s, learning=learning)
         if self._torque_repeats or self._torque.repeats:
@@ -138,12 +147,14 @@ class SampleGuard:
 
     def _learn(self, dt_s: float) -> None:
         assert self._probe is not None
-        noise = self._probe.add(self._last, dt_s)
-        if noise is None:
+        if self._probe.add(self._last, dt_s) is None:
             return
         n, rows = self._joints, self._probe.rows
-        self._noise, self._probe = noise, None
-        self._gates.learn(noise)
+        # Each signal by its own clock: what mostly repeats would seem to have no noise.
+        signals = np.split(rows, rows.shape[1] // n, axis=1)
+        self._noise = np.concatenate([white_noise(new_rows(signal)) for signal in signals])
+        self._probe = None
+        self._gates.learn(self._noise)
         torque = stands_out(rows[:, -n:])
         self._torque.learn(bool(torque.all()))
         self._alone.learn(torque, self._torque.usual_s)
@@ -171,7 +182,8 @@ class SampleGuard:
 
     def _check_frozen(self, off: NDArray[np.float64], dt_s: float) -> None:
         n = self._joints
-        self._motion_repeats = not off[:-n].any()
+        self._position_repeats = not off[:n].any()
+        self._motion_repeats = self._position_repeats and not off[n:-n].any()
         self._torque_repeats = not off[-n:].any()
         frozen = [
             name
@@ -217,7 +229,7 @@ class SampleGuard:
         n = self._joints
         off = now - before
         off[:n] -= self._velocity * dt_s
-        beyond = self._gates.beyond(off, self._velocity, dt_s, self._motion.repeat_s)
+        beyond = self._gates.beyond(off, self._velocity, dt_s, self._swept)
         if (
             beyond[-1].any()
             and not beyond[:-1].any()
@@ -243,6 +255,8 @@ class SampleGuard:
             self._age_s,
             self._is_loaded,
             self.warning,
+            self._held_s,
+            self._swept,
         )
 
     def restore(self, state: GuardState) -> None:
@@ -258,7 +272,8 @@ class SampleGuard:
         self._motion.restore(state.motion)
         self._torque.restore(state.torque)
         self._alone.restore(state.alone)
-        self._motion_repeats = self._torque_repeats = False
+        self._position_repeats = self._motion_repeats = self._torque_repeats = False
+        self._held_s, self._swept = state.held_s, state.swept
         self._age_s, self._is_loaded = state.age_s, state.is_loaded
         self.warning = state.warning
         """What seems frozen in samples that are accepted all the same; empty if nothing does."""

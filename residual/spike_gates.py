@@ -26,6 +26,9 @@ CLOCK_S = 5e-3
 needle it is nothing: 0.1 rad/s make half a milliradian of it."""
 LONGEST_HELD_S = 0.1
 """No source of positions is slower than ten samples a second."""
+HELD_ACCELERATION_RAD_S2 = 4.0
+"""Change of an estimated velocity that positions do not tell while they repeat. Far less than what
+a single step may be off by: an arm at rest repeats its positions for ever."""
 
 
 class SpikeGates:
@@ -73,7 +76,7 @@ class SpikeGates:
         off: NDArray[np.float64],
         velocity: NDArray[np.float64],
         dt_s: float,
-        held_s: float = 0.0,
+        swept_rad: NDArray[np.float64] | None = None,
     ) -> NDArray[np.bool_]:
         """Which differences are beyond what an arm can do.
 
@@ -81,8 +84,7 @@ class SpikeGates:
             off: Differences of all signals, positions less what the velocity foretells.
             velocity: Joint velocity [rad/s], shape (n,).
             dt_s: Time between the two samples [s].
-            held_s: Time for which positions had repeated before [s]: a source that is slower than
-                the clock makes up for it in one step.
+            swept_rad: See `sweep`; None if positions had not repeated.
 
         Returns:
             A row for each signal, shape (k, n).
@@ -91,9 +93,36 @@ class SpikeGates:
         gate = self._base.copy()
         late_s = dt_s + self._delay_s
         # A tick too: a sample that comes twice is no spike.
-        unsure_s = dt_s + CLOCK_S + min(held_s, LONGEST_HELD_S)
+        unsure_s = dt_s + CLOCK_S
         gate[:n] += np.abs(velocity) * unsure_s + ACCELERATION_RAD_S2 * dt_s * late_s
+        if swept_rad is not None:
+            gate[:n] += swept_rad
         if self._has_velocity:
             gate[n:-n] += ACCELERATION_RAD_S2 * dt_s
         gate[-n:] += TORQUE_SHARE_PER_S * dt_s * self._effort
         return (np.abs(off) > gate).reshape(-1, n)
+
+    def sweep(
+        self,
+        swept_rad: NDArray[np.float64] | None,
+        velocity: NDArray[np.float64],
+        dt_s: float,
+        held_s: float,
+    ) -> NDArray[np.float64]:
+        """Way that positions may owe after one more sample in which they repeated [rad].
+
+        A source of positions that is slower than the clock makes up for it in one step.
+
+        Args:
+            swept_rad: After the sample before, shape (n,); None if that one was new.
+            velocity: Of this sample [rad/s], shape (n,).
+            dt_s: Time between the two [s].
+            held_s: Time for which positions have repeated [s].
+        """
+        speed = np.abs(velocity)
+        if not self._has_velocity:
+            speed = speed + HELD_ACCELERATION_RAD_S2 * min(held_s, LONGEST_HELD_S)
+        if swept_rad is None:
+            return speed * dt_s
+        # Forgets, so that noise of the velocity does not add up while an arm rests.
+        return swept_rad * max(1.0 - dt_s / LONGEST_HELD_S, 0.0) + speed * dt_s
