@@ -9,7 +9,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from residual.errors import ConfigurationError, SampleError
 from residual.joint_friction import FrictionModel
-from residual.momentum_smoother import smoothing_step
+from residual.momentum_smoother import smoothing_step, smoothing_tick
 from residual.momentum_step import ROWS, Alignment, step_coefficients
 from residual.momentum_terms import MomentumTerms
 from residual.sample_check import MOST_PLAUSIBLE, check_interval, check_joint_vector
@@ -102,7 +102,9 @@ class MomentumObserver:
         self._seated = False
         self._dt_s = math.nan
         self._noise: NDArray[np.float64] | None = None
-        self._coefficients: tuple[NDArray[np.float64], NDArray[np.float64]] | None = None
+        # Of the latest length of tick, `_dt_s`.
+        self._coefficients = (self._rows, self._rows)
+        self._smoothing_tick = smoothing_tick(max_gap_s)
 
     @property
     def residual(self) -> NDArray[np.float64]:
@@ -144,7 +146,7 @@ class MomentumObserver:
             tau = np.asarray(tau, dtype=np.float64)
         except (TypeError, ValueError):
             self._refuse(q, dq, tau)
-        shape = (self._joints,)
+        shape = self._gain.shape
         if q.shape != shape or dq.shape != shape or tau.shape != shape:
             self._refuse(q, dq, tau)
         if self._seated and dt_s != self._dt_s:
@@ -163,21 +165,27 @@ class MomentumObserver:
         Raises:
             SampleError: For numbers that are not finite; the state is then unchanged.
         """
-        residual_row, momentum, coriolis, gravity, torque = self._slots[self._spare]
+        spare = self._spare
+        residual_row, momentum, coriolis, gravity, torque = self._slots[spare]
         self._terms.write(q, dq, momentum, coriolis, gravity)
         torque[:] = tau
-        if self._noise is not None and self._seated and dt_s <= self._max_gap_s:
-            before = self._slots[1 - self._spare][1]
-            momentum[:] = smoothing_step(before, momentum, self._noise, dt_s)
-        residual = self._advance(dt_s)
+        if self._seated and dt_s <= self._max_gap_s:
+            if dt_s != self._dt_s:
+                self._change_tick(dt_s)
+            if self._noise is not None:
+                before = self._slots[1 - spare][1]
+                momentum -= smoothing_step(before, momentum, self._noise, self._smoothing_tick)
+            residual = self._combine(self._coefficients[spare])
+        else:
+            residual = self.residual
         residual_row[:] = residual
-        written = self._flat_slots[self._spare]
+        written = self._flat_slots[spare]
         # Written so that a NaN is refused too.
         if not written.dot(written) < MOST_PLAUSIBLE**2:
             # This row is read with a factor of zero, which would not silence a NaN.
             residual_row[:] = 0.0
             self._refuse(q, dq, tau)
-        self._spare = 1 - self._spare
+        self._spare = 1 - spare
         self._seated = True
         residual.setflags(write=False)
         return residual
@@ -202,19 +210,19 @@ class MomentumObserver:
         variance = self._terms.momentum_variance(noise, q)
         self._noise = np.sqrt(variance) + _LEAST_MOMENTUM_NOISE
 
-    def _advance(self, dt_s: float) -> NDArray[np.float64]:
+    def _change_tick(self, dt_s: float) -> None:
+        """Renew what depends on the length of the tick: on an even clock that is once."""
+        gain = self._gain if self._gain_of_all is None else self._gain_of_all
+        before, after = step_coefficients(gain, dt_s, self._alignment)
+        self._coefficients = (
+            np.concatenate((after, before), axis=-1),
+            np.concatenate((before, after), axis=-1),
+        )
+        self._smoothing_tick = smoothing_tick(dt_s)
+        self._dt_s = dt_s
+
+    def _combine(self, coefficients: NDArray[np.float64]) -> NDArray[np.float64]:
         """Residual after the tick, from the rows in place."""
-        if self._seated and dt_s != self._dt_s and dt_s <= self._max_gap_s:
-            gain = self._gain if self._gain_of_all is None else self._gain_of_all
-            before, after = step_coefficients(gain, dt_s, self._alignment)
-            self._coefficients = (
-                np.concatenate((after, before), axis=-1),
-                np.concatenate((before, after), axis=-1),
-            )
-            self._dt_s = dt_s
-        if not self._seated or dt_s > self._max_gap_s or self._coefficients is None:
-            return self.residual
-        coefficients = self._coefficients[self._spare]
         if self._gain_of_all is not None:
             return coefficients.dot(self._rows)
         return np.vecdot(coefficients, self._joint_rows)

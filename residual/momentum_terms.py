@@ -50,8 +50,8 @@ class MomentumTerms:
     ) -> None:
         """Write p = M dq, C' dq and g + tau_f at (q, dq) into the last three arrays, each (n,)."""
         model, data = self._model, self.data
-        np.dot(pin.crba(model, data, q), dq, momentum)
-        np.dot(dq, pin.computeCoriolisMatrix(model, data, q, dq), coriolis)
+        pin.crba(model, data, q).dot(dq, momentum)
+        dq.dot(pin.computeCoriolisMatrix(model, data, q, dq), coriolis)
         gravity[:] = pin.computeGeneralizedGravity(model, data, q)
         if self._friction is not None:
             gravity += self._friction.torque(dq)

@@ -1,0 +1,20 @@
+"""A thin gel, which takes seconds instead of half a minute, for tests."""
+
+from dataclasses import replace
+
+from groundtruth import Scenario
+from groundtruth.materials import gel
+from groundtruth.motion import constant_motion
+
+BEYOND_M = 11e-3
+
+
+def gel_slice(percent=70, *, thickness_m=12e-3, speed_m_s=5e-3):
+    """An insertion at constant speed into a slice of one of the paper's gels."""
+    depth_m = thickness_m + BEYOND_M
+    return Scenario(
+        id="short",
+        title="a slice of gel",
+        layers=(replace(gel(percent), thickness_m=thickness_m),),
+        motion=constant_motion(speed_m_s=speed_m_s, depth_m=depth_m, standoff_m=10e-3),
+    )
