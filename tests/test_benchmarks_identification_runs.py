@@ -4,6 +4,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from gel_slice import gel_slice
 
 from benchmarks.bovine import FILE, FOLDER, NOISE_N, read_bovine
 from benchmarks.bovine_real import depth_metrics, run_bovine_real
@@ -17,16 +18,9 @@ from benchmarks.needle_benchmark import drawn_noise, run_needle
 from benchmarks.pullout import in_and_out, mean_at_depth
 from benchmarks.tip_travel import TipTravel, smoothed, tip_travel
 from benchmarks.transition import VISIBLE_SIGMAS
-from groundtruth import SCENARIOS, Scenario, simulate
-from groundtruth.motion import constant_motion
+from groundtruth import simulate
 
-GEL = SCENARIOS["gel-70-constant"].layers[0]
-SHORT = Scenario(
-    id="short",
-    title="a slice of gel",
-    layers=(replace(GEL, thickness_m=12e-3),),
-    motion=constant_motion(speed_m_s=5e-3, depth_m=23e-3, standoff_m=10e-3),
-)
+SHORT = gel_slice()
 
 
 def silent(share):

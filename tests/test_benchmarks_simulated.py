@@ -4,20 +4,13 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from gel_slice import gel_slice
 
 from benchmarks.job import Job
 from benchmarks.results_file import to_json
 from benchmarks.simulated import scenario_of, simulated_case, simulated_metrics
-from groundtruth import SCENARIOS, Scenario
-from groundtruth.motion import constant_motion
 
-GEL = SCENARIOS["gel-25-constant"].layers[0]
-SHORT = Scenario(
-    id="short",
-    title="a slice of gel, fast",
-    layers=(replace(GEL, thickness_m=8e-3),),
-    motion=constant_motion(speed_m_s=15e-3, depth_m=18e-3, standoff_m=10e-3),
-)
+SHORT = gel_slice(25, thickness_m=8e-3, speed_m_s=15e-3)
 TOUCHLESS = replace(SHORT, layers=())
 
 

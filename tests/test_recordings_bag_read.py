@@ -12,11 +12,11 @@ from bag_samples import (
     wrench,
     write_bag,
 )
+from mappings import mapped
 
 from recordings import (
     ColumnError,
     ColumnMapping,
-    ColumnSpec,
     FileAccessError,
     FormatError,
     read_log,
@@ -27,10 +27,6 @@ from recordings import (
 @pytest.fixture
 def folder(tmp_path):
     return tmp_path / "bag"
-
-
-def mapped(**columns):
-    return ColumnMapping(channels={name: ColumnSpec(columns=c) for name, c in columns.items()})
 
 
 @pytest.mark.parametrize(

@@ -9,11 +9,11 @@ from bag_samples import (
     number,
     write_bag,
 )
+from mappings import mapped
 
 from recordings import (
     ColumnError,
     ColumnMapping,
-    ColumnSpec,
     read_log,
 )
 from recordings.bag_format import bag_chunks
@@ -24,10 +24,6 @@ from recordings.wanted import Wanted
 @pytest.fixture
 def folder(tmp_path):
     return tmp_path / "bag"
-
-
-def mapped(**columns):
-    return ColumnMapping(channels={name: ColumnSpec(columns=c) for name, c in columns.items()})
 
 
 def test_names_decide_when_their_order_changes_and_missing_joints_are_nan(folder):

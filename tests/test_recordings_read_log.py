@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
+from mappings import mapped
 
 from recordings import (
     ColumnError,
@@ -37,14 +38,6 @@ def real(name):
 def log_of(mapping=None, required=(), optional=(), constants=None, **columns):
     table = Table(columns=columns, constants=constants or {})
     return select_channels(table, mapping or ColumnMapping(), required, optional)
-
-
-def mapped(rate_hz=None, **channels):
-    specs = {
-        name: spec if isinstance(spec, ColumnSpec) else ColumnSpec(columns=spec)
-        for name, spec in channels.items()
-    }
-    return ColumnMapping(channels=specs, rate_hz=rate_hz)
 
 
 T = np.arange(3.0) / 100

@@ -4,6 +4,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from gel_slice import gel_slice
 
 from benchmarks.force_reading import ForceReading
 from benchmarks.identification_metrics import identify_all
@@ -20,18 +21,11 @@ from benchmarks.report.sketchbook import Sketchbook
 from benchmarks.report.true_friction import true_friction
 from benchmarks.report.tuned_paper import sigma1_N, tuned_paper
 from figures import palette
-from groundtruth import SCENARIOS, Scenario, insert_needle
-from groundtruth.motion import constant_motion
+from groundtruth import insert_needle
 
 pytest.importorskip("matplotlib")
 
-GEL = SCENARIOS["gel-70-constant"].layers[0]
-SHORT = Scenario(
-    id="short",
-    title="a slice of gel",
-    layers=(replace(GEL, thickness_m=12e-3),),
-    motion=constant_motion(speed_m_s=5e-3, depth_m=23e-3, standoff_m=10e-3),
-)
+SHORT = gel_slice()
 
 
 class Told:
