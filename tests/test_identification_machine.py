@@ -6,7 +6,7 @@ from identification.rupture_state import RuptureState as S
 from identification.rupture_state import next_rupture_state
 
 
-def test_published_path():
+def test_the_published_path_goes_through_all_states():
     assert next_rupture_state(S.NO_RUPTURE, is_expected=True) is S.EXPECTED
     assert next_rupture_state(S.EXPECTED, is_alarm=True, is_expected=True) is S.DETECTED
     assert next_rupture_state(S.DETECTED) is S.FORCE_DROP_MEASURING

@@ -130,7 +130,7 @@ def test_a_rupture_is_told_once(whole):
     assert session.update(q, dq, tau * np.nan, dt_s).identification.rupture is None
 
 
-def test_another_insertion_with_the_same_tare(whole):
+def test_another_insertion_begins_anew_but_keeps_the_tare():
     run = short_run()
     session = InsertionSession(run.robot)
     insert(session, last=tare_index(run) + 12_000)

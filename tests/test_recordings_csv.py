@@ -47,7 +47,7 @@ def values(table):
         "t,f\n0e0,1.0\n+1,2.\n",
     ],
 )
-def test_the_same_table_in_its_usual_forms(read, text):
+def test_every_usual_form_gives_the_same_table(read, text):
     table = read(text)
     assert values(table) == {"t": [0.0, 1.0], "f": [1.0, 2.0]}
     assert table.warnings == ()

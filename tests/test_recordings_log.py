@@ -67,7 +67,7 @@ def test_log_answers_for_its_channels():
         ([1.0], {"force_N": [0.0]}, "no usable time"),
     ],
 )
-def test_log_refuses(t_s, channels, message):
+def test_what_is_no_log_is_refused_with_the_reason(t_s, channels, message):
     with pytest.raises(LogError, match=message):
         Log(t_s=t_s, channels=channels)
 
@@ -127,6 +127,6 @@ def test_table_keeps_copies_and_describes_its_columns():
         ({"x": [[1.0], [1.0, 2.0]]}, LogError, "x is not an array of numbers"),
     ],
 )
-def test_table_refuses(columns, error, message):
+def test_what_is_no_table_is_refused_with_the_reason(columns, error, message):
     with pytest.raises(error, match=message):
         Table(columns=columns)

@@ -146,7 +146,7 @@ def test_a_mapping_that_is_not_there_is_told(tmp_path):
         ("z:inch", ColumnSpec(columns="z:inch")),
     ],
 )
-def test_the_short_form_of_a_specification(text, spec):
+def test_the_short_form_means_the_same_specification(text, spec):
     assert parse_column_spec(text, CHANNELS["depth"]) == spec
 
 

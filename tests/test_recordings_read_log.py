@@ -218,7 +218,7 @@ def test_a_minute_of_a_robot_at_1_khz_reads_in_about_a_second(tmp_path):
         np.testing.assert_array_equal(log[name], values)
 
 
-def test_real_panda_log():
+def test_a_real_panda_log_is_read_whole_and_without_a_warning():
     log = read_log(real("panda_gaz2019/free_motion.npz"), required=("q", "dq", "tau"))
     assert log["tau_Nm"].shape == (20544, 7)
     assert log.t_s[-1] - log.t_s[0] == pytest.approx(21.0, abs=1.0)

@@ -182,7 +182,7 @@ def test_what_may_be_wrong_beyond_the_standard_deviation_is_told(run, lwr, tmp_p
     assert found["axial_N"][-1] == pytest.approx(AXIAL_N, abs=0.2)
 
 
-def test_any_urdf_with_locked_joints(run, tmp_path):
+def test_any_urdf_with_locked_joints_gives_forces(run, tmp_path):
     urdf = tmp_path / "arm.urdf"
     urdf.write_text(SMALL_ARM)
     arm = load_urdf(urdf, tool_frame="tip", locked_joints={"gripper": 0.02})

@@ -165,14 +165,14 @@ def test_a_joint_that_moves_nothing_is_refused(urdf_file):
         load_urdf(path)
 
 
-def test_missing_file(tmp_path):
+def test_a_missing_file_or_a_folder_is_refused(tmp_path):
     with pytest.raises(UrdfFileError, match="no such file"):
         load_urdf(tmp_path / "none.urdf")
     with pytest.raises(UrdfFileError, match="no such file"):
         load_urdf(tmp_path)
 
 
-def test_a_file_that_is_no_text(tmp_path):
+def test_a_file_that_is_no_text_is_refused(tmp_path):
     path = tmp_path / "binary.urdf"
     path.write_bytes(b"\xff\xfe\x00\x80")
     with pytest.raises(UrdfFileError, match="cannot be read as text"):
@@ -195,7 +195,7 @@ def test_a_file_that_is_no_text(tmp_path):
         (f"<robot name='toy'>{joint('j', 'ghost', 'a')}</robot>", "not a valid URDF"),
     ],
 )
-def test_malformed_files(tmp_path, text, message):
+def test_malformed_files_are_refused_with_the_reason(tmp_path, text, message):
     path = tmp_path / "bad.urdf"
     path.write_text(text)
     with pytest.raises(UrdfFileError, match=message):
@@ -224,7 +224,7 @@ def test_a_tool_does_not_hide_a_frame_of_the_robot(urdf_file):
         load_urdf(path, payload=NeedleTool())
 
 
-def test_unknown_example_robot():
+def test_an_unknown_example_robot_is_answered_with_the_known():
     with pytest.raises(UnknownNameError, match="panda, ur3, ur5, ur10"):
         example_robot_path("lwr")
 

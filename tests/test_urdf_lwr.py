@@ -53,13 +53,13 @@ def test_flange_is_where_the_tables_put_it(arm, q):
 
 
 @pytest.mark.parametrize("q", GRAVITY_NM)
-def test_gravity_torque_of_the_nominal_set(arm, q):
+def test_gravity_torque_is_that_of_the_nominal_set(arm, q):
     gravity = pin.computeGeneralizedGravity(arm.model, arm.create_data(), np.array(q, dtype=float))
     assert gravity == pytest.approx(GRAVITY_NM[q], abs=1e-3)
 
 
 @pytest.mark.parametrize("q", INERTIA_KG_M2)
-def test_mass_matrix_of_the_nominal_set(arm, q):
+def test_mass_matrix_is_that_of_the_nominal_set(arm, q):
     mass_matrix = pin.crba(arm.model, arm.create_data(), np.array(q, dtype=float))
     assert np.diag(mass_matrix) == pytest.approx(INERTIA_KG_M2[q], abs=1e-4)
 
@@ -100,7 +100,7 @@ def test_every_link_inertia_is_one_a_body_can_have(drawing):
     assert sum(link.inertial.mass for link in moving) == pytest.approx(14.0503)
 
 
-def test_limits_and_names(arm):
+def test_limits_and_names_are_those_of_the_data_sheet(arm):
     assert arm.joint_names == tuple(f"lwr_joint_{i}" for i in range(1, 8))
     assert np.degrees(arm.position_upper_rad) == pytest.approx([170, 120, 170, 120, 170, 120, 170])
     assert arm.position_lower_rad == pytest.approx(-arm.position_upper_rad)

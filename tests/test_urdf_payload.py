@@ -125,13 +125,13 @@ def test_parameters_that_are_no_body():
         ({"inertia_kg_m2": np.triu(np.full((3, 3), 0.01))}, "not symmetric"),
     ],
 )
-def test_malformed_arguments(change, message):
+def test_malformed_arguments_are_refused(change, message):
     good = {"mass_kg": 1.0, "com_m": np.zeros(3), "inertia_kg_m2": 0.01 * np.eye(3)}
     with pytest.raises(InputError, match=message):
         Payload(**(good | change))
 
 
-def test_malformed_parameters_and_motions():
+def test_malformed_parameters_and_motions_are_refused():
     payload = Payload(mass_kg=1.0, com_m=np.zeros(3), inertia_kg_m2=np.zeros((3, 3)))
     with pytest.raises(InputError, match=r"expected \(10,\)"):
         Payload.from_parameters(np.zeros(9))

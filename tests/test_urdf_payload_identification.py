@@ -58,7 +58,7 @@ def noisy(tau, seed, offsets=0.0):
     return tau + np.random.default_rng(seed).normal(size=tau.shape) * NOISE_NM + offsets
 
 
-def test_ten_parameters_exactly_from_clean_motion(lwr, moved):
+def test_clean_motion_gives_ten_parameters_exactly(lwr, moved):
     estimate = identify_payload(lwr, *moved)
     assert estimate.payload.parameters == pytest.approx(TRUE.parameters, abs=1e-9)
     assert (estimate.rank, estimate.parameter_count) == (10, 10)
@@ -74,7 +74,7 @@ def test_what_the_robot_carries_already_does_not_matter(lwr, moved):
 
 
 @pytest.mark.parametrize("seed", range(5))
-def test_mass_within_one_percent_at_realistic_noise(lwr, moved, seed):
+def test_mass_is_within_one_percent_at_realistic_noise(lwr, moved, seed):
     q, dq, ddq, tau = moved
     estimate = identify_payload(lwr, q, dq, ddq, noisy(tau, seed))
     assert estimate.payload.mass_kg == pytest.approx(0.304, rel=0.01)
@@ -82,7 +82,7 @@ def test_mass_within_one_percent_at_realistic_noise(lwr, moved, seed):
 
 
 @pytest.mark.parametrize("seed", range(5))
-def test_mass_within_one_percent_with_biased_sensors(lwr, moved, seed):
+def test_mass_is_within_one_percent_with_biased_sensors(lwr, moved, seed):
     q, dq, ddq, tau = moved
     estimate = identify_payload(
         lwr,
@@ -152,7 +152,7 @@ def test_four_parameters_at_rest(lwr, posed):
     assert np.all(np.isinf(estimate.standard_deviations[4:]))
 
 
-def test_poses_with_offsets_and_noise(lwr, posed):
+def test_noisy_poses_tell_offsets_and_mass_within_their_doubts(lwr, posed):
     q, tau = posed
     estimate = identify_payload_static(lwr, q, noisy(tau, 3, OFFSETS_NM), fit_offsets=True)
     assert abs(estimate.payload.mass_kg - 0.304) < 4.0 * estimate.mass_std_kg < 0.08
@@ -217,7 +217,7 @@ def test_no_payload_is_found_to_be_none(lwr, moved):
     assert estimate.payload.mass_kg < 4.0 * estimate.mass_std_kg < 0.01
 
 
-def test_flange_in_the_middle_of_a_chain_and_off_its_joint(tmp_path):
+def test_the_flange_may_be_in_the_middle_of_a_chain_and_off_its_joint(tmp_path):
     """The answer is in the flange's own axes, wherever the flange sits."""
     path = tmp_path / "arm.urdf"
     inertial = (
@@ -277,14 +277,14 @@ def test_estimate_is_frozen_and_its_arrays_read_only(lwr, posed):
         (3, np.full((5, 7), np.nan), "tau_Nm has NaN or infinite"),
     ],
 )
-def test_malformed_recordings(lwr, which, bad, message):
+def test_malformed_recordings_are_refused(lwr, which, bad, message):
     arguments = [np.zeros((5, 7)) for _ in range(4)]
     arguments[which] = bad
     with pytest.raises(InputError, match=message):
         identify_payload(lwr, *arguments)
 
 
-def test_malformed_poses_and_noise(lwr, posed):
+def test_malformed_poses_and_noise_are_refused(lwr, posed):
     q, tau = posed
     with pytest.raises(InputError, match="q_rad"):
         identify_payload_static(lwr, q[0], tau)

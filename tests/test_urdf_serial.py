@@ -43,7 +43,7 @@ def test_the_lwr_from_numbers_is_the_lwr_from_its_urdf():
     assert built.joint_names == tuple(f"j{i}" for i in range(7))
 
 
-def test_tool_placement_and_rotor_inertia():
+def test_tool_placement_and_rotor_inertia_enter_the_model():
     offset = np.eye(4)
     offset[:3, 3] = [0.1, 0.2, 0.3]
     robot = build_serial_robot([a_joint()], tool_placement=offset, rotor_inertia_kg_m2=[0.7])
@@ -120,18 +120,18 @@ def test_joint_arrays_are_read_only_copies():
         ({"placement": 2.0 * np.eye(4)}, InputError, "not a rigid motion"),
     ],
 )
-def test_malformed_joints(change, error, message):
+def test_malformed_joints_are_refused(change, error, message):
     with pytest.raises(error, match=message):
         a_joint(**change)
 
 
 @pytest.mark.parametrize("names", [[], ["a", "a"], ["tool"]])
-def test_malformed_chains(names):
+def test_malformed_chains_are_refused(names):
     with pytest.raises(InputError, match="names"):
         build_serial_robot([a_joint(name=name) for name in names])
 
 
-def test_malformed_tool_placement_and_rotor():
+def test_malformed_tool_placement_and_rotor_are_refused():
     with pytest.raises(InputError, match="tool"):
         build_serial_robot([a_joint()], tool_placement=np.eye(3))
     with pytest.raises(InputError, match="rotor_inertia_kg_m2"):
