@@ -1,6 +1,7 @@
 """Every benchmark under its permanent name."""
 
 from collections.abc import Mapping
+from functools import partial
 from types import MappingProxyType
 
 from benchmarks import bovine, liver, panda, ur10e
@@ -57,60 +58,48 @@ def _simulated() -> list[Benchmark]:
     return [*named, drawn, observers]
 
 
-def _recorded_arms() -> list[Benchmark]:
-    return [
-        Benchmark(
-            id="panda-real",
-            title="residual of a real Panda in free motion",
-            run=run_panda_real,
-            needs=(panda.FOLDER,),
-            seeds=1,
-        ),
-        Benchmark(
-            id="panda-liver",
-            title="real liver force on the real torques of a Panda; one insertion per seed",
-            run=run_panda_liver,
-            needs=(panda.FOLDER, liver.FOLDER),
-            seeds=len(liver.NUMBERS),
-        ),
-        Benchmark(
-            id="ur10e-payload",
-            title="weight of a known payload from the currents of a real UR10e",
-            run=run_ur10e_payload,
-            needs=(ur10e.FOLDER,),
-            seeds=1,
-        ),
-    ]
-
-
-def _recorded_tissue() -> list[Benchmark]:
-    return [
-        Benchmark(
-            id="liver-real",
-            title="friction in 19 insertions into real liver against the pull-out force",
-            run=run_liver_real,
-            needs=(liver.FOLDER,),
-            seeds=1,
-        ),
-        Benchmark(
-            id="liver-limit",
-            title="what 19 insertions into real liver tell of the pull-out force at all",
-            run=run_liver_limit,
-            needs=(liver.FOLDER,),
-            seeds=1,
-            is_default=False,
-        ),
-        Benchmark(
-            id="bovine-real",
-            title="the ruptures of an insertion into real bovine liver",
-            run=run_bovine_real,
-            needs=(bovine.FOLDER,),
-            seeds=1,
-        ),
-    ]
-
-
-_ALL = (*_simulated(), *_recorded_arms(), *_recorded_tissue())
+_recording = partial(Benchmark, seeds=1)
+_RECORDED = (
+    _recording(
+        id="panda-real",
+        title="residual of a real Panda in free motion",
+        run=run_panda_real,
+        needs=(panda.FOLDER,),
+    ),
+    Benchmark(
+        id="panda-liver",
+        title="real liver force on the real torques of a Panda; one insertion per seed",
+        run=run_panda_liver,
+        needs=(panda.FOLDER, liver.FOLDER),
+        seeds=len(liver.NUMBERS),
+    ),
+    _recording(
+        id="ur10e-payload",
+        title="weight of a known payload from the currents of a real UR10e",
+        run=run_ur10e_payload,
+        needs=(ur10e.FOLDER,),
+    ),
+    _recording(
+        id="liver-real",
+        title="friction in 19 insertions into real liver against the pull-out force",
+        run=run_liver_real,
+        needs=(liver.FOLDER,),
+    ),
+    _recording(
+        id="liver-limit",
+        title="what 19 insertions into real liver tell of the pull-out force at all",
+        run=run_liver_limit,
+        needs=(liver.FOLDER,),
+        is_default=False,
+    ),
+    _recording(
+        id="bovine-real",
+        title="the ruptures of an insertion into real bovine liver",
+        run=run_bovine_real,
+        needs=(bovine.FOLDER,),
+    ),
+)
+_ALL = (*_simulated(), *_RECORDED)
 BENCHMARKS: Mapping[str, Benchmark] = MappingProxyType({item.id: item for item in _ALL})
 """By name."""
 

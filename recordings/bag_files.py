@@ -50,7 +50,7 @@ def bag_files(path: Path) -> BagFiles:
     if not found:
         raise FormatError(f"{path} is a folder without {' or '.join(BAG_SUFFIXES)} files")
     told, warnings = _metadata(path / METADATA)
-    paths, missing = _listed(path, told, found)
+    paths, missing = _listed(told, found)
     if missing:
         warnings += (f"files of the bag that are missing: {', '.join(missing)}",)
     expected = told.get("message_count")
@@ -70,9 +70,8 @@ def _storage(folder: Path) -> list[Path]:
     return sorted(found, key=lambda p: [int(x) for x in re.findall(r"\d+", p.name)] or [0])
 
 
-def _listed(
-    folder: Path, told: Mapping[str, Any], found: list[Path]
-) -> tuple[tuple[Path, ...], list[str]]:
+def _listed(told: Mapping[str, Any], found: list[Path]) -> tuple[tuple[Path, ...], list[str]]:
+    """Return the files in the order of the metadata, and the names of those that are missing."""
     listed = told.get("relative_file_paths")
     names = [Path(str(name)).name for name in listed] if isinstance(listed, list) else []
     here = {path.name: path for path in found}

@@ -98,7 +98,7 @@ def test_nearly_all_that_lies_before_the_cut_is_read(tmp_path, bags, whole, kind
 
 
 @pytest.mark.parametrize("kind", ["mcap", "sqlite3"])
-def test_the_warning_counts_what_was_read_and_what_was_lost(tmp_path, bags, kind):
+def test_the_warning_counts_what_was_read_and_what_was_lost(tmp_path, kind):
     storage, _ = KINDS[kind]
     folder = write_bag(tmp_path / "bag", insertion_rows(2000), storage=storage)
     path = data_file(folder)

@@ -218,7 +218,7 @@ def test_the_command_runs_as_a_module_and_explains_itself(log):
     assert "--tau_ext" in told
 
 
-def test_a_clock_that_was_set_back_costs_a_few_rows_and_no_more(run, lwr, tmp_path, capsys):
+def test_a_clock_that_was_set_back_costs_a_few_rows_and_no_more(run, lwr, tmp_path):
     columns = insertion(lwr)
     columns["t_s"] = columns["t_s"].copy()
     columns["t_s"][2600:] -= columns["t_s"][2600]
