@@ -1,4 +1,11 @@
-"""The simulated truth: arm, needle, tissue and sensors, which the estimators never see."""
+"""The simulated truth: arm, needle, tissue and sensors, which the estimators never see.
+
+Two simulations of one scenario: `insert_needle` moves the needle by itself, in half a second;
+`simulate` has the arm move it, in MuJoCo, and reports what the arm's sensors read.
+
+Reading order: `scenario` and `scenarios` (what is simulated), `tissue_state` and `tissue` (the law
+of the tissue), `materials` and `arm_level` (every number and its reason), `needle_run`, `simulate`.
+"""
 
 from groundtruth.arm_level import ARM_LEVELS, ArmLevel
 from groundtruth.errors import GroundTruthError

@@ -1,11 +1,13 @@
 """The edge of the toolkit: logs in and out, which column is which channel, and units.
 
-`read_log` turns a CSV or npz file into a `Log` in SI units; `write_table` and `write_log` write
-results. A `ColumnMapping`, from a small TOML file or the command line, says which columns to use
-where their names do not.
+`read_log` turns a file (CSV, npz, Parquet, ROS 2 bag) into a `Log` in SI units; `write_table` and
+`write_log` write results. A `ColumnMapping`, from a small TOML file or the command line, says which
+columns to use where their names do not.
 
-Row by row, whatever the length: `table_stream` and `log_stream` in, `open_table` out. What the
-commands share: `command_line` (errors, Ctrl-C), `source_arguments` and `output_arguments`,
+Reading order: `read_log`, `table` (what a file holds), `select_channels` (what it means), `log`. A
+format is a `*_format` to read it and a `*_writer`; bags begin at `bag_format`. Row by row, whatever
+the length: `table_stream` and `log_stream` in, `open_table` out. What the commands share:
+`command_line` (errors, Ctrl-C), `source_arguments`, `mapping_arguments` and `output_arguments`,
 `log_session` (a command reads its log), `row_overview` (few rows for a picture), `toml_file`.
 """
 

@@ -100,6 +100,15 @@ def test_the_public_face_is_sorted_small_and_resolves(room):
     assert [name for name in names if not hasattr(package, name)] == []
 
 
+@pytest.mark.parametrize("room", ROOMS)
+def test_the_docstring_of_a_room_says_with_which_files_to_begin(room):
+    _, order, listed = import_module(room).__doc__.partition("Reading order: ")
+    assert order
+    names = [name for name in re.findall(r"`(\w+)`", listed) if name.islower()]
+    assert len(names) > 1
+    assert [name for name in names if not (ROOT / room / f"{name}.py").is_file()] == []
+
+
 @pytest.mark.parametrize("room", INSTALLED)
 def test_an_installed_package_has_a_public_face_types_and_one_base_error(room):
     package = import_module(room)

@@ -2,6 +2,10 @@
 
 Conventions: SI units; joint vectors in the order of ``Robot.joint_names``; a payload is given in
 the axes of the robot's flange frame, whose z points outward; gravity in base axes.
+
+Reading order: `robot` (what the estimators get), `lwr`, `loading` with `description` and `assembly`
+(from a file to a robot), `payload` with `pseudo_inertia` (ten numbers of a body), `needle_tool`,
+`payload_identification`.
 """
 
 from urdf.errors import (

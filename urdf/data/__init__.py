@@ -1,1 +1,1 @@
-"""Robot descriptions shipped with the package; read them through :mod:`importlib.resources`."""
+"""Robot descriptions shipped with the package; read them through `importlib.resources`."""
