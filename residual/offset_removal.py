@@ -9,6 +9,7 @@ from residual.contact_guard import check_free_of_contact
 from residual.errors import TareError
 from residual.sample_clock import ROUNDING_S
 from residual.sensor_config import SensorConfig
+from residual.sensor_words import FORGOTTEN, STALE
 from residual.tare import Tare, prior_tare
 from residual.tare_fit import fit_tare
 from residual.tare_prior import TareBasis
@@ -49,7 +50,8 @@ class OffsetState(NamedTuple):
         summed: Their number.
         bias: Offset that is subtracted [Nm], shape (n,).
         q: Last position [rad], shape (n,).
-        leapt_s: Time in steps longer than `OffsetRemoval.LEAP_S` since the tare [s].
+        leapt_s: Time in steps longer than `OffsetRemoval.LEAP_S` since the tare, or since free
+            motion is recorded [s].
     """
 
     recorder: RecorderState
@@ -83,7 +85,7 @@ class OffsetRemoval:
     LEAP_S = 60.0
     """A longer time step is a pause or a clock that was set: one step cannot tell which. Drift is
     hundredths of a newton in a minute, newtons in an hour. It counts as a pause, and is told until
-    the next tare."""
+    the next tare. Free motion recorded before it is forgotten."""
     BLOCK_LAGS = 2.0
     """Length of a recorded block in lags of the observer: blocks are then nearly independent."""
 
@@ -102,9 +104,11 @@ class OffsetRemoval:
         return self._tared
 
     @property
-    def is_stale(self) -> bool:
-        """Whether the tare in force has aged in a leap."""
-        return self._tared and self._leapt_s > 0.0
+    def warning(self) -> str:
+        """What a leap has made of the tare, or of the motion recorded for it; empty without one."""
+        if self._leapt_s == 0.0:
+            return ""
+        return STALE if self._tared else FORGOTTEN
 
     @property
     def is_fresh(self) -> bool:
@@ -120,13 +124,20 @@ class OffsetRemoval:
         self._q[:] = q
         self._now_s += dt_s
         if dt_s > self.LEAP_S:
-            self._leapt_s += dt_s
+            self._leap(dt_s)
         self._torque_sum += tau
         self._count += 1
         if self._now_s < self._due_s - ROUNDING_S:
             return False
         self._renew()
         return True
+
+    def _leap(self, dt_s: float) -> None:
+        """Tell a leap; a drift fitted to motion on both sides of it would be far off."""
+        if not self.is_fresh:
+            self._leapt_s += dt_s
+        if not self._tared:
+            self._recorder.clear()
 
     def _renew(self) -> None:
         """Renew what changes slowly: the trend of the torques and the offset."""
@@ -185,7 +196,7 @@ class OffsetRemoval:
     def start_recording(self) -> None:
         """Forget what was recorded and record anew; the tare in force stays until the next."""
         self._recorder.clear()
-        self._tared = False
+        self._tared, self._leapt_s = False, 0.0
 
     @property
     def q(self) -> NDArray[np.float64]:

@@ -274,12 +274,12 @@ class VirtualForceSensor:
         numbers = wrench.solve(corrected)
         std = self._doubt.widen(numbers[0], numbers[1], stream.lag_s, elapsed_s)
         status, message, cautions = Status.OK, slow.message, slow.cautions
-        if stream.warning or offset.is_stale:
-            cautions, message = with_warnings(cautions, message, stream.warning, offset.is_stale)
+        if stream.warning or offset.warning:
+            cautions, message = with_warnings(cautions, message, stream.warning, offset.warning)
         if not sample.settled:
             status, message = Status.SETTLING, SETTLING
         elif not tared:
-            status, message = Status.NOT_TARED, NOT_TARED
+            status, message = Status.NOT_TARED, offset.warning or NOT_TARED
         self._last = WrenchEstimate(
             numbers[0], std, *numbers[2:], status, message, slow.misfit, cautions
         )

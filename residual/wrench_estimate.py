@@ -49,7 +49,8 @@ class Caution(IntFlag):
     payload or an arm that is not the model's."""
     STALE = 64
     """A single time step was so long that the drift it would stand for spoils the tare: a long
-    pause, or a clock that was set. It stays until the next tare."""
+    pause, or a clock that was set. It stays until the next tare. While free motion is recorded for
+    one: what was recorded before is forgotten."""
 
 
 class WrenchEstimate(NamedTuple):

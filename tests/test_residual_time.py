@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from guarded_sensor import feed, signals, tared
 
-from residual import Caution, Status, VirtualForceSensor
+from residual import Caution, Status, TareError, VirtualForceSensor
 
 
 def run(robot, stamps_s, *, with_velocity=True):
@@ -56,3 +56,45 @@ def test_a_pause_below_a_minute_is_no_leap(lwr):
     sensor, rows = tared(lwr)
     sensor.update(*rows[0], 59.0)
     assert not feed(sensor, rows[1:400])[-1].cautions
+
+
+@pytest.mark.parametrize("again", [False, True])
+def test_a_leap_while_free_motion_is_recorded_is_told_and_what_was_before_it_forgotten(lwr, again):
+    q, dq, tau = signals(lwr, 3.0)
+    rows = list(zip(q, dq, tau, strict=True))
+    sensor = VirtualForceSensor(lwr)
+    if again:
+        sensor, _ = tared(lwr)
+        sensor.start_recording()
+    assert not feed(sensor, [(q, dq, tau + 2.0) for q, dq, tau in rows[:1000]])[-1].cautions
+    sensor.update(*rows[1000], 3600.0)
+    with pytest.raises(TareError, match="no settled free motion"):
+        sensor.tare()
+    told = feed(sensor, rows[1001:2000])
+    assert all(Caution.STALE in e.cautions for e in told)
+    assert told[-1].status is Status.NOT_TARED
+    assert "forgotten" in told[-1].message
+    resumed = VirtualForceSensor(lwr)
+    resumed.restore(sensor.snapshot())
+    assert Caution.STALE in resumed.update(*rows[2000], 1e-3).cautions
+    sensor.tare()
+    last = feed(sensor, rows[2000:])[-1]
+    assert last.status is Status.OK
+    assert not last.cautions
+    assert abs(last.axial) < 0.1
+
+
+def test_a_leap_before_any_motion_is_recorded_is_none(lwr):
+    q, dq, tau = signals(lwr, 1.0)
+    sensor = VirtualForceSensor(lwr)
+    sensor.update(q[0], dq[0], tau[0], 1e-3)
+    sensor.update(q[1], dq[1], tau[1], 3600.0)
+    found = feed(sensor, zip(q[2:], dq[2:], tau[2:], strict=True))
+    assert not any(e.cautions for e in found)
+
+
+def test_a_recording_started_anew_after_a_leap_is_as_good_as_any(lwr):
+    sensor, rows = tared(lwr)
+    sensor.update(*rows[0], 3600.0)
+    sensor.start_recording()
+    assert not any(e.cautions for e in feed(sensor, rows[1:400]))
