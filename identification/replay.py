@@ -40,8 +40,9 @@ def replay(
 ) -> Replay:
     """Run the identifier over a recording, sample by sample.
 
-    Rows that cannot be used (gaps, time running backwards) are reported in their estimate's
-    status, not dropped.
+    Rows that cannot be used (gaps, late rows) are reported in their estimate's status, not
+    dropped. A clock that was set back is followed, as by the command; times of estimates are those
+    of a clock that starts at 0 and never goes back.
 
     Args:
         t_s: Time stamps [s], shape (n,).

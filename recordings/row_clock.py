@@ -28,7 +28,7 @@ class RowClock:
         """Take further rows.
 
         Args:
-            t_s: finite time stamps in s, shape (n,).
+            t_s: time stamps in s, shape (n,).
 
         Returns:
             Time in s since the latest row that advanced, shape (n,): not positive for a row that
@@ -47,7 +47,8 @@ class RowClock:
         if dt_s > 0.0:
             self._latest_s, self._rows = now_s, 0
             return dt_s
-        if dt_s == 0.0 or (self._rows and now_s == self._behind_s):
+        # A stamp that is no number says nothing of the clock.
+        if not dt_s < 0.0 or (self._rows and now_s == self._behind_s):
             return dt_s
         if not self._rows or now_s < self._behind_s:
             self._rows, self._ran_s = 0, 0.0

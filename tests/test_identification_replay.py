@@ -10,9 +10,11 @@ from scipy.ndimage import uniform_filter1d
 
 from groundtruth import insert_needle
 from identification import Identifier, replay
+from identification import __main__ as command
 from identification.derived_speed import DerivedSpeed
 from identification.replay_stream import HEAD_ROWS, ReplayStream
 from identification.sign_hints import SignWatch, sign_hints
+from recordings import write_table
 
 
 @pytest.fixture(scope="module")
@@ -145,6 +147,46 @@ def test_late_rows_shift_no_event(columns, has_speed):
     clean, late = (replay(t, depth_m, force_N, speed_m_s) for t in (t_s, late_s))
     assert len(clean.layers) == 1
     assert ruptures_s(late) == pytest.approx(ruptures_s(clean), abs=0.02)
+
+
+@pytest.mark.parametrize("has_speed", [True, False])
+def test_a_clock_that_was_set_back_hides_no_event(columns, has_speed):
+    t_s, depth_m, force_N, speed_m_s = columns
+    speed_m_s = speed_m_s if has_speed else None
+    back_s = t_s.copy()
+    half = int(np.nanargmax(depth_m > 0.004))
+    back_s[half:] -= 20.0
+    clean, followed = (replay(t, depth_m, force_N, speed_m_s) for t in (t_s, back_s))
+    skipped = [k for k, e in enumerate(followed.estimates) if not e.status.is_absorbed]
+    assert len([k for k in skipped if k != 300]) <= 12
+    assert len(followed.layers) == len(clean.layers) == 1
+    # The step in which it was set is not known.
+    assert ruptures_s(followed) == pytest.approx(ruptures_s(clean), abs=0.03)
+
+
+def test_the_library_reads_a_clock_as_the_command_does(columns, tmp_path):
+    t_s, depth_m, force_N, speed_m_s = columns
+    t_s = t_s.copy()
+    t_s[500:] -= 3600.0
+    t_s[700::40] -= 0.05
+    path, out = tmp_path / "log.csv", tmp_path / "out.csv"
+    table = {"t_s": t_s, "depth_m": depth_m, "force_N": force_N, "speed_m_s": speed_m_s}
+    write_table(path, table)
+    assert command.main([str(path), "-o", str(out)]) == 0
+    rows = np.genfromtxt(out, delimiter=",", names=True)
+    estimates = replay(t_s, depth_m, force_N, speed_m_s).estimates
+    np.testing.assert_array_equal(rows["absorbed"], [e.status.is_absorbed for e in estimates])
+    np.testing.assert_array_equal(rows["tip_force_N"], [e.tip_force_N for e in estimates])
+
+
+def test_a_stamp_that_is_no_number_spoils_its_own_row_only(columns):
+    t_s, depth_m, force_N, speed_m_s = columns
+    t_s = t_s.copy()
+    t_s[[500, 501, 502, 503, 800]] = np.nan
+    result = replay(t_s, depth_m, force_N, speed_m_s)
+    skipped = [k for k, e in enumerate(result.estimates) if not e.status.is_absorbed]
+    assert skipped == [300, 500, 501, 502, 503, 800]
+    assert len(result.layers) == 1
 
 
 def test_a_gap_says_little_about_the_speed_beside_it():
