@@ -29,6 +29,7 @@ class TextLines:
         self.tail = ""
         """Once all is read: what stands behind the last line end."""
         self._note = ""
+        self._checked = self._sound = 0
         self.warnings: list[str] = []
         """What was lost or guessed."""
 
@@ -40,11 +41,13 @@ class TextLines:
         """
         is_blank = True
         for block in self._bytes:
+            self._note_check()
             if b"\x00" in block:
                 raise FormatError("it is not text; expected CSV")
             is_blank = is_blank and not block.strip()
             yield from self._split(self._text(block, is_last=False), is_last=False)
         yield from self._split(self._text(b"", is_last=True), is_last=True)
+        self._note_check()
         if self._bytes.fault:
             # What follows the last line end is a piece of a line.
             self.tail = ""
@@ -53,7 +56,8 @@ class TextLines:
             )
             if self._bytes.is_damaged:
                 self._note += (
-                    ", and rows before it may be wrong: gzip tells that there is damage, not where"
+                    f", and lines {self._sound + 1} to {self.count} may be wrong: gzip tells that "
+                    "there is damage, not where"
                 )
             self.warnings.append(self._note)
         if is_blank:
@@ -64,6 +68,11 @@ class TextLines:
         self.tail = ""
         if self._bytes.fault and not self._bytes.is_damaged:
             self.warnings.remove(self._note)
+
+    def _note_check(self) -> None:
+        """Whole lines before the end of a member that passed its check are sound."""
+        if self._bytes.checked > self._checked:
+            self._checked, self._sound = self._bytes.checked, self.count
 
     def _split(self, text: str, is_last: bool) -> Iterator[list[str]]:
         *lines, self.tail = (self.tail + self._ends.decode(text, final=is_last)).split("\n")

@@ -20,6 +20,8 @@ class Unpacked:
         """Once all is read: what is wrong with the compressed data, if anything."""
         self.is_damaged = False
         """Whether what was unpacked may be wrong: damage is seen blocks later, or at the end."""
+        self.checked = 0
+        """Members whose checksum was right; what was yielded until then is sound."""
 
     def __iter__(self) -> Iterator[bytes]:
         """Yield blocks of at least one byte."""
@@ -46,6 +48,7 @@ class Unpacked:
                     return
                 if content:
                     yield content
+                self.checked += member.eof
                 data = member.unused_data if member.eof else next(self._blocks, b"")
                 if not (data or member.eof):
                     self.fault = "is cut short"
