@@ -4,7 +4,6 @@ from identification.estimate import Estimate, LayerEstimate, Rupture, layers_lef
 from identification.paper_config import PaperConfig
 from identification.paper_state import PaperState
 from identification.paper_step import regressor
-from identification.rupture_state import RuptureState
 from identification.sample import Sample
 from identification.sample_check import SampleStatus
 
@@ -38,7 +37,7 @@ def report_paper(
         cumulative_friction_Ns_per_m=state.cumulative_friction_Ns_per_m,
         cumulative_friction_std_Ns_per_m=None,
         rupture=_event(state, sample),
-        compensated=_identified(state),
+        compensated=state.compensated,
     )
 
 
@@ -47,11 +46,6 @@ def _event(state: PaperState, sample: Sample) -> Rupture | None:
     return rupture if rupture is not None and rupture.alarm_s == sample.time_s else None
 
 
-def _identified(state: PaperState) -> LayerEstimate | None:
-    is_now = state.rupture_state is RuptureState.COMPENSATED and state.waited_s == 0.0
-    return state.layers[-1] if is_now and state.layers else None
-
-
 def paper_layers(state: PaperState) -> tuple[LayerEstimate, ...]:
     """The layers left; what follows does not change them."""
-    return state.layers
+    return state.layers if state.found is None else (*state.layers, state.found.layer)

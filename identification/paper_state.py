@@ -25,6 +25,18 @@ class Traverse(NamedTuple):
     mean_speed_m_s: float = 0.0
 
 
+class FoundLayer(NamedTuple):
+    """A layer identified whose friction is not subtracted yet.
+
+    Attributes:
+        layer: What was found.
+        damping_Ns_per_m: Its share B_i d_i of the cumulative friction.
+    """
+
+    layer: LayerEstimate
+    damping_Ns_per_m: float
+
+
 class PaperState(NamedTuple):
     """Immutable state of `paper_step`.
 
@@ -43,6 +55,8 @@ class PaperState(NamedTuple):
         cumulative_friction_Ns_per_m: Sum of B_j d_j over compensated layers.
         layers: Layers identified so far.
         predicted_N: phi' theta + B_d v before the sample was absorbed.
+        found: The layer just left once it is identified, until the next sample.
+        compensated: The layer whose friction is subtracted from this sample on, if any.
     """
 
     rls: RlsState
@@ -59,3 +73,5 @@ class PaperState(NamedTuple):
     cumulative_friction_Ns_per_m: float = 0.0
     layers: tuple[LayerEstimate, ...] = ()
     predicted_N: float = 0.0
+    found: FoundLayer | None = None
+    compensated: LayerEstimate | None = None

@@ -4,13 +4,13 @@ from identification.cusum import cusum_constants, cusum_step
 from identification.estimate import Rupture, layers_left
 from identification.force_derivative import derivative_step
 from identification.force_drop import drop_interval_s
-from identification.paper_compensation import compensate
+from identification.paper_compensation import compensate, identify_left
 from identification.paper_config import PaperConfig
 from identification.paper_state import PaperState, Traverse
 from identification.rls import RlsState, reset_covariance, rls_step
 from identification.rupture_state import MUTED, RuptureState, next_rupture_state
 from identification.sample import Sample
-from identification.window_history import append_window
+from identification.window_history import append_window, joined
 from identification.window_sums import WindowSums, add_sample
 
 
@@ -33,6 +33,9 @@ def paper_step(state: PaperState, sample: Sample, config: PaperConfig) -> PaperS
     RLS with covariance resetting (7)(8), CUSUM (9) and derivative criterion, state machine; after
     T_drop the force drop (10)(11), re-weighting (12) and re-run of `paper_compensation`.
     """
+    if state.found is not None:
+        later = paper_step(compensate(state, state.found, config), sample, config)
+        return later._replace(compensated=state.found.layer)
     layer_depth = sample.depth_m - state.traverse.start_depth_m
     before_N = sample.force_N if state.last_force_N is None else state.last_force_N
     if layer_depth <= 0.0 and not state.layers and state.left is None:
@@ -42,7 +45,7 @@ def paper_step(state: PaperState, sample: Sample, config: PaperConfig) -> PaperS
     if state.rupture_state is RuptureState.DETECTED and state.left is None:
         return _open_layer(state, sample, before_N, config)
     if state.rupture_state is RuptureState.COMPENSATED and state.left is not None:
-        return compensate(state, sample.force_N, config)
+        return identify_left(state, sample.force_N, config)
     return state
 
 
@@ -71,6 +74,7 @@ def _identify(
         window_s=window_s,
         traverse=Traverse(traverse.start_depth_m, windows, time, mean),
         predicted_N=own - error + earlier,
+        compensated=None,
     ), error
 
 
@@ -133,7 +137,7 @@ def _open_layer(
         window=WindowSums(),
         window_s=0.0,
         traverse=Traverse(sample.depth_m),
-        left=state.traverse._replace(windows=windows),
+        left=state.traverse._replace(windows=joined(windows)),
         rupture=rupture,
         decision=0.0,
         waited_s=0.0,

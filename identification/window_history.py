@@ -1,8 +1,4 @@
-"""Sums of all reset windows of a layer, kept so that a re-run takes microseconds.
-
-A window of the re-run maps the estimate linearly, theta+ = A theta + c. Maps one after the other
-are one map, and composing them pair by pair takes a few array operations for thousands of windows.
-"""
+"""Sums of all reset windows of a layer, kept so that a re-run needs no samples."""
 
 from typing import NamedTuple
 
@@ -12,6 +8,7 @@ from numpy.typing import NDArray
 from identification.window_sums import WindowSums
 
 _CHUNK = 16
+_KF, _BF, _KV, _BV = (WindowSums._fields.index(name) for name in ("kf", "bf", "kv", "bv"))
 
 
 class WindowHistory(NamedTuple):
@@ -38,9 +35,17 @@ def append_window(history: WindowHistory, sums: WindowSums, most: int) -> Window
 
 
 def window_rows(history: WindowHistory) -> NDArray[np.float64]:
-    """All windows, one row each, shape (m, 7)."""
+    """All windows, one row each, shape (m, 7); not to be written to."""
+    if len(history.chunks) == 1 and not history.recent:
+        return history.chunks[0]
     parts = [*history.chunks, np.array(history.recent).reshape(-1, len(WindowSums._fields))]
     return np.concatenate(parts)
+
+
+def joined(history: WindowHistory) -> WindowHistory:
+    """The same windows in one piece, field by field: what a later re-run need not do."""
+    rows = np.asfortranarray(window_rows(history))
+    return WindowHistory((_frozen(rows),) if len(rows) else ())
 
 
 def add_neighbours(rows: NDArray[np.float64]) -> NDArray[np.float64]:
@@ -54,60 +59,10 @@ def add_neighbours(rows: NDArray[np.float64]) -> NDArray[np.float64]:
 
 def less_viscous_rows(history: WindowHistory, damping_Ns_per_m: float) -> WindowHistory:
     """Windows as if ``damping_Ns_per_m * v`` had been subtracted from every force sample."""
-    rows = window_rows(history)
-    kf, bf, kv, bv = (WindowSums._fields.index(name) for name in ("kf", "bf", "kv", "bv"))
-    rows[:, kf] -= damping_Ns_per_m * rows[:, kv]
-    rows[:, bf] -= damping_Ns_per_m * rows[:, bv]
+    rows = np.array(window_rows(history), order="F")
+    rows[:, _KF] -= damping_Ns_per_m * rows[:, _KV]
+    rows[:, _BF] -= damping_Ns_per_m * rows[:, _BV]
     return WindowHistory((_frozen(rows),) if len(rows) else ())
-
-
-def rerun_history(
-    history: WindowHistory,
-    variances: tuple[float, float],
-    theta: tuple[float, float] = (0.0, 0.0),
-) -> tuple[float, float]:
-    """Re-run RLS with covariance resetting over a whole layer (Section III-B).
-
-    Args:
-        history: Windows of the layer.
-        variances: Diagonal of the (re-weighted) Psi_0, restored at each window's start.
-        theta: Estimate at the start of the layer.
-
-    Returns:
-        (K, B), the same as the sample-by-sample re-run up to rounding.
-    """
-    rows = window_rows(history)
-    if not len(rows):
-        return theta
-    maps = _window_maps(rows, variances)
-    while (count := maps.shape[2]) > 1:
-        even = count // 2 * 2
-        pairs = _composed(maps[:, :, 1:even:2], maps[:, :, 0:even:2])
-        maps = pairs if even == count else np.concatenate((pairs, maps[:, :, even:]), axis=2)
-    stiffness, friction = maps[:, :2, 0] @ np.array(theta) + maps[:, 2, 0]
-    return float(stiffness), float(friction)
-
-
-def _composed(later: NDArray[np.float64], earlier: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Each of `earlier` and after it its neighbour in `later`, as one map; shapes (2, 3, n)."""
-    pairs = later[:, 0, None] * earlier[0] + later[:, 1, None] * earlier[1]
-    pairs[:, 2] += later[:, 2]
-    return pairs
-
-
-def _window_maps(rows: NDArray[np.float64], variances: tuple[float, float]) -> NDArray[np.float64]:
-    """Each window's A and c side by side, shape (2, 3, m): `window_step` written out."""
-    p, q = variances
-    kk, kb, bb, kf, bf = np.ascontiguousarray(rows.T[:5])
-    first, second = 1.0 + q * bb, 1.0 + p * kk
-    excitation = np.maximum(kk * bb - kb * kb, 0.0)
-    share = 1.0 / (second + q * bb + (p * q) * excitation)
-    maps = np.empty((2, 3, len(rows)))
-    maps[0, 0], maps[0, 1] = first * share, -p * kb * share
-    maps[1, 0], maps[1, 1] = -q * kb * share, second * share
-    maps[0, 2] = p * (first * kf - q * kb * bf) * share
-    maps[1, 2] = q * (second * bf - p * kb * kf) * share
-    return maps
 
 
 def _frozen(rows: NDArray[np.float64]) -> NDArray[np.float64]:

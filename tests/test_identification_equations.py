@@ -10,7 +10,8 @@ from identification.force_derivative import derivative_step
 from identification.force_drop import drop_interval_s, force_drop_N, force_ratios
 from identification.reweighting import reweighted_friction_variance
 from identification.rls import RlsState, reset_covariance, rls_step
-from identification.window_history import WindowHistory, append_window, rerun_history
+from identification.window_history import WindowHistory, append_window
+from identification.window_rerun import rerun_history
 from identification.window_sums import WindowSums, add_sample, less_viscous_force
 
 number = st.floats(-2.0, 2.0)

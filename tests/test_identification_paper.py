@@ -63,6 +63,21 @@ def test_compensation_leaves_no_jump_in_the_prediction():
     assert max(after) < 0.15
 
 
+def test_a_layer_is_listed_when_identified_and_subtracted_from_the_next_sample_on():
+    z, f = ml_insertion(LAYERS[:1])
+    identifier, before = Identifier(PAPER), 0
+    for a, b in zip(z, f, strict=True):
+        estimate = identifier.update(float(a), SPEED, float(b), DT_S)
+        if estimate.compensated:
+            break
+        assert estimate.cumulative_friction_Ns_per_m == 0.0
+        before = before or len(identifier.layers)
+    assert before == 1
+    assert identifier.layers == (estimate.compensated,)
+    share = estimate.compensated.friction_N / estimate.compensated.rupture.speed_m_s
+    assert estimate.cumulative_friction_Ns_per_m == pytest.approx(share)
+
+
 def test_nothing_happens_before_contact():
     estimates = run(Identifier(PAPER), np.linspace(-0.01, -0.001, 500), np.zeros(500))
     assert all(not e.in_contact and e.layer == 0 and e.rupture is None for e in estimates)

@@ -8,9 +8,9 @@ from identification.window_history import (
     add_neighbours,
     append_window,
     less_viscous_rows,
-    rerun_history,
     window_rows,
 )
+from identification.window_rerun import rerun_history
 from identification.window_sums import WindowSums, add_sample, less_viscous_force, window_step
 
 
