@@ -99,7 +99,8 @@ def _motion_check(
     by_depth, by_speed = keep * state.depth_travel_m, keep * state.speed_travel_m
     if is_jump:
         shift += surprise
-    else:
+    elif state.has_depth and not is_gap:
+        # One speed says nothing of the way through a gap, nor of that before the first depth.
         by_depth, by_speed = by_depth + change, by_speed + speed * dt
     usual = state.usual_dt_s or interval
     usual += 0.05 * (interval - usual)

@@ -79,6 +79,26 @@ def test_speed_of_the_wrong_sign_is_called_out():
     assert SampleStatus.DEPTH_JUMP not in seen
 
 
+@pytest.mark.parametrize("before", [0, 400])
+def test_one_speed_says_nothing_of_the_way_through_a_gap(before):
+    """13 s of a tare, then a needle that sets out: 0.1 mm/s of noise are no way back of 1.3 mm."""
+    check, depth = CheckState(), 0.0
+    for _ in range(before):
+        check, _, _ = check_step(check, (depth, 0.0, 0.0, 1e-3), CheckConfig())
+    for _ in range(13000):
+        check, _, _ = check_step(check, (depth, 0.0, math.nan, 1e-3), CheckConfig())
+    seen, absorbed_s = [], 0.0
+    for k in range(400):
+        speed = -1e-4 if k == 0 else 2e-3
+        depth += 2e-6
+        check, sample, status = check_step(check, (depth, speed, 0.0, 1e-3), CheckConfig())
+        seen.append(status)
+        absorbed_s += sample.dt_s if sample else 0.0
+    assert set(seen[1:]) == {SampleStatus.OK}
+    assert seen[0] is (SampleStatus.TIME_GAP if before else SampleStatus.OK)
+    assert absorbed_s == pytest.approx(13.4)
+
+
 def test_check_limits_must_be_positive():
     with pytest.raises(InvalidConfigError, match="gap_s"):
         CheckConfig(gap_s=0.0)
