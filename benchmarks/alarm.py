@@ -1,5 +1,6 @@
 """Ruptures as an identifier reported them, on the run's own clock."""
 
+from collections.abc import Iterable
 from typing import NamedTuple
 
 import numpy as np
@@ -57,3 +58,9 @@ def first_compensation(result: Replay) -> int | None:
     """Index of the sample at which friction was first identified, if ever."""
     is_compensated = (estimate.compensated is not None for estimate in result.estimates)
     return next((k for k, found in enumerate(is_compensated) if found), None)
+
+
+def cumulative_friction_Ns_per_m(alarms: Iterable[Alarm]) -> float:
+    """Sum of B d over the layers left, each at the speed of its rupture, as known at the end."""
+    layers = [alarm.layer for alarm in alarms if alarm.layer is not None]
+    return sum(layer.friction_N / max(layer.rupture.speed_m_s, 1e-9) for layer in layers)

@@ -3,10 +3,10 @@
 from benchmarks.force_reading import ForceReading
 from benchmarks.identification_metrics import Signals
 from benchmarks.joint_signals import JointSignals
+from benchmarks.measured_travel import MeasuredTravel, measured_travel, smoothed
 from benchmarks.needle_signal import NeedleSignal
 from benchmarks.row import Method, Source
 from benchmarks.simulated import SimulatedCase
-from benchmarks.tip_travel import TipTravel, smoothed, tip_travel
 
 PAPER_SPEED_s = 0.02
 """Time constant of the low-pass on the speed that the published method is given. It takes speed as
@@ -21,8 +21,8 @@ def arm_signals(case: SimulatedCase) -> list[Signals]:
     is the same for both methods; the virtual force of a method is that of its own sensor, so that
     under `virtual` each whole chain is judged.
     """
-    measured = tip_travel(case.run.robot, case.signals, case.run.tare_end_s)
-    travel: dict[Method, TipTravel] = {
+    measured = measured_travel(case.run.robot, case.signals, case.run.tare_end_s)
+    travel: dict[Method, MeasuredTravel] = {
         "default": measured,
         "paper": smoothed(measured, case.signals.dt_s, PAPER_SPEED_s),
     }
@@ -48,7 +48,7 @@ def arm_signals(case: SimulatedCase) -> list[Signals]:
 
 
 def _signal(
-    source: Source, signals: JointSignals, travel: TipTravel, reading: ForceReading
+    source: Source, signals: JointSignals, travel: MeasuredTravel, reading: ForceReading
 ) -> NeedleSignal:
     return NeedleSignal(
         source=source,

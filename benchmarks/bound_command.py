@@ -13,7 +13,8 @@ from benchmarks.job import Job, Progress
 from benchmarks.noise_colour import reading_error_N
 from benchmarks.progress_bar import progress_bar
 from benchmarks.screen import new_console
-from benchmarks.simulated import scenario_of, simulated_case
+from benchmarks.simulated import simulated_case
+from groundtruth import scenario
 from groundtruth.force_noise import MINI45
 
 RUN = Job(benchmark="stack-constant", plant="realistic", seed=0)
@@ -65,7 +66,7 @@ def _ft_noise() -> ForceNoiseSeries:
 
 def _virtual_noise(tell: Progress) -> list[ForceNoiseSeries]:
     """White as a comparison, and as it is."""
-    case = simulated_case(RUN, scenario_of(RUN), tell)
+    case = simulated_case(RUN, scenario(RUN.benchmark), tell)
     truth = truth_of_run(case.run)
     (signal,) = (
         item["default"] for item in arm_signals(case) if item["default"].source == "virtual"

@@ -16,7 +16,6 @@ from benchmarks.force_falls import alarms_at_falls, force_falls
 from benchmarks.identified import IDENTIFIERS
 from benchmarks.job import Job, Progress
 from benchmarks.measurement import Measurement
-from benchmarks.recordings_folder import recordings_folder
 from benchmarks.transition import VISIBLE_SIGMAS
 from identification import PaperConfig, Replay, replay
 
@@ -30,7 +29,7 @@ def run_bovine_real(job: Job, progress: Progress) -> Findings:
     Raises:
         DataError: The recording is missing or broken.
     """
-    data = recordings_folder(job)
+    data = job.recordings
     signal = read_bovine(data, np.random.default_rng(job.seed))
     drawn = read_bovine(data, None)
     falls = force_falls(drawn.depth_m, drawn.force_N, VISIBLE_SIGMAS * NOISE_N)

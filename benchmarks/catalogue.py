@@ -14,10 +14,10 @@ from benchmarks.needle_benchmark import NEEDLE
 from benchmarks.observers import run_observers
 from benchmarks.panda_liver import run_panda_liver
 from benchmarks.panda_real import run_panda_real
-from benchmarks.simulated import RANDOM_STACK
 from benchmarks.simulated_job import run_simulated
 from benchmarks.ur10e_payload import run_ur10e_payload
 from groundtruth import SCENARIOS
+from groundtruth.random_stack import RANDOM_STACK
 
 QUICK = (
     # The two of the paper's Figure 5, the other speed of each, and the organs: under a minute.

@@ -7,9 +7,9 @@ from collections.abc import Iterable, Sequence
 from rich.table import Table
 
 from benchmarks.identification_catalogue import IDENTIFICATION, TABLE_I
-from benchmarks.identification_targets import GELS
 from benchmarks.row import Row
-from benchmarks.summary import summary
+from benchmarks.scenario_groups import GELS
+from benchmarks.summary import NOTHING, summary
 
 FORCE_CAPTION = (
     "Several seeds: median (worst), of shares mean (least). Residue: |enhanced force| beyond the "
@@ -85,7 +85,7 @@ def table_one_table(rows: Iterable[Row]) -> Table | None:
     for key, found in groups.items():
         columns = [_values(found, item.name) for item in TABLE_I]
         errors = _online_errors_pct(found)
-        published = PUBLISHED_PCT.get(key[0].split("-")[1], "–")
+        published = PUBLISHED_PCT.get(key[0].split("-")[1], NOTHING)
         cells = [summary(values, ".0f") for values in columns]
         table.add_row(*_head(key), *cells, summary(errors, "+.0f"), str(published))
     return table

@@ -6,11 +6,9 @@ Friction is judged as it was known online, in the layer after the one it is of, 
 from collections.abc import Callable, Iterator
 from functools import partial
 
-from benchmarks.targets import TISSUE, Target
+from benchmarks.scenario_groups import GELS, RANDOM, STACKS, TISSUE
+from benchmarks.targets import Target
 
-GELS = tuple(name for name in TISSUE if name.startswith("gel-"))
-STACKS = tuple(name for name in TISSUE if name.startswith("stack-"))
-RANDOM = ("random-stack",)
 JUDGED_ON = (("ft", "needle"), ("ft", "realistic"), ("virtual", "realistic"))
 """Source and plant: the F/T sensor on the needle alone and on the arm, the virtual one on it."""
 FRICTION, DELAY = "friction_error_online_worst_pct", "rupture_delay_ms"

@@ -4,6 +4,7 @@ from collections.abc import Callable
 from dataclasses import dataclass, field
 from pathlib import Path
 
+from benchmarks.errors import DataError
 from benchmarks.report.drawing import Drawing
 from benchmarks.row import Row
 
@@ -32,6 +33,17 @@ class Job:
     data: Path | None = None
     drawings: Path | None = None
 
+    @property
+    def recordings(self) -> Path:
+        """The folder of recordings.
+
+        Raises:
+            DataError: There is none.
+        """
+        if self.data is None:
+            raise DataError(f"{self.benchmark} needs recordings: give --data DIR")
+        return self.data
+
     def __str__(self) -> str:
         """One line for people."""
         return f"{self.benchmark}, {self.plant}, seed {self.seed}"
@@ -52,3 +64,12 @@ class Outcome:
     rows: tuple[Row, ...] = field(default=())
     drawings: tuple[Drawing, ...] = ()
     failure: str | None = None
+
+
+def progress_part(progress: Progress, start: float, end: float) -> Progress:
+    """Progress of a part, 0 to 1, as progress of the whole from start to end."""
+
+    def tell(share: float) -> None:
+        progress(start + (end - start) * share)
+
+    return tell

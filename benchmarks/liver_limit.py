@@ -20,7 +20,6 @@ from benchmarks.liver_features import liver_features
 from benchmarks.liver_told import DEPTHS_mm, known_of, tell
 from benchmarks.measurement import Measurement
 from benchmarks.pullout import in_and_out, mean_at_depth
-from benchmarks.recordings_folder import recordings_folder
 from benchmarks.regression import Fit, Seen, gaussian_process, left_out, level, linear, ridge
 
 Array = NDArray[np.float64]
@@ -64,7 +63,7 @@ def run_liver_limit(job: Job, progress: Progress) -> Findings:
     Raises:
         DataError: The recording is missing or broken.
     """
-    data = recordings_folder(job)
+    data = job.recordings
     features: list[dict[str, float]] = []
     pullouts: list[_Pullout] = []
     for index in range(len(NUMBERS)):

@@ -19,7 +19,6 @@ from benchmarks.liver_told import (
 )
 from benchmarks.measurement import Measurement
 from benchmarks.pullout import in_and_out, mean_at_depth
-from benchmarks.recordings_folder import recordings_folder
 from benchmarks.row import Method
 
 GUESS_SHARE = 0.7
@@ -32,7 +31,7 @@ def run_liver_real(job: Job, progress: Progress) -> Findings:
     Raises:
         DataError: The recording is missing or broken.
     """
-    data = recordings_folder(job)
+    data = job.recordings
     told: dict[Method, list[LiverTold]] = {"guess": [], "paper": [], "default": []}
     falls = 0
     for index in range(len(NUMBERS)):

@@ -15,14 +15,12 @@ import numpy as np
 
 from benchmarks.benchmark import Findings
 from benchmarks.force_truth import ForceTruth
-from benchmarks.job import Job, Progress
+from benchmarks.job import Job, Progress, progress_part
 from benchmarks.liver import LiverInsertion, REST_s, read_liver
 from benchmarks.measurement import Measurement
 from benchmarks.methods import METHODS
 from benchmarks.panda import Panda, read_panda
 from benchmarks.panda_liver_told import told_values
-from benchmarks.progress_part import progress_part
-from benchmarks.recordings_folder import recordings_folder
 from benchmarks.report.drawing import Drawing
 from benchmarks.report.run_drawings import force_drawings
 from benchmarks.tool_jacobians import tool_jacobians
@@ -44,7 +42,7 @@ def run_panda_liver(job: Job, progress: Progress) -> Findings:
     Raises:
         DataError: A recording is missing or broken.
     """
-    data = recordings_folder(job)
+    data = job.recordings
     panda, insertion = read_panda(data), read_liver(data, job.seed, as_recorded=True)
     truth = _truth(panda, insertion)
     along = tool_jacobians(panda.robot, panda.signals.q_rad)[:, 2]

@@ -7,7 +7,6 @@ from benchmarks.job import Job, Progress
 from benchmarks.joint_residual import joint_residual
 from benchmarks.measurement import Measurement
 from benchmarks.panda import read_panda
-from benchmarks.recordings_folder import recordings_folder
 
 GAIN_per_s = 30.0
 """That of the known-good figures."""
@@ -21,7 +20,7 @@ def run_panda_real(job: Job, progress: Progress) -> Findings:
     Raises:
         DataError: The recording is missing or broken.
     """
-    panda = read_panda(recordings_folder(job))
+    panda = read_panda(job.recordings)
     signals = panda.signals
     residual = joint_residual(panda.robot, signals, GAIN_per_s, friction=panda.friction)
     settled = signals.t_s - signals.t_s[0] >= SETTLING_LAGS / GAIN_per_s

@@ -2,24 +2,20 @@
 
 from dataclasses import dataclass
 
-import numpy as np
-
 from benchmarks.force_reading import ForceReading
 from benchmarks.force_truth import ForceTruth
 from benchmarks.ft_force import ft_force
-from benchmarks.job import Job, Progress
+from benchmarks.job import Job, Progress, progress_part
 from benchmarks.joint_signals import JointSignals
 from benchmarks.measurement import Measurement
 from benchmarks.methods import METHODS, on_lwr
-from benchmarks.progress_part import progress_part
 from benchmarks.residual_metrics import residual_metrics
 from benchmarks.virtual_force import virtual_force
 from benchmarks.wrench_metrics import wrench_metrics
-from groundtruth import Run, Scenario, random_stack, scenario, simulate
+from groundtruth import Run, Scenario, simulate
 
 SIMULATION_SHARE = 0.5
 """Of a job's time, for the progress bar."""
-RANDOM_STACK = "random-stack"
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -37,13 +33,6 @@ class SimulatedCase:
     signals: JointSignals
     truth: ForceTruth
     readings: tuple[ForceReading, ...]
-
-
-def scenario_of(job: Job) -> Scenario:
-    """The scenario of a job; ``random-stack`` draws one from the job's seed."""
-    if job.benchmark == RANDOM_STACK:
-        return random_stack(np.random.default_rng(job.seed))
-    return scenario(job.benchmark)
 
 
 def simulated_case(job: Job, chosen: Scenario, progress: Progress) -> SimulatedCase:

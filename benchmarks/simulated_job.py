@@ -4,19 +4,14 @@ from benchmarks.arm_identification import arm_signals
 from benchmarks.benchmark import Findings
 from benchmarks.identification_metrics import identification_metrics, identify_all
 from benchmarks.insertion_truth import truth_of_run
-from benchmarks.job import Job, Progress
+from benchmarks.job import Job, Progress, progress_part
 from benchmarks.measurement import Measurement
 from benchmarks.needle_benchmark import NEEDLE, run_needle
-from benchmarks.progress_part import progress_part
 from benchmarks.report.drawing import Drawing
 from benchmarks.report.run_drawings import force_drawings, identification_drawings
-from benchmarks.simulated import (
-    RANDOM_STACK,
-    SimulatedCase,
-    scenario_of,
-    simulated_case,
-    simulated_metrics,
-)
+from benchmarks.simulated import SimulatedCase, simulated_case, simulated_metrics
+from groundtruth.named_scenario import named_scenario
+from groundtruth.random_stack import RANDOM_STACK
 
 READING_SHARE = 0.85
 """Of a job's time until identification begins, for the progress bar."""
@@ -24,7 +19,7 @@ READING_SHARE = 0.85
 
 def run_simulated(job: Job, progress: Progress) -> Findings:
     """Simulate, read every sensor, identify, measure, draw."""
-    chosen = scenario_of(job)
+    chosen = named_scenario(job.benchmark, job.seed)
     if job.plant == NEEDLE:
         return run_needle(job, chosen, progress, is_drawn=job.benchmark == RANDOM_STACK)
     case = simulated_case(job, chosen, progress_part(progress, 0.0, READING_SHARE))

@@ -5,6 +5,7 @@ import argparse
 from rich.table import Table
 
 from benchmarks.arguments import FAILURE
+from benchmarks.identified import IDENTIFIERS
 from benchmarks.progress_bar import progress_bar
 from benchmarks.rerun_speed import LONG_S, SHORT_S, rerun_us
 from benchmarks.screen import met_mark, new_console
@@ -20,9 +21,6 @@ from benchmarks.speed_table import (
     speed_table,
 )
 from benchmarks.targets import RERUN_COST_RATIO, SOAK_COST_SHARE, SOAK_GROWTH_KB
-from identification import DEFAULT, PAPER
-
-IDENTIFIERS = {"default": DEFAULT, "paper": PAPER}
 
 
 def execute(arguments: argparse.Namespace) -> int:

@@ -2,6 +2,7 @@
 
 import numpy as np
 
+from benchmarks.alarm import cumulative_friction_Ns_per_m
 from benchmarks.identified import Identified
 from benchmarks.insertion_truth import InsertionTruth
 from benchmarks.needle_signal import NeedleSignal
@@ -18,11 +19,7 @@ def table_one(
     """
     rupture = truth.ruptures[0]
     speed = float(np.interp(rupture.onset_s, truth.t_s, truth.speed_m_s))
-    online = sum(
-        alarm.layer.friction_N / max(alarm.layer.rupture.speed_m_s, 1e-9)
-        for alarm in identified.alarms
-        if alarm.layer is not None
-    )
+    online = cumulative_friction_Ns_per_m(identified.alarms)
     offline = offline_fit(signal, truth).layers[0]
     return {
         "cumulative_friction_true_Ns_per_m": rupture.layer_friction_N / speed,

@@ -5,12 +5,10 @@ from dataclasses import dataclass
 from typing import Literal
 
 from benchmarks.row import Row
-from groundtruth import SCENARIOS
+from benchmarks.scenario_groups import TISSUE
 
 Statistic = Literal["worst", "mean", "median"]
 """What of all runs must keep the limits."""
-
-TISSUE = tuple(item.id for item in SCENARIOS.values() if item.layers)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

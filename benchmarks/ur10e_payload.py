@@ -15,7 +15,6 @@ from benchmarks.job import Job, Progress
 from benchmarks.joint_residual import joint_residual
 from benchmarks.joint_signals import JointSignals
 from benchmarks.measurement import Measurement
-from benchmarks.recordings_folder import recordings_folder
 from benchmarks.tool_jacobians import tool_jacobians
 from benchmarks.ur10e import Ur10e, read_ur10e
 from residual import WrenchEstimator
@@ -37,7 +36,7 @@ def run_ur10e_payload(job: Job, progress: Progress) -> Findings:
     Raises:
         DataError: A recording is missing or broken.
     """
-    arm = read_ur10e(recordings_folder(job))
+    arm = read_ur10e(job.recordings)
     residual_unloaded = _residual(arm, arm.unloaded)
     progress(0.3)
     residual_loaded = _residual(arm, arm.loaded)

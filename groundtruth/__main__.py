@@ -5,14 +5,13 @@ from argparse import Namespace
 from collections.abc import Sequence
 from pathlib import Path
 
-import numpy as np
-
 from groundtruth.arguments import build_parser
 from groundtruth.errors import GroundTruthError, RunError
-from groundtruth.random_stack import random_stack
+from groundtruth.named_scenario import named_scenario
+from groundtruth.random_stack import RANDOM_STACK
 from groundtruth.run import Run
 from groundtruth.scenario import Scenario
-from groundtruth.scenarios import SCENARIOS, scenario
+from groundtruth.scenarios import SCENARIOS
 from groundtruth.signal_table import signal_table, truth_table
 from groundtruth.simulate import simulate
 from recordings import RecordingError, check_writable, write_table
@@ -24,7 +23,6 @@ from urdf import UrdfError
 ERRORS = (GroundTruthError, RecordingError, UrdfError)
 """What is told in one line."""
 
-RANDOM = "random-stack"
 _LAYER_WORDS = ("above the tissue", "in layer {}")
 _RUPTURE_WORDS = ("", "layer {} gives way")
 _SURFACE_WORDS = ("", "the membrane on the surface gives way")
@@ -69,9 +67,7 @@ def _chosen(arguments: Namespace) -> Scenario:
         raise RunError("no scenario is named; --list prints them")
     if arguments.seed < 0:
         raise RunError(f"--seed {arguments.seed}: expected a whole number from 0 up")
-    if arguments.scenario == RANDOM:
-        return random_stack(np.random.default_rng(arguments.seed))
-    return scenario(arguments.scenario)
+    return named_scenario(arguments.scenario, arguments.seed)
 
 
 def _simulate(chosen: Scenario, arguments: Namespace) -> Run:
@@ -88,7 +84,7 @@ def _simulate(chosen: Scenario, arguments: Namespace) -> Run:
 
 def _listed() -> str:
     rows = {name: item.title for name, item in SCENARIOS.items()}
-    rows[RANDOM] = "one to four layers drawn from the seed"
+    rows[RANDOM_STACK] = "one to four layers drawn from the seed"
     width = max(map(len, rows))
     return "".join(f"{name:<{width}}  {title}\n" for name, title in rows.items())
 

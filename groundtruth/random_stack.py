@@ -12,6 +12,9 @@ from groundtruth.membrane import Membrane
 from groundtruth.motion import Motion, constant_motion, sinusoidal_motion
 from groundtruth.scenario import Scenario
 
+RANDOM_STACK = "random-stack"
+"""The id of every drawn scenario."""
+
 LAYERS = (1, 4)
 THICKNESS_M = (10e-3, 40e-3)
 """From muscle over a rib to a slice of liver; gels are 28-38 mm."""
@@ -114,7 +117,7 @@ def random_stack(rng: np.random.Generator) -> Scenario:
     )
     kind = "sinusoidal" if sine else "constant"
     return Scenario(
-        id="random-stack",
+        id=RANDOM_STACK,
         title=f"{count} random layers, {kind} speed up to {speed * 1e3:.1f} mm/s",
         layers=layers,
         motion=_motion(rng, float(thickness.sum()), speed, sine=sine),

@@ -14,9 +14,9 @@ from benchmarks.identification_table import friction_table, rupture_table, table
 from benchmarks.job import Job
 from benchmarks.joint_signals import JointSignals
 from benchmarks.liver_real import run_liver_real
+from benchmarks.measured_travel import MeasuredTravel, measured_travel, smoothed
 from benchmarks.needle_benchmark import drawn_noise, run_needle
 from benchmarks.pullout import in_and_out, mean_at_depth
-from benchmarks.tip_travel import TipTravel, smoothed, tip_travel
 from benchmarks.transition import VISIBLE_SIGMAS
 from groundtruth import simulate
 
@@ -77,7 +77,7 @@ def test_the_robots_kinematics_tell_the_travel_of_the_tip(arm):
     signals = JointSignals(
         t_s=sent.t_s, q_rad=sent.q_rad, dq_rad_s=sent.dq_rad_s, tau_Nm=sent.tau_Nm
     )
-    travel = tip_travel(run.robot, signals, run.tare_end_s)
+    travel = measured_travel(run.robot, signals, run.tare_end_s)
     after = run.truth.t_s > run.tare_end_s
     error = (travel.depth_m - run.truth.depth_m)[after]
     assert np.std(error) < 2e-5
@@ -88,7 +88,7 @@ def test_the_robots_kinematics_tell_the_travel_of_the_tip(arm):
 
 def test_a_smoothed_speed_lags_by_its_time_constant_and_leaves_the_depth_alone():
     ramp = np.linspace(0.0, 1.0, 1001)
-    travel = smoothed(TipTravel(ramp, ramp), np.full(1001, 1e-3), 0.02)
+    travel = smoothed(MeasuredTravel(ramp, ramp), np.full(1001, 1e-3), 0.02)
     assert np.array_equal(travel.depth_m, ramp)
     assert travel.speed_m_s[-1] == pytest.approx(0.98, abs=1e-3)
 

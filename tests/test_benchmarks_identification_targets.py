@@ -15,10 +15,11 @@ from benchmarks.identification_catalogue import (
     TABLE_I,
 )
 from benchmarks.identification_table import friction_table, rupture_table, table_one_table
-from benchmarks.identification_targets import GELS, IDENTIFICATION_TARGETS, STACKS
+from benchmarks.identification_targets import IDENTIFICATION_TARGETS
 from benchmarks.metric_catalogue import METRICS
 from benchmarks.number_table import number_table
 from benchmarks.offline_table import offline_table
+from benchmarks.scenario_groups import GELS, STACKS
 from benchmarks.targets import Target
 from benchmarks.tissue_table import tissue_table
 from benchmarks.verdict import verdicts

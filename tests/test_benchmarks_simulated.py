@@ -8,7 +8,8 @@ from gel_slice import gel_slice
 
 from benchmarks.job import Job
 from benchmarks.results_file import to_json
-from benchmarks.simulated import scenario_of, simulated_case, simulated_metrics
+from benchmarks.simulated import simulated_case, simulated_metrics
+from groundtruth.named_scenario import named_scenario
 
 SHORT = gel_slice(25, thickness_m=8e-3, speed_m_s=15e-3)
 TOUCHLESS = replace(SHORT, layers=())
@@ -93,7 +94,7 @@ def test_without_tissue_only_the_virtual_sensor_is_judged_and_from_the_tare_on()
 
 def test_a_random_stack_is_drawn_from_the_seed():
     def drawn(seed):
-        return scenario_of(Job(benchmark="random-stack", plant="hard", seed=seed))
+        return named_scenario("random-stack", seed)
 
     assert drawn(1) == drawn(1)
     assert drawn(1) != drawn(2)

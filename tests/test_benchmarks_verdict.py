@@ -7,7 +7,8 @@ from benchmark_rows import make_row
 
 from benchmarks.catalogue import BENCHMARKS
 from benchmarks.metric_catalogue import METRICS
-from benchmarks.targets import TARGETS, TISSUE, Target
+from benchmarks.scenario_groups import TISSUE
+from benchmarks.targets import TARGETS, Target
 from benchmarks.verdict import verdicts
 
 LIMIT = Target(what="force", metric="wrench_rmse_N", plant="hard", at_most=0.12)

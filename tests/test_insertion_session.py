@@ -5,7 +5,7 @@ import pytest
 from insertion_run import samples, short_run, tare_index, time_steps
 
 from benchmarks.joint_signals import JointSignals
-from benchmarks.tip_travel import tip_travel
+from benchmarks.measured_travel import measured_travel
 from identification import SampleStatus
 from insertion import InsertionError, InsertionSession, TipTravel
 from residual import DEFAULT, PAPER, Status, TareError
@@ -54,7 +54,7 @@ def test_depth_and_speed_are_those_of_the_offline_kinematics(with_velocity):
     online = insert(InsertionSession(run.robot), with_velocity=with_velocity, last=tare + 4000)[
         tare:
     ]
-    offline = tip_travel(
+    offline = measured_travel(
         run.robot,
         JointSignals(
             t_s=sent.t_s,

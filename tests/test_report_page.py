@@ -13,11 +13,12 @@ from benchmarks.report.drawing import Drawing, Fact
 from benchmarks.report.friction_chart import friction_chart
 from benchmarks.report.gel_friction import gel_friction
 from benchmarks.report.gel_table import gel_table
-from benchmarks.report.paper_figures import ENHANCED_FIGURES, GELS, NEEDED, PAPER_FIGURES
+from benchmarks.report.paper_figures import ENHANCED_FIGURES, NEEDED, PAPER_FIGURES
 from benchmarks.report.report_page import write_report
 from benchmarks.report.sections import chosen, further_sections, missing_section, paper_sections
 from benchmarks.report.tables import page_tables
 from benchmarks.row import Row
+from benchmarks.scenario_groups import GELS
 from groundtruth import SCENARIOS
 
 pytest.importorskip("matplotlib")

@@ -9,7 +9,6 @@ from groundtruth import ARM_LEVELS, Run
 from groundtruth.plant_bodies import lwr_bodies
 
 Array = NDArray[np.float64]
-GRAVITY_M_S2 = 9.80665
 WRIST = 5
 STOP_NM = 2.0
 """Torque with which the wrist is pressed against its end stop."""
@@ -103,8 +102,7 @@ def stretched(run: Run, stream: FaultStream) -> FaultStream:
 
 def heavier(run: Run, stream: FaultStream, at: int) -> FaultStream:
     """A cable of 50 g comes to hang on the needle's mount for 2 s, after the tare."""
-    weight = np.array([0.0, 0.0, -0.05 * GRAVITY_M_S2])
-    return loaded(run, stream, at, 2000, weight)
+    return loaded(run, stream, at, 2000, 0.05 * run.robot.gravity_m_s2)
 
 
 def pushed_aside(run: Run, stream: FaultStream, at: int) -> FaultStream:

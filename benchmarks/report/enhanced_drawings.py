@@ -3,6 +3,7 @@
 import math
 from dataclasses import dataclass
 
+from benchmarks.alarm import cumulative_friction_Ns_per_m
 from benchmarks.enhanced_metrics import enhanced_metrics
 from benchmarks.force_reading import ForceReading
 from benchmarks.identified import Identified
@@ -69,6 +70,7 @@ def _draw_published(book: Sketchbook, figure: str, truth: InsertionTruth, told: 
     panel = "a" if figure else ""
     title = book.title(figure, panel, f"{READINGS[source]}, {PUBLISHED}")
     none = "" if item.alarms else " No rupture was detected, so nothing is taken off."
+    friction = cumulative_friction_Ns_per_m(item.alarms)
     book.add(
         enhanced_chart(title, truth, item, told.kelvin_voigt, told.ft, has_speed=figure == "9"),
         f"{source}-paper",
@@ -77,7 +79,7 @@ def _draw_published(book: Sketchbook, figure: str, truth: InsertionTruth, told: 
         alt=ALT + PUBLISHED,
         caption="The published method as its authors ran it: commanded speed, "
         f"σ₁ = {sigma1_N(figure, source):g} N.{none}",
-        tuned_friction_Ns_per_m=_friction(item) if source == "ft" else math.nan,
+        tuned_friction_Ns_per_m=friction if source == "ft" else math.nan,
     )
 
 
@@ -125,7 +127,10 @@ def _facts(figure: str, truth: InsertionTruth, told: Compared) -> tuple[Fact, ..
         Fact(
             what=f"cumulative friction in the end (true: {steps[-1]:.0f}) [Ns/m]",
             paper=FRICTION_IN_PAPER.get(figure, "not stated"),
-            here=tuple((head, f"{_friction(item):.0f}") for head, item in methods.items()),
+            here=tuple(
+                (head, f"{cumulative_friction_Ns_per_m(item.alarms):.0f}")
+                for head, item in methods.items()
+            ),
         ),
         Fact(
             what="|enhanced force| after the last exit, of the force there [%]",
@@ -144,9 +149,3 @@ def _ruptures(item: Identified, truth: InsertionTruth) -> str:
 
 def _residue(item: Identified, truth: InsertionTruth) -> str:
     return f"{enhanced_metrics(item, truth).get('exit_residue_pct', math.nan):.1f}"
-
-
-def _friction(item: Identified) -> float:
-    """Sum over the layers left, each at the speed of its rupture."""
-    layers = [alarm.layer for alarm in item.alarms if alarm.layer is not None]
-    return sum(layer.friction_N / max(layer.rupture.speed_m_s, 1e-9) for layer in layers)

@@ -6,8 +6,8 @@ from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 
 from benchmarks.report.drawing import Drawing
-from benchmarks.report.paper_figures import GELS
 from benchmarks.row import Row
+from benchmarks.scenario_groups import GELS
 
 PLANTS = ("realistic", "hard", "textbook", "needle")
 """The first of these on which gels were run is shown."""

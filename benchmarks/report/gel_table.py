@@ -5,9 +5,9 @@ from collections.abc import Sequence
 
 from benchmarks.published import TABLE_ONE_Ns_per_m
 from benchmarks.report.gel_friction import PERCENTS, SPEEDS, GelFriction
+from benchmarks.summary import NOTHING
 from figures import PageTable
 
-NOTHING = "–"
 ONLINE = (
     ("published, tuned, F/T", "tuned", "ft", "paper"),
     ("published, F/T", "online", "ft", "paper"),

@@ -2,9 +2,8 @@
 
 from dataclasses import dataclass
 
-GELS = tuple(
-    f"gel-{percent}-{kind}" for percent in (25, 50, 70) for kind in ("constant", "sinusoidal")
-)
+from benchmarks.scenario_groups import GELS
+
 FRICTION_FIGURE, TABLE_ONE = "10", "I"
 
 

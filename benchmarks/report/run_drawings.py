@@ -16,9 +16,10 @@ from benchmarks.report.drawing import Drawing
 from benchmarks.report.enhanced_drawings import Compared, draw_enhanced
 from benchmarks.report.force_drawings import draw_forces
 from benchmarks.report.offline_drawings import draw_offline
-from benchmarks.report.paper_figures import ENHANCED_FIGURES, GELS
+from benchmarks.report.paper_figures import ENHANCED_FIGURES
 from benchmarks.report.sketchbook import Sketchbook
 from benchmarks.report.tuned_paper import tuned_paper
+from benchmarks.scenario_groups import GELS
 from identification import PAPER_KV
 
 Array = NDArray[np.float64]

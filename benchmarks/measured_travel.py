@@ -6,7 +6,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from benchmarks.joint_signals import JointSignals
-from insertion import TipTravel as OnlineTravel
+from insertion import TipTravel
 from residual import VelocityEstimator
 from residual.tool_kinematics import ToolKinematics
 from urdf import Robot
@@ -14,7 +14,7 @@ from urdf import Robot
 Array = NDArray[np.float64]
 
 
-class TipTravel(NamedTuple):
+class MeasuredTravel(NamedTuple):
     """Travel of the tip along the needle's axis, and its rate.
 
     Attributes:
@@ -26,7 +26,7 @@ class TipTravel(NamedTuple):
     speed_m_s: Array
 
 
-def tip_travel(robot: Robot, signals: JointSignals, zero_s: float) -> TipTravel:
+def measured_travel(robot: Robot, signals: JointSignals, zero_s: float) -> MeasuredTravel:
     """Forward kinematics of measured positions, Jacobian of measured velocities.
 
     Where the arm sends no velocity it is estimated as the virtual sensor does it, causally.
@@ -38,15 +38,15 @@ def tip_travel(robot: Robot, signals: JointSignals, zero_s: float) -> TipTravel:
     """
     kinematics = ToolKinematics(robot)
     kinematics.update(signals.q_rad[int(np.searchsorted(signals.t_s, zero_s))])
-    travel = OnlineTravel(kinematics)
+    travel = TipTravel(kinematics)
     found = np.zeros((len(signals.t_s), 2))
     for k, (q, dq) in enumerate(zip(signals.q_rad, _velocities(signals), strict=True)):
         kinematics.update(q)
         found[k] = travel.read(dq)
-    return TipTravel(found[:, 0].copy(), found[:, 1].copy())
+    return MeasuredTravel(found[:, 0].copy(), found[:, 1].copy())
 
 
-def smoothed(travel: TipTravel, dt_s: Array, time_constant_s: float) -> TipTravel:
+def smoothed(travel: MeasuredTravel, dt_s: Array, time_constant_s: float) -> MeasuredTravel:
     """The same travel, its speed through a causal first-order low-pass.
 
     Args:
