@@ -14,7 +14,7 @@ def source_arguments(parser: ArgumentParser, channels: str) -> None:
     parser.add_argument(
         "log",
         metavar="LOG",
-        help=f"recording with {channels}: CSV, npz, ... (docs/recordings.md), or - for CSV on "
+        help=f"recording with {channels}: CSV, npz, ... (docs/recordings.md), or - for "
         "standard input",
     )
     parser.add_argument(

@@ -7,10 +7,11 @@ from recordings.bag_files import is_bag
 from recordings.bag_format import bag_chunks
 from recordings.byte_source import Patience, byte_blocks
 from recordings.csv_format import CSV_SUFFIXES, csv_tables
-from recordings.errors import FileAccessError
+from recordings.errors import FileAccessError, RecordingError
 from recordings.npz_format import npz_chunks
 from recordings.open_table import STANDARD_STREAM
 from recordings.parquet_format import parquet_chunks
+from recordings.piped_binary import peek, spooled
 from recordings.read_log import read_table
 from recordings.table import Table
 from recordings.wanted import Wanted
@@ -31,9 +32,10 @@ def stream_tables(
     """Read a recording as it comes.
 
     Args:
-        source: a file, see `read_table`, or `-` for CSV on standard input, plain or compressed.
-        patience: how long more is waited for where the source is text; any source is left when
-            it says to stop.
+        source: a file, see `read_table`, or `-` for standard input: CSV, plain or compressed, or
+            a binary format, which is kept in a temporary file until all of it has come.
+        patience: how long more is waited for where the source is text or a pipe; any source is
+            left when it says to stop.
         wanted: what is read of a bag; of other sources everything is.
 
     Yields:
@@ -49,17 +51,38 @@ def stream_tables(
     path = None if str(source) == STANDARD_STREAM else Path(source)
     name = "standard input" if path is None else str(path)
     if path is None or is_text(path):
-        blocks = byte_blocks(path, patience)
+        suffix, blocks = peek(byte_blocks(path, patience))
+        if suffix and (path is None or path.is_fifo()):
+            yield from _piped(blocks, suffix, name, patience, wanted)
+            return
         yield from csv_tables(
             blocks, name, is_growing=patience.follow, is_stopped=patience.should_stop
         )
         return
     if patience.follow:
-        raise FileAccessError(f"{name} cannot be followed while it grows; only text can")
+        raise FileAccessError(
+            f"{name} cannot be followed while it grows; only CSV can. Record CSV, or read it when "
+            "it is complete"
+        )
     for table in _chunks(path, wanted):
         yield table
         if patience.should_stop():
             return
+
+
+def _piped(
+    blocks: Iterator[bytes], suffix: str, name: str, patience: Patience, wanted: Wanted | None
+) -> Iterator[Table]:
+    patience.warn(
+        f"{name} is {suffix[1:]}, not text: it is read to its end, into a temporary file, before "
+        "anything is estimated"
+    )
+    with spooled(blocks, suffix) as path:
+        try:
+            # What stopped the pipe has not stopped the reading of what came.
+            yield from _chunks(path, wanted)
+        except RecordingError as error:
+            raise type(error)(str(error).replace(str(path), name)) from error
 
 
 def _chunks(path: Path, wanted: Wanted | None) -> Iterator[Table]:

@@ -157,7 +157,6 @@ def test_a_full_disk_is_told(log, output):
         (b"", b"standard input: it is empty"),
         (b"\n\n", b"standard input: it is empty"),
         (bytes(range(256)) * 20, b"standard input: it is not text"),
-        (b"PK\x03\x04\x00\x00", b"standard input: it is not text"),
         (b"t,q1,tau1\n", b"a header but no rows"),
         (b"t,f\n0,1\n1,2\n", b"no column found for q"),
     ],
