@@ -15,6 +15,7 @@ from groundtruth.scenarios import SCENARIOS
 from groundtruth.signal_table import signal_table, truth_table
 from groundtruth.simulate import simulate
 from recordings import RecordingError, check_writable, write_table
+from recordings.apart import require_apart
 from recordings.command_line import run_command, write_out
 from recordings.labels import Labels
 from recordings.progress import progress
@@ -38,9 +39,11 @@ def _run(arguments: Namespace) -> int:
         write_out(_listed())
         return 0
     chosen = _chosen(arguments)
-    for path in (arguments.output, arguments.truth):
-        if path is not None:
-            check_writable(path)
+    outputs = {"-o": arguments.output, "--truth": arguments.truth}
+    named = {option: Path(path) for option, path in outputs.items() if path is not None}
+    require_apart(named)
+    for path in named.values():
+        check_writable(path)
     run = _simulate(chosen, arguments)
     if arguments.output is not None:
         labels = Labels(joint_names=run.robot.joint_names)
@@ -60,9 +63,6 @@ def _run(arguments: Namespace) -> int:
 def _chosen(arguments: Namespace) -> Scenario:
     if not (arguments.output or arguments.truth):
         raise RunError("nothing to write: name a file with -o FILE or --truth FILE")
-    paths = [Path(path).resolve() for path in (arguments.output, arguments.truth) if path]
-    if len(set(paths)) < len(paths):
-        raise RunError(f"{arguments.output} would be both the recording and the truth")
     if arguments.scenario is None:
         raise RunError("no scenario is named; --list prints them")
     if arguments.seed < 0:

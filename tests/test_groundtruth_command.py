@@ -176,7 +176,7 @@ def test_list_names_every_scenario(capsys):
         ([ID, "-o", "x.xyz"], "x.xyz has no known suffix; known are: .csv"),
         ([ID, "-o", "no/x.csv"], "there is no folder no"),
         ([ID, "-o", "x.csv", "--seed", "-1"], "expected a whole number from 0 up"),
-        ([ID, "-o", "x.csv", "--truth", "./x.csv"], "would be both the recording and the truth"),
+        ([ID, "-o", "x.csv", "--truth", "./x.csv"], "-o and --truth both write to x.csv"),
     ],
 )
 def test_bad_requests_are_one_line_before_anything_is_simulated(quick, capsys, arguments, told):
@@ -184,6 +184,31 @@ def test_bad_requests_are_one_line_before_anything_is_simulated(quick, capsys, a
     out, err = capsys.readouterr()
     assert out == ""
     assert re.fullmatch(rf"error: .*{re.escape(told)}.*\n", err)
+    assert quick == []
+
+
+@pytest.mark.parametrize(
+    ("output", "truth"),
+    [
+        ("x.csv", "x.csv"),
+        ("x.csv", "folder/../x.csv"),
+        ("x.csv", "folder/symlink.csv"),
+        ("folder/symlink.csv", "x.csv"),
+        ("here.csv", "hard.csv"),
+        ("x.db3", "x.db3/truth.csv"),
+        ("x.db3", "through/truth.csv"),
+    ],
+)
+def test_recording_and_truth_need_a_place_of_their_own(quick, capsys, output, truth):
+    folder = Path("folder")
+    folder.mkdir()
+    (folder / "symlink.csv").symlink_to(Path("x.csv").absolute())
+    Path("here.csv").touch()
+    Path("hard.csv").hardlink_to("here.csv")
+    Path("x.db3").mkdir()
+    Path("through").symlink_to("x.db3")
+    assert command.main([ID, "-o", output, "--truth", truth]) == 2
+    assert f"-o and --truth both write to {output}" in capsys.readouterr().err
     assert quick == []
 
 
