@@ -28,7 +28,7 @@ arm to 7e-7 Nm at any number of them (semi-implicit Euler: 6e-4 Nm with four), s
 by the tissue: four per tick follow the release of a rupture."""
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class TissueContact:
     """Tissue in front of the needle.
 

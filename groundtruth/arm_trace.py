@@ -18,7 +18,7 @@ _REPORT_TICKS = 500
 _MAX_POSITION_ERROR_rad = 0.02
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class ArmTrace:
     """True signals of n ticks of an arm with m joints; row k belongs to the tick's start.
 

@@ -14,7 +14,7 @@ MASS_TICKS = 10
 """The mass matrix is refreshed every so many ticks: the arm turns by 5 mrad meanwhile at most."""
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class JointMotion:
     """Joint motion at equally spaced ticks, arrays of shape (n + 1, 7)."""
 
@@ -29,7 +29,7 @@ class JointMotion:
         )
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class JointReference:
     """A motion of n ticks and the dynamics along it."""
 

@@ -15,7 +15,7 @@ from groundtruth.tissue_truth import TissueTruth, collect_truth
 Array = NDArray[np.float64]
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class NeedleRun:
     """Signals and truth of one needle-only insertion; all arrays are read-only, n samples.
 

@@ -13,7 +13,7 @@ from groundtruth.tissue_force import TissueForce, TissueLaw
 Array = NDArray[np.float64]
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class TissueTruth:
     """What only the simulation knows; all arrays are read-only, n samples.
 

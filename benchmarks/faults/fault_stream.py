@@ -9,6 +9,9 @@ from groundtruth import Run
 
 Array = NDArray[np.float64]
 
+SERIES = ("dt_s", "q_rad", "dq_rad_s", "tau_Nm", "reference_N")
+"""Fields of a stream with one entry per sample."""
+
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class FaultStream:
@@ -34,8 +37,7 @@ class FaultStream:
 
     def bent(self, start: int, stop: int) -> "FaultStream":
         """A copy with a fault from ``start`` to before ``stop``, whose arrays may be written."""
-        names = ("dt_s", "q_rad", "dq_rad_s", "tau_Nm", "reference_N")
-        copies = {name: getattr(self, name).copy() for name in names}
+        copies = {name: getattr(self, name).copy() for name in SERIES}
         return replace(self, **copies, start=start, stop=stop)
 
     def without(self, first: int, last: int) -> "FaultStream":
@@ -46,21 +48,12 @@ class FaultStream:
         kept = np.r_[0:first, last : len(self.dt_s)]
         dt_s = self.dt_s.copy()
         dt_s[last] += dt_s[first:last].sum()
-        names = ("q_rad", "dq_rad_s", "tau_Nm", "reference_N")
-        parts = {name: getattr(self, name)[kept] for name in names}
-        return replace(self, dt_s=dt_s[kept], **parts, start=first, stop=first + 1)
+        parts = {name: getattr(self, name)[kept] for name in SERIES} | {"dt_s": dt_s[kept]}
+        return replace(self, **parts, start=first, stop=first + 1)
 
-    def then(self, other: "FaultStream", *, pause_s: float | None = None) -> "FaultStream":
-        """Both, one after the other; the fault of the first counts.
-
-        Args:
-            other: What follows.
-            pause_s: Time between them [s]; None for the first time step of the other.
-        """
-        names = ("dt_s", "q_rad", "dq_rad_s", "tau_Nm", "reference_N")
-        joined = {n: np.concatenate((getattr(self, n), getattr(other, n))) for n in names}
-        if pause_s is not None:
-            joined["dt_s"][len(self.dt_s)] = pause_s
+    def then(self, other: "FaultStream") -> "FaultStream":
+        """Both, one after the other; the fault of the first counts."""
+        joined = {n: np.concatenate((getattr(self, n), getattr(other, n))) for n in SERIES}
         return replace(self, **joined)
 
 

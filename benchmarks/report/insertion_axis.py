@@ -7,7 +7,7 @@ from numpy.typing import NDArray
 
 from benchmarks.identified import Identified
 from benchmarks.insertion_truth import InsertionTruth
-from figures import Instants, LineStyle, Shading, palette
+from figures import Instants, Shading, palette
 
 Array = NDArray[np.float64]
 
@@ -43,21 +43,23 @@ class InsertionAxis(NamedTuple):
         spans = tuple((self.at(item.onset_s), self.at(item.end_s)) for item in self.truth.ruptures)
         return Shading(label="a layer gives way (truth)", color=palette.TRUE_RUPTURE, spans=spans)
 
-    def events(self, item: Identified, who: str = "", color: str = "") -> list[Instants]:
-        """Alarms and compensations of a method, in a colour of its own if one is given."""
+    def events(self, item: Identified, who: str = "") -> list[Instants]:
+        """Alarms and compensations of a method.
+
+        Args:
+            item: What the method made of the run.
+            who: Added to the words of the legend.
+        """
         times = self.truth.t_s[item.start :]
-        compensated = [
+        compensated = tuple(
             self.at(float(times[k]))
             for k, estimate in enumerate(item.result.estimates)
             if estimate.compensated is not None
-        ]
-        alarms = [self.at(alarm.alarm_s) for alarm in item.alarms]
+        )
+        alarms = tuple(self.at(alarm.alarm_s) for alarm in item.alarms)
         return [
-            _instants(f"rupture detected{who}", palette.RUPTURE, color, alarms),
-            _instants(f"friction compensated{who}", palette.COMPENSATION, color, compensated),
+            Instants(label=f"rupture detected{who}", style=palette.RUPTURE, places=alarms),
+            Instants(
+                label=f"friction compensated{who}", style=palette.COMPENSATION, places=compensated
+            ),
         ]
-
-
-def _instants(label: str, style: LineStyle, color: str, places: list[float]) -> Instants:
-    chosen = LineStyle(color=color or style.color, dash=style.dash, width_pt=style.width_pt)
-    return Instants(label=label, style=chosen, places=tuple(places))
