@@ -1,5 +1,6 @@
 """A recording through the online identifier, any number of rows at a time."""
 
+from collections import Counter
 from typing import NamedTuple
 
 import numpy as np
@@ -10,10 +11,14 @@ from identification.derived_speed import DerivedSpeed
 from identification.estimate import Estimate, LayerEstimate
 from identification.identifier import Identifier
 from identification.paper_config import PaperConfig
+from identification.sample_check import SampleStatus
 from identification.sign_hints import SignWatch
 from recordings.row_clock import RowClock
 
 Array = NDArray[np.float64]
+
+_REFUSED = (SampleStatus.FORCE_RANGE, SampleStatus.DEPTH_JUMP, SampleStatus.SPEED_SIGN)
+"""What nobody has told of a row before; a NaN or a late stamp has been told by who read the log."""
 
 HEAD_ROWS = 200
 """The usual time step is the median over so many first rows."""
@@ -47,6 +52,7 @@ class ReplayStream:
         self._first_step_s = 0.0
         self._clock = RowClock()
         self._waiting = np.empty((4, 0))
+        self._refused: Counter[SampleStatus] = Counter()
 
     @property
     def layers(self) -> tuple[LayerEstimate, ...]:
@@ -55,8 +61,13 @@ class ReplayStream:
 
     @property
     def hints(self) -> tuple[str, ...]:
-        """Suspicions about signs and units of all rows so far."""
-        return self._signs.hints()
+        """Suspicions about signs and units of all rows so far, and how many were refused."""
+        refused = (
+            f"rows that were refused: {self._refused[status]} ({status.value})"
+            for status in _REFUSED
+            if self._refused[status]
+        )
+        return (*self._signs.hints(), *refused)
 
     def run(
         self,
@@ -106,4 +117,5 @@ class ReplayStream:
         self._waiting = self._waiting[:, rows:]
         columns = (depth_m, speed_m_s, force_N, dt_s)
         estimates = list(map(self._identifier.update, *(column.tolist() for column in columns)))
+        self._refused.update(estimate.status for estimate in estimates)
         return ReplayedRows(t_s, force_N, estimates)

@@ -7,12 +7,13 @@ import numpy as np
 from recordings.table import FloatArray
 
 # Beyond these an SI value is implausible for a robot or a needle: two turns of a joint,
-# a needle of a metre. For time it is the median step: ten samples a second are not a force log.
+# a needle of a metre, a force that buckles any needle. For time it is the median step: ten samples a second are not a force log.
 _LIMITS = {
     "t_s": ("time", 0.1, "ms"),
     "q_rad": ("q", 4.0 * np.pi, "deg"),
     "depth_m": ("depth", 1.0, "mm"),
     "speed_m_s": ("speed", 1.0, "mm/s"),
+    "force_N": ("force", 200.0, "mN"),
 }
 # Steps of so many units belong to logs between 10 Hz and 10 kHz.
 _STEPS = ((1e5, "ns"), (200.0, "us"))

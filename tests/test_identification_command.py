@@ -94,6 +94,19 @@ def test_hints_name_what_is_odd(needle):
     assert any("nothing to identify" in hint for hint in sign_hints(0.0 * z, None, f))
 
 
+def test_refused_rows_are_counted_with_the_reason(needle, tmp_path, capsys):
+    run, part = needle
+    columns = {"t_s": run.t_s[part], "depth_m": run.depth_m[part], "force": 1e3 * run.force_N[part]}
+    write_table(tmp_path / "mN.csv", columns)
+    assert command.main([str(tmp_path / "mN.csv")]) == 0
+    told = capsys.readouterr().err
+    refused = int((np.abs(columns["force"]) > 200.0).sum())
+    assert f"rows that were refused: {refused} (force beyond any needle's: check the unit)" in told
+    assert "in SI; if the file is in mN, say unit = 'mN'" in told
+    assert command.main([str(tmp_path / "mN.csv"), "--force", "force:mN"]) == 0
+    assert "refused" not in capsys.readouterr().err
+
+
 def test_missing_file_and_empty_log_are_one_clear_line(tmp_path, capsys):
     assert command.main([str(tmp_path / "none.csv")]) == 2
     assert "error:" in capsys.readouterr().err
