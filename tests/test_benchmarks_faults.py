@@ -62,6 +62,10 @@ def test_faults_that_must_be_told_are_told(results):
     assert "MISFIT" in told["pushed aside with 1 N, 2 s"]
 
 
+def test_a_weight_along_the_needle_is_the_only_fault_that_raises_a_rupture(results):
+    assert [result.name for result in results if result.note] == ["50 g hung on the tool, 2 s"]
+
+
 def test_the_troubled_insertion_does_all_it_should():
     scenario, spans = troubled_scenario()
     assert list(spans) == list(PARTS)
