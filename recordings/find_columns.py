@@ -116,7 +116,18 @@ def require_no_gap(numbers: list[int], pattern: str) -> None:
 
 
 def _not_found(table: Table, pattern: str) -> ColumnError:
-    close = get_close_matches(pattern, list(table.columns), n=1)
-    hint = f" Did you mean {close[0]!r}?" if close else ""
     told = "".join(f" ({note})" for note in table.warnings if repr(pattern) in note)
+    hint = _hint(list(table.columns), pattern)
     return ColumnError(f"no column {pattern!r}{told}.{hint} Columns are: {table.describe()}")
+
+
+def _hint(names: list[str], pattern: str) -> str:
+    """Say what may have been meant."""
+    if "*" in pattern:
+        return " The * stands for one number; all the rest of the name must be written out."
+    head, colon, unit = pattern.rpartition(":")
+    if colon and any(name.startswith(head) for name in names):
+        return f" The unit {unit!r} is none of this channel's; --help lists them."
+    with_unit = [name for name in names if re.match(rf"{re.escape(pattern)}\s*[\[(]\D", name)]
+    close = with_unit or get_close_matches(pattern, names, n=1)
+    return f" Did you mean {close[0]!r}?" if close else ""

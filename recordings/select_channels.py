@@ -107,7 +107,7 @@ def _missing(table: Table, channel: Channel) -> ColumnError:
     return ColumnError(
         f"no column found for {channel.name} ({channel.meaning}); usual names are "
         f"{', '.join(channel.spellings)}. Say which one with --{channel.name}, or under "
-        f"{channel.name} in the mapping. Columns are: {table.describe()}"
+        f"{channel.name} in the mapping. Columns are: {table.describe()}{table.left_out()}"
     )
 
 

@@ -65,6 +65,16 @@ class Table:
         more = f" and {len(names) - limit} more" if len(names) > limit else ""
         return ", ".join(names[:limit]) + more
 
+    def left_out(self, limit: int = 3) -> str:
+        """Return in brackets, for a message, which columns the reader left out and why."""
+        notes = [
+            note
+            for note in self.warnings
+            if note.startswith("column ") and note.endswith("was left out")
+        ]
+        more = f"; and {len(notes) - limit} more" if len(notes) > limit else ""
+        return f" ({'; '.join(notes[:limit])}{more})" if notes else ""
+
 
 def read_only(name: str, values: ArrayLike) -> FloatArray:
     """Return a contiguous read-only copy of `values` as float64.

@@ -45,7 +45,7 @@ def find_time(
             return _even(first_row, rows, value), (f"no time column: time from {name} = {value:g}",)
     raise ColumnError(
         "no time column found; say which one with --time, or the sample rate with --rate "
-        f"(rate_hz in the mapping). Columns are: {table.describe()}"
+        f"(rate_hz in the mapping). Columns are: {table.describe()}{table.left_out()}"
     )
 
 

@@ -7,7 +7,8 @@ import numpy as np
 from recordings.table import FloatArray
 
 # Beyond these an SI value is implausible for a robot or a needle: two turns of a joint,
-# a needle of a metre, a force that buckles any needle. For time it is the median step: ten samples a second are not a force log.
+# a needle of a metre, a force that buckles any needle. For time it is the median step: ten
+# samples a second are not a force log.
 _LIMITS = {
     "t_s": ("time", 0.1, "ms"),
     "q_rad": ("q", 4.0 * np.pi, "deg"),

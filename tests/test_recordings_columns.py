@@ -130,7 +130,10 @@ def test_an_element_of_a_two_dimensional_column_counts_from_zero():
     [
         ("force", "no column 'force'. Did you mean 'Force'\\? Columns are: Force, q1"),
         ("q{1..3}", "no column 'q3'"),
-        ("x_*", "no column"),
+        ("x_*", r"no column 'x_\*'. The \* stands for one number; all the rest"),
+        ("z", r"no column 'z'. Did you mean 'z \[mm\]'\?"),
+        ("q1:grad", "The unit 'grad' is none of this channel's; --help lists them"),
+        ("/a:b", "no column '/a:b'. Columns are"),
         ("q1[0]", "no column"),
         ("none[0]", "no column"),
         ("wrench[6]", r"has the elements \[0\] to \[5\]"),
@@ -140,7 +143,8 @@ def test_an_element_of_a_two_dimensional_column_counts_from_zero():
     ],
 )
 def test_a_pattern_that_fits_nothing_or_too_much_is_refused(pattern, message):
-    table = table_of("Force", "q1", "q2", "p1", "p4", "k1", "k_1", wrench=np.zeros((3, 6)))
+    names = ("Force", "q1", "q2", "p1", "p4", "k1", "k_1", "z [mm]")
+    table = table_of(*names, wrench=np.zeros((3, 6)))
     with pytest.raises(ColumnError, match=message):
         find_columns(table, pattern)
 

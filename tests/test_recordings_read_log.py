@@ -165,6 +165,15 @@ def test_a_left_out_column_is_explained_when_it_is_asked_for(tmp_path):
         read_log(path, mapped(force="pull"))
 
 
+def test_what_was_left_out_is_told_when_nothing_fits(tmp_path):
+    log = tmp_path / "log.csv"
+    log.write_text("time,tau,z\n2024-05-01T12:00:00,oops,1\n2024-05-01T12:00:01,oops,2\n")
+    for required in ("depth", "tau"):
+        with pytest.raises(ColumnError, match=r"'time' holds text .*'2024-05-01T12:00:00'") as told:
+            read_log(log, required=[required])
+        assert "'tau' holds text (line 2, 'oops') and was left out)" in str(told.value)
+
+
 def test_an_optional_channel_without_values_is_left_out_and_told():
     log = log_of(None, ("q",), ("dq",), t=T, q=ONES, dq=ONES * np.nan)
     assert list(log.channels) == ["q_rad"]
