@@ -183,7 +183,10 @@ class OffsetRemoval:
                 "already tared, and nothing was recorded since; call start_recording(), move in "
                 "free air, then tare() again"
             )
-        blocks = self._recorder.blocks(self._now_s, self._config.tare_window_s)
+        try:
+            blocks = self._recorder.blocks(self._now_s, self._config.tare_window_s)
+        except TareError as error:
+            raise TareError("; ".join(filter(None, (str(error), self.warning)))) from None
         if not force:
             prior = prior_tare(self._basis)
             check_free_of_contact(prior, blocks, wrench, self._config.contact_force_N)
