@@ -50,11 +50,11 @@ def block_step(
         bristle: Presliding deflection at the sample.
         block_s: Least length of a block.
     """
-    dt = sample.dt_s
+    time, dt, depth, speed, force = sample
     total = sums.dt_s + dt
-    depth = sums.depth + dt * sample.depth_m
-    speed = sums.speed + dt * sample.speed_m_s
-    force = sums.force + dt * sample.force_N
+    depth = sums.depth + dt * depth
+    speed = sums.speed + dt * speed
+    force = sums.force + dt * force
     if total < block_s * (1.0 - 1e-6):
         return BlockSums(total, depth, speed, force), None
-    return EMPTY, Block(sample.time_s, total, depth / total, speed / total, force / total, bristle)
+    return EMPTY, Block(time, total, depth / total, speed / total, force / total, bristle)

@@ -139,6 +139,23 @@ class DefaultState(NamedTuple):
     withdrawn: Rupture | None
 
 
+def after_sample(
+    state: DefaultState,
+    blocks: BlockSums,
+    bristle: float,
+    follower_m: float,
+    speed_m_s: float,
+    deepest_m: float,
+) -> DefaultState:
+    """The state with what every sample changes, and the events of the one before gone.
+
+    By position: at every sample, `_replace` would take three times as long.
+    """
+    return DefaultState(
+        blocks, state.lag, bristle, follower_m, speed_m_s, deepest_m, *state[6:-3], None, None, None
+    )
+
+
 def untouched_layer(start_m: float) -> LayerData:
     """First layer, met at `start_m`: no friction has been gathered before it."""
     certain = np.zeros((6, 6))

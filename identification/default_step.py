@@ -8,7 +8,7 @@ from numpy.typing import NDArray
 from identification.block import Block, block_step
 from identification.contact import free_air_step, lose_contact
 from identification.default_config import DefaultConfig
-from identification.default_state import DefaultState
+from identification.default_state import DefaultState, after_sample
 from identification.kink_detector import detector_step, restart_detector
 from identification.layer_step import layer_step, settle_pool
 from identification.presliding import bristle_step, follow_depth
@@ -28,39 +28,40 @@ _CHANNEL_M = 2e-4
 
 def default_step(state: DefaultState, sample: Sample, config: DefaultConfig) -> DefaultState:
     """Absorb one sample: presliding at every sample, everything else once per block."""
-    last = sample.depth_m if state.follower_m is None else state.follower_m
-    follower = follow_depth(last, sample.depth_m, config.track_step_m)
+    _, dt, depth, speed, _ = sample
+    last, keep = state.follower_m, 0.0
+    if last is None:
+        last = depth
+    else:
+        keep = math.exp(-dt / config.speed_smoothing_s)
+    follower = follow_depth(last, depth, config.track_step_m)
     bristle = bristle_step(state.bristle, follower - last, config.presliding_m)
     sums, block = block_step(state.blocks, sample, bristle, config.block_s)
-    deepest = max(state.deepest_m, sample.depth_m)
-    keep = (
-        math.exp(-sample.dt_s / config.speed_smoothing_s) if state.follower_m is not None else 0.0
-    )
-    speed = keep * state.speed_m_s + (1.0 - keep) * sample.speed_m_s
-    is_gap = block is not None and block.dt_s > max(10.0 * config.block_s, config.check.gap_s)
-    lag = state.lag._replace(last=None) if is_gap else state.lag
-    if block is not None and not is_gap:
+    deepest = state.deepest_m if state.deepest_m >= depth else depth
+    speed = keep * state.speed_m_s + (1.0 - keep) * speed
+    state = after_sample(state, sums, bristle, follower, speed, deepest)
+    if block is not None:
+        return _block_step(state, block, config)
+    return state if state.pending is None else work_on_rupture(state, config)
+
+
+def _block_step(state: DefaultState, block: Block, config: DefaultConfig) -> DefaultState:
+    """Absorb one block."""
+    lag = state.lag
+    is_gap = block.dt_s > max(10.0 * config.block_s, config.check.gap_s)
+    if is_gap:
+        lag = lag._replace(last=None)
+    else:
         lag, block = lag_step(lag, block)
-    state = state._replace(
-        blocks=sums,
-        lag=lag,
-        bristle=bristle,
-        follower_m=follower,
-        speed_m_s=speed,
-        deepest_m=deepest,
-        rupture=None,
-        compensated=None,
-        withdrawn=None,
-    )
-    if block is None:
-        return state if state.pending is None else work_on_rupture(state, config)
+    state = state._replace(lag=lag)
     if state.pending is not None:
         state = finish_look(state, config)
     if is_gap:
         return state._replace(detector=restart_detector(state.detector))
     if not state.in_contact:
         return free_air_step(state, block, config)
-    is_cutting = speed > config.rest_speed_m_s and block.depth_m > deepest - _CHANNEL_M
+    is_moving = state.speed_m_s > config.rest_speed_m_s
+    is_cutting = is_moving and block.depth_m > state.deepest_m - _CHANNEL_M
     return _cut(state, block, config) if is_cutting else _idle(state, config)
 
 

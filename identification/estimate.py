@@ -1,6 +1,7 @@
 """What an identifier tells: per sample, per rupture and per layer."""
 
 from dataclasses import dataclass
+from typing import NamedTuple
 
 from identification.rupture_state import RuptureState
 from identification.sample_check import SampleStatus
@@ -83,9 +84,11 @@ class LayerEstimate:
     viscous_identified: bool = False
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
-class Estimate:
+class Estimate(NamedTuple):
     """State of knowledge after one sample. Every number is finite.
+
+    A named tuple, unlike the others: it is made anew at every sample, and a frozen dataclass of as
+    many fields takes ten times as long. Change a field with ``_replace``.
 
     Attributes:
         time_s: Time since reset.

@@ -1,11 +1,11 @@
 """The online identifier: plumbing around pure steps."""
 
 from collections.abc import Callable
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from typing import Any, NamedTuple
 
 from identification.default_config import DEFAULT, DefaultConfig
-from identification.default_report import layers_now, report_default
+from identification.default_report import DefaultReport, layers_now
 from identification.default_state import initial_default_state
 from identification.default_step import default_step
 from identification.errors import InvalidConfigError, InvalidSnapshotError
@@ -21,13 +21,13 @@ from identification.sample_check import CheckState, SampleStatus, check_step, to
 class _Method:
     initial: Callable[[Any], Any]
     step: Callable[[Any, Sample, Any], Any]
-    report: Callable[[Any, Sample, SampleStatus, Any], Estimate]
+    reporter: Callable[[], Callable[[Any, Sample, SampleStatus, Any], Estimate]]
     layers: Callable[[Any], tuple[LayerEstimate, ...]]
 
 
 _METHODS: dict[type, _Method] = {
-    DefaultConfig: _Method(initial_default_state, default_step, report_default, layers_now),
-    PaperConfig: _Method(initial_paper_state, paper_step, report_paper, paper_layers),
+    DefaultConfig: _Method(initial_default_state, default_step, DefaultReport, layers_now),
+    PaperConfig: _Method(initial_paper_state, paper_step, lambda: report_paper, paper_layers),
 }
 
 
@@ -67,7 +67,7 @@ class Identifier:
             known = ", ".join(kind.__name__ for kind in _METHODS)
             raise InvalidConfigError(f"config must be one of {known}, got {type(config).__name__}")
         self._config = config
-        self._method = method
+        self._method, self._step, self._report = method, method.step, method.reporter()
         self.reset()
 
     @property
@@ -80,7 +80,7 @@ class Identifier:
         self._check = CheckState()
         self._state = self._method.initial(self._config)
         start = Sample(0.0, 0.0, 0.0, 0.0, 0.0)
-        self._last = self._method.report(self._state, start, SampleStatus.OK, self._config)
+        self._last = self._report(self._state, start, SampleStatus.OK, self._config)
 
     def update(self, depth_m: float, speed_m_s: float, force_N: float, dt_s: float) -> Estimate:
         """Absorb one sample.
@@ -94,11 +94,12 @@ class Identifier:
             force_N: Axial force, positive when tissue pushes back [N].
             dt_s: Time since the previous sample [s].
         """
-        values = to_scalars(depth_m, speed_m_s, force_N, dt_s)
-        self._check, sample, status = check_step(self._check, values, self._config.check)
+        values, config = (depth_m, speed_m_s, force_N, dt_s), self._config
+        if not type(depth_m) is type(speed_m_s) is type(force_N) is type(dt_s) is float:
+            values = to_scalars(*values)
+        self._check, sample, status = check_step(self._check, values, config.check)
         if sample is None:
-            self._last = replace(
-                self._last,
+            self._last = self._last._replace(
                 time_s=self._check.time_s,
                 status=status,
                 rupture=None,
@@ -106,9 +107,9 @@ class Identifier:
                 withdrawn=None,
             )
             return self._last
-        self._state = self._method.step(self._state, sample, self._config)
-        self._last = self._method.report(self._state, sample, status, self._config)
-        return self._last
+        state = self._state = self._step(self._state, sample, config)
+        estimate = self._last = self._report(state, sample, status, config)
+        return estimate
 
     def snapshot(self) -> Snapshot:
         """Everything needed to resume exactly here."""

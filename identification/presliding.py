@@ -26,4 +26,6 @@ def follow_depth(follower_m: float, depth_m: float, play_m: float) -> float:
     The play of a loose coupling: noise smaller than the play causes no reversal, a true reversal
     is followed after twice the play.
     """
-    return min(max(follower_m, depth_m - play_m), depth_m + play_m)
+    if follower_m < depth_m - play_m:
+        return depth_m - play_m
+    return min(follower_m, depth_m + play_m)

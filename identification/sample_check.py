@@ -71,8 +71,6 @@ class CheckState(NamedTuple):
 
 def to_scalars(*values: object) -> tuple[float, ...] | None:
     """Floats, or None if any value is not a single real number."""
-    if all(type(v) is float for v in values):
-        return values  # type: ignore[return-value]
     try:
         if any(isinstance(v, (str, bytes)) or np.ndim(v) > 0 for v in values):  # type: ignore
             return None
@@ -89,22 +87,22 @@ def _motion_check(
     state: CheckState, values: tuple[float, float, float, float], config: CheckConfig
 ) -> tuple[CheckState, SampleStatus]:
     depth, speed, _, interval = values
-    dt = interval + state.pending_s
-    change = depth - state.raw_depth_m if state.has_depth else 0.0
+    time, usual, raw_depth, shift, by_depth, by_speed, pending, has_depth = state
+    dt = interval + pending
+    change = depth - raw_depth if has_depth else 0.0
     surprise = change - speed * dt
     keep = math.exp(-dt / config.sign_memory_s)
     is_jump = abs(surprise) > config.jump_m + abs(speed) * dt
-    is_gap = state.has_depth and dt > max(config.gap_s, 10.0 * state.usual_dt_s)
-    shift = state.depth_shift_m
-    by_depth, by_speed = keep * state.depth_travel_m, keep * state.speed_travel_m
+    is_gap = has_depth and dt > max(config.gap_s, 10.0 * usual)
+    by_depth, by_speed = keep * by_depth, keep * by_speed
     if is_jump:
         shift += surprise
     elif state.has_depth and not is_gap:
         # One speed says nothing of the way through a gap, nor of that before the first depth.
         by_depth, by_speed = by_depth + change, by_speed + speed * dt
-    usual = state.usual_dt_s or interval
+    usual = usual or interval
     usual += 0.05 * (interval - usual)
-    new = CheckState(state.time_s + interval, usual, depth, shift, by_depth, by_speed, 0.0, True)
+    new = CheckState(time + interval, usual, depth, shift, by_depth, by_speed, 0.0, True)
     is_contrary = by_depth * by_speed < 0.0 and (
         min(abs(by_depth), abs(by_speed)) > config.sign_travel_m
     )
@@ -143,7 +141,7 @@ def check_step(
     if abs(force) > config.force_limit_N:
         return _skipped(state, dt), None, SampleStatus.FORCE_RANGE
     new, status = _motion_check(state, (depth, speed, force, dt), config)
-    if not status.is_absorbed:
+    if status is not SampleStatus.OK and not status.is_absorbed:
         return new, None, status
     elapsed = dt + state.pending_s
     return new, Sample(new.time_s, elapsed, depth - new.depth_shift_m, speed, force), status

@@ -34,21 +34,18 @@ def shaft_friction(
         force_N: Its force less the free-air offset.
         config: Settings.
     """
-    bristle, speed = state.bristle, MM * state.speed_m_s
-    fit = state.fit.values
-    if sample.depth_m < state.layer.start_m and state.traversed:
-        coulomb_share, viscous_share = _embedded_shares(state, sample.depth_m)
+    bristle, speed, depth_m = state.bristle, MM * state.speed_m_s, sample.depth_m
+    fit, start_m, pending = state.fit.values, state.layer.start_m, state.pending
+    if depth_m < start_m and state.traversed:
+        coulomb_share, viscous_share = _embedded_shares(state, depth_m)
     else:
         coulomb_share = viscous_share = 1.0
-    if state.pending is not None and not state.pending.is_closed:
-        known = state.pending.left_fit.values
-    else:
-        known = fit
+    known = fit if pending is None or pending.is_closed else pending.left_fit.values
     earlier = bristle * coulomb_share * known[COULOMB] + speed * viscous_share * known[VISCOUS]
-    if sample.depth_m < state.deepest_m - config.cutting_onset_m:
+    if depth_m < state.deepest_m - config.cutting_onset_m:
         return ShaftFriction(earlier, force_N - earlier)
     total = bristle * coulomb_share * fit[COULOMB] + speed * viscous_share * fit[VISCOUS]
-    depth = MM * max(sample.depth_m - state.layer.start_m, 0.0)
+    depth = MM * max(depth_m - start_m, 0.0)
     own = depth * (bristle * fit[OWN_COULOMB] + speed * fit[OWN_VISCOUS])
     return ShaftFriction(earlier, total - earlier + own)
 

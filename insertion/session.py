@@ -2,7 +2,6 @@
 
 import math
 import numbers
-from dataclasses import replace
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -253,4 +252,4 @@ class InsertionSession:
 
 
 def _without_events(estimate: Estimate) -> Estimate:
-    return replace(estimate, rupture=None, compensated=None)
+    return estimate._replace(rupture=None, compensated=None)
