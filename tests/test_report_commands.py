@@ -98,6 +98,7 @@ def result(**changes):
     names += ("stiffness_N_per_m", "friction_Ns_per_m2", "cumulative_friction_Ns_per_m")
     columns = {name: np.ones(50) for name in names}
     columns |= {name.replace("_N", "_std_N", 1): np.full(50, np.nan) for name in names[4:]}
+    columns["absorbed"] = np.ones(50)
     values = {
         "log": "log",
         "method": "paper-kv",
@@ -117,6 +118,27 @@ def test_the_kelvin_voigt_friction_has_its_own_unit_and_no_band_is_invented():
     assert ml.panels[2].y_label == "friction B\n[Ns/m²]"
     assert all(curve.std is None for panel in kv.panels for curve in panel.curves)
     assert kv.instants[0].places == (0.4,)
+
+
+def test_nothing_is_drawn_before_the_first_row_that_was_absorbed():
+    rows = dict(result().overview) | {"absorbed": np.repeat([0.0, 1.0, 0.0], [10, 30, 10])}
+    forces, *parameters = identification_chart(result(overview=rows)).panels
+    for curve in (*forces.curves[1:], *(panel.curves[0] for panel in parameters)):
+        assert np.isnan(curve.y[:10]).all()
+        assert np.isfinite(curve.y[10:]).all()
+    assert np.isfinite(forces.curves[0].y).all()
+
+
+def test_seconds_since_1970_are_counted_from_the_first_sample():
+    rows = dict(result().overview)
+    late = identification_chart(
+        result(overview=rows | {"t_s": rows["t_s"] + 1.7e9}, ruptures_s=(1.7e9 + 0.4,))
+    )
+    assert late.x_limits == (0.0, 1.0)
+    assert late.x_label == "time since the first sample [s]"
+    assert late.instants[0].places == pytest.approx((0.4,))
+    assert late.panels[2].curves[0].x[-1] == 1.0
+    assert identification_chart(result()).x_label == "time [s]"
 
 
 def test_transients_do_not_set_the_scale_and_nothing_needs_no_room():

@@ -31,6 +31,7 @@ _OF_KELVIN_VOIGT = "friction B\n[Ns/m]"
 _MOST_OF, _ROOM = 97.0, 1.5
 """Per cent of a parameter's values that its panel must hold, and how much more it shows."""
 _PICTURE_IN = 8.0
+_LATE_CLOCK_S = 1e5
 
 
 def save_figure(path: str | Path, result: IdentificationResult) -> None:
@@ -55,24 +56,31 @@ def identification_chart(result: IdentificationResult, width_in: float = WIDTH_I
         result: With an overview.
         width_in: Of the chart.
     """
-    rows = result.overview
+    # Seconds since 1970 would leave the axis no digits for what happened.
+    is_late = abs(float(result.overview["t_s"][0])) > _LATE_CLOCK_S
+    start_s = float(result.overview["t_s"][0]) if is_late else 0.0
+    rows = _drawn(result.overview, start_s)
     forces = tuple(
         Curve(style=style, x=rows["t_s"], y=rows[name], label=label)
         for name, label, style in _FORCES
     )
     return Chart(
         title=f"{result.log}, method {result.method}",
-        x_label=palette.TIME,
+        x_label="time since the first sample [s]" if is_late else palette.TIME,
         panels=(
             Panel(y_label=palette.FORCE, curves=forces, height=2.0),
-            *(_parameter(result, *panel) for panel in _PANELS),
+            *(_parameter(result.method, rows, *panel) for panel in _PANELS),
         ),
         instants=(
-            Instants(label="rupture, as dated", style=palette.RUPTURE, places=result.ruptures_s),
+            Instants(
+                label="rupture, as dated",
+                style=palette.RUPTURE,
+                places=tuple(t_s - start_s for t_s in result.ruptures_s),
+            ),
             Instants(
                 label="friction compensated",
                 style=palette.COMPENSATION,
-                places=result.compensations_s,
+                places=tuple(t_s - start_s for t_s in result.compensations_s),
             ),
         ),
         x_limits=(float(rows["t_s"].min()), float(rows["t_s"].max())),
@@ -81,8 +89,14 @@ def identification_chart(result: IdentificationResult, width_in: float = WIDTH_I
     )
 
 
-def _parameter(result: IdentificationResult, name: str, spread: str, label: str) -> Panel:
-    rows = result.overview
+def _drawn(rows: Columns, start_s: float) -> dict[str, NDArray[np.float64]]:
+    """Return the rows in time from `start_s`; nothing is known before the first absorbed one."""
+    is_unknown = np.cumsum(rows["absorbed"]) == 0
+    recorded = {"t_s": rows["t_s"] - start_s, "force_N": rows["force_N"]}
+    return {name: np.where(is_unknown, np.nan, values) for name, values in rows.items()} | recorded
+
+
+def _parameter(method: str, rows: Columns, name: str, spread: str, label: str) -> Panel:
     values, std = rows[name], rows[spread]
     is_stated = bool(np.isfinite(std).any())
     curve = Curve(
@@ -92,7 +106,7 @@ def _parameter(result: IdentificationResult, name: str, spread: str, label: str)
         std=std if is_stated else None,
         band_label="± 2 std" if is_stated else None,
     )
-    is_kv = name == "friction_Ns_per_m2" and result.method.endswith("kv")
+    is_kv = name == "friction_Ns_per_m2" and method.endswith("kv")
     return Panel(
         y_label=_OF_KELVIN_VOIGT if is_kv else label, curves=(curve,), limits=_limits(values)
     )

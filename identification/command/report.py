@@ -12,11 +12,11 @@ from identification.command.result import IdentificationResult
 
 _CAPTION = (
     "Above, the axial force as it was recorded, what the model expected, the enhanced force (less "
-    "the friction of the layers left) and the force at the tip. Below, stiffness and friction of "
-    "the layer the tip is in, and the friction of all layers left; the band, where the method "
-    "states one, is two standard deviations wide to either side. Continuous upright lines: "
-    "ruptures as dated; dashed: friction identified and taken off from there on. Transients may "
-    "leave the lower panels."
+    "what was read in free air and the friction of the layers left) and the force at the tip. "
+    "Below, stiffness and friction of the layer the tip is in, and the friction of all layers "
+    "left; the band, where the method states one, is two standard deviations wide to either side. "
+    "Continuous upright lines: ruptures as dated; dashed: friction identified and taken off from "
+    "there on. Transients may leave the lower panels."
 )
 
 
