@@ -137,6 +137,8 @@ def test_a_tare_may_be_counted_from_the_first_stamp_or_end_with_the_log(run, lwr
     columns, printed = run(calm, "--tare", "+0.6:1.999")
     assert columns["force_status"].max() == 2
     assert "0.6 to 1.999 s" in printed
+    late = str(write_insertion(tmp_path / "epoch.npz", lwr, start_s=1.7e9))
+    assert "1700000000.000 to 1700000002.500 s" in run(late, "--tare", "+0:+2.5")[1]
 
 
 def test_contact_can_be_tared_away_only_by_force(run, lwr, tmp_path, capsys):

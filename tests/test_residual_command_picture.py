@@ -8,6 +8,7 @@ from figures import palette
 from recordings import write_table
 from residual.__main__ import main
 from residual.command.curves import Component, broken_at_gaps, component_curves, limits
+from residual.command.force_chart import _panel
 from residual.command.force_rows import ForceRows
 from residual.command.status_marks import runs
 
@@ -84,6 +85,16 @@ def test_room_is_made_for_the_band_of_tared_rows_and_zero():
     untared = rows_of([1, 1, 1, 2])
     low, high = limits([curve_of(untared)], untared)
     assert 2.0 < high < 3.0
+
+
+@pytest.mark.parametrize("offset_N", [0.0, 50.0])
+def test_what_lies_outside_the_panel_has_no_place_in_the_legend(offset_N):
+    rows = rows_of([1, 1, 0, 0])
+    rows.axial_N[:2] += offset_N
+    labels = [curve.label for curve in _panel("force", [curve_of(rows)], rows, 0.0).curves]
+    assert labels == (["axial force"] if offset_N else ["not tared", "axial force"])
+    lost = rows_of([3, 3])
+    assert len(_panel("force", [curve_of(lost)], lost, 0.0).curves) == 1
 
 
 def test_runs_are_the_unbroken_stretches():

@@ -32,13 +32,7 @@ def force_chart(result: ForceResult, width_in: float = WIDTH_IN) -> Chart:
     is_late = abs(float(rows.t_s[0])) > _LATE_CLOCK_S
     start_s = float(rows.t_s[0]) if is_late else 0.0
     panels = tuple(
-        Panel(
-            y_label=label,
-            curves=tuple(
-                curve for item in components for curve in component_curves(item, rows, start_s)
-            ),
-            limits=limits(components, rows),
-        )
+        _panel(label, components, rows, start_s)
         for label, components in _groups(rows, config).items()
     )
     return Chart(
@@ -71,6 +65,14 @@ def travel_chart(result: ForceResult) -> Chart | None:
         x_label="travel of the tool along the needle [mm]",
         panels=(Panel(y_label=palette.FORCE, curves=(curve,)),),
     )
+
+
+def _panel(label: str, components: list[Component], rows: ForceRows, start_s: float) -> Panel:
+    """Return the curves that are to be seen: what was not tared may lie outside."""
+    low, high = limits(components, rows)
+    curves = [curve for item in components for curve in component_curves(item, rows, start_s)]
+    seen = [curve for curve in curves if ((curve.y >= low) & (curve.y <= high)).any()]
+    return Panel(y_label=label, curves=tuple(seen or curves), limits=(low, high))
 
 
 def _groups(rows: ForceRows, config: SensorConfig) -> dict[str, list[Component]]:

@@ -76,8 +76,8 @@ def _tare(replay: Replay) -> str:
     if done is None:
         return "none: forces carry the errors of the model and of the torque sensors"
     return (
-        f"{done.window.start_s:.6g} to {done.window.end_s:.6g} s of the log, kind "
-        f"{done.tare.basis.kind!r}, offsets up to {done.largest_offset_Nm:.2g} Nm"
+        f"{done.window} of the log, kind {done.tare.basis.kind!r}, "
+        f"offsets up to {done.largest_offset_Nm:.2g} Nm"
     )
 
 

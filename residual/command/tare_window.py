@@ -6,6 +6,7 @@ from dataclasses import dataclass
 from residual.command.errors import CommandError
 
 _EXPECTED = "expected START:END in seconds, such as 0:4, or +0:+4 from the log's first stamp"
+_LATE_CLOCK_S = 1e5
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -19,6 +20,14 @@ class TareWindow:
 
     start_s: float
     end_s: float
+
+    def __str__(self) -> str:
+        """In words; to the millisecond where a clock counts from 1970."""
+        return f"{_digits(self.start_s)} to {_digits(self.end_s)} s"
+
+
+def _digits(time_s: float) -> str:
+    return f"{time_s:.6g}" if abs(time_s) < _LATE_CLOCK_S else f"{time_s:.3f}"
 
 
 @dataclass(frozen=True, slots=True)
@@ -69,9 +78,9 @@ class TareOption:
             CommandError: It does not.
         """
         if window.start_s >= last_s or window.end_s > last_s or window.end_s <= first_s:
-            end = f"runs from {first_s:.9g} to {last_s:.9g} s"
+            end = f"runs from {_digits(first_s)} to {_digits(last_s)} s"
             if math.isinf(last_s):
-                end = f"starts at {first_s:.9g} s"
+                end = f"starts at {_digits(first_s)} s"
             raise CommandError(f"--tare {self.text} lies outside the log, which {end}; {_EXPECTED}")
 
     def _ends(self, first_s: float) -> tuple[float, float]:

@@ -122,7 +122,7 @@ class Taring:
         self._tare(window)
 
     def _tare(self, window: TareWindow) -> None:
-        what = f"no tare from {window.start_s:.9g} to {window.end_s:.9g} s"
+        what = f"no tare from {window}"
         if not self._seen:
             raise CommandError(
                 f"{what}: the filters had not settled by then; choose a window that ends later"
