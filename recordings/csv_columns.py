@@ -8,6 +8,11 @@ from recordings.errors import FormatError
 from recordings.table import FloatArray
 from recordings.whole_stamps import Stamps, whole_stamps_of_text
 
+_EXPECTED = (
+    "cells are separated by commas, semicolons or tabs, and what stands above the header begins "
+    "with #"
+)
+
 
 class CsvColumns:
     """Reads the rows of one file.
@@ -43,10 +48,17 @@ class CsvColumns:
     def notes(self) -> tuple[str, ...]:
         """What was left out or could not be read so far, in words."""
         cells, notes = self._cells, []
+        line, columns = self._line_of_words()
+        if columns:
+            notes.append(
+                f"{line} holds words in {len(columns)} columns (first: "
+                f"{self._names[columns[0]]!r}), read as NaN; units belong into the header: "
+                "'q1 [deg]'"
+            )
         for i, name in enumerate(self._names):
             if i in self._left_out:
                 notes.append(self._left_out[i])
-            elif i in cells.words:
+            elif i in cells.words and i not in columns:
                 notes.append(
                     f"column {name!r}: cells that are not numbers, read as NaN: "
                     f"{cells.words[i].count} (first: {cells.words[i].first})"
@@ -60,6 +72,15 @@ class CsvColumns:
             notes.append(f"decimal commas read as points (first: {cells.commas.first})")
         return tuple(notes)
 
+    def _line_of_words(self) -> tuple[str, list[int]]:
+        """Return a line that holds the only word of several columns, as one of units does."""
+        lines: dict[str, list[int]] = {}
+        for i, words in sorted(self._cells.words.items()):
+            if words.count == 1 and i not in self._left_out:
+                lines.setdefault(words.first.partition(",")[0], []).append(i)
+        line, columns = max(lines.items(), key=lambda item: len(item[1]), default=("", []))
+        return (line, columns) if len(columns) > 2 else ("", [])
+
     def _choose(self, layout: CsvLayout, values: FloatArray | None) -> FloatArray:
         """Decide from the first rows which columns there are."""
         cells, self._names = self._cells, layout.header.names
@@ -70,7 +91,7 @@ class CsvColumns:
         if not len(values):
             raise FormatError(
                 f"no row has the header's {width} cells (first: {cells.ragged.first}); "
-                "check the delimiter and the header"
+                f"check the delimiter and the header: {_EXPECTED}"
             )
         for i in set(range(width)) - cells.has_number:
             words = cells.words.get(i, Faults())
@@ -78,7 +99,7 @@ class CsvColumns:
             self._left_out[i] = f"column {self._names[i]!r} {why} and was left out"
         if len(self._left_out) == width:
             told = "; ".join(self._left_out.values())
-            raise FormatError(f"no column holds a number: {told[:500]}")
+            raise FormatError(f"no column holds a number: {told[:500]}; {_EXPECTED}")
         return values
 
 

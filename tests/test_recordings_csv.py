@@ -108,6 +108,14 @@ def test_a_row_of_units_under_the_header_costs_that_row_only(read):
     table = read("t,f\ns,N\n0,1\n1,2\n")
     np.testing.assert_array_equal(table.columns["f"], [np.nan, 1.0, 2.0])
     assert len(table.warnings) == 2
+    table = read("t,f,z,phase\ns,N,mm,-\n0,1,bad,in\n1,2,3,out\n2,3,4,out\n")
+    assert len(table.warnings) == 4
+    table = read("t,f,z,phase\ns,N,mm,-\n0,1,2,in\n1,2,3,out\n")
+    assert table.warnings == (
+        "line 2 holds words in 3 columns (first: 't'), read as NaN; units belong into the header: "
+        "'q1 [deg]'",
+        "column 'phase' holds text (line 2, '-') and was left out",
+    )
 
 
 def test_a_last_line_cut_short_costs_that_line_only(read):
@@ -134,6 +142,8 @@ def test_text_that_is_not_utf8_is_read_and_told(read):
         ("t,f,t\n0,1,2\n", "names 't' twice, in columns 1 and 3"),
         ("t,f\n0\n1\n", "no row has the header's 2 cells .first: line 2 with 1"),
         ("t,f\n0", "no row has the header's 2 cells"),
+        ("Of Monday\nt,f\n0,1\n", "2 with 2.; check .* what stands above the header begins with #"),
+        ("Of Monday\nat noon\n0,1\n", "no column .* what stands above the header begins with #"),
         ("t f\n0 1\n", "no column holds a number: column 't f' holds text .line 2, '0 1'"),
         (b"PK\x03\x04\x00\x00", "is not text"),
     ],
