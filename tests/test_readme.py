@@ -16,6 +16,8 @@ from benchmarks.arguments import parser
 from benchmarks.errors import ResultsError
 from benchmarks.readme_table import BEGIN, END, fill, main, results_block
 from benchmarks.results_file import write_results
+from groundtruth import SCENARIOS
+from groundtruth.arguments import build_parser as groundtruth_arguments
 from identification import DEFAULT as IDENTIFIER
 from identification.__main__ import main as identification_main
 from residual.__main__ import main as residual_main
@@ -97,7 +99,10 @@ def test_every_benchmark_command_is_understood(command):
 
 def test_the_commands_for_recordings_run_one_after_the_other(lwr, tmp_path, monkeypatch, capsys):
     monkeypatch.chdir(tmp_path)
-    write_insertion("insertion.csv", lwr)
+    (made,) = [c for c in COMMANDS if c.startswith("python -m groundtruth")]
+    asked = groundtruth_arguments().parse_args(shlex.split(made)[3:])
+    assert asked.scenario in SCENARIOS
+    write_insertion(asked.output, lwr, seconds=15.0, contact_s=14.0)
     commands = [c for c in COMMANDS if c.startswith(("python -m residual", "python -m identif"))]
     assert len(commands) == 2
     for command, command_main in zip(commands, (residual_main, identification_main), strict=True):
@@ -124,6 +129,8 @@ def test_where_to_find_what_is_told():
         ("NaN", "residual/sample_check.py"),
         ("false_alarm_interval_s", "identification/default_config.py"),
         ("(12)", "identification/reweighting.py"),
+        ("robot of one's own", "docs/residual.md#the-robot"),
+        ("ROS 2 bag", "docs/bags.md"),
     ):
         (row,) = [line for line in table.splitlines() if word in line]
         assert file in row
