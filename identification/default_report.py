@@ -59,7 +59,6 @@ def estimate_at(
         earlier_N, own_N = shaft_friction(state, sample, force_N, config)
     speed = MM * max(abs(speed_m_s), config.rest_speed_m_s)
     b, b_std = _own_friction(fit, speed)
-    k, k_std, is_k_identified = standing.stiffness
     d, d_std = standing.cumulative or cumulative(standing.earlier, speed)
     tip_m = max(depth_m - state.layer.tip_m, 0.0)
     # By position: by name it would take three times as long, at every sample.
@@ -73,10 +72,8 @@ def estimate_at(
         force_N - earlier_N - own_N,
         earlier_N + own_N,
         state.shaft_std_N,
-        earlier_N + own_N + k * tip_m,
-        k,
-        k_std,
-        is_k_identified,
+        earlier_N + own_N + standing.stiffness[0] * tip_m,
+        *standing.stiffness,
         b,
         b_std,
         in_contact and is_identified(b, b_std),

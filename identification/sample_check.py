@@ -26,7 +26,7 @@ class SampleStatus(Enum):
     @property
     def is_absorbed(self) -> bool:
         """Whether the sample went into the estimate."""
-        return self in (SampleStatus.OK, SampleStatus.TIME_GAP)
+        return self is SampleStatus.OK or self is SampleStatus.TIME_GAP
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -141,7 +141,7 @@ def check_step(
     if abs(force) > config.force_limit_N:
         return _skipped(state, dt), None, SampleStatus.FORCE_RANGE
     new, status = _motion_check(state, (depth, speed, force, dt), config)
-    if status is not SampleStatus.OK and not status.is_absorbed:
+    if not status.is_absorbed:
         return new, None, status
     elapsed = dt + state.pending_s
     return new, Sample(new.time_s, elapsed, depth - new.depth_shift_m, speed, force), status
