@@ -11,6 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from benchmarks.errors import DataError
+from benchmarks.pullout import mean_at_depth
 from benchmarks.recorded_arrays import read_arrays
 
 Array = NDArray[np.float64]
@@ -37,6 +38,13 @@ class LiverInsertion:
     t_s: Array
     depth_m: Array
     force_N: Array
+
+    def force_at_N(self, part: slice, depth_mm: float) -> float:
+        """Mean force near a depth [mm] in a part of the recording; nan if the needle was not there.
+
+        Negative on the way out, where friction holds the needle back.
+        """
+        return mean_at_depth(self.depth_m[part], self.force_N[part], 1e-3 * depth_mm)
 
 
 def read_liver(data: Path, index: int, *, as_recorded: bool = False) -> LiverInsertion:

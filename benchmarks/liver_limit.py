@@ -15,11 +15,11 @@ from numpy.typing import NDArray
 
 from benchmarks.benchmark import Findings
 from benchmarks.job import Job, Progress
-from benchmarks.liver import NUMBERS, read_liver
+from benchmarks.liver import NUMBERS, LiverInsertion, read_liver
 from benchmarks.liver_features import liver_features
 from benchmarks.liver_told import DEPTHS_mm, known_of, tell
 from benchmarks.measurement import Measurement
-from benchmarks.pullout import in_and_out, mean_at_depth
+from benchmarks.pullout import InAndOut, in_and_out
 from benchmarks.regression import Fit, Seen, gaussian_process, left_out, level, linear, ridge
 
 Array = NDArray[np.float64]
@@ -70,7 +70,7 @@ def run_liver_limit(job: Job, progress: Progress) -> Findings:
         progress(index / len(NUMBERS))
         insertion = read_liver(data, index, as_recorded=True)
         parts = in_and_out(insertion.depth_m)
-        out = _pullout(insertion.depth_m, insertion.force_N, parts.insertion, parts.withdrawal)
+        out = _pullout(insertion, parts)
         depth, force = insertion.depth_m[parts.insertion], insertion.force_N[parts.insertion]
         told = tell(
             insertion.t_s[parts.insertion],
@@ -110,16 +110,16 @@ def regression_values(
     return values
 
 
-def _pullout(depth_m: Array, force_N: Array, inside: slice, out: slice) -> _Pullout:
-    def at(part: slice, mm: float) -> float:
-        return mean_at_depth(depth_m[part], force_N[part], 1e-3 * mm)
+def _pullout(insertion: LiverInsertion, parts: InAndOut) -> _Pullout:
+    def out_N(mm: float) -> float:
+        return -insertion.force_at_N(parts.withdrawal, mm)
 
     deepest = DEPTHS_mm[-1]
-    peak = max(-at(out, mm) for mm in range(PEAK_FROM_mm, deepest + 1))
+    peak = max(out_N(mm) for mm in range(PEAK_FROM_mm, deepest + 1))
     return _Pullout(
-        -at(out, SHALLOW_mm) / at(inside, SHALLOW_mm),
-        peak / -at(out, deepest),
-        tuple(-at(out, mm) for mm in DEPTHS_mm),
+        out_N(SHALLOW_mm) / insertion.force_at_N(parts.insertion, SHALLOW_mm),
+        peak / out_N(deepest),
+        tuple(out_N(mm) for mm in DEPTHS_mm),
     )
 
 

@@ -7,7 +7,7 @@ friction was there on the way in. Methods see the insertion only.
 from benchmarks.benchmark import Findings
 from benchmarks.identified import IDENTIFIERS
 from benchmarks.job import Job, Progress
-from benchmarks.liver import NUMBERS, LiverInsertion, read_liver
+from benchmarks.liver import NUMBERS, read_liver
 from benchmarks.liver_told import (
     DEPTHS_mm,
     LiverTold,
@@ -18,7 +18,7 @@ from benchmarks.liver_told import (
     tell,
 )
 from benchmarks.measurement import Measurement
-from benchmarks.pullout import in_and_out, mean_at_depth
+from benchmarks.pullout import in_and_out
 from benchmarks.row import Method
 
 GUESS_SHARE = 0.7
@@ -42,10 +42,10 @@ def run_liver_real(job: Job, progress: Progress) -> Findings:
         t_s, depth, force = (
             column[inside] for column in (insertion.t_s, insertion.depth_m, insertion.force_N)
         )
-        pullout = [-_force_at(insertion, parts.withdrawal, mm) for mm in DEPTHS_mm]
+        pullout = [-insertion.force_at_N(parts.withdrawal, mm) for mm in DEPTHS_mm]
         known = known_of(pullout, depth, force)
         falls += len(known.falls)
-        guess = [GUESS_SHARE * _force_at(insertion, inside, mm) for mm in DEPTHS_mm]
+        guess = [GUESS_SHARE * insertion.force_at_N(inside, mm) for mm in DEPTHS_mm]
         told["guess"].append(LiverTold(errors_pct(guess, pullout)))
         for method in IDENTIFIERS:
             told[method].append(tell(t_s, depth, force, method, known))
@@ -56,7 +56,3 @@ def run_liver_real(job: Job, progress: Progress) -> Findings:
             values += rupture_values(each, falls)
         found += [Measurement("ft", method, name, value) for name, value in values]
     return Findings(found)
-
-
-def _force_at(insertion: LiverInsertion, part: slice, depth_mm: float) -> float:
-    return mean_at_depth(insertion.depth_m[part], insertion.force_N[part], 1e-3 * depth_mm)

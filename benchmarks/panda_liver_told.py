@@ -17,7 +17,7 @@ from benchmarks.liver_told import (
     tell,
 )
 from benchmarks.measurement import Measurement
-from benchmarks.pullout import in_and_out, mean_at_depth
+from benchmarks.pullout import in_and_out
 from benchmarks.row import Source
 
 OF_MANY = "_p90_pct"
@@ -40,10 +40,7 @@ def told_values(
     felt = truth.t_s >= truth.zeroed_s
     t_s, depth, force = truth.t_s[felt], truth.depth_m[felt], truth.axial_N[felt]
     out = in_and_out(insertion.depth_m).withdrawal
-    pullout = [
-        -mean_at_depth(insertion.depth_m[out], insertion.force_N[out], 1e-3 * mm)
-        for mm in DEPTHS_mm
-    ]
+    pullout = [-insertion.force_at_N(out, mm) for mm in DEPTHS_mm]
     known = known_of(pullout, depth, force)
     found: list[Measurement] = []
     by_method = {item.method: item.axial_N[felt] for item in readings}

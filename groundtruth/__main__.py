@@ -24,9 +24,12 @@ from urdf import UrdfError
 ERRORS = (GroundTruthError, RecordingError, UrdfError)
 """What is told in one line."""
 
-_LAYER_WORDS = ("above the tissue", "in layer {}")
-_RUPTURE_WORDS = ("", "layer {} gives way")
-_SURFACE_WORDS = ("", "the membrane on the surface gives way")
+_EVENTS = {
+    "layer": ("above the tissue", "in layer {}"),
+    "rupture": ("", "layer {} gives way"),
+    "surface_rupture": ("", "the membrane on the surface gives way"),
+}
+"""Columns of the truth in words, see `recordings.labels.Labels`."""
 
 
 def main(argv: Sequence[str] | None = None) -> int:
@@ -49,12 +52,7 @@ def _run(arguments: Namespace) -> int:
         labels = Labels(joint_names=run.robot.joint_names)
         write_table(arguments.output, signal_table(run), labels=labels)
     if arguments.truth is not None:
-        events = {
-            "layer": _LAYER_WORDS,
-            "rupture": _RUPTURE_WORDS,
-            "surface_rupture": _SURFACE_WORDS,
-        }
-        labels = Labels(joint_names=run.robot.joint_names, prefix="/truth", events=events)
+        labels = Labels(joint_names=run.robot.joint_names, prefix="/truth", events=_EVENTS)
         write_table(arguments.truth, truth_table(run), labels=labels)
     write_out(_summary(run, arguments))
     return 0
