@@ -37,12 +37,14 @@ def replay(
     force_N: ArrayLike,
     speed_m_s: ArrayLike | None = None,
     config: DefaultConfig | PaperConfig = DEFAULT,
+    *,
+    dt_s: ArrayLike | None = None,
 ) -> Replay:
     """Run the identifier over a recording, sample by sample.
 
-    Rows that cannot be used (gaps, late rows) are reported in their estimate's status, not
-    dropped. A clock that was set back is followed, as by the command; times of estimates are those
-    of a clock that starts at 0 and never goes back.
+    Rows that cannot be used (gaps, time running backwards) are reported in their estimate's
+    status, not dropped. Where a clock may have been set, let
+    `recordings.row_clock.RowClock` tell ``dt_s``.
 
     Args:
         t_s: Time stamps [s], shape (n,).
@@ -50,6 +52,8 @@ def replay(
         force_N: Axial force, positive when tissue pushes back [N], shape (n,).
         speed_m_s: Rate of depth [m/s]; differentiated from depth if None.
         config: `DEFAULT`, `PAPER` or a variant.
+        dt_s: Time since the latest row that advanced [s], shape (n,), not positive for a row that
+            does not; None to count from the latest stamp.
 
     Raises:
         InvalidLogError: Empty or ragged columns.
@@ -57,10 +61,12 @@ def replay(
     t = _column("t_s", t_s, None)
     z, f = _column("depth_m", depth_m, len(t)), _column("force_N", force_N, len(t))
     v = None if speed_m_s is None else _column("speed_m_s", speed_m_s, len(t))
+    steps = None if dt_s is None else _column("dt_s", dt_s, len(t))
     stream, estimates = ReplayStream(config), []
     for start in range(0, len(t), _ROWS):
         part = slice(start, start + _ROWS)
-        estimates += stream.run(t[part], z[part], f[part], None if v is None else v[part]).estimates
+        rows = (None if column is None else column[part] for column in (v, steps))
+        estimates += stream.run(t[part], z[part], f[part], *rows).estimates
     estimates += stream.finish().estimates
     t.setflags(write=False)
     return Replay(t_s=t, estimates=tuple(estimates), layers=stream.layers, hints=stream.hints)

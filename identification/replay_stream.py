@@ -13,7 +13,6 @@ from identification.identifier import Identifier
 from identification.paper_config import PaperConfig
 from identification.sample_check import SampleStatus
 from identification.sign_hints import SignWatch
-from recordings.row_clock import RowClock
 
 Array = NDArray[np.float64]
 
@@ -50,7 +49,7 @@ class ReplayStream:
         self._signs = SignWatch()
         self._speed: DerivedSpeed | None = None
         self._first_step_s = 0.0
-        self._clock = RowClock()
+        self._latest_s: float | None = None
         self._waiting = np.empty((4, 0))
         self._refused: Counter[SampleStatus] = Counter()
 
@@ -75,22 +74,25 @@ class ReplayStream:
         depth_m: Array,
         force_N: Array,
         speed_m_s: Array | None = None,
+        dt_s: Array | None = None,
     ) -> ReplayedRows:
         """Take further rows.
 
         Args:
             t_s: Time stamps [s], shape (n,), n > 0; the first call must bring `HEAD_ROWS` rows, or
-                all that there are. A row that comes late does not advance; a clock that was set
-                back is followed, see `RowClock`.
+                all that there are.
             depth_m: Tip depth, growing into the tissue [m], shape (n,).
             force_N: Axial force, positive when tissue pushes back [N], shape (n,).
             speed_m_s: Rate of depth [m/s], shape (n,); None, always, to derive it from depth,
                 for which rows wait 25 ms.
+            dt_s: Time since the latest row that advanced [s], shape (n,), not positive for rows
+                that do not; None, always, to count from the latest stamp. That of the very first
+                row is not read.
 
         Returns:
             The rows whose speed is known, beginning with the first that has not been returned.
         """
-        dt_s = self._clock.update(t_s)
+        dt_s = self._since_latest(t_s) if dt_s is None else np.array(dt_s)
         if not self._first_step_s:
             self._begin(dt_s[1:HEAD_ROWS], is_derived=speed_m_s is None)
             dt_s[0] = self._first_step_s
@@ -104,6 +106,14 @@ class ReplayStream:
     def finish(self) -> ReplayedRows:
         """Return the rows that still waited for what would come after them."""
         return self._replayed(np.empty(0) if self._speed is None else self._speed.finish())
+
+    def _since_latest(self, t_s: Array) -> Array:
+        """Time since the latest stamp before each row, not positive where time does not advance."""
+        latest_s = t_s[0] if self._latest_s is None else self._latest_s
+        # A stamp that is no number spoils its own row only.
+        latest_s = np.fmax.accumulate(np.concatenate(([latest_s], t_s)))
+        self._latest_s = float(latest_s[-1])
+        return t_s - latest_s[:-1]
 
     def _begin(self, steps_s: Array, *, is_derived: bool) -> None:
         forward = steps_s[steps_s > 0.0]

@@ -15,6 +15,7 @@ from identification.derived_speed import DerivedSpeed
 from identification.replay_stream import HEAD_ROWS, ReplayStream
 from identification.sign_hints import SignWatch, sign_hints
 from recordings import write_table
+from recordings.row_clock import RowClock
 
 
 @pytest.fixture(scope="module")
@@ -156,7 +157,9 @@ def test_a_clock_that_was_set_back_hides_no_event(columns, has_speed):
     back_s = t_s.copy()
     half = int(np.nanargmax(depth_m > 0.004))
     back_s[half:] -= 20.0
-    clean, followed = (replay(t, depth_m, force_N, speed_m_s) for t in (t_s, back_s))
+    clean, followed = (
+        replay(t, depth_m, force_N, speed_m_s, dt_s=RowClock().update(t)) for t in (t_s, back_s)
+    )
     skipped = [k for k, e in enumerate(followed.estimates) if not e.status.is_absorbed]
     assert len([k for k in skipped if k != 300]) <= 12
     assert len(followed.layers) == len(clean.layers) == 1
@@ -174,7 +177,7 @@ def test_the_library_reads_a_clock_as_the_command_does(columns, tmp_path):
     write_table(path, table)
     assert command.main([str(path), "-o", str(out)]) == 0
     rows = np.genfromtxt(out, delimiter=",", names=True)
-    estimates = replay(t_s, depth_m, force_N, speed_m_s).estimates
+    estimates = replay(t_s, depth_m, force_N, speed_m_s, dt_s=RowClock().update(t_s)).estimates
     np.testing.assert_array_equal(rows["absorbed"], [e.status.is_absorbed for e in estimates])
     np.testing.assert_array_equal(rows["tip_force_N"], [e.tip_force_N for e in estimates])
 

@@ -48,7 +48,7 @@ def run_log(arguments: Namespace, log: LogSession, *, needs_overview: bool) -> I
         for chunk in log:
             depth_m, speed_m_s = chunk.channels["depth_m"], chunk.channels.get("speed_m_s")
             force_N = status.force_N(chunk)
-            found.add(stream.run(chunk.t_s, depth_m, force_N, speed_m_s))
+            found.add(stream.run(chunk.t_s, depth_m, force_N, speed_m_s, chunk.dt_s))
         found.add(stream.finish())
     hints = (*status.warnings, *stream.hints)
     for hint in hints:
