@@ -125,7 +125,11 @@ def test_the_command_of_the_page_runs(log, tmp_path, monkeypatch, capsys):
     page = Path(__file__).parents[1] / "docs" / "identification.md"
     (line,) = re.findall(r"^python -m identification (.*)$", page.read_text("utf-8"), re.MULTILINE)
     monkeypatch.chdir(tmp_path)
-    Path("insertion.csv").write_bytes(log.read_bytes())
+    Path("forces.csv").write_bytes(log.read_bytes())
     assert command.main(shlex.split(line)) == 0
     assert "friction N" in capsys.readouterr().out
-    assert Path("estimates.csv").is_file()
+    table = page.read_text("utf-8").split("| column | what |")[1].split("\n\n")[0]
+    told = [
+        name for row in table.splitlines()[2:] for name in re.findall(r"`(\w+)`", row.split("|")[1])
+    ]
+    assert told == list(read_table("estimates.csv").columns)
