@@ -11,7 +11,12 @@ from identification.default_state import LayerData, Traversed
 from identification.estimate import LayerEstimate, Rupture
 from identification.layer_ending import LayerEnding
 from identification.layer_figures import layer_estimate
-from identification.layer_hindsight import Belief, believe, carried_friction
+from identification.layer_hindsight import (
+    Belief,
+    IdentifiedLayer,
+    believe,
+    carried_friction,
+)
 from identification.layer_model import (
     MM,
     OWN_COULOMB,
@@ -46,13 +51,13 @@ class ClosedLayer(NamedTuple):
     next_fit: LayerFit
 
 
-def close_layer(
+def identify_layer(
     left: LayerData,
     rupture: Rupture,
     ending: LayerEnding,
     bias_var: float,
     config: DefaultConfig,
-) -> ClosedLayer:
+) -> IdentifiedLayer:
     """Batch refit of the layer with both sides of its rupture as measurements.
 
     The force before is tip and friction together, the force after is friction alone (unless the
@@ -66,8 +71,7 @@ def close_layer(
         bias_var: Variance of the sensor's slow error [N^2].
         config: Settings.
     """
-    boundary = ending.boundary
-    thickness = max(boundary.depth_m - left.start_m, config.track_step_m)
+    boundary, thickness = ending.boundary, _thickness_m(left, ending, config)
     tip = max(boundary.depth_m - left.tip_m, config.track_step_m)
     before = model_row(thickness, tip, boundary.speed_m_s, 1.0, config.cutting_onset_m)
     own = boundary.force_N - _earlier_N(left, before)
@@ -78,7 +82,30 @@ def close_layer(
     known = add_row(known, before, boundary.force_N, boundary.force_var + bias_var)
     after = _after(ending, bias_var, rupture.speed_m_s)
     fit = solve_layer(_with_after(known, after, thickness, config))
-    belief, found = believe(known), Belief(np.array(fit.values), fit.covariance)
+    return IdentifiedLayer(fit, believe(known))
+
+
+def close_layer(
+    left: LayerData,
+    rupture: Rupture,
+    ending: LayerEnding,
+    identified: IdentifiedLayer,
+    bias_var: float,
+    config: DefaultConfig,
+) -> ClosedLayer:
+    """What is told of the layer, and how the next one begins.
+
+    Args:
+        left: Data of the layer.
+        rupture: Its end.
+        ending: Forces on both sides of the rupture.
+        identified: Its unknowns.
+        bias_var: Variance of the sensor's slow error [N^2].
+        config: Settings.
+    """
+    (fit, belief), thickness = identified, _thickness_m(left, ending, config)
+    after = _after(ending, bias_var, rupture.speed_m_s)
+    found = Belief(np.array(fit.values), fit.covariance)
     return ClosedLayer(
         layer_estimate(rupture, ending, left.start_m, thickness, found),
         Traversed(
@@ -90,7 +117,7 @@ def close_layer(
             ending.end_probability,
         ),
         LayerData(
-            boundary.depth_m,
+            ending.boundary.depth_m,
             rupture.depth_m,
             _next_prior(carried_friction(belief, thickness), after, config),
             no_information(),
@@ -98,6 +125,10 @@ def close_layer(
         ),
         _next_fit(fit, thickness, after, config),
     )
+
+
+def _thickness_m(left: LayerData, ending: LayerEnding, config: DefaultConfig) -> float:
+    return max(ending.boundary.depth_m - left.start_m, config.track_step_m)
 
 
 class _After(NamedTuple):

@@ -12,7 +12,7 @@ from identification.estimate import Rupture
 from identification.layer_model import MM
 from identification.membrane import Boundary
 from identification.membrane_search import MembraneSearch
-from identification.rupture_fit import ForceAfter, force_before
+from identification.rupture_fit import ForceAfter
 from identification.tear import (
     NOTHING_HELD,
     Held,
@@ -70,27 +70,21 @@ def layer_ending(
     points: NDArray[np.float64],
     search: MembraneSearch,
     rupture: Rupture,
+    before: tuple[float, float],
     after: ForceAfter,
-    noise_N2: float,
-) -> LayerEnding | None:
+) -> LayerEnding:
     """Measure the end of a layer.
 
     Args:
         points: Track points, see `track`.
         search: What was found of a membrane before its rupture.
         rupture: Its rupture.
-        after: Force after that.
-        noise_N2: Long-run variance of one block.
-
-    Returns:
-        The ending, or None while too few points are at hand.
+        before: Force before that, and its variance [N^2].
+        after: Force after it.
     """
-    before = force_before(points, rupture.depth_m, noise_N2)
-    if before is None:
-        return None
-    here = Boundary(rupture.depth_m, 0.0, *before, rupture.speed_m_s)
-    boundary = here if search.boundary is None else search.boundary
     before_N, before_var = before
+    here = Boundary(rupture.depth_m, 0.0, before_N, before_var, rupture.speed_m_s)
+    boundary = here if search.boundary is None else search.boundary
     return LayerEnding(
         boundary=boundary,
         has_membrane=search.boundary is not None,

@@ -11,7 +11,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from identification.layer_model import MM, OWN_COULOMB, OWN_VISCOUS, Information
+from identification.layer_model import MM, OWN_COULOMB, OWN_VISCOUS, Information, LayerFit
 
 _TINY = 1e-12
 _RIDGE = 1e-10 * np.eye(6)
@@ -29,6 +29,18 @@ class Belief(NamedTuple):
 
     values: Array
     covariance: Array
+
+
+class IdentifiedLayer(NamedTuple):
+    """What is known of the unknowns of a layer that has been left.
+
+    Attributes:
+        fit: None of them negative.
+        belief: Without what the force after the rupture tells.
+    """
+
+    fit: LayerFit
+    belief: Belief
 
 
 def believe(known: Information) -> Belief:

@@ -1,9 +1,12 @@
 """Whether the force has come back to where it would be had nothing given way."""
 
+import math
+
 import numpy as np
 from numpy.typing import NDArray
 
 from identification.track import BLOCKS, DEPTH, FORCE
+from identification.weighted_line import Line, fit_line
 
 _BEFORE_M = 2e-3
 _MARGIN_M = 2e-5
@@ -38,22 +41,16 @@ def is_made_good(
     if min(np.count_nonzero(before), np.count_nonzero(late)) < _LEAST_POINTS:
         return False
     centre = float(reach[late].mean())
-    was, was_covariance = _line(reach[before] - centre, points[before], noise_N2)
-    now, now_covariance = _line(reach[late] - centre, points[late], noise_N2)
-    change, covariance = now - was, was_covariance + now_covariance
-    if float(np.sqrt(covariance[1, 1])) > _TOLD * float(np.max(np.abs((was[1], now[1])))):
+    was = _line(reach[before] - centre, points[before], noise_N2)
+    now = _line(reach[late] - centre, points[late], noise_N2)
+    level_var, slope_var = was.level_var + now.level_var, was.slope_var + now.slope_var
+    if math.sqrt(slope_var) > _TOLD * max(abs(was.slope), abs(now.slope)):
         return False  # another slope could not be told from the same
-    surprise = float(change @ np.linalg.solve(covariance, change))
-    return surprise < _CHANCE and abs(float(change[0])) < _SHARE * fall_N
+    level, slope, both = now.level - was.level, now.slope - was.slope, was.both + now.both
+    squares = slope_var * level**2 - 2.0 * both * level * slope + level_var * slope**2
+    surprise = squares / (level_var * slope_var - both * both)
+    return surprise < _CHANCE and abs(level) < _SHARE * fall_N
 
 
-def _line(
-    offset_mm: NDArray[np.float64], side: NDArray[np.float64], noise_N2: float
-) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-    """Level at zero offset and slope, with their covariance."""
-    columns = np.ones((len(offset_mm), 2))
-    columns[:, 1] = offset_mm
-    weight = side[:, BLOCKS] / max(noise_N2, 1e-12)
-    normal = columns.T @ (columns * weight[:, None])
-    covariance = np.asarray(np.linalg.inv(normal), dtype=float)
-    return covariance @ (columns.T @ (weight * side[:, FORCE])), covariance
+def _line(offset_mm: NDArray[np.float64], side: NDArray[np.float64], noise_N2: float) -> Line:
+    return fit_line(offset_mm, side[:, FORCE], side[:, BLOCKS] / max(noise_N2, 1e-12))

@@ -7,13 +7,14 @@ import numpy as np
 from identification.default_config import DefaultConfig
 from identification.default_state import DefaultState, Pending
 from identification.kink_detector import block_noise_N2
-from identification.layer_close import close_layer
+from identification.layer_close import close_layer, identify_layer
 from identification.layer_ending import LayerEnding, layer_ending, weigh_tear
+from identification.layer_hindsight import IdentifiedLayer
 from identification.layer_model import MM
 from identification.layer_rows import rows_of_track
 from identification.made_good import is_made_good
 from identification.membrane_search import SearchWork, search_step
-from identification.rupture_fit import force_after
+from identification.rupture_fit import force_after, force_before, rows_after
 from identification.rupture_look import RuptureLook
 from identification.rupture_state import RuptureState
 
@@ -49,40 +50,78 @@ def look_stage(
 
     Args:
         state: State; since the look began, its track has not changed.
-        pending: The rupture, its search ended.
+        pending: The rupture; its search has ended, but for the first stage.
         look: What has been measured.
         config: Settings.
     """
-    points, noise = state.track.points, block_noise_N2(state.detector)
-    rupture, stage = pending.rupture, look.stages
-    if stage == 0:
-        after = force_after(points, rupture.depth_m, rupture.speed_m_s, noise, config)
-        look = look._replace(after=after)
-    elif stage == 1 and look.after is not None and pending.search is not None:
-        ending = layer_ending(points, pending.search, rupture, look.after, noise)
+    if look.stages < len(_MEASURING):
+        look = _MEASURING[look.stages](state, pending, look, config)
+    elif look.identified is not None and look.ending is not None:
+        return _accept(state, pending, look, look.ending, look.identified, config)
+    elif look.ending is not None and _is_believed(look, look.ending):
+        bias_var = state.baseline.variance
+        identified = identify_layer(pending.left, pending.rupture, look.ending, bias_var, config)
+        look = look._replace(identified=identified)
+    else:
+        return _reject(state, pending, look, config)
+    return state._replace(pending=pending._replace(look=look._replace(stages=look.stages + 1)))
+
+
+def _measure_before(
+    state: DefaultState, pending: Pending, look: RuptureLook, _config: DefaultConfig
+) -> RuptureLook:
+    points, depth_m = state.track.points, pending.rupture.depth_m
+    return look._replace(before=force_before(points, depth_m, block_noise_N2(state.detector)))
+
+
+def _prepare_after(
+    state: DefaultState, pending: Pending, look: RuptureLook, config: DefaultConfig
+) -> RuptureLook:
+    noise, rupture = block_noise_N2(state.detector), pending.rupture
+    rows = rows_after(state.track.points, rupture.depth_m, rupture.speed_m_s, noise, config)
+    return look._replace(after_rows=rows)
+
+
+def _measure_after(
+    _state: DefaultState, _pending: Pending, look: RuptureLook, _config: DefaultConfig
+) -> RuptureLook:
+    rows = look.after_rows
+    return look if rows is None else look._replace(after_rows=None, after=force_after(rows))
+
+
+def _measure_ending(
+    state: DefaultState, pending: Pending, look: RuptureLook, config: DefaultConfig
+) -> RuptureLook:
+    points, rupture = state.track.points, pending.rupture
+    if look.before is not None and look.after is not None and pending.search is not None:
+        ending = layer_ending(points, pending.search, rupture, look.before, look.after)
+        earlier = state.traversed[: len(state.layers) - pending.is_closed]
+        ending = weigh_tear(ending, [layer.end_probability for layer in earlier], config)
         look = look._replace(ending=ending)
-    elif stage == 2 and look.is_final:
-        seen = pending.first or look.ending
-        has_come_back = seen is not None and is_made_good(
-            points, rupture.depth_m, seen.drop_N, noise
-        )
+    seen = pending.first or look.ending
+    if look.is_final and seen is not None:
+        noise = block_noise_N2(state.detector)
+        has_come_back = is_made_good(points, rupture.depth_m, seen.drop_N, noise)
         look = look._replace(has_come_back=has_come_back)
-    elif stage >= 2:
-        return _conclude(state, pending, look, config)
-    return state._replace(pending=pending._replace(look=look._replace(stages=stage + 1)))
+    return look
 
 
-def _conclude(
+_MEASURING = (_measure_before, _prepare_after, _measure_after, _measure_ending)
+
+
+def _is_believed(look: RuptureLook, ending: LayerEnding) -> bool:
+    least = _REAL if look.is_final else _SIGNIFICANT
+    return not look.has_come_back and ending.drop_N >= least * ending.drop_std_N
+
+
+def _reject(
     state: DefaultState, pending: Pending, look: RuptureLook, config: DefaultConfig
 ) -> DefaultState:
-    """Close the layer, dismiss what is no rupture after all, or look again later."""
-    if look.has_come_back:
+    """No rupture was seen: dismiss it, keep what an earlier look saw, or look again later."""
+    if look.has_come_back or (look.is_final and not pending.is_closed):
         return _dismiss(state, pending)
-    ending, least = look.ending, _REAL if look.is_final else _SIGNIFICANT
-    if ending is not None and ending.drop_N >= least * ending.drop_std_N:
-        return _accept(state, pending, ending, look.is_final, config)
     if look.is_final:
-        return state._replace(pending=None) if pending.is_closed else _dismiss(state, pending)
+        return state._replace(pending=None)
     next_look_m = pending.next_look_m + config.first_look_m
     return state._replace(pending=pending._replace(next_look_m=next_look_m, look=None))
 
@@ -90,27 +129,28 @@ def _conclude(
 def _accept(
     state: DefaultState,
     pending: Pending,
+    look: RuptureLook,
     ending: LayerEnding,
-    is_final: bool,
+    identified: IdentifiedLayer,
     config: DefaultConfig,
 ) -> DefaultState:
     """Close the layer; a later look replaces what an earlier one found."""
-    keep = len(state.layers) - pending.is_closed
-    ending = weigh_tear(ending, [layer.end_probability for layer in state.traversed[:keep]], config)
-    closed = close_layer(pending.left, pending.rupture, ending, state.baseline.variance, config)
+    keep, rupture = len(state.layers) - pending.is_closed, pending.rupture
+    bias_var = state.baseline.variance
+    closed = close_layer(pending.left, rupture, ending, identified, bias_var, config)
     machine = state.rupture_state if pending.is_closed else RuptureState.COMPENSATED
     later = pending._replace(
         is_closed=True, next_look_m=config.second_look_m, first=ending, look=None
     )
-    row = np.array([1.0, MM * pending.rupture.speed_m_s])
-    spread = float(row @ closed.next_fit.covariance[:2, :2] @ row)
-    undisturbed_m = pending.rupture.depth_m + config.first_look_m
+    undisturbed_m = rupture.depth_m + config.first_look_m
     rows = rows_of_track(state.track.points, undisturbed_m, config.row_m)
+    row = np.array([1.0, MM * rupture.speed_m_s])
+    spread = float(row @ closed.next_fit.covariance[:2, :2] @ row)
     return state._replace(
         layer=closed.next_layer._replace(rows=rows),
         fit=closed.next_fit,
         shaft_std_N=math.sqrt(max(spread, 0.0)),
-        pending=None if is_final else later,
+        pending=None if look.is_final else later,
         rupture_state=machine,
         layers=(*state.layers[:keep], closed.estimate)[-_MOST_LAYERS:],
         traversed=(*state.traversed[:keep], closed.traversed)[-_MOST_LAYERS:],

@@ -79,18 +79,18 @@ def measure_rupture(
 ) -> DefaultState:
     """Begin a look at the force drop where one is due: once early, once for good.
 
-    The ticks until the next block work it off, see `work_on_rupture`.
+    This tick works off its first stage, those until the next block the others.
     """
     pending = state.pending
     if pending is None or len(state.track.points) == 0:
         return state
     travel = float(state.track.points[-1, DEPTH]) - pending.rupture.depth_m
     is_final = is_last or travel >= config.second_look_m
+    if not pending.is_closed:
+        state = state._replace(rupture_state=RuptureState.FORCE_DROP_MEASURING)
     if is_final or travel >= pending.next_look_m:
-        pending = pending._replace(look=RuptureLook(is_final))
-    is_open = not pending.is_closed
-    machine = RuptureState.FORCE_DROP_MEASURING if is_open else state.rupture_state
-    return state._replace(pending=pending, rupture_state=machine)
+        return look_stage(state, pending, RuptureLook(is_final), config)
+    return state
 
 
 def work_on_rupture(state: DefaultState, config: DefaultConfig) -> DefaultState:

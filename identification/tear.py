@@ -12,14 +12,12 @@ from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.ndimage import uniform_filter1d
 
 from identification.default_config import DefaultConfig
 from identification.track import DEPTH, FORCE
 
 _BEFORE_M = 0.3e-3
 _WITHIN_M = 2.5e-3
-_SMOOTHED_POINTS = 3
 _LEAST_POINTS = 6
 _TOP, _FOOT = 0.1, 0.8
 """Shares of the fall between which it is measured."""
@@ -64,7 +62,7 @@ def release_travel_m(points: NDArray[np.float64], depth_m: float, after_N: float
     depth = depth[near]
     if len(depth) < _LEAST_POINTS or depth[-1] <= depth_m:
         return math.nan
-    force = uniform_filter1d(points[near, FORCE], _SMOOTHED_POINTS)
+    force = _smooth(points[near, FORCE])
     foot = int(np.argmin(np.where(depth > depth_m, force, np.inf)))
     force = force[: foot + 1]
     top = float(force.max())
@@ -72,6 +70,13 @@ def release_travel_m(points: NDArray[np.float64], depth_m: float, after_N: float
     begin = int(np.flatnonzero(force >= top - _TOP * (top - bottom))[-1])
     end = begin + int(np.argmax(force[begin:] <= top - _FOOT * (top - bottom)))
     return float(depth[end] - depth[begin])
+
+
+def _smooth(force: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Mean of each point and its neighbours; the ends are their own."""
+    padded = np.empty(len(force) + 2)
+    padded[0], padded[1:-1], padded[-1] = force[0], force, force[-1]
+    return (padded[:-2] + force + padded[2:]) / 3.0
 
 
 def end_probability(
