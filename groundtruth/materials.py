@@ -63,16 +63,20 @@ def _layer(
     thickness_m: float,
     exit_force_N: float,
     friction: ShaftFriction,
+    *,
+    release_m: float = TISSUE_RELEASE_M,
+    relaxed_share: float = TISSUE_RELAXED_SHARE,
     membrane: Membrane | None = None,
 ) -> Layer:
+    """A layer with what all materials have in common; organic tissue unless told otherwise."""
     return Layer(
-        exit_force_N=exit_force_N,
         name=name,
         thickness_m=thickness_m,
+        exit_force_N=exit_force_N,
         cutting_share=CUTTING_SHARE,
         stiffening=STIFFENING,
-        release_m=TISSUE_RELEASE_M,
-        relaxed_share=TISSUE_RELAXED_SHARE,
+        release_m=release_m,
+        relaxed_share=relaxed_share,
         friction=friction,
         membrane=membrane,
     )
@@ -97,15 +101,13 @@ def gel(percent: int, *, membrane: Membrane | None = None) -> Layer:
         coulomb_share=GEL_COULOMB_SHARE,
         presliding_m=GEL_PRESLIDING_M,
     )
-    return Layer(
-        exit_force_N=GEL_TIP_FORCE_N[percent],
-        name=f"gel {percent} %",
-        thickness_m=thickness,
-        cutting_share=CUTTING_SHARE,
-        stiffening=STIFFENING,
+    return _layer(
+        f"gel {percent} %",
+        thickness,
+        GEL_TIP_FORCE_N[percent],
+        friction,
         release_m=GEL_RELEASE_M,
         relaxed_share=GEL_RELAXED_SHARE,
-        friction=friction,
         membrane=membrane,
     )
 
