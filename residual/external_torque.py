@@ -84,6 +84,7 @@ class ExternalTorqueEstimator:
             friction=config.friction,
             max_gap_s=config.max_gap_s,
         )
+        self._data = self._observer.data
         self._probe = NoiseProbe(robot.nv) if config.smooth_momentum else None
         self._max_gap_s = config.max_gap_s
         self._settling_s = self.SETTLING_LAGS / config.slowest_gain_per_s
@@ -119,7 +120,7 @@ class ExternalTorqueEstimator:
         self._age_s = 0.0 if dt_s > self._max_gap_s else self._age_s + dt_s
         if self._probe is not None:
             self._learn_noise(dq, q, dt_s)
-        return TorqueSample(q, dq, tau, residual, self._settled, self._observer.data)
+        return TorqueSample(q, dq, tau, residual, self._settled, self._data)
 
     def _update_without_velocity(
         self,
@@ -128,18 +129,18 @@ class ExternalTorqueEstimator:
         tau: NDArray[np.float64],
         dt_s: float,
     ) -> TorqueSample:
-        sample = velocity.absorb(q, tau, dt_s)
+        position = q
+        q, dq, tau, settled = velocity.absorb(position, tau, dt_s)
         self._missed_s += dt_s
-        if not sample.settled:
+        if not settled:
             self._age_s = 0.0
-            return TorqueSample(sample.q, sample.dq, sample.tau, self._observer.residual, False)
-        residual = self._observer.absorb(sample.q, sample.dq, sample.tau, self._missed_s)
+            return TorqueSample(q, dq, tau, self._observer.residual, False)
+        residual = self._observer.absorb(q, dq, tau, self._missed_s)
         missed_s, self._missed_s = self._missed_s, 0.0
         self._age_s = 0.0 if missed_s > self._max_gap_s else self._age_s + missed_s
-        self._learn_noise(q, sample.q, dt_s)
-        return TorqueSample(
-            sample.q, sample.dq, sample.tau, residual, self._settled, self._observer.data
-        )
+        if self._probe is not None:
+            self._learn_noise(position, q, dt_s)
+        return TorqueSample(q, dq, tau, residual, self._settled, self._data)
 
     def restart_velocity(self) -> None:
         """Start the velocity estimate anew: the position reading is elsewhere now."""

@@ -5,8 +5,8 @@ from typing import NamedTuple
 from numpy.typing import ArrayLike
 
 from residual.external_torque import TorqueSample
+from residual.guard_state import GuardState
 from residual.sample_entry import SampleEntry
-from residual.sample_guard import GuardState
 from residual.sensor_config import SensorConfig
 from residual.velocity_estimator import VelocityEstimator, VelocityState
 from urdf import Robot

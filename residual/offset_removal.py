@@ -116,12 +116,12 @@ class OffsetRemoval:
         return not self._tared and self._recorder.is_empty
 
     def follow(self, q: NDArray[np.float64], tau: NDArray[np.float64], dt_s: float) -> bool:
-        """Follow position [rad], torque [Nm] and time [s] since the sample before.
+        """Follow position [rad], kept, not copied, torque [Nm] and time [s] since the last sample.
 
         Returns:
             Whether trend and offset have been renewed; the covariance may then be read anew.
         """
-        self._q[:] = q
+        self._q = q
         self._now_s += dt_s
         if dt_s > self.LEAP_S:
             self._leap(dt_s)

@@ -86,7 +86,7 @@ def _real(value: Any) -> NDArray[np.float64]:
 def read_rows(
     names: tuple[str, ...], values: tuple[object, ...], joints: int
 ) -> NDArray[np.float64]:
-    """Read all signals of a sample into one new array.
+    """Read all signals of a sample into one new array; its numbers may still be anything.
 
     Args:
         names: What each signal is called.
@@ -97,19 +97,31 @@ def read_rows(
         A row for each signal, shape (k, joints): a read-only copy.
 
     Raises:
-        SampleError: As `check_joint_vector`.
+        SampleError: If they cannot be read so: as `check_joint_vector`.
     """
     try:
         rows = np.array(values)
     except ValueError:
         rows = np.zeros(0)
-    # Almost every sample is done with here; `hypot` does not overflow, and a NaN fails.
-    if (
-        rows.dtype != np.float64
-        or rows.shape != (len(names), joints)
-        or not math.hypot(*rows.reshape(-1).tolist()) < MOST_PLAUSIBLE
-    ):
+    # Almost every sample is done with here.
+    if rows.dtype != np.float64 or rows.shape != (len(names), joints):
         vectors = zip(names, values, strict=True)
         rows = np.stack([check_joint_vector(name, value, joints) for name, value in vectors])
     rows.setflags(write=False)
     return rows
+
+
+def check_rows(names: tuple[str, ...], rows: NDArray[np.float64]) -> None:
+    """Refuse numbers that no sample has.
+
+    Args:
+        names: What each signal is called.
+        rows: What `read_rows` has read.
+
+    Raises:
+        SampleError: As `check_joint_vector`.
+    """
+    # One number tells of all; `hypot` does not overflow, and a NaN fails.
+    if not math.hypot(*rows.ravel().tolist()) < MOST_PLAUSIBLE:
+        for name, row in zip(names, rows, strict=True):
+            check_joint_vector(name, row, len(row))

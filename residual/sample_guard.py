@@ -5,15 +5,14 @@ learnt in the first half second; before that nothing counts as a spike or as fro
 back is treated like a lost sample: time passes, the estimate stays.
 """
 
-from typing import NamedTuple
-
 import numpy as np
 from numpy.typing import NDArray
 
 from residual.contact_step import ContactStep
 from residual.errors import SuspectSampleError
-from residual.noise_probe import NoiseProbe, NoiseState, new_rows, white_noise
-from residual.repeat_watch import AloneState, AloneWatch, RepeatState, RepeatWatch, stands_out
+from residual.guard_state import GuardState, fresh_guard
+from residual.noise_probe import NoiseProbe, new_rows, white_noise
+from residual.repeat_watch import AloneWatch, RepeatWatch, stands_out
 from residual.sample_clock import ROUNDING_S
 from residual.spike_gates import SpikeGates
 from residual.wrench_estimate import Caution
@@ -31,45 +30,6 @@ LOADED_SHARE = 0.9
 """Share of the effort limit from which every torque is watched."""
 
 
-class GuardState(NamedTuple):
-    """All that a `SampleGuard` remembers.
-
-    Attributes:
-        last: Last accepted sample: position, velocity if there is one, torque; shape (2 n,) or
-            (3 n,); zeros before the first.
-        velocity: Velocity that it left off with [rad/s], shape (n,).
-        noise: Learnt noise of the same signals; None until learnt.
-        probe: What is known of the noise so far; None once it is learnt.
-        rejected: Last sample held back as a spike, or None.
-        missed_s: Time since the last accepted sample [s].
-        stayed_s: Time for which samples held back agree with each other [s].
-        motion: Of the watch for positions and velocities that repeat.
-        torque: Of the watch for torques that repeat.
-        alone: Of the watch for single torques that repeat.
-        age_s: Time since each torque was looked at by itself [s].
-        is_loaded: Whether a torque was near its limit at that look.
-        warning: What seemed frozen at that look.
-        held_s: Time for which positions have repeated now [s].
-        swept: Way that they may owe meanwhile [rad], shape (n,); None if they do not repeat.
-    """
-
-    last: NDArray[np.float64]
-    velocity: NDArray[np.float64]
-    noise: NDArray[np.float64] | None
-    probe: NoiseState | None
-    rejected: NDArray[np.float64] | None
-    missed_s: float
-    stayed_s: float
-    motion: RepeatState
-    torque: RepeatState
-    alone: AloneState
-    age_s: float
-    is_loaded: bool
-    warning: str
-    held_s: float = 0.0
-    swept: NDArray[np.float64] | None = None
-
-
 class SampleGuard:
     """Judges the samples of one stream before anything absorbs them.
 
@@ -84,7 +44,19 @@ class SampleGuard:
         self._gates = SpikeGates(robot, has_velocity=has_velocity, delay_s=velocity_delay_s)
         self._contact = ContactStep(robot)
         self._motion, self._torque, self._alone = RepeatWatch(), RepeatWatch(), AloneWatch(n)
-        self.restore(_fresh(n, (3 if has_velocity else 2) * n))
+        self.restore(fresh_guard(n, (3 if has_velocity else 2) * n))
+
+    def surely_passes(self, now: NDArray[np.float64]) -> bool:
+        """Whether a sample, of any numbers, need not be checked: nearly all that come are such.
+
+        Args:
+            now: As in `check`.
+        """
+        self._position_repeats = self._motion_repeats = self._torque_repeats = False
+        off = now - self._last
+        # One number of position and one of torque tell that neither repeats.
+        moves = off.item(0) != 0.0 and off.item(-1) != 0.0
+        return moves and not self._is_loaded and self._gates.surely_pass(off)
 
     def check(self, now: NDArray[np.float64], dt_s: float) -> bool:
         """Judge a sample; what it is compared with changes only with `accept`.
@@ -104,7 +76,6 @@ class SampleGuard:
         if self._is_loaded:
             self._check_saturated(now)
         self._position_repeats = self._motion_repeats = self._torque_repeats = False
-        # One number of each tells of almost every sample that the rest need not be looked at.
         if off.item(0) == 0.0 or off.item(-1) == 0.0:
             self._check_frozen(off, dt_s)
         if self._noise is None or self._gates.surely_pass(off):
@@ -277,21 +248,3 @@ class SampleGuard:
         self._age_s, self._is_loaded = state.age_s, state.is_loaded
         self.warning = state.warning
         """What seems frozen in samples that are accepted all the same; empty if nothing does."""
-
-
-def _fresh(joints: int, size: int) -> GuardState:
-    return GuardState(
-        last=np.zeros(size),
-        velocity=np.zeros(joints),
-        noise=None,
-        probe=NoiseProbe(size).state,
-        rejected=None,
-        missed_s=0.0,
-        stayed_s=0.0,
-        motion=RepeatState(),
-        torque=RepeatState(),
-        alone=AloneWatch(joints).state,
-        age_s=0.0,
-        is_loaded=False,
-        warning="",
-    )

@@ -1,5 +1,7 @@
 """How far a joint signal may jump between two samples."""
 
+import math
+
 import numpy as np
 from numpy.typing import NDArray
 
@@ -59,12 +61,16 @@ class SpikeGates:
         sure = self._base.copy()
         if self._has_velocity:
             sure[n:-n] += ACCELERATION_RAD_S2 * 1e-4
-        self._per_gate = 1.0 / sure
+        # Weights of at most 1, and `hypot`: no number, however large, overflows.
+        self._narrowest = float(sure.min())
+        self._weight = self._narrowest / sure
 
     def surely_pass(self, off: NDArray[np.float64]) -> bool:
-        """Whether a difference is within the narrowest gates, all signals together: one product."""
-        share = off * self._per_gate
-        return bool(share.dot(share) < 1.0)
+        """Whether a difference is within the narrowest gates, all signals together.
+
+        A number that is not finite is in no gate.
+        """
+        return math.hypot(*(off * self._weight).tolist()) < self._narrowest
 
     @property
     def torque_Nm(self) -> NDArray[np.float64]:

@@ -7,6 +7,8 @@ from numpy.typing import ArrayLike, NDArray
 from residual.errors import ConfigurationError
 from urdf import Robot
 
+_LOCAL = pin.ReferenceFrame.LOCAL
+
 
 class ToolKinematics:
     """Pose and Jacobian of one frame of a robot, and the needle's direction in it.
@@ -57,15 +59,15 @@ class ToolKinematics:
             pin.computeJointJacobians(self._model, data, q)
         else:
             data = computed
-        jacobian = pin.getFrameJacobian(self._model, data, self._frame_id, pin.ReferenceFrame.LOCAL)
-        self.jacobian = jacobian
-        self.placement = pin.updateFramePlacement(self._model, data, self._frame_id)
-        if self._row is None:
+        model, frame, row = self._model, self._frame_id, self._row
+        self.jacobian = jacobian = pin.getFrameJacobian(model, data, frame, _LOCAL)
+        self.placement = placement = pin.updateFramePlacement(model, data, frame)
+        if row is None:
             self.advance = self.axis_in_tool.dot(jacobian[:3])
-            self.axis_in_base = self.placement.rotation.dot(self.axis_in_tool)
+            self.axis_in_base = placement.rotation.dot(self.axis_in_tool)
         else:
-            self.advance = jacobian[self._row]
-            self.axis_in_base = self.placement.rotation[:, self._row]
+            self.advance = jacobian[row]
+            self.axis_in_base = placement.rotation[:, row]
 
     @property
     def rotation_tool_to_base(self) -> NDArray[np.float64]:

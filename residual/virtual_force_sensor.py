@@ -256,34 +256,35 @@ class VirtualForceSensor:
         self, sample: TorqueSample, stream: JointStream | ExternalTorqueStream, elapsed_s: float
     ) -> WrenchEstimate:
         """Remove the offset, project, and say what the caller should know."""
-        self._clock.missed_s, self._velocity = 0.0, sample.dq
+        q, self._velocity, tau, residual, settled, data = sample
+        self._clock.missed_s = 0.0
         self._elapsed_s, self._lag_s = elapsed_s, stream.lag_s
         offset, wrench, slow = self._offset, self._wrench, self._slow
-        renewed, tared = offset.follow(sample.q, sample.tau, elapsed_s), offset.tared
-        if sample.settled and not tared:
-            offset.record(sample.residual, elapsed_s)
-        corrected = offset.correct(sample.residual)
+        renewed, tared = offset.follow(q, tau, elapsed_s), offset.tared
+        if settled and not tared:
+            offset.record(residual, elapsed_s)
+        corrected = offset.correct(residual)
         corrected.setflags(write=False)
-        wrench.kinematics.update(sample.q, sample.data)
+        wrench.kinematics.update(q, data)
         self._looked_s += elapsed_s
         if renewed:
             wrench.set_torque_covariance(offset.covariance_Nm2())
             wrench.weigh()
-            slow.look(sample.q, corrected, self._looked_s, tared=tared)
+            slow.look(q, corrected, self._looked_s, tared=tared)
             self._looked_s = 0.0
-        numbers = wrench.solve(corrected)
-        std = self._doubt.widen(numbers[0], numbers[1], stream.lag_s, elapsed_s)
+        axial, std, force, torque, covariance, conditioning, share, _ = wrench.solve(corrected)
+        std = self._doubt.widen(axial, std, stream.lag_s, elapsed_s)
         status, message, cautions = Status.OK, slow.message, slow.cautions
         if stream.warning or offset.warning:
             cautions, message = with_warnings(cautions, message, stream.warning, offset.warning)
-        if not sample.settled:
+        if not settled:
             status, message = Status.SETTLING, SETTLING
         elif not tared:
             status, message = Status.NOT_TARED, offset.warning or NOT_TARED
-        self._last = WrenchEstimate(
-            numbers[0], std, *numbers[2:], status, message, slow.misfit, cautions
-        )
-        return self._last
+        numbers = (axial, std, force, torque, covariance, conditioning, share, corrected)
+        last = WrenchEstimate(*numbers, status, message, slow.misfit, cautions)
+        self._last = last
+        return last
 
     def _skip(self, dt_s: float, error: SampleError) -> WrenchEstimate:
         """The last sound estimate again; the time of a bad sample still passes."""

@@ -53,6 +53,21 @@ def test_a_position_that_jumps_and_stays_restarts_the_velocity(lwr):
     assert max(abs(e.axial) for e in found) < 1.0
 
 
+@pytest.mark.parametrize("with_velocity", [True, False])
+@pytest.mark.parametrize("number", [np.nan, np.inf, 1e10, 1e200, -1e308])
+def test_numbers_that_no_sample_has_never_pass_for_ordinary_ones(lwr, number, with_velocity):
+    sensor, rows = tared(lwr, with_velocity=with_velocity)
+    before = feed(sensor, rows[:50])[-1]
+    for which in (0, 1, 2) if with_velocity else (0, 2):
+        bad = list(rows[50])
+        bad[which] = np.where(np.arange(7) == 3, number, bad[which])
+        held = sensor.update(*bad, 1e-3)
+        assert held.status is Status.SKIPPED
+        assert "finite" in held.message or "expected SI units" in held.message
+        assert held.axial == before.axial
+    assert feed(sensor, rows[50:60])[-1].status is Status.OK
+
+
 def test_garbage_is_not_held_back_for_ever(lwr):
     sensor, rows = tared(lwr)
     feed(sensor, rows[:50])
