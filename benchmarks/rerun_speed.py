@@ -1,4 +1,4 @@
-"""The tick that identifies a layer just left anew: what it costs after short and long layers."""
+"""What the dearest of the ticks costs that identify a layer anew, after short and long layers."""
 
 from dataclasses import replace
 from time import perf_counter_ns

@@ -5,7 +5,7 @@ import pickle
 import numpy as np
 import pytest
 
-from identification import DEFAULT, PAPER, Identifier
+from identification import DEFAULT, PAPER, Identifier, rupture_step
 from identification.paper_state import PaperState
 from identification.rupture_step import finish_look
 from insertion import read_snapshot, write_snapshot
@@ -101,6 +101,24 @@ def test_what_is_worked_off_tick_by_tick_or_at_once_is_the_same():
     assert len(early) == len(late) == 2
     assert [found for _, found in early] == [found for _, found in late]
     assert [there - here for (there, _), (here, _) in zip(early, late, strict=True)] == [5, 5]
+
+
+def test_no_tick_at_a_kilohertz_works_off_more_than_one_stage(monkeypatch):
+    worked = []
+
+    def counted(stage):
+        return lambda *given: (worked.append(stage), stage(*given))[1]
+
+    for name in ("look_stage", "search_stage"):
+        monkeypatch.setattr(rupture_step, name, counted(getattr(rupture_step, name)))
+    z, f = signal(8000)
+    identifier, most = Identifier(), 0
+    for a, b in zip(z, f, strict=True):
+        before = len(worked)
+        identifier.update(a, 2.5e-3, b, 1e-3)
+        most = max(most, len(worked) - before)
+    assert most == 1
+    assert len(worked) > 10
 
 
 @pytest.mark.parametrize(("config", "least"), [(DEFAULT, 10), (PAPER, 1)])

@@ -48,4 +48,6 @@ def test_a_real_arm_in_free_motion_reads_no_more_force_than_its_model_is_off(
 def test_fingers_that_are_not_in_the_log_must_be_locked(command, capsys):
     argv = [item for item in command if not item.startswith(("--lock", "panda_finger"))]
     assert main([*argv, "--no-tare"]) == 2
-    assert "mimics" in capsys.readouterr().err
+    told = capsys.readouterr().err
+    assert "mimics" in told
+    assert "lock it with --lock" in told
