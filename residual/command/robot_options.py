@@ -4,7 +4,7 @@ from argparse import ArgumentParser, Namespace
 
 from residual.command.errors import CommandError
 from residual.command.payload_file import payload_from_arguments
-from urdf import Robot, load_lwr, load_urdf
+from urdf import Robot, UnsupportedJointError, load_lwr, load_urdf
 
 
 def robot_arguments(parser: ArgumentParser) -> None:
@@ -51,12 +51,15 @@ def robot_from_arguments(arguments: Namespace) -> Robot:
         if arguments.tool_frame is not None or arguments.lock:
             raise CommandError("--tool-frame and --lock describe a robot of --urdf FILE; give it")
         return load_lwr(payload=payload_from_arguments(arguments, "needle"))
-    return load_urdf(
-        arguments.urdf,
-        tool_frame=arguments.tool_frame,
-        locked_joints=dict(_locked(text) for text in arguments.lock),
-        payload=payload_from_arguments(arguments, "none"),
-    )
+    payload = payload_from_arguments(arguments, "none")
+    locked = dict(_locked(text) for text in arguments.lock)
+    try:
+        return load_urdf(
+            arguments.urdf, tool_frame=arguments.tool_frame, locked_joints=locked, payload=payload
+        )
+    except UnsupportedJointError as error:
+        reason = str(error).replace("lock it with locked_joints", "lock it with --lock")
+        raise UnsupportedJointError(reason) from error
 
 
 def _locked(text: str) -> tuple[str, float]:
