@@ -52,7 +52,7 @@ class UnitWatch:
                 what = "its median step" if key == "t_s" else "it"
                 warnings.append(
                     f"{name}: {what} reaches {size:.4g} in SI; if the file is in {unit}, "
-                    f"say unit = {unit!r}"
+                    f"say unit = {unit!r}, or --{name} COLUMN:{unit}"
                 )
         return tuple(warnings)
 

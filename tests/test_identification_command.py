@@ -81,7 +81,9 @@ def test_speed_is_derived_when_it_is_not_recorded(needle):
 def test_flipped_force_gets_a_hint(needle, tmp_path, capsys):
     log = write(tmp_path / "log.csv", needle, force_sign=-1.0)
     assert command.main([log]) == 0
-    assert "flip its sign" in capsys.readouterr().err
+    assert "flip its sign; a factor of -1 after the unit does" in capsys.readouterr().err
+    assert command.main([log, "--force", "force_N:N:-1"]) == 0
+    assert "flip" not in capsys.readouterr().err
 
 
 def test_hints_name_what_is_odd(needle):

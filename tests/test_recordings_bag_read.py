@@ -49,7 +49,7 @@ def test_every_storage_gives_the_same_log(folder, storage, compression):
         np.testing.assert_array_equal(log["tau_Nm"], 2.0 * log["q_rad"])
         assert "dq_rad_s" not in log
         assert log.warnings == (
-            "q: it reaches 49.2 in SI; if the file is in deg, say unit = 'deg'",
+            "q: it reaches 49.2 in SI; if the file is in deg, say unit = 'deg', or --q COLUMN:deg",
         )
 
 

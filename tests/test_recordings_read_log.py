@@ -208,7 +208,10 @@ def test_values_that_are_hardly_si_get_a_hint_if_no_unit_was_stated():
     names = {"t": np.arange(3.0), "q": 90.0 * ONES, "depth": 85.0 * ONES, "v": 3.0 * ONES}
     hints = log_of(**names).warnings
     assert [hint.split(":")[0] for hint in hints] == ["time", "q", "depth", "speed"]
-    assert "depth: it reaches 85 in SI; if the file is in mm, say unit = 'mm'" in hints
+    assert (
+        "depth: it reaches 85 in SI; if the file is in mm, say unit = 'mm', or --depth COLUMN:mm"
+        in hints
+    )
     stated = {"t_s": np.arange(3.0), "q_rad": 90.0 * ONES, "depth_m": 85.0 * ONES, "v_m_s": ONES}
     assert log_of(**stated).warnings == ()
     assert log_of(t=T, q=3.0 * ONES, depth=0.1 * ONES, v=0.1 * ONES).warnings == ()

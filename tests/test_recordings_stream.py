@@ -139,7 +139,7 @@ def test_a_unit_is_doubted_at_once_or_when_the_values_show_it():
     seen = [warning for _ in stream for warning in stream.take_warnings()]
     assert seen == []
     assert stream.take_warnings() == (
-        "depth: it reaches 85 in SI; if the file is in mm, say unit = 'mm'",
+        "depth: it reaches 85 in SI; if the file is in mm, say unit = 'mm', or --depth COLUMN:mm",
     )
     assert stream.take_warnings() == ()
 

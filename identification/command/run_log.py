@@ -28,6 +28,7 @@ _TRACKED = (
     "cumulative_friction_Ns_per_m",
 )
 _MOST_EVENTS = 1000
+_FLIP = "; a factor of -1 after the unit does, as in --force fz:N:-1"
 
 
 def run_log(arguments: Namespace, log: LogSession, *, needs_overview: bool) -> IdentificationResult:
@@ -50,7 +51,8 @@ def run_log(arguments: Namespace, log: LogSession, *, needs_overview: bool) -> I
             force_N = status.force_N(chunk)
             found.add(stream.run(chunk.t_s, depth_m, force_N, speed_m_s, chunk.dt_s))
         found.add(stream.finish())
-    hints = (*status.warnings, *stream.hints)
+    told = (f"{hint}{_FLIP}" if "flip" in hint else hint for hint in stream.hints)
+    hints = (*status.warnings, *told)
     for hint in hints:
         say(f"warning: {hint}")
     return IdentificationResult(
