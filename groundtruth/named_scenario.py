@@ -2,9 +2,10 @@
 
 import numpy as np
 
+from groundtruth.errors import ScenarioError
 from groundtruth.random_stack import RANDOM_STACK, random_stack
 from groundtruth.scenario import Scenario
-from groundtruth.scenarios import scenario
+from groundtruth.scenarios import SCENARIOS
 
 
 def named_scenario(name: str, seed: int) -> Scenario:
@@ -19,4 +20,7 @@ def named_scenario(name: str, seed: int) -> Scenario:
     """
     if name == RANDOM_STACK:
         return random_stack(np.random.default_rng(seed))
-    return scenario(name)
+    if name not in SCENARIOS:
+        known = ", ".join((*SCENARIOS, RANDOM_STACK))
+        raise ScenarioError(f"no scenario {name!r}; known: {known}")
+    return SCENARIOS[name]

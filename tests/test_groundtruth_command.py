@@ -173,6 +173,7 @@ def test_list_names_every_scenario(capsys):
         ([ID], "nothing to write: name a file with -o FILE or --truth FILE"),
         (["-o", "x.csv"], "no scenario is named; --list prints them"),
         (["gel-26", "-o", "x.csv"], "no scenario 'gel-26'; known: gel-25-constant"),
+        (["gel-26", "-o", "x.csv"], ", random-stack"),
         ([ID, "-o", "x.xyz"], "x.xyz has no known suffix; known are: .csv"),
         ([ID, "-o", "no/x.csv"], "there is no folder no"),
         ([ID, "-o", "x.csv", "--seed", "-1"], "expected a whole number from 0 up"),
