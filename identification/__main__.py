@@ -15,6 +15,7 @@ from identification.errors import IdentificationError
 from recordings import RecordingError
 from recordings.command_line import run_command, write_out
 from recordings.log_session import LogSession
+from recordings.mapping_arguments import mapping_from_arguments
 from recordings.open_table import STANDARD_STREAM
 from recordings.output_arguments import check_outputs
 from recordings.suggest_mapping import suggest_mapping
@@ -30,7 +31,8 @@ def main(argv: Sequence[str] | None = None) -> int:
 
 def _run(arguments: Namespace) -> int:
     if arguments.print_config:
-        write_out(suggest_mapping(arguments.log, CHANNELS))
+        known = mapping_from_arguments(arguments)
+        write_out(suggest_mapping(arguments.log, CHANNELS, mapping=known))
         return 0
     check_outputs(arguments)
     if arguments.png is not None:

@@ -10,9 +10,11 @@ from recordings.bag_survey import BagSurvey, survey_bag
 from recordings.byte_source import Patience
 from recordings.channel import CHANNELS, Channel
 from recordings.column_name import parse_column_name
+from recordings.column_spec import ColumnSpec
 from recordings.detect_columns import detect_columns
 from recordings.errors import ColumnError
-from recordings.find_columns import FoundColumn
+from recordings.find_columns import FoundColumn, find_columns
+from recordings.mapping import ColumnMapping
 from recordings.table import Table
 from recordings.table_stream import stream_tables
 
@@ -21,6 +23,7 @@ def suggest_mapping(
     source: str | Path,
     channels: Iterable[str],
     *,
+    mapping: ColumnMapping | None = None,
     joints: Sequence[str] = (),
     payload: Sequence[str] = (),
 ) -> str:
@@ -29,13 +32,16 @@ def suggest_mapping(
     Args:
         source: see `stream_tables`.
         channels: the channels that are looked for, apart from time.
+        mapping: what is known already; only what it does not say is looked for.
         joints: the robot's joints in its order.
         payload: lines that say what hangs on the robot.
 
     Raises:
         FileAccessError: the recording cannot be read.
         FormatError: nothing usable is in it.
+        ColumnError: the mapping names a column that is not there.
     """
+    known = mapping or ColumnMapping()
     lines = [f"# Mapping of {Path(source).name}; edit it, then: --mapping FILE", ""]
     if str(source) != "-" and is_bag(Path(source)):
         survey = survey_bag(Path(source))
@@ -45,11 +51,12 @@ def suggest_mapping(
         wanted = list(channels)
     else:
         table = next(stream_tables(source, Patience()))
-        wanted = ["time", *channels]
+        wanted = ["time", *channels] if known.rate_hz is None else list(channels)
+        lines += [] if known.rate_hz is None else [f"rate_hz = {known.rate_hz}", ""]
     lines += [*payload, ""] if payload else []
     used: set[str] = set()
     for name in wanted:
-        lines += [*_channel(table, CHANNELS[name], used), ""]
+        lines += [*_channel(table, CHANNELS[name], known.channels.get(name), used), ""]
     if left := [name for name in table.columns if name not in used]:
         lines += [
             "# Columns that are not used:",
@@ -95,8 +102,11 @@ def _head(
     return [*lines, ""] if lines else []
 
 
-def _channel(table: Table, channel: Channel, used: set[str]) -> list[str]:
-    found, trouble = _detected(table, channel)
+def _channel(table: Table, channel: Channel, spec: ColumnSpec | None, used: set[str]) -> list[str]:
+    if spec is None:
+        found, trouble = _detected(table, channel)
+    else:
+        found, trouble = tuple(c for p in spec.patterns for c in find_columns(table, p)), ""
     if not found:
         lines = [f"[{channel.name}]", 'columns = ""', f'unit = "{channel.si_unit}"']
         reason = trouble or f"not found; {channel.meaning}"
@@ -104,14 +114,16 @@ def _channel(table: Table, channel: Channel, used: set[str]) -> list[str]:
     used |= {column.name for column in found}
     names = [column.name for column in found]
     units = {parse_column_name(name, channel.units).unit for name in names}
-    unit = units.pop() if len(units) == 1 else None
+    stated = spec.unit if spec is not None else None
+    unit = stated or (units.pop() if len(units) == 1 else None)
+    scale = json.dumps(spec.scale if spec is not None else 1.0)
     others = ", ".join(channel.units)
     told = f"  # of {others}" if unit else f"  # assumed; of {others}"
     return [
         f"[{channel.name}]  # {channel.meaning}",
         f"columns = {json.dumps(names[0] if len(names) == 1 else names)}",
         f"unit = {json.dumps(unit or channel.si_unit)}{told}",
-        "scale = 1.0  # -1.0 turns the sign" + (", or one for each joint" * channel.per_joint),
+        f"scale = {scale}  # -1.0 turns the sign" + (", or one for each joint" * channel.per_joint),
     ]
 
 

@@ -9,6 +9,7 @@ from figures.report_folder import report_folder
 from recordings import RecordingError
 from recordings.command_line import run_command, write_out
 from recordings.log_session import LogSession
+from recordings.mapping_arguments import mapping_from_arguments
 from recordings.open_table import STANDARD_STREAM
 from recordings.output_arguments import check_outputs
 from recordings.suggest_mapping import suggest_mapping
@@ -66,8 +67,12 @@ def _print_config(arguments: Namespace, robot: Robot) -> int:
     channels = ("q", "dq", torque_channel(is_external=arguments.external_torque))
     default = "needle" if arguments.urdf is None else "none"
     payload = payload_lines(payload_from_arguments(arguments, default))
-    text = suggest_mapping(arguments.log, channels, joints=robot.joint_names, payload=payload)
-    write_out(text)
+    known = mapping_from_arguments(arguments)
+    write_out(
+        suggest_mapping(
+            arguments.log, channels, mapping=known, joints=robot.joint_names, payload=payload
+        )
+    )
     return 0
 
 

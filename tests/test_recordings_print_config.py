@@ -93,6 +93,40 @@ def test_units_in_names_are_taken_and_others_are_said_to_be_assumed(tmp_path):
     assert 'unit = "N"  # assumed; of N, mN' in text.splitlines()
 
 
+def test_what_options_say_already_stands_in_the_mapping(tmp_path, capsys):
+    path = tmp_path / "log.csv"
+    path.write_text("Zeit;Weg;fz [mN]\n0;1;2\n1;2;3\n", encoding="utf-8")
+    argv = [str(path), "--time", "Zeit:ms", "--depth", "Weg:mm:-1", "--force", "fz [mN]"]
+    assert identify([*argv, "--print-config"]) == 0
+    mapping = load_mapping(written(tmp_path, capsys.readouterr().out))
+    log = read_log(path, mapping, required=["depth", "force"])
+    np.testing.assert_allclose(log.t_s, [0.0, 1e-3])
+    np.testing.assert_allclose(log["depth_m"], [-1e-3, -2e-3])
+    np.testing.assert_allclose(log["force_N"], [2e-3, 3e-3])
+    assert identify([str(path), "--rate", "50", "--print-config"]) == 0
+    rate = load_mapping(written(tmp_path, capsys.readouterr().out))
+    assert rate.rate_hz == 50.0
+    assert identify([str(path), "--force", "nothing", "--print-config"]) == 2
+    assert "no column 'nothing'" in capsys.readouterr().err
+
+
+def test_joint_columns_with_a_factor_each_are_kept(tmp_path, capsys):
+    path = tmp_path / "log.csv"
+    head = ["t", *(f"{name}{i}" for name in ("Achse", "Strom") for i in range(1, 8))]
+    path.write_text(f"{','.join(head)}\n{','.join('1' * 15)}\n2{',1' * 14}\n", encoding="utf-8")
+    given = tmp_path / "given.toml"
+    given.write_text(
+        '[tau]\ncolumns = "Strom*"\nscale = [1.0, 2.0, 3.0, 4.0, 5.0, 6.0, -7.0]\n',
+        encoding="utf-8",
+    )
+    argv = [str(path), "--q", "Achse:deg", "--mapping", str(given), "--print-config"]
+    assert estimate(argv) == 0
+    mapping = load_mapping(written(tmp_path, capsys.readouterr().out))
+    log = read_log(path, mapping, required=["q", "tau"])
+    np.testing.assert_allclose(log["q_rad"], np.full((2, 7), np.pi / 180.0))
+    np.testing.assert_allclose(log["tau_Nm"], [[1.0, 2.0, 3.0, 4.0, 5.0, 6.0, -7.0]] * 2)
+
+
 def test_a_missing_recording_is_told(tmp_path):
     for name in ("no.mcap", "no.csv"):
         with pytest.raises(FileAccessError, match="cannot read"):

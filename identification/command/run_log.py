@@ -51,7 +51,7 @@ def run_log(arguments: Namespace, log: LogSession, *, needs_overview: bool) -> I
             force_N = status.force_N(chunk)
             found.add(stream.run(chunk.t_s, depth_m, force_N, speed_m_s, chunk.dt_s))
         found.add(stream.finish())
-    told = (f"{hint}{_FLIP}" if "flip" in hint else hint for hint in stream.hints)
+    told = (f"{hint.rstrip('?')}{_FLIP}" if "flip" in hint else hint for hint in stream.hints)
     hints = (*status.warnings, *told)
     for hint in hints:
         say(f"warning: {hint}")
