@@ -5,8 +5,8 @@ import argparse
 from rich.table import Table
 
 from benchmarks.catalogue import BENCHMARKS
+from benchmarks.plan import PLANTS
 from benchmarks.screen import new_console
-from groundtruth import ARM_LEVELS
 
 
 def execute(arguments: argparse.Namespace) -> int:
@@ -19,5 +19,5 @@ def execute(arguments: argparse.Namespace) -> int:
         table.add_row(item.id, "*" if item.is_default else "", item.title, needs)
     console = new_console()
     console.print(table)
-    console.print(f"Plants of a simulation: {', '.join(ARM_LEVELS)}")
+    console.print(f"Plants of a simulation: {', '.join(PLANTS)}")
     return 0
