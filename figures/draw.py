@@ -111,7 +111,8 @@ def _marker(style: LineStyle) -> dict[str, Any]:
 def _mark(axes: "Axes", chart: Chart) -> None:
     for shading in chart.shadings:
         for first, last in shading.spans:
-            axes.axvspan(first, last, color=shading.color, linewidth=0, label=shading.label)
+            wide, color = shading.least_pt, shading.color
+            axes.axvspan(first, last, color=color, linewidth=wide, label=shading.label)
     for instants in chart.instants:
         for place in instants.places:
             axes.axvline(place, label=instants.label, **_line(instants.style))

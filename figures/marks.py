@@ -13,11 +13,13 @@ class Shading:
         label: In the legend.
         color: Of the shade.
         spans: First and last place of each stretch.
+        least_pt: Width to which a short stretch is drawn at least, so that it is seen.
     """
 
     label: str
     color: str
     spans: tuple[tuple[float, float], ...]
+    least_pt: float = 0.0
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

@@ -45,7 +45,7 @@ TIP = LineStyle(color=PURPLE, dash=DASH_DOTTED, width_pt=1.0)
 
 RUPTURE = LineStyle(color=BLACK, width_pt=0.9)
 COMPENSATION = LineStyle(color=BLACK, dash=DASHED, width_pt=0.9)
-TRUE_RUPTURE = "#d9d9d9"
+TRUE_RUPTURE = "#c6c6c6"
 """Shade of the time in which a layer really gives way."""
 UNTARED = LineStyle(color=GREY, width_pt=1.0)
 TARE, SETTLING, SKIPPED = "#d5efd9", "#e4e4e4", "#c0392b"

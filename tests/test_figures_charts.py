@@ -87,6 +87,17 @@ def test_a_label_stands_in_the_legend_once(tmp_path):
     assert words(save_svg(drawn, tmp_path / "a")).count("here") == 1
 
 
+def test_a_stretch_too_short_to_be_seen_can_be_drawn_wider(tmp_path):
+    def drawn(least_pt):
+        spans = ((0.5e-3, 0.5e-3 + 1e-9),)
+        shading = Shading(label="here", color="#123456", spans=spans, least_pt=least_pt)
+        path = save_svg(chart(curve([0.0, 1.0]), shadings=(shading,)), tmp_path / "a")
+        return path.read_text(encoding="utf-8")
+
+    assert "stroke-width: 2.5" in drawn(2.5)
+    assert "stroke-width: 2.5" not in drawn(0.0)
+
+
 def test_equal_charts_give_equal_bytes(tmp_path):
     paths = [save_svg(chart(curve([0.0, 2.0, 1.0])), tmp_path / name) for name in "ab"]
     assert paths[0].read_bytes() == paths[1].read_bytes()

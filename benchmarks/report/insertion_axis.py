@@ -13,6 +13,8 @@ Array = NDArray[np.float64]
 
 MARGIN_s = 1.0
 """Shown before contact and after the deepest point."""
+_SEEN_BESIDE_A_LINE_PT = 3.0
+"""A layer gives way within 0.1 s of a minute; lines that mark its detection lie on top."""
 
 
 class InsertionAxis(NamedTuple):
@@ -41,7 +43,12 @@ class InsertionAxis(NamedTuple):
     def true_ruptures(self) -> Shading:
         """When layers really gave way: from the onset to the end of the release."""
         spans = tuple((self.at(item.onset_s), self.at(item.end_s)) for item in self.truth.ruptures)
-        return Shading(label="a layer gives way (truth)", color=palette.TRUE_RUPTURE, spans=spans)
+        return Shading(
+            label="a layer gives way (truth)",
+            color=palette.TRUE_RUPTURE,
+            spans=spans,
+            least_pt=_SEEN_BESIDE_A_LINE_PT,
+        )
 
     def events(self, item: Identified, who: str = "") -> list[Instants]:
         """Alarms and compensations of a method.
