@@ -14,8 +14,8 @@ from identification import DefaultConfig, Identifier, PaperConfig
 NS_PER_US = 1e3
 SHORT_S, LONG_S = 10.0, 60.0
 """Time spent in the layer; at 1 kHz."""
-REPEATS = 5
-"""Insertions of each kind: the median is free of whatever else the machine did."""
+REPEATS = 9
+"""Insertions of each kind: the median is free of whatever else a busy machine did."""
 
 
 def slab(seconds: float) -> Scenario:
