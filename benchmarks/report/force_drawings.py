@@ -30,8 +30,9 @@ def draw_forces(book: Sketchbook, truth: ForceTruth, readings: Sequence[ForceRea
         figure=figure,
         panel=over_time,
         alt=f"{ALT}, over time; below, the errors",
-        caption="Above the axial force, below its error against the true force. RMSE from first "
-        "contact to the end of the withdrawal.",
+        caption="Above the axial force, below its error against the true force; peaks where a "
+        "layer gives way may leave the lower panel. RMSE from first contact to the end of the "
+        "withdrawal.",
         facts=_facts(book.job.benchmark, truth, readings) if figure else (),
     )
     if panels:

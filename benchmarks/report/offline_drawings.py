@@ -25,7 +25,8 @@ def draw_offline(book: Sketchbook, signal: NeedleSignal, truth: InsertionTruth) 
         alt="F/T reading with the reconstructions of the Kelvin-Voigt and the multi-layer model; "
         "below, what each leaves",
         caption="Broad and pale the reading, thin the two models with layers and ruptures given; "
-        "below what each leaves. RMSE from first contact to the deepest point.",
+        "below what each leaves, of which peaks where a layer gives way may leave the panel. "
+        "RMSE from first contact to the deepest point.",
         facts=(
             Fact(
                 what=name,
