@@ -79,15 +79,17 @@ def find_channels(
         optional = _names()
     selected: dict[str, SiChannel] = {}
     notes: tuple[str, ...] = ()
+    missing: list[Channel] = []
     for name in (*required, *optional):
         found = find_si_channel(table, CHANNELS[name], mapping.channels.get(name))
         if found is None:
-            if name in required:
-                raise _missing(table, CHANNELS[name])
+            missing += [CHANNELS[name]] * (name in required)
         elif name in required or name in mapping.channels or np.isfinite(found.values).any():
             selected[CHANNELS[name].key] = found
         else:
             notes += (f"{name}: its columns hold no finite value and were left out",)
+    if missing:
+        raise _missing(table, *missing)
     if not selected:
         raise ColumnError(f"no channel was recognised. Columns are: {table.describe()}")
     return selected, notes
@@ -103,11 +105,13 @@ def _check_names(names: tuple[str, ...]) -> None:
             raise MappingError(f"unknown channel {name!r}; channels are: {', '.join(_names())}")
 
 
-def _missing(table: Table, channel: Channel) -> ColumnError:
+def _missing(table: Table, channel: Channel, *others: Channel) -> ColumnError:
+    also = ", ".join(f"{other.name} ({other.meaning})" for other in others)
     return ColumnError(
         f"no column found for {channel.name} ({channel.meaning}); usual names are "
         f"{', '.join(channel.spellings)}. Say which one with --{channel.name}, or under "
-        f"{channel.name} in the mapping. Columns are: {table.describe()}{table.left_out()}"
+        f"{channel.name} in the mapping. {f'Nor for {also}. ' if also else ''}"
+        f"Columns are: {table.describe()}{table.left_out()}"
     )
 
 

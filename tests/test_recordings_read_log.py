@@ -165,6 +165,13 @@ def test_a_left_out_column_is_explained_when_it_is_asked_for(tmp_path):
         read_log(path, mapped(force="pull"))
 
 
+def test_all_that_is_missing_is_told_at_once():
+    table = Table(columns={"t": [0.0, 1.0], "a": [1.0, 2.0]})
+    message = r"no column found for q \(joint.* Nor for tau \(measured joint torques\). Columns are"
+    with pytest.raises(ColumnError, match=message):
+        select_channels(table, ColumnMapping(), required=["q", "tau"], optional=["dq"])
+
+
 def test_what_was_left_out_is_told_when_nothing_fits(tmp_path):
     log = tmp_path / "log.csv"
     log.write_text("time,tau,z\n2024-05-01T12:00:00,oops,1\n2024-05-01T12:00:01,oops,2\n")
