@@ -8,6 +8,9 @@ from insertion import InsertionSession
 from residual import DEFAULT
 from urdf import Robot
 
+RERUN_TICKS = 6
+"""A layer is identified anew over so many ticks at most: the last one tells it."""
+
 
 class ChainTick:
     """A session fed sample by sample; called with the index of the next one.
@@ -20,7 +23,7 @@ class ChainTick:
 
     Attributes:
         alarms: Indices of the ticks that raised a rupture.
-        reruns: Indices of the ticks that identified a layer that had been left.
+        reruns: Indices of the ticks that worked on identifying a layer that had been left.
     """
 
     def __init__(
@@ -48,4 +51,4 @@ class ChainTick:
         if found.rupture is not None:
             self.alarms.append(k)
         if found.compensated is not None:
-            self.reruns.append(k)
+            self.reruns.extend(range(k + 1 - RERUN_TICKS, k + 1))

@@ -38,7 +38,7 @@ class SpeedReport:
     Attributes:
         timings: By subject.
         alarms: Ticks that raised a rupture, by chain, counted from the first that was timed.
-        reruns: Ticks that identified a layer anew, counted alike.
+        reruns: Ticks that worked on identifying a layer anew, counted alike.
         pauses: Garbage collections meanwhile.
     """
 
