@@ -45,6 +45,11 @@ class CsvColumns:
         self.stamps = whole_stamps_of_text(layout, columns)
         return columns
 
+    @property
+    def omitted(self) -> tuple[str, ...]:
+        """Which columns were left out, and why."""
+        return tuple(self._left_out.values())
+
     def notes(self) -> tuple[str, ...]:
         """What was left out or could not be read so far, in words."""
         cells, notes = self._cells, []

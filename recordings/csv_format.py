@@ -74,17 +74,23 @@ def csv_tables(
             rows.add(batch)
             if head_rows is not None and len(rows) >= (1 if read else head_rows):
                 read = columns.read(rows.take())
-                yield Table(columns=read, start_ns=rows.start_ns, stamps=columns.stamps)
+                yield _table(rows, columns, read)
         if is_stopped():
             lines.forgive_end()
         rows.end(lines.tail, is_growing=is_growing)
         if len(rows):
             read = columns.read(rows.take())
-            yield Table(columns=read, start_ns=rows.start_ns, stamps=columns.stamps)
+            yield _table(rows, columns, read)
     except FormatError as error:
         told = "".join(f" ({warning})" for warning in lines.warnings)
         raise FormatError(f"{name}: {error}{told}") from error
     yield Table(
         columns={name: values[:0] for name, values in read.items()},
         warnings=(*lines.warnings, *rows.notes, *columns.notes()),
+    )
+
+
+def _table(rows: CsvRows, columns: CsvColumns, read: dict[str, FloatArray]) -> Table:
+    return Table(
+        columns=read, start_ns=rows.start_ns, stamps=columns.stamps, omitted=columns.omitted
     )

@@ -116,7 +116,8 @@ def require_no_gap(numbers: list[int], pattern: str) -> None:
 
 
 def _not_found(table: Table, pattern: str) -> ColumnError:
-    told = "".join(f" ({note})" for note in table.warnings if repr(pattern) in note)
+    notes = dict.fromkeys((*table.omitted, *table.warnings))
+    told = "".join(f" ({note})" for note in notes if repr(pattern) in note)
     hint = _hint(list(table.columns), pattern)
     return ColumnError(f"no column {pattern!r}{told}.{hint} Columns are: {table.describe()}")
 

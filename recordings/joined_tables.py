@@ -35,6 +35,7 @@ def joined_tables(tables: Iterator[Table], rows: int) -> Table:
         joint_names=first.joint_names,
         start_ns=first.start_ns,
         stamps=_joined_stamps([table for table in taken if _length(table)]),
+        omitted=first.omitted,
     )
 
 

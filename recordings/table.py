@@ -27,6 +27,7 @@ class Table:
         start_ns: the instant of t = 0 on the clock that stamped the file, in ns; not zero only
             where stamps are too large for seconds in float64 to tell nanoseconds apart.
         stamps: those of `columns` that float64 has rounded, as the whole numbers that they are.
+        omitted: which columns were left out and why, where `warnings` come with later rows.
     """
 
     columns: Mapping[str, FloatArray]
@@ -35,6 +36,7 @@ class Table:
     joint_names: Mapping[str, tuple[str, ...]] = field(default_factory=dict)
     start_ns: int = 0
     stamps: Mapping[str, NDArray[np.int64]] = field(default_factory=dict)
+    omitted: tuple[str, ...] = ()
 
     def __post_init__(self) -> None:
         """Copy and freeze the columns.
@@ -69,7 +71,7 @@ class Table:
         """Return in brackets, for a message, which columns the reader left out and why."""
         notes = [
             note
-            for note in self.warnings
+            for note in dict.fromkeys((*self.omitted, *self.warnings))
             if note.startswith("column ") and note.endswith("was left out")
         ]
         more = f"; and {len(notes) - limit} more" if len(notes) > limit else ""

@@ -21,8 +21,11 @@ from recordings import (
     read_log,
     write_table,
 )
+from recordings.byte_source import Patience
 from recordings.channel import CHANNELS
+from recordings.log_stream import LogStream
 from recordings.select_channels import select_channels
+from recordings.table_stream import stream_tables
 
 BESIDE = Path(__file__).parents[2] / "shared" / "data"
 DATA = Path(os.environ.get("NEEDLEFORCE_DATA", BESIDE))
@@ -179,6 +182,9 @@ def test_what_was_left_out_is_told_when_nothing_fits(tmp_path):
         with pytest.raises(ColumnError, match=r"'time' holds text .*'2024-05-01T12:00:00'") as told:
             read_log(log, required=[required])
         assert "'tau' holds text (line 2, 'oops') and was left out)" in str(told.value)
+        with pytest.raises(ColumnError) as streamed:
+            list(LogStream(stream_tables(log, Patience()), required=[required]))
+        assert str(streamed.value) == str(told.value)
 
 
 def test_an_optional_channel_without_values_is_left_out_and_told():
