@@ -14,7 +14,7 @@ from identification.paper_config import PaperConfig
 from identification.paper_report import paper_layers, report_paper
 from identification.paper_step import initial_paper_state, paper_step
 from identification.sample import Sample
-from identification.sample_check import CheckState, SampleStatus, check_step, to_scalars
+from identification.sample_check import CheckState, SampleStatus, check_step, raw_check_step
 
 
 @dataclass(frozen=True, slots=True)
@@ -95,9 +95,9 @@ class Identifier:
             dt_s: Time since the previous sample [s].
         """
         values, config = (depth_m, speed_m_s, force_N, dt_s), self._config
-        if not type(depth_m) is type(speed_m_s) is type(force_N) is type(dt_s) is float:
-            values = to_scalars(*values)
-        self._check, sample, status = check_step(self._check, values, config.check)
+        is_plain = type(depth_m) is type(speed_m_s) is type(force_N) is type(dt_s) is float
+        check = check_step if is_plain else raw_check_step
+        self._check, sample, status = check(self._check, values, config.check)
         if sample is None:
             self._last = self._last._replace(
                 time_s=self._check.time_s,

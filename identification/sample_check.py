@@ -10,6 +10,9 @@ import numpy as np
 from identification.errors import InvalidConfigError
 from identification.sample import Sample
 
+_NO_NUMBERS = (str, bytes, bool, np.bool_, complex, np.complexfloating)
+"""What Python or numpy would make a float of, though nobody measures it."""
+
 
 class SampleStatus(Enum):
     """What became of a sample. Only `OK` and `TIME_GAP` samples are absorbed."""
@@ -57,7 +60,19 @@ class CheckConfig:
 
 
 class CheckState(NamedTuple):
-    """Memory of the check: just enough to notice jumps and contradictions."""
+    """Memory of the check: just enough to notice jumps and contradictions.
+
+    Attributes:
+        time_s: Since the start.
+        usual_dt_s: Smoothed interval.
+        raw_depth_m: Last depth that could be read, of a sample absorbed or refused.
+        depth_shift_m: Sum of all jumps removed.
+        depth_travel_m: Recent travel by depth.
+        speed_travel_m: The same by speed.
+        pending_s: Time since `raw_depth_m`.
+        has_depth: Whether there is one.
+        refused_s: Time from the last sample absorbed to `raw_depth_m`.
+    """
 
     time_s: float = 0.0
     usual_dt_s: float = 0.0
@@ -67,14 +82,21 @@ class CheckState(NamedTuple):
     speed_travel_m: float = 0.0
     pending_s: float = 0.0
     has_depth: bool = False
+    refused_s: float = 0.0
 
 
-def to_scalars(*values: object) -> tuple[float, ...] | None:
-    """Floats, or None if any value is not a single real number."""
+def _to_scalar(value: object) -> float | None:
+    """As a float, or None if it is not a single real number."""
+    if isinstance(value, float):
+        return float(value)
+    if isinstance(value, np.ndarray) and value.ndim == 0:
+        value = value[()]
+    if isinstance(value, _NO_NUMBERS) or value is np.ma.masked:
+        return None
     try:
-        if any(isinstance(v, (str, bytes)) or np.ndim(v) > 0 for v in values):  # type: ignore
-            return None
-        return tuple(float(v) for v in values)  # type: ignore[arg-type]
+        return None if np.ndim(value) > 0 else float(value)  # type: ignore
+    except OverflowError:
+        return math.inf
     except (TypeError, ValueError):
         return None
 
@@ -84,37 +106,58 @@ def _skipped(state: CheckState, dt_s: float) -> CheckState:
 
 
 def _motion_check(
-    state: CheckState, values: tuple[float, float, float, float], config: CheckConfig
-) -> tuple[CheckState, SampleStatus]:
+    state: CheckState, values: tuple[float, ...], config: CheckConfig
+) -> tuple[CheckState, float, SampleStatus]:
+    """The new memory, the time since the last sample that was absorbed, and the status."""
     depth, speed, _, interval = values
-    time, usual, raw_depth, shift, by_depth, by_speed, pending, has_depth = state
+    time, usual, raw_depth, shift, by_depth, by_speed, pending, has_depth, refused = state
+    # Of the time since the last depth, and since the last sample that was absorbed.
     dt = interval + pending
+    elapsed = dt + refused
+    gap = config.gap_s
+    if gap < 10.0 * usual:
+        gap = 10.0 * usual
     change = depth - raw_depth if has_depth else 0.0
     surprise = change - speed * dt
     keep = math.exp(-dt / config.sign_memory_s)
     is_jump = abs(surprise) > config.jump_m + abs(speed) * dt
-    is_gap = has_depth and dt > max(config.gap_s, 10.0 * usual)
     by_depth, by_speed = keep * by_depth, keep * by_speed
     if is_jump:
         shift += surprise
-    elif state.has_depth and not is_gap:
+    elif has_depth and dt <= gap:
         # One speed says nothing of the way through a gap, nor of that before the first depth.
         by_depth, by_speed = by_depth + change, by_speed + speed * dt
-    usual = usual or interval
-    usual += 0.05 * (interval - usual)
-    new = CheckState(time + interval, usual, depth, shift, by_depth, by_speed, 0.0, True)
     is_contrary = by_depth * by_speed < 0.0 and (
         min(abs(by_depth), abs(by_speed)) > config.sign_travel_m
     )
     if is_jump:
-        return new, SampleStatus.DEPTH_JUMP
-    if is_contrary:
-        return new, SampleStatus.SPEED_SIGN
-    return new, SampleStatus.TIME_GAP if is_gap else SampleStatus.OK
+        refused, status = elapsed, SampleStatus.DEPTH_JUMP
+    elif is_contrary:
+        refused, status = elapsed, SampleStatus.SPEED_SIGN
+    else:
+        refused, is_gap = 0.0, has_depth and elapsed > gap
+        status = SampleStatus.TIME_GAP if is_gap else SampleStatus.OK
+    usual = usual or interval
+    usual += 0.05 * (interval - usual)
+    time += interval
+    new = CheckState(time, usual, depth, shift, by_depth, by_speed, 0.0, True, refused)
+    return new, elapsed, status
+
+
+def raw_check_step(
+    state: CheckState, values: tuple[object, ...], config: CheckConfig
+) -> tuple[CheckState, Sample | None, SampleStatus]:
+    """As `check_step`, for values of any type."""
+    depth, speed, force, dt = (_to_scalar(value) for value in values)
+    if depth is not None and speed is not None and force is not None and dt is not None:
+        return check_step(state, (depth, speed, force, dt), config)
+    if dt is not None and math.isfinite(dt) and dt > 0.0:
+        state = _skipped(state, dt)
+    return state, None, SampleStatus.NOT_A_SCALAR
 
 
 def check_step(
-    state: CheckState, values: tuple[float, ...] | None, config: CheckConfig
+    state: CheckState, values: tuple[float, ...], config: CheckConfig
 ) -> tuple[CheckState, Sample | None, SampleStatus]:
     """Judge one raw sample.
 
@@ -123,14 +166,12 @@ def check_step(
 
     Args:
         state: Memory of the check.
-        values: (depth, speed, force, dt), or None if they were not scalars.
+        values: (depth, speed, force, dt).
         config: Limits.
 
     Returns:
         The new memory, the sample to absorb (None if refused) and its status.
     """
-    if values is None:
-        return state, None, SampleStatus.NOT_A_SCALAR
     depth, speed, force, dt = values
     if not math.isfinite(dt):
         return state, None, SampleStatus.NOT_FINITE
@@ -140,8 +181,7 @@ def check_step(
         return _skipped(state, dt), None, SampleStatus.NOT_FINITE
     if abs(force) > config.force_limit_N:
         return _skipped(state, dt), None, SampleStatus.FORCE_RANGE
-    new, status = _motion_check(state, (depth, speed, force, dt), config)
+    new, elapsed, status = _motion_check(state, values, config)
     if not status.is_absorbed:
         return new, None, status
-    elapsed = dt + state.pending_s
     return new, Sample(new.time_s, elapsed, depth - new.depth_shift_m, speed, force), status

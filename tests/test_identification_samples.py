@@ -1,6 +1,8 @@
 """Bad samples are reported and skipped; good ones that follow are not harmed."""
 
 import math
+import warnings
+from fractions import Fraction
 
 import numpy as np
 import pytest
@@ -41,9 +43,59 @@ def test_bad_sample_is_reported_and_not_absorbed(values, status):
     assert math.isfinite(after.time_s)
 
 
-def test_numpy_scalars_and_integers_are_welcome():
-    estimate = Identifier(PAPER).update(np.float32(0.0), np.float64(0.002), 0, np.array(1e-3))
+def test_numpy_scalars_integers_and_fractions_are_welcome():
+    estimate = Identifier(PAPER).update(
+        np.float32(0.0), np.float64(0.002), 0, np.ma.array(1e-3, mask=False)
+    )
     assert estimate.status is SampleStatus.OK
+    estimate = Identifier(PAPER).update(Fraction(0), np.int32(0), 0, np.array(1e-3))
+    assert estimate.status is SampleStatus.OK
+
+
+NO_NUMBERS = {
+    "an integer beyond all floats": (10**400, SampleStatus.NOT_FINITE),
+    "a negative one": (-(10**400), SampleStatus.NOT_FINITE),
+    **{
+        repr(value): (value, SampleStatus.NOT_A_SCALAR)
+        for value in (
+            1j,
+            np.complex128(1.0),
+            np.complex64(1.0),
+            np.array(1.0 + 0.0j),
+            np.ma.masked,
+            np.ma.array(1.0, mask=True),
+            np.ma.array([1.0, 2.0], mask=[True, False]),
+            True,
+            np.bool_(True),
+            np.array(True),
+            "0.1",
+            np.array("0.1"),
+            b"0.1",
+            np.array(None),
+            np.datetime64("2026-01-01"),
+            [[1.0], [1.0, 2.0]],
+            {},
+        )
+    },
+}
+
+
+@pytest.mark.parametrize("place", range(4))
+@pytest.mark.parametrize("kind", NO_NUMBERS)
+def test_what_is_no_real_number_is_reported_without_a_warning(kind, place):
+    value, status = NO_NUMBERS[kind]
+    identifier = Identifier(PAPER)
+    identifier.update(*GOOD)
+    state = identifier.snapshot().state
+    sample = [*GOOD[:place], value, *GOOD[place + 1 :]]
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        found = identifier.update(*sample)
+    assert found.status is status
+    assert identifier.snapshot().state == state
+    # Time passes if it is told: a missing force does not shift the clock of what follows.
+    assert found.time_s == pytest.approx(1e-3 if place == 3 else 2e-3)
+    assert identifier.update(*GOOD).status is SampleStatus.OK
 
 
 def test_clock_runs_on_over_bad_forces_and_motion_is_not_called_a_jump():
@@ -77,6 +129,52 @@ def test_speed_of_the_wrong_sign_is_called_out():
         seen.add(status)
     assert status is SampleStatus.SPEED_SIGN
     assert SampleStatus.DEPTH_JUMP not in seen
+
+
+def told_and_absorbed(rows):
+    """Statuses, and how much time the absorbed samples stand for."""
+    check, seen, absorbed_s = CheckState(), [], 0.0
+    for row in rows:
+        check, sample, status = check_step(check, row, CheckConfig())
+        seen.append(status)
+        if sample is not None:
+            absorbed_s += sample.dt_s
+            assert sample.time_s == pytest.approx(absorbed_s)
+    return seen, check
+
+
+def test_time_passes_over_a_speed_of_the_wrong_sign():
+    """2.8 s of it are a gap, not one sample of a millisecond."""
+    rows = [(2e-6 * k, -0.002 if 500 <= k < 3000 else 0.002, 0.0, 1e-3) for k in range(3500)]
+    seen, check = told_and_absorbed(rows)
+    refused = [k for k, status in enumerate(seen) if status is SampleStatus.SPEED_SIGN]
+    assert len(refused) > 2000
+    assert seen[max(refused) + 1] is SampleStatus.TIME_GAP
+    assert seen.count(SampleStatus.TIME_GAP) == 1
+    assert check.time_s == pytest.approx(3.5)
+
+
+@pytest.mark.parametrize(("jumps", "after"), [(1, SampleStatus.OK), (300, SampleStatus.TIME_GAP)])
+def test_time_passes_over_jumps_of_depth(jumps, after):
+    places = [0.05 * min(max(k - 99, 0), jumps) for k in range(500)]
+    rows = [(place + 2e-6 * k, 0.002, 0.0, 1e-3) for k, place in enumerate(places)]
+    seen, _ = told_and_absorbed(rows)
+    assert seen[100 : 100 + jumps] == [SampleStatus.DEPTH_JUMP] * jumps
+    assert seen[100 + jumps] is after
+    assert set(seen[101 + jumps :]) == {SampleStatus.OK}
+
+
+def test_times_of_samples_refused_for_different_reasons_add_up():
+    kinds = {0: 0.0, 1: math.nan, 2: 1000.0}
+    rows = [(2e-6 * k, 0.002, 0.0, 1e-3) for k in range(100)]
+    for k in range(100, 400):
+        far = 0.05 * (k // 3)
+        rows.append((far + 2e-6 * k, 0.002, kinds[k % 3], 1e-3))
+    rows += [(far + 2e-6 * k, 0.002, 0.0, 1e-3) for k in range(400, 500)]
+    seen, check = told_and_absorbed(rows)
+    assert SampleStatus.TIME_GAP in seen[400:]
+    assert set(seen[100:400]) >= {SampleStatus.DEPTH_JUMP, SampleStatus.NOT_FINITE}
+    assert check.time_s == pytest.approx(0.5)
 
 
 @pytest.mark.parametrize("before", [0, 400])
