@@ -12,7 +12,13 @@ from residual.joint_friction import FrictionModel
 from residual.momentum_smoother import smoothing_step, smoothing_tick
 from residual.momentum_step import ROWS, Alignment, step_coefficients
 from residual.momentum_terms import MomentumTerms
-from residual.sample_check import MOST_PLAUSIBLE, check_interval, check_joint_vector
+from residual.sample_check import (
+    FLOAT64,
+    MOST_PLAUSIBLE,
+    check_interval,
+    check_joint_vector,
+    read_joint_vector,
+)
 from residual.settings_check import check_alignment, check_gap
 from urdf import Robot
 
@@ -140,15 +146,20 @@ class MomentumObserver:
             SampleError: For a wrong shape, a number that is not finite or a time step that does
                 not advance; the state is then unchanged.
         """
-        try:
-            q = np.asarray(q, dtype=np.float64)
-            dq = np.asarray(dq, dtype=np.float64)
-            tau = np.asarray(tau, dtype=np.float64)
-        except (TypeError, ValueError):
-            self._refuse(q, dq, tau)
         shape = self._gain.shape
-        if q.shape != shape or dq.shape != shape or tau.shape != shape:
-            self._refuse(q, dq, tau)
+        # Almost every sample is an array already. The dynamics tell whether dq and tau are
+        # plausible, but not how large q is.
+        if not (
+            type(q) is np.ndarray
+            and type(dq) is np.ndarray
+            and type(tau) is np.ndarray
+            and q.dtype is dq.dtype is tau.dtype is FLOAT64
+            and q.shape == dq.shape == tau.shape == shape
+            and math.hypot(*q.tolist()) < MOST_PLAUSIBLE
+        ):
+            q = check_joint_vector("q", q, self._joints)
+            dq = read_joint_vector("dq", dq, self._joints)
+            tau = read_joint_vector("tau", tau, self._joints)
         if self._seated and dt_s != self._dt_s:
             check_interval(dt_s)
         return self.absorb(q, dq, tau, dt_s)

@@ -2,6 +2,7 @@
 
 import math
 import numbers
+import sys
 from typing import Any
 
 import numpy as np
@@ -12,33 +13,62 @@ from residual.errors import SampleError
 MOST_PLAUSIBLE = 1e9
 """No joint signal in SI units comes near it; beyond it products overflow."""
 
-
 LONGEST_STEP_S = 86_400.0
 """A time step beyond a day is no pause but a clock that was set, from boot time to date perhaps."""
 
 
-def check_interval(dt_s: float, name: str = "dt_s") -> None:
+FLOAT64 = np.dtype(np.float64)
+"""What an array of floats has as its ``dtype``: comparing it takes no call."""
+
+
+def check_interval(dt_s: float) -> None:
     """Refuse a time step that does not advance.
 
     Args:
         dt_s: Time since the previous sample [s].
-        name: How the caller calls it.
 
     Raises:
         SampleError: If it is not a finite positive number, or beyond `LONGEST_STEP_S`.
     """
     if type(dt_s) is float and 0.0 < dt_s <= LONGEST_STEP_S:  # the quick way for almost every one
         return
-    if not (isinstance(dt_s, numbers.Real) and math.isfinite(dt_s) and dt_s > 0.0):
+    if not isinstance(dt_s, numbers.Real) or isinstance(dt_s, bool) or not 0.0 < dt_s < math.inf:
         raise SampleError(
-            f"{name} is {dt_s!r} s, expected a finite positive time step; "
+            f"dt_s is {dt_s!r} s, expected a finite positive time step; "
             "skip this sample or repair the clock"
         )
     if dt_s > LONGEST_STEP_S:
+        # An integer may be beyond all floats.
+        shown = min(dt_s, sys.float_info.max)
         raise SampleError(
-            f"{name} is {dt_s:.4g} s, more than a day: the clock was set; skip this sample and "
+            f"dt_s is {shown:.4g} s, more than a day: the clock was set; skip this sample and "
             "go on with the next time step"
         )
+
+
+def read_joint_vector(name: str, value: object, joints: int) -> NDArray[np.float64]:
+    """Return the value as a float array of one number per joint; they may still be anything.
+
+    Args:
+        name: What the value is, for the message.
+        value: Anything numpy can read.
+        joints: Number of joints.
+
+    Returns:
+        The same numbers, shape (joints,); the array itself when it already fits.
+
+    Raises:
+        SampleError: If the shape is wrong, or these are no real numbers.
+    """
+    try:
+        array = _real(value)
+    except (TypeError, ValueError, OverflowError) as error:
+        raise SampleError(f"{name} is not an array of numbers: {error}") from error
+    if array.shape != (joints,):
+        raise SampleError(
+            f"{name} has shape {array.shape}, expected ({joints},): one number per joint"
+        )
+    return array
 
 
 def check_joint_vector(name: str, value: object, joints: int) -> NDArray[np.float64]:
@@ -50,19 +80,13 @@ def check_joint_vector(name: str, value: object, joints: int) -> NDArray[np.floa
         joints: Number of joints.
 
     Returns:
-        The same numbers, shape (joints,); the array itself when it already fits.
+        As `read_joint_vector`.
 
     Raises:
-        SampleError: If the shape is wrong or a number is not finite or beyond `MOST_PLAUSIBLE`.
+        SampleError: If the shape is wrong, these are no real numbers, or one is not finite or
+            beyond `MOST_PLAUSIBLE`.
     """
-    try:
-        array = _real(value)
-    except (TypeError, ValueError, OverflowError) as error:
-        raise SampleError(f"{name} is not an array of numbers: {error}") from error
-    if array.shape != (joints,):
-        raise SampleError(
-            f"{name} has shape {array.shape}, expected ({joints},): one number per joint"
-        )
+    array = read_joint_vector(name, value, joints)
     # Almost every sample ends here: one number tells that all are finite and small.
     if math.hypot(*array.tolist()) < MOST_PLAUSIBLE:
         return array
@@ -77,10 +101,27 @@ def check_joint_vector(name: str, value: object, joints: int) -> NDArray[np.floa
 
 
 def _real(value: Any) -> NDArray[np.float64]:
-    """As floats, without the warning by which numpy drops imaginary parts."""
-    if np.iscomplexobj(value):
-        raise TypeError("its numbers are complex")
-    return np.asarray(value, dtype=np.float64)
+    """As floats, but not what numpy makes floats of though nobody measures it: text, truth, dates.
+
+    Raises:
+        TypeError: For such values, and for complex or masked ones.
+    """
+    array = np.asanyarray(value)
+    if array.dtype is FLOAT64 and type(array) is np.ndarray:
+        return array
+    if np.ma.is_masked(array):
+        raise TypeError("some of its numbers are masked")
+    if array.dtype.kind == "O":
+        wrong = {type(one).__name__ for one in array.flat if not _is_real(one)}
+    else:
+        wrong = set() if array.dtype.kind in "fiu" else {str(array.dtype)}
+    if wrong:
+        raise TypeError(f"it holds {', '.join(sorted(wrong))}")
+    return np.asarray(array, dtype=np.float64)
+
+
+def _is_real(value: object) -> bool:
+    return isinstance(value, numbers.Real) and not isinstance(value, bool)
 
 
 def read_rows(

@@ -42,7 +42,8 @@ class SampleClock:
             )
         return min(elapsed_s, LONGEST_STEP_S)
 
-    def miss(self, dt_s: object) -> None:
+    def miss(self, dt_s: float) -> None:
         """A sample was skipped: its time still passes, if it has a sound one."""
-        if isinstance(dt_s, numbers.Real) and -self._most_back_s < float(dt_s) <= LONGEST_STEP_S:
+        is_number = isinstance(dt_s, numbers.Real) and not isinstance(dt_s, bool)
+        if is_number and -self._most_back_s < dt_s <= LONGEST_STEP_S:
             self.missed_s += float(dt_s)

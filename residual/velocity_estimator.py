@@ -8,7 +8,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from residual.errors import ConfigurationError
 from residual.momentum_step import Alignment
-from residual.sample_check import MOST_PLAUSIBLE, check_interval, check_joint_vector
+from residual.sample_check import FLOAT64, MOST_PLAUSIBLE, check_interval, check_joint_vector
 from residual.sample_clock import ROUNDING_S
 from residual.settings_check import check_alignment, check_gap, check_positive
 from residual.velocity_step import ROWS, lag_pair_coefficients
@@ -73,7 +73,7 @@ class VelocityEstimator:
         check_positive("joints", joints)
         check_alignment(alignment)
         check_gap(max_gap_s)
-        self._joints = joints
+        self._joints, self._shape = joints, (joints,)
         self._bandwidth = bandwidth_per_s
         self._held = alignment == "hold"
         self._max_gap_s = max_gap_s
@@ -127,10 +127,12 @@ class VelocityEstimator:
         self, q: ArrayLike, tau: ArrayLike
     ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
         """Both as arrays of one number per joint; the quick way for almost every sample."""
+        shape = self._shape
         if (
-            isinstance(q, np.ndarray)
-            and isinstance(tau, np.ndarray)
-            and q.shape == tau.shape == (self._joints,)
+            type(q) is np.ndarray
+            and type(tau) is np.ndarray
+            and q.dtype is tau.dtype is FLOAT64
+            and q.shape == tau.shape == shape
             and math.hypot(*q.tolist(), *tau.tolist()) < MOST_PLAUSIBLE
         ):
             return q, tau

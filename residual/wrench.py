@@ -7,6 +7,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from residual.errors import ConfigurationError, SampleError
+from residual.sample_check import check_joint_vector
 from residual.settings_check import check_choice
 from residual.tool_kinematics import ToolKinematics
 from residual.weighted_inverse import weighted_inverse
@@ -87,7 +88,7 @@ class WrenchEstimator:
         self.kinematics = ToolKinematics(robot, frame, insertion_axis)
         self._mode: Mode = mode
         self._in_base = axes == "base"
-        self._shape = (robot.nv,)
+        self._joints = robot.nv
         self._damping = _damping(mode, expected_force_N, expected_torque_Nm)
         if weighting == "none":
             self._damping[:] = 0.0
@@ -131,13 +132,10 @@ class WrenchEstimator:
         """Wrench at a configuration [rad] from the external joint torque [Nm], both shape (n,).
 
         Raises:
-            SampleError: For a wrong shape or numbers that are not finite.
+            SampleError: For a wrong shape, or for numbers that are not real or not finite.
         """
-        q, residual = np.asarray(q, dtype=np.float64), np.asarray(residual, dtype=np.float64)
-        if q.shape != self._shape or residual.shape != self._shape:
-            raise SampleError(
-                f"q and residual have shapes {q.shape} and {residual.shape}, expected {self._shape}"
-            )
+        q = check_joint_vector("q", q, self._joints)
+        residual = check_joint_vector("residual", residual, self._joints)
         self.kinematics.update(q)
         self.weigh()
         return WrenchEstimate(*self.solve(residual))

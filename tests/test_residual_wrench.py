@@ -151,7 +151,7 @@ def test_settings_that_cannot_work_are_refused(lwr):
 @pytest.mark.parametrize("mode", MODES)
 def test_bad_input_of_an_estimate_is_refused(lwr, mode):
     estimator = WrenchEstimator(lwr, mode)
-    with pytest.raises(SampleError, match="shapes"):
+    with pytest.raises(SampleError, match="q has shape"):
         estimator.estimate(MIDDLE[:3], np.zeros(7))
     with pytest.raises(SampleError, match="finite"):
         estimator.estimate(MIDDLE, np.full(7, np.nan))
