@@ -5,6 +5,7 @@ from dataclasses import dataclass, field
 
 from identification.errors import InvalidConfigError
 from identification.sample_check import CheckConfig
+from identification.settings_check import check_kind, check_positive
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -76,10 +77,10 @@ class DefaultConfig:
         Raises:
             InvalidConfigError: A figure is not positive and finite, or the looks are unordered.
         """
+        check_kind("check", self.check, CheckConfig)
         for name in self.__slots__:
-            value = getattr(self, name)
-            if name != "check" and not (math.isfinite(value) and value > 0):
-                raise InvalidConfigError(f"{name} must be positive and finite, got {value}")
+            if name != "check":
+                check_positive(name, getattr(self, name))
         if self.second_look_m <= self.first_look_m:
             raise InvalidConfigError(
                 f"second_look_m ({self.second_look_m}) must exceed first_look_m "

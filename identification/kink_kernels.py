@@ -15,7 +15,7 @@ BASE_RATIO = 3
 BASE_LEAST = 6
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(frozen=True, slots=True, eq=False)
 class KinkKernels:
     """Filters over the last `length` blocks, newest last.
 

@@ -12,7 +12,7 @@ _NULL_SHARE = 0.05
 _BLOCKS = 60
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class LeastSquaresFit:
     """Answer of a linear least squares that grades itself.
 

@@ -8,6 +8,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from identification.errors import InvalidLogError
 from identification.least_squares import LeastSquaresFit, solve_least_squares
+from identification.log_column import read_column
 from identification.regressor import LayerSpan, Model, regression_matrix
 
 
@@ -35,7 +36,7 @@ class OfflineLayer:
     cumulative_friction_Ns_per_m: float
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class OfflineIdentification:
     """Result of equation (6) over one recording.
 
@@ -54,21 +55,6 @@ class OfflineIdentification:
     condition_number: float
     rmse_N: float
     predicted_force_N: NDArray[np.float64]
-
-
-def _column(name: str, values: ArrayLike, length: int | None) -> NDArray[np.float64]:
-    column = np.array(values, dtype=float)
-    if column.ndim != 1 or column.size == 0:
-        raise InvalidLogError(
-            f"{name} must be a non-empty vector, got shape {column.shape}; "
-            "pass one value per sample"
-        )
-    if length is not None and len(column) != length:
-        raise InvalidLogError(f"{name} has {len(column)} samples where t_s has {length}")
-    bad = np.flatnonzero(~np.isfinite(column))
-    if len(bad):
-        raise InvalidLogError(f"{name} is not finite at sample {bad[0]} ({len(bad)} in all)")
-    return column
 
 
 def _layer(fit: LeastSquaresFit, index: int, span: LayerSpan, model: Model) -> OfflineLayer:
@@ -114,9 +100,9 @@ def identify_offline(
         InvalidLogError: Empty, ragged, non-finite or unordered columns.
         InvalidConfigError: No layer, or an unknown model.
     """
-    t = _column("t_s", t_s, None)
+    t = read_column("t_s", t_s, finite=True)
     z, v, f = (
-        _column(name, values, len(t))
+        read_column(name, values, len(t), finite=True)
         for name, values in (("depth_m", depth_m), ("speed_m_s", speed_m_s), ("force_N", force_N))
     )
     if np.any(np.diff(t) <= 0):

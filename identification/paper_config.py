@@ -1,11 +1,12 @@
 """Settings of the published method (Section VI and the authors' framework)."""
 
-import math
+import numbers
 from dataclasses import dataclass, field
 
 from identification.errors import InvalidConfigError
 from identification.regressor import Model
 from identification.sample_check import CheckConfig
+from identification.settings_check import check_finite, check_kind, check_positive
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -52,16 +53,15 @@ class PaperConfig:
         Raises:
             InvalidConfigError: A figure is not positive, or sigma1 does not exceed sigma0.
         """
-        if self.model not in ("ml", "kv"):
+        if not (isinstance(self.model, str) and self.model in ("ml", "kv")):
             raise InvalidConfigError(f"unknown model {self.model!r}; choose 'ml' or 'kv'")
+        check_kind("check", self.check, CheckConfig)
+        check_kind("most_windows", self.most_windows, numbers.Integral)
+        any_sign = ("contact_depth_m", "derivative_rise_N_per_s")
         for name in self.__slots__:
-            value = getattr(self, name)
-            if name in ("model", "check"):
-                continue
-            if not math.isfinite(value):
-                raise InvalidConfigError(f"{name} must be finite, got {value}")
-            if value <= 0 and name not in ("contact_depth_m", "derivative_rise_N_per_s"):
-                raise InvalidConfigError(f"{name} must be positive, got {value}")
+            if name not in ("model", "check"):
+                check = check_finite if name in any_sign else check_positive
+                check(name, getattr(self, name))
         if self.sigma1_N <= self.sigma0_N:
             raise InvalidConfigError(
                 f"sigma1_N ({self.sigma1_N}) must exceed sigma0_N ({self.sigma0_N}): "

@@ -6,15 +6,15 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from identification.default_config import DEFAULT, DefaultConfig
-from identification.errors import InvalidLogError
 from identification.estimate import Estimate, LayerEstimate
+from identification.log_column import read_column
 from identification.paper_config import PaperConfig
 from identification.replay_stream import ReplayStream
 
 _ROWS = 1000
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class Replay:
     """Online estimates of a recording.
 
@@ -58,10 +58,10 @@ def replay(
     Raises:
         InvalidLogError: Empty or ragged columns.
     """
-    t = _column("t_s", t_s, None)
-    z, f = _column("depth_m", depth_m, len(t)), _column("force_N", force_N, len(t))
-    v = None if speed_m_s is None else _column("speed_m_s", speed_m_s, len(t))
-    steps = None if dt_s is None else _column("dt_s", dt_s, len(t))
+    t = read_column("t_s", t_s)
+    z, f = read_column("depth_m", depth_m, len(t)), read_column("force_N", force_N, len(t))
+    v = None if speed_m_s is None else read_column("speed_m_s", speed_m_s, len(t))
+    steps = None if dt_s is None else read_column("dt_s", dt_s, len(t))
     stream, estimates = ReplayStream(config), []
     for start in range(0, len(t), _ROWS):
         part = slice(start, start + _ROWS)
@@ -70,14 +70,3 @@ def replay(
     estimates += stream.finish().estimates
     t.setflags(write=False)
     return Replay(t_s=t, estimates=tuple(estimates), layers=stream.layers, hints=stream.hints)
-
-
-def _column(name: str, values: ArrayLike, length: int | None) -> NDArray[np.float64]:
-    column = np.array(values, dtype=float)
-    if column.ndim != 1 or column.size == 0:
-        raise InvalidLogError(
-            f"{name} must be a non-empty vector, got shape {column.shape}; one value per row"
-        )
-    if length is not None and len(column) != length:
-        raise InvalidLogError(f"{name} has {len(column)} rows where t_s has {length}")
-    return column

@@ -7,8 +7,8 @@ from typing import NamedTuple
 
 import numpy as np
 
-from identification.errors import InvalidConfigError
 from identification.sample import Sample
+from identification.settings_check import check_positive
 
 _NO_NUMBERS = (str, bytes, bool, np.bool_, complex, np.complexfloating)
 """What Python or numpy would make a float of, though nobody measures it."""
@@ -54,9 +54,7 @@ class CheckConfig:
     def __post_init__(self) -> None:
         """Raise `InvalidConfigError` unless every limit is positive and finite."""
         for name in self.__slots__:
-            value = getattr(self, name)
-            if not (math.isfinite(value) and value > 0):
-                raise InvalidConfigError(f"{name} must be positive and finite, got {value}")
+            check_positive(name, getattr(self, name))
 
 
 class CheckState(NamedTuple):

@@ -109,7 +109,10 @@ def test_friction_column_shrinks_again_on_the_way_out():
     ("change", "message"),
     [
         ({"force_N": []}, "non-empty"),
-        ({"force_N": [1.0]}, "samples"),
+        ({"force_N": [1.0]}, "rows"),
+        ({"force_N": ["a", "b", "c"]}, "not a vector of numbers"),
+        ({"force_N": [0.0, 1j, 0.0]}, "complex"),
+        ({"force_N": [0.0, 10**400, 0.0]}, "not a vector of numbers"),
         ({"force_N": [0.0, np.nan, 0.0]}, "not finite"),
         ({"t_s": [0.0, 2.0, 1.0]}, "increase"),
         ({"depth_m": [[0.0], [1.0], [2.0]]}, "vector"),
