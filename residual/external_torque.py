@@ -53,6 +53,21 @@ class ExternalTorqueState(NamedTuple):
     missed_s: float
 
 
+def velocity_estimator(robot: Robot, config: SensorConfig) -> VelocityEstimator:
+    """The velocity estimator of a stream without velocities.
+
+    Args:
+        robot: The arm.
+        config: Settings of the sensor.
+    """
+    return VelocityEstimator(
+        robot.nv,
+        config.velocity_bandwidth_per_s,
+        alignment=config.alignment,
+        max_gap_s=config.max_gap_s,
+    )
+
+
 class ExternalTorqueEstimator:
     """The residual of one stream of samples, all with ``dq`` or all without.
 
@@ -66,16 +81,7 @@ class ExternalTorqueEstimator:
     """Lags after which the start of the residual has faded to 1 %."""
 
     def __init__(self, robot: Robot, config: SensorConfig, *, has_velocity: bool) -> None:
-        self._velocity = (
-            None
-            if has_velocity
-            else VelocityEstimator(
-                robot.nv,
-                config.velocity_bandwidth_per_s,
-                alignment=config.alignment,
-                max_gap_s=config.max_gap_s,
-            )
-        )
+        self._velocity = None if has_velocity else velocity_estimator(robot, config)
         self._observer = MomentumObserver(
             robot,
             config.gain_per_s,

@@ -4,11 +4,11 @@ from typing import NamedTuple
 
 from numpy.typing import ArrayLike
 
-from residual.external_torque import TorqueSample
+from residual.external_torque import TorqueSample, velocity_estimator
 from residual.guard_state import GuardState
 from residual.sample_entry import SampleEntry
 from residual.sensor_config import SensorConfig
-from residual.velocity_estimator import VelocityEstimator, VelocityState
+from residual.velocity_estimator import VelocityState
 from urdf import Robot
 
 
@@ -40,13 +40,7 @@ class ExternalTorqueStream:
     """Whatever lag the robot's estimate has is not known here."""
 
     def __init__(self, robot: Robot, config: SensorConfig, *, has_velocity: bool) -> None:
-        self._velocity = (
-            None
-            if has_velocity
-            else VelocityEstimator(
-                robot.nv, config.velocity_bandwidth_per_s, max_gap_s=config.max_gap_s
-            )
-        )
+        self._velocity = None if has_velocity else velocity_estimator(robot, config)
         self._entry = SampleEntry(
             robot,
             config,

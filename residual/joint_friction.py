@@ -1,12 +1,16 @@
 """Friction left between the torque sensor and the link, as a function of joint velocity."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import Protocol
 
 import numpy as np
 from numpy.typing import NDArray
 
 from residual.errors import ConfigurationError
+from residual.settings_check import check_positive
+
+_MOST_EXPONENT = 700.0
+"""Its exponential is a float still, and the sigmoid there is zero for any purpose."""
 
 
 class FrictionModel(Protocol):
@@ -21,11 +25,14 @@ def _frozen_vectors(owner: object, names: tuple[str, ...]) -> None:
     """Store each named field as a read-only float copy; all of one length."""
     sizes = set()
     for name in names:
-        array = np.array(getattr(owner, name), dtype=np.float64, ndmin=1)
-        if array.ndim != 1 or not np.isfinite(array).all():
-            raise ConfigurationError(
-                f"{name} must be one finite number per joint, got {getattr(owner, name)!r}"
-            )
+        given = getattr(owner, name)
+        try:
+            array = np.full(0, np.nan) if np.iscomplexobj(given) else np.array(given, dtype=float)
+        except (TypeError, ValueError, OverflowError):
+            array = np.full(0, np.nan)
+        array = np.atleast_1d(array)
+        if array.ndim != 1 or array.size == 0 or not np.isfinite(array).all():
+            raise ConfigurationError(f"{name} must be one finite number per joint, got {given!r}")
         array.setflags(write=False)
         object.__setattr__(owner, name, array)
         sizes.add(array.size)
@@ -33,7 +40,7 @@ def _frozen_vectors(owner: object, names: tuple[str, ...]) -> None:
         raise ConfigurationError(f"{', '.join(names)} differ in length: {sorted(sizes)}")
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class JointFriction:
     """Viscous and Coulomb friction with a smooth reversal, plus a constant offset.
 
@@ -59,10 +66,7 @@ class JointFriction:
         _frozen_vectors(self, ("viscous_Nms", "coulomb_Nm", "offset_Nm"))
         if (self.viscous_Nms < 0).any() or (self.coulomb_Nm < 0).any():
             raise ConfigurationError("viscous_Nms and coulomb_Nm must not be negative")
-        if not self.reversal_speed_rad_s > 0:
-            raise ConfigurationError(
-                f"reversal_speed_rad_s is {self.reversal_speed_rad_s!r}, expected > 0"
-            )
+        check_positive("reversal_speed_rad_s", self.reversal_speed_rad_s)
 
     def torque(self, dq: NDArray[np.float64]) -> NDArray[np.float64]:
         """Friction torque opposing the motion [Nm], shape (n,)."""
@@ -70,7 +74,7 @@ class JointFriction:
         return self.viscous_Nms * dq + self.coulomb_Nm * smooth_sign + self.offset_Nm
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class SigmoidFriction:
     """The Franka Panda's friction as identified by Gaz et al., RA-L 2019.
 
@@ -89,12 +93,17 @@ class SigmoidFriction:
     amplitude_Nm: NDArray[np.float64]
     slope_s_rad: NDArray[np.float64]
     shift_rad_s: NDArray[np.float64]
+    _share_at_rest: NDArray[np.float64] = field(init=False, repr=False)
 
     def __post_init__(self) -> None:
         _frozen_vectors(self, ("amplitude_Nm", "slope_s_rad", "shift_rad_s"))
+        object.__setattr__(self, "_share_at_rest", self._share(self.shift_rad_s))
 
     def torque(self, dq: NDArray[np.float64]) -> NDArray[np.float64]:
         """Friction torque opposing the motion [Nm], shape (n,)."""
-        moving = 1.0 / (1.0 + np.exp(-self.slope_s_rad * (dq + self.shift_rad_s)))
-        at_rest = 1.0 / (1.0 + np.exp(-self.slope_s_rad * self.shift_rad_s))
-        return self.amplitude_Nm * (moving - at_rest)
+        return self.amplitude_Nm * (self._share(dq + self.shift_rad_s) - self._share_at_rest)
+
+    def _share(self, speed: NDArray[np.float64]) -> NDArray[np.float64]:
+        """The sigmoid, 0 to 1."""
+        exponent = -self.slope_s_rad * speed
+        return 1.0 / (1.0 + np.exp(np.minimum(exponent, _MOST_EXPONENT)))

@@ -15,7 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class KalmanBelief:
     """Mean and covariance of (momentum, external torque), one pair per joint; arrays (n,).
 
@@ -34,7 +34,7 @@ class KalmanBelief:
     var_torque_Nm2: NDArray[np.float64]
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class KalmanNoise:
     """What disturbs the observer; arrays (n,).
 

@@ -3,10 +3,12 @@
 from dataclasses import dataclass, field
 from typing import get_args
 
+from residual.errors import ConfigurationError
 from residual.joint_friction import FrictionModel
 from residual.momentum_step import Alignment
-from residual.settings_check import check_alignment, check_choice, check_positive
+from residual.settings_check import check_alignment, check_choice, check_positive, check_switch
 from residual.tare_prior import TareKind, TarePrior
+from residual.tool_kinematics import unit_axis
 from residual.wrench import Axes, Mode, Weighting
 
 
@@ -37,8 +39,8 @@ class SensorConfig:
         max_gap_s: Longest time step that is integrated [s]; after a longer one filters restart.
 
     Raises:
-        ConfigurationError: For numbers that are not finite and positive, or a choice that does not
-            exist.
+        ConfigurationError: For a setting that cannot be: a number that is not finite and positive,
+            a choice that does not exist, an axis of no direction, a switch that is no truth value.
     """
 
     gain_per_s: float | tuple[float, ...] = 70.0
@@ -68,6 +70,16 @@ class SensorConfig:
         for name in ("tare_window_s", "expected_force_N"):
             if getattr(self, name) is not None:
                 check_positive(name, getattr(self, name))
+        for name in ("smooth_momentum", "guard"):
+            check_switch(name, getattr(self, name))
+        unit_axis(self.insertion_axis)
+        if not isinstance(self.prior, TarePrior):
+            raise ConfigurationError(f"prior is {self.prior!r}, expected a TarePrior")
+        if self.friction is not None and not callable(getattr(self.friction, "torque", None)):
+            raise ConfigurationError(
+                f"friction is {self.friction!r}, expected a JointFriction or another object that "
+                "tells a torque(dq), or None"
+            )
         check_alignment(self.alignment)
         check_choice("mode", self.mode, get_args(Mode))
         check_choice("weighting", self.weighting, get_args(Weighting))

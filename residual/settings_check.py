@@ -3,6 +3,8 @@
 import math
 import numbers
 
+import numpy as np
+
 from residual.errors import ConfigurationError
 
 
@@ -12,8 +14,23 @@ def check_positive(name: str, value: object) -> None:
     Raises:
         ConfigurationError: With the name and what came.
     """
-    if not (isinstance(value, numbers.Real) and 0.0 < float(value) < math.inf):
+    is_number = isinstance(value, numbers.Real) and not isinstance(value, bool)
+    try:
+        is_sound = is_number and 0.0 < float(value) < math.inf  # type: ignore[arg-type]
+    except OverflowError:
+        is_sound = False
+    if not is_sound:
         raise ConfigurationError(f"{name} is {value!r}, expected a finite number > 0")
+
+
+def check_switch(name: str, value: object) -> None:
+    """Refuse a setting that is neither true nor false.
+
+    Raises:
+        ConfigurationError: With the name and what came.
+    """
+    if not isinstance(value, bool | np.bool_):
+        raise ConfigurationError(f"{name} is {value!r}, expected True or False")
 
 
 def check_choice(name: str, value: object, choices: tuple[str, ...]) -> None:

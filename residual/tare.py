@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 from residual.tare_prior import TareBasis
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class TareBlocks:
     """Means over short blocks of free motion, one row each.
 
@@ -47,7 +47,7 @@ class TareBlocks:
         )  # type: ignore[return-value]
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class Tare:
     """A fitted offset.
 

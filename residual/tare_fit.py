@@ -11,8 +11,9 @@ from residual.tare_prior import TareBasis
 LINK_SCALES = (0.25, 0.5, 1.0, 2.0)
 """How good the link table may be, against the prior's figure; the motion itself chooses."""
 
-
 FEW_BLOCKS = 8
+"""From seven differences between neighbours a variance is known to two thirds of itself; from fewer
+it may be nearly nothing by chance, and a few blocks would be believed too much."""
 
 
 class _Normal(NamedTuple):

@@ -82,8 +82,8 @@ def unit_axis(axis: ArrayLike) -> NDArray[np.float64]:
         ConfigurationError: If it is not three finite numbers, or all of them are zero.
     """
     try:
-        given = np.asarray(axis, dtype=np.float64)
-    except (TypeError, ValueError):
+        given = np.zeros(0) if np.iscomplexobj(axis) else np.asarray(axis, dtype=np.float64)
+    except (TypeError, ValueError, OverflowError):
         given = np.zeros(0)
     if given.shape != (3,) or not np.isfinite(given).all() or not given.any():
         raise ConfigurationError(

@@ -42,6 +42,7 @@ class VirtualForceSensor:
     def __init__(self, robot: Robot, config: SensorConfig = DEFAULT) -> None:
         self._robot, self._config = robot, config
         self._digest = robot_digest(robot)
+        JointStream(robot, config, has_velocity=True)  # refuses what does not fit the robot now
         self._offset = OffsetRemoval(robot, config)
         where = {"frame": config.frame, "insertion_axis": config.insertion_axis}
         self._wrench = WrenchEstimator(
@@ -53,8 +54,7 @@ class VirtualForceSensor:
             **where,
         )
         self._contact = WrenchEstimator(robot, **where)
-        self._slow = SlowChecks(robot, self._wrench)
-        self._doubt = LagDoubt()
+        self._slow, self._doubt = SlowChecks(robot, self._wrench), LagDoubt()
         self.reset()
 
     @property

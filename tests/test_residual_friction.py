@@ -20,6 +20,14 @@ def test_sigmoid_friction_is_zero_at_rest_and_follows_its_formula():
     assert friction.torque(np.array([0.3]))[0] == pytest.approx(expected)
 
 
+def test_sigmoid_friction_levels_off_at_any_speed():
+    one, ones = np.ones(4), np.array([-1.0, 1.0, -1.0, 1.0])
+    friction = SigmoidFriction(amplitude_Nm=one, slope_s_rad=50.0 * ones, shift_rad_s=30.0 * one)
+    # A warning is an error in this suite.
+    found = friction.torque(np.array([-1e3, -1e3, 1e3, 1e3]))
+    np.testing.assert_allclose(found, [1.0, -1.0, 0.0, 0.0], atol=1e-300)
+
+
 def test_parameters_are_read_only_copies():
     coulomb = np.array([1.0])
     friction = JointFriction(viscous_Nms=[0.0], coulomb_Nm=coulomb, offset_Nm=[0.0])
@@ -34,7 +42,15 @@ def test_parameters_are_read_only_copies():
         ({"viscous_Nms": [-1.0]}, "negative"),
         ({"coulomb_Nm": [1.0, 2.0]}, "differ in length"),
         ({"offset_Nm": [np.nan]}, "offset_Nm"),
+        ({"offset_Nm": ["much"]}, "offset_Nm"),
+        ({"offset_Nm": [1j]}, "offset_Nm"),
+        ({"offset_Nm": None}, "offset_Nm"),
+        ({"offset_Nm": [10**400]}, "offset_Nm"),
         ({"reversal_speed_rad_s": 0.0}, "reversal_speed"),
+        ({"reversal_speed_rad_s": np.inf}, "reversal_speed"),
+        ({"reversal_speed_rad_s": np.nan}, "reversal_speed"),
+        ({"reversal_speed_rad_s": None}, "reversal_speed"),
+        ({"reversal_speed_rad_s": 10**400}, "reversal_speed"),
     ],
 )
 def test_parameters_that_cannot_be_are_refused(change, match):

@@ -10,7 +10,9 @@ from residual import (
     DEFAULT,
     PAPER,
     ConfigurationError,
+    JointFriction,
     SensorConfig,
+    SigmoidFriction,
     Status,
     TareError,
     VirtualForceSensor,
@@ -207,8 +209,38 @@ def test_noise_of_a_moving_signal_is_learnt():
         {"alignment": "x"},
         {"weighting": "x"},
         {"tare": "x"},
+        {"gain_per_s": True},
+        {"gain_per_s": 10**400},
+        {"insertion_axis": (0, 0, 0)},
+        {"insertion_axis": (0, 0, np.nan)},
+        {"insertion_axis": (0, 1)},
+        {"insertion_axis": "z"},
+        {"insertion_axis": None},
+        {"insertion_axis": (0, 0, 10**400)},
+        {"guard": "no"},
+        {"guard": 1},
+        {"smooth_momentum": 3},
+        {"smooth_momentum": None},
+        {"prior": None},
+        {"friction": 3},
     ],
 )
 def test_settings_that_cannot_work_are_refused(settings):
     with pytest.raises(ConfigurationError, match=next(iter(settings))):
         SensorConfig(**settings)
+
+
+SIX = np.ones(6)
+
+
+@pytest.mark.parametrize(
+    "settings",
+    [
+        {"gain_per_s": (50.0, 50.0)},
+        {"friction": JointFriction(viscous_Nms=SIX, coulomb_Nm=SIX, offset_Nm=SIX)},
+        {"friction": SigmoidFriction(amplitude_Nm=SIX, slope_s_rad=SIX, shift_rad_s=SIX)},
+    ],
+)
+def test_settings_of_another_arm_are_refused_when_the_sensor_is_made(lwr, settings):
+    with pytest.raises(ConfigurationError, match=next(iter(settings))):
+        VirtualForceSensor(lwr, SensorConfig(**settings))
