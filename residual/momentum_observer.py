@@ -97,7 +97,7 @@ class MomentumObserver:
         self._terms = MomentumTerms(robot, friction)
         self._alignment: Alignment = alignment
         self._max_gap_s = max_gap_s
-        self._joints = robot.nv
+        self._joints, self._shape = robot.nv, (robot.nv,)
         # Two sample slots take turns as "before" and "after": a refused sample has only written
         # into the spare one, so the state stays as it was.
         self._rows = np.zeros((2 * ROWS, robot.nv))
@@ -146,7 +146,7 @@ class MomentumObserver:
             SampleError: For a wrong shape, a number that is not finite or a time step that does
                 not advance; the state is then unchanged.
         """
-        shape = self._gain.shape
+        shape = self._shape
         # Almost every sample is an array already. The dynamics tell whether dq and tau are
         # plausible, but not how large q is.
         if not (

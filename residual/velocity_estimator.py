@@ -1,7 +1,7 @@
 """Joint velocity when the robot sends none, with torque delayed to match."""
 
 import math
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -123,14 +123,11 @@ class VelocityEstimator:
         settled = self._age_s >= self._settling_s - ROUNDING_S
         return MatchedSample(second[:n], out[2, :n], second[n:], settled)
 
-    def _checked(
-        self, q: ArrayLike, tau: ArrayLike
-    ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    def _checked(self, q: Any, tau: Any) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
         """Both as arrays of one number per joint; the quick way for almost every sample."""
         shape = self._shape
         if (
-            type(q) is np.ndarray
-            and type(tau) is np.ndarray
+            type(q) is type(tau) is np.ndarray
             and q.dtype is tau.dtype is FLOAT64
             and q.shape == tau.shape == shape
             and math.hypot(*q.tolist(), *tau.tolist()) < MOST_PLAUSIBLE
