@@ -74,7 +74,7 @@ def _add_stream(stream: argparse.ArgumentParser) -> None:
 
 def _add_run(run: argparse.ArgumentParser) -> None:
     run.add_argument(
-        "ids", nargs="*", metavar="ID", help="benchmarks (see list), or all; default: a quick set"
+        "ids", nargs="*", metavar="ID", help="of the list, tissue, or all; default: a quick set"
     )
     run.add_argument(
         "--plant",

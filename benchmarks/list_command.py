@@ -11,7 +11,9 @@ from benchmarks.screen import new_console
 
 def execute(arguments: argparse.Namespace) -> int:
     """Print every benchmark and plant."""
-    table = Table(caption="* runs when nothing is named; 'all' names all of them")
+    table = Table(
+        caption="* runs when nothing is named; 'tissue' names the scenarios with tissue, 'all' all"
+    )
     for name in ("ID", "", "what", "needs"):
         table.add_column(name)
     for item in BENCHMARKS.values():

@@ -10,9 +10,12 @@ from benchmarks.errors import DataError, UnknownIdError
 from benchmarks.job import RECORDING, Job
 from benchmarks.needle_benchmark import NEEDLE
 from benchmarks.report.paper_figures import NEEDED
+from benchmarks.scenario_groups import TISSUE
 from groundtruth import ARM_LEVELS
 
 ALL = "all"
+GROUPS = {"tissue": TISSUE}
+"""Names that stand for several benchmarks; `ALL` for every one."""
 PLANTS = (*ARM_LEVELS, NEEDLE)
 
 
@@ -22,7 +25,7 @@ class Request:
 
     Attributes:
         ids: Names of benchmarks; none for the quick ones (and, where charts are wanted, for what
-            the paper's figures need), ``all`` for all.
+            the paper's figures need), ``all`` for all, ``tissue`` for the scenarios with tissue.
         plants: Arm levels of simulations, ``needle`` for none; when empty, every benchmark runs on
             its own: the random stack with the needle alone, so that hundreds are affordable.
         seeds: Seeds 0 to seeds - 1 are run.
@@ -82,7 +85,7 @@ def _check_plants(plants: Sequence[str]) -> None:
 
 def _chosen(request: Request) -> list[Benchmark]:
     """The benchmarks in the catalogue's order, each once."""
-    ids = request.ids
+    ids = [name for asked in request.ids for name in GROUPS.get(asked, (asked,))]
     for name in ids:
         if name != ALL:
             benchmark(name)

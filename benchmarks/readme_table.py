@@ -1,4 +1,7 @@
-"""``python -m benchmarks.readme_table RESULTS.json README.md``: the README's table, from a run."""
+"""``python -m benchmarks.readme_table RESULTS.json... README.md``: the README's table, from runs.
+
+Of a scenario on a plant that several files hold, the last one counts.
+"""
 
 import argparse
 import math
@@ -8,7 +11,7 @@ from pathlib import Path
 
 from benchmarks.errors import BenchmarkError, ResultsError
 from benchmarks.published import PUBLISHED_RMSE_N
-from benchmarks.results_file import read_results
+from benchmarks.results_file import read_merged
 from benchmarks.row import Row
 from benchmarks.summary import BAD, NOTHING, summary
 from benchmarks.verdict import verdicts
@@ -20,7 +23,7 @@ USAGE = 2
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
-    """Write the tables of a run between the marks of a page.
+    """Write the tables of runs between the marks of a page.
 
     Args:
         arguments: The command line after the program's name; default: that of this process.
@@ -29,12 +32,12 @@ def main(arguments: Sequence[str] | None = None) -> int:
         0, or 2 after one line on stderr.
     """
     parser = argparse.ArgumentParser(prog="python -m benchmarks.readme_table", description=__doc__)
-    parser.add_argument("results", type=Path, metavar="RESULTS", help="from run --json")
+    parser.add_argument("results", type=Path, nargs="+", metavar="RESULTS", help="from run --json")
     parser.add_argument("page", type=Path, metavar="PAGE", help="the README")
     chosen = parser.parse_args(arguments)
     try:
         text = chosen.page.read_text(encoding="utf-8")
-        filled = fill(text, results_block(read_results(chosen.results)))
+        filled = fill(text, results_block(read_merged(chosen.results)))
         chosen.page.write_text(filled, encoding="utf-8")
     except (BenchmarkError, OSError) as error:
         sys.stderr.write(f"readme_table: {error}\n")

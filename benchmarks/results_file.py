@@ -2,7 +2,7 @@
 
 import json
 import math
-from collections.abc import Iterable
+from collections.abc import Iterable, Sequence
 from dataclasses import asdict, fields
 from pathlib import Path
 from typing import Any
@@ -64,6 +64,21 @@ def read_results(path: str | Path) -> list[Row]:
         twice = next(key for key in keys if keys.count(key) > 1)
         raise ResultsError(f"{path} has more than one row for: {twice}")
     return found
+
+
+def read_merged(paths: Sequence[str | Path]) -> list[Row]:
+    """Rows of several files; a later one replaces what was measured of the same scenario and plant.
+
+    Raises:
+        ResultsError: As `read_results`.
+    """
+    found: dict[tuple[str, str], list[Row]] = {}
+    for path in paths:
+        rows: dict[tuple[str, str], list[Row]] = {}
+        for row in read_results(path):
+            rows.setdefault((row.scenario, row.plant), []).append(row)
+        found |= rows
+    return [row for rows in found.values() for row in rows]
 
 
 def _plain(row: Row) -> dict[str, Any]:

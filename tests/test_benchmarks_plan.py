@@ -52,6 +52,13 @@ def test_all_means_all(data):
     assert plan.skipped == ()
 
 
+def test_tissue_means_every_scenario_with_tissue():
+    tissue = [name for name, item in SCENARIOS.items() if item.layers]
+    assert len(tissue) == 12
+    assert names(make_plan(Request(ids=["tissue"]))) == tissue
+    assert names(make_plan(Request(ids=["free-motion", "tissue"]))) == [*tissue, "free-motion"]
+
+
 def test_every_named_benchmark_runs_once_for_every_plant_and_seed():
     request = Request(
         ids=["liver-constant", "liver-constant"], plants=["hard", "hard", "textbook"], seeds=3

@@ -88,7 +88,7 @@ def test_the_two_commands_install_and_run():
 
 def benchmark_commands():
     found = re.findall(r"python -m benchmarks (\w.*)", "\n".join(COMMANDS))
-    assert len(found) == 3
+    assert len(found) == 5
     return found
 
 
@@ -169,6 +169,25 @@ def test_the_tables_hold_the_numbers_of_a_run(tmp_path):
     assert "| `gel-25-constant` | 0.151 | 0.021 (0.030) | – |" in text
     assert "| `stack-constant` | – | not finite | – |" in text
     assert re.search(r"\| ≤ 0.05 N \| not finite \| 3 \| \*\*missed\*\* \|", text)
+
+
+def test_of_several_runs_the_last_one_of_a_scenario_and_a_plant_counts(tmp_path):
+    first = [
+        make_row(plant="realistic"),
+        make_row(plant="hard"),
+        make_row(scenario="liver-constant"),
+    ]
+    more = [
+        make_row(plant="realistic", value=0.02),
+        make_row(plant="realistic", value=0.04, seed=1),
+    ]
+    write_results(tmp_path / "first.json", first)
+    write_results(tmp_path / "more.json", more)
+    page = tmp_path / "page.md"
+    page.write_text(f"{BEGIN}{END}", encoding="utf-8")
+    assert main([str(tmp_path / name) for name in ("first.json", "more.json", "page.md")]) == 0
+    block = results_block([*more, *first[1:]])
+    assert page.read_text(encoding="utf-8") == f"{BEGIN}\n{block}{END}"
 
 
 @pytest.mark.parametrize("text", ["none", f"{END} {BEGIN}", f"{BEGIN} {END} {BEGIN}", BEGIN])
