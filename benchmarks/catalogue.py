@@ -114,5 +114,5 @@ def benchmark(benchmark_id: str) -> Benchmark:
         return BENCHMARKS[benchmark_id]
     except KeyError:
         raise UnknownIdError(
-            f"no benchmark {benchmark_id!r}; choose from: {', '.join(BENCHMARKS)}, or all"
+            f"no benchmark {benchmark_id!r}; choose from: {', '.join(BENCHMARKS)}, tissue, all"
         ) from None

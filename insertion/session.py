@@ -246,10 +246,10 @@ class InsertionSession:
     def _idle(self, wrench: WrenchEstimate) -> SessionEstimate:
         """A tick that the identifier does not see."""
         last = self._identification
-        if last.rupture is not None or last.compensated is not None:
+        if (last.rupture, last.compensated, last.withdrawn) != (None, None, None):
             last = self._identification = _without_events(last)
         return SessionEstimate(wrench, *self._last_travel, last, wrench.status, False)
 
 
 def _without_events(estimate: Estimate) -> Estimate:
-    return estimate._replace(rupture=None, compensated=None)
+    return estimate._replace(rupture=None, compensated=None, withdrawn=None)

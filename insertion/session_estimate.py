@@ -17,7 +17,8 @@ class SessionEstimate(NamedTuple):
         depth_m: Travel of the tip along the needle since the tare or `begin_insertion`.
         speed_m_s: Its rate.
         identification: Layers, friction, tip force; that of the last tick that was fed to the
-            identifier, its ``rupture`` and ``compensated`` only in the tick that brought them.
+            identifier, its ``rupture``, ``compensated`` and ``withdrawn`` only in the tick that
+            brought them.
         status: Whether the numbers are of this tick and tared.
         is_fed: Whether this tick's force went into the identification.
     """

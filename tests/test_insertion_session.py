@@ -130,6 +130,20 @@ def test_a_rupture_is_told_once(whole):
     assert session.update(q, dq, tau * np.nan, dt_s).identification.rupture is None
 
 
+def test_a_withdrawn_rupture_is_told_once(whole):
+    found = whole[1]
+    k = next(k for k, e in enumerate(found) if e.identification.rupture is not None)
+    told = found[k].identification
+    run = short_run()
+    session = InsertionSession(run.robot)
+    insert(session, last=tare_index(run) + 10)
+    session._identification = told._replace(rupture=None, withdrawn=told.rupture)
+    q, dq, tau, dt_s = next(sample for j, sample in samples(run) if j == tare_index(run) + 11)
+    for _ in range(2):
+        idle = session.update(q, dq, tau * np.nan, dt_s).identification
+        assert idle == told._replace(rupture=None)
+
+
 def test_another_insertion_begins_anew_but_keeps_the_tare():
     run = short_run()
     session = InsertionSession(run.robot)
