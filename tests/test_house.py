@@ -13,6 +13,7 @@ ROOT = Path(__file__).resolve().parents[1]
 ESTIMATORS = ("residual", "identification", "insertion")
 INSTALLED = (*ESTIMATORS, "figures", "groundtruth", "recordings", "urdf")
 ROOMS = (*INSTALLED, "benchmarks")
+FOLDERS = (*ROOMS, "speedup")
 PROJECT = tomllib.loads((ROOT / "pyproject.toml").read_text(encoding="utf-8"))
 MOST_LINES = 300
 MOST_CODE_LINES = 40
@@ -35,7 +36,7 @@ def project_files():
     """Files under version control; in a copy without it, what lies in the project's folders."""
     paths = [ROOT / name for name in listed_by_git()]
     if not paths:
-        folders = (*ROOMS, ".ci", "tests", "docs", "examples")
+        folders = (*FOLDERS, ".ci", "tests", "docs", "examples")
         paths = [path for folder in folders for path in (ROOT / folder).rglob("*")]
         paths += [path for path in ROOT.glob("*.*") if not path.name.startswith(".")]
     return [path for path in paths if path.is_file() and "__pycache__" not in path.parts]
@@ -59,7 +60,7 @@ def syntax(path):
 
 
 SOURCES = [path for path in project_files() if path.suffix == ".py"]
-ROOM_SOURCES = [path for path in SOURCES if path.relative_to(ROOT).parts[0] in ROOMS]
+ROOM_SOURCES = [path for path in SOURCES if path.relative_to(ROOT).parts[0] in FOLDERS]
 TESTS = [path for path in SOURCES if path.parent == ROOT / "tests"]
 
 
