@@ -7,7 +7,7 @@ from importlib import import_module
 from benchmarks.arguments import parser
 from benchmarks.errors import BenchmarkError
 from figures import FiguresError
-from recordings.command_line import run_command
+from recordings.command.run_command import run_command
 
 EXTRA_PACKAGES = ("rich", "mujoco", "matplotlib")
 

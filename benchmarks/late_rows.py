@@ -6,7 +6,7 @@ from pathlib import Path
 
 import numpy as np
 
-from recordings.force_codes import FORCE_STATUS
+from recordings.columns.force_codes import FORCE_STATUS
 
 LATE_ROWS = 80_000
 """Longer than a cycle of a recording of `long_recording`."""

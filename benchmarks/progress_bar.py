@@ -3,7 +3,7 @@
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 
-from recordings.progress import progress
+from recordings.command.progress import progress
 
 
 @contextmanager

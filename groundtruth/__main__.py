@@ -16,9 +16,9 @@ from groundtruth.signal_table import signal_table, truth_table
 from groundtruth.simulate import simulate
 from recordings import RecordingError, check_writable, write_table
 from recordings.apart import require_apart
-from recordings.command_line import run_command, write_out
-from recordings.labels import Labels
-from recordings.progress import progress
+from recordings.command.progress import progress
+from recordings.command.run_command import run_command, write_out
+from recordings.tables.labels import Labels
 from urdf import UrdfError
 
 ERRORS = (GroundTruthError, RecordingError, UrdfError)
@@ -29,7 +29,7 @@ _EVENTS = {
     "rupture": ("", "layer {} gives way"),
     "surface_rupture": ("", "the membrane on the surface gives way"),
 }
-"""Columns of the truth in words, see `recordings.labels.Labels`."""
+"""Columns of the truth in words, see `recordings.tables.labels.Labels`."""
 
 
 def main(argv: Sequence[str] | None = None) -> int:

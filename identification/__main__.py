@@ -13,12 +13,12 @@ from identification.command.report import write_report
 from identification.command.run_log import run_log
 from identification.errors import IdentificationError
 from recordings import RecordingError
-from recordings.command_line import run_command, write_out
-from recordings.log_session import LogSession
-from recordings.mapping_arguments import mapping_from_arguments
+from recordings.command.log_session import LogSession
+from recordings.command.mapping_arguments import mapping_from_arguments
+from recordings.command.output_arguments import check_outputs
+from recordings.command.run_command import run_command, write_out
+from recordings.command.suggest_mapping import suggest_mapping
 from recordings.open_table import STANDARD_STREAM
-from recordings.output_arguments import check_outputs
-from recordings.suggest_mapping import suggest_mapping
 
 ERRORS = (IdentificationError, RecordingError, FiguresError)
 """What is told in one line."""

@@ -44,7 +44,7 @@ def replay(
 
     Rows that cannot be used (gaps, time running backwards) are reported in their estimate's
     status, not dropped. Where a clock may have been set, let
-    `recordings.row_clock.RowClock` tell ``dt_s``.
+    `recordings.clock.row_clock.RowClock` tell ``dt_s``.
 
     Args:
         t_s: Time stamps [s], shape (n,).

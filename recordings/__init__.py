@@ -4,15 +4,18 @@
 `write_log` write results. A `ColumnMapping`, from a small TOML file or the command line, says which
 columns to use where their names do not.
 
-Reading order: `read_log`, `table` (what a file holds), `select_channels` (what it means), `log`. A
-format is a `*_format` to read it and a `*_writer`; bags begin at `bag_format`. Row by row, whatever
-the length: `table_stream` and `log_stream` in, `open_table` out. What the commands share:
-`command_line` (errors, Ctrl-C), `source_arguments`, `mapping_arguments` and `output_arguments`,
-`log_session` (a command reads its log), `row_overview` (few rows for a picture), `toml_file`.
+Reading order: `read_log`, `tables` (what a file holds), `columns` (which column is which channel),
+`select_channels` (the two together), `log`, `clock` (its time). Row by row, whatever the length:
+`table_stream` and `log_stream` in, `open_table` out. The formats: `sources` (bytes as they come),
+`text` (CSV), `columnar` (npz, Parquet), `bags` and below them `bag_storage` (ROS 2). `command` is
+what the commands share.
 """
 
-from recordings.channel import CHANNELS
-from recordings.column_spec import ColumnSpec
+from recordings.columns.channel import CHANNELS
+from recordings.columns.mapping import ColumnMapping
+from recordings.columns.mapping_file import load_mapping
+from recordings.columns.spec import ColumnSpec
+from recordings.command.mapping_arguments import mapping_arguments, mapping_from_arguments
 from recordings.errors import (
     ColumnError,
     FileAccessError,
@@ -22,11 +25,8 @@ from recordings.errors import (
     RecordingError,
 )
 from recordings.log import Log
-from recordings.mapping import ColumnMapping
-from recordings.mapping_arguments import mapping_arguments, mapping_from_arguments
-from recordings.mapping_file import load_mapping
 from recordings.read_log import read_log, read_table
-from recordings.table import Table
+from recordings.tables.table import Table
 from recordings.write_table import check_writable, write_log, write_table
 
 __all__ = [

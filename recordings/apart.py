@@ -2,7 +2,7 @@
 
 from pathlib import Path
 
-from recordings.bag_files import METADATA, is_bag
+from recordings.bag_storage.files import METADATA, is_bag
 from recordings.errors import FileAccessError
 
 

@@ -6,10 +6,10 @@ from types import MappingProxyType
 
 import numpy as np
 
+from recordings.clock.time_stamps import check_time_stamps
+from recordings.columns.finite_watch import FiniteWatch
 from recordings.errors import ColumnError, LogError
-from recordings.finite_watch import FiniteWatch
-from recordings.table import FloatArray, read_only
-from recordings.time_stamps import check_time_stamps
+from recordings.tables.table import FloatArray, read_only
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)

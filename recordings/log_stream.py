@@ -5,19 +5,19 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from recordings.channel import CHANNELS
-from recordings.column_spec import ColumnSpec
-from recordings.csv_format import HEAD_ROWS
+from recordings.clock.time_channel import find_time
+from recordings.clock.time_stamps import TimeStampWatch
+from recordings.columns.channel import CHANNELS
+from recordings.columns.finite_watch import FiniteWatch
+from recordings.columns.mapping import ColumnMapping
+from recordings.columns.si_channel import SiChannel, find_si_channel
+from recordings.columns.spec import ColumnSpec
+from recordings.columns.unit_hints import UnitWatch
 from recordings.errors import LogError
-from recordings.finite_watch import FiniteWatch
-from recordings.joined_tables import joined_tables
-from recordings.mapping import ColumnMapping
 from recordings.select_channels import check_sizes, find_channels, without_stamp
-from recordings.si_channel import SiChannel, find_si_channel
-from recordings.table import FloatArray, Table
-from recordings.time_channel import find_time
-from recordings.time_stamps import TimeStampWatch
-from recordings.unit_hints import UnitWatch
+from recordings.tables.joined_tables import joined_tables
+from recordings.tables.table import FloatArray, Table
+from recordings.text.format import HEAD_ROWS
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)

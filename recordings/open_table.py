@@ -9,14 +9,14 @@ from typing import BinaryIO, Protocol
 
 from numpy.typing import ArrayLike
 
-from recordings.bag_folder import FOLDER_SUFFIX, bag_folder, is_folder_name
-from recordings.bag_writer import McapWriter
-from recordings.checked_columns import Columns, checked_columns, require_same_columns
-from recordings.csv_writer import CsvGzipWriter, CsvWriter
+from recordings.bags.folder import FOLDER_SUFFIX, bag_folder, is_folder_name
+from recordings.bags.writer import McapWriter
+from recordings.columnar.npz_writer import NpzWriter
+from recordings.columnar.parquet_writer import ParquetWriter
 from recordings.errors import FileAccessError
-from recordings.labels import PLAIN, Labels
-from recordings.npz_writer import NpzWriter
-from recordings.parquet_writer import ParquetWriter
+from recordings.tables.checked_columns import Columns, checked_columns, require_same_columns
+from recordings.tables.labels import PLAIN, Labels
+from recordings.text.writer import CsvGzipWriter, CsvWriter
 
 STANDARD_STREAM = "-"
 """Instead of a file: standard input or standard output."""

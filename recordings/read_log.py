@@ -3,17 +3,17 @@
 from collections.abc import Callable, Iterable, Mapping
 from pathlib import Path
 
-from recordings.bag_files import BAG_SUFFIXES, is_bag
-from recordings.bag_format import read_bag
-from recordings.csv_format import CSV_SUFFIXES, read_csv
+from recordings.bag_storage.files import BAG_SUFFIXES, is_bag
+from recordings.bags.format import read_bag
+from recordings.columnar.npz_format import read_npz
+from recordings.columnar.parquet_format import read_parquet
+from recordings.columns.mapping import ColumnMapping
+from recordings.columns.wanted import Wanted
 from recordings.errors import FileAccessError
 from recordings.log import Log
-from recordings.mapping import ColumnMapping
-from recordings.npz_format import read_npz
-from recordings.parquet_format import read_parquet
 from recordings.select_channels import select_channels
-from recordings.table import Table
-from recordings.wanted import Wanted
+from recordings.tables.table import Table
+from recordings.text.format import CSV_SUFFIXES, read_csv
 
 # A new format is a reader in a file of its own and a line here.
 _READERS: Mapping[str, Callable[[Path], Table]] = {

@@ -4,14 +4,14 @@ from collections.abc import Iterable, Mapping
 
 import numpy as np
 
-from recordings.channel import CHANNELS, Channel
+from recordings.clock.time_channel import find_time
+from recordings.columns.channel import CHANNELS, Channel
+from recordings.columns.mapping import ColumnMapping
+from recordings.columns.si_channel import SiChannel, find_si_channel
+from recordings.columns.unit_hints import unit_hints
 from recordings.errors import ColumnError, LogError, MappingError
 from recordings.log import Log
-from recordings.mapping import ColumnMapping
-from recordings.si_channel import SiChannel, find_si_channel
-from recordings.table import Table
-from recordings.time_channel import find_time
-from recordings.unit_hints import unit_hints
+from recordings.tables.table import Table
 
 
 def select_channels(

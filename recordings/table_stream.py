@@ -3,18 +3,18 @@
 from collections.abc import Callable, Iterator, Mapping
 from pathlib import Path
 
-from recordings.bag_files import is_bag
-from recordings.bag_format import bag_chunks
-from recordings.byte_source import Patience, byte_blocks
-from recordings.csv_format import CSV_SUFFIXES, csv_tables
+from recordings.bag_storage.files import is_bag
+from recordings.bags.format import bag_chunks
+from recordings.columnar.npz_format import npz_chunks
+from recordings.columnar.parquet_format import parquet_chunks
+from recordings.columns.wanted import Wanted
 from recordings.errors import FileAccessError, RecordingError
-from recordings.npz_format import npz_chunks
 from recordings.open_table import STANDARD_STREAM
-from recordings.parquet_format import parquet_chunks
-from recordings.piped_binary import peek, spooled
 from recordings.read_log import read_table
-from recordings.table import Table
-from recordings.wanted import Wanted
+from recordings.sources.byte_source import Patience, byte_blocks
+from recordings.sources.piped_binary import peek, spooled
+from recordings.tables.table import Table
+from recordings.text.format import CSV_SUFFIXES, csv_tables
 
 CHUNK_ROWS = 2048
 """The most rows of a table of a binary format."""

@@ -6,11 +6,11 @@ from pathlib import Path
 from numpy.typing import ArrayLike
 
 from recordings.apart import require_apart_from_log
-from recordings.bag_folder import is_folder_name, require_replaceable
+from recordings.bags.folder import is_folder_name, require_replaceable
 from recordings.errors import FileAccessError
-from recordings.labels import PLAIN, Labels
 from recordings.log import Log
 from recordings.open_table import STANDARD_STREAM, find_writer, open_table
+from recordings.tables.labels import PLAIN, Labels
 
 
 def write_table(

@@ -7,12 +7,12 @@ from collections.abc import Sequence
 from figures import FiguresError, require_matplotlib
 from figures.report_folder import report_folder
 from recordings import RecordingError
-from recordings.command_line import run_command, write_out
-from recordings.log_session import LogSession
-from recordings.mapping_arguments import mapping_from_arguments
+from recordings.command.log_session import LogSession
+from recordings.command.mapping_arguments import mapping_from_arguments
+from recordings.command.output_arguments import check_outputs
+from recordings.command.run_command import run_command, write_out
+from recordings.command.suggest_mapping import suggest_mapping
 from recordings.open_table import STANDARD_STREAM
-from recordings.output_arguments import check_outputs
-from recordings.suggest_mapping import suggest_mapping
 from residual.command.arguments import build_parser
 from residual.command.config_file import sensor_config
 from residual.command.force_picture import save_picture

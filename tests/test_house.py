@@ -101,13 +101,27 @@ def test_the_public_face_is_sorted_small_and_resolves(room):
     assert [name for name in names if not hasattr(package, name)] == []
 
 
-@pytest.mark.parametrize("room", ROOMS)
-def test_the_docstring_of_a_room_says_with_which_files_to_begin(room):
-    _, order, listed = import_module(room).__doc__.partition("Reading order: ")
+INNER = sorted(
+    path.parent.relative_to(ROOT).as_posix()
+    for path in ROOM_SOURCES
+    if path.name == "__init__.py" and path.parent.parent != ROOT and path.parent.name != "data"
+)
+
+
+@pytest.mark.parametrize("folder", [*ROOMS, *INNER])
+def test_the_docstring_of_a_folder_says_with_which_files_to_begin(folder):
+    package = import_module(folder.replace("/", "."))
+    _, order, listed = package.__doc__.partition("Reading order: ")
     assert order
     names = [name for name in re.findall(r"`(\w+)`", listed) if name.islower()]
+    names = [name for name in names if name not in ROOMS]
     assert len(names) > 1
-    assert [name for name in names if not (ROOT / room / f"{name}.py").is_file()] == []
+    places = {name: ROOT / folder / name for name in names}
+    assert [
+        name
+        for name, place in places.items()
+        if not (place.with_suffix(".py").is_file() or (place / "__init__.py").is_file())
+    ] == []
 
 
 @pytest.mark.parametrize("room", INSTALLED)

@@ -8,7 +8,7 @@ from groundtruth import insert_needle
 from identification.command.force_status import ForceStatus
 from insertion import session
 from recordings import write_table
-from recordings.force_codes import FORCE_STATUS, WORTHLESS
+from recordings.columns.force_codes import FORCE_STATUS, WORTHLESS
 from recordings.log_stream import LogChunk
 from residual import Caution, Status
 

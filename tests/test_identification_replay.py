@@ -15,7 +15,7 @@ from identification.derived_speed import DerivedSpeed
 from identification.replay_stream import HEAD_ROWS, ReplayStream
 from identification.sign_hints import SignWatch, sign_hints
 from recordings import write_table
-from recordings.row_clock import RowClock
+from recordings.clock.row_clock import RowClock
 
 
 @pytest.fixture(scope="module")

@@ -13,10 +13,10 @@ from hypothesis import strategies as st
 from residual_command_log import insertion
 
 from recordings import FormatError, RecordingError, read_table, write_table
-from recordings.bag_files import bag_files
-from recordings.bag_messages import bag_messages
-from recordings.labels import Labels
-from recordings.mcap_compression import decompressed
+from recordings.bag_storage.files import bag_files
+from recordings.bag_storage.mcap_compression import decompressed
+from recordings.bag_storage.messages import bag_messages
+from recordings.tables.labels import Labels
 from residual.__main__ import main as estimate
 
 COUNT = 6000
@@ -205,7 +205,7 @@ def test_an_empty_file_is_refused(tmp_path, name):
 def test_a_cut_chunk_is_unpacked_as_far_as_it_goes(compression):
     data = np.random.default_rng(0).integers(0, 50, 1_000_000).astype(np.uint8).tobytes()
     if compression == "zstd":
-        from recordings.mcap_compression import zstd_library
+        from recordings.bag_storage.mcap_compression import zstd_library
 
         packed = zstd_library().compress(data)
     else:

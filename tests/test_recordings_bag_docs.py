@@ -12,9 +12,9 @@ from page_sessions import session_failures
 import recordings
 from groundtruth.arguments import build_parser as groundtruth_parser
 from identification.command.arguments import build_parser as identification_parser
-from recordings.bag_layout import bag_layout
-from recordings.labels import Labels
-from recordings.mapping_file import load_mapping
+from recordings.bags.layout import bag_layout
+from recordings.columns.mapping_file import load_mapping
+from recordings.tables.labels import Labels
 from residual.command.arguments import build_parser as residual_parser
 from residual.command.payload_file import payload_from_arguments
 
@@ -67,7 +67,7 @@ def test_the_table_of_topics_is_the_codes():
         assert f"`{topic.kind.replace('/msg', '')}`" in row
     for kind in re.findall(r"`(\w+_msgs/\w+)`", TEXT):
         package, name = kind.split("/")
-        assert f"{package}/msg/{name}" in recordings.message_types.standard_types().types
+        assert f"{package}/msg/{name}" in recordings.bags.message_types.standard_types().types
 
 
 def test_every_error_named_is_the_codes():

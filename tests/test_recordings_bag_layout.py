@@ -6,11 +6,11 @@ from bag_samples import TYPES, joint_state, message, wrench
 from hypothesis import given
 from hypothesis import strategies as st
 
-from recordings.bag_message import BagTopic
-from recordings.cdr_layout import learn_layout
+from recordings.bag_storage.raw_message import BagTopic
+from recordings.bags.cdr_layout import learn_layout
+from recordings.bags.interpolate import interpolate
+from recordings.bags.message_columns import message_columns
 from recordings.errors import FormatError
-from recordings.interpolate import interpolate
-from recordings.message_columns import message_columns
 
 texts = st.text(st.characters(codec="ascii", exclude_characters="\0"), max_size=9)
 finite = st.floats(allow_nan=False)

@@ -186,7 +186,7 @@ def test_an_sqlite_file_that_is_no_bag_is_refused(tmp_path):
 
 
 def test_messages_that_are_no_ros_messages_are_told(tmp_path):
-    from recordings.mcap_records import MAGIC
+    from recordings.bag_storage.mcap_records import MAGIC
 
     def record(opcode, *parts):
         body = b"".join(parts)

@@ -16,9 +16,9 @@ from recordings import (
     ColumnMapping,
     read_log,
 )
-from recordings.bag_format import bag_chunks
+from recordings.bags.format import bag_chunks
+from recordings.columns.wanted import Wanted
 from recordings.log_stream import LogStream
-from recordings.wanted import Wanted
 
 
 @pytest.fixture

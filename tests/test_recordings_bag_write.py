@@ -13,8 +13,8 @@ from rosbags.interfaces import QosDurability, QosHistory, QosReliability
 from rosbags.rosbag2 import Reader
 
 from recordings import FileAccessError, LogError, read_log, read_table, write_table
-from recordings.labels import Labels
 from recordings.open_table import open_table
+from recordings.tables.labels import Labels
 
 START_NS = 1_700_000_000_123_456_789
 SUFFIXES = (".mcap", ".db3")

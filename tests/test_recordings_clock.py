@@ -6,9 +6,9 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from recordings import Log, read_log, write_log, write_table
-from recordings.byte_source import Patience
+from recordings.clock.nanoseconds import start_of_clock, to_nanoseconds, to_seconds
 from recordings.log_stream import LogStream
-from recordings.nanoseconds import start_of_clock, to_nanoseconds, to_seconds
+from recordings.sources.byte_source import Patience
 from recordings.table_stream import stream_tables
 
 SUFFIXES = ("csv", "csv.gz", "npz", "parquet", "mcap", "db3")

@@ -6,10 +6,10 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from recordings import CHANNELS, ColumnError, MappingError, Table
-from recordings.column_name import parse_column_name, split_unit
-from recordings.detect_columns import detect_columns
-from recordings.find_columns import find_columns
-from recordings.units import find_unit, require_unit
+from recordings.columns.detect import detect_columns
+from recordings.columns.find import find_columns
+from recordings.columns.name import parse_column_name, split_unit
+from recordings.columns.units import find_unit, require_unit
 
 
 def table_of(*names, **two_dimensional):

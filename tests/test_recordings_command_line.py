@@ -14,12 +14,19 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from recordings import FileAccessError, RecordingError
-from recordings.command_line import FAILED, INTERRUPTED, READER_GONE, run_command, say, write_out
+from recordings.command.progress import progress
+from recordings.command.row_overview import RowOverview
+from recordings.command.run_command import (
+    FAILED,
+    INTERRUPTED,
+    READER_GONE,
+    run_command,
+    say,
+    write_out,
+)
+from recordings.command.source_arguments import source_arguments
+from recordings.command.stop_request import StopRequest
 from recordings.open_table import open_table
-from recordings.progress import progress
-from recordings.row_overview import RowOverview
-from recordings.source_arguments import source_arguments
-from recordings.stop_request import StopRequest
 
 
 def run(work):
@@ -37,7 +44,7 @@ def failing(error):
 @pytest.fixture(autouse=True)
 def _open_output(monkeypatch):
     """What is done to standard output must not outlive the test."""
-    monkeypatch.setattr("recordings.command_line._close_output", lambda: None)
+    monkeypatch.setattr("recordings.command.run_command._close_output", lambda: None)
 
 
 @pytest.mark.parametrize(

@@ -10,10 +10,10 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from recordings import FileAccessError, FormatError, read_table
-from recordings.csv_cells import CellReader
-from recordings.csv_columns import read_fast
-from recordings.csv_format import csv_tables
-from recordings.csv_rows import CsvRows
+from recordings.text.cells import CellReader
+from recordings.text.columns import read_fast
+from recordings.text.format import csv_tables
+from recordings.text.rows import CsvRows
 
 
 @pytest.fixture

@@ -10,8 +10,8 @@ from page_sessions import session_failures
 
 import recordings
 from recordings import CHANNELS, load_mapping, mapping_arguments, mapping_from_arguments, read_log
-from recordings.csv_format import HEAD_ROWS
 from recordings.read_log import _READERS
+from recordings.text.format import HEAD_ROWS
 
 PAGE = Path(__file__).parents[1] / "docs" / "recordings.md"
 TEXT = PAGE.read_text(encoding="utf-8")

@@ -10,7 +10,7 @@ from hypothesis.extra import numpy as hnp
 
 import recordings
 from recordings import ColumnError, FormatError, Log, LogError, RecordingError, Table
-from recordings.row_clock import RowClock
+from recordings.clock.row_clock import RowClock
 
 T_S = np.arange(4) / 1000.0
 

@@ -15,7 +15,7 @@ from recordings import (
     mapping_arguments,
     mapping_from_arguments,
 )
-from recordings.column_spec import parse_column_spec
+from recordings.columns.spec import parse_column_spec
 
 
 def from_toml(tmp_path, text):

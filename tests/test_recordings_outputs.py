@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 
 from recordings import FileAccessError, check_writable, write_table
-from recordings.output_arguments import check_outputs, output_arguments
-from recordings.source_arguments import source_arguments
+from recordings.command.output_arguments import check_outputs, output_arguments
+from recordings.command.source_arguments import source_arguments
 
 COLUMNS = {"t_s": np.arange(3) / 1000.0, "force_N": np.ones(3)}
 

@@ -11,9 +11,9 @@ from hypothesis import strategies as st
 from hypothesis.extra.numpy import arrays
 
 from recordings import FileAccessError, FormatError, read_log, read_table, write_table
-from recordings.labels import Labels
+from recordings.columnar.parquet_format import parquet_chunks
 from recordings.open_table import open_table
-from recordings.parquet_format import parquet_chunks
+from recordings.tables.labels import Labels
 
 
 @pytest.fixture

@@ -11,9 +11,9 @@ import pytest
 
 from identification import __main__ as command
 from recordings import FileAccessError, read_log, write_table
-from recordings.byte_source import Patience
 from recordings.log_stream import LogStream
-from recordings.piped_binary import peek, spooled
+from recordings.sources.byte_source import Patience
+from recordings.sources.piped_binary import peek, spooled
 from recordings.table_stream import stream_tables
 
 ROWS = np.arange(5000)

@@ -10,8 +10,8 @@ from residual_command_log import insertion
 
 from identification.__main__ import main as identify
 from recordings import FileAccessError, load_mapping, read_log, write_table
-from recordings.labels import Labels
-from recordings.suggest_mapping import suggest_mapping
+from recordings.command.suggest_mapping import suggest_mapping
+from recordings.tables.labels import Labels
 from residual.__main__ import main as estimate
 
 JOINTS = ("q", "dq", "tau")

@@ -21,10 +21,10 @@ from recordings import (
     read_log,
     write_table,
 )
-from recordings.byte_source import Patience
-from recordings.channel import CHANNELS
+from recordings.columns.channel import CHANNELS
 from recordings.log_stream import LogStream
 from recordings.select_channels import select_channels
+from recordings.sources.byte_source import Patience
 from recordings.table_stream import stream_tables
 
 BESIDE = Path(__file__).parents[2] / "shared" / "data"

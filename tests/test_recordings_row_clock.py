@@ -6,7 +6,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from recordings import Log
-from recordings.row_clock import RowClock
+from recordings.clock.row_clock import RowClock
 
 T_S = np.arange(1000) / 1000
 

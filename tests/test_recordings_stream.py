@@ -21,10 +21,10 @@ from recordings import (
     read_log,
     write_table,
 )
-from recordings.byte_source import Patience, byte_blocks
-from recordings.csv_format import HEAD_ROWS, csv_tables
 from recordings.log_stream import LogStream
+from recordings.sources.byte_source import Patience, byte_blocks
 from recordings.table_stream import CHUNK_ROWS, stream_tables
+from recordings.text.format import HEAD_ROWS, csv_tables
 
 ASKED = {"required": ("q", "tau"), "optional": ("dq",)}
 

@@ -11,8 +11,8 @@ import pytest
 from residual_command_log import SMALL_ARM, write_insertion
 
 from recordings import read_table
-from recordings.command_line import FAILED, INTERRUPTED, READER_GONE
-from recordings.row_overview import MOST_ROWS
+from recordings.command.row_overview import MOST_ROWS
+from recordings.command.run_command import FAILED, INTERRUPTED, READER_GONE
 from residual import Caution, SensorConfig
 from residual.__main__ import main
 from residual.command.force_rows import STATUS_CODES

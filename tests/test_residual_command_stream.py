@@ -224,7 +224,7 @@ def test_the_picture_of_a_long_log_keeps_its_spikes(lwr, tmp_path, monkeypatch):
     columns = insertion(lwr, seconds=4.0)
     path = tmp_path / "log.npz"
     write_table(path, columns)
-    monkeypatch.setattr("recordings.row_overview.RowOverview.__init__.__defaults__", (400,))
+    monkeypatch.setattr("recordings.command.row_overview.RowOverview.__init__.__defaults__", (400,))
     drawn = []
     monkeypatch.setattr(
         "residual.__main__.save_picture",

@@ -5,8 +5,8 @@ from argparse import ArgumentParser
 from identification.default_config import DEFAULT
 from identification.paper_config import PAPER, PAPER_KV
 from recordings import mapping_arguments
-from recordings.output_arguments import output_arguments
-from recordings.source_arguments import source_arguments
+from recordings.command.output_arguments import output_arguments
+from recordings.command.source_arguments import source_arguments
 
 METHODS = {"default": DEFAULT, "paper": PAPER, "paper-kv": PAPER_KV}
 """What ``--method`` may be."""

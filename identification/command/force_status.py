@@ -3,7 +3,7 @@
 import numpy as np
 from numpy.typing import NDArray
 
-from recordings.force_codes import FORCE_STATUS, WORTHLESS
+from recordings.columns.force_codes import FORCE_STATUS, WORTHLESS
 from recordings.log_stream import LogChunk
 
 _USABLE = FORCE_STATUS.index("ok")

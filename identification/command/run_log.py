@@ -11,12 +11,12 @@ from identification.command.force_status import ForceStatus
 from identification.command.log_clock import LogClock
 from identification.command.result import IdentificationResult
 from identification.replay_stream import ReplayedRows, ReplayStream
-from recordings.command_line import say
-from recordings.labels import Labels
-from recordings.log_session import LogSession
+from recordings.command.log_session import LogSession
+from recordings.command.output_arguments import open_output
+from recordings.command.row_overview import RowOverview
+from recordings.command.run_command import say
 from recordings.open_table import OpenTable
-from recordings.output_arguments import open_output
-from recordings.row_overview import RowOverview
+from recordings.tables.labels import Labels
 
 _TRACKED = (
     "force_N",

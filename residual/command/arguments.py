@@ -3,8 +3,8 @@
 from argparse import ArgumentParser, RawDescriptionHelpFormatter
 
 from recordings import mapping_arguments
-from recordings.output_arguments import output_arguments
-from recordings.source_arguments import source_arguments
+from recordings.command.output_arguments import output_arguments
+from recordings.command.source_arguments import source_arguments
 from residual.command.robot_options import robot_arguments
 from residual.command.taring import AUTOMATIC_S
 

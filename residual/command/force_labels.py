@@ -1,8 +1,8 @@
 """What a bag of forces says beside the numbers."""
 
-from recordings.force_codes import FORCE_STATUS
-from recordings.labels import Labels
-from recordings.log_session import LogSession
+from recordings.columns.force_codes import FORCE_STATUS
+from recordings.command.log_session import LogSession
+from recordings.tables.labels import Labels
 from residual.sensor_config import SensorConfig
 from urdf import Robot
 

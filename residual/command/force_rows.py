@@ -6,7 +6,7 @@ from dataclasses import dataclass, fields
 import numpy as np
 from numpy.typing import NDArray
 
-from recordings.force_codes import FORCE_STATUS
+from recordings.columns.force_codes import FORCE_STATUS
 from residual.wrench_estimate import Status
 
 STATUS_CODES = {Status(word): code for code, word in enumerate(FORCE_STATUS)}

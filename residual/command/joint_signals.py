@@ -16,7 +16,8 @@ class JointSignals:
 
     Attributes:
         t_s: Time stamps on the log's clock [s], shape (n,).
-        dt_s: Time since the latest row that advanced [s], shape (n,), see `recordings.row_clock`.
+        dt_s: Time since the latest row that advanced [s], shape (n,), see
+            `recordings.clock.row_clock`.
         q_rad: Joint positions [rad], shape (n, joints).
         dq_rad_s: Joint velocities [rad/s], shape (n, joints), or None.
         torque_Nm: Joint torques [Nm], shape (n, joints).

@@ -2,10 +2,10 @@
 
 from argparse import Namespace
 
-from recordings.labels import Labels
-from recordings.log_session import LogSession
-from recordings.output_arguments import open_output
-from recordings.row_overview import RowOverview
+from recordings.command.log_session import LogSession
+from recordings.command.output_arguments import open_output
+from recordings.command.row_overview import RowOverview
+from recordings.tables.labels import Labels
 from residual.command.force_labels import force_labels
 from residual.command.force_result import ForceResult
 from residual.command.force_rows import ForceRows
