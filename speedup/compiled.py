@@ -1,7 +1,11 @@
 """The decorator of functions that every tick calls."""
 
 from collections.abc import Callable
-from typing import Any, TypeVar
+from inspect import signature
+from typing import Annotated, Any, TypeVar, get_args, get_origin, get_type_hints
+
+import numpy as np
+from numpy.typing import NDArray
 
 numba: Any
 try:
@@ -9,19 +13,29 @@ try:
 except ImportError:
     numba = None
 
-F = TypeVar("F", bound=Callable[..., Any])
+Vector = Annotated[NDArray[np.float64], 1]
+"""Array of shape (n,), contiguous."""
+Matrix = Annotated[NDArray[np.float64], 2]
+"""Array of shape (m, n), contiguous, the last index running fastest."""
+WrittenMatrix = Annotated[NDArray[np.float64], 2, "written"]
+"""The same, for results: the function writes into it."""
+Function = TypeVar("Function", bound=Callable[..., Any])
 
 COMPILER = "" if numba is None or numba.config.DISABLE_JIT else f"numba {numba.__version__}"
 """What compiles, with its version; empty where functions run as plain Python."""
 
 
-def compiled(function: F) -> F:
-    """Compile a pure function at its first call, if numba is there; the result is kept on disk.
+def compiled(function: Function) -> Function:
+    """Compile a pure function, if numba is there.
 
-    Such a function takes and returns floats, arrays of float64 and tuples of them, raises nothing,
-    and uses functions and constants of its own file only: what is kept on disk does not notice
-    a change in another. Who owns it calls it once when constructed (a second at the first time
-    ever, a few milliseconds later), so that no tick waits for a compiler.
+    It takes and returns numbers, truth values, arrays and tuples of them, raises nothing, and uses
+    functions and constants of its own file only. It is compiled once ever, in about a second, and
+    kept on disk beside the file; what is kept there would not notice a change in another file.
+
+    That happens when its module is imported, where every parameter is annotated as `float`, `int`,
+    `bool`, `Vector`, `Matrix`, `WrittenMatrix` or a tuple of a fixed number of them; what it calls
+    then stands above it. Where one is not (``Any``, ``tuple[float, ...]``), whoever calls it in a
+    tick calls it once when constructed, with the same types. No tick waits for a compiler.
 
     Args:
         function: Numeric expressions that numpy runs nearly as fast without a compiler.
@@ -31,7 +45,25 @@ def compiled(function: F) -> F:
     """
     if not COMPILER:
         return function
+    hints = get_type_hints(function, include_extras=True)
+    types = [_numba_type(hints.get(name)) for name in signature(function).parameters]
+    early = () if None in types else (tuple(types),)
     try:
-        return numba.njit(cache=True)(function)
+        return numba.njit(*early, cache=True)(function)
     except RuntimeError:  # no folder in which the result could be kept
-        return numba.njit(function)
+        return numba.njit(*early)(function)
+
+
+def _numba_type(hint: Any) -> Any:
+    """Type of a parameter, or None if its annotation leaves it open."""
+    scalars = {float: "float64", int: "int64", bool: "boolean"}
+    if hint in scalars:
+        return getattr(numba.types, scalars[hint])
+    if get_origin(hint) is Annotated:
+        dimensions, *written = hint.__metadata__
+        # A parameter that is only read takes read-only arrays and others.
+        return numba.types.Array(numba.types.float64, dimensions, "C", readonly=not written)
+    if get_origin(hint) is tuple and Ellipsis not in get_args(hint):
+        parts = [_numba_type(part) for part in get_args(hint)]
+        return None if None in parts else numba.types.Tuple(parts)
+    return None

@@ -73,10 +73,10 @@ def test_where_no_folder_can_be_written_it_compiles_all_the_same(monkeypatch):
     assert compiled(double)(2.0) == 4.0
 
 
-def _njit_without_disk(function=None, *, cache=False):
+def _njit_without_disk(*types, cache=False):
     if cache:
         raise RuntimeError("cannot cache function: no locator available")
-    return function
+    return lambda function: function
 
 
 @pytest.mark.parametrize("hidden", ["", "sys.modules['numba'] = None; "])
