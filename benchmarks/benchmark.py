@@ -4,9 +4,9 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from typing import NamedTuple
 
+from benchmarks.drawing import Drawing
 from benchmarks.job import Job, Progress
-from benchmarks.measurement import Measurement
-from benchmarks.report.drawing import Drawing
+from benchmarks.metrics.measurement import Measurement
 
 
 class Findings(NamedTuple):

@@ -4,18 +4,18 @@ from collections.abc import Mapping
 from functools import partial
 from types import MappingProxyType
 
-from benchmarks import bovine, liver, panda, ur10e
 from benchmarks.benchmark import Benchmark
-from benchmarks.bovine_real import run_bovine_real
 from benchmarks.errors import UnknownIdError
-from benchmarks.liver_limit import run_liver_limit
-from benchmarks.liver_real import run_liver_real
-from benchmarks.needle_benchmark import NEEDLE
-from benchmarks.observers import run_observers
-from benchmarks.panda_liver import run_panda_liver
-from benchmarks.panda_real import run_panda_real
-from benchmarks.simulated_job import run_simulated
-from benchmarks.ur10e_payload import run_ur10e_payload
+from benchmarks.recorded import bovine, liver, panda, ur10e
+from benchmarks.recorded.bovine_real import run_bovine_real
+from benchmarks.recorded.liver_limit import run_liver_limit
+from benchmarks.recorded.liver_real import run_liver_real
+from benchmarks.recorded.panda_liver import run_panda_liver
+from benchmarks.recorded.panda_real import run_panda_real
+from benchmarks.recorded.ur10e_payload import run_ur10e_payload
+from benchmarks.simulated.needle_benchmark import NEEDLE
+from benchmarks.simulated.observers import run_observers
+from benchmarks.simulated.simulated_job import run_simulated
 from groundtruth import SCENARIOS
 from groundtruth.random_stack import RANDOM_STACK
 

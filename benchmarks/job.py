@@ -4,8 +4,8 @@ from collections.abc import Callable
 from dataclasses import dataclass, field
 from pathlib import Path
 
+from benchmarks.drawing import Drawing
 from benchmarks.errors import DataError
-from benchmarks.report.drawing import Drawing
 from benchmarks.row import Row
 
 RECORDING = "recording"

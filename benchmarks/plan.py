@@ -6,11 +6,11 @@ from pathlib import Path
 
 from benchmarks.benchmark import Benchmark
 from benchmarks.catalogue import BENCHMARKS, benchmark
+from benchmarks.charts.paper_figures import NEEDED
 from benchmarks.errors import DataError, UnknownIdError
 from benchmarks.job import RECORDING, Job
-from benchmarks.needle_benchmark import NEEDLE
-from benchmarks.report.paper_figures import NEEDED
-from benchmarks.scenario_groups import TISSUE
+from benchmarks.simulated.needle_benchmark import NEEDLE
+from benchmarks.verdict.scenario_groups import TISSUE
 from groundtruth import ARM_LEVELS
 
 ALL = "all"

@@ -10,12 +10,12 @@ from collections.abc import Iterable, Iterator, Sequence
 from pathlib import Path
 
 from benchmarks.errors import BenchmarkError, ResultsError
-from benchmarks.published import PUBLISHED_RMSE_N
 from benchmarks.results_file import read_merged
 from benchmarks.row import Row
-from benchmarks.summary import BAD, NOTHING, summary
-from benchmarks.verdict import verdicts
-from benchmarks.verdict_table import limits_text
+from benchmarks.tables.summary import BAD, NOTHING, summary
+from benchmarks.tables.verdict_table import limits_text
+from benchmarks.verdict.published import PUBLISHED_RMSE_N
+from benchmarks.verdict.target_verdict import verdicts
 
 BEGIN = "<!-- results:begin -->"
 END = "<!-- results:end -->"

@@ -35,7 +35,7 @@ class Row:
         seed: Seed of a simulation, number of the recording for real data.
         source: See `Source`.
         method: See `Method`.
-        metric: A name of `benchmarks.metric_catalogue`.
+        metric: A name of `benchmarks.metrics.metric_catalogue`.
         value: The number; nan where it could not be determined.
         unit: Its unit.
     """

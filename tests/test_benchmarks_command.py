@@ -6,18 +6,19 @@ import numpy as np
 import pytest
 from benchmark_rows import make_row
 
-from benchmarks import catalogue, command, plan, speed_command
+from benchmarks import catalogue, plan
 from benchmarks.benchmark import Benchmark, Findings
-from benchmarks.command import main
+from benchmarks.commands import dispatch, speed
+from benchmarks.commands.dispatch import main
 from benchmarks.errors import DataError
-from benchmarks.gc_pauses import GcPauses
 from benchmarks.job import Job
-from benchmarks.measurement import Measurement
+from benchmarks.metrics.measurement import Measurement
 from benchmarks.pool import run_jobs
 from benchmarks.results_file import read_results, write_results
-from benchmarks.speed import SpeedReport
-from benchmarks.speed_table import BARE
-from benchmarks.timing import Timing
+from benchmarks.speed.gc_pauses import GcPauses
+from benchmarks.speed.speed_table import BARE
+from benchmarks.speed.tick_speed import SpeedReport
+from benchmarks.speed.timing import Timing
 
 HARD_RMSE_N = {"liver-constant": 0.05, "gel-25-constant": 0.2}
 """The first meets its target, the second misses it."""
@@ -165,8 +166,8 @@ def test_speed_fails_when_strict_and_too_slow(monkeypatch, capsys, cost, code):
         }
         return SpeedReport(timings=timings, alarms={}, reruns={}, pauses=GcPauses())
 
-    monkeypatch.setattr(speed_command, "measure_speed", measured)
-    monkeypatch.setattr(speed_command, "rerun_us", lambda seconds, config: 20.0)
+    monkeypatch.setattr(speed, "measure_speed", measured)
+    monkeypatch.setattr(speed, "rerun_us", lambda seconds, config: 20.0)
     assert main(["speed", "--strict"]) == code
     assert main(["speed"]) == 0
     assert "99.9 %" in capsys.readouterr().out
@@ -209,10 +210,10 @@ def test_a_missing_package_is_told_and_any_other_fault_is_not_hidden(monkeypatch
 
         return load
 
-    monkeypatch.setattr(command, "import_module", missing("rich"))
+    monkeypatch.setattr(dispatch, "import_module", missing("rich"))
     assert main(["list"]) == 2
     assert "rich is not installed; pip install -e '.[bench]'" in capsys.readouterr().err
-    monkeypatch.setattr(command, "import_module", missing("ours"))
+    monkeypatch.setattr(dispatch, "import_module", missing("ours"))
     with pytest.raises(ModuleNotFoundError):
         main(["list"])
 
@@ -221,7 +222,7 @@ def test_an_interrupt_is_no_traceback(monkeypatch, capsys):
     def interrupt(_):
         raise KeyboardInterrupt
 
-    monkeypatch.setattr(command, "import_module", interrupt)
+    monkeypatch.setattr(dispatch, "import_module", interrupt)
     assert main(["list"]) == 130
     assert capsys.readouterr().err == "interrupted\n"
 

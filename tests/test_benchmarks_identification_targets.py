@@ -5,24 +5,24 @@ import math
 import pytest
 from benchmark_rows import make_row
 
-from benchmarks.bound_table import bound_table
 from benchmarks.catalogue import BENCHMARKS
-from benchmarks.identification_catalogue import (
+from benchmarks.metrics.identification_catalogue import (
     BOUNDS,
     IDENTIFICATION,
     OFFLINE,
     REAL_TISSUE,
     TABLE_I,
 )
-from benchmarks.identification_table import friction_table, rupture_table, table_one_table
-from benchmarks.identification_targets import IDENTIFICATION_TARGETS
-from benchmarks.metric_catalogue import METRICS
-from benchmarks.number_table import number_table
-from benchmarks.offline_table import offline_table
-from benchmarks.scenario_groups import GELS, STACKS
-from benchmarks.targets import Target
-from benchmarks.tissue_table import tissue_table
-from benchmarks.verdict import verdicts
+from benchmarks.metrics.metric_catalogue import METRICS
+from benchmarks.tables.bound_table import bound_table
+from benchmarks.tables.identification_table import friction_table, rupture_table, table_one_table
+from benchmarks.tables.number_table import number_table
+from benchmarks.tables.offline_table import offline_table
+from benchmarks.tables.tissue_table import tissue_table
+from benchmarks.verdict.identification_targets import IDENTIFICATION_TARGETS
+from benchmarks.verdict.scenario_groups import GELS, STACKS
+from benchmarks.verdict.target_verdict import verdicts
+from benchmarks.verdict.targets import Target
 
 SHARE = Target(
     what="delay",

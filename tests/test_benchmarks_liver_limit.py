@@ -4,10 +4,10 @@ import numpy as np
 import pytest
 
 from benchmarks.job import Job
-from benchmarks.liver_features import liver_features
-from benchmarks.liver_limit import REGRESSIONS, regression_values, run_liver_limit
-from benchmarks.metric_catalogue import METRICS
-from benchmarks.regression import Seen, gaussian_process, left_out, level, linear, ridge
+from benchmarks.metrics.metric_catalogue import METRICS
+from benchmarks.recorded.liver_features import liver_features
+from benchmarks.recorded.liver_limit import REGRESSIONS, regression_values, run_liver_limit
+from benchmarks.recorded.regression import Seen, gaussian_process, left_out, level, linear, ridge
 
 RNG = np.random.default_rng(5)
 GROUP = np.repeat(np.arange(20), 2)

@@ -9,11 +9,11 @@ from hypothesis import strategies as st
 from scipy.signal import lfilter
 
 from benchmarks.errors import UnknownMetricError
-from benchmarks.force_lag import force_lag_s
-from benchmarks.force_reading import ForceReading
-from benchmarks.force_truth import ForceTruth
-from benchmarks.measurement import Measurement
-from benchmarks.wrench_metrics import wrench_metrics
+from benchmarks.methods.force_reading import ForceReading
+from benchmarks.metrics.force_lag import force_lag_s
+from benchmarks.metrics.measurement import Measurement
+from benchmarks.metrics.wrench_metrics import wrench_metrics
+from benchmarks.signals.force_truth import ForceTruth
 
 T = np.arange(0.0, 20.0, 1e-3)
 

@@ -8,18 +8,18 @@ import pytest
 
 from benchmarks.errors import DataError
 from benchmarks.job import Job
-from benchmarks.joint_residual import joint_residual
-from benchmarks.joint_signals import JointSignals
-from benchmarks.liver import NUMBERS, read_liver
-from benchmarks.panda import FOLDER as PANDA
-from benchmarks.panda import read_panda
-from benchmarks.panda_liver import run_panda_liver
-from benchmarks.panda_real import run_panda_real
-from benchmarks.recorded_arrays import read_arrays, read_table
+from benchmarks.methods.joint_residual import joint_residual
+from benchmarks.recorded.array_files import read_arrays, read_table
+from benchmarks.recorded.liver import NUMBERS, read_liver
+from benchmarks.recorded.panda import FOLDER as PANDA
+from benchmarks.recorded.panda import read_panda
+from benchmarks.recorded.panda_liver import run_panda_liver
+from benchmarks.recorded.panda_real import run_panda_real
+from benchmarks.recorded.ur10e import FOLDER as UR10E
+from benchmarks.recorded.ur10e import read_ur10e
+from benchmarks.recorded.ur10e_payload import run_ur10e_payload
 from benchmarks.run_job import run_job
-from benchmarks.ur10e import FOLDER as UR10E
-from benchmarks.ur10e import read_ur10e
-from benchmarks.ur10e_payload import run_ur10e_payload
+from benchmarks.signals.joint_signals import JointSignals
 
 
 def values(run, benchmark, data, **more):

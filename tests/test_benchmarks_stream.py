@@ -5,12 +5,12 @@ import sys
 import numpy as np
 import pytest
 
-from benchmarks.command import main
+from benchmarks.commands.dispatch import main
 from benchmarks.errors import BenchmarkError
-from benchmarks.late_rows import LATE_ROWS, LateRows, late_rows
-from benchmarks.long_recording import joint_recording, needle_recording
-from benchmarks.stream_speed import StreamCase, StreamSpeed
-from benchmarks.watched_process import Watched, watch_process
+from benchmarks.speed.late_rows import LATE_ROWS, LateRows, late_rows
+from benchmarks.speed.long_recording import joint_recording, needle_recording
+from benchmarks.speed.stream_speed import StreamCase, StreamSpeed
+from benchmarks.speed.watched_process import Watched, watch_process
 from identification.default_config import DEFAULT
 from identification.replay_stream import ReplayStream
 from recordings import write_table

@@ -4,8 +4,8 @@ import numpy as np
 import pytest
 from insertion_run import samples, short_run, tare_index, time_steps
 
-from benchmarks.joint_signals import JointSignals
-from benchmarks.measured_travel import measured_travel
+from benchmarks.signals.joint_signals import JointSignals
+from benchmarks.signals.measured_travel import measured_travel
 from identification import SampleStatus
 from insertion import InsertionError, InsertionSession, TipTravel
 from residual import DEFAULT, PAPER, Status, TareError

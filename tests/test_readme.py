@@ -12,7 +12,7 @@ import pytest
 from benchmark_rows import make_row
 from residual_command_log import write_insertion
 
-from benchmarks.arguments import parser
+from benchmarks.commands.arguments import parser
 from benchmarks.errors import ResultsError
 from benchmarks.readme_table import BEGIN, END, fill, main, results_block
 from benchmarks.results_file import write_results

@@ -6,20 +6,20 @@ import numpy as np
 import pytest
 from gel_slice import gel_slice
 
-from benchmarks.force_reading import ForceReading
-from benchmarks.identification_metrics import identify_all
-from benchmarks.identified import identify
-from benchmarks.insertion_truth import truth_of_needle
+from benchmarks.charts.enhanced_chart import enhanced_chart
+from benchmarks.charts.insertion_axis import InsertionAxis
+from benchmarks.charts.offline_chart import offline_chart
+from benchmarks.charts.parameter_chart import parameter_chart
+from benchmarks.charts.run_drawings import identification_drawings
+from benchmarks.charts.sketchbook import Sketchbook
+from benchmarks.charts.true_friction import true_friction
+from benchmarks.charts.tuned_paper import sigma1_N, tuned_paper
 from benchmarks.job import Job
-from benchmarks.needle_signal import NeedleSignal
-from benchmarks.report.enhanced_chart import enhanced_chart
-from benchmarks.report.insertion_axis import InsertionAxis
-from benchmarks.report.offline_chart import offline_chart
-from benchmarks.report.parameter_chart import parameter_chart
-from benchmarks.report.run_drawings import identification_drawings
-from benchmarks.report.sketchbook import Sketchbook
-from benchmarks.report.true_friction import true_friction
-from benchmarks.report.tuned_paper import sigma1_N, tuned_paper
+from benchmarks.methods.force_reading import ForceReading
+from benchmarks.methods.identified import identify
+from benchmarks.metrics.identification_metrics import identify_all
+from benchmarks.signals.insertion_truth import truth_of_needle
+from benchmarks.signals.needle_signal import NeedleSignal
 from figures import palette
 from groundtruth import insert_needle
 

@@ -5,12 +5,12 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from benchmarks.force_reading import ForceReading
-from benchmarks.force_truth import ForceTruth
+from benchmarks.charts.force_chart import force_over_depth, force_over_time, rmse_N
+from benchmarks.charts.force_drawings import draw_forces
+from benchmarks.charts.sketchbook import Sketchbook
 from benchmarks.job import Job
-from benchmarks.report.force_chart import force_over_depth, force_over_time, rmse_N
-from benchmarks.report.force_drawings import draw_forces
-from benchmarks.report.sketchbook import Sketchbook
+from benchmarks.methods.force_reading import ForceReading
+from benchmarks.signals.force_truth import ForceTruth
 from figures import palette
 
 pytest.importorskip("matplotlib")

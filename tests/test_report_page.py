@@ -7,18 +7,18 @@ import pytest
 from chromium import DESK, PHONE, logged, measured, needs_chromium, printed
 from rich.table import Table
 
-from benchmarks.command import main
-from benchmarks.published import TABLE_ONE_Ns_per_m
-from benchmarks.report.drawing import Drawing, Fact
+from benchmarks.charts.paper_figures import ENHANCED_FIGURES, NEEDED, PAPER_FIGURES
+from benchmarks.commands.dispatch import main
+from benchmarks.drawing import Drawing, Fact
 from benchmarks.report.friction_chart import friction_chart
 from benchmarks.report.gel_friction import gel_friction
 from benchmarks.report.gel_table import gel_table
-from benchmarks.report.paper_figures import ENHANCED_FIGURES, NEEDED, PAPER_FIGURES
+from benchmarks.report.page_tables import page_tables
 from benchmarks.report.report_page import write_report
 from benchmarks.report.sections import chosen, further_sections, missing_section, paper_sections
-from benchmarks.report.tables import page_tables
 from benchmarks.row import Row
-from benchmarks.scenario_groups import GELS
+from benchmarks.verdict.published import TABLE_ONE_Ns_per_m
+from benchmarks.verdict.scenario_groups import GELS
 from groundtruth import SCENARIOS
 
 pytest.importorskip("matplotlib")

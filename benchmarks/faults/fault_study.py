@@ -11,7 +11,7 @@ from benchmarks.faults.motion_faults import motion_results
 from benchmarks.faults.pose_faults import heavier, pushed_aside, stretched, wrist_at_limit
 from benchmarks.faults.signal_faults import SIGNAL_FAULTS
 from benchmarks.faults.tare_fault import tare_in_contact, wrong_payload
-from benchmarks.methods import on_lwr
+from benchmarks.methods.sensor_settings import on_lwr
 from groundtruth import Run, simulate
 from insertion import InsertionSession, SessionSnapshot
 from residual import DEFAULT

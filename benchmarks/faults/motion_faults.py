@@ -4,7 +4,7 @@ import numpy as np
 
 from benchmarks.faults.fault import FaultResult, feed, judge, late
 from benchmarks.faults.fault_stream import stream_of
-from benchmarks.methods import on_lwr
+from benchmarks.methods.sensor_settings import on_lwr
 from groundtruth import Motion, Scenario, simulate
 from groundtruth.materials import gel
 from groundtruth.stroke import Profile, Stroke

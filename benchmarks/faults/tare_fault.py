@@ -4,7 +4,7 @@ import numpy as np
 
 from benchmarks.faults.fault import FaultResult, feed, is_finite, judge, late
 from benchmarks.faults.fault_stream import stream_of
-from benchmarks.methods import on_lwr
+from benchmarks.methods.sensor_settings import on_lwr
 from groundtruth import Run
 from insertion import InsertionSession
 from residual import DEFAULT, TareError

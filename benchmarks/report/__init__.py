@@ -1,5 +1,5 @@
-"""The report of a run: counterparts of the paper's figures, tables, and one page that holds all.
+"""The page that holds a whole run: counterparts of the paper's figures, tables, all numbers.
 
-Reading order: `paper_figures` says which scenario gives which figure; `run_drawings` draws one run
-in its own process; `report_page` puts the page together from what all runs gave.
+Reading order: `report_page` (puts the page together from what all runs gave), `sections`,
+`page_tables`; `gel_friction` with `friction_chart` and `gel_table`, which need several runs.
 """

@@ -4,8 +4,8 @@ from dataclasses import replace
 
 import numpy as np
 
-from benchmarks.published import TABLE_ONE_Ns_per_m
 from benchmarks.report.gel_friction import PERCENTS, GelFriction
+from benchmarks.verdict.published import TABLE_ONE_Ns_per_m
 from figures import Chart, Curve, LineStyle, Panel, palette
 
 COLORS = {"constant": palette.BLUE, "sinusoidal": palette.VERMILION}

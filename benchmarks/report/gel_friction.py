@@ -5,9 +5,9 @@ import statistics
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 
-from benchmarks.report.drawing import Drawing
+from benchmarks.drawing import Drawing
 from benchmarks.row import Row
-from benchmarks.scenario_groups import GELS
+from benchmarks.verdict.scenario_groups import GELS
 
 PLANTS = ("realistic", "hard", "textbook", "needle")
 """The first of these on which gels were run is shown."""

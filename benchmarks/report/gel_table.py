@@ -3,9 +3,9 @@
 import statistics
 from collections.abc import Sequence
 
-from benchmarks.published import TABLE_ONE_Ns_per_m
 from benchmarks.report.gel_friction import PERCENTS, SPEEDS, GelFriction
-from benchmarks.summary import NOTHING
+from benchmarks.tables.summary import NOTHING
+from benchmarks.verdict.published import TABLE_ONE_Ns_per_m
 from figures import PageTable
 
 ONLINE = (

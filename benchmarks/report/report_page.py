@@ -3,15 +3,15 @@
 from collections.abc import Sequence
 from pathlib import Path
 
-from benchmarks.report.drawing import Drawing
+from benchmarks.charts.paper_figures import FRICTION_FIGURE
+from benchmarks.drawing import Drawing
 from benchmarks.report.friction_chart import friction_chart
 from benchmarks.report.gel_friction import gel_friction
-from benchmarks.report.paper_figures import FRICTION_FIGURE
+from benchmarks.report.page_tables import page_tables
 from benchmarks.report.sections import further_sections, missing_section, paper_sections
-from benchmarks.report.tables import page_tables
 from benchmarks.results_file import to_json, write_results
 from benchmarks.row import Row
-from benchmarks.run_tables import run_tables
+from benchmarks.tables.run_tables import run_tables
 from figures import Attachment, Page, Section, save_svg, write_page
 from figures.report_folder import PAGE
 

@@ -2,15 +2,15 @@
 
 from collections.abc import Iterable, Sequence
 
-from benchmarks.report.drawing import Drawing
-from benchmarks.report.gel_friction import PLANTS, gel_friction
-from benchmarks.report.gel_table import gel_table
-from benchmarks.report.paper_figures import (
+from benchmarks.charts.paper_figures import (
     FRICTION_FIGURE,
     PAPER_FIGURES,
     TABLE_ONE,
     PaperFigure,
 )
+from benchmarks.drawing import Drawing
+from benchmarks.report.gel_friction import PLANTS, gel_friction
+from benchmarks.report.gel_table import gel_table
 from benchmarks.row import Row
 from figures import PageFigure, PageTable, Section
 
