@@ -1,5 +1,7 @@
 """The folder of a report, made before the work that fills it."""
 
+from collections.abc import Iterator
+from contextlib import contextmanager, suppress
 from pathlib import Path
 
 from figures.errors import WriteError
@@ -29,3 +31,30 @@ def report_folder(path: str | Path) -> Path:
     except OSError as error:
         raise WriteError(f"cannot write to {folder}: {error.strerror or error}") from error
     return folder
+
+
+@contextmanager
+def folder_if_filled(path: str | Path) -> Iterator[Path]:
+    """`report_folder` for as long as the work takes; an empty one that it made is removed again.
+
+    So an interrupt, or a mistake that ends the work at once, leaves nothing behind.
+
+    Args:
+        path: Of the folder.
+
+    Yields:
+        The folder.
+
+    Raises:
+        MissingExtraError: matplotlib is not installed.
+        WriteError: The folder cannot be made.
+    """
+    folder = Path(path)
+    made = [each for each in (folder, *folder.parents) if not each.exists()]
+    report_folder(folder)
+    try:
+        yield folder
+    finally:
+        with suppress(OSError):  # one that holds something is not removed, nor those it lies in
+            for each in made:
+                each.rmdir()

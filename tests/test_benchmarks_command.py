@@ -1,6 +1,7 @@
 """The command: tables, files, exit codes, and one line for every mistake."""
 
 import json
+import re
 
 import numpy as np
 import pytest
@@ -9,6 +10,7 @@ from benchmark_rows import make_row
 from benchmarks import catalogue, plan
 from benchmarks.benchmark import Benchmark, Findings
 from benchmarks.commands import dispatch, speed
+from benchmarks.commands import run as run_command
 from benchmarks.commands.dispatch import main
 from benchmarks.errors import DataError
 from benchmarks.job import Job
@@ -146,6 +148,36 @@ def test_a_page_that_cannot_be_written_is_told(tmp_path, capsys):
     (tmp_path / "index.html").mkdir()
     assert run("--report", str(tmp_path)) == 2
     assert "cannot write" in capsys.readouterr().err
+
+
+@pytest.mark.parametrize("stops", [KeyboardInterrupt, DataError])
+def test_work_that_comes_to_nothing_leaves_no_folder(tmp_path, monkeypatch, stops):
+    def stop(request):
+        raise stops
+
+    monkeypatch.setattr(run_command, "make_plan", stop)
+    assert run("--report", str(tmp_path / "deep" / "report")) != 0
+    assert list(tmp_path.iterdir()) == []
+    (tmp_path / "own").mkdir()
+    assert run("--report", str(tmp_path / "own")) != 0
+    assert (tmp_path / "own").is_dir()
+
+
+def test_work_that_stops_in_the_middle_leaves_what_it_has_drawn(tmp_path, monkeypatch):
+    def draw_and_stop(jobs, processes, tell):
+        (jobs[0].drawings / "force.svg").write_text("")
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr(run_command, "run_jobs", draw_and_stop)
+    assert run("--report", str(tmp_path / "report")) == 130
+    assert (tmp_path / "report" / "force.svg").is_file()
+
+
+@pytest.mark.parametrize("command", ["speed", "faults"])
+def test_help_says_how_long_a_slow_command_takes(command, capsys):
+    with pytest.raises(SystemExit):
+        main([command, "--help"])
+    assert re.search(r"Takes about \d+ s", capsys.readouterr().out)
 
 
 def test_list_names_everything(capsys):

@@ -23,7 +23,16 @@ def parser() -> argparse.ArgumentParser:
     compare = commands.add_parser("compare", help="find what has become worse between two runs")
     compare.add_argument("old", type=Path, metavar="OLD", help="results of the earlier run")
     compare.add_argument("new", type=Path, metavar="NEW", help="results of the later run")
-    speed = commands.add_parser("speed", help="time the estimators beside their bare dynamics")
+    what = "time the estimators beside their bare dynamics"
+    _add_speed(commands.add_parser("speed", help=what, epilog="Takes about 75 s."))
+    what = "break the signals of a running insertion"
+    _add_faults(commands.add_parser("faults", help=what, epilog="Takes about 45 s."))
+    commands.add_parser("bound", help="what the noise of a force allows any estimator to know")
+    _add_stream(commands.add_parser("stream", help="send a long recording through the commands"))
+    return top
+
+
+def _add_speed(speed: argparse.ArgumentParser) -> None:
     speed.add_argument("--strict", action="store_true", help="exit with 1 if a target is missed")
     speed.add_argument(
         "--soak",
@@ -31,12 +40,9 @@ def parser() -> argparse.ArgumentParser:
         nargs="?",
         const=1_000_000,
         metavar="N",
-        help="instead, N ticks of the chain (default 1000000): growth of memory, cost at the end",
+        help="instead, N ticks of the chain (default 1000000, about four minutes): growth of "
+        "memory, cost at the end",
     )
-    _add_faults(commands.add_parser("faults", help="break the signals of a running insertion"))
-    commands.add_parser("bound", help="what the noise of a force allows any estimator to know")
-    _add_stream(commands.add_parser("stream", help="send a long recording through the commands"))
-    return top
 
 
 def _add_faults(faults: argparse.ArgumentParser) -> None:

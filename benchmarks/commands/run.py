@@ -1,6 +1,7 @@
 """``python -m benchmarks run``."""
 
 import argparse
+from pathlib import Path
 
 from rich.console import Console
 
@@ -13,7 +14,7 @@ from benchmarks.results_file import write_results
 from benchmarks.tables.run_tables import run_tables
 from benchmarks.tables.screen import new_console
 from benchmarks.verdict.target_verdict import verdicts
-from figures.report_folder import report_folder
+from figures.report_folder import folder_if_filled
 
 
 def execute(arguments: argparse.Namespace) -> int:
@@ -23,8 +24,15 @@ def execute(arguments: argparse.Namespace) -> int:
         BenchmarkError: Nothing can be run, or a file cannot be written.
         figures.FiguresError: The report cannot be drawn or written.
     """
+    if arguments.report is None:
+        return _run(arguments, None)
     # Before minutes of work, not after.
-    folder = None if arguments.report is None else report_folder(arguments.report)
+    with folder_if_filled(arguments.report) as folder:
+        return _run(arguments, folder)
+
+
+def _run(arguments: argparse.Namespace, folder: Path | None) -> int:
+    """The work itself; charts and page go into the folder, if there is one."""
     plants = [name for names in arguments.plant or [] for name in names]
     request = Request(
         ids=arguments.ids,

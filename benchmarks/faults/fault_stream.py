@@ -75,3 +75,8 @@ def stream_of(run: Run, first: int, last: int, reference_N: Array) -> FaultStrea
         tau_Nm=sent.tau_Nm[part],
         reference_N=reference_N[part],
     )
+
+
+def tare_index(run: Run) -> int:
+    """The first sample of a run after the tare."""
+    return int(np.searchsorted(run.signals.t_s, run.tare_end_s))

@@ -6,7 +6,7 @@ from dataclasses import replace
 import numpy as np
 
 from benchmarks.faults.fault import FaultResult, feed, judge
-from benchmarks.faults.fault_stream import FaultStream, stream_of
+from benchmarks.faults.fault_stream import FaultStream, stream_of, tare_index
 from benchmarks.faults.motion_faults import motion_results
 from benchmarks.faults.pose_faults import heavier, pushed_aside, stretched, wrist_at_limit
 from benchmarks.faults.signal_faults import SIGNAL_FAULTS
@@ -42,9 +42,9 @@ class FaultStudy:
     ) -> None:
         self._with_velocity, self._through = with_velocity, through_layer
         self.run: Run = simulate(SCENARIO, ARM, 0, progress)
-        truth, time = self.run.truth, self.run.signals.t_s
+        truth = self.run.truth
         self.at = int(np.argmax(truth.depth_m > DEPTH_M))
-        self._tare = int(np.searchsorted(time, self.run.tare_end_s))
+        self._tare = tare_index(self.run)
         end = int(np.argmax(truth.layer > 1)) if through_layer else self.at
         self._last = end + BEYOND
         session = InsertionSession(self.run.robot, on_lwr(DEFAULT))

@@ -3,7 +3,7 @@
 import numpy as np
 
 from benchmarks.faults.fault import FaultResult, feed, judge, late
-from benchmarks.faults.fault_stream import stream_of
+from benchmarks.faults.fault_stream import stream_of, tare_index
 from benchmarks.methods.sensor_settings import on_lwr
 from groundtruth import Motion, Scenario, simulate
 from groundtruth.materials import gel
@@ -94,7 +94,7 @@ def motion_results(arm: str, *, with_velocity: bool = True) -> list[FaultResult]
     """What comes of each part, against the true force as late as the sensor is."""
     scenario, spans = troubled_scenario()
     run = simulate(scenario, arm, 0)
-    tare = int(np.searchsorted(run.signals.t_s, run.tare_end_s))
+    tare = tare_index(run)
     session = InsertionSession(run.robot, on_lwr(DEFAULT))
     nothing = np.zeros(len(run.signals.t_s))
     found = feed(session, stream_of(run, 0, tare, nothing), with_velocity=with_velocity)

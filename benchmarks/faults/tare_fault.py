@@ -3,7 +3,7 @@
 import numpy as np
 
 from benchmarks.faults.fault import FaultResult, feed, is_finite, judge, late
-from benchmarks.faults.fault_stream import stream_of
+from benchmarks.faults.fault_stream import stream_of, tare_index
 from benchmarks.methods.sensor_settings import on_lwr
 from groundtruth import Run
 from insertion import InsertionSession
@@ -32,7 +32,7 @@ def tare_in_contact(run: Run, at: int) -> FaultResult:
     after = feed(session, stream_of(run, at, count, nothing))
     session.start_recording()
     # The robot is driven back to the start while nobody listens.
-    again = stream_of(run, 0, _tare_index(run), nothing)
+    again = stream_of(run, 0, tare_index(run), nothing)
     again.dt_s[0] = 1.0
     feed(session, again)
     session.tare()
@@ -51,7 +51,7 @@ def tare_in_contact(run: Run, at: int) -> FaultResult:
 def wrong_payload(run: Run) -> FaultResult:
     """The tool is heavier than the estimator knows, from the start."""
     session = InsertionSession(_lighter(run.robot), on_lwr(DEFAULT))
-    tare = _tare_index(run)
+    tare = tare_index(run)
     feed(session, stream_of(run, 0, tare, np.zeros(len(run.signals.t_s))))
     session.tare()
     return _insert(session, run, f"payload {1e3 * UNKNOWN_KG:g} g wrong from the start")
@@ -59,7 +59,7 @@ def wrong_payload(run: Run) -> FaultResult:
 
 def _insert(session: InsertionSession, run: Run, name: str) -> FaultResult:
     """The insertion after the tare; it is all fault, and its recovery that of its whole length."""
-    tare, count = _tare_index(run), len(run.signals.t_s)
+    tare, count = tare_index(run), len(run.signals.t_s)
     forces = late(run.truth.axial_N)
     insertion = stream_of(run, tare, count, forces)
     found = feed(session, insertion)
@@ -73,10 +73,6 @@ def _insert(session: InsertionSession, run: Run, name: str) -> FaultResult:
         told=worst.told,
         is_finite=worst.is_finite,
     )
-
-
-def _tare_index(run: Run) -> int:
-    return int(np.searchsorted(run.signals.t_s, run.tare_end_s))
 
 
 def _lighter(robot: Robot) -> Robot:
