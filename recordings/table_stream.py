@@ -5,6 +5,7 @@ from pathlib import Path
 
 from recordings.bag_storage.files import is_bag
 from recordings.bags.format import bag_chunks
+from recordings.bags.growing import growing_chunks
 from recordings.columnar.npz_format import npz_chunks
 from recordings.columnar.parquet_format import parquet_chunks
 from recordings.columns.wanted import Wanted
@@ -34,8 +35,8 @@ def stream_tables(
     Args:
         source: a file, see `read_table`, or `-` for standard input: CSV, plain or compressed, or
             a binary format, which is kept in a temporary file until all of it has come.
-        patience: how long more is waited for where the source is text or a pipe; any source is
-            left when it says to stop.
+        patience: how long more is waited for where the source is text, MCAP or a pipe; any source
+            is left when it says to stop.
         wanted: what is read of a bag; of other sources everything is.
 
     Yields:
@@ -43,8 +44,8 @@ def stream_tables(
         if there are so many; the last may have none, but warnings.
 
     Raises:
-        FileAccessError: the source cannot be read, is not text but to be followed, or its suffix
-            is not known.
+        FileAccessError: the source cannot be read, is neither text nor MCAP but to be followed, or
+            its suffix is not known.
         FormatError: nothing usable is in it.
         ColumnError: a bag has not what is wanted.
     """
@@ -60,14 +61,26 @@ def stream_tables(
         )
         return
     if patience.follow:
-        raise FileAccessError(
-            f"{name} cannot be followed while it grows; only CSV can. Record CSV, or read it when "
-            "it is complete"
-        )
+        yield from _growing(path, wanted, patience)
+        return
     for table in _chunks(path, wanted):
         yield table
         if patience.should_stop():
             return
+
+
+def _growing(path: Path, wanted: Wanted | None, patience: Patience) -> Iterator[Table]:
+    if path.is_dir():
+        raise FileAccessError(
+            f"{path} is a folder, which cannot be followed while it grows; name the .mcap file in "
+            "it, or read it when it is complete"
+        )
+    if not path.name.lower().endswith(".mcap"):
+        raise FileAccessError(
+            f"{path} cannot be followed while it grows; only CSV and MCAP can. Record one of them "
+            "(ros2 bag record -s mcap), or read it when it is complete"
+        )
+    return growing_chunks(path, CHUNK_ROWS, wanted or Wanted(), patience)
 
 
 def _piped(

@@ -8,12 +8,14 @@ from typing import BinaryIO
 from recordings.bag_storage.mcap_records import (
     CHANNEL,
     MESSAGE,
+    PAUSE,
     SCHEMA,
     Record,
     mcap_records,
     summary_records,
 )
-from recordings.bag_storage.raw_message import BagTopic, RawMessage
+from recordings.bag_storage.raw_message import NONE_YET, BagTopic, RawMessage
+from recordings.sources.growing_file import GrowingFile
 
 _ID = Struct("<H")
 _IDS = Struct("<HH")
@@ -24,7 +26,7 @@ _LATEST_NS = (1 << 63) - 1
 
 
 def mcap_messages(
-    stream: BinaryIO, faults: list[str], topics: Collection[str] | None = None
+    stream: BinaryIO | GrowingFile, faults: list[str], topics: Collection[str] | None = None
 ) -> Iterator[RawMessage]:
     """Read messages in the order in which they stand in the file.
 
@@ -34,7 +36,8 @@ def mcap_messages(
         topics: names of those to read; all if None.
 
     Yields:
-        The messages; of a damaged or cut file those that can be had.
+        The messages; of a damaged or cut file those that can be had. `NONE_YET` in a file that
+        grows.
 
     Raises:
         FormatError: it is not an MCAP file.
@@ -43,6 +46,9 @@ def mcap_messages(
     for record in summary_records(stream):
         channels.learn(record)
     for record in mcap_records(stream, faults):
+        if record is PAUSE:
+            yield NONE_YET
+            continue
         if record.opcode != MESSAGE:
             channels.learn(record)
             continue

@@ -11,6 +11,7 @@ from zlib import crc32
 
 from recordings.bag_storage.mcap_compression import decompressed
 from recordings.errors import FormatError
+from recordings.sources.growing_file import GrowingFile
 
 MAGIC = b"\x89MCAP0\r\n"
 FOOTER, SCHEMA, CHANNEL, MESSAGE, CHUNK, DATA_END = 0x02, 0x03, 0x04, 0x05, 0x06, 0x0F
@@ -21,6 +22,8 @@ _SIZE = Struct("<Q")
 _FOOTER = Struct("<BQQQI8s")
 _READ = (SCHEMA, CHANNEL, MESSAGE, CHUNK)
 _BLOCK = 1 << 24  # bytes
+
+CUT_SHORT = "is cut short"
 
 
 class Record(NamedTuple):
@@ -35,11 +38,15 @@ class Record(NamedTuple):
     body: bytes
 
 
-def mcap_records(stream: BinaryIO, faults: list[str]) -> Iterator[Record]:
+PAUSE = Record(0, b"")
+"""Stands in place of a record wherever a file that still grows has been read as far as it goes."""
+
+
+def mcap_records(stream: BinaryIO | GrowingFile, faults: list[str]) -> Iterator[Record]:
     """Read schemas, channels and messages, those inside chunks included.
 
     Args:
-        stream: an MCAP file, open at its start.
+        stream: an MCAP file, open at its start. One that grows may end after any record.
         faults: what is wrong with the file is appended here, one phrase each.
 
     Yields:
@@ -48,14 +55,14 @@ def mcap_records(stream: BinaryIO, faults: list[str]) -> Iterator[Record]:
     Raises:
         FormatError: it is not an MCAP file.
     """
-    if (head := stream.read(len(MAGIC))) != MAGIC:
+    if (head := (yield from _read(stream, len(MAGIC)))) != MAGIC:
         raise FormatError("is not an MCAP file: it does not begin as one" if head else "is empty")
     at = len(MAGIC)
-    while len(head := stream.read(_HEAD.size)) == _HEAD.size:
+    while len(head := (yield from _read(stream, _HEAD.size))) == _HEAD.size:
         opcode, size = _HEAD.unpack(head)
         if opcode in (DATA_END, FOOTER):
             return
-        body = _read(stream, size)
+        body = yield from _read(stream, size)
         is_whole = len(body) == size
         if opcode == CHUNK:
             yield from _chunk(body, at, faults)
@@ -64,18 +71,21 @@ def mcap_records(stream: BinaryIO, faults: list[str]) -> Iterator[Record]:
         if not is_whole:
             break
         at += _HEAD.size + size
-    faults.append("is cut short")
+    if head or not isinstance(stream, GrowingFile):
+        faults.append(CUT_SHORT)
 
 
-def summary_records(stream: BinaryIO) -> Iterator[Record]:
+def summary_records(stream: BinaryIO | GrowingFile) -> Iterator[Record]:
     """Read schemas and channels from the end of a file; the chunk that held them may be damaged.
 
     Args:
         stream: an MCAP file, open at its start, where it is left again.
 
     Yields:
-        The records; none if the file was not finished.
+        The records; none if the file was not finished, or grows.
     """
+    if isinstance(stream, GrowingFile):
+        return
     length = stream.seek(0, 2)
     stream.seek(max(length - _FOOTER.size, 0))
     end = stream.read()
@@ -89,10 +99,16 @@ def summary_records(stream: BinaryIO) -> Iterator[Record]:
     yield from (record for record in _split(summary) if record.opcode in (SCHEMA, CHANNEL))
 
 
-def _read(stream: BinaryIO, size: int) -> bytes:
+def _read(stream: BinaryIO | GrowingFile, size: int) -> Generator[Record, None, bytes]:
     """Return `size` bytes, or what is left; a damaged size must not ask for all memory at once."""
-    parts = []
-    while size > 0 and (part := stream.read(min(size, _BLOCK))):
+    parts: list[bytes] = []
+    while size > 0:
+        part = stream.read(min(size, _BLOCK))
+        if part is None:
+            yield PAUSE
+            continue
+        if not part:
+            break
         parts.append(part)
         size -= len(part)
     return b"".join(parts)

@@ -9,9 +9,12 @@ from pathlib import Path
 from recordings.bag_storage.files import BagFiles
 from recordings.bag_storage.mcap_compression import zstd_library
 from recordings.bag_storage.mcap_messages import mcap_messages
+from recordings.bag_storage.mcap_records import CUT_SHORT
 from recordings.bag_storage.raw_message import RawMessage
 from recordings.bag_storage.sqlite_messages import sqlite_messages
 from recordings.errors import FileAccessError, FormatError
+from recordings.sources.byte_source import Patience, byte_blocks
+from recordings.sources.growing_file import GrowingFile
 
 _ZSTD_MAGIC = b"\x28\xb5\x2f\xfd"
 
@@ -46,6 +49,35 @@ def bag_messages(
             raise FileAccessError(f"cannot read {path}: {error.strerror or error}") from error
         finally:
             faults += [f"{path.name} {fault}" for fault in found]
+
+
+def growing_messages(
+    path: Path, patience: Patience, faults: list[str], topics: Collection[str] | None = None
+) -> Iterator[RawMessage]:
+    """Read the messages of an MCAP file as a recorder writes them, until it finishes the file.
+
+    Args:
+        path: the file.
+        patience: how long more is waited for.
+        faults: as for `bag_messages`; that the recorder was not done is none if the user stops.
+        topics: names of those to read; all if None.
+
+    Yields:
+        The messages, and `NONE_YET` each time before more is waited for.
+
+    Raises:
+        FileAccessError: the file cannot be read, or a library is missing.
+        FormatError: it is no MCAP file.
+    """
+    stream = GrowingFile(byte_blocks(path, patience, tell_pauses=True))
+    found: list[str] = []
+    try:
+        yield from _with_data_unpacked(mcap_messages(stream, found, topics), found)
+    except FormatError as error:
+        raise FormatError(f"{path} {error}") from error
+    if patience.should_stop() and CUT_SHORT in found:
+        found.remove(CUT_SHORT)
+    faults += [f"{path.name} {fault}" for fault in found]
 
 
 def _of_file(path: Path, faults: list[str], topics: Collection[str] | None) -> Iterator[RawMessage]:

@@ -33,3 +33,7 @@ class RawMessage(NamedTuple):
     topic: BagTopic
     log_ns: int
     data: bytes
+
+
+NONE_YET = RawMessage(BagTopic("", "", ""), 0, b"")
+"""Stands in place of a message wherever a bag that still grows has been read as far as it goes."""

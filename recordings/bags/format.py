@@ -3,6 +3,7 @@
 from collections.abc import Iterator
 from pathlib import Path
 
+from recordings.bag_storage.messages import bag_messages
 from recordings.bags.plan import plan_bag, survey_table
 from recordings.bags.survey import survey_bag
 from recordings.bags.tables import bag_tables
@@ -55,4 +56,5 @@ def bag_chunks(path: Path, rows: int | None, wanted: Wanted | None = None) -> It
         yield whole
         return
     plan = plan_bag(survey, wanted or Wanted(), needed)
-    yield from bag_tables(survey, plan, rows)
+    messages = bag_messages(survey.files, [], plan.columns)
+    yield from bag_tables(messages, survey, plan, rows)

@@ -88,7 +88,8 @@ def plan_bag(survey: BagSurvey, wanted: Wanted, needed: frozenset[str]) -> BagPl
         joints[name], told = _joints(survey.topics[name], wanted)
         notes += told
     others = [name for name in topics if name != clock]
-    if any(survey.topics[name].count != survey.topics[clock].count for name in others):
+    # One message more or less is no other rate, only where the recording begins or ends.
+    if any(abs(survey.topics[name].count - survey.topics[clock].count) > 1 for name in others):
         rates = ", ".join(f"{name} ({survey.topics[name].rate_hz:.4g} Hz)" for name in others)
         notes.append(
             f"rows are the messages of {clock} ({survey.topics[clock].rate_hz:.4g} Hz); "

@@ -84,19 +84,32 @@ def survey_bag(path: Path) -> BagSurvey:
     topics: dict[str, SurveyedTopic] = {}
     faults: list[str] = []
     for message in bag_messages(files, faults):
-        name = message.topic.name
-        if name not in topics:
-            topics[name] = SurveyedTopic(topic=message.topic, first_ns=message.log_ns)
-        found = topics[name]
-        found.count += 1
-        found.last_ns = max(found.last_ns, message.log_ns)
-        if found.count <= _LEARNED and not found.fault:
-            _learn(found, message, types)
+        survey_message(message, topics, types)
     warnings = (*files.warnings, *_lost(files, topics, faults))
     if not topics:
         told = "".join(f" ({warning})" for warning in warnings)
         raise FormatError(f"{path} holds no messages{told}")
     return BagSurvey(path=path, files=files, topics=topics, types=types, warnings=warnings)
+
+
+def survey_message(
+    message: RawMessage, topics: dict[str, SurveyedTopic], types: MessageTypes
+) -> None:
+    """Count a message, and learn what its topic holds.
+
+    Args:
+        message: the message.
+        topics: those met so far, by name.
+        types: types of the bag.
+    """
+    name = message.topic.name
+    if name not in topics:
+        topics[name] = SurveyedTopic(topic=message.topic, first_ns=message.log_ns)
+    found = topics[name]
+    found.count += 1
+    found.last_ns = max(found.last_ns, message.log_ns)
+    if found.count <= _LEARNED and not found.fault:
+        _learn(found, message, types)
 
 
 def layout_of(message: RawMessage, types: MessageTypes) -> CdrLayout:

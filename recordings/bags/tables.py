@@ -1,12 +1,12 @@
 """The wanted topics of a bag as tables of consecutive rows."""
 
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
 from dataclasses import dataclass
 
 import numpy as np
 
-from recordings.bag_storage.messages import bag_messages
-from recordings.bags.interpolate import Stamps, interpolate
+from recordings.bag_storage.raw_message import NONE_YET, RawMessage
+from recordings.bags.interpolate import interpolate
 from recordings.bags.plan import BagPlan
 from recordings.bags.survey import BagSurvey
 from recordings.bags.topic_reader import TopicReader, TopicRows
@@ -18,13 +18,19 @@ _SHORTEST_LIMIT_S = 0.1
 _PERIODS = 5.0
 """So many periods of a topic may lie between two of its messages and still be bridged."""
 
+_LATE_NS = NS_PER_S
+"""A topic whose messages come so much later than those of others loses nothing."""
+
 _NEVER_NS = -(1 << 62)
 
 
-def bag_tables(survey: BagSurvey, plan: BagPlan, rows: int | None) -> Iterator[Table]:
+def bag_tables(
+    messages: Iterable[RawMessage], survey: BagSurvey, plan: BagPlan, rows: int | None
+) -> Iterator[Table]:
     """Read what a plan says.
 
     Args:
+        messages: those of the planned topics; rows do not wait for what comes after `NONE_YET`.
         survey: the bag.
         plan: what to read.
         rows: the most rows of a table; None for all in one.
@@ -38,12 +44,15 @@ def bag_tables(survey: BagSurvey, plan: BagPlan, rows: int | None) -> Iterator[T
     }
     clock = readers[plan.clock]
     rest = _Rest(survey, plan)
-    for message in bag_messages(survey.files, [], plan.columns):
-        readers[message.topic.name].add(message)
-        if rows is not None and len(clock) >= rows:
+    for message in messages:
+        if message is not NONE_YET:
+            readers[message.topic.name].add(message)
+        if rows is not None and (message is NONE_YET or len(clock) >= rows):
             rest.add(readers)
-            while rest.is_ready(rows):
-                yield rest.table(rows)
+            least = 1 if message is NONE_YET else rows
+            while (ready := rest.ready) >= least:
+                yield rest.table(min(ready, rows))
+            rest.forget()
     rest.add(readers)
     rest.note([note for reader in readers.values() for note in reader.notes()])
     while rest.waiting or rest.has_news:
@@ -90,16 +99,17 @@ class _Rest:
         signal = self._signals.get(self._plan.clock)
         return 0 if signal is None else signal.rows.stamps_ns.size
 
-    def is_ready(self, rows: int) -> bool:
-        """Return whether nothing that may still come can change the next rows."""
-        if self.waiting < rows:
-            return False
-        stamps_ns = self._signals[self._plan.clock].rows.stamps_ns
-        last_ns, latest_ns = stamps_ns[:rows].max(), stamps_ns.max()
-        return all(
-            signal.latest_ns >= last_ns or latest_ns - last_ns > signal.limit_ns
+    @property
+    def ready(self) -> int:
+        """How many of them nothing that may still come can change."""
+        if not self.waiting:
+            return 0
+        last_ns = np.maximum.accumulate(self._signals[self._plan.clock].rows.stamps_ns)
+        until_ns = min(
+            max(signal.latest_ns, int(last_ns[-1]) - max(int(signal.limit_ns), _LATE_NS) - 1)
             for signal in self._signals.values()
         )
+        return int(np.searchsorted(last_ns, until_ns, side="right"))
 
     @property
     def has_news(self) -> bool:
@@ -134,7 +144,7 @@ class _Rest:
                 else:
                     found = interpolate(at_ns, signal.rows.stamps_ns, values, signal.limit_ns)
                 columns[column] = found[:, 0] if column in self._singles else found
-        self._drop(at_ns, rows)
+        self._drop(rows, int(at_ns.max()) if at_ns.size else 0)
         warnings, self._warnings = tuple(self._warnings), []
         self._is_new = False
         return Table(
@@ -144,16 +154,21 @@ class _Rest:
             start_ns=self._start_ns,
         )
 
-    def _drop(self, at_ns: Stamps, rows: int) -> None:
-        """Forget what no later row needs."""
+    def forget(self) -> None:
+        """Forget what no row needs that may still come late, while none waits."""
+        if not self.waiting:
+            newest_ns = max(signal.latest_ns for signal in self._signals.values())
+            self._drop(0, newest_ns - _LATE_NS)
+
+    def _drop(self, rows: int, latest_ns: int) -> None:
+        """Forget rows, and what no later one needs if the latest was at this instant."""
         for name, signal in self._signals.items():
             stamps_ns = signal.rows.stamps_ns
             if name == self._plan.clock:
                 kept = slice(rows, None)
             else:
                 # Rows may run backward a little: as much as is bridged is kept.
-                oldest_ns = (int(at_ns.max()) if at_ns.size else 0) - 2 * signal.limit_ns
-                kept = stamps_ns >= oldest_ns
+                kept = stamps_ns >= latest_ns - 2 * signal.limit_ns
             columns = {column: v[kept] for column, v in signal.rows.columns.items()}
             signal.rows = TopicRows(stamps_ns[kept], columns)
 

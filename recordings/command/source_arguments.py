@@ -20,7 +20,7 @@ def source_arguments(parser: ArgumentParser, channels: str) -> None:
     parser.add_argument(
         "--follow",
         action="store_true",
-        help="go on reading as the CSV file grows, until Ctrl-C or --idle",
+        help="go on reading as the file (CSV, MCAP) grows, until Ctrl-C or --idle",
     )
     parser.add_argument(
         "--idle",

@@ -39,15 +39,18 @@ class Patience:
     warn: Callable[[str], None] = lambda text: None
 
 
-def byte_blocks(path: Path | None, patience: Patience) -> Iterator[bytes]:
+def byte_blocks(
+    path: Path | None, patience: Patience, *, tell_pauses: bool = False
+) -> Iterator[bytes]:
     """Read a file or standard input; whoever waits for more sees at once what there is.
 
     Args:
         path: the file, or None for standard input.
         patience: how long more is waited for.
+        tell_pauses: whether an empty block says each time that more is now waited for.
 
     Yields:
-        Blocks of at least one byte.
+        Blocks of at least one byte, apart from those.
 
     Raises:
         FileAccessError: the file cannot be read, or has become shorter while it was followed.
@@ -56,7 +59,8 @@ def byte_blocks(path: Path | None, patience: Patience) -> Iterator[bytes]:
     try:
         handle = _standard_input() if path is None else os.open(path, os.O_RDONLY)
         try:
-            yield from _blocks(handle, patience, path)
+            blocks = _blocks(handle, patience, path)
+            yield from (block for block in blocks if block or tell_pauses)
         finally:
             if path is not None:
                 os.close(handle)
@@ -91,6 +95,7 @@ def _blocks(handle: int, patience: Patience, path: Path | None) -> Iterator[byte
                 return
             if _is_over(handle, path, done, time.monotonic() - last_s, patience.warn):
                 return
+            yield b""
             time.sleep(_POLL_S)
         if patience.idle_s is not None and time.monotonic() - last_s >= patience.idle_s:
             return
