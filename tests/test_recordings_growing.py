@@ -4,110 +4,35 @@ import subprocess
 import sys
 import threading
 import time
-import tracemalloc
-from itertools import pairwise
-from struct import pack
 
 import numpy as np
 import pytest
-from bag_samples import (
-    START_NS,
-    data_file,
-    insertion_rows,
-    joint_state,
-    number,
-    wrench,
-    write_bag,
+from bag_samples import data_file, insertion_rows, write_bag
+from growing_bags import (
+    ASKED,
+    END,
+    HEADER,
+    LONGEST_S,
+    assert_same,
+    followed,
+    grow,
+    in_pieces,
+    recorded,
+    without_chunks,
 )
 from hypothesis import given
 from hypothesis import strategies as st
-from mappings import mapped
 from residual_command_log import write_insertion
 
-from recordings import (
-    ColumnError,
-    ColumnMapping,
-    FileAccessError,
-    FormatError,
-    read_log,
-    write_table,
-)
-from recordings.bag_storage.mcap_records import MAGIC, mcap_records
-from recordings.bag_storage.messages import bag_messages
-from recordings.bag_storage.raw_message import NONE_YET
-from recordings.bags.plan import plan_bag
-from recordings.bags.survey import survey_bag
-from recordings.bags.tables import bag_tables
+from recordings import FileAccessError, FormatError, read_log, write_table
+from recordings.bag_storage.mcap_records import MAGIC
 from recordings.columns.wanted import Wanted
-from recordings.log_stream import LogStream
 from recordings.sources.byte_source import Patience
 from recordings.sources.growing_file import GrowingFile
 from recordings.table_stream import stream_tables
 
-ASKED = {"required": ("q", "tau", "depth")}
-LONGEST_S = 20.0
-STEP_NS = 10_000_000
-HEADER = b"\x01" + pack("<QII", 8, 0, 0)
-END = b"\x0f" + pack("<QI", 4, 0)
 ROWS = np.arange(5000)
 DEPTHS = {"t_s": ROWS / 1000, "depth_m": 1e-6 * ROWS, "force_N": 1e-3 * ROWS**0.5}
-
-
-def recorded(folder, rows, compression=None):
-    """The bytes of a bag."""
-    return data_file(write_bag(folder, rows, compression=compression)).read_bytes()
-
-
-def without_chunks(path):
-    """The same messages as a recorder writes them that makes no chunks."""
-    faults = []
-    with path.open("rb") as stream:
-        records = [
-            bytes([r.opcode]) + pack("<Q", len(r.body)) + r.body
-            for r in mcap_records(stream, faults)
-        ]
-    assert faults == []
-    return MAGIC + HEADER + b"".join(records) + END
-
-
-def grow(path, pieces, pause_s=0.01, go_on=None):
-    """Append to a file from another thread; after the first piece only when told to go on."""
-    path.write_bytes(pieces[0])
-
-    def write():
-        if go_on is not None:
-            assert go_on.wait(LONGEST_S)
-        for piece in pieces[1:]:
-            time.sleep(pause_s)
-            with path.open("ab") as stream:
-                stream.write(piece)
-
-    writer = threading.Thread(target=write)
-    writer.start()
-    return writer
-
-
-def in_pieces(data, count):
-    cuts = [len(data) * k // count for k in range(count + 1)]
-    return [data[a:b] for a, b in pairwise(cuts)]
-
-
-def followed(path, patience=None, mapping=None, **asked):
-    """The chunks of a log that is followed, and its warnings."""
-    tables = stream_tables(
-        path,
-        patience or Patience(follow=True, idle_s=LONGEST_S),
-        Wanted(mapping=mapping or ColumnMapping(), **(asked or ASKED)),
-    )
-    stream = LogStream(tables, mapping, **(asked or ASKED))
-    return list(stream), stream.take_warnings()
-
-
-def assert_same(chunks, log):
-    np.testing.assert_array_equal(np.concatenate([chunk.t_s for chunk in chunks]), log.t_s)
-    for key, values in log.channels.items():
-        found = np.concatenate([chunk.channels[key] for chunk in chunks])
-        np.testing.assert_array_equal(found, values)
 
 
 @pytest.mark.parametrize("kind", ["plain", "zstd", "without chunks"])
@@ -184,112 +109,6 @@ def test_a_recording_shorter_than_what_decides_its_topics_is_read_when_it_ends(t
     assert set(warnings) == set(log.warnings)
 
 
-def late_topic(first):
-    """Joint states for 6 s; depths from the message `first` on."""
-    for k in range(600):
-        t_ns = START_NS + k * STEP_NS
-        yield "/joint_states", t_ns, joint_state(t_ns, "ab", (k, k), (), (k, k))
-        if k >= first:
-            yield "/depth_mm", t_ns, number(k)
-
-
-def test_a_topic_that_is_not_there_yet_is_waited_for_and_told_once(tmp_path):
-    path, told = tmp_path / "growing.mcap", []
-    path.write_bytes(recorded(tmp_path / "bag", late_topic(350)))
-    patience = Patience(follow=True, idle_s=LONGEST_S, warn=told.append)
-    chunks, _ = followed(path, patience)
-    assert_same(chunks, read_log(path, **ASKED))
-    assert told == [
-        "growing.mcap: waiting for more topics; needed are q, tau, depth, and until now there are "
-        "/joint_states"
-    ]
-
-
-def test_a_topic_that_never_comes_is_an_error_when_the_recording_has_ended(tmp_path):
-    path, told = tmp_path / "growing.mcap", []
-    path.write_bytes(recorded(tmp_path / "bag", late_topic(600)))
-    patience = Patience(follow=True, idle_s=LONGEST_S, warn=told.append)
-    with pytest.raises(ColumnError, match="no column found for depth"):
-        followed(path, patience)
-    with pytest.raises(ColumnError, match="'/none' is no topic"):
-        followed(path, patience, ColumnMapping(clock="/none"), required=("q",))
-    assert "waiting for more topics; clock = '/none' is no topic" in told[-1]
-
-
-FORCE = {"required": ("q", "force")}
-FORCE_MAPPING = mapped(force="/ft/force_xyz[2]")
-
-
-def arm_and_force(count, late_ns=0, force_ends=None):
-    """Joint states, and forces that reach the recorder later than their stamps say."""
-    rows = []
-    for k in range(count):
-        t_ns = START_NS + k * STEP_NS
-        rows.append(("/joint_states", t_ns, joint_state(t_ns, "ab", (k, -k))))
-        if force_ends is None or k < force_ends:
-            rows.append(("/ft", t_ns + late_ns, wrench(t_ns, (0.0, 0.0, k))))
-    return sorted(rows, key=lambda row: row[1])
-
-
-@pytest.mark.parametrize("late_s", [0.0, 0.3, 0.9])
-def test_topics_that_reach_the_recorder_late_lose_nothing(tmp_path, late_s):
-    recorded(tmp_path / "bag", arm_and_force(500, round(1e9 * late_s)))
-    path = tmp_path / "growing.mcap"
-    writer = grow(path, in_pieces(without_chunks(data_file(tmp_path / "bag")), 60))
-    chunks, _ = followed(path, mapping=FORCE_MAPPING, **FORCE)
-    writer.join()
-    force_N = np.concatenate([chunk.channels["force_N"] for chunk in chunks])
-    np.testing.assert_array_equal(force_N, np.arange(500.0))
-    assert_same(chunks, read_log(path, FORCE_MAPPING, **FORCE))
-
-
-def test_rows_do_not_wait_for_a_topic_that_has_gone(tmp_path):
-    recorded(tmp_path / "bag", arm_and_force(800, force_ends=300))
-    path, is_over = tmp_path / "growing.mcap", threading.Event()
-    path.write_bytes(without_chunks(data_file(tmp_path / "bag"))[: -len(END)])
-    patience = Patience(follow=True, should_stop=is_over.is_set)
-    tables = stream_tables(path, patience, Wanted(mapping=FORCE_MAPPING, **FORCE))
-    timer = threading.Timer(LONGEST_S, is_over.set)
-    timer.start()
-    first = next(tables)
-    timer.cancel()
-    # All but those of the last second, which is how late a topic may be.
-    assert len(first.columns["t_s"]) == 699
-    assert np.isfinite(first.columns["/ft/force_xyz"][:300]).all()
-    assert np.isnan(first.columns["/ft/force_xyz"][300:]).all()
-    is_over.set()
-    assert sum(len(table.columns["t_s"]) for table in tables) == 101
-
-
-def test_while_the_clock_is_silent_what_other_topics_bring_does_not_fill_memory(tmp_path):
-    survey = survey_bag(write_bag(tmp_path / "bag", arm_and_force(200)))
-    wanted = Wanted(mapping=ColumnMapping(clock="/joint_states"))
-    plan = plan_bag(survey, wanted, frozenset({"/joint_states/position", "/ft/force_xyz"}))
-    whole = list(bag_messages(survey.files, []))
-    force = next(message for message in whole if message.topic.name == "/ft")
-
-    def messages():
-        yield from whole
-        for k in range(20_000):
-            log_ns = START_NS + (200 + k) * STEP_NS
-            stamp = pack("<iI", *divmod(log_ns, 1_000_000_000))
-            yield force._replace(log_ns=log_ns, data=force.data[:4] + stamp + force.data[12:])
-            if k % 100 == 0:
-                yield NONE_YET
-                held.append(tracemalloc.get_traced_memory()[0])
-
-    held = []
-    tracemalloc.start()
-    try:
-        rows = sum(
-            len(table.columns["t_s"]) for table in bag_tables(messages(), survey, plan, 2048)
-        )
-    finally:
-        tracemalloc.stop()
-    assert rows == 200
-    assert held[-1] - held[len(held) // 2] < 50_000
-
-
 @given(st.lists(st.binary(max_size=9)), st.lists(st.integers(0, 7), min_size=1))
 def test_a_growing_file_gives_its_bytes_in_pieces_of_any_size(blocks, sizes):
     file, found, pauses = GrowingFile(blocks), b"", 0
@@ -326,9 +145,10 @@ def test_what_cannot_be_followed_is_told_with_what_to_do(tmp_path):
 @pytest.mark.parametrize("name", ["identification", "residual"])
 def test_the_commands_follow_a_bag(tmp_path, lwr, name):
     path, out, expected = (tmp_path / file for file in ("log.mcap", "out.csv", "expected.csv"))
-    write_insertion(tmp_path / "whole.mcap", lwr) if name == "residual" else write_table(
-        tmp_path / "whole.mcap", DEPTHS
-    )
+    if name == "residual":
+        write_insertion(tmp_path / "whole.mcap", lwr)
+    else:
+        write_table(tmp_path / "whole.mcap", DEPTHS)
     command = [sys.executable, "-m", name]
     options = ["--tare", "0:2.5"] if name == "residual" else []
     whole = [*command, str(tmp_path / "whole.mcap"), *options, "-o", str(expected)]

@@ -1,0 +1,139 @@
+"""Topics of a bag that is followed: some come late, some not at all, some stop."""
+
+import threading
+import tracemalloc
+from struct import pack
+
+import numpy as np
+import pytest
+from bag_samples import START_NS, data_file, joint_state, number, wrench, write_bag
+from growing_bags import (
+    ASKED,
+    END,
+    LONGEST_S,
+    assert_same,
+    followed,
+    grow,
+    in_pieces,
+    recorded,
+    without_chunks,
+)
+from mappings import mapped
+
+from recordings import ColumnError, ColumnMapping, read_log
+from recordings.bag_storage.messages import bag_messages
+from recordings.bag_storage.raw_message import NONE_YET
+from recordings.bags.plan import plan_bag
+from recordings.bags.survey import survey_bag
+from recordings.bags.tables import bag_tables
+from recordings.columns.wanted import Wanted
+from recordings.sources.byte_source import Patience
+from recordings.table_stream import stream_tables
+
+STEP_NS = 10_000_000
+
+
+def late_topic(first):
+    """Joint states for 6 s; depths from the message `first` on."""
+    for k in range(600):
+        t_ns = START_NS + k * STEP_NS
+        yield "/joint_states", t_ns, joint_state(t_ns, "ab", (k, k), (), (k, k))
+        if k >= first:
+            yield "/depth_mm", t_ns, number(k)
+
+
+def test_a_topic_that_is_not_there_yet_is_waited_for_and_told_once(tmp_path):
+    path, told = tmp_path / "growing.mcap", []
+    path.write_bytes(recorded(tmp_path / "bag", late_topic(350)))
+    patience = Patience(follow=True, idle_s=LONGEST_S, warn=told.append)
+    chunks, _ = followed(path, patience)
+    assert_same(chunks, read_log(path, **ASKED))
+    assert told == [
+        "growing.mcap: waiting for more topics; needed are q, tau, depth, and until now there are "
+        "/joint_states"
+    ]
+
+
+def test_a_topic_that_never_comes_is_an_error_when_the_recording_has_ended(tmp_path):
+    path, told = tmp_path / "growing.mcap", []
+    path.write_bytes(recorded(tmp_path / "bag", late_topic(600)))
+    patience = Patience(follow=True, idle_s=LONGEST_S, warn=told.append)
+    with pytest.raises(ColumnError, match="no column found for depth"):
+        followed(path, patience)
+    with pytest.raises(ColumnError, match="'/none' is no topic"):
+        followed(path, patience, ColumnMapping(clock="/none"), required=("q",))
+    assert "waiting for more topics; clock = '/none' is no topic" in told[-1]
+
+
+FORCE = {"required": ("q", "force")}
+FORCE_MAPPING = mapped(force="/ft/force_xyz[2]")
+
+
+def arm_and_force(count, late_ns=0, force_ends=None):
+    """Joint states, and forces that reach the recorder later than their stamps say."""
+    rows = []
+    for k in range(count):
+        t_ns = START_NS + k * STEP_NS
+        rows.append(("/joint_states", t_ns, joint_state(t_ns, "ab", (k, -k))))
+        if force_ends is None or k < force_ends:
+            rows.append(("/ft", t_ns + late_ns, wrench(t_ns, (0.0, 0.0, k))))
+    return sorted(rows, key=lambda row: row[1])
+
+
+@pytest.mark.parametrize("late_s", [0.0, 0.3, 0.9])
+def test_topics_that_reach_the_recorder_late_lose_nothing(tmp_path, late_s):
+    recorded(tmp_path / "bag", arm_and_force(500, round(1e9 * late_s)))
+    path = tmp_path / "growing.mcap"
+    writer = grow(path, in_pieces(without_chunks(data_file(tmp_path / "bag")), 60))
+    chunks, _ = followed(path, mapping=FORCE_MAPPING, **FORCE)
+    writer.join()
+    force_N = np.concatenate([chunk.channels["force_N"] for chunk in chunks])
+    np.testing.assert_array_equal(force_N, np.arange(500.0))
+    assert_same(chunks, read_log(path, FORCE_MAPPING, **FORCE))
+
+
+def test_rows_do_not_wait_for_a_topic_that_has_gone(tmp_path):
+    recorded(tmp_path / "bag", arm_and_force(800, force_ends=300))
+    path, is_over = tmp_path / "growing.mcap", threading.Event()
+    path.write_bytes(without_chunks(data_file(tmp_path / "bag"))[: -len(END)])
+    patience = Patience(follow=True, should_stop=is_over.is_set)
+    tables = stream_tables(path, patience, Wanted(mapping=FORCE_MAPPING, **FORCE))
+    timer = threading.Timer(LONGEST_S, is_over.set)
+    timer.start()
+    first = next(tables)
+    timer.cancel()
+    # All but those of the last second, which is how late a topic may be.
+    assert len(first.columns["t_s"]) == 699
+    assert np.isfinite(first.columns["/ft/force_xyz"][:300]).all()
+    assert np.isnan(first.columns["/ft/force_xyz"][300:]).all()
+    is_over.set()
+    assert sum(len(table.columns["t_s"]) for table in tables) == 101
+
+
+def test_while_the_clock_is_silent_what_other_topics_bring_does_not_fill_memory(tmp_path):
+    survey = survey_bag(write_bag(tmp_path / "bag", arm_and_force(200)))
+    wanted = Wanted(mapping=ColumnMapping(clock="/joint_states"))
+    plan = plan_bag(survey, wanted, frozenset({"/joint_states/position", "/ft/force_xyz"}))
+    whole = list(bag_messages(survey.files, []))
+    force = next(message for message in whole if message.topic.name == "/ft")
+
+    def messages():
+        yield from whole
+        for k in range(20_000):
+            log_ns = START_NS + (200 + k) * STEP_NS
+            stamp = pack("<iI", *divmod(log_ns, 1_000_000_000))
+            yield force._replace(log_ns=log_ns, data=force.data[:4] + stamp + force.data[12:])
+            if k % 100 == 0:
+                yield NONE_YET
+                held.append(tracemalloc.get_traced_memory()[0])
+
+    held = []
+    tracemalloc.start()
+    try:
+        rows = sum(
+            len(table.columns["t_s"]) for table in bag_tables(messages(), survey, plan, 2048)
+        )
+    finally:
+        tracemalloc.stop()
+    assert rows == 200
+    assert held[-1] - held[len(held) // 2] < 50_000
