@@ -6,8 +6,9 @@ the enhanced force without the friction of the layers traversed, and the force a
     identifier = Identifier()                       # or Identifier(PAPER)
     estimate = identifier.update(depth_m, speed_m_s, force_N, dt_s)
 
-Reading order: `identifier`; the published method in `paper_step` with one file per equation; ours
-in `default_step`, `kink_detector`, `rupture_fit`, `layer_model`; known layers in `offline`.
+Reading order: `identifier`; the published method in `paper_tick` (every sample) and `paper_step`
+(the rest), one file per further equation; ours in `default_tick`, `default_step`, `kink_detector`,
+`rupture_fit`, `layer_model`; known layers in `offline`.
 """
 
 from identification.default_config import DEFAULT, DefaultConfig

@@ -2,7 +2,9 @@
 
 from typing import NamedTuple
 
-from identification.sample import Sample
+from identification.default_tick import DefaultTick
+
+_ROUNDING = 1e-6
 
 
 class Block(NamedTuple):
@@ -25,36 +27,23 @@ class Block(NamedTuple):
     bristle: float
 
 
-class BlockSums(NamedTuple):
-    """Time-weighted sums of the block being filled."""
-
-    dt_s: float = 0.0
-    depth: float = 0.0
-    speed: float = 0.0
-    force: float = 0.0
+def is_block_full(filled_s: float, block_s: float) -> bool:
+    """Whether a block is long enough; sparse samples make blocks of one sample each."""
+    return filled_s >= least_block_s(block_s)
 
 
-EMPTY = BlockSums()
+def least_block_s(block_s: float) -> float:
+    """Length from which on a block is full: a hair less than wanted, for sums round."""
+    return block_s * (1.0 - _ROUNDING)
 
 
-def block_step(
-    sums: BlockSums, sample: Sample, bristle: float, block_s: float
-) -> tuple[BlockSums, Block | None]:
-    """Add one sample; hand out the block once it spans `block_s`.
+def mean_block(tick: DefaultTick, time_s: float) -> Block:
+    """The block that has been filled."""
+    length = tick.filled_s
+    means = (tick.depth_sum / length, tick.speed_sum / length, tick.force_sum / length)
+    return Block(time_s, length, *means, tick.bristle)
 
-    Sparse samples make blocks of one sample each.
 
-    Args:
-        sums: Block being filled.
-        sample: New sample.
-        bristle: Presliding deflection at the sample.
-        block_s: Least length of a block.
-    """
-    time, dt, depth, speed, force = sample
-    total = sums.dt_s + dt
-    depth = sums.depth + dt * depth
-    speed = sums.speed + dt * speed
-    force = sums.force + dt * force
-    if total < block_s * (1.0 - 1e-6):
-        return BlockSums(total, depth, speed, force), None
-    return EMPTY, Block(time, total, depth / total, speed / total, force / total, bristle)
+def emptied(tick: DefaultTick) -> DefaultTick:
+    """To begin the next block with."""
+    return tick._replace(filled_s=0.0, depth_sum=0.0, speed_sum=0.0, force_sum=0.0)

@@ -1,4 +1,4 @@
-"""CUSUM on the squared prediction error, equation (9)."""
+"""Constants of the CUSUM on the squared prediction error, equation (9)."""
 
 
 def cusum_constants(sigma0_N: float, sigma1_N: float) -> tuple[float, float]:
@@ -13,8 +13,3 @@ def cusum_constants(sigma0_N: float, sigma1_N: float) -> tuple[float, float]:
     """
     var0, var1 = sigma0_N * sigma0_N, sigma1_N * sigma1_N
     return (var1 + var0) / 2.0, (var1 - var0) / 2.0
-
-
-def cusum_step(decision: float, error_N: float, drift: float) -> float:
-    """Decision function g_k = max(g_{k-1} + e_k^2 - nu, 0), equation (9)."""
-    return max(decision + error_N * error_N - drift, 0.0)

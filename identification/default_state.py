@@ -6,7 +6,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from identification.baseline import Baseline
-from identification.block import EMPTY, BlockSums
+from identification.default_tick import DefaultTick
 from identification.estimate import LayerEstimate, Rupture
 from identification.kink_detector import DetectorState, initial_detector
 from identification.layer_ending import LayerEnding
@@ -92,15 +92,11 @@ class Pending(NamedTuple):
 
 
 class DefaultState(NamedTuple):
-    """Immutable state of `default_step`.
+    """Immutable state of this toolkit's own identification.
 
     Attributes:
-        blocks: Block being filled.
+        tick: What every sample changes.
         lag: Lag of the measured speed behind the depth.
-        bristle: Presliding deflection.
-        follower_m: Depth less the jitter of its measurement, None at the start.
-        speed_m_s: Speed without the noise of its measurement.
-        deepest_m: Deepest point so far.
         baseline: Force in free air.
         detector: Kink detector.
         track: Recent past.
@@ -117,12 +113,8 @@ class DefaultState(NamedTuple):
         withdrawn: Alarm this sample showed to be false.
     """
 
-    blocks: BlockSums
+    tick: DefaultTick
     lag: SpeedLag
-    bristle: float
-    follower_m: float | None
-    speed_m_s: float
-    deepest_m: float
     baseline: Baseline
     detector: DetectorState
     track: Track
@@ -138,22 +130,10 @@ class DefaultState(NamedTuple):
     compensated: LayerEstimate | None
     withdrawn: Rupture | None
 
-
-def after_sample(
-    state: DefaultState,
-    blocks: BlockSums,
-    bristle: float,
-    follower_m: float,
-    speed_m_s: float,
-    deepest_m: float,
-) -> DefaultState:
-    """The state with what every sample changes, and the events of the one before gone.
-
-    By position: at every sample, `_replace` would take three times as long.
-    """
-    return DefaultState(
-        blocks, state.lag, bristle, follower_m, speed_m_s, deepest_m, *state[6:-3], None, None, None
-    )
+    @property
+    def events(self) -> tuple[Rupture | None, LayerEstimate | None, Rupture | None]:
+        """What the last three fields of an `Estimate` tell."""
+        return self[-3:]
 
 
 def untouched_layer(start_m: float) -> LayerData:
@@ -167,12 +147,8 @@ def untouched_layer(start_m: float) -> LayerData:
 def initial_default_state(_config: object) -> DefaultState:
     """State before the first sample."""
     return DefaultState(
-        blocks=EMPTY,
+        tick=DefaultTick(),
         lag=SpeedLag(),
-        bristle=0.0,
-        follower_m=None,
-        speed_m_s=0.0,
-        deepest_m=float("-inf"),
         baseline=Baseline(),
         detector=initial_detector(),
         track=initial_track(),

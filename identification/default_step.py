@@ -1,17 +1,14 @@
-"""One sample through this toolkit's own identification."""
-
-import math
+"""What a sample asks of this toolkit's own identification beyond `default_tick`."""
 
 import numpy as np
 from numpy.typing import NDArray
 
-from identification.block import Block, block_step
+from identification.block import Block, emptied, is_block_full, mean_block
 from identification.contact import free_air_step, lose_contact
 from identification.default_config import DefaultConfig
-from identification.default_state import DefaultState, after_sample
+from identification.default_state import DefaultState
 from identification.kink_detector import detector_step, restart_detector
 from identification.layer_step import layer_step, settle_pool
-from identification.presliding import bristle_step, follow_depth
 from identification.rupture_state import MUTED, RuptureState, next_rupture_state
 from identification.rupture_step import (
     finish_look,
@@ -26,23 +23,22 @@ from identification.track import track_step
 _CHANNEL_M = 2e-4
 
 
+def begin_default_sample(state: DefaultState, _config: DefaultConfig) -> DefaultState:
+    """Before a sample: the events of the one before are over."""
+    if state.events == (None, None, None):
+        return state
+    return state._replace(rupture=None, compensated=None, withdrawn=None)
+
+
 def default_step(state: DefaultState, sample: Sample, config: DefaultConfig) -> DefaultState:
-    """Absorb one sample: presliding at every sample, everything else once per block."""
-    _, dt, depth, speed, _ = sample
-    last, keep = state.follower_m, 0.0
-    if last is None:
-        last = depth
-    else:
-        keep = math.exp(-dt / config.speed_smoothing_s)
-    follower = follow_depth(last, depth, config.track_step_m)
-    bristle = bristle_step(state.bristle, follower - last, config.presliding_m)
-    sums, block = block_step(state.blocks, sample, bristle, config.block_s)
-    deepest = state.deepest_m if state.deepest_m >= depth else depth
-    speed = keep * state.speed_m_s + (1.0 - keep) * speed
-    state = after_sample(state, sums, bristle, follower, speed, deepest)
-    if block is not None:
-        return _block_step(state, block, config)
-    return state if state.pending is None else work_on_rupture(state, config)
+    """After `default_tick` has absorbed a sample, whose fields the state holds already.
+
+    What is done once per block, or between blocks after a rupture.
+    """
+    if not is_block_full(state.tick.filled_s, config.block_s):
+        return state if state.pending is None else work_on_rupture(state, config)
+    block = mean_block(state.tick, sample.time_s)
+    return _block_step(state._replace(tick=emptied(state.tick)), block, config)
 
 
 def _block_step(state: DefaultState, block: Block, config: DefaultConfig) -> DefaultState:
@@ -60,8 +56,8 @@ def _block_step(state: DefaultState, block: Block, config: DefaultConfig) -> Def
         return state._replace(detector=restart_detector(state.detector))
     if not state.in_contact:
         return free_air_step(state, block, config)
-    is_moving = state.speed_m_s > config.rest_speed_m_s
-    is_cutting = is_moving and block.depth_m > state.deepest_m - _CHANNEL_M
+    is_moving = state.tick.speed_m_s > config.rest_speed_m_s
+    is_cutting = is_moving and block.depth_m > state.tick.deepest_m - _CHANNEL_M
     return _cut(state, block, config) if is_cutting else _idle(state, config)
 
 

@@ -15,3 +15,7 @@ class InvalidLogError(IdentificationError, ValueError):
 
 class InvalidSnapshotError(IdentificationError, ValueError):
     """A snapshot does not belong to the identifier it is restored into."""
+
+
+class NoRuptureError(IdentificationError, RuntimeError):
+    """A rupture is to be undone where the last update raised none."""

@@ -1,34 +1,27 @@
 """The online identifier: plumbing around pure steps."""
 
-from collections.abc import Callable
-from dataclasses import dataclass
+import math
 from typing import Any, NamedTuple
 
 from identification.default_config import DEFAULT, DefaultConfig
-from identification.default_report import DefaultReport, layers_now
-from identification.default_state import initial_default_state
-from identification.default_step import default_step
-from identification.errors import InvalidConfigError, InvalidSnapshotError
+from identification.errors import InvalidConfigError, InvalidSnapshotError, NoRuptureError
 from identification.estimate import Estimate, LayerEstimate
+from identification.method import METHODS
 from identification.paper_config import PaperConfig
-from identification.paper_report import paper_layers, report_paper
-from identification.paper_step import initial_paper_state, paper_step
 from identification.sample import Sample
-from identification.sample_check import CheckState, SampleStatus, check_step, raw_check_step
+from identification.sample_check import (
+    LAST_ABSORBED,
+    STATUSES,
+    CheckMemory,
+    CheckState,
+    SampleStatus,
+    as_scalar,
+    check_step,
+    packed_limits,
+)
 
-
-@dataclass(frozen=True, slots=True)
-class _Method:
-    initial: Callable[[Any], Any]
-    step: Callable[[Any, Sample, Any], Any]
-    reporter: Callable[[], Callable[[Any, Sample, SampleStatus, Any], Estimate]]
-    layers: Callable[[Any], tuple[LayerEstimate, ...]]
-
-
-_METHODS: dict[type, _Method] = {
-    DefaultConfig: _Method(initial_default_state, default_step, DefaultReport, layers_now),
-    PaperConfig: _Method(initial_paper_state, paper_step, lambda: report_paper, paper_layers),
-}
+_new = tuple.__new__
+"""Makes an `Estimate` of a tuple in a third of the time."""
 
 
 class Snapshot(NamedTuple):
@@ -62,12 +55,12 @@ class Identifier:
         Raises:
             InvalidConfigError: Not a configuration of this room.
         """
-        method = _METHODS.get(type(config))
+        method = METHODS.get(type(config))
         if method is None:
-            known = ", ".join(kind.__name__ for kind in _METHODS)
+            known = ", ".join(kind.__name__ for kind in METHODS)
             raise InvalidConfigError(f"config must be one of {known}, got {type(config).__name__}")
-        self._config = config
-        self._method, self._step, self._report = method, method.step, method.reporter()
+        self._config, self._method, self._method_tick = config, method, method.tick
+        self._limits = packed_limits(config.check)
         self.reset()
 
     @property
@@ -77,10 +70,13 @@ class Identifier:
 
     def reset(self) -> None:
         """Forget everything: a new insertion begins."""
-        self._check = CheckState()
-        self._state = self._method.initial(self._config)
-        start = Sample(0.0, 0.0, 0.0, 0.0, 0.0)
-        self._last = self._report(self._state, start, SampleStatus.OK, self._config)
+        config, method = self._config, self._method
+        state = method.initial(config)
+        figures = method.figures(
+            0.0, 0.0, 0.0, state.tick.plain, method.standing(state, config).numbers
+        )
+        last = _new(Estimate, (0.0, SampleStatus.OK, state.rupture_state, *figures, *state.events))
+        self.restore(Snapshot(config, CheckState(), state, last))
 
     def update(self, depth_m: float, speed_m_s: float, force_N: float, dt_s: float) -> Estimate:
         """Absorb one sample.
@@ -94,26 +90,40 @@ class Identifier:
             force_N: Axial force, positive when tissue pushes back [N].
             dt_s: Time since the previous sample [s].
         """
-        values, config = (depth_m, speed_m_s, force_N, dt_s), self._config
-        is_plain = type(depth_m) is type(speed_m_s) is type(force_N) is type(dt_s) is float
-        check = check_step if is_plain else raw_check_step
-        self._check, sample, status = check(self._check, values, config.check)
-        if sample is None:
-            self._last = self._last._replace(
-                time_s=self._check.time_s,
-                status=status,
-                rupture=None,
-                compensated=None,
-                withdrawn=None,
-            )
-            return self._last
-        state = self._state = self._step(self._state, sample, config)
-        estimate = self._last = self._report(state, sample, status, config)
+        if not (type(depth_m) is type(speed_m_s) is type(force_N) is type(dt_s) is float):
+            return self._update_raw((depth_m, speed_m_s, force_N, dt_s))
+        number, elapsed_s, depth_m, check = check_step(
+            depth_m, speed_m_s, force_N, dt_s, self._check, self._limits
+        )
+        if number > LAST_ABSORBED:
+            return self._refuse(STATUSES[number], check)
+        is_calm, tick, figures = self._method_tick(
+            depth_m, speed_m_s, force_N, elapsed_s, self._tick, self._numbers
+        )
+        if not is_calm:
+            sample = Sample(check[0], elapsed_s, depth_m, speed_m_s, force_N)
+            return self._absorb(sample, (tick, figures), STATUSES[number], check)
+        self._check, self._tick = check, tick
+        estimate = self._last = _new(
+            Estimate, (check[0], STATUSES[number], self._machine, *figures, None, None, None)
+        )
         return estimate
+
+    def undo_rupture(self) -> None:
+        """Take back the last update, which raised a rupture: as if its sample had never come.
+
+        Raises:
+            NoRuptureError: The last update raised none.
+        """
+        if self._before is None or self._last.rupture is None:
+            raise NoRuptureError("the last update raised no rupture: there is none to undo")
+        self.restore(self._before)
 
     def snapshot(self) -> Snapshot:
         """Everything needed to resume exactly here."""
-        return Snapshot(self._config, self._check, self._state, self._last)
+        state = self._state
+        state = state._replace(tick=state.tick.of(self._tick))
+        return Snapshot(self._config, CheckState(*self._check), state, self._last)
 
     def restore(self, snapshot: Snapshot) -> None:
         """Resume where `snapshot` was taken, bit for bit.
@@ -125,4 +135,49 @@ class Identifier:
             raise InvalidSnapshotError(
                 f"expected a Snapshot taken with {self._config}, got {type(snapshot).__name__}"
             )
-        _, self._check, self._state, self._last = snapshot
+        _, check, state, last = snapshot
+        self._stand(state, self._method.standing(state, self._config))
+        self._check, self._last, self._before = check.plain, last, None
+
+    def _stand(self, state: Any, standing: Any) -> None:
+        """Keep a state and what follows from it: what ordinary samples need, at hand."""
+        self._tick, self._machine = state.tick.plain, state.rupture_state
+        self._state, self._standing, self._numbers = state, standing, standing.numbers
+
+    def _absorb(
+        self,
+        sample: Sample,
+        done: tuple[tuple[Any, ...], tuple[Any, ...]],
+        status: SampleStatus,
+        check: CheckMemory,
+    ) -> Estimate:
+        """A sample that asks more than `Method.tick`, which has given `done`."""
+        before = self.snapshot()
+        state, standing, figures = self._method.absorb(
+            (before.state, self._standing), sample, done, self._config
+        )
+        self._stand(state, standing)
+        self._check = check
+        self._before = None if state.rupture is None else before
+        estimate = (sample.time_s, status, self._machine, *figures, *state.events)
+        self._last = _new(Estimate, estimate)
+        return self._last
+
+    def _update_raw(self, values: tuple[object, ...]) -> Estimate:
+        """As `update`, for values of any type."""
+        scalars = [as_scalar(value) for value in values]
+        numbers = [scalar for scalar in scalars if scalar is not None]
+        if len(numbers) == len(scalars):
+            return self.update(*numbers)
+        # Judged as one that is not finite: its time passes, if it has one.
+        dt_s = math.nan if scalars[-1] is None else scalars[-1]
+        *_, check = check_step(math.nan, 0.0, 0.0, dt_s, self._check, self._limits)
+        return self._refuse(SampleStatus.NOT_A_SCALAR, check)
+
+    def _refuse(self, status: SampleStatus, check: CheckMemory) -> Estimate:
+        """A sample that is not absorbed: the last estimate, its events over."""
+        self._check = check
+        self._last = self._last._replace(
+            time_s=check[0], status=status, rupture=None, compensated=None, withdrawn=None
+        )
+        return self._last

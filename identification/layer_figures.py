@@ -10,7 +10,8 @@ from identification.layer_ending import LayerEnding
 from identification.layer_hindsight import Belief
 from identification.layer_model import MM, OWN_COULOMB, OWN_VISCOUS, STIFFNESS
 
-_IDENTIFIED_SHARE = 0.25
+IDENTIFIED_SHARE = 0.25
+"""A value is identified if its standard deviation is no more of it."""
 
 
 def layer_estimate(
@@ -75,4 +76,4 @@ def _figures(belief: Belief, thickness_m: float, rupture_speed_m_s: float) -> di
 
 def is_identified(value: float, std: float) -> bool:
     """Whether a value is known to within a quarter of itself."""
-    return std <= _IDENTIFIED_SHARE * abs(value)
+    return std <= IDENTIFIED_SHARE * abs(value)

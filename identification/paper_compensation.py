@@ -19,13 +19,14 @@ def identify_left(state: PaperState, force_N: float, config: PaperConfig) -> Pap
     """Identify the layer just left: equations (10) to (12) and the re-run.
 
     Args:
-        state: State in COMPENSATED with `left` and `rupture` set.
+        state: State in COMPENSATED with `left` set.
         force_N: f(t_r + T_drop).
         config: Settings.
     """
-    left, rupture = state.left, state.rupture
-    if left is None or rupture is None:
+    left = state.left
+    if left is None:
         return state
+    rupture = left.rupture
     drop = force_drop_N(rupture.force_N, force_N)
     elastic, friction_share = force_ratios(
         drop, rupture.force_N, state.cumulative_friction_Ns_per_m, rupture.speed_m_s
@@ -62,18 +63,19 @@ def compensate(state: PaperState, found: FoundLayer, config: PaperConfig) -> Pap
         found: That layer.
         config: Settings.
     """
-    friction, traverse = found.damping_Ns_per_m, state.traverse
-    windows = less_viscous_rows(traverse.windows, friction)
-    window = less_viscous_force(state.window, friction)
+    friction, tick = found.damping_Ns_per_m, state.tick
+    windows = less_viscous_rows(state.windows, friction)
+    window = less_viscous_force(tick.window, friction)
     start = (config.var_stiffness, config.var_friction)
     stiffness, own = window_step(rerun_history(windows, start), window, start)
     return state._replace(
-        rls=RlsState(stiffness, own, config.var_stiffness, 0.0, config.var_friction),
-        window=window,
-        traverse=traverse._replace(windows=windows),
+        tick=tick._replace(
+            rls=RlsState(stiffness, own, config.var_stiffness, 0.0, config.var_friction),
+            window=window,
+            waited_s=0.0,
+        ),
+        windows=windows,
         left=None,
-        rupture=None,
-        waited_s=0.0,
         cumulative_friction_Ns_per_m=state.cumulative_friction_Ns_per_m + friction,
         layers=(*state.layers, found.layer)[-_MOST_LAYERS:],
         found=None,

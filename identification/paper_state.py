@@ -3,26 +3,25 @@
 from typing import NamedTuple
 
 from identification.estimate import LayerEstimate, Rupture
-from identification.rls import RlsState
+from identification.paper_tick import PaperTick
 from identification.rupture_state import RuptureState
 from identification.window_history import WindowHistory
-from identification.window_sums import WindowSums
 
 
-class Traverse(NamedTuple):
-    """What is gathered while one layer is traversed.
+class LeftLayer(NamedTuple):
+    """A layer just left, while its force drop is being measured.
 
     Attributes:
-        start_depth_m: Depth at which the layer begins.
-        windows: Sums of its closed reset windows.
-        travel_s: Time spent in it.
+        start_depth_m: Depth at which it begins.
+        windows: Sums of its reset windows.
         mean_speed_m_s: Average speed in it.
+        rupture: How it ended.
     """
 
     start_depth_m: float
-    windows: WindowHistory = WindowHistory()
-    travel_s: float = 0.0
-    mean_speed_m_s: float = 0.0
+    windows: WindowHistory
+    mean_speed_m_s: float
+    rupture: Rupture
 
 
 class FoundLayer(NamedTuple):
@@ -38,40 +37,33 @@ class FoundLayer(NamedTuple):
 
 
 class PaperState(NamedTuple):
-    """Immutable state of `paper_step`.
+    """Immutable state of the published method.
 
     Attributes:
-        rls: Current estimate and covariance.
-        window: Sums since the last covariance reset.
-        window_s: Time since the last covariance reset.
-        traverse: The layer the tip is in.
-        left: The layer just left, while its force drop is being measured.
-        rupture: The rupture of that layer.
+        tick: What every sample changes.
+        start_depth_m: Depth at which the current layer begins.
+        windows: Sums of its closed reset windows.
+        left: The layer just left, until its friction is subtracted.
         rupture_state: State of the rupture machine.
-        decision: g_k of equation (9).
-        derivative_N_per_s: Filtered force derivative.
-        last_force_N: Previous force sample, None at the start.
-        waited_s: Time since the detection.
         cumulative_friction_Ns_per_m: Sum of B_j d_j over compensated layers.
         layers: Layers identified so far.
-        predicted_N: phi' theta + B_d v before the sample was absorbed.
         found: The layer just left once it is identified, until the next sample.
+        rupture: Raised by this sample.
         compensated: The layer whose friction is subtracted from this sample on, if any.
     """
 
-    rls: RlsState
-    traverse: Traverse
-    window: WindowSums = WindowSums()
-    window_s: float = 0.0
-    left: Traverse | None = None
-    rupture: Rupture | None = None
+    tick: PaperTick
+    start_depth_m: float
+    windows: WindowHistory = WindowHistory()
+    left: LeftLayer | None = None
     rupture_state: RuptureState = RuptureState.NO_RUPTURE
-    decision: float = 0.0
-    derivative_N_per_s: float = 0.0
-    last_force_N: float | None = None
-    waited_s: float = 0.0
     cumulative_friction_Ns_per_m: float = 0.0
     layers: tuple[LayerEstimate, ...] = ()
-    predicted_N: float = 0.0
     found: FoundLayer | None = None
+    rupture: Rupture | None = None
     compensated: LayerEstimate | None = None
+
+    @property
+    def events(self) -> tuple[Rupture | None, LayerEstimate | None, None]:
+        """What the last three fields of an `Estimate` tell; this method withdraws nothing."""
+        return self.rupture, self.compensated, None

@@ -3,12 +3,13 @@
 import math
 from dataclasses import dataclass
 from enum import Enum
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 
-from identification.sample import Sample
+from identification.packed import packed
 from identification.settings_check import check_positive
+from speedup import Vector, compiled
 
 _NO_NUMBERS = (str, bytes, bool, np.bool_, complex, np.complexfloating)
 """What Python or numpy would make a float of, though nobody measures it."""
@@ -18,10 +19,10 @@ class SampleStatus(Enum):
     """What became of a sample. Only `OK` and `TIME_GAP` samples are absorbed."""
 
     OK = "ok"
+    TIME_GAP = "gap in time: local predictions restart"
     NOT_A_SCALAR = "not a scalar: depth, speed, force and dt must be single numbers"
     NOT_FINITE = "not finite"
     TIME_NOT_FORWARD = "dt must be positive"
-    TIME_GAP = "gap in time: local predictions restart"
     DEPTH_JUMP = "depth jumped against its speed: the jump is removed"
     SPEED_SIGN = "speed has the sign opposite to the change of depth"
     FORCE_RANGE = "force beyond any needle's: check the unit"
@@ -30,6 +31,19 @@ class SampleStatus(Enum):
     def is_absorbed(self) -> bool:
         """Whether the sample went into the estimate."""
         return self is SampleStatus.OK or self is SampleStatus.TIME_GAP
+
+
+STATUSES = tuple(SampleStatus)
+"""In the order of their numbers, by which `check_step` names them; those absorbed come first."""
+_NUMBERS = {status: number for number, status in enumerate(STATUSES)}
+_OK, _TIME_GAP = _NUMBERS[SampleStatus.OK], _NUMBERS[SampleStatus.TIME_GAP]
+LAST_ABSORBED = _TIME_GAP
+_NOT_FINITE = _NUMBERS[SampleStatus.NOT_FINITE]
+_TIME_NOT_FORWARD = _NUMBERS[SampleStatus.TIME_NOT_FORWARD]
+_DEPTH_JUMP, _SPEED_SIGN = _NUMBERS[SampleStatus.DEPTH_JUMP], _NUMBERS[SampleStatus.SPEED_SIGN]
+_FORCE_RANGE = _NUMBERS[SampleStatus.FORCE_RANGE]
+_GAP, _JUMP, _MEMORY, _TRAVEL, _FORCE = range(5)
+"""Places of the limits, in the order of `CheckConfig`."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -82,8 +96,17 @@ class CheckState(NamedTuple):
     has_depth: bool = False
     refused_s: float = 0.0
 
+    @property
+    def plain(self) -> "CheckMemory":
+        """As `check_step` takes it."""
+        return self[:]
 
-def _to_scalar(value: object) -> float | None:
+
+CheckMemory = tuple[float, float, float, float, float, float, float, bool, float]
+"""The fields of `CheckState`, plain: what compiled code takes and gives."""
+
+
+def as_scalar(value: object) -> float | None:
     """As a float, or None if it is not a single real number."""
     if isinstance(value, float):
         return float(value)
@@ -99,26 +122,33 @@ def _to_scalar(value: object) -> float | None:
         return None
 
 
-def _skipped(state: CheckState, dt_s: float) -> CheckState:
-    return state._replace(time_s=state.time_s + dt_s, pending_s=state.pending_s + dt_s)
+def packed_limits(config: CheckConfig) -> Any:
+    """The limits as `check_step` takes them."""
+    return packed([getattr(config, name) for name in config.__slots__])
 
 
+@compiled
+def _skipped(memory: CheckMemory, dt_s: float) -> CheckMemory:
+    """The time of a sample that cannot be read passes."""
+    time, usual, raw_depth, shift, by_depth, by_speed, pending, has_depth, refused = memory
+    time, pending = time + dt_s, pending + dt_s
+    return time, usual, raw_depth, shift, by_depth, by_speed, pending, has_depth, refused
+
+
+@compiled
 def _motion_check(
-    state: CheckState, values: tuple[float, ...], config: CheckConfig
-) -> tuple[CheckState, float, SampleStatus]:
-    """The new memory, the time since the last sample that was absorbed, and the status."""
-    depth, speed, _, interval = values
-    time, usual, raw_depth, shift, by_depth, by_speed, pending, has_depth, refused = state
+    depth: float, speed: float, interval: float, memory: CheckMemory, limits: Vector
+) -> tuple[int, float, float, CheckMemory]:
+    """Judge depth against speed."""
+    time, usual, raw_depth, shift, by_depth, by_speed, pending, has_depth, refused = memory
     # Of the time since the last depth, and since the last sample that was absorbed.
     dt = interval + pending
     elapsed = dt + refused
-    gap = config.gap_s
-    if gap < 10.0 * usual:
-        gap = 10.0 * usual
+    gap = max(limits[_GAP], 10.0 * usual)
     change = depth - raw_depth if has_depth else 0.0
     surprise = change - speed * dt
-    keep = math.exp(-dt / config.sign_memory_s)
-    is_jump = abs(surprise) > config.jump_m + abs(speed) * dt
+    keep = math.exp(-dt / limits[_MEMORY])
+    is_jump = abs(surprise) > limits[_JUMP] + abs(speed) * dt
     by_depth, by_speed = keep * by_depth, keep * by_speed
     if is_jump:
         shift += surprise
@@ -126,60 +156,55 @@ def _motion_check(
         # One speed says nothing of the way through a gap, nor of that before the first depth.
         by_depth, by_speed = by_depth + change, by_speed + speed * dt
     is_contrary = by_depth * by_speed < 0.0 and (
-        min(abs(by_depth), abs(by_speed)) > config.sign_travel_m
+        min(abs(by_depth), abs(by_speed)) > limits[_TRAVEL]
     )
+    status, refused = _OK, 0.0
     if is_jump:
-        refused, status = elapsed, SampleStatus.DEPTH_JUMP
+        status, refused = _DEPTH_JUMP, elapsed
     elif is_contrary:
-        refused, status = elapsed, SampleStatus.SPEED_SIGN
-    else:
-        refused, is_gap = 0.0, has_depth and elapsed > gap
-        status = SampleStatus.TIME_GAP if is_gap else SampleStatus.OK
-    usual = usual or interval
+        status, refused = _SPEED_SIGN, elapsed
+    elif has_depth and elapsed > gap:
+        status = _TIME_GAP
+    if usual == 0.0:
+        usual = interval
     usual += 0.05 * (interval - usual)
     time += interval
-    new = CheckState(time, usual, depth, shift, by_depth, by_speed, 0.0, True, refused)
-    return new, elapsed, status
+    memory = (time, usual, depth, shift, by_depth, by_speed, 0.0, True, refused)
+    return status, elapsed, depth - shift, memory
 
 
-def raw_check_step(
-    state: CheckState, values: tuple[object, ...], config: CheckConfig
-) -> tuple[CheckState, Sample | None, SampleStatus]:
-    """As `check_step`, for values of any type."""
-    depth, speed, force, dt = (_to_scalar(value) for value in values)
-    if depth is not None and speed is not None and force is not None and dt is not None:
-        return check_step(state, (depth, speed, force, dt), config)
-    if dt is not None and math.isfinite(dt) and dt > 0.0:
-        state = _skipped(state, dt)
-    return state, None, SampleStatus.NOT_A_SCALAR
-
-
+@compiled
 def check_step(
-    state: CheckState, values: tuple[float, ...], config: CheckConfig
-) -> tuple[CheckState, Sample | None, SampleStatus]:
+    depth_m: float,
+    speed_m_s: float,
+    force_N: float,
+    dt_s: float,
+    memory: CheckMemory,
+    limits: Vector,
+) -> tuple[int, float, float, CheckMemory]:
     """Judge one raw sample.
 
     Time runs on over samples that are refused, as long as their interval is valid: a dropped
     force does not shift the clock of what follows.
 
     Args:
-        state: Memory of the check.
-        values: (depth, speed, force, dt).
-        config: Limits.
+        depth_m: Travel of the tip along the insertion axis [m].
+        speed_m_s: Rate of depth [m/s].
+        force_N: Axial force [N].
+        dt_s: Time since the previous sample [s].
+        memory: Of the check, see `CheckState`.
+        limits: See `packed_limits`.
 
     Returns:
-        The new memory, the sample to absorb (None if refused) and its status.
+        The status by its place in `STATUSES`; of a sample to absorb the interval since the one
+        absorbed before [s] and the depth less the jumps removed [m]; and the new memory.
     """
-    depth, speed, force, dt = values
-    if not math.isfinite(dt):
-        return state, None, SampleStatus.NOT_FINITE
-    if dt <= 0.0:
-        return state, None, SampleStatus.TIME_NOT_FORWARD
-    if not math.isfinite(depth + speed + force):
-        return _skipped(state, dt), None, SampleStatus.NOT_FINITE
-    if abs(force) > config.force_limit_N:
-        return _skipped(state, dt), None, SampleStatus.FORCE_RANGE
-    new, elapsed, status = _motion_check(state, values, config)
-    if not status.is_absorbed:
-        return new, None, status
-    return new, Sample(new.time_s, elapsed, depth - new.depth_shift_m, speed, force), status
+    if not math.isfinite(dt_s):
+        return _NOT_FINITE, 0.0, 0.0, memory
+    if dt_s <= 0.0:
+        return _TIME_NOT_FORWARD, 0.0, 0.0, memory
+    if not math.isfinite(depth_m + speed_m_s + force_N):
+        return _NOT_FINITE, 0.0, 0.0, _skipped(memory, dt_s)
+    if abs(force_N) > limits[_FORCE]:
+        return _FORCE_RANGE, 0.0, 0.0, _skipped(memory, dt_s)
+    return _motion_check(depth_m, speed_m_s, dt_s, memory, limits)

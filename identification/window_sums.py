@@ -30,22 +30,6 @@ class WindowSums(NamedTuple):
     bv: float = 0.0
 
 
-def add_sample(
-    sums: WindowSums, phi: tuple[float, float], force_N: float, speed_m_s: float
-) -> WindowSums:
-    """Add one sample to the sums of its window."""
-    x, y = phi
-    return WindowSums(
-        sums.kk + x * x,
-        sums.kb + x * y,
-        sums.bb + y * y,
-        sums.kf + x * force_N,
-        sums.bf + y * force_N,
-        sums.kv + x * speed_m_s,
-        sums.bv + y * speed_m_s,
-    )
-
-
 def less_viscous_force(sums: WindowSums, damping_Ns_per_m: float) -> WindowSums:
     """Sums as if `damping_Ns_per_m * v` had been subtracted from every force sample."""
     return sums._replace(

@@ -230,13 +230,12 @@ class InsertionSession:
         if self._unfed_s:
             elapsed_s, self._unfed_s = elapsed_s + self._unfed_s, 0.0
         depth_m, speed_m_s = travel
-        before = self._identifier.snapshot()
         found = self._identifier.update(depth_m, speed_m_s, wrench.axial, elapsed_s)
         if found.rupture is not None:
             # A push aside looks like a rupture before it has stayed for long enough to be told.
             wrench = self._sensor.recheck(wrench)
             if wrench.cautions & Caution.MISFIT:
-                self._identifier.restore(before)
+                self._identifier.undo_rupture()
                 self._unfed_s = elapsed_s
                 return self._idle(wrench)
         self._identification = found

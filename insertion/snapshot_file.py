@@ -14,7 +14,7 @@ from insertion.typed_value import check_value
 from residual.sensor_state import SensorState
 
 SNAPSHOT_FORMAT = "needleforce-snapshot"
-SNAPSHOT_VERSION = 2
+SNAPSHOT_VERSION = 3
 """Grows whenever a file of the version before could no longer be read, or would be misread."""
 
 AnySnapshot = SessionSnapshot | SensorState | IdentifierSnapshot

@@ -14,9 +14,11 @@ LARGEST = 1e30
 """No number of a snapshot comes near it; its square can still be calculated with."""
 NOT_FINITE = {
     "AloneState.limit_s": math.inf,
-    "DefaultState.deepest_m": -math.inf,
+    "DefaultTick.deepest_m": -math.inf,
     "LayerEnding.release_m": math.nan,
     "MembraneFits.squares": math.inf,
+    "PaperTick.force_N": math.nan,
+    "PaperTick.force_before_N": math.nan,
 }
 """The only places where a number may be other than finite, and which it then is."""
 

@@ -8,9 +8,8 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from identification.baseline import Baseline, baseline_step, level_score, settle_baseline
-from identification.block import EMPTY, Block, block_step
-from identification.presliding import bristle_step, follow_depth
-from identification.sample import Sample
+from identification.block import Block, is_block_full, mean_block
+from identification.default_tick import DefaultTick, bristle_step, follow_depth
 from identification.track import LENGTH, initial_track, track_step
 
 travel = st.floats(-2e-3, 2e-3)
@@ -40,16 +39,17 @@ def test_jitter_of_the_depth_does_not_turn_the_bristle():
 
 
 def test_block_is_the_time_weighted_mean():
-    sums, block = block_step(EMPTY, Sample(0.001, 0.001, 0.1, 0.0, 1.0), 0.5, 4e-3)
-    assert block is None
-    _, block = block_step(sums, Sample(0.004, 0.003, 0.2, 0.0, 5.0), 0.5, 4e-3)
+    short, long = DefaultTick(filled_s=0.001), DefaultTick(0.004, 7e-4, 0.0, 0.016, 0.5)
+    assert not is_block_full(short.filled_s, 4e-3)
+    assert is_block_full(long.filled_s, 4e-3)
+    block = mean_block(long, 0.004)
     assert block == Block(0.004, 0.004, pytest.approx(0.175), 0.0, pytest.approx(4.0), 0.5)
 
 
 def test_sparse_samples_are_blocks_of_their_own():
-    _, block = block_step(EMPTY, Sample(0.05, 0.05, 0.1, 0.0, 1.0), 1.0, 5e-3)
-    assert block is not None
-    assert block.dt_s == 0.05
+    block = mean_block(DefaultTick(0.05, 5e-3, 0.0, 0.05, 1.0), 0.05)
+    assert is_block_full(block.dt_s, 5e-3)
+    assert (block.dt_s, block.force_N) == (0.05, 1.0)
 
 
 def _block(time, depth, force):

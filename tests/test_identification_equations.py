@@ -5,14 +5,14 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from identification.cusum import cusum_constants, cusum_step
-from identification.force_derivative import derivative_step
+from identification.cusum import cusum_constants
 from identification.force_drop import drop_interval_s, force_drop_N, force_ratios
+from identification.paper_tick import add_sample, cusum_step, derivative_step, rls_step
 from identification.reweighting import reweighted_friction_variance
-from identification.rls import RlsState, reset_covariance, rls_step
+from identification.rls import RlsState, reset_covariance
 from identification.window_history import WindowHistory, append_window
 from identification.window_rerun import rerun_history
-from identification.window_sums import WindowSums, add_sample, less_viscous_force
+from identification.window_sums import WindowSums, less_viscous_force
 
 number = st.floats(-2.0, 2.0)
 
@@ -21,9 +21,9 @@ number = st.floats(-2.0, 2.0)
 @given(st.lists(st.tuples(number, number, number), min_size=1, max_size=30))
 def test_rls_equals_ridge_regression(rows):
     """(7)(8) with lambda = 1 from covariance Psi_0 is a ridge regression."""
-    state = RlsState(0.0, 0.0, 4.0, 0.0, 9.0)
+    state = (0.0, 0.0, 4.0, 0.0, 9.0)
     for x, y, f in rows:
-        state, _ = rls_step(state, (x, y), f)
+        state, _ = rls_step(state, (x, y), f, 1.0)
     table = np.array(rows)
     phi, f = table[:, :2], table[:, 2]
     information = np.diag([1 / 4.0, 1 / 9.0]) + phi.T @ phi
@@ -34,7 +34,7 @@ def test_rls_equals_ridge_regression(rows):
 
 
 def test_rls_error_is_the_innovation():
-    _, error = rls_step(RlsState(2.0, 3.0, 1.0, 0.0, 1.0), (0.5, 0.25), 4.0)
+    _, error = rls_step((2.0, 3.0, 1.0, 0.0, 1.0), (0.5, 0.25), 4.0, 1.0)
     assert error == pytest.approx(4.0 - 2.0 * 0.5 - 3.0 * 0.25)
 
 
@@ -85,10 +85,10 @@ def test_reweighting_is_equation_12_and_shares_the_force_by_the_ratios():
     speed, share = 2.3e-3, 0.4
     variance = reweighted_friction_variance(1e6, 1 - share, share, speed)
     assert variance == pytest.approx(1e6 * share / (1 - share) / speed**2)
-    state = RlsState(0.0, 0.0, 1e6, 0.0, variance)
+    state = (0.0, 0.0, 1e6, 0.0, variance)
     for depth in np.linspace(1e-4, 0.03, 200):
-        state, _ = rls_step(state, (depth, depth * speed), 80.0 * depth)
-    assert state.friction * speed / 80.0 == pytest.approx(share, rel=1e-3)
+        state, _ = rls_step(state, (depth, depth * speed), 80.0 * depth, 1.0)
+    assert state[1] * speed / 80.0 == pytest.approx(share, rel=1e-3)
 
 
 @settings(deadline=None, max_examples=40)
@@ -105,26 +105,26 @@ def test_rerun_from_sums_equals_the_rerun_over_samples(seed, length, window, rat
     depth = 1e-3 + np.cumsum(speed) * 1e-3
     force = 30.0 * depth + 8000.0 * depth * speed + 0.01 * rng.standard_normal(length)
     variances = (1e6, 1e6 * ratio / 2.3e-3**2)
-    state = RlsState(0.0, 0.0, variances[0], 0.0, variances[1])
-    sums, history = WindowSums(), WindowHistory()
+    state = (0.0, 0.0, variances[0], 0.0, variances[1])
+    sums, history = tuple(WindowSums()), WindowHistory()
     for k in range(length):
         if k and k % window == 0:
-            state = reset_covariance(state, *variances)
-            history = append_window(history, sums, 4096)
-            sums = WindowSums()
+            state = tuple(reset_covariance(RlsState(*state), *variances))
+            history = append_window(history, WindowSums(*sums), 4096)
+            sums = tuple(WindowSums())
         phi = (depth[k], depth[k] * speed[k])
-        state, _ = rls_step(state, phi, force[k])
+        state, _ = rls_step(state, phi, force[k], 1.0)
         sums = add_sample(sums, phi, force[k], speed[k])
-    history = append_window(history, sums, 4096)
-    scale = np.abs([state.stiffness, state.friction]) + np.sqrt(variances) * 1e-6
+    history = append_window(history, WindowSums(*sums), 4096)
+    scale = np.abs(state[:2]) + np.sqrt(variances) * 1e-6
     gap = np.abs(np.array(rerun_history(history, variances)) - state[:2])
     assert np.all(gap < 1e-6 * scale)
 
 
 def test_sums_follow_a_later_friction():
     rows = [(0.01, 2e-5, 0.5, 2e-3), (0.02, 5e-5, 0.9, 2.5e-3)]
-    late, early = WindowSums(), WindowSums()
+    late = early = tuple(WindowSums())
     for x, y, f, v in rows:
         late = add_sample(late, (x, y), f, v)
         early = add_sample(early, (x, y), f - 100.0 * v, v)
-    assert less_viscous_force(late, 100.0) == pytest.approx(early)
+    assert less_viscous_force(WindowSums(*late), 100.0) == pytest.approx(early)

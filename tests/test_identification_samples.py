@@ -10,7 +10,15 @@ import pytest
 from identification.errors import InvalidConfigError, InvalidSnapshotError
 from identification.identifier import Identifier
 from identification.paper_config import PAPER, PAPER_KV
-from identification.sample_check import CheckConfig, CheckState, SampleStatus, check_step
+from identification.sample_check import (
+    LAST_ABSORBED,
+    STATUSES,
+    CheckConfig,
+    CheckState,
+    SampleStatus,
+    check_step,
+    packed_limits,
+)
 
 GOOD = (0.001, 0.002, 0.1, 1e-3)
 
@@ -112,20 +120,27 @@ def test_clock_runs_on_over_bad_forces_and_motion_is_not_called_a_jump():
     assert estimate.time_s == pytest.approx(1.5)
 
 
+def checked(check, row):
+    """Memory, status and, if it is absorbed, depth and interval of a row."""
+    number, dt_s, depth_m, check = check_step(*row, tuple(check), packed_limits(CheckConfig()))
+    taken = (depth_m, dt_s) if number <= LAST_ABSORBED else None
+    return CheckState(*check), taken, STATUSES[number]
+
+
 def test_a_jump_of_depth_is_removed_for_good():
-    check, _, _ = check_step(CheckState(), (0.0, 0.001, 0.0, 1e-3), CheckConfig())
-    check, sample, status = check_step(check, (0.05, 0.001, 0.0, 1e-3), CheckConfig())
+    check, _, _ = checked(CheckState(), (0.0, 0.001, 0.0, 1e-3))
+    check, sample, status = checked(check, (0.05, 0.001, 0.0, 1e-3))
     assert status is SampleStatus.DEPTH_JUMP
     assert sample is None
-    check, sample, status = check_step(check, (0.050001, 0.001, 0.0, 1e-3), CheckConfig())
+    check, sample, status = checked(check, (0.050001, 0.001, 0.0, 1e-3))
     assert status is SampleStatus.OK
-    assert sample.depth_m == pytest.approx(2e-6)
+    assert sample[0] == pytest.approx(2e-6)
 
 
 def test_speed_of_the_wrong_sign_is_called_out():
     check, seen = CheckState(), set()
     for k in range(400):
-        check, _, status = check_step(check, (2e-6 * k, -0.002, 0.0, 1e-3), CheckConfig())
+        check, _, status = checked(check, (2e-6 * k, -0.002, 0.0, 1e-3))
         seen.add(status)
     assert status is SampleStatus.SPEED_SIGN
     assert SampleStatus.DEPTH_JUMP not in seen
@@ -135,11 +150,11 @@ def told_and_absorbed(rows):
     """Statuses, and how much time the absorbed samples stand for."""
     check, seen, absorbed_s = CheckState(), [], 0.0
     for row in rows:
-        check, sample, status = check_step(check, row, CheckConfig())
+        check, sample, status = checked(check, row)
         seen.append(status)
         if sample is not None:
-            absorbed_s += sample.dt_s
-            assert sample.time_s == pytest.approx(absorbed_s)
+            absorbed_s += sample[1]
+            assert check.time_s == pytest.approx(absorbed_s)
     return seen, check
 
 
@@ -182,16 +197,16 @@ def test_one_speed_says_nothing_of_the_way_through_a_gap(before):
     """13 s of a tare, then a needle that sets out: 0.1 mm/s of noise are no way back of 1.3 mm."""
     check, depth = CheckState(), 0.0
     for _ in range(before):
-        check, _, _ = check_step(check, (depth, 0.0, 0.0, 1e-3), CheckConfig())
+        check, _, _ = checked(check, (depth, 0.0, 0.0, 1e-3))
     for _ in range(13000):
-        check, _, _ = check_step(check, (depth, 0.0, math.nan, 1e-3), CheckConfig())
+        check, _, _ = checked(check, (depth, 0.0, math.nan, 1e-3))
     seen, absorbed_s = [], 0.0
     for k in range(400):
         speed = -1e-4 if k == 0 else 2e-3
         depth += 2e-6
-        check, sample, status = check_step(check, (depth, speed, 0.0, 1e-3), CheckConfig())
+        check, sample, status = checked(check, (depth, speed, 0.0, 1e-3))
         seen.append(status)
-        absorbed_s += sample.dt_s if sample else 0.0
+        absorbed_s += sample[1] if sample else 0.0
     assert set(seen[1:]) == {SampleStatus.OK}
     assert seen[0] is (SampleStatus.TIME_GAP if before else SampleStatus.OK)
     assert absorbed_s == pytest.approx(13.4)

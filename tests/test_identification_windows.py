@@ -3,6 +3,7 @@
 import numpy as np
 import pytest
 
+from identification.paper_tick import add_sample
 from identification.window_history import (
     WindowHistory,
     add_neighbours,
@@ -11,7 +12,7 @@ from identification.window_history import (
     window_rows,
 )
 from identification.window_rerun import rerun_history
-from identification.window_sums import WindowSums, add_sample, less_viscous_force, window_step
+from identification.window_sums import WindowSums, less_viscous_force, window_step
 
 
 def windows(count, *, noise=1e-4):
@@ -19,13 +20,13 @@ def windows(count, *, noise=1e-4):
     rng = np.random.default_rng(count)
     found = []
     for k in range(count):
-        sums = WindowSums()
+        sums = tuple(WindowSums())
         for j in range(25):
             depth = 2.3e-6 * (25 * k + j + 1)
             speed = 2.3e-3 + noise * rng.standard_normal()
             force = 60.0 * depth + 9000.0 * depth * speed + 0.01 * rng.standard_normal()
             sums = add_sample(sums, (depth, depth * speed), force, speed)
-        found.append(sums)
+        found.append(WindowSums(*sums))
     return tuple(found)
 
 

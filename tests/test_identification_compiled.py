@@ -1,0 +1,190 @@
+"""What every sample asks for: the same compiled and plain, and compiled before the first sample."""
+
+import math
+from types import FunctionType
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from identification import (
+    DEFAULT,
+    PAPER,
+    PAPER_KV,
+    Identifier,
+    default_tick,
+    paper_tick,
+    sample_check,
+)
+from identification.default_standing import default_standing
+from identification.default_state import Traversed, initial_default_state
+from identification.errors import NoRuptureError
+from identification.layer_hindsight import Belief
+from identification.layer_model import layer_fit
+from identification.paper_standing import paper_standing
+from identification.paper_step import initial_paper_state
+from identification.sample_check import CheckConfig, CheckState, check_step, packed_limits
+from speedup import COMPILER
+
+LIMITS = packed_limits(CheckConfig())
+KERNELS = [
+    check_step,
+    default_tick.default_tick,
+    default_tick.default_figures,
+    paper_tick.paper_tick,
+    paper_tick.paper_figures,
+]
+depth = st.floats(-5e-3, 0.1)
+speed = st.floats(-0.05, 0.05)
+force = st.floats(-5.0, 20.0)
+step = st.floats(1e-4, 0.02)
+samples = st.lists(st.tuples(depth, speed, force, step), min_size=1, max_size=20)
+needs_compiler = pytest.mark.skipif(not COMPILER, reason="numba (the extra `fast`) is missing")
+
+
+def plain(function):
+    """What runs without a compiler, all of it, fed with tuples where that takes arrays."""
+    world = dict(function.py_func.__globals__)
+    for name, value in world.items():
+        if hasattr(value, "py_func"):
+            world[name] = FunctionType(value.py_func.__code__, world, name)
+    python = world[function.py_func.__name__]
+
+    def fed(*values):
+        return python(*(tuple(v.tolist()) if isinstance(v, np.ndarray) else v for v in values))
+
+    return fed
+
+
+def flat(value):
+    return [x for part in value for x in flat(part)] if isinstance(value, tuple) else [value]
+
+
+def assert_same(compiled, python):
+    for one, other in zip(flat(compiled), flat(python), strict=True):
+        assert type(one) is type(other)
+        assert one == other or one == pytest.approx(other, rel=1e-12, nan_ok=True)
+
+
+def default_state(seed, *, in_contact, layers):
+    rng = np.random.default_rng(seed)
+    factor = rng.standard_normal((6, 6))
+    fit = layer_fit(np.abs(rng.standard_normal(6)), factor @ factor.T)
+    traversed = tuple(
+        Traversed(5e-3 * k, 5e-3, *rng.random(2).tolist(), Belief(np.zeros(6), np.eye(6)), 0.9)
+        for k in range(layers)
+    )
+    state = initial_default_state(DEFAULT)
+    layer = state.layer._replace(start_m=5e-3 * layers, tip_m=5e-3 * layers + 1e-3)
+    return state._replace(
+        in_contact=in_contact, fit=fit, shaft_std_N=0.1, layer=layer, traversed=traversed
+    )
+
+
+@needs_compiler
+@pytest.mark.parametrize("function", KERNELS)
+def test_nothing_is_left_to_compile_at_the_first_sample(function):
+    for config in (DEFAULT, PAPER):
+        identifier, before = Identifier(config), len(function.signatures)
+        assert before == 1
+        for k in range(50):
+            identifier.update(1e-5 * k, 0.01, 0.1 if k % 7 else math.nan, 1e-3)
+        assert len(function.signatures) == before
+
+
+@needs_compiler
+@settings(deadline=None, max_examples=60)
+@given(samples, st.booleans())
+def test_the_check_is_the_same_compiled_and_plain(rows, is_spoilt):
+    memory = CheckState().plain
+    for k, row in enumerate(rows):
+        given_row = (*row[:2], math.nan, row[3]) if is_spoilt and k % 3 == 1 else row
+        result = check_step(*given_row, memory, LIMITS)
+        assert_same(result, plain(check_step)(*given_row, memory, LIMITS))
+        memory = result[-1]
+
+
+@needs_compiler
+@settings(deadline=None, max_examples=60)
+@given(samples, st.integers(0, 99), st.booleans(), st.integers(0, 3))
+def test_our_tick_is_the_same_compiled_and_plain(rows, seed, in_contact, layers):
+    state = default_state(seed, in_contact=in_contact, layers=layers)
+    numbers, fields = default_standing(state, DEFAULT).numbers, state.tick.plain
+    for row in rows:
+        result = default_tick.default_tick(*row, fields, numbers)
+        assert_same(result, plain(default_tick.default_tick)(*row, fields, numbers))
+        fields = result[1]
+        told = plain(default_tick.default_figures)(*row[:3], fields, numbers)
+        assert_same(result[2], told)
+
+
+@needs_compiler
+@settings(deadline=None, max_examples=60)
+@given(samples, st.sampled_from([PAPER, PAPER_KV]), st.floats(0.0, 500.0))
+def test_the_published_tick_is_the_same_compiled_and_plain(rows, config, cumulative):
+    state = initial_paper_state(config)._replace(cumulative_friction_Ns_per_m=cumulative)
+    numbers, fields = paper_standing(state, config).numbers, state.tick.plain
+    for row in rows:
+        result = paper_tick.paper_tick(*row, fields, numbers)
+        assert_same(result, plain(paper_tick.paper_tick)(*row, fields, numbers))
+        fields = result[1]
+        assert_same(result[2], plain(paper_tick.paper_figures)(*row[:3], fields, numbers))
+
+
+@needs_compiler
+@settings(deadline=None, max_examples=60)
+@given(st.floats(-1.0, 1.0), st.floats(-1.0, 1.0), force, speed, st.integers(0, 99))
+def test_the_parts_are_the_same_compiled_and_plain(x, y, value, rate, seed):
+    rng = np.random.default_rng(seed)
+    rls, sums = (x, y, 4.0, 0.1, 9.0), tuple(rng.random(7).tolist())
+    state = default_state(seed, in_contact=True, layers=3)
+    numbers = default_standing(state, DEFAULT).numbers
+    fields = (0.0, 0.0, 0.0, 0.0, x, 0.0, rate, 0.01)
+    calls = [
+        (paper_tick.rls_step, (rls, (x, y), value, 1.0)),
+        (paper_tick.add_sample, (sums, (x, y), value, rate)),
+        (paper_tick.cusum_step, (abs(x), value, 0.01)),
+        (paper_tick.derivative_step, (x, value, 1e-3, 0.2)),
+        (paper_tick.regressor, (x, rate, True)),
+        (paper_tick.is_window_full, (abs(x), 40.0)),
+        (default_tick.follow_depth, (x, y, 2e-5)),
+        (default_tick.bristle_step, (x, rate, 3e-4)),
+        (default_tick.shaft_friction, (1e-2 * x, value, fields, numbers)),
+        (default_tick._embedded_shares, (1e-2 * x, numbers)),
+        (default_tick._per_speed, (abs(rate) + 1e-4, (x, y), (1.0, 0.2, 0.5))),
+        (sample_check._skipped, (CheckState().plain, 1e-3)),
+        (sample_check._motion_check, (x, rate, 1e-3, CheckState().plain, LIMITS)),
+    ]
+    for function, values in calls:
+        assert_same(function(*values), plain(function)(*values))
+
+
+@pytest.mark.parametrize("config", [DEFAULT, PAPER])
+def test_an_undone_rupture_has_never_been(config):
+    identifier, ruptures = Identifier(config), []
+    for k in range(8000):
+        place = 2.5e-6 * k - 2e-3
+        pull = max(place, 0.0) * (60.0 if place < 0.01 else 20.0)
+        before = identifier.snapshot()
+        found = identifier.update(place, 2.5e-3, pull + 2e-3 * math.sin(1e3 * k), 1e-3)
+        if found.rupture is None:
+            continue
+        ruptures.append(found.rupture)
+        identifier.undo_rupture()
+        twin = Identifier(config)
+        twin.restore(before)
+        assert identifier.snapshot().last == before.last
+        assert identifier.update(place, 2.5e-3, pull, 1e-3) == twin.update(
+            place, 2.5e-3, pull, 1e-3
+        )
+    assert ruptures
+
+
+@pytest.mark.parametrize("config", [DEFAULT, PAPER])
+def test_without_a_rupture_there_is_none_to_undo(config):
+    identifier = Identifier(config)
+    for _ in range(3):
+        identifier.update(0.0, 0.0, 0.0, 1e-3)
+        with pytest.raises(NoRuptureError, match="no rupture"):
+            identifier.undo_rupture()
