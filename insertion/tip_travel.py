@@ -6,6 +6,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from residual.tool_kinematics import ToolKinematics
+from speedup import Vector, compiled
 
 
 class Travel(NamedTuple):
@@ -32,6 +33,12 @@ class TravelZero(NamedTuple):
     axis_in_base: NDArray[np.float64]
 
 
+@compiled
+def tip_motion(axis: Vector, tip_m: Vector, advance: Vector, dq: Vector) -> tuple[float, float]:
+    """Place of the tip along an axis [m], and its speed along the needle [m/s]."""
+    return float(axis.dot(tip_m)), float(advance.dot(dq))
+
+
 class TipTravel:
     """Reads depth and speed off kinematics that somebody else keeps up to date.
 
@@ -51,8 +58,8 @@ class TipTravel:
     def read(self, dq: NDArray[np.float64]) -> Travel:
         """Depth and speed where the kinematics stand, for joint velocities [rad/s], shape (n,)."""
         tool = self._kinematics
-        along_m = float(self._axis.dot(tool.placement.translation))
-        return Travel(along_m - self._start_m, float(tool.advance.dot(dq)))
+        along_m, speed_m_s = tip_motion(self._axis, tool.placement.translation, tool.advance, dq)
+        return Travel(along_m - self._start_m, speed_m_s)
 
     @property
     def state(self) -> TravelZero:

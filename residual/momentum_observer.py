@@ -9,19 +9,17 @@ from numpy.typing import ArrayLike, NDArray
 
 from residual.errors import ConfigurationError, SampleError
 from residual.joint_friction import FrictionModel
-from residual.momentum_smoother import smoothing_step, smoothing_tick
-from residual.momentum_step import ROWS, Alignment, step_coefficients
+from residual.momentum_smoother import KNEE_SIGMAS, smoothing_step, smoothing_tick
+from residual.momentum_step import ROWS, Alignment, momentum_tick, step_coefficients
 from residual.momentum_terms import MomentumTerms
-from residual.sample_check import (
-    FLOAT64,
-    MOST_PLAUSIBLE,
-    check_interval,
-    check_joint_vector,
-    read_joint_vector,
-)
+from residual.sample_check import MOST_PLAUSIBLE, check_interval, check_joint_vector, read_rows
 from residual.settings_check import check_alignment, check_gap
+from speedup import COMPILER
 from urdf import Robot
 
+Array = NDArray[np.float64]
+
+_NAMES = ("q", "dq", "tau")
 _LEAST_MOMENTUM_NOISE = 1e-9
 """Keeps the smoother's ratios finite for a signal without noise [kg m^2/s]."""
 
@@ -36,12 +34,12 @@ class MomentumState(NamedTuple):
         noise: Momentum noise per joint for smoothing, shape (n,); None without.
     """
 
-    rows: NDArray[np.float64] | None
+    rows: Array | None
     slot: int = 0
-    noise: NDArray[np.float64] | None = None
+    noise: Array | None = None
 
 
-def gain_vector(gain_per_s: float | ArrayLike, joints: int) -> NDArray[np.float64]:
+def gain_vector(gain_per_s: float | ArrayLike, joints: int) -> Array:
     """Observer gains as one positive number per joint.
 
     Args:
@@ -97,7 +95,7 @@ class MomentumObserver:
         self._terms = MomentumTerms(robot, friction)
         self._alignment: Alignment = alignment
         self._max_gap_s = max_gap_s
-        self._joints, self._shape = robot.nv, (robot.nv,)
+        self._joints = robot.nv
         # Two sample slots take turns as "before" and "after": a refused sample has only written
         # into the spare one, so the state stays as it was.
         self._rows = np.zeros((2 * ROWS, robot.nv))
@@ -106,14 +104,14 @@ class MomentumObserver:
         self._flat_slots = tuple(self._rows[k * ROWS : (k + 1) * ROWS].reshape(-1) for k in (0, 1))
         self._spare = 0
         self._seated = False
-        self._dt_s = math.nan
-        self._noise: NDArray[np.float64] | None = None
-        # Of the latest length of tick, `_dt_s`.
-        self._coefficients = (self._rows, self._rows)
-        self._smoothing_tick = smoothing_tick(max_gap_s)
+        self._noise: Array | None = None
+        # What keeps the residual, whatever the sample: of the first one.
+        keep = np.repeat(np.eye(2 * ROWS)[::ROWS, :, None], robot.nv, axis=2)
+        self._keep = (keep[1], keep[0])
+        self._change_tick(max_gap_s)
 
     @property
-    def residual(self) -> NDArray[np.float64]:
+    def residual(self) -> Array:
         """Latest residual [Nm], shape (n,), a copy; zeros before the first sample."""
         return self._slots[1 - self._spare][0].copy()
 
@@ -123,13 +121,11 @@ class MomentumObserver:
         return self._terms.data
 
     @property
-    def gain_per_s(self) -> NDArray[np.float64]:
+    def gain_per_s(self) -> Array:
         """K per joint [1/s], shape (n,), a copy."""
         return self._gain.copy()
 
-    def update(
-        self, q: ArrayLike, dq: ArrayLike, tau: ArrayLike, dt_s: float
-    ) -> NDArray[np.float64]:
+    def update(self, q: ArrayLike, dq: ArrayLike, tau: ArrayLike, dt_s: float) -> Array:
         """Take one sample and return the residual.
 
         Args:
@@ -146,64 +142,65 @@ class MomentumObserver:
             SampleError: For a wrong shape, a number that is not finite or a time step that does
                 not advance; the state is then unchanged.
         """
-        shape = self._shape
-        # Almost every sample is an array already. The dynamics tell whether dq and tau are
-        # plausible, but not how large q is.
-        if not (
-            type(q) is np.ndarray
-            and type(dq) is np.ndarray
-            and type(tau) is np.ndarray
-            and q.dtype is dq.dtype is tau.dtype is FLOAT64
-            and q.shape == dq.shape == tau.shape == shape
-            and math.hypot(*q.tolist()) < MOST_PLAUSIBLE
-        ):
-            q = check_joint_vector("q", q, self._joints)
-            dq = read_joint_vector("dq", dq, self._joints)
-            tau = read_joint_vector("tau", tau, self._joints)
+        rows = read_rows(_NAMES, (q, dq, tau), self._joints)
+        position = rows[0]
+        # The dynamics tell whether dq and tau are plausible, but not how large q is.
+        if not math.hypot(*position.tolist()) < MOST_PLAUSIBLE:
+            check_joint_vector("q", position, self._joints)
         if self._seated and dt_s != self._dt_s:
             check_interval(dt_s)
-        return self.absorb(q, dq, tau, dt_s)
+        residual = self.absorb(position, rows[1], rows[2], dt_s).copy()
+        residual.setflags(write=False)
+        return residual
 
-    def absorb(
-        self,
-        q: NDArray[np.float64],
-        dq: NDArray[np.float64],
-        tau: NDArray[np.float64],
-        dt_s: float,
-    ) -> NDArray[np.float64]:
+    def absorb(self, q: Array, dq: Array, tau: Array, dt_s: float) -> Array:
         """As `update`, for arrays of the right shape and a time step that somebody has checked.
+
+        The array returned is the observer's own: the next call but one writes it anew.
 
         Raises:
             SampleError: For numbers that are not finite; the state is then unchanged.
         """
+        is_next = self._seated and dt_s <= self._max_gap_s
+        if is_next and dt_s != self._dt_s:
+            self._change_tick(dt_s)
         spare = self._spare
-        residual_row, momentum, coriolis, gravity, torque = self._slots[spare]
-        self._terms.write(q, dq, momentum, coriolis, gravity)
-        torque[:] = tau
-        if self._seated and dt_s <= self._max_gap_s:
-            if dt_s != self._dt_s:
-                self._change_tick(dt_s)
-            if self._noise is not None:
-                before = self._slots[1 - spare][1]
-                momentum -= smoothing_step(before, momentum, self._noise, self._smoothing_tick)
-            residual = self._combine(self._coefficients[spare])
+        if COMPILER:
+            coefficients = (self._coefficients if is_next else self._keep)[spare]
+            at_rest = self._at_rest if is_next else 0.0
+            dynamics = self._terms.at(q, dq)
+            size = momentum_tick(
+                self._rows, spare, dynamics, dq, tau, coefficients, self._knee, at_rest
+            )
         else:
-            residual = self.residual
-        residual_row[:] = residual
-        written = self._flat_slots[spare]
+            size = self._array_tick(q, dq, tau, is_next)
+        residual_row = self._slots[spare][0]
         # Written so that a NaN is refused too.
-        if not written.dot(written) < MOST_PLAUSIBLE**2:
+        if not size < MOST_PLAUSIBLE**2:
             # This row is read with a factor of zero, which would not silence a NaN.
             residual_row[:] = 0.0
             self._refuse(q, dq, tau)
         self._spare = 1 - spare
         self._seated = True
-        residual.setflags(write=False)
-        return residual
+        return residual_row
 
-    def smooth_momentum(
-        self, velocity_noise_rad_s: NDArray[np.float64], q: NDArray[np.float64]
-    ) -> None:
+    def _array_tick(self, q: Array, dq: Array, tau: Array, is_next: bool) -> float:
+        """As `momentum_tick`, in arrays: without a compiler they are faster than loops."""
+        spare = self._spare
+        residual, momentum, coriolis, gravity, torque = self._slots[spare]
+        self._terms.write(q, dq, momentum, coriolis, gravity)
+        torque[:] = tau
+        if is_next:
+            if self._noise is not None:
+                before = self._slots[1 - spare][1]
+                momentum -= smoothing_step(before, momentum, self._noise, self._smoothing_tick)
+            residual[:] = self._combine(self._coefficients[spare])
+        else:
+            residual[:] = self._slots[1 - spare][0]
+        written = self._flat_slots[spare]
+        return float(written.dot(written))
+
+    def smooth_momentum(self, velocity_noise_rad_s: Array, q: Array) -> None:
         """From now on quieten the momentum of an arm that hardly accelerates.
 
         See `residual.momentum_smoother`. Joints whose velocity has no noise pass untouched.
@@ -220,19 +217,23 @@ class MomentumObserver:
         q = check_joint_vector("q", q, self._joints)
         variance = self._terms.momentum_variance(noise, q)
         self._noise = np.sqrt(variance) + _LEAST_MOMENTUM_NOISE
+        self._dt_s = math.nan
 
     def _change_tick(self, dt_s: float) -> None:
-        """Renew what depends on the length of the tick: on an even clock that is once."""
-        gain = self._gain if self._gain_of_all is None else self._gain_of_all
+        """Renew what depends on noise and length of the tick: on an even clock that is once."""
+        gain = self._gain if self._gain_of_all is None or COMPILER else self._gain_of_all
         before, after = step_coefficients(gain, dt_s, self._alignment)
-        self._coefficients = (
-            np.concatenate((after, before), axis=-1),
-            np.concatenate((before, after), axis=-1),
-        )
+        both = [np.concatenate(order, axis=-1) for order in ((after, before), (before, after))]
+        # The compiler's loops read them in the order of the rows.
+        self._coefficients = [np.ascontiguousarray(one.T) for one in both] if COMPILER else both
         self._smoothing_tick = smoothing_tick(dt_s)
+        self._at_rest, self._knee = 0.0, self._gain
+        if self._noise is not None:
+            self._at_rest = float(self._smoothing_tick.at_rest)
+            self._knee = KNEE_SIGMAS * self._noise
         self._dt_s = dt_s
 
-    def _combine(self, coefficients: NDArray[np.float64]) -> NDArray[np.float64]:
+    def _combine(self, coefficients: Array) -> Array:
         """Residual after the tick, from the rows in place."""
         if self._gain_of_all is not None:
             return coefficients.dot(self._rows)
@@ -261,6 +262,7 @@ class MomentumObserver:
         """
         self._seated = state.rows is not None
         self._noise = state.noise
+        self._dt_s = math.nan  # the next tick renews what depends on the noise
         if state.rows is None:
             self._rows[:] = 0.0
             self._spare = 0

@@ -17,6 +17,8 @@ from typing import Literal
 import numpy as np
 from numpy.typing import NDArray
 
+from speedup import Matrix, Vector, WrittenMatrix, compiled
+
 Alignment = Literal["hold", "trapezoid"]
 """How torque fills a tick: ``hold``, the torque of the earlier sample acts until the next one
 (a commanded torque); ``trapezoid``, the mean of both samples (a sampled sensor)."""
@@ -74,3 +76,57 @@ def momentum_step(
     """
     factors_before, factors_after = step_coefficients(gain_per_s, dt_s, alignment)
     return np.vecdot(factors_before, before.T) + np.vecdot(factors_after, after.T)
+
+
+@compiled
+def momentum_tick(
+    rows: WrittenMatrix,
+    slot: int,
+    dynamics: tuple[Matrix, Matrix, Vector],
+    velocity: Vector,
+    torque: Vector,
+    coefficients: Matrix,
+    knee: Vector,
+    at_rest: float,
+) -> float:
+    """A whole tick of `MomentumObserver` in loops, as a compiler likes it and Python does not.
+
+    The observer does the same with `momentum_step` and `smoothing_step` where nothing compiles.
+
+    Args:
+        rows: Rows of the sample before and of this one, which are written; shape (2 ROWS, n).
+        slot: 0 if this sample stands first, else 1.
+        dynamics: M, C and g + tau_f.
+        velocity: dq [rad/s], shape (n,).
+        torque: Measured torque [Nm], shape (n,).
+        coefficients: Of all rows, shape (2 ROWS, n).
+        knee: Distance at which the bandwidth of the momentum doubles, see
+            `residual.momentum_smoother`, shape (n,).
+        at_rest: 1 / (its bandwidth at rest times tick); 0 to let the momentum pass untouched.
+
+    Returns:
+        Sum of the squares of the rows written.
+    """
+    inertia, coriolis, gravity = dynamics
+    before, after = ROWS * (1 - slot), ROWS * slot
+    size = 0.0
+    for i in range(len(velocity)):
+        momentum = transported = residual = 0.0
+        for j in range(len(velocity)):
+            momentum += inertia[i, j] * velocity[j]
+            transported += coriolis[j, i] * velocity[j]
+        if at_rest > 0.0:
+            behind = momentum - rows[before + 1, i]
+            ratio = behind / knee[i]
+            momentum -= behind / (1.0 + at_rest + ratio * ratio * ratio * ratio) * at_rest
+        rows[after, i] = 0.0
+        rows[after + 1, i] = momentum
+        rows[after + 2, i] = transported
+        rows[after + 3, i] = gravity[i]
+        rows[after + 4, i] = torque[i]
+        for k in range(2 * ROWS):
+            residual += coefficients[k, i] * rows[k, i]
+        rows[after, i] = residual
+        for k in range(after, after + ROWS):
+            size += rows[k, i] * rows[k, i]
+    return size

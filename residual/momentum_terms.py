@@ -8,6 +8,9 @@ from residual.errors import ConfigurationError
 from residual.joint_friction import FrictionModel
 from urdf import Robot
 
+Dynamics = tuple[NDArray[np.float64], NDArray[np.float64], NDArray[np.float64]]
+"""M [kg m^2] and C, both of shape (n, n), and g + tau_f [Nm], shape (n,)."""
+
 
 def _check_length(friction: FrictionModel, joints: int) -> None:
     try:
@@ -21,13 +24,13 @@ def _check_length(friction: FrictionModel, joints: int) -> None:
 
 
 class MomentumTerms:
-    """Momentum, C' dq and g + tau_f of one robot, written into the caller's rows.
+    """Dynamics of one robot, as matrices or as rows of the caller.
 
     Rotor inertia, where an arm needs it (motor-current torque), is part of the robot's model
     (`Robot.with_armature`); on the LWR, whose torque is measured behind the gear, it is zero.
 
     Attributes:
-        data: Workspace; joint placements and Jacobians of the latest `write` stand in it.
+        data: Workspace; joint placements and Jacobians of the latest call stand in it.
 
     Raises:
         ConfigurationError: If the friction model is of another number of joints.
@@ -40,6 +43,16 @@ class MomentumTerms:
         self.data = robot.create_data()
         self._friction = friction
 
+    def at(self, q: NDArray[np.float64], dq: NDArray[np.float64]) -> Dynamics:
+        """M, C and g + tau_f at (q, dq), both of shape (n,)."""
+        model, data = self._model, self.data
+        inertia = pin.crba(model, data, q)
+        coriolis = pin.computeCoriolisMatrix(model, data, q, dq)
+        gravity = pin.computeGeneralizedGravity(model, data, q)
+        if self._friction is not None:
+            gravity += self._friction.torque(dq)
+        return inertia, coriolis, gravity
+
     def write(
         self,
         q: NDArray[np.float64],
@@ -49,12 +62,9 @@ class MomentumTerms:
         gravity: NDArray[np.float64],
     ) -> None:
         """Write p = M dq, C' dq and g + tau_f at (q, dq) into the last three arrays, each (n,)."""
-        model, data = self._model, self.data
-        pin.crba(model, data, q).dot(dq, momentum)
-        dq.dot(pin.computeCoriolisMatrix(model, data, q, dq), coriolis)
-        gravity[:] = pin.computeGeneralizedGravity(model, data, q)
-        if self._friction is not None:
-            gravity += self._friction.torque(dq)
+        inertia, coriolis_matrix, gravity[:] = self.at(q, dq)
+        inertia.dot(dq, momentum)
+        dq.dot(coriolis_matrix, coriolis)
 
     def momentum_variance(
         self, velocity_noise_rad_s: NDArray[np.float64], q: NDArray[np.float64]

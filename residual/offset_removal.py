@@ -116,7 +116,7 @@ class OffsetRemoval:
         return not self._tared and self._recorder.is_empty
 
     def follow(self, q: NDArray[np.float64], tau: NDArray[np.float64], dt_s: float) -> bool:
-        """Follow position [rad], kept, not copied, torque [Nm] and time [s] since the last sample.
+        """Follow position [rad], torque [Nm], both kept, not copied, and time since the last [s].
 
         Returns:
             Whether trend and offset have been renewed; the covariance may then be read anew.
@@ -125,8 +125,7 @@ class OffsetRemoval:
         self._now_s += dt_s
         if dt_s > self.LEAP_S:
             self._leap(dt_s)
-        self._torque_sum += tau
-        self._count += 1
+        self._torques.append(tau)
         if self._now_s < self._due_s - ROUNDING_S:
             return False
         self._renew()
@@ -141,8 +140,9 @@ class OffsetRemoval:
 
     def _renew(self) -> None:
         """Renew what changes slowly: the trend of the torques and the offset."""
-        torque, dt_s = self._torque_sum / self._count, self._now_s - self._renewed_s
-        self._torque_sum, self._count = np.zeros(len(torque)), 0
+        dt_s = self._now_s - self._renewed_s
+        torque = self._torque_sum() / (self._summed + len(self._torques))
+        self._forget_torques(np.zeros(self._joints), 0)
         self._renewed_s, self._due_s = self._now_s, self._now_s + self.RENEW_S
         if self._smooth_torque is None:
             self._smooth_torque = torque
@@ -151,14 +151,23 @@ class OffsetRemoval:
         self._trend = trend_step(self._trend, change, self._basis.half_width_Nm)
         self._bias = self._tare.bias_Nm(self._q, self._trend, self._age_s)
 
+    def _torque_sum(self) -> NDArray[np.float64]:
+        return np.add.reduce([self._summed_torque, *self._torques])
+
+    def _forget_torques(self, sum_Nm: NDArray[np.float64], count: int) -> None:
+        """Keep a sum of so many torques only."""
+        self._summed_torque, self._summed = sum_Nm, count
+        self._torques: list[NDArray[np.float64]] = []
+
     def record(self, residual: NDArray[np.float64], dt_s: float) -> None:
         """Record one settled residual [Nm] of free motion; ignored once tared."""
         if not self._tared:
             self._recorder.add(self._q, self._trend, residual, self._now_s, dt_s)
 
-    def correct(self, residual: NDArray[np.float64]) -> NDArray[np.float64]:
-        """Residual without its offset [Nm], shape (n,)."""
-        return residual - self._bias
+    @property
+    def offset_Nm(self) -> NDArray[np.float64]:
+        """What the residual reads here and now without contact, shape (n,): not to be written."""
+        return self._bias
 
     def covariance_Nm2(self) -> NDArray[np.float64]:
         """Covariance of the corrected residual here and now [Nm^2], shape (n, n)."""
@@ -220,8 +229,8 @@ class OffsetRemoval:
             self._due_s,
             self._trend,
             self._smooth_torque,
-            self._torque_sum.copy(),
-            self._count,
+            self._torque_sum(),
+            self._summed + len(self._torques),
             self._bias,
             self._q.copy(),
             self._leapt_s,
@@ -237,7 +246,7 @@ class OffsetRemoval:
         self._tared, self._tared_s, self._now_s = state.tared, state.tared_s, state.now_s
         self._renewed_s, self._due_s = state.renewed_s, state.due_s
         self._trend, self._smooth_torque = state.trend, state.smooth_torque
-        self._torque_sum, self._count = state.torque_sum.copy(), state.summed
+        self._forget_torques(state.torque_sum, state.summed)
         self._bias, self._q = state.bias, state.q.copy()
         self._leapt_s = state.leapt_s
 

@@ -135,20 +135,19 @@ def read_rows(
         joints: Number of joints.
 
     Returns:
-        A row for each signal, shape (k, joints): a read-only copy.
+        A row for each signal, shape (k, joints): a copy.
 
     Raises:
         SampleError: If they cannot be read so: as `check_joint_vector`.
     """
-    try:
+    shape = (joints,)
+    for value in values:
+        if type(value) is not np.ndarray or value.dtype != FLOAT64 or value.shape != shape:
+            vectors = zip(names, values, strict=True)
+            rows = np.stack([check_joint_vector(name, value, joints) for name, value in vectors])
+            break
+    else:  # almost every sample
         rows = np.array(values)
-    except ValueError:
-        rows = np.zeros(0)
-    # Almost every sample is done with here.
-    if rows.dtype != np.float64 or rows.shape != (len(names), joints):
-        vectors = zip(names, values, strict=True)
-        rows = np.stack([check_joint_vector(name, value, joints) for name, value in vectors])
-    rows.setflags(write=False)
     return rows
 
 

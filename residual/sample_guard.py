@@ -14,7 +14,7 @@ from residual.guard_state import GuardState, fresh_guard
 from residual.noise_probe import NoiseProbe, new_rows, white_noise
 from residual.repeat_watch import AloneWatch, RepeatWatch, stands_out
 from residual.sample_clock import ROUNDING_S
-from residual.spike_gates import SpikeGates
+from residual.spike_gates import SpikeGates, fresh_distance
 from residual.wrench_estimate import Caution
 from urdf import Robot
 
@@ -53,10 +53,9 @@ class SampleGuard:
             now: As in `check`.
         """
         self._position_repeats = self._motion_repeats = self._torque_repeats = False
-        off = now - self._last
-        # One number of position and one of torque tell that neither repeats.
-        moves = off.item(0) != 0.0 and off.item(-1) != 0.0
-        return moves and not self._is_loaded and self._gates.surely_pass(off)
+        gates = self._gates
+        is_near = fresh_distance(now, self._last, gates.weight) < gates.narrowest
+        return is_near and not self._is_loaded
 
     def check(self, now: NDArray[np.float64], dt_s: float) -> bool:
         """Judge a sample; what it is compared with changes only with `accept`.
@@ -78,7 +77,7 @@ class SampleGuard:
         self._position_repeats = self._motion_repeats = self._torque_repeats = False
         if off.item(0) == 0.0 or off.item(-1) == 0.0:
             self._check_frozen(off, dt_s)
-        if self._noise is None or self._gates.surely_pass(off):
+        if self._noise is None or self._gates.is_near(off):
             return False
         return self._check_jump(now, dt_s)
 

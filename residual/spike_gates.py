@@ -5,6 +5,7 @@ import math
 import numpy as np
 from numpy.typing import NDArray
 
+from speedup import Vector, compiled
 from urdf import Robot
 
 SIGMAS = 12.0
@@ -31,6 +32,18 @@ LONGEST_HELD_S = 0.1
 HELD_ACCELERATION_RAD_S2 = 4.0
 """Change of an estimated velocity that positions do not tell while they repeat. Far less than what
 a single step may be off by: an arm at rest repeats its positions for ever."""
+
+
+@compiled
+def fresh_distance(now: Vector, last: Vector, weight: Vector) -> float:
+    """Root of the sum of squares of the weighted differences of two samples.
+
+    Infinite if position or torque may repeat: one number of each tells that neither does.
+    """
+    if now[0] == last[0] or now[-1] == last[-1]:
+        return math.inf
+    off = (now - last) * weight
+    return math.sqrt(np.vdot(off, off))  # `dot` warns of an overflow
 
 
 class SpikeGates:
@@ -61,16 +74,14 @@ class SpikeGates:
         sure = self._base.copy()
         if self._has_velocity:
             sure[n:-n] += ACCELERATION_RAD_S2 * 1e-4
-        # Weights of at most 1, and `hypot`: no number, however large, overflows.
-        self._narrowest = float(sure.min())
-        self._weight = self._narrowest / sure
+        self.narrowest = float(sure.min())
+        """What is surely nearer than this is within all gates; a NaN is not."""
+        self.weight = self.narrowest / sure
+        """What differences are multiplied with before, at most 1, shape of a sample."""
 
-    def surely_pass(self, off: NDArray[np.float64]) -> bool:
-        """Whether a difference is within the narrowest gates, all signals together.
-
-        A number that is not finite is in no gate.
-        """
-        return math.hypot(*(off * self._weight).tolist()) < self._narrowest
+    def is_near(self, off: NDArray[np.float64]) -> bool:
+        """Whether a difference is within the narrowest gates, all signals together."""
+        return math.hypot(*(off * self.weight).tolist()) < self.narrowest
 
     @property
     def torque_Nm(self) -> NDArray[np.float64]:

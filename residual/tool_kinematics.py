@@ -66,7 +66,7 @@ class ToolKinematics:
             self.advance = self.axis_in_tool.dot(jacobian[:3])
             self.axis_in_base = placement.rotation.dot(self.axis_in_tool)
         else:
-            self.advance = jacobian[row]
+            self.advance = jacobian[row].copy()
             self.axis_in_base = placement.rotation[:, row]
 
     @property

@@ -263,7 +263,7 @@ class VirtualForceSensor:
         renewed, tared = offset.follow(q, tau, elapsed_s), offset.tared
         if settled and not tared:
             offset.record(residual, elapsed_s)
-        corrected = offset.correct(residual)
+        corrected = residual - offset.offset_Nm
         corrected.setflags(write=False)
         wrench.kinematics.update(q, data)
         self._looked_s += elapsed_s

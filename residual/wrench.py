@@ -1,11 +1,12 @@
 """From external joint torque to the wrench at a named frame: equation (13) and better."""
 
 import math
-from typing import Literal, NamedTuple
+from typing import Literal
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from residual.axial_force import AxialWeights, axial_force
 from residual.errors import ConfigurationError, SampleError
 from residual.sample_check import check_joint_vector
 from residual.settings_check import check_choice
@@ -28,22 +29,6 @@ COMPONENTS = {"axial": 1, "point": 3, "full": 6}
 """Unknowns of every mode."""
 _NOTHING = np.zeros(3)
 _NOTHING.setflags(write=False)
-
-
-class AxialWeights(NamedTuple):
-    """How the axial mode weighs the joints, until it is told to weigh them anew.
-
-    Attributes:
-        weighted: W a, a the torque per newton; shape (n,).
-        variance_N2: Of the axial force.
-        damping_share: Share of it that damping removes.
-        conditioning: See `WrenchEstimate`.
-    """
-
-    weighted: Array
-    variance_N2: float
-    damping_share: float
-    conditioning: float
 
 
 class WrenchEstimator:
@@ -172,7 +157,7 @@ class WrenchEstimator:
         numbers.setflags(write=False)
         self._spread, self._share = numbers[:1, None], numbers[1:]
 
-    def solve(self, residual: NDArray[np.float64]) -> WrenchNumbers:
+    def solve(self, residual: Array) -> WrenchNumbers:
         """Wrench where `kinematics` stands, from an external joint torque [Nm], shape (n,).
 
         Returns:
@@ -184,14 +169,13 @@ class WrenchEstimator:
         if self._mode != "axial":
             return self._general(residual)
         kinematics, weights = self.kinematics, self._weights
-        weighted = weights.weighted
-        total = float(weighted.dot(kinematics.advance)) + self._axial_damping
-        axial = -float(weighted.dot(residual)) / total if total > 0.0 else 0.0
+        axis = kinematics.axis_in_base if self._in_base else kinematics.axis_in_tool
+        force = np.empty(3)
+        axial = axial_force(
+            residual, weights.weighted, kinematics.advance, axis, self._axial_damping, force
+        )
         if not math.isfinite(axial):
             raise SampleError("q and residual must be finite; skip this sample")
-        axis = kinematics.axis_in_base if self._in_base else kinematics.axis_in_tool
-        # An array of no dimensions: numpy is twice as fast with it as with a float.
-        force = axis * np.array(-axial)
         force.setflags(write=False)
         return (
             axial,

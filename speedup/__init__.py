@@ -4,6 +4,6 @@ One function, one source: without numba the plain Python runs, slower, with the 
 rounding. `speedup.compiled` says what a function must be like.
 """
 
-from speedup.compiled import COMPILER, Matrix, Vector, WrittenMatrix, compiled
+from speedup.compiled import COMPILER, Matrix, Vector, WrittenMatrix, WrittenVector, compiled
 
-__all__ = ["COMPILER", "Matrix", "Vector", "WrittenMatrix", "compiled"]
+__all__ = ["COMPILER", "Matrix", "Vector", "WrittenMatrix", "WrittenVector", "compiled"]

@@ -17,8 +17,9 @@ Vector = Annotated[NDArray[np.float64], 1]
 """Array of shape (n,), contiguous."""
 Matrix = Annotated[NDArray[np.float64], 2]
 """Array of shape (m, n), contiguous, the last index running fastest."""
+WrittenVector = Annotated[NDArray[np.float64], 1, "written"]
 WrittenMatrix = Annotated[NDArray[np.float64], 2, "written"]
-"""The same, for results: the function writes into it."""
+"""The same, for results: the function writes into them."""
 Function = TypeVar("Function", bound=Callable[..., Any])
 
 COMPILER = "" if numba is None or numba.config.DISABLE_JIT else f"numba {numba.__version__}"
@@ -33,7 +34,7 @@ def compiled(function: Function) -> Function:
     kept on disk beside the file; what is kept there would not notice a change in another file.
 
     That happens when its module is imported, where every parameter is annotated as `float`, `int`,
-    `bool`, `Vector`, `Matrix`, `WrittenMatrix` or a tuple of a fixed number of them; what it calls
+    `bool`, one of the arrays above or a tuple of a fixed number of them; what it calls
     then stands above it. Where one is not (``Any``, ``tuple[float, ...]``), whoever calls it in a
     tick calls it once when constructed, with the same types. No tick waits for a compiler.
 
