@@ -46,4 +46,4 @@ def mean_block(tick: DefaultTick, time_s: float) -> Block:
 
 def emptied(tick: DefaultTick) -> DefaultTick:
     """To begin the next block with."""
-    return tick._replace(filled_s=0.0, depth_sum=0.0, speed_sum=0.0, force_sum=0.0)
+    return DefaultTick(0.0, 0.0, 0.0, 0.0, *tick[4:])

@@ -7,6 +7,7 @@ from identification.block import Block, emptied, is_block_full, mean_block
 from identification.contact import free_air_step, lose_contact
 from identification.default_config import DefaultConfig
 from identification.default_state import DefaultState
+from identification.default_tick import DefaultTick
 from identification.kink_detector import detector_step, restart_detector
 from identification.layer_step import layer_step, settle_pool
 from identification.rupture_state import MUTED, RuptureState, next_rupture_state
@@ -30,34 +31,35 @@ def begin_default_sample(state: DefaultState, _config: DefaultConfig) -> Default
     return state._replace(rupture=None, compensated=None, withdrawn=None)
 
 
-def default_step(state: DefaultState, sample: Sample, config: DefaultConfig) -> DefaultState:
-    """After `default_tick` has absorbed a sample, whose fields the state holds already.
+def default_step(
+    state: DefaultState, tick: DefaultTick, sample: Sample, config: DefaultConfig
+) -> DefaultState:
+    """What is done once per block, or between blocks after a rupture.
 
-    What is done once per block, or between blocks after a rupture.
+    Args:
+        state: Before the sample.
+        tick: What `default_tick` has made of the sample.
+        sample: The sample.
+        config: Settings.
     """
-    if not is_block_full(state.tick.filled_s, config.block_s):
+    if not is_block_full(tick.filled_s, config.block_s):
+        state = state._replace(tick=tick)
         return state if state.pending is None else work_on_rupture(state, config)
-    block = mean_block(state.tick, sample.time_s)
-    return _block_step(state._replace(tick=emptied(state.tick)), block, config)
-
-
-def _block_step(state: DefaultState, block: Block, config: DefaultConfig) -> DefaultState:
-    """Absorb one block."""
-    lag = state.lag
+    block, lag = mean_block(tick, sample.time_s), state.lag
     is_gap = block.dt_s > max(10.0 * config.block_s, config.check.gap_s)
     if is_gap:
         lag = lag._replace(last=None)
     else:
         lag, block = lag_step(lag, block)
-    state = state._replace(lag=lag)
+    state = state._replace(tick=emptied(tick), lag=lag)
     if state.pending is not None:
         state = finish_look(state, config)
     if is_gap:
         return state._replace(detector=restart_detector(state.detector))
     if not state.in_contact:
         return free_air_step(state, block, config)
-    is_moving = state.tick.speed_m_s > config.rest_speed_m_s
-    is_cutting = is_moving and block.depth_m > state.tick.deepest_m - _CHANNEL_M
+    is_moving = tick.speed_m_s > config.rest_speed_m_s
+    is_cutting = is_moving and block.depth_m > tick.deepest_m - _CHANNEL_M
     return _cut(state, block, config) if is_cutting else _idle(state, config)
 
 
@@ -76,11 +78,13 @@ def _cut(state: DefaultState, block: Block, config: DefaultConfig) -> DefaultSta
     force = block.force_N - state.baseline.offset_N
     block = block._replace(force_N=force)
     track, point = track_step(state.track, block, config.track_step_m)
-    state = state._replace(track=track)
     detector, verdict = detector_step(state.detector, block, config)
-    if _is_muted(state, block, config):
-        return _follow(state._replace(detector=restart_detector(detector)), point, config)
-    state = state._replace(detector=detector)
+    is_muted = _is_muted(state, block, config)
+    state = state._replace(
+        track=track, detector=restart_detector(detector) if is_muted else detector
+    )
+    if is_muted:
+        return _follow(state, point, config)
     if verdict.fall > 1.0:
         return raise_rupture(state, block, verdict, config)
     state = _follow(state, point, config)
@@ -111,4 +115,5 @@ def _advance(state: DefaultState, *, is_expected: bool = False) -> DefaultState:
     machine = state.rupture_state
     if machine is RuptureState.FORCE_DROP_MEASURING or state.compensated is not None:
         return state
-    return state._replace(rupture_state=next_rupture_state(machine, is_expected=is_expected))
+    moved = next_rupture_state(machine, is_expected=is_expected)
+    return state if moved is machine else state._replace(rupture_state=moved)

@@ -152,13 +152,11 @@ class Identifier:
         check: CheckMemory,
     ) -> Estimate:
         """A sample that asks more than `Method.tick`, which has given `done`."""
-        before = self.snapshot()
-        state, standing, figures = self._method.absorb(
-            (before.state, self._standing), sample, done, self._config
-        )
+        before = (self._state, self._standing, self._tick)
+        state, standing, figures = self._method.absorb(before, sample, done, self._config)
+        self._before = None if state.rupture is None else self.snapshot()
         self._stand(state, standing)
         self._check = check
-        self._before = None if state.rupture is None else before
         estimate = (sample.time_s, status, self._machine, *figures, *state.events)
         self._last = _new(Estimate, estimate)
         return self._last

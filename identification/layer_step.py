@@ -38,8 +38,10 @@ def layer_step(
     of speed without a change of force, that is, like Coulomb friction.
     """
     layer = state.layer
-    sums = np.append(point[:BLOCKS] * point[BLOCKS], point[BLOCKS:])
-    pool = sums if layer.pool is None else layer.pool + sums
+    pool = point.copy()
+    pool[:BLOCKS] *= point[BLOCKS]
+    if layer.pool is not None:
+        pool += layer.pool
     state = state._replace(layer=layer._replace(pool=pool, points=layer.points + 1))
     if pool[BLOCKS] < _POOLED_BLOCKS and pool[TRAVEL] < config.row_m:
         return state

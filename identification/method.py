@@ -40,14 +40,14 @@ class Method:
     initial: Callable[[Any], Any]
     begin: Callable[[Any, Any], Any]
     tick: Callable[..., tuple[bool, tuple[Any, ...], tuple[Any, ...]]]
-    step: Callable[[Any, Sample, Any], Any]
+    step: Callable[[Any, Any, Sample, Any], Any]
     standing: Callable[[Any, Any], Any]
     figures: Callable[..., tuple[Any, ...]]
     layers: Callable[[Any], tuple[LayerEstimate, ...]]
 
     def absorb(
         self,
-        before: tuple[Any, Any],
+        before: tuple[Any, Any, tuple[Any, ...]],
         sample: Sample,
         done: tuple[tuple[Any, ...], tuple[Any, ...]],
         config: Any,
@@ -55,7 +55,8 @@ class Method:
         """Absorb a sample that asks more than `tick`.
 
         Args:
-            before: The state before the sample, and what stands of it.
+            before: A state, what stands of it, and the fields of its tick before the sample: those
+                in the state may be older.
             sample: The sample.
             done: What `tick` made of it: fields and figures.
             config: Settings.
@@ -63,16 +64,16 @@ class Method:
         Returns:
             The state after it, what stands of that, and the figures to tell.
         """
-        (state, standing), (fields, figures) = before, done
+        (state, standing, last), (fields, figures) = before, done
         _, dt_s, depth_m, speed_m_s, force_N = sample
         if standing.is_due:
-            state = self.begin(state, config)
+            state = self.begin(state._replace(tick=state.tick.of(last)), config)
             if not standing.holds(state):
                 standing = self.standing(state, config)
                 _, fields, figures = self.tick(
                     depth_m, speed_m_s, force_N, dt_s, state.tick.plain, standing.numbers
                 )
-        state = self.step(state._replace(tick=state.tick.of(fields)), sample, config)
+        state = self.step(state, state.tick.of(fields), sample, config)
         if not standing.holds(state):
             standing = self.standing(state, config)
             figures = self.figures(depth_m, speed_m_s, force_N, state.tick.plain, standing.numbers)

@@ -1,15 +1,16 @@
-"""Numbers that a compiled function reads at every sample and that seldom change."""
+"""Many numbers for a compiled function, in the form that it reads fastest."""
 
 from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from speedup import COMPILER
 
 
 def packed(numbers: Sequence[float]) -> Any:
-    """In the form that is read fastest: an array by compiled code, a tuple by plain Python.
+    """Numbers that seldom change: an array for compiled code, a tuple for plain Python.
 
     Args:
         numbers: Any number of them; whoever reads them names their places.
@@ -19,3 +20,8 @@ def packed(numbers: Sequence[float]) -> Any:
     array = np.array(numbers, dtype=np.float64)
     array.setflags(write=False)
     return array
+
+
+def readable(numbers: NDArray[np.float64]) -> Any:
+    """An array as it is for compiled code, as a list for plain Python."""
+    return numbers if COMPILER else numbers.tolist()

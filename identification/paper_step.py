@@ -29,12 +29,21 @@ def begin_paper_sample(state: PaperState, config: PaperConfig) -> PaperState:
     return state._replace(rupture=None, compensated=None)
 
 
-def paper_step(state: PaperState, sample: Sample, config: PaperConfig) -> PaperState:
-    """After `paper_tick` has absorbed a sample, whose fields the state holds already.
+def paper_step(
+    state: PaperState, tick: PaperTick, sample: Sample, config: PaperConfig
+) -> PaperState:
+    """What is left of a sample that `paper_tick` has absorbed.
 
     Covariance resetting, state machine; after T_drop the force drop (10)(11), re-weighting (12)
     and re-run of `paper_compensation`.
+
+    Args:
+        state: Before the sample.
+        tick: What `paper_tick` has made of the sample.
+        sample: The sample.
+        config: Settings.
     """
+    state = state._replace(tick=tick)
     if sample.depth_m <= state.start_depth_m and not state.layers and state.left is None:
         return state
     if is_window_full(state.tick.window_s, config.reset_frequency_Hz):

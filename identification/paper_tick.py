@@ -219,7 +219,8 @@ def paper_tick(
     layer_depth = depth_m - numbers[START_M]
     if layer_depth <= 0.0 and numbers[IS_INSIDE] == 0.0:
         so_far = (rls, window, window_s, travel_s, mean, decision, derivative)
-        free = so_far + (force_N, before, waited, 0.0, False, was)  # noqa: RUF005 (numba)
+        # Numba knows no starred parts of a tuple.
+        free = so_far + (force_N, before, waited, 0.0, False, was)  # noqa: RUF005
         return True, free, paper_figures(depth_m, speed_m_s, force_N, free, numbers)
     phi = regressor(max(layer_depth, 0.0), speed_m_s, numbers[IS_ML] != 0.0)
     earlier = numbers[CUMULATIVE] * speed_m_s
@@ -231,21 +232,11 @@ def paper_tick(
     derivative = derivative_step(derivative, force_N - before, dt_s, numbers[DERIVATIVE_S])
     is_alarm = decision > numbers[THRESHOLD]
     is_expected = not is_muted and derivative < -numbers[BETA]
-    new = (
-        rls,
-        add_sample(window, phi, own, speed_m_s),
-        window_s,
-        travel_s,
-        mean + (speed_m_s - mean) * dt_s / travel_s,
-        decision,
-        derivative,
-        force_N,
-        before,
-        waited,
-        own - error + earlier,
-        is_alarm,
-        is_expected,
-    )
+    window = add_sample(window, phi, own, speed_m_s)
+    mean += (speed_m_s - mean) * dt_s / travel_s
+    so_far = (rls, window, window_s, travel_s, mean, decision, derivative)
+    predicted = own - error + earlier
+    new = so_far + (force_N, before, waited, predicted, is_alarm, is_expected)  # noqa: RUF005
     is_calm = not is_alarm and is_expected == (numbers[IS_EXPECTED] != 0.0)
     is_calm = is_calm and numbers[IS_DUE] == 0.0 and not is_window_full(window_s, numbers[RESET_HZ])
     return is_calm, new, paper_figures(depth_m, speed_m_s, force_N, new, numbers)

@@ -47,7 +47,10 @@ def track_step(
     travel = block.depth_m - start
     if travel < step_m:
         return Track(track.points, sums, start), None
-    point = np.array([*(s / sums[4] for s in sums[:4]), sums[4], travel])
-    points = np.vstack((track.points[-(LENGTH - 1) :], point))
+    z, v, f, w, n = sums
+    point = np.array((z / n, v / n, f / n, w / n, n, travel))
+    kept = track.points[-(LENGTH - 1) :]
+    points = np.empty((len(kept) + 1, kept.shape[1]))
+    points[:-1], points[-1] = kept, point
     points.setflags(write=False)
     return Track(points, from_m=block.depth_m), point

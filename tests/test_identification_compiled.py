@@ -20,6 +20,8 @@ from identification import (
 from identification.default_standing import default_standing
 from identification.default_state import Traversed, initial_default_state
 from identification.errors import NoRuptureError
+from identification.kink_judge import judge_and_learn
+from identification.kink_kernels import kink_scales
 from identification.layer_hindsight import Belief
 from identification.layer_model import layer_fit
 from identification.paper_standing import paper_standing
@@ -34,6 +36,7 @@ KERNELS = [
     default_tick.default_figures,
     paper_tick.paper_tick,
     paper_tick.paper_figures,
+    judge_and_learn,
 ]
 depth = st.floats(-5e-3, 0.1)
 speed = st.floats(-0.05, 0.05)
@@ -44,7 +47,7 @@ needs_compiler = pytest.mark.skipif(not COMPILER, reason="numba (the extra `fast
 
 
 def plain(function):
-    """What runs without a compiler, all of it, fed with tuples where that takes arrays."""
+    """What runs without a compiler, all of it, fed with lists where that takes arrays."""
     world = dict(function.py_func.__globals__)
     for name, value in world.items():
         if hasattr(value, "py_func"):
@@ -52,13 +55,20 @@ def plain(function):
     python = world[function.py_func.__name__]
 
     def fed(*values):
-        return python(*(tuple(v.tolist()) if isinstance(v, np.ndarray) else v for v in values))
+        return python(*(listed(value) for value in values))
 
     return fed
 
 
+def listed(value):
+    if isinstance(value, tuple):
+        return tuple(listed(part) for part in value)
+    return value.tolist() if isinstance(value, np.ndarray) else value
+
+
 def flat(value):
-    return [x for part in value for x in flat(part)] if isinstance(value, tuple) else [value]
+    value = listed(value)
+    return [x for part in value for x in flat(part)] if isinstance(value, tuple | list) else [value]
 
 
 def assert_same(compiled, python):
@@ -130,6 +140,21 @@ def test_the_published_tick_is_the_same_compiled_and_plain(rows, config, cumulat
         assert_same(result, plain(paper_tick.paper_tick)(*row, fields, numbers))
         fields = result[1]
         assert_same(result[2], plain(paper_tick.paper_figures)(*row[:3], fields, numbers))
+
+
+@needs_compiler
+@settings(deadline=None, max_examples=60)
+@given(st.integers(0, 999), st.integers(1, 256), st.floats(1e-3, 0.1), st.floats(1e-4, 1.0))
+def test_the_detector_is_the_same_compiled_and_plain(seed, filled, noise, dt_s):
+    rng = np.random.default_rng(seed)
+    figures = np.array([figure for scale in kink_scales() for figure in scale])
+    learned = (noise**2 * rng.random(6), rng.integers(0, 900, 6).astype(float), rng.random(1))
+    for _ in range(5):
+        signals = noise * rng.standard_normal(30), 0.01 * rng.standard_normal(30)
+        values = (*signals, filled, learned, figures, (dt_s, 3600.0, 0.03, 4.0 / dt_s))
+        verdict, after = judge_and_learn(*values)
+        assert_same((verdict, after), plain(judge_and_learn)(*values))
+        learned = after
 
 
 @needs_compiler
