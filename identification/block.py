@@ -26,6 +26,11 @@ class Block(NamedTuple):
     force_N: float
     bristle: float
 
+    def less(self, offset_N: float) -> "Block":
+        """With an offset taken out of the force."""
+        time_s, dt_s, depth_m, speed_m_s, force_N, bristle = self
+        return Block(time_s, dt_s, depth_m, speed_m_s, force_N - offset_N, bristle)
+
 
 def is_block_full(filled_s: float, block_s: float) -> bool:
     """Whether a block is long enough; sparse samples make blocks of one sample each."""

@@ -130,6 +130,14 @@ class DefaultState(NamedTuple):
     compensated: LayerEstimate | None
     withdrawn: Rupture | None
 
+    def after_block(self, tick: DefaultTick, lag: SpeedLag) -> "DefaultState":
+        """With an emptied block; by position, which takes a third of the time of `_replace`."""
+        return DefaultState(tick, lag, *self[2:])
+
+    def after_point(self, detector: DetectorState, track: Track) -> "DefaultState":
+        """With another block in detector and track; by position, as above."""
+        return DefaultState(*self[:3], detector, track, *self[5:])
+
     @property
     def events(self) -> tuple[Rupture | None, LayerEstimate | None, Rupture | None]:
         """What the last three fields of an `Estimate` tell."""

@@ -51,7 +51,7 @@ def default_step(
         lag = lag._replace(last=None)
     else:
         lag, block = lag_step(lag, block)
-    state = state._replace(tick=emptied(tick), lag=lag)
+    state = state.after_block(emptied(tick), lag)
     if state.pending is not None:
         state = finish_look(state, config)
     if is_gap:
@@ -75,14 +75,11 @@ def _idle(state: DefaultState, config: DefaultConfig) -> DefaultState:
 
 def _cut(state: DefaultState, block: Block, config: DefaultConfig) -> DefaultState:
     """The tip meets fresh tissue: look for a rupture, measure one, learn the layer."""
-    force = block.force_N - state.baseline.offset_N
-    block = block._replace(force_N=force)
+    block = block.less(state.baseline.offset_N)
     track, point = track_step(state.track, block, config.track_step_m)
     detector, verdict = detector_step(state.detector, block, config)
     is_muted = _is_muted(state, block, config)
-    state = state._replace(
-        track=track, detector=restart_detector(detector) if is_muted else detector
-    )
+    state = state.after_point(restart_detector(detector) if is_muted else detector, track)
     if is_muted:
         return _follow(state, point, config)
     if verdict.fall > 1.0:
