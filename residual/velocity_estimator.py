@@ -11,7 +11,7 @@ from residual.momentum_step import Alignment
 from residual.sample_check import FLOAT64, MOST_PLAUSIBLE, check_interval, check_joint_vector
 from residual.sample_clock import ROUNDING_S
 from residual.settings_check import check_alignment, check_gap, check_positive
-from residual.velocity_step import ROWS, lag_pair_coefficients
+from residual.velocity_step import ROWS, lag_pair_coefficients, lag_pair_step
 
 
 class MatchedSample(NamedTuple):
@@ -114,13 +114,10 @@ class VelocityEstimator:
             self._seated = True
             still = last.copy()
             return MatchedSample(still[:n], np.zeros(n), still[n:], False)
-        last[:n], last[n:] = q, rows[2, n:] if self._held else tau
-        out = self._coefficients.dot(rows)
-        rows[:2] = out[:2]
-        rows[2, :n], rows[2, n:] = q, tau
+        out = lag_pair_step(rows, q, tau, self._coefficients, self._held)
         self._age_s += dt_s
-        second = out[1]
         settled = self._age_s >= self._settling_s - ROUNDING_S
+        second = out[1]
         return MatchedSample(second[:n], out[2, :n], second[n:], settled)
 
     def _checked(self, q: Any, tau: Any) -> tuple[NDArray[np.float64], NDArray[np.float64]]:

@@ -10,6 +10,8 @@ import math
 import numpy as np
 from numpy.typing import NDArray
 
+from speedup import Matrix, Vector, WrittenMatrix, compiled
+
 ROWS = 4
 """Rows of a step: output of the first lag, of the second, input at the start and at the end."""
 
@@ -39,3 +41,34 @@ def lag_pair_coefficients(bandwidth_per_s: float, dt_s: float) -> NDArray[np.flo
         ]
     )
     return np.stack((first, second, bandwidth_per_s * (first - second)))
+
+
+@compiled
+def lag_pair_step(
+    rows: WrittenMatrix, q: Vector, tau: Vector, coefficients: Matrix, held: bool
+) -> Matrix:
+    """One step of both lags for position and torque.
+
+    Args:
+        rows: Output of both lags and the sample before, position then torque; brought up to date;
+            shape (ROWS, 2 n), the last row to write in.
+        q: Position at the end of the tick [rad], shape (n,).
+        tau: Torque there [Nm], shape (n,).
+        coefficients: See `lag_pair_coefficients`.
+        held: Whether the torque of the sample before acts through the tick.
+
+    Returns:
+        Both outputs and the rate of the second one, shape (3, 2 n).
+    """
+    n = q.size
+    earlier, now = rows[2], rows[3]
+    now[:n] = q
+    if held:
+        now[n:] = earlier[n:]
+    else:
+        now[n:] = tau
+    out = np.dot(coefficients, rows)
+    rows[:2] = out[:2]
+    earlier[:n] = q
+    earlier[n:] = tau
+    return out
