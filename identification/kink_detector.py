@@ -8,9 +8,9 @@ from numpy.typing import NDArray
 
 from identification.block import Block
 from identification.default_config import DefaultConfig
-from identification.kink_judge import LEAST_INDEPENDENT, judge_and_learn
+from identification.kink_judge import LEAST_INDEPENDENT, kink_step
 from identification.kink_kernels import kink_kernels, kink_scales
-from identification.packed import packed, readable
+from identification.packed import packed
 
 _SLOWEST = 16
 """Longest scale noise is judged by: beyond 80 ms tissue, not the sensor, is what varies."""
@@ -101,30 +101,25 @@ def detector_step(
         config: Settings.
     """
     kernels = kink_kernels()
-    force = _shifted(state.force_N, block.force_N)
-    speed = _shifted(state.speed_m_s, block.speed_m_s)
     filled = min(state.filled + 1, kernels.length)
-    learned = (state.variance, state.seen, state.speed_variance)
-    dt_s, most = block.dt_s, config.noise_memory_s / block.dt_s
-    (fall, rise, deviations, scale, rise_scale), learned = judge_and_learn(
-        readable(kernels.all.dot(force)),
-        readable(kernels.all.dot(speed)),
-        filled,
-        (readable(learned[0]), readable(learned[1]), readable(learned[2])),
-        _scale_figures(),
-        (dt_s, config.false_alarm_interval_s, config.model_error_share, most),
+    limits = (
+        block.dt_s,
+        config.false_alarm_interval_s,
+        config.model_error_share,
+        config.noise_memory_s / block.dt_s,
     )
-    variance, seen, speed_variance = (np.asarray(part) for part in learned)
+    (force, speed), verdict, (variance, seen, speed_variance) = kink_step(
+        (state.force_N, state.speed_m_s),
+        (block.force_N, block.speed_m_s),
+        filled,
+        (state.variance, state.seen, state.speed_variance),
+        kernels.all,
+        _scale_figures(),
+        limits,
+    )
+    fall, rise, deviations, scale, rise_scale = verdict
     moved = DetectorState(force, speed, filled, variance, speed_variance, seen)
     return moved, Verdict(fall, rise, deviations, int(scale), int(rise_scale))
-
-
-def _shifted(values: NDArray[np.float64], newest: float) -> NDArray[np.float64]:
-    """Without the oldest, with the newest: `numpy.append` takes several times as long."""
-    moved = np.empty_like(values)
-    moved[:-1] = values[1:]
-    moved[-1] = newest
-    return moved
 
 
 @cache

@@ -4,7 +4,6 @@ from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from speedup import COMPILER
 
@@ -20,8 +19,3 @@ def packed(numbers: Sequence[float]) -> Any:
     array = np.array(numbers, dtype=np.float64)
     array.setflags(write=False)
     return array
-
-
-def readable(numbers: NDArray[np.float64]) -> Any:
-    """An array as it is for compiled code, as a list for plain Python."""
-    return numbers if COMPILER else numbers.tolist()
