@@ -11,7 +11,7 @@ from identification.window_history import (
     less_viscous_rows,
     window_rows,
 )
-from identification.window_rerun import rerun_history
+from identification.window_rerun import follow_windows, rerun_history, solve_windows
 from identification.window_sums import WindowSums, less_viscous_force, window_step
 
 
@@ -47,6 +47,16 @@ def test_the_rerun_is_that_of_window_by_window(count, friction_variance):
     for sums in found:
         theta = window_step(theta, sums, variances)
     assert ours == pytest.approx(theta, rel=1e-6)
+
+
+@pytest.mark.parametrize("count", [0, 1, 400])
+def test_the_windows_may_be_followed_one_by_one_or_solved_at_once(count):
+    columns = np.ascontiguousarray(window_rows(history_of(windows(count))).T)
+    for function in (follow_windows, getattr(follow_windows, "py_func", follow_windows)):
+        one_by_one = function(columns, (1e6, 1e10), (1.0, 2.0))
+        assert one_by_one == pytest.approx(
+            solve_windows(columns, (1e6, 1e10), (1.0, 2.0)), rel=1e-9
+        )
 
 
 def test_friction_is_taken_out_of_every_window():
