@@ -110,7 +110,8 @@ def _follow(
 def _advance(state: DefaultState, *, is_expected: bool = False) -> DefaultState:
     """Move the machine on; what raises and settles a rupture sets its own states."""
     machine = state.rupture_state
+    if machine is RuptureState.NO_RUPTURE and not is_expected:
+        return state
     if machine is RuptureState.FORCE_DROP_MEASURING or state.compensated is not None:
         return state
-    moved = next_rupture_state(machine, is_expected=is_expected)
-    return state if moved is machine else state._replace(rupture_state=moved)
+    return state._replace(rupture_state=next_rupture_state(machine, is_expected=is_expected))
