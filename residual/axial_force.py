@@ -27,26 +27,31 @@ class AxialWeights(NamedTuple):
 @compiled
 def axial_force(
     residual: Vector,
+    offset: Vector,
     weighted: Vector,
     advance: Vector,
     axis: Vector,
     damping: float,
+    corrected: WrittenVector,
     force: WrittenVector,
 ) -> float:
     """Axial force from external joint torque.
 
     Args:
-        residual: External joint torque [Nm], shape (n,).
+        residual: External joint torque with its offset [Nm], shape (n,).
+        offset: What it reads without contact [Nm], shape (n,).
         weighted: See `AxialWeights`.
         advance: See `residual.tool_kinematics.ToolKinematics`.
         axis: Insertion direction, shape (3,).
         damping: Inverse variance of the force that is expected at most [1/N^2].
+        corrected: Where the residual less its offset is written [Nm], shape (n,).
         force: Where the force on the tool is written [N], in the axes of ``axis``, shape (3,).
 
     Returns:
         Resistance to insertion [N]; 0 where nothing is seen.
     """
     information = float(weighted.dot(advance)) + damping
-    along = float(weighted.dot(residual)) / information if information > 0.0 else 0.0
+    corrected[:] = residual - offset
+    along = float(weighted.dot(corrected)) / information if information > 0.0 else 0.0
     force[:] = axis * along
     return -along

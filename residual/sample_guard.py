@@ -54,8 +54,8 @@ class SampleGuard:
         """
         self._position_repeats = self._motion_repeats = self._torque_repeats = False
         gates = self._gates
-        is_near = fresh_distance(now, self._last, gates.weight) < gates.narrowest
-        return is_near and not self._is_loaded
+        distance = fresh_distance(now, self._last, gates.weight, self._joints)
+        return distance < gates.narrowest and not self._is_loaded
 
     def check(self, now: NDArray[np.float64], dt_s: float) -> bool:
         """Judge a sample; what it is compared with changes only with `accept`.

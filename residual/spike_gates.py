@@ -35,14 +35,20 @@ a single step may be off by: an arm at rest repeats its positions for ever."""
 
 
 @compiled
-def fresh_distance(now: Vector, last: Vector, weight: Vector) -> float:
+def fresh_distance(now: Vector, last: Vector, weight: Vector, joints: int) -> float:
     """Root of the sum of squares of the weighted differences of two samples.
 
-    Infinite if position or torque may repeat: one number of each tells that neither does.
+    Infinite if all positions or all torques repeat.
+
+    Args:
+        now: A sample, positions first and torques last, shape (2 n,) or (3 n,).
+        last: The one before.
+        weight: What differences are multiplied with, not 0.
+        joints: n.
     """
-    if now[0] == last[0] or now[-1] == last[-1]:
-        return math.inf
     off = (now - last) * weight
+    if (off[0] == 0.0 and not off[:joints].any()) or (off[-1] == 0.0 and not off[-joints:].any()):
+        return math.inf
     return math.sqrt(np.vdot(off, off))  # `dot` warns of an overflow
 
 

@@ -263,16 +263,17 @@ class VirtualForceSensor:
         renewed, tared = offset.follow(q, tau, elapsed_s), offset.tared
         if settled and not tared:
             offset.record(residual, elapsed_s)
-        corrected = residual - offset.offset_Nm
-        corrected.setflags(write=False)
         wrench.kinematics.update(q, data)
-        self._looked_s += elapsed_s
         if renewed:
             wrench.set_torque_covariance(offset.covariance_Nm2())
             wrench.weigh()
+        axial, std, force, torque, covariance, conditioning, share, corrected = wrench.solve(
+            residual, offset.offset_Nm
+        )
+        self._looked_s += elapsed_s
+        if renewed:
             slow.look(q, corrected, self._looked_s, tared=tared)
             self._looked_s = 0.0
-        axial, std, force, torque, covariance, conditioning, share, _ = wrench.solve(corrected)
         std = self._doubt.widen(axial, std, stream.lag_s, elapsed_s)
         status, message, cautions = Status.OK, slow.message, slow.cautions
         if stream.warning or offset.warning:

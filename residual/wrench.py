@@ -123,7 +123,7 @@ class WrenchEstimator:
         residual = check_joint_vector("residual", residual, self._joints)
         self.kinematics.update(q)
         self.weigh()
-        return WrenchEstimate(*self.solve(residual))
+        return WrenchEstimate(*self.solve(residual, np.zeros(self._joints)))
 
     def weigh(self) -> None:
         """Weigh the joints anew where `kinematics` stands; `solve` keeps the weights until then.
@@ -157,8 +157,12 @@ class WrenchEstimator:
         numbers.setflags(write=False)
         self._spread, self._share = numbers[:1, None], numbers[1:]
 
-    def solve(self, residual: Array) -> WrenchNumbers:
-        """Wrench where `kinematics` stands, from an external joint torque [Nm], shape (n,).
+    def solve(self, residual: Array, offset: Array) -> WrenchNumbers:
+        """Wrench where `kinematics` stands, from an external joint torque.
+
+        Args:
+            residual: External joint torque [Nm], shape (n,).
+            offset: What it reads here without contact [Nm], shape (n,); it is subtracted.
 
         Returns:
             The numbers of a `WrenchEstimate`, from ``axial`` to ``residual``.
@@ -167,26 +171,26 @@ class WrenchEstimator:
             SampleError: For numbers that are not finite.
         """
         if self._mode != "axial":
-            return self._general(residual)
+            return self._general(residual - offset)
         kinematics, weights = self.kinematics, self._weights
         axis = kinematics.axis_in_base if self._in_base else kinematics.axis_in_tool
-        force = np.empty(3)
+        corrected, force = np.empty(self._joints), np.empty(3)
         axial = axial_force(
-            residual, weights.weighted, kinematics.advance, axis, self._axial_damping, force
+            residual,
+            offset,
+            weights.weighted,
+            kinematics.advance,
+            axis,
+            self._axial_damping,
+            corrected,
+            force,
         )
         if not math.isfinite(axial):
             raise SampleError("q and residual must be finite; skip this sample")
         force.setflags(write=False)
-        return (
-            axial,
-            self._std,
-            force,
-            _NOTHING,
-            self._spread,
-            weights.conditioning,
-            self._share,
-            residual,
-        )
+        corrected.setflags(write=False)
+        spread, share = self._spread, self._share
+        return axial, self._std, force, _NOTHING, spread, weights.conditioning, share, corrected
 
     def _general(self, residual: NDArray[np.float64]) -> WrenchNumbers:
         """Three or six unknowns."""
@@ -206,7 +210,7 @@ class WrenchEstimator:
         if not np.isfinite(solution.value).all():
             raise SampleError("q and residual must be finite; skip this sample")
         force, torque = solution.value[:3], solution.value[3:] if size == 6 else _NOTHING
-        for array in (force, torque, solution.covariance, solution.damping_share):
+        for array in (force, torque, solution.covariance, solution.damping_share, residual):
             array.setflags(write=False)
         return (
             -float(axis.dot(force)),
