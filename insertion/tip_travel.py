@@ -6,7 +6,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from residual.tool_kinematics import ToolKinematics
-from speedup import Vector, compiled
+from speedup import Matrix, Vector, compiled
 
 
 class Travel(NamedTuple):
@@ -34,8 +34,16 @@ class TravelZero(NamedTuple):
 
 
 @compiled
-def tip_motion(axis: Vector, tip_m: Vector, advance: Vector, dq: Vector) -> tuple[float, float]:
-    """Place of the tip along an axis [m], and its speed along the needle [m/s]."""
+def tip_motion(axis: Vector, pose: Matrix, advance: Vector, dq: Vector) -> tuple[float, float]:
+    """Place of the tip along an axis [m], and its speed along the needle [m/s].
+
+    Args:
+        axis: In base axes, shape (3,).
+        pose: See `residual.tool_kinematics.ToolKinematics`, as the next.
+        advance: Shape (n,).
+        dq: Joint velocities [rad/s], shape (n,).
+    """
+    tip_m = np.ascontiguousarray(pose[:3, 3])
     return float(axis.dot(tip_m)), float(advance.dot(dq))
 
 
@@ -53,12 +61,12 @@ class TipTravel:
     def zero(self) -> None:
         """Count depth from where the tip is, along the needle as it stands."""
         tool = self._kinematics
-        self.restore(TravelZero(tool.placement.translation.copy(), tool.axis_in_base.copy()))
+        self.restore(TravelZero(tool.place_in_base_m.copy(), tool.axis_in_base.copy()))
 
     def read(self, dq: NDArray[np.float64]) -> Travel:
         """Depth and speed where the kinematics stand, for joint velocities [rad/s], shape (n,)."""
         tool = self._kinematics
-        along_m, speed_m_s = tip_motion(self._axis, tool.placement.translation, tool.advance, dq)
+        along_m, speed_m_s = tip_motion(self._axis, tool.pose, tool.advance, dq)
         return Travel(along_m - self._start_m, speed_m_s)
 
     @property

@@ -5,7 +5,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from speedup import Vector, WrittenVector, compiled
+from speedup import StridedVector, Vector, WrittenVector, compiled
 
 
 class AxialWeights(NamedTuple):
@@ -30,7 +30,7 @@ def axial_force(
     offset: Vector,
     weighted: Vector,
     advance: Vector,
-    axis: Vector,
+    axis: StridedVector,
     damping: float,
     corrected: WrittenVector,
     force: WrittenVector,

@@ -23,7 +23,7 @@ class ToolKinematics:
         advance: Its row along the insertion axis [m]: advance · dq is the speed of the needle,
             and minus advance the joint torque per newton of resistance, shape (n,).
         axis_in_base: Insertion direction in base axes, shape (3,).
-        placement: Pose of the frame in the base.
+        pose: Of the frame in the base, homogeneous, shape (4, 4).
 
     Raises:
         ConfigurationError: For a zero axis.
@@ -45,7 +45,7 @@ class ToolKinematics:
         self.jacobian = np.zeros((6, robot.nv))
         self.advance = np.zeros(robot.nv)
         self.axis_in_base = self.axis_in_tool
-        self.placement = pin.SE3.Identity()
+        self.pose = np.eye(4)
 
     def update(self, q: NDArray[np.float64], computed: pin.Data | None = None) -> None:
         """Move to a configuration [rad], shape (n,).
@@ -61,18 +61,23 @@ class ToolKinematics:
             data = computed
         model, frame, row = self._model, self._frame_id, self._row
         self.jacobian = jacobian = pin.getFrameJacobian(model, data, frame, _LOCAL)
-        self.placement = placement = pin.updateFramePlacement(model, data, frame)
+        self.pose = pose = pin.updateFramePlacement(model, data, frame).homogeneous
         if row is None:
             self.advance = self.axis_in_tool.dot(jacobian[:3])
-            self.axis_in_base = placement.rotation.dot(self.axis_in_tool)
+            self.axis_in_base = pose[:3, :3].dot(self.axis_in_tool)
         else:
             self.advance = jacobian[row].copy()
-            self.axis_in_base = placement.rotation[:, row]
+            self.axis_in_base = pose[:3, row]
 
     @property
     def rotation_tool_to_base(self) -> NDArray[np.float64]:
         """Axes of the frame in base axes, shape (3, 3)."""
-        return self.placement.rotation
+        return self.pose[:3, :3]
+
+    @property
+    def place_in_base_m(self) -> NDArray[np.float64]:
+        """Where the frame's origin is, shape (3,)."""
+        return self.pose[:3, 3]
 
 
 def unit_axis(axis: ArrayLike) -> NDArray[np.float64]:

@@ -1,17 +1,19 @@
 """Joint velocity when the robot sends none, with torque delayed to match."""
 
 import math
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from residual.errors import ConfigurationError
 from residual.momentum_step import Alignment
-from residual.sample_check import FLOAT64, MOST_PLAUSIBLE, check_interval, check_joint_vector
+from residual.sample_check import check_interval, check_rows, read_rows
 from residual.sample_clock import ROUNDING_S
 from residual.settings_check import check_alignment, check_gap, check_positive
 from residual.velocity_step import ROWS, lag_pair_coefficients, lag_pair_step
+
+_NAMES = ("q", "tau")
 
 
 class MatchedSample(NamedTuple):
@@ -73,7 +75,7 @@ class VelocityEstimator:
         check_positive("joints", joints)
         check_alignment(alignment)
         check_gap(max_gap_s)
-        self._joints, self._shape = joints, (joints,)
+        self._joints = joints
         self._bandwidth = bandwidth_per_s
         self._held = alignment == "hold"
         self._max_gap_s = max_gap_s
@@ -98,40 +100,32 @@ class VelocityEstimator:
         Raises:
             SampleError: For a bad sample; the state is then unchanged.
         """
-        q, tau = self._checked(q, tau)
+        rows = read_rows(_NAMES, (q, tau), self._joints)
+        check_rows(_NAMES, rows)
         if self._seated and dt_s != self._dt_s:
             check_interval(dt_s)
-        return self.absorb(q, tau, dt_s)
+        return MatchedSample(*self.absorb(rows[0], rows[1], dt_s))
 
     def absorb(
         self, q: NDArray[np.float64], tau: NDArray[np.float64], dt_s: float
-    ) -> MatchedSample:
-        """As `update`, for finite arrays of the right shape and a checked time step."""
+    ) -> tuple[NDArray[np.float64], NDArray[np.float64], NDArray[np.float64], bool]:
+        """As `update`, for finite arrays of the right shape, contiguous, and a checked time step.
+
+        Returns:
+            The fields of a `MatchedSample`.
+        """
         n, rows, last = self._joints, self._rows, self._rows[3]
         if not self._seated or (dt_s != self._dt_s and self._is_gap(dt_s)):
             rows[:, :n], rows[:, n:] = q, tau
             self._age_s = 0.0
             self._seated = True
             still = last.copy()
-            return MatchedSample(still[:n], np.zeros(n), still[n:], False)
+            return still[:n], np.zeros(n), still[n:], False
         out = lag_pair_step(rows, q, tau, self._coefficients, self._held)
         self._age_s += dt_s
         settled = self._age_s >= self._settling_s - ROUNDING_S
         second = out[1]
-        return MatchedSample(second[:n], out[2, :n], second[n:], settled)
-
-    def _checked(self, q: Any, tau: Any) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-        """Both as arrays of one number per joint; the quick way for almost every sample."""
-        shape = self._shape
-        if (
-            type(q) is type(tau) is np.ndarray
-            and q.dtype is tau.dtype is FLOAT64
-            and q.shape == tau.shape == shape
-            and math.hypot(*q.tolist(), *tau.tolist()) < MOST_PLAUSIBLE
-        ):
-            return q, tau
-        n = self._joints
-        return check_joint_vector("q", q, n), check_joint_vector("tau", tau, n)
+        return second[:n], out[2, :n], second[n:], settled
 
     def _is_gap(self, dt_s: float) -> bool:
         """Whether a new time step is too long; renews the coefficients if it is not."""

@@ -10,7 +10,7 @@ import math
 import numpy as np
 from numpy.typing import NDArray
 
-from speedup import Matrix, Vector, WrittenMatrix, compiled
+from speedup import COMPILER, Matrix, Vector, WrittenMatrix, compiled
 
 ROWS = 4
 """Rows of a step: output of the first lag, of the second, input at the start and at the end."""
@@ -43,10 +43,13 @@ def lag_pair_coefficients(bandwidth_per_s: float, dt_s: float) -> NDArray[np.flo
     return np.stack((first, second, bandwidth_per_s * (first - second)))
 
 
-@compiled
 def lag_pair_step(
-    rows: WrittenMatrix, q: Vector, tau: Vector, coefficients: Matrix, held: bool
-) -> Matrix:
+    rows: NDArray[np.float64],
+    q: NDArray[np.float64],
+    tau: NDArray[np.float64],
+    coefficients: NDArray[np.float64],
+    held: bool,
+) -> NDArray[np.float64]:
     """One step of both lags for position and torque.
 
     Args:
@@ -60,15 +63,39 @@ def lag_pair_step(
     Returns:
         Both outputs and the rate of the second one, shape (3, 2 n).
     """
-    n = q.size
-    earlier, now = rows[2], rows[3]
-    now[:n] = q
-    if held:
-        now[n:] = earlier[n:]
-    else:
-        now[n:] = tau
-    out = np.dot(coefficients, rows)
+    if COMPILER:
+        out = np.empty((3, rows.shape[1]))
+        lag_pair_loops(rows, q, tau, coefficients, held, out)
+        return out
+    n, earlier, now = len(q), rows[2], rows[3]
+    now[:n], now[n:] = q, earlier[n:] if held else tau
+    out = coefficients.dot(rows)
     rows[:2] = out[:2]
-    earlier[:n] = q
-    earlier[n:] = tau
+    earlier[:n], earlier[n:] = q, tau
     return out
+
+
+@compiled
+def lag_pair_loops(
+    rows: WrittenMatrix,
+    q: Vector,
+    tau: Vector,
+    coefficients: Matrix,
+    held: bool,
+    out: WrittenMatrix,
+) -> None:
+    """`lag_pair_step` in loops, as a compiler likes it and Python does not."""
+    n = q.size
+    for i in range(2 * n):
+        given = q[i] if i < n else tau[i - n]
+        before = rows[2, i]
+        now = before if held and i >= n else given
+        first, second = rows[0, i], rows[1, i]
+        for k in range(3):
+            out[k, i] = (
+                coefficients[k, 0] * first
+                + coefficients[k, 1] * second
+                + coefficients[k, 2] * before
+                + coefficients[k, 3] * now
+            )
+        rows[0, i], rows[1, i], rows[2, i] = out[0, i], out[1, i], given

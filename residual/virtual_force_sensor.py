@@ -282,9 +282,20 @@ class VirtualForceSensor:
             status, message = Status.SETTLING, SETTLING
         elif not tared:
             status, message = Status.NOT_TARED, offset.warning or NOT_TARED
-        numbers = (axial, std, force, torque, covariance, conditioning, share, corrected)
-        last = WrenchEstimate(*numbers, status, message, slow.misfit, cautions)
-        self._last = last
+        self._last = last = WrenchEstimate(
+            axial,
+            std,
+            force,
+            torque,
+            covariance,
+            conditioning,
+            share,
+            corrected,
+            status,
+            message,
+            slow.misfit,
+            cautions,
+        )
         return last
 
     def _skip(self, dt_s: float, error: SampleError) -> WrenchEstimate:

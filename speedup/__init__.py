@@ -4,6 +4,22 @@ One function, one source: without numba the plain Python runs, slower, with the 
 rounding. `speedup.compiled` says what a function must be like.
 """
 
-from speedup.compiled import COMPILER, Matrix, Vector, WrittenMatrix, WrittenVector, compiled
+from speedup.compiled import (
+    COMPILER,
+    Matrix,
+    StridedVector,
+    Vector,
+    WrittenMatrix,
+    WrittenVector,
+    compiled,
+)
 
-__all__ = ["COMPILER", "Matrix", "Vector", "WrittenMatrix", "WrittenVector", "compiled"]
+__all__ = [
+    "COMPILER",
+    "Matrix",
+    "StridedVector",
+    "Vector",
+    "WrittenMatrix",
+    "WrittenVector",
+    "compiled",
+]

@@ -15,6 +15,8 @@ except ImportError:
 
 Vector = Annotated[NDArray[np.float64], 1]
 """Array of shape (n,), contiguous."""
+StridedVector = Annotated[NDArray[np.float64], 1, "strided"]
+"""The same, but perhaps with gaps in memory: for what is taken number by number."""
 Matrix = Annotated[NDArray[np.float64], 2]
 """Array of shape (m, n), contiguous, the last index running fastest."""
 WrittenVector = Annotated[NDArray[np.float64], 1, "written"]
@@ -61,9 +63,10 @@ def _numba_type(hint: Any) -> Any:
     if hint in scalars:
         return getattr(numba.types, scalars[hint])
     if get_origin(hint) is Annotated:
-        dimensions, *written = hint.__metadata__
+        dimensions, *marks = hint.__metadata__
+        layout, read_only = "A" if "strided" in marks else "C", "written" not in marks
         # A parameter that is only read takes read-only arrays and others.
-        return numba.types.Array(numba.types.float64, dimensions, "C", readonly=not written)
+        return numba.types.Array(numba.types.float64, dimensions, layout, readonly=read_only)
     if get_origin(hint) is tuple and Ellipsis not in get_args(hint):
         parts = [_numba_type(part) for part in get_args(hint)]
         return None if None in parts else numba.types.Tuple(parts)

@@ -33,7 +33,7 @@ class TipTravel:
         positions = np.full((len(q_rad), 3), np.nan)
         for k in np.flatnonzero(np.isfinite(q_rad).all(axis=1)).tolist():
             self._tool.update(q_rad[k])
-            positions[k] = self._tool.placement.translation
+            positions[k] = self._tool.place_in_base_m
             if self._start is None:
                 self._start = positions[k].copy()
                 self._axis = self._tool.axis_in_base.copy()
