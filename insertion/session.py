@@ -14,6 +14,7 @@ from identification import (
     Identifier,
     LayerEstimate,
     PaperConfig,
+    SampleStatus,
 )
 from insertion.errors import InsertionError, SettingError, SnapshotMismatchError
 from insertion.session_estimate import SessionEstimate, SessionSnapshot
@@ -26,6 +27,12 @@ from urdf import Robot
 _NOT_FED = (
     Caution.JOINT_LIMIT | Caution.NEAR_SINGULAR | Caution.MISFIT | Caution.FROZEN | Caution.STALE
 )
+
+# Names of an enumeration take as long to look up as a call, and there is a named tuple in every
+# tick: this is its own way of making one, without the detour.
+_OK, _SKIPPED = Status.OK, Status.SKIPPED
+_FED = tuple(status for status in SampleStatus if status.is_absorbed)
+_new = tuple.__new__
 
 
 class InsertionSession:
@@ -211,7 +218,7 @@ class InsertionSession:
     def _follow(self, wrench: WrenchEstimate) -> SessionEstimate:
         """Depth, speed and, where the force is worth it, the identifier."""
         status = wrench.status
-        if status is Status.SKIPPED:
+        if status is _SKIPPED:
             return self._idle(wrench)
         if not self._is_started:
             self._travel.zero()
@@ -224,7 +231,7 @@ class InsertionSession:
             share = -math.expm1(-elapsed_s / self._speed_lag_s)
             travel = travel._replace(speed_m_s=last + share * (travel.speed_m_s - last))
         self._last_travel = travel
-        if status is not Status.OK or (wrench.cautions and wrench.cautions & _NOT_FED):
+        if status is not _OK or (wrench.cautions and wrench.cautions & _NOT_FED):
             self._unfed_s += elapsed_s
             return self._idle(wrench)
         if self._unfed_s:
@@ -239,8 +246,8 @@ class InsertionSession:
                 self._unfed_s = elapsed_s
                 return self._idle(wrench)
         self._identification = found
-        is_fed = found.status.is_absorbed
-        return SessionEstimate(wrench, depth_m, speed_m_s, found, status, is_fed)
+        is_fed = found.status in _FED
+        return _new(SessionEstimate, (wrench, depth_m, speed_m_s, found, status, is_fed))
 
     def _idle(self, wrench: WrenchEstimate) -> SessionEstimate:
         """A tick that the identifier does not see."""

@@ -13,6 +13,8 @@ from residual.sensor_config import SensorConfig
 from residual.velocity_estimator import VelocityEstimator, VelocityState
 from urdf import Robot
 
+_new = tuple.__new__  # makes a named tuple in half the time: there is one in every tick
+
 
 class TorqueSample(NamedTuple):
     """External joint torque with the motion it belongs to.
@@ -126,7 +128,7 @@ class ExternalTorqueEstimator:
         self._age_s = 0.0 if dt_s > self._max_gap_s else self._age_s + dt_s
         if self._probe is not None:
             self._learn_noise(dq, q, dt_s)
-        return TorqueSample(q, dq, tau, residual, self._settled, self._data)
+        return _new(TorqueSample, (q, dq, tau, residual, self._settled, self._data))
 
     def _update_without_velocity(
         self,
@@ -146,7 +148,7 @@ class ExternalTorqueEstimator:
         self._age_s = 0.0 if missed_s > self._max_gap_s else self._age_s + missed_s
         if self._probe is not None:
             self._learn_noise(position, q, dt_s)
-        return TorqueSample(q, dq, tau, residual, self._settled, self._data)
+        return _new(TorqueSample, (q, dq, tau, residual, self._settled, self._data))
 
     def restart_velocity(self) -> None:
         """Start the velocity estimate anew: the position reading is elsewhere now."""
