@@ -25,7 +25,12 @@ from residual.tare import Tare
 from urdf import Robot
 
 _NOT_FED = (
-    Caution.JOINT_LIMIT | Caution.NEAR_SINGULAR | Caution.MISFIT | Caution.FROZEN | Caution.STALE
+    Caution.JOINT_LIMIT
+    | Caution.NEAR_SINGULAR
+    | Caution.MISFIT
+    | Caution.FROZEN
+    | Caution.STALE
+    | Caution.VELOCITY
 )
 
 # Names of an enumeration take as long to look up as a call, and there is a named tuple in every
@@ -42,8 +47,9 @@ class InsertionSession:
     For another insertion with the same tare call `begin_insertion` above the tissue.
 
     The identifier is fed only forces of this tick (`Status.OK`) that no joint limit, singular pose,
-    frozen signal, misfit or stale tare makes worthless. Otherwise its last estimate stays, and the
-    time passes: after a longer gap it says ``TIME_GAP`` and starts its local predictions anew.
+    frozen signal, misfit, stale tare or wrong velocity makes worthless. Otherwise its last estimate
+    stays, and the time passes: after a longer gap it says ``TIME_GAP`` and starts its local
+    predictions anew.
 
     Args:
         robot: The arm with its payload; the z axis of its tool frame is the needle, unless
@@ -135,8 +141,8 @@ class InsertionSession:
             force: Take it even where contact is seen.
 
         Raises:
-            TareError: Without data, a second time without `start_recording`, or with contact in
-                sight; nothing has then changed.
+            TareError: Without data, a second time without `start_recording`, with contact in sight
+                or velocities that do not fit positions; nothing has then changed.
         """
         tare = self._sensor.tare(force=force)
         self.begin_insertion()

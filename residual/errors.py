@@ -34,7 +34,7 @@ class SuspectSampleError(SampleError):
 
 
 class TareError(ResidualError, RuntimeError):
-    """A tare that was asked for where it would be wrong: no data, or contact in sight."""
+    """A tare that would be wrong: no data, contact in sight, or velocities that are not rates."""
 
 
 class SnapshotError(ResidualError, ValueError):

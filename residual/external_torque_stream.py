@@ -48,6 +48,8 @@ class ExternalTorqueStream:
             torque_name="external_torque",
             velocity_delay_s=0.0 if self._velocity is None else self._velocity.delay_s,
         )
+        self.has_velocity = has_velocity
+        """Whether samples carry a measured velocity."""
 
     def update(
         self, q: ArrayLike, dq: ArrayLike | None, external_torque: ArrayLike, dt_s: float

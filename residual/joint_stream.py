@@ -41,7 +41,8 @@ class JointStream:
             torque_name="tau",
             velocity_delay_s=self._torque.delay_s,
         )
-        self._has_velocity = has_velocity
+        self.has_velocity = has_velocity
+        """Whether samples carry a measured velocity."""
         self.lag_s = self._torque.lag_s
         """Time by which the estimate follows the torque [s]."""
 
@@ -56,7 +57,7 @@ class JointStream:
         rows, has_jumped = self._entry.read(q, dq, tau, dt_s)
         if has_jumped:
             self._torque.restart_velocity()
-        velocity = rows[1] if self._has_velocity else None
+        velocity = rows[1] if self.has_velocity else None
         sample = self._torque.update(rows[0], velocity, rows[-1], dt_s)
         self._entry.accept(sample.dq, dt_s)
         return sample

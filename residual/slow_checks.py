@@ -1,4 +1,4 @@
-"""What makes a force doubtful and changes slowly: joint limits, singular poses, a misfit."""
+"""What makes a force doubtful and changes slowly: limits, singular poses, a misfit, velocities."""
 
 import math
 from typing import NamedTuple
@@ -6,6 +6,9 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from residual.errors import TareError
+from residual.velocity_fault import velocity_fault
+from residual.velocity_match import first_match, velocity_match_step
 from residual.wrench import WrenchEstimator
 from residual.wrench_estimate import Caution, WrenchEstimate
 from urdf import Robot
@@ -21,6 +24,10 @@ MOST_MISFIT = 4.0
 """The covariance holds for the arm that was tared; four times its standard deviation does not
 happen by chance in all joints together."""
 
+NO_TARE = (
+    " No tare would hold: correct the velocities and move in free air anew, or force=True if you "
+    "know better"
+)
 _REASONS = {
     Caution.JOINT_LIMIT: "a joint is at its position limit",
     Caution.NEAR_SINGULAR: "the joints hardly feel a force in this pose",
@@ -34,10 +41,13 @@ class SlowState(NamedTuple):
     Attributes:
         misfit_squared: Smoothed.
         cautions: Of the last look, as a number.
+        match: Of measured velocities with positions, see `residual.velocity_match`; None before a
+            look, and where velocities are estimated.
     """
 
     misfit_squared: float = 0.0
     cautions: int = 0
+    match: NDArray[np.float64] | None = None
 
 
 class SlowChecks:
@@ -58,12 +68,19 @@ class SlowChecks:
         self.restore(SlowState())
 
     def look(
-        self, q: NDArray[np.float64], residual: NDArray[np.float64], dt_s: float, *, tared: bool
+        self,
+        q: NDArray[np.float64],
+        dq: NDArray[np.float64] | None,
+        residual: NDArray[np.float64],
+        dt_s: float,
+        *,
+        tared: bool,
     ) -> None:
         """Look at the sample for which a wrench was just estimated.
 
         Args:
             q: Its configuration [rad], shape (n,).
+            dq: Its velocity as measured [rad/s], shape (n,); None where it is estimated from q.
             residual: After offset removal [Nm], shape (n,).
             dt_s: Time since the last look [s].
             tared: Whether the residual's covariance is a fitted one.
@@ -78,7 +95,35 @@ class SlowChecks:
         square = self._misfit_squared + share * (now - self._misfit_squared)
         if square > MOST_MISFIT**2:
             found |= Caution.MISFIT
-        self.restore(SlowState(square, int(found)))
+        match = None if dq is None else self._matched(q, dq, dt_s)
+        if match is not None and velocity_fault(match):
+            found |= Caution.VELOCITY
+        self.restore(SlowState(square, int(found), match))
+
+    def _matched(
+        self, q: NDArray[np.float64], dq: NDArray[np.float64], dt_s: float
+    ) -> NDArray[np.float64]:
+        """How velocities match positions after one more look."""
+        if self._match is None or dt_s <= 0.0:
+            return first_match(q, dq)
+        return velocity_match_step(self._match, q, dq, dt_s)
+
+    def check_velocity(self, *, force: bool) -> None:
+        """Refuse a tare with velocities that are not the rate of positions.
+
+        Args:
+            force: Take it all the same.
+
+        Raises:
+            TareError: With what is wrong with them.
+        """
+        if self.velocity_fault and not force:
+            raise TareError(self.velocity_fault + NO_TARE)
+
+    def forget_velocity(self) -> None:
+        """Compare velocities with positions anew."""
+        cautions = self.cautions & ~Caution.VELOCITY
+        self.restore(SlowState(self._misfit_squared, int(cautions)))
 
     def recheck(self, last: WrenchEstimate) -> WrenchEstimate:
         """The last estimate, its `Caution.MISFIT` told at once if its sample alone misfits.
@@ -93,7 +138,7 @@ class SlowChecks:
     @property
     def state(self) -> SlowState:
         """All that is remembered."""
-        return SlowState(self._misfit_squared, int(self.cautions))
+        return SlowState(self._misfit_squared, int(self.cautions), self._match)
 
     def restore(self, state: SlowState) -> None:
         """Go on from a `state` taken earlier."""
@@ -102,5 +147,9 @@ class SlowChecks:
         """Smoothed misfit, see `WrenchEstimate`."""
         self.cautions = Caution(state.cautions)
         """What was found at the last look."""
-        self.message = "; ".join(text for one, text in _REASONS.items() if one in self.cautions)
+        self._match = state.match
+        self.velocity_fault = "" if state.match is None else velocity_fault(state.match)
+        """What is wrong with measured velocities, in words; empty if nothing surely is."""
+        reasons = [text for one, text in _REASONS.items() if one in self.cautions]
+        self.message = "; ".join(filter(None, (self.velocity_fault, *reasons)))
         """The same in words."""

@@ -108,8 +108,7 @@ class VirtualForceSensor:
             dt_s: Time since the previous call [s]; not read on the first one.
 
         Returns:
-            The wrench with its uncertainty and status. This method does not raise for a bad
-            sample, it says so in the status.
+            The wrench with its uncertainty and status. A bad sample is told there, not raised.
         """
         return self._absorb(JointStream, q, dq, tau, dt_s)
 
@@ -138,15 +137,16 @@ class VirtualForceSensor:
         what the prior lets the model be wrong by (tens of newtons on an LWR).
 
         Args:
-            force: Take it even where contact is seen.
+            force: Take it even where contact is seen, or velocities that do not fit positions.
 
         Returns:
             The fitted tare.
 
         Raises:
-            TareError: Without data, a second time without `start_recording`, or with contact in
-                sight; nothing has then changed.
+            TareError: Without data, a second time without `start_recording`, with contact in sight
+                or velocities that do not fit positions; nothing has then changed.
         """
+        self._slow.check_velocity(force=force)
         tare = self._offset.tare(self._contact, force=force)
         self._wrench.set_torque_covariance(self._offset.covariance_Nm2())
         self._wrench.weigh()
@@ -159,15 +159,15 @@ class VirtualForceSensor:
         The next sample may be of the other kind of torque: everything then starts anew.
         """
         self._offset.start_recording()
+        self._slow.forget_velocity()
 
     def reset(self) -> None:
         """Forget everything, the tare included."""
         self._stream: JointStream | ExternalTorqueStream | None = None
-        self._lag_s = self._elapsed_s = 0.0
+        self._lag_s = self._elapsed_s = self._looked_s = 0.0
         self._offset.reset()
         self._slow.restore(SlowState())
         self._doubt.restart()
-        self._looked_s = 0.0
         self._velocity = np.zeros(self._robot.nv)
         self._last: WrenchEstimate | None = None
         self._clock = SampleClock(self._config.max_gap_s)
@@ -216,13 +216,12 @@ class VirtualForceSensor:
             given = state.external_torque.velocity is None
             self._stream = ExternalTorqueStream(self._robot, self._config, has_velocity=given)
             self._stream.restore(state.external_torque)
-        self._lag_s = state.lag_s
         self._offset.restore(state.offset)
         self._wrench.set_torque_covariance(state.torque_covariance)
         self._wrench.restore(state.weights)
         self._slow.restore(state.slow)
         self._doubt.restore(state.doubt)
-        self._looked_s, self._velocity = state.looked_s, state.velocity
+        self._lag_s, self._looked_s, self._velocity = state.lag_s, state.looked_s, state.velocity
         self._last, self._skipped = state.last, state.skipped
         self._clock.missed_s = state.missed_s
         if state.last is not None:
@@ -272,7 +271,8 @@ class VirtualForceSensor:
         numbers = wrench.solve(residual, offset.offset_Nm)
         self._looked_s += elapsed_s
         if renewed:
-            slow.look(q, numbers[-1], self._looked_s, tared=tared)
+            dq = self._velocity if stream.has_velocity else None
+            slow.look(q, dq, numbers[-1], self._looked_s, tared=tared)
             self._looked_s = 0.0
         std = self._doubt.widen(numbers[0], numbers[1], stream.lag_s, elapsed_s)
         status, message, cautions = Status.OK, slow.message, slow.cautions
@@ -281,7 +281,7 @@ class VirtualForceSensor:
         if not settled:
             status, message = Status.SETTLING, SETTLING
         elif not tared:
-            status, message = Status.NOT_TARED, offset.warning or NOT_TARED
+            status, message = Status.NOT_TARED, slow.velocity_fault or offset.warning or NOT_TARED
         told = (status, message, slow.misfit, cautions)
         self._last = last = _new(WrenchEstimate, (numbers[0], std, *numbers[2:], *told))
         return last

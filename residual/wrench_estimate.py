@@ -50,6 +50,9 @@ class Caution(IntFlag):
     """A single time step was so long that the drift it would stand for spoils the tare: a long
     pause, or a clock that was set. It stays until the next tare. While free motion is recorded for
     one: what was recorded before is forgotten."""
+    VELOCITY = 128
+    """Measured velocities are not the rate of the measured positions: other units, another sign,
+    another order of the joints, or far too late. The message names the joints."""
 
 
 class WrenchEstimate(NamedTuple):

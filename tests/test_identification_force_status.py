@@ -48,7 +48,7 @@ def test_a_status_column_of_the_user_does_not_silence_a_log(tmp_path, capsys):
     write_table(log, columns | {"force_cautions": np.full(len(run.t_s), 32)})
     assert command.main([str(log)]) == 0
     told = capsys.readouterr()
-    assert f"stale) were left out: {len(run.t_s)}" in told.err
+    assert f"velocity) were left out: {len(run.t_s)}" in told.err
     assert "no layer was left" in told.out
 
 

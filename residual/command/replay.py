@@ -13,7 +13,7 @@ from residual.command.taring import TareDone, TareRequest, Taring
 from residual.command.tip_travel import TipTravel
 from residual.sensor_config import SensorConfig
 from residual.virtual_force_sensor import VirtualForceSensor
-from residual.wrench_estimate import Status, WrenchEstimate
+from residual.wrench_estimate import Caution, Status, WrenchEstimate
 from urdf import Robot
 
 OTHER_REASONS = "other reasons"
@@ -44,6 +44,8 @@ class Replay:
         self._latest_s, self._taken_s, self._shift_s = -math.inf, 0.0, 0.0
         self.skipped: Counter[str] = Counter()
         """Reasons for skipped rows."""
+        self.velocity_fault = ""
+        """What was told last of rows with wrong velocities; empty if there were none."""
         self.gaps = 0
         """Gaps in time after which the filters started anew."""
         self.longest_gap_s = 0.0
@@ -85,6 +87,8 @@ class Replay:
                 gaps.append(False)
             else:
                 taring.after(now_s, estimate.status)
+                if estimate.cautions & Caution.VELOCITY and estimate.status is not Status.SETTLING:
+                    self.velocity_fault = estimate.message
                 gaps.append(self._has_gap(now_s))
         return _rows(signals, self._travel(signals.q_rad), estimates, gaps)
 

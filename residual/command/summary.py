@@ -21,6 +21,7 @@ def summary_rows(result: ForceResult) -> Rows:
         ("skipped", _skipped(replay)),
         ("gaps", _gaps(replay, result.config)),
         ("cautions", _cautions(forces)),
+        *([("velocity", replay.velocity_fault)] if replay.velocity_fault else []),
         ("tare", _tare(replay)),
         ("axial force", _force(forces)),
         ("lag", own_lag if result.is_external else f"{1e3 * replay.lag_s:.1f} ms"),

@@ -1,0 +1,190 @@
+"""Measured velocities that are not the rate of positions are told; sound ones never are."""
+
+import re
+
+import numpy as np
+import pytest
+
+from residual.velocity_fault import velocity_fault
+from residual.velocity_match import first_match, velocity_match_step
+
+SHARES = np.array([0.03, -0.8, 0.07, 1.05, 0.25, 1.8, 0.2])
+"""Way of every joint in a straight stroke, in times of the stroke's."""
+STROKE_RAD, STROKE_S, REST_S = 0.12, 4.0, 0.5
+RATE_HZ = 1000.0
+
+
+def stroke():
+    """Times, positions and velocities of a tare stroke in air: out, back and out again."""
+    once = np.arange(round(STROKE_S * RATE_HZ)) / (STROKE_S * RATE_HZ)
+    way = once**3 * (10.0 - 15.0 * once + 6.0 * once**2)
+    speed = 30.0 * once**2 * (1.0 - once) ** 2 / STROKE_S
+    rest = np.zeros(round(REST_S * RATE_HZ))
+    s = STROKE_RAD * np.concatenate((rest, way, rest + 1, 1 - way, rest, way, rest + 1))
+    ds = STROKE_RAD * np.concatenate((rest, speed, rest, -speed, rest, speed, rest))
+    return np.arange(len(s)) / RATE_HZ, np.outer(s, SHARES), np.outer(ds, SHARES)
+
+
+def shaking():
+    """A fast motion of all joints, each at its own frequency up to 1.3 Hz."""
+    times = np.arange(8000) / RATE_HZ
+    omega = 2.0 + 0.9 * np.arange(7)
+    phase = np.outer(times, omega)
+    return times, 0.3 * (1.0 - np.cos(phase)), 0.3 * omega * np.sin(phase)
+
+
+def told(times, q, dq):
+    """What is told at every look, with its time, and the last match."""
+    q, dq = np.ascontiguousarray(q), np.ascontiguousarray(dq)
+    match, last, found = first_match(q[0], dq[0]), 0, []
+    for k in range(1, len(times)):
+        if times[k] - times[last] > 0.02 - 1e-9:
+            match = velocity_match_step(match, q[k], dq[k], times[k] - times[last])
+            found.append((times[k], velocity_fault(match)))
+            last = k
+    return found, match
+
+
+def late(values, seconds):
+    steps = round(seconds * RATE_HZ)
+    return np.concatenate((np.repeat(values[:1], steps, axis=0), values[: len(values) - steps]))
+
+
+def held(values, rate_hz):
+    steps = round(RATE_HZ / rate_hz)
+    return values[np.arange(len(values)) // steps * steps]
+
+
+def filtered(values, lag_s):
+    out, share = values.copy(), -np.expm1(-1.0 / (RATE_HZ * lag_s))
+    for k in range(1, len(out)):
+        out[k] = out[k - 1] + share * (values[k] - out[k - 1])
+    return out
+
+
+def differenced(q, resolution):
+    q = np.round(q / resolution) * resolution
+    return q, np.diff(q, axis=0, prepend=q[:1]) * RATE_HZ
+
+
+def vibrating(q, dq, hertz, amplitude):
+    omega, times = 2.0 * np.pi * hertz, np.arange(len(q)) / RATE_HZ
+    wave, rate = np.sin(omega * times + 0.5), omega * np.cos(omega * times + 0.5)
+    return q + amplitude * wave[:, None], dq + amplitude * rate[:, None]
+
+
+def noisy(values, std):
+    return values + std * np.random.default_rng(0).normal(size=values.shape)
+
+
+SOUND = {
+    "as it is": lambda q, dq: (q, dq),
+    "noise of good sensors": lambda q, dq: (noisy(q, 1e-5), noisy(dq, 2e-3)),
+    "noise of bad encoders": lambda q, dq: (noisy(q, 1e-3), dq),
+    "noise of bad velocities": lambda q, dq: (q, noisy(dq, 0.03)),
+    "positions of 2 mrad": lambda q, dq: (np.round(q / 2e-3) * 2e-3, dq),
+    "velocities of 0.02 rad/s": lambda q, dq: (q, np.round(dq / 0.02) * 0.02),
+    "velocities cut to 0.01 rad/s": lambda q, dq: (q, np.trunc(dq / 0.01) * 0.01),
+    "differences of a 16 bit encoder": lambda q, dq: differenced(q, 1e-4),
+    "filter of 20 ms": lambda q, dq: (q, filtered(dq, 0.02)),
+    "late by 20 ms": lambda q, dq: (q, late(dq, 0.02)),
+    "positions late by 20 ms": lambda q, dq: (late(q, 0.02), dq),
+    "positions of 20 Hz": lambda q, dq: (held(q, 20.0), dq),
+    "velocities of 20 Hz": lambda q, dq: (q, held(dq, 20.0)),
+    "both of 50 Hz": lambda q, dq: (held(q, 50.0), held(dq, 50.0)),
+    "velocity off by 0.01 rad/s": lambda q, dq: (q, dq + 0.01),
+    "factor of 1.2": lambda q, dq: (q, 1.2 * dq),
+    "vibration of 7 Hz": lambda q, dq: vibrating(q, dq, 7.0, 5e-4),
+    "vibration of 49.9 Hz": lambda q, dq: vibrating(q, dq, 49.9, 5e-5),
+    "vibration of 50 Hz": lambda q, dq: vibrating(q, dq, 50.0, 5e-5),
+    "position that jumps": lambda q, dq: (q + (np.arange(len(q)) % 3500 > 1700)[:, None] * 0.1, dq),
+}
+
+DEGREES = 180.0 / np.pi
+WRONG = {
+    "deg/s": (lambda q, dq: (q, DEGREES * dq), "is 57.3 times the rate of q: is it in deg/s"),
+    "q in degrees": (lambda q, dq: (DEGREES * q, dq), "is 0.0175 times the rate .*q in degrees"),
+    "sign": (lambda q, dq: (q, -dq), r"\[1, 3, 5\] is -1 times the rate .* sign the other one"),
+    "deg/s and sign": (lambda q, dq: (q, -DEGREES * dq), "is -57.3 times .*is its sign .* deg/s"),
+    "rpm": (lambda q, dq: (q, 30.0 / np.pi * dq), "is 9.55 times .*revolutions per minute"),
+    "gear": (lambda q, dq: (q, 100.0 * dq), "is 100 times the rate of q: .* before its gear"),
+    "gear of two": (lambda q, dq: (q, 2.0 * dq), "is 2 times the rate of q: .* before its gear"),
+    "not sent": (lambda q, dq: (q, 0.0 * dq), "stands still while q moves"),
+    "stale": (lambda q, dq: (q, 0.0 * dq + dq[1500]), "does not follow q: .* stale"),
+    "late by 0.5 s": (lambda q, dq: (q, late(dq, 0.5)), "is 0.5 s behind q"),
+    "reversed order": (lambda q, dq: (q, dq[:, ::-1]), r"\[1\] is the rate of q at joint index 5"),
+    "next joint's": (lambda q, dq: (q, np.roll(dq, 1, axis=1)), "order of the joints another"),
+    "two joints swapped": (
+        lambda q, dq: (q, dq[:, [0, 1, 2, 5, 4, 3, 6]]),
+        r"\[3\] is the rate of q at joint index 5.*\[5\] is the rate of q at joint index 3",
+    ),
+    "one joint's sign": (
+        lambda q, dq: (q, dq * np.where(np.arange(7) == 3, -1.0, 1.0)),
+        r"^dq at joint index \[3\] is -1 times",
+    ),
+}
+
+
+SECONDS = {"late by 0.5 s": 6.5, "stale": 6.5}
+"""Until these are told; for those the way back is needed."""
+
+
+@pytest.mark.parametrize("source", SOUND)
+@pytest.mark.parametrize("motion", [stroke, shaking])
+def test_sound_signals_are_never_told(motion, source):
+    times, q, dq = motion()
+    found, _ = told(times, *SOUND[source](q, dq))
+    assert not any(text for _, text in found)
+
+
+def test_jitter_of_the_clock_and_gaps_are_not_told():
+    times, q, dq = stroke()
+    rng = np.random.default_rng(2)
+    stamps = np.maximum.accumulate(times + 5e-3 * rng.uniform(size=len(times)))
+    assert not any(text for _, text in told(stamps, q, dq)[0])
+    kept = np.ones(len(times), dtype=bool)
+    for start, length in zip(rng.uniform(0, 14, 12), (0.03, 0.1, 0.19, 0.4) * 3, strict=True):
+        kept &= ~((times >= start) & (times < start + length))
+    assert not any(text for _, text in told(times[kept], q[kept], dq[kept])[0])
+
+
+@pytest.mark.parametrize("kind", WRONG)
+def test_wrong_velocities_are_told_within_seconds_and_stay_told_at_rest(kind):
+    bend, words = WRONG[kind]
+    times, q, dq = stroke()
+    found, match = told(times, *bend(q, dq))
+    first_s = next(time_s for time_s, text in found if text)
+    assert REST_S < first_s < REST_S + SECONDS.get(kind, 2.5)
+    assert re.search(words, found[-1][1]), found[-1][1]
+    q_end, still = bend(q, dq)[0][-1], np.zeros(7)
+    for _ in range(3000):
+        match = velocity_match_step(match, q_end, still, 0.02)
+    assert velocity_fault(match) == found[-1][1]
+
+
+def test_joints_that_do_not_move_are_not_judged():
+    times, q, dq = stroke()
+    found, _ = told(times, 0.0 * q, noisy(0.0 * dq, 0.05))
+    assert not any(text for _, text in found)
+    assert told(times, 0.0 * q, 0.0 * dq + 1.0)[0][-1][1] != ""
+
+
+def test_velocities_that_have_become_right_are_forgotten_by_motion():
+    times, q, dq = stroke()
+    wrong = told(times, q, -dq)[1]
+    match = wrong
+    for _ in range(20):
+        for k in range(20, len(times), 20):
+            match = velocity_match_step(match, q[k], dq[k], 0.02)
+    assert velocity_fault(wrong)
+    assert not velocity_fault(match)
+
+
+def test_a_match_is_left_as_it_was_and_the_compiled_step_is_the_plain_one():
+    times, q, dq = shaking()
+    _, match = told(times[:3000], q, 2.0 * dq)
+    before = match.copy()
+    after = velocity_match_step(match, q[3020], dq[3020], 0.02)
+    np.testing.assert_array_equal(match, before)
+    plain = getattr(velocity_match_step, "py_func", velocity_match_step)
+    np.testing.assert_allclose(after, plain(match, q[3020], dq[3020], 0.02), rtol=1e-12, atol=1e-18)

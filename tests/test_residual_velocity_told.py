@@ -1,0 +1,117 @@
+"""What a caller is told of wrong velocities: by the sensor, by a session, by the command."""
+
+import numpy as np
+import pytest
+from guarded_sensor import feed, signals, tared
+from insertion_run import same
+from residual_command_log import insertion
+from residual_signals import BIAS
+
+from insertion import InsertionSession, read_snapshot, write_snapshot
+from recordings import write_table
+from residual import DEFAULT, PAPER, Caution, Status, TareError, VirtualForceSensor
+from residual.__main__ import main
+from residual.sensor_state import SensorState
+
+DEGREES = 180.0 / np.pi
+
+
+def rows_of(robot, seconds=4.0, factor=1.0, start=0.0):
+    q, dq, tau = signals(robot, seconds, start=start)
+    return [(q_k, factor * dq_k, tau_k) for q_k, dq_k, tau_k in zip(q, dq, tau, strict=True)]
+
+
+@pytest.mark.parametrize("config", [DEFAULT, PAPER])
+@pytest.mark.parametrize("factor", [DEGREES, -1.0])
+def test_the_tare_is_refused_with_the_reason_and_not_with_contact(lwr, factor, config):
+    sensor = VirtualForceSensor(lwr, config)
+    found = feed(sensor, rows_of(lwr, factor=factor))
+    assert Caution.VELOCITY in found[-1].cautions
+    assert found[-1].status is Status.NOT_TARED
+    assert f"is {factor:.3g} times the rate of q" in found[-1].message
+    with pytest.raises(TareError, match="times the rate of q") as refused:
+        sensor.tare()
+    assert "contact" not in str(refused.value)
+    assert not sensor.tared
+    sensor.tare(force=True)
+    later = feed(sensor, rows_of(lwr, 0.1, factor, start=4.0))[-1]
+    assert sensor.tared
+    assert Caution.VELOCITY in later.cautions
+    assert "times the rate of q" in later.message
+
+
+def test_sound_velocities_are_not_told_and_without_velocities_nothing_is(lwr):
+    sensor, rows = tared(lwr)
+    assert not any(e.cautions for e in feed(sensor, rows))
+    sensor, rows = tared(lwr, with_velocity=False)
+    assert not any(e.cautions for e in feed(sensor, rows))
+    assert sensor.snapshot().slow.match is None
+
+
+def test_free_motion_recorded_anew_is_judged_anew(lwr):
+    sensor = VirtualForceSensor(lwr)
+    assert feed(sensor, rows_of(lwr, factor=DEGREES))[-1].cautions == Caution.VELOCITY
+    # A jump of all velocities, which the filters have to forget first.
+    feed(sensor, rows_of(lwr, 0.5, start=4.0))
+    sensor.start_recording()
+    found = feed(sensor, rows_of(lwr, start=4.5))
+    assert not any(e.cautions for e in found)
+    sensor.tare()
+    sensor.start_recording()
+    assert Caution.VELOCITY in feed(sensor, rows_of(lwr, start=8.0, factor=-1.0))[-1].cautions
+
+
+def test_the_robots_own_external_torque_is_judged_the_same_way(lwr):
+    sensor = VirtualForceSensor(lwr)
+    rows = rows_of(lwr, factor=-1.0)
+    found = [sensor.update_external_torque(q, BIAS, 1e-3, dq) for q, dq, _ in rows]
+    assert Caution.VELOCITY in found[-1].cautions
+    sensor.reset()
+    found = [sensor.update_external_torque(q, BIAS, 1e-3) for q, _, _ in rows]
+    assert not any(e.cautions for e in found)
+
+
+def test_a_session_keeps_wrong_velocities_from_its_identifier(lwr):
+    session = InsertionSession(lwr)
+    for row in rows_of(lwr, factor=-1.0):
+        session.update(*row, 1e-3)
+    with pytest.raises(TareError, match="times the rate of q"):
+        session.tare()
+    session.tare(force=True)
+    found = [session.update(*row, 1e-3) for row in rows_of(lwr, 0.3, -1.0, start=4.0)]
+    assert all(Caution.VELOCITY in e.cautions and not e.is_fed for e in found)
+
+
+@pytest.mark.parametrize("cut", [900, 2500])
+def test_a_snapshot_goes_on_bit_for_bit_before_and_after_it_is_told(lwr, tmp_path, cut):
+    rows = rows_of(lwr, factor=-1.0)
+    sensor, other = VirtualForceSensor(lwr), VirtualForceSensor(lwr)
+    feed(sensor, rows[:cut])
+    state = sensor.snapshot()
+    write_snapshot(state, tmp_path / "state")
+    stored = read_snapshot(tmp_path / "state")
+    assert isinstance(stored, SensorState)
+    other.restore(stored)
+    assert other.snapshot().slow.match is not state.slow.match
+    for row in rows[cut:]:
+        assert same(sensor.update(*row, 1e-3), other.update(*row, 1e-3))
+    assert same(sensor.snapshot().slow, other.snapshot().slow)
+    assert Caution.VELOCITY in sensor.update(*rows[-1], 1e-3).cautions
+
+
+def test_the_command_names_joints_and_reason(lwr, tmp_path, capsys):
+    columns = insertion(lwr)
+    columns["dq_rad_s"] = DEGREES * columns["dq_rad_s"]
+    log = tmp_path / "log.npz"
+    write_table(log, columns)
+    assert main([str(log), "--tare", "0:2.5"]) == 2
+    refused = capsys.readouterr().err
+    assert "is 57.3 times the rate of q: is it in deg/s? " in refused
+    assert "--force-tare" in refused
+    out = tmp_path / "forces.npz"
+    assert main([str(log), "--tare", "0:2.5", "--force-tare", "-o", str(out)]) == 0
+    lines = capsys.readouterr().out.splitlines()
+    assert any(line.startswith("cautions ") and "x velocity" in line for line in lines)
+    assert any(line.startswith("velocity ") and "is it in deg/s?" in line for line in lines)
+    cautions = np.load(out)["force_cautions"].astype(int)
+    assert (cautions[-1000:] & Caution.VELOCITY).all()
