@@ -37,5 +37,9 @@ class TareError(ResidualError, RuntimeError):
     """A tare that would be wrong: no data, contact in sight, or velocities that are not rates."""
 
 
+class VelocityError(TareError):
+    """A tare asked for with measured velocities that are not the rate of the positions."""
+
+
 class SnapshotError(ResidualError, ValueError):
     """A snapshot that cannot be restored here: the message says what it is of."""

@@ -9,7 +9,12 @@ from numpy.typing import ArrayLike, NDArray
 
 from residual.errors import ConfigurationError, SampleError
 from residual.joint_friction import FrictionModel
-from residual.momentum_smoother import KNEE_SIGMAS, smoothing_step, smoothing_tick
+from residual.momentum_smoother import (
+    BANDWIDTH_PER_S,
+    KNEE_SIGMAS,
+    smoothing_step,
+    smoothing_tick,
+)
 from residual.momentum_step import ROWS, Alignment, momentum_tick, step_coefficients
 from residual.momentum_terms import MomentumTerms
 from residual.sample_check import MOST_PLAUSIBLE, check_interval, check_joint_vector, read_rows
@@ -22,6 +27,8 @@ Array = NDArray[np.float64]
 _NAMES = ("q", "dq", "tau")
 _LEAST_MOMENTUM_NOISE = 1e-9
 """Keeps the smoother's ratios finite for a signal without noise [kg m^2/s]."""
+_NO_KNEE = 1e-300
+"""So near that every distance is beyond: the momentum passes untouched [kg m^2/s]."""
 
 
 class MomentumState(NamedTuple):
@@ -104,10 +111,7 @@ class MomentumObserver:
         self._flat_slots = tuple(self._rows[k * ROWS : (k + 1) * ROWS].reshape(-1) for k in (0, 1))
         self._spare = 0
         self._seated = False
-        self._noise: Array | None = None
-        # What keeps the residual, whatever the sample: of the first one.
-        keep = np.repeat(np.eye(2 * ROWS)[::ROWS, :, None], robot.nv, axis=2)
-        self._keep = (keep[1], keep[0])
+        self._learn(None)
         self._change_tick(max_gap_s)
 
     @property
@@ -147,7 +151,7 @@ class MomentumObserver:
         # The dynamics tell whether dq and tau are plausible, but not how large q is.
         if not math.hypot(*position.tolist()) < MOST_PLAUSIBLE:
             check_joint_vector("q", position, self._joints)
-        if self._seated and dt_s != self._dt_s:
+        if self._seated:
             check_interval(dt_s)
         residual = self.absorb(position, rows[1], rows[2], dt_s).copy()
         residual.setflags(write=False)
@@ -162,18 +166,12 @@ class MomentumObserver:
             SampleError: For numbers that are not finite; the state is then unchanged.
         """
         is_next = self._seated and dt_s <= self._max_gap_s
-        if is_next and dt_s != self._dt_s:
-            self._change_tick(dt_s)
-        spare = self._spare
+        spare, lasts_s = self._spare, dt_s if is_next else 0.0
         if COMPILER:
-            coefficients = (self._coefficients if is_next else self._keep)[spare]
-            at_rest = self._at_rest if is_next else 0.0
             dynamics = self._terms.at(q, dq)
-            size = momentum_tick(
-                self._rows, spare, dynamics, dq, tau, coefficients, self._knee, at_rest
-            )
+            size = momentum_tick(self._rows, spare, dynamics, dq, tau, lasts_s, self._settings)
         else:
-            size = self._array_tick(q, dq, tau, is_next)
+            size = self._array_tick(q, dq, tau, lasts_s)
         residual_row = self._slots[spare][0]
         # Written so that a NaN is refused too.
         if not size < MOST_PLAUSIBLE**2:
@@ -184,13 +182,15 @@ class MomentumObserver:
         self._seated = True
         return residual_row
 
-    def _array_tick(self, q: Array, dq: Array, tau: Array, is_next: bool) -> float:
+    def _array_tick(self, q: Array, dq: Array, tau: Array, dt_s: float) -> float:
         """As `momentum_tick`, in arrays: without a compiler they are faster than loops."""
+        if dt_s != self._dt_s and dt_s > 0.0:
+            self._change_tick(dt_s)
         spare = self._spare
         residual, momentum, coriolis, gravity, torque = self._slots[spare]
         self._terms.write(q, dq, momentum, coriolis, gravity)
         torque[:] = tau
-        if is_next:
+        if dt_s > 0.0:
             if self._noise is not None:
                 before = self._slots[1 - spare][1]
                 momentum -= smoothing_step(before, momentum, self._noise, self._smoothing_tick)
@@ -216,22 +216,24 @@ class MomentumObserver:
         noise = check_joint_vector("velocity_noise_rad_s", velocity_noise_rad_s, self._joints)
         q = check_joint_vector("q", q, self._joints)
         variance = self._terms.momentum_variance(noise, q)
-        self._noise = np.sqrt(variance) + _LEAST_MOMENTUM_NOISE
-        self._dt_s = math.nan
+        self._learn(np.sqrt(variance) + _LEAST_MOMENTUM_NOISE)
 
     def _change_tick(self, dt_s: float) -> None:
-        """Renew what depends on noise and length of the tick: on an even clock that is once."""
-        gain = self._gain if self._gain_of_all is None or COMPILER else self._gain_of_all
+        """Renew what depends on the length of the tick: on an even clock that is once."""
+        gain = self._gain if self._gain_of_all is None else self._gain_of_all
         before, after = step_coefficients(gain, dt_s, self._alignment)
-        both = [np.concatenate(order, axis=-1) for order in ((after, before), (before, after))]
-        # The compiler's loops read them in the order of the rows.
-        self._coefficients = [np.ascontiguousarray(one.T) for one in both] if COMPILER else both
+        self._coefficients = (
+            np.concatenate((after, before), axis=-1),
+            np.concatenate((before, after), axis=-1),
+        )
         self._smoothing_tick = smoothing_tick(dt_s)
-        self._at_rest, self._knee = 0.0, self._gain
-        if self._noise is not None:
-            self._at_rest = float(self._smoothing_tick.at_rest)
-            self._knee = KNEE_SIGMAS * self._noise
         self._dt_s = dt_s
+
+    def _learn(self, noise: Array | None) -> None:
+        """Take over the noise of the momentum; None where it passes untouched."""
+        self._noise = noise
+        knee = KNEE_SIGMAS * noise if noise is not None else np.full(self._joints, _NO_KNEE)
+        self._settings = (self._gain, knee, BANDWIDTH_PER_S, self._alignment == "hold")
 
     def _combine(self, coefficients: Array) -> Array:
         """Residual after the tick, from the rows in place."""
@@ -261,8 +263,7 @@ class MomentumObserver:
             ConfigurationError: If it belongs to a robot with another number of joints.
         """
         self._seated = state.rows is not None
-        self._noise = state.noise
-        self._dt_s = math.nan  # the next tick renews what depends on the noise
+        self._learn(state.noise)
         if state.rows is None:
             self._rows[:] = 0.0
             self._spare = 0

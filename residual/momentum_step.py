@@ -85,13 +85,12 @@ def momentum_tick(
     dynamics: tuple[Matrix, Matrix, Vector],
     velocity: Vector,
     torque: Vector,
-    coefficients: Matrix,
-    knee: Vector,
-    at_rest: float,
+    dt_s: float,
+    settings: tuple[Vector, Vector, float, bool],
 ) -> float:
     """A whole tick of `MomentumObserver` in loops, as a compiler likes it and Python does not.
 
-    The observer does the same with `momentum_step` and `smoothing_step` where nothing compiles.
+    The observer does the same with `step_coefficients` and `smoothing_step` where nothing compiles.
 
     Args:
         rows: Rows of the sample before and of this one, which are written; shape (2 ROWS, n).
@@ -99,34 +98,37 @@ def momentum_tick(
         dynamics: M, C and g + tau_f.
         velocity: dq [rad/s], shape (n,).
         torque: Measured torque [Nm], shape (n,).
-        coefficients: Of all rows, shape (2 ROWS, n).
-        knee: Distance at which the bandwidth of the momentum doubles, see
-            `residual.momentum_smoother`, shape (n,).
-        at_rest: 1 / (its bandwidth at rest times tick); 0 to let the momentum pass untouched.
+        dt_s: Length of the tick [s]; 0 to keep the residual: of a first sample.
+        settings: K [1/s] and the distance at which the bandwidth of the momentum doubles, both
+            shape (n,); that bandwidth at rest [1/s]; whether the torque is held.
 
     Returns:
         Sum of the squares of the rows written.
     """
     inertia, coriolis, gravity = dynamics
+    gain, knee, bandwidth, held = settings
     before, after = ROWS * (1 - slot), ROWS * slot
     size = 0.0
     for i in range(len(velocity)):
-        momentum = transported = residual = 0.0
+        momentum = transported = 0.0
         for j in range(len(velocity)):
             momentum += inertia[i, j] * velocity[j]
             transported += coriolis[j, i] * velocity[j]
-        if at_rest > 0.0:
+        residual = rows[before, i]
+        if dt_s > 0.0:
+            at_rest = 1.0 / (bandwidth * dt_s)
             behind = momentum - rows[before + 1, i]
             ratio = behind / knee[i]
             momentum -= behind / (1.0 + at_rest + ratio * ratio * ratio * ratio) * at_rest
-        rows[after, i] = 0.0
+            motion = transported - gravity[i] + rows[before + 2, i] - rows[before + 3, i]
+            acting = 2.0 * rows[before + 4, i] if held else rows[before + 4, i] + torque[i]
+            rate = (momentum - rows[before + 1, i]) / dt_s - 0.5 * (motion + acting)
+            residual += math.expm1(-gain[i] * dt_s) * (residual - rate)
+        rows[after, i] = residual
         rows[after + 1, i] = momentum
         rows[after + 2, i] = transported
         rows[after + 3, i] = gravity[i]
         rows[after + 4, i] = torque[i]
-        for k in range(2 * ROWS):
-            residual += coefficients[k, i] * rows[k, i]
-        rows[after, i] = residual
         for k in range(after, after + ROWS):
             size += rows[k, i] * rows[k, i]
     return size

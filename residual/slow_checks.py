@@ -6,7 +6,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from residual.errors import TareError
+from residual.errors import VelocityError
 from residual.velocity_fault import velocity_fault
 from residual.velocity_match import first_match, velocity_match_step
 from residual.wrench import WrenchEstimator
@@ -115,10 +115,10 @@ class SlowChecks:
             force: Take it all the same.
 
         Raises:
-            TareError: With what is wrong with them.
+            VelocityError: With what is wrong with them.
         """
         if self.velocity_fault and not force:
-            raise TareError(self.velocity_fault + NO_TARE)
+            raise VelocityError(self.velocity_fault + NO_TARE)
 
     def forget_velocity(self) -> None:
         """Compare velocities with positions anew."""

@@ -8,7 +8,7 @@ import numpy as np
 
 from residual.command.errors import CommandError
 from residual.command.tare_window import TareOption, TareWindow
-from residual.errors import TareError
+from residual.errors import TareError, VelocityError
 from residual.tare import Tare
 from residual.virtual_force_sensor import VirtualForceSensor
 from residual.wrench_estimate import Status
@@ -17,6 +17,7 @@ AUTOMATIC_S = 2.0
 """Without a choice of the user's, so much from the start of the log is taken for free motion [s]:
 whoever records an insertion starts before contact, but not long before."""
 
+_COLUMNS = "--dq says names, unit and factor of the columns, as in --dq dq_*:deg/s or dq_*:rad/s:-1"
 _CHOICES = "choose where the needle is free with --tare START:END, or go without with --no-tare"
 
 
@@ -131,5 +132,6 @@ class Taring:
             tare = self._sensor.tare(force=self._request.force)
         except TareError as error:
             reason = str(error).replace("force=True", "--force-tare")
-            raise CommandError(f"{what}: {reason}. Or {_CHOICES}") from error
+            choices = _COLUMNS if isinstance(error, VelocityError) else f"Or {_CHOICES}"
+            raise CommandError(f"{what}: {reason}. {choices}") from error
         self.done = TareDone(window=window, tare=tare)

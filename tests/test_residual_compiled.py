@@ -1,0 +1,106 @@
+"""The loops that a compiler makes fast say the same as the arrays that stand in for them."""
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from residual_signals import swing
+
+from insertion.tip_travel import tip_motion
+from residual import DEFAULT, MomentumObserver, VelocityEstimator, VirtualForceSensor
+from residual.axial_force import axial_force
+from residual.spike_gates import fresh_distance
+from speedup import COMPILER
+from urdf import load_lwr
+
+pytestmark = pytest.mark.skipif(not COMPILER, reason="numba (the extra `fast`) is not installed")
+seeds = st.integers(0, 10_000)
+
+
+def both_ways(monkeypatch, module, make):
+    """What ``make`` makes, compiled and plain."""
+    compiled = make()
+    with monkeypatch.context() as patch:
+        patch.setattr(f"residual.{module}.COMPILER", "")
+        return compiled, make()
+
+
+@pytest.mark.parametrize("alignment", ["hold", "trapezoid"])
+@pytest.mark.parametrize("gain", [40.0, np.linspace(10.0, 80.0, 7)], ids=["one gain", "gains"])
+@pytest.mark.parametrize("is_quiet", [False, True])
+def test_the_observer(lwr, monkeypatch, alignment, gain, is_quiet):
+    _, q, dq, tau = swing(lwr, seconds=0.3)
+    steps = np.random.default_rng(0).uniform(5e-4, 2e-3, len(q))
+    steps[150] = 1.0
+
+    def run():
+        observer = MomentumObserver(lwr, gain, alignment=alignment)
+        if is_quiet:
+            observer.smooth_momentum(np.full(7, 1e-3), q[0])
+        return np.array([observer.update(*one) for one in zip(q, dq, tau, steps, strict=True)])
+
+    compiled, plain = both_ways(monkeypatch, "momentum_observer", run)
+    assert np.abs(plain).max() > 1e-6
+    np.testing.assert_allclose(compiled, plain, rtol=1e-9, atol=1e-12)
+
+
+@pytest.mark.parametrize("alignment", ["hold", "trapezoid"])
+def test_the_velocity_estimator(lwr, monkeypatch, alignment):
+    _, q, _, tau = swing(lwr, seconds=0.2)
+
+    def run():
+        estimator = VelocityEstimator(7, alignment=alignment)
+        found = [estimator.update(*one, 1e-3) for one in zip(q, tau, strict=True)]
+        return np.array([np.stack(one[:3]) for one in found])
+
+    compiled, plain = both_ways(monkeypatch, "velocity_step", run)
+    assert np.abs(plain[-1, 1]).max() > 1e-3
+    np.testing.assert_allclose(compiled, plain, rtol=1e-9, atol=1e-12)
+
+
+@settings(deadline=None)
+@given(seed=seeds, repeats=st.sampled_from(["nothing", "first", "positions", "torques", "nan"]))
+def test_the_distance_of_two_samples(seed, repeats):
+    rng = np.random.default_rng(seed)
+    last, weight = rng.normal(size=21), rng.uniform(0.1, 1.0, 21)
+    now = last + rng.uniform(1e-3, 1.0, 21)
+    same = {"first": [0], "positions": range(7), "torques": range(14, 21)}.get(repeats, [])
+    now[list(same)] = last[list(same)]
+    if repeats == "nan":
+        now[3] = np.nan
+    compiled, plain = (f(now, last, weight, 7) for f in (fresh_distance, fresh_distance.py_func))
+    assert compiled == pytest.approx(plain, rel=1e-12, nan_ok=True)
+    assert np.isinf(compiled) == (repeats in ("positions", "torques"))
+
+
+@settings(deadline=None)
+@given(seed=seeds, damping=st.sampled_from([0.0, 1e-4]))
+def test_force_and_motion_of_the_needle(seed, damping):
+    rng = np.random.default_rng(seed)
+    residual, offset, weighted, advance, dq = rng.normal(size=(5, 7))
+    axis, pose = rng.normal(size=(3, 3))[:, 1], rng.normal(size=(4, 4))
+    forces, motions = [], []
+    for force_of, motion_of in (
+        (axial_force, tip_motion),
+        (axial_force.py_func, tip_motion.py_func),
+    ):
+        corrected, force = np.empty(7), np.empty(3)
+        given_ = (residual, offset, weighted, advance, axis, damping, corrected, force)
+        forces.append([force_of(*given_), *corrected, *force])
+        motions.append(motion_of(axis.copy(), pose, advance, dq))
+    np.testing.assert_allclose(*forces, rtol=1e-9, atol=1e-12)
+    np.testing.assert_allclose(*motions, rtol=1e-9, atol=1e-12)
+
+
+@pytest.mark.parametrize("has_velocity", [True, False])
+def test_arrays_of_any_layout_are_taken(has_velocity):
+    robot = load_lwr()
+    _, q, dq, tau = swing(robot, seconds=0.1)
+    plain, strange = VirtualForceSensor(robot, DEFAULT), VirtualForceSensor(robot, DEFAULT)
+    for one in zip(q, dq, tau, strict=True):
+        gaps = [np.repeat(row, 2)[::2] for row in one]
+        if not has_velocity:
+            one, gaps = (one[0], None, one[2]), (gaps[0], None, gaps[2])
+        wrench, same = plain.update(*one, 1e-3), strange.update(*gaps, 1e-3)
+    assert wrench.axial == same.axial != 0.0
+    np.testing.assert_array_equal(wrench.residual, same.residual)
