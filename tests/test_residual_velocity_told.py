@@ -108,6 +108,9 @@ def test_the_command_names_joints_and_reason(lwr, tmp_path, capsys):
     refused = capsys.readouterr().err
     assert "is 57.3 times the rate of q: is it in deg/s? " in refused
     assert "--force-tare" in refused
+    assert "--dq dq_*:deg/s" in refused
+    assert main([str(log), "--tare", "0:2.5", "--dq", "dq_rad_s:deg/s"]) == 0
+    assert "velocity" not in capsys.readouterr().out.replace("velocity from the log", "")
     out = tmp_path / "forces.npz"
     assert main([str(log), "--tare", "0:2.5", "--force-tare", "-o", str(out)]) == 0
     lines = capsys.readouterr().out.splitlines()
