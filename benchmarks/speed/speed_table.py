@@ -27,6 +27,7 @@ from benchmarks.verdict.targets import (
     RERUN_COST_RATIO,
     SENSOR_COST_RATIO,
 )
+from speedup import COMPILER
 
 PERCENTILES = {"median": 50.0, "99 %": 99.0, "99.9 %": 99.9}
 BARE = {
@@ -55,7 +56,8 @@ def speed_table(timings: Mapping[str, Timing]) -> Table:
     ticks = next(iter(timings.values())).tick_us.size
     table = Table(
         title="Cost of a tick",
-        caption=f"{ticks} ticks each of a simulated insertion, taking turns; ratios of medians",
+        caption=f"{ticks} ticks each of a simulated insertion, taking turns; ratios of medians; "
+        + (f"compiled by {COMPILER}" if COMPILER else "plain Python: no numba, the extra `fast`"),
     )
     table.add_column("what", no_wrap=True)
     for name in (*PERCENTILES, "worst"):
