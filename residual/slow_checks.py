@@ -96,8 +96,6 @@ class SlowChecks:
         if square > MOST_MISFIT**2:
             found |= Caution.MISFIT
         match = None if dq is None else self._matched(q, dq, dt_s)
-        if match is not None and velocity_fault(match):
-            found |= Caution.VELOCITY
         self.restore(SlowState(square, int(found), match))
 
     def _matched(
@@ -145,11 +143,12 @@ class SlowChecks:
         self._misfit_squared = state.misfit_squared
         self.misfit = math.sqrt(state.misfit_squared)
         """Smoothed misfit, see `WrenchEstimate`."""
-        self.cautions = Caution(state.cautions)
-        """What was found at the last look."""
         self._match = state.match
         self.velocity_fault = "" if state.match is None else velocity_fault(state.match)
         """What is wrong with measured velocities, in words; empty if nothing surely is."""
+        told = Caution.VELOCITY if self.velocity_fault else Caution.NONE
+        self.cautions = Caution(state.cautions) | told
+        """What was found at the last look."""
         reasons = [text for one, text in _REASONS.items() if one in self.cautions]
         self.message = "; ".join(filter(None, (self.velocity_fault, *reasons)))
         """The same in words."""

@@ -95,7 +95,7 @@ def _sums_of(match: NDArray[np.float64], i: int) -> _Sums:
 def _other(match: NDArray[np.float64], i: int, off: list[bool]) -> str:
     """The joint whose rate a velocity is, if there is one: its own velocity is not sound either."""
     n = len(off)
-    squares, products = match[SQUARES + i], match[SQUARES + n + i]
+    squares, products = match[SQUARES : SQUARES + n, i], match[SQUARES + n :, i]
     said, seconds = match[SAID_SQUARE, i], match[SECONDS]
     is_sound = (seconds >= LEAST_SECONDS) & ~np.array(off)
     moves = squares > seconds[i] * (0.2 * LEAST_TRAVEL_RAD) ** 2

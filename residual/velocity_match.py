@@ -21,8 +21,8 @@ SECONDS, BEYOND, SAID_SQUARE, CHANGE_SQUARE, CHANGE_TRAVEL, CHANGE_SAID = range(
 lag, of dq's travel [rad^2 s] and of the change of q's [rad^2/s]; products of that change with both
 travels [rad^2]."""
 SQUARES = 11
-"""From here n rows: square of the travel of joint j while joint i was looked at [rad^2 s], then n
-rows: its product with dq's travel of joint i."""
+"""From here n rows, one for each joint: square of its travel while the joint of the column was
+looked at [rad^2 s]; then n rows: product of its travel with dq's of the joint of the column."""
 
 TRAVEL_S = 1.0
 """Travel fades with this time constant: shorter makes slow strokes short, longer adds up bias."""
@@ -77,8 +77,8 @@ def velocity_match_step(match: Matrix, q: Vector, dq: Vector, dt_s: float) -> Ma
     rate = way / dt_s
     after = match.copy()
     after[POSITION], after[VELOCITY], after[RATE] = q, dq, rate
-    is_jump = np.abs(rate - match[RATE]).max() > MOST_ACCELERATION_RAD_S2 * dt_s
-    if is_jump or dt_s > LONGEST_S:
+    jump = np.abs(rate - match[RATE]).max()
+    if jump > MOST_ACCELERATION_RAD_S2 * dt_s or dt_s > LONGEST_S:
         after[TRAVEL : SAID + 1] = 0.0
         return after
     kept = math.exp(-dt_s / TRAVEL_S)
@@ -87,21 +87,21 @@ def velocity_match_step(match: Matrix, q: Vector, dq: Vector, dt_s: float) -> Ma
     seen = np.maximum(SAID_RATIO * np.abs(a), np.abs(b)) > SAID_RATIO * LEAST_TRAVEL_RAD
     if not seen.any():
         return after
-    fade = np.where(seen, math.exp(-dt_s / MEMORY_S), 1.0)
-    time_s = np.where(seen, dt_s, 0.0)
     honest = HONEST_RAD + HONEST_LAG_S / dt_s * np.maximum(np.abs(way), np.abs(said))
-    beyond = np.maximum(np.abs(b - a) - honest, 0.0)
-    after[SECONDS] = fade * match[SECONDS] + time_s
-    after[BEYOND] = fade * match[BEYOND] + time_s * beyond**2
-    after[SAID_SQUARE] = fade * match[SAID_SQUARE] + time_s * b**2
-    change = np.where(seen, a - match[TRAVEL], 0.0)
-    after[CHANGE_SQUARE] = fade * match[CHANGE_SQUARE] + change**2 / dt_s
-    after[CHANGE_TRAVEL] = fade * match[CHANGE_TRAVEL] + change * a
-    after[CHANGE_SAID] = fade * match[CHANGE_SAID] + change * b
-    fade_of, time_of, said_of = fade.reshape(n, 1), time_s.reshape(n, 1), b.reshape(n, 1)
-    squares, products = match[SQUARES : SQUARES + n], match[SQUARES + n :]
-    after[SQUARES : SQUARES + n] = fade_of * squares + time_of * a**2
-    after[SQUARES + n :] = fade_of * products + time_of * said_of * a
+    change = (a - match[TRAVEL]) / dt_s
+    terms = np.ones((match.shape[0] - SECONDS, n))
+    terms[BEYOND - SECONDS] = np.maximum(np.abs(b - a) - honest, 0.0) ** 2
+    terms[SAID_SQUARE - SECONDS] = b * b
+    terms[CHANGE_SQUARE - SECONDS] = change * change
+    terms[CHANGE_TRAVEL - SECONDS] = change * a
+    terms[CHANGE_SAID - SECONDS] = change * b
+    others = a.reshape(n, 1)
+    terms[SQUARES - SECONDS : SQUARES - SECONDS + n] *= others * others
+    terms[SQUARES - SECONDS + n :] = others * b
+    weight = seen * 1.0
+    after[SECONDS:] += weight * (
+        dt_s * terms - (1.0 - math.exp(-dt_s / MEMORY_S)) * match[SECONDS:]
+    )
     return after
 
 
