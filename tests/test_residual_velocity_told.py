@@ -9,7 +9,15 @@ from residual_signals import BIAS
 
 from insertion import InsertionSession, read_snapshot, write_snapshot
 from recordings import write_table
-from residual import DEFAULT, PAPER, Caution, Status, TareError, VirtualForceSensor
+from residual import (
+    DEFAULT,
+    PAPER,
+    Caution,
+    SnapshotError,
+    Status,
+    TareError,
+    VirtualForceSensor,
+)
 from residual.__main__ import main
 from residual.sensor_state import SensorState
 
@@ -97,6 +105,19 @@ def test_a_snapshot_goes_on_bit_for_bit_before_and_after_it_is_told(lwr, tmp_pat
         assert same(sensor.update(*row, 1e-3), other.update(*row, 1e-3))
     assert same(sensor.snapshot().slow, other.snapshot().slow)
     assert Caution.VELOCITY in sensor.update(*rows[-1], 1e-3).cautions
+
+
+@pytest.mark.parametrize("shape", [(25,), (3, 3), (24, 7), (25, 6)])
+def test_a_damaged_match_is_refused(lwr, shape):
+    sensor, rows = tared(lwr)
+    feed(sensor, rows[:50])
+    state = sensor.snapshot()
+    assert state.slow.match is not None
+    assert state.slow.match.shape == (25, 7)
+    damaged = state._replace(slow=state.slow._replace(match=np.zeros(shape)))
+    with pytest.raises(SnapshotError, match="damaged"):
+        sensor.restore(damaged)
+    sensor.restore(state)
 
 
 def test_the_command_names_joints_and_reason(lwr, tmp_path, capsys):
