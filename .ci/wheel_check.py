@@ -14,8 +14,10 @@ import pinocchio
 import identification
 import recordings
 import residual
+import speedup
 import urdf
-from residual import Status, VirtualForceSensor
+from insertion import InsertionSession
+from residual import Status
 from urdf import NeedleTool, load_lwr
 
 NAME = "needleforce"
@@ -28,29 +30,38 @@ def check_files() -> None:
     assert metadata(NAME)["License-Expression"] == "Apache-2.0"
     assert "urdf/data/lwr4plus.urdf" in shipped
     assert "figures/page.css" in shipped
-    for room in ("urdf", "residual", "identification", "insertion", "groundtruth", "recordings"):
+    for room in (
+        "urdf",
+        "residual",
+        "identification",
+        "insertion",
+        "groundtruth",
+        "recordings",
+        "figures",
+        "speedup",
+    ):
         assert f"{room}/py.typed" in shipped, room
-    assert "figures/py.typed" in shipped
     assert not [path for path in shipped if path.startswith(("tests", "benchmarks"))]
 
 
 def check_imported_from_the_wheel() -> None:
     """No package comes from the repository."""
-    for package in (urdf, residual, identification, recordings):
+    for package in (urdf, residual, identification, recordings, speedup):
         assert "site-packages" in Path(package.__file__ or "").parts, package.__file__
 
 
 def check_a_force() -> None:
-    """An arm at rest that carries its own weight reads no force."""
+    """An arm at rest that carries its own weight reads no force, without a compiler too."""
+    assert speedup.COMPILER == "", "numba is no core dependency"
     robot = load_lwr(payload=NeedleTool())
-    sensor = VirtualForceSensor(robot)
+    sensor = InsertionSession(robot)
     q = np.array([0.0, 0.5, 0.0, -1.2, 0.0, 1.0, 0.0])
     nothing = np.zeros(robot.nv)
     weight = pinocchio.computeGeneralizedGravity(robot.model, robot.create_data(), q)
     for _ in range(1500):
         sensor.update(q, nothing, weight, 1e-3)
     sensor.tare()
-    wrench = sensor.update(q, nothing, weight, 1e-3)
+    wrench = sensor.update(q, nothing, weight, 1e-3).wrench
     assert wrench.status is Status.OK, wrench.message
     assert abs(wrench.axial) < 1e-6, wrench.axial
 
