@@ -34,21 +34,24 @@ def report_folder(path: str | Path) -> Path:
 
 
 @contextmanager
-def folder_if_filled(path: str | Path) -> Iterator[Path]:
+def folder_if_filled(path: str | Path | None) -> Iterator[Path | None]:
     """`report_folder` for as long as the work takes; an empty one that it made is removed again.
 
     So an interrupt, or a mistake that ends the work at once, leaves nothing behind.
 
     Args:
-        path: Of the folder.
+        path: Of the folder; None where no report is wanted.
 
     Yields:
-        The folder.
+        The folder, if any.
 
     Raises:
         MissingExtraError: matplotlib is not installed.
         WriteError: The folder cannot be made.
     """
+    if path is None:
+        yield None
+        return
     folder = Path(path)
     made = [each for each in (folder, *folder.parents) if not each.exists()]
     report_folder(folder)

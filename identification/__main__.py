@@ -5,7 +5,7 @@ from argparse import Namespace
 from collections.abc import Sequence
 
 from figures import FiguresError, require_matplotlib
-from figures.report_folder import report_folder
+from figures.report_folder import folder_if_filled
 from identification.command.arguments import CHANNELS, build_parser
 from identification.command.figure import save_figure
 from identification.command.layer_table import layer_table
@@ -37,10 +37,9 @@ def _run(arguments: Namespace) -> int:
     check_outputs(arguments)
     if arguments.png is not None:
         require_matplotlib("--png")
-    if arguments.report is not None:
-        report_folder(arguments.report)
     optional = ("speed", "force_status", "force_cautions")
-    with LogSession(arguments, required=("depth", "force"), optional=optional) as log:
+    log = LogSession(arguments, required=("depth", "force"), optional=optional)
+    with folder_if_filled(arguments.report), log:
         is_drawn = arguments.png is not None or arguments.report is not None
         result = run_log(arguments, log, needs_overview=is_drawn)
         if arguments.png is not None:

@@ -5,7 +5,7 @@ from argparse import Namespace
 from collections.abc import Sequence
 
 from figures import FiguresError, require_matplotlib
-from figures.report_folder import report_folder
+from figures.report_folder import folder_if_filled
 from recordings import RecordingError
 from recordings.command.log_session import LogSession
 from recordings.command.mapping_arguments import mapping_from_arguments
@@ -44,15 +44,14 @@ def _run(arguments: Namespace) -> int:
     check_outputs(arguments)
     if arguments.png is not None:
         require_matplotlib("--png")
-    if arguments.report is not None:
-        report_folder(arguments.report)
     drive = load_drive(arguments.friction, robot.nv) if arguments.friction else Drive()
     if drive.rotor_inertia_kg_m2 is not None:
         robot = robot.with_armature(drive.rotor_inertia_kg_m2)
     config = sensor_config(arguments, drive.friction)
     torque = torque_channel(is_external=arguments.external_torque)
     channels = {"required": ("q", torque), "optional": ("dq",)}
-    with LogSession(arguments, **channels, joints=robot.joint_names) as log:
+    log = LogSession(arguments, **channels, joints=robot.joint_names)
+    with folder_if_filled(arguments.report), log:
         result = run_log(arguments, log, robot, config, _tare_request(arguments))
         if arguments.png is not None:
             save_picture(arguments.png, result)

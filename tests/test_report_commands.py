@@ -168,3 +168,10 @@ def test_a_folder_that_cannot_be_made_is_told_before_the_work(tmp_path, capsys):
     for command in (residual_command, identification_command):
         assert command.main(["no.csv", "--report", str(tmp_path / "file" / "report")]) == 2
         assert capsys.readouterr().err.startswith("error: cannot write to")
+
+
+def test_a_command_that_fails_leaves_no_empty_folder(tmp_path, capsys):
+    for command in (residual_command, identification_command):
+        assert command.main(["no.csv", "--report", str(tmp_path / "new" / "report")]) == 2
+        assert "no.csv" in capsys.readouterr().err
+    assert list(tmp_path.iterdir()) == []

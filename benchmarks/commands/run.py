@@ -24,8 +24,6 @@ def execute(arguments: argparse.Namespace) -> int:
         BenchmarkError: Nothing can be run, or a file cannot be written.
         figures.FiguresError: The report cannot be drawn or written.
     """
-    if arguments.report is None:
-        return _run(arguments, None)
     # Before minutes of work, not after.
     with folder_if_filled(arguments.report) as folder:
         return _run(arguments, folder)
