@@ -4,8 +4,10 @@ import math
 from typing import Any, NamedTuple
 
 from identification.default_config import DEFAULT, DefaultConfig
+from identification.default_state import DefaultState
 from identification.errors import InvalidConfigError, InvalidSnapshotError, NoRuptureError
 from identification.estimate import Estimate, LayerEstimate
+from identification.kink_detector import check_detector
 from identification.method import METHODS
 from identification.paper_config import PaperConfig
 from identification.sample import Sample
@@ -129,13 +131,15 @@ class Identifier:
         """Resume where `snapshot` was taken, bit for bit.
 
         Raises:
-            InvalidSnapshotError: Not a snapshot, or one of another configuration.
+            InvalidSnapshotError: Not a snapshot, one of another configuration, or a damaged one.
         """
         if not isinstance(snapshot, Snapshot) or snapshot.config != self._config:
             raise InvalidSnapshotError(
                 f"expected a Snapshot taken with {self._config}, got {type(snapshot).__name__}"
             )
         _, check, state, last = snapshot
+        if isinstance(state, DefaultState):
+            check_detector(state.detector)
         self._stand(state, self._method.standing(state, self._config))
         self._check, self._last, self._before = check.plain, last, None
 

@@ -8,6 +8,7 @@ from numpy.typing import NDArray
 
 from identification.block import Block
 from identification.default_config import DefaultConfig
+from identification.errors import InvalidSnapshotError
 from identification.kink_judge import LEAST_INDEPENDENT, kink_step
 from identification.kink_kernels import kink_kernels, kink_scales
 from identification.packed import packed
@@ -63,6 +64,26 @@ def initial_detector() -> DetectorState:
     return DetectorState(empty, empty, 0, zeros, zeros[:1], zeros)
 
 
+def check_detector(state: DetectorState) -> None:
+    """Refuse a damaged state: compiled code would read beyond the ends of its arrays.
+
+    Raises:
+        InvalidSnapshotError: An array is of another kind or shape than the detector's.
+    """
+    for name, known, given in zip(state._fields, initial_detector(), state, strict=True):
+        if not isinstance(known, np.ndarray):
+            continue
+        if not (
+            isinstance(given, np.ndarray)
+            and given.dtype == known.dtype
+            and given.shape == known.shape
+            and given.flags.c_contiguous
+        ):
+            raise InvalidSnapshotError(
+                f"{name} of the detector is {given!r}, expected {known.size} floats"
+            )
+
+
 def restart_detector(state: DetectorState) -> DetectorState:
     """Forget the signal's past but not its noise: after a rupture, a rest or a gap."""
     return state._replace(filled=0)
@@ -104,9 +125,9 @@ def detector_step(
     filled = min(state.filled + 1, kernels.length)
     limits = (
         block.dt_s,
-        config.false_alarm_interval_s,
-        config.model_error_share,
-        config.noise_memory_s / block.dt_s,
+        float(config.false_alarm_interval_s),
+        float(config.model_error_share),
+        float(config.noise_memory_s) / block.dt_s,
     )
     (force, speed), verdict, (variance, seen, speed_variance) = kink_step(
         (state.force_N, state.speed_m_s),

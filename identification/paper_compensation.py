@@ -33,7 +33,9 @@ def identify_left(state: PaperState, force_N: float, config: PaperConfig) -> Pap
     )
     speed = max(abs(left.mean_speed_m_s), _LEAST_SPEED_M_S)
     variance = reweighted_friction_variance(config.var_friction, elastic, friction_share, speed)
-    stiffness, friction = rerun_history(left.windows, (config.var_stiffness, variance))
+    stiffness, friction = rerun_history(
+        left.windows, (float(config.var_stiffness), float(variance))
+    )
     thickness = max(rupture.depth_m - left.start_depth_m, _LEAST_THICKNESS_M)
     share = friction * (thickness if config.model == "ml" else 1.0)
     layer = LayerEstimate(
@@ -66,11 +68,11 @@ def compensate(state: PaperState, found: FoundLayer, config: PaperConfig) -> Pap
     friction, tick = found.damping_Ns_per_m, state.tick
     windows = less_viscous_rows(state.windows, friction)
     window = less_viscous_force(tick.window, friction)
-    start = (config.var_stiffness, config.var_friction)
+    start = (float(config.var_stiffness), float(config.var_friction))
     stiffness, own = window_step(rerun_history(windows, start), window, start)
     return state._replace(
         tick=tick._replace(
-            rls=RlsState(stiffness, own, config.var_stiffness, 0.0, config.var_friction),
+            rls=RlsState(stiffness, own, start[0], 0.0, start[1]),
             window=window,
             waited_s=0.0,
         ),

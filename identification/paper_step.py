@@ -15,7 +15,7 @@ from identification.window_sums import WindowSums
 
 def initial_paper_state(config: PaperConfig) -> PaperState:
     """State before the first sample."""
-    rls = RlsState(0.0, 0.0, config.var_stiffness, 0.0, config.var_friction)
+    rls = RlsState(0.0, 0.0, float(config.var_stiffness), 0.0, float(config.var_friction))
     return PaperState(PaperTick(rls), config.contact_depth_m)
 
 

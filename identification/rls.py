@@ -23,4 +23,5 @@ class RlsState(NamedTuple):
 
 def reset_covariance(state: RlsState, var_stiffness: float, var_friction: float) -> RlsState:
     """Covariance resetting (Section III-A): Psi back to Psi_0, theta kept."""
-    return RlsState(state.stiffness, state.friction, var_stiffness, 0.0, var_friction)
+    stiffness, friction = state.stiffness, state.friction
+    return RlsState(stiffness, friction, float(var_stiffness), 0.0, float(var_friction))

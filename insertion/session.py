@@ -138,7 +138,7 @@ class InsertionSession:
         """Remove the offset and begin an insertion here; see `VirtualForceSensor.tare`.
 
         Args:
-            force: Take it even where contact is seen.
+            force: Take it even where contact is seen, or velocities that cannot be.
 
         Raises:
             TareError: Without data, a second time without `start_recording`, with contact in sight

@@ -87,7 +87,7 @@ class KalmanObserver:
         motion = coriolis - gravity
         var_momentum = self._terms.momentum_variance(self._noise.velocity_rad_s, q)
         if self._belief is not None:
-            check_interval(dt_s)
+            dt_s = check_interval(dt_s)
         if self._belief is None or dt_s > self._max_gap_s:
             belief = self._seat(momentum, var_momentum)
         else:

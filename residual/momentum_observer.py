@@ -151,8 +151,7 @@ class MomentumObserver:
         # The dynamics tell whether dq and tau are plausible, but not how large q is.
         if not math.hypot(*position.tolist()) < MOST_PLAUSIBLE:
             check_joint_vector("q", position, self._joints)
-        if self._seated:
-            check_interval(dt_s)
+        dt_s = check_interval(dt_s) if self._seated else 0.0
         residual = self.absorb(position, rows[1], rows[2], dt_s).copy()
         residual.setflags(write=False)
         return residual
@@ -260,20 +259,22 @@ class MomentumObserver:
         """Go on from a `state` taken earlier.
 
         Raises:
-            ConfigurationError: If it belongs to a robot with another number of joints.
+            ConfigurationError: If it belongs to a robot with another number of joints, or is
+                damaged; nothing has then changed.
         """
-        self._seated = state.rows is not None
-        self._learn(state.noise)
-        if state.rows is None:
+        rows, noise, n = state.rows, state.noise, self._joints
+        if rows is not None and rows.shape != (ROWS, n):
+            raise ConfigurationError(f"state has rows of shape {rows.shape}, expected {(ROWS, n)}")
+        if noise is not None and not (noise.shape == (n,) and (noise > 0.0).all()):
+            raise ConfigurationError(f"state has noise {noise}, expected {n} positive numbers")
+        self._seated = rows is not None
+        self._learn(noise)
+        if rows is None:
             self._rows[:] = 0.0
             self._spare = 0
             return
-        if state.rows.shape != (ROWS, self._joints):
-            raise ConfigurationError(
-                f"state has rows of shape {state.rows.shape}, expected {(ROWS, self._joints)}"
-            )
         self._spare = 1 - state.slot
-        self._rows[state.slot * ROWS : (state.slot + 1) * ROWS] = state.rows
+        self._rows[state.slot * ROWS : (state.slot + 1) * ROWS] = rows
 
     def reset(self) -> None:
         """Forget everything; the next sample is a first one."""

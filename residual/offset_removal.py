@@ -18,6 +18,9 @@ from residual.torque_trend import SMOOTHING_S, trend_step
 from residual.wrench import WrenchEstimator
 from urdf import Robot
 
+MOST_TORQUES = 1000
+"""As many samples are kept apart between two renewals at most; then their sum is."""
+
 
 class TareNumbers(NamedTuple):
     """A fitted `Tare` without its basis, which robot and settings give.
@@ -126,6 +129,8 @@ class OffsetRemoval:
         if dt_s > self.LEAP_S:
             self._leap(dt_s)
         self._torques.append(tau)
+        if len(self._torques) >= MOST_TORQUES:  # a clock of nanoseconds
+            self._forget_torques(self._torque_sum(), self._summed + len(self._torques))
         if self._now_s < self._due_s - ROUNDING_S:
             return False
         self._renew()

@@ -21,17 +21,20 @@ FLOAT64 = np.dtype(np.float64)
 """What an array of floats has as its ``dtype``: comparing it takes no call."""
 
 
-def check_interval(dt_s: float) -> None:
+def check_interval(dt_s: float) -> float:
     """Refuse a time step that does not advance.
 
     Args:
-        dt_s: Time since the previous sample [s].
+        dt_s: Time since the previous sample [s], any real number.
+
+    Returns:
+        The same as a plain float.
 
     Raises:
         SampleError: If it is not a finite positive number, or beyond `LONGEST_STEP_S`.
     """
     if type(dt_s) is float and 0.0 < dt_s <= LONGEST_STEP_S:  # the quick way for almost every one
-        return
+        return dt_s
     if not isinstance(dt_s, numbers.Real) or isinstance(dt_s, bool) or not 0.0 < dt_s < math.inf:
         raise SampleError(
             f"dt_s is {dt_s!r} s, expected a finite positive time step; "
@@ -44,6 +47,7 @@ def check_interval(dt_s: float) -> None:
             f"dt_s is {shown:.4g} s, more than a day: the clock was set; skip this sample and "
             "go on with the next time step"
         )
+    return float(dt_s)
 
 
 def read_joint_vector(name: str, value: object, joints: int) -> NDArray[np.float64]:
@@ -135,7 +139,7 @@ def read_rows(
         joints: Number of joints.
 
     Returns:
-        A row for each signal, shape (k, joints): a copy.
+        A row for each signal, shape (k, joints): a read-only copy.
 
     Raises:
         SampleError: If they cannot be read so: as `check_joint_vector`.
@@ -148,6 +152,7 @@ def read_rows(
             break
     else:  # almost every sample
         rows = np.array(values)
+    rows.setflags(write=False)
     return rows
 
 

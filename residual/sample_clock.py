@@ -31,7 +31,7 @@ class SampleClock:
         Raises:
             SampleError: For a time step that does not advance, or for a clock that was set.
         """
-        check_interval(dt_s)
+        dt_s = check_interval(dt_s)
         if self.missed_s == 0.0:
             return dt_s
         elapsed_s = dt_s + self.missed_s

@@ -52,7 +52,7 @@ class SampleEntry:
             dt_s: Time since the last accepted sample [s].
 
         Returns:
-            The signals, one a row, torque last, as a copy of shape (2, n) or (3, n); and
+            The signals, one a row, torque last, as a read-only copy of shape (2, n) or (3, n); and
             whether the position has jumped, and stayed there.
 
         Raises:

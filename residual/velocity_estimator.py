@@ -76,7 +76,7 @@ class VelocityEstimator:
         check_alignment(alignment)
         check_gap(max_gap_s)
         self._joints = joints
-        self._bandwidth = bandwidth_per_s
+        self._bandwidth = float(bandwidth_per_s)
         self._held = alignment == "hold"
         self._max_gap_s = max_gap_s
         self._settling_s = self.SETTLING_LAGS / bandwidth_per_s
@@ -102,8 +102,7 @@ class VelocityEstimator:
         """
         rows = read_rows(_NAMES, (q, tau), self._joints)
         check_rows(_NAMES, rows)
-        if self._seated and dt_s != self._dt_s:
-            check_interval(dt_s)
+        dt_s = check_interval(dt_s) if self._seated else 0.0
         return MatchedSample(*self.absorb(rows[0], rows[1], dt_s))
 
     def absorb(

@@ -121,6 +121,7 @@ class WrenchEstimator:
         """
         q = check_joint_vector("q", q, self._joints)
         residual = check_joint_vector("residual", residual, self._joints)
+        residual = np.ascontiguousarray(residual)
         self.kinematics.update(q)
         self.weigh()
         return WrenchEstimate(*self.solve(residual, np.zeros(self._joints)))

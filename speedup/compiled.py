@@ -53,7 +53,7 @@ def compiled(function: Function) -> Function:
     early = () if None in types else (tuple(types),)
     try:
         return numba.njit(*early, cache=True)(function)
-    except RuntimeError:  # no folder in which the result could be kept
+    except Exception:  # no folder in which the result could be kept, or a damaged file in it
         return numba.njit(*early)(function)
 
 

@@ -62,21 +62,21 @@ def test_a_compiled_function_gives_what_the_plain_one_gives():
 
 
 @pytest.mark.skipif(not COMPILER, reason="numba (the extra `fast`) is not installed")
-def test_where_no_folder_can_be_written_it_compiles_all_the_same(monkeypatch):
+@pytest.mark.parametrize("error", [RuntimeError("no locator"), EOFError(), OSError("disk full")])
+def test_where_nothing_can_be_kept_it_compiles_all_the_same(monkeypatch, error):
     import numba
 
-    monkeypatch.setattr(numba, "njit", _njit_without_disk)
+    def njit(*types, cache=False):
+        if cache:
+            raise error
+        return lambda function: function
+
+    monkeypatch.setattr(numba, "njit", njit)
 
     def double(x):
         return 2.0 * x
 
     assert compiled(double)(2.0) == 4.0
-
-
-def _njit_without_disk(*types, cache=False):
-    if cache:
-        raise RuntimeError("cannot cache function: no locator available")
-    return lambda function: function
 
 
 @pytest.mark.parametrize("hidden", ["", "sys.modules['numba'] = None; "])
