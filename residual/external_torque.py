@@ -95,7 +95,7 @@ class ExternalTorqueEstimator:
         self._data = self._observer.data
         self._probe = NoiseProbe(robot.nv) if config.smooth_momentum else None
         self._max_gap_s = config.max_gap_s
-        self._settling_s = self.SETTLING_LAGS / config.slowest_gain_per_s
+        self._settling_s = self.SETTLING_LAGS / config.slowest_gain_per_s - ROUNDING_S
         self._age_s = 0.0
         self._missed_s = 0.0
         self.delay_s = 0.0 if self._velocity is None else self._velocity.delay_s
@@ -126,9 +126,11 @@ class ExternalTorqueEstimator:
         assert dq is not None, "this stream has velocities"
         residual = self._observer.absorb(q, dq, tau, dt_s)
         self._age_s = 0.0 if dt_s > self._max_gap_s else self._age_s + dt_s
+        settled = self._age_s >= self._settling_s
         if self._probe is not None:
             self._learn_noise(dq, q, dt_s)
-        return _new(TorqueSample, (q, dq, tau, residual, self._settled, self._data))
+            settled = self._settled
+        return _new(TorqueSample, (q, dq, tau, residual, settled, self._data))
 
     def _update_without_velocity(
         self,
@@ -180,7 +182,7 @@ class ExternalTorqueEstimator:
 
     @property
     def _settled(self) -> bool:
-        return self._probe is None and self._age_s >= self._settling_s - ROUNDING_S
+        return self._probe is None and self._age_s >= self._settling_s
 
     def _learn_noise(
         self, signal: NDArray[np.float64], q: NDArray[np.float64], dt_s: float

@@ -32,7 +32,7 @@ class SampleClock:
             SampleError: For a time step that does not advance, or for a clock that was set.
         """
         dt_s = check_interval(dt_s)
-        if self.missed_s == 0.0:
+        if not self.missed_s:
             return dt_s
         elapsed_s = dt_s + self.missed_s
         if elapsed_s <= 0.0:
