@@ -153,7 +153,7 @@ class MomentumObserver:
             check_joint_vector("q", position, self._joints)
         dt_s = check_interval(dt_s) if self._seated else 0.0
         residual = self.absorb(position, rows[1], rows[2], dt_s).copy()
-        residual.setflags(write=False)
+        residual.setflags(False)  # pyright: ignore[reportCallIssue]  # thrice as long by name
         return residual
 
     def absorb(self, q: Array, dq: Array, tau: Array, dt_s: float) -> Array:

@@ -146,13 +146,18 @@ def read_rows(
     """
     shape = (joints,)
     for value in values:
-        if type(value) is not np.ndarray or value.dtype != FLOAT64 or value.shape != shape:
+        # Arrays that were pickled bring a dtype of their own, equal and not the same.
+        if not (
+            type(value) is np.ndarray
+            and (value.dtype is FLOAT64 or value.dtype == FLOAT64)
+            and value.shape == shape
+        ):
             vectors = zip(names, values, strict=True)
             rows = np.stack([check_joint_vector(name, value, joints) for name, value in vectors])
             break
     else:  # almost every sample
         rows = np.array(values)
-    rows.setflags(write=False)
+    rows.setflags(False)  # pyright: ignore[reportCallIssue]  # by name it takes thrice as long
     return rows
 
 
