@@ -29,7 +29,7 @@ class Soak:
         first_us: Median tick at the start [us], after the tare and one cycle.
         last_us: The same at the end, over the same part of a cycle.
         first_kB: Memory that Python held for the chain after that cycle.
-        last_kB: The same at the end.
+        last_kB: The same after the last whole cycle: in the tissue a layer's data add to it.
         first_rss_MB: Memory of the process then; 0 where the system does not tell.
         last_rss_MB: The same at the end.
         ruptures: Found in each whole insertion.
@@ -68,11 +68,11 @@ def soak(ticks: int, progress: Callable[[float], None] = lambda share: None) -> 
     are measured in separate passes, since watching memory costs time.
 
     Args:
-        ticks: How many, after the tare; at least two cycles.
+        ticks: How many, after the tare; at least two cycles and one.
         progress: Told the share done.
     """
     cycle = Cycle()
-    ticks = max(ticks, 2 * cycle.length)
+    ticks = max(ticks, 2 * cycle.length + 1)
     times, ruptures, skipped = cycle.time(ticks, lambda share: progress(0.5 * share))
     first = times[cycle.length : cycle.length + WINDOW]
     # The same part of a cycle at the end.
@@ -143,8 +143,8 @@ class Cycle:
     def memory(
         self, ticks: int, progress: Callable[[float], None]
     ) -> tuple[tuple[float, float], tuple[float, float]]:
-        """Python's memory [kB] and that of the process [MB], after one cycle and at the end."""
-        session, first = self._tared(), (0.0, 0.0)
+        """Python's memory [kB] and that of the process [MB], after the first and the last cycle."""
+        session, held = self._tared(), []
         tracemalloc.start()
         try:
             for k in range(ticks):
@@ -152,11 +152,11 @@ class Cycle:
                 if at == 0:
                     session.begin_insertion()
                 session.update(*self._rows[self._order[at]])
-                if k == self.length:
-                    first = _held()
+                if at == 0 and k > 0:
+                    held.append(_held())
                 if k % WINDOW == 0:
                     progress(k / ticks)
-            return first, _held()
+            return held[0], held[-1]
         finally:
             tracemalloc.stop()
 
