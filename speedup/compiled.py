@@ -41,7 +41,8 @@ def compiled(function: Function) -> Function:
     tick calls it once when constructed, with the same types. No tick waits for a compiler.
 
     Args:
-        function: Numeric expressions that numpy runs nearly as fast without a compiler.
+        function: Numeric expressions that numpy runs nearly as fast without a compiler; one in
+            loops only if its caller has another way where `COMPILER` is empty.
 
     Returns:
         The compiled function, or the same one where nothing compiles.
