@@ -14,9 +14,8 @@ import pinocchio
 import identification
 import recordings
 import residual
-import speedup
 import urdf
-from insertion import InsertionSession
+from needleforce import InsertionSession, jit
 from residual import Status
 from urdf import NeedleTool, load_lwr
 
@@ -34,11 +33,9 @@ def check_files() -> None:
         "urdf",
         "residual",
         "identification",
-        "insertion",
         "groundtruth",
         "recordings",
-        "figures",
-        "speedup",
+        "needleforce",
     ):
         assert f"{room}/py.typed" in shipped, room
     assert not [path for path in shipped if path.startswith(("tests", "benchmarks"))]
@@ -46,13 +43,13 @@ def check_files() -> None:
 
 def check_imported_from_the_wheel() -> None:
     """No package comes from the repository."""
-    for package in (urdf, residual, identification, recordings, speedup):
+    for package in (urdf, residual, identification, recordings, jit):
         assert "site-packages" in Path(package.__file__ or "").parts, package.__file__
 
 
 def check_a_force() -> None:
     """An arm at rest that carries its own weight reads no force, without a compiler too."""
-    assert speedup.COMPILER == "", "numba is no core dependency"
+    assert jit.COMPILER == "", "numba is no core dependency"
     robot = load_lwr(payload=NeedleTool())
     sensor = InsertionSession(robot)
     q = np.array([0.0, 0.5, 0.0, -1.2, 0.0, 1.0, 0.0])

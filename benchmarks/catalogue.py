@@ -6,18 +6,16 @@ from types import MappingProxyType
 
 from benchmarks.benchmark import Benchmark
 from benchmarks.errors import UnknownIdError
+from benchmarks.observers import run_observers
 from benchmarks.recorded import bovine, liver, panda, ur10e
-from benchmarks.recorded.bovine_real import run_bovine_real
+from benchmarks.recorded.bovine import run_bovine_real
+from benchmarks.recorded.liver import run_liver_real
 from benchmarks.recorded.liver_limit import run_liver_limit
-from benchmarks.recorded.liver_real import run_liver_real
-from benchmarks.recorded.panda_liver import run_panda_liver
-from benchmarks.recorded.panda_real import run_panda_real
-from benchmarks.recorded.ur10e_payload import run_ur10e_payload
-from benchmarks.simulated.needle_benchmark import NEEDLE
-from benchmarks.simulated.observers import run_observers
-from benchmarks.simulated.simulated_job import run_simulated
+from benchmarks.recorded.panda import run_panda_liver, run_panda_real
+from benchmarks.recorded.ur10e import run_ur10e_payload
+from benchmarks.simulated import NEEDLE, run_simulated
 from groundtruth import SCENARIOS
-from groundtruth.random_stack import RANDOM_STACK
+from groundtruth.scenarios import RANDOM_STACK
 
 QUICK = (
     # The two of the paper's Figure 5, the other speed of each, and the organs: under a minute.

@@ -10,12 +10,9 @@ from collections.abc import Iterable, Iterator, Sequence
 from pathlib import Path
 
 from benchmarks.errors import BenchmarkError, ResultsError
-from benchmarks.results_file import read_merged
-from benchmarks.row import Row
-from benchmarks.tables.summary import BAD, NOTHING, summary
-from benchmarks.tables.verdict_table import limits_text
-from benchmarks.verdict.published import PUBLISHED_RMSE_N
-from benchmarks.verdict.target_verdict import verdicts
+from benchmarks.rows import Row, read_merged
+from benchmarks.tables import BAD, NOTHING, limits_text, summary
+from benchmarks.targets import PUBLISHED_RMSE_N, verdicts
 
 BEGIN = "<!-- results:begin -->"
 END = "<!-- results:end -->"

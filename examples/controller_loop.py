@@ -6,7 +6,7 @@ The simulated arm stands in for yours; replace `read_arm` by your robot's interf
 import gc
 
 from groundtruth import simulate
-from insertion import InsertionSession
+from needleforce import InsertionSession
 from residual import Status
 
 LIMIT_N = 2.0

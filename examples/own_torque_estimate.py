@@ -3,7 +3,7 @@
 import numpy as np
 
 from groundtruth import simulate
-from insertion import InsertionSession
+from needleforce import InsertionSession
 
 arm = simulate("gel-25-constant", "textbook")
 rng = np.random.default_rng(0)

@@ -4,7 +4,7 @@ import tempfile
 from pathlib import Path
 
 from groundtruth import simulate
-from insertion import InsertionSession, read_snapshot, write_snapshot
+from needleforce import InsertionSession, read_snapshot, write_snapshot
 
 arm = simulate("gel-25-constant", "realistic")
 sent = arm.signals

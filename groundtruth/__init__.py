@@ -10,16 +10,12 @@ of the tissue), `materials` and `arm_level` (every number and its reason), `need
 from groundtruth.arm_level import ARM_LEVELS, ArmLevel
 from groundtruth.errors import GroundTruthError
 from groundtruth.force_noise import ForceNoise
-from groundtruth.layer import Layer
+from groundtruth.layers import Layer
 from groundtruth.motion import Motion
-from groundtruth.needle_run import NeedleRun, insert_needle
-from groundtruth.random_stack import random_stack
-from groundtruth.run import Run, Signals, Truth
-from groundtruth.rupture import Rupture
-from groundtruth.scenario import Scenario
-from groundtruth.scenarios import SCENARIOS, scenario
-from groundtruth.simulate import simulate
-from groundtruth.tissue_force import TissueForce, TissueLaw
+from groundtruth.scenarios import SCENARIOS, Scenario, random_stack, scenario
+from groundtruth.simulation import NeedleRun, Run, Signals, Truth, insert_needle, simulate
+from groundtruth.tissue import TissueForce, TissueLaw
+from groundtruth.tissue_truth import Rupture
 
 __all__ = [
     "ARM_LEVELS",

@@ -1,16 +1,239 @@
 """The physics of arm, needle and tissue, one controller tick at a time."""
 
-# MuJoCo's names live in a compiled module without stubs.
-# pyright: reportAttributeAccessIssue=false, reportOptionalMemberAccess=false
+from collections.abc import Iterable
 from dataclasses import dataclass
 
 import numpy as np
+import pinocchio as pin
 from numpy.typing import NDArray
 
-from groundtruth.errors import PlantError
-from groundtruth.mjcf import arm_mjcf
-from groundtruth.plant_bodies import PlantBodies
-from groundtruth.tissue_force import TissueForce, TissueLaw, no_force
+from groundtruth.arm_level import ArmLevel
+from groundtruth.errors import ArmLevelError, PlantError
+from groundtruth.tissue import TissueForce, TissueLaw, no_force
+from urdf import NeedleTool, Payload, Robot, load_lwr
+
+# The second link table of the LWR 4+: the end point of the plant's model mismatch.
+#
+# The estimator believes the nominal table of the ``urdf`` room, a fit to KUKA's own interface data.
+# The simulated arm may blend that table with this one, so that no estimator is judged on an arm
+# that obeys its own numbers.
+
+
+# Read in two public LWR 4 simulators (a course work of Sapienza, models of the KUKA_LWR MATLAB
+# simulator); believed to stem from CoppeliaSim's LBR4p. Joint frames, inertia about the com.
+#  mass kg, com x, y, z m,            Ixx,      Ixy,   Ixz,   Iyy,      Iyz,       Izz  kg m^2
+_CAD_TABLE = (
+    (2.7, 0.00134, 0.02622, 0.11222, 0.016341, 1e-6, 3e-6, 0.016172, -0.003533, 0.005026),
+    (2.7, 0.00134, -0.02622, 0.08778, 0.016341, -1e-6, 3e-6, 0.016172, 0.003533, 0.005026),
+    (2.7, -0.00134, -0.02622, 0.11222, 0.016341, -1e-6, 3e-6, 0.016192, 0.003533, 0.005026),
+    (2.7, -0.00134, 0.02622, 0.08778, 0.016341, -1e-6, -3e-6, 0.016192, -0.003533, 0.005026),
+    (1.7, -0.00099, 0.02696, 0.07835, 0.009573, -1e-6, -1e-6, 0.008807, -0.003094, 0.003708),
+    (1.6, -0.00026, -0.00596, -0.00533, 0.002898, 0.0, 0.0, 0.003022, -1.9e-5, 0.003413),
+    (0.3, 0.0, 0.0, -0.015, 0.000101, 0.0, 0.0, 0.000101, 0.0, 0.000158),
+)
+
+
+def cad_link_parameters() -> NDArray[np.float64]:
+    """Inertial parameters of the CAD link table.
+
+    Returns:
+        Shape (7, 10): per link (m, m c, Ixx, Ixy, Iyy, Ixz, Iyz, Izz) in the link's joint frame,
+        inertia about the joint's origin (Pinocchio's order).
+    """
+    rows = []
+    for mass, cx, cy, cz, ixx, ixy, ixz, iyy, iyz, izz in _CAD_TABLE:
+        about_com = np.array([[ixx, ixy, ixz], [ixy, iyy, iyz], [ixz, iyz, izz]])
+        link = pin.Inertia(mass, np.array([cx, cy, cz]), about_com)
+        rows.append(link.toDynamicParameters())
+    return np.array(rows)
+
+
+def blend_link_parameters(
+    nominal: NDArray[np.float64], cad: NDArray[np.float64], cad_share: float
+) -> NDArray[np.float64]:
+    """Blend two link tables: phi = (1 - a) phi_nominal + a phi_CAD.
+
+    Physically consistent 10-vectors form a convex set: a blend of two consistent links is one.
+
+    Args:
+        nominal: Shape (n, 10), the estimator's links.
+        cad: Shape (n, 10), the other table, same frames.
+        cad_share: a in [0, 1].
+
+    Returns:
+        Shape (n, 10).
+
+    Raises:
+        ArmLevelError: The share lies outside [0, 1] or the tables differ in shape.
+    """
+    if not 0.0 <= cad_share <= 1.0:
+        raise ArmLevelError(f"share of the CAD table is {cad_share}; expected a number in [0, 1]")
+    if nominal.shape != cad.shape:
+        raise ArmLevelError(
+            f"link tables have shapes {nominal.shape} and {cad.shape}; "
+            "expected the same number of links in both"
+        )
+    return (1.0 - cad_share) * nominal + cad_share * cad
+
+
+# The true masses of the simulated arm: what the estimator believes, bent by an arm level.
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class PlantBodies:
+    """Kinematics and true inertias of arm, F/T sensor and needle."""
+
+    robot: Robot
+    """The estimator's robot: kinematics and frames are shared, its inertias are not used here."""
+
+    links: tuple[pin.Inertia, ...]
+    """Bare links 1..7, each in its joint frame."""
+
+    sensor: pin.Inertia
+    """The tool up to the sensor's measuring plane, in the flange frame."""
+
+    needle: pin.Inertia
+    """Everything beyond the measuring plane, in the ``ft_sensor`` frame."""
+
+    def model(self) -> pin.Model:
+        """Build a Pinocchio model of the true arm (for feed-forward and for checks).
+
+        Returns:
+            The robot's model with every joint's inertia replaced by the true one.
+        """
+        model = self.robot.model.copy()
+        for joint, link in enumerate(self.links, start=1):
+            model.inertias[joint] = link
+        last = len(self.links)
+        model.inertias[last] = (
+            self.links[-1]
+            + _placement(self.robot, self.robot.flange_frame).act(self.sensor)
+            + _placement(self.robot, "ft_sensor").act(self.needle)
+        )
+        return model
+
+
+def lwr_bodies(tool: NeedleTool, level: ArmLevel, rng: np.random.Generator) -> PlantBodies:
+    """Draw the true LWR 4+ with its needle for one seed.
+
+    Args:
+        tool: The tool as the estimator knows it.
+        level: How far the truth is from that.
+        rng: Source of the payload error.
+
+    Returns:
+        The bodies; with a level without model error, exactly the estimator's.
+    """
+    robot = load_lwr(payload=tool)
+    bare = robot.bare_model
+    nominal = np.array([bare.inertias[joint].toDynamicParameters() for joint in range(1, 8)])
+    links = blend_link_parameters(nominal, cad_link_parameters(), level.cad_share)
+    mass_factor = 1.0 + level.payload_error * rng.choice((-1.0, 1.0))
+    com_shift_m = level.payload_com_spread_m * rng.standard_normal(3)
+    return PlantBodies(
+        robot=robot,
+        links=tuple(pin.Inertia.FromDynamicParameters(row) for row in links),
+        sensor=_bent(tool.sensor, mass_factor, com_shift_m),
+        needle=_bent(tool.beyond_sensor, mass_factor, com_shift_m),
+    )
+
+
+def _bent(part: Payload, mass_factor: float, com_shift_m: np.ndarray) -> pin.Inertia:
+    return pin.Inertia(
+        part.mass_kg * mass_factor,
+        part.com_m + com_shift_m,
+        part.inertia_kg_m2 * mass_factor,
+    )
+
+
+def _placement(robot: Robot, frame: str) -> pin.SE3:
+    return robot.model.frames[robot.frame_id(frame)].placement
+
+
+# The simulated arm as a MuJoCo model: truth and estimator share no dynamics code.
+#
+# Bodies: one per joint; ``sensor``, rigid on the flange; ``needle``, all that lies beyond the F/T
+# sensor's measuring plane; and the massless ``tip``, so that a force on it acts at the needle's
+# tip. No geometry, contacts, joint limits, damping, armature or friction: the torque of a joint is
+# the link-side torque its sensor reads.
+
+
+_HEAD = """<mujoco model="needleforce_arm">
+<compiler angle="radian" autolimits="false" inertiagrouprange="0 0"/>
+<option timestep="{step}" integrator="RK4" gravity="{gravity}">
+  <flag constraint="disable" contact="disable"/>
+</option>
+<worldbody>
+"""
+
+_TAIL = """</worldbody>
+<sensor>
+  <force name="ft_force" site="ft_sensor"/>
+  <torque name="ft_torque" site="ft_sensor"/>
+</sensor>
+</mujoco>
+"""
+
+
+def arm_mjcf(bodies: PlantBodies, substep_s: float) -> str:
+    """Write the MJCF of arm, sensor and needle.
+
+    The force and torque sensors sit at the ``ft_sensor`` frame and report, in its axes, what the
+    arm exerts on the needle body: everything beyond the measuring plane.
+
+    Args:
+        bodies: The true arm.
+        substep_s: Physics time step.
+
+    Returns:
+        MJCF text.
+    """
+    robot = bodies.robot
+    parts = [_HEAD.format(step=repr(substep_s), gravity=_numbers(robot.gravity_m_s2))]
+    for joint, (name, link) in enumerate(zip(robot.joint_names, bodies.links, strict=True), 1):
+        placement = robot.model.jointPlacements[joint]
+        parts.append(f'<body name="link_{joint}" {_pose(placement)}>\n{_inertial(link)}\n')
+        parts.append(f'<joint name="{name}" axis="{_numbers(_joint_axis(robot.model, joint))}"/>\n')
+    flange = robot.model.frames[robot.frame_id(robot.flange_frame)].placement
+    sensor = robot.model.frames[robot.frame_id("ft_sensor")].placement
+    tip = robot.model.frames[robot.frame_id("needle_tip")].placement
+    parts.append(f'<body name="sensor" {_pose(flange)}>\n{_inertial(bodies.sensor)}\n</body>\n')
+    parts.append(f'<body name="needle" {_pose(sensor)}>\n{_inertial(bodies.needle)}\n')
+    parts.append('<site name="ft_sensor"/>\n')
+    parts.append(f'<body name="tip" {_pose(sensor.actInv(tip))}><site name="tip"/></body>\n</body>')
+    parts.append("</body>\n" * len(bodies.links))
+    return "".join(parts) + _TAIL
+
+
+def _joint_axis(model: pin.Model, joint: int) -> np.ndarray:
+    """Axis of a revolute joint in its own frame."""
+    data = model.createData()
+    pin.computeJointJacobians(model, data, pin.neutral(model))
+    local = pin.getJointJacobian(model, data, joint, pin.ReferenceFrame.LOCAL)
+    return local[3:, model.joints[joint].idx_v]
+
+
+def _pose(placement: pin.SE3) -> str:
+    x, y, z, w = pin.Quaternion(placement.rotation).coeffs()
+    return f'pos="{_numbers(placement.translation)}" quat="{_numbers((w, x, y, z))}"'
+
+
+def _inertial(body: pin.Inertia) -> str:
+    about_com = body.inertia
+    rows, columns = (0, 1, 2, 0, 0, 1), (0, 1, 2, 1, 2, 2)
+    return (
+        f'<inertial mass="{body.mass!r}" pos="{_numbers(body.lever)}" '
+        f'fullinertia="{_numbers(about_com[rows, columns])}"/>'
+    )
+
+
+def _numbers(values: Iterable[float]) -> str:
+    return " ".join(repr(float(value)) for value in values)
+
+
+# MuJoCo's names live in a compiled module without stubs.
+# pyright: reportAttributeAccessIssue=false, reportOptionalMemberAccess=false
+
 
 try:
     import mujoco

@@ -5,8 +5,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from groundtruth.checks import require_non_negative
-from groundtruth.errors import NoiseError
+from groundtruth.errors import NoiseError, require_non_negative
 
 Array = NDArray[np.float64]
 

@@ -24,9 +24,7 @@ the tip force is cutting, the rest elastic, its chord 10 % steeper at the end th
 from dataclasses import replace
 
 from groundtruth.errors import TissueError
-from groundtruth.friction import ShaftFriction
-from groundtruth.layer import Layer
-from groundtruth.membrane import Membrane
+from groundtruth.layers import Layer, Membrane, ShaftFriction
 
 TABLE_I_SPEED_M_S = 2.3e-3
 """The paper's constant speed for single gels and liver: where gel friction is Table I's."""

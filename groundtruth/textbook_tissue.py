@@ -3,10 +3,8 @@
 from dataclasses import replace
 from typing import NamedTuple
 
-from groundtruth.interface import Interface, interfaces
-from groundtruth.layer import Layer
-from groundtruth.sample import NeedleSample, checked_sample
-from groundtruth.tissue_force import TissueForce, no_force
+from groundtruth.layers import Interface, Layer, interfaces
+from groundtruth.tissue import NeedleSample, TissueForce, checked_sample, no_force
 
 
 class TextbookState(NamedTuple):

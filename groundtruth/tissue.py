@@ -4,11 +4,217 @@ It is deliberately not the law the estimators identify (equation 3). What it sha
 geometry and, at each layer's reference speed, the shaft friction.
 """
 
-from groundtruth.interface import Interface, interfaces
-from groundtruth.layer import Layer
-from groundtruth.sample import NeedleSample, checked_sample
-from groundtruth.tissue_force import TissueForce, no_force
-from groundtruth.tissue_state import TissueStack, TissueState, fresh_tissue, tissue_step
+import math
+from dataclasses import dataclass
+from typing import NamedTuple, Protocol
+
+from groundtruth.errors import TissueError
+from groundtruth.layers import Interface, Layer, interfaces
+
+# Relaxation: a resting needle is slowly let go, an advancing tip meets fresh tissue.
+
+
+RELAXATION_S = 10.0
+"""Time constant. Real liver (de Jong 2017, 19 holds of 60 s) loses 63 % of what it will lose in
+8.5 s (median), the quick loss of viscous friction at the stop included."""
+RECOVERY_M = 0.3e-3
+"""Travel over which an advancing tip meets fresh tissue: a fraction of its diameter."""
+
+
+def relaxation_step(relaxed: float, speed_m_s: float, dt_s: float) -> float:
+    """Advance the relaxation of the tip force: it grows with time and fades with travel.
+
+    Exact step of dr/dt = (1 - r) / RELAXATION_S - r |v| / RECOVERY_M for a held speed, so any
+    step is stable. In motion it stays near zero (1.3 % at 2.3 mm/s).
+
+    Args:
+        relaxed: Relaxation before, 0 (fresh) to 1 (a long rest).
+        speed_m_s: Speed of the tip.
+        dt_s: Length of the step.
+
+    Returns:
+        The relaxation after the step, 0 to 1.
+    """
+    rate = 1.0 / RELAXATION_S + abs(speed_m_s) / RECOVERY_M
+    settled = 1.0 / (RELAXATION_S * rate)
+    return relaxed - (settled - relaxed) * math.expm1(-rate * dt_s)
+
+
+def bristle_step(
+    bristle: float, travel_m: float, dt_s: float, presliding_m: float, relaxed_share: float
+) -> float:
+    """Advance the deflection of the shaft's bristles: Dahl's presliding, with relaxation.
+
+    Travel pulls the deflection to the direction of motion, dw/dx = (sign(dx) - w) / presliding
+    (Dahl 1968, exponent 1); time lets a deflection beyond 1 - relaxed_share sink to that. Both
+    act at once and the step is their exact solution: it cannot leave [-1, 1], whatever its size.
+
+    Args:
+        bristle: Deflection before, -1 to 1; the Coulomb force is `coulomb * bristle`.
+        travel_m: Signed travel of the shaft during the step.
+        dt_s: Length of the step.
+        presliding_m: Travel constant of the tissue.
+        relaxed_share: Share of the Coulomb force lost after a long rest.
+
+    Returns:
+        The deflection after the step.
+    """
+    pull = abs(travel_m) / presliding_m
+    target = math.copysign(pull, travel_m)
+    held = 1.0 - relaxed_share
+    if abs(bristle) > held:
+        fade = dt_s / RELAXATION_S
+        pull += fade
+        target += fade * math.copysign(held, bristle)
+    if pull == 0.0:
+        return bristle
+    return bristle - (target / pull - bristle) * math.expm1(-pull)
+
+
+# What a tissue law is told at each step.
+
+
+class NeedleSample(NamedTuple):
+    """Where the needle is and how fast it goes.
+
+    Attributes:
+        depth_m: Travel of the tip along the insertion axis since first contact; negative above.
+        speed_m_s: Its rate, positive inwards.
+        dt_s: Time since the previous sample.
+    """
+
+    depth_m: float
+    speed_m_s: float
+    dt_s: float
+
+
+def checked_sample(depth_m: float, speed_m_s: float, dt_s: float) -> NeedleSample:
+    """Make a sample, refusing what a law could only turn into nonsense.
+
+    Raises:
+        TissueError: A value is not finite, or the time step is not positive.
+    """
+    if math.isfinite(depth_m + speed_m_s + dt_s) and dt_s > 0.0:
+        return NeedleSample(depth_m, speed_m_s, dt_s)
+    raise TissueError(
+        f"depth_m={depth_m!r}, speed_m_s={speed_m_s!r}, dt_s={dt_s!r}: "
+        "a tissue law needs finite numbers and dt_s above zero; its state is unchanged"
+    )
+
+
+# What realistic tissue remembers of the needle, and how one sample changes it.
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class TissueStack:
+    """Layers and the boundaries between them, worked out once.
+
+    Attributes:
+        layers: First the one the needle meets first.
+        interfaces: From the surface to the exit, one more than layers; empty without layers.
+    """
+
+    layers: tuple[Layer, ...]
+    interfaces: tuple[Interface, ...]
+
+
+class TissueState(NamedTuple):
+    """The memory of the tissue.
+
+    Attributes:
+        depth_m: Depth of the tip at the last step; None before the first.
+        deepest_m: Deepest point reached: the end of the channel.
+        broken: Interfaces given way so far, the surface included.
+        relaxed: Relaxation of the tip force, 0 (fresh) to 1 (a long rest).
+        bristles: Presliding deflection per layer, -1 to 1.
+    """
+
+    depth_m: float | None
+    deepest_m: float
+    broken: int
+    relaxed: float
+    bristles: tuple[float, ...]
+
+
+def fresh_tissue(stack: TissueStack) -> TissueState:
+    """The memory of tissue no needle has touched."""
+    return TissueState(None, 0.0, 0, 0.0, (0.0,) * len(stack.layers))
+
+
+def tissue_step(state: TissueState, sample: NeedleSample, stack: TissueStack) -> TissueState:
+    """Advance the tissue by one sample.
+
+    Args:
+        state: The tissue before.
+        sample: Where the needle is now.
+        stack: What it is pushed into.
+    """
+    depth, speed, dt = sample
+    travel = 0.0 if state.depth_m is None else depth - state.depth_m
+    deepest = max(state.deepest_m, depth)
+    broken = state.broken
+    boundaries = stack.interfaces
+    while broken < len(boundaries) and deepest >= boundaries[broken].onset_m:
+        broken += 1
+    bristles = tuple(
+        [
+            bristle_step(w, travel, dt, layer.friction.presliding_m, layer.relaxed_share)
+            for w, layer in zip(state.bristles, stack.layers, strict=True)
+        ]
+    )
+    return TissueState(depth, deepest, broken, relaxation_step(state.relaxed, speed, dt), bristles)
+
+
+# What a tissue law answers at each step, and what every law offers.
+
+
+class TissueForce(NamedTuple):
+    """Force of the tissue on the needle, along its axis.
+
+    A named tuple, not a dataclass: it is made at every physics step.
+
+    Attributes:
+        axial_N: Tip force and shaft friction together, positive when tissue pushes back.
+        tip_N: Elastic, membrane and cutting force at the tip; never negative.
+        friction_N: Friction along the whole shaft; it opposes motion, negative on the way out.
+        layer: 0 above the surface (or before its membrane is punctured), i with the tip in layer
+            i, number of layers + 1 beyond the last.
+        layer_friction_N: The share of each layer in `friction_N`.
+    """
+
+    axial_N: float
+    tip_N: float
+    friction_N: float
+    layer: int
+    layer_friction_N: tuple[float, ...]
+
+
+class TissueLaw(Protocol):
+    """A law of tissue: depth and speed of the tip in, force out."""
+
+    @property
+    def layers(self) -> tuple[Layer, ...]:
+        """The layers, first the one the needle meets first."""
+        ...
+
+    @property
+    def interfaces(self) -> tuple[Interface, ...]:
+        """The boundaries, from the surface to the exit, as this law has them give way."""
+        ...
+
+    def step(self, depth_m: float, speed_m_s: float, dt_s: float) -> TissueForce:
+        """Advance by one step and return the force at its end."""
+        ...
+
+    def reset(self) -> None:
+        """Forget everything: a fresh, uncut tissue."""
+        ...
+
+
+def no_force(layer_count: int) -> TissueForce:
+    """The force on a needle in free air."""
+    return TissueForce(0.0, 0.0, 0.0, 0, (0.0,) * layer_count)
+
 
 UNLOADING_M = 0.5e-3
 """Backward travel over which the tip unloads: it leaves the front of a channel already cut."""

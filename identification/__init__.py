@@ -11,16 +11,15 @@ Reading order: `identifier`; the published method in `paper_tick` (every sample)
 `rupture_fit`, `layer_model`; known layers in `offline`.
 """
 
-from identification.default_config import DEFAULT, DefaultConfig
 from identification.errors import IdentificationError
-from identification.estimate import Estimate, LayerEstimate, Rupture
+from identification.estimate import Estimate, LayerEstimate, Rupture, RuptureState
 from identification.identifier import Identifier, Snapshot
+from identification.input_validation import SampleStatus
+from identification.interaction_model import LayerSpan
+from identification.log_replay import Replay, replay
+from identification.multilayer_config import DEFAULT, DefaultConfig
 from identification.offline import OfflineIdentification, OfflineLayer, identify_offline
-from identification.paper_config import PAPER, PAPER_KV, PaperConfig
-from identification.regressor import LayerSpan
-from identification.replay import Replay, replay
-from identification.rupture_state import RuptureState
-from identification.sample_check import SampleStatus
+from identification.published_config import PAPER, PAPER_KV, PaperConfig
 
 __all__ = [
     "DEFAULT",

@@ -11,9 +11,173 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from identification.membrane_fit import STARTS, MembraneFits, fit_membranes, unit_covariance
-from identification.membrane_layer import ScaledLayer, scale_layer, smooth_squares
-from identification.track import DEPTH, FORCE, SPEED
+from identification.multilayer_config import DefaultConfig
+from identification.resampling import BLOCKS, DEPTH, FORCE, SPEED, TRAVEL, merge_rows
+
+# A layer as the search for its membrane sees it: some rows, scaled.
+
+
+_MOST_ROWS = 64
+_LEAST_ROWS = 12
+_MARGIN_M = 5e-5
+_CURVATURE = 0.2
+"""Bend of a layer's force over its slope, one standard deviation (tissue stiffens by 0 to 30 %)."""
+_SPEED_SHARE = 0.5
+"""Change of force with speed over mean force, one standard deviation: friction, part viscous."""
+_FREE = 1e-9
+
+Array = NDArray[np.float64]
+
+
+class ScaledLayer(NamedTuple):
+    """Rows of a layer, scaled: position 0 to 1, speed about its mean, root of weights.
+
+    Attributes:
+        rows: The rows, see `layer_rows`, shape (n, 6).
+        position: Shape (n,).
+        speed: Shape (n,).
+        root_weight: Shape (n,).
+        target: Weighted force about its mean, shape (n,).
+        priors: Weights of the priors on the unknowns of a membrane, see `membrane_fit`; shape (7,).
+    """
+
+    rows: Array
+    position: Array
+    speed: Array
+    root_weight: Array
+    target: Array
+    priors: Array
+
+
+def scale_layer(rows: Array, start_m: float, rupture_m: float) -> ScaledLayer | None:
+    """The rows in which a membrane is looked for, or None where they are too few.
+
+    Args:
+        rows: Rows of the layer, see `layer_rows`.
+        start_m: Depth from which on the layer was met undisturbed.
+        rupture_m: Where the rupture happened.
+    """
+    end = rows[:, DEPTH] + 0.5 * rows[:, TRAVEL]
+    side = rows[(rows[:, DEPTH] > start_m) & (end < rupture_m - _MARGIN_M)]
+    side = merge_rows(side, -(-len(side) // _MOST_ROWS)) if len(side) else side
+    if len(side) < _LEAST_ROWS:
+        return None
+    depth, force = side[:, DEPTH], side[:, FORCE]
+    position = (depth - depth[0]) / (depth[-1] - depth[0])
+    weight = np.sqrt(side[:, BLOCKS] / side[:, BLOCKS].mean())
+    mean = float(force.mean())
+    target = (force - mean) * weight
+    return ScaledLayer(
+        rows=side,
+        position=position,
+        speed=side[:, SPEED] / max(float(side[:, SPEED].mean()), 1e-6) - 1.0,
+        root_weight=weight,
+        target=target,
+        priors=_priors(position, force, mean, target),
+    )
+
+
+def _priors(position: Array, force: Array, mean: float, target: Array) -> Array:
+    variance = max(0.5 * float(np.var(np.diff(target))), 1e-12)
+    half = len(force) // 2
+    begin = position[:half] - position[:half].mean()
+    rise = float(begin @ force[:half]) / float(begin @ begin)
+    slope = max(rise, 0.1 * float(np.ptp(force)), 1e-3)
+    weights = np.full(7, _FREE)
+    weights[2] += variance / (_CURVATURE * slope) ** 2
+    weights[3:5] += variance / (_SPEED_SHARE * max(abs(mean), 0.02)) ** 2
+    return weights
+
+
+def smooth_squares(layer: ScaledLayer) -> float:
+    """Sum of squares that a smooth cubic leaves, with the same priors on the speed's share."""
+    u, v = layer.position, layer.speed
+    columns = np.stack([np.ones_like(u), u, u**2, v, v * u, u**3], axis=1)
+    columns = columns * layer.root_weight[:, None]
+    weights = np.array([_FREE, _FREE, _FREE, layer.priors[3], layer.priors[4], _FREE])
+    vector = columns.T @ layer.target
+    solution = np.linalg.solve(columns.T @ columns + np.diag(weights), vector)
+    return float(layer.target @ layer.target - vector @ solution)
+
+
+# Fits a membrane's spring behind each boundary that a layer may have had.
+#
+# Seven unknowns: level, slope and bend of the layer up to the boundary, its change with speed
+# (level and slope), and a straight and a parabolic part of the spring beyond.
+
+
+_CANDIDATES = 40
+_REACH = (0.08, 0.96)
+"""Shares of the layer's length between which a boundary is looked for."""
+_PARABOLA, _LINE = (0, 1, 2, 3, 4, 6), (0, 1, 2, 3, 4, 5)
+
+
+STARTS = np.linspace(*_REACH, _CANDIDATES)
+"""Candidate boundaries, as shares of the layer's length."""
+STARTS.setflags(write=False)
+
+
+class MembraneFits(NamedTuple):
+    """Best membrane for each of some candidate boundaries.
+
+    Attributes:
+        squares: Sums of squares, infinite where no spring pushes, shape (m,).
+        solutions: The seven unknowns, shape (m, 7).
+    """
+
+    squares: Array
+    solutions: Array
+
+
+def fit_membranes(layer: ScaledLayer, starts: Array) -> MembraneFits:
+    """The best of three springs per candidate, none of which may pull: mixed, parabola, line.
+
+    A straight spring must be steeper than the layer by half, or it is a bend of the layer.
+
+    Args:
+        layer: The layer.
+        starts: Candidates, some of `STARTS`.
+    """
+    normal, vector = _normal_equations(layer, starts)
+    total = float(layer.target @ layer.target)
+    squares, solutions = _solve(normal, vector, total)
+    squares[(solutions[:, 5] < 0.0) | (solutions[:, 6] < 0.0)] = np.inf
+    for kept in (_PARABOLA, _LINE):
+        index = np.array(kept)
+        other, part = _solve(normal[:, index[:, None], index], vector[:, index], total)
+        least = 1.5 * part[:, 1] if kept is _LINE else 0.0
+        other[part[:, 5] < least] = np.inf
+        is_better = np.flatnonzero(other < squares)
+        squares[is_better] = other[is_better]
+        solutions[is_better] = 0.0
+        solutions[is_better[:, None], index] = part[is_better]
+    return MembraneFits(squares, solutions)
+
+
+def unit_covariance(layer: ScaledLayer, start: float) -> Array:
+    """Covariance of the unknowns behind one candidate, for a variance of one; shape (7, 7)."""
+    normal, _ = _normal_equations(layer, np.array([start]))
+    return np.asarray(np.linalg.inv(normal[0]), dtype=float)
+
+
+def _normal_equations(layer: ScaledLayer, starts: Array) -> tuple[Array, Array]:
+    """Matrices (m, 7, 7) and vectors (m, 7), priors included."""
+    u, v = layer.position, layer.speed
+    inside = np.minimum(u, starts[:, None])
+    pushed = u - inside
+    columns = np.empty((*inside.shape, 7))
+    columns[:, :, 0], columns[:, :, 3] = 1.0, v
+    columns[:, :, 1], columns[:, :, 2], columns[:, :, 4] = inside, inside * inside, v * inside
+    columns[:, :, 5], columns[:, :, 6] = pushed, pushed * pushed
+    columns *= layer.root_weight[:, None]
+    transposed = columns.transpose(0, 2, 1)
+    return transposed @ columns + np.diag(layer.priors), transposed @ layer.target
+
+
+def _solve(normal: Array, vector: Array, total: float) -> tuple[Array, Array]:
+    part = np.asarray(np.linalg.solve(normal, vector[:, :, None])[:, :, 0], dtype=float)
+    return total - np.sum(part * vector, axis=1), part
+
 
 _UNKNOWNS = 7
 _EVIDENCE = 30.0
@@ -21,8 +185,6 @@ _EVIDENCE = 30.0
 _BETTER = 0.75
 """Share of the cubic's sum of squares that must not be exceeded: with little noise any tissue is
 significantly no cubic."""
-
-Array = NDArray[np.float64]
 
 
 class Boundary(NamedTuple):
@@ -104,3 +266,87 @@ def _membrane(side: Array, fits: MembraneFits, variance: float, covariance: Arra
         force_var=float(row @ covariance @ row),
         speed_m_s=speed,
     )
+
+
+# Looks for the membrane a layer ended with, a stage per tick, once its rupture has alarmed.
+#
+# All that this needs is known then; the ticks that measure the force drop, millimetres later, are
+# spared it.
+
+
+_MOST_PUSHED_M = 13e-3
+"""No membrane gives more: the capsule of bovine liver 11 mm."""
+_AT_ONCE = 8
+"""Candidates of one stage."""
+
+
+class MembraneSearch(NamedTuple):
+    """What was found.
+
+    Attributes:
+        boundary: Where the membrane before the rupture began, None if there was none.
+        is_one_law: Whether the layer's force obeyed one law up to the rupture.
+    """
+
+    boundary: Boundary | None
+    is_one_law: bool
+
+
+class SearchWork(NamedTuple):
+    """What has been done of a search.
+
+    Attributes:
+        from_m: Depth from which on the layer is searched.
+        is_second: Whether only what follows a missed transition is.
+        layer: What is searched, None before the first stage.
+        fits: Of the candidates tried so far.
+    """
+
+    from_m: float
+    is_second: bool = False
+    layer: ScaledLayer | None = None
+    fits: tuple[MembraneFits, ...] = ()
+
+
+def search_step(
+    work: SearchWork, rows: NDArray[np.float64], rupture_m: float, config: DefaultConfig
+) -> SearchWork | MembraneSearch:
+    """Work off the next stage of a search.
+
+    Args:
+        work: What has been done; at first the depth from which on the layer was met undisturbed,
+            its own puncture over.
+        rows: Rows of the layer, see `layer_rows`.
+        rupture_m: Depth of its rupture.
+        config: Settings.
+
+    Returns:
+        What has been done now, or what was found.
+    """
+    if work.layer is None:
+        layer = scale_layer(rows, work.from_m, rupture_m)
+        if layer is None:
+            return _conclude(work, None, rupture_m, config)
+        return work._replace(layer=layer)
+    tried = _AT_ONCE * len(work.fits)
+    if tried < len(STARTS):
+        fits = fit_membranes(work.layer, STARTS[tried : tried + _AT_ONCE])
+        return work._replace(fits=(*work.fits, fits))
+    every = MembraneFits(*(np.concatenate(parts) for parts in zip(*work.fits, strict=True)))
+    return _conclude(work, judge_membranes(work.layer, every), rupture_m, config)
+
+
+def _conclude(
+    work: SearchWork, found: Boundary | None, rupture_m: float, config: DefaultConfig
+) -> SearchWork | MembraneSearch:
+    """What a layer searched through tells.
+
+    A boundary further back than any membrane gives is a soft transition that was missed. What
+    follows it is searched again; the friction of both parts is measured together.
+    """
+    is_near = found is not None and rupture_m - found.depth_m <= _MOST_PUSHED_M
+    if work.is_second:
+        return MembraneSearch(found if is_near else None, False)
+    if found is None or is_near:
+        return MembraneSearch(found, found is None)
+    return SearchWork(found.depth_m + config.first_look_m, is_second=True)

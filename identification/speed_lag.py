@@ -8,7 +8,7 @@ the needle slows down for a rupture: force falls at once, the speed it is given 
 
 from typing import NamedTuple
 
-from identification.block import Block
+from identification.resampling import Block
 
 _WINDOW_S = 0.1
 _MEMORY = 0.998

@@ -5,6 +5,8 @@ Reading order: `momentum_step` (the equation), `momentum_observer` (the residual
 (equation 13), `slow_checks` (when to doubt it), `virtual_force_sensor` (all of it in two calls).
 """
 
+from residual.bias_model import TarePrior
+from residual.config import DEFAULT, PAPER, SensorConfig
 from residual.errors import (
     ConfigurationError,
     ResidualError,
@@ -12,15 +14,13 @@ from residual.errors import (
     SnapshotError,
     TareError,
 )
+from residual.estimate import Caution, Status, WrenchEstimate
 from residual.joint_friction import FrictionModel, JointFriction, SigmoidFriction
 from residual.kalman_observer import KalmanObserver
 from residual.momentum_observer import MomentumObserver
-from residual.sensor_config import DEFAULT, PAPER, SensorConfig
-from residual.tare_prior import TarePrior
 from residual.velocity_estimator import VelocityEstimator
 from residual.virtual_force_sensor import VirtualForceSensor
-from residual.wrench import WrenchEstimator
-from residual.wrench_estimate import Caution, Status, WrenchEstimate
+from residual.wrench_estimator import WrenchEstimator
 
 __all__ = [
     "DEFAULT",

@@ -3,7 +3,7 @@
 from typing import TYPE_CHECKING
 
 if TYPE_CHECKING:
-    from residual.wrench_estimate import Caution
+    from residual.estimate import Caution
 
 
 class ResidualError(Exception):

@@ -6,10 +6,10 @@ import numpy as np
 import pinocchio as pin
 from numpy.typing import NDArray
 
+from residual.config import SensorConfig
+from residual.input_validation import ROUNDING_S
 from residual.momentum_observer import MomentumObserver, MomentumState
-from residual.noise_probe import NoiseProbe, NoiseState
-from residual.sample_clock import ROUNDING_S
-from residual.sensor_config import SensorConfig
+from residual.stuck_signals import NoiseProbe, NoiseState
 from residual.velocity_estimator import VelocityEstimator, VelocityState
 from urdf import Robot
 

@@ -7,7 +7,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from residual.errors import ConfigurationError
-from residual.settings_check import check_positive
+from residual.input_validation import check_positive
 
 _MOST_EXPONENT = 700.0
 """Its exponential is a float still, and the sigmoid there is zero for any purpose."""

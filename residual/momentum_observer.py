@@ -1,26 +1,287 @@
 """The momentum observer: joint signals in, external joint torque out."""
 
 import math
-from typing import NamedTuple, NoReturn
+from typing import Literal, NamedTuple, NoReturn
 
 import numpy as np
 import pinocchio as pin
 from numpy.typing import ArrayLike, NDArray
 
+from needleforce.jit import COMPILER, Matrix, Vector, WrittenMatrix, compiled
 from residual.errors import ConfigurationError, SampleError
-from residual.joint_friction import FrictionModel
-from residual.momentum_smoother import (
-    BANDWIDTH_PER_S,
-    KNEE_SIGMAS,
-    smoothing_step,
-    smoothing_tick,
+from residual.input_validation import (
+    MOST_PLAUSIBLE,
+    check_alignment,
+    check_gap,
+    check_interval,
+    check_joint_vector,
+    read_rows,
 )
-from residual.momentum_step import ROWS, Alignment, momentum_tick, step_coefficients
-from residual.momentum_terms import MomentumTerms
-from residual.sample_check import MOST_PLAUSIBLE, check_interval, check_joint_vector, read_rows
-from residual.settings_check import check_alignment, check_gap
-from speedup import COMPILER
+from residual.joint_friction import FrictionModel
 from urdf import Robot
+
+# The exact step of the momentum residual, as pure functions of rows.
+#
+# Momentum ``p = M(q) dq`` obeys ``dp/dt = tau + C' dq - g - tau_f + tau_ext``. With
+# ``u = tau + C' dq - (g + tau_f)`` the residual ``dr/dt = K (dp/dt - u - r)`` is the first-order
+# low-pass of the external torque (paper, Section IV; Haddadin et al. 2017). Its exact solution over
+# a tick of length dt is
+#
+#     r+ = a r + (1 - a) ((p+ - p)/dt - mean(u)),      a = exp(-K dt),
+#
+# stable for every K dt, free of a start-up spike, and linear in what was known before the tick and
+# what is known after it: one row of coefficients per joint.
+
+
+Alignment = Literal["hold", "trapezoid"]
+"""How torque fills a tick: ``hold``, the torque of the earlier sample acts until the next one
+(a commanded torque); ``trapezoid``, the mean of both samples (a sampled sensor)."""
+
+ROWS = 5
+"""Rows of a sample: residual, momentum, C' dq, g + tau_f, torque."""
+
+
+def step_coefficients(
+    gain_per_s: float | NDArray[np.float64], dt_s: float, alignment: Alignment
+) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    """Coefficients of the exact step on the rows before and after the tick.
+
+    Args:
+        gain_per_s: K [1/s]: one for all joints, or an array of shape (n,).
+        dt_s: Length of the tick [s].
+        alignment: How torque fills the tick.
+
+    Returns:
+        Factors of the earlier and of the later rows, each of shape (ROWS,), or (n, ROWS) for one
+        gain per joint.
+    """
+    # Plain floats where one gain serves all: on an uneven clock this runs every tick.
+    share = (
+        -math.expm1(-gain_per_s * dt_s)
+        if isinstance(gain_per_s, float)
+        else -np.expm1(-gain_per_s * dt_s)
+    )
+    decay, per_second, half, zero = 1.0 - share, share / dt_s, 0.5 * share, 0.0 * share
+    held = alignment == "hold"
+    before = (decay, -per_second, -half, half, -share if held else -half)
+    after = (zero, per_second, -half, half, zero if held else -half)
+    return np.array(before).T, np.array(after).T
+
+
+def momentum_step(
+    before: NDArray[np.float64],
+    after: NDArray[np.float64],
+    gain_per_s: float | NDArray[np.float64],
+    dt_s: float,
+    alignment: Alignment = "trapezoid",
+) -> NDArray[np.float64]:
+    """One exact step of the residual.
+
+    Args:
+        before: Rows at the start of the tick, shape (ROWS, n): residual [Nm], momentum
+            [kg m^2/s], C' dq [Nm], g + tau_f [Nm], torque [Nm].
+        after: Rows at its end; the residual row is not read.
+        gain_per_s: K [1/s], one for all joints or shape (n,).
+        dt_s: Length of the tick [s].
+        alignment: How torque fills the tick.
+
+    Returns:
+        Residual at the end of the tick [Nm], shape (n,).
+    """
+    factors_before, factors_after = step_coefficients(gain_per_s, dt_s, alignment)
+    return np.vecdot(factors_before, before.T) + np.vecdot(factors_after, after.T)
+
+
+@compiled
+def momentum_tick(
+    rows: WrittenMatrix,
+    slot: int,
+    dynamics: tuple[Matrix, Matrix, Vector],
+    velocity: Vector,
+    torque: Vector,
+    dt_s: float,
+    settings: tuple[Vector, Vector, float, bool],
+) -> float:
+    """A whole tick of `MomentumObserver` in loops, as a compiler likes it and Python does not.
+
+    The observer does the same with `step_coefficients` and `smoothing_step` where nothing compiles.
+
+    Args:
+        rows: Rows of the sample before and of this one, which are written; shape (2 ROWS, n).
+        slot: 0 if this sample stands first, else 1.
+        dynamics: M, C and g + tau_f.
+        velocity: dq [rad/s], shape (n,).
+        torque: Measured torque [Nm], shape (n,).
+        dt_s: Length of the tick [s]; 0 to keep the residual: of a first sample.
+        settings: K [1/s] and the distance at which the bandwidth of the momentum doubles, both
+            shape (n,); that bandwidth at rest [1/s]; whether the torque is held.
+
+    Returns:
+        Sum of the squares of the rows written.
+    """
+    inertia, coriolis, gravity = dynamics
+    gain, knee, bandwidth, held = settings
+    before, after = ROWS * (1 - slot), ROWS * slot
+    size = 0.0
+    for i in range(len(velocity)):
+        momentum = transported = 0.0
+        for j in range(len(velocity)):
+            momentum += inertia[i, j] * velocity[j]
+            transported += coriolis[j, i] * velocity[j]
+        residual = rows[before, i]
+        if dt_s > 0.0:
+            at_rest = 1.0 / (bandwidth * dt_s)
+            behind = momentum - rows[before + 1, i]
+            ratio = behind / knee[i]
+            momentum -= behind / (1.0 + at_rest + ratio * ratio * ratio * ratio) * at_rest
+            motion = transported - gravity[i] + rows[before + 2, i] - rows[before + 3, i]
+            acting = 2.0 * rows[before + 4, i] if held else rows[before + 4, i] + torque[i]
+            rate = (momentum - rows[before + 1, i]) / dt_s - 0.5 * (motion + acting)
+            residual += math.expm1(-gain[i] * dt_s) * (residual - rate)
+        rows[after, i] = residual
+        rows[after + 1, i] = momentum
+        rows[after + 2, i] = transported
+        rows[after + 3, i] = gravity[i]
+        rows[after + 4, i] = torque[i]
+        for k in range(after, after + ROWS):
+            size += rows[k, i] * rows[k, i]
+    return size
+
+
+# What the residual needs of the robot's dynamics, straight from Pinocchio.
+
+
+Dynamics = tuple[NDArray[np.float64], NDArray[np.float64], NDArray[np.float64]]
+"""M [kg m^2] and C, both of shape (n, n), and g + tau_f [Nm], shape (n,)."""
+
+
+def _check_length(friction: FrictionModel, joints: int) -> None:
+    try:
+        shape = np.shape(friction.torque(np.zeros(joints)))
+    except ValueError as error:
+        raise ConfigurationError(
+            f"friction does not fit a robot of {joints} joints: {error}"
+        ) from error
+    if shape != (joints,):
+        raise ConfigurationError(f"friction gives torques of shape {shape}, expected ({joints},)")
+
+
+class MomentumTerms:
+    """Dynamics of one robot, as matrices or as rows of the caller.
+
+    Rotor inertia, where an arm needs it (motor-current torque), is part of the robot's model
+    (`Robot.with_armature`); on the LWR, whose torque is measured behind the gear, it is zero.
+
+    Attributes:
+        data: Workspace; joint placements and Jacobians of the latest call stand in it.
+
+    Raises:
+        ConfigurationError: If the friction model is of another number of joints.
+    """
+
+    def __init__(self, robot: Robot, friction: FrictionModel | None = None) -> None:
+        if friction is not None:
+            _check_length(friction, robot.nv)
+        self._model = robot.model
+        self.data = robot.create_data()
+        self._friction = friction
+
+    def at(self, q: NDArray[np.float64], dq: NDArray[np.float64]) -> Dynamics:
+        """M, C and g + tau_f at (q, dq), both of shape (n,)."""
+        model, data = self._model, self.data
+        inertia = pin.crba(model, data, q)
+        coriolis = pin.computeCoriolisMatrix(model, data, q, dq)
+        gravity = pin.computeGeneralizedGravity(model, data, q)
+        if self._friction is not None:
+            gravity += self._friction.torque(dq)
+        return inertia, coriolis, gravity
+
+    def write(
+        self,
+        q: NDArray[np.float64],
+        dq: NDArray[np.float64],
+        momentum: NDArray[np.float64],
+        coriolis: NDArray[np.float64],
+        gravity: NDArray[np.float64],
+    ) -> None:
+        """Write p = M dq, C' dq and g + tau_f at (q, dq) into the last three arrays, each (n,)."""
+        inertia, coriolis_matrix, gravity[:] = self.at(q, dq)
+        inertia.dot(dq, momentum)
+        dq.dot(coriolis_matrix, coriolis)
+
+    def momentum_variance(
+        self, velocity_noise_rad_s: NDArray[np.float64], q: NDArray[np.float64]
+    ) -> NDArray[np.float64]:
+        """Variance of M(q) dq for a velocity noise per joint [rad/s], shape (n,)."""
+        inertia = pin.crba(self._model, self.data, q)
+        return np.square(inertia).dot(np.square(velocity_noise_rad_s))
+
+
+# Quietens the momentum of an arm that hardly accelerates, and steps aside when it does.
+#
+# During an insertion the arm's own inertial force is a few hundredths of a newton, but the noise of
+# the velocity, differentiated, is the largest noise of the residual. The momentum therefore passes
+# a lag whose bandwidth grows with the distance it has fallen behind, measured in the noise of the
+# momentum itself: within the noise it smooths, beyond it it lets through (compare the "one euro"
+# filter, Casiez et al., CHI 2012). Where no noise is known the momentum passes untouched.
+
+
+BANDWIDTH_PER_S = 10.0
+"""Bandwidth at rest [1/s]: well below that of the torque, which alone carries a rupture."""
+KNEE_SIGMAS = 3.0
+"""Distance, in standard deviations of the momentum, at which the bandwidth has doubled."""
+
+# Arrays without dimensions here and below: numpy is twice as fast with them as with floats.
+_PER_KNEE = np.array(KNEE_SIGMAS**-4)
+
+
+class SmoothingTick(NamedTuple):
+    """What a step takes from the length of its tick, as arrays of shape ().
+
+    Attributes:
+        at_rest: 1 / (bandwidth at rest times tick).
+        slack: 1 more than that.
+    """
+
+    at_rest: NDArray[np.float64]
+    slack: NDArray[np.float64]
+
+
+def smoothing_tick(dt_s: float) -> SmoothingTick:
+    """For ticks of a length [s]."""
+    slack = 1.0 + 1.0 / (BANDWIDTH_PER_S * dt_s)
+    return SmoothingTick(np.array(slack - 1.0), np.array(slack))
+
+
+def smoothing_step(
+    smooth: NDArray[np.float64],
+    momentum: NDArray[np.float64],
+    noise: NDArray[np.float64],
+    tick: SmoothingTick,
+) -> NDArray[np.float64]:
+    """One step of the adaptive lag.
+
+    Args:
+        smooth: Smoothed momentum before the tick, shape (n,).
+        momentum: Momentum at its end, shape (n,).
+        noise: Standard deviation of the momentum, shape (n,), positive.
+        tick: Of its length.
+
+    Returns:
+        By how much the smoothed momentum is behind at the end of the tick, shape (n,).
+    """
+    # The bandwidth grows with the fourth power of distance / knee. The step is the implicit one,
+    # which never overshoots: of what it is behind, 1 / (1 + rate) remains.
+    behind = momentum - smooth
+    rate = behind / noise
+    rate *= rate
+    rate *= rate
+    rate *= _PER_KNEE
+    rate += tick.slack
+    behind /= rate
+    behind *= tick.at_rest
+    return behind
+
 
 Array = NDArray[np.float64]
 
@@ -202,7 +463,7 @@ class MomentumObserver:
     def smooth_momentum(self, velocity_noise_rad_s: Array, q: Array) -> None:
         """From now on quieten the momentum of an arm that hardly accelerates.
 
-        See `residual.momentum_smoother`. Joints whose velocity has no noise pass untouched.
+        See `residual.momentum_observer`. Joints whose velocity has no noise pass untouched.
 
         Args:
             velocity_noise_rad_s: Standard deviation of ``dq`` per joint [rad/s], shape (n,).

@@ -1,27 +1,132 @@
 """The virtual force/torque sensor: the few calls that a controller makes."""
 
+import math
+from collections.abc import Callable
+
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from residual.errors import SampleError, SuspectSampleError
+from residual.bias_estimator import OffsetRemoval
+from residual.bias_model import Tare
+from residual.config import DEFAULT, SensorConfig
+from residual.consistency_checks import SlowChecks, SlowState
+from residual.errors import SampleError, SnapshotError, SuspectSampleError
+from residual.estimate import (
+    NOT_TARED,
+    OTHER_KIND,
+    SETTLING,
+    Status,
+    WrenchEstimate,
+    unknown_wrench,
+    with_warnings,
+)
 from residual.external_torque import TorqueSample
-from residual.external_torque_stream import ExternalTorqueStream
-from residual.joint_stream import JointStream
-from residual.lag_doubt import LagDoubt
-from residual.offset_removal import OffsetRemoval
-from residual.robot_digest import robot_digest
-from residual.sample_clock import SampleClock
-from residual.sensor_config import DEFAULT, SensorConfig
-from residual.sensor_state import SensorState, check_belongs
-from residual.sensor_words import NOT_TARED, OTHER_KIND, SETTLING, with_warnings
-from residual.settings_text import settings_text
-from residual.slow_checks import SlowChecks, SlowState
-from residual.state_trial import try_out
-from residual.tare import Tare
+from residual.input_validation import SampleClock
+from residual.sample_stream import ExternalTorqueStream, JointStream
+from residual.snapshot import SensorState, check_belongs, check_form, robot_digest, settings_text
 from residual.tool_kinematics import ToolKinematics
-from residual.wrench import COMPONENTS, WrenchEstimator
-from residual.wrench_estimate import Status, WrenchEstimate, unknown_wrench
+from residual.wrench_estimator import COMPONENTS, WrenchEstimator
 from urdf import Robot
+
+# What a lag may hide: a force that changes is known less well than one that rests.
+
+
+class LagDoubt:
+    """Widens a standard deviation by what changes faster than the lag may show.
+
+    One more lag of the same length follows the force: what it still misses is about what the
+    estimate has missed. Only what stands out of the noise counts as a change.
+    """
+
+    def __init__(self) -> None:
+        self.restart()
+
+    def widen(self, axial_N: float, std_N: float, lag_s: float, dt_s: float) -> float:
+        """Standard deviation of an axial force with the doubt added [N].
+
+        Args:
+            axial_N: The force.
+            std_N: Its standard deviation.
+            lag_s: By how much it follows the true one; 0 for not at all.
+            dt_s: Time since the force before.
+        """
+        if self._slow_N is None or lag_s <= 0.0:
+            self._slow_N = axial_N
+            return std_N
+        behind = axial_N - self._slow_N
+        self._slow_N += behind * -math.expm1(-dt_s / lag_s)
+        variance = std_N * std_N
+        hidden = behind * behind - 4.0 * variance
+        return math.sqrt(variance + hidden) if hidden > 0.0 else std_N
+
+    def restart(self) -> None:
+        """Forget the force followed: the next one is a first one."""
+        self._slow_N: float | None = None
+
+    @property
+    def state(self) -> float | None:
+        """The force followed [N]; None before the first."""
+        return self._slow_N
+
+    def restore(self, state: float | None) -> None:
+        """Go on from a `state` taken earlier."""
+        self._slow_N = state
+
+
+# Tries a state out on a sensor that nobody uses, before one that somebody uses takes it.
+
+
+TRIED_S = 0.03
+"""Time step of a trial: long enough that everything which changes slowly is renewed."""
+TRIED = 3
+
+
+def try_out(
+    twin: "VirtualForceSensor", take: Callable[[SensorState], None], state: SensorState
+) -> None:
+    """Make a damaged state fail now and not in a later update.
+
+    Args:
+        twin: A new sensor of the same robot and settings.
+        take: Makes the twin go on from a state.
+        state: What is to be restored.
+
+    Raises:
+        SnapshotError: If the state is damaged.
+    """
+    try:
+        if state.joints is not None and state.external_torque is not None:
+            raise SnapshotError("it is of two streams")
+        still = np.zeros_like(twin.velocity_rad_s)
+        _run(twin, state, still, still, still)
+        check_form(state, twin.snapshot())
+        take(state)
+        torque = still if state.offset.smooth_torque is None else state.offset.smooth_torque
+        _run(twin, state, state.offset.q, state.velocity, torque)
+    except Exception as error:  # whatever a damaged state makes of its parts
+        raise SnapshotError(f"the snapshot is damaged: {error}") from error
+
+
+def _run(
+    twin: "VirtualForceSensor",
+    state: SensorState,
+    q: NDArray[np.float64],
+    dq: NDArray[np.float64],
+    torque: NDArray[np.float64],
+) -> None:
+    """A few samples of the kind that the state is of."""
+    for _ in range(TRIED):
+        if state.joints is not None:
+            given = state.joints.torque.velocity is None
+            found = twin.update(q, dq if given else None, torque, TRIED_S)
+        elif state.external_torque is not None:
+            given = state.external_torque.velocity is None
+            found = twin.update_external_torque(q, torque, TRIED_S, dq if given else None)
+        else:
+            return
+        if not np.isfinite((found.axial, found.axial_std, found.misfit)).all():
+            raise SnapshotError("its estimates are not finite")
+
 
 _new = tuple.__new__  # makes a named tuple in half the time: there is one in every tick
 

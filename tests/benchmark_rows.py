@@ -1,6 +1,6 @@
 """Rows for the tests of `benchmarks`."""
 
-from benchmarks.row import Row
+from benchmarks.rows import Row
 
 TEMPLATE = {
     "scenario": "gel-25-constant",

@@ -7,7 +7,7 @@ from functools import cache
 import numpy as np
 
 from groundtruth import simulate
-from insertion import SNAPSHOT_VERSION
+from needleforce import SNAPSHOT_VERSION
 
 
 @cache

@@ -7,21 +7,26 @@ import numpy as np
 import pytest
 from benchmark_rows import make_row
 
-from benchmarks.bounds.bound_cases import ForceNoiseSeries, bound_cases
-from benchmarks.bounds.delay_bound import (
+from benchmarks.bounds import (
+    ForceNoiseSeries,
     INTERVAL_s,
+    LOOK_m,
+    ONSET_m,
+    autocovariance,
+    bound_cases,
     delay_bounds_s,
     evidence_nats,
+    friction_bounds,
+    lagging,
     least_delay_s,
+    reading_error_N,
     release_course_N,
+    whitener,
 )
-from benchmarks.bounds.friction_bound import LOOK_m, ONSET_m, friction_bounds
-from benchmarks.bounds.noise_colour import autocovariance, lagging, reading_error_N, whitener
 from benchmarks.commands.bound import case_table
-from benchmarks.metrics.bound_metrics import bound_metrics
-from benchmarks.signals.insertion_truth import truth_of_needle
-from benchmarks.signals.needle_signal import NeedleSignal
-from benchmarks.tables.bound_table import bound_table
+from benchmarks.friction_metrics import bound_metrics
+from benchmarks.signals import NeedleSignal, truth_of_needle
+from benchmarks.tables import bound_table
 from groundtruth import SCENARIOS, Scenario, insert_needle
 from groundtruth.motion import constant_motion
 from identification import DEFAULT

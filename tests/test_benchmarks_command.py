@@ -7,20 +7,17 @@ import numpy as np
 import pytest
 from benchmark_rows import make_row
 
-from benchmarks import catalogue, plan
-from benchmarks.benchmark import Benchmark, Findings
+from benchmarks import catalogue
+from benchmarks import runner as plan
+from benchmarks.benchmark import Benchmark, Findings, Job
 from benchmarks.commands import dispatch, speed
 from benchmarks.commands import run as run_command
 from benchmarks.commands.dispatch import main
 from benchmarks.errors import DataError
-from benchmarks.job import Job
-from benchmarks.metrics.measurement import Measurement
-from benchmarks.pool import run_jobs
-from benchmarks.results_file import read_results, write_results
-from benchmarks.speed.gc_pauses import GcPauses
-from benchmarks.speed.speed_table import BARE
-from benchmarks.speed.tick_speed import SpeedReport
-from benchmarks.speed.timing import Timing
+from benchmarks.metric_catalogue import Measurement
+from benchmarks.rows import read_results, write_results
+from benchmarks.runner import run_jobs
+from benchmarks.speed import BARE, GcPauses, SpeedReport, Timing
 
 HARD_RMSE_N = {"liver-constant": 0.05, "gel-25-constant": 0.2}
 """The first meets its target, the second misses it."""

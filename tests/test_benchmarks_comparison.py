@@ -8,9 +8,9 @@ from benchmark_rows import make_row
 from hypothesis import given
 from hypothesis import strategies as st
 
+from benchmarks.comparison import Change, compare_rows
 from benchmarks.errors import UnknownMetricError
-from benchmarks.metrics.metric_catalogue import METRICS, metric
-from benchmarks.verdict.comparison import Change, compare_rows
+from benchmarks.metric_catalogue import METRICS, metric
 
 VALUES = st.floats(-1e3, 1e3)
 

@@ -7,11 +7,19 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from benchmarks.faults.fault import FaultResult, is_finite, late
-from benchmarks.faults.fault_study import FaultStudy
-from benchmarks.faults.fault_table import COLUMNS, fault_lines, fault_table, recovery
-from benchmarks.faults.motion_faults import PARTS, troubled_scenario
-from benchmarks.faults.signal_faults import SIGNAL_FAULTS
+from benchmarks.faults import (
+    COLUMNS,
+    PARTS,
+    SIGNAL_FAULTS,
+    FaultResult,
+    FaultStudy,
+    fault_lines,
+    fault_table,
+    is_finite,
+    late,
+    recovery,
+    troubled_scenario,
+)
 
 PAGE = (Path(__file__).parents[1] / "docs" / "loop.md").read_text(encoding="utf-8")
 

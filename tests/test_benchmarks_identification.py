@@ -7,19 +7,24 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
-from benchmarks.methods.alarm import Alarm, alarms_of, first_compensation
-from benchmarks.methods.offline_fit import layer_spans, offline_metrics
-from benchmarks.metrics.enhanced_metrics import CLEAR_m, beyond_last_exit, enhanced_metrics
-from benchmarks.metrics.friction_metrics import (
+from benchmarks.friction_metrics import (
     LayerFriction,
     friction_metrics,
     layer_frictions,
     online_friction_metrics,
 )
-from benchmarks.metrics.rupture_metrics import rupture_metrics
-from benchmarks.metrics.transition import EARLY_s, LATE_s, force_noise_N, is_visible, match
-from benchmarks.signals.insertion_truth import InsertionTruth
-from benchmarks.signals.needle_signal import NeedleSignal
+from benchmarks.identification_metrics import CLEAR_m, beyond_last_exit, enhanced_metrics
+from benchmarks.methods import Alarm, alarms_of, first_compensation
+from benchmarks.offline_fit import layer_spans, offline_metrics
+from benchmarks.rupture_metrics import (
+    EARLY_s,
+    LATE_s,
+    force_noise_N,
+    is_visible,
+    match,
+    rupture_metrics,
+)
+from benchmarks.signals import InsertionTruth, NeedleSignal
 from groundtruth import Rupture
 
 SPEED = 2e-3

@@ -6,18 +6,28 @@ import numpy as np
 import pytest
 from gel_slice import gel_slice
 
+from benchmarks.benchmark import Job
 from benchmarks.errors import DataError
-from benchmarks.job import Job
-from benchmarks.metrics.transition import VISIBLE_SIGMAS
-from benchmarks.recorded.bovine import FILE, FOLDER, NOISE_N, read_bovine
-from benchmarks.recorded.bovine_real import depth_metrics, run_bovine_real
-from benchmarks.recorded.force_falls import alarms_at_falls, falls_found, force_falls
-from benchmarks.recorded.liver_real import run_liver_real
-from benchmarks.recorded.pullout import in_and_out, mean_at_depth
-from benchmarks.signals.joint_signals import JointSignals
-from benchmarks.signals.measured_travel import MeasuredTravel, measured_travel, smoothed
-from benchmarks.simulated.needle_benchmark import drawn_noise, run_needle
-from benchmarks.tables.identification_table import friction_table, rupture_table, table_one_table
+from benchmarks.recorded.bovine import (
+    FILE,
+    FOLDER,
+    NOISE_N,
+    depth_metrics,
+    read_bovine,
+    run_bovine_real,
+)
+from benchmarks.recorded.liver import (
+    alarms_at_falls,
+    falls_found,
+    force_falls,
+    in_and_out,
+    mean_at_depth,
+    run_liver_real,
+)
+from benchmarks.rupture_metrics import VISIBLE_SIGMAS
+from benchmarks.signals import JointSignals, MeasuredTravel, measured_travel, smoothed
+from benchmarks.simulated import drawn_noise, run_needle
+from benchmarks.tables import friction_table, rupture_table, table_one_table
 from groundtruth import simulate
 
 SHORT = gel_slice()

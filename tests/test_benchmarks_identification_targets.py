@@ -6,23 +6,24 @@ import pytest
 from benchmark_rows import make_row
 
 from benchmarks.catalogue import BENCHMARKS
-from benchmarks.metrics.identification_catalogue import (
+from benchmarks.metric_catalogue import (
     BOUNDS,
     IDENTIFICATION,
+    METRICS,
     OFFLINE,
     REAL_TISSUE,
     TABLE_I,
 )
-from benchmarks.metrics.metric_catalogue import METRICS
-from benchmarks.tables.bound_table import bound_table
-from benchmarks.tables.identification_table import friction_table, rupture_table, table_one_table
-from benchmarks.tables.number_table import number_table
-from benchmarks.tables.offline_table import offline_table
-from benchmarks.tables.tissue_table import tissue_table
-from benchmarks.verdict.identification_targets import IDENTIFICATION_TARGETS
-from benchmarks.verdict.scenario_groups import GELS, STACKS
-from benchmarks.verdict.target_verdict import verdicts
-from benchmarks.verdict.targets import Target
+from benchmarks.tables import (
+    bound_table,
+    friction_table,
+    number_table,
+    offline_table,
+    rupture_table,
+    table_one_table,
+    tissue_table,
+)
+from benchmarks.targets import GELS, IDENTIFICATION_TARGETS, STACKS, Target, verdicts
 
 SHARE = Target(
     what="delay",

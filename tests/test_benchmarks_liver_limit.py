@@ -3,11 +3,20 @@
 import numpy as np
 import pytest
 
-from benchmarks.job import Job
-from benchmarks.metrics.metric_catalogue import METRICS
-from benchmarks.recorded.liver_features import liver_features
-from benchmarks.recorded.liver_limit import REGRESSIONS, regression_values, run_liver_limit
-from benchmarks.recorded.regression import Seen, gaussian_process, left_out, level, linear, ridge
+from benchmarks.benchmark import Job
+from benchmarks.metric_catalogue import METRICS
+from benchmarks.recorded.liver_limit import (
+    REGRESSIONS,
+    Seen,
+    gaussian_process,
+    left_out,
+    level,
+    linear,
+    liver_features,
+    regression_values,
+    ridge,
+    run_liver_limit,
+)
 
 RNG = np.random.default_rng(5)
 GROUP = np.repeat(np.arange(20), 2)

@@ -9,11 +9,10 @@ from hypothesis import strategies as st
 from scipy.signal import lfilter
 
 from benchmarks.errors import UnknownMetricError
-from benchmarks.methods.force_reading import ForceReading
-from benchmarks.metrics.force_lag import force_lag_s
-from benchmarks.metrics.measurement import Measurement
-from benchmarks.metrics.wrench_metrics import wrench_metrics
-from benchmarks.signals.force_truth import ForceTruth
+from benchmarks.force_metrics import force_lag_s, wrench_metrics
+from benchmarks.methods import ForceReading
+from benchmarks.metric_catalogue import Measurement
+from benchmarks.signals import ForceTruth
 
 T = np.arange(0.0, 20.0, 1e-3)
 

@@ -3,9 +3,9 @@
 import pytest
 
 from benchmarks.catalogue import BENCHMARKS, benchmark
-from benchmarks.charts.paper_figures import NEEDED
 from benchmarks.errors import DataError, UnknownIdError
-from benchmarks.plan import Request, make_plan
+from benchmarks.paper_figures import NEEDED
+from benchmarks.runner import Request, make_plan
 from groundtruth import SCENARIOS
 
 RECORDED = {item.id for item in BENCHMARKS.values() if item.is_recorded}

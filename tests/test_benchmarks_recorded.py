@@ -6,20 +6,16 @@ import math
 import numpy as np
 import pytest
 
+from benchmarks.benchmark import Job
 from benchmarks.errors import DataError
-from benchmarks.job import Job
-from benchmarks.methods.joint_residual import joint_residual
-from benchmarks.recorded.array_files import read_arrays, read_table
-from benchmarks.recorded.liver import NUMBERS, read_liver
+from benchmarks.methods import joint_residual
+from benchmarks.recorded.liver import NUMBERS, read_arrays, read_liver, read_table
 from benchmarks.recorded.panda import FOLDER as PANDA
-from benchmarks.recorded.panda import read_panda
-from benchmarks.recorded.panda_liver import run_panda_liver
-from benchmarks.recorded.panda_real import run_panda_real
+from benchmarks.recorded.panda import read_panda, run_panda_liver, run_panda_real
 from benchmarks.recorded.ur10e import FOLDER as UR10E
-from benchmarks.recorded.ur10e import read_ur10e
-from benchmarks.recorded.ur10e_payload import run_ur10e_payload
-from benchmarks.run_job import run_job
-from benchmarks.signals.joint_signals import JointSignals
+from benchmarks.recorded.ur10e import read_ur10e, run_ur10e_payload
+from benchmarks.runner import run_job
+from benchmarks.signals import JointSignals
 
 
 def values(run, benchmark, data, **more):

@@ -7,7 +7,7 @@ import pytest
 from benchmark_rows import TEMPLATE, make_row
 
 from benchmarks.errors import ResultsError
-from benchmarks.results_file import read_results, to_json, write_results
+from benchmarks.rows import read_results, to_json, write_results
 
 
 def test_rows_survive_the_way_through_a_file(tmp_path):

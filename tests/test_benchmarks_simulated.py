@@ -6,10 +6,10 @@ import numpy as np
 import pytest
 from gel_slice import gel_slice
 
-from benchmarks.job import Job
-from benchmarks.results_file import to_json
-from benchmarks.simulated.arm_case import simulated_case, simulated_metrics
-from groundtruth.named_scenario import named_scenario
+from benchmarks.benchmark import Job
+from benchmarks.rows import to_json
+from benchmarks.simulated import simulated_case, simulated_metrics
+from groundtruth.scenarios import named_scenario
 
 SHORT = gel_slice(25, thickness_m=8e-3, speed_m_s=15e-3)
 TOUCHLESS = replace(SHORT, layers=())

@@ -7,12 +7,19 @@ import pytest
 
 from benchmarks.commands.dispatch import main
 from benchmarks.errors import BenchmarkError
-from benchmarks.speed.late_rows import LATE_ROWS, LateRows, late_rows
-from benchmarks.speed.long_recording import joint_recording, needle_recording
-from benchmarks.speed.stream_speed import StreamCase, StreamSpeed
-from benchmarks.speed.watched_process import Watched, watch_process
-from identification.default_config import DEFAULT
-from identification.replay_stream import ReplayStream
+from benchmarks.soak import (
+    LATE_ROWS,
+    LateRows,
+    StreamCase,
+    StreamSpeed,
+    Watched,
+    joint_recording,
+    late_rows,
+    needle_recording,
+    watch_process,
+)
+from identification.log_replay import ReplayStream
+from identification.multilayer_config import DEFAULT
 from recordings import write_table
 
 

@@ -7,14 +7,24 @@ import pinocchio as pin
 import pytest
 from insertion_run import short_run, tare_index
 
-from benchmarks.signals.joint_signals import JointSignals
-from benchmarks.speed.chain_tick import RERUN_TICKS, ChainTick
-from benchmarks.speed.gc_pauses import GcPauses
-from benchmarks.speed.rerun_speed import slab
-from benchmarks.speed.soak import Cycle, Soak
-from benchmarks.speed.speed_table import LIMITS, event_table, pause_line, rerun_table, speed_table
-from benchmarks.speed.tick_speed import SpeedReport, bare_sensor
-from benchmarks.speed.timing import BLOCK, Timing, time_side_by_side
+from benchmarks.signals import JointSignals
+from benchmarks.soak import Cycle, Soak
+from benchmarks.speed import (
+    BLOCK,
+    LIMITS,
+    RERUN_TICKS,
+    ChainTick,
+    GcPauses,
+    SpeedReport,
+    Timing,
+    bare_sensor,
+    event_table,
+    pause_line,
+    rerun_table,
+    slab,
+    speed_table,
+    time_side_by_side,
+)
 
 
 def timing(*medians):

@@ -6,10 +6,8 @@ import pytest
 from benchmark_rows import make_row
 
 from benchmarks.catalogue import BENCHMARKS
-from benchmarks.metrics.metric_catalogue import METRICS
-from benchmarks.verdict.scenario_groups import TISSUE
-from benchmarks.verdict.target_verdict import verdicts
-from benchmarks.verdict.targets import TARGETS, Target
+from benchmarks.metric_catalogue import METRICS
+from benchmarks.targets import TARGETS, TISSUE, Target, verdicts
 
 LIMIT = Target(what="force", metric="wrench_rmse_N", plant="hard", at_most=0.12)
 SHARE = Target(what="share", metric="wrench_rmse_N", plant="hard", at_most=0.5, of_paper=True)

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from chromium import DESK, PHONE, logged, measured, needs_chromium, printed
 
-from figures import (
+from needleforce.plots import (
     Chart,
     Curve,
     Page,

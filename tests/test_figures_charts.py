@@ -11,7 +11,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from hypothesis.extra.numpy import arrays
 
-from figures import (
+from needleforce.plots import (
     Chart,
     Curve,
     FiguresError,
@@ -21,13 +21,12 @@ from figures import (
     Ticks,
     palette,
     require_matplotlib,
-    save,
     save_png,
     save_svg,
 )
-from figures.errors import ChartError, MissingExtraError, WriteError
-from figures.limits import limits_of
-from figures.thinning import kept_points
+from needleforce.plots import chart as save
+from needleforce.plots.chart import kept_points, limits_of
+from needleforce.plots.errors import ChartError, MissingExtraError, WriteError
 
 pytest.importorskip("matplotlib")
 

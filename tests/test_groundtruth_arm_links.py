@@ -5,9 +5,8 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from groundtruth.arm_level import ARM_LEVELS, arm_level
+from groundtruth.arm_plant import blend_link_parameters, cad_link_parameters, lwr_bodies
 from groundtruth.errors import ArmLevelError
-from groundtruth.link_tables import blend_link_parameters, cad_link_parameters
-from groundtruth.plant_bodies import lwr_bodies
 from urdf import NeedleTool, load_lwr
 
 # Fact sheet, section 2.6: static force bias at the flange in this posture, per CAD share.

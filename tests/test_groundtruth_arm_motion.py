@@ -2,14 +2,17 @@ import numpy as np
 import pinocchio as pin
 import pytest
 
+from groundtruth.arm_control import (
+    JointMotion,
+    drive,
+    joint_excitation,
+    joint_reference,
+    motion_along,
+)
 from groundtruth.arm_level import ARM_LEVELS
-from groundtruth.arm_plant import ArmPlant, TICK_s, TissueContact
-from groundtruth.arm_trace import drive
+from groundtruth.arm_plant import ArmPlant, TICK_s, TissueContact, lwr_bodies
 from groundtruth.errors import PathError, PlantError
 from groundtruth.insertion_path import LWR_POSTURE_rad, insertion_path, needle_down
-from groundtruth.joint_excitation import joint_excitation
-from groundtruth.joint_reference import JointMotion, joint_reference, motion_along
-from groundtruth.plant_bodies import lwr_bodies
 from groundtruth.scenarios import SCENARIOS
 from groundtruth.tissue import Tissue
 from urdf import NeedleTool, load_lwr

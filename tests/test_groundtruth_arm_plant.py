@@ -4,10 +4,8 @@ import pinocchio as pin
 import pytest
 
 from groundtruth.arm_level import ARM_LEVELS
-from groundtruth.arm_plant import ArmPlant, TICK_s, TissueContact
-from groundtruth.mjcf import arm_mjcf
-from groundtruth.plant_bodies import lwr_bodies
-from groundtruth.tissue_force import TissueForce
+from groundtruth.arm_plant import ArmPlant, TICK_s, TissueContact, arm_mjcf, lwr_bodies
+from groundtruth.tissue import TissueForce
 from urdf import NeedleTool
 
 GRAVITY = 9.80665

@@ -10,11 +10,11 @@ import numpy as np
 import pytest
 
 from groundtruth import SCENARIOS, simulate
-from groundtruth import __main__ as command
-from groundtruth.signal_table import signal_table, truth_table
-from identification.__main__ import main as identify
+from needleforce.cli import simulate as command
+from needleforce.cli.force import main as estimate
+from needleforce.cli.identify import main as identify
+from needleforce.cli.simulate import signal_table, truth_table
 from recordings import read_log, read_table
-from residual.__main__ import main as estimate
 
 ID = "gel-25-constant"
 SUFFIXES = (".csv", ".csv.gz", ".npz", ".parquet", ".mcap", ".db3")

@@ -9,11 +9,11 @@ from groundtruth.errors import MotionError
 from groundtruth.motion import (
     TARE_STROKE_M,
     Motion,
+    Stroke,
     constant_motion,
     free_motion,
     sinusoidal_motion,
 )
-from groundtruth.stroke import Stroke
 
 CONSTANT = constant_motion(speed_m_s=2.3e-3, depth_m=45e-3, standoff_m=5e-3)
 SINE = sinusoidal_motion(stroke_m=70e-3, frequency_hz=0.016, standoff_m=20e-3)

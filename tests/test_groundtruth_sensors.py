@@ -7,10 +7,15 @@ from hypothesis import strategies as st
 from hypothesis.extra.numpy import arrays
 
 from groundtruth.arm_level import ARM_LEVELS
-from groundtruth.ft_sensor import measured_wrench
-from groundtruth.joint_sensors import measured_position, measured_velocity
-from groundtruth.sample_clock import received, stamps
-from groundtruth.torque_sensor import measured_torque, play
+from groundtruth.sensors import (
+    measured_position,
+    measured_torque,
+    measured_velocity,
+    measured_wrench,
+    play,
+    received,
+    stamps,
+)
 from urdf import LWR_GEAR_RATIO
 
 TEXTBOOK, REALISTIC, HARD = (ARM_LEVELS[name] for name in ("textbook", "realistic", "hard"))

@@ -9,9 +9,8 @@ import groundtruth
 from groundtruth import Run, Scenario, Signals, simulate
 from groundtruth.errors import ArmLevelError, PlantError, ScenarioError
 from groundtruth.materials import gel
-from groundtruth.motion import Motion
+from groundtruth.motion import Motion, Stroke
 from groundtruth.scenarios import SCENARIOS
-from groundtruth.stroke import Stroke
 
 GAIN_PER_S = 50.0
 TICK_s = 1e-3
@@ -86,7 +85,7 @@ def test_momentum_observer_on_the_textbook_arm_is_the_ideal_filter(runs):
 
 
 def test_momentum_observer_in_free_motion_is_the_ideal_filter(monkeypatch):
-    monkeypatch.setattr("groundtruth.tool_motion.FREE_MOTION_s", 10.0)
+    monkeypatch.setattr("groundtruth.arm_control.FREE_MOTION_s", 10.0)
     run = simulate("free-motion")
     assert np.abs(run.truth.dq_rad_s).max() > 0.3
     error = observer_error(run, run.robot.model)

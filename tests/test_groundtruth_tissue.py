@@ -4,10 +4,8 @@ import numpy as np
 import pytest
 
 from groundtruth.errors import TissueError
-from groundtruth.friction import ShaftFriction
-from groundtruth.layer import Layer
+from groundtruth.layers import Layer, Membrane, ShaftFriction
 from groundtruth.materials import BOVINE_CAPSULE, GEL_TIP_FORCE_N, bovine_liver, gel
-from groundtruth.membrane import Membrane
 from groundtruth.scenarios import SCENARIOS
 from groundtruth.tissue import UNLOADING_M, Tissue
 

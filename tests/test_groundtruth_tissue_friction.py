@@ -5,9 +5,8 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from groundtruth.errors import TissueError
-from groundtruth.friction import ShaftFriction
-from groundtruth.membrane import Membrane
-from groundtruth.relaxation import RELAXATION_S, bristle_step, relaxation_step
+from groundtruth.layers import Membrane, ShaftFriction
+from groundtruth.tissue import RELAXATION_S, bristle_step, relaxation_step
 
 bristles = st.floats(-1.0, 1.0)
 travels = st.floats(-0.1, 0.1)

@@ -6,8 +6,7 @@ import numpy as np
 import pytest
 
 from groundtruth.errors import TissueError
-from groundtruth.interface import interfaces
-from groundtruth.layer import CUTTING_ONSET_M
+from groundtruth.layers import CUTTING_ONSET_M, interfaces
 from groundtruth.materials import GLOVE, bovine_liver, gel
 
 

@@ -7,10 +7,16 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from identification.baseline import Baseline, baseline_step, level_score, settle_baseline
-from identification.block import Block, is_block_full, mean_block
-from identification.default_tick import DefaultTick, bristle_step, follow_depth
-from identification.track import LENGTH, initial_track, track_step
+from identification.free_air_baseline import Baseline, baseline_step, level_score, settle_baseline
+from identification.friction_compensation import DefaultTick, bristle_step, follow_depth
+from identification.resampling import (
+    LENGTH,
+    Block,
+    initial_track,
+    is_block_full,
+    mean_block,
+    track_step,
+)
 
 travel = st.floats(-2e-3, 2e-3)
 

@@ -8,11 +8,11 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-import identification.__main__ as command
+import needleforce.cli.identify as command
 from groundtruth import insert_needle
 from identification import replay
 from identification.errors import InvalidLogError
-from identification.sign_hints import sign_hints
+from identification.log_replay import sign_hints
 from recordings import write_table
 
 

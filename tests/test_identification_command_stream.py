@@ -12,10 +12,10 @@ import numpy as np
 import pytest
 from residual_command_log import write_insertion
 
-import identification.__main__ as command
+import needleforce.cli.identify as command
 from groundtruth import insert_needle
-from identification.command import run_log
-from identification.replay_stream import ReplayStream
+from identification.log_replay import ReplayStream
+from needleforce.cli import identify as run_log
 from recordings import read_table, write_table
 
 COMMAND = [sys.executable, "-m", "identification"]

@@ -8,26 +8,18 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from identification import (
-    DEFAULT,
-    PAPER,
-    PAPER_KV,
-    Identifier,
-    default_tick,
-    paper_tick,
-    sample_check,
-)
-from identification.default_standing import default_standing
-from identification.default_state import Traversed, initial_default_state
+from identification import DEFAULT, PAPER, PAPER_KV, Identifier
+from identification import friction_compensation as default_tick
+from identification import input_validation as sample_check
+from identification import published_update as paper_tick
 from identification.errors import NoRuptureError
-from identification.kink_judge import kink_step
-from identification.kink_kernels import kink_kernels, kink_scales
-from identification.layer_hindsight import Belief
+from identification.input_validation import CheckConfig, CheckState, check_step, packed_limits
+from identification.layer_belief import Belief
 from identification.layer_model import layer_fit
-from identification.paper_standing import paper_standing
-from identification.paper_step import initial_paper_state
-from identification.sample_check import CheckConfig, CheckState, check_step, packed_limits
-from speedup import COMPILER
+from identification.multilayer_state import Traversed, default_standing, initial_default_state
+from identification.published_identifier import initial_paper_state, paper_standing
+from identification.slope_change_detector import kink_kernels, kink_scales, kink_step
+from needleforce.jit import COMPILER
 
 LIMITS = packed_limits(CheckConfig())
 KERNELS = [

@@ -8,10 +8,9 @@ import pytest
 
 from groundtruth import insert_needle
 from identification import DEFAULT, Identifier
-from identification.default_config import DefaultConfig
 from identification.errors import InvalidConfigError
-from identification.estimate import Estimate
-from identification.rupture_state import RuptureState
+from identification.estimate import Estimate, RuptureState
+from identification.multilayer_config import DefaultConfig
 
 
 def run(name, seed=0, noise="mini45", config=DEFAULT, rate_hz=1000.0):

@@ -4,16 +4,16 @@ import numpy as np
 import pytest
 from scipy.signal import lfilter
 
-from identification.block import Block
-from identification.change_point import blocks_since_kink
-from identification.default_config import DEFAULT
-from identification.kink_detector import (
+from identification.multilayer_config import DEFAULT
+from identification.resampling import Block
+from identification.slope_change_detector import (
     block_noise_N2,
+    blocks_since_kink,
     detector_step,
     initial_detector,
+    kink_kernels,
     restart_detector,
 )
-from identification.kink_kernels import kink_kernels
 
 DT_S = 5e-3
 

@@ -5,14 +5,23 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from identification.cusum import cusum_constants
-from identification.force_drop import drop_interval_s, force_drop_N, force_ratios
-from identification.paper_tick import add_sample, cusum_step, derivative_step, rls_step
-from identification.reweighting import reweighted_friction_variance
-from identification.rls import RlsState, reset_covariance
-from identification.window_history import WindowHistory, append_window
-from identification.window_rerun import rerun_history
-from identification.window_sums import WindowSums, less_viscous_force
+from identification.published_identifier import (
+    RlsState,
+    cusum_constants,
+    drop_interval_s,
+    force_drop_N,
+    force_ratios,
+    reset_covariance,
+    reweighted_friction_variance,
+)
+from identification.published_update import add_sample, cusum_step, derivative_step, rls_step
+from identification.rls_windows import (
+    WindowHistory,
+    WindowSums,
+    append_window,
+    less_viscous_force,
+    rerun_history,
+)
 
 number = st.floats(-2.0, 2.0)
 

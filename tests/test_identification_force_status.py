@@ -3,10 +3,10 @@
 import numpy as np
 import pytest
 
-import identification.__main__ as command
+import needleforce.cli.identify as command
 from groundtruth import insert_needle
-from identification.command.force_status import ForceStatus
-from insertion import session
+from needleforce import session
+from needleforce.cli.identify_report import ForceStatus
 from recordings import write_table
 from recordings.columns.force_codes import FORCE_STATUS, WORTHLESS
 from recordings.log_stream import LogChunk

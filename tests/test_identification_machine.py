@@ -2,8 +2,8 @@
 
 from itertools import product
 
-from identification.rupture_state import RuptureState as S
-from identification.rupture_state import next_rupture_state
+from identification.estimate import RuptureState as S
+from identification.estimate import next_rupture_state
 
 
 def test_the_published_path_goes_through_all_states():

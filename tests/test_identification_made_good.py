@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from identification.made_good import is_made_good
+from identification.rupture_classifier import is_made_good
 
 FALL_M = 20e-3
 FALL_N = 0.3

@@ -4,13 +4,12 @@ import numpy as np
 import pytest
 
 from groundtruth import ForceNoise, Layer, Scenario, insert_needle
-from groundtruth.friction import ShaftFriction
-from groundtruth.membrane import Membrane
+from groundtruth.layers import Membrane, ShaftFriction
 from groundtruth.motion import constant_motion
 from identification import Identifier
-from identification.layer_hindsight import Belief, carried_friction, look_back
-from identification.layer_rows import MOST_ROWS, NO_ROWS, add_layer_row, merge_rows
+from identification.layer_belief import Belief, carried_friction, look_back
 from identification.membrane import find_membrane
+from identification.resampling import MOST_ROWS, NO_ROWS, add_layer_row, merge_rows
 
 LENGTH_M = 30e-3
 ROW_M = 2.5e-4

@@ -4,9 +4,9 @@ import numpy as np
 import pytest
 
 from identification.errors import InvalidConfigError
+from identification.estimate import RuptureState
 from identification.identifier import Identifier
-from identification.paper_config import PAPER, PAPER_KV, PaperConfig
-from identification.rupture_state import RuptureState
+from identification.published_config import PAPER, PAPER_KV, PaperConfig
 
 DT_S, SPEED = 1e-3, 2.3e-3
 LAYERS = ((0.030, 15.0, 8_000.0), (0.020, 60.0, 9_000.0))

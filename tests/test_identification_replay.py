@@ -10,10 +10,8 @@ from scipy.ndimage import uniform_filter1d
 
 from groundtruth import insert_needle
 from identification import Identifier, replay
-from identification import __main__ as command
-from identification.derived_speed import DerivedSpeed
-from identification.replay_stream import HEAD_ROWS, ReplayStream
-from identification.sign_hints import SignWatch, sign_hints
+from identification.log_replay import HEAD_ROWS, DerivedSpeed, ReplayStream, SignWatch, sign_hints
+from needleforce.cli import identify as command
 from recordings import write_table
 from recordings.clock.row_clock import RowClock
 

@@ -9,8 +9,7 @@ import pytest
 
 from identification.errors import InvalidConfigError, InvalidSnapshotError
 from identification.identifier import Identifier
-from identification.paper_config import PAPER, PAPER_KV
-from identification.sample_check import (
+from identification.input_validation import (
     LAST_ABSORBED,
     STATUSES,
     CheckConfig,
@@ -19,6 +18,7 @@ from identification.sample_check import (
     check_step,
     packed_limits,
 )
+from identification.published_config import PAPER, PAPER_KV
 
 GOOD = (0.001, 0.002, 0.1, 1e-3)
 

@@ -5,10 +5,10 @@ from dataclasses import fields
 import numpy as np
 import pytest
 
-from identification.default_config import DefaultConfig
 from identification.errors import InvalidConfigError
-from identification.paper_config import PaperConfig
-from identification.sample_check import CheckConfig
+from identification.input_validation import CheckConfig
+from identification.multilayer_config import DefaultConfig
+from identification.published_config import PaperConfig
 
 FIELDS = [
     (kind, field.name)

@@ -5,10 +5,11 @@ import pickle
 import numpy as np
 import pytest
 
-from identification import DEFAULT, PAPER, Identifier, rupture_step
-from identification.paper_state import PaperState
-from identification.rupture_step import finish_look
-from insertion import read_snapshot, write_snapshot
+from identification import DEFAULT, PAPER, Identifier
+from identification import rupture_measurement as rupture_step
+from identification.published_identifier import PaperState
+from identification.rupture_measurement import finish_look
+from needleforce import read_snapshot, write_snapshot
 
 
 def signal(n, seed=4):

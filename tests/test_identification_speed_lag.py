@@ -5,7 +5,7 @@ import pytest
 from scipy.signal import lfilter
 
 from identification import Identifier
-from identification.block import Block
+from identification.resampling import Block
 from identification.speed_lag import SpeedLag, lag_step
 
 DT_S = 1e-3

@@ -5,11 +5,11 @@ import math
 import numpy as np
 import pytest
 
-from identification.default_config import DEFAULT
-from identification.default_state import initial_default_state
+from identification.layer_fit import add_layer_prior
 from identification.layer_model import CUTTING, no_information
-from identification.layer_prior import add_layer_prior
-from identification.tear import (
+from identification.multilayer_config import DEFAULT
+from identification.multilayer_state import initial_default_state
+from identification.rupture_classifier import (
     NOTHING_HELD,
     Held,
     end_probability,

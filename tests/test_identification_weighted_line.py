@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from identification.weighted_line import fit_line
+from identification.published_identifier import fit_line
 
 
 def test_level_slope_and_covariance_are_those_of_weighted_least_squares():

@@ -3,16 +3,20 @@
 import numpy as np
 import pytest
 
-from identification.paper_tick import add_sample
-from identification.window_history import (
+from identification.published_update import add_sample
+from identification.rls_windows import (
     WindowHistory,
+    WindowSums,
     add_neighbours,
     append_window,
+    follow_windows,
+    less_viscous_force,
     less_viscous_rows,
+    rerun_history,
+    solve_windows,
     window_rows,
+    window_step,
 )
-from identification.window_rerun import follow_windows, rerun_history, solve_windows
-from identification.window_sums import WindowSums, less_viscous_force, window_step
 
 
 def windows(count, *, noise=1e-4):

@@ -6,10 +6,10 @@ from pathlib import Path
 
 import pytest
 
-from insertion import SNAPSHOT_VERSION, InsertionSession
-from insertion.snapshot_file import SNAPSHOT_FORMAT
+from needleforce import SNAPSHOT_VERSION, InsertionSession
+from needleforce.snapshot import SNAPSHOT_FORMAT
 from residual import Caution, Status
-from residual.wrench_estimate import UNSEEN_STD
+from residual.estimate import UNSEEN_STD
 
 ROOT = Path(__file__).parents[1]
 PAGE = (ROOT / "docs" / "loop.md").read_text(encoding="utf-8")

@@ -7,7 +7,7 @@ import pytest
 from insertion_run import same, samples, short_run, tare_index
 
 from groundtruth import Run
-from insertion import InsertionSession
+from needleforce import InsertionSession
 from residual import Caution, Status
 from residual.tool_kinematics import ToolKinematics
 

@@ -4,10 +4,9 @@ import numpy as np
 import pytest
 from insertion_run import samples, short_run, tare_index, time_steps
 
-from benchmarks.signals.joint_signals import JointSignals
-from benchmarks.signals.measured_travel import measured_travel
+from benchmarks.signals import JointSignals, measured_travel
 from identification import SampleStatus
-from insertion import InsertionError, InsertionSession, TipTravel
+from needleforce import InsertionError, InsertionSession, TipTravel
 from residual import DEFAULT, PAPER, Status, TareError
 from residual.tool_kinematics import ToolKinematics
 

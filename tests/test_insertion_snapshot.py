@@ -10,7 +10,7 @@ from insertion_run import same, samples, sealed, short_run, tare_index
 from identification import DEFAULT as IDENTIFIER_DEFAULT
 from identification import PAPER as IDENTIFIER_PAPER
 from identification import Identifier, RuptureState
-from insertion import (
+from needleforce import (
     SNAPSHOT_VERSION,
     InsertionError,
     InsertionSession,
@@ -18,7 +18,7 @@ from insertion import (
     read_snapshot,
     write_snapshot,
 )
-from insertion.plain_value import from_plain, to_plain
+from needleforce.snapshot import from_plain, to_plain
 from residual import DEFAULT, SnapshotError, VirtualForceSensor
 from urdf import NeedleTool, Payload, load_lwr
 

@@ -10,7 +10,7 @@ from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 from insertion_run import same, samples, sealed, short_run, tare_index
 
-from insertion import InsertionSession, SnapshotFileError, read_snapshot, write_snapshot
+from needleforce import InsertionSession, SnapshotFileError, read_snapshot, write_snapshot
 
 ODD = [None, True, -1, 1.0, 1e300, "x", [], {}, {"float": "nan"}, {"float": "inf"}]
 ODD += [{"array": [1.0], "shape": [1], "order": "C"}]

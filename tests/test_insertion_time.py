@@ -7,8 +7,8 @@ import pytest
 from insertion_run import samples, short_run, tare_index
 
 from identification import DefaultConfig, SampleStatus
-from identification.sample_check import CheckConfig
-from insertion import InsertionSession
+from identification.input_validation import CheckConfig
+from needleforce import InsertionSession
 from residual import Status
 from residual.tool_kinematics import ToolKinematics
 

@@ -64,4 +64,4 @@ def test_every_equation_of_the_paper_has_a_row(number):
 
 def test_a_name_that_does_not_exist_is_noticed():
     with pytest.raises((AttributeError, ModuleNotFoundError)):
-        resolve("residual.momentum_step.no_such_function")
+        resolve("residual.momentum_observer.no_such_function")

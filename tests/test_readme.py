@@ -15,13 +15,13 @@ from residual_command_log import write_insertion
 from benchmarks.commands.arguments import parser
 from benchmarks.errors import ResultsError
 from benchmarks.readme_table import BEGIN, END, fill, main, results_block
-from benchmarks.results_file import write_results
+from benchmarks.rows import write_results
 from groundtruth import SCENARIOS
-from groundtruth.arguments import build_parser as groundtruth_arguments
 from identification import DEFAULT as IDENTIFIER
-from identification.__main__ import main as identification_main
-from residual.__main__ import main as residual_main
-from residual.sensor_config import DEFAULT
+from needleforce.cli.force import main as residual_main
+from needleforce.cli.identify import main as identification_main
+from needleforce.cli.simulate import build_parser as groundtruth_arguments
+from residual.config import DEFAULT
 from residual.velocity_estimator import VelocityEstimator
 
 ROOT = Path(__file__).parents[1]
@@ -126,9 +126,9 @@ def test_every_link_leads_to_a_file():
 def test_where_to_find_what_is_told():
     table = TEXT.split("| Where is … |")[1].split("\n\n")[0]
     for word, file in (
-        ("NaN", "residual/sample_check.py"),
-        ("false_alarm_interval_s", "identification/default_config.py"),
-        ("(12)", "identification/reweighting.py"),
+        ("NaN", "residual/input_validation.py"),
+        ("false_alarm_interval_s", "identification/multilayer_config.py"),
+        ("(12)", "identification/published_identifier.py"),
         ("robot of one's own", "docs/residual.md#the-robot"),
         ("ROS 2 bag", "docs/bags.md"),
     ):

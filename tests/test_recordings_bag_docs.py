@@ -10,13 +10,13 @@ import pytest
 from page_sessions import session_failures
 
 import recordings
-from groundtruth.arguments import build_parser as groundtruth_parser
-from identification.command.arguments import build_parser as identification_parser
+from needleforce.cli.force import build_parser as residual_parser
+from needleforce.cli.identify import build_parser as identification_parser
+from needleforce.cli.robot_options import payload_from_arguments
+from needleforce.cli.simulate import build_parser as groundtruth_parser
 from recordings.bags.layout import bag_layout
 from recordings.columns.mapping_file import load_mapping
 from recordings.tables.labels import Labels
-from residual.command.arguments import build_parser as residual_parser
-from residual.command.payload_file import payload_from_arguments
 
 PAGE = Path(__file__).parents[1] / "docs" / "bags.md"
 TEXT = PAGE.read_text(encoding="utf-8")

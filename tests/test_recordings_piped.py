@@ -9,7 +9,7 @@ import threading
 import numpy as np
 import pytest
 
-from identification import __main__ as command
+from needleforce.cli import identify as command
 from recordings import FileAccessError, read_log, write_table
 from recordings.log_stream import LogStream
 from recordings.sources.byte_source import Patience

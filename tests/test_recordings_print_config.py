@@ -8,11 +8,11 @@ import pytest
 from bag_samples import data_file, insertion_rows, joint_state, write_bag
 from residual_command_log import insertion
 
-from identification.__main__ import main as identify
+from needleforce.cli.force import main as estimate
+from needleforce.cli.identify import main as identify
 from recordings import FileAccessError, load_mapping, read_log, write_table
 from recordings.command.suggest_mapping import suggest_mapping
 from recordings.tables.labels import Labels
-from residual.__main__ import main as estimate
 
 JOINTS = ("q", "dq", "tau")
 

@@ -6,22 +6,23 @@ import numpy as np
 import pytest
 from gel_slice import gel_slice
 
-from benchmarks.charts.enhanced_chart import enhanced_chart
-from benchmarks.charts.insertion_axis import InsertionAxis
-from benchmarks.charts.offline_chart import offline_chart
-from benchmarks.charts.parameter_chart import parameter_chart
-from benchmarks.charts.run_drawings import identification_drawings
-from benchmarks.charts.sketchbook import Sketchbook
-from benchmarks.charts.true_friction import true_friction
-from benchmarks.charts.tuned_paper import sigma1_N, tuned_paper
-from benchmarks.job import Job
-from benchmarks.methods.force_reading import ForceReading
-from benchmarks.methods.identified import identify
-from benchmarks.metrics.identification_metrics import identify_all
-from benchmarks.signals.insertion_truth import truth_of_needle
-from benchmarks.signals.needle_signal import NeedleSignal
-from figures import palette
+from benchmarks.benchmark import Job
+from benchmarks.identification_metrics import identify_all
+from benchmarks.methods import ForceReading, identify
+from benchmarks.plots import (
+    InsertionAxis,
+    Sketchbook,
+    enhanced_chart,
+    identification_drawings,
+    offline_chart,
+    parameter_chart,
+    sigma1_N,
+    true_friction,
+    tuned_paper,
+)
+from benchmarks.signals import NeedleSignal, truth_of_needle
 from groundtruth import insert_needle
+from needleforce.plots import palette
 
 pytest.importorskip("matplotlib")
 

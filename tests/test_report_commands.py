@@ -5,16 +5,13 @@ import pytest
 from chromium import PHONE, logged, measured, needs_chromium
 from residual_command_log import insertion
 
-import identification.__main__ as identification_command
-import residual.__main__ as residual_command
-from figures.errors import WriteError
-from figures.report_folder import report_folder
-from figures.settings_table import settings_table
+import needleforce.cli.force as residual_command
+import needleforce.cli.identify as identification_command
 from groundtruth import insert_needle
 from identification import DEFAULT, PAPER
-from identification.command.figure import identification_chart
-from identification.command.log_clock import LogClock
-from identification.command.result import IdentificationResult
+from needleforce.cli.identify_report import IdentificationResult, LogClock, identification_chart
+from needleforce.plots.errors import WriteError
+from needleforce.plots.page import report_folder, settings_table
 from recordings import write_table
 from residual import DEFAULT as SENSOR
 

@@ -5,13 +5,11 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from benchmarks.charts.force_chart import force_over_depth, force_over_time, rmse_N
-from benchmarks.charts.force_drawings import draw_forces
-from benchmarks.charts.sketchbook import Sketchbook
-from benchmarks.job import Job
-from benchmarks.methods.force_reading import ForceReading
-from benchmarks.signals.force_truth import ForceTruth
-from figures import palette
+from benchmarks.benchmark import Job
+from benchmarks.methods import ForceReading
+from benchmarks.plots import Sketchbook, draw_forces, force_over_depth, force_over_time, rmse_N
+from benchmarks.signals import ForceTruth
+from needleforce.plots import palette
 
 pytest.importorskip("matplotlib")
 

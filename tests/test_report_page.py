@@ -7,18 +7,22 @@ import pytest
 from chromium import DESK, PHONE, logged, measured, needs_chromium, printed
 from rich.table import Table
 
-from benchmarks.charts.paper_figures import ENHANCED_FIGURES, NEEDED, PAPER_FIGURES
+from benchmarks.benchmark import Drawing, Fact
 from benchmarks.commands.dispatch import main
-from benchmarks.drawing import Drawing, Fact
-from benchmarks.report.friction_chart import friction_chart
-from benchmarks.report.gel_friction import gel_friction
-from benchmarks.report.gel_table import gel_table
-from benchmarks.report.page_tables import page_tables
-from benchmarks.report.report_page import write_report
-from benchmarks.report.sections import chosen, further_sections, missing_section, paper_sections
-from benchmarks.row import Row
-from benchmarks.verdict.published import TABLE_ONE_Ns_per_m
-from benchmarks.verdict.scenario_groups import GELS
+from benchmarks.paper_figures import ENHANCED_FIGURES, NEEDED, PAPER_FIGURES
+from benchmarks.report import (
+    chosen,
+    friction_chart,
+    further_sections,
+    gel_friction,
+    gel_table,
+    missing_section,
+    page_tables,
+    paper_sections,
+    write_report,
+)
+from benchmarks.rows import Row
+from benchmarks.targets import GELS, TABLE_ONE_Ns_per_m
 from groundtruth import SCENARIOS
 
 pytest.importorskip("matplotlib")

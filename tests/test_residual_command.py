@@ -8,9 +8,9 @@ import pinocchio as pin
 import pytest
 from residual_command_log import AXIAL_N, CONTACT_S, SMALL_ARM, insertion, write_insertion
 
+from needleforce.cli.force import main
 from recordings import read_log, read_table, write_table
 from residual import Caution
-from residual.__main__ import main
 from urdf import load_urdf
 
 TARE = ["--tare", "0:2.5"]

@@ -10,13 +10,12 @@ from pathlib import Path
 import pytest
 from residual_command_log import SMALL_ARM, write_insertion
 
+from needleforce.cli.force import main
+from needleforce.cli.force_replay import AUTOMATIC_S, STATUS_CODES
 from recordings import read_table
 from recordings.command.row_overview import MOST_ROWS
 from recordings.command.run_command import FAILED, INTERRUPTED, READER_GONE
 from residual import Caution, SensorConfig
-from residual.__main__ import main
-from residual.command.force_rows import STATUS_CODES
-from residual.command.taring import AUTOMATIC_S
 from urdf import load_urdf
 
 TEXT = (Path(__file__).parents[1] / "docs" / "residual.md").read_text(encoding="utf-8")

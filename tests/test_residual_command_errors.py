@@ -3,8 +3,8 @@
 import pytest
 from residual_command_log import SMALL_ARM, write_insertion
 
+from needleforce.cli.force import main
 from recordings import write_table
-from residual.__main__ import main
 
 
 @pytest.fixture(scope="module")

@@ -3,8 +3,8 @@
 import numpy as np
 import pytest
 
+from needleforce.cli.force import main
 from recordings import read_table
-from residual.__main__ import main
 from urdf import MissingPackageError, example_robot_path
 
 FRICTION = """

@@ -4,13 +4,18 @@ import numpy as np
 import pytest
 from residual_command_log import insertion
 
-from figures import palette
+from needleforce.cli.force import main
+from needleforce.cli.force_replay import ForceRows
+from needleforce.cli.force_report import (
+    Component,
+    _panel,
+    broken_at_gaps,
+    component_curves,
+    limits,
+    runs,
+)
+from needleforce.plots import palette
 from recordings import write_table
-from residual.__main__ import main
-from residual.command.curves import Component, broken_at_gaps, component_curves, limits
-from residual.command.force_chart import _panel
-from residual.command.force_rows import ForceRows
-from residual.command.status_marks import runs
 
 pytest.importorskip("matplotlib")
 

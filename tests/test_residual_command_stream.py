@@ -11,10 +11,10 @@ import numpy as np
 import pytest
 from residual_command_log import insertion, write_insertion
 
+from needleforce.cli import force_replay as replay
+from needleforce.cli.force import main
+from needleforce.cli.force_report import save_picture
 from recordings import read_table, write_table
-from residual.__main__ import main
-from residual.command import replay
-from residual.command.force_picture import save_picture
 
 TARE = ["--tare", "0:2.5"]
 COMMAND = [sys.executable, "-m", "residual"]
@@ -227,7 +227,7 @@ def test_the_picture_of_a_long_log_keeps_its_spikes(lwr, tmp_path, monkeypatch):
     monkeypatch.setattr("recordings.command.row_overview.RowOverview.__init__.__defaults__", (400,))
     drawn = []
     monkeypatch.setattr(
-        "residual.__main__.save_picture",
+        "needleforce.cli.force.save_picture",
         lambda png, result: (drawn.append(result), save_picture(png, result)),
     )
     argv = [str(path), *TARE, "-o", str(tmp_path / "out.npz"), "--png", str(tmp_path / "f.png")]

@@ -6,11 +6,11 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from residual_signals import swing
 
-from insertion.tip_travel import tip_motion
+from needleforce.jit import COMPILER
+from needleforce.session import tip_motion
 from residual import DEFAULT, MomentumObserver, VelocityEstimator, VirtualForceSensor
-from residual.axial_force import axial_force
-from residual.spike_gates import fresh_distance
-from speedup import COMPILER
+from residual.fault_detection import fresh_distance
+from residual.wrench_estimator import axial_force
 from urdf import load_lwr
 
 pytestmark = pytest.mark.skipif(not COMPILER, reason="numba (the extra `fast`) is not installed")

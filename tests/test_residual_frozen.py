@@ -6,7 +6,7 @@ from guarded_sensor import NOISE, feed, tared
 from residual_signals import MIDDLE, swing
 
 from residual import Caution, Status, VirtualForceSensor
-from residual.repeat_watch import LONGEST_REFUSAL_S, stands_out
+from residual.stuck_signals import LONGEST_REFUSAL_S, stands_out
 
 
 def held(values, samples):

@@ -9,9 +9,8 @@ from guarded_sensor import feed, signals, tared
 from residual_signals import external_torque_of
 
 from residual import DEFAULT, Caution, SampleError, Status, VirtualForceSensor
-from residual.sample_entry import SampleEntry
-from residual.sample_guard import SampleGuard
-from residual.spike_gates import SpikeGates
+from residual.fault_detection import SampleGuard, SpikeGates
+from residual.sample_stream import SampleEntry
 
 
 @pytest.mark.parametrize("with_velocity", [True, False])

@@ -8,7 +8,7 @@ from hypothesis import strategies as st
 from residual_signals import JOINTS, external_torque_of, swing
 
 from residual import ConfigurationError, JointFriction, MomentumObserver, SampleError
-from residual.momentum_step import ROWS, momentum_step
+from residual.momentum_observer import ROWS, momentum_step
 from urdf import load_lwr
 
 numbers = st.floats(-100.0, 100.0)

@@ -17,8 +17,8 @@ from residual import (
     TareError,
     VirtualForceSensor,
 )
-from residual.noise_probe import NoiseProbe
-from residual.wrench_estimate import UNSEEN_STD
+from residual.estimate import UNSEEN_STD
+from residual.stuck_signals import NoiseProbe
 
 
 @pytest.mark.parametrize("with_velocity", [True, False])

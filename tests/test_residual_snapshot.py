@@ -8,8 +8,7 @@ import pytest
 from guarded_sensor import feed, tared
 
 from residual import DEFAULT, JointFriction, SnapshotError, VirtualForceSensor
-from residual.robot_digest import robot_digest
-from residual.settings_text import settings_text
+from residual.snapshot import robot_digest, settings_text
 from urdf import SerialJoint, build_serial_robot
 
 LINK = np.array([1.0, 0.0, 0.0, 0.1, 0.02, 0.0, 0.02, 0.0, 0.0, 0.02])

@@ -8,12 +8,10 @@ import pytest
 from residual_signals import MIDDLE
 
 from residual import ConfigurationError, TareError, TarePrior, WrenchEstimator
-from residual.contact_guard import check_free_of_contact
-from residual.tare import TareBlocks, prior_tare
-from residual.tare_fit import fit_tare
-from residual.tare_prior import TareBasis
-from residual.tare_recorder import TareRecorder
-from residual.torque_trend import trend_step
+from residual.bias_estimator import check_free_of_contact, trend_step
+from residual.bias_fit import fit_tare
+from residual.bias_model import TareBasis, TareBlocks, prior_tare
+from residual.bias_recorder import TareRecorder
 
 TOWARDS = np.array([0.0, 0.12, 0.01, 0.15, 0.0, 0.1, 0.0])
 FORWARD = np.tile(np.sign(TOWARDS), (3, 1))

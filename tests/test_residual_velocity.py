@@ -7,7 +7,7 @@ from hypothesis import strategies as st
 from residual_signals import swing
 
 from residual import ConfigurationError, MomentumObserver, SampleError, VelocityEstimator
-from residual.velocity_step import lag_pair_coefficients
+from residual.velocity_estimator import lag_pair_coefficients
 
 
 @given(split=st.floats(0.05, 0.95), start=st.floats(-5, 5), end=st.floats(-5, 5))

@@ -5,8 +5,7 @@ import re
 import numpy as np
 import pytest
 
-from residual.velocity_fault import velocity_fault
-from residual.velocity_match import first_match, velocity_match_step
+from residual.consistency_checks import first_match, velocity_fault, velocity_match_step
 
 SHARES = np.array([0.03, -0.8, 0.07, 1.05, 0.25, 1.8, 0.2])
 """Way of every joint in a straight stroke, in times of the stroke's."""

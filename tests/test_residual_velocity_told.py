@@ -7,7 +7,8 @@ from insertion_run import same
 from residual_command_log import insertion
 from residual_signals import BIAS
 
-from insertion import InsertionSession, read_snapshot, write_snapshot
+from needleforce import InsertionSession, read_snapshot, write_snapshot
+from needleforce.cli.force import main
 from recordings import write_table
 from residual import (
     DEFAULT,
@@ -18,8 +19,7 @@ from residual import (
     TareError,
     VirtualForceSensor,
 )
-from residual.__main__ import main
-from residual.sensor_state import SensorState
+from residual.snapshot import SensorState
 
 DEGREES = 180.0 / np.pi
 

@@ -6,8 +6,8 @@ import pytest
 from residual_signals import MIDDLE, external_torque_of
 
 from residual import ConfigurationError, SampleError, WrenchEstimator
-from residual.weighted_inverse import weighted_inverse
-from residual.wrench_estimate import UNSEEN_STD
+from residual.estimate import UNSEEN_STD
+from residual.wrench_estimator import weighted_inverse
 from urdf import UrdfError, load_lwr
 
 POINTING_DOWN = np.array([0.0, 0.6, 0.0, -1.4, 0.0, 1.14159265, 0.0])

@@ -5,8 +5,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from urdf.consistent_fit import is_consistent, nearest_body
-from urdf.pseudo_inertia import from_pseudo_inertia, pseudo_inertia
+from urdf.inertia import from_pseudo_inertia, is_consistent, nearest_body, pseudo_inertia
 
 seeds = st.integers(0, 10**6)
 

@@ -9,7 +9,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from urdf import InertiaError, InputError, Payload
-from urdf.pseudo_inertia import from_pseudo_inertia, pseudo_inertia
+from urdf.inertia import from_pseudo_inertia, pseudo_inertia
 
 number = st.floats(-1.0, 1.0)
 vectors = st.tuples(number, number, number).map(np.array)

@@ -17,12 +17,8 @@ from urdf.errors import (
     UrdfError,
     UrdfFileError,
 )
-from urdf.example_robots import example_robot_path
-from urdf.loading import load_urdf
-from urdf.lwr import LWR_GEAR_RATIO, load_lwr
-from urdf.needle_tool import NeedleTool
-from urdf.payload import Payload
-from urdf.payload_estimate import PayloadEstimate
+from urdf.loading import LWR_GEAR_RATIO, example_robot_path, load_lwr, load_urdf
+from urdf.payload import NeedleTool, Payload, PayloadEstimate
 from urdf.payload_identification import identify_payload, identify_payload_static
 from urdf.robot import Robot
 from urdf.serial_robot import SerialJoint, build_serial_robot

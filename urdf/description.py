@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from urdf.errors import UnsupportedJointError, UrdfFileError
-from urdf.pseudo_inertia import parameters_about_com, require_physical
+from urdf.inertia import parameters_about_com, require_physical
 
 _ONE_NUMBER_JOINTS = ("revolute", "prismatic", "fixed")
 

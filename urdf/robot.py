@@ -6,8 +6,7 @@ import numpy as np
 import pinocchio as pin
 from numpy.typing import ArrayLike, NDArray
 
-from urdf.errors import InputError, UnknownNameError
-from urdf.finite_array import finite_array, read_only
+from urdf.errors import InputError, UnknownNameError, finite_array, read_only
 from urdf.payload import Payload
 
 

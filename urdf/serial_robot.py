@@ -8,12 +8,10 @@ import numpy as np
 import pinocchio as pin
 from numpy.typing import ArrayLike, NDArray
 
-from urdf.assembly import STANDARD_GRAVITY_M_S2, assemble_robot
-from urdf.errors import InputError
-from urdf.finite_array import finite_array, read_only
-from urdf.needle_tool import NeedleTool
-from urdf.payload import Payload
-from urdf.pseudo_inertia import require_mass, require_physical
+from urdf.errors import InputError, finite_array, read_only
+from urdf.inertia import require_mass, require_physical
+from urdf.loading import STANDARD_GRAVITY_M_S2, assemble_robot
+from urdf.payload import NeedleTool, Payload
 from urdf.robot import Robot
 
 TOOL_FRAME = "tool"

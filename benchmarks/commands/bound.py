@@ -5,15 +5,13 @@ import argparse
 import numpy as np
 from rich.table import Table
 
-from benchmarks.bounds.bound_cases import CUTTING, BoundCase, ForceNoiseSeries, bound_cases
-from benchmarks.bounds.noise_colour import reading_error_N
+from benchmarks.benchmark import Job, Progress
+from benchmarks.bounds import CUTTING, BoundCase, ForceNoiseSeries, bound_cases, reading_error_N
 from benchmarks.commands.progress_bar import progress_bar
-from benchmarks.job import Job, Progress
-from benchmarks.metrics.force_lag import force_lag_s
-from benchmarks.signals.insertion_truth import truth_of_run
-from benchmarks.simulated.arm_case import simulated_case
-from benchmarks.simulated.arm_identification import arm_signals
-from benchmarks.tables.screen import new_console
+from benchmarks.force_metrics import force_lag_s
+from benchmarks.signals import truth_of_run
+from benchmarks.simulated import arm_signals, simulated_case
+from benchmarks.tables import new_console
 from groundtruth import scenario
 from groundtruth.force_noise import MINI45
 

@@ -8,10 +8,10 @@ from collections.abc import Iterable
 from rich.table import Table
 
 from benchmarks.commands.arguments import FAILURE
+from benchmarks.comparison import Change, Comparison, compare_rows
 from benchmarks.errors import ResultsError
-from benchmarks.results_file import read_results
-from benchmarks.tables.screen import new_console
-from benchmarks.verdict.comparison import Change, Comparison, compare_rows
+from benchmarks.rows import read_results
+from benchmarks.tables import new_console
 
 
 def execute(arguments: argparse.Namespace) -> int:

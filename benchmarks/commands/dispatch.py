@@ -6,7 +6,7 @@ from importlib import import_module
 
 from benchmarks.commands.arguments import parser
 from benchmarks.errors import BenchmarkError
-from figures import FiguresError
+from needleforce.plots import FiguresError
 from recordings.command.run_command import run_command
 
 EXTRA_PACKAGES = ("rich", "mujoco", "matplotlib")

@@ -5,9 +5,8 @@ import math
 
 from benchmarks.commands.arguments import FAILURE
 from benchmarks.commands.progress_bar import progress_bar
-from benchmarks.faults.fault_study import FaultStudy
-from benchmarks.faults.fault_table import fault_lines, fault_table
-from benchmarks.tables.screen import new_console
+from benchmarks.faults import FaultStudy, fault_lines, fault_table
+from benchmarks.tables import new_console
 
 
 def execute(arguments: argparse.Namespace) -> int:

@@ -5,8 +5,8 @@ import argparse
 from rich.table import Table
 
 from benchmarks.catalogue import BENCHMARKS
-from benchmarks.plan import PLANTS
-from benchmarks.tables.screen import new_console
+from benchmarks.runner import PLANTS
+from benchmarks.tables import new_console
 
 
 def execute(arguments: argparse.Namespace) -> int:

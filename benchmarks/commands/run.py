@@ -7,14 +7,12 @@ from rich.console import Console
 
 from benchmarks.commands.arguments import FAILURE
 from benchmarks.commands.progress_bar import progress_bar
-from benchmarks.plan import Plan, Request, make_plan
-from benchmarks.pool import run_jobs
-from benchmarks.report.report_page import write_report
-from benchmarks.results_file import write_results
-from benchmarks.tables.run_tables import run_tables
-from benchmarks.tables.screen import new_console
-from benchmarks.verdict.target_verdict import verdicts
-from figures.report_folder import folder_if_filled
+from benchmarks.report import write_report
+from benchmarks.rows import write_results
+from benchmarks.runner import Plan, Request, make_plan, run_jobs
+from benchmarks.tables import new_console, run_tables
+from benchmarks.targets import verdicts
+from needleforce.plots.page import folder_if_filled
 
 
 def execute(arguments: argparse.Namespace) -> int:

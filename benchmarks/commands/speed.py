@@ -6,21 +6,23 @@ from rich.table import Table
 
 from benchmarks.commands.arguments import FAILURE
 from benchmarks.commands.progress_bar import progress_bar
-from benchmarks.methods.identified import IDENTIFIERS
-from benchmarks.speed.rerun_speed import LONG_S, SHORT_S, rerun_us
-from benchmarks.speed.soak import soak
-from benchmarks.speed.speed_table import (
+from benchmarks.methods import IDENTIFIERS
+from benchmarks.soak import soak
+from benchmarks.speed import (
     LIMITS,
+    LONG_S,
+    SHORT_S,
     event_table,
+    measure_speed,
     pause_line,
     ratio_of,
     rerun_ratio,
     rerun_table,
+    rerun_us,
     speed_table,
 )
-from benchmarks.speed.tick_speed import measure_speed
-from benchmarks.tables.screen import met_mark, new_console
-from benchmarks.verdict.targets import RERUN_COST_RATIO, SOAK_COST_SHARE, SOAK_GROWTH_KB
+from benchmarks.tables import met_mark, new_console
+from benchmarks.targets import RERUN_COST_RATIO, SOAK_COST_SHARE, SOAK_GROWTH_KB
 
 
 def execute(arguments: argparse.Namespace) -> int:

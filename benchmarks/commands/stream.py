@@ -9,7 +9,7 @@ from rich.table import Table
 from benchmarks.commands.arguments import FAILURE
 from benchmarks.commands.progress_bar import progress_bar
 from benchmarks.errors import BenchmarkError
-from benchmarks.speed.stream_speed import (
+from benchmarks.soak import (
     COMMANDS,
     LEAST_SECONDS,
     LEAST_TIMES_REAL,
@@ -18,7 +18,7 @@ from benchmarks.speed.stream_speed import (
     StreamSpeed,
     measure_stream,
 )
-from benchmarks.tables.screen import new_console
+from benchmarks.tables import new_console
 
 
 def execute(arguments: argparse.Namespace) -> int:

@@ -6,31 +6,202 @@ judged here. The regressions learn from pull-out forces of the same livers, whic
 use does not have.
 """
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
+from functools import partial
 from types import MappingProxyType
 from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.linalg import cho_factor, cho_solve
+from scipy.ndimage import uniform_filter1d
+from scipy.optimize import minimize
 
-from benchmarks.benchmark import Findings
-from benchmarks.job import Job, Progress
-from benchmarks.metrics.measurement import Measurement
-from benchmarks.recorded.liver import NUMBERS, LiverInsertion, read_liver
-from benchmarks.recorded.liver_features import liver_features
-from benchmarks.recorded.liver_told import DEPTHS_mm, known_of, tell
-from benchmarks.recorded.pullout import InAndOut, in_and_out
-from benchmarks.recorded.regression import (
-    Fit,
-    Seen,
-    gaussian_process,
-    left_out,
-    level,
-    linear,
-    ridge,
+from benchmarks.benchmark import Findings, Job, Progress
+from benchmarks.metric_catalogue import Measurement
+from benchmarks.recorded.liver import (
+    NUMBERS,
+    DEPTHS_mm,
+    InAndOut,
+    LiverInsertion,
+    force_falls,
+    in_and_out,
+    known_of,
+    mean_at_depth,
+    read_liver,
+    tell,
 )
 
+# What an insertion into liver shows by the time a depth is reached, for a regression.
+
+
 Array = NDArray[np.float64]
+
+STEP_m = 0.25e-3
+FIRST_m = 1e-3
+SMOOTHING = 41
+FINE = 51
+LEAST = 1e-2
+"""Features of force enter as logarithms; below 10 mN they are noise."""
+EARLY_mm = (5, 10, 20)
+RECENT_mm = (5, 10, 20)
+
+
+def liver_features(depth_m: Array, force_N: Array, at_m: float, told_N: float) -> dict[str, float]:
+    """Features by name; forces as logarithms.
+
+    Args:
+        depth_m: Depth of the advancing needle, shape (n,).
+        force_N: Axial force as recorded, shape (n,).
+        at_m: Nothing deeper is looked at.
+        told_N: Friction that our identification tells there.
+    """
+    depth = np.arange(FIRST_m, at_m + STEP_m / 2.0, STEP_m)
+    smooth = uniform_filter1d(force_N, SMOOTHING)
+    force = np.interp(depth, np.maximum.accumulate(depth_m), smooth)
+    found = {
+        "force": mean_at_depth(depth_m, force_N, at_m),
+        "half": float(np.interp(at_m / 2.0, depth, force)),
+        "mean": float(force.mean()),
+        "most": float(force.max()),
+        "friction told": told_N,
+    }
+    for mm in EARLY_mm:
+        found[f"force at {mm} mm"] = float(np.interp(1e-3 * mm, depth, force))
+    for mm in RECENT_mm:
+        found[f"least of {mm} mm"] = float(force[depth > at_m - 1e-3 * mm].min())
+    found = {name: float(np.log(max(value, LEAST))) for name, value in found.items()}
+    return {"depth": at_m} | found | _shape(depth, force) | _falls(depth_m, force_N, at_m)
+
+
+def _shape(depth_m: Array, force_N: Array) -> dict[str, float]:
+    """Lines through the force and through its lower envelope, and what they leave."""
+    envelope = np.minimum.accumulate(force_N[::-1])[::-1]
+    slope, level = np.polyfit(depth_m, force_N, 1)
+    low_slope, low_level = np.polyfit(depth_m, envelope, 1)
+    end = depth_m[-1]
+    return {
+        "line": float(np.log(max(level + slope * end, LEAST))),
+        "envelope line": float(np.log(max(low_level + low_slope * end, LEAST))),
+        "envelope mean": float(np.log(max(envelope.mean(), LEAST))),
+        "slope": float(slope),
+        "envelope slope": float(low_slope),
+        "usual slope": float(np.median(np.gradient(force_N, depth_m))),
+        "roughness": float(np.std(force_N - level - slope * depth_m)),
+    }
+
+
+def _falls(depth_m: Array, force_N: Array, at_m: float) -> dict[str, float]:
+    """Falls so far, and the vibration of cutting."""
+    drops = [fall.drop_N for fall in force_falls(depth_m, force_N) if fall.to_m <= at_m]
+    fine = force_N - uniform_filter1d(force_N, FINE)
+    return {
+        "falls": float(len(drops)),
+        "fallen": float(sum(drops)),
+        "largest fall": float(max(drops, default=0.0)),
+        "vibration": float(np.std(fine[depth_m <= at_m])),
+    }
+
+
+# Regressions that are judged on what they have not seen: one group left out at a time.
+
+
+class Seen(NamedTuple):
+    """What a regression learns from: n rows of p features.
+
+    Attributes:
+        features: Shape (n, p).
+        target: Shape (n,).
+        group: Rows of one group tell of each other; shape (n,).
+    """
+
+    features: Array
+    target: Array
+    group: NDArray[np.int64]
+
+    def only(self, rows: NDArray[np.bool_]) -> "Seen":
+        """Some of the rows."""
+        return Seen(self.features[rows], self.target[rows], self.group[rows])
+
+
+Fit = Callable[[Seen, Array], Array]
+"""Takes what to learn from and features (m, p) to predict, gives predictions (m,)."""
+
+PENALTIES = tuple(float(10.0**k) for k in range(-2, 4))
+NOISE_LEAST = 1e-3
+
+
+def left_out(fit: Fit, seen: Seen) -> Array:
+    """Prediction of every target by a fit that has not seen its group, shape (n,)."""
+    found = np.empty(len(seen.target))
+    for each in np.unique(seen.group):
+        out = seen.group == each
+        found[out] = fit(seen.only(~out), seen.features[out])
+    return found
+
+
+def level(seen: Seen, asked: Array) -> Array:
+    """Median of the targets with the same first feature: what knowing nothing else gives."""
+    return np.array([np.median(seen.target[seen.features[:, 0] == row[0]]) for row in asked])
+
+
+def linear(seen: Seen, asked: Array) -> Array:
+    """Ordinary least squares."""
+    return _ridge(seen, asked, 1e-9)
+
+
+def ridge(seen: Seen, asked: Array) -> Array:
+    """Least squares with a penalty chosen by leaving out one group once more, of what is seen."""
+    scores = [
+        float(np.sum((left_out(partial(_ridge, penalty=penalty), seen) - seen.target) ** 2))
+        for penalty in PENALTIES
+    ]
+    return _ridge(seen, asked, PENALTIES[int(np.argmin(scores))])
+
+
+def gaussian_process(seen: Seen, asked: Array) -> Array:
+    """Squared-exponential process; size, length and noise of greatest likelihood."""
+    known, wanted = _standardised(seen.features, asked)
+    target = seen.target
+    mean, spread = float(target.mean()), float(target.std()) or 1.0
+    values = (target - mean) / spread
+    apart = _squared_distance(known, known)
+
+    def surprise(logs: Array) -> float:
+        size, length, noise = np.exp(logs)
+        covariance = size * np.exp(-0.5 * apart / length) + (noise + NOISE_LEAST) * np.eye(
+            len(values)
+        )
+        factor = cho_factor(covariance, lower=True)
+        fit = float(values @ cho_solve(factor, values))
+        return 0.5 * fit + float(np.sum(np.log(np.diag(factor[0]))))
+
+    start = np.log([1.0, float(known.shape[1]), 0.5])
+    size, length, noise = np.exp(
+        minimize(surprise, start, bounds=[(-5.0, 5.0)] * 3, method="L-BFGS-B").x
+    )
+    covariance = size * np.exp(-0.5 * apart / length) + (noise + NOISE_LEAST) * np.eye(len(values))
+    cross = size * np.exp(-0.5 * _squared_distance(wanted, known) / length)
+    return mean + spread * np.asarray(cross @ np.linalg.solve(covariance, values))
+
+
+def _ridge(seen: Seen, asked: Array, penalty: float) -> Array:
+    known, wanted = _standardised(seen.features, asked)
+    target = seen.target
+    normal = known.T @ known + penalty * np.eye(known.shape[1])
+    weights = np.linalg.solve(normal, known.T @ (target - target.mean()))
+    return np.asarray(target.mean() + wanted @ weights)
+
+
+def _standardised(features: Array, asked: Array) -> tuple[Array, Array]:
+    """Both by mean and deviation of what is seen."""
+    mean, spread = features.mean(axis=0), features.std(axis=0) + 1e-12
+    return (features - mean) / spread, (asked - mean) / spread
+
+
+def _squared_distance(a: Array, b: Array) -> Array:
+    return np.sum((a[:, None, :] - b[None, :, :]) ** 2, axis=2)
+
 
 FEW = ("depth", "force", "force at 10 mm", "usual slope")
 """The three best of the features beside the depth, picked knowing all pull-out forces."""

@@ -4,6 +4,7 @@ Gaz, Cognetti, Oliva, Robuffo Giordano, De Luca, "Dynamic identification of the 
 robot with retrieval of feasible parameters using penalty-based optimization", RA-L 2019.
 """
 
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
@@ -11,9 +12,28 @@ from typing import Any
 import numpy as np
 import pinocchio as pin
 
+from benchmarks.benchmark import Drawing, Findings, Job, Progress, progress_part
 from benchmarks.errors import DataError
-from benchmarks.recorded.array_files import read_arrays, read_table
-from benchmarks.signals.joint_signals import JointSignals
+from benchmarks.force_metrics import wrench_metrics
+from benchmarks.methods import IDENTIFIERS, METHODS, ForceReading, joint_residual, virtual_force
+from benchmarks.metric_catalogue import Measurement
+from benchmarks.plots import force_drawings
+from benchmarks.recorded.liver import (
+    DEPTHS_mm,
+    LiverInsertion,
+    LiverTold,
+    REST_s,
+    friction_values,
+    in_and_out,
+    known_of,
+    read_arrays,
+    read_liver,
+    read_table,
+    rupture_values,
+    tell,
+)
+from benchmarks.rows import Source
+from benchmarks.signals import ForceTruth, JointSignals, tool_jacobians
 from residual import SigmoidFriction
 from urdf import Robot, SerialJoint, build_serial_robot
 
@@ -88,4 +108,138 @@ def _friction(table: dict[str, Any]) -> SigmoidFriction:
         amplitude_Nm=np.array(table["A_Nm"]),
         slope_s_rad=np.array(table["alpha_s_rad"]),
         shift_rad_s=np.array(table["s_rad_s"]),
+    )
+
+
+# ``panda-real``: the residual's noise floor on a real arm without contact.
+
+
+GAIN_per_s = 30.0
+"""That of the known-good figures."""
+SETTLING_LAGS = 5.0
+"""After these the observer has forgotten its start to 1 %."""
+
+
+def run_panda_real(job: Job, progress: Progress) -> Findings:
+    """Root mean square of the settled residual, per joint.
+
+    Raises:
+        DataError: The recording is missing or broken.
+    """
+    panda = read_panda(job.recordings)
+    signals = panda.signals
+    residual = joint_residual(panda.robot, signals, GAIN_per_s, friction=panda.friction)
+    settled = signals.t_s - signals.t_s[0] >= SETTLING_LAGS / GAIN_per_s
+    rms = np.sqrt(np.mean(residual[settled] ** 2, axis=0))
+    progress(1.0)
+    return Findings(
+        [
+            Measurement("virtual", "default", f"residual_rms_J{joint}_Nm", float(value))
+            for joint, value in enumerate(rms, 1)
+        ]
+    )
+
+
+# Identification on the force of ``panda-liver``: what the whole chain tells of real tissue.
+
+
+OF_MANY = "_p90_pct"
+"""One insertion has no 90th percentile."""
+
+
+def told_values(
+    insertion: LiverInsertion, truth: ForceTruth, readings: Sequence[ForceReading]
+) -> list[Measurement]:
+    """Friction and ruptures by both methods, from the force itself and from each one's own sensor.
+
+    A real enhanced force has no truth; that of the virtual force is held against that which the
+    same method tells from the force itself.
+
+    Args:
+        insertion: The whole recording, withdrawal included.
+        truth: The force as it acts on the arm, which an F/T sensor would read.
+        readings: Of the virtual sensors, one per method.
+    """
+    felt = truth.t_s >= truth.zeroed_s
+    t_s, depth, force = truth.t_s[felt], truth.depth_m[felt], truth.axial_N[felt]
+    out = in_and_out(insertion.depth_m).withdrawal
+    pullout = [-insertion.force_at_N(out, mm) for mm in DEPTHS_mm]
+    known = known_of(pullout, depth, force)
+    found: list[Measurement] = []
+    by_method = {item.method: item.axial_N[felt] for item in readings}
+    for method in IDENTIFIERS:
+        ft = tell(t_s, depth, force, method, known)
+        virtual = tell(t_s, depth, by_method[method], method, known)
+        by_source: dict[Source, LiverTold] = {"ft": ft, "virtual": virtual}
+        for source, told in by_source.items():
+            values = [*friction_values([told]), *rupture_values([told], len(known.falls))]
+            found += [
+                Measurement(source, method, name, value)
+                for name, value in values
+                if not name.endswith(OF_MANY)
+            ]
+        off = float(np.sqrt(np.mean((virtual.enhanced_N - ft.enhanced_N) ** 2)))
+        found.append(Measurement("virtual", method, "enhanced_against_ft_rmse_N", off))
+    return found
+
+
+# ``panda-liver``: a real tissue force on a real arm.
+#
+# The recorded Panda has touched nothing, the recorded needle had no robot. Both are put together: a
+# force F on the flange makes the joints feel ``J' F``, and what they measure less than they would
+# without it is just that, ``tau = tau_free - J' F``. Tissue that resists with f pushes along minus
+# the flange's z axis, so ``tau = tau_free + f J_z'``.
+#
+# The whole chain runs on it: joint signals in, enhanced force out, beside the same force as an F/T
+# sensor would have read it. Only the depth is the recorded needle's: the Panda moves otherwise.
+
+
+TARE_s = 4.0
+"""Free motion before the tare."""
+FREE_s = 1.0
+"""Free motion between tare and insertion: about the rest at the start of every liver recording,
+from which the identifiers learn the noise of the force. 16 s are left, 80 mm at 5 mm/s."""
+NOT_TOLD = "wrench_lag_ms"
+"""The force changes less than this arm's noise: its lag would be a guess."""
+
+
+def run_panda_liver(job: Job, progress: Progress) -> Findings:
+    """Recover axial force, ruptures and friction of one liver insertion by both methods.
+
+    Raises:
+        DataError: A recording is missing or broken.
+    """
+    data = job.recordings
+    panda, insertion = read_panda(data), read_liver(data, job.seed, as_recorded=True)
+    truth = _truth(panda, insertion)
+    along = tool_jacobians(panda.robot, panda.signals.q_rad)[:, 2]
+    loaded = panda.signals.tau_Nm + truth.axial_N[:, None] * along
+    signals = replace(panda.signals, tau_Nm=loaded)
+    readings = []
+    for k, (method, config) in enumerate(METHODS.items()):
+        part = progress_part(progress, k / len(METHODS), (k + 1) / len(METHODS))
+        real = replace(config, friction=panda.friction)
+        readings.append(virtual_force(panda.robot, signals, real, method, TARE_s, part))
+    drawings: tuple[Drawing, ...] = ()
+    if job.drawings is not None:
+        drawings = force_drawings(job, job.drawings, truth, readings)
+    found: list[Measurement] = []
+    for reading in readings:
+        found += [item for item in wrench_metrics(reading, truth) if item.metric != NOT_TOLD]
+    found += told_values(insertion, truth, readings)
+    return Findings(found, drawings)
+
+
+def _truth(panda: Panda, insertion: LiverInsertion) -> ForceTruth:
+    """The liver's force at the Panda's time stamps: none before the insertion."""
+    t_s = panda.signals.t_s
+    since = t_s - TARE_s
+    force_N = insertion.force_N - np.mean(insertion.force_N[insertion.t_s < REST_s])
+    return ForceTruth(
+        t_s=t_s,
+        depth_m=np.interp(since, insertion.t_s, insertion.depth_m, left=0.0),
+        axial_N=np.interp(since, insertion.t_s, force_N, left=0.0),
+        zeroed_s=TARE_s,
+        start_s=TARE_s + FREE_s,
+        end_s=float(t_s[-1]),
     )

@@ -1,0 +1,368 @@
+"""How well any estimator can know the friction of a layer: the Cramér-Rao bound.
+
+Once the geometry is known the axial force is linear in what is unknown of it: a scale of each
+layer's friction, and slope, bend and cutting force of each layer's tip. The bound is that of an
+estimator which is told the law, the depths of all ruptures, the colour of the noise, and how large
+slopes, bends and cutting forces may be. No estimator is told as much.
+"""
+
+import math
+from collections.abc import Iterator, Sequence
+from dataclasses import replace
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.linalg import cholesky, solve_triangular, toeplitz
+from scipy.signal import lfilter
+
+from benchmarks.signals import InsertionTruth, NeedleSignal, truth_of_needle
+from groundtruth import SCENARIOS, Rupture, Scenario, insert_needle
+from groundtruth.motion import constant_motion
+from identification import DEFAULT
+
+# The noise of a force reading as a stationary process, measured where nothing ruptures.
+
+
+Array = NDArray[np.float64]
+
+AROUND_s = 0.15
+"""Left out from the onset of a release to so long after its end: there a lag looks like noise."""
+_FLOOR = 1e-6
+
+
+def reading_error_N(signal: NeedleSignal, truth: InsertionTruth, lag_s: float = 0.0) -> Array:
+    """Reading less true force over the insertion, straight lines across the releases.
+
+    Args:
+        signal: The reading.
+        truth: Of the run.
+        lag_s: Time constant of the sensor: the truth goes through it before it is taken off.
+
+    Returns:
+        Error at the samples of `truth.is_insertion`, shape (m,).
+    """
+    inside = truth.is_insertion
+    error = (signal.force_N - lagging(truth.axial_N, truth.t_s, lag_s))[inside]
+    t_s = truth.t_s[inside]
+    quiet = np.ones(len(t_s), dtype=bool)
+    for rupture in truth.ruptures:
+        quiet &= (t_s < rupture.onset_s) | (t_s > rupture.end_s + AROUND_s)
+    return np.interp(t_s, t_s[quiet], error[quiet])
+
+
+def lagging(values: Array, t_s: Array, lag_s: float) -> Array:
+    """Values behind a first-order lag, sampled evenly, shape (n,)."""
+    if lag_s <= 0.0:
+        return values
+
+    keep = float(np.exp(-np.median(np.diff(t_s)) / lag_s))
+    found, _ = lfilter([1.0 - keep], [1.0, -keep], values, zi=[keep * values[0]])
+    return np.asarray(found, dtype=np.float64)
+
+
+def autocovariance(error_N: Array, length: int) -> Array:
+    """Autocovariance about zero at lags 0 to length - 1 [N^2].
+
+    The biased estimate: it is positive definite, and about zero because a force is judged against
+    its free-air zero, so that a constant error is an error.
+
+    Args:
+        error_N: Shape (m,).
+        length: Number of lags; those the data do not reach are 0.
+    """
+    count = len(error_N)
+    spectrum = np.abs(np.fft.rfft(error_N, 2 * count)) ** 2
+    lags = np.fft.irfft(spectrum)[: min(length, count)] / count
+    return np.concatenate((lags, np.zeros(length - len(lags))))
+
+
+def whitener(covariance: Array) -> Array:
+    """Lower factor L of L L' = C for the Toeplitz matrix C of an autocovariance, shape (n, n)."""
+    matrix = toeplitz(covariance) + _FLOOR * covariance[0] * np.eye(len(covariance))
+    return np.asarray(np.linalg.cholesky(matrix), dtype=np.float64)
+
+
+LOOK_m = DEFAULT.second_look_m
+"""Travel after a rupture by which its layer is identified for good."""
+BLOCK_s = 0.02
+MOST_BLOCKS = 1000
+ONSET_m = DEFAULT.cutting_onset_m
+"""Travel over which the cutting force of a layer builds up."""
+CUTTING_SHARE = 0.12
+"""Root mean square share of cutting in the tip force of drawn layers (0 to 0.2)."""
+BEND_SHARE = 0.15
+"""The same of the bent part of their elastic force (stiffening 0 to 0.3)."""
+VAGUE = 0.8
+"""Prior standard deviation, as a share of the true value, of friction and tip force: both are drawn
+within a factor of 10 or so, equally likely per octave."""
+
+
+class _Tip(NamedTuple):
+    """Where the tip cuts one layer: from the end of the release above to the boundary below."""
+
+    onset_m: float
+    from_m: float
+    to_m: float
+    exit_N: float
+
+
+def friction_bounds(
+    truth: InsertionTruth,
+    error_N: Array,
+    *,
+    is_white: bool,
+    cutting_share: float = CUTTING_SHARE,
+) -> list[float]:
+    """Relative standard deviation of each layer's friction, by `LOOK_m` after its rupture.
+
+    Args:
+        truth: Of the run.
+        error_N: Of the reading at the samples of `truth.is_insertion`, see `noise_colour`.
+        is_white: Take the noise of the samples as white, whatever its colour is.
+        cutting_share: Root mean square share of cutting in the tip force; 0 when there is none.
+
+    Returns:
+        One value for each layer that ruptured, in order.
+    """
+    exits = [rupture for rupture in truth.ruptures if rupture.layer > 0]
+    tips = _tips(truth, exits)
+    inside = truth.is_insertion
+    depth = truth.depth_m[inside]
+    frictions = truth.layer_friction_N[inside][:, [rupture.layer - 1 for rupture in exits]]
+    columns = np.column_stack([depth, frictions, *(_tip_columns(depth, tip) for tip in tips)])
+    size = max(round(BLOCK_s / _tick_s(truth)), -(-len(depth) // MOST_BLOCKS))
+    blocks = _means(columns, size)
+    depth, columns = blocks[:, 0], blocks[:, 1:]
+    if is_white:
+        covariance = np.var(error_N) / size * np.eye(len(depth))
+    else:
+        covariance = toeplitz(autocovariance(_means(error_N[:, None], size)[:, 0], len(depth)))
+    kept = _is_modelled(depth, tips, exits)
+    factor = cholesky(covariance[np.ix_(kept, kept)], lower=True)
+    white = np.asarray(solve_triangular(factor, columns[kept], lower=True))
+    prior = np.diag(_prior_std(tips, cutting_share) ** -2.0)
+    found = []
+    for number, rupture in enumerate(exits):
+        rows = white[depth[kept] <= rupture.onset_m + LOOK_m]
+        variances = np.diag(np.linalg.inv(rows.T @ rows + prior))
+        found.append(float(np.sqrt(variances[number])))
+    return found
+
+
+def _tips(truth: InsertionTruth, exits: list[Rupture]) -> list[_Tip]:
+    """One per layer that ruptured."""
+    found, onset, begin = [], 0.0, 0.0
+    for rupture in truth.ruptures:
+        if rupture in exits:
+            ends = truth.boundaries_m
+            end = ends[rupture.layer - 1] if ends else rupture.onset_m
+            found.append(_Tip(onset, begin, end, rupture.drop_N))
+        onset = rupture.onset_m
+        begin = float(np.interp(rupture.end_s, truth.t_s, truth.depth_m))
+    return found
+
+
+def _tip_columns(depth_m: Array, tip: _Tip) -> Array:
+    """Slope, bend and cutting force, each 1 N at the far end, shape (n, 3)."""
+    travel = np.maximum(depth_m - tip.onset_m, 0.0)
+    share = travel / max(tip.to_m - tip.onset_m, 1e-6)
+    onset = np.minimum(travel / ONSET_m, 1.0)
+    columns = np.column_stack([share, share * (1.0 - share), onset * (2.0 - onset)])
+    columns[(depth_m < tip.from_m) | (depth_m > tip.to_m)] = 0.0
+    return columns
+
+
+def _prior_std(tips: list[_Tip], cutting_share: float) -> Array:
+    """Of the scales of friction, then of slope, bend and cutting force of each tip."""
+    shares = np.array([VAGUE, BEND_SHARE, max(cutting_share, 1e-6)])
+    return np.concatenate(
+        [np.full(len(tips), VAGUE), *(max(tip.exit_N, 1e-3) * shares for tip in tips)]
+    )
+
+
+def _is_modelled(depth_m: Array, tips: list[_Tip], exits: list[Rupture]) -> NDArray[np.bool_]:
+    """Without releases and membranes being pushed in: what they do is no part of the model."""
+    kept = np.zeros(len(depth_m), dtype=bool)
+    for tip in tips:
+        kept |= (depth_m >= tip.from_m) & (depth_m <= tip.to_m)
+    return kept | (depth_m >= exits[-1].onset_m + LOOK_m / 6.0)
+
+
+def _means(columns: Array, size: int) -> Array:
+    """Means of `size` rows each; what is left over at the end is dropped."""
+    count = len(columns) // size
+    return columns[: count * size].reshape(count, size, -1).mean(axis=1)
+
+
+def _tick_s(truth: InsertionTruth) -> float:
+    return float(np.median(np.diff(truth.t_s)))
+
+
+# How soon any detector can know a rupture: Lorden's bound on the mean delay.
+#
+# A detector whose false alarms are a time T apart must not alarm before it has gathered log(T / d)
+# nats of evidence within the delay d (Lorden 1971, with T / d independent trials between two false
+# alarms). Evidence is the Kullback-Leibler divergence between the force with and without the
+# release. The bound is that of a detector which is told size and course of the release, the force
+# there would be without it, and the colour of the noise.
+
+
+INTERVAL_s = DEFAULT.false_alarm_interval_s
+"""Between false alarms."""
+BEFORE_s = 0.3
+"""Past of the noise that is known: what wanders slowly is taken off by it."""
+WITHIN_s = 0.5
+"""After so long every release is over."""
+LINE_s = 0.1
+"""Of the true force before the onset: continued, it is the force without the release."""
+
+
+def delay_bounds_s(
+    truth: InsertionTruth, ruptures: Sequence[Rupture], error_N: Array, lag_s: float = 0.0
+) -> list[float]:
+    """Least mean delay after the onset of each release; inf where too little is released.
+
+    Args:
+        truth: Of the run, sampled evenly.
+        ruptures: Of it.
+        error_N: Of the reading at the samples of `truth.is_insertion`, see `noise_colour`.
+        lag_s: Time constant of the sensor.
+    """
+    tick = float(np.median(np.diff(truth.t_s)))
+    before, within = round(BEFORE_s / tick), round(WITHIN_s / tick)
+    factor = whitener(autocovariance(error_N, before + within))
+    found = []
+    for rupture in ruptures:
+        course = np.concatenate((np.zeros(before), release_course_N(truth, rupture, within)))
+        course = lagging(course, tick * np.arange(float(len(course))), lag_s)
+        evidence = evidence_nats(course, factor)[before:]
+        found.append(least_delay_s(evidence, tick * np.arange(1.0, within + 1.0)))
+    return found
+
+
+def release_course_N(truth: InsertionTruth, rupture: Rupture, count: int) -> Array:
+    """True force from the onset on, less the line it had followed, shape (count,)."""
+    line = (truth.t_s >= rupture.onset_s - LINE_s) & (truth.t_s < rupture.onset_s)
+    begin = int(np.searchsorted(truth.t_s, rupture.onset_s))
+    if np.count_nonzero(line) < 2:
+        return np.zeros(count)
+    slope, level = np.polyfit(truth.t_s[line] - rupture.onset_s, truth.axial_N[line], 1)
+    inside = np.minimum(np.arange(begin, begin + count), len(truth.t_s) - 1)
+    time = truth.t_s[inside] - rupture.onset_s
+    return np.asarray(truth.axial_N[inside] - level - slope * time)
+
+
+def evidence_nats(course_N: Array, factor: Array) -> Array:
+    """Kullback-Leibler divergence gathered up to each sample, shape (n,).
+
+    Args:
+        course_N: Mean of the force with the release less that without, shape (n,).
+        factor: Lower triangular, `factor @ factor.T` the covariance of the noise, shape (n, n).
+    """
+    white = np.asarray(solve_triangular(factor, course_N, lower=True))
+    return np.asarray(0.5 * np.cumsum(white**2))
+
+
+def least_delay_s(evidence: Array, delay_s: Array, interval_s: float = INTERVAL_s) -> float:
+    """First delay by which the evidence is enough; inf if it never is.
+
+    Args:
+        evidence: Gathered by each delay [nats], shape (n,), not decreasing.
+        delay_s: Shape (n,), positive.
+        interval_s: Wanted between false alarms.
+    """
+    needed = np.log(np.maximum(interval_s / delay_s, math.e))
+    enough = np.flatnonzero(evidence >= needed)
+    return float(delay_s[enough[0]]) if len(enough) else math.inf
+
+
+# Bounds of a stack of two gels, as release, speed, thickness and cutting change.
+
+
+GEL = SCENARIOS["gel-50-constant"].layers[0]
+"""The paper's middle gel: 0.75 N at the tip, 17 N/m of friction at 2.3 mm/s."""
+MIDDLE = {"release_m": 0.3e-3, "speed_m_s": 3e-3, "thickness_m": 25e-3}
+CHANGES = {
+    "release_m": (0.1e-3, 0.3e-3, 0.5e-3, 2e-3),
+    "speed_m_s": (2e-3, 3e-3, 6e-3),
+    "thickness_m": (10e-3, 25e-3, 40e-3),
+}
+"""One at a time; 2 mm is the longest release of real liver."""
+CUTTING = "cutting_share"
+CUTTING_SHARES = (0.0, CUTTING_SHARE, 1.0)
+"""Root mean square share of cutting in the tip force that the estimator is told."""
+BEYOND_m = 11e-3
+STANDOFF_m = 5e-3
+
+
+class ForceNoiseSeries(NamedTuple):
+    """Noise of one source.
+
+    Attributes:
+        name: For people.
+        error_N: A stretch of it, a millisecond per sample, shape (m,).
+        is_white: Whether it is to be taken as white.
+        lag_s: Time constant of the source.
+    """
+
+    name: str
+    error_N: Array
+    is_white: bool
+    lag_s: float
+
+
+class BoundCase(NamedTuple):
+    """Bounds of one stack with one noise.
+
+    Attributes:
+        changed: What is not as in `MIDDLE`, or is looked at.
+        value: Its value.
+        noise: Name of the noise.
+        friction_pct: Least standard deviation of the friction of the second layer.
+        delay_ms: Least mean delay of its rupture.
+    """
+
+    changed: str
+    value: float
+    noise: str
+    friction_pct: float
+    delay_ms: float
+
+
+def bound_cases(noises: list[ForceNoiseSeries]) -> Iterator[BoundCase]:
+    """Every change with every noise, in order."""
+    for changed, values in CHANGES.items():
+        for value in values:
+            truth = _truth(**(MIDDLE | {changed: value}))
+            for noise in noises:
+                yield BoundCase(changed, value, noise.name, *_bounds(truth, noise))
+    truth = _truth(**MIDDLE)
+    for share in CUTTING_SHARES:
+        for noise in noises:
+            yield BoundCase(CUTTING, share, noise.name, *_bounds(truth, noise, share))
+
+
+def _bounds(
+    truth: InsertionTruth, noise: ForceNoiseSeries, cutting_share: float = CUTTING_SHARE
+) -> tuple[float, float]:
+    friction = friction_bounds(
+        truth, noise.error_N, is_white=noise.is_white, cutting_share=cutting_share
+    )
+    error = _whitened(noise.error_N) if noise.is_white else noise.error_N
+    delay = delay_bounds_s(truth, truth.ruptures[-1:], error, noise.lag_s)
+    return 100.0 * friction[-1], 1e3 * delay[0]
+
+
+def _truth(*, release_m: float, speed_m_s: float, thickness_m: float) -> InsertionTruth:
+    layer = replace(GEL, release_m=release_m, thickness_m=thickness_m)
+    depth = 2.0 * thickness_m + BEYOND_m
+    motion = constant_motion(speed_m_s=speed_m_s, depth_m=depth, standoff_m=STANDOFF_m)
+    stack = Scenario(id="bound", title="two equal gels", layers=(layer, layer), motion=motion)
+    return truth_of_needle(insert_needle(stack, noise="clean"))
+
+
+def _whitened(error_N: Array) -> Array:
+    """White noise of the same size."""
+    rng = np.random.default_rng(0)
+    return float(np.std(error_N)) * rng.standard_normal(len(error_N))

@@ -1,0 +1,237 @@
+"""From what was asked for to jobs."""
+
+import multiprocessing
+import os
+import signal
+from collections.abc import Callable, Sequence
+from concurrent.futures import FIRST_EXCEPTION, Future, ProcessPoolExecutor, wait
+from dataclasses import dataclass
+from functools import partial
+from pathlib import Path
+from typing import Any
+
+from benchmarks.benchmark import RECORDING, Benchmark, Job, Outcome, Progress
+from benchmarks.catalogue import BENCHMARKS, benchmark
+from benchmarks.errors import BenchmarkError, DataError, UnknownIdError
+from benchmarks.paper_figures import NEEDED
+from benchmarks.simulated import NEEDLE
+from benchmarks.targets import TISSUE
+from groundtruth import ARM_LEVELS, GroundTruthError
+from needleforce.plots import FiguresError
+from recordings import RecordingError
+from residual import ResidualError
+from urdf import UrdfError
+
+ALL = "all"
+GROUPS = {"tissue": TISSUE}
+"""Names that stand for several benchmarks; `ALL` for every one."""
+PLANTS = (*ARM_LEVELS, NEEDLE)
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Request:
+    """What was asked for.
+
+    Attributes:
+        ids: Names of benchmarks; none for the quick ones (and, where charts are wanted, for what
+            the paper's figures need), ``all`` for all, ``tissue`` for the scenarios with tissue.
+        plants: Arm levels of simulations, ``needle`` for none; when empty, every benchmark runs on
+            its own: the random stack with the needle alone, so that hundreds are affordable.
+        seeds: Seeds 0 to seeds - 1 are run.
+        data: Folder of recordings, if any.
+        drawings: Folder for charts, if wanted.
+    """
+
+    ids: Sequence[str] = ()
+    plants: Sequence[str] = ()
+    seeds: int = 1
+    data: Path | None = None
+    drawings: Path | None = None
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Plan:
+    """What will be done.
+
+    Attributes:
+        jobs: In order.
+        skipped: Names of benchmarks that are left out for want of recordings.
+    """
+
+    jobs: tuple[Job, ...]
+    skipped: tuple[str, ...]
+
+
+def make_plan(request: Request) -> Plan:
+    """Turn a request into jobs.
+
+    Raises:
+        UnknownIdError: A benchmark or an arm level of that name does not exist.
+        DataError: The folder of recordings does not exist, or a benchmark that was asked for by
+            name needs one, or an arm where only the needle was asked for.
+    """
+    _check_plants(request.plants)
+    if request.data is not None and not request.data.is_dir():
+        raise DataError(f"no folder of recordings at {request.data}")
+    jobs: list[Job] = []
+    skipped = []
+    for item in _chosen(request):
+        missing = _missing(item, request)
+        if not missing:
+            jobs += _jobs(item, request)
+        elif item.id in request.ids:
+            raise DataError(f"{item.id} needs {missing}")
+        elif item.is_recorded:
+            skipped.append(item.id)
+    return Plan(jobs=tuple(jobs), skipped=tuple(skipped))
+
+
+def _check_plants(plants: Sequence[str]) -> None:
+    for plant in plants:
+        if plant not in PLANTS:
+            raise UnknownIdError(f"no plant {plant!r}; choose from: {', '.join(PLANTS)}")
+
+
+def _chosen(request: Request) -> list[Benchmark]:
+    """The benchmarks in the catalogue's order, each once."""
+    ids = [name for asked in request.ids for name in GROUPS.get(asked, (asked,))]
+    for name in ids:
+        if name != ALL:
+            benchmark(name)
+    if not ids:
+        drawn = NEEDED if request.drawings is not None else ()
+        return [item for item in BENCHMARKS.values() if item.is_default or item.id in drawn]
+    return [item for item in BENCHMARKS.values() if ALL in ids or item.id in ids]
+
+
+def _missing(item: Benchmark, request: Request) -> str:
+    """What a benchmark lacks, nothing for one that can run."""
+    if not item.is_recorded:
+        return "" if _plants(item, request) else f"an arm: a plant other than {NEEDLE}"
+    data = request.data
+    if data is None:
+        return "recordings: give --data DIR or set NEEDLEFORCE_DATA"
+    absent = [name for name in item.needs if not (data / name).is_dir()]
+    return f"the folder {', '.join(absent)} in {data}" if absent else ""
+
+
+def _plants(item: Benchmark, request: Request) -> tuple[str, ...]:
+    """The plants a simulation runs on, each once; none when it needs an arm and none was named."""
+    asked = tuple(dict.fromkeys(request.plants)) or item.plants
+    return tuple(plant for plant in asked if plant != NEEDLE or not item.needs_arm)
+
+
+def _jobs(item: Benchmark, request: Request) -> list[Job]:
+    seeds = request.seeds if item.seeds is None else min(item.seeds, request.seeds)
+    plants = (RECORDING,) if item.is_recorded else _plants(item, request)
+    return [
+        Job(
+            benchmark=item.id,
+            plant=plant,
+            seed=seed,
+            data=request.data if item.is_recorded else None,
+            # One chart of each kind tells enough.
+            drawings=request.drawings if seed == 0 else None,
+        )
+        for plant in plants
+        for seed in range(seeds)
+    ]
+
+
+# Does one job; a failure of ours comes back as a line, not as a traceback.
+
+
+KNOWN = (
+    BenchmarkError,
+    GroundTruthError,
+    ResidualError,
+    UrdfError,
+    RecordingError,
+    FiguresError,
+)
+
+
+def run_job(job: Job, progress: Progress) -> Outcome:
+    """Run the job's benchmark.
+
+    Args:
+        job: What to do.
+        progress: Told the share done.
+
+    Returns:
+        Rows, or the reason why there are none. Errors nobody has foreseen are raised.
+    """
+    try:
+        found = benchmark(job.benchmark).run(job, progress)
+    except KNOWN as error:
+        return Outcome(job=job, failure=f"{type(error).__name__}: {error}")
+    rows = tuple(item.row(job.benchmark, job.plant, job.seed) for item in found.measurements)
+    return Outcome(job=job, rows=rows, drawings=found.drawings)
+
+
+# Jobs on several processes.
+
+
+POLL_s = 0.2
+THREAD_SETTINGS = ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS")
+
+Shares = Callable[[int, float], None]
+"""Takes the index of a job and the share of it that is done, 0 to 1."""
+
+_worker_queue: Any = None
+
+
+def run_jobs(jobs: Sequence[Job], processes: int, on_progress: Shares) -> list[Outcome]:
+    """Do all jobs and return their outcomes in the order of the jobs.
+
+    Args:
+        jobs: What to do.
+        processes: How many at a time; with one, all is done in this process.
+        on_progress: Told now and then how far each job is.
+    """
+    if processes <= 1 or len(jobs) <= 1:
+        return [run_job(job, partial(on_progress, index)) for index, job in enumerate(jobs)]
+    # Matrices are 7 by 7: more threads than processes only get in each other's way.
+    for name in THREAD_SETTINGS:
+        os.environ.setdefault(name, "1")
+    context = multiprocessing.get_context("spawn")
+    queue = context.SimpleQueue()
+    pool = ProcessPoolExecutor(
+        max_workers=min(processes, len(jobs)),
+        mp_context=context,
+        initializer=_attach,
+        initargs=(queue,),
+    )
+    try:
+        futures = [pool.submit(_work, index, job) for index, job in enumerate(jobs)]
+        _watch(futures, queue, on_progress)
+        return [future.result() for future in futures]
+    finally:
+        pool.shutdown(wait=True, cancel_futures=True)
+
+
+def _watch(futures: Sequence[Future[Outcome]], queue: Any, on_progress: Shares) -> None:
+    """Pass progress on until all is done or something unforeseen happens."""
+    running = set(futures)
+    while running:
+        done, running = wait(running, timeout=POLL_s, return_when=FIRST_EXCEPTION)
+        while not queue.empty():
+            on_progress(*queue.get())
+        if any(future.exception() for future in done):
+            return
+
+
+def _attach(queue: Any) -> None:
+    # Ctrl-C reaches the whole group: end without a traceback each, the parent tells.
+    signal.signal(signal.SIGINT, signal.SIG_DFL)
+    global _worker_queue
+    _worker_queue = queue
+
+
+def _work(index: int, job: Job) -> Outcome:
+    def tell(share: float) -> None:
+        _worker_queue.put((index, share))
+
+    outcome = run_job(job, tell)
+    tell(1.0)
+    return outcome

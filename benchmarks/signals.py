@@ -1,0 +1,263 @@
+"""What was true of one insertion: what its identification is judged against."""
+
+from dataclasses import dataclass
+from itertools import accumulate
+from typing import NamedTuple
+
+import numpy as np
+import pinocchio as pin
+from numpy.typing import NDArray
+
+from benchmarks.rows import Source
+from groundtruth import NeedleRun, Run, Rupture, Truth
+from needleforce import TipTravel
+from residual import VelocityEstimator
+from residual.tool_kinematics import ToolKinematics
+from urdf import Robot
+
+Array = NDArray[np.float64]
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class InsertionTruth:
+    """Truth at the n samples of a run through L layers.
+
+    Attributes:
+        t_s: True instants, shape (n,).
+        depth_m: Travel of the tip since first contact, shape (n,).
+        speed_m_s: Its rate, shape (n,).
+        axial_N: Axial force, shape (n,), positive when tissue pushes back.
+        tip_N: Its part at the tip, shape (n,).
+        layer_friction_N: Friction of each layer on the shaft, shape (n, L).
+        layer: Where the tip is: 0 above, i in layer i, L + 1 beyond, shape (n,).
+        ruptures: In the order they happened.
+        tare_end_s: Nothing has been touched before.
+        contact_s: First contact.
+        insertion_end_s: The needle is at its deepest.
+        boundaries_m: Where each layer ends in undeformed tissue; none where that is not told.
+    """
+
+    t_s: Array
+    depth_m: Array
+    speed_m_s: Array
+    axial_N: Array
+    tip_N: Array
+    layer_friction_N: Array
+    layer: NDArray[np.int64]
+    ruptures: tuple[Rupture, ...]
+    tare_end_s: float
+    contact_s: float
+    insertion_end_s: float
+    boundaries_m: tuple[float, ...] = ()
+
+    @property
+    def enhanced_N(self) -> Array:
+        """Axial force without the friction of the layers already left, shape (n,)."""
+        number = np.arange(1, self.layer_friction_N.shape[1] + 1)
+        is_left = number[None, :] < self.layer[:, None]
+        return self.axial_N - np.sum(self.layer_friction_N * is_left, axis=1)
+
+    @property
+    def is_insertion(self) -> NDArray[np.bool_]:
+        """Samples from first contact to the deepest point, shape (n,)."""
+        return (self.t_s >= self.contact_s) & (self.t_s <= self.insertion_end_s)
+
+
+def truth_of_run(run: Run) -> InsertionTruth:
+    """The truth of an insertion by the simulated arm."""
+    return _truth(run, run.truth, run.contact_s)
+
+
+def truth_of_needle(run: NeedleRun) -> InsertionTruth:
+    """The truth of an insertion by a needle without an arm."""
+    return _truth(run, run, run.truth.contact_s)
+
+
+def _truth(run: Run | NeedleRun, motion: Truth | NeedleRun, contact_s: float) -> InsertionTruth:
+    true = run.truth
+    return InsertionTruth(
+        t_s=motion.t_s,
+        depth_m=motion.depth_m,
+        speed_m_s=motion.speed_m_s,
+        axial_N=true.axial_N,
+        tip_N=true.tip_N,
+        layer_friction_N=true.layer_friction_N,
+        layer=true.layer,
+        ruptures=true.ruptures,
+        tare_end_s=run.tare_end_s,
+        contact_s=contact_s,
+        insertion_end_s=run.scenario.motion.insertion_end_s,
+        boundaries_m=tuple(accumulate(layer.thickness_m for layer in run.scenario.layers)),
+    )
+
+
+# Joint signals of an arm, simulated or recorded: all that the virtual sensor gets.
+
+
+CLOCK_DIGITS = 9
+"""Time stamps are whole nanoseconds; differences of their floats are not, and a tick that differs
+in its last bit looks like a clock that jitters."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class JointSignals:
+    """n samples of an arm with j joints.
+
+    Attributes:
+        t_s: Time stamps, shape (n,), increasing.
+        q_rad: Positions, shape (n, j).
+        dq_rad_s: Velocities, shape (n, j), or None where the arm sends none.
+        tau_Nm: Torques, shape (n, j).
+    """
+
+    t_s: Array
+    q_rad: Array
+    dq_rad_s: Array | None
+    tau_Nm: Array
+
+    @classmethod
+    def of_run(cls, run: Run) -> "JointSignals":
+        """What the arm of a simulated insertion sent."""
+        sent = run.signals
+        return cls(t_s=sent.t_s, q_rad=sent.q_rad, dq_rad_s=sent.dq_rad_s, tau_Nm=sent.tau_Nm)
+
+    @property
+    def dt_s(self) -> Array:
+        """Time since the previous sample, shape (n,).
+
+        The first sample has no previous one: its entry is 1, and nobody reads it.
+        """
+        return np.round(np.diff(self.t_s, prepend=self.t_s[0] - 1.0), CLOCK_DIGITS)
+
+    def velocity(self, k: int) -> Array | None:
+        """Velocities of sample k, or None."""
+        return None if self.dq_rad_s is None else self.dq_rad_s[k]
+
+
+# Depth and speed of the needle as the robot's own kinematics tell them.
+
+
+class MeasuredTravel(NamedTuple):
+    """Travel of the tip along the needle's axis, and its rate.
+
+    Attributes:
+        depth_m: Zero where the tare ended, shape (n,).
+        speed_m_s: Its rate, shape (n,).
+    """
+
+    depth_m: Array
+    speed_m_s: Array
+
+
+def measured_travel(robot: Robot, signals: JointSignals, zero_s: float) -> MeasuredTravel:
+    """Forward kinematics of measured positions, Jacobian of measured velocities.
+
+    Where the arm sends no velocity it is estimated as the virtual sensor does it, causally.
+
+    Args:
+        robot: The arm as the estimator knows it; its tool frame's z axis is the needle.
+        signals: What the arm sent.
+        zero_s: The tip's place and axis at that time are the zero and the direction of depth.
+    """
+    kinematics = ToolKinematics(robot)
+    kinematics.update(signals.q_rad[int(np.searchsorted(signals.t_s, zero_s))])
+    travel = TipTravel(kinematics)
+    found = np.zeros((len(signals.t_s), 2))
+    for k, (q, dq) in enumerate(zip(signals.q_rad, _velocities(signals), strict=True)):
+        kinematics.update(q)
+        found[k] = travel.read(dq)
+    return MeasuredTravel(found[:, 0].copy(), found[:, 1].copy())
+
+
+def smoothed(travel: MeasuredTravel, dt_s: Array, time_constant_s: float) -> MeasuredTravel:
+    """The same travel, its speed through a causal first-order low-pass.
+
+    Args:
+        travel: As measured.
+        dt_s: Time since the previous sample, shape (n,).
+        time_constant_s: Of the low-pass.
+    """
+    speed = travel.speed_m_s.tolist()
+    shares = (1.0 - np.exp(-dt_s / time_constant_s)).tolist()
+    for k in range(1, len(speed)):
+        speed[k] = speed[k - 1] + shares[k] * (speed[k] - speed[k - 1])
+    return travel._replace(speed_m_s=np.array(speed))
+
+
+def _velocities(signals: JointSignals) -> Array:
+    """Measured joint velocities, or estimates of them, shape (n, j)."""
+    if signals.dq_rad_s is not None:
+        return signals.dq_rad_s
+    estimator = VelocityEstimator(signals.q_rad.shape[1])
+    found = np.zeros_like(signals.q_rad)
+    for k, dt in enumerate(signals.dt_s.tolist()):
+        matched = estimator.update(signals.q_rad[k], signals.tau_Nm[k], dt)
+        if matched.settled:
+            found[k] = matched.dq
+    return found
+
+
+# What a force reading is judged against.
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class ForceTruth:
+    """True axial force over a run, and the part of it that is judged.
+
+    Attributes:
+        t_s: Time, shape (n,), increasing.
+        depth_m: Travel of the tip since first contact, shape (n,).
+        axial_N: True axial force, shape (n,).
+        zeroed_s: When the sensors were zeroed; what they said before means nothing.
+        start_s: First contact.
+        end_s: End of the withdrawal.
+    """
+
+    t_s: Array
+    depth_m: Array
+    axial_N: Array
+    zeroed_s: float
+    start_s: float
+    end_s: float
+
+    @property
+    def judged(self) -> NDArray[np.bool_]:
+        """The samples that count, shape (n,)."""
+        return (self.t_s >= self.start_s) & (self.t_s <= self.end_s)
+
+
+# What an identifier gets: depth and speed from kinematics, force from a sensor.
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class NeedleSignal:
+    """n samples of one run.
+
+    Attributes:
+        source: Where the force comes from.
+        t_s: Time stamps, shape (n,).
+        depth_m: Travel along the needle's axis, shape (n,); where its zero lies is not known.
+        speed_m_s: Its rate, shape (n,).
+        force_N: Axial force, zeroed in free air, shape (n,).
+    """
+
+    source: Source
+    t_s: Array
+    depth_m: Array
+    speed_m_s: Array
+    force_N: Array
+
+
+# What joints feel of a force at the tool.
+
+
+def tool_jacobians(robot: Robot, q_rad: Array) -> Array:
+    """Jacobians of the tool frame in its own axes, shape (n, 6, j); row 2 is along the needle.
+
+    Args:
+        robot: An arm of j joints.
+        q_rad: Joint positions, shape (n, j).
+    """
+    model, data, frame = robot.model, robot.create_data(), robot.tool_frame_id
+    axes = pin.ReferenceFrame.LOCAL
+    return np.array([pin.computeFrameJacobian(model, data, q, frame, axes) for q in q_rad])

@@ -1,0 +1,287 @@
+"""One homogeneous layer of tissue, as a description without state."""
+
+import math
+from dataclasses import dataclass
+
+from groundtruth.errors import TissueError, require_non_negative, require_positive, require_share
+
+# A membrane (liver capsule, latex glove) on top of a layer: a spring up to its puncture.
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Membrane:
+    """A membrane the needle pushes in until it is punctured.
+
+    Its force is `puncture_N ((1 - hardening) u + hardening u²)`, u = indentation / indentation_m:
+    the second-order spring of Okamura, Simone, O'Leary 2004 for the capsule of bovine liver.
+
+    Attributes:
+        puncture_N: Force at which it gives way.
+        indentation_m: How far it has then been pushed in.
+        hardening: Share of the quadratic part, 0 (linear) to 1.
+        release_m: Travel of the tip over which the force is released after the puncture.
+    """
+
+    puncture_N: float
+    indentation_m: float
+    hardening: float
+    release_m: float
+
+    def __post_init__(self) -> None:
+        """Check the figures.
+
+        Raises:
+            TissueError: A figure is zero, negative or not finite, or hardening is not a share.
+        """
+        require_positive(
+            TissueError,
+            puncture_N=self.puncture_N,
+            indentation_m=self.indentation_m,
+            release_m=self.release_m,
+        )
+        require_share(TissueError, hardening=self.hardening)
+
+    def force_N(self, indentation_m: float) -> float:
+        """Force of the intact membrane, zero when it is not touched.
+
+        Args:
+            indentation_m: How far the tip is beyond the membrane's place at rest.
+        """
+        if indentation_m <= 0.0:
+            return 0.0
+        u = indentation_m / self.indentation_m
+        return self.puncture_N * u * (1.0 + self.hardening * (u - 1.0))
+
+
+# Shaft friction per unit of embedded length: Coulomb + viscous, with presliding.
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class ShaftFriction:
+    """Friction of one tissue on a needle shaft, per unit of embedded length.
+
+    In steady sliding the force per length is `coulomb sign(v) + viscous v`. Around a reversal the
+    tissue first moves along with the shaft: the Coulomb part builds up over `presliding_m`
+    (Dahl's model, see `bristle_step`).
+
+    Attributes:
+        coulomb_N_per_m: Part that does not depend on speed.
+        viscous_Ns_per_m2: Part proportional to speed.
+        presliding_m: Travel over which the Coulomb part closes 63 % of the way to its new value.
+        reference_speed_m_s: Speed at which the friction was measured or calibrated.
+    """
+
+    coulomb_N_per_m: float
+    viscous_Ns_per_m2: float
+    presliding_m: float
+    reference_speed_m_s: float
+
+    def __post_init__(self) -> None:
+        """Check the figures.
+
+        Raises:
+            TissueError: A figure is negative, zero where it may not be, or not finite.
+        """
+        require_non_negative(
+            TissueError,
+            coulomb_N_per_m=self.coulomb_N_per_m,
+            viscous_Ns_per_m2=self.viscous_Ns_per_m2,
+        )
+        require_positive(
+            TissueError,
+            presliding_m=self.presliding_m,
+            reference_speed_m_s=self.reference_speed_m_s,
+        )
+
+    @classmethod
+    def calibrated(
+        cls,
+        *,
+        force_N_per_m: float,
+        reference_speed_m_s: float,
+        coulomb_share: float,
+        presliding_m: float,
+    ) -> "ShaftFriction":
+        """Split a friction measured at one speed into its Coulomb and its viscous part.
+
+        Args:
+            force_N_per_m: Friction per length in steady sliding at the reference speed.
+            reference_speed_m_s: That speed.
+            coulomb_share: Share of it, 0 to 1, that does not depend on speed.
+            presliding_m: See the class.
+
+        Raises:
+            TissueError: The share is outside 0 to 1, or a figure is not physical.
+        """
+        require_share(TissueError, coulomb_share=coulomb_share)
+        require_positive(TissueError, reference_speed_m_s=reference_speed_m_s)
+        return cls(
+            coulomb_N_per_m=coulomb_share * force_N_per_m,
+            viscous_Ns_per_m2=(1.0 - coulomb_share) * force_N_per_m / reference_speed_m_s,
+            presliding_m=presliding_m,
+            reference_speed_m_s=reference_speed_m_s,
+        )
+
+    def sliding_N_per_m(self, speed_m_s: float) -> float:
+        """Friction per length in steady sliding; it has the sign of the speed, zero at rest."""
+        if speed_m_s == 0.0:
+            return 0.0
+        coulomb = math.copysign(self.coulomb_N_per_m, speed_m_s)
+        return coulomb + self.viscous_Ns_per_m2 * speed_m_s
+
+    @property
+    def textbook_Ns_per_m2(self) -> float:
+        """The B of equation (3) that gives the same friction at the reference speed."""
+        return self.sliding_N_per_m(self.reference_speed_m_s) / self.reference_speed_m_s
+
+
+CUTTING_ONSET_M = 1e-3
+"""Penetration over which the cutting force builds up: about one needle diameter (18G 1.27 mm)."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Layer:
+    """What a needle meets between two ruptures.
+
+    Attributes:
+        name: For tables and legends.
+        thickness_m: d_i of the paper.
+        exit_force_N: Tip force at the far end of the layer, at which it gives way there.
+        cutting_share: Share of it that is a constant cutting force; the rest is elastic and grows
+            with the penetration.
+        stiffening: How much steeper the chord of the elastic part is at the end than the slope at
+            the start: 0.1 means 10 %.
+        release_m: Travel of the tip over which the tip force is released when it leaves the layer.
+        relaxed_share: Share of the tip force and of the Coulomb friction lost after a long rest.
+        friction: Friction of the layer on the shaft.
+        membrane: What must be punctured to enter the layer, if anything.
+    """
+
+    name: str
+    thickness_m: float
+    exit_force_N: float
+    cutting_share: float
+    stiffening: float
+    release_m: float
+    relaxed_share: float
+    friction: ShaftFriction
+    membrane: Membrane | None = None
+
+    def __post_init__(self) -> None:
+        """Check the figures.
+
+        Raises:
+            TissueError: A figure is not physical, or the layer is too thin for its membrane's
+                indentation, its cutting onset and the releases at both its ends.
+        """
+        require_positive(
+            TissueError,
+            thickness_m=self.thickness_m,
+            exit_force_N=self.exit_force_N,
+            release_m=self.release_m,
+        )
+        require_non_negative(TissueError, stiffening=self.stiffening)
+        require_share(
+            TissueError, cutting_share=self.cutting_share, relaxed_share=self.relaxed_share
+        )
+        taken = self.entry_m + CUTTING_ONSET_M + self.release_m
+        if self.membrane is not None:
+            taken += self.membrane.release_m
+        if self.thickness_m <= taken:
+            raise TissueError(
+                f"layer {self.name!r} is {self.thickness_m} m thick, but indentation, cutting "
+                f"onset and release take {taken:.4g} m: make it thicker"
+            )
+
+    @property
+    def entry_m(self) -> float:
+        """Depth into the layer at which the tip begins to cut it: the membrane's indentation."""
+        return 0.0 if self.membrane is None else self.membrane.indentation_m
+
+    def tip_force_N(self, penetration_m: float) -> float:
+        """Elastic and cutting force at the tip of an advancing needle, tissue not relaxed.
+
+        Args:
+            penetration_m: Travel of the tip since it began to cut this layer.
+        """
+        if penetration_m <= 0.0:
+            return 0.0
+        p = penetration_m / (self.thickness_m - self.entry_m)
+        elastic = p * (1.0 + self.stiffening * p) / (1.0 + self.stiffening)
+        onset = min(penetration_m / CUTTING_ONSET_M, 1.0)
+        cutting = onset * (2.0 - onset)
+        c = self.cutting_share
+        return self.exit_force_N * ((1.0 - c) * elastic + c * cutting)
+
+    @property
+    def stiffness_N_per_m(self) -> float:
+        """The K of equation (3) that ends the layer with the same tip force."""
+        return self.exit_force_N / self.thickness_m
+
+
+# Where one layer gives way to the next: depth, force released, travel of the release.
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Interface:
+    """The boundary above a layer, or behind the last one.
+
+    A membrane at a boundary backs up the tissue above it: the tip force of the layer above is
+    held while the membrane is pushed in, and both are released together at the puncture. So each
+    boundary gives one rupture.
+
+    Attributes:
+        depth_m: Where it lies in undeformed tissue.
+        onset_m: Depth of the tip at which it begins to give way.
+        release_m: Travel over which the force is then released.
+        drop_N: Force released, tissue not relaxed; zero at a bare surface.
+        membrane: The membrane to puncture there, if any.
+    """
+
+    depth_m: float
+    onset_m: float
+    release_m: float
+    drop_N: float
+    membrane: Membrane | None
+
+    def released(self, deepest_m: float) -> float:
+        """Share of the force released, 0 to 1, once the tip has been as deep as `deepest_m`.
+
+        A crack starts fast and dies out: 1 - (1 - s)², s the travelled share of `release_m`.
+        """
+        travelled = deepest_m - self.onset_m
+        if travelled <= 0.0:
+            return 0.0
+        if travelled >= self.release_m:
+            return 1.0
+        rest = 1.0 - travelled / self.release_m
+        return 1.0 - rest * rest
+
+
+def interfaces(layers: tuple[Layer, ...]) -> tuple[Interface, ...]:
+    """All boundaries of a stack, from the surface to the exit: one more than layers.
+
+    Args:
+        layers: The layers, first the one the needle meets first; none gives no boundary.
+    """
+    found: list[Interface] = []
+    depth = 0.0
+    for above, below in zip((None, *layers), (*layers, None), strict=True):
+        membrane = None if below is None else below.membrane
+        if above is None and below is None:
+            break
+        drop = 0.0 if above is None else above.exit_force_N
+        release = below.release_m if above is None and below is not None else 0.0
+        release = above.release_m if above is not None else release
+        if membrane is not None:
+            drop += membrane.puncture_N
+            release = membrane.release_m
+        onset = depth + (0.0 if membrane is None else membrane.indentation_m)
+        found.append(
+            Interface(
+                depth_m=depth, onset_m=onset, release_m=release, drop_N=drop, membrane=membrane
+            )
+        )
+        if below is not None:
+            depth += below.thickness_m
+    return tuple(found)

@@ -1,0 +1,343 @@
+"""Simulate an insertion: the arm drives the needle through tissue, and its sensors report it."""
+
+from collections.abc import Callable
+from dataclasses import dataclass, fields
+
+import numpy as np
+from numpy.typing import NDArray
+
+from groundtruth.arm_control import ArmTrace, drive, joint_reference, scenario_motion, scenario_path
+from groundtruth.arm_level import ArmLevel, arm_level
+from groundtruth.arm_plant import ArmPlant, TICK_s, TissueContact, lwr_bodies
+from groundtruth.errors import NoiseError, RunError
+from groundtruth.force_noise import NOISES, ForceNoise
+from groundtruth.insertion_path import InsertionPath
+from groundtruth.scenarios import Scenario
+from groundtruth.scenarios import scenario as scenario_named
+from groundtruth.sensors import (
+    measured_position,
+    measured_torque,
+    measured_velocity,
+    measured_wrench,
+    received,
+    stamps,
+)
+from groundtruth.tissue import TissueForce, TissueLaw
+from groundtruth.tissue_truth import Rupture, TissueTruth, collect_truth
+from urdf import NeedleTool, Robot
+
+# The outcome of a simulated insertion: what the robot gave, and apart from it, what was true.
+
+
+Array = NDArray[np.float64]
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class Signals:
+    """What a robot and its F/T sensor give, n samples; all that an estimator may see.
+
+    Attributes:
+        t_s: Time stamps, shape (n,), increasing; jittered and with gaps on a hard arm.
+        q_rad: Joint positions, shape (n, 7).
+        dq_rad_s: Joint velocities, shape (n, 7), or None where the interface reports none.
+        tau_Nm: Link-side joint torques, shape (n, 7). Row k is held from its sample to the next
+            tick (torque alignment ``hold``); at rest it equals the gravity torque.
+        ft_wrench: F/T reading in ``ft_sensor`` axes (z along the insertion), shape (n, 6), force N,
+            then torque Nm: wrench of the environment on the needle plus the needle's weight (so
+            tissue that pushes back lowers z), minus its inertia.
+    """
+
+    t_s: Array
+    q_rad: Array
+    dq_rad_s: Array | None
+    tau_Nm: Array
+    ft_wrench: Array
+
+    def __post_init__(self) -> None:
+        """Make the arrays read-only."""
+        _freeze(self)
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class Truth:
+    """What was true at the same n samples.
+
+    Attributes:
+        t_s: True instants of the samples, shape (n,).
+        q_rad: Joint positions, shape (n, 7).
+        dq_rad_s: Joint velocities, shape (n, 7).
+        tau_Nm: Joint torques, held from each sample to the next tick, shape (n, 7).
+        external_torque_Nm: Torque of the tissue on the joints, shape (n, 7), mean over the tick
+            that begins at the sample: what a momentum observer can learn from that sample and
+            the next.
+        axial_N: Force of the tissue on the needle, shape (n,), positive when it pushes back.
+        tip_N: Its part at the tip, shape (n,).
+        friction_N: Its part along the shaft, shape (n,), negative on the way out.
+        layer_friction_N: Share of each layer in it, shape (n, number of layers).
+        layer: 0 above the tissue, i in layer i, see `TissueForce`, shape (n,).
+        depth_m: Travel of the tip since first contact, negative above, shape (n,); zero where
+            there is no tissue.
+        speed_m_s: Speed of the tip along the needle, shape (n,).
+        ruptures: In the order they happened.
+    """
+
+    t_s: Array
+    q_rad: Array
+    dq_rad_s: Array
+    tau_Nm: Array
+    external_torque_Nm: Array
+    axial_N: Array
+    tip_N: Array
+    friction_N: Array
+    layer_friction_N: Array
+    layer: NDArray[np.int64]
+    depth_m: Array
+    speed_m_s: Array
+    ruptures: tuple[Rupture, ...]
+
+    def __post_init__(self) -> None:
+        """Make the arrays read-only."""
+        _freeze(self)
+
+    @property
+    def rupture_s(self) -> Array:
+        """Onset of each rupture, shape (number of ruptures,)."""
+        return np.array([rupture.onset_s for rupture in self.ruptures], dtype=np.float64)
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class Run:
+    """One simulated insertion.
+
+    Attributes:
+        scenario: What was simulated.
+        arm: Name of the arm level.
+        seed: Seed of everything drawn.
+        robot: The robot as the estimator knows it: nominal links, nominal tool.
+        tool: The tool as the estimator knows it.
+        signals: What the robot gave.
+        truth: What was true.
+        tare_end_s: The needle has not met anything before this; a user knows that.
+        contact_s: True first contact, nan without tissue.
+        withdrawn_s: The tip has left the surface on its way out, nan without tissue.
+    """
+
+    scenario: Scenario
+    arm: str
+    seed: int
+    robot: Robot
+    tool: NeedleTool
+    signals: Signals
+    truth: Truth
+    tare_end_s: float
+    contact_s: float
+    withdrawn_s: float
+
+
+def _freeze(result: Signals | Truth) -> None:
+    for item in fields(result):
+        value = getattr(result, item.name)
+        if isinstance(value, np.ndarray):
+            value.setflags(write=False)
+
+
+def simulate(
+    scenario: Scenario | str,
+    arm: str = "textbook",
+    seed: int = 0,
+    progress: Callable[[float], None] | None = None,
+) -> Run:
+    """Push the needle of a simulated LWR 4+ through a scenario's tissue and back out.
+
+    A scenario without layers moves all joints in free air instead.
+
+    Args:
+        scenario: A scenario or the name of a catalogued one.
+        arm: Name of the arm level: ``textbook``, ``realistic`` or ``hard``.
+        seed: Seed of everything drawn; equal arguments give equal runs.
+        progress: Called now and then with the share done, 0 to 1.
+
+    Returns:
+        Signals and truth, apart.
+
+    Raises:
+        ScenarioError: There is no scenario of that name.
+        ArmLevelError: There is no arm level of that name.
+        PathError: The needle's line is out of the arm's reach.
+        PlantError: The tissue has pushed the arm off its motion.
+    """
+    chosen = scenario_named(scenario) if isinstance(scenario, str) else scenario
+    level = arm_level(arm)
+    tool = NeedleTool()
+    mass_seed, sensor_seed = np.random.SeedSequence(seed).spawn(2)
+    bodies = lwr_bodies(tool, level, np.random.default_rng(mass_seed))
+    path = scenario_path(bodies.robot, chosen)
+    contact = _contact(path, chosen)
+    reference = joint_reference(bodies.model(), scenario_motion(path, chosen), TICK_s)
+    trace = drive(ArmPlant(bodies, contact), reference, progress)
+    time = np.arange(len(trace.q_rad), dtype=np.float64) * TICK_s
+    kept, signals = _sense(trace, time, bodies.robot.effort_limit_Nm, level, sensor_seed)
+    tissue = collect_truth(contact.law, time, trace.depth_m, trace.forces)
+    return Run(
+        scenario=chosen,
+        arm=level.name,
+        seed=seed,
+        robot=bodies.robot,
+        tool=tool,
+        signals=signals,
+        truth=_truth(trace, tissue, time, kept),
+        tare_end_s=chosen.motion.tare_end_s,
+        contact_s=tissue.contact_s if chosen.layers else float("nan"),
+        withdrawn_s=tissue.withdrawn_s if chosen.layers else float("nan"),
+    )
+
+
+def _contact(path: InsertionPath, scenario: Scenario) -> TissueContact:
+    """Lay the tissue so that the zero of the scenario's motion is its surface."""
+    start = path.transform_start_to_base.translation
+    return TissueContact(
+        law=scenario.new_tissue(),
+        surface_in_base_m=start - scenario.motion.start_m * path.axis_in_base,
+        axis_in_base=path.axis_in_base,
+    )
+
+
+def _sense(
+    trace: ArmTrace,
+    time: Array,
+    limit_Nm: Array,
+    level: ArmLevel,
+    seed: np.random.SeedSequence,
+) -> tuple[NDArray[np.intp], Signals]:
+    """Pass the true signals through sensors and wire; each of them has its own stream of noise."""
+    clock, loss, position, velocity, torque, wrench = map(np.random.default_rng, seed.spawn(6))
+    kept = received(len(time), level, loss)
+    dq = measured_velocity(trace.dq_rad_s, level, velocity)
+    tau = measured_torque(trace.tau_Nm, trace.q_rad, TICK_s, limit_Nm, level, torque)
+    return kept, Signals(
+        t_s=stamps(time, TICK_s, level, clock)[kept],
+        q_rad=measured_position(trace.q_rad, level, position)[kept],
+        dq_rad_s=None if dq is None else dq[kept],
+        tau_Nm=tau[kept],
+        ft_wrench=measured_wrench(trace.ft_wrench, TICK_s, level, wrench)[kept],
+    )
+
+
+def _truth(trace: ArmTrace, tissue: TissueTruth, time: Array, kept: NDArray[np.intp]) -> Truth:
+    return Truth(
+        t_s=time[kept],
+        q_rad=trace.q_rad[kept],
+        dq_rad_s=trace.dq_rad_s[kept],
+        tau_Nm=trace.tau_Nm[kept],
+        external_torque_Nm=trace.external_torque_Nm[kept],
+        axial_N=tissue.axial_N[kept],
+        tip_N=tissue.tip_N[kept],
+        friction_N=tissue.friction_N[kept],
+        layer_friction_N=tissue.layer_friction_N[kept],
+        layer=tissue.layer[kept],
+        depth_m=trace.depth_m[kept],
+        speed_m_s=trace.speed_m_s[kept],
+        ruptures=tissue.ruptures,
+    )
+
+
+# A needle without an arm: the tip follows the motion exactly, the base feels the tissue.
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class NeedleRun:
+    """Signals and truth of one needle-only insertion; all arrays are read-only, n samples.
+
+    Attributes:
+        scenario: What was run.
+        seed: Of the sensor noise.
+        t_s: Time, shape (n,).
+        depth_m: Travel of the tip since first contact, negative above the surface, shape (n,).
+        speed_m_s: Its rate, shape (n,).
+        force_N: Reading of the sensor, zeroed at the end of the tare stroke, shape (n,).
+        tare_end_s: Contact has not happened before this time; all that a user knows of it.
+        truth: What only the simulation knows.
+    """
+
+    scenario: Scenario
+    seed: int
+    t_s: Array
+    depth_m: Array
+    speed_m_s: Array
+    force_N: Array
+    tare_end_s: float
+    truth: TissueTruth
+
+
+def insert_needle(
+    scenario: Scenario | str,
+    *,
+    seed: int = 0,
+    rate_hz: float = 1000.0,
+    substeps: int = 1,
+    noise: ForceNoise | str = "mini45",
+) -> NeedleRun:
+    """Carry out a scenario with the needle alone.
+
+    Args:
+        scenario: A scenario or the name of a catalogued one.
+        seed: Seed of the sensor noise; the same seed gives the same run.
+        rate_hz: Samples per second.
+        substeps: Steps of the tissue law per sample.
+        noise: A noise model, `mini45` or `clean`.
+
+    Raises:
+        ScenarioError: There is no scenario of that name.
+        NoiseError: There is no noise model of that name.
+        RunError: The rate or the number of sub-steps is unusable.
+    """
+    chosen = scenario_named(scenario) if isinstance(scenario, str) else scenario
+    sensor = _noise_named(noise)
+    t_s, fine_s = _clock(chosen.motion.duration_s, rate_hz, substeps)
+    depth, speed = chosen.motion.position_m(fine_s), chosen.motion.speed_m_s(fine_s)
+    law = chosen.new_tissue()
+    forces = _drive(law, depth, speed, 1.0 / (rate_hz * substeps), substeps)
+    depth_m, speed_m_s = depth[::substeps].copy(), speed[::substeps].copy()
+    truth = collect_truth(law, t_s, depth_m, forces)
+    tare_end_s = chosen.motion.tare_end_s
+    rng = np.random.default_rng(seed)
+    for array in (t_s, depth_m, speed_m_s):
+        array.setflags(write=False)
+    return NeedleRun(
+        scenario=chosen,
+        seed=seed,
+        t_s=t_s,
+        depth_m=depth_m,
+        speed_m_s=speed_m_s,
+        force_N=sensor.reading_N(truth.axial_N, t_s, tare_end_s, rng),
+        tare_end_s=tare_end_s,
+        truth=truth,
+    )
+
+
+def _noise_named(noise: ForceNoise | str) -> ForceNoise:
+    if isinstance(noise, ForceNoise):
+        return noise
+    if noise not in NOISES:
+        raise NoiseError(f"no noise model {noise!r}; known: {', '.join(NOISES)}, or a ForceNoise")
+    return NOISES[noise]
+
+
+def _clock(duration_s: float, rate_hz: float, substeps: int) -> tuple[Array, Array]:
+    """Times of the samples, and of the sub-steps between the first and the last of them."""
+    if not (np.isfinite(rate_hz) and rate_hz > 0.0):
+        raise RunError(f"rate_hz is {rate_hz!r}; give samples per second, above zero")
+    if not (isinstance(substeps, int) and substeps >= 1):
+        raise RunError(f"substeps is {substeps!r}; give a whole number from 1 up")
+    count = round(duration_s * rate_hz) + 1
+    fine = np.arange((count - 1) * substeps + 1) / (rate_hz * substeps)
+    return fine[::substeps].copy(), fine
+
+
+def _drive(
+    law: TissueLaw, depth_m: Array, speed_m_s: Array, dt_s: float, substeps: int
+) -> list[TissueForce]:
+    """The law's answer at every sample, stepping it at every sub-step."""
+    step = law.step
+    forces = [step(z, v, dt_s) for z, v in zip(depth_m.tolist(), speed_m_s.tolist(), strict=True)]
+    return forces[::substeps]

@@ -1,0 +1,1 @@
+"""The commands: `needleforce` and what its sub-commands share."""

@@ -1,0 +1,51 @@
+"""The one home of colours, line styles and the words on axes.
+
+The hues are those of Okabe and Ito, which eyes that mix up red and green still tell apart; every
+role has a line style of its own as well, for print.
+"""
+
+from dataclasses import replace
+
+from needleforce.plots.chart import Dash, LineStyle
+
+TIME = "time [s]"
+INSERTION_TIME = "time since the insertion began [s]"
+DEPTH = "depth since first contact [mm]"
+FORCE = "axial force [N]"
+FORCE_ERROR = "error [N]"
+STIFFNESS = "stiffness K\n[N/m]"
+FRICTION = "friction B\n[Ns/m²]"
+CUMULATIVE_FRICTION = "cumulative\nfriction [Ns/m]"
+
+BLACK, GREY, GREEN, ORANGE = "#000000", "#7f7f7f", "#009e73", "#e69f00"
+BLUE, VERMILION, PURPLE = "#0072b2", "#d55e00", "#a3468a"
+AXES_XYZ = (VERMILION, GREEN, PURPLE)
+"""Of the components of a vector."""
+
+DOTTED: Dash = (0.0, (1.0, 1.6))
+DASHED: Dash = (0.0, (5.0, 2.0))
+DASH_DOTTED: Dash = (0.0, (6.0, 2.0, 1.2, 2.0))
+
+TRUE = LineStyle(color=BLACK, width_pt=0.9)
+TRUE_PART = LineStyle(color=BLACK, dash=DOTTED, width_pt=1.5)
+"""A part of the true force, or a true parameter."""
+READING = LineStyle(color=GREEN, width_pt=2.6, opacity=0.45)
+"""The force an identifier is given: broad and pale, for others run along it."""
+OTHER_SENSOR = LineStyle(color=GREY, width_pt=0.8)
+"""Another sensor's force, or what was made of it, for comparison."""
+OTHER_DASHED = replace(OTHER_SENSOR, dash=DASHED)
+PREDICTED = LineStyle(color=ORANGE, dash=DASHED, width_pt=1.0)
+OURS = LineStyle(color=BLUE, width_pt=1.4)
+PAPER = LineStyle(color=VERMILION, dash=DASHED, width_pt=1.2)
+"""The published method, with its multi-layer model."""
+PAPER_KV = LineStyle(color=PURPLE, dash=DASH_DOTTED, width_pt=1.1)
+"""The published method, with the Kelvin-Voigt model."""
+TIP = LineStyle(color=PURPLE, dash=DASH_DOTTED, width_pt=1.0)
+"""The force at the tip alone."""
+
+RUPTURE = LineStyle(color=BLACK, width_pt=0.9)
+COMPENSATION = LineStyle(color=BLACK, dash=DASHED, width_pt=0.9)
+TRUE_RUPTURE = "#c6c6c6"
+"""Shade of the time in which a layer really gives way."""
+UNTARED = LineStyle(color=GREY, width_pt=1.0)
+TARE, SETTLING, SKIPPED = "#d5efd9", "#e4e4e4", "#c0392b"

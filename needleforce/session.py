@@ -1,0 +1,415 @@
+"""One insertion, tick by tick, from joint signals to the force at the needle's tip."""
+
+import math
+import numbers
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from identification import DEFAULT as DEFAULT_IDENTIFIER
+from identification import (
+    DefaultConfig,
+    Estimate,
+    IdentificationError,
+    Identifier,
+    LayerEstimate,
+    PaperConfig,
+    SampleStatus,
+)
+from identification import Snapshot as IdentifierSnapshot
+from needleforce.jit import Matrix, Vector, compiled
+from residual import DEFAULT as DEFAULT_SENSOR
+from residual import Caution, SensorConfig, Status, VirtualForceSensor, WrenchEstimate
+from residual.bias_model import Tare
+from residual.snapshot import SensorState
+from residual.tool_kinematics import ToolKinematics
+from urdf import Robot
+
+# Depth and speed of the needle by the robot's own kinematics.
+
+
+_new = tuple.__new__  # makes a named tuple in half the time: there is one in every tick
+
+
+class Travel(NamedTuple):
+    """Travel of the tip along the needle, and its rate.
+
+    Attributes:
+        depth_m: Along the needle's direction at the zero, growing inwards.
+        speed_m_s: Along the needle's present direction.
+    """
+
+    depth_m: float
+    speed_m_s: float
+
+
+class TravelZero(NamedTuple):
+    """Where depth is counted from.
+
+    Attributes:
+        start_in_base_m: The tip's place, shape (3,).
+        axis_in_base: The needle's direction, shape (3,).
+    """
+
+    start_in_base_m: NDArray[np.float64]
+    axis_in_base: NDArray[np.float64]
+
+
+@compiled
+def tip_motion(axis: Vector, pose: Matrix, advance: Vector, dq: Vector) -> tuple[float, float]:
+    """Place of the tip along an axis [m], and its speed along the needle [m/s].
+
+    Args:
+        axis: In base axes, shape (3,).
+        pose: See `residual.tool_kinematics.ToolKinematics`, as the next.
+        advance: Shape (n,).
+        dq: Joint velocities [rad/s], shape (n,).
+    """
+    tip_m = np.ascontiguousarray(pose[:3, 3])
+    return float(axis.dot(tip_m)), float(advance.dot(dq))
+
+
+class TipTravel:
+    """Reads depth and speed off kinematics that somebody else keeps up to date.
+
+    Args:
+        kinematics: Of the tool; the virtual sensor's own, or one's own.
+    """
+
+    def __init__(self, kinematics: ToolKinematics) -> None:
+        self._kinematics = kinematics
+        self.zero()
+
+    def zero(self) -> None:
+        """Count depth from where the tip is, along the needle as it stands."""
+        tool = self._kinematics
+        self.restore(TravelZero(tool.place_in_base_m.copy(), tool.axis_in_base.copy()))
+
+    def read(self, dq: NDArray[np.float64]) -> Travel:
+        """Depth and speed where the kinematics stand, for joint velocities [rad/s], shape (n,)."""
+        tool = self._kinematics
+        along_m, speed_m_s = tip_motion(self._axis, tool.pose, tool.advance, dq)
+        return _new(Travel, (along_m - self._start_m, speed_m_s))
+
+    @property
+    def state(self) -> TravelZero:
+        """Where depth is counted from."""
+        return self._zero
+
+    def restore(self, state: TravelZero) -> None:
+        """Count from a `state` taken earlier."""
+        self._zero = state
+        self._axis = state.axis_in_base
+        self._start_m = float(self._axis.dot(state.start_in_base_m))
+
+
+# What a session tells about a tick, and all that it remembers.
+
+
+class SessionEstimate(NamedTuple):
+    """State of knowledge after one tick. Every number is finite.
+
+    Attributes:
+        wrench: Force on the needle, see `WrenchEstimate`.
+        depth_m: Travel of the tip along the needle since the tare or `begin_insertion`.
+        speed_m_s: Its rate.
+        identification: Layers, friction, tip force; that of the last tick that was fed to the
+            identifier, its ``rupture``, ``compensated`` and ``withdrawn`` only in the tick that
+            brought them.
+        status: Whether the numbers are of this tick and tared.
+        is_fed: Whether this tick's force went into the identification.
+    """
+
+    wrench: WrenchEstimate
+    depth_m: float
+    speed_m_s: float
+    identification: Estimate
+    status: Status
+    is_fed: bool
+
+    @property
+    def cautions(self) -> Caution:
+        """What may be wrong with the force beyond its standard deviation."""
+        return self.wrench.cautions
+
+
+class SessionSnapshot(NamedTuple):
+    """All that an `InsertionSession` remembers; immutable.
+
+    Attributes:
+        sensor: Of the virtual sensor.
+        identifier: Of the identifier.
+        zero: Where depth is counted from.
+        travel: Last depth and speed.
+        speed_lag_s: Setting of the session.
+        unfed_s: Time of samples taken by the sensor that the identifier has not seen [s].
+    """
+
+    sensor: SensorState
+    identifier: IdentifierSnapshot
+    zero: TravelZero
+    travel: Travel
+    speed_lag_s: float
+    unfed_s: float
+
+
+# Errors of the `insertion` package: one base, each leaf also a standard exception.
+
+
+class InsertionError(Exception):
+    """Base of every error that `insertion` raises; what its parts raise passes through."""
+
+
+class SettingError(InsertionError, ValueError):
+    """A setting that cannot work: the message names it, what came and what is valid."""
+
+
+class SnapshotMismatchError(InsertionError, ValueError):
+    """A snapshot that cannot be restored here; nothing has changed."""
+
+
+class SnapshotFileError(InsertionError, ValueError):
+    """A file that is no snapshot, or one of a version that cannot be read."""
+
+
+_NOT_FED = (
+    Caution.JOINT_LIMIT
+    | Caution.NEAR_SINGULAR
+    | Caution.MISFIT
+    | Caution.FROZEN
+    | Caution.STALE
+    | Caution.VELOCITY
+)
+
+# Names of an enumeration take as long to look up as a call, and there is a named tuple in every
+# tick: this is its own way of making one, without the detour.
+_OK, _SKIPPED = Status.OK, Status.SKIPPED
+_FED = tuple(status for status in SampleStatus if status.is_absorbed)
+
+
+class InsertionSession:
+    """Virtual sensor, tip travel and identifier in one.
+
+    Call `update` every tick from the start of the robot; move in free air, call `tare`, insert.
+    For another insertion with the same tare call `begin_insertion` above the tissue.
+
+    The identifier is fed only forces of this tick (`Status.OK`) that no joint limit, singular pose,
+    frozen signal, misfit, stale tare or wrong velocity makes worthless. Otherwise its last estimate
+    stays, and the time passes: after a longer gap it says ``TIME_GAP`` and starts its local
+    predictions anew.
+
+    Args:
+        robot: The arm with its payload; the z axis of its tool frame is the needle, unless
+            ``sensor_config`` names another frame or axis.
+        sensor_config: Settings of the virtual sensor.
+        identifier_config: Settings of the identifier.
+        speed_lag_s: Time constant of a low-pass on the speed that the identifier gets [s]. Ours
+            needs none; the published one takes speed as exact and wants 20 ms on an arm.
+
+    Raises:
+        SettingError: For a negative or infinite lag.
+        residual.ConfigurationError: For settings of the sensor that cannot work.
+        identification.IdentificationError: For settings of another kind of identifier.
+    """
+
+    def __init__(
+        self,
+        robot: Robot,
+        sensor_config: SensorConfig = DEFAULT_SENSOR,
+        identifier_config: DefaultConfig | PaperConfig = DEFAULT_IDENTIFIER,
+        *,
+        speed_lag_s: float = 0.0,
+    ) -> None:
+        if not (isinstance(speed_lag_s, numbers.Real) and 0.0 <= float(speed_lag_s) < math.inf):
+            raise SettingError(f"speed_lag_s is {speed_lag_s!r}, expected a finite number >= 0")
+        self._sensor = VirtualForceSensor(robot, sensor_config)
+        self._identifier, self._identifier_config = Identifier(identifier_config), identifier_config
+        self._travel = TipTravel(self._sensor.kinematics)
+        self._speed_lag_s = float(speed_lag_s)
+        self.reset()
+
+    @property
+    def tared(self) -> bool:
+        """Whether the offset has been removed."""
+        return self._sensor.tared
+
+    @property
+    def lag_s(self) -> float:
+        """Time by which the estimate follows the force [s]; 0 before the first sample."""
+        return self._sensor.lag_s
+
+    @property
+    def skipped(self) -> int:
+        """Bad samples since the last `reset`."""
+        return self._sensor.skipped
+
+    @property
+    def layers(self) -> tuple[LayerEstimate, ...]:
+        """Layers left so far, in order, as known now."""
+        return self._identifier.layers
+
+    def update(
+        self, q: ArrayLike, dq: ArrayLike | None, tau: ArrayLike, dt_s: float
+    ) -> SessionEstimate:
+        """Take one sample of joint signals; see `VirtualForceSensor.update`.
+
+        Args:
+            q: Joint positions [rad], shape (n,).
+            dq: Joint velocities [rad/s], shape (n,); None, always, for a robot that sends none.
+            tau: Measured link-side joint torques [Nm], shape (n,).
+            dt_s: Time since the previous call [s]; not read on the first one.
+
+        Returns:
+            What is known now. A bad sample does not raise, it is told in the status.
+        """
+        return self._follow(self._sensor.update(q, dq, tau, dt_s))
+
+    def update_external_torque(
+        self, q: ArrayLike, dq: ArrayLike | None, external_torque: ArrayLike, dt_s: float
+    ) -> SessionEstimate:
+        """Take one sample of an external-torque estimate that the robot supplies itself.
+
+        Args:
+            q: Joint positions [rad], shape (n,).
+            dq: Joint velocities [rad/s], shape (n,), or None: the speed is then estimated.
+            external_torque: Torque of the environment on the joints [Nm], shape (n,).
+            dt_s: Time since the previous call [s].
+
+        Returns:
+            As `update`.
+        """
+        wrench = self._sensor.update_external_torque(q, external_torque, dt_s, dq)
+        return self._follow(wrench)
+
+    def tare(self, *, force: bool = False) -> Tare:
+        """Remove the offset and begin an insertion here; see `VirtualForceSensor.tare`.
+
+        Args:
+            force: Take it even where contact is seen, or velocities that cannot be.
+
+        Raises:
+            TareError: Without data, a second time without `start_recording`, with contact in sight
+                or velocities that do not fit positions; nothing has then changed.
+        """
+        tare = self._sensor.tare(force=force)
+        self.begin_insertion()
+        return tare
+
+    def start_recording(self) -> None:
+        """Record free motion anew for the next `tare`; estimates are `NOT_TARED` until then."""
+        self._sensor.start_recording()
+
+    def begin_insertion(self) -> None:
+        """Count depth from here and forget the layers; the tare stays."""
+        self._travel.zero()
+        self._last_travel = Travel(0.0, 0.0)
+        self._identifier.reset()
+        self._identification = self._identifier.snapshot().last
+        self._unfed_s = 0.0
+
+    def reset(self) -> None:
+        """Forget everything, the tare included."""
+        self._sensor.reset()
+        self._is_started = False
+        self.begin_insertion()
+
+    def snapshot(self) -> SessionSnapshot:
+        """All that the session remembers; `write_snapshot` stores it."""
+        return SessionSnapshot(
+            self._sensor.snapshot(),
+            self._identifier.snapshot(),
+            self._travel.state,
+            self._last_travel,
+            self._speed_lag_s,
+            self._unfed_s,
+        )
+
+    def restore(self, snapshot: SessionSnapshot) -> None:
+        """Go on, bit for bit, from where `snapshot` was taken.
+
+        Raises:
+            SnapshotMismatchError: Not a snapshot of a session, a damaged one, or one of another
+                speed lag.
+            residual.SnapshotError: A damaged one, or one of another robot or other settings of the
+                sensor.
+            identification.IdentificationError: One of other settings of the identifier.
+                In each case nothing has changed.
+        """
+        if not isinstance(snapshot, SessionSnapshot):
+            raise SnapshotMismatchError(
+                f"expected a SessionSnapshot, got {type(snapshot).__name__}"
+            )
+        if snapshot.speed_lag_s != self._speed_lag_s:
+            raise SnapshotMismatchError(
+                f"the snapshot is of speed_lag_s {snapshot.speed_lag_s:g}, this session has "
+                f"{self._speed_lag_s:g}"
+            )
+        self._try_out(snapshot)
+        # The last that can fail, and it fails as a whole.
+        self._sensor.restore(snapshot.sensor)
+        self._identifier.restore(snapshot.identifier)
+        self._travel.restore(snapshot.zero)
+        self._is_started = snapshot.sensor.last is not None
+        self._last_travel, self._unfed_s = snapshot.travel, snapshot.unfed_s
+        self._identification = _without_events(snapshot.identifier.last)
+
+    def _try_out(self, snapshot: SessionSnapshot) -> None:
+        """Refuse what would fail in later updates; nothing of this session takes part."""
+        twin = Identifier(self._identifier_config)
+        try:
+            twin.restore(snapshot.identifier)
+            for _ in range(3):
+                twin.update(*snapshot.travel, 0.0, 1e-3)
+            sizes = [np.shape(part) for part in snapshot.zero]
+            if sizes != [(3,), (3,)] or not np.isfinite(snapshot.zero).all():
+                raise SnapshotMismatchError(f"the snapshot is damaged: its zero is {snapshot.zero}")
+        except (IdentificationError, InsertionError):
+            raise
+        except Exception as error:  # whatever a damaged state makes of its parts
+            raise SnapshotMismatchError(f"the snapshot is damaged: {error!r}") from error
+
+    def _follow(self, wrench: WrenchEstimate) -> SessionEstimate:
+        """Depth, speed and, where the force is worth it, the identifier."""
+        status = wrench.status
+        if status is _SKIPPED:
+            return self._idle(wrench)
+        if not self._is_started:
+            self._travel.zero()
+            self._is_started = True
+        # The sensor's clock counts the time of skipped samples and knows one that was set.
+        elapsed_s = self._sensor.elapsed_s
+        travel = self._travel.read(self._sensor.velocity_rad_s)
+        if self._speed_lag_s > 0.0:
+            last = self._last_travel.speed_m_s
+            share = -math.expm1(-elapsed_s / self._speed_lag_s)
+            travel = travel._replace(speed_m_s=last + share * (travel.speed_m_s - last))
+        self._last_travel = travel
+        if status is not _OK or (wrench.cautions and wrench.cautions & _NOT_FED):
+            self._unfed_s += elapsed_s
+            return self._idle(wrench)
+        if self._unfed_s:
+            elapsed_s, self._unfed_s = elapsed_s + self._unfed_s, 0.0
+        depth_m, speed_m_s = travel
+        found = self._identifier.update(depth_m, speed_m_s, wrench.axial, elapsed_s)
+        if found.rupture is not None:
+            # A push aside looks like a rupture before it has stayed for long enough to be told.
+            wrench = self._sensor.recheck(wrench)
+            if wrench.cautions & Caution.MISFIT:
+                self._identifier.undo_rupture()
+                self._unfed_s = elapsed_s
+                return self._idle(wrench)
+        self._identification = found
+        is_fed = found.status in _FED
+        return _new(SessionEstimate, (wrench, depth_m, speed_m_s, found, status, is_fed))
+
+    def _idle(self, wrench: WrenchEstimate) -> SessionEstimate:
+        """A tick that the identifier does not see."""
+        last = self._identification
+        if (last.rupture, last.compensated, last.withdrawn) != (None, None, None):
+            last = self._identification = _without_events(last)
+        return SessionEstimate(wrench, *self._last_travel, last, wrench.status, False)
+
+
+def _without_events(estimate: Estimate) -> Estimate:
+    return estimate._replace(rupture=None, compensated=None, withdrawn=None)

@@ -1,0 +1,108 @@
+"""Settings of the virtual force sensor, validated once, and the two presets."""
+
+from dataclasses import dataclass, field
+from typing import get_args
+
+from residual.bias_model import TareKind, TarePrior
+from residual.errors import ConfigurationError
+from residual.input_validation import check_alignment, check_choice, check_positive, check_switch
+from residual.joint_friction import FrictionModel
+from residual.momentum_observer import Alignment
+from residual.tool_kinematics import unit_axis
+from residual.wrench_estimator import Axes, Mode, Weighting
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class SensorConfig:
+    """How joint signals become a force.
+
+    Attributes:
+        gain_per_s: Observer gain K [1/s], one for all joints or one each; 1/K is the lag.
+        alignment: How torque fills a tick: ``trapezoid`` for a sampled sensor, ``hold`` for a
+            command held until the next sample.
+        velocity_bandwidth_per_s: Of the velocity estimate used when ``dq`` is None [1/s].
+        smooth_momentum: Quieten the momentum of an arm that hardly accelerates, see
+            `residual.momentum_observer`.
+        friction: Joint friction between torque sensor and link, if any is modelled.
+        mode: What is assumed of the contact.
+        weighting: ``covariance``: by what the tare has learnt of each joint; ``none``: the plain
+            pseudo-inverse of equation (13).
+        frame: Frame of the wrench; the robot's tool frame when None.
+        axes: Axes of force and torque.
+        insertion_axis: Insertion direction in the frame.
+        expected_force_N: See `WrenchEstimator`; None for no damping.
+        tare: Kind of offset removal.
+        tare_window_s: Only this much of the past enters a tare [s]; None for all of it.
+        prior: What the residual may be off by before data.
+        contact_force_N: Smallest axial force that makes a tare be refused [N].
+        guard: Hold back spikes and frozen or saturated torques, see `residual.fault_detection`.
+        max_gap_s: Longest time step that is integrated [s]; after a longer one filters restart.
+
+    Raises:
+        ConfigurationError: For a setting that cannot be: a number that is not finite and positive,
+            a choice that does not exist, an axis of no direction, a switch that is no truth value.
+    """
+
+    gain_per_s: float | tuple[float, ...] = 70.0
+    alignment: Alignment = "trapezoid"
+    velocity_bandwidth_per_s: float = 200.0
+    smooth_momentum: bool = True
+    friction: FrictionModel | None = None
+    mode: Mode = "axial"
+    weighting: Weighting = "covariance"
+    frame: str | None = None
+    axes: Axes = "base"
+    insertion_axis: tuple[float, float, float] = (0.0, 0.0, 1.0)
+    expected_force_N: float | None = 100.0
+    tare: TareKind = "model"
+    tare_window_s: float | None = None
+    prior: TarePrior = field(default_factory=TarePrior)
+    contact_force_N: float = 0.25
+    guard: bool = True
+    max_gap_s: float = 0.1
+
+    def __post_init__(self) -> None:
+        gains = self.gain_per_s if isinstance(self.gain_per_s, tuple) else (self.gain_per_s,)
+        for gain in gains or (None,):
+            check_positive("gain_per_s", gain)
+        for name in ("velocity_bandwidth_per_s", "contact_force_N", "max_gap_s"):
+            check_positive(name, getattr(self, name))
+        for name in ("tare_window_s", "expected_force_N"):
+            if getattr(self, name) is not None:
+                check_positive(name, getattr(self, name))
+        for name in ("smooth_momentum", "guard"):
+            check_switch(name, getattr(self, name))
+        unit_axis(self.insertion_axis)
+        if not isinstance(self.prior, TarePrior):
+            raise ConfigurationError(f"prior is {self.prior!r}, expected a TarePrior")
+        if self.friction is not None and not callable(getattr(self.friction, "torque", None)):
+            raise ConfigurationError(
+                f"friction is {self.friction!r}, expected a JointFriction or another object that "
+                "tells a torque(dq), or None"
+            )
+        check_alignment(self.alignment)
+        check_choice("mode", self.mode, get_args(Mode))
+        check_choice("weighting", self.weighting, get_args(Weighting))
+        check_choice("axes", self.axes, get_args(Axes))
+        check_choice("tare", self.tare, get_args(TareKind))
+
+    @property
+    def slowest_gain_per_s(self) -> float:
+        """The smallest gain of any joint [1/s]: it sets the lag."""
+        return min(self.gain_per_s) if isinstance(self.gain_per_s, tuple) else self.gain_per_s
+
+
+DEFAULT = SensorConfig()
+"""Ours."""
+
+PAPER = SensorConfig(
+    gain_per_s=5.0,
+    smooth_momentum=False,
+    mode="full",
+    weighting="none",
+    expected_force_N=None,
+    tare="constant",
+    tare_window_s=0.5,
+    guard=False,
+)
+"""Section IV as published: K = 5 1/s, r_0 from just before contact, six-dimensional (J')#."""

@@ -1,0 +1,144 @@
+"""What comes out of the virtual sensor, and how far it may be trusted."""
+
+from enum import IntFlag, StrEnum
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+UNSEEN_STD = 1e6
+"""Standard deviation [N, Nm] of what is not known at all: no force of an arm comes near it, and
+unlike infinity it can be drawn, stored and calculated with."""
+
+MOST_CONDITIONING = 1e6
+"""Beyond it a direction counts as unseen."""
+
+
+class Status(StrEnum):
+    """What the caller should know about one estimate."""
+
+    OK = "ok"
+    """A tared estimate of a sound sample."""
+    NOT_TARED = "not tared"
+    """The offset has not been removed yet: the numbers carry the model's errors."""
+    SETTLING = "settling"
+    """The filters have just started, or started anew after a gap in time."""
+    SKIPPED = "skipped"
+    """The sample was bad and was not absorbed: the numbers are those of the last sound one."""
+
+
+class Caution(IntFlag):
+    """What may be wrong beyond the standard deviation; the first three make a sample `SKIPPED`."""
+
+    NONE = 0
+    SPIKE = 1
+    """A signal jumped further than an arm can, and has not stayed there."""
+    FROZEN = 2
+    """Torques, or positions and velocities, repeat bit for bit although they are noisy ones. A
+    sample is skipped if they do so in all joints, for 5 s at most; then, or if one torque does so
+    by itself, the caution is all."""
+    SATURATED = 4
+    """A torque is at the joint's effort limit: the true one may be anything beyond."""
+    JOINT_LIMIT = 8
+    """A joint is at its position limit: the end stop may carry torque."""
+    NEAR_SINGULAR = 16
+    """The joints hardly feel a force in some direction that is asked for."""
+    MISFIT = 32
+    """The joint torques do not fit the assumed contact: a force from the side, a second contact, a
+    payload or an arm that is not the model's."""
+    STALE = 64
+    """A single time step was so long that the drift it would stand for spoils the tare: a long
+    pause, or a clock that was set. It stays until the next tare. While free motion is recorded for
+    one: what was recorded before is forgotten."""
+    VELOCITY = 128
+    """Measured velocities are not the rate of the measured positions: other units, another sign,
+    another order of the joints, or far too late. The message names the joints."""
+
+
+class WrenchEstimate(NamedTuple):
+    """Force and torque that the environment exerts on the tool, at a named frame.
+
+    Every number is finite.
+
+    Attributes:
+        axial: Axial force [N]: resistance to insertion, positive when tissue pushes back.
+        axial_std: Its standard deviation [N]; `UNSEEN_STD` where nothing is known.
+        force: Force on the tool [N], shape (3,), in the estimator's axes, read-only.
+        torque: Torque on the tool about the frame's origin [Nm], shape (3,), read-only; zero in
+            the modes that assume none.
+        covariance: Of the estimated components, shape (k, k): k = 1 axial force [N^2], 3 force,
+            6 force and torque; in the estimator's axes.
+        conditioning: Ratio of the largest to the smallest standard deviation over directions in
+            the estimated space; 1e6 where a direction cannot be seen.
+        damping_share: Share of each true component that damping removes, 0 to 1, shape (k,).
+        residual: External joint torque after offset removal [Nm], shape (n,), read-only.
+        status: What the caller should know.
+        message: The reason, when the status is not OK or there is a caution.
+        misfit: Joint torque that no wrench of the assumed kind explains, rms over what its
+            covariance allows: about 1 when all is well; 0 where nothing is left to tell it by.
+        cautions: What may be wrong beyond the standard deviation.
+    """
+
+    axial: float
+    axial_std: float
+    force: NDArray[np.float64]
+    torque: NDArray[np.float64]
+    covariance: NDArray[np.float64]
+    conditioning: float
+    damping_share: NDArray[np.float64]
+    residual: NDArray[np.float64]
+    status: Status = Status.OK
+    message: str = ""
+    misfit: float = 0.0
+    cautions: Caution = Caution.NONE
+
+
+def unknown_wrench(joints: int, components: int) -> WrenchEstimate:
+    """An estimate that knows nothing, for a first sample that is bad.
+
+    Args:
+        joints: Number of joints.
+        components: Number of unknowns of the mode.
+    """
+    nothing, residual, share = np.zeros(3), np.zeros(joints), np.zeros(components)
+    unknown = np.diag(np.full(components, UNSEEN_STD**2))
+    for array in (nothing, residual, share, unknown):
+        array.setflags(write=False)
+    return WrenchEstimate(
+        0.0, UNSEEN_STD, nothing, nothing, unknown, MOST_CONDITIONING, share, residual
+    )
+
+
+# What the virtual sensor tells its caller in words.
+
+
+SETTLING = "the filters have just started, or a time step was longer than max_gap_s"
+NOT_TARED = "tare() has not been called"
+STALE = (
+    "since the tare a time step of minutes has come, a pause or a clock that was set; "
+    "axial_std holds for a pause: withdraw and tare again"
+)
+FORGOTTEN = (
+    "a time step of minutes has come while free motion was recorded, a pause or a clock that was "
+    "set; what was recorded before it is forgotten: move in free air again, then tare"
+)
+OTHER_KIND = (
+    "update() and update_external_torque() were mixed; a tare is of one kind of torque: keep to "
+    "one of the two, or start_recording() first"
+)
+
+
+def with_warnings(cautions: Caution, message: str, frozen: str, stale: str) -> tuple[Caution, str]:
+    """Cautions and message with what else is to be warned of.
+
+    Args:
+        cautions: So far.
+        message: So far.
+        frozen: What seems frozen, in words; empty if nothing does.
+        stale: What has become of the tare, in words; empty if nothing has.
+    """
+    if frozen:
+        cautions |= Caution.FROZEN
+    if stale:
+        cautions |= Caution.STALE
+    return cautions, "; ".join(filter(None, (frozen, stale, message)))

@@ -1,0 +1,190 @@
+r"""Inertial parameters of one rigid body as a vector of ten, and what makes them physical.
+
+The ten numbers, in Pinocchio's order, are linear in every torque the body causes:
+
+    phi = (m, m c_x, m c_y, m c_z, I_xx, I_xy, I_yy, I_xz, I_yz, I_zz),
+
+with c the centre of mass and I the inertia about the frame origin. A body with non-negative density
+exists for phi exactly when the pseudo-inertia
+
+    J(phi) = [[S, m c], [(m c)^T, m]],   S = tr(I)/2 - I,
+
+is positive semidefinite (Wensing, Kim, Slotine, "Linear matrix inequalities for physically
+consistent inertial parameter identification", RA-L 2018); that is m >= 0, a positive semidefinite
+inertia about the centre of mass, and principal moments that obey the triangle inequality.
+"""
+
+import numpy as np
+from numpy.typing import NDArray
+
+from urdf.errors import InertiaError
+
+# Tables carry a few digits: a thin rod, once rounded, may miss the boundary by this share.
+_ROUNDING = 1e-6
+# Share of the inertia about the origin that subtracting m c^2 may lose in double precision.
+_CANCELLATION = 1e-12
+# Where the six moments stand in a matrix, in the order of the parameters.
+_MOMENTS = ([0, 0, 1, 0, 1, 2], [0, 1, 1, 2, 2, 2])
+
+
+def inertia_matrix(parameters: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Return the inertia about the frame origin, shape (3, 3), kg m^2."""
+    xx, xy, yy, xz, yz, zz = parameters[4:]
+    return np.array([[xx, xy, xz], [xy, yy, yz], [xz, yz, zz]])
+
+
+def pseudo_inertia(parameters: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Return J(phi), shape (4, 4), for ten parameters."""
+    inertia = inertia_matrix(parameters)
+    matrix = np.empty((4, 4))
+    matrix[:3, :3] = 0.5 * np.trace(inertia) * np.eye(3) - inertia
+    matrix[:3, 3] = matrix[3, :3] = parameters[1:4]
+    matrix[3, 3] = parameters[0]
+    return matrix
+
+
+def from_pseudo_inertia(matrix: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Return the ten parameters of a pseudo-inertia; the inverse of `pseudo_inertia`."""
+    second = matrix[:3, :3]
+    inertia = np.trace(second) * np.eye(3) - second
+    return np.concatenate([[matrix[3, 3]], matrix[:3, 3], inertia[_MOMENTS]])
+
+
+def parameters_about_com(
+    mass_kg: float, com_m: NDArray[np.float64], inertia_kg_m2: NDArray[np.float64]
+) -> NDArray[np.float64]:
+    """Return the ten parameters of a body given by its inertia about the centre of mass."""
+    steiner = mass_kg * (com_m @ com_m * np.eye(3) - np.outer(com_m, com_m))
+    about_origin = inertia_kg_m2 + steiner
+    return np.concatenate([[mass_kg], mass_kg * com_m, about_origin[_MOMENTS]])
+
+
+def inertia_about_com(parameters: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Return the inertia about the centre of mass, shape (3, 3), kg m^2; needs a non-zero mass."""
+    mass, first = parameters[0], parameters[1:4]
+    return inertia_matrix(parameters) - (first @ first * np.eye(3) - np.outer(first, first)) / mass
+
+
+def moved_parameters(
+    parameters: NDArray[np.float64],
+    rotation: NDArray[np.float64],
+    translation_m: NDArray[np.float64],
+) -> NDArray[np.float64]:
+    """Describe the same body in another frame, where its points p are at R p + t.
+
+    The pseudo-inertia transforms as T J T^T with T = [[R, t], [0, 1]], so the map is linear in phi.
+    """
+    transform = np.eye(4)
+    transform[:3, :3] = rotation
+    transform[:3, 3] = translation_m
+    return from_pseudo_inertia(transform @ pseudo_inertia(parameters) @ transform.T)
+
+
+def require_mass(parameters: NDArray[np.float64], owner: str) -> None:
+    """Check that parameters without mass are those of no body at all.
+
+    Args:
+        parameters: Ten parameters, shape (10,).
+        owner: What they belong to, for the message.
+
+    Raises:
+        InertiaError: No mass, but moments.
+    """
+    if parameters[0] == 0.0 and np.any(parameters):
+        raise InertiaError(f"{owner}: mass is 0 kg but its moments are not; give it a mass")
+
+
+def require_physical(parameters: NDArray[np.float64], owner: str) -> None:
+    """Check that a rigid body can have these parameters (to the rounding of a written table).
+
+    Args:
+        parameters: Ten parameters, shape (10,).
+        owner: What they belong to, for the message.
+
+    Raises:
+        InertiaError: Not finite, negative mass, massless with moments, an inertia about the centre
+            of mass that is not positive semidefinite, or principal moments that break the triangle
+            inequality.
+    """
+    if not np.isfinite(parameters).all():
+        raise InertiaError(f"{owner}: inertial parameters are not finite: {parameters.tolist()}")
+    mass = parameters[0]
+    if mass < 0.0:
+        raise InertiaError(f"{owner}: mass is {mass:g} kg, expected a positive mass")
+    if mass == 0.0:
+        require_mass(parameters, owner)
+        return
+    moments = np.linalg.eigvalsh(inertia_about_com(parameters))
+    slack = _ROUNDING * moments[2] + _CANCELLATION * np.trace(inertia_matrix(parameters))
+    shown = ", ".join(f"{moment:.6g}" for moment in moments)
+    if moments[0] < -slack:
+        raise InertiaError(
+            f"{owner}: inertia about the centre of mass is not positive definite "
+            f"(principal moments {shown} kg m^2); check signs and the frame it is expressed in"
+        )
+    if moments[0] + moments[1] < moments[2] - slack:
+        raise InertiaError(
+            f"{owner}: principal moments {shown} kg m^2 break the triangle inequality (the largest "
+            f"exceeds the sum of the others by {moments[2] - moments[0] - moments[1]:.3g} kg m^2)"
+        )
+
+
+# The rigid body nearest to a least-squares answer that is none.
+
+
+# Weight of directions the data say nothing about, against the strongest: enough to settle them.
+_PRIOR = 1e-6
+# The barrier shrinks from a tenth of the cost's scale until it no longer matters.
+_BARRIERS = np.logspace(-1, -14, 27)
+_BASIS = np.array([pseudo_inertia(unit) for unit in np.eye(10)])
+
+
+def nearest_body(
+    solution: NDArray[np.float64], information_root: NDArray[np.float64]
+) -> NDArray[np.float64]:
+    """Return the consistent parameters of least cost ``|R (phi - solution)|^2``.
+
+    The consistent parameters are a convex cone, J(phi) positive semidefinite, so there is one
+    answer. It is approached from inside by Newton's method with a barrier ``-mu log det J(phi)``
+    whose weight shrinks; the cost ends within 4 mu of the least.
+
+    Args:
+        solution: Ten parameters in units in which they are of comparable size, shape (10,).
+        information_root: R, shape (10, 10).
+    """
+    strongest = np.linalg.norm(information_root, 2)
+    root = np.vstack([information_root / strongest, _PRIOR * np.eye(10)])
+    hessian = root.T @ root
+    size = max(float(np.linalg.norm(solution)), 1e-12)
+    parameters = np.array([1.0, 0, 0, 0, 1, 0, 1, 0, 0, 1]) * size
+    for barrier in _BARRIERS * size**2:
+        parameters = _centre(parameters, solution, hessian, barrier)
+    return parameters
+
+
+def is_consistent(parameters: NDArray[np.float64]) -> bool:
+    """Whether the pseudo-inertia is positive semidefinite, exactly: no allowance for rounding."""
+    return bool(np.linalg.eigvalsh(pseudo_inertia(parameters))[0] >= 0.0)
+
+
+def _centre(
+    parameters: NDArray[np.float64],
+    solution: NDArray[np.float64],
+    hessian: NDArray[np.float64],
+    barrier: float,
+) -> NDArray[np.float64]:
+    """Minimise half the cost plus the barrier, starting from inside the cone.
+
+    The sum divided by ``barrier`` is self-concordant: a Newton step shortened by 1 / (1 + its
+    decrement) never leaves the cone and always descends (Boyd and Vandenberghe, section 9.6).
+    """
+    for _ in range(100):
+        scaled = np.linalg.solve(pseudo_inertia(parameters), _BASIS)
+        slope = hessian @ (parameters - solution) / barrier - np.trace(scaled, axis1=1, axis2=2)
+        curvature = hessian / barrier + np.einsum("aij,bji->ab", scaled, scaled)
+        step = np.linalg.solve(curvature, slope)
+        decrement = float(np.sqrt(max(slope @ step, 0.0)))
+        parameters = parameters - step / (1.0 + decrement)
+        if decrement < 1e-3:
+            break
+    return parameters
