@@ -165,7 +165,7 @@ class Benchmark:
     needs: tuple[str, ...] = ()
     seeds: int | None = None
     is_default: bool = True
-    plants: tuple[str, ...] = ("realistic",)
+    plants: tuple[str, ...] = ("clean",)
     needs_arm: bool = True
 
     @property

@@ -19,7 +19,7 @@ from scipy.signal import lfilter
 from benchmarks.signals import InsertionTruth, NeedleSignal, truth_of_needle
 from groundtruth import SCENARIOS, Rupture, Scenario, insert_needle
 from groundtruth.motion import constant_motion
-from identification import DEFAULT
+from identification import MULTILAYER
 
 # The noise of a force reading as a stationary process, measured where nothing ruptures.
 
@@ -83,11 +83,11 @@ def whitener(covariance: Array) -> Array:
     return np.asarray(np.linalg.cholesky(matrix), dtype=np.float64)
 
 
-LOOK_m = DEFAULT.second_look_m
+LOOK_m = MULTILAYER.second_look_m
 """Travel after a rupture by which its layer is identified for good."""
 BLOCK_s = 0.02
 MOST_BLOCKS = 1000
-ONSET_m = DEFAULT.cutting_onset_m
+ONSET_m = MULTILAYER.cutting_onset_m
 """Travel over which the cutting force of a layer builds up."""
 CUTTING_SHARE = 0.12
 """Root mean square share of cutting in the tip force of drawn layers (0 to 0.2)."""
@@ -208,7 +208,7 @@ def _tick_s(truth: InsertionTruth) -> float:
 # there would be without it, and the colour of the noise.
 
 
-INTERVAL_s = DEFAULT.false_alarm_interval_s
+INTERVAL_s = MULTILAYER.false_alarm_interval_s
 """Between false alarms."""
 BEFORE_s = 0.3
 """Past of the noise that is known: what wanders slowly is taken off by it."""

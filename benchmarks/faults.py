@@ -12,12 +12,12 @@ from rich.table import Table
 from scipy.signal import lfilter
 
 from benchmarks.methods import on_lwr
-from groundtruth import ARM_LEVELS, Motion, Run, Scenario, simulate
+from groundtruth import PLANT_MODELS, Motion, Run, Scenario, simulate
 from groundtruth.arm_plant import lwr_bodies
 from groundtruth.materials import gel
 from groundtruth.motion import Profile, Stroke
 from needleforce import InsertionSession, SessionEstimate, SessionSnapshot
-from residual import DEFAULT, Caution, Status, TareError
+from residual import DEFAULT, SensorWarning, Status, TareError
 from urdf import Payload, Robot, load_lwr
 
 # A stretch of joint signals that can be cut, bent and joined.
@@ -188,11 +188,11 @@ def late(force_N: Array, *, with_velocity: bool = True) -> Array:
 
 def _told(found: list[SessionEstimate]) -> tuple[str, ...]:
     statuses = {e.status for e in found} - {Status.OK}
-    cautions = Caution.NONE
+    warnings = SensorWarning.NONE
     for estimate in found:
-        cautions |= estimate.cautions
+        warnings |= estimate.warnings
     words = [status.value for status in Status if status in statuses]
-    return (*words, *(str(one.name) for one in Caution if one in cautions and one))
+    return (*words, *(str(one.name) for one in SensorWarning if one in warnings and one))
 
 
 def is_finite(value: object) -> bool:
@@ -455,7 +455,7 @@ def detour(run: Run, stream: FaultStream, target_rad: Array, stop_Nm: Array) -> 
     q = start + share[:, None] * (target_rad - start)
     dq, ddq = rate[:, None] * (target_rad - start), change[:, None] * (target_rad - start)
     mass_seed, _ = np.random.SeedSequence(run.seed).spawn(2)
-    level = ARM_LEVELS[run.arm]
+    level = PLANT_MODELS[run.plant]
     model = lwr_bodies(run.tool, level, np.random.default_rng(mass_seed)).model()
     data = model.createData()
     ideal = np.array([pin.rnea(model, data, *row) for row in zip(q, dq, ddq, strict=True)])
@@ -539,7 +539,7 @@ def tare_in_contact(run: Run, at: int) -> FaultResult:
     except TareError:
         told = "TareError"
     after = feed(session, stream_of(run, at, count, nothing))
-    session.start_recording()
+    session.start_tare_recording()
     # The robot is driven back to the start while nobody listens.
     again = stream_of(run, 0, tare_index(run), nothing)
     again.dt_s[0] = 1.0
@@ -601,7 +601,7 @@ def _lighter(robot: Robot) -> Robot:
 # All faults, one after the other, on the same insertion.
 
 
-SCENARIO, ARM = "gel-70-constant", "realistic"
+SCENARIO, ARM = "gel-70-constant", "clean"
 DEPTH_M = 20e-3
 """Where the faults strike: in the gel, which ends at 32 mm."""
 LEAD, BEYOND = 300, 3000

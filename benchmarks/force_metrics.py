@@ -86,12 +86,12 @@ GAIN_per_s = 50.0
 
 
 def residual_metrics(run: Run, signals: JointSignals) -> list[Measurement]:
-    """Error of a plain observer on a textbook arm; nothing on any other.
+    """Error of a plain observer on a ideal arm; nothing on any other.
 
     The ideal is r' = K (external torque - r) with the true torque's mean over each tick, solved
     exactly: row k of the truth, the tick from sample k to the next, gives the value at k + 1.
     """
-    if run.arm != "textbook":
+    if run.plant != "ideal":
         return []
     residual = joint_residual(run.robot, signals, GAIN_per_s, alignment="hold")
     decay = np.exp(-GAIN_per_s * np.median(signals.dt_s))

@@ -13,9 +13,17 @@ from benchmarks.errors import DataError
 from benchmarks.rows import Method, Source
 from benchmarks.signals import InsertionTruth, JointSignals, NeedleSignal
 from groundtruth import Run
-from identification import DEFAULT, PAPER, DefaultConfig, LayerEstimate, PaperConfig, Replay, replay
-from residual import DEFAULT as DEFAULT_residual
-from residual import PAPER as PAPER_residual
+from identification import (
+    MULTILAYER,
+    PUBLISHED,
+    LayerEstimate,
+    MultilayerConfig,
+    PublishedConfig,
+    Replay,
+    replay,
+)
+from residual import DEFAULT as DEFAULT_SENSOR
+from residual import PUBLISHED as PUBLISHED_SENSOR
 from residual import FrictionModel, MomentumObserver, SensorConfig, VirtualForceSensor
 from residual.momentum_observer import Alignment
 from urdf import LWR_GEAR_RATIO, Robot
@@ -82,8 +90,8 @@ def cumulative_friction_Ns_per_m(alarms: Iterable[Alarm]) -> float:
 
 Array = NDArray[np.float64]
 
-IDENTIFIERS: Mapping[Method, DefaultConfig | PaperConfig] = MappingProxyType(
-    {"default": DEFAULT, "paper": PAPER}
+IDENTIFIERS: Mapping[Method, MultilayerConfig | PublishedConfig] = MappingProxyType(
+    {"default": MULTILAYER, "published": PUBLISHED}
 )
 """By the name they are reported under; one configuration each for every run."""
 
@@ -123,16 +131,16 @@ def identify(
     signal: NeedleSignal,
     truth: InsertionTruth,
     method: Method,
-    config: DefaultConfig | PaperConfig | None = None,
+    config: MultilayerConfig | PublishedConfig | None = None,
 ) -> Identified:
     """Feed a method from the end of the tare to the end of the run.
 
-    `default` finds first contact by itself. `paper` assumes it known, and is told: the one thing
-    of the truth that an identifier sees here.
+    `default` finds first contact by itself. `published` assumes it known, and is told: the one
+    thing of the truth that an identifier sees here.
     """
     start = int(np.searchsorted(truth.t_s, truth.tare_end_s))
     config = IDENTIFIERS[method] if config is None else config
-    if isinstance(config, PaperConfig):
+    if isinstance(config, PublishedConfig):
         touch = float(np.interp(truth.contact_s, truth.t_s, signal.depth_m))
         config = replace(config, contact_depth_m=touch)
     result = replay(
@@ -286,7 +294,7 @@ def joint_residual(
 
 
 METHODS: Mapping[Method, SensorConfig] = MappingProxyType(
-    {"default": DEFAULT_residual, "paper": PAPER_residual}
+    {"default": DEFAULT_SENSOR, "published": PUBLISHED_SENSOR}
 )
 """By the name they are reported under."""
 

@@ -14,7 +14,7 @@ from scipy.ndimage import uniform_filter1d
 from benchmarks.benchmark import Findings, Job, Progress
 from benchmarks.metric_catalogue import Measurement
 from benchmarks.signals import tool_jacobians
-from groundtruth import ARM_LEVELS, ArmLevel, Run, simulate
+from groundtruth import PLANT_MODELS, PlantModel, Run, simulate
 from residual import KalmanObserver, MomentumObserver
 
 SCENARIO = "gel-70-constant"
@@ -28,7 +28,7 @@ Array = NDArray[np.float64]
 
 def run_observers(job: Job, progress: Progress) -> Findings:
     """Best error of every observer; nothing on an arm without velocities or without noise."""
-    level = ARM_LEVELS[job.plant]
+    level = PLANT_MODELS[job.plant]
     if not level.velocity_noise_std_rad_s:
         progress(1.0)
         return Findings([])
@@ -45,7 +45,9 @@ def run_observers(job: Job, progress: Progress) -> Findings:
     return Findings(found)
 
 
-def _observers(run: Run, level: ArmLevel) -> dict[str, Iterable[MomentumObserver | KalmanObserver]]:
+def _observers(
+    run: Run, level: PlantModel
+) -> dict[str, Iterable[MomentumObserver | KalmanObserver]]:
     robot, noise = run.robot, np.array(level.torque_noise_std_Nm)
     speed_noise = level.velocity_noise_std_rad_s or 0.0
     smoothed = [MomentumObserver(robot, gain, alignment="hold") for gain in GAINS_per_s]

@@ -24,7 +24,7 @@ from benchmarks.paper_figures import (
 )
 from benchmarks.signals import ForceTruth, InsertionTruth, NeedleSignal
 from benchmarks.targets import GELS, PUBLISHED_RMSE_N
-from identification import PAPER, PAPER_KV, OfflineIdentification, PaperConfig
+from identification import PUBLISHED, PUBLISHED_KV, OfflineIdentification, PublishedConfig
 from identification.interaction_model import Model, regression_matrix
 from needleforce.plots import Chart, Curve, Instants, LineStyle, Panel, Shading, palette, save_svg
 
@@ -33,7 +33,7 @@ Array = NDArray[np.float64]
 OURS = ("virtual", "default")
 STYLES: dict[tuple[str, str], tuple[str, LineStyle]] = {
     ("ft", "default"): ("F/T sensor", palette.OTHER_SENSOR),
-    ("virtual", "paper"): ("virtual, published", palette.PAPER),
+    ("virtual", "published"): ("virtual, published", palette.PUBLISHED),
     OURS: ("virtual, ours", palette.OURS),
 }
 """In the order of drawing, ours on top."""
@@ -233,7 +233,7 @@ def _curves(
         Curve(style=palette.PREDICTED, x=own, y=_predicted(item), label="predicted"),
         *_others(axis, other, ft),
         Curve(
-            style=palette.OURS if is_ours else palette.PAPER,
+            style=palette.OURS if is_ours else palette.PUBLISHED,
             x=own,
             y=item.enhanced_N,
             label="enhanced, ours" if is_ours else "enhanced, published",
@@ -252,7 +252,7 @@ def _others(
     if other is not None:
         label = "enhanced, published, KV"
         curves.append(
-            Curve(style=palette.PAPER_KV, x=x[other.start :], y=other.enhanced_N, label=label)
+            Curve(style=palette.PUBLISHED_KV, x=x[other.start :], y=other.enhanced_N, label=label)
         )
     return curves
 
@@ -324,13 +324,13 @@ def parameter_chart(
     """
     axis = InsertionAxis(truth)
     drawn: list[tuple[Identified, LineStyle, str]] = [
-        (published, palette.PAPER, "published"),
+        (published, palette.PUBLISHED, "published"),
         (ours, palette.OURS, "ours"),
     ]
     if on_ft is not None:
         drawn.insert(0, (on_ft, palette.OTHER_DASHED, "ours on the F/T reading"))
     if kelvin_voigt is not None:
-        drawn.insert(0, (kelvin_voigt, palette.PAPER_KV, "published, Kelvin-Voigt"))
+        drawn.insert(0, (kelvin_voigt, palette.PUBLISHED_KV, "published, Kelvin-Voigt"))
     true = true_friction(truth)
     panels = []
     for name, label in PANELS:
@@ -393,7 +393,7 @@ def _limits(axis: InsertionAxis, curves: Sequence[Curve]) -> tuple[float, float]
 AFTER_s = 1.0
 NOT_FITTED = "#f0ead8"
 MODELS: tuple[tuple[Model, str, LineStyle], ...] = (
-    ("kv", "Kelvin-Voigt", palette.PAPER_KV),
+    ("kv", "Kelvin-Voigt", palette.PUBLISHED_KV),
     ("ml", "multi-layer", palette.OURS),
 )
 
@@ -547,7 +547,8 @@ def draw_forces(book: Sketchbook, truth: ForceTruth, readings: Sequence[ForceRea
 def _facts(scenario: str, truth: ForceTruth, readings: Sequence[ForceReading]) -> tuple[Fact, ...]:
     by_key = {(item.source, item.method): item for item in readings}
     ft, paper, ours = (
-        by_key.get(key) for key in (("ft", "default"), ("virtual", "paper"), ("virtual", "default"))
+        by_key.get(key)
+        for key in (("ft", "default"), ("virtual", "published"), ("virtual", "default"))
     )
     if ft is None or paper is None or ours is None:
         return ()
@@ -614,12 +615,12 @@ def sigma1_N(figure: str, source: str) -> float:
     return SIGMA1_OF_FIGURE_N.get(figure, SIGMA1_N[source])
 
 
-def tuned_paper(
+def tuned_published(
     signal: NeedleSignal,
     truth: InsertionTruth,
     commanded_m_s: NDArray[np.float64],
     figure: str = "",
-    config: PaperConfig = PAPER,
+    config: PublishedConfig = PUBLISHED,
 ) -> Identified:
     """Run it with the commanded speed and the figure's own σ₁.
 
@@ -628,17 +629,17 @@ def tuned_paper(
         truth: Of the run.
         commanded_m_s: Speed as the robot was told, shape (n,).
         figure: Of the paper; empty for none.
-        config: `PAPER` or `PAPER_KV`.
+        config: `PUBLISHED` or `PUBLISHED_KV`.
     """
     quiet = replace(signal, speed_m_s=commanded_m_s)
     tuned = replace(config, sigma1_N=sigma1_N(figure, signal.source))
-    return identify(quiet, truth, "paper", tuned)
+    return identify(quiet, truth, "published", tuned)
 
 
 # Draws the friction compensation in one run: Figures 8, 9, 11 to 14, and other runs.
 
 
-OURS_enhanced_drawings, PUBLISHED = "ours", "as published"
+OURS_enhanced_drawings, AS_PUBLISHED = "ours", "as published"
 ALT_enhanced_drawings = "Axial force given, predicted and without friction, beside the truth, "
 PARAMETERS = (
     "What was identified, from above: stiffness and friction of the layer the tip is in, and the "
@@ -686,7 +687,7 @@ def draw_enhanced(book: Sketchbook, figure: str, truth: InsertionTruth, told: Co
 def _draw_published(book: Sketchbook, figure: str, truth: InsertionTruth, told: Compared) -> None:
     source, item = told.ours.source, told.tuned
     panel = "a" if figure else ""
-    title = book.title(figure, panel, f"{READINGS[source]}, {PUBLISHED}")
+    title = book.title(figure, panel, f"{READINGS[source]}, {AS_PUBLISHED}")
     none = "" if item.alarms else " No rupture was detected, so nothing is taken off."
     friction = cumulative_friction_Ns_per_m(item.alarms)
     book.add(
@@ -694,7 +695,7 @@ def _draw_published(book: Sketchbook, figure: str, truth: InsertionTruth, told: 
         f"{source}-paper",
         figure=figure,
         panel=panel,
-        alt=ALT_enhanced_drawings + PUBLISHED,
+        alt=ALT_enhanced_drawings + AS_PUBLISHED,
         caption="The published method as its authors ran it: commanded speed, "
         f"σ₁ = {sigma1_N(figure, source):g} N.{none}",
         tuned_friction_Ns_per_m=friction if source == "ft" else math.nan,
@@ -849,12 +850,12 @@ def identification_drawings(
         if not figure and source != _usual_source(job, found):
             continue
         is_ft = source == "ft"
-        given, has_kv = signals["paper"], bool(figure) and is_ft
+        given, has_kv = signals["published"], bool(figure) and is_ft
         told = Compared(
             ours=by_method["default"],
-            tuned=tuned_paper(given, truth, commanded_m_s, figure),
-            published=by_method["paper"],
-            kelvin_voigt=tuned_paper(given, truth, commanded_m_s, figure, PAPER_KV)
+            tuned=tuned_published(given, truth, commanded_m_s, figure),
+            published=by_method["published"],
+            kelvin_voigt=tuned_published(given, truth, commanded_m_s, figure, PUBLISHED_KV)
             if has_kv
             else None,
             ft=None if is_ft else ft,

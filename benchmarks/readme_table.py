@@ -70,14 +70,14 @@ def _forces(rows: Sequence[Row]) -> Iterator[str]:
         "and, in brackets, the worst. *real arm*: what the paper measured on its LWR 4+ (Figure 5)."
     )
     yield ""
-    heads = [f"{plant}, {method}" for plant in plants for method in ("paper", "ours")]
+    heads = [f"{plant}, {method}" for plant in plants for method in ("published", "ours")]
     yield _line("scenario", *heads, "real arm")
     yield _line("---", *("---:" for _ in (*heads, "")))
     for scenario in dict.fromkeys(row.scenario for row in wanted):
         cells = [
             _summary([row.value for row in wanted if _key(row) == (scenario, plant, method)])
             for plant in plants
-            for method in ("paper", "default")
+            for method in ("published", "default")
         ]
         published = PUBLISHED_RMSE_N.get(scenario)
         yield _line(f"`{scenario}`", *cells, NOTHING if published is None else f"{published:g}")

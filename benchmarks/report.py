@@ -35,7 +35,7 @@ from needleforce.plots.page import PAGE
 # Cumulative friction of the single gels, gathered from the rows of a run.
 
 
-PLANTS = ("realistic", "hard", "textbook", "needle")
+PLANTS = ("clean", "degraded", "ideal", "needle")
 """The first of these on which gels were run is shown."""
 SPEEDS = ("constant", "sinusoidal")
 PERCENTS = (25, 50, 70)
@@ -110,8 +110,8 @@ def gel_friction(rows: Iterable[Row], drawings: Iterable[Drawing]) -> GelFrictio
 
 
 ONLINE = (
-    ("published, tuned, F/T", "tuned", "ft", "paper"),
-    ("published, F/T", "online", "ft", "paper"),
+    ("published, tuned, F/T", "tuned", "ft", "published"),
+    ("published, F/T", "online", "ft", "published"),
     ("ours, F/T", "online", "ft", "default"),
     ("ours, virtual", "online", "virtual", "default"),
 )
@@ -271,7 +271,7 @@ def _facts(item: PaperFigure, mine: Sequence[Drawing]) -> tuple[PageTable, ...]:
     return (
         PageTable(
             caption=f"Figure {item.number}, in numbers",
-            head=("", "paper", *(head for head, _ in facts[0].here)),
+            head=("", "published", *(head for head, _ in facts[0].here)),
             rows=tuple(
                 (fact.what, fact.paper, *(value for _, value in fact.here)) for fact in facts
             ),
@@ -288,7 +288,7 @@ SERIES = (
     ("offline", "default", "ft", "^", "offline"),
     ("online", "default", "ft", "*", "ours, F/T"),
     ("online", "default", "virtual", "D", "ours, virtual"),
-    ("tuned", "paper", "ft", "x", "published"),
+    ("tuned", "published", "ft", "x", "published"),
 )
 """Kind, method, source, marker, words."""
 PAPER_PLACE, FIRST_PLACE, STEP = -0.36, -0.2, 0.14

@@ -11,7 +11,7 @@ from benchmarks.errors import ResultsError
 
 Source = Literal["ft", "virtual"]
 """Which force: read by the F/T sensor, or estimated from joint signals."""
-Method = Literal["paper", "default", "guess"]
+Method = Literal["published", "default", "guess"]
 """Whose method: as published, or ours. What does not depend on it stands under ``default``;
 ``guess`` is a rule of thumb that an identification worth having must beat."""
 

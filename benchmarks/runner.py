@@ -16,7 +16,7 @@ from benchmarks.errors import BenchmarkError, DataError, UnknownIdError
 from benchmarks.paper_figures import NEEDED
 from benchmarks.simulated import NEEDLE
 from benchmarks.targets import TISSUE
-from groundtruth import ARM_LEVELS, GroundTruthError
+from groundtruth import PLANT_MODELS, GroundTruthError
 from needleforce.plots import FiguresError
 from recordings import RecordingError
 from residual import ResidualError
@@ -25,7 +25,7 @@ from urdf import UrdfError
 ALL = "all"
 GROUPS = {"tissue": TISSUE}
 """Names that stand for several benchmarks; `ALL` for every one."""
-PLANTS = (*ARM_LEVELS, NEEDLE)
+PLANTS = (*PLANT_MODELS, NEEDLE)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

@@ -102,17 +102,17 @@ def arm_signals(case: SimulatedCase) -> list[Signals]:
     measured = measured_travel(case.run.robot, case.signals, case.run.tare_end_s)
     travel: dict[Method, MeasuredTravel] = {
         "default": measured,
-        "paper": smoothed(measured, case.signals.dt_s, PAPER_SPEED_s),
+        "published": smoothed(measured, case.signals.dt_s, PAPER_SPEED_s),
     }
     by_key = {(item.source, item.method): item for item in case.readings}
     ft = by_key["ft", "default"]
     wanted: list[tuple[Source, dict[Method, ForceReading]]] = [
-        ("ft", {"default": ft, "paper": ft}),
+        ("ft", {"default": ft, "published": ft}),
         (
             "virtual",
             {
                 "default": by_key["virtual", "default"],
-                "paper": by_key["virtual", "paper"],
+                "published": by_key["virtual", "published"],
             },
         ),
     ]
@@ -161,7 +161,7 @@ def run_needle(job: Job, chosen: Scenario, progress: Progress, *, is_drawn: bool
     run = insert_needle(chosen, seed=job.seed, noise=noise)
     progress(0.2)
     truth, signal = truth_of_needle(run), _signal_needle_benchmark(run)
-    signals: Signals = {"default": signal, "paper": signal}
+    signals: Signals = {"default": signal, "published": signal}
     identified = identify_all(signals, truth)
     measured = list(identification_metrics(signals, identified, truth))
     if job.drawings is None:

@@ -27,7 +27,7 @@ from recordings.open_table import open_table
 from residual import DEFAULT
 from urdf import NeedleTool, Robot, load_lwr
 
-SCENARIO, ARM = "gel-25-constant", "realistic"
+SCENARIO, ARM = "gel-25-constant", "clean"
 WINDOW = 20_000
 """Ticks of the first and of the last median: more than one cycle's worth of either."""
 SETTLED_S, STILL = 0.5, 1000

@@ -23,13 +23,13 @@ from benchmarks.targets import (
 from groundtruth import Scenario, insert_needle, simulate
 from groundtruth.materials import TABLE_I_SPEED_M_S, gel
 from groundtruth.motion import constant_motion
-from identification import DEFAULT as DEFAULT_IDENTIFIER
-from identification import PAPER as PAPER_IDENTIFIER
-from identification import DefaultConfig, Identifier, PaperConfig
+from identification import MULTILAYER as DEFAULT_IDENTIFIER
+from identification import PUBLISHED as PAPER_IDENTIFIER
+from identification import Identifier, MultilayerConfig, PublishedConfig
 from needleforce import InsertionSession
 from needleforce.jit import COMPILER
 from residual import DEFAULT, MomentumObserver, VirtualForceSensor
-from residual.bias_estimator import OffsetRemoval
+from residual.bias_estimator import BiasEstimator
 from urdf import Robot
 
 # Times ticks of several subjects side by side.
@@ -126,7 +126,7 @@ class ChainTick:
         robot: Robot,
         signals: JointSignals,
         tare: int,
-        identifier: DefaultConfig | PaperConfig = DEFAULT_IDENTIFIER,
+        identifier: MultilayerConfig | PublishedConfig = DEFAULT_IDENTIFIER,
     ) -> None:
         self._session = InsertionSession(robot, on_lwr(DEFAULT), identifier)
         # Lists: a controller has its sample at hand and need not cut it out of an array.
@@ -177,9 +177,9 @@ class GcPauses:
             self.pauses_us.append((perf_counter_ns() - self._start_ns) / NS_PER_US)
 
 
-SCENARIO, ARM = "stack-constant", "realistic"
+SCENARIO, ARM = "stack-constant", "clean"
 JITTER_s = 5e-5
-"""Of the uneven clock: that of the hard arm."""
+"""Of the uneven clock: that of the degraded arm."""
 OBSERVER, SENSOR = "observer", "sensor"
 UNEVEN_OBSERVER, UNEVEN_SENSOR = "observer, uneven clock", "sensor, uneven clock"
 CHAIN, CHAIN_WITHOUT_VELOCITY = "chain", "chain, velocity estimated"
@@ -271,7 +271,7 @@ def bare_sensor(robot: Robot, signals: JointSignals) -> Tick:
     positions, still = list(signals.q_rad), np.zeros(robot.nv)
     frame, axes = robot.tool_frame_id, pin.ReferenceFrame.LOCAL
     observer = _bare_observer(robot, signals)
-    ticks = round(OffsetRemoval.RENEW_S / float(np.median(signals.dt_s)))
+    ticks = round(BiasEstimator.RENEW_S / float(np.median(signals.dt_s)))
 
     def tick(k: int) -> None:
         observer(k)
@@ -338,7 +338,7 @@ def slab(seconds: float) -> Scenario:
     )
 
 
-def rerun_us(seconds: float, config: DefaultConfig | PaperConfig) -> float:
+def rerun_us(seconds: float, config: MultilayerConfig | PublishedConfig) -> float:
     """Time of the slowest tick from the first alarm until the last layer is identified [us].
 
     Of each tick the median of `REPEATS` equal insertions.
@@ -363,7 +363,7 @@ def rerun_us(seconds: float, config: DefaultConfig | PaperConfig) -> float:
 
 
 def _event_ticks_us(
-    samples: list[tuple[float, float, float]], config: DefaultConfig | PaperConfig
+    samples: list[tuple[float, float, float]], config: MultilayerConfig | PublishedConfig
 ) -> NDArray[np.float64]:
     """Times of the ticks from the first alarm to the last identification, zero elsewhere."""
     identifier, taken_us = Identifier(config), np.zeros(len(samples))

@@ -199,7 +199,7 @@ def force_table(rows: Iterable[Row]) -> Table | None:
     table = Table(title="Axial force against the true one", caption=CAPTION)
     table.add_column("scenario", no_wrap=True)
     table.add_column("arm", no_wrap=True)
-    for name in ("F/T", "paper", "default"):
+    for name in ("F/T", "published", "default"):
         table.add_column(f"{name}\nRMSE, N", justify="right")
     for name in ("default\n/ paper", "real arm\nN", "bias\nmN", "lag\nms", "within\n2 sigma"):
         table.add_column(name, justify="right")
@@ -219,7 +219,7 @@ def _cells(rows: Sequence[Row]) -> list[str]:
     rmse = "wrench_rmse_N"
     return [
         summary(values(rmse, source="ft"), ".3f"),
-        summary(values(rmse, method="paper"), ".3f"),
+        summary(values(rmse, method="published"), ".3f"),
         summary(values(rmse), ".3f"),
         summary(_ratios(rows), ".2f"),
         NOTHING if published is None else f"{published:g}",
@@ -236,7 +236,11 @@ def _ratios(rows: Sequence[Row]) -> list[float]:
         for row in rows
         if (row.metric, row.source) == ("wrench_rmse_N", "virtual")
     }
-    pairs = [(rmse[seed, "default"], rmse.get((seed, "paper"))) for seed, m in rmse if m != "paper"]
+    pairs = [
+        (rmse[seed, "default"], rmse.get((seed, "published")))
+        for seed, m in rmse
+        if m != "published"
+    ]
     return [ours / theirs for ours, theirs in pairs if theirs]
 
 
@@ -265,7 +269,7 @@ COLUMNS = (
     ("friction_error_mean_pct", "default", "ours", ".2f"),
     ("rupture_delay_bound_ms", "default", "delay, ms\nleast (bound)", ".1f"),
     ("rupture_delay_ms", "default", "ours", ".1f"),
-    ("rupture_delay_ms", "paper", "paper", ".1f"),
+    ("rupture_delay_ms", "published", "published", ".1f"),
 )
 """Metric, method, head, format."""
 
@@ -323,7 +327,7 @@ def verdict_table(found: Sequence[Verdict]) -> Table | None:
 
 def limits_text(target: Target) -> str:
     """The limits of a target for people."""
-    unit = "x paper" if target.of_paper else metric(target.metric).unit
+    unit = "x paper" if target.of_published else metric(target.metric).unit
     unit = "" if unit == "1" else f" {unit}"
     statistic = "" if target.statistic == "worst" else f" ({target.statistic})"
     if not math.isfinite(target.at_least):
@@ -395,7 +399,7 @@ def offline_table(rows: Iterable[Row]) -> Table | None:
 # The table of identification on recordings of real tissue.
 
 
-METHODS = ("guess", "paper", "default")
+METHODS = ("guess", "published", "default")
 
 
 def tissue_table(rows: Iterable[Row]) -> Table | None:

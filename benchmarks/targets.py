@@ -40,8 +40,8 @@ class Target:
         at_least: Lower limit, in the metric's unit.
         at_most: Upper limit.
         statistic: See `Statistic`.
-        of_paper: The limits are for the ratio to ``paper`` in the same run.
-        where_paper_tells: Runs in which ``paper`` has no such number are left out.
+        of_published: The limits are for the ratio to ``published`` in the same run.
+        where_paper_tells: Runs in which ``published`` has no such number are left out.
     """
 
     what: str
@@ -53,7 +53,7 @@ class Target:
     at_least: float = -math.inf
     at_most: float = math.inf
     statistic: Statistic = "worst"
-    of_paper: bool = False
+    of_published: bool = False
     where_paper_tells: bool = False
 
     def applies_to(self, row: Row) -> bool:
@@ -74,22 +74,22 @@ LAST_DIGIT_Nm = 0.01
 
 TARGETS: tuple[Target, ...] = (
     Target(
-        what="textbook arm: residual against the ideal filter",
+        what="ideal arm: residual against the ideal filter",
         metric="residual_rms_Nm",
-        plant="textbook",
+        plant="ideal",
         at_most=1e-4,
     ),
     Target(
-        what="realistic arm: axial force, each tissue",
+        what="clean arm: axial force, each tissue",
         metric="wrench_rmse_N",
-        plant="realistic",
+        plant="clean",
         scenarios=TISSUE,
         at_most=0.05,
     ),
     Target(
-        what="realistic arm: standard deviation to be believed, all runs together",
+        what="clean arm: standard deviation to be believed, all runs together",
         metric="wrench_coverage_2sigma",
-        plant="realistic",
+        plant="clean",
         scenarios=TISSUE,
         at_least=0.90,
         at_most=0.99,
@@ -97,19 +97,19 @@ TARGETS: tuple[Target, ...] = (
         statistic="mean",
     ),
     Target(
-        what="hard arm: axial force, each tissue",
+        what="degraded arm: axial force, each tissue",
         metric="wrench_rmse_N",
-        plant="hard",
+        plant="degraded",
         scenarios=TISSUE,
         at_most=0.12,
     ),
     Target(
-        what="hard arm: axial force as a share of the paper's method, each tissue",
+        what="degraded arm: axial force as a share of the paper's method, each tissue",
         metric="wrench_rmse_N",
-        plant="hard",
+        plant="degraded",
         scenarios=TISSUE,
         at_most=0.5,
-        of_paper=True,
+        of_published=True,
     ),
     *(
         Target(
@@ -152,7 +152,7 @@ layers found meanwhile and of caches that fill late is below it."""
 # hindsight.
 
 
-JUDGED_ON = (("ft", "needle"), ("ft", "realistic"), ("virtual", "realistic"))
+JUDGED_ON = (("ft", "needle"), ("ft", "clean"), ("virtual", "clean"))
 """Source and plant: the F/T sensor on the needle alone and on the arm, the virtual one on it."""
 FRICTION, DELAY = "friction_error_online_worst_pct", "rupture_delay_ms"
 PAPER_SHARE = 0.5
@@ -176,7 +176,7 @@ def _targets(source: str, plant: str) -> Iterator[Target]:
             metric=metric,
             scenarios=TISSUE,
             at_most=PAPER_SHARE,
-            of_paper=True,
+            of_published=True,
             where_paper_tells=True,
             # A single small error of the paper's method is luck.
             statistic="median",
@@ -294,9 +294,9 @@ def verdicts(rows: Iterable[Row], targets: Sequence[Target] = ALL_TARGETS) -> li
 
 def judged_value(target: Target, row: Row, by_key: Mapping[RowKey, Row]) -> float:
     """What a target looks at in one row: its value, or its ratio to the paper's."""
-    if not target.of_paper:
+    if not target.of_published:
         return row.value
-    paper = by_key.get(row.key._replace(method="paper"))
+    paper = by_key.get(row.key._replace(method="published"))
     return row.value / paper.value if paper is not None and paper.value != 0.0 else math.nan
 
 
@@ -304,7 +304,7 @@ def _is_judged(target: Target, row: Row, by_key: Mapping[RowKey, Row]) -> bool:
     """Whether a target looks at a row."""
     if not target.applies_to(row):
         return False
-    return not target.where_paper_tells or row.key._replace(method="paper") in by_key
+    return not target.where_paper_tells or row.key._replace(method="published") in by_key
 
 
 def _judge(target: Target, rows: Sequence[Row], by_key: Mapping[RowKey, Row]) -> Verdict:

@@ -10,7 +10,7 @@ from needleforce import InsertionSession
 from residual import Status
 
 LIMIT_N = 2.0
-arm = simulate("gel-70-constant", "realistic")  # one gel, a well-kept LWR 4+
+arm = simulate("gel-70-constant", "clean")  # one gel, a well-kept LWR 4+
 
 
 def read_arm():
@@ -26,7 +26,7 @@ for t_s, q, dq, tau in read_arm():
     if not session.tared and t_s > arm.tare_end_s:  # the needle is still in free air
         session.tare()
         gc.freeze()  # what lives until now lives on: the collector need not look at it again
-    if now.status is not Status.OK or now.cautions:
+    if now.status is not Status.OK or now.warnings:
         continue  # not a force of this tick, or one to be careful with: hold what you do
     if now.wrench.axial + 2.0 * now.wrench.axial_std > LIMIT_N:
         pass  # slow down, stop, ask

@@ -5,7 +5,7 @@ import numpy as np
 from groundtruth import simulate
 from needleforce import InsertionSession
 
-arm = simulate("gel-25-constant", "textbook")
+arm = simulate("gel-25-constant", "ideal")
 rng = np.random.default_rng(0)
 # What such a robot sends: the external torque, with an offset and some noise.
 estimates = arm.truth.external_torque_Nm + 0.2 + 0.02 * rng.standard_normal((len(arm.truth.t_s), 7))

@@ -6,7 +6,7 @@ from pathlib import Path
 from groundtruth import simulate
 from needleforce import InsertionSession, read_snapshot, write_snapshot
 
-arm = simulate("gel-25-constant", "realistic")
+arm = simulate("gel-25-constant", "clean")
 sent = arm.signals
 ticks = list(zip(sent.t_s.tolist(), sent.q_rad, sent.dq_rad_s, sent.tau_Nm, strict=True))
 middle = len(ticks) // 2

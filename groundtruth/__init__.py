@@ -4,28 +4,29 @@ Two simulations of one scenario: `insert_needle` moves the needle by itself, in 
 `simulate` has the arm move it, in MuJoCo, and reports what the arm's sensors read.
 
 Reading order: `scenario` and `scenarios` (what is simulated), `tissue_state` and `tissue` (the law
-of the tissue), `materials` and `arm_level` (every number and its reason), `needle_run`, `simulate`.
+of the tissue), `materials` and `plant_model` (every number and its reason), `needle_run`,
+`simulate`.
 """
 
-from groundtruth.arm_level import ARM_LEVELS, ArmLevel
 from groundtruth.errors import GroundTruthError
 from groundtruth.force_noise import ForceNoise
 from groundtruth.layers import Layer
 from groundtruth.motion import Motion
+from groundtruth.plant_model import PLANT_MODELS, PlantModel
 from groundtruth.scenarios import SCENARIOS, Scenario, random_stack, scenario
 from groundtruth.simulation import NeedleRun, Run, Signals, Truth, insert_needle, simulate
 from groundtruth.tissue import TissueForce, TissueLaw
 from groundtruth.tissue_truth import Rupture
 
 __all__ = [
-    "ARM_LEVELS",
+    "PLANT_MODELS",
     "SCENARIOS",
-    "ArmLevel",
     "ForceNoise",
     "GroundTruthError",
     "Layer",
     "Motion",
     "NeedleRun",
+    "PlantModel",
     "Run",
     "Rupture",
     "Scenario",

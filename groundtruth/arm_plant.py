@@ -7,8 +7,8 @@ import numpy as np
 import pinocchio as pin
 from numpy.typing import NDArray
 
-from groundtruth.arm_level import ArmLevel
-from groundtruth.errors import ArmLevelError, PlantError
+from groundtruth.errors import PlantError, PlantModelError
+from groundtruth.plant_model import PlantModel
 from groundtruth.tissue import TissueForce, TissueLaw, no_force
 from urdf import NeedleTool, Payload, Robot, load_lwr
 
@@ -64,12 +64,12 @@ def blend_link_parameters(
         Shape (n, 10).
 
     Raises:
-        ArmLevelError: The share lies outside [0, 1] or the tables differ in shape.
+        PlantModelError: The share lies outside [0, 1] or the tables differ in shape.
     """
     if not 0.0 <= cad_share <= 1.0:
-        raise ArmLevelError(f"share of the CAD table is {cad_share}; expected a number in [0, 1]")
+        raise PlantModelError(f"share of the CAD table is {cad_share}; expected a number in [0, 1]")
     if nominal.shape != cad.shape:
-        raise ArmLevelError(
+        raise PlantModelError(
             f"link tables have shapes {nominal.shape} and {cad.shape}; "
             "expected the same number of links in both"
         )
@@ -113,7 +113,7 @@ class PlantBodies:
         return model
 
 
-def lwr_bodies(tool: NeedleTool, level: ArmLevel, rng: np.random.Generator) -> PlantBodies:
+def lwr_bodies(tool: NeedleTool, level: PlantModel, rng: np.random.Generator) -> PlantBodies:
     """Draw the true LWR 4+ with its needle for one seed.
 
     Args:

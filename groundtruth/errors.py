@@ -28,7 +28,7 @@ class RunError(GroundTruthError, ValueError):
     """A simulation asked for with settings it cannot use (rate, sub-steps, traces)."""
 
 
-class ArmLevelError(GroundTruthError, ValueError):
+class PlantModelError(GroundTruthError, ValueError):
     """An unknown arm level, or link tables that cannot be blended."""
 
 

@@ -19,14 +19,14 @@ from groundtruth.materials import (
     gel,
 )
 from groundtruth.motion import Motion, constant_motion, free_motion, sinusoidal_motion
-from groundtruth.textbook_tissue import TextbookTissue
+from groundtruth.multilayer_tissue import MultilayerTissue
 from groundtruth.tissue import Tissue, TissueLaw
 
 # A scenario: what is pierced, how the needle moves, and by which law the tissue answers.
 
 
-LawName = Literal["tissue", "textbook"]
-LAWS = {"tissue": Tissue, "textbook": TextbookTissue}
+LawName = Literal["tissue", "multilayer"]
+LAWS = {"tissue": Tissue, "multilayer": MultilayerTissue}
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -38,7 +38,7 @@ class Scenario:
         title: One line for people.
         layers: First the one the needle meets first; none for free motion.
         motion: Motion of the needle tip relative to the undeformed surface.
-        law: `tissue` (realistic) or `textbook` (exactly equation 3).
+        law: `tissue` (realistic) or `multilayer` (exactly equation 3).
     """
 
     id: str

@@ -3,7 +3,7 @@
 import numpy as np
 from numpy.typing import NDArray
 
-from groundtruth.arm_level import ArmLevel
+from groundtruth.plant_model import PlantModel
 from urdf import LWR_GEAR_RATIO
 
 Array = NDArray[np.float64]
@@ -16,7 +16,7 @@ def measured_torque(
     q_rad: Array,
     tick_s: float,
     limit_Nm: Array,
-    level: ArmLevel,
+    level: PlantModel,
     rng: np.random.Generator,
 ) -> Array:
     """Pass true torques through the sensor: hysteresis, ripple, offset, drift, noise.
@@ -65,14 +65,14 @@ def play(signal: Array, half_width: Array) -> Array:
     return out
 
 
-def _signed_uniform(level: ArmLevel, rng: np.random.Generator) -> Array:
+def _signed_uniform(level: PlantModel, rng: np.random.Generator) -> Array:
     """Offset per joint: magnitude uniform, sign by coin."""
     size = rng.uniform(level.torque_bias_min_Nm, level.torque_bias_max_Nm)
     return size * rng.choice((-1.0, 1.0), size.shape)
 
 
 def _drift_share(
-    shape: tuple[int, ...], tick_s: float, level: ArmLevel, rng: np.random.Generator
+    shape: tuple[int, ...], tick_s: float, level: PlantModel, rng: np.random.Generator
 ) -> Array:
     """Linear drift and a random walk, from zero, as shares of the limit."""
     minutes = np.arange(shape[0]) * (tick_s / SECONDS_PER_MINUTE)
@@ -85,7 +85,7 @@ def _drift_share(
 # Joint position and velocity as the robot's interface reports them.
 
 
-def measured_position(q_rad: Array, level: ArmLevel, rng: np.random.Generator) -> Array:
+def measured_position(q_rad: Array, level: PlantModel, rng: np.random.Generator) -> Array:
     """Add noise, then round to the encoder's step.
 
     Args:
@@ -98,7 +98,7 @@ def measured_position(q_rad: Array, level: ArmLevel, rng: np.random.Generator) -
     return np.round(noisy / step) * step if step > 0.0 else noisy
 
 
-def measured_velocity(dq_rad_s: Array, level: ArmLevel, rng: np.random.Generator) -> Array | None:
+def measured_velocity(dq_rad_s: Array, level: PlantModel, rng: np.random.Generator) -> Array | None:
     """Add noise; None on an interface that reports no velocity.
 
     Args:
@@ -114,7 +114,7 @@ def measured_velocity(dq_rad_s: Array, level: ArmLevel, rng: np.random.Generator
 
 
 def measured_wrench(
-    wrench: Array, tick_s: float, level: ArmLevel, rng: np.random.Generator
+    wrench: Array, tick_s: float, level: PlantModel, rng: np.random.Generator
 ) -> Array:
     """Add white noise and a linear drift from zero (the sensor was biased without load).
 
@@ -138,7 +138,7 @@ _JITTER_LIMIT = 0.4
 
 
 def stamps(
-    true_s: NDArray[np.float64], tick_s: float, level: ArmLevel, rng: np.random.Generator
+    true_s: NDArray[np.float64], tick_s: float, level: PlantModel, rng: np.random.Generator
 ) -> NDArray[np.float64]:
     """Time stamps as written: the true instants with the clock's jitter.
 
@@ -154,7 +154,7 @@ def stamps(
     return true_s + np.clip(error, -_JITTER_LIMIT * tick_s, _JITTER_LIMIT * tick_s)
 
 
-def received(count: int, level: ArmLevel, rng: np.random.Generator) -> NDArray[np.intp]:
+def received(count: int, level: PlantModel, rng: np.random.Generator) -> NDArray[np.intp]:
     """Which samples arrive; the first and the last always do.
 
     Args:

@@ -7,11 +7,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from groundtruth.arm_control import ArmTrace, drive, joint_reference, scenario_motion, scenario_path
-from groundtruth.arm_level import ArmLevel, arm_level
 from groundtruth.arm_plant import ArmPlant, TICK_s, TissueContact, lwr_bodies
 from groundtruth.errors import NoiseError, RunError
 from groundtruth.force_noise import NOISES, ForceNoise
 from groundtruth.insertion_path import InsertionPath
+from groundtruth.plant_model import PlantModel, plant_model
 from groundtruth.scenarios import Scenario
 from groundtruth.scenarios import scenario as scenario_named
 from groundtruth.sensors import (
@@ -37,7 +37,7 @@ class Signals:
     """What a robot and its F/T sensor give, n samples; all that an estimator may see.
 
     Attributes:
-        t_s: Time stamps, shape (n,), increasing; jittered and with gaps on a hard arm.
+        t_s: Time stamps, shape (n,), increasing; jittered and with gaps on a degraded arm.
         q_rad: Joint positions, shape (n, 7).
         dq_rad_s: Joint velocities, shape (n, 7), or None where the interface reports none.
         tau_Nm: Link-side joint torques, shape (n, 7). Row k is held from its sample to the next
@@ -111,7 +111,7 @@ class Run:
 
     Attributes:
         scenario: What was simulated.
-        arm: Name of the arm level.
+        plant: Name of the arm level.
         seed: Seed of everything drawn.
         robot: The robot as the estimator knows it: nominal links, nominal tool.
         tool: The tool as the estimator knows it.
@@ -123,7 +123,7 @@ class Run:
     """
 
     scenario: Scenario
-    arm: str
+    plant: str
     seed: int
     robot: Robot
     tool: NeedleTool
@@ -143,7 +143,7 @@ def _freeze(result: Signals | Truth) -> None:
 
 def simulate(
     scenario: Scenario | str,
-    arm: str = "textbook",
+    plant: str = "ideal",
     seed: int = 0,
     progress: Callable[[float], None] | None = None,
 ) -> Run:
@@ -153,7 +153,7 @@ def simulate(
 
     Args:
         scenario: A scenario or the name of a catalogued one.
-        arm: Name of the arm level: ``textbook``, ``realistic`` or ``hard``.
+        plant: Name of the arm level: ``ideal``, ``clean`` or ``degraded``.
         seed: Seed of everything drawn; equal arguments give equal runs.
         progress: Called now and then with the share done, 0 to 1.
 
@@ -162,12 +162,12 @@ def simulate(
 
     Raises:
         ScenarioError: There is no scenario of that name.
-        ArmLevelError: There is no arm level of that name.
+        PlantModelError: There is no arm level of that name.
         PathError: The needle's line is out of the arm's reach.
         PlantError: The tissue has pushed the arm off its motion.
     """
     chosen = scenario_named(scenario) if isinstance(scenario, str) else scenario
-    level = arm_level(arm)
+    level = plant_model(plant)
     tool = NeedleTool()
     mass_seed, sensor_seed = np.random.SeedSequence(seed).spawn(2)
     bodies = lwr_bodies(tool, level, np.random.default_rng(mass_seed))
@@ -180,7 +180,7 @@ def simulate(
     tissue = collect_truth(contact.law, time, trace.depth_m, trace.forces)
     return Run(
         scenario=chosen,
-        arm=level.name,
+        plant=level.name,
         seed=seed,
         robot=bodies.robot,
         tool=tool,
@@ -206,7 +206,7 @@ def _sense(
     trace: ArmTrace,
     time: Array,
     limit_Nm: Array,
-    level: ArmLevel,
+    level: PlantModel,
     seed: np.random.SeedSequence,
 ) -> tuple[NDArray[np.intp], Signals]:
     """Pass the true signals through sensors and wire; each of them has its own stream of noise."""

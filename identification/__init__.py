@@ -6,9 +6,9 @@ the enhanced force without the friction of the layers traversed, and the force a
     identifier = Identifier()                       # or Identifier(PAPER)
     estimate = identifier.update(depth_m, speed_m_s, force_N, dt_s)
 
-Reading order: `identifier`; the published method in `paper_tick` (every sample) and `paper_step`
-(the rest), one file per further equation; ours in `default_tick`, `default_step`, `kink_detector`,
-`rupture_fit`, `layer_model`; known layers in `offline`.
+Reading order: `identifier`; the published method in `published_update` (every sample) and
+`published_step` (the rest), one file per further equation; ours in `multilayer_update`,
+`multilayer_step`, `slope_change_detector`, `rupture_fit`, `layer_model`; known layers in `offline`.
 """
 
 from identification.errors import IdentificationError
@@ -17,23 +17,23 @@ from identification.identifier import Identifier, Snapshot
 from identification.input_validation import SampleStatus
 from identification.interaction_model import LayerSpan
 from identification.log_replay import Replay, replay
-from identification.multilayer_config import DEFAULT, DefaultConfig
+from identification.multilayer_config import MULTILAYER, MultilayerConfig
 from identification.offline import OfflineIdentification, OfflineLayer, identify_offline
-from identification.published_config import PAPER, PAPER_KV, PaperConfig
+from identification.published_config import PUBLISHED, PUBLISHED_KV, PublishedConfig
 
 __all__ = [
-    "DEFAULT",
-    "PAPER",
-    "PAPER_KV",
-    "DefaultConfig",
+    "MULTILAYER",
+    "PUBLISHED",
+    "PUBLISHED_KV",
     "Estimate",
     "IdentificationError",
     "Identifier",
     "LayerEstimate",
     "LayerSpan",
+    "MultilayerConfig",
     "OfflineIdentification",
     "OfflineLayer",
-    "PaperConfig",
+    "PublishedConfig",
     "Replay",
     "Rupture",
     "RuptureState",

@@ -80,7 +80,7 @@ class Rupture:
 class LayerEstimate:
     """A layer that has been left, as known now.
 
-    Standard deviations are None where the method states none (`paper`).
+    Standard deviations are None where the method states none (`published`).
 
     Attributes:
         layer: Number from 1.
@@ -98,7 +98,7 @@ class LayerEstimate:
         friction_N: Friction of this layer on the shaft at its rupture, B_i d_i v.
         friction_std_N: Its standard deviation.
         coulomb_N_per_m: Part of the friction that does not depend on speed, per embedded length;
-            None for `paper`, which knows viscous friction only.
+            None for `published`, which knows viscous friction only.
         coulomb_std_N_per_m: Its standard deviation.
         coulomb_identified: Whether the motion told it from the viscous part.
         viscous_Ns_per_m2: Part of the friction proportional to speed, per embedded length.

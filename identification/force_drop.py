@@ -6,7 +6,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from identification.multilayer_config import DefaultConfig
+from identification.multilayer_config import MultilayerConfig
 from identification.resampling import BLOCKS, DEPTH, FORCE, SPEED
 
 _BEFORE_M = 2e-3
@@ -74,7 +74,7 @@ class AfterRows(NamedTuple):
 
 
 def rows_after(
-    points: Array, depth_m: float, speed_m_s: float, noise_N2: float, config: DefaultConfig
+    points: Array, depth_m: float, speed_m_s: float, noise_N2: float, config: MultilayerConfig
 ) -> AfterRows | None:
     """What the force after a rupture is measured from.
 
@@ -113,7 +113,7 @@ def force_after(rows: AfterRows) -> ForceAfter:
     return ForceAfter(force, windows.covariance[begin][0][0], max(slope, 0.0))
 
 
-def _design(side: Array, depth_m: float, speed_m_s: float, config: DefaultConfig) -> Array:
+def _design(side: Array, depth_m: float, speed_m_s: float, config: MultilayerConfig) -> Array:
     """Friction at the rupture's speed, cutting force of the next layer, its slope; force; ones.
 
     The speed is smoothed by a line: noise in a regressor would let the other columns take over.
@@ -131,7 +131,7 @@ def _design(side: Array, depth_m: float, speed_m_s: float, config: DefaultConfig
     return design
 
 
-def _cutting_prior(design: Array, weight: Array, config: DefaultConfig) -> float:
+def _cutting_prior(design: Array, weight: Array, config: MultilayerConfig) -> float:
     """Expected cutting force of the next layer, from how fast its force grows.
 
     A layer that hardly pushes back hardly resists cutting either; free air does neither.

@@ -37,13 +37,13 @@ from needleforce.jit import Vector, compiled
     CUMULATIVE_SPEED,
     TRAVERSED,
 ) = range(30)
-"""Places of the numbers that `default_standing` lays out; four per traversed layer at the end."""
+"""Places of the numbers that `multilayer_coefficients`; four per traversed layer at the end."""
 PER_LAYER = 4
 _MM = 1e3
 _TINY = 1e-12
 
 
-class DefaultTick(NamedTuple):
+class MultilayerUpdate(NamedTuple):
     """What every sample changes. Compiled code takes and gives the fields as a plain tuple.
 
     Attributes:
@@ -68,31 +68,31 @@ class DefaultTick(NamedTuple):
 
     @property
     def plain(self) -> tuple[Any, ...]:
-        """As `default_tick` takes it."""
+        """As `multilayer_update` takes it."""
         return tuple(self)
 
     @staticmethod
-    def of(plain: tuple[Any, ...]) -> "DefaultTick":
-        """From what `default_tick` gave."""
-        return DefaultTick(*plain)
+    def of(plain: tuple[Any, ...]) -> "MultilayerUpdate":
+        """From what `multilayer_update` gave."""
+        return MultilayerUpdate(*plain)
 
 
 Fields = tuple[float, float, float, float, float, float, float, float]
-"""Of `DefaultTick`, plain."""
+"""Of `MultilayerUpdate`, plain."""
 Figures = tuple[Any, ...]
 """The fields of an `Estimate` from ``in_contact`` up to the events."""
 
 
 @compiled
-def follow_depth(follower_m: float, depth_m: float, play_m: float) -> float:
-    """Depth without the jitter of its measurement: it moves only when more than `play_m` behind.
+def follow_depth(follower_m: float, depth_m: float, deadband_m: float) -> float:
+    """Depth without the jitter of the measurement: it moves only when more than `deadband_m` off.
 
     The play of a loose coupling: noise smaller than the play causes no reversal, a true reversal
     is followed after twice the play.
     """
-    if follower_m < depth_m - play_m:
-        return depth_m - play_m
-    return min(follower_m, depth_m + play_m)
+    if follower_m < depth_m - deadband_m:
+        return depth_m - deadband_m
+    return min(follower_m, depth_m + deadband_m)
 
 
 @compiled
@@ -142,7 +142,7 @@ def shaft_friction(
         depth_m: Of the sample [m].
         force_N: Its force less the free-air offset [N].
         tick: After the sample.
-        numbers: See `default_tick`.
+        numbers: See `multilayer_update`.
 
     Returns:
         Friction of the layers traversed and identified, without which the enhanced force goes; and
@@ -175,10 +175,10 @@ def _per_speed(
 
 
 @compiled
-def default_figures(
+def multilayer_outputs(
     depth_m: float, speed_m_s: float, force_N: float, tick: Fields, numbers: Vector
 ) -> Figures:
-    """Enhanced force, tip force and their companions, for one sample; see `default_tick`."""
+    """Enhanced force, tip force and their companions, for one sample; see `multilayer_update`."""
     in_contact = numbers[IN_CONTACT] != 0.0
     force_N -= numbers[OFFSET_N]
     earlier_N = own_N = 0.0
@@ -219,7 +219,7 @@ def default_figures(
 
 
 @compiled
-def default_tick(
+def multilayer_update(
     depth_m: float,
     speed_m_s: float,
     force_N: float,
@@ -234,12 +234,12 @@ def default_tick(
         speed_m_s: Rate of depth [m/s].
         force_N: Axial force [N].
         dt_s: Time since the sample before [s].
-        tick: The fields of `DefaultTick`.
-        numbers: All else that counts, see `default_standing`.
+        tick: The fields of `MultilayerUpdate`.
+        numbers: All else that counts, see `multilayer_coefficients`.
 
     Returns:
         Whether that was all: no block is full, nothing else is due; the new fields, and what to
-        tell, see `default_figures`.
+        tell, see `multilayer_outputs`.
     """
     filled, depth_sum, speed_sum, force_sum, bristle, last, smooth, deepest = tick
     keep = 0.0
@@ -259,4 +259,4 @@ def default_tick(
         max(deepest, depth_m),
     )
     is_calm = new[0] < numbers[BLOCK_S] and numbers[IS_DUE] == 0.0
-    return is_calm, new, default_figures(depth_m, speed_m_s, force_N, new, numbers)
+    return is_calm, new, multilayer_outputs(depth_m, speed_m_s, force_N, new, numbers)

@@ -7,7 +7,7 @@ from typing import Any, NamedTuple
 
 from identification.errors import InvalidConfigError, InvalidSnapshotError, NoRuptureError
 from identification.estimate import Estimate, LayerEstimate
-from identification.friction_compensation import default_figures, default_tick
+from identification.friction_compensation import multilayer_outputs, multilayer_update
 from identification.input_validation import (
     LAST_ABSORBED,
     STATUSES,
@@ -19,23 +19,23 @@ from identification.input_validation import (
     check_step,
     packed_limits,
 )
-from identification.multilayer_config import DEFAULT, DefaultConfig
-from identification.multilayer_identifier import begin_default_sample, default_step
+from identification.multilayer_config import MULTILAYER, MultilayerConfig
+from identification.multilayer_identifier import begin_default_sample, multilayer_step
 from identification.multilayer_state import (
-    DefaultState,
-    default_layers,
-    default_standing,
+    MultilayerState,
     initial_default_state,
+    multilayer_coefficients,
+    multilayer_layers,
 )
-from identification.published_config import PaperConfig
+from identification.published_config import PublishedConfig
 from identification.published_identifier import (
     begin_paper_sample,
     initial_paper_state,
-    paper_layers,
-    paper_standing,
-    paper_step,
+    published_coefficients,
+    published_layers,
+    published_step,
 )
-from identification.published_update import paper_figures, paper_tick
+from identification.published_update import paper_figures, published_update
 from identification.slope_change_detector import check_detector
 
 # The two methods behind one face: pure functions that the identifier calls.
@@ -99,23 +99,23 @@ class Method:
 
 
 METHODS: dict[type, Method] = {
-    DefaultConfig: Method(
+    MultilayerConfig: Method(
         initial=initial_default_state,
         begin=begin_default_sample,
-        tick=default_tick,
-        step=default_step,
-        standing=default_standing,
-        figures=default_figures,
-        layers=default_layers,
+        tick=multilayer_update,
+        step=multilayer_step,
+        standing=multilayer_coefficients,
+        figures=multilayer_outputs,
+        layers=multilayer_layers,
     ),
-    PaperConfig: Method(
+    PublishedConfig: Method(
         initial=initial_paper_state,
         begin=begin_paper_sample,
-        tick=paper_tick,
-        step=paper_step,
-        standing=paper_standing,
+        tick=published_update,
+        step=published_step,
+        standing=published_coefficients,
         figures=paper_figures,
-        layers=paper_layers,
+        layers=published_layers,
     ),
 }
 """By the type of their settings."""
@@ -147,11 +147,11 @@ class Identifier:
     Depth grows into the tissue, speed is its rate, force is positive when tissue pushes back.
     """
 
-    def __init__(self, config: DefaultConfig | PaperConfig = DEFAULT) -> None:
+    def __init__(self, config: MultilayerConfig | PublishedConfig = MULTILAYER) -> None:
         """Choose the method by its configuration.
 
         Args:
-            config: `DEFAULT` or `PAPER`, or one of these with changed fields.
+            config: `DEFAULT` or `PUBLISHED`, or one of these with changed fields.
 
         Raises:
             InvalidConfigError: Not a configuration of this room.
@@ -237,7 +237,7 @@ class Identifier:
                 f"expected a Snapshot taken with {self._config}, got {type(snapshot).__name__}"
             )
         _, check, state, last = snapshot
-        if isinstance(state, DefaultState):
+        if isinstance(state, MultilayerState):
             check_detector(state.detector)
         self._stand(state, self._method.standing(state, self._config))
         self._check, self._last, self._before = check.plain, last, None

@@ -18,10 +18,10 @@ from identification.layer_model import (
     OWN_COULOMB,
     OWN_VISCOUS,
     STIFFNESS,
-    Information,
     LayerFit,
+    NormalEquations,
 )
-from identification.rupture_classifier import LayerEnding
+from identification.rupture_classifier import RuptureMeasurement
 
 _TINY = 1e-12
 _RIDGE = 1e-10 * np.eye(6)
@@ -29,7 +29,7 @@ _RIDGE = 1e-10 * np.eye(6)
 Array = NDArray[np.float64]
 
 
-class Belief(NamedTuple):
+class Gaussian(NamedTuple):
     """Gaussian belief about the six unknowns of a layer, see `layer_model`.
 
     Attributes:
@@ -50,24 +50,24 @@ class IdentifiedLayer(NamedTuple):
     """
 
     fit: LayerFit
-    belief: Belief
+    belief: Gaussian
 
 
-def believe(known: Information) -> Belief:
+def believe(known: NormalEquations) -> Gaussian:
     """The belief that normal equations stand for, negative values not excluded."""
     scale = 1.0 / np.sqrt(np.maximum(known.matrix.diagonal(), _TINY))
     both = scale[:, None] * scale
     covariance = np.linalg.inv(known.matrix * both + _RIDGE) * both
-    return Belief(covariance @ known.vector, covariance)
+    return Gaussian(covariance @ known.vector, covariance)
 
 
-def carried_friction(belief: Belief, thickness_m: float) -> Belief:
+def carried_friction(belief: Gaussian, thickness_m: float) -> Gaussian:
     """Friction up to and with the layer: the next layer's C and V, shapes (2,) and (2, 2)."""
     carry = _carry(thickness_m)
-    return Belief(carry @ belief.values, carry @ belief.covariance @ carry.T)
+    return Gaussian(carry @ belief.values, carry @ belief.covariance @ carry.T)
 
 
-def look_back(belief: Belief, thickness_m: float, friction: Belief) -> Belief:
+def look_back(belief: Gaussian, thickness_m: float, friction: Gaussian) -> Gaussian:
     """The belief about a layer once its carried friction is known better.
 
     Args:
@@ -79,7 +79,7 @@ def look_back(belief: Belief, thickness_m: float, friction: Belief) -> Belief:
     spread = expected.covariance + _TINY * np.eye(2)
     gain = np.linalg.solve(spread, _carry(thickness_m) @ belief.covariance).T
     change = friction.covariance - expected.covariance
-    return Belief(
+    return Gaussian(
         belief.values + gain @ (friction.values - expected.values),
         belief.covariance + gain @ change @ gain.T,
     )
@@ -101,7 +101,11 @@ IDENTIFIED_SHARE = 0.25
 
 
 def layer_estimate(
-    rupture: Rupture, ending: LayerEnding, start_m: float, thickness_m: float, belief: Belief
+    rupture: Rupture,
+    ending: RuptureMeasurement,
+    start_m: float,
+    thickness_m: float,
+    belief: Gaussian,
 ) -> LayerEstimate:
     """What is known of a layer that has just been left.
 
@@ -123,13 +127,13 @@ def layer_estimate(
     )
 
 
-def revised(estimate: LayerEstimate, belief: Belief) -> LayerEstimate:
+def revised(estimate: LayerEstimate, belief: Gaussian) -> LayerEstimate:
     """The same layer with a newer belief about its unknowns."""
     figures = _figures(belief, estimate.thickness_m, estimate.rupture.speed_m_s)
     return replace(estimate, **figures)
 
 
-def _figures(belief: Belief, thickness_m: float, rupture_speed_m_s: float) -> dict[str, Any]:
+def _figures(belief: Gaussian, thickness_m: float, rupture_speed_m_s: float) -> dict[str, Any]:
     """Back to SI: c in N/m is 1e3 c in N/mm, b in Ns/m^2 is 1e6 b in N/(mm mm/s)."""
     values = np.maximum(belief.values, 0.0)
     std = np.sqrt(np.maximum(np.diag(belief.covariance), 0.0))

@@ -8,7 +8,7 @@ from numpy.typing import NDArray
 
 from identification.estimate import LayerEstimate, Rupture
 from identification.layer_belief import (
-    Belief,
+    Gaussian,
     IdentifiedLayer,
     believe,
     carried_friction,
@@ -20,18 +20,22 @@ from identification.layer_model import (
     OWN_COULOMB,
     OWN_VISCOUS,
     STIFFNESS,
-    Information,
     LayerFit,
+    NormalEquations,
     add_row,
     layer_fit,
     model_row,
     no_information,
     solve_layer,
 )
-from identification.multilayer_config import DefaultConfig
-from identification.multilayer_state import DefaultState, LayerData, Traversed
+from identification.multilayer_config import MultilayerConfig
+from identification.multilayer_state import LayerData, MultilayerState, Traversed
 from identification.resampling import BLOCKS, BRISTLE, DEPTH, FORCE, SPEED, TRAVEL, add_layer_row
-from identification.rupture_classifier import NOTHING_HELD, Held, LayerEnding
+from identification.rupture_classifier import (
+    NO_RESIDUAL_FORCE,
+    ResidualTipForce,
+    RuptureMeasurement,
+)
 from identification.slope_change_detector import block_noise_N2
 
 # What is believed about a layer before its rupture: rows added to the normal equations.
@@ -41,13 +45,13 @@ _LEAST_SLOPE = 1e-4
 
 
 def add_layer_prior(
-    information: Information,
+    information: NormalEquations,
     own_N: float,
     layer_depth_m: float,
     speed_m_s: float,
-    config: DefaultConfig,
-    held: Held = NOTHING_HELD,
-) -> Information:
+    config: MultilayerConfig,
+    held: ResidualTipForce = NO_RESIDUAL_FORCE,
+) -> NormalEquations:
     """Add the priors on shares, scaled by the force the layer has built up so far.
 
     At constant speed nothing in a layer tells its stiffness from its friction, nor Coulomb from
@@ -104,9 +108,9 @@ class ClosedLayer(NamedTuple):
 def identify_layer(
     left: LayerData,
     rupture: Rupture,
-    ending: LayerEnding,
+    ending: RuptureMeasurement,
     bias_var: float,
-    config: DefaultConfig,
+    config: MultilayerConfig,
 ) -> IdentifiedLayer:
     """Batch refit of the layer with both sides of its rupture as measurements.
 
@@ -127,7 +131,7 @@ def identify_layer(
     own = boundary.force_N - _earlier_N(left, before)
     known = left.prior
     if ending.is_one_law:  # else a spring or another layer is in the data
-        known = Information(known.matrix + left.data.matrix, known.vector + left.data.vector)
+        known = NormalEquations(known.matrix + left.data.matrix, known.vector + left.data.vector)
     known = add_layer_prior(known, own, thickness, boundary.speed_m_s, config, left.held)
     known = add_row(known, before, boundary.force_N, boundary.force_var + bias_var)
     after = _after(ending, bias_var, rupture.speed_m_s)
@@ -138,10 +142,10 @@ def identify_layer(
 def close_layer(
     left: LayerData,
     rupture: Rupture,
-    ending: LayerEnding,
+    ending: RuptureMeasurement,
     identified: IdentifiedLayer,
     bias_var: float,
-    config: DefaultConfig,
+    config: MultilayerConfig,
 ) -> ClosedLayer:
     """What is told of the layer, and how the next one begins.
 
@@ -155,7 +159,7 @@ def close_layer(
     """
     (fit, belief), thickness = identified, _thickness_m(left, ending, config)
     after = _after(ending, bias_var, rupture.speed_m_s)
-    found = Belief(np.array(fit.values), fit.covariance)
+    found = Gaussian(np.array(fit.values), fit.covariance)
     return ClosedLayer(
         layer_estimate(rupture, ending, left.start_m, thickness, found),
         Traversed(
@@ -177,7 +181,7 @@ def close_layer(
     )
 
 
-def _thickness_m(left: LayerData, ending: LayerEnding, config: DefaultConfig) -> float:
+def _thickness_m(left: LayerData, ending: RuptureMeasurement, config: MultilayerConfig) -> float:
     return max(ending.boundary.depth_m - left.start_m, config.track_step_m)
 
 
@@ -190,12 +194,12 @@ class _After(NamedTuple):
         speed_m_s: At the rupture.
     """
 
-    ending: LayerEnding
+    ending: RuptureMeasurement
     variance: float
     speed_m_s: float
 
 
-def _after(ending: LayerEnding, bias_var: float, speed_m_s: float) -> _After:
+def _after(ending: RuptureMeasurement, bias_var: float, speed_m_s: float) -> _After:
     law = (_DROP_ERROR_SHARE * ending.drop_N) ** 2
     return _After(ending, ending.friction_var + bias_var + law, speed_m_s)
 
@@ -207,8 +211,8 @@ def _earlier_N(left: LayerData, row: NDArray[np.float64]) -> float:
 
 
 def _with_after(
-    known: Information, after: _After, thickness_m: float, config: DefaultConfig
-) -> Information:
+    known: NormalEquations, after: _After, thickness_m: float, config: MultilayerConfig
+) -> NormalEquations:
     """Add the force after the rupture to what is known of the layer left.
 
     After the puncture of a membrane the next layer springs back along the shaft: it rubs on the
@@ -225,7 +229,7 @@ def _with_after(
     return add_row(known, row, value, after.variance + doubt**2)
 
 
-def _next_prior(friction: Belief, after: _After, config: DefaultConfig) -> Information:
+def _next_prior(friction: Gaussian, after: _After, config: MultilayerConfig) -> NormalEquations:
     """What is known when the next layer begins: the friction carried into it, and the force then.
 
     With a membrane that force holds some of the layer's own friction: what it identifies tells
@@ -238,12 +242,14 @@ def _next_prior(friction: Belief, after: _After, config: DefaultConfig) -> Infor
     row = model_row(ending.pushed_in_mm / MM, 0.0, after.speed_m_s, 1.0, config.cutting_onset_m)
     edge = config.friction_share * ending.next_slope_N_per_mm * MM * ending.boundary.std_m
     variance = after.variance + edge**2
-    return add_row(Information(matrix, vector), row, ending.friction_N, variance)
+    return add_row(NormalEquations(matrix, vector), row, ending.friction_N, variance)
 
 
-def _next_fit(fit: LayerFit, thickness_m: float, after: _After, config: DefaultConfig) -> LayerFit:
+def _next_fit(
+    fit: LayerFit, thickness_m: float, after: _After, config: MultilayerConfig
+) -> LayerFit:
     """Fit with which the next layer begins."""
-    friction = carried_friction(Belief(np.array(fit.values), fit.covariance), thickness_m)
+    friction = carried_friction(Gaussian(np.array(fit.values), fit.covariance), thickness_m)
     values, covariance = np.zeros(6), np.zeros((6, 6))
     values[:2], covariance[:2, :2] = friction
     values[STIFFNESS:] = _guess(after.ending.next_slope_N_per_mm, after.speed_m_s, config)
@@ -251,7 +257,7 @@ def _next_fit(fit: LayerFit, thickness_m: float, after: _After, config: DefaultC
 
 
 def _guess(
-    slope_N_per_mm: float, speed_m_s: float, config: DefaultConfig
+    slope_N_per_mm: float, speed_m_s: float, config: MultilayerConfig
 ) -> tuple[float, float, float]:
     """K, c and b a layer of that slope has by prior."""
     friction = config.friction_share * slope_N_per_mm
@@ -269,12 +275,12 @@ _OTHER_SHARE = 0.2
 
 
 def layer_step(
-    state: DefaultState,
+    state: MultilayerState,
     point: NDArray[np.float64],
-    config: DefaultConfig,
+    config: MultilayerConfig,
     *,
     is_solved: bool = True,
-) -> DefaultState:
+) -> MultilayerState:
     """Absorb one point; every few of them make one row, and a new fit.
 
     Rows of many points average the noise of the speed: in a regressor it would look like a change
@@ -292,8 +298,8 @@ def layer_step(
 
 
 def settle_pool(
-    state: DefaultState, config: DefaultConfig, *, is_solved: bool = True
-) -> DefaultState:
+    state: MultilayerState, config: MultilayerConfig, *, is_solved: bool = True
+) -> MultilayerState:
     """Turn the pooled points into one row and fit anew.
 
     A row weighs by its noise and by the error of the linear law, which rows within a few
@@ -317,12 +323,14 @@ def settle_pool(
     return _refit(state, point, config) if is_solved else state
 
 
-def _refit(state: DefaultState, point: NDArray[np.float64], config: DefaultConfig) -> DefaultState:
+def _refit(
+    state: MultilayerState, point: NDArray[np.float64], config: MultilayerConfig
+) -> MultilayerState:
     """Fit the layer with everything known so far, `point` being the newest."""
     layer = state.layer
     row = _row(layer, point, config)
     own = float(point[FORCE]) - _earlier_N_layer_step(state, row)
-    known = Information(
+    known = NormalEquations(
         layer.prior.matrix + layer.data.matrix, layer.prior.vector + layer.data.vector
     )
     depth = float(point[DEPTH]) - layer.start_m
@@ -334,7 +342,7 @@ def _refit(state: DefaultState, point: NDArray[np.float64], config: DefaultConfi
 
 
 def _row(
-    layer: LayerData, point: NDArray[np.float64], config: DefaultConfig
+    layer: LayerData, point: NDArray[np.float64], config: MultilayerConfig
 ) -> NDArray[np.float64]:
     depth = float(point[DEPTH])
     return model_row(
@@ -346,5 +354,5 @@ def _row(
     )
 
 
-def _earlier_N_layer_step(state: DefaultState, row: NDArray[np.float64]) -> float:
+def _earlier_N_layer_step(state: MultilayerState, row: NDArray[np.float64]) -> float:
     return float(row[0]) * state.fit.values[0] + float(row[1]) * state.fit.values[1]

@@ -21,7 +21,7 @@ _TINY = 1e-12
 _RIDGE = 1e-10 * np.eye(_SIZE)
 
 
-class Information(NamedTuple):
+class NormalEquations(NamedTuple):
     """Weighted normal equations: all that is known about the six unknowns.
 
     Attributes:
@@ -78,9 +78,9 @@ def layer_fit(values: NDArray[np.float64], covariance: NDArray[np.float64]) -> L
     return LayerFit(tuple(values.tolist()), covariance, spread)
 
 
-def no_information() -> Information:
+def no_information() -> NormalEquations:
     """Nothing known."""
-    return Information(np.zeros((_SIZE, _SIZE)), np.zeros(_SIZE))
+    return NormalEquations(np.zeros((_SIZE, _SIZE)), np.zeros(_SIZE))
 
 
 def cutting_onset(layer_depth_m: float, onset_m: float) -> float:
@@ -99,16 +99,16 @@ def model_row(
 
 
 def add_row(
-    information: Information, row: NDArray[np.float64], value: float, variance: float
-) -> Information:
+    information: NormalEquations, row: NDArray[np.float64], value: float, variance: float
+) -> NormalEquations:
     """Add a measurement row @ x = value with the given variance."""
     weighted = row / max(variance, _TINY)
-    return Information(
+    return NormalEquations(
         information.matrix + weighted[:, None] * row, information.vector + weighted * value
     )
 
 
-def solve_layer(information: Information) -> LayerFit:
+def solve_layer(information: NormalEquations) -> LayerFit:
     """Most likely non-negative values, and the covariance of the unconstrained ones."""
     matrix = information.matrix
     scale = 1.0 / np.sqrt(np.maximum(matrix.diagonal(), _TINY))

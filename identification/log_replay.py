@@ -10,9 +10,9 @@ from numpy.typing import ArrayLike, NDArray
 from identification.estimate import Estimate, LayerEstimate
 from identification.identifier import Identifier
 from identification.input_validation import SampleStatus
-from identification.multilayer_config import DEFAULT, DefaultConfig
+from identification.multilayer_config import MULTILAYER, MultilayerConfig
 from identification.offline import read_column
-from identification.published_config import PaperConfig
+from identification.published_config import PublishedConfig
 
 # Speed from depth, for recordings without it.
 
@@ -228,10 +228,10 @@ class ReplayStream:
     """Runs the identifier over a recording; results do not depend on how the rows come.
 
     Args:
-        config: `DEFAULT`, `PAPER` or a variant.
+        config: `DEFAULT`, `PUBLISHED` or a variant.
     """
 
-    def __init__(self, config: DefaultConfig | PaperConfig = DEFAULT) -> None:
+    def __init__(self, config: MultilayerConfig | PublishedConfig = MULTILAYER) -> None:
         self._identifier = Identifier(config)
         self._signs = SignWatch()
         self._speed: DerivedSpeed | None = None
@@ -343,7 +343,7 @@ def replay(
     depth_m: ArrayLike,
     force_N: ArrayLike,
     speed_m_s: ArrayLike | None = None,
-    config: DefaultConfig | PaperConfig = DEFAULT,
+    config: MultilayerConfig | PublishedConfig = MULTILAYER,
     *,
     dt_s: ArrayLike | None = None,
 ) -> Replay:
@@ -358,7 +358,7 @@ def replay(
         depth_m: Tip depth, growing into the tissue [m], shape (n,).
         force_N: Axial force, positive when tissue pushes back [N], shape (n,).
         speed_m_s: Rate of depth [m/s]; differentiated from depth if None.
-        config: `DEFAULT`, `PAPER` or a variant.
+        config: `DEFAULT`, `PUBLISHED` or a variant.
         dt_s: Time since the latest row that advanced [s], shape (n,), not positive for a row that
             does not; None to count from the latest stamp.
 

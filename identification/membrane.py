@@ -11,7 +11,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from identification.multilayer_config import DefaultConfig
+from identification.multilayer_config import MultilayerConfig
 from identification.resampling import BLOCKS, DEPTH, FORCE, SPEED, TRAVEL, merge_rows
 
 # A layer as the search for its membrane sees it: some rows, scaled.
@@ -309,7 +309,7 @@ class SearchWork(NamedTuple):
 
 
 def search_step(
-    work: SearchWork, rows: NDArray[np.float64], rupture_m: float, config: DefaultConfig
+    work: SearchWork, rows: NDArray[np.float64], rupture_m: float, config: MultilayerConfig
 ) -> SearchWork | MembraneSearch:
     """Work off the next stage of a search.
 
@@ -337,7 +337,7 @@ def search_step(
 
 
 def _conclude(
-    work: SearchWork, found: Boundary | None, rupture_m: float, config: DefaultConfig
+    work: SearchWork, found: Boundary | None, rupture_m: float, config: MultilayerConfig
 ) -> SearchWork | MembraneSearch:
     """What a layer searched through tells.
 
@@ -349,4 +349,4 @@ def _conclude(
         return MembraneSearch(found if is_near else None, False)
     if found is None or is_near:
         return MembraneSearch(found, found is None)
-    return SearchWork(found.depth_m + config.first_look_m, is_second=True)
+    return SearchWork(found.depth_m + config.provisional_window_m, is_second=True)

@@ -8,7 +8,7 @@ from identification.input_validation import CheckConfig, check_kind, check_posit
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class DefaultConfig:
+class MultilayerConfig:
     """Physical priors and wanted error rates; nothing here depends on a sensor or a tissue.
 
     Attributes:
@@ -28,7 +28,7 @@ class DefaultConfig:
             needle diameter (18G: 1.27 mm).
         cutting_reach_m: That force, give or take as much, as the travel over which the layer's
             growing force reaches it: a needle diameter or so. Free air grows no force.
-        first_look_m: Travel after a rupture at which its friction is first identified (the
+        provisional_window_m: Travel after a rupture at which its friction is first identified (the
             published k_v).
         second_look_m: Travel at which it is identified for good.
         model_error_share: Relative error of a linear law, correlated over `model_error_m`.
@@ -57,7 +57,7 @@ class DefaultConfig:
     presliding_m: float = 0.3e-3
     cutting_onset_m: float = 1e-3
     cutting_reach_m: float = 1.5e-3
-    first_look_m: float = 1e-3
+    provisional_window_m: float = 1e-3
     second_look_m: float = 3e-3
     model_error_share: float = 0.03
     model_error_m: float = 5e-3
@@ -80,10 +80,10 @@ class DefaultConfig:
         for name in self.__slots__:
             if name != "check":
                 check_positive(name, getattr(self, name))
-        if self.second_look_m <= self.first_look_m:
+        if self.second_look_m <= self.provisional_window_m:
             raise InvalidConfigError(
-                f"second_look_m ({self.second_look_m}) must exceed first_look_m "
-                f"({self.first_look_m})"
+                f"second_look_m ({self.second_look_m}) must exceed provisional_window_m "
+                f"({self.provisional_window_m})"
             )
 
     def coulomb_share(self, speed_m_s: float) -> float:
@@ -96,5 +96,5 @@ class DefaultConfig:
         return share * (1.0 - share) * math.log(self.coulomb_speed_factor)
 
 
-DEFAULT = DefaultConfig()
+MULTILAYER = MultilayerConfig()
 """The one configuration for simulated and real, F/T and virtual sensors."""

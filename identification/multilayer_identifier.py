@@ -1,4 +1,4 @@
-"""What a sample asks of this toolkit's own identification beyond `default_tick`."""
+"""What a sample asks of this toolkit's own identification beyond `multilayer_update`."""
 
 import math
 
@@ -13,11 +13,11 @@ from identification.free_air_baseline import (
     level_score,
     settle_baseline,
 )
-from identification.friction_compensation import DefaultTick
+from identification.friction_compensation import MultilayerUpdate
 from identification.input_validation import Sample
 from identification.layer_fit import layer_step, settle_pool
-from identification.multilayer_config import DefaultConfig
-from identification.multilayer_state import DefaultState, untouched_layer
+from identification.multilayer_config import MultilayerConfig
+from identification.multilayer_state import MultilayerState, untouched_layer
 from identification.resampling import (
     DEPTH,
     FORCE,
@@ -50,7 +50,9 @@ _LOST = 2.0
 _LOST_POINTS = 50
 
 
-def free_air_step(state: DefaultState, block: Block, config: DefaultConfig) -> DefaultState:
+def free_air_step(
+    state: MultilayerState, block: Block, config: MultilayerConfig
+) -> MultilayerState:
     """Learn offset and noise of the force until it rises: then contact is dated back.
 
     Contact is an upward kink that chance does not explain and that leaves the level of free air
@@ -69,13 +71,13 @@ def free_air_step(state: DefaultState, block: Block, config: DefaultConfig) -> D
     return state
 
 
-def _is_raised(state: DefaultState, scale: int, noise_N2: float) -> bool:
+def _is_raised(state: MultilayerState, scale: int, noise_N2: float) -> bool:
     """Whether the blocks since the kink stand above what the sensor wanders in free air."""
     level = float(np.mean(state.detector.force_N[-scale:]))
     return height_over_wander(state.baseline, level, noise_N2) > _LEVEL
 
 
-def _contact_depth(state: DefaultState, block: Block) -> float:
+def _contact_depth(state: MultilayerState, block: Block) -> float:
     """Depth at which the force left its line, found on the recent track."""
     points = state.track.points
     if len(points) < _LEAST_POINTS:
@@ -84,7 +86,7 @@ def _contact_depth(state: DefaultState, block: Block) -> float:
     return float(points[-1 - since, DEPTH])
 
 
-def _touch(state: DefaultState, depth_m: float, config: DefaultConfig) -> DefaultState:
+def _touch(state: MultilayerState, depth_m: float, config: MultilayerConfig) -> MultilayerState:
     """Begin the first layer at `depth_m` with the points already beyond it."""
     state = state._replace(baseline=settle_baseline(state.baseline, depth_m))
     points = state.track.points.copy()
@@ -100,7 +102,7 @@ def _touch(state: DefaultState, depth_m: float, config: DefaultConfig) -> Defaul
     return state
 
 
-def lose_contact(state: DefaultState) -> DefaultState:
+def lose_contact(state: MultilayerState) -> MultilayerState:
     """Go back to free air if the force has: a bump, not a tissue, was met."""
     if state.layers or state.layer.points < _LOST_POINTS:
         return state
@@ -116,21 +118,21 @@ def lose_contact(state: DefaultState) -> DefaultState:
 _CHANNEL_M = 2e-4
 
 
-def begin_default_sample(state: DefaultState, _config: DefaultConfig) -> DefaultState:
+def begin_default_sample(state: MultilayerState, _config: MultilayerConfig) -> MultilayerState:
     """Before a sample: the events of the one before are over."""
     if state.events == (None, None, None):
         return state
     return state._replace(rupture=None, compensated=None, withdrawn=None)
 
 
-def default_step(
-    state: DefaultState, tick: DefaultTick, sample: Sample, config: DefaultConfig
-) -> DefaultState:
+def multilayer_step(
+    state: MultilayerState, tick: MultilayerUpdate, sample: Sample, config: MultilayerConfig
+) -> MultilayerState:
     """What is done once per block, or between blocks after a rupture.
 
     Args:
         state: Before the sample.
-        tick: What `default_tick` has made of the sample.
+        tick: What `multilayer_update` has made of the sample.
         sample: The sample.
         config: Settings.
     """
@@ -155,7 +157,7 @@ def default_step(
     return _cut(state, block, config) if is_cutting else _idle(state, config)
 
 
-def _idle(state: DefaultState, config: DefaultConfig) -> DefaultState:
+def _idle(state: MultilayerState, config: MultilayerConfig) -> MultilayerState:
     """Rest, reversal or an old channel: no rupture can happen, a pending one is settled."""
     state = state._replace(detector=restart_detector(state.detector))
     if state.pending is not None:
@@ -165,7 +167,7 @@ def _idle(state: DefaultState, config: DefaultConfig) -> DefaultState:
     return _advance(state)
 
 
-def _cut(state: DefaultState, block: Block, config: DefaultConfig) -> DefaultState:
+def _cut(state: MultilayerState, block: Block, config: MultilayerConfig) -> MultilayerState:
     """The tip meets fresh tissue: look for a rupture, measure one, learn the layer."""
     block = block.less(state.baseline.offset_N)
     track, point = track_step(state.track, block, config.track_step_m)
@@ -180,17 +182,17 @@ def _cut(state: DefaultState, block: Block, config: DefaultConfig) -> DefaultSta
     return _advance(state, is_expected=verdict.fall > config.expected_share)
 
 
-def _is_muted(state: DefaultState, block: Block, config: DefaultConfig) -> bool:
+def _is_muted(state: MultilayerState, block: Block, config: MultilayerConfig) -> bool:
     """No rupture is looked for while one is releasing: until its first look."""
     pending = state.pending
     if pending is None or state.rupture_state not in MUTED:
         return False
-    return block.depth_m < pending.rupture.depth_m + config.first_look_m
+    return block.depth_m < pending.rupture.depth_m + config.provisional_window_m
 
 
 def _follow(
-    state: DefaultState, point: NDArray[np.float64] | None, config: DefaultConfig
-) -> DefaultState:
+    state: MultilayerState, point: NDArray[np.float64] | None, config: MultilayerConfig
+) -> MultilayerState:
     """Use a new track point: for the rupture being measured, else for the layer."""
     if point is None:
         return state
@@ -199,7 +201,7 @@ def _follow(
     return lose_contact(layer_step(state, point, config))
 
 
-def _advance(state: DefaultState, *, is_expected: bool = False) -> DefaultState:
+def _advance(state: MultilayerState, *, is_expected: bool = False) -> MultilayerState:
     """Move the machine on; what raises and settles a rupture sets its own states."""
     machine = state.rupture_state
     if machine is RuptureState.NO_RUPTURE and not is_expected:

@@ -10,11 +10,11 @@ from identification import friction_compensation as at
 from identification.estimate import LayerEstimate, Rupture, RuptureState, layers_left
 from identification.force_drop import AfterRows, ForceAfter
 from identification.free_air_baseline import Baseline
-from identification.friction_compensation import DefaultTick
+from identification.friction_compensation import MultilayerUpdate
 from identification.input_validation import packed
 from identification.layer_belief import (
     IDENTIFIED_SHARE,
-    Belief,
+    Gaussian,
     IdentifiedLayer,
     look_back,
     revised,
@@ -26,22 +26,26 @@ from identification.layer_model import (
     OWN_VISCOUS,
     STIFFNESS,
     VISCOUS,
-    Information,
     LayerFit,
+    NormalEquations,
     layer_fit,
     no_information,
 )
 from identification.membrane import MembraneSearch, SearchWork
-from identification.multilayer_config import DefaultConfig
+from identification.multilayer_config import MultilayerConfig
 from identification.resampling import NO_ROWS, Track, initial_track, least_block_s
-from identification.rupture_classifier import NOTHING_HELD, Held, LayerEnding
+from identification.rupture_classifier import (
+    NO_RESIDUAL_FORCE,
+    ResidualTipForce,
+    RuptureMeasurement,
+)
 from identification.slope_change_detector import DetectorState, initial_detector
 from identification.speed_lag import SpeedLag
 
 # A look at a rupture that has begun and not ended: what it has measured so far.
 
 
-class RuptureLook(NamedTuple):
+class ForceDropMeasurement(NamedTuple):
     """Measured a stage per tick, see `rupture_stages`; the track stays what it is meanwhile.
 
     What a stage could not measure, where points are too few, stays None.
@@ -62,7 +66,7 @@ class RuptureLook(NamedTuple):
     before: tuple[float, float] | None = None
     after_rows: AfterRows | None = None
     after: ForceAfter | None = None
-    ending: LayerEnding | None = None
+    ending: RuptureMeasurement | None = None
     has_come_back: bool = False
     identified: IdentifiedLayer | None = None
 
@@ -83,12 +87,12 @@ class LayerData(NamedTuple):
 
     start_m: float
     tip_m: float
-    prior: Information
-    data: Information
+    prior: NormalEquations
+    data: NormalEquations
     points: int = 0
     pool: NDArray[np.float64] | None = None
     rows: NDArray[np.float64] = NO_ROWS
-    held: Held = NOTHING_HELD
+    held: ResidualTipForce = NO_RESIDUAL_FORCE
 
 
 class Traversed(NamedTuple):
@@ -107,11 +111,11 @@ class Traversed(NamedTuple):
     thickness_m: float
     coulomb_N: float
     viscous: float
-    belief: Belief
+    belief: Gaussian
     end_probability: float
 
 
-class Pending(NamedTuple):
+class RuptureCandidate(NamedTuple):
     """A rupture whose force drop is being measured.
 
     Attributes:
@@ -131,13 +135,13 @@ class Pending(NamedTuple):
     left_fit: LayerFit
     is_closed: bool
     next_look_m: float
-    first: LayerEnding | None = None
+    first: RuptureMeasurement | None = None
     search: MembraneSearch | None = None
     search_work: SearchWork | None = None
-    look: RuptureLook | None = None
+    look: ForceDropMeasurement | None = None
 
 
-class DefaultState(NamedTuple):
+class MultilayerState(NamedTuple):
     """Immutable state of this toolkit's own identification.
 
     Attributes:
@@ -159,7 +163,7 @@ class DefaultState(NamedTuple):
         withdrawn: Alarm this sample showed to be false.
     """
 
-    tick: DefaultTick
+    tick: MultilayerUpdate
     lag: SpeedLag
     baseline: Baseline
     detector: DetectorState
@@ -168,7 +172,7 @@ class DefaultState(NamedTuple):
     layer: LayerData
     fit: LayerFit
     shaft_std_N: float
-    pending: Pending | None
+    pending: RuptureCandidate | None
     rupture_state: RuptureState
     layers: tuple[LayerEstimate, ...]
     traversed: tuple[Traversed, ...]
@@ -176,13 +180,13 @@ class DefaultState(NamedTuple):
     compensated: LayerEstimate | None
     withdrawn: Rupture | None
 
-    def after_block(self, tick: DefaultTick, lag: SpeedLag) -> "DefaultState":
+    def after_block(self, tick: MultilayerUpdate, lag: SpeedLag) -> "MultilayerState":
         """With an emptied block; by position, which takes a third of the time of `_replace`."""
-        return DefaultState(tick, lag, *self[2:])
+        return MultilayerState(tick, lag, *self[2:])
 
-    def after_point(self, detector: DetectorState, track: Track) -> "DefaultState":
+    def after_point(self, detector: DetectorState, track: Track) -> "MultilayerState":
         """With another block in detector and track; by position, as above."""
-        return DefaultState(*self[:3], detector, track, *self[5:])
+        return MultilayerState(*self[:3], detector, track, *self[5:])
 
     @property
     def events(self) -> tuple[Rupture | None, LayerEstimate | None, Rupture | None]:
@@ -194,14 +198,14 @@ def untouched_layer(start_m: float) -> LayerData:
     """First layer, met at `start_m`: no friction has been gathered before it."""
     certain = np.zeros((6, 6))
     certain[0, 0] = certain[1, 1] = 1e8
-    prior = Information(certain, np.zeros(6))
+    prior = NormalEquations(certain, np.zeros(6))
     return LayerData(start_m, start_m, prior, no_information())
 
 
-def initial_default_state(_config: object) -> DefaultState:
+def initial_default_state(_config: object) -> MultilayerState:
     """State before the first sample."""
-    return DefaultState(
-        tick=DefaultTick(),
+    return MultilayerState(
+        tick=MultilayerUpdate(),
         lag=SpeedLag(),
         baseline=Baseline(),
         detector=initial_detector(),
@@ -220,29 +224,29 @@ def initial_default_state(_config: object) -> DefaultState:
     )
 
 
-# What `default_tick` reads until the layer is fitted anew: worked out then, not every time.
+# What `multilayer_update` reads until the layer is fitted anew: worked out then, not every time.
 
 
-class DefaultStanding(NamedTuple):
+class MultilayerCoefficients(NamedTuple):
     """What follows from a state and changes with the fit, a rupture or the layers only.
 
     Attributes:
-        numbers: What `default_tick` takes.
+        numbers: What `multilayer_update` takes.
         in_contact: Of the state that it was worked out from, as the next three.
-        fit: See `DefaultState`.
-        pending: See `DefaultState`.
-        layers: See `DefaultState`.
+        fit: See `MultilayerState`.
+        pending: See `MultilayerState`.
+        layers: See `MultilayerState`.
         is_due: Whether the next sample finds work to do.
     """
 
     numbers: Any
     in_contact: bool
     fit: LayerFit
-    pending: Pending | None
+    pending: RuptureCandidate | None
     layers: tuple[LayerEstimate, ...]
     is_due: bool
 
-    def holds(self, state: DefaultState) -> bool:
+    def holds(self, state: MultilayerState) -> bool:
         """Whether it still says what holds of a state."""
         return (
             self.fit is state.fit
@@ -253,7 +257,7 @@ class DefaultStanding(NamedTuple):
         )
 
 
-def is_due(state: DefaultState) -> bool:
+def is_due(state: MultilayerState) -> bool:
     """Whether the next sample finds work to do even if it fills no block."""
     if state.rupture is not None or state.compensated is not None or state.withdrawn is not None:
         return True
@@ -261,7 +265,9 @@ def is_due(state: DefaultState) -> bool:
     return pending is not None and (pending.search is None or pending.look is not None)
 
 
-def default_standing(state: DefaultState, config: DefaultConfig) -> DefaultStanding:
+def multilayer_coefficients(
+    state: MultilayerState, config: MultilayerConfig
+) -> MultilayerCoefficients:
     """Work it out of a state."""
     numbers = [0.0] * at.TRAVERSED
     numbers[at.SMOOTHING_S] = config.speed_smoothing_s
@@ -277,12 +283,12 @@ def default_standing(state: DefaultState, config: DefaultConfig) -> DefaultStand
     _lay_out_earlier(numbers, state)
     for layer in state.traversed:
         numbers += _shares(layer)
-    return DefaultStanding(
+    return MultilayerCoefficients(
         packed(numbers), state.in_contact, state.fit, state.pending, state.layers, is_due(state)
     )
 
 
-def _lay_out_layer(numbers: list[float], state: DefaultState) -> None:
+def _lay_out_layer(numbers: list[float], state: MultilayerState) -> None:
     """The layer the tip is in."""
     fit, layers = state.fit, state.layers
     numbers[at.IN_CONTACT] = state.in_contact
@@ -300,7 +306,7 @@ def _lay_out_layer(numbers: list[float], state: DefaultState) -> None:
     numbers[at.SHAFT_STD_N] = state.shaft_std_N
 
 
-def _lay_out_earlier(numbers: list[float], state: DefaultState) -> None:
+def _lay_out_earlier(numbers: list[float], state: MultilayerState) -> None:
     """Friction of the layers before, which no open rupture has touched."""
     pending, layers = open_rupture(state), state.layers
     fit = state.fit if pending is None else pending.left_fit
@@ -317,7 +323,7 @@ def _shares(layer: Traversed) -> tuple[float, float, float, float]:
     return layer.start_m, layer.thickness_m, layer.coulomb_N, layer.viscous
 
 
-def open_rupture(state: DefaultState) -> Pending | None:
+def open_rupture(state: MultilayerState) -> RuptureCandidate | None:
     """The rupture alarmed whose layer is not identified yet, if any."""
     pending = state.pending
     return None if pending is None or pending.is_closed else pending
@@ -326,14 +332,14 @@ def open_rupture(state: DefaultState) -> Pending | None:
 # The layers left, with what has been felt since.
 
 
-def default_layers(state: DefaultState) -> tuple[LayerEstimate, ...]:
+def multilayer_layers(state: MultilayerState) -> tuple[LayerEstimate, ...]:
     """The layers left, as all that has been felt since tells them."""
     pending = open_rupture(state)
     fit = state.fit if pending is None else pending.left_fit
-    friction = Belief(np.array(fit.values[:2]), fit.covariance[:2, :2])
+    friction = Gaussian(np.array(fit.values[:2]), fit.covariance[:2, :2])
     layers: list[LayerEstimate] = []
     for estimate, left in zip(reversed(state.layers), reversed(state.traversed), strict=True):
         belief = look_back(left.belief, left.thickness_m, friction)
         layers.append(revised(estimate, belief))
-        friction = Belief(belief.values[:2], belief.covariance[:2, :2])
+        friction = Gaussian(belief.values[:2], belief.covariance[:2, :2])
     return tuple(reversed(layers))

@@ -9,7 +9,7 @@ from identification.interaction_model import Model
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class PaperConfig:
+class PublishedConfig:
     """Everything the published identification needs; the defaults are the published figures.
 
     Attributes:
@@ -68,8 +68,8 @@ class PaperConfig:
             )
 
 
-PAPER = PaperConfig()
+PUBLISHED = PublishedConfig()
 """The multi-layer model with the published settings."""
 
-PAPER_KV = PaperConfig(model="kv")
+PUBLISHED_KV = PublishedConfig(model="kv")
 """The Kelvin-Voigt model with the published settings (blue line of Figure 8)."""

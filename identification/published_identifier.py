@@ -1,4 +1,4 @@
-"""What a sample asks of the published method beyond `paper_tick`: windows, ruptures, layers."""
+"""The published method beyond `published_update`: windows, ruptures, layers."""
 
 from typing import Any, NamedTuple
 
@@ -15,8 +15,13 @@ from identification.estimate import (
     next_rupture_state,
 )
 from identification.input_validation import Sample, packed
-from identification.published_config import PaperConfig
-from identification.published_update import PaperTick, RlsState, is_window_full, reset_covariance
+from identification.published_config import PublishedConfig
+from identification.published_update import (
+    PublishedUpdate,
+    RlsState,
+    is_window_full,
+    reset_covariance,
+)
 from identification.rls_windows import (
     WindowHistory,
     WindowSums,
@@ -59,7 +64,7 @@ class FoundLayer(NamedTuple):
     damping_Ns_per_m: float
 
 
-class PaperState(NamedTuple):
+class PublishedState(NamedTuple):
     """Immutable state of the published method.
 
     Attributes:
@@ -75,7 +80,7 @@ class PaperState(NamedTuple):
         compensated: The layer whose friction is subtracted from this sample on, if any.
     """
 
-    tick: PaperTick
+    tick: PublishedUpdate
     start_depth_m: float
     windows: WindowHistory = WindowHistory()
     left: LeftLayer | None = None
@@ -159,7 +164,7 @@ _LEAST_SPEED_M_S = 1e-6
 _MOST_LAYERS = 256
 
 
-def identify_left(state: PaperState, force_N: float, config: PaperConfig) -> PaperState:
+def identify_left(state: PublishedState, force_N: float, config: PublishedConfig) -> PublishedState:
     """Identify the layer just left: equations (10) to (12) and the re-run.
 
     Args:
@@ -197,7 +202,7 @@ def identify_left(state: PaperState, force_N: float, config: PaperConfig) -> Pap
     return state._replace(found=FoundLayer(layer, share))
 
 
-def compensate(state: PaperState, found: FoundLayer, config: PaperConfig) -> PaperState:
+def compensate(state: PublishedState, found: FoundLayer, config: PublishedConfig) -> PublishedState:
     """Take the friction of the layer left out of the force of the next one.
 
     The sums of the new layer are corrected for the friction now known, so its estimate goes on
@@ -228,13 +233,13 @@ def compensate(state: PaperState, found: FoundLayer, config: PaperConfig) -> Pap
     )
 
 
-def initial_paper_state(config: PaperConfig) -> PaperState:
+def initial_paper_state(config: PublishedConfig) -> PublishedState:
     """State before the first sample."""
     rls = RlsState(0.0, 0.0, float(config.var_stiffness), 0.0, float(config.var_friction))
-    return PaperState(PaperTick(rls), config.contact_depth_m)
+    return PublishedState(PublishedUpdate(rls), config.contact_depth_m)
 
 
-def begin_paper_sample(state: PaperState, config: PaperConfig) -> PaperState:
+def begin_paper_sample(state: PublishedState, config: PublishedConfig) -> PublishedState:
     """Before a sample: events are over, and a layer found is now taken out of the force."""
     if state.found is not None:
         layer = state.found.layer
@@ -244,17 +249,17 @@ def begin_paper_sample(state: PaperState, config: PaperConfig) -> PaperState:
     return state._replace(rupture=None, compensated=None)
 
 
-def paper_step(
-    state: PaperState, tick: PaperTick, sample: Sample, config: PaperConfig
-) -> PaperState:
-    """What is left of a sample that `paper_tick` has absorbed.
+def published_step(
+    state: PublishedState, tick: PublishedUpdate, sample: Sample, config: PublishedConfig
+) -> PublishedState:
+    """What is left of a sample that `published_update` has absorbed.
 
     Covariance resetting, state machine; after T_drop the force drop (10)(11), re-weighting (12)
-    and re-run of `paper_compensation`.
+    and re-run of `published_compensation`.
 
     Args:
         state: Before the sample.
-        tick: What `paper_tick` has made of the sample.
+        tick: What `published_update` has made of the sample.
         sample: The sample.
         config: Settings.
     """
@@ -271,7 +276,7 @@ def paper_step(
     return state
 
 
-def _close_window(state: PaperState, config: PaperConfig) -> PaperState:
+def _close_window(state: PublishedState, config: PublishedConfig) -> PublishedState:
     """Covariance resetting, and the sums of the reset window."""
     tick = state.tick
     rls = reset_covariance(tick.rls, config.var_stiffness, config.var_friction)
@@ -281,7 +286,7 @@ def _close_window(state: PaperState, config: PaperConfig) -> PaperState:
     )
 
 
-def _machine(state: PaperState, config: PaperConfig) -> RuptureState:
+def _machine(state: PublishedState, config: PublishedConfig) -> RuptureState:
     """One step of the state machine."""
     tick, left = state.tick, state.left
     drop_s = drop_interval_s(config.drop_travel_m, left.rupture.speed_m_s) if left else 0.0
@@ -294,7 +299,7 @@ def _machine(state: PaperState, config: PaperConfig) -> RuptureState:
     )
 
 
-def _open_layer(state: PaperState, sample: Sample, config: PaperConfig) -> PaperState:
+def _open_layer(state: PublishedState, sample: Sample, config: PublishedConfig) -> PublishedState:
     """A rupture is detected: the next layer begins here and now (d_i of Section III).
 
     f(t_r) of (10) is the last force before the alarming sample, which may have dropped already.
@@ -328,7 +333,7 @@ def _open_layer(state: PaperState, sample: Sample, config: PaperConfig) -> Paper
     )
 
 
-def paper_layers(state: PaperState) -> tuple[LayerEstimate, ...]:
+def published_layers(state: PublishedState) -> tuple[LayerEstimate, ...]:
     """The layers left; what follows does not change them."""
     return state.layers if state.found is None else (*state.layers, state.found.layer)
 
@@ -350,17 +355,17 @@ def cusum_constants(sigma0_N: float, sigma1_N: float) -> tuple[float, float]:
     return (var1 + var0) / 2.0, (var1 - var0) / 2.0
 
 
-# What `paper_tick` reads until a layer ends or the rupture machine moves: worked out then.
+# What `published_update` reads until a layer ends or the rupture machine moves: worked out then.
 
 
-class PaperStanding(NamedTuple):
+class PublishedCoefficients(NamedTuple):
     """What follows from a state and seldom changes.
 
     Attributes:
-        numbers: What `paper_tick` takes.
+        numbers: What `published_update` takes.
         rupture_state: Of the state that it was worked out from, as the next two.
-        left: See `PaperState`.
-        layers: See `PaperState`.
+        left: See `PublishedState`.
+        layers: See `PublishedState`.
         is_due: Whether the next sample finds work to do.
     """
 
@@ -370,7 +375,7 @@ class PaperStanding(NamedTuple):
     layers: tuple[LayerEstimate, ...]
     is_due: bool
 
-    def holds(self, state: PaperState) -> bool:
+    def holds(self, state: PublishedState) -> bool:
         """Whether it still says what holds of a state."""
         return (
             self.rupture_state is state.rupture_state
@@ -380,13 +385,13 @@ class PaperStanding(NamedTuple):
         )
 
 
-def is_due(state: PaperState) -> bool:
+def is_due(state: PublishedState) -> bool:
     """Whether the next sample finds work to do: around a rupture, every one does."""
     is_quiet = state.rupture_state in (RuptureState.NO_RUPTURE, RuptureState.EXPECTED)
     return not is_quiet or state.found is not None or state.compensated is not None
 
 
-def paper_standing(state: PaperState, config: PaperConfig) -> PaperStanding:
+def published_coefficients(state: PublishedState, config: PublishedConfig) -> PublishedCoefficients:
     """Work it out of a state; beta grows at each detection."""
     numbers = [0.0] * at.PLACES
     left = layers_left(state.layers) + (state.left is not None)
@@ -404,7 +409,7 @@ def paper_standing(state: PaperState, config: PaperConfig) -> PaperStanding:
     numbers[at.IS_MUTED] = state.rupture_state in MUTED
     numbers[at.IS_EXPECTED] = state.rupture_state is RuptureState.EXPECTED
     numbers[at.IS_DUE] = is_due(state)
-    return PaperStanding(
+    return PublishedCoefficients(
         packed(numbers), state.rupture_state, state.left, state.layers, is_due(state)
     )
 

@@ -48,7 +48,7 @@ def reset_covariance(state: RlsState, var_stiffness: float, var_friction: float)
     IS_DUE,
     PLACES,
 ) = range(15)
-"""Places of the numbers that `paper_standing` lays out."""
+"""Places of the numbers that `published_coefficients` lays out."""
 _ROUNDING = 1e-9
 _FORGETTING = 1.0
 
@@ -57,12 +57,12 @@ Rls = tuple[float, float, float, float, float]
 Sums = tuple[float, float, float, float, float, float, float]
 """The fields of `WindowSums`, plain."""
 Fields = tuple[Rls, Sums, float, float, float, float, float, float, float, float, float, bool, bool]
-"""Of `PaperTick`, plain."""
+"""Of `PublishedUpdate`, plain."""
 Figures = tuple[Any, ...]
 """The fields of an `Estimate` from ``in_contact`` up to the events."""
 
 
-class PaperTick(NamedTuple):
+class PublishedUpdate(NamedTuple):
     """What every sample changes. Compiled code takes and gives plain tuples.
 
     Attributes:
@@ -97,14 +97,14 @@ class PaperTick(NamedTuple):
 
     @property
     def plain(self) -> tuple[Any, ...]:
-        """As `paper_tick` takes it."""
+        """As `published_update` takes it."""
         return tuple(self.rls), tuple(self.window), *self[2:]
 
     @staticmethod
-    def of(plain: tuple[Any, ...]) -> "PaperTick":
-        """From what `paper_tick` gave."""
+    def of(plain: tuple[Any, ...]) -> "PublishedUpdate":
+        """From what `published_update` gave."""
         rls, window, *rest = plain
-        return PaperTick(RlsState(*rls), WindowSums(*window), *rest)
+        return PublishedUpdate(RlsState(*rls), WindowSums(*window), *rest)
 
 
 @compiled
@@ -189,7 +189,7 @@ def derivative_step(
 def paper_figures(
     depth_m: float, speed_m_s: float, force_N: float, tick: Fields, numbers: Vector
 ) -> Figures:
-    """Enhanced force f - sum(B_j d_j) v and its companions, for one sample; see `paper_tick`."""
+    """Enhanced force f - sum(B_j d_j) v and its companions; see `published_update`."""
     depth = max(depth_m - numbers[START_M], 0.0)
     in_contact = depth > 0.0 or numbers[IS_INSIDE] != 0.0
     stiffness, friction = tick[0][0], tick[0][1]
@@ -216,7 +216,7 @@ def paper_figures(
 
 
 @compiled
-def paper_tick(
+def published_update(
     depth_m: float,
     speed_m_s: float,
     force_N: float,
@@ -231,8 +231,8 @@ def paper_tick(
         speed_m_s: Rate of depth [m/s].
         force_N: Axial force [N].
         dt_s: Time since the sample before [s].
-        tick: `PaperTick.plain`.
-        numbers: All else that counts, see `paper_standing`.
+        tick: `PublishedUpdate.plain`.
+        numbers: All else that counts, see `published_coefficients`.
 
     Returns:
         Whether that was all: no window is full, the state machine stays where it is; the new

@@ -5,7 +5,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from identification.friction_compensation import DefaultTick
+from identification.friction_compensation import MultilayerUpdate
 
 # Means over a few milliseconds: the clock of detection, whatever the sample rate.
 
@@ -48,16 +48,16 @@ def least_block_s(block_s: float) -> float:
     return block_s * (1.0 - _ROUNDING)
 
 
-def mean_block(tick: DefaultTick, time_s: float) -> Block:
+def mean_block(tick: MultilayerUpdate, time_s: float) -> Block:
     """The block that has been filled."""
     length = tick.filled_s
     means = (tick.depth_sum / length, tick.speed_sum / length, tick.force_sum / length)
     return Block(time_s, length, *means, tick.bristle)
 
 
-def emptied(tick: DefaultTick) -> DefaultTick:
+def emptied(tick: MultilayerUpdate) -> MultilayerUpdate:
     """To begin the next block with."""
-    return DefaultTick(0.0, 0.0, 0.0, 0.0, *tick[4:])
+    return MultilayerUpdate(0.0, 0.0, 0.0, 0.0, *tick[4:])
 
 
 LENGTH = 512

@@ -18,7 +18,7 @@ from identification.estimate import Rupture
 from identification.force_drop import ForceAfter
 from identification.layer_model import MM
 from identification.membrane import Boundary, MembraneSearch
-from identification.multilayer_config import DefaultConfig
+from identification.multilayer_config import MultilayerConfig
 from identification.published_identifier import Line, fit_line
 from identification.resampling import BLOCKS, DEPTH, FORCE
 
@@ -39,7 +39,7 @@ _ENDS_SEEN = 4.0
 """Ends believed to have been seen per tear, before anything is known of the tissue."""
 
 
-class Held(NamedTuple):
+class ResidualTipForce(NamedTuple):
     """Tip force after a rupture.
 
     Attributes:
@@ -51,7 +51,7 @@ class Held(NamedTuple):
     variance: float = 0.0
 
 
-NOTHING_HELD = Held()
+NO_RESIDUAL_FORCE = ResidualTipForce()
 """A tip that is free."""
 
 
@@ -86,7 +86,7 @@ def _smooth(force: NDArray[np.float64]) -> NDArray[np.float64]:
 
 
 def end_probability(
-    travel_m: float, drop_share: float, earlier: Sequence[float], config: DefaultConfig
+    travel_m: float, drop_share: float, earlier: Sequence[float], config: MultilayerConfig
 ) -> float:
     """How likely a rupture ended a layer.
 
@@ -109,7 +109,7 @@ def end_probability(
     return 1.0 / (1.0 + math.exp(-log_odds))
 
 
-def held_force(after_N: float, probability: float, config: DefaultConfig) -> Held:
+def held_force(after_N: float, probability: float, config: MultilayerConfig) -> ResidualTipForce:
     """Tip force after a rupture that ended a layer with that probability.
 
     Args:
@@ -119,14 +119,14 @@ def held_force(after_N: float, probability: float, config: DefaultConfig) -> Hel
     """
     force, torn = max(after_N, 0.0), 1.0 - probability
     rest, spread = (1.0 - config.tear_share) * force, config.tear_share_std * force
-    return Held(torn * rest, torn * (spread * spread + probability * rest * rest))
+    return ResidualTipForce(torn * rest, torn * (spread * spread + probability * rest * rest))
 
 
 # How a layer ended, measured on the track around its rupture.
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class LayerEnding:
+class RuptureMeasurement:
     """Forces at the end of a layer and what they say about the next.
 
     Attributes:
@@ -156,7 +156,7 @@ class LayerEnding:
     pushed_in_mm: float
     release_m: float
     end_probability: float = 1.0
-    held: Held = NOTHING_HELD
+    held: ResidualTipForce = NO_RESIDUAL_FORCE
 
     @property
     def friction_N(self) -> float:
@@ -175,7 +175,7 @@ def layer_ending(
     rupture: Rupture,
     before: tuple[float, float],
     after: ForceAfter,
-) -> LayerEnding:
+) -> RuptureMeasurement:
     """Measure the end of a layer.
 
     Args:
@@ -188,7 +188,7 @@ def layer_ending(
     before_N, before_var = before
     here = Boundary(rupture.depth_m, 0.0, before_N, before_var, rupture.speed_m_s)
     boundary = here if search.boundary is None else search.boundary
-    return LayerEnding(
+    return RuptureMeasurement(
         boundary=boundary,
         has_membrane=search.boundary is not None,
         is_one_law=search.is_one_law,
@@ -202,7 +202,9 @@ def layer_ending(
     )
 
 
-def weigh_tear(ending: LayerEnding, earlier: Sequence[float], config: DefaultConfig) -> LayerEnding:
+def weigh_tear(
+    ending: RuptureMeasurement, earlier: Sequence[float], config: MultilayerConfig
+) -> RuptureMeasurement:
     """The same ending with what the rupture may have left at the tip.
 
     Args:

@@ -10,10 +10,15 @@ from identification.layer_belief import IdentifiedLayer
 from identification.layer_fit import close_layer, identify_layer
 from identification.layer_model import MM, OWN_COULOMB, OWN_VISCOUS, layer_fit, no_information
 from identification.membrane import SearchWork, search_step
-from identification.multilayer_config import DefaultConfig
-from identification.multilayer_state import DefaultState, Pending, RuptureLook
+from identification.multilayer_config import MultilayerConfig
+from identification.multilayer_state import ForceDropMeasurement, MultilayerState, RuptureCandidate
 from identification.resampling import DEPTH, NO_ROWS, Block, rows_of_track
-from identification.rupture_classifier import LayerEnding, is_made_good, layer_ending, weigh_tear
+from identification.rupture_classifier import (
+    RuptureMeasurement,
+    is_made_good,
+    layer_ending,
+    weigh_tear,
+)
 from identification.slope_change_detector import Verdict_kink_detector as Verdict
 from identification.slope_change_detector import (
     block_noise_N2,
@@ -31,7 +36,7 @@ _REAL = 1.0
 again is no rupture."""
 
 
-def search_stage(pending: Pending, config: DefaultConfig) -> Pending:
+def search_stage(pending: RuptureCandidate, config: MultilayerConfig) -> RuptureCandidate:
     """The next stage of the search for a membrane before the rupture.
 
     Args:
@@ -40,7 +45,7 @@ def search_stage(pending: Pending, config: DefaultConfig) -> Pending:
     """
     left, work = pending.left, pending.search_work
     if work is None:
-        work = SearchWork(max(left.start_m, left.tip_m + config.first_look_m))
+        work = SearchWork(max(left.start_m, left.tip_m + config.provisional_window_m))
     found = search_step(work, left.rows, pending.rupture.depth_m, config)
     if isinstance(found, SearchWork):
         return pending._replace(search_work=found)
@@ -48,8 +53,11 @@ def search_stage(pending: Pending, config: DefaultConfig) -> Pending:
 
 
 def look_stage(
-    state: DefaultState, pending: Pending, look: RuptureLook, config: DefaultConfig
-) -> DefaultState:
+    state: MultilayerState,
+    pending: RuptureCandidate,
+    look: ForceDropMeasurement,
+    config: MultilayerConfig,
+) -> MultilayerState:
     """The next stage of a look: both sides of the rupture, whether it was one, the layer left.
 
     Args:
@@ -72,30 +80,42 @@ def look_stage(
 
 
 def _measure_before(
-    state: DefaultState, pending: Pending, look: RuptureLook, _config: DefaultConfig
-) -> RuptureLook:
+    state: MultilayerState,
+    pending: RuptureCandidate,
+    look: ForceDropMeasurement,
+    _config: MultilayerConfig,
+) -> ForceDropMeasurement:
     points, depth_m = state.track.points, pending.rupture.depth_m
     return look._replace(before=force_before(points, depth_m, block_noise_N2(state.detector)))
 
 
 def _prepare_after(
-    state: DefaultState, pending: Pending, look: RuptureLook, config: DefaultConfig
-) -> RuptureLook:
+    state: MultilayerState,
+    pending: RuptureCandidate,
+    look: ForceDropMeasurement,
+    config: MultilayerConfig,
+) -> ForceDropMeasurement:
     noise, rupture = block_noise_N2(state.detector), pending.rupture
     rows = rows_after(state.track.points, rupture.depth_m, rupture.speed_m_s, noise, config)
     return look._replace(after_rows=rows)
 
 
 def _measure_after(
-    _state: DefaultState, _pending: Pending, look: RuptureLook, _config: DefaultConfig
-) -> RuptureLook:
+    _state: MultilayerState,
+    _pending: RuptureCandidate,
+    look: ForceDropMeasurement,
+    _config: MultilayerConfig,
+) -> ForceDropMeasurement:
     rows = look.after_rows
     return look if rows is None else look._replace(after_rows=None, after=force_after(rows))
 
 
 def _measure_ending(
-    state: DefaultState, pending: Pending, look: RuptureLook, config: DefaultConfig
-) -> RuptureLook:
+    state: MultilayerState,
+    pending: RuptureCandidate,
+    look: ForceDropMeasurement,
+    config: MultilayerConfig,
+) -> ForceDropMeasurement:
     points, rupture = state.track.points, pending.rupture
     if look.before is not None and look.after is not None and pending.search is not None:
         ending = layer_ending(points, pending.search, rupture, look.before, look.after)
@@ -113,31 +133,34 @@ def _measure_ending(
 _MEASURING = (_measure_before, _prepare_after, _measure_after, _measure_ending)
 
 
-def _is_believed(look: RuptureLook, ending: LayerEnding) -> bool:
+def _is_believed(look: ForceDropMeasurement, ending: RuptureMeasurement) -> bool:
     least = _REAL if look.is_final else _SIGNIFICANT
     return not look.has_come_back and ending.drop_N >= least * ending.drop_std_N
 
 
 def _reject(
-    state: DefaultState, pending: Pending, look: RuptureLook, config: DefaultConfig
-) -> DefaultState:
+    state: MultilayerState,
+    pending: RuptureCandidate,
+    look: ForceDropMeasurement,
+    config: MultilayerConfig,
+) -> MultilayerState:
     """No rupture was seen: dismiss it, keep what an earlier look saw, or look again later."""
     if look.has_come_back or (look.is_final and not pending.is_closed):
         return _dismiss(state, pending)
     if look.is_final:
         return state._replace(pending=None)
-    next_look_m = pending.next_look_m + config.first_look_m
+    next_look_m = pending.next_look_m + config.provisional_window_m
     return state._replace(pending=pending._replace(next_look_m=next_look_m, look=None))
 
 
 def _accept(
-    state: DefaultState,
-    pending: Pending,
-    look: RuptureLook,
-    ending: LayerEnding,
+    state: MultilayerState,
+    pending: RuptureCandidate,
+    look: ForceDropMeasurement,
+    ending: RuptureMeasurement,
     identified: IdentifiedLayer,
-    config: DefaultConfig,
-) -> DefaultState:
+    config: MultilayerConfig,
+) -> MultilayerState:
     """Close the layer; a later look replaces what an earlier one found."""
     keep, rupture = len(state.layers) - pending.is_closed, pending.rupture
     bias_var = state.baseline.variance
@@ -146,7 +169,7 @@ def _accept(
     later = pending._replace(
         is_closed=True, next_look_m=config.second_look_m, first=ending, look=None
     )
-    undisturbed_m = rupture.depth_m + config.first_look_m
+    undisturbed_m = rupture.depth_m + config.provisional_window_m
     rows = rows_of_track(state.track.points, undisturbed_m, config.row_m)
     row = np.array([1.0, MM * rupture.speed_m_s])
     spread = float(row @ closed.next_fit.covariance[:2, :2] @ row)
@@ -162,7 +185,7 @@ def _accept(
     )
 
 
-def _dismiss(state: DefaultState, pending: Pending) -> DefaultState:
+def _dismiss(state: MultilayerState, pending: RuptureCandidate) -> MultilayerState:
     """The force came back: no layer was left, and the alarm is withdrawn."""
     kept = len(state.layers) - pending.is_closed
     return state._replace(
@@ -180,8 +203,8 @@ def _dismiss(state: DefaultState, pending: Pending) -> DefaultState:
 
 
 def raise_rupture(
-    state: DefaultState, block: Block, verdict: Verdict, config: DefaultConfig
-) -> DefaultState:
+    state: MultilayerState, block: Block, verdict: Verdict, config: MultilayerConfig
+) -> MultilayerState:
     """An alarm: date the rupture, set the layer left aside, begin the next."""
     if state.pending is not None:
         state = finish_look(measure_rupture(state, config, is_last=True), config)
@@ -203,13 +226,13 @@ def raise_rupture(
         detector=restart_detector(state.detector),
         layer=layer,
         fit=layer_fit(values, np.zeros((6, 6))),
-        pending=Pending(rupture, left, fit, False, config.first_look_m),
+        pending=RuptureCandidate(rupture, left, fit, False, config.provisional_window_m),
         rupture_state=RuptureState.DETECTED,
         rupture=rupture,
     )
 
 
-def _date(state: DefaultState, block: Block, verdict: Verdict) -> Rupture:
+def _date(state: MultilayerState, block: Block, verdict: Verdict) -> Rupture:
     kernels, detector = kink_kernels(), state.detector
     span = int(kernels.spans[list(kernels.scales).index(verdict.scale)])
     since = blocks_since_kink(detector.force_N[-span:], -1.0)
@@ -229,8 +252,8 @@ def _date(state: DefaultState, block: Block, verdict: Verdict) -> Rupture:
 
 
 def measure_rupture(
-    state: DefaultState, config: DefaultConfig, *, is_last: bool = False
-) -> DefaultState:
+    state: MultilayerState, config: MultilayerConfig, *, is_last: bool = False
+) -> MultilayerState:
     """Begin a look at the force drop where one is due: once early, once for good.
 
     This tick works off its first stage, those until the next block the others.
@@ -243,11 +266,11 @@ def measure_rupture(
     if not pending.is_closed:
         state = state._replace(rupture_state=RuptureState.FORCE_DROP_MEASURING)
     if is_final or travel >= pending.next_look_m:
-        return look_stage(state, pending, RuptureLook(is_final), config)
+        return look_stage(state, pending, ForceDropMeasurement(is_final), config)
     return state
 
 
-def work_on_rupture(state: DefaultState, config: DefaultConfig) -> DefaultState:
+def work_on_rupture(state: MultilayerState, config: MultilayerConfig) -> MultilayerState:
     """One stage of what the pending rupture asks for: in ticks between blocks there is time."""
     pending = state.pending
     if pending is None:
@@ -257,7 +280,7 @@ def work_on_rupture(state: DefaultState, config: DefaultConfig) -> DefaultState:
     return state if pending.look is None else look_stage(state, pending, pending.look, config)
 
 
-def finish_look(state: DefaultState, config: DefaultConfig) -> DefaultState:
+def finish_look(state: MultilayerState, config: MultilayerConfig) -> MultilayerState:
     """What is left of a look that has begun, at once: the next block must find it ended."""
     while state.pending is not None and state.pending.look is not None:
         state = work_on_rupture(state, config)

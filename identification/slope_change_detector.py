@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from identification.errors import InvalidSnapshotError
 from identification.input_validation import packed
-from identification.multilayer_config import DefaultConfig
+from identification.multilayer_config import MultilayerConfig
 from identification.resampling import Block
 from needleforce.jit import COMPILER, Matrix, Vector, compiled
 
@@ -32,9 +32,9 @@ LEAST_INDEPENDENT = 5.0
 _LEAST_VARIANCE = 1e-18
 
 Verdict = tuple[float, float, float, float, float]
-"""The fields of `kink_detector.Verdict`, plain."""
+"""The fields of `slope_change_detector.Verdict`, plain."""
 Outputs = tuple[float, float, float, float, float]
-"""Kink, rise, trend, base and ahead of one scale, see `kink_kernels.KinkKernels`."""
+"""Kink, rise, trend, base and ahead of one scale, see `kink_kernels.FilterBank`."""
 
 
 Learned = tuple[Vector, Vector, Vector]
@@ -194,7 +194,7 @@ def kink_step(
     scales: Vector,
     limits: Limits,
 ) -> tuple[tuple[Vector, Vector], Verdict, Learned]:
-    """Judge one block by what was known, then learn from it; see `kink_detector.detector_step`.
+    """Judge one block by what was known, then learn from it; see `detector_step`.
 
     Args:
         signals: Last blocks' forces and speeds, newest last, shape (length,) each.
@@ -229,7 +229,7 @@ BASE_LEAST = 6
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class KinkKernels:
+class FilterBank:
     """Filters over the last `length` blocks, newest last.
 
     Attributes:
@@ -265,8 +265,8 @@ class Scale(NamedTuple):
     Attributes:
         blocks: Blocks after the kink.
         span: Blocks its filters need.
-        gain: See `KinkKernels`.
-        trend_gain: See `KinkKernels`.
+        gain: See `FilterBank`.
+        trend_gain: See `FilterBank`.
     """
 
     blocks: int
@@ -285,7 +285,7 @@ def kink_scales() -> tuple[Scale, ...]:
 
 
 @cache
-def kink_kernels() -> KinkKernels:
+def kink_kernels() -> FilterBank:
     """Least-squares filters of f = a + b t + c max(t - t_kink, 0), one pair per scale."""
     scales = np.array(SCALES)
     bases = np.maximum(BASE_RATIO * scales, BASE_LEAST)
@@ -306,7 +306,7 @@ def kink_kernels() -> KinkKernels:
     together.setflags(write=False)
     gains = np.sum(kink**2, axis=1), np.sum(trend**2, axis=1)
     together = together.reshape(-1, length)
-    return KinkKernels(kink, rise, trend, mean, ahead, together, *gains, spans, scales, length)
+    return FilterBank(kink, rise, trend, mean, ahead, together, *gains, spans, scales, length)
 
 
 _SLOWEST = 16
@@ -402,7 +402,7 @@ def block_noise_N2(state: DetectorState) -> float:
 
 
 def detector_step(
-    state: DetectorState, block: Block, config: DefaultConfig
+    state: DetectorState, block: Block, config: MultilayerConfig
 ) -> tuple[DetectorState, Verdict_kink_detector]:
     """Judge one block against the line through the blocks before, at every scale.
 

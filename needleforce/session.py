@@ -7,20 +7,20 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from identification import DEFAULT as DEFAULT_IDENTIFIER
+from identification import MULTILAYER as DEFAULT_IDENTIFIER
 from identification import (
-    DefaultConfig,
     Estimate,
     IdentificationError,
     Identifier,
     LayerEstimate,
-    PaperConfig,
+    MultilayerConfig,
+    PublishedConfig,
     SampleStatus,
 )
 from identification import Snapshot as IdentifierSnapshot
 from needleforce.jit import Matrix, Vector, compiled
 from residual import DEFAULT as DEFAULT_SENSOR
-from residual import Caution, SensorConfig, Status, VirtualForceSensor, WrenchEstimate
+from residual import SensorConfig, SensorWarning, Status, VirtualForceSensor, WrenchEstimate
 from residual.bias_model import Tare
 from residual.snapshot import SensorState
 from residual.tool_kinematics import ToolKinematics
@@ -118,7 +118,7 @@ class SessionEstimate(NamedTuple):
             identifier, its ``rupture``, ``compensated`` and ``withdrawn`` only in the tick that
             brought them.
         status: Whether the numbers are of this tick and tared.
-        is_fed: Whether this tick's force went into the identification.
+        used_for_identification: Whether this tick's force went into the identification.
     """
 
     wrench: WrenchEstimate
@@ -126,12 +126,12 @@ class SessionEstimate(NamedTuple):
     speed_m_s: float
     identification: Estimate
     status: Status
-    is_fed: bool
+    used_for_identification: bool
 
     @property
-    def cautions(self) -> Caution:
+    def warnings(self) -> SensorWarning:
         """What may be wrong with the force beyond its standard deviation."""
-        return self.wrench.cautions
+        return self.wrench.warnings
 
 
 class SessionSnapshot(NamedTuple):
@@ -174,17 +174,17 @@ class SnapshotFileError(InsertionError, ValueError):
 
 
 _NOT_FED = (
-    Caution.JOINT_LIMIT
-    | Caution.NEAR_SINGULAR
-    | Caution.MISFIT
-    | Caution.FROZEN
-    | Caution.STALE
-    | Caution.VELOCITY
+    SensorWarning.JOINT_LIMIT
+    | SensorWarning.NEAR_SINGULAR
+    | SensorWarning.MODEL_MISMATCH
+    | SensorWarning.FROZEN
+    | SensorWarning.TARE_EXPIRED
+    | SensorWarning.VELOCITY
 )
 
 # Names of an enumeration take as long to look up as a call, and there is a named tuple in every
 # tick: this is its own way of making one, without the detour.
-_OK, _SKIPPED = Status.OK, Status.SKIPPED
+_OK, _SKIPPED = Status.OK, Status.REJECTED
 _FED = tuple(status for status in SampleStatus if status.is_absorbed)
 
 
@@ -217,7 +217,7 @@ class InsertionSession:
         self,
         robot: Robot,
         sensor_config: SensorConfig = DEFAULT_SENSOR,
-        identifier_config: DefaultConfig | PaperConfig = DEFAULT_IDENTIFIER,
+        identifier_config: MultilayerConfig | PublishedConfig = DEFAULT_IDENTIFIER,
         *,
         speed_lag_s: float = 0.0,
     ) -> None:
@@ -289,16 +289,16 @@ class InsertionSession:
             force: Take it even where contact is seen, or velocities that cannot be.
 
         Raises:
-            TareError: Without data, a second time without `start_recording`, with contact in sight
-                or velocities that do not fit positions; nothing has then changed.
+            TareError: Without data, a second time without `start_tare_recording`, with contact in
+                sight or velocities that do not fit positions; nothing has then changed.
         """
         tare = self._sensor.tare(force=force)
         self.begin_insertion()
         return tare
 
-    def start_recording(self) -> None:
+    def start_tare_recording(self) -> None:
         """Record free motion anew for the next `tare`; estimates are `NOT_TARED` until then."""
-        self._sensor.start_recording()
+        self._sensor.start_tare_recording()
 
     def begin_insertion(self) -> None:
         """Count depth from here and forget the layers; the tare stays."""
@@ -385,7 +385,7 @@ class InsertionSession:
             share = -math.expm1(-elapsed_s / self._speed_lag_s)
             travel = travel._replace(speed_m_s=last + share * (travel.speed_m_s - last))
         self._last_travel = travel
-        if status is not _OK or (wrench.cautions and wrench.cautions & _NOT_FED):
+        if status is not _OK or (wrench.warnings and wrench.warnings & _NOT_FED):
             self._unfed_s += elapsed_s
             return self._idle(wrench)
         if self._unfed_s:
@@ -395,13 +395,15 @@ class InsertionSession:
         if found.rupture is not None:
             # A push aside looks like a rupture before it has stayed for long enough to be told.
             wrench = self._sensor.recheck(wrench)
-            if wrench.cautions & Caution.MISFIT:
+            if wrench.warnings & SensorWarning.MODEL_MISMATCH:
                 self._identifier.undo_rupture()
                 self._unfed_s = elapsed_s
                 return self._idle(wrench)
         self._identification = found
-        is_fed = found.status in _FED
-        return _new(SessionEstimate, (wrench, depth_m, speed_m_s, found, status, is_fed))
+        used_for_identification = found.status in _FED
+        return _new(
+            SessionEstimate, (wrench, depth_m, speed_m_s, found, status, used_for_identification)
+        )
 
     def _idle(self, wrench: WrenchEstimate) -> SessionEstimate:
         """A tick that the identifier does not see."""

@@ -14,10 +14,10 @@ from typing import Any, Literal, Union, get_args, get_origin, get_type_hints
 
 import numpy as np
 
-from identification import DefaultConfig, PaperConfig
+from identification import MultilayerConfig, PublishedConfig
 from identification import Snapshot as IdentifierSnapshot
-from identification.multilayer_state import DefaultState
-from identification.published_identifier import PaperState
+from identification.multilayer_state import MultilayerState
+from identification.published_identifier import PublishedState
 from needleforce.session import SessionSnapshot, SnapshotFileError
 from residual.snapshot import SensorState
 
@@ -29,10 +29,10 @@ SNAPSHOT_TYPES = (
     SessionSnapshot,
     SensorState,
     IdentifierSnapshot,
-    DefaultState,
-    DefaultConfig,
-    PaperState,
-    PaperConfig,
+    MultilayerState,
+    MultilayerConfig,
+    PublishedState,
+    PublishedConfig,
 )
 """Roots; everything else is reached from them."""
 
@@ -150,11 +150,11 @@ LARGEST = 1e30
 """No number of a snapshot comes near it; its square can still be calculated with."""
 NOT_FINITE = {
     "AloneState.limit_s": math.inf,
-    "DefaultTick.deepest_m": -math.inf,
-    "LayerEnding.release_m": math.nan,
+    "MultilayerUpdate.deepest_m": -math.inf,
+    "RuptureMeasurement.release_m": math.nan,
     "MembraneFits.squares": math.inf,
-    "PaperTick.force_N": math.nan,
-    "PaperTick.force_before_N": math.nan,
+    "PublishedUpdate.force_N": math.nan,
+    "PublishedUpdate.force_before_N": math.nan,
 }
 """The only places where a number may be other than finite, and which it then is."""
 

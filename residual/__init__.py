@@ -5,8 +5,8 @@ Reading order: `momentum_step` (the equation), `momentum_observer` (the residual
 (equation 13), `slow_checks` (when to doubt it), `virtual_force_sensor` (all of it in two calls).
 """
 
-from residual.bias_model import TarePrior
-from residual.config import DEFAULT, PAPER, SensorConfig
+from residual.bias_model import BiasPrior
+from residual.config import DEFAULT, PUBLISHED, SensorConfig
 from residual.errors import (
     ConfigurationError,
     ResidualError,
@@ -14,7 +14,7 @@ from residual.errors import (
     SnapshotError,
     TareError,
 )
-from residual.estimate import Caution, Status, WrenchEstimate
+from residual.estimate import SensorWarning, Status, WrenchEstimate
 from residual.joint_friction import FrictionModel, JointFriction, SigmoidFriction
 from residual.kalman_observer import KalmanObserver
 from residual.momentum_observer import MomentumObserver
@@ -24,8 +24,8 @@ from residual.wrench_estimator import WrenchEstimator
 
 __all__ = [
     "DEFAULT",
-    "PAPER",
-    "Caution",
+    "PUBLISHED",
+    "BiasPrior",
     "ConfigurationError",
     "FrictionModel",
     "JointFriction",
@@ -34,11 +34,11 @@ __all__ = [
     "ResidualError",
     "SampleError",
     "SensorConfig",
+    "SensorWarning",
     "SigmoidFriction",
     "SnapshotError",
     "Status",
     "TareError",
-    "TarePrior",
     "VelocityEstimator",
     "VirtualForceSensor",
     "WrenchEstimate",

@@ -6,11 +6,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from residual.bias_fit import fit_tare
-from residual.bias_model import Tare, TareBasis, TareBlocks, prior_tare
+from residual.bias_model import BiasModel, Tare, TareBlocks, prior_tare
 from residual.bias_recorder import RecorderState, TareRecorder
 from residual.config import SensorConfig
 from residual.errors import TareError
-from residual.estimate import FORGOTTEN, STALE
+from residual.estimate import FORGOTTEN, TARE_EXPIRED
 from residual.input_validation import ROUNDING_S
 from residual.wrench_estimator import WrenchEstimator
 from urdf import Robot
@@ -127,7 +127,7 @@ class TareNumbers(NamedTuple):
 
 
 class OffsetState(NamedTuple):
-    """All that an `OffsetRemoval` remembers.
+    """All that an `BiasEstimator` remembers.
 
     Attributes:
         recorder: Free motion recorded for the next tare.
@@ -143,7 +143,7 @@ class OffsetState(NamedTuple):
         summed: Their number.
         bias: Offset that is subtracted [Nm], shape (n,).
         q: Last position [rad], shape (n,).
-        leapt_s: Time in steps longer than `OffsetRemoval.LEAP_S` since the tare, or since free
+        leapt_s: Time in steps longer than `BiasEstimator.LEAP_S` since the tare, or since free
             motion is recorded [s].
     """
 
@@ -163,7 +163,7 @@ class OffsetState(NamedTuple):
     leapt_s: float = 0.0
 
 
-class OffsetRemoval:
+class BiasEstimator:
     """Subtracts the residual's error without contact from the observer's output.
 
     Until the first `tare` the prior stands in: no offset, a large covariance.
@@ -184,7 +184,7 @@ class OffsetRemoval:
 
     def __init__(self, robot: Robot, config: SensorConfig) -> None:
         self._config = config
-        self._basis = TareBasis(robot, config.tare, config.prior)
+        self._basis = BiasModel(robot, config.tare, config.prior)
         self._recorder = TareRecorder(
             robot.nv, self._basis.loops, self.BLOCK_LAGS / config.slowest_gain_per_s
         )
@@ -193,7 +193,7 @@ class OffsetRemoval:
 
     @property
     def tared(self) -> bool:
-        """Whether `tare` has succeeded since the last `reset` or `start_recording`."""
+        """Whether `tare` has succeeded since the last `reset` or `start_tare_recording`."""
         return self._tared
 
     @property
@@ -201,7 +201,7 @@ class OffsetRemoval:
         """What a leap has made of the tare, or of the motion recorded for it; empty without one."""
         if self._leapt_s == 0.0:
             return ""
-        return STALE if self._tared else FORGOTTEN
+        return TARE_EXPIRED if self._tared else FORGOTTEN
 
     @property
     def is_fresh(self) -> bool:
@@ -284,8 +284,8 @@ class OffsetRemoval:
         """
         if self._tared:
             raise TareError(
-                "already tared, and nothing was recorded since; call start_recording(), move in "
-                "free air, then tare() again"
+                "already tared, and nothing was recorded since; call "
+                "start_tare_recording(), move in free air, then tare() again"
             )
         try:
             blocks = self._recorder.blocks(self._now_s, self._config.tare_window_s)
@@ -300,7 +300,7 @@ class OffsetRemoval:
         self._bias = fitted.bias_Nm(self._q, self._trend, 0.0)
         return fitted
 
-    def start_recording(self) -> None:
+    def start_tare_recording(self) -> None:
         """Forget what was recorded and record anew; the tare in force stays until the next."""
         self._recorder.clear()
         self._tared, self._leapt_s = False, 0.0

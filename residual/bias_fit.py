@@ -5,7 +5,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from residual.bias_model import Tare, TareBasis, TareBlocks
+from residual.bias_model import BiasModel, Tare, TareBlocks
 
 LINK_SCALES = (0.25, 0.5, 1.0, 2.0)
 """How good the link table may be, against the prior's figure; the motion itself chooses."""
@@ -22,7 +22,7 @@ class _Normal(NamedTuple):
     evidence: NDArray[np.float64]
 
 
-def fit_tare(basis: TareBasis, blocks: TareBlocks) -> Tare:
+def fit_tare(basis: BiasModel, blocks: TareBlocks) -> Tare:
     """Fit the offset over blocks of free motion.
 
     Two passes: the first takes the noise seen between neighbouring blocks for independent; what it
@@ -73,10 +73,10 @@ def _neighbour_variance(residual: NDArray[np.float64]) -> NDArray[np.float64]:
 
 
 def _wave_variance(
-    misfit: NDArray[np.float64],
+    model_mismatch: NDArray[np.float64],
     white: NDArray[np.float64],
     travel_rad: NDArray[np.float64],
-    basis: TareBasis,
+    basis: BiasModel,
 ) -> NDArray[np.float64]:
     """Variance of the sensors' waviness per joint [Nm^2], shape (n,).
 
@@ -84,7 +84,7 @@ def _wave_variance(
     has had its wave fitted away as a slope: it is given what the others have, in proportion to
     range, since an arm's torque sensors are of one kind.
     """
-    own = np.maximum((misfit**2).mean(axis=0) - white, 0.0)
+    own = np.maximum((model_mismatch**2).mean(axis=0) - white, 0.0)
     moved = travel_rad > 4.0 * basis.prior.wave_rad
     if not moved.any():
         return own
@@ -125,7 +125,7 @@ def _in_units(normal: _Normal, std: NDArray[np.float64]) -> NDArray[np.float64]:
     return normal.information * np.outer(std, std)
 
 
-def _likeliest_prior(normal: _Normal, basis: TareBasis) -> NDArray[np.float64]:
+def _likeliest_prior(normal: _Normal, basis: BiasModel) -> NDArray[np.float64]:
     """The prior with the scale of link errors that makes the data likeliest (empirical Bayes)."""
     if "links" not in basis.groups:
         return basis.std

@@ -16,7 +16,7 @@ error of every link's mass and first moments, of the sensors' hysteresis and of 
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class TarePrior:
+class BiasPrior:
     """Standard deviations of what the tare fits, before it has seen data.
 
     They are properties of a class of arms, not of one recording; shares are of each joint's
@@ -76,7 +76,7 @@ class TarePrior:
             )
 
 
-class TareBasis:
+class BiasModel:
     """The linear model of a residual without contact: ``bias = H(q, trend, age) theta``.
 
     Columns in order: offset per joint; mass and first moments per link (static columns of the
@@ -92,7 +92,7 @@ class TareBasis:
         ConfigurationError: For an unknown kind.
     """
 
-    def __init__(self, robot: Robot, kind: TareKind, prior: TarePrior) -> None:
+    def __init__(self, robot: Robot, kind: TareKind, prior: BiasPrior) -> None:
         if kind not in ("constant", "model"):
             raise ConfigurationError(f"tare is {kind!r}, expected 'constant' or 'model'")
         self.joints = robot.nv
@@ -176,7 +176,7 @@ class TareBasis:
 # Offset removal that lasts: the residual's error without contact, fitted over the free approach.
 #
 # Section IV of the paper subtracts a constant r_0, which holds near where it was taken only. Here
-# the error is a linear model of physical causes with a prior on each (`TareBasis`), fitted by
+# the error is a linear model of physical causes with a prior on each (`BiasModel`), fitted by
 # Bayesian least squares over the free motion before contact. It extrapolates along the insertion
 # and its covariance says how far. The offset is subtracted from the observer's output, never inside
 # its integral, so that it does not fade.
@@ -225,7 +225,7 @@ class Tare:
         noise_Nm2: Covariance of a single residual about the model, shape (n, n).
     """
 
-    basis: TareBasis
+    basis: BiasModel
     mean: NDArray[np.float64]
     covariance: NDArray[np.float64]
     noise_Nm2: NDArray[np.float64]
@@ -263,7 +263,7 @@ class Tare:
         return model + self.noise_Nm2 + walk
 
 
-def prior_tare(basis: TareBasis) -> Tare:
+def prior_tare(basis: BiasModel) -> Tare:
     """What is known before any free motion was seen: no offset, the prior's covariance."""
     noise = np.diag((1e-3 * basis.effort_Nm) ** 2)
     return Tare(

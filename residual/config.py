@@ -3,7 +3,7 @@
 from dataclasses import dataclass, field
 from typing import get_args
 
-from residual.bias_model import TareKind, TarePrior
+from residual.bias_model import BiasPrior, TareKind
 from residual.errors import ConfigurationError
 from residual.input_validation import check_alignment, check_choice, check_positive, check_switch
 from residual.joint_friction import FrictionModel
@@ -56,7 +56,7 @@ class SensorConfig:
     expected_force_N: float | None = 100.0
     tare: TareKind = "model"
     tare_window_s: float | None = None
-    prior: TarePrior = field(default_factory=TarePrior)
+    prior: BiasPrior = field(default_factory=BiasPrior)
     contact_force_N: float = 0.25
     guard: bool = True
     max_gap_s: float = 0.1
@@ -73,8 +73,8 @@ class SensorConfig:
         for name in ("smooth_momentum", "guard"):
             check_switch(name, getattr(self, name))
         unit_axis(self.insertion_axis)
-        if not isinstance(self.prior, TarePrior):
-            raise ConfigurationError(f"prior is {self.prior!r}, expected a TarePrior")
+        if not isinstance(self.prior, BiasPrior):
+            raise ConfigurationError(f"prior is {self.prior!r}, expected a BiasPrior")
         if self.friction is not None and not callable(getattr(self.friction, "torque", None)):
             raise ConfigurationError(
                 f"friction is {self.friction!r}, expected a JointFriction or another object that "
@@ -95,7 +95,7 @@ class SensorConfig:
 DEFAULT = SensorConfig()
 """Ours."""
 
-PAPER = SensorConfig(
+PUBLISHED = SensorConfig(
     gain_per_s=5.0,
     smooth_momentum=False,
     mode="full",

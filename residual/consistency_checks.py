@@ -8,7 +8,7 @@ from numpy.typing import NDArray
 
 from needleforce.jit import Matrix, Vector, compiled
 from residual.errors import VelocityError
-from residual.estimate import Caution, WrenchEstimate
+from residual.estimate import SensorWarning, WrenchEstimate
 from residual.wrench_estimator import WrenchEstimator
 from urdf import Robot
 
@@ -252,7 +252,7 @@ def _factor(one: _Sums) -> str:
 
 LIMIT_MARGIN_RAD = 0.01
 """Half a degree from its limit a joint counts as being there."""
-LEAST_LEVER_M = 0.05
+LEAST_SINGULAR_VALUE = 0.05
 """Below it a newton is a twentieth of a newton metre in all joints together: as much as the noise
 of one torque sample."""
 MISFIT_MEMORY_S = 0.2
@@ -266,14 +266,14 @@ NO_TARE = (
     "know better"
 )
 _REASONS = {
-    Caution.JOINT_LIMIT: "a joint is at its position limit",
-    Caution.NEAR_SINGULAR: "the joints hardly feel a force in this pose",
-    Caution.MISFIT: "the joint torques do not fit the assumed contact",
+    SensorWarning.JOINT_LIMIT: "a joint is at its position limit",
+    SensorWarning.NEAR_SINGULAR: "the joints hardly feel a force in this pose",
+    SensorWarning.MODEL_MISMATCH: "the joint torques do not fit the assumed contact",
 }
 
 
 class SlowState(NamedTuple):
-    """All that `SlowChecks` remember.
+    """All that `ConsistencyMonitor` remember.
 
     Attributes:
         misfit_squared: Smoothed.
@@ -283,11 +283,11 @@ class SlowState(NamedTuple):
     """
 
     misfit_squared: float = 0.0
-    cautions: int = 0
+    warnings: int = 0
     match: NDArray[np.float64] | None = None
 
 
-class SlowChecks:
+class ConsistencyMonitor:
     """Looks now and then at what is too slow, and too dear, for every sample.
 
     Args:
@@ -322,16 +322,16 @@ class SlowChecks:
             dt_s: Time since the last look [s].
             tared: Whether the residual's covariance is a fitted one.
         """
-        found = Caution.NONE
+        found = SensorWarning.NONE
         if (q <= self._lower).any() or (q >= self._upper).any():
-            found |= Caution.JOINT_LIMIT
-        if self._wrench.lever_m() < LEAST_LEVER_M:
-            found |= Caution.NEAR_SINGULAR
+            found |= SensorWarning.JOINT_LIMIT
+        if self._wrench.smallest_singular_value() < LEAST_SINGULAR_VALUE:
+            found |= SensorWarning.NEAR_SINGULAR
         now = self._wrench.misfit_squared(residual) if tared else 0.0
         share = -math.expm1(-dt_s / MISFIT_MEMORY_S)
         square = self._misfit_squared + share * (now - self._misfit_squared)
         if square > MOST_MISFIT**2:
-            found |= Caution.MISFIT
+            found |= SensorWarning.MODEL_MISMATCH
         match = None if dq is None else self._matched(q, dq, dt_s)
         self.restore(SlowState(square, int(found), match))
 
@@ -357,35 +357,35 @@ class SlowChecks:
 
     def forget_velocity(self) -> None:
         """Compare velocities with positions anew."""
-        cautions = self.cautions & ~Caution.VELOCITY
-        self.restore(SlowState(self._misfit_squared, int(cautions)))
+        warnings = self.warnings & ~SensorWarning.VELOCITY
+        self.restore(SlowState(self._misfit_squared, int(warnings)))
 
     def recheck(self, last: WrenchEstimate) -> WrenchEstimate:
-        """The last estimate, its `Caution.MISFIT` told at once if its sample alone misfits.
+        """The last estimate, its `SensorWarning.MODEL_MISMATCH` raised if this sample misfits.
 
         Too dear for every sample, and a knock does it too: for what must not wait.
         """
         if self._wrench.misfit_squared(last.residual) <= MOST_MISFIT**2:
             return last
-        message = "; ".join(filter(None, (last.message, _REASONS[Caution.MISFIT])))
-        return last._replace(cautions=last.cautions | Caution.MISFIT, message=message)
+        message = "; ".join(filter(None, (last.message, _REASONS[SensorWarning.MODEL_MISMATCH])))
+        return last._replace(warnings=last.warnings | SensorWarning.MODEL_MISMATCH, message=message)
 
     @property
     def state(self) -> SlowState:
         """All that is remembered."""
-        return SlowState(self._misfit_squared, int(self.cautions), self._match)
+        return SlowState(self._misfit_squared, int(self.warnings), self._match)
 
     def restore(self, state: SlowState) -> None:
         """Go on from a `state` taken earlier."""
         self._misfit_squared = state.misfit_squared
-        self.misfit = math.sqrt(state.misfit_squared)
+        self.model_mismatch = math.sqrt(state.misfit_squared)
         """Smoothed misfit, see `WrenchEstimate`."""
         self._match = state.match
         self.velocity_fault = "" if state.match is None else velocity_fault(state.match)
         """What is wrong with measured velocities, in words; empty if nothing surely is."""
-        told = Caution.VELOCITY if self.velocity_fault else Caution.NONE
-        self.cautions = Caution(state.cautions) | told
+        told = SensorWarning.VELOCITY if self.velocity_fault else SensorWarning.NONE
+        self.warnings = SensorWarning(state.warnings) | told
         """What was found at the last look."""
-        reasons = [text for one, text in _REASONS.items() if one in self.cautions]
+        reasons = [text for one, text in _REASONS.items() if one in self.warnings]
         self.message = "; ".join(filter(None, (self.velocity_fault, *reasons)))
         """The same in words."""

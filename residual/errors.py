@@ -3,7 +3,7 @@
 from typing import TYPE_CHECKING
 
 if TYPE_CHECKING:
-    from residual.estimate import Caution
+    from residual.estimate import SensorWarning
 
 
 class ResidualError(Exception):
@@ -25,10 +25,10 @@ class SuspectSampleError(SampleError):
     """A sample of sound numbers that is no measurement: a spike, a frozen or a saturated torque.
 
     Attributes:
-        caution: Which of these, a `residual.Caution`.
+        caution: Which of these, a `residual.SensorWarning`.
     """
 
-    def __init__(self, message: str, caution: "Caution") -> None:
+    def __init__(self, message: str, caution: "SensorWarning") -> None:
         super().__init__(message)
         self.caution = caution
 

@@ -21,14 +21,14 @@ class Status(StrEnum):
     """A tared estimate of a sound sample."""
     NOT_TARED = "not tared"
     """The offset has not been removed yet: the numbers carry the model's errors."""
-    SETTLING = "settling"
+    INITIALIZING = "settling"
     """The filters have just started, or started anew after a gap in time."""
-    SKIPPED = "skipped"
+    REJECTED = "skipped"
     """The sample was bad and was not absorbed: the numbers are those of the last sound one."""
 
 
-class Caution(IntFlag):
-    """What may be wrong beyond the standard deviation; the first three make a sample `SKIPPED`."""
+class SensorWarning(IntFlag):
+    """What may be wrong beyond the standard deviation; the first three make a sample `REJECTED`."""
 
     NONE = 0
     SPIKE = 1
@@ -43,10 +43,10 @@ class Caution(IntFlag):
     """A joint is at its position limit: the end stop may carry torque."""
     NEAR_SINGULAR = 16
     """The joints hardly feel a force in some direction that is asked for."""
-    MISFIT = 32
+    MODEL_MISMATCH = 32
     """The joint torques do not fit the assumed contact: a force from the side, a second contact, a
     payload or an arm that is not the model's."""
-    STALE = 64
+    TARE_EXPIRED = 64
     """A single time step was so long that the drift it would stand for spoils the tare: a long
     pause, or a clock that was set. It stays until the next tare. While free motion is recorded for
     one: what was recorded before is forgotten."""
@@ -89,8 +89,8 @@ class WrenchEstimate(NamedTuple):
     residual: NDArray[np.float64]
     status: Status = Status.OK
     message: str = ""
-    misfit: float = 0.0
-    cautions: Caution = Caution.NONE
+    model_mismatch: float = 0.0
+    warnings: SensorWarning = SensorWarning.NONE
 
 
 def unknown_wrench(joints: int, components: int) -> WrenchEstimate:
@@ -112,9 +112,9 @@ def unknown_wrench(joints: int, components: int) -> WrenchEstimate:
 # What the virtual sensor tells its caller in words.
 
 
-SETTLING = "the filters have just started, or a time step was longer than max_gap_s"
+INITIALIZING = "the filters have just started, or a time step was longer than max_gap_s"
 NOT_TARED = "tare() has not been called"
-STALE = (
+TARE_EXPIRED = (
     "since the tare a time step of minutes has come, a pause or a clock that was set; "
     "axial_std holds for a pause: withdraw and tare again"
 )
@@ -124,21 +124,23 @@ FORGOTTEN = (
 )
 OTHER_KIND = (
     "update() and update_external_torque() were mixed; a tare is of one kind of torque: keep to "
-    "one of the two, or start_recording() first"
+    "one of the two, or start_tare_recording() first"
 )
 
 
-def with_warnings(cautions: Caution, message: str, frozen: str, stale: str) -> tuple[Caution, str]:
+def with_warnings(
+    warnings: SensorWarning, message: str, frozen: str, stale: str
+) -> tuple[SensorWarning, str]:
     """Cautions and message with what else is to be warned of.
 
     Args:
-        cautions: So far.
+        warnings: So far.
         message: So far.
         frozen: What seems frozen, in words; empty if nothing does.
         stale: What has become of the tare, in words; empty if nothing has.
     """
     if frozen:
-        cautions |= Caution.FROZEN
+        warnings |= SensorWarning.FROZEN
     if stale:
-        cautions |= Caution.STALE
-    return cautions, "; ".join(filter(None, (frozen, stale, message)))
+        warnings |= SensorWarning.TARE_EXPIRED
+    return warnings, "; ".join(filter(None, (frozen, stale, message)))

@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 
 from needleforce.jit import Vector, compiled
 from residual.errors import SuspectSampleError
-from residual.estimate import Caution
+from residual.estimate import SensorWarning
 from residual.input_validation import ROUNDING_S
 from residual.stuck_signals import (
     AloneState,
@@ -22,7 +22,7 @@ from residual.stuck_signals import (
     NoiseProbe,
     NoiseState,
     RepeatState,
-    RepeatWatch,
+    StuckSignalDetector,
     new_rows,
     stands_out,
     white_noise,
@@ -76,7 +76,7 @@ def fresh_distance(now: Vector, last: Vector, weight: Vector, joints: int) -> fl
     return math.sqrt(np.vdot(off, off))  # `dot` warns of an overflow
 
 
-class SpikeGates:
+class OutlierGate:
     """Largest believable jump of position (less its velocity times the time), velocity and torque.
 
     Args:
@@ -184,7 +184,7 @@ MOST_UNEXPLAINED = 0.35
 """Share of the jump that the force may leave over; a spike of one joint leaves most of itself."""
 
 
-class ContactStep:
+class ContactTransient:
     """Tells a contact, felt by all joints according to their levers, from a spike of a sensor.
 
     Args:
@@ -218,7 +218,7 @@ class ContactStep:
 
 
 class GuardState(NamedTuple):
-    """All that a `SampleGuard` remembers.
+    """All that a `FaultDetector` remembers.
 
     Attributes:
         last: Last accepted sample: position, velocity if there is one, torque; shape (2 n,) or
@@ -292,7 +292,7 @@ LOADED_SHARE = 0.9
 """Share of the effort limit from which every torque is watched."""
 
 
-class SampleGuard:
+class FaultDetector:
     """Judges the samples of one stream before anything absorbs them.
 
     Args:
@@ -303,9 +303,13 @@ class SampleGuard:
 
     def __init__(self, robot: Robot, *, has_velocity: bool, velocity_delay_s: float = 0.0) -> None:
         n = self._joints = robot.nv
-        self._gates = SpikeGates(robot, has_velocity=has_velocity, delay_s=velocity_delay_s)
-        self._contact = ContactStep(robot)
-        self._motion, self._torque, self._alone = RepeatWatch(), RepeatWatch(), AloneWatch(n)
+        self._gates = OutlierGate(robot, has_velocity=has_velocity, delay_s=velocity_delay_s)
+        self._contact = ContactTransient(robot)
+        self._motion, self._torque, self._alone = (
+            StuckSignalDetector(),
+            StuckSignalDetector(),
+            AloneWatch(n),
+        )
         self.restore(fresh_guard(n, (3 if has_velocity else 2) * n))
 
     def surely_passes(self, now: NDArray[np.float64]) -> bool:
@@ -409,7 +413,7 @@ class SampleGuard:
             raise SuspectSampleError(
                 f"tau is at the effort limit at joint index {clipped}: the true torque may be "
                 "anything beyond; unload the arm, or correct the limits of the robot's description",
-                Caution.SATURATED,
+                SensorWarning.SATURATED,
             )
 
     def _check_frozen(self, off: NDArray[np.float64], dt_s: float) -> None:
@@ -429,7 +433,7 @@ class SampleGuard:
             raise SuspectSampleError(
                 f"{' and '.join(frozen)} of all joints repeat bit for bit although they are noisy; "
                 "check the sensors and the connection",
-                Caution.FROZEN,
+                SensorWarning.FROZEN,
             )
 
     def _check_jump(self, now: NDArray[np.float64], dt_s: float) -> bool:
@@ -451,7 +455,7 @@ class SampleGuard:
         raise SuspectSampleError(
             f"a signal jumped further than an arm can at joint index {jumped}; held back "
             f"unless it stays for {STAYED_S:g} s",
-            Caution.SPIKE,
+            SensorWarning.SPIKE,
         )
 
     def _beyond(

@@ -120,7 +120,7 @@ def momentum_tick(
         Sum of the squares of the rows written.
     """
     inertia, coriolis, gravity = dynamics
-    gain, knee, bandwidth, held = settings
+    gain, noise_threshold, bandwidth, held = settings
     before, after = ROWS * (1 - slot), ROWS * slot
     size = 0.0
     for i in range(len(velocity)):
@@ -132,7 +132,7 @@ def momentum_tick(
         if dt_s > 0.0:
             at_rest = 1.0 / (bandwidth * dt_s)
             behind = momentum - rows[before + 1, i]
-            ratio = behind / knee[i]
+            ratio = behind / noise_threshold[i]
             momentum -= behind / (1.0 + at_rest + ratio * ratio * ratio * ratio) * at_rest
             motion = transported - gravity[i] + rows[before + 2, i] - rows[before + 3, i]
             acting = 2.0 * rows[before + 4, i] if held else rows[before + 4, i] + torque[i]
@@ -228,11 +228,11 @@ class MomentumTerms:
 
 BANDWIDTH_PER_S = 10.0
 """Bandwidth at rest [1/s]: well below that of the torque, which alone carries a rupture."""
-KNEE_SIGMAS = 3.0
+NOISE_THRESHOLD_SIGMAS = 3.0
 """Distance, in standard deviations of the momentum, at which the bandwidth has doubled."""
 
 # Arrays without dimensions here and below: numpy is twice as fast with them as with floats.
-_PER_KNEE = np.array(KNEE_SIGMAS**-4)
+_PER_KNEE = np.array(NOISE_THRESHOLD_SIGMAS**-4)
 
 
 class SmoothingTick(NamedTuple):
@@ -288,7 +288,7 @@ Array = NDArray[np.float64]
 _NAMES = ("q", "dq", "tau")
 _LEAST_MOMENTUM_NOISE = 1e-9
 """Keeps the smoother's ratios finite for a signal without noise [kg m^2/s]."""
-_NO_KNEE = 1e-300
+_NO_NOISE_THRESHOLD = 1e-300
 """So near that every distance is beyond: the momentum passes untouched [kg m^2/s]."""
 
 
@@ -492,8 +492,12 @@ class MomentumObserver:
     def _learn(self, noise: Array | None) -> None:
         """Take over the noise of the momentum; None where it passes untouched."""
         self._noise = noise
-        knee = KNEE_SIGMAS * noise if noise is not None else np.full(self._joints, _NO_KNEE)
-        self._settings = (self._gain, knee, BANDWIDTH_PER_S, self._alignment == "hold")
+        noise_threshold = (
+            NOISE_THRESHOLD_SIGMAS * noise
+            if noise is not None
+            else np.full(self._joints, _NO_NOISE_THRESHOLD)
+        )
+        self._settings = (self._gain, noise_threshold, BANDWIDTH_PER_S, self._alignment == "hold")
 
     def _combine(self, coefficients: Array) -> Array:
         """Residual after the tick, from the rows in place."""

@@ -13,7 +13,7 @@ from residual.external_torque import (
     TorqueSample,
     velocity_estimator,
 )
-from residual.fault_detection import GuardState, SampleGuard
+from residual.fault_detection import FaultDetector, GuardState
 from residual.input_validation import check_rows, read_rows
 from residual.velocity_estimator import VelocityState
 from urdf import Robot
@@ -44,7 +44,7 @@ class SampleEntry:
         self._joints, self._has_velocity = robot.nv, has_velocity
         self._names = ("q", "dq", torque_name) if has_velocity else ("q", torque_name)
         self._guard = (
-            SampleGuard(robot, has_velocity=has_velocity, velocity_delay_s=velocity_delay_s)
+            FaultDetector(robot, has_velocity=has_velocity, velocity_delay_s=velocity_delay_s)
             if config.guard
             else None
         )
@@ -89,7 +89,7 @@ class SampleEntry:
         return rows, guard.check(now, dt_s)
 
     def accept(self, velocity: NDArray[np.float64], dt_s: float) -> None:
-        """The sample last read has been absorbed; see `SampleGuard.accept`."""
+        """The sample last read has been absorbed; see `FaultDetector.accept`."""
         if self._guard is not None:
             self._guard.accept(self._read, velocity, dt_s)
 

@@ -150,7 +150,7 @@ def stands_out(rows: NDArray[np.float64]) -> NDArray[np.bool_]:
 
 
 class RepeatState(NamedTuple):
-    """All that a `RepeatWatch` remembers.
+    """All that a `StuckSignalDetector` remembers.
 
     Attributes:
         usual_s: Longest repeat while learning [s].
@@ -165,7 +165,7 @@ class RepeatState(NamedTuple):
     tells: bool = False
 
 
-class RepeatWatch:
+class StuckSignalDetector:
     """Watches signals that come from one source and would get stuck together."""
 
     def __init__(self) -> None:

@@ -6,15 +6,15 @@ from collections.abc import Callable
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from residual.bias_estimator import OffsetRemoval
+from residual.bias_estimator import BiasEstimator
 from residual.bias_model import Tare
 from residual.config import DEFAULT, SensorConfig
-from residual.consistency_checks import SlowChecks, SlowState
+from residual.consistency_checks import ConsistencyMonitor, SlowState
 from residual.errors import SampleError, SnapshotError, SuspectSampleError
 from residual.estimate import (
+    INITIALIZING,
     NOT_TARED,
     OTHER_KIND,
-    SETTLING,
     Status,
     WrenchEstimate,
     unknown_wrench,
@@ -31,7 +31,7 @@ from urdf import Robot
 # What a lag may hide: a force that changes is known less well than one that rests.
 
 
-class LagDoubt:
+class LagUncertainty:
     """Widens a standard deviation by what changes faster than the lag may show.
 
     One more lag of the same length follows the force: what it still misses is about what the
@@ -124,7 +124,7 @@ def _run(
             found = twin.update_external_torque(q, torque, TRIED_S, dq if given else None)
         else:
             return
-        if not np.isfinite((found.axial, found.axial_std, found.misfit)).all():
+        if not np.isfinite((found.axial, found.axial_std, found.model_mismatch)).all():
             raise SnapshotError("its estimates are not finite")
 
 
@@ -139,18 +139,18 @@ class VirtualForceSensor:
     as a force down, tissue that pushes back reads as a positive axial force.
 
     A bad sample (wrong shape, not finite, time not advancing) is not absorbed: the last sound
-    estimate comes back with status ``SKIPPED`` and the reason.
+    estimate comes back with status ``REJECTED`` and the reason.
 
     Args:
         robot: The arm with its payload.
-        config: Settings; `PAPER` for the method as published.
+        config: Settings; `PUBLISHED` for the method as published.
     """
 
     def __init__(self, robot: Robot, config: SensorConfig = DEFAULT) -> None:
         self._robot, self._config = robot, config
         self._digest = robot_digest(robot)
         JointStream(robot, config, has_velocity=True)  # refuses what does not fit the robot now
-        self._offset = OffsetRemoval(robot, config)
+        self._offset = BiasEstimator(robot, config)
         where = {"frame": config.frame, "insertion_axis": config.insertion_axis}
         self._wrench = WrenchEstimator(
             robot,
@@ -161,7 +161,7 @@ class VirtualForceSensor:
             **where,
         )
         self._contact = WrenchEstimator(robot, **where)
-        self._slow, self._doubt = SlowChecks(robot, self._wrench), LagDoubt()
+        self._slow, self._doubt = ConsistencyMonitor(robot, self._wrench), LagUncertainty()
         self.reset()
 
     @property
@@ -198,7 +198,7 @@ class VirtualForceSensor:
         return self._velocity
 
     def recheck(self, last: WrenchEstimate) -> WrenchEstimate:
-        """The last estimate, its `Caution.MISFIT` told at once if its sample alone misfits."""
+        """The last estimate, its `SensorWarning.MODEL_MISMATCH` raised if this sample misfits."""
         return self._slow.recheck(last)
 
     def update(
@@ -235,7 +235,7 @@ class VirtualForceSensor:
         return self._absorb(ExternalTorqueStream, q, dq, external_torque, dt_s)
 
     def tare(self, *, force: bool = False) -> Tare:
-        """Fit the offset to the free motion seen since the start or `start_recording`.
+        """Fit the offset to the free motion seen since the start or `start_tare_recording`.
 
         Call it while the arm rests or from outside the control loop: it takes a few tenths of a
         second. A contact that stands during all of the motion is noticed only if it is larger than
@@ -248,8 +248,8 @@ class VirtualForceSensor:
             The fitted tare.
 
         Raises:
-            TareError: Without data, a second time without `start_recording`, with contact in sight
-                or velocities that do not fit positions; nothing has then changed.
+            TareError: Without data, a second time without `start_tare_recording`, with contact in
+                sight or velocities that do not fit positions; nothing has then changed.
         """
         self._slow.check_velocity(force=force)
         tare = self._offset.tare(self._contact, force=force)
@@ -258,12 +258,12 @@ class VirtualForceSensor:
         self._doubt.restart()
         return tare
 
-    def start_recording(self) -> None:
+    def start_tare_recording(self) -> None:
         """Record free motion anew for the next `tare`; estimates are `NOT_TARED` until then.
 
         The next sample may be of the other kind of torque: everything then starts anew.
         """
-        self._offset.start_recording()
+        self._offset.start_tare_recording()
         self._slow.forget_velocity()
 
     def reset(self) -> None:
@@ -380,14 +380,14 @@ class VirtualForceSensor:
             slow.look(q, dq, numbers[-1], self._looked_s, tared=tared)
             self._looked_s = 0.0
         std = self._doubt.widen(numbers[0], numbers[1], stream.lag_s, elapsed_s)
-        status, message, cautions = Status.OK, slow.message, slow.cautions
+        status, message, warnings = Status.OK, slow.message, slow.warnings
         if stream.warning or offset.warning:
-            cautions, message = with_warnings(cautions, message, stream.warning, offset.warning)
+            warnings, message = with_warnings(warnings, message, stream.warning, offset.warning)
         if not settled:
-            status, message = Status.SETTLING, SETTLING
+            status, message = Status.INITIALIZING, INITIALIZING
         elif not tared:
             status, message = Status.NOT_TARED, slow.velocity_fault or offset.warning or NOT_TARED
-        told = (status, message, slow.misfit, cautions)
+        told = (status, message, slow.model_mismatch, warnings)
         self._last = last = _new(WrenchEstimate, (numbers[0], std, *numbers[2:], *told))
         return last
 
@@ -399,7 +399,7 @@ class VirtualForceSensor:
             last = unknown_wrench(self._robot.nv, COMPONENTS[self._config.mode])
         else:
             self._clock.miss(dt_s)
-        cautions = last.cautions
+        warnings = last.warnings
         if isinstance(error, SuspectSampleError):
-            cautions |= error.caution
-        return last._replace(status=Status.SKIPPED, message=str(error), cautions=cautions)
+            warnings |= error.caution
+        return last._replace(status=Status.REJECTED, message=str(error), warnings=warnings)

@@ -341,7 +341,7 @@ class WrenchEstimator:
             residual,
         )
 
-    def lever_m(self) -> float:
+    def smallest_singular_value(self) -> float:
         """How much the joints feel of a newton in the direction they feel least [m].
 
         Of the directions that the mode asks for (in the full mode a newton metre counts as a

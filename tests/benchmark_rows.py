@@ -4,7 +4,7 @@ from benchmarks.rows import Row
 
 TEMPLATE = {
     "scenario": "gel-25-constant",
-    "plant": "hard",
+    "plant": "degraded",
     "seed": 0,
     "source": "virtual",
     "method": "default",

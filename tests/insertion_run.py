@@ -1,4 +1,4 @@
-"""A short simulated insertion on the realistic arm, for the tests of `insertion`."""
+"""A short simulated insertion on the clean arm, for the tests of `insertion`."""
 
 import hashlib
 import json
@@ -13,7 +13,7 @@ from needleforce import SNAPSHOT_VERSION
 @cache
 def short_run():
     """The quickest catalogued insertion: one gel at constant speed."""
-    return simulate("gel-25-constant", "realistic", seed=0)
+    return simulate("gel-25-constant", "clean", seed=0)
 
 
 def time_steps(run):

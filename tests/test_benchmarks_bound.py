@@ -29,7 +29,7 @@ from benchmarks.signals import NeedleSignal, truth_of_needle
 from benchmarks.tables import bound_table
 from groundtruth import SCENARIOS, Scenario, insert_needle
 from groundtruth.motion import constant_motion
-from identification import DEFAULT
+from identification import MULTILAYER
 
 RNG = np.random.default_rng(3)
 WHITE = 0.01 * RNG.standard_normal(8000)
@@ -150,7 +150,7 @@ def test_bounds_stand_beside_what_was_reached():
     rows = [
         make_row(metric="friction_bound_pct", value=1.25),
         make_row(metric="friction_error_mean_pct", value=3.75),
-        make_row(metric="rupture_delay_ms", value=5.5, method="paper"),
+        make_row(metric="rupture_delay_ms", value=5.5, method="published"),
     ]
     table = bound_table(rows)
     assert table is not None
@@ -172,6 +172,6 @@ def test_the_command_has_a_line_for_every_change():
 
 
 def test_the_bounds_are_of_the_settings_that_ours_has():
-    assert DEFAULT.second_look_m == LOOK_m
-    assert DEFAULT.cutting_onset_m == ONSET_m
-    assert DEFAULT.false_alarm_interval_s == INTERVAL_s
+    assert MULTILAYER.second_look_m == LOOK_m
+    assert MULTILAYER.cutting_onset_m == ONSET_m
+    assert MULTILAYER.false_alarm_interval_s == INTERVAL_s

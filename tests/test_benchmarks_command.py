@@ -32,7 +32,7 @@ def pretend(job, progress):
     return Findings(
         [
             Measurement("virtual", "default", "wrench_rmse_N", rmse),
-            Measurement("virtual", "paper", "wrench_rmse_N", 10.0 * rmse),
+            Measurement("virtual", "published", "wrench_rmse_N", 10.0 * rmse),
             Measurement("virtual", "default", "residual_rms_Nm", 1e-9),
         ]
     )
@@ -54,7 +54,7 @@ def run(*arguments):
 
 
 def test_a_run_prints_the_verdict_and_what_it_skipped(capsys):
-    assert run("--plant", "hard") == 0
+    assert run("--plant", "degraded") == 0
     out = capsys.readouterr().out
     assert "liver-constant" in out
     assert "met" in out
@@ -63,9 +63,9 @@ def test_a_run_prints_the_verdict_and_what_it_skipped(capsys):
 
 
 def test_strict_fails_on_a_missed_target_and_only_then():
-    assert run("liver-constant", "--plant", "hard", "--strict") == 0
-    assert run("gel-25-constant", "--plant", "hard", "--strict") == 1
-    assert run("gel-25-constant", "--plant", "hard") == 0
+    assert run("liver-constant", "--plant", "degraded", "--strict") == 0
+    assert run("gel-25-constant", "--plant", "degraded", "--strict") == 1
+    assert run("gel-25-constant", "--plant", "degraded") == 0
 
 
 def test_the_papers_figure_stands_beside_ours(capsys, monkeypatch):
@@ -79,9 +79,9 @@ def test_the_papers_figure_stands_beside_ours(capsys, monkeypatch):
 
 def test_plants_may_be_listed_or_repeated(tmp_path):
     path = tmp_path / "a.json"
-    run("liver-constant", "--plant", "hard,textbook", "--plant", "realistic", "--json", str(path))
+    run("liver-constant", "--plant", "degraded,ideal", "--plant", "clean", "--json", str(path))
     plants = [row["plant"] for row in json.loads(path.read_text())["rows"]]
-    assert list(dict.fromkeys(plants)) == ["hard", "textbook", "realistic"]
+    assert list(dict.fromkeys(plants)) == ["degraded", "ideal", "clean"]
 
 
 def test_two_runs_write_equal_bytes(tmp_path):
@@ -103,7 +103,7 @@ def test_a_report_has_page_numbers_and_tables(tmp_path, capsys):
 def test_a_benchmark_that_fails_is_told_and_the_others_go_on(tmp_path, capsys):
     path = tmp_path / "a.json"
     assert run("liver-constant", "--seeds", "5", "--json", str(path)) == 1
-    assert "liver-constant, realistic, seed 3: DataError: the third" in capsys.readouterr().out
+    assert "liver-constant, clean, seed 3: DataError: the third" in capsys.readouterr().out
     assert {row.seed for row in read_results(path)} == {0, 1, 2, 4}
 
 
@@ -111,7 +111,7 @@ def test_a_benchmark_that_fails_is_told_and_the_others_go_on(tmp_path, capsys):
     ("arguments", "told"),
     [
         (["nothing"], "no benchmark 'nothing'; choose from: liver-constant"),
-        (["--plant", "soft"], "no plant 'soft'; choose from: textbook, realistic, hard"),
+        (["--plant", "soft"], "no plant 'soft'; choose from: ideal, clean, degraded"),
         (["--data", "/no/such/folder"], "no folder of recordings at"),
         (["panda-real"], "panda-real needs recordings: give --data DIR"),
         (["--json", "/no/such/folder/a.json"], "cannot write"),
@@ -181,7 +181,7 @@ def test_list_names_everything(capsys):
     assert main(["list"]) == 0
     out = capsys.readouterr().out
     assert "liver-constant" in out
-    assert "textbook, realistic, hard, needle" in out
+    assert "ideal, clean, degraded, needle" in out
 
 
 @pytest.mark.parametrize(("cost", "code"), [(1.9, 0), (3.5, 1)])
@@ -258,7 +258,7 @@ def test_an_interrupt_is_no_traceback(monkeypatch, capsys):
 
 def test_processes_return_outcomes_in_the_order_of_the_jobs():
     """The names are unknown to the processes, which see the true catalogue: they fail at once."""
-    jobs = [Job(benchmark=f"none-{k}", plant="hard") for k in range(3)]
+    jobs = [Job(benchmark=f"none-{k}", plant="degraded") for k in range(3)]
     told = {}
     outcomes = run_jobs(jobs, 2, told.__setitem__)
     assert [item.job for item in outcomes] == jobs

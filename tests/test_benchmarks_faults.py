@@ -67,7 +67,7 @@ def test_faults_that_must_be_told_are_told(results):
             assert (word in name) == (caution in words) or "wrist" in name, name
     assert "JOINT_LIMIT" in told["wrist pressed to its limit, 1 s"]
     assert "NEAR_SINGULAR" in told["arm stretched along the needle, 1 s"]
-    assert "MISFIT" in told["pushed aside with 1 N, 2 s"]
+    assert "MODEL_MISMATCH" in told["pushed aside with 1 N, 2 s"]
 
 
 def test_a_weight_along_the_needle_is_the_only_fault_that_raises_a_rupture(results):

@@ -45,13 +45,13 @@ def found(tmp_path_factory):
 
 def test_a_needle_alone_gives_both_methods_on_the_ft_sensor(found):
     by_key = {(item.source, item.method, item.metric): item.value for item in found.measurements}
-    assert {key[:2] for key in by_key} == {("ft", "default"), ("ft", "paper")}
+    assert {key[:2] for key in by_key} == {("ft", "default"), ("ft", "published")}
     assert by_key["ft", "default", "rupture_recall"] == 1.0
     assert by_key["ft", "default", "rupture_precision"] == 1.0
     assert by_key["ft", "default", "friction_error_worst_pct"] < 10.0
     true = by_key["ft", "default", "cumulative_friction_true_Ns_per_m"]
-    assert true == by_key["ft", "paper", "cumulative_friction_true_Ns_per_m"] > 0.0
-    assert ("ft", "paper", "offline_rmse_ml_N") not in by_key
+    assert true == by_key["ft", "published", "cumulative_friction_true_Ns_per_m"] > 0.0
+    assert ("ft", "published", "offline_rmse_ml_N") not in by_key
     ml, kv = (by_key["ft", "default", f"offline_rmse_{model}_N"] for model in ("ml", "kv"))
     assert 0.0 < ml < kv
 
@@ -80,7 +80,7 @@ def test_drawn_noise_stays_within_a_factor_of_two():
     assert 0.019 < max(levels) <= 0.02
 
 
-@pytest.mark.parametrize("arm", ["textbook", "hard"])
+@pytest.mark.parametrize("arm", ["ideal", "degraded"])
 def test_the_robots_kinematics_tell_the_travel_of_the_tip(arm):
     run = simulate(SHORT, arm)
     sent = run.signals

@@ -28,9 +28,9 @@ from benchmarks.targets import GELS, IDENTIFICATION_TARGETS, STACKS, Target, ver
 SHARE = Target(
     what="delay",
     metric="rupture_delay_ms",
-    plant="hard",
+    plant="degraded",
     at_most=0.5,
-    of_paper=True,
+    of_published=True,
     where_paper_tells=True,
 )
 
@@ -51,8 +51,8 @@ def test_every_target_names_metrics_and_benchmarks_that_exist():
     ("source", "plant", "expected"),
     [
         ("ft", "needle", (5.0, 10.0, 5.0, 40.0, 6.0)),
-        ("ft", "realistic", (5.0, 10.0, 5.0, 40.0, 6.0)),
-        ("virtual", "realistic", (10.0, 20.0, 10.0, 80.0, 12.0)),
+        ("ft", "clean", (5.0, 10.0, 5.0, 40.0, 6.0)),
+        ("virtual", "clean", (10.0, 20.0, 10.0, 80.0, 12.0)),
     ],
 )
 def test_upper_limits_are_those_asked_for(source, plant, expected):
@@ -62,7 +62,7 @@ def test_upper_limits_are_those_asked_for(source, plant, expected):
         for item in IDENTIFICATION_TARGETS
         if (item.source, item.plant) == (source, plant)
         and math.isfinite(item.at_most)
-        and not item.of_paper
+        and not item.of_published
         and item.metric != "friction_coverage_online_2sigma"
     ]
     assert tuple(limits) == expected
@@ -75,14 +75,14 @@ def test_lower_limits_are_those_asked_for(source, expected):
     limits = [
         item.at_least
         for item in IDENTIFICATION_TARGETS
-        if (item.source, item.plant) == (source, "realistic")
+        if (item.source, item.plant) == (source, "clean")
         and item.metric in ("rupture_recall", "rupture_precision")
     ]
     assert tuple(limits) == expected
 
 
 def test_a_run_in_which_the_papers_method_is_silent_is_not_compared():
-    rows = [delay(value=20.0), delay(seed=1, value=30.0), delay(value=50.0, method="paper")]
+    rows = [delay(value=20.0), delay(seed=1, value=30.0), delay(value=50.0, method="published")]
     (verdict,) = verdicts(rows, [SHARE])
     assert (verdict.runs, verdict.value) == (1, pytest.approx(0.4))
     assert verdicts([delay(value=20.0)], [SHARE]) == []

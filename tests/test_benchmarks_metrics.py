@@ -101,10 +101,10 @@ def test_a_reading_is_a_read_only_copy():
 
 
 def test_a_measurement_takes_its_unit_from_the_catalogue():
-    row = Measurement("ft", "default", "wrench_lag_ms", 3.0).row("gel-25-constant", "hard", 4)
+    row = Measurement("ft", "default", "wrench_lag_ms", 3.0).row("gel-25-constant", "degraded", 4)
     assert (row.unit, row.seed, row.source, row.value) == ("ms", 4, "ft", 3.0)
 
 
 def test_an_unlisted_metric_is_refused():
     with pytest.raises(UnknownMetricError, match="no metric"):
-        Measurement("ft", "default", "luck", 3.0).row("gel-25-constant", "hard", 4)
+        Measurement("ft", "default", "luck", 3.0).row("gel-25-constant", "degraded", 4)

@@ -61,15 +61,15 @@ def test_tissue_means_every_scenario_with_tissue():
 
 def test_every_named_benchmark_runs_once_for_every_plant_and_seed():
     request = Request(
-        ids=["liver-constant", "liver-constant"], plants=["hard", "hard", "textbook"], seeds=3
+        ids=["liver-constant", "liver-constant"], plants=["degraded", "degraded", "ideal"], seeds=3
     )
     jobs = [(job.plant, job.seed) for job in make_plan(request).jobs]
-    assert jobs == [(plant, seed) for plant in ("hard", "textbook") for seed in range(3)]
+    assert jobs == [(plant, seed) for plant in ("degraded", "ideal") for seed in range(3)]
 
 
 def test_a_recording_knows_no_plants_and_no_more_seeds_than_it_has(data):
     request = Request(
-        ids=["panda-real", "panda-liver"], plants=["hard", "textbook"], seeds=100, data=data
+        ids=["panda-real", "panda-liver"], plants=["degraded", "ideal"], seeds=100, data=data
     )
     jobs = make_plan(request).jobs
     assert {job.plant for job in jobs} == {"recording"}
@@ -98,7 +98,7 @@ def test_an_unknown_name_is_refused_with_the_known_ones():
 
 
 def test_an_unknown_plant_is_refused_with_the_known_ones():
-    with pytest.raises(UnknownIdError, match="no plant 'soft'; choose from: textbook, realistic"):
+    with pytest.raises(UnknownIdError, match="no plant 'soft'; choose from: ideal, clean"):
         make_plan(Request(plants=["soft"]))
 
 
@@ -116,8 +116,8 @@ def test_a_recording_asked_for_by_name_must_be_there(tmp_path):
 
 def test_the_random_stack_runs_without_an_arm_unless_one_is_named():
     assert {job.plant for job in make_plan(Request(ids=["random-stack"])).jobs} == {"needle"}
-    named = make_plan(Request(ids=["random-stack"], plants=["realistic"]))
-    assert {job.plant for job in named.jobs} == {"realistic"}
+    named = make_plan(Request(ids=["random-stack"], plants=["clean"]))
+    assert {job.plant for job in named.jobs} == {"clean"}
 
 
 def test_a_needle_alone_leaves_out_what_needs_an_arm():

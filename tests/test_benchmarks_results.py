@@ -11,7 +11,7 @@ from benchmarks.rows import read_results, to_json, write_results
 
 
 def test_rows_survive_the_way_through_a_file(tmp_path):
-    rows = [make_row(), make_row(seed=1, value=0.25, method="paper")]
+    rows = [make_row(), make_row(seed=1, value=0.25, method="published")]
     write_results(tmp_path / "a.json", rows)
     assert read_results(tmp_path / "a.json") == rows
 

@@ -30,12 +30,12 @@ def values(case):
 
 @pytest.fixture(scope="module")
 def textbook():
-    return case_of("textbook")
+    return case_of("ideal")
 
 
 @pytest.fixture(scope="module")
 def hard():
-    return case_of("hard")
+    return case_of("degraded")
 
 
 def test_the_textbook_residual_is_the_ideal_filter(textbook):
@@ -51,7 +51,7 @@ def test_the_ft_sensor_of_the_textbook_arm_reads_the_truth(textbook):
 
 def test_the_papers_lag_is_seen(textbook):
     found = values(textbook)
-    assert found["virtual", "paper", "wrench_lag_ms"] > 100.0
+    assert found["virtual", "published", "wrench_lag_ms"] > 100.0
     assert 0.0 < found["virtual", "default", "wrench_lag_ms"] < 50.0
 
 
@@ -67,22 +67,22 @@ def test_a_wrong_sign_would_be_seen(textbook):
 
 def test_equal_jobs_give_equal_bytes(hard):
     first, second = (
-        to_json(item.row("short", "hard", 0) for item in simulated_metrics(case))
-        for case in (hard, case_of("hard"))
+        to_json(item.row("short", "degraded", 0) for item in simulated_metrics(case))
+        for case in (hard, case_of("degraded"))
     )
     assert first == second
 
 
 def test_every_source_and_method_has_its_four_numbers(hard):
     found = values(hard)
-    for source, method in (("ft", "default"), ("virtual", "default"), ("virtual", "paper")):
+    for source, method in (("ft", "default"), ("virtual", "default"), ("virtual", "published")):
         for name in ("rmse_N", "bias_N", "lag_ms", "coverage_2sigma"):
             assert np.isfinite(found[source, method, f"wrench_{name}"])
     assert len(found) == 12
 
 
 def test_without_tissue_only_the_virtual_sensor_is_judged_and_from_the_tare_on():
-    case = case_of("realistic", TOUCHLESS)
+    case = case_of("clean", TOUCHLESS)
     assert {item.source for item in case.readings} == {"virtual"}
     assert case.truth.start_s == case.run.tare_end_s
     assert {metric for _, _, metric in values(case)} == {

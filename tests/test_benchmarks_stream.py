@@ -19,7 +19,7 @@ from benchmarks.soak import (
     watch_process,
 )
 from identification.log_replay import ReplayStream
-from identification.multilayer_config import DEFAULT
+from identification.multilayer_config import MULTILAYER
 from recordings import write_table
 
 
@@ -83,7 +83,7 @@ def test_a_command_that_idles_at_the_end_misses():
 
 
 def test_a_long_recording_ruptures_fresh_tissue_in_every_cycle():
-    stream, ruptures_s = ReplayStream(DEFAULT), []
+    stream, ruptures_s = ReplayStream(MULTILAYER), []
     for columns in needle_recording(230.0, np.random.default_rng(0)):
         estimates = stream.run(**columns).estimates
         assert all(estimate.status.is_absorbed for estimate in estimates)

@@ -95,7 +95,7 @@ def test_ticks_with_an_event_are_told_apart():
 
 
 def test_the_tick_that_identifies_a_layer_counts_the_sensor_too():
-    table = rerun_table(report(), {("default", 10.0): 54.0, ("paper", 60.0): 1000.0})
+    table = rerun_table(report(), {("default", 10.0): 54.0, ("published", 60.0): 1000.0})
     assert list(table.columns[2].cells) == ["60", "1006"]
     assert list(table.columns[5].cells) == ["[green]met[/green]", "[red]missed[/red]"]
 

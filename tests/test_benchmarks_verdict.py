@@ -9,8 +9,10 @@ from benchmarks.catalogue import BENCHMARKS
 from benchmarks.metric_catalogue import METRICS
 from benchmarks.targets import TARGETS, TISSUE, Target, verdicts
 
-LIMIT = Target(what="force", metric="wrench_rmse_N", plant="hard", at_most=0.12)
-SHARE = Target(what="share", metric="wrench_rmse_N", plant="hard", at_most=0.5, of_paper=True)
+LIMIT = Target(what="force", metric="wrench_rmse_N", plant="degraded", at_most=0.12)
+SHARE = Target(
+    what="share", metric="wrench_rmse_N", plant="degraded", at_most=0.5, of_published=True
+)
 
 
 def only(rows, target):
@@ -32,7 +34,7 @@ def test_a_limit_may_be_touched():
 @pytest.mark.parametrize("statistic", ["worst", "mean", "median"])
 def test_one_value_that_is_not_finite_misses_the_target(bad, statistic):
     target = Target(
-        what="force", metric="wrench_rmse_N", plant="hard", at_most=0.12, statistic=statistic
+        what="force", metric="wrench_rmse_N", plant="degraded", at_most=0.12, statistic=statistic
     )
     rows = [make_row(seed=k, value=v) for k, v in enumerate((0.1, bad, 0.1))]
     assert not only(rows, target).is_met
@@ -43,7 +45,7 @@ def test_a_statistic_of_all_runs_can_be_judged(statistic, expected):
     target = Target(
         what="coverage",
         metric="wrench_coverage_2sigma",
-        plant="hard",
+        plant="degraded",
         at_least=0.9,
         at_most=0.99,
         statistic=statistic,
@@ -61,23 +63,23 @@ def test_a_statistic_of_all_runs_can_be_judged(statistic, expected):
 def test_a_share_is_taken_of_the_papers_value_in_the_same_run():
     rows = [
         make_row(seed=0, value=0.1),
-        make_row(seed=0, value=0.4, method="paper"),
+        make_row(seed=0, value=0.4, method="published"),
         make_row(seed=1, value=0.1),
-        make_row(seed=1, value=0.125, method="paper"),
+        make_row(seed=1, value=0.125, method="published"),
     ]
     verdict = only(rows, SHARE)
     assert verdict.value == pytest.approx(0.8)
     assert verdict.worst.seed == 1
 
 
-@pytest.mark.parametrize("paper", [[], [make_row(value=0.0, method="paper")]])
+@pytest.mark.parametrize("published", [[], [make_row(value=0.0, method="published")]])
 def test_a_share_of_nothing_is_missed(paper):
     assert not only([make_row(), *paper], SHARE).is_met
 
 
 @pytest.mark.parametrize(
     "other",
-    [{"plant": "realistic"}, {"source": "ft"}, {"method": "paper"}, {"metric": "wrench_bias_N"}],
+    [{"plant": "clean"}, {"source": "ft"}, {"method": "published"}, {"metric": "wrench_bias_N"}],
 )
 def test_rows_of_other_kinds_are_not_judged(other):
     assert verdicts([make_row(**other)], [LIMIT]) == []
@@ -95,13 +97,13 @@ def test_the_targets_are_those_of_the_plan():
     plain = {
         (item.metric, item.plant): item.at_most
         for item in TARGETS
-        if not item.of_paper and item.plant != "recording"
+        if not item.of_published and item.plant != "recording"
     }
     assert plain == {
-        ("residual_rms_Nm", "textbook"): 1e-4,
-        ("wrench_rmse_N", "realistic"): 0.05,
-        ("wrench_coverage_2sigma", "realistic"): 0.99,
-        ("wrench_rmse_N", "hard"): 0.12,
+        ("residual_rms_Nm", "ideal"): 1e-4,
+        ("wrench_rmse_N", "clean"): 0.05,
+        ("wrench_coverage_2sigma", "clean"): 0.99,
+        ("wrench_rmse_N", "degraded"): 0.12,
     }
-    assert [item.at_most for item in TARGETS if item.of_paper] == [0.5]
+    assert [item.at_most for item in TARGETS if item.of_published] == [0.5]
     assert "free-motion" not in TISSUE

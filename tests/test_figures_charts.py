@@ -68,7 +68,7 @@ def test_labels_units_and_legend_are_in_the_drawing(tmp_path):
         curve([0.0, 1.0], std=np.array([0.1, 0.1]), band_label="± 2 std"),
         shadings=(Shading(label="tare", color=palette.TARE, spans=((0.0, 0.5e-3),)),),
         instants=(Instants(label="rupture", style=palette.RUPTURE, places=(0.5e-3,)),),
-        ticks=(Ticks(label="skipped", color=palette.SKIPPED, places=(0.2e-3,)),),
+        ticks=(Ticks(label="skipped", color=palette.REJECTED, places=(0.2e-3,)),),
     )
     path = save_svg(drawn, tmp_path / "a")
     assert path == tmp_path / "a.svg"
@@ -182,7 +182,7 @@ def luminance(color):
 
 
 def test_lines_that_share_a_panel_differ_without_colour_and_stand_out_on_white():
-    roles = [palette.OURS, palette.PAPER, palette.PAPER_KV, palette.TRUE_PART]
+    roles = [palette.OURS, palette.PUBLISHED, palette.PUBLISHED_KV, palette.TRUE_PART]
     assert len({role.dash for role in roles}) == len(roles)
     for role in (*roles, palette.TRUE, palette.READING):
         assert 1.05 / (luminance(role.color) + 0.05) >= 3.0

@@ -4,9 +4,9 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from groundtruth.arm_level import ARM_LEVELS, arm_level
 from groundtruth.arm_plant import blend_link_parameters, cad_link_parameters, lwr_bodies
-from groundtruth.errors import ArmLevelError
+from groundtruth.errors import PlantModelError
+from groundtruth.plant_model import PLANT_MODELS, plant_model
 from urdf import NeedleTool, load_lwr
 
 # Fact sheet, section 2.6: static force bias at the flange in this posture, per CAD share.
@@ -56,23 +56,23 @@ def test_blend_biases_the_flange_force_as_published(share, bias_N):
 
 @pytest.mark.parametrize("share", [-0.1, 1.1, float("nan")])
 def test_a_share_outside_zero_to_one_is_refused(share):
-    with pytest.raises(ArmLevelError, match=r"expected a number in \[0, 1\]"):
+    with pytest.raises(PlantModelError, match=r"expected a number in \[0, 1\]"):
         blend_link_parameters(nominal_parameters(), cad_link_parameters(), share)
 
 
 def test_tables_of_different_size_are_refused():
-    with pytest.raises(ArmLevelError, match="same number of links"):
+    with pytest.raises(PlantModelError, match="same number of links"):
         blend_link_parameters(nominal_parameters(), cad_link_parameters()[:6], 0.1)
 
 
 def test_unknown_level_lists_the_known_ones():
-    with pytest.raises(ArmLevelError, match="textbook, realistic, hard"):
-        arm_level("perfect")
+    with pytest.raises(PlantModelError, match="ideal, clean, degraded"):
+        plant_model("perfect")
 
 
-@pytest.mark.parametrize("name", ARM_LEVELS)
+@pytest.mark.parametrize("name", PLANT_MODELS)
 def test_tool_error_of_a_level_is_exactly_its_mass_error(name):
-    level, tool = ARM_LEVELS[name], NeedleTool()
+    level, tool = PLANT_MODELS[name], NeedleTool()
     signs = set()
     for seed in range(8):
         bodies = lwr_bodies(tool, level, np.random.default_rng(seed))
@@ -83,7 +83,7 @@ def test_tool_error_of_a_level_is_exactly_its_mass_error(name):
 
 
 def test_com_error_has_the_spread_of_the_level():
-    tool, level = NeedleTool(), ARM_LEVELS["hard"]
+    tool, level = NeedleTool(), PLANT_MODELS["degraded"]
     rng = np.random.default_rng(0)
     shifts = [lwr_bodies(tool, level, rng).needle.lever for _ in range(60)]
     spread = np.std(np.array(shifts) - tool.beyond_sensor.com_m)
@@ -92,7 +92,7 @@ def test_com_error_has_the_spread_of_the_level():
 
 
 def test_textbook_arm_is_the_estimators_robot():
-    bodies = lwr_bodies(NeedleTool(), ARM_LEVELS["textbook"], np.random.default_rng(0))
+    bodies = lwr_bodies(NeedleTool(), PLANT_MODELS["ideal"], np.random.default_rng(0))
     for true, believed in zip(bodies.model().inertias, bodies.robot.model.inertias, strict=True):
         np.testing.assert_allclose(
             true.toDynamicParameters(), believed.toDynamicParameters(), atol=1e-12
@@ -100,7 +100,7 @@ def test_textbook_arm_is_the_estimators_robot():
 
 
 def test_hard_arm_has_at_least_the_faults_of_the_realistic_one():
-    realistic, hard = ARM_LEVELS["realistic"], ARM_LEVELS["hard"]
+    realistic, hard = PLANT_MODELS["clean"], PLANT_MODELS["degraded"]
     np.testing.assert_allclose(
         hard.torque_noise_std_Nm, 2.0 * np.array(realistic.torque_noise_std_Nm)
     )

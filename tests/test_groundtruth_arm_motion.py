@@ -9,10 +9,10 @@ from groundtruth.arm_control import (
     joint_reference,
     motion_along,
 )
-from groundtruth.arm_level import ARM_LEVELS
 from groundtruth.arm_plant import ArmPlant, TICK_s, TissueContact, lwr_bodies
 from groundtruth.errors import PathError, PlantError
 from groundtruth.insertion_path import LWR_POSTURE_rad, insertion_path, needle_down
+from groundtruth.plant_model import PLANT_MODELS
 from groundtruth.scenarios import SCENARIOS
 from groundtruth.tissue import Tissue
 from urdf import NeedleTool, load_lwr
@@ -103,7 +103,7 @@ def test_motions_join_without_repeating_the_common_sample():
 
 
 def free_arm():
-    bodies = lwr_bodies(NeedleTool(), ARM_LEVELS["hard"], np.random.default_rng(0))
+    bodies = lwr_bodies(NeedleTool(), PLANT_MODELS["degraded"], np.random.default_rng(0))
     air = TissueContact(
         law=Tissue(()), surface_in_base_m=np.zeros(3), axis_in_base=np.array([0.0, 0.0, -1.0])
     )

@@ -3,8 +3,8 @@ import numpy as np
 import pinocchio as pin
 import pytest
 
-from groundtruth.arm_level import ARM_LEVELS
 from groundtruth.arm_plant import ArmPlant, TICK_s, TissueContact, arm_mjcf, lwr_bodies
+from groundtruth.plant_model import PLANT_MODELS
 from groundtruth.tissue import TissueForce
 from urdf import NeedleTool
 
@@ -27,7 +27,7 @@ class Push:
 
 
 def bodies_of(level):
-    return lwr_bodies(NeedleTool(), ARM_LEVELS[level], np.random.default_rng(3))
+    return lwr_bodies(NeedleTool(), PLANT_MODELS[level], np.random.default_rng(3))
 
 
 def plant_with(bodies, force_N):
@@ -56,7 +56,7 @@ def tick_at_rest(bodies, q, force_N):
     return plant
 
 
-@pytest.mark.parametrize("level", ARM_LEVELS)
+@pytest.mark.parametrize("level", PLANT_MODELS)
 def test_mujoco_and_pinocchio_agree_on_the_dynamics(level):
     bodies = bodies_of(level)
     model = bodies.model()
@@ -72,7 +72,7 @@ def test_mujoco_and_pinocchio_agree_on_the_dynamics(level):
 
 
 def test_physics_has_nothing_but_rigid_bodies():
-    physics = mujoco.MjModel.from_xml_string(arm_mjcf(bodies_of("hard"), TICK_s))
+    physics = mujoco.MjModel.from_xml_string(arm_mjcf(bodies_of("degraded"), TICK_s))
     assert physics.opt.integrator == mujoco.mjtIntegrator.mjINT_RK4
     assert not physics.jnt_limited.any()
     for loss in (physics.dof_damping, physics.dof_armature, physics.dof_frictionloss):
@@ -80,7 +80,7 @@ def test_physics_has_nothing_but_rigid_bodies():
     assert physics.ngeom == 0
 
 
-@pytest.mark.parametrize("level", ARM_LEVELS)
+@pytest.mark.parametrize("level", PLANT_MODELS)
 def test_ft_sensor_at_rest_reads_the_weight_beyond_it(level):
     bodies = bodies_of(level)
     needle = bodies.needle
@@ -96,19 +96,19 @@ def test_ft_sensor_at_rest_reads_the_weight_beyond_it(level):
 
 
 def test_hanging_needle_pulls_the_sensor_outward():
-    plant = tick_at_rest(bodies_of("textbook"), DOWN, 0.0)
+    plant = tick_at_rest(bodies_of("ideal"), DOWN, 0.0)
     assert plant.ft_wrench[2] == pytest.approx(0.068 * GRAVITY, abs=1e-6)
 
 
 def test_tissue_that_pushes_back_lowers_the_reading_by_its_force():
-    bodies = bodies_of("textbook")
+    bodies = bodies_of("ideal")
     pushed = tick_at_rest(bodies, DOWN, PUSH_N).ft_wrench
     free = tick_at_rest(bodies, DOWN, 0.0).ft_wrench
     np.testing.assert_allclose(pushed - free, [0, 0, -PUSH_N, 0, 0, 0], atol=1e-6)
 
 
 def test_tissue_force_acts_on_the_joints_through_the_tip():
-    bodies = bodies_of("realistic")
+    bodies = bodies_of("clean")
     plant = tick_at_rest(bodies, DOWN, PUSH_N)
     np.testing.assert_allclose(plant.dq_rad_s, 0.0, atol=1e-12)
     np.testing.assert_allclose(
@@ -118,7 +118,7 @@ def test_tissue_force_acts_on_the_joints_through_the_tip():
 
 
 def test_pushed_arm_without_counter_torque_moves_back_out():
-    bodies = bodies_of("textbook")
+    bodies = bodies_of("ideal")
     model = bodies.model()
     plant = plant_with(bodies, PUSH_N)
     plant.place(DOWN, np.zeros(7))
@@ -132,7 +132,7 @@ def test_pushed_arm_without_counter_torque_moves_back_out():
 # when the arm is as slow as in tissue.
 @pytest.mark.parametrize(("speed_rad_s", "push_N"), [(0.5, 0.0), (0.02, PUSH_N)])
 def test_a_held_torque_changes_momentum_by_its_impulse(speed_rad_s, push_N):
-    bodies = bodies_of("hard")
+    bodies = bodies_of("degraded")
     model = bodies.model()
     data = model.createData()
     rng = np.random.default_rng(4)

@@ -27,7 +27,7 @@ END_S = 34.0
 @pytest.fixture(scope="module")
 def run():
     """One simulated insertion, without its way out, for all tests."""
-    whole = simulate(ID, arm="realistic", seed=0)
+    whole = simulate(ID, plant="clean", seed=0)
     rows = whole.signals.t_s < END_S
     return replace(
         whole, signals=cut(whole.signals, rows), truth=cut(whole.truth, whole.truth.t_s < END_S)
@@ -60,7 +60,7 @@ def quick(run, monkeypatch, tmp_path):
 @pytest.mark.parametrize("suffix", SUFFIXES)
 def test_every_format_goes_through_both_commands_without_an_option(quick, capsys, suffix, run):
     assert command.main([ID, "-o", f"x{suffix}"]) == 0
-    assert quick == [(ID, "realistic", 0)]
+    assert quick == [(ID, "clean", 0)]
     told = capsys.readouterr().out
     assert "free of contact until 13 s" in told
     assert f"python -m residual x{suffix} --tare 0:13 -o forces{suffix}" in told
@@ -156,9 +156,11 @@ def test_a_clock_that_begins_before_zero_is_shifted_with_the_truth(run):
 
 
 def test_options_reach_the_simulation(quick):
-    assert command.main(["stack-constant", "-o", "x.npz", "--arm", "hard", "--seed", "5"]) == 0
-    assert command.main(["random-stack", "-o", "x.npz", "--arm", "textbook"]) == 0
-    assert quick == [("stack-constant", "hard", 5), ("random-stack", "textbook", 0)]
+    assert (
+        command.main(["stack-constant", "-o", "x.npz", "--plant", "degraded", "--seed", "5"]) == 0
+    )
+    assert command.main(["random-stack", "-o", "x.npz", "--plant", "ideal"]) == 0
+    assert quick == [("stack-constant", "degraded", 5), ("random-stack", "ideal", 0)]
 
 
 def test_list_names_every_scenario(capsys):

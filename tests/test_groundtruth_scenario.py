@@ -10,7 +10,7 @@ import groundtruth
 from groundtruth import SCENARIOS, ForceNoise, insert_needle, scenario
 from groundtruth.errors import GroundTruthError, NoiseError, RunError, ScenarioError
 from groundtruth.force_noise import CLEAN, MINI45
-from groundtruth.textbook_tissue import TextbookTissue
+from groundtruth.multilayer_tissue import MultilayerTissue
 from groundtruth.tissue import Tissue
 
 NAMES = (
@@ -40,7 +40,7 @@ def test_names_are_permanent():
 def test_unknown_name_lists_the_known_ones():
     with pytest.raises(ScenarioError, match="gel-70-constant"):
         scenario("gel-80-constant")
-    with pytest.raises(ScenarioError, match="textbook"):
+    with pytest.raises(ScenarioError, match="multilayer"):
         scenario("gel-70-constant").with_law("springs")
 
 
@@ -51,7 +51,9 @@ def test_catalogue_cannot_be_changed():
 
 def test_law_is_chosen_by_the_scenario():
     assert isinstance(scenario("gel-25-constant").new_tissue(), Tissue)
-    assert isinstance(scenario("gel-25-constant").with_law("textbook").new_tissue(), TextbookTissue)
+    assert isinstance(
+        scenario("gel-25-constant").with_law("multilayer").new_tissue(), MultilayerTissue
+    )
 
 
 @pytest.mark.parametrize("name", TISSUE_NAMES)

@@ -6,7 +6,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from hypothesis.extra.numpy import arrays
 
-from groundtruth.arm_level import ARM_LEVELS
+from groundtruth.plant_model import PLANT_MODELS
 from groundtruth.sensors import (
     measured_position,
     measured_torque,
@@ -18,7 +18,7 @@ from groundtruth.sensors import (
 )
 from urdf import LWR_GEAR_RATIO
 
-TEXTBOOK, REALISTIC, HARD = (ARM_LEVELS[name] for name in ("textbook", "realistic", "hard"))
+IDEAL, CLEAN, DEGRADED = (PLANT_MODELS[name] for name in ("ideal", "clean", "degraded"))
 LIMIT_Nm = np.array([176.0, 176.0, 100.0, 100.0, 100.0, 38.0, 38.0])
 TICK_s = 1e-3
 N = 60_000
@@ -33,19 +33,17 @@ def test_textbook_sensors_are_perfect():
     rng = np.random.default_rng(0)
     signal = rng.standard_normal((50, 7))
     time = np.arange(50) * TICK_s
-    np.testing.assert_array_equal(measured_position(signal, TEXTBOOK, rng), signal)
-    np.testing.assert_array_equal(measured_velocity(signal, TEXTBOOK, rng), signal)
+    np.testing.assert_array_equal(measured_position(signal, IDEAL, rng), signal)
+    np.testing.assert_array_equal(measured_velocity(signal, IDEAL, rng), signal)
     np.testing.assert_array_equal(
-        measured_torque(signal, signal, TICK_s, LIMIT_Nm, TEXTBOOK, rng), signal
+        measured_torque(signal, signal, TICK_s, LIMIT_Nm, IDEAL, rng), signal
     )
-    np.testing.assert_array_equal(
-        measured_wrench(signal[:, :6], TICK_s, TEXTBOOK, rng), signal[:, :6]
-    )
-    np.testing.assert_array_equal(stamps(time, TICK_s, TEXTBOOK, rng), time)
-    np.testing.assert_array_equal(received(50, TEXTBOOK, rng), np.arange(50))
+    np.testing.assert_array_equal(measured_wrench(signal[:, :6], TICK_s, IDEAL, rng), signal[:, :6])
+    np.testing.assert_array_equal(stamps(time, TICK_s, IDEAL, rng), time)
+    np.testing.assert_array_equal(received(50, IDEAL, rng), np.arange(50))
 
 
-@pytest.mark.parametrize("level", [REALISTIC, HARD], ids=lambda level: level.name)
+@pytest.mark.parametrize("level", [CLEAN, DEGRADED], ids=lambda level: level.name)
 def test_torque_noise_is_white_with_the_levels_spread(level):
     change = np.diff(torque_error(level), axis=0)
     # differences of white noise: variance doubles, neighbours correlate by -1/2
@@ -58,30 +56,30 @@ def test_torque_noise_is_white_with_the_levels_spread(level):
 
 def test_torque_bias_lies_in_the_levels_range_with_both_signs():
     start = np.array(
-        [torque_error(REALISTIC, seed, STILL[:400], STILL[:400]).mean(axis=0) for seed in range(40)]
+        [torque_error(CLEAN, seed, STILL[:400], STILL[:400]).mean(axis=0) for seed in range(40)]
     )
-    assert (np.abs(start) > np.array(REALISTIC.torque_bias_min_Nm) - 0.02).all()
-    assert (np.abs(start) < np.array(REALISTIC.torque_bias_max_Nm) + 0.02).all()
+    assert (np.abs(start) > np.array(CLEAN.torque_bias_min_Nm) - 0.02).all()
+    assert (np.abs(start) < np.array(CLEAN.torque_bias_max_Nm) + 0.02).all()
     assert (start.min(axis=0) < 0.0).all()
     assert (start.max(axis=0) > 0.0).all()
 
 
 def test_torque_drift_over_a_minute_has_the_levels_spread():
     quiet = replace(
-        REALISTIC,
+        CLEAN,
         torque_noise_std_Nm=(0.0,) * 7,
         torque_bias_min_Nm=(0.0,) * 7,
         torque_bias_max_Nm=(0.0,) * 7,
     )
     ends = np.array([torque_error(quiet, seed)[[0, -1]] for seed in range(60)]) / LIMIT_Nm
     np.testing.assert_allclose(ends[:, 0], 0.0, atol=1e-15)
-    expected = np.hypot(REALISTIC.torque_drift_std_per_min, REALISTIC.torque_walk_std_per_sqrt_min)
+    expected = np.hypot(CLEAN.torque_drift_std_per_min, CLEAN.torque_walk_std_per_sqrt_min)
     # 420 draws: 3.5 % standard error
     assert ends[:, 1].std() == pytest.approx(expected, rel=0.12)
 
 
 def test_ripple_repeats_twice_per_motor_turn_with_the_levels_amplitude():
-    only_ripple = replace(TEXTBOOK, torque_ripple=1e-4)
+    only_ripple = replace(IDEAL, torque_ripple=1e-4)
     turn = np.linspace(0.0, 1.0, 2001)[:, None] * 2.0 * np.pi / np.array(LWR_GEAR_RATIO)
     error = torque_error(only_ripple, tau=np.zeros_like(turn), q=turn)
     np.testing.assert_allclose(error[:1001], error[1000:], atol=1e-12)
@@ -107,46 +105,45 @@ def test_play_makes_a_loop_of_its_full_width():
 def test_reported_position_is_noisy_and_on_the_encoders_grid():
     rng = np.random.default_rng(0)
     true = np.linspace(0.0, 1.0, 20_000)[:, None] * np.ones(7)
-    seen = measured_position(true, REALISTIC, rng)
-    steps = seen / REALISTIC.position_step_rad
+    seen = measured_position(true, CLEAN, rng)
+    steps = seen / CLEAN.position_step_rad
     np.testing.assert_allclose(steps, np.round(steps), atol=1e-6)
-    expected = np.hypot(REALISTIC.position_noise_std_rad, REALISTIC.position_step_rad / np.sqrt(12))
+    expected = np.hypot(CLEAN.position_noise_std_rad, CLEAN.position_step_rad / np.sqrt(12))
     assert (seen - true).std() == pytest.approx(expected, rel=0.02)
 
 
 def test_velocity_has_the_levels_noise_or_is_missing():
     rng = np.random.default_rng(0)
-    assert measured_velocity(STILL, REALISTIC, rng).std() == pytest.approx(2e-4, rel=0.02)
-    assert measured_velocity(STILL, HARD, rng) is None
+    assert measured_velocity(STILL, CLEAN, rng).std() == pytest.approx(2e-4, rel=0.02)
+    assert measured_velocity(STILL, DEGRADED, rng) is None
 
 
 def test_wrench_noise_and_drift_have_the_levels_spread():
     wrench = np.zeros((N, 6))
     readings = [
-        measured_wrench(wrench, TICK_s, REALISTIC, np.random.default_rng(seed))
-        for seed in range(20)
+        measured_wrench(wrench, TICK_s, CLEAN, np.random.default_rng(seed)) for seed in range(20)
     ]
     for reading in readings[:3]:
         white = np.diff(reading, axis=0).std(axis=0) / np.sqrt(2)
-        np.testing.assert_allclose(white, REALISTIC.ft_noise_std, rtol=0.03)
+        np.testing.assert_allclose(white, CLEAN.ft_noise_std, rtol=0.03)
     ends = np.array([reading[-2000:].mean(axis=0) for reading in readings])
     # 120 draws, means of noise included: 8 % standard error
-    assert (ends / REALISTIC.ft_drift_std_per_min).std() == pytest.approx(1.0, rel=0.25)
+    assert (ends / CLEAN.ft_drift_std_per_min).std() == pytest.approx(1.0, rel=0.25)
 
 
 def test_stamps_jitter_but_keep_their_order():
     true = np.arange(N) * TICK_s
-    wild = replace(HARD, clock_jitter_std_s=1e-3)
+    wild = replace(DEGRADED, clock_jitter_std_s=1e-3)
     assert (np.diff(stamps(true, TICK_s, wild, np.random.default_rng(0))) > 0.0).all()
-    error = stamps(true, TICK_s, HARD, np.random.default_rng(0)) - true
-    assert error.std() == pytest.approx(HARD.clock_jitter_std_s, rel=0.02)
+    error = stamps(true, TICK_s, DEGRADED, np.random.default_rng(0)) - true
+    assert error.std() == pytest.approx(DEGRADED.clock_jitter_std_s, rel=0.02)
 
 
 def test_losses_are_short_and_as_frequent_as_the_level_says():
-    kept = received(10 * N, HARD, np.random.default_rng(0))
+    kept = received(10 * N, DEGRADED, np.random.default_rng(0))
     assert kept[[0, -1]].tolist() == [0, 10 * N - 1]
     gaps = np.diff(kept) - 1
     # touching losses may add up; three per cent of a thousandth
-    assert gaps.max() <= 2 * HARD.drop_max_samples
+    assert gaps.max() <= 2 * DEGRADED.drop_max_samples
     assert np.isin([1, 2, 3], gaps).all()
-    assert (gaps > 0).sum() / (10 * N) == pytest.approx(HARD.drop_probability, rel=0.15)
+    assert (gaps > 0).sum() / (10 * N) == pytest.approx(DEGRADED.drop_probability, rel=0.15)

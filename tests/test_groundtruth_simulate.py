@@ -7,7 +7,7 @@ from scipy.signal import lfilter
 
 import groundtruth
 from groundtruth import Run, Scenario, Signals, simulate
-from groundtruth.errors import ArmLevelError, PlantError, ScenarioError
+from groundtruth.errors import PlantError, PlantModelError, ScenarioError
 from groundtruth.materials import gel
 from groundtruth.motion import Motion, Stroke
 from groundtruth.scenarios import SCENARIOS
@@ -57,7 +57,7 @@ SCENARIO = short_scenario()
 
 @pytest.fixture(scope="module")
 def runs() -> dict[str, Run]:
-    return {arm: simulate(SCENARIO, arm=arm, seed=1) for arm in ("textbook", "realistic", "hard")}
+    return {arm: simulate(SCENARIO, plant=arm, seed=1) for arm in ("ideal", "clean", "degraded")}
 
 
 def observer_error(run: Run, model: pin.Model):
@@ -78,7 +78,7 @@ def observer_error(run: Run, model: pin.Model):
 
 
 def test_momentum_observer_on_the_textbook_arm_is_the_ideal_filter(runs):
-    run = runs["textbook"]
+    run = runs["ideal"]
     error = observer_error(run, run.robot.model)
     assert np.sqrt((error**2).mean(axis=0)).max() < 1e-6
     assert np.abs(run.truth.external_torque_Nm).max() > 0.1
@@ -96,7 +96,7 @@ def test_momentum_observer_in_free_motion_is_the_ideal_filter(monkeypatch):
 
 
 def test_realistic_arm_disagrees_with_the_estimators_model(runs):
-    run = runs["realistic"]
+    run = runs["clean"]
     error = observer_error(run, run.robot.model)
     assert 0.05 < np.abs(error[1000:]).max() < 1.0
 
@@ -126,7 +126,7 @@ def test_instants_come_in_order(runs):
 
 
 def test_ft_reading_is_weight_minus_the_axial_force_of_the_tissue(runs):
-    run = runs["textbook"]
+    run = runs["ideal"]
     weight = run.tool.beyond_sensor.mass_kg * GRAVITY
     reading = weight - run.signals.ft_wrench[:, 2]
     # what remains is the needle's inertia: 0.068 kg at less than 0.1 m/s^2
@@ -134,32 +134,32 @@ def test_ft_reading_is_weight_minus_the_axial_force_of_the_tissue(runs):
 
 
 def test_static_torque_is_gravity(runs):
-    run = runs["textbook"]
+    run = runs["ideal"]
     q = run.signals.q_rad[100]
     gravity = pin.computeGeneralizedGravity(run.robot.model, run.robot.create_data(), q)
     np.testing.assert_allclose(run.signals.tau_Nm[100], gravity, atol=1e-6)
 
 
 def test_equal_arguments_give_equal_runs_and_other_seeds_do_not(runs):
-    again = simulate(SCENARIO, arm="hard", seed=1)
+    again = simulate(SCENARIO, plant="degraded", seed=1)
     for part in ("signals", "truth"):
         for item in fields(getattr(again, part)):
-            first = getattr(getattr(runs["hard"], part), item.name)
+            first = getattr(getattr(runs["degraded"], part), item.name)
             second = getattr(getattr(again, part), item.name)
             assert first is second is None or np.array_equal(first, second), item.name
-    other = simulate(SCENARIO, arm="hard", seed=2)
+    other = simulate(SCENARIO, plant="degraded", seed=2)
     assert abs(other.signals.tau_Nm[:50] - again.signals.tau_Nm[:50]).mean() > 0.05
 
 
 def test_levels_give_what_they_promise(runs):
-    textbook, realistic, hard = (runs[arm].signals for arm in ("textbook", "realistic", "hard"))
-    np.testing.assert_array_equal(textbook.tau_Nm, runs["textbook"].truth.tau_Nm)
-    assert realistic.dq_rad_s is not None
-    assert hard.dq_rad_s is None
-    assert np.ptp(np.diff(realistic.t_s)) < 1e-9
-    assert np.diff(hard.t_s).max() > 1.5e-3
-    assert (np.diff(hard.t_s) > 0.0).all()
-    for signals, run in ((textbook, runs["textbook"]), (hard, runs["hard"])):
+    ideal, clean, degraded = (runs[arm].signals for arm in ("ideal", "clean", "degraded"))
+    np.testing.assert_array_equal(ideal.tau_Nm, runs["ideal"].truth.tau_Nm)
+    assert clean.dq_rad_s is not None
+    assert degraded.dq_rad_s is None
+    assert np.ptp(np.diff(clean.t_s)) < 1e-9
+    assert np.diff(degraded.t_s).max() > 1.5e-3
+    assert (np.diff(degraded.t_s) > 0.0).all()
+    for signals, run in ((ideal, runs["ideal"]), (degraded, runs["degraded"])):
         assert len(signals.t_s) == len(signals.tau_Nm) == len(run.truth.axial_N)
 
 
@@ -169,14 +169,14 @@ def test_signals_hold_only_what_a_robot_gives():
 
 
 def test_estimators_robot_has_nominal_numbers_whatever_the_arm(runs):
-    nominal = runs["textbook"].robot.model
+    nominal = runs["ideal"].robot.model
     for run in runs.values():
         for mine, theirs in zip(run.robot.model.inertias, nominal.inertias, strict=True):
             np.testing.assert_array_equal(mine.toDynamicParameters(), theirs.toDynamicParameters())
 
 
 def test_results_are_read_only(runs):
-    for part in (runs["hard"].signals, runs["hard"].truth):
+    for part in (runs["degraded"].signals, runs["degraded"].truth):
         for item in fields(part):
             value = getattr(part, item.name)
             if isinstance(value, np.ndarray):
@@ -196,8 +196,8 @@ def test_progress_rises_from_zero_to_one():
 def test_unknown_names_are_refused():
     with pytest.raises(ScenarioError, match="no-such"):
         simulate("no-such")
-    with pytest.raises(ArmLevelError, match="no-such"):
-        simulate("gel-70-constant", arm="no-such")
+    with pytest.raises(PlantModelError, match="no-such"):
+        simulate("gel-70-constant", plant="no-such")
 
 
 def test_tissue_that_throws_the_arm_off_is_reported():
@@ -206,5 +206,5 @@ def test_tissue_that_throws_the_arm_off_is_reported():
 
 
 def test_public_names_resolve():
-    assert {"Run", "Signals", "Truth", "simulate", "ARM_LEVELS"} <= set(groundtruth.__all__)
+    assert {"Run", "Signals", "Truth", "simulate", "PLANT_MODELS"} <= set(groundtruth.__all__)
     assert set(SCENARIOS) >= {"gel-70-constant", "free-motion"}

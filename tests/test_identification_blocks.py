@@ -8,7 +8,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from identification.free_air_baseline import Baseline, baseline_step, level_score, settle_baseline
-from identification.friction_compensation import DefaultTick, bristle_step, follow_depth
+from identification.friction_compensation import MultilayerUpdate, bristle_step, follow_depth
 from identification.resampling import (
     LENGTH,
     Block,
@@ -45,7 +45,7 @@ def test_jitter_of_the_depth_does_not_turn_the_bristle():
 
 
 def test_block_is_the_time_weighted_mean():
-    short, long = DefaultTick(filled_s=0.001), DefaultTick(0.004, 7e-4, 0.0, 0.016, 0.5)
+    short, long = MultilayerUpdate(filled_s=0.001), MultilayerUpdate(0.004, 7e-4, 0.0, 0.016, 0.5)
     assert not is_block_full(short.filled_s, 4e-3)
     assert is_block_full(long.filled_s, 4e-3)
     block = mean_block(long, 0.004)
@@ -53,7 +53,7 @@ def test_block_is_the_time_weighted_mean():
 
 
 def test_sparse_samples_are_blocks_of_their_own():
-    block = mean_block(DefaultTick(0.05, 5e-3, 0.0, 0.05, 1.0), 0.05)
+    block = mean_block(MultilayerUpdate(0.05, 5e-3, 0.0, 0.05, 1.0), 0.05)
     assert is_block_full(block.dt_s, 5e-3)
     assert (block.dt_s, block.force_N) == (0.05, 1.0)
 

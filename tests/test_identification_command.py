@@ -48,7 +48,7 @@ def test_command_prints_layers_and_writes_table_and_picture(needle, tmp_path, ca
     assert png.read_bytes()[:4] == b"\x89PNG"
 
 
-@pytest.mark.parametrize("method", ["paper", "paper-kv"])
+@pytest.mark.parametrize("method", ["published", "published-kv"])
 def test_command_offers_the_published_method(needle, tmp_path, capsys, method):
     log = write(tmp_path / "log.csv", needle)
     assert command.main([log, "--method", method]) == 0

@@ -8,26 +8,30 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from identification import DEFAULT, PAPER, PAPER_KV, Identifier
-from identification import friction_compensation as default_tick
+from identification import MULTILAYER, PUBLISHED, PUBLISHED_KV, Identifier
+from identification import friction_compensation as multilayer_update
 from identification import input_validation as sample_check
-from identification import published_update as paper_tick
+from identification import published_update as published_update
 from identification.errors import NoRuptureError
 from identification.input_validation import CheckConfig, CheckState, check_step, packed_limits
-from identification.layer_belief import Belief
+from identification.layer_belief import Gaussian
 from identification.layer_model import layer_fit
-from identification.multilayer_state import Traversed, default_standing, initial_default_state
-from identification.published_identifier import initial_paper_state, paper_standing
+from identification.multilayer_state import (
+    Traversed,
+    initial_default_state,
+    multilayer_coefficients,
+)
+from identification.published_identifier import initial_paper_state, published_coefficients
 from identification.slope_change_detector import kink_kernels, kink_scales, kink_step
 from needleforce.jit import COMPILER
 
 LIMITS = packed_limits(CheckConfig())
 KERNELS = [
     check_step,
-    default_tick.default_tick,
-    default_tick.default_figures,
-    paper_tick.paper_tick,
-    paper_tick.paper_figures,
+    multilayer_update.multilayer_update,
+    multilayer_update.multilayer_outputs,
+    published_update.published_update,
+    published_update.paper_figures,
     kink_step,
 ]
 depth = st.floats(-5e-3, 0.1)
@@ -71,15 +75,15 @@ def assert_same(compiled, python):
         assert one == other or one == pytest.approx(other, rel=1e-12, nan_ok=True)
 
 
-def default_state(seed, *, in_contact, layers):
+def multilayer_state(seed, *, in_contact, layers):
     rng = np.random.default_rng(seed)
     factor = rng.standard_normal((6, 6))
     fit = layer_fit(np.abs(rng.standard_normal(6)), factor @ factor.T)
     traversed = tuple(
-        Traversed(5e-3 * k, 5e-3, *rng.random(2).tolist(), Belief(np.zeros(6), np.eye(6)), 0.9)
+        Traversed(5e-3 * k, 5e-3, *rng.random(2).tolist(), Gaussian(np.zeros(6), np.eye(6)), 0.9)
         for k in range(layers)
     )
-    state = initial_default_state(DEFAULT)
+    state = initial_default_state(MULTILAYER)
     layer = state.layer._replace(start_m=5e-3 * layers, tip_m=5e-3 * layers + 1e-3)
     return state._replace(
         in_contact=in_contact, fit=fit, shaft_std_N=0.1, layer=layer, traversed=traversed
@@ -89,7 +93,7 @@ def default_state(seed, *, in_contact, layers):
 @needs_compiler
 @pytest.mark.parametrize("function", KERNELS)
 def test_nothing_is_left_to_compile_at_the_first_sample(function):
-    for config in (DEFAULT, PAPER):
+    for config in (MULTILAYER, PUBLISHED):
         identifier, before = Identifier(config), len(function.signatures)
         assert before == 1
         for k in range(50):
@@ -113,27 +117,27 @@ def test_the_check_is_the_same_compiled_and_plain(rows, is_spoilt):
 @settings(deadline=None, max_examples=60)
 @given(samples, st.integers(0, 99), st.booleans(), st.integers(0, 3))
 def test_our_tick_is_the_same_compiled_and_plain(rows, seed, in_contact, layers):
-    state = default_state(seed, in_contact=in_contact, layers=layers)
-    numbers, fields = default_standing(state, DEFAULT).numbers, state.tick.plain
+    state = multilayer_state(seed, in_contact=in_contact, layers=layers)
+    numbers, fields = multilayer_coefficients(state, MULTILAYER).numbers, state.tick.plain
     for row in rows:
-        result = default_tick.default_tick(*row, fields, numbers)
-        assert_same(result, plain(default_tick.default_tick)(*row, fields, numbers))
+        result = multilayer_update.multilayer_update(*row, fields, numbers)
+        assert_same(result, plain(multilayer_update.multilayer_update)(*row, fields, numbers))
         fields = result[1]
-        told = plain(default_tick.default_figures)(*row[:3], fields, numbers)
+        told = plain(multilayer_update.multilayer_outputs)(*row[:3], fields, numbers)
         assert_same(result[2], told)
 
 
 @needs_compiler
 @settings(deadline=None, max_examples=60)
-@given(samples, st.sampled_from([PAPER, PAPER_KV]), st.floats(0.0, 500.0))
+@given(samples, st.sampled_from([PUBLISHED, PUBLISHED_KV]), st.floats(0.0, 500.0))
 def test_the_published_tick_is_the_same_compiled_and_plain(rows, config, cumulative):
     state = initial_paper_state(config)._replace(cumulative_friction_Ns_per_m=cumulative)
-    numbers, fields = paper_standing(state, config).numbers, state.tick.plain
+    numbers, fields = published_coefficients(state, config).numbers, state.tick.plain
     for row in rows:
-        result = paper_tick.paper_tick(*row, fields, numbers)
-        assert_same(result, plain(paper_tick.paper_tick)(*row, fields, numbers))
+        result = published_update.published_update(*row, fields, numbers)
+        assert_same(result, plain(published_update.published_update)(*row, fields, numbers))
         fields = result[1]
-        assert_same(result[2], plain(paper_tick.paper_figures)(*row[:3], fields, numbers))
+        assert_same(result[2], plain(published_update.paper_figures)(*row[:3], fields, numbers))
 
 
 @needs_compiler
@@ -161,21 +165,21 @@ def test_the_detector_is_the_same_compiled_and_plain(seed, filled, noise, dt_s):
 def test_the_parts_are_the_same_compiled_and_plain(x, y, value, rate, seed):
     rng = np.random.default_rng(seed)
     rls, sums = (x, y, 4.0, 0.1, 9.0), tuple(rng.random(7).tolist())
-    state = default_state(seed, in_contact=True, layers=3)
-    numbers = default_standing(state, DEFAULT).numbers
+    state = multilayer_state(seed, in_contact=True, layers=3)
+    numbers = multilayer_coefficients(state, MULTILAYER).numbers
     fields = (0.0, 0.0, 0.0, 0.0, x, 0.0, rate, 0.01)
     calls = [
-        (paper_tick.rls_step, (rls, (x, y), value, 1.0)),
-        (paper_tick.add_sample, (sums, (x, y), value, rate)),
-        (paper_tick.cusum_step, (abs(x), value, 0.01)),
-        (paper_tick.derivative_step, (x, value, 1e-3, 0.2)),
-        (paper_tick.regressor, (x, rate, True)),
-        (paper_tick.is_window_full, (abs(x), 40.0)),
-        (default_tick.follow_depth, (x, y, 2e-5)),
-        (default_tick.bristle_step, (x, rate, 3e-4)),
-        (default_tick.shaft_friction, (1e-2 * x, value, fields, numbers)),
-        (default_tick._embedded_shares, (1e-2 * x, numbers)),
-        (default_tick._per_speed, (abs(rate) + 1e-4, (x, y), (1.0, 0.2, 0.5))),
+        (published_update.rls_step, (rls, (x, y), value, 1.0)),
+        (published_update.add_sample, (sums, (x, y), value, rate)),
+        (published_update.cusum_step, (abs(x), value, 0.01)),
+        (published_update.derivative_step, (x, value, 1e-3, 0.2)),
+        (published_update.regressor, (x, rate, True)),
+        (published_update.is_window_full, (abs(x), 40.0)),
+        (multilayer_update.follow_depth, (x, y, 2e-5)),
+        (multilayer_update.bristle_step, (x, rate, 3e-4)),
+        (multilayer_update.shaft_friction, (1e-2 * x, value, fields, numbers)),
+        (multilayer_update._embedded_shares, (1e-2 * x, numbers)),
+        (multilayer_update._per_speed, (abs(rate) + 1e-4, (x, y), (1.0, 0.2, 0.5))),
         (sample_check._skipped, (CheckState().plain, 1e-3)),
         (sample_check._motion_check, (x, rate, 1e-3, CheckState().plain, LIMITS)),
     ]
@@ -183,7 +187,7 @@ def test_the_parts_are_the_same_compiled_and_plain(x, y, value, rate, seed):
         assert_same(function(*values), plain(function)(*values))
 
 
-@pytest.mark.parametrize("config", [DEFAULT, PAPER])
+@pytest.mark.parametrize("config", [MULTILAYER, PUBLISHED])
 def test_an_undone_rupture_has_never_been(config):
     identifier, ruptures = Identifier(config), []
     for k in range(8000):
@@ -204,7 +208,7 @@ def test_an_undone_rupture_has_never_been(config):
     assert ruptures
 
 
-@pytest.mark.parametrize("config", [DEFAULT, PAPER])
+@pytest.mark.parametrize("config", [MULTILAYER, PUBLISHED])
 def test_without_a_rupture_there_is_none_to_undo(config):
     identifier = Identifier(config)
     for _ in range(3):

@@ -7,13 +7,13 @@ import numpy as np
 import pytest
 
 from groundtruth import insert_needle
-from identification import DEFAULT, Identifier
+from identification import MULTILAYER, Identifier
 from identification.errors import InvalidConfigError
 from identification.estimate import Estimate, RuptureState
-from identification.multilayer_config import DefaultConfig
+from identification.multilayer_config import MultilayerConfig
 
 
-def run(name, seed=0, noise="mini45", config=DEFAULT, rate_hz=1000.0):
+def run(name, seed=0, noise="mini45", config=MULTILAYER, rate_hz=1000.0):
     needle = insert_needle(name, seed=seed, noise=noise, rate_hz=rate_hz)
     identifier = Identifier(config)
     first = int(np.searchsorted(needle.t_s, needle.tare_end_s))
@@ -173,8 +173,8 @@ def test_an_offset_of_the_sensor_is_taken_out():
 )
 def test_bad_settings_are_refused(change, message):
     with pytest.raises(InvalidConfigError, match=message):
-        replace(DEFAULT, **change)
-    assert DefaultConfig() == DEFAULT
+        replace(MULTILAYER, **change)
+    assert MultilayerConfig() == MULTILAYER
 
 
 @pytest.mark.parametrize("width_m", [0.4e-3, 0.7e-3, 1.1e-3])

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from scipy.signal import lfilter
 
-from identification.multilayer_config import DEFAULT
+from identification.multilayer_config import MULTILAYER
 from identification.resampling import Block
 from identification.slope_change_detector import (
     block_noise_N2,
@@ -23,7 +23,7 @@ def falls(force, speed=None):
     speeds = np.full(len(force), 2e-3) if speed is None else speed
     for k, (f, v) in enumerate(zip(force, speeds, strict=True)):
         block = Block(DT_S * k, DT_S, 1e-5 * k, float(v), float(f), 1.0)
-        state, verdict = detector_step(state, block, DEFAULT)
+        state, verdict = detector_step(state, block, MULTILAYER)
         scores.append(verdict.fall)
     return np.array(scores), state
 

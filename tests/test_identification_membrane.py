@@ -7,7 +7,7 @@ from groundtruth import ForceNoise, Layer, Scenario, insert_needle
 from groundtruth.layers import Membrane, ShaftFriction
 from groundtruth.motion import constant_motion
 from identification import Identifier
-from identification.layer_belief import Belief, carried_friction, look_back
+from identification.layer_belief import Gaussian, carried_friction, look_back
 from identification.membrane import find_membrane
 from identification.resampling import MOST_ROWS, NO_ROWS, add_layer_row, merge_rows
 
@@ -86,12 +86,12 @@ def test_hindsight_equals_all_data_at_once():
     """Smoothed belief about a layer = posterior of layer and later measurement, jointly."""
     rng = np.random.default_rng(3)
     root = rng.standard_normal((6, 6))
-    belief = Belief(rng.standard_normal(6), root @ root.T + np.eye(6))
+    belief = Gaussian(rng.standard_normal(6), root @ root.T + np.eye(6))
     thickness_m, value, variance = 12e-3, 0.7, 0.04
     prior = carried_friction(belief, thickness_m)
     row = np.array([1.0, 3.0])
     gain = prior.covariance @ row / (row @ prior.covariance @ row + variance)
-    later = Belief(
+    later = Gaussian(
         prior.values + gain * (value - row @ prior.values),
         prior.covariance - np.outer(gain, row @ prior.covariance),
     )

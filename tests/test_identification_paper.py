@@ -6,7 +6,7 @@ import pytest
 from identification.errors import InvalidConfigError
 from identification.estimate import RuptureState
 from identification.identifier import Identifier
-from identification.published_config import PAPER, PAPER_KV, PaperConfig
+from identification.published_config import PUBLISHED, PUBLISHED_KV, PublishedConfig
 
 DT_S, SPEED = 1e-3, 2.3e-3
 LAYERS = ((0.030, 15.0, 8_000.0), (0.020, 60.0, 9_000.0))
@@ -31,7 +31,7 @@ def run(identifier, z, f):
 
 def test_finds_ruptures_and_friction_of_its_own_model():
     z, f = ml_insertion()
-    identifier = Identifier(PAPER)
+    identifier = Identifier(PUBLISHED)
     estimates = run(identifier, z, f)
     ruptures = [e.rupture for e in estimates if e.rupture]
     assert [round(r.depth_m, 3) for r in ruptures] == [0.030, 0.050]
@@ -45,7 +45,7 @@ def test_finds_ruptures_and_friction_of_its_own_model():
 
 def test_states_follow_the_machine():
     z, f = ml_insertion(LAYERS[:1])
-    states = [e.rupture_state for e in run(Identifier(PAPER), z, f)]
+    states = [e.rupture_state for e in run(Identifier(PUBLISHED), z, f)]
     detected = states.index(RuptureState.DETECTED)
     measuring = states.count(RuptureState.FORCE_DROP_MEASURING) * DT_S
     assert states[detected + 1] is RuptureState.FORCE_DROP_MEASURING
@@ -55,7 +55,7 @@ def test_states_follow_the_machine():
 
 def test_compensation_leaves_no_jump_in_the_prediction():
     z, f = ml_insertion(noise_N=0.002)
-    estimates = run(Identifier(PAPER), z, f)
+    estimates = run(Identifier(PUBLISHED), z, f)
     at = next(k for k, e in enumerate(estimates) if e.compensated)
     after = [
         abs(e.predicted_force_N - y) for e, y in zip(estimates[at + 1 :], f[at + 1 :], strict=True)
@@ -65,7 +65,7 @@ def test_compensation_leaves_no_jump_in_the_prediction():
 
 def test_a_layer_is_listed_when_identified_and_subtracted_from_the_next_sample_on():
     z, f = ml_insertion(LAYERS[:1])
-    identifier, before = Identifier(PAPER), 0
+    identifier, before = Identifier(PUBLISHED), 0
     for a, b in zip(z, f, strict=True):
         estimate = identifier.update(float(a), SPEED, float(b), DT_S)
         if estimate.compensated:
@@ -79,14 +79,14 @@ def test_a_layer_is_listed_when_identified_and_subtracted_from_the_next_sample_o
 
 
 def test_nothing_happens_before_contact():
-    estimates = run(Identifier(PAPER), np.linspace(-0.01, -0.001, 500), np.zeros(500))
+    estimates = run(Identifier(PUBLISHED), np.linspace(-0.01, -0.001, 500), np.zeros(500))
     assert all(not e.in_contact and e.layer == 0 and e.rupture is None for e in estimates)
 
 
 def test_multilayer_model_compensates_better_than_kelvin_voigt():
     z, f = ml_insertion()
     residues = []
-    for config in (PAPER, PAPER_KV):
+    for config in (PUBLISHED, PUBLISHED_KV):
         estimates = run(Identifier(config), z, f)
         residues.append(abs(np.mean([e.enhanced_force_N for e in estimates[-500:]])))
     assert residues[0] < residues[1]
@@ -103,4 +103,4 @@ def test_multilayer_model_compensates_better_than_kelvin_voigt():
 )
 def test_bad_settings_are_refused(change, message):
     with pytest.raises(InvalidConfigError, match=message):
-        PaperConfig(**change)
+        PublishedConfig(**change)

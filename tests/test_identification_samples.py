@@ -18,7 +18,7 @@ from identification.input_validation import (
     check_step,
     packed_limits,
 )
-from identification.published_config import PAPER, PAPER_KV
+from identification.published_config import PUBLISHED, PUBLISHED_KV
 
 GOOD = (0.001, 0.002, 0.1, 1e-3)
 
@@ -41,7 +41,7 @@ GOOD = (0.001, 0.002, 0.1, 1e-3)
     ],
 )
 def test_bad_sample_is_reported_and_not_absorbed(values, status):
-    identifier = Identifier(PAPER)
+    identifier = Identifier(PUBLISHED)
     before = identifier.update(*GOOD)
     state = identifier.snapshot().state
     after = identifier.update(*values)
@@ -52,11 +52,11 @@ def test_bad_sample_is_reported_and_not_absorbed(values, status):
 
 
 def test_numpy_scalars_integers_and_fractions_are_welcome():
-    estimate = Identifier(PAPER).update(
+    estimate = Identifier(PUBLISHED).update(
         np.float32(0.0), np.float64(0.002), 0, np.ma.array(1e-3, mask=False)
     )
     assert estimate.status is SampleStatus.OK
-    estimate = Identifier(PAPER).update(Fraction(0), np.int32(0), 0, np.array(1e-3))
+    estimate = Identifier(PUBLISHED).update(Fraction(0), np.int32(0), 0, np.array(1e-3))
     assert estimate.status is SampleStatus.OK
 
 
@@ -92,7 +92,7 @@ NO_NUMBERS = {
 @pytest.mark.parametrize("kind", NO_NUMBERS)
 def test_what_is_no_real_number_is_reported_without_a_warning(kind, place):
     value, status = NO_NUMBERS[kind]
-    identifier = Identifier(PAPER)
+    identifier = Identifier(PUBLISHED)
     identifier.update(*GOOD)
     state = identifier.snapshot().state
     sample = [*GOOD[:place], value, *GOOD[place + 1 :]]
@@ -107,7 +107,7 @@ def test_what_is_no_real_number_is_reported_without_a_warning(kind, place):
 
 
 def test_clock_runs_on_over_bad_forces_and_motion_is_not_called_a_jump():
-    identifier = Identifier(PAPER)
+    identifier = Identifier(PUBLISHED)
     depth, speed = 0.0, 5e-3
     for k in range(1500):
         force = math.nan if 200 <= k < 1200 else 0.1
@@ -218,7 +218,7 @@ def test_check_limits_must_be_positive():
 
 
 def test_unknown_configuration_and_foreign_snapshots_are_refused():
-    with pytest.raises(InvalidConfigError, match="PaperConfig"):
+    with pytest.raises(InvalidConfigError, match="PublishedConfig"):
         Identifier(object())
     with pytest.raises(InvalidSnapshotError, match="Snapshot"):
-        Identifier(PAPER).restore(Identifier(PAPER_KV).snapshot())
+        Identifier(PUBLISHED).restore(Identifier(PUBLISHED_KV).snapshot())

@@ -7,12 +7,12 @@ import pytest
 
 from identification.errors import InvalidConfigError
 from identification.input_validation import CheckConfig
-from identification.multilayer_config import DefaultConfig
-from identification.published_config import PaperConfig
+from identification.multilayer_config import MultilayerConfig
+from identification.published_config import PublishedConfig
 
 FIELDS = [
     (kind, field.name)
-    for kind in (PaperConfig, DefaultConfig, CheckConfig)
+    for kind in (PublishedConfig, MultilayerConfig, CheckConfig)
     for field in fields(kind)
 ]
 
@@ -36,4 +36,4 @@ def test_its_own_value_is_welcome_as_a_numpy_scalar_too(kind, name):
 
 def test_windows_are_counted_in_whole_numbers():
     with pytest.raises(InvalidConfigError, match="most_windows"):
-        PaperConfig(most_windows=0.5)
+        PublishedConfig(most_windows=0.5)

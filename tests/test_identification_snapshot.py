@@ -5,9 +5,9 @@ import pickle
 import numpy as np
 import pytest
 
-from identification import DEFAULT, PAPER, Identifier
+from identification import MULTILAYER, PUBLISHED, Identifier
 from identification import rupture_measurement as rupture_step
-from identification.published_identifier import PaperState
+from identification.published_identifier import PublishedState
 from identification.rupture_measurement import finish_look
 from needleforce import read_snapshot, write_snapshot
 
@@ -20,7 +20,7 @@ def signal(n, seed=4):
     return z.tolist(), f.tolist()
 
 
-@pytest.mark.parametrize("config", [DEFAULT, PAPER])
+@pytest.mark.parametrize("config", [MULTILAYER, PUBLISHED])
 @pytest.mark.parametrize("cut", [700, 5003, 6100])
 def test_restored_identifier_goes_on_bit_for_bit(config, cut):
     z, f = signal(8000)
@@ -47,7 +47,7 @@ def test_a_snapshot_is_not_touched_by_what_follows():
     assert pickle.dumps(kept) == before
 
 
-@pytest.mark.parametrize("config", [DEFAULT, PAPER])
+@pytest.mark.parametrize("config", [MULTILAYER, PUBLISHED])
 def test_memory_is_bounded(config):
     rng = np.random.default_rng(6)
     identifier, sizes = Identifier(config), []
@@ -83,7 +83,7 @@ def test_equal_input_gives_equal_output():
 
 def is_at_work(state):
     """Whether a re-run has begun and not ended."""
-    if isinstance(state, PaperState):
+    if isinstance(state, PublishedState):
         return state.found is not None
     pending = state.pending
     return pending is not None and (pending.look or pending.search_work) is not None
@@ -96,7 +96,7 @@ def test_what_is_worked_off_tick_by_tick_or_at_once_is_the_same():
         early += [(k, found) for found in [slow.update(a, 2.5e-3, b, 1e-3).compensated] if found]
         fast.update(a, 2.5e-3, b, 1e-3)
         kept = fast.snapshot()
-        state = finish_look(kept.state._replace(compensated=None), DEFAULT)
+        state = finish_look(kept.state._replace(compensated=None), MULTILAYER)
         late += [(k, found) for found in [state.compensated] if found]
         fast.restore(kept._replace(state=state))
     assert len(early) == len(late) == 2
@@ -122,7 +122,7 @@ def test_no_tick_at_a_kilohertz_works_off_more_than_one_stage(monkeypatch):
     assert len(worked) > 10
 
 
-@pytest.mark.parametrize(("config", "least"), [(DEFAULT, 10), (PAPER, 1)])
+@pytest.mark.parametrize(("config", "least"), [(MULTILAYER, 10), (PUBLISHED, 1)])
 def test_a_snapshot_taken_while_work_is_left_resumes_bit_for_bit(config, least, tmp_path):
     z, f = signal(8000)
     whole, part, files = Identifier(config), Identifier(config), 0
@@ -148,7 +148,7 @@ def test_a_second_event_finds_the_work_before_it_done():
         if pending is None or pending.look is None:
             continue
         looks += 1
-        expected = finish_look(kept.state, DEFAULT).compensated
+        expected = finish_look(kept.state, MULTILAYER).compensated
         stopped.restore(kept)
         # A block of one sample leaves no tick in between.
         assert expected is not None

@@ -7,11 +7,11 @@ import pytest
 
 from identification.layer_fit import add_layer_prior
 from identification.layer_model import CUTTING, no_information
-from identification.multilayer_config import DEFAULT
+from identification.multilayer_config import MULTILAYER
 from identification.multilayer_state import initial_default_state
 from identification.rupture_classifier import (
-    NOTHING_HELD,
-    Held,
+    NO_RESIDUAL_FORCE,
+    ResidualTipForce,
     end_probability,
     held_force,
     release_travel_m,
@@ -53,44 +53,44 @@ def test_a_rising_force_has_no_travel():
 
 
 def test_a_short_release_of_much_force_is_an_end_and_a_long_one_of_little_a_tear():
-    assert end_probability(0.2e-3, 0.5, (), DEFAULT) > 0.98
-    assert end_probability(1e-3, 0.15, (), DEFAULT) < 0.05
-    shares = [end_probability(travel, 0.4, (), DEFAULT) for travel in (0.2e-3, 0.5e-3, 1e-3)]
+    assert end_probability(0.2e-3, 0.5, (), MULTILAYER) > 0.98
+    assert end_probability(1e-3, 0.15, (), MULTILAYER) < 0.05
+    shares = [end_probability(travel, 0.4, (), MULTILAYER) for travel in (0.2e-3, 0.5e-3, 1e-3)]
     assert shares == sorted(shares, reverse=True)
-    assert end_probability(math.nan, 0.5, (), DEFAULT) > 0.98
+    assert end_probability(math.nan, 0.5, (), MULTILAYER) > 0.98
 
 
 def test_tissue_that_has_torn_is_believed_to_tear_again():
-    plain = end_probability(0.35e-3, 0.3, (), DEFAULT)
-    assert end_probability(0.35e-3, 0.3, (0.0, 0.1), DEFAULT) < plain
-    assert end_probability(0.35e-3, 0.3, (1.0, 0.9), DEFAULT) > plain
+    plain = end_probability(0.35e-3, 0.3, (), MULTILAYER)
+    assert end_probability(0.35e-3, 0.3, (0.0, 0.1), MULTILAYER) < plain
+    assert end_probability(0.35e-3, 0.3, (1.0, 0.9), MULTILAYER) > plain
 
 
 @pytest.mark.parametrize("share", [-0.5, 0.0, 1.0, 5.0])
 @pytest.mark.parametrize("travel", [0.0, 1e-3, 1e3])
 def test_a_probability_is_one_whatever_comes(travel, share):
-    assert 0.0 < end_probability(travel, share, (), DEFAULT) < 1.0
+    assert 0.0 < end_probability(travel, share, (), MULTILAYER) < 1.0
 
 
 def test_nothing_is_held_after_an_end_and_a_fifth_of_the_force_after_a_tear():
-    assert held_force(1.0, 1.0, DEFAULT) == pytest.approx((0.0, 0.0))
-    mean, variance = held_force(1.0, 0.0, DEFAULT)
+    assert held_force(1.0, 1.0, MULTILAYER) == pytest.approx((0.0, 0.0))
+    mean, variance = held_force(1.0, 0.0, MULTILAYER)
     assert mean == pytest.approx(0.2)
-    assert math.sqrt(variance) == pytest.approx(DEFAULT.tear_share_std)
-    assert held_force(-1.0, 0.3, DEFAULT) == (0.0, 0.0)
+    assert math.sqrt(variance) == pytest.approx(MULTILAYER.tear_share_std)
+    assert held_force(-1.0, 0.3, MULTILAYER) == (0.0, 0.0)
     # Not to know is worse than either.
-    assert held_force(1.0, 0.5, DEFAULT).variance > 0.5 * variance
+    assert held_force(1.0, 0.5, MULTILAYER).variance > 0.5 * variance
 
 
 def test_a_layer_begins_with_nothing_held():
-    state = initial_default_state(DEFAULT)
-    assert state.layer.held == NOTHING_HELD == Held(0.0, 0.0)
+    state = initial_default_state(MULTILAYER)
+    assert state.layer.held == NO_RESIDUAL_FORCE == ResidualTipForce(0.0, 0.0)
 
 
 def test_what_is_held_is_expected_at_the_tip_of_the_next_layer():
     rows = [
-        add_layer_prior(no_information(), 0.5, 10e-3, 3e-3, DEFAULT, held)
-        for held in (NOTHING_HELD, Held(0.3, 0.01))
+        add_layer_prior(no_information(), 0.5, 10e-3, 3e-3, MULTILAYER, held)
+        for held in (NO_RESIDUAL_FORCE, ResidualTipForce(0.3, 0.01))
     ]
     assert rows[0].vector[CUTTING] == 0.0
     assert rows[1].vector[CUTTING] > 0.0

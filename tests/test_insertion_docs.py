@@ -8,7 +8,7 @@ import pytest
 
 from needleforce import SNAPSHOT_VERSION, InsertionSession
 from needleforce.snapshot import SNAPSHOT_FORMAT
-from residual import Caution, Status
+from residual import SensorWarning, Status
 from residual.estimate import UNSEEN_STD
 
 ROOT = Path(__file__).parents[1]
@@ -22,7 +22,7 @@ def test_its_example_makes_a_session():
     assert isinstance(names["session"], InsertionSession)
 
 
-@pytest.mark.parametrize("member", [*Status, *(one for one in Caution if one)])
+@pytest.mark.parametrize("member", [*Status, *(one for one in SensorWarning if one)])
 def test_every_status_and_caution_has_a_row(member):
     assert f"| `{member.name}` |" in PAGE
 

@@ -8,7 +8,7 @@ from insertion_run import same, samples, short_run, tare_index
 
 from groundtruth import Run
 from needleforce import InsertionSession
-from residual import Caution, Status
+from residual import SensorWarning, Status
 from residual.tool_kinematics import ToolKinematics
 
 DEPTH_M = 15e-3
@@ -57,10 +57,10 @@ def test_a_push_aside_raises_no_rupture(inside, force_in_base_N, first):
     rows = pushed(rows[:ROUND], np.array(force_in_base_N), first, ROUND - first)
     _, found = follow(snapshot, rows)
     assert ruptures(found) == []
-    told = [k for k, e in enumerate(found) if Caution.MISFIT in e.cautions]
+    told = [k for k, e in enumerate(found) if SensorWarning.MODEL_MISMATCH in e.warnings]
     assert first < told[0] < first + 100
     assert "do not fit" in found[told[0]].wrench.message
-    assert not any(found[k].is_fed for k in told)
+    assert not any(found[k].used_for_identification for k in told)
     assert all(e.status is Status.OK for e in found)
 
 

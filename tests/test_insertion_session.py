@@ -7,7 +7,7 @@ from insertion_run import samples, short_run, tare_index, time_steps
 from benchmarks.signals import JointSignals, measured_travel
 from identification import SampleStatus
 from needleforce import InsertionError, InsertionSession, TipTravel
-from residual import DEFAULT, PAPER, Status, TareError
+from residual import DEFAULT, PUBLISHED, Status, TareError
 from residual.tool_kinematics import ToolKinematics
 
 
@@ -40,7 +40,7 @@ def test_the_chain_finds_force_depth_and_layer(whole):
     assert len(session.layers) == 1
     assert session.layers[0].thickness_m == pytest.approx(28.2e-3, abs=1e-3)
     assert found[-1].status is Status.OK
-    assert found[-1].is_fed
+    assert found[-1].used_for_identification
     assert session.skipped == 0
     assert session.lag_s == pytest.approx(1.0 / DEFAULT.gain_per_s)
 
@@ -103,16 +103,16 @@ def test_the_identifier_is_fed_only_forces_of_this_tick():
             q, dq, tau * np.nan if k in range(tare + 100, tare + 500) else tau, dt_s
         )
         if k < tare:
-            assert estimate.status in (Status.SETTLING, Status.NOT_TARED)
-            assert not estimate.is_fed
+            assert estimate.status in (Status.INITIALIZING, Status.NOT_TARED)
+            assert not estimate.used_for_identification
             assert estimate.identification.time_s == 0.0
         if k == tare + 499:
-            assert estimate.status is Status.SKIPPED
-            assert not estimate.is_fed
+            assert estimate.status is Status.REJECTED
+            assert not estimate.used_for_identification
             assert estimate.identification.time_s == pytest.approx(0.1)
         if k == tare + 500:
-            assert estimate.status is Status.SETTLING
-        if estimate.is_fed and k > tare + 500:
+            assert estimate.status is Status.INITIALIZING
+        if estimate.used_for_identification and k > tare + 500:
             break
     # The time of what was not fed has passed; the identifier is told of the gap.
     assert estimate.identification.status is SampleStatus.TIME_GAP
@@ -165,10 +165,10 @@ def test_a_refused_tare_leaves_the_insertion_as_it_was():
     session = InsertionSession(short_run().robot)
     insert(session, last=tare_index(short_run()) + 3000)
     depth_m = session.snapshot().travel.depth_m
-    with pytest.raises(TareError, match="start_recording"):
+    with pytest.raises(TareError, match="start_tare_recording"):
         session.tare()
     assert session.snapshot().travel.depth_m == depth_m
-    session.start_recording()
+    session.start_tare_recording()
     assert not session.tared
 
 
@@ -185,7 +185,7 @@ def test_the_robots_own_external_torque_takes_the_same_way():
                 session.tare()
             dq = sent.dq_rad_s[k] if given else None
             estimate = session.update_external_torque(sent.q_rad[k], dq, torque[k], dt_s)
-            assert estimate.status is not Status.SKIPPED
+            assert estimate.status is not Status.REJECTED
             if k == tare + 8000:
                 assert estimate.wrench.axial == pytest.approx(truth.axial_N[k], abs=0.1)
                 assert estimate.speed_m_s == pytest.approx(truth.speed_m_s[k], abs=3e-4)
@@ -215,7 +215,7 @@ def test_a_lag_that_cannot_work_is_refused(lwr, lag_s):
 
 
 def test_the_published_settings_run_through(lwr):
-    session = InsertionSession(lwr, PAPER)
+    session = InsertionSession(lwr, PUBLISHED)
     q = np.array([0.1, 0.5, -0.2, -1.5, 0.3, 1.0, 0.2])
     for _ in range(10):
         estimate = session.update(q, np.zeros(7), np.zeros(7), 1e-3)

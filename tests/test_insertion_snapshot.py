@@ -7,8 +7,8 @@ import numpy as np
 import pytest
 from insertion_run import same, samples, sealed, short_run, tare_index
 
-from identification import DEFAULT as IDENTIFIER_DEFAULT
-from identification import PAPER as IDENTIFIER_PAPER
+from identification import MULTILAYER as IDENTIFIER_DEFAULT
+from identification import PUBLISHED as IDENTIFIER_PAPER
 from identification import Identifier, RuptureState
 from needleforce import (
     SNAPSHOT_VERSION,
@@ -22,7 +22,7 @@ from needleforce.snapshot import from_plain, to_plain
 from residual import DEFAULT, SnapshotError, VirtualForceSensor
 from urdf import NeedleTool, Payload, load_lwr
 
-CONFIGS = {"default": IDENTIFIER_DEFAULT, "paper": IDENTIFIER_PAPER}
+CONFIGS = {"default": IDENTIFIER_DEFAULT, "published": IDENTIFIER_PAPER}
 BEYOND = 1500
 """Ticks for which the resumed session is compared."""
 
@@ -63,7 +63,7 @@ def test_a_resumed_session_goes_on_bit_for_bit(config, with_velocity, tmp_path):
     session = InsertionSession(run.robot, identifier_config=CONFIGS[config])
     last = tare + 17_500
     found, files = run_through(session, last, tmp_path, with_velocity=with_velocity)
-    assert ("rupture" in files) or config == "paper"
+    assert ("rupture" in files) or config == "published"
     feed = list(samples(run, with_velocity=with_velocity))
     for cut, path in files.values():
         other = InsertionSession(run.robot, identifier_config=CONFIGS[config])

@@ -61,7 +61,13 @@ def with_change(plain, path, value):
 
 def numbers(estimate):
     wrench = estimate.wrench
-    return (wrench.axial, wrench.axial_std, wrench.misfit, estimate.depth_m, estimate.speed_m_s)
+    return (
+        wrench.axial,
+        wrench.axial_std,
+        wrench.model_mismatch,
+        estimate.depth_m,
+        estimate.speed_m_s,
+    )
 
 
 def test_one_changed_digit_is_noticed(tmp_path):

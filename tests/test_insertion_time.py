@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from insertion_run import samples, short_run, tare_index
 
-from identification import DefaultConfig, SampleStatus
+from identification import MultilayerConfig, SampleStatus
 from identification.input_validation import CheckConfig
 from needleforce import InsertionSession
 from residual import Status
@@ -29,12 +29,12 @@ def test_a_clock_that_was_set_takes_no_time(dt_s):
     session, rows = tared_session()
     for row in rows[:50]:
         before = session.update(*row)
-    assert before.is_fed
+    assert before.used_for_identification
     set_back = session.update(*rows[50][:3], dt_s)
-    assert set_back.status is Status.SKIPPED
-    assert not set_back.is_fed
+    assert set_back.status is Status.REJECTED
+    assert not set_back.used_for_identification
     after = session.update(*rows[51])
-    assert after.is_fed
+    assert after.used_for_identification
     passed_s = after.identification.time_s - before.identification.time_s
     assert passed_s == pytest.approx(rows[51][3])
 
@@ -43,7 +43,7 @@ def test_time_of_skipped_samples_is_counted_once():
     session, rows = tared_session()
     for k, (q, dq, tau, dt_s) in enumerate(rows[:300]):
         last = session.update(q, dq, tau * np.nan if 100 <= k < 130 else tau, dt_s)
-    assert last.is_fed
+    assert last.used_for_identification
     assert last.identification.time_s == pytest.approx(0.3)
 
 
@@ -61,7 +61,7 @@ def test_speed_follows_over_the_true_time():
 
 
 def test_a_force_that_the_identifier_refuses_was_not_fed():
-    config = DefaultConfig(check=CheckConfig(force_limit_N=1.0))
+    config = MultilayerConfig(check=CheckConfig(force_limit_N=1.0))
     session, rows = tared_session(identifier_config=config)
     robot = short_run().robot
     kinematics = ToolKinematics(robot)
@@ -70,8 +70,8 @@ def test_a_force_that_the_identifier_refuses_was_not_fed():
         kinematics.update(q)
         push = 3.0 * kinematics.advance if k > 100 else 0.0
         found.append(session.update(q, dq, tau + push, dt_s))
-    assert all(e.is_fed for e in found[:100])
+    assert all(e.used_for_identification for e in found[:100])
     assert found[-1].status is Status.OK
     assert found[-1].wrench.axial > 1.0
     assert found[-1].identification.status is SampleStatus.FORCE_RANGE
-    assert not found[-1].is_fed
+    assert not found[-1].used_for_identification

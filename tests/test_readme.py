@@ -17,7 +17,7 @@ from benchmarks.errors import ResultsError
 from benchmarks.readme_table import BEGIN, END, fill, main, results_block
 from benchmarks.rows import write_results
 from groundtruth import SCENARIOS
-from identification import DEFAULT as IDENTIFIER
+from identification import MULTILAYER as IDENTIFIER
 from needleforce.cli.force import main as residual_main
 from needleforce.cli.identify import main as identification_main
 from needleforce.cli.simulate import build_parser as groundtruth_arguments
@@ -155,10 +155,10 @@ def test_its_results_stand_between_their_marks():
 
 def test_the_tables_hold_the_numbers_of_a_run(tmp_path):
     rows = [
-        make_row(plant="realistic", value=0.012),
-        make_row(plant="realistic", value=0.151, method="paper"),
-        make_row(plant="realistic", value=0.03, seed=1),
-        make_row(plant="realistic", value=float("nan"), scenario="stack-constant"),
+        make_row(plant="clean", value=0.012),
+        make_row(plant="clean", value=0.151, method="published"),
+        make_row(plant="clean", value=0.03, seed=1),
+        make_row(plant="clean", value=float("nan"), scenario="stack-constant"),
     ]
     write_results(tmp_path / "results.json", rows)
     page = tmp_path / "page.md"
@@ -173,13 +173,13 @@ def test_the_tables_hold_the_numbers_of_a_run(tmp_path):
 
 def test_of_several_runs_the_last_one_of_a_scenario_and_a_plant_counts(tmp_path):
     first = [
-        make_row(plant="realistic"),
-        make_row(plant="hard"),
+        make_row(plant="clean"),
+        make_row(plant="degraded"),
         make_row(scenario="liver-constant"),
     ]
     more = [
-        make_row(plant="realistic", value=0.02),
-        make_row(plant="realistic", value=0.04, seed=1),
+        make_row(plant="clean", value=0.02),
+        make_row(plant="clean", value=0.04, seed=1),
     ]
     write_results(tmp_path / "first.json", first)
     write_results(tmp_path / "more.json", more)

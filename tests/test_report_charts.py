@@ -18,7 +18,7 @@ from benchmarks.plots import (
     parameter_chart,
     sigma1_N,
     true_friction,
-    tuned_paper,
+    tuned_published,
 )
 from benchmarks.signals import NeedleSignal, truth_of_needle
 from groundtruth import insert_needle
@@ -42,10 +42,10 @@ class Told:
             speed_m_s=run.speed_m_s,
             force_N=run.force_N,
         )
-        self.signals = {"default": self.signal, "paper": self.signal}
+        self.signals = {"default": self.signal, "published": self.signal}
         self.identified = identify_all(self.signals, self.truth)
         by_method = {item.method: item for item in self.identified}
-        self.ours, self.published = by_method["default"], by_method["paper"]
+        self.ours, self.published = by_method["default"], by_method["published"]
         self.commanded_m_s = SHORT.motion.speed_m_s(self.truth.t_s)
 
 
@@ -140,7 +140,7 @@ def test_true_friction_is_force_over_speed_at_the_rupture(told):
 def test_the_published_method_run_as_by_its_authors_comes_near_the_truth(told):
     noise = np.random.default_rng(0).normal(scale=0.2e-3, size=len(told.truth.t_s))
     noisy = replace(told.signal, speed_m_s=told.signal.speed_m_s + noise)
-    tuned = tuned_paper(noisy, told.truth, told.commanded_m_s)
+    tuned = tuned_published(noisy, told.truth, told.commanded_m_s)
     (rupture,) = told.truth.ruptures
 
     def error_N(item):
@@ -148,7 +148,7 @@ def test_the_published_method_run_as_by_its_authors_comes_near_the_truth(told):
         return abs(sum(alarm.layer.friction_N for alarm in inside) - rupture.layer_friction_N)
 
     assert error_N(tuned) < 0.15 * rupture.layer_friction_N
-    assert error_N(tuned) < 0.5 * error_N(identify(noisy, told.truth, "paper"))
+    assert error_N(tuned) < 0.5 * error_N(identify(noisy, told.truth, "published"))
 
 
 def test_sigma_1_stays_within_what_its_authors_used():
@@ -195,7 +195,7 @@ def test_a_run_of_a_figure_draws_its_panels_and_numbers(told, tmp_path):
 
 
 def test_a_title_says_which_run_it_is(tmp_path):
-    simulated = Sketchbook(Job(benchmark="a", plant="hard", seed=2), tmp_path)
-    assert simulated.title("8", "b", "forces") == "8b  forces\na, hard, seed 2"
+    simulated = Sketchbook(Job(benchmark="a", plant="degraded", seed=2), tmp_path)
+    assert simulated.title("8", "b", "forces") == "8b  forces\na, degraded, seed 2"
     recorded = Sketchbook(Job(benchmark="a", plant="recording", seed=3), tmp_path)
     assert recorded.title("", "", "forces") == "forces\na, recording 3"

@@ -8,12 +8,12 @@ from residual_command_log import insertion
 import needleforce.cli.force as residual_command
 import needleforce.cli.identify as identification_command
 from groundtruth import insert_needle
-from identification import DEFAULT, PAPER
+from identification import MULTILAYER, PUBLISHED
 from needleforce.cli.identify_report import IdentificationResult, LogClock, identification_chart
 from needleforce.plots.errors import WriteError
 from needleforce.plots.page import report_folder, settings_table
 from recordings import write_table
-from residual import DEFAULT as SENSOR
+from residual import MULTILAYER as SENSOR
 
 pytest.importorskip("matplotlib")
 
@@ -98,7 +98,7 @@ def result(**changes):
     columns["absorbed"] = np.ones(50)
     values = {
         "log": "log",
-        "method": "paper-kv",
+        "method": "published-kv",
         "layers": (),
         "clock": LogClock(),
         "ruptures_s": (0.4,),
@@ -110,7 +110,7 @@ def result(**changes):
 
 
 def test_the_kelvin_voigt_friction_has_its_own_unit_and_no_band_is_invented():
-    kv, ml = (identification_chart(result(method=name)) for name in ("paper-kv", "paper"))
+    kv, ml = (identification_chart(result(method=name)) for name in ("published-kv", "published"))
     assert kv.panels[2].y_label == "friction B\n[Ns/m]"
     assert ml.panels[2].y_label == "friction B\n[Ns/m²]"
     assert all(curve.std is None for panel in kv.panels for curve in panel.curves)
@@ -151,10 +151,10 @@ def test_transients_do_not_set_the_scale_and_nothing_needs_no_room():
 
 
 def test_settings_are_told_with_those_within():
-    rows = dict(settings_table(DEFAULT, "a").rows)
+    rows = dict(settings_table(MULTILAYER, "a").rows)
     assert rows["`false_alarm_interval_s`"] == "3600"
     assert any(name.startswith("`check.") for name in rows)
-    assert dict(settings_table(PAPER, "a").rows)["`model`"] == "ml"
+    assert dict(settings_table(PUBLISHED, "a").rows)["`model`"] == "ml"
     assert dict(settings_table(SENSOR, "a").rows)["`friction`"] == "none"
 
 

@@ -33,7 +33,7 @@ def reading(source, method, error):
 READINGS = (
     reading("virtual", "default", 0.05),
     reading("ft", "default", 0.01),
-    reading("virtual", "paper", 0.2),
+    reading("virtual", "published", 0.2),
 )
 
 
@@ -59,7 +59,7 @@ def test_forces_are_drawn_over_time_and_depth_with_their_errors():
 
 
 def test_no_wild_curve_flattens_the_others():
-    wild = force_over_time("a", TRUTH, (*READINGS[:2], reading("virtual", "paper", 50.0)))
+    wild = force_over_time("a", TRUTH, (*READINGS[:2], reading("virtual", "published", 50.0)))
     low, high = wild.panels[1].limits
     assert -low == high < 0.5
 
@@ -72,7 +72,7 @@ def test_an_rmse_counts_the_judged_part_only():
 
 
 def test_figure_5_has_two_panels_and_the_papers_numbers(tmp_path):
-    book = Sketchbook(Job(benchmark="gel-70-constant", plant="realistic"), tmp_path)
+    book = Sketchbook(Job(benchmark="gel-70-constant", plant="clean"), tmp_path)
     draw_forces(book, TRUTH, READINGS)
     over_time, over_depth = book.drawings
     assert [item.panel for item in book.drawings] == ["a", "c"]
@@ -92,8 +92,8 @@ def test_what_figure_5_says_of_delay_and_band_is_of_this_run(tmp_path):
     truth = replace(TRUTH, axial_N=wave)
     late, sure = np.interp(T - 0.1, T, wave), np.full(len(T), 1e-4)
     ours = ForceReading(source="virtual", method="default", axial_N=late, std_N=sure)
-    paper, ft = reading("virtual", "paper", 0.2), reading("ft", "default", 0.01)
-    book = Sketchbook(Job(benchmark="gel-70-constant", plant="realistic"), tmp_path)
+    paper, ft = reading("virtual", "published", 0.2), reading("ft", "default", 0.01)
+    book = Sketchbook(Job(benchmark="gel-70-constant", plant="clean"), tmp_path)
     draw_forces(book, truth, (ours, ft, replace(paper, axial_N=wave)))
     *_, delay, within = book.drawings[0].facts
     assert dict(delay.here) == {"published, here": "0", "ours, here": "100"}
@@ -101,10 +101,10 @@ def test_what_figure_5_says_of_delay_and_band_is_of_this_run(tmp_path):
 
 
 def test_other_runs_have_their_force_over_time_only(tmp_path):
-    book = Sketchbook(Job(benchmark="random-stack", plant="hard", seed=3), tmp_path)
+    book = Sketchbook(Job(benchmark="random-stack", plant="degraded", seed=3), tmp_path)
     draw_forces(book, TRUTH, READINGS)
     (drawing,) = book.drawings
     assert drawing.figure == ""
     assert drawing.facts == ()
-    assert drawing.path.name == "random-stack-hard-3-force-time.svg"
-    assert drawing.provenance == "`random-stack`, hard arm, seed 3"
+    assert drawing.path.name == "random-stack-degraded-3-force-time.svg"
+    assert drawing.provenance == "`random-stack`, degraded arm, seed 3"

@@ -38,7 +38,7 @@ def dot(tmp_path):
     return path
 
 
-def drawing(path, figure="", scenario="gel-70-constant", plant="realistic", **more):
+def drawing(path, figure="", scenario="gel-70-constant", plant="clean", **more):
     fact = Fact(what="RMSE [N]", paper="0.2444", here=(("ours, here", "0.0190"),))
     return Drawing(
         figure=figure,
@@ -58,7 +58,7 @@ def test_the_page_says_where_to_look_and_not_what_a_run_will_have_found():
         assert not re.search(r"\d+ ms|late by|not detected|follows the reading", item.see), item
 
 
-def rows(plant="realistic", scenarios=GELS, seeds=(0,)):
+def rows(plant="clean", scenarios=GELS, seeds=(0,)):
     """Friction of gels: true 100, offline 110, online 104, more with the seed."""
     values = {"true": 100.0, "offline": 110.0, "online": 104.0}
     return [
@@ -75,7 +75,7 @@ def rows(plant="realistic", scenarios=GELS, seeds=(0,)):
         for scenario in scenarios
         for seed in seeds
         for source in ("ft", "virtual")
-        for method in ("paper", "default")
+        for method in ("published", "default")
         for kind, value in values.items()
     ]
 
@@ -132,11 +132,11 @@ def test_half_a_figure_says_which_half_is_missing(dot):
 def test_a_figure_shows_one_arm_and_the_others_are_further_runs(dot, tmp_path):
     other = tmp_path / "other.svg"
     other.write_bytes(DOT)
-    both = [drawing(other, "8", plant="hard"), drawing(dot, "8", plant="realistic")]
-    assert [item.plant for item in chosen(both, "8")] == ["realistic"]
-    assert [item.plant for item in chosen(both[:1], "8")] == ["hard"]
+    both = [drawing(other, "8", plant="degraded"), drawing(dot, "8", plant="clean")]
+    assert [item.plant for item in chosen(both, "8")] == ["clean"]
+    assert [item.plant for item in chosen(both[:1], "8")] == ["degraded"]
     (further,) = further_sections(both)
-    assert "hard arm" in further.heading
+    assert "degraded arm" in further.heading
 
 
 def test_panels_stand_in_their_order(dot):
@@ -146,7 +146,7 @@ def test_panels_stand_in_their_order(dot):
 
 def test_every_figure_says_where_it_comes_from(dot):
     (section,) = paper_sections([drawing(dot, "9", "gel-70-sinusoidal")], [])
-    assert section.figures[0].caption.endswith("From `gel-70-sinusoidal`, realistic arm, seed 0.")
+    assert section.figures[0].caption.endswith("From `gel-70-sinusoidal`, clean arm, seed 0.")
     assert drawing(dot, plant="needle").provenance.endswith("needle without an arm, seed 0")
     assert drawing(dot, plant="recording").provenance.endswith("recording 0")
 
@@ -170,9 +170,9 @@ def test_table_one_has_the_papers_figures_beside_ours(dot):
 
 
 def test_gels_are_those_of_the_best_arm():
-    found = gel_friction([*rows("needle"), *rows("hard"), *rows("realistic")], [])
+    found = gel_friction([*rows("needle"), *rows("degraded"), *rows("clean")], [])
     assert found is not None
-    assert found.plant == "realistic"
+    assert found.plant == "clean"
     assert gel_friction(rows(scenarios=("stack-constant",)), []) is None
 
 

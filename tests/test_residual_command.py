@@ -10,7 +10,7 @@ from residual_command_log import AXIAL_N, CONTACT_S, SMALL_ARM, insertion, write
 
 from needleforce.cli.force import main
 from recordings import read_log, read_table, write_table
-from residual import Caution
+from residual import SensorWarning
 from urdf import load_urdf
 
 TARE = ["--tare", "0:2.5"]
@@ -89,7 +89,7 @@ def test_every_column_says_its_unit_and_the_vector_agrees_with_the_axial_force(
 ):
     columns, _ = run(log, *TARE, "--mode", mode)
     assert len(columns) == 7 + components
-    plain = ("misfit", "force_cautions", "force_status")
+    plain = ("model_mismatch", "force_warnings", "force_status")
     for name in columns:
         assert name in plain or name.rsplit("_", 1)[1] in ("s", "m", "N", "Nm"), name
     force = np.stack([columns[f"force_{xyz}_in_base_N"] for xyz in "xyz"], axis=1)
@@ -174,13 +174,13 @@ def test_what_may_be_wrong_beyond_the_standard_deviation_is_told(run, lwr, tmp_p
     columns["tau_Nm"][3700:3800, 1] = lwr.effort_limit_Nm[1]
     write_table(tmp_path / "log.npz", columns)
     found, printed = run(str(tmp_path / "log.npz"), *TARE)
-    cautions = found["force_cautions"].astype(int)
-    assert cautions[3500] & Caution.SPIKE
+    warnings = found["force_warnings"].astype(int)
+    assert warnings[3500] & SensorWarning.SPIKE
     assert found["force_status"][3500] == 3
-    assert (cautions[3710:3800] & Caution.SATURATED).all()
-    assert not cautions[:3000].any()
+    assert (warnings[3710:3800] & SensorWarning.SATURATED).all()
+    assert not warnings[:3000].any()
     assert "x saturated" in printed
-    assert 0.3 < np.median(found["misfit"][found["force_status"] == 0]) < 3.0
+    assert 0.3 < np.median(found["model_mismatch"][found["force_status"] == 0]) < 3.0
     assert found["axial_N"][-1] == pytest.approx(AXIAL_N, abs=0.2)
 
 
@@ -212,7 +212,7 @@ def test_the_command_runs_as_a_module_and_explains_itself(log):
     done = subprocess.run([*command, log, *TARE], capture_output=True, text=True, check=False)
     assert (done.returncode, done.stderr) == (0, "")
     labels = [line.split("  ")[0] for line in done.stdout.splitlines()]
-    expected = ["robot", "sensor", "samples", "skipped", "gaps", "cautions"]
+    expected = ["robot", "sensor", "samples", "skipped", "gaps", "warnings"]
     expected += ["tare", "axial force", "lag"]
     assert labels == expected
     told = subprocess.run([*command, "--help"], capture_output=True, text=True, check=True).stdout

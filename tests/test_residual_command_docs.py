@@ -15,7 +15,7 @@ from needleforce.cli.force_replay import AUTOMATIC_S, STATUS_CODES
 from recordings import read_table
 from recordings.command.row_overview import MOST_ROWS
 from recordings.command.run_command import FAILED, INTERRUPTED, READER_GONE
-from residual import Caution, SensorConfig
+from residual import SensorConfig, SensorWarning
 from urdf import load_urdf
 
 TEXT = (Path(__file__).parents[1] / "docs" / "residual.md").read_text(encoding="utf-8")
@@ -99,7 +99,7 @@ def test_codes_and_numbers_in_the_text_are_the_codes():
     for status, code in STATUS_CODES.items():
         words = {"settling": "filters settle"}.get(status.value, status.value)
         assert f"{code} {words}" in TEXT
-    for caution in Caution:
+    for caution in SensorWarning:
         assert f"{caution.value} {caution.name.lower().replace('_', ' ')}" in TEXT
     assert f"the first {AUTOMATIC_S:g} s after the filters have settled" in TEXT
     known = {item.name for item in fields(SensorConfig)}

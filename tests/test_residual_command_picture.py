@@ -30,8 +30,8 @@ def rows_of(status, after_gap=()):
         force_N=np.zeros((rows, 3)),
         torque_Nm=np.zeros((rows, 3)),
         std=np.full((rows, 1), 0.5),
-        misfit=np.ones(rows),
-        cautions=np.zeros(rows, dtype=int),
+        model_mismatch=np.ones(rows),
+        warnings=np.zeros(rows, dtype=int),
         status=np.array(status),
         after_gap=np.isin(np.arange(rows), after_gap),
     )

@@ -5,7 +5,7 @@ import pytest
 from guarded_sensor import NOISE, feed, tared
 from residual_signals import MIDDLE, swing
 
-from residual import Caution, Status, VirtualForceSensor
+from residual import SensorWarning, Status, VirtualForceSensor
 from residual.stuck_signals import LONGEST_REFUSAL_S, stands_out
 
 
@@ -46,7 +46,7 @@ def test_an_arm_at_rest_is_not_refused_whatever_its_source(lwr, source, moves_fi
         sensor.update_external_torque(q_k, tau_k, 1e-3)
         for q_k, tau_k in zip(q[800:], tau[800:], strict=True)
     ]
-    assert sum(Caution.FROZEN in e.cautions for e in found) == 0
+    assert sum(SensorWarning.FROZEN in e.warnings for e in found) == 0
 
 
 @pytest.mark.parametrize("which", ["torque", "position", "all"])
@@ -61,12 +61,14 @@ def test_what_stays_the_same_in_all_joints_is_frozen_until_it_moves_again(lwr, r
         for q, dq, tau in rows[100:400]
     ]
     found = feed(sensor, stuck)
-    assert all(e.status is Status.SKIPPED and Caution.FROZEN in e.cautions for e in found[30:])
+    assert all(
+        e.status is Status.REJECTED and SensorWarning.FROZEN in e.warnings for e in found[30:]
+    )
     assert ("position and torque" if which == "all" else which) in found[-1].message
     after = feed(sensor, rows[400:600])
-    assert after[0].status is Status.SETTLING
+    assert after[0].status is Status.INITIALIZING
     assert after[-1].status is Status.OK
-    assert not after[-1].cautions
+    assert not after[-1].warnings
     assert max(abs(e.axial) for e in after) < 0.2
 
 
@@ -76,7 +78,7 @@ def test_a_source_that_holds_its_values_is_frozen_after_far_longer(lwr):
     tau[1000:] = tau[999]
     sensor = VirtualForceSensor(lwr)
     found = [sensor.update_external_torque(MIDDLE, tau_k, 1e-3) for tau_k in tau]
-    frozen = [Caution.FROZEN in e.cautions for e in found]
+    frozen = [SensorWarning.FROZEN in e.warnings for e in found]
     assert not any(frozen[:1150])
     assert all(frozen[1250:])
 
@@ -87,10 +89,10 @@ def test_one_torque_that_stays_the_same_is_told_and_not_refused(lwr):
     alone, value = np.arange(7) == 1, rows[99][2]
     found = feed(sensor, [(q, dq, np.where(alone, value, tau)) for q, dq, tau in rows[100:1000]])
     assert all(e.status is Status.OK for e in found)
-    assert not any(Caution.FROZEN in e.cautions for e in found[:400])
-    assert all(Caution.FROZEN in e.cautions for e in found[600:])
+    assert not any(SensorWarning.FROZEN in e.warnings for e in found[:400])
+    assert all(SensorWarning.FROZEN in e.warnings for e in found[600:])
     assert "joint index [1]" in found[-1].message
-    assert Caution.FROZEN not in feed(sensor, rows[1000:1100])[-1].cautions
+    assert SensorWarning.FROZEN not in feed(sensor, rows[1000:1100])[-1].warnings
 
 
 def test_nothing_is_refused_for_ever(lwr):
@@ -98,10 +100,10 @@ def test_nothing_is_refused_for_ever(lwr):
     feed(sensor, rows[:100])
     dt_s = 0.01
     found = feed(sensor, [rows[99]] * 1000, dt_s)
-    refused = sum(e.status is Status.SKIPPED for e in found) * dt_s
+    refused = sum(e.status is Status.REJECTED for e in found) * dt_s
     assert 0.9 * LONGEST_REFUSAL_S < refused <= LONGEST_REFUSAL_S
     assert found[-1].status is Status.OK
-    assert Caution.FROZEN in found[-1].cautions
+    assert SensorWarning.FROZEN in found[-1].warnings
     assert "no longer held back" in found[-1].message
 
 
@@ -109,7 +111,7 @@ def test_signals_without_noise_may_repeat_themselves(lwr):
     sensor = VirtualForceSensor(lwr)
     found = [sensor.update(MIDDLE, np.zeros(7), np.zeros(7), 1e-3) for _ in range(1000)]
     assert found[-1].status is Status.NOT_TARED
-    assert not found[-1].cautions
+    assert not found[-1].warnings
 
 
 @pytest.mark.parametrize("slope", [0.0, 0.3, 1.0, 2.7])

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from residual_signals import BIAS, swing
 
-from residual import Caution, Status, VirtualForceSensor
+from residual import SensorWarning, Status, VirtualForceSensor
 
 MILLISECONDS = (2, 3, 5, 8, 10, 20)
 
@@ -28,7 +28,7 @@ def moving(robot, noise_rad, seconds=1.5):
 
 
 def spikes(estimates):
-    return [k for k, e in enumerate(estimates) if Caution.SPIKE in e.cautions]
+    return [k for k, e in enumerate(estimates) if SensorWarning.SPIKE in e.warnings]
 
 
 def estimates(sensor, q, dq, tau):
@@ -44,7 +44,7 @@ def test_positions_held_from_50_to_500_hz_are_no_spikes(lwr, samples, noise_rad,
     for rng in (None, np.random.default_rng(1)):
         sent = (held(q, samples, rng), dq if with_velocity else None, tau)
         found = estimates(VirtualForceSensor(lwr), *sent)
-        assert not any(e.cautions for e in found)
+        assert not any(e.warnings for e in found)
         assert found[-1].status is Status.NOT_TARED
 
 
@@ -63,7 +63,7 @@ def test_a_spike_of_a_held_position_is_still_held_back(lwr, samples):
     q[1000 : 1000 + 4, 2] += 0.05
     found = estimates(VirtualForceSensor(lwr), q, dq, tau)
     assert spikes(found)[0] == 1000
-    assert all(e.status is Status.SKIPPED for e in found[1000:1004])
+    assert all(e.status is Status.REJECTED for e in found[1000:1004])
     assert len(spikes(found)) <= 5
     assert found[-1].status is Status.NOT_TARED
 

@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 from residual_signals import swing
 
-from identification import DEFAULT as IDENTIFIER
-from identification import PAPER as PAPER_IDENTIFIER
+from identification import MULTILAYER as IDENTIFIER
+from identification import PUBLISHED as PAPER_IDENTIFIER
 from identification import Identifier
 from identification.errors import InvalidSnapshotError
 from residual import (

@@ -106,6 +106,6 @@ def test_a_time_step_that_is_none_is_refused(lwr, dt_s):
         observer.update(STILL, STILL, STILL, dt_s)
     with pytest.raises(SampleError, match="dt_s"):
         velocity.update(STILL, STILL, dt_s)
-    assert sensor.update(STILL, STILL, STILL, dt_s).status is Status.SKIPPED
-    assert sensor.update(STILL, STILL, STILL, 1e-3).status is Status.SETTLING
+    assert sensor.update(STILL, STILL, STILL, dt_s).status is Status.REJECTED
+    assert sensor.update(STILL, STILL, STILL, 1e-3).status is Status.INITIALIZING
     assert sensor.elapsed_s == 1e-3

@@ -8,7 +8,7 @@ from residual_signals import BIAS, external_torque_of, push, swing, tared_sensor
 
 from residual import (
     DEFAULT,
-    PAPER,
+    PUBLISHED,
     ConfigurationError,
     JointFriction,
     SensorConfig,
@@ -31,7 +31,7 @@ def test_force_is_read_through_a_sensor_bias(lwr, with_velocity):
 
 
 def test_paper_preset_reads_the_same_force_later(lwr):
-    sensor = tared_sensor(lwr, PAPER)
+    sensor = tared_sensor(lwr, PUBLISHED)
     assert sensor.lag_s == pytest.approx(0.2)
     _, estimate = push(lwr, sensor, [0.0, 0.0, 2.0])
     assert estimate.force[2] == pytest.approx(2.0 * (1 - np.exp(-0.5 * 5.0)), abs=0.1)
@@ -49,16 +49,16 @@ def test_status_tells_settling_then_not_tared_then_ok(lwr):
     sensor = VirtualForceSensor(lwr)
     _, q, dq, tau = swing(lwr, seconds=1.0)
     statuses = [sensor.update(q[k], dq[k], tau[k], 1e-3).status for k in range(len(q))]
-    assert statuses[0] is Status.SETTLING
+    assert statuses[0] is Status.INITIALIZING
     assert statuses[-1] is Status.NOT_TARED
     assert not sensor.tared
     sensor.tare()
     assert sensor.tared
     assert sensor.update(q[-1], dq[-1], tau[-1], 1e-3).status is Status.OK
-    sensor.start_recording()
+    sensor.start_tare_recording()
     assert sensor.update(q[-1], dq[-1], tau[-1], 1e-3).status is Status.NOT_TARED
     after_gap = sensor.update(q[-1], dq[-1], tau[-1], 5.0)
-    assert after_gap.status is Status.SETTLING
+    assert after_gap.status is Status.INITIALIZING
 
 
 def test_before_the_tare_the_standard_deviation_is_that_of_the_prior(lwr):
@@ -87,7 +87,7 @@ def test_bad_sample_is_reported_and_skipped_never_absorbed(lwr, reason):
     good = sensor.update(q[0], dq[0], tau[0], 1e-3)
     twin.update(q[0], dq[0], tau[0], 1e-3)
     skipped = sensor.update(*BAD[reason](q[1], dq[1], tau[1]))
-    assert skipped.status is Status.SKIPPED
+    assert skipped.status is Status.REJECTED
     assert reason in skipped.message
     assert skipped.axial == good.axial
     assert sensor.skipped == 1
@@ -103,17 +103,17 @@ def test_a_clock_that_goes_back_is_waited_for(lwr):
     for one in (sensor, twin):
         one.update(q[0], dq[0], tau[0], 1e-3)
     for k, dt_s in ((1, -2e-3), (2, 1e-3), (3, 0.0), (4, 1e-3)):
-        assert sensor.update(q[k], dq[k], tau[k], dt_s).status is Status.SKIPPED
+        assert sensor.update(q[k], dq[k], tau[k], dt_s).status is Status.REJECTED
     ours = sensor.update(q[5], dq[5], tau[5], 5e-3)
     assert ours.axial == twin.update(q[5], dq[5], tau[5], 5e-3).axial
-    assert sensor.update(q[6], dq[6], tau[6], -3600.0).status is Status.SKIPPED
-    assert sensor.update(q[7], dq[7], tau[7], 1e-3).status is not Status.SKIPPED
+    assert sensor.update(q[6], dq[6], tau[6], -3600.0).status is Status.REJECTED
+    assert sensor.update(q[7], dq[7], tau[7], 1e-3).status is not Status.REJECTED
 
 
 def test_bad_first_sample_gives_finite_numbers_and_boundless_doubt(lwr):
     sensor = VirtualForceSensor(lwr)
     estimate = sensor.update(np.zeros(7), np.zeros(7), np.full(7, np.nan), 1e-3)
-    assert estimate.status is Status.SKIPPED
+    assert estimate.status is Status.REJECTED
     assert np.isfinite(estimate.axial)
     assert estimate.axial_std == UNSEEN_STD
     assert all(np.isfinite(value).all() for value in estimate[:8])
@@ -150,8 +150,8 @@ def test_external_torque_of_the_robot_takes_the_same_way(lwr):
     estimate = sensor.update_external_torque(q[500], torque, 1e-3)
     np.testing.assert_allclose(estimate.force, force, atol=0.02)
     assert estimate.axial_std < 0.1
-    assert sensor.update_external_torque(q[501], torque * np.nan, 1e-3).status is Status.SKIPPED
-    assert sensor.update_external_torque(q[501], torque, -1.0).status is Status.SKIPPED
+    assert sensor.update_external_torque(q[501], torque * np.nan, 1e-3).status is Status.REJECTED
+    assert sensor.update_external_torque(q[501], torque, -1.0).status is Status.REJECTED
 
 
 def force_noise(robot, config, amplitude):

@@ -26,9 +26,9 @@ def test_a_buffer_that_the_caller_reuses_is_not_looked_at_later(lwr):
 
 def test_a_second_tare_needs_new_motion(lwr):
     sensor = tared_sensor(lwr)
-    with pytest.raises(TareError, match="start_recording"):
+    with pytest.raises(TareError, match="start_tare_recording"):
         sensor.tare()
-    sensor.start_recording()
+    sensor.start_tare_recording()
     _, q, dq, tau = swing(lwr, seconds=1.5, start=2.0, amplitude=0.03)
     shifted = tau - 2.0 * BIAS
     for sample in zip(q, dq, shifted, strict=True):
@@ -41,7 +41,7 @@ def test_a_bad_first_sample_does_not_decide_the_stream(lwr):
     sensor = VirtualForceSensor(lwr)
     _, q, dq, tau = swing(lwr, seconds=0.05)
     sensor.update(q[0], None, np.full(7, np.nan), 1e-3)
-    assert sensor.update(q[1], dq[1], tau[1], 1e-3).status is Status.SETTLING
+    assert sensor.update(q[1], dq[1], tau[1], 1e-3).status is Status.INITIALIZING
 
 
 def test_a_refused_tare_leaves_the_next_estimate_as_it_was(lwr):
@@ -63,7 +63,7 @@ def test_a_time_step_that_is_no_number_is_skipped(lwr, dt_s):
     sensor = tared_sensor(lwr)
     _, q, dq, tau = swing(lwr, seconds=0.01)
     estimate = sensor.update(q[0], dq[0], tau[0], dt_s)
-    assert estimate.status is Status.SKIPPED
+    assert estimate.status is Status.REJECTED
     assert "dt_s" in estimate.message
 
 
@@ -74,9 +74,9 @@ def test_absurd_numbers_are_skipped_and_leave_no_trace(lwr, with_velocity):
     _, q, dq, tau = swing(lwr, seconds=0.01, start=2.0, amplitude=0.03)
     for absurd in (1e12, 1e200, 1.7e308):
         bad = sensor.update(q[0], dq[0] if with_velocity else None, np.full(7, absurd), 1e-3)
-        assert bad.status is Status.SKIPPED
+        assert bad.status is Status.REJECTED
         assert (
-            sensor.update_external_torque(q[0], np.full(7, absurd), 1e-3).status is Status.SKIPPED
+            sensor.update_external_torque(q[0], np.full(7, absurd), 1e-3).status is Status.REJECTED
         )
     sound = (q[1], dq[1] if with_velocity else None, tau[1])
     assert sensor.update(*sound, 1e-3).axial == twin.update(*sound, 7e-3).axial
@@ -100,7 +100,7 @@ def test_a_clock_slower_than_the_longest_step_says_so(lwr):
     _, q, dq, tau = swing(lwr, seconds=20.0, rate_hz=5.0)
     for sample in zip(q, dq, tau, strict=True):
         estimate = sensor.update(*sample, 0.2)
-    assert estimate.status is Status.SETTLING
+    assert estimate.status is Status.INITIALIZING
     assert "max_gap_s" in estimate.message
     with pytest.raises(TareError, match="max_gap_s"):
         sensor.tare()
@@ -139,7 +139,7 @@ def test_a_clock_that_was_set_forward_is_told_and_goes_on_from_there(lwr, dt_s):
     sensor, twin = tared_sensor(lwr), tared_sensor(lwr)
     _, q, dq, tau = swing(lwr, seconds=0.01, start=2.0, amplitude=0.03)
     told = sensor.update(q[0], dq[0], tau[0], dt_s)
-    assert told.status is Status.SKIPPED
+    assert told.status is Status.REJECTED
     assert "clock was set" in told.message
     ours = sensor.update(q[1], dq[1], tau[1], 2e-3)
     theirs = twin.update(q[1], dq[1], tau[1], 2e-3)
@@ -152,7 +152,7 @@ def test_days_of_bad_samples_do_not_make_the_next_sound_one_a_bad_one(lwr):
     _, q, dq, tau = swing(lwr, seconds=0.01, start=2.0, amplitude=0.03)
     for _ in range(3):
         sensor.update(q[0], dq[0], np.full(7, np.nan), 80_000.0)
-    assert sensor.update(q[1], dq[1], tau[1], 1e-3).status is Status.SETTLING
+    assert sensor.update(q[1], dq[1], tau[1], 1e-3).status is Status.INITIALIZING
 
 
 @pytest.mark.parametrize("with_velocity", [True, False])
@@ -172,8 +172,8 @@ def test_the_robots_own_estimate_has_its_own_standard_deviation_and_motion(lwr, 
         )
         found.append(estimate)
         settling = not with_velocity and k < 40
-        assert (estimate.status is Status.SETTLING) == settling or k >= 40
-        if estimate.status is not Status.SETTLING:
+        assert (estimate.status is Status.INITIALIZING) == settling or k >= 40
+        if estimate.status is not Status.INITIALIZING:
             delay_s = 0.0 if with_velocity else 0.01
             at = k - round(delay_s * 1000)
             np.testing.assert_allclose(sensor.velocity_rad_s, dq[at], atol=2e-3)
@@ -189,13 +189,13 @@ def test_the_lag_is_that_of_the_stream_in_use(lwr):
     sensor = tared_sensor(lwr)
     assert sensor.lag_s > 0.0
     _, q, dq, tau = swing(lwr, seconds=0.01, start=2.0, amplitude=0.03)
-    sensor.start_recording()
+    sensor.start_tare_recording()
     sensor.update_external_torque(q[0], np.zeros(7), 1e-3)
     assert sensor.lag_s == 0.0
     twin = VirtualForceSensor(lwr)
     twin.restore(sensor.snapshot())
     assert twin.lag_s == 0.0
-    sensor.start_recording()
+    sensor.start_tare_recording()
     sensor.update(q[1], dq[1], tau[1], 1e-3)
     assert sensor.lag_s > 0.0
 
@@ -204,16 +204,16 @@ def test_a_tare_of_one_kind_of_torque_is_not_used_for_the_other(lwr):
     sensor, twin = tared_sensor(lwr), tared_sensor(lwr)
     _, q, dq, tau = swing(lwr, seconds=0.01, start=2.0, amplitude=0.03)
     told = sensor.update_external_torque(q[0], np.zeros(7), 1e-9)
-    assert told.status is Status.SKIPPED
+    assert told.status is Status.REJECTED
     assert "were mixed" in told.message
     assert sensor.update(q[1], dq[1], tau[1], 1e-3).axial == pytest.approx(
         twin.update(q[1], dq[1], tau[1], 1e-3).axial, abs=1e-6
     )
-    sensor.start_recording()
+    sensor.start_tare_recording()
     assert sensor.update_external_torque(q[2], np.zeros(7), 1e-3, dq[2]).status is Status.NOT_TARED
-    assert sensor.update(q[3], dq[3], tau[3], 1e-3).status is Status.SKIPPED
+    assert sensor.update(q[3], dq[3], tau[3], 1e-3).status is Status.REJECTED
     sensor.reset()
-    assert sensor.update(q[3], dq[3], tau[3], 1e-3).status is not Status.SKIPPED
+    assert sensor.update(q[3], dq[3], tau[3], 1e-3).status is not Status.REJECTED
 
 
 def test_a_velocity_that_comes_and_goes_is_refused_beside_external_torques_too(lwr):
@@ -221,7 +221,7 @@ def test_a_velocity_that_comes_and_goes_is_refused_beside_external_torques_too(l
     q, still = np.zeros(7), np.zeros(7)
     sensor.update_external_torque(q, still, 1e-3)
     told = sensor.update_external_torque(q, still, 1e-3, still)
-    assert told.status is Status.SKIPPED
+    assert told.status is Status.REJECTED
     assert "dq was given before" in told.message
 
 
@@ -230,7 +230,7 @@ def test_speed_of_external_torques_settles_anew_after_a_gap(lwr):
     _, q, _, _ = swing(lwr, seconds=0.5)
     for k in range(400):
         sensor.update_external_torque(q[k], BIAS, 1e-3)
-    assert sensor.update_external_torque(q[400], BIAS, 0.5).status is Status.SETTLING
+    assert sensor.update_external_torque(q[400], BIAS, 0.5).status is Status.INITIALIZING
     for k in range(401, 460):
         last = sensor.update_external_torque(q[k], BIAS, 1e-3)
     assert last.status is Status.NOT_TARED
@@ -268,6 +268,6 @@ def test_numbers_that_are_none_of_a_joint_are_refused_without_a_warning(lwr, odd
     sensor, still = VirtualForceSensor(lwr), np.zeros(7)
     for sample in ((odd, still, still), (still, odd, still), (still, still, odd)):
         told = sensor.update(*sample, 1e-3)
-        assert told.status is Status.SKIPPED
+        assert told.status is Status.REJECTED
         assert "1e+300" in told.message or "not an array of numbers" in told.message
-    assert sensor.update(still, still, still, 1e-3).status is Status.SETTLING
+    assert sensor.update(still, still, still, 1e-3).status is Status.INITIALIZING

@@ -7,10 +7,10 @@ import pinocchio as pin
 import pytest
 from residual_signals import MIDDLE
 
-from residual import ConfigurationError, TareError, TarePrior, WrenchEstimator
+from residual import BiasPrior, ConfigurationError, TareError, WrenchEstimator
 from residual.bias_estimator import check_free_of_contact, trend_step
 from residual.bias_fit import fit_tare
-from residual.bias_model import TareBasis, TareBlocks, prior_tare
+from residual.bias_model import BiasModel, TareBlocks, prior_tare
 from residual.bias_recorder import TareRecorder
 
 TOWARDS = np.array([0.0, 0.12, 0.01, 0.15, 0.0, 0.1, 0.0])
@@ -38,7 +38,7 @@ def stroke(robot, basis, *, truth=None, noise=0.005, seed=0, blocks=300, reach=1
 
 @pytest.fixture
 def basis(lwr):
-    return TareBasis(lwr, "model", TarePrior())
+    return BiasModel(lwr, "model", BiasPrior())
 
 
 def test_bias_is_linear_in_its_physical_causes(lwr, basis):
@@ -64,7 +64,7 @@ def test_fit_extrapolates_better_than_a_constant(lwr, basis, seed):
     ahead, forward = MIDDLE + 0.8 * TOWARDS, FORWARD
     truth = basis.columns(ahead, forward, 20.0) @ theta
     fitted = fit_tare(basis, blocks)
-    constant = fit_tare(TareBasis(lwr, "constant", TarePrior()), blocks)
+    constant = fit_tare(BiasModel(lwr, "constant", BiasPrior()), blocks)
     ours = np.abs(fitted.bias_Nm(ahead, forward, 20.0) - truth).max()
     paper = np.abs(constant.bias_Nm(ahead, forward, 20.0) - truth).max()
     assert ours < 0.5 * paper
@@ -108,7 +108,7 @@ def test_doubt_grows_with_distance_and_time(lwr, basis):
 
 
 def test_constant_kind_is_the_mean_residual(lwr):
-    basis = TareBasis(lwr, "constant", TarePrior())
+    basis = BiasModel(lwr, "constant", BiasPrior())
     _, blocks = stroke(lwr, basis, truth=OFFSET)
     tare = fit_tare(basis, blocks)
     mean = blocks.residual_Nm.mean(axis=0)
@@ -159,7 +159,7 @@ def test_recorder_keeps_block_means_in_bounded_memory():
 
 def test_ripple_of_a_known_gear_ratio_is_fitted(lwr):
     ratio = (160.0,) * 4 + (100.0,) * 3
-    basis = TareBasis(lwr, "model", TarePrior(gear_ratio=ratio))
+    basis = BiasModel(lwr, "model", BiasPrior(gear_ratio=ratio))
     theta = np.zeros(len(basis.std))
     theta[basis.groups["sine"]], theta[basis.groups["cosine"]] = 0.02, -0.01
     _, blocks = stroke(lwr, basis, truth=theta)
@@ -170,7 +170,7 @@ def test_ripple_of_a_known_gear_ratio_is_fitted(lwr):
     got = fit_tare(basis, blocks).bias_Nm(ahead, FORWARD, 0.0)
     np.testing.assert_allclose(got[[1, 3]], expected[[1, 3]], atol=0.01)
     with pytest.raises(ConfigurationError, match="expected 7"):
-        TareBasis(lwr, "model", TarePrior(gear_ratio=(160.0,)))
+        BiasModel(lwr, "model", BiasPrior(gear_ratio=(160.0,)))
 
 
 def test_torque_trend_remembers_at_rest_and_turns_over_the_width():
@@ -197,7 +197,7 @@ def test_merged_blocks_keep_the_variance_of_their_samples():
 
 
 def test_age_counts_from_the_tare_and_hysteresis_from_the_trend(lwr):
-    basis = TareBasis(lwr, "model", TarePrior())
+    basis = BiasModel(lwr, "model", BiasPrior())
     theta = np.zeros(len(basis.std))
     theta[basis.groups["drift"]] = 0.01
     theta[basis.groups["hysteresis"]] = np.repeat([0.1, 0.2, 0.4], 7)
@@ -235,10 +235,10 @@ def test_pull_counts_as_contact_like_a_push(lwr, basis):
 
 def test_settings_that_cannot_work_are_refused(lwr):
     with pytest.raises(ConfigurationError, match="mass_share"):
-        TarePrior(mass_share=0.0)
+        BiasPrior(mass_share=0.0)
     with pytest.raises(ConfigurationError, match="hysteresis_widths"):
-        TarePrior(hysteresis_widths=1e-4)
+        BiasPrior(hysteresis_widths=1e-4)
     with pytest.raises(ConfigurationError, match="com_m"):
-        TarePrior(com_m=np.nan)
+        BiasPrior(com_m=np.nan)
     with pytest.raises(ConfigurationError, match="constant"):
-        TareBasis(lwr, "quadratic", TarePrior())
+        BiasModel(lwr, "quadratic", BiasPrior())

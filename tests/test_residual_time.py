@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from guarded_sensor import feed, signals, tared
 
-from residual import Caution, Status, TareError, VirtualForceSensor
+from residual import SensorWarning, Status, TareError, VirtualForceSensor
 
 
 def run(robot, stamps_s, *, with_velocity=True):
@@ -33,29 +33,29 @@ def test_rounding_of_time_stamps_decides_nothing(lwr, with_velocity):
 def test_a_leap_of_the_clock_is_told_until_the_next_tare(lwr):
     sensor, rows = tared(lwr)
     quiet = feed(sensor, rows[:50])[-1]
-    assert not quiet.cautions
+    assert not quiet.warnings
     sensor.update(*rows[50], 3600.0)
     told = feed(sensor, rows[51:400])
     assert told[-1].status is Status.OK
-    assert all(Caution.STALE in e.cautions for e in told)
+    assert all(SensorWarning.TARE_EXPIRED in e.warnings for e in told)
     assert "tare again" in told[-1].message
     assert told[-1].axial_std > 10.0 * quiet.axial_std
     resumed = VirtualForceSensor(lwr)
     resumed.restore(sensor.snapshot())
-    assert Caution.STALE in resumed.update(*rows[400], 1e-3).cautions
-    sensor.start_recording()
+    assert SensorWarning.TARE_EXPIRED in resumed.update(*rows[400], 1e-3).warnings
+    sensor.start_tare_recording()
     feed(sensor, rows[400:900])
     sensor.tare()
     last = feed(sensor, rows[900:])[-1]
     assert last.status is Status.OK
-    assert not last.cautions
+    assert not last.warnings
     assert last.axial_std < 2.0 * quiet.axial_std
 
 
 def test_a_pause_below_a_minute_is_no_leap(lwr):
     sensor, rows = tared(lwr)
     sensor.update(*rows[0], 59.0)
-    assert not feed(sensor, rows[1:400])[-1].cautions
+    assert not feed(sensor, rows[1:400])[-1].warnings
 
 
 @pytest.mark.parametrize("again", [False, True])
@@ -65,22 +65,22 @@ def test_a_leap_while_free_motion_is_recorded_is_told_and_what_was_before_it_for
     sensor = VirtualForceSensor(lwr)
     if again:
         sensor, _ = tared(lwr)
-        sensor.start_recording()
-    assert not feed(sensor, [(q, dq, tau + 2.0) for q, dq, tau in rows[:1000]])[-1].cautions
+        sensor.start_tare_recording()
+    assert not feed(sensor, [(q, dq, tau + 2.0) for q, dq, tau in rows[:1000]])[-1].warnings
     sensor.update(*rows[1000], 3600.0)
     with pytest.raises(TareError, match=r"no settled free motion.*a time step of minutes"):
         sensor.tare()
     told = feed(sensor, rows[1001:2000])
-    assert all(Caution.STALE in e.cautions for e in told)
+    assert all(SensorWarning.TARE_EXPIRED in e.warnings for e in told)
     assert told[-1].status is Status.NOT_TARED
     assert "forgotten" in told[-1].message
     resumed = VirtualForceSensor(lwr)
     resumed.restore(sensor.snapshot())
-    assert Caution.STALE in resumed.update(*rows[2000], 1e-3).cautions
+    assert SensorWarning.TARE_EXPIRED in resumed.update(*rows[2000], 1e-3).warnings
     sensor.tare()
     last = feed(sensor, rows[2000:])[-1]
     assert last.status is Status.OK
-    assert not last.cautions
+    assert not last.warnings
     assert abs(last.axial) < 0.1
 
 
@@ -90,11 +90,11 @@ def test_a_leap_before_any_motion_is_recorded_is_none(lwr):
     sensor.update(q[0], dq[0], tau[0], 1e-3)
     sensor.update(q[1], dq[1], tau[1], 3600.0)
     found = feed(sensor, zip(q[2:], dq[2:], tau[2:], strict=True))
-    assert not any(e.cautions for e in found)
+    assert not any(e.warnings for e in found)
 
 
 def test_a_recording_started_anew_after_a_leap_is_as_good_as_any(lwr):
     sensor, rows = tared(lwr)
     sensor.update(*rows[0], 3600.0)
-    sensor.start_recording()
-    assert not any(e.cautions for e in feed(sensor, rows[1:400]))
+    sensor.start_tare_recording()
+    assert not any(e.warnings for e in feed(sensor, rows[1:400]))

@@ -12,8 +12,8 @@ from needleforce.cli.force import main
 from recordings import write_table
 from residual import (
     DEFAULT,
-    PAPER,
-    Caution,
+    PUBLISHED,
+    SensorWarning,
     SnapshotError,
     Status,
     TareError,
@@ -29,12 +29,12 @@ def rows_of(robot, seconds=4.0, factor=1.0, start=0.0):
     return [(q_k, factor * dq_k, tau_k) for q_k, dq_k, tau_k in zip(q, dq, tau, strict=True)]
 
 
-@pytest.mark.parametrize("config", [DEFAULT, PAPER])
+@pytest.mark.parametrize("config", [DEFAULT, PUBLISHED])
 @pytest.mark.parametrize("factor", [DEGREES, -1.0])
 def test_the_tare_is_refused_with_the_reason_and_not_with_contact(lwr, factor, config):
     sensor = VirtualForceSensor(lwr, config)
     found = feed(sensor, rows_of(lwr, factor=factor))
-    assert Caution.VELOCITY in found[-1].cautions
+    assert SensorWarning.VELOCITY in found[-1].warnings
     assert found[-1].status is Status.NOT_TARED
     assert f"is {factor:.3g} times the rate of q" in found[-1].message
     with pytest.raises(TareError, match="times the rate of q") as refused:
@@ -44,39 +44,39 @@ def test_the_tare_is_refused_with_the_reason_and_not_with_contact(lwr, factor, c
     sensor.tare(force=True)
     later = feed(sensor, rows_of(lwr, 0.1, factor, start=4.0))[-1]
     assert sensor.tared
-    assert Caution.VELOCITY in later.cautions
+    assert SensorWarning.VELOCITY in later.warnings
     assert "times the rate of q" in later.message
 
 
 def test_sound_velocities_are_not_told_and_without_velocities_nothing_is(lwr):
     sensor, rows = tared(lwr)
-    assert not any(e.cautions for e in feed(sensor, rows))
+    assert not any(e.warnings for e in feed(sensor, rows))
     sensor, rows = tared(lwr, with_velocity=False)
-    assert not any(e.cautions for e in feed(sensor, rows))
+    assert not any(e.warnings for e in feed(sensor, rows))
     assert sensor.snapshot().slow.match is None
 
 
 def test_free_motion_recorded_anew_is_judged_anew(lwr):
     sensor = VirtualForceSensor(lwr)
-    assert feed(sensor, rows_of(lwr, factor=DEGREES))[-1].cautions == Caution.VELOCITY
+    assert feed(sensor, rows_of(lwr, factor=DEGREES))[-1].warnings == SensorWarning.VELOCITY
     # A jump of all velocities, which the filters have to forget first.
     feed(sensor, rows_of(lwr, 0.5, start=4.0))
-    sensor.start_recording()
+    sensor.start_tare_recording()
     found = feed(sensor, rows_of(lwr, start=4.5))
-    assert not any(e.cautions for e in found)
+    assert not any(e.warnings for e in found)
     sensor.tare()
-    sensor.start_recording()
-    assert Caution.VELOCITY in feed(sensor, rows_of(lwr, start=8.0, factor=-1.0))[-1].cautions
+    sensor.start_tare_recording()
+    assert SensorWarning.VELOCITY in feed(sensor, rows_of(lwr, start=8.0, factor=-1.0))[-1].warnings
 
 
 def test_the_robots_own_external_torque_is_judged_the_same_way(lwr):
     sensor = VirtualForceSensor(lwr)
     rows = rows_of(lwr, factor=-1.0)
     found = [sensor.update_external_torque(q, BIAS, 1e-3, dq) for q, dq, _ in rows]
-    assert Caution.VELOCITY in found[-1].cautions
+    assert SensorWarning.VELOCITY in found[-1].warnings
     sensor.reset()
     found = [sensor.update_external_torque(q, BIAS, 1e-3) for q, _, _ in rows]
-    assert not any(e.cautions for e in found)
+    assert not any(e.warnings for e in found)
 
 
 def test_a_session_keeps_wrong_velocities_from_its_identifier(lwr):
@@ -87,7 +87,9 @@ def test_a_session_keeps_wrong_velocities_from_its_identifier(lwr):
         session.tare()
     session.tare(force=True)
     found = [session.update(*row, 1e-3) for row in rows_of(lwr, 0.3, -1.0, start=4.0)]
-    assert all(Caution.VELOCITY in e.cautions and not e.is_fed for e in found)
+    assert all(
+        SensorWarning.VELOCITY in e.warnings and not e.used_for_identification for e in found
+    )
 
 
 @pytest.mark.parametrize("cut", [900, 2500])
@@ -104,7 +106,7 @@ def test_a_snapshot_goes_on_bit_for_bit_before_and_after_it_is_told(lwr, tmp_pat
     for row in rows[cut:]:
         assert same(sensor.update(*row, 1e-3), other.update(*row, 1e-3))
     assert same(sensor.snapshot().slow, other.snapshot().slow)
-    assert Caution.VELOCITY in sensor.update(*rows[-1], 1e-3).cautions
+    assert SensorWarning.VELOCITY in sensor.update(*rows[-1], 1e-3).warnings
 
 
 @pytest.mark.parametrize("shape", [(25,), (3, 3), (24, 7), (25, 6)])
@@ -137,5 +139,5 @@ def test_the_command_names_joints_and_reason(lwr, tmp_path, capsys):
     lines = capsys.readouterr().out.splitlines()
     assert any(line.startswith("cautions ") and "x velocity" in line for line in lines)
     assert any(line.startswith("velocity ") and "is it in deg/s?" in line for line in lines)
-    cautions = np.load(out)["force_cautions"].astype(int)
-    assert (cautions[-1000:] & Caution.VELOCITY).all()
+    warnings = np.load(out)["force_warnings"].astype(int)
+    assert (warnings[-1000:] & SensorWarning.VELOCITY).all()

@@ -15,7 +15,7 @@ from benchmarks.tables import new_console
 from groundtruth import scenario
 from groundtruth.force_noise import MINI45
 
-RUN = Job(benchmark="stack-constant", plant="realistic", seed=0)
+RUN = Job(benchmark="stack-constant", plant="clean", seed=0)
 """The insertion from which the noise of the virtual force is taken."""
 WORDS = {
     "release_m": ("release", 1e3, "mm"),

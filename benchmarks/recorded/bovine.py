@@ -18,7 +18,7 @@ from benchmarks.methods import IDENTIFIERS
 from benchmarks.metric_catalogue import Measurement
 from benchmarks.recorded.liver import alarms_at_falls, force_falls
 from benchmarks.rupture_metrics import VISIBLE_SIGMAS
-from identification import PaperConfig, Replay, replay
+from identification import PublishedConfig, Replay, replay
 
 Array = NDArray[np.float64]
 
@@ -95,7 +95,7 @@ NEAR_mm = 1.5
 
 
 def run_bovine_real(job: Job, progress: Progress) -> Findings:
-    """Both methods; `paper` is told where first contact is, ours finds it.
+    """Both methods; `published` is told where first contact is, ours finds it.
 
     Raises:
         DataError: The recording is missing or broken.
@@ -107,7 +107,7 @@ def run_bovine_real(job: Job, progress: Progress) -> Findings:
     found: list[Measurement] = []
     for k, (method, config) in enumerate(IDENTIFIERS.items()):
         progress(k / len(IDENTIFIERS))
-        if isinstance(config, PaperConfig):
+        if isinstance(config, PublishedConfig):
             config = replace(config, contact_depth_m=CONTACT_m)
         result = replay(signal.t_s, signal.depth_m, signal.force_N, config=config)
         alarms_mm, dated_mm = _depths_mm(result)

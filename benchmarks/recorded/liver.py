@@ -367,7 +367,7 @@ def run_liver_real(job: Job, progress: Progress) -> Findings:
         DataError: The recording is missing or broken.
     """
     data = job.recordings
-    told: dict[Method, list[LiverTold]] = {"guess": [], "paper": [], "default": []}
+    told: dict[Method, list[LiverTold]] = {"guess": [], "published": [], "default": []}
     falls = 0
     for index in range(len(NUMBERS)):
         progress(index / len(NUMBERS))

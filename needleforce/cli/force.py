@@ -52,7 +52,7 @@ from recordings.command.suggest_mapping import suggest_mapping
 from recordings.open_table import STANDARD_STREAM
 from recordings.tables.labels import Labels
 from recordings.toml_file import read_toml
-from residual.config import DEFAULT, PAPER, SensorConfig
+from residual.config import DEFAULT, PUBLISHED, SensorConfig
 from residual.errors import ResidualError
 from residual.estimate import Status
 from residual.joint_friction import FrictionModel, JointFriction, SigmoidFriction
@@ -174,7 +174,7 @@ def run_log(
             has_velocity = signals.dq_rad_s is not None
             rows = replay.run(signals)
             forces.add(rows)
-            overview.add(rows.columns() | {_SETTLING: rows.has_status(Status.SETTLING)})
+            overview.add(rows.columns() | {_SETTLING: rows.has_status(Status.INITIALIZING)})
             if table is not None:
                 table.append(force_table(rows, config))
         replay.finish(is_whole=not log.is_interrupted)
@@ -216,14 +216,15 @@ def sensor_config(arguments: Namespace, friction: FrictionModel | None) -> Senso
     """Return the preset with the file's settings, then the options', in place of its own.
 
     Args:
-        arguments: With ``paper``, ``config`` (a path or None), ``gain``, ``alignment``, ``mode``.
+        arguments: With ``published``, ``config`` (a path or None), ``gain``, ``alignment``,
+            ``mode``.
         friction: Joint friction, or None.
 
     Raises:
         CommandError: A setting is not valid.
         recordings.RecordingError: The file cannot be read.
     """
-    preset = PAPER if arguments.paper else DEFAULT
+    preset = PUBLISHED if arguments.paper else DEFAULT
     values: dict[str, Any] = {item.name: getattr(preset, item.name) for item in fields(preset)}
     where = "options"
     if arguments.config is not None:

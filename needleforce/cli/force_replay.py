@@ -15,7 +15,7 @@ from recordings.log_stream import LogChunk
 from residual.bias_model import Tare
 from residual.config import SensorConfig
 from residual.errors import TareError, VelocityError
-from residual.estimate import Caution, Status, WrenchEstimate
+from residual.estimate import SensorWarning, Status, WrenchEstimate
 from residual.tool_kinematics import ToolKinematics
 from residual.virtual_force_sensor import VirtualForceSensor
 from urdf import Robot
@@ -194,7 +194,7 @@ class Taring:
         if window is None or self.done is not None:
             return
         if self._must_start and t_s >= window.start_s:
-            self._sensor.start_recording()
+            self._sensor.start_tare_recording()
             self._must_start = False
         if t_s > window.end_s:
             self._tare(window)
@@ -371,7 +371,7 @@ class ForceRows:
         std: Standard deviations of the estimated components, shape (n, k): k = 1 axial force,
             3 force [N], 6 force and torque [N, Nm].
         misfit: Of the joint torques to the assumed contact, see `WrenchEstimate`, shape (n,).
-        cautions: Sum of the values of `Caution`, shape (n,).
+        cautions: Sum of the values of `SensorWarning`, shape (n,).
         status: `STATUS_CODES`, shape (n,).
         after_gap: Whether the filters started anew because of a gap in time before the row,
             shape (n,).
@@ -384,8 +384,8 @@ class ForceRows:
     force_N: NDArray[np.float64]
     torque_Nm: NDArray[np.float64]
     std: NDArray[np.float64]
-    misfit: NDArray[np.float64]
-    cautions: NDArray[np.int64]
+    model_mismatch: NDArray[np.float64]
+    warnings: NDArray[np.int64]
     status: NDArray[np.int64]
     after_gap: NDArray[np.bool_]
 
@@ -469,12 +469,15 @@ class Replay:
             # The sensor reads no time step of the first sample.
             estimate = self._feed(signals, k, dt_s if advances else 0.0)
             estimates.append(estimate)
-            if estimate.status is Status.SKIPPED:
+            if estimate.status is Status.REJECTED:
                 self._count(estimate.message if advances else "time does not advance")
                 gaps.append(False)
             else:
                 taring.after(now_s, estimate.status)
-                if estimate.cautions & Caution.VELOCITY and estimate.status is not Status.SETTLING:
+                if (
+                    estimate.warnings & SensorWarning.VELOCITY
+                    and estimate.status is not Status.INITIALIZING
+                ):
                     self.velocity_fault = estimate.message
                 gaps.append(self._has_gap(now_s))
         return _rows(signals, self._travel(signals.q_rad), estimates, gaps)
@@ -538,15 +541,15 @@ def _rows(
         force_N=np.array([estimate.force for estimate in estimates]),
         torque_Nm=np.array([estimate.torque for estimate in estimates]),
         std=np.sqrt(np.diagonal(covariances, axis1=1, axis2=2)),
-        misfit=np.array([estimate.misfit for estimate in estimates]),
-        cautions=np.array([int(estimate.cautions) for estimate in estimates]),
+        model_mismatch=np.array([estimate.model_mismatch for estimate in estimates]),
+        warnings=np.array([int(estimate.warnings) for estimate in estimates]),
         status=np.array([STATUS_CODES[estimate.status] for estimate in estimates]),
         after_gap=np.array(gaps),
     )
-    skipped = rows.has_status(Status.SKIPPED)
+    skipped = rows.has_status(Status.REJECTED)
     if skipped.any():
         numbers = (rows.axial_N, rows.axial_std_N, rows.force_N, rows.torque_Nm, rows.std)
-        for values in (*numbers, rows.misfit):
+        for values in (*numbers, rows.model_mismatch):
             values[skipped] = np.nan
     return rows
 
@@ -589,7 +592,7 @@ class ForceStatistics:
         self.rows = 0
         self.first_s, self.last_s = math.inf, -math.inf
         self._steps = ThinnedMedian()
-        self.cautions: Counter[Caution] = Counter()
+        self.warnings: Counter[SensorWarning] = Counter()
         """Rows with each caution."""
         self._of_status = {status: StatusStatistics() for status in Status}
 
@@ -601,8 +604,8 @@ class ForceStatistics:
         self.rows += len(rows.t_s)
         self.first_s = min(self.first_s, float(rows.t_s.min()))
         self.last_s = float(latest_s[-1])
-        for caution in Caution:
-            self.cautions[caution] += int(np.count_nonzero(rows.cautions & caution))
+        for caution in SensorWarning:
+            self.warnings[caution] += int(np.count_nonzero(rows.warnings & caution))
         for status in Status:
             chosen = rows.has_status(status)
             if chosen.any():

@@ -64,7 +64,7 @@ class ComponentRows(NamedTuple):
 
 def broken_at_gaps(component: Component, rows: ForceRows) -> ComponentRows:
     """Return what is drawn: a skipped row leaves no hole, a gap in time does."""
-    kept = ~rows.has_status(Status.SKIPPED)
+    kept = ~rows.has_status(Status.REJECTED)
     t_s = rows.t_s[kept]
     gaps = np.flatnonzero(rows.after_gap[kept])
     return ComponentRows(
@@ -143,19 +143,19 @@ def shadings(rows: ForceRows, tare: TareDone | None, start_s: float) -> tuple[Sh
     time_s = rows.t_s - start_s
     settling = tuple(
         (float(time_s[first]), float(time_s[last]))
-        for first, last in runs(rows.has_status(Status.SETTLING))
+        for first, last in runs(rows.has_status(Status.INITIALIZING))
     )
     if settling:
-        found.append(Shading(label="filters settle", color=palette.SETTLING, spans=settling))
+        found.append(Shading(label="filters settle", color=palette.INITIALIZING, spans=settling))
     return tuple(found)
 
 
 def skipped_ticks(rows: ForceRows, start_s: float) -> tuple[Ticks, ...]:
     """Return strokes at rows that were skipped."""
-    places = (rows.t_s - start_s)[rows.has_status(Status.SKIPPED)]
+    places = (rows.t_s - start_s)[rows.has_status(Status.REJECTED)]
     if not len(places):
         return ()
-    return (Ticks(label="skipped", color=palette.SKIPPED, places=tuple(places.tolist())),)
+    return (Ticks(label="skipped", color=palette.REJECTED, places=tuple(places.tolist())),)
 
 
 def runs(flags: NDArray[np.bool_]) -> list[tuple[int, int]]:
@@ -270,7 +270,7 @@ def summary_rows(result: ForceResult) -> Rows:
         ("samples", _samples(forces)),
         ("skipped", _skipped(replay)),
         ("gaps", _gaps(replay, result.config)),
-        ("cautions", _cautions(forces)),
+        ("warnings", _cautions(forces)),
         *([("velocity", replay.velocity_fault)] if replay.velocity_fault else []),
         ("tare", _tare(replay)),
         ("axial force", _force(forces)),
@@ -316,7 +316,7 @@ def _gaps(replay: Replay, config: SensorConfig) -> str:
 def _cautions(forces: ForceStatistics) -> str:
     told = [
         f"{count} x {str(caution.name).lower().replace('_', ' ')}"
-        for caution, count in forces.cautions.most_common()
+        for caution, count in forces.warnings.most_common()
         if count
     ]
     return ", ".join(told) or "none"
@@ -456,8 +456,8 @@ def force_table(rows: ForceRows, config: SensorConfig) -> Columns:
         columns |= _vector_force_table("torque", "Nm", config.axes, rows.torque_Nm)
         columns |= _vector_force_table("torque_std", "Nm", config.axes, rows.std[:, 3:])
     columns |= {
-        "misfit": rows.misfit,
-        "force_cautions": rows.cautions,
+        "model_mismatch": rows.model_mismatch,
+        "force_warnings": rows.warnings,
         "force_status": rows.status,
     }
     return columns

@@ -35,7 +35,7 @@ from recordings.tables.labels import Labels
 # The command line of ``python -m identification``.
 
 
-CHANNELS = ("depth", "speed", "force", "force_status", "force_cautions")
+CHANNELS = ("depth", "speed", "force", "force_status", "force_warnings")
 """What is read of a log beside time."""
 
 
@@ -188,7 +188,7 @@ def _run(arguments: Namespace) -> int:
     check_outputs(arguments)
     if arguments.png is not None:
         require_matplotlib("--png")
-    optional = ("speed", "force_status", "force_cautions")
+    optional = ("speed", "force_status", "force_warnings")
     log = LogSession(arguments, required=("depth", "force"), optional=optional)
     with folder_if_filled(arguments.report), log:
         is_drawn = arguments.png is not None or arguments.report is not None

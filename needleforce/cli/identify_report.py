@@ -11,8 +11,8 @@ from numpy.typing import NDArray
 
 from identification.estimate import LayerEstimate
 from identification.log_replay import ReplayedRows
-from identification.multilayer_config import DEFAULT
-from identification.published_config import PAPER, PAPER_KV
+from identification.multilayer_config import MULTILAYER
+from identification.published_config import PUBLISHED, PUBLISHED_KV
 from needleforce.plots import (
     Chart,
     Curve,
@@ -32,7 +32,7 @@ from needleforce.plots.page import PAGE, settings_table
 from recordings.columns.force_codes import FORCE_STATUS, WORTHLESS
 from recordings.log_stream import LogChunk
 
-METHODS = {"default": DEFAULT, "paper": PAPER, "paper-kv": PAPER_KV}
+METHODS = {"default": MULTILAYER, "published": PUBLISHED, "published-kv": PUBLISHED_KV}
 """What ``--method`` may be."""
 
 
@@ -399,15 +399,15 @@ class ForceStatus:
         """Return the force, NaN where it is not usable, shape (n,).
 
         Args:
-            chunk: Rows with `force_N`, perhaps `force_status` and `force_cautions`.
+            chunk: Rows with `force_N`, perhaps `force_status` and `force_warnings`.
         """
         force_N = chunk.channels["force_N"]
         if self._is_ignored:
             return force_N
         usable = np.full(len(force_N), float(_USABLE))
         is_marked = chunk.channels.get("force_status", usable) != _USABLE
-        cautions = np.nan_to_num(chunk.channels.get("force_cautions", np.zeros(len(force_N))))
-        is_worthless = (cautions.astype(np.int64) & _WORTHLESS) != 0
+        warnings = np.nan_to_num(chunk.channels.get("force_warnings", np.zeros(len(force_N))))
+        is_worthless = (warnings.astype(np.int64) & _WORTHLESS) != 0
         self._marked += int(is_marked.sum())
         self._warned += int((is_worthless & ~is_marked).sum())
         return np.where(is_marked | is_worthless, np.nan, force_N)

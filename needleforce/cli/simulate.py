@@ -8,8 +8,8 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from groundtruth.arm_level import ARM_LEVELS
 from groundtruth.errors import GroundTruthError, RunError
+from groundtruth.plant_model import PLANT_MODELS
 from groundtruth.scenarios import RANDOM_STACK, SCENARIOS, Scenario, named_scenario
 from groundtruth.simulation import Run, simulate
 from recordings import RecordingError, check_writable, write_table
@@ -57,10 +57,10 @@ def build_parser() -> ArgumentParser:
         help="what the robot does not know: true forces, depth, layers, ruptures",
     )
     parser.add_argument(
-        "--arm",
-        choices=tuple(ARM_LEVELS),
-        default="realistic",
-        help="how good arm and sensors are (default: realistic)",
+        "--plant",
+        choices=tuple(PLANT_MODELS),
+        default="clean",
+        help="how good arm and sensors are (default: clean)",
     )
     parser.add_argument(
         "--seed", type=int, default=0, metavar="N", help="of everything drawn (default: 0)"
@@ -198,7 +198,7 @@ def _simulate(chosen: Scenario, arguments: Namespace) -> Run:
             advance(share - done)
             done = share
 
-        return simulate(chosen, arm=arguments.arm, seed=arguments.seed, progress=report)
+        return simulate(chosen, plant=arguments.plant, seed=arguments.seed, progress=report)
 
 
 def _listed() -> str:
@@ -211,7 +211,7 @@ def _listed() -> str:
 def _summary(run: Run, arguments: Namespace) -> str:
     samples = len(run.signals.t_s)
     lines = [
-        f"{run.scenario.id}: {run.scenario.title}; {run.arm} arm, seed {run.seed}",
+        f"{run.scenario.id}: {run.scenario.title}; {run.plant} arm, seed {run.seed}",
         f"{samples} samples in {run.signals.t_s[-1]:.4g} s, free of contact until "
         f"{run.tare_end_s:.4g} s",
     ]

@@ -11,6 +11,7 @@ Reading order: `chart` with `panel` and `curve`, `draw`, `save`; `page` with `se
 matplotlib is imported only when a chart is drawn.
 """
 
+from needleforce.plots import palette
 from needleforce.plots.chart import (
     Chart,
     Curve,

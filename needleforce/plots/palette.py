@@ -36,9 +36,9 @@ OTHER_SENSOR = LineStyle(color=GREY, width_pt=0.8)
 OTHER_DASHED = replace(OTHER_SENSOR, dash=DASHED)
 PREDICTED = LineStyle(color=ORANGE, dash=DASHED, width_pt=1.0)
 OURS = LineStyle(color=BLUE, width_pt=1.4)
-PAPER = LineStyle(color=VERMILION, dash=DASHED, width_pt=1.2)
+PUBLISHED = LineStyle(color=VERMILION, dash=DASHED, width_pt=1.2)
 """The published method, with its multi-layer model."""
-PAPER_KV = LineStyle(color=PURPLE, dash=DASH_DOTTED, width_pt=1.1)
+PUBLISHED_KV = LineStyle(color=PURPLE, dash=DASH_DOTTED, width_pt=1.1)
 """The published method, with the Kelvin-Voigt model."""
 TIP = LineStyle(color=PURPLE, dash=DASH_DOTTED, width_pt=1.0)
 """The force at the tip alone."""
@@ -48,4 +48,4 @@ COMPENSATION = LineStyle(color=BLACK, dash=DASHED, width_pt=0.9)
 TRUE_RUPTURE = "#c6c6c6"
 """Shade of the time in which a layer really gives way."""
 UNTARED = LineStyle(color=GREY, width_pt=1.0)
-TARE, SETTLING, SKIPPED = "#d5efd9", "#e4e4e4", "#c0392b"
+TARE, INITIALIZING, REJECTED = "#d5efd9", "#e4e4e4", "#c0392b"

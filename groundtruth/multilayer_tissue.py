@@ -7,7 +7,7 @@ from groundtruth.layers import Interface, Layer, interfaces
 from groundtruth.tissue import NeedleSample, TissueForce, checked_sample, no_force
 
 
-class TextbookState(NamedTuple):
+class MultilayerTissueState(NamedTuple):
     """What the textbook tissue remembers.
 
     Attributes:
@@ -20,8 +20,8 @@ class TextbookState(NamedTuple):
 
 
 def textbook_step(
-    state: TextbookState, sample: NeedleSample, layers: tuple[Layer, ...]
-) -> TextbookState:
+    state: MultilayerTissueState, sample: NeedleSample, layers: tuple[Layer, ...]
+) -> MultilayerTissueState:
     """Advance by one sample: f = K_i Δz_i + B_i Δz_i v + B̄_d v, equation (3) of the paper.
 
     The elastic part of a layer ends for good when the tip reaches its far end, so there is none
@@ -49,12 +49,12 @@ def textbook_step(
             tip = layer.stiffness_N_per_m * (z - top)
         top += d
     friction = sum(shares)
-    return TextbookState(
+    return MultilayerTissueState(
         traversed, TissueForce(tip + friction, tip, friction, index, tuple(shares))
     )
 
 
-class TextbookTissue:
+class MultilayerTissue:
     """A stack of layers under equation (3), for proofs of algebra only."""
 
     def __init__(self, layers: tuple[Layer, ...]) -> None:
@@ -102,4 +102,4 @@ class TextbookTissue:
 
     def reset(self) -> None:
         """Forget everything: a fresh, uncut tissue."""
-        self._state = TextbookState(0, no_force(len(self._layers)))
+        self._state = MultilayerTissueState(0, no_force(len(self._layers)))

@@ -7,7 +7,7 @@ from hypothesis import strategies as st
 
 from groundtruth.errors import TissueError
 from groundtruth.materials import gel
-from groundtruth.textbook_tissue import TextbookTissue
+from groundtruth.multilayer_tissue import MultilayerTissue
 
 LAYERS = (gel(25), gel(50), gel(70))
 TOPS = np.cumsum([0.0, *(layer.thickness_m for layer in LAYERS)])
@@ -31,19 +31,19 @@ def equation_3(z, v):
     speed_m_s=st.floats(-0.01, 0.01),
 )
 def test_first_insertion_is_equation_3(depth_m, speed_m_s):
-    force = TextbookTissue(LAYERS).step(depth_m, speed_m_s, 1e-3)
+    force = MultilayerTissue(LAYERS).step(depth_m, speed_m_s, 1e-3)
     assert force.axial_N == pytest.approx(equation_3(depth_m, speed_m_s), abs=1e-12)
 
 
 def test_cumulative_friction_is_table_i():
-    force = TextbookTissue(LAYERS).step(0.105, 1.0, 1e-3)
+    force = MultilayerTissue(LAYERS).step(0.105, 1.0, 1e-3)
     assert force.layer_friction_N == pytest.approx([113.0, 283.0, 534.0])
     assert force.layer == 4
     assert force.tip_N == 0.0
 
 
 def test_elastic_part_is_gone_on_the_way_back():
-    law = TextbookTissue(LAYERS)
+    law = MultilayerTissue(LAYERS)
     law.step(0.105, 2e-3, 1e-3)
     back = [law.step(float(z), -2e-3, 1e-3) for z in np.linspace(0.1, 0.001, 50)]
     assert all(force.tip_N == 0.0 and force.axial_N < 0.0 for force in back)
@@ -52,7 +52,7 @@ def test_elastic_part_is_gone_on_the_way_back():
 
 
 def test_boundaries_give_way_at_once_where_they_lie():
-    boundaries = TextbookTissue(LAYERS).interfaces
+    boundaries = MultilayerTissue(LAYERS).interfaces
     assert [b.onset_m for b in boundaries] == pytest.approx(TOPS)
     assert all(b.release_m == 0.0 for b in boundaries)
     assert boundaries[0].drop_N == 0.0
@@ -61,4 +61,4 @@ def test_boundaries_give_way_at_once_where_they_lie():
 
 def test_unusable_sample_is_refused():
     with pytest.raises(TissueError, match="finite"):
-        TextbookTissue(LAYERS).step(float("nan"), 0.0, 1e-3)
+        MultilayerTissue(LAYERS).step(float("nan"), 0.0, 1e-3)

@@ -8,12 +8,12 @@ limit, torque sensor linearity better than 0.5 % of range, harmonic drives 160:1
 
 from dataclasses import dataclass
 
-from groundtruth.errors import ArmLevelError
+from groundtruth.errors import PlantModelError
 from groundtruth.force_noise import MINI45
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class ArmLevel:
+class PlantModel:
     """Everything in which a simulated arm and its sensors differ from the estimator's beliefs.
 
     Joint-wise tuples are ordered J1..J7; six-tuples are force x, y, z, torque x, y, z in sensor
@@ -101,11 +101,11 @@ _FT_DRIFT = tuple(
     MINI45.drift_std_N_per_s * 60.0 * span / 290.0 for span in (145.0, 145.0, 290.0, 5.0, 5.0, 5.0)
 )
 
-TEXTBOOK = ArmLevel(name="textbook")
+IDEAL = PlantModel(name="ideal")
 """The estimator's own parameters and clean signals: proves algebra only."""
 
-REALISTIC = ArmLevel(
-    name="realistic",
+CLEAN = PlantModel(
+    name="clean",
     cad_share=0.1,
     payload_error=0.02,
     payload_com_spread_m=0.001,
@@ -122,14 +122,14 @@ REALISTIC = ArmLevel(
 )
 """A well-kept arm with an identified model."""
 
-HARD = ArmLevel(
-    name="hard",
+DEGRADED = PlantModel(
+    name="degraded",
     cad_share=0.3,
     payload_error=0.05,
     payload_com_spread_m=0.0025,
-    torque_noise_std_Nm=tuple(2.0 * std for std in REALISTIC.torque_noise_std_Nm),
-    torque_bias_min_Nm=REALISTIC.torque_bias_min_Nm,
-    torque_bias_max_Nm=REALISTIC.torque_bias_max_Nm,
+    torque_noise_std_Nm=tuple(2.0 * std for std in CLEAN.torque_noise_std_Nm),
+    torque_bias_min_Nm=CLEAN.torque_bias_min_Nm,
+    torque_bias_max_Nm=CLEAN.torque_bias_max_Nm,
     torque_drift_std_per_min=1e-4,
     torque_walk_std_per_sqrt_min=3e-5,
     torque_ripple=1e-4,
@@ -145,19 +145,21 @@ HARD = ArmLevel(
 )
 """A neglected arm seen through its bare research interface: twice the noise, and more faults."""
 
-ARM_LEVELS = {level.name: level for level in (TEXTBOOK, REALISTIC, HARD)}
+PLANT_MODELS = {level.name: level for level in (IDEAL, CLEAN, DEGRADED)}
 """The levels by name."""
 
 
-def arm_level(name: str) -> ArmLevel:
+def plant_model(name: str) -> PlantModel:
     """Look a level up by name.
 
     Args:
-        name: ``textbook``, ``realistic`` or ``hard``.
+        name: ``ideal``, ``clean`` or ``degraded``.
 
     Raises:
-        ArmLevelError: There is no such level.
+        PlantModelError: There is no such level.
     """
-    if name not in ARM_LEVELS:
-        raise ArmLevelError(f"unknown arm level {name!r}; choose one of {', '.join(ARM_LEVELS)}")
-    return ARM_LEVELS[name]
+    if name not in PLANT_MODELS:
+        raise PlantModelError(
+            f"unknown arm level {name!r}; choose one of {', '.join(PLANT_MODELS)}"
+        )
+    return PLANT_MODELS[name]
