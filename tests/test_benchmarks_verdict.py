@@ -73,8 +73,8 @@ def test_a_share_is_taken_of_the_papers_value_in_the_same_run():
 
 
 @pytest.mark.parametrize("published", [[], [make_row(value=0.0, method="published")]])
-def test_a_share_of_nothing_is_missed(paper):
-    assert not only([make_row(), *paper], SHARE).is_met
+def test_a_share_of_nothing_is_missed(published):
+    assert not only([make_row(), *published], SHARE).is_met
 
 
 @pytest.mark.parametrize(

@@ -13,7 +13,7 @@ from needleforce.cli.identify_report import IdentificationResult, LogClock, iden
 from needleforce.plots.errors import WriteError
 from needleforce.plots.page import report_folder, settings_table
 from recordings import write_table
-from residual import MULTILAYER as SENSOR
+from residual import DEFAULT as SENSOR
 
 pytest.importorskip("matplotlib")
 
