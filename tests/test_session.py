@@ -220,3 +220,15 @@ def test_the_published_settings_run_through(lwr):
     for _ in range(10):
         estimate = session.update(q, np.zeros(7), np.zeros(7), 1e-3)
     assert estimate.wrench.covariance.shape == (6, 6)
+
+
+@pytest.mark.parametrize(
+    ("arguments", "match"),
+    [
+        (("arm.urdf",), r"robot is a str, expected a Robot; .*load_urdf"),
+        ((short_run().robot, {"mode": "full"}), r"sensor_config is a dict, .*SensorConfig"),
+    ],
+)
+def test_a_path_or_a_dict_is_refused_with_a_sentence(arguments, match):
+    with pytest.raises(InsertionError, match=match):
+        InsertionSession(*arguments)
