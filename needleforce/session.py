@@ -222,7 +222,9 @@ class InsertionSession:
         speed_lag_s: float = 0.0,
     ) -> None:
         _check_kind(robot, Robot, "robot", "load_lwr() or load_urdf(path) of urdf makes one")
-        _check_kind(sensor_config, SensorConfig, "sensor_config", 'SensorConfig(mode="full") is one')
+        _check_kind(
+            sensor_config, SensorConfig, "sensor_config", 'SensorConfig(mode="full") is one'
+        )
         if not (isinstance(speed_lag_s, numbers.Real) and 0.0 <= float(speed_lag_s) < math.inf):
             raise SettingError(f"speed_lag_s is {speed_lag_s!r}, expected a finite number >= 0")
         self._sensor = VirtualForceSensor(robot, sensor_config)
@@ -417,7 +419,9 @@ class InsertionSession:
 
 def _check_kind(value: object, kind: type, name: str, hint: str) -> None:
     if not isinstance(value, kind):
-        raise SettingError(f"{name} is a {type(value).__name__}, expected a {kind.__name__}; {hint}")
+        raise SettingError(
+            f"{name} is a {type(value).__name__}, expected a {kind.__name__}; {hint}"
+        )
 
 
 def _without_events(estimate: Estimate) -> Estimate:

@@ -6,8 +6,8 @@ from pathlib import Path
 
 import pytest
 
-from needleforce import SNAPSHOT_VERSION, InsertionSession
-from needleforce.snapshot import SNAPSHOT_FORMAT
+from needleforce import InsertionSession
+from needleforce.snapshot import SNAPSHOT_FORMAT, SNAPSHOT_VERSION
 from residual import SensorWarning, Status
 from residual.estimate import UNSEEN_STD
 

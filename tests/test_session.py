@@ -6,7 +6,8 @@ from insertion_run import samples, short_run, tare_index, time_steps
 
 from benchmarks.signals import JointSignals, measured_travel
 from identification import SampleStatus
-from needleforce import InsertionError, InsertionSession, TipTravel
+from needleforce import InsertionError, InsertionSession
+from needleforce.session import TipTravel
 from residual import DEFAULT, PUBLISHED, Status, TareError
 from residual.tool_kinematics import ToolKinematics
 

@@ -15,14 +15,13 @@ from insertion_run import same, samples, short_run, tare_index
 
 from identification import MULTILAYER, PUBLISHED, Identifier, RuptureState
 from needleforce import (
-    SNAPSHOT_VERSION,
     InsertionError,
     InsertionSession,
     SnapshotFileError,
     read_snapshot,
     write_snapshot,
 )
-from needleforce.snapshot import MOST_BYTES
+from needleforce.snapshot import MOST_BYTES, SNAPSHOT_VERSION
 from residual import DEFAULT, SnapshotError, VirtualForceSensor
 from urdf import NeedleTool, Payload, load_lwr
 
