@@ -1,20 +1,27 @@
 """Payload identification: what simulation knows, it finds; what it says of itself is true."""
 
+import json
 from dataclasses import FrozenInstanceError
 
 import numpy as np
 import pinocchio as pin
 import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from scipy.signal import butter, sosfiltfilt
 
 from urdf import (
     InputError,
     NeedleTool,
     Payload,
+    SerialJoint,
+    build_serial_robot,
     identify_payload,
     identify_payload_static,
     load_lwr,
     load_urdf,
 )
+from urdf.inertia import from_pseudo_inertia, is_consistent, nearest_body, pseudo_inertia
 
 NOISE_NM = np.array([0.05, 0.05, 0.03, 0.03, 0.03, 0.011, 0.011])
 OFFSETS_NM = np.array([0.5, -0.7, 0.3, 0.4, -0.2, 0.1, 0.05])
@@ -295,3 +302,117 @@ def test_malformed_poses_and_noise_are_refused(lwr, posed):
             identify_payload_static(lwr, q, tau, torque_noise_std_Nm=noise)
     with pytest.raises(InputError, match="torque_noise_std_Nm has shape"):
         identify_payload_static(lwr, q, tau, torque_noise_std_Nm=NOISE_NM[:3])
+
+
+# The nearest rigid body is a body, and no other body is nearer.
+
+seeds = st.integers(0, 10**6)
+
+
+def problem(seed):
+    """A random answer, and a random quadratic cost spread over three decades."""
+    rng = np.random.default_rng(seed)
+    root = rng.normal(size=(10, 10)) * np.logspace(0, -rng.uniform(0, 3), 10)
+    return rng.normal(size=10), root
+
+
+@given(seeds)
+@settings(max_examples=50)
+def test_answer_is_a_body(seed):
+    assert is_consistent(nearest_body(*problem(seed)))
+
+
+@given(seeds)
+@settings(max_examples=50)
+def test_no_body_is_nearer(seed):
+    """Optimality on a cone: the gradient is orthogonal to the answer and dual to the cone."""
+    solution, root = problem(seed)
+    body = nearest_body(solution, root)
+    gradient = root.T @ root @ (body - solution)
+    scale = np.linalg.norm(root @ solution) ** 2
+    assert abs(gradient @ body) < 1e-5 * scale
+    directions = np.random.default_rng(seed).normal(size=(200, 4))
+    slopes = [gradient @ from_pseudo_inertia(np.outer(v, v)) / (v @ v) for v in directions]
+    size = np.trace(pseudo_inertia(body))
+    assert min(slopes) * size > -1e-5 * scale
+
+
+def test_a_body_stays_where_it_is():
+    inside = from_pseudo_inertia(np.diag([0.2, 0.3, 0.4, 1.0]))
+    assert nearest_body(inside, np.eye(10)) == pytest.approx(inside, abs=1e-6)
+
+
+def test_directions_without_data_are_settled_all_the_same():
+    """Mass and first moments alone: any inertia large enough will do, and one is found."""
+    root = np.diag([1.0] * 4 + [0.0] * 6)
+    answer = np.array([2.0, 0.3, -0.2, 0.5, 0, 0, 0, 0, 0, 0])
+    body = nearest_body(answer, root)
+    assert is_consistent(body)
+    assert body[:4] == pytest.approx(answer[:4], abs=1e-4)
+
+
+# A real UR10e with a known weight: what payload identification makes of motor currents.
+
+DT_S = 0.01
+LOW_PASS = butter(4, 5.0, fs=1.0 / DT_S, output="sos")
+
+
+def smooth(x):
+    return sosfiltfilt(LOW_PASS, x, axis=0)
+
+
+@pytest.fixture(scope="module")
+def table(recordings_dir):
+    return json.loads((recordings_dir / "ur10e_mamedov2020" / "model.json").read_text())
+
+
+@pytest.fixture(scope="module")
+def ur10e(table):
+    pinocchio_order = [9, 6, 7, 8, 0, 1, 3, 2, 4, 5]
+    joints = [
+        SerialJoint(
+            name=row["name"],
+            placement=pin.SE3(pin.rpy.rpyToMatrix(*row["rpy_rad"]), np.array(row["xyz_m"])),
+            axis=np.array(row["axis"]),
+            inertia=np.array(inertia)[pinocchio_order],
+        )
+        for row, inertia in zip(
+            table["joints"][:6], table["inertial_parameters"]["rows"], strict=True
+        )
+    ]
+    return build_serial_robot(
+        joints, rotor_inertia_kg_m2=table["rotor_inertia_kg_m2"], check_inertias=False
+    )
+
+
+def identify(ur10e, table, recordings_dir, name):
+    log = np.load(recordings_dir / "ur10e_mamedov2020" / f"{name}.npz")
+    t = np.arange(log["t_s"][0], log["t_s"][-1], DT_S)
+    q, dq, current = (
+        np.column_stack([np.interp(t, log["t_s"], column) for column in log[key].T])
+        for key in ("q_rad", "dq_rad_s", "current_A")
+    )
+    viscous, coulomb, offset = np.array(table["friction"]["rows"]).T
+    friction = viscous * dq + coulomb * np.tanh(dq / 0.01) + offset
+    tau = smooth(current * table["torque_constant_Nm_per_A"] - friction)
+    dq = smooth(dq)
+    return identify_payload(ur10e, smooth(q), dq, np.gradient(dq, DT_S, axis=0), tau)
+
+
+def test_unloaded_arm_carries_nothing(ur10e, table, recordings_dir):
+    estimate = identify(ur10e, table, recordings_dir, "unloaded")
+    assert abs(estimate.unconstrained_parameters[0]) < 3.0 * estimate.mass_std_kg < 0.15
+    assert estimate.payload.mass_kg < 0.1
+
+
+def test_known_weight_is_found_up_to_the_scale_of_the_torque_constants(
+    ur10e, table, recordings_dir
+):
+    """The constants read 12 to 16 % low, and so must the mass of 2.805 kg."""
+    estimate = identify(ur10e, table, recordings_dir, "payload_2805g")
+    assert estimate.is_identified
+    assert 0.84 - 0.03 < estimate.payload.mass_kg / 2.805 < 0.88 + 0.03
+    assert estimate.mass_std_kg < 0.1
+    assert np.all(estimate.com_std_m < 0.01)
+    # The centre of mass is a ratio of torques, so the scale cancels: it hangs beyond the wrist.
+    assert 0.1 < estimate.payload.com_m[1] < 0.25

@@ -13,9 +13,8 @@ from xml.etree.ElementTree import Element
 
 import numpy as np
 import pinocchio as pin
-from numpy.typing import NDArray
 
-from urdf.errors import InputError, UnknownNameError, UnsupportedJointError, UrdfFileError
+from urdf.errors import Array, InputError, UnknownNameError, UnsupportedJointError, UrdfFileError
 from urdf.inertia import parameters_about_com, require_physical
 
 MAX_LINKS = 1000
@@ -31,12 +30,8 @@ _NUMBER = re.compile(r"\s*[+-]?(\d+\.?\d*|\.\d+)([eE][+-]?\d+)?", re.ASCII)
 def read_description(path: Path, without: Iterable[str] = ()) -> Element:
     """Read a URDF file down to what a model needs: links with their inertia, and joints.
 
-    Args:
-        path: The file.
-        without: Links to leave out, each with all that it carries.
-
-    Returns:
-        The element ``<robot>``, without shapes, materials and extensions.
+    Shapes, materials and extensions are dropped, and so are the links ``without`` with all that
+    they carry.
 
     Raises:
         UrdfFileError: Missing, not readable, too large, not XML or not a URDF.
@@ -73,18 +68,12 @@ def read_description(path: Path, without: Iterable[str] = ()) -> Element:
 def check_description(
     root: Element, source: str, *, locked: Collection[str], check_inertias: bool
 ) -> None:
-    """Check the joints and the inertias of a description.
-
-    Args:
-        root: What `read_description` returned.
-        source: Where it came from, for messages.
-        locked: Names of joints that will be locked, of whatever kind they are.
-        check_inertias: Whether every link's inertia must be physical.
+    """Check the joints that will not be locked, and the inertias.
 
     Raises:
         UrdfFileError: A number of an inertia is missing or does not parse.
         UnsupportedJointError: A joint with more than one number, or one that mimics another.
-        InertiaError: A link with inertia no rigid body can have.
+        InertiaError: With ``check_inertias``, a link with inertia no rigid body can have.
     """
     for joint in root.findall("joint"):
         if joint.get("name", "") not in locked:
@@ -110,7 +99,7 @@ def build_model(root: Element, source: str) -> pin.Model:
         raise UrdfFileError(
             f"{source}: is not a valid URDF: {error} (its reader prints the reason on stderr)"
         ) from error
-    written_kg = sum(float(mass.attrib["value"]) for mass in root.iterfind("link/inertial/mass"))
+    written_kg = sum(float(mass.attrib["value"]) for mass in root.iterfind("link/inertial/mass[1]"))
     loaded_kg = sum(inertia.mass for inertia in model.inertias)
     # A second line of defence: another build of urdfdom may take other texts for numbers.
     if abs(loaded_kg - written_kg) > 1e-9 * abs(written_kg):
@@ -188,7 +177,7 @@ def _check_joint(joint: Element, source: str) -> None:
         )
 
 
-def _inertial_parameters(inertial: Element, owner: str) -> NDArray[np.float64]:
+def _inertial_parameters(inertial: Element, owner: str) -> Array:
     """Return the ten parameters about the centre of mass, in the axes of the inertial's origin.
 
     Whether a body is physical depends neither on where its centre of mass is nor on the axes, so

@@ -1,7 +1,11 @@
 """Errors of the robot package, and the checks of array arguments that raise them."""
 
+from typing import TypeAlias
+
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
+
+Array: TypeAlias = NDArray[np.float64]
 
 
 class UrdfError(Exception):
@@ -32,14 +36,14 @@ class MissingPackageError(UrdfError, ImportError):
     """An optional data package is not installed; the message says how to install it."""
 
 
-def read_only(array: ArrayLike) -> NDArray[np.float64]:
+def read_only(array: ArrayLike) -> Array:
     """Return a read-only float copy of ``array``."""
     copy = np.array(array, dtype=np.float64)
     copy.setflags(write=False)
     return copy
 
 
-def finite_array(value: ArrayLike, shape: tuple[int, ...], name: str) -> NDArray[np.float64]:
+def finite_array(value: ArrayLike, shape: tuple[int, ...], name: str) -> Array:
     """Return a read-only copy of ``value`` after checking its shape and that it is finite.
 
     In ``shape`` -1 stands for any length of at least one; the message begins with ``name``.

@@ -18,9 +18,8 @@ In every function parameters have shape (10,), in kg, kg m and kg m^2.
 
 import numpy as np
 import pinocchio as pin
-from numpy.typing import NDArray
 
-from urdf.errors import InertiaError
+from urdf.errors import Array, InertiaError
 
 # Tables carry a few digits: a thin rod, once rounded, may miss the boundary by this fraction.
 _ROUNDING = 1e-6
@@ -32,19 +31,17 @@ _MOMENTS = ([0, 0, 1, 0, 1, 2], [0, 1, 1, 2, 2, 2])
 _LARGEST = 1e9
 
 
-def pseudo_inertia(parameters: NDArray[np.float64]) -> NDArray[np.float64]:
+def pseudo_inertia(parameters: Array) -> Array:
     """Return J(phi), shape (4, 4)."""
     return pin.PseudoInertia.FromDynamicParameters(parameters).toMatrix()
 
 
-def from_pseudo_inertia(matrix: NDArray[np.float64]) -> NDArray[np.float64]:
+def from_pseudo_inertia(matrix: Array) -> Array:
     """Return the ten parameters of a pseudo-inertia; the inverse of `pseudo_inertia`."""
     return pin.PseudoInertia.FromMatrix(matrix).toDynamicParameters()
 
 
-def parameters_about_com(
-    mass_kg: float, com_m: NDArray[np.float64], inertia_kg_m2: NDArray[np.float64]
-) -> NDArray[np.float64]:
+def parameters_about_com(mass_kg: float, com_m: Array, inertia_kg_m2: Array) -> Array:
     """Return the ten parameters of a body given by its inertia about the centre of mass."""
     # What overflows comes out as infinite, which `require_mass` refuses by name.
     with np.errstate(over="ignore", invalid="ignore"):
@@ -53,16 +50,7 @@ def parameters_about_com(
         return np.concatenate([[mass_kg], mass_kg * com_m, about_origin[_MOMENTS]])
 
 
-def inertia_about_com(parameters: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Return the inertia about the centre of mass, shape (3, 3), kg m^2; needs a non-zero mass."""
-    return pin.Inertia.FromDynamicParameters(parameters).inertia
-
-
-def moved_parameters(
-    parameters: NDArray[np.float64],
-    rotation: NDArray[np.float64],
-    translation_m: NDArray[np.float64],
-) -> NDArray[np.float64]:
+def moved_parameters(parameters: Array, rotation: Array, translation_m: Array) -> Array:
     """Describe the same body in another frame, where its points p are at R p + t.
 
     The pseudo-inertia transforms as T J T^T with T = [[R, t], [0, 1]], so the map is linear in phi.
@@ -73,7 +61,7 @@ def moved_parameters(
     return from_pseudo_inertia(transform @ pseudo_inertia(parameters) @ transform.T)
 
 
-def require_mass(parameters: NDArray[np.float64], owner: str) -> None:
+def require_mass(parameters: Array, owner: str) -> None:
     """Check that parameters can be computed with, and are those of no body if it has no mass.
 
     Raises:
@@ -89,7 +77,7 @@ def require_mass(parameters: NDArray[np.float64], owner: str) -> None:
         raise InertiaError(f"{owner}: mass is 0 kg but its moments are not; give it a mass")
 
 
-def require_physical(parameters: NDArray[np.float64], owner: str) -> None:
+def require_physical(parameters: Array, owner: str) -> None:
     """Check that a rigid body can have these parameters (to the rounding of a written table).
 
     Raises:
@@ -102,7 +90,7 @@ def require_physical(parameters: NDArray[np.float64], owner: str) -> None:
         raise InertiaError(f"{owner}: mass is {mass:g} kg, expected a positive mass")
     if mass == 0.0:
         return
-    moments = np.linalg.eigvalsh(inertia_about_com(parameters))
+    moments = np.linalg.eigvalsh(pin.Inertia.FromDynamicParameters(parameters).inertia)
     slack = _ROUNDING * moments[2] + _CANCELLATION * np.sum(parameters[[4, 6, 9]])
     shown = ", ".join(f"{moment:.6g}" for moment in moments)
     if moments[0] < -slack:
@@ -125,9 +113,7 @@ _BARRIERS = np.logspace(-1, -14, 27)
 _BASIS = np.array([pseudo_inertia(unit) for unit in np.eye(10)])
 
 
-def nearest_body(
-    solution: NDArray[np.float64], information_root: NDArray[np.float64]
-) -> NDArray[np.float64]:
+def nearest_body(solution: Array, information_root: Array) -> Array:
     """Return the consistent parameters of least cost ``|R (phi - solution)|^2``.
 
     The consistent parameters are a convex cone, J(phi) positive semidefinite, so there is one
@@ -148,17 +134,12 @@ def nearest_body(
     return parameters
 
 
-def is_consistent(parameters: NDArray[np.float64]) -> bool:
+def is_consistent(parameters: Array) -> bool:
     """Whether the pseudo-inertia is positive semidefinite, exactly: no allowance for rounding."""
     return bool(np.linalg.eigvalsh(pseudo_inertia(parameters))[0] >= 0.0)
 
 
-def _centre(
-    parameters: NDArray[np.float64],
-    solution: NDArray[np.float64],
-    hessian: NDArray[np.float64],
-    barrier: float,
-) -> NDArray[np.float64]:
+def _centre(parameters: Array, solution: Array, hessian: Array, barrier: float) -> Array:
     """Minimise half the cost plus the barrier, starting from inside the cone.
 
     The sum divided by ``barrier`` is self-concordant: a Newton step shortened by 1 / (1 + its

@@ -3,7 +3,7 @@
 import sys
 from collections.abc import Iterable, Mapping
 from importlib import metadata
-from importlib.resources import as_file, files
+from importlib.resources import files
 from os import PathLike
 from pathlib import Path
 from typing import NamedTuple
@@ -77,9 +77,7 @@ def load_urdf(
 
 
 def load_lwr(
-    payload: Payload | NeedleTool | None = None,
-    *,
-    gravity_m_s2: ArrayLike = STANDARD_GRAVITY_M_S2,
+    payload: Payload | NeedleTool | None = None, *, gravity_m_s2: ArrayLike = STANDARD_GRAVITY_M_S2
 ) -> Robot:
     """Load the KUKA LWR 4+ that ships with the package.
 
@@ -96,22 +94,13 @@ def load_lwr(
     Raises:
         InputError: Payload or gravity of the wrong kind.
     """
-    with as_file(files("urdf.data").joinpath("lwr4plus.urdf")) as path:
-        return load_urdf(path, tool_frame="flange", payload=payload, gravity_m_s2=gravity_m_s2)
+    return load_example("lwr4plus", payload=payload, gravity_m_s2=gravity_m_s2)
 
 
 class _Example(NamedTuple):
-    """A known arm.
-
-    Attributes:
-        file: In `urdf.data`, or below ``robots`` of example-robot-data.
-        tool_frames: The first of these that is not left out is the tool frame.
-        fingers: Joints that are locked unless left out.
-    """
-
-    file: str
-    tool_frames: tuple[str, ...]
-    fingers: tuple[str, ...] = ()
+    file: str  # in urdf/data, or below robots/ of example-robot-data
+    tool_frames: tuple[str, ...]  # the first that is not left out is the tool frame
+    fingers: tuple[str, ...] = ()  # joints that are locked unless left out
 
 
 _EXAMPLES = {
@@ -126,6 +115,7 @@ _EXAMPLES = {
     "xarm7": _Example("xarm_description/urdf/xarm7.urdf", ("link_eef",)),
     "ur5e": _Example("ur5e.urdf", ("tool0",)),
     "ur10e": _Example("ur10e.urdf", ("tool0",)),
+    "lwr4plus": _Example("lwr4plus.urdf", ("flange",)),
 }
 _PACKAGE = "example-robot-data"
 
@@ -146,14 +136,8 @@ def load_example(
     ``without=["panda_hand"]`` the hand's 0.76 kg are gone and it lies in the flange face
     (``panda_link8``).
 
-    Args:
-        name: One of panda, ur3, ur5, ur10, xarm7 (from the package example-robot-data), ur5e, ur10e
-            (shipped here).
-        tool_frame: Another frame than the arm's own.
-        tool_placement: See `load_urdf`, as for the rest.
-        without: Links to leave out with all that they carry.
-        gravity_m_s2: Gravity in base axes, shape (3,), m/s^2.
-        payload: What hangs on the flange.
+    Names are panda, ur3, ur5, ur10, xarm7 (from the package example-robot-data), ur5e, ur10e and
+    lwr4plus (shipped here). The other arguments are those of `load_urdf`.
 
     Raises:
         UnknownNameError: Another name, or a frame or link that the arm does not have.
@@ -190,8 +174,8 @@ def example_robot_path(name: str) -> Path:
     """
     if name not in _EXAMPLES:
         raise UnknownNameError(
-            f"there is no example robot {name!r}; robots: {', '.join(_EXAMPLES)} "
-            "(the KUKA LWR 4+ is load_lwr(), any other robot load_urdf(FILE))"
+            f"there is no example robot {name!r}; robots: {', '.join(_EXAMPLES)}; "
+            "load_urdf(FILE) loads any other"
         )
     file = _EXAMPLES[name].file
     folders = [Path(str(files("urdf.data")))]
@@ -218,10 +202,9 @@ def _prefixes() -> list[Path]:
 def _locked_positions(locked_joints: Iterable[str] | Mapping[str, float]) -> dict[str, float]:
     if isinstance(locked_joints, str):
         raise InputError(f"locked_joints is the string {locked_joints!r}, expected a list of names")
-    if isinstance(locked_joints, Mapping):
-        positions = {str(name): float(value) for name, value in locked_joints.items()}
-    else:
-        positions = dict.fromkeys(locked_joints, 0.0)
+    if not isinstance(locked_joints, Mapping):
+        locked_joints = dict.fromkeys(locked_joints, 0.0)
+    positions = {str(name): float(value) for name, value in locked_joints.items()}
     for name, value in positions.items():
         if not np.isfinite(value):
             raise InputError(f"locked_joints: position of {name!r} is {value}, expected a number")

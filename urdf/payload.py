@@ -5,11 +5,10 @@ from typing import Self
 
 import numpy as np
 import pinocchio as pin
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
-from urdf.errors import InputError, finite_array, read_only
+from urdf.errors import Array, InputError, finite_array, read_only
 from urdf.inertia import (
-    inertia_about_com,
     moved_parameters,
     parameters_about_com,
     require_mass,
@@ -34,8 +33,8 @@ class Payload:
     """
 
     mass_kg: float
-    com_m: NDArray[np.float64]
-    inertia_kg_m2: NDArray[np.float64]
+    com_m: Array
+    inertia_kg_m2: Array
 
     def __post_init__(self) -> None:
         mass = float(finite_array(self.mass_kg, (), "payload mass_kg"))
@@ -63,12 +62,11 @@ class Payload:
         require_mass(phi, "payload")
         if phi[0] == 0.0:
             return cls(mass_kg=0.0, com_m=np.zeros(3), inertia_kg_m2=np.zeros((3, 3)))
-        with np.errstate(over="ignore", invalid="ignore"):  # a tiny mass: refused as not finite
-            com, inertia = phi[1:4] / phi[0], inertia_about_com(phi)
-        return cls(mass_kg=phi[0], com_m=com, inertia_kg_m2=inertia)
+        body = pin.Inertia.FromDynamicParameters(phi)
+        return cls(mass_kg=body.mass, com_m=body.lever, inertia_kg_m2=body.inertia)
 
     @property
-    def parameters(self) -> NDArray[np.float64]:
+    def parameters(self) -> Array:
         """Ten parameters in Pinocchio's order, inertia about the frame origin, shape (10,)."""
         return parameters_about_com(self.mass_kg, self.com_m, self.inertia_kg_m2)
 
@@ -204,7 +202,7 @@ class NeedleTool:
         return self.sensor + self.beyond_sensor.moved(np.eye(3), [0.0, 0.0, self.sensor_height_m])
 
     @property
-    def tip_in_flange_m(self) -> NDArray[np.float64]:
+    def tip_in_flange_m(self) -> Array:
         """Needle tip in the flange frame, shape (3,), m."""
         return read_only([0.0, 0.0, self.sensor_height_m + self.needle_length_m])
 

@@ -10,12 +10,13 @@ with Y the joint-torque regressor's columns of the body behind the flange.
 """
 
 from dataclasses import dataclass, fields
+from typing import NamedTuple
 
 import numpy as np
 import pinocchio as pin
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
-from urdf.errors import InputError, finite_array, read_only
+from urdf.errors import Array, InputError, finite_array, read_only
 from urdf.inertia import is_consistent, moved_parameters, nearest_body
 from urdf.payload import Payload
 from urdf.robot import Robot
@@ -58,14 +59,14 @@ class PayloadEstimate:
     """
 
     payload: Payload
-    covariance: NDArray[np.float64]
+    covariance: Array
     rank: int
     parameter_count: int
-    unconstrained_parameters: NDArray[np.float64]
+    unconstrained_parameters: Array
     is_constrained: bool
-    offsets_Nm: NDArray[np.float64]
-    offsets_std_Nm: NDArray[np.float64]
-    residual_rms_Nm: NDArray[np.float64]
+    offsets_Nm: Array
+    offsets_std_Nm: Array
+    residual_rms_Nm: Array
 
     def __post_init__(self) -> None:
         for item in fields(self):
@@ -79,7 +80,7 @@ class PayloadEstimate:
         return self.rank == self.parameter_count
 
     @property
-    def standard_deviations(self) -> NDArray[np.float64]:
+    def standard_deviations(self) -> Array:
         """Standard deviations of the ten parameters, shape (10,), kg, kg m, kg m^2."""
         return np.sqrt(np.diag(self.covariance))
 
@@ -89,7 +90,7 @@ class PayloadEstimate:
         return float(self.standard_deviations[0])
 
     @property
-    def com_std_m(self) -> NDArray[np.float64]:
+    def com_std_m(self) -> Array:
         """Standard deviation of the centre of mass to first order, shape (3,), m."""
         block = self.covariance[:4, :4]
         if self.payload.mass_kg == 0.0 or not np.isfinite(block).all():
@@ -133,8 +134,7 @@ def identify_payload(
     ddq = finite_array(ddq_rad_s2, shape, "ddq_rad_s2")
     tau = finite_array(tau_Nm, shape, "tau_Nm")
     regressor, unexplained = _payload_equation(robot, q, dq, ddq, tau)
-    noise = _checked_noise(torque_noise_std_Nm, robot.nv)
-    fit = _fit_linear(regressor, unexplained, noise_std=noise, fit_offsets=fit_offsets)
+    fit = _fit_linear(regressor, unexplained, torque_noise_std_Nm, fit_offsets=fit_offsets)
     constrained = not is_consistent(fit.solution)
     scaled = nearest_body(fit.solution, fit.information_root) if constrained else fit.solution
     return _estimate(scaled, fit, unexplained - regressor @ scaled, is_constrained=constrained)
@@ -154,22 +154,15 @@ def identify_payload_static(
     variances of its inertia infinite. Poses must turn the flange about horizontal axes, or the
     centre of mass along the vertical stays unknown.
 
-    Args:
-        robot: See `identify_payload`, as for the rest.
-        q_rad: Joint positions, shape (n, nv), rad.
-        tau_Nm: Measured joint torques, friction taken off, shape (n, nv), Nm.
-        torque_noise_std_Nm: Torque noise per joint, shape (nv,), Nm.
-        fit_offsets: Whether torque sensors may have an unknown constant offset each.
-
-    Raises:
-        InputError: Wrong shapes, differing lengths, NaN, or noise that is not positive.
+    Arguments and errors are those of `identify_payload`.
     """
     q = finite_array(q_rad, (-1, robot.nv), "q_rad")
     tau = finite_array(tau_Nm, (len(q), robot.nv), "tau_Nm")
     rest = np.zeros_like(q)
     regressor, unexplained = _payload_equation(robot, q, rest, rest, tau)
-    noise = _checked_noise(torque_noise_std_Nm, robot.nv)
-    fit = _fit_linear(regressor[:, :, :4], unexplained, noise_std=noise, fit_offsets=fit_offsets)
+    fit = _fit_linear(
+        regressor[:, :, :4], unexplained, torque_noise_std_Nm, fit_offsets=fit_offsets
+    )
     mass, first = fit.solution[0], fit.solution[1:] * _LENGTH_M
     # With a positive mass any first moment is consistent, so the sign of the mass decides.
     constrained = mass < _NO_MASS_KG
@@ -181,12 +174,8 @@ def identify_payload_static(
 
 
 def _payload_equation(
-    robot: Robot,
-    q: NDArray[np.float64],
-    dq: NDArray[np.float64],
-    ddq: NDArray[np.float64],
-    tau: NDArray[np.float64],
-) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    robot: Robot, q: Array, dq: Array, ddq: Array, tau: Array
+) -> tuple[Array, Array]:
     """Return Y in flange axes and `_UNITS`, shape (n, nv, 10), and the unexplained torque."""
     model = robot.bare_model
     data = model.createData()
@@ -205,21 +194,8 @@ def _payload_equation(
     return regressor @ flange_to_joint * _UNITS, unexplained
 
 
-def _checked_noise(noise_std_Nm: ArrayLike | None, nv: int) -> NDArray[np.float64] | None:
-    if noise_std_Nm is None:
-        return None
-    noise = finite_array(noise_std_Nm, (nv,), "torque_noise_std_Nm")
-    if np.any(noise <= 0.0):
-        raise InputError(f"torque_noise_std_Nm must be positive at every joint: {noise.tolist()}")
-    return noise
-
-
 def _estimate(
-    scaled: NDArray[np.float64],
-    fit: "_LinearFit",
-    remaining: NDArray[np.float64],
-    *,
-    is_constrained: bool,
+    scaled: Array, fit: "_LinearFit", remaining: Array, *, is_constrained: bool
 ) -> PayloadEstimate:
     """Undo the units of consistent parameters, and sum up the torque that they leave."""
     parameters = scaled * _UNITS
@@ -244,34 +220,19 @@ def _estimate(
     )
 
 
-@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
-class _LinearFit:
-    """Least-squares answer ``target = regressor x + offset per joint + noise``.
+class _LinearFit(NamedTuple):
+    """Least-squares answer ``target = regressor x + offset per joint + noise``."""
 
-    Attributes:
-        solution: x, the shortest one if several fit equally, shape (p,).
-        covariance: Of x, infinite variance for what is not determined, shape (p, p).
-        information_root: R with ``|R (x - solution)|^2`` the weighted cost above its minimum, shape
-            (p, p).
-        rank: Number of determined combinations of x.
-        has_offsets: Whether constants per joint were fitted.
-        offsets_std: Standard deviations of the constants, zero if not fitted, shape (nv,).
-    """
-
-    solution: NDArray[np.float64]
-    covariance: NDArray[np.float64]
-    information_root: NDArray[np.float64]
-    rank: int
-    has_offsets: bool
-    offsets_std: NDArray[np.float64]
+    solution: Array  # x, the shortest one if several fit equally, shape (p,)
+    covariance: Array  # of x, infinite variance for what is not determined, shape (p, p)
+    information_root: Array  # R: |R (x - solution)|^2 is the cost above its minimum, shape (p, p)
+    rank: int  # number of determined combinations of x
+    has_offsets: bool  # whether constants per joint were fitted
+    offsets_std: Array  # standard deviations of the constants, zero if not fitted, shape (nv,)
 
 
 def _fit_linear(
-    regressor: NDArray[np.float64],
-    target: NDArray[np.float64],
-    *,
-    noise_std: NDArray[np.float64] | None,
-    fit_offsets: bool,
+    regressor: Array, target: Array, noise_std: ArrayLike | None, *, fit_offsets: bool
 ) -> _LinearFit:
     """Fit x to a regressor of shape (n, nv, p), weighted by the noise per joint.
 
@@ -280,7 +241,11 @@ def _fit_linear(
     mean_regressor = regressor.mean(axis=0)
     if fit_offsets:
         regressor, target = regressor - mean_regressor, target - target.mean(axis=0)
-    std = np.ones(target.shape[1]) if noise_std is None else noise_std
+    std = np.ones(target.shape[1])
+    if noise_std is not None:
+        std = finite_array(noise_std, std.shape, "torque_noise_std_Nm")
+        if np.any(std <= 0.0):
+            raise InputError(f"torque_noise_std_Nm must be positive at every joint: {std.tolist()}")
     for _ in range(_REWEIGHTINGS if noise_std is None else 0):
         solution = _solve(regressor, target, std)[0]
         rms = np.sqrt(np.mean((target - regressor @ solution) ** 2, axis=0))
@@ -307,9 +272,7 @@ def _fit_linear(
     )
 
 
-def _solve(
-    regressor: NDArray[np.float64], target: NDArray[np.float64], std: NDArray[np.float64]
-) -> tuple[NDArray[np.float64], NDArray[np.float64], NDArray[np.float64], int]:
+def _solve(regressor: Array, target: Array, std: Array) -> tuple[Array, Array, Array, int]:
     """Return the shortest solution, singular values, right singular vectors and rank."""
     size = regressor.shape[2]
     matrix = (regressor / std[:, None]).reshape(-1, size)
@@ -324,12 +287,8 @@ def _solve(
 
 
 def _covariance(
-    regressor: NDArray[np.float64],
-    residual: NDArray[np.float64],
-    values: NDArray[np.float64],
-    axes: NDArray[np.float64],
-    constants: int,
-) -> NDArray[np.float64]:
+    regressor: Array, residual: Array, values: Array, axes: Array, constants: int
+) -> Array:
     """Return the covariance on the determined subspace, from whitened data.
 
     Model errors last for whole stretches of motion, so samples are far from independent. With

@@ -5,9 +5,10 @@ from typing import Any
 
 import numpy as np
 import pinocchio as pin
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
 from urdf.errors import (
+    Array,
     InertiaError,
     InputError,
     UnknownNameError,
@@ -81,27 +82,27 @@ class Robot:
         return tuple(dict.fromkeys(frame.name for frame in self.model.frames))
 
     @property
-    def gravity_m_s2(self) -> NDArray[np.float64]:
+    def gravity_m_s2(self) -> Array:
         """Gravity in base axes, shape (3,), m/s^2."""
         return read_only(self.model.gravity.linear)
 
     @property
-    def position_lower_rad(self) -> NDArray[np.float64]:
+    def position_lower_rad(self) -> Array:
         """Lower position limits, shape (nv,), rad (m for sliding joints)."""
         return read_only(self.model.lowerPositionLimit)
 
     @property
-    def position_upper_rad(self) -> NDArray[np.float64]:
+    def position_upper_rad(self) -> Array:
         """Upper position limits, shape (nv,), rad (m for sliding joints)."""
         return read_only(self.model.upperPositionLimit)
 
     @property
-    def velocity_limit_rad_s(self) -> NDArray[np.float64]:
+    def velocity_limit_rad_s(self) -> Array:
         """Velocity limits, shape (nv,), rad/s (m/s for sliding joints)."""
         return read_only(self.model.upperVelocityLimit)
 
     @property
-    def effort_limit_Nm(self) -> NDArray[np.float64]:
+    def effort_limit_Nm(self) -> Array:
         """Torque limits, shape (nv,), Nm (N for sliding joints)."""
         return read_only(self.model.upperEffortLimit)
 

@@ -5,18 +5,12 @@ from dataclasses import dataclass
 
 import numpy as np
 import pinocchio as pin
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
-from urdf.errors import InputError, finite_array, read_only
+from urdf.errors import Array, InputError, finite_array, read_only
 from urdf.inertia import require_mass, require_physical
 from urdf.payload import NeedleTool, Payload
-from urdf.robot import (
-    STANDARD_GRAVITY_M_S2,
-    TOOL_FRAME,
-    Robot,
-    assemble_robot,
-    rigid_motion,
-)
+from urdf.robot import STANDARD_GRAVITY_M_S2, TOOL_FRAME, Robot, assemble_robot, rigid_motion
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -42,9 +36,9 @@ class SerialJoint:
     """
 
     name: str
-    placement: pin.SE3 | NDArray[np.float64]
-    axis: NDArray[np.float64]
-    inertia: NDArray[np.float64]
+    placement: pin.SE3 | Array
+    axis: Array
+    inertia: Array
 
     def __post_init__(self) -> None:
         owner = f"joint {self.name!r}"
