@@ -115,8 +115,6 @@ def test_a_missing_package_is_named_with_its_install_line(monkeypatch, tmp_path)
 
     monkeypatch.setattr(metadata, "distribution", not_found)
     monkeypatch.setattr("sys.prefix", str(tmp_path))
-    with pytest.raises(
-        MissingPackageError, match=r"not installed; pip install example-robot-data$"
-    ):
+    with pytest.raises(MissingPackageError, match="; pip install example-robot-data"):
         load_example("panda")
     assert load_example("ur10e").nv == 6
