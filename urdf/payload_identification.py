@@ -137,7 +137,7 @@ def identify_payload(
     fit = _fit_linear(regressor, unexplained, torque_noise_std_Nm, fit_offsets=fit_offsets)
     constrained = not is_consistent(fit.solution)
     scaled = nearest_body(fit.solution, fit.information_root) if constrained else fit.solution
-    return _estimate(scaled, fit, unexplained - regressor @ scaled, is_constrained=constrained)
+    return _estimate(scaled, constrained, fit, regressor, unexplained)
 
 
 def identify_payload_static(
@@ -170,7 +170,7 @@ def identify_payload_static(
     if not constrained:
         point = Payload(mass_kg=mass, com_m=first / mass, inertia_kg_m2=np.zeros((3, 3)))
         scaled = point.parameters / _UNITS
-    return _estimate(scaled, fit, unexplained - regressor @ scaled, is_constrained=constrained)
+    return _estimate(scaled, constrained, fit, regressor, unexplained)
 
 
 def _payload_equation(
@@ -195,12 +195,12 @@ def _payload_equation(
 
 
 def _estimate(
-    scaled: Array, fit: "_LinearFit", remaining: Array, *, is_constrained: bool
+    scaled: Array, is_constrained: bool, fit: "_LinearFit", regressor: Array, unexplained: Array
 ) -> PayloadEstimate:
     """Undo the units of consistent parameters, and sum up the torque that they leave."""
-    parameters = scaled * _UNITS
-    if parameters[0] < _NO_MASS_KG:
-        parameters = np.zeros(10)
+    if scaled[0] < _NO_MASS_KG:
+        scaled = np.zeros(10)
+    remaining = unexplained - regressor @ scaled
     asked = len(fit.solution)
     unconstrained = np.zeros(10)
     unconstrained[:asked] = fit.solution * _UNITS[:asked]
@@ -208,7 +208,7 @@ def _estimate(
     covariance[:asked, :asked] = fit.covariance * np.outer(_UNITS, _UNITS)[:asked, :asked]
     offsets = remaining.mean(axis=0) if fit.has_offsets else np.zeros(remaining.shape[1])
     return PayloadEstimate(
-        payload=Payload.from_parameters(parameters),
+        payload=Payload.from_parameters(scaled * _UNITS),
         covariance=covariance,
         rank=fit.rank,
         parameter_count=asked,
