@@ -1,4 +1,4 @@
-"""What a force sensor at the needle base adds to the true axial force."""
+"""The axial force sensor at the needle base: what it adds to the true force."""
 
 from dataclasses import dataclass
 
@@ -25,10 +25,10 @@ class ForceNoise:
     step_N: float
 
     def __post_init__(self) -> None:
-        """Check the figures.
+        """Check the values.
 
         Raises:
-            NoiseError: A figure is negative or not finite.
+            NoiseError: A value is negative or not finite.
         """
         require_non_negative(
             NoiseError,
