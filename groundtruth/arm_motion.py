@@ -49,18 +49,14 @@ class InsertionPath:
 
     Quintic spline through knots solved to rounding every 5 mm; between knots the tip leaves the
     line by less than a nanometre.
+
+    Attributes:
+        spline: Joint positions (7,) as a function of travel in m.
+        transform_start_to_base: Pose of the tool frame at travel zero; z is the insertion axis.
     """
 
     spline: BSpline
-    """Joint positions (7,) as a function of travel in m."""
-
     transform_start_to_base: pin.SE3
-    """Pose of the tool frame at travel zero; the insertion axis is its z axis."""
-
-    @property
-    def axis_in_base(self) -> Array:
-        """Unit vector along the insertion, shape (3,)."""
-        return self.transform_start_to_base.rotation[:, 2].copy()
 
 
 def needle_down(robot: Robot, posture_rad: Array) -> Array:
@@ -197,10 +193,6 @@ def _fade(time: Array, duration_s: float) -> tuple[Array, Array]:
 def scenario_path(robot: Robot, scenario: Scenario) -> InsertionPath:
     """Plan the needle's line for a scenario, from the LWR's starting posture straight down.
 
-    Args:
-        robot: The LWR with its needle.
-        scenario: Gives the travel.
-
     Raises:
         PathError: The line is out of the arm's reach.
     """
@@ -214,10 +206,6 @@ def scenario_motion(path: InsertionPath, scenario: Scenario) -> JointMotion:
 
     A scenario without layers keeps its tare stroke; a motion of all joints then takes the place
     of the insertion.
-
-    Args:
-        path: Of `scenario_path`.
-        scenario: Gives the travel over time.
     """
     motion = scenario.motion
     end_s = motion.duration_s if scenario.layers else motion.tare_end_s

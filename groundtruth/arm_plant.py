@@ -26,6 +26,7 @@ SUBSTEPS = 4
 """Physics steps per tick. Runge-Kutta steps of fourth order close the momentum balance of a moving
 arm to 7e-7 Nm at any number of them (semi-implicit Euler: 6e-4 Nm with four), so the number is set
 by the tissue: four per tick follow the release of a rupture."""
+SUBSTEP_s = TICK_s / SUBSTEPS
 
 # The second link table of the LWR 4+: the end point of the plant's model error, so that no
 # estimator is evaluated on an arm that has exactly its own numbers (the nominal table of the
@@ -76,26 +77,22 @@ def blended_links(nominal: pin.Model, cad_fraction: float) -> tuple[pin.Inertia,
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class PlantBodies:
-    """Kinematics and true inertias of arm, F/T sensor and needle."""
+    """Kinematics and true inertias of arm, F/T sensor and needle.
+
+    Attributes:
+        robot: The estimator's robot: kinematics and frames are shared, its inertias are not used.
+        links: Bare links 1..7, each in its joint frame.
+        sensor: The tool up to the sensor's measuring plane, in the flange frame.
+        needle: Everything beyond the measuring plane, in the ``ft_sensor`` frame.
+    """
 
     robot: Robot
-    """The estimator's robot: kinematics and frames are shared, its inertias are not used here."""
-
     links: tuple[pin.Inertia, ...]
-    """Bare links 1..7, each in its joint frame."""
-
     sensor: pin.Inertia
-    """The tool up to the sensor's measuring plane, in the flange frame."""
-
     needle: pin.Inertia
-    """Everything beyond the measuring plane, in the ``ft_sensor`` frame."""
 
     def model(self) -> pin.Model:
-        """Build a Pinocchio model of the true arm (for feed-forward and for checks).
-
-        Returns:
-            The robot's model with every joint's inertia replaced by the true one.
-        """
+        """Pinocchio model of the true arm: the robot's, with the true inertia of every joint."""
         model = self.robot.model.copy()
         for joint, link in enumerate(self.links, start=1):
             model.inertias[joint] = link
@@ -249,26 +246,13 @@ class ArmPlant:
         mean_axial_N: Its axial part, mean over the last tick.
     """
 
-    def __init__(
-        self, bodies: PlantBodies, contact: TissueContact, *, substeps: int = SUBSTEPS
-    ) -> None:
-        """Compile the model.
-
-        Args:
-            bodies: The true arm.
-            contact: The tissue.
-            substeps: Physics steps per tick.
-
-        Raises:
-            PlantError: MuJoCo is not installed.
-        """
+    def __init__(self, bodies: PlantBodies, contact: TissueContact) -> None:
+        """Compile the model of the true arm; `PlantError` if MuJoCo is not installed."""
         if mujoco is None:
             raise PlantError(
                 "the simulated arm needs the library mujoco: pip install 'needleforce[sim]'"
             )
-        self._substep_s = TICK_s / substeps
-        self._repeats = range(substeps - 1)
-        self._model = mujoco.MjModel.from_xml_string(arm_mjcf(bodies, self._substep_s))
+        self._model = mujoco.MjModel.from_xml_string(arm_mjcf(bodies, SUBSTEP_s))
         self._data = mujoco.MjData(self._model)
         self._contact = contact
         self._has_tissue = bool(contact.law.layers)
@@ -285,28 +269,19 @@ class ArmPlant:
         self._locate()
 
     def place(self, q_rad: Array, dq_rad_s: Array) -> None:
-        """Put the arm into a state.
-
-        Args:
-            q_rad: Joint positions, shape (7,).
-            dq_rad_s: Joint velocities, shape (7,).
-        """
+        """Put the arm into a state of joint positions and velocities, shape (7,) each."""
         self.q_rad[:] = q_rad
         self.dq_rad_s[:] = dq_rad_s
         self._locate()
 
     def tick(self, torque_Nm: Array) -> None:
-        """Hold a joint torque for one tick.
-
-        Args:
-            torque_Nm: Shape (7,).
-        """
+        """Hold a joint torque, shape (7,), for one tick."""
         self._data.qfrc_applied[:] = torque_Nm
         if self._has_tissue:
             self._tissue_tick(self._contact.law)
         else:
             self._step_and_read()
-            for _ in self._repeats:
+            for _ in range(SUBSTEPS - 1):
                 mujoco.mj_step(self._model, self._data)
         self._locate()
 
@@ -316,20 +291,20 @@ class ArmPlant:
         The Jacobian of the tick's start serves all its substeps: the arm turns by less than
         1e-4 rad meanwhile.
         """
-        step_s, rate, back = self._substep_s, self.axial_jacobian, -self._tip_axis
+        rate, back = self.axial_jacobian, -self._tip_axis
         depth, speed = self.depth_m, float(rate.dot(self.dq_rad_s))
-        force = self.tissue_force = law.step(depth, speed, step_s)
+        force = self.tissue_force = law.step(depth, speed, SUBSTEP_s)
         total = force.axial_N
         self._tip_force[:] = total * back
         self._step_and_read()
-        for _ in self._repeats:
+        for _ in range(SUBSTEPS - 1):
             before, speed = speed, float(rate.dot(self.dq_rad_s))
-            depth += 0.5 * step_s * (before + speed)
-            axial = law.step(depth, speed, step_s).axial_N
+            depth += 0.5 * SUBSTEP_s * (before + speed)
+            axial = law.step(depth, speed, SUBSTEP_s).axial_N
             total += axial
             self._tip_force[:] = axial * back
             mujoco.mj_step(self._model, self._data)
-        self.mean_axial_N = total / (len(self._repeats) + 1)
+        self.mean_axial_N = total / SUBSTEPS
 
     def _step_and_read(self) -> None:
         """Step once and read the F/T sensor.

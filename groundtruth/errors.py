@@ -1,7 +1,6 @@
 """Errors of the ground truth: one base, each leaf also a builtin, so that both can be caught."""
 
 import math
-from collections.abc import Callable, Mapping
 
 
 class GroundTruthError(Exception):
@@ -50,27 +49,20 @@ def require_positive(error: type[GroundTruthError], **values: float) -> None:
     Raises:
         GroundTruthError: Of class `error`, naming the field, its value and what was expected.
     """
-    _require(error, values, lambda v: math.isfinite(v) and v > 0.0, "a finite number above zero")
+    for name, value in values.items():
+        if not (math.isfinite(value) and value > 0.0):
+            raise error(f"{name} is {value!r}; give a finite number above zero")
 
 
 def require_non_negative(error: type[GroundTruthError], **values: float) -> None:
     """Check that every named value is finite and not negative; else as `require_positive`."""
-    _require(
-        error, values, lambda v: math.isfinite(v) and v >= 0.0, "a finite number, zero or above"
-    )
+    for name, value in values.items():
+        if not (math.isfinite(value) and value >= 0.0):
+            raise error(f"{name} is {value!r}; give a finite number, zero or above")
 
 
 def require_fraction(error: type[GroundTruthError], **values: float) -> None:
     """Check that every named value is a fraction from 0 to 1; else as `require_positive`."""
-    _require(error, values, lambda v: 0.0 <= v <= 1.0, "a fraction from 0 to 1")
-
-
-def _require(
-    error: type[GroundTruthError],
-    values: Mapping[str, float],
-    is_valid: Callable[[float], bool],
-    wanted: str,
-) -> None:
     for name, value in values.items():
-        if not is_valid(value):
-            raise error(f"{name} is {value!r}; give {wanted}")
+        if not 0.0 <= value <= 1.0:
+            raise error(f"{name} is {value!r}; give a fraction from 0 to 1")

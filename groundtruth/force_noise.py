@@ -25,11 +25,7 @@ class ForceNoise:
     step_N: float
 
     def __post_init__(self) -> None:
-        """Check the values.
-
-        Raises:
-            NoiseError: A value is negative or not finite.
-        """
+        """Raise `NoiseError` naming the value that is negative or not finite."""
         require_non_negative(
             NoiseError,
             white_std_N=self.white_std_N,

@@ -34,11 +34,7 @@ class Membrane:
     release_m: float
 
     def __post_init__(self) -> None:
-        """Check the values.
-
-        Raises:
-            TissueError: A value is zero, negative or not finite, or hardening is not a fraction.
-        """
+        """Raise `TissueError` naming the value that no membrane can have."""
         require_positive(
             TissueError,
             puncture_N=self.puncture_N,
@@ -80,11 +76,7 @@ class ShaftFriction:
     reference_speed_m_s: float
 
     def __post_init__(self) -> None:
-        """Check the values.
-
-        Raises:
-            TissueError: A value is negative, zero where it may not be, or not finite.
-        """
+        """Raise `TissueError` naming the value that no friction can have."""
         require_non_negative(
             TissueError,
             coulomb_N_per_m=self.coulomb_N_per_m,
@@ -168,11 +160,10 @@ class Layer:
     membrane: Membrane | None = None
 
     def __post_init__(self) -> None:
-        """Check the values.
+        """Raise `TissueError` naming the value that no layer can have.
 
-        Raises:
-            TissueError: A value is not physical, or the layer is too thin for its membrane's
-                indentation, its cutting onset and the releases at both its ends.
+        A layer must be thicker than its membrane's indentation, its cutting onset and the releases
+        at both its ends.
         """
         require_positive(
             TissueError,

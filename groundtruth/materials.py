@@ -7,8 +7,9 @@ one constant and one sinusoidal speed profile: 113, 283, 534 Ns/m, for layers 28
 Coulomb fraction. The two profiles of Table I pass the far end of a gel at 2.3 and about 3 mm/s and
 differ by 7-12 % of the mean: purely viscous friction would give the same B at both, purely Coulomb
 friction B values 25-30 % apart. Two fifths Coulomb fit, and leave after a sinusoidal exit the
-remaining force the paper describes (Fig. 9). Real liver (de Jong 2017, 19 insertions at 5 mm/s to 85 mm,
-where the force is mostly friction) loses 20 % within a second of the stop: four fifths Coulomb.
+remaining force the paper describes (Fig. 9). Real liver (de Jong 2017, 19 insertions at 5 mm/s to
+85 mm, where the force is mostly friction) loses 20 % within a second of the stop: four fifths
+Coulomb.
 
 Relaxation. Over the 60 s hold the same recordings fall to 37 % of the force before the stop
 (median), that is to 0.45 of the part that does not depend on speed. For the gels there is no

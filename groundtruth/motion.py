@@ -50,11 +50,7 @@ class Stroke:
     ramp_fraction: float = 0.1
 
     def __post_init__(self) -> None:
-        """Check the values.
-
-        Raises:
-            MotionError: The duration or the ramp fraction is out of range.
-        """
+        """Raise `MotionError` if the duration or the ramp fraction is out of range."""
         require_positive(MotionError, duration_s=self.duration_s, ramp_fraction=self.ramp_fraction)
         if self.ramp_fraction > RAMP_FRACTION_MAX:
             raise MotionError(
@@ -120,11 +116,7 @@ class Motion:
     withdrawal_end_s: float
 
     def __post_init__(self) -> None:
-        """Check that the strokes follow each other.
-
-        Raises:
-            MotionError: There is no stroke, or one does not begin where and when the last ended.
-        """
+        """Raise `MotionError` unless each stroke begins where and when the one before ended."""
         if not self.strokes:
             raise MotionError("a motion without strokes; give at least one")
         for last, following in pairwise(self.strokes):

@@ -50,21 +50,21 @@ class PlantModel:
     LWR 4+ had to attribute to its friction offsets."""
 
     torque_drift_std_per_min: float = 0.0
-    """Standard deviation of the linear drift rate, as a fraction of limit per minute. 1e-4: the zero
-    of a strain-gauge sensor (ATI Mini45) drifts by 0.115 N of 290 N, 4e-4, in 4 minutes."""
+    """Standard deviation of the linear drift rate, as a fraction of limit per minute. 1e-4: the
+    zero of a strain-gauge sensor (ATI Mini45) drifts by 0.115 N of 290 N, 4e-4, in 4 minutes."""
 
     torque_random_walk_std_per_sqrt_min: float = 0.0
-    """Random walk on top, as a fraction of limit after one minute. 3e-5, a third of the linear part:
-    real drift is not straight, but nearly so over the two minutes of an insertion."""
+    """Random walk on top, as a fraction of limit after one minute. 3e-5, a third of the linear
+    part: real drift is not straight, but nearly so over the two minutes of an insertion."""
 
     torque_ripple: float = 0.0
-    """Amplitude, as a fraction of limit, of a ripple periodic in joint position: the sensor feels the
-    elliptic wave generator pass twice per motor turn, sin(2 N q) with gear ratio N. 1e-4, one
+    """Amplitude, as a fraction of limit, of a ripple periodic in joint position: the elliptic wave
+    generator passes the sensor twice per motor turn, sin(2 N q) with gear ratio N. 1e-4, one
     fiftieth of the 0.5 % linearity, most of which is smooth and calibrated away."""
 
     torque_hysteresis: float = 0.0
-    """Half-width, as a fraction of limit, of the torque sensor's backlash: the output lags until the
-    torque has moved by this much. 1e-4, one fiftieth of the linearity as well."""
+    """Half-width, as a fraction of limit, of the torque sensor's backlash: the output lags until
+    the torque has moved by this much. 1e-4, one fiftieth of the linearity as well."""
 
     position_noise_std_rad: float = 0.0
     """White noise of the reported position. 1e-5: a motor encoder seen through the gear; the
@@ -146,7 +146,7 @@ DEGRADED = PlantModel(
     ft_noise_std=tuple(2.0 * std for std in _FT_NOISE),
     ft_drift_std_per_min=_FT_DRIFT,
 )
-"""A neglected arm seen through its bare research interface: twice the noise, more kinds of error."""
+"""A neglected arm seen through its bare research interface: twice the noise, further errors."""
 
 PLANT_MODELS = {model.name: model for model in (IDEAL, CLEAN, DEGRADED)}
 """The plant models by name."""

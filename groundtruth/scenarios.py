@@ -49,11 +49,7 @@ class Scenario:
     law: LawName = "tissue"
 
     def __post_init__(self) -> None:
-        """Check the law.
-
-        Raises:
-            ScenarioError: The law is unknown.
-        """
+        """Raise `ScenarioError` if the law is unknown."""
         if self.law not in LAWS:
             raise ScenarioError(f"unknown tissue law {self.law!r}; known: {', '.join(LAWS)}")
 
@@ -168,9 +164,9 @@ def scenario(scenario_id: str) -> Scenario:
         ScenarioError: There is none; the message lists the names.
     """
     if scenario_id not in SCENARIOS:
-        known = ", ".join(SCENARIOS)
         raise ScenarioError(
-            f"no scenario {scenario_id!r}; known: {known} (random ones: random_stack(rng))"
+            f"no scenario {scenario_id!r}; known: {', '.join(SCENARIOS)}, and with a seed to draw "
+            f"it from: {RANDOM_STACK}"
         )
     return SCENARIOS[scenario_id]
 
@@ -178,19 +174,12 @@ def scenario(scenario_id: str) -> Scenario:
 def named_scenario(name: str, seed: int) -> Scenario:
     """A catalogued scenario, or one drawn from the seed for the name ``random-stack``.
 
-    Args:
-        name: Of the scenario.
-        seed: Of what is drawn.
-
     Raises:
         ScenarioError: There is none of that name; the message lists the names.
     """
     if name == RANDOM_STACK:
         return random_stack(np.random.default_rng(seed))
-    if name not in SCENARIOS:
-        known = ", ".join((*SCENARIOS, RANDOM_STACK))
-        raise ScenarioError(f"no scenario {name!r}; known: {known}")
-    return SCENARIOS[name]
+    return scenario(name)
 
 
 # Ranges of the random scenarios.
@@ -230,11 +219,7 @@ RANDOM_STANDOFF_M = (12e-3, 22e-3)
 
 
 def random_stack(rng: np.random.Generator) -> Scenario:
-    """Draw a scenario: one to four layers, a speed profile, membranes on a quarter of the layers.
-
-    Args:
-        rng: Source of everything drawn.
-    """
+    """Draw a scenario: one to four layers, a speed profile, membranes on a quarter of the layers."""
     count = int(rng.integers(LAYERS[0], LAYERS[1] + 1))
     sine = bool(rng.random() < 0.5)
     speed = _uniform(rng, PEAK_SPEED_M_S if sine else SPEED_M_S)

@@ -174,12 +174,10 @@ def simulate(
 
 def _contact(path: InsertionPath, scenario: Scenario) -> TissueContact:
     """Lay the tissue so that the zero of the scenario's motion is its surface."""
-    start = path.transform_start_to_base.translation
-    return TissueContact(
-        law=scenario.new_tissue(),
-        surface_in_base_m=start - scenario.motion.start_m * path.axis_in_base,
-        axis_in_base=path.axis_in_base,
-    )
+    start = path.transform_start_to_base
+    axis = start.rotation[:, 2].copy()
+    surface = start.translation - scenario.motion.start_m * axis
+    return TissueContact(law=scenario.new_tissue(), surface_in_base_m=surface, axis_in_base=axis)
 
 
 def _sense(

@@ -43,17 +43,15 @@ class TissueForce(NamedTuple):
 
 
 class TissueLaw(Protocol):
-    """A law of tissue: depth and speed of the tip in, force out."""
+    """A law of tissue: depth and speed of the tip in, force out.
 
-    @property
-    def layers(self) -> tuple[Layer, ...]:
-        """The layers, first the one the needle meets first."""
-        ...
+    Attributes:
+        layers: First the one the needle meets first.
+        interfaces: The boundaries, from the surface to the exit, as they rupture under this law.
+    """
 
-    @property
-    def interfaces(self) -> tuple[Interface, ...]:
-        """The boundaries, from the surface to the exit, as they rupture under this law."""
-        ...
+    layers: tuple[Layer, ...]
+    interfaces: tuple[Interface, ...]
 
     def step(self, depth_m: float, speed_m_s: float, dt_s: float) -> TissueForce:
         """Advance by one step and return the force at its end.
@@ -142,11 +140,7 @@ class Tissue:
     """
 
     def __init__(self, layers: tuple[Layer, ...]) -> None:
-        """Lay fresh, uncut tissue.
-
-        Args:
-            layers: First the one the needle meets first; none is free air.
-        """
+        """Lay fresh, uncut tissue; no layers are free air."""
         self.layers = tuple(layers)
         self.interfaces = interfaces(self.layers)
         self._depth_m: float | None = None  # at the last step
@@ -158,6 +152,7 @@ class Tissue:
     def step(self, depth_m: float, speed_m_s: float, dt_s: float) -> TissueForce:
         """Advance by one step and return the force at its end, see `TissueLaw.step`."""
         _check_sample(depth_m, speed_m_s, dt_s)
+        # The first step says where the needle is, not how far it came: no presliding yet.
         travel = 0.0 if self._depth_m is None else depth_m - self._depth_m
         self._depth_m = depth_m
         self._deepest_m = max(self._deepest_m, depth_m)
@@ -178,6 +173,7 @@ class Tissue:
         count = len(self.layers)
         if count == 0 or depth_m <= 0.0:
             return no_force(count)
+        # Behind its deepest point the tip is in a layer above the last one it ruptured.
         layer = self._ruptured
         while layer > 0 and depth_m < self.interfaces[layer - 1].depth_m:
             layer -= 1
@@ -235,11 +231,7 @@ class MultilayerTissue:
     """
 
     def __init__(self, layers: tuple[Layer, ...]) -> None:
-        """Lay fresh tissue.
-
-        Args:
-            layers: First the one the needle meets first; none is free air.
-        """
+        """Lay fresh tissue; no layers are free air."""
         self.layers = tuple(layers)
         self.interfaces = tuple(
             replace(

@@ -100,10 +100,10 @@ def collect_truth(
     per_layer = np.array([force.layer_friction_N for force in forces], dtype=np.float64)
     contact_s = withdrawn_s = float("nan")
     if law.layers:
-        contact_s = first_crossing_s(t_s, depth_m, 0.0)
+        contact_s = _first_crossing_s(t_s, depth_m, 0.0)
     if not np.isnan(contact_s):
         deepest_s = float(t_s[int(np.argmax(depth_m))])
-        withdrawn_s = first_crossing_s(t_s, -depth_m, 0.0, after_s=deepest_s)
+        withdrawn_s = _first_crossing_s(t_s, -depth_m, 0.0, after_s=deepest_s)
     return TissueTruth(
         axial_N=columns[:, 0],
         tip_N=columns[:, 1],
@@ -116,17 +116,12 @@ def collect_truth(
     )
 
 
-def first_crossing_s(t_s: Array, signal: Array, level: float, *, after_s: float = -np.inf) -> float:
+def _first_crossing_s(
+    t_s: Array, signal: Array, level: float, *, after_s: float = -np.inf
+) -> float:
     """Time at which a signal first reaches a level from below, by linear interpolation.
 
-    Args:
-        t_s: Sample times, shape (n,).
-        signal: Samples, shape (n,).
-        level: The level, in the unit of the signal.
-        after_s: Only samples at or after this time count.
-
-    Returns:
-        The time, or nan when the level is not reached.
+    Only samples at or after `after_s` count; nan when the level is not reached.
     """
     reached = np.flatnonzero((signal >= level) & (t_s >= after_s))
     if reached.size == 0:
@@ -150,11 +145,11 @@ def _ruptures(
     friction_N = layer_friction_N.sum(axis=1)
     axial_N = tip_N + friction_N
     for above, boundary in enumerate(boundaries):
-        onset_s = first_crossing_s(t_s, depth_m, boundary.onset_m)
+        onset_s = _first_crossing_s(t_s, depth_m, boundary.onset_m)
         # A bare surface holds no force and is no rupture.
         if boundary.drop_N == 0.0 or np.isnan(onset_s):
             continue
-        end_s = first_crossing_s(t_s, depth_m, boundary.onset_m + boundary.release_m)
+        end_s = _first_crossing_s(t_s, depth_m, boundary.onset_m + boundary.release_m)
         end_s = float(t_s[-1]) if np.isnan(end_s) else end_s
         before = max(int(np.searchsorted(t_s, onset_s)) - 1, 0)
         after = min(int(np.searchsorted(t_s, end_s)), t_s.size - 1)
