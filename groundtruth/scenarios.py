@@ -219,7 +219,7 @@ RANDOM_STANDOFF_M = (12e-3, 22e-3)
 
 
 def random_stack(rng: np.random.Generator) -> Scenario:
-    """Draw a scenario: one to four layers, a speed profile, membranes on a quarter of the layers."""
+    """Draw one to four layers, a speed profile, and membranes on a quarter of the layers."""
     count = int(rng.integers(LAYERS[0], LAYERS[1] + 1))
     sine = bool(rng.random() < 0.5)
     speed = _uniform(rng, PEAK_SPEED_M_S if sine else SPEED_M_S)
