@@ -30,7 +30,7 @@ INSERTIONS = pytest.mark.parametrize("motion", [CONSTANT, SINE], ids=["constant"
 
 
 @MOTIONS
-def test_speed_is_the_rate_of_position_and_acceleration_is_bounded(motion):
+def test_speed_is_the_rate_of_position_bounded_in_its_change_and_zero_at_rest(motion):
     t = np.linspace(-1.0, motion.duration_s + 1.0, 20_001)
     h = 1e-5
     rate = (motion.position_m(t + h) - motion.position_m(t - h)) / (2.0 * h)
@@ -38,10 +38,6 @@ def test_speed_is_the_rate_of_position_and_acceleration_is_bounded(motion):
     t = np.linspace(0.0, motion.duration_s, 200_001)
     acceleration = np.diff(motion.speed_m_s(t)) / (t[1] - t[0])
     assert np.abs(acceleration).max() < 0.05
-
-
-@MOTIONS
-def test_rests_at_both_ends_and_before_the_tare_stroke(motion):
     for t in (0.0, 0.5, 1.0, motion.duration_s - 0.25, motion.duration_s, motion.duration_s + 9.0):
         assert motion.speed_m_s(t) == 0.0
 
@@ -74,15 +70,12 @@ def test_constant_insertion_holds_its_speed_from_before_contact_to_after_the_tar
     assert CONSTANT.deepest_m == pytest.approx(45e-3)
 
 
-def test_sinusoidal_insertion_is_the_papers():
+def test_sinusoidal_insertion_is_the_papers_and_free_motion_stays_above_the_surface():
     s = np.linspace(0.0, 0.5 / 0.016, 500)
     expected = 0.035 * (1.0 - np.cos(2.0 * np.pi * 0.016 * s)) - 20e-3
     assert SINE.position_m(SINE.tare_end_s + s) == pytest.approx(expected, abs=1e-12)
     contact = SINE.tare_end_s + s[np.searchsorted(expected, 0.0)]
     assert SINE.speed_m_s(contact) > 2e-3
-
-
-def test_free_motion_stays_above_the_surface():
     t = np.linspace(0.0, FREE.duration_s, 1000)
     assert FREE.position_m(t).max() == pytest.approx(-20e-3)
 
@@ -118,29 +111,22 @@ def test_a_motion_refuses_a_value_by_name(make, value):
             make(**{**GOOD[make], field: value})
 
 
-def test_motions_that_cannot_be_carried_out_are_refused():
+REST = {"profile": "rest", "start_s": 0.0, "duration_s": 1.0, "start_m": 0.0, "travel_m": 0.0}
+
+
+def test_motions_and_strokes_that_cannot_be_carried_out_are_refused():
     with pytest.raises(MotionError, match="too short"):
         constant_motion(speed_m_s=0.1, depth_m=0.01, standoff_m=0.01)
     with pytest.raises(MotionError, match="above the surface"):
         sinusoidal_motion(stroke_m=0.02, frequency_hz=0.016, standoff_m=0.02)
     with pytest.raises(MotionError, match="not finite"):
         CONSTANT.position_m(float("nan"))
-
-
-REST = {"profile": "rest", "start_s": 0.0, "duration_s": 1.0, "start_m": 0.0, "travel_m": 0.0}
-
-
-def test_strokes_must_follow_each_other():
+    for field, value in (("duration_s", 0.0), ("ramp_fraction", 0.6)):
+        with pytest.raises(MotionError, match=field):
+            Stroke(**{**REST, field: value})
     names = ("tare_end_s", "insertion_end_s", "withdrawal_start_s", "withdrawal_end_s")
     instants = dict.fromkeys(names, 1.0)
-    late = Stroke(**{**REST, "start_s": 2.0})
     with pytest.raises(MotionError, match="follow each other"):
-        Motion(strokes=(Stroke(**REST), late), **instants)
+        Motion(strokes=(Stroke(**REST), Stroke(**{**REST, "start_s": 2.0})), **instants)
     with pytest.raises(MotionError, match="at least one"):
         Motion(strokes=(), **instants)
-
-
-@pytest.mark.parametrize(("field", "value"), [("duration_s", 0.0), ("ramp_fraction", 0.6)])
-def test_stroke_refuses_by_name(field, value):
-    with pytest.raises(MotionError, match=field):
-        Stroke(**{**REST, field: value})

@@ -8,16 +8,8 @@ from hypothesis import given
 from hypothesis import strategies as st
 from hypothesis.extra.numpy import arrays
 
+from groundtruth import sensors
 from groundtruth.plant_model import PLANT_MODELS, TICK_s
-from groundtruth.sensors import (
-    backlash,
-    measured_position,
-    measured_torque,
-    measured_velocity,
-    measured_wrench,
-    received_samples,
-    time_stamps,
-)
 from urdf import LWR_GEAR_RATIO
 
 IDEAL, CLEAN, DEGRADED = PLANT_MODELS.values()
@@ -27,7 +19,7 @@ STILL = np.zeros((N, 7))
 
 
 def torque_error(plant_model, seed=0, tau=STILL, q=STILL):
-    return measured_torque(tau, q, LIMIT_Nm, plant_model, np.random.default_rng(seed)) - tau
+    return sensors.measured_torque(tau, q, LIMIT_Nm, plant_model, np.random.default_rng(seed)) - tau
 
 
 def test_ideal_sensors_are_perfect():
@@ -35,12 +27,12 @@ def test_ideal_sensors_are_perfect():
     true = rng.standard_normal((50, 7))
     time = np.arange(50) * TICK_s
     for seen, expected in (
-        (measured_position(true, IDEAL, rng), true),
-        (measured_velocity(true, IDEAL, rng), true),
-        (measured_torque(true, true, LIMIT_Nm, IDEAL, rng), true),
-        (measured_wrench(true[:, :6], IDEAL, rng), true[:, :6]),
-        (time_stamps(time, IDEAL, rng), time),
-        (received_samples(50, IDEAL, rng), np.arange(50)),
+        (sensors.measured_position(true, IDEAL, rng), true),
+        (sensors.measured_velocity(true, IDEAL, rng), true),
+        (sensors.measured_torque(true, true, LIMIT_Nm, IDEAL, rng), true),
+        (sensors.measured_wrench(true[:, :6], IDEAL, rng), true[:, :6]),
+        (sensors.time_stamps(time, IDEAL, rng), time),
+        (sensors.received_samples(50, IDEAL, rng), np.arange(50)),
     ):
         np.testing.assert_array_equal(seen, expected)
 
@@ -86,7 +78,7 @@ def test_ripple_repeats_twice_per_motor_turn_with_the_stated_amplitude():
 
 @given(signal=arrays(float, (30, 3), elements=st.floats(-5.0, 5.0)), width=st.floats(0.0, 2.0))
 def test_backlash_stays_within_its_width_and_moves_only_when_pushed(signal, width):
-    out = backlash(signal, np.full(3, width))
+    out = sensors.backlash(signal, np.full(3, width))
     assert (np.abs(out - signal) <= width + 1e-12).all()
     moved = np.diff(out, axis=0) != 0.0
     at_the_edge = np.abs(np.abs(out - signal)[1:] - width) < 1e-9
@@ -95,14 +87,14 @@ def test_backlash_stays_within_its_width_and_moves_only_when_pushed(signal, widt
 
 def test_backlash_makes_a_loop_of_its_full_width():
     up = np.linspace(-1.0, 1.0, 201)
-    out = backlash(np.concatenate([up, up[::-1]])[:, None], np.array([0.1]))[:, 0]
+    out = sensors.backlash(np.concatenate([up, up[::-1]])[:, None], np.array([0.1]))[:, 0]
     assert out[-101] - out[100] == pytest.approx(0.2)
 
 
 def test_reported_position_is_noisy_and_on_the_encoders_grid():
     rng = np.random.default_rng(0)
     true = np.linspace(0.0, 1.0, 20_000)[:, None] * np.ones(7)
-    seen = measured_position(true, CLEAN, rng)
+    seen = sensors.measured_position(true, CLEAN, rng)
     steps = seen / CLEAN.position_step_rad
     np.testing.assert_allclose(steps, np.round(steps), atol=1e-6)
     expected = np.hypot(CLEAN.position_noise_std_rad, CLEAN.position_step_rad / np.sqrt(12))
@@ -111,13 +103,15 @@ def test_reported_position_is_noisy_and_on_the_encoders_grid():
 
 def test_velocity_has_the_stated_noise_or_is_missing():
     rng = np.random.default_rng(0)
-    assert measured_velocity(STILL, CLEAN, rng).std() == pytest.approx(2e-4, rel=0.02)
-    assert measured_velocity(STILL, DEGRADED, rng) is None
+    assert sensors.measured_velocity(STILL, CLEAN, rng).std() == pytest.approx(2e-4, rel=0.02)
+    assert sensors.measured_velocity(STILL, DEGRADED, rng) is None
 
 
 def test_wrench_noise_and_drift_have_the_stated_spread():
     wrench = np.zeros((N, 6))
-    readings = [measured_wrench(wrench, CLEAN, np.random.default_rng(seed)) for seed in range(20)]
+    readings = [
+        sensors.measured_wrench(wrench, CLEAN, np.random.default_rng(seed)) for seed in range(20)
+    ]
     for reading in readings[:3]:
         white = np.diff(reading, axis=0).std(axis=0) / np.sqrt(2)
         np.testing.assert_allclose(white, CLEAN.ft_noise_std, rtol=0.03)
@@ -129,13 +123,13 @@ def test_wrench_noise_and_drift_have_the_stated_spread():
 def test_stamps_jitter_but_keep_their_order():
     true = np.arange(N) * TICK_s
     wild = replace(DEGRADED, clock_jitter_std_s=1e-3)
-    assert (np.diff(time_stamps(true, wild, np.random.default_rng(0))) > 0.0).all()
-    error = time_stamps(true, DEGRADED, np.random.default_rng(0)) - true
+    assert (np.diff(sensors.time_stamps(true, wild, np.random.default_rng(0))) > 0.0).all()
+    error = sensors.time_stamps(true, DEGRADED, np.random.default_rng(0)) - true
     assert error.std() == pytest.approx(DEGRADED.clock_jitter_std_s, rel=0.02)
 
 
 def test_losses_are_short_and_as_frequent_as_stated():
-    kept = received_samples(10 * N, DEGRADED, np.random.default_rng(0))
+    kept = sensors.received_samples(10 * N, DEGRADED, np.random.default_rng(0))
     assert kept[[0, -1]].tolist() == [0, 10 * N - 1]
     gaps = np.diff(kept) - 1
     # touching losses may add up; three per cent of a thousandth

@@ -1,5 +1,6 @@
 """The laws of tissue: ruptures, withdrawal, rest, independence of the step, and equation (3)."""
 
+from dataclasses import replace
 from itertools import pairwise
 
 import numpy as np
@@ -8,9 +9,8 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from groundtruth.errors import TissueError
-from groundtruth.layers import Layer, Membrane
+from groundtruth.layers import Membrane
 from groundtruth.materials import BOVINE_CAPSULE, GEL_TIP_FORCE_N, bovine_liver, gel
-from groundtruth.scenarios import SCENARIOS
 from groundtruth.tissue import (
     RELAXATION_S,
     UNLOADING_M,
@@ -26,11 +26,8 @@ GELS = (gel(25), gel(50), gel(70))
 TOPS = np.cumsum([0.0, *(layer.thickness_m for layer in GELS)])
 EVERY_GEL = pytest.mark.parametrize("percent", TABLE_I_N)
 
-bristles = st.floats(-1.0, 1.0)
-travels = st.floats(-0.1, 0.1)
-times = st.floats(1e-6, 10.0)
-lengths = st.floats(1e-5, 1e-2)
-fractions = st.floats(0.0, 1.0)
+fractions, travels, times = st.floats(0.0, 1.0), st.floats(-0.1, 0.1), st.floats(1e-6, 10.0)
+bristles, lengths = st.floats(-1.0, 1.0), st.floats(1e-5, 1e-2)
 
 
 def advance(law, start_m, end_m, speed_m_s=SPEED):
@@ -43,13 +40,6 @@ def advance(law, start_m, end_m, speed_m_s=SPEED):
 
 def tips(forces):
     return np.array([force.tip_N for force in forces])
-
-
-def carried_out(case, t):
-    """Depth, speed and forces of a scenario at equally spaced times."""
-    law, dt = case.new_tissue(), t[1] - t[0]
-    z, v = case.motion.position_m(t), case.motion.speed_m_s(t)
-    return z, v, [law.step(a, b, dt) for a, b in zip(z.tolist(), v.tolist(), strict=True)]
 
 
 @given(bristle=bristles, travel=travels, dt=times, length=lengths, fraction=fractions)
@@ -88,14 +78,6 @@ def test_relaxation_stays_a_fraction_and_half_steps_agree(relaxed, speed, dt):
     twice = relaxation_step(relaxation_step(relaxed, speed, dt / 2), speed, dt / 2)
     assert 0.0 <= once <= 1.0
     assert twice == pytest.approx(once, abs=1e-9)
-
-
-def test_friction_after_exit_is_table_i_layer_by_layer():
-    _, forces = advance(Tissue(GELS), -2e-3, 0.105)
-    last = forces[-1]
-    assert (last.tip_N, last.layer) == (0.0, 4)
-    assert last.layer_friction_N == pytest.approx(list(TABLE_I_N.values()), rel=0.01)
-    assert last.axial_N == pytest.approx(sum(TABLE_I_N.values()), rel=0.01)
 
 
 @EVERY_GEL
@@ -140,19 +122,6 @@ def test_reinsertion_meets_friction_only_until_the_deepest_point():
     assert (np.abs(np.diff(tip)) < 0.02).all()
 
 
-@pytest.mark.parametrize("name", [name for name, item in SCENARIOS.items() if item.layers])
-def test_tip_force_never_pulls_and_friction_never_drives(name):
-    case = SCENARIOS[name]
-    z, v, forces = carried_out(case, np.arange(0.0, case.motion.duration_s, 2e-3))
-    assert tips(forces).min() >= 0.0
-    assert all(f.axial_N == pytest.approx(f.tip_N + f.friction_N, abs=1e-12) for f in forces)
-    power = np.array([force.friction_N for force in forces]) * v
-    # Presliding stores a little energy and returns it while the shaft turns round.
-    turning_m = 3.0 * max(layer.friction.presliding_m for layer in case.layers)
-    assert (power[np.abs(z - z.max()) > turning_m] >= -1e-15).all()
-    assert power.sum() > 0.0
-
-
 def test_a_closed_cycle_inside_tissue_dissipates():
     law = Tissue((gel(70),))
     advance(law, -1e-3, 30e-3)
@@ -162,16 +131,6 @@ def test_a_closed_cycle_inside_tissue_dissipates():
         if turn >= 2:
             work += (depth[1] - depth[0]) * sum(force.friction_N for force in forces)
     assert work > 0.0
-
-
-@pytest.mark.parametrize("name", ["stack-glove-constant", "liver-constant", "abdomen-sinusoidal"])
-def test_law_does_not_depend_on_the_step(name):
-    case = SCENARIOS[name]
-    axial = []
-    for substeps in (1, 4):
-        t = case.motion.tare_end_s + np.arange(0.0, 30.0, 1e-3 / substeps)
-        axial.append([force.axial_N for force in carried_out(case, t)[2]][::substeps])
-    assert axial[1] == pytest.approx(axial[0], abs=2e-4)
 
 
 def test_rest_relaxes_the_tip_force_and_travel_restores_it():
@@ -188,15 +147,8 @@ def test_rest_relaxes_the_tip_force_and_travel_restores_it():
 
 def test_liver_at_rest_holds_the_fraction_the_recordings_show():
     """De Jong 2017: at 85 mm the force falls to 0.37 (0.25-0.5) of itself within a minute."""
-    thick = Layer(
-        name="liver",
-        thickness_m=0.2,
-        exit_force_N=0.01,
-        cutting_fraction=0.1,
-        stiffening=0.0,
-        release_m=5e-4,
-        relaxed_fraction=bovine_liver().relaxed_fraction,
-        friction=bovine_liver().friction,
+    thick = replace(
+        bovine_liver(), thickness_m=0.2, exit_force_N=0.01, stiffening=0.0, membrane=None
     )
     law = Tissue((thick,))
     _, moving = advance(law, 0.0, 85e-3, speed_m_s=5e-3)
@@ -222,8 +174,7 @@ def test_membrane_holds_back_the_layer_and_the_shaft_then_enters_it_gradually():
 
 def test_intact_membrane_springs_back():
     law = Tissue((bovine_liver(),))
-    _, pushed = advance(law, -1e-3, 8e-3)
-    _, back = advance(law, 8e-3, 4e-3)
+    (_, pushed), (_, back) = advance(law, -1e-3, 8e-3), advance(law, 8e-3, 4e-3)
     assert pushed[-1].tip_N > back[-1].tip_N > 0.0
     assert back[-1].tip_N == pytest.approx(BOVINE_CAPSULE.force_N(4e-3), rel=0.02)
 
