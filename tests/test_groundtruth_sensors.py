@@ -91,7 +91,7 @@ def test_backlash_makes_a_loop_of_its_full_width():
     assert out[-101] - out[100] == pytest.approx(0.2)
 
 
-def test_reported_position_is_noisy_and_on_the_encoders_grid():
+def test_position_is_noisy_on_the_encoders_grid_and_velocity_is_noisy_or_missing():
     rng = np.random.default_rng(0)
     true = np.linspace(0.0, 1.0, 20_000)[:, None] * np.ones(7)
     seen = sensors.measured_position(true, CLEAN, rng)
@@ -99,10 +99,6 @@ def test_reported_position_is_noisy_and_on_the_encoders_grid():
     np.testing.assert_allclose(steps, np.round(steps), atol=1e-6)
     expected = np.hypot(CLEAN.position_noise_std_rad, CLEAN.position_step_rad / np.sqrt(12))
     assert (seen - true).std() == pytest.approx(expected, rel=0.02)
-
-
-def test_velocity_has_the_stated_noise_or_is_missing():
-    rng = np.random.default_rng(0)
     assert sensors.measured_velocity(STILL, CLEAN, rng).std() == pytest.approx(2e-4, rel=0.02)
     assert sensors.measured_velocity(STILL, DEGRADED, rng) is None
 
