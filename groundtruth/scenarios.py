@@ -164,10 +164,8 @@ def scenario(scenario_id: str) -> Scenario:
         ScenarioError: There is none; the message lists the names.
     """
     if scenario_id not in SCENARIOS:
-        raise ScenarioError(
-            f"no scenario {scenario_id!r}; known: {', '.join(SCENARIOS)}, and with a seed to draw "
-            f"it from: {RANDOM_STACK}"
-        )
+        known = ", ".join((*SCENARIOS, RANDOM_STACK))
+        raise ScenarioError(f"no scenario {scenario_id!r}; known: {known} (drawn from a seed)")
     return SCENARIOS[scenario_id]
 
 
