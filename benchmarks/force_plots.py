@@ -24,13 +24,7 @@ Over = Literal["time", "depth"]
 
 @dataclass(slots=True)
 class RunFigures:
-    """Saves the figures of one run.
-
-    Attributes:
-        job: Whose figures they are.
-        folder: Where they go.
-        saved: In the order in which they were drawn.
-    """
+    """Saves the figures of one run in a folder, and keeps them in order."""
 
     job: Job
     folder: Path
@@ -48,17 +42,14 @@ class RunFigures:
         tuned_friction_Ns_per_m: float = math.nan,
         is_alone: bool = False,
     ) -> None:
-        """Draw a chart.
+        """Draw a chart; its title says what is shown, this adds of which figure and run.
 
         Args:
-            chart: With what it shows as its title.
+            chart: The chart.
             kind: Ending of the file's name.
-            panel: Figure of the paper to which it is the counterpart, and letter of the panel.
-            alt: What it shows, for those who cannot see it.
-            caption: What is plotted, and how to read it.
-            facts: Numbers to stand below.
-            tuned_friction_Ns_per_m: See `Drawing`.
+            panel: Figure of the paper, and letter of the panel; empty for none.
             is_alone: Whether it takes the whole width of the page.
+            alt, caption, facts, tuned_friction_Ns_per_m: See `Drawing`.
 
         Raises:
             FiguresError: It cannot be drawn or saved.

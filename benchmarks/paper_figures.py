@@ -31,6 +31,16 @@ class PaperFigure:
         kind = "Table" if self.number == TABLE_ONE else "Figure"
         return f"{kind} {self.number}: {self.title}"
 
+    @property
+    def anchor(self) -> str:
+        """Of its section within the page."""
+        return f"table-{self.number}" if self.number == TABLE_ONE else f"figure-{self.number}"
+
+    @property
+    def command(self) -> str:
+        """Draws all of it."""
+        return f"python -m benchmarks run {' '.join(self.scenarios)} --report DIR"
+
 
 OFFLINE_PANELS = {
     "gel-70-constant": ("2", "a"),

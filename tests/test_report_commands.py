@@ -3,7 +3,6 @@
 import numpy as np
 import pytest
 from chromium import PHONE, logged, measured, needs_chromium
-from needleforce.plots.errors import WriteError
 from residual_command_log import insertion
 
 import needleforce.cli.force as residual_command
@@ -11,7 +10,8 @@ import needleforce.cli.identify as identification_command
 from groundtruth import insert_needle
 from identification import MULTILAYER, PUBLISHED
 from needleforce.cli.identify_report import IdentificationResult, LogClock, identification_chart
-from needleforce.plots.page import report_folder, settings_table
+from needleforce.plots import folder_if_filled, settings_table
+from needleforce.plots.chart import WriteError
 from recordings import write_table
 from residual import DEFAULT as SENSOR
 
@@ -161,7 +161,7 @@ def test_settings_are_told_with_those_within():
 def test_a_folder_that_cannot_be_made_is_told_before_the_work(tmp_path, capsys):
     (tmp_path / "file").write_text("")
     with pytest.raises(WriteError, match="cannot write to"):
-        report_folder(tmp_path / "file" / "report")
+        folder_if_filled(tmp_path / "file" / "report").__enter__()
     for command in (residual_command, identification_command):
         assert command.main(["no.csv", "--report", str(tmp_path / "file" / "report")]) == 2
         assert capsys.readouterr().err.startswith("error: cannot write to")

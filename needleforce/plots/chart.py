@@ -165,24 +165,25 @@ class Chart:
         return replace(self, panels=panels, x_limits=(first, last))
 
 
-MOST_OF = 99.8
-"""Per cent of each curve that its panel shows."""
+MOST_OF, MOST_OF_BAND = 99.8, 95.0
+"""Per cent of each curve, and of the edges of its band, that its panel shows."""
 MARGIN = 0.06
 
 
 def limits_of(curves: Sequence[Curve], x_limits: Span | None) -> Span:
-    """Lower and upper limit: zero, and `MOST_OF` every curve with its band."""
+    """Lower and upper limit: zero, and most of every curve and its band."""
     edges = [0.0]
     for curve in curves:
         seen = np.isfinite(curve.y) & _inside(curve.x, x_limits)
         if not seen.any():
             continue
         y = curve.y[seen]
-        band = np.zeros_like(y) if curve.std is None else 2.0 * curve.std[seen]
-        band[~np.isfinite(band)] = 0.0
-        edges.append(float(np.percentile(y - band, 100.0 - MOST_OF)))
-        edges.append(float(np.percentile(y + band, MOST_OF)))
-    low, high = min(edges), max(edges)
+        edges += [*np.percentile(y, (100.0 - MOST_OF, MOST_OF))]
+        if curve.std is not None:
+            band = np.nan_to_num(2.0 * curve.std[seen], posinf=0.0)
+            edges.append(np.percentile(y - band, 100.0 - MOST_OF_BAND))
+            edges.append(np.percentile(y + band, MOST_OF_BAND))
+    low, high = float(min(edges)), float(max(edges))
     margin = MARGIN * (high - low) or 1.0
     return low - margin, high + margin
 
@@ -217,7 +218,7 @@ BAND_OPACITY, AREA_POINTS = 0.2, 1000
 LETTERS = 54
 """Of a legend's row, and of a title's line, at the usual width."""
 LEGEND_ROW_IN = 0.17
-CUT_PLACES = 70
+CUT_PLACES = 40
 """Marks of cut curves along an edge at most."""
 _NOT_TEXT = re.compile("[\x00-\x09\x0b-\x1f\x7f-\x9f\ud800-\udfff\ufffe\uffff]")
 

@@ -7,7 +7,7 @@ from contextlib import contextmanager, suppress
 from dataclasses import dataclass, fields, is_dataclass, replace
 from importlib.resources import files
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 from needleforce.plots.chart import (
     WIDE_IN,
@@ -70,8 +70,7 @@ class PageTable:
                 )
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
-class Attachment:
+class Attachment(NamedTuple):
     """A file that is kept inside the page and can be saved from it."""
 
     name: str
