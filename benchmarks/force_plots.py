@@ -48,8 +48,11 @@ class RunFigures:
             chart: The chart.
             kind: Ending of the file's name.
             panel: Figure of the paper, and letter of the panel; empty for none.
+            alt: As in `Drawing`.
+            caption: As in `Drawing`.
+            facts: As in `Drawing`.
+            tuned_friction_Ns_per_m: As in `Drawing`.
             is_alone: Whether it takes the whole width of the page.
-            alt, caption, facts, tuned_friction_Ns_per_m: See `Drawing`.
 
         Raises:
             FiguresError: It cannot be drawn or saved.

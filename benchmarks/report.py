@@ -44,7 +44,7 @@ Array = NDArray[np.float64]
 
 
 class Estimate(NamedTuple):
-    """Which friction of a gel; ``tuned`` is the published one online, with its authors' settings."""
+    """Which friction of a gel; ``tuned``: published, online, with the settings of its authors."""
 
     kind: str
     source: str = "ft"
@@ -347,7 +347,8 @@ def write_report(folder: Path, rows: Sequence[Row], drawings: Sequence[Drawing])
 
 
 def _friction_drawing(folder: Path, gels: GelFriction) -> Drawing:
-    title = f"Figure {FRICTION_FIGURE}: cumulative friction of the gels\n{gels.plant} plant"
+    run = "needle without an arm" if gels.plant == "needle" else f"{gels.plant} plant"
+    title = f"Figure {FRICTION_FIGURE}: cumulative friction of the gels\n{run}"
     shown = save_page_figure(
         friction_chart(title, gels),
         folder / f"figure-{FRICTION_FIGURE}-{gels.plant}.svg",

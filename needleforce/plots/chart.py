@@ -301,7 +301,7 @@ def _line(style: LineStyle) -> dict[str, Any]:
     if not style.marker:
         return line | {"linestyle": style.dash, "linewidth": style.width_pt}
     more = {"markersize": style.size_pt, "markeredgewidth": style.width_pt}
-    return line | {"linestyle": "none", "marker": style.marker, "markerfacecolor": "none"} | more
+    return line | {"linestyle": "none", "marker": style.marker} | more
 
 
 def _mark_what_is_cut(
