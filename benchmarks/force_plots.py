@@ -180,12 +180,11 @@ def force_figures(
 ) -> tuple[Drawing, ...]:
     """Force and error over time, and over depth where the paper shows it so."""
     figures, panels = RunFigures(job, folder), FORCE_PANELS.get(job.benchmark, ())
-    names = " and ".join(name for key, (name, _) in STYLES.items() if key in _keys(readings))
     figures.add(
         force_chart("axial force over time", truth, readings),
         "force-time",
         panel=("5", panels[0]) if panels else ("", ""),
-        alt=f"Axial force over time by {names}, with the true force; below, the errors",
+        alt="Axial force over time by every sensor, with the true force; below, the errors",
         caption="Axial force [N] over time [s]; below, its error against the true force [N], with "
         "the band of two standard deviations that our sensor states. Triangles mark where a curve "
         "leaves its panel. RMSE from first contact to the end of the withdrawal.",
@@ -197,19 +196,15 @@ def force_figures(
             force_chart("axial force over depth", truth, readings, "depth"),
             "force-depth",
             panel=("5", panels[1]),
-            alt=f"Axial force over depth by {names}, with the true force; below, the errors",
+            alt="Axial force over depth by every sensor, with the true force; below, the errors",
             caption="The same over depth [mm]. The upper branch is the insertion, the lower one "
             "the withdrawal, where friction holds the needle back.",
         )
     return tuple(figures.saved)
 
 
-def _keys(readings: Sequence[ForceReading]) -> dict[tuple[str, str], ForceReading]:
-    return {(item.source, item.method): item for item in readings}
-
-
 def _facts(scenario: str, truth: ForceTruth, readings: Sequence[ForceReading]) -> tuple[Fact, ...]:
-    by_key = _keys(readings)
+    by_key = {(item.source, item.method): item for item in readings}
     if len(by_key) < len(STYLES):
         return ()
     ft, ours, published = (by_key[key] for key in STYLES)

@@ -1,7 +1,7 @@
 """Which figures of the identification a run gives, and the numbers beside them."""
 
 import math
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import replace
 from pathlib import Path
 
@@ -192,27 +192,26 @@ def _facts(figure: str, truth: InsertionTruth, compared: Compared) -> tuple[Fact
         "ours, one setting, here": compared.ours,
     }
     _, steps = true_friction(truth)["cumulative_friction_Ns_per_m"]
-    ruptures, friction, remaining = [], [], []
-    for head, item in methods.items():
-        ruptures.append((head, _ruptures(item, truth)))
-        friction.append((head, f"{cumulative_friction_Ns_per_m(item.alarms):.0f}"))
-        remaining_pct = enhanced_metrics(item, truth).get("exit_residue_pct", math.nan)
-        remaining.append((head, f"{remaining_pct:.1f}"))
+
+    def fact(what: str, paper: str, of: Callable[[Identified], str]) -> Fact:
+        here = tuple((head, of(item)) for head, item in methods.items())
+        return Fact(what=what, paper=paper, here=here)
+
     return (
-        Fact(
-            what=f"ruptures detected (true: {len(truth.ruptures)})",
-            paper=RUPTURES_IN_PAPER[figure],
-            here=tuple(ruptures),
+        fact(
+            f"ruptures detected (true: {len(truth.ruptures)})",
+            RUPTURES_IN_PAPER[figure],
+            lambda item: _ruptures(item, truth),
         ),
-        Fact(
-            what=f"cumulative friction in the end (true: {steps[-1]:.0f}) [Ns/m]",
-            paper=FRICTION_IN_PAPER.get(figure, "not stated"),
-            here=tuple(friction),
+        fact(
+            f"cumulative friction in the end (true: {steps[-1]:.0f}) [Ns/m]",
+            FRICTION_IN_PAPER.get(figure, "not stated"),
+            lambda item: f"{cumulative_friction_Ns_per_m(item.alarms):.0f}",
         ),
-        Fact(
-            what="remaining force after the last rupture [% of the axial force]",
-            paper=REMAINING_IN_PAPER[figure],
-            here=tuple(remaining),
+        fact(
+            "remaining force after the last rupture [% of the axial force]",
+            REMAINING_IN_PAPER[figure],
+            lambda item: f"{enhanced_metrics(item, truth).get('exit_residue_pct', math.nan):.1f}",
         ),
     )
 

@@ -1,5 +1,6 @@
 """The page: everything inside, nothing from outside, nothing taken for markup; in a browser."""
 
+from dataclasses import dataclass, field
 from html.parser import HTMLParser
 
 import numpy as np
@@ -15,9 +16,11 @@ from needleforce.plots import (
     PageTable,
     Panel,
     Section,
+    folder_if_filled,
     palette,
     save_figure,
     save_page_figure,
+    settings_table,
     write_page,
 )
 from needleforce.plots.chart import ChartError, WriteError
@@ -76,43 +79,33 @@ def page(tmp_path):
     return Page(title="A & B", lead=("Lead.",), sections=sections)
 
 
-def test_every_element_is_closed_and_everything_is_there(page):
+def test_everything_is_there_and_nothing_comes_from_outside(page):
     elements = Elements(page.html())
-    assert elements.open == []
-    assert len(elements.of("section")) == 3
+    assert elements.open == [], "every element is closed"
+    assert len(elements.of("section")) == len(elements.of("table")) == 3
     assert len(elements.of("figure")) == len(elements.of("img")) == 6
-    assert len(elements.of("table")) == 3
     assert elements.of("html") == [{"lang": "en"}]
     assert any(item.get("name") == "viewport" for item in elements.of("meta"))
-
-
-def test_nothing_comes_from_outside(page):
-    elements = Elements(page.html())
-    places = [
-        value
-        for _, found in elements.found
-        for name, value in found.items()
-        if name in ("src", "srcset", "href")
-    ]
-    assert len(places) == 6 + 6 + 3 + 3 + 1
-    assert all(place.startswith(("data:", "#")) for place in places)
+    names = ("src", "srcset", "href")
+    found = [item for _, items in elements.found for item in items.items() if item[0] in names]
+    assert len(found) == 6 + 6 + 3 + 3 + 1
+    assert all(place.startswith(("data:", "#")) for _, place in found)
     assert "url(" not in page.html()
     assert "@import" not in page.html()
     assert elements.of("script") == []
     policy = next(item["content"] for item in elements.of("meta") if "http-equiv" in item)
     assert policy.startswith("default-src 'none'")
+    boxes = [item for item in elements.of("div") if item.get("class") == "scroll"]
+    assert len(boxes) == 3
+    assert all(box["tabindex"] == "0" and box["aria-label"] for box in boxes), "keys reach them"
 
 
-def test_links_within_the_page_lead_somewhere(page):
+def test_links_within_the_page_lead_somewhere_and_a_short_page_needs_none(page):
     elements = Elements(page.html())
     anchors = {item["id"] for item in elements.of("section")}
     links = [item["href"][1:] for item in elements.of("a") if item["href"].startswith("#")]
     assert set(links) == anchors
-
-
-def test_a_short_page_needs_no_contents(page):
-    short = Page(title="a", sections=page.sections[:2])
-    assert Elements(short.html()).of("nav") == []
+    assert Elements(Page(title="a", sections=page.sections[:2]).html()).of("nav") == []
 
 
 def test_text_is_never_taken_for_markup(page):
@@ -126,12 +119,6 @@ def test_text_is_never_taken_for_markup(page):
     assert "From <code>a</code><br>and b" in html
 
 
-def test_wide_tables_scroll_in_a_box_that_keys_can_reach(page):
-    boxes = [item for item in Elements(page.html()).of("div") if item.get("class") == "scroll"]
-    assert len(boxes) == 3
-    assert all(box["tabindex"] == "0" and box["aria-label"] for box in boxes)
-
-
 def test_a_page_is_written_also_about_a_file_whose_name_is_not_utf_8(page, tmp_path):
     path = write_page(tmp_path / "index.html", page)
     assert path.read_text(encoding="utf-8") == page.html()
@@ -139,17 +126,50 @@ def test_a_page_is_written_also_about_a_file_whose_name_is_not_utf_8(page, tmp_p
     assert r"<h1>Forces from a\udcff.csv</h1>" in path.read_text(encoding="utf-8")
 
 
-def test_what_cannot_be_written_or_read_is_said(page, tmp_path):
+def test_what_cannot_be_written_or_read_or_is_ragged_is_refused(page, tmp_path):
     with pytest.raises(WriteError, match="cannot write"):
         write_page(tmp_path / "none" / "index.html", page)
+    with pytest.raises(ChartError, match="a row of 1 cells under 2 heads"):
+        PageTable(caption="a", head=("b", "c"), rows=(("d",),))
     lost = PageFigure(path=tmp_path / "lost.svg", alt="a", caption="b")
     with pytest.raises(WriteError, match="cannot read"):
         Page(title="a", sections=(Section(heading="a", anchor="a", figures=(lost,)),)).html()
 
 
-def test_a_ragged_table_is_refused():
-    with pytest.raises(ChartError, match="a row of 1 cells under 2 heads"):
-        PageTable(caption="a", head=("b", "c"), rows=(("d",),))
+@dataclass
+class Inner:
+    gain: float = 1234567.0
+    names: tuple = ("a", 2.5)
+
+
+@dataclass
+class Outer:
+    inner: Inner = field(default_factory=Inner)
+    friction: None = None
+    empty: tuple = ()
+
+
+def test_settings_are_listed_with_those_within():
+    table = settings_table(Outer(), "Sensor")
+    assert dict(table.rows) == {
+        "`inner.gain`": "1.23457e+06",
+        "`inner.names`": "a, 2.5",
+        "`friction`": "none",
+        "`empty`": "none",
+    }
+
+
+def test_a_folder_is_made_before_the_work_and_removed_if_nothing_was_put_in(tmp_path):
+    with folder_if_filled(tmp_path / "a" / "b") as folder:
+        assert folder.is_dir()
+    assert not (tmp_path / "a").exists()
+    with folder_if_filled(tmp_path / "a" / "b") as folder:
+        (folder / "page").touch()
+    assert (tmp_path / "a" / "b" / "page").exists()
+    with pytest.raises(WriteError, match="cannot write to"), folder_if_filled(folder / "page"):
+        pytest.fail("the work has begun")
+    with folder_if_filled(None) as folder:
+        assert folder is None
 
 
 @pytest.fixture(scope="module")

@@ -109,27 +109,23 @@ def test_all_runs_give_all_figures_and_nothing_is_missing(dot, tmp_path):
     assert "534 ± 56" in page
 
 
-def test_a_figure_without_its_run_is_told_with_the_command_that_draws_it(dot):
-    sections = paper_sections([drawing(dot, "11")], [])
-    assert [section.anchor for section in sections] == ["figure-11"]
+def test_what_is_missing_stands_there_with_the_command_that_draws_it(dot):
+    sections = paper_sections([drawing(dot, "11"), drawing(dot, "5")], [])
+    half, whole = sections
+    assert [section.anchor for section in sections] == ["figure-5", "figure-11"]
+    assert "stack-glove-constant" in half.notices[0]
+    command = "python -m benchmarks run gel-70-constant stack-glove-constant --report DIR"
+    assert (half.command, whole.command) == (command, "")
     missing = missing_section(sections)
     assert missing is not None
     (table,) = missing.tables
-    told = {row[0].split(":")[0]: row[1] for row in table.rows}
-    assert told["Figure 13"] == "`python -m benchmarks run liver-constant --report DIR`"
-    assert "Figure 11" not in told
-    assert len(told) == len(NUMBERS) - 1
+    commands = {row[0].split(":")[0]: row[1] for row in table.rows}
+    assert commands["Figure 13"] == "`python -m benchmarks run liver-constant --report DIR`"
+    assert "Figure 11" not in commands
+    assert len(commands) == len(NUMBERS) - 2
 
 
-def test_half_a_figure_says_which_half_is_missing(dot):
-    (section,) = paper_sections([drawing(dot, "5")], [])
-    assert "stack-glove-constant" in section.notices[0]
-    assert section.command == (
-        "python -m benchmarks run gel-70-constant stack-glove-constant --report DIR"
-    )
-
-
-def test_a_figure_shows_one_arm_and_the_others_are_further_runs(dot, tmp_path):
+def test_a_figure_shows_one_plant_in_order_and_says_where_it_comes_from(dot, tmp_path):
     other = tmp_path / "other.svg"
     other.write_bytes(DOT)
     both = [drawing(other, "8", plant="degraded"), drawing(dot, "8", plant="clean")]
@@ -137,21 +133,15 @@ def test_a_figure_shows_one_arm_and_the_others_are_further_runs(dot, tmp_path):
     assert [item.plant for item in chosen(both[:1], "8")] == ["degraded"]
     (further,) = further_sections(both)
     assert "degraded plant" in further.heading
-
-
-def test_panels_stand_in_their_order(dot):
     shuffled = [drawing(dot, "2", panel=panel) for panel in "cadb"]
     assert [item.panel for item in chosen(shuffled, "2")] == ["a", "b", "c", "d"]
-
-
-def test_every_figure_says_where_it_comes_from(dot):
     (section,) = paper_sections([drawing(dot, "9", "gel-70-sinusoidal")], [])
     assert section.figures[0].caption.endswith("From `gel-70-sinusoidal`, clean plant, seed 0.")
     assert drawing(dot, plant="needle").provenance.endswith("needle without an arm, seed 0")
     assert drawing(dot, plant="recording").provenance.endswith("recording 0")
 
 
-def test_table_one_has_the_papers_figures_beside_ours(dot):
+def test_table_one_has_the_papers_numbers_beside_ours(dot):
     tuned = [
         drawing(dot, scenario=name, tuned_friction_Ns_per_m=99.0)
         for name in ("gel-25-constant", "gel-25-sinusoidal")

@@ -102,7 +102,6 @@ class Panel:
     curves: tuple[Curve, ...]
     limits: Span | None = None
     height: float = 1.0
-    has_zero_line: bool = True
 
 
 class Shading(NamedTuple):
@@ -272,8 +271,7 @@ def _draw_marks(axes: "Axes", chart: Chart) -> None:
 
 def _draw_panel(axes: "Axes", panel: Panel, x_limits: Span | None) -> None:
     limits = panel.limits or limits_of(panel.curves, x_limits)
-    if panel.has_zero_line:
-        axes.axhline(0.0, color="#555555", linewidth=0.6)
+    axes.axhline(0.0, color="#555555", linewidth=0.6)
     for curve in panel.curves:
         _draw_curve(axes, curve, x_limits)
     axes.set_ylabel(panel.y_label)
