@@ -86,7 +86,7 @@ REMAINING_IN_PAPER = {
 
 _ENHANCED = (
     "Nothing is subtracted before the first rupture. Ticks on the lower edge mark detected "
-    "ruptures, circles where friction was identified and from where on it is subtracted (ours "
+    "ruptures, dots where friction was identified and from where on it is subtracted (ours "
     "gives a provisional, then a final estimate); grey bands are the true ruptures. After a "
     "rupture the enhanced force should follow the dotted true one: the force without the friction "
     "of the layers already traversed."

@@ -46,7 +46,7 @@ TIP = LineStyle(color=PURPLE, dash=DASH_DOTTED, width_pt=1.0)
 UNTARED = LineStyle(color=GREY, width_pt=1.0)
 
 RUPTURE = LineStyle(color=BLACK, marker="|", width_pt=1.6, size_pt=13.0)
-COMPENSATION = replace(RUPTURE, marker="o", width_pt=0.9, size_pt=4.0)
+COMPENSATION = replace(RUPTURE, marker="o", width_pt=0.5, size_pt=3.0)
 REJECTED = LineStyle(color="#c0392b", marker="|", width_pt=1.0, size_pt=7.0)
 TRUE_RUPTURE = "#d2d2d2"
 """Shade of the time in which a layer ruptures, in the ground truth."""
