@@ -12,11 +12,11 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from residual_command_log import insertion
 
-from recordings import FormatError, RecordingError, read_table, write_table
-from recordings.bag_storage.files import bag_files
+from needleforce.recordings import FormatError, RecordingError, read_table, write_table
+from needleforce.recordings.bag_storage import bag_files
 from recordings.bag_storage.mcap_compression import decompressed
-from recordings.bag_storage.messages import bag_messages
-from recordings.tables.labels import Labels
+from needleforce.recordings.bag_storage import bag_messages
+from needleforce.recordings.table import Labels
 from residual.__main__ import main as estimate
 
 COUNT = 6000

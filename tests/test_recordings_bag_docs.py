@@ -9,12 +9,12 @@ import numpy as np
 import pytest
 from page_sessions import session_failures
 
-import recordings
+from needleforce import recordings
 from groundtruth.arguments import build_parser as groundtruth_parser
 from identification.command.arguments import build_parser as identification_parser
 from recordings.bags.layout import bag_layout
-from recordings.columns.mapping_file import load_mapping
-from recordings.tables.labels import Labels
+from needleforce.recordings.mapping import load_mapping
+from needleforce.recordings.table import Labels
 from residual.command.arguments import build_parser as residual_parser
 from residual.command.payload_file import payload_from_arguments
 

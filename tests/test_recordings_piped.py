@@ -10,11 +10,11 @@ import numpy as np
 import pytest
 
 from identification import __main__ as command
-from recordings import FileAccessError, read_log, write_table
-from recordings.log_stream import LogStream
-from recordings.sources.byte_source import Patience
-from recordings.sources.piped_binary import peek, spooled
-from recordings.table_stream import stream_tables
+from needleforce.recordings import FileAccessError, read_log, write_table
+from needleforce.recordings.log import LogStream
+from needleforce.recordings.follow import FollowOptions
+from needleforce.recordings.follow import peek, spooled
+from needleforce.recordings.open_recording import stream_tables
 
 ROWS = np.arange(5000)
 COLUMNS = {"t_s": ROWS / 1000, "depth_m": 1e-6 * ROWS, "force_N": 1e-3 * ROWS**0.5}
@@ -31,7 +31,7 @@ def piped(data, path, size, should_stop=lambda: False):
 
     writer, told = threading.Thread(target=write), []
     writer.start()
-    patience = Patience(warn=told.append, should_stop=should_stop)
+    patience = FollowOptions(warn=told.append, should_stop=should_stop)
     chunks = list(LogStream(stream_tables(path, patience), required=["depth", "force"]))
     writer.join()
     t_s = np.concatenate([chunk.t_s for chunk in chunks])

@@ -22,31 +22,19 @@ from needleforce.recordings.errors import (
 )
 from needleforce.recordings.follow import FollowOptions
 from needleforce.recordings.log import Log, LogStream
-from needleforce.recordings.mapping import (
-    ChannelRequest,
-    ColumnMapping,
-    ColumnSpec,
-    load_mapping,
-)
-from needleforce.recordings.open_recording import (
-    read_log,
-    read_table,
-    stream_tables,
-    suggest_mapping,
-)
-from needleforce.recordings.output import check_writable, open_table, write_log, write_table
-from needleforce.recordings.table import Labels, Table
+from needleforce.recordings.mapping import ColumnMapping, ColumnSpec, load_mapping
+from needleforce.recordings.open_recording import read_log, read_table, stream_tables
+from needleforce.recordings.output import check_writable, write_log, write_table
+from needleforce.recordings.table import Table
 
 __all__ = [
     "CHANNELS",
-    "ChannelRequest",
     "ColumnError",
     "ColumnMapping",
     "ColumnSpec",
     "FileAccessError",
     "FollowOptions",
     "FormatError",
-    "Labels",
     "Log",
     "LogError",
     "LogStream",
@@ -55,11 +43,9 @@ __all__ = [
     "Table",
     "check_writable",
     "load_mapping",
-    "open_table",
     "read_log",
     "read_table",
     "stream_tables",
-    "suggest_mapping",
     "write_log",
     "write_table",
 ]

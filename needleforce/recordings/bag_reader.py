@@ -26,6 +26,7 @@ from needleforce.recordings.errors import (
     MAX_BYTES,
     ColumnError,
     FormatError,
+    optional_library,
     require_size,
 )
 from needleforce.recordings.follow import FollowOptions
@@ -159,6 +160,7 @@ def bag_info(path: Path, max_bytes: int = MAX_BYTES) -> BagInfo:
         FileAccessError: it cannot be read, or rosbags is not installed.
         FormatError: it is not a bag, or holds no messages.
     """
+    optional_library("rosbags.typesys", "ROS 2 bags")
     files = bag_files(path)
     topics: dict[str, TopicInfo] = {}
     faults: list[str] = []

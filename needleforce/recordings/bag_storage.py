@@ -266,7 +266,7 @@ def _plain(path: Path, faults: list[str], max_bytes: int) -> Iterator[Path]:
 
 
 _ZSTD_MAGIC = b"\x28\xb5\x2f\xfd"
-_MAGIC = b"\x89MCAP0\r\n"
+MAGIC = b"\x89MCAP0\r\n"
 _FOOTER, _MESSAGE, _CHUNK, _DATA_END, _LAST = 0x02, 0x05, 0x06, 0x0F, 0x0F
 _PRIVATE = 0x80
 """Records from here on are a recorder's own."""
@@ -365,11 +365,11 @@ class _McapReader:
                 yield 0, b"", True
                 continue
             held += block
-            if not is_ours and len(held) >= len(_MAGIC):
-                is_ours = held.startswith(_MAGIC)
+            if not is_ours and len(held) >= len(MAGIC):
+                is_ours = held.startswith(MAGIC)
                 if not is_ours:
                     break
-                at = len(_MAGIC)
+                at = len(MAGIC)
                 del held[:at]
             while is_ours and len(held) >= _HEAD.size:
                 opcode, size = _HEAD.unpack_from(held)
