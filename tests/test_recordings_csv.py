@@ -154,6 +154,16 @@ def test_what_cannot_be_read_is_refused_with_file_and_reason(read, text, message
     assert "log.csv" in str(caught.value)
 
 
+@pytest.mark.parametrize("tail", ["", "2,3"])
+def test_nul_bytes_at_the_end_cost_the_line_before_them_only(read, tail):
+    table = read(f"t,f\n0,1\n1,2\n{tail}".encode() + bytes(300_000))
+    assert values(table) == {"t": [0.0, 1.0], "f": [1.0, 2.0]}
+    assert table.warnings == (
+        "the file ends in 300000 NUL bytes, as power loss may leave them; what follows line 3 is "
+        "lost",
+    )
+
+
 def test_a_file_that_is_not_there_is_told(tmp_path):
     with pytest.raises(FileAccessError, match=r"cannot read .*No such file"):
         read_table(tmp_path / "none.csv")

@@ -331,7 +331,7 @@ class _McapReader:
         """
         library = optional_library("mcap.reader", "MCAP files")
         try:
-            reader = library.make_reader(stream, record_size_limit=min(size, self._limit))
+            reader = library.SeekingReader(stream, record_size_limit=min(size, self._limit))
             summary = reader.get_summary()
         except Exception:
             # A cut file: whatever stands at its end is no summary.

@@ -53,7 +53,10 @@ def _types_of(kind: str, definition: str, is_idl: bool) -> Any:
     if definition and len(definition) <= _LONGEST_DEFINITION:
         try:
             if is_idl:
-                found = dict(library.get_types_from_idl(definition))
+                # Several files may follow each other, each below a line with its name.
+                found = {}
+                for part in re.split(r"=+\nIDL: .*\n", definition):
+                    found |= library.get_types_from_idl(part) if part.strip() else {}
             else:
                 found = dict(library.get_types_from_msg(definition, kind))
             _require_plain(found)

@@ -30,6 +30,8 @@ HEAD_ROWS = 200
 """So many rows decide which columns a stream has; they come in one table, however they arrive."""
 
 _LONGEST_LINE = 1 << 24  # characters
+_ROW_BYTES = 100
+"""What Python adds to the text of a row."""
 _DELIMITERS = (",", ";", "\t")
 _COMMENT = "#"
 _START = re.compile(rf"{_COMMENT}\s*{START_KEY}\s*=\s*(-?\d{{1,19}})\s*$")
@@ -446,7 +448,8 @@ def csv_tables(
             rows.add(batch)
             if head_rows is not None and len(rows.rows) >= (1 if columns else head_rows):
                 yield table()
-            require_size(lines.size - read_until, max_bytes, "its text")
+            waiting = lines.size - read_until + _ROW_BYTES * len(rows.rows)
+            require_size(waiting, max_bytes, "its text")
         if is_stopped():
             lines.forgive_end()
         rows.end(lines.tail, is_growing=is_growing)

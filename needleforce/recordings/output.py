@@ -136,7 +136,8 @@ def open_table(
 def _open_file(path: Path, labels: Callable[[], Labels], is_live: bool) -> Iterator[OpenTable]:
     writer = _find_writer(path)
     # A pipe cannot be replaced by a file: whoever reads it waits for its bytes.
-    is_direct = path.is_fifo()
+    with file_errors(path, "write"):
+        is_direct = path.is_fifo()
     grows = is_direct or (is_live and path.name.lower().endswith(_GROWS))
     part = path if grows else path.with_name(f".{path.name}.{os.getpid()}.part")
     streams: list[BinaryIO] = []
