@@ -202,13 +202,7 @@ class TopicDecoder:
         except Exception as error:
             # Damaged bytes end in whatever the generated code runs into.
             raise FormatError(f"does not fit its type {self._kind}") from error
-        names: tuple[str, ...] = ()
-        if self._names is not None:
-            found = getattr(message, self._names)
-            names = tuple(found) if isinstance(found, list) else ()
-            # Empty or repeated names identify no joint: their order then has to.
-            if not all(map(str, names)) or len(set(names)) < len(names):
-                names = ()
+        names = self._names_in(message)
         values, named = {}, set()
         for column in self.columns:
             value = column.get(message)
@@ -223,6 +217,12 @@ class TopicDecoder:
             stamp = message.header.stamp
             stamp_ns = stamp.sec * NS_PER_S + stamp.nanosec
         return Content(stamp_ns, names, values, frozenset(named))
+
+    def _names_in(self, message: Any) -> tuple[str, ...]:
+        found = getattr(message, self._names) if self._names is not None else []
+        names = tuple(found) if isinstance(found, list) else ()
+        # Empty or repeated names identify no joint: their order then has to.
+        return names if all(names) and len(set(names)) == len(names) else ()
 
 
 def _is_vector(places: list[tuple[Path, Any]], components: tuple[str, ...]) -> bool:

@@ -83,10 +83,10 @@ def byte_blocks(
 def _blocks(handle: int, options: FollowOptions, path: Path | None) -> Iterator[bytes]:
     is_file = stat.S_ISREG(os.fstat(handle).st_mode)
     done, tail, last_s = 0, b"", time.monotonic()
+    follows = options.follow and is_file
     while not options.should_stop():
         if is_file or select.select([handle], [], [], _POLL_S)[0]:
-            if options.follow and is_file:
-                _require_unchanged(handle, path, done, tail)
+            _require_unchanged(handle, path, done, tail if follows else None)
             block = os.read(handle, BLOCK)
             if block:
                 done += len(block)
@@ -98,9 +98,7 @@ def _blocks(handle: int, options: FollowOptions, path: Path | None) -> Iterator[
                     time.sleep(_PAUSE_S)
                 continue
             # The writer of a pipe that has closed it will not come back.
-            if not (is_file and options.follow):
-                return
-            if _is_replaced(handle, path, time.monotonic() - last_s, options.warn):
+            if not follows or _is_replaced(handle, path, last_s, options.warn):
                 return
             yield b""
             time.sleep(_POLL_S)
@@ -108,8 +106,10 @@ def _blocks(handle: int, options: FollowOptions, path: Path | None) -> Iterator[
             return
 
 
-def _require_unchanged(handle: int, path: Path | None, done: int, tail: bytes) -> None:
+def _require_unchanged(handle: int, path: Path | None, done: int, tail: bytes | None) -> None:
     """Refuse a followed file that was truncated, also if it has grown again since."""
+    if tail is None:
+        return
     if os.fstat(handle).st_size < done:
         raise FileAccessError(f"{path} has become shorter while it was followed")
     if os.pread(handle, len(tail), done - len(tail)) != tail:
@@ -117,10 +117,10 @@ def _require_unchanged(handle: int, path: Path | None, done: int, tail: bytes) -
 
 
 def _is_replaced(
-    handle: int, path: Path | None, idle_s: float, warn: Callable[[str], None]
+    handle: int, path: Path | None, last_s: float, warn: Callable[[str], None]
 ) -> bool:
     """Return whether nothing will come of a followed file, because it is no more at its place."""
-    if path is None or idle_s < _GONE_S:
+    if path is None or time.monotonic() - last_s < _GONE_S:
         return False
     try:
         if os.path.samestat(path.stat(), os.fstat(handle)):
