@@ -6,7 +6,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from needleforce.recordings import Log, read_log, write_log, write_table
-from needleforce.recordings.timestamps import start_of_clock, to_nanoseconds, to_seconds
+from needleforce.recordings.table import start_of_clock, to_nanoseconds, to_seconds
 from needleforce.recordings.log import LogStream
 from needleforce.recordings.follow import FollowOptions
 from needleforce.recordings.open_recording import stream_tables

@@ -91,7 +91,7 @@ def test_a_message_that_unpacks_to_any_size_is_refused(tmp_path):
         read_table(path, max_bytes=SMALL)
 
 
-@pytest.mark.parametrize("line", [b"\n", b"1,2\n"])
+@pytest.mark.parametrize("line", [b"# note\n", b"1,2\n"])
 def test_compressed_text_is_read_up_to_the_limit(tmp_path, line):
     path = tmp_path / "x.csv.gz"
     path.write_bytes(gzip.compress(b"t,f\n0,1\n" + line * (BOMB // len(line) // 4)))

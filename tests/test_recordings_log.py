@@ -10,7 +10,7 @@ from hypothesis.extra import numpy as hnp
 
 from needleforce import recordings
 from needleforce.recordings import ColumnError, FormatError, Log, LogError, RecordingError, Table
-from needleforce.recordings.timestamps import RowClock
+from needleforce.recordings.table import RowClock
 
 T_S = np.arange(4) / 1000.0
 

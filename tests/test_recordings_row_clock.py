@@ -6,7 +6,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from needleforce.recordings import Log
-from needleforce.recordings.timestamps import RowClock
+from needleforce.recordings.table import RowClock
 
 T_S = np.arange(1000) / 1000
 

@@ -24,7 +24,7 @@ from needleforce.recordings.errors import (
     readable_path,
     require_size,
 )
-from needleforce.recordings.follow import BLOCK, FollowOptions, byte_blocks
+from needleforce.recordings.follow import BLOCK, FollowOptions, byte_blocks, unpacked
 
 BAG_SUFFIXES = (".mcap", ".db3")
 _FILES = (*BAG_SUFFIXES, *(f"{suffix}.zstd" for suffix in BAG_SUFFIXES))
@@ -35,21 +35,13 @@ _ALIAS = re.compile(r"(?m)(?:^|[\s\[{,:-])[&*][A-Za-z0-9_]")
 
 
 class BagTopic(NamedTuple):
-    """A topic of a bag.
-
-    Attributes:
-        name: such as `/joint_states`.
-        kind: its message type, such as `sensor_msgs/msg/JointState`.
-        encoding: how messages are serialised; `cdr` for ROS 2.
-        definition: the text of the type's definition if the bag holds it, else empty.
-        is_idl: whether that text is IDL rather than a `.msg` file.
-    """
+    """A topic of a bag, with the definition of its message type if the bag holds it."""
 
     name: str
-    kind: str
-    encoding: str
+    kind: str  # such as sensor_msgs/msg/JointState
+    encoding: str  # cdr for ROS 2
     definition: str = ""
-    is_idl: bool = False
+    is_idl: bool = False  # rather than a .msg file
 
 
 class RawMessage(NamedTuple):
@@ -66,16 +58,10 @@ NONE_YET = RawMessage(BagTopic("", "", ""), 0, b"")
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class BagFiles:
-    """A bag: one file, or a folder of files that follow each other.
-
-    Attributes:
-        paths: the files in order.
-        expected: how many messages the metadata speak of; None if there are none.
-        warnings: what is wrong with the folder.
-    """
+    """A bag: one file, or a folder of files that follow each other."""
 
     paths: tuple[Path, ...]
-    expected: int | None = None
+    expected: int | None = None  # messages, as the metadata say
     warnings: tuple[str, ...] = ()
 
 
@@ -85,10 +71,7 @@ def is_bag(path: Path) -> bool:
 
 
 def bag_files(path: Path) -> BagFiles:
-    """Find the files of a bag.
-
-    Args:
-        path: a `.mcap` or `.db3` file, or a folder of them with or without `metadata.yaml`.
+    """Find the files of a bag: a `.mcap` or `.db3` file, or those in a folder.
 
     Raises:
         FileAccessError: it cannot be read.
@@ -141,16 +124,13 @@ def _metadata(path: Path) -> tuple[dict[str, Any], tuple[str, ...]]:
 def bag_messages(
     files: BagFiles, faults: list[str], max_bytes: int, topics: Collection[str] | None = None
 ) -> Iterator[RawMessage]:
-    """Read messages in the order in which they were recorded.
+    """Read messages as they were recorded; of a damaged or cut MCAP file those that can be had.
 
     Args:
         files: the bag.
         faults: what is wrong with its files is appended here, one sentence each.
         max_bytes: a chunk or message may take an eighth of it when unpacked.
         topics: names of those to read; all if None.
-
-    Yields:
-        The messages; of a damaged or cut MCAP file those that can be had.
 
     Raises:
         FileAccessError: a file cannot be read, or a library is missing.
@@ -169,12 +149,10 @@ def bag_messages(
                 continue
             reader = _McapReader(found, limit)
             with plain.open("rb") as stream:
-                expected = reader.read_summary(stream, plain.stat().st_size)
+                reader.read_summary(stream, plain.stat().st_size)
                 stream.seek(0)
                 blocks = iter(lambda stream=stream: stream.read(BLOCK), b"")
                 yield from _with_data_unpacked(reader.messages(blocks, topics), found, limit)
-            if found and expected is not None and reader.count < expected:
-                found.append(f"has {reader.count} of {expected} messages left")
 
 
 def growing_messages(
@@ -184,13 +162,10 @@ def growing_messages(
     max_bytes: int,
     topics: Collection[str] | None = None,
 ) -> Iterator[RawMessage]:
-    """Read the messages of an MCAP file as a recorder writes them, until it finishes the file.
+    """Read an MCAP file as a recorder writes it, until it is finished, see `bag_messages`.
 
-    Arguments and errors are those of `bag_messages`; that the recorder was not done is no fault if
-    the user stops.
-
-    Yields:
-        The messages, and `NONE_YET` each time before more is waited for.
+    Yields `NONE_YET` each time before more is waited for. That the recorder was not done is no
+    fault if the user stops.
     """
     found: list[str] = []
     with _format_errors(path, found, faults):
@@ -222,7 +197,7 @@ def _with_data_unpacked(
         if not message.data.startswith(_ZSTD_MAGIC):
             yield message
             continue
-        data, is_whole = _unpacked(message.data, "zstd", limit)
+        data, is_whole = unpacked(message.data, "zstd", limit)
         require_size(len(data), limit, f"a message of {message.topic.name}")
         damaged += not is_whole
         if is_whole:
@@ -251,29 +226,6 @@ def _plain(path: Path, faults: list[str], max_bytes: int) -> Iterator[Path]:
         yield plain
 
 
-def _unpacked(packed: bytes, compression: str, size: int) -> tuple[bytes, bool]:
-    """Return what compressed bytes hold, little more than `size` bytes, and whether it is all."""
-    zstd = optional_library("zstandard", "bags compressed with zstd")
-    if compression == "zstd":
-        stream = zstd.ZstdDecompressor().stream_reader(packed)
-    elif compression == "lz4":
-        stream = optional_library("lz4.frame", "MCAP files with lz4 chunks").open(
-            io.BytesIO(packed)
-        )
-    else:
-        raise FormatError(f"has chunks compressed with {compression!r}; zstd and lz4 can be read")
-    parts: list[bytes] = []
-    total, is_whole = 0, True
-    try:
-        # In blocks: what precedes a damaged place is kept, and a bomb is left before it grows.
-        while total <= size and (part := stream.read(1 << 16)):
-            parts.append(part)
-            total += len(part)
-    except (zstd.ZstdError, RuntimeError, EOFError):
-        is_whole = False
-    return b"".join(parts), is_whole
-
-
 MAGIC = b"\x89MCAP0\r\n"
 _ZSTD_MAGIC = b"\x28\xb5\x2f\xfd"
 _SCHEMA, _CHANNEL, _MESSAGE, _CHUNK = 0x03, 0x04, 0x05, 0x06
@@ -290,10 +242,8 @@ _CUT_SHORT = "is cut short"
 class _McapReader:
     """Reads the messages of one MCAP file, as far as they can be read.
 
-    Args:
-        faults: what is wrong with the file is appended here, one phrase each.
-        limit: the most bytes of a record, and of what a chunk holds when unpacked.
-        is_growing: whether the file may end after any record without being cut.
+    A record, and what a chunk holds when unpacked, may have `limit` bytes. A file that is growing
+    may end after any record without being cut.
     """
 
     def __init__(self, faults: list[str], limit: int, *, is_growing: bool = False) -> None:
@@ -302,25 +252,16 @@ class _McapReader:
         self._schemas: dict[int, BagTopic] = {}
         self._topics: dict[int, BagTopic] = {}
         self._damaged = 0
-        self.count = 0
-        """Messages so far, of any topic."""
 
-    def read_summary(self, stream: io.BufferedReader, size: int) -> int | None:
-        """Learn types and topics from the end of the file; the chunk that held them may be damaged.
-
-        Returns:
-            How many messages the file should hold; None if it was not finished.
-        """
+    def read_summary(self, stream: io.BufferedReader, size: int) -> None:
+        """Learn topics from the end of the file; the chunk that held them may be damaged."""
         library = optional_library("mcap.reader", "MCAP files")
-        try:
+        # A file that was cut has no summary: whatever stands at its end is none.
+        with suppress(Exception):
             limit = min(size, self._limit)
             summary = library.SeekingReader(stream, record_size_limit=limit).get_summary()
-        except Exception:
-            # A cut file: whatever stands at its end is no summary.
-            return None
-        for record in (*summary.schemas.values(), *summary.channels.values()):
-            self._learn(record)
-        return summary.statistics.message_count if summary.statistics else None
+            for record in (*summary.schemas.values(), *summary.channels.values()):
+                self._learn(record)
 
     def messages(
         self, blocks: Iterable[bytes], topics: Collection[str] | None
@@ -408,7 +349,7 @@ class _McapReader:
         data, size = chunk.data, chunk.uncompressed_size
         require_size(size, self._limit, "holds a chunk that")
         if chunk.compression:
-            data = _unpacked(data, chunk.compression, size)[0][:size]
+            data = unpacked(data, chunk.compression, size)[0][:size]
         crc = chunk.uncompressed_crc
         if is_whole and crc and len(data) == size and crc32(data) != crc:
             self._faults.append("has a chunk whose checksum is wrong, which was left out")
@@ -433,7 +374,6 @@ class _McapReader:
         if topic is None or log_ns > _LATEST_NS:
             self._damaged += 1
             return None
-        self.count += 1
         return RawMessage(topic, log_ns, body[_MESSAGE_HEAD.size :])
 
     def _learn(self, record: Any) -> None:

@@ -25,8 +25,10 @@ from needleforce.recordings.table import (
     Labels,
     Table,
     flat_columns,
+    start_of_clock,
+    to_seconds,
+    whole_stamps,
 )
-from needleforce.recordings.timestamps import start_of_clock, to_seconds, whole_stamps
 
 _NUMBER_KINDS = "fiub"
 
