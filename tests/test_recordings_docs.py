@@ -1,4 +1,4 @@
-"""The pages on recordings and bags say what the code does: their examples run, their tables hold."""
+"""The pages on recordings and bags hold: their examples run, their tables are the code's."""
 
 import re
 from pathlib import Path
