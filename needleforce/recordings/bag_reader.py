@@ -3,6 +3,7 @@
 from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import dataclass, replace
 from pathlib import Path
+from typing import NamedTuple
 
 import numpy as np
 
@@ -50,11 +51,7 @@ class BagInfo:
     warnings: tuple[str, ...]
 
     def table(self) -> Table:
-        """Return all columns of the bag without rows, to look columns up by name.
-
-        Raises:
-            FormatError: no topic holds numbers that can be read.
-        """
+        """Return all columns of the bag without rows, to look columns up by name."""
         topics = self.topics.values()
         widths = {name: width for found in topics for name, width in found.columns.items()}
         if not widths:
@@ -75,12 +72,7 @@ class BagInfo:
 
 
 def bag_info(path: Path, max_bytes: int = MAX_BYTES) -> BagInfo:
-    """Go through a bag.
-
-    Raises:
-        FileAccessError: it cannot be read, or rosbags is not installed.
-        FormatError: it is not a bag, or holds no messages.
-    """
+    """Go through a bag; errors are those of `bag_tables`."""
     optional_library("rosbags.typesys", "ROS 2 bags")
     files = bag_files(path)
     topics: dict[str, TopicInfo] = {}
@@ -121,8 +113,7 @@ def _lost(files: BagFiles, topics: Mapping[str, TopicInfo], faults: list[str]) -
     return [f"{what}: {count} messages{span} could be read, {missing}"]
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
-class BagPlan:
+class BagPlan(NamedTuple):
     """What is read of a bag, and how its messages become rows."""
 
     columns: Mapping[str, frozenset[str]]  # by topic
@@ -132,11 +123,7 @@ class BagPlan:
 
 
 def plan_bag(info: BagInfo, request: ChannelRequest, needed: frozenset[str]) -> BagPlan:
-    """Decide how the needed columns are read.
-
-    Raises:
-        ColumnError: the reference topic or a joint of the mapping is not in the bag.
-    """
+    """Decide how the needed columns are read; `ColumnError` where the mapping does not fit."""
     topics = {
         name: frozenset(found.columns.keys() & needed)
         for name, found in info.topics.items()
@@ -329,25 +316,15 @@ def bag_tables(
     request: ChannelRequest | None = None,
     max_bytes: int = MAX_BYTES,
 ) -> Iterator[Table]:
-    """Read a ROS 2 bag in MCAP or SQLite files a number of rows at a time.
+    """Read a ROS 2 bag in tables of at most so many rows, all at once if None.
 
     The messages of one topic are the rows, those of others are interpolated to its time stamps.
     A cut or damaged MCAP file yields what can be read of it, and the warnings say what was lost.
-
-    Args:
-        path: see `bag_files`.
-        rows: the most rows of a table; None for all in one.
-        request: what to read; all topics with numbers if None.
-        max_bytes: the most memory that the bag may take if it is read into one table, and eight
-            times the most of one chunk or message.
-
-    Yields:
-        Tables of consecutive rows with equal columns, `t_s` among them. If a required channel is
-        missing, all columns, without rows.
+    If a required channel is missing, one table has all columns, without rows.
 
     Raises:
         FileAccessError: the bag cannot be read, or rosbags is not installed.
-        FormatError: it is not a bag, or holds no messages or no numbers.
+        FormatError: it is not a bag, or holds no messages or no numbers, or too much.
         ColumnError: a mapped channel was not found, or is ambiguous.
     """
     info = bag_info(path, max_bytes)
@@ -373,14 +350,10 @@ def growing_bag_tables(
     options: FollowOptions,
     max_bytes: int = MAX_BYTES,
 ) -> Iterator[Table]:
-    """Read an MCAP file as a recorder writes it, until it finishes the file.
+    """Read an MCAP file as a recorder writes it, until it finishes the file, see `bag_tables`.
 
     The file is read from its start twice: until it is clear which topics are read, and then on as
-    it grows. Arguments and errors are those of `bag_tables`.
-
-    Yields:
-        Tables of consecutive rows with equal columns, as soon as nothing that may still come can
-        change them; the last may have none, but warnings.
+    it grows. Rows come as soon as nothing that may still come can change them.
     """
     silent = replace(options, advance=lambda more: None)
     begun = _settled_plan(path, request, silent, max_bytes)

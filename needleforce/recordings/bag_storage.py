@@ -1,15 +1,10 @@
-"""The messages of a ROS 2 bag as bytes: its files, MCAP whole, cut or growing, and SQLite.
-
-MCAP is read from its start, without the index at its end, so that a file whose end is missing is
-read like any other. `mcap` parses the records, `rosbags` reads SQLite.
-"""
+"""The messages of a ROS 2 bag as bytes: `rosbags` reads SQLite, `mcap` parses MCAP records."""
 
 import io
 import re
 import tempfile
 from collections.abc import Collection, Iterable, Iterator
 from contextlib import contextmanager, suppress
-from dataclasses import dataclass
 from pathlib import Path
 from struct import Struct
 from typing import Any, NamedTuple
@@ -56,8 +51,7 @@ NONE_YET = RawMessage(BagTopic("", "", ""), 0, b"")
 """Stands in place of a message wherever a bag that still grows has been read as far as it goes."""
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
-class BagFiles:
+class BagFiles(NamedTuple):
     """A bag: one file, or a folder of files that follow each other."""
 
     paths: tuple[Path, ...]
@@ -71,12 +65,7 @@ def is_bag(path: Path) -> bool:
 
 
 def bag_files(path: Path) -> BagFiles:
-    """Find the files of a bag: a `.mcap` or `.db3` file, or those in a folder.
-
-    Raises:
-        FileAccessError: it cannot be read.
-        FormatError: the folder holds no such file.
-    """
+    """Find the files of a bag: a `.mcap` or `.db3` file, or those in a folder."""
     if not path.is_dir():
         return BagFiles(paths=(path,))
     found = _storage(path)
@@ -89,12 +78,8 @@ def bag_files(path: Path) -> BagFiles:
     paths = tuple(here[name] for name in dict.fromkeys(names) if name in here)
     if paths and (missing := [name for name in names if name not in here]):
         warnings += (f"files of the bag that are missing: {', '.join(missing)}",)
-    expected = metadata.get("message_count")
-    return BagFiles(
-        paths=paths or tuple(found),
-        expected=expected if isinstance(expected, int) else None,
-        warnings=warnings,
-    )
+    count = metadata.get("message_count")
+    return BagFiles(paths or tuple(found), count if isinstance(count, int) else None, warnings)
 
 
 def _storage(folder: Path) -> list[Path]:
@@ -126,11 +111,8 @@ def bag_messages(
 ) -> Iterator[RawMessage]:
     """Read messages as they were recorded; of a damaged or cut MCAP file those that can be had.
 
-    Args:
-        files: the bag.
-        faults: what is wrong with its files is appended here, one sentence each.
-        max_bytes: a chunk or message may take an eighth of it when unpacked.
-        topics: names of those to read; all if None.
+    What is wrong with the files is appended to `faults`, one sentence each. A chunk or message may
+    take an eighth of `max_bytes` when unpacked. Only some topics are read, all if None.
 
     Raises:
         FileAccessError: a file cannot be read, or a library is missing.
@@ -240,7 +222,7 @@ _CUT_SHORT = "is cut short"
 
 
 class _McapReader:
-    """Reads the messages of one MCAP file, as far as they can be read.
+    """Reads the messages of one MCAP file from its start as far as it goes; its end may miss.
 
     A record, and what a chunk holds when unpacked, may have `limit` bytes. A file that is growing
     may end after any record without being cut.

@@ -42,11 +42,7 @@ def standard_types() -> Any:
 
 @cache
 def _types_of(kind: str, definition: str, is_idl: bool) -> Any:
-    """Return a store with a type as the bag defines it, else as ROS does.
-
-    Raises:
-        FormatError: nothing is known of the type, or its definition is none.
-    """
+    """Return a store with a type as the bag defines it, else as ROS does."""
     standard = standard_types()
     library = optional_library("rosbags.typesys", "ROS 2 bags")
     unknown = FormatError(f"holds messages of the type {kind}, without its definition")
@@ -122,14 +118,11 @@ class Content(NamedTuple):
 
 
 class TopicDecoder:
-    """Decodes the messages of one topic.
+    """Decodes the messages of one topic; `FormatError` if its type is not known.
 
     A column is called by its topic and the fields that lead to it: `/joint_states/position`.
     Vectors are one column of several numbers: `/ft/wrench/force_xyz`. In a `...Stamped` message
     the one field beside the header goes unnamed, and so does `data`: `/depth_mm`.
-
-    Raises:
-        FormatError: the topic's type is not known, or it is no ROS 2 topic.
     """
 
     def __init__(self, topic: BagTopic) -> None:
@@ -176,11 +169,7 @@ class TopicDecoder:
             at += width or 1
 
     def decode(self, data: bytes) -> Content:
-        """Decode a message.
-
-        Raises:
-            FormatError: it does not fit its type, or is encoded in another way.
-        """
+        """Decode a message; `FormatError` if it does not fit its type."""
         try:
             message = self._types.deserialize_cdr(data, self._kind)
         except Exception as error:
@@ -286,15 +275,15 @@ class TopicRows(NamedTuple):
 class TopicReader:
     """Collects the messages of a topic.
 
-    Joints are put where their names say; a joint that a message lacks is NaN. The time stamp is
-    the header's; where there is none, or it was never set, the recorder's.
+    Joints are put where their names say; a joint that a message lacks is NaN. Messages that name
+    joints, but none of these, are left out. The time stamp is the header's; where there is none,
+    or it was never set, the recorder's.
 
     Args:
         topic: the topic.
         widths: the columns to read, with how many numbers they have; None for one.
         named: those of them whose elements have names.
-        joints: the order of joints in these; messages that name joints, but none of these, are
-            left out.
+        joints: the order of joints in these.
     """
 
     def __init__(

@@ -35,11 +35,7 @@ Make = Callable[[Any, int], Any]
 class OutTopic(NamedTuple):
     """A topic to write, one message for each row.
 
-    Attributes:
-        name: the topic.
-        kind: type of its messages.
-        columns: the columns that its messages hold.
-        make: makes a message of the values of these columns in one row and a stamp in ns.
+    `make` makes a message of the values of `columns` in one row and a time stamp in ns.
     """
 
     name: str
@@ -53,11 +49,7 @@ def bag_topics(columns: Columns, labels: Labels) -> list[OutTopic]:
 
     `q_rad`, `dq_rad_s` and `tau_Nm` become a `JointState`; `ft_force_N` with `ft_torque_Nm`, and
     `force_x_in_...`, `torque_x_in_...` and so on, become a `WrenchStamped`; every other column
-    becomes a `Float64` of its own.
-
-    Args:
-        columns: what is written; `t_s` becomes the time stamps.
-        labels: names of joints, frame and topics.
+    but `t_s` becomes a `Float64` of its own.
     """
     found = (_joint_states(columns, labels), _ft_wrench(columns), _wrench(columns, labels))
     topics = [topic for topic in found if topic is not None]
@@ -253,15 +245,7 @@ def _stamps(columns: Columns, start_ns: int) -> NDArray[np.int64]:
 
 
 class SqliteBagWriter(_BagWriter):
-    """Writes a folder with an SQLite file and its metadata.
-
-    Args:
-        folder: the bag's folder, which must not exist.
-        labels: names of joints, frame and topics, and the start of the clock.
-
-    Raises:
-        FileAccessError: rosbags is not installed.
-    """
+    """Writes a new folder with an SQLite file and its metadata."""
 
     def __init__(self, folder: Path, labels: Labels) -> None:
         super().__init__(labels)
@@ -285,17 +269,7 @@ class SqliteBagWriter(_BagWriter):
 
 
 class McapWriter(_BagWriter):
-    """Writes a bag as one MCAP file, which needs no folder: it holds the metadata itself.
-
-    Chunks are compressed and carry checksums.
-
-    Args:
-        stream: where the bytes go.
-        labels: names of joints, frame and topics, and the start of the clock.
-
-    Raises:
-        FileAccessError: rosbags or mcap is not installed.
-    """
+    """Writes a bag as one MCAP file; chunks are compressed and carry checksums."""
 
     def __init__(self, stream: BinaryIO, labels: Labels) -> None:
         super().__init__(labels)

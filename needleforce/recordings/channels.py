@@ -124,11 +124,7 @@ def find_unit(text: str, units: Units) -> str | None:
 
 
 def require_unit(text: str, units: Units, what: str) -> str:
-    """Return the key of `units` that a text spells.
-
-    Raises:
-        MappingError: it is not a unit of this quantity; `what` says whose unit it is.
-    """
+    """Return the key of `units` that a text spells; `MappingError` if it is none of them."""
     unit = find_unit(text, units)
     if unit is None:
         raise MappingError(f"unit {text!r} of {what} is not known; use one of: {', '.join(units)}")
@@ -191,12 +187,7 @@ def split_unit(name: str, units: Units) -> tuple[str, str | None]:
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class FoundColumn:
-    """One column of a table, or one of a table's two-dimensional columns.
-
-    Attributes:
-        name: its name in the file.
-        values: shape (n,) or (n, k), in the file's unit.
-    """
+    """A column in the file's unit, shape (n,) or (n, k), or one element of such a one."""
 
     name: str
     values: FloatArray

@@ -34,15 +34,13 @@ _NUMBER_KINDS = "fiub"
 
 
 def read_npz(path: Path, max_bytes: int = MAX_BYTES) -> Table:
-    """Read an npz archive.
+    """Read an npz archive: arrays of numbers become columns, single numbers constants.
 
-    Arrays of shape (n,) or (n, k) become columns, single numbers become constants. Arrays that
-    hold no numbers, or are damaged, are left out, with a warning.
+    Arrays that hold no numbers, or are damaged, are left out, with a warning.
 
     Raises:
         FileAccessError: the file cannot be read.
-        FormatError: it is not an npz archive, is cut short, holds no usable array, or its arrays
-            take more than `max_bytes`.
+        FormatError: it is no npz archive, is cut short, or holds no usable array, or too much.
     """
     with file_errors(path):
         try:
@@ -114,12 +112,7 @@ def _npy_size(stream: IO[bytes]) -> int:
 
 
 class NpzWriter:
-    """Collects rows in memory, since an archive cannot be appended to; writes it at the end.
-
-    Args:
-        stream: where the archive goes; must be able to seek.
-        labels: the start of the clock, unless it is zero, becomes a single number.
-    """
+    """Collects rows in memory, since an archive cannot be appended to; writes it at the end."""
 
     def __init__(self, stream: BinaryIO, labels: Labels) -> None:
         self._stream, self._start_ns = stream, labels.start_ns
@@ -148,23 +141,15 @@ class NpzWriter:
 def parquet_tables(
     path: Path, rows: int | None = None, max_bytes: int = MAX_BYTES
 ) -> Iterator[Table]:
-    """Read a Parquet file a number of rows at a time; the checksums of its pages are verified.
+    """Read a Parquet file in tables of at most so many rows, all at once if None.
 
     Columns of numbers, or of lists of equally many numbers, are taken; empty cells are NaN. Time
     stamps become seconds, without loss. Columns of anything else are left out, with a warning.
 
-    Args:
-        path: the file.
-        rows: the most rows of a table; None for all in one.
-        max_bytes: the most memory that a table, or a group of rows in the file, may take.
-
-    Yields:
-        Tables of consecutive rows with equal columns; the warnings stand in the first.
-
     Raises:
         FileAccessError: the file cannot be read, or pyarrow is not installed.
-        FormatError: it is not a Parquet file, is damaged or cut short, holds no numbers, or takes
-            too much memory.
+        FormatError: it is no Parquet file, is damaged or cut short, or holds no numbers, or too
+            much.
     """
     parquet = optional_library("pyarrow.parquet", "Parquet files")
     arrow = optional_library("pyarrow", "Parquet files")
@@ -280,15 +265,7 @@ class _ParquetColumn:
 
 
 class ParquetWriter:
-    """Writes each chunk as a row group; two-dimensional columns become numbered ones, as in CSV.
-
-    Args:
-        stream: where the bytes go.
-        labels: its `start_ns` goes into the file's metadata.
-
-    Raises:
-        FileAccessError: pyarrow is not installed.
-    """
+    """Writes each chunk as a row group; two-dimensional columns become numbered ones, as in CSV."""
 
     def __init__(self, stream: BinaryIO, labels: Labels) -> None:
         self._arrow = optional_library("pyarrow", "Parquet files")

@@ -312,10 +312,6 @@ def csv_tables(
     Yields:
         Tables of consecutive rows with equal columns; then one without rows, whose warnings
         report all that was wrong.
-
-    Raises:
-        FileAccessError: the source cannot be read.
-        FormatError: it is empty, has no header or no rows, or holds no numbers.
     """
     lines, rows = TextLines(blocks), _Rows()
     columns: _Columns | None = None
@@ -353,14 +349,9 @@ def csv_tables(
 
 
 class CsvWriter:
-    """Writes a header, then rows.
+    """Writes a header, then rows; floats so that they read back bit for bit.
 
-    Floats are written so that they read back bit for bit. A two-dimensional column `q_rad`
-    becomes `q_rad_1`, `q_rad_2`, ...; `read_log` joins them again.
-
-    Args:
-        stream: where the bytes go.
-        labels: the start of the clock, unless it is zero, goes into a comment.
+    The start of the clock, unless it is zero, goes into a comment.
     """
 
     def __init__(self, stream: BinaryIO, labels: Labels) -> None:

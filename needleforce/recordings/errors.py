@@ -42,16 +42,7 @@ PART = 8
 
 
 def require_size(size: int, limit: int, what: str) -> None:
-    """Refuse what would take more memory than allowed.
-
-    Args:
-        size: bytes that would be needed.
-        limit: bytes that are allowed, from `max_bytes`.
-        what: what needs them, to begin the message.
-
-    Raises:
-        FormatError: it is too large.
-    """
+    """Refuse what would take more bytes than `max_bytes` allows; `what` begins the message."""
     if size > limit:
         raise FormatError(
             f"{what} takes {size / 1e6:.3g} MB unpacked, more than the limit of "
@@ -60,15 +51,7 @@ def require_size(size: int, limit: int, what: str) -> None:
 
 
 def optional_library(module: str, what: str) -> ModuleType:
-    """Import a library that may not be installed.
-
-    Args:
-        module: its name, such as `pyarrow.parquet`.
-        what: what needs it, for the error, such as `Parquet files`.
-
-    Raises:
-        FileAccessError: it is not installed; the message says what to install.
-    """
+    """Import a library that may not be installed; the error says what needs it."""
     try:
         return import_module(module)
     except ImportError as error:
@@ -97,8 +80,7 @@ def file_errors(name: str | Path, verb: str = "read") -> Iterator[None]:
 def readable_path(path: str | Path) -> Path:
     """Return a path that may be opened for reading; that it exists is checked by opening it.
 
-    Raises:
-        FileAccessError: no file can have such a name, or it is a device, which never ends.
+    Refuse names that no file can have, and devices, which never end.
     """
     path = Path(path)
     with file_errors(path):

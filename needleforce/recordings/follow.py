@@ -58,15 +58,9 @@ class FollowOptions:
 def byte_blocks(
     path: Path | None, options: FollowOptions, *, with_pauses: bool = False
 ) -> Iterator[bytes]:
-    """Read a file or standard input; whoever waits for more gets at once what there is.
+    """Read a file, or standard input if None; whoever waits for more gets at once what there is.
 
-    Args:
-        path: the file, or None for standard input.
-        options: how long more is waited for.
-        with_pauses: whether an empty block says each time that more is now waited for.
-
-    Yields:
-        Blocks of at least one byte, apart from those.
+    With pauses, an empty block says each time that more is now waited for.
 
     Raises:
         FileAccessError: the file cannot be read, or was shortened or rewritten while it was
@@ -147,11 +141,7 @@ _GZIP_WINDOW = 31  # zlib's code for "expect a gzip header"
 
 
 class Unpacked:
-    """Iterates over the content of blocks that may be compressed with gzip, whatever the suffix.
-
-    Args:
-        blocks: as read.
-    """
+    """Iterates over the content of blocks that may be compressed with gzip, whatever the suffix."""
 
     def __init__(self, blocks: Iterable[bytes]) -> None:
         self._blocks = iter(blocks)
@@ -323,10 +313,9 @@ _MAGIC = {
 
 
 def peek(blocks: Iterable[bytes]) -> tuple[str, Iterator[bytes]]:
-    """Look at how a recording begins; no more is waited for than decides it.
+    """Return the suffix of a recording as it begins, empty if it is text, and all its bytes.
 
-    Returns:
-        The suffix of its format, empty if it is text; and all its bytes.
+    No more is waited for than decides it.
     """
     rest, head = iter(blocks), b""
     for block in rest:
@@ -343,13 +332,6 @@ def spooled(blocks: Iterable[bytes], suffix: str) -> Iterator[Path]:
 
     Such formats cannot be read as they come: what a column means, or where it stands, is known
     at the end.
-
-    Args:
-        blocks: bytes as they come.
-        suffix: of the file.
-
-    Raises:
-        FileAccessError: the file cannot be written.
     """
     with tempfile.TemporaryDirectory(ignore_cleanup_errors=True) as folder:
         path = Path(folder) / f"standard-input{suffix}"

@@ -67,11 +67,7 @@ class ColumnSpec:
         return (self.columns,) if isinstance(self.columns, str) else self.columns
 
     def checked_for(self, channel: Channel) -> "ColumnSpec":
-        """Return this specification with its unit spelled as the channel spells it.
-
-        Raises:
-            MappingError: the unit does not measure this channel.
-        """
+        """Return this with its unit as the channel spells it; `MappingError` if it is none."""
         if self.unit is None:
             return self
         unit = require_unit(self.unit, channel.units, f"channel {channel.name!r}")
@@ -228,9 +224,7 @@ def _frozen(value: Any) -> Any:
 def read_toml(path: str | Path, what: str) -> dict[str, Any]:
     """Return the content of a TOML file that an option names; at least one key.
 
-    Args:
-        path: the file.
-        what: what it is, for messages, such as `payload file`.
+    `what` is what it is, for messages, such as `payload file`.
 
     Raises:
         FileAccessError: it cannot be read.
@@ -319,24 +313,14 @@ class ChannelRequest:
 
 
 def mapped_columns(table: Table, spec: ColumnSpec) -> tuple[FoundColumn, ...]:
-    """Return the columns that a specification names, in its order.
-
-    Raises:
-        ColumnError: one was not found.
-    """
+    """Return the columns that a specification names; `ColumnError` if one is not there."""
     return tuple(column for pattern in spec.patterns for column in find_columns(table, pattern))
 
 
 def mapping_text(table: Table, channels: Iterable[str], known: ColumnMapping) -> list[str]:
     """Return the lines of a mapping of a table as TOML, and as comments what else there is.
 
-    Args:
-        table: the columns of a recording.
-        channels: the channels that are looked for.
-        known: what is known already; only what it does not say is looked for.
-
-    Raises:
-        ColumnError: the mapping names a column that is not there.
+    Only what the known mapping does not say is looked for.
     """
     lines: list[str] = []
     used: set[str] = set()

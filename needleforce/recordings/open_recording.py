@@ -2,6 +2,7 @@
 
 import json
 from collections.abc import Iterable, Iterator, Sequence
+from dataclasses import replace
 from pathlib import Path
 
 from needleforce.recordings.bag_reader import (
@@ -70,16 +71,8 @@ def read_table(
     else:
         tables = _tables(path, None, request, max_bytes)
     first, *rest = tables
-    warnings = rest[-1].warnings if rest else first.warnings
-    return Table(
-        columns=first.columns,
-        constants=first.constants,
-        warnings=warnings,
-        joint_names=first.joint_names,
-        start_ns=first.start_ns,
-        stamps=first.stamps,
-        omitted=first.omitted,
-    )
+    # The last table of a CSV file has no rows, but all warnings.
+    return replace(first, warnings=rest[-1].warnings) if rest else first
 
 
 def _tables(
@@ -163,8 +156,7 @@ def stream_tables(
     Args:
         source: a file, see `read_table`, or `-` for standard input: CSV, plain or compressed, or
             a binary format, which is kept in a temporary file until all of it has come.
-        options: how long more is waited for where the source is text, MCAP or a pipe; any source
-            is left when it says to stop.
+        options: how long more is waited for; any source is left when it says to stop.
         request: what is read of a bag; of other sources everything is.
         max_bytes: the most memory that the rows of one table may take, or an npz file as a whole.
 

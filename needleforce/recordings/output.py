@@ -37,10 +37,8 @@ _GROWS = (".csv", ".csv.gz")
 class OpenTable:
     """A table under construction; made by `open_table`.
 
-    Args:
-        begin: opens the file and returns what writes its format; called with the first rows.
-        is_live: whether readers are to see every chunk at once.
-        name: of the file, for messages.
+    `begin` opens the file and returns what writes its format, with the first rows. A live table
+    shows readers every chunk at once.
     """
 
     def __init__(self, begin: Callable[[], Any], *, is_live: bool, name: str) -> None:

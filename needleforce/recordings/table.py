@@ -87,11 +87,7 @@ class Table:
 
 
 def read_only(name: str, values: ArrayLike) -> FloatArray:
-    """Return a contiguous read-only copy of `values` as float64.
-
-    Raises:
-        LogError: they are not numbers in a regular array; the message begins with `name`.
-    """
+    """Return a contiguous read-only copy as float64; `LogError` if these are no numbers."""
     try:
         copy = np.array(values, dtype=np.float64, order="C")
     except (TypeError, ValueError) as error:
@@ -101,12 +97,7 @@ def read_only(name: str, values: ArrayLike) -> FloatArray:
 
 
 def joined_tables(tables: Iterator[Table], rows: int) -> Table:
-    """Take tables with equal columns until there are so many rows, and join them.
-
-    Args:
-        tables: consecutive rows; at least one table.
-        rows: how many rows are wanted; fewer are returned if there are no more.
-    """
+    """Take tables with equal columns until there are so many rows, or no more, and join them."""
     taken: list[Table] = []
     for table in tables:
         taken.append(table)
@@ -213,8 +204,7 @@ _EXACT = 1 << 53
 def start_of_clock(first_ns: int) -> int:
     """Return the instant from which seconds are counted so that nothing is lost.
 
-    Returns:
-        0, so that the file's clock is kept, or the first stamp if that clock began long ago.
+    It is 0, so that the file's clock is kept, or the first stamp if that clock began long ago.
     """
     return 0 if abs(first_ns) < _EXACT_NS // 2 else first_ns
 
@@ -232,11 +222,7 @@ def to_nanoseconds(t_s: ArrayLike, start_ns: int) -> NDArray[np.int64]:
 
 
 def whole_stamps(columns: Mapping[str, np.ndarray]) -> dict[str, NDArray[np.int64]]:
-    """Return the columns of whole numbers that float64 would round, as ns since 1970 are.
-
-    Args:
-        columns: as the file has them, in its own types.
-    """
+    """Return the columns of whole numbers that float64 would round, as ns since 1970 are."""
     return {
         name: values.astype(np.int64)
         for name, values in columns.items()
