@@ -50,67 +50,51 @@ def test_every_usual_form_gives_the_same_table(read, text):
     assert table.warnings == ()
 
 
-def test_one_column_needs_no_delimiter(read):
-    assert values(read("f\n1\n2\n")) == {"f": [1.0, 2.0]}
+NAN = None
+NOT_NUMBERS = "cells that are not numbers, read as NaN"
+FAULTS = {
+    "f\n1\n2\n": ({"f": [1, 2]}, ()),
+    't,"f [N, axial]"\n0,1\n': ({"t": [0], "f [N, axial]": [1]}, ()),
+    ",t,f\n0,0,1\n1,1,2\n": ({"column_1": [0, 1], "t": [0, 1], "f": [1, 2]}, ()),
+    "t,f\n0,\n1,nan\n2,5\n": ({"t": [0, 1, 2], "f": [NAN, NAN, 5]}, ()),
+    "t;f\n0,0;1,5\n0,1;-2\n": (
+        {"t": [0.0, 0.1], "f": [1.5, -2.0]},
+        ("decimal commas read as points (first: line 2)",),
+    ),
+    "# note\nt,f\n0,1\n1,bad\n2,worse\n3,4\n": (
+        {"t": [0, 1, 2, 3], "f": [1, NAN, NAN, 4]},
+        (f"column 'f': {NOT_NUMBERS}: 2 (first: line 4, 'bad')",),
+    ),
+    # A row of units under the header costs that row only.
+    "t,f\ns,N\n0,1\n1,2\n": (
+        {"t": [NAN, 0, 1], "f": [NAN, 1, 2]},
+        tuple(f"column {n!r}: {NOT_NUMBERS}: 1 (first: line 2, {u!r})" for n, u in ("ts", "fN")),
+    ),
+    "t,phase,spare\n0,in,\n1,out,\n": (
+        {"t": [0, 1]},
+        (
+            "column 'phase' holds text (line 2, 'in') and was left out",
+            "column 'spare' is empty and was left out",
+        ),
+    ),
+    "t,f\n0,1\n1\n2,3,4\n3,5\n": (
+        {"t": [0, 3], "f": [1, 5]},
+        ("rows without the header's 2 cells, left out: 2 (first: line 3 with 1)",),
+    ),
+    "t,f,g\n0,1,2\n1,2,3\n2,3": (
+        {"t": [0, 1], "f": [1, 2], "g": [2, 3]},
+        ("line 4, the last, is cut short (2 of 3 cells) and was left out",),
+    ),
+}
 
 
-def test_a_name_may_hold_the_delimiter_in_quotes(read):
-    assert list(read('t,"f [N, axial]"\n0,1\n').columns) == ["t", "f [N, axial]"]
-
-
-def test_decimal_commas_are_understood_and_told(read):
-    table = read("t;f\n0,0;1,5\n0,1;-2\n")
-    assert values(table) == {"t": [0.0, 0.1], "f": [1.5, -2.0]}
-    assert table.warnings == ("decimal commas read as points (first: line 2)",)
-
-
-def test_an_index_column_without_a_name_gets_one(read):
-    assert list(read(",t,f\n0,0,1\n1,1,2\n").columns) == ["column_1", "t", "f"]
-
-
-def test_empty_cells_are_missing_values(read):
-    table = read("t,f\n0,\n1,nan\n2,5\n")
-    np.testing.assert_array_equal(table.columns["f"], [np.nan, np.nan, 5.0])
-    assert table.warnings == ()
-
-
-def test_cells_that_are_not_numbers_become_nan_with_count_and_place(read):
-    table = read("# note\nt,f\n0,1\n1,bad\n2,worse\n3,4\n")
-    np.testing.assert_array_equal(table.columns["f"], [1.0, np.nan, np.nan, 4.0])
-    (warning,) = table.warnings
-    assert warning == (
-        "column 'f': cells that are not numbers, read as NaN: 2 (first: line 4, 'bad')"
-    )
-
-
-def test_columns_of_text_and_empty_columns_are_left_out_and_told(read):
-    table = read("t,phase,spare\n0,in,\n1,out,\n")
-    assert list(table.columns) == ["t"]
-    assert table.warnings == (
-        "column 'phase' holds text (line 2, 'in') and was left out",
-        "column 'spare' is empty and was left out",
-    )
-
-
-def test_ragged_rows_are_left_out_and_told(read):
-    table = read("t,f\n0,1\n1\n2,3,4\n3,5\n")
-    assert values(table) == {"t": [0.0, 3.0], "f": [1.0, 5.0]}
-    assert table.warnings == (
-        "rows without the header's 2 cells, left out: 2 (first: line 3 with 1)",
-    )
-
-
-def test_a_row_of_units_under_the_header_costs_that_row_only(read):
-    table = read("t,f\ns,N\n0,1\n1,2\n")
-    np.testing.assert_array_equal(table.columns["f"], [np.nan, 1.0, 2.0])
-    assert len(table.warnings) == 2
-    assert "first: line 2, 'N'" in table.warnings[1]
-
-
-def test_a_last_line_cut_short_costs_that_line_only(read):
-    table = read("t,f,g\n0,1,2\n1,2,3\n2,3")
-    assert values(table) == {"t": [0.0, 1.0], "f": [1.0, 2.0], "g": [2.0, 3.0]}
-    assert table.warnings == ("line 4, the last, is cut short (2 of 3 cells) and was left out",)
+@pytest.mark.parametrize("text", FAULTS)
+def test_what_is_odd_costs_little_and_is_reported(read, text):
+    table = read(text)
+    columns, warnings = FAULTS[text]
+    found = {name: [x if x == x else NAN for x in v] for name, v in values(table).items()}
+    assert found == columns
+    assert table.warnings == warnings
 
 
 def test_text_that_is_not_utf8_is_read_and_told(read):

@@ -88,30 +88,29 @@ def test_units_and_scales_multiply(chosen, scale):
     np.testing.assert_allclose(values, expected)
 
 
-def test_a_stated_unit_wins_over_the_one_in_the_name():
-    columns = {"t_s": T, "depth_m": 5.0 * ONES}
-    stated = mapped(depth=ColumnSpec(columns="depth_m", unit="mm"))
-    np.testing.assert_allclose(log_of(stated, **columns)["depth_m"], 0.005)
-    np.testing.assert_allclose(log_of(**columns)["depth_m"], 5.0)
+CURRENT, WRENCH = np.arange(6.0).reshape(3, 2), np.arange(18.0).reshape(3, 6)
 
 
-def test_each_column_has_its_own_unit_and_scale():
-    mapping = mapped(q=ColumnSpec(columns=("a_deg", "b_rad"), scale=(1.0, -2.0)))
-    log = log_of(mapping, t=T, a_deg=180.0 * ONES, b_rad=ONES)
-    np.testing.assert_allclose(log["q_rad"], [[np.pi, -2.0]] * 3)
-
-
-def test_a_two_dimensional_current_becomes_torque_by_its_constants():
-    current_A = np.arange(6.0).reshape(3, 2)
-    mapping = mapped(tau=ColumnSpec(columns="current_A", scale=(10.0, 20.0)))
-    log = log_of(mapping, t=T, current_A=current_A)
-    np.testing.assert_allclose(log["tau_Nm"], current_A * [10.0, 20.0])
-
-
-def test_one_element_of_a_wrench_can_be_the_force():
-    wrench = np.arange(18.0).reshape(3, 6)
-    mapping = mapped(force=ColumnSpec(columns="wrench[2]", scale=-1.0))
-    np.testing.assert_allclose(log_of(mapping, t=T, wrench=wrench)["force_N"], -wrench[:, 2])
+@pytest.mark.parametrize(
+    ("spec", "columns", "key", "expected"),
+    [
+        (None, {"depth_m": 5.0 * ONES}, "depth_m", 5.0 * ONES),
+        # A stated unit wins over the one in the name; each column has its own, and its own scale.
+        (ColumnSpec(columns="depth_m", unit="mm"), {"depth_m": ONES}, "depth_m", ONES / 1000),
+        (
+            ColumnSpec(columns=("a_deg", "b_rad"), scale=(1.0, -2.0)),
+            {"a_deg": 180.0 * ONES, "b_rad": ONES},
+            "q_rad",
+            np.array([[np.pi, -2.0]] * 3),
+        ),
+        (ColumnSpec(columns="i", scale=(1.0, 2.0)), {"i": CURRENT}, "tau_Nm", CURRENT * [1, 2]),
+        (ColumnSpec(columns="w[2]", scale=-1.0), {"w": WRENCH}, "force_N", -WRENCH[:, 2]),
+    ],
+)
+def test_columns_become_si(spec, columns, key, expected):
+    name = next(name for name, channel in CHANNELS.items() if channel.key == key)
+    log = log_of(mapped(**({name: spec} if spec else {})), t=T, **columns)
+    np.testing.assert_allclose(log[key], expected)
 
 
 def test_only_the_channels_asked_for_are_looked_at():

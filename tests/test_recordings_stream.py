@@ -4,11 +4,11 @@ import errno
 import gzip
 import os
 import threading
-import time
 from itertools import pairwise
 
 import numpy as np
 import pytest
+from bag_samples import grow
 from hypothesis import given
 from hypothesis import strategies as st
 
@@ -157,27 +157,12 @@ def test_a_line_that_never_ends_is_refused():
         list(csv_tables([b"x" * (1 << 20)] * 20, "log"))
 
 
-def grow(path, pieces, pause_s=0.02):
-    """Append to a file from another thread."""
-
-    def write():
-        for piece in pieces:
-            time.sleep(pause_s)
-            with path.open("ab") as stream:
-                stream.write(piece)
-
-    writer = threading.Thread(target=write)
-    writer.start()
-    return writer
-
-
 def test_a_growing_file_is_followed_and_half_lines_wait_for_their_rest(tmp_path):
     text = text_of(600).encode()
     path, whole = tmp_path / "log.csv", tmp_path / "whole.csv"
     whole.write_bytes(text)
-    path.write_bytes(text[:10])
     cuts = [10, 5000, 17_777, 33_333, len(text)]
-    writer = grow(path, [text[a:b] for a, b in pairwise(cuts)])
+    writer = grow(path, [text[a:b] for a, b in pairwise([0, *cuts])], pause_s=0.02)
     found = streamed(stream_tables(path, FollowOptions(follow=True, idle_s=0.6)))
     writer.join()
     assert_same(found, read_log(whole, **ASKED))
