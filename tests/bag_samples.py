@@ -118,7 +118,7 @@ def without_chunks(path):
 
 
 def grow(path, pieces, pause_s=0.01, go_on=None):
-    """Append to a file from another thread; after the first piece only when told to go on."""
+    """Append to a file from another thread; after the first piece only when reported to go on."""
     path.write_bytes(pieces[0])
 
     def write():

@@ -98,15 +98,15 @@ def test_the_warning_counts_what_was_read_and_what_was_lost(tmp_path):
     path = data_file(folder)
     path.write_bytes(path.read_bytes()[: path.stat().st_size // 2])
     warning = read_table(folder).warnings[0]
-    told = re.fullmatch(
+    reported = re.fullmatch(
         rf"{path.name} is cut short: (\d+) messages from ([\d.]+) s to ([\d.]+) s \(([\d.]+) s\) "
         r"could be read, (\d+) of 4400 are lost",
         warning,
     )
-    assert told, warning
-    assert int(told[1]) + int(told[5]) == 4400
-    assert float(told[2]) == pytest.approx(1_700_000_000.123, abs=1e-3)
-    assert float(told[4]) == pytest.approx(int(told[1]) / 2200, abs=0.02)
+    assert reported, warning
+    assert int(reported[1]) + int(reported[5]) == 4400
+    assert float(reported[2]) == pytest.approx(1_700_000_000.123, abs=1e-3)
+    assert float(reported[4]) == pytest.approx(int(reported[1]) / 2200, abs=0.02)
     shutil.copy(path, tmp_path / path.name)
     (alone,) = [w for w in read_table(tmp_path / path.name).warnings if "cut short" in w]
     assert alone.endswith("could be read, what came after, if anything, is lost")
@@ -250,17 +250,30 @@ def test_joints_whose_names_identify_none_keep_their_places(tmp_path, names):
 
 
 @pytest.mark.parametrize(
-    ("change", "told"),
+    ("change", "reported"),
     [
         ("UPDATE messages SET data = 'text' WHERE id = 3", "has 1 messages whose time stamp or"),
         ("UPDATE messages SET timestamp = 'text' WHERE id < 3", "has 2 messages whose time stamp"),
         ("UPDATE topics SET name = x'00ff' WHERE id = 1", "has a topic, number 1, whose name"),
     ],
 )
-def test_values_of_another_type_in_an_sqlite_bag_are_left_out_and_reported(tmp_path, change, told):
+def test_values_of_another_type_in_an_sqlite_bag_are_left_out_and_reported(tmp_path, change, reported):
     path = data_file(write_bag(tmp_path / "bag", insertion_rows(40), storage="sqlite3"))
     with closing(sqlite3.connect(path)) as connection, connection:
         connection.execute(change)
     table = read_table(path)
-    assert told in " ".join(table.warnings)
+    assert reported in " ".join(table.warnings)
     assert len(table.columns["t_s"]) > 3
+
+
+@pytest.mark.parametrize("size", [1 << 29, 1 << 40, (1 << 64) - 1])
+def test_a_record_of_a_size_that_cannot_be_costs_what_follows_only(tmp_path, bags, size):
+    name, data = bags["mcap"]
+    at = 8
+    for _ in ("header", "first chunk"):
+        at += 9 + int.from_bytes(data[at + 1 : at + 9], "little")
+    record = b"\x05" + size.to_bytes(8, "little")
+    (tmp_path / name).write_bytes(data[:at] + record + data[at:])
+    found, faults = messages_in(tmp_path / name)
+    assert len(found) > 1000
+    assert faults == [f"{name} is damaged at byte {at}; what follows cannot be read"]

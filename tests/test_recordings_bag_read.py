@@ -102,7 +102,7 @@ def test_a_joint_of_the_mapping_that_is_not_there_is_refused(folder):
         read_log(folder, ColumnMapping(joints=("a", "z")), required=["q"])
 
 
-def test_what_is_missing_is_told_with_what_is_there(folder):
+def test_what_is_missing_is_reported_with_what_is_there(folder):
     write_bag(folder, insertion_rows(4))
     with pytest.raises(
         ColumnError, match=r"no column found for force .*Columns are: /joint_states"
@@ -112,7 +112,7 @@ def test_what_is_missing_is_told_with_what_is_there(folder):
         read_log(folder, mapped(force="/log"), required=["force"])
 
 
-def test_stamps_out_of_order_are_told_and_kept(folder):
+def test_stamps_out_of_order_are_reported_and_kept(folder):
     rows = [("/j", k, joint_state(s, "ab", [s, s])) for k, s in enumerate([10, 30, 20, 40])]
     log = read_log(write_bag(folder, rows), required=["q"])
     assert log["q_rad"][:, 0].tolist() == [10.0, 30.0, 20.0, 40.0]
@@ -190,7 +190,7 @@ def test_an_sqlite_file_that_is_no_bag_is_refused(tmp_path):
         read_log(tmp_path / "x.db3")
 
 
-def test_messages_that_are_no_ros_messages_are_told(tmp_path):
+def test_messages_that_are_no_ros_messages_are_reported(tmp_path):
     from needleforce.recordings.bag_storage import MAGIC
 
     def record(opcode, *parts):
@@ -319,7 +319,7 @@ def test_a_channel_that_is_mapped_decides_for_those_that_are_not(folder):
     assert "dq_rad_s" in log
 
 
-def test_messages_of_another_length_are_told(folder):
+def test_messages_of_another_length_are_reported(folder):
     array = TYPES.types["std_msgs/msg/Float64MultiArray"]
     layout = TYPES.types["std_msgs/msg/MultiArrayLayout"]([], 0)
     rows = [("/tau", k, array(layout, np.arange(float(n)))) for k, n in enumerate([2, 2, 3, 2])]

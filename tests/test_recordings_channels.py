@@ -338,7 +338,7 @@ def test_a_toml_in_another_encoding_is_refused(tmp_path):
         load_mapping(tmp_path / "mapping.toml")
 
 
-def test_a_mapping_that_is_not_there_is_told(tmp_path):
+def test_a_mapping_that_is_not_there_is_reported(tmp_path):
     with pytest.raises(FileAccessError, match="cannot read the mapping"):
         load_mapping(tmp_path / "none.toml")
 

@@ -46,7 +46,7 @@ def test_a_pickle_is_never_loaded(npz_path):
     assert warning.startswith("column 'trap' cannot be read (Object arrays cannot be loaded")
 
 
-def test_what_is_no_column_of_numbers_is_left_out_and_told(npz_path):
+def test_what_is_no_column_of_numbers_is_left_out_and_reported(npz_path):
     np.savez(
         npz_path,
         t=np.arange(3.0),
@@ -62,7 +62,7 @@ def test_what_is_no_column_of_numbers_is_left_out_and_told(npz_path):
     ]
 
 
-def test_a_damaged_array_is_left_out_and_told(npz_path):
+def test_a_damaged_array_is_left_out_and_reported(npz_path):
     np.savez(npz_path, t=np.zeros(1000), f=np.ones(1000))
     data = bytearray(npz_path.read_bytes())
     data[len(data) // 4] ^= 0xFF
@@ -72,7 +72,7 @@ def test_a_damaged_array_is_left_out_and_told(npz_path):
     assert "column 't' cannot be read (Bad CRC-32" in table.warnings[0]
 
 
-def test_a_member_that_is_no_array_is_left_out_and_told(npz_path):
+def test_a_member_that_is_no_array_is_left_out_and_reported(npz_path):
     np.savez(npz_path, t=np.zeros(3))
     with zipfile.ZipFile(npz_path, "a") as archive:
         archive.writestr("readme.txt", "hello")
@@ -112,7 +112,7 @@ def test_what_cannot_be_read_is_refused_with_file_and_reason(npz_path, content, 
     assert "log.npz" in str(caught.value)
 
 
-def test_a_file_that_is_not_there_is_told(npz_path):
+def test_a_file_that_is_not_there_is_reported(npz_path):
     with pytest.raises(FileAccessError, match=r"cannot read .*No such file"):
         read_table(npz_path)
 
@@ -169,7 +169,7 @@ def test_time_stamps_become_seconds_without_loss(path, unit):
     assert log.start_ns == 1_700_000_000_123_000_000
 
 
-def test_a_missing_stamp_is_nan_and_the_row_is_told(path):
+def test_a_missing_stamp_is_nan_and_the_row_is_reported(path):
     stamps = pa.array([None, 10, 20, 30], pa.timestamp("ms"))
     pq.write_table(pa.table({"time": stamps, "f": [1.0, 2.0, 3.0, 4.0]}), path)
     log = read_log(path)
@@ -215,7 +215,7 @@ def test_a_file_without_numbers_is_refused(path, cells):
         read_table(path)
 
 
-def test_a_missing_file_is_told(path):
+def test_a_missing_file_is_reported(path):
     with pytest.raises(FileAccessError, match="cannot read"):
         read_table(path)
 
@@ -244,7 +244,7 @@ def test_damaged_bytes_end_in_a_table_or_in_one_of_our_errors(tmp_path_factory, 
     assert table.columns
 
 
-def test_a_damaged_name_is_told(path):
+def test_a_damaged_name_is_reported(path):
     write_table(path, {"t_s": [0.0, 1.0]})
     path.write_bytes(path.read_bytes().replace(b"t_s", b"t\xffs"))
     with pytest.raises(FormatError, match="damaged"):

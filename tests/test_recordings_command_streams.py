@@ -44,7 +44,7 @@ def test_a_bag_that_is_piped_into_the_command_gives_the_bytes_of_the_file(tmp_pa
     assert b"standard input is mcap, not text" in done.stderr
 
 
-def test_what_only_begins_as_a_recording_is_told_in_one_line(tmp_path):
+def test_what_only_begins_as_a_recording_is_reported_in_one_line(tmp_path):
     argv = [sys.executable, "-m", "identification", "-"]
     for data, message in ((b"PK\x03\x04\x00", b"not an npz"), (b"\x89MCAP0\r\n", b"no messages")):
         done = subprocess.run(argv, input=data, capture_output=True, check=False)

@@ -97,7 +97,7 @@ def test_what_is_odd_costs_little_and_is_reported(read, text):
     assert table.warnings == warnings
 
 
-def test_text_that_is_not_utf8_is_read_and_told(read):
+def test_text_that_is_not_utf8_is_read_and_reported(read):
     table = read("t,q [°]\n0,1\n".encode("cp1252"))
     assert list(table.columns) == ["t", "q [°]"]
     assert "cp1252" in table.warnings[0]
@@ -139,7 +139,7 @@ def test_nul_bytes_at_the_end_cost_the_line_before_them_only(read, tail):
     )
 
 
-def test_a_file_that_is_not_there_is_told(tmp_path):
+def test_a_file_that_is_not_there_is_reported(tmp_path):
     with pytest.raises(FileAccessError, match=r"cannot read .*No such file"):
         read_table(tmp_path / "none.csv")
     (tmp_path / "folder.csv").mkdir()
@@ -189,7 +189,7 @@ def test_a_compressed_file_without_a_whole_line_is_refused(read, size):
         read(gzip.compress(long_csv(10).encode())[:size], "log.csv.gz")
 
 
-def test_a_format_error_tells_what_was_lost_before_it(read):
+def test_a_format_error_shows_what_was_lost_before_it(read):
     packed = gzip.compress(b"\n".join([b"t,f", *[b"word"] * 100_000]))
     with pytest.raises(FormatError, match=r"header.*cut short"):
         read(packed[:-10], "log.csv.gz")

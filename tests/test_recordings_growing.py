@@ -85,7 +85,7 @@ def test_rows_come_while_the_recorder_still_writes(tmp_path):
     assert rows == 3000
 
 
-def test_who_stops_hears_nothing_of_what_was_not_finished_and_an_idle_end_tells_it(tmp_path):
+def test_who_stops_hears_nothing_of_what_was_not_finished_and_an_idle_end_shows_it(tmp_path):
     recorded(tmp_path / "bag", insertion_rows(3000))
     data = without_chunks(data_file(tmp_path / "bag"))
     path = tmp_path / "growing.mcap"
@@ -122,7 +122,7 @@ def test_a_recording_shorter_than_what_decides_its_topics_is_read_when_it_ends(t
     assert set(warnings) == set(log.warnings)
 
 
-def test_what_cannot_be_followed_is_told_with_what_to_do(tmp_path):
+def test_what_cannot_be_followed_is_reported_with_what_to_do(tmp_path):
     follow = FollowOptions(follow=True, idle_s=0.1)
     with pytest.raises(FileAccessError, match=r"x.db3 cannot be followed.*ros2 bag record -s mcap"):
         list(stream_tables(tmp_path / "x.db3", follow))
@@ -153,27 +153,27 @@ def late_topic(first):
             yield "/depth_mm", t_ns, number(k)
 
 
-def test_a_topic_that_is_not_there_yet_is_waited_for_and_told_once(tmp_path):
-    path, told = tmp_path / "growing.mcap", []
+def test_a_topic_that_is_not_there_yet_is_waited_for_and_reported_once(tmp_path):
+    path, reported = tmp_path / "growing.mcap", []
     path.write_bytes(recorded(tmp_path / "bag", late_topic(350)))
-    patience = FollowOptions(follow=True, idle_s=LONGEST_S, warn=told.append)
+    patience = FollowOptions(follow=True, idle_s=LONGEST_S, warn=reported.append)
     chunks, _ = followed(path, patience)
     assert_same(chunks, read_log(path, **ASKED))
-    assert told == [
+    assert reported == [
         "growing.mcap: waiting for more topics; needed are q, tau, depth, and until now there are "
         "/joint_states"
     ]
 
 
 def test_a_topic_that_never_comes_is_an_error_when_the_recording_has_ended(tmp_path):
-    path, told = tmp_path / "growing.mcap", []
+    path, reported = tmp_path / "growing.mcap", []
     path.write_bytes(recorded(tmp_path / "bag", late_topic(600)))
-    patience = FollowOptions(follow=True, idle_s=LONGEST_S, warn=told.append)
+    patience = FollowOptions(follow=True, idle_s=LONGEST_S, warn=reported.append)
     with pytest.raises(ColumnError, match="no column found for depth"):
         followed(path, patience)
     with pytest.raises(ColumnError, match="'/none' is no topic"):
         followed(path, patience, ColumnMapping(reference_topic="/none"), required=("q",))
-    assert "waiting for more topics; reference_topic = '/none' is no topic" in told[-1]
+    assert "waiting for more topics; reference_topic = '/none' is no topic" in reported[-1]
 
 
 FORCE = {"required": ("q", "force")}

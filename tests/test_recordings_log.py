@@ -196,7 +196,7 @@ def test_pieces_give_what_the_whole_gives(cut, late):
     np.testing.assert_array_equal(found, RowClock().update(t_s))
 
 
-def test_a_log_tells_that_its_clock_was_set_back():
+def test_a_log_shows_that_its_clock_was_set_back():
     log = Log(t_s=np.concatenate((RAMP_S, RAMP_S)), channels={"force_N": np.ones(2000)})
     assert "clock set back, from where it counts anew: 1 (first: row 1101" in log.warnings[0]
     assert "stamps running backward: 100 (first: row 1001, 0 s after 0.999 s)" in log.warnings[1]

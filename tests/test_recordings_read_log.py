@@ -125,7 +125,7 @@ def test_without_a_request_every_recognised_channel_is_taken():
     assert set(log.channels) == {"force_N", "depth_m"}
 
 
-def test_a_missing_channel_is_told_with_usual_names_and_columns():
+def test_a_missing_channel_is_reported_with_usual_names_and_columns():
     with pytest.raises(ColumnError) as caught:
         log_of(None, ("q", "tau"), t=T, q=ONES, moment=ONES)
     message = str(caught.value)
@@ -171,32 +171,32 @@ def test_a_left_out_column_is_explained_when_it_is_asked_for(tmp_path):
         read_log(path, mapped(force="pull"))
 
 
-def test_all_that_is_missing_is_told_at_once():
+def test_all_that_is_missing_is_reported_at_once():
     table = Table(columns={"t": [0.0, 1.0], "a": [1.0, 2.0]})
     message = r"no column found for q \(joint.* Nor for tau \(measured joint torques\). Columns are"
     with pytest.raises(ColumnError, match=message):
         log_of_table(table, ChannelRequest(required=("q", "tau"), optional=("dq",)))
 
 
-def test_what_was_left_out_is_told_when_nothing_fits(tmp_path):
+def test_what_was_left_out_is_reported_when_nothing_fits(tmp_path):
     log = tmp_path / "log.csv"
     log.write_text("time,tau,z\n2024-05-01T12:00:00,oops,1\n2024-05-01T12:00:01,oops,2\n")
     for required in ("depth", "tau"):
-        with pytest.raises(ColumnError, match=r"'time' holds text .*'2024-05-01T12:00:00'") as told:
+        with pytest.raises(ColumnError, match=r"'time' holds text .*'2024-05-01T12:00:00'") as reported:
             read_log(log, required=[required])
-        assert "'tau' holds text (line 2, 'oops') and was left out)" in str(told.value)
+        assert "'tau' holds text (line 2, 'oops') and was left out)" in str(reported.value)
         with pytest.raises(ColumnError) as streamed:
             list(LogStream(stream_tables(log, FollowOptions()), required=[required]))
-        assert str(streamed.value) == str(told.value)
+        assert str(streamed.value) == str(reported.value)
 
 
-def test_an_optional_channel_without_values_is_left_out_and_told():
+def test_an_optional_channel_without_values_is_left_out_and_reported():
     log = log_of(None, ("q",), ("dq",), t=T, q=ONES, dq=ONES * np.nan)
     assert list(log.channels) == ["q_rad"]
     assert log.warnings == ("dq: its columns hold no finite value and were left out",)
 
 
-def test_rows_without_a_time_stamp_are_left_out_and_told():
+def test_rows_without_a_time_stamp_are_left_out_and_reported():
     log = log_of(t=np.array([0.0, np.nan, 0.02]), f=np.array([1.0, 2.0, 3.0]))
     np.testing.assert_array_equal(log["force_N"], [1.0, 3.0])
     assert log.warnings == ("time: rows without a stamp, left out: 1 (first: row 2)",)

@@ -197,7 +197,7 @@ def test_a_pipe_is_read_as_it_comes_and_ends_when_it_is_closed(tmp_path):
     assert_same(found, read_log(tmp_path / "log.csv", **ASKED))
 
 
-def test_what_cannot_be_followed_or_read_is_told(tmp_path):
+def test_what_cannot_be_followed_or_read_is_reported(tmp_path):
     with pytest.raises(FileAccessError, match=r"cannot be followed.*when it is complete"):
         list(stream_tables(tmp_path / "log.npz", FollowOptions(follow=True)))
     with pytest.raises(FileAccessError, match=r"cannot read .*No such file"):
@@ -214,11 +214,11 @@ def test_what_cannot_be_followed_or_read_is_told(tmp_path):
 
 
 @pytest.mark.parametrize("is_replaced", [False, True])
-def test_a_followed_file_that_was_moved_is_read_to_its_end_and_told(tmp_path, is_replaced):
+def test_a_followed_file_that_was_moved_is_read_to_its_end_and_reported(tmp_path, is_replaced):
     path = tmp_path / "log.csv"
     path.write_bytes(b"t,f\n0,1\n")
-    told = []
-    blocks = byte_blocks(path, FollowOptions(follow=True, idle_s=30.0, warn=told.append))
+    reported = []
+    blocks = byte_blocks(path, FollowOptions(follow=True, idle_s=30.0, warn=reported.append))
     found = [next(blocks)]
     path.rename(tmp_path / "log.1.csv")
     with (tmp_path / "log.1.csv").open("ab") as old:
@@ -227,8 +227,8 @@ def test_a_followed_file_that_was_moved_is_read_to_its_end_and_told(tmp_path, is
         path.write_bytes(b"t,f\n5,6\n")
     found += list(blocks)
     assert b"".join(found) == b"t,f\n0,1\n1,2\n"
-    assert len(told) == 1
-    assert "log.csv was moved, deleted or replaced" in told[0]
+    assert len(reported) == 1
+    assert "log.csv was moved, deleted or replaced" in reported[0]
 
 
 @pytest.mark.parametrize("packed", [False, True])
@@ -242,7 +242,7 @@ def test_a_user_who_wants_no_more_hears_nothing_of_a_piece_of_a_line(packed):
     assert "cut short" in "".join(last.warnings)
 
 
-def test_standard_input_that_is_closed_is_told(monkeypatch):
+def test_standard_input_that_is_closed_is_reported(monkeypatch):
     monkeypatch.setattr("sys.stdin", None)
     with pytest.raises(FileAccessError, match="standard input: it is closed"):
         list(stream_tables("-", FollowOptions()))
@@ -253,7 +253,7 @@ COLUMNS = {"t_s": ROWS / 1000, "depth_m": 1e-6 * ROWS, "force_N": 1e-3 * ROWS**0
 
 
 def piped(data, path, size, should_stop=lambda: False):
-    """Time, force and what was told of a recording that comes through a pipe."""
+    """Time, force and what was reported of a recording that comes through a pipe."""
     os.mkfifo(path)
 
     def write():
@@ -261,13 +261,13 @@ def piped(data, path, size, should_stop=lambda: False):
             for at in range(0, len(data), size):
                 out.write(data[at : at + size])
 
-    writer, told = threading.Thread(target=write), []
+    writer, reported = threading.Thread(target=write), []
     writer.start()
-    patience = FollowOptions(warn=told.append, should_stop=should_stop)
+    patience = FollowOptions(warn=reported.append, should_stop=should_stop)
     chunks = list(LogStream(stream_tables(path, patience), required=["depth", "force"]))
     writer.join()
     t_s = np.concatenate([chunk.t_s for chunk in chunks])
-    return t_s, np.concatenate([chunk.channels["force_N"] for chunk in chunks]), told
+    return t_s, np.concatenate([chunk.channels["force_N"] for chunk in chunks]), reported
 
 
 @pytest.mark.parametrize("suffix", ["mcap", "npz", "parquet"])
@@ -275,12 +275,12 @@ def piped(data, path, size, should_stop=lambda: False):
 def test_what_comes_through_a_pipe_is_what_the_file_gives(tmp_path, suffix, size):
     path = tmp_path / f"log.{suffix}"
     write_table(path, COLUMNS)
-    t_s, force_N, told = piped(path.read_bytes(), tmp_path / "pipe", size)
+    t_s, force_N, reported = piped(path.read_bytes(), tmp_path / "pipe", size)
     log = read_log(path, required=["depth", "force"])
     np.testing.assert_array_equal(t_s, log.t_s)
     np.testing.assert_array_equal(force_N, log["force_N"])
-    assert len(told) == 1
-    assert f"is {suffix}, not text: it is read to its end" in told[0]
+    assert len(reported) == 1
+    assert f"is {suffix}, not text: it is read to its end" in reported[0]
 
 
 def test_a_bag_in_sqlite_comes_through_a_pipe(tmp_path):
@@ -290,7 +290,7 @@ def test_a_bag_in_sqlite_comes_through_a_pipe(tmp_path):
     np.testing.assert_array_equal(force_N, COLUMNS["force_N"])
 
 
-def test_no_more_of_a_text_is_waited_for_than_tells_it_from_a_bag():
+def test_no_more_of_a_text_is_waited_for_than_shows_it_from_a_bag():
     taken = []
 
     def blocks():
@@ -305,7 +305,7 @@ def test_no_more_of_a_text_is_waited_for_than_tells_it_from_a_bag():
     assert (suffix, list(rest)) == ("", [])
 
 
-def test_a_pipe_for_which_there_is_no_room_is_told(monkeypatch):
+def test_a_pipe_for_which_there_is_no_room_is_reported(monkeypatch):
     def full(*_, **__):
         raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
 

@@ -104,7 +104,7 @@ def test_a_write_that_fails_half_way_leaves_the_old_file(tmp_path, monkeypatch):
     assert [entry.name for entry in tmp_path.iterdir()] == ["t.csv"]
 
 
-def test_unknown_suffix_and_missing_folder_are_told(tmp_path):
+def test_unknown_suffix_and_missing_folder_are_reported(tmp_path):
     with pytest.raises(FileAccessError, match=r"known are: \.csv, \.csv\.gz, \.npz"):
         write_table(tmp_path / "t.xlsx", {"t": T_S})
     with pytest.raises(FileAccessError, match=r"cannot write .*No such file"):

@@ -233,11 +233,11 @@ class _McapReader:
         self._faults, self._limit, self._is_growing = faults, limit, is_growing
         self._schemas: dict[int, BagTopic] = {}
         self._topics: dict[int, BagTopic] = {}
-        self._damaged = 0
+        self._damaged = self._size = 0
 
     def read_summary(self, stream: io.BufferedReader, size: int) -> None:
         """Learn topics from the end of the file; the chunk that held them may be damaged."""
-        library = optional_library("mcap.reader", "MCAP files")
+        library, self._size = optional_library("mcap.reader", "MCAP files"), size
         # A file that was cut has no summary: whatever stands at its end is none.
         with suppress(Exception):
             limit = min(size, self._limit)
@@ -298,7 +298,11 @@ class _McapReader:
         opcode, size = _HEAD.unpack_from(held)
         if _END_SIZES.get(opcode) == size:
             return 0
-        if opcode in (0, *_END_SIZES) or _LAST < opcode < _PRIVATE or size > 1 << 48:
+        if (
+            opcode in (0, *_END_SIZES)
+            or _LAST < opcode < _PRIVATE
+            or size > max(self._limit, self._size)
+        ):
             self._faults.append(f"is damaged at byte {at}; what follows cannot be read")
             return 0
         require_size(size, self._limit, "holds a record that")
