@@ -250,19 +250,19 @@ def test_joints_whose_names_identify_none_keep_their_places(tmp_path, names):
 
 
 @pytest.mark.parametrize(
-    ("change", "reported"),
+    ("change", "fault"),
     [
         ("UPDATE messages SET data = 'text' WHERE id = 3", "has 1 messages whose time stamp or"),
         ("UPDATE messages SET timestamp = 'text' WHERE id < 3", "has 2 messages whose time stamp"),
         ("UPDATE topics SET name = x'00ff' WHERE id = 1", "has a topic, number 1, whose name"),
     ],
 )
-def test_values_of_another_type_in_an_sqlite_bag_are_left_out_and_reported(tmp_path, change, reported):
+def test_values_of_another_type_in_an_sqlite_bag_are_left_out_and_reported(tmp_path, change, fault):
     path = data_file(write_bag(tmp_path / "bag", insertion_rows(40), storage="sqlite3"))
     with closing(sqlite3.connect(path)) as connection, connection:
         connection.execute(change)
     table = read_table(path)
-    assert reported in " ".join(table.warnings)
+    assert fault in " ".join(table.warnings)
     assert len(table.columns["t_s"]) > 3
 
 

@@ -31,6 +31,7 @@ from needleforce.recordings import (
     write_table,
 )
 from needleforce.recordings.bag_storage import MAGIC
+from needleforce.recordings.csv_file import csv_tables
 from needleforce.recordings.open_recording import suggest_mapping
 
 SMALL = 8 << 20  # bytes
@@ -159,6 +160,11 @@ def test_a_name_that_no_file_can_have_is_reported(tmp_path, name):
             read(tmp_path / name)
     with pytest.raises(FileAccessError, match="cannot write"):
         write_table(tmp_path / name, {"t_s": [0.0]})
+
+
+def test_endless_nul_bytes_are_no_text():
+    with bounded(), pytest.raises(FormatError, match="not text"):
+        list(csv_tables(iter(lambda: bytes(1 << 18), b""), "x"))
 
 
 def test_many_columns_take_seconds_not_minutes(tmp_path):

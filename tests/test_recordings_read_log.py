@@ -182,12 +182,14 @@ def test_what_was_left_out_is_reported_when_nothing_fits(tmp_path):
     log = tmp_path / "log.csv"
     log.write_text("time,tau,z\n2024-05-01T12:00:00,oops,1\n2024-05-01T12:00:01,oops,2\n")
     for required in ("depth", "tau"):
-        with pytest.raises(ColumnError, match=r"'time' holds text .*'2024-05-01T12:00:00'") as reported:
+        with pytest.raises(
+            ColumnError, match=r"'time' holds text .*'2024-05-01T12:00:00'"
+        ) as caught:
             read_log(log, required=[required])
-        assert "'tau' holds text (line 2, 'oops') and was left out)" in str(reported.value)
+        assert "'tau' holds text (line 2, 'oops') and was left out)" in str(caught.value)
         with pytest.raises(ColumnError) as streamed:
             list(LogStream(stream_tables(log, FollowOptions()), required=[required]))
-        assert str(streamed.value) == str(reported.value)
+        assert str(streamed.value) == str(caught.value)
 
 
 def test_an_optional_channel_without_values_is_left_out_and_reported():

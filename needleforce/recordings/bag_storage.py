@@ -298,11 +298,8 @@ class _McapReader:
         opcode, size = _HEAD.unpack_from(held)
         if _END_SIZES.get(opcode) == size:
             return 0
-        if (
-            opcode in (0, *_END_SIZES)
-            or _LAST < opcode < _PRIVATE
-            or size > max(self._limit, self._size)
-        ):
+        is_known = 0 < opcode <= _LAST or opcode >= _PRIVATE
+        if not is_known or opcode in _END_SIZES or size > max(self._limit, self._size):
             self._faults.append(f"is damaged at byte {at}; what follows cannot be read")
             return 0
         require_size(size, self._limit, "holds a record that")

@@ -210,6 +210,7 @@ def unpacked(packed: bytes, compression: str, size: int) -> tuple[bytes, bool]:
 
 
 _LONGEST_LINE = 1 << 24  # characters
+_MOST_NULS = 1 << 32
 
 
 class TextLines:
@@ -241,21 +242,18 @@ class TextLines:
             self.size += len(block)
             text = self._without_nuls(block)
             is_blank = is_blank and not text.strip()
+            if is_blank and self._nuls:
+                raise FormatError("it is not text; expected CSV")
             yield from self._split(self._text(text, is_last=False), is_last=False)
         yield from self._split(self._text(b"", is_last=True), is_last=True)
-        if is_blank:
-            self._fault_note()
-            raise FormatError(
-                "it is not text; expected CSV"
-                if self._nuls
-                else "it is empty; expected a header row and rows of numbers"
-            )
         self._fault_note()
+        if is_blank:
+            raise FormatError("it is empty; expected a header row and rows of numbers")
 
     def _without_nuls(self, block: bytes) -> bytes:
         """Return what stands before the NUL bytes with which a file may end after a power loss."""
         text = block.rstrip(b"\x00")
-        if b"\x00" in text or (self._nuls and text):
+        if b"\x00" in text or (self._nuls and text) or self._nuls > _MOST_NULS:
             raise FormatError("it is not text; expected CSV")
         self._nuls += len(block) - len(text)
         return text
