@@ -23,6 +23,7 @@ from needleforce.recordings import (
     FormatError,
     read_log,
     read_table,
+    write_table,
 )
 from needleforce.recordings.bag_reader import bag_tables
 from needleforce.recordings.log import LogStream
@@ -339,3 +340,16 @@ def test_chunks_are_the_bag_in_pieces(folder, rows):
         np.testing.assert_array_equal(joined, values)
     assert [w for chunk in chunks for w in chunk.warnings] == list(whole.warnings)
     assert max(chunk.columns["t_s"].size for chunk in chunks) <= rows
+
+
+@pytest.mark.parametrize("place", ["run#1", "a?b", "50%20", "ü x", "it's"])
+@pytest.mark.parametrize("storage", ["mcap", "sqlite3"])
+def test_a_bag_may_stand_in_a_folder_of_any_name(tmp_path, place, storage):
+    path = data_file(write_bag(tmp_path / "bag", insertion_rows(20), storage=storage))
+    other = tmp_path / place / f"LOG{path.suffix.upper()}"
+    other.parent.mkdir()
+    path.rename(other)
+    assert len(read_log(other, required=["q"])) == 20
+    if place in ("run#1", "a?b", "50%20"):
+        with pytest.raises(FileAccessError, match=r"needs a path without \?, # and %"):
+            write_table(tmp_path / place / "x.db3", {"t_s": [0.0]})

@@ -113,11 +113,6 @@ def bag_messages(
 
     What is wrong with the files is appended to `faults`, one sentence each. A chunk or message may
     take an eighth of `max_bytes` when unpacked. Only some topics are read, all if None.
-
-    Raises:
-        FileAccessError: a file cannot be read, or a library is missing.
-        FormatError: a file is not what its suffix says, is a damaged SQLite file, or holds a part
-            that is too large.
     """
     limit = max_bytes // PART
     for path in files.paths:
@@ -191,12 +186,18 @@ def _with_data_unpacked(
 @contextmanager
 def _plain(path: Path, faults: list[str], max_bytes: int) -> Iterator[Path]:
     """Give the file itself, or its content in a temporary file if it is compressed as a whole."""
-    if not path.name.endswith(".zstd"):
+    is_packed = path.name.endswith(".zstd")
+    # rosbags makes a URI of an SQLite file's path without quoting it, and takes no .DB3.
+    if path.suffix.islower() and not (is_packed or set("?#%") & set(str(path.absolute()))):
         yield path
         return
-    zstd, size = optional_library("zstandard", "bags compressed with zstd"), 0
     with tempfile.TemporaryDirectory() as folder:
-        plain = Path(folder) / path.name.removesuffix(".zstd")
+        plain = Path(folder) / f"bag{Path(path.name.removesuffix('.zstd')).suffix.lower()}"
+        if not is_packed:
+            plain.symlink_to(path.absolute())
+            yield plain
+            return
+        zstd, size = optional_library("zstandard", "bags compressed with zstd"), 0
         with path.open("rb") as source, plain.open("wb") as target:
             stream = zstd.ZstdDecompressor().stream_reader(source, read_across_frames=True)
             try:
@@ -383,8 +384,9 @@ def _sqlite_messages(
     path: Path, faults: list[str], topics: Collection[str] | None
 ) -> Iterator[RawMessage]:
     """Read an SQLite bag in order of recording; a damaged one is refused."""
-    recover = f"its messages may be had with: sqlite3 {path.name} .recover | sqlite3 recovered.db3"
-    _check_sqlite(path, faults, recover)
+    name = path.resolve().name
+    recover = f"its messages may be had with: sqlite3 {name} .recover | sqlite3 recovered.db3"
+    _check_sqlite(path.resolve(), faults, recover)
     rosbag2 = optional_library("rosbags.rosbag2", "ROS 2 bags")
     apsw = optional_library("apsw", "ROS 2 bags")
     unfit = 0
@@ -428,10 +430,7 @@ def _sqlite_topics(reader: Any, faults: list[str]) -> dict[int, BagTopic]:
 
 
 def _check_sqlite(path: Path, faults: list[str], recover: str) -> None:
-    """Refuse a file that was cut, which SQLite does not always see.
-
-    The layout of its header is that of https://sqlite.org/fileformat2.html.
-    """
+    """Refuse a file that was cut, which its header shows (https://sqlite.org/fileformat2.html)."""
     with path.open("rb") as stream:
         head = stream.read(100)
     if not head.startswith(_SQLITE_MAGIC[: len(head)]):

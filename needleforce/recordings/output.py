@@ -173,6 +173,12 @@ def _is_folder_name(path: Path) -> bool:
 def _require_replaceable(path: Path) -> None:
     """Check that what stands where a bag is to be written is nothing, or a bag like it."""
     with file_errors(path):
+        # rosbags makes a URI of the path without quoting it, and would write elsewhere.
+        if set("?#%") & set(str(path.absolute())):
+            raise FileAccessError(
+                f"cannot write {path}: a bag in an SQLite file needs a path without ?, # and %; "
+                "give another place, or write .mcap"
+            )
         if not os.path.lexists(path):
             return
         if not path.is_dir():
