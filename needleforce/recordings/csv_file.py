@@ -6,7 +6,7 @@ import io
 import re
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from math import nan
-from typing import BinaryIO, NamedTuple
+from typing import Any, BinaryIO, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -96,7 +96,7 @@ class _Rows:
     """Sorts lines into header, comments and rows; lines starting with `#` are comments."""
 
     def __init__(self) -> None:
-        self.header: _Header | None = None
+        self.header: Any = None  # a `_Header` once it was found
         self._header_line = self._comment = ""
         self._lines = self._total = 0
         self.rows: list[str] = []
@@ -264,6 +264,11 @@ class _Columns:
         return found
 
     @property
+    def kept(self) -> list[str]:
+        """The names of the columns that are read."""
+        return [n for i, n in enumerate(self._names) if i not in (self._left_out or {})]
+
+    @property
     def omitted(self) -> tuple[str, ...]:
         """Which columns were left out, and why."""
         return tuple((self._left_out or {}).values())
@@ -315,15 +320,13 @@ def csv_tables(
     """
     lines, rows = TextLines(blocks), _Rows()
     columns: _Columns | None = None
-    names: list[str] = []
     read_until = 0
 
     def table() -> Table:
-        nonlocal columns, names, read_until
-        assert rows.header is not None
+        nonlocal columns, read_until
         columns = columns or _Columns(rows.header)
         found, stamps = columns.read(rows.rows, rows.numbers)
-        rows.rows, rows.numbers, names, read_until = [], [], list(found), lines.size
+        rows.rows, rows.numbers, read_until = [], [], lines.size
         return Table(columns=found, start_ns=rows.start_ns, stamps=stamps, omitted=columns.omitted)
 
     try:
@@ -343,7 +346,7 @@ def csv_tables(
         raise FormatError(f"{name}: {error}{lost}") from error
     assert columns is not None
     yield Table(
-        columns=dict.fromkeys(names, np.empty(0)),
+        columns=dict.fromkeys(columns.kept, np.empty(0)),
         warnings=(*lines.warnings, *rows.notes, *columns.notes()),
     )
 
