@@ -3,7 +3,7 @@
 import json
 import tomllib
 from collections.abc import Iterable, Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from math import isfinite
 from pathlib import Path
 from types import MappingProxyType
@@ -159,19 +159,8 @@ def _short(value: Any) -> str:
         return "a number of thousands of digits"
 
 
-class _SpecEntry(msgspec.Struct, forbid_unknown_fields=True):
-    columns: str | list[str]
-    unit: str | None = None
-    scale: float | list[float] = 1.0
-
-
-class _MappingEntries(msgspec.Struct):
-    """What may stand at the top of a mapping beside the channels."""
-
-    rate_hz: float | None = None
-    joints: list[str] = []
-    reference_topic: str | None = None
-    payload: Any = None
+_SPEC_KEYS = {"columns", "unit", "scale"}
+_TOP_KEYS = {"rate_hz", "joints", "reference_topic", "payload"}
 
 
 def load_mapping(path: str | Path) -> ColumnMapping:
@@ -189,36 +178,27 @@ def load_mapping(path: str | Path) -> ColumnMapping:
         content = read_toml(path, "mapping")
     except FormatError as error:
         raise MappingError(str(error)) from error
-    place = "$"
+    top, place = {}, "$"
+    channels: dict[str, ColumnSpec] = {}
     try:
-        top = msgspec.convert(content, _MappingEntries)
-        channels = {}
         for name, entry in content.items():
-            if name in _MappingEntries.__struct_fields__:
+            if name in _TOP_KEYS:
+                top[name] = entry
                 continue
             place = f"$.{name}"
             spec = entry if isinstance(entry, dict) else {"columns": entry}
-            found = msgspec.convert(spec, _SpecEntry)
-            channels[name] = ColumnSpec(
-                columns=_frozen(found.columns), unit=found.unit, scale=_frozen(found.scale)
-            )
-        return ColumnMapping(
-            channels=channels,
-            rate_hz=top.rate_hz,
-            joints=tuple(top.joints),
-            reference_topic=top.reference_topic,
-            payload=top.payload,
-        )
+            if unknown := spec.keys() - _SPEC_KEYS:
+                keys = ", ".join(map(repr, sorted(unknown)))
+                raise MappingError(f"[{name}] has {keys}; a channel has columns, unit and scale")
+            channels[name] = msgspec.convert(spec, ColumnSpec)
+        place = "$"
+        return replace(msgspec.convert(top, ColumnMapping), channels=channels)
     except (msgspec.ValidationError, OverflowError) as error:
         what = str(error).replace("`$", f"`{place}")
         what += "" if f"`{place}" in what else f" - at `{place}`"
         raise MappingError(f"{path}: {what}; a channel has columns, unit and scale") from error
     except MappingError as error:
         raise MappingError(f"{path}: {error}") from error
-
-
-def _frozen(value: Any) -> Any:
-    return tuple(value) if isinstance(value, list) else value
 
 
 def read_toml(path: str | Path, what: str) -> dict[str, Any]:
