@@ -197,7 +197,10 @@ def nested(depth, size):
 
 @pytest.mark.parametrize(
     "definition",
-    [nested(6, 1000), nested(2, 10**9), "a/X x\n", "string[999999999] x", "float64 x; import os"],
+    [
+        *(nested(6, 1000), nested(2, 10**9), "a/X x\n", "string[999999999] x"),
+        *("float64 x; import os", "".join(f"string[1000] x{k}\n" for k in range(500))),
+    ],
 )
 def test_a_type_of_endless_arrays_is_no_signal(tmp_path, definition):
     schema = Schema(data=definition.encode(), encoding="ros2msg", id=1, name="a/msg/X")

@@ -3,7 +3,7 @@
 import re
 from collections.abc import Callable, Collection, Mapping
 from dataclasses import dataclass, field
-from functools import cache
+from functools import cache, lru_cache
 from operator import attrgetter
 from typing import Any, NamedTuple
 
@@ -24,7 +24,7 @@ _STAMP = [("header", "stamp", "sec"), ("header", "stamp", "nanosec")]
 _MOST_ELEMENTS = 64
 """Longer arrays are images and point clouds, not signals."""
 _LONGEST_DEFINITION = 1 << 18  # characters
-_LONGEST_UNROLLED = 1000
+_MOST_UNROLLED = 2000
 """`rosbags` generates code for each element of an array of texts or messages."""
 _TYPE_NAME = re.compile(r"[A-Za-z]\w*(/[A-Za-z]\w*)*", re.ASCII)
 _FIELD_NAME = re.compile(r"[A-Za-z_]\w*", re.ASCII)
@@ -40,7 +40,7 @@ def standard_types() -> Any:
     return library.get_typestore(getattr(library.Stores, STANDARD))
 
 
-@cache
+@lru_cache(maxsize=256)
 def _types_of(kind: str, definition: str, is_idl: bool) -> Any:
     """Return a store with a type as the bag defines it, else as ROS does."""
     standard = standard_types()
@@ -74,14 +74,16 @@ def _types_of(kind: str, definition: str, is_idl: bool) -> Any:
 
 def _require_plain(types: Mapping[str, Any]) -> None:
     """Refuse definitions whose names would not stay names in the code that `rosbags` generates."""
+    unrolled = 0
     for kind, (constants, fields) in types.items():
         names = [entry[0] for entry in (*constants, *fields)]
         if not (_TYPE_NAME.fullmatch(kind) and all(map(_FIELD_NAME.fullmatch, names))):
             raise ValueError(f"{kind!r} has names that ROS does not allow")
         for _, (node, rest) in fields:
-            is_long = node == _ARRAY and rest[1] > _LONGEST_UNROLLED
-            if is_long and (rest[0][0] == _NAME or rest[0][1][0] == "string"):
-                raise ValueError(f"{kind!r} has an array of {rest[1]} elements")
+            if node == _ARRAY and (rest[0][0] == _NAME or rest[0][1][0] == "string"):
+                unrolled += rest[1]
+    if unrolled > _MOST_UNROLLED:
+        raise ValueError(f"arrays of {unrolled} texts or messages")
 
 
 def _named_types(types: Mapping[str, Any]) -> set[str]:
