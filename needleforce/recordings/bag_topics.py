@@ -57,8 +57,6 @@ def _types_of(kind: str, definition: str, is_idl: bool) -> Any:
                 found = dict(library.get_types_from_msg(definition, kind))
             _require_plain(found)
             store = library.get_typestore(library.Stores.EMPTY)
-            for name in _named_types(found) - found.keys():
-                found |= {n: standard.fielddefs[n] for n in _closure(name, standard.fielddefs)}
             store.register(found)
             store.get_msgdef(kind)
         except Exception:
@@ -84,21 +82,6 @@ def _require_plain(types: Mapping[str, Any]) -> None:
                 unrolled += rest[1]
     if unrolled > _MOST_UNROLLED:
         raise ValueError(f"arrays of {unrolled} texts or messages")
-
-
-def _named_types(types: Mapping[str, Any]) -> set[str]:
-    """Return the types of fields, which need a definition of their own."""
-    fields = [entry for _, entries in types.values() for _, entry in entries]
-    inner = [rest[0] if node >= _ARRAY else (node, rest) for node, rest in fields]
-    return {rest for node, rest in inner if node == _NAME}
-
-
-def _closure(kind: str, types: Mapping[str, Any]) -> set[str]:
-    found, waiting = set(), {kind}
-    while waiting:
-        found |= waiting
-        waiting = _named_types({name: types[name] for name in waiting}) - found
-    return found
 
 
 class TopicColumn(NamedTuple):
