@@ -77,7 +77,7 @@ def test_an_unknown_unit_is_refused_with_the_known_ones():
 @pytest.mark.parametrize("channel", CHANNELS.values(), ids=lambda channel: channel.name)
 def test_each_channel_is_si_first_and_named_after_it(channel):
     assert channel.units[channel.si_unit] == 1.0
-    has_unit = channel.name not in ("force_status", "force_cautions")
+    has_unit = channel.name not in ("force_status", "force_warnings")
     assert split_unit(channel.key, channel.units)[1] == (channel.si_unit if has_unit else None)
 
 

@@ -29,17 +29,17 @@ _SLASHES = ("_per_", "_")
 _UNIT_PARTS = 3
 """The longest unit in a name has so many parts: `mm_per_s`."""
 
-FORCE_STATUS = ("ok", "not tared", "settling", "skipped")
+FORCE_STATUS = ("ok", "not tared", "initializing", "rejected")
 """What 0, 1, 2, ... of the column `force_status` mean; only the first is a usable force."""
 WORTHLESS = {
     "frozen": 2,
     "joint limit": 8,
     "near singular": 16,
-    "misfit": 32,
-    "stale": 64,
+    "model mismatch": 32,
+    "tare expired": 64,
     "velocity": 128,
 }
-"""Bits of the column `force_cautions` that make a force worthless to an identifier."""
+"""Bits of the column `force_warnings` that make a force worthless to an identifier."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -91,7 +91,7 @@ _SINGLE = (
      "axial force, positive when tissue pushes back"),
     ("force_status", "force_status", _CODE, "force_status",
      "whether the force can be used, as `python -m residual` writes it"),
-    ("force_cautions", "force_cautions", _CODE, "force_cautions",
+    ("force_warnings", "force_warnings", _CODE, "force_warnings",
      "what may be wrong with the force, as `python -m residual` writes it"),
 )  # fmt: skip
 _TIME_ROW = ("time", "t_s", _TIME, "t time timestamp time_stamp stamp", "time stamp")
