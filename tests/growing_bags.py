@@ -6,14 +6,17 @@ from itertools import pairwise
 from struct import pack
 
 import numpy as np
+from mcap.data_stream import RecordBuilder
+from mcap.records import Channel, DataEnd, Message, Schema
+from mcap.stream_reader import StreamReader
 from bag_samples import data_file, write_bag
 
-from recordings import ColumnMapping
-from recordings.bag_storage.mcap_records import MAGIC, mcap_records
-from recordings.columns.wanted import Wanted
-from recordings.log_stream import LogStream
-from recordings.sources.byte_source import Patience
-from recordings.table_stream import stream_tables
+from needleforce.recordings import ColumnMapping
+from needleforce.recordings.bag_storage import MAGIC
+from needleforce.recordings.mapping import ChannelRequest
+from needleforce.recordings.log import LogStream
+from needleforce.recordings.follow import FollowOptions
+from needleforce.recordings.open_recording import stream_tables
 
 ASKED = {"required": ("q", "tau", "depth")}
 LONGEST_S = 20.0
@@ -29,14 +32,14 @@ def recorded(folder, rows, compression=None):
 
 def without_chunks(path):
     """The same messages as a recorder writes them that makes no chunks."""
-    faults = []
+    builder = RecordBuilder()
     with path.open("rb") as stream:
-        records = [
-            bytes([r.opcode]) + pack("<Q", len(r.body)) + r.body
-            for r in mcap_records(stream, faults)
-        ]
-    assert faults == []
-    return MAGIC + HEADER + b"".join(records) + END
+        for record in StreamReader(stream).records:
+            if isinstance(record, Schema | Channel | Message):
+                record.write(builder)
+            if isinstance(record, DataEnd):
+                break
+    return MAGIC + HEADER + builder.end() + END
 
 
 def grow(path, pieces, pause_s=0.01, go_on=None):
@@ -65,8 +68,8 @@ def followed(path, patience=None, mapping=None, **asked):
     """The chunks of a log that is followed, and its warnings."""
     tables = stream_tables(
         path,
-        patience or Patience(follow=True, idle_s=LONGEST_S),
-        Wanted(mapping=mapping or ColumnMapping(), **(asked or ASKED)),
+        patience or FollowOptions(follow=True, idle_s=LONGEST_S),
+        ChannelRequest(mapping=mapping or ColumnMapping(), **(asked or ASKED)),
     )
     stream = LogStream(tables, mapping, **(asked or ASKED))
     return list(stream), stream.take_warnings()

@@ -1,6 +1,6 @@
 """Column mappings in one line, for tests."""
 
-from recordings import ColumnMapping, ColumnSpec
+from needleforce.recordings import ColumnMapping, ColumnSpec
 
 
 def mapped(rate_hz=None, **channels):

@@ -9,22 +9,16 @@ import numpy as np
 import pytest
 from page_sessions import session_failures
 
-import recordings
-from needleforce.cli.force import build_parser as residual_parser
-from needleforce.cli.identify import build_parser as identification_parser
-from needleforce.cli.robot_options import payload_from_arguments
-from needleforce.cli.simulate import build_parser as groundtruth_parser
+from needleforce import recordings
+from needleforce.cli import app
+from needleforce.cli.options import RobotOptions
+from needleforce.cli.robot import payload_from_options
 from recordings.bags.layout import bag_layout
-from recordings.columns.mapping_file import load_mapping
-from recordings.tables.labels import Labels
+from needleforce.recordings.mapping import load_mapping
+from needleforce.recordings.table import Labels
 
 PAGE = Path(__file__).parents[1] / "docs" / "bags.md"
 TEXT = PAGE.read_text(encoding="utf-8")
-PARSERS = {
-    "groundtruth": groundtruth_parser,
-    "residual": residual_parser,
-    "identification": identification_parser,
-}
 
 
 @pytest.fixture(autouse=True)
@@ -37,18 +31,18 @@ def test_the_sessions_give_what_the_page_shows():
 
 
 def test_the_command_lines_are_those_of_the_commands():
-    lines = re.findall(r"^python -m (\w+) (.*?)(?: > \S+)?$", TEXT, re.MULTILINE)
-    assert {name for name, _ in lines} == set(PARSERS)
+    lines = re.findall(r"^needleforce (\w+) (.*?)(?: > \S+)?$", TEXT, re.MULTILINE)
+    assert {name for name, _ in lines} == {"simulate", "force", "identify"}
     for name, arguments in lines:
-        assert PARSERS[name]().parse_args(shlex.split(arguments))
+        tokens = [name, *shlex.split(arguments)]
+        assert app.parse_args(tokens, exit_on_error=False, print_error=False)
 
 
 def test_the_payload_of_the_page_is_one():
     (lines,) = re.findall(r"```toml\n(.*?)```", TEXT, re.DOTALL)
     Path("payload.toml").write_text(lines, encoding="utf-8")
     assert load_mapping("payload.toml").payload == tomllib.loads(lines)["payload"]
-    arguments = residual_parser().parse_args(["log", "--mapping", "payload.toml"])
-    assert payload_from_arguments(arguments, "needle").mass_kg == 0.9
+    assert payload_from_options(RobotOptions(), "payload.toml").mass_kg == 0.9
 
 
 def test_the_table_of_topics_is_the_codes():

@@ -6,11 +6,11 @@ from bag_samples import TYPES, joint_state, message, wrench
 from hypothesis import given
 from hypothesis import strategies as st
 
-from recordings.bag_storage.raw_message import BagTopic
+from needleforce.recordings.bag_storage import BagTopic
 from recordings.bags.cdr_layout import learn_layout
 from recordings.bags.interpolate import interpolate
 from recordings.bags.message_columns import message_columns
-from recordings.errors import FormatError
+from needleforce.recordings.errors import FormatError
 
 texts = st.text(st.characters(codec="ascii", exclude_characters="\0"), max_size=9)
 finite = st.floats(allow_nan=False)

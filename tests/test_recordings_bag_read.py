@@ -14,7 +14,7 @@ from bag_samples import (
 )
 from mappings import mapped
 
-from recordings import (
+from needleforce.recordings import (
     ColumnError,
     ColumnMapping,
     FileAccessError,
@@ -181,12 +181,12 @@ def test_an_sqlite_file_that_is_no_bag_is_refused(tmp_path):
     with sqlite3.connect(tmp_path / "x.db3") as connection:
         connection.execute("CREATE TABLE notes(a)")
     connection.close()
-    with pytest.raises(FormatError, match="is not a bag: it has no table messages and no topics"):
+    with pytest.raises(FormatError, match="is not a bag: it has no tables messages and topics"):
         read_log(tmp_path / "x.db3")
 
 
 def test_messages_that_are_no_ros_messages_are_told(tmp_path):
-    from recordings.bag_storage.mcap_records import MAGIC
+    from needleforce.recordings.bag_storage import MAGIC
 
     def record(opcode, *parts):
         body = b"".join(parts)

@@ -11,14 +11,14 @@ from bag_samples import (
 )
 from mappings import mapped
 
-from recordings import (
+from needleforce.recordings import (
     ColumnError,
     ColumnMapping,
     read_log,
 )
-from recordings.bags.format import bag_chunks
-from recordings.columns.wanted import Wanted
-from recordings.log_stream import LogStream
+from needleforce.recordings.bag_reader import bag_tables
+from needleforce.recordings.mapping import ChannelRequest
+from needleforce.recordings.log import LogStream
 
 
 @pytest.fixture
@@ -61,12 +61,12 @@ def test_slower_topics_are_interpolated_to_the_stamps_of_the_fastest(folder):
 def test_the_mapping_may_choose_the_clock(folder):
     write_bag(folder, insertion_rows(40))
     mapping = ColumnMapping(
-        clock="/depth_mm", channels=mapped(force="/ft/wrench/force_xyz[2]").channels
+        reference_topic="/depth_mm", channels=mapped(force="/ft/wrench/force_xyz[2]").channels
     )
     log = read_log(folder, mapping, required=["depth", "force"])
     np.testing.assert_allclose(log["force_N"], [-0.0, -10.0, -20.0, -30.0], atol=2e-3)
     with pytest.raises(ColumnError, match="'/none' is no topic that can be read; topics are"):
-        read_log(folder, ColumnMapping(clock="/none"), required=["depth"])
+        read_log(folder, ColumnMapping(reference_topic="/none"), required=["depth"])
 
 
 def test_nothing_is_interpolated_across_a_gap(folder):
@@ -97,7 +97,7 @@ def test_of_several_topics_the_one_with_the_joints_of_the_robot_is_read(folder):
     asked = {"required": ["q", "tau"], "optional": ["dq"]}
     log = read_log(folder, joints=["b", "a"], **asked)
     assert log["q_rad"][:, 0].tolist() == [2.0, 4.0, 6.0]
-    assert len(list(LogStream(bag_chunks(folder, 2, Wanted(joints=("a", "b"), **asked)), **asked)))
+    assert len(list(LogStream(bag_tables(folder, 2, ChannelRequest(joints=("a", "b"), **asked)), **asked)))
     with pytest.raises(ColumnError, match="several columns would fit"):
         read_log(folder, joints=["a", "x"], **asked)
 
@@ -126,9 +126,9 @@ def test_messages_of_another_length_are_told(folder):
 @pytest.mark.parametrize("rows", [1, 7, 64, 1000])
 def test_chunks_are_the_bag_in_pieces(folder, rows):
     write_bag(folder, insertion_rows(333))
-    wanted = Wanted(mapping=mapped(depth="/depth_mm", force="/ft/wrench/force_xyz[2]"))
-    whole = next(bag_chunks(folder, None, wanted))
-    chunks = list(bag_chunks(folder, rows, wanted))
+    wanted = ChannelRequest(mapping=mapped(depth="/depth_mm", force="/ft/wrench/force_xyz[2]"))
+    whole = next(bag_tables(folder, None, wanted))
+    chunks = list(bag_tables(folder, rows, wanted))
     for name, values in whole.columns.items():
         joined = np.concatenate([chunk.columns[name] for chunk in chunks])
         np.testing.assert_array_equal(joined, values)

@@ -12,9 +12,9 @@ from rosbags.highlevel import AnyReader
 from rosbags.interfaces import QosDurability, QosHistory, QosReliability
 from rosbags.rosbag2 import Reader
 
-from recordings import FileAccessError, LogError, read_log, read_table, write_table
-from recordings.open_table import open_table
-from recordings.tables.labels import Labels
+from needleforce.recordings import FileAccessError, LogError, read_log, read_table, write_table
+from needleforce.recordings.output import open_table
+from needleforce.recordings.table import Labels
 
 START_NS = 1_700_000_000_123_456_789
 SUFFIXES = (".mcap", ".db3")

@@ -5,11 +5,11 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from recordings import Log, read_log, write_log, write_table
-from recordings.clock.nanoseconds import start_of_clock, to_nanoseconds, to_seconds
-from recordings.log_stream import LogStream
-from recordings.sources.byte_source import Patience
-from recordings.table_stream import stream_tables
+from needleforce.recordings import Log, read_log, write_log, write_table
+from needleforce.recordings.timestamps import start_of_clock, to_nanoseconds, to_seconds
+from needleforce.recordings.log import LogStream
+from needleforce.recordings.follow import FollowOptions
+from needleforce.recordings.open_recording import stream_tables
 
 SUFFIXES = ("csv", "csv.gz", "npz", "parquet", "mcap", "db3")
 EPOCH_NS = 1_700_000_000_123_456_789
@@ -39,7 +39,7 @@ def test_every_format_keeps_the_clock_of_the_source(tmp_path, suffix, start_ns):
     write_log(path, log)
     again = read_log(path, required=["q"])
     assert to_nanoseconds(again.t_s, again.start_ns).tolist() == stamps_ns.tolist()
-    stream = LogStream(stream_tables(path, Patience()), required=["q"])
+    stream = LogStream(stream_tables(path, FollowOptions()), required=["q"])
     t_s = np.concatenate([chunk.t_s for chunk in stream])
     assert to_nanoseconds(t_s, stream.start_ns).tolist() == stamps_ns.tolist()
 
@@ -63,7 +63,7 @@ def test_whole_nanoseconds_since_the_epoch_lose_no_digit(tmp_path, suffix, is_ra
         path.write_text("\n".join(lines) + "\n")
     log = read_log(path)
     assert to_nanoseconds(log.t_s, log.start_ns).tolist() == stamps_ns.tolist()
-    stream = LogStream(stream_tables(path, Patience()))
+    stream = LogStream(stream_tables(path, FollowOptions()))
     t_s = np.concatenate([chunk.t_s for chunk in stream])
     assert to_nanoseconds(t_s, stream.start_ns).tolist() == stamps_ns.tolist()
     write_log(tmp_path / "log.mcap", log)
@@ -78,7 +78,7 @@ def test_a_stamp_that_is_no_whole_number_costs_digits_but_no_second(tmp_path, ro
     lines = [f"{stamp},1.0" for stamp in stamps_ns]
     lines[row] = "oops,1.0"
     path.write_text("\n".join(["time_ns,force_N", *lines]) + "\n")
-    t_s = np.concatenate([chunk.t_s for chunk in LogStream(stream_tables(path, Patience()))])
+    t_s = np.concatenate([chunk.t_s for chunk in LogStream(stream_tables(path, FollowOptions()))])
     assert len(t_s) == 4999
     expected_s = np.delete(1e-3 * np.arange(5000), row)
     np.testing.assert_allclose(t_s - t_s[0], expected_s, atol=2e-6)

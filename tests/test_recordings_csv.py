@@ -9,11 +9,9 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from recordings import FileAccessError, FormatError, read_table
-from recordings.text.cells import CellReader
-from recordings.text.columns import read_fast
-from recordings.text.format import csv_tables
-from recordings.text.rows import CsvRows
+from needleforce.recordings import FileAccessError, FormatError, read_table
+from needleforce.recordings import csv_file
+from needleforce.recordings.csv_file import csv_tables
 
 
 @pytest.fixture
@@ -145,13 +143,25 @@ def test_text_that_is_not_utf8_is_read_and_told(read):
         ("Of Monday\nt,f\n0,1\n", "2 with 2.; check .* what stands above the header begins with #"),
         ("Of Monday\nat noon\n0,1\n", "no column .* what stands above the header begins with #"),
         ("t f\n0 1\n", "no column holds a number: column 't f' holds text .line 2, '0 1'"),
-        (b"PK\x03\x04\x00\x00", "is not text"),
+        (b"PK\x03\x04\x00\x00\x01", "is not text"),
+        (b"\x00" * 9, "is not text"),
+        (b"t,f\n0,1\n\x00\x001,2\n", "is not text"),
     ],
 )
 def test_what_cannot_be_read_is_refused_with_file_and_reason(read, text, message):
     with pytest.raises(FormatError, match=message) as caught:
         read(text)
     assert "log.csv" in str(caught.value)
+
+
+@pytest.mark.parametrize("tail", ["", "2,3"])
+def test_nul_bytes_at_the_end_cost_the_line_before_them_only(read, tail):
+    table = read(f"t,f\n0,1\n1,2\n{tail}".encode() + bytes(300_000))
+    assert values(table) == {"t": [0.0, 1.0], "f": [1.0, 2.0]}
+    assert table.warnings == (
+        "the file ends in 300000 NUL bytes, as power loss may leave them; what follows line 3 is "
+        "lost",
+    )
 
 
 def test_a_file_that_is_not_there_is_told(tmp_path):
@@ -232,11 +242,10 @@ cells = st.floats() | st.integers(-(10**6), 10**6)
 @given(st.lists(st.lists(cells, min_size=3, max_size=3), min_size=1, max_size=20))
 def test_the_fast_and_the_slow_reader_agree(rows):
     text = "a,b,c\n" + "".join(",".join(map(repr, row)) + "\n" for row in rows)
-    found = CsvRows()
-    found.add(text.split("\n"))
-    layout, reader = found.take(), CellReader()
-    fast, slow = read_fast(layout), reader.read(layout)
-    assert reader == CellReader(has_number={0, 1, 2})
+    lines = text.split("\n")[1:-1]
+    columns = csv_file._Columns(csv_file._Header(("a", "b", "c"), ","))
+    fast, slow = columns._read_fast(lines), columns._read_cells(lines, range(len(lines)))
+    assert columns.notes() == ()
     np.testing.assert_array_equal(fast, slow)
     np.testing.assert_array_equal(fast, rows)
 

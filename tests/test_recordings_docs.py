@@ -8,10 +8,10 @@ from pathlib import Path
 import pytest
 from page_sessions import session_failures
 
-import recordings
-from recordings import CHANNELS, load_mapping, mapping_arguments, mapping_from_arguments, read_log
+from needleforce import recordings
+from needleforce.recordings import CHANNELS, load_mapping, mapping_arguments, mapping_from_arguments, read_log
 from recordings.read_log import _READERS
-from recordings.text.format import HEAD_ROWS
+from needleforce.recordings.csv_file import HEAD_ROWS
 
 PAGE = Path(__file__).parents[1] / "docs" / "recordings.md"
 TEXT = PAGE.read_text(encoding="utf-8")

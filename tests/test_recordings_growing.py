@@ -20,16 +20,13 @@ from growing_bags import (
     recorded,
     without_chunks,
 )
-from hypothesis import given
-from hypothesis import strategies as st
 from residual_command_log import write_insertion
 
-from recordings import FileAccessError, FormatError, read_log, write_table
-from recordings.bag_storage.mcap_records import MAGIC
-from recordings.columns.wanted import Wanted
-from recordings.sources.byte_source import Patience
-from recordings.sources.growing_file import GrowingFile
-from recordings.table_stream import stream_tables
+from needleforce.recordings import FileAccessError, FormatError, read_log, write_table
+from needleforce.recordings.bag_storage import MAGIC
+from needleforce.recordings.mapping import ChannelRequest
+from needleforce.recordings.follow import FollowOptions
+from needleforce.recordings.open_recording import stream_tables
 
 ROWS = np.arange(5000)
 DEPTHS = {"t_s": ROWS / 1000, "depth_m": 1e-6 * ROWS, "force_N": 1e-3 * ROWS**0.5}
@@ -60,7 +57,7 @@ def test_rows_come_while_the_recorder_still_writes(tmp_path):
     path, go_on = tmp_path / "growing.mcap", threading.Event()
     half = len(data) // 2
     writer = grow(path, [data[:half], data[half:]], go_on=go_on)
-    tables = stream_tables(path, Patience(follow=True, idle_s=LONGEST_S), Wanted(**ASKED))
+    tables = stream_tables(path, FollowOptions(follow=True, idle_s=LONGEST_S), ChannelRequest(**ASKED))
     rows, before = 0, None
     for table in tables:
         rows += len(table.columns["t_s"])
@@ -77,12 +74,12 @@ def test_who_stops_hears_nothing_of_what_was_not_finished_and_an_idle_end_tells_
     data = without_chunks(data_file(tmp_path / "bag"))
     path = tmp_path / "growing.mcap"
     path.write_bytes(data[: len(data) * 2 // 3 + 7])
-    chunks, warnings = followed(path, Patience(follow=True, idle_s=0.2))
+    chunks, warnings = followed(path, FollowOptions(follow=True, idle_s=0.2))
     assert "growing.mcap is cut short" in warnings
     rows = sum(len(chunk.t_s) for chunk in chunks)
     assert 1900 < rows < 2100
     is_over = threading.Event()
-    patience = Patience(follow=True, should_stop=is_over.is_set)
+    patience = FollowOptions(follow=True, should_stop=is_over.is_set)
     timer = threading.Timer(0.5, is_over.set)
     timer.start()
     chunks, warnings = followed(path, patience)
@@ -94,7 +91,7 @@ def test_an_idle_end_between_two_messages_is_no_fault(tmp_path):
     recorded(tmp_path / "bag", insertion_rows(2000))
     path = tmp_path / "growing.mcap"
     path.write_bytes(without_chunks(data_file(tmp_path / "bag"))[: -len(END)])
-    chunks, warnings = followed(path, Patience(follow=True, idle_s=0.2))
+    chunks, warnings = followed(path, FollowOptions(follow=True, idle_s=0.2))
     assert sum(len(chunk.t_s) for chunk in chunks) == 2000
     assert "cut short" not in "".join(warnings)
 
@@ -109,22 +106,8 @@ def test_a_recording_shorter_than_what_decides_its_topics_is_read_when_it_ends(t
     assert set(warnings) == set(log.warnings)
 
 
-@given(st.lists(st.binary(max_size=9)), st.lists(st.integers(0, 7), min_size=1))
-def test_a_growing_file_gives_its_bytes_in_pieces_of_any_size(blocks, sizes):
-    file, found, pauses = GrowingFile(blocks), b"", 0
-    for size in sizes * (sum(map(len, blocks)) + len(blocks) + 1):
-        part = file.read(size)
-        if part is None:
-            pauses += 1
-            continue
-        found += part
-        assert len(part) == size or found == b"".join(blocks)
-    assert found == b"".join(blocks) or max(sizes) == 0
-    assert pauses <= blocks.count(b"")
-
-
 def test_what_cannot_be_followed_is_told_with_what_to_do(tmp_path):
-    follow = Patience(follow=True, idle_s=0.1)
+    follow = FollowOptions(follow=True, idle_s=0.1)
     with pytest.raises(FileAccessError, match=r"x.db3 cannot be followed.*ros2 bag record -s mcap"):
         list(stream_tables(tmp_path / "x.db3", follow))
     with pytest.raises(FileAccessError, match=r"is a folder.*name the .mcap file in it"):

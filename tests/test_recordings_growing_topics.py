@@ -20,15 +20,15 @@ from growing_bags import (
 )
 from mappings import mapped
 
-from recordings import ColumnError, ColumnMapping, read_log
-from recordings.bag_storage.messages import bag_messages
-from recordings.bag_storage.raw_message import NONE_YET
-from recordings.bags.plan import plan_bag
-from recordings.bags.survey import survey_bag
-from recordings.bags.tables import bag_tables
-from recordings.columns.wanted import Wanted
-from recordings.sources.byte_source import Patience
-from recordings.table_stream import stream_tables
+from needleforce.recordings import ColumnError, ColumnMapping, read_log
+from needleforce.recordings.bag_storage import NONE_YET, bag_messages
+from needleforce.recordings.bag_reader import plan_bag
+from needleforce.recordings.bag_reader import bag_info
+from needleforce.recordings.bag_reader import joined_messages
+from needleforce.recordings.errors import MAX_BYTES
+from needleforce.recordings.mapping import ChannelRequest
+from needleforce.recordings.follow import FollowOptions
+from needleforce.recordings.open_recording import stream_tables
 
 STEP_NS = 10_000_000
 
@@ -45,7 +45,7 @@ def late_topic(first):
 def test_a_topic_that_is_not_there_yet_is_waited_for_and_told_once(tmp_path):
     path, told = tmp_path / "growing.mcap", []
     path.write_bytes(recorded(tmp_path / "bag", late_topic(350)))
-    patience = Patience(follow=True, idle_s=LONGEST_S, warn=told.append)
+    patience = FollowOptions(follow=True, idle_s=LONGEST_S, warn=told.append)
     chunks, _ = followed(path, patience)
     assert_same(chunks, read_log(path, **ASKED))
     assert told == [
@@ -57,12 +57,12 @@ def test_a_topic_that_is_not_there_yet_is_waited_for_and_told_once(tmp_path):
 def test_a_topic_that_never_comes_is_an_error_when_the_recording_has_ended(tmp_path):
     path, told = tmp_path / "growing.mcap", []
     path.write_bytes(recorded(tmp_path / "bag", late_topic(600)))
-    patience = Patience(follow=True, idle_s=LONGEST_S, warn=told.append)
+    patience = FollowOptions(follow=True, idle_s=LONGEST_S, warn=told.append)
     with pytest.raises(ColumnError, match="no column found for depth"):
         followed(path, patience)
     with pytest.raises(ColumnError, match="'/none' is no topic"):
-        followed(path, patience, ColumnMapping(clock="/none"), required=("q",))
-    assert "waiting for more topics; clock = '/none' is no topic" in told[-1]
+        followed(path, patience, ColumnMapping(reference_topic="/none"), required=("q",))
+    assert "waiting for more topics; reference_topic = '/none' is no topic" in told[-1]
 
 
 FORCE = {"required": ("q", "force")}
@@ -96,8 +96,8 @@ def test_rows_do_not_wait_for_a_topic_that_has_gone(tmp_path):
     recorded(tmp_path / "bag", arm_and_force(800, force_ends=300))
     path, is_over = tmp_path / "growing.mcap", threading.Event()
     path.write_bytes(without_chunks(data_file(tmp_path / "bag"))[: -len(END)])
-    patience = Patience(follow=True, should_stop=is_over.is_set)
-    tables = stream_tables(path, patience, Wanted(mapping=FORCE_MAPPING, **FORCE))
+    patience = FollowOptions(follow=True, should_stop=is_over.is_set)
+    tables = stream_tables(path, patience, ChannelRequest(mapping=FORCE_MAPPING, **FORCE))
     timer = threading.Timer(LONGEST_S, is_over.set)
     timer.start()
     first = next(tables)
@@ -111,10 +111,10 @@ def test_rows_do_not_wait_for_a_topic_that_has_gone(tmp_path):
 
 
 def test_while_the_clock_is_silent_what_other_topics_bring_does_not_fill_memory(tmp_path):
-    survey = survey_bag(write_bag(tmp_path / "bag", arm_and_force(200)))
-    wanted = Wanted(mapping=ColumnMapping(clock="/joint_states"))
-    plan = plan_bag(survey, wanted, frozenset({"/joint_states/position", "/ft/force_xyz"}))
-    whole = list(bag_messages(survey.files, []))
+    info = bag_info(write_bag(tmp_path / "bag", arm_and_force(200)))
+    wanted = ChannelRequest(mapping=ColumnMapping(reference_topic="/joint_states"))
+    plan = plan_bag(info, wanted, frozenset({"/joint_states/position", "/ft/force_xyz"}))
+    whole = list(bag_messages(info.files, [], MAX_BYTES))
     force = next(message for message in whole if message.topic.name == "/ft")
 
     def messages():
@@ -131,7 +131,7 @@ def test_while_the_clock_is_silent_what_other_topics_bring_does_not_fill_memory(
     tracemalloc.start()
     try:
         rows = sum(
-            len(table.columns["t_s"]) for table in bag_tables(messages(), survey, plan, 2048)
+            len(table.columns["t_s"]) for table in joined_messages(messages(), info, plan, 2048)
         )
     finally:
         tracemalloc.stop()

@@ -8,9 +8,9 @@ from hypothesis import given
 from hypothesis import strategies as st
 from hypothesis.extra import numpy as hnp
 
-import recordings
-from recordings import ColumnError, FormatError, Log, LogError, RecordingError, Table
-from recordings.clock.row_clock import RowClock
+from needleforce import recordings
+from needleforce.recordings import ColumnError, FormatError, Log, LogError, RecordingError, Table
+from needleforce.recordings.timestamps import RowClock
 
 T_S = np.arange(4) / 1000.0
 

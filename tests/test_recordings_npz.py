@@ -6,7 +6,7 @@ import zipfile
 import numpy as np
 import pytest
 
-from recordings import FileAccessError, FormatError, read_table
+from needleforce.recordings import FileAccessError, FormatError, read_table
 
 
 @pytest.fixture

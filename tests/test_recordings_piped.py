@@ -9,12 +9,12 @@ import threading
 import numpy as np
 import pytest
 
-from needleforce.cli import identify as command
-from recordings import FileAccessError, read_log, write_table
-from recordings.log_stream import LogStream
-from recordings.sources.byte_source import Patience
-from recordings.sources.piped_binary import peek, spooled
-from recordings.table_stream import stream_tables
+from needleforce.cli import main
+from needleforce.recordings import FileAccessError, read_log, write_table
+from needleforce.recordings.log import LogStream
+from needleforce.recordings.follow import FollowOptions
+from needleforce.recordings.follow import peek, spooled
+from needleforce.recordings.open_recording import stream_tables
 
 ROWS = np.arange(5000)
 COLUMNS = {"t_s": ROWS / 1000, "depth_m": 1e-6 * ROWS, "force_N": 1e-3 * ROWS**0.5}
@@ -31,7 +31,7 @@ def piped(data, path, size, should_stop=lambda: False):
 
     writer, told = threading.Thread(target=write), []
     writer.start()
-    patience = Patience(warn=told.append, should_stop=should_stop)
+    patience = FollowOptions(warn=told.append, should_stop=should_stop)
     chunks = list(LogStream(stream_tables(path, patience), required=["depth", "force"]))
     writer.join()
     t_s = np.concatenate([chunk.t_s for chunk in chunks])
@@ -61,7 +61,7 @@ def test_a_bag_in_sqlite_comes_through_a_pipe(tmp_path):
 def test_a_bag_that_is_piped_into_the_command_gives_the_bytes_of_the_file(tmp_path):
     path, out = tmp_path / "log.mcap", tmp_path / "out.csv"
     write_table(path, COLUMNS)
-    assert command.main([str(path), "-o", str(out)]) == 0
+    assert main(["identify", str(path), "-o", str(out)]) == 0
     argv = [sys.executable, "-m", "identification", "-", "-o", "-"]
     done = subprocess.run(argv, input=path.read_bytes(), capture_output=True, check=False)
     assert (done.returncode, done.stdout) == (0, out.read_bytes())

@@ -10,7 +10,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from mappings import mapped
 
-from recordings import (
+from needleforce.recordings import (
     ColumnError,
     ColumnMapping,
     ColumnSpec,
@@ -21,11 +21,12 @@ from recordings import (
     read_log,
     write_table,
 )
-from recordings.columns.channel import CHANNELS
-from recordings.log_stream import LogStream
-from recordings.select_channels import select_channels
-from recordings.sources.byte_source import Patience
-from recordings.table_stream import stream_tables
+from needleforce.recordings.channels import CHANNELS
+from needleforce.recordings.log import LogStream
+from needleforce.recordings.follow import FollowOptions
+from needleforce.recordings.mapping import ChannelRequest
+from needleforce.recordings.open_recording import log_of as log_of_table
+from needleforce.recordings.open_recording import stream_tables
 
 BESIDE = Path(__file__).parents[2] / "shared" / "data"
 DATA = Path(os.environ.get("NEEDLEFORCE_DATA", BESIDE))
@@ -40,7 +41,10 @@ def real(name):
 
 def log_of(mapping=None, required=(), optional=(), constants=None, **columns):
     table = Table(columns=columns, constants=constants or {})
-    return select_channels(table, mapping or ColumnMapping(), required, optional)
+    request = ChannelRequest(
+        mapping=mapping or ColumnMapping(), required=tuple(required), optional=tuple(optional)
+    )
+    return log_of_table(table, request)
 
 
 T = np.arange(3.0) / 100
@@ -172,7 +176,7 @@ def test_all_that_is_missing_is_told_at_once():
     table = Table(columns={"t": [0.0, 1.0], "a": [1.0, 2.0]})
     message = r"no column found for q \(joint.* Nor for tau \(measured joint torques\). Columns are"
     with pytest.raises(ColumnError, match=message):
-        select_channels(table, ColumnMapping(), required=["q", "tau"], optional=["dq"])
+        log_of_table(table, ChannelRequest(required=("q", "tau"), optional=("dq",)))
 
 
 def test_what_was_left_out_is_told_when_nothing_fits(tmp_path):
@@ -183,7 +187,7 @@ def test_what_was_left_out_is_told_when_nothing_fits(tmp_path):
             read_log(log, required=[required])
         assert "'tau' holds text (line 2, 'oops') and was left out)" in str(told.value)
         with pytest.raises(ColumnError) as streamed:
-            list(LogStream(stream_tables(log, Patience()), required=[required]))
+            list(LogStream(stream_tables(log, FollowOptions()), required=[required]))
         assert str(streamed.value) == str(told.value)
 
 

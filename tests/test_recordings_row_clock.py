@@ -5,8 +5,8 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from recordings import Log
-from recordings.clock.row_clock import RowClock
+from needleforce.recordings import Log
+from needleforce.recordings.timestamps import RowClock
 
 T_S = np.arange(1000) / 1000
 

@@ -8,7 +8,7 @@ from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 from hypothesis.extra import numpy as hnp
 
-from recordings import (
+from needleforce.recordings import (
     FileAccessError,
     Log,
     LogError,
@@ -18,7 +18,7 @@ from recordings import (
     write_log,
     write_table,
 )
-from recordings.open_table import open_table
+from needleforce.recordings.output import open_table
 
 SUFFIXES = ("csv", "csv.gz", "npz")
 T_S = np.arange(3) / 1000.0

@@ -5,11 +5,15 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from recordings import CHANNELS, ColumnError, MappingError, Table
-from recordings.columns.detect import detect_columns
-from recordings.columns.find import find_columns
-from recordings.columns.name import parse_column_name, split_unit
-from recordings.columns.units import find_unit, require_unit
+from needleforce.recordings import CHANNELS, ColumnError, MappingError, Table
+from needleforce.recordings.channels import (
+    detect_columns,
+    find_columns,
+    find_unit,
+    parse_column_name,
+    require_unit,
+    split_unit,
+)
 
 
 def table_of(*names, **two_dimensional):
@@ -82,6 +86,8 @@ def test_each_channel_is_si_first_and_named_after_it(channel):
         ("t_ns", "time", "t", None, "ns"),
         ("time [beats]", "time", "time [beats]", None, None),
         ("42", "q", "42", None, None),
+        ("q2024051512", "q", "q2024051512", None, None),
+        (f"q{'9' * 5000}", "q", f"q{'9' * 5000}", None, None),
     ],
 )
 def test_a_name_is_taken_apart(name, channel, stem, number, unit):
@@ -140,10 +146,13 @@ def test_an_element_of_a_two_dimensional_column_counts_from_zero():
         ("p", "found the numbers 1 to 4, but not 2, 3"),
         ("p*", "found the numbers 1 to 4, but not 2, 3"),
         ("k", "fits both 'k1' and 'k_1'"),
+        ("q{1..1000000000000}", "no column"),
+        ("q{1..999999999}", "no column 'q3'"),
+        ("h", "found the numbers 1 to 900000000, but not 2, 3, 4, 5, 6;"),
     ],
 )
 def test_a_pattern_that_fits_nothing_or_too_much_is_refused(pattern, message):
-    names = ("Force", "q1", "q2", "p1", "p4", "k1", "k_1", "z [mm]")
+    names = ("Force", "q1", "q2", "p1", "p4", "k1", "k_1", "z [mm]", "h1", "h900000000")
     table = table_of(*names, wrench=np.zeros((3, 6)))
     with pytest.raises(ColumnError, match=message):
         find_columns(table, pattern)

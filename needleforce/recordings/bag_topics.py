@@ -1,0 +1,373 @@
+"""The messages of one topic as columns of numbers; `rosbags` decodes them."""
+
+import re
+from collections.abc import Callable, Collection, Mapping
+from functools import cache
+from operator import attrgetter
+from typing import Any, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from needleforce.recordings.bag_storage import BagTopic, RawMessage
+from needleforce.recordings.errors import FormatError, optional_library
+from needleforce.recordings.table import FloatArray
+from needleforce.recordings.timestamps import NS_PER_S
+
+STANDARD = "ROS2_HUMBLE"
+"""Whose standard messages are meant where a bag holds no definitions."""
+CDR = "cdr"
+_NAMES = ("name", "names", "joint_names")
+"""Fields that name the elements of the arrays beside them."""
+_VECTORS = (("x", "y", "z", "w"), ("x", "y", "z"), ("x", "y"))
+_STAMP = [("header", "stamp", "sec"), ("header", "stamp", "nanosec")]
+_MOST_ELEMENTS = 64
+"""Longer arrays are images and point clouds, not signals."""
+_LONGEST_DEFINITION = 1 << 18  # characters
+_LONGEST_UNROLLED = 1000
+"""`rosbags` generates code for each element of an array of texts or messages."""
+_TYPE_NAME = re.compile(r"[A-Za-z]\w*(/[A-Za-z]\w*)*", re.ASCII)
+_FIELD_NAME = re.compile(r"[A-Za-z_]\w*", re.ASCII)
+_BASE, _NAME, _ARRAY = 1, 2, 3
+
+Path = tuple[str, ...]
+
+
+@cache
+def standard_types() -> Any:
+    """Return the type store of ROS's own messages; `FileAccessError` without rosbags."""
+    library = optional_library("rosbags.typesys", "ROS 2 bags")
+    return library.get_typestore(getattr(library.Stores, STANDARD))
+
+
+@cache
+def _types_of(kind: str, definition: str, is_idl: bool) -> Any:
+    """Return a store with a type as the bag defines it, else as ROS does.
+
+    Raises:
+        FormatError: nothing is known of the type, or its definition is none.
+    """
+    standard = standard_types()
+    library = optional_library("rosbags.typesys", "ROS 2 bags")
+    unknown = FormatError(f"holds messages of the type {kind}, without its definition")
+    if definition and len(definition) <= _LONGEST_DEFINITION:
+        try:
+            if is_idl:
+                # Several files may follow each other, each below a line with its name.
+                found = {}
+                for part in re.split(r"=+\nIDL: .*\n", definition):
+                    found |= library.get_types_from_idl(part) if part.strip() else {}
+            else:
+                found = dict(library.get_types_from_msg(definition, kind))
+            _require_plain(found)
+            store = library.get_typestore(library.Stores.EMPTY)
+            for name in _named_types(found) - found.keys():
+                found |= {n: standard.fielddefs[n] for n in _closure(name, standard.fielddefs)}
+            store.register(found)
+            store.get_msgdef(kind)
+        except Exception:
+            # The parser raises whatever a damaged definition makes it run into; some types of a
+            # bag are of no interest.
+            pass
+        else:
+            return store
+    if kind not in standard.fielddefs:
+        raise unknown
+    return standard
+
+
+def _require_plain(types: Mapping[str, Any]) -> None:
+    """Refuse definitions whose names would not stay names in the code that `rosbags` generates."""
+    for kind, (constants, fields) in types.items():
+        names = [entry[0] for entry in (*constants, *fields)]
+        if not (_TYPE_NAME.fullmatch(kind) and all(map(_FIELD_NAME.fullmatch, names))):
+            raise ValueError(f"{kind!r} has names that ROS does not allow")
+        for _, (node, rest) in fields:
+            is_long = node == _ARRAY and rest[1] > _LONGEST_UNROLLED
+            if is_long and (rest[0][0] == _NAME or rest[0][1][0] == "string"):
+                raise ValueError(f"{kind!r} has an array of {rest[1]} elements")
+
+
+def _named_types(types: Mapping[str, Any]) -> set[str]:
+    """Return the types of fields, which need a definition of their own."""
+    fields = [entry for _, entries in types.values() for _, entry in entries]
+    inner = [rest[0] if node >= _ARRAY else (node, rest) for node, rest in fields]
+    return {rest for node, rest in inner if node == _NAME}
+
+
+def _closure(kind: str, types: Mapping[str, Any]) -> set[str]:
+    found, waiting = set(), {kind}
+    while waiting:
+        found |= waiting
+        waiting = _named_types({name: types[name] for name in waiting}) - found
+    return found
+
+
+class TopicColumn(NamedTuple):
+    """A column of a topic.
+
+    Attributes:
+        name: the topic and the fields that lead to the numbers.
+        get: takes the numbers out of a message.
+        is_array: whether it holds an array, whose length only a message shows.
+        width: how many numbers, None for one.
+        is_beside_names: whether it stands beside the field that names elements.
+    """
+
+    name: str
+    get: Callable[[Any], Any]
+    is_array: bool
+    width: int | None
+    is_beside_names: bool
+
+
+class Content(NamedTuple):
+    """What a message holds.
+
+    Attributes:
+        stamp_ns: its source time stamp; 0 if it was never set, None if the type has none.
+        names: names of joints, empty if it has none.
+        values: column name to a number or an array; none for arrays that are empty or long.
+        named: columns with one number for each of these names.
+    """
+
+    stamp_ns: int | None
+    names: tuple[str, ...]
+    values: dict[str, Any]
+    named: frozenset[str]
+
+
+class TopicDecoder:
+    """Decodes the messages of one topic.
+
+    A column is called by its topic and the fields that lead to it: `/joint_states/position`.
+    Vectors are one column of several numbers: `/ft/wrench/force_xyz`. In a `...Stamped` message
+    the one field beside the header goes unnamed, and so does `data`: `/depth_mm`.
+
+    Raises:
+        FormatError: the topic's type is not known, or it is no ROS 2 topic.
+    """
+
+    def __init__(self, topic: BagTopic) -> None:
+        if topic.encoding != CDR:
+            raise FormatError(f"is encoded as {topic.encoding!r}; ROS 2 has {CDR!r}")
+        self._kind = topic.kind
+        self._types = _types_of(topic.kind, topic.definition, topic.is_idl)
+        try:
+            places = list(self._places((), topic.kind))
+        except (KeyError, RecursionError) as error:
+            raise FormatError(f"has the type {topic.kind}, whose definition is damaged") from error
+        paths = [path for path, _ in places]
+        self.has_stamp = all(path in paths for path in _STAMP)
+        if self.has_stamp:
+            places = [place for place in places if place[0] not in _STAMP]
+        fields = [name for name, _ in self._types.get_msgdef(topic.kind).fields]
+        self._names = next((name for name in _NAMES if name in fields), None)
+        self.columns = list(self._columns(topic, places))
+
+    def _places(self, path: Path, kind: str) -> Any:
+        """Yield the paths to numbers in a type, with the base type, and whether it is an array."""
+        for name, (node, rest) in self._types.get_msgdef(kind).fields:
+            if node == _NAME:
+                yield from self._places((*path, name), rest)
+            elif node == _BASE and rest[0] != "string":
+                yield (*path, name), (rest[0], False)
+            elif node >= _ARRAY and rest[0][0] == _BASE and rest[0][1][0] != "string":
+                yield (*path, name), (rest[0][1][0], True)
+
+    def _columns(self, topic: BagTopic, places: list[tuple[Path, Any]]) -> Any:
+        at = 0
+        while at < len(places):
+            path, (_, is_array) = places[at]
+            width = next((len(v) for v in _VECTORS if _is_vector(places[at : at + len(v)], v)), 0)
+            inside = [".".join(place) for place, _ in places[at : at + (width or 1)]]
+            if width:
+                components = "".join(place[-1] for place, _ in places[at : at + width])
+                path = (*path[:-2], "_".join((*path[-2:-1], components)))
+            if topic.kind.endswith("Stamped"):
+                path = path[1:] or path
+            name = topic.name if path == ("data",) else "/".join((topic.name, *path))
+            is_beside = is_array and len(path) == 1
+            yield TopicColumn(name, attrgetter(*inside), is_array, width or None, is_beside)
+            at += width or 1
+
+    def decode(self, data: bytes) -> Content:
+        """Decode a message.
+
+        Raises:
+            FormatError: it does not fit its type, or is encoded in another way.
+        """
+        try:
+            message = self._types.deserialize_cdr(data, self._kind)
+        except Exception as error:
+            # Damaged bytes end in whatever the generated code runs into.
+            raise FormatError(f"does not fit its type {self._kind}") from error
+        names: tuple[str, ...] = ()
+        if self._names is not None:
+            found = getattr(message, self._names)
+            names = tuple(found) if isinstance(found, list) else ()
+            # Empty or repeated names identify no joint: their order then has to.
+            if not all(map(str, names)) or len(set(names)) < len(names):
+                names = ()
+        values, named = {}, set()
+        for column in self.columns:
+            value = column.get(message)
+            if column.is_array:
+                if not 0 < len(value) <= _MOST_ELEMENTS:
+                    continue
+                if column.is_beside_names and len(value) == len(names):
+                    named.add(column.name)
+            values[column.name] = value
+        stamp_ns = None
+        if self.has_stamp:
+            stamp = message.header.stamp
+            stamp_ns = stamp.sec * NS_PER_S + stamp.nanosec
+        return Content(stamp_ns, names, values, frozenset(named))
+
+
+def _is_vector(places: list[tuple[Path, Any]], components: tuple[str, ...]) -> bool:
+    return (
+        tuple(path[-1] for path, _ in places) == components
+        and len({(path[:-1], kind) for path, kind in places}) == 1
+        and not places[0][1][1]
+    )
+
+
+def width_of(value: Any) -> int | None:
+    """Return how many numbers a value of `Content` holds; None for a single number."""
+    return len(value) if isinstance(value, tuple | np.ndarray) else None
+
+
+class TopicRows(NamedTuple):
+    """Messages of one topic: source time stamps, shape (m,), and columns, shape (m, k)."""
+
+    stamps_ns: NDArray[np.int64]
+    columns: dict[str, FloatArray]
+
+
+class TopicReader:
+    """Collects the messages of a topic.
+
+    Joints are put where their names say; a joint that a message lacks is NaN. The time stamp is
+    the header's; where there is none, or it was never set, the recorder's.
+
+    Args:
+        topic: the topic.
+        widths: the columns to read, with how many numbers they have; None for one.
+        named: those of them whose elements have names.
+        joints: the order of joints in these; messages that name joints, but none of these, are
+            left out.
+    """
+
+    def __init__(
+        self,
+        topic: BagTopic,
+        widths: Mapping[str, int | None],
+        named: Collection[str] = (),
+        joints: Collection[str] = (),
+    ) -> None:
+        self._topic, self._decoder = topic, None
+        self._named = frozenset(named)
+        self._joints = {joint: place for place, joint in enumerate(joints)}
+        self._widths = {
+            name: len(self._joints) if name in self._named else width or 1
+            for name, width in widths.items()
+        }
+        self._faults: dict[str, int] = {}
+        self._stamps_ns: list[int] = []
+        self._values: dict[str, list[Any]] = {name: [] for name in widths}
+
+    def __len__(self) -> int:
+        """Return how many messages wait to be taken."""
+        return len(self._stamps_ns)
+
+    def add(self, message: RawMessage) -> None:
+        """Take a message in."""
+        try:
+            self._decoder = self._decoder or TopicDecoder(self._topic)
+            content = self._decoder.decode(message.data)
+        except FormatError:
+            self._note("messages that do not fit their type, left out")
+            return
+        names = content.names
+        if self._joints and names and self._joints.keys().isdisjoint(names):
+            self._note("messages without any of the joints, left out")
+            return
+        if names and not self._joints.keys() <= set(names):
+            self._note("messages that lack joints")
+        stamp_ns = content.stamp_ns
+        if stamp_ns == 0 and message.log_ns:
+            self._note("messages without a source time stamp; the recorder's was taken")
+        self._stamps_ns.append(stamp_ns or message.log_ns)
+        for name, rows in self._values.items():
+            rows.append(self._row(name, content))
+
+    def _row(self, name: str, content: Content) -> Any:
+        """Return the numbers of one column of a message; what does not fit is NaN."""
+        width = self._widths[name]
+        value = content.values.get(name)
+        is_named = name in self._named
+        if value is None or is_named != (name in content.named):
+            self._note(f"messages without values of {name}, or not one for each joint")
+        elif is_named:
+            if tuple(self._joints) == content.names:
+                return value
+            row = np.full(width, np.nan)
+            for joint, number in zip(content.names, value, strict=True):
+                if joint in self._joints:
+                    row[self._joints[joint]] = number
+            return row
+        elif (width_of(value) or 1) == width:
+            return value if isinstance(value, tuple | np.ndarray) else (value,)
+        else:
+            self._note(f"messages with another number of values of {name}")
+        return np.full(width, np.nan)
+
+    def take(self) -> TopicRows:
+        """Return what has been added since the last call."""
+        stamps_ns = np.array(self._stamps_ns, dtype=np.int64)
+        columns = {
+            name: np.array(rows, dtype=np.float64).reshape(len(rows), self._widths[name])
+            for name, rows in self._values.items()
+        }
+        self._stamps_ns, self._values = [], {name: [] for name in self._values}
+        return TopicRows(stamps_ns, columns)
+
+    def notes(self) -> list[str]:
+        """Return what was left out or guessed so far, one sentence each."""
+        return [f"{self._topic.name}: {what}: {count}" for what, count in self._faults.items()]
+
+    def _note(self, what: str) -> None:
+        self._faults[what] = self._faults.get(what, 0) + 1
+
+
+def interpolate(
+    at_ns: NDArray[np.int64], stamps_ns: NDArray[np.int64], values: FloatArray, limit_ns: float
+) -> FloatArray:
+    """Interpolate linearly; where stamps agree, the values are taken as they are.
+
+    Args:
+        at_ns: where values are wanted, shape (n,).
+        stamps_ns: where they are known, shape (m,), in any order.
+        values: shape (m, k).
+        limit_ns: between stamps further apart than this, nothing is interpolated.
+
+    Returns:
+        Shape (n, k); NaN before the first stamp, after the last, and in gaps.
+    """
+    if not stamps_ns.size:
+        return np.full((at_ns.size, values.shape[1]), np.nan)
+    order = np.argsort(stamps_ns, kind="stable")
+    stamps_ns, values = stamps_ns[order], values[order]
+    before = np.searchsorted(stamps_ns, at_ns, side="right") - 1
+    low = np.clip(before, 0, stamps_ns.size - 1)
+    high = np.clip(before + 1, 0, stamps_ns.size - 1)
+    span = (stamps_ns[high] - stamps_ns[low]).astype(np.float64)
+    inside = (before >= 0) & (span > 0.0) & (span <= limit_ns)
+    fraction = np.divide(at_ns - stamps_ns[low], span, out=np.zeros(at_ns.size), where=inside)
+    with np.errstate(invalid="ignore"):
+        result = values[low] + fraction[:, None] * (values[high] - values[low])
+    result[~inside] = np.nan
+    exact = (before >= 0) & (stamps_ns[low] == at_ns)
+    result[exact] = values[low[exact]]
+    return result

@@ -1,0 +1,245 @@
+"""The bytes of a file, of a pipe, or of a file that still grows, as they come."""
+
+import os
+import select
+import stat
+import sys
+import tempfile
+import time
+import zlib
+from collections.abc import Callable, Iterable, Iterator
+from contextlib import contextmanager
+from dataclasses import dataclass
+from itertools import chain
+from pathlib import Path
+
+from needleforce.recordings.errors import FileAccessError, file_errors, readable_path
+
+BLOCK = 1 << 18
+"""The most bytes that are read, or unpacked, at a time."""
+STANDARD_STREAM = "-"
+"""Instead of a file: standard input or standard output."""
+
+_POLL_S = 0.05
+_GONE_S = 1.0
+"""So long after its last row a file that is no more under its name is read to its end."""
+_SMALL, _PAUSE_S = 4096, 0.005  # rows that come one by one are taken some at a time
+_CHECKED_TAIL = 256
+"""So many bytes before the place of reading show whether a file was written anew."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class FollowOptions:
+    """How long more is waited for.
+
+    Attributes:
+        follow: whether a file is read on when its end is reached, because it grows.
+        idle_s: stop when nothing came for this long; None to wait for ever.
+        should_stop: asked before more is read; True to stop.
+        advance: gets how many more bytes were read.
+        warn: gets in words why reading ended before the user wanted it to.
+    """
+
+    follow: bool = False
+    idle_s: float | None = None
+    should_stop: Callable[[], bool] = lambda: False
+    advance: Callable[[float], None] = lambda more: None
+    warn: Callable[[str], None] = lambda text: None
+
+
+def byte_blocks(
+    path: Path | None, options: FollowOptions, *, with_pauses: bool = False
+) -> Iterator[bytes]:
+    """Read a file or standard input; whoever waits for more gets at once what there is.
+
+    Args:
+        path: the file, or None for standard input.
+        options: how long more is waited for.
+        with_pauses: whether an empty block says each time that more is now waited for.
+
+    Yields:
+        Blocks of at least one byte, apart from those.
+
+    Raises:
+        FileAccessError: the file cannot be read, or was shortened or rewritten while it was
+            followed.
+    """
+    with file_errors("standard input" if path is None else path):
+        if path is not None:
+            # Without O_NONBLOCK a pipe that nobody writes would block here, deaf to Ctrl-C.
+            handle = os.open(readable_path(path), os.O_RDONLY | os.O_NONBLOCK)
+        elif sys.stdin is None:
+            raise FileAccessError("cannot read standard input: it is closed")
+        else:
+            handle = sys.stdin.fileno()
+        try:
+            blocks = _blocks(handle, options, path)
+            yield from (block for block in blocks if block or with_pauses)
+        finally:
+            if path is not None:
+                os.close(handle)
+
+
+def _blocks(handle: int, options: FollowOptions, path: Path | None) -> Iterator[bytes]:
+    is_file = stat.S_ISREG(os.fstat(handle).st_mode)
+    done, tail, last_s = 0, b"", time.monotonic()
+    while not options.should_stop():
+        if is_file or select.select([handle], [], [], _POLL_S)[0]:
+            if options.follow and is_file:
+                _require_unchanged(handle, path, done, tail)
+            block = os.read(handle, BLOCK)
+            if block:
+                done += len(block)
+                tail = (tail + block)[-_CHECKED_TAIL:]
+                options.advance(len(block))
+                yield block
+                last_s = time.monotonic()
+                if len(block) < _SMALL:
+                    time.sleep(_PAUSE_S)
+                continue
+            # The writer of a pipe that has closed it will not come back.
+            if not (is_file and options.follow):
+                return
+            if _is_replaced(handle, path, time.monotonic() - last_s, options.warn):
+                return
+            yield b""
+            time.sleep(_POLL_S)
+        if options.idle_s is not None and time.monotonic() - last_s >= options.idle_s:
+            return
+
+
+def _require_unchanged(handle: int, path: Path | None, done: int, tail: bytes) -> None:
+    """Refuse a followed file that was truncated, also if it has grown again since."""
+    if os.fstat(handle).st_size < done:
+        raise FileAccessError(f"{path} has become shorter while it was followed")
+    if os.pread(handle, len(tail), done - len(tail)) != tail:
+        raise FileAccessError(f"{path} was written anew while it was followed; start again")
+
+
+def _is_replaced(
+    handle: int, path: Path | None, idle_s: float, warn: Callable[[str], None]
+) -> bool:
+    """Return whether nothing will come of a followed file, because it is no more at its place."""
+    if path is None or idle_s < _GONE_S:
+        return False
+    try:
+        if os.path.samestat(path.stat(), os.fstat(handle)):
+            return False
+    except OSError:
+        pass
+    warn(
+        f"{path} was moved, deleted or replaced while it was followed; it was read to its end, and "
+        "no other file is; start again to follow the new one"
+    )
+    return True
+
+
+_GZIP = b"\x1f\x8b"
+_GZIP_WINDOW = 31  # zlib's code for "expect a gzip header"
+
+
+class Unpacked:
+    """Iterates over the content of blocks that may be compressed with gzip, whatever the suffix.
+
+    Args:
+        blocks: as read.
+    """
+
+    def __init__(self, blocks: Iterable[bytes]) -> None:
+        self._blocks = iter(blocks)
+        self.fault = ""
+        """Once all is read: what is wrong with the compressed data, if anything."""
+        self.is_damaged = False
+        """Whether what was unpacked may be wrong: damage is seen blocks later, or at the end."""
+        self.checked = 0
+        """Members whose checksum was right; what was yielded until then is right."""
+
+    def __iter__(self) -> Iterator[bytes]:
+        """Yield blocks of at least one byte, and of at most `BLOCK` bytes if compressed."""
+        head = b""
+        for block in self._blocks:
+            head += block
+            if len(head) >= len(_GZIP):
+                break
+        if head.startswith(_GZIP):
+            yield from self._unpack(head)
+        elif head:
+            yield head
+            yield from self._blocks
+
+    def _unpack(self, data: bytes) -> Iterator[bytes]:
+        while data.startswith(_GZIP):
+            member = zlib.decompressobj(_GZIP_WINDOW)
+            while not member.eof:
+                try:
+                    # A megabyte of gzip can hold a gigabyte: it is unpacked piece by piece.
+                    content = member.decompress(data, BLOCK)
+                except zlib.error:
+                    self.fault, self.is_damaged = "is damaged", True
+                    return
+                if content:
+                    yield content
+                self.checked += member.eof
+                data = member.unused_data if member.eof else member.unconsumed_tail
+                if not (data or member.eof or content):
+                    data = next(self._blocks, b"")
+                    if not data:
+                        self.fault = "is cut short"
+                        return
+            # Appended members, as `cat a.gz b.gz` or a logger that reopens its file gives.
+            while len(data) < len(_GZIP) and (more := next(self._blocks, b"")):
+                data += more
+
+
+_MAGIC = {
+    b"\x89MCAP0\r\n": ".mcap",
+    b"SQLite format 3\x00": ".db3",
+    b"PK\x03\x04": ".npz",
+    b"PAR1": ".parquet",
+}
+"""How files begin, and their suffix."""
+
+
+def peek(blocks: Iterable[bytes]) -> tuple[str, Iterator[bytes]]:
+    """Look at how a recording begins; no more is waited for than decides it.
+
+    Returns:
+        The suffix of its format, empty if it is text; and all its bytes.
+    """
+    rest, head = iter(blocks), b""
+    for block in rest:
+        head += block
+        if not any(magic.startswith(head) for magic in _MAGIC):
+            break
+    suffix = next((end for magic, end in _MAGIC.items() if head.startswith(magic)), "")
+    return suffix, chain([head] if head else [], rest)
+
+
+@contextmanager
+def spooled(blocks: Iterable[bytes], suffix: str) -> Iterator[Path]:
+    """Keep a binary recording from a pipe in a temporary file while the context is entered.
+
+    Such formats cannot be read as they come: what a column means, or where it stands, is known
+    at the end.
+
+    Args:
+        blocks: bytes as they come.
+        suffix: of the file.
+
+    Raises:
+        FileAccessError: the file cannot be written.
+    """
+    with tempfile.TemporaryDirectory(ignore_cleanup_errors=True) as folder:
+        path = Path(folder) / f"standard-input{suffix}"
+        try:
+            with path.open("wb") as file:
+                for block in blocks:
+                    file.write(block)
+        except FileAccessError:
+            raise
+        except OSError as error:
+            raise FileAccessError(
+                f"cannot keep the piped recording in {folder}: {error.strerror or error}; "
+                "give it as a file, or set TMPDIR to a folder with more room"
+            ) from error
+        yield path

@@ -1,0 +1,202 @@
+"""Named columns of numbers, before anyone has said what they mean."""
+
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass, field
+from types import MappingProxyType
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from needleforce.recordings.errors import FormatError, LogError
+
+FloatArray = NDArray[np.float64]
+Columns = Mapping[str, np.ndarray]
+
+START_KEY = "start_ns"
+"""What files of numbers call `Labels.start_ns`."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class Table:
+    """Named columns as read from a file, in the file's own units.
+
+    Columns may differ in length (an npz file may hold several recordings); a `Log` may not.
+
+    Attributes:
+        columns: name to values, shape (n,) or (n, k); stored as read-only copies.
+        constants: single numbers of the file, such as a sample rate.
+        warnings: what the reader had to leave out or guess.
+        joint_names: for two-dimensional columns of a file that names joints, their names in the
+            order of the column.
+        start_ns: the instant of t = 0 on the clock that stamped the file, in ns; not zero only
+            where stamps are too large for seconds in float64 to resolve nanoseconds.
+        stamps: those of `columns` that float64 has rounded, as the whole numbers that they are.
+        omitted: which columns were left out and why, where `warnings` come with later rows.
+    """
+
+    columns: Mapping[str, FloatArray]
+    constants: Mapping[str, float] = field(default_factory=dict)
+    warnings: tuple[str, ...] = ()
+    joint_names: Mapping[str, tuple[str, ...]] = field(default_factory=dict)
+    start_ns: int = 0
+    stamps: Mapping[str, NDArray[np.int64]] = field(default_factory=dict)
+    omitted: tuple[str, ...] = ()
+
+    def __post_init__(self) -> None:
+        """Copy and freeze the columns.
+
+        Raises:
+            FormatError: there is no column, or one is not one- or two-dimensional.
+            LogError: a column does not hold numbers.
+        """
+        if not self.columns:
+            raise FormatError("no column of numbers: a table needs at least one")
+        columns = {name: read_only(name, values) for name, values in self.columns.items()}
+        for name, values in columns.items():
+            if values.ndim not in (1, 2):
+                raise FormatError(
+                    f"column {name!r} has shape {values.shape}; expected (n,) or (n, k)"
+                )
+        object.__setattr__(self, "columns", MappingProxyType(columns))
+        for name in ("constants", "stamps", "joint_names"):
+            object.__setattr__(self, name, MappingProxyType(dict(getattr(self, name))))
+
+    def __len__(self) -> int:
+        """Return the number of rows of the longest column."""
+        return max(map(len, self.columns.values()))
+
+    def describe(self, limit: int = 40) -> str:
+        """Return the column names for a message, two-dimensional ones with their width."""
+        names = [
+            f"{name} ({values.shape[1]} columns)" if values.ndim == 2 else name
+            for name, values in self.columns.items()
+        ]
+        more = f" and {len(names) - limit} more" if len(names) > limit else ""
+        return ", ".join(names[:limit]) + more
+
+    def left_out(self, limit: int = 3) -> str:
+        """Return in brackets, for a message, which columns the reader left out and why."""
+        notes = [
+            note
+            for note in dict.fromkeys((*self.omitted, *self.warnings))
+            if note.startswith("column ") and note.endswith("was left out")
+        ]
+        more = f"; and {len(notes) - limit} more" if len(notes) > limit else ""
+        return f" ({'; '.join(notes[:limit])}{more})" if notes else ""
+
+
+def read_only(name: str, values: ArrayLike) -> FloatArray:
+    """Return a contiguous read-only copy of `values` as float64.
+
+    Raises:
+        LogError: they are not numbers in a regular array; the message begins with `name`.
+    """
+    try:
+        copy = np.array(values, dtype=np.float64, order="C")
+    except (TypeError, ValueError) as error:
+        raise LogError(f"{name} is not an array of numbers: {error}") from error
+    copy.setflags(write=False)
+    return copy
+
+
+def joined_tables(tables: Iterator[Table], rows: int) -> Table:
+    """Take tables with equal columns until there are so many rows, and join them.
+
+    Args:
+        tables: consecutive rows; at least one table.
+        rows: how many rows are wanted; fewer are returned if there are no more.
+    """
+    taken: list[Table] = []
+    for table in tables:
+        taken.append(table)
+        if sum(map(len, taken)) >= rows:
+            break
+    if len(taken) == 1:
+        return taken[0]
+    first, last = taken[0], taken[-1]
+    full = [table for table in taken if len(table)]
+    exact = set.intersection(*(set(table.stamps) for table in full)) if full else set()
+    return Table(
+        columns={
+            name: np.concatenate([table.columns[name] for table in taken]) for name in last.columns
+        },
+        constants=first.constants,
+        warnings=tuple(warning for table in taken for warning in table.warnings),
+        joint_names=first.joint_names,
+        start_ns=first.start_ns,
+        stamps={name: np.concatenate([table.stamps[name] for table in full]) for name in exact},
+        omitted=first.omitted,
+    )
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Labels:
+    """Names that go with the columns of a table that is written.
+
+    Bags carry all of them, the other formats `start_ns`, if it is not zero.
+
+    Attributes:
+        start_ns: the instant of t_s = 0 on the clock of the source, in ns; a log read from a bag
+            has it, and the bag written from it then has the source's stamps, to the nanosecond.
+        joint_names: in the order of the columns of `q_rad`, `dq_rad_s` and `tau_Nm`.
+        frame: the frame in which forces are given.
+        prefix: how the topics of a bag begin that hold estimates.
+        events: columns of small whole numbers to what their values 0, 1, 2, ... mean, `{}` for
+            the value; the last text holds for all values beyond. A bag gets a diagnostic message
+            where the value changes, unless the text is empty.
+    """
+
+    start_ns: int = 0
+    joint_names: tuple[str, ...] = ()
+    frame: str = ""
+    prefix: str = "/needleforce"
+    events: Mapping[str, tuple[str, ...]] = field(default_factory=dict)
+
+
+def checked_columns(columns: Mapping[str, ArrayLike]) -> Columns:
+    """Return columns to be written as arrays.
+
+    Args:
+        columns: name, with its unit, to numbers, shape (n,) or (n, k), all of the same n.
+
+    Raises:
+        LogError: the columns are not numbers, differ in length, or a name is empty or starts
+            with `#`.
+    """
+    arrays: dict[str, np.ndarray] = {}
+    for name, values in columns.items():
+        try:
+            arrays[name] = np.asarray(values)
+        except ValueError as error:
+            raise LogError(f"column {name!r} is not an array of numbers: {error}") from error
+    if not arrays:
+        raise LogError("no columns to write")
+    first = next(iter(arrays.values()))
+    rows = len(first) if first.ndim else 0
+    for name, values in arrays.items():
+        if not name.strip() or name.startswith("#"):
+            raise LogError(f"column name {name!r} is empty or starts with '#'")
+        if values.dtype.kind not in "fiub" or values.ndim not in (1, 2) or len(values) != rows:
+            raise LogError(
+                f"column {name!r} has shape {values.shape} and type {values.dtype}; expected "
+                f"numbers of shape ({rows},) or ({rows}, k)"
+            )
+    return arrays
+
+
+def flat_columns(columns: Columns) -> dict[str, np.ndarray]:
+    """Return columns of one value a row; `q_rad` becomes `q_rad_1`, `q_rad_2`, ...
+
+    Raises:
+        LogError: a name would stand twice.
+    """
+    flat: dict[str, np.ndarray] = {}
+    for name, values in columns.items():
+        parts = {name: values} if values.ndim == 1 else {}
+        if values.ndim == 2:
+            parts = {f"{name}_{i + 1}": column for i, column in enumerate(values.T)}
+        for part, column in parts.items():
+            if part in flat:
+                raise LogError(f"column name {part!r} would stand twice in the header")
+            flat[part] = column
+    return flat
