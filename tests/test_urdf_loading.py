@@ -139,7 +139,7 @@ def test_a_robot_without_joints_is_refused(urdf_file):
     [
         ("-1", GOOD_INERTIA, "mass is -1 kg"),
         ("0", GOOD_INERTIA, "mass is 0 kg but its moments are not"),
-        ("nan", GOOD_INERTIA, "not finite"),
+        ("1e10", GOOD_INERTIA, "not finite or above"),
         ("1", GOOD_INERTIA.replace('ixx="0.01"', 'ixx="-0.01"'), "not positive definite"),
         ("1", GOOD_INERTIA.replace('ixy="0"', 'ixy="0.02"'), "not positive definite"),
         ("1", GOOD_INERTIA.replace('izz="0.01"', 'izz="0.05"'), "triangle inequality"),
@@ -190,7 +190,7 @@ def test_a_file_that_is_no_text_is_refused(tmp_path):
             "is a xacro file",
         ),
         ("<robot name='toy'><link name='a'><inertial/></link></robot>", "needs <mass>"),
-        (f"<robot name='toy'>{link('a', mass='heavy')}</robot>", "needs <mass>.*heavy"),
+        (f"<robot name='toy'>{link('a', mass='heavy')}</robot>", '<mass value="heavy"> is not one number'),
         (f"<robot name='toy'>{link('a', inertia='')}</robot>", "needs <inertia>.*ixx"),
         (f"<robot name='toy'>{joint('j', 'ghost', 'a')}</robot>", "not a valid URDF"),
     ],

@@ -17,9 +17,15 @@ from urdf.errors import (
     UrdfError,
     UrdfFileError,
 )
-from urdf.loading import LWR_GEAR_RATIO, example_robot_path, load_lwr, load_urdf
-from urdf.payload import NeedleTool, Payload, PayloadEstimate
-from urdf.payload_identification import identify_payload, identify_payload_static
+from urdf.loading import (
+    LWR_GEAR_RATIO,
+    example_robot_path,
+    load_example,
+    load_lwr,
+    load_urdf,
+)
+from urdf.payload import NeedleTool, Payload
+from urdf.payload_identification import PayloadEstimate, identify_payload, identify_payload_static
 from urdf.robot import Robot
 from urdf.serial_robot import SerialJoint, build_serial_robot
 
@@ -41,6 +47,7 @@ __all__ = [
     "example_robot_path",
     "identify_payload",
     "identify_payload_static",
+    "load_example",
     "load_lwr",
     "load_urdf",
 ]

@@ -12,57 +12,50 @@ exists for phi exactly when the pseudo-inertia
 is positive semidefinite (Wensing, Kim, Slotine, "Linear matrix inequalities for physically
 consistent inertial parameter identification", RA-L 2018); that is m >= 0, a positive semidefinite
 inertia about the centre of mass, and principal moments that obey the triangle inequality.
+
+In every function parameters have shape (10,), in kg, kg m and kg m^2.
 """
 
 import numpy as np
+import pinocchio as pin
 from numpy.typing import NDArray
 
 from urdf.errors import InertiaError
 
-# Tables carry a few digits: a thin rod, once rounded, may miss the boundary by this share.
+# Tables carry a few digits: a thin rod, once rounded, may miss the boundary by this fraction.
 _ROUNDING = 1e-6
-# Share of the inertia about the origin that subtracting m c^2 may lose in double precision.
+# Fraction of the inertia about the origin that subtracting m c^2 may lose in double precision.
 _CANCELLATION = 1e-12
 # Where the six moments stand in a matrix, in the order of the parameters.
 _MOMENTS = ([0, 0, 1, 0, 1, 2], [0, 1, 1, 2, 2, 2])
-
-
-def inertia_matrix(parameters: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Return the inertia about the frame origin, shape (3, 3), kg m^2."""
-    xx, xy, yy, xz, yz, zz = parameters[4:]
-    return np.array([[xx, xy, xz], [xy, yy, yz], [xz, yz, zz]])
+# No link or tool comes near this in kg, kg m or kg m^2, and no product of them overflows.
+_LARGEST = 1e9
 
 
 def pseudo_inertia(parameters: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Return J(phi), shape (4, 4), for ten parameters."""
-    inertia = inertia_matrix(parameters)
-    matrix = np.empty((4, 4))
-    matrix[:3, :3] = 0.5 * np.trace(inertia) * np.eye(3) - inertia
-    matrix[:3, 3] = matrix[3, :3] = parameters[1:4]
-    matrix[3, 3] = parameters[0]
-    return matrix
+    """Return J(phi), shape (4, 4)."""
+    return pin.PseudoInertia.FromDynamicParameters(parameters).toMatrix()
 
 
 def from_pseudo_inertia(matrix: NDArray[np.float64]) -> NDArray[np.float64]:
     """Return the ten parameters of a pseudo-inertia; the inverse of `pseudo_inertia`."""
-    second = matrix[:3, :3]
-    inertia = np.trace(second) * np.eye(3) - second
-    return np.concatenate([[matrix[3, 3]], matrix[:3, 3], inertia[_MOMENTS]])
+    return pin.PseudoInertia.FromMatrix(matrix).toDynamicParameters()
 
 
 def parameters_about_com(
     mass_kg: float, com_m: NDArray[np.float64], inertia_kg_m2: NDArray[np.float64]
 ) -> NDArray[np.float64]:
     """Return the ten parameters of a body given by its inertia about the centre of mass."""
-    steiner = mass_kg * (com_m @ com_m * np.eye(3) - np.outer(com_m, com_m))
-    about_origin = inertia_kg_m2 + steiner
-    return np.concatenate([[mass_kg], mass_kg * com_m, about_origin[_MOMENTS]])
+    # What overflows comes out as infinite, which `require_mass` refuses by name.
+    with np.errstate(over="ignore", invalid="ignore"):
+        steiner = mass_kg * (com_m @ com_m * np.eye(3) - np.outer(com_m, com_m))
+        about_origin = inertia_kg_m2 + steiner
+        return np.concatenate([[mass_kg], mass_kg * com_m, about_origin[_MOMENTS]])
 
 
 def inertia_about_com(parameters: NDArray[np.float64]) -> NDArray[np.float64]:
     """Return the inertia about the centre of mass, shape (3, 3), kg m^2; needs a non-zero mass."""
-    mass, first = parameters[0], parameters[1:4]
-    return inertia_matrix(parameters) - (first @ first * np.eye(3) - np.outer(first, first)) / mass
+    return pin.Inertia.FromDynamicParameters(parameters).inertia
 
 
 def moved_parameters(
@@ -81,15 +74,17 @@ def moved_parameters(
 
 
 def require_mass(parameters: NDArray[np.float64], owner: str) -> None:
-    """Check that parameters without mass are those of no body at all.
-
-    Args:
-        parameters: Ten parameters, shape (10,).
-        owner: What they belong to, for the message.
+    """Check that parameters can be computed with, and are those of no body if it has no mass.
 
     Raises:
-        InertiaError: No mass, but moments.
+        InertiaError: Not finite, beyond any robot's size, or moments without a mass; the message
+            begins with ``owner``.
     """
+    if not np.all(np.abs(parameters) <= _LARGEST):
+        raise InertiaError(
+            f"{owner}: inertial parameters {parameters.tolist()} (mass, first moments, inertia) "
+            f"are not finite or above {_LARGEST:g} in SI units; check the numbers and their units"
+        )
     if parameters[0] == 0.0 and np.any(parameters):
         raise InertiaError(f"{owner}: mass is 0 kg but its moments are not; give it a mass")
 
@@ -97,25 +92,18 @@ def require_mass(parameters: NDArray[np.float64], owner: str) -> None:
 def require_physical(parameters: NDArray[np.float64], owner: str) -> None:
     """Check that a rigid body can have these parameters (to the rounding of a written table).
 
-    Args:
-        parameters: Ten parameters, shape (10,).
-        owner: What they belong to, for the message.
-
     Raises:
-        InertiaError: Not finite, negative mass, massless with moments, an inertia about the centre
-            of mass that is not positive semidefinite, or principal moments that break the triangle
-            inequality.
+        InertiaError: As `require_mass`, or negative mass, an inertia about the centre of mass that
+            is not positive semidefinite, or principal moments that break the triangle inequality.
     """
-    if not np.isfinite(parameters).all():
-        raise InertiaError(f"{owner}: inertial parameters are not finite: {parameters.tolist()}")
+    require_mass(parameters, owner)
     mass = parameters[0]
     if mass < 0.0:
         raise InertiaError(f"{owner}: mass is {mass:g} kg, expected a positive mass")
     if mass == 0.0:
-        require_mass(parameters, owner)
         return
     moments = np.linalg.eigvalsh(inertia_about_com(parameters))
-    slack = _ROUNDING * moments[2] + _CANCELLATION * np.trace(inertia_matrix(parameters))
+    slack = _ROUNDING * moments[2] + _CANCELLATION * np.sum(parameters[[4, 6, 9]])
     shown = ", ".join(f"{moment:.6g}" for moment in moments)
     if moments[0] < -slack:
         raise InertiaError(
@@ -129,10 +117,8 @@ def require_physical(parameters: NDArray[np.float64], owner: str) -> None:
         )
 
 
-# The rigid body nearest to a least-squares answer that is none.
-
-
-# Weight of directions the data say nothing about, against the strongest: enough to settle them.
+# For `nearest_body`. Weight of directions that the data do not determine, against the strongest:
+# enough to give them one answer.
 _PRIOR = 1e-6
 # The barrier shrinks from a tenth of the cost's scale until it no longer matters.
 _BARRIERS = np.logspace(-1, -14, 27)
