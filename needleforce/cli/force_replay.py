@@ -4,7 +4,7 @@ import math
 import re
 from collections import Counter
 from collections.abc import Sequence
-from dataclasses import dataclass, fields, replace
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from needleforce.cli.log import log_time
 from needleforce.cli.options import TareOptions
 from needleforce.cli.terminal import CommandError
-from recordings.log_stream import LogChunk
+from needleforce.recordings.log import LogChunk
 from residual import (
     SensorConfig,
     SensorWarning,
@@ -196,45 +196,20 @@ OTHER_REASONS = "other reasons"
 _MOST_REASONS = 50
 
 
-@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
-class ForceRows:
-    """One estimate per row of the log; NaN where a row was rejected.
+Rows = dict[str, NDArray]
+"""One estimate per row of the log; numbers are NaN where a row was rejected.
 
-    Attributes:
-        t_s: Time stamps as in the log [s], shape (n,).
-        travel_m: Travel of the tool along the needle [m], shape (n,).
-        axial_N: Axial force [N], shape (n,).
-        axial_std_N: Its standard deviation [N], shape (n,).
-        force_N: Force on the tool [N], shape (n, 3).
-        torque_Nm: Torque on the tool [Nm], shape (n, 3).
-        std: Standard deviations of the estimated components, shape (n, k): k = 1 axial force,
-            3 force [N], 6 force and torque [N, Nm].
-        model_mismatch: See `residual.WrenchEstimate`, shape (n,).
-        warnings: Sum of the values of `residual.SensorWarning`, shape (n,).
-        status: `STATUS_CODES`, shape (n,).
-        after_gap: Whether the filters restarted because of a gap in time before the row,
-            shape (n,).
-    """
+`t_s` [s] as in the log, `travel_m` of the tool along the needle [m], `axial_N` and `axial_std_N`
+[N], `force_N` and `torque_Nm` on the tool [N, Nm] of shape (n, 3), `std` of the components that the
+mode estimates of shape (n, 1), (n, 3) or (n, 6), `model_mismatch`, `warnings` (see
+`residual.WrenchEstimate`), `status` (`STATUS_CODES`), `after_gap`: whether the filters restarted
+because of a gap in time before the row; of shape (n,) but where stated.
+"""
 
-    t_s: NDArray[np.float64]
-    travel_m: NDArray[np.float64]
-    axial_N: NDArray[np.float64]
-    axial_std_N: NDArray[np.float64]
-    force_N: NDArray[np.float64]
-    torque_Nm: NDArray[np.float64]
-    std: NDArray[np.float64]
-    model_mismatch: NDArray[np.float64]
-    warnings: NDArray[np.int64]
-    status: NDArray[np.int64]
-    after_gap: NDArray[np.bool_]
 
-    def has_status(self, status: Status) -> NDArray[np.bool_]:
-        """Return which rows have a status, shape (n,)."""
-        return self.status == STATUS_CODES[status]
-
-    def columns(self) -> dict[str, NDArray]:
-        """Return the fields by name."""
-        return {item.name: getattr(self, item.name) for item in fields(self)}
+def has_status(rows: Rows, status: Status) -> NDArray[np.bool_]:
+    """Return which rows have a status, shape (n,)."""
+    return rows["status"] == STATUS_CODES[status]
 
 
 class TravelAlongNeedle:
@@ -284,8 +259,8 @@ class Replay:
         self, robot: Robot, config: SensorConfig, tare: TareOptions, *, is_external: bool
     ) -> None:
         self._sensor = VirtualForceSensor(robot, config)
-        self._robot, self._tare, self._is_external = robot, tare, is_external
-        self._max_gap_s = config.max_gap_s
+        self.robot, self.config, self.is_external = robot, config, is_external
+        self._tare, self._has_velocity = tare, False
         self._travel = TravelAlongNeedle(robot, config)
         self._taring: Taring | None = None
         # Of the clock of the first rows, which runs on when the log's clock is set back.
@@ -299,6 +274,17 @@ class Replay:
         self.longest_gap_s = 0.0
 
     @property
+    def description(self) -> str:
+        """What is estimated from what."""
+        config = self.config
+        frame = config.frame if config.frame is not None else self.robot.tool_frame
+        what = f"wrench at {frame}" if config.mode == "full" else f"{config.mode} force at {frame}"
+        if self.is_external:
+            return f"{what}, from the robot's own external torque"
+        velocity = "velocity from the log" if self._has_velocity else "velocity estimated"
+        return f"{what}, K = {config.slowest_gain_per_s:g} 1/s, {velocity}"
+
+    @property
     def lag_s(self) -> float:
         """Time by which the estimate follows the force [s]."""
         return self._sensor.lag_s
@@ -308,7 +294,7 @@ class Replay:
         """The tare, if one was taken."""
         return None if self._taring is None else self._taring.done
 
-    def run(self, chunk: LogChunk) -> ForceRows:
+    def run(self, chunk: LogChunk) -> Rows:
         """Return the estimates of further rows, at least one.
 
         Raises:
@@ -326,7 +312,7 @@ class Replay:
                 taring.before(now_s)
             # The sensor reads no time step of the first sample.
             step_s = dt_s if advances else 0.0
-            if self._is_external:
+            if self.is_external:
                 found = self._sensor.update_external_torque(q_rad[k], torque_Nm[k], step_s)
             else:
                 dq = None if dq_rad_s is None else dq_rad_s[k]
@@ -358,7 +344,8 @@ class Replay:
     def _signals(
         self, chunk: LogChunk
     ) -> tuple[NDArray[np.float64], NDArray[np.float64] | None, NDArray[np.float64]]:
-        channels, robot = chunk.channels, self._robot
+        channels, robot = chunk.channels, self.robot
+        self._has_velocity = "dq_rad_s" in channels
         # A log holds the same number of joints in every channel, so that one stands for all.
         columns = channels["q_rad"].shape[1]
         if columns != robot.nv:
@@ -367,7 +354,7 @@ class Replay:
                 f"{', '.join(robot.joint_names)}. Choose columns with --q, --tau and so on, or "
                 "lock joints with --lock"
             )
-        torque = "tau_ext_Nm" if self._is_external else "tau_Nm"
+        torque = "tau_ext_Nm" if self.is_external else "tau_Nm"
         return channels["q_rad"], channels.get("dq_rad_s"), channels[torque]
 
     def _running_s(self, stamp_s: float, dt_s: float) -> float:
@@ -387,7 +374,7 @@ class Replay:
 
     def _has_gap(self, now_s: float) -> bool:
         gap_s, self._used_s = now_s - self._used_s, now_s
-        if gap_s <= self._max_gap_s:
+        if gap_s <= self.config.max_gap_s:
             return False
         self.gaps += 1
         self.longest_gap_s = max(self.longest_gap_s, gap_s)
@@ -399,23 +386,24 @@ def _rows(
     travel_m: NDArray[np.float64],
     estimates: Sequence[WrenchEstimate],
     gaps: Sequence[bool],
-) -> ForceRows:
+) -> Rows:
     covariances = np.array([found.covariance for found in estimates])
-    rows = ForceRows(
-        t_s=t_s,
-        travel_m=travel_m,
-        axial_N=np.array([found.axial for found in estimates]),
-        axial_std_N=np.array([found.axial_std for found in estimates]),
-        force_N=np.array([found.force for found in estimates]),
-        torque_Nm=np.array([found.torque for found in estimates]),
-        std=np.sqrt(np.diagonal(covariances, axis1=1, axis2=2)),
-        model_mismatch=np.array([found.model_mismatch for found in estimates]),
-        warnings=np.array([int(found.warnings) for found in estimates]),
-        status=np.array([STATUS_CODES[found.status] for found in estimates]),
-        after_gap=np.array(gaps),
-    )
-    rejected = rows.has_status(Status.REJECTED)
-    numbers = (rows.axial_N, rows.axial_std_N, rows.force_N, rows.torque_Nm, rows.std)
-    for values in (*numbers, rows.model_mismatch):
-        values[rejected] = np.nan
-    return rows
+    numbers = {
+        "axial_N": np.array([found.axial for found in estimates]),
+        "axial_std_N": np.array([found.axial_std for found in estimates]),
+        "force_N": np.array([found.force for found in estimates]),
+        "torque_Nm": np.array([found.torque for found in estimates]),
+        "std": np.sqrt(np.diagonal(covariances, axis1=1, axis2=2)),
+        "model_mismatch": np.array([found.model_mismatch for found in estimates]),
+    }
+    status = np.array([STATUS_CODES[found.status] for found in estimates])
+    for values in numbers.values():
+        values[status == STATUS_CODES[Status.REJECTED]] = np.nan
+    return {
+        "t_s": t_s,
+        "travel_m": travel_m,
+        **numbers,
+        "warnings": np.array([int(found.warnings) for found in estimates]),
+        "status": status,
+        "after_gap": np.array(gaps),
+    }

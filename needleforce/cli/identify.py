@@ -2,8 +2,7 @@
 
 from bisect import bisect_right
 from collections import deque
-from collections.abc import Iterator, Mapping
-from dataclasses import dataclass, replace
+from collections.abc import Iterator, Sequence
 from operator import attrgetter
 from pathlib import Path
 
@@ -13,15 +12,14 @@ from numpy.typing import NDArray
 from identification import MULTILAYER, PUBLISHED, PUBLISHED_KV, LayerEstimate
 from identification.log_replay import ReplayedRows, ReplayStream
 from needleforce.cli.log import (
-    STANDARD_STREAM,
     ChannelRequest,
     LogSession,
     RowOverview,
-    check_outputs,
     in_window,
     mapping_from_options,
     open_output,
-    suggest_mapping,
+    run_log,
+    time_axis,
 )
 from needleforce.cli.options import DepthColumns, IdentificationOptions, Output, Reading
 from needleforce.cli.terminal import say, write_out
@@ -33,17 +31,14 @@ from needleforce.plots import (
     PageTable,
     Panel,
     Section,
-    folder_if_filled,
     palette,
-    require_matplotlib,
-    save_figure,
     save_page_figure,
     settings_table,
-    write_page,
 )
-from recordings.columns.force_codes import FORCE_STATUS, WORTHLESS
-from recordings.log_stream import LogChunk
-from recordings.tables.labels import Labels
+from needleforce.recordings.channels import FORCE_STATUS, WORTHLESS
+from needleforce.recordings.log import LogChunk
+from needleforce.recordings.open_recording import suggest_mapping
+from needleforce.recordings.table import Labels
 
 CHANNELS = ("depth", "speed", "force", "force_status", "force_warnings")
 """What is read of a log beside time."""
@@ -59,31 +54,21 @@ def run(
     options: IdentificationOptions,
     columns: DepthColumns,
 ) -> int:
-    """Run the command and return its exit code.
-
-    Raises:
-        Exception: The foreseen errors of the packages, see `needleforce.cli.terminal`.
-    """
+    """Run the command and return its exit code; what it raises is reported in one line."""
     known = mapping_from_options(columns)
     if columns.print_config:
-        write_out(suggest_mapping(source, CHANNELS, known=known))
+        write_out(suggest_mapping(source, CHANNELS, mapping=known))
         return 0
-    check_outputs(source, output)
-    if output.figure is not None:
-        require_matplotlib("--figure", output.figure)
     optional = ("speed", "force_status", "force_warnings")
     request = ChannelRequest(mapping=known, required=("depth", "force"), optional=optional)
-    with folder_if_filled(output.report) as folder, LogSession(source, reading, request) as log:
-        result = identify_layers(log, options, output)
-        if output.figure is not None:
-            save_figure(layer_figure(result, output), output.figure)
-        if folder is not None:
-            write_layer_page(folder, result)
-    write_out(layer_table(result), to_stderr=output.output == STANDARD_STREAM)
-    return log.exit_code
+    return run_log(
+        source, reading, request, output, lambda log: identify_layers(log, options, output)
+    )
 
 
 # From a log to its result.
+
+Rows = dict[str, NDArray[np.float64]]
 
 
 class LogClock:
@@ -152,33 +137,6 @@ class UsableForce:
         )
 
 
-@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
-class IdentificationResult:
-    """The outcome of a whole log, of bounded size however long the log.
-
-    Attributes:
-        log: What the log is called.
-        method: One of `METHODS`.
-        layers: Layers traversed, as known at the end.
-        clock: From times of `layers` to the log's clock.
-        ruptures_s: Estimated rupture times on the log's clock [s]; the latest ones.
-        compensations_s: Times on that clock at which a layer's friction was identified [s].
-        warnings: What was found wrong with the log and its signs.
-        overview: As many rows as a figure needs, with `depth_m`, `force_N` and the columns of
-            `estimate_table`; all rows of a short log, of a long one those in which a value is
-            least or largest for a while. Empty if it was not asked for.
-    """
-
-    log: str
-    method: str
-    layers: tuple[LayerEstimate, ...]
-    clock: LogClock
-    ruptures_s: tuple[float, ...]
-    compensations_s: tuple[float, ...]
-    warnings: tuple[str, ...]
-    overview: Mapping[str, NDArray[np.float64]]
-
-
 _TRACKED = (
     "force_N",
     "predicted_force_N",
@@ -194,7 +152,7 @@ _FLIP = "; a factor of -1 after the unit does, as in --force fz:N:-1"
 
 def identify_layers(
     log: LogSession, options: IdentificationOptions, output: Output
-) -> IdentificationResult:
+) -> "IdentificationResult":
     """Run the identifier over a log, entered, and write its estimates.
 
     Raises:
@@ -202,44 +160,114 @@ def identify_layers(
     """
     stream = ReplayStream(METHODS[options.method])
     usable_force = UsableForce(is_ignored=options.ignore_status)
-    has_figure = output.figure is not None or output.report is not None
-    clock, overview, latest_s = LogClock(), RowOverview(_TRACKED), 0.0
-    depth_m = np.empty(0)
-    ruptures_s: deque[float] = deque(maxlen=_MOST_EVENTS)
-    compensations_s: deque[float] = deque(maxlen=_MOST_EVENTS)
+    result, overview = IdentificationResult(log.name, options.method), RowOverview(_TRACKED)
     with open_output(output, log, lambda: _labels(log)) as table:
         for rows, depth_m in _replayed(log, stream, usable_force):
-            times_s = np.array([estimate.time_s for estimate in rows.estimates])
-            # Where time does not advance, the identifier's stands still.
-            advances = np.diff(times_s, prepend=latest_s) > 0.0
-            latest_s = float(times_s[-1])
-            clock.add(rows.t_s[advances], times_s[advances])
-            for t_s, estimate in zip(rows.t_s.tolist(), rows.estimates, strict=True):
-                if estimate.rupture is not None:
-                    ruptures_s.append(clock.at(estimate.rupture.time_s))
-                if estimate.compensated is not None:
-                    compensations_s.append(t_s)
-            if table is None and not has_figure:
-                continue
+            result.add(rows)
             columns = estimate_table(rows)
+            overview.add({"depth_m": depth_m, "force_N": rows.force_N} | columns)
             if table is not None:
                 table.append(columns)
-            if has_figure:
-                overview.add({"depth_m": depth_m, "force_N": rows.force_N} | columns)
     hints = (f"{hint.rstrip('?')}{_FLIP}" if "flip" in hint else hint for hint in stream.hints)
-    warnings = (*usable_force.warnings, *hints)
-    for warning in warnings:
+    result.warnings = (*usable_force.warnings, *hints)
+    for warning in result.warnings:
         say(f"warning: {warning}")
-    return IdentificationResult(
-        log=log.name,
-        method=options.method,
-        layers=stream.layers,
-        clock=clock,
-        ruptures_s=tuple(ruptures_s),
-        compensations_s=tuple(compensations_s),
-        warnings=(*log.warnings, *warnings),
-        overview=overview.columns(),
-    )
+    result.layers, result.rows = stream.layers, overview.columns()
+    return result
+
+
+class IdentificationResult:
+    """The outcome of a whole log, of bounded size however long the log.
+
+    Args:
+        log: What the log is called.
+        method: One of `METHODS`.
+
+    Attributes:
+        layers: Layers traversed, as known at the end.
+        clock: From times of `layers` to the log's clock.
+        ruptures_s: Estimated rupture times on the log's clock [s]; the latest ones.
+        compensations_s: Times on that clock at which a layer's friction was identified [s].
+        warnings: What was found wrong with signs and forces.
+        rows: As many as a figure needs, with `depth_m`, `force_N` and the columns of
+            `estimate_table`; of a long log those in which a value is least or largest for a while.
+    """
+
+    def __init__(self, log: str, method: str) -> None:
+        self.log, self.method = log, method
+        self.layers: tuple[LayerEstimate, ...] = ()
+        self.warnings: tuple[str, ...] = ()
+        self.rows: Rows = {}
+        self.clock, self._latest_s = LogClock(), 0.0
+        self.ruptures_s: deque[float] = deque(maxlen=_MOST_EVENTS)
+        self.compensations_s: deque[float] = deque(maxlen=_MOST_EVENTS)
+
+    def add(self, rows: ReplayedRows) -> None:
+        """Remember the events of further rows."""
+        times_s = np.array([estimate.time_s for estimate in rows.estimates])
+        # Where time does not advance, the identifier's stands still.
+        advances = np.diff(times_s, prepend=self._latest_s) > 0.0
+        self._latest_s = float(times_s[-1])
+        self.clock.add(rows.t_s[advances], times_s[advances])
+        for t_s, estimate in zip(rows.t_s.tolist(), rows.estimates, strict=True):
+            if estimate.rupture is not None:
+                self.ruptures_s.append(self.clock.at(estimate.rupture.time_s))
+            if estimate.compensated is not None:
+                self.compensations_s.append(t_s)
+
+    def text(self) -> str:
+        """Return a text table, one line per layer; `?` marks what the data do not identify."""
+        if not self.layers:
+            return f"{NO_LAYER}\n"
+        lines = [HEADER, *(layer_cells(layer, self.clock) for layer in self.layers)]
+        widths = [max(len(line[i]) for line in lines) for i in range(len(HEADER))]
+        return "".join(
+            "  ".join(cell.rjust(width) for cell, width in zip(line, widths, strict=True)) + "\n"
+            for line in lines
+        )
+
+    def figure(self, output: Output) -> Chart:
+        """Return the chart that the options ask for.
+
+        Raises:
+            CommandError: No row lies in the window.
+        """
+        rows = in_window(self.rows, output)
+        return depth_chart(self, rows) if output.over == "depth" else layer_chart(self, rows)
+
+    def page(self, folder: Path, warnings: Sequence[str]) -> Page:
+        """Save the chart of a report in a folder and return the page that shows it."""
+        figure = save_page_figure(
+            layer_chart(self, self.rows),
+            folder / "layers.svg",
+            alt=f"Forces and identified parameters of {self.log} over time",
+            caption=_CAPTION,
+            is_alone=True,
+        )
+        layers = PageTable(
+            caption="Layers traversed" if self.layers else f"{NO_LAYER.capitalize()}.",
+            head=HEADER,
+            rows=tuple(layer_cells(layer, self.clock) for layer in self.layers),
+            numeric=frozenset(range(len(HEADER))),
+            note="Times on the log's clock. A ? marks what the data do not identify.",
+        )
+        sections = (
+            Section(
+                heading="Forces and parameters",
+                anchor="forces",
+                notices=tuple(f"Warning: {text}" for text in (*warnings, *self.warnings)),
+                figures=(figure,),
+            ),
+            Section(heading="Layers", anchor="layers", tables=(layers,)),
+            Section(
+                heading="Settings",
+                anchor="settings",
+                paragraphs=("SI units.",),
+                tables=(settings_table(METHODS[self.method], f"Method {self.method}"),),
+            ),
+        )
+        lead = (f"Made by `needleforce identify`, method {self.method}.",)
+        return Page(title=f"Layers in {self.log}", lead=lead, sections=sections)
 
 
 def _replayed(
@@ -327,18 +355,6 @@ HEADER = (
 NO_LAYER = "no rupture detected"
 
 
-def layer_table(result: IdentificationResult) -> str:
-    """Return a text table, one line per layer; `?` marks what the data do not identify."""
-    if not result.layers:
-        return f"{NO_LAYER}\n"
-    lines = [HEADER, *(layer_cells(layer, result.clock) for layer in result.layers)]
-    widths = [max(len(line[i]) for line in lines) for i in range(len(HEADER))]
-    return "".join(
-        "  ".join(cell.rjust(width) for cell, width in zip(line, widths, strict=True)) + "\n"
-        for line in lines
-    )
-
-
 def layer_cells(layer: LayerEstimate, clock: LogClock) -> tuple[str, ...]:
     """Return the line of a layer, its times on the log's clock."""
     rupture = layer.rupture
@@ -372,59 +388,52 @@ _FORCES = (
     ("tip_force_N", "tip force", palette.TIP),
     ("enhanced_force_N", "enhanced force", palette.OURS),
 )
-_PARAMETERS = (
-    ("stiffness_N_per_m", "stiffness_std_N_per_m", palette.STIFFNESS),
-    ("friction_Ns_per_m2", "friction_std_Ns_per_m2", palette.FRICTION),
-    (
-        "cumulative_friction_Ns_per_m",
-        "cumulative_friction_std_Ns_per_m",
-        palette.CUMULATIVE_FRICTION,
-    ),
-)
+_PARAMETERS = {
+    "stiffness_N_per_m": palette.STIFFNESS,
+    "friction_Ns_per_m2": palette.FRICTION,
+    "cumulative_friction_Ns_per_m": palette.CUMULATIVE_FRICTION,
+}
 _OF_KELVIN_VOIGT = "friction B\n[Ns/m]"
-_LATE_CLOCK_S = 1e5
 
 
-def layer_figure(result: IdentificationResult, output: Output) -> Chart:
-    """Return the chart that the options ask for.
-
-    Raises:
-        CommandError: No row lies in the window.
-    """
-    result = replace(result, overview=in_window(result.overview, output))
-    return depth_chart(result) if output.over == "depth" else layer_chart(result)
-
-
-def layer_chart(result: IdentificationResult) -> Chart:
+def layer_chart(result: IdentificationResult, rows: Rows) -> Chart:
     """Return forces over time above; stiffness, friction and cumulative friction below."""
-    rows = _known(result.overview)
-    # Seconds since 1970 would leave the axis no digits for what happened.
-    is_late = abs(float(rows["t_s"][0])) > _LATE_CLOCK_S
-    start_s = float(rows["t_s"][0]) if is_late else 0.0
-    time_s = rows["t_s"] - start_s
+    rows = _known(rows)
+    start_s, time = time_axis(rows["t_s"])
+    x = rows["t_s"] - start_s
+    panels = [Panel(y_label=palette.FORCE, curves=_forces(rows, x), height=2.0)]
+    for name, label in _PARAMETERS.items():
+        std = rows[name.replace("_N", "_std_N", 1)]
+        is_stated = bool(np.isfinite(std).any())
+        curve = Curve(
+            style=palette.OURS,
+            x=x,
+            y=rows[name],
+            std=std if is_stated else None,
+            band_label="± 2 std" if is_stated else None,
+        )
+        is_kv = name == "friction_Ns_per_m2" and result.method.endswith("kv")
+        panels.append(Panel(y_label=_OF_KELVIN_VOIGT if is_kv else label, curves=(curve,)))
     events = (
         ("estimated rupture time", palette.RUPTURE, result.ruptures_s),
         ("friction identified", palette.COMPENSATION, result.compensations_s),
     )
     return Chart(
         title=f"Forces and identified parameters\n{result.log}, method {result.method}",
-        x_label="time since the first sample [s]" if is_late else palette.TIME,
-        panels=(
-            Panel(y_label=palette.FORCE, curves=_forces(rows, time_s), height=2.0),
-            *(_parameter(result.method, rows, time_s, *panel) for panel in _PARAMETERS),
-        ),
+        x_label=time,
+        panels=tuple(panels),
         instants=tuple(
             Instants(label=label, style=style, places=tuple(t_s - start_s for t_s in times_s))
             for label, style, times_s in events
         ),
-        x_limits=(float(time_s.min()), float(time_s.max())),
+        x_limits=(float(x.min()), float(x.max())),
         height_in=6.4,
     )
 
 
-def depth_chart(result: IdentificationResult) -> Chart:
+def depth_chart(result: IdentificationResult, rows: Rows) -> Chart:
     """Return the forces over depth."""
-    rows = _known(result.overview)
+    rows = _known(rows)
     return Chart(
         title=f"Forces over depth\n{result.log}, method {result.method}",
         x_label="depth [mm]",
@@ -432,38 +441,17 @@ def depth_chart(result: IdentificationResult) -> Chart:
     )
 
 
-def _known(rows: Mapping[str, NDArray[np.float64]]) -> dict[str, NDArray[np.float64]]:
+def _known(rows: Rows) -> Rows:
     """Return the rows; nothing is estimated before the first one that was used."""
     is_unknown = np.cumsum(rows["used"]) == 0
     recorded = {name: rows[name] for name in ("t_s", "depth_m", "force_N")}
     return {name: np.where(is_unknown, np.nan, values) for name, values in rows.items()} | recorded
 
 
-def _forces(rows: Mapping[str, NDArray[np.float64]], x: NDArray[np.float64]) -> tuple[Curve, ...]:
+def _forces(rows: Rows, x: NDArray[np.float64]) -> tuple[Curve, ...]:
     return tuple(
         Curve(style=style, x=x, y=rows[name], label=label) for name, label, style in _FORCES
     )
-
-
-def _parameter(
-    method: str,
-    rows: Mapping[str, NDArray[np.float64]],
-    x: NDArray[np.float64],
-    name: str,
-    spread: str,
-    label: str,
-) -> Panel:
-    std = rows[spread]
-    is_stated = bool(np.isfinite(std).any())
-    curve = Curve(
-        style=palette.OURS,
-        x=x,
-        y=rows[name],
-        std=std if is_stated else None,
-        band_label="± 2 std" if is_stated else None,
-    )
-    is_kv = name == "friction_Ns_per_m2" and method.endswith("kv")
-    return Panel(y_label=_OF_KELVIN_VOIGT if is_kv else label, curves=(curve,))
 
 
 _CAPTION = (
@@ -473,46 +461,3 @@ _CAPTION = (
     "layers traversed; the band, where the method states one, is two standard deviations wide to "
     "either side. Marks below: estimated rupture times, and where friction was identified."
 )
-
-
-def write_layer_page(folder: Path, result: IdentificationResult) -> Path:
-    """Write ``index.html``, which needs no other file, and beside it the chart.
-
-    Raises:
-        FiguresError: A file cannot be written.
-    """
-    figure = save_page_figure(
-        layer_chart(result),
-        folder / "layers.svg",
-        alt=f"Forces and identified parameters of {result.log} over time",
-        caption=_CAPTION,
-        is_alone=True,
-    )
-    layers = PageTable(
-        caption="Layers traversed",
-        head=HEADER,
-        rows=tuple(layer_cells(layer, result.clock) for layer in result.layers),
-        numeric=frozenset(range(len(HEADER))),
-        note="Times on the log's clock. A ? marks what the data do not identify.",
-    )
-    found = {"tables": (layers,)} if result.layers else {"paragraphs": (f"{NO_LAYER.title()}.",)}
-    page = Page(
-        title=f"Layers in {result.log}",
-        lead=(f"Made by `needleforce identify`, method {result.method}.",),
-        sections=(
-            Section(
-                heading="Forces and parameters",
-                anchor="forces",
-                notices=tuple(f"Warning: {text}" for text in result.warnings),
-                figures=(figure,),
-            ),
-            Section(heading="Layers", anchor="layers", **found),
-            Section(
-                heading="Settings",
-                anchor="settings",
-                paragraphs=("SI units.",),
-                tables=(settings_table(METHODS[result.method], f"Method {result.method}"),),
-            ),
-        ),
-    )
-    return write_page(folder / "index.html", page)

@@ -137,13 +137,17 @@ class Output(Window):
 class RobotOptions:
     """The robot on which the log was recorded."""
 
-    lwr: bool = False
-    """KUKA LWR 4+ (default)."""
+    robot: Annotated[str | None, Parameter(metavar="NAME")] = None
+    """A known arm: lwr (KUKA LWR 4+, default), panda, ur3, ur5, ur5e, ur10, ur10e, xarm7."""
     urdf: Annotated[str | None, Parameter(metavar="FILE")] = None
     """Any other robot."""
     tool_frame: Annotated[str | None, Parameter(metavar="NAME")] = None
-    """With --urdf: link that carries the payload and whose z axis is the insertion direction
-    (default: the last link, if there is one only)."""
+    """Link that carries the payload and whose z axis is the insertion direction (default: that of
+    the known arm; of a URDF the last link, if there is one only)."""
+    tip_offset: Annotated[tuple[float, float, float] | None, Parameter(metavar="X Y Z")] = None
+    """Where the tool is mounted in that frame [m], without editing the URDF."""
+    without: Annotated[tuple[str, ...], Parameter(metavar="LINK", consume_multiple=True)] = ()
+    """Links to leave out with all that they carry, such as panda_hand where the hand is off."""
     lock: Annotated[
         tuple[str, ...], Parameter(metavar="JOINT[=POSITION]", consume_multiple=True)
     ] = ()
@@ -151,7 +155,7 @@ class RobotOptions:
     or m (default: 0)."""
     payload: Annotated[str | None, Parameter(metavar="FILE|needle|none")] = None
     """What hangs on the flange: a TOML file; the paper's 304 g force sensor and needle (default of
-    the LWR); or nothing (default with --urdf); else what the mapping says."""
+    the LWR); or nothing (default of other robots); else what the mapping says."""
 
 
 @Parameter(name="*", group=SENSOR)
@@ -167,6 +171,8 @@ class SensorOptions:
     mode: Literal["axial", "point", "full"] | None = None
     """Contact: force along the needle (axial), 3-D force at the tip (point), or 6-D wrench
     (full)."""
+    insertion_axis: Annotated[tuple[float, float, float] | None, Parameter(metavar="X Y Z")] = None
+    """Insertion direction in the tool frame (default: its z axis, 0 0 1)."""
     published: Annotated[bool, Parameter(name=("--published", "--paper"))] = False
     """The method as published."""
     config: Annotated[str | None, Parameter(metavar="FILE")] = None

@@ -2,18 +2,17 @@
 
 import re
 from collections.abc import Mapping
-from dataclasses import MISSING, fields, is_dataclass, replace
+from dataclasses import fields, is_dataclass, replace
 from difflib import get_close_matches
-from types import NoneType
-from typing import Any, Literal, TypeVar, get_args, get_origin, get_type_hints
+from typing import Any, TypeVar, get_args, get_type_hints
 
 import msgspec
 import numpy as np
 
 from needleforce.cli.options import RobotOptions, SensorOptions
 from needleforce.cli.terminal import CommandError
-from recordings import load_mapping
-from recordings.toml_file import read_toml
+from needleforce.recordings import load_mapping
+from needleforce.recordings.mapping import read_toml
 from residual import (
     DEFAULT,
     PUBLISHED,
@@ -22,7 +21,15 @@ from residual import (
     SensorConfig,
     SigmoidFriction,
 )
-from urdf import NeedleTool, Payload, Robot, UnsupportedJointError, load_lwr, load_urdf
+from urdf import (
+    NeedleTool,
+    Payload,
+    Robot,
+    UnsupportedJointError,
+    load_example,
+    load_lwr,
+    load_urdf,
+)
 
 # A validated dataclass from a table of a TOML file, with errors that name key and value.
 
@@ -32,91 +39,81 @@ NOTHING = "none"
 """How a file says None, for which TOML has no word."""
 _WORDS = {
     "float": "a number",
+    "int": "a number",
     "str": "text",
     "bool": "true or false",
-    "array": "a list of numbers",
+    "array": "a list",
     "null": repr(NOTHING),
     "object": "a table",
 }
 
 
-def decoded(kind: type[T], table: Any, where: str, preset: T | None = None) -> T:
+def decoded(kind: type[T], table: Any, where: str, preset: Mapping[str, Any] | None = None) -> T:
     """Return a dataclass with the values of a table.
 
     Args:
         kind: A dataclass of numbers, text, choices, arrays and further dataclasses.
         table: As TOML gives it.
         where: File and table, for messages.
-        preset: Holds what the table leaves out; else the dataclass's own defaults do.
+        preset: Fields in place of the dataclass's own defaults, which the table overrides.
 
     Raises:
         CommandError: A key is unknown or missing, or a value is of the wrong type or refused by
             the dataclass.
     """
     if not isinstance(table, dict):
-        raise CommandError(f"{where} = {table!r}, expected a table")
-    items = {item.name: item for item in fields(kind) if item.init}  # type: ignore[arg-type]
-    for name in table:
-        if name not in items:
-            near = get_close_matches(name, items, n=1)
-            hint = f"did you mean {near[0]}? " if near else ""
-            raise CommandError(
-                f"{where}: unknown key {name!r}; {hint}known are: {', '.join(items)}"
-            )
+        raise CommandError(f"{where} = {_short(table)}, expected a table")
+    _require_known(kind, table, where)
+    values = {name: None if value == NOTHING else value for name, value in table.items()}
+    for name, value in (preset or {}).items():
+        inner = values.setdefault(name, value)
+        if is_dataclass(value) and isinstance(inner, dict):
+            values[name] = {item.name: getattr(value, item.name) for item in fields(value)} | inner
+    try:
+        return msgspec.convert(values, kind, dec_hook=_array)
+    except (msgspec.ValidationError, OverflowError) as error:
+        raise CommandError(f"{where}: {_explained(str(error), kind, table)}") from error
+
+
+def _require_known(kind: type, table: Mapping[str, Any], where: str) -> None:
     hints = get_type_hints(kind)
-    values = {}
+    known = [item.name for item in fields(kind) if item.init]
     for name, value in table.items():
-        inner = getattr(preset, name, None)
-        values[name] = _value(value, hints[name], f"{where}: {name}", inner)
-    missing = [
-        name
-        for name, item in items.items()
-        if name not in values and item.default is item.default_factory is MISSING
-    ]
-    if missing and preset is None:
-        raise CommandError(f"{where}: {', '.join(missing)} missing")
-    try:
-        return kind(**values) if preset is None else replace(preset, **values)  # type: ignore[type-var]
-    except (ValueError, TypeError) as error:
-        raise CommandError(f"{where}: {error}") from error
-
-
-def _value(value: Any, hint: Any, what: str, preset: Any) -> Any:
-    options = get_args(hint) if NoneType in get_args(hint) else (hint,)
-    if NoneType in options and value == NOTHING:
-        return None
-    for option in options:
-        if is_dataclass(option):
-            return decoded(option, value, what, preset)  # type: ignore[arg-type]
-    try:
-        return msgspec.convert(value, hint, dec_hook=_array)
-    except (msgspec.ValidationError, ValueError, TypeError) as error:
-        raise CommandError(f"{what} = {_short(value)}, expected {_expected(error, options)}") from (
-            error
-        )
+        if name not in known:
+            near = get_close_matches(name, known, n=1)
+            hint = f"did you mean {near[0]}? " if near else ""
+            listed = ", ".join(known)
+            raise CommandError(f"{where}: unknown key {name!r}; {hint}known are: {listed}")
+        if is_dataclass(hints[name]) and isinstance(value, dict):
+            _require_known(hints[name], value, f"{where}: {name}")
 
 
 def _array(_kind: Any, value: Any) -> np.ndarray:
-    if not isinstance(value, list):
-        raise TypeError
-    array = np.array(value, dtype=np.float64)
+    array = np.array(value, dtype=np.float64) if isinstance(value, list) else np.array(np.nan)
     if not np.isfinite(array).all():
-        raise ValueError
+        raise ValueError("Expected `array`")
     return array
 
 
-def _expected(error: Exception, options: tuple[Any, ...]) -> str:
-    """Return what msgspec expected, in plain words."""
-    for option in options:
-        if get_origin(option) is Literal:
-            return " or ".join(map(repr, get_args(option)))
-        if get_origin(option) is np.ndarray:
-            return "a list of numbers"
-        if get_origin(option) is tuple and ... not in get_args(option):
-            return f"a list of {len(get_args(option))} numbers"
-    named = re.match(r"Expected `([^`]*)`", str(error))
-    kinds = named.group(1).split(" | ") if named else []
-    return " or ".join(_WORDS.get(kind, kind) for kind in kinds) or f"otherwise: {error}"
+def _explained(message: str, kind: type, table: Mapping[str, Any]) -> str:
+    """Return a message of msgspec in plain words, with the value that came."""
+    what, at, path = message.partition(" - at `$.")
+    if not at:
+        return what.replace("Object missing required field", "missing:").replace("`", "")
+    key = path.rstrip("`")
+    name, *inner = re.split(r"[.\[]", key)
+    value = table.get(name)
+    if inner and isinstance(value, dict):
+        value = value.get(inner[0])
+    choices = get_args(get_type_hints(kind).get(name))
+    if what.startswith("Invalid enum value"):
+        expected = " or ".join(map(repr, choices))
+    elif found := re.match(r"Expected `([^`]*)`( of length \d+)?", what):
+        kinds = [_WORDS.get(word, word) for word in found.group(1).split(" | ")]
+        expected = " or ".join(dict.fromkeys(kinds)) + (found.group(2) or "")
+    else:
+        return f"{key} = {_short(value)}: {what}"
+    return f"{key} = {_short(value)}, expected {expected}"
 
 
 def _short(value: Any) -> str:
@@ -128,6 +125,7 @@ def _short(value: Any) -> str:
 
 # The arm, and what hangs on its flange.
 
+LWR = "lwr"
 _POINT_MASS = [[0.0] * 3] * 3
 
 
@@ -141,20 +139,30 @@ def robot_from_options(options: RobotOptions, mapping: str | None) -> Robot:
     Raises:
         CommandError: Options contradict each other, or the payload is not valid.
         RecordingError: The mapping that names the payload cannot be read.
-        UrdfError: The URDF, a frame or a joint in it is not valid.
+        UrdfError: The arm, a frame, link or joint in it is not valid.
     """
     payload = payload_from_options(options, mapping)
+    if options.urdf is not None and options.robot is not None:
+        raise CommandError("--robot and --urdf name two robots; give one of them")
+    if options.lock and options.urdf is None:
+        raise CommandError("--lock describes a robot of --urdf FILE; give it")
+    placed = {
+        "tool_frame": options.tool_frame,
+        "tool_placement": options.tip_offset,
+        "without": options.without,
+        "payload": payload,
+    }
+    if options.urdf is None and options.robot not in (None, LWR):
+        return load_example(options.robot, **placed)
     if options.urdf is None:
-        if options.tool_frame is not None or options.lock:
-            raise CommandError("--tool-frame and --lock describe a robot of --urdf FILE; give it")
+        if options.tool_frame or options.tip_offset or options.without:
+            raise CommandError(
+                "--tool-frame, --tip-offset and --without describe a robot of --robot NAME or "
+                "--urdf FILE; the LWR 4+ takes a [needle] in --payload FILE"
+            )
         return load_lwr(payload=payload)
-    if options.lwr:
-        raise CommandError("--lwr and --urdf name two robots; give one of them")
-    locked = dict(map(_locked, options.lock))
     try:
-        return load_urdf(
-            options.urdf, tool_frame=options.tool_frame, locked_joints=locked, payload=payload
-        )
+        return load_urdf(options.urdf, locked_joints=dict(map(_locked, options.lock)), **placed)
     except UnsupportedJointError as error:
         reason = str(error).replace("lock it with locked_joints", "lock it with --lock")
         raise CommandError(reason) from error
@@ -181,11 +189,12 @@ def payload_from_options(options: RobotOptions, mapping: str | None) -> Payload 
         CommandError: It describes no physical body.
         RecordingError: A file cannot be read.
     """
-    usual = "needle" if options.urdf is None else NOTHING
+    is_lwr = options.urdf is None and options.robot in (None, LWR)
     value, where = options.payload, "--payload"
     if value is None and mapping is not None:
         value, where = load_mapping(mapping).payload, f"{mapping}: [payload]"
-    value = usual if value is None else value
+    if value is None:
+        value = "needle" if is_lwr else NOTHING
     if value == NOTHING:
         return None
     if value == "needle":
@@ -285,17 +294,19 @@ def sensor_config(options: SensorOptions, friction: FrictionModel | None) -> Sen
         CommandError: A setting is not valid.
         RecordingError: The file cannot be read.
     """
-    config = PUBLISHED if options.published else DEFAULT
+    preset = PUBLISHED if options.published else DEFAULT
+    values = {item.name: getattr(preset, item.name) for item in fields(preset)}
     if options.config is not None:
         table = read_toml(options.config, "config file")
         if "friction" in table:
             raise CommandError(f"{options.config}: give joint friction with --friction FILE")
-        config = decoded(SensorConfig, table, options.config, config)
+        config = decoded(SensorConfig, table, options.config, values)
+        values = {item.name: getattr(config, item.name) for item in fields(config)}
     given = {
         "gain_per_s": options.gain,
         "alignment": options.alignment,
         "mode": options.mode,
+        "insertion_axis": options.insertion_axis,
     }
     given = {name: value for name, value in given.items() if value is not None}
-    config = decoded(SensorConfig, given, "options", config)
-    return replace(config, friction=friction)
+    return replace(decoded(SensorConfig, given, "options", values), friction=friction)

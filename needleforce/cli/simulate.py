@@ -9,9 +9,9 @@ from groundtruth import SCENARIOS, Run, simulate
 from groundtruth.scenarios import RANDOM_STACK, named_scenario
 from needleforce.cli.options import SimulationOptions
 from needleforce.cli.terminal import CommandError, progress, write_out
-from recordings import check_writable, write_table
-from recordings.apart import require_apart as check_output_paths
-from recordings.tables.labels import Labels
+from needleforce.recordings import check_writable, write_table
+from needleforce.recordings.output import check_output_paths
+from needleforce.recordings.table import Labels
 
 _EVENTS = {
     "layer": ("above the tissue", "in layer {}"),

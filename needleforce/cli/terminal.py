@@ -27,7 +27,7 @@ class CommandError(ValueError):
 
 _ERRORS = {
     "needleforce.plots": "FiguresError",
-    "recordings": "RecordingError",
+    "needleforce.recordings": "RecordingError",
     "urdf": "UrdfError",
     "residual": "ResidualError",
     "identification": "IdentificationError",
