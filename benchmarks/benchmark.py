@@ -39,6 +39,7 @@ class Drawing:
         plant: On which arm.
         seed: Of everything drawn.
         path: The file.
+        wide: The same for a wide screen, where it stands alone.
         alt: What it shows, for those who cannot see it.
         caption: What to look at.
         facts: Numbers to stand below.
@@ -56,6 +57,7 @@ class Drawing:
     caption: str
     facts: tuple[Fact, ...] = ()
     tuned_friction_Ns_per_m: float = math.nan
+    wide: Path | None = None
 
     @property
     def provenance(self) -> str:
@@ -64,7 +66,7 @@ class Drawing:
             return f"`{self.scenario}`, needle without an arm, seed {self.seed}"
         if self.plant == "recording":
             return f"`{self.scenario}`, recording {self.seed}"
-        return f"`{self.scenario}`, {self.plant} arm, seed {self.seed}"
+        return f"`{self.scenario}`, {self.plant} plant, seed {self.seed}"
 
 
 # One piece of work for a process of its own, and what comes back.

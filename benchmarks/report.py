@@ -13,7 +13,7 @@ from rich.text import Text
 
 from benchmarks.benchmark import Drawing
 from benchmarks.paper_figures import FRICTION_FIGURE, PAPER_FIGURES, TABLE_ONE, PaperFigure
-from benchmarks.rows import Row, to_json, write_results
+from benchmarks.rows import Row, to_json
 from benchmarks.tables import NOTHING, run_tables
 from benchmarks.targets import GELS, TABLE_ONE_Ns_per_m
 from needleforce.plots import (
@@ -27,13 +27,11 @@ from needleforce.plots import (
     Panel,
     Section,
     palette,
-    save_svg,
+    save_page_figure,
     write_page,
 )
+from needleforce.plots.chart import write_file
 from needleforce.plots.page import PAGE
-
-# Cumulative friction of the single gels, gathered from the rows of a run.
-
 
 PLANTS = ("clean", "degraded", "ideal", "needle")
 """The first of these on which gels were run is shown."""
@@ -44,12 +42,12 @@ METRIC = "cumulative_friction_{kind}_Ns_per_m"
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class GelFriction:
-    """What the rows of one plant say of the gels.
+    """Results of the gels on one plant.
 
     Attributes:
         plant: Which.
         rows: Of that plant and these gels.
-        tuned: By the published method as its authors ran it, by scenario, seed 0.
+        tuned: By the published method with its authors' settings, by scenario, seed 0.
     """
 
     plant: str
@@ -69,8 +67,8 @@ class GelFriction:
             method: Of the identification.
         """
         if kind == "tuned":
-            told = self.tuned.get(f"gel-{percent}-{speed}")
-            return [] if told is None else [told]
+            found = self.tuned.get(f"gel-{percent}-{speed}")
+            return [] if found is None else [found]
         wanted = (f"gel-{percent}-{speed}", source, method, METRIC.format(kind=kind))
         return [
             row.value
@@ -106,9 +104,6 @@ def gel_friction(rows: Iterable[Row], drawings: Iterable[Drawing]) -> GelFrictio
     return None
 
 
-# The paper's Table I beside ours.
-
-
 ONLINE = (
     ("published, tuned, F/T", "tuned", "ft", "published"),
     ("published, F/T", "online", "ft", "published"),
@@ -119,7 +114,7 @@ ONLINE = (
 
 
 def gel_table(gels: GelFriction) -> PageTable:
-    """Mean ± spread over the two speeds (and seeds), and the way from offline in per cent."""
+    """Mean ± spread over the two speeds (and seeds), and the difference from offline [%]."""
     head = ["gel", "paper\noffline", "paper\nonline", "here\ntrue", "here\noffline"]
     head += [f"here online\n{words}" for words, *_ in ONLINE]
     rows = []
@@ -144,8 +139,8 @@ def gel_table(gels: GelFriction) -> PageTable:
         rows=tuple(rows),
         numeric=frozenset(range(1, len(head))),
         note="The paper calls its spread a variance; its size and unit are those of a standard "
-        "deviation. Tuned: with the commanded speed, as its authors ran it; else with the speed "
-        "that the arm measures, whose noise the published method takes for excitation.",
+        "deviation. Tuned: with the commanded speed and its authors' settings; else with the "
+        "measured speed, whose noise the published method takes for excitation.",
     )
 
 
@@ -170,9 +165,6 @@ def _cell(values: Sequence[float], offline: Sequence[float] = ()) -> str:
     return f"{mean:.0f}{spread}{more}"
 
 
-# The parts of the page: one per figure of the paper, one per further run.
-
-
 def paper_sections(drawings: Sequence[Drawing], rows: Sequence[Row]) -> list[Section]:
     """One section per figure that these runs give, at least in part."""
     sections = []
@@ -192,7 +184,7 @@ def paper_sections(drawings: Sequence[Drawing], rows: Sequence[Row]) -> list[Sec
 
 
 def further_sections(drawings: Sequence[Drawing]) -> list[Section]:
-    """Runs that are the counterpart of no figure, or were made on another arm as well."""
+    """Runs that are the counterpart of no figure, or were made with another plant model as well."""
     used = {drawing.path for item in PAPER_FIGURES for drawing in chosen(drawings, item.number)}
     rest = [drawing for drawing in drawings if drawing.path not in used]
     groups: dict[tuple[str, str], list[Drawing]] = {}
@@ -209,7 +201,7 @@ def further_sections(drawings: Sequence[Drawing]) -> list[Section]:
 
 
 def missing_section(sections: Sequence[Section]) -> Section | None:
-    """Which command draws the figures that these runs do not give; None if none is missing."""
+    """Which command draws the figures that these runs do not include; None if none is missing."""
     here = {section.anchor for section in sections}
     rows = [
         (item.heading, f"`python -m benchmarks run {' '.join(item.scenarios)} --report DIR`")
@@ -227,7 +219,7 @@ def missing_section(sections: Sequence[Section]) -> Section | None:
 
 
 def chosen(drawings: Iterable[Drawing], figure: str) -> list[Drawing]:
-    """The drawings of a figure, on the one plant that is shown."""
+    """The panels of a figure, on the one plant that is shown."""
     found = [drawing for drawing in drawings if drawing.figure == figure]
     mine = sorted(found, key=lambda drawing: drawing.panel)
     plants = {drawing.plant for drawing in mine}
@@ -246,12 +238,12 @@ def _section(
     here: set[str],
 ) -> Section:
     absent = [name for name in item.scenarios if name not in here]
-    notice = f"Not among these runs, so not here: {', '.join(absent)}. All of it is drawn by:"
+    notice = f"Not among these runs, so missing here: {', '.join(absent)}. For all panels run:"
     command = f"python -m benchmarks run {' '.join(item.scenarios)} --report DIR"
     return Section(
         heading=item.heading,
         anchor=_anchor(item),
-        paragraphs=(f"In the paper: {item.shows}", f"Here: {item.see}"),
+        paragraphs=(f"In the paper: {item.shows}", f"To compare: {item.see}"),
         notices=(notice,) if absent else (),
         figures=tuple(map(_figure, mine)),
         tables=tables,
@@ -261,7 +253,7 @@ def _section(
 
 def _figure(drawing: Drawing) -> PageFigure:
     caption = f"{drawing.caption} From {drawing.provenance}."
-    return PageFigure(path=drawing.path, alt=drawing.alt, caption=caption)
+    return PageFigure(path=drawing.path, alt=drawing.alt, caption=caption, wide=drawing.wide)
 
 
 def _facts(item: PaperFigure, mine: Sequence[Drawing]) -> tuple[PageTable, ...]:
@@ -277,9 +269,6 @@ def _facts(item: PaperFigure, mine: Sequence[Drawing]) -> tuple[PageTable, ...]:
             ),
         ),
     )
-
-
-# After the paper's Figure 10: friction of the gels, offline and online.
 
 
 COLORS = {"constant": palette.BLUE, "sinusoidal": palette.VERMILION}
@@ -343,10 +332,7 @@ def _truth(gels: GelFriction, speed: str) -> Curve:
         x += [k + FIRST_PLACE - 0.06, k + FIRST_PLACE + 3 * STEP + 0.06, np.nan]
         y += [value, value, np.nan]
     style = palette.TRUE if speed == "constant" else palette.TRUE_PART
-    return Curve(style=style, x=np.array(x), y=np.array(y), label=f"truth, {speed}")
-
-
-# The tables of the terminal as tables of the page.
+    return Curve(style=style, x=np.array(x), y=np.array(y), label=f"ground truth, {speed}")
 
 
 def page_tables(tables: Sequence[Table]) -> tuple[PageTable, ...]:
@@ -377,12 +363,12 @@ LEAD = (
     "Counterparts of the figures of “Online needle-tissue interaction model identification for "
     "force feedback enhancement in robot-assisted interventional procedures” (Ferro, Gaz, "
     "Anzidei, Vendittelli). The insertions are simulated, so the true force is known; the "
-    "estimators see only what a robot would give them.",
-    "Blue and continuous: our method, one setting for everything. Orange and dashed: the published "
-    "method; in Figures 8 to 14 as its authors ran it, with the commanded speed and σ₁ set for "
-    "each recording, in the tables of all numbers with one setting and the measured speed, as "
-    "ours. Black: the truth; dotted where it is a part of the force. Times count from the "
-    "moment the needle sets out. Forces are positive when tissue pushes back.",
+    "estimators get only the signals that a robot would give them.",
+    "Blue, continuous: our method, one setting for everything. Orange, dashed: the published "
+    "method; in Figures 8 to 14 with its authors' settings (commanded speed, σ₁ set for each "
+    "recording), in the tables of all numbers with one setting and the measured speed, as ours. "
+    "Black, dotted: the ground truth. Times count from the start of the needle's motion. Forces "
+    "are positive when tissue pushes back.",
 )
 
 
@@ -390,7 +376,7 @@ def write_report(folder: Path, rows: Sequence[Row], drawings: Sequence[Drawing])
     """Write ``index.html`` with everything inside, and ``results.json`` beside it.
 
     Args:
-        folder: Exists, and holds the drawings.
+        folder: Exists, and holds the figures of the runs.
         rows: The numbers.
         drawings: Of all runs.
 
@@ -398,10 +384,9 @@ def write_report(folder: Path, rows: Sequence[Row], drawings: Sequence[Drawing])
         The page.
 
     Raises:
-        ResultsError: The numbers cannot be written.
-        figures.FiguresError: The page cannot be written.
+        FiguresError: A file cannot be written.
     """
-    write_results(folder / "results.json", rows)
+    write_file(folder / "results.json", to_json(rows).encode())
     everything = [*drawings, *_friction_drawing(folder, rows, drawings)]
     figures = paper_sections(everything, rows)
     missing = missing_section(figures)
@@ -430,22 +415,30 @@ def _friction_drawing(
     gels = gel_friction(rows, drawings)
     if gels is None:
         return []
-    title = f"{FRICTION_FIGURE}  friction of the gels\n{gels.plant}"
     seeds = len({row.seed for row in gels.rows})
-    path = save_svg(friction_chart(title, gels), folder / f"figure-{FRICTION_FIGURE}-{gels.plant}")
+    shown = save_page_figure(
+        friction_chart(
+            f"Figure {FRICTION_FIGURE}: cumulative friction of the gels\n{gels.plant} plant", gels
+        ),
+        folder / f"figure-{FRICTION_FIGURE}-{gels.plant}.svg",
+        alt="Cumulative friction of the 25, 50 and 70 % gel: the paper's means and ours, offline "
+        "and online, at both speeds",
+        caption="Cumulative friction [Ns/m] by gel. Grey: the paper's means over both speeds (its "
+        "Table I). Triangles: offline; stars: ours online on the F/T sensor's force; diamonds: on "
+        "the virtual sensor's; crosses: the published method on the F/T sensor's, with its "
+        "authors' settings. The sinusoidal speed is lower at the rupture, and friction over speed "
+        f"is then another number: hence two lines of ground truth. Medians over {seeds} seed(s).",
+        is_alone=True,
+    )
     return [
         Drawing(
             figure=FRICTION_FIGURE,
             scenario="gel-*",
             plant=gels.plant,
             seed=0,
-            path=path,
-            alt="Cumulative friction of the 25, 50 and 70 % gel: the paper's means and ours, "
-            "offline and online, at both speeds",
-            caption="Grey: the paper's means over both speeds (its Table I). Triangles: offline; "
-            "stars: ours online on the F/T reading; diamonds: on the virtual sensor; crosses: the "
-            "published method on the F/T reading, as its authors ran it. The sinusoidal speed is "
-            "lower at the rupture, and friction over speed is then another number: hence two "
-            f"lines of truth. Medians over {seeds} seed(s).",
+            path=shown.path,
+            wide=shown.wide,
+            alt=shown.alt,
+            caption=shown.caption,
         )
     ]

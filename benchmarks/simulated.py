@@ -6,10 +6,11 @@ import numpy as np
 
 from benchmarks.benchmark import Drawing, Findings, Job, Progress, progress_part
 from benchmarks.force_metrics import residual_metrics, wrench_metrics
+from benchmarks.force_plots import force_figures
+from benchmarks.identification_figures import identification_figures
 from benchmarks.identification_metrics import Signals, identification_metrics, identify_all
 from benchmarks.methods import METHODS, ForceReading, ft_force, on_lwr, virtual_force
 from benchmarks.metric_catalogue import Measurement
-from benchmarks.plots import force_drawings, identification_drawings
 from benchmarks.rows import Method, Source
 from benchmarks.signals import (
     ForceTruth,
@@ -168,7 +169,7 @@ def run_needle(job: Job, chosen: Scenario, progress: Progress, *, is_drawn: bool
         return Findings(measured)
     found = [(signals, identified)]
     commanded = chosen.motion.speed_m_s(truth.t_s)
-    return Findings(measured, identification_drawings(job, job.drawings, truth, commanded, found))
+    return Findings(measured, identification_figures(job, job.drawings, truth, commanded, found))
 
 
 def drawn_noise(rng: np.random.Generator) -> ForceNoise:
@@ -208,7 +209,7 @@ def run_simulated(job: Job, progress: Progress) -> Findings:
     case = simulated_case(job, chosen, progress_part(progress, 0.0, READING_SHARE))
     drawings: tuple[Drawing, ...] = ()
     if job.drawings is not None:
-        drawings += force_drawings(job, job.drawings, case.truth, case.readings)
+        drawings += force_figures(job, job.drawings, case.truth, case.readings)
     measured = simulated_metrics(case)
     if chosen.layers:
         found = _identify(job, case)
@@ -230,5 +231,5 @@ def _identify(job: Job, case: SimulatedCase) -> Findings:
         return Findings(measured)
     ft = next(item for item in case.readings if item.source == "ft")
     commanded = case.run.scenario.motion.speed_m_s(truth.t_s)
-    drawings = identification_drawings(job, job.drawings, truth, commanded, found, ft)
+    drawings = identification_figures(job, job.drawings, truth, commanded, found, ft)
     return Findings(measured, drawings)

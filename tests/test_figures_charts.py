@@ -10,6 +10,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 from hypothesis.extra.numpy import arrays
+from needleforce.plots.errors import ChartError, MissingExtraError, WriteError
 
 from needleforce.plots import (
     Chart,
@@ -26,7 +27,6 @@ from needleforce.plots import (
 )
 from needleforce.plots import chart as save
 from needleforce.plots.chart import kept_points, limits_of
-from needleforce.plots.errors import ChartError, MissingExtraError, WriteError
 
 pytest.importorskip("matplotlib")
 

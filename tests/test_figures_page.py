@@ -3,9 +3,9 @@
 from html.parser import HTMLParser
 
 import pytest
+from needleforce.plots.errors import ChartError, WriteError
 
 from needleforce.plots import Attachment, Page, PageFigure, PageTable, Section, write_page
-from needleforce.plots.errors import ChartError, WriteError
 
 DOT = b'<svg xmlns="http://www.w3.org/2000/svg" width="9" height="9"><circle r="4"/></svg>'
 

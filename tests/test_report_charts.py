@@ -4,11 +4,6 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from gel_slice import gel_slice
-
-from benchmarks.benchmark import Job
-from benchmarks.identification_metrics import identify_all
-from benchmarks.methods import ForceReading, identify
 from benchmarks.plots import (
     InsertionAxis,
     Sketchbook,
@@ -20,6 +15,11 @@ from benchmarks.plots import (
     true_friction,
     tuned_published,
 )
+from gel_slice import gel_slice
+
+from benchmarks.benchmark import Job
+from benchmarks.identification_metrics import identify_all
+from benchmarks.methods import ForceReading, identify
 from benchmarks.signals import NeedleSignal, truth_of_needle
 from groundtruth import insert_needle
 from needleforce.plots import palette

@@ -3,6 +3,7 @@
 import numpy as np
 import pytest
 from chromium import PHONE, logged, measured, needs_chromium
+from needleforce.plots.errors import WriteError
 from residual_command_log import insertion
 
 import needleforce.cli.force as residual_command
@@ -10,7 +11,6 @@ import needleforce.cli.identify as identification_command
 from groundtruth import insert_needle
 from identification import MULTILAYER, PUBLISHED
 from needleforce.cli.identify_report import IdentificationResult, LogClock, identification_chart
-from needleforce.plots.errors import WriteError
 from needleforce.plots.page import report_folder, settings_table
 from recordings import write_table
 from residual import DEFAULT as SENSOR

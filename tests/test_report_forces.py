@@ -4,10 +4,10 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from benchmarks.plots import Sketchbook, draw_forces, force_over_depth, force_over_time, rmse_N
 
 from benchmarks.benchmark import Job
 from benchmarks.methods import ForceReading
-from benchmarks.plots import Sketchbook, draw_forces, force_over_depth, force_over_time, rmse_N
 from benchmarks.signals import ForceTruth
 from needleforce.plots import palette
 
