@@ -36,6 +36,7 @@ from needleforce.recordings import (
     load_mapping,
     stream_tables,
 )
+from needleforce.recordings.errors import file_errors, readable_path
 from needleforce.recordings.follow import STANDARD_STREAM
 from needleforce.recordings.log import LogChunk
 from needleforce.recordings.mapping import ChannelRequest, parse_column_spec
@@ -82,7 +83,7 @@ def has_channels(source: str, columns: Columns, channels: Iterable[str]) -> bool
         CommandError: The source is a pipe, of which nothing can be read twice.
         RecordingError: The recording cannot be read.
     """
-    if source == STANDARD_STREAM or Path(source).is_fifo():
+    if source == STANDARD_STREAM or readable_path(source).is_fifo():
         raise CommandError("a report needs a file, not a pipe; or give --report DIR to force")
     table = next(stream_tables(source, FollowOptions()))
     request = ChannelRequest(mapping=mapping_from_options(columns), required=tuple(channels))
@@ -261,16 +262,18 @@ def check_outputs(source: str, output: Output) -> None:
         require_matplotlib("--figure", output.figure)
         _require_place(output.figure)
     if source != STANDARD_STREAM:
+        log = readable_path(source)
         for path in outputs.values():
-            check_output_path(path, Path(source))
+            check_output_path(path, log)
     check_output_paths(outputs)
 
 
 def _require_place(path: Path) -> None:
-    if path.is_dir():
-        raise CommandError(f"cannot write {path}: it is a folder")
-    if not path.parent.is_dir():
-        raise CommandError(f"cannot write {path}: there is no folder {path.parent}")
+    with file_errors(path, "write"):
+        if path.is_dir():
+            raise CommandError(f"cannot write {path}: it is a folder")
+        if not path.parent.is_dir():
+            raise CommandError(f"cannot write {path}: there is no folder {path.parent}")
 
 
 @contextmanager

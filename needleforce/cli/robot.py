@@ -2,12 +2,13 @@
 
 import re
 from collections.abc import Mapping
-from dataclasses import fields, is_dataclass, replace
+from dataclasses import MISSING, fields, is_dataclass, replace
 from difflib import get_close_matches
 from typing import Any, TypeVar, get_args, get_type_hints
 
 import msgspec
 import numpy as np
+from msgspec import UNSET
 
 from needleforce.cli.options import RobotOptions, SensorOptions
 from needleforce.cli.terminal import CommandError
@@ -43,6 +44,7 @@ _WORDS = {
     "str": "text",
     "bool": "true or false",
     "array": "a list",
+    "numbers": "a list of numbers",
     "null": repr(NOTHING),
     "object": "a table",
 }
@@ -70,9 +72,27 @@ def decoded(kind: type[T], table: Any, where: str, preset: Mapping[str, Any] | N
         if is_dataclass(value) and isinstance(inner, dict):
             values[name] = {item.name: getattr(value, item.name) for item in fields(value)} | inner
     try:
-        return msgspec.convert(values, kind, dec_hook=_array)
+        found = msgspec.convert(values, _struct(kind), dec_hook=_array)
     except (msgspec.ValidationError, OverflowError) as error:
         raise CommandError(f"{where}: {_explained(str(error), kind, table)}") from error
+    given = {name: getattr(found, name) for name in found.__struct_fields__}
+    try:
+        return kind(**{name: value for name, value in given.items() if value is not UNSET})
+    except (ValueError, TypeError) as error:
+        raise CommandError(f"{where}: {error}") from error
+
+
+def _struct(kind: type) -> type[msgspec.Struct]:
+    """Return the fields with their types; msgspec would fill fields that are no arguments, too."""
+    hints = get_type_hints(kind)
+    items = [
+        (item.name, hints[item.name])
+        if item.default is item.default_factory is MISSING
+        else (item.name, hints[item.name], UNSET)
+        for item in fields(kind)
+        if item.init
+    ]
+    return msgspec.defstruct(kind.__name__, items, kw_only=True)
 
 
 def _require_known(kind: type, table: Mapping[str, Any], where: str) -> None:
@@ -89,9 +109,12 @@ def _require_known(kind: type, table: Mapping[str, Any], where: str) -> None:
 
 
 def _array(_kind: Any, value: Any) -> np.ndarray:
-    array = np.array(value, dtype=np.float64) if isinstance(value, list) else np.array(np.nan)
-    if not np.isfinite(array).all():
-        raise ValueError("Expected `array`")
+    try:
+        array = np.array(value, dtype=np.float64)
+    except (ValueError, TypeError, OverflowError):
+        array = np.array(np.nan)
+    if not (array.ndim and np.isfinite(array).all()):
+        raise ValueError("Expected `numbers`")
     return array
 
 
