@@ -163,7 +163,7 @@ OPTIONS = {
 
 USAGE = {
     "force": "LOG requires an argument",
-    "forc good.csv": "Unknown command \"forc\". Did you mean \"force\"",
+    "forc good.csv": 'Unknown command "forc". Did you mean "force"',
     "force good.csv more.csv": "'more.csv': not expected here",
     "force good.csv --mode sideways": 'Choose from: "axial", "point", "full"',
     "force good.csv --mode axail": 'Did you mean "axial"',

@@ -1,4 +1,4 @@
-"""The command: from a recording to layers, a table and a picture."""
+"""`needleforce identify`: from a recording to layers, a table and a picture."""
 
 import builtins
 import re
@@ -8,12 +8,12 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-import needleforce.cli.identify as command
 from groundtruth import insert_needle
 from identification import replay
 from identification.errors import InvalidLogError
 from identification.log_replay import sign_hints
-from recordings import write_table
+from needleforce.cli import main
+from needleforce.recordings import write_table
 
 
 @pytest.fixture(scope="module")
@@ -37,21 +37,21 @@ def write(path, needle, force_sign=1.0, speed=True):
 def test_command_prints_layers_and_writes_table_and_picture(needle, tmp_path, capsys):
     log = write(tmp_path / "log.csv", needle)
     out, png = tmp_path / "out.csv", tmp_path / "out.png"
-    assert command.main([log, "-o", str(out), "--png", str(png)]) == 0
+    assert main(["identify", log, "-o", str(out), "--png", str(png)]) == 0
     printed = capsys.readouterr().out.splitlines()
     assert len(printed) == 2
     assert "friction N" in printed[0]
     table = np.genfromtxt(out, delimiter=",", names=True)
     assert len(table) == len(needle[0].t_s[needle[1]])
     assert np.count_nonzero(table["rupture"]) == 1
-    assert np.all(table["absorbed"] == 1)
+    assert np.all(table["used"] == 1)
     assert png.read_bytes()[:4] == b"\x89PNG"
 
 
 @pytest.mark.parametrize("method", ["published", "published-kv"])
 def test_command_offers_the_published_method(needle, tmp_path, capsys, method):
     log = write(tmp_path / "log.csv", needle)
-    assert command.main([log, "--method", method]) == 0
+    assert main(["identify", log, "--method", method]) == 0
     assert capsys.readouterr().out
 
 
@@ -60,7 +60,7 @@ def test_the_table_and_the_rows_tell_the_same_instant_of_an_alarm(tmp_path, caps
     log, out = tmp_path / "log.csv", tmp_path / "out.csv"
     columns = {"t_s": run.t_s + 100.0, "depth_m": run.depth_m, "force_N": run.force_N}
     write_table(log, columns | {"speed_m_s": run.speed_m_s})
-    assert command.main([str(log), "-o", str(out)]) == 0
+    assert main(["identify", str(log), "-o", str(out)]) == 0
     rows = np.genfromtxt(out, delimiter=",", names=True)
     alarm_s = rows["t_s"][rows["rupture"] > 0]
     header, *lines = capsys.readouterr().out.splitlines()
@@ -80,9 +80,9 @@ def test_speed_is_derived_when_it_is_not_recorded(needle):
 
 def test_flipped_force_gets_a_hint(needle, tmp_path, capsys):
     log = write(tmp_path / "log.csv", needle, force_sign=-1.0)
-    assert command.main([log]) == 0
+    assert main(["identify", log]) == 0
     assert "flip its sign; a factor of -1 after the unit does" in capsys.readouterr().err
-    assert command.main([log, "--force", "force_N:N:-1"]) == 0
+    assert main(["identify", log, "--force", "force_N:N:-1"]) == 0
     assert "flip" not in capsys.readouterr().err
 
 
@@ -100,27 +100,27 @@ def test_refused_rows_are_counted_with_the_reason(needle, tmp_path, capsys):
     run, part = needle
     columns = {"t_s": run.t_s[part], "depth_m": run.depth_m[part], "force": 1e3 * run.force_N[part]}
     write_table(tmp_path / "mN.csv", columns)
-    assert command.main([str(tmp_path / "mN.csv")]) == 0
+    assert main(["identify", str(tmp_path / "mN.csv")]) == 0
     told = capsys.readouterr().err
     refused = int((np.abs(columns["force"]) > 200.0).sum())
     assert f"rows that were refused: {refused} (force beyond any needle's: check the unit)" in told
     assert "in SI; if the file is in mN, say unit = 'mN'" in told
-    assert command.main([str(tmp_path / "mN.csv"), "--force", "force:mN"]) == 0
+    assert main(["identify", str(tmp_path / "mN.csv"), "--force", "force:mN"]) == 0
     assert "refused" not in capsys.readouterr().err
 
 
 def test_missing_file_and_empty_log_are_one_clear_line(tmp_path, capsys):
-    assert command.main([str(tmp_path / "none.csv")]) == 2
+    assert main(["identify", str(tmp_path / "none.csv")]) == 2
     assert "error:" in capsys.readouterr().err
     (tmp_path / "empty.csv").write_text("")
-    assert command.main([str(tmp_path / "empty.csv")]) == 2
+    assert main(["identify", str(tmp_path / "empty.csv")]) == 2
     assert capsys.readouterr().err.count("\n") == 1
 
 
 def test_outputs_are_refused_before_the_work(needle, tmp_path, capsys):
     log = write(tmp_path / "log.csv", needle)
-    assert command.main([log, "--png", str(tmp_path / "no" / "x.png")]) == 2
-    assert command.main([log, "-o", str(tmp_path / "no" / "x.csv")]) == 2
+    assert main(["identify", log, "--png", str(tmp_path / "no" / "x.png")]) == 2
+    assert main(["identify", log, "-o", str(tmp_path / "no" / "x.csv")]) == 2
     assert "no folder" in capsys.readouterr().err
 
 
@@ -135,7 +135,7 @@ def test_a_picture_without_matplotlib_says_what_to_install(monkeypatch, tmp_path
     for name in [name for name in sys.modules if name.startswith("matplotlib")]:
         monkeypatch.delitem(sys.modules, name)
     monkeypatch.setattr(builtins, "__import__", refuse)
-    assert command.main([str(tmp_path / "log.csv"), "--png", str(tmp_path / "x.png")]) == 2
+    assert main(["identify", str(tmp_path / "log.csv"), "--png", str(tmp_path / "x.png")]) == 2
     assert "pip install 'needleforce[plots]'" in capsys.readouterr().err
 
 
@@ -171,7 +171,7 @@ def test_a_clock_that_was_set_back_hides_no_layer(needle, tmp_path, capsys):
     t_s[half:] -= t_s[half]
     log, out = tmp_path / "log.csv", tmp_path / "out.csv"
     write_table(log, {"t_s": t_s, "depth_m": run.depth_m[part], "force_N": run.force_N[part]})
-    assert command.main([str(log), "-o", str(out)]) == 0
+    assert main(["identify", str(log), "-o", str(out)]) == 0
     told = capsys.readouterr()
     assert "clock set back" in told.err
     header, line = told.out.splitlines()
@@ -182,4 +182,4 @@ def test_a_clock_that_was_set_back_hides_no_layer(needle, tmp_path, capsys):
     assert rupture_s == pytest.approx(expected_s, abs=0.03)
     rows = np.genfromtxt(out, delimiter=",", names=True)
     np.testing.assert_array_equal(rows["t_s"], t_s)
-    assert 3 <= np.count_nonzero(rows["absorbed"] == 0) <= 30
+    assert 3 <= np.count_nonzero(rows["used"] == 0) <= 30
