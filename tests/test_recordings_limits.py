@@ -77,7 +77,7 @@ PACKERS = {"zstd": zstandard.compress, "lz4": lz4.frame.compress}
 def test_a_chunk_that_unpacks_to_any_size_is_refused(tmp_path, compression, declared):
     packed = PACKERS[compression](bytes(BOMB))
     path = mcap_file(tmp_path / "x.mcap", chunk(packed, compression, declared))
-    with bounded(), pytest.raises(FormatError, match="raise max_bytes|holds no messages"):
+    with bounded(), pytest.raises(FormatError, match=r"raise max_bytes|holds no messages"):
         read_table(path, max_bytes=SMALL)
 
 
@@ -87,15 +87,18 @@ def test_a_message_that_unpacks_to_any_size_is_refused(tmp_path):
     packed = zstandard.compress(bytes(BOMB))
     message = Message(channel_id=1, log_time=1, data=packed, publish_time=1, sequence=0)
     path = mcap_file(tmp_path / "x.mcap", schema, channel, message)
-    with bounded(), pytest.raises(FormatError, match="a message of /x takes .* raise max_bytes"):
+    with bounded(), pytest.raises(FormatError, match=r"a message of /x takes .* raise max_bytes"):
         read_table(path, max_bytes=SMALL)
 
 
-@pytest.mark.parametrize("line", [b"\n", b"1,2\n"])
+@pytest.mark.parametrize("line", [b"# note\n", b"1,2\n"])
 def test_compressed_text_is_read_up_to_the_limit(tmp_path, line):
     path = tmp_path / "x.csv.gz"
     path.write_bytes(gzip.compress(b"t,f\n0,1\n" + line * (BOMB // len(line) // 4)))
-    with bounded(peak=12 * SMALL, seconds=60.0), pytest.raises(FormatError, match="raise max_bytes"):
+    with (
+        bounded(peak=12 * SMALL, seconds=60.0),
+        pytest.raises(FormatError, match="raise max_bytes"),
+    ):
         read_table(path, max_bytes=SMALL)
 
 
@@ -104,7 +107,7 @@ def test_a_limit_can_be_raised(tmp_path):
     path.write_text("t,f\n" + "0.5,1.25\n" * 1000)
     with pytest.raises(FormatError, match="raise max_bytes"):
         read_table(path, max_bytes=1000)
-    assert len(read_table(path, max_bytes=100_000)) == 1000
+    assert len(read_table(path, max_bytes=200_000)) == 1000
 
 
 @pytest.mark.parametrize("order", ["C", "F"])
@@ -168,15 +171,15 @@ def test_many_columns_take_seconds_not_minutes(tmp_path):
     assert time.monotonic() - start_s < 30.0
 
 
-@pytest.mark.parametrize("name", ["q2024051512", f"q{'9' * 23}", "q900000000"])
+@pytest.mark.parametrize("name", ["q2024051512", f"q{'9' * 23}"])
 def test_a_column_with_a_huge_number_is_not_counted_up_to(tmp_path, name):
     path = tmp_path / "x.csv"
     path.write_text(f"t,depth,force,q1,{name}\n0,0,0,1,1\n1,1,1,2,2\n")
     with bounded():
-        try:
-            assert read_log(path, required=["q"])["q_rad"].shape == (2, 1)
-        except ColumnError as error:
-            assert "but not 2, 3, 4, 5, 6" in str(error)
+        assert read_log(path, required=["q"])["q_rad"].shape == (2, 1)
+    path.write_text("t,depth,force,q1,q900000000\n0,0,0,1,1\n1,1,1,2,2\n")
+    with bounded(), pytest.raises(ColumnError, match="but not 2, 3, 4, 5, 6;"):
+        read_log(path, required=["q"])
 
 
 def nested(depth, size):

@@ -6,9 +6,9 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from bag_samples import mapped
 from hypothesis import given
 from hypothesis import strategies as st
-from mappings import mapped
 
 from needleforce.recordings import (
     ColumnError,
@@ -22,8 +22,8 @@ from needleforce.recordings import (
     write_table,
 )
 from needleforce.recordings.channels import CHANNELS
-from needleforce.recordings.log import LogStream
 from needleforce.recordings.follow import FollowOptions
+from needleforce.recordings.log import LogStream
 from needleforce.recordings.mapping import ChannelRequest
 from needleforce.recordings.open_recording import log_of as log_of_table
 from needleforce.recordings.open_recording import stream_tables

@@ -1,5 +1,6 @@
 """A recording read as it comes is the recording read whole: rows, numbers and warnings."""
 
+import errno
 import gzip
 import os
 import threading
@@ -21,10 +22,10 @@ from needleforce.recordings import (
     read_log,
     write_table,
 )
-from needleforce.recordings.log import LogStream
-from needleforce.recordings.follow import FollowOptions, byte_blocks
-from needleforce.recordings.open_recording import CHUNK_ROWS, stream_tables
 from needleforce.recordings.csv_file import HEAD_ROWS, csv_tables
+from needleforce.recordings.follow import FollowOptions, byte_blocks, peek, spooled
+from needleforce.recordings.log import LogStream
+from needleforce.recordings.open_recording import CHUNK_ROWS, stream_tables
 
 ASKED = {"required": ("q", "tau"), "optional": ("dq",)}
 
@@ -260,3 +261,69 @@ def test_standard_input_that_is_closed_is_told(monkeypatch):
     monkeypatch.setattr("sys.stdin", None)
     with pytest.raises(FileAccessError, match="standard input: it is closed"):
         list(stream_tables("-", FollowOptions()))
+
+
+ROWS = np.arange(5000)
+COLUMNS = {"t_s": ROWS / 1000, "depth_m": 1e-6 * ROWS, "force_N": 1e-3 * ROWS**0.5}
+
+
+def piped(data, path, size, should_stop=lambda: False):
+    """Time, force and what was told of a recording that comes through a pipe."""
+    os.mkfifo(path)
+
+    def write():
+        with path.open("wb", buffering=0) as out:
+            for at in range(0, len(data), size):
+                out.write(data[at : at + size])
+
+    writer, told = threading.Thread(target=write), []
+    writer.start()
+    patience = FollowOptions(warn=told.append, should_stop=should_stop)
+    chunks = list(LogStream(stream_tables(path, patience), required=["depth", "force"]))
+    writer.join()
+    t_s = np.concatenate([chunk.t_s for chunk in chunks])
+    return t_s, np.concatenate([chunk.channels["force_N"] for chunk in chunks]), told
+
+
+@pytest.mark.parametrize("suffix", ["mcap", "npz", "parquet"])
+@pytest.mark.parametrize("size", [3000, 1 << 20])
+def test_what_comes_through_a_pipe_is_what_the_file_gives(tmp_path, suffix, size):
+    path = tmp_path / f"log.{suffix}"
+    write_table(path, COLUMNS)
+    t_s, force_N, told = piped(path.read_bytes(), tmp_path / "pipe", size)
+    log = read_log(path, required=["depth", "force"])
+    np.testing.assert_array_equal(t_s, log.t_s)
+    np.testing.assert_array_equal(force_N, log["force_N"])
+    assert len(told) == 1
+    assert f"is {suffix}, not text: it is read to its end" in told[0]
+
+
+def test_a_bag_in_sqlite_comes_through_a_pipe(tmp_path):
+    write_table(tmp_path / "log.db3", COLUMNS)
+    (file,) = (tmp_path / "log.db3").glob("*.db3")
+    _, force_N, _ = piped(file.read_bytes(), tmp_path / "pipe", 1 << 16)
+    np.testing.assert_array_equal(force_N, COLUMNS["force_N"])
+
+
+def test_no_more_of_a_text_is_waited_for_than_tells_it_from_a_bag():
+    taken = []
+
+    def blocks():
+        for block in (b"\x89MC", b"AP1", b"more"):
+            taken.append(block)
+            yield block
+
+    suffix, rest = peek(blocks())
+    assert (suffix, len(taken)) == ("", 2)
+    assert b"".join(rest) == b"\x89MCAP1more"
+    suffix, rest = peek([])
+    assert (suffix, list(rest)) == ("", [])
+
+
+def test_a_pipe_for_which_there_is_no_room_is_told(monkeypatch):
+    def full(*_, **__):
+        raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
+
+    monkeypatch.setattr("pathlib.Path.open", full)
+    with pytest.raises(FileAccessError, match=r"No space left.*TMPDIR"), spooled([b"x"], ".mcap"):
+        pass

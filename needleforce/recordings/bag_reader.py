@@ -1,7 +1,7 @@
 """ROS 2 bags as tables: topics are columns, the messages of one topic are the rows."""
 
 from collections.abc import Iterable, Iterator, Mapping
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
@@ -9,19 +9,12 @@ import numpy as np
 from needleforce.recordings.bag_storage import (
     NONE_YET,
     BagFiles,
-    BagTopic,
     RawMessage,
     bag_files,
     bag_messages,
     growing_messages,
 )
-from needleforce.recordings.bag_topics import (
-    TopicDecoder,
-    TopicReader,
-    TopicRows,
-    interpolate,
-    width_of,
-)
+from needleforce.recordings.bag_topics import TopicInfo, TopicReader, TopicRows, interpolate
 from needleforce.recordings.errors import (
     MAX_BYTES,
     ColumnError,
@@ -31,15 +24,12 @@ from needleforce.recordings.errors import (
 )
 from needleforce.recordings.follow import FollowOptions
 from needleforce.recordings.mapping import ChannelRequest
-from needleforce.recordings.table import FloatArray, Table
-from needleforce.recordings.timestamps import NS_PER_S, start_of_clock, to_seconds
+from needleforce.recordings.table import NS_PER_S, FloatArray, Table, start_of_clock, to_seconds
 
 SETTLED_S = 1.0
 """When so much recording has brought no new topic, it is decided which topics are read."""
 
 _SETTLED_NS = int(SETTLED_S * NS_PER_S)
-_LEARNED = 20
-"""Messages of a topic that are looked into."""
 _AS_MANY = 0.9
 """A topic with this fraction of another's messages counts as equally fast."""
 _SHORTEST_LIMIT_S = 0.1
@@ -50,78 +40,9 @@ _LATE_NS = NS_PER_S
 _NEVER_NS = -(1 << 62)
 
 
-@dataclass(slots=True, kw_only=True)
-class TopicInfo:
-    """A topic of a bag.
-
-    Attributes:
-        topic: its name and type.
-        count: how many messages it has.
-        first_ns: when the first was recorded.
-        last_ns: when the last was recorded.
-        columns: column name to width, None for one number a message; of the first messages.
-        joints: names of the elements of `named`, in the order in which they were met.
-        named: columns whose elements have names.
-        has_stamp: whether messages carry a source time stamp.
-        fault: why its messages cannot be read, empty if they can.
-    """
-
-    topic: BagTopic
-    count: int = 0
-    first_ns: int = 0
-    last_ns: int = 0
-    columns: dict[str, int | None] = field(default_factory=dict)
-    joints: list[str] = field(default_factory=list)
-    named: set[str] = field(default_factory=set)
-    has_stamp: bool = False
-    fault: str = ""
-
-    @property
-    def rate_hz(self) -> float:
-        """Messages per second, 0 for fewer than two."""
-        span_s = (self.last_ns - self.first_ns) / NS_PER_S
-        return (self.count - 1) / span_s if span_s > 0.0 else 0.0
-
-    def learn(self, message: RawMessage) -> None:
-        """Count a message, and look at what the first ones hold."""
-        self.count += 1
-        self.last_ns = max(self.last_ns, message.log_ns)
-        if self.count > _LEARNED:
-            return
-        try:
-            decoder = TopicDecoder(self.topic)
-            content = decoder.decode(message.data)
-        except FormatError as error:
-            # One damaged message, the first even, is no reason to lose the topic.
-            self.fault = "" if self.columns else str(error)
-            return
-        self.fault, self.has_stamp = "", decoder.has_stamp
-        if content.named:
-            self.joints += [name for name in content.names if name not in self.joints]
-        self.named |= content.named
-        for name, value in content.values.items():
-            self.columns.setdefault(name, width_of(value))
-
-    def describe(self) -> str:
-        """Return the topic in one line."""
-        what = "source stamps" if self.has_stamp else "stamps of the recorder"
-        what = self.fault or (what if self.columns else "no numbers")
-        return (
-            f"{self.topic.name}: {self.topic.kind}, {self.count} messages, {self.rate_hz:.4g} Hz, "
-            f"{what}"
-        )
-
-
 @dataclass(frozen=True, slots=True, kw_only=True)
 class BagInfo:
-    """A bag and its topics.
-
-    Attributes:
-        path: as given.
-        files: where its messages stand.
-        topics: by name.
-        warnings: what was lost or is damaged.
-    """
+    """A bag and its topics by name; `warnings` report what was lost or is damaged."""
 
     path: Path
     files: BagFiles
@@ -202,28 +123,16 @@ def _lost(files: BagFiles, topics: Mapping[str, TopicInfo], faults: list[str]) -
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class BagPlan:
-    """What is read of a bag, and how its messages become rows.
+    """What is read of a bag, and how its messages become rows."""
 
-    Attributes:
-        columns: topic to the columns read from it.
-        reference: the topic whose messages are the rows.
-        joints: topic to the order of its joints, for topics that name joints.
-        notes: what was assumed.
-    """
-
-    columns: Mapping[str, frozenset[str]]
-    reference: str
-    joints: Mapping[str, tuple[str, ...]]
-    notes: tuple[str, ...]
+    columns: Mapping[str, frozenset[str]]  # by topic
+    reference: str  # the topic whose messages are the rows
+    joints: Mapping[str, tuple[str, ...]]  # in their order, by topic
+    notes: tuple[str, ...]  # what was assumed
 
 
 def plan_bag(info: BagInfo, request: ChannelRequest, needed: frozenset[str]) -> BagPlan:
-    """Decide what to read.
-
-    Args:
-        info: the bag.
-        request: may name reference topic and joints.
-        needed: the columns to read.
+    """Decide how the needed columns are read.
 
     Raises:
         ColumnError: the reference topic or a joint of the mapping is not in the bag.
@@ -395,16 +304,9 @@ class _Joiner:
 def joined_messages(
     messages: Iterable[RawMessage], info: BagInfo, plan: BagPlan, rows: int | None
 ) -> Iterator[Table]:
-    """Turn the messages of the planned topics into rows.
+    """Turn the messages of the planned topics into tables of at most so many rows, with `t_s`.
 
-    Args:
-        messages: rows do not wait for what comes after `NONE_YET`.
-        info: the bag.
-        plan: what to read.
-        rows: the most rows of a table; None for all in one.
-
-    Yields:
-        Tables with the time stamps as `t_s` and the planned columns.
+    Rows do not wait for what comes after `NONE_YET`.
     """
     joiner = _Joiner(info, plan)
     for message in messages:

@@ -8,7 +8,7 @@ import io
 import re
 import tempfile
 from collections.abc import Collection, Iterable, Iterator
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from dataclasses import dataclass
 from pathlib import Path
 from struct import Struct
@@ -24,7 +24,7 @@ from needleforce.recordings.errors import (
     readable_path,
     require_size,
 )
-from needleforce.recordings.follow import BLOCK, FollowOptions, byte_blocks
+from needleforce.recordings.follow import BLOCK, FollowOptions, byte_blocks, unpacked
 
 BAG_SUFFIXES = (".mcap", ".db3")
 _FILES = (*BAG_SUFFIXES, *(f"{suffix}.zstd" for suffix in BAG_SUFFIXES))
@@ -35,21 +35,13 @@ _ALIAS = re.compile(r"(?m)(?:^|[\s\[{,:-])[&*][A-Za-z0-9_]")
 
 
 class BagTopic(NamedTuple):
-    """A topic of a bag.
-
-    Attributes:
-        name: such as `/joint_states`.
-        kind: its message type, such as `sensor_msgs/msg/JointState`.
-        encoding: how messages are serialised; `cdr` for ROS 2.
-        definition: the text of the type's definition if the bag holds it, else empty.
-        is_idl: whether that text is IDL rather than a `.msg` file.
-    """
+    """A topic of a bag, with the definition of its message type if the bag holds it."""
 
     name: str
-    kind: str
-    encoding: str
+    kind: str  # such as sensor_msgs/msg/JointState
+    encoding: str  # cdr for ROS 2
     definition: str = ""
-    is_idl: bool = False
+    is_idl: bool = False  # rather than a .msg file
 
 
 class RawMessage(NamedTuple):
@@ -66,16 +58,10 @@ NONE_YET = RawMessage(BagTopic("", "", ""), 0, b"")
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class BagFiles:
-    """A bag: one file, or a folder of files that follow each other.
-
-    Attributes:
-        paths: the files in order.
-        expected: how many messages the metadata speak of; None if there are none.
-        warnings: what is wrong with the folder.
-    """
+    """A bag: one file, or a folder of files that follow each other."""
 
     paths: tuple[Path, ...]
-    expected: int | None = None
+    expected: int | None = None  # messages, as the metadata say
     warnings: tuple[str, ...] = ()
 
 
@@ -85,10 +71,7 @@ def is_bag(path: Path) -> bool:
 
 
 def bag_files(path: Path) -> BagFiles:
-    """Find the files of a bag.
-
-    Args:
-        path: a `.mcap` or `.db3` file, or a folder of them with or without `metadata.yaml`.
+    """Find the files of a bag: a `.mcap` or `.db3` file, or those in a folder.
 
     Raises:
         FileAccessError: it cannot be read.
@@ -141,7 +124,7 @@ def _metadata(path: Path) -> tuple[dict[str, Any], tuple[str, ...]]:
 def bag_messages(
     files: BagFiles, faults: list[str], max_bytes: int, topics: Collection[str] | None = None
 ) -> Iterator[RawMessage]:
-    """Read messages in the order in which they were recorded.
+    """Read messages as they were recorded; of a damaged or cut MCAP file those that can be had.
 
     Args:
         files: the bag.
@@ -149,14 +132,12 @@ def bag_messages(
         max_bytes: a chunk or message may take an eighth of it when unpacked.
         topics: names of those to read; all if None.
 
-    Yields:
-        The messages; of a damaged or cut MCAP file those that can be had.
-
     Raises:
         FileAccessError: a file cannot be read, or a library is missing.
         FormatError: a file is not what its suffix says, is a damaged SQLite file, or holds a part
             that is too large.
     """
+    limit = max_bytes // PART
     for path in files.paths:
         found: list[str] = []
         with (
@@ -164,10 +145,14 @@ def bag_messages(
             _plain(readable_path(path), found, max_bytes) as plain,
         ):
             if plain.name.lower().endswith(".db3"):
-                messages = _sqlite_messages(plain, found, topics)
-            else:
-                messages = _whole_mcap_messages(plain, found, max_bytes // PART, topics)
-            yield from _with_data_unpacked(messages, found, max_bytes // PART)
+                yield from _with_data_unpacked(_sqlite_messages(plain, found, topics), found, limit)
+                continue
+            reader = _McapReader(found, limit)
+            with plain.open("rb") as stream:
+                reader.read_summary(stream, plain.stat().st_size)
+                stream.seek(0)
+                blocks = iter(lambda stream=stream: stream.read(BLOCK), b"")
+                yield from _with_data_unpacked(reader.messages(blocks, topics), found, limit)
 
 
 def growing_messages(
@@ -177,27 +162,16 @@ def growing_messages(
     max_bytes: int,
     topics: Collection[str] | None = None,
 ) -> Iterator[RawMessage]:
-    """Read the messages of an MCAP file as a recorder writes them, until it finishes the file.
+    """Read an MCAP file as a recorder writes it, until it is finished, see `bag_messages`.
 
-    Args:
-        path: the file.
-        options: how long more is waited for.
-        faults: as for `bag_messages`; that the recorder was not done is none if the user stops.
-        max_bytes: see `bag_messages`.
-        topics: names of those to read; all if None.
-
-    Yields:
-        The messages, and `NONE_YET` each time before more is waited for.
-
-    Raises:
-        FileAccessError: the file cannot be read, or a library is missing.
-        FormatError: it is no MCAP file.
+    Yields `NONE_YET` each time before more is waited for. That the recorder was not done is no
+    fault if the user stops.
     """
     found: list[str] = []
     with _format_errors(path, found, faults):
         blocks = byte_blocks(path, options, with_pauses=True)
-        reader = _McapReader(found, max_bytes // PART, is_growing=True)
-        yield from _with_data_unpacked(reader.messages(blocks, topics), found, max_bytes // PART)
+        messages = _McapReader(found, max_bytes // PART, is_growing=True).messages(blocks, topics)
+        yield from _with_data_unpacked(messages, found, max_bytes // PART)
         if options.should_stop() and _CUT_SHORT in found:
             found.remove(_CUT_SHORT)
 
@@ -214,19 +188,6 @@ def _format_errors(path: Path, found: list[str], faults: list[str]) -> Iterator[
         faults += [f"{path.name} {fault}" for fault in found]
 
 
-def _whole_mcap_messages(
-    path: Path, faults: list[str], limit: int, topics: Collection[str] | None
-) -> Iterator[RawMessage]:
-    reader = _McapReader(faults, limit)
-    expected = None
-    with path.open("rb") as stream:
-        expected = reader.read_summary(stream, path.stat().st_size)
-        stream.seek(0)
-        yield from reader.messages(iter(lambda: stream.read(BLOCK), b""), topics)
-    if faults and expected is not None and reader.count < expected:
-        faults.append(f"has {reader.count} of {expected} messages left")
-
-
 def _with_data_unpacked(
     messages: Iterator[RawMessage], faults: list[str], limit: int
 ) -> Iterator[RawMessage]:
@@ -236,11 +197,11 @@ def _with_data_unpacked(
         if not message.data.startswith(_ZSTD_MAGIC):
             yield message
             continue
-        data, is_whole = _unpacked(message.data, "zstd", limit)
+        data, is_whole = unpacked(message.data, "zstd", limit)
         require_size(len(data), limit, f"a message of {message.topic.name}")
+        damaged += not is_whole
         if is_whole:
             yield message._replace(data=data)
-        damaged += not is_whole
     if damaged:
         faults.append(f"has {damaged} damaged messages")
 
@@ -251,260 +212,202 @@ def _plain(path: Path, faults: list[str], max_bytes: int) -> Iterator[Path]:
     if not path.name.endswith(".zstd"):
         yield path
         return
+    zstd, size = optional_library("zstandard", "bags compressed with zstd"), 0
     with tempfile.TemporaryDirectory() as folder:
         plain = Path(folder) / path.name.removesuffix(".zstd")
-        size = 0
         with path.open("rb") as source, plain.open("wb") as target:
-            stream = _zstandard().ZstdDecompressor().stream_reader(source, read_across_frames=True)
+            stream = zstd.ZstdDecompressor().stream_reader(source, read_across_frames=True)
             try:
                 while part := stream.read(BLOCK):
                     require_size(size := size + len(part), max_bytes, "as a compressed file")
                     target.write(part)
-            except _zstandard().ZstdError:
+            except zstd.ZstdError:
                 faults.append("is cut short or damaged")
         yield plain
 
 
-_ZSTD_MAGIC = b"\x28\xb5\x2f\xfd"
 MAGIC = b"\x89MCAP0\r\n"
-_FOOTER, _MESSAGE, _CHUNK, _DATA_END, _LAST = 0x02, 0x05, 0x06, 0x0F, 0x0F
-_PRIVATE = 0x80
-"""Records from here on are a recorder's own."""
-_END_SIZES = {_FOOTER: 20, _DATA_END: 4}
+_ZSTD_MAGIC = b"\x28\xb5\x2f\xfd"
+_SCHEMA, _CHANNEL, _MESSAGE, _CHUNK = 0x03, 0x04, 0x05, 0x06
+_END_SIZES = {0x02: 20, 0x0F: 4}
+"""The footer and the end of the data, with their sizes: the regular end."""
+_LAST, _PRIVATE = 0x0F, 0x80
+"""No record has a number between these."""
 _HEAD = Struct("<BQ")
 _MESSAGE_HEAD = Struct("<HIQQ")
 _LATEST_NS = (1 << 63) - 1
 _CUT_SHORT = "is cut short"
 
 
-def _zstandard() -> Any:
-    return optional_library("zstandard", "bags compressed with zstd")
-
-
-def _unpacked(packed: bytes, compression: str, size: int) -> tuple[bytes, bool]:
-    """Return what compressed bytes hold, little more than `size` bytes, and whether it is all."""
-    if compression == "zstd":
-        damage: tuple[type[Exception], ...] = (_zstandard().ZstdError,)
-        stream = _zstandard().ZstdDecompressor().stream_reader(packed)
-    elif compression == "lz4":
-        damage = (RuntimeError, EOFError)
-        stream = optional_library("lz4.frame", "MCAP files with lz4 chunks").open(
-            io.BytesIO(packed)
-        )
-    else:
-        raise FormatError(f"has chunks compressed with {compression!r}; zstd and lz4 can be read")
-    parts: list[bytes] = []
-    total = 0
-    try:
-        # In blocks: what precedes a damaged place is kept, and a bomb is left before it grows.
-        while total <= size and (part := stream.read(1 << 16)):
-            parts.append(part)
-            total += len(part)
-    except damage:
-        return b"".join(parts), False
-    return b"".join(parts), True
-
-
 class _McapReader:
     """Reads the messages of one MCAP file, as far as they can be read.
 
-    Args:
-        faults: what is wrong with the file is appended here, one phrase each.
-        limit: the most bytes of a record, and of what a chunk holds when unpacked.
-        is_growing: whether the file may end after any record without being cut.
+    A record, and what a chunk holds when unpacked, may have `limit` bytes. A file that is growing
+    may end after any record without being cut.
     """
 
     def __init__(self, faults: list[str], limit: int, *, is_growing: bool = False) -> None:
-        self._records = optional_library("mcap.stream_reader", "MCAP files")
+        self._library = optional_library("mcap.stream_reader", "MCAP files")
         self._faults, self._limit, self._is_growing = faults, limit, is_growing
         self._schemas: dict[int, BagTopic] = {}
         self._topics: dict[int, BagTopic] = {}
         self._damaged = 0
-        self.count = 0
-        """Messages so far, of any topic."""
 
-    def read_summary(self, stream: io.BufferedReader, size: int) -> int | None:
-        """Learn types and topics from the end of the file; the chunk that held them may be damaged.
-
-        Returns:
-            How many messages the file should hold; None if it was not finished.
-        """
+    def read_summary(self, stream: io.BufferedReader, size: int) -> None:
+        """Learn topics from the end of the file; the chunk that held them may be damaged."""
         library = optional_library("mcap.reader", "MCAP files")
-        try:
-            reader = library.SeekingReader(stream, record_size_limit=min(size, self._limit))
-            summary = reader.get_summary()
-        except Exception:
-            # A cut file: whatever stands at its end is no summary.
-            return None
-        for record in (*summary.schemas.values(), *summary.channels.values()):
-            self._learn(record)
-        return summary.statistics.message_count if summary.statistics else None
+        # A file that was cut has no summary: whatever stands at its end is none.
+        with suppress(Exception):
+            limit = min(size, self._limit)
+            summary = library.SeekingReader(stream, record_size_limit=limit).get_summary()
+            for record in (*summary.schemas.values(), *summary.channels.values()):
+                self._learn(record)
 
     def messages(
         self, blocks: Iterable[bytes], topics: Collection[str] | None
     ) -> Iterator[RawMessage]:
         """Yield the messages of some topics, `NONE_YET` for each empty block."""
-        for opcode, body, is_whole in self._framed(blocks):
-            if not opcode:
+        for opcode, body, is_whole in self._records(blocks):
+            if opcode:
+                yield from self._wanted(opcode, body, topics, is_whole=is_whole)
+            else:
                 yield NONE_YET
-            for inner, part in self._contents(opcode, body, is_whole):
-                message = self._message(inner, part)
-                if message is not None and (topics is None or message.topic.name in topics):
-                    yield message
         if self._damaged:
             self._faults.append(
                 f"has {self._damaged} damaged messages, or messages whose topic is not known"
             )
 
-    def _framed(self, blocks: Iterable[bytes]) -> Iterator[tuple[int, bytes, bool]]:
-        """Yield opcode, bytes and whether they are whole of each record; opcode 0 for a pause."""
+    def _records(self, blocks: Iterable[bytes]) -> Iterator[tuple[int, bytes, bool]]:
+        """Yield number and content of each record, and whether it is whole; 0 for a pause."""
         held, at = bytearray(), 0
-        is_ours = False
         for block in blocks:
             if not block:
                 yield 0, b"", True
-                continue
             held += block
-            if not is_ours and len(held) >= len(MAGIC):
-                is_ours = held.startswith(MAGIC)
-                if not is_ours:
-                    break
+            if not at and len(held) >= len(MAGIC):
+                _require_mcap(held)
                 at = len(MAGIC)
                 del held[:at]
-            while is_ours and len(held) >= _HEAD.size:
-                opcode, size = _HEAD.unpack_from(held)
-                end = _HEAD.size + size
-                if opcode in _END_SIZES and size == _END_SIZES[opcode]:
+            while at and len(held) >= _HEAD.size:
+                end = self._end(held, at)
+                if not end:
                     return
-                if not self._is_possible(opcode, size):
-                    self._faults.append(f"is damaged at byte {at}; what follows cannot be read")
-                    return
-                if len(held) < end:
+                if end > len(held):
                     break
-                yield opcode, bytes(held[_HEAD.size : end]), True
+                yield held[0], bytes(held[_HEAD.size : end]), True
                 del held[:end]
                 at += end
-        if not is_ours:
-            held_any = bool(held)
-            raise FormatError(
-                "is not an MCAP file: it does not begin as one" if held_any else "is empty"
-            )
+        yield from self._rest(held, at)
+
+    def _rest(self, held: bytearray, at: int) -> Iterator[tuple[int, bytes, bool]]:
+        """Say that the file is cut, and yield the piece of a chunk at its end."""
+        if not at:
+            _require_mcap(held)
         if held or not self._is_growing:
             self._faults.append(_CUT_SHORT)
-        if len(held) > _HEAD.size:
-            yield held[0], bytes(held[_HEAD.size :]), False
+        if len(held) > _HEAD.size and held[0] == _CHUNK:
+            yield _CHUNK, bytes(held[_HEAD.size :]), False
 
-    def _is_possible(self, opcode: int, size: int) -> bool:
-        """Return whether a record can be one; after a lost byte any number stands for its size."""
-        if opcode in _END_SIZES or not opcode > 0:
-            return False
-        if _LAST < opcode < _PRIVATE:
-            return False
-        if size > 1 << 48:
-            return False
+    def _end(self, held: bytearray, at: int) -> int:
+        """Return where the next record ends, beyond `held` if it has not come; 0 if none follows.
+
+        After a lost byte any number stands for a record and its size.
+        """
+        opcode, size = _HEAD.unpack_from(held)
+        if _END_SIZES.get(opcode) == size:
+            return 0
+        if opcode in (0, *_END_SIZES) or _LAST < opcode < _PRIVATE or size > 1 << 48:
+            self._faults.append(f"is damaged at byte {at}; what follows cannot be read")
+            return 0
         require_size(size, self._limit, "holds a record that")
-        return True
+        return _HEAD.size + size
 
-    def _contents(self, opcode: int, body: bytes, is_whole: bool) -> Iterator[tuple[int, bytes]]:
-        """Yield the records in a chunk, or the record itself."""
-        if opcode != _CHUNK:
-            if opcode and is_whole:
-                yield opcode, body
-            return
+    def _wanted(
+        self, opcode: int, body: bytes, topics: Collection[str] | None, *, is_whole: bool
+    ) -> Iterator[RawMessage]:
+        """Yield the messages in a record, and learn schemas and channels."""
+        if opcode == _CHUNK:
+            for inner, part in self._chunk_records(body, is_whole):
+                if inner != _CHUNK:
+                    yield from self._wanted(inner, part, topics, is_whole=True)
+        elif opcode == _MESSAGE:
+            message = self._message(body)
+            if message is not None and (topics is None or message.topic.name in topics):
+                yield message
+        elif opcode in (_SCHEMA, _CHANNEL):
+            kind = self._library.Schema if opcode == _SCHEMA else self._library.Channel
+            # A damaged one is left out: its messages are counted as damaged.
+            with suppress(Exception):
+                self._learn(kind.read(self._library.ReadDataStream(io.BytesIO(body))))
+
+    def _chunk_records(self, body: bytes, is_whole: bool) -> Iterator[tuple[int, bytes]]:
         try:
-            stream = self._records.ReadDataStream(io.BytesIO(body))
-            chunk = self._records.Chunk.read(stream)
+            chunk = self._library.Chunk.read(self._library.ReadDataStream(io.BytesIO(body)))
         except Exception:
             self._faults += ["has a damaged chunk"] * is_whole
             return
-        data, is_right = self._chunk_data(chunk, is_whole)
-        at = 0
-        while is_right and at + _HEAD.size <= len(data):
-            inner, size = _HEAD.unpack_from(data, at)
-            start, end = at + _HEAD.size, at + _HEAD.size + size
-            if end > len(data):
-                break
-            yield inner, data[start:end]
-            at = end
-        if is_right and is_whole and at < chunk.uncompressed_size:
-            self._faults.append(
-                f"has a damaged chunk, of which {at} of {chunk.uncompressed_size} bytes are right"
-            )
-
-    def _chunk_data(self, chunk: Any, is_whole: bool) -> tuple[bytes, bool]:
-        """Unpack a chunk as far as it goes; False if its checksum shows that it is wrong."""
-        size = chunk.uncompressed_size
+        data, size = chunk.data, chunk.uncompressed_size
         require_size(size, self._limit, "holds a chunk that")
-        if not chunk.compression:
-            data = chunk.data
-        else:
-            data, _ = _unpacked(chunk.data, chunk.compression, size)
+        if chunk.compression:
+            data = unpacked(data, chunk.compression, size)[0][:size]
         crc = chunk.uncompressed_crc
         if is_whole and crc and len(data) == size and crc32(data) != crc:
             self._faults.append("has a chunk whose checksum is wrong, which was left out")
-            return b"", False
-        return data[:size], True
+            return
+        at = 0
+        while at + _HEAD.size <= len(data):
+            opcode, length = _HEAD.unpack_from(data, at)
+            start, end = at + _HEAD.size, at + _HEAD.size + length
+            if end > len(data):
+                break
+            yield opcode, data[start:end]
+            at = end
+        if is_whole and at < size:
+            self._faults.append(f"has a damaged chunk, of which {at} of {size} bytes are right")
 
-    def _message(self, opcode: int, body: bytes) -> RawMessage | None:
-        if opcode != _MESSAGE:
-            try:
-                stream = io.BytesIO(_HEAD.pack(opcode, len(body)) + body)
-                reader = self._records.StreamReader(stream, skip_magic=True)
-                self._learn(next(iter(reader.records), None))
-            except Exception:
-                # A damaged schema or channel: its messages are counted as damaged.
-                return None
-            return None
-        if len(body) < _MESSAGE_HEAD.size:
-            self._damaged += 1
-            return None
-        number, _, log_ns, _ = _MESSAGE_HEAD.unpack_from(body)
-        topic = self._topics.get(number)
+    def _message(self, body: bytes) -> RawMessage | None:
+        """Return a message, or None if it cannot be one."""
+        topic, log_ns = None, 0
+        if len(body) >= _MESSAGE_HEAD.size:
+            number, _, log_ns, _ = _MESSAGE_HEAD.unpack_from(body)
+            topic = self._topics.get(number)
         if topic is None or log_ns > _LATEST_NS:
             self._damaged += 1
             return None
-        self.count += 1
         return RawMessage(topic, log_ns, body[_MESSAGE_HEAD.size :])
 
     def _learn(self, record: Any) -> None:
-        if isinstance(record, self._records.Schema):
+        if isinstance(record, self._library.Schema):
             definition = record.data.decode(errors="replace")
             is_idl = record.encoding in ("ros2idl", "omgidl")
             self._schemas[record.id] = BagTopic("", record.name, "", definition, is_idl)
-        elif isinstance(record, self._records.Channel):
+        else:
             schema = self._schemas.get(record.schema_id) or BagTopic("", "", "")
             self._topics[record.id] = schema._replace(
                 name=record.topic, encoding=record.message_encoding
             )
 
 
+def _require_mcap(head: bytearray) -> None:
+    if not head.startswith(MAGIC):
+        raise FormatError("is not an MCAP file: it does not begin as one" if head else "is empty")
+
+
 _SQLITE_MAGIC = b"SQLite format 3\x00"
-_RECOVER = "its messages may be had with: sqlite3 {name} .recover | sqlite3 recovered.db3"
 
 
 def _sqlite_messages(
     path: Path, faults: list[str], topics: Collection[str] | None
 ) -> Iterator[RawMessage]:
     """Read an SQLite bag in order of recording; a damaged one is refused."""
-    _check_sqlite(path, faults)
+    recover = f"its messages may be had with: sqlite3 {path.name} .recover | sqlite3 recovered.db3"
+    _check_sqlite(path, faults, recover)
     rosbag2 = optional_library("rosbags.rosbag2", "ROS 2 bags")
     apsw = optional_library("apsw", "ROS 2 bags")
-    recover = _RECOVER.format(name=path.name)
     unfit = 0
     try:
         with rosbag2.Reader(path) as reader:
-            known = {}
-            for found in reader.connections:
-                if isinstance(found.topic, str) and isinstance(found.msgtype, str):
-                    known[found.id] = BagTopic(
-                        found.topic,
-                        found.msgtype,
-                        str(found.ext.serialization_format),
-                        found.msgdef.data,
-                        found.msgdef.format.name == "IDL",
-                    )
-                else:
-                    faults.append(f"has a topic, number {found.id}, whose name or type is no text")
+            known = _sqlite_topics(reader, faults)
             wanted = [
                 c
                 for c in reader.connections
@@ -517,31 +420,44 @@ def _sqlite_messages(
                     unfit += 1
     except (FileAccessError, FormatError):
         raise
-    except rosbag2.ReaderError as error:
+    except (
+        *(rosbag2.ReaderError, apsw.Error),
+        *(ValueError, TypeError, KeyError, AttributeError, MemoryError),
+    ) as error:
         if "missing tables" in str(error):
             raise FormatError("is not a bag: it has no tables messages and topics") from error
-        raise FormatError(f"is damaged ({error}); {recover}") from error
-    except (apsw.Error, ValueError, TypeError, KeyError, AttributeError, MemoryError) as error:
         raise FormatError(f"is damaged ({error}); {recover}") from error
     if unfit:
         faults.append(f"has {unfit} messages whose time stamp or data are of another type")
 
 
-def _check_sqlite(path: Path, faults: list[str]) -> None:
+def _sqlite_topics(reader: Any, faults: list[str]) -> dict[int, BagTopic]:
+    known = {}
+    for found in reader.connections:
+        if isinstance(found.topic, str) and isinstance(found.msgtype, str):
+            encoding, is_idl = found.ext.serialization_format, found.msgdef.format.name == "IDL"
+            known[found.id] = BagTopic(
+                found.topic, found.msgtype, str(encoding), found.msgdef.data, is_idl
+            )
+        else:
+            faults.append(f"has a topic, number {found.id}, whose name or type is no text")
+    return known
+
+
+def _check_sqlite(path: Path, faults: list[str], recover: str) -> None:
     """Refuse a file that was cut, which SQLite does not always see.
 
     The layout of its header is that of https://sqlite.org/fileformat2.html.
     """
     with path.open("rb") as stream:
         head = stream.read(100)
-    if not head.startswith(_SQLITE_MAGIC):
-        begins = len(head) < len(_SQLITE_MAGIC) and _SQLITE_MAGIC.startswith(head)
-        what = "is cut short" if begins else "is not an SQLite file: it does not begin as one"
-        raise FormatError(what if head else "is empty")
-    page = int.from_bytes(head[16:18], "big")
-    pages = int.from_bytes(head[28:32], "big")
+    if not head.startswith(_SQLITE_MAGIC[: len(head)]):
+        raise FormatError("is not an SQLite file: it does not begin as one")
+    if not head:
+        raise FormatError("is empty")
+    page, pages = int.from_bytes(head[16:18], "big"), int.from_bytes(head[28:32], "big")
     if len(head) < 100 or (65536 if page == 1 else page) * pages > path.stat().st_size:
-        raise FormatError(f"is cut short; {_RECOVER.format(name=path.name)}")
+        raise FormatError(f"is cut short; {recover}")
     journal = Path(f"{path}-wal")
     if journal.exists() and journal.stat().st_size:
         faults.append(

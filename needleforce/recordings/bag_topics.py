@@ -2,6 +2,7 @@
 
 import re
 from collections.abc import Callable, Collection, Mapping
+from dataclasses import dataclass, field
 from functools import cache
 from operator import attrgetter
 from typing import Any, NamedTuple
@@ -11,8 +12,7 @@ from numpy.typing import NDArray
 
 from needleforce.recordings.bag_storage import BagTopic, RawMessage
 from needleforce.recordings.errors import FormatError, optional_library
-from needleforce.recordings.table import FloatArray
-from needleforce.recordings.timestamps import NS_PER_S
+from needleforce.recordings.table import NS_PER_S, FloatArray
 
 STANDARD = "ROS2_HUMBLE"
 """Whose standard messages are meant where a bag holds no definitions."""
@@ -104,37 +104,21 @@ def _closure(kind: str, types: Mapping[str, Any]) -> set[str]:
 
 
 class TopicColumn(NamedTuple):
-    """A column of a topic.
-
-    Attributes:
-        name: the topic and the fields that lead to the numbers.
-        get: takes the numbers out of a message.
-        is_array: whether it holds an array, whose length only a message shows.
-        width: how many numbers, None for one.
-        is_beside_names: whether it stands beside the field that names elements.
-    """
+    """A column of a topic, called by the topic and the fields that lead to the numbers."""
 
     name: str
-    get: Callable[[Any], Any]
-    is_array: bool
-    width: int | None
-    is_beside_names: bool
+    get: Callable[[Any], Any]  # takes the numbers out of a message
+    is_array: bool  # whose length only a message shows
+    is_beside_names: bool  # beside the field that names elements
 
 
 class Content(NamedTuple):
-    """What a message holds.
+    """What a message holds."""
 
-    Attributes:
-        stamp_ns: its source time stamp; 0 if it was never set, None if the type has none.
-        names: names of joints, empty if it has none.
-        values: column name to a number or an array; none for arrays that are empty or long.
-        named: columns with one number for each of these names.
-    """
-
-    stamp_ns: int | None
-    names: tuple[str, ...]
-    values: dict[str, Any]
-    named: frozenset[str]
+    stamp_ns: int | None  # of the source; 0 if never set, None if the type has none
+    names: tuple[str, ...]  # of joints
+    values: dict[str, Any]  # by column; none for arrays that are empty or long
+    named: frozenset[str]  # columns with one number for each name
 
 
 class TopicDecoder:
@@ -188,7 +172,7 @@ class TopicDecoder:
                 path = path[1:] or path
             name = topic.name if path == ("data",) else "/".join((topic.name, *path))
             is_beside = is_array and len(path) == 1
-            yield TopicColumn(name, attrgetter(*inside), is_array, width or None, is_beside)
+            yield TopicColumn(name, attrgetter(*inside), is_array, is_beside)
             at += width or 1
 
     def decode(self, data: bytes) -> Content:
@@ -202,13 +186,7 @@ class TopicDecoder:
         except Exception as error:
             # Damaged bytes end in whatever the generated code runs into.
             raise FormatError(f"does not fit its type {self._kind}") from error
-        names: tuple[str, ...] = ()
-        if self._names is not None:
-            found = getattr(message, self._names)
-            names = tuple(found) if isinstance(found, list) else ()
-            # Empty or repeated names identify no joint: their order then has to.
-            if not all(map(str, names)) or len(set(names)) < len(names):
-                names = ()
+        names = self._names_in(message)
         values, named = {}, set()
         for column in self.columns:
             value = column.get(message)
@@ -224,6 +202,12 @@ class TopicDecoder:
             stamp_ns = stamp.sec * NS_PER_S + stamp.nanosec
         return Content(stamp_ns, names, values, frozenset(named))
 
+    def _names_in(self, message: Any) -> tuple[str, ...]:
+        found = getattr(message, self._names) if self._names is not None else []
+        names = tuple(found) if isinstance(found, list) else ()
+        # Empty or repeated names identify no joint: their order then has to.
+        return names if all(names) and len(set(names)) == len(names) else ()
+
 
 def _is_vector(places: list[tuple[Path, Any]], components: tuple[str, ...]) -> bool:
     return (
@@ -231,6 +215,60 @@ def _is_vector(places: list[tuple[Path, Any]], components: tuple[str, ...]) -> b
         and len({(path[:-1], kind) for path, kind in places}) == 1
         and not places[0][1][1]
     )
+
+
+_LEARNED = 20
+"""Messages of a topic that are looked into."""
+
+
+@dataclass(slots=True, kw_only=True)
+class TopicInfo:
+    """What is known of a topic from going through its messages."""
+
+    topic: BagTopic
+    count: int = 0
+    first_ns: int = 0  # when the first was recorded
+    last_ns: int = 0
+    columns: dict[str, int | None] = field(default_factory=dict)  # to width, None for one number
+    joints: list[str] = field(default_factory=list)  # names of the elements of `named`
+    named: set[str] = field(default_factory=set)  # columns whose elements have names
+    has_stamp: bool = False  # of the source
+    fault: str = ""  # why its messages cannot be read
+
+    @property
+    def rate_hz(self) -> float:
+        """Messages per second, 0 for fewer than two."""
+        span_s = (self.last_ns - self.first_ns) / NS_PER_S
+        return (self.count - 1) / span_s if span_s > 0.0 else 0.0
+
+    def learn(self, message: RawMessage) -> None:
+        """Count a message, and look at what the first ones hold."""
+        self.count += 1
+        self.last_ns = max(self.last_ns, message.log_ns)
+        if self.count > _LEARNED:
+            return
+        try:
+            decoder = TopicDecoder(self.topic)
+            content = decoder.decode(message.data)
+        except FormatError as error:
+            # One damaged message, the first even, is no reason to lose the topic.
+            self.fault = "" if self.columns else str(error)
+            return
+        self.fault, self.has_stamp = "", decoder.has_stamp
+        if content.named:
+            self.joints += [name for name in content.names if name not in self.joints]
+        self.named |= content.named
+        for name, value in content.values.items():
+            self.columns.setdefault(name, width_of(value))
+
+    def describe(self) -> str:
+        """Return the topic in one line."""
+        what = "source stamps" if self.has_stamp else "stamps of the recorder"
+        what = self.fault or (what if self.columns else "no numbers")
+        return (
+            f"{self.topic.name}: {self.topic.kind}, {self.count} messages, {self.rate_hz:.4g} Hz, "
+            f"{what}"
+        )
 
 
 def width_of(value: Any) -> int | None:
@@ -350,10 +388,7 @@ def interpolate(
         at_ns: where values are wanted, shape (n,).
         stamps_ns: where they are known, shape (m,), in any order.
         values: shape (m, k).
-        limit_ns: between stamps further apart than this, nothing is interpolated.
-
-    Returns:
-        Shape (n, k); NaN before the first stamp, after the last, and in gaps.
+        limit_ns: between stamps further apart than this the result is NaN, as outside them.
     """
     if not stamps_ns.size:
         return np.full((at_ns.size, values.shape[1]), np.nan)

@@ -1,6 +1,5 @@
 """Rows of a table as a ROS 2 bag: standard messages, in MCAP with checksums, or in SQLite."""
 
-import io
 import re
 from collections.abc import Callable
 from pathlib import Path
@@ -11,8 +10,7 @@ from numpy.typing import NDArray
 
 from needleforce.recordings.bag_topics import CDR, standard_types
 from needleforce.recordings.errors import LogError, optional_library
-from needleforce.recordings.table import Columns, Labels
-from needleforce.recordings.timestamps import NS_PER_S, to_nanoseconds
+from needleforce.recordings.table import NS_PER_S, Columns, Labels, to_nanoseconds
 
 TIME = "t_s"
 JOINT_STATES, DIAGNOSTICS = "/joint_states", "/diagnostics"
@@ -305,57 +303,21 @@ class McapWriter(_BagWriter):
         self._bag = library.Writer(stream, chunk_size=_CHUNK_BYTES, enable_data_crcs=True)
         self._bag.start(profile="ros2", library="needleforce")
         self._schemas: dict[str, int] = {}
-        self._counts: dict[int, int] = {}
-        self._connections: dict[int, tuple[str, str]] = {}
-        self._first_ns, self._last_ns = (1 << 63) - 1, 0
 
     def _connect(self, name: str, kind: str) -> int:
         if kind not in self._schemas:
             text, _ = self._types.generate_msgdef(kind, ros_version=2)
             self._schemas[kind] = self._bag.register_schema(kind, "ros2msg", text.encode())
-        number = self._bag.register_channel(
-            name, CDR, self._schemas[kind], {"offered_qos_profiles": _yaml(_qos_entries())}
-        )
-        self._counts[number], self._connections[number] = 0, (name, kind)
-        return number
+        metadata = optional_library("rosbags.rosbag2.metadata", "ROS 2 bags")
+        quality = metadata.dump_qos_v8([_quality_of_service()])
+        entries = {"offered_qos_profiles": quality}
+        return self._bag.register_channel(name, CDR, self._schemas[kind], entries)
 
     def _write(self, connection: int, stamp_ns: int, data: Any) -> None:
         self._bag.add_message(connection, stamp_ns, data, stamp_ns)
-        self._counts[connection] += 1
-        self._first_ns = min(self._first_ns, stamp_ns)
-        self._last_ns = max(self._last_ns, stamp_ns)
 
     def finish(self) -> None:
-        """Write the metadata and the index."""
-        count = sum(self._counts.values())
-        topics = [
-            {
-                "topic_metadata": {
-                    "name": name,
-                    "type": kind,
-                    "serialization_format": CDR,
-                    "offered_qos_profiles": _yaml(_qos_entries()),
-                    "type_description_hash": self._types.hash_rihs01(kind),
-                },
-                "message_count": self._counts[number],
-            }
-            for number, (name, kind) in self._connections.items()
-        ]
-        metadata = {
-            "version": _VERSION,
-            "storage_identifier": "mcap",
-            "relative_file_paths": [],
-            "duration": {"nanoseconds": max(0, self._last_ns - self._first_ns)},
-            "starting_time": {"nanoseconds_since_epoch": self._first_ns},
-            "message_count": count,
-            "topics_with_message_count": topics,
-            "compression_format": "",
-            "compression_mode": "",
-            "files": [],
-            "custom_data": None,
-            "ros_distro": "rosbags",
-        }
-        self._bag.add_metadata("rosbag2", {"serialized_metadata": _yaml(metadata)})
+        """Write the index."""
         self._bag.finish()
 
 
@@ -374,19 +336,3 @@ def _quality_of_service() -> Any:
         liveliness_lease_duration=forever,
         avoid_ros_namespace_conventions=False,
     )
-
-
-def _qos_entries() -> Any:
-    """The same as metadata spell it."""
-    library = optional_library("rosbags.rosbag2.metadata", "ROS 2 bags")
-    return library.dump_qos_v8([_quality_of_service()])
-
-
-def _yaml(content: Any) -> str:
-    if isinstance(content, str):
-        return content
-    yaml = optional_library("ruamel.yaml", "ROS 2 bags").YAML(typ="safe")
-    yaml.default_flow_style = False
-    text = io.StringIO()
-    yaml.dump(content, text)
-    return text.getvalue().strip()

@@ -25,8 +25,10 @@ from needleforce.recordings.table import (
     Labels,
     Table,
     flat_columns,
+    start_of_clock,
+    to_seconds,
+    whole_stamps,
 )
-from needleforce.recordings.timestamps import start_of_clock, to_seconds, whole_stamps
 
 _NUMBER_KINDS = "fiub"
 
@@ -57,56 +59,58 @@ def _npz_table(path: Path, archive: zipfile.ZipFile, max_bytes: int) -> Table:
     columns: dict[str, np.ndarray] = {}
     constants: dict[str, float] = {}
     warnings: list[str] = []
-    total = start_ns = 0
+    total = 0
     for member in archive.namelist():
         name = member.removesuffix(".npy")
         try:
             with archive.open(member) as stream:
-                size, trouble = _npy_size(stream)
-            if not trouble:
-                require_size(total := total + size, max_bytes, f"{path}: what its arrays hold")
-                with archive.open(member) as stream:
-                    values = np.lib.format.read_array(stream, allow_pickle=False)
+                total += _npy_size(stream)
+            require_size(total, max_bytes, f"{path}: what its arrays hold")
+            with archive.open(member) as stream:
+                values = np.lib.format.read_array(stream, allow_pickle=False)
         except (OSError, FormatError, MemoryError):
             raise
         except Exception as error:
             # A damaged header raises whatever numpy's and Python's parsers run into.
-            trouble = f"cannot be read ({error})"
-        if trouble:
-            warnings.append(f"column {name!r} {trouble} and was left out")
-        elif values.ndim:
+            reason = (
+                error if isinstance(error, _UnusableArrayError) else f"cannot be read ({error})"
+            )
+            warnings.append(f"column {name!r} {reason} and was left out")
+            continue
+        if values.ndim:
             columns[name] = values
-        elif name == START_KEY:
-            start_ns = int(values)
         else:
-            constants[name] = float(values)
+            constants[name] = values.item()
     if not columns:
         raise FormatError(
             f"{path} holds no array of numbers{': ' * bool(warnings)}{'; '.join(warnings)}"
         )
     return Table(
         columns=columns,
-        constants=constants,
         warnings=tuple(warnings),
-        start_ns=start_ns,
+        start_ns=int(constants.pop(START_KEY, 0)),
+        constants={name: float(value) for name, value in constants.items()},
         stamps=whole_stamps(columns),
     )
 
 
-def _npy_size(stream: IO[bytes]) -> tuple[int, str]:
-    """Return how many bytes an array takes, from its header, and why it is no column, if so."""
-    version = np.lib.format.read_magic(stream)
-    if version == (1, 0):
+class _UnusableArrayError(ValueError):
+    """An array that is no column of numbers; the message goes on after its name."""
+
+
+def _npy_size(stream: IO[bytes]) -> int:
+    """Return from an array's header how many bytes it takes."""
+    if np.lib.format.read_magic(stream) == (1, 0):
         shape, _, dtype = np.lib.format.read_array_header_1_0(stream)
     else:
         shape, _, dtype = np.lib.format.read_array_header_2_0(stream)
     if dtype.hasobject:
-        return 0, "cannot be read (Object arrays cannot be loaded)"
+        raise _UnusableArrayError("cannot be read (Object arrays cannot be loaded)")
     if dtype.kind not in _NUMBER_KINDS:
-        return 0, f"holds {dtype}, no numbers,"
+        raise _UnusableArrayError(f"holds {dtype}, no numbers,")
     if len(shape) > 2 or any(n < 1 for n in shape):
-        return 0, f"has shape {shape}, not (n,) or (n, k),"
-    return prod(shape) * max(dtype.itemsize, 8), ""
+        raise _UnusableArrayError(f"has shape {shape}, not (n,) or (n, k),")
+    return prod(shape) * max(dtype.itemsize, 8)
 
 
 class NpzWriter:

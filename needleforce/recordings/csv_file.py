@@ -1,6 +1,5 @@
 """CSV and its kin, plain or compressed with gzip: read whole or as it comes, and written."""
 
-import codecs
 import csv
 import gzip
 import io
@@ -13,23 +12,22 @@ import numpy as np
 from numpy.typing import NDArray
 
 from needleforce.recordings.errors import MAX_BYTES, FormatError, require_size
-from needleforce.recordings.follow import Unpacked
+from needleforce.recordings.follow import TextLines
 from needleforce.recordings.table import (
     START_KEY,
     Columns,
     FloatArray,
     Labels,
     Table,
+    exceed_float64,
     flat_columns,
 )
-from needleforce.recordings.timestamps import exceed_float64
 
 CSV_SUFFIXES = (".csv", ".csv.gz", ".tsv", ".tsv.gz", ".txt")
 
 HEAD_ROWS = 200
 """So many rows decide which columns a stream has; they come in one table, however they arrive."""
 
-_LONGEST_LINE = 1 << 24  # characters
 _ROW_BYTES = 100
 """What Python adds to the text of a row."""
 _DELIMITERS = (",", ";", "\t")
@@ -39,105 +37,6 @@ _EXPECTED = (
     "cells are separated by commas, semicolons or tabs, and what stands above the header begins "
     "with #"
 )
-
-
-class _TextLines:
-    """Iterates over the whole lines of a text, in lists of those that came together.
-
-    Compressed text is unpacked, line ends may be of any kind, and what is not UTF-8 is read as
-    Windows text.
-    """
-
-    def __init__(self, blocks: Iterable[bytes]) -> None:
-        self._bytes = Unpacked(blocks)
-        self._decode = codecs.getincrementaldecoder("utf-8-sig")()
-        self._ends = io.IncrementalNewlineDecoder(None, translate=True)
-        self.count = 0
-        """Lines so far."""
-        self.tail = ""
-        """Once all is read: what stands behind the last line end."""
-        self.size = 0
-        """Bytes of text so far."""
-        self._note = ""
-        self._checked = self._right = self._nuls = 0
-        self.warnings: list[str] = []
-        """What was lost or guessed."""
-
-    def __iter__(self) -> Iterator[list[str]]:
-        """Yield the lines, without their ends; `FormatError` if there is no text."""
-        is_blank = True
-        for block in self._bytes:
-            self._note_check()
-            self.size += len(block)
-            text = self._without_nuls(block)
-            is_blank = is_blank and not text.strip()
-            yield from self._split(self._text(text, is_last=False), is_last=False)
-        yield from self._split(self._text(b"", is_last=True), is_last=True)
-        self._note_check()
-        if is_blank:
-            self._fault_note()
-            raise FormatError(
-                "it is not text; expected CSV"
-                if self._nuls
-                else "it is empty; expected a header row and rows of numbers"
-            )
-        self._fault_note()
-
-    def _without_nuls(self, block: bytes) -> bytes:
-        """Return what stands before the NUL bytes with which a file may end after a power loss."""
-        text = block.rstrip(b"\x00")
-        if b"\x00" in text or (self._nuls and text):
-            raise FormatError("it is not text; expected CSV")
-        self._nuls += len(block) - len(text)
-        return text
-
-    def _fault_note(self) -> None:
-        if self._nuls:
-            self.tail = ""
-            self.warnings.append(
-                f"the file ends in {self._nuls} NUL bytes, as power loss may leave them; what "
-                f"follows line {self.count} is lost"
-            )
-        if self._bytes.fault:
-            # What follows the last line end is a piece of a line.
-            self.tail = ""
-            self._note = (
-                f"the compressed file {self._bytes.fault}; what follows line {self.count} is lost"
-            )
-            if self._bytes.is_damaged:
-                self._note += (
-                    f", and lines {self._right + 1} to {self.count} may be wrong: gzip shows that "
-                    "there is damage, not where"
-                )
-            self.warnings.append(self._note)
-
-    def forgive_end(self) -> None:
-        """Leave out a piece of a line at the end, and do not blame the source for it."""
-        self.tail = ""
-        if self._bytes.fault and not self._bytes.is_damaged:
-            self.warnings.remove(self._note)
-
-    def _note_check(self) -> None:
-        """Whole lines before the end of a member that passed its check are right."""
-        if self._bytes.checked > self._checked:
-            self._checked, self._right = self._bytes.checked, self.count
-
-    def _split(self, text: str, is_last: bool) -> Iterator[list[str]]:
-        *lines, self.tail = (self.tail + self._ends.decode(text, final=is_last)).split("\n")
-        if len(self.tail) > _LONGEST_LINE:
-            raise FormatError(f"it is not text; line {self.count + 1} does not end")
-        if lines:
-            self.count += len(lines)
-            yield lines
-
-    def _text(self, block: bytes, is_last: bool) -> str:
-        waiting = self._decode.getstate()[0]
-        try:
-            return self._decode.decode(block, final=is_last)
-        except UnicodeDecodeError:
-            self.warnings.append("the file is not UTF-8; it was read as Windows text (cp1252)")
-            self._decode = codecs.getincrementaldecoder("cp1252")(errors="replace")
-            return self._decode.decode(waiting + block, final=is_last)
 
 
 class _Header(NamedTuple):
@@ -372,34 +271,22 @@ class _Columns:
     def notes(self) -> tuple[str, ...]:
         """What was left out or could not be read so far, in words."""
         notes, left_out = [], self._left_out or {}
-        # A line that holds the only word of several columns is one of units.
-        lines: dict[str, list[int]] = {}
-        for i, (count, first) in self._faults.items():
-            if isinstance(i, int) and count == 1 and i not in left_out:
-                lines.setdefault(first.partition(",")[0], []).append(i)
-        line, of_units = max(lines.items(), key=lambda item: len(item[1]), default=("", []))
-        if len(of_units) > 2:
+        columns = {i for i in self._faults if isinstance(i, int)} | left_out.keys()
+        for i in sorted(columns):
+            count, first = self._faults.get(i, (0, ""))
             notes.append(
-                f"{line} holds words in {len(of_units)} columns (first: "
-                f"{self._names[min(of_units)]!r}), read as NaN; units belong into the header: "
-                "'q1 [deg]'"
+                left_out.get(i)
+                or f"column {self._names[i]!r}: cells that are not numbers, read as NaN: {count} "
+                f"(first: {first})"
             )
-        for i in sorted(left_out.keys() | {i for i in self._faults if isinstance(i, int)}):
-            if i in left_out:
-                notes.append(left_out[i])
-            elif len(of_units) <= 2 or i not in of_units:
-                count, first = self._faults[i]
-                notes.append(
-                    f"column {self._names[i]!r}: cells that are not numbers, read as NaN: {count} "
-                    f"(first: {first})"
-                )
-        for kind, what in (
-            ("ragged", f"rows without the header's {len(self._names)} cells, left out: {{}} "),
-            ("commas", "decimal commas read as points "),
-        ):
-            if kind in self._faults:
-                count, first = self._faults[kind]
-                notes.append(f"{what.format(count)}(first: {first})")
+        if "ragged" in self._faults:
+            count, first = self._faults["ragged"]
+            width = len(self._names)
+            notes.append(
+                f"rows without the header's {width} cells, left out: {count} (first: {first})"
+            )
+        if "commas" in self._faults:
+            notes.append(f"decimal commas read as points (first: {self._faults['commas'][1]})")
         return tuple(notes)
 
 
@@ -430,7 +317,7 @@ def csv_tables(
         FileAccessError: the source cannot be read.
         FormatError: it is empty, has no header or no rows, or holds no numbers.
     """
-    lines, rows = _TextLines(blocks), _Rows()
+    lines, rows = TextLines(blocks), _Rows()
     columns: _Columns | None = None
     names: list[str] = []
     read_until = 0

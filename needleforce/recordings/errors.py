@@ -54,8 +54,8 @@ def require_size(size: int, limit: int, what: str) -> None:
     """
     if size > limit:
         raise FormatError(
-            f"{what} takes {size / 1e6:.0f} MB unpacked, more than the limit of "
-            f"{limit / 1e6:.0f} MB; if the file is trusted, raise max_bytes"
+            f"{what} takes {size / 1e6:.3g} MB unpacked, more than the limit of "
+            f"{limit / 1e6:.3g} MB; if the file is trusted, raise max_bytes"
         )
 
 

@@ -1,5 +1,7 @@
 """The bytes of a file, of a pipe, or of a file that still grows, as they come."""
 
+import codecs
+import io
 import os
 import select
 import stat
@@ -13,7 +15,13 @@ from dataclasses import dataclass
 from itertools import chain
 from pathlib import Path
 
-from needleforce.recordings.errors import FileAccessError, file_errors, readable_path
+from needleforce.recordings.errors import (
+    FileAccessError,
+    FormatError,
+    file_errors,
+    optional_library,
+    readable_path,
+)
 
 BLOCK = 1 << 18
 """The most bytes that are read, or unpacked, at a time."""
@@ -83,10 +91,10 @@ def byte_blocks(
 def _blocks(handle: int, options: FollowOptions, path: Path | None) -> Iterator[bytes]:
     is_file = stat.S_ISREG(os.fstat(handle).st_mode)
     done, tail, last_s = 0, b"", time.monotonic()
+    follows = options.follow and is_file
     while not options.should_stop():
         if is_file or select.select([handle], [], [], _POLL_S)[0]:
-            if options.follow and is_file:
-                _require_unchanged(handle, path, done, tail)
+            _require_unchanged(handle, path, done, tail if follows else None)
             block = os.read(handle, BLOCK)
             if block:
                 done += len(block)
@@ -98,9 +106,7 @@ def _blocks(handle: int, options: FollowOptions, path: Path | None) -> Iterator[
                     time.sleep(_PAUSE_S)
                 continue
             # The writer of a pipe that has closed it will not come back.
-            if not (is_file and options.follow):
-                return
-            if _is_replaced(handle, path, time.monotonic() - last_s, options.warn):
+            if not follows or _is_replaced(handle, path, last_s, options.warn):
                 return
             yield b""
             time.sleep(_POLL_S)
@@ -108,8 +114,10 @@ def _blocks(handle: int, options: FollowOptions, path: Path | None) -> Iterator[
             return
 
 
-def _require_unchanged(handle: int, path: Path | None, done: int, tail: bytes) -> None:
+def _require_unchanged(handle: int, path: Path | None, done: int, tail: bytes | None) -> None:
     """Refuse a followed file that was truncated, also if it has grown again since."""
+    if tail is None:
+        return
     if os.fstat(handle).st_size < done:
         raise FileAccessError(f"{path} has become shorter while it was followed")
     if os.pread(handle, len(tail), done - len(tail)) != tail:
@@ -117,10 +125,10 @@ def _require_unchanged(handle: int, path: Path | None, done: int, tail: bytes) -
 
 
 def _is_replaced(
-    handle: int, path: Path | None, idle_s: float, warn: Callable[[str], None]
+    handle: int, path: Path | None, last_s: float, warn: Callable[[str], None]
 ) -> bool:
     """Return whether nothing will come of a followed file, because it is no more at its place."""
-    if path is None or idle_s < _GONE_S:
+    if path is None or time.monotonic() - last_s < _GONE_S:
         return False
     try:
         if os.path.samestat(path.stat(), os.fstat(handle)):
@@ -151,8 +159,6 @@ class Unpacked:
         """Once all is read: what is wrong with the compressed data, if anything."""
         self.is_damaged = False
         """Whether what was unpacked may be wrong: damage is seen blocks later, or at the end."""
-        self.checked = 0
-        """Members whose checksum was right; what was yielded until then is right."""
 
     def __iter__(self) -> Iterator[bytes]:
         """Yield blocks of at least one byte, and of at most `BLOCK` bytes if compressed."""
@@ -179,7 +185,6 @@ class Unpacked:
                     return
                 if content:
                     yield content
-                self.checked += member.eof
                 data = member.unused_data if member.eof else member.unconsumed_tail
                 if not (data or member.eof or content):
                     data = next(self._blocks, b"")
@@ -189,6 +194,123 @@ class Unpacked:
             # Appended members, as `cat a.gz b.gz` or a logger that reopens its file gives.
             while len(data) < len(_GZIP) and (more := next(self._blocks, b"")):
                 data += more
+
+
+def unpacked(packed: bytes, compression: str, size: int) -> tuple[bytes, bool]:
+    """Return what compressed bytes hold, little more than `size` bytes, and whether it is all."""
+    zstd = optional_library("zstandard", "bags compressed with zstd")
+    if compression == "zstd":
+        stream = zstd.ZstdDecompressor().stream_reader(packed)
+    elif compression == "lz4":
+        stream = optional_library("lz4.frame", "MCAP files with lz4 chunks").open(
+            io.BytesIO(packed)
+        )
+    else:
+        raise FormatError(f"has chunks compressed with {compression!r}; zstd and lz4 can be read")
+    parts: list[bytes] = []
+    total, is_whole = 0, True
+    try:
+        # In blocks: what precedes a damaged place is kept, and a bomb is left before it grows.
+        while total <= size and (part := stream.read(1 << 16)):
+            parts.append(part)
+            total += len(part)
+    except (zstd.ZstdError, RuntimeError, EOFError):
+        is_whole = False
+    return b"".join(parts), is_whole
+
+
+_LONGEST_LINE = 1 << 24  # characters
+
+
+class TextLines:
+    """Iterates over the whole lines of a text, in lists of those that came together.
+
+    Compressed text is unpacked, line ends may be of any kind, and what is not UTF-8 is read as
+    Windows text.
+    """
+
+    def __init__(self, blocks: Iterable[bytes]) -> None:
+        self._bytes = Unpacked(blocks)
+        self._decode = codecs.getincrementaldecoder("utf-8-sig")()
+        self._ends = io.IncrementalNewlineDecoder(None, translate=True)
+        self.count = 0
+        """Lines so far."""
+        self.tail = ""
+        """Once all is read: what stands behind the last line end."""
+        self.size = 0
+        """Bytes of text so far."""
+        self._note = ""
+        self._nuls = 0
+        self.warnings: list[str] = []
+        """What was lost or guessed."""
+
+    def __iter__(self) -> Iterator[list[str]]:
+        """Yield the lines, without their ends; `FormatError` if there is no text."""
+        is_blank = True
+        for block in self._bytes:
+            self.size += len(block)
+            text = self._without_nuls(block)
+            is_blank = is_blank and not text.strip()
+            yield from self._split(self._text(text, is_last=False), is_last=False)
+        yield from self._split(self._text(b"", is_last=True), is_last=True)
+        if is_blank:
+            self._fault_note()
+            raise FormatError(
+                "it is not text; expected CSV"
+                if self._nuls
+                else "it is empty; expected a header row and rows of numbers"
+            )
+        self._fault_note()
+
+    def _without_nuls(self, block: bytes) -> bytes:
+        """Return what stands before the NUL bytes with which a file may end after a power loss."""
+        text = block.rstrip(b"\x00")
+        if b"\x00" in text or (self._nuls and text):
+            raise FormatError("it is not text; expected CSV")
+        self._nuls += len(block) - len(text)
+        return text
+
+    def _fault_note(self) -> None:
+        if self._nuls:
+            self.tail = ""
+            self.warnings.append(
+                f"the file ends in {self._nuls} NUL bytes, as power loss may leave them; what "
+                f"follows line {self.count} is lost"
+            )
+        if self._bytes.fault:
+            # What follows the last line end is a piece of a line.
+            self.tail = ""
+            self._note = (
+                f"the compressed file {self._bytes.fault}; what follows line {self.count} is lost"
+            )
+            if self._bytes.is_damaged:
+                self._note += (
+                    ", and lines before it may be wrong: gzip shows that there is damage, not where"
+                )
+            self.warnings.append(self._note)
+
+    def forgive_end(self) -> None:
+        """Leave out a piece of a line at the end, and do not blame the source for it."""
+        self.tail = ""
+        if self._bytes.fault and not self._bytes.is_damaged:
+            self.warnings.remove(self._note)
+
+    def _split(self, text: str, is_last: bool) -> Iterator[list[str]]:
+        *lines, self.tail = (self.tail + self._ends.decode(text, final=is_last)).split("\n")
+        if len(self.tail) > _LONGEST_LINE:
+            raise FormatError(f"it is not text; line {self.count + 1} does not end")
+        if lines:
+            self.count += len(lines)
+            yield lines
+
+    def _text(self, block: bytes, is_last: bool) -> str:
+        waiting = self._decode.getstate()[0]
+        try:
+            return self._decode.decode(block, final=is_last)
+        except UnicodeDecodeError:
+            self.warnings.append("the file is not UTF-8; it was read as Windows text (cp1252)")
+            self._decode = codecs.getincrementaldecoder("cp1252")(errors="replace")
+            return self._decode.decode(waiting + block, final=is_last)
 
 
 _MAGIC = {

@@ -15,10 +15,13 @@ from needleforce.recordings.channels import (
 from needleforce.recordings.csv_file import HEAD_ROWS
 from needleforce.recordings.errors import ColumnError, LogError, MappingError
 from needleforce.recordings.mapping import ColumnMapping, ColumnSpec, mapped_columns
-from needleforce.recordings.table import FloatArray, Table, joined_tables, read_only
-from needleforce.recordings.timestamps import (
+from needleforce.recordings.table import (
     NS_PER_S,
+    FloatArray,
+    Table,
     TimeStampWatch,
+    joined_tables,
+    read_only,
     start_of_clock,
     to_seconds,
 )
@@ -265,12 +268,9 @@ def _exact_time(table: Table, found: _SiChannel, start_ns: int | None) -> _SiCha
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class LogChunk:
-    """Consecutive rows of a log.
+    """Consecutive rows of a log, `t_s` and `channels` as in a `Log`.
 
-    Attributes:
-        t_s: time stamps in s, shape (n,), finite; as in a `Log`.
-        dt_s: time since the latest row that advanced, shape (n,), see `RowClock`.
-        channels: as in a `Log`, shape (n,) or (n, joints); always the same.
+    `dt_s` is the time since the latest row that advanced, shape (n,), see `RowClock`.
     """
 
     t_s: FloatArray

@@ -6,7 +6,7 @@ import sys
 from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager, suppress
 from pathlib import Path
-from typing import BinaryIO, Protocol
+from typing import Any, BinaryIO
 
 from numpy.typing import ArrayLike
 
@@ -17,26 +17,12 @@ from needleforce.recordings.csv_file import CsvGzipWriter, CsvWriter
 from needleforce.recordings.errors import FileAccessError, LogError, file_errors
 from needleforce.recordings.follow import STANDARD_STREAM
 from needleforce.recordings.log import Log
-from needleforce.recordings.table import Columns, Labels, checked_columns
+from needleforce.recordings.table import Labels, checked_columns
 
+Writer = Callable[[BinaryIO, Labels], Any]
+"""Makes what appends checked columns to a stream, flushes and finishes it."""
 
-class TableWriter(Protocol):
-    """Writes one format; gets the same columns in every `append`."""
-
-    def append(self, columns: Columns) -> None:
-        """Write rows, or keep them until `finish`."""
-        ...
-
-    def flush(self) -> None:
-        """Let readers of the file see what was written, if the format allows it."""
-        ...
-
-    def finish(self) -> None:
-        """Write what is still held back; the stream stays open."""
-        ...
-
-
-WRITERS: Mapping[str, Callable[[BinaryIO, Labels], TableWriter]] = {
+WRITERS: Mapping[str, Writer] = {
     ".csv": CsvWriter,
     ".csv.gz": CsvGzipWriter,
     ".npz": NpzWriter,
@@ -57,9 +43,9 @@ class OpenTable:
         name: of the file, for messages.
     """
 
-    def __init__(self, begin: Callable[[], TableWriter], *, is_live: bool, name: str) -> None:
+    def __init__(self, begin: Callable[[], Any], *, is_live: bool, name: str) -> None:
         self._begin, self._is_live, self._name = begin, is_live, name
-        self._writer: TableWriter | None = None
+        self._writer: Any = None
         self._kinds: list[str] = []
 
     def append(self, columns: Mapping[str, ArrayLike]) -> None:
@@ -142,7 +128,7 @@ def _open_file(path: Path, labels: Callable[[], Labels], is_live: bool) -> Itera
     part = path if grows else path.with_name(f".{path.name}.{os.getpid()}.part")
     streams: list[BinaryIO] = []
 
-    def begin() -> TableWriter:
+    def begin() -> Any:
         streams.append(part.open("wb"))
         return writer(streams[0], labels())
 
@@ -206,7 +192,7 @@ def _require_replaceable(path: Path) -> None:
         raise FileAccessError(f"will not replace the folder {path}: {what}; give another name")
 
 
-def _find_writer(path: Path) -> Callable[[BinaryIO, Labels], TableWriter]:
+def _find_writer(path: Path) -> Writer:
     for suffix, writer in WRITERS.items():
         if path.name.lower().endswith(suffix):
             return writer
