@@ -10,6 +10,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from bag_samples import grow, in_pieces
 from residual_command_log import write_insertion
 
 from groundtruth import insert_needle
@@ -90,6 +91,25 @@ def test_the_bytes_do_not_depend_on_the_format_of_the_log(lwr, logs, tmp_path, s
     path = write_insertion(tmp_path / f"log.{suffix}", lwr)
     for log, table in ((logs / "force.csv", expected), (path, out)):
         assert main(["force", str(log), *OPTIONS["force"], "-o", str(table)]) == 0
+    assert out.read_bytes() == expected.read_bytes()
+
+
+@pytest.mark.parametrize("name", ["force", "identify"])
+def test_a_bag_may_grow_or_come_through_a_pipe(logs, tmp_path, name):
+    log, expected, out = (tmp_path / file for file in ("log.mcap", "expected.csv", "out.csv"))
+    columns = read_table(logs / f"{name}.csv").columns
+    joints = {key: values for key, values in columns.items() if values.ndim == 2}
+    write_table(log, joints | {key: v for key, v in columns.items() if v.ndim == 1})
+    assert main([name, str(log), *OPTIONS[name], "-o", str(expected)]) == 0
+    data = log.read_bytes()
+    argv = [*PROGRAM, name, "-", *OPTIONS[name], "-o", "-"]
+    done = subprocess.run(argv, input=data, capture_output=True, check=False)
+    assert (done.returncode, done.stdout) == (0, expected.read_bytes())
+    assert b"standard input is mcap, not text" in done.stderr
+    writer = grow(tmp_path / "growing.mcap", in_pieces(data, 20), pause_s=0.05)
+    argv = [name, str(tmp_path / "growing.mcap"), "--follow", *OPTIONS[name], "-o", str(out)]
+    assert main(argv) == 0
+    writer.join()
     assert out.read_bytes() == expected.read_bytes()
 
 
@@ -265,6 +285,8 @@ def test_a_full_disk_is_reported(logs, output):
         ("force", b"t,f\n0,1\n1,2\n", "no column found for q"),
         ("identify", b"", "standard input: it is empty"),
         ("identify", b"\x00\x01" * 99, "standard input: it is not text"),
+        ("identify", b"PK\x03\x04\x00", "not an npz"),
+        ("identify", b"\x89MCAP0\r\n", "no messages"),
     ],
 )
 def test_standard_input_without_a_log_is_one_clear_line(
@@ -276,6 +298,8 @@ def test_standard_input_without_a_log_is_one_clear_line(
         assert main([command, "-", "-o", "-"]) == 2
     printed = capsys.readouterr()
     assert printed.out == ""
-    (line,) = printed.err.splitlines()
+    *warnings, line = printed.err.splitlines()
+    assert all(warning.startswith("warning: ") for warning in warnings)
     assert line.startswith("error: ")
+    assert "standard input" in line or "column" in line
     assert message in line
