@@ -1,6 +1,5 @@
 """``--print-config`` writes a mapping for a given recording, which reads as without one."""
 
-import sys
 import tomllib
 
 import numpy as np
@@ -8,11 +7,10 @@ import pytest
 from bag_samples import data_file, insertion_rows, joint_state, write_bag
 from residual_command_log import insertion
 
-from needleforce.cli.force import main as estimate
-from needleforce.cli.identify import main as identify
-from recordings import FileAccessError, load_mapping, read_log, write_table
-from recordings.command.suggest_mapping import suggest_mapping
-from recordings.tables.labels import Labels
+from needleforce.cli import main
+from needleforce.recordings import FileAccessError, load_mapping, read_log, write_table
+from needleforce.recordings.open_recording import suggest_mapping
+from needleforce.recordings.table import Labels
 
 JOINTS = ("q", "dq", "tau")
 
@@ -46,7 +44,7 @@ def test_a_bag_is_described_by_its_topics(tmp_path):
     folder = write_bag(tmp_path / "bag", insertion_rows(40, names=("b", "a", "c")))
     text = suggest_mapping(folder, JOINTS, joints=("a", "b"), payload=['payload = "none"'])
     content = tomllib.loads(text)
-    assert content["clock"] == "/joint_states"
+    assert content["reference_topic"] == "/joint_states"
     assert content["joints"] == ["a", "b"]
     assert content["payload"] == "none"
     assert content["q"] == {"columns": "/joint_states/position", "unit": "rad", "scale": 1.0}
@@ -81,7 +79,7 @@ def test_what_was_lost_is_a_comment(tmp_path):
     path.write_bytes(path.read_bytes()[:100_000])
     text = suggest_mapping(path, JOINTS)
     assert any(line.startswith("# bag.mcap is cut short") for line in text.splitlines())
-    assert tomllib.loads(text)["clock"] == "/joint_states"
+    assert tomllib.loads(text)["reference_topic"] == "/joint_states"
 
 
 def test_units_in_names_are_taken_and_others_are_said_to_be_assumed(tmp_path):
@@ -97,16 +95,16 @@ def test_what_options_say_already_stands_in_the_mapping(tmp_path, capsys):
     path = tmp_path / "log.csv"
     path.write_text("Zeit;Weg;fz [mN]\n0;1;2\n1;2;3\n", encoding="utf-8")
     argv = [str(path), "--time", "Zeit:ms", "--depth", "Weg:mm:-1", "--force", "fz [mN]"]
-    assert identify([*argv, "--print-config"]) == 0
+    assert main(["identify", *argv, "--print-config"]) == 0
     mapping = load_mapping(written(tmp_path, capsys.readouterr().out))
     log = read_log(path, mapping, required=["depth", "force"])
     np.testing.assert_allclose(log.t_s, [0.0, 1e-3])
     np.testing.assert_allclose(log["depth_m"], [-1e-3, -2e-3])
     np.testing.assert_allclose(log["force_N"], [2e-3, 3e-3])
-    assert identify([str(path), "--rate", "50", "--print-config"]) == 0
+    assert main(["identify", str(path), "--rate", "50", "--print-config"]) == 0
     rate = load_mapping(written(tmp_path, capsys.readouterr().out))
     assert rate.rate_hz == 50.0
-    assert identify([str(path), "--force", "nothing", "--print-config"]) == 2
+    assert main(["identify", str(path), "--force", "nothing", "--print-config"]) == 2
     assert "no column 'nothing'" in capsys.readouterr().err
 
 
@@ -120,7 +118,7 @@ def test_joint_columns_with_a_factor_each_are_kept(tmp_path, capsys):
         encoding="utf-8",
     )
     argv = [str(path), "--q", "Achse:deg", "--mapping", str(given), "--print-config"]
-    assert estimate(argv) == 0
+    assert main(["force", *argv]) == 0
     mapping = load_mapping(written(tmp_path, capsys.readouterr().out))
     log = read_log(path, mapping, required=["q", "tau"])
     np.testing.assert_allclose(log["q_rad"], np.full((2, 7), np.pi / 180.0))
@@ -140,7 +138,7 @@ def test_the_commands_print_edit_and_read_it(tmp_path, columns, lwr, capsys, mon
     names = tuple(lwr.joint_names[i] for i in order)
     write_table("log.mcap", turned, labels=Labels(joint_names=names))
     write_table("log.csv", columns)
-    assert estimate(["log.mcap", "--print-config"]) == 0
+    assert main(["force", "log.mcap", "--print-config"]) == 0
     text = capsys.readouterr().out
     assert tomllib.loads(text)["joints"] == list(lwr.joint_names)
     assert tomllib.loads(text)["payload"]["needle"]["needle_mass_kg"] == 0.068
@@ -152,12 +150,12 @@ def test_the_commands_print_edit_and_read_it(tmp_path, columns, lwr, capsys, mon
         ["log.mcap", "-o", "b.npz", *tare],
         ["log.mcap", "-o", "c.npz", "--no-tare", "--mapping", str(edited)],
     ):
-        assert estimate(options) == 0
+        assert main(["force", *options]) == 0
         results.append(np.load(options[2])["axial_N"])
     np.testing.assert_allclose(results[1], results[0], atol=1e-9)
     assert not np.allclose(results[2], results[0], equal_nan=True)
     capsys.readouterr()
-    assert identify(["b.npz", "--print-config"]) == 0
+    assert main(["identify", "b.npz", "--print-config"]) == 0
     content = tomllib.loads(capsys.readouterr().out)
     assert content["force"]["columns"] == "axial_N"
     assert content["depth"]["columns"] == "travel_m"
@@ -179,7 +177,7 @@ def test_the_payload_may_stand_in_the_mapping(
     monkeypatch.chdir(tmp_path)
     write_table("log.npz", columns)
     mapping = written(tmp_path, lines)
-    assert estimate(["log.npz", "--no-tare", "--mapping", str(mapping), *options]) == 0
+    assert main(["force", "log.npz", "--no-tare", "--mapping", str(mapping), *options]) == 0
     assert told in capsys.readouterr().out.splitlines()[0]
 
 
@@ -188,9 +186,9 @@ def test_the_payload_may_stand_in_the_mapping(
     [
         ("payload = 3", "payload = 3, expected a table, a file, needle or none"),
         ("[payload]\nmass_kg = 1.5", "com_m is missing"),
-        ('joints = "a"', "joints = 'a' must be a list of names"),
+        ('joints = "a"', "Expected `array`, got `str` - at `$.joints`"),
         ('joints = ["a", "a"]', "names a joint twice"),
-        ("clock = 1", "clock = 1 must be the name of a topic"),
+        ("reference_topic = 1", "got `int` - at `$.reference_topic`"),
     ],
 )
 def test_a_mapping_that_makes_no_sense_is_refused(
@@ -198,7 +196,7 @@ def test_a_mapping_that_makes_no_sense_is_refused(
 ):
     monkeypatch.chdir(tmp_path)
     write_table("log.npz", columns)
-    assert estimate(["log.npz", "--mapping", str(written(tmp_path, lines))]) == 2
+    assert main(["force", "log.npz", "--mapping", str(written(tmp_path, lines))]) == 2
     assert told in capsys.readouterr().err
 
 
@@ -207,21 +205,33 @@ def test_a_payload_is_printed_as_it_is_read(tmp_path, columns, capsys, monkeypat
     write_table("log.npz", columns)
     lines = "[payload]\nmass_kg = 1.5\ncom_m = [0.0, 0.0, 0.1]"
     mapping = written(tmp_path, lines)
-    assert estimate(["log.npz", "--mapping", str(mapping), "--print-config"]) == 0
+    assert main(["force", "log.npz", "--mapping", str(mapping), "--print-config"]) == 0
     payload = tomllib.loads(capsys.readouterr().out)["payload"]
     assert payload["mass_kg"] == 1.5
     assert payload["com_m"] == [0.0, 0.0, 0.1]
-    assert estimate(["log.npz", "--payload", "none", "--print-config"]) == 0
+    assert main(["force", "log.npz", "--payload", "none", "--print-config"]) == 0
     assert tomllib.loads(capsys.readouterr().out)["payload"] == "none"
 
 
-def test_without_rosbags_the_command_says_what_to_install_in_one_line(
-    tmp_path, columns, capsys, monkeypatch
-):
-    monkeypatch.chdir(tmp_path)
-    write_table("log.mcap", columns)
-    monkeypatch.setitem(sys.modules, "rosbags.typesys", None)
-    assert estimate(["log.mcap"]) == 2
-    assert capsys.readouterr().err == (
-        "error: ROS 2 bags need the library rosbags: pip install 'needleforce[recordings]'\n"
-    )
+def test_names_of_the_recording_cannot_become_settings(tmp_path, capsys):
+    evil = "x\nrate_hz = 5\n#"
+    path = tmp_path / f"log{evil}.npz"
+    write_table(path, {"t_s": [0.0, 1.0], "force_N": [1.0, 2.0], evil: [1.0, 2.0]})
+    assert main(["identify", str(path), "--print-config"]) == 0
+    content = tomllib.loads(capsys.readouterr().out)
+    assert set(content) == {"time", "force"}
+
+
+def test_a_report_is_about_what_the_log_holds(tmp_path, columns, lwr, capsys):
+    pytest.importorskip("matplotlib")
+    write_table(tmp_path / "joints.npz", columns)
+    forces = {"t_s": columns["t_s"], "z": 1e-5 * columns["t_s"], "f": np.sin(columns["t_s"])}
+    write_table(tmp_path / "forces.npz", forces)
+    for log, options, title in (
+        ("joints", ["--tare", "0:2.5"], "Forces from joints.npz"),
+        ("forces", ["--depth", "z", "--force", "f"], "Layers in forces.npz"),
+    ):
+        folder = tmp_path / log
+        assert main(["report", str(tmp_path / f"{log}.npz"), str(folder), *options]) == 0
+        assert title in (folder / "index.html").read_text(encoding="utf-8")
+    assert "no rupture detected" in capsys.readouterr().out
