@@ -167,7 +167,7 @@ class InsertionAxis(NamedTuple):
         compensated = tuple(
             self.at(float(times[k]))
             for k, estimate in enumerate(item.result.estimates)
-            if estimate.compensated is not None
+            if estimate.identified_layer is not None
         )
         alarms = tuple(self.at(alarm.alarm_s) for alarm in item.alarms)
         return [

@@ -167,7 +167,7 @@ class _Found:
         for t_s, estimate in zip(rows.t_s.tolist(), rows.estimates, strict=True):
             if estimate.rupture is not None:
                 self.ruptures_s.append(self.clock.at(estimate.rupture.time_s))
-            if estimate.compensated is not None:
+            if estimate.identified_layer is not None:
                 self.compensations_s.append(t_s)
 
 

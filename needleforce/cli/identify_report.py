@@ -11,8 +11,7 @@ from numpy.typing import NDArray
 
 from identification.estimate import LayerEstimate
 from identification.log_replay import ReplayedRows
-from identification.multilayer_config import MULTILAYER
-from identification.published_config import PUBLISHED, PUBLISHED_KV
+from identification.config import MULTILAYER, PUBLISHED, PUBLISHED_KV
 from needleforce.plots import (
     Chart,
     Curve,
@@ -355,7 +354,7 @@ _NUMBERS = (
 )
 _EVENTS = ("rupture", "compensated")
 
-_read = attrgetter(*_NUMBERS, "status.is_absorbed", *_EVENTS)
+_read = attrgetter(*_NUMBERS, "status.is_used", "rupture", "identified_layer")
 
 
 def estimate_table(rows: ReplayedRows) -> dict[str, NDArray[np.float64]]:
