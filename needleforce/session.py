@@ -115,7 +115,7 @@ class SessionEstimate(NamedTuple):
         depth_m: Travel of the tip along the needle since the tare or `begin_insertion`.
         speed_m_s: Its rate.
         identification: Layers, friction, tip force; that of the last tick that was fed to the
-            identifier, its ``rupture``, ``compensated`` and ``withdrawn`` only in the tick that
+            identifier, its ``rupture``, ``identified_layer`` and ``retracted`` only in the tick that
             brought them.
         status: Whether the numbers are of this tick and tared.
         used_for_identification: Whether this tick's force went into the identification.
@@ -185,7 +185,7 @@ _NOT_FED = (
 # Names of an enumeration take as long to look up as a call, and there is a named tuple in every
 # tick: this is its own way of making one, without the detour.
 _OK, _SKIPPED = Status.OK, Status.REJECTED
-_FED = tuple(status for status in SampleStatus if status.is_absorbed)
+_FED = tuple(status for status in SampleStatus if status.is_used)
 
 
 class InsertionSession:
@@ -408,10 +408,10 @@ class InsertionSession:
     def _idle(self, wrench: WrenchEstimate) -> SessionEstimate:
         """A tick that the identifier does not see."""
         last = self._identification
-        if (last.rupture, last.compensated, last.withdrawn) != (None, None, None):
+        if (last.rupture, last.identified_layer, last.retracted) != (None, None, None):
             last = self._identification = _without_events(last)
         return SessionEstimate(wrench, *self._last_travel, last, wrench.status, False)
 
 
 def _without_events(estimate: Estimate) -> Estimate:
-    return estimate._replace(rupture=None, compensated=None, withdrawn=None)
+    return estimate._replace(rupture=None, identified_layer=None, retracted=None)

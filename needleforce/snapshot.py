@@ -150,11 +150,11 @@ LARGEST = 1e30
 """No number of a snapshot comes near it; its square can still be calculated with."""
 NOT_FINITE = {
     "AloneState.limit_s": math.inf,
-    "MultilayerUpdate.deepest_m": -math.inf,
+    "MultilayerMemory.deepest_m": -math.inf,
     "RuptureMeasurement.release_m": math.nan,
     "MembraneFits.squares": math.inf,
-    "PublishedUpdate.force_N": math.nan,
-    "PublishedUpdate.force_before_N": math.nan,
+    "PublishedMemory.force_N": math.nan,
+    "PublishedMemory.force_before_N": math.nan,
 }
 """The only places where a number may be other than finite, and which it then is."""
 
@@ -174,7 +174,8 @@ def check_value(value: Any, hint: Any, place: str) -> None:
     if origin in (Union, UnionType):
         if value is None and NoneType in get_args(hint):
             return
-        hint = next(one for one in get_args(hint) if one is not NoneType)
+        kinds = [one for one in get_args(hint) if one is not NoneType]
+        hint = type(value) if type(value) in kinds else kinds[0]
         origin = get_origin(hint)
     if hint in (Any, object):
         hint = type(value) if is_state(type(value)) else None
@@ -231,7 +232,7 @@ def _expect(is_sound: bool, value: Any, place: str) -> None:
 
 
 SNAPSHOT_FORMAT = "needleforce-snapshot"
-SNAPSHOT_VERSION = 3
+SNAPSHOT_VERSION = 4
 """Grows whenever a file of the version before could no longer be read, or would be misread."""
 
 AnySnapshot = SessionSnapshot | SensorState | IdentifierSnapshot

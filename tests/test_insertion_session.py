@@ -136,7 +136,7 @@ def test_a_withdrawn_rupture_is_told_once(whole):
     run = short_run()
     session = InsertionSession(run.robot)
     insert(session, last=tare_index(run) + 10)
-    session._identification = told._replace(rupture=None, withdrawn=told.rupture)
+    session._identification = told._replace(rupture=None, retracted=told.rupture)
     q, dq, tau, dt_s = next(sample for j, sample in samples(run) if j == tare_index(run) + 11)
     for _ in range(2):
         idle = session.update(q, dq, tau * np.nan, dt_s).identification

@@ -127,7 +127,7 @@ def test_where_to_find_what_is_told():
     table = TEXT.split("| Where is … |")[1].split("\n\n")[0]
     for word, file in (
         ("NaN", "residual/input_validation.py"),
-        ("false_alarm_interval_s", "identification/multilayer_config.py"),
+        ("false_alarm_interval_s", "identification/config.py"),
         ("(12)", "identification/published_identifier.py"),
         ("robot of one's own", "docs/residual.md#the-robot"),
         ("ROS 2 bag", "docs/bags.md"),

@@ -1,6 +1,5 @@
 """`needleforce identify`: layers and ruptures from depth and force, as table, figure and page."""
 
-from bisect import bisect_right
 from collections import deque
 from collections.abc import Iterator, Sequence
 from operator import attrgetter
@@ -69,34 +68,6 @@ def run(
 # From a log to its result.
 
 Rows = dict[str, NDArray[np.float64]]
-
-
-class LogClock:
-    """From the identifier's clock, which never goes back, to the log's, which may have been set."""
-
-    def __init__(self) -> None:
-        self._from_s: list[float] = []
-        self._zeros_s: list[float] = []
-
-    def add(self, stamps_s: NDArray[np.float64], times_s: NDArray[np.float64]) -> None:
-        """Take further rows whose time was counted.
-
-        Args:
-            stamps_s: Their stamps [s], shape (n,).
-            times_s: Their times on the identifier's clock [s], shape (n,), ascending.
-        """
-        zeros_s = stamps_s - times_s
-        before_s = self._zeros_s[-1:] or [np.inf]
-        # A smaller difference is rounding.
-        for k in np.flatnonzero(np.abs(np.diff(zeros_s, prepend=before_s)) > 1e-3):
-            self._from_s.append(float(times_s[k]))
-            self._zeros_s.append(float(zeros_s[k]))
-
-    def at(self, time_s: float) -> float:
-        """Return the stamp [s] of an instant on the identifier's clock [s]."""
-        if not self._zeros_s:
-            return time_s
-        return time_s + self._zeros_s[max(bisect_right(self._from_s, time_s) - 1, 0)]
 
 
 class UsableForce:
@@ -185,9 +156,8 @@ class IdentificationResult:
 
     Attributes:
         layers: Layers traversed, as known at the end.
-        clock: From times of `layers` to the log's clock.
         ruptures_s: Estimated rupture times on the log's clock [s]; the latest ones.
-        compensations_s: Times on that clock at which a layer's friction was identified [s].
+        identified_s: Times on that clock at which a layer's friction was identified [s].
         warnings: What was found wrong with signs and forces.
         rows: As many as a figure needs, with `depth_m`, `force_N` and the columns of
             `estimate_table`; of a long log those in which a value is least or largest for a while.
@@ -198,28 +168,22 @@ class IdentificationResult:
         self.layers: tuple[LayerEstimate, ...] = ()
         self.warnings: tuple[str, ...] = ()
         self.rows: Rows = {}
-        self.clock, self._latest_s = LogClock(), 0.0
         self.ruptures_s: deque[float] = deque(maxlen=_MOST_EVENTS)
-        self.compensations_s: deque[float] = deque(maxlen=_MOST_EVENTS)
+        self.identified_s: deque[float] = deque(maxlen=_MOST_EVENTS)
 
     def add(self, rows: ReplayedRows) -> None:
         """Remember the events of further rows."""
-        times_s = np.array([estimate.time_s for estimate in rows.estimates])
-        # Where time does not advance, the identifier's stands still.
-        advances = np.diff(times_s, prepend=self._latest_s) > 0.0
-        self._latest_s = float(times_s[-1])
-        self.clock.add(rows.t_s[advances], times_s[advances])
-        for t_s, estimate in zip(rows.t_s.tolist(), rows.estimates, strict=True):
+        for estimate in rows.estimates:
             if estimate.rupture is not None:
-                self.ruptures_s.append(self.clock.at(estimate.rupture.time_s))
-            if estimate.compensated is not None:
-                self.compensations_s.append(t_s)
+                self.ruptures_s.append(estimate.rupture.time_s)
+            if estimate.identified_layer is not None:
+                self.identified_s.append(estimate.time_s)
 
     def text(self) -> str:
         """Return a text table, one line per layer; `?` marks what the data do not identify."""
         if not self.layers:
             return f"{NO_LAYER}\n"
-        lines = [HEADER, *(layer_cells(layer, self.clock) for layer in self.layers)]
+        lines = [HEADER, *map(layer_cells, self.layers)]
         widths = [max(len(line[i]) for line in lines) for i in range(len(HEADER))]
         return "".join(
             "  ".join(cell.rjust(width) for cell, width in zip(line, widths, strict=True)) + "\n"
@@ -247,7 +211,7 @@ class IdentificationResult:
         layers = PageTable(
             caption="Layers traversed" if self.layers else f"{NO_LAYER.capitalize()}.",
             head=HEADER,
-            rows=tuple(layer_cells(layer, self.clock) for layer in self.layers),
+            rows=tuple(map(layer_cells, self.layers)),
             numeric=frozenset(range(len(HEADER))),
             note="Times on the log's clock. A ? marks what the data do not identify.",
         )
@@ -291,7 +255,8 @@ def _labels(log: LogSession) -> Labels:
     """Return what a bag of estimates says beside the numbers."""
     events = {
         "rupture": ("", "layer {} ruptured"),
-        "compensated": ("", "friction of layer {} identified"),
+        "identified_layer": ("", "friction of layer {} identified"),
+        "retracted": ("", "rupture of layer {} retracted"),
     }
     return Labels(start_ns=log.start_ns, prefix="/needleforce/identification", events=events)
 
@@ -315,26 +280,27 @@ _NUMBERS = (
     "stiffness_identified",
     "friction_identified",
 )
-_EVENTS = ("rupture", "compensated")
-
-_read = attrgetter(*_NUMBERS, "status.is_absorbed", *_EVENTS)
+_read = attrgetter(*_NUMBERS, "status.is_used", "rupture", "identified_layer", "retracted")
 
 
-def estimate_table(rows: ReplayedRows) -> dict[str, NDArray[np.float64]]:
+def estimate_table(rows: ReplayedRows) -> Rows:
     """Return the columns of the estimates of at least one row; names carry the unit.
 
-    `used` is 0 for rows that were rejected; `rupture` is the number of the layer that ruptured, on
-    the row of its alarm, `compensated` on the row its friction was identified, else 0. Standard
+    `used` is 0 for rows that were rejected. On the rows of events stands the number of a layer,
+    else 0: `rupture` on the row of the alarm, `identified_layer` where its friction was identified,
+    provisionally or, with `is_final`, finally, `retracted` where the alarm proved false. Standard
     deviations that a method does not state are nan.
     """
-    *numbers, used, ruptures, compensated = zip(*map(_read, rows.estimates), strict=True)
+    *numbers, used, ruptures, layers, retracted = zip(*map(_read, rows.estimates), strict=True)
     table = {"t_s": rows.t_s}
     for name, values in zip(_NUMBERS, numbers, strict=True):
         # None becomes nan.
         table[name] = np.array(values, dtype=np.float64)
     table["used"] = np.array(used, dtype=np.float64)
-    for name, events in zip(_EVENTS, (ruptures, compensated), strict=True):
-        table[name] = np.array([0.0 if e is None else float(e.layer) for e in events])
+    events = {"rupture": ruptures, "identified_layer": layers, "retracted": retracted}
+    for name, found in events.items():
+        table[name] = np.array([0.0 if event is None else float(event.layer) for event in found])
+    table["is_final"] = np.array([float(one is not None and one.is_final) for one in layers])
     return table
 
 
@@ -355,7 +321,7 @@ HEADER = (
 NO_LAYER = "no rupture detected"
 
 
-def layer_cells(layer: LayerEstimate, clock: LogClock) -> tuple[str, ...]:
+def layer_cells(layer: LayerEstimate) -> tuple[str, ...]:
     """Return the line of a layer, its times on the log's clock."""
     rupture = layer.rupture
     product = layer.friction_N / max(rupture.speed_m_s, 1e-9)
@@ -364,8 +330,8 @@ def layer_cells(layer: LayerEstimate, clock: LogClock) -> tuple[str, ...]:
         str(layer.layer),
         f"{1e3 * layer.start_depth_m:.1f}",
         f"{1e3 * layer.thickness_m:.1f}",
-        f"{clock.at(rupture.time_s):.2f}",
-        f"{clock.at(rupture.alarm_s):.2f}",
+        f"{rupture.time_s:.2f}",
+        f"{rupture.alarm_s:.2f}",
         _with_std(layer.force_drop_N, layer.force_drop_std_N, 2),
         _with_std(layer.stiffness_N_per_m, layer.stiffness_std_N_per_m, 1)
         + ("" if layer.stiffness_identified else "?"),
@@ -416,7 +382,7 @@ def layer_chart(result: IdentificationResult, rows: Rows) -> Chart:
         panels.append(Panel(y_label=_OF_KELVIN_VOIGT if is_kv else label, curves=(curve,)))
     events = (
         ("estimated rupture time", palette.RUPTURE, result.ruptures_s),
-        ("friction identified", palette.COMPENSATION, result.compensations_s),
+        ("friction identified", palette.COMPENSATION, result.identified_s),
     )
     return Chart(
         title=f"Forces and identified parameters\n{result.log}, method {result.method}",
