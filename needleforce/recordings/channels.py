@@ -35,8 +35,8 @@ WORTHLESS = {
     "frozen": 2,
     "joint limit": 8,
     "near singular": 16,
-    "misfit": 32,
-    "stale": 64,
+    "model mismatch": 32,
+    "tare expired": 64,
     "velocity": 128,
 }
 """Bits of the column `force_warnings` that make a force worthless to an identifier."""
