@@ -179,6 +179,8 @@ class SensorOptions:
     """TOML file of further settings."""
     friction: Annotated[str | None, Parameter(metavar="FILE")] = None
     """TOML file of joint friction and rotor inertia."""
+    gravity_compensated: bool = False
+    """The measured torque leaves gravity out already, as some drivers report it."""
     external_torque: bool = False
     """Read the external torque that the robot estimates itself (tau_ext) instead of tau."""
 

@@ -330,6 +330,7 @@ def sensor_config(options: SensorOptions, friction: FrictionModel | None) -> Sen
         "alignment": options.alignment,
         "mode": options.mode,
         "insertion_axis": options.insertion_axis,
+        "torque_is_gravity_compensated": options.gravity_compensated or None,
     }
     given = {name: value for name, value in given.items() if value is not None}
     return replace(decoded(SensorConfig, given, "options", values), friction=friction)

@@ -91,7 +91,7 @@ _SINGLE = (
      "axial force, positive when tissue pushes back"),
     ("force_status", "force_status", _CODE, "force_status",
      "whether the force can be used, as `python -m residual` writes it"),
-    ("force_warnings", "force_warnings", _CODE, "force_warnings force_cautions",
+    ("force_warnings", "force_warnings", _CODE, "force_warnings",
      "what may be wrong with the force, as `python -m residual` writes it"),
 )  # fmt: skip
 _TIME_ROW = ("time", "t_s", _TIME, "t time timestamp time_stamp stamp", "time stamp")
