@@ -18,8 +18,8 @@ from benchmarks.soak import (
     needle_recording,
     watch_process,
 )
-from identification.log_replay import ReplayStream
 from identification.config import MULTILAYER
+from identification.log_replay import ReplayStream
 from recordings import write_table
 
 

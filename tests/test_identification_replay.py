@@ -6,14 +6,14 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from needleforce.recordings.table import RowClock
 from scipy.ndimage import uniform_filter1d
 
 from groundtruth import insert_needle
 from identification import Identifier, replay
 from identification.log_replay import HEAD_ROWS, DerivedSpeed, ReplayStream, SignCheck
-from needleforce.cli import identify as command
-from recordings import write_table
-from recordings.clock.row_clock import RowClock
+from needleforce.cli import main
+from needleforce.recordings import write_table
 
 
 @pytest.fixture(scope="module")
@@ -177,10 +177,10 @@ def test_the_library_reads_a_clock_as_the_command_does(columns, tmp_path):
     path, out = tmp_path / "log.csv", tmp_path / "out.csv"
     table = {"t_s": t_s, "depth_m": depth_m, "force_N": force_N, "speed_m_s": speed_m_s}
     write_table(path, table)
-    assert command.main([str(path), "-o", str(out)]) == 0
+    assert main(["identify", str(path), "-o", str(out)]) == 0
     rows = np.genfromtxt(out, delimiter=",", names=True)
     estimates = replay(t_s, depth_m, force_N, speed_m_s, dt_s=RowClock().update(t_s)).estimates
-    np.testing.assert_array_equal(rows["absorbed"], [e.status.is_used for e in estimates])
+    np.testing.assert_array_equal(rows["used"], [e.status.is_used for e in estimates])
     np.testing.assert_array_equal(rows["tip_force_N"], [e.tip_force_N for e in estimates])
 
 
