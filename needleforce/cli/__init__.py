@@ -58,9 +58,9 @@ def _dispatch(argv: Sequence[str] | None) -> int:
     try:
         command, bound, _ = app.parse_args(tokens, exit_on_error=False, print_error=False)
     except UnusedCliTokensError as error:
+        unused = " ".join(map(repr, error.unused_tokens or ()))
         raise CommandError(
-            f"{' '.join(map(repr, error.unused_tokens))}: not expected here; a command takes one "
-            "name, and options begin with --"
+            f"{unused}: not expected here; a command takes one name, and options begin with --"
         ) from error
     return command(*bound.args, **bound.kwargs) or 0
 

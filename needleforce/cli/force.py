@@ -17,6 +17,7 @@ from needleforce.cli.log import (
     in_window,
     mapping_from_options,
     open_output,
+    result_page,
     run_log,
     time_axis,
 )
@@ -93,12 +94,7 @@ def run(
 
 
 def estimate_forces(log: LogSession, replay: Replay, output: Output) -> "ForceResult":
-    """Run the sensor over a log, entered, and write its forces.
-
-    Raises:
-        CommandError: The log does not fit the robot, or the tare is refused.
-        RecordingError: The log cannot be read, or the table not written.
-    """
+    """Run the sensor over a log, entered, and write its forces."""
     config = replay.config
     tracked = ["axial_N", "axial_std_N", "status", "after_gap", _IS_INITIALIZING]
     if config.mode != "axial":
@@ -232,43 +228,25 @@ class ForceResult:
         return "".join(f"{label:<{width}}  {text}\n" for label, text in lines)
 
     def figure(self, output: Output) -> Chart:
-        """Return the chart that the options ask for.
-
-        Raises:
-            CommandError: No row lies in the window.
-        """
+        """Return the chart that the options ask for."""
         shown = replace(self, rows=in_window(self.rows, output))
         return travel_chart(shown) if output.over == "depth" else force_chart(shown)
 
     def page(self, folder: Path, warnings: Sequence[str]) -> Page:
         """Save the charts of a report in a folder and return the page that shows them."""
-        sections = (
-            Section(
-                heading="Forces",
-                anchor="forces",
-                notices=tuple(f"Warning: {text}" for text in warnings),
-                figures=tuple(_page_figures(self, folder)),
-            ),
-            Section(
-                heading="Summary",
-                anchor="summary",
-                tables=(
-                    PageTable(
-                        caption="What was used, done and found",
-                        head=("", ""),
-                        rows=tuple(summary_lines(self.replay, self.statistics)),
-                    ),
-                ),
-            ),
-            Section(
-                heading="Settings",
-                anchor="settings",
-                paragraphs=("As in a file for `--config`; SI units.",),
-                tables=(settings_table(self.replay.config, "Sensor"),),
-            ),
+        summary = PageTable(
+            caption="What was used, done and found",
+            head=("", ""),
+            rows=tuple(summary_lines(self.replay, self.statistics)),
         )
-        lead = (f"Made by `needleforce force`: {self.replay.description}.",)
-        return Page(title=f"Forces from {self.log}", lead=lead, sections=sections)
+        return result_page(
+            f"Forces from {self.log}",
+            f"Made by `needleforce force`: {self.replay.description}.",
+            warnings,
+            tuple(_page_figures(self, folder)),
+            Section(heading="Summary", anchor="summary", tables=(summary,)),
+            settings_table(self.replay.config, "Sensor: as in a file for --config, SI units"),
+        )
 
 
 # The summary.
@@ -344,7 +322,7 @@ def force_chart(result: ForceResult) -> Chart:
     start_s, time = time_axis(rows["t_s"])
     x = rows["t_s"] - start_s
     axial = ("axial force", palette.OURS, rows["axial_N"], rows["axial_std_N"])
-    groups = {palette.FORCE: [axial]}
+    groups: dict[str, list[_Component]] = {palette.FORCE: [axial]}
     vectors = [("force", "N", rows["force_N"], rows["std"][:, :3])] * (config.mode != "axial")
     vectors += [("torque", "Nm", rows["torque_Nm"], rows["std"][:, 3:])] * (config.mode == "full")
     dashes = (palette.OURS.dash, palette.DASHED, palette.DASH_DOTTED)

@@ -70,11 +70,7 @@ def _digits(time_s: float) -> str:
 
 
 def tare_window(text: str, first_s: float) -> TareWindow:
-    """Return the window of ``--tare`` in a log that starts at ``first_s`` [s].
-
-    Raises:
-        CommandError: It is no window, or not one of this log.
-    """
+    """Return the window of ``--tare`` in a log that starts at ``first_s`` [s]."""
     (start_s, end_s), (plain_start_s, plain_end_s) = _ends(text, first_s), _ends(text, 0.0)
     if start_s < end_s:
         return TareWindow(start_s, end_s)
@@ -102,9 +98,6 @@ class Taring:
         sensor: The sensor that the log runs through.
         options: What the user wants.
         first_s: First stamp of the log [s].
-
-    Raises:
-        CommandError: The window does not suit the log.
     """
 
     def __init__(self, sensor: VirtualForceSensor, options: TareOptions, first_s: float) -> None:
@@ -118,11 +111,7 @@ class Taring:
         self.done: TareWindow | None = None
 
     def before(self, t_s: float) -> None:
-        """Act before the sample of time ``t_s`` [s] is given to the sensor.
-
-        Raises:
-            CommandError: The tare was due and is refused.
-        """
+        """Act before the sample of time ``t_s`` [s] is given to the sensor."""
         window = self._window
         if window is None or self.done is not None:
             return
@@ -146,9 +135,6 @@ class Taring:
         Args:
             last_s: Latest stamp of the log [s].
             is_whole: Whether the log was read to its end; if not, it may end before the tare.
-
-        Raises:
-            CommandError: It is refused, or the log is too short for a tare.
         """
         window = self._window
         if self._options.no_tare or self.done is not None:
@@ -249,10 +235,6 @@ class Replay:
         config: Settings of the sensor.
         tare: Where to tare.
         is_external: Whether the log holds the robot's own estimate of external torque.
-
-    Raises:
-        ResidualError: A setting is not valid.
-        UrdfError: The configured frame is not on the robot.
     """
 
     def __init__(
@@ -295,11 +277,7 @@ class Replay:
         return None if self._taring is None else self._taring.done
 
     def run(self, chunk: LogChunk) -> Rows:
-        """Return the estimates of further rows, at least one.
-
-        Raises:
-            CommandError: The log does not fit the robot, or the tare is refused.
-        """
+        """Return the estimates of further rows, at least one."""
         q_rad, dq_rad_s, torque_Nm = self._signals(chunk)
         t_s = chunk.t_s.tolist()
         if self._taring is None:
@@ -334,9 +312,6 @@ class Replay:
 
         Args:
             is_whole: Whether the log was read to its end.
-
-        Raises:
-            CommandError: It is refused, or the log is too short for it.
         """
         if self._taring is not None:
             self._taring.finish(self._latest_s, is_whole=is_whole)

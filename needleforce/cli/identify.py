@@ -17,6 +17,7 @@ from needleforce.cli.log import (
     in_window,
     mapping_from_options,
     open_output,
+    result_page,
     run_log,
     time_axis,
 )
@@ -124,11 +125,7 @@ _FLIP = "; a factor of -1 after the unit does, as in --force fz:N:-1"
 def identify_layers(
     log: LogSession, options: IdentificationOptions, output: Output
 ) -> "IdentificationResult":
-    """Run the identifier over a log, entered, and write its estimates.
-
-    Raises:
-        RecordingError: The log cannot be read, or the table not written.
-    """
+    """Run the identifier over a log, entered, and write its estimates."""
     stream = ReplayStream(METHODS[options.method])
     usable_force = UsableForce(is_ignored=options.ignore_status)
     result, overview = IdentificationResult(log.name, options.method), RowOverview(_TRACKED)
@@ -191,11 +188,7 @@ class IdentificationResult:
         )
 
     def figure(self, output: Output) -> Chart:
-        """Return the chart that the options ask for.
-
-        Raises:
-            CommandError: No row lies in the window.
-        """
+        """Return the chart that the options ask for."""
         rows = in_window(self.rows, output)
         return depth_chart(self, rows) if output.over == "depth" else layer_chart(self, rows)
 
@@ -215,23 +208,14 @@ class IdentificationResult:
             numeric=frozenset(range(len(HEADER))),
             note="Times on the log's clock. A ? marks what the data do not identify.",
         )
-        sections = (
-            Section(
-                heading="Forces and parameters",
-                anchor="forces",
-                notices=tuple(f"Warning: {text}" for text in (*warnings, *self.warnings)),
-                figures=(figure,),
-            ),
+        return result_page(
+            f"Layers in {self.log}",
+            f"Made by `needleforce identify`, method {self.method}.",
+            (*warnings, *self.warnings),
+            (figure,),
             Section(heading="Layers", anchor="layers", tables=(layers,)),
-            Section(
-                heading="Settings",
-                anchor="settings",
-                paragraphs=("SI units.",),
-                tables=(settings_table(METHODS[self.method], f"Method {self.method}"),),
-            ),
+            settings_table(METHODS[self.method], f"Method {self.method}, SI units"),
         )
-        lead = (f"Made by `needleforce identify`, method {self.method}.",)
-        return Page(title=f"Layers in {self.log}", lead=lead, sections=sections)
 
 
 def _replayed(

@@ -21,6 +21,9 @@ from needleforce.cli.terminal import (
 from needleforce.plots import (
     Chart,
     Page,
+    PageFigure,
+    PageTable,
+    Section,
     folder_if_filled,
     require_matplotlib,
     save_figure,
@@ -56,11 +59,7 @@ PAGE = "index.html"
 
 
 def mapping_from_options(columns: Columns) -> ColumnMapping:
-    """Return the mapping that options and mapping file give together; options win.
-
-    Raises:
-        RecordingError: The mapping file cannot be read, or an option is not valid.
-    """
+    """Return the mapping that options and mapping file give together; options win."""
     base = load_mapping(columns.mapping) if columns.mapping else ColumnMapping()
     given = {
         name: parse_column_spec(text, channel)
@@ -77,12 +76,7 @@ def mapping_from_options(columns: Columns) -> ColumnMapping:
 
 
 def has_channels(source: str, columns: Columns, channels: Iterable[str]) -> bool:
-    """Return whether a recording has columns for all of these channels.
-
-    Raises:
-        CommandError: The source is a pipe, of which nothing can be read twice.
-        RecordingError: The recording cannot be read.
-    """
+    """Return whether a recording has columns for all of these channels."""
     if source == STANDARD_STREAM or readable_path(source).is_fifo():
         raise CommandError("a report needs a file, not a pipe; or give --report DIR to force")
     table = next(stream_tables(source, FollowOptions()))
@@ -104,9 +98,6 @@ class LogSession:
         name: What to call the log.
         is_live: Whether rows come as they are recorded, so that results must not wait for the end.
         warnings: What was found wrong with the log so far.
-
-    Raises:
-        CommandError: A time to wait that is none.
     """
 
     def __init__(self, source: str, reading: Reading, request: ChannelRequest) -> None:
@@ -144,12 +135,7 @@ class LogSession:
         self._stop.__exit__()
 
     def __iter__(self) -> Iterator[LogChunk]:
-        """Yield the rows.
-
-        Raises:
-            RecordingError: See `LogStream`.
-            KeyboardInterrupt: Ctrl-C came before there was a log.
-        """
+        """Yield the rows."""
         path, request = Path(self._source), self._request
         is_counted = path.is_file() and is_text(path) and not self._reading.follow
         size = float(path.stat().st_size) if is_counted else None
@@ -223,11 +209,6 @@ def run_log(
 
     Returns:
         The exit code.
-
-    Raises:
-        CommandError: An option is not valid.
-        RecordingError: A file cannot be read or written, or would be harmed.
-        FiguresError: A figure or page cannot be written.
     """
     check_outputs(source, output)
     with folder_if_filled(output.report) as folder, LogSession(source, reading, request) as log:
@@ -240,15 +221,27 @@ def run_log(
     return log.exit_code
 
 
-def check_outputs(source: str, output: Output) -> None:
-    """Refuse now what would fail, or destroy something, after the work is done.
+def result_page(
+    title: str,
+    lead: str,
+    warnings: Sequence[str],
+    figures: tuple[PageFigure, ...],
+    results: Section,
+    settings: PageTable,
+) -> Page:
+    """Return the page of a report: figures, results and settings."""
+    charts = Section(
+        heading="Forces",
+        anchor="forces",
+        notices=tuple(f"Warning: {text}" for text in warnings),
+        figures=figures,
+    )
+    made = Section(heading="Settings", anchor="settings", tables=(settings,))
+    return Page(title=title, lead=(lead,), sections=(charts, results, made))
 
-    Raises:
-        CommandError: A time is none.
-        FiguresError: Nothing can be drawn, or not in this format.
-        FileAccessError: A suffix is not known, a folder is not there, or an output would replace
-            the log or another output.
-    """
+
+def check_outputs(source: str, output: Output) -> None:
+    """Refuse now what would fail, or destroy something, after the work is done."""
     log_window(output, 0.0)
     named = {
         "-o": output.output if output.output != STANDARD_STREAM else None,
@@ -299,11 +292,7 @@ _LATE_CLOCK_S = 1e5
 
 
 def log_time(option: str, text: str, first_s: float) -> float:
-    """Return a time [s] that an option says: on the log's clock, or after a + since its start.
-
-    Raises:
-        CommandError: It is no time.
-    """
+    """Return a time [s] that an option says: on the log's clock, or after a + since its start."""
     text = text.strip()
     try:
         value = float(text)
@@ -315,11 +304,7 @@ def log_time(option: str, text: str, first_s: float) -> float:
 
 
 def log_window(output: Output, first_s: float) -> tuple[float, float]:
-    """Return the first and last time of a figure [s], infinite where options say nothing.
-
-    Raises:
-        CommandError: A time is none.
-    """
+    """Return the first and last time of a figure [s], infinite where options say nothing."""
     start, end = output.start, output.end
     return (
         -math.inf if start is None else log_time("--from", start, first_s),
@@ -328,11 +313,7 @@ def log_window(output: Output, first_s: float) -> tuple[float, float]:
 
 
 def in_window(columns: Mapping[str, np.ndarray], output: Output) -> dict[str, np.ndarray]:
-    """Return the rows, with their times `t_s`, that a figure is to show.
-
-    Raises:
-        CommandError: No row lies in the window.
-    """
+    """Return the rows, with their times `t_s`, that a figure is to show."""
     t_s = columns["t_s"]
     low_s, high_s = log_window(output, float(t_s[0]))
     kept = (t_s >= low_s) & (t_s <= high_s)

@@ -58,10 +58,6 @@ def decoded(kind: type[T], table: Any, where: str, preset: Mapping[str, Any] | N
         table: As TOML gives it.
         where: File and table, for messages.
         preset: Fields in place of the dataclass's own defaults, which the table overrides.
-
-    Raises:
-        CommandError: A key is unknown or missing, or a value is of the wrong type or refused by
-            the dataclass.
     """
     if not isinstance(table, dict):
         raise CommandError(f"{where} = {_short(table)}, expected a table")
@@ -158,11 +154,6 @@ def robot_from_options(options: RobotOptions, mapping: str | None) -> Robot:
     Args:
         options: Of the command.
         mapping: The mapping file, which may name the payload.
-
-    Raises:
-        CommandError: Options contradict each other, or the payload is not valid.
-        RecordingError: The mapping that names the payload cannot be read.
-        UrdfError: The arm, a frame, link or joint in it is not valid.
     """
     payload = payload_from_options(options, mapping)
     if options.urdf is not None and options.robot is not None:
@@ -207,10 +198,6 @@ def payload_from_options(options: RobotOptions, mapping: str | None) -> Payload 
     A table holds either ``mass_kg``, ``com_m`` and ``inertia_kg_m2`` (about the centre of mass; a
     point mass without it) in flange axes, or a table ``[needle]`` with fields of
     `urdf.NeedleTool`.
-
-    Raises:
-        CommandError: It describes no physical body.
-        RecordingError: A file cannot be read.
     """
     is_lwr = options.urdf is None and options.robot in (None, LWR)
     value, where = options.payload, "--payload"
@@ -274,10 +261,6 @@ def with_friction(robot: Robot, path: str | None) -> tuple[Robot, FrictionModel 
 
     Returns:
         The robot with its rotors, and the friction, if any.
-
-    Raises:
-        CommandError: Something in it is missing or not valid.
-        RecordingError: The file cannot be read.
     """
     if path is None:
         return robot, None
@@ -311,12 +294,7 @@ def _per_joint(value: Any, what: str, joints: int) -> np.ndarray:
 
 
 def sensor_config(options: SensorOptions, friction: FrictionModel | None) -> SensorConfig:
-    """Return the preset with the file's settings, then the options', in place of its own.
-
-    Raises:
-        CommandError: A setting is not valid.
-        RecordingError: The file cannot be read.
-    """
+    """Return the preset with the file's settings, then the options', in place of its own."""
     preset = PUBLISHED if options.published else DEFAULT
     values = {item.name: getattr(preset, item.name) for item in fields(preset)}
     if options.config is not None:

@@ -6,7 +6,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from groundtruth import SCENARIOS, Run, simulate
-from groundtruth.scenarios import RANDOM_STACK, named_scenario
+from groundtruth.scenarios import RANDOM_STACK, Scenario, named_scenario
 from needleforce.cli.options import SimulationOptions
 from needleforce.cli.terminal import CommandError, progress, write_out
 from needleforce.recordings import check_writable, write_table
@@ -22,28 +22,11 @@ _EVENTS = {
 
 
 def run(scenario: str | None, options: SimulationOptions) -> int:
-    """Simulate a scenario and write what was asked for; return the exit code.
-
-    Raises:
-        CommandError: Nothing is to be written, or no scenario is named.
-        GroundTruthError: There is no such scenario, or it cannot be simulated.
-        RecordingError: A file cannot be written.
-    """
+    """Simulate a scenario and write what was asked for; return the exit code."""
     if options.list:
         write_out(_listed())
         return 0
-    outputs = {"-o": options.output, "--truth": options.truth}
-    paths = {option: path for option, path in outputs.items() if path is not None}
-    if not paths:
-        raise CommandError("nothing to write: name a file with -o FILE or --truth FILE")
-    if scenario is None:
-        raise CommandError("no scenario is named; --list prints them")
-    if options.seed < 0:
-        raise CommandError(f"--seed {options.seed}: expected a whole number from 0 up")
-    chosen = named_scenario(scenario, options.seed)
-    check_output_paths(paths)
-    for path in paths.values():
-        check_writable(path)
+    chosen = _checked(scenario, options)
     done = 0.0
     with progress(1.0, chosen.id) as advance:
 
@@ -61,6 +44,22 @@ def run(scenario: str | None, options: SimulationOptions) -> int:
         write_table(options.truth, truth_table(made), labels=labels)
     write_out(_summary(made, options.output))
     return 0
+
+
+def _checked(scenario: str | None, options: SimulationOptions) -> Scenario:
+    outputs = {"-o": options.output, "--truth": options.truth}
+    paths = {option: path for option, path in outputs.items() if path is not None}
+    if not paths:
+        raise CommandError("nothing to write: name a file with -o FILE or --truth FILE")
+    if scenario is None:
+        raise CommandError("no scenario is named; --list prints them")
+    if options.seed < 0:
+        raise CommandError(f"--seed {options.seed}: expected a whole number from 0 up")
+    chosen = named_scenario(scenario, options.seed)
+    check_output_paths(paths)
+    for path in paths.values():
+        check_writable(path)
+    return chosen
 
 
 def signal_table(run: Run) -> dict[str, NDArray]:

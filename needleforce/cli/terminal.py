@@ -146,10 +146,6 @@ def write_out(text: str, *, to_stderr: bool = False) -> None:
     Args:
         text: Whole lines; what the terminal's encoding lacks is written as an escape.
         to_stderr: Write to stderr, because a table goes to standard output.
-
-    Raises:
-        CommandError: It cannot be written.
-        BrokenPipeError: The reader has gone.
     """
     stream = sys.stderr if to_stderr else sys.stdout
     if stream is None:
