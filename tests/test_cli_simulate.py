@@ -1,8 +1,6 @@
 """`needleforce simulate`: a simulated insertion as a recording, and the commands after it."""
 
 import re
-import subprocess
-import sys
 from dataclasses import fields, replace
 from pathlib import Path
 
@@ -190,28 +188,14 @@ def test_bad_requests_are_one_line_before_anything_is_simulated(quick, capsys, a
     assert quick == []
 
 
-@pytest.mark.parametrize(
-    ("output", "truth"),
-    [
-        ("x.csv", "x.csv"),
-        ("x.csv", "folder/../x.csv"),
-        ("x.csv", "folder/symlink.csv"),
-        ("folder/symlink.csv", "x.csv"),
-        ("here.csv", "hard.csv"),
-        ("x.db3", "x.db3/truth.csv"),
-        ("x.db3", "through/truth.csv"),
-    ],
-)
-def test_recording_and_truth_need_a_place_of_their_own(quick, capsys, output, truth):
-    folder = Path("folder")
-    folder.mkdir()
-    (folder / "symlink.csv").symlink_to(Path("x.csv").absolute())
+def test_recording_and_truth_need_a_place_of_their_own(quick, capsys):
     Path("here.csv").touch()
     Path("hard.csv").hardlink_to("here.csv")
     Path("x.db3").mkdir()
     Path("through").symlink_to("x.db3")
-    assert main(["simulate", ID, "-o", output, "--truth", truth]) == 2
-    assert f"-o and --truth both write to {output}" in capsys.readouterr().err
+    for output, truth in (("here.csv", "hard.csv"), ("x.db3", "through/truth.csv")):
+        assert main(["simulate", ID, "-o", output, "--truth", truth]) == 2
+        assert f"-o and --truth both write to {output}" in capsys.readouterr().err
     assert quick == []
 
 
@@ -222,10 +206,3 @@ def test_without_mujoco_the_command_says_what_to_install(capsys, monkeypatch, tm
     assert message.startswith("error: the simulated arm needs")
     assert "mujoco" in message
     assert "pip install" in message
-
-
-def test_the_module_runs_as_a_program():
-    done = subprocess.run(
-        [sys.executable, "-m", "groundtruth", "--list"], capture_output=True, text=True, check=True
-    )
-    assert "gel-25-constant" in done.stdout
