@@ -9,7 +9,7 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from needleforce.cli.force_replay import Replay, Rows, TareWindow, has_status
+from needleforce.cli.force_replay import Replay, Rows, TareWindow, has_status, tare_ends
 from needleforce.cli.log import (
     ChannelRequest,
     LogSession,
@@ -79,6 +79,8 @@ def run(
         return 0
     if tare.tare is not None and tare.no_tare:
         raise CommandError("--tare and --no-tare contradict each other; give one of them")
+    if tare.tare is not None:
+        tare_ends(tare.tare, 0.0)  # before a log is waited for
     robot, friction = with_friction(robot, sensor.friction)
     config = sensor_config(sensor, friction)
     request = ChannelRequest(mapping=known, required=("q", torque), optional=("dq",), joints=joints)

@@ -71,7 +71,7 @@ def _digits(time_s: float) -> str:
 
 def tare_window(text: str, first_s: float) -> TareWindow:
     """Return the window of ``--tare`` in a log that starts at ``first_s`` [s]."""
-    (start_s, end_s), (plain_start_s, plain_end_s) = _ends(text, first_s), _ends(text, 0.0)
+    (start_s, end_s), (plain_start_s, plain_end_s) = tare_ends(text, first_s), tare_ends(text, 0.0)
     if start_s < end_s:
         return TareWindow(start_s, end_s)
     if plain_start_s < plain_end_s:
@@ -82,7 +82,8 @@ def tare_window(text: str, first_s: float) -> TareWindow:
     raise CommandError(f"--tare {text}: START must come before END; {_WINDOW}")
 
 
-def _ends(text: str, first_s: float) -> tuple[float, float]:
+def tare_ends(text: str, first_s: float) -> tuple[float, float]:
+    """Return START and END of ``--tare`` [s], in whatever order."""
     start_text, colon, end_text = text.partition(":")
     if not colon:
         raise CommandError(f"--tare {text}: {_WINDOW}")
