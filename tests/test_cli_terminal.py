@@ -258,10 +258,13 @@ def test_an_output_that_would_harm_something_is_refused(source, outputs, message
 
 @pytest.mark.usefixtures("folder")
 def test_outputs_side_by_side_are_fine():
-    check("log.csv", output="f.csv", figure="g.pdf", report=".")
-    check("bag.db3", output="f.db3", figure="g.png", report="report")
-    check("log.csv", output="bag.db3")
-    check("-", output="-", figure="g.svg")
+    for source, outputs in (
+        ("log.csv", {"output": "f.csv", "figure": "g.pdf", "report": "."}),
+        ("bag.db3", {"output": "f.db3", "figure": "g.png", "report": "report"}),
+        ("log.csv", {"output": "bag.db3"}),
+        ("-", {"output": "-", "figure": "g.svg"}),
+    ):
+        assert check(source, **outputs) is None
 
 
 def test_only_a_bag_and_nothing_else_is_replaced_by_a_bag(folder):
