@@ -238,9 +238,9 @@ class Taring:
                 f"{what}: the filters had not settled by then; choose a window that ends later"
             )
         try:
-            tare = self._sensor.tare(force=self._request.force)
+            tare = self._sensor.tare(ignore_contact=self._request.force)
         except TareError as error:
-            reason = str(error).replace("force=True", "--force-tare")
+            reason = str(error).replace("ignore_contact=True", "--force-tare")
             choices = _COLUMNS if isinstance(error, VelocityError) else f"Or {_CHOICES}"
             raise CommandError(f"{what}: {reason}. {choices}") from error
         self.done = TareDone(window=window, tare=tare)
@@ -508,7 +508,7 @@ class Replay:
         """Give one row to the sensor, by the call that fits it."""
         q, torque = signals.q_rad[k], signals.torque_Nm[k]
         if signals.is_external:
-            return self._sensor.update_external_torque(q, torque, dt_s)
+            return self._sensor.update_external_torque(q, None, torque, dt_s)
         dq = None if signals.dq_rad_s is None else signals.dq_rad_s[k]
         return self._sensor.update(q, dq, torque, dt_s)
 
