@@ -22,7 +22,7 @@ from needleforce.jit import Matrix, Vector, compiled
 from residual import DEFAULT as DEFAULT_SENSOR
 from residual import SensorConfig, SensorWarning, Status, VirtualForceSensor, WrenchEstimate
 from residual.bias_model import Tare
-from residual.snapshot import SensorState
+from residual.virtual_force_sensor import SensorState
 from residual.tool_kinematics import ToolKinematics
 from urdf import Robot
 
@@ -57,17 +57,17 @@ class TravelZero(NamedTuple):
 
 
 @compiled
-def tip_motion(axis: Vector, pose: Matrix, advance: Vector, dq: Vector) -> tuple[float, float]:
+def tip_motion(axis: Vector, pose: Matrix, axial_jacobian: Vector, dq: Vector) -> tuple[float, float]:
     """Place of the tip along an axis [m], and its speed along the needle [m/s].
 
     Args:
         axis: In base axes, shape (3,).
         pose: See `residual.tool_kinematics.ToolKinematics`, as the next.
-        advance: Shape (n,).
+        axial_jacobian: Shape (n,).
         dq: Joint velocities [rad/s], shape (n,).
     """
     tip_m = np.ascontiguousarray(pose[:3, 3])
-    return float(axis.dot(tip_m)), float(advance.dot(dq))
+    return float(axis.dot(tip_m)), float(axial_jacobian.dot(dq))
 
 
 class TipTravel:
@@ -89,7 +89,7 @@ class TipTravel:
     def read(self, dq: NDArray[np.float64]) -> Travel:
         """Depth and speed where the kinematics stand, for joint velocities [rad/s], shape (n,)."""
         tool = self._kinematics
-        along_m, speed_m_s = tip_motion(self._axis, tool.pose, tool.advance, dq)
+        along_m, speed_m_s = tip_motion(self._axis, tool.pose, tool.axial_jacobian, dq)
         return _new(Travel, (along_m - self._start_m, speed_m_s))
 
     @property
@@ -279,7 +279,7 @@ class InsertionSession:
         Returns:
             As `update`.
         """
-        wrench = self._sensor.update_external_torque(q, external_torque, dt_s, dq)
+        wrench = self._sensor.update_external_torque(q, dq, external_torque, dt_s)
         return self._follow(wrench)
 
     def tare(self, *, force: bool = False) -> Tare:
@@ -292,7 +292,7 @@ class InsertionSession:
             TareError: Without data, a second time without `start_tare_recording`, with contact in
                 sight or velocities that do not fit positions; nothing has then changed.
         """
-        tare = self._sensor.tare(force=force)
+        tare = self._sensor.tare(ignore_contact=force)
         self.begin_insertion()
         return tare
 

@@ -19,7 +19,7 @@ from identification import Snapshot as IdentifierSnapshot
 from identification.multilayer_state import MultilayerState
 from identification.published_identifier import PublishedState
 from needleforce.session import SessionSnapshot, SnapshotFileError
-from residual.snapshot import SensorState
+from residual.virtual_force_sensor import SensorState
 
 # What snapshots consist of: these types and those that their annotations name.
 
@@ -149,7 +149,7 @@ def _names(kind: type) -> Iterator[str]:
 LARGEST = 1e30
 """No number of a snapshot comes near it; its square can still be calculated with."""
 NOT_FINITE = {
-    "AloneState.limit_s": math.inf,
+    "SingleSignalDetector.limit_s": math.inf,
     "MultilayerMemory.deepest_m": -math.inf,
     "RuptureMeasurement.release_m": math.nan,
     "MembraneFits.squares": math.inf,

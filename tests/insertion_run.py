@@ -2,6 +2,7 @@
 
 import hashlib
 import json
+from dataclasses import fields, is_dataclass
 from functools import cache
 
 import numpy as np
@@ -40,6 +41,8 @@ def same(one, other):
         return np.array_equal(one, other)
     if isinstance(one, tuple):
         return len(one) == len(other) and all(map(same, one, other))
+    if is_dataclass(one):
+        return all(same(getattr(one, f.name), getattr(other, f.name)) for f in fields(one))
     return one == other
 
 

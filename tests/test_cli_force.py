@@ -197,6 +197,24 @@ def test_a_clock_that_was_set_back_costs_a_few_rows_and_no_more(run, lwr, tmp_pa
     assert found["axial_N"][-1] == pytest.approx(AXIAL_N, abs=0.15)
 
 
+def test_velocities_in_degrees_are_refused_by_joint_and_reason(run, lwr, tmp_path, capsys):
+    columns = insertion(lwr)
+    columns["dq_rad_s"] = np.degrees(columns["dq_rad_s"])
+    log = str(tmp_path / "log.npz")
+    write_table(log, columns)
+    assert main(["force", log, *TARE]) == 2
+    refused = capsys.readouterr().err
+    for text in ("is 57.3 times the rate of q: is it in deg/s?", "--force-tare", "--dq dq_*:deg/s"):
+        assert text in refused
+    _, printed = run(log, *TARE, "--dq", "dq_rad_s:deg/s")
+    assert "velocity" not in printed.replace("velocity from the log", "")
+    found, printed = run(log, *TARE, "--force-tare")
+    lines = printed.splitlines()
+    assert any(line.startswith("warnings ") and "x velocity" in line for line in lines)
+    assert any(line.startswith("velocity ") and "is it in deg/s?" in line for line in lines)
+    assert (found["force_warnings"][-1000:].astype(int) & SensorWarning.VELOCITY).all()
+
+
 # Robots and payloads.
 
 

@@ -80,7 +80,7 @@ def test_travel_counts_from_its_zero_along_the_needle(lwr):
     kinematics.update(q)
     travel = TipTravel(kinematics)
     assert travel.read(np.zeros(7)) == pytest.approx((0.0, 0.0), abs=1e-12)
-    step = kinematics.advance / kinematics.advance.dot(kinematics.advance)
+    step = kinematics.axial_jacobian / kinematics.axial_jacobian.dot(kinematics.axial_jacobian)
     assert travel.read(step).speed_m_s == pytest.approx(1.0)
     kinematics.update(q + 1e-4 * step)
     assert travel.read(step).depth_m == pytest.approx(1e-4, rel=1e-2)

@@ -1,7 +1,6 @@
 """The virtual sensor over a log, sample by sample, as on the robot."""
 
 import math
-import re
 from collections import Counter
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
@@ -167,9 +166,9 @@ class Taring:
                 f"{what}: the filters had not settled by then; choose a window that ends later"
             )
         try:
-            tare = self._sensor.tare(force=self._options.force_tare)
+            tare = self._sensor.tare(ignore_contact=self._options.force_tare)
         except TareError as error:
-            reason = re.sub(r"\b(force|ignore_contact)=True", "--force-tare", str(error))
+            reason = str(error).replace("ignore_contact=True", "--force-tare")
             choices = _VELOCITY if isinstance(error, VelocityError) else f"Or {_CHOICES}"
             raise CommandError(f"{what}: {reason}. {choices}") from error
         self.done = replace(window, tare=tare)
@@ -284,18 +283,16 @@ class Replay:
         if self._taring is None:
             self._taring = Taring(self._sensor, self._tare, t_s[0])
             self._used_s = t_s[0]
-        taring, estimates, gaps = self._taring, [], []
+        sensor, taring, estimates, gaps = self._sensor, self._taring, [], []
+        update = sensor.update_external_torque if self.is_external else sensor.update
         for k, (stamp_s, dt_s) in enumerate(zip(t_s, chunk.dt_s.tolist(), strict=True)):
             now_s, advances = self._running_s(stamp_s, dt_s), dt_s > 0.0
             if advances:
                 taring.before(now_s)
             # The sensor reads no time step of the first sample.
             step_s = dt_s if advances else 0.0
-            if self.is_external:
-                found = self._sensor.update_external_torque(q_rad[k], torque_Nm[k], step_s)
-            else:
-                dq = None if dq_rad_s is None else dq_rad_s[k]
-                found = self._sensor.update(q_rad[k], dq, torque_Nm[k], step_s)
+            dq = None if dq_rad_s is None else dq_rad_s[k]
+            found = update(q_rad[k], dq, torque_Nm[k], step_s)
             estimates.append(found)
             is_rejected = found.status is Status.REJECTED
             gaps.append(not is_rejected and self._has_gap(now_s))
