@@ -8,9 +8,8 @@ import sys
 from dataclasses import fields
 from pathlib import Path
 
-import numpy as np
 import pytest
-from residual_command_log import SMALL_ARM, insertion, write_insertion
+from residual_command_log import SMALL_ARM, write_insertion
 
 from groundtruth import insert_needle
 from needleforce.cli import main
@@ -136,22 +135,3 @@ def test_the_page_on_identification_runs_and_names_the_columns(tmp_path, monkeyp
     exec(IDENTIFY.split("```python\n")[1].split("```")[0], found)
     assert found["estimate"].status.is_used
     assert found["identifier"].layers == ()
-
-
-def test_torque_without_gravity_is_an_option(lwr, tmp_path, capsys):
-    if "torque_is_gravity_compensated" not in {item.name for item in fields(SensorConfig)}:
-        pytest.skip("the sensor has no such setting")
-    import pinocchio as pin
-
-    columns = insertion(lwr)
-    gravity = [
-        pin.computeGeneralizedGravity(lwr.model, lwr.create_data(), q) for q in columns["q_rad"]
-    ]
-    write_table("free.npz", columns | {"tau_Nm": columns["tau_Nm"] - np.array(gravity)})
-    write_table("whole.npz", columns)
-    forces = []
-    for log, options in (("whole", []), ("free", ["--gravity-compensated"])):
-        argv = ["force", f"{log}.npz", "--tare", "0:2.5", "-o", f"{log}-out.npz", *options]
-        assert main(argv) == 0, capsys.readouterr().err
-        forces.append(read_table(f"{log}-out.npz").columns["axial_N"][-1])
-    assert forces[1] == pytest.approx(forces[0], abs=1e-3)

@@ -215,6 +215,27 @@ def test_velocities_in_degrees_are_refused_by_joint_and_reason(run, lwr, tmp_pat
     assert (found["force_warnings"][-1000:].astype(int) & SensorWarning.VELOCITY).all()
 
 
+def test_torque_without_gravity_or_negated_is_named_and_an_option_cures_it(
+    run, lwr, tmp_path, capsys
+):
+    columns, data = insertion(lwr), lwr.create_data()
+    gravity = [pin.computeGeneralizedGravity(lwr.model, data, q) for q in columns["q_rad"]]
+    logs = {"whole": columns["tau_Nm"], "negated": -columns["tau_Nm"]}
+    logs["free"] = columns["tau_Nm"] - np.array(gravity)
+    for name, tau_Nm in logs.items():
+        write_table(tmp_path / f"{name}.npz", columns | {"tau_Nm": tau_Nm})
+    expected, _ = run(str(tmp_path / "whole.npz"), *TARE)
+    for name, advice, cure in (
+        ("free", "give --gravity-compensated", ["--gravity-compensated"]),
+        ("negated", "--tau tau_*:Nm:-1", ["--tau", "tau_Nm:Nm:-1"]),
+    ):
+        log = str(tmp_path / f"{name}.npz")
+        assert main(["force", log, *TARE]) == 2
+        assert advice in capsys.readouterr().err
+        found, _ = run(log, *TARE, *cure)
+        np.testing.assert_allclose(found["axial_N"], expected["axial_N"], atol=0.02)
+
+
 # Robots and payloads.
 
 

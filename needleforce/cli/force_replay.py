@@ -38,6 +38,14 @@ _VELOCITY = (
 )
 _CHOICES = "choose where the needle is free with --tare START:END, or go without with --no-tare"
 
+_AS_OPTIONS = {
+    "ignore_contact=True": "--force-tare",
+    "set torque_is_gravity_compensated=True": "give --gravity-compensated",
+    "set torque_is_gravity_compensated=False": "leave --gravity-compensated out",
+    "negate it": "negate it, as in --tau tau_*:Nm:-1",
+}
+"""What a refused tare advises in code, as options."""
+
 
 @dataclass(frozen=True, slots=True)
 class TareWindow:
@@ -168,7 +176,9 @@ class Taring:
         try:
             tare = self._sensor.tare(ignore_contact=self._options.force_tare)
         except TareError as error:
-            reason = str(error).replace("ignore_contact=True", "--force-tare")
+            reason = str(error)
+            for words, option in _AS_OPTIONS.items():
+                reason = reason.replace(words, option)
             choices = _VELOCITY if isinstance(error, VelocityError) else f"Or {_CHOICES}"
             raise CommandError(f"{what}: {reason}. {choices}") from error
         self.done = replace(window, tare=tare)
@@ -291,7 +301,7 @@ class Replay:
                 taring.before(now_s)
             # The sensor reads no time step of the first sample.
             step_s = dt_s if advances else 0.0
-            dq = None if dq_rad_s is None else dq_rad_s[k]
+            dq = None if dq_rad_s is None or self.is_external else dq_rad_s[k]
             found = update(q_rad[k], dq, torque_Nm[k], step_s)
             estimates.append(found)
             is_rejected = found.status is Status.REJECTED
