@@ -147,7 +147,7 @@ OPTIONS = {
     "--config given_friction.toml": "give joint friction with --friction FILE",
     "--gain inf": "gain_per_s is inf, expected a finite number",
     "--gain 0": "gain_per_s is 0.0, expected a finite number > 0",
-    "--insertion-axis 0 0 0": "insertion_axis is .0.0, 0.0, 0.0., expected three numbers, not all",
+    "--insertion-axis 0 0 0": "insertion_axis is .0.0, 0.0, 0.0.: they must not all be zero",
     "--friction no_model.toml": r"has stribeck; expected one table of \[viscous_coulomb\]",
     "--friction no_table.toml": "expected a table",
     "--friction short.toml": "viscous_Nms = .1.0, 2.0., expected 7 numbers, one per joint",
