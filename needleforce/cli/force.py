@@ -96,7 +96,7 @@ def run(
 
 
 def estimate_forces(log: LogSession, replay: Replay, output: Output) -> "ForceResult":
-    """Run the sensor over a log, entered, and write its forces."""
+    """Run the sensor over a log and write its forces."""
     config = replay.config
     tracked = ["axial_N", "axial_std_N", "status", "after_gap", _IS_INITIALIZING]
     if config.mode != "axial":

@@ -125,7 +125,7 @@ _FLIP = "; a factor of -1 after the unit does, as in --force fz:N:-1"
 def identify_layers(
     log: LogSession, options: IdentificationOptions, output: Output
 ) -> "IdentificationResult":
-    """Run the identifier over a log, entered, and write its estimates."""
+    """Run the identifier over a log and write its estimates."""
     stream = ReplayStream(METHODS[options.method])
     usable_force = UsableForce(is_ignored=options.ignore_status)
     result, overview = IdentificationResult(log.name, options.method), RowOverview(_TRACKED)

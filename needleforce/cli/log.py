@@ -87,12 +87,11 @@ def has_channels(source: str, columns: Columns, channels: Iterable[str]) -> bool
 class LogSession:
     """Iterates over the log that the command line names; reports on stderr what is wrong with it.
 
-    While it is entered, the first Ctrl-C ends the log: the rows read so far are all there are.
-
     Args:
         source: A recording, or `-`.
         reading: How long more is waited for.
         request: The channels to read.
+        stop: Ends the log: the rows read so far are all there are.
 
     Attributes:
         name: What to call the log.
@@ -100,7 +99,9 @@ class LogSession:
         warnings: What was found wrong with the log so far.
     """
 
-    def __init__(self, source: str, reading: Reading, request: ChannelRequest) -> None:
+    def __init__(
+        self, source: str, reading: Reading, request: ChannelRequest, stop: StopRequest
+    ) -> None:
         idle_s = reading.idle
         if idle_s is not None and not (math.isfinite(idle_s) and idle_s > 0.0):
             raise CommandError(f"--idle {idle_s:g}: expected a number of seconds > 0")
@@ -110,7 +111,7 @@ class LogSession:
         self.is_live = reading.follow or is_piped or Path(source).is_fifo()
         self.warnings: list[str] = []
         self._stream: LogStream | None = None
-        self._stop = StopRequest()
+        self._stop = stop
 
     @property
     def start_ns(self) -> int:
@@ -126,13 +127,6 @@ class LogSession:
     def exit_code(self) -> int:
         """Exit code of a command that has done its work: Ctrl-C is how following ends."""
         return INTERRUPTED if self._stop.is_set and not self._reading.follow else 0
-
-    def __enter__(self) -> "LogSession":
-        self._stop.__enter__()
-        return self
-
-    def __exit__(self, *_: object) -> None:
-        self._stop.__exit__()
 
     def __iter__(self) -> Iterator[LogChunk]:
         """Yield the rows."""
@@ -211,7 +205,8 @@ def run_log(
         The exit code.
     """
     check_outputs(source, output)
-    with folder_if_filled(output.report) as folder, LogSession(source, reading, request) as log:
+    with folder_if_filled(output.report) as folder, StopRequest() as stop:
+        log = LogSession(source, reading, request, stop)
         result = estimate(log)
         if output.figure is not None:
             save_figure(result.figure(output), output.figure)

@@ -101,22 +101,7 @@ class AllColumns(JointColumns, DepthColumns):
 
 @Parameter(name="*", group=OUTPUT)
 @dataclass(frozen=True, kw_only=True)
-class Window:
-    """What a figure shows."""
-
-    start: Annotated[
-        str | None, Parameter(name="--from", metavar="TIME", allow_leading_hyphen=True)
-    ] = None
-    """Start of the figure [s] on the log's clock, or with a + from its first stamp."""
-    end: Annotated[
-        str | None, Parameter(name="--to", metavar="TIME", allow_leading_hyphen=True)
-    ] = None
-    """End of the figure [s], likewise."""
-
-
-@Parameter(name="*", group=OUTPUT)
-@dataclass(frozen=True, kw_only=True)
-class Output(Window):
+class Output:
     """Files to write."""
 
     output: Annotated[
@@ -128,6 +113,14 @@ class Output(Window):
     """Figure: .png, .svg or .pdf."""
     over: Literal["time", "depth"] = "time"
     """Draw the figure over time, or the force over the depth of the needle."""
+    start: Annotated[
+        str | None, Parameter(name="--from", metavar="TIME", allow_leading_hyphen=True)
+    ] = None
+    """Start of the figure [s] on the log's clock, or with a + from its first stamp."""
+    end: Annotated[
+        str | None, Parameter(name="--to", metavar="TIME", allow_leading_hyphen=True)
+    ] = None
+    """End of the figure [s], likewise."""
     report: Annotated[Path | None, Parameter(metavar="DIR")] = None
     """Folder for a page with charts, results, warnings and settings."""
 
