@@ -83,7 +83,7 @@ def whitener(covariance: Array) -> Array:
     return np.asarray(np.linalg.cholesky(matrix), dtype=np.float64)
 
 
-LOOK_m = MULTILAYER.second_look_m
+LOOK_m = MULTILAYER.final_window_m
 """Travel after a rupture by which its layer is identified for good."""
 BLOCK_s = 0.02
 MOST_BLOCKS = 1000

@@ -59,9 +59,9 @@ def alarms_of(result: Replay, t_s: NDArray[np.float64]) -> list[Alarm]:
     """
     by_alarm = {layer.rupture.alarm_s: layer for layer in result.layers}
     online = {
-        estimate.compensated.rupture.alarm_s: estimate.compensated
+        estimate.identified_layer.rupture.alarm_s: estimate.identified_layer
         for estimate in result.estimates
-        if estimate.compensated is not None
+        if estimate.identified_layer is not None
     }
     found = []
     for k, estimate in enumerate(result.estimates):
@@ -78,7 +78,7 @@ def alarms_of(result: Replay, t_s: NDArray[np.float64]) -> list[Alarm]:
 
 def first_compensation(result: Replay) -> int | None:
     """Index of the sample at which friction was first identified, if ever."""
-    is_compensated = (estimate.compensated is not None for estimate in result.estimates)
+    is_compensated = (estimate.identified_layer is not None for estimate in result.estimates)
     return next((k for k, found in enumerate(is_compensated) if found), None)
 
 

@@ -145,7 +145,7 @@ class ChainTick:
         found = self._session.update(*self._samples[k]).identification
         if found.rupture is not None:
             self.alarms.append(k)
-        if found.compensated is not None:
+        if found.identified_layer is not None:
             self.reruns.extend(range(k + 1 - RERUN_TICKS, k + 1))
 
 
@@ -374,7 +374,7 @@ def _event_ticks_us(
         taken_us[k] = (perf_counter_ns() - before) / NS_PER_US
         if found.rupture is not None:
             alarm = min(alarm, k)
-        if found.compensated is not None:
+        if found.identified_layer is not None:
             last = k
     tick = np.arange(len(samples))
     return np.where((tick >= alarm) & (tick <= last), taken_us, 0.0)

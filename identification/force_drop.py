@@ -6,7 +6,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from identification.multilayer_config import MultilayerConfig
+from identification.config import MultilayerConfig
 from identification.resampling import BLOCKS, DEPTH, FORCE, SPEED
 
 _BEFORE_M = 2e-3
@@ -38,7 +38,7 @@ def force_before(points: Array, depth_m: float, noise_N2: float) -> tuple[float,
     """Force at a rupture extrapolated from the last millimetres before it, and its variance.
 
     Args:
-        points: Track points, see `track`.
+        points: Points of the track.
         depth_m: Depth of the rupture.
         noise_N2: Long-run variance of one block.
 
@@ -79,7 +79,7 @@ def rows_after(
     """What the force after a rupture is measured from.
 
     Args:
-        points: Track points, see `track`.
+        points: Points of the track.
         depth_m: Depth of the rupture.
         speed_m_s: Speed at the rupture.
         noise_N2: Long-run variance of one block.
@@ -119,13 +119,13 @@ def _design(side: Array, depth_m: float, speed_m_s: float, config: MultilayerCon
     The speed is smoothed by a line: noise in a regressor would let the other columns take over.
     """
     reach, speed = side[:, DEPTH] - depth_m, side[:, SPEED]
-    share = config.coulomb_share(speed_m_s)
+    coulomb = config.coulomb_fraction(speed_m_s)
     x = reach - reach.mean()
     change = float(x @ speed) / max(float(x @ x), 1e-18)
     smooth = speed.mean() + change * x
     onset = np.minimum(reach / config.cutting_onset_m, 1.0)
     design = np.empty((len(side), 5))
-    design[:, 0] = share + (1.0 - share) * smooth / max(speed_m_s, 1e-6)
+    design[:, 0] = coulomb + (1.0 - coulomb) * smooth / max(speed_m_s, 1e-6)
     design[:, 1] = onset * (2.0 - onset)
     design[:, 2], design[:, 3], design[:, 4] = 1e3 * reach, side[:, FORCE], 1.0
     return design

@@ -7,15 +7,11 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from identification.config import MULTILAYER, MultilayerConfig, PublishedConfig
 from identification.estimate import Estimate, LayerEstimate
 from identification.identifier import Identifier
 from identification.input_validation import SampleStatus
-from identification.multilayer_config import MULTILAYER, MultilayerConfig
 from identification.offline import read_column
-from identification.published_config import PublishedConfig
-
-# Speed from depth, for recordings without it.
-
 
 Array = NDArray[np.float64]
 
@@ -112,16 +108,13 @@ class DerivedSpeed:
         return np.divide(total, time_s, out=np.full(rows, np.nan), where=time_s > 0.0)
 
 
-# Tells what a recording with a flipped sign or a wrong unit looks like.
-
-
 _LEAST_TRAVEL_M = 1e-3
 _LARGEST_DEPTH_M = 1.0
 _LEAST_FORCE_N = 0.02
 
 
-class SignWatch:
-    """Looks at a recording, of which any number of rows may come at a time."""
+class SignCheck:
+    """Looks for a flipped sign or a wrong unit in a recording, any number of rows at a time."""
 
     def __init__(self) -> None:
         self._last_m = np.empty(0)
@@ -184,27 +177,8 @@ class SignWatch:
         return tuple(hints)
 
 
-def sign_hints(depth_m: Array, speed_m_s: Array | None, force_N: Array) -> tuple[str, ...]:
-    """Look at a whole recording for signs of a wrong sign.
-
-    Args:
-        depth_m: Tip depth, shape (n,); may hold gaps.
-        speed_m_s: Recorded speed, shape (n,), or None.
-        force_N: Axial force, shape (n,).
-
-    Returns:
-        One sentence per suspicion; none for a recording that looks right.
-    """
-    watch = SignWatch()
-    watch.update(depth_m, speed_m_s, force_N)
-    return watch.hints()
-
-
-# A recording through the online identifier, any number of rows at a time.
-
-
-_REFUSED = (SampleStatus.FORCE_RANGE, SampleStatus.DEPTH_JUMP, SampleStatus.SPEED_SIGN)
-"""What nobody has told of a row before; a NaN or a late stamp has been told by who read the log."""
+_REPORTED = (SampleStatus.FORCE_RANGE, SampleStatus.DEPTH_JUMP, SampleStatus.SPEED_SIGN)
+"""What nobody has reported of a row before; who read the log has reported a NaN or a late stamp."""
 
 HEAD_ROWS = 200
 """The usual time step is the median over so many first rows."""
@@ -227,18 +201,20 @@ class ReplayedRows(NamedTuple):
 class ReplayStream:
     """Runs the identifier over a recording; results do not depend on how the rows come.
 
+    Estimates, ruptures and layers are on the clock of the recording.
+
     Args:
-        config: `DEFAULT`, `PUBLISHED` or a variant.
+        config: `MULTILAYER`, `PUBLISHED` or a variant.
     """
 
     def __init__(self, config: MultilayerConfig | PublishedConfig = MULTILAYER) -> None:
         self._identifier = Identifier(config)
-        self._signs = SignWatch()
+        self._signs = SignCheck()
         self._speed: DerivedSpeed | None = None
         self._first_step_s = 0.0
         self._latest_s: float | None = None
         self._waiting = np.empty((4, 0))
-        self._refused: Counter[SampleStatus] = Counter()
+        self._rejected: Counter[SampleStatus] = Counter()
 
     @property
     def layers(self) -> tuple[LayerEstimate, ...]:
@@ -247,13 +223,13 @@ class ReplayStream:
 
     @property
     def hints(self) -> tuple[str, ...]:
-        """Suspicions about signs and units of all rows so far, and how many were refused."""
-        refused = (
-            f"rows that were refused: {self._refused[status]} ({status.value})"
-            for status in _REFUSED
-            if self._refused[status]
+        """Suspicions about signs and units of all rows so far, and how many were rejected."""
+        rejected = (
+            f"rows that were rejected: {self._rejected[status]} ({status.value})"
+            for status in _REPORTED
+            if self._rejected[status]
         )
-        return (*self._signs.hints(), *refused)
+        return (*self._signs.hints(), *rejected)
 
     def run(
         self,
@@ -312,9 +288,9 @@ class ReplayStream:
         rows = len(speed_m_s)
         t_s, depth_m, force_N, dt_s = self._waiting[:, :rows]
         self._waiting = self._waiting[:, rows:]
-        columns = (depth_m, speed_m_s, force_N, dt_s)
+        columns = (depth_m, speed_m_s, force_N, dt_s, t_s)
         estimates = list(map(self._identifier.update, *(column.tolist() for column in columns)))
-        self._refused.update(estimate.status for estimate in estimates)
+        self._rejected.update(estimate.status for estimate in estimates)
         return ReplayedRows(t_s, force_N, estimates)
 
 
@@ -350,15 +326,15 @@ def replay(
     """Run the identifier over a recording, sample by sample.
 
     Rows that cannot be used (gaps, time running backwards) are reported in their estimate's
-    status, not dropped. Where a clock may have been set, let
-    `recordings.clock.row_clock.RowClock` tell ``dt_s``.
+    status, not dropped. Where a clock may have been set, give ``dt_s``. Estimates, ruptures and
+    layers are on the clock of ``t_s`` and count depth from the zero of ``depth_m``.
 
     Args:
         t_s: Time stamps [s], shape (n,).
         depth_m: Tip depth, growing into the tissue [m], shape (n,).
         force_N: Axial force, positive when tissue pushes back [N], shape (n,).
         speed_m_s: Rate of depth [m/s]; differentiated from depth if None.
-        config: `DEFAULT`, `PUBLISHED` or a variant.
+        config: `MULTILAYER`, `PUBLISHED` or a variant.
         dt_s: Time since the latest row that advanced [s], shape (n,), not positive for a row that
             does not; None to count from the latest stamp.
 

@@ -11,18 +11,15 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from identification.multilayer_config import MultilayerConfig
+from identification.config import MultilayerConfig
 from identification.resampling import BLOCKS, DEPTH, FORCE, SPEED, TRAVEL, merge_rows
-
-# A layer as the search for its membrane sees it: some rows, scaled.
-
 
 _MOST_ROWS = 64
 _LEAST_ROWS = 12
 _MARGIN_M = 5e-5
 _CURVATURE = 0.2
 """Bend of a layer's force over its slope, one standard deviation (tissue stiffens by 0 to 30 %)."""
-_SPEED_SHARE = 0.5
+_SPEED_EFFECT = 0.5
 """Change of force with speed over mean force, one standard deviation: friction, part viscous."""
 _FREE = 1e-9
 
@@ -33,12 +30,12 @@ class ScaledLayer(NamedTuple):
     """Rows of a layer, scaled: position 0 to 1, speed about its mean, root of weights.
 
     Attributes:
-        rows: The rows, see `layer_rows`, shape (n, 6).
+        rows: The rows, see `resampling.add_layer_row`, shape (n, 6).
         position: Shape (n,).
         speed: Shape (n,).
         root_weight: Shape (n,).
         target: Weighted force about its mean, shape (n,).
-        priors: Weights of the priors on the unknowns of a membrane, see `membrane_fit`; shape (7,).
+        priors: Weights of the priors on the unknowns of a membrane, shape (7,).
     """
 
     rows: Array
@@ -53,7 +50,7 @@ def scale_layer(rows: Array, start_m: float, rupture_m: float) -> ScaledLayer | 
     """The rows in which a membrane is looked for, or None where they are too few.
 
     Args:
-        rows: Rows of the layer, see `layer_rows`.
+        rows: Rows of the layer.
         start_m: Depth from which on the layer was met undisturbed.
         rupture_m: Where the rupture happened.
     """
@@ -85,12 +82,12 @@ def _priors(position: Array, force: Array, mean: float, target: Array) -> Array:
     slope = max(rise, 0.1 * float(np.ptp(force)), 1e-3)
     weights = np.full(7, _FREE)
     weights[2] += variance / (_CURVATURE * slope) ** 2
-    weights[3:5] += variance / (_SPEED_SHARE * max(abs(mean), 0.02)) ** 2
+    weights[3:5] += variance / (_SPEED_EFFECT * max(abs(mean), 0.02)) ** 2
     return weights
 
 
 def smooth_squares(layer: ScaledLayer) -> float:
-    """Sum of squares that a smooth cubic leaves, with the same priors on the speed's share."""
+    """Sum of squares that a smooth cubic leaves, with the same priors on the effect of speed."""
     u, v = layer.position, layer.speed
     columns = np.stack([np.ones_like(u), u, u**2, v, v * u, u**3], axis=1)
     columns = columns * layer.root_weight[:, None]
@@ -100,21 +97,24 @@ def smooth_squares(layer: ScaledLayer) -> float:
     return float(layer.target @ layer.target - vector @ solution)
 
 
-# Fits a membrane's spring behind each boundary that a layer may have had.
-#
-# Seven unknowns: level, slope and bend of the layer up to the boundary, its change with speed
-# (level and slope), and a straight and a parabolic part of the spring beyond.
+# A membrane's spring behind each boundary that a layer may have had. Seven unknowns: level, slope
+# and bend of the layer up to the boundary, its change with speed (level and slope), and a straight
+# and a parabolic part of the spring beyond.
 
-
-_CANDIDATES = 40
-_REACH = (0.08, 0.96)
-"""Shares of the layer's length between which a boundary is looked for."""
 _PARABOLA, _LINE = (0, 1, 2, 3, 4, 6), (0, 1, 2, 3, 4, 5)
-
-
-STARTS = np.linspace(*_REACH, _CANDIDATES)
-"""Candidate boundaries, as shares of the layer's length."""
+STARTS = np.linspace(0.08, 0.96, 40)
+"""Candidate boundaries, as fractions of the layer's length."""
 STARTS.setflags(write=False)
+_UNKNOWNS = 7
+_EVIDENCE = 30.0
+"""Gain of log-likelihood, twice, over a smooth cubic: five to six standard deviations."""
+_BETTER = 0.75
+"""Fraction of the cubic's sum of squares that must not be exceeded: with little noise any tissue
+is significantly no cubic."""
+_MOST_PUSHED_M = 13e-3
+"""No membrane gives more: the capsule of bovine liver 11 mm."""
+_AT_ONCE = 8
+"""Candidates of one stage."""
 
 
 class MembraneFits(NamedTuple):
@@ -179,14 +179,6 @@ def _solve(normal: Array, vector: Array, total: float) -> tuple[Array, Array]:
     return total - np.sum(part * vector, axis=1), part
 
 
-_UNKNOWNS = 7
-_EVIDENCE = 30.0
-"""Gain of log-likelihood, twice, over a smooth cubic: five to six standard deviations."""
-_BETTER = 0.75
-"""Share of the cubic's sum of squares that must not be exceeded: with little noise any tissue is
-significantly no cubic."""
-
-
 class Boundary(NamedTuple):
     """Where a layer ended.
 
@@ -205,19 +197,7 @@ class Boundary(NamedTuple):
     speed_m_s: float
 
 
-def find_membrane(rows: Array, start_m: float, rupture_m: float) -> Boundary | None:
-    """Where the membrane that a layer ended with began, or None if there was none.
-
-    Args:
-        rows: Rows of the layer, see `layer_rows`.
-        start_m: Depth from which on the layer was met undisturbed.
-        rupture_m: Where the rupture happened.
-    """
-    layer = scale_layer(rows, start_m, rupture_m)
-    return None if layer is None else judge_membranes(layer, fit_membranes(layer, STARTS))
-
-
-def judge_membranes(layer: ScaledLayer, fits: MembraneFits) -> Boundary | None:
+def best_membrane(layer: ScaledLayer, fits: MembraneFits) -> Boundary | None:
     """The boundary, if a membrane explains the layer much better than a smooth cubic does.
 
     A single non-linear spring, as a capsule at the very surface is, has no boundary in it and
@@ -268,16 +248,8 @@ def _membrane(side: Array, fits: MembraneFits, variance: float, covariance: Arra
     )
 
 
-# Looks for the membrane a layer ended with, a stage per tick, once its rupture has alarmed.
-#
-# All that this needs is known then; the ticks that measure the force drop, millimetres later, are
-# spared it.
-
-
-_MOST_PUSHED_M = 13e-3
-"""No membrane gives more: the capsule of bovine liver 11 mm."""
-_AT_ONCE = 8
-"""Candidates of one stage."""
+# The search, a stage per tick once the rupture has alarmed: all that it needs is known then, and
+# the ticks that measure the force drop, millimetres later, are spared it.
 
 
 class MembraneSearch(NamedTuple):
@@ -309,14 +281,14 @@ class SearchWork(NamedTuple):
 
 
 def search_step(
-    work: SearchWork, rows: NDArray[np.float64], rupture_m: float, config: MultilayerConfig
+    work: SearchWork, rows: Array, rupture_m: float, config: MultilayerConfig
 ) -> SearchWork | MembraneSearch:
     """Work off the next stage of a search.
 
     Args:
         work: What has been done; at first the depth from which on the layer was met undisturbed,
             its own puncture over.
-        rows: Rows of the layer, see `layer_rows`.
+        rows: Rows of the layer.
         rupture_m: Depth of its rupture.
         config: Settings.
 
@@ -333,13 +305,13 @@ def search_step(
         fits = fit_membranes(work.layer, STARTS[tried : tried + _AT_ONCE])
         return work._replace(fits=(*work.fits, fits))
     every = MembraneFits(*(np.concatenate(parts) for parts in zip(*work.fits, strict=True)))
-    return _conclude(work, judge_membranes(work.layer, every), rupture_m, config)
+    return _conclude(work, best_membrane(work.layer, every), rupture_m, config)
 
 
 def _conclude(
     work: SearchWork, found: Boundary | None, rupture_m: float, config: MultilayerConfig
 ) -> SearchWork | MembraneSearch:
-    """What a layer searched through tells.
+    """What a search through a whole layer found.
 
     A boundary further back than any membrane gives is a soft transition that was missed. What
     follows it is searched again; the friction of both parts is measured together.

@@ -4,7 +4,7 @@ import math
 from typing import Any, NamedTuple
 
 from identification.rls_windows import WindowSums
-from needleforce.jit import Vector, compiled
+from needleforce.jit import compiled
 
 
 class RlsState(NamedTuple):
@@ -31,24 +31,6 @@ def reset_covariance(state: RlsState, var_stiffness: float, var_friction: float)
     return RlsState(stiffness, friction, float(var_stiffness), 0.0, float(var_friction))
 
 
-(
-    LEAST_SPEED,
-    DRIFT,
-    THRESHOLD,
-    BETA,
-    DERIVATIVE_S,
-    RESET_HZ,
-    IS_ML,
-    START_M,
-    IS_INSIDE,
-    LAYER,
-    CUMULATIVE,
-    IS_MUTED,
-    IS_EXPECTED,
-    IS_DUE,
-    PLACES,
-) = range(15)
-"""Places of the numbers that `published_coefficients` lays out."""
 _ROUNDING = 1e-9
 _FORGETTING = 1.0
 
@@ -56,13 +38,13 @@ Rls = tuple[float, float, float, float, float]
 """The fields of `RlsState`, plain."""
 Sums = tuple[float, float, float, float, float, float, float]
 """The fields of `WindowSums`, plain."""
-Fields = tuple[Rls, Sums, float, float, float, float, float, float, float, float, float, bool, bool]
-"""Of `PublishedUpdate`, plain."""
-Figures = tuple[Any, ...]
+Memory = tuple[Rls, Sums, float, float, float, float, float, float, float, float, float, bool, bool]
+"""The fields of `PublishedMemory`, plain."""
+Outputs = tuple[Any, ...]
 """The fields of an `Estimate` from ``in_contact`` up to the events."""
 
 
-class PublishedUpdate(NamedTuple):
+class PublishedMemory(NamedTuple):
     """What every sample changes. Compiled code takes and gives plain tuples.
 
     Attributes:
@@ -76,7 +58,7 @@ class PublishedUpdate(NamedTuple):
         force_N: Last force; nan before the first sample.
         force_before_N: The one before, or the last if there is none.
         waited_s: Time since the detection.
-        predicted_N: phi' theta + B_d v before the last sample was absorbed.
+        predicted_N: phi' theta + B_d v before the last sample was used.
         is_alarm: Whether g exceeds its threshold.
         is_expected: Whether the derivative announces a rupture.
     """
@@ -97,14 +79,53 @@ class PublishedUpdate(NamedTuple):
 
     @property
     def plain(self) -> tuple[Any, ...]:
-        """As `published_update` takes it."""
+        """As `update_published` takes it."""
         return tuple(self.rls), tuple(self.window), *self[2:]
 
     @staticmethod
-    def of(plain: tuple[Any, ...]) -> "PublishedUpdate":
-        """From what `published_update` gave."""
+    def of(plain: tuple[Any, ...]) -> "PublishedMemory":
+        """From what `update_published` gave."""
         rls, window, *rest = plain
-        return PublishedUpdate(RlsState(*rls), WindowSums(*window), *rest)
+        return PublishedMemory(RlsState(*rls), WindowSums(*window), *rest)
+
+
+class PublishedCoefficients(NamedTuple):
+    """What `update_published` reads; changes with a layer or the rupture state only.
+
+    Attributes:
+        least_speed_m_s: Setting.
+        drift: nu of equation (9).
+        threshold: gamma of equation (9).
+        beta: Threshold of the derivative, grown by the detections so far.
+        derivative_s: Setting ``derivative_time_constant_s``.
+        reset_Hz: Setting ``reset_frequency_Hz``.
+        is_ml: Whether the model is (3), not (2).
+        start_m: Depth at which the current layer begins.
+        is_inside: Whether a layer has been left: the needle is in tissue.
+        layer: Number of the current layer.
+        cumulative_Ns_per_m: Sum of B_j d_j.
+        is_muted: Whether the rupture state looks for no rupture.
+        is_expected: Whether it expects one.
+        is_due: Whether the next sample finds work to do: around a rupture, every one does.
+    """
+
+    least_speed_m_s: float
+    drift: float
+    threshold: float
+    beta: float
+    derivative_s: float
+    reset_Hz: float
+    is_ml: bool
+    start_m: float
+    is_inside: bool
+    layer: int
+    cumulative_Ns_per_m: float
+    is_muted: bool
+    is_expected: bool
+    is_due: bool
+
+
+Coefficients = tuple[PublishedCoefficients]
 
 
 @compiled
@@ -123,7 +144,7 @@ def regressor(layer_depth_m: float, speed_m_s: float, is_ml: bool) -> tuple[floa
 def rls_step(
     rls: Rls, phi: tuple[float, float], force_N: float, forgetting: float
 ) -> tuple[Rls, float]:
-    """Absorb one force sample: equations (7) and (8) of the paper, written out for two columns.
+    """Use one force sample: equations (7) and (8) of the paper, written out for two columns.
 
     Args:
         rls: Estimate before the sample, see `RlsState`.
@@ -186,81 +207,83 @@ def derivative_step(
 
 
 @compiled
-def paper_figures(
-    depth_m: float, speed_m_s: float, force_N: float, tick: Fields, numbers: Vector
-) -> Figures:
-    """Enhanced force f - sum(B_j d_j) v and its companions; see `published_update`."""
-    depth = max(depth_m - numbers[START_M], 0.0)
-    in_contact = depth > 0.0 or numbers[IS_INSIDE] != 0.0
-    stiffness, friction = tick[0][0], tick[0][1]
-    phi = regressor(depth, speed_m_s, numbers[IS_ML] != 0.0)
-    earlier = numbers[CUMULATIVE] * speed_m_s
+def published_outputs(
+    depth_m: float, speed_m_s: float, force_N: float, memory: Memory, coefficients: Coefficients
+) -> Outputs:
+    """Enhanced force f - sum(B_j d_j) v and its companions; see `update_published`."""
+    c = coefficients[0]
+    depth = max(depth_m - c.start_m, 0.0)
+    in_contact = depth > 0.0 or c.is_inside
+    stiffness, friction = memory[0][0], memory[0][1]
+    phi = regressor(depth, speed_m_s, c.is_ml)
+    earlier = c.cumulative_Ns_per_m * speed_m_s
     own = friction * phi[1] if in_contact else 0.0
     return (
         in_contact,
-        int(numbers[LAYER]) if in_contact else 0,
+        c.layer if in_contact else 0,
         force_N - earlier,
         force_N - earlier - own,
         earlier + own,
         None,
-        tick[10],
+        memory[10],
         stiffness,
         None,
         False,
         friction,
         None,
         False,
-        numbers[CUMULATIVE],
+        c.cumulative_Ns_per_m,
         None,
     )
 
 
 @compiled
-def published_update(
+def update_published(
     depth_m: float,
     speed_m_s: float,
     force_N: float,
     dt_s: float,
-    tick: Fields,
-    numbers: Vector,
-) -> tuple[bool, Fields, Figures]:
-    """Absorb one sample: RLS (7)(8), CUSUM (9) and the derivative criterion.
+    memory: Memory,
+    coefficients: Coefficients,
+) -> tuple[bool, Memory, Outputs]:
+    """Use one sample: RLS (7)(8), CUSUM (9) and the derivative criterion.
 
     Args:
         depth_m: Travel of the tip along the insertion axis [m].
         speed_m_s: Rate of depth [m/s].
         force_N: Axial force [N].
         dt_s: Time since the sample before [s].
-        tick: `PublishedUpdate.plain`.
-        numbers: All else that counts, see `published_coefficients`.
+        memory: `PublishedMemory.plain`.
+        coefficients: All else that counts.
 
     Returns:
-        Whether that was all: no window is full, the state machine stays where it is; the new
-        fields, and what to tell, see `paper_figures`.
+        Whether that was all: no window is full, the rupture state stays what it is; the new
+        memory, and what to report, see `published_outputs`.
     """
-    rls, window, window_s, travel_s, mean, decision, derivative, last, _, waited, _, _, was = tick
+    c = coefficients[0]
+    rls, window, window_s, travel_s, mean, decision, derivative, last, _, waited, _, _, was = memory
     before = force_N if math.isnan(last) else last
-    layer_depth = depth_m - numbers[START_M]
-    if layer_depth <= 0.0 and numbers[IS_INSIDE] == 0.0:
+    layer_depth = depth_m - c.start_m
+    if layer_depth <= 0.0 and not c.is_inside:
         so_far = (rls, window, window_s, travel_s, mean, decision, derivative)
         # Numba knows no starred parts of a tuple.
         free = so_far + (force_N, before, waited, 0.0, False, was)  # noqa: RUF005
-        return True, free, paper_figures(depth_m, speed_m_s, force_N, free, numbers)
-    phi = regressor(max(layer_depth, 0.0), speed_m_s, numbers[IS_ML] != 0.0)
-    earlier = numbers[CUMULATIVE] * speed_m_s
+        return True, free, published_outputs(depth_m, speed_m_s, force_N, free, coefficients)
+    phi = regressor(max(layer_depth, 0.0), speed_m_s, c.is_ml)
+    earlier = c.cumulative_Ns_per_m * speed_m_s
     own = force_N - earlier
     rls, error = rls_step(rls, phi, own, _FORGETTING)
     window_s, travel_s, waited = window_s + dt_s, travel_s + dt_s, waited + dt_s
-    is_muted = numbers[IS_MUTED] != 0.0 or speed_m_s < numbers[LEAST_SPEED]
-    decision = 0.0 if is_muted else cusum_step(decision, error, numbers[DRIFT])
-    derivative = derivative_step(derivative, force_N - before, dt_s, numbers[DERIVATIVE_S])
-    is_alarm = decision > numbers[THRESHOLD]
-    is_expected = not is_muted and derivative < -numbers[BETA]
+    is_muted = c.is_muted or speed_m_s < c.least_speed_m_s
+    decision = 0.0 if is_muted else cusum_step(decision, error, c.drift)
+    derivative = derivative_step(derivative, force_N - before, dt_s, c.derivative_s)
+    is_alarm = decision > c.threshold
+    is_expected = not is_muted and derivative < -c.beta
     window = add_sample(window, phi, own, speed_m_s)
     mean += (speed_m_s - mean) * dt_s / travel_s
     so_far = (rls, window, window_s, travel_s, mean, decision, derivative)
     predicted = own - error + earlier
     new = so_far + (force_N, before, waited, predicted, is_alarm, is_expected)  # noqa: RUF005
-    is_calm = not is_alarm and is_expected == (numbers[IS_EXPECTED] != 0.0)
-    is_calm = is_calm and numbers[IS_DUE] == 0.0 and not is_window_full(window_s, numbers[RESET_HZ])
-    return is_calm, new, paper_figures(depth_m, speed_m_s, force_N, new, numbers)
+    is_all = not is_alarm and is_expected == c.is_expected
+    is_all = is_all and not c.is_due and not is_window_full(window_s, c.reset_Hz)
+    return is_all, new, published_outputs(depth_m, speed_m_s, force_N, new, coefficients)

@@ -1,23 +1,17 @@
 """Re-run of RLS with covariance resetting over a whole layer (Section III-B), window by window.
 
-A window maps the estimate linearly, theta_k = A_k theta_{k-1} + c_k. Compiled code follows the
-estimate from one window to the next. Without a compiler all windows of a layer are one triangular
-system, a narrow band, which a single call solves: no loop of Python over thousands of windows.
+A window maps the estimate linearly, theta_k = A_k theta_{k-1} + c_k. Between two resets RLS with
+lambda = 1 is a regularised least squares, theta = (Psi_0^-1 + S)^-1 (Psi_0^-1 theta_prev + b) with
+S = sum phi phi' and b = sum phi f: a re-run over the layer needs S and b of each window, not its
+samples.
 """
 
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.linalg import get_blas_funcs
 
-from needleforce.jit import COMPILER, Matrix, compiled
-
-# Sums per covariance-reset window, from which a layer can be re-identified at once.
-#
-# Between two resets RLS with lambda = 1 is a regularised least squares,
-# theta = (Psi_0^-1 + S)^-1 (Psi_0^-1 theta_prev + b) with S = sum phi phi' and b = sum phi f:
-# a re-run over the layer needs S and b of each window, not its samples.
+from needleforce.jit import Matrix, compiled
 
 
 class WindowSums(NamedTuple):
@@ -69,9 +63,6 @@ def window_step(
         k + p * (m22 * rk - m12 * rb) / determinant,
         b + q * (m11 * rb - m21 * rk) / determinant,
     )
-
-
-# Sums of all reset windows of a layer, kept so that a re-run needs no samples.
 
 
 _CHUNK = 16
@@ -137,14 +128,10 @@ def _frozen(rows: NDArray[np.float64]) -> NDArray[np.float64]:
     return rows
 
 
-_solve_band: Any = get_blas_funcs("tbsv", dtype=np.float64)
-
 Pair = tuple[float, float]
 
 
-def rerun_history(
-    history: WindowHistory, variances: Pair, theta: Pair = (0.0, 0.0)
-) -> tuple[float, float]:
+def rerun_history(history: WindowHistory, variances: Pair, theta: Pair = (0.0, 0.0)) -> Pair:
     """Estimate at the end of a layer.
 
     Args:
@@ -155,29 +142,12 @@ def rerun_history(
     Returns:
         (K, B), the same as the sample-by-sample re-run up to rounding.
     """
-    columns = np.ascontiguousarray(window_rows(history).T)
-    return (follow_windows if COMPILER else solve_windows)(columns, variances, theta)
-
-
-@compiled
-def _window_map(kk: Any, kb: Any, bb: Any, kf: Any, bf: Any, variances: Pair) -> Any:
-    """A and c of a window with these sums, or of many: those of `window_step` written out.
-
-    Returns:
-        Entries of A (two on, two off the diagonal), the latter with the sign turned; then of c.
-    """
-    p, q = variances
-    pb, qb = p * kb, q * kb
-    first, second = 1.0 + q * bb, 1.0 + p * kk
-    excitation = np.maximum(kk * bb - kb * kb, 0.0)
-    share = 1.0 / (second + q * bb + (p * q) * excitation)
-    own = p * (first * kf - qb * bf) * share, q * (second * bf - pb * kf) * share
-    return first * share, second * share, pb * share, qb * share, own[0], own[1]
+    return follow_windows(np.ascontiguousarray(window_rows(history).T), variances, theta)
 
 
 @compiled
 def follow_windows(columns: Matrix, variances: Pair, theta: Pair) -> Pair:
-    """The estimate after all windows, one after the other.
+    """The estimate after all windows, one after the other: `window_step` written as A and c.
 
     Args:
         columns: The fields of `WindowSums`, shape (7, m).
@@ -185,29 +155,22 @@ def follow_windows(columns: Matrix, variances: Pair, theta: Pair) -> Pair:
         theta: Estimate before them.
     """
     k, b = theta
-    kk, kb, bb, kf, bf = columns[0], columns[1], columns[2], columns[3], columns[4]
+    p, q = variances
     for i in range(columns.shape[1]):
-        kept_k, kept_b, b_to_k, k_to_b, own_k, own_b = _window_map(
-            kk[i], kb[i], bb[i], kf[i], bf[i], variances
+        kk, kb, bb, kf, bf = (
+            columns[0, i],
+            columns[1, i],
+            columns[2, i],
+            columns[3, i],
+            columns[4, i],
         )
-        k, b = own_k + kept_k * k - b_to_k * b, own_b - k_to_b * k + kept_b * b
-    return k, b
-
-
-def solve_windows(columns: NDArray[np.float64], variances: Pair, theta: Pair) -> Pair:
-    """The same by one call: theta_k - A_k theta_{k-1} = c_k for all windows at once.
-
-    BLAS takes the columns of the band below the diagonal of ones (K and B of every window) and
-    names entries by their distance below it.
-    """
-    kk, kb, bb, kf, bf = columns[:5]
-    kept_k, kept_b, b_to_k, k_to_b, own_k, own_b = _window_map(kk, kb, bb, kf, bf, variances)
-    band, right = np.zeros((columns.shape[1] + 1, 2, 4)), np.empty((columns.shape[1] + 1, 2))
-    right[0], right[1:, 0], right[1:, 1] = theta, own_k, own_b
-    band[:-1, 0, 2], band[:-1, 1, 2] = -kept_k, -kept_b
-    band[:-1, 1, 1], band[:-1, 0, 3] = b_to_k, k_to_b
-    solved = _solve_band(
-        3, band.reshape(-1, 4).T, right.reshape(-1), lower=1, diag=1, overwrite_x=1
-    )
-    stiffness, friction = solved[-2:].tolist()
-    return stiffness, friction
+        pb, qb = p * kb, q * kb
+        first, second = 1.0 + q * bb, 1.0 + p * kk
+        excitation = max(kk * bb - kb * kb, 0.0)
+        scale = 1.0 / (second + q * bb + (p * q) * excitation)
+        own_k, own_b = p * (first * kf - qb * bf) * scale, q * (second * bf - pb * kf) * scale
+        k, b = (
+            own_k + first * scale * k - pb * scale * b,
+            own_b - qb * scale * k + second * scale * b,
+        )
+    return float(k), float(b)

@@ -1,46 +1,46 @@
-"""Whether a rupture ended a layer or tore the tissue on: what is left at the tip afterwards.
+"""Whether a rupture ended a layer, was a partial one, or none: what is left at the tip afterwards.
 
 At the end of a layer the tip force goes to nothing, and the force after the rupture is friction.
-Tissue that only tears keeps pushing at the tip; taken for friction, that force would never leave
-the estimate again. The two differ in how far the needle travels while the force falls, and in how
-much of it falls; neither is certain, so both are weighed.
+After a partial rupture the tissue keeps pushing at the tip; taken for friction, that force would
+never leave the estimate again. The two differ in how far the needle travels while the force falls,
+and in how much of it falls; neither is certain, so both are weighed.
 """
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
 from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
+from identification.config import MultilayerConfig
 from identification.estimate import Rupture
 from identification.force_drop import ForceAfter
 from identification.layer_model import MM
 from identification.membrane import Boundary, MembraneSearch
-from identification.multilayer_config import MultilayerConfig
-from identification.published_identifier import Line, fit_line
 from identification.resampling import BLOCKS, DEPTH, FORCE
 
 _BEFORE_M = 0.3e-3
 _WITHIN_M = 2.5e-3
 _LEAST_POINTS = 6
 _TOP, _FOOT = 0.1, 0.8
-"""Shares of the fall between which it is measured."""
+"""Fractions of the fall between which it is measured."""
 _SHARPNESS = 5.5
 """Log-odds per factor e of travel: both kinds scatter by a factor 1.65 about 0.25 and 1 mm."""
 _MOST_LOG_ODDS = 6.0
 _END_DROP, _END_DROP_STD = 0.5, 0.25
-"""Share of the force that falls at the end of a layer: about half of it is at the tip."""
-_TEAR_DROP = 0.2
-"""Mean share that falls when tissue tears; small tears are the most frequent."""
+"""Fraction of the force that falls at the end of a layer: about half of it is at the tip."""
+_PARTIAL_DROP = 0.2
+"""Mean fraction that falls in a partial rupture; small ones are the most frequent."""
 _RARE = 1e-4
 _ENDS_SEEN = 4.0
-"""Ends believed to have been seen per tear, before anything is known of the tissue."""
+"""Ends of layers assumed seen per partial rupture, before anything is known of the tissue."""
+
+Array = NDArray[np.float64]
 
 
 class ResidualTipForce(NamedTuple):
-    """Tip force after a rupture.
+    """Tip force that a rupture leaves.
 
     Attributes:
         mean_N: Expected.
@@ -55,78 +55,7 @@ NO_RESIDUAL_FORCE = ResidualTipForce()
 """A tip that is free."""
 
 
-def release_travel_m(points: NDArray[np.float64], depth_m: float, after_N: float) -> float:
-    """Travel from a tenth to four fifths of the fall after a rupture; nan with too few points.
-
-    Args:
-        points: Track points, see `track`.
-        depth_m: Depth of the rupture.
-        after_N: Force after it: the fall goes no lower, what lies below is noise.
-    """
-    depth = points[:, DEPTH]
-    near = (depth > depth_m - _BEFORE_M) & (depth < depth_m + _WITHIN_M)
-    depth = depth[near]
-    if len(depth) < _LEAST_POINTS or depth[-1] <= depth_m:
-        return math.nan
-    force = _smooth(points[near, FORCE])
-    foot = int(np.argmin(np.where(depth > depth_m, force, np.inf)))
-    force = force[: foot + 1]
-    top = float(force.max())
-    bottom = min(max(float(force[foot]), after_N), top)
-    begin = int(np.flatnonzero(force >= top - _TOP * (top - bottom))[-1])
-    end = begin + int(np.argmax(force[begin:] <= top - _FOOT * (top - bottom)))
-    return float(depth[end] - depth[begin])
-
-
-def _smooth(force: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Mean of each point and its neighbours; the ends are their own."""
-    padded = np.empty(len(force) + 2)
-    padded[0], padded[1:-1], padded[-1] = force[0], force, force[-1]
-    return (padded[:-2] + force + padded[2:]) / 3.0
-
-
-def end_probability(
-    travel_m: float, drop_share: float, earlier: Sequence[float], config: MultilayerConfig
-) -> float:
-    """How likely a rupture ended a layer.
-
-    Args:
-        travel_m: Of its release, see `release_travel_m`; nan if not known.
-        drop_share: Share of the force that fell.
-        earlier: The same probability of the ruptures before: tissue that has torn tears again.
-        config: Settings.
-    """
-    log_odds = _MOST_LOG_ODDS
-    if math.isfinite(travel_m):
-        log_odds = _SHARPNESS * math.log(config.tear_travel_m / max(travel_m, 1e-6))
-    log_odds = min(max(log_odds, -_MOST_LOG_ODDS), _MOST_LOG_ODDS)
-    off = (drop_share - _END_DROP) / _END_DROP_STD
-    end = math.exp(-0.5 * off * off) / (_END_DROP_STD * math.sqrt(2.0 * math.pi))
-    tear = math.exp(-max(drop_share, 0.0) / _TEAR_DROP) / _TEAR_DROP
-    log_odds += math.log(max(end, _RARE) / max(tear, _RARE))
-    ends = sum(earlier)
-    log_odds += math.log((_ENDS_SEEN + ends) / (1.0 + len(earlier) - ends))
-    return 1.0 / (1.0 + math.exp(-log_odds))
-
-
-def held_force(after_N: float, probability: float, config: MultilayerConfig) -> ResidualTipForce:
-    """Tip force after a rupture that ended a layer with that probability.
-
-    Args:
-        after_N: Axial force after it, without what the next layer adds.
-        probability: See `end_probability`.
-        config: Settings.
-    """
-    force, torn = max(after_N, 0.0), 1.0 - probability
-    rest, spread = (1.0 - config.tear_share) * force, config.tear_share_std * force
-    return ResidualTipForce(torn * rest, torn * (spread * spread + probability * rest * rest))
-
-
-# How a layer ended, measured on the track around its rupture.
-
-
-@dataclass(frozen=True, slots=True, kw_only=True)
-class RuptureMeasurement:
+class RuptureMeasurement(NamedTuple):
     """Forces at the end of a layer and what they say about the next.
 
     Attributes:
@@ -141,8 +70,8 @@ class RuptureMeasurement:
         next_slope_N_per_mm: Growth of the force in the next layer.
         pushed_in_mm: Length of the next layer on the shaft when its membrane had been punctured.
         release_m: Travel over which the force fell; nan if not known.
-        end_probability: How likely the rupture ended a layer, see `tear`.
-        held: Tip force that it left if not.
+        end_probability: How likely the rupture ended a layer.
+        residual: Tip force that it left if not.
     """
 
     boundary: Boundary
@@ -156,30 +85,30 @@ class RuptureMeasurement:
     pushed_in_mm: float
     release_m: float
     end_probability: float = 1.0
-    held: ResidualTipForce = NO_RESIDUAL_FORCE
+    residual: ResidualTipForce = NO_RESIDUAL_FORCE
 
     @property
     def friction_N(self) -> float:
-        """Force after the rupture less what is believed to be held at the tip."""
-        return self.after_N - self.held.mean_N
+        """Force after the rupture less the expected tip force."""
+        return self.after_N - self.residual.mean_N
 
     @property
     def friction_var(self) -> float:
         """Variance of that [N^2]."""
-        return self.after_var + self.held.variance
+        return self.after_var + self.residual.variance
 
 
-def layer_ending(
-    points: NDArray[np.float64],
+def measure_end(
+    points: Array,
     search: MembraneSearch,
     rupture: Rupture,
     before: tuple[float, float],
     after: ForceAfter,
 ) -> RuptureMeasurement:
-    """Measure the end of a layer.
+    """Measure the end of a layer, as if the rupture had ended it for sure.
 
     Args:
-        points: Track points, see `track`.
+        points: Points of the track.
         search: What was found of a membrane before its rupture.
         rupture: Its rupture.
         before: Force before that, and its variance [N^2].
@@ -202,68 +131,171 @@ def layer_ending(
     )
 
 
-def weigh_tear(
-    ending: RuptureMeasurement, earlier: Sequence[float], config: MultilayerConfig
+def weigh_partial_rupture(
+    measured: RuptureMeasurement, earlier: Sequence[float], config: MultilayerConfig
 ) -> RuptureMeasurement:
-    """The same ending with what the rupture may have left at the tip.
+    """The same end with what the rupture may have left at the tip.
 
     Args:
-        ending: As measured.
+        measured: See `measure_end`.
         earlier: How likely each rupture before ended a layer.
         config: Settings.
     """
-    share = ending.drop_N / max(ending.drop_N + ending.after_N, 1e-6)
-    probability = end_probability(ending.release_m, share, earlier, config)
-    held = held_force(ending.after_N, probability, config)
-    return replace(ending, end_probability=probability, held=held)
+    fallen = measured.drop_N / max(measured.drop_N + measured.after_N, 1e-6)
+    probability = end_probability(measured.release_m, fallen, earlier, config)
+    residual = residual_tip_force(measured.after_N, probability, config)
+    return measured._replace(end_probability=probability, residual=residual)
 
 
-# Whether the force has come back to where it would be had nothing given way.
-
-
-_BEFORE_M_made_good = 2e-3
-_MARGIN_M = 2e-5
-_LATE_SHARE = 1.0 / 3.0
-_LEAST_POINTS_made_good = 8
-_CHANCE = 9.0
-"""Squared deviations, of level and slope together, that chance reaches once in a hundred."""
-_TOLD = 0.2
-"""How well the two slopes must be known, as a share of the larger: a fresh layer's cutting force
-may also make a small fall good, only its slope gives it away."""
-_SHARE = 0.25
-"""Share of the fall that must have been made good at the least, whatever the noise."""
-
-
-def is_made_good(
-    points: NDArray[np.float64], depth_m: float, fall_N: float, noise_N2: float
-) -> bool:
-    """Whether the newest points lie on the line through those before the fall, level and slope.
-
-    A tissue that has let go of the tip grows its force anew, at another rate; a bump in the
-    signal leaves the force growing as it did.
+def release_travel_m(points: Array, depth_m: float, after_N: float) -> float:
+    """Travel from a tenth to four fifths of the fall after a rupture; nan with too few points.
 
     Args:
-        points: Track points, see `track`.
+        points: Points of the track.
+        depth_m: Depth of the rupture.
+        after_N: Force after it: the fall goes no lower, what lies below is noise.
+    """
+    depth = points[:, DEPTH]
+    near = (depth > depth_m - _BEFORE_M) & (depth < depth_m + _WITHIN_M)
+    depth = depth[near]
+    if len(depth) < _LEAST_POINTS or depth[-1] <= depth_m:
+        return math.nan
+    force = points[near, FORCE]
+    padded = np.concatenate((force[:1], force, force[-1:]))
+    force = (padded[:-2] + force + padded[2:]) / 3.0
+    foot = int(np.argmin(np.where(depth > depth_m, force, np.inf)))
+    force = force[: foot + 1]
+    top = float(force.max())
+    bottom = min(max(float(force[foot]), after_N), top)
+    begin = int(np.flatnonzero(force >= top - _TOP * (top - bottom))[-1])
+    end = begin + int(np.argmax(force[begin:] <= top - _FOOT * (top - bottom)))
+    return float(depth[end] - depth[begin])
+
+
+def end_probability(
+    travel_m: float, drop_fraction: float, earlier: Sequence[float], config: MultilayerConfig
+) -> float:
+    """How likely a rupture ended a layer.
+
+    Args:
+        travel_m: Of its release, see `release_travel_m`; nan if not known.
+        drop_fraction: Fraction of the force that fell.
+        earlier: The same probability of the ruptures before: tissue that has ruptured partially
+            does so again.
+        config: Settings.
+    """
+    log_odds = _MOST_LOG_ODDS
+    if math.isfinite(travel_m):
+        log_odds = _SHARPNESS * math.log(config.partial_rupture_travel_m / max(travel_m, 1e-6))
+    log_odds = min(max(log_odds, -_MOST_LOG_ODDS), _MOST_LOG_ODDS)
+    off = (drop_fraction - _END_DROP) / _END_DROP_STD
+    end = math.exp(-0.5 * off * off) / (_END_DROP_STD * math.sqrt(2.0 * math.pi))
+    partial = math.exp(-max(drop_fraction, 0.0) / _PARTIAL_DROP) / _PARTIAL_DROP
+    log_odds += math.log(max(end, _RARE) / max(partial, _RARE))
+    ends = sum(earlier)
+    log_odds += math.log((_ENDS_SEEN + ends) / (1.0 + len(earlier) - ends))
+    return 1.0 / (1.0 + math.exp(-log_odds))
+
+
+def residual_tip_force(
+    after_N: float, probability: float, config: MultilayerConfig
+) -> ResidualTipForce:
+    """Tip force after a rupture that ended a layer with that probability.
+
+    Args:
+        after_N: Axial force after it, without what the next layer adds.
+        probability: See `end_probability`.
+        config: Settings.
+    """
+    force, partial = max(after_N, 0.0), 1.0 - probability
+    rest = (1.0 - config.partial_rupture_friction_fraction) * force
+    spread = config.partial_rupture_friction_fraction_std * force
+    variance = partial * (spread * spread + probability * rest * rest)
+    return ResidualTipForce(partial * rest, variance)
+
+
+# Whether the force has come back to where it would be had nothing ruptured.
+
+_LINE_M = 2e-3
+_MARGIN_M = 2e-5
+_LATE_FRACTION = 1.0 / 3.0
+_LEAST_ON_A_LINE = 8
+_CHANCE = 9.0
+"""Squared deviations, of level and slope together, that chance reaches once in a hundred."""
+_SLOPE_KNOWN = 0.2
+"""How well the two slopes must be known, as a fraction of the larger: a fresh layer's cutting force
+may also make up for a small fall, only its slope gives it away."""
+_RECOVERED = 0.25
+"""Fraction of the fall that may be missing at the most, whatever the noise."""
+
+
+class Line(NamedTuple):
+    """Level at zero offset and slope of a line, with their covariance.
+
+    Attributes:
+        level: Value at zero.
+        slope: Growth per offset.
+        level_var: Variance of the level.
+        both: Covariance of the two.
+        slope_var: Variance of the slope.
+    """
+
+    level: float
+    slope: float
+    level_var: float
+    both: float
+    slope_var: float
+
+
+def fit_line(offset: Array, value: Array, weight: Array) -> Line:
+    """Weighted least squares in closed form: three sums need no matrices.
+
+    Args:
+        offset: Shape (n,), at least two different ones.
+        value: Shape (n,).
+        weight: Inverse variances, shape (n,).
+    """
+    leaning = weight * offset
+    s, x, y = float(weight.sum()), float(leaning.sum()), float(weight @ value)
+    xx, xy = float(leaning @ offset), float(leaning @ value)
+    determinant = s * xx - x * x
+    return Line(
+        level=(xx * y - x * xy) / determinant,
+        slope=(s * xy - x * y) / determinant,
+        level_var=xx / determinant,
+        both=-x / determinant,
+        slope_var=s / determinant,
+    )
+
+
+def has_recovered(points: Array, depth_m: float, fall_N: float, noise_N2: float) -> bool:
+    """Whether the newest points lie on the line through those before the fall, level and slope.
+
+    Where the tip was released the force grows anew, at another rate; a bump in the signal leaves
+    the force growing as it did.
+
+    Args:
+        points: Points of the track.
         depth_m: Depth of the fall.
         fall_N: How far the force fell.
         noise_N2: Long-run variance of one block.
     """
     reach = 1e3 * (points[:, DEPTH] - depth_m)
-    before = (reach > -1e3 * _BEFORE_M_made_good) & (reach < -1e3 * _MARGIN_M)
-    late = reach > (1.0 - _LATE_SHARE) * reach[-1]
-    if min(np.count_nonzero(before), np.count_nonzero(late)) < _LEAST_POINTS_made_good:
+    before = (reach > -1e3 * _LINE_M) & (reach < -1e3 * _MARGIN_M)
+    late = reach > (1.0 - _LATE_FRACTION) * reach[-1]
+    if min(np.count_nonzero(before), np.count_nonzero(late)) < _LEAST_ON_A_LINE:
         return False
     centre = float(reach[late].mean())
-    was = _line(reach[before] - centre, points[before], noise_N2)
-    now = _line(reach[late] - centre, points[late], noise_N2)
+    was, now = (
+        fit_line(
+            reach[side] - centre, points[side, FORCE], points[side, BLOCKS] / max(noise_N2, 1e-12)
+        )
+        for side in (before, late)
+    )
     level_var, slope_var = was.level_var + now.level_var, was.slope_var + now.slope_var
-    if math.sqrt(slope_var) > _TOLD * max(abs(was.slope), abs(now.slope)):
-        return False  # another slope could not be told from the same
+    if math.sqrt(slope_var) > _SLOPE_KNOWN * max(abs(was.slope), abs(now.slope)):
+        return False  # another slope could not be distinguished from the same
     level, slope, both = now.level - was.level, now.slope - was.slope, was.both + now.both
     squares = slope_var * level**2 - 2.0 * both * level * slope + level_var * slope**2
     surprise = squares / (level_var * slope_var - both * both)
-    return surprise < _CHANCE and abs(level) < _SHARE * fall_N
-
-
-def _line(offset_mm: NDArray[np.float64], side: NDArray[np.float64], noise_N2: float) -> Line:
-    return fit_line(offset_mm, side[:, FORCE], side[:, BLOCKS] / max(noise_N2, 1e-12))
+    return surprise < _CHANCE and abs(level) < _RECOVERED * fall_N

@@ -22,7 +22,7 @@ from needleforce.jit import Matrix, Vector, compiled
 from residual import DEFAULT as DEFAULT_SENSOR
 from residual import SensorConfig, SensorWarning, Status, VirtualForceSensor, WrenchEstimate
 from residual.bias_model import Tare
-from residual.snapshot import SensorState
+from residual.virtual_force_sensor import SensorState
 from residual.tool_kinematics import ToolKinematics
 from urdf import Robot
 
@@ -57,17 +57,17 @@ class TravelZero(NamedTuple):
 
 
 @compiled
-def tip_motion(axis: Vector, pose: Matrix, advance: Vector, dq: Vector) -> tuple[float, float]:
+def tip_motion(axis: Vector, pose: Matrix, axial_jacobian: Vector, dq: Vector) -> tuple[float, float]:
     """Place of the tip along an axis [m], and its speed along the needle [m/s].
 
     Args:
         axis: In base axes, shape (3,).
         pose: See `residual.tool_kinematics.ToolKinematics`, as the next.
-        advance: Shape (n,).
+        axial_jacobian: Shape (n,).
         dq: Joint velocities [rad/s], shape (n,).
     """
     tip_m = np.ascontiguousarray(pose[:3, 3])
-    return float(axis.dot(tip_m)), float(advance.dot(dq))
+    return float(axis.dot(tip_m)), float(axial_jacobian.dot(dq))
 
 
 class TipTravel:
@@ -89,7 +89,7 @@ class TipTravel:
     def read(self, dq: NDArray[np.float64]) -> Travel:
         """Depth and speed where the kinematics stand, for joint velocities [rad/s], shape (n,)."""
         tool = self._kinematics
-        along_m, speed_m_s = tip_motion(self._axis, tool.pose, tool.advance, dq)
+        along_m, speed_m_s = tip_motion(self._axis, tool.pose, tool.axial_jacobian, dq)
         return _new(Travel, (along_m - self._start_m, speed_m_s))
 
     @property
@@ -115,7 +115,7 @@ class SessionEstimate(NamedTuple):
         depth_m: Travel of the tip along the needle since the tare or `begin_insertion`.
         speed_m_s: Its rate.
         identification: Layers, friction, tip force; that of the last tick that was fed to the
-            identifier, its ``rupture``, ``compensated`` and ``withdrawn`` only in the tick that
+            identifier, its ``rupture``, ``identified_layer`` and ``retracted`` only in the tick that
             brought them.
         status: Whether the numbers are of this tick and tared.
         used_for_identification: Whether this tick's force went into the identification.
@@ -185,7 +185,7 @@ _NOT_FED = (
 # Names of an enumeration take as long to look up as a call, and there is a named tuple in every
 # tick: this is its own way of making one, without the detour.
 _OK, _SKIPPED = Status.OK, Status.REJECTED
-_FED = tuple(status for status in SampleStatus if status.is_absorbed)
+_FED = tuple(status for status in SampleStatus if status.is_used)
 
 
 class InsertionSession:
@@ -283,7 +283,7 @@ class InsertionSession:
         Returns:
             As `update`.
         """
-        wrench = self._sensor.update_external_torque(q, external_torque, dt_s, dq)
+        wrench = self._sensor.update_external_torque(q, dq, external_torque, dt_s)
         return self._follow(wrench)
 
     def tare(self, *, force: bool = False) -> Tare:
@@ -296,7 +296,7 @@ class InsertionSession:
             TareError: Without data, a second time without `start_tare_recording`, with contact in
                 sight or velocities that do not fit positions; nothing has then changed.
         """
-        tare = self._sensor.tare(force=force)
+        tare = self._sensor.tare(ignore_contact=force)
         self.begin_insertion()
         return tare
 
@@ -412,7 +412,7 @@ class InsertionSession:
     def _idle(self, wrench: WrenchEstimate) -> SessionEstimate:
         """A tick that the identifier does not see."""
         last = self._identification
-        if (last.rupture, last.compensated, last.withdrawn) != (None, None, None):
+        if (last.rupture, last.identified_layer, last.retracted) != (None, None, None):
             last = self._identification = _without_events(last)
         return SessionEstimate(wrench, *self._last_travel, last, wrench.status, False)
 
@@ -425,4 +425,4 @@ def _check_kind(value: object, kind: type, name: str, hint: str) -> None:
 
 
 def _without_events(estimate: Estimate) -> Estimate:
-    return estimate._replace(rupture=None, compensated=None, withdrawn=None)
+    return estimate._replace(rupture=None, identified_layer=None, retracted=None)

@@ -172,6 +172,6 @@ def test_the_command_has_a_line_for_every_change():
 
 
 def test_the_bounds_are_of_the_settings_that_ours_has():
-    assert MULTILAYER.second_look_m == LOOK_m
+    assert MULTILAYER.final_window_m == LOOK_m
     assert MULTILAYER.cutting_onset_m == ONSET_m
     assert MULTILAYER.false_alarm_interval_s == INTERVAL_s

@@ -18,8 +18,8 @@ from benchmarks.soak import (
     needle_recording,
     watch_process,
 )
+from identification.config import MULTILAYER
 from identification.log_replay import ReplayStream
-from identification.multilayer_config import MULTILAYER
 from recordings import write_table
 
 
@@ -86,7 +86,7 @@ def test_a_long_recording_ruptures_fresh_tissue_in_every_cycle():
     stream, ruptures_s = ReplayStream(MULTILAYER), []
     for columns in needle_recording(230.0, np.random.default_rng(0)):
         estimates = stream.run(**columns).estimates
-        assert all(estimate.status.is_absorbed for estimate in estimates)
+        assert all(estimate.status.is_used for estimate in estimates)
         ruptures_s += [e.rupture.time_s for e in estimates if e.rupture]
     late_s = 230.0 - LATE_ROWS / 1000.0
     assert len(ruptures_s) >= 3

@@ -13,21 +13,20 @@ from identification import friction_compensation as multilayer_update
 from identification import input_validation as sample_check
 from identification import published_update as published_update
 from identification.errors import NoRuptureError
-from identification.input_validation import CheckConfig, CheckState, check_step, packed_limits
-from identification.layer_belief import Gaussian
-from identification.layer_model import layer_fit
+from identification.input_validation import CheckConfig, CheckState, check_limits, check_sample
+from identification.layer_model import Gaussian, layer_fit
 from identification.multilayer_state import (
     Traversed,
-    initial_default_state,
+    initial_multilayer_state,
     multilayer_coefficients,
 )
-from identification.published_identifier import initial_paper_state, published_coefficients
-from identification.slope_change_detector import kink_kernels, kink_scales, kink_step
+from identification.published_identifier import initial_published_state, published_coefficients
+from identification.slope_change_detector import filter_bank, kink_scales, kink_step
 from needleforce.jit import COMPILER
 
-LIMITS = packed_limits(CheckConfig())
+LIMITS = check_limits(CheckConfig())
 KERNELS = [
-    check_step,
+    check_sample,
     multilayer_update.multilayer_update,
     multilayer_update.multilayer_outputs,
     published_update.published_update,
@@ -83,7 +82,7 @@ def multilayer_state(seed, *, in_contact, layers):
         Traversed(5e-3 * k, 5e-3, *rng.random(2).tolist(), Gaussian(np.zeros(6), np.eye(6)), 0.9)
         for k in range(layers)
     )
-    state = initial_default_state(MULTILAYER)
+    state = initial_multilayer_state(MULTILAYER)
     layer = state.layer._replace(start_m=5e-3 * layers, tip_m=5e-3 * layers + 1e-3)
     return state._replace(
         in_contact=in_contact, fit=fit, shaft_std_N=0.1, layer=layer, traversed=traversed
@@ -108,8 +107,8 @@ def test_the_check_is_the_same_compiled_and_plain(rows, is_spoilt):
     memory = CheckState().plain
     for k, row in enumerate(rows):
         given_row = (*row[:2], math.nan, row[3]) if is_spoilt and k % 3 == 1 else row
-        result = check_step(*given_row, memory, LIMITS)
-        assert_same(result, plain(check_step)(*given_row, memory, LIMITS))
+        result = check_sample(*given_row, memory, LIMITS)
+        assert_same(result, plain(check_sample)(*given_row, memory, LIMITS))
         memory = result[-1]
 
 
@@ -131,7 +130,7 @@ def test_our_tick_is_the_same_compiled_and_plain(rows, seed, in_contact, layers)
 @settings(deadline=None, max_examples=60)
 @given(samples, st.sampled_from([PUBLISHED, PUBLISHED_KV]), st.floats(0.0, 500.0))
 def test_the_published_tick_is_the_same_compiled_and_plain(rows, config, cumulative):
-    state = initial_paper_state(config)._replace(cumulative_friction_Ns_per_m=cumulative)
+    state = initial_published_state(config)._replace(cumulative_friction_Ns_per_m=cumulative)
     numbers, fields = published_coefficients(state, config).numbers, state.tick.plain
     for row in rows:
         result = published_update.published_update(*row, fields, numbers)
@@ -145,7 +144,7 @@ def test_the_published_tick_is_the_same_compiled_and_plain(rows, config, cumulat
 @given(st.integers(0, 999), st.integers(1, 256), st.floats(1e-3, 0.1), st.floats(1e-4, 1.0))
 def test_the_detector_is_the_same_compiled_and_plain(seed, filled, noise, dt_s):
     rng = np.random.default_rng(seed)
-    kernels, figures = kink_kernels(), np.array([x for scale in kink_scales() for x in scale])
+    kernels, figures = filter_bank(), np.array([x for scale in kink_scales() for x in scale])
     learned = (noise**2 * rng.random(6), rng.integers(0, 900, 6).astype(float), rng.random(1))
     signals = noise * rng.standard_normal(256), 0.01 * rng.standard_normal(256)
     for newest in rng.random((5, 2)).tolist():

@@ -1,24 +1,30 @@
-"""Bad samples are reported and skipped; good ones that follow are not harmed."""
+"""Bad samples are reported and skipped, bad settings refused; what follows is not harmed."""
 
 import math
 import warnings
+from dataclasses import fields
 from fractions import Fraction
 
 import numpy as np
 import pytest
 
+from identification.config import (
+    PUBLISHED,
+    PUBLISHED_KV,
+    CheckConfig,
+    MultilayerConfig,
+    PublishedConfig,
+)
 from identification.errors import InvalidConfigError, InvalidSnapshotError
 from identification.identifier import Identifier
 from identification.input_validation import (
-    LAST_ABSORBED,
+    LAST_USED,
     STATUSES,
-    CheckConfig,
     CheckState,
     SampleStatus,
-    check_step,
-    packed_limits,
+    check_limits,
+    check_sample,
 )
-from identification.published_config import PUBLISHED, PUBLISHED_KV
 
 GOOD = (0.001, 0.002, 0.1, 1e-3)
 
@@ -122,8 +128,8 @@ def test_clock_runs_on_over_bad_forces_and_motion_is_not_called_a_jump():
 
 def checked(check, row):
     """Memory, status and, if it is absorbed, depth and interval of a row."""
-    number, dt_s, depth_m, check = check_step(*row, tuple(check), packed_limits(CheckConfig()))
-    taken = (depth_m, dt_s) if number <= LAST_ABSORBED else None
+    number, dt_s, depth_m, check = check_sample(*row, tuple(check), check_limits(CheckConfig()))
+    taken = (depth_m, dt_s) if number <= LAST_USED else None
     return CheckState(*check), taken, STATUSES[number]
 
 
@@ -222,3 +228,32 @@ def test_unknown_configuration_and_foreign_snapshots_are_refused():
         Identifier(object())
     with pytest.raises(InvalidSnapshotError, match="Snapshot"):
         Identifier(PUBLISHED).restore(Identifier(PUBLISHED_KV).snapshot())
+
+
+FIELDS = [
+    (kind, field.name)
+    for kind in (PublishedConfig, MultilayerConfig, CheckConfig)
+    for field in fields(kind)
+]
+
+
+@pytest.mark.parametrize(("kind", "name"), FIELDS)
+@pytest.mark.parametrize(
+    "value", [None, "1", 1j, True, [1.0], np.ones(2), np.nan, np.inf, 10**400, {}]
+)
+def test_what_is_no_figure_is_refused(kind, name, value):
+    with pytest.raises(InvalidConfigError, match=name):
+        kind(**{name: value})
+
+
+@pytest.mark.parametrize(("kind", "name"), FIELDS)
+def test_its_own_value_is_welcome_as_a_numpy_scalar_too(kind, name):
+    value = getattr(kind(), name)
+    if isinstance(value, float | int):
+        value = np.asarray(value)[()]
+    assert getattr(kind(**{name: value}), name) == value
+
+
+def test_windows_are_counted_in_whole_numbers():
+    with pytest.raises(InvalidConfigError, match="most_windows"):
+        PublishedConfig(most_windows=0.5)

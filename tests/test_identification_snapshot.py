@@ -8,7 +8,7 @@ import pytest
 from identification import MULTILAYER, PUBLISHED, Identifier
 from identification import rupture_measurement as rupture_step
 from identification.published_identifier import PublishedState
-from identification.rupture_measurement import finish_look
+from identification.rupture_measurement import finish_measurement
 from needleforce import read_snapshot, write_snapshot
 
 
@@ -85,19 +85,21 @@ def is_at_work(state):
     """Whether a re-run has begun and not ended."""
     if isinstance(state, PublishedState):
         return state.found is not None
-    pending = state.pending
-    return pending is not None and (pending.look or pending.search_work) is not None
+    pending = state.candidate
+    return pending is not None and (pending.work or pending.search_work) is not None
 
 
 def test_what_is_worked_off_tick_by_tick_or_at_once_is_the_same():
     z, f = signal(8000)
     slow, fast, early, late = Identifier(), Identifier(), [], []
     for k, (a, b) in enumerate(zip(z, f, strict=True)):
-        early += [(k, found) for found in [slow.update(a, 2.5e-3, b, 1e-3).compensated] if found]
+        early += [
+            (k, found) for found in [slow.update(a, 2.5e-3, b, 1e-3).identified_layer] if found
+        ]
         fast.update(a, 2.5e-3, b, 1e-3)
         kept = fast.snapshot()
-        state = finish_look(kept.state._replace(compensated=None), MULTILAYER)
-        late += [(k, found) for found in [state.compensated] if found]
+        state = finish_measurement(kept.state._replace(identified_layer=None), MULTILAYER)
+        late += [(k, found) for found in [state.identified_layer] if found]
         fast.restore(kept._replace(state=state))
     assert len(early) == len(late) == 2
     assert [found for _, found in early] == [found for _, found in late]
@@ -110,7 +112,7 @@ def test_no_tick_at_a_kilohertz_works_off_more_than_one_stage(monkeypatch):
     def counted(stage):
         return lambda *given: (worked.append(stage), stage(*given))[1]
 
-    for name in ("look_stage", "search_stage"):
+    for name in ("_work", "_search"):
         monkeypatch.setattr(rupture_step, name, counted(getattr(rupture_step, name)))
     z, f = signal(8000)
     identifier, most = Identifier(), 0
@@ -144,13 +146,13 @@ def test_a_second_event_finds_the_work_before_it_done():
     for a, b in zip(z, f, strict=True):
         ahead.update(a, 2.5e-3, b, 1e-3)
         kept = ahead.snapshot()
-        pending = kept.state.pending
-        if pending is None or pending.look is None:
+        pending = kept.state.candidate
+        if pending is None or pending.work is None:
             continue
         looks += 1
-        expected = finish_look(kept.state, MULTILAYER).compensated
+        expected = finish_measurement(kept.state, MULTILAYER).identified_layer
         stopped.restore(kept)
         # A block of one sample leaves no tick in between.
         assert expected is not None
-        assert stopped.update(a, 0.0, b, 10e-3).compensated == expected
+        assert stopped.update(a, 0.0, b, 10e-3).identified_layer == expected
     assert looks > 2

@@ -18,9 +18,8 @@ from benchmarks.readme_table import BEGIN, END, fill, main, results_block
 from benchmarks.rows import write_results
 from groundtruth import SCENARIOS
 from identification import MULTILAYER as IDENTIFIER
-from needleforce.cli.force import main as residual_main
-from needleforce.cli.identify import main as identification_main
-from needleforce.cli.simulate import build_parser as groundtruth_arguments
+from needleforce.cli import app as commands_app
+from needleforce.cli import main as command_main
 from residual.config import DEFAULT
 from residual.velocity_estimator import VelocityEstimator
 
@@ -100,13 +99,14 @@ def test_every_benchmark_command_is_understood(command):
 def test_the_commands_for_recordings_run_one_after_the_other(lwr, tmp_path, monkeypatch, capsys):
     monkeypatch.chdir(tmp_path)
     (made,) = [c for c in COMMANDS if c.startswith("python -m groundtruth")]
-    asked = groundtruth_arguments().parse_args(shlex.split(made)[3:])
-    assert asked.scenario in SCENARIOS
-    write_insertion(asked.output, lwr, seconds=15.0, contact_s=14.0)
+    tokens = ["simulate", *shlex.split(made)[3:]]
+    _, asked, _ = commands_app.parse_args(tokens, exit_on_error=False, print_error=False)
+    assert asked.args[0] in SCENARIOS
+    write_insertion(asked.kwargs["options"].output, lwr, seconds=15.0, contact_s=14.0)
     commands = [c for c in COMMANDS if c.startswith(("python -m residual", "python -m identif"))]
     assert len(commands) == 2
-    for command, command_main in zip(commands, (residual_main, identification_main), strict=True):
-        assert command_main(shlex.split(command)[3:]) == 0, capsys.readouterr().err
+    for command, name in zip(commands, ("force", "identify"), strict=True):
+        assert command_main([name, *shlex.split(command)[3:]]) == 0, capsys.readouterr().err
     assert {path.name for path in tmp_path.iterdir()} >= {"forces.csv", "forces.png", "layers.png"}
 
 
@@ -127,9 +127,9 @@ def test_where_to_find_what_is_told():
     table = TEXT.split("| Where is … |")[1].split("\n\n")[0]
     for word, file in (
         ("NaN", "residual/input_validation.py"),
-        ("false_alarm_interval_s", "identification/multilayer_config.py"),
+        ("false_alarm_interval_s", "identification/config.py"),
         ("(12)", "identification/published_identifier.py"),
-        ("robot of one's own", "docs/residual.md#the-robot"),
+        ("robot of one's own", "docs/force.md#the-robot"),
         ("ROS 2 bag", "docs/bags.md"),
     ):
         (row,) = [line for line in table.splitlines() if word in line]

@@ -41,9 +41,9 @@ def test_an_arm_at_rest_is_not_refused_whatever_its_source(lwr, source, moves_fi
     tau = held(rounded(tau + noise * rng.normal(size=tau.shape), resolution), samples)
     sensor = VirtualForceSensor(lwr)
     for q_k, tau_k in zip(q[:800], tau[:800], strict=True):
-        sensor.update_external_torque(q_k, tau_k, 1e-3)
+        sensor.update_external_torque(q_k, None, tau_k, 1e-3)
     found = [
-        sensor.update_external_torque(q_k, tau_k, 1e-3)
+        sensor.update_external_torque(q_k, None, tau_k, 1e-3)
         for q_k, tau_k in zip(q[800:], tau[800:], strict=True)
     ]
     assert sum(SensorWarning.FROZEN in e.warnings for e in found) == 0
@@ -77,7 +77,7 @@ def test_a_source_that_holds_its_values_is_frozen_after_far_longer(lwr):
     tau = held(NOISE["tau"] * rng.normal(size=(2000, 7)), 10)
     tau[1000:] = tau[999]
     sensor = VirtualForceSensor(lwr)
-    found = [sensor.update_external_torque(MIDDLE, tau_k, 1e-3) for tau_k in tau]
+    found = [sensor.update_external_torque(MIDDLE, None, tau_k, 1e-3) for tau_k in tau]
     frozen = [SensorWarning.FROZEN in e.warnings for e in found]
     assert not any(frozen[:1150])
     assert all(frozen[1250:])

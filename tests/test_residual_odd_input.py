@@ -84,13 +84,12 @@ def test_noise_of_another_arm_is_refused(lwr, noise):
         sensor.update(*one, 1e-3)
     before = observer.residual
     with pytest.raises(ConfigurationError, match="noise"):
-        observer.restore(observer.state._replace(rows=np.zeros((5, 7)), noise=noise))
+        observer.restore(observer.state._replace(noise=noise))
     np.testing.assert_array_equal(observer.residual, before)
     state = sensor.snapshot()
-    torque = state.joints.torque
-    damaged = torque._replace(observer=torque.observer._replace(noise=noise))
+    damaged = state.joints.observer._replace(noise=noise)
     with pytest.raises(SnapshotError, match="noise"):
-        sensor.restore(state._replace(joints=state.joints._replace(torque=damaged)))
+        sensor.restore(state._replace(joints=state.joints._replace(observer=damaged)))
 
 
 @pytest.mark.parametrize("wrong", [np.zeros(0), np.zeros(3, dtype=int), np.zeros(400)[::2]])

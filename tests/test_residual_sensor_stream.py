@@ -75,9 +75,8 @@ def test_absurd_numbers_are_skipped_and_leave_no_trace(lwr, with_velocity):
     for absurd in (1e12, 1e200, 1.7e308):
         bad = sensor.update(q[0], dq[0] if with_velocity else None, np.full(7, absurd), 1e-3)
         assert bad.status is Status.REJECTED
-        assert (
-            sensor.update_external_torque(q[0], np.full(7, absurd), 1e-3).status is Status.REJECTED
-        )
+        bad = sensor.update_external_torque(q[0], None, np.full(7, absurd), 1e-3)
+        assert bad.status is Status.REJECTED
     sound = (q[1], dq[1] if with_velocity else None, tau[1])
     assert sensor.update(*sound, 1e-3).axial == twin.update(*sound, 7e-3).axial
 
@@ -168,7 +167,7 @@ def test_the_robots_own_estimate_has_its_own_standard_deviation_and_motion(lwr, 
         force = external_torque_of(lwr, q[k], [0.0, 0.0, 5.0]) if k >= 1000 else 0.0
         torque = BIAS + force + noise[k]
         estimate = sensor.update_external_torque(
-            q[k], torque, 1e-3, dq[k] if with_velocity else None
+            q[k], dq[k] if with_velocity else None, torque, 1e-3
         )
         found.append(estimate)
         settling = not with_velocity and k < 40
@@ -190,7 +189,7 @@ def test_the_lag_is_that_of_the_stream_in_use(lwr):
     assert sensor.lag_s > 0.0
     _, q, dq, tau = swing(lwr, seconds=0.01, start=2.0, amplitude=0.03)
     sensor.start_tare_recording()
-    sensor.update_external_torque(q[0], np.zeros(7), 1e-3)
+    sensor.update_external_torque(q[0], None, np.zeros(7), 1e-3)
     assert sensor.lag_s == 0.0
     twin = VirtualForceSensor(lwr)
     twin.restore(sensor.snapshot())
@@ -203,14 +202,14 @@ def test_the_lag_is_that_of_the_stream_in_use(lwr):
 def test_a_tare_of_one_kind_of_torque_is_not_used_for_the_other(lwr):
     sensor, twin = tared_sensor(lwr), tared_sensor(lwr)
     _, q, dq, tau = swing(lwr, seconds=0.01, start=2.0, amplitude=0.03)
-    told = sensor.update_external_torque(q[0], np.zeros(7), 1e-9)
+    told = sensor.update_external_torque(q[0], None, np.zeros(7), 1e-9)
     assert told.status is Status.REJECTED
     assert "were mixed" in told.message
     assert sensor.update(q[1], dq[1], tau[1], 1e-3).axial == pytest.approx(
         twin.update(q[1], dq[1], tau[1], 1e-3).axial, abs=1e-6
     )
     sensor.start_tare_recording()
-    assert sensor.update_external_torque(q[2], np.zeros(7), 1e-3, dq[2]).status is Status.NOT_TARED
+    assert sensor.update_external_torque(q[2], dq[2], np.zeros(7), 1e-3).status is Status.NOT_TARED
     assert sensor.update(q[3], dq[3], tau[3], 1e-3).status is Status.REJECTED
     sensor.reset()
     assert sensor.update(q[3], dq[3], tau[3], 1e-3).status is not Status.REJECTED
@@ -219,8 +218,8 @@ def test_a_tare_of_one_kind_of_torque_is_not_used_for_the_other(lwr):
 def test_a_velocity_that_comes_and_goes_is_refused_beside_external_torques_too(lwr):
     sensor = VirtualForceSensor(lwr)
     q, still = np.zeros(7), np.zeros(7)
-    sensor.update_external_torque(q, still, 1e-3)
-    told = sensor.update_external_torque(q, still, 1e-3, still)
+    sensor.update_external_torque(q, None, still, 1e-3)
+    told = sensor.update_external_torque(q, still, still, 1e-3)
     assert told.status is Status.REJECTED
     assert "dq was given before" in told.message
 
@@ -229,10 +228,10 @@ def test_speed_of_external_torques_settles_anew_after_a_gap(lwr):
     sensor = VirtualForceSensor(lwr)
     _, q, _, _ = swing(lwr, seconds=0.5)
     for k in range(400):
-        sensor.update_external_torque(q[k], BIAS, 1e-3)
-    assert sensor.update_external_torque(q[400], BIAS, 0.5).status is Status.INITIALIZING
+        sensor.update_external_torque(q[k], None, BIAS, 1e-3)
+    assert sensor.update_external_torque(q[400], None, BIAS, 0.5).status is Status.INITIALIZING
     for k in range(401, 460):
-        last = sensor.update_external_torque(q[k], BIAS, 1e-3)
+        last = sensor.update_external_torque(q[k], None, BIAS, 1e-3)
     assert last.status is Status.NOT_TARED
 
 
@@ -246,7 +245,7 @@ def test_no_state_is_an_array_of_the_caller(lwr, with_velocity, own_torque):
     def feed(one, q_k, dq_k, tau_k):
         dq_k = dq_k if with_velocity else None
         if own_torque:
-            return one.update_external_torque(q_k, tau_k, 1e-3, dq_k)
+            return one.update_external_torque(q_k, dq_k, tau_k, 1e-3)
         return one.update(q_k, dq_k, tau_k, 1e-3)
 
     for k in range(700):

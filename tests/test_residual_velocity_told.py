@@ -1,15 +1,12 @@
-"""What a caller is told of wrong velocities: by the sensor, by a session, by the command."""
+"""What is reported of wrong velocities: by the sensor and by a session."""
 
 import numpy as np
 import pytest
 from guarded_sensor import feed, signals, tared
 from insertion_run import same
-from residual_command_log import insertion
 from residual_signals import BIAS
 
 from needleforce import InsertionSession, read_snapshot, write_snapshot
-from needleforce.cli.force import main
-from recordings import write_table
 from residual import (
     DEFAULT,
     PUBLISHED,
@@ -19,7 +16,7 @@ from residual import (
     TareError,
     VirtualForceSensor,
 )
-from residual.snapshot import SensorState
+from residual.virtual_force_sensor import SensorState
 
 DEGREES = 180.0 / np.pi
 
@@ -39,9 +36,9 @@ def test_the_tare_is_refused_with_the_reason_and_not_with_contact(lwr, factor, c
     assert f"is {factor:.3g} times the rate of q" in found[-1].message
     with pytest.raises(TareError, match="times the rate of q") as refused:
         sensor.tare()
-    assert "contact" not in str(refused.value)
+    assert "in contact" not in str(refused.value)
     assert not sensor.tared
-    sensor.tare(force=True)
+    sensor.tare(ignore_contact=True)
     later = feed(sensor, rows_of(lwr, 0.1, factor, start=4.0))[-1]
     assert sensor.tared
     assert SensorWarning.VELOCITY in later.warnings
@@ -53,7 +50,7 @@ def test_sound_velocities_are_not_told_and_without_velocities_nothing_is(lwr):
     assert not any(e.warnings for e in feed(sensor, rows))
     sensor, rows = tared(lwr, with_velocity=False)
     assert not any(e.warnings for e in feed(sensor, rows))
-    assert sensor.snapshot().slow.match is None
+    assert sensor.snapshot().monitor.match is None
 
 
 def test_free_motion_recorded_anew_is_judged_anew(lwr):
@@ -72,10 +69,10 @@ def test_free_motion_recorded_anew_is_judged_anew(lwr):
 def test_the_robots_own_external_torque_is_judged_the_same_way(lwr):
     sensor = VirtualForceSensor(lwr)
     rows = rows_of(lwr, factor=-1.0)
-    found = [sensor.update_external_torque(q, BIAS, 1e-3, dq) for q, dq, _ in rows]
+    found = [sensor.update_external_torque(q, dq, BIAS, 1e-3) for q, dq, _ in rows]
     assert SensorWarning.VELOCITY in found[-1].warnings
     sensor.reset()
-    found = [sensor.update_external_torque(q, BIAS, 1e-3) for q, _, _ in rows]
+    found = [sensor.update_external_torque(q, None, BIAS, 1e-3) for q, _, _ in rows]
     assert not any(e.warnings for e in found)
 
 
@@ -102,42 +99,24 @@ def test_a_snapshot_goes_on_bit_for_bit_before_and_after_it_is_told(lwr, tmp_pat
     stored = read_snapshot(tmp_path / "state")
     assert isinstance(stored, SensorState)
     other.restore(stored)
-    assert other.snapshot().slow.match is not state.slow.match
+    assert other.snapshot().monitor.match is not state.monitor.match
     for row in rows[cut:]:
         assert same(sensor.update(*row, 1e-3), other.update(*row, 1e-3))
-    assert same(sensor.snapshot().slow, other.snapshot().slow)
+    assert same(sensor.snapshot().monitor, other.snapshot().monitor)
     assert SensorWarning.VELOCITY in sensor.update(*rows[-1], 1e-3).warnings
 
 
-@pytest.mark.parametrize("shape", [(25,), (3, 3), (24, 7), (25, 6)])
-def test_a_damaged_match_is_refused(lwr, shape):
+@pytest.mark.parametrize("name", ["position", "seconds", "products"])
+@pytest.mark.parametrize("shape", [(), (25,), (3, 3), (7, 6), (6,)])
+def test_a_damaged_match_is_refused(lwr, name, shape):
     sensor, rows = tared(lwr)
     feed(sensor, rows[:50])
     state = sensor.snapshot()
-    assert state.slow.match is not None
-    assert state.slow.match.shape == (25, 7)
-    damaged = state._replace(slow=state.slow._replace(match=np.zeros(shape)))
+    match = state.monitor.match
+    assert match is not None
+    assert match.products.shape == (7, 7)
+    match = match._replace(**{name: np.zeros(shape)})
+    damaged = state._replace(monitor=state.monitor._replace(match=match))
     with pytest.raises(SnapshotError, match="damaged"):
         sensor.restore(damaged)
     sensor.restore(state)
-
-
-def test_the_command_names_joints_and_reason(lwr, tmp_path, capsys):
-    columns = insertion(lwr)
-    columns["dq_rad_s"] = DEGREES * columns["dq_rad_s"]
-    log = tmp_path / "log.npz"
-    write_table(log, columns)
-    assert main([str(log), "--tare", "0:2.5"]) == 2
-    refused = capsys.readouterr().err
-    assert "is 57.3 times the rate of q: is it in deg/s? " in refused
-    assert "--force-tare" in refused
-    assert "--dq dq_*:deg/s" in refused
-    assert main([str(log), "--tare", "0:2.5", "--dq", "dq_rad_s:deg/s"]) == 0
-    assert "velocity" not in capsys.readouterr().out.replace("velocity from the log", "")
-    out = tmp_path / "forces.npz"
-    assert main([str(log), "--tare", "0:2.5", "--force-tare", "-o", str(out)]) == 0
-    lines = capsys.readouterr().out.splitlines()
-    assert any(line.startswith("cautions ") and "x velocity" in line for line in lines)
-    assert any(line.startswith("velocity ") and "is it in deg/s?" in line for line in lines)
-    warnings = np.load(out)["force_warnings"].astype(int)
-    assert (warnings[-1000:] & SensorWarning.VELOCITY).all()

@@ -81,7 +81,7 @@ def test_travel_counts_from_its_zero_along_the_needle(lwr):
     kinematics.update(q)
     travel = TipTravel(kinematics)
     assert travel.read(np.zeros(7)) == pytest.approx((0.0, 0.0), abs=1e-12)
-    step = kinematics.advance / kinematics.advance.dot(kinematics.advance)
+    step = kinematics.axial_jacobian / kinematics.axial_jacobian.dot(kinematics.axial_jacobian)
     assert travel.read(step).speed_m_s == pytest.approx(1.0)
     kinematics.update(q + 1e-4 * step)
     assert travel.read(step).depth_m == pytest.approx(1e-4, rel=1e-2)
@@ -137,7 +137,7 @@ def test_a_withdrawn_rupture_is_told_once(whole):
     run = short_run()
     session = InsertionSession(run.robot)
     insert(session, last=tare_index(run) + 10)
-    session._identification = told._replace(rupture=None, withdrawn=told.rupture)
+    session._identification = told._replace(rupture=None, retracted=told.rupture)
     q, dq, tau, dt_s = next(sample for j, sample in samples(run) if j == tare_index(run) + 11)
     for _ in range(2):
         idle = session.update(q, dq, tau * np.nan, dt_s).identification

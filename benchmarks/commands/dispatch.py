@@ -6,15 +6,16 @@ from importlib import import_module
 
 from benchmarks.commands.arguments import parser
 from benchmarks.errors import BenchmarkError
+from needleforce.cli.terminal import run_command
 from needleforce.plots import FiguresError
-from recordings.command.run_command import run_command
 
 EXTRA_PACKAGES = ("rich", "mujoco", "matplotlib")
 
 
 def main(argv: Sequence[str] | None = None) -> int:
     """Run a command and return its exit code, see ``--help``."""
-    return run_command(parser(), argv, _execute, (BenchmarkError, FiguresError))
+    arguments = parser().parse_args(argv)
+    return run_command(lambda: _execute(arguments), (BenchmarkError, FiguresError))
 
 
 def _execute(arguments: Namespace) -> int:

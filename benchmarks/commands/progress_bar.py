@@ -3,7 +3,7 @@
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 
-from recordings.command.progress import progress
+from needleforce.cli.terminal import progress
 
 
 @contextmanager

@@ -219,7 +219,7 @@ class _BagWriter:
                 self._write(self._diagnostics, stamp_ns, data)
 
     def _values(self, columns: Columns, topic: OutTopic) -> list[Any]:
-        arrays = (columns[name].astype(np.float64) for name in topic.columns)
+        arrays = (columns[name].astype(np.float64, order="C") for name in topic.columns)
         return [values.tolist() if values.ndim == 1 else values for values in arrays]
 
     def flush(self) -> None:

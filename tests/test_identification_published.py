@@ -3,10 +3,10 @@
 import numpy as np
 import pytest
 
+from identification.config import PUBLISHED, PUBLISHED_KV, PublishedConfig
 from identification.errors import InvalidConfigError
 from identification.estimate import RuptureState
 from identification.identifier import Identifier
-from identification.published_config import PUBLISHED, PUBLISHED_KV, PublishedConfig
 
 DT_S, SPEED = 1e-3, 2.3e-3
 LAYERS = ((0.030, 15.0, 8_000.0), (0.020, 60.0, 9_000.0))
@@ -56,7 +56,7 @@ def test_states_follow_the_machine():
 def test_compensation_leaves_no_jump_in_the_prediction():
     z, f = ml_insertion(noise_N=0.002)
     estimates = run(Identifier(PUBLISHED), z, f)
-    at = next(k for k, e in enumerate(estimates) if e.compensated)
+    at = next(k for k, e in enumerate(estimates) if e.identified_layer)
     after = [
         abs(e.predicted_force_N - y) for e, y in zip(estimates[at + 1 :], f[at + 1 :], strict=True)
     ][:200]
@@ -68,13 +68,13 @@ def test_a_layer_is_listed_when_identified_and_subtracted_from_the_next_sample_o
     identifier, before = Identifier(PUBLISHED), 0
     for a, b in zip(z, f, strict=True):
         estimate = identifier.update(float(a), SPEED, float(b), DT_S)
-        if estimate.compensated:
+        if estimate.identified_layer:
             break
         assert estimate.cumulative_friction_Ns_per_m == 0.0
         before = before or len(identifier.layers)
     assert before == 1
-    assert identifier.layers == (estimate.compensated,)
-    share = estimate.compensated.friction_N / estimate.compensated.rupture.speed_m_s
+    assert identifier.layers == (estimate.identified_layer,)
+    share = estimate.identified_layer.friction_N / estimate.identified_layer.rupture.speed_m_s
     assert estimate.cumulative_friction_Ns_per_m == pytest.approx(share)
 
 

@@ -1,4 +1,4 @@
-"""The default method on simulated tissue that does not obey its model."""
+"""The multi-layer method on simulated tissue that does not obey its model."""
 
 import math
 from dataclasses import replace
@@ -8,9 +8,9 @@ import pytest
 
 from groundtruth import insert_needle
 from identification import MULTILAYER, Identifier
+from identification.config import MultilayerConfig
 from identification.errors import InvalidConfigError
 from identification.estimate import Estimate, RuptureState
-from identification.multilayer_config import MultilayerConfig
 
 
 def run(name, seed=0, noise="mini45", config=MULTILAYER, rate_hz=1000.0):
@@ -55,7 +55,7 @@ def test_one_gel_one_rupture_its_friction_within_a_few_percent(gel):
 
 def test_constant_speed_does_not_tell_coulomb_from_viscous_but_the_stop_does(gel):
     needle, identifier, estimates, _ = gel
-    felt = [e.compensated for e in estimates if e.compensated][-1]
+    felt = [e.identified_layer for e in estimates if e.identified_layer][-1]
     assert not felt.viscous_identified or not felt.coulomb_identified
     layer, truth = identifier.layers[0], needle.scenario.layers[0].friction
     assert layer.viscous_identified
@@ -78,7 +78,7 @@ def test_enhanced_force_vanishes_beyond_the_last_layer_and_at_rest(gel):
 def test_tip_force_follows_the_truth_in_a_stack_at_sinusoidal_speed(stack):
     needle, identifier, estimates, first = stack
     assert len(identifier.layers) == 3
-    begun = next(k for k, e in enumerate(estimates) if e.compensated)
+    begun = next(k for k, e in enumerate(estimates) if e.identified_layer)
     tip = np.array([e.tip_force_N for e in estimates])[begun:]
     error = tip - needle.truth.tip_N[first + begun :]
     assert np.sqrt(np.mean(error**2)) < 0.15
@@ -141,7 +141,7 @@ def test_states_follow_the_published_machine(gel):
     assert path[:3] == [
         RuptureState.DETECTED,
         RuptureState.FORCE_DROP_MEASURING,
-        RuptureState.COMPENSATED,
+        RuptureState.FRICTION_IDENTIFIED,
     ]
 
 
@@ -169,7 +169,7 @@ def test_an_offset_of_the_sensor_is_taken_out():
 
 @pytest.mark.parametrize(
     ("change", "message"),
-    [({"presliding_m": 0.0}, "presliding_m"), ({"second_look_m": 1e-4}, "exceed")],
+    [({"presliding_m": 0.0}, "presliding_m"), ({"final_window_m": 1e-4}, "exceed")],
 )
 def test_bad_settings_are_refused(change, message):
     with pytest.raises(InvalidConfigError, match=message):
@@ -190,7 +190,7 @@ def test_an_alarm_whose_force_comes_back_is_withdrawn_and_leaves_no_layer(width_
     rows = zip(depth.tolist(), force.tolist(), strict=True)
     estimates = [identifier.update(z, 3e-3, f, 1e-3) for z, f in rows]
     raised = [e.rupture for e in estimates if e.rupture]
-    withdrawn = [e.withdrawn for e in estimates if e.withdrawn]
+    withdrawn = [e.retracted for e in estimates if e.retracted]
     assert len(raised) == 1
     assert withdrawn == raised
     assert identifier.layers == ()
