@@ -47,25 +47,6 @@ class LayerSpan:
             )
 
 
-def kv_force(
-    stiffness_N_per_m: float, friction_Ns_per_m: float, depth_m: float, speed_m_s: float
-) -> float:
-    """Kelvin-Voigt force f = K z + B v, equation (2) [N]."""
-    return stiffness_N_per_m * depth_m + friction_Ns_per_m * speed_m_s
-
-
-def ml_force(
-    stiffness_N_per_m: float,
-    friction_Ns_per_m2: float,
-    cumulative_friction_Ns_per_m: float,
-    layer_depth_m: float,
-    speed_m_s: float,
-) -> float:
-    """Multi-layer force f = K_i dz_i + B_i dz_i v + B_d v, equation (3) [N]."""
-    own = (stiffness_N_per_m + friction_Ns_per_m2 * speed_m_s) * layer_depth_m
-    return own + cumulative_friction_Ns_per_m * speed_m_s
-
-
 def elastic_column(
     t_s: NDArray[np.float64], depth_m: NDArray[np.float64], layer: LayerSpan
 ) -> NDArray[np.float64]:

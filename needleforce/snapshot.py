@@ -151,7 +151,6 @@ LARGEST = 1e30
 NOT_FINITE = {
     "AloneState.limit_s": math.inf,
     "MultilayerMemory.deepest_m": -math.inf,
-    "RuptureMeasurement.release_m": math.nan,
     "MembraneFits.squares": math.inf,
     "PublishedMemory.force_N": math.nan,
     "PublishedMemory.force_before_N": math.nan,
