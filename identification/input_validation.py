@@ -15,6 +15,8 @@ _NO_NUMBERS = (str, bytes, bool, np.bool_, complex, np.complexfloating, np.timed
 """What Python or numpy would make a float of, though nobody measures it."""
 LEAST_DT_S, LARGEST_DT_S = 1e-12, 1e6
 """Intervals outside are wrong units or garbage: quotients by them, or their sum, overflow."""
+LARGEST_MOTION = 1e3
+"""No needle is as deep [m] or as fast [m/s]; powers of larger numbers overflow."""
 
 
 class SampleStatus(Enum):
@@ -29,6 +31,7 @@ class SampleStatus(Enum):
     SPEED_SIGN = "speed has the sign opposite to the change of depth"
     FORCE_RANGE = "force beyond any needle's: check the unit"
     TIME_RANGE = "dt must be between 1e-12 and 1e6 s: check the unit"
+    MOTION_RANGE = "depth or speed beyond any needle's: check the unit"
 
     @property
     def is_used(self) -> bool:
@@ -39,7 +42,7 @@ class SampleStatus(Enum):
 STATUSES = tuple(SampleStatus)
 """In the order of their numbers, by which `check_sample` names them; those used come first."""
 _OK, _TIME_GAP, _NOT_A_SCALAR, _NOT_FINITE, _TIME_NOT_FORWARD = range(5)
-_DEPTH_JUMP, _SPEED_SIGN, _FORCE_RANGE, _TIME_RANGE = range(5, 9)
+_DEPTH_JUMP, _SPEED_SIGN, _FORCE_RANGE, _TIME_RANGE, _MOTION_RANGE = range(5, 10)
 LAST_USED = _TIME_GAP
 
 
@@ -156,6 +159,8 @@ def check_sample(
         return _TIME_RANGE, 0.0, 0.0, memory
     if not math.isfinite(depth_m + speed_m_s + force_N):
         return _NOT_FINITE, 0.0, 0.0, _skipped(memory, dt_s)
+    if max(abs(depth_m), abs(speed_m_s)) > LARGEST_MOTION:
+        return _MOTION_RANGE, 0.0, 0.0, _skipped(memory, dt_s)
     if abs(force_N) > limits[4]:
         return _FORCE_RANGE, 0.0, 0.0, _skipped(memory, dt_s)
     return _check_motion(depth_m, speed_m_s, dt_s, memory, limits)
@@ -188,7 +193,7 @@ def check_state(state: Any, initial: Any, place: str = "state") -> None:
 
     Raises:
         InvalidSnapshotError: A part is of another type, an array of another kind or shape, or a
-            matrix not symmetric and positive semi-definite.
+            matrix not symmetric and positive semi-definite, or a track with absurd rows.
     """
     if isinstance(state, np.ndarray) or isinstance(initial, np.ndarray):
         _check_array(state, initial, place)
@@ -214,9 +219,14 @@ def _check_array(array: Any, initial: Any, place: str) -> None:
         expected = initial.shape if rows is None else (rows, *initial.shape[1:])
         if array.shape != expected:
             raise InvalidSnapshotError(f"{place} has shape {array.shape}, expected {expected}")
-    rounding = _ROUNDING.get(place.rpartition(".")[2])
-    if rounding is not None:
-        _check_definite(array, rounding, place)
+    name = place.rpartition(".")[2]
+    if name in _ROUNDING:
+        _check_definite(array, _ROUNDING[name], place)
+    if name in ("points", "rows"):
+        # Depth, speed, force, bristle; blocks and travel.
+        is_valid = (np.abs(array[:, :4]) <= LARGEST_MOTION).all() and (array[:, 4:] > 0.0).all()
+        if not is_valid:
+            raise InvalidSnapshotError(f"the snapshot is damaged: {place} has impossible rows")
 
 
 def _check_definite(matrix: Any, rounding: float, place: str) -> None:

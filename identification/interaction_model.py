@@ -1,6 +1,6 @@
 """Force models of the paper and their regressors, equations (1) to (5).
 
-Resisting force is positive here; the paper's minus signs are absorbed in that convention.
+Resisting force is positive here; the paper's minus signs are part of that convention.
 """
 
 from collections.abc import Sequence
@@ -65,7 +65,7 @@ def friction_column(
     """Column phi_B of equation (4). Shape (n,).
 
     `ml`: embedded length times speed. During an insertion the embedded length is dz_i inside the
-    layer and d_i beyond it, which is (4); on the way out it shrinks again, which (4) leaves open.
+    layer and d_i beyond it, which is (4); during withdrawal it shrinks, which (4) leaves open.
     `kv`: the speed, from entry on and as long as the tip is deeper than the entry.
     """
     reach_m = depth_m - layer.start_depth_m

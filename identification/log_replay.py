@@ -169,7 +169,12 @@ class SignCheck:
         return tuple(hints)
 
 
-_REPORTED = (SampleStatus.FORCE_RANGE, SampleStatus.DEPTH_JUMP, SampleStatus.SPEED_SIGN)
+_REPORTED = (
+    SampleStatus.FORCE_RANGE,
+    SampleStatus.MOTION_RANGE,
+    SampleStatus.DEPTH_JUMP,
+    SampleStatus.SPEED_SIGN,
+)
 """What nobody has reported of a row before; who read the log has reported a NaN or a late stamp."""
 
 HEAD_ROWS = 200

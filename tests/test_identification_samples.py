@@ -45,6 +45,8 @@ GOOD = (0.001, 0.002, 0.1, 1e-3)
         ((0.001, "fast", 0.1, 1e-3), SampleStatus.NOT_A_SCALAR),
         ((0.001, 0.002, 1000.0, 1e-3), SampleStatus.FORCE_RANGE),
         ((0.1, 0.002, 0.1, 1e-3), SampleStatus.DEPTH_JUMP),
+        ((1e4, 0.002, 0.1, 1e-3), SampleStatus.MOTION_RANGE),
+        ((0.001, -1e308, 0.1, 1e-3), SampleStatus.MOTION_RANGE),
     ],
 )
 def test_bad_sample_is_reported_and_not_absorbed(values, status):
