@@ -7,7 +7,7 @@ the enhanced force without the friction of the layers traversed, and the force a
     estimate = identifier.update(depth_m, speed_m_s, force_N, dt_s)
 
 Reading order: `identifier`; the published method in `published_update` (every sample),
-`published_identifier` and `rls_windows`; the multi-layer method in `friction_compensation` (every
+`published_identifier`; the multi-layer method in `friction_compensation` (every
 sample), `multilayer_identifier` (every block), `slope_change_detector`, `rupture_measurement`,
 `layer_fit` and `layer_model`; known layers in `interaction_model` and `offline`.
 """

@@ -36,15 +36,7 @@ def next_rupture_state(
     is_measured: bool = False,
     is_settled: bool = True,
 ) -> RuptureState:
-    """Advance the rupture state by one sample.
-
-    Args:
-        state: Current state.
-        is_alarm: The change detector alarms.
-        is_expected: The filtered force derivative is beyond its threshold.
-        is_measured: T_drop has passed, the force drop can be computed.
-        is_settled: The estimate has been re-initialised after friction was identified.
-    """
+    """Advance the rupture state by one sample."""
     if state in (RuptureState.NO_RUPTURE, RuptureState.EXPECTED):
         if is_alarm:
             return RuptureState.DETECTED

@@ -6,34 +6,23 @@ All else is done once per block of samples, see `multilayer_identifier`.
 import math
 from typing import Any, NamedTuple
 
-from needleforce.jit import Matrix, compiled
+from needleforce.jit import compiled
 
 _MM = 1e3
 _TINY = 1e-12
 
 
 class MultilayerMemory(NamedTuple):
-    """What every sample changes. Compiled code takes and gives the fields as a plain tuple.
+    """What every sample changes. Compiled code takes and gives the fields as a plain tuple."""
 
-    Attributes:
-        filled_s: Length of the block being filled.
-        depth_sum: Integral of the depth over it.
-        speed_sum: Integral of the speed over it.
-        force_sum: Integral of the force over it.
-        bristle: Presliding deflection.
-        follower_m: Depth less the jitter of its measurement.
-        speed_m_s: Speed without the noise of its measurement.
-        deepest_m: Deepest point so far; minus infinity before the first sample.
-    """
-
-    filled_s: float = 0.0
-    depth_sum: float = 0.0
-    speed_sum: float = 0.0
-    force_sum: float = 0.0
-    bristle: float = 0.0
-    follower_m: float = 0.0
-    speed_m_s: float = 0.0
-    deepest_m: float = -math.inf
+    filled_s: float = 0.0  # Length of the block being filled
+    depth_sum: float = 0.0  # Integral of the depth over it
+    speed_sum: float = 0.0  # Integral of the speed over it
+    force_sum: float = 0.0  # Integral of the force over it
+    bristle: float = 0.0  # Presliding deflection
+    follower_m: float = 0.0  # Depth less the jitter of its measurement
+    speed_m_s: float = 0.0  # Speed without the noise of its measurement
+    deepest_m: float = -math.inf  # Deepest point so far; minus infinity before the first sample
 
 
 Memory = tuple[float, float, float, float, float, float, float, float]
@@ -46,72 +35,52 @@ class MultilayerCoefficients(NamedTuple):
     """What `update_multilayer` reads; changes with the fit, a rupture or the layers only.
 
     Unknowns of a layer as in `layer_model`, in N and mm.
-
-    Attributes:
-        smoothing_s: Setting ``speed_smoothing_s``.
-        deadband_m: Jitter of the depth that is no travel.
-        presliding_m: Setting.
-        block_s: Length from which on a block is full.
-        onset_m: Setting ``cutting_onset_m``.
-        rest_speed_m_s: Setting.
-        identified_fraction: A value is identified if its deviation is no more of it.
-        is_due: Whether the next sample finds work to do even if it fills no block.
-        in_contact: The first layer has been met.
-        layer: Number of the layer the tip is in, 0 before contact.
-        offset_N: Force in free air.
-        start_m: Depth at which the layer begins.
-        tip_m: Depth from which on it resists the tip.
-        coulomb: C, Coulomb friction of the layers before.
-        viscous: V, their viscous friction.
-        stiffness_N_per_m: K of the layer.
-        stiffness_std_N_per_m: Its standard deviation.
-        own_coulomb: c of the layer.
-        own_viscous: b of the layer.
-        var_own_coulomb: Variance of c.
-        var_own_both: Covariance of c and b.
-        var_own_viscous: Variance of b.
-        shaft_std_N: Standard deviation of the shaft friction.
-        earlier_coulomb: C without what an open rupture has added.
-        earlier_viscous: V without that.
-        var_coulomb: Variance of C, as the next two without an open rupture.
-        var_both: Covariance of C and V.
-        var_viscous: Variance of V.
-        cumulative_speed: Speed for the cumulative friction [mm/s]: that of the last rupture;
-            0 before the first, to take the present one.
     """
 
-    smoothing_s: float
-    deadband_m: float
-    presliding_m: float
-    block_s: float
-    onset_m: float
-    rest_speed_m_s: float
-    identified_fraction: float
-    is_due: bool
-    in_contact: bool
-    layer: int
-    offset_N: float
-    start_m: float
-    tip_m: float
-    coulomb: float
-    viscous: float
-    stiffness_N_per_m: float
-    stiffness_std_N_per_m: float
-    own_coulomb: float
-    own_viscous: float
-    var_own_coulomb: float
-    var_own_both: float
-    var_own_viscous: float
-    shaft_std_N: float
-    earlier_coulomb: float
-    earlier_viscous: float
-    var_coulomb: float
-    var_both: float
-    var_viscous: float
+    smoothing_s: float  # Setting ``speed_smoothing_s``
+    deadband_m: float  # Jitter of the depth that is no travel
+    presliding_m: float  # Setting
+    block_s: float  # Length from which on a block is full
+    onset_m: float  # Setting ``cutting_onset_m``
+    rest_speed_m_s: float  # Setting
+    identified_fraction: float  # A value is identified if its deviation is no more of it
+    is_due: bool  # Whether the next sample finds work to do even if it fills no block
+    in_contact: bool  # The first layer has been met
+    layer: int  # Number of the layer the tip is in, 0 before contact
+    offset_N: float  # Force in free air
+    start_m: float  # Depth at which the layer begins
+    tip_m: float  # Depth from which on it resists the tip
+    coulomb: float  # C, Coulomb friction of the layers before
+    viscous: float  # V, their viscous friction
+    stiffness_N_per_m: float  # K of the layer
+    stiffness_std_N_per_m: float  # Its standard deviation
+    own_coulomb: float  # c of the layer
+    own_viscous: float  # b of the layer
+    var_own_coulomb: float  # Variance of c
+    var_own_both: float  # Covariance of c and b
+    var_own_viscous: float  # Variance of b
+    shaft_std_N: float  # Standard deviation of the shaft friction
+    earlier_coulomb: float  # C without what an open rupture has added
+    earlier_viscous: float  # V without that
+    var_coulomb: float  # Variance of C, as the next two without an open rupture
+    var_both: float  # Covariance of C and V
+    var_viscous: float  # Variance of V
+    # Speed for the cumulative friction [mm/s]: that of the last rupture; 0 before the first, to
+    # take the present one
     cumulative_speed: float
 
 
-Coefficients = tuple[MultilayerCoefficients]
+class LayerFriction(NamedTuple):
+    """Friction of one layer traversed, as the needle is withdrawn through it."""
+
+    start_m: float  # Depth at which it begins
+    thickness_m: float
+    coulomb_N: float  # c d
+    viscous: float  # b d [N/(mm/s)]
+
+
+Coefficients = tuple[MultilayerCoefficients, ...]
+Traversed = tuple[LayerFriction, ...]
 
 
 @compiled
@@ -146,39 +115,27 @@ def bristle_step(bristle: float, travel_m: float, presliding_m: float) -> float:
 
 
 @compiled
-def embedded_fractions(depth_m: float, traversed: Matrix) -> tuple[float, float]:
-    """Fraction of the cumulative Coulomb and viscous friction still on the shaft.
-
-    Args:
-        depth_m: Of the tip, less deep than the start of its layer.
-        traversed: Start, thickness, Coulomb and viscous friction of the layers, shape (m, 4).
-    """
+def embedded_fractions(depth_m: float, traversed: Traversed) -> tuple[float, float]:
+    """Fraction of the cumulative Coulomb and viscous friction still on the shaft."""
     coulomb = viscous = all_coulomb = all_viscous = _TINY
     for k in range(len(traversed)):
-        start_m, thickness_m = traversed[k, 0], traversed[k, 1]
-        fraction = min(max(depth_m - start_m, 0.0) / thickness_m, 1.0)
-        coulomb += fraction * traversed[k, 2]
-        viscous += fraction * traversed[k, 3]
-        all_coulomb += traversed[k, 2]
-        all_viscous += traversed[k, 3]
-    return float(coulomb / all_coulomb), float(viscous / all_viscous)
+        layer = traversed[k]
+        fraction = min(max(depth_m - layer.start_m, 0.0) / layer.thickness_m, 1.0)
+        coulomb += fraction * layer.coulomb_N
+        viscous += fraction * layer.viscous
+        all_coulomb += layer.coulomb_N
+        all_viscous += layer.viscous
+    return coulomb / all_coulomb, viscous / all_viscous
 
 
 @compiled
 def shaft_friction(
-    depth_m: float, force_N: float, memory: Memory, coefficients: Coefficients, traversed: Matrix
+    depth_m: float, force_N: float, memory: Memory, coefficients: Coefficients, traversed: Traversed
 ) -> tuple[float, float]:
     """Friction of the needle's shaft in tissue, positive when it resists insertion.
 
     During withdrawal the embedded length shrinks layer by layer, and a tip drawn back by more than
     a needle diameter touches nothing: all force is friction then.
-
-    Args:
-        depth_m: Of the sample [m].
-        force_N: Its force less the free-air offset [N].
-        memory: After the sample.
-        coefficients: See `update_multilayer`, as the next.
-        traversed: The layers traversed.
 
     Returns:
         Friction of the layers traversed and identified, which the enhanced force is without; and
@@ -220,7 +177,7 @@ def multilayer_outputs(
     force_N: float,
     memory: Memory,
     coefficients: Coefficients,
-    traversed: Matrix,
+    traversed: Traversed,
 ) -> Outputs:
     """Enhanced force, tip force and their companions, for one sample; see `update_multilayer`."""
     c = coefficients[0]
@@ -267,7 +224,7 @@ def update_multilayer(
     dt_s: float,
     memory: Memory,
     coefficients: Coefficients,
-    traversed: Matrix,
+    traversed: Traversed,
 ) -> tuple[bool, Memory, Outputs]:
     """Use one sample.
 

@@ -5,10 +5,13 @@ from collections.abc import Callable
 from dataclasses import dataclass, replace
 from typing import Any, NamedTuple
 
+from identification import multilayer_identifier, multilayer_state, published_identifier
 from identification.config import MULTILAYER, MultilayerConfig, PublishedConfig
 from identification.errors import InvalidConfigError, InvalidSnapshotError, NoRuptureError
 from identification.estimate import Estimate, LayerEstimate
 from identification.friction_compensation import (
+    LayerFriction,
+    MultilayerCoefficients,
     MultilayerMemory,
     multilayer_outputs,
     update_multilayer,
@@ -25,23 +28,10 @@ from identification.input_validation import (
     check_sample,
     check_state,
 )
-from identification.multilayer_identifier import begin_multilayer_sample, multilayer_step
-from identification.multilayer_state import (
-    MultilayerState,
-    initial_multilayer_state,
-    multilayer_coefficients,
-    multilayer_layers,
-    traversed_friction,
-)
-from identification.published_identifier import (
-    PublishedState,
-    begin_published_sample,
-    initial_published_state,
-    published_coefficients,
-    published_layers,
-    published_step,
-)
+from identification.multilayer_state import MultilayerState
+from identification.published_identifier import PublishedState
 from identification.published_update import (
+    PublishedCoefficients,
     PublishedMemory,
     published_outputs,
     update_published,
@@ -54,61 +44,56 @@ _new = tuple.__new__
 
 @dataclass(frozen=True, slots=True)
 class _Method:
-    """One way of identifying, as pure functions.
+    """One way of identifying, as pure functions."""
 
-    Attributes:
-        initial: State before the first sample.
-        begin: Before a sample, where one is due.
-        update: What every sample asks; mostly that is all.
-        step: What else a sample asks, where it does.
-        outputs: What to report of the state after a sample.
-        arguments: What the two read of the state.
-        plain: The state's memory as compiled code takes it.
-        memory: The same back.
-        layers: Layers left so far.
-    """
-
-    initial: Callable[[Any], Any]
-    begin: Callable[[Any, Any], Any]
+    initial: Callable[[Any], Any]  # State before the first sample
+    begin: Callable[[Any, Any], Any]  # Before a sample, where one is due
+    # What every sample asks; mostly that is all
     update: Callable[..., tuple[bool, tuple[Any, ...], tuple[Any, ...]]]
-    step: Callable[[Any, Any, Sample, Any], Any]
-    outputs: Callable[..., tuple[Any, ...]]
-    arguments: Callable[[Any, Any], tuple[Any, ...]]
-    plain: Callable[[Any], tuple[Any, ...]]
-    memory: Callable[[tuple[Any, ...]], Any]
-    layers: Callable[[Any], tuple[LayerEstimate, ...]]
+    step: Callable[[Any, Any, Sample, Any], Any]  # What else a sample asks, where it does
+    outputs: Callable[..., tuple[Any, ...]]  # What to report of the state after a sample
+    arguments: Callable[[Any, Any], tuple[Any, ...]]  # What the two read of the state
+    plain: Callable[[Any], tuple[Any, ...]]  # The state's memory as compiled code takes it
+    memory: Callable[[tuple[Any, ...]], Any]  # The same back
+    layers: Callable[[Any], tuple[LayerEstimate, ...]]  # Layers left so far
 
 
 def _multilayer_arguments(state: MultilayerState, config: MultilayerConfig) -> tuple[Any, ...]:
-    return jit_arguments(multilayer_coefficients(state, config)), traversed_friction(state)
+    coefficients = multilayer_state.multilayer_coefficients(state, config)
+    friction = (layer.friction for layer in state.traversed)
+    return (
+        jit_arguments(MultilayerCoefficients, coefficients),
+        jit_arguments(LayerFriction, *friction),
+    )
 
 
 def _published_arguments(state: PublishedState, config: PublishedConfig) -> tuple[Any, ...]:
-    return (jit_arguments(published_coefficients(state, config)),)
+    coefficients = published_identifier.published_coefficients(state, config)
+    return (jit_arguments(PublishedCoefficients, coefficients),)
 
 
 _METHODS: dict[type, _Method] = {
     MultilayerConfig: _Method(
-        initial=initial_multilayer_state,
-        begin=begin_multilayer_sample,
+        initial=multilayer_state.initial_multilayer_state,
+        begin=multilayer_identifier.begin_multilayer_sample,
         update=update_multilayer,
-        step=multilayer_step,
+        step=multilayer_identifier.multilayer_step,
         outputs=multilayer_outputs,
         arguments=_multilayer_arguments,
         plain=tuple,
         memory=MultilayerMemory._make,
-        layers=multilayer_layers,
+        layers=multilayer_state.multilayer_layers,
     ),
     PublishedConfig: _Method(
-        initial=initial_published_state,
-        begin=begin_published_sample,
+        initial=published_identifier.initial_published_state,
+        begin=published_identifier.begin_published_sample,
         update=update_published,
-        step=published_step,
+        step=published_identifier.published_step,
         outputs=published_outputs,
         arguments=_published_arguments,
         plain=lambda memory: memory.plain,
         memory=PublishedMemory.of,
-        layers=published_layers,
+        layers=published_identifier.published_layers,
     ),
 }
 """By the type of their settings."""

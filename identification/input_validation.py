@@ -1,6 +1,7 @@
 """What a sample must be before an identifier uses it; the estimators see checked numbers only."""
 
 import math
+from dataclasses import astuple
 from enum import Enum
 from typing import Any, NamedTuple
 
@@ -14,6 +15,8 @@ _NO_NUMBERS = (str, bytes, bool, np.bool_, complex, np.complexfloating, np.timed
 """What Python or numpy would make a float of, though nobody measures it."""
 LEAST_DT_S, LARGEST_DT_S = 1e-12, 1e6
 """Intervals outside are wrong units or garbage: quotients by them, or their sum, overflow."""
+LARGEST_MOTION = 1e3
+"""No needle is as deep [m] or as fast [m/s]; powers of larger numbers overflow."""
 
 
 class SampleStatus(Enum):
@@ -28,6 +31,7 @@ class SampleStatus(Enum):
     SPEED_SIGN = "speed has the sign opposite to the change of depth"
     FORCE_RANGE = "force beyond any needle's: check the unit"
     TIME_RANGE = "dt must be between 1e-12 and 1e6 s: check the unit"
+    MOTION_RANGE = "depth or speed beyond any needle's: check the unit"
 
     @property
     def is_used(self) -> bool:
@@ -37,39 +41,23 @@ class SampleStatus(Enum):
 
 STATUSES = tuple(SampleStatus)
 """In the order of their numbers, by which `check_sample` names them; those used come first."""
-_NUMBERS = {status: number for number, status in enumerate(STATUSES)}
-_OK, _TIME_GAP = _NUMBERS[SampleStatus.OK], _NUMBERS[SampleStatus.TIME_GAP]
+_OK, _TIME_GAP, _NOT_A_SCALAR, _NOT_FINITE, _TIME_NOT_FORWARD = range(5)
+_DEPTH_JUMP, _SPEED_SIGN, _FORCE_RANGE, _TIME_RANGE, _MOTION_RANGE = range(5, 10)
 LAST_USED = _TIME_GAP
-_NOT_FINITE = _NUMBERS[SampleStatus.NOT_FINITE]
-_TIME_NOT_FORWARD = _NUMBERS[SampleStatus.TIME_NOT_FORWARD]
-_DEPTH_JUMP, _SPEED_SIGN = _NUMBERS[SampleStatus.DEPTH_JUMP], _NUMBERS[SampleStatus.SPEED_SIGN]
-_FORCE_RANGE, _TIME_RANGE = _NUMBERS[SampleStatus.FORCE_RANGE], _NUMBERS[SampleStatus.TIME_RANGE]
 
 
 class CheckState(NamedTuple):
-    """Memory of the check: just enough to notice jumps and contradictions.
+    """Memory of the check: just enough to notice jumps and contradictions."""
 
-    Attributes:
-        time_s: Since the start.
-        usual_dt_s: Smoothed interval.
-        raw_depth_m: Last depth that could be read, of a sample used or rejected.
-        depth_shift_m: Sum of all jumps removed.
-        depth_travel_m: Recent travel by depth.
-        speed_travel_m: The same by speed.
-        pending_s: Time since `raw_depth_m`.
-        has_depth: Whether there is one.
-        rejected_s: Time from the last sample used to `raw_depth_m`.
-    """
-
-    time_s: float = 0.0
-    usual_dt_s: float = 0.0
-    raw_depth_m: float = 0.0
-    depth_shift_m: float = 0.0
-    depth_travel_m: float = 0.0
-    speed_travel_m: float = 0.0
-    pending_s: float = 0.0
-    has_depth: bool = False
-    rejected_s: float = 0.0
+    time_s: float = 0.0  # Since the start
+    usual_dt_s: float = 0.0  # Smoothed interval
+    raw_depth_m: float = 0.0  # Last depth that could be read, of a sample used or rejected
+    depth_shift_m: float = 0.0  # Sum of all jumps removed
+    depth_travel_m: float = 0.0  # Recent travel by depth
+    speed_travel_m: float = 0.0  # The same by speed
+    pending_s: float = 0.0  # Time since `raw_depth_m`
+    has_depth: bool = False  # Whether there is one
+    rejected_s: float = 0.0  # Time from the last sample used to `raw_depth_m`
 
 
 CheckMemory = tuple[float, float, float, float, float, float, float, bool, float]
@@ -80,13 +68,8 @@ Limits = tuple[float, float, float, float, float]
 
 def check_limits(config: CheckConfig) -> Limits:
     """The limits as `check_sample` takes them."""
-    return (
-        float(config.gap_s),
-        float(config.jump_m),
-        float(config.sign_memory_s),
-        float(config.sign_travel_m),
-        float(config.force_limit_N),
-    )
+    gap_s, jump_m, memory_s, travel_m, force_N = map(float, astuple(config))
+    return gap_s, jump_m, memory_s, travel_m, force_N
 
 
 def as_scalar(value: Any) -> float | None:
@@ -159,18 +142,10 @@ def check_sample(
     memory: CheckMemory,
     limits: Limits,
 ) -> tuple[int, float, float, CheckMemory]:
-    """Check one raw sample.
+    """Check one raw sample: depth, speed, force and interval as `Identifier.update` takes them.
 
     Time runs on over samples that are rejected, as long as their interval is valid: a dropped
     force does not shift the clock of what follows.
-
-    Args:
-        depth_m: Travel of the tip along the insertion axis [m].
-        speed_m_s: Rate of depth [m/s].
-        force_N: Axial force [N].
-        dt_s: Time since the previous sample [s].
-        memory: Of the check, see `CheckState`.
-        limits: See `check_limits`.
 
     Returns:
         The status by its place in `STATUSES`; of a sample to use the interval since the one
@@ -184,27 +159,21 @@ def check_sample(
         return _TIME_RANGE, 0.0, 0.0, memory
     if not math.isfinite(depth_m + speed_m_s + force_N):
         return _NOT_FINITE, 0.0, 0.0, _skipped(memory, dt_s)
+    if max(abs(depth_m), abs(speed_m_s)) > LARGEST_MOTION:
+        return _MOTION_RANGE, 0.0, 0.0, _skipped(memory, dt_s)
     if abs(force_N) > limits[4]:
         return _FORCE_RANGE, 0.0, 0.0, _skipped(memory, dt_s)
     return _check_motion(depth_m, speed_m_s, dt_s, memory, limits)
 
 
 class Sample(NamedTuple):
-    """Checked scalars handed to the steps of a method.
+    """Checked scalars handed to the steps of a method."""
 
-    Attributes:
-        time_s: Time of the sample on the caller's clock, see `Identifier.update`.
-        dt_s: Interval since the previous sample, positive.
-        depth_m: Tip travel along the insertion axis, jumps removed.
-        speed_m_s: Rate of depth.
-        force_N: Axial force, positive when tissue pushes back.
-    """
-
-    time_s: float
-    dt_s: float
-    depth_m: float
-    speed_m_s: float
-    force_N: float
+    time_s: float  # Time of the sample on the caller's clock, see `Identifier.update`
+    dt_s: float  # Interval since the previous sample, positive
+    depth_m: float  # Tip travel along the insertion axis, jumps removed
+    speed_m_s: float  # Rate of depth
+    force_N: float  # Axial force, positive when tissue pushes back
 
 
 # A state that is restored.
@@ -224,7 +193,7 @@ def check_state(state: Any, initial: Any, place: str = "state") -> None:
 
     Raises:
         InvalidSnapshotError: A part is of another type, an array of another kind or shape, or a
-            matrix not symmetric and positive semi-definite.
+            matrix not symmetric and positive semi-definite, or a track with absurd rows.
     """
     if isinstance(state, np.ndarray) or isinstance(initial, np.ndarray):
         _check_array(state, initial, place)
@@ -234,16 +203,8 @@ def check_state(state: Any, initial: Any, place: str = "state") -> None:
         for name, part in zip(state._fields, state, strict=True):
             check_state(part, getattr(initial, name, None), f"{place}.{name}")
         if "var_stiffness" in state._fields:
-            _check_definite(
-                np.array(
-                    [
-                        [state.var_stiffness, state.covariance],
-                        [state.covariance, state.var_friction],
-                    ]
-                ),
-                1e-3,
-                place,
-            )
+            first, both, second = state.var_stiffness, state.covariance, state.var_friction
+            _check_definite(np.array([[first, both], [both, second]]), 1e-3, place)
     elif isinstance(state, tuple):
         for k, part in enumerate(state):
             check_state(part, None, f"{place}[{k}]")
@@ -251,16 +212,21 @@ def check_state(state: Any, initial: Any, place: str = "state") -> None:
 
 def _check_array(array: Any, initial: Any, place: str) -> None:
     is_array = isinstance(array, np.ndarray) and array.dtype == np.float64
-    if not is_array or not (array.flags.c_contiguous or array.flags.f_contiguous):
+    if not is_array or not (array.flags.c_contiguous):
         raise InvalidSnapshotError(f"{place} is {array!r:.80}, expected an array of floats")
     if initial is not None:
         rows = array.shape[0] if initial.shape[:1] == (0,) and array.ndim else None
         expected = initial.shape if rows is None else (rows, *initial.shape[1:])
         if array.shape != expected:
             raise InvalidSnapshotError(f"{place} has shape {array.shape}, expected {expected}")
-    rounding = _ROUNDING.get(place.rpartition(".")[2])
-    if rounding is not None:
-        _check_definite(array, rounding, place)
+    name = place.rpartition(".")[2]
+    if name in _ROUNDING:
+        _check_definite(array, _ROUNDING[name], place)
+    if name in ("points", "rows"):
+        # Depth, speed, force, bristle; blocks and travel.
+        is_valid = (np.abs(array[:, :4]) <= LARGEST_MOTION).all() and (array[:, 4:] > 0.0).all()
+        if not is_valid:
+            raise InvalidSnapshotError(f"the snapshot is damaged: {place} has impossible rows")
 
 
 def _check_definite(matrix: Any, rounding: float, place: str) -> None:

@@ -7,6 +7,7 @@ import numpy as np
 
 from identification.config import MultilayerConfig
 from identification.estimate import LayerEstimate, Rupture
+from identification.friction_compensation import LayerFriction
 from identification.layer_model import (
     CUTTING,
     MM,
@@ -24,7 +25,7 @@ from identification.layer_model import (
     posterior,
     solve_layer,
 )
-from identification.multilayer_state import LayerData, MultilayerState, Traversed
+from identification.multilayer_state import LayerData, MultilayerState, TraversedLayer
 from identification.resampling import BLOCKS, TRAVEL, add_layer_row
 from identification.rupture_classifier import RuptureMeasurement
 from identification.slope_change_detector import block_noise_N2
@@ -142,19 +143,12 @@ def settle_pool(
 
 
 class ClosedLayer(NamedTuple):
-    """A layer that has been left, and the state in which the next one begins.
+    """A layer that has been left, and the state in which the next one begins."""
 
-    Attributes:
-        estimate: What is known of it.
-        traversed: Its friction, for the withdrawal.
-        next_layer: Next layer, its prior the cumulative friction now known.
-        next_fit: Fit with which it begins.
-    """
-
-    estimate: LayerEstimate
-    traversed: Traversed
-    next_layer: LayerData
-    next_fit: Gaussian
+    estimate: LayerEstimate  # What is known of it
+    traversed: TraversedLayer  # Its friction, for the withdrawal
+    next_layer: LayerData  # Next layer, its prior the cumulative friction now known
+    next_fit: Gaussian  # Fit with which it begins
 
 
 def identify_layer(
@@ -169,13 +163,6 @@ def identify_layer(
     The force before is tip and friction together, the force after is friction alone (unless the
     rupture was partial): their difference is (10), K d = f_drop. With small noise the answer is
     that of the re-weighting (12); here it comes with a covariance.
-
-    Args:
-        left: Data of the layer.
-        rupture: Its end.
-        end: Forces on both sides of the rupture.
-        bias_var: Variance of the sensor's slow error [N^2].
-        config: Settings.
 
     Returns:
         See `ForceDropMeasurement.layer`.
@@ -215,17 +202,7 @@ def close_layer(
     *,
     is_final: bool,
 ) -> ClosedLayer:
-    """What to report of the layer, and how the next one begins.
-
-    Args:
-        left: Data of the layer.
-        rupture: Its end.
-        end: Forces on both sides of the rupture.
-        identified: Its unknowns, see `identify_layer`.
-        bias_var: Variance of the sensor's slow error [N^2].
-        config: Settings.
-        is_final: Whether this is the final estimate.
-    """
+    """What to report of the layer, and how the next one begins."""
     (fit, known), thickness = identified, _thickness_m(left, end, config)
     friction, speed = carried_friction(known, thickness), rupture.speed_m_s
     own_coulomb, own_viscous = fit.values[[OWN_COULOMB, OWN_VISCOUS]].tolist()
@@ -240,11 +217,13 @@ def close_layer(
             force_drop_std_N=end.drop_std_N,
             **layer_outputs(fit, thickness, speed),
         ),
-        Traversed(
-            left.start_m,
-            thickness,
-            MM * thickness * own_coulomb,
-            MM * thickness * own_viscous,
+        TraversedLayer(
+            LayerFriction(
+                left.start_m,
+                thickness,
+                MM * thickness * own_coulomb,
+                MM * thickness * own_viscous,
+            ),
             known,
             end.end_probability,
         ),

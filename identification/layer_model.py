@@ -35,15 +35,10 @@ Array = NDArray[np.float64]
 
 
 class NormalEquations(NamedTuple):
-    """Weighted normal equations: all that is known about the six unknowns.
+    """Weighted normal equations: all that is known about the six unknowns."""
 
-    Attributes:
-        matrix: Sum of w phi phi', shape (6, 6).
-        vector: Sum of w phi f, shape (6,).
-    """
-
-    matrix: Array
-    vector: Array
+    matrix: Array  # Sum of w phi phi', shape (6, 6)
+    vector: Array  # Sum of w phi f, shape (6,)
 
     def plus(self, other: "NormalEquations") -> "NormalEquations":
         """What both know."""
@@ -51,15 +46,10 @@ class NormalEquations(NamedTuple):
 
 
 class Gaussian(NamedTuple):
-    """Distribution of the six unknowns, or of the first two.
+    """Distribution of the six unknowns, or of the first two."""
 
-    Attributes:
-        values: Mean, shape (n,).
-        covariance: Shape (n, n).
-    """
-
-    values: Array
-    covariance: Array
+    values: Array  # Mean, shape (n,)
+    covariance: Array  # Shape (n, n)
 
 
 def no_information() -> NormalEquations:
@@ -109,13 +99,7 @@ def carried_friction(layer: Gaussian, thickness_m: float) -> Gaussian:
 
 
 def smoothed_layer(layer: Gaussian, thickness_m: float, friction: Gaussian) -> Gaussian:
-    """The posterior of a layer once its carried friction is known better.
-
-    Args:
-        layer: When it was left.
-        thickness_m: Its thickness.
-        friction: What is known now of the next layer's C and V, `layer` included.
-    """
+    """The posterior of a layer once its carried friction is known better."""
     expected = carried_friction(layer, thickness_m)
     spread = expected.covariance + _TINY * np.eye(2)
     gain = np.linalg.solve(spread, _carry(thickness_m) @ layer.covariance).T

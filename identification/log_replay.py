@@ -124,13 +124,7 @@ class SignCheck:
         self._least_N, self._largest_N = np.inf, -np.inf
 
     def update(self, depth_m: Array, speed_m_s: Array | None, force_N: Array) -> None:
-        """Take further rows.
-
-        Args:
-            depth_m: Tip depth, shape (n,); may hold gaps.
-            speed_m_s: Recorded speed, shape (n,), or None.
-            force_N: Axial force, shape (n,).
-        """
+        """Take further rows: columns of shape (n,), with gaps; a speed if one was recorded."""
         before = self._last_m if self._last_m.size else depth_m[:1]
         change = np.diff(depth_m, prepend=before)
         self._last_m = depth_m[-1:]
@@ -159,10 +153,8 @@ class SignCheck:
         if span > _LARGEST_DEPTH_M:
             hints.append(f"depth spans {span:.3g} m; is it in millimetres?")
         if start is None or span < _LEAST_TRAVEL_M:
-            return (
-                *hints,
-                f"depth moves by {span * 1e3:.3g} mm only; there is nothing to identify",
-            )
+            still = f"depth moves by {span * 1e3:.3g} mm only; there is nothing to identify"
+            return (*hints, still)
         if self._fresh_m > 0.0 and self._pushed_Nm / self._fresh_m < -_LEAST_FORCE_N:
             hints.append(
                 "the force is negative while the needle goes in; it must be positive when tissue "
@@ -177,7 +169,12 @@ class SignCheck:
         return tuple(hints)
 
 
-_REPORTED = (SampleStatus.FORCE_RANGE, SampleStatus.DEPTH_JUMP, SampleStatus.SPEED_SIGN)
+_REPORTED = (
+    SampleStatus.FORCE_RANGE,
+    SampleStatus.MOTION_RANGE,
+    SampleStatus.DEPTH_JUMP,
+    SampleStatus.SPEED_SIGN,
+)
 """What nobody has reported of a row before; who read the log has reported a NaN or a late stamp."""
 
 HEAD_ROWS = 200
@@ -185,17 +182,11 @@ HEAD_ROWS = 200
 
 
 class ReplayedRows(NamedTuple):
-    """Consecutive rows with their estimates.
+    """Consecutive rows with their estimates."""
 
-    Attributes:
-        t_s: Time stamps [s], shape (n,).
-        force_N: Axial force as recorded [N], shape (n,).
-        estimates: One per row.
-    """
-
-    t_s: Array
-    force_N: Array
-    estimates: list[Estimate]
+    t_s: Array  # Time stamps [s], shape (n,)
+    force_N: Array  # Axial force as recorded [N], shape (n,)
+    estimates: list[Estimate]  # One per row
 
 
 class ReplayStream:
@@ -239,18 +230,10 @@ class ReplayStream:
         speed_m_s: Array | None = None,
         dt_s: Array | None = None,
     ) -> ReplayedRows:
-        """Take further rows.
+        """Take further rows, as `replay` takes them all.
 
-        Args:
-            t_s: Time stamps [s], shape (n,), n > 0; the first call must bring `HEAD_ROWS` rows, or
-                all that there are.
-            depth_m: Tip depth, growing into the tissue [m], shape (n,).
-            force_N: Axial force, positive when tissue pushes back [N], shape (n,).
-            speed_m_s: Rate of depth [m/s], shape (n,); None, always, to derive it from depth,
-                for which rows wait 25 ms.
-            dt_s: Time since the latest row that advanced [s], shape (n,), not positive for rows
-                that do not; None, always, to count from the latest stamp. That of the very first
-                row is not read.
+        The first call must bring `HEAD_ROWS` rows, or all that there are. Without speed, always or
+        never, rows wait 25 ms for it. The very first ``dt_s`` is not read.
 
         Returns:
             The rows whose speed is known, beginning with the first that has not been returned.
@@ -292,9 +275,6 @@ class ReplayStream:
         estimates = list(map(self._identifier.update, *(column.tolist() for column in columns)))
         self._rejected.update(estimate.status for estimate in estimates)
         return ReplayedRows(t_s, force_N, estimates)
-
-
-_ROWS = 1000
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -345,11 +325,7 @@ def replay(
     z, f = read_column("depth_m", depth_m, len(t)), read_column("force_N", force_N, len(t))
     v = None if speed_m_s is None else read_column("speed_m_s", speed_m_s, len(t))
     steps = None if dt_s is None else read_column("dt_s", dt_s, len(t))
-    stream, estimates = ReplayStream(config), []
-    for start in range(0, len(t), _ROWS):
-        part = slice(start, start + _ROWS)
-        rows = (None if column is None else column[part] for column in (v, steps))
-        estimates += stream.run(t[part], z[part], f[part], *rows).estimates
-    estimates += stream.finish().estimates
+    stream = ReplayStream(config)
+    estimates = stream.run(t, z, f, v, steps).estimates + stream.finish().estimates
     t.setflags(write=False)
     return Replay(t_s=t, estimates=tuple(estimates), layers=stream.layers, hints=stream.hints)

@@ -19,7 +19,7 @@ from identification.resampling import (
     DEPTH,
     FORCE,
     Block,
-    is_block_full,
+    least_block_s,
     mean_block,
     update_lag,
     update_track,
@@ -62,15 +62,8 @@ def begin_multilayer_sample(state: MultilayerState, _config: MultilayerConfig) -
 def multilayer_step(
     state: MultilayerState, memory: MultilayerMemory, sample: Sample, config: MultilayerConfig
 ) -> MultilayerState:
-    """What is done once per block, or between blocks after a rupture.
-
-    Args:
-        state: Before the sample.
-        memory: What `update_multilayer` has made of the sample.
-        sample: The sample.
-        config: Settings.
-    """
-    if not is_block_full(memory.filled_s, config.block_s):
+    """What is done once per block, or between blocks after a rupture."""
+    if memory.filled_s < least_block_s(config.block_s):
         state = state._replace(memory=memory)
         return state if state.candidate is None else work_on_rupture(state, config)
     block, lag = mean_block(memory, sample.time_s), state.lag
@@ -172,11 +165,6 @@ def level_score(state: Baseline, interval_s: float, noise_N2: float) -> float:
     Above 1, chance explains it less than once per `interval_s`. The spread comes from the
     differences between neighbours, which a slow rise hardly touches; it is widened while few
     means are known, as Student's t is.
-
-    Args:
-        state: Free-air force.
-        interval_s: Wanted time between false alarms.
-        noise_N2: Variance that noise alone gives a mean.
     """
     forces = state.forces_N
     if len(forces) < _LEAST_SEGMENTS or state.time_s > 0.0:
@@ -193,11 +181,6 @@ def height_over_drift(state: Baseline, force_N: float, noise_N2: float) -> float
     """Height of a force above the older half of the means, in units of their drift.
 
     Zero while too little of free air is known.
-
-    Args:
-        state: Free-air force.
-        force_N: The force.
-        noise_N2: Variance that noise alone gives a mean.
     """
     forces = state.forces_N
     if len(forces) < 2:

@@ -7,8 +7,11 @@ import numpy as np
 
 from identification.config import MultilayerConfig
 from identification.estimate import Events, LayerEstimate, Rupture, RuptureState, layers_left
-from identification.force_drop import AfterRows, ForceAfter
-from identification.friction_compensation import MultilayerCoefficients, MultilayerMemory
+from identification.friction_compensation import (
+    LayerFriction,
+    MultilayerCoefficients,
+    MultilayerMemory,
+)
 from identification.layer_model import (
     COULOMB,
     IDENTIFIED_FRACTION,
@@ -28,6 +31,8 @@ from identification.membrane import MembraneSearch, SearchWork
 from identification.resampling import NO_ROWS, SpeedLag, Track, least_block_s
 from identification.rupture_classifier import (
     NO_RESIDUAL_FORCE,
+    AfterRows,
+    ForceAfter,
     ResidualTipForce,
     RuptureMeasurement,
 )
@@ -35,67 +40,35 @@ from identification.slope_change_detector import DetectorState, initial_detector
 
 
 class Baseline(NamedTuple):
-    """Free-air force of the last ten seconds.
+    """Free-air force of the last ten seconds."""
 
-    Attributes:
-        forces_N: Quarter-second means, newest last.
-        depths_m: Depth at the end of each.
-        sum_Ns: Integral of the force over the quarter second being filled.
-        time_s: Length of that so far.
-        offset_N: Mean force before contact, the paper's r_0 seen from the force side.
-        variance: Mean square of the means around it [N^2]: the sensor's slow error.
-    """
-
-    forces_N: tuple[float, ...] = ()
-    depths_m: tuple[float, ...] = ()
-    sum_Ns: float = 0.0
-    time_s: float = 0.0
-    offset_N: float = 0.0
-    variance: float = 0.0
+    forces_N: tuple[float, ...] = ()  # Quarter-second means, newest last
+    depths_m: tuple[float, ...] = ()  # Depth at the end of each
+    sum_Ns: float = 0.0  # Integral of the force over the quarter second being filled
+    time_s: float = 0.0  # Length of that so far
+    offset_N: float = 0.0  # Mean force before contact, the paper's r_0 seen from the force side
+    variance: float = 0.0  # Mean square of the means around it [N^2]: the sensor's slow error
 
 
 class LayerData(NamedTuple):
-    """What has been gathered about the layer the tip is in.
+    """What has been gathered about the layer the tip is in."""
 
-    Attributes:
-        start_m: Depth at which it begins: from here on it rubs along the shaft.
-        tip_m: Depth from which on it resists the tip: `start_m`, or its membrane's puncture.
-        prior: What was known of C and V when it began.
-        data: Normal equations of the points inside it.
-        points: Number of those points.
-        pool: Points not in `data` yet, summed: weighted columns of the track.
-        rows: The same points at a coarse resolution, see `resampling.add_layer_row`.
-        residual: Tip force it began with.
-    """
-
-    start_m: float
-    tip_m: float
-    prior: NormalEquations
-    data: NormalEquations
-    points: int = 0
-    pool: Array | None = None
-    rows: Array = NO_ROWS
-    residual: ResidualTipForce = NO_RESIDUAL_FORCE
+    start_m: float  # Depth at which it begins: from here on it rubs along the shaft
+    tip_m: float  # Depth from which on it resists the tip: `start_m`, or its membrane's puncture
+    prior: NormalEquations  # What was known of C and V when it began
+    data: NormalEquations  # Normal equations of the points inside it
+    points: int = 0  # Number of those points
+    pool: Array | None = None  # Points not in `data` yet, summed: weighted columns of the track
+    rows: Array = NO_ROWS  # The same points at a coarse resolution, see `resampling.add_layer_row`
+    residual: ResidualTipForce = NO_RESIDUAL_FORCE  # Tip force it began with
 
 
-class Traversed(NamedTuple):
-    """Friction of one traversed layer, for the withdrawal and for smoothing.
+class TraversedLayer(NamedTuple):
+    """Friction of one traversed layer, for the withdrawal and for smoothing."""
 
-    Attributes:
-        start_m: Depth at which it begins.
-        thickness_m: Its thickness.
-        coulomb_N: c d.
-        viscous: b d [N/(mm/s)].
-        posterior: Of its unknowns, before the force after its rupture was known.
-        end_probability: How likely its rupture was its end.
-    """
-
-    start_m: float
-    thickness_m: float
-    coulomb_N: float
-    viscous: float
-    posterior: Gaussian
-    end_probability: float
+    friction: LayerFriction
+    posterior: Gaussian  # Of its unknowns, before the force after its rupture was known
+    end_probability: float  # How likely its rupture was its end
 
 
 class ForceDropMeasurement(NamedTuple):
@@ -103,95 +76,55 @@ class ForceDropMeasurement(NamedTuple):
 
     The track stays what it is meanwhile. What a stage could not measure, where points are too few,
     stays None.
-
-    Attributes:
-        is_final: Whether it settles the rupture.
-        stages: Worked off.
-        before: Force before the rupture, and its variance [N^2].
-        after_rows: What the force after the rupture is measured from.
-        after: That force.
-        end: How the layer ended.
-        has_recovered: Whether the force is back on its old line.
-        layer: The unknowns of the layer left, none negative, and their posterior without what the
-            force after the rupture reveals.
     """
 
-    is_final: bool
-    stages: int = 0
-    before: tuple[float, float] | None = None
-    after_rows: AfterRows | None = None
-    after: ForceAfter | None = None
-    end: RuptureMeasurement | None = None
-    has_recovered: bool = False
+    is_final: bool  # Whether it settles the rupture
+    stages: int = 0  # Worked off
+    before: tuple[float, float] | None = None  # Force before the rupture, and its variance [N^2]
+    after_rows: AfterRows | None = None  # What the force after the rupture is measured from
+    after: ForceAfter | None = None  # That force
+    end: RuptureMeasurement | None = None  # How the layer ended
+    has_recovered: bool = False  # Whether the force is back on its old line
+    # The unknowns of the layer left, none negative, and their posterior without what the force
+    # after the rupture reveals
     layer: tuple[Gaussian, Gaussian] | None = None
 
 
 class RuptureCandidate(NamedTuple):
-    """A rupture alarmed whose force drop is being measured.
+    """A rupture alarmed whose force drop is being measured."""
 
-    Attributes:
-        rupture: The alarm.
-        left: The layer left, as it was at the alarm.
-        left_fit: Its fit at the alarm.
-        is_provisional: Whether its layer has been identified provisionally.
-        next_window_m: Travel since the rupture at which to measure next.
-        first: What the provisional measurement found.
-        search: What was found of a membrane that the layer left ended with, None before that.
-        search_work: What has been done to find it.
-        work: The measurement under way, if any.
-    """
-
-    rupture: Rupture
-    left: LayerData
-    left_fit: Gaussian
-    is_provisional: bool
-    next_window_m: float
-    first: RuptureMeasurement | None = None
+    rupture: Rupture  # The alarm
+    left: LayerData  # The layer left, as it was at the alarm
+    left_fit: Gaussian  # Its fit at the alarm
+    is_provisional: bool  # Whether its layer has been identified provisionally
+    next_window_m: float  # Travel since the rupture at which to measure next
+    first: RuptureMeasurement | None = None  # What the provisional measurement found
+    # What was found of a membrane that the layer left ended with, None before that
     search: MembraneSearch | None = None
-    search_work: SearchWork | None = None
-    work: ForceDropMeasurement | None = None
+    search_work: SearchWork | None = None  # What has been done to find it
+    work: ForceDropMeasurement | None = None  # The measurement under way, if any
 
 
 class MultilayerState(NamedTuple):
-    """All that the multi-layer method remembers; immutable.
+    """All that the multi-layer method remembers; immutable."""
 
-    Attributes:
-        memory: What every sample changes.
-        lag: Lag of the measured speed behind the depth.
-        baseline: Force in free air.
-        detector: Of slope changes.
-        track: Recent past.
-        in_contact: The first layer has been met.
-        contact_m: Depth at which it was.
-        layer: Current layer.
-        fit: Its latest fit.
-        shaft_std_N: Standard deviation of the shaft friction at that fit.
-        candidate: Rupture being measured.
-        rupture_state: State of the rupture machine.
-        layers: Layers identified so far.
-        traversed: Their friction.
-        rupture: Raised by this sample.
-        identified_layer: Identified at this sample.
-        retracted: Alarm this sample showed to be false.
-    """
-
-    memory: MultilayerMemory
-    lag: SpeedLag
-    baseline: Baseline
-    detector: DetectorState
-    track: Track
-    in_contact: bool
-    contact_m: float
-    layer: LayerData
-    fit: Gaussian
-    shaft_std_N: float
-    candidate: RuptureCandidate | None
-    rupture_state: RuptureState
-    layers: tuple[LayerEstimate, ...]
-    traversed: tuple[Traversed, ...]
-    rupture: Rupture | None
-    identified_layer: LayerEstimate | None
-    retracted: Rupture | None
+    detector: DetectorState  # Of slope changes
+    layer: LayerData  # Current layer
+    fit: Gaussian  # Its latest fit
+    shaft_std_N: float = 0.0  # Standard deviation of the shaft friction at that fit
+    memory: MultilayerMemory = MultilayerMemory()  # What every sample changes
+    lag: SpeedLag = SpeedLag()  # Lag of the measured speed behind the depth
+    baseline: Baseline = Baseline()  # Force in free air
+    track: Track = Track()  # Recent past
+    in_contact: bool = False  # The first layer has been met
+    contact_m: float = 0.0  # Depth at which it was
+    candidate: RuptureCandidate | None = None  # Rupture being measured
+    rupture_state: RuptureState = RuptureState.NO_RUPTURE
+    layers: tuple[LayerEstimate, ...] = ()  # Layers identified so far
+    traversed: tuple[TraversedLayer, ...] = ()  # Their friction
+    rupture: Rupture | None = None  # Raised by this sample
+    identified_layer: LayerEstimate | None = None  # Identified at this sample
+    retracted: Rupture | None = None  # Alarm this sample showed to be false
 
     @property
     def events(self) -> Events:
@@ -220,7 +153,7 @@ class MultilayerState(NamedTuple):
 
     @property
     def sources(self) -> tuple[object, ...]:
-        """What `multilayer_coefficients` and `traversed_friction` follow from."""
+        """What `multilayer_coefficients` and the friction traversed follow from."""
         return self.fit, self.earlier_fit, self.layers, self.in_contact, self.is_due
 
 
@@ -234,25 +167,8 @@ def first_layer(start_m: float) -> LayerData:
 
 def initial_multilayer_state(_config: MultilayerConfig) -> MultilayerState:
     """State before the first sample."""
-    return MultilayerState(
-        memory=MultilayerMemory(),
-        lag=SpeedLag(),
-        baseline=Baseline(),
-        detector=initial_detector(),
-        track=Track(),
-        in_contact=False,
-        contact_m=0.0,
-        layer=first_layer(0.0),
-        fit=Gaussian(np.zeros(6), np.zeros((6, 6))),
-        shaft_std_N=0.0,
-        candidate=None,
-        rupture_state=RuptureState.NO_RUPTURE,
-        layers=(),
-        traversed=(),
-        rupture=None,
-        identified_layer=None,
-        retracted=None,
-    )
+    unknown = Gaussian(np.zeros(6), np.zeros((6, 6)))
+    return MultilayerState(initial_detector(), first_layer(0.0), unknown)
 
 
 def multilayer_coefficients(
@@ -297,18 +213,13 @@ def multilayer_coefficients(
     )
 
 
-def traversed_friction(state: MultilayerState) -> Array:
-    """Start, thickness, Coulomb and viscous friction of the layers traversed, shape (m, 4)."""
-    return np.array([layer[:4] for layer in state.traversed]).reshape(-1, 4)
-
-
 def multilayer_layers(state: MultilayerState) -> tuple[LayerEstimate, ...]:
     """The layers left, smoothed by all data since."""
     fit = state.earlier_fit
     friction = Gaussian(fit.values[:2], fit.covariance[:2, :2])
     layers: list[LayerEstimate] = []
     for estimate, left in zip(reversed(state.layers), reversed(state.traversed), strict=True):
-        smoothed = smoothed_layer(left.posterior, left.thickness_m, friction)
+        smoothed = smoothed_layer(left.posterior, left.friction.thickness_m, friction)
         layers.append(revised(estimate, smoothed))
         friction = Gaussian(smoothed.values[:2], smoothed.covariance[:2, :2])
     return tuple(reversed(layers))

@@ -14,77 +14,46 @@ from identification.estimate import (
 )
 from identification.input_validation import Sample
 from identification.published_update import (
+    NO_WINDOWS,
+    Array,
     PublishedCoefficients,
     PublishedMemory,
     RlsState,
-    is_window_full,
-    reset_covariance,
-)
-from identification.rls_windows import (
-    WindowHistory,
     WindowSums,
     append_window,
-    joined,
+    is_window_full,
     less_viscous_force,
-    less_viscous_rows,
-    rerun_history,
+    less_viscous_windows,
+    rerun_windows,
+    reset_covariance,
     window_step,
 )
 
 
 class LeftLayer(NamedTuple):
-    """A layer just left, while its force drop is being measured.
+    """A layer just left, while its force drop is being measured."""
 
-    Attributes:
-        start_depth_m: Depth at which it begins.
-        windows: Sums of its reset windows.
-        mean_speed_m_s: Average speed in it.
-        rupture: How it ended.
-    """
-
-    start_depth_m: float
-    windows: WindowHistory
-    mean_speed_m_s: float
-    rupture: Rupture
-
-
-class FoundLayer(NamedTuple):
-    """A layer identified whose friction is not subtracted yet.
-
-    Attributes:
-        layer: What was found.
-        damping_Ns_per_m: Its part B_i d_i of the cumulative friction.
-    """
-
-    layer: LayerEstimate
-    damping_Ns_per_m: float
+    start_depth_m: float  # Depth at which it begins
+    windows: Array  # Sums of its reset windows
+    mean_speed_m_s: float  # Average speed in it
+    rupture: Rupture  # How it ended
 
 
 class PublishedState(NamedTuple):
-    """All that the published method remembers; immutable.
+    """All that the published method remembers; immutable."""
 
-    Attributes:
-        memory: What every sample changes.
-        start_depth_m: Depth at which the current layer begins.
-        windows: Sums of its closed reset windows.
-        left: The layer just left, until its friction is subtracted.
-        rupture_state: State of the rupture machine.
-        cumulative_friction_Ns_per_m: Sum of B_j d_j over the layers subtracted.
-        layers: Layers identified so far.
-        found: The layer just left once it is identified, until the next sample.
-        rupture: Raised by this sample.
-        identified_layer: The layer whose friction is subtracted from this sample on, if any.
-    """
-
-    memory: PublishedMemory
-    start_depth_m: float
-    windows: WindowHistory = WindowHistory()
-    left: LeftLayer | None = None
-    rupture_state: RuptureState = RuptureState.NO_RUPTURE
-    cumulative_friction_Ns_per_m: float = 0.0
-    layers: tuple[LayerEstimate, ...] = ()
-    found: FoundLayer | None = None
-    rupture: Rupture | None = None
+    memory: PublishedMemory  # What every sample changes
+    start_depth_m: float  # Depth at which the current layer begins
+    windows: Array = NO_WINDOWS  # Sums of its closed reset windows
+    left: LeftLayer | None = None  # The layer just left, until its friction is subtracted
+    rupture_state: RuptureState = RuptureState.NO_RUPTURE  # State of the rupture machine
+    cumulative_friction_Ns_per_m: float = 0.0  # Sum of B_j d_j over the layers subtracted
+    layers: tuple[LayerEstimate, ...] = ()  # Layers identified so far
+    # The layer just left once it is identified, with its part B_i d_i of the cumulative friction,
+    # until the next sample
+    found: tuple[LayerEstimate, float] | None = None
+    rupture: Rupture | None = None  # Raised by this sample
+    # The layer whose friction is subtracted from this sample on, if any
     identified_layer: LayerEstimate | None = None
 
     @property
@@ -164,13 +133,7 @@ def reweighted_friction_variance(
 
 
 def identify_left(state: PublishedState, force_N: float, config: PublishedConfig) -> PublishedState:
-    """Identify the layer just left: equations (10) to (12) and the re-run.
-
-    Args:
-        state: State in FRICTION_IDENTIFIED with `left` set.
-        force_N: f(t_r + T_drop).
-        config: Settings.
-    """
+    """Identify the layer just left: equations (10) to (12) and the re-run."""
     left = state.left
     if left is None:
         return state
@@ -181,9 +144,8 @@ def identify_left(state: PublishedState, force_N: float, config: PublishedConfig
     )
     speed = max(abs(left.mean_speed_m_s), _LEAST_SPEED_M_S)
     variance = reweighted_friction_variance(config.var_friction, elastic, friction_ratio, speed)
-    stiffness, friction = rerun_history(
-        left.windows, (float(config.var_stiffness), float(variance))
-    )
+    start = (float(config.var_stiffness), float(variance))
+    stiffness, friction = rerun_windows(left.windows, start, (0.0, 0.0))
     thickness = max(rupture.depth_m - left.start_depth_m, _LEAST_THICKNESS_M)
     damping = friction * (thickness if config.model == "ml" else 1.0)
     layer = LayerEstimate(
@@ -199,28 +161,32 @@ def identify_left(state: PublishedState, force_N: float, config: PublishedConfig
         friction_identified=drop > 0.0,
         friction_N=damping * rupture.speed_m_s,
     )
-    return state._replace(found=FoundLayer(layer, damping))
+    return state._replace(found=(layer, damping))
 
 
-def subtract_friction(
-    state: PublishedState, found: FoundLayer, config: PublishedConfig
+def begin_published_sample(state: PublishedState, config: PublishedConfig) -> PublishedState:
+    """Before a sample: events are over, and a layer found is now taken out of the force."""
+    if state.found is not None:
+        return _subtract_friction(state, *state.found, config)
+    if state.rupture is None and state.identified_layer is None:
+        return state
+    return state._replace(rupture=None, identified_layer=None)
+
+
+def _subtract_friction(
+    state: PublishedState, layer: LayerEstimate, friction: float, config: PublishedConfig
 ) -> PublishedState:
     """Take the friction of the layer left out of the force of the next one.
 
     The sums of the new layer are corrected for the friction now known, so its estimate goes on
     as if that friction had been subtracted from the rupture onwards. This is the second half of
     the re-run's work, done before the next sample is used.
-
-    Args:
-        state: State in which the layer was identified.
-        found: That layer.
-        config: Settings.
     """
-    friction, memory = found.damping_Ns_per_m, state.memory
-    windows = less_viscous_rows(state.windows, friction)
+    memory = state.memory
+    windows = less_viscous_windows(state.windows, friction)
     window = less_viscous_force(memory.window, friction)
     start = (float(config.var_stiffness), float(config.var_friction))
-    stiffness, own = window_step(rerun_history(windows, start), window, start)
+    stiffness, own = window_step(rerun_windows(windows, start, (0.0, 0.0)), window, start)
     return state._replace(
         memory=memory._replace(
             rls=RlsState(stiffness, own, start[0], 0.0, start[1]),
@@ -230,8 +196,10 @@ def subtract_friction(
         windows=windows,
         left=None,
         cumulative_friction_Ns_per_m=state.cumulative_friction_Ns_per_m + friction,
-        layers=(*state.layers, found.layer)[-_MOST_LAYERS:],
+        layers=(*state.layers, layer)[-_MOST_LAYERS:],
         found=None,
+        rupture=None,
+        identified_layer=layer,
     )
 
 
@@ -241,18 +209,6 @@ def initial_published_state(config: PublishedConfig) -> PublishedState:
     return PublishedState(PublishedMemory(rls), config.contact_depth_m)
 
 
-def begin_published_sample(state: PublishedState, config: PublishedConfig) -> PublishedState:
-    """Before a sample: events are over, and a layer found is now taken out of the force."""
-    if state.found is not None:
-        layer = state.found.layer
-        return subtract_friction(state, state.found, config)._replace(
-            rupture=None, identified_layer=layer
-        )
-    if state.rupture is None and state.identified_layer is None:
-        return state
-    return state._replace(rupture=None, identified_layer=None)
-
-
 def published_step(
     state: PublishedState, memory: PublishedMemory, sample: Sample, config: PublishedConfig
 ) -> PublishedState:
@@ -260,12 +216,6 @@ def published_step(
 
     Covariance resetting, state machine; after T_drop force drop (10)(11), re-weighting (12) and
     re-run.
-
-    Args:
-        state: Before the sample.
-        memory: What `update_published` has made of the sample.
-        sample: The sample.
-        config: Settings.
     """
     state = state._replace(memory=memory)
     if sample.depth_m <= state.start_depth_m and not state.layers and state.left is None:
@@ -319,7 +269,7 @@ def _open_layer(state: PublishedState, sample: Sample, config: PublishedConfig) 
         confidence=1.0,
         contact_depth_m=float(config.contact_depth_m),
     )
-    windows = joined(append_window(state.windows, memory.window, config.most_windows))
+    windows = append_window(state.windows, memory.window, config.most_windows)
     left = LeftLayer(state.start_depth_m, windows, memory.mean_speed_m_s, rupture)
     fresh = initial_published_state(config)
     return state._replace(
@@ -339,15 +289,11 @@ def _open_layer(state: PublishedState, sample: Sample, config: PublishedConfig) 
 
 def published_layers(state: PublishedState) -> tuple[LayerEstimate, ...]:
     """The layers left; what follows does not change them."""
-    return state.layers if state.found is None else (*state.layers, state.found.layer)
+    return state.layers if state.found is None else (*state.layers, state.found[0])
 
 
 def cusum_constants(sigma0_N: float, sigma1_N: float) -> tuple[float, float]:
     """Drift nu and threshold gamma [N^2] of the CUSUM on the squared error, equation (9).
-
-    Args:
-        sigma0_N: Standard deviation of the error in the standard case.
-        sigma1_N: Standard deviation of the error at an abrupt change.
 
     Returns:
         nu = (sigma1^2 + sigma0^2) / 2 and gamma = (sigma1^2 - sigma0^2) / 2.

@@ -29,32 +29,21 @@ Array = NDArray[np.float64]
 
 
 class Block(NamedTuple):
-    """Mean of the samples of one short interval.
+    """Mean of the samples of one short interval."""
 
-    Attributes:
-        time_s: End of the interval.
-        dt_s: Length of the interval.
-        depth_m: Mean depth.
-        speed_m_s: Mean speed.
-        force_N: Mean force.
-        bristle: Presliding deflection at its end, -1 to 1.
-    """
-
-    time_s: float
-    dt_s: float
-    depth_m: float
-    speed_m_s: float
-    force_N: float
-    bristle: float
-
-
-def is_block_full(filled_s: float, block_s: float) -> bool:
-    """Whether a block is long enough; sparse samples make blocks of one sample each."""
-    return filled_s >= least_block_s(block_s)
+    time_s: float  # End of the interval
+    dt_s: float  # Length of the interval
+    depth_m: float  # Mean depth
+    speed_m_s: float  # Mean speed
+    force_N: float  # Mean force
+    bristle: float  # Presliding deflection at its end, -1 to 1
 
 
 def least_block_s(block_s: float) -> float:
-    """Length from which on a block is full: a hair less than wanted, for sums round."""
+    """Length from which on a block is full: a hair less than wanted, for sums round.
+
+    Sparse samples make blocks of one sample each.
+    """
     return block_s * (1.0 - _ROUNDING)
 
 
@@ -66,54 +55,31 @@ def mean_block(memory: MultilayerMemory, time_s: float) -> Block:
 
 
 class LagEvidence(NamedTuple):
-    """Sums over windows of a tenth of a second, from which the lag follows.
+    """Sums over windows of a tenth of a second, from which the lag follows."""
 
-    Attributes:
-        mean_gap_m: Of the newest window: depth less the integral of the speed; None without one.
-        mean_speed_m_s: Of that window.
-        cross: Sum of changes of gap times changes of speed.
-        square: Sum of squared changes of speed.
-        residual: Sum of squared changes of gap.
-        windows: How many windows are in these sums.
-    """
-
+    # Of the newest window: depth less the integral of the speed; None without one
     mean_gap_m: float | None = None
-    mean_speed_m_s: float = 0.0
-    cross: float = 0.0
-    square: float = 0.0
-    residual: float = 0.0
-    windows: float = 0.0
+    mean_speed_m_s: float = 0.0  # Of that window
+    cross: float = 0.0  # Sum of changes of gap times changes of speed
+    square: float = 0.0  # Sum of squared changes of speed
+    residual: float = 0.0  # Sum of squared changes of gap
+    windows: float = 0.0  # How many windows are in these sums
 
 
 class SpeedLag(NamedTuple):
-    """What is known of the lag of the speed behind the depth.
+    """What is known of the lag of the speed behind the depth."""
 
-    Attributes:
-        lag_s: Time constant of the low-pass; 0 while none is significant.
-        last: Newest block, lag and all; None at the start and after a gap.
-        gap_m: Depth less the integral of the speed.
-        gap_sum: Integral of the gap over the window being filled.
-        speed_sum: Integral of the speed over it.
-        time_s: Length of that window so far.
-        evidence: Of the windows before.
-    """
-
-    lag_s: float = 0.0
-    last: Block | None = None
-    gap_m: float = 0.0
-    gap_sum: float = 0.0
-    speed_sum: float = 0.0
-    time_s: float = 0.0
-    evidence: LagEvidence = LagEvidence()
+    lag_s: float = 0.0  # Time constant of the low-pass; 0 while none is significant
+    last: Block | None = None  # Newest block, lag and all; None at the start and after a gap
+    gap_m: float = 0.0  # Depth less the integral of the speed
+    gap_sum: float = 0.0  # Integral of the gap over the window being filled
+    speed_sum: float = 0.0  # Integral of the speed over it
+    time_s: float = 0.0  # Length of that window so far
+    evidence: LagEvidence = LagEvidence()  # Of the windows before
 
 
 def update_lag(state: SpeedLag, block: Block) -> tuple[SpeedLag, Block]:
-    """Use one block and return it with the speed the needle had, not the one measured.
-
-    Args:
-        state: What is known.
-        block: Newest block.
-    """
+    """Use one block and return it with the speed the needle had, not the one measured."""
     lag, last, gap, gap_sum, speed_sum, time, evidence = state
     if last is None:
         return SpeedLag(lag, block, gap, evidence=evidence._replace(mean_gap_m=None)), block
@@ -166,18 +132,14 @@ NO_ROWS.setflags(write=False)
 
 
 class Track(NamedTuple):
-    """Points of the recent past, newest last.
+    """Points of the recent past, newest last."""
 
-    Attributes:
-        points: Shape (n, 6), n up to `LENGTH`: depth [m], speed [m/s], force [N], bristle,
-            number of blocks averaged, travel since the previous point [m].
-        sums: The point being filled: sums of depth, speed, force, bristle, blocks.
-        from_m: Depth at which the previous point was closed.
-    """
-
+    # Shape (n, 6), n up to `LENGTH`: depth [m], speed [m/s], force [N], bristle, number of blocks
+    # averaged, travel since the previous point [m]
     points: Array = NO_ROWS
+    # The point being filled: sums of depth, speed, force, bristle, blocks
     sums: tuple[float, float, float, float, float] = (0.0, 0.0, 0.0, 0.0, 0.0)
-    from_m: float | None = None
+    from_m: float | None = None  # Depth at which the previous point was closed
 
 
 def update_track(track: Track, block: Block, step_m: float) -> tuple[Track, Array | None]:
@@ -209,12 +171,7 @@ _SUMMED = BLOCKS
 
 
 def add_layer_row(rows: Array, point: Array) -> Array:
-    """Append a pooled point; when there are too many, neighbours are merged.
-
-    Args:
-        rows: Rows so far, shape (n, 6), columns as those of a track point.
-        point: Newest one, shape (6,).
-    """
+    """Append a pooled point; when there are too many, neighbours are merged."""
     if len(rows) >= MOST_ROWS:
         rows = merge_rows(rows, 2)
     grown = np.vstack((rows, point))
@@ -223,12 +180,7 @@ def add_layer_row(rows: Array, point: Array) -> Array:
 
 
 def merge_rows(rows: Array, count: int) -> Array:
-    """Merge every `count` neighbours, from the newest back; older ones that do not fill up go.
-
-    Args:
-        rows: Shape (n, 6).
-        count: Rows that become one.
-    """
+    """Merge every `count` neighbours, from the newest back; older ones that do not fill up go."""
     kept = len(rows) // count * count
     groups = rows[len(rows) - kept :].reshape(-1, count, rows.shape[1])
     weight = groups[:, :, BLOCKS : BLOCKS + 1]

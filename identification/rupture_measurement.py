@@ -11,13 +11,18 @@ import numpy as np
 
 from identification.config import MultilayerConfig
 from identification.estimate import Rupture, RuptureState, layers_left
-from identification.force_drop import force_after, force_before, rows_after
 from identification.layer_fit import close_layer, identify_layer
 from identification.layer_model import MM, OWN_COULOMB, OWN_VISCOUS, Gaussian, no_information
 from identification.membrane import SearchWork, search_step
 from identification.multilayer_state import ForceDropMeasurement, MultilayerState, RuptureCandidate
 from identification.resampling import DEPTH, NO_ROWS, Block, rows_of_track
-from identification.rupture_classifier import has_recovered, measure_end, weigh_partial_rupture
+from identification.rupture_classifier import (
+    force_after,
+    force_before,
+    has_recovered,
+    measure_end,
+    rows_after,
+)
 from identification.slope_change_detector import (
     SCALES,
     Detection,
@@ -139,14 +144,7 @@ def _work(
     work: ForceDropMeasurement,
     config: MultilayerConfig,
 ) -> MultilayerState:
-    """The next stage: both sides of the rupture, whether it was one, the layer left.
-
-    Args:
-        state: State; since the measurement began, its track has not changed.
-        candidate: The rupture; its search has ended, but for the first stage.
-        work: What has been measured.
-        config: Settings.
-    """
+    """The next stage: both sides of the rupture, whether it was one, the layer left."""
     rupture, end = candidate.rupture, work.end
     if work.stages < _MEASURING:
         work = _measure(state, candidate, work, config)
@@ -187,10 +185,11 @@ def _measure(
         rows = work.after_rows
         return work if rows is None else work._replace(after_rows=None, after=force_after(rows))
     if work.before is not None and work.after is not None and candidate.search is not None:
-        end = measure_end(points, candidate.search, rupture, work.before, work.after)
         earlier = state.traversed[: len(state.layers) - candidate.is_provisional]
         ends = [layer.end_probability for layer in earlier]
-        work = work._replace(end=weigh_partial_rupture(end, ends, config))
+        before, after = work.before, work.after
+        end = measure_end(points, candidate.search, rupture, before, after, ends, config)
+        work = work._replace(end=end)
     seen = candidate.first or work.end
     if work.is_final and seen is not None:
         is_back = has_recovered(points, rupture.depth_m, seen.drop_N, noise)

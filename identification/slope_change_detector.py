@@ -39,24 +39,17 @@ Array = NDArray[np.float64]
 
 
 class FilterBank(NamedTuple):
-    """Least-squares filters of f = a + b t + c max(t - t_change, 0) over the last blocks.
+    """Least-squares filters of f = a + b t + c max(t - t_change, 0) over the last blocks."""
 
-    Attributes:
-        filters: Of all scales, s rows each, newest block last, shape (5 s, length): departure at
-            the newest block from the line through the base; rise of that line over the scale; rise
-            over the blocks after the change alone; mean over the blocks before; value of the line
-            through them at the newest block.
-        blocks: Of each scale, as the next three: blocks after the change.
-        spans: Blocks its filters need.
-        gains: Sum of squares of its first filter: variance under white noise of variance 1.
-        trend_gains: The same of the third filter.
-    """
-
+    # Of all scales, s rows each, newest block last, shape (5 s, length): departure at the newest
+    # block from the line through the base; rise of that line over the scale; rise over the blocks
+    # after the change alone; mean over the blocks before; value of the line through them at the
+    # newest block
     filters: Array
-    blocks: Array
-    spans: Array
-    gains: Array
-    trend_gains: Array
+    blocks: Array  # Of each scale, as the next three: blocks after the change
+    spans: Array  # Blocks its filters need
+    gains: Array  # Sum of squares of its first filter: variance under white noise of variance 1
+    trend_gains: Array  # The same of the third filter
 
     @property
     def length(self) -> int:
@@ -210,15 +203,6 @@ def _learn(
 
 
 @compiled
-def _shifted(values: Vector, newest: float) -> Vector:
-    """Without the oldest, with the newest."""
-    moved = np.empty_like(values)
-    moved[:-1] = values[1:]
-    moved[-1] = newest
-    return moved
-
-
-@compiled
 def update_slope_change(
     signals: tuple[Vector, Vector],
     newest: tuple[float, float],
@@ -230,61 +214,36 @@ def update_slope_change(
 ) -> tuple[tuple[Vector, Vector], tuple[float, float, float, float, float], Learned]:
     """Evaluate one block by what was known, then learn from it; see `update_detector`.
 
-    Args:
-        signals: Last blocks' forces and speeds, newest last, shape (length,) each.
-        newest: Force and speed of the new block.
-        filled: Blocks since the last restart, the new one included.
-        learned: What is known of the noise.
-        filters: See `FilterBank`, as the next.
-        scales: Numbers of the scales.
-        limits: Of the block and the settings.
-
     Returns:
         The signals with the new block, the detection, and what is known now.
     """
-    force, speed = _shifted(signals[0], newest[0]), _shifted(signals[1], newest[1])
+    force, speed = np.append(signals[0][1:], newest[0]), np.append(signals[1][1:], newest[1])
     of_force, of_speed = np.dot(filters, force), np.dot(filters, speed)
     detection = _detect(of_force, of_speed, filled, learned, scales, limits)
     return (force, speed), detection, _learn(of_force, of_speed, filled, learned, scales, limits)
 
 
 class DetectorState(NamedTuple):
-    """Memory of the detector.
+    """Memory of the detector."""
 
-    Attributes:
-        force_N: Last blocks' forces, newest last, shape (length,).
-        speed_m_s: Last blocks' speeds, shape (length,).
-        filled: Blocks since the last restart.
-        variance: Learned mean square of each scale's change [N^2], shape (s,).
-        speed_variance: The same of the speed's change at the fastest scale, shape (1,): noise of
-            the measured speed, which no true acceleration reaches in 10 ms.
-        seen: Blocks each variance was learned from, shape (s,).
-    """
-
-    force_N: Array
-    speed_m_s: Array
-    filled: int
-    variance: Array
+    force_N: Array  # Last blocks' forces, newest last, shape (length,)
+    speed_m_s: Array  # Last blocks' speeds, shape (length,)
+    filled: int  # Blocks since the last restart
+    variance: Array  # Learned mean square of each scale's change [N^2], shape (s,)
+    # The same of the speed's change at the fastest scale, shape (1,): noise of the measured speed,
+    # which no true acceleration reaches in 10 ms
     speed_variance: Array
-    seen: Array
+    seen: Array  # Blocks each variance was learned from, shape (s,)
 
 
 class Detection(NamedTuple):
-    """What the detector reports of the newest block.
+    """What the detector reports of the newest block."""
 
-    Attributes:
-        fall: Largest standardised fall over its threshold; above 1 is an alarm.
-        rise: Largest standardised rise over its threshold.
-        deviations: Standard deviations behind `fall`.
-        scale: Blocks between the fall's change point and now.
-        rise_scale: The same for the rise.
-    """
-
-    fall: float
-    rise: float
-    deviations: float
-    scale: int
-    rise_scale: int
+    fall: float  # Largest standardised fall over its threshold; above 1 is an alarm
+    rise: float  # Largest standardised rise over its threshold
+    deviations: float  # Standard deviations behind `fall`
+    scale: int  # Blocks between the fall's change point and now
+    rise_scale: int  # The same for the rise
 
 
 def initial_detector() -> DetectorState:
@@ -323,11 +282,6 @@ def update_detector(
     A fall that the loss of speed could explain, were all the force viscous, does not count, nor one
     within the noise of that speed; nor does a mere flattening: the force since then must fall, at
     half the rate it rose or faster.
-
-    Args:
-        state: Memory.
-        block: Newest block.
-        config: Settings.
     """
     bank = filter_bank()
     filled = min(state.filled + 1, bank.length)
@@ -374,10 +328,6 @@ def blocks_since_change(force_N: Array, sign: float) -> int:
 
     Maximises the likelihood of f = a + b t + c max(t - k, 0) over k: the argmax of the detector's
     own statistic, so the change point is earlier than the alarm.
-
-    Args:
-        force_N: Forces of equally long blocks, newest last.
-        sign: Direction of the change, -1 for a fall, +1 for a rise.
 
     Returns:
         Blocks between the change point and the newest block, at least one.

@@ -293,7 +293,9 @@ def test_an_alarm_is_dated_on_the_runs_clock_by_what_is_known_last():
     better = SimpleNamespace(alarm_s=0.03, time_s=0.01)
     layer = SimpleNamespace(rupture=better)
     estimates = [
-        SimpleNamespace(rupture=event if k == 2 else None, identified_layer=layer if k == 4 else None)
+        SimpleNamespace(
+            rupture=event if k == 2 else None, identified_layer=layer if k == 4 else None
+        )
         for k in range(6)
     ]
     result = SimpleNamespace(estimates=estimates, layers=(layer,))

@@ -1,5 +1,7 @@
 """The detector learns its threshold: alarms on falls, not on noise of any size or spectrum."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from scipy.signal import lfilter
@@ -51,6 +53,21 @@ def test_noise_alone_does_not_alarm(std, correlation_s):
     rng = np.random.default_rng(11)
     scores, _ = falls(1.0 + correlated(rng, 24_000, std, correlation_s))
     assert np.count_nonzero(scores > 1.0) == 0
+
+
+@pytest.mark.parametrize("seed", range(3))
+def test_noise_alone_alarms_about_as_often_as_is_wanted(seed):
+    """Once per two seconds and side at the most, and not ten times less: the threshold is tight."""
+    config = replace(MULTILAYER, false_alarm_interval_s=2.0)
+    noise = 0.01 * np.random.default_rng(seed).standard_normal(30_000)
+    state, scores = initial_detector(), []
+    for k, force in enumerate(noise.tolist()):
+        block = Block(DT_S * k, DT_S, 1e-5 * k, 2e-3, 1.0 + force, 1.0)
+        state, detection = update_detector(state, block, config)
+        scores.append(max(detection.fall, detection.rise))
+    is_alarm = np.array(scores[400:]) > 1.0
+    wanted = 2.0 * DT_S * len(is_alarm) / 2.0
+    assert 0.1 * wanted < np.count_nonzero(is_alarm[1:] & ~is_alarm[:-1]) < wanted
 
 
 @pytest.mark.parametrize(("std", "correlation_s"), [(0.0045, 0.0), (0.03, 0.02)])

@@ -18,16 +18,18 @@ from identification.published_identifier import (
     reset_covariance,
     reweighted_friction_variance,
 )
-from identification.published_update import add_sample, cusum_step, derivative_step, rls_step
-from identification.rls_windows import (
-    WindowHistory,
+from identification.published_update import (
+    NO_WINDOWS,
     WindowSums,
     add_neighbours,
+    add_sample,
     append_window,
+    cusum_step,
+    derivative_step,
     less_viscous_force,
-    less_viscous_rows,
-    rerun_history,
-    window_rows,
+    less_viscous_windows,
+    rerun_windows,
+    rls_step,
     window_step,
 )
 
@@ -123,7 +125,7 @@ def test_rerun_from_sums_equals_the_rerun_over_samples(seed, length, window, rat
     force = 30.0 * depth + 8000.0 * depth * speed + 0.01 * rng.standard_normal(length)
     variances = (1e6, 1e6 * ratio / 2.3e-3**2)
     state = (0.0, 0.0, variances[0], 0.0, variances[1])
-    sums, history = tuple(WindowSums()), WindowHistory()
+    sums, history = tuple(WindowSums()), NO_WINDOWS
     for k in range(length):
         if k and k % window == 0:
             state = tuple(reset_covariance(RlsState(*state), *variances))
@@ -134,7 +136,7 @@ def test_rerun_from_sums_equals_the_rerun_over_samples(seed, length, window, rat
         sums = add_sample(sums, phi, force[k], speed[k])
     history = append_window(history, WindowSums(*sums), 4096)
     scale = np.abs(state[:2]) + np.sqrt(variances) * 1e-6
-    gap = np.abs(np.array(rerun_history(history, variances)) - state[:2])
+    gap = np.abs(np.array(rerun_windows(history, variances, (0.0, 0.0))) - state[:2])
     assert np.all(gap < 1e-6 * scale)
 
 
@@ -187,7 +189,7 @@ def windows(count, *, noise=1e-4):
 
 
 def history_of(found, most=4096):
-    history = WindowHistory()
+    history = NO_WINDOWS
     for sums in found:
         history = append_window(history, sums, most)
     return history
@@ -198,7 +200,7 @@ def history_of(found, most=4096):
 def test_the_rerun_is_that_of_window_by_window(count, friction_variance):
     found = windows(count)
     variances = (1e6, friction_variance)
-    ours = rerun_history(history_of(found), variances, (1.0, 2.0))
+    ours = rerun_windows(history_of(found), variances, (1.0, 2.0))
     theta = (1.0, 2.0)
     for sums in found:
         theta = window_step(theta, sums, variances)
@@ -208,18 +210,18 @@ def test_the_rerun_is_that_of_window_by_window(count, friction_variance):
 def test_friction_is_taken_out_of_every_window():
     found = windows(130)
     expected = np.array([less_viscous_force(sums, 3.0) for sums in found])
-    np.testing.assert_allclose(window_rows(less_viscous_rows(history_of(found), 3.0)), expected)
-    assert less_viscous_rows(WindowHistory(), 3.0) == WindowHistory()
+    np.testing.assert_allclose(less_viscous_windows(history_of(found), 3.0), expected)
+    assert len(less_viscous_windows(NO_WINDOWS, 3.0)) == 0
 
 
 def test_memory_is_bounded_by_adding_neighbours():
     found = windows(144)
     history = history_of(found, most=128)
     pairs = np.array(found).reshape(72, 2, 7)
-    np.testing.assert_allclose(window_rows(history), pairs.sum(axis=1))
+    np.testing.assert_allclose(history, pairs.sum(axis=1))
     for sums in found:
         history = append_window(history, sums, 128)
-    assert len(window_rows(history)) <= 128 + 16
+    assert len(history) <= 128 + 16
 
 
 @pytest.mark.parametrize("count", [0, 1, 5, 6])
@@ -232,6 +234,6 @@ def test_adding_neighbours_keeps_their_sum(count):
 
 def test_an_older_history_stays_what_it_was():
     older = history_of(windows(100))
-    before = window_rows(older)
+    before = older.copy()
     append_window(older, windows(1)[0], 4096)
-    np.testing.assert_array_equal(window_rows(older), before)
+    np.testing.assert_array_equal(older, before)

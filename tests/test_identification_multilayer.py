@@ -167,6 +167,49 @@ def test_an_offset_of_the_sensor_is_taken_out():
     assert identifier.layers[0].friction_N == pytest.approx(truth, rel=0.05)
 
 
+def linear_layer(seed, noise_N, drop_N=0.0, release_m=0.4e-3):
+    """60 N/m from the depth 0 on at 3 mm/s, and a release at 20 mm after 22/3 s."""
+    rng, identifier = np.random.default_rng(seed), Identifier()
+    depth = -2e-3 + 3e-6 * np.arange(9000)
+    force = 60.0 * np.maximum(depth, 0.0) + noise_N * rng.standard_normal(len(depth))
+    force -= drop_N * np.clip((depth - 20e-3) / release_m, 0.0, 1.0)
+    rows = zip(depth.tolist(), force.tolist(), strict=True)
+    return [identifier.update(z, 3e-3, f, 1e-3) for z, f in rows], identifier
+
+
+@pytest.mark.parametrize("seed", range(4))
+def test_a_rupture_time_is_that_of_its_onset_not_of_its_alarm(seed):
+    estimates, _ = linear_layer(seed, noise_N=0.03, drop_N=0.8)
+    (rupture,) = [e.rupture for e in estimates if e.rupture]
+    assert rupture.alarm_s - 22.0 / 3.0 > 0.01
+    assert rupture.time_s == pytest.approx(22.0 / 3.0, abs=0.006)
+    assert rupture.depth_m == pytest.approx(20e-3, abs=2e-5)
+    assert rupture.alarm_depth_m > rupture.depth_m + 3e-5
+    assert rupture.travel_in_tissue_m == pytest.approx(20e-3, abs=0.3e-3)
+
+
+def test_without_a_rupture_the_friction_is_as_uncertain_as_its_prior():
+    """At constant speed nothing separates stiffness from friction: half of 60 N/m, give or take
+    a fifth of it."""
+    estimates, _ = linear_layer(5, noise_N=1e-3)
+    last = estimates[-1]
+    assert 3e-3 * last.friction_Ns_per_m2 == pytest.approx(30.0, rel=0.02)
+    assert 3e-3 * last.friction_std_Ns_per_m2 == pytest.approx(0.2 * 60.0, rel=0.05)
+    assert last.stiffness_std_N_per_m == pytest.approx(0.2 * 60.0, rel=0.05)
+    assert last.shaft_friction_std_N == pytest.approx(0.2 * 60.0 * 25e-3, rel=0.05)
+
+
+def test_a_layer_is_reported_provisionally_then_finally():
+    estimates, identifier = linear_layer(0, noise_N=0.01, drop_N=0.8)
+    reported = [(e.time_s, e.identified_layer) for e in estimates if e.identified_layer]
+    assert [layer.is_final for _, layer in reported] == [False, True]
+    assert [layer.layer for _, layer in reported] == [1, 1]
+    travel_m = [3e-3 * time_s - 22e-3 for time_s, _ in reported]
+    windows = (MULTILAYER.provisional_window_m, MULTILAYER.final_window_m)
+    assert travel_m == pytest.approx(windows, abs=0.2e-3)
+    assert identifier.layers[0].is_final
+
+
 @pytest.mark.parametrize(
     ("change", "message"),
     [({"presliding_m": 0.0}, "presliding_m"), ({"final_window_m": 1e-4}, "exceed")],

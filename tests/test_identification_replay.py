@@ -6,7 +6,6 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from needleforce.recordings.table import RowClock
 from scipy.ndimage import uniform_filter1d
 
 from groundtruth import insert_needle
@@ -14,6 +13,7 @@ from identification import Identifier, replay
 from identification.log_replay import HEAD_ROWS, DerivedSpeed, ReplayStream, SignCheck
 from needleforce.cli import main
 from needleforce.recordings import write_table
+from needleforce.recordings.table import RowClock
 
 
 @pytest.fixture(scope="module")

@@ -21,7 +21,7 @@ from identification.resampling import (
     Block,
     SpeedLag,
     Track,
-    is_block_full,
+    least_block_s,
     mean_block,
     update_lag,
     update_track,
@@ -55,15 +55,15 @@ def test_jitter_of_the_depth_does_not_turn_the_bristle():
 
 def test_block_is_the_time_weighted_mean():
     short, long = MultilayerMemory(filled_s=0.001), MultilayerMemory(0.004, 7e-4, 0.0, 0.016, 0.5)
-    assert not is_block_full(short.filled_s, 4e-3)
-    assert is_block_full(long.filled_s, 4e-3)
+    assert short.filled_s < least_block_s(4e-3)
+    assert long.filled_s >= least_block_s(4e-3)
     block = mean_block(long, 0.004)
     assert block == Block(0.004, 0.004, pytest.approx(0.175), 0.0, pytest.approx(4.0), 0.5)
 
 
 def test_sparse_samples_are_blocks_of_their_own():
     block = mean_block(MultilayerMemory(0.05, 5e-3, 0.0, 0.05, 1.0), 0.05)
-    assert is_block_full(block.dt_s, 5e-3)
+    assert block.dt_s >= least_block_s(5e-3)
     assert (block.dt_s, block.force_N) == (0.05, 1.0)
 
 

@@ -7,6 +7,7 @@ import pytest
 
 from identification import MULTILAYER, PUBLISHED, Identifier
 from identification import rupture_measurement as rupture_step
+from identification.errors import InvalidSnapshotError
 from identification.published_identifier import PublishedState
 from identification.rupture_measurement import finish_measurement
 from needleforce import read_snapshot, write_snapshot
@@ -156,3 +157,64 @@ def test_a_second_event_finds_the_work_before_it_done():
         assert expected is not None
         assert stopped.update(a, 0.0, b, 10e-3).identified_layer == expected
     assert looks > 2
+
+
+def damaged(config, place, change):
+    """A snapshot in tissue, one array or number of its state changed."""
+    identifier = Identifier(config)
+    z, f = signal(5600)
+    for a, b in zip(z, f, strict=True):
+        identifier.update(a, 2.5e-3, b, 1e-3)
+    whole, *names = identifier.snapshot(), *place.split(".")
+    parts = [whole.state]
+    for name in names[:-1]:
+        parts.append(getattr(parts[-1], name))
+    value = change(getattr(parts[-1], names[-1]))
+    for part, name in zip(reversed(parts), reversed(names), strict=True):
+        value = part._replace(**{name: value})
+    return identifier, whole._replace(state=value)
+
+
+def with_corner(number):
+    def change(matrix):
+        matrix = matrix.copy()
+        matrix[0, 1] = number
+        return matrix
+
+    return change
+
+
+@pytest.mark.parametrize(
+    ("config", "place", "change"),
+    [
+        (MULTILAYER, "fit.covariance", with_corner(0.3)),
+        (MULTILAYER, "fit.covariance", lambda matrix: -matrix),
+        (MULTILAYER, "fit.covariance", lambda matrix: matrix[:2, :2]),
+        (MULTILAYER, "layer.prior.matrix", with_corner(-7.0)),
+        (MULTILAYER, "layer.data.matrix", lambda matrix: matrix - 1e3 * np.eye(6)),
+        (MULTILAYER, "layer.data.matrix", with_corner(np.nan)),
+        (MULTILAYER, "detector.variance", lambda _: np.zeros(3)),
+        (MULTILAYER, "track.points", lambda points: points[:, :4]),
+        (MULTILAYER, "track.points", lambda points: points.astype(int)),
+        (MULTILAYER, "lag", lambda _: None),
+        (PUBLISHED, "memory.rls.covariance", lambda _: 1e12),
+        (PUBLISHED, "memory.rls.var_friction", lambda _: -1.0),
+        (PUBLISHED, "windows", lambda windows: np.asfortranarray(windows)),
+    ],
+)
+def test_a_damaged_state_is_refused_and_changes_nothing(config, place, change):
+    identifier, snapshot = damaged(config, place, change)
+    before = pickle.dumps(identifier.snapshot())
+    with pytest.raises(InvalidSnapshotError, match=place.split(".")[0]):
+        identifier.restore(snapshot)
+    assert pickle.dumps(identifier.snapshot()) == before
+
+
+@pytest.mark.parametrize("config", [MULTILAYER, PUBLISHED])
+def test_every_state_of_an_insertion_is_accepted(config):
+    identifier, twin = Identifier(config), Identifier(config)
+    z, f = signal(8000)
+    for k, (a, b) in enumerate(zip(z, f, strict=True)):
+        identifier.update(a, 2.5e-3, b, 1e-3)
+        if k % 7 == 0:
+            twin.restore(identifier.snapshot())
