@@ -24,7 +24,7 @@ from benchmarks.bounds import (
     whitener,
 )
 from benchmarks.commands.bound import case_table
-from benchmarks.friction_metrics import bound_metrics
+from benchmarks.identification_metrics import bound_metrics
 from benchmarks.signals import NeedleSignal, truth_of_needle
 from benchmarks.tables import bound_table
 from groundtruth import SCENARIOS, Scenario, insert_needle

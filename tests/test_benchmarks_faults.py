@@ -55,13 +55,13 @@ def test_what_is_told_is_what_the_page_says(results):
     page = documented()
     for result in results:
         worst, _, after, told = page[result.name][:4]
-        assert told == (", ".join(result.told) or "–"), result
+        assert told == (", ".join(result.reported) or "–"), result
         assert result.worst_N == pytest.approx(float(worst), abs=0.05, rel=0.1), result
         assert recovery(result.recovery_s).split()[-1] == after.split()[-1], result
 
 
 def test_faults_that_must_be_told_are_told(results):
-    told = {result.name: set(result.told) for result in results}
+    told = {result.name: set(result.reported) for result in results}
     for name, words in told.items():
         for word, caution in (("spike", "SPIKE"), ("frozen", "FROZEN"), ("saturated", "SATURATED")):
             assert (word in name) == (caution in words) or "wrist" in name, name
@@ -89,10 +89,10 @@ def test_the_troubled_insertion_does_all_it_should():
 
 def test_the_table_prints_what_was_found():
     bad = FaultResult(
-        name="x", worst_N=1.234, worst_sigma=2.0, recovery_s=math.inf, told=(), is_finite=False
+        name="x", worst_N=1.234, worst_sigma=2.0, recovery_s=math.inf, reported=(), is_finite=False
     )
     good = FaultResult(
-        name="y", worst_N=0.0, worst_sigma=0.0, recovery_s=0.0123, told=("a", "B"), is_finite=True
+        name="y", worst_N=0.0, worst_sigma=0.0, recovery_s=0.0123, reported=("a", "B"), is_finite=True
     )
     header, _, *rows = fault_lines([bad, good])
     assert all(column in header for column in COLUMNS)

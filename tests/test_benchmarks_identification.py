@@ -7,16 +7,15 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
-from benchmarks.friction_metrics import (
+from benchmarks.identification_metrics import (
     LayerFriction,
     friction_metrics,
     layer_frictions,
-    online_friction_metrics,
 )
 from benchmarks.identification_metrics import CLEAR_m, beyond_last_exit, enhanced_metrics
 from benchmarks.methods import Alarm, alarms_of, first_compensation
 from benchmarks.offline_fit import layer_spans, offline_metrics
-from benchmarks.rupture_metrics import (
+from benchmarks.identification_metrics import (
     EARLY_s,
     LATE_s,
     force_noise_N,
@@ -46,14 +45,14 @@ def rupture(onset_s, layer=1, drop_N=0.5, friction_N=0.4):
     )
 
 
-def alarm(alarm_s, friction_N=None, std_N=None, dated_s=None, online_N=None):
+def alarm(alarm_s, friction_N=None, std_N=None, rupture_s=None, online_N=None):
     layer = online = None
     if friction_N is not None:
         layer = SimpleNamespace(friction_N=friction_N, friction_std_N=std_N)
     if online_N is not None:
         online = SimpleNamespace(friction_N=online_N, friction_std_N=std_N)
     sample = int(np.searchsorted(T, alarm_s))
-    return Alarm(sample, alarm_s, alarm_s if dated_s is None else dated_s, layer, online)
+    return Alarm(sample, alarm_s, alarm_s if rupture_s is None else rupture_s, layer, online)
 
 
 def truth(*ruptures):
@@ -124,7 +123,7 @@ def test_close_ruptures_each_keep_their_alarm():
 
 
 def test_a_perfect_detector_has_its_delay_and_nothing_else():
-    values = rupture_metrics(match([rupture(7.0)], [alarm(7.05, dated_s=7.01)]), truth(), 0.01)
+    values = rupture_metrics(match([rupture(7.0)], [alarm(7.05, rupture_s=7.01)]), truth(), 0.01)
     assert values["rupture_recall"] == values["rupture_precision"] == 1.0
     assert values["rupture_delay_ms"] == pytest.approx(50.0)
     assert values["rupture_dating_error_ms"] == pytest.approx(10.0)
@@ -177,7 +176,7 @@ def test_the_friction_of_each_layer_is_judged_at_its_own_rupture():
 
 def test_what_was_known_online_is_judged_apart_from_what_is_known_at_the_end():
     one = [alarm(7.1, 0.4, 0.01, online_N=0.5)]
-    values = online_friction_metrics(layer_frictions([rupture(7.0)], one, 0.01, online=True))
+    values = friction_metrics(layer_frictions([rupture(7.0)], one, 0.01, online=True), "_online")
     assert values["friction_error_online_worst_pct"] == pytest.approx(25.0)
     assert values["friction_coverage_online_2sigma"] == 0.0
 
@@ -300,5 +299,5 @@ def test_an_alarm_is_dated_on_the_runs_clock_by_what_is_known_last():
     (found,) = alarms_of(result, 5.0 + 0.01 * np.arange(6))
     assert (found.sample, found.layer) == (2, layer)
     assert found.alarm_s == pytest.approx(5.02)
-    assert found.dated_s == pytest.approx(5.0)
+    assert found.rupture_s == pytest.approx(5.0)
     assert first_compensation(result) == 4

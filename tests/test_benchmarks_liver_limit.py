@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from benchmarks.benchmark import Job
-from benchmarks.metric_catalogue import METRICS
+from benchmarks.metrics import METRICS
 from benchmarks.recorded.liver_limit import (
     REGRESSIONS,
     Seen,

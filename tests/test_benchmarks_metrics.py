@@ -8,10 +8,10 @@ from hypothesis import given
 from hypothesis import strategies as st
 from scipy.signal import lfilter
 
-from benchmarks.errors import UnknownMetricError
+from benchmarks import UnknownMetricError
 from benchmarks.force_metrics import force_lag_s, wrench_metrics
 from benchmarks.methods import ForceReading
-from benchmarks.metric_catalogue import Measurement
+from benchmarks.metrics import Measurement
 from benchmarks.signals import ForceTruth
 
 T = np.arange(0.0, 20.0, 1e-3)

@@ -3,7 +3,7 @@
 import pytest
 
 from benchmarks.catalogue import BENCHMARKS, benchmark
-from benchmarks.errors import DataError, UnknownIdError
+from benchmarks import DataError, UnknownIdError
 from benchmarks.paper_figures import NEEDED
 from benchmarks.runner import Request, make_plan
 from groundtruth import SCENARIOS

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from benchmarks.benchmark import Job
-from benchmarks.errors import DataError
+from benchmarks import DataError
 from benchmarks.methods import joint_residual
 from benchmarks.recorded.liver import NUMBERS, read_arrays, read_liver, read_table
 from benchmarks.recorded.panda import FOLDER as PANDA

@@ -5,8 +5,8 @@ import sys
 import numpy as np
 import pytest
 
-from benchmarks.commands.dispatch import main
-from benchmarks.errors import BenchmarkError
+from benchmarks.cli import main
+from benchmarks import BenchmarkError
 from benchmarks.soak import (
     LATE_ROWS,
     LateRows,

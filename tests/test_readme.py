@@ -13,7 +13,7 @@ from benchmark_rows import make_row
 from residual_command_log import write_insertion
 
 from benchmarks.commands.arguments import parser
-from benchmarks.errors import ResultsError
+from benchmarks import ResultsError
 from benchmarks.readme_table import BEGIN, END, fill, main, results_block
 from benchmarks.rows import write_results
 from groundtruth import SCENARIOS

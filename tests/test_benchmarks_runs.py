@@ -7,7 +7,7 @@ import pytest
 from gel_slice import gel_slice
 
 from benchmarks.benchmark import Job
-from benchmarks.errors import DataError
+from benchmarks import DataError
 from benchmarks.recorded.bovine import (
     FILE,
     FOLDER,
@@ -17,14 +17,14 @@ from benchmarks.recorded.bovine import (
     run_bovine_real,
 )
 from benchmarks.recorded.liver import (
-    alarms_at_falls,
-    falls_found,
-    force_falls,
-    in_and_out,
+    alarms_at_drops,
+    drops_found,
+    force_drops,
+    insertion_parts,
     mean_at_depth,
     run_liver_real,
 )
-from benchmarks.rupture_metrics import VISIBLE_SIGMAS
+from benchmarks.identification_metrics import VISIBLE_SIGMAS
 from benchmarks.signals import JointSignals, MeasuredTravel, measured_travel, smoothed
 from benchmarks.simulated import drawn_noise, run_needle
 from benchmarks.tables import friction_table, rupture_table, table_one_table
@@ -110,7 +110,7 @@ def test_a_recording_is_split_where_the_needle_turns():
     depth = np.concatenate(
         (np.linspace(0, 0.08, 801), np.full(100, 0.08), np.linspace(0.08, 0, 801))
     )
-    parts = in_and_out(depth)
+    parts = insertion_parts(depth)
     assert depth[parts.insertion].max() == pytest.approx(0.08, abs=2e-4)
     assert parts.withdrawal.start > 901
     assert depth[parts.withdrawal].max() < 0.0785
@@ -156,14 +156,14 @@ def test_sudden_falls_are_found_and_slow_ones_and_the_end_are_not():
     force -= 0.4 * np.clip((depth - 0.02) / 1e-3, 0.0, 1.0)
     force -= 0.4 * np.clip((depth - 0.04) / 1e-2, 0.0, 1.0)
     force -= 0.8 * np.clip((depth - 0.079) / 1e-3, 0.0, 1.0)
-    (fall,) = force_falls(depth, force)
+    (fall,) = force_drops(depth, force)
     assert fall.from_m == pytest.approx(0.02, abs=2e-4)
     assert fall.to_m == pytest.approx(0.021, abs=2e-4)
-    assert falls_found([fall], [0.0205]) == falls_found([fall], [0.0213]) == 1
-    assert falls_found([fall], [0.019, 0.03]) == 0
-    assert alarms_at_falls([0.019, 0.0201, 0.0205, 0.03], [fall]) == 2
-    assert alarms_at_falls([0.0205], []) == 0
-    assert [len(force_falls(depth, force, least)) for least in (0.3, 0.5)] == [1, 0]
+    assert drops_found([fall], [0.0205]) == drops_found([fall], [0.0213]) == 1
+    assert drops_found([fall], [0.019, 0.03]) == 0
+    assert alarms_at_drops([0.019, 0.0201, 0.0205, 0.03], [fall]) == 2
+    assert alarms_at_drops([0.0205], []) == 0
+    assert [len(force_drops(depth, force, least)) for least in (0.3, 0.5)] == [1, 0]
 
 
 def test_real_liver_has_a_row_for_every_method(recordings_dir):
@@ -193,7 +193,7 @@ def test_bovine_liver_has_its_four_ruptures(recordings_dir):
 def test_the_bovine_curve_falls_in_two_more_places(recordings_dir):
     """As docs/limits.md says: a dip that fills again, and the last fall before the plateau."""
     drawn = read_bovine(recordings_dir, None)
-    falls = force_falls(drawn.depth_m, drawn.force_N, VISIBLE_SIGMAS * NOISE_N)
+    falls = force_drops(drawn.depth_m, drawn.force_N, VISIBLE_SIGMAS * NOISE_N)
     # The first lies in free air: it is as high as the dip at 15.7 mm.
     depths = [1e3 * fall.from_m for fall in falls]
     assert depths == pytest.approx([0.1, 15.7, 19.1, 30.0, 32.7, 36.6, 38.6], abs=0.06)

@@ -12,8 +12,8 @@ from benchmarks.soak import Cycle, Soak
 from benchmarks.speed import (
     BLOCK,
     LIMITS,
-    RERUN_TICKS,
-    ChainTick,
+    LAYER_TICKS,
+    ChainUpdate,
     GcPauses,
     SpeedReport,
     Timing,
@@ -118,12 +118,12 @@ def test_a_chain_tick_notes_what_happened_in_it():
     signals = JointSignals(
         t_s=sent.t_s, q_rad=sent.q_rad, dq_rad_s=sent.dq_rad_s, tau_Nm=sent.tau_Nm
     )
-    tick = ChainTick(run.robot, signals, tare_index(run))
+    tick = ChainUpdate(run.robot, signals, tare_index(run))
     for k in range(tare_index(run) + 17_500):
         tick(k)
     assert len(tick.alarms) == 1
-    assert len(tick.reruns) % RERUN_TICKS == 0
-    assert tick.alarms[0] < tick.reruns[0] < tick.reruns[-1]
+    assert len(tick.layers) % LAYER_TICKS == 0
+    assert tick.alarms[0] < tick.layers[0] < tick.layers[-1]
 
 
 def test_a_slab_takes_its_time():
