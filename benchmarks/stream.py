@@ -5,9 +5,11 @@ import subprocess
 import sys
 import time
 from collections.abc import Callable, Iterator, Sequence
+from contextlib import suppress
 from dataclasses import dataclass
 from pathlib import Path
 from tempfile import TemporaryDirectory, TemporaryFile
+from typing import NamedTuple
 
 import numpy as np
 import pandas as pd
@@ -154,19 +156,15 @@ def run_python(
     """
     # One thread of linear algebra: what is measured is one core.
     environment = os.environ | {"OMP_NUM_THREADS": "1"}
-    start_s, cpu_s = time.perf_counter(), 0.0
+    start_s, before_s = time.perf_counter(), _children_s()
     memory_MB: list[float] = []
     # A file, not a pipe: that would be full after 64 kB, and the process would wait for ever.
     with TemporaryFile() as errors:
         command = [sys.executable, *arguments]
         process = psutil.Popen(command, env=environment, stdout=subprocess.DEVNULL, stderr=errors)
         while process.poll() is None:
-            try:
-                with process.oneshot():
-                    memory_MB.append(process.memory_info().rss / BYTES_PER_MB)
-                    cpu_s = sum(process.cpu_times()[:2])
-            except psutil.Error:
-                break
+            with suppress(psutil.Error):  # it may have ended since the question
+                memory_MB.append(process.memory_info().rss / BYTES_PER_MB)
             progress(time.perf_counter() - start_s)
             time.sleep(POLL_S)
         code, wall_s = process.wait(), time.perf_counter() - start_s
@@ -174,11 +172,17 @@ def run_python(
         said = errors.read().decode(errors="replace").strip()
     if code != 0:
         raise BenchmarkError(f"python {' '.join(arguments)} failed: {said.splitlines()[-1:]}")
+    cpu_s = _children_s() - before_s
     return ProcessUse(wall_s=wall_s, cpu_s=cpu_s, memory_MB=tuple(memory_MB))
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
-class LateRows:
+def _children_s() -> float:
+    """Time on processors of all processes that this one has started and that have ended [s]."""
+    times = psutil.Process().cpu_times()
+    return times.children_user + times.children_system
+
+
+class LateRows(NamedTuple):
     """Of the last `LATE_ROWS` rows that a command wrote, or of all if there are fewer."""
 
     ruptures: int | None  # found in them; None for a command that looks for none

@@ -2,8 +2,8 @@
 
 import pytest
 
-from benchmarks.catalogue import BENCHMARKS, benchmark
 from benchmarks import DataError, UnknownIdError
+from benchmarks.catalogue import BENCHMARKS, benchmark
 from benchmarks.paper_figures import NEEDED
 from benchmarks.runner import Request, make_plan
 from groundtruth import SCENARIOS

@@ -95,7 +95,13 @@ def test_names_of_older_files_become_those_of_today(tmp_path, field, old, today)
 
 @pytest.mark.parametrize(
     ("recall", "soft", "is_undefined"),
-    [(0.0, None, True), (0.0, 0.0, True), (0.0, 0.5, False), (1.0, None, False), (None, 1.0, False)],
+    [
+        (0.0, None, True),
+        (0.0, 0.0, True),
+        (0.0, 0.5, False),
+        (1.0, None, False),
+        (None, 1.0, False),
+    ],
 )
 def test_an_older_precision_without_any_alarm_is_undefined(tmp_path, recall, soft, is_undefined):
     rows = [{"metric": "rupture_precision", "value": 1.0}]
@@ -186,7 +192,14 @@ def test_the_summary_has_at_most_eight_lines_the_bad_ones_first():
     table = summary_table(clean_rows())
     precision, degraded, force = table.lines
     assert precision == ("alarms that are true, fraction", "tissue, clean", "–", "–", "1", "missed")
-    assert degraded == ("axial force, rms error, N", "tissue, degraded", "–", "0.300", "1", "missed")
+    assert degraded == (
+        "axial force, rms error, N",
+        "tissue, degraded",
+        "–",
+        "0.300",
+        "1",
+        "missed",
+    )
     assert force[1:] == ("tissue, clean", "0.151", "0.021 (0.030)", "2", "met")
 
 
@@ -203,7 +216,11 @@ def test_the_command_writes_the_page_and_the_readme(tmp_path, capsys):
     text = page.read_text(encoding="utf-8")
     assert str(tmp_path) not in text
     titles = [line[3:] for line in text.splitlines() if line.startswith("## ")]
-    assert titles == ["Targets", "Axial force against the true one", "Online identification: ruptures"]
+    assert titles == [
+        "Targets",
+        "Axial force against the true one",
+        "Online identification: ruptures",
+    ]
     assert text.index("**missed**") < text.index("| met |")
 
 

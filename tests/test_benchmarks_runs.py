@@ -1,4 +1,4 @@
-"""Identification benchmarks end to end: the needle alone, the arm's kinematics, real tissue."""
+"""Simulated benchmarks end to end: the arm, the needle alone, the arm's kinematics."""
 
 from dataclasses import replace
 
@@ -7,30 +7,16 @@ import pytest
 from gel_slice import gel_slice
 
 from benchmarks.benchmark import Job
-from benchmarks import DataError
-from benchmarks.recorded.bovine import (
-    FILE,
-    FOLDER,
-    NOISE_N,
-    depth_metrics,
-    read_bovine,
-    run_bovine_real,
-)
-from benchmarks.recorded.liver import (
-    alarms_at_drops,
-    drops_found,
-    force_drops,
-    insertion_parts,
-    mean_at_depth,
-    run_liver_real,
-)
-from benchmarks.identification_metrics import VISIBLE_SIGMAS
+from benchmarks.rows import to_json
 from benchmarks.signals import JointSignals, MeasuredTravel, measured_travel, smoothed
-from benchmarks.simulated import drawn_noise, run_needle
+from benchmarks.simulated import drawn_noise, run_needle, simulated_case, simulated_metrics
 from benchmarks.tables import friction_table, rupture_table, table_one_table
 from groundtruth import simulate
+from groundtruth.scenarios import named_scenario
 
 SHORT = gel_slice()
+BRIEF = gel_slice(25, thickness_m=8e-3, speed_m_s=15e-3)
+TOUCHLESS = replace(BRIEF, layers=())
 
 
 def silent(share):
@@ -63,10 +49,9 @@ def test_its_charts_are_drawn_and_its_tables_have_lines(found):
     ]
     assert all(drawing.path.stat().st_size > 10_000 for drawing in found.drawings)
     rows = [item.row("gel-70-constant", "needle", 0) for item in found.measurements]
-    for table in (friction_table(rows), rupture_table(rows), table_one_table(rows)):
-        assert table is not None
-        assert table.row_count == 2
-    assert friction_table([]) is rupture_table([]) is table_one_table([]) is None
+    for make in (friction_table, rupture_table, table_one_table):
+        assert len(make(rows).lines) == 2
+        assert make([]).lines == ()
 
 
 def test_without_tissue_there_is_nothing_to_identify():
@@ -80,14 +65,10 @@ def test_drawn_noise_stays_within_a_factor_of_two():
     assert 0.019 < max(levels) <= 0.02
 
 
-@pytest.mark.parametrize("arm", ["ideal", "degraded"])
-def test_the_robots_kinematics_tell_the_travel_of_the_tip(arm):
-    run = simulate(SHORT, arm)
-    sent = run.signals
-    signals = JointSignals(
-        t_s=sent.t_s, q_rad=sent.q_rad, dq_rad_s=sent.dq_rad_s, tau_Nm=sent.tau_Nm
-    )
-    travel = measured_travel(run.robot, signals, run.tare_end_s)
+@pytest.mark.parametrize("plant", ["ideal", "degraded"])
+def test_the_robots_kinematics_give_the_travel_of_the_tip(plant):
+    run = simulate(SHORT, plant)
+    travel = measured_travel(run.robot, JointSignals.of_run(run), run.tare_end_s)
     after = run.truth.t_s > run.tare_end_s
     error = (travel.depth_m - run.truth.depth_m)[after]
     assert np.std(error) < 2e-5
@@ -103,99 +84,85 @@ def test_a_smoothed_speed_lags_by_its_time_constant_and_leaves_the_depth_alone()
     assert travel.speed_m_s[-1] == pytest.approx(0.98, abs=1e-3)
 
 
-# Real tissue.
+# The arm.
 
 
-def test_a_recording_is_split_where_the_needle_turns():
-    depth = np.concatenate(
-        (np.linspace(0, 0.08, 801), np.full(100, 0.08), np.linspace(0.08, 0, 801))
+def case_of(plant, chosen=BRIEF):
+    return simulated_case(Job(benchmark="short", plant=plant), chosen, silent)
+
+
+def values(case):
+    found = simulated_metrics(case)
+    return {(item.source, item.method, item.metric): item.value for item in found}
+
+
+@pytest.fixture(scope="module")
+def ideal_case():
+    return case_of("ideal")
+
+
+@pytest.fixture(scope="module")
+def degraded_case():
+    return case_of("degraded")
+
+
+def test_the_ideal_residual_is_the_ideal_filter(ideal_case):
+    assert values(ideal_case)["virtual", "default", "residual_rms_Nm"] < 1e-6
+
+
+def test_the_ft_sensor_of_the_ideal_arm_reads_the_truth(ideal_case):
+    found = values(ideal_case)
+    # 68 g of needle are started and stopped: that much inertia is in the reading.
+    assert found["ft", "default", "wrench_rmse_N"] < 2e-3
+    assert abs(found["ft", "default", "wrench_lag_ms"]) < 5.0
+
+
+def test_the_lag_of_the_published_sensor_is_seen(ideal_case):
+    found = values(ideal_case)
+    assert found["virtual", "published", "wrench_lag_ms"] > 100.0
+    assert 0.0 < found["virtual", "default", "wrench_lag_ms"] < 50.0
+
+
+def test_a_wrong_sign_would_be_seen(ideal_case):
+    """The error of the force turned round is twice the force."""
+    judged = ideal_case.truth.judged
+    ours = ideal_case.readings[1]
+    assert (ours.source, ours.method) == ("virtual", "default")
+    force = np.sqrt(np.mean(ideal_case.truth.axial_N[judged] ** 2))
+    assert force > 0.05
+    assert values(ideal_case)["virtual", "default", "wrench_rmse_N"] < 0.2 * force
+
+
+def test_equal_jobs_give_equal_bytes(degraded_case):
+    first, second = (
+        to_json(item.row("short", "degraded", 0) for item in simulated_metrics(case))
+        for case in (degraded_case, case_of("degraded"))
     )
-    parts = insertion_parts(depth)
-    assert depth[parts.insertion].max() == pytest.approx(0.08, abs=2e-4)
-    assert parts.withdrawal.start > 901
-    assert depth[parts.withdrawal].max() < 0.0785
+    assert first == second
 
 
-def test_a_mean_at_a_depth_where_the_needle_never_was_is_not_a_number():
-    depth = np.linspace(0, 0.05, 501)
-    assert mean_at_depth(depth, 10.0 * depth, 0.02) == pytest.approx(0.2)
-    assert np.isnan(mean_at_depth(depth, depth, 0.08))
+def test_every_source_and_method_has_its_four_numbers(degraded_case):
+    found = values(degraded_case)
+    for source, method in (("ft", "default"), ("virtual", "default"), ("virtual", "published")):
+        for name in ("rmse_N", "bias_N", "lag_ms", "coverage_2sigma"):
+            assert np.isfinite(found[source, method, f"wrench_{name}"])
+    assert len(found) == 12
 
 
-def test_annotated_ruptures_are_found_missed_or_invented():
-    values = depth_metrics([10.2, 20.4, 33.0], [10.0, 20.3, 32.9], [10.0, 20.0, 30.0])
-    assert (values["ruptures_missed"], values["ruptures_false"]) == (1.0, 1.0)
-    assert values["rupture_depth_error_mm"] == pytest.approx(0.4)
-    assert values["rupture_dated_depth_error_mm"] == pytest.approx(0.3)
-    assert depth_metrics([], [], [10.0]) == {"ruptures_missed": 1.0, "ruptures_false": 0.0}
-
-
-def test_a_digitised_curve_becomes_a_signal_at_its_speed(tmp_path):
-    folder = tmp_path / FOLDER
-    folder.mkdir()
-    # The last point begins a second stroke of the pen.
-    (folder / FILE).write_text("depth_m,force_N\n0,0\n0.03,3\n0.03,1\n0.06,2\n0.02,9\n")
-    signal = read_bovine(tmp_path, np.random.default_rng(0))
-    assert np.diff(signal.depth_m) / np.diff(signal.t_s) == pytest.approx(3e-3)
-    assert signal.depth_m[-1] == pytest.approx(0.06, abs=1e-5)
-    assert signal.force_N.max() < 3.1
-    assert signal.force_N[-1] == pytest.approx(2.0, abs=0.05)
-
-
-@pytest.mark.parametrize("text", ["", "depth_m,force_N\n0,x\n", "depth_m,force_N\n0,1,2\n1,2,3\n"])
-def test_a_broken_curve_is_refused(tmp_path, text):
-    (tmp_path / FOLDER).mkdir()
-    (tmp_path / FOLDER / FILE).write_text(text)
-    with pytest.raises(DataError):
-        read_bovine(tmp_path, np.random.default_rng(0))
-
-
-def test_sudden_falls_are_found_and_slow_ones_and_the_end_are_not():
-    depth = np.linspace(0.0, 0.08, 16_001)
-    force = 20.0 * depth
-    force -= 0.4 * np.clip((depth - 0.02) / 1e-3, 0.0, 1.0)
-    force -= 0.4 * np.clip((depth - 0.04) / 1e-2, 0.0, 1.0)
-    force -= 0.8 * np.clip((depth - 0.079) / 1e-3, 0.0, 1.0)
-    (fall,) = force_drops(depth, force)
-    assert fall.from_m == pytest.approx(0.02, abs=2e-4)
-    assert fall.to_m == pytest.approx(0.021, abs=2e-4)
-    assert drops_found([fall], [0.0205]) == drops_found([fall], [0.0213]) == 1
-    assert drops_found([fall], [0.019, 0.03]) == 0
-    assert alarms_at_drops([0.019, 0.0201, 0.0205, 0.03], [fall]) == 2
-    assert alarms_at_drops([0.0205], []) == 0
-    assert [len(force_drops(depth, force, least)) for least in (0.3, 0.5)] == [1, 0]
-
-
-def test_real_liver_has_a_row_for_every_method(recordings_dir):
-    job = Job(benchmark="liver-real", plant="recording", data=recordings_dir)
-    by_key = {
-        (item.method, item.metric): item.value for item in run_liver_real(job, silent).measurements
+def test_without_tissue_only_the_virtual_sensor_is_judged_and_from_the_tare_on():
+    case = case_of("clean", TOUCHLESS)
+    assert {item.source for item in case.readings} == {"virtual"}
+    assert case.truth.start_s == case.run.tare_end_s
+    assert {metric for _, _, metric in values(case)} == {
+        "wrench_rmse_N",
+        "wrench_bias_N",
+        "wrench_coverage_2sigma",
     }
-    # What the data's description says of the rule of thumb.
-    assert by_key["guess", "pullout_error_median_pct"] == pytest.approx(14.0, abs=1.0)
-    assert by_key["guess", "pullout_error_p90_pct"] == pytest.approx(42.0, abs=1.0)
-    assert ("guess", "ruptures_per_insertion") not in by_key
-    assert by_key["default", "fall_recall"] > 0.5
-    assert np.isfinite(list(by_key.values())).all()
 
 
-def test_bovine_liver_has_its_four_ruptures(recordings_dir):
-    job = Job(benchmark="bovine-real", plant="recording", data=recordings_dir)
-    by_key = {
-        (item.method, item.metric): item.value for item in run_bovine_real(job, silent).measurements
-    }
-    assert by_key["default", "ruptures_missed"] == 0.0
-    assert by_key["default", "rupture_depth_error_mm"] < 1.0
-    # Whatever else it reports is a fall of the curve, too.
-    assert by_key["default", "ruptures_without_fall"] == 0.0
+def test_a_random_stack_is_drawn_from_the_seed():
+    def drawn(seed):
+        return named_scenario("random-stack", seed)
 
-
-def test_the_bovine_curve_falls_in_two_more_places(recordings_dir):
-    """As docs/limits.md says: a dip that fills again, and the last fall before the plateau."""
-    drawn = read_bovine(recordings_dir, None)
-    falls = force_drops(drawn.depth_m, drawn.force_N, VISIBLE_SIGMAS * NOISE_N)
-    # The first lies in free air: it is as high as the dip at 15.7 mm.
-    depths = [1e3 * fall.from_m for fall in falls]
-    assert depths == pytest.approx([0.1, 15.7, 19.1, 30.0, 32.7, 36.6, 38.6], abs=0.06)
-    drops = [fall.drop_N for fall in falls]
-    assert drops == pytest.approx([0.09, 0.09, 1.20, 0.83, 0.93, 0.74, 0.16], abs=0.01)
+    assert drawn(1) == drawn(1)
+    assert drawn(1) != drawn(2)
