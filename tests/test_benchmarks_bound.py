@@ -23,7 +23,7 @@ from benchmarks.bounds import (
 )
 from benchmarks.identification_metrics import bound_metrics
 from benchmarks.signals import NeedleSignal, lagging, truth_of_needle
-from benchmarks.tables import bound_table
+from benchmarks.tables import TABLES
 from groundtruth import SCENARIOS, Scenario, insert_needle
 from groundtruth.motion import constant_motion
 from identification import MULTILAYER
@@ -149,10 +149,10 @@ def test_bounds_stand_beside_what_was_reached():
         make_row(metric="friction_error_mean_pct", value=3.75),
         make_row(metric="rupture_delay_ms", value=5.5, method="published"),
     ]
-    (line,) = bound_table(rows).lines
+    (line,) = TABLES["bounds"](rows).lines
     assert line[4:6] == ("1.25", "3.75")
     assert line[-1] == "5.5"
-    assert bound_table(rows[1:]).lines == ()
+    assert TABLES["bounds"](rows[1:]).lines == ()
 
 
 def test_the_command_has_a_line_for_every_change():

@@ -182,13 +182,12 @@ def test_speed_fails_when_strict_and_too_slow(monkeypatch, capsys, cost, code):
 
     def measured(progress):
         progress(1.0)
-        bare = set(speed.BARE.values())
-        timings = {
-            name: speed.Timing(tick_us=np.full((2, 3), 1.0 if name in bare else cost))
-            for name in sorted({*speed.BARE, *bare})
-        }
+        bare = {subject.bare for subject in speed.SUBJECTS.values()}
         return speed.SpeedReport(
-            timings=timings,
+            times={
+                name: np.full((2, 3), 1.0 if name in bare else cost)
+                for name in (*speed.SUBJECTS, *bare)
+            },
             alarms={},
             layers={},
             pauses=speed.GcPauses(),

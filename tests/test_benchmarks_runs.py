@@ -10,7 +10,7 @@ from benchmarks.benchmark import Job
 from benchmarks.rows import to_json
 from benchmarks.signals import JointSignals, MeasuredTravel, measured_travel, smoothed
 from benchmarks.simulated import drawn_noise, run_needle, simulated_case, simulated_metrics
-from benchmarks.tables import friction_table, rupture_table, table_one_table
+from benchmarks.tables import TABLES
 from groundtruth import simulate
 from groundtruth.scenarios import named_scenario
 
@@ -49,9 +49,9 @@ def test_its_charts_are_drawn_and_its_tables_have_lines(found):
     ]
     assert all(drawing.path.stat().st_size > 10_000 for drawing in found.drawings)
     rows = [item.row("gel-70-constant", "needle", 0) for item in found.measurements]
-    for make in (friction_table, rupture_table, table_one_table):
-        assert len(make(rows).lines) == 2
-        assert make([]).lines == ()
+    for name in ("friction", "ruptures", "table I"):
+        assert len(TABLES[name](rows).lines) == 2
+        assert TABLES[name]([]).lines == ()
 
 
 def test_without_tissue_there_is_nothing_to_identify():
