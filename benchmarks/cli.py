@@ -10,6 +10,7 @@ from collections import Counter
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from functools import partial
+from itertools import product
 from pathlib import Path
 from typing import Annotated, Literal
 
@@ -37,15 +38,10 @@ app = App(
     default_parameter=Parameter(negative=""),
 )
 Positive = Annotated[int, Parameter(validator=Number(gte=1))]
-Strict = Annotated[bool, Parameter(help="Exit with 1 if a target is missed.")]
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
-    """Run a command and return its exit code.
-
-    Args:
-        arguments: The command line after the program's name; default: that of this process.
-    """
+    """Run a command line, by default that of this process, and return its exit code."""
     tokens = sys.argv[1:] if arguments is None else list(arguments)
     try:
         if not tokens:
@@ -105,17 +101,13 @@ def list_() -> None:
     from benchmarks.runner import PLANTS
     from benchmarks.tables import ResultTable, new_console
 
+    needs = {True: "recordings", False: "simulation"}
     table = ResultTable(
         title="Benchmarks",
         heads=("ID", "", "what", "needs"),
         align="LLlL",
         lines=tuple(
-            (
-                item.id,
-                "*" if item.is_default else "",
-                item.title,
-                "recordings" if item.is_recorded else "simulation",
-            )
+            (item.id, "*" if item.is_default else "", item.title, needs[item.is_recorded])
             for item in BENCHMARKS.values()
         ),
         caption="* runs when nothing is named; 'tissue' names the scenarios with tissue, 'all' all",
@@ -138,7 +130,7 @@ def run(
     json: Path | None = None,
     report: Path | None = None,
     jobs: Positive | None = None,
-    strict: Strict = False,
+    strict: bool = False,
 ) -> int:
     """Run benchmarks, print tables and targets.
 
@@ -153,9 +145,6 @@ def run(
             and all tables. With no ID named, runs all that the figures need.
         jobs: Processes at a time; default: one per processor.
         strict: Exit with 1 if a target is missed.
-
-    Raises:
-        BenchmarkError: Nothing can be run, or a file cannot be written.
     """
     from benchmarks.evaluation import evaluate
     from benchmarks.report import write_report
@@ -206,9 +195,6 @@ def compare(old: Path, new: Path) -> int:
     Args:
         old: Results of the earlier run.
         new: Results of the later run.
-
-    Raises:
-        ResultsError: A file cannot be read, or there is nothing to compare.
     """
     from benchmarks.evaluation import Change, compare_rows
     from benchmarks.rows import read_results
@@ -240,9 +226,6 @@ def results(
         files: Results from run --json.
         page: Write all tables there (docs/results.md).
         readme: Write the summary between the marks of that page (README.md).
-
-    Raises:
-        ResultsError: A file cannot be read or written, or has no marks.
     """
     from benchmarks.results_page import fill, printed_by, results_page, summary_block, summary_table
     from benchmarks.rows import read_merged
@@ -274,7 +257,7 @@ def bound() -> None:
 
 
 @app.command
-def speed(soak: bool = False, ticks: Positive = 1_000_000, strict: Strict = False) -> int:
+def speed(soak: bool = False, ticks: Positive = 1_000_000, strict: bool = False) -> int:
     """Time the estimators beside their bare dynamics. Takes about 75 s.
 
     Args:
@@ -301,13 +284,7 @@ def speed(soak: bool = False, ticks: Positive = 1_000_000, strict: Strict = Fals
 
 
 @app.command
-def faults(
-    without_velocity: bool = False,
-    markdown: bool = False,
-    strict: Annotated[
-        bool, Parameter(help="Exit with 1 if a fault is not recovered from, or a number is bad.")
-    ] = False,
-) -> int:
+def faults(without_velocity: bool = False, markdown: bool = False, strict: bool = False) -> int:
     """Break the signals of a running insertion. Takes about 45 s.
 
     Args:
@@ -340,7 +317,7 @@ def stream(
     seconds: Positive = 60,
     format: Sequence[Literal[".csv", ".csv.gz", ".npz", ".parquet", ".mcap"]] = (),
     folder: Path | None = None,
-    strict: Strict = False,
+    strict: bool = False,
 ) -> int:
     """Send a long recording through the commands.
 
@@ -349,23 +326,17 @@ def stream(
         format: Of the recording; may be given more than once (default .csv).
         folder: Where the files lie meanwhile.
         strict: Exit with 1 if a target is missed.
-
-    Raises:
-        BenchmarkError: The recording is too short, or a command failed.
     """
-    from benchmarks.stream import COMMANDS, LEAST_SECONDS, StreamCase, measure_stream, stream_table
+    from benchmarks.stream import LEAST_SECONDS, RECORDINGS, measure_stream, stream_table
     from benchmarks.tables import new_console
 
     if seconds < LEAST_SECONDS:
         raise BenchmarkError(f"--seconds must be at least {LEAST_SECONDS:g}: the tare takes half")
-    cases = [
-        StreamCase(command=command, suffix=suffix)
-        for suffix in format or [".csv"]
-        for command in COMMANDS
-    ]
-    speeds = []
+    cases = list(product(RECORDINGS, format or [".csv"]))
     with progress_bar(len(cases)) as update:
-        for index, case in enumerate(cases):
-            speeds.append(measure_stream(case, seconds, folder, partial(update, index)))
+        speeds = [
+            measure_stream(*case, seconds, folder, partial(update, index))
+            for index, case in enumerate(cases)
+        ]
     new_console().print(stream_table(speeds).rich())
     return FAILURE if strict and not all(speed.is_met for speed in speeds) else 0

@@ -17,14 +17,7 @@ from typing import NamedTuple
 from benchmarks import UnknownMetricError
 from benchmarks.rows import Method, Row, Source
 
-UNITS = {
-    "_Ns_per_m": "Ns/m",
-    "_Nm": "Nm",
-    "_N": "N",
-    "_mm": "mm",
-    "_ms": "ms",
-    "_pct": "%",
-}
+UNITS = {"_Ns_per_m": "Ns/m", "_Nm": "Nm", "_N": "N", "_mm": "mm", "_ms": "ms", "_pct": "%"}
 """By the end of a metric's name; a name that ends otherwise is that of a fraction or a count."""
 UNDEFINED = frozenset({"rupture_precision"})
 """Metrics that may be nan by definition: without an alarm there is no precision."""

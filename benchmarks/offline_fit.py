@@ -60,10 +60,7 @@ def layer_spans(truth: InsertionTruth) -> list[LayerSpan]:
     starts = [(truth.contact_s, 0.0), *ends[:-1]]
     return [
         LayerSpan(
-            start_s=start_s,
-            start_depth_m=start_m,
-            thickness_m=end_m - start_m,
-            rupture_s=end_s,
+            start_s=start_s, start_depth_m=start_m, thickness_m=end_m - start_m, rupture_s=end_s
         )
         for (start_s, start_m), (end_s, end_m) in zip(starts, ends, strict=True)
     ]

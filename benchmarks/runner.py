@@ -125,14 +125,7 @@ def _jobs(item: Benchmark, request: Request) -> list[Job]:
     ]
 
 
-KNOWN = (
-    BenchmarkError,
-    GroundTruthError,
-    ResidualError,
-    UrdfError,
-    RecordingError,
-    FiguresError,
-)
+KNOWN = (BenchmarkError, GroundTruthError, ResidualError, UrdfError, RecordingError, FiguresError)
 """Errors that come back from a job as one line, not as a traceback."""
 
 

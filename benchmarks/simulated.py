@@ -123,10 +123,7 @@ def arm_signals(case: SimulatedCase) -> list[Signals]:
     """
     signals = case.signals
     measured = measured_travel(case.run.robot, signals, case.run.tare_end_s)
-    travel = {
-        "default": measured,
-        "published": smoothed(measured, signals.dt_s, PUBLISHED_SPEED_s),
-    }
+    travel = {"default": measured, "published": smoothed(measured, signals.dt_s, PUBLISHED_SPEED_s)}
     force = {(item.source, item.method): item.axial_N for item in case.readings}
     force["ft", "published"] = force["ft", "default"]
     sources: tuple[Source, ...] = ("ft", "virtual")

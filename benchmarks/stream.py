@@ -1,15 +1,17 @@
 """Recordings of any length through the commands: how fast, and does their memory grow?"""
 
+import math
 import os
 import subprocess
 import sys
 import time
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass
 from pathlib import Path
 from tempfile import TemporaryDirectory, TemporaryFile
-from typing import NamedTuple
+from types import MappingProxyType
+from typing import Any, NamedTuple
 
 import numpy as np
 import pandas as pd
@@ -63,15 +65,8 @@ def joint_recording(seconds: float, rng: np.random.Generator) -> Iterator[Column
 def needle_recording(seconds: float, rng: np.random.Generator) -> Iterator[Columns]:
     """Depth, speed and force of a needle that is inserted into gel and withdrawn, again and again.
 
-    Every cycle is in fresh tissue, whose surface lies as deep as the needle has come before: in
-    the channel of an insertion there is nothing left to rupture.
-
-    Args:
-        seconds: Length [s].
-        rng: Of the noise.
-
-    Yields:
-        Columns of consecutive rows.
+    As `joint_recording`. Every cycle is in fresh tissue, whose surface lies as deep as the needle
+    has come before: in the channel of an insertion there is nothing left to rupture.
     """
     run = insert_needle("gel-50-constant", seed=0, rate_hz=RATE_HZ)
     taring = int(np.searchsorted(run.t_s, run.tare_end_s))
@@ -120,20 +115,18 @@ def _joint_cycle(robot: Robot) -> Columns:
     return {"q_rad": q, "dq_rad_s": dq, "tau_Nm": np.array(free) - external}
 
 
-_RECORDINGS: dict[str, Callable[[float, np.random.Generator], Iterator[Columns]]] = {
-    "residual": joint_recording,
-    "identification": needle_recording,
-}
-COMMANDS = tuple(_RECORDINGS)
+RECORDINGS: Mapping[str, Callable[[float, np.random.Generator], Iterator[Columns]]] = (
+    MappingProxyType({"residual": joint_recording, "identification": needle_recording})
+)
+"""What is sent through a command, by its name."""
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
-class ProcessUse:
+class ProcessUse(NamedTuple):
     """What a process needed."""
 
-    wall_s: float  # from start to end [s]
-    cpu_s: float  # time on processors [s]
-    memory_MB: tuple[float, ...]  # resident memory as it went on, of equal steps in time [MB]
+    wall_s: float  # from start to end
+    cpu_s: float  # time on processors
+    memory_MB: tuple[float, ...]  # resident memory as it went on, in equal steps of time
 
     def memory_at(self, fraction: float) -> float:
         """Resident memory when that fraction of the time had passed [MB]; nan if unknown."""
@@ -167,13 +160,12 @@ def run_python(
                 memory_MB.append(process.memory_info().rss / BYTES_PER_MB)
             progress(time.perf_counter() - start_s)
             time.sleep(POLL_S)
-        code, wall_s = process.wait(), time.perf_counter() - start_s
+        wall_s = time.perf_counter() - start_s
         errors.seek(0)
         said = errors.read().decode(errors="replace").strip()
-    if code != 0:
+    if process.returncode != 0:
         raise BenchmarkError(f"python {' '.join(arguments)} failed: {said.splitlines()[-1:]}")
-    cpu_s = _children_s() - before_s
-    return ProcessUse(wall_s=wall_s, cpu_s=cpu_s, memory_MB=tuple(memory_MB))
+    return ProcessUse(wall_s, _children_s() - before_s, tuple(memory_MB))
 
 
 def _children_s() -> float:
@@ -191,34 +183,23 @@ class LateRows(NamedTuple):
 
 def late_rows(path: Path) -> LateRows:
     """Read the end of a table that `residual` or `identification` has written as CSV."""
-    names = list(pd.read_csv(path, nrows=0).columns)
-    wanted = ["force_status"] if "force_status" in names else ["absorbed", "rupture"]
-    table = pd.read_csv(path, usecols=wanted).tail(LATE_ROWS)
-    if "force_status" in wanted:
+    wanted = ("force_status", "absorbed", "rupture")
+    table: Any = pd.read_csv(path, usecols=lambda name: name in wanted).tail(LATE_ROWS)
+    if "force_status" in table:
         rejected = FORCE_STATUS.index("skipped")
-        return LateRows(ruptures=None, rejected=int((table["force_status"] == rejected).sum()))
-    return LateRows(
-        ruptures=int((table["rupture"] != 0.0).sum()),
-        rejected=int((table["absorbed"] == 0.0).sum()),
-    )
-
-
-@dataclass(frozen=True, slots=True, kw_only=True)
-class StreamCase:
-    """A command on a recording."""
-
-    command: str  # ``residual`` or ``identification``
-    suffix: str  # of the recording; results are written as CSV
+        return LateRows(None, int((table["force_status"] == rejected).sum()))
+    return LateRows(int((table["rupture"] != 0.0).sum()), int((table["absorbed"] == 0.0).sum()))
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class StreamSpeed:
-    """What it needed."""
+    """What a command needed for a recording."""
 
-    case: StreamCase  # which command on what
-    seconds: float  # length of the recording [s]
+    command: str  # ``residual`` or ``identification``
+    suffix: str  # of the recording; results are written as CSV
+    seconds: float  # length of the recording
     rows: int  # of the recording
-    use: ProcessUse  # time and memory
+    use: ProcessUse
     late: LateRows  # what was found at the end: a command that idles is fast
 
     @property
@@ -227,26 +208,29 @@ class StreamSpeed:
         return self.seconds / self.use.cpu_s
 
     @property
-    def is_busy(self) -> bool:
-        """Whether no late row was rejected and ruptures went on, if the recording is long."""
-        is_alive = self.late.ruptures != 0 or self.rows < 2 * LATE_ROWS
-        return is_alive and self.late.rejected == 0
-
-    @property
     def is_met(self) -> bool:
-        """Whether both targets are, without idling; unknown memory counts as a miss."""
+        """Whether both targets are, without idling; unknown memory counts as a miss.
+
+        No late row may be rejected, and ruptures go on if the recording is long.
+        """
+        is_alive = self.late.ruptures != 0 or self.rows < 2 * LATE_ROWS
         growth_MB = self.use.memory_at(1.0) - self.use.memory_at(0.1)
-        is_fast = self.times_real >= LEAST_TIMES_REAL
-        return is_fast and growth_MB <= MOST_GROWTH_MB and self.is_busy
+        is_cheap = self.times_real >= LEAST_TIMES_REAL and growth_MB <= MOST_GROWTH_MB
+        return is_cheap and is_alive and self.late.rejected == 0
 
 
 def measure_stream(
-    case: StreamCase, seconds: float, folder: Path | None, progress: Callable[[float], None]
+    command: str,
+    suffix: str,
+    seconds: float,
+    folder: Path | None,
+    progress: Callable[[float], None],
 ) -> StreamSpeed:
-    """Make a recording and send it through the command.
+    """Make a recording and send it through a command.
 
     Args:
-        case: Which command on what.
+        command: One of `RECORDINGS`.
+        suffix: Of the recording.
         seconds: Length of the recording [s], at least `LEAST_SECONDS`.
         folder: Where the files lie while it runs; None for the system's place.
         progress: Gets the fraction done so far, roughly.
@@ -254,30 +238,43 @@ def measure_stream(
     Raises:
         BenchmarkError: The files cannot be written, or the command failed.
     """
-    rng = np.random.default_rng(0)
+    options = ["--tare", f"0:{FREE_S:g}"] if command == "residual" else []
+    expected_s, rows = seconds / LEAST_TIMES_REAL, 0
     try:
         with TemporaryDirectory(dir=folder) as place:
-            log, out = Path(place) / f"log{case.suffix}", Path(place) / "out.csv"
-            rows = 0
+            log, out = Path(place) / f"log{suffix}", Path(place) / "out.csv"
             with open_table(log) as table:
-                for columns in _RECORDINGS[case.command](seconds, rng):
+                for columns in RECORDINGS[command](seconds, np.random.default_rng(0)):
                     table.append(columns)
                     rows += len(columns["t_s"])
                     progress(0.3 * rows / (seconds * RATE_HZ))
-            options = ["--tare", f"0:{FREE_S:g}"] if case.command == "residual" else []
-            expected_s = seconds / LEAST_TIMES_REAL
             use = run_python(
-                ["-m", case.command, str(log), *options, "-o", str(out)],
+                ["-m", command, str(log), *options, "-o", str(out)],
                 lambda passed_s: progress(0.3 + 0.7 * min(passed_s / expected_s, 1.0)),
             )
             late = late_rows(out)
     except (OSError, RecordingError) as error:
         raise BenchmarkError(f"no recording to stream: {error}") from error
-    return StreamSpeed(case=case, seconds=seconds, rows=rows, use=use, late=late)
+    return StreamSpeed(
+        command=command, suffix=suffix, seconds=seconds, rows=rows, use=use, late=late
+    )
 
 
 def stream_table(speeds: Sequence[StreamSpeed]) -> ResultTable:
     """Time and memory of every case, with the targets."""
+    lines = []
+    for speed in speeds:
+        use = speed.use
+        memory = (use.memory_at(0.1), use.memory_at(1.0), max(use.memory_MB, default=math.nan))
+        numbers = (
+            f"{1e6 * use.cpu_s / speed.rows:.1f}",
+            f"{speed.times_real:.1f}",
+            f"{speed.seconds / use.wall_s:.1f}",
+            *(f"{value:.0f}" for value in memory),
+        )
+        ruptures = "" if speed.late.ruptures is None else str(speed.late.ruptures)
+        late = (ruptures, str(speed.late.rejected), "yes" if speed.is_met else "no")
+        lines.append((speed.command, speed.suffix, str(speed.rows), *numbers, *late))
     return ResultTable(
         title=f"A recording of {speeds[0].seconds:g} s at 1 kHz through the commands, CSV out "
         f"(targets: {LEAST_TIMES_REAL:g} times real time on one core, "
@@ -287,21 +284,5 @@ def stream_table(speeds: Sequence[StreamSpeed]) -> ResultTable:
             *("MB at 10 %", "MB at the end", "MB at most", "late ruptures", "late rejected", "met"),
         ),
         align="LL" + 10 * "r",
-        lines=tuple(
-            (
-                speed.case.command,
-                speed.case.suffix,
-                str(speed.rows),
-                f"{1e6 * speed.use.cpu_s / speed.rows:.1f}",
-                f"{speed.times_real:.1f}",
-                f"{speed.seconds / speed.use.wall_s:.1f}",
-                f"{speed.use.memory_at(0.1):.0f}",
-                f"{speed.use.memory_at(1.0):.0f}",
-                f"{max(speed.use.memory_MB, default=float('nan')):.0f}",
-                "" if speed.late.ruptures is None else str(speed.late.ruptures),
-                str(speed.late.rejected),
-                "yes" if speed.is_met else "no",
-            )
-            for speed in speeds
-        ),
+        lines=tuple(lines),
     )

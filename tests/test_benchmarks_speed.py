@@ -32,7 +32,6 @@ from benchmarks.stream import (
     LATE_ROWS,
     LateRows,
     ProcessUse,
-    StreamCase,
     StreamSpeed,
     joint_recording,
     late_rows,
@@ -240,7 +239,8 @@ STEADY = (100.0,) * 10
 )
 def test_speed_memory_and_late_rows_count(cpu_s, memory_MB, late, rows, is_met):
     found = StreamSpeed(
-        case=StreamCase(command="residual", suffix=".csv"),
+        command="residual",
+        suffix=".csv",
         seconds=100.0,
         rows=rows,
         use=ProcessUse(wall_s=9.0, cpu_s=cpu_s, memory_MB=memory_MB),

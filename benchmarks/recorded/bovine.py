@@ -7,7 +7,6 @@ doi 10.1109/TBME.2004.831542.
 from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
-from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -37,16 +36,8 @@ RUPTURES_mm = (19.2, 29.9, 32.7, 36.7)
 """The capsule as annotated by the authors; the others read off the curve."""
 
 
-class BovineInsertion(NamedTuple):
-    """The insertion as a sensor would have sent it, n samples."""
-
-    t_s: Array  # time, shape (n,)
-    depth_m: Array  # depth, shape (n,)
-    force_N: Array  # axial force, shape (n,)
-
-
-def read_bovine(data: Path, rng: np.random.Generator | None) -> BovineInsertion:
-    """Turn the points of the figure into a signal.
+def read_bovine(data: Path, rng: np.random.Generator | None) -> tuple[Array, Array, Array]:
+    """Time, depth and axial force, shape (n,) each, from the points of the figure.
 
     The curve was traced in one stroke of 232 points; those that follow it in the file go over parts
     of it again, less exactly, and would put a zigzag into it. The stroke's points are joined by
@@ -74,7 +65,7 @@ def read_bovine(data: Path, rng: np.random.Generator | None) -> BovineInsertion:
     force_N = np.interp(depth_m, depth, force)
     if rng is not None:
         force_N += NOISE_N * rng.standard_normal(len(depth_m))
-    return BovineInsertion(t_s=np.arange(len(depth_m)) / RATE_hz, depth_m=depth_m, force_N=force_N)
+    return np.arange(len(depth_m)) / RATE_hz, depth_m, force_N
 
 
 NEAR_mm = 1.5
@@ -88,20 +79,16 @@ def run_bovine_real(job: Job, progress: Progress) -> Findings:
     to none of the four counts as false, whatever the force does there; whether it drops there by
     more than five times the noise, as at a true rupture of a simulated tissue, is reported beside
     it. `published` is given the depth of first contact, ours finds it.
-
-    Raises:
-        DataError: The recording is missing or broken.
     """
     data = job.recordings
-    signal = read_bovine(data, np.random.default_rng(job.seed))
-    drawn = read_bovine(data, None)
-    drops = force_drops(drawn.depth_m, drawn.force_N, VISIBLE_SIGMAS * NOISE_N)
+    t_s, depth_m, force_N = read_bovine(data, np.random.default_rng(job.seed))
+    drops = force_drops(*read_bovine(data, None)[1:], VISIBLE_SIGMAS * NOISE_N)
     found: list[Measurement] = []
     for k, (method, config) in enumerate(IDENTIFIERS.items()):
         progress(k / len(IDENTIFIERS))
         if isinstance(config, PublishedConfig):
             config = replace(config, contact_depth_m=CONTACT_m)
-        result = replay(signal.t_s, signal.depth_m, signal.force_N, config=config)
+        result = replay(t_s, depth_m, force_N, config=config)
         events = [row.rupture for row in result.estimates if row.rupture is not None]
         alarms_m = [event.alarm_depth_m for event in events]
         values = depth_metrics(

@@ -33,15 +33,11 @@ SETTLED_m = 2e-3
 """Travel back after which friction has turned round and the tip touches nothing."""
 
 
-class InsertionParts(NamedTuple):
-    """The parts of a recording."""
+def insertion_parts(depth_m: Array) -> tuple[slice, slice]:
+    """Insertion and withdrawal in a recording that holds the needle in between.
 
-    insertion: slice  # from its start to where the needle is within `HAIR_m` of its deepest
-    withdrawal: slice  # where it is being withdrawn and friction has turned round
-
-
-def insertion_parts(depth_m: Array) -> InsertionParts:
-    """Split a recording of one insertion, hold and withdrawal.
+    The insertion ends where the needle is within `HAIR_m` of its deepest; the withdrawal begins
+    when friction has turned round.
 
     Args:
         depth_m: Depth, shape (n,).
@@ -50,7 +46,7 @@ def insertion_parts(depth_m: Array) -> InsertionParts:
     deep = np.flatnonzero(depth_m >= deepest - HAIR_m)
     back = np.flatnonzero(depth_m[deep[-1] :] < deepest - SETTLED_m)
     out = deep[-1] + (int(back[0]) if len(back) else len(depth_m))
-    return InsertionParts(slice(0, int(deep[0]) + 1), slice(int(out), len(depth_m)))
+    return slice(0, int(deep[0]) + 1), slice(int(out), len(depth_m))
 
 
 def mean_at_depth(depth_m: Array, values: Array, at_m: float) -> float:
@@ -101,17 +97,26 @@ NUMBERS = (0, 2, 4, 6, 8, 10, 12, 16, 18, 20, 22, 24, 26, 28, 30, 32, 34, 36, 38
 """Of the insertions, as in the file."""
 NOISE_N = 7e-3
 """Of the recorded force, above 20 Hz, as the recordings' description says."""
+DEPTHS_mm = (42, 78)
+"""Half way and near the end: where friction is compared."""
 REST_s = 0.9
 """The needle rests at least this long at the start of each recording."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class LiverInsertion:
-    """One recording, as a rule from the end of the rest at its start."""
+    """One recording of n samples: insertion, hold and withdrawal."""
 
     t_s: Array  # time since its first sample, shape (n,)
     depth_m: Array  # depth, shape (n,)
-    force_N: Array  # axial force, as a rule less its mean at rest, shape (n,)
+    force_N: Array  # axial force as recorded, shape (n,)
+    insertion: slice  # its parts, see `insertion_parts`
+    withdrawal: slice
+
+    @property
+    def pullout_N(self) -> tuple[float, ...]:
+        """Force of pulling the needle out at each of `DEPTHS_mm`: friction alone."""
+        return tuple(-self.force_at_N(self.withdrawal, mm) for mm in DEPTHS_mm)
 
     def force_at_N(self, part: slice, depth_mm: float) -> float:
         """Mean force near a depth [mm] in a part of the recording; nan if the needle was not there.
@@ -121,13 +126,8 @@ class LiverInsertion:
         return mean_at_depth(self.depth_m[part], self.force_N[part], 1e-3 * depth_mm)
 
 
-def read_liver(data: Path, index: int, *, as_recorded: bool = False) -> LiverInsertion:
-    """Read one insertion.
-
-    Args:
-        data: Folder of recordings.
-        index: Into `NUMBERS`.
-        as_recorded: Whether to keep the rest at the start, and the force as it was read.
+def read_liver(data: Path, index: int) -> LiverInsertion:
+    """Read one insertion from the folder of recordings; the index is one into `NUMBERS`.
 
     Raises:
         DataError: There is no such insertion, or the file is missing or broken.
@@ -137,12 +137,10 @@ def read_liver(data: Path, index: int, *, as_recorded: bool = False) -> LiverIns
     number = f"{NUMBERS[index]:02d}"
     names = ("sample_rate_Hz", f"depth_m_{number}", f"force_N_{number}")
     rate, depth, force = read_arrays(data / FOLDER / "insertions.npz", names)
-    rest = int(REST_s * float(rate))
-    start, offset = (0, 0.0) if as_recorded else (rest, float(force[:rest].mean()))
+    parts = insertion_parts(depth)
+    t_s = np.arange(len(depth)) / float(rate)
     return LiverInsertion(
-        t_s=np.arange(len(depth) - start) / float(rate),
-        depth_m=depth[start:],
-        force_N=force[start:] - offset,
+        t_s=t_s, depth_m=depth, force_N=force, insertion=parts[0], withdrawal=parts[1]
     )
 
 
@@ -207,10 +205,6 @@ def _is_at(alarm_m: float, drop: ForceDrop) -> bool:
     return drop.from_m - NEAR_m <= alarm_m <= drop.to_m + NEAR_m
 
 
-DEPTHS_mm = (42, 78)
-"""Half way and near the end: where friction is compared."""
-
-
 class LiverReference(NamedTuple):
     """What the estimates of an insertion are compared with."""
 
@@ -220,77 +214,56 @@ class LiverReference(NamedTuple):
 
 
 class LiverEstimates(NamedTuple):
-    """What a method made of an insertion."""
+    """What a method made of an insertion; a rule of thumb reports friction only."""
 
-    error_pct: tuple[float, ...]  # relative error of the friction at each depth
-    friction_N: tuple[float, ...] = ()  # that friction
-    ruptures: int = 0  # ruptures reported; none for a rule that reports none
-    at_drops: int = 0  # how many of them have a drop of the force
-    drops_found: int = 0  # drops as large as a rupture that have an alarm
+    reference: LiverReference
+    friction_N: tuple[float, ...]  # at each depth
+    alarms_m: Sequence[float] = ()  # depths of the ruptures reported
     enhanced_N: Array = np.empty(0)  # enhanced force, shape (n,)
 
 
-def liver_reference(pullout_N: Sequence[float], depth_m: Array, force_N: Array) -> LiverReference:
-    """Find the drops of the force in an insertion.
-
-    Args:
-        pullout_N: At each of `DEPTHS_mm`.
-        depth_m: Depth of the advancing needle, shape (n,).
-        force_N: Axial force as recorded, shape (n,).
-    """
+def liver_reference(insertion: LiverInsertion, depth_m: Array, force_N: Array) -> LiverReference:
+    """Find the drops of a force over depth, as recorded or as put on an arm, shape (n,) each."""
     small = force_drops(depth_m, force_N, VISIBLE_SIGMAS * NOISE_N)
-    return LiverReference(tuple(pullout_N), force_drops(depth_m, force_N), small)
+    return LiverReference(insertion.pullout_N, force_drops(depth_m, force_N), small)
 
 
 def liver_estimates(
     t_s: Array, depth_m: Array, force_N: Array, method: Method, reference: LiverReference
 ) -> LiverEstimates:
     """Shaft friction at each depth as estimated when the needle was there, and ruptures."""
-    result = replay(t_s, depth_m, force_N, config=IDENTIFIERS[method])
-    friction = np.array([estimate.shaft_friction_N for estimate in result.estimates])
-    at_depths = [mean_at_depth(depth_m, friction, 1e-3 * mm) for mm in DEPTHS_mm]
-    events = [row.rupture for row in result.estimates if row.rupture is not None]
-    alarms = [event.alarm_depth_m for event in events]
+    estimates = replay(t_s, depth_m, force_N, config=IDENTIFIERS[method]).estimates
+    friction = np.array([estimate.shaft_friction_N for estimate in estimates])
     return LiverEstimates(
-        errors_pct(at_depths, reference.pullout_N),
-        tuple(at_depths),
-        len(alarms),
-        alarms_at_drops(alarms, reference.small_drops),
-        drops_found(reference.drops, alarms),
-        np.array([estimate.enhanced_force_N for estimate in result.estimates]),
+        reference,
+        tuple(mean_at_depth(depth_m, friction, 1e-3 * mm) for mm in DEPTHS_mm),
+        [row.rupture.alarm_depth_m for row in estimates if row.rupture is not None],
+        np.array([estimate.enhanced_force_N for estimate in estimates]),
     )
-
-
-def errors_pct(estimated: Sequence[float], true: Sequence[float]) -> tuple[float, ...]:
-    """Relative errors."""
-    return tuple(100.0 * abs(a - b) / b for a, b in zip(estimated, true, strict=True))
 
 
 def friction_values(found: Sequence[LiverEstimates]) -> Iterator[tuple[str, float]]:
     """Median and 90th percentile of the errors over insertions, all depths together and each."""
-    errors = np.array([each.error_pct for each in found])
-    columns = {"": errors.ravel()}
-    for mm, column in zip(DEPTHS_mm, errors.T, strict=True):
-        columns[f"_{mm}mm"] = column
-    for where, values in columns.items():
+    true = np.array([each.reference.pullout_N for each in found])
+    errors = 100.0 * np.abs(np.array([each.friction_N for each in found]) - true) / true
+    by_depth = {f"_{mm}mm": column for mm, column in zip(DEPTHS_mm, errors.T, strict=True)}
+    for where, values in ({"": errors.ravel()} | by_depth).items():
         for name, percent in (("median", 50.0), ("p90", 90.0)):
             yield f"pullout_error{where}_{name}_pct", float(np.percentile(values, percent))
 
 
-def rupture_values(found: Sequence[LiverEstimates], drops: int) -> Iterator[tuple[str, float]]:
-    """Ruptures reported over all insertions against the drops of the force in them.
-
-    Args:
-        found: Of each insertion.
-        drops: How many drops as large as a rupture all of them hold.
-    """
-    ruptures = sum(each.ruptures for each in found)
+def rupture_values(found: Sequence[LiverEstimates]) -> Iterator[tuple[str, float]]:
+    """Ruptures reported over all insertions against the drops of the force in them."""
+    ruptures = sum(len(each.alarms_m) for each in found)
+    drops = sum(len(each.reference.drops) for each in found)
     yield "ruptures_per_insertion", ruptures / len(found)
     yield "falls_per_insertion", drops / len(found)
     if drops:
-        yield "fall_recall", sum(each.drops_found for each in found) / drops
+        with_alarm = sum(drops_found(each.reference.drops, each.alarms_m) for each in found)
+        yield "fall_recall", with_alarm / drops
     if ruptures:
-        yield "ruptures_at_falls", sum(each.at_drops for each in found) / ruptures
+        at = sum(alarms_at_drops(each.alarms_m, each.reference.small_drops) for each in found)
+        yield "ruptures_at_falls", at / ruptures
 
 
 GUESSED_FRICTION = 0.7
@@ -302,32 +275,21 @@ def run_liver_real(job: Job, progress: Progress) -> Findings:
 
     The needle is pulled out against friction alone, so the pull-out force at a depth is what the
     shaft friction was there during insertion. Methods see the insertion only.
-
-    Raises:
-        DataError: The recording is missing or broken.
     """
     data = job.recordings
     by_method: dict[Method, list[LiverEstimates]] = {"guess": [], "published": [], "default": []}
-    drops = 0
     for index in range(len(NUMBERS)):
         progress(index / len(NUMBERS))
-        insertion = read_liver(data, index, as_recorded=True)
-        parts = insertion_parts(insertion.depth_m)
-        inside = parts.insertion
-        t_s, depth, force = (
-            column[inside] for column in (insertion.t_s, insertion.depth_m, insertion.force_N)
-        )
-        pullout = [-insertion.force_at_N(parts.withdrawal, mm) for mm in DEPTHS_mm]
-        reference = liver_reference(pullout, depth, force)
-        drops += len(reference.drops)
-        guess = [GUESSED_FRICTION * insertion.force_at_N(inside, mm) for mm in DEPTHS_mm]
-        by_method["guess"].append(LiverEstimates(errors_pct(guess, pullout)))
+        whole = read_liver(data, index)
+        inside = whole.insertion
+        t_s, depth, force = (each[inside] for each in (whole.t_s, whole.depth_m, whole.force_N))
+        reference = liver_reference(whole, depth, force)
+        guess = tuple(GUESSED_FRICTION * whole.force_at_N(inside, mm) for mm in DEPTHS_mm)
+        by_method["guess"].append(LiverEstimates(reference, guess))
         for method in IDENTIFIERS:
             by_method[method].append(liver_estimates(t_s, depth, force, method, reference))
     found: list[Measurement] = []
     for method, each in by_method.items():
-        values = list(friction_values(each))
-        if method != "guess":
-            values += rupture_values(each, drops)
+        values = [*friction_values(each), *(rupture_values(each) if method != "guess" else ())]
         found += [Measurement("ft", method, name, value) for name, value in values]
     return Findings(found)

@@ -22,10 +22,8 @@ from benchmarks.metrics import Measurement
 from benchmarks.recorded.liver import (
     NUMBERS,
     DEPTHS_mm,
-    InsertionParts,
     LiverInsertion,
     force_drops,
-    insertion_parts,
     liver_estimates,
     liver_reference,
     mean_at_depth,
@@ -211,40 +209,25 @@ SHALLOW_mm = 20
 PEAK_FROM_mm = 60
 
 
-class _Pullout(NamedTuple):
-    """Pull-out force of one insertion against itself."""
-
-    over_insertion: float  # at `SHALLOW_mm`, relative to the whole insertion force there
-    # largest beyond `PEAK_FROM_mm` but above the deepest of `DEPTHS_mm`, relative to that at the
-    # latter
-    peak: float
-    at_N: tuple[float, ...]  # at each of `DEPTHS_mm`
-
-
 def run_liver_limit(job: Job, progress: Progress) -> Findings:
-    """Regressions over all insertions, and the reference.
-
-    Raises:
-        DataError: The recording is missing or broken.
-    """
+    """Regressions over all insertions, and the reference."""
     data = job.recordings
     features: list[dict[str, float]] = []
-    pullouts: list[_Pullout] = []
+    insertions: list[LiverInsertion] = []
     for index in range(len(NUMBERS)):
         progress(index / len(NUMBERS))
-        insertion = read_liver(data, index, as_recorded=True)
-        parts = insertion_parts(insertion.depth_m)
-        out = _pullout(insertion, parts)
-        depth, force = insertion.depth_m[parts.insertion], insertion.force_N[parts.insertion]
-        reference = liver_reference(out.at_N, depth, force)
-        found = liver_estimates(insertion.t_s[parts.insertion], depth, force, "default", reference)
+        insertion = read_liver(data, index)
+        inside = insertion.insertion
+        depth, force = insertion.depth_m[inside], insertion.force_N[inside]
+        reference = liver_reference(insertion, depth, force)
+        found = liver_estimates(insertion.t_s[inside], depth, force, "default", reference)
         features += [
             liver_features(depth, force, 1e-3 * mm, friction)
             for mm, friction in zip(DEPTHS_mm, found.friction_N, strict=True)
         ]
-        pullouts.append(out)
-    values = regression_values(features, [each for out in pullouts for each in out.at_N])
-    values |= _reference_values(pullouts)
+        insertions.append(insertion)
+    pullouts = [each for insertion in insertions for each in insertion.pullout_N]
+    values = regression_values(features, pullouts) | reference_values(insertions)
     return Findings([Measurement("ft", "default", name, value) for name, value in values.items()])
 
 
@@ -269,28 +252,19 @@ def regression_values(
     return values
 
 
-def _pullout(insertion: LiverInsertion, parts: InsertionParts) -> _Pullout:
-    def out_N(mm: float) -> float:
-        return -insertion.force_at_N(parts.withdrawal, mm)
-
-    deepest = DEPTHS_mm[-1]
-    peak = max(out_N(mm) for mm in range(PEAK_FROM_mm, deepest + 1))
-    return _Pullout(
-        out_N(SHALLOW_mm) / insertion.force_at_N(parts.insertion, SHALLOW_mm),
-        peak / out_N(deepest),
-        tuple(out_N(mm) for mm in DEPTHS_mm),
-    )
-
-
-def _reference_values(pullouts: Sequence[_Pullout]) -> dict[str, float]:
+def reference_values(insertions: Sequence[LiverInsertion]) -> dict[str, float]:
     """How the pull-out force contradicts itself, and how it scatters between insertions."""
-    over = np.array([out.over_insertion for out in pullouts])
-    peaks = np.array([out.peak for out in pullouts])
-    at = np.array([out.at_N for out in pullouts])
+    deepest, over, peaks = DEPTHS_mm[-1], [], []
+    for each in insertions:
+        shallow = each.force_at_N(each.insertion, SHALLOW_mm)
+        over.append(-each.force_at_N(each.withdrawal, SHALLOW_mm) / shallow)
+        out = [each.force_at_N(each.withdrawal, mm) for mm in range(PEAK_FROM_mm, deepest + 1)]
+        peaks.append(min(out) / out[-1])
+    at = np.array([each.pullout_N for each in insertions])
     next_to = np.abs(np.diff(at, axis=0)) / (0.5 * (at[1:] + at[:-1]))
     return {
-        "pullout_above_insertion_share": float(np.mean(over > 1.0)),
-        "pullout_over_insertion_most": float(over.max()),
+        "pullout_above_insertion_share": float(np.mean(np.array(over) > 1.0)),
+        "pullout_over_insertion_most": max(over),
         "pullout_shallower_peak_median_pct": 100.0 * float(np.median(peaks) - 1.0),
         "pullout_shallower_peak_p90_pct": 100.0 * float(np.percentile(peaks, 90.0) - 1.0),
         "pullout_neighbour_median_pct": 100.0 * float(np.median(next_to)),

@@ -19,12 +19,10 @@ from benchmarks.methods import IDENTIFIERS, METHODS, ForceReading, joint_residua
 from benchmarks.metrics import Measurement
 from benchmarks.plots import force_drawings
 from benchmarks.recorded.liver import (
-    DEPTHS_mm,
     LiverEstimates,
     LiverInsertion,
     REST_s,
     friction_values,
-    insertion_parts,
     liver_estimates,
     liver_reference,
     read_arrays,
@@ -112,11 +110,7 @@ SETTLING_LAGS = 5.0
 
 
 def run_panda_real(job: Job, progress: Progress) -> Findings:
-    """``panda-real``: noise floor of the residual without contact, per joint.
-
-    Raises:
-        DataError: The recording is missing or broken.
-    """
+    """``panda-real``: noise floor of the residual without contact, per joint."""
     panda = read_panda(job.recordings)
     signals = panda.signals
     residual = joint_residual(panda.robot, signals, GAIN_per_s, friction=panda.friction)
@@ -144,15 +138,13 @@ def identification_values(
     the same method on the force itself.
 
     Args:
-        insertion: The whole recording, withdrawal included.
+        insertion: The recording.
         truth: The force as it acts on the arm, which an F/T sensor would read.
         readings: Of the virtual sensors, one per method.
     """
     felt = truth.t_s >= truth.zeroed_s
     t_s, depth, force = truth.t_s[felt], truth.depth_m[felt], truth.axial_N[felt]
-    out = insertion_parts(insertion.depth_m).withdrawal
-    pullout = [-insertion.force_at_N(out, mm) for mm in DEPTHS_mm]
-    reference = liver_reference(pullout, depth, force)
+    reference = liver_reference(insertion, depth, force)
     found: list[Measurement] = []
     by_method = {item.method: item.axial_N[felt] for item in readings}
     for method in IDENTIFIERS:
@@ -160,7 +152,7 @@ def identification_values(
         virtual = liver_estimates(t_s, depth, by_method[method], method, reference)
         by_source: dict[Source, LiverEstimates] = {"ft": ft, "virtual": virtual}
         for source, item in by_source.items():
-            values = [*friction_values([item]), *rupture_values([item], len(reference.drops))]
+            values = [*friction_values([item]), *rupture_values([item])]
             found += [
                 Measurement(source, method, name, value)
                 for name, value in values
@@ -191,12 +183,9 @@ def run_panda_liver(job: Job, progress: Progress) -> Findings:
     The whole chain runs on it: joint signals in, enhanced force out, beside the same force as an
     F/T sensor would have read it. Only the depth is the recorded needle's: the Panda moves
     otherwise.
-
-    Raises:
-        DataError: A recording is missing or broken.
     """
     data = job.recordings
-    panda, insertion = read_panda(data), read_liver(data, job.seed, as_recorded=True)
+    panda, insertion = read_panda(data), read_liver(data, job.seed)
     truth = _truth(panda, insertion)
     along = tool_jacobians(panda.robot, panda.signals.q_rad)[:, 2]
     loaded = panda.signals.tau_Nm + truth.axial_N[:, None] * along

@@ -109,9 +109,6 @@ def run_ur10e_payload(job: Job, progress: Progress) -> Findings:
     model was identified with the same constants, so model and measurement agree without payload
     whatever their common scale; only a known weight shows it. One factor on all joint torques
     (measured, model and friction alike, hence on the residual) is therefore all there is to fit.
-
-    Raises:
-        DataError: A recording is missing or broken.
     """
     arm = read_ur10e(job.recordings)
     residual_unloaded = _residual(arm, arm.unloaded)
@@ -148,16 +145,13 @@ def _settled(signals: JointSignals) -> NDArray[np.bool_]:
 def _force_up(robot: Robot, signals: JointSignals, residual: Array, name: str) -> dict[str, float]:
     """Mean and scatter of the vertical force in base axes, by equation (13), torque scale 1."""
     wrench = WrenchEstimator(robot, "full", weighting="none", expected_force_N=None)
-    seen = _settled(signals) & (_least_singular_value(robot, signals.q_rad) > LEAST_SINGULAR_VALUE)
+    jacobians = tool_jacobians(robot, signals.q_rad)
+    regular = np.linalg.svd(jacobians, compute_uv=False)[:, -1] > LEAST_SINGULAR_VALUE
+    seen = _settled(signals) & regular
     force = np.array(
         [wrench.estimate(signals.q_rad[k], residual[k]).force[2] for k in np.flatnonzero(seen)]
     )
     return {f"{name}_N": float(force.mean()), f"{name}_std_N": float(force.std())}
-
-
-def _least_singular_value(robot: Robot, q_rad: Array) -> Array:
-    values = np.linalg.svd(tool_jacobians(robot, q_rad), compute_uv=False)
-    return np.asarray(values[:, -1], dtype=np.float64)
 
 
 def _payload_kg(robot: Robot, q_rad: Array, residual: Array, noise_Nm: Array) -> float:
