@@ -8,7 +8,7 @@ from concurrent.futures import FIRST_EXCEPTION, Future, ProcessPoolExecutor, wai
 from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 from benchmarks import BenchmarkError, DataError, UnknownIdError
 from benchmarks.benchmark import RECORDING, Benchmark, Job, Outcome, Progress
@@ -41,8 +41,7 @@ class Request:
     drawings: Path | None = None  # folder for figures, if wanted
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
-class Plan:
+class Plan(NamedTuple):
     """What will be done."""
 
     jobs: tuple[Job, ...]  # in order
@@ -57,7 +56,9 @@ def make_plan(request: Request) -> Plan:
         DataError: The folder of recordings does not exist, or a benchmark that was asked for by
             name needs one, or an arm where only the needle was asked for.
     """
-    _check_plants(request.plants)
+    for plant in request.plants:
+        if plant not in PLANTS:
+            raise UnknownIdError(f"no plant {plant!r}; choose from: {', '.join(PLANTS)}")
     if request.data is not None and not request.data.is_dir():
         raise DataError(f"no folder of recordings at {request.data}")
     jobs: list[Job] = []
@@ -71,12 +72,6 @@ def make_plan(request: Request) -> Plan:
         elif item.is_recorded:
             skipped.append(item.id)
     return Plan(jobs=tuple(jobs), skipped=tuple(skipped))
-
-
-def _check_plants(plants: Sequence[str]) -> None:
-    for plant in plants:
-        if plant not in PLANTS:
-            raise UnknownIdError(f"no plant {plant!r}; choose from: {', '.join(PLANTS)}")
 
 
 def _chosen(request: Request) -> list[Benchmark]:
@@ -130,15 +125,7 @@ KNOWN = (BenchmarkError, GroundTruthError, ResidualError, UrdfError, RecordingEr
 
 
 def run_job(job: Job, progress: Progress) -> Outcome:
-    """Run the job's benchmark.
-
-    Args:
-        job: What to do.
-        progress: Gets the fraction done.
-
-    Returns:
-        Rows, or the reason why there are none. Errors nobody has foreseen are raised.
-    """
+    """Rows of a job, or the reason why there are none; unforeseen errors are raised."""
     try:
         found = benchmark(job.benchmark).run(job, progress)
     except KNOWN as error:

@@ -1,6 +1,6 @@
 """Benchmarks on simulated insertions: by the arm, by the needle alone, and of the observers."""
 
-from collections.abc import Iterable
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -16,6 +16,7 @@ from benchmarks.plots import force_drawings, identification_drawings
 from benchmarks.rows import Method, Source
 from benchmarks.signals import (
     ForceTruth,
+    InsertionTruth,
     JointSignals,
     NeedleSignal,
     measured_travel,
@@ -27,7 +28,6 @@ from benchmarks.signals import (
 from groundtruth import (
     PLANT_MODELS,
     ForceNoise,
-    NeedleRun,
     PlantModel,
     Run,
     Scenario,
@@ -58,7 +58,9 @@ def run_simulated(job: Job, progress: Progress) -> Findings:
         drawings += force_drawings(job, job.drawings, case.truth, case.readings)
     measured = simulated_metrics(case)
     if chosen.layers:
-        found = _identify(job, case)
+        ft = next(item for item in case.readings if item.source == "ft")
+        truth = truth_of_run(case.run)
+        found = _identify(job, arm_signals(case), truth, case.run.scenario, ft)
         measured += found.measurements
         drawings += found.drawings
     return Findings(measured, drawings)
@@ -143,19 +145,23 @@ def arm_signals(case: SimulatedCase) -> list[Signals]:
     ]
 
 
-def _identify(job: Job, case: SimulatedCase) -> Findings:
-    """Online identification on every source."""
-    truth = truth_of_run(case.run)
+def _identify(
+    job: Job,
+    sources: Sequence[Signals],
+    truth: InsertionTruth,
+    scenario: Scenario,
+    ft: ForceReading | None = None,
+) -> Findings:
+    """Online identification on every source: numbers and figures."""
     measured: list[Measurement] = []
     found = []
-    for signals in arm_signals(case):
+    for signals in sources:
         identified = identify_all(signals, truth)
         measured += identification_metrics(signals, identified, truth)
         found.append((signals, identified))
     if job.drawings is None:
         return Findings(measured)
-    ft = next(item for item in case.readings if item.source == "ft")
-    commanded = case.run.scenario.motion.speed_m_s(truth.t_s)
+    commanded = scenario.motion.speed_m_s(truth.t_s)
     drawings = identification_drawings(job, job.drawings, truth, commanded, found, ft)
     return Findings(measured, drawings)
 
@@ -178,15 +184,17 @@ def run_needle(job: Job, chosen: Scenario, progress: Progress, *, is_drawn: bool
     noise = drawn_noise(np.random.default_rng([job.seed, 1])) if is_drawn else MINI45
     run = insert_needle(chosen, seed=job.seed, noise=noise)
     progress(0.2)
-    truth, signal = truth_of_needle(run), _needle_signal(run)
+    # The zero of depth is where the tare ended: a user does not know the surface.
+    zero = run.depth_m[int(np.searchsorted(run.t_s, run.tare_end_s))]
+    signal = NeedleSignal(
+        source="ft",
+        t_s=run.t_s,
+        depth_m=run.depth_m - zero,
+        speed_m_s=run.speed_m_s,
+        force_N=run.force_N,
+    )
     signals: Signals = {"default": signal, "published": signal}
-    identified = identify_all(signals, truth)
-    measured = list(identification_metrics(signals, identified, truth))
-    if job.drawings is None:
-        return Findings(measured)
-    found = [(signals, identified)]
-    commanded = chosen.motion.speed_m_s(truth.t_s)
-    return Findings(measured, identification_drawings(job, job.drawings, truth, commanded, found))
+    return _identify(job, [signals], truth_of_needle(run), chosen)
 
 
 def drawn_noise(rng: np.random.Generator) -> ForceNoise:
@@ -196,18 +204,6 @@ def drawn_noise(rng: np.random.Generator) -> ForceNoise:
         MINI45,
         white_std_N=white * MINI45.white_std_N,
         drift_std_N_per_s=drift * MINI45.drift_std_N_per_s,
-    )
-
-
-def _needle_signal(run: NeedleRun) -> NeedleSignal:
-    """The zero of depth is where the tare ended: a user does not know the surface."""
-    zero = run.depth_m[int(np.searchsorted(run.t_s, run.tare_end_s))]
-    return NeedleSignal(
-        source="ft",
-        t_s=run.t_s,
-        depth_m=run.depth_m - zero,
-        speed_m_s=run.speed_m_s,
-        force_N=run.force_N,
     )
 
 

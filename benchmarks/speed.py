@@ -1,7 +1,8 @@
 """What an update of the estimators costs, beside the bare Pinocchio calls it cannot do without."""
 
 import gc
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from contextlib import contextmanager
 from dataclasses import dataclass, replace
 from time import perf_counter_ns
 from types import MappingProxyType
@@ -110,13 +111,7 @@ def _time(update: Update, start: int, stop: int) -> list[float]:
 
 
 class ChainUpdate:
-    """A session that gets sample by sample; called with the index of the next one.
-
-    Args:
-        robot: The arm.
-        signals: What it sent.
-        tare: Index of the sample before which to tare.
-        identifier: Settings of the identifier.
+    """A session that takes an arm's signals sample by sample, called with the index of the next.
 
     Attributes:
         alarms: Indices of the updates that raised a rupture.
@@ -146,39 +141,35 @@ class ChainUpdate:
             self.layers.extend(range(k + 1 - LAYER_TICKS, k + 1))
 
 
-class GcPauses:
-    """Times every garbage collection while it is entered; each happens in whatever update is next.
+@contextmanager
+def gc_pauses() -> Iterator[list[float]]:
+    """Lengths of all garbage collections meanwhile [us], which happen in whatever update is next."""
+    pauses_us: list[float] = []
+    start_ns = 0
 
-    Attributes:
-        pauses_us: Length of each [us], in order.
-    """
-
-    def __init__(self) -> None:
-        self.pauses_us: list[float] = []
-        self._start_ns = 0
-
-    def __enter__(self) -> "GcPauses":
-        gc.callbacks.append(self._note)
-        return self
-
-    def __exit__(self, *_: object) -> None:
-        gc.callbacks.remove(self._note)
-
-    def _note(self, phase: str, _: dict[str, Any]) -> None:
+    def note(phase: str, _: dict[str, Any]) -> None:
+        nonlocal start_ns
         if phase == "start":
-            self._start_ns = perf_counter_ns()
+            start_ns = perf_counter_ns()
         else:
-            self.pauses_us.append((perf_counter_ns() - self._start_ns) / NS_PER_US)
+            pauses_us.append((perf_counter_ns() - start_ns) / NS_PER_US)
 
-    def __str__(self) -> str:
-        """One line for people."""
-        if not self.pauses_us:
-            return "No garbage collection happened meanwhile."
-        return (
-            f"{len(self.pauses_us)} garbage collections happened meanwhile, in whatever update was "
-            f"next; the longest took {max(self.pauses_us):.0f} us. gc.freeze() after the tare "
-            "spares a controller most of it (docs/loop.md)."
-        )
+    gc.callbacks.append(note)
+    try:
+        yield pauses_us
+    finally:
+        gc.callbacks.remove(note)
+
+
+def pause_line(pauses_us: Sequence[float]) -> str:
+    """What the garbage collector took, in one line."""
+    if not pauses_us:
+        return "No garbage collection happened meanwhile."
+    return (
+        f"{len(pauses_us)} garbage collections happened meanwhile, in whatever update was next; "
+        f"the longest took {max(pauses_us):.0f} us. gc.freeze() after the tare spares a "
+        "controller most of it (docs/loop.md)."
+    )
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -188,7 +179,7 @@ class SpeedReport:
     times: dict[str, Times]  # by subject
     alarms: dict[str, list[int]]  # updates that raised a rupture, by chain
     layers: dict[str, list[int]]  # updates that worked on identifying a layer, by chain
-    pauses: GcPauses  # garbage collections meanwhile
+    pauses_us: list[float]  # garbage collections meanwhile
     layer_us: dict[tuple[str, float], float]  # `layer_us` by identifier and seconds in the layer
 
     def ratio(self, name: str) -> float:
@@ -230,13 +221,13 @@ def measure_speed(progress: Callable[[float], None]) -> SpeedReport:
     }
     # The first counted update comes after that of the tare.
     first = tare + 1
-    with GcPauses() as pauses:
+    with gc_pauses() as pauses_us:
         times = time_side_by_side(subjects, first, len(even.t_s))
     return SpeedReport(
         times=times,
         alarms={name: [k - first for k in each.alarms] for name, each in chains.items()},
         layers={name: [k - first for k in each.layers] for name, each in chains.items()},
-        pauses=pauses,
+        pauses_us=pauses_us,
         layer_us={
             (name, seconds): layer_us(seconds, config)
             for name, config in IDENTIFIERS.items()
@@ -347,7 +338,7 @@ def speed_report(report: SpeedReport) -> tuple[list[ResultTable], str, bool]:
     """Tables, a closing line, and whether all targets are met."""
     tables = [speed_table(report), event_table(report), layer_table(report)]
     is_met = not any("missed" in line for table in tables for line in table.lines)
-    return tables, str(report.pauses), is_met
+    return tables, pause_line(report.pauses_us), is_met
 
 
 def _ratio_cells(ratio: float, limit: float | None) -> tuple[str, str, str]:

@@ -190,7 +190,7 @@ def test_speed_fails_when_strict_and_too_slow(monkeypatch, capsys, cost, code):
             },
             alarms={},
             layers={},
-            pauses=speed.GcPauses(),
+            pauses_us=[],
             layer_us={("default", 10.0): 20.0},
         )
 
