@@ -143,7 +143,7 @@ class ChainUpdate:
 
 @contextmanager
 def gc_pauses() -> Iterator[list[float]]:
-    """Lengths of all garbage collections meanwhile [us], which happen in whatever update is next."""
+    """Lengths of all garbage collections meanwhile [us]; each is in whatever update is next."""
     pauses_us: list[float] = []
     start_ns = 0
 
