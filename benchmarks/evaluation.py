@@ -1,11 +1,10 @@
 """Judging numbers: against targets, and against those of an earlier run."""
 
 import math
+import statistics
 from collections.abc import Iterable, Mapping, Sequence
 from enum import StrEnum
 from typing import NamedTuple
-
-import pandas as pd
 
 from benchmarks.metrics import METRICS
 from benchmarks.rows import Row, RowKey
@@ -33,7 +32,7 @@ def evaluate(rows: Iterable[Row], targets: Sequence[Target] = TARGETS) -> list[E
     return [item for item in found if item is not None]
 
 
-def judged_values(target: Target, by_key: Mapping[RowKey, Row]) -> pd.Series:
+def judged_values(target: Target, by_key: Mapping[RowKey, Row]) -> dict[RowKey, float]:
     """What a target looks at, by row: values, or their ratios to the published method's.
 
     A value that is undefined by its metric's definition does not count unless all are.
@@ -50,26 +49,23 @@ def judged_values(target: Target, by_key: Mapping[RowKey, Row]) -> pd.Series:
             values[key] = row.value / published.value
         elif published is not None or not target.where_reported:
             values[key] = math.nan
-    # Not by a dict: pandas would make the keys, which are tuples, a MultiIndex.
-    index = pd.Index(list(values), tupleize_cols=False)
-    found = pd.Series(list(values.values()), index=index, dtype=float)
-    if METRICS[target.metric].may_be_undefined and not found.isna().all():
-        return found.dropna()
-    return found
+    defined = {key: value for key, value in values.items() if not math.isnan(value)}
+    return defined if METRICS[target.metric].may_be_undefined and defined else values
 
 
 def _evaluation(target: Target, by_key: Mapping[RowKey, Row]) -> Evaluation | None:
     values = judged_values(target, by_key)
-    if values.empty:
+    if not values:
         return None
-    worst = int(values.map(target.excess).to_numpy().argmax())
-    if not values.map(math.isfinite).all():
+    worst = max(values, key=lambda key: target.excess(values[key]))
+    if not all(map(math.isfinite, values.values())):
         value = math.nan
     elif target.statistic == "worst":
-        value = float(values.iloc[worst])
+        value = values[worst]
     else:
-        value = float(values.agg(target.statistic))
-    return Evaluation(target, value, len(values), values.index[worst])
+        middle = {"mean": statistics.fmean, "median": statistics.median}[target.statistic]
+        value = middle(values.values())
+    return Evaluation(target, value, len(values), worst)
 
 
 class Change(StrEnum):

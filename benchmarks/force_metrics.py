@@ -61,11 +61,11 @@ def wrench_metrics(reading: ForceReading, truth: ForceTruth) -> list[Measurement
     estimate, true = reading.axial_N[judged], truth.axial_N[judged]
     error = estimate - true
     names = ("wrench_rmse_N", "wrench_bias_N", "wrench_coverage_2sigma")
-    values = dict.fromkeys(names, np.nan)
+    values = dict[str, float].fromkeys(names, np.nan)
     if error.size > 0:
         inside = np.abs(error) <= 2.0 * reading.std_N[judged]
         numbers = (np.sqrt(np.mean(error**2)), np.mean(error), np.mean(inside))
-        values = dict(zip(names, numbers, strict=True))
+        values = dict(zip(names, map(float, numbers), strict=True))
     if error.size > 0 and np.ptp(true) > 0.0:
         values["wrench_lag_ms"] = 1e3 * force_lag_s(truth.t_s[judged], estimate, true)
     return [

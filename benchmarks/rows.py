@@ -135,7 +135,9 @@ def _plain(row: Row) -> dict[str, Any]:
 def _row(item: Any, where: str) -> Row:
     if not isinstance(item, dict) or set(item) != set(NAMES):
         raise ResultsError(f"{where}: expected the fields {', '.join(NAMES)}")
-    values: dict[str, Any] = item | {"value": math.nan if item["value"] is None else item["value"]}
+    values = dict[str, Any](item)
+    if values["value"] is None:
+        values["value"] = math.nan
     for name, value in values.items():
         kind, wanted = _KINDS.get(name, (str, "text"))
         if isinstance(value, bool) or not isinstance(value, kind):

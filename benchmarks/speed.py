@@ -276,8 +276,9 @@ def bare_sensor(robot: Robot, signals: JointSignals) -> Update:
 
 def _observer(robot: Robot, signals: JointSignals) -> Update:
     observer = MomentumObserver(robot, DEFAULT.gain_per_s, alignment="hold")
-    update, samples = observer.update, signals.samples()
-    return lambda k: update(*samples[k])  # type: ignore[arg-type]
+    update: Callable[..., object] = observer.update
+    samples = signals.samples()
+    return lambda k: update(*samples[k])
 
 
 def _sensor(robot: Robot, signals: JointSignals, tare: int) -> Update:
@@ -321,9 +322,9 @@ def layer_us(seconds: float, config: MultilayerConfig | PublishedConfig) -> floa
     alarm, last = len(samples), 0
     for times in taken_us:
         identifier = Identifier(config)
-        for k, sample in enumerate(samples):
+        for k, (depth_m, speed_m_s, force_N) in enumerate(samples):
             before = perf_counter_ns()
-            found = identifier.update(*sample, 1e-3)
+            found = identifier.update(depth_m, speed_m_s, force_N, 1e-3)
             times[k] = (perf_counter_ns() - before) / NS_PER_US
             # The same work every time, so the same alarms.
             if found.rupture is not None:

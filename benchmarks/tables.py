@@ -82,10 +82,10 @@ def _ratio(frame: Frame, name: str, top: dict[str, str], bottom: dict[str, str])
     """Rows of a new metric: one selection over another, run by run."""
     keys = [key for key in NAMES[:6] if key not in top]
     one, two = (select(frame, **each).set_index(keys)["value"] for each in (top, bottom))
-    both = pd.concat([one, two], axis=1, join="inner", keys=["top", "bottom"])
-    both = both[both["bottom"] != 0.0]
-    ratio = (both["top"] / both["bottom"]).rename("value").reset_index()
-    return ratio.assign(**(top | {"metric": name}))
+    both: Frame = pd.concat([one, two], axis=1, join="inner", keys=["top", "bottom"])
+    both = both[both["bottom"] != 0.0].copy()
+    both["value"] = both["top"] / both["bottom"]
+    return both.reset_index().assign(**(top | {"metric": name}))[list(NAMES[:7])]
 
 
 def select(frame: Frame, **wanted: str | None) -> Frame:
