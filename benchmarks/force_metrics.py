@@ -61,7 +61,7 @@ def wrench_metrics(reading: ForceReading, truth: ForceTruth) -> list[Measurement
     estimate, true = reading.axial_N[judged], truth.axial_N[judged]
     error = estimate - true
     names = ("wrench_rmse_N", "wrench_bias_N", "wrench_coverage_2sigma")
-    values = dict[str, float].fromkeys(names, np.nan)
+    values: dict[str, float] = {name: np.nan for name in names}
     if error.size > 0:
         inside = np.abs(error) <= 2.0 * reading.std_N[judged]
         numbers = (np.sqrt(np.mean(error**2)), np.mean(error), np.mean(inside))

@@ -142,9 +142,10 @@ def _row(item: Any, where: str) -> Row:
         kind, wanted = _KINDS.get(name, (str, "text"))
         if isinstance(value, bool) or not isinstance(value, kind):
             raise ResultsError(f"{where}: {name} is {value!r}, expected {wanted}")
-    for name, today in OLD_NAMES.items():
-        values[name] = today.get(values[name], values[name])
-    return Row(**values)
+    today: dict[str, Any] = {
+        name: OLD_NAMES.get(name, {}).get(value, value) for name, value in values.items()
+    }
+    return Row(**today)
 
 
 def _undefined_precision_as_nan(found: dict[RowKey, Row]) -> dict[RowKey, Row]:

@@ -276,9 +276,8 @@ def bare_sensor(robot: Robot, signals: JointSignals) -> Update:
 
 def _observer(robot: Robot, signals: JointSignals) -> Update:
     observer = MomentumObserver(robot, DEFAULT.gain_per_s, alignment="hold")
-    update: Callable[..., object] = observer.update
-    samples = signals.samples()
-    return lambda k: update(*samples[k])
+    samples: list[Any] = signals.samples()
+    return lambda k: observer.update(*samples[k])
 
 
 def _sensor(robot: Robot, signals: JointSignals, tare: int) -> Update:
