@@ -5,7 +5,7 @@ import math
 from collections.abc import Iterable, Sequence
 from dataclasses import asdict, dataclass, fields
 from pathlib import Path
-from typing import Any, Literal, NamedTuple
+from typing import Any, Literal, NamedTuple, cast
 
 from benchmarks import ResultsError
 
@@ -142,10 +142,9 @@ def _row(item: Any, where: str) -> Row:
         kind, wanted = _KINDS.get(name, (str, "text"))
         if isinstance(value, bool) or not isinstance(value, kind):
             raise ResultsError(f"{where}: {name} is {value!r}, expected {wanted}")
-    today: dict[str, Any] = {
-        name: OLD_NAMES.get(name, {}).get(value, value) for name, value in values.items()
-    }
-    return Row(**today)
+    for name, today in OLD_NAMES.items():
+        values[name] = today.get(values[name], values[name])
+    return Row(**cast("dict[str, Any]", values))
 
 
 def _undefined_precision_as_nan(found: dict[RowKey, Row]) -> dict[RowKey, Row]:
