@@ -3,9 +3,9 @@
 import json
 import math
 from collections.abc import Iterable, Sequence
-from dataclasses import asdict, dataclass, fields
+from dataclasses import asdict, dataclass, fields, replace
 from pathlib import Path
-from typing import Any, Literal, NamedTuple, cast
+from typing import Any, Literal, NamedTuple
 
 from benchmarks import ResultsError
 
@@ -144,7 +144,7 @@ def _row(item: Any, where: str) -> Row:
             raise ResultsError(f"{where}: {name} is {value!r}, expected {wanted}")
     for name, today in OLD_NAMES.items():
         values[name] = today.get(values[name], values[name])
-    return Row(**cast("dict[str, Any]", values))
+    return Row(**values)
 
 
 def _undefined_precision_as_nan(found: dict[RowKey, Row]) -> dict[RowKey, Row]:
@@ -164,5 +164,5 @@ def _undefined_precision_as_nan(found: dict[RowKey, Row]) -> dict[RowKey, Row]:
 
     for key, row in found.items():
         if key.metric == "rupture_precision" and was_silent(row):
-            found[key] = Row(**asdict(row) | {"value": math.nan})
+            found[key] = replace(row, value=math.nan)
     return found
