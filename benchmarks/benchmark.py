@@ -35,6 +35,7 @@ class Drawing:
     plant: str  # on which plant model
     seed: int  # of everything drawn
     path: Path  # the file
+    wide: Path | None = None  # the same for a wide screen, where it stands alone
     alt: str  # what it shows, for those who cannot see it
     caption: str  # what to look at
     facts: tuple[Fact, ...] = ()  # numbers to stand below
@@ -49,7 +50,7 @@ class Drawing:
             return f"`{self.scenario}`, needle without an arm, seed {self.seed}"
         if self.plant == RECORDING:
             return f"`{self.scenario}`, recording {self.seed}"
-        return f"`{self.scenario}`, {self.plant} arm, seed {self.seed}"
+        return f"`{self.scenario}`, {self.plant} plant, seed {self.seed}"
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

@@ -18,7 +18,7 @@ from benchmarks.simulated import NEEDLE
 from benchmarks.targets import TISSUE
 from groundtruth import PLANT_MODELS, GroundTruthError
 from needleforce.plots import FiguresError
-from recordings import RecordingError
+from needleforce.recordings import RecordingError
 from residual import ResidualError
 from urdf import UrdfError
 

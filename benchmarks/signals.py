@@ -11,7 +11,7 @@ from scipy.signal import lfilter
 
 from benchmarks.rows import Source
 from groundtruth import NeedleRun, Run, Rupture, Truth
-from needleforce import TipTravel
+from needleforce.session import TipTravel
 from residual import VelocityEstimator
 from residual.tool_kinematics import ToolKinematics
 from urdf import Robot

@@ -9,10 +9,11 @@ from scipy.ndimage import uniform_filter1d
 
 from benchmarks.benchmark import Drawing, Findings, Job, Progress, progress_part
 from benchmarks.force_metrics import residual_metrics, wrench_metrics
+from benchmarks.force_plots import force_figures
+from benchmarks.identification_figures import identification_figures
 from benchmarks.identification_metrics import Signals, identification_metrics, identify_all
 from benchmarks.methods import METHODS, ForceReading, ft_force, on_lwr, virtual_force
 from benchmarks.metrics import Measurement
-from benchmarks.plots import force_drawings, identification_drawings
 from benchmarks.rows import Method, Source
 from benchmarks.signals import (
     ForceTruth,
@@ -55,7 +56,7 @@ def run_simulated(job: Job, progress: Progress) -> Findings:
     case = simulated_case(job, chosen, progress_part(progress, 0.0, READING_PART))
     drawings: tuple[Drawing, ...] = ()
     if job.drawings is not None:
-        drawings += force_drawings(job, job.drawings, case.truth, case.readings)
+        drawings += force_figures(job, job.drawings, case.truth, case.readings)
     measured = simulated_metrics(case)
     if chosen.layers:
         ft = next(item for item in case.readings if item.source == "ft")
@@ -162,7 +163,7 @@ def _identify(
     if job.drawings is None:
         return Findings(measured)
     commanded = scenario.motion.speed_m_s(truth.t_s)
-    drawings = identification_drawings(job, job.drawings, truth, commanded, found, ft)
+    drawings = identification_figures(job, job.drawings, truth, commanded, found, ft)
     return Findings(measured, drawings)
 
 

@@ -23,9 +23,9 @@ from benchmarks import BenchmarkError
 from benchmarks.signals import tool_jacobians
 from benchmarks.tables import ResultTable
 from groundtruth import insert_needle
-from recordings import RecordingError
-from recordings.columns.force_codes import FORCE_STATUS
-from recordings.open_table import open_table
+from needleforce.recordings import RecordingError
+from needleforce.recordings.channels import FORCE_STATUS
+from needleforce.recordings.output import open_table
 from urdf import NeedleTool, Robot, load_lwr
 
 Columns = dict[str, NDArray[np.float64]]
@@ -186,7 +186,7 @@ def late_rows(path: Path) -> LateRows:
     wanted = ("force_status", "absorbed", "rupture")
     table: Any = pd.read_csv(path, usecols=lambda name: name in wanted).tail(LATE_ROWS)
     if "force_status" in table:
-        rejected = FORCE_STATUS.index("skipped")
+        rejected = FORCE_STATUS.index("rejected")
         return LateRows(None, int((table["force_status"] == rejected).sum()))
     return LateRows(int((table["rupture"] != 0.0).sum()), int((table["absorbed"] == 0.0).sum()))
 

@@ -1,4 +1,4 @@
-"""A control loop that reads the needle: one call a tick, one tare, and what to look at.
+"""A control loop that reads the needle force: one call a tick, one tare, what to check.
 
 The simulated arm stands in for yours; replace `read_arm` by your robot's interface.
 """
@@ -25,13 +25,13 @@ for t_s, q, dq, tau in read_arm():
     last_s = t_s
     if not session.tared and t_s > arm.tare_end_s:  # the needle is still in free air
         session.tare()
-        gc.freeze()  # what lives until now lives on: the collector need not look at it again
+        gc.freeze()  # what lives until now lives on: the garbage collector may skip it
     if now.status is not Status.OK or now.warnings:
-        continue  # not a force of this tick, or one to be careful with: hold what you do
+        continue  # no force of this tick, or an uncertain one: hold the last command
     if now.wrench.axial + 2.0 * now.wrench.axial_std > LIMIT_N:
-        pass  # slow down, stop, ask
+        pass  # slow down or stop
     worst_N = max(worst_N, now.identification.tip_force_N)
     if (rupture := now.identification.rupture) is not None:
-        print(f"{t_s:6.2f} s: left layer {rupture.layer} at {1e3 * rupture.depth_m:.1f} mm")
+        print(f"{t_s:6.2f} s: layer {rupture.layer} ruptured at {1e3 * rupture.depth_m:.1f} mm")
 
-print(f"at most {worst_N:.2f} N at the tip; {session.skipped} skipped")
+print(f"at most {worst_N:.2f} N at the tip; {session.skipped} samples rejected")

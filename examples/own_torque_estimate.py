@@ -1,4 +1,4 @@
-"""A robot that estimates external torque itself: the tare, the wrench and the layers are ours."""
+"""A robot that estimates external torque itself: tare, wrench and layers from that torque."""
 
 import numpy as np
 

@@ -1,4 +1,4 @@
-"""Stop in the middle of an insertion and go on in another process, bit for bit."""
+"""Stop in the middle of an insertion and resume in another process, bit for bit."""
 
 import tempfile
 from pathlib import Path
@@ -12,7 +12,7 @@ ticks = list(zip(sent.t_s.tolist(), sent.q_rad, sent.dq_rad_s, sent.tau_Nm, stri
 middle = len(ticks) // 2
 
 
-def go_on(session, part):
+def feed(session, part):
     for t_s, q, dq, tau in part:
         if not session.tared and t_s > arm.tare_end_s:
             session.tare()
@@ -23,13 +23,13 @@ def go_on(session, part):
 with tempfile.TemporaryDirectory() as folder:
     file = Path(folder) / "insertion.json"
     one = InsertionSession(arm.robot)
-    go_on(one, ticks[:middle])
+    feed(one, ticks[:middle])
     write_snapshot(one.snapshot(), file)
 
     other = InsertionSession(arm.robot)  # the same robot and settings, another process
     other.restore(read_snapshot(file))
 
-here, there = go_on(one, ticks[middle:]), go_on(other, ticks[middle:])
+here, there = feed(one, ticks[middle:]), feed(other, ticks[middle:])
 assert here.wrench.axial == there.wrench.axial
 assert here.identification == there.identification
 print(f"both read {here.wrench.axial:.6f} N in the end")

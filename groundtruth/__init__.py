@@ -1,11 +1,11 @@
-"""The simulated truth: arm, needle, tissue and sensors, which the estimators never see.
+"""The simulated ground truth: arm, needle, tissue and sensors, which the estimators never see.
 
 Two simulations of one scenario: `insert_needle` moves the needle by itself, in half a second;
 `simulate` has the arm move it, in MuJoCo, and reports what the arm's sensors read.
 
-Reading order: `scenario` and `scenarios` (what is simulated), `tissue_state` and `tissue` (the law
-of the tissue), `materials` and `plant_model` (every number and its reason), `needle_run`,
-`simulate`.
+Reading order: `scenarios` (what is simulated), `tissue` (the laws), `materials` and `plant_model`
+(every number and its source), `simulation` (both simulations and their results), then `arm_plant`
+and `arm_control`.
 """
 
 from groundtruth.errors import GroundTruthError

@@ -1,4 +1,7 @@
-"""The physics of arm, needle and tissue, one controller tick at a time."""
+"""The physics of arm, needle and tissue, one controller tick at a time, in MuJoCo."""
+
+# MuJoCo's names live in a compiled module without stubs.
+# pyright: reportAttributeAccessIssue=false, reportOptionalMemberAccess=false
 
 from collections.abc import Iterable
 from dataclasses import dataclass
@@ -8,17 +11,27 @@ import pinocchio as pin
 from numpy.typing import NDArray
 
 from groundtruth.errors import PlantError, PlantModelError
-from groundtruth.plant_model import PlantModel
+from groundtruth.plant_model import PlantModel, TICK_s
 from groundtruth.tissue import TissueForce, TissueLaw, no_force
 from urdf import NeedleTool, Payload, Robot, load_lwr
 
-# The second link table of the LWR 4+: the end point of the plant's model mismatch.
+try:
+    import mujoco
+except ModuleNotFoundError:  # The needle without an arm does not need it.
+    mujoco = None
+
+Array = NDArray[np.float64]
+
+SUBSTEPS = 4
+"""Physics steps per tick. Runge-Kutta steps of fourth order close the momentum balance of a moving
+arm to 7e-7 Nm at any number of them (semi-implicit Euler: 6e-4 Nm with four), so the number is set
+by the tissue: four per tick follow the release of a rupture."""
+SUBSTEP_s = TICK_s / SUBSTEPS
+
+# The second link table of the LWR 4+: the end point of the plant's model error, so that no
+# estimator is evaluated on an arm that has exactly its own numbers (the nominal table of the
+# ``urdf`` package is a fit to KUKA's own interface data).
 #
-# The estimator believes the nominal table of the ``urdf`` room, a fit to KUKA's own interface data.
-# The simulated arm may blend that table with this one, so that no estimator is judged on an arm
-# that obeys its own numbers.
-
-
 # Read in two public LWR 4 simulators (a course work of Sapienza, models of the KUKA_LWR MATLAB
 # simulator); believed to stem from CoppeliaSim's LBR4p. Joint frames, inertia about the com.
 #  mass kg, com x, y, z m,            Ixx,      Ixy,   Ixz,   Iyy,      Iyz,       Izz  kg m^2
@@ -33,74 +46,53 @@ _CAD_TABLE = (
 )
 
 
-def cad_link_parameters() -> NDArray[np.float64]:
-    """Inertial parameters of the CAD link table.
-
-    Returns:
-        Shape (7, 10): per link (m, m c, Ixx, Ixy, Iyy, Ixz, Iyz, Izz) in the link's joint frame,
-        inertia about the joint's origin (Pinocchio's order).
-    """
-    rows = []
-    for mass, cx, cy, cz, ixx, ixy, ixz, iyy, iyz, izz in _CAD_TABLE:
-        about_com = np.array([[ixx, ixy, ixz], [ixy, iyy, iyz], [ixz, iyz, izz]])
-        link = pin.Inertia(mass, np.array([cx, cy, cz]), about_com)
-        rows.append(link.toDynamicParameters())
-    return np.array(rows)
-
-
-def blend_link_parameters(
-    nominal: NDArray[np.float64], cad: NDArray[np.float64], cad_share: float
-) -> NDArray[np.float64]:
-    """Blend two link tables: phi = (1 - a) phi_nominal + a phi_CAD.
+def blended_links(nominal: pin.Model, cad_fraction: float) -> tuple[pin.Inertia, ...]:
+    """Blend the links of a model with the CAD table: phi = (1 - a) phi_nominal + a phi_CAD.
 
     Physically consistent 10-vectors form a convex set: a blend of two consistent links is one.
 
     Args:
-        nominal: Shape (n, 10), the estimator's links.
-        cad: Shape (n, 10), the other table, same frames.
-        cad_share: a in [0, 1].
+        nominal: The LWR 4+ as the estimator knows it, without tool.
+        cad_fraction: a in [0, 1].
 
     Returns:
-        Shape (n, 10).
+        Links 1..7, each in its joint frame.
 
     Raises:
-        PlantModelError: The share lies outside [0, 1] or the tables differ in shape.
+        PlantModelError: The fraction lies outside [0, 1].
     """
-    if not 0.0 <= cad_share <= 1.0:
-        raise PlantModelError(f"share of the CAD table is {cad_share}; expected a number in [0, 1]")
-    if nominal.shape != cad.shape:
+    if not 0.0 <= cad_fraction <= 1.0:
         raise PlantModelError(
-            f"link tables have shapes {nominal.shape} and {cad.shape}; "
-            "expected the same number of links in both"
+            f"fraction of the CAD table is {cad_fraction}; expected a number in [0, 1]"
         )
-    return (1.0 - cad_share) * nominal + cad_share * cad
-
-
-# The true masses of the simulated arm: what the estimator believes, bent by an arm level.
+    links = []
+    for joint, (mass, cx, cy, cz, ixx, ixy, ixz, iyy, iyz, izz) in enumerate(_CAD_TABLE, start=1):
+        about_com = np.array([[ixx, ixy, ixz], [ixy, iyy, iyz], [ixz, iyz, izz]])
+        cad = pin.Inertia(mass, np.array([cx, cy, cz]), about_com).toDynamicParameters()
+        believed = nominal.inertias[joint].toDynamicParameters()
+        blend = (1.0 - cad_fraction) * believed + cad_fraction * cad
+        links.append(pin.Inertia.FromDynamicParameters(blend))
+    return tuple(links)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class PlantBodies:
-    """Kinematics and true inertias of arm, F/T sensor and needle."""
+    """Kinematics and true inertias of arm, F/T sensor and needle.
+
+    Attributes:
+        robot: The estimator's robot: kinematics and frames are shared, its inertias are not used.
+        links: Bare links 1..7, each in its joint frame.
+        sensor: The tool up to the sensor's measuring plane, in the flange frame.
+        needle: Everything beyond the measuring plane, in the ``ft_sensor`` frame.
+    """
 
     robot: Robot
-    """The estimator's robot: kinematics and frames are shared, its inertias are not used here."""
-
     links: tuple[pin.Inertia, ...]
-    """Bare links 1..7, each in its joint frame."""
-
     sensor: pin.Inertia
-    """The tool up to the sensor's measuring plane, in the flange frame."""
-
     needle: pin.Inertia
-    """Everything beyond the measuring plane, in the ``ft_sensor`` frame."""
 
     def model(self) -> pin.Model:
-        """Build a Pinocchio model of the true arm (for feed-forward and for checks).
-
-        Returns:
-            The robot's model with every joint's inertia replaced by the true one.
-        """
+        """Pinocchio model of the true arm: the robot's, with the true inertia of every joint."""
         model = self.robot.model.copy()
         for joint, link in enumerate(self.links, start=1):
             model.inertias[joint] = link
@@ -113,49 +105,38 @@ class PlantBodies:
         return model
 
 
-def lwr_bodies(tool: NeedleTool, level: PlantModel, rng: np.random.Generator) -> PlantBodies:
+def lwr_bodies(tool: NeedleTool, plant_model: PlantModel, rng: np.random.Generator) -> PlantBodies:
     """Draw the true LWR 4+ with its needle for one seed.
 
     Args:
         tool: The tool as the estimator knows it.
-        level: How far the truth is from that.
+        plant_model: How far the truth is from that.
         rng: Source of the payload error.
 
     Returns:
-        The bodies; with a level without model error, exactly the estimator's.
+        The bodies; with a plant model without model error, exactly the estimator's.
     """
     robot = load_lwr(payload=tool)
-    bare = robot.bare_model
-    nominal = np.array([bare.inertias[joint].toDynamicParameters() for joint in range(1, 8)])
-    links = blend_link_parameters(nominal, cad_link_parameters(), level.cad_share)
-    mass_factor = 1.0 + level.payload_error * rng.choice((-1.0, 1.0))
-    com_shift_m = level.payload_com_spread_m * rng.standard_normal(3)
+    mass_factor = 1.0 + plant_model.payload_error * rng.choice((-1.0, 1.0))
+    com_shift_m = plant_model.payload_com_spread_m * rng.standard_normal(3)
+
+    def with_error(part: Payload) -> pin.Inertia:
+        return pin.Inertia(
+            part.mass_kg * mass_factor,
+            part.com_m + com_shift_m,
+            part.inertia_kg_m2 * mass_factor,
+        )
+
     return PlantBodies(
         robot=robot,
-        links=tuple(pin.Inertia.FromDynamicParameters(row) for row in links),
-        sensor=_bent(tool.sensor, mass_factor, com_shift_m),
-        needle=_bent(tool.beyond_sensor, mass_factor, com_shift_m),
-    )
-
-
-def _bent(part: Payload, mass_factor: float, com_shift_m: np.ndarray) -> pin.Inertia:
-    return pin.Inertia(
-        part.mass_kg * mass_factor,
-        part.com_m + com_shift_m,
-        part.inertia_kg_m2 * mass_factor,
+        links=blended_links(robot.bare_model, plant_model.cad_fraction),
+        sensor=with_error(tool.sensor),
+        needle=with_error(tool.beyond_sensor),
     )
 
 
 def _placement(robot: Robot, frame: str) -> pin.SE3:
     return robot.model.frames[robot.frame_id(frame)].placement
-
-
-# The simulated arm as a MuJoCo model: truth and estimator share no dynamics code.
-#
-# Bodies: one per joint; ``sensor``, rigid on the flange; ``needle``, all that lies beyond the F/T
-# sensor's measuring plane; and the massless ``tip``, so that a force on it acts at the needle's
-# tip. No geometry, contacts, joint limits, damping, armature or friction: the torque of a joint is
-# the link-side torque its sensor reads.
 
 
 _HEAD = """<mujoco model="needleforce_arm">
@@ -176,7 +157,12 @@ _TAIL = """</worldbody>
 
 
 def arm_mjcf(bodies: PlantBodies, substep_s: float) -> str:
-    """Write the MJCF of arm, sensor and needle.
+    """Write the MuJoCo model of the arm, so that truth and estimator share no dynamics code.
+
+    Bodies: one per joint; ``sensor``, rigid on the flange; ``needle``, all that lies beyond the
+    F/T sensor's measuring plane; and the massless ``tip``, so that a force on it acts at the
+    needle's tip. No geometry, contacts, joint limits, damping, armature or friction: the torque
+    of a joint is the link-side torque its sensor reads.
 
     The force and torque sensors sit at the ``ft_sensor`` frame and report, in its axes, what the
     arm exerts on the needle body: everything beyond the measuring plane.
@@ -194,9 +180,8 @@ def arm_mjcf(bodies: PlantBodies, substep_s: float) -> str:
         placement = robot.model.jointPlacements[joint]
         parts.append(f'<body name="link_{joint}" {_pose(placement)}>\n{_inertial(link)}\n')
         parts.append(f'<joint name="{name}" axis="{_numbers(_joint_axis(robot.model, joint))}"/>\n')
-    flange = robot.model.frames[robot.frame_id(robot.flange_frame)].placement
-    sensor = robot.model.frames[robot.frame_id("ft_sensor")].placement
-    tip = robot.model.frames[robot.frame_id("needle_tip")].placement
+    flange, sensor = _placement(robot, robot.flange_frame), _placement(robot, "ft_sensor")
+    tip = _placement(robot, "needle_tip")
     parts.append(f'<body name="sensor" {_pose(flange)}>\n{_inertial(bodies.sensor)}\n</body>\n')
     parts.append(f'<body name="needle" {_pose(sensor)}>\n{_inertial(bodies.needle)}\n')
     parts.append('<site name="ft_sensor"/>\n')
@@ -231,26 +216,6 @@ def _numbers(values: Iterable[float]) -> str:
     return " ".join(repr(float(value)) for value in values)
 
 
-# MuJoCo's names live in a compiled module without stubs.
-# pyright: reportAttributeAccessIssue=false, reportOptionalMemberAccess=false
-
-
-try:
-    import mujoco
-except ModuleNotFoundError:  # The needle without an arm does not need it.
-    mujoco = None
-
-Array = NDArray[np.float64]
-
-TICK_s = 1e-3
-"""Period of controller and sensors."""
-
-SUBSTEPS = 4
-"""Physics steps per tick. Runge-Kutta steps of fourth order close the momentum balance of a moving
-arm to 7e-7 Nm at any number of them (semi-implicit Euler: 6e-4 Nm with four), so the number is set
-by the tissue: four per tick follow the release of a rupture."""
-
-
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class TissueContact:
     """Tissue in front of the needle.
@@ -281,26 +246,13 @@ class ArmPlant:
         mean_axial_N: Its axial part, mean over the last tick.
     """
 
-    def __init__(
-        self, bodies: PlantBodies, contact: TissueContact, *, substeps: int = SUBSTEPS
-    ) -> None:
-        """Compile the model.
-
-        Args:
-            bodies: The true arm.
-            contact: The tissue.
-            substeps: Physics steps per tick.
-
-        Raises:
-            PlantError: MuJoCo is not installed.
-        """
+    def __init__(self, bodies: PlantBodies, contact: TissueContact) -> None:
+        """Compile the model of the true arm; `PlantError` if MuJoCo is not installed."""
         if mujoco is None:
             raise PlantError(
                 "the simulated arm needs the library mujoco: pip install 'needleforce[sim]'"
             )
-        self._substep_s = TICK_s / substeps
-        self._repeats = range(substeps - 1)
-        self._model = mujoco.MjModel.from_xml_string(arm_mjcf(bodies, self._substep_s))
+        self._model = mujoco.MjModel.from_xml_string(arm_mjcf(bodies, SUBSTEP_s))
         self._data = mujoco.MjData(self._model)
         self._contact = contact
         self._has_tissue = bool(contact.law.layers)
@@ -317,28 +269,19 @@ class ArmPlant:
         self._locate()
 
     def place(self, q_rad: Array, dq_rad_s: Array) -> None:
-        """Put the arm into a state.
-
-        Args:
-            q_rad: Joint positions, shape (7,).
-            dq_rad_s: Joint velocities, shape (7,).
-        """
+        """Put the arm into a state of joint positions and velocities, shape (7,) each."""
         self.q_rad[:] = q_rad
         self.dq_rad_s[:] = dq_rad_s
         self._locate()
 
     def tick(self, torque_Nm: Array) -> None:
-        """Hold a joint torque for one tick.
-
-        Args:
-            torque_Nm: Shape (7,).
-        """
+        """Hold a joint torque, shape (7,), for one tick."""
         self._data.qfrc_applied[:] = torque_Nm
         if self._has_tissue:
             self._tissue_tick(self._contact.law)
         else:
             self._step_and_read()
-            for _ in self._repeats:
+            for _ in range(SUBSTEPS - 1):
                 mujoco.mj_step(self._model, self._data)
         self._locate()
 
@@ -348,20 +291,20 @@ class ArmPlant:
         The Jacobian of the tick's start serves all its substeps: the arm turns by less than
         1e-4 rad meanwhile.
         """
-        step_s, rate, back = self._substep_s, self.axial_jacobian, -self._tip_axis
+        rate, back = self.axial_jacobian, -self._tip_axis
         depth, speed = self.depth_m, float(rate.dot(self.dq_rad_s))
-        force = self.tissue_force = law.step(depth, speed, step_s)
+        force = self.tissue_force = law.step(depth, speed, SUBSTEP_s)
         total = force.axial_N
         self._tip_force[:] = total * back
         self._step_and_read()
-        for _ in self._repeats:
+        for _ in range(SUBSTEPS - 1):
             before, speed = speed, float(rate.dot(self.dq_rad_s))
-            depth += 0.5 * step_s * (before + speed)
-            axial = law.step(depth, speed, step_s).axial_N
+            depth += 0.5 * SUBSTEP_s * (before + speed)
+            axial = law.step(depth, speed, SUBSTEP_s).axial_N
             total += axial
             self._tip_force[:] = axial * back
             mujoco.mj_step(self._model, self._data)
-        self.mean_axial_N = total / (len(self._repeats) + 1)
+        self.mean_axial_N = total / SUBSTEPS
 
     def _step_and_read(self) -> None:
         """Step once and read the F/T sensor.

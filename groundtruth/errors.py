@@ -1,7 +1,6 @@
 """Errors of the ground truth: one base, each leaf also a builtin, so that both can be caught."""
 
 import math
-from collections.abc import Callable, Mapping
 
 
 class GroundTruthError(Exception):
@@ -13,7 +12,7 @@ class TissueError(GroundTruthError, ValueError):
 
 
 class MotionError(GroundTruthError, ValueError):
-    """A motion that cannot be carried out: no travel, no speed, no way back above the surface."""
+    """A motion that cannot be carried out: no travel, no speed, no return above the surface."""
 
 
 class ScenarioError(GroundTruthError, LookupError):
@@ -21,15 +20,15 @@ class ScenarioError(GroundTruthError, LookupError):
 
 
 class NoiseError(GroundTruthError, ValueError):
-    """A noise model with a negative or non-finite figure."""
+    """An unknown noise model, or one with a negative or non-finite value."""
 
 
 class RunError(GroundTruthError, ValueError):
-    """A simulation asked for with settings it cannot use (rate, sub-steps, traces)."""
+    """A simulation with settings it cannot use (rate, sub-steps, seed)."""
 
 
 class PlantModelError(GroundTruthError, ValueError):
-    """An unknown arm level, or link tables that cannot be blended."""
+    """An unknown plant model, or link tables that cannot be blended."""
 
 
 class PathError(GroundTruthError, ValueError):
@@ -37,10 +36,7 @@ class PathError(GroundTruthError, ValueError):
 
 
 class PlantError(GroundTruthError, RuntimeError):
-    """The simulated arm cannot run, or has left the motion it was told to follow."""
-
-
-# Range checks shared by the frozen descriptions of tissue, motion and noise.
+    """The simulated arm cannot run, or has left its commanded motion."""
 
 
 def require_positive(error: type[GroundTruthError], **values: float) -> None:
@@ -53,27 +49,20 @@ def require_positive(error: type[GroundTruthError], **values: float) -> None:
     Raises:
         GroundTruthError: Of class `error`, naming the field, its value and what was expected.
     """
-    _require(error, values, lambda v: math.isfinite(v) and v > 0.0, "a finite number above zero")
+    for name, value in values.items():
+        if not (math.isfinite(value) and value > 0.0):
+            raise error(f"{name} is {value!r}; give a finite number above zero")
 
 
 def require_non_negative(error: type[GroundTruthError], **values: float) -> None:
     """Check that every named value is finite and not negative; else as `require_positive`."""
-    _require(
-        error, values, lambda v: math.isfinite(v) and v >= 0.0, "a finite number, zero or above"
-    )
-
-
-def require_share(error: type[GroundTruthError], **values: float) -> None:
-    """Check that every named value is a share from 0 to 1; else as `require_positive`."""
-    _require(error, values, lambda v: 0.0 <= v <= 1.0, "a share from 0 to 1")
-
-
-def _require(
-    error: type[GroundTruthError],
-    values: Mapping[str, float],
-    is_valid: Callable[[float], bool],
-    wanted: str,
-) -> None:
     for name, value in values.items():
-        if not is_valid(value):
-            raise error(f"{name} is {value!r}; give {wanted}")
+        if not (math.isfinite(value) and value >= 0.0):
+            raise error(f"{name} is {value!r}; give a finite number, zero or above")
+
+
+def require_fraction(error: type[GroundTruthError], **values: float) -> None:
+    """Check that every named value is a fraction from 0 to 1; else as `require_positive`."""
+    for name, value in values.items():
+        if not 0.0 <= value <= 1.0:
+            raise error(f"{name} is {value!r}; give a fraction from 0 to 1")

@@ -1,4 +1,4 @@
-"""What a force sensor at the needle base adds to the true axial force."""
+"""The axial force sensor at the needle base: what it adds to the true force."""
 
 from dataclasses import dataclass
 
@@ -25,11 +25,7 @@ class ForceNoise:
     step_N: float
 
     def __post_init__(self) -> None:
-        """Check the figures.
-
-        Raises:
-            NoiseError: A figure is negative or not finite.
-        """
+        """Raise `NoiseError` naming the value that is negative or not finite."""
         require_non_negative(
             NoiseError,
             white_std_N=self.white_std_N,

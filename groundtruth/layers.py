@@ -1,24 +1,30 @@
-"""One homogeneous layer of tissue, as a description without state."""
+"""Layers of tissue, their membranes, friction and boundaries: descriptions without state."""
 
 import math
 from dataclasses import dataclass
 
-from groundtruth.errors import TissueError, require_non_negative, require_positive, require_share
+from groundtruth.errors import (
+    TissueError,
+    require_fraction,
+    require_non_negative,
+    require_positive,
+)
 
-# A membrane (liver capsule, latex glove) on top of a layer: a spring up to its puncture.
+CUTTING_ONSET_M = 1e-3
+"""Penetration over which the cutting force builds up: about one needle diameter (18G 1.27 mm)."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Membrane:
-    """A membrane the needle pushes in until it is punctured.
+    """A membrane (liver capsule, latex glove) on top of a layer: a spring up to its puncture.
 
     Its force is `puncture_N ((1 - hardening) u + hardening u²)`, u = indentation / indentation_m:
     the second-order spring of Okamura, Simone, O'Leary 2004 for the capsule of bovine liver.
 
     Attributes:
-        puncture_N: Force at which it gives way.
+        puncture_N: Force at which it ruptures.
         indentation_m: How far it has then been pushed in.
-        hardening: Share of the quadratic part, 0 (linear) to 1.
+        hardening: Fraction of the quadratic part, 0 (linear) to 1.
         release_m: Travel of the tip over which the force is released after the puncture.
     """
 
@@ -28,18 +34,14 @@ class Membrane:
     release_m: float
 
     def __post_init__(self) -> None:
-        """Check the figures.
-
-        Raises:
-            TissueError: A figure is zero, negative or not finite, or hardening is not a share.
-        """
+        """Raise `TissueError` naming the value that no membrane can have."""
         require_positive(
             TissueError,
             puncture_N=self.puncture_N,
             indentation_m=self.indentation_m,
             release_m=self.release_m,
         )
-        require_share(TissueError, hardening=self.hardening)
+        require_fraction(TissueError, hardening=self.hardening)
 
     def force_N(self, indentation_m: float) -> float:
         """Force of the intact membrane, zero when it is not touched.
@@ -53,16 +55,13 @@ class Membrane:
         return self.puncture_N * u * (1.0 + self.hardening * (u - 1.0))
 
 
-# Shaft friction per unit of embedded length: Coulomb + viscous, with presliding.
-
-
 @dataclass(frozen=True, slots=True, kw_only=True)
 class ShaftFriction:
     """Friction of one tissue on a needle shaft, per unit of embedded length.
 
     In steady sliding the force per length is `coulomb sign(v) + viscous v`. Around a reversal the
     tissue first moves along with the shaft: the Coulomb part builds up over `presliding_m`
-    (Dahl's model, see `bristle_step`).
+    (Dahl's model, see `groundtruth.tissue.bristle_step`).
 
     Attributes:
         coulomb_N_per_m: Part that does not depend on speed.
@@ -77,11 +76,7 @@ class ShaftFriction:
     reference_speed_m_s: float
 
     def __post_init__(self) -> None:
-        """Check the figures.
-
-        Raises:
-            TissueError: A figure is negative, zero where it may not be, or not finite.
-        """
+        """Raise `TissueError` naming the value that no friction can have."""
         require_non_negative(
             TissueError,
             coulomb_N_per_m=self.coulomb_N_per_m,
@@ -99,7 +94,7 @@ class ShaftFriction:
         *,
         force_N_per_m: float,
         reference_speed_m_s: float,
-        coulomb_share: float,
+        coulomb_fraction: float,
         presliding_m: float,
     ) -> "ShaftFriction":
         """Split a friction measured at one speed into its Coulomb and its viscous part.
@@ -107,17 +102,17 @@ class ShaftFriction:
         Args:
             force_N_per_m: Friction per length in steady sliding at the reference speed.
             reference_speed_m_s: That speed.
-            coulomb_share: Share of it, 0 to 1, that does not depend on speed.
+            coulomb_fraction: Fraction of it, 0 to 1, that does not depend on speed.
             presliding_m: See the class.
 
         Raises:
-            TissueError: The share is outside 0 to 1, or a figure is not physical.
+            TissueError: The fraction is outside 0 to 1, or a value is not physical.
         """
-        require_share(TissueError, coulomb_share=coulomb_share)
+        require_fraction(TissueError, coulomb_fraction=coulomb_fraction)
         require_positive(TissueError, reference_speed_m_s=reference_speed_m_s)
         return cls(
-            coulomb_N_per_m=coulomb_share * force_N_per_m,
-            viscous_Ns_per_m2=(1.0 - coulomb_share) * force_N_per_m / reference_speed_m_s,
+            coulomb_N_per_m=coulomb_fraction * force_N_per_m,
+            viscous_Ns_per_m2=(1.0 - coulomb_fraction) * force_N_per_m / reference_speed_m_s,
             presliding_m=presliding_m,
             reference_speed_m_s=reference_speed_m_s,
         )
@@ -130,13 +125,9 @@ class ShaftFriction:
         return coulomb + self.viscous_Ns_per_m2 * speed_m_s
 
     @property
-    def textbook_Ns_per_m2(self) -> float:
+    def equivalent_viscous_Ns_per_m2(self) -> float:
         """The B of equation (3) that gives the same friction at the reference speed."""
         return self.sliding_N_per_m(self.reference_speed_m_s) / self.reference_speed_m_s
-
-
-CUTTING_ONSET_M = 1e-3
-"""Penetration over which the cutting force builds up: about one needle diameter (18G 1.27 mm)."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -146,13 +137,14 @@ class Layer:
     Attributes:
         name: For tables and legends.
         thickness_m: d_i of the paper.
-        exit_force_N: Tip force at the far end of the layer, at which it gives way there.
-        cutting_share: Share of it that is a constant cutting force; the rest is elastic and grows
-            with the penetration.
+        exit_force_N: Tip force at the far end of the layer, at which it ruptures there.
+        cutting_fraction: Fraction of it that is a constant cutting force; the rest is elastic and
+            grows with the penetration.
         stiffening: How much steeper the chord of the elastic part is at the end than the slope at
             the start: 0.1 means 10 %.
         release_m: Travel of the tip over which the tip force is released when it leaves the layer.
-        relaxed_share: Share of the tip force and of the Coulomb friction lost after a long rest.
+        relaxed_fraction: Fraction of the tip force and of the Coulomb friction lost after a long
+            rest.
         friction: Friction of the layer on the shaft.
         membrane: What must be punctured to enter the layer, if anything.
     """
@@ -160,19 +152,18 @@ class Layer:
     name: str
     thickness_m: float
     exit_force_N: float
-    cutting_share: float
+    cutting_fraction: float
     stiffening: float
     release_m: float
-    relaxed_share: float
+    relaxed_fraction: float
     friction: ShaftFriction
     membrane: Membrane | None = None
 
     def __post_init__(self) -> None:
-        """Check the figures.
+        """Raise `TissueError` naming the value that no layer can have.
 
-        Raises:
-            TissueError: A figure is not physical, or the layer is too thin for its membrane's
-                indentation, its cutting onset and the releases at both its ends.
+        A layer must be thicker than its membrane's indentation, its cutting onset and the releases
+        at both its ends.
         """
         require_positive(
             TissueError,
@@ -181,8 +172,10 @@ class Layer:
             release_m=self.release_m,
         )
         require_non_negative(TissueError, stiffening=self.stiffening)
-        require_share(
-            TissueError, cutting_share=self.cutting_share, relaxed_share=self.relaxed_share
+        require_fraction(
+            TissueError,
+            cutting_fraction=self.cutting_fraction,
+            relaxed_fraction=self.relaxed_fraction,
         )
         taken = self.entry_m + CUTTING_ONSET_M + self.release_m
         if self.membrane is not None:
@@ -210,16 +203,13 @@ class Layer:
         elastic = p * (1.0 + self.stiffening * p) / (1.0 + self.stiffening)
         onset = min(penetration_m / CUTTING_ONSET_M, 1.0)
         cutting = onset * (2.0 - onset)
-        c = self.cutting_share
+        c = self.cutting_fraction
         return self.exit_force_N * ((1.0 - c) * elastic + c * cutting)
 
     @property
     def stiffness_N_per_m(self) -> float:
         """The K of equation (3) that ends the layer with the same tip force."""
         return self.exit_force_N / self.thickness_m
-
-
-# Where one layer gives way to the next: depth, force released, travel of the release.
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -232,7 +222,7 @@ class Interface:
 
     Attributes:
         depth_m: Where it lies in undeformed tissue.
-        onset_m: Depth of the tip at which it begins to give way.
+        onset_m: Depth of the tip at which it begins to rupture.
         release_m: Travel over which the force is then released.
         drop_N: Force released, tissue not relaxed; zero at a bare surface.
         membrane: The membrane to puncture there, if any.
@@ -245,9 +235,9 @@ class Interface:
     membrane: Membrane | None
 
     def released(self, deepest_m: float) -> float:
-        """Share of the force released, 0 to 1, once the tip has been as deep as `deepest_m`.
+        """Fraction of the force released, 0 to 1, once the tip has been as deep as `deepest_m`.
 
-        A crack starts fast and dies out: 1 - (1 - s)², s the travelled share of `release_m`.
+        A crack starts fast and dies out: 1 - (1 - s)², s the travelled fraction of `release_m`.
         """
         travelled = deepest_m - self.onset_m
         if travelled <= 0.0:
@@ -264,24 +254,22 @@ def interfaces(layers: tuple[Layer, ...]) -> tuple[Interface, ...]:
     Args:
         layers: The layers, first the one the needle meets first; none gives no boundary.
     """
+    if not layers:
+        return ()
     found: list[Interface] = []
     depth = 0.0
-    for above, below in zip((None, *layers), (*layers, None), strict=True):
+    for i in range(len(layers) + 1):
+        below = layers[i] if i < len(layers) else None
         membrane = None if below is None else below.membrane
-        if above is None and below is None:
-            break
-        drop = 0.0 if above is None else above.exit_force_N
-        release = below.release_m if above is None and below is not None else 0.0
-        release = above.release_m if above is not None else release
+        onset, drop = depth, layers[i - 1].exit_force_N if i else 0.0
+        release = layers[max(i - 1, 0)].release_m
         if membrane is not None:
-            drop += membrane.puncture_N
+            onset, drop = depth + membrane.indentation_m, drop + membrane.puncture_N
             release = membrane.release_m
-        onset = depth + (0.0 if membrane is None else membrane.indentation_m)
         found.append(
             Interface(
                 depth_m=depth, onset_m=onset, release_m=release, drop_N=drop, membrane=membrane
             )
         )
-        if below is not None:
-            depth += below.thickness_m
+        depth += 0.0 if below is None else below.thickness_m
     return tuple(found)

@@ -4,11 +4,12 @@ Friction. Table I gives the friction of the paper's three gels as the product B 
 one constant and one sinusoidal speed profile: 113, 283, 534 Ns/m, for layers 28.2, 37.7 and
 32.2 mm thick (the authors' own gels). At 2.3 mm/s that is 0.26, 0.65 and 1.23 N.
 
-Coulomb share. The two profiles of Table I pass the far end of a gel at 2.3 and about 3 mm/s and
+Coulomb fraction. The two profiles of Table I pass the far end of a gel at 2.3 and about 3 mm/s and
 differ by 7-12 % of the mean: purely viscous friction would give the same B at both, purely Coulomb
 friction B values 25-30 % apart. Two fifths Coulomb fit, and leave after a sinusoidal exit the
-residue the paper describes (Fig. 9). Real liver (de Jong 2017, 19 insertions at 5 mm/s to 85 mm,
-where the force is mostly friction) loses 20 % within a second of the stop: four fifths Coulomb.
+remaining force the paper describes (Fig. 9). Real liver (de Jong 2017, 19 insertions at 5 mm/s to
+85 mm, where the force is mostly friction) loses 20 % within a second of the stop: four fifths
+Coulomb.
 
 Relaxation. Over the 60 s hold the same recordings fall to 37 % of the force before the stop
 (median), that is to 0.45 of the part that does not depend on speed. For the gels there is no
@@ -34,13 +35,13 @@ GEL_THICKNESS_M = {25: 28.2e-3, 50: 37.7e-3, 70: 32.2e-3}
 """Measured by the authors."""
 GEL_TIP_FORCE_N = {25: 0.30, 50: 0.75, 70: 1.40}
 """At the far end of the gel; about as much as its friction at 2.3 mm/s, as in Fig. 8."""
-GEL_COULOMB_SHARE = 0.4
+GEL_COULOMB_FRACTION = 0.4
 GEL_PRESLIDING_M = 0.2e-3
 """A fraction of a needle diameter: gel sticks little to a wet shaft."""
 GEL_RELEASE_M = 0.3e-3
 """Clean fracture of a brittle gel."""
-GEL_RELAXED_SHARE = 0.2
-CUTTING_SHARE = 0.1
+GEL_RELAXED_FRACTION = 0.2
+CUTTING_FRACTION = 0.1
 STIFFENING = 0.1
 
 LIVER_SPEED_M_S = 5e-3
@@ -49,9 +50,9 @@ LIVER_FRICTION_N_PER_M = 10.6
 """Median pull-out force per embedded length (de Jong 2017)."""
 ABDOMEN_SPEED_M_S = 6e-3
 """About the speed of the abdomen's sinusoid inside the tissue (4.6 to 7.2 mm/s)."""
-TISSUE_COULOMB_SHARE = 0.8
+TISSUE_COULOMB_FRACTION = 0.8
 TISSUE_PRESLIDING_M = 0.9e-3
-TISSUE_RELAXED_SHARE = 0.55
+TISSUE_RELAXED_FRACTION = 0.55
 TISSUE_RELEASE_M = 0.5e-3
 """Fibrous tissue tears more gradually than gel."""
 
@@ -63,18 +64,18 @@ def _layer(
     friction: ShaftFriction,
     *,
     release_m: float = TISSUE_RELEASE_M,
-    relaxed_share: float = TISSUE_RELAXED_SHARE,
+    relaxed_fraction: float = TISSUE_RELAXED_FRACTION,
     membrane: Membrane | None = None,
 ) -> Layer:
-    """A layer with what all materials have in common; organic tissue unless told otherwise."""
+    """A layer with what all materials have in common; organic tissue by default."""
     return Layer(
         name=name,
         thickness_m=thickness_m,
         exit_force_N=exit_force_N,
-        cutting_share=CUTTING_SHARE,
+        cutting_fraction=CUTTING_FRACTION,
         stiffening=STIFFENING,
         release_m=release_m,
-        relaxed_share=relaxed_share,
+        relaxed_fraction=relaxed_fraction,
         friction=friction,
         membrane=membrane,
     )
@@ -96,7 +97,7 @@ def gel(percent: int, *, membrane: Membrane | None = None) -> Layer:
     friction = ShaftFriction.calibrated(
         force_N_per_m=TABLE_I_FRICTION_NS_PER_M[percent] * TABLE_I_SPEED_M_S / thickness,
         reference_speed_m_s=TABLE_I_SPEED_M_S,
-        coulomb_share=GEL_COULOMB_SHARE,
+        coulomb_fraction=GEL_COULOMB_FRACTION,
         presliding_m=GEL_PRESLIDING_M,
     )
     return _layer(
@@ -105,7 +106,7 @@ def gel(percent: int, *, membrane: Membrane | None = None) -> Layer:
         GEL_TIP_FORCE_N[percent],
         friction,
         release_m=GEL_RELEASE_M,
-        relaxed_share=GEL_RELAXED_SHARE,
+        relaxed_fraction=GEL_RELAXED_FRACTION,
         membrane=membrane,
     )
 
@@ -115,12 +116,12 @@ def soft_tissue_friction(force_N_per_m: float, nominal_speed_m_s: float) -> Shaf
 
     Args:
         force_N_per_m: That friction.
-        nominal_speed_m_s: Speed of the scenario: where the textbook law shall agree.
+        nominal_speed_m_s: Speed of the scenario, at which the law of equation (3) shall agree.
     """
     measured = ShaftFriction.calibrated(
         force_N_per_m=force_N_per_m,
         reference_speed_m_s=LIVER_SPEED_M_S,
-        coulomb_share=TISSUE_COULOMB_SHARE,
+        coulomb_fraction=TISSUE_COULOMB_FRACTION,
         presliding_m=TISSUE_PRESLIDING_M,
     )
     return replace(measured, reference_speed_m_s=nominal_speed_m_s)

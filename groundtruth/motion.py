@@ -10,13 +10,22 @@ from numpy.typing import NDArray
 
 from groundtruth.errors import MotionError, require_positive
 
-# One stroke of a motion: a travel in a time, with a named profile of speed.
-
-
 Profile = Literal["rest", "quintic", "cruise", "cosine"]
 Array = NDArray[np.float64]
 
-RAMP_SHARE_MAX = 0.5
+FIRST_REST_S = 1.0
+TARE_STROKE_M = 100e-3
+"""Length of the tare stroke in free air: about as long as the deepest insertion, since what is
+learnt on it is carried on along the insertion."""
+TARE_SPEED_M_S = 25e-3
+"""Mean speed of the tare stroke: fast enough to excite the arm, slow enough to be safe in air."""
+TURNING_REST_S = 2.0
+LAST_REST_S = 0.5
+RAMP_S = 0.5
+"""Time in which a constant-speed stroke reaches its speed: under 1 mm of travel."""
+RAMP_FRACTION_MAX = 0.5
+TOLERANCE = 1e-9
+"""Seconds and metres within which two strokes meet."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -30,7 +39,7 @@ class Stroke:
         duration_s: How long it takes.
         start_m: Where it begins.
         travel_m: Signed travel.
-        ramp_share: Share of the duration each ramp of a `cruise` takes, up to one half.
+        ramp_fraction: Fraction of the duration that each ramp of a `cruise` takes, up to 0.5.
     """
 
     profile: Profile
@@ -38,17 +47,15 @@ class Stroke:
     duration_s: float
     start_m: float
     travel_m: float
-    ramp_share: float = 0.1
+    ramp_fraction: float = 0.1
 
     def __post_init__(self) -> None:
-        """Check the figures.
-
-        Raises:
-            MotionError: The duration or the ramp share is out of range.
-        """
-        require_positive(MotionError, duration_s=self.duration_s, ramp_share=self.ramp_share)
-        if self.ramp_share > RAMP_SHARE_MAX:
-            raise MotionError(f"ramp_share is {self.ramp_share!r}; two ramps need at most 0.5 each")
+        """Raise `MotionError` if the duration or the ramp fraction is out of range."""
+        require_positive(MotionError, duration_s=self.duration_s, ramp_fraction=self.ramp_fraction)
+        if self.ramp_fraction > RAMP_FRACTION_MAX:
+            raise MotionError(
+                f"ramp_fraction is {self.ramp_fraction!r}; two ramps need at most 0.5 each"
+            )
 
     @property
     def end_s(self) -> float:
@@ -72,33 +79,19 @@ class Stroke:
         elif self.profile == "cosine":
             done, rate = 0.5 - 0.5 * np.cos(np.pi * s), 0.5 * np.pi * np.sin(np.pi * s)
         elif self.profile == "cruise":
-            done, rate = _cruise(s, self.ramp_share)
+            done, rate = _cruise(s, self.ramp_fraction)
         else:
             done, rate = np.zeros_like(s), np.zeros_like(s)
         return self.start_m + self.travel_m * done, self.travel_m / self.duration_s * rate
 
 
 def _cruise(s: Array, ramp: float) -> tuple[Array, Array]:
-    """Share of the travel done and its rate: speed rises as 3q² - 2q³, holds, falls alike."""
+    """Fraction of the travel done and its rate: speed rises as 3q² - 2q³, holds, falls alike."""
     mirrored = np.minimum(s, 1.0 - s)
     q = np.minimum(mirrored / ramp, 1.0)
     full = 1.0 / (1.0 - ramp)
     half = full * (ramp * q**3 * (1.0 - 0.5 * q) + np.maximum(mirrored - ramp, 0.0))
     return np.where(s <= 0.5, half, 1.0 - half), full * q * q * (3.0 - 2.0 * q)
-
-
-FIRST_REST_S = 1.0
-TARE_STROKE_M = 100e-3
-"""Length of the tare stroke in free air: about as long as the deepest insertion, since what is
-learnt on it is carried on along the insertion."""
-TARE_SPEED_M_S = 25e-3
-"""Mean speed of the tare stroke: fast enough to excite the arm, slow enough to be safe in air."""
-TURNING_REST_S = 2.0
-LAST_REST_S = 0.5
-RAMP_S = 0.5
-"""Time in which a constant-speed stroke reaches its speed: under 1 mm of travel."""
-TOLERANCE = 1e-9
-"""Seconds and metres within which two strokes meet."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -112,7 +105,7 @@ class Motion:
         strokes: Contiguous in time and position.
         tare_end_s: End of the stroke in free air; contact has not happened before it.
         insertion_end_s: The needle is at its deepest and rests.
-        withdrawal_start_s: It starts on its way out.
+        withdrawal_start_s: It starts to withdraw.
         withdrawal_end_s: It is back above the surface.
     """
 
@@ -123,11 +116,7 @@ class Motion:
     withdrawal_end_s: float
 
     def __post_init__(self) -> None:
-        """Check that the strokes follow each other.
-
-        Raises:
-            MotionError: There is no stroke, or one does not begin where and when the last ended.
-        """
+        """Raise `MotionError` unless each stroke begins where and when the one before ended."""
         if not self.strokes:
             raise MotionError("a motion without strokes; give at least one")
         for last, following in pairwise(self.strokes):
@@ -182,45 +171,60 @@ class Motion:
         return out if isinstance(t_s, np.ndarray) else float(out)
 
 
-def _chain(start_m: float, moves: Sequence[tuple[Profile, float, float, float]]) -> list[Stroke]:
-    """Strokes one after the other from (profile, duration, travel, ramp share) rows."""
+def chain_strokes(
+    start_m: float, moves: Sequence[tuple[Profile, float, float]], *, ramp_fraction: float = 0.1
+) -> tuple[Stroke, ...]:
+    """Strokes one after the other, the first at time zero.
+
+    Args:
+        start_m: Where the first begins.
+        moves: Profile, duration and travel of each.
+        ramp_fraction: Of every `cruise` among them.
+
+    Raises:
+        MotionError: A duration or the ramp fraction is out of range.
+    """
     strokes: list[Stroke] = []
     time, place = 0.0, start_m
-    for profile, duration, travel, ramp in moves:
+    for profile, duration, travel in moves:
         stroke = Stroke(
             profile=profile,
             start_s=time,
             duration_s=duration,
             start_m=place,
             travel_m=travel,
-            ramp_share=ramp,
+            ramp_fraction=ramp_fraction,
         )
         strokes.append(stroke)
         time, place = stroke.end_s, stroke.end_m
-    return strokes
+    return tuple(strokes)
 
 
 def _protocol(
-    standoff_m: float, travel_m: float, insertion: tuple[Profile, float, float]
+    standoff_m: float,
+    travel_m: float,
+    profile: Profile,
+    duration_s: float,
+    ramp_fraction: float = 0.5,
 ) -> Motion:
-    """The protocol around an insertion stroke (profile, duration, ramp share)."""
-    profile, duration, ramp = insertion
+    """The whole protocol around an insertion stroke."""
     tare_s = TARE_STROKE_M / TARE_SPEED_M_S
-    strokes = _chain(
+    strokes = chain_strokes(
         -standoff_m - TARE_STROKE_M,
         [
-            ("rest", FIRST_REST_S, 0.0, 0.5),
-            ("quintic", tare_s, TARE_STROKE_M, 0.5),
-            ("quintic", tare_s, -TARE_STROKE_M, 0.5),
-            ("quintic", tare_s, TARE_STROKE_M, 0.5),
-            (profile, duration, travel_m, ramp),
-            ("rest", TURNING_REST_S, 0.0, 0.5),
-            (profile, duration, -travel_m, ramp),
-            ("rest", LAST_REST_S, 0.0, 0.5),
+            ("rest", FIRST_REST_S, 0.0),
+            ("quintic", tare_s, TARE_STROKE_M),
+            ("quintic", tare_s, -TARE_STROKE_M),
+            ("quintic", tare_s, TARE_STROKE_M),
+            (profile, duration_s, travel_m),
+            ("rest", TURNING_REST_S, 0.0),
+            (profile, duration_s, -travel_m),
+            ("rest", LAST_REST_S, 0.0),
         ],
+        ramp_fraction=ramp_fraction,
     )
     return Motion(
-        strokes=tuple(strokes),
+        strokes=strokes,
         tare_end_s=strokes[3].end_s,
         insertion_end_s=strokes[4].end_s,
         withdrawal_start_s=strokes[5].end_s,
@@ -237,14 +241,14 @@ def constant_motion(*, speed_m_s: float, depth_m: float, standoff_m: float) -> M
         standoff_m: How far above the surface the insertion begins and the withdrawal ends.
 
     Raises:
-        MotionError: A figure is not positive, or the way is too short to reach the speed.
+        MotionError: A value is not positive, or the travel is too short to reach the speed.
     """
     require_positive(MotionError, speed_m_s=speed_m_s, depth_m=depth_m, standoff_m=standoff_m)
     travel = depth_m + standoff_m
     duration = travel / speed_m_s + RAMP_S
     if duration < 2.0 * RAMP_S:
         raise MotionError(f"{travel} m are too short to reach {speed_m_s} m/s: go deeper or slower")
-    return _protocol(standoff_m, travel, ("cruise", duration, RAMP_S / duration))
+    return _protocol(standoff_m, travel, "cruise", duration, RAMP_S / duration)
 
 
 def sinusoidal_motion(*, stroke_m: float, frequency_hz: float, standoff_m: float) -> Motion:
@@ -258,14 +262,14 @@ def sinusoidal_motion(*, stroke_m: float, frequency_hz: float, standoff_m: float
         standoff_m: How far above the surface the stroke begins and the withdrawal ends.
 
     Raises:
-        MotionError: A figure is not positive, or the stroke does not reach the surface.
+        MotionError: A value is not positive, or the stroke does not reach the surface.
     """
     require_positive(
         MotionError, stroke_m=stroke_m, frequency_hz=frequency_hz, standoff_m=standoff_m
     )
     if stroke_m <= standoff_m:
         raise MotionError(f"a stroke of {stroke_m} m ends above the surface, {standoff_m} m away")
-    return _protocol(standoff_m, stroke_m, ("cosine", 0.5 / frequency_hz, 0.5))
+    return _protocol(standoff_m, stroke_m, "cosine", 0.5 / frequency_hz)
 
 
 def free_motion(*, height_m: float, stroke_m: float, frequency_hz: float) -> Motion:
@@ -277,7 +281,7 @@ def free_motion(*, height_m: float, stroke_m: float, frequency_hz: float) -> Mot
         frequency_hz: Frequency of the stroke.
 
     Raises:
-        MotionError: A figure is not positive.
+        MotionError: A value is not positive.
     """
     require_positive(MotionError, height_m=height_m, stroke_m=stroke_m, frequency_hz=frequency_hz)
-    return _protocol(height_m + stroke_m, stroke_m, ("cosine", 0.5 / frequency_hz, 0.5))
+    return _protocol(height_m + stroke_m, stroke_m, "cosine", 0.5 / frequency_hz)

@@ -1,29 +1,32 @@
-"""The arms, as named levels of dishonesty: every number and its reason in one place.
+"""The plant models of the simulated arm: every number and its reason in one place.
 
-A level says how far the simulated arm is from what the estimator believes (links, payload) and how
-much its sensors lie. From the fact sheets of the real arm: torque noise floor 0.03 % of the joint
-limit, torque sensor linearity better than 0.5 % of range, harmonic drives 160:1 (J1-J4) and 100:1
-(J5-J7), 1 kHz, no velocity in the interface. "Limit" below is a joint's effort limit, 176 to 38 Nm.
+A plant model says how far the simulated arm is from the model that the estimator has (links,
+payload), and how large the errors of its sensors are. From the fact sheets of the real arm: torque
+noise floor 0.03 % of the joint limit, torque sensor linearity better than 0.5 % of range, harmonic
+drives 160:1 (J1-J4) and 100:1 (J5-J7), 1 kHz, no velocity in the interface. "Limit" below is a
+joint's effort limit, 176 to 38 Nm.
 """
 
 from dataclasses import dataclass
 
-from groundtruth.errors import PlantModelError
 from groundtruth.force_noise import MINI45
+
+TICK_s = 1e-3
+"""Period of controller and sensors."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class PlantModel:
-    """Everything in which a simulated arm and its sensors differ from the estimator's beliefs.
+    """Everything in which a simulated arm and its sensors differ from the estimator's model.
 
     Joint-wise tuples are ordered J1..J7; six-tuples are force x, y, z, torque x, y, z in sensor
-    axes. The default of every number is zero: no such fault.
+    axes. The default of every number is zero: no such error.
     """
 
     name: str
 
-    cad_share: float = 0.0
-    """Share a of the CAD link table in the arm, (1 - a) nominal + a CAD. Two published tables of
+    cad_fraction: float = 0.0
+    """Fraction a of the CAD link table in the arm, (1 - a) nominal + a CAD. Two published tables of
     one arm disagree by 1.5 Nm rms at J2; 0.1 of that (0.15 Nm, 0.3 N at the flange) stands for
     a model identified with care, 0.3 (0.45 Nm, 0.9 N) for one taken over from elsewhere."""
 
@@ -44,24 +47,24 @@ class PlantModel:
 
     torque_bias_max_Nm: tuple[float, ...] = (0.0,) * 7
     """Greatest magnitude. Up to 1 Nm (J1-J5) and 0.3 Nm (J6-J7): what an identification of a real
-    LWR 4+ had to absorb in its friction offsets."""
+    LWR 4+ had to attribute to its friction offsets."""
 
     torque_drift_std_per_min: float = 0.0
-    """Standard deviation of the linear drift rate, as a share of limit per minute. 1e-4: the zero
-    of a strain-gauge sensor (ATI Mini45) wanders by 0.115 N of 290 N, 4e-4, in 4 minutes."""
+    """Standard deviation of the linear drift rate, as a fraction of limit per minute. 1e-4: the
+    zero of a strain-gauge sensor (ATI Mini45) drifts by 0.115 N of 290 N, 4e-4, in 4 minutes."""
 
-    torque_walk_std_per_sqrt_min: float = 0.0
-    """Random walk on top, as a share of limit after one minute. 3e-5, a third of the linear part:
-    real drift is not straight, but nearly so over the two minutes of an insertion."""
+    torque_random_walk_std_per_sqrt_min: float = 0.0
+    """Random walk on top, as a fraction of limit after one minute. 3e-5, a third of the linear
+    part: real drift is not straight, but nearly so over the two minutes of an insertion."""
 
     torque_ripple: float = 0.0
-    """Amplitude, as a share of limit, of a ripple periodic in joint position: the sensor feels the
-    elliptic wave generator pass twice per motor turn, sin(2 N q) with gear ratio N. 1e-4, one
+    """Amplitude, as a fraction of limit, of a ripple periodic in joint position: the elliptic wave
+    generator passes the sensor twice per motor turn, sin(2 N q) with gear ratio N. 1e-4, one
     fiftieth of the 0.5 % linearity, most of which is smooth and calibrated away."""
 
     torque_hysteresis: float = 0.0
-    """Half-width, as a share of limit, of the torque sensor's play: the output lags until the
-    torque has moved by this much. 1e-4, one fiftieth of the linearity as well."""
+    """Half-width, as a fraction of limit, of the torque sensor's backlash: the output lags until
+    the torque has moved by this much. 1e-4, one fiftieth of the linearity as well."""
 
     position_noise_std_rad: float = 0.0
     """White noise of the reported position. 1e-5: a motor encoder seen through the gear; the
@@ -106,14 +109,14 @@ IDEAL = PlantModel(name="ideal")
 
 CLEAN = PlantModel(
     name="clean",
-    cad_share=0.1,
+    cad_fraction=0.1,
     payload_error=0.02,
     payload_com_spread_m=0.001,
     torque_noise_std_Nm=(0.05, 0.05, 0.03, 0.03, 0.03, 0.011, 0.011),
     torque_bias_min_Nm=(0.1, 0.1, 0.1, 0.1, 0.1, 0.05, 0.05),
     torque_bias_max_Nm=(1.0, 1.0, 1.0, 1.0, 1.0, 0.3, 0.3),
     torque_drift_std_per_min=1e-4,
-    torque_walk_std_per_sqrt_min=3e-5,
+    torque_random_walk_std_per_sqrt_min=3e-5,
     position_noise_std_rad=1e-5,
     position_step_rad=1e-5,
     velocity_noise_std_rad_s=2e-4,
@@ -124,14 +127,14 @@ CLEAN = PlantModel(
 
 DEGRADED = PlantModel(
     name="degraded",
-    cad_share=0.3,
+    cad_fraction=0.3,
     payload_error=0.05,
     payload_com_spread_m=0.0025,
     torque_noise_std_Nm=tuple(2.0 * std for std in CLEAN.torque_noise_std_Nm),
     torque_bias_min_Nm=CLEAN.torque_bias_min_Nm,
     torque_bias_max_Nm=CLEAN.torque_bias_max_Nm,
     torque_drift_std_per_min=1e-4,
-    torque_walk_std_per_sqrt_min=3e-5,
+    torque_random_walk_std_per_sqrt_min=3e-5,
     torque_ripple=1e-4,
     torque_hysteresis=1e-4,
     position_noise_std_rad=2e-5,
@@ -143,23 +146,7 @@ DEGRADED = PlantModel(
     ft_noise_std=tuple(2.0 * std for std in _FT_NOISE),
     ft_drift_std_per_min=_FT_DRIFT,
 )
-"""A neglected arm seen through its bare research interface: twice the noise, and more faults."""
+"""A neglected arm seen through its bare research interface: twice the noise, further errors."""
 
-PLANT_MODELS = {level.name: level for level in (IDEAL, CLEAN, DEGRADED)}
-"""The levels by name."""
-
-
-def plant_model(name: str) -> PlantModel:
-    """Look a level up by name.
-
-    Args:
-        name: ``ideal``, ``clean`` or ``degraded``.
-
-    Raises:
-        PlantModelError: There is no such level.
-    """
-    if name not in PLANT_MODELS:
-        raise PlantModelError(
-            f"unknown arm level {name!r}; choose one of {', '.join(PLANT_MODELS)}"
-        )
-    return PLANT_MODELS[name]
+PLANT_MODELS = {model.name: model for model in (IDEAL, CLEAN, DEGRADED)}
+"""The plant models by name."""

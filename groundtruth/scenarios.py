@@ -1,4 +1,9 @@
-"""The catalogue of scenarios under their permanent names, after Sections II and VI of the paper."""
+"""The catalogue of scenarios under their permanent names, and random ones.
+
+The catalogue follows Sections II and VI of the paper. Random scenarios draw layers, membranes,
+speed and motion within documented ranges, which span what the catalogue and the real recordings
+show, with room on both sides, so that nothing can be tuned to a dozen curves.
+"""
 
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
@@ -19,11 +24,7 @@ from groundtruth.materials import (
     gel,
 )
 from groundtruth.motion import Motion, constant_motion, free_motion, sinusoidal_motion
-from groundtruth.multilayer_tissue import MultilayerTissue
-from groundtruth.tissue import Tissue, TissueLaw
-
-# A scenario: what is pierced, how the needle moves, and by which law the tissue answers.
-
+from groundtruth.tissue import MultilayerTissue, Tissue, TissueLaw
 
 LawName = Literal["tissue", "multilayer"]
 LAWS = {"tissue": Tissue, "multilayer": MultilayerTissue}
@@ -31,7 +32,7 @@ LAWS = {"tissue": Tissue, "multilayer": MultilayerTissue}
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Scenario:
-    """One insertion, ready to be simulated.
+    """One insertion, ready to be simulated: layers, motion, and the law of the tissue.
 
     Attributes:
         id: Permanent name.
@@ -48,11 +49,7 @@ class Scenario:
     law: LawName = "tissue"
 
     def __post_init__(self) -> None:
-        """Check the law.
-
-        Raises:
-            ScenarioError: The law is unknown.
-        """
+        """Raise `ScenarioError` if the law is unknown."""
         if self.law not in LAWS:
             raise ScenarioError(f"unknown tissue law {self.law!r}; known: {', '.join(LAWS)}")
 
@@ -89,73 +86,58 @@ ABDOMEN_STROKE_M, ABDOMEN_FREQUENCY_HZ = 115e-3, 0.02
 ABDOMEN_STANDOFF_M = 22e-3
 
 
-def _constant(layers: tuple[Layer, ...], speed_m_s: float) -> Motion:
+def _constant(name: str, title: str, layers: tuple[Layer, ...], speed_m_s: float) -> Scenario:
     depth = sum(layer.thickness_m for layer in layers) + BEYOND_M
-    return constant_motion(speed_m_s=speed_m_s, depth_m=depth, standoff_m=CONSTANT_STANDOFF_M)
+    return Scenario(
+        id=f"{name}-constant",
+        title=f"{title}, constant speed",
+        layers=layers,
+        motion=constant_motion(speed_m_s=speed_m_s, depth_m=depth, standoff_m=CONSTANT_STANDOFF_M),
+    )
 
 
-def _sinusoidal(stroke_m: float, frequency_hz: float, standoff_m: float) -> Motion:
-    return sinusoidal_motion(stroke_m=stroke_m, frequency_hz=frequency_hz, standoff_m=standoff_m)
-
-
-def _gels() -> list[Scenario]:
-    found: list[Scenario] = []
-    for percent in (25, 50, 70):
-        layers = (gel(percent),)
-        sine = _sinusoidal(GEL_STROKE_M, GEL_FREQUENCY_HZ, SINE_STANDOFF_M)
-        for kind, motion in (
-            ("constant", _constant(layers, TABLE_I_SPEED_M_S)),
-            ("sinusoidal", sine),
-        ):
-            found.append(
-                Scenario(
-                    id=f"gel-{percent}-{kind}",
-                    title=f"one {percent} % isinglass gel, {kind} speed",
-                    layers=layers,
-                    motion=motion,
-                )
-            )
-    return found
-
-
-def _stacks() -> list[Scenario]:
-    bare = (gel(25), gel(50), gel(70))
-    gloved = (gel(25), gel(50, membrane=GLOVE), gel(70, membrane=GLOVE))
-    sine = _sinusoidal(STACK_STROKE_M, GEL_FREQUENCY_HZ, SINE_STANDOFF_M)
-    rows = (
-        # 2.3 mm/s, not the glove's 3: the plateau is then the sum of Table I's products.
-        ("stack-constant", "three gels, constant speed", bare, _constant(bare, TABLE_I_SPEED_M_S)),
-        ("stack-sinusoidal", "three gels, sinusoidal speed", bare, sine),
-        (
-            "stack-glove-constant",
-            "three gels, latex glove around the middle one, constant speed",
-            gloved,
-            _constant(gloved, GLOVE_SPEED_M_S),
-        ),
-        (
-            "stack-glove-sinusoidal",
-            "three gels, latex glove around the middle one, sinusoidal speed",
-            gloved,
-            sine,
+def _sinusoidal(name: str, title: str, layers: tuple[Layer, ...], stroke_m: float) -> Scenario:
+    return Scenario(
+        id=f"{name}-sinusoidal",
+        title=f"{title}, sinusoidal speed",
+        layers=layers,
+        motion=sinusoidal_motion(
+            stroke_m=stroke_m, frequency_hz=GEL_FREQUENCY_HZ, standoff_m=SINE_STANDOFF_M
         ),
     )
-    return [Scenario(id=i, title=t, layers=layers, motion=m) for i, t, layers, m in rows]
 
 
-def _organs() -> list[Scenario]:
-    liver = (bovine_liver(),)
+def _gels_and_stacks() -> list[Scenario]:
+    found: list[Scenario] = []
+    for percent in (25, 50, 70):
+        name, title, layers = f"gel-{percent}", f"one {percent} % isinglass gel", (gel(percent),)
+        found.append(_constant(name, title, layers, TABLE_I_SPEED_M_S))
+        found.append(_sinusoidal(name, title, layers, GEL_STROKE_M))
+    bare = (gel(25), gel(50), gel(70))
+    gloved = (gel(25), gel(50, membrane=GLOVE), gel(70, membrane=GLOVE))
+    glove = "three gels, latex glove around the middle one"
     return [
-        Scenario(
-            id="liver-constant",
-            title="bovine liver, capsule first, constant speed",
-            layers=liver,
-            motion=_constant(liver, TABLE_I_SPEED_M_S),
-        ),
+        *found,
+        # 2.3 mm/s, not the glove's 3: the plateau is then the sum of Table I's products.
+        _constant("stack", "three gels", bare, TABLE_I_SPEED_M_S),
+        _sinusoidal("stack", "three gels", bare, STACK_STROKE_M),
+        _constant("stack-glove", glove, gloved, GLOVE_SPEED_M_S),
+        _sinusoidal("stack-glove", glove, gloved, STACK_STROKE_M),
+    ]
+
+
+def _organs_and_air() -> list[Scenario]:
+    return [
+        _constant("liver", "bovine liver, capsule first", (bovine_liver(),), TABLE_I_SPEED_M_S),
         Scenario(
             id="abdomen-sinusoidal",
             title="abdominal phantom: fat, muscle, liver; sinusoidal speed",
             layers=(abdominal_fat(), abdominal_muscle(), abdominal_liver()),
-            motion=_sinusoidal(ABDOMEN_STROKE_M, ABDOMEN_FREQUENCY_HZ, ABDOMEN_STANDOFF_M),
+            motion=sinusoidal_motion(
+                stroke_m=ABDOMEN_STROKE_M,
+                frequency_hz=ABDOMEN_FREQUENCY_HZ,
+                standoff_m=ABDOMEN_STANDOFF_M,
+            ),
         ),
         Scenario(
             id="free-motion",
@@ -167,9 +149,12 @@ def _organs() -> list[Scenario]:
 
 
 SCENARIOS: Mapping[str, Scenario] = MappingProxyType(
-    {item.id: item for item in (*_gels(), *_stacks(), *_organs())}
+    {item.id: item for item in (*_gels_and_stacks(), *_organs_and_air())}
 )
 """Every catalogued scenario under its permanent name."""
+
+RANDOM_STACK = "random-stack"
+"""The id of every drawn scenario."""
 
 
 def scenario(scenario_id: str) -> Scenario:
@@ -178,23 +163,24 @@ def scenario(scenario_id: str) -> Scenario:
     Raises:
         ScenarioError: There is none; the message lists the names.
     """
-    try:
-        return SCENARIOS[scenario_id]
-    except KeyError:
-        known = ", ".join(SCENARIOS)
-        raise ScenarioError(
-            f"no scenario {scenario_id!r}; known: {known} (random ones: random_stack(rng))"
-        ) from None
+    if scenario_id not in SCENARIOS:
+        known = ", ".join((*SCENARIOS, RANDOM_STACK))
+        raise ScenarioError(f"no scenario {scenario_id!r}; known: {known} (drawn from a seed)")
+    return SCENARIOS[scenario_id]
 
 
-# Random scenarios: layers, membranes, speed and motion drawn within documented ranges.
-#
-# The ranges span what the catalogue and the real recordings show, with room on both sides, so that
-# nothing can be tuned to a dozen curves.
+def named_scenario(name: str, seed: int) -> Scenario:
+    """A catalogued scenario, or one drawn from the seed for the name ``random-stack``.
+
+    Raises:
+        ScenarioError: There is none of that name; the message lists the names.
+    """
+    if name == RANDOM_STACK:
+        return random_stack(np.random.default_rng(seed))
+    return scenario(name)
 
 
-RANDOM_STACK = "random-stack"
-"""The id of every drawn scenario."""
+# Ranges of the random scenarios.
 
 LAYERS = (1, 4)
 THICKNESS_M = (10e-3, 40e-3)
@@ -203,90 +189,35 @@ TOTAL_MAX_M = 110e-3
 """With the stretch beyond and the standoff, still short of the 153 mm needle."""
 FRICTION_N_PER_M = (4.0, 40.0)
 """At the nominal speed: phantom fat 4, gels 9-38, real liver 6.5-18."""
-COULOMB_SHARE = (0.2, 0.8)
+COULOMB_FRACTION = (0.2, 0.8)
 """Gels 0.4, liver 0.8."""
 PRESLIDING_M = (0.1e-3, 0.9e-3)
 """Gels 0.2, liver 0.9 mm."""
-RELAXED_SHARE = (0.1, 0.6)
+RELAXED_FRACTION = (0.1, 0.6)
 """Gels 0.2, liver 0.55."""
 EXIT_FORCE_N = (0.15, 2.0)
 """Tip force at the end of a layer: gels 0.3-1.4 N; ruptures in real liver drop 0.15-1.4 N."""
-CUTTING_SHARE = (0.0, 0.2)
+CUTTING_FRACTION = (0.0, 0.2)
 STIFFENING = (0.0, 0.3)
 RELEASE_M = (0.1e-3, 0.5e-3)
 """Travel of a release in gels and most tissues."""
 MEMBRANE_CHANCE = 0.25
 PUNCTURE_N = (0.4, 2.0)
 """Phantom skin 0.6, latex 1.0, bovine liver capsule 1.43 N."""
-INDENTATION_SHARE = (0.1, 0.3)
-"""Of the layer's thickness: the bovine capsule gives 11 mm on 32."""
+INDENTATION_FRACTION = (0.1, 0.3)
+"""Of the layer's thickness: the bovine capsule is pushed in by 11 mm on 32."""
 HARDENING = (0.3, 1.0)
 SPEED_M_S = (2e-3, 6e-3)
 """Constant speed: the paper 2.3 and 3 mm/s, real liver 5 mm/s."""
 PEAK_SPEED_M_S = (3e-3, 8e-3)
 """Of a sinusoid: gels 3.5, abdomen 7.2 mm/s."""
-BEYOND_M_random_stack = (11e-3, 16e-3)
-SINE_STANDOFF_M_random_stack = (12e-3, 22e-3)
-"""Deep enough inside the stroke for contact at speed."""
-
-
-def _uniform(rng: np.random.Generator, limits: tuple[float, float]) -> float:
-    return float(rng.uniform(*limits))
-
-
-def _log_uniform(rng: np.random.Generator, limits: tuple[float, float]) -> float:
-    """Equal chance per octave: a quantity of scale, not of place."""
-    return float(np.exp(rng.uniform(*np.log(limits))))
-
-
-def _membrane(rng: np.random.Generator, thickness_m: float) -> Membrane | None:
-    if rng.random() >= MEMBRANE_CHANCE:
-        return None
-    return Membrane(
-        puncture_N=_log_uniform(rng, PUNCTURE_N),
-        indentation_m=_uniform(rng, INDENTATION_SHARE) * thickness_m,
-        hardening=_uniform(rng, HARDENING),
-        release_m=_uniform(rng, RELEASE_M),
-    )
-
-
-def _layer(rng: np.random.Generator, name: str, thickness_m: float, speed_m_s: float) -> Layer:
-    friction = ShaftFriction.calibrated(
-        force_N_per_m=_log_uniform(rng, FRICTION_N_PER_M),
-        reference_speed_m_s=speed_m_s,
-        coulomb_share=_uniform(rng, COULOMB_SHARE),
-        presliding_m=_uniform(rng, PRESLIDING_M),
-    )
-    return Layer(
-        exit_force_N=_log_uniform(rng, EXIT_FORCE_N),
-        name=name,
-        thickness_m=thickness_m,
-        cutting_share=_uniform(rng, CUTTING_SHARE),
-        stiffening=_uniform(rng, STIFFENING),
-        release_m=_uniform(rng, RELEASE_M),
-        relaxed_share=_uniform(rng, RELAXED_SHARE),
-        friction=friction,
-        membrane=_membrane(rng, thickness_m),
-    )
-
-
-def _motion(rng: np.random.Generator, total_m: float, speed_m_s: float, *, sine: bool) -> Motion:
-    depth = total_m + _uniform(rng, BEYOND_M_random_stack)
-    if not sine:
-        return constant_motion(speed_m_s=speed_m_s, depth_m=depth, standoff_m=CONSTANT_STANDOFF_M)
-    standoff = _uniform(rng, SINE_STANDOFF_M_random_stack)
-    stroke = depth + standoff
-    return sinusoidal_motion(
-        stroke_m=stroke, frequency_hz=speed_m_s / (np.pi * stroke), standoff_m=standoff
-    )
+RANDOM_BEYOND_M = (11e-3, 16e-3)
+RANDOM_STANDOFF_M = (12e-3, 22e-3)
+"""Of a sinusoid: deep enough inside the stroke for contact at speed."""
 
 
 def random_stack(rng: np.random.Generator) -> Scenario:
-    """Draw a scenario: one to four layers, a speed profile, membranes on a quarter of the layers.
-
-    Args:
-        rng: Source of everything drawn.
-    """
+    """Draw one to four layers, a speed profile, and membranes on a quarter of the layers."""
     count = int(rng.integers(LAYERS[0], LAYERS[1] + 1))
     sine = bool(rng.random() < 0.5)
     speed = _uniform(rng, PEAK_SPEED_M_S if sine else SPEED_M_S)
@@ -304,22 +235,53 @@ def random_stack(rng: np.random.Generator) -> Scenario:
     )
 
 
-# Any scenario by what it is called on a command line, drawn ones included.
+def _uniform(rng: np.random.Generator, limits: tuple[float, float]) -> float:
+    return float(rng.uniform(*limits))
 
 
-def named_scenario(name: str, seed: int) -> Scenario:
-    """A catalogued scenario, or one drawn from the seed for the name ``random-stack``.
+def _log_uniform(rng: np.random.Generator, limits: tuple[float, float]) -> float:
+    """Equal chance per octave: a quantity of scale, not of place."""
+    return float(np.exp(rng.uniform(*np.log(limits))))
 
-    Args:
-        name: Of the scenario.
-        seed: Of what is drawn.
 
-    Raises:
-        ScenarioError: There is none of that name; the message lists the names.
-    """
-    if name == RANDOM_STACK:
-        return random_stack(np.random.default_rng(seed))
-    if name not in SCENARIOS:
-        known = ", ".join((*SCENARIOS, RANDOM_STACK))
-        raise ScenarioError(f"no scenario {name!r}; known: {known}")
-    return SCENARIOS[name]
+def _layer(rng: np.random.Generator, name: str, thickness_m: float, speed_m_s: float) -> Layer:
+    # Arguments are drawn in this order: another order gives other scenarios for the same seed.
+    friction = ShaftFriction.calibrated(
+        force_N_per_m=_log_uniform(rng, FRICTION_N_PER_M),
+        reference_speed_m_s=speed_m_s,
+        coulomb_fraction=_uniform(rng, COULOMB_FRACTION),
+        presliding_m=_uniform(rng, PRESLIDING_M),
+    )
+    return Layer(
+        exit_force_N=_log_uniform(rng, EXIT_FORCE_N),
+        name=name,
+        thickness_m=thickness_m,
+        cutting_fraction=_uniform(rng, CUTTING_FRACTION),
+        stiffening=_uniform(rng, STIFFENING),
+        release_m=_uniform(rng, RELEASE_M),
+        relaxed_fraction=_uniform(rng, RELAXED_FRACTION),
+        friction=friction,
+        membrane=_membrane(rng, thickness_m),
+    )
+
+
+def _membrane(rng: np.random.Generator, thickness_m: float) -> Membrane | None:
+    if rng.random() >= MEMBRANE_CHANCE:
+        return None
+    return Membrane(
+        puncture_N=_log_uniform(rng, PUNCTURE_N),
+        indentation_m=_uniform(rng, INDENTATION_FRACTION) * thickness_m,
+        hardening=_uniform(rng, HARDENING),
+        release_m=_uniform(rng, RELEASE_M),
+    )
+
+
+def _motion(rng: np.random.Generator, total_m: float, speed_m_s: float, *, sine: bool) -> Motion:
+    depth = total_m + _uniform(rng, RANDOM_BEYOND_M)
+    if not sine:
+        return constant_motion(speed_m_s=speed_m_s, depth_m=depth, standoff_m=CONSTANT_STANDOFF_M)
+    standoff = _uniform(rng, RANDOM_STANDOFF_M)
+    stroke = depth + standoff
+    return sinusoidal_motion(
+        stroke_m=stroke, frequency_hz=speed_m_s / (np.pi * stroke), standoff_m=standoff
+    )

@@ -1,7 +1,8 @@
-"""The true forces of a run, sample by sample, with its true instants."""
+"""The true forces of a run, sample by sample, with its true instants and ruptures."""
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, fields
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -9,40 +10,12 @@ from numpy.typing import NDArray
 from groundtruth.layers import Interface
 from groundtruth.tissue import TissueForce, TissueLaw
 
-# When a sampled signal first reaches a level, to a fraction of a sample.
-
-
 Array = NDArray[np.float64]
-
-
-def first_crossing_s(t_s: Array, signal: Array, level: float, *, after_s: float = -np.inf) -> float:
-    """Time at which the signal first reaches the level from below, by linear interpolation.
-
-    Args:
-        t_s: Sample times, shape (n,).
-        signal: Samples, shape (n,).
-        level: The level, in the unit of the signal.
-        after_s: Only samples at or after this time count.
-
-    Returns:
-        The time, or nan when the level is not reached.
-    """
-    reached = np.flatnonzero((signal >= level) & (t_s >= after_s))
-    if reached.size == 0:
-        return float("nan")
-    k = int(reached[0])
-    if k == 0 or signal[k - 1] >= level:
-        return float(t_s[k])
-    share = (level - signal[k - 1]) / (signal[k] - signal[k - 1])
-    return float(t_s[k - 1] + share * (t_s[k] - t_s[k - 1]))
-
-
-# True ruptures of a run, dated from the depth the needle went through.
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Rupture:
-    """One boundary giving way under the advancing tip.
+    """One boundary that ruptures under the advancing tip.
 
     Attributes:
         onset_s: The release begins; between samples, by interpolation.
@@ -54,7 +27,7 @@ class Rupture:
         visible_drop_N: Fall of the axial force from the onset to its least value before the end;
             smaller than `drop_N` where the next layer or its friction already pushes, a little
             larger where the needle slows down meanwhile.
-        layer_friction_N: Friction of the layer left, at the onset.
+        layer_friction_N: Friction of the layer that the tip leaves, at the onset.
         friction_N: Friction of the whole shaft when the release has ended.
     """
 
@@ -69,64 +42,20 @@ class Rupture:
     friction_N: float
 
 
-def find_ruptures(
-    boundaries: Sequence[Interface],
-    t_s: Array,
-    depth_m: Array,
-    tip_N: Array,
-    layer_friction_N: Array,
-) -> tuple[Rupture, ...]:
-    """List the ruptures of a run in the order they happen.
-
-    A bare surface holds no force and is no rupture.
-
-    Args:
-        boundaries: `law.interfaces` of the law that was run.
-        t_s: Sample times, shape (n,).
-        depth_m: True depth of the tip, shape (n,).
-        tip_N: True tip force, shape (n,).
-        layer_friction_N: True friction per layer, shape (n, number of layers).
-    """
-    found: list[Rupture] = []
-    friction_N = layer_friction_N.sum(axis=1)
-    axial_N = tip_N + friction_N
-    for left, boundary in enumerate(boundaries):
-        onset_s = first_crossing_s(t_s, depth_m, boundary.onset_m)
-        if boundary.drop_N == 0.0 or np.isnan(onset_s):
-            continue
-        end_s = first_crossing_s(t_s, depth_m, boundary.onset_m + boundary.release_m)
-        end_s = float(t_s[-1]) if np.isnan(end_s) else end_s
-        before = max(int(np.searchsorted(t_s, onset_s)) - 1, 0)
-        after = min(int(np.searchsorted(t_s, end_s)), t_s.size - 1)
-        found.append(
-            Rupture(
-                onset_s=onset_s,
-                end_s=end_s,
-                onset_m=boundary.onset_m,
-                layer=left,
-                is_membrane=boundary.membrane is not None,
-                drop_N=float(tip_N[before]),
-                visible_drop_N=float(axial_N[before] - axial_N[before : after + 1].min()),
-                layer_friction_N=float(layer_friction_N[before, left - 1]) if left else 0.0,
-                friction_N=float(friction_N[after]),
-            )
-        )
-    return tuple(found)
-
-
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class TissueTruth:
-    """What only the simulation knows; all arrays are read-only, n samples.
+    """The ground truth of the tissue at n samples; all arrays are read-only.
 
     Attributes:
-        axial_N: Tip force and friction, shape (n,), positive when tissue pushes back.
-        tip_N: Tip force, shape (n,).
-        friction_N: Shaft friction, shape (n,); negative on the way out.
-        layer_friction_N: Share of each layer, shape (n, number of layers).
-        layer: See `TissueForce`, shape (n,).
+        axial_N: Force of the tissue on the needle, shape (n,), positive when it pushes back.
+        tip_N: Its part at the tip, shape (n,).
+        friction_N: Its part along the shaft, shape (n,); negative in withdrawal.
+        layer_friction_N: Part of each layer in the friction, shape (n, number of layers).
+        layer: 0 above the tissue, i in layer i, see `TissueForce`, shape (n,).
         ruptures: In the order they happened.
-        contact_s: The tip first touches the undeformed surface; nan if it never does.
-        withdrawn_s: It last leaves that surface on its way out; nan if it does not.
+        contact_s: The tip first touches the undeformed surface; nan if it never does, or without
+            tissue.
+        withdrawn_s: It last leaves that surface in withdrawal; nan if it does not.
     """
 
     axial_N: Array
@@ -138,16 +67,28 @@ class TissueTruth:
     contact_s: float
     withdrawn_s: float
 
+    def __post_init__(self) -> None:
+        """Make the arrays read-only."""
+        freeze(self)
+
     @property
     def rupture_s(self) -> Array:
         """Onset of each rupture, shape (number of ruptures,)."""
         return np.array([rupture.onset_s for rupture in self.ruptures], dtype=np.float64)
 
 
+def freeze(result: Any) -> None:
+    """Make the arrays of a frozen dataclass read-only."""
+    for item in fields(result):
+        value = getattr(result, item.name)
+        if isinstance(value, np.ndarray):
+            value.setflags(write=False)
+
+
 def collect_truth(
     law: TissueLaw, t_s: Array, depth_m: Array, forces: Sequence[TissueForce]
 ) -> TissueTruth:
-    """Turn the forces of a run into its truth.
+    """Turn the forces of a run into its ground truth.
 
     Args:
         law: The law that was run.
@@ -157,19 +98,72 @@ def collect_truth(
     """
     columns = np.array([force[:3] for force in forces], dtype=np.float64)
     per_layer = np.array([force.layer_friction_N for force in forces], dtype=np.float64)
-    layer = np.array([force.layer for force in forces], dtype=np.int64)
-    for array in (columns, per_layer, layer):
-        array.setflags(write=False)
-    contact_s = first_crossing_s(t_s, depth_m, 0.0)
-    deepest_s = float(t_s[int(np.argmax(depth_m))])
-    withdrawn_s = first_crossing_s(t_s, -depth_m, 0.0, after_s=deepest_s)
+    contact_s = withdrawn_s = float("nan")
+    if law.layers:
+        contact_s = _first_crossing_s(t_s, depth_m, 0.0)
+    if not np.isnan(contact_s):
+        deepest_s = float(t_s[int(np.argmax(depth_m))])
+        withdrawn_s = _first_crossing_s(t_s, -depth_m, 0.0, after_s=deepest_s)
     return TissueTruth(
         axial_N=columns[:, 0],
         tip_N=columns[:, 1],
         friction_N=columns[:, 2],
         layer_friction_N=per_layer,
-        layer=layer,
-        ruptures=find_ruptures(law.interfaces, t_s, depth_m, columns[:, 1], per_layer),
+        layer=np.array([force.layer for force in forces], dtype=np.int64),
+        ruptures=_ruptures(law.interfaces, t_s, depth_m, columns[:, 1], per_layer),
         contact_s=contact_s,
-        withdrawn_s=float("nan") if np.isnan(contact_s) else withdrawn_s,
+        withdrawn_s=withdrawn_s,
     )
+
+
+def _first_crossing_s(
+    t_s: Array, signal: Array, level: float, *, after_s: float = -np.inf
+) -> float:
+    """Time at which a signal first reaches a level from below, by linear interpolation.
+
+    Only samples at or after `after_s` count; nan when the level is not reached.
+    """
+    reached = np.flatnonzero((signal >= level) & (t_s >= after_s))
+    if reached.size == 0:
+        return float("nan")
+    k = int(reached[0])
+    if k == 0 or signal[k - 1] >= level:
+        return float(t_s[k])
+    fraction = (level - signal[k - 1]) / (signal[k] - signal[k - 1])
+    return float(t_s[k - 1] + fraction * (t_s[k] - t_s[k - 1]))
+
+
+def _ruptures(
+    boundaries: Sequence[Interface],
+    t_s: Array,
+    depth_m: Array,
+    tip_N: Array,
+    layer_friction_N: Array,
+) -> tuple[Rupture, ...]:
+    """The ruptures in the order they happen, timed from the depth the needle went through."""
+    found: list[Rupture] = []
+    friction_N = layer_friction_N.sum(axis=1)
+    axial_N = tip_N + friction_N
+    for above, boundary in enumerate(boundaries):
+        onset_s = _first_crossing_s(t_s, depth_m, boundary.onset_m)
+        # A bare surface holds no force and is no rupture.
+        if boundary.drop_N == 0.0 or np.isnan(onset_s):
+            continue
+        end_s = _first_crossing_s(t_s, depth_m, boundary.onset_m + boundary.release_m)
+        end_s = float(t_s[-1]) if np.isnan(end_s) else end_s
+        before = max(int(np.searchsorted(t_s, onset_s)) - 1, 0)
+        after = min(int(np.searchsorted(t_s, end_s)), t_s.size - 1)
+        found.append(
+            Rupture(
+                onset_s=onset_s,
+                end_s=end_s,
+                onset_m=boundary.onset_m,
+                layer=above,
+                is_membrane=boundary.membrane is not None,
+                drop_N=float(tip_N[before]),
+                visible_drop_N=float(axial_N[before] - axial_N[before : after + 1].min()),
+                layer_friction_N=float(layer_friction_N[before, above - 1]) if above else 0.0,
+                friction_N=float(friction_N[after]),
+            )
+        )
+    return tuple(found)

@@ -1,64 +1,66 @@
-"""Needle-tip force from a robot's joint torques: the front door of the toolkit."""
+"""Needle-tip force from a robot's joint torques: the front door of the toolkit.
+
+    session = InsertionSession(load_lwr(payload=NeedleTool()))
+    estimate = session.update(q, dq, tau, dt_s)     # every tick
+    session.tare()                                  # once, in free air
+
+The names below live in `urdf`, `residual`, `identification` and the modules of this package; each
+is imported when it is first used, so that ``import needleforce`` costs next to nothing.
+
+Reading order: `session` (the whole chain, tick by tick), `snapshot`, `jit`; then the packages
+`recordings`, `plots`, `cli`.
+"""
 
 from importlib import import_module
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
-    from needleforce.session import (
-        InsertionError,
-        InsertionSession,
-        SessionEstimate,
-        SessionSnapshot,
-        TipTravel,
-        Travel,
-    )
-    from needleforce.snapshot import (
-        SNAPSHOT_VERSION,
-        SnapshotFileError,
-        read_snapshot,
-        write_snapshot,
-    )
+    from identification import Estimate as Estimate
+    from identification import Identifier as Identifier
+    from identification import LayerEstimate as LayerEstimate
+    from identification import MultilayerConfig as MultilayerConfig
+    from identification import PublishedConfig as PublishedConfig
+    from identification import Rupture as Rupture
+    from identification import replay as replay
+    from needleforce.session import InsertionError as InsertionError
+    from needleforce.session import InsertionSession as InsertionSession
+    from needleforce.session import SessionEstimate as SessionEstimate
+    from needleforce.session import SessionSnapshot as SessionSnapshot
+    from needleforce.snapshot import SnapshotFileError as SnapshotFileError
+    from needleforce.snapshot import read_snapshot as read_snapshot
+    from needleforce.snapshot import write_snapshot as write_snapshot
+    from residual import SensorConfig as SensorConfig
+    from residual import SensorWarning as SensorWarning
+    from residual import Status as Status
+    from residual import VirtualForceSensor as VirtualForceSensor
+    from residual import WrenchEstimate as WrenchEstimate
+    from urdf import NeedleTool as NeedleTool
+    from urdf import Payload as Payload
+    from urdf import Robot as Robot
+    from urdf import load_lwr as load_lwr
+    from urdf import load_urdf as load_urdf
 
-__all__ = [
-    "SNAPSHOT_VERSION",
-    "InsertionError",
-    "InsertionSession",
-    "SessionEstimate",
-    "SessionSnapshot",
-    "SnapshotFileError",
-    "TipTravel",
-    "Travel",
-    "read_snapshot",
-    "write_snapshot",
-]
-
-_HOME = {
-    "needleforce.session": (
-        "InsertionError",
-        "InsertionSession",
-        "SessionEstimate",
-        "SessionSnapshot",
-        "TipTravel",
-        "Travel",
-    ),
-    "needleforce.snapshot": (
-        "SNAPSHOT_VERSION",
-        "SnapshotFileError",
-        "read_snapshot",
-        "write_snapshot",
-    ),
+_NAMES_OF = {
+    "identification": "Estimate Identifier LayerEstimate MultilayerConfig PublishedConfig Rupture "
+    "replay",
+    "needleforce.session": "InsertionError InsertionSession SessionEstimate SessionSnapshot",
+    "needleforce.snapshot": "SnapshotFileError read_snapshot write_snapshot",
+    "residual": "SensorConfig SensorWarning Status VirtualForceSensor WrenchEstimate",
+    "urdf": "NeedleTool Payload Robot load_lwr load_urdf",
 }
-_MODULE_OF = {name: module for module, names in _HOME.items() for name in names}
+_MODULE_OF = {name: module for module, names in _NAMES_OF.items() for name in names.split()}
+
+__all__ = sorted(_MODULE_OF)  # pyright: ignore[reportUnsupportedDunderAll]
 
 
 def __getattr__(name: str) -> Any:
-    """Import a public name when it is first asked for: importing the package costs nothing."""
+    """Import a public name when it is first asked for."""
     if name not in _MODULE_OF:
         raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
-    value = getattr(import_module(_MODULE_OF[name]), name)
-    globals()[name] = value
+    value = globals()[name] = getattr(import_module(_MODULE_OF[name]), name)
     return value
 
 
 def __dir__() -> list[str]:
-    return sorted(__all__)
+    """Public names, imported or not."""
+    return [*globals(), *__all__]

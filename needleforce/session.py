@@ -221,6 +221,10 @@ class InsertionSession:
         *,
         speed_lag_s: float = 0.0,
     ) -> None:
+        _check_kind(robot, Robot, "robot", "load_lwr() or load_urdf(path) of urdf makes one")
+        _check_kind(
+            sensor_config, SensorConfig, "sensor_config", 'SensorConfig(mode="full") is one'
+        )
         if not (isinstance(speed_lag_s, numbers.Real) and 0.0 <= float(speed_lag_s) < math.inf):
             raise SettingError(f"speed_lag_s is {speed_lag_s!r}, expected a finite number >= 0")
         self._sensor = VirtualForceSensor(robot, sensor_config)
@@ -411,6 +415,13 @@ class InsertionSession:
         if (last.rupture, last.compensated, last.withdrawn) != (None, None, None):
             last = self._identification = _without_events(last)
         return SessionEstimate(wrench, *self._last_travel, last, wrench.status, False)
+
+
+def _check_kind(value: object, kind: type, name: str, hint: str) -> None:
+    if not isinstance(value, kind):
+        raise SettingError(
+            f"{name} is a {type(value).__name__}, expected a {kind.__name__}; {hint}"
+        )
 
 
 def _without_events(estimate: Estimate) -> Estimate:

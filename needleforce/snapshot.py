@@ -1,17 +1,20 @@
-"""Snapshots in files: plain JSON with a format name and a version, see docs/loop.md."""
+"""Snapshots in files: the state tree of a session, a sensor or an identifier, bit for bit.
+
+A snapshot is a tree of named tuples, frozen data classes, enumerations, numbers and float64 arrays.
+`msgspec` writes it as MessagePack and reads it back by the annotations of its types: a file cannot
+name a type, and nothing in it is executed. The envelope carries a format name, a version, what the
+snapshot is of, and the SHA-256 of its bytes; see docs/loop.md.
+"""
 
 import hashlib
-import json
 import math
 import os
+import secrets
 from collections.abc import Iterator
-from dataclasses import fields, is_dataclass
-from enum import Enum
-from functools import cache
 from pathlib import Path
-from types import NoneType, UnionType
-from typing import Any, Literal, Union, get_args, get_origin, get_type_hints
+from typing import Any, NamedTuple
 
+import msgspec
 import numpy as np
 
 from identification import MultilayerConfig, PublishedConfig
@@ -21,220 +24,42 @@ from identification.published_identifier import PublishedState
 from needleforce.session import SessionSnapshot, SnapshotFileError
 from residual.snapshot import SensorState
 
-# What snapshots consist of: these types and those that their annotations name.
-
-
-# The annotations of an identifier's snapshot leave the method open: both are named here.
-SNAPSHOT_TYPES = (
-    SessionSnapshot,
-    SensorState,
-    IdentifierSnapshot,
-    MultilayerState,
-    MultilayerConfig,
-    PublishedState,
-    PublishedConfig,
-)
-"""Roots; everything else is reached from them."""
-
-
-def is_state(kind: type) -> bool:
-    """Whether a type is one that snapshots may name: an enumeration, or a class of fields."""
-    return issubclass(kind, Enum) or is_dataclass(kind) or hasattr(kind, "_fields")
-
-
-# Values of known types as plain JSON values, and back, bit for bit.
-#
-# Numbers that are not finite, arrays, enumerations, named tuples and data classes become objects of
-# one or two members; everything else is itself. Only types reachable from `SNAPSHOT_TYPES` by their
-# annotations are read: a file names them, and cannot name any other.
-
-
-Plain = None | bool | int | float | str | list["Plain"] | dict[str, "Plain"]
-
-
-def to_plain(value: Any) -> Plain:
-    """A value as JSON can hold it.
-
-    Raises:
-        SnapshotFileError: For a type that snapshots do not consist of.
-    """
-    kind = type(value)
-    if kind in (NoneType, bool, int, str):
-        return value
-    if isinstance(value, float):
-        return float(value) if math.isfinite(value) else {"float": str(float(value))}
-    if isinstance(value, np.ndarray):
-        return _plain_array(value)
-    if kind.__name__ in _known_types() and _known_types()[kind.__name__] is kind:
-        if isinstance(value, Enum):
-            return {"type": kind.__name__, "value": to_plain(value.value)}
-        members = {name: to_plain(getattr(value, name)) for name in _names(kind)}
-        return {"type": kind.__name__, "fields": members}
-    if kind in (tuple, list):
-        return [to_plain(item) for item in value]
-    raise SnapshotFileError(f"a snapshot cannot hold a {kind.__module__}.{kind.__name__}")
-
-
-def from_plain(plain: Plain) -> Any:
-    """The value that `to_plain` was given; sequences come back as tuples, arrays read-only.
-
-    Raises:
-        SnapshotFileError: For what is none of its forms, or names an unknown type or field.
-    """
-    if isinstance(plain, list):
-        return tuple(from_plain(item) for item in plain)
-    if not isinstance(plain, dict):
-        return plain
-    try:
-        if "float" in plain:
-            return float(str(plain["float"]))
-        if "array" in plain:
-            return _array(plain)
-        kind = _known_types()[str(plain["type"])]
-        if issubclass(kind, Enum):
-            return kind(plain["value"])
-        members = plain["fields"]
-        assert isinstance(members, dict)
-        return kind(**{name: from_plain(item) for name, item in members.items()})
-    except SnapshotFileError:
-        raise
-    except (KeyError, TypeError, ValueError, OverflowError, AssertionError) as error:
-        shown = str(plain)[:80]
-        raise SnapshotFileError(f"cannot read {shown!r} of a snapshot: {error!r}") from error
-
-
-def _plain_array(array: np.ndarray[Any, Any]) -> Plain:
-    if array.dtype != np.float64:
-        raise SnapshotFileError(f"a snapshot cannot hold an array of {array.dtype}")
-    # The order of numbers in memory decides the order of sums, and that their last bit.
-    order = "F" if array.flags.f_contiguous and not array.flags.c_contiguous else "C"
-    numbers = [to_plain(number) for number in array.ravel(order=order).tolist()]
-    return {"array": numbers, "shape": list(array.shape), "order": order}
-
-
-def _array(plain: dict[str, Plain]) -> np.ndarray[Any, Any]:
-    numbers, shape = from_plain(plain["array"]), from_plain(plain["shape"])
-    order = "F" if plain["order"] == "F" else "C"
-    array = np.array(numbers, dtype=np.float64).reshape(shape, order=order)
-    array = np.array(array, order=order)
-    array.setflags(write=False)
-    return array
-
-
-@cache
-def _known_types() -> dict[str, type]:
-    """Every type a snapshot may consist of, by name."""
-    found: dict[str, type] = {}
-    waiting: list[Any] = list(SNAPSHOT_TYPES)
-    while waiting:
-        hint = waiting.pop()
-        waiting.extend(get_args(hint))
-        if isinstance(hint, type) and hint not in found.values() and is_state(hint):
-            if hint.__name__ in found:
-                raise SnapshotFileError(f"two types of a snapshot are called {hint.__name__}")
-            found[hint.__name__] = hint
-            waiting.extend(get_type_hints(hint).values())
-    return found
-
-
-def _names(kind: type) -> Iterator[str]:
-    if is_dataclass(kind):
-        return (field.name for field in fields(kind) if field.init)
-    return iter(kind._fields)  # type: ignore[attr-defined]
-
-
-# Whether a value read from a file is what the annotation of its place says, and finite.
-
-
+SNAPSHOT_FORMAT = "needleforce-snapshot"
+SNAPSHOT_VERSION = 4
+"""Grows whenever a file of the version before could no longer be read, or would be misread."""
+MOST_BYTES = 64 << 20
+"""A snapshot has some 100 kB; a device or a wrong file is not read to its end."""
 LARGEST = 1e30
 """No number of a snapshot comes near it; its square can still be calculated with."""
-NOT_FINITE = {
-    "AloneState.limit_s": math.inf,
-    "MultilayerUpdate.deepest_m": -math.inf,
-    "RuptureMeasurement.release_m": math.nan,
-    "MembraneFits.squares": math.inf,
-    "PublishedUpdate.force_N": math.nan,
-    "PublishedUpdate.force_before_N": math.nan,
-}
-"""The only places where a number may be other than finite, and which it then is."""
-
-
-def check_value(value: Any, hint: Any, place: str) -> None:
-    """Refuse a value that cannot stand in its place.
-
-    Args:
-        value: What was read.
-        hint: Annotation of the place.
-        place: Name of class and field, for the message.
-
-    Raises:
-        SnapshotFileError: For another type, or a number that is not finite or beyond `LARGEST`.
-    """
-    origin = get_origin(hint)
-    if origin in (Union, UnionType):
-        if value is None and NoneType in get_args(hint):
-            return
-        hint = next(one for one in get_args(hint) if one is not NoneType)
-        origin = get_origin(hint)
-    if hint in (Any, object):
-        hint = type(value) if is_state(type(value)) else None
-    if origin is tuple:
-        _check_tuple(value, get_args(hint), place)
-    elif isinstance(hint, type) and is_state(hint):
-        _check_state(value, hint, place)
-    else:
-        _check_plain(value, hint, place)
-
-
-def _check_tuple(value: Any, hints: tuple[Any, ...], place: str) -> None:
-    _expect(isinstance(value, tuple), value, place)
-    if hints[1:] == (...,):
-        hints = hints[:1] * len(value)
-    _expect(len(value) == len(hints), value, place)
-    for item, hint in zip(value, hints, strict=True):
-        check_value(item, hint, place)
-
-
-def _check_state(value: Any, kind: type, place: str) -> None:
-    _expect(type(value) is kind, value, place)
-    # Settings are compared as a whole with those of whoever restores them.
-    if issubclass(kind, Enum) or kind.__name__.endswith("Config"):
-        return
-    for name, hint in get_type_hints(kind).items():
-        check_value(getattr(value, name), hint, f"{kind.__name__}.{name}")
-
-
-def _check_plain(value: Any, hint: Any, place: str) -> None:
-    origin, kind = get_origin(hint), type(value)
-    if hint is float:
-        _expect(kind in (float, int), value, place)
-        # Almost every one; arrays of one number are costly.
-        if abs(value) <= LARGEST:
-            return
-    elif origin is np.ndarray:
-        _expect(kind is np.ndarray, value, place)
-    elif origin is Literal:
-        _expect(value in get_args(hint), value, place)
-        return
-    else:
-        _expect(kind is hint, value, place)
-        return
-    numbers = np.asarray(value, dtype=np.float64)
-    odd = numbers[~(np.abs(numbers) <= LARGEST)]
-    allowed = NOT_FINITE.get(place, 0.0)
-    _expect(np.array_equal(odd, np.full(odd.shape, allowed), equal_nan=True), value, place)
-
-
-def _expect(is_sound: bool, value: Any, place: str) -> None:
-    if not is_sound:
-        raise SnapshotFileError(f"the snapshot is damaged: {place} cannot be {str(value)[:80]!r}")
-
-
-SNAPSHOT_FORMAT = "needleforce-snapshot"
-SNAPSHOT_VERSION = 3
-"""Grows whenever a file of the version before could no longer be read, or would be misread."""
 
 AnySnapshot = SessionSnapshot | SensorState | IdentifierSnapshot
+
+_KINDS = {"session": SessionSnapshot, "sensor": SensorState, "identifier": IdentifierSnapshot}
+# The annotations of an identifier's snapshot leave the method open; the envelope names it.
+_METHODS: dict[str, tuple[type, type]] = {
+    "multilayer": (MultilayerConfig, MultilayerState),
+    "published": (PublishedConfig, PublishedState),
+}
+_NOT_FINITE = {
+    "limit_s": math.inf,
+    "deepest_m": -math.inf,
+    "release_m": math.nan,
+    "squares": math.inf,
+    "force_N": math.nan,
+    "force_before_N": math.nan,
+}
+"""The only fields in which a number may be other than finite, and which it then is."""
+
+
+class _Envelope(msgspec.Struct, forbid_unknown_fields=True):
+    """What stands around the bytes of a snapshot."""
+
+    format: str
+    version: int
+    kind: str
+    method: str
+    sha256: str
+    data: bytes
 
 
 def write_snapshot(snapshot: AnySnapshot, path: str | os.PathLike[str]) -> None:
@@ -250,22 +75,18 @@ def write_snapshot(snapshot: AnySnapshot, path: str | os.PathLike[str]) -> None:
         SnapshotFileError: For anything but such a snapshot.
         OSError: If the file cannot be written.
     """
-    if not isinstance(snapshot, AnySnapshot):
+    kind = next((name for name, type_ in _KINDS.items() if type(snapshot) is type_), None)
+    if kind is None:
         raise SnapshotFileError(
-            f"expected a snapshot of a session, a sensor or an identifier, got a "
+            "expected what snapshot() of a session, a sensor or an identifier returns, got a "
             f"{type(snapshot).__name__}"
         )
-    plain = to_plain(snapshot)
-    content = {
-        "format": SNAPSHOT_FORMAT,
-        "version": SNAPSHOT_VERSION,
-        "sha256": _digest(plain),
-        "snapshot": plain,
-    }
-    target = Path(path)
-    partial = target.with_name(target.name + ".part")
-    partial.write_text(json.dumps(content, allow_nan=False), encoding="utf-8")
-    partial.replace(target)
+    config = getattr(_identifier_part(snapshot), "config", None)
+    method = next((name for name, (type_, _) in _METHODS.items() if type(config) is type_), "")
+    data = msgspec.msgpack.encode(snapshot, enc_hook=_plain_array)
+    digest = hashlib.sha256(data).hexdigest()
+    envelope = _Envelope(SNAPSHOT_FORMAT, SNAPSHOT_VERSION, kind, method, digest, data)
+    _write_whole(Path(path), msgspec.msgpack.encode(envelope))
 
 
 def read_snapshot(path: str | os.PathLike[str]) -> AnySnapshot:
@@ -281,37 +102,141 @@ def read_snapshot(path: str | os.PathLike[str]) -> AnySnapshot:
         SnapshotFileError: If it is no snapshot, damaged, or of another version.
         OSError: If the file cannot be read.
     """
+    with Path(path).open("rb") as file:
+        content = file.read(MOST_BYTES + 1)
+    if len(content) > MOST_BYTES:
+        raise SnapshotFileError(
+            f"{path} is no snapshot: it has more than {MOST_BYTES >> 20} MB, a snapshot less than 1"
+        )
     try:
-        content = json.loads(Path(path).read_text(encoding="utf-8"))
-        _check_header(content, path)
-        snapshot = from_plain(content.get("snapshot"))
+        envelope = msgspec.msgpack.decode(content, type=_Envelope)
+    except (msgspec.MsgspecError, RecursionError, UnicodeDecodeError) as error:
+        raise SnapshotFileError(f"{path} is no snapshot, or cut short: {error}") from error
+    _check_envelope(envelope, path)
+    try:
+        snapshot = _decoded(envelope)
     except SnapshotFileError:
         raise
-    except (ValueError, RecursionError) as error:
-        raise SnapshotFileError(f"{path} is not JSON, or cut short: {error}") from error
-    if not isinstance(snapshot, AnySnapshot):
-        raise SnapshotFileError(f"{path} holds a {type(snapshot).__name__}, not a snapshot")
-    check_value(snapshot, type(snapshot), "snapshot")
+    except (msgspec.MsgspecError, RecursionError, ValueError, TypeError) as error:
+        raise SnapshotFileError(f"{path} is damaged: {error}") from error
+    for place, number in _numbers(snapshot, "snapshot"):
+        _check_number(place, number)
     return snapshot
 
 
-def _digest(plain: Plain) -> str:
-    """SHA-256 of the value as JSON with sorted names and without spaces."""
-    text = json.dumps(plain, sort_keys=True, separators=(",", ":"))
-    return hashlib.sha256(text.encode()).hexdigest()
-
-
-def _check_header(content: Any, path: str | os.PathLike[str]) -> None:
-    if not isinstance(content, dict) or content.get("format") != SNAPSHOT_FORMAT:
-        raise SnapshotFileError(f"{path} is not a snapshot: it has no format {SNAPSHOT_FORMAT!r}")
-    version = content.get("version")
-    if version != SNAPSHOT_VERSION or isinstance(version, bool):
+def _check_envelope(envelope: _Envelope, path: str | os.PathLike[str]) -> None:
+    if envelope.format != SNAPSHOT_FORMAT:
         raise SnapshotFileError(
-            f"{path} is a snapshot of version {version}, this package reads version "
+            f"{path} is no snapshot: its format is {envelope.format!r}, expected "
+            f"{SNAPSHOT_FORMAT!r}"
+        )
+    if envelope.version != SNAPSHOT_VERSION:
+        raise SnapshotFileError(
+            f"{path} is a snapshot of version {envelope.version}, this package reads version "
             f"{SNAPSHOT_VERSION}: resume it with the package that wrote it"
         )
-    if content.get("sha256") != _digest(content.get("snapshot")):
+    if envelope.sha256 != hashlib.sha256(envelope.data).hexdigest():
         raise SnapshotFileError(
             f"{path} is damaged: its sha256 is not that of its snapshot; take an older one, or "
             "start and tare anew"
         )
+    if envelope.kind not in _KINDS:
+        raise SnapshotFileError(
+            f"{path} holds a {envelope.kind!r}, expected one of {', '.join(_KINDS)}"
+        )
+
+
+def _decoded(envelope: _Envelope) -> AnySnapshot:
+    """The state tree of an envelope, typed to its leaves."""
+    kind = _KINDS[envelope.kind]
+    snapshot = msgspec.msgpack.decode(envelope.data, type=kind, dec_hook=_array)
+    part = _identifier_part(snapshot)
+    if part is None:
+        return snapshot
+    if envelope.method not in _METHODS:
+        raise SnapshotFileError(
+            f"the snapshot is of the method {envelope.method!r}, expected one of "
+            f"{', '.join(_METHODS)}"
+        )
+    config, state = _METHODS[envelope.method]
+    typed = part._replace(
+        config=msgspec.convert(part.config, config, dec_hook=_array),
+        state=msgspec.convert(part.state, state, dec_hook=_array),
+    )
+    return typed if snapshot is part else snapshot._replace(identifier=typed)
+
+
+def _identifier_part(snapshot: AnySnapshot) -> IdentifierSnapshot | None:
+    """The part whose types depend on the method."""
+    if isinstance(snapshot, SessionSnapshot):
+        return snapshot.identifier
+    return snapshot if isinstance(snapshot, IdentifierSnapshot) else None
+
+
+def _plain_array(value: Any) -> Any:
+    """An array as its shape, its order in memory and its bytes; a number of numpy as Python's.
+
+    The order of numbers in memory decides the order of sums, and that their last bit.
+    """
+    if isinstance(value, np.floating | np.integer | np.bool_):
+        return value.item()
+    if not isinstance(value, np.ndarray) or value.dtype != np.float64:
+        kind = f"array of {value.dtype}" if isinstance(value, np.ndarray) else type(value).__name__
+        raise SnapshotFileError(f"a snapshot cannot hold an object of the type {kind}")
+    order = "F" if value.flags.f_contiguous and not value.flags.c_contiguous else "C"
+    return list(value.shape), order, value.tobytes(order)
+
+
+class _Array(NamedTuple):
+    """What `_plain_array` makes of an array."""
+
+    shape: tuple[int, ...]
+    order: str
+    data: bytes
+
+
+def _array(kind: Any, plain: Any) -> Any:
+    """The read-only array that `_plain_array` was given."""
+    if kind is object:  # of an identifier's snapshot, typed later
+        return plain
+    shape, order, data = msgspec.convert(plain, _Array)
+    if order not in ("C", "F"):
+        raise ValueError(f"an array of order {order!r}, expected 'C' or 'F'")
+    flat = np.frombuffer(data, dtype=np.float64)
+    array = np.array(flat.reshape(shape, order=order), order=order)
+    array.setflags(write=False)
+    return array
+
+
+def _numbers(value: Any, place: str) -> Iterator[tuple[str, Any]]:
+    """Every float and array of a state tree, with the name of its field."""
+    if isinstance(value, float | np.ndarray):
+        yield place, value
+    elif isinstance(value, tuple):
+        names = getattr(value, "_fields", None) or (place,) * len(value)
+        for name, item in zip(names, value, strict=True):
+            yield from _numbers(item, name)
+
+
+def _check_number(place: str, number: Any) -> None:
+    if isinstance(number, float) and abs(number) <= LARGEST:  # almost every one
+        return
+    numbers = np.asarray(number)
+    odd = numbers[~(np.abs(numbers) <= LARGEST)]
+    allowed = _NOT_FINITE.get(place, 0.0)
+    if not np.array_equal(odd, np.full(odd.shape, allowed), equal_nan=True):
+        raise SnapshotFileError(f"the snapshot is damaged: {place} cannot be {str(number)[:80]}")
+
+
+def _write_whole(path: Path, content: bytes) -> None:
+    """Replace a file at once, by way of a new file whose name nobody can plant a link under."""
+    partial = path.with_name(f"{path.name}.{secrets.token_hex(4)}.part")
+    try:
+        with partial.open("xb") as file:
+            file.write(content)
+            file.flush()
+            os.fsync(file.fileno())
+        partial.replace(path)
+    except BaseException:
+        partial.unlink(missing_ok=True)
+        raise

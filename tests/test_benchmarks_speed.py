@@ -41,7 +41,7 @@ from benchmarks.stream import (
 )
 from identification.log_replay import ReplayStream
 from identification.multilayer_config import MULTILAYER
-from recordings import write_table
+from needleforce.recordings import write_table
 
 
 def timing(*medians):

@@ -9,7 +9,9 @@ import pytest
 
 FOLDER = Path(__file__).parents[1] / "examples"
 SAYS = {
-    "controller_loop": r"(?s).*left layer 1 at 3\d.\d mm.*at most \d\.\d\d N.*; 0 skipped",
+    "controller_loop": (
+        r"(?s).*layer 1 ruptured at 3\d.\d mm.*at most \d\.\d\d N.*; 0 samples rejected"
+    ),
     "own_torque_estimate": r"at most 0\.\d\d N; the gel is 2[789]\.\d mm thick",
     "stop_and_resume": r"both read -?\d\.\d{6} N in the end",
 }

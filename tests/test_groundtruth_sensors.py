@@ -1,3 +1,5 @@
+"""The errors of the arm's sensors: as large as the plant model says, and no others."""
+
 from dataclasses import replace
 
 import numpy as np
@@ -6,55 +8,46 @@ from hypothesis import given
 from hypothesis import strategies as st
 from hypothesis.extra.numpy import arrays
 
-from groundtruth.plant_model import PLANT_MODELS
-from groundtruth.sensors import (
-    measured_position,
-    measured_torque,
-    measured_velocity,
-    measured_wrench,
-    play,
-    received,
-    stamps,
-)
+from groundtruth import sensors
+from groundtruth.plant_model import PLANT_MODELS, TICK_s
 from urdf import LWR_GEAR_RATIO
 
-IDEAL, CLEAN, DEGRADED = (PLANT_MODELS[name] for name in ("ideal", "clean", "degraded"))
+IDEAL, CLEAN, DEGRADED = PLANT_MODELS.values()
 LIMIT_Nm = np.array([176.0, 176.0, 100.0, 100.0, 100.0, 38.0, 38.0])
-TICK_s = 1e-3
 N = 60_000
 STILL = np.zeros((N, 7))
 
 
-def torque_error(level, seed=0, tau=STILL, q=STILL):
-    return measured_torque(tau, q, TICK_s, LIMIT_Nm, level, np.random.default_rng(seed)) - tau
+def torque_error(plant_model, seed=0, tau=STILL, q=STILL):
+    return sensors.measured_torque(tau, q, LIMIT_Nm, plant_model, np.random.default_rng(seed)) - tau
 
 
-def test_textbook_sensors_are_perfect():
+def test_ideal_sensors_are_perfect():
     rng = np.random.default_rng(0)
-    signal = rng.standard_normal((50, 7))
+    true = rng.standard_normal((50, 7))
     time = np.arange(50) * TICK_s
-    np.testing.assert_array_equal(measured_position(signal, IDEAL, rng), signal)
-    np.testing.assert_array_equal(measured_velocity(signal, IDEAL, rng), signal)
-    np.testing.assert_array_equal(
-        measured_torque(signal, signal, TICK_s, LIMIT_Nm, IDEAL, rng), signal
-    )
-    np.testing.assert_array_equal(measured_wrench(signal[:, :6], TICK_s, IDEAL, rng), signal[:, :6])
-    np.testing.assert_array_equal(stamps(time, TICK_s, IDEAL, rng), time)
-    np.testing.assert_array_equal(received(50, IDEAL, rng), np.arange(50))
+    for seen, expected in (
+        (sensors.measured_position(true, IDEAL, rng), true),
+        (sensors.measured_velocity(true, IDEAL, rng), true),
+        (sensors.measured_torque(true, true, LIMIT_Nm, IDEAL, rng), true),
+        (sensors.measured_wrench(true[:, :6], IDEAL, rng), true[:, :6]),
+        (sensors.time_stamps(time, IDEAL, rng), time),
+        (sensors.received_samples(50, IDEAL, rng), np.arange(50)),
+    ):
+        np.testing.assert_array_equal(seen, expected)
 
 
-@pytest.mark.parametrize("level", [CLEAN, DEGRADED], ids=lambda level: level.name)
-def test_torque_noise_is_white_with_the_levels_spread(level):
-    change = np.diff(torque_error(level), axis=0)
+@pytest.mark.parametrize("plant_model", [CLEAN, DEGRADED], ids=["clean", "degraded"])
+def test_torque_noise_is_white_with_the_stated_spread(plant_model):
+    change = np.diff(torque_error(plant_model), axis=0)
     # differences of white noise: variance doubles, neighbours correlate by -1/2
-    np.testing.assert_allclose(
-        change.std(axis=0), np.sqrt(2) * np.array(level.torque_noise_std_Nm), rtol=0.02
-    )
+    expected = np.sqrt(2) * np.array(plant_model.torque_noise_std_Nm)
+    np.testing.assert_allclose(change.std(axis=0), expected, rtol=0.02)
     neighbours = (change[1:] * change[:-1]).mean(axis=0) / change.var(axis=0)
     np.testing.assert_allclose(neighbours, -0.5, atol=0.02)
 
 
-def test_torque_bias_lies_in_the_levels_range_with_both_signs():
+def test_torque_bias_lies_in_the_stated_range_with_both_signs():
     start = np.array(
         [torque_error(CLEAN, seed, STILL[:400], STILL[:400]).mean(axis=0) for seed in range(40)]
     )
@@ -64,21 +57,17 @@ def test_torque_bias_lies_in_the_levels_range_with_both_signs():
     assert (start.max(axis=0) > 0.0).all()
 
 
-def test_torque_drift_over_a_minute_has_the_levels_spread():
-    quiet = replace(
-        CLEAN,
-        torque_noise_std_Nm=(0.0,) * 7,
-        torque_bias_min_Nm=(0.0,) * 7,
-        torque_bias_max_Nm=(0.0,) * 7,
-    )
+def test_torque_drift_over_a_minute_has_the_stated_spread():
+    others = ("torque_noise_std_Nm", "torque_bias_min_Nm", "torque_bias_max_Nm")
+    quiet = replace(CLEAN, **dict.fromkeys(others, (0.0,) * 7))
     ends = np.array([torque_error(quiet, seed)[[0, -1]] for seed in range(60)]) / LIMIT_Nm
     np.testing.assert_allclose(ends[:, 0], 0.0, atol=1e-15)
-    expected = np.hypot(CLEAN.torque_drift_std_per_min, CLEAN.torque_walk_std_per_sqrt_min)
+    expected = np.hypot(CLEAN.torque_drift_std_per_min, CLEAN.torque_random_walk_std_per_sqrt_min)
     # 420 draws: 3.5 % standard error
     assert ends[:, 1].std() == pytest.approx(expected, rel=0.12)
 
 
-def test_ripple_repeats_twice_per_motor_turn_with_the_levels_amplitude():
+def test_ripple_repeats_twice_per_motor_turn_with_the_stated_amplitude():
     only_ripple = replace(IDEAL, torque_ripple=1e-4)
     turn = np.linspace(0.0, 1.0, 2001)[:, None] * 2.0 * np.pi / np.array(LWR_GEAR_RATIO)
     error = torque_error(only_ripple, tau=np.zeros_like(turn), q=turn)
@@ -88,40 +77,36 @@ def test_ripple_repeats_twice_per_motor_turn_with_the_levels_amplitude():
 
 
 @given(signal=arrays(float, (30, 3), elements=st.floats(-5.0, 5.0)), width=st.floats(0.0, 2.0))
-def test_play_stays_within_its_width_and_moves_only_when_pushed(signal, width):
-    out = play(signal, np.full(3, width))
+def test_backlash_stays_within_its_width_and_moves_only_when_pushed(signal, width):
+    out = sensors.backlash(signal, np.full(3, width))
     assert (np.abs(out - signal) <= width + 1e-12).all()
     moved = np.diff(out, axis=0) != 0.0
     at_the_edge = np.abs(np.abs(out - signal)[1:] - width) < 1e-9
     assert (~moved | at_the_edge).all()
 
 
-def test_play_makes_a_loop_of_its_full_width():
+def test_backlash_makes_a_loop_of_its_full_width():
     up = np.linspace(-1.0, 1.0, 201)
-    out = play(np.concatenate([up, up[::-1]])[:, None], np.array([0.1]))[:, 0]
+    out = sensors.backlash(np.concatenate([up, up[::-1]])[:, None], np.array([0.1]))[:, 0]
     assert out[-101] - out[100] == pytest.approx(0.2)
 
 
-def test_reported_position_is_noisy_and_on_the_encoders_grid():
+def test_position_is_noisy_on_the_encoders_grid_and_velocity_is_noisy_or_missing():
     rng = np.random.default_rng(0)
     true = np.linspace(0.0, 1.0, 20_000)[:, None] * np.ones(7)
-    seen = measured_position(true, CLEAN, rng)
+    seen = sensors.measured_position(true, CLEAN, rng)
     steps = seen / CLEAN.position_step_rad
     np.testing.assert_allclose(steps, np.round(steps), atol=1e-6)
     expected = np.hypot(CLEAN.position_noise_std_rad, CLEAN.position_step_rad / np.sqrt(12))
     assert (seen - true).std() == pytest.approx(expected, rel=0.02)
+    assert sensors.measured_velocity(STILL, CLEAN, rng).std() == pytest.approx(2e-4, rel=0.02)
+    assert sensors.measured_velocity(STILL, DEGRADED, rng) is None
 
 
-def test_velocity_has_the_levels_noise_or_is_missing():
-    rng = np.random.default_rng(0)
-    assert measured_velocity(STILL, CLEAN, rng).std() == pytest.approx(2e-4, rel=0.02)
-    assert measured_velocity(STILL, DEGRADED, rng) is None
-
-
-def test_wrench_noise_and_drift_have_the_levels_spread():
+def test_wrench_noise_and_drift_have_the_stated_spread():
     wrench = np.zeros((N, 6))
     readings = [
-        measured_wrench(wrench, TICK_s, CLEAN, np.random.default_rng(seed)) for seed in range(20)
+        sensors.measured_wrench(wrench, CLEAN, np.random.default_rng(seed)) for seed in range(20)
     ]
     for reading in readings[:3]:
         white = np.diff(reading, axis=0).std(axis=0) / np.sqrt(2)
@@ -134,13 +119,13 @@ def test_wrench_noise_and_drift_have_the_levels_spread():
 def test_stamps_jitter_but_keep_their_order():
     true = np.arange(N) * TICK_s
     wild = replace(DEGRADED, clock_jitter_std_s=1e-3)
-    assert (np.diff(stamps(true, TICK_s, wild, np.random.default_rng(0))) > 0.0).all()
-    error = stamps(true, TICK_s, DEGRADED, np.random.default_rng(0)) - true
+    assert (np.diff(sensors.time_stamps(true, wild, np.random.default_rng(0))) > 0.0).all()
+    error = sensors.time_stamps(true, DEGRADED, np.random.default_rng(0)) - true
     assert error.std() == pytest.approx(DEGRADED.clock_jitter_std_s, rel=0.02)
 
 
-def test_losses_are_short_and_as_frequent_as_the_level_says():
-    kept = received(10 * N, DEGRADED, np.random.default_rng(0))
+def test_losses_are_short_and_as_frequent_as_stated():
+    kept = sensors.received_samples(10 * N, DEGRADED, np.random.default_rng(0))
     assert kept[[0, -1]].tolist() == [0, 10 * N - 1]
     gaps = np.diff(kept) - 1
     # touching losses may add up; three per cent of a thousandth

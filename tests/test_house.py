@@ -90,6 +90,22 @@ def test_no_file_has_a_name_that_says_nothing():
     assert [name_of(path) for path in project_files() if path.name in VAGUE_NAMES] == []
 
 
+def test_no_function_or_class_has_the_name_of_a_module_beside_it():
+    """With one, `import package.name` and `from package import name` would mean two things."""
+    packages = {}
+    for path in SOURCES:
+        if path.relative_to(ROOT).parts[0] not in ("tests", "examples"):
+            packages.setdefault(path.parent, []).append(path)
+    found = {}
+    for files in packages.values():
+        modules = {path.stem for path in files}
+        for path in files:
+            names = {node.name for node in syntax(path).body if hasattr(node, "name")}
+            if names & modules:
+                found[name_of(path)] = sorted(names & modules)
+    assert found == {}
+
+
 @pytest.mark.parametrize("room", ROOMS)
 def test_the_public_face_is_sorted_small_and_resolves(room):
     package = import_module(room)

@@ -110,17 +110,17 @@ def layer_of(name, friction_N_per_m, membrane=None):
     friction = ShaftFriction.calibrated(
         force_N_per_m=friction_N_per_m,
         reference_speed_m_s=SPEED_M_S,
-        coulomb_share=0.5,
+        coulomb_fraction=0.5,
         presliding_m=0.2e-3,
     )
     return Layer(
         name=name,
         thickness_m=25e-3,
         exit_force_N=1.0,
-        cutting_share=0.05,
+        cutting_fraction=0.05,
         stiffening=0.1,
         release_m=0.3e-3,
-        relaxed_share=0.2,
+        relaxed_fraction=0.2,
         friction=friction,
         membrane=membrane,
     )

@@ -9,8 +9,8 @@ from types import ModuleType
 import pytest
 
 TEXT = (Path(__file__).parents[1] / "docs" / "notation.md").read_text(encoding="utf-8")
-ROOMS = ("urdf", "residual", "identification", "groundtruth")
-NAMES = sorted(set(re.findall(rf"`((?:{'|'.join(ROOMS)})\.[\w.]+(?:\(\w+\))?)`", TEXT)))
+PACKAGES = ("urdf", "residual", "identification", "groundtruth")
+NAMES = sorted(set(re.findall(rf"`((?:{'|'.join(PACKAGES)})\.[\w.]+(?:\(\w+\))?)`", TEXT)))
 COLUMNS = ["symbol", "name in the code", "unit", "shape", "equation"]
 
 

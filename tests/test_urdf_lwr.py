@@ -1,32 +1,30 @@
 """The shipped LWR 4+ against published tables, an independent URDF reader, and physics."""
 
-from importlib.resources import as_file, files
-
 import numpy as np
 import pinocchio as pin
 import pytest
 import yourdfpy
 
-from urdf import InputError, NeedleTool, Payload, load_lwr
+from urdf import NeedleTool, Payload, example_robot_path, load_lwr
 
-CANDLE_SIDE = (0, np.pi / 2, 0, 0, 0, 0, 0)
-READY = (0, 0.5, 0, -1.5, 0, 1.0, 0)
 TWISTED = (0.3, -0.4, 0.5, 1.2, -0.7, 0.9, 0.2)
-
-FLANGE_M = {
-    CANDLE_SIDE: (-0.868, 0, 0.310),
-    READY: (-0.55740, 0, 0.42152),
-    TWISTED: (0.44432, 0.37020, 0.73836),
-}
-GRAVITY_NM = {
-    CANDLE_SIDE: (0, -47.26269, -0.40047, 13.36232, -0.40499, -0.27845, -0.00638),
-    READY: (0, -28.15809, -0.19199, 11.92495, -0.36825, -0.04476, -0.00090),
-    TWISTED: (0, 24.88039, 2.46595, -13.02646, 0.46121, 0.15051, 0.00480),
-}
-INERTIA_KG_M2 = {
-    CANDLE_SIDE: (2.81117, 2.79650, 0.01962, 0.44063, 0.00654, 0.00373, 0.00012),
-    READY: (1.12875, 1.75089, 0.43976, 0.43082, 0.00718, 0.00373, 0.00012),
-    TWISTED: (1.01529, 1.98551, 0.38546, 0.43309, 0.00710, 0.00373, 0.00012),
+# Posture: flange [m], gravity torque [Nm], diagonal of the mass matrix [kg m^2] of the nominal set.
+NOMINAL = {
+    (0, np.pi / 2, 0, 0, 0, 0, 0): (
+        (-0.868, 0, 0.310),
+        (0, -47.26269, -0.40047, 13.36232, -0.40499, -0.27845, -0.00638),
+        (2.81117, 2.79650, 0.01962, 0.44063, 0.00654, 0.00373, 0.00012),
+    ),
+    (0, 0.5, 0, -1.5, 0, 1.0, 0): (
+        (-0.55740, 0, 0.42152),
+        (0, -28.15809, -0.19199, 11.92495, -0.36825, -0.04476, -0.00090),
+        (1.12875, 1.75089, 0.43976, 0.43082, 0.00718, 0.00373, 0.00012),
+    ),
+    TWISTED: (
+        (0.44432, 0.37020, 0.73836),
+        (0, 24.88039, 2.46595, -13.02646, 0.46121, 0.15051, 0.00480),
+        (1.01529, 1.98551, 0.38546, 0.43309, 0.00710, 0.00373, 0.00012),
+    ),
 }
 
 
@@ -37,31 +35,24 @@ def arm():
 
 @pytest.fixture(scope="module")
 def drawing():
-    with as_file(files("urdf.data") / "lwr4plus.urdf") as path:
-        return yourdfpy.URDF.load(str(path), build_collision_scene_graph=True)
+    path = str(example_robot_path("lwr4plus"))
+    return yourdfpy.URDF.load(path, build_collision_scene_graph=True)
 
 
-def flange_placement(robot, q):
+def pose(robot, q, frame="flange"):
     data = robot.create_data()
     pin.framesForwardKinematics(robot.model, data, np.array(q, dtype=float))
-    return data.oMf[robot.frame_id("flange")]
+    return data.oMf[robot.frame_id(frame)]
 
 
-@pytest.mark.parametrize("q", FLANGE_M)
-def test_flange_is_where_the_tables_put_it(arm, q):
-    assert flange_placement(arm, q).translation == pytest.approx(FLANGE_M[q], abs=1e-5)
-
-
-@pytest.mark.parametrize("q", GRAVITY_NM)
-def test_gravity_torque_is_that_of_the_nominal_set(arm, q):
-    gravity = pin.computeGeneralizedGravity(arm.model, arm.create_data(), np.array(q, dtype=float))
-    assert gravity == pytest.approx(GRAVITY_NM[q], abs=1e-3)
-
-
-@pytest.mark.parametrize("q", INERTIA_KG_M2)
-def test_mass_matrix_is_that_of_the_nominal_set(arm, q):
-    mass_matrix = pin.crba(arm.model, arm.create_data(), np.array(q, dtype=float))
-    assert np.diag(mass_matrix) == pytest.approx(INERTIA_KG_M2[q], abs=1e-4)
+@pytest.mark.parametrize("q", NOMINAL)
+def test_flange_gravity_and_inertia_are_those_of_the_nominal_set(arm, q):
+    flange_m, gravity_Nm, inertia_kg_m2 = NOMINAL[q]
+    data, angles = arm.create_data(), np.array(q, dtype=float)
+    assert pose(arm, q).translation == pytest.approx(flange_m, abs=1e-5)
+    gravity = pin.computeGeneralizedGravity(arm.model, data, angles)
+    assert gravity == pytest.approx(gravity_Nm, abs=1e-3)
+    assert np.diag(pin.crba(arm.model, data, angles)) == pytest.approx(inertia_kg_m2, abs=1e-4)
 
 
 @pytest.mark.filterwarnings("ignore::DeprecationWarning:yourdfpy")
@@ -76,7 +67,7 @@ def test_forward_kinematics_agree_with_yourdfpy(arm, drawing):
         q = rng.uniform(arm.position_lower_rad, arm.position_upper_rad)
         drawing.update_cfg(q)
         expected = drawing.get_transform("flange", "lwr_base")
-        assert flange_placement(arm, q).homogeneous == pytest.approx(expected, abs=1e-9)
+        assert pose(arm, q).homogeneous == pytest.approx(expected, abs=1e-9)
 
 
 def test_every_moving_link_is_drawn_as_high_as_the_arm_is(drawing):
@@ -108,11 +99,9 @@ def test_limits_and_names_are_those_of_the_data_sheet(arm):
     assert np.degrees(arm.velocity_limit_rad_s) == pytest.approx(velocity_deg_s)
     assert arm.effort_limit_Nm == pytest.approx([176, 176, 100, 100, 100, 38, 38])
     assert arm.gravity_m_s2 == pytest.approx([0, 0, -9.80665])
+    assert load_lwr(gravity_m_s2=[9.80665, 0, 0]).gravity_m_s2 == pytest.approx([9.80665, 0, 0])
     assert arm.tool_frame == arm.flange_frame == "flange"
     assert arm.payload is None
-
-
-def test_flange_frame_is_the_last_joint_frame(arm):
     frame = arm.model.frames[arm.frame_id("flange")]
     assert frame.parentJoint == 7
     assert frame.placement.isIdentity()
@@ -126,52 +115,27 @@ def test_mass_matrix_is_positive_definite_over_the_workspace(arm):
         assert np.linalg.eigvalsh(pin.crba(arm.model, data, q))[0] > 1e-5
 
 
-def test_needle_tool_brings_its_frames_and_its_weight():
+def test_needle_tool_brings_its_frames_and_its_weight(arm):
     tool = NeedleTool()
     robot = load_lwr(payload=tool)
     assert robot.tool_frame == "needle_tip"
-    flange = flange_placement(robot, TWISTED)
-    data = robot.create_data()
-    pin.framesForwardKinematics(robot.model, data, np.array(TWISTED))
-    tip, sensor = (data.oMf[robot.frame_id(name)] for name in ("needle_tip", "ft_sensor"))
+    flange, tip, sensor = (pose(robot, TWISTED, n) for n in ("flange", "needle_tip", "ft_sensor"))
     assert flange.actInv(tip).translation == pytest.approx(tool.tip_in_flange_m)
     assert flange.actInv(sensor).translation == pytest.approx([0, 0, tool.sensor_height_m])
     assert tip.rotation == pytest.approx(flange.rotation)
-    added = pin.computeTotalMass(robot.model) - pin.computeTotalMass(load_lwr().model)
+    added = pin.computeTotalMass(robot.model) - pin.computeTotalMass(arm.model)
     assert added == pytest.approx(0.304)
 
 
-def test_a_payload_acts_at_its_centre_of_mass():
+def test_a_payload_acts_at_its_centre_of_mass(arm):
     """Gravity torque grows by J^T m g taken at the payload's centre of mass."""
-    payload = Payload(
-        mass_kg=1.3, com_m=np.array([0.02, -0.03, 0.1]), inertia_kg_m2=np.zeros((3, 3))
-    )
-    bare, loaded = load_lwr(), load_lwr(payload)
-    q = np.array(TWISTED)
-    torque = [pin.computeGeneralizedGravity(r.model, r.create_data(), q) for r in (bare, loaded)]
-    at_com = pin.SE3(np.eye(3), payload.com_m.copy())
-    data = bare.create_data()
-    pin.computeJointJacobians(bare.model, data, q)
+    payload = Payload(mass_kg=1.3, com_m=[0.02, -0.03, 0.1], inertia_kg_m2=np.zeros((3, 3)))
+    q, data, loaded = np.array(TWISTED), arm.create_data(), load_lwr(payload)
+    torque = [pin.computeGeneralizedGravity(r.model, r.create_data(), q) for r in (arm, loaded)]
+    pin.computeJointJacobians(arm.model, data, q)
     jacobian = pin.computeFrameJacobian(
-        bare.model, data, q, bare.tool_frame_id, pin.ReferenceFrame.LOCAL
+        arm.model, data, q, arm.tool_frame_id, pin.ReferenceFrame.LOCAL
     )
-    rotation = flange_placement(bare, q).rotation
-    at_com_in_base = rotation @ (at_com.toActionMatrixInverse() @ jacobian)[:3]
-    lifting = at_com_in_base.T @ np.array([0, 0, 1.3 * 9.80665])
+    at_com = pin.SE3(np.eye(3), payload.com_m.copy()).toActionMatrixInverse() @ jacobian
+    lifting = (pose(arm, q).rotation @ at_com[:3]).T @ np.array([0, 0, 1.3 * 9.80665])
     assert torque[1] - torque[0] == pytest.approx(lifting, abs=1e-9)
-
-
-def test_gravity_can_be_turned_for_a_tilted_base():
-    robot = load_lwr(gravity_m_s2=[9.80665, 0, 0])
-    assert robot.gravity_m_s2 == pytest.approx([9.80665, 0, 0])
-
-
-@pytest.mark.parametrize("gravity", [[0, 0], [0, 0, np.nan], 9.81])
-def test_bad_gravity_is_refused(gravity):
-    with pytest.raises(InputError, match="gravity_m_s2"):
-        load_lwr(gravity_m_s2=gravity)
-
-
-def test_a_payload_of_another_kind_is_refused():
-    with pytest.raises(InputError, match="Payload, NeedleTool or None, got float"):
-        load_lwr(payload=0.3)

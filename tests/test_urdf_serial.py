@@ -61,40 +61,28 @@ def test_a_modified_dh_row_is_its_placement(recordings_dir):
         turn = pin.exp3(np.array([table["alpha_rad"][i], 0, 0]))
         step = np.array([table["a_m"][i], 0, 0]) + turn @ np.array([0, 0, table["d_m"][i]])
         xx, xy, xz, yy, yz, zz = table["inertia_kg_m2"][i]
-        about_com = pin.Inertia(
-            table["mass_kg"][i],
-            np.array(table["com_m"][i]),
-            np.array([[xx, xy, xz], [xy, yy, yz], [xz, yz, zz]]),
-        )
-        joints.append(
-            SerialJoint(
-                name=f"j{i + 1}",
-                placement=pin.SE3(turn, step),
-                axis=np.array([0, 0, 1.0]),
-                inertia=about_com.toDynamicParameters(),
-            )
-        )
-    flange = pin.SE3(np.eye(3), np.array([0, 0, 0.107]))
-    robot = build_serial_robot(joints, tool_placement=flange)
+        matrix = np.array([[xx, xy, xz], [xy, yy, yz], [xz, yz, zz]])
+        body = pin.Inertia(table["mass_kg"][i], np.array(table["com_m"][i]), matrix)
+        inertia, place = body.toDynamicParameters(), pin.SE3(turn, step)
+        joints.append(SerialJoint(name=f"j{i}", placement=place, axis=[0, 0, 1], inertia=inertia))
+    robot = build_serial_robot(joints, tool_placement=[0, 0, 0.107])
     data = robot.create_data()
     pin.framesForwardKinematics(robot.model, data, np.zeros(7))
     height = 0.333 + 0.316 + 0.384 - 0.107
     assert data.oMf[robot.tool_frame_id].translation == pytest.approx([0.088, 0, height])
 
 
-def test_unphysical_links_are_refused_unless_asked_for():
+def test_unphysical_and_massless_links_are_refused_unless_asked_for():
     bad = POINT.copy()
     bad[9] = 0.9
-    with pytest.raises(InertiaError, match=r"link behind joint 'j1'.*triangle"):
-        build_serial_robot([a_joint(inertia=bad)])
-    assert build_serial_robot([a_joint(inertia=bad)], check_inertias=False).nv == 1
-
-
-def test_a_massless_last_link_is_refused_unless_asked_for():
-    joints = [a_joint(), a_joint(name="j2", inertia=np.zeros(10))]
-    with pytest.raises(InertiaError, match="move no inertia: j2"):
-        build_serial_robot(joints)
-    assert build_serial_robot(joints, check_inertias=False).nv == 2
+    idle = [a_joint(), a_joint(name="j2", inertia=np.zeros(10))]
+    for joints, message in (
+        ([a_joint(inertia=bad)], r"link behind joint 'j1'.*triangle"),
+        (idle, "move no inertia: j2"),
+    ):
+        with pytest.raises(InertiaError, match=message):
+            build_serial_robot(joints)
+        assert build_serial_robot(joints, check_inertias=False).nv == len(joints)
 
 
 def test_joint_arrays_are_read_only_copies():
@@ -125,14 +113,17 @@ def test_malformed_joints_are_refused(change, error, message):
         a_joint(**change)
 
 
-@pytest.mark.parametrize("names", [[], ["a", "a"], ["tool"]])
-def test_malformed_chains_are_refused(names):
-    with pytest.raises(InputError, match="names"):
-        build_serial_robot([a_joint(name=name) for name in names])
-
-
-def test_malformed_tool_placement_and_rotor_are_refused():
-    with pytest.raises(InputError, match="tool"):
-        build_serial_robot([a_joint()], tool_placement=np.eye(3))
-    with pytest.raises(InputError, match="rotor_inertia_kg_m2"):
-        build_serial_robot([a_joint()], rotor_inertia_kg_m2=[1.0, 1.0])
+@pytest.mark.parametrize(
+    ("names", "options", "message"),
+    [
+        ([], {}, "names"),
+        (["a", "a"], {}, "names"),
+        (["tool"], {}, "names"),
+        (["a"], {"tool_placement": np.eye(3)}, "tool_placement"),
+        (["a"], {"rotor_inertia_kg_m2": [1.0, 1.0]}, "rotor_inertia_kg_m2"),
+        (["a"], {"gravity_m_s2": [1.0, 1.0]}, "gravity_m_s2"),
+    ],
+)
+def test_malformed_chains_and_options_are_refused(names, options, message):
+    with pytest.raises(InputError, match=message):
+        build_serial_robot([a_joint(name=name) for name in names], **options)

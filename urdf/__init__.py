@@ -3,8 +3,8 @@
 Conventions: SI units; joint vectors in the order of ``Robot.joint_names``; a payload is given in
 the axes of the robot's flange frame, whose z points outward; gravity in base axes.
 
-Reading order: `robot` (what the estimators get), `lwr`, `loading` with `description` and `assembly`
-(from a file to a robot), `payload` with `pseudo_inertia` (ten numbers of a body), `needle_tool`,
+Reading order: `robot` (what the estimators get), `loading` with `description` (from a file to a
+robot), `serial_robot` (from numbers to a robot), `payload` with `inertia` (ten numbers of a body),
 `payload_identification`.
 """
 
@@ -17,9 +17,9 @@ from urdf.errors import (
     UrdfError,
     UrdfFileError,
 )
-from urdf.loading import LWR_GEAR_RATIO, example_robot_path, load_lwr, load_urdf
-from urdf.payload import NeedleTool, Payload, PayloadEstimate
-from urdf.payload_identification import identify_payload, identify_payload_static
+from urdf.loading import LWR_GEAR_RATIO, example_robot_path, load_example, load_lwr, load_urdf
+from urdf.payload import NeedleTool, Payload
+from urdf.payload_identification import PayloadEstimate, identify_payload, identify_payload_static
 from urdf.robot import Robot
 from urdf.serial_robot import SerialJoint, build_serial_robot
 
@@ -41,6 +41,7 @@ __all__ = [
     "example_robot_path",
     "identify_payload",
     "identify_payload_static",
+    "load_example",
     "load_lwr",
     "load_urdf",
 ]

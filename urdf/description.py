@@ -1,70 +1,167 @@
-"""What a URDF must be before it becomes a model: readable, supported joints, physical inertias."""
+"""What a URDF must be before it becomes a model: readable, of sane size, supported, physical.
 
+The URDF reader that Pinocchio uses (urdfdom) drops a link's whole ``<inertial>`` when one number in
+it does not parse, and goes on with mass 0; the only sign is a line on stderr. So every number of an
+inertial is parsed here first, as strictly as urdfdom does.
+"""
+
+import re
 import xml.etree.ElementTree as ElementTree
-from collections.abc import Container
+from collections.abc import Collection, Iterable
 from pathlib import Path
+from xml.etree.ElementTree import Element
 
 import numpy as np
-from numpy.typing import NDArray
+import pinocchio as pin
 
-from urdf.errors import UnsupportedJointError, UrdfFileError
+from urdf.errors import Array, InputError, UnknownNameError, UnsupportedJointError, UrdfFileError
 from urdf.inertia import parameters_about_com, require_physical
 
+MAX_LINKS = 1000
+"""Most links of a robot; more are refused. urdfdom and Pinocchio recurse once per link of a chain
+and end the process when the stack is used up (between 3000 and 6000 links at 8 MB). Assign a larger
+number to load a larger robot."""
+_BYTES_PER_LINK = 64 * 1024  # a file of more than MAX_LINKS times this is not read
 _ONE_NUMBER_JOINTS = ("revolute", "prismatic", "fixed")
+# What urdfdom reads as a number: blanks before it but not after it, no nan, inf, hexadecimal or _.
+_NUMBER = re.compile(r"\s*[+-]?(\d+\.?\d*|\.\d+)([eE][+-]?\d+)?", re.ASCII)
 
 
-def read_description(path: Path) -> str:
-    """Return the text of a robot description.
+def read_description(path: Path, without: Iterable[str] = ()) -> Element:
+    """Read a URDF file down to what a model needs: links with their inertia, and joints.
 
-    Raises:
-        UrdfFileError: Missing, a folder, not readable or not text.
-    """
-    if not path.is_file():
-        raise UrdfFileError(f"{path}: there is no such file; expected the path of a URDF file")
-    try:
-        return path.read_text(encoding="utf-8")
-    except (OSError, UnicodeDecodeError) as error:
-        raise UrdfFileError(f"{path}: cannot be read as text: {error}") from error
-
-
-def check_description(
-    text: str, source: str, *, locked: Container[str], check_inertias: bool
-) -> None:
-    """Check a URDF's text.
-
-    Args:
-        text: The URDF.
-        source: Where it came from, for messages.
-        locked: Names of joints that will be locked, of whatever kind they are.
-        check_inertias: Whether every link's inertia must be physical.
+    Shapes, materials and extensions are dropped, and so are the links ``without`` with all that
+    they carry.
 
     Raises:
-        UrdfFileError: Not XML, not a URDF, or numbers missing.
-        UnsupportedJointError: A joint with more than one number, or one that mimics another.
-        InertiaError: A link with inertia no rigid body can have.
+        UrdfFileError: Missing, not readable, too large, not XML or not a URDF.
+        UnknownNameError: A link to leave out does not exist.
+        InputError: ``without`` is a string, or names the root link.
     """
-    root = _parse(text, source)
-    for joint in root.findall("joint"):
-        if joint.get("name", "") not in locked:
-            _check_joint(joint, source)
-    if check_inertias:
-        for link in root.findall("link"):
-            _check_link(link, source)
-
-
-def _parse(text: str, source: str) -> ElementTree.Element:
+    if isinstance(without, str):
+        raise InputError(f"without is the string {without!r}, expected a list of link names")
+    text = _read_text(path)
     try:
         root = ElementTree.fromstring(text)
     except ElementTree.ParseError as error:
-        raise UrdfFileError(f"{source}: is not well-formed XML: {error}") from error
+        raise UrdfFileError(f"{path}: is not well-formed XML: {error}") from error
     if root.tag != "robot":
-        raise UrdfFileError(f"{source}: root element is <{root.tag}>, expected <robot>")
+        raise UrdfFileError(f"{path}: root element is <{root.tag}>, expected <robot>")
     if "http://www.ros.org/wiki/xacro" in text and "<xacro:" in text:
-        raise UrdfFileError(f"{source}: is a xacro file; expand it to a plain URDF first")
-    return root
+        raise UrdfFileError(f"{path}: is a xacro file; expand it to a plain URDF first")
+    links = root.findall("link")
+    if len(links) > MAX_LINKS:
+        raise UrdfFileError(
+            f"{path}: has {len(links)} links, more than {MAX_LINKS}; a chain of that depth can "
+            "crash the URDF reader. Raise urdf.description.MAX_LINKS if the robot is real"
+        )
+    bare = Element(root.tag, root.attrib)
+    for link in links:
+        copy = Element(link.tag, link.attrib)
+        copy.extend(_without_grandchildren(inertial) for inertial in link.findall("inertial")[:1])
+        bare.append(copy)
+    bare.extend(_without_grandchildren(joint) for joint in root.findall("joint"))
+    _remove_links(bare, without, str(path))
+    return bare
 
 
-def _check_joint(joint: ElementTree.Element, source: str) -> None:
+def check_description(
+    root: Element, source: str, *, locked: Collection[str], check_inertias: bool
+) -> None:
+    """Check the joints that will not be locked, and the inertias.
+
+    Raises:
+        UrdfFileError: A number of an inertia is missing or does not parse.
+        UnsupportedJointError: A joint with more than one number, or one that mimics another.
+        InertiaError: With ``check_inertias``, a link with inertia no rigid body can have.
+    """
+    for joint in root.findall("joint"):
+        if joint.get("name", "") not in locked:
+            _check_joint(joint, source)
+    for link in root.findall("link"):
+        inertial = link.find("inertial")
+        if inertial is not None:
+            owner = f"{source}: link {link.get('name')!r}"
+            parameters = _inertial_parameters(inertial, owner)
+            if check_inertias:
+                require_physical(parameters, owner)
+
+
+def build_model(root: Element, source: str) -> pin.Model:
+    """Return the Pinocchio model of a checked description.
+
+    Raises:
+        UrdfFileError: urdfdom refuses it, or has lost mass on the way.
+    """
+    try:
+        model = pin.buildModelFromXML(ElementTree.tostring(root, encoding="unicode"))
+    except (ValueError, RuntimeError) as error:
+        raise UrdfFileError(
+            f"{source}: is not a valid URDF: {error} (its reader prints the reason on stderr)"
+        ) from error
+    written_kg = sum(float(mass.attrib["value"]) for mass in root.iterfind("link/inertial/mass[1]"))
+    loaded_kg = sum(inertia.mass for inertia in model.inertias)
+    # A second line of defence: another build of urdfdom may take other texts for numbers.
+    if abs(loaded_kg - written_kg) > 1e-9 * abs(written_kg):
+        raise UrdfFileError(
+            f"{source}: the masses in the file add up to {written_kg:g} kg, those of the loaded "
+            f"model to {loaded_kg:g} kg; its reader has dropped an <inertial>, see stderr"
+        )
+    return model
+
+
+def _read_text(path: Path) -> str:
+    try:
+        # Not a pipe, device or folder: reading those may never end.
+        if not path.is_file():
+            raise UrdfFileError(f"{path}: there is no such file; expected the path of a URDF file")
+        if path.stat().st_size > MAX_LINKS * _BYTES_PER_LINK:
+            raise UrdfFileError(
+                f"{path}: is larger than any robot description ({MAX_LINKS * _BYTES_PER_LINK} "
+                "bytes); raise urdf.description.MAX_LINKS if the robot is real"
+            )
+        return path.read_text(encoding="utf-8")
+    except (OSError, UnicodeDecodeError) as error:
+        raise UrdfFileError(f"{path!s:.200}: cannot be read as text: {error}") from error
+
+
+def _without_grandchildren(element: Element) -> Element:
+    copy = Element(element.tag, element.attrib)
+    copy.extend(Element(child.tag, child.attrib) for child in element)
+    return copy
+
+
+def _remove_links(root: Element, without: Iterable[str], source: str) -> None:
+    """Remove links, the joints they hang on and everything behind them."""
+    links = {link.get("name"): link for link in root.findall("link")}
+    joints = root.findall("joint")
+    children = {_link_of(joint, "child") for joint in joints}
+    gone: set[str | None] = set(without)
+    for name in sorted(gone - set(links), key=str):
+        known = ", ".join(str(link) for link in links)
+        raise UnknownNameError(
+            f"{source}: cannot leave out {name!r}, there is no such link; links: {known}"
+        )
+    for name in gone - children:
+        raise InputError(f"{source}: cannot leave out {name!r}, it is the root of the robot")
+    # A URDF may list its joints in any order: repeat until nothing more hangs on what has gone.
+    behind: set[str | None] = set()
+    while behind != gone:
+        behind = set(gone)
+        gone |= {_link_of(joint, "child") for joint in joints if _link_of(joint, "parent") in gone}
+    for joint in joints:
+        if _link_of(joint, "child") in gone:
+            root.remove(joint)
+    for name in gone & set(links):
+        root.remove(links[name])
+
+
+def _link_of(joint: Element, end: str) -> str | None:
+    element = joint.find(end)
+    return None if element is None else element.get("link")
+
+
+def _check_joint(joint: Element, source: str) -> None:
     name, kind = joint.get("name"), joint.get("type")
     if kind not in _ONE_NUMBER_JOINTS:
         raise UnsupportedJointError(
@@ -80,29 +177,38 @@ def _check_joint(joint: ElementTree.Element, source: str) -> None:
         )
 
 
-def _check_link(link: ElementTree.Element, source: str) -> None:
-    inertial = link.find("inertial")
-    if inertial is None:
-        return
-    owner = f"{source}: link {link.get('name')!r}"
-    mass = _numbers(inertial, "mass", ("value",), owner)[0]
-    xx, xy, xz, yy, yz, zz = _numbers(
-        inertial, "inertia", ("ixx", "ixy", "ixz", "iyy", "iyz", "izz"), owner
+def _inertial_parameters(inertial: Element, owner: str) -> Array:
+    """Return the ten parameters about the centre of mass, in the axes of the inertial's origin.
+
+    Whether a body is physical depends neither on where its centre of mass is nor on the axes, so
+    the origin is only parsed.
+    """
+    origin = inertial.find("origin")
+    for key in ("xyz", "rpy"):
+        if origin is not None and key in origin.attrib:
+            _numbers(inertial, "origin", key, owner, count=3)
+    mass = _numbers(inertial, "mass", "value", owner)[0]
+    xx, xy, xz, yy, yz, zz = (
+        _numbers(inertial, "inertia", key, owner)[0]
+        for key in ("ixx", "ixy", "ixz", "iyy", "iyz", "izz")
     )
     inertia = np.array([[xx, xy, xz], [xy, yy, yz], [xz, yz, zz]])
-    # Physical or not does not depend on where the centre of mass is, nor on the axes: leave the
-    # origin out.
-    require_physical(parameters_about_com(mass, np.zeros(3), inertia), owner)
+    return parameters_about_com(mass, np.zeros(3), inertia)
 
 
-def _numbers(
-    inertial: ElementTree.Element, tag: str, keys: tuple[str, ...], owner: str
-) -> NDArray[np.float64]:
+def _numbers(inertial: Element, tag: str, key: str, owner: str, count: int = 1) -> list[float]:
+    """Return the numbers of an attribute; urdfdom splits vectors at blanks only, not at tabs."""
     element = inertial.find(tag)
-    try:
-        return np.array([float(element.attrib[key]) for key in keys])  # type: ignore[union-attr]
-    except (AttributeError, KeyError, ValueError) as error:
+    text = None if element is None else element.get(key)
+    if text is None:
+        raise UrdfFileError(f"{owner}: <inertial> needs <{tag}> with the number {key}")
+    words = [text] if count == 1 else [word for word in text.split(" ") if word]
+    numbers = [float(word) for word in words if _NUMBER.fullmatch(word)]
+    if len(numbers) != count or len(words) != count or not np.isfinite(numbers).all():
+        expected = "one number" if count == 1 else f"{count} numbers with blanks between them"
         raise UrdfFileError(
-            f"{owner}: <inertial> needs <{tag}> with the numbers {', '.join(keys)}; "
-            f"problem: {error}"
-        ) from error
+            f'{owner}: <inertial> <{tag} {key}="{text}"> is not {expected}: write digits with a '
+            "decimal point, without commas, formulas, units or a blank after a number. As it "
+            "stands, the URDF reader would give the link no inertia at all"
+        )
+    return numbers

@@ -1,7 +1,11 @@
-"""Errors of the robot package: one base, and a leaf for each thing a caller can put right."""
+"""Errors of the robot package, and the checks of array arguments that raise them."""
+
+from typing import TypeAlias
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
+
+Array: TypeAlias = NDArray[np.float64]
 
 
 class UrdfError(Exception):
@@ -9,11 +13,11 @@ class UrdfError(Exception):
 
 
 class UrdfFileError(UrdfError, ValueError):
-    """A robot description is missing, unreadable or malformed."""
+    """A robot description is missing, unreadable, malformed or too large."""
 
 
 class UnknownNameError(UrdfError, LookupError):
-    """A frame, joint or robot of that name does not exist; the message lists those that do."""
+    """A frame, link, joint or robot of that name does not exist; the message lists what does."""
 
 
 class InertiaError(UrdfError, ValueError):
@@ -32,23 +36,17 @@ class MissingPackageError(UrdfError, ImportError):
     """An optional data package is not installed; the message says how to install it."""
 
 
-# Validated, read-only arrays: what comes in is checked once, what goes out cannot be written.
-
-
-def read_only(array: ArrayLike) -> NDArray[np.float64]:
+def read_only(array: ArrayLike) -> Array:
     """Return a read-only float copy of ``array``."""
     copy = np.array(array, dtype=np.float64)
     copy.setflags(write=False)
     return copy
 
 
-def finite_array(value: ArrayLike, shape: tuple[int, ...], name: str) -> NDArray[np.float64]:
+def finite_array(value: ArrayLike, shape: tuple[int, ...], name: str) -> Array:
     """Return a read-only copy of ``value`` after checking its shape and that it is finite.
 
-    Args:
-        value: Anything numpy can turn into floats.
-        shape: Expected shape; -1 stands for any length of at least one.
-        name: Name of the argument, for the message.
+    In ``shape`` -1 stands for any length of at least one; the message begins with ``name``.
 
     Raises:
         InputError: Not numeric, of another shape, or with NaN or infinite entries.
@@ -56,7 +54,7 @@ def finite_array(value: ArrayLike, shape: tuple[int, ...], name: str) -> NDArray
     wanted = str(shape).replace("-1", "n")
     try:
         array = read_only(value)
-    except (TypeError, ValueError) as error:
+    except (TypeError, ValueError, OverflowError) as error:
         raise InputError(f"{name} is not an array of numbers of shape {wanted}: {error}") from error
     if array.ndim != len(shape) or any(
         have == 0 or want not in (-1, have) for have, want in zip(array.shape, shape, strict=True)

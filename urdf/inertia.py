@@ -12,64 +12,45 @@ exists for phi exactly when the pseudo-inertia
 is positive semidefinite (Wensing, Kim, Slotine, "Linear matrix inequalities for physically
 consistent inertial parameter identification", RA-L 2018); that is m >= 0, a positive semidefinite
 inertia about the centre of mass, and principal moments that obey the triangle inequality.
+
+In every function parameters have shape (10,), in kg, kg m and kg m^2.
 """
 
 import numpy as np
-from numpy.typing import NDArray
+import pinocchio as pin
 
-from urdf.errors import InertiaError
+from urdf.errors import Array, InertiaError
 
-# Tables carry a few digits: a thin rod, once rounded, may miss the boundary by this share.
+# Tables carry a few digits: a thin rod, once rounded, may miss the boundary by this fraction.
 _ROUNDING = 1e-6
-# Share of the inertia about the origin that subtracting m c^2 may lose in double precision.
+# Fraction of the inertia about the origin that subtracting m c^2 may lose in double precision.
 _CANCELLATION = 1e-12
 # Where the six moments stand in a matrix, in the order of the parameters.
 _MOMENTS = ([0, 0, 1, 0, 1, 2], [0, 1, 1, 2, 2, 2])
+# No link or tool comes near this in kg, kg m or kg m^2, and no product of them overflows.
+_LARGEST = 1e9
 
 
-def inertia_matrix(parameters: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Return the inertia about the frame origin, shape (3, 3), kg m^2."""
-    xx, xy, yy, xz, yz, zz = parameters[4:]
-    return np.array([[xx, xy, xz], [xy, yy, yz], [xz, yz, zz]])
+def pseudo_inertia(parameters: Array) -> Array:
+    """Return J(phi), shape (4, 4)."""
+    return pin.PseudoInertia.FromDynamicParameters(parameters).toMatrix()
 
 
-def pseudo_inertia(parameters: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Return J(phi), shape (4, 4), for ten parameters."""
-    inertia = inertia_matrix(parameters)
-    matrix = np.empty((4, 4))
-    matrix[:3, :3] = 0.5 * np.trace(inertia) * np.eye(3) - inertia
-    matrix[:3, 3] = matrix[3, :3] = parameters[1:4]
-    matrix[3, 3] = parameters[0]
-    return matrix
-
-
-def from_pseudo_inertia(matrix: NDArray[np.float64]) -> NDArray[np.float64]:
+def from_pseudo_inertia(matrix: Array) -> Array:
     """Return the ten parameters of a pseudo-inertia; the inverse of `pseudo_inertia`."""
-    second = matrix[:3, :3]
-    inertia = np.trace(second) * np.eye(3) - second
-    return np.concatenate([[matrix[3, 3]], matrix[:3, 3], inertia[_MOMENTS]])
+    return pin.PseudoInertia.FromMatrix(matrix).toDynamicParameters()
 
 
-def parameters_about_com(
-    mass_kg: float, com_m: NDArray[np.float64], inertia_kg_m2: NDArray[np.float64]
-) -> NDArray[np.float64]:
+def parameters_about_com(mass_kg: float, com_m: Array, inertia_kg_m2: Array) -> Array:
     """Return the ten parameters of a body given by its inertia about the centre of mass."""
-    steiner = mass_kg * (com_m @ com_m * np.eye(3) - np.outer(com_m, com_m))
-    about_origin = inertia_kg_m2 + steiner
-    return np.concatenate([[mass_kg], mass_kg * com_m, about_origin[_MOMENTS]])
+    # What overflows comes out as infinite, which `require_mass` refuses by name.
+    with np.errstate(over="ignore", invalid="ignore"):
+        steiner = mass_kg * (com_m @ com_m * np.eye(3) - np.outer(com_m, com_m))
+        about_origin = inertia_kg_m2 + steiner
+        return np.concatenate([[mass_kg], mass_kg * com_m, about_origin[_MOMENTS]])
 
 
-def inertia_about_com(parameters: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Return the inertia about the centre of mass, shape (3, 3), kg m^2; needs a non-zero mass."""
-    mass, first = parameters[0], parameters[1:4]
-    return inertia_matrix(parameters) - (first @ first * np.eye(3) - np.outer(first, first)) / mass
-
-
-def moved_parameters(
-    parameters: NDArray[np.float64],
-    rotation: NDArray[np.float64],
-    translation_m: NDArray[np.float64],
-) -> NDArray[np.float64]:
+def moved_parameters(parameters: Array, rotation: Array, translation_m: Array) -> Array:
     """Describe the same body in another frame, where its points p are at R p + t.
 
     The pseudo-inertia transforms as T J T^T with T = [[R, t], [0, 1]], so the map is linear in phi.
@@ -80,42 +61,37 @@ def moved_parameters(
     return from_pseudo_inertia(transform @ pseudo_inertia(parameters) @ transform.T)
 
 
-def require_mass(parameters: NDArray[np.float64], owner: str) -> None:
-    """Check that parameters without mass are those of no body at all.
-
-    Args:
-        parameters: Ten parameters, shape (10,).
-        owner: What they belong to, for the message.
+def require_mass(parameters: Array, owner: str) -> None:
+    """Check that parameters can be computed with, and are those of no body if it has no mass.
 
     Raises:
-        InertiaError: No mass, but moments.
+        InertiaError: Not finite, beyond any robot's size, or moments without a mass; the message
+            begins with ``owner``.
     """
+    if not np.all(np.abs(parameters) <= _LARGEST):
+        raise InertiaError(
+            f"{owner}: inertial parameters {parameters.tolist()} (mass, first moments, inertia) "
+            f"are not finite or above {_LARGEST:g} in SI units; check the numbers and their units"
+        )
     if parameters[0] == 0.0 and np.any(parameters):
         raise InertiaError(f"{owner}: mass is 0 kg but its moments are not; give it a mass")
 
 
-def require_physical(parameters: NDArray[np.float64], owner: str) -> None:
+def require_physical(parameters: Array, owner: str) -> None:
     """Check that a rigid body can have these parameters (to the rounding of a written table).
 
-    Args:
-        parameters: Ten parameters, shape (10,).
-        owner: What they belong to, for the message.
-
     Raises:
-        InertiaError: Not finite, negative mass, massless with moments, an inertia about the centre
-            of mass that is not positive semidefinite, or principal moments that break the triangle
-            inequality.
+        InertiaError: As `require_mass`, or negative mass, an inertia about the centre of mass that
+            is not positive semidefinite, or principal moments that break the triangle inequality.
     """
-    if not np.isfinite(parameters).all():
-        raise InertiaError(f"{owner}: inertial parameters are not finite: {parameters.tolist()}")
+    require_mass(parameters, owner)
     mass = parameters[0]
     if mass < 0.0:
         raise InertiaError(f"{owner}: mass is {mass:g} kg, expected a positive mass")
     if mass == 0.0:
-        require_mass(parameters, owner)
         return
-    moments = np.linalg.eigvalsh(inertia_about_com(parameters))
-    slack = _ROUNDING * moments[2] + _CANCELLATION * np.trace(inertia_matrix(parameters))
+    moments = np.linalg.eigvalsh(pin.Inertia.FromDynamicParameters(parameters).inertia)
+    slack = _ROUNDING * moments[2] + _CANCELLATION * np.sum(parameters[[4, 6, 9]])
     shown = ", ".join(f"{moment:.6g}" for moment in moments)
     if moments[0] < -slack:
         raise InertiaError(
@@ -129,19 +105,15 @@ def require_physical(parameters: NDArray[np.float64], owner: str) -> None:
         )
 
 
-# The rigid body nearest to a least-squares answer that is none.
-
-
-# Weight of directions the data say nothing about, against the strongest: enough to settle them.
+# For `nearest_body`. Weight of directions that the data do not determine, against the strongest:
+# enough to give them one answer.
 _PRIOR = 1e-6
 # The barrier shrinks from a tenth of the cost's scale until it no longer matters.
 _BARRIERS = np.logspace(-1, -14, 27)
 _BASIS = np.array([pseudo_inertia(unit) for unit in np.eye(10)])
 
 
-def nearest_body(
-    solution: NDArray[np.float64], information_root: NDArray[np.float64]
-) -> NDArray[np.float64]:
+def nearest_body(solution: Array, information_root: Array) -> Array:
     """Return the consistent parameters of least cost ``|R (phi - solution)|^2``.
 
     The consistent parameters are a convex cone, J(phi) positive semidefinite, so there is one
@@ -162,17 +134,12 @@ def nearest_body(
     return parameters
 
 
-def is_consistent(parameters: NDArray[np.float64]) -> bool:
+def is_consistent(parameters: Array) -> bool:
     """Whether the pseudo-inertia is positive semidefinite, exactly: no allowance for rounding."""
     return bool(np.linalg.eigvalsh(pseudo_inertia(parameters))[0] >= 0.0)
 
 
-def _centre(
-    parameters: NDArray[np.float64],
-    solution: NDArray[np.float64],
-    hessian: NDArray[np.float64],
-    barrier: float,
-) -> NDArray[np.float64]:
+def _centre(parameters: Array, solution: Array, hessian: Array, barrier: float) -> Array:
     """Minimise half the cost plus the barrier, starting from inside the cone.
 
     The sum divided by ``barrier`` is self-concordant: a Newton step shortened by 1 / (1 + its

@@ -1,134 +1,34 @@
-"""Any URDF file as a `Robot`."""
+"""Robots from files: any URDF, the KUKA LWR 4+, and well-known arms by name."""
 
 import sys
 from collections.abc import Iterable, Mapping
 from importlib import metadata
-from importlib.resources import as_file, files
+from importlib.resources import files
 from os import PathLike
 from pathlib import Path
+from typing import NamedTuple
 
 import numpy as np
 import pinocchio as pin
 from numpy.typing import ArrayLike
 
-from urdf.description import check_description, read_description
-from urdf.errors import (
-    InertiaError,
-    InputError,
-    MissingPackageError,
-    UnknownNameError,
-    UnsupportedJointError,
-    UrdfFileError,
-    finite_array,
-)
+from urdf.description import build_model, check_description, read_description
+from urdf.errors import InputError, MissingPackageError, UnknownNameError
 from urdf.payload import NeedleTool, Payload
-from urdf.robot import Robot
+from urdf.robot import STANDARD_GRAVITY_M_S2, Robot, assemble_robot
 
-# From a bare Pinocchio model to a `Robot`: gravity, tool frames, last checks.
-
-
-STANDARD_GRAVITY_M_S2 = (0.0, 0.0, -9.80665)
-"""Straight down along the base's z axis, m/s^2."""
-
-SENSOR_FRAME, TIP_FRAME = "ft_sensor", "needle_tip"
-"""Frames that a needle tool adds."""
-
-
-def assemble_robot(
-    model: pin.Model,
-    *,
-    flange_frame: str,
-    payload: Payload | NeedleTool | None,
-    gravity_m_s2: ArrayLike,
-    check_inertias: bool,
-) -> Robot:
-    """Complete a model: set gravity, mount the tool, check that it can be simulated and estimated.
-
-    Args:
-        model: The bare arm; changed in place.
-        flange_frame: Frame that carries the payload.
-        payload: A body in the flange frame, or a needle tool, which adds the frames ``ft_sensor``
-            and ``needle_tip`` and makes the latter the tool frame.
-        gravity_m_s2: Gravity in base axes, shape (3,), m/s^2.
-        check_inertias: Whether the mass matrix must be positive definite.
-
-    Raises:
-        InputError: Gravity or payload of the wrong kind.
-        UnknownNameError: The flange frame does not exist, or the tool's frames exist already.
-        UnsupportedJointError: No joint moves, or one has a position of several numbers.
-        InertiaError: A joint moves no inertia.
-    """
-    _check_joints(model)
-    model.gravity = pin.Motion(finite_array(gravity_m_s2, (3,), "gravity_m_s2").copy(), np.zeros(3))
-    bare = Robot(bare_model=model, tool_frame=flange_frame, flange_frame=flange_frame)
-    if isinstance(payload, NeedleTool):
-        _add_needle_frames(model, bare, payload)
-        robot = Robot(
-            bare_model=model,
-            tool_frame=TIP_FRAME,
-            flange_frame=flange_frame,
-            payload=payload.payload,
-        )
-    elif payload is None or isinstance(payload, Payload):
-        robot = bare.with_payload(payload)
-    else:
-        raise InputError(
-            f"payload must be Payload, NeedleTool or None, got {type(payload).__name__}"
-        )
-    if check_inertias:
-        _check_mass_matrix(robot)
-    return robot
-
-
-def _check_joints(model: pin.Model) -> None:
-    if model.nv == 0:
-        raise UnsupportedJointError(f"robot {model.name!r} has no joint that moves")
-    for joint, name in zip(model.joints[1:], list(model.names)[1:], strict=True):
-        if joint.nq != 1 or joint.nv != 1:
-            raise UnsupportedJointError(
-                f"joint {name!r} has {joint.nq} position and {joint.nv} velocity numbers, "
-                "expected one of each (continuous, planar and free-floating joints do not work)"
-            )
-
-
-def _add_needle_frames(model: pin.Model, bare: Robot, tool: NeedleTool) -> None:
-    for taken in (SENSOR_FRAME, TIP_FRAME):
-        if taken in bare.frame_names:
-            raise UnknownNameError(
-                f"a NeedleTool adds the frame {taken!r}, but robot {model.name!r} has one of "
-                "that name; rename it, or attach the tool as a plain payload (tool.payload)"
-            )
-    flange_id = bare.frame_id(bare.flange_frame)
-    flange = model.frames[flange_id]
-    heights = {SENSOR_FRAME: tool.sensor_height_m, TIP_FRAME: tool.tip_in_flange_m[2]}
-    for name, height_m in heights.items():
-        placement = flange.placement * pin.SE3(np.eye(3), np.array([0.0, 0.0, height_m]))
-        model.addFrame(
-            pin.Frame(name, flange.parentJoint, flange_id, placement, pin.FrameType.OP_FRAME)
-        )
-
-
-def _check_mass_matrix(robot: Robot) -> None:
-    neutral = pin.neutral(robot.model)
-    mass_matrix = pin.crba(robot.model, robot.create_data(), neutral)
-    if np.linalg.eigvalsh(mass_matrix)[0] <= 0.0:
-        bare_joints = [
-            name
-            for name, m in zip(robot.joint_names, np.diag(mass_matrix), strict=True)
-            if m <= 0.0
-        ]
-        raise InertiaError(
-            f"the mass matrix of robot {robot.model.name!r} is not positive definite; joints that "
-            f"move no inertia: {', '.join(bare_joints) or 'none alone'}. "
-            "Give the links inertia, or lock joints"
-        )
+LWR_GEAR_RATIO = (160.0, 160.0, 160.0, 160.0, 100.0, 100.0, 100.0)
+"""Harmonic drives of the LWR 4+, joints 1 to 7 (sources give 60 or 160 for joint 4); the torque
+sensors ripple with the motor angle."""
 
 
 def load_urdf(
     path: str | PathLike[str],
     *,
     tool_frame: str | None = None,
+    tool_placement: pin.SE3 | ArrayLike | None = None,
     locked_joints: Iterable[str] | Mapping[str, float] = (),
+    without: Iterable[str] = (),
     gravity_m_s2: ArrayLike = STANDARD_GRAVITY_M_S2,
     payload: Payload | NeedleTool | None = None,
     check_inertias: bool = True,
@@ -140,44 +40,171 @@ def load_urdf(
         tool_frame: Link or joint whose frame is both the tool frame and the flange that carries the
             payload (a needle tool then moves the tool frame on to its tip). Default: the last link,
             if there is one only.
+        tool_placement: Where the tool is mounted in that frame, if not at its origin or not along
+            its z axis: ``pin.SE3``, a homogeneous matrix of shape (4, 4), or an offset of shape
+            (3,), m. It adds the frame ``tool``, which is then tool frame and flange.
         locked_joints: Joints to weld, at zero, or at the positions (rad or m) of a mapping.
+        without: Links to leave out, such as a hand that has been taken off, each with its joint,
+            its inertia and all that it carries.
         gravity_m_s2: Gravity in base axes, shape (3,), m/s^2.
-        payload: What hangs on the flange.
+        payload: What hangs on the flange, in its frame.
         check_inertias: False accepts links no rigid body could be; identified models often have
             such.
 
     Raises:
-        UrdfFileError: Missing, unreadable or malformed file.
-        UnknownNameError: No such tool frame or joint, or no single last link to take by default.
+        UrdfFileError: Missing, unreadable, malformed or too large a file.
+        UnknownNameError: No such tool frame, link or joint, or no single last link to take by
+            default.
         UnsupportedJointError: A joint that is continuous, planar, floating or a mimic, and not
             locked.
         InertiaError: A link with inertia no rigid body can have, or a joint that moves none.
-        InputError: Gravity, payload or locked positions of the wrong kind.
+        InputError: Gravity, payload, placement or locked positions of the wrong kind.
     """
-    text, source = read_description(Path(path)), str(path)
+    source = str(path)
     locked = _locked_positions(locked_joints)
-    check_description(text, source, locked=locked, check_inertias=check_inertias)
-    try:
-        model = pin.buildModelFromXML(text)
-    except (ValueError, RuntimeError) as error:
-        raise UrdfFileError(f"{source}: is not a valid URDF: {error}") from error
+    root = read_description(Path(path), without)
+    check_description(root, source, locked=locked, check_inertias=check_inertias)
+    model = build_model(root, source)
     flange_frame = tool_frame if tool_frame is not None else _last_link(model, source)
     return assemble_robot(
         _lock(model, locked, source),
         flange_frame=flange_frame,
+        tool_placement=tool_placement,
         payload=payload,
         gravity_m_s2=gravity_m_s2,
         check_inertias=check_inertias,
     )
 
 
+def load_lwr(
+    payload: Payload | NeedleTool | None = None, *, gravity_m_s2: ArrayLike = STANDARD_GRAVITY_M_S2
+) -> Robot:
+    """Load the KUKA LWR 4+ that ships with the package.
+
+    Joints ``lwr_joint_1`` to ``lwr_joint_7`` in the order of KUKA's interface (A1, A2, E1, A3, A4,
+    A5, A6), zero when the arm points straight up. The frame ``flange`` lies in the flange's face, z
+    outward.
+
+    Args:
+        payload: A body in the flange frame; or a needle tool, which adds the frames ``ft_sensor``
+            and ``needle_tip`` (z in the direction of insertion) and makes ``needle_tip`` the tool
+            frame. Without one the tool frame is ``flange``.
+        gravity_m_s2: Gravity in base axes, shape (3,), m/s^2.
+
+    Raises:
+        InputError: Payload or gravity of the wrong kind.
+    """
+    return load_example("lwr4plus", payload=payload, gravity_m_s2=gravity_m_s2)
+
+
+class _Example(NamedTuple):
+    file: str  # in urdf/data, or below robots/ of example-robot-data
+    tool_frames: tuple[str, ...]  # the first that is not left out is the tool frame
+    fingers: tuple[str, ...] = ()  # joints that are locked unless left out
+
+
+_EXAMPLES = {
+    "panda": _Example(
+        "panda_description/urdf/panda.urdf",
+        ("panda_hand_tcp", "panda_hand", "panda_link8"),
+        ("panda_finger_joint1", "panda_finger_joint2"),
+    ),
+    "ur3": _Example("ur_description/urdf/ur3_robot.urdf", ("tool0",)),
+    "ur5": _Example("ur_description/urdf/ur5_robot.urdf", ("tool0",)),
+    "ur10": _Example("ur_description/urdf/ur10_robot.urdf", ("tool0",)),
+    "xarm7": _Example("xarm_description/urdf/xarm7.urdf", ("link_eef",)),
+    "ur5e": _Example("ur5e.urdf", ("tool0",)),
+    "ur10e": _Example("ur10e.urdf", ("tool0",)),
+    "lwr4plus": _Example("lwr4plus.urdf", ("flange",)),
+}
+_PACKAGE = "example-robot-data"
+
+
+def load_example(
+    name: str,
+    *,
+    tool_frame: str | None = None,
+    tool_placement: pin.SE3 | ArrayLike | None = None,
+    without: Iterable[str] = (),
+    gravity_m_s2: ArrayLike = STANDARD_GRAVITY_M_S2,
+    payload: Payload | NeedleTool | None = None,
+) -> Robot:
+    """Load a well-known arm by name, with its tool frame set and its fingers locked.
+
+    The UR arms have their tool frame in the flange face (``tool0``, z outward), xArm 7 in
+    ``link_eef``. Panda has it between the finger tips (``panda_hand_tcp``); with
+    ``without=["panda_hand"]`` the hand's 0.76 kg are gone and it lies in the flange face
+    (``panda_link8``).
+
+    Names are panda, ur3, ur5, ur10, xarm7 (from the package example-robot-data), ur5e, ur10e and
+    lwr4plus (shipped here). The other arguments are those of `load_urdf`.
+
+    Raises:
+        UnknownNameError: Another name, or a frame or link that the arm does not have.
+        MissingPackageError: example-robot-data is needed and not installed.
+        InputError: Gravity, payload or placement of the wrong kind.
+    """
+    path = example_robot_path(name)
+    example = _EXAMPLES[name]
+    without = without if isinstance(without, str) else tuple(without)
+    left = {element.get("name") for element in read_description(path, without)}
+    return load_urdf(
+        path,
+        tool_frame=tool_frame or next((f for f in example.tool_frames if f in left), None),
+        tool_placement=tool_placement,
+        locked_joints=[joint for joint in example.fingers if joint in left],
+        without=without,
+        gravity_m_s2=gravity_m_s2,
+        payload=payload,
+    )
+
+
+def example_robot_path(name: str) -> Path:
+    """Return the URDF file of an arm that `load_example` loads.
+
+    With `load_urdf` Panda needs ``tool_frame`` (such as ``panda_hand_tcp``) and its two finger
+    joints locked; the UR arms need ``tool_frame`` (``tool0``).
+
+    Args:
+        name: See `load_example`.
+
+    Raises:
+        UnknownNameError: Another name.
+        MissingPackageError: example-robot-data is needed and not installed.
+    """
+    if name not in _EXAMPLES:
+        raise UnknownNameError(
+            f"there is no example robot {name!r}; robots: {', '.join(_EXAMPLES)}; "
+            "load_urdf(FILE) loads any other"
+        )
+    file = _EXAMPLES[name].file
+    folders = [Path(str(files("urdf.data")))]
+    folders += [prefix / "share" / _PACKAGE / "robots" for prefix in _prefixes()]
+    for folder in folders:
+        if (folder / file).is_file():
+            return folder / file
+    raise MissingPackageError(
+        f"the description of {name!r} comes with {_PACKAGE}, which is not installed; "
+        f"pip install {_PACKAGE}"
+    )
+
+
+def _prefixes() -> list[Path]:
+    """Return where pip (a cmeel wheel) and conda put shared data."""
+    prefixes = [Path(sys.prefix)]
+    try:
+        located = metadata.distribution(_PACKAGE).locate_file("cmeel.prefix")
+    except metadata.PackageNotFoundError:
+        return prefixes
+    return [Path(str(located)), *prefixes]
+
+
 def _locked_positions(locked_joints: Iterable[str] | Mapping[str, float]) -> dict[str, float]:
     if isinstance(locked_joints, str):
         raise InputError(f"locked_joints is the string {locked_joints!r}, expected a list of names")
-    if isinstance(locked_joints, Mapping):
-        positions = {str(name): float(value) for name, value in locked_joints.items()}
-    else:
-        positions = dict.fromkeys(locked_joints, 0.0)
+    if not isinstance(locked_joints, Mapping):
+        locked_joints = dict.fromkeys(locked_joints, 0.0)
+    positions = {str(name): float(value) for name, value in locked_joints.items()}
     for name, value in positions.items():
         if not np.isfinite(value):
             raise InputError(f"locked_joints: position of {name!r} is {value}, expected a number")
@@ -216,82 +243,3 @@ def _last_link(model: pin.Model, source: str) -> str:
             f"it ends in: {', '.join(ends) or 'none'}"
         )
     return ends[0]
-
-
-# The KUKA LWR 4+ of the paper.
-
-
-LWR_GEAR_RATIO = (160.0, 160.0, 160.0, 160.0, 100.0, 100.0, 100.0)
-"""Harmonic drives of the LWR 4+, joints 1 to 7 (sources give 60 or 160 for joint 4); the torque
-sensors ripple with the motor angle."""
-
-
-def load_lwr(
-    payload: Payload | NeedleTool | None = None,
-    *,
-    gravity_m_s2: ArrayLike = STANDARD_GRAVITY_M_S2,
-) -> Robot:
-    """Load the KUKA LWR 4+ that ships with the package.
-
-    Joints ``lwr_joint_1`` to ``lwr_joint_7`` in the order of KUKA's interface (A1, A2, E1, A3, A4,
-    A5, A6), zero when the arm points straight up. The frame ``flange`` lies in the flange's face, z
-    outward.
-
-    Args:
-        payload: A body in the flange frame; or a needle tool, which adds the frames ``ft_sensor``
-            and ``needle_tip`` (z in the direction of insertion) and makes ``needle_tip`` the tool
-            frame. Without one the tool frame is ``flange``.
-        gravity_m_s2: Gravity in base axes, shape (3,), m/s^2.
-
-    Raises:
-        InputError: Payload or gravity of the wrong kind.
-    """
-    with as_file(files("urdf.data").joinpath("lwr4plus.urdf")) as path:
-        return load_urdf(path, tool_frame="flange", payload=payload, gravity_m_s2=gravity_m_s2)
-
-
-# Where to find the arms of the optional data package ``example-robot-data``.
-
-
-_ROBOTS = {
-    "panda": "panda_description/urdf/panda.urdf",
-    "ur3": "ur_description/urdf/ur3_robot.urdf",
-    "ur5": "ur_description/urdf/ur5_robot.urdf",
-    "ur10": "ur_description/urdf/ur10_robot.urdf",
-}
-_PACKAGE = "example-robot-data"
-
-
-def example_robot_path(name: str) -> Path:
-    """Return the URDF file of an arm of ``example-robot-data``, for `urdf.load_urdf`.
-
-    Panda needs ``tool_frame`` (such as ``panda_hand_tcp``) and its two finger joints locked; the UR
-    arms need ``tool_frame`` (``tool0``).
-
-    Args:
-        name: One of panda, ur3, ur5, ur10.
-
-    Raises:
-        UnknownNameError: Another name.
-        MissingPackageError: The package is not installed.
-    """
-    if name not in _ROBOTS:
-        raise UnknownNameError(f"there is no example robot {name!r}; robots: {', '.join(_ROBOTS)}")
-    for prefix in _prefixes():
-        path = prefix / "share" / _PACKAGE / "robots" / _ROBOTS[name]
-        if path.is_file():
-            return path
-    raise MissingPackageError(
-        f"the description of {name!r} comes with {_PACKAGE}, which is not installed; "
-        f"install it with: pip install {_PACKAGE}"
-    )
-
-
-def _prefixes() -> list[Path]:
-    """Return where pip (a cmeel wheel) and conda put shared data."""
-    prefixes = [Path(sys.prefix)]
-    try:
-        located = metadata.distribution(_PACKAGE).locate_file("cmeel.prefix")
-    except metadata.PackageNotFoundError:
-        return prefixes
-    return [Path(str(located)), *prefixes]

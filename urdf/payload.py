@@ -1,15 +1,14 @@
-"""A rigid body carried at the flange."""
+"""What hangs on the flange: a rigid body, or a needle behind a force/torque sensor."""
 
 from dataclasses import dataclass, fields
 from typing import Self
 
 import numpy as np
 import pinocchio as pin
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
-from urdf.errors import InputError, finite_array, read_only
+from urdf.errors import Array, InputError, finite_array, read_only
 from urdf.inertia import (
-    inertia_about_com,
     moved_parameters,
     parameters_about_com,
     require_mass,
@@ -34,8 +33,8 @@ class Payload:
     """
 
     mass_kg: float
-    com_m: NDArray[np.float64]
-    inertia_kg_m2: NDArray[np.float64]
+    com_m: Array
+    inertia_kg_m2: Array
 
     def __post_init__(self) -> None:
         mass = float(finite_array(self.mass_kg, (), "payload mass_kg"))
@@ -63,17 +62,21 @@ class Payload:
         require_mass(phi, "payload")
         if phi[0] == 0.0:
             return cls(mass_kg=0.0, com_m=np.zeros(3), inertia_kg_m2=np.zeros((3, 3)))
-        return cls(mass_kg=phi[0], com_m=phi[1:4] / phi[0], inertia_kg_m2=inertia_about_com(phi))
+        body = pin.Inertia.FromDynamicParameters(phi)
+        return cls(mass_kg=body.mass, com_m=body.lever, inertia_kg_m2=body.inertia)
 
     @property
-    def parameters(self) -> NDArray[np.float64]:
+    def parameters(self) -> Array:
         """Ten parameters in Pinocchio's order, inertia about the frame origin, shape (10,)."""
         return parameters_about_com(self.mass_kg, self.com_m, self.inertia_kg_m2)
 
     @property
     def spatial_inertia(self) -> pin.Inertia:
         """The payload as a Pinocchio inertia in the same frame."""
-        return pin.Inertia(self.mass_kg, self.com_m.copy(), self.inertia_kg_m2.copy())
+        body = pin.Inertia(self.mass_kg, self.com_m.copy(), np.zeros((3, 3)))
+        # Set afterwards, for the constructor refuses a moment of -1e-20 that rounding may leave.
+        body.inertia = self.inertia_kg_m2.copy()
+        return body
 
     def moved(self, rotation: ArrayLike, translation_m: ArrayLike) -> "Payload":
         """Describe the same body in another frame.
@@ -98,14 +101,17 @@ class Payload:
         return Payload.from_parameters(self.parameters + other.parameters)
 
 
-# A needle behind a force/torque sensor: the tool of the paper, and its relatives.
+_SENSOR_MASS_KG = 0.236
+_LARGEST = 1e6  # kg, m or kg/m^3: beyond any tool, and no product of them overflows
+_MAY_BE_ZERO = ("sensor_mass_kg", "sensor_height_m", "needle_mass_kg", "shaft_density_kg_m3")
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class NeedleTool:
     """F/T sensor, hub and needle in a row along the flange's z axis, pointing outward.
 
-    The tool of the paper's authors weighs 236 g up to the sensor's measuring plane and 68 g beyond
+    Without a sensor give ``sensor_height_m=0``: the hub then sits on the flange. The defaults are
+    the tool of Ferro et al., which weighs 236 g up to the sensor's measuring plane and 68 g beyond
     it, and its needle reaches 153 mm from there. Its inertias follow from shapes:
 
     - Sensor: a Mini45 fills 45 mm by 15.7 mm with 92 g; at that density 236 g of sensor and
@@ -117,8 +123,9 @@ class NeedleTool:
       aluminium 30 mm across are 35 mm high.
 
     Attributes:
-        sensor_mass_kg: Mass on the flange's side of the measuring plane, kg.
-        sensor_height_m: From the flange face to the measuring plane, m.
+        sensor_mass_kg: Mass on the flange's side of the measuring plane, kg; without a sensor the
+            default counts as zero.
+        sensor_height_m: From the flange face to the measuring plane, zero without a sensor, m.
         sensor_diameter_m: Diameter of the sensor, m.
         needle_mass_kg: Mass beyond the measuring plane, hub and shaft, kg.
         needle_length_m: From the measuring plane to the tip, m.
@@ -128,11 +135,11 @@ class NeedleTool:
         hub_diameter_m: Diameter of the hub, m.
 
     Raises:
-        InputError: A number that is not finite, not positive (masses may be zero), or a shaft
-            heavier or a hub longer than the needle.
+        InputError: A number that is not finite, not positive (masses, density and sensor height
+            may be zero), or a shaft heavier or a hub longer than the needle.
     """
 
-    sensor_mass_kg: float = 0.236
+    sensor_mass_kg: float = _SENSOR_MASS_KG
     sensor_height_m: float = 0.040
     sensor_diameter_m: float = 0.045
     needle_mass_kg: float = 0.068
@@ -145,9 +152,12 @@ class NeedleTool:
     def __post_init__(self) -> None:
         for item in fields(self):
             value = float(finite_array(getattr(self, item.name), (), f"NeedleTool {item.name}"))
-            may_be_zero = item.name in ("sensor_mass_kg", "needle_mass_kg", "shaft_density_kg_m3")
-            if value < 0.0 or (value == 0.0 and not may_be_zero):
-                raise InputError(f"NeedleTool {item.name} is {value:g}, expected a positive number")
+            if not 0.0 <= value <= _LARGEST or (value == 0.0 and item.name not in _MAY_BE_ZERO):
+                raise InputError(
+                    f"NeedleTool {item.name} is {value:g}, expected a positive number in SI units"
+                )
+        if not self.has_sensor and self.sensor_mass_kg == _SENSOR_MASS_KG:
+            object.__setattr__(self, "sensor_mass_kg", 0.0)
         if self.hub_length_m >= self.needle_length_m:
             raise InputError(
                 f"NeedleTool hub_length_m {self.hub_length_m:g} must be shorter than "
@@ -159,6 +169,11 @@ class NeedleTool:
                 f"{self.shaft_mass_kg:.4g} kg, more than needle_mass_kg {self.needle_mass_kg:g}; "
                 "give a thinner shaft or a lower shaft_density_kg_m3"
             )
+
+    @property
+    def has_sensor(self) -> bool:
+        """Whether there is a force/torque sensor between flange and needle."""
+        return self.sensor_height_m > 0.0
 
     @property
     def shaft_mass_kg(self) -> float:
@@ -187,7 +202,7 @@ class NeedleTool:
         return self.sensor + self.beyond_sensor.moved(np.eye(3), [0.0, 0.0, self.sensor_height_m])
 
     @property
-    def tip_in_flange_m(self) -> NDArray[np.float64]:
+    def tip_in_flange_m(self) -> Array:
         """Needle tip in the flange frame, shape (3,), m."""
         return read_only([0.0, 0.0, self.sensor_height_m + self.needle_length_m])
 
@@ -201,71 +216,3 @@ def _cylinder(mass_kg: float, start_m: float, end_m: float, diameter_m: float) -
         com_m=np.array([0.0, 0.0, start_m + 0.5 * length]),
         inertia_kg_m2=np.diag([across, across, 0.5 * mass_kg * radius**2]),
     )
-
-
-# What a payload identification returns: the payload, and how far to believe it.
-
-
-@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
-class PayloadEstimate:
-    """An identified payload with its uncertainty. Arrays are read-only copies.
-
-    The ten parameters are in Pinocchio's order (m, m c, I_xx, I_xy, I_yy, I_xz, I_yz, I_zz),
-    inertia about the flange's origin, in flange axes.
-
-    Attributes:
-        payload: The physically consistent payload, in the flange frame.
-        covariance: Covariance of the ten parameters before the consistency constraint, shape (10,
-            10); infinite variance for what the data do not determine.
-        rank: Number of parameter combinations the data determine.
-        parameter_count: Number of parameters asked for: ten from motion, four at rest.
-        unconstrained_parameters: Least-squares answer before the consistency constraint, shape
-            (10,); zero for what was not asked for.
-        is_constrained: True if that answer was no rigid body and had to be moved to the nearest
-            one. Far away (by many standard deviations) it means a wrong sign, frame, torque scale
-            or robot model.
-        offsets_Nm: Constant torque per joint fitted along with it, zero if not asked for, shape
-            (nv,), Nm.
-        offsets_std_Nm: Standard deviation of the offsets, shape (nv,), Nm.
-        residual_rms_Nm: Torque the estimate leaves unexplained, per joint, shape (nv,), Nm.
-    """
-
-    payload: Payload
-    covariance: NDArray[np.float64]
-    rank: int
-    parameter_count: int
-    unconstrained_parameters: NDArray[np.float64]
-    is_constrained: bool
-    offsets_Nm: NDArray[np.float64]
-    offsets_std_Nm: NDArray[np.float64]
-    residual_rms_Nm: NDArray[np.float64]
-
-    def __post_init__(self) -> None:
-        for item in fields(self):
-            value = getattr(self, item.name)
-            if isinstance(value, np.ndarray):
-                object.__setattr__(self, item.name, read_only(value))
-
-    @property
-    def is_identified(self) -> bool:
-        """Whether the data determine every parameter that was asked for."""
-        return self.rank == self.parameter_count
-
-    @property
-    def standard_deviations(self) -> NDArray[np.float64]:
-        """Standard deviations of the ten parameters, shape (10,), kg, kg m, kg m^2."""
-        return np.sqrt(np.diag(self.covariance))
-
-    @property
-    def mass_std_kg(self) -> float:
-        """Standard deviation of the mass, kg."""
-        return float(self.standard_deviations[0])
-
-    @property
-    def com_std_m(self) -> NDArray[np.float64]:
-        """Standard deviation of the centre of mass to first order, shape (3,), m."""
-        block = self.covariance[:4, :4]
-        if self.payload.mass_kg == 0.0 or not np.isfinite(block).all():
-            return np.full(3, np.inf)
-        slope = np.column_stack([-self.payload.com_m, np.eye(3)]) / self.payload.mass_kg
-        return np.sqrt(np.diag(slope @ block @ slope.T))

@@ -1,20 +1,39 @@
 """The robot every estimator works on: a Pinocchio model with a tool and a payload."""
 
 from dataclasses import dataclass, field, replace
+from typing import Any
 
 import numpy as np
 import pinocchio as pin
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
-from urdf.errors import InputError, UnknownNameError, finite_array, read_only
-from urdf.payload import Payload
+from urdf.errors import (
+    Array,
+    InertiaError,
+    InputError,
+    UnknownNameError,
+    UnsupportedJointError,
+    finite_array,
+    read_only,
+)
+from urdf.payload import NeedleTool, Payload
+
+STANDARD_GRAVITY_M_S2 = (0.0, 0.0, -9.80665)
+"""Straight down along the base's z axis, m/s^2."""
+
+SENSOR_FRAME, TIP_FRAME = "ft_sensor", "needle_tip"
+"""Frames that a needle tool adds."""
+
+TOOL_FRAME = "tool"
+"""Frame that a tool placement adds."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class Robot:
     """An arm of one-number joints, what it carries, and the frame forces are asked for.
 
-    Build one with `urdf.load_lwr`, `urdf.load_urdf` or `urdf.build_serial_robot`.
+    Build one with `urdf.load_lwr`, `urdf.load_example`, `urdf.load_urdf` or
+    `urdf.build_serial_robot`.
 
     Attributes:
         bare_model: The arm without payload; copied on construction.
@@ -63,27 +82,27 @@ class Robot:
         return tuple(dict.fromkeys(frame.name for frame in self.model.frames))
 
     @property
-    def gravity_m_s2(self) -> NDArray[np.float64]:
+    def gravity_m_s2(self) -> Array:
         """Gravity in base axes, shape (3,), m/s^2."""
         return read_only(self.model.gravity.linear)
 
     @property
-    def position_lower_rad(self) -> NDArray[np.float64]:
+    def position_lower_rad(self) -> Array:
         """Lower position limits, shape (nv,), rad (m for sliding joints)."""
         return read_only(self.model.lowerPositionLimit)
 
     @property
-    def position_upper_rad(self) -> NDArray[np.float64]:
+    def position_upper_rad(self) -> Array:
         """Upper position limits, shape (nv,), rad (m for sliding joints)."""
         return read_only(self.model.upperPositionLimit)
 
     @property
-    def velocity_limit_rad_s(self) -> NDArray[np.float64]:
+    def velocity_limit_rad_s(self) -> Array:
         """Velocity limits, shape (nv,), rad/s (m/s for sliding joints)."""
         return read_only(self.model.upperVelocityLimit)
 
     @property
-    def effort_limit_Nm(self) -> NDArray[np.float64]:
+    def effort_limit_Nm(self) -> Array:
         """Torque limits, shape (nv,), Nm (N for sliding joints)."""
         return read_only(self.model.upperEffortLimit)
 
@@ -127,7 +146,8 @@ class Robot:
         none.
 
         Args:
-            rotor_inertia_kg_m2: As seen at the joints, not negative, shape (nv,).
+            rotor_inertia_kg_m2: As seen at the joints (times the gear ratio squared), not negative,
+                shape (nv,).
 
         Raises:
             InputError: Wrong shape, not finite or negative.
@@ -138,3 +158,96 @@ class Robot:
         bare = pin.Model(self.bare_model)
         bare.armature = rotor.copy()
         return replace(self, bare_model=bare)
+
+
+def rigid_motion(placement: Any, name: str) -> pin.SE3:
+    """Return a placement given as ``pin.SE3``, homogeneous matrix or translation alone.
+
+    Raises:
+        InputError: Not of shape (4, 4) or (3,), not finite, or no rigid motion.
+    """
+    if isinstance(placement, pin.SE3):
+        placement = placement.homogeneous
+    if np.shape(placement) == (3,):
+        return pin.SE3(np.eye(3), finite_array(placement, (3,), name).copy())
+    matrix = finite_array(placement, (4, 4), name)
+    rotation = matrix[:3, :3]
+    is_rotation = np.allclose(rotation @ rotation.T, np.eye(3), atol=1e-6)
+    if not is_rotation or np.linalg.det(rotation) < 0.0 or np.any(matrix[3] != [0, 0, 0, 1]):
+        raise InputError(f"{name} is not a rigid motion: {matrix.tolist()}")
+    return pin.SE3(rotation.copy(), matrix[:3, 3].copy())
+
+
+def assemble_robot(
+    model: pin.Model,
+    *,
+    flange_frame: str,
+    tool_placement: pin.SE3 | ArrayLike | None,
+    payload: Payload | NeedleTool | None,
+    gravity_m_s2: ArrayLike,
+    check_inertias: bool,
+) -> Robot:
+    """Complete a model: set gravity, mount the tool, check that it can be simulated and estimated.
+
+    The model is changed in place. Arguments as in `urdf.load_urdf`; ``check_inertias`` asks for a
+    positive definite mass matrix.
+
+    Raises:
+        InputError: Gravity, tool placement or payload of the wrong kind.
+        UnknownNameError: The flange frame does not exist, or a frame to be added does.
+        UnsupportedJointError: No joint moves.
+        InertiaError: A joint moves no inertia.
+    """
+    if payload is not None and not isinstance(payload, Payload | NeedleTool):
+        raise InputError(
+            f"payload must be Payload, NeedleTool or None, got {type(payload).__name__}"
+        )
+    if model.nv == 0:
+        raise UnsupportedJointError(f"robot {model.name!r} has no joint that moves")
+    model.gravity = pin.Motion(finite_array(gravity_m_s2, (3,), "gravity_m_s2").copy(), np.zeros(3))
+    # Refuses an unknown flange with a list of the frames there are.
+    Robot(bare_model=model, tool_frame=flange_frame, flange_frame=flange_frame)
+    if tool_placement is not None:
+        placement = rigid_motion(tool_placement, "tool_placement")
+        _add_frame(model, TOOL_FRAME, flange_frame, placement, "tool_placement")
+        flange_frame = TOOL_FRAME
+    tool_frame, body = flange_frame, payload
+    if isinstance(body, NeedleTool):
+        heights = {TIP_FRAME: body.tip_in_flange_m[2]}
+        if body.has_sensor:
+            heights = {SENSOR_FRAME: body.sensor_height_m, **heights}
+        for name, height_m in heights.items():
+            along_z = pin.SE3(np.eye(3), np.array([0.0, 0.0, height_m]))
+            _add_frame(model, name, flange_frame, along_z, "a NeedleTool")
+        tool_frame, body = TIP_FRAME, body.payload
+    robot = Robot(bare_model=model, tool_frame=tool_frame, flange_frame=flange_frame, payload=body)
+    if check_inertias:
+        _check_mass_matrix(robot)
+    return robot
+
+
+def _add_frame(model: pin.Model, name: str, parent: str, placement: pin.SE3, adder: str) -> None:
+    """Add a frame at a placement in an existing one."""
+    names = [frame.name for frame in model.frames]
+    if name in names:
+        raise UnknownNameError(
+            f"{adder} adds the frame {name!r}, but robot {model.name!r} has one of "
+            "that name; rename it, or attach the tool as a plain payload (tool.payload)"
+        )
+    index = names.index(parent)
+    frame = model.frames[index]
+    where = frame.placement * placement
+    model.addFrame(pin.Frame(name, frame.parentJoint, index, where, pin.FrameType.OP_FRAME))
+
+
+def _check_mass_matrix(robot: Robot) -> None:
+    neutral = pin.neutral(robot.model)
+    mass_matrix = pin.crba(robot.model, robot.create_data(), neutral)
+    if np.linalg.eigvalsh(mass_matrix)[0] <= 0.0:
+        idle = np.flatnonzero(np.diag(mass_matrix) <= 0.0)
+        bare_joints = [robot.joint_names[index] for index in idle]
+        raise InertiaError(
+            f"the mass matrix of robot {robot.model.name!r} is not positive definite; joints that "
+            f"move no inertia: {', '.join(bare_joints) or 'none alone'}. "
+            "Give the links inertia, or lock joints"
+        )

@@ -2,19 +2,15 @@
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Any
 
 import numpy as np
 import pinocchio as pin
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
-from urdf.errors import InputError, finite_array, read_only
+from urdf.errors import Array, InputError, finite_array, read_only
 from urdf.inertia import require_mass, require_physical
-from urdf.loading import STANDARD_GRAVITY_M_S2, assemble_robot
 from urdf.payload import NeedleTool, Payload
-from urdf.robot import Robot
-
-TOOL_FRAME = "tool"
+from urdf.robot import STANDARD_GRAVITY_M_S2, TOOL_FRAME, Robot, assemble_robot, rigid_motion
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -40,9 +36,9 @@ class SerialJoint:
     """
 
     name: str
-    placement: pin.SE3 | NDArray[np.float64]
-    axis: NDArray[np.float64]
-    inertia: NDArray[np.float64]
+    placement: pin.SE3 | Array
+    axis: Array
+    inertia: Array
 
     def __post_init__(self) -> None:
         owner = f"joint {self.name!r}"
@@ -52,7 +48,7 @@ class SerialJoint:
             raise InputError(f"{owner} axis is zero, expected a direction")
         inertia = finite_array(self.inertia, (10,), f"{owner} inertia")
         require_mass(inertia, owner)
-        object.__setattr__(self, "placement", _rigid(self.placement, f"{owner} placement"))
+        object.__setattr__(self, "placement", rigid_motion(self.placement, f"{owner} placement"))
         object.__setattr__(self, "axis", read_only(axis / length))
         object.__setattr__(self, "inertia", inertia)
 
@@ -96,13 +92,10 @@ def build_serial_robot(
         if check_inertias:
             require_physical(joint.inertia, f"link behind joint {joint.name!r}")
         _add_joint(model, joint)
-    placement = pin.SE3.Identity() if tool_placement is None else _rigid(tool_placement, "tool")
-    last = model.njoints - 1
-    parent = model.getFrameId(names[-1])
-    model.addFrame(pin.Frame(TOOL_FRAME, last, parent, placement, pin.FrameType.OP_FRAME))
     robot = assemble_robot(
         model,
-        flange_frame=TOOL_FRAME,
+        flange_frame=names[-1],
+        tool_placement=pin.SE3.Identity() if tool_placement is None else tool_placement,
         payload=payload,
         gravity_m_s2=gravity_m_s2,
         check_inertias=check_inertias,
@@ -129,13 +122,3 @@ def _add_joint(model: pin.Model, joint: SerialJoint) -> None:
     model.addJointFrame(index, -1)
     if joint.inertia[0] != 0.0:
         model.inertias[index] = pin.Inertia.FromDynamicParameters(joint.inertia.copy())
-
-
-def _rigid(placement: Any, name: str) -> pin.SE3:
-    homogeneous = placement.homogeneous if isinstance(placement, pin.SE3) else placement
-    matrix = finite_array(homogeneous, (4, 4), name)
-    rotation = matrix[:3, :3]
-    is_rotation = np.allclose(rotation @ rotation.T, np.eye(3), atol=1e-6)
-    if not is_rotation or np.linalg.det(rotation) < 0.0 or np.any(matrix[3] != [0, 0, 0, 1]):
-        raise InputError(f"{name} is not a rigid motion: {matrix.tolist()}")
-    return pin.SE3(rotation.copy(), matrix[:3, 3].copy())

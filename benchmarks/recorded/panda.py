@@ -15,9 +15,9 @@ import pinocchio as pin
 from benchmarks import DataError
 from benchmarks.benchmark import Drawing, Findings, Job, Progress, progress_part
 from benchmarks.force_metrics import wrench_metrics
+from benchmarks.force_plots import force_figures
 from benchmarks.methods import IDENTIFIERS, METHODS, ForceReading, joint_residual, virtual_force
 from benchmarks.metrics import Measurement
-from benchmarks.plots import force_drawings
 from benchmarks.recorded.liver import (
     LiverEstimates,
     LiverInsertion,
@@ -197,7 +197,7 @@ def run_panda_liver(job: Job, progress: Progress) -> Findings:
         readings.append(virtual_force(panda.robot, signals, real, method, TARE_s, part))
     drawings: tuple[Drawing, ...] = ()
     if job.drawings is not None:
-        drawings = force_drawings(job, job.drawings, truth, readings)
+        drawings = force_figures(job, job.drawings, truth, readings)
     found: list[Measurement] = []
     for reading in readings:
         found += [item for item in wrench_metrics(reading, truth) if item.metric != NOT_JUDGED]

@@ -39,8 +39,7 @@ from needleforce.cli.robot_options import (
     robot_arguments,
     robot_from_arguments,
 )
-from needleforce.plots import FiguresError, require_matplotlib
-from needleforce.plots.page import folder_if_filled
+from needleforce.plots import FiguresError, folder_if_filled, require_matplotlib
 from recordings import RecordingError, mapping_arguments
 from recordings.command.log_session import LogSession
 from recordings.command.mapping_arguments import mapping_from_arguments
@@ -322,7 +321,7 @@ def _run(arguments: Namespace) -> int:
         return _print_config(arguments, robot)
     check_outputs(arguments)
     if arguments.png is not None:
-        require_matplotlib("--png")
+        require_matplotlib("--png", arguments.png)
     drive = load_drive(arguments.friction, robot.nv) if arguments.friction else Drive()
     if drive.rotor_inertia_kg_m2 is not None:
         robot = robot.with_armature(drive.rotor_inertia_kg_m2)

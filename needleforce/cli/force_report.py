@@ -12,6 +12,7 @@ from needleforce.cli.force_replay import ForceResult, ForceRows, ForceStatistics
 from needleforce.plots import (
     Chart,
     Curve,
+    Instants,
     LineStyle,
     Page,
     PageFigure,
@@ -19,14 +20,14 @@ from needleforce.plots import (
     Panel,
     Section,
     Shading,
-    Ticks,
     palette,
-    save_png,
-    save_svg,
+    save_figure,
+    save_page_figure,
+    settings_table,
     write_page,
 )
 from needleforce.plots.chart import WIDTH_IN
-from needleforce.plots.page import PAGE, settings_table
+from needleforce.plots.page import PAGE
 from recordings.columns.force_codes import FORCE_STATUS
 from recordings.command.log_session import LogSession
 from recordings.tables.labels import Labels
@@ -150,12 +151,12 @@ def shadings(rows: ForceRows, tare: TareDone | None, start_s: float) -> tuple[Sh
     return tuple(found)
 
 
-def skipped_ticks(rows: ForceRows, start_s: float) -> tuple[Ticks, ...]:
+def skipped_ticks(rows: ForceRows, start_s: float) -> tuple[Instants, ...]:
     """Return strokes at rows that were skipped."""
     places = (rows.t_s - start_s)[rows.has_status(Status.REJECTED)]
     if not len(places):
         return ()
-    return (Ticks(label="skipped", color=palette.REJECTED, places=tuple(places.tolist())),)
+    return (Instants(label="skipped", style=palette.REJECTED, places=tuple(places.tolist())),)
 
 
 def runs(flags: NDArray[np.bool_]) -> list[tuple[int, int]]:
@@ -194,7 +195,7 @@ def force_chart(result: ForceResult, width_in: float = WIDTH_IN) -> Chart:
         x_label="time since the first sample [s]" if is_late else "time of the log [s]",
         panels=panels,
         shadings=shadings(rows, result.replay.tare, start_s),
-        ticks=skipped_ticks(rows, start_s),
+        instants=skipped_ticks(rows, start_s),
         x_limits=(float(rows.t_s.min()) - start_s, float(rows.t_s.max()) - start_s),
         width_in=width_in,
         height_in=0.8 + _PANEL_IN * len(panels),
@@ -381,19 +382,22 @@ def write_report(folder: Path, result: ForceResult, warnings: Sequence[str]) -> 
 
 
 def _figures(folder: Path, result: ForceResult) -> list[PageFigure]:
-    over_time = PageFigure(
-        path=save_svg(force_chart(result), folder / "forces"),
+    chart = travel_chart(result)
+    over_time = save_page_figure(
+        force_chart(result),
+        folder / "forces.svg",
+        is_alone=chart is None,
         alt=f"Estimated forces of {result.log} over time",
         caption="The force of the environment on the tool; the axial force is positive when "
         "tissue pushes back. The band is two standard deviations wide to either side: model "
         "errors, offsets and noise as the tare has learnt them. Grey lines are not tared and "
         "mean little.",
     )
-    chart = travel_chart(result)
     if chart is None:
         return [over_time]
-    over_travel = PageFigure(
-        path=save_svg(chart, folder / "forces-over-travel"),
+    over_travel = save_page_figure(
+        chart,
+        folder / "forces-over-travel.svg",
         alt=f"Axial force of {result.log} over the travel of the tool",
         caption="The same axial force over the travel of the tool along the needle since the "
         "first sample: in tissue the upper branch belongs to the way in, the lower to the way "
@@ -418,13 +422,13 @@ def save_picture(path: str | Path, result: ForceResult) -> None:
     """Draw the estimates.
 
     Args:
-        path: PNG file to write.
+        path: File to write, PNG, SVG or PDF.
         result: The estimates.
 
     Raises:
         figures.FiguresError: The file cannot be written.
     """
-    save_png(force_chart(result, _WIDTH_IN), path)
+    save_figure(force_chart(result, _WIDTH_IN), path)
 
 
 # The columns of the table of forces; every name carries its unit.

@@ -19,8 +19,7 @@ from needleforce.cli.identify_report import (
     save_figure,
     write_report,
 )
-from needleforce.plots import FiguresError, require_matplotlib
-from needleforce.plots.page import folder_if_filled
+from needleforce.plots import FiguresError, folder_if_filled, require_matplotlib
 from recordings import RecordingError, mapping_arguments
 from recordings.command.log_session import LogSession
 from recordings.command.mapping_arguments import mapping_from_arguments
@@ -187,7 +186,7 @@ def _run(arguments: Namespace) -> int:
         return 0
     check_outputs(arguments)
     if arguments.png is not None:
-        require_matplotlib("--png")
+        require_matplotlib("--png", arguments.png)
     optional = ("speed", "force_status", "force_warnings")
     log = LogSession(arguments, required=("depth", "force"), optional=optional)
     with folder_if_filled(arguments.report), log:

@@ -13,22 +13,22 @@ from identification.estimate import LayerEstimate
 from identification.log_replay import ReplayedRows
 from identification.multilayer_config import MULTILAYER
 from identification.published_config import PUBLISHED, PUBLISHED_KV
+from needleforce import plots
 from needleforce.plots import (
     Chart,
     Curve,
     Instants,
     Page,
-    PageFigure,
     PageTable,
     Panel,
     Section,
     palette,
-    save_png,
-    save_svg,
+    save_page_figure,
+    settings_table,
     write_page,
 )
 from needleforce.plots.chart import WIDTH_IN
-from needleforce.plots.page import PAGE, settings_table
+from needleforce.plots.page import PAGE
 from recordings.columns.force_codes import FORCE_STATUS, WORTHLESS
 from recordings.log_stream import LogChunk
 
@@ -122,7 +122,7 @@ _LATE_CLOCK_S = 1e5
 
 
 def save_figure(path: str | Path, result: IdentificationResult) -> None:
-    """Write the chart as PNG.
+    """Write the chart as PNG, SVG or PDF.
 
     Args:
         path: File to write.
@@ -131,7 +131,7 @@ def save_figure(path: str | Path, result: IdentificationResult) -> None:
     Raises:
         figures.FiguresError: It cannot be drawn or written.
     """
-    save_png(identification_chart(result, _PICTURE_IN), path)
+    plots.save_figure(identification_chart(result, _PICTURE_IN), path)
 
 
 def identification_chart(result: IdentificationResult, width_in: float = WIDTH_IN) -> Chart:
@@ -292,8 +292,10 @@ def write_report(folder: Path, result: IdentificationResult) -> Path:
     Raises:
         figures.FiguresError: A file cannot be written.
     """
-    figure = PageFigure(
-        path=save_svg(identification_chart(result), folder / "layers"),
+    figure = save_page_figure(
+        identification_chart(result),
+        folder / "layers.svg",
+        is_alone=True,
         alt=f"Forces and identified parameters of {result.log} over time",
         caption=_CAPTION,
     )

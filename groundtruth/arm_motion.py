@@ -1,0 +1,220 @@
+"""What the arm is commanded: the needle's straight line in joint space, and free joint motion."""
+
+from dataclasses import dataclass
+
+import numpy as np
+import pinocchio as pin
+from numpy.typing import NDArray
+from scipy.interpolate import BSpline, make_interp_spline
+
+from groundtruth.errors import PathError
+from groundtruth.plant_model import TICK_s
+from groundtruth.scenarios import Scenario
+from urdf import Robot
+
+Array = NDArray[np.float64]
+
+LWR_POSTURE_rad = (0.2, 0.4, 0.3, -1.5, -0.2, 1.2, 0.1)
+"""Where every run of the LWR starts, once `needle_down` has made it exactly vertical: elbow
+bent and out of the vertical plane, tip 0.29 m above the base. Condition number of the Jacobian
+8 to 10 over 0.24 m of travel, no joint within 25 degrees of a limit."""
+
+FREE_MOTION_s = 20.0
+"""Length of the joint motion that follows the tare stroke where there is no tissue."""
+
+_KNOT_SPACING_m = 5e-3
+_TOLERANCE = 1e-12
+_ITERATIONS = 50
+_MAX_CONDITION = 30.0
+
+# Incommensurate slow sines of the free motion: peak speeds near 0.5 rad/s; no two periods with a
+# small common multiple within a run.
+_AMPLITUDE_rad = np.array([0.55, 0.40, 0.50, 0.45, 0.50, 0.45, 0.40])
+_FREQUENCY_Hz = np.array([0.11, 0.13, 0.12, 0.14, 0.15, 0.16, 0.18])
+_REST_s = 1.0
+_FADE_s = 4.0
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class JointMotion:
+    """Joint motion at equally spaced ticks, arrays of shape (n + 1, 7)."""
+
+    q_rad: Array
+    dq_rad_s: Array
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class InsertionPath:
+    """A straight line of the tool frame along its own z axis, in joint space.
+
+    Quintic spline through knots solved to rounding every 5 mm; between knots the tip leaves the
+    line by less than a nanometre.
+
+    Attributes:
+        spline: Joint positions (7,) as a function of travel in m.
+        transform_start_to_base: Pose of the tool frame at travel zero; z is the insertion axis.
+    """
+
+    spline: BSpline
+    transform_start_to_base: pin.SE3
+
+
+def needle_down(robot: Robot, posture_rad: Array) -> Array:
+    """Turn a posture, tip kept in place, until the tool's z axis points straight down.
+
+    Args:
+        robot: Robot with a tool frame.
+        posture_rad: Shape (n,), tool within 90 degrees of vertical.
+
+    Returns:
+        Joint positions, shape (n,).
+
+    Raises:
+        PathError: The posture cannot be reached, or lies outside the limits or near a singularity.
+    """
+    data = robot.create_data()
+    pin.framesForwardKinematics(robot.model, data, posture_rad)
+    tool = data.oMf[robot.tool_frame_id]
+    down = np.array([0.0, 0.0, -1.0])
+    turn = pin.Quaternion.FromTwoVectors(tool.rotation[:, 2], down).matrix()
+    turned = _solve(robot, data, posture_rad, pin.SE3(turn @ tool.rotation, tool.translation))
+    _check_postures(robot, data, turned[None])
+    return turned
+
+
+def insertion_path(robot: Robot, start_rad: Array, travel_m: tuple[float, float]) -> InsertionPath:
+    """Plan the straight line along the tool's z axis, orientation kept.
+
+    Each knot takes the smallest joint step from its neighbour, so the redundancy is resolved by
+    least motion.
+
+    Args:
+        robot: Robot with a tool frame.
+        start_rad: Posture at travel zero, shape (n,).
+        travel_m: Smallest and largest travel needed, positive along the tool's z axis.
+
+    Returns:
+        The path, valid over that range and one knot beyond.
+
+    Raises:
+        PathError: The line leaves the workspace, the joint limits or comes near a singularity.
+    """
+    data = robot.create_data()
+    pin.framesForwardKinematics(robot.model, data, start_rad)
+    start = data.oMf[robot.tool_frame_id].copy()
+    first = int(np.floor(travel_m[0] / _KNOT_SPACING_m)) - 1
+    last = int(np.ceil(travel_m[1] / _KNOT_SPACING_m)) + 1
+    knots = {0: start_rad}
+    for indices in (range(1, max(last, 5) + 1), range(-1, first - 1, -1)):
+        posture = start_rad
+        for index in indices:
+            offset = pin.SE3(np.eye(3), np.array([0.0, 0.0, index * _KNOT_SPACING_m]))
+            posture = knots[index] = _solve(robot, data, posture, start * offset)
+    indices = sorted(knots)
+    postures = np.array([knots[index] for index in indices])
+    _check_postures(robot, data, postures)
+    spline = make_interp_spline(np.array(indices) * _KNOT_SPACING_m, postures, k=5)
+    return InsertionPath(spline=spline, transform_start_to_base=start)
+
+
+def _solve(robot: Robot, data: pin.Data, posture_rad: Array, target: pin.SE3) -> Array:
+    """Inverse kinematics by Newton steps of least norm."""
+    posture = np.array(posture_rad)
+    for _ in range(_ITERATIONS):
+        pin.framesForwardKinematics(robot.model, data, posture)
+        error = pin.log6(data.oMf[robot.tool_frame_id].actInv(target)).vector
+        if np.abs(error).max() < _TOLERANCE:
+            return posture
+        jacobian = pin.computeFrameJacobian(robot.model, data, posture, robot.tool_frame_id)
+        posture = posture + np.linalg.pinv(jacobian) @ error
+    raise PathError(
+        f"no posture reaches {target.translation.round(4)} m; start elsewhere or travel less"
+    )
+
+
+def _check_postures(robot: Robot, data: pin.Data, postures: Array) -> None:
+    outside = (postures < robot.position_lower_rad) | (postures > robot.position_upper_rad)
+    if outside.any():
+        joints = [robot.joint_names[j] for j in np.flatnonzero(outside.any(axis=0))]
+        raise PathError(f"the limits of {', '.join(joints)} are exceeded; start elsewhere")
+    for posture in postures:
+        jacobian = pin.computeFrameJacobian(robot.model, data, posture, robot.tool_frame_id)
+        if np.linalg.cond(jacobian) > _MAX_CONDITION:
+            raise PathError(
+                f"the arm is nearly singular at {posture.round(2)} rad; start elsewhere"
+            )
+
+
+def motion_along(path: InsertionPath, travel_m: Array, speed_m_s: Array) -> JointMotion:
+    """Follow a straight path with a given travel over time: q(s(t)) and dq/ds ds/dt.
+
+    Args:
+        path: The line in joint space, q(s).
+        travel_m: s at each tick, shape (n + 1,).
+        speed_m_s: Its rate at each tick, shape (n + 1,).
+    """
+    slope = path.spline(travel_m, nu=1)
+    return JointMotion(q_rad=path.spline(travel_m), dq_rad_s=slope * speed_m_s[:, None])
+
+
+def joint_excitation(centre_rad: Array, duration_s: float) -> JointMotion:
+    """Move all joints at once in free air, by slow sines that start and end at rest.
+
+    Args:
+        centre_rad: Posture around which the joints swing, shape (7,).
+        duration_s: Length of the run; a rest of 1 s at both ends is part of it.
+
+    Returns:
+        The motion, n = duration / tick + 1 samples.
+    """
+    time = np.arange(round(duration_s / TICK_s) + 1, dtype=np.float64) * TICK_s
+    moving_s = duration_s - 2.0 * _REST_s
+    moving = np.clip(time - _REST_s, 0.0, moving_s)
+    fade, fade_rate = _fade(moving, moving_s)
+    angle = 2.0 * np.pi * _FREQUENCY_Hz
+    sine, cosine = np.sin(moving[:, None] * angle), np.cos(moving[:, None] * angle)
+    rate = fade_rate[:, None] * sine + fade[:, None] * angle * cosine
+    at_rest = (time <= _REST_s) | (time >= duration_s - _REST_s)
+    rate[at_rest] = 0.0
+    return JointMotion(
+        q_rad=centre_rad + _AMPLITUDE_rad * fade[:, None] * sine, dq_rad_s=_AMPLITUDE_rad * rate
+    )
+
+
+def _fade(time: Array, duration_s: float) -> tuple[Array, Array]:
+    """Quintic fade-in and fade-out between 0 and 1, and its rate."""
+    edge = np.minimum(time, duration_s - time)
+    x = np.clip(edge / _FADE_s, 0.0, 1.0)
+    value = x**3 * (10.0 + x * (6.0 * x - 15.0))
+    rate = 30.0 * x**2 * (1.0 - x) ** 2 / _FADE_s
+    return value, np.where(time < duration_s / 2.0, rate, -rate)
+
+
+def scenario_path(robot: Robot, scenario: Scenario) -> InsertionPath:
+    """Plan the needle's line for a scenario, from the LWR's starting posture straight down.
+
+    Raises:
+        PathError: The line is out of the arm's reach.
+    """
+    start = needle_down(robot, np.array(LWR_POSTURE_rad))
+    motion = scenario.motion
+    return insertion_path(robot, start, (0.0, motion.deepest_m - motion.start_m))
+
+
+def scenario_motion(path: InsertionPath, scenario: Scenario) -> JointMotion:
+    """Sample a scenario's motion at the controller's ticks.
+
+    A scenario without layers keeps its tare stroke; a motion of all joints then takes the place
+    of the insertion.
+    """
+    motion = scenario.motion
+    end_s = motion.duration_s if scenario.layers else motion.tare_end_s
+    time = np.arange(round(end_s / TICK_s) + 1, dtype=np.float64) * TICK_s
+    along = motion_along(path, motion.position_m(time) - motion.start_m, motion.speed_m_s(time))
+    if scenario.layers:
+        return along
+    free = joint_excitation(along.q_rad[-1], FREE_MOTION_s)
+    return JointMotion(
+        q_rad=np.concatenate([along.q_rad, free.q_rad[1:]]),
+        dq_rad_s=np.concatenate([along.dq_rad_s, free.dq_rad_s[1:]]),
+    )

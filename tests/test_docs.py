@@ -1,0 +1,108 @@
+"""README and docs say what there is: examples run, commands exist, links lead somewhere."""
+
+import io
+import re
+from contextlib import redirect_stdout
+from pathlib import Path
+
+import pytest
+
+from needleforce import InsertionSession
+from needleforce.snapshot import SNAPSHOT_FORMAT, SNAPSHOT_VERSION
+from residual import SensorWarning, Status
+from residual.config import DEFAULT
+from residual.estimate import UNSEEN_STD
+from residual.velocity_estimator import VelocityEstimator
+
+ROOT = Path(__file__).parents[1]
+PAGES = sorted([ROOT / "README.md", *(ROOT / "docs").glob("*.md")])
+README = (ROOT / "README.md").read_text(encoding="utf-8")
+LOOP = (ROOT / "docs" / "loop.md").read_text(encoding="utf-8")
+
+
+def run_example(code):
+    """Names and printed text of an example."""
+    names, said = {}, io.StringIO()
+    with redirect_stdout(said):
+        exec(compile(code, "example", "exec"), names)
+    return names, said.getvalue()
+
+
+def examples(text):
+    return re.findall(r"^```python\n(.*?)^```$", text, re.DOTALL | re.MULTILINE)
+
+
+def marked_command(name):
+    """The block that `.ci/run` takes from under a mark."""
+    pattern = rf"^<!-- command: {name} -->\n```sh\n(.*?)^```$"
+    (found,) = re.findall(pattern, README, re.DOTALL | re.MULTILINE)
+    return found.strip()
+
+
+def test_the_readmes_example_finds_the_layers():
+    (code,) = examples(README)
+    assert len([line for line in code.splitlines() if line]) <= 14
+    names, said = run_example(code)
+    truth = names["run"].scenario.layers
+    for found, true in zip(names["session"].layers, truth, strict=True):
+        assert found.thickness_m == pytest.approx(true.thickness_m, abs=1e-3)
+    assert said.count("rupture of layer") == len(truth)
+    assert len(re.findall(r"mm, friction \d\.\d\d ± \d\.\d\d N", said)) == len(truth)
+
+
+def test_the_readme_is_short_and_its_first_screen_says_what_and_for_whom():
+    assert len(README.split()) <= 1600
+    first = "\n".join(README.splitlines()[:20])
+    for word in ("virtual force/torque sensor", "control engineers", "researchers", "rupture"):
+        assert word in first
+
+
+def test_the_two_commands_install_and_run():
+    assert marked_command("run").startswith('pip install ".[bench]" && python -m benchmarks run')
+    assert marked_command("test") == 'pip install ".[test]" && python -m pytest'
+
+
+def test_every_package_has_a_row():
+    packages = {path.parent.name for path in ROOT.glob("*/__init__.py")}
+    table = README.split("| package | what it does | imports |")[1].split("\n\n")[0]
+    assert set(re.findall(r"^\| \[`(\w+)`\]", table, re.MULTILINE)) == packages
+
+
+def test_the_lags_it_states_are_those_delivered():
+    assert f"late by 1/K, {1e3 / DEFAULT.gain_per_s:.0f} ms" in README
+    delay_s = VelocityEstimator(7, DEFAULT.velocity_bandwidth_per_s).delay_s
+    assert f"by {1e3 * delay_s:.0f} ms more" in README
+
+
+@pytest.mark.parametrize("page", PAGES, ids=lambda page: page.name)
+def test_every_link_leads_to_a_file(page):
+    text = page.read_text(encoding="utf-8")
+    targets = re.findall(r"\]\(([^)#:\s]+)(?:#[^)]*)?\)", text)
+    assert [name for name in targets if not (page.parent / name).exists()] == []
+    files = re.findall(
+        r"`((?:urdf|residual|identification|groundtruth|needleforce|benchmarks"
+        r"|examples|docs|tests)/[\w/]+\.\w+)`",
+        text,
+    )
+    assert [name for name in files if not (ROOT / name).is_file()] == []
+
+
+def test_the_loops_example_makes_a_session():
+    (code,) = examples(LOOP)
+    assert isinstance(run_example(code)[0]["session"], InsertionSession)
+
+
+@pytest.mark.parametrize("member", [*Status, *(one for one in SensorWarning if one)])
+def test_every_status_and_warning_has_a_row(member):
+    assert f"| `{member.name}` |" in LOOP
+
+
+def test_every_call_the_loop_lists_exists():
+    calls = re.findall(r"^\| `(\w+)\(", LOOP, re.MULTILINE)
+    assert {"update", "tare", "begin_insertion"} <= set(calls)
+    assert [name for name in calls if not hasattr(InsertionSession, name)] == []
+
+
+def test_the_format_of_snapshots_is_the_one_written():
+    assert f'"format": "{SNAPSHOT_FORMAT}", "version": {SNAPSHOT_VERSION}' in LOOP
+    assert f"{UNSEEN_STD:.0e}".replace("+0", "") in LOOP

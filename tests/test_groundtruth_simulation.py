@@ -1,0 +1,154 @@
+"""A whole run of the simulated arm: physics, truth, signals, and what it reports."""
+
+from dataclasses import fields, replace
+
+import numpy as np
+import pinocchio as pin
+import pytest
+from scipy.signal import lfilter
+
+from groundtruth import PLANT_MODELS, Run, Scenario, Signals, simulate
+from groundtruth.errors import PlantError, PlantModelError, ScenarioError
+from groundtruth.materials import gel
+from groundtruth.motion import Motion, chain_strokes
+from groundtruth.plant_model import TICK_s
+
+GAIN_PER_S = 50.0
+GRAVITY = 9.80665
+
+
+def short_scenario(exit_force_N):
+    """One thin gel and little air: 7 s in all."""
+    moves = [
+        ("rest", 0.5, 0.0),
+        ("quintic", 1.0, 0.01),
+        ("cruise", 2.0, 0.016),
+        ("rest", 0.5, 0.0),
+        ("cruise", 2.0, -0.016),
+        ("rest", 0.5, 0.0),
+    ]
+    strokes = chain_strokes(-0.014, moves, ramp_fraction=0.2)
+    names = ("tare_end_s", "insertion_end_s", "withdrawal_start_s", "withdrawal_end_s")
+    instants = dict(zip(names, (stroke.end_s for stroke in strokes[1:5]), strict=True))
+    layer = replace(gel(70), thickness_m=8e-3, exit_force_N=exit_force_N)
+    motion = Motion(strokes=strokes, **instants)
+    return Scenario(id="short", title="one thin gel", layers=(layer,), motion=motion)
+
+
+SCENARIO = short_scenario(1.4)
+
+
+@pytest.fixture(scope="module")
+def runs() -> dict[str, Run]:
+    return {name: simulate(SCENARIO, plant=name, seed=1) for name in PLANT_MODELS}
+
+
+def observer_error(run: Run, model: pin.Model):
+    """Exact-step momentum residual of true signals against the ideal filter of the true torque."""
+    truth, data = run.truth, model.createData()
+    rows = list(zip(truth.q_rad, truth.dq_rad_s, strict=True))
+    momentum = np.array([pin.crba(model, data, q) @ dq for q, dq in rows])
+    rate = np.array(
+        [
+            pin.computeCoriolisMatrix(model, data, q, dq).T @ dq
+            - pin.computeGeneralizedGravity(model, data, q)
+            for q, dq in rows
+        ]
+    )
+    seen = np.diff(momentum, axis=0) / TICK_s - truth.tau_Nm[:-1] - 0.5 * (rate[1:] + rate[:-1])
+    decay = np.exp(-GAIN_PER_S * TICK_s)
+    return lfilter([1.0 - decay], [1.0, -decay], seen - truth.external_torque_Nm[:-1], axis=0)
+
+
+def test_momentum_observer_on_the_ideal_arm_is_the_ideal_filter(runs):
+    run = runs["ideal"]
+    error = observer_error(run, run.robot.model)
+    assert np.sqrt((error**2).mean(axis=0)).max() < 1e-6
+    assert np.abs(run.truth.external_torque_Nm).max() > 0.1
+
+
+def test_momentum_observer_in_free_motion_is_the_ideal_filter(monkeypatch):
+    monkeypatch.setattr("groundtruth.arm_motion.FREE_MOTION_s", 10.0)
+    run = simulate("free-motion")
+    assert np.abs(run.truth.dq_rad_s).max() > 0.3
+    error = observer_error(run, run.robot.model)
+    assert np.sqrt((error**2).mean(axis=0)).max() < 2e-6
+    assert not run.truth.axial_N.any()
+    assert np.isnan(run.contact_s)
+    assert np.isnan(run.withdrawn_s)
+
+
+def test_the_clean_arm_disagrees_with_the_estimators_model(runs):
+    run = runs["clean"]
+    error = observer_error(run, run.robot.model)
+    assert 0.05 < np.abs(error[1000:]).max() < 1.0
+
+
+@pytest.mark.parametrize("name", PLANT_MODELS)
+def test_needle_follows_its_motion_and_the_truth_adds_up_in_order(runs, name):
+    run, truth = runs[name], runs[name].truth
+    wanted = run.scenario.motion.position_m(truth.t_s)
+    assert np.abs(truth.depth_m - wanted).max() < 1e-4
+    np.testing.assert_allclose(truth.tip_N + truth.friction_N, truth.axial_N, atol=1e-12)
+    np.testing.assert_allclose(truth.layer_friction_N.sum(axis=1), truth.friction_N, atol=1e-12)
+    moving = np.abs(truth.speed_m_s) > 1e-4
+    assert (truth.friction_N * np.sign(truth.speed_m_s))[moving].min() > -0.2
+    assert truth.axial_N.max() > 0.2
+    (rupture,) = truth.rupture_s
+    assert run.tare_end_s < run.contact_s < rupture < run.withdrawn_s < truth.t_s[-1]
+    assert not truth.axial_N[truth.t_s < run.contact_s].any()
+
+
+def test_ft_reading_is_weight_minus_the_axial_force_of_the_tissue(runs):
+    run = runs["ideal"]
+    weight = run.tool.beyond_sensor.mass_kg * GRAVITY
+    reading = weight - run.signals.ft_wrench[:, 2]
+    # what remains is the needle's inertia: 0.068 kg at less than 0.1 m/s^2
+    np.testing.assert_allclose(reading, run.truth.axial_N, atol=0.01)
+
+
+def test_equal_arguments_give_equal_runs_and_other_seeds_do_not(runs):
+    done: list[float] = []
+    one, again = runs["degraded"], simulate(SCENARIO, "degraded", 1, done.append)
+    assert (done[0], done[-1]) == (0.0, 1.0)
+    assert done == sorted(done)
+    assert len(done) > 5
+    for first, second in ((one.signals, again.signals), (one.truth, again.truth)):
+        for item in fields(first):
+            mine, theirs = getattr(first, item.name), getattr(second, item.name)
+            if isinstance(mine, np.ndarray):
+                assert np.array_equal(mine, theirs), item.name
+                assert not mine.flags.writeable
+            else:
+                assert mine == theirs
+    other = simulate(SCENARIO, plant="degraded", seed=2)
+    assert abs(other.signals.tau_Nm[:50] - again.signals.tau_Nm[:50]).mean() > 0.05
+
+
+def test_plant_models_give_what_they_promise(runs):
+    ideal, clean, degraded = (run.signals for run in runs.values())
+    np.testing.assert_array_equal(ideal.tau_Nm, runs["ideal"].truth.tau_Nm)
+    assert clean.dq_rad_s is not None
+    assert degraded.dq_rad_s is None
+    assert np.ptp(np.diff(clean.t_s)) < 1e-9
+    assert np.diff(degraded.t_s).max() > 1.5e-3
+    assert (np.diff(degraded.t_s) > 0.0).all()
+    for signals, run in ((ideal, runs["ideal"]), (degraded, runs["degraded"])):
+        assert len(signals.t_s) == len(signals.tau_Nm) == len(run.truth.axial_N)
+    names = {item.name for item in fields(Signals)}
+    assert names == {"t_s", "q_rad", "dq_rad_s", "tau_Nm", "ft_wrench"}
+    robots = [run.robot.model.inertias for run in runs.values()]
+    for one, two, three in zip(*robots, strict=True):
+        assert one == two == three  # the estimator's robot is nominal, whatever the arm
+
+
+def test_unknown_names_are_refused():
+    with pytest.raises(ScenarioError, match="no-such"):
+        simulate("no-such")
+    with pytest.raises(PlantModelError, match="'no-such'; choose one of ideal, clean, degraded"):
+        simulate("gel-70-constant", plant="no-such")
+
+
+def test_tissue_that_throws_the_arm_off_is_reported():
+    with pytest.raises(PlantError, match="softer tissue"):
+        simulate(short_scenario(4e5))
