@@ -44,8 +44,8 @@ def test_a_needle_alone_gives_both_methods_on_the_ft_sensor(found):
 
 def test_its_charts_are_drawn_and_its_tables_have_lines(found):
     assert [drawing.path.name for drawing in found.drawings] == [
-        "short-needle-0-ft-paper.svg",
-        "short-needle-0-ft-default.svg",
+        "short-needle-0-ft-published.svg",
+        "short-needle-0-ft-ours.svg",
     ]
     assert all(drawing.path.stat().st_size > 10_000 for drawing in found.drawings)
     rows = [item.row("gel-70-constant", "needle", 0) for item in found.measurements]
