@@ -7,6 +7,7 @@ from functools import partial
 import numpy as np
 import pinocchio as pin
 import pytest
+from identification.multilayer_config import MULTILAYER
 from insertion_run import short_run, tare_index
 
 from benchmarks import BenchmarkError, speed
@@ -40,7 +41,6 @@ from benchmarks.stream import (
     run_python,
 )
 from identification.log_replay import ReplayStream
-from identification.multilayer_config import MULTILAYER
 from needleforce.recordings import write_table
 
 
