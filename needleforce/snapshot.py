@@ -23,7 +23,7 @@ from identification import Snapshot as IdentifierSnapshot
 from identification.multilayer_state import MultilayerState
 from identification.published_identifier import PublishedState
 from needleforce.session import SessionSnapshot, SnapshotFileError
-from residual.snapshot import SensorState
+from residual.virtual_force_sensor import SensorState
 
 SNAPSHOT_FORMAT = "needleforce-snapshot"
 SNAPSHOT_VERSION = 4
