@@ -15,7 +15,7 @@ import numpy as np
 import pinocchio as pin
 
 from urdf.errors import Array, InputError, UnknownNameError, UnsupportedJointError, UrdfFileError
-from urdf.inertia import parameters_about_com, require_physical
+from urdf.inertia import require_physical
 
 MAX_LINKS = 1000
 """Most links of a robot; more are refused. urdfdom and Pinocchio recurse once per link of a chain
@@ -31,12 +31,7 @@ def read_description(path: Path, without: Iterable[str] = ()) -> Element:
     """Read a URDF file down to what a model needs: links with their inertia, and joints.
 
     Shapes, materials and extensions are dropped, and so are the links ``without`` with all that
-    they carry.
-
-    Raises:
-        UrdfFileError: Missing, not readable, too large, not XML or not a URDF.
-        UnknownNameError: A link to leave out does not exist.
-        InputError: ``without`` is a string, or names the root link.
+    they carry. The errors of this file are those of `urdf.load_urdf`.
     """
     if isinstance(without, str):
         raise InputError(f"without is the string {without!r}, expected a list of link names")
@@ -68,16 +63,20 @@ def read_description(path: Path, without: Iterable[str] = ()) -> Element:
 def check_description(
     root: Element, source: str, *, locked: Collection[str], check_inertias: bool
 ) -> None:
-    """Check the joints that will not be locked, and the inertias.
-
-    Raises:
-        UrdfFileError: A number of an inertia is missing or does not parse.
-        UnsupportedJointError: A joint with more than one number, or one that mimics another.
-        InertiaError: With ``check_inertias``, a link with inertia no rigid body can have.
-    """
+    """Check the joints that will not be locked, and the inertias (always that they parse)."""
     for joint in root.findall("joint"):
-        if joint.get("name", "") not in locked:
-            _check_joint(joint, source)
+        name, kind, mimic = joint.get("name", ""), joint.get("type"), joint.find("mimic")
+        if name not in locked and kind not in _ONE_NUMBER_JOINTS:
+            raise UnsupportedJointError(
+                f"{source}: joint {name!r} is of type {kind!r}, expected one of "
+                f"{', '.join(_ONE_NUMBER_JOINTS)}; lock it with locked_joints, or give a "
+                "continuous joint limits and call it revolute"
+            )
+        if name not in locked and mimic is not None:
+            raise UnsupportedJointError(
+                f"{source}: joint {name!r} mimics {mimic.get('joint')!r}, so it does not move on "
+                "its own; lock it with locked_joints"
+            )
     for link in root.findall("link"):
         inertial = link.find("inertial")
         if inertial is not None:
@@ -88,11 +87,7 @@ def check_description(
 
 
 def build_model(root: Element, source: str) -> pin.Model:
-    """Return the Pinocchio model of a checked description.
-
-    Raises:
-        UrdfFileError: urdfdom refuses it, or has lost mass on the way.
-    """
+    """Return the Pinocchio model of a checked description; urdfdom may still refuse it."""
     try:
         model = pin.buildModelFromXML(ElementTree.tostring(root, encoding="unicode"))
     except (ValueError, RuntimeError) as error:
@@ -161,39 +156,16 @@ def _link_of(joint: Element, end: str) -> str | None:
     return None if element is None else element.get("link")
 
 
-def _check_joint(joint: Element, source: str) -> None:
-    name, kind = joint.get("name"), joint.get("type")
-    if kind not in _ONE_NUMBER_JOINTS:
-        raise UnsupportedJointError(
-            f"{source}: joint {name!r} is of type {kind!r}, expected one of "
-            f"{', '.join(_ONE_NUMBER_JOINTS)}; "
-            "lock it with locked_joints, or give a continuous joint limits and call it revolute"
-        )
-    mimic = joint.find("mimic")
-    if mimic is not None:
-        raise UnsupportedJointError(
-            f"{source}: joint {name!r} mimics {mimic.get('joint')!r}, so it does not move on its "
-            "own; lock it with locked_joints"
-        )
-
-
 def _inertial_parameters(inertial: Element, owner: str) -> Array:
-    """Return the ten parameters about the centre of mass, in the axes of the inertial's origin.
-
-    Whether a body is physical depends neither on where its centre of mass is nor on the axes, so
-    the origin is only parsed.
-    """
+    """Return the ten parameters about the centre of mass, in the axes of the inertial's origin."""
     origin = inertial.find("origin")
-    for key in ("xyz", "rpy"):
-        if origin is not None and key in origin.attrib:
-            _numbers(inertial, "origin", key, owner, count=3)
-    mass = _numbers(inertial, "mass", "value", owner)[0]
-    xx, xy, xz, yy, yz, zz = (
-        _numbers(inertial, "inertia", key, owner)[0]
-        for key in ("ixx", "ixy", "ixz", "iyy", "iyz", "izz")
-    )
-    inertia = np.array([[xx, xy, xz], [xy, yy, yz], [xz, yz, zz]])
-    return parameters_about_com(mass, np.zeros(3), inertia)
+    # Only parsed: a body is physical wherever it is, in any axes.
+    for key in () if origin is None else {"xyz", "rpy"}.intersection(origin.attrib):
+        _numbers(inertial, "origin", key, owner, count=3)
+    mass = _numbers(inertial, "mass", "value", owner)
+    moments = ("ixx", "ixy", "iyy", "ixz", "iyz", "izz")  # in Pinocchio's order
+    inertia = [_numbers(inertial, "inertia", key, owner)[0] for key in moments]
+    return np.array([*mass, 0.0, 0.0, 0.0, *inertia])
 
 
 def _numbers(inertial: Element, tag: str, key: str, owner: str, count: int = 1) -> list[float]:

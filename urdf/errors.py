@@ -44,13 +44,7 @@ def read_only(array: ArrayLike) -> Array:
 
 
 def finite_array(value: ArrayLike, shape: tuple[int, ...], name: str) -> Array:
-    """Return a read-only copy of ``value`` after checking its shape and that it is finite.
-
-    In ``shape`` -1 stands for any length of at least one; the message begins with ``name``.
-
-    Raises:
-        InputError: Not numeric, of another shape, or with NaN or infinite entries.
-    """
+    """Return a read-only copy or raise `InputError`; in ``shape`` -1 is any length above 0."""
     wanted = str(shape).replace("-1", "n")
     try:
         array = read_only(value)

@@ -53,7 +53,7 @@ def parameters_about_com(mass_kg: float, com_m: Array, inertia_kg_m2: Array) -> 
 def moved_parameters(parameters: Array, rotation: Array, translation_m: Array) -> Array:
     """Describe the same body in another frame, where its points p are at R p + t.
 
-    The pseudo-inertia transforms as T J T^T with T = [[R, t], [0, 1]], so the map is linear in phi.
+    With T = [[R, t], [0, 1]] the pseudo-inertia becomes T J T^T: the map is linear in phi.
     """
     transform = np.eye(4)
     transform[:3, :3] = rotation
@@ -62,12 +62,7 @@ def moved_parameters(parameters: Array, rotation: Array, translation_m: Array) -
 
 
 def require_mass(parameters: Array, owner: str) -> None:
-    """Check that parameters can be computed with, and are those of no body if it has no mass.
-
-    Raises:
-        InertiaError: Not finite, beyond any robot's size, or moments without a mass; the message
-            begins with ``owner``.
-    """
+    """Raise `InertiaError`, naming the owner, for absurd numbers or moments without a mass."""
     if not np.all(np.abs(parameters) <= _LARGEST):
         raise InertiaError(
             f"{owner}: inertial parameters {parameters.tolist()} (mass, first moments, inertia) "
@@ -78,12 +73,7 @@ def require_mass(parameters: Array, owner: str) -> None:
 
 
 def require_physical(parameters: Array, owner: str) -> None:
-    """Check that a rigid body can have these parameters (to the rounding of a written table).
-
-    Raises:
-        InertiaError: As `require_mass`, or negative mass, an inertia about the centre of mass that
-            is not positive semidefinite, or principal moments that break the triangle inequality.
-    """
+    """Raise `InertiaError` unless a body can have these, to the rounding of a written table."""
     require_mass(parameters, owner)
     mass = parameters[0]
     if mass < 0.0:
@@ -118,11 +108,8 @@ def nearest_body(solution: Array, information_root: Array) -> Array:
 
     The consistent parameters are a convex cone, J(phi) positive semidefinite, so there is one
     answer. It is approached from inside by Newton's method with a barrier ``-mu log det J(phi)``
-    whose weight shrinks; the cost ends within 4 mu of the least.
-
-    Args:
-        solution: Ten parameters in units in which they are of comparable size, shape (10,).
-        information_root: R, shape (10, 10).
+    whose weight shrinks; the cost ends within 4 mu of the least. ``solution`` is in units in which
+    parameters are of comparable size; ``information_root`` is R, shape (10, 10).
     """
     strongest = np.linalg.norm(information_root, 2)
     root = np.vstack([information_root / strongest, _PRIOR * np.eye(10)])
@@ -130,28 +117,17 @@ def nearest_body(solution: Array, information_root: Array) -> Array:
     size = max(float(np.linalg.norm(solution)), 1e-12)
     parameters = np.array([1.0, 0, 0, 0, 1, 0, 1, 0, 0, 1]) * size
     for barrier in _BARRIERS * size**2:
-        parameters = _centre(parameters, solution, hessian, barrier)
-    return parameters
-
-
-def is_consistent(parameters: Array) -> bool:
-    """Whether the pseudo-inertia is positive semidefinite, exactly: no allowance for rounding."""
-    return bool(np.linalg.eigvalsh(pseudo_inertia(parameters))[0] >= 0.0)
-
-
-def _centre(parameters: Array, solution: Array, hessian: Array, barrier: float) -> Array:
-    """Minimise half the cost plus the barrier, starting from inside the cone.
-
-    The sum divided by ``barrier`` is self-concordant: a Newton step shortened by 1 / (1 + its
-    decrement) never leaves the cone and always descends (Boyd and Vandenberghe, section 9.6).
-    """
-    for _ in range(100):
-        scaled = np.linalg.solve(pseudo_inertia(parameters), _BASIS)
-        slope = hessian @ (parameters - solution) / barrier - np.trace(scaled, axis1=1, axis2=2)
-        curvature = hessian / barrier + np.einsum("aij,bji->ab", scaled, scaled)
-        step = np.linalg.solve(curvature, slope)
-        decrement = float(np.sqrt(max(slope @ step, 0.0)))
-        parameters = parameters - step / (1.0 + decrement)
-        if decrement < 1e-3:
-            break
+        # Half the cost plus the barrier, divided by ``barrier``, is self-concordant: a Newton step
+        # shortened by 1 / (1 + its decrement) never leaves the cone and always descends (Boyd and
+        # Vandenberghe, section 9.6).
+        for _ in range(100):
+            scaled = np.linalg.solve(pseudo_inertia(parameters), _BASIS)
+            slope = hessian @ (parameters - solution) / barrier
+            slope -= np.trace(scaled, axis1=1, axis2=2)
+            curvature = hessian / barrier + np.einsum("aij,bji->ab", scaled, scaled)
+            step = np.linalg.solve(curvature, slope)
+            decrement = float(np.sqrt(max(slope @ step, 0.0)))
+            parameters = parameters - step / (1.0 + decrement)
+            if decrement < 1e-3:
+                break
     return parameters

@@ -2,11 +2,11 @@
 
 import sys
 from collections.abc import Iterable, Mapping
+from contextlib import suppress
 from importlib import metadata
 from importlib.resources import files
 from os import PathLike
 from pathlib import Path
-from typing import NamedTuple
 
 import numpy as np
 import pinocchio as pin
@@ -48,15 +48,12 @@ def load_urdf(
             its inertia and all that it carries.
         gravity_m_s2: Gravity in base axes, shape (3,), m/s^2.
         payload: What hangs on the flange, in its frame.
-        check_inertias: False accepts links no rigid body could be; identified models often have
-            such.
+        check_inertias: False accepts links no rigid body could be, as identified models have.
 
     Raises:
         UrdfFileError: Missing, unreadable, malformed or too large a file.
-        UnknownNameError: No such tool frame, link or joint, or no single last link to take by
-            default.
-        UnsupportedJointError: A joint that is continuous, planar, floating or a mimic, and not
-            locked.
+        UnknownNameError: No such tool frame, link or joint, or no single last link.
+        UnsupportedJointError: A joint of several numbers or a mimic, not locked; none that moves.
         InertiaError: A link with inertia no rigid body can have, or a joint that moves none.
         InputError: Gravity, payload, placement or locked positions of the wrong kind.
     """
@@ -89,34 +86,25 @@ def load_lwr(
         payload: A body in the flange frame; or a needle tool, which adds the frames ``ft_sensor``
             and ``needle_tip`` (z in the direction of insertion) and makes ``needle_tip`` the tool
             frame. Without one the tool frame is ``flange``.
-        gravity_m_s2: Gravity in base axes, shape (3,), m/s^2.
-
-    Raises:
-        InputError: Payload or gravity of the wrong kind.
+        gravity_m_s2: As in `load_urdf`, which names the errors.
     """
     return load_example("lwr4plus", payload=payload, gravity_m_s2=gravity_m_s2)
 
 
-class _Example(NamedTuple):
-    file: str  # in urdf/data, or below robots/ of example-robot-data
-    tool_frames: tuple[str, ...]  # the first that is not left out is the tool frame
-    fingers: tuple[str, ...] = ()  # joints that are locked unless left out
-
-
+# File in urdf/data, or below robots/ of example-robot-data.
 _EXAMPLES = {
-    "panda": _Example(
-        "panda_description/urdf/panda.urdf",
-        ("panda_hand_tcp", "panda_hand", "panda_link8"),
-        ("panda_finger_joint1", "panda_finger_joint2"),
-    ),
-    "ur3": _Example("ur_description/urdf/ur3_robot.urdf", ("tool0",)),
-    "ur5": _Example("ur_description/urdf/ur5_robot.urdf", ("tool0",)),
-    "ur10": _Example("ur_description/urdf/ur10_robot.urdf", ("tool0",)),
-    "xarm7": _Example("xarm_description/urdf/xarm7.urdf", ("link_eef",)),
-    "ur5e": _Example("ur5e.urdf", ("tool0",)),
-    "ur10e": _Example("ur10e.urdf", ("tool0",)),
-    "lwr4plus": _Example("lwr4plus.urdf", ("flange",)),
+    "panda": "panda_description/urdf/panda.urdf",
+    "ur3": "ur_description/urdf/ur3_robot.urdf",
+    "ur5": "ur_description/urdf/ur5_robot.urdf",
+    "ur10": "ur_description/urdf/ur10_robot.urdf",
+    "xarm7": "xarm_description/urdf/xarm7.urdf",
+    "ur5e": "ur5e.urdf",
+    "ur10e": "ur10e.urdf",
+    "lwr4plus": "lwr4plus.urdf",
 }
+# Of these, the first that an arm has is its tool frame.
+_TOOL_FRAMES = ("panda_hand_tcp", "panda_hand", "panda_link8", "tool0", "link_eef", "flange")
+_FINGERS = ("panda_finger_joint1", "panda_finger_joint2")
 _PACKAGE = "example-robot-data"
 
 
@@ -132,27 +120,24 @@ def load_example(
     """Load a well-known arm by name, with its tool frame set and its fingers locked.
 
     The UR arms have their tool frame in the flange face (``tool0``, z outward), xArm 7 in
-    ``link_eef``. Panda has it between the finger tips (``panda_hand_tcp``); with
-    ``without=["panda_hand"]`` the hand's 0.76 kg are gone and it lies in the flange face
-    (``panda_link8``).
+    ``link_eef``, Panda between the finger tips (``panda_hand_tcp``) or, with
+    ``without=["panda_hand"]`` and 0.76 kg less, in the flange face (``panda_link8``).
 
     Names are panda, ur3, ur5, ur10, xarm7 (from the package example-robot-data), ur5e, ur10e and
-    lwr4plus (shipped here). The other arguments are those of `load_urdf`.
+    lwr4plus (shipped here). The other arguments and errors are those of `load_urdf`.
 
     Raises:
-        UnknownNameError: Another name, or a frame or link that the arm does not have.
+        UnknownNameError: Another name.
         MissingPackageError: example-robot-data is needed and not installed.
-        InputError: Gravity, payload or placement of the wrong kind.
     """
     path = example_robot_path(name)
-    example = _EXAMPLES[name]
     without = without if isinstance(without, str) else tuple(without)
     left = {element.get("name") for element in read_description(path, without)}
     return load_urdf(
         path,
-        tool_frame=tool_frame or next((f for f in example.tool_frames if f in left), None),
+        tool_frame=tool_frame or next((frame for frame in _TOOL_FRAMES if frame in left), None),
         tool_placement=tool_placement,
-        locked_joints=[joint for joint in example.fingers if joint in left],
+        locked_joints=[joint for joint in _FINGERS if joint in left],
         without=without,
         gravity_m_s2=gravity_m_s2,
         payload=payload,
@@ -163,40 +148,25 @@ def example_robot_path(name: str) -> Path:
     """Return the URDF file of an arm that `load_example` loads.
 
     With `load_urdf` Panda needs ``tool_frame`` (such as ``panda_hand_tcp``) and its two finger
-    joints locked; the UR arms need ``tool_frame`` (``tool0``).
-
-    Args:
-        name: See `load_example`.
-
-    Raises:
-        UnknownNameError: Another name.
-        MissingPackageError: example-robot-data is needed and not installed.
+    joints locked; the UR arms need ``tool_frame`` (``tool0``). Names and errors as there.
     """
     if name not in _EXAMPLES:
         raise UnknownNameError(
             f"there is no example robot {name!r}; robots: {', '.join(_EXAMPLES)}; "
             "load_urdf(FILE) loads any other"
         )
-    file = _EXAMPLES[name].file
-    folders = [Path(str(files("urdf.data")))]
-    folders += [prefix / "share" / _PACKAGE / "robots" for prefix in _prefixes()]
-    for folder in folders:
-        if (folder / file).is_file():
-            return folder / file
+    prefixes = [Path(sys.prefix)]  # here conda puts shared data, and there pip (a cmeel wheel)
+    with suppress(metadata.PackageNotFoundError):
+        located = metadata.distribution(_PACKAGE).locate_file("cmeel.prefix")
+        prefixes.insert(0, Path(str(located)))
+    folders = [prefix / "share" / _PACKAGE / "robots" for prefix in prefixes]
+    for folder in (Path(str(files("urdf.data"))), *folders):
+        if (folder / _EXAMPLES[name]).is_file():
+            return folder / _EXAMPLES[name]
     raise MissingPackageError(
         f"the description of {name!r} comes with {_PACKAGE}, which is not installed; "
         f"pip install {_PACKAGE}"
     )
-
-
-def _prefixes() -> list[Path]:
-    """Return where pip (a cmeel wheel) and conda put shared data."""
-    prefixes = [Path(sys.prefix)]
-    try:
-        located = metadata.distribution(_PACKAGE).locate_file("cmeel.prefix")
-    except metadata.PackageNotFoundError:
-        return prefixes
-    return [Path(str(located)), *prefixes]
 
 
 def _locked_positions(locked_joints: Iterable[str] | Mapping[str, float]) -> dict[str, float]:
@@ -231,12 +201,9 @@ def _lock(model: pin.Model, locked: dict[str, float], source: str) -> pin.Model:
 
 def _last_link(model: pin.Model, source: str) -> str:
     """Return the one link that moves and carries no other."""
-    parents = {frame.parentFrame for frame in model.frames}
-    ends = [
-        frame.name
-        for index, frame in enumerate(model.frames)
-        if index not in parents and frame.parentJoint != 0
-    ]
+    inner = {0, *(frame.parentFrame for frame in model.frames)}
+    frames = enumerate(model.frames)
+    ends = [f.name for index, f in frames if index not in inner and f.parentJoint != 0]
     if len(ends) != 1:
         raise UnknownNameError(
             f"{source}: give tool_frame, for there is no single last link; "

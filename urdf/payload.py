@@ -8,12 +8,7 @@ import pinocchio as pin
 from numpy.typing import ArrayLike
 
 from urdf.errors import Array, InputError, finite_array, read_only
-from urdf.inertia import (
-    moved_parameters,
-    parameters_about_com,
-    require_mass,
-    require_physical,
-)
+from urdf.inertia import moved_parameters, parameters_about_com, require_mass, require_physical
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -48,16 +43,7 @@ class Payload:
 
     @classmethod
     def from_parameters(cls, parameters: ArrayLike) -> Self:
-        """Build a payload from its ten parameters.
-
-        Args:
-            parameters: (m, m c, I_xx, I_xy, I_yy, I_xz, I_yz, I_zz) with the inertia about the
-                frame origin, shape (10,), kg, kg m, kg m^2.
-
-        Raises:
-            InputError: Wrong shape or not finite.
-            InertiaError: Numbers no rigid body can have.
-        """
+        """Build a payload from its ten parameters (see `urdf.inertia`), shape (10,)."""
         phi = finite_array(parameters, (10,), "payload parameters")
         require_mass(phi, "payload")
         if phi[0] == 0.0:
@@ -67,7 +53,7 @@ class Payload:
 
     @property
     def parameters(self) -> Array:
-        """Ten parameters in Pinocchio's order, inertia about the frame origin, shape (10,)."""
+        """The ten parameters of `urdf.inertia`, shape (10,)."""
         return parameters_about_com(self.mass_kg, self.com_m, self.inertia_kg_m2)
 
     @property
@@ -79,14 +65,9 @@ class Payload:
         return body
 
     def moved(self, rotation: ArrayLike, translation_m: ArrayLike) -> "Payload":
-        """Describe the same body in another frame.
+        """Describe the same body in another frame, where its points p are at R p + t.
 
-        Args:
-            rotation: Rotation from this frame's axes to the new frame's, shape (3, 3).
-            translation_m: Origin of this frame in the new one, shape (3,), m.
-
-        Raises:
-            InputError: Wrong shape, not finite, or a matrix that is not a rotation.
+        ``rotation`` R has shape (3, 3), ``translation_m`` t shape (3,), m; `InputError` otherwise.
         """
         turn = finite_array(rotation, (3, 3), "rotation")
         shift = finite_array(translation_m, (3,), "translation_m")

@@ -10,14 +10,13 @@ with Y the joint-torque regressor's columns of the body behind the flange.
 """
 
 from dataclasses import dataclass, fields
-from typing import NamedTuple
 
 import numpy as np
 import pinocchio as pin
 from numpy.typing import ArrayLike
 
 from urdf.errors import Array, InputError, finite_array, read_only
-from urdf.inertia import is_consistent, moved_parameters, nearest_body
+from urdf.inertia import moved_parameters, nearest_body, parameters_about_com, pseudo_inertia
 from urdf.payload import Payload
 from urdf.robot import Robot
 
@@ -38,20 +37,18 @@ _BLOCKS = 40
 class PayloadEstimate:
     """An identified payload with its uncertainty. Arrays are read-only copies.
 
-    The ten parameters are in Pinocchio's order (m, m c, I_xx, I_xy, I_yy, I_xz, I_yz, I_zz),
-    inertia about the flange's origin, in flange axes.
+    The ten parameters are those of `urdf.inertia`, in the flange frame.
 
     Attributes:
         payload: The physically consistent payload, in the flange frame.
-        covariance: Covariance of the ten parameters before the consistency constraint, shape (10,
-            10); infinite variance for what the data do not determine.
+        covariance: Of the ten parameters before the consistency constraint, shape (10, 10);
+            infinite variance for what the data do not determine.
         rank: Number of parameter combinations the data determine.
         parameter_count: Number of parameters asked for: ten from motion, four at rest.
         unconstrained_parameters: Least-squares answer before the consistency constraint, shape
             (10,); zero for what was not asked for.
-        is_constrained: True if that answer was no rigid body and had to be moved to the nearest
-            one. Far away (by many standard deviations) it means a wrong sign, frame, torque scale
-            or robot model.
+        is_constrained: True if that answer was no rigid body's and the nearest one was taken. Far
+            away (by many standard deviations) it means a wrong sign, frame, scale or robot model.
         offsets_Nm: Constant torque per joint fitted along with it, zero if not asked for, shape
             (nv,), Nm.
         offsets_std_Nm: Standard deviation of the offsets, shape (nv,), Nm.
@@ -132,12 +129,8 @@ def identify_payload(
     shape = (len(q), robot.nv)
     dq = finite_array(dq_rad_s, shape, "dq_rad_s")
     ddq = finite_array(ddq_rad_s2, shape, "ddq_rad_s2")
-    tau = finite_array(tau_Nm, shape, "tau_Nm")
-    regressor, unexplained = _payload_equation(robot, q, dq, ddq, tau)
-    fit = _fit_linear(regressor, unexplained, torque_noise_std_Nm, fit_offsets=fit_offsets)
-    constrained = not is_consistent(fit.solution)
-    scaled = nearest_body(fit.solution, fit.information_root) if constrained else fit.solution
-    return _estimate(scaled, constrained, fit, regressor, unexplained)
+    motion = q, dq, ddq, finite_array(tau_Nm, shape, "tau_Nm")
+    return _identify(robot, motion, 10, torque_noise_std_Nm, fit_offsets=fit_offsets)
 
 
 def identify_payload_static(
@@ -157,20 +150,9 @@ def identify_payload_static(
     Arguments and errors are those of `identify_payload`.
     """
     q = finite_array(q_rad, (-1, robot.nv), "q_rad")
-    tau = finite_array(tau_Nm, (len(q), robot.nv), "tau_Nm")
     rest = np.zeros_like(q)
-    regressor, unexplained = _payload_equation(robot, q, rest, rest, tau)
-    fit = _fit_linear(
-        regressor[:, :, :4], unexplained, torque_noise_std_Nm, fit_offsets=fit_offsets
-    )
-    mass, first = fit.solution[0], fit.solution[1:] * _LENGTH_M
-    # With a positive mass any first moment is consistent, so the sign of the mass decides.
-    constrained = mass < _NO_MASS_KG
-    scaled = np.zeros(10)
-    if not constrained:
-        point = Payload(mass_kg=mass, com_m=first / mass, inertia_kg_m2=np.zeros((3, 3)))
-        scaled = point.parameters / _UNITS
-    return _estimate(scaled, constrained, fit, regressor, unexplained)
+    motion = q, rest, rest, finite_array(tau_Nm, q.shape, "tau_Nm")
+    return _identify(robot, motion, 4, torque_noise_std_Nm, fit_offsets=fit_offsets)
 
 
 def _payload_equation(
@@ -183,63 +165,74 @@ def _payload_equation(
     columns = slice(10 * (flange.parentJoint - 1), 10 * flange.parentJoint)
     regressor = np.empty((*q.shape, 10))
     unexplained = np.empty(q.shape)
-    for k in range(len(q)):
-        full = pin.computeJointTorqueRegressor(model, data, q[k], dq[k], ddq[k])
-        regressor[k] = full[:, columns]
-        unexplained[k] = tau[k] - pin.rnea(model, data, q[k], dq[k], ddq[k])
-    placement = flange.placement
+    for k, row in enumerate(zip(q, dq, ddq, strict=True)):
+        regressor[k] = pin.computeJointTorqueRegressor(model, data, *row)[:, columns]
+        unexplained[k] = tau[k] - pin.rnea(model, data, *row)
+    place = flange.placement
     flange_to_joint = np.column_stack(
-        [moved_parameters(unit, placement.rotation, placement.translation) for unit in np.eye(10)]
+        [moved_parameters(unit, place.rotation, place.translation) for unit in np.eye(10)]
     )
     return regressor @ flange_to_joint * _UNITS, unexplained
 
 
-def _estimate(
-    scaled: Array, is_constrained: bool, fit: "_LinearFit", regressor: Array, unexplained: Array
+def _identify(
+    robot: Robot,
+    motion: tuple[Array, Array, Array, Array],
+    asked: int,
+    noise_std: ArrayLike | None,
+    *,
+    fit_offsets: bool,
 ) -> PayloadEstimate:
-    """Undo the units of consistent parameters, and sum up the torque that they leave."""
+    """Fit so many parameters, make them those of a body, and sum up the torque that they leave."""
+    regressor, unexplained = _payload_equation(robot, *motion)
+    columns = regressor[:, :, :asked]
+    solution, spread, root, rank, offsets_std = _fit_linear(
+        columns, unexplained, noise_std, fit_offsets=fit_offsets
+    )
+    scaled = solution
+    if asked == 10:
+        is_constrained = bool(np.linalg.eigvalsh(pseudo_inertia(scaled))[0] < 0.0)
+        if is_constrained:
+            scaled = nearest_body(scaled, root)
+    else:
+        # With a positive mass any first moment is consistent, so the sign of the mass decides.
+        mass, first = scaled[0], scaled[1:] * _LENGTH_M
+        is_constrained = mass < _NO_MASS_KG
+        if not is_constrained:
+            scaled = parameters_about_com(mass, first / mass, np.zeros((3, 3))) / _UNITS
     if scaled[0] < _NO_MASS_KG:
         scaled = np.zeros(10)
     remaining = unexplained - regressor @ scaled
-    asked = len(fit.solution)
     unconstrained = np.zeros(10)
-    unconstrained[:asked] = fit.solution * _UNITS[:asked]
+    unconstrained[:asked] = solution * _UNITS[:asked]
     covariance = np.diag(np.full(10, np.inf))
-    covariance[:asked, :asked] = fit.covariance * np.outer(_UNITS, _UNITS)[:asked, :asked]
-    offsets = remaining.mean(axis=0) if fit.has_offsets else np.zeros(remaining.shape[1])
+    covariance[:asked, :asked] = spread * np.outer(_UNITS, _UNITS)[:asked, :asked]
+    offsets = remaining.mean(axis=0) if fit_offsets else np.zeros(remaining.shape[1])
     return PayloadEstimate(
         payload=Payload.from_parameters(scaled * _UNITS),
         covariance=covariance,
-        rank=fit.rank,
+        rank=rank,
         parameter_count=asked,
         unconstrained_parameters=unconstrained,
         is_constrained=is_constrained,
         offsets_Nm=offsets,
-        offsets_std_Nm=fit.offsets_std,
+        offsets_std_Nm=offsets_std,
         residual_rms_Nm=np.sqrt(np.mean((remaining - offsets) ** 2, axis=0)),
     )
 
 
-class _LinearFit(NamedTuple):
-    """Least-squares answer ``target = regressor x + offset per joint + noise``."""
-
-    solution: Array  # x, the shortest one if several fit equally, shape (p,)
-    covariance: Array  # of x, infinite variance for what is not determined, shape (p, p)
-    information_root: Array  # R: |R (x - solution)|^2 is the cost above its minimum, shape (p, p)
-    rank: int  # number of determined combinations of x
-    has_offsets: bool  # whether constants per joint were fitted
-    offsets_std: Array  # standard deviations of the constants, zero if not fitted, shape (nv,)
-
-
 def _fit_linear(
     regressor: Array, target: Array, noise_std: ArrayLike | None, *, fit_offsets: bool
-) -> _LinearFit:
-    """Fit x to a regressor of shape (n, nv, p), weighted by the noise per joint.
+) -> tuple[Array, Array, Array, int, Array]:
+    """Fit ``target = regressor x + offset per joint + noise``, weighted by the noise per joint.
 
-    With one weight per joint the constants drop out by taking each joint's mean off both sides.
+    The regressor has shape (n, nv, p). Returns the shortest x, its covariance (infinite variance
+    for what is not determined), R of the cost |R (y - x)|^2 above its minimum, the number of
+    determined combinations, and the standard deviations of the offsets (zero if not fitted).
     """
     mean_regressor = regressor.mean(axis=0)
     if fit_offsets:
+        # With one weight per joint the constants drop out with each joint's mean.
         regressor, target = regressor - mean_regressor, target - target.mean(axis=0)
     std = np.ones(target.shape[1])
     if noise_std is not None:
@@ -253,8 +246,9 @@ def _fit_linear(
         std = np.maximum(rms, max(1e-3 * rms.max(), 1e-12))
     solution, values, axes, rank = _solve(regressor, target, std)
     residual = (target - regressor @ solution) / std
-    constants = len(std) if fit_offsets else 0
-    covariance = _covariance(regressor / std[:, None], residual, values, axes[:rank], constants)
+    unknowns = rank + len(std) * fit_offsets
+    inverse = axes[:rank].T @ np.diag(values[:rank] ** -2.0) @ axes[:rank]
+    covariance = _covariance(regressor / std[:, None], residual, inverse, rank, unknowns)
     offsets_std = np.zeros(len(std))
     if fit_offsets:
         through_x = np.einsum("jp,pr,jr->j", mean_regressor, covariance, mean_regressor)
@@ -262,47 +256,32 @@ def _fit_linear(
     unknown = np.linalg.norm(axes[rank:], axis=0) > 1e-6
     covariance[unknown, :] = covariance[:, unknown] = 0.0
     covariance[unknown, unknown] = np.inf
-    return _LinearFit(
-        solution=solution,
-        covariance=covariance,
-        information_root=np.where(np.arange(len(values)) < rank, values, 0.0)[:, None] * axes,
-        rank=rank,
-        has_offsets=fit_offsets,
-        offsets_std=offsets_std,
-    )
+    root = values[:rank, None] * axes[:rank]
+    return solution, covariance, root, rank, offsets_std
 
 
 def _solve(regressor: Array, target: Array, std: Array) -> tuple[Array, Array, Array, int]:
     """Return the shortest solution, singular values, right singular vectors and rank."""
-    size = regressor.shape[2]
-    matrix = (regressor / std[:, None]).reshape(-1, size)
-    # Rows of zeros where there are fewer equations than unknowns: the axes are then complete.
-    matrix = np.vstack([matrix, np.zeros((max(size - len(matrix), 0), size))])
-    right = np.zeros(len(matrix))
-    right[: target.size] = (target / std).ravel()
-    left, values, axes = np.linalg.svd(matrix, full_matrices=False)
+    matrix = (regressor / std[:, None]).reshape(target.size, -1)
+    # The axes are complete also where there are fewer equations than unknowns.
+    left, values, axes = np.linalg.svd(matrix, full_matrices=target.size < matrix.shape[1])
     rank = int(np.sum(values > _RANK_TOLERANCE * max(values[0], 1e-300)))
-    solution = axes[:rank].T @ ((right @ left)[:rank] / values[:rank])
+    solution = axes[:rank].T @ (((target / std).ravel() @ left)[:rank] / values[:rank])
     return solution, values, axes, rank
 
 
 def _covariance(
-    regressor: Array, residual: Array, values: Array, axes: Array, constants: int
+    regressor: Array, residual: Array, inverse: Array, rank: int, unknowns: int
 ) -> Array:
-    """Return the covariance on the determined subspace, from whitened data.
-
-    Model errors last for whole stretches of motion, so samples are far from independent. With
-    enough samples the scatter of the gradient over consecutive blocks is used (a cluster-robust
-    covariance); with few, the classical formula with the residual's variance.
-    """
-    rank = len(axes)
-    inverse = axes.T @ np.diag(values[:rank] ** -2.0) @ axes
-    count, joints = residual.shape
+    """Return the covariance from whitened data and the inverse on the determined subspace."""
+    count = len(residual)
     if count >= 2 * _BLOCKS:
+        # Model errors last for whole stretches of motion, so samples are far from independent: the
+        # scatter of the gradient over consecutive blocks counts (a cluster-robust covariance).
         gradient = np.einsum("njp,nj->np", regressor, residual)
         bounds = np.linspace(0, count, _BLOCKS + 1).astype(int)[:-1]
         blocks = np.add.reduceat(gradient, bounds, axis=0)
         return inverse @ (blocks.T @ blocks) @ inverse * _BLOCKS / (_BLOCKS - rank)
-    freedom = count * joints - rank - constants
+    freedom = residual.size - unknowns
     variance = float(np.sum(residual**2)) / freedom if freedom > 0 else np.inf
     return inverse * max(variance, 1e-300)

@@ -21,19 +21,15 @@ from urdf.payload import NeedleTool, Payload
 STANDARD_GRAVITY_M_S2 = (0.0, 0.0, -9.80665)
 """Straight down along the base's z axis, m/s^2."""
 
-SENSOR_FRAME, TIP_FRAME = "ft_sensor", "needle_tip"
-"""Frames that a needle tool adds."""
-
-TOOL_FRAME = "tool"
-"""Frame that a tool placement adds."""
+SENSOR_FRAME, TIP_FRAME, TOOL_FRAME = "ft_sensor", "needle_tip", "tool"
+"""Frames that a needle tool adds (the first two) and a tool placement."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class Robot:
     """An arm of one-number joints, what it carries, and the frame forces are asked for.
 
-    Build one with `urdf.load_lwr`, `urdf.load_example`, `urdf.load_urdf` or
-    `urdf.build_serial_robot`.
+    Build one with a loader of `urdf` or with `urdf.build_serial_robot`.
 
     Attributes:
         bare_model: The arm without payload; copied on construction.
@@ -110,28 +106,22 @@ class Robot:
         """Return the index of a frame in ``model.frames``.
 
         A joint and the link behind it may share a name; they then share the origin and axes too.
-
-        Raises:
-            UnknownNameError: No frame of that name; the message lists the names there are.
+        `UnknownNameError` lists the names there are.
         """
-        for index, frame in enumerate(self.model.frames):
-            if frame.name == name:
-                return index
-        raise UnknownNameError(
-            f"there is no frame {name!r} on {self.model.name!r}; "
-            f"frames: {', '.join(self.frame_names)}"
-        )
+        names = [frame.name for frame in self.model.frames]
+        if name not in names:
+            raise UnknownNameError(
+                f"there is no frame {name!r} on {self.model.name!r}; "
+                f"frames: {', '.join(self.frame_names)}"
+            )
+        return names.index(name)
 
     def create_data(self) -> pin.Data:
         """Return fresh Pinocchio workspace for ``model``; each thread or observer needs its own."""
         return self.model.createData()
 
     def with_payload(self, payload: Payload | None) -> "Robot":
-        """Return the robot with this payload in place of the present one; frames stay as they are.
-
-        Raises:
-            InputError: Not a payload.
-        """
+        """Return the robot with another payload, or none; `InputError` for anything else."""
         if payload is not None and not isinstance(payload, Payload):
             raise InputError(
                 f"with_payload expects a Payload or None, got {type(payload).__name__} "
@@ -142,15 +132,8 @@ class Robot:
     def with_armature(self, rotor_inertia_kg_m2: ArrayLike) -> "Robot":
         """Return the robot with rotor inertias added to the diagonal of its mass matrix.
 
-        For arms whose torque is measured at the motor; the LWR measures behind the gear and needs
-        none.
-
-        Args:
-            rotor_inertia_kg_m2: As seen at the joints (times the gear ratio squared), not negative,
-                shape (nv,).
-
-        Raises:
-            InputError: Wrong shape, not finite or negative.
+        For arms whose torque is measured at the motor (the LWR measures behind the gear): as seen
+        at the joints, so times the gear ratio squared, not negative, shape (nv,).
         """
         rotor = finite_array(rotor_inertia_kg_m2, (self.nv,), "rotor_inertia_kg_m2")
         if np.any(rotor < 0.0):
@@ -161,11 +144,7 @@ class Robot:
 
 
 def rigid_motion(placement: Any, name: str) -> pin.SE3:
-    """Return a placement given as ``pin.SE3``, homogeneous matrix or translation alone.
-
-    Raises:
-        InputError: Not of shape (4, 4) or (3,), not finite, or no rigid motion.
-    """
+    """Return a placement given as ``pin.SE3``, homogeneous matrix or translation alone."""
     if isinstance(placement, pin.SE3):
         placement = placement.homogeneous
     if np.shape(placement) == (3,):
@@ -187,16 +166,9 @@ def assemble_robot(
     gravity_m_s2: ArrayLike,
     check_inertias: bool,
 ) -> Robot:
-    """Complete a model: set gravity, mount the tool, check that it can be simulated and estimated.
+    """Complete a model in place: set gravity, mount the tool, check that it can be simulated.
 
-    The model is changed in place. Arguments as in `urdf.load_urdf`; ``check_inertias`` asks for a
-    positive definite mass matrix.
-
-    Raises:
-        InputError: Gravity, tool placement or payload of the wrong kind.
-        UnknownNameError: The flange frame does not exist, or a frame to be added does.
-        UnsupportedJointError: No joint moves.
-        InertiaError: A joint moves no inertia.
+    Arguments and errors as in `urdf.load_urdf`.
     """
     if payload is not None and not isinstance(payload, Payload | NeedleTool):
         raise InputError(
@@ -213,9 +185,8 @@ def assemble_robot(
         flange_frame = TOOL_FRAME
     tool_frame, body = flange_frame, payload
     if isinstance(body, NeedleTool):
-        heights = {TIP_FRAME: body.tip_in_flange_m[2]}
-        if body.has_sensor:
-            heights = {SENSOR_FRAME: body.sensor_height_m, **heights}
+        heights = {SENSOR_FRAME: body.sensor_height_m} if body.has_sensor else {}
+        heights[TIP_FRAME] = body.tip_in_flange_m[2]
         for name, height_m in heights.items():
             along_z = pin.SE3(np.eye(3), np.array([0.0, 0.0, height_m]))
             _add_frame(model, name, flange_frame, along_z, "a NeedleTool")
@@ -244,10 +215,9 @@ def _check_mass_matrix(robot: Robot) -> None:
     neutral = pin.neutral(robot.model)
     mass_matrix = pin.crba(robot.model, robot.create_data(), neutral)
     if np.linalg.eigvalsh(mass_matrix)[0] <= 0.0:
-        idle = np.flatnonzero(np.diag(mass_matrix) <= 0.0)
-        bare_joints = [robot.joint_names[index] for index in idle]
+        idle = [robot.joint_names[k] for k in np.flatnonzero(np.diag(mass_matrix) <= 0.0)]
         raise InertiaError(
             f"the mass matrix of robot {robot.model.name!r} is not positive definite; joints that "
-            f"move no inertia: {', '.join(bare_joints) or 'none alone'}. "
+            f"move no inertia: {', '.join(idle) or 'none alone'}. "
             "Give the links inertia, or lock joints"
         )

@@ -25,13 +25,10 @@ class SerialJoint:
         placement: Frame of the joint at zero in the frame of the previous one (the base for the
             first): ``pin.SE3`` or a homogeneous matrix of shape (4, 4), m.
         axis: Axis of rotation in the joint's frame, shape (3,); any length but zero.
-        inertia: Ten parameters of the link in the joint's frame, inertia about its origin, in
-            Pinocchio's order (m, m c, I_xx, I_xy, I_yy, I_xz, I_yz, I_zz), shape (10,), kg, kg m,
-            kg m^2.
+        inertia: The link's ten parameters (see `urdf.inertia`) in the joint's frame, shape (10,).
 
     Raises:
-        InputError: Wrong shape, not finite, a placement that is no rigid motion, or an axis of
-            length zero.
+        InputError: Wrong shape, not finite, no rigid motion, or an axis of length zero.
         InertiaError: No mass, but moments.
     """
 
@@ -66,20 +63,14 @@ def build_serial_robot(
     """Build a serial arm of revolute joints in memory, without limits.
 
     Args:
-        joints: From base to tip.
+        joints: From base to tip, each name once and none of them ``tool``.
         name: Name of the robot, for messages.
         tool_placement: Frame ``tool`` (tool frame and flange) in the last joint's frame; default:
             the same.
-        gravity_m_s2: Gravity in base axes, shape (3,), m/s^2.
-        rotor_inertia_kg_m2: Rotor inertias at the joints, shape (n,); default none.
+        gravity_m_s2: See `urdf.load_urdf`, as for ``check_inertias`` and the errors.
+        rotor_inertia_kg_m2: See `Robot.with_armature`; default none.
         payload: What hangs on the frame ``tool``.
-        check_inertias: False accepts links no rigid body could be; identified models often have
-            such.
-
-    Raises:
-        InputError: No joints, names used twice, or an argument of the wrong kind.
-        InertiaError: A link with inertia no rigid body can have, or a joint that moves none.
-        UnknownNameError: A joint has the name of a frame of the needle tool.
+        check_inertias: False accepts links no rigid body could be, as identified models have.
     """
     names = [joint.name for joint in joints]
     if not names or len({*names, TOOL_FRAME}) != len(names) + 1:
@@ -91,7 +82,17 @@ def build_serial_robot(
     for joint in joints:
         if check_inertias:
             require_physical(joint.inertia, f"link behind joint {joint.name!r}")
-        _add_joint(model, joint)
+        # The joints along a coordinate axis are cheaper in every algorithm.
+        aligned = (pin.JointModelRX, pin.JointModelRY, pin.JointModelRZ)
+        along = np.flatnonzero(joint.axis == 1.0)
+        unaligned = pin.JointModelRevoluteUnaligned(joint.axis.copy())
+        kind = aligned[along[0]]() if along.size else unaligned
+        inf = np.array([np.inf])
+        limits = (inf, inf, -inf, inf)  # effort, velocity, lowest and highest position
+        index = model.addJoint(model.njoints - 1, kind, joint.placement, joint.name, *limits)
+        model.addJointFrame(index, -1)
+        if joint.inertia[0] != 0.0:
+            model.inertias[index] = pin.Inertia.FromDynamicParameters(joint.inertia.copy())
     robot = assemble_robot(
         model,
         flange_frame=names[-1],
@@ -101,24 +102,3 @@ def build_serial_robot(
         check_inertias=check_inertias,
     )
     return robot if rotor_inertia_kg_m2 is None else robot.with_armature(rotor_inertia_kg_m2)
-
-
-def _add_joint(model: pin.Model, joint: SerialJoint) -> None:
-    # The joints along a coordinate axis are cheaper in every algorithm.
-    aligned = (pin.JointModelRX, pin.JointModelRY, pin.JointModelRZ)
-    along = np.flatnonzero(joint.axis == 1.0)
-    kind = aligned[along[0]]() if along.size else pin.JointModelRevoluteUnaligned(joint.axis.copy())
-    no_limit = np.array([np.inf])
-    index = model.addJoint(
-        model.njoints - 1,
-        kind,
-        joint.placement,
-        joint.name,
-        no_limit,
-        no_limit,
-        -no_limit,
-        no_limit,
-    )
-    model.addJointFrame(index, -1)
-    if joint.inertia[0] != 0.0:
-        model.inertias[index] = pin.Inertia.FromDynamicParameters(joint.inertia.copy())
