@@ -26,70 +26,68 @@ from residual.tool_kinematics import ToolKinematics
 from residual.virtual_force_sensor import SensorState
 from urdf import Robot
 
-# Depth and speed of the needle by the robot's own kinematics.
-
-
 _new = tuple.__new__  # makes a named tuple in half the time: there is one in every tick
 
 
+# Errors: one base; each of the others is also a standard exception.
+
+
+class InsertionError(Exception):
+    """Base of the errors of a session; errors of `residual` and `identification` pass through."""
+
+
+class SettingError(InsertionError, ValueError):
+    """A setting that cannot work: the message names it, what came and what is valid."""
+
+
+class SnapshotMismatchError(InsertionError, ValueError):
+    """A snapshot that cannot be restored here; nothing has changed."""
+
+
+class SnapshotFileError(InsertionError, ValueError):
+    """A file that is no snapshot, or one of a version that cannot be read."""
+
+
+# Depth and speed of the needle, from the kinematics of the arm.
+
+
 class Travel(NamedTuple):
-    """Travel of the tip along the needle, and its rate.
+    """Travel of the tip along the needle, and its rate."""
 
-    Attributes:
-        depth_m: Along the needle's direction at the zero, growing inwards.
-        speed_m_s: Along the needle's present direction.
-    """
-
-    depth_m: float
-    speed_m_s: float
+    depth_m: float  # along the needle's direction at the zero, growing inwards
+    speed_m_s: float  # along the needle's present direction
 
 
 class TravelZero(NamedTuple):
-    """Where depth is counted from.
+    """Where depth is counted from."""
 
-    Attributes:
-        start_in_base_m: The tip's place, shape (3,).
-        axis_in_base: The needle's direction, shape (3,).
-    """
-
-    start_in_base_m: NDArray[np.float64]
-    axis_in_base: NDArray[np.float64]
+    start_in_base_m: NDArray[np.float64]  # the tip's place, shape (3,)
+    axis_in_base: NDArray[np.float64]  # the needle's direction, shape (3,)
 
 
 @compiled
 def tip_motion(
     axis: Vector, pose: Matrix, axial_jacobian: Vector, dq: Vector
 ) -> tuple[float, float]:
-    """Place of the tip along an axis [m], and its speed along the needle [m/s].
-
-    Args:
-        axis: In base axes, shape (3,).
-        pose: See `residual.tool_kinematics.ToolKinematics`, as the next.
-        axial_jacobian: Shape (n,).
-        dq: Joint velocities [rad/s], shape (n,).
-    """
+    """Place of the tip along an axis in base axes [m], and its speed along the needle [m/s]."""
     tip_m = np.ascontiguousarray(pose[:3, 3])
     return float(axis.dot(tip_m)), float(axial_jacobian.dot(dq))
 
 
 class TipTravel:
-    """Reads depth and speed off kinematics that somebody else keeps up to date.
-
-    Args:
-        kinematics: Of the tool; the virtual sensor's own, or one's own.
-    """
+    """Depth and speed from kinematics of the tool that somebody else keeps up to date."""
 
     def __init__(self, kinematics: ToolKinematics) -> None:
         self._kinematics = kinematics
         self.zero()
 
     def zero(self) -> None:
-        """Count depth from where the tip is, along the needle as it stands."""
+        """Count depth from where the tip is, along the needle's present direction."""
         tool = self._kinematics
         self.restore(TravelZero(tool.place_in_base_m.copy(), tool.axis_in_base.copy()))
 
     def read(self, dq: NDArray[np.float64]) -> Travel:
-        """Depth and speed where the kinematics stand, for joint velocities [rad/s], shape (n,)."""
+        """Depth and speed in the present posture, for joint velocities [rad/s], shape (n,)."""
         tool = self._kinematics
         along_m, speed_m_s = tip_motion(self._axis, tool.pose, tool.axial_jacobian, dq)
         return _new(Travel, (along_m - self._start_m, speed_m_s))
@@ -106,7 +104,7 @@ class TipTravel:
         self._start_m = float(self._axis.dot(state.start_in_base_m))
 
 
-# What a session reports about a tick, and all that it remembers.
+# What a session returns in every tick, and what it remembers.
 
 
 class SessionEstimate(NamedTuple):
@@ -140,45 +138,18 @@ class SessionEstimate(NamedTuple):
 
 
 class SessionSnapshot(NamedTuple):
-    """All that an `InsertionSession` remembers; immutable.
-
-    Attributes:
-        sensor: Of the virtual sensor.
-        identifier: Of the identifier.
-        zero: Where depth is counted from.
-        travel: Last depth and speed.
-        speed_lag_s: Setting of the session.
-        unused_s: Time of valid samples that were not used for identification [s].
-        time_s: See `SessionEstimate`.
-    """
+    """All that an `InsertionSession` remembers; immutable."""
 
     sensor: SensorState
     identifier: IdentifierSnapshot
     zero: TravelZero
-    travel: Travel
-    speed_lag_s: float
-    unused_s: float
-    time_s: float
+    travel: Travel  # the last
+    speed_lag_s: float  # setting of the session
+    unused_s: float  # time of valid samples that were not used for identification
+    time_s: float  # see `SessionEstimate`
 
 
-# Errors of the `insertion` package: one base, each leaf also a standard exception.
-
-
-class InsertionError(Exception):
-    """Base of every error that `insertion` raises; what its parts raise passes through."""
-
-
-class SettingError(InsertionError, ValueError):
-    """A setting that cannot work: the message names it, what came and what is valid."""
-
-
-class SnapshotMismatchError(InsertionError, ValueError):
-    """A snapshot that cannot be restored here; nothing has changed."""
-
-
-class SnapshotFileError(InsertionError, ValueError):
-    """A file that is no snapshot, or one of a version that cannot be read."""
-
+# The session.
 
 _NOT_USED = (
     SensorWarning.JOINT_LIMIT
@@ -188,9 +159,7 @@ _NOT_USED = (
     | SensorWarning.TARE_EXPIRED
     | SensorWarning.VELOCITY
 )
-
-# Names of an enumeration take as long to look up as a call, and there is a named tuple in every
-# tick: this is its own way of making one, without the detour.
+# Looking up a name of an enumeration takes as long as a call, so it is done once.
 _OK, _REJECTED = Status.OK, Status.REJECTED
 _USED = tuple(status for status in SampleStatus if status.is_used)
 
@@ -231,9 +200,7 @@ class InsertionSession:
         speed_lag_s: float = 0.0,
     ) -> None:
         _check_kind(robot, Robot, "robot", "load_lwr() or load_urdf(path) of urdf makes one")
-        _check_kind(
-            sensor_config, SensorConfig, "sensor_config", 'SensorConfig(mode="full") is one'
-        )
+        _check_kind(sensor_config, SensorConfig, "sensor_config", "SensorConfig() is the default")
         if not (isinstance(speed_lag_s, numbers.Real) and 0.0 <= float(speed_lag_s) < math.inf):
             raise SettingError(f"speed_lag_s is {speed_lag_s!r}, expected a finite number >= 0")
         self._sensor = VirtualForceSensor(robot, sensor_config)
@@ -283,14 +250,8 @@ class InsertionSession:
     ) -> SessionEstimate:
         """Take one sample of an external-torque estimate that the robot supplies itself.
 
-        Args:
-            q: Joint positions [rad], shape (n,).
-            dq: Joint velocities [rad/s], shape (n,), or None: the speed is then estimated.
-            external_torque: Torque of the environment on the joints [Nm], shape (n,).
-            dt_s: Time since the previous call [s].
-
-        Returns:
-            As `update`.
+        As `update`, with the torque of the environment on the joints [Nm], shape (n,), in place of
+        the measured one.
         """
         wrench = self._sensor.update_external_torque(q, dq, external_torque, dt_s)
         return self._follow(wrench)
@@ -299,11 +260,11 @@ class InsertionSession:
         """Remove the bias and begin an insertion here; see `VirtualForceSensor.tare`.
 
         Args:
-            ignore_contact: Take it even where contact is seen, or velocities that cannot be.
+            ignore_contact: Tare even with contact detected, or velocities that cannot be.
 
         Raises:
-            TareError: Without data, a second time without `start_tare_recording`, with contact in
-                sight or velocities that do not fit positions; nothing has then changed.
+            TareError: Without data, a second time without `start_tare_recording`, with contact
+                detected or velocities that do not fit positions; nothing has then changed.
         """
         tare = self._sensor.tare(ignore_contact=ignore_contact)
         self.begin_insertion()
@@ -340,15 +301,13 @@ class InsertionSession:
         )
 
     def restore(self, snapshot: SessionSnapshot) -> None:
-        """Go on, bit for bit, from where `snapshot` was taken.
+        """Go on, bit for bit, from where `snapshot` was taken; an error changes nothing.
 
         Raises:
             SnapshotMismatchError: Not a snapshot of a session, a damaged one, or one of another
                 speed lag.
-            residual.SnapshotError: A damaged one, or one of another robot or other settings of the
-                sensor.
+            residual.SnapshotError: A damaged one, or of another robot or settings of the sensor.
             identification.IdentificationError: One of other settings of the identifier.
-                In each case nothing has changed.
         """
         if not isinstance(snapshot, SessionSnapshot):
             raise SnapshotMismatchError(
@@ -370,7 +329,7 @@ class InsertionSession:
         self._identification = _without_events(snapshot.identifier.last)
 
     def _try_out(self, snapshot: SessionSnapshot) -> None:
-        """Refuse what would fail in later updates; nothing of this session takes part."""
+        """Refuse what would fail in later updates; nothing of this session changes."""
         twin = Identifier(self._identifier_config)
         try:
             twin.restore(snapshot.identifier)
@@ -385,7 +344,7 @@ class InsertionSession:
             raise SnapshotMismatchError(f"the snapshot is damaged: {error!r}") from error
 
     def _follow(self, wrench: WrenchEstimate) -> SessionEstimate:
-        """Depth, speed and, where the force is worth it, the identifier."""
+        """Depth, speed and, where the force can be used, the identification."""
         status = wrench.status
         if status is _REJECTED:
             return self._idle(wrench)
