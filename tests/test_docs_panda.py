@@ -8,6 +8,7 @@ import pinocchio as pin
 import pytest
 
 import urdf
+from residual import TareError
 from urdf import MissingPackageError, example_robot_path
 
 ROOT = Path(__file__).parents[1]
@@ -52,6 +53,11 @@ def test_torque_at_rest_is_gravity(names):
 )
 def test_a_hung_weight_reads_as_its_weight(names, force, weight_N, tolerance_N):
     assert names[force] == pytest.approx(np.array([0.0, 0.0, -weight_N]), abs=tolerance_N)
+
+
+def test_a_stream_without_gravity_needs_the_option(names):
+    with pytest.raises(TareError, match="set torque_is_gravity_compensated=True"):
+        names["weigh"](names["arm"], names["compensated"], names["three"])
 
 
 def test_names_and_links_of_the_page_exist(names):

@@ -235,7 +235,9 @@ def test_without_its_libraries_the_message_says_what_to_install(monkeypatch, abs
 
     monkeypatch.delitem(sys.modules, "matplotlib.figure", raising=False)
     monkeypatch.setattr(builtins, "__import__", missing)
-    with pytest.raises(MissingExtraError, match=rf"--report needs {absent}.*needleforce\[plots\]"):
+    with pytest.raises(
+        MissingExtraError, match=rf"--report needs {absent},.*; pip install matplotlib jinja2"
+    ):
         require_matplotlib("--report")
 
 

@@ -1,8 +1,9 @@
 """Charts and the self-contained page; knows neither robots nor needles.
 
-`chart` holds charts as plain data and saves them as PNG, SVG or PDF, `palette` the colours, line
-styles and words of an axis, `page` one HTML file with figures, tables and text inside (its
-template is `page.html`). matplotlib and jinja2 are imported only when something is drawn.
+matplotlib and jinja2 are imported only when something is drawn.
+
+Reading order: `chart` (charts as plain data, saved as PNG, SVG or PDF), `palette` (colours, line
+styles, words of an axis), `page` (one HTML file with figures, tables and text inside).
 """
 
 from needleforce.plots import palette

@@ -1,11 +1,10 @@
 """Charts: panels over one x axis, drawn with matplotlib for the screen and for print.
 
-A chart is plain data, so what it shows can be tested without drawing it:
+A chart is plain data, so what it shows can be tested without drawing it. Equal charts give equal
+bytes.
 
     chart = Chart(title="…", x_label=palette.TIME, panels=(Panel(y_label=palette.FORCE, …),))
     save_figure(chart.within(10.0, 20.0), "forces.pdf")
-
-matplotlib is imported only when a chart is drawn. Equal charts give equal bytes.
 """
 
 import os
@@ -28,8 +27,7 @@ if TYPE_CHECKING:
 
 Array = NDArray[np.float64]
 Span = tuple[float, float]
-Dash = str | tuple[float, tuple[float, ...]]
-"""As matplotlib takes it: ``-``, ``:``, or (offset, (on, off, …)) in points."""
+Dash = str | tuple[float, tuple[float, ...]]  # of matplotlib: "-", or (offset, (on, off, …))
 
 
 class FiguresError(Exception):
@@ -62,26 +60,16 @@ class LineStyle:
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class Curve:
-    """One line of a panel; nothing is drawn where a value is not finite.
-
-    Attributes:
-        style: How it is drawn.
-        x: Places, shape (n,).
-        y: Values, shape (n,).
-        label: In the legend; None for none there, as for the band.
-        std: Standard deviations, shape (n,): a band of two to either side is shaded.
-        band_label: Of the band.
-    """
+    """One line of a panel, arrays of one shape (n,); a value that is not finite is not drawn."""
 
     style: LineStyle
     x: Array
     y: Array
-    label: str | None = None
-    std: Array | None = None
+    label: str | None = None  # in the legend; None for none there, as for the band
+    std: Array | None = None  # standard deviations: a band of two to either side is shaded
     band_label: str | None = None
 
     def __post_init__(self) -> None:
-        """Raise `ChartError` where x, y and std are not of one shape (n,)."""
         for name in ("x", "y", "std"):
             value = getattr(self, name)
             if value is not None and (np.ndim(value) != 1 or len(value) != len(self.x)):
@@ -93,14 +81,11 @@ class Curve:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Panel:
-    """One of the panels that share the x axis of a chart; its last curve is drawn on top.
-
-    Without `limits` the y axis holds `limits_of` the curves. What is cut off is marked.
-    """
+    """One of the panels that share the x axis of a chart; its last curve is drawn on top."""
 
     y_label: str
     curves: tuple[Curve, ...]
-    limits: Span | None = None
+    limits: Span | None = None  # None for `limits_of` the curves; what is cut off is marked
     height: float = 1.0
 
 
@@ -127,32 +112,19 @@ WIDTH_IN, WIDE_IN = 4.4, 8.4
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Chart:
-    """Panels below each other over one x axis, with one legend below them.
+    """Panels below each other over one x axis, with one legend below them; at least one panel."""
 
-    Attributes:
-        title: First line: what is shown, in bold. Further lines: of which run.
-        x_label: With the unit.
-        panels: From above.
-        shadings: Spans marked in every panel.
-        instants: Events marked in every panel.
-        x_limits: None for what the curves need.
-        x_ticks: Places and what stands there; empty for numbers.
-        width_in: `WIDTH_IN`, or `WIDE_IN` for a chart alone.
-        height_in: Without the legend.
-    """
-
-    title: str
+    title: str  # first line: what is shown, in bold; further lines: of which run
     x_label: str
-    panels: tuple[Panel, ...]
-    shadings: tuple[Shading, ...] = ()
+    panels: tuple[Panel, ...]  # from above
+    shadings: tuple[Shading, ...] = ()  # marked in every panel, as the next
     instants: tuple[Instants, ...] = ()
-    x_limits: Span | None = None
-    x_ticks: tuple[tuple[float, str], ...] = ()
+    x_limits: Span | None = None  # None for what the curves need
+    x_ticks: tuple[tuple[float, str], ...] = ()  # places and what stands there; none for numbers
     width_in: float = WIDTH_IN
-    height_in: float = 3.0
+    height_in: float = 3.0  # without the legend
 
     def __post_init__(self) -> None:
-        """Raise `ChartError` where there is nothing to draw."""
         if not self.panels:
             raise ChartError(f"chart {self.title!r} has no panel; give at least one")
 
@@ -180,8 +152,8 @@ def limits_of(curves: Sequence[Curve], x_limits: Span | None) -> Span:
         edges += [*np.percentile(y, (100.0 - MOST_OF, MOST_OF))]
         if curve.std is not None:
             band = np.nan_to_num(2.0 * curve.std[seen], posinf=0.0)
-            edges.append(np.percentile(y - band, 100.0 - MOST_OF_BAND))
-            edges.append(np.percentile(y + band, MOST_OF_BAND))
+            edges += [np.percentile(y - band, 100.0 - MOST_OF_BAND)]
+            edges += [np.percentile(y + band, MOST_OF_BAND)]
     low, high = float(min(edges)), float(max(edges))
     margin = MARGIN * (high - low) or 1.0
     return low - margin, high + margin
@@ -204,6 +176,9 @@ SETTINGS: dict[Any, Any] = {
     "grid.linewidth": 0.6,
     "legend.frameon": False,
     "legend.fontsize": 9.0,
+    "legend.handlelength": 2.2,
+    "legend.columnspacing": 1.2,
+    "legend.labelspacing": 0.3,
     "lines.solid_capstyle": "round",
     "axes.formatter.useoffset": False,
     "path.simplify_threshold": 0.8,  # thins a million points to those that are seen, with peaks
@@ -214,11 +189,9 @@ SETTINGS: dict[Any, Any] = {
 }
 """Of matplotlib; must hold while a chart is drawn and while it is saved."""
 BAND_OPACITY, AREA_POINTS = 0.2, 1000
-LETTERS = 54
-"""Of a legend's row, and of a title's line, at the usual width."""
+LETTERS = 54  # of a legend's row, and of a title's line, at the usual width
 LEGEND_ROW_IN = 0.17
-CUT_PLACES = 40
-"""Marks of cut curves along an edge at most."""
+CUT_PLACES = 40  # marks of cut curves along an edge at most
 _NOT_TEXT = re.compile("[\x00-\x09\x0b-\x1f\x7f-\x9f\ud800-\udfff\ufffe\uffff]")
 
 
@@ -233,13 +206,18 @@ def draw(chart: Chart) -> "Figure":
 
     figure = Figure(layout="constrained", facecolor="white")
     heights = [panel.height for panel in chart.panels]
-    places = figure.subplots(
-        len(heights), 1, sharex=True, squeeze=False, gridspec_kw={"height_ratios": heights}
-    )[:, 0]
+    grid = figure.subplots(len(heights), sharex=True, squeeze=False, height_ratios=heights)
+    places = list(grid[:, 0])
     for axes, panel in zip(places, chart.panels, strict=True):
         _draw_marks(axes, chart)
-        _draw_panel(axes, panel, chart.x_limits)
-    figure.align_ylabels(list(places))
+        axes.axhline(0.0, color="#555555", linewidth=0.6)
+        for curve in panel.curves:
+            _draw_curve(axes, curve, chart.x_limits)
+        limits = panel.limits or limits_of(panel.curves, chart.x_limits)
+        axes.set(ylabel=panel.y_label, ylim=limits)
+        for edge, side in zip(limits, (-1.0, 1.0), strict=True):
+            _mark_what_is_cut(axes, panel.curves, edge, side, chart.x_limits)
+    figure.align_ylabels(places)
     places[-1].set_xlabel(chart.x_label)
     if chart.x_limits is not None:
         places[-1].set_xlim(*chart.x_limits)
@@ -250,7 +228,7 @@ def draw(chart: Chart) -> "Figure":
     figure.suptitle(what, x=0.01, ha="left", fontsize=9.5, fontweight="bold")
     # The pad leaves room for the values of cut peaks above the panel.
     places[0].set_title("\n".join(which), loc="left", fontsize=8.5, color="#444444", pad=10.0)
-    rows = _legend(figure, list(places), chart, room)
+    rows = _legend(figure, places, chart, room)
     figure.set_size_inches(chart.width_in, chart.height_in + rows * LEGEND_ROW_IN)
     return figure
 
@@ -263,21 +241,9 @@ def _draw_marks(axes: "Axes", chart: Chart) -> None:
             axes.axvspan(first, last, color=color, linewidth=least_pt, label=label, zorder=0.4)
     for label, style, places in chart.instants:
         lift = ScaledTranslation(0.0, style.size_pt / 144.0, axes.figure.dpi_scale_trans)
-        onto = axes.get_xaxis_transform() + lift
         if places:
-            y = np.zeros(len(places))
-            axes.plot(places, y, transform=onto, label=label, zorder=4, **_line(style))
-
-
-def _draw_panel(axes: "Axes", panel: Panel, x_limits: Span | None) -> None:
-    limits = panel.limits or limits_of(panel.curves, x_limits)
-    axes.axhline(0.0, color="#555555", linewidth=0.6)
-    for curve in panel.curves:
-        _draw_curve(axes, curve, x_limits)
-    axes.set_ylabel(panel.y_label)
-    axes.set_ylim(*limits)
-    for edge, side in zip(limits, (-1.0, 1.0), strict=True):
-        _mark_what_is_cut(axes, panel.curves, edge, side, x_limits)
+            line: dict[str, Any] = {"transform": axes.get_xaxis_transform() + lift, "zorder": 4}
+            axes.plot(places, np.zeros(len(places)), label=label, **line, **_line(style))
 
 
 def _draw_curve(axes: "Axes", curve: Curve, x_limits: Span | None) -> None:
@@ -298,8 +264,8 @@ def _line(style: LineStyle) -> dict[str, Any]:
     line: dict[str, Any] = {"color": style.color, "alpha": style.opacity}
     if not style.marker:
         return line | {"linestyle": style.dash, "linewidth": style.width_pt}
-    more = {"markersize": style.size_pt, "markeredgewidth": style.width_pt}
-    return line | {"linestyle": "none", "marker": style.marker} | more
+    mark = {"marker": style.marker, "ms": style.size_pt, "mew": style.width_pt}
+    return line | mark | {"linestyle": "none"}
 
 
 def _mark_what_is_cut(
@@ -343,15 +309,8 @@ def _legend(figure: "Figure", places: list["Axes"], chart: Chart, room: float) -
         parts = [labels[k : k + rows] for k in range(0, len(labels), rows)]
         if sum(max(map(len, part)) + 6 for part in parts) <= room + 12:
             break
-    figure.legend(
-        [shown[label] for label in labels],
-        labels,
-        loc="outside lower left",
-        ncols=columns,
-        handlelength=2.2,
-        columnspacing=1.2,
-        labelspacing=0.3,
-    )
+    handles = [shown[label] for label in labels]
+    figure.legend(handles, labels, loc="outside lower left", ncols=columns)
     return rows
 
 
@@ -366,36 +325,28 @@ FORMATS: dict[str, dict[str, Any]] = {
 def require_matplotlib(what: str, path: str | Path | None = None) -> None:
     """Find out before the work what could not be drawn after it.
 
-    Args:
-        what: Who needs it, for the message, such as ``--report``.
-        path: Of the figure, if there is to be one.
-
     Raises:
-        MissingExtraError: A library of the extra ``plots`` is not installed.
-        ChartError: The path does not end in one of `FORMATS`.
+        MissingExtraError: matplotlib or jinja2 is not installed; ``what``, such as ``--report``,
+            is what needs it.
+        ChartError: The path of a figure does not end in one of `FORMATS`.
     """
     if path is not None and Path(path).suffix.lower() not in FORMATS:
-        known = ", ".join(FORMATS)
-        raise ChartError(f"cannot write {path}: its name must end in one of {known}")
+        raise ChartError(f"cannot write {path}: its name must end in one of {', '.join(FORMATS)}")
     try:
         import jinja2  # noqa: F401
         import matplotlib.figure  # noqa: F401
     except ImportError as error:
         raise MissingExtraError(
             f"{what} needs {error.name or 'matplotlib'}, which is not installed; "
-            "install it with: pip install 'needleforce[plots]'"
+            "pip install matplotlib jinja2"
         ) from error
 
 
 def save_figure(chart: Chart, path: str | Path) -> Path:
-    """Draw a chart and write it as PNG, SVG or PDF, by the ending of its name.
-
-    Returns:
-        The file.
+    """Draw a chart and write it as PNG, SVG or PDF, by the ending of its name; returns its path.
 
     Raises:
-        MissingExtraError: matplotlib is not installed.
-        ChartError: The path does not end in one of `FORMATS`.
+        MissingExtraError: As `require_matplotlib`, and `ChartError` as well.
         WriteError: The file cannot be written.
     """
     require_matplotlib("a figure", path)
@@ -414,14 +365,7 @@ def save_figure(chart: Chart, path: str | Path) -> Path:
 
 
 def write_file(path: str | Path, content: bytes) -> Path:
-    """Write a file whole or not at all: a full disk leaves the older one as it was.
-
-    Returns:
-        The file.
-
-    Raises:
-        WriteError: It cannot be written.
-    """
+    """Write a file whole, or raise `WriteError`: a full disk leaves the older one as it was."""
     place = Path(os.path.realpath(path))
     part = place.with_name(f".{place.name}.{os.getpid()}.part")
     try:

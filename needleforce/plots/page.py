@@ -21,47 +21,30 @@ from needleforce.plots.chart import (
 )
 
 MEDIA_TYPES = {".svg": "image/svg+xml", ".png": "image/png"}
-PAGE = "index.html"
-"""Name of the page in the folder of a report."""
+PAGE = "index.html"  # in the folder of a report
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class PageFigure:
-    """A figure of a page.
+    """A figure of a page."""
 
-    Attributes:
-        path: SVG or PNG; its content goes into the page.
-        alt: What it shows, for those who cannot see it.
-        caption: Below it; text between backticks becomes code, as everywhere on a page.
-        wide: The same figure for wide screens and print, where it stands alone in its row.
-    """
-
-    path: Path
-    alt: str
-    caption: str
-    wide: Path | None = None
+    path: Path  # SVG or PNG; its content goes into the page
+    alt: str  # what it shows, for those who cannot see it
+    caption: str  # text between backticks becomes code, as everywhere on a page
+    wide: Path | None = None  # the same for wide screens and print, alone in its row
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class PageTable:
-    """A table of a page.
+    """A table of a page; raises `ChartError` where a row is longer or shorter than the head."""
 
-    Attributes:
-        caption: What it holds; stands above.
-        head: Of the columns; empty texts for none.
-        rows: Text of the cells, each as long as the head.
-        numeric: Columns, from 0, whose cells line up on the right.
-        note: A line below.
-    """
-
-    caption: str
-    head: tuple[str, ...]
+    caption: str  # stands above
+    head: tuple[str, ...]  # of the columns; empty texts for none
     rows: tuple[tuple[str, ...], ...]
-    numeric: frozenset[int] = frozenset()
-    note: str = ""
+    numeric: frozenset[int] = frozenset()  # columns, from 0, whose cells line up on the right
+    note: str = ""  # stands below
 
     def __post_init__(self) -> None:
-        """Raise `ChartError` where a row is longer or shorter than the head."""
         for row in self.rows:
             if len(row) != len(self.head):
                 raise ChartError(
@@ -80,18 +63,14 @@ class Attachment(NamedTuple):
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Section:
-    """A part of a page: a heading, text, notices, a command as typed, figures, tables, files.
-
-    Notices are text that must not be overlooked; `anchor` is the section's id within the page.
-    Figures stand side by side where there is room.
-    """
+    """A part of a page."""
 
     heading: str
-    anchor: str
+    anchor: str  # id within the page
     paragraphs: tuple[str, ...] = ()
-    notices: tuple[str, ...] = ()
-    command: str = ""
-    figures: tuple[PageFigure, ...] = ()
+    notices: tuple[str, ...] = ()  # text that must not be overlooked
+    command: str = ""  # as typed
+    figures: tuple[PageFigure, ...] = ()  # side by side where there is room
     tables: tuple[PageTable, ...] = ()
     attachments: tuple[Attachment, ...] = ()
 
@@ -133,22 +112,14 @@ def _data_uri(item: Path | Attachment) -> str:
 
 
 def write_page(path: str | Path, page: Page) -> Path:
-    """Write a page as HTML file, whole or not at all, and return its path.
-
-    Raises:
-        WriteError: The file cannot be written, or a figure cannot be read.
-    """
+    """Write a page as HTML file, whole or not at all (`WriteError`), and return its path."""
     return write_file(path, page.html().encode())
 
 
 def save_page_figure(
     chart: Chart, path: Path, *, alt: str, caption: str, is_alone: bool = False
 ) -> PageFigure:
-    """Save a chart as a figure of a page; one that stands alone also as ``NAME-wide``.
-
-    Raises:
-        FiguresError: It cannot be drawn or written.
-    """
+    """Save a chart as a figure of a page; one that stands alone also as ``NAME-wide``."""
     wide = None
     if is_alone:
         beside = path.with_stem(f"{path.stem}-wide")
@@ -174,18 +145,7 @@ def _rows(settings: Any, prefix: str) -> Iterator[tuple[str, str]]:
 
 @contextmanager
 def folder_if_filled(path: str | Path | None) -> Iterator[Path | None]:
-    """Make the folder of a report before the work; if nothing was put in, remove it afterwards.
-
-    Args:
-        path: Of the folder; None where no report is wanted.
-
-    Yields:
-        The folder, if any.
-
-    Raises:
-        MissingExtraError: A library of the extra ``plots`` is not installed.
-        WriteError: The folder cannot be made.
-    """
+    """Make the folder of a report (if any) before the work; if it stays empty, remove it after."""
     if path is None:
         yield None
         return

@@ -20,34 +20,29 @@ CUMULATIVE_FRICTION = "cumulative\nfriction [Ns/m]"
 
 BLACK, GREY, GREEN, ORANGE = "#000000", "#7f7f7f", "#009e73", "#e69f00"
 BLUE, VERMILION, PURPLE = "#0072b2", "#d55e00", "#a3468a"
-AXES_XYZ = (VERMILION, GREEN, PURPLE)
-"""Of the components of a vector."""
+AXES_XYZ = (VERMILION, GREEN, PURPLE)  # the components of a vector
 
 DOTTED: Dash = (0.0, (1.0, 1.6))
 DASHED: Dash = (0.0, (5.0, 2.0))
 DASH_DOTTED: Dash = (0.0, (6.0, 2.0, 1.2, 2.0))
 
 TRUE = LineStyle(color=BLACK, width_pt=0.9)
+# A part of the true force, or a true parameter, drawn over others.
 TRUE_PART = LineStyle(color=BLACK, dash=DOTTED, width_pt=1.5)
-"""A part of the true force, or a true parameter, drawn over others."""
+# Drawn below the others: the force an identifier is given, and another sensor's for comparison.
 READING = LineStyle(color=GREEN, width_pt=2.6, opacity=0.45)
-"""The force an identifier is given, drawn below the others."""
 OTHER_SENSOR = LineStyle(color=GREY, width_pt=4.0, opacity=0.4)
-"""Another sensor's force, for comparison, drawn below the others."""
 OTHER_DASHED = LineStyle(color="#555555", dash=DASHED, width_pt=0.9)
 PREDICTED = LineStyle(color=ORANGE, dash=DASHED, width_pt=1.0)
 OURS = LineStyle(color=BLUE, width_pt=1.4)
+# The published method, with its multi-layer model and with that of Kelvin and Voigt.
 PUBLISHED = LineStyle(color=VERMILION, dash=DASHED, width_pt=1.2)
-"""The published method, with its multi-layer model."""
 PUBLISHED_KV = LineStyle(color=PURPLE, dash=DASH_DOTTED, width_pt=1.1)
-"""The published method, with the Kelvin-Voigt model."""
 TIP = LineStyle(color=PURPLE, dash=DASH_DOTTED, width_pt=1.0)
-"""The force at the tip alone."""
 UNTARED = LineStyle(color=GREY, width_pt=1.0)
 
 RUPTURE = LineStyle(color=BLACK, marker="|", width_pt=1.6, size_pt=13.0)
 COMPENSATION = replace(RUPTURE, marker="o", width_pt=0.5, size_pt=3.0)
 REJECTED = LineStyle(color="#c0392b", marker="|", width_pt=1.0, size_pt=7.0)
-TRUE_RUPTURE = "#d2d2d2"
-"""Shade of the time in which a layer ruptures, in the ground truth."""
+TRUE_RUPTURE = "#d2d2d2"  # while a layer ruptures, in the ground truth
 TARE, INITIALIZING = "#d5efd9", "#e4e4e4"
