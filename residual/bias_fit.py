@@ -17,7 +17,7 @@ LINK_SCALES = (0.25, 0.5, 1.0, 2.0)
 
 FEW_BLOCKS = 8
 """From seven differences between neighbours a variance is known to two thirds of itself; from fewer
-it may be nearly nothing by chance, and a few blocks would be believed too much."""
+it may be nearly nothing by chance, and a few blocks would count for too much."""
 
 SIGMAS = 5.0
 """A force must exceed this many standard deviations to count as contact."""

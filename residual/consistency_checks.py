@@ -1,4 +1,4 @@
-"""What makes a force doubtful and changes slowly: limits, singular poses, a mismatch, velocities.
+"""What makes a force uncertain and changes slowly: limits, singular poses, a mismatch, velocities.
 
 Whether measured velocities are the rate of the measured positions is judged by travel that fades
 within a second, summed from q by its differences and from dq by trapezoids between two checks. So a

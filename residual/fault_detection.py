@@ -61,7 +61,7 @@ itself."""
 CHECK_S = 0.02
 """Every so often each torque is checked by itself [s]."""
 STAYED_S = 5e-3
-"""A jump that has stayed for this long is believed: the signal is elsewhere now [s]."""
+"""A jump that has stayed for this long is accepted: the signal is elsewhere now [s]."""
 LONGEST_HOLD_S = 0.1
 """Whatever a signal that jumps does, it is not held back for longer than this [s]."""
 SATURATED_SHARE = 0.99
@@ -91,7 +91,7 @@ def fresh_distance(now: Vector, last: Vector, weight: Vector, joints: int) -> fl
 
 
 class OutlierGate:
-    """Largest believable jump of position (less its velocity times the time), velocity and torque.
+    """Largest plausible jump of position (less its velocity times the time), velocity and torque.
 
     Args:
         robot: Gives the effort limits.
@@ -189,12 +189,12 @@ class ContactTransient:
         self._tool = tool
 
     def explains(self, q: Array, jump: Array, scale: Array) -> bool:
-        """Whether a believable force explains a jump of the torques.
+        """Whether a plausible force explains a jump of the torques.
 
         Args:
             q: Configuration [rad], shape (n,).
             jump: Of the torques [Nm], shape (n,).
-            scale: Jump that each joint is believed without a reason [Nm], shape (n,).
+            scale: Jump that each joint may make without a reason [Nm], shape (n,).
         """
         self._tool.update(q)
         levers, wanted = self._tool.jacobian[:3].T / scale[:, None], jump / scale
@@ -281,7 +281,7 @@ class FaultDetector:
             dt_s: Time since the last accepted sample [s].
 
         Returns:
-            Whether its position has jumped and is believed only because it stayed where it is.
+            Whether its position has jumped and is accepted only because it stayed where it is.
 
         Raises:
             SuspectSampleError: For a spike, frozen signals or a saturated torque.

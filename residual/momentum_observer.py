@@ -76,15 +76,15 @@ def step_weights(gain_per_s: float | Array, dt_s: float, alignment: Alignment) -
         One weight for each of `StepRows`, shape (1, 9), or (n, 9) for one gain per joint.
     """
     expm1 = math.expm1 if isinstance(gain_per_s, float) else np.expm1
-    share = -expm1(-gain_per_s * dt_s)
-    per_second, half, zero = share / dt_s, 0.5 * share, 0.0 * share
+    gained = -expm1(-gain_per_s * dt_s)
+    per_second, half, zero = gained / dt_s, 0.5 * gained, 0.0 * gained
     held = alignment == "hold"
     weights = StepRows(
-        residual=1.0 - share,
+        residual=1.0 - gained,
         momentum_before=-per_second,
         coriolis_before=-half,
         gravity_before=half,
-        torque_before=-share if held else -half,
+        torque_before=-gained if held else -half,
         momentum=per_second,
         coriolis=-half,
         gravity=half,
