@@ -45,7 +45,7 @@ def test_tare_does_not_fade(lwr):
     assert max(abs(e.axial) for e in last) < 0.02
 
 
-def test_status_tells_settling_then_not_tared_then_ok(lwr):
+def test_status_is_settling_then_not_tared_then_ok(lwr):
     sensor = VirtualForceSensor(lwr)
     _, q, dq, tau = swing(lwr, seconds=1.0)
     statuses = [sensor.update(q[k], dq[k], tau[k], 1e-3).status for k in range(len(q))]
@@ -81,7 +81,7 @@ BAD = {
 
 
 @pytest.mark.parametrize("reason", BAD)
-def test_bad_sample_is_reported_and_skipped_never_absorbed(lwr, reason):
+def test_bad_sample_is_reported_and_skipped_never_used(lwr, reason):
     sensor, twin = tared_sensor(lwr), tared_sensor(lwr)
     _, q, dq, tau = swing(lwr, seconds=0.02, start=2.0, amplitude=0.03)
     good = sensor.update(q[0], dq[0], tau[0], 1e-3)
@@ -126,7 +126,7 @@ def test_tare_without_motion_is_refused_and_changes_nothing(lwr):
     assert not sensor.tared
 
 
-def test_tare_in_contact_is_refused_unless_forced(lwr):
+def test_tare_in_contact_is_refused_unless_ignored(lwr):
     sensor = VirtualForceSensor(lwr)
     _, q, dq, tau = swing(lwr, seconds=3.0, amplitude=0.03)
     for k in range(len(q)):
@@ -151,8 +151,8 @@ def test_external_torque_of_the_robot_takes_the_same_way(lwr):
     np.testing.assert_allclose(estimate.force, force, atol=0.02)
     assert estimate.axial_std < 0.1
     for bad, dt_s in ((torque * np.nan, 1e-3), (torque, -1.0)):
-        told = sensor.update_external_torque(q[501], None, bad, dt_s)
-        assert told.status is Status.REJECTED
+        reported = sensor.update_external_torque(q[501], None, bad, dt_s)
+        assert reported.status is Status.REJECTED
 
 
 def force_noise(robot, config, amplitude):
