@@ -148,7 +148,7 @@ class VirtualForceSensor:
         return self._elapsed_s
 
     @property
-    def skipped(self) -> int:
+    def rejected(self) -> int:
         """Bad samples since the last `reset`."""
         return self._rejected
 

@@ -90,7 +90,7 @@ def test_bad_sample_is_reported_and_skipped_never_used(lwr, reason):
     assert skipped.status is Status.REJECTED
     assert reason in skipped.message
     assert skipped.axial == good.axial
-    assert sensor.skipped == 1
+    assert sensor.rejected == 1
     # The time of a bad sample with a sound clock still passes.
     elapsed = 1e-3 if reason == "dt_s is inf" else 2e-3
     next_one = sensor.update(q[2], dq[2], tau[2], 1e-3)
@@ -178,7 +178,7 @@ def test_reset_forgets_everything(lwr):
     sensor = tared_sensor(lwr)
     sensor.reset()
     assert not sensor.tared
-    assert sensor.skipped == 0
+    assert sensor.rejected == 0
     assert sensor.lag_s == 0.0
 
 

@@ -266,7 +266,7 @@ def test_a_session_keeps_wrong_velocities_from_its_identifier(lwr):
         session.update(*row, 1e-3)
     with pytest.raises(TareError, match="times the rate of q"):
         session.tare()
-    session.tare(force=True)
+    session.tare(ignore_contact=True)
     found = [session.update(*row, 1e-3) for row in rows_of(lwr, 0.3, -1.0, start=4.0)]
     assert all(
         SensorWarning.VELOCITY in e.warnings and not e.used_for_identification for e in found

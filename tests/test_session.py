@@ -42,7 +42,7 @@ def test_the_chain_finds_force_depth_and_layer(whole):
     assert session.layers[0].thickness_m == pytest.approx(28.2e-3, abs=1e-3)
     assert found[-1].status is Status.OK
     assert found[-1].used_for_identification
-    assert session.skipped == 0
+    assert session.rejected == 0
     assert session.lag_s == pytest.approx(1.0 / DEFAULT.gain_per_s)
 
 
