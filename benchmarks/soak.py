@@ -112,7 +112,7 @@ class Cycle:
             ruptures[k // self.length] += found.identification.rupture is not None
             if k % WINDOW == 0:
                 progress(k / ticks)
-        return taken, tuple(ruptures[:-1]), session.skipped
+        return taken, tuple(ruptures[:-1]), session.rejected
 
     def memory(self, ticks: int, progress: Callable[[float], None]) -> NDArray[np.float64]:
         """Memory of Python [kB] and of the process [MB], after each whole cycle, shape (n, 2)."""

@@ -220,9 +220,9 @@ class InsertionSession:
         return self._sensor.lag_s
 
     @property
-    def skipped(self) -> int:
+    def rejected(self) -> int:
         """Bad samples since the last `reset`."""
-        return self._sensor.skipped
+        return self._sensor.rejected
 
     @property
     def layers(self) -> tuple[LayerEstimate, ...]:

@@ -2,7 +2,7 @@
 
 Reading order: `momentum_observer` (the equation and the residual), `fault_detection` (what is no
 measurement), `sample_stream` (samples to residual), `bias_model`, `bias_fit` and `bias_estimator`
-(offset removal), `wrench_estimator` (equation 13), `consistency_checks` (when to doubt it),
+(offset removal), `wrench_estimator` (equation 13), `consistency_checks` (when it may be wrong),
 `virtual_force_sensor` (all of it in two calls).
 """
 

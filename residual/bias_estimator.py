@@ -45,27 +45,16 @@ def play_operator(state: Array, change: Array, half_width: Array) -> Array:
 
 @dataclass(slots=True, eq=False)
 class RecorderState:
-    """All that a `TareRecorder` remembers.
+    """All that a `TareRecorder` remembers."""
 
-    Attributes:
-        means: Of every block: position, residual, hysteresis; shape (m, 2 + loops, n).
-        time_s: Middle of every block [s], shape (m,).
-        scatter: Variance within every block [Nm^2], shape (m, n).
-        samples: Number of samples of every block, shape (m,).
-        sums: Of the open block, shape (2 + loops, n).
-        squares: Of its residuals [Nm^2], shape (n,).
-        summed: Number of its samples.
-        age_s: Its length so far [s].
-    """
-
-    means: Array
-    time_s: Array
-    scatter: Array
-    samples: tuple[int, ...]
-    sums: Array
-    squares: Array
-    summed: int = 0
-    age_s: float = 0.0
+    means: Array  # Of every block: position, residual, hysteresis; shape (m, 2 + loops, n)
+    time_s: Array  # Middle of every block [s], shape (m,)
+    scatter: Array  # Variance within every block [Nm^2], shape (m, n)
+    samples: tuple[int, ...]  # Number of samples of every block, shape (m,)
+    sums: Array  # Of the open block, shape (2 + loops, n)
+    squares: Array  # Of its residuals [Nm^2], shape (n,)
+    summed: int = 0  # Number of its samples
+    age_s: float = 0.0  # Its length so far [s]
 
 
 class TareRecorder:
@@ -198,39 +187,24 @@ class TareNumbers(NamedTuple):
 
 @dataclass(slots=True, kw_only=True, eq=False)
 class BiasState:
-    """All that a `BiasEstimator` remembers.
+    """All that a `BiasEstimator` remembers."""
 
-    Attributes:
-        recorder: Free motion recorded for the next tare.
-        hysteresis: State of the torques' loops, shape (loops, n).
-        torque_sum: Of the torques since the last renewal [Nm], shape (n,).
-        bias: Offset that is subtracted [Nm], shape (n,).
-        q: Last position [rad], shape (n,).
-        tare: The tare in force; None before the first.
-        tared: Whether it is the current one.
-        tared_s: When it was taken [s].
-        now_s: Time since the start [s].
-        renewed_s: When hysteresis and offset were renewed last [s].
-        due_s: When they are renewed next [s].
-        smooth_torque: Torque whose hysteresis is followed [Nm], shape (n,); None before the first.
-        summed: Number of torques in the sum.
-        leapt_s: Time in steps longer than `BiasEstimator.LEAP_S` since the tare, or since free
-            motion is recorded [s].
-    """
-
-    recorder: RecorderState
-    hysteresis: Array
-    torque_sum: Array
-    bias: Array
-    q: Array
-    tare: TareNumbers | None = None
-    tared: bool = False
-    tared_s: float = 0.0
-    now_s: float = 0.0
-    renewed_s: float = 0.0
-    due_s: float = 0.0
+    recorder: RecorderState  # Free motion recorded for the next tare
+    hysteresis: Array  # State of the torques' loops, shape (loops, n)
+    torque_sum: Array  # Of the torques since the last renewal [Nm], shape (n,)
+    bias: Array  # Offset that is subtracted [Nm], shape (n,)
+    q: Array  # Last position [rad], shape (n,)
+    tare: TareNumbers | None = None  # The tare in force; None before the first
+    tared: bool = False  # Whether it is the current one
+    tared_s: float = 0.0  # When it was taken [s]
+    now_s: float = 0.0  # Time since the start [s]
+    renewed_s: float = 0.0  # When hysteresis and offset were renewed last [s]
+    due_s: float = 0.0  # When they are renewed next [s]
+    # Torque whose hysteresis is followed [Nm], shape (n,); None before the first
     smooth_torque: Array | None = None
-    summed: int = 0
+    summed: int = 0  # Number of torques in the sum
+    # Time in steps longer than `BiasEstimator.LEAP_S` since the tare, or since free motion is
+    # recorded [s]
     leapt_s: float = 0.0
 
 

@@ -17,7 +17,7 @@ LINK_SCALES = (0.25, 0.5, 1.0, 2.0)
 
 FEW_BLOCKS = 8
 """From seven differences between neighbours a variance is known to two thirds of itself; from fewer
-it may be nearly nothing by chance, and a few blocks would be believed too much."""
+it may be nearly nothing by chance, and a few blocks would count for too much."""
 
 SIGMAS = 5.0
 """A force must exceed this many standard deviations to count as contact."""
@@ -26,13 +26,14 @@ SPLITS = (0.1, 0.2, 0.35, 0.55, 0.75, 0.9)
 SMOOTHING_BLOCKS = 5
 """A contact lasts: forces are averaged over this many blocks."""
 
-MOST_LEFT, MOST_LEFT_BY_A_MASS = 0.2, 0.4
+MOST_LEFT, MOST_LEFT_BY_A_MASS = 0.2, 0.6
 """Fraction of the residual, root mean square, that an explanation may leave over; offsets of the
 torque sensors are among it."""
 LEAST_OFFSETS = 3.0
 """Residual in standard deviations of the offset's prior from which one is looked for unasked."""
 NEAR = 0.15
 """So near to a factor with a reason a factor is that one."""
+OFFSET_BLOCKS = 10.0
 FURTHEST_M = 0.5
 """No hand or tool has its centre of mass further from the last joint."""
 
@@ -281,19 +282,21 @@ def _order_of_joints(torque: Array, gravity: Array) -> tuple[int, ...]:
 def _mass_at_flange(basis: BiasModel, blocks: TareBlocks, scale: Array) -> str:
     """A mass behind the last joint that the model has too much of, or lacks; empty if it is none.
 
-    Least squares of the residual over its mass and first moments.
+    Least squares of the residual over its mass and first moments, and an offset per joint.
     """
-    columns = np.concatenate(
-        [basis.regressor(q)[:, -4:] / scale[:, None] for q in blocks.q_rad], axis=0
-    )
+    n = len(scale)
+    masses = np.concatenate([basis.regressor(q)[:, -4:] / scale[:, None] for q in blocks.q_rad])
+    offsets = np.tile(np.eye(n), (len(blocks.q_rad), 1))
+    # An offset is expected within one unit: beyond, it costs as much as so many blocks.
+    prior = np.hstack((np.zeros((n, 4)), np.sqrt(OFFSET_BLOCKS) * np.eye(n)))
     residual = (blocks.residual_Nm / scale).ravel()
+    columns = np.vstack((np.hstack((masses, offsets)), prior))
     # Directions that a short motion does not show stay at zero.
-    mass, *moment = np.linalg.lstsq(columns, residual, rcond=1e-3)[0].tolist()
-    left = residual - columns @ np.array([mass, *moment])
-    is_body = np.linalg.norm(moment) < FURTHEST_M * abs(mass)
-    if not is_body or _rms(left) > MOST_LEFT_BY_A_MASS * _rms(residual):
+    found = np.linalg.lstsq(columns, np.append(residual, np.zeros(n)), rcond=1e-3)[0]
+    mass, is_body = float(found[0]), np.linalg.norm(found[1:4]) < FURTHEST_M * abs(found[0])
+    if not is_body or _rms(residual - masses @ found[:4]) > MOST_LEFT_BY_A_MASS * _rms(residual):
         return ""
-    fault = "has {:.2f} kg too much" if mass > 0.0 else "lacks {:.2f} kg"
+    fault = "has about {:.2g} kg too much" if mass > 0.0 else "lacks about {:.2g} kg"
     return (
         f"the robot's model {fault.format(abs(mass))} at the flange: correct hand, tool and "
         "payload in it, unless the needle is in contact"

@@ -180,8 +180,8 @@ class BiasModel:
 
     def walk_variance(self, age_s: float) -> Array:
         """Variance that the random walk has added since the tare [Nm^2], shape (n,)."""
-        share = self.prior.walk_share_per_sqrt_min * self.effort_Nm
-        return share**2 * (max(age_s, 0.0) / 60.0)
+        walk = self.prior.walk_share_per_sqrt_min * self.effort_Nm
+        return walk**2 * (max(age_s, 0.0) / 60.0)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)

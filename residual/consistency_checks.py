@@ -1,4 +1,4 @@
-"""What makes a force doubtful and changes slowly: limits, singular poses, a mismatch, velocities.
+"""What makes a force uncertain and changes slowly: limits, singular poses, a mismatch, velocities.
 
 Whether measured velocities are the rate of the measured positions is judged by travel that fades
 within a second, summed from q by its differences and from dq by trapezoids between two checks. So a
@@ -85,37 +85,23 @@ class VelocityMatch(NamedTuple):
     """How velocities match positions; each (n,) but for the last two.
 
     The sums fade over `MEMORY_S` of motion and are taken while the joint moves.
-
-    Attributes:
-        position: At the last check [rad].
-        velocity: Measured there [rad/s].
-        rate: Of the position there [rad/s].
-        travel: Fading travel of q [rad].
-        travel_dq: Fading travel of dq [rad].
-        seconds: Time for which a joint has been judged [s].
-        beyond: Sum of squares of the difference of both travels beyond a lag [rad^2 s].
-        square_dq: Sum of squares of dq's travel [rad^2 s].
-        square_change: Of the change of q's travel [rad^2/s].
-        change_travel: Sum of products of that change with q's travel [rad^2].
-        change_dq: The same with dq's travel [rad^2].
-        squares: Row i, column j: square of the travel of joint i while joint j is judged [rad^2 s],
-            shape (n, n).
-        products: Row i, column j: product of that travel with dq's of joint j, shape (n, n).
     """
 
-    position: Array
-    velocity: Array
-    rate: Array
-    travel: Array
-    travel_dq: Array
-    seconds: Array
-    beyond: Array
-    square_dq: Array
-    square_change: Array
-    change_travel: Array
-    change_dq: Array
+    position: Array  # At the last check [rad]
+    velocity: Array  # Measured there [rad/s]
+    rate: Array  # Of the position there [rad/s]
+    travel: Array  # Fading travel of q [rad]
+    travel_dq: Array  # Fading travel of dq [rad]
+    seconds: Array  # Time for which a joint has been judged [s]
+    beyond: Array  # Sum of squares of the difference of both travels beyond a lag [rad^2 s]
+    square_dq: Array  # Sum of squares of dq's travel [rad^2 s]
+    square_change: Array  # Of the change of q's travel [rad^2/s]
+    change_travel: Array  # Sum of products of that change with q's travel [rad^2]
+    change_dq: Array  # The same with dq's travel [rad^2]
+    # Row i, column j: square of the travel of joint i while joint j is judged [rad^2 s], shape (n,
+    # n)
     squares: Array
-    products: Array
+    products: Array  # Row i, column j: product of that travel with dq's of joint j, shape (n, n)
 
 
 def first_match(q: Array, dq: Array) -> VelocityMatch:
@@ -245,19 +231,12 @@ def _factor(match: VelocityMatch, i: int) -> str:
 
 
 class MonitorState(NamedTuple):
-    """All that a `ConsistencyMonitor` remembers.
+    """All that a `ConsistencyMonitor` remembers."""
 
-    Attributes:
-        mismatch_squared: Smoothed.
-        warnings: Of the last check, as a number.
-        at_limit: Indices of joints that were at a position limit then.
-        match: Of measured velocities with positions; None before a check, and where velocities are
-            estimated.
-    """
-
-    mismatch_squared: float = 0.0
-    warnings: int = 0
-    at_limit: tuple[int, ...] = ()
+    mismatch_squared: float = 0.0  # Smoothed
+    warnings: int = 0  # Of the last check, as a number
+    at_limit: tuple[int, ...] = ()  # Indices of joints that were at a position limit then
+    # Of measured velocities with positions; None before a check, and where velocities are estimated
     match: VelocityMatch | None = None
 
 

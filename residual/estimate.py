@@ -21,9 +21,9 @@ class Status(StrEnum):
     """A tared estimate of a valid sample."""
     NOT_TARED = "not tared"
     """The offset has not been removed yet: the numbers carry the model's errors."""
-    INITIALIZING = "settling"
+    INITIALIZING = "initializing"
     """The filters have just started, or started anew after a gap in time."""
-    REJECTED = "skipped"
+    REJECTED = "rejected"
     """The sample was bad and was not used: the numbers are those of the last valid one."""
 
 

@@ -61,7 +61,7 @@ itself."""
 CHECK_S = 0.02
 """Every so often each torque is checked by itself [s]."""
 STAYED_S = 5e-3
-"""A jump that has stayed for this long is believed: the signal is elsewhere now [s]."""
+"""A jump that has stayed for this long is accepted: the signal is elsewhere now [s]."""
 LONGEST_HOLD_S = 0.1
 """Whatever a signal that jumps does, it is not held back for longer than this [s]."""
 SATURATED_SHARE = 0.99
@@ -91,7 +91,7 @@ def fresh_distance(now: Vector, last: Vector, weight: Vector, joints: int) -> fl
 
 
 class OutlierGate:
-    """Largest believable jump of position (less its velocity times the time), velocity and torque.
+    """Largest plausible jump of position (less its velocity times the time), velocity and torque.
 
     Args:
         robot: Gives the effort limits.
@@ -189,12 +189,12 @@ class ContactTransient:
         self._tool = tool
 
     def explains(self, q: Array, jump: Array, scale: Array) -> bool:
-        """Whether a believable force explains a jump of the torques.
+        """Whether a plausible force explains a jump of the torques.
 
         Args:
             q: Configuration [rad], shape (n,).
             jump: Of the torques [Nm], shape (n,).
-            scale: Jump that each joint is believed without a reason [Nm], shape (n,).
+            scale: Jump that each joint may make without a reason [Nm], shape (n,).
         """
         self._tool.update(q)
         levers, wanted = self._tool.jacobian[:3].T / scale[:, None], jump / scale
@@ -206,41 +206,27 @@ class ContactTransient:
 
 @dataclass(slots=True, kw_only=True, eq=False)
 class GuardState:
-    """All that a `FaultDetector` remembers.
+    """All that a `FaultDetector` remembers."""
 
-    Attributes:
-        last: Last accepted sample: position, velocity if there is one, torque; shape (2 n,) or
-            (3 n,); zeros before the first.
-        velocity: Velocity that it left off with [rad/s], shape (n,).
-        alone: Of the check for single torques that repeat.
-        noise: Learnt noise of the same signals; None until learnt.
-        probe: What is known of the noise so far; None once it is learnt.
-        rejected: Last sample held back as a spike, or None.
-        missed_s: Time since the last accepted sample [s].
-        stayed_s: Time for which samples held back agree with each other [s].
-        motion: Of the check for positions and velocities that repeat.
-        torque: Of the check for torques that repeat.
-        age_s: Time since each torque was checked by itself [s].
-        is_loaded: Whether a torque was near its limit at that check.
-        warning: What seemed frozen at that check.
-        held_s: Time for which positions have repeated now [s].
-        swept: Way that they may owe meanwhile [rad], shape (n,); None if they do not repeat.
-    """
-
+    # Last accepted sample: position, velocity if there is one, torque; shape (2 n,) or (3 n,);
+    # zeros before the first
     last: Array
-    velocity: Array
-    alone: SingleSignalDetector
-    noise: Array | None = None
-    probe: NoiseState | None = None
-    rejected: Array | None = None
-    missed_s: float = 0.0
-    stayed_s: float = 0.0
+    velocity: Array  # Velocity that it left off with [rad/s], shape (n,)
+    alone: SingleSignalDetector  # Of the check for single torques that repeat
+    noise: Array | None = None  # Learnt noise of the same signals; None until learnt
+    probe: NoiseState | None = None  # What is known of the noise so far; None once it is learnt
+    rejected: Array | None = None  # Last sample held back as a spike, or None
+    missed_s: float = 0.0  # Time since the last accepted sample [s]
+    stayed_s: float = 0.0  # Time for which samples held back agree with each other [s]
+    # Of the check for positions and velocities that repeat
     motion: StuckSignalDetector = field(default_factory=StuckSignalDetector)
+    # Of the check for torques that repeat
     torque: StuckSignalDetector = field(default_factory=StuckSignalDetector)
-    age_s: float = 0.0
-    is_loaded: bool = False
-    warning: str = ""
-    held_s: float = 0.0
+    age_s: float = 0.0  # Time since each torque was checked by itself [s]
+    is_loaded: bool = False  # Whether a torque was near its limit at that check
+    warning: str = ""  # What seemed frozen at that check
+    held_s: float = 0.0  # Time for which positions have repeated now [s]
+    # Way that they may owe meanwhile [rad], shape (n,); None if they do not repeat
     swept: Array | None = None
 
 
@@ -295,7 +281,7 @@ class FaultDetector:
             dt_s: Time since the last accepted sample [s].
 
         Returns:
-            Whether its position has jumped and is believed only because it stayed where it is.
+            Whether its position has jumped and is accepted only because it stayed where it is.
 
         Raises:
             SuspectSampleError: For a spike, frozen signals or a saturated torque.

@@ -19,10 +19,9 @@ LONGEST_STEP_S = 86_400.0
 ROUNDING_S = 1e-5
 """Sums of time steps that come this near to a limit have reached it [s]: stamps since 1970 are
 rounded to a quarter of a microsecond, and rounding must not decide on a tick more or less."""
+_ndarray = np.ndarray
 FLOAT64 = np.dtype(np.float64)
 """What an array of floats has as its ``dtype``: comparing it takes no call."""
-_PACKED = (8,)
-"""Distance in memory of the numbers of a contiguous one."""
 
 
 def check_interval(dt_s: Any) -> float:
@@ -37,9 +36,7 @@ def check_interval(dt_s: Any) -> float:
     Raises:
         SampleError: If it is not a finite positive number, or beyond `LONGEST_STEP_S`.
     """
-    if type(dt_s) is float and SHORTEST_STEP_S <= dt_s <= LONGEST_STEP_S:  # almost every one
-        return dt_s
-    step_s = as_float(dt_s)
+    step_s = dt_s if type(dt_s) is float else as_float(dt_s)
     if not 0.0 < step_s < math.inf:
         raise SampleError(
             f"dt_s is {shown(dt_s)} s, expected a finite positive time step; "
@@ -147,16 +144,13 @@ def _real(value: Any) -> NDArray[np.float64]:
 
 
 def all_fit(values: tuple[object, ...], joints: int) -> bool:
-    """Whether all are contiguous arrays of one float per joint, and nothing but arrays."""
+    """Whether all are arrays of one float per joint, and nothing but arrays."""
     shape = (joints,)
     for value in values:
+        if type(value) is not _ndarray or value.shape != shape:
+            return False
         # Arrays that were pickled bring a dtype of their own, equal and not the same.
-        if not (
-            type(value) is np.ndarray
-            and (value.dtype is FLOAT64 or value.dtype == FLOAT64)
-            and value.shape == shape
-            and value.strides == _PACKED
-        ):
+        if value.dtype is not FLOAT64 and value.dtype != FLOAT64:
             return False
     return True
 
@@ -269,7 +263,8 @@ class SampleClock:
         Raises:
             SampleError: For a time step that does not advance, or for a clock that was set.
         """
-        dt_s = check_interval(dt_s)
+        if type(dt_s) is not float or not SHORTEST_STEP_S <= dt_s <= LONGEST_STEP_S:
+            dt_s = check_interval(dt_s)
         if not self.missed_s:
             return dt_s
         elapsed_s = dt_s + self.missed_s

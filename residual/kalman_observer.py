@@ -26,21 +26,13 @@ Array = NDArray[np.float64]
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class KalmanPosterior:
-    """Mean and covariance of (momentum, external torque), one pair per joint; arrays (n,).
+    """Mean and covariance of (momentum, external torque), one pair per joint; arrays (n,)."""
 
-    Attributes:
-        momentum: Mean of p [kg m^2/s].
-        external_torque_Nm: Mean of x [Nm].
-        var_momentum: Variance of p.
-        covariance: Covariance of p and x.
-        var_torque_Nm2: Variance of x [Nm^2].
-    """
-
-    momentum: Array
-    external_torque_Nm: Array
-    var_momentum: Array
-    covariance: Array
-    var_torque_Nm2: Array
+    momentum: Array  # Mean of p [kg m^2/s]
+    external_torque_Nm: Array  # Mean of x [Nm]
+    var_momentum: Array  # Variance of p
+    covariance: Array  # Covariance of p and x
+    var_torque_Nm2: Array  # Variance of x [Nm^2]
 
 
 def kalman_step(

@@ -40,32 +40,22 @@ NOISE_THRESHOLD_SIGMAS = 3.0
 _LEAST_MOMENTUM_NOISE = 1e-9
 """Keeps the ratios of `momentum_step` finite for a signal without noise [kg m^2/s]."""
 _NAMES = ("q", "dq", "tau")
+_PACKED = {(8,)}
+"""Distance in memory of the numbers of a contiguous array, as compiled code takes them."""
 
 
 class StepRows(NamedTuple):
-    """What one step of the residual is linear in, or the weights of these rows; arrays (n,).
+    """What one step of the residual is linear in, or the weights of these rows; arrays (n,)."""
 
-    Attributes:
-        residual: r before the tick [Nm].
-        momentum_before: p at its start [kg m^2/s].
-        coriolis_before: C' dq there [Nm].
-        gravity_before: g + tau_f there [Nm].
-        torque_before: tau there [Nm].
-        momentum: p at its end; the last four are in the same order.
-        coriolis: C' dq there.
-        gravity: g + tau_f there.
-        torque: tau there.
-    """
-
-    residual: Any
-    momentum_before: Any
-    coriolis_before: Any
-    gravity_before: Any
-    torque_before: Any
-    momentum: Any
-    coriolis: Any
-    gravity: Any
-    torque: Any
+    residual: Any  # r before the tick [Nm]
+    momentum_before: Any  # p at its start [kg m^2/s]
+    coriolis_before: Any  # C' dq there [Nm]
+    gravity_before: Any  # g + tau_f there [Nm]
+    torque_before: Any  # tau there [Nm]
+    momentum: Any  # p at its end; the last four are in the same order
+    coriolis: Any  # C' dq there
+    gravity: Any  # g + tau_f there
+    torque: Any  # tau there
 
 
 BEFORE = 5
@@ -86,15 +76,15 @@ def step_weights(gain_per_s: float | Array, dt_s: float, alignment: Alignment) -
         One weight for each of `StepRows`, shape (1, 9), or (n, 9) for one gain per joint.
     """
     expm1 = math.expm1 if isinstance(gain_per_s, float) else np.expm1
-    share = -expm1(-gain_per_s * dt_s)
-    per_second, half, zero = share / dt_s, 0.5 * share, 0.0 * share
+    gained = -expm1(-gain_per_s * dt_s)
+    per_second, half, zero = gained / dt_s, 0.5 * gained, 0.0 * gained
     held = alignment == "hold"
     weights = StepRows(
-        residual=1.0 - share,
+        residual=1.0 - gained,
         momentum_before=-per_second,
         coriolis_before=-half,
         gravity_before=half,
-        torque_before=-share if held else -half,
+        torque_before=-gained if held else -half,
         momentum=per_second,
         coriolis=-half,
         gravity=half,
@@ -209,15 +199,10 @@ def _check_length(friction: FrictionModel, joints: int) -> None:
 
 
 class MomentumState(NamedTuple):
-    """All that a `MomentumObserver` remembers.
+    """All that a `MomentumObserver` remembers."""
 
-    Attributes:
-        rows: The first five of `StepRows`, shape (BEFORE, n); None before a sample.
-        noise: Momentum noise per joint for smoothing, shape (n,); None without.
-    """
-
-    rows: Array | None
-    noise: Array | None = None
+    rows: Array | None  # The first five of `StepRows`, shape (BEFORE, n); None before a sample
+    noise: Array | None = None  # Momentum noise per joint for smoothing, shape (n,); None without
 
 
 class MomentumObserver:
@@ -294,7 +279,7 @@ class MomentumObserver:
                 not advance; the state is then unchanged.
         """
         sample: Any = (q, dq, tau)
-        if not all_fit(sample, self._joints):
+        if not all_fit(sample, self._joints) or {sample[1].strides, sample[2].strides} != _PACKED:
             sample = [
                 np.ascontiguousarray(read_joint_vector(name, value, self._joints))
                 for name, value in zip(_NAMES, sample, strict=True)

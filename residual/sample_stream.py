@@ -42,23 +42,16 @@ class TorqueSample(NamedTuple):
 
 
 class StreamState(NamedTuple):
-    """All that a stream remembers.
+    """All that a stream remembers."""
 
-    Attributes:
-        velocity: Of the velocity estimator; None where the robot sends velocities.
-        guard: Of the fault detector; None where there is none.
-        observer: Of the momentum observer; None in a stream of external torques, as the next.
-        probe: Of the noise probe; None once the noise is known.
-        age_s: Time since the filters started [s].
-        missed_s: Time that the observer has not seen yet [s].
-    """
-
+    # Of the velocity estimator; None where the robot sends velocities
     velocity: VelocityState | None
-    guard: GuardState | None
+    guard: GuardState | None  # Of the fault detector; None where there is none
+    # Of the momentum observer; None in a stream of external torques, as the next
     observer: MomentumState | None = None
-    probe: NoiseState | None = None
-    age_s: float = 0.0
-    missed_s: float = 0.0
+    probe: NoiseState | None = None  # Of the noise probe; None once the noise is known
+    age_s: float = 0.0  # Time since the filters started [s]
+    missed_s: float = 0.0  # Time that the observer has not seen yet [s]
 
 
 class SampleStream:
@@ -207,10 +200,11 @@ class JointStream(SampleStream):
             dt_s, self._missed_s = self._missed_s, 0.0
         residual = self._observer.absorb(q, dq, tau, dt_s)
         self._age_s = 0.0 if dt_s > self._max_gap_s else self._age_s + dt_s
-        if self._probe is not None:
+        probe = self._probe
+        if probe is not None:
             signal = rows[1] if self._velocity is None else rows[0]
-            self._learn_noise(self._probe, signal, q, last_s)
-        settled = self._probe is None and self._age_s >= self._settling_s
+            self._learn_noise(probe, signal, q, last_s)
+        settled = self._age_s >= self._settling_s and self._probe is None
         return _new(TorqueSample, (q, dq, tau, residual, settled, self._data))
 
     def _learn_noise(self, probe: NoiseProbe, signal: Array, q: Array, dt_s: float) -> None:

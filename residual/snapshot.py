@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 from residual.errors import SnapshotError
 from urdf import Robot
 
+Array = NDArray[np.float64]
 Tree = TypeVar("Tree")
 GROWING = ("probe.rows", "recorder.means", "recorder.time_s", "recorder.scatter")
 """Ends of the places of arrays whose first dimension counts what was gathered so far."""
@@ -141,8 +142,48 @@ def robot_digest(robot: Robot) -> str:
     return found.hexdigest()
 
 
-def _axis(joint: pin.JointModel) -> NDArray[np.float64]:
+def _axis(joint: pin.JointModel) -> Array:
     """How a joint of one number moves its link: velocity and rotation for a rate of one."""
     data = joint.createData()
     joint.calc(data, np.zeros(joint.nq))
     return np.asarray(data.S)
+
+
+TRIED_S = 0.03
+"""Time step of a trial: long enough that everything which changes slowly is renewed."""
+TRIED = 3
+
+
+def try_out(twin: Any, state: Any) -> None:
+    """Make a damaged state fail now and not in a later update.
+
+    Args:
+        twin: A new `VirtualForceSensor` of the same robot and settings, that nobody uses.
+        state: What is to be restored.
+
+    Raises:
+        SnapshotError: If the state is damaged.
+    """
+    try:
+        if state.joints is not None and state.external_torque is not None:
+            raise SnapshotError("it is of two streams")
+        still = np.zeros_like(twin.velocity_rad_s)
+        _run(twin, state, still, still, still)
+        check_form(state, twin.snapshot())
+        twin._take(copied(state))
+        torque = still if state.offset.smooth_torque is None else state.offset.smooth_torque
+        _run(twin, state, state.offset.q, state.velocity, torque)
+    except Exception as error:  # whatever a damaged state makes of its parts
+        raise SnapshotError(f"the snapshot is damaged: {error}") from error
+
+
+def _run(twin: Any, state: Any, q: Array, dq: Array, torque: Array) -> None:
+    """A few samples of the kind that the state is of."""
+    stream = state.joints or state.external_torque
+    if stream is None:
+        return
+    update = twin.update if state.joints is not None else twin.update_external_torque
+    for _ in range(TRIED):
+        found = update(q, dq if stream.velocity is None else None, torque, TRIED_S)
+        if not np.isfinite((found.axial, found.axial_std, found.model_mismatch)).all():
+            raise SnapshotError("its estimates are not finite")

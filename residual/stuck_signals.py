@@ -146,19 +146,12 @@ class NoiseProbe:
 
 @dataclass(slots=True)
 class StuckSignalDetector:
-    """Watches signals that come from one source and would get stuck together; all it remembers.
+    """Watches signals that come from one source and would get stuck together; all it remembers."""
 
-    Attributes:
-        usual_s: Longest repeat while learning [s].
-        repeat_s: For how long all signals have repeated now [s].
-        repeats: For how many accepted samples.
-        is_telling: Whether a repeat means anything in these signals.
-    """
-
-    usual_s: float = 0.0
-    repeat_s: float = 0.0
-    repeats: int = 0
-    is_telling: bool = False
+    usual_s: float = 0.0  # Longest repeat while learning [s]
+    repeat_s: float = 0.0  # For how long all signals have repeated now [s]
+    repeats: int = 0  # For how many accepted samples
+    is_telling: bool = False  # Whether a repeat means anything in these signals
 
     @property
     def _limit_s(self) -> float:
@@ -189,17 +182,12 @@ class StuckSignalDetector:
 
 @dataclass(slots=True, eq=False)
 class SingleSignalDetector:
-    """Checks now and then whether one signal repeats while the others go on; all it remembers.
+    """Checks now and then whether one signal repeats while the others go on; all it remembers."""
 
-    Attributes:
-        values: At the last check, shape (n,).
-        still_s: For how long each has been the same at every check [s], shape (n,).
-        limit_s: For how long at least it is reported, infinite for a signal whose repeats mean
-            nothing [s], shape (n,).
-    """
-
-    values: Array
-    still_s: Array
+    values: Array  # At the last check, shape (n,)
+    still_s: Array  # For how long each has been the same at every check [s], shape (n,)
+    # For how long at least it is reported, infinite for a signal whose repeats mean nothing [s],
+    # shape (n,)
     limit_s: Array
 
     @classmethod

@@ -44,14 +44,14 @@ def lag_pair_coefficients(bandwidth_per_s: float, dt_s: float) -> Array:
         second one.
     """
     tick = bandwidth_per_s * dt_s
-    decay, share, per_tick = math.exp(-tick), -math.expm1(-tick), 1.0 / tick
-    first = np.array([decay, 0.0, share * per_tick - decay, 1.0 - share * per_tick])
+    decay, gained, per_tick = math.exp(-tick), -math.expm1(-tick), 1.0 / tick
+    first = np.array([decay, 0.0, gained * per_tick - decay, 1.0 - gained * per_tick])
     second = np.array(
         [
             decay * tick,
             decay,
-            2.0 * (share * per_tick - decay) - tick * decay,
-            1.0 + decay - 2.0 * share * per_tick,
+            2.0 * (gained * per_tick - decay) - tick * decay,
+            1.0 + decay - 2.0 * gained * per_tick,
         ]
     )
     return np.stack((first, second, bandwidth_per_s * (first - second)))

@@ -29,50 +29,37 @@ from residual.sample_stream import (
     StreamState,
     TorqueSample,
 )
-from residual.snapshot import check_form, copied, robot_digest, settings_text
+from residual.snapshot import copied, robot_digest, settings_text, try_out
 from residual.tool_kinematics import ToolKinematics
 from residual.wrench_estimator import COMPONENTS, AxialWeights, WrenchEstimator
 from urdf import Robot
 
+_OK = Status.OK  # names of an enumeration take as long to find as a call
 _new = tuple.__new__  # makes a named tuple in half the time: there is one in every tick
 
 
 class SensorState(NamedTuple):
-    """All that a `VirtualForceSensor` remembers.
+    """All that a `VirtualForceSensor` remembers."""
 
-    Attributes:
-        robot: `robot_digest` of its robot.
-        config: Its settings in words; they must be the same to go on.
-        joints: Of the stream of joint signals; None before the first sample of one.
-        external_torque: Of the stream of external torques; None before the first sample of one.
-        lag_s: Of the stream that the last sample came by [s].
-        offset: Of the offset removal.
-        torque_covariance: Of the residual's error, as last renewed [Nm^2], shape (n, n).
-        weights: Of the wrench, as last renewed.
-        monitor: Of the consistency checks.
-        followed_N: Force followed for the uncertainty that the lag adds [N]; None before one.
-        unchecked_s: Time since the last consistency check [s].
-        velocity: Joint velocity of the last sample [rad/s], shape (n,).
-        last: Last estimate; None before the first.
-        missed_s: Time of samples rejected since then [s].
-        rejected: Number of bad samples so far.
-    """
-
-    robot: str
-    config: str
+    robot: str  # `robot_digest` of its robot
+    config: str  # Its settings in words; they must be the same to go on
+    # Of the stream of joint signals; None before the first sample of one
     joints: StreamState | None
+    # Of the stream of external torques; None before the first sample of one
     external_torque: StreamState | None
-    lag_s: float
-    offset: BiasState
+    lag_s: float  # Of the stream that the last sample came by [s]
+    offset: BiasState  # Of the offset removal
+    # Of the residual's error, as last renewed [Nm^2], shape (n, n)
     torque_covariance: NDArray[np.float64]
-    weights: AxialWeights
-    monitor: MonitorState
+    weights: AxialWeights  # Of the wrench, as last renewed
+    monitor: MonitorState  # Of the consistency checks
+    # Force followed for the uncertainty that the lag adds [N]; None before one
     followed_N: float | None
-    unchecked_s: float
-    velocity: NDArray[np.float64]
-    last: WrenchEstimate | None
-    missed_s: float
-    rejected: int
+    unchecked_s: float  # Time since the last consistency check [s]
+    velocity: NDArray[np.float64]  # Joint velocity of the last sample [rad/s], shape (n,)
+    last: WrenchEstimate | None  # Last estimate; None before the first
+    missed_s: float  # Time of samples rejected since then [s]
+    rejected: int  # Number of bad samples so far
 
 
 class LagUncertainty:
@@ -161,7 +148,7 @@ class VirtualForceSensor:
         return self._elapsed_s
 
     @property
-    def skipped(self) -> int:
+    def rejected(self) -> int:
         """Bad samples since the last `reset`."""
         return self._rejected
 
@@ -382,18 +369,22 @@ class VirtualForceSensor:
         if renewed:
             wrench.set_torque_covariance(offset.covariance_Nm2())
             wrench.weigh()
-        numbers = wrench.solve(residual, bias.bias)
+        axial, std, force, torque, covariance, conditioning, damped, corrected = wrench.solve(
+            residual, bias.bias
+        )
         self._unchecked_s += elapsed_s
         if renewed:
             dq = self._velocity if stream.has_velocity else None
-            monitor.check(q, dq, numbers[-1], self._unchecked_s, tared=tared)
+            monitor.check(q, dq, corrected, self._unchecked_s, tared=tared)
             self._unchecked_s = 0.0
-        std = self._lag_uncertainty.widen(numbers[0], numbers[1], stream.lag_s, elapsed_s)
-        status, message, warnings = Status.OK, monitor.message, monitor.warnings
+        std = self._lag_uncertainty.widen(axial, std, stream.lag_s, elapsed_s)
+        status, message, warnings = _OK, monitor.message, monitor.warnings
         if not (settled and tared) or bias.leapt_s or stream.warning:
             status, message, warnings = self._doubts(stream, settled=settled)
-        state = (status, message, monitor.mismatch, warnings)
-        self._last = last = _new(WrenchEstimate, (numbers[0], std, *numbers[2:], *state))
+        found = (axial, std, force, torque, covariance, conditioning, damped, corrected)
+        self._last = last = _new(
+            WrenchEstimate, (*found, status, message, monitor.mismatch, warnings)
+        )
         return last
 
     def _doubts(self, stream: SampleStream, *, settled: bool) -> tuple[Status, str, SensorWarning]:
@@ -426,49 +417,3 @@ class VirtualForceSensor:
         if isinstance(error, SuspectSampleError):
             warnings |= error.warning
         return last._replace(status=Status.REJECTED, message=str(error), warnings=warnings)
-
-
-TRIED_S = 0.03
-"""Time step of a trial: long enough that everything which changes slowly is renewed."""
-TRIED = 3
-
-
-def try_out(twin: VirtualForceSensor, state: SensorState) -> None:
-    """Make a damaged state fail now and not in a later update.
-
-    Args:
-        twin: A new sensor of the same robot and settings, that nobody uses.
-        state: What is to be restored.
-
-    Raises:
-        SnapshotError: If the state is damaged.
-    """
-    try:
-        if state.joints is not None and state.external_torque is not None:
-            raise SnapshotError("it is of two streams")
-        still = np.zeros_like(twin.velocity_rad_s)
-        _run(twin, state, still, still, still)
-        check_form(state, twin.snapshot())
-        twin._take(copied(state))
-        torque = still if state.offset.smooth_torque is None else state.offset.smooth_torque
-        _run(twin, state, state.offset.q, state.velocity, torque)
-    except Exception as error:  # whatever a damaged state makes of its parts
-        raise SnapshotError(f"the snapshot is damaged: {error}") from error
-
-
-def _run(
-    twin: VirtualForceSensor,
-    state: SensorState,
-    q: NDArray[np.float64],
-    dq: NDArray[np.float64],
-    torque: NDArray[np.float64],
-) -> None:
-    """A few samples of the kind that the state is of."""
-    stream = state.joints or state.external_torque
-    if stream is None:
-        return
-    update = twin.update if state.joints is not None else twin.update_external_torque
-    for _ in range(TRIED):
-        found = update(q, dq if stream.velocity is None else None, torque, TRIED_S)
-        if not np.isfinite((found.axial, found.axial_std, found.model_mismatch)).all():
-            raise SnapshotError("its estimates are not finite")

@@ -115,7 +115,7 @@ def weighted_inverse(
         damping: Diagonal of D, shape (k,); None for none.
 
     Returns:
-        The solution with its covariance, conditioning and damping share.
+        The solution with its covariance, conditioning and damping.
     """
     weighted = jacobian if precision is None else jacobian.dot(precision)
     information = weighted.dot(jacobian.T)
@@ -265,7 +265,7 @@ class WrenchEstimator:
         self._std = math.sqrt(weights.variance_N2)
         numbers = np.array((weights.variance_N2, weights.damping_share))
         numbers.setflags(write=False)
-        self._spread, self._share = numbers[:1, None], numbers[1:]
+        self._spread, self._removed = numbers[:1, None], numbers[1:]
 
     def solve(self, residual: Array, offset: Array) -> tuple[Any, ...]:
         """Wrench where `kinematics` stands, from an external joint torque.
@@ -300,8 +300,8 @@ class WrenchEstimator:
         # By name it takes thrice as long, in every tick.
         force.setflags(False)  # pyright: ignore[reportCallIssue]
         corrected.setflags(False)  # pyright: ignore[reportCallIssue]
-        spread, share = self._spread, self._share
-        return axial, self._std, force, _NOTHING, spread, weights.conditioning, share, corrected
+        spread, removed = self._spread, self._removed
+        return axial, self._std, force, _NOTHING, spread, weights.conditioning, removed, corrected
 
     def _general(self, residual: Array) -> tuple[Any, ...]:
         """Three or six unknowns."""

@@ -102,7 +102,7 @@ def test_the_guard_may_be_turned_off(lwr):
     assert sensor.update(q, dq, tau + 100.0, 1e-3).status is Status.OK
 
 
-def test_a_joint_at_its_limit_is_told(lwr):
+def test_a_joint_at_its_limit_is_reported(lwr):
     middle = np.array([0.1, 0.5, -0.2, -1.5, 0.3, 1.0, 0.2])
     middle[5] = lwr.position_upper_rad[5] - 0.05
     sensor, rows = tared(lwr, middle=middle, more=4.0)
@@ -111,7 +111,7 @@ def test_a_joint_at_its_limit_is_told(lwr):
 
 
 @pytest.mark.parametrize("mode", ["axial", "point", "full"])
-def test_a_pose_that_feels_nothing_is_told(lwr, mode):
+def test_a_pose_that_feels_nothing_is_reported(lwr, mode):
     sensor = VirtualForceSensor(lwr, replace(DEFAULT, mode=mode))
     for q in (np.full(7, 0.001), np.array([0.1, 0.5, -0.2, -1.5, 0.3, 1.0, 0.2])):
         found = [sensor.update(q, np.zeros(7), np.zeros(7), 1e-3) for _ in range(600)][-1]
@@ -120,7 +120,7 @@ def test_a_pose_that_feels_nothing_is_told(lwr, mode):
         sensor.reset()
 
 
-def test_a_push_aside_misfits_the_axial_mode_and_fits_the_point_mode(lwr):
+def test_a_push_aside_does_not_fit_the_axial_mode_and_fits_the_point_mode(lwr):
     for mode, misfits in (("axial", True), ("point", False)):
         sensor, rows = tared(lwr, replace(DEFAULT, mode=mode))
         assert feed(sensor, rows[:100])[-1].model_mismatch < 2.0

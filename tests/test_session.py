@@ -42,7 +42,7 @@ def test_the_chain_finds_force_depth_and_layer(whole):
     assert session.layers[0].thickness_m == pytest.approx(28.2e-3, abs=1e-3)
     assert found[-1].status is Status.OK
     assert found[-1].used_for_identification
-    assert session.skipped == 0
+    assert session.rejected == 0
     assert session.lag_s == pytest.approx(1.0 / DEFAULT.gain_per_s)
 
 
@@ -95,7 +95,7 @@ def test_travel_counts_from_its_zero_along_the_needle(lwr):
 def test_the_identifier_is_fed_only_forces_of_this_tick():
     run = short_run()
     session = InsertionSession(run.robot)
-    tare = tare_index(run)
+    tare, estimate = tare_index(run), None
     for k, (q, dq, tau, dt_s) in samples(run):
         if k == tare:
             assert not session.tared
