@@ -14,6 +14,8 @@ LIBRARIES = ("urdf", "residual", "identification", "groundtruth")
 INSTALLED = (*LIBRARIES, "needleforce")
 PACKAGES = (*INSTALLED, "benchmarks")
 PROJECT = tomllib.loads((ROOT / "pyproject.toml").read_text(encoding="utf-8"))
+LIMITS = {"product": (19_000, 120), "benchmarks": (6_500, 36), "tests": (13_000, 80)}
+"""Most lines and files of Python."""
 MOST_LINES = 450
 MOST_CODE_LINES = 40
 MOST_PUBLIC_NAMES = 26
@@ -67,8 +69,24 @@ def functions(tree):
     return [n for n in ast.walk(tree) if isinstance(n, ast.FunctionDef | ast.AsyncFunctionDef)]
 
 
+def test_each_area_keeps_its_size(capsys):
+    areas = {"product": INSTALLED, "benchmarks": ("benchmarks",), "tests": ("tests",)}
+    found = {}
+    for area, folders in areas.items():
+        files = [path for path in SOURCES if path.relative_to(ROOT).parts[0] in folders]
+        lines = sum(path.read_text(encoding="utf-8").count("\n") for path in files)
+        found[area] = lines, len(files)
+    with capsys.disabled():
+        print(f"\nlines and files: {found}, at most {LIMITS}")  # noqa: T201
+    assert min(found.values()) > (0, 0)
+    pairs = {area: list(zip(size, LIMITS[area], strict=True)) for area, size in found.items()}
+    assert {area: pair for area, pair in pairs.items() if any(n > most for n, most in pair)} == {}
+
+
 def test_files_are_short():
-    lengths = {name_of(path): text.count("\n") for path, text in text_files()}
+    """Pictures apart: nobody reads an SVG line by line."""
+    texts = ((path, text) for path, text in text_files() if path.suffix != ".svg")
+    lengths = {name_of(path): text.count("\n") for path, text in texts}
     assert lengths
     assert {name: lines for name, lines in lengths.items() if lines > MOST_LINES} == {}
 
@@ -146,7 +164,7 @@ def test_a_library_has_a_public_face_types_and_one_base_error(package_name):
     own = [
         value
         for value in vars(module).values()
-        if getattr(value, "__module__", "") == module.__name__
+        if isinstance(value, type) and value.__module__ == module.__name__
     ]
     bases = [error for error in own if error.__bases__ == (Exception,)]
     assert len(bases) == 1

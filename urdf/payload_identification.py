@@ -176,18 +176,13 @@ def _payload_equation(
 
 
 def _identify(
-    robot: Robot,
-    motion: tuple[Array, Array, Array, Array],
-    asked: int,
-    noise_std: ArrayLike | None,
-    *,
-    fit_offsets: bool,
+    robot: Robot, motion: tuple[Array, ...], asked: int, std: ArrayLike | None, *, fit_offsets: bool
 ) -> PayloadEstimate:
     """Fit so many parameters, make them those of a body, and sum up the torque that they leave."""
     regressor, unexplained = _payload_equation(robot, *motion)
     columns = regressor[:, :, :asked]
     solution, spread, root, rank, offsets_std = _fit_linear(
-        columns, unexplained, noise_std, fit_offsets=fit_offsets
+        columns, unexplained, std, fit_offsets=fit_offsets
     )
     scaled = solution
     if asked == 10:
