@@ -2,10 +2,12 @@
 
 from dataclasses import fields, is_dataclass
 from functools import cache
+from itertools import islice
 
 import numpy as np
 
 from groundtruth import simulate
+from needleforce import InsertionSession
 
 
 @cache
@@ -30,6 +32,40 @@ def samples(run, *, with_velocity=True):
 def tare_index(run):
     """First sample after the stroke in free air."""
     return int(np.searchsorted(run.signals.t_s, run.tare_end_s))
+
+
+def insert(session, last=None, *, with_velocity=True):
+    """Every estimate of the short run up to a sample, tared where a user would."""
+    tare, found = tare_index(short_run()), []
+    for k, sample in samples(short_run(), with_velocity=with_velocity):
+        if k == tare:
+            session.tare()
+        found.append(session.update(*sample))
+        if k == last:
+            break
+    return found
+
+
+@cache
+def stopped_after(last):
+    """Snapshot of a session after a sample of the short run."""
+    session = InsertionSession(short_run().robot)
+    insert(session, last)
+    return session.snapshot()
+
+
+@cache
+def following(last, count):
+    """So many samples that follow a sample of the short run."""
+    rows = islice(samples(short_run()), last + 1, last + 1 + count)
+    return [sample for _, sample in rows]
+
+
+def resumed_after(last, count):
+    """A session that goes on after a sample of the short run, and so many samples that follow."""
+    session = InsertionSession(short_run().robot)
+    session.restore(stopped_after(last))
+    return session, following(last, count)
 
 
 def same(one, other):

@@ -1,44 +1,48 @@
-"""The whole chain in one object: what it tells, and what it feeds the identifier."""
+"""The whole chain in one object: what it estimates, and what it uses for identification."""
 
 import numpy as np
 import pytest
-from insertion_run import samples, short_run, tare_index, time_steps
+from insertion_run import (
+    insert,
+    resumed_after,
+    same,
+    samples,
+    short_run,
+    tare_index,
+    time_steps,
+)
 
 from benchmarks.signals import JointSignals, measured_travel
-from identification import SampleStatus
+from identification import MultilayerConfig, SampleStatus
+from identification.input_validation import CheckConfig
 from needleforce import InsertionError, InsertionSession
 from needleforce.session import TipTravel
-from residual import DEFAULT, PUBLISHED, Status, TareError
+from residual import DEFAULT, PUBLISHED, SensorWarning, Status, TareError
 from residual.tool_kinematics import ToolKinematics
 
+RUN = short_run()
+TARE = tare_index(RUN)
+INSIDE = int(np.argmax(RUN.truth.depth_m > 15e-3)) - 1
+"""The last sample before the middle of the gel."""
+Q = np.array([0.1, 0.5, -0.2, -1.5, 0.3, 1.0, 0.2])
 
-def insert(session, *, with_velocity=True, last=None):
-    """Every estimate of the short run, tared where a user would."""
-    run = short_run()
-    tare = tare_index(run)
-    found = []
-    for k, sample in samples(run, with_velocity=with_velocity):
-        if k == tare:
-            session.tare()
-        found.append(session.update(*sample))
-        if k == last:
-            break
-    return found
+
+def ruptures(found):
+    return [k for k, e in enumerate(found) if e.identification.rupture is not None]
 
 
 @pytest.fixture(scope="module")
 def whole():
-    session = InsertionSession(short_run().robot)
+    session = InsertionSession(RUN.robot)
     return session, insert(session)
 
 
 def test_the_chain_finds_force_depth_and_layer(whole):
-    run, (session, found) = short_run(), whole
-    inside = (run.signals.t_s > run.contact_s) & (run.signals.t_s < run.withdrawn_s)
+    session, found = whole
+    inside = (RUN.signals.t_s > RUN.contact_s) & (RUN.signals.t_s < RUN.withdrawn_s)
     axial = np.array([e.wrench.axial for e in found])
-    assert np.sqrt(np.mean((axial - run.truth.axial_N)[inside] ** 2)) < 0.05
-    assert [e.identification.rupture is not None for e in found].count(True) == 1
-    assert len(session.layers) == 1
+    assert np.sqrt(np.mean((axial - RUN.truth.axial_N)[inside] ** 2)) < 0.05
+    assert len(ruptures(found)) == len(session.layers) == 1
     assert session.layers[0].thickness_m == pytest.approx(28.2e-3, abs=1e-3)
     assert found[-1].status is Status.OK
     assert found[-1].used_for_identification
@@ -47,43 +51,32 @@ def test_the_chain_finds_force_depth_and_layer(whole):
 
 
 @pytest.mark.parametrize("with_velocity", [True, False])
-def test_depth_and_speed_are_those_of_the_offline_kinematics(with_velocity):
-    run = short_run()
-    sent = run.signals
-    tare = tare_index(run)
-    online = insert(InsertionSession(run.robot), with_velocity=with_velocity, last=tare + 4000)[
-        tare:
-    ]
-    offline = measured_travel(
-        run.robot,
-        JointSignals(
-            t_s=sent.t_s,
-            q_rad=sent.q_rad,
-            dq_rad_s=sent.dq_rad_s if with_velocity else None,
-            tau_Nm=sent.tau_Nm,
-        ),
-        run.tare_end_s,
-    )
-    depth = np.array([e.depth_m for e in online])
-    speed = np.array([e.speed_m_s for e in online])
-    part = slice(tare, tare + len(depth))
+def test_depth_and_speed_are_those_of_the_offline_kinematics(whole, with_velocity):
+    last, sent = TARE + 4000, RUN.signals
+    found = whole[1]
+    if not with_velocity:
+        found = insert(InsertionSession(RUN.robot), last, with_velocity=False)
+    dq = sent.dq_rad_s if with_velocity else None
+    signals = JointSignals(t_s=sent.t_s, q_rad=sent.q_rad, dq_rad_s=dq, tau_Nm=sent.tau_Nm)
+    offline = measured_travel(RUN.robot, signals, RUN.tare_end_s)
+    part = slice(TARE, last + 1)
+    depth, speed = np.array([(e.depth_m, e.speed_m_s) for e in found[part]]).T
     # The zero is noisy by a sample's worth; without velocities depth is 10 ms old.
     tolerance_m = 2e-5 if with_velocity else 8e-5
     np.testing.assert_allclose(depth, offline.depth_m[part], atol=tolerance_m)
     np.testing.assert_allclose(speed, offline.speed_m_s[part], atol=2e-6 if with_velocity else 1e-4)
-    truth = run.truth.depth_m[part] - run.truth.depth_m[tare]
+    truth = RUN.truth.depth_m[part] - RUN.truth.depth_m[TARE]
     np.testing.assert_allclose(depth, truth, atol=1e-4)
 
 
 def test_travel_counts_from_its_zero_along_the_needle(lwr):
     kinematics = ToolKinematics(lwr)
-    q = np.array([0.1, 0.5, -0.2, -1.5, 0.3, 1.0, 0.2])
-    kinematics.update(q)
+    kinematics.update(Q)
     travel = TipTravel(kinematics)
     assert travel.read(np.zeros(7)) == pytest.approx((0.0, 0.0), abs=1e-12)
     step = kinematics.axial_jacobian / kinematics.axial_jacobian.dot(kinematics.axial_jacobian)
     assert travel.read(step).speed_m_s == pytest.approx(1.0)
-    kinematics.update(q + 1e-4 * step)
+    kinematics.update(Q + 1e-4 * step)
     assert travel.read(step).depth_m == pytest.approx(1e-4, rel=1e-2)
     kept = travel.state
     travel.zero()
@@ -92,146 +85,199 @@ def test_travel_counts_from_its_zero_along_the_needle(lwr):
     assert travel.read(step).depth_m == pytest.approx(1e-4, rel=1e-2)
 
 
-def test_the_identifier_is_fed_only_forces_of_this_tick():
-    run = short_run()
-    session = InsertionSession(run.robot)
-    tare, estimate = tare_index(run), None
-    for k, (q, dq, tau, dt_s) in samples(run):
-        if k == tare:
+def test_only_valid_tared_forces_of_this_tick_are_used_for_identification():
+    session, lost, estimate = InsertionSession(RUN.robot), range(TARE + 100, TARE + 500), None
+    for k, (q, dq, tau, dt_s) in samples(RUN):
+        if k == TARE:
             assert not session.tared
             session.tare()
             tared_s = estimate.time_s
-        estimate = session.update(
-            q, dq, tau * np.nan if k in range(tare + 100, tare + 500) else tau, dt_s
-        )
-        if k < tare:
+        estimate = session.update(q, dq, tau * np.nan if k in lost else tau, dt_s)
+        if k < TARE:
             assert estimate.status in (Status.INITIALIZING, Status.NOT_TARED)
             assert not estimate.used_for_identification
             assert estimate.identification.time_s == 0.0
-        if k == tare + 499:
+        if k == TARE + 499:
             assert estimate.status is Status.REJECTED
             assert not estimate.used_for_identification
             assert estimate.identification.time_s - tared_s == pytest.approx(0.1)
-        if k == tare + 500:
+        if k == TARE + 500:
             assert estimate.status is Status.INITIALIZING
-        if estimate.used_for_identification and k > tare + 500:
+        if estimate.used_for_identification and k > TARE + 500:
             break
-    # The time of what was not fed has passed; the identifier is told of the gap.
+    # The time of what was not used has passed, and the identifier reports the gap.
     assert estimate.identification.status is SampleStatus.TIME_GAP
     assert estimate.identification.time_s == estimate.time_s
     assert estimate.time_s == pytest.approx(k * 1e-3, abs=2e-3)
 
 
-def test_a_rupture_is_told_once(whole):
-    found = whole[1]
-    k = next(k for k, e in enumerate(found) if e.identification.rupture is not None)
-    run = short_run()
-    session = InsertionSession(run.robot)
-    insert(session, last=k)
-    q, dq, tau, dt_s = next(sample for j, sample in samples(run) if j == k + 1)
-    assert session.update(q, dq, tau * np.nan, dt_s).identification.rupture is None
+def test_a_rupture_and_its_retraction_are_reported_once(whole):
+    k = ruptures(whole[1])[0]
+    reported = whole[1][k].identification
+    session, ((q, dq, tau, dt_s),) = resumed_after(k, 1)
+    for event in ({}, {"rupture": None, "retracted": reported.rupture}):
+        session._identification = reported._replace(**event)
+        for _ in range(2):
+            idle = session.update(q, dq, tau * np.nan, dt_s).identification
+            assert idle == reported._replace(rupture=None)
 
 
-def test_a_withdrawn_rupture_is_told_once(whole):
-    found = whole[1]
-    k = next(k for k, e in enumerate(found) if e.identification.rupture is not None)
-    told = found[k].identification
-    run = short_run()
-    session = InsertionSession(run.robot)
-    insert(session, last=tare_index(run) + 10)
-    session._identification = told._replace(rupture=None, retracted=told.rupture)
-    q, dq, tau, dt_s = next(sample for j, sample in samples(run) if j == tare_index(run) + 11)
-    for _ in range(2):
-        idle = session.update(q, dq, tau * np.nan, dt_s).identification
-        assert idle == told._replace(rupture=None)
-
-
-def test_another_insertion_begins_anew_but_keeps_the_tare():
-    run = short_run()
-    session = InsertionSession(run.robot)
-    insert(session, last=tare_index(run) + 12_000)
-    deep = session.update(*next(sample for k, sample in samples(run) if k == 25_000))
+def test_a_refused_tare_changes_nothing_and_another_insertion_keeps_the_tare():
+    session, (first, second) = resumed_after(TARE + 12_000, 2)
+    deep = session.update(*first)
+    with pytest.raises(TareError, match="start_tare_recording"):
+        session.tare()
+    assert session.snapshot().travel.depth_m == deep.depth_m > 5e-3
     session.begin_insertion()
     assert session.tared
     assert session.layers == ()
-    again = session.update(*next(sample for k, sample in samples(run) if k == 25_001))
-    assert deep.depth_m > 5e-3
+    again = session.update(*second)
     assert again.depth_m == pytest.approx(0.0, abs=1e-4)
     assert again.identification.layer == 0
+    session.start_tare_recording()
+    assert not session.tared
     session.reset()
     assert not session.tared
     with pytest.raises(TareError):
         session.tare()
 
 
-def test_a_refused_tare_leaves_the_insertion_as_it_was():
-    session = InsertionSession(short_run().robot)
-    insert(session, last=tare_index(short_run()) + 3000)
-    depth_m = session.snapshot().travel.depth_m
-    with pytest.raises(TareError, match="start_tare_recording"):
-        session.tare()
-    assert session.snapshot().travel.depth_m == depth_m
-    session.start_tare_recording()
-    assert not session.tared
-
-
-def test_the_robots_own_external_torque_takes_the_same_way():
-    run = short_run()
-    sent, truth = run.signals, run.truth
-    tare = tare_index(run)
-    rng = np.random.default_rng(0)
-    torque = truth.external_torque_Nm + 0.3 + 0.01 * rng.normal(size=truth.external_torque_Nm.shape)
-    sessions = {True: InsertionSession(run.robot), False: InsertionSession(run.robot)}
-    for k, dt_s in enumerate(time_steps(run)):
-        for given, session in sessions.items():
-            if k == tare:
+def test_the_robots_own_external_torque_gives_force_and_speed():
+    sent, truth, last = RUN.signals, RUN.truth, TARE + 8000
+    noise = 0.01 * np.random.default_rng(0).normal(size=truth.external_torque_Nm.shape)
+    torque = truth.external_torque_Nm + 0.3 + noise
+    for with_velocity in (True, False):
+        session = InsertionSession(RUN.robot)
+        for k, dt_s in enumerate(time_steps(RUN)[: last + 1]):
+            if k == TARE:
                 session.tare()
-            dq = sent.dq_rad_s[k] if given else None
+            dq = sent.dq_rad_s[k] if with_velocity else None
             estimate = session.update_external_torque(sent.q_rad[k], dq, torque[k], dt_s)
             assert estimate.status is not Status.REJECTED
-            if k == tare + 8000:
-                assert estimate.wrench.axial == pytest.approx(truth.axial_N[k], abs=0.1)
-                assert estimate.speed_m_s == pytest.approx(truth.speed_m_s[k], abs=3e-4)
-        if k == tare + 8000:
-            break
+        assert estimate.wrench.axial == pytest.approx(truth.axial_N[last], abs=0.1)
+        assert estimate.speed_m_s == pytest.approx(truth.speed_m_s[last], abs=3e-4)
 
 
-def test_speed_lag_smooths_the_speed():
-    run = short_run()
-    end = tare_index(run) + 6000
-    spread = {
-        lag_s: np.std(
-            [
-                e.speed_m_s
-                for e in insert(InsertionSession(run.robot, speed_lag_s=lag_s), last=end)[-2000:]
-            ]
-        )
-        for lag_s in (0.0, 0.02)
-    }
-    assert spread[0.02] < 0.5 * spread[0.0]
-
-
-@pytest.mark.parametrize("lag_s", [-1.0, np.inf, np.nan, "x"])
-def test_a_lag_that_cannot_work_is_refused(lwr, lag_s):
-    with pytest.raises(InsertionError, match="speed_lag_s"):
-        InsertionSession(lwr, speed_lag_s=lag_s)
+def test_speed_lag_smooths_the_speed_over_the_true_time(whole):
+    lost, other = (InsertionSession(RUN.robot, speed_lag_s=0.02) for _ in range(2))
+    moving = slice(TARE + 4001, TARE + 6001)
+    smooth = np.std([e.speed_m_s for e in insert(other, TARE + 6000)[moving]])
+    assert smooth < 0.5 * np.std([e.speed_m_s for e in whole[1][moving]])
+    lost.restore(other.snapshot())
+    rows = [sample for _, sample in samples(RUN)][TARE + 6001 : TARE + 7101]
+    for k, (q, dq, tau, dt_s) in enumerate(rows):
+        dq = dq * (3.0 if k >= 1000 else 1.0)
+        ours = lost.update(q, dq, tau * np.nan if k % 10 else tau, dt_s)
+        theirs = other.update(q, dq, tau, dt_s)
+        if k % 10 == 0 and k >= 1030:
+            assert ours.speed_m_s == pytest.approx(theirs.speed_m_s, rel=0.2)
 
 
 def test_the_published_settings_run_through(lwr):
     session = InsertionSession(lwr, PUBLISHED)
-    q = np.array([0.1, 0.5, -0.2, -1.5, 0.3, 1.0, 0.2])
     for _ in range(10):
-        estimate = session.update(q, np.zeros(7), np.zeros(7), 1e-3)
+        estimate = session.update(Q, np.zeros(7), np.zeros(7), 1e-3)
     assert estimate.wrench.covariance.shape == (6, 6)
 
 
 @pytest.mark.parametrize(
-    ("arguments", "match"),
+    ("arguments", "options", "match"),
     [
-        (("arm.urdf",), r"robot is a str, expected a Robot; .*load_urdf"),
-        ((short_run().robot, {"mode": "full"}), r"sensor_config is a dict, .*SensorConfig"),
+        (("arm.urdf",), {}, r"robot is a str, expected a Robot; .*load_urdf"),
+        ((RUN.robot, {"mode": "full"}), {}, r"sensor_config is a dict, .*SensorConfig"),
+        *(
+            ((RUN.robot,), {"speed_lag_s": lag_s}, f"speed_lag_s is {lag_s!r}, expected a finite")
+            for lag_s in (-1.0, np.inf, np.nan, "x")
+        ),
     ],
 )
-def test_a_path_or_a_dict_is_refused_with_a_sentence(arguments, match):
+def test_settings_that_cannot_work_are_refused_with_a_sentence(arguments, options, match):
     with pytest.raises(InsertionError, match=match):
-        InsertionSession(*arguments)
+        InsertionSession(*arguments, **options)
+
+
+# Time, when samples are missing or a clock is set.
+
+
+@pytest.mark.parametrize("dt_s", [-10.0, 1.8e9, np.nan, None])
+def test_a_clock_that_was_set_takes_no_time(dt_s):
+    session, rows = resumed_after(TARE, 52)
+    for row in rows[:50]:
+        before = session.update(*row)
+    assert before.used_for_identification
+    set_back = session.update(*rows[50][:3], dt_s)
+    assert set_back.status is Status.REJECTED
+    assert not set_back.used_for_identification
+    after = session.update(*rows[51])
+    assert after.used_for_identification
+    passed_s = after.identification.time_s - before.identification.time_s
+    assert passed_s == pytest.approx(rows[51][3])
+
+
+def test_time_of_rejected_samples_is_counted_once():
+    session, rows = resumed_after(TARE, 300)
+    start_s = session.snapshot().time_s
+    for k, (q, dq, tau, dt_s) in enumerate(rows):
+        last = session.update(q, dq, tau * np.nan if 100 <= k < 130 else tau, dt_s)
+    assert last.used_for_identification
+    assert last.time_s - start_s == pytest.approx(0.3)
+    assert last.identification.time_s == last.time_s
+
+
+def test_a_force_that_the_identifier_rejects_was_not_used():
+    config = MultilayerConfig(check=CheckConfig(force_limit_N=1.0))
+    session = InsertionSession(RUN.robot, identifier_config=config)
+    insert(session, TARE)
+    kinematics, found = ToolKinematics(RUN.robot), []
+    for k, (q, dq, tau, dt_s) in enumerate(resumed_after(TARE, 400)[1]):
+        kinematics.update(q)
+        push = 3.0 * kinematics.axial_jacobian if k > 100 else 0.0
+        found.append(session.update(q, dq, tau + push, dt_s))
+    assert all(e.used_for_identification for e in found[:100])
+    assert found[-1].status is Status.OK
+    assert found[-1].wrench.axial > 1.0
+    assert found[-1].identification.status is SampleStatus.FORCE_RANGE
+    assert not found[-1].used_for_identification
+
+
+# A push aside is no rupture, although it looks like one before its mismatch has lasted.
+
+
+def pushed(rows, force_in_base_N, first, count):
+    """Samples, so many of them with a force on the needle's tip beside that of the tissue."""
+    kinematics = ToolKinematics(RUN.robot)
+    for k, (q, dq, tau, dt_s) in enumerate(rows):
+        kinematics.update(q)
+        force_in_tool = kinematics.rotation_tool_to_base.T @ np.array(force_in_base_N)
+        torque = kinematics.jacobian[:3].T @ force_in_tool
+        yield q, dq, tau - torque if first <= k < first + count else tau, dt_s
+
+
+@pytest.mark.parametrize("force_in_base_N", [(1.0, 0.0, 0.0), (0.0, 1.0, 0.0), (0.3, 0.0, 0.0)])
+@pytest.mark.parametrize("first", [100, 106, 112, 118])
+def test_a_push_aside_raises_no_rupture(force_in_base_N, first):
+    session, rows = resumed_after(INSIDE, 400)
+    found = [session.update(*row) for row in pushed(rows, force_in_base_N, first, 400)]
+    assert ruptures(found) == []
+    flagged = [k for k, e in enumerate(found) if SensorWarning.MODEL_MISMATCH in e.warnings]
+    assert first < flagged[0] < first + 100
+    assert "do not fit" in found[flagged[0]].wrench.message
+    assert not any(found[k].used_for_identification for k in flagged)
+    assert all(e.status is Status.OK for e in found)
+
+
+def test_a_rupture_after_a_push_aside_is_found_and_one_without_is_not_delayed():
+    found, layers = {}, {}
+    for case in ("undisturbed", "pushed", "unchecked"):
+        session, rows = resumed_after(INSIDE, 12_000)
+        if case == "pushed":
+            rows = pushed(rows, (1.0, 0.0, 0.0), 100, 200)
+        if case == "unchecked":
+            session._sensor.recheck = lambda last: last
+        found[case] = tuple(session.update(*row) for row in rows)
+        layers[case] = session.layers
+    assert len(ruptures(found["undisturbed"])) == 1
+    assert same(found["undisturbed"], found["unchecked"])
+    # Blocks of the identifier begin elsewhere after the pause.
+    assert ruptures(found["pushed"]) == pytest.approx(ruptures(found["undisturbed"]), abs=10)
+    assert len(layers["pushed"]) == len(layers["undisturbed"]) == 1

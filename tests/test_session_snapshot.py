@@ -4,14 +4,21 @@ import copy
 import hashlib
 import pickle
 from dataclasses import replace
-from functools import cache
 
 import msgspec
 import numpy as np
 import pytest
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
-from insertion_run import same, samples, short_run, tare_index
+from insertion_run import (
+    following,
+    resumed_after,
+    same,
+    samples,
+    short_run,
+    stopped_after,
+    tare_index,
+)
 
 from identification import MULTILAYER, PUBLISHED, Identifier, RuptureState
 from needleforce import (
@@ -26,6 +33,8 @@ from residual import DEFAULT, SnapshotError, VirtualForceSensor
 from urdf import NeedleTool, Payload, load_lwr
 
 CONFIGS = {"multilayer": MULTILAYER, "published": PUBLISHED}
+TARE = tare_index(short_run())
+IN_TISSUE = TARE + 4000
 BEYOND = 1500
 """Ticks for which the resumed session is compared."""
 NAN_7 = [[7], "C", np.full(7, np.nan).tobytes()]
@@ -35,12 +44,11 @@ ODD += [[[0, 2**60], "C", b""], [[3], "C", bytes(8)], [[1], "?", bytes(8)]]
 
 def run_through(session, last, folder, *, with_velocity):
     """Estimates of a run, and the ticks after which a snapshot was written, by tick."""
-    tare = tare_index(short_run())
     found, files = [], {}
     # While the noise is learnt, while free motion is recorded, in air, in the gel, in its rupture.
-    cuts = {200, tare - 50, tare + 500, tare + 6000}
+    cuts = {200, TARE - 50, TARE + 500, TARE + 6000}
     for k, sample in samples(short_run(), with_velocity=with_velocity):
-        if k == tare:
+        if k == TARE:
             session.tare()
         found.append(session.update(*sample))
         machine = found[-1].identification.rupture_state
@@ -57,9 +65,7 @@ def run_through(session, last, folder, *, with_velocity):
 @pytest.mark.parametrize("config", CONFIGS)
 def test_a_resumed_session_goes_on_bit_for_bit(config, with_velocity, tmp_path):
     run = short_run()
-    tare = tare_index(run)
-    session = InsertionSession(run.robot, identifier_config=CONFIGS[config])
-    last = tare + 17_500
+    session, last = InsertionSession(run.robot, identifier_config=CONFIGS[config]), TARE + 17_500
     found, files = run_through(session, last, tmp_path, with_velocity=with_velocity)
     assert ("rupture" in files) or config == "published"
     feed = list(samples(run, with_velocity=with_velocity))
@@ -67,54 +73,33 @@ def test_a_resumed_session_goes_on_bit_for_bit(config, with_velocity, tmp_path):
         other = InsertionSession(run.robot, identifier_config=CONFIGS[config])
         other.restore(read_snapshot(path))
         for k in range(cut + 1, min(cut + BEYOND, last)):
-            if k == tare:
+            if k == TARE:
                 other.tare()
             assert same(other.update(*feed[k][1]), found[k]), (cut, k)
-
-
-@cache
-def stopped():
-    """A session stopped in the tissue, its snapshot, and the samples that come next."""
-    run = short_run()
-    tare = tare_index(run)
-    session = InsertionSession(run.robot)
-    for k, sample in samples(run):
-        if k == tare:
-            session.tare()
-        session.update(*sample)
-        if k == tare + 4000:
-            break
-    rows = [sample for k, sample in samples(run) if tare + 4000 < k <= tare + 4200]
-    return session, session.snapshot(), rows
 
 
 @pytest.mark.parametrize(
     "copied", [copy.deepcopy, lambda session: pickle.loads(pickle.dumps(session))]
 )
 def test_a_copy_goes_on_bit_for_bit_and_apart_from_the_original(copied):
-    _, snapshot, rows = stopped()
-    session = InsertionSession(short_run().robot)
-    session.restore(snapshot)
+    session, rows = resumed_after(IN_TISSUE, 200)
     other = copied(session)
     expected = [session.update(*row) for row in rows]
     assert same(tuple(other.update(*row) for row in rows), tuple(expected))
 
 
 def test_sensor_and_identifier_alone_are_stored_too(tmp_path):
-    run = short_run()
-    sensor, identifier = VirtualForceSensor(run.robot), Identifier()
-    for k, sample in samples(run):
-        estimate = sensor.update(*sample)
-        identifier.update(1e-6 * k, 1e-3, estimate.axial, 1e-3)
-        if k == 1000:
-            break
-    write_snapshot(sensor.snapshot(), tmp_path / "sensor")
-    write_snapshot(identifier.snapshot(), tmp_path / "identifier")
-    other, another = VirtualForceSensor(run.robot), Identifier()
-    other.restore(read_snapshot(tmp_path / "sensor"))
-    another.restore(read_snapshot(tmp_path / "identifier"))
-    assert same(other.update(*sample), sensor.update(*sample))
-    assert another.update(2e-3, 1e-3, 0.1, 1e-3) == identifier.update(2e-3, 1e-3, 0.1, 1e-3)
+    whole, (row,) = resumed_after(IN_TISSUE, 1)
+    robot, step = short_run().robot, (2e-2, 2e-3, 0.1, 1e-3)
+    for part, kept, sample in (
+        (lambda: VirtualForceSensor(robot), whole.snapshot().sensor, row),
+        (Identifier, whole.snapshot().identifier, step),
+    ):
+        one, other = part(), part()
+        one.restore(kept)
+        write_snapshot(one.snapshot(), tmp_path / "s")
+        other.restore(read_snapshot(tmp_path / "s"))
+        assert same(other.update(*sample), one.update(*sample))
 
 
 def test_external_torque_resumes_too(tmp_path):
@@ -133,7 +118,7 @@ def test_external_torque_resumes_too(tmp_path):
 
 
 def test_another_robot_or_other_settings_are_refused_and_change_nothing(lwr):
-    kept = stopped()[1]
+    kept = stopped_after(IN_TISSUE)
     heavier = load_lwr(payload=NeedleTool()).with_payload(
         NeedleTool().payload
         + Payload(mass_kg=0.1, com_m=np.zeros(3), inertia_kg_m2=np.zeros((3, 3)))
@@ -158,7 +143,7 @@ def test_another_robot_or_other_settings_are_refused_and_change_nothing(lwr):
 def written(folder):
     """A file, its envelope and the plain tree of its snapshot."""
     path = folder / "s"
-    write_snapshot(stopped()[1], path)
+    write_snapshot(stopped_after(IN_TISSUE), path)
     envelope = msgspec.msgpack.decode(path.read_bytes())
     return path, envelope, msgspec.msgpack.decode(envelope["data"])
 
@@ -208,7 +193,7 @@ def test_one_changed_byte_is_noticed(tmp_path):
             read_snapshot(path)
         content[at] ^= 4
     path.write_bytes(content)
-    assert same(read_snapshot(path), stopped()[1])
+    assert same(read_snapshot(path), stopped_after(IN_TISSUE))
 
 
 def test_a_full_disk_leaves_the_older_snapshot_and_no_part(tmp_path, monkeypatch):
@@ -220,7 +205,7 @@ def test_a_full_disk_leaves_the_older_snapshot_and_no_part(tmp_path, monkeypatch
 
     monkeypatch.setattr("os.fsync", full)
     with pytest.raises(OSError, match="No space"):
-        write_snapshot(stopped()[1], path)
+        write_snapshot(stopped_after(IN_TISSUE), path)
     assert [p.name for p in tmp_path.iterdir()] == [path.name]
     assert path.read_bytes() == older
 
@@ -263,7 +248,7 @@ def test_a_field_changed_on_purpose_is_refused_or_does_no_harm(tmp_path, data):
     except ValueError:
         assert same(session.snapshot(), before)
         return
-    for row in stopped()[2]:
+    for row in following(IN_TISSUE, 200):
         estimate = session.update(*row)
         wrench = estimate.wrench
         numbers = (wrench.axial, wrench.axial_std, wrench.model_mismatch, *estimate[1:3])
@@ -273,4 +258,4 @@ def test_a_field_changed_on_purpose_is_refused_or_does_no_harm(tmp_path, data):
 @pytest.mark.parametrize("value", [object(), 1 + 2j, np.zeros(2, dtype=np.int64)])
 def test_what_a_snapshot_cannot_hold_is_refused(value, tmp_path):
     with pytest.raises(SnapshotFileError, match="cannot hold"):
-        write_snapshot(stopped()[1]._replace(unused_s=value), tmp_path / "s")
+        write_snapshot(stopped_after(IN_TISSUE)._replace(unused_s=value), tmp_path / "s")
