@@ -1,6 +1,5 @@
 """What hangs on the flange: what simulation knows, it finds; its uncertainty is true."""
 
-import json
 from dataclasses import FrozenInstanceError
 
 import numpy as np
@@ -10,6 +9,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy.signal import butter, sosfiltfilt
 
+from benchmarks.recorded.ur10e import read_ur10e
 from urdf import (
     InputError,
     NeedleTool,
@@ -262,44 +262,28 @@ def test_a_body_stays_where_it_is_and_directions_without_data_get_an_answer():
 # A real UR10e without and with a known weight: what it makes of motor currents.
 
 
-def identify_recorded(folder, name):
-    table = json.loads((folder / "model.json").read_text())
-    inertias = np.array(table["inertial_parameters"]["rows"])[:, [9, 6, 7, 8, 0, 1, 3, 2, 4, 5]]
-    joints = [
-        SerialJoint(
-            name=row["name"],
-            placement=pin.SE3(pin.rpy.rpyToMatrix(*row["rpy_rad"]), np.array(row["xyz_m"])),
-            axis=np.array(row["axis"]),
-            inertia=inertia,
-        )
-        for row, inertia in zip(table["joints"][:6], inertias, strict=True)
-    ]
-    rotor = table["rotor_inertia_kg_m2"]
-    robot = build_serial_robot(joints, rotor_inertia_kg_m2=rotor, check_inertias=False)
-    log, dt_s = np.load(folder / f"{name}.npz"), 0.01
-    t = np.arange(log["t_s"][0], log["t_s"][-1], dt_s)
-    q, dq, current = (
-        np.column_stack([np.interp(t, log["t_s"], column) for column in log[key].T])
-        for key in ("q_rad", "dq_rad_s", "current_A")
+def identify_recorded(arm, signals):
+    t = np.arange(signals.t_s[0], signals.t_s[-1], 0.01)
+    low_pass = butter(4, 5.0, fs=100.0, output="sos")
+    tau = signals.tau_Nm - np.array([arm.friction.torque(dq) for dq in signals.dq_rad_s])
+    q, dq, tau = (
+        sosfiltfilt(low_pass, [np.interp(t, signals.t_s, column) for column in rows.T]).T
+        for rows in (signals.q_rad, signals.dq_rad_s, tau)
     )
-    viscous, coulomb, offset = np.array(table["friction"]["rows"]).T
-    tau = current * table["torque_constant_Nm_per_A"]
-    tau -= viscous * dq + coulomb * np.tanh(dq / 0.01) + offset
-    low_pass = butter(4, 5.0, fs=1.0 / dt_s, output="sos")
-    q, dq, tau = (sosfiltfilt(low_pass, signal, axis=0) for signal in (q, dq, tau))
-    return identify_payload(robot, q, dq, np.gradient(dq, dt_s, axis=0), tau)
+    return identify_payload(arm.robot, q, dq, np.gradient(dq, 0.01, axis=0), tau)
 
 
 def test_a_real_arm_carries_nothing_and_then_a_known_weight(recordings_dir):
     """The torque constants read 12 to 16 % low, and so must the mass of 2.805 kg."""
-    folder = recordings_dir / "ur10e_mamedov2020"
-    estimate = identify_recorded(folder, "unloaded")
+    arm = read_ur10e(recordings_dir)
+    estimate = identify_recorded(arm, arm.unloaded)
     assert abs(estimate.unconstrained_parameters[0]) < 3.0 * estimate.mass_std_kg < 0.15
     assert estimate.payload.mass_kg < 0.1
-    estimate = identify_recorded(folder, "payload_2805g")
+    estimate = identify_recorded(arm, arm.loaded)
     assert estimate.is_identified
     assert 0.84 - 0.03 < estimate.payload.mass_kg / 2.805 < 0.88 + 0.03
     assert estimate.mass_std_kg < 0.1
     assert np.all(estimate.com_std_m < 0.01)
     # The centre of mass is a ratio of torques, so the scale cancels: it hangs beyond the wrist.
-    assert 0.1 < estimate.payload.com_m[1] < 0.25
+    flange = arm.robot.model.frames[arm.robot.frame_id(arm.robot.flange_frame)].placement
+    assert 0.1 < flange.act(estimate.payload.com_m)[1] < 0.25
