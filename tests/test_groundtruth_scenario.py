@@ -232,15 +232,12 @@ def test_runs_are_quick_and_equal_for_equal_seeds_and_other_seeds_change_the_noi
     assert (first.truth.axial_N == other.truth.axial_N).all()
 
 
-def test_drift_is_zero_where_the_sensor_was_zeroed():
+def test_a_reading_is_the_truth_but_for_drift_since_the_sensor_was_zeroed():
     drift = ForceNoise(white_std_N=0.0, drift_std_N_per_s=1.0, step_N=0.0)
     t = np.linspace(0.0, 10.0, 11)
     reading = drift.reading_N(np.zeros(11), t, 4.0, np.random.default_rng(0))
     assert reading[4] == 0.0
     assert reading == pytest.approx(reading[5] * (t - 4.0))
-
-
-def test_clean_reading_is_the_truth_and_arrays_are_read_only():
     for noise in ("clean", CLEAN):
         run = insert_needle("gel-25-constant", noise=noise)
         assert (run.force_N == run.truth.axial_N).all()
@@ -289,7 +286,7 @@ def test_unusable_settings_are_refused_by_name():
         replace(CLEAN, white_std_N=-1.0)
 
 
-def test_drawn_stacks_vary_in_layers_motion_and_membranes_and_are_physical():
+def test_drawn_stacks_vary_are_physical_rupture_at_every_boundary_and_end_outside():
     assert {len(stack.layers) for stack in DRAWN} == {1, 2, 3, 4}
     assert {stack.motion.strokes[4].profile for stack in DRAWN} == {"cruise", "cosine"}
     layers = [layer for stack in DRAWN for layer in stack.layers]
@@ -297,9 +294,6 @@ def test_drawn_stacks_vary_in_layers_motion_and_membranes_and_are_physical():
     assert with_membrane == pytest.approx(0.25, abs=0.1)
     friction = [layer.friction.sliding_N_per_m(TABLE_I_SPEED_M_S) for layer in layers]
     assert 1.0 < min(friction) < max(friction) < 60.0
-
-
-def test_drawn_stacks_run_rupture_at_every_boundary_and_end_outside():
     for stack in DRAWN[:6]:
         run = insert_needle(stack, rate_hz=200.0)
         boundaries = [b for b in stack.new_tissue().interfaces if b.drop_N > 0.0]
