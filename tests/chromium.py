@@ -61,14 +61,8 @@ addEventListener("message", event => document.body.append("<<" + event.data + ">
 
 def _run(page, *more):
     with tempfile.TemporaryDirectory() as profile:
-        command = [
-            PROGRAM,
-            *FLAGS,
-            f"--user-data-dir={profile}",
-            f"--window-size={DESK[0]},{DESK[1]}",
-            *more,
-            Path(page).resolve().as_uri(),
-        ]
+        window = (f"--user-data-dir={profile}", f"--window-size={DESK[0]},{DESK[1]}")
+        command = [PROGRAM, *FLAGS, *window, *more, Path(page).resolve().as_uri()]
         return subprocess.run(command, capture_output=True, text=True, timeout=SECONDS, check=True)
 
 

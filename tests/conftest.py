@@ -1,4 +1,4 @@
-"""Fixtures shared by all rooms, and where recordings are looked for."""
+"""Fixtures shared by all tests, and where recordings are looked for."""
 
 import os
 from pathlib import Path

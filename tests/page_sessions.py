@@ -9,6 +9,6 @@ def session_failures(page: Path) -> str:
     text = page.read_text(encoding="utf-8")
     session = doctest.DocTestParser().get_doctest(text, {}, page.name, str(page), 0)
     assert len(session.examples) > 10
-    told = []
-    doctest.DocTestRunner(verbose=False).run(session, out=told.append)
-    return "".join(told)
+    differences = []
+    doctest.DocTestRunner(verbose=False).run(session, out=differences.append)
+    return "".join(differences)

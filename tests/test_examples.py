@@ -18,19 +18,12 @@ SAYS = {
 
 
 @pytest.mark.parametrize("name", SAYS)
-def test_an_example_runs_and_says_what_it_found(name, capsys):
+def test_an_example_is_short_runs_and_says_what_it_found(name, capsys):
+    assert sorted(path.stem for path in FOLDER.glob("*.py")) == sorted(SAYS)
+    example = FOLDER / f"{name}.py"
+    assert len(example.read_text(encoding="utf-8").splitlines()) <= 40
     try:
-        runpy.run_path(str(FOLDER / f"{name}.py"), run_name="__main__")
+        runpy.run_path(str(example), run_name="__main__")
     finally:
         gc.unfreeze()
     assert re.match(SAYS[name], capsys.readouterr().out)
-
-
-def test_every_example_is_run():
-    assert sorted(path.stem for path in FOLDER.glob("*.py")) == sorted(SAYS)
-
-
-@pytest.mark.parametrize("name", SAYS)
-def test_an_example_is_short(name):
-    lines = (FOLDER / f"{name}.py").read_text(encoding="utf-8").splitlines()
-    assert len(lines) <= 40

@@ -16,9 +16,9 @@ def is_array(field):
 
 
 def with_arrays():
-    """Every dataclass of both rooms with a field that is an array."""
-    for room in (identification, residual):
-        for module in pkgutil.walk_packages(room.__path__, f"{room.__name__}."):
+    """Every dataclass of both packages with a field that is an array."""
+    for package in (identification, residual):
+        for module in pkgutil.iter_modules(package.__path__, f"{package.__name__}."):
             if module.name.endswith("__main__"):
                 continue
             for kind in vars(importlib.import_module(module.name)).values():
