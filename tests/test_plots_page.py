@@ -63,20 +63,16 @@ def page(tmp_path):
         numeric=frozenset({1}),
         note="A note.",
     )
-    sections = tuple(
-        Section(
-            heading=f"Part {k}",
-            anchor=f"part-{k}",
-            paragraphs=("Text.",),
-            notices=("Beware.",),
-            figures=(figure, figure),
-            tables=(table,),
-            command="python -m a > b",
-            attachments=(Attachment(name="a.json", media_type="application/json", content=b"{}"),),
-        )
-        for k in range(3)
-    )
-    return Page(title="A & B", lead=("Lead.",), sections=sections)
+    parts = {
+        "paragraphs": ("Text.",),
+        "notices": ("Beware.",),
+        "figures": (figure, figure),
+        "tables": (table,),
+        "command": "python -m a > b",
+        "attachments": (Attachment("a.json", "application/json", b"{}"),),
+    }
+    sections = [Section(heading=f"Part {k}", anchor=f"part-{k}", **parts) for k in range(3)]
+    return Page(title="A & B", lead=("Lead.",), sections=tuple(sections))
 
 
 def test_everything_is_there_and_nothing_comes_from_outside(page):
@@ -98,13 +94,8 @@ def test_everything_is_there_and_nothing_comes_from_outside(page):
     boxes = [item for item in elements.of("div") if item.get("class") == "scroll"]
     assert len(boxes) == 3
     assert all(box["tabindex"] == "0" and box["aria-label"] for box in boxes), "keys reach them"
-
-
-def test_links_within_the_page_lead_somewhere_and_a_short_page_needs_none(page):
-    elements = Elements(page.html())
-    anchors = {item["id"] for item in elements.of("section")}
     links = [item["href"][1:] for item in elements.of("a") if item["href"].startswith("#")]
-    assert set(links) == anchors
+    assert set(links) == {item["id"] for item in elements.of("section")}
     assert Elements(Page(title="a", sections=page.sections[:2]).html()).of("nav") == []
 
 
@@ -185,27 +176,20 @@ def opened(tmp_path_factory):
         PageFigure(path=save_figure(chart, folder / "b.png"), alt="b", caption="A pair."),
         save_page_figure(chart, folder / "c.svg", alt="c", caption="Alone.", is_alone=True),
     )
-    wide = PageTable(
-        caption="Wide",
-        head=tuple(f"a column called {k}" for k in range(30)),
-        rows=(tuple("0.123456789" for _ in range(30)),) * 40,
-    )
-    sections = tuple(
-        Section(
-            heading=f"Part {k}",
-            anchor=f"part-{k}",
-            paragraphs=("`averylongwordwithoutaplacetobreak`" * 4,),
-            figures=figures,
-            tables=(wide,),
-            command="python -m benchmarks run " + "one-scenario-after-the-other " * 20,
-        )
-        for k in range(3)
-    )
-    return write_page(folder / "index.html", Page(title="A page", sections=sections))
+    head = tuple(f"a column called {k}" for k in range(30))
+    parts = {
+        "paragraphs": ("`averylongwordwithoutaplacetobreak`" * 4,),
+        "figures": figures,
+        "tables": (PageTable(caption="Wide", head=head, rows=(("0.123456789",) * 30,) * 40),),
+        "command": "python -m benchmarks run " + "one-scenario-after-the-other " * 20,
+    }
+    sections = [Section(heading=f"Part {k}", anchor=f"part-{k}", **parts) for k in range(3)]
+    return write_page(folder / "index.html", Page(title="A page", sections=tuple(sections)))
 
 
 @needs_chromium
-def test_nothing_is_logged_and_a_resource_from_outside_would_be(opened):
+def test_it_prints_logs_nothing_and_a_resource_from_outside_would_be_logged(opened, tmp_path):
+    assert printed(opened, tmp_path / "a.pdf") >= 2
     assert logged(opened) == []
     broken = opened.with_name("broken.html")
     text = opened.read_text(encoding="utf-8")
@@ -214,32 +198,21 @@ def test_nothing_is_logged_and_a_resource_from_outside_would_be(opened):
 
 
 @needs_chromium
-@pytest.mark.parametrize("size", [PHONE, DESK], ids=["phone", "desk"])
-def test_every_figure_is_seen_and_nothing_sticks_out(opened, size):
-    found = measured(opened, size)
-    assert found["window"] == size[0]
-    assert found["content"] <= size[0]
-    assert found["wide"] == []
-    assert len(found["images"]) == 9
-    assert all(image["natural"] > 0 and image["height"] > 100 for image in found["images"])
-    assert found["letters"] >= 14.0
-    # A table that goes on to the side says so on a phone.
-    assert found["hints"] == (3 if size == PHONE else 0)
-    least = {PHONE: 0.85, DESK: 0.4}[size] * size[0]
-    assert all(image["width"] > least for image in found["images"])
-    alone = [image for image in found["images"] if image["alt"] == "c"]
-    assert all(image["width"] > 0.85 * size[0] for image in alone), "it takes the whole width"
-
-
-@needs_chromium
-def test_a_figure_alone_is_drawn_for_the_screen_it_is_on(opened):
+def test_every_figure_is_seen_and_nothing_sticks_out(opened):
     shape = {}
     for size in (PHONE, DESK):
-        image = measured(opened, size)["images"][2]
-        shape[size] = image["width"] / image["height"]
-    assert shape[DESK] > 1.5 * shape[PHONE]
-
-
-@needs_chromium
-def test_it_prints(opened, tmp_path):
-    assert printed(opened, tmp_path / "a.pdf") >= 2
+        found = measured(opened, size)
+        assert found["window"] == size[0]
+        assert found["content"] <= size[0]
+        assert found["wide"] == []
+        assert len(found["images"]) == 9
+        assert all(image["natural"] > 0 and image["height"] > 100 for image in found["images"])
+        assert found["letters"] >= 14.0
+        # A table that goes on to the side says so on a phone.
+        assert found["hints"] == (3 if size == PHONE else 0)
+        least = {PHONE: 0.85, DESK: 0.4}[size] * size[0]
+        assert all(image["width"] > least for image in found["images"])
+        alone = [image for image in found["images"] if image["alt"] == "c"]
+        assert all(image["width"] > 0.85 * size[0] for image in alone), "it takes the whole width"
+        shape[size] = alone[0]["width"] / alone[0]["height"]
+    assert shape[DESK] > 1.5 * shape[PHONE], "it is drawn for the screen it is on"
