@@ -328,7 +328,13 @@ def test_a_modified_dh_row_is_its_placement(recordings_dir):
     assert data.oMf[robot.frame_id("tool")].translation == pytest.approx([0.088, 0, height])
 
 
-def test_unphysical_and_massless_links_are_refused_unless_asked_for():
+def test_joints_are_copies_and_unphysical_or_massless_links_are_refused_unless_asked_for():
+    axis = np.array([0, 0, 3.0])
+    joint = a_joint(axis=axis)
+    axis[0] = 1.0
+    assert joint.axis == pytest.approx([0, 0, 1]), "a copy"
+    with pytest.raises(ValueError, match="read-only"):
+        joint.inertia[0] = 2.0
     bad = POINT.copy()
     bad[9] = 0.9
     idle = [a_joint(), a_joint(name="j2", inertia=np.zeros(10))]
@@ -339,15 +345,6 @@ def test_unphysical_and_massless_links_are_refused_unless_asked_for():
         with pytest.raises(InertiaError, match=message):
             build_serial_robot(joints)
         assert build_serial_robot(joints, check_inertias=False).nv == len(joints)
-
-
-def test_joint_arrays_are_read_only_copies():
-    axis = np.array([0, 0, 3.0])
-    joint = a_joint(axis=axis)
-    axis[0] = 1.0
-    assert joint.axis == pytest.approx([0, 0, 1])
-    with pytest.raises(ValueError, match="read-only"):
-        joint.inertia[0] = 2.0
 
 
 @pytest.mark.parametrize(
