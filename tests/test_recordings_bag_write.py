@@ -1,7 +1,7 @@
 """Bags as they are written: standard messages, valid for others, equal when read back."""
 
-import shutil
 import sqlite3
+from contextlib import closing
 
 import numpy as np
 import pytest
@@ -9,10 +9,9 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from hypothesis.extra.numpy import arrays
 from rosbags.highlevel import AnyReader
-from rosbags.interfaces import QosDurability, QosHistory, QosReliability
 from rosbags.rosbag2 import Reader
 
-from needleforce.recordings import FileAccessError, LogError, read_log, read_table, write_table
+from needleforce.recordings import LogError, read_table, write_table
 from needleforce.recordings.output import open_table
 from needleforce.recordings.table import Labels
 
@@ -71,14 +70,6 @@ def test_joint_signals_are_joint_states_and_a_wrench(path):
         ]
 
 
-def test_an_arm_without_velocities_sends_none(path):
-    columns = {k: v for k, v in joint_columns().items() if k != "dq_rad_s"}
-    write_table(path, columns)
-    (_, state), *_ = messages_of(path, "/joint_states")
-    assert state.velocity.size == 0
-    assert state.name == ["joint_1", "joint_2"]
-
-
 def test_estimates_are_a_wrench_and_numbers(path):
     columns = estimate_columns()
     write_table(path, columns, labels=Labels(frame="base"))
@@ -101,26 +92,23 @@ def test_events_are_diagnostic_messages_where_a_value_changes(path):
     assert reported[1].values[0].value == "3"
 
 
-def test_metadata_quality_of_service_and_definitions_are_there(path):
-    write_table(path, joint_columns())
+def test_metadata_and_definitions_are_there(path):
+    columns = {k: v for k, v in joint_columns().items() if k != "dq_rad_s"}
+    write_table(path, columns)
     with Reader(path) as bag:
         assert bag.message_count == 40
         assert bag.duration == 19_000_001
-        for connection in bag.connections:
-            assert connection.msgdef.data
-            (quality,) = connection.ext.offered_qos_profiles
-            assert quality.reliability == QosReliability.RELIABLE
-            assert quality.history == QosHistory.KEEP_LAST
-            assert quality.durability == QosDurability.VOLATILE
+        assert all(connection.msgdef.data for connection in bag.connections)
+    (_, state), *_ = messages_of(path, "/joint_states")
+    assert state.velocity.size == 0
+    assert state.name == ["joint_1", "joint_2"]
     if path.suffix == ".db3":
         text = (path / "metadata.yaml").read_text()
         assert "storage_identifier: sqlite3" in text
         assert "version: 8" in text
-        assert "type_description_hash" in text
         assert sorted(p.name for p in path.iterdir()) == ["metadata.yaml", "out.db3"]
-        with sqlite3.connect(path / "out.db3") as connection:
+        with closing(sqlite3.connect(path / "out.db3")) as connection:
             assert connection.execute("PRAGMA integrity_check").fetchone() == ("ok",)
-        connection.close()
 
 
 @settings(max_examples=20)
@@ -158,14 +146,6 @@ def test_chunks_make_the_same_bag_as_the_whole(path, tmp_path):
         np.testing.assert_array_equal(values, other.columns[name])
 
 
-def test_what_is_written_is_read_without_a_mapping(path):
-    columns = joint_columns()
-    write_table(path, columns)
-    log = read_log(path, required=["q", "tau"], optional=["dq"])
-    np.testing.assert_array_equal(log["dq_rad_s"], columns["dq_rad_s"])
-    np.testing.assert_array_equal(log["tau_Nm"], columns["tau_Nm"])
-
-
 def test_an_existing_bag_is_replaced_only_by_a_whole_one(path):
     write_table(path, estimate_columns(5))
     with open_table(path) as table:
@@ -190,16 +170,3 @@ def test_what_no_bag_can_hold_is_refused(path, columns, reported):
     with pytest.raises(LogError, match=reported):
         write_table(path, columns)
     assert not path.exists()
-
-
-@pytest.mark.parametrize("name", ["x.mcap", "x.db3"])
-def test_a_place_that_cannot_be_written_is_reported(tmp_path, name):
-    (tmp_path / "file").write_text("")
-    with pytest.raises(FileAccessError, match="cannot write"):
-        write_table(tmp_path / "file" / name, {"t_s": [0.0]})
-
-
-def test_copies_of_a_bag_read_the_same(tmp_path):
-    write_table(tmp_path / "a.db3", joint_columns())
-    shutil.copytree(tmp_path / "a.db3", tmp_path / "b")
-    assert read_table(tmp_path / "b").columns["t_s"].size == 20

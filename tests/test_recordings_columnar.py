@@ -13,7 +13,7 @@ from hypothesis import strategies as st
 from hypothesis.extra.numpy import arrays
 
 from needleforce.recordings import FileAccessError, FormatError, read_log, read_table, write_table
-from needleforce.recordings.columnar import parquet_tables
+from needleforce.recordings.columnar import read_parquet
 from needleforce.recordings.output import open_table
 from needleforce.recordings.table import Labels
 
@@ -187,7 +187,7 @@ def test_chunks_are_the_file_in_pieces(path):
     with open_table(path) as table:
         for rows in (slice(0, 4), slice(4, 10)):
             table.append({"t_s": np.arange(10.0)[rows], "q": q[rows]})
-    chunks = list(parquet_tables(path, 3))
+    chunks = list(read_parquet(path, 3))
     assert all(chunk.columns.keys() == chunks[0].columns.keys() for chunk in chunks)
     joined = np.concatenate([chunk.columns["q_2"] for chunk in chunks])
     np.testing.assert_array_equal(joined, read_table(path).columns["q_2"])

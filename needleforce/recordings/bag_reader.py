@@ -3,19 +3,11 @@
 from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import NamedTuple
 
 import numpy as np
 
-from needleforce.recordings.bag_storage import (
-    NONE_YET,
-    BagFiles,
-    RawMessage,
-    bag_files,
-    bag_messages,
-    growing_messages,
-)
-from needleforce.recordings.bag_topics import TopicInfo, TopicReader, TopicRows, interpolate
+from needleforce.recordings.bag_messages import NONE_YET, RawMessage, bag_messages
+from needleforce.recordings.bag_topics import TopicInfo, TopicRows, interpolate
 from needleforce.recordings.errors import (
     MAX_BYTES,
     ColumnError,
@@ -27,10 +19,8 @@ from needleforce.recordings.follow import FollowOptions
 from needleforce.recordings.mapping import ChannelRequest
 from needleforce.recordings.table import NS_PER_S, FloatArray, Table, start_of_clock, to_seconds
 
-SETTLED_S = 1.0
+_SETTLED_NS = NS_PER_S
 """When so much recording has brought no new topic, it is decided which topics are read."""
-
-_SETTLED_NS = int(SETTLED_S * NS_PER_S)
 _AS_MANY = 0.9
 """A topic with this fraction of another's messages counts as equally fast."""
 _SHORTEST_LIMIT_S = 0.1
@@ -38,7 +28,6 @@ _PERIODS = 5.0
 """So many periods of a topic may lie between two of its messages and still be bridged."""
 _LATE_NS = NS_PER_S
 """A topic whose messages come so much later than those of others loses nothing."""
-_NEVER_NS = -(1 << 62)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -46,7 +35,6 @@ class BagInfo:
     """A bag and its topics by name; `warnings` report what was lost or is damaged."""
 
     path: Path
-    files: BagFiles
     topics: Mapping[str, TopicInfo]
     warnings: tuple[str, ...]
 
@@ -74,85 +62,149 @@ class BagInfo:
 def bag_info(path: Path, max_bytes: int = MAX_BYTES) -> BagInfo:
     """Go through a bag; errors are those of `bag_tables`."""
     optional_library("rosbags.typesys", "ROS 2 bags")
-    files = bag_files(path)
     topics: dict[str, TopicInfo] = {}
     faults: list[str] = []
-    for message in bag_messages(files, faults, max_bytes):
-        _topic(message, topics).learn(message)
-    warnings = (*files.warnings, *_lost(files, topics, faults))
+    for message in bag_messages(path, faults, max_bytes):
+        _learn(message, topics)
     if not topics:
-        raise FormatError(
-            f"{path} holds no messages{''.join(f' ({warning})' for warning in warnings)}"
-        )
-    return BagInfo(path=path, files=files, topics=topics, warnings=warnings)
+        raise FormatError(f"{path} holds no messages{''.join(f' ({fault})' for fault in faults)}")
+    if faults:
+        count = sum(topic.count for topic in topics.values())
+        first_ns = min(topic.first_ns for topic in topics.values())
+        last_ns = max(topic.last_ns for topic in topics.values())
+        faults = [
+            f"{'; '.join(faults)}: {count} messages from {first_ns / NS_PER_S:.3f} s to "
+            f"{last_ns / NS_PER_S:.3f} s could be read, what came after, if anything, is lost"
+        ]
+    return BagInfo(path=path, topics=topics, warnings=tuple(faults))
 
 
-def _topic(message: RawMessage, topics: dict[str, TopicInfo]) -> TopicInfo:
+def _learn(message: RawMessage, topics: dict[str, TopicInfo]) -> None:
     name = message.topic.name
     if name not in topics:
         topics[name] = TopicInfo(topic=message.topic, first_ns=message.log_ns)
-    return topics[name]
+    topics[name].learn(message)
 
 
-def _lost(files: BagFiles, topics: Mapping[str, TopicInfo], faults: list[str]) -> list[str]:
-    """Say what was read and what is missing, if anything is."""
-    count = sum(topic.count for topic in topics.values())
-    is_short = files.expected is not None and count < files.expected
-    if not (faults or is_short):
-        return []
-    span = ""
-    if topics:
-        first_ns = min(topic.first_ns for topic in topics.values())
-        last_ns = max(topic.last_ns for topic in topics.values())
-        span = f" from {first_ns / NS_PER_S:.3f} s to {last_ns / NS_PER_S:.3f} s"
-        span += f" ({(last_ns - first_ns) / NS_PER_S:.3f} s)"
-    missing = "what came after, if anything, is lost"
-    if files.expected is not None:
-        missing = f"{files.expected - count} of {files.expected} are lost"
-    what = "; ".join(faults) or "the bag is not whole"
-    return [f"{what}: {count} messages{span} could be read, {missing}"]
+class JoinedRows:
+    """Rows at the stamps of one topic, the reference; other topics are interpolated to them.
+
+    Args:
+        info: what is known of the bag.
+        request: which columns the channels are, the reference topic, and the order of joints.
+        needed: the columns that are read.
+
+    Raises:
+        ColumnError: the mapping does not fit the bag.
+    """
+
+    def __init__(self, info: BagInfo, request: ChannelRequest, needed: frozenset[str]) -> None:
+        columns = {
+            name: [column for column in found.columns if column in needed]
+            for name, found in info.topics.items()
+            if found.columns.keys() & needed
+        }
+        self.reference = _reference_topic(info, request.mapping.reference_topic, list(columns))
+        columns.setdefault(self.reference, [])
+        self._warnings = list(info.warnings)
+        self.topics: dict[str, TopicRows] = {}
+        self._limits_ns: dict[str, float] = {}
+        for name, chosen in columns.items():
+            found = info.topics[name]
+            joints, notes = _joints(found, request)
+            self._warnings += notes
+            self.topics[name] = TopicRows(found, chosen, joints)
+            limit_s = max(_SHORTEST_LIMIT_S, _PERIODS / max(found.rate_hz, 1e-9))
+            self._limits_ns[name] = NS_PER_S * limit_s
+        rows, others = info.topics[self.reference], [n for n in columns if n != self.reference]
+        # One message more or less is no other rate, only where the recording begins or ends.
+        if any(abs(info.topics[name].count - rows.count) > 1 for name in others):
+            rates = ", ".join(f"{name} ({info.topics[name].rate_hz:.4g} Hz)" for name in others)
+            self._warnings.append(
+                f"rows are the messages of {self.reference} ({rows.rate_hz:.4g} Hz); "
+                f"interpolated to their stamps: {rates}"
+            )
+        self._latest_ns = dict.fromkeys(columns, -(1 << 62))
+        self._start_ns: int | None = None
+        self._is_new = True
+
+    def tables(self, messages: Iterable[RawMessage], rows: int | None) -> Iterator[Table]:
+        """Turn the messages of the topics into tables of at most so many rows, with `t_s`.
+
+        Rows do not wait for what comes after `NONE_YET`; with no limit all come at once.
+        """
+        reference = self.topics[self.reference]
+        for message in messages:
+            if message.topic.name in self.topics:
+                self.topics[message.topic.name].add(message)
+            if rows is not None and (message is NONE_YET or reference.pending >= rows):
+                self._collect()
+                least = 1 if message is NONE_YET else rows
+                while (ready := self._ready()) >= least:
+                    yield self._table(min(ready, rows))
+                self._forget()
+        self._collect()
+        self._warnings += [note for topic in self.topics.values() for note in topic.notes()]
+        while reference.stamps_ns.size or self._is_new or self._warnings:
+            yield self._table(rows or reference.stamps_ns.size)
+
+    def _collect(self) -> None:
+        for name, topic in self.topics.items():
+            topic.collect()
+            self._latest_ns[name] = int(topic.stamps_ns.max(initial=self._latest_ns[name]))
+
+    def _ready(self) -> int:
+        """Return how many rows nothing that may still come can change."""
+        stamps_ns = self.topics[self.reference].stamps_ns
+        if not stamps_ns.size:
+            return 0
+        last_ns = np.maximum.accumulate(stamps_ns)
+        until_ns = min(
+            max(latest_ns, int(last_ns[-1]) - max(int(self._limits_ns[name]), _LATE_NS) - 1)
+            for name, latest_ns in self._latest_ns.items()
+        )
+        return int(np.searchsorted(last_ns, until_ns, side="right"))
+
+    def _forget(self) -> None:
+        """Forget what no row needs that waits or may still come, be it a little late."""
+        waiting_ns = self.topics[self.reference].stamps_ns
+        oldest_ns = int(waiting_ns.min(initial=max(self._latest_ns.values()) - _LATE_NS))
+        for name, topic in self.topics.items():
+            if name != self.reference:
+                topic.keep(topic.stamps_ns >= oldest_ns - 2 * self._limits_ns[name])
+
+    def _table(self, rows: int) -> Table:
+        reference = self.topics[self.reference]
+        at_ns = reference.stamps_ns[:rows]
+        if self._start_ns is None:
+            self._start_ns = start_of_clock(int(at_ns[0])) if at_ns.size else 0
+        columns: dict[str, FloatArray] = {"t_s": to_seconds(at_ns, self._start_ns)}
+        joints: dict[str, tuple[str, ...]] = {}
+        for name, topic in self.topics.items():
+            for column, values in topic.values.items():
+                found = values[:rows]
+                if topic is not reference:
+                    found = interpolate(at_ns, topic.stamps_ns, values, self._limits_ns[name])
+                columns[column] = found[:, 0] if column in topic.singles else found
+            joints |= dict.fromkeys(topic.named, tuple(topic.joints))
+        reference.keep(slice(rows, None))
+        warnings, self._warnings, self._is_new = tuple(self._warnings), [], False
+        return Table(
+            columns=columns, warnings=warnings, joint_names=joints, start_ns=self._start_ns
+        )
 
 
-class BagPlan(NamedTuple):
-    """What is read of a bag, and how its messages become rows."""
-
-    columns: Mapping[str, frozenset[str]]  # by topic
-    reference: str  # the topic whose messages are the rows
-    joints: Mapping[str, tuple[str, ...]]  # in their order, by topic
-    notes: tuple[str, ...]  # what was assumed
-
-
-def plan_bag(info: BagInfo, request: ChannelRequest, needed: frozenset[str]) -> BagPlan:
-    """Decide how the needed columns are read; `ColumnError` where the mapping does not fit."""
-    topics = {
-        name: frozenset(found.columns.keys() & needed)
-        for name, found in info.topics.items()
-        if found.columns.keys() & needed
-    }
-    reference = request.mapping.reference_topic
-    if reference is None:
+def _reference_topic(info: BagInfo, name: str | None, needed: list[str]) -> str:
+    if name is None:
         # A few messages that were lost shall make no difference.
-        most = max(info.topics[name].count for name in topics)
-        reference = next(n for n in topics if info.topics[n].count >= _AS_MANY * most)
-    elif reference not in info.topics or info.topics[reference].fault:
+        most = max(info.topics[topic].count for topic in needed)
+        return next(topic for topic in needed if info.topics[topic].count >= _AS_MANY * most)
+    if name not in info.topics or info.topics[name].fault:
         raise ColumnError(
-            f"reference_topic = {reference!r} is no topic that can be read; topics are: "
+            f"reference_topic = {name!r} is no topic that can be read; topics are: "
             f"{', '.join(info.topics)}"
         )
-    topics.setdefault(reference, frozenset())
-    joints, notes = {}, []
-    for name in topics:
-        joints[name], assumed = _joints(info.topics[name], request)
-        notes += assumed
-    rows, others = info.topics[reference], [name for name in topics if name != reference]
-    # One message more or less is no other rate, only where the recording begins or ends.
-    if any(abs(info.topics[name].count - rows.count) > 1 for name in others):
-        rates = ", ".join(f"{name} ({info.topics[name].rate_hz:.4g} Hz)" for name in others)
-        notes.append(
-            f"rows are the messages of {reference} ({rows.rate_hz:.4g} Hz); "
-            f"interpolated to their stamps: {rates}"
-        )
-    return BagPlan(columns=topics, reference=reference, joints=joints, notes=tuple(notes))
+    return name
 
 
 def _joints(found: TopicInfo, request: ChannelRequest) -> tuple[tuple[str, ...], list[str]]:
@@ -172,142 +224,6 @@ def _joints(found: TopicInfo, request: ChannelRequest) -> tuple[tuple[str, ...],
         f"{name} has the joints {', '.join(here)}, the robot {', '.join(order)}; the order of the "
         "bag was kept, name another one with joints in the mapping"
     ]
-
-
-@dataclass(slots=True)
-class _Signal:
-    """What is known of a topic and still needed."""
-
-    rows: TopicRows
-    limit_ns: float
-    latest_ns: int = _NEVER_NS
-
-
-class _Joiner:
-    """Collects messages of the planned topics and gives out rows."""
-
-    def __init__(self, info: BagInfo, plan: BagPlan) -> None:
-        self._plan = plan
-        self._warnings = [*info.warnings, *plan.notes]
-        self.readers: dict[str, TopicReader] = {}
-        self._signals: dict[str, _Signal] = {}
-        self._joints: dict[str, tuple[str, ...]] = {}
-        self._singles: set[str] = set()
-        for name, columns in plan.columns.items():
-            found = info.topics[name]
-            widths = {column: k for column, k in found.columns.items() if column in columns}
-            reader = TopicReader(found.topic, widths, found.named, plan.joints[name])
-            limit_s = max(_SHORTEST_LIMIT_S, _PERIODS / max(found.rate_hz, 1e-9))
-            self.readers[name] = reader
-            self._signals[name] = _Signal(reader.take(), NS_PER_S * limit_s)
-            self._joints |= dict.fromkeys(columns & found.named, plan.joints[name])
-            self._singles |= {column for column, width in widths.items() if width is None}
-        self._start_ns: int | None = None
-        self._is_new = True
-
-    @property
-    def pending(self) -> int:
-        """How many messages of the reference topic have not been taken from its reader."""
-        return len(self.readers[self._plan.reference])
-
-    @property
-    def waiting(self) -> int:
-        """How many rows could be given out."""
-        return self._signals[self._plan.reference].rows.stamps_ns.size
-
-    @property
-    def ready(self) -> int:
-        """How many of them nothing that may still come can change."""
-        if not self.waiting:
-            return 0
-        last_ns = np.maximum.accumulate(self._signals[self._plan.reference].rows.stamps_ns)
-        until_ns = min(
-            max(signal.latest_ns, int(last_ns[-1]) - max(int(signal.limit_ns), _LATE_NS) - 1)
-            for signal in self._signals.values()
-        )
-        return int(np.searchsorted(last_ns, until_ns, side="right"))
-
-    @property
-    def has_news(self) -> bool:
-        """Whether something is to be reported: that there are columns, or a warning."""
-        return self._is_new or bool(self._warnings)
-
-    def take(self) -> None:
-        """Take what the readers hold."""
-        for name, reader in self.readers.items():
-            signal, new = self._signals[name], reader.take()
-            signal.latest_ns = int(new.stamps_ns.max(initial=signal.latest_ns))
-            signal.rows = TopicRows(
-                np.concatenate([signal.rows.stamps_ns, new.stamps_ns]),
-                {n: np.concatenate([v, new.columns[n]]) for n, v in signal.rows.columns.items()},
-            )
-
-    def end(self) -> None:
-        """Take all that is left, and what the readers had to leave out."""
-        self.take()
-        self._warnings += [note for reader in self.readers.values() for note in reader.notes()]
-
-    def table(self, rows: int) -> Table:
-        """Give out rows."""
-        at_ns = self._signals[self._plan.reference].rows.stamps_ns[:rows]
-        if self._start_ns is None:
-            self._start_ns = start_of_clock(int(at_ns[0])) if at_ns.size else 0
-        columns: dict[str, FloatArray] = {"t_s": to_seconds(at_ns, self._start_ns)}
-        for name, signal in self._signals.items():
-            for column, values in signal.rows.columns.items():
-                if name == self._plan.reference:
-                    found = values[:rows]
-                else:
-                    found = interpolate(at_ns, signal.rows.stamps_ns, values, signal.limit_ns)
-                columns[column] = found[:, 0] if column in self._singles else found
-        self._drop(rows, int(at_ns.max()) if at_ns.size else 0)
-        warnings, self._warnings, self._is_new = tuple(self._warnings), [], False
-        return Table(
-            columns=columns,
-            warnings=warnings,
-            joint_names=self._joints,
-            start_ns=self._start_ns,
-        )
-
-    def forget(self) -> None:
-        """Forget what no row needs that may still come late, while none waits."""
-        if not self.waiting:
-            newest_ns = max(signal.latest_ns for signal in self._signals.values())
-            self._drop(0, newest_ns - _LATE_NS)
-
-    def _drop(self, rows: int, latest_ns: int) -> None:
-        """Forget rows, and what no later one needs if the latest was at this instant."""
-        for name, signal in self._signals.items():
-            stamps_ns = signal.rows.stamps_ns
-            if name == self._plan.reference:
-                kept = slice(rows, None)
-            else:
-                # Rows may run backward a little: as much as is bridged is kept.
-                kept = stamps_ns >= latest_ns - 2 * signal.limit_ns
-            columns = {column: v[kept] for column, v in signal.rows.columns.items()}
-            signal.rows = TopicRows(stamps_ns[kept], columns)
-
-
-def joined_messages(
-    messages: Iterable[RawMessage], info: BagInfo, plan: BagPlan, rows: int | None
-) -> Iterator[Table]:
-    """Turn the messages of the planned topics into tables of at most so many rows, with `t_s`.
-
-    Rows do not wait for what comes after `NONE_YET`.
-    """
-    joiner = _Joiner(info, plan)
-    for message in messages:
-        if message is not NONE_YET:
-            joiner.readers[message.topic.name].add(message)
-        if rows is not None and (message is NONE_YET or joiner.pending >= rows):
-            joiner.take()
-            least = 1 if message is NONE_YET else rows
-            while (ready := joiner.ready) >= least:
-                yield joiner.table(min(ready, rows))
-            joiner.forget()
-    joiner.end()
-    while joiner.waiting or joiner.has_news:
-        yield joiner.table(rows or joiner.waiting)
 
 
 def bag_tables(
@@ -333,14 +249,12 @@ def bag_tables(
     if not needed:
         yield whole
         return
-    plan = plan_bag(info, request or ChannelRequest(), needed)
+    joined = JoinedRows(info, request or ChannelRequest(), needed)
     if rows is None:
-        widths = {n: k or 1 for t in info.topics.values() for n, k in t.columns.items()}
-        count = info.topics[plan.reference].count
-        size = 8 * count * sum(widths[n] for names in plan.columns.values() for n in names)
+        widths = {n: k or 1 for found in info.topics.values() for n, k in found.columns.items()}
+        size = 8 * info.topics[joined.reference].count * sum(widths[name] for name in needed)
         require_size(size, max_bytes, f"{path}: what is read of it")
-    messages = bag_messages(info.files, [], max_bytes, plan.columns)
-    yield from joined_messages(messages, info, plan, rows)
+    yield from joined.tables(bag_messages(path, [], max_bytes), rows)
 
 
 def growing_bag_tables(
@@ -356,32 +270,26 @@ def growing_bag_tables(
     it grows. Rows come as soon as nothing that may still come can change them.
     """
     silent = replace(options, advance=lambda more: None)
-    begun = _settled_plan(path, request, silent, max_bytes)
-    if begun is None:
+    joined = _settled_rows(path, request, silent, max_bytes)
+    if joined is None:
         yield from bag_tables(path, rows, request, max_bytes)
         return
-    info, plan = begun
     faults: list[str] = []
-    messages = growing_messages(path, options, faults, max_bytes, plan.columns)
     table = None
-    for table in joined_messages(messages, info, plan, rows):
+    for table in joined.tables(bag_messages(path, faults, max_bytes, options), rows):
         yield table
     if faults and table is not None:
-        yield Table(
-            columns={name: values[:0] for name, values in table.columns.items()},
-            warnings=("; ".join(faults),),
-            joint_names=table.joint_names,
-            start_ns=table.start_ns,
-        )
+        columns = {name: values[:0] for name, values in table.columns.items()}
+        yield replace(table, columns=columns, warnings=("; ".join(faults),))
 
 
-def _settled_plan(
+def _settled_rows(
     path: Path, request: ChannelRequest, options: FollowOptions, max_bytes: int
-) -> tuple[BagInfo, BagPlan] | None:
+) -> JoinedRows | None:
     """Go through a bag until it is clear what is read; None if it ends before."""
     topics: dict[str, TopicInfo] = {}
     reported, settled_ns = "", 0
-    for message in growing_messages(path, options, [], max_bytes):
+    for message in bag_messages(path, [], max_bytes, options):
         if message is NONE_YET:
             continue
         if message.topic.name not in topics:
@@ -389,29 +297,28 @@ def _settled_plan(
             for found in topics.values():
                 found.count, found.first_ns = 0, message.log_ns
             settled_ns = message.log_ns + _SETTLED_NS
-        _topic(message, topics).learn(message)
+        _learn(message, topics)
         if message.log_ns < settled_ns:
             continue
         settled_ns = message.log_ns + _SETTLED_NS
-        info = BagInfo(path=path, files=BagFiles(paths=(path,)), topics=topics, warnings=())
-        plan, missing = _plan(info, request)
-        if plan is not None:
-            return info, plan
+        joined, missing = _join(BagInfo(path=path, topics=topics, warnings=()), request)
+        if joined is not None:
+            return joined
         if missing not in ("", reported):
             reported = missing
             options.warn(f"{path.name}: waiting for more topics; {missing}")
     return None
 
 
-def _plan(info: BagInfo, request: ChannelRequest) -> tuple[BagPlan | None, str]:
+def _join(info: BagInfo, request: ChannelRequest) -> tuple[JoinedRows | None, str]:
     """Return what is read, if that is clear; else what is missing, if something is."""
     try:
         needed = request.columns(info.table())
         if not needed:
             here = ", ".join(info.topics)
             return None, f"needed are {', '.join(request.required)}, and until now there are {here}"
-        plan = plan_bag(info, request, needed)
+        joined = JoinedRows(info, request, needed)
     except (ColumnError, FormatError) as error:
         return None, str(error)
-    has_rates = all(info.topics[name].rate_hz > 0.0 for name in plan.columns)
-    return (plan, "") if has_rates else (None, "")
+    has_rates = all(info.topics[name].rate_hz > 0.0 for name in joined.topics)
+    return (joined if has_rates else None), ""

@@ -1,7 +1,7 @@
 """The messages of one topic as columns of numbers; `rosbags` decodes them."""
 
 import re
-from collections.abc import Callable, Collection, Mapping
+from collections.abc import Callable, Collection, Iterator, Mapping
 from dataclasses import dataclass, field
 from functools import cache, lru_cache
 from operator import attrgetter
@@ -10,7 +10,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from needleforce.recordings.bag_storage import BagTopic, RawMessage
+from needleforce.recordings.bag_messages import BagTopic, RawMessage
 from needleforce.recordings.errors import FormatError, optional_library
 from needleforce.recordings.table import NS_PER_S, FloatArray
 
@@ -20,17 +20,18 @@ CDR = "cdr"
 _NAMES = ("name", "names", "joint_names")
 """Fields that name the elements of the arrays beside them."""
 _VECTORS = (("x", "y", "z", "w"), ("x", "y", "z"), ("x", "y"))
-_STAMP = [("header", "stamp", "sec"), ("header", "stamp", "nanosec")]
+_STAMP = {("header", "stamp", "sec"), ("header", "stamp", "nanosec")}
 _MOST_ELEMENTS = 64
 """Longer arrays are images and point clouds, not signals."""
+_LEARNED = 20
+"""Messages of a topic that are looked into."""
 _LONGEST_DEFINITION = 1 << 18  # characters
 _MOST_UNROLLED = 2000
 """`rosbags` generates code for each element of an array of texts or messages."""
 _TYPE_NAME = re.compile(r"[A-Za-z]\w*(/[A-Za-z]\w*)*", re.ASCII)
 _FIELD_NAME = re.compile(r"[A-Za-z_]\w*", re.ASCII)
-_BASE, _NAME, _ARRAY = 1, 2, 3
-
-Path = tuple[str, ...]
+_BASE, _NAME, _ARRAY = 1, 2, 3  # kinds of fields, as rosbags numbers them
+_ZSTD_MAGIC = b"\x28\xb5\x2f\xfd"
 
 
 @cache
@@ -41,20 +42,13 @@ def standard_types() -> Any:
 
 
 @lru_cache(maxsize=256)
-def _types_of(kind: str, definition: str, is_idl: bool) -> Any:
+def _types_of(kind: str, definition: str) -> Any:
     """Return a store with a type as the bag defines it, else as ROS does."""
     standard = standard_types()
     library = optional_library("rosbags.typesys", "ROS 2 bags")
-    unknown = FormatError(f"holds messages of the type {kind}, without its definition")
     if definition and len(definition) <= _LONGEST_DEFINITION:
         try:
-            if is_idl:
-                # Several files may follow each other, each below a line with its name.
-                found = {}
-                for part in re.split(r"=+\nIDL: .*\n", definition):
-                    found |= library.get_types_from_idl(part) if part.strip() else {}
-            else:
-                found = dict(library.get_types_from_msg(definition, kind))
+            found = dict(library.get_types_from_msg(definition, kind))
             _require_plain(found)
             store = library.get_typestore(library.Stores.EMPTY)
             store.register(found)
@@ -66,7 +60,7 @@ def _types_of(kind: str, definition: str, is_idl: bool) -> Any:
         else:
             return store
     if kind not in standard.fielddefs:
-        raise unknown
+        raise FormatError(f"holds messages of the type {kind}, without its definition")
     return standard
 
 
@@ -82,15 +76,6 @@ def _require_plain(types: Mapping[str, Any]) -> None:
                 unrolled += rest[1]
     if unrolled > _MOST_UNROLLED:
         raise ValueError(f"arrays of {unrolled} texts or messages")
-
-
-class TopicColumn(NamedTuple):
-    """A column of a topic, called by the topic and the fields that lead to the numbers."""
-
-    name: str
-    get: Callable[[Any], Any]  # takes the numbers out of a message
-    is_array: bool  # whose length only a message shows
-    is_beside_names: bool  # beside the field that names elements
 
 
 class Content(NamedTuple):
@@ -114,20 +99,19 @@ class TopicDecoder:
         if topic.encoding != CDR:
             raise FormatError(f"is encoded as {topic.encoding!r}; ROS 2 has {CDR!r}")
         self._kind = topic.kind
-        self._types = _types_of(topic.kind, topic.definition, topic.is_idl)
+        self._types = _types_of(topic.kind, topic.definition)
         try:
-            places = list(self._places((), topic.kind))
+            places = dict(self._places((), topic.kind))
+            fields = [name for name, _ in self._types.get_msgdef(topic.kind).fields]
         except (KeyError, RecursionError) as error:
             raise FormatError(f"has the type {topic.kind}, whose definition is damaged") from error
-        paths = [path for path, _ in places]
-        self.has_stamp = all(path in paths for path in _STAMP)
+        self.has_stamp = places.keys() >= _STAMP
         if self.has_stamp:
-            places = [place for place in places if place[0] not in _STAMP]
-        fields = [name for name, _ in self._types.get_msgdef(topic.kind).fields]
+            places = {path: kind for path, kind in places.items() if path not in _STAMP}
         self._names = next((name for name in _NAMES if name in fields), None)
-        self.columns = list(self._columns(topic, places))
+        self._columns = list(_columns(topic, list(places.items())))
 
-    def _places(self, path: Path, kind: str) -> Any:
+    def _places(self, path: tuple[str, ...], kind: str) -> Iterator[tuple[tuple[str, ...], Any]]:
         """Yield the paths to numbers in a type, with the base type, and whether it is an array."""
         for name, (node, rest) in self._types.get_msgdef(kind).fields:
             if node == _NAME:
@@ -137,62 +121,59 @@ class TopicDecoder:
             elif node >= _ARRAY and rest[0][0] == _BASE and rest[0][1][0] != "string":
                 yield (*path, name), (rest[0][1][0], True)
 
-    def _columns(self, topic: BagTopic, places: list[tuple[Path, Any]]) -> Any:
-        at = 0
-        while at < len(places):
-            path, (_, is_array) = places[at]
-            width = next((len(v) for v in _VECTORS if _is_vector(places[at : at + len(v)], v)), 0)
-            inside = [".".join(place) for place, _ in places[at : at + (width or 1)]]
-            if width:
-                components = "".join(place[-1] for place, _ in places[at : at + width])
-                path = (*path[:-2], "_".join((*path[-2:-1], components)))
-            if topic.kind.endswith("Stamped"):
-                path = path[1:] or path
-            name = topic.name if path == ("data",) else "/".join((topic.name, *path))
-            is_beside = is_array and len(path) == 1
-            yield TopicColumn(name, attrgetter(*inside), is_array, is_beside)
-            at += width or 1
-
     def decode(self, data: bytes) -> Content:
         """Decode a message; `FormatError` if it does not fit its type."""
+        if data.startswith(_ZSTD_MAGIC):
+            raise FormatError("is compressed message by message; unpack it with: ros2 bag convert")
         try:
             message = self._types.deserialize_cdr(data, self._kind)
         except Exception as error:
             # Damaged bytes end in whatever the generated code runs into.
             raise FormatError(f"does not fit its type {self._kind}") from error
-        names = self._names_in(message)
+        given = getattr(message, self._names) if self._names is not None else []
+        names = tuple(given) if isinstance(given, list) else ()
+        # Empty or repeated names identify no joint: their order then has to.
+        names = names if all(names) and len(set(names)) == len(names) else ()
         values, named = {}, set()
-        for column in self.columns:
-            value = column.get(message)
-            if column.is_array:
+        for column, get, is_array, is_beside_names in self._columns:
+            value = get(message)
+            if is_array:
                 if not 0 < len(value) <= _MOST_ELEMENTS:
                     continue
-                if column.is_beside_names and len(value) == len(names):
-                    named.add(column.name)
-            values[column.name] = value
+                if is_beside_names and len(value) == len(names):
+                    named.add(column)
+            values[column] = value
         stamp_ns = None
         if self.has_stamp:
-            stamp = message.header.stamp
-            stamp_ns = stamp.sec * NS_PER_S + stamp.nanosec
+            stamp_ns = message.header.stamp.sec * NS_PER_S + message.header.stamp.nanosec
         return Content(stamp_ns, names, values, frozenset(named))
 
-    def _names_in(self, message: Any) -> tuple[str, ...]:
-        found = getattr(message, self._names) if self._names is not None else []
-        names = tuple(found) if isinstance(found, list) else ()
-        # Empty or repeated names identify no joint: their order then has to.
-        return names if all(names) and len(set(names)) == len(names) else ()
+
+def _columns(
+    topic: BagTopic, places: list[tuple[tuple[str, ...], Any]]
+) -> Iterator[tuple[str, Callable[[Any], Any], bool, bool]]:
+    """Yield name, getter, whether it is an array, and whether it stands beside names."""
+    at = 0
+    while at < len(places):
+        path, (_, is_array) = places[at]
+        width = next((len(v) for v in _VECTORS if _is_vector(places[at : at + len(v)], v)), 0)
+        inside = [place for place, _ in places[at : at + (width or 1)]]
+        is_beside = is_array and len(path) == 1
+        if width:
+            path = (*path[:-2], "_".join((*path[-2:-1], "".join(p[-1] for p in inside))))
+        if topic.kind.endswith("Stamped"):
+            path = path[1:] or path
+        name = topic.name if path == ("data",) else "/".join((topic.name, *path))
+        yield name, attrgetter(*map(".".join, inside)), is_array, is_beside
+        at += width or 1
 
 
-def _is_vector(places: list[tuple[Path, Any]], components: tuple[str, ...]) -> bool:
+def _is_vector(places: list[tuple[tuple[str, ...], Any]], components: tuple[str, ...]) -> bool:
     return (
         tuple(path[-1] for path, _ in places) == components
         and len({(path[:-1], kind) for path, kind in places}) == 1
         and not places[0][1][1]
     )
-
-
-_LEARNED = 20
-"""Messages of a topic that are looked into."""
 
 
 @dataclass(slots=True, kw_only=True)
@@ -233,7 +214,7 @@ class TopicInfo:
             self.joints += [name for name in content.names if name not in self.joints]
         self.named |= content.named
         for name, value in content.values.items():
-            self.columns.setdefault(name, width_of(value))
+            self.columns.setdefault(name, _width_of(value))
 
     def describe(self) -> str:
         """Return the topic in one line."""
@@ -245,105 +226,97 @@ class TopicInfo:
         )
 
 
-def width_of(value: Any) -> int | None:
+def _width_of(value: Any) -> int | None:
     """Return how many numbers a value of `Content` holds; None for a single number."""
     return len(value) if isinstance(value, tuple | np.ndarray) else None
 
 
-class TopicRows(NamedTuple):
-    """Messages of one topic: source time stamps, shape (m,), and columns, shape (m, k)."""
-
-    stamps_ns: NDArray[np.int64]
-    columns: dict[str, FloatArray]
-
-
-class TopicReader:
-    """Collects the messages of a topic.
+class TopicRows:
+    """The columns of a topic that are read, and those of their rows that still are needed.
 
     Joints are put where their names say; a joint that a message lacks is NaN. Messages that name
     joints, but none of these, are left out. The time stamp is the header's; where there is none,
     or it was never set, the recorder's.
 
     Args:
-        topic: the topic.
-        widths: the columns to read, with how many numbers they have; None for one.
-        named: those of them whose elements have names.
-        joints: the order of joints in these.
+        found: the topic.
+        columns: those of its columns that are read.
+        joints: the order of joints.
     """
 
     def __init__(
-        self,
-        topic: BagTopic,
-        widths: Mapping[str, int | None],
-        named: Collection[str] = (),
-        joints: Collection[str] = (),
+        self, found: TopicInfo, columns: Collection[str], joints: Collection[str] = ()
     ) -> None:
-        self._topic, self._decoder = topic, None
-        self._named = frozenset(named)
-        self._joints = {joint: place for place, joint in enumerate(joints)}
+        self._topic, self._decoder = found.topic, TopicDecoder(found.topic)
+        self.joints = {joint: place for place, joint in enumerate(joints)}
+        self.named = found.named & set(columns)
         self._widths = {
-            name: len(self._joints) if name in self._named else width or 1
-            for name, width in widths.items()
+            name: len(self.joints) if name in self.named else found.columns[name] or 1
+            for name in columns
         }
+        self.singles = {name for name in columns if found.columns[name] is None}
         self._faults: dict[str, int] = {}
-        self._stamps_ns: list[int] = []
-        self._values: dict[str, list[Any]] = {name: [] for name in widths}
+        self._new_ns: list[int] = []
+        self._new: dict[str, list[Any]] = {name: [] for name in columns}
+        self.stamps_ns: NDArray[np.int64] = np.empty(0, dtype=np.int64)
+        self.values = {name: np.empty((0, width)) for name, width in self._widths.items()}
 
-    def __len__(self) -> int:
-        """Return how many messages wait to be taken."""
-        return len(self._stamps_ns)
+    @property
+    def pending(self) -> int:
+        """How many messages `collect` would take."""
+        return len(self._new_ns)
 
     def add(self, message: RawMessage) -> None:
         """Take a message in."""
         try:
-            self._decoder = self._decoder or TopicDecoder(self._topic)
             content = self._decoder.decode(message.data)
         except FormatError:
             self._note("messages that do not fit their type, left out")
             return
         names = content.names
-        if self._joints and names and self._joints.keys().isdisjoint(names):
+        if self.joints and names and self.joints.keys().isdisjoint(names):
             self._note("messages without any of the joints, left out")
             return
-        if names and not self._joints.keys() <= set(names):
+        if names and not self.joints.keys() <= set(names):
             self._note("messages that lack joints")
-        stamp_ns = content.stamp_ns
-        if stamp_ns == 0 and message.log_ns:
+        if content.stamp_ns == 0 and message.log_ns:
             self._note("messages without a source time stamp; the recorder's was taken")
-        self._stamps_ns.append(stamp_ns or message.log_ns)
-        for name, rows in self._values.items():
+        self._new_ns.append(content.stamp_ns or message.log_ns)
+        for name, rows in self._new.items():
             rows.append(self._row(name, content))
 
     def _row(self, name: str, content: Content) -> Any:
         """Return the numbers of one column of a message; what does not fit is NaN."""
-        width = self._widths[name]
-        value = content.values.get(name)
-        is_named = name in self._named
-        if value is None or is_named != (name in content.named):
+        width, value = self._widths[name], content.values.get(name)
+        row = np.full(width, np.nan)
+        if value is None or (name in self.named) != (name in content.named):
             self._note(f"messages without values of {name}, or not one for each joint")
-        elif is_named:
-            if tuple(self._joints) == content.names:
+        elif name in self.named:
+            if tuple(self.joints) == content.names:
                 return value
-            row = np.full(width, np.nan)
             for joint, number in zip(content.names, value, strict=True):
-                if joint in self._joints:
-                    row[self._joints[joint]] = number
-            return row
-        elif (width_of(value) or 1) == width:
+                if joint in self.joints:
+                    row[self.joints[joint]] = number
+        elif (_width_of(value) or 1) == width:
             return value if isinstance(value, tuple | np.ndarray) else (value,)
         else:
             self._note(f"messages with another number of values of {name}")
-        return np.full(width, np.nan)
+        return row
 
-    def take(self) -> TopicRows:
-        """Return what has been added since the last call."""
-        stamps_ns = np.array(self._stamps_ns, dtype=np.int64)
-        columns = {
-            name: np.array(rows, dtype=np.float64).reshape(len(rows), self._widths[name])
-            for name, rows in self._values.items()
-        }
-        self._stamps_ns, self._values = [], {name: [] for name in self._values}
-        return TopicRows(stamps_ns, columns)
+    def collect(self) -> None:
+        """Append what was taken in to the rows."""
+        if self._new_ns:
+            self.stamps_ns = np.append(self.stamps_ns, np.array(self._new_ns, dtype=np.int64))
+            for name, rows in self._new.items():
+                new = np.array(rows, dtype=np.float64).reshape(len(rows), self._widths[name])
+                self.values[name] = np.concatenate([self.values[name], new])
+                rows.clear()
+            self._new_ns.clear()
+
+    def keep(self, rows: Any) -> None:
+        """Forget all rows but these."""
+        self.stamps_ns = self.stamps_ns[rows]
+        self.values = {name: values[rows] for name, values in self.values.items()}
 
     def notes(self) -> list[str]:
         """Return what was left out or guessed so far, one sentence each."""

@@ -5,15 +5,15 @@ from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import replace
 from pathlib import Path
 
+from needleforce.recordings.bag_messages import BAG_SUFFIXES, is_bag
 from needleforce.recordings.bag_reader import (
     BagInfo,
     bag_info,
     bag_tables,
     growing_bag_tables,
 )
-from needleforce.recordings.bag_storage import BAG_SUFFIXES, is_bag
 from needleforce.recordings.channels import CHANNELS, detect_columns
-from needleforce.recordings.columnar import parquet_tables, read_npz
+from needleforce.recordings.columnar import read_npz, read_parquet
 from needleforce.recordings.csv_file import CSV_SUFFIXES, csv_tables
 from needleforce.recordings.errors import (
     MAX_BYTES,
@@ -85,7 +85,7 @@ def _tables(
     if path.name.lower().endswith(".npz"):
         return iter((read_npz(path, max_bytes),))
     if path.name.lower().endswith(".parquet"):
-        return parquet_tables(path, rows, max_bytes)
+        return iter((read_parquet(path, max_bytes),))
     raise FileAccessError(f"{path} has no known suffix; known are: {', '.join(SUFFIXES)}")
 
 

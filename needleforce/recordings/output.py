@@ -10,7 +10,7 @@ from typing import Any, BinaryIO
 
 from numpy.typing import ArrayLike
 
-from needleforce.recordings.bag_storage import METADATA, is_bag
+from needleforce.recordings.bag_messages import is_bag, require_sqlite_name
 from needleforce.recordings.bag_writer import McapWriter, SqliteBagWriter
 from needleforce.recordings.columnar import NpzWriter, ParquetWriter
 from needleforce.recordings.csv_file import CsvGzipWriter, CsvWriter
@@ -31,6 +31,7 @@ WRITERS: Mapping[str, Writer] = {
 }
 FOLDER_SUFFIX = ".db3"
 """A bag in an SQLite file, which ROS 2 wants in a folder with `metadata.yaml`."""
+_METADATA = "metadata.yaml"
 _GROWS = (".csv", ".csv.gz")
 
 
@@ -173,12 +174,7 @@ def _is_folder_name(path: Path) -> bool:
 def _require_replaceable(path: Path) -> None:
     """Check that what stands where a bag is to be written is nothing, or a bag like it."""
     with file_errors(path):
-        # rosbags makes a URI of the path without quoting it, and would write elsewhere.
-        if set("?#%") & set(str(path.absolute())):
-            raise FileAccessError(
-                f"cannot write {path}: a bag in an SQLite file needs a path without ?, # and %; "
-                "give another place, or write .mcap"
-            )
+        require_sqlite_name(path, "write")
         if not os.path.lexists(path):
             return
         if not path.is_dir():
@@ -189,9 +185,9 @@ def _require_replaceable(path: Path) -> None:
         others = [
             entry.name
             for entry in sorted(path.iterdir())
-            if not (entry.is_file() and (entry.name == METADATA or _is_folder_name(entry)))
+            if not (entry.is_file() and (entry.name == _METADATA or _is_folder_name(entry)))
         ]
-    if others or not (path / METADATA).exists():
+    if others or not (path / _METADATA).exists():
         what = f"it holds {others[0]!r}, which is no part of a bag" if others else "it is no bag"
         raise FileAccessError(f"will not replace the folder {path}: {what}; give another name")
 
@@ -279,7 +275,7 @@ def check_output_path(path: Path, source: Path) -> None:
         return
     if _is_same(path, source):
         raise FileAccessError(f"cannot write {path}: it is the log itself; give another name")
-    if source.is_file() and is_bag(source) and (source.resolve().parent / METADATA).exists():
+    if source.is_file() and is_bag(source) and (source.resolve().parent / _METADATA).exists():
         source = source.resolve().parent
     if _overlap(path, source):
         raise FileAccessError(
