@@ -18,8 +18,8 @@ from needleforce.recordings.mapping import ColumnMapping, ColumnSpec, mapped_col
 from needleforce.recordings.table import (
     NS_PER_S,
     FloatArray,
+    RowClock,
     Table,
-    TimeStampWatch,
     joined_tables,
     read_only,
     start_of_clock,
@@ -142,7 +142,7 @@ class Log:
         bad = np.flatnonzero(~np.isfinite(t_s))
         if bad.size:
             raise LogError(f"t_s: rows that are not finite: {bad.size} (first: row {bad[0] + 1})")
-        stamps = TimeStampWatch()
+        stamps = RowClock()
         stamps.update(t_s)
         warnings = [*self.warnings, *stamps.warnings()]
         for name, values in channels.items():
@@ -304,7 +304,7 @@ class LogStream:
         self._required, self._optional = tuple(required), tuple(optional)
         self._reported: dict[str, bool] = {}
         self._rows = self._lost = self._first_lost = self._clock_ns = 0
-        self._stamps, self._units = TimeStampWatch(), _UnitWatch()
+        self._stamps, self._units = RowClock(), _UnitWatch()
         self._finite: dict[str, _FiniteWatch] = {}
         self.start_ns = 0
         """The instant of t_s = 0, see `Table`; known after the first chunk."""
