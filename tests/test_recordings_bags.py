@@ -37,7 +37,7 @@ from needleforce.recordings import (
 )
 from needleforce.recordings.bag_messages import BagTopic, bag_messages
 from needleforce.recordings.bag_reader import bag_tables
-from needleforce.recordings.bag_topics import TopicDecoder, interpolate
+from needleforce.recordings.bag_topics import TopicDecoder
 from needleforce.recordings.errors import MAX_BYTES
 from needleforce.recordings.log import LogStream
 from needleforce.recordings.mapping import ChannelRequest
@@ -68,19 +68,6 @@ def test_joints_under_other_names_keep_the_order_of_the_bag(folder):
     log = read_log(folder, required=["q"], joints=["x", "y", "z"])
     assert log["q_rad"][0].tolist() == [0.0, 0.1, 0.2]
     assert "has the joints a, b, c, the robot x, y, z" in log.warnings[0]
-
-
-def test_a_joint_of_the_mapping_that_is_not_there_is_refused(folder):
-    write_bag(folder, insertion_rows(4))
-    with pytest.raises(ColumnError, match="does not have: z; it has: a, b, c"):
-        read_log(folder, ColumnMapping(joints=("a", "z")), required=["q"])
-
-
-def test_stamps_out_of_order_are_reported_and_kept(folder):
-    rows = [("/j", k, joint_state(s, "ab", [s, s])) for k, s in enumerate([10, 30, 20, 40])]
-    log = read_log(write_bag(folder, rows), required=["q"])
-    assert log["q_rad"][:, 0].tolist() == [10.0, 30.0, 20.0, 40.0]
-    assert "time: stamps running backward: 1" in log.warnings[1]
 
 
 def test_a_bag_without_numbers_or_messages_is_refused(folder, tmp_path):
@@ -144,29 +131,6 @@ def test_what_is_no_bag_is_refused(tmp_path):
     (tmp_path / "folder.db3").mkdir()
     with pytest.raises(FormatError, match="is a folder without"):
         read_log(tmp_path / "folder.db3")
-
-
-def test_messages_that_are_no_ros_messages_are_reported(tmp_path):
-    from needleforce.recordings.bag_messages import MAGIC
-
-    def record(opcode, *parts):
-        body = b"".join(parts)
-        return bytes([opcode]) + len(body).to_bytes(8, "little") + body
-
-    def string(value):
-        return len(value).to_bytes(4, "little") + value
-
-    path = tmp_path / "x.mcap"
-    channel = (b"\1\0", b"\0\0", string(b"/json"), string(b"json"), b"\0\0\0\0")
-    path.write_bytes(
-        MAGIC
-        + record(1, string(b""), string(b""))
-        + record(4, *channel)
-        + record(5, b"\1\0", bytes(20), b"{}")
-        + record(0x0F, bytes(4))
-    )
-    with pytest.raises(FormatError, match="is encoded as 'json'; ROS 2 has 'cdr'"):
-        read_log(path)
 
 
 def test_names_decide_when_their_order_changes_and_missing_joints_are_nan(folder):
@@ -260,8 +224,6 @@ def test_messages_of_another_length_are_reported(folder):
     assert "/tau: messages with another number of values of /tau: 1" in log.warnings
 
 
-texts = st.text(st.characters(codec="ascii", exclude_characters="\0"), max_size=9)
-finite = st.floats(allow_nan=False)
 JOINT_STATE = "sensor_msgs/msg/JointState"
 
 
@@ -272,34 +234,6 @@ def made(content, **options):
 def decoded(content, topic="/x", **options):
     decoder = TopicDecoder(BagTopic(topic, content.__msgtype__, "cdr"))
     return decoder.decode(made(content, **options))
-
-
-@given(
-    names=st.lists(texts, max_size=5), lengths=st.lists(st.integers(0, 9), min_size=3, max_size=3)
-)
-def test_joint_states_of_any_names_and_lengths(names, lengths):
-    arrays = [np.arange(float(n)) for n in lengths]
-    found = decoded(joint_state(12_345_678_901, names, *arrays), "/j")
-    is_named = all(names) and len(set(names)) == len(names)
-    assert found.names == (tuple(names) if is_named else ())
-    assert found.stamp_ns == 12_345_678_901
-    for field, values in zip(("position", "velocity", "effort"), arrays, strict=True):
-        assert list(found.values.get(f"/j/{field}", [])) == values.tolist()
-        assert (f"/j/{field}" in found.named) == (0 < len(values) == len(found.names))
-
-
-def test_arrays_of_messages_and_images_are_no_signals():
-    header = joint_state(1, "", []).header
-    numbers = [np.arange(3.0) for _ in range(4)]
-    time = message("builtin_interfaces/msg/Duration", 7, 8)
-    point = message("trajectory_msgs/msg/JointTrajectoryPoint", *numbers, time)
-    trajectory = message("trajectory_msgs/msg/JointTrajectory", header, ["x"], [point, point])
-    assert decoded(trajectory).values == {}
-    assert decoded(trajectory).names == ("x",)
-    image = message(
-        *("sensor_msgs/msg/Image", header, 10, 10, "mono8", 0, 10), np.zeros(100, np.uint8)
-    )
-    assert "/x/data" not in decoded(image).values
 
 
 @given(data=st.binary(min_size=0, max_size=200))
@@ -319,21 +253,6 @@ def test_columns_are_called_by_topic_and_field():
         ("/v", message("geometry_msgs/msg/Vector3", 1.0, 2.0, 3.0), ["/v/xyz"]),
     ):
         assert list(decoded(content, topic).values) == names
-
-
-@given(
-    known=st.lists(st.tuples(st.integers(0, 50), finite), min_size=1, max_size=20),
-    at=st.lists(st.integers(-5, 55), min_size=1, max_size=20),
-)
-def test_where_stamps_agree_values_are_taken_as_they_are(known, at):
-    known = dict(known)
-    stamps, values = np.array(list(known)), np.array(list(known.values()))[:, None]
-    found = interpolate(np.array(at), stamps, values, 10.0)[:, 0]
-    for stamp, value in zip(at, found.tolist(), strict=True):
-        if stamp in known:
-            assert value == known[stamp]
-        elif not min(known) < stamp < max(known):
-            assert np.isnan(value)
 
 
 COUNT = 6000
@@ -453,19 +372,6 @@ def test_a_damaged_message_costs_that_message_only(tmp_path, place):
     log = read_log(path, required=["q"])
     assert len(log) == 59
     assert "/j: messages that do not fit their type, left out: 1" in log.warnings
-
-
-@pytest.mark.parametrize("size", [1 << 29, 1 << 40, (1 << 64) - 1])
-def test_a_record_of_a_size_that_cannot_be_costs_what_follows_only(tmp_path, bags, size):
-    name, data = bags["mcap"]
-    at = 8
-    for _ in ("header", "first chunk"):
-        at += 9 + int.from_bytes(data[at + 1 : at + 9], "little")
-    record = b"\x05" + size.to_bytes(8, "little")
-    (tmp_path / name).write_bytes(data[:at] + record + data[at:])
-    found, faults = messages_in(tmp_path / name)
-    assert len(found) > 1000
-    assert faults == [f"{name} is damaged at byte {at}; what follows cannot be read"]
 
 
 @pytest.mark.parametrize(
