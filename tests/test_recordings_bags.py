@@ -3,6 +3,7 @@
 import re
 import shutil
 import sqlite3
+import sys
 from contextlib import closing
 
 import numpy as np
@@ -31,13 +32,14 @@ from needleforce.recordings import (
     FileAccessError,
     FormatError,
     RecordingError,
+    bag_types,
     read_log,
     read_table,
     write_table,
 )
 from needleforce.recordings.bag_messages import BagTopic, bag_messages
 from needleforce.recordings.bag_reader import bag_tables
-from needleforce.recordings.bag_topics import TopicDecoder
+from needleforce.recordings.bag_types import TopicDecoder
 from needleforce.recordings.errors import MAX_BYTES
 from needleforce.recordings.log import LogStream
 from needleforce.recordings.mapping import ChannelRequest
@@ -486,3 +488,12 @@ def test_a_chunk_whose_checksum_is_wrong_is_left_out(tmp_path):
     log = read_log(path)
     assert 0 < len(log) < whole
     assert "x.mcap has a chunk whose checksum is wrong, which was left out" in log.warnings[0]
+
+
+def test_without_rosbags_the_error_says_what_to_install(folder, monkeypatch):
+    write_bag(folder, insertion_rows(4))
+    bag_types.standard_types.cache_clear()
+    bag_types._types_of.cache_clear()
+    monkeypatch.setitem(sys.modules, "rosbags.typesys", None)
+    with pytest.raises(FileAccessError, match=r"pip install 'needleforce\[recordings\]'"):
+        read_log(folder)

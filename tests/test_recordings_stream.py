@@ -158,7 +158,7 @@ def test_following_ends_when_asked_and_leaves_out_the_line_being_written(tmp_pat
     assert t_s.tolist() == [0.0, 1.0]
     assert "cut short" not in "".join(warnings)
     _, _, warnings = streamed(stream_tables(path, FollowOptions(follow=True, idle_s=0.1)))
-    assert warnings[0] == "line 4, the last, is cut short (3 of 3 cells) and was left out"
+    assert "line 4, the last, is cut short (3 of 3 cells) and was left out" in warnings
 
 
 def test_a_pipe_is_read_as_it_comes_and_ends_when_it_is_closed(tmp_path):

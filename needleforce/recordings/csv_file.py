@@ -15,6 +15,7 @@ from numpy.typing import NDArray
 from needleforce.recordings.errors import MAX_BYTES, FormatError, require_size
 from needleforce.recordings.follow import TextLines
 from needleforce.recordings.table import (
+    HEAD_ROWS,
     START_KEY,
     Columns,
     FloatArray,
@@ -25,9 +26,6 @@ from needleforce.recordings.table import (
 )
 
 CSV_SUFFIXES = (".csv", ".csv.gz", ".tsv", ".tsv.gz", ".txt")
-
-HEAD_ROWS = 200
-"""So many rows decide which columns a stream has; they come in one table, however they arrive."""
 
 _ROW_BYTES = 100
 """What Python adds to the text of a row."""

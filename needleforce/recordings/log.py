@@ -12,7 +12,6 @@ from needleforce.recordings.channels import (
     detect_columns,
     parse_column_name,
 )
-from needleforce.recordings.csv_file import HEAD_ROWS
 from needleforce.recordings.errors import ColumnError, LogError, MappingError
 from needleforce.recordings.mapping import ColumnMapping, ColumnSpec, mapped_columns
 from needleforce.recordings.table import (
@@ -20,7 +19,6 @@ from needleforce.recordings.table import (
     FloatArray,
     RowClock,
     Table,
-    joined_tables,
     read_only,
     start_of_clock,
     to_seconds,
@@ -312,7 +310,7 @@ class LogStream:
         return news
 
     def __iter__(self) -> Iterator[LogChunk]:
-        """Yield the rows; the first chunk has `HEAD_ROWS`, if there are so many.
+        """Yield the rows; the first chunk has 200, if there are so many.
 
         Raises:
             FileAccessError: see `stream_tables`.
@@ -321,7 +319,7 @@ class LogStream:
             MappingError: a channel name is unknown, or a scale does not fit its columns.
             LogError: the channels do not form a log; what only the end shows is reported there.
         """
-        head = joined_tables(self._tables, HEAD_ROWS)
+        head = next(self._tables)
         self._report(head.warnings)
         self.start_ns = head.start_ns
         found = self._find_channels(head)

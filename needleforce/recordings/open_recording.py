@@ -275,7 +275,7 @@ def _bag_head(
         "# Rows are the messages of this topic; others are interpolated to its time stamps.",
         f"reference_topic = {json.dumps(reference)}",
     ]
-    here = list(dict.fromkeys(j for n in topics for j in info.topics[n].joints))
+    here = list(dict.fromkeys(j for n in topics for j in info.topics[n].names))
     if here:
         order = joints if joints and set(joints) <= set(here) else here
         lines.append("# Joints in the order of the robot; they are found by these names.")

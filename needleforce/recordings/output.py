@@ -11,7 +11,7 @@ from typing import Any, BinaryIO
 from numpy.typing import ArrayLike
 
 from needleforce.recordings.bag_messages import is_bag, require_sqlite_name
-from needleforce.recordings.bag_writer import McapWriter, SqliteBagWriter
+from needleforce.recordings.bag_types import McapWriter, SqliteBagWriter
 from needleforce.recordings.columnar import NpzWriter, ParquetWriter
 from needleforce.recordings.csv_file import CsvGzipWriter, CsvWriter
 from needleforce.recordings.errors import FileAccessError, LogError, file_errors

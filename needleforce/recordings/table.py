@@ -1,7 +1,7 @@
 """Named columns of numbers before anyone has said what they mean, and the time of their rows."""
 
 import math
-from collections.abc import Iterator, Mapping
+from collections.abc import Mapping
 from dataclasses import dataclass, field
 from types import MappingProxyType
 
@@ -13,6 +13,8 @@ from needleforce.recordings.errors import FormatError, LogError
 FloatArray = NDArray[np.float64]
 Columns = Mapping[str, np.ndarray]
 
+HEAD_ROWS = 200
+"""So many rows decide which columns a stream has; they come in one table, however they arrive."""
 START_KEY = "start_ns"
 """What files of numbers call `Labels.start_ns`."""
 
@@ -94,31 +96,6 @@ def read_only(name: str, values: ArrayLike) -> FloatArray:
         raise LogError(f"{name} is not an array of numbers: {error}") from error
     copy.setflags(write=False)
     return copy
-
-
-def joined_tables(tables: Iterator[Table], rows: int) -> Table:
-    """Take tables with equal columns until there are so many rows, or no more, and join them."""
-    taken: list[Table] = []
-    for table in tables:
-        taken.append(table)
-        if sum(map(len, taken)) >= rows:
-            break
-    if len(taken) == 1:
-        return taken[0]
-    first, last = taken[0], taken[-1]
-    full = [table for table in taken if len(table)]
-    exact = set.intersection(*(set(table.stamps) for table in full)) if full else set()
-    return Table(
-        columns={
-            name: np.concatenate([table.columns[name] for table in taken]) for name in last.columns
-        },
-        constants=first.constants,
-        warnings=tuple(warning for table in taken for warning in table.warnings),
-        joint_names=first.joint_names,
-        start_ns=first.start_ns,
-        stamps={name: np.concatenate([table.stamps[name] for table in full]) for name in exact},
-        omitted=first.omitted,
-    )
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -234,6 +211,35 @@ def exceed_float64(values: np.ndarray) -> bool:
     """Return whether float64 rounds whole numbers as large as these, and int64 does not."""
     # Not abs, which overflows for the least integer; a NaN is not larger than anything.
     return bool(len(values)) and bool(((values > _EXACT) & (values < 1 << 63)).all())
+
+
+def interpolate(
+    at_ns: NDArray[np.int64], stamps_ns: NDArray[np.int64], values: FloatArray, limit_ns: float
+) -> FloatArray:
+    """Interpolate linearly; where stamps agree, the values are taken as they are.
+
+    Args:
+        at_ns: where values are wanted, shape (n,).
+        stamps_ns: where they are known, shape (m,), in any order.
+        values: shape (m, k).
+        limit_ns: between stamps further apart than this the result is NaN, as outside them.
+    """
+    if not stamps_ns.size:
+        return np.full((at_ns.size, values.shape[1]), np.nan)
+    order = np.argsort(stamps_ns, kind="stable")
+    stamps_ns, values = stamps_ns[order], values[order]
+    before = np.searchsorted(stamps_ns, at_ns, side="right") - 1
+    low = np.clip(before, 0, stamps_ns.size - 1)
+    high = np.clip(before + 1, 0, stamps_ns.size - 1)
+    span = (stamps_ns[high] - stamps_ns[low]).astype(np.float64)
+    inside = (before >= 0) & (span > 0.0) & (span <= limit_ns)
+    fraction = np.divide(at_ns - stamps_ns[low], span, out=np.zeros(at_ns.size), where=inside)
+    with np.errstate(invalid="ignore"):
+        result = values[low] + fraction[:, None] * (values[high] - values[low])
+    result[~inside] = np.nan
+    exact = (before >= 0) & (stamps_ns[low] == at_ns)
+    result[exact] = values[low[exact]]
+    return result
 
 
 _SET_AFTER_S = 0.1

@@ -1,16 +1,186 @@
-"""Rows of a table as a ROS 2 bag: standard messages, in MCAP with checksums, or in SQLite."""
+"""ROS messages as columns of numbers, and rows as messages; `rosbags` has their types.
+
+Bags are written as MCAP, with checksums, or as SQLite.
+"""
 
 import re
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Mapping
+from functools import cache, lru_cache
+from operator import attrgetter
 from pathlib import Path
 from typing import Any, BinaryIO, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
-from needleforce.recordings.bag_topics import CDR, standard_types
-from needleforce.recordings.errors import LogError, optional_library
+from needleforce.recordings.bag_messages import BagTopic
+from needleforce.recordings.errors import FormatError, LogError, optional_library
 from needleforce.recordings.table import NS_PER_S, Columns, Labels, to_nanoseconds
+
+STANDARD = "ROS2_HUMBLE"
+"""Whose standard messages are meant where a bag holds no definitions."""
+CDR = "cdr"
+_NAMES = ("name", "names", "joint_names")
+"""Fields that name the elements of the arrays beside them."""
+_VECTORS = (("x", "y", "z", "w"), ("x", "y", "z"), ("x", "y"))
+_STAMP = {("header", "stamp", "sec"), ("header", "stamp", "nanosec")}
+_MOST_ELEMENTS = 64
+"""Longer arrays are images and point clouds, not signals."""
+_LONGEST_DEFINITION = 1 << 18  # characters
+_MOST_UNROLLED = 2000
+"""`rosbags` generates code for each element of an array of texts or messages."""
+_TYPE_NAME = re.compile(r"[A-Za-z]\w*(/[A-Za-z]\w*)*", re.ASCII)
+_FIELD_NAME = re.compile(r"[A-Za-z_]\w*", re.ASCII)
+_BASE, _NAME, _ARRAY = 1, 2, 3  # kinds of fields, as rosbags numbers them
+_ZSTD_MAGIC = b"\x28\xb5\x2f\xfd"
+
+
+@cache
+def standard_types() -> Any:
+    """Return the type store of ROS's own messages; `FileAccessError` without rosbags."""
+    library = optional_library("rosbags.typesys", "ROS 2 bags")
+    return library.get_typestore(getattr(library.Stores, STANDARD))
+
+
+@lru_cache(maxsize=256)
+def _types_of(kind: str, definition: str) -> Any:
+    """Return a store with a type as the bag defines it, else as ROS does."""
+    standard = standard_types()
+    library = optional_library("rosbags.typesys", "ROS 2 bags")
+    if definition and len(definition) <= _LONGEST_DEFINITION:
+        try:
+            found = dict(library.get_types_from_msg(definition, kind))
+            _require_plain(found)
+            store = library.get_typestore(library.Stores.EMPTY)
+            store.register(found)
+            store.get_msgdef(kind)
+        except Exception:
+            # The parser raises whatever a damaged definition makes it run into; some types of a
+            # bag are of no interest.
+            pass
+        else:
+            return store
+    if kind not in standard.fielddefs:
+        raise FormatError(f"holds messages of the type {kind}, without its definition")
+    return standard
+
+
+def _require_plain(types: Mapping[str, Any]) -> None:
+    """Refuse definitions whose names would not stay names in the code that `rosbags` generates."""
+    unrolled = 0
+    for kind, (constants, fields) in types.items():
+        names = [entry[0] for entry in (*constants, *fields)]
+        if not (_TYPE_NAME.fullmatch(kind) and all(map(_FIELD_NAME.fullmatch, names))):
+            raise ValueError(f"{kind!r} has names that ROS does not allow")
+        for _, (node, rest) in fields:
+            if node == _ARRAY and (rest[0][0] == _NAME or rest[0][1][0] == "string"):
+                unrolled += rest[1]
+    if unrolled > _MOST_UNROLLED:
+        raise ValueError(f"arrays of {unrolled} texts or messages")
+
+
+class Content(NamedTuple):
+    """What a message holds."""
+
+    stamp_ns: int | None  # of the source; 0 if never set, None if the type has none
+    names: tuple[str, ...]  # of joints
+    values: dict[str, Any]  # by column; none for arrays that are empty or long
+    named: frozenset[str]  # columns with one number for each name
+
+
+def width_of(value: Any) -> int | None:
+    """Return how many numbers a value of `Content` holds; None for a single number."""
+    return len(value) if isinstance(value, tuple | np.ndarray) else None
+
+
+class TopicDecoder:
+    """Decodes the messages of one topic; `FormatError` if its type is not known.
+
+    A column is called by its topic and the fields that lead to it: `/joint_states/position`.
+    Vectors are one column of several numbers: `/ft/wrench/force_xyz`. In a `...Stamped` message
+    the one field beside the header goes unnamed, and so does `data`: `/depth_mm`.
+    """
+
+    def __init__(self, topic: BagTopic) -> None:
+        if topic.encoding != CDR:
+            raise FormatError(f"is encoded as {topic.encoding!r}; ROS 2 has {CDR!r}")
+        self._kind = topic.kind
+        self._types = _types_of(topic.kind, topic.definition)
+        try:
+            places = dict(self._places((), topic.kind))
+            fields = [name for name, _ in self._types.get_msgdef(topic.kind).fields]
+        except (KeyError, RecursionError) as error:
+            raise FormatError(f"has the type {topic.kind}, whose definition is damaged") from error
+        self.has_stamp = places.keys() >= _STAMP
+        if self.has_stamp:
+            places = {path: kind for path, kind in places.items() if path not in _STAMP}
+        self._names = next((name for name in _NAMES if name in fields), None)
+        self._columns = list(_columns(topic, list(places.items())))
+
+    def _places(self, path: tuple[str, ...], kind: str) -> Iterator[tuple[tuple[str, ...], Any]]:
+        """Yield the paths to numbers in a type, with the base type, and whether it is an array."""
+        for name, (node, rest) in self._types.get_msgdef(kind).fields:
+            if node == _NAME:
+                yield from self._places((*path, name), rest)
+            elif node == _BASE and rest[0] != "string":
+                yield (*path, name), (rest[0], False)
+            elif node >= _ARRAY and rest[0][0] == _BASE and rest[0][1][0] != "string":
+                yield (*path, name), (rest[0][1][0], True)
+
+    def decode(self, data: bytes) -> Content:
+        """Decode a message; `FormatError` if it does not fit its type."""
+        if data.startswith(_ZSTD_MAGIC):
+            raise FormatError("is compressed message by message; unpack it with: ros2 bag convert")
+        try:
+            message = self._types.deserialize_cdr(data, self._kind)
+        except Exception as error:
+            # Damaged bytes end in whatever the generated code runs into.
+            raise FormatError(f"does not fit its type {self._kind}") from error
+        given = getattr(message, self._names) if self._names is not None else []
+        names = tuple(given) if isinstance(given, list) else ()
+        # Empty or repeated names identify no joint: their order then has to.
+        names = names if all(names) and len(set(names)) == len(names) else ()
+        values, named = {}, set()
+        for column, get, is_array, is_beside_names in self._columns:
+            value = get(message)
+            if is_array:
+                if not 0 < len(value) <= _MOST_ELEMENTS:
+                    continue
+                if is_beside_names and len(value) == len(names):
+                    named.add(column)
+            values[column] = value
+        stamp_ns = None
+        if self.has_stamp:
+            stamp_ns = message.header.stamp.sec * NS_PER_S + message.header.stamp.nanosec
+        return Content(stamp_ns, names, values, frozenset(named))
+
+
+def _columns(
+    topic: BagTopic, places: list[tuple[tuple[str, ...], Any]]
+) -> Iterator[tuple[str, Callable[[Any], Any], bool, bool]]:
+    """Yield name, getter, whether it is an array, and whether it stands beside names."""
+    at = 0
+    while at < len(places):
+        path, (_, is_array) = places[at]
+        width = next((len(v) for v in _VECTORS if _is_vector(places[at : at + len(v)], v)), 0)
+        inside = [place for place, _ in places[at : at + (width or 1)]]
+        is_beside = is_array and len(path) == 1
+        if width:
+            path = (*path[:-2], "_".join((*path[-2:-1], "".join(p[-1] for p in inside))))
+        if topic.kind.endswith("Stamped"):
+            path = path[1:] or path
+        name = topic.name if path == ("data",) else "/".join((topic.name, *path))
+        yield name, attrgetter(*map(".".join, inside)), is_array, is_beside
+        at += width or 1
+
+
+def _is_vector(places: list[tuple[tuple[str, ...], Any]], components: tuple[str, ...]) -> bool:
+    return (
+        tuple(path[-1] for path, _ in places) == components
+        and len({(path[:-1], kind) for path, kind in places}) == 1
+        and not places[0][1][1]
+    )
+
 
 _DIAGNOSTICS = "diagnostic_msgs/msg/DiagnosticArray"
 _OK, _WARN = 0, 1
