@@ -13,6 +13,8 @@ from contextlib import closing, contextmanager
 
 import lz4.frame
 import numpy as np
+import pyarrow as pa
+import pyarrow.parquet as pq
 import pytest
 import zstandard
 from bag_samples import data_file, insertion_rows, number, write_bag
@@ -100,6 +102,14 @@ def test_an_npz_that_unpacks_to_any_size_is_refused(tmp_path, order):
     np.savez_compressed(path, t=np.arange(3000.0), f=np.ones(3000), unused=unused)
     with bounded(), pytest.raises(FormatError, match="raise max_bytes"):
         read_log(path, max_bytes=SMALL)
+
+
+def test_a_parquet_of_repeated_numbers_that_takes_any_memory_is_refused(tmp_path):
+    path = tmp_path / "x.parquet"
+    pq.write_table(pa.table({"t": np.zeros(BOMB // 8)}), path)
+    assert path.stat().st_size < SMALL
+    with bounded(), pytest.raises(FormatError, match="raise max_bytes"):
+        read_table(path, max_bytes=SMALL)
 
 
 def npy(header):

@@ -13,10 +13,8 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from needleforce.recordings import (
-    ColumnError,
     FileAccessError,
     FormatError,
-    LogError,
     read_log,
     write_table,
 )
@@ -109,23 +107,6 @@ def test_a_unit_is_doubted_at_once_or_when_the_values_show_it():
         "depth: it reaches 85 in SI; if the file is in mm, say unit = 'mm', or --depth COLUMN:mm",
     )
     assert stream.take_warnings() == ()
-
-
-@pytest.mark.parametrize(
-    ("text", "error", "message"),
-    [
-        ("", FormatError, "log: it is empty"),
-        ("t,q1,tau1\n", FormatError, "a header but no rows"),
-        ("\x00\x01\x02", FormatError, "not text"),
-        ("t,q1,tau1\n1,2,3\n1,2,3\n", LogError, "no usable time"),
-        ("t,q1,tau1\n,2,3\n,2,3\nnan,1,1\n", LogError, "t"),
-        ("t,q1,tau1\n0,nan,3\n1,nan,3\n", LogError, "q_rad has no finite value in 2 rows"),
-        ("t,q1\n0,1\n1,2\n", ColumnError, "no column found for tau"),
-    ],
-)
-def test_what_is_no_log_is_refused(text, error, message):
-    with pytest.raises(error, match=message):
-        streamed(csv_tables([text.encode()], "log"))
 
 
 def test_a_line_that_never_ends_is_refused():
