@@ -70,7 +70,9 @@ class InsertionAxis(NamedTuple):
     def events(self, item: Identified) -> tuple[Instants, Instants]:
         """Alarms, and where friction was identified, by a method."""
         t_s = self.truth.t_s[item.start :]
-        is_identified = np.array([one.compensated is not None for one in item.result.estimates])
+        is_identified = np.array(
+            [one.identified_layer is not None for one in item.result.estimates]
+        )
         return (
             Instants(
                 label="rupture detected",

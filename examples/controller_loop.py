@@ -34,4 +34,4 @@ for t_s, q, dq, tau in read_arm():
     if (rupture := now.identification.rupture) is not None:
         print(f"{t_s:6.2f} s: layer {rupture.layer} ruptured at {1e3 * rupture.depth_m:.1f} mm")
 
-print(f"at most {worst_N:.2f} N at the tip; {session.skipped} samples rejected")
+print(f"at most {worst_N:.2f} N at the tip; {session.rejected} samples rejected")

@@ -38,7 +38,7 @@ def test_the_sessions_give_what_the_pages_show(page):
 
 
 def test_the_options_on_the_page_give_the_mapping_that_it_describes():
-    (line,) = re.findall(r"^python -m identification robot.csv (.*)$", TEXT, re.MULTILINE)
+    (line,) = re.findall(r"^needleforce identify robot.csv (.*)$", TEXT, re.MULTILINE)
     options = re.findall(r"--(\w+) (\S+)", line)
     specs = {name: parse_column_spec(text, CHANNELS[name]) for name, text in options}
     log = read_log("robot.csv", ColumnMapping(channels=specs), required=["depth", "force"])

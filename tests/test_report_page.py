@@ -8,7 +8,7 @@ from chromium import DESK, PHONE, logged, measured, needs_chromium, printed
 from rich.table import Table
 
 from benchmarks.benchmark import Drawing, Fact
-from benchmarks.commands.dispatch import main
+from benchmarks.cli import main
 from benchmarks.paper_figures import ENHANCED_FIGURES, NEEDED, PAPER_FIGURES
 from benchmarks.report import (
     chosen,

@@ -314,7 +314,7 @@ class _BagWriter:
                 self._diagnostics = self._connect("/diagnostics", _DIAGNOSTICS)
         series = []
         for connection, topic in self._topics:
-            values = (columns[name].astype(np.float64) for name in topic.columns)
+            values = (columns[name].astype(np.float64, order="C") for name in topic.columns)
             cells = (v.tolist() if v.ndim == 1 else v for v in values)
             series.append((connection, topic.kind, topic.make, list(zip(*cells, strict=True))))
         changes = [column for name in labels.events if (column := self._changes(columns, name))]
