@@ -32,7 +32,6 @@ from needleforce.recordings import (
     FileAccessError,
     FormatError,
     RecordingError,
-    bag_types,
     read_log,
     read_table,
     write_table,
@@ -492,8 +491,6 @@ def test_a_chunk_whose_checksum_is_wrong_is_left_out(tmp_path):
 
 def test_without_rosbags_the_error_says_what_to_install(folder, monkeypatch):
     write_bag(folder, insertion_rows(4))
-    bag_types.standard_types.cache_clear()
-    bag_types._types_of.cache_clear()
     monkeypatch.setitem(sys.modules, "rosbags.typesys", None)
     with pytest.raises(FileAccessError, match=r"pip install 'needleforce\[recordings\]'"):
         read_log(folder)

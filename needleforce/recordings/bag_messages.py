@@ -79,6 +79,7 @@ def bag_messages(
         options: how a growing file is followed until its recorder finishes it. `NONE_YET` comes
             each time before more is waited for. None to read what there is.
     """
+    optional_library("rosbags.typesys", "ROS 2 bags")
     for file in bag_files(path):
         found: list[str] = []
         try:
