@@ -14,7 +14,7 @@ from rosbags.rosbag2 import CompressionFormat, CompressionMode, StoragePlugin, W
 from rosbags.typesys import Stores, get_typestore
 
 from needleforce.recordings import ColumnMapping, ColumnSpec
-from needleforce.recordings.bag_storage import MAGIC
+from needleforce.recordings.bag_messages import MAGIC
 from needleforce.recordings.follow import FollowOptions
 from needleforce.recordings.log import LogStream
 from needleforce.recordings.mapping import ChannelRequest

@@ -9,8 +9,7 @@ from page_sessions import session_failures
 
 from needleforce import recordings
 from needleforce.recordings import CHANNELS, ColumnMapping, load_mapping, read_log
-from needleforce.recordings.bag_topics import standard_types
-from needleforce.recordings.bag_writer import bag_topics
+from needleforce.recordings.bag_types import bag_topics, standard_types
 from needleforce.recordings.csv_file import CSV_SUFFIXES, HEAD_ROWS
 from needleforce.recordings.mapping import parse_column_spec, read_toml
 from needleforce.recordings.table import Labels

@@ -1,9 +1,13 @@
-"""A log and a table: what they hold, refuse and report; and the time of their rows."""
+"""From a file to a log: tables, channels, units, time, warnings; and real recordings."""
 
 import dataclasses
+import os
+import time
+from pathlib import Path
 
 import numpy as np
 import pytest
+from bag_samples import mapped
 from hypothesis import given
 from hypothesis import strategies as st
 from hypothesis.extra import numpy as hnp
@@ -11,17 +15,22 @@ from hypothesis.extra import numpy as hnp
 from needleforce import recordings
 from needleforce.recordings import (
     ColumnError,
+    ColumnMapping,
+    ColumnSpec,
     FormatError,
     Log,
     LogError,
-    RecordingError,
+    MappingError,
     Table,
     read_log,
     write_log,
     write_table,
 )
+from needleforce.recordings.channels import CHANNELS
 from needleforce.recordings.follow import FollowOptions
 from needleforce.recordings.log import LogStream
+from needleforce.recordings.mapping import ChannelRequest
+from needleforce.recordings.open_recording import log_of as log_of_table
 from needleforce.recordings.open_recording import stream_tables
 from needleforce.recordings.table import RowClock, start_of_clock, to_nanoseconds, to_seconds
 
@@ -32,13 +41,6 @@ def test_all_is_sorted_and_resolves():
     assert list(recordings.__all__) == sorted(recordings.__all__)
     assert all(hasattr(recordings, name) for name in recordings.__all__)
     assert len(recordings.__all__) <= 20
-
-
-def test_every_error_has_the_one_base_and_is_one_level_below_it():
-    leaves = [getattr(recordings, name) for name in recordings.__all__ if name.endswith("Error")]
-    leaves.remove(RecordingError)
-    assert len(leaves) == 5
-    assert all(leaf.__bases__[0] is RecordingError and len(leaf.__bases__) == 2 for leaf in leaves)
 
 
 def test_log_stores_read_only_copies():
@@ -53,15 +55,6 @@ def test_log_stores_read_only_copies():
         log.channels["force_N"] = force_N  # pyright: ignore
     with pytest.raises(dataclasses.FrozenInstanceError):
         log.t_s = t_s  # pyright: ignore
-
-
-def test_log_answers_for_its_channels():
-    log = Log(t_s=T_S, channels={"q_rad": np.zeros((4, 7))})
-    assert len(log) == 4
-    assert "q_rad" in log
-    assert "tau_Nm" not in log
-    with pytest.raises(ColumnError, match="no channel 'tau_Nm'; it has: q_rad"):
-        log["tau_Nm"]
 
 
 @pytest.mark.parametrize(
@@ -83,15 +76,6 @@ def test_log_answers_for_its_channels():
 def test_what_is_no_log_is_refused_with_the_reason(t_s, channels, message):
     with pytest.raises(LogError, match=message):
         Log(t_s=t_s, channels=channels)
-
-
-def test_backward_and_repeated_stamps_are_counted_and_kept():
-    t_s = np.array([0.0, 1.0, 0.5, 1.0, 2.0, 2.0])
-    log = Log(t_s=t_s, channels={"force_N": np.zeros(6)})
-    np.testing.assert_array_equal(log.t_s, t_s)
-    backward, repeated = log.warnings
-    assert "backward: 1 (first: row 3, 0.5 s after 1 s)" in backward
-    assert "repeated: 2 (first: row 4, 1 s after 1 s)" in repeated
 
 
 @given(hnp.arrays(np.float64, st.integers(2, 30), elements=st.integers(-5, 5).map(float)))
@@ -116,22 +100,6 @@ def test_missing_values_are_counted_by_row_not_refused():
     np.testing.assert_array_equal(log["q_rad"], q_rad)
 
 
-def test_a_log_made_from_a_log_says_nothing_twice():
-    log = Log(t_s=[0.0, 1.0, 1.0], channels={"force_N": [0.0, np.nan, 1.0]}, warnings=("w",))
-    again = Log(t_s=log.t_s, channels=log.channels, warnings=log.warnings)
-    assert again.warnings == log.warnings
-    assert len(log.warnings) == 3
-
-
-def test_table_keeps_copies_and_describes_its_columns():
-    values = np.zeros((3, 2))
-    table = Table(columns={"wrench": values, "t": np.zeros(3)})
-    values[0] = 1.0
-    assert not table.columns["wrench"].any()
-    assert table.describe() == "wrench (2 columns), t"
-    assert table.describe(limit=1) == "wrench (2 columns) and 1 more"
-
-
 @pytest.mark.parametrize(
     ("columns", "error", "message"),
     [
@@ -148,12 +116,6 @@ def test_what_is_no_table_is_refused_with_the_reason(columns, error, message):
 RAMP_S = np.arange(1000) / 1000
 
 
-def test_rows_in_order_take_their_differences():
-    dt_s = RowClock().update(RAMP_S + 5.0)
-    assert dt_s[0] == np.inf
-    np.testing.assert_allclose(dt_s[1:], 0.001)
-
-
 def test_late_and_repeated_rows_do_not_advance_and_shift_nothing():
     t_s = RAMP_S.copy()
     t_s[100::50] -= 0.02
@@ -164,13 +126,6 @@ def test_late_and_repeated_rows_do_not_advance_and_shift_nothing():
     assert dt_s[advances][1:].sum() == pytest.approx(t_s.max() - t_s[0])
 
 
-def test_stamps_that_run_ahead_once_shift_nothing():
-    t_s = RAMP_S.copy()
-    t_s[100:900:200] += 0.09
-    dt_s = RowClock().update(t_s)
-    assert dt_s[dt_s > 0.0][1:].sum() == pytest.approx(RAMP_S[-1])
-
-
 @pytest.mark.parametrize("back_s", [0.5, 3600.0])
 def test_a_clock_that_stays_back_is_followed_after_a_few_rows(back_s):
     t_s = np.concatenate((RAMP_S, RAMP_S[-1] + RAMP_S + 0.001 - back_s))
@@ -179,12 +134,6 @@ def test_a_clock_that_stays_back_is_followed_after_a_few_rows(back_s):
     assert 3 <= np.count_nonzero(late) <= 105
     assert not late[110:].any()
     assert dt_s[dt_s > 0.0][1:].sum() == pytest.approx(1.998, abs=0.002)
-
-
-def test_a_clock_a_little_back_catches_up():
-    t_s = np.concatenate((RAMP_S, RAMP_S[-1] + RAMP_S - 0.08))
-    dt_s = RowClock().update(t_s)
-    assert dt_s[dt_s > 0.0][1:].sum() == pytest.approx(t_s[-1])
 
 
 @given(st.integers(1, 2500), st.integers(0, 900))
@@ -235,13 +184,6 @@ def test_every_format_keeps_the_clock_of_the_source(tmp_path, suffix, start_ns):
     assert to_nanoseconds(t_s, stream.start_ns).tolist() == stamps_ns.tolist()
 
 
-def test_the_comment_of_a_csv_is_read_and_others_are_not(tmp_path):
-    path = tmp_path / "log.csv"
-    for comment, start_ns in (("# start_ns = 17", 17), ("#start_ns=-3", -3), ("# start_ns = x", 0)):
-        path.write_text(f"{comment}\nt,force\n0.0,1\n0.1,2\n", encoding="utf-8")
-        assert read_log(path).start_ns == start_ns
-
-
 @pytest.mark.parametrize("suffix", ["csv", "csv.gz", "npz", "parquet"])
 @pytest.mark.parametrize("is_ragged", [False, True])
 def test_whole_nanoseconds_since_the_epoch_lose_no_digit(tmp_path, suffix, is_ragged):
@@ -273,3 +215,214 @@ def test_a_stamp_that_is_no_whole_number_costs_digits_but_no_second(tmp_path, ro
     assert len(t_s) == 4999
     expected_s = np.delete(1e-3 * np.arange(5000), row)
     np.testing.assert_allclose(t_s - t_s[0], expected_s, atol=2e-6)
+
+
+BESIDE = Path(__file__).parents[2] / "shared" / "data"
+DATA = Path(os.environ.get("NEEDLEFORCE_DATA", BESIDE))
+
+
+def real(name):
+    path = DATA / name
+    if not path.exists():
+        pytest.skip(f"the real recording {name} is not here")
+    return path
+
+
+def log_of(mapping=None, required=(), optional=(), constants=None, **columns):
+    table = Table(columns=columns, constants=constants or {})
+    request = ChannelRequest(
+        mapping=mapping or ColumnMapping(), required=tuple(required), optional=tuple(optional)
+    )
+    return log_of_table(table, request)
+
+
+T = np.arange(3.0) / 100
+ONES = np.ones(3)
+
+
+def test_a_csv_with_usual_names_needs_no_mapping(tmp_path):
+    path = tmp_path / "LOG.CSV"
+    path.write_text("time [ms],q1_deg,q2_deg,effort_1,effort_2\n0,180,0,1,2\n1,90,0,3,4\n")
+    log = read_log(path, required=("q", "tau"), optional=("dq",))
+    np.testing.assert_allclose(log.t_s, [0.0, 0.001])
+    np.testing.assert_allclose(log["q_rad"], [[np.pi, 0.0], [np.pi / 2, 0.0]])
+    np.testing.assert_array_equal(log["tau_Nm"], [[1.0, 2.0], [3.0, 4.0]])
+    assert list(log.channels) == ["q_rad", "tau_Nm"]
+    assert log.warnings == ()
+
+
+@given(
+    st.sampled_from([(name, unit) for name, channel in CHANNELS.items() for unit in channel.units]),
+    st.floats(-4.0, 4.0).filter(lambda scale: abs(scale) > 0.01),
+)
+def test_units_and_scales_multiply(chosen, scale):
+    name, unit = chosen
+    channel = CHANNELS[name]
+    raw = np.array([1.0, 2.0, 4.0])
+    expected = raw * channel.units[unit] * scale
+    if name == "time":
+        scale, expected = abs(scale), np.abs(expected)
+    mapping = mapped(**{name: ColumnSpec(columns="x", unit=unit, scale=scale)})
+    if name == "time":
+        values = log_of(mapping, ("force",), x=raw, force_N=ONES).t_s
+    else:
+        log = log_of(mapping, (name,), x=raw, t_s=T)
+        values = log[channel.key].reshape(-1)
+        assert log[channel.key].ndim == (2 if channel.per_joint else 1)
+    np.testing.assert_allclose(values, expected)
+
+
+CURRENT, WRENCH = np.arange(6.0).reshape(3, 2), np.arange(18.0).reshape(3, 6)
+
+
+@pytest.mark.parametrize(
+    ("spec", "columns", "key", "expected"),
+    [
+        (None, {"depth_m": 5.0 * ONES}, "depth_m", 5.0 * ONES),
+        # A stated unit wins over the one in the name; each column has its own, and its own scale.
+        (ColumnSpec(columns="depth_m", unit="mm"), {"depth_m": ONES}, "depth_m", ONES / 1000),
+        (
+            ColumnSpec(columns=("a_deg", "b_rad"), scale=(1.0, -2.0)),
+            {"a_deg": 180.0 * ONES, "b_rad": ONES},
+            "q_rad",
+            np.array([[np.pi, -2.0]] * 3),
+        ),
+        (ColumnSpec(columns="i", scale=(1.0, 2.0)), {"i": CURRENT}, "tau_Nm", CURRENT * [1, 2]),
+        (ColumnSpec(columns="w[2]", scale=-1.0), {"w": WRENCH}, "force_N", -WRENCH[:, 2]),
+    ],
+)
+def test_columns_become_si(spec, columns, key, expected):
+    name = next(name for name, channel in CHANNELS.items() if channel.key == key)
+    log = log_of(mapped(**({name: spec} if spec else {})), t=T, **columns)
+    np.testing.assert_allclose(log[key], expected)
+
+
+def test_only_the_channels_asked_for_are_looked_at():
+    log = log_of(None, ("force",), t=T, force_N=ONES, depth_m=ONES, z=ONES)
+    assert list(log.channels) == ["force_N"]
+    with pytest.raises(ColumnError, match="several"):
+        log_of(None, ("force",), ("depth",), t=T, force_N=ONES, depth_m=ONES, z=ONES)
+
+
+def test_a_missing_channel_is_reported_with_usual_names_and_columns():
+    with pytest.raises(ColumnError) as caught:
+        log_of(None, ("q", "tau"), t=T, q=ONES, moment=ONES)
+    message = str(caught.value)
+    assert "no column found for tau (measured joint torques)" in message
+    assert "tau, tau_j, effort, torque" in message
+    assert "Columns are: t, q, moment" in message
+
+
+@pytest.mark.parametrize(
+    ("mapping", "required", "error", "message"),
+    [
+        (None, ("torque",), MappingError, "unknown channel 'torque'"),
+        (None, ("time",), MappingError, "unknown channel 'time'"),
+        (mapped(force="pull"), (), ColumnError, "no column 'pull'"),
+        (mapped(force="pair"), (), ColumnError, "force is one column, but pair gives 2"),
+        (mapped(q=("a", "short")), (), LogError, "q: the columns a, short differ in length"),
+        (mapped(depth="short"), (), LogError, "in rows: t_s 3, depth_m 2"),
+        (mapped(q="pair", tau="a"), (), LogError, "number of joints: q_rad 2, tau_Nm 1"),
+        (mapped(depth="empty"), ("depth",), LogError, "depth_m has no finite value"),
+        (
+            mapped(q=ColumnSpec(columns="pair", scale=(1.0, 2.0, 3.0))),
+            (),
+            MappingError,
+            "q: 3 scale factors for 2 columns; give one or 2",
+        ),
+    ],
+)
+def test_what_forms_no_log_is_refused(mapping, required, error, message):
+    columns = {"a": ONES, "short": ONES[:2], "pair": np.ones((3, 2)), "empty": ONES * np.nan}
+    with pytest.raises(error, match=message):
+        log_of(mapping, required, t=T, **columns)
+
+
+def test_what_was_left_out_is_reported_when_nothing_fits(tmp_path):
+    log = tmp_path / "log.csv"
+    log.write_text("time,tau,z\n2024-05-01T12:00:00,oops,1\n2024-05-01T12:00:01,oops,2\n")
+    for required in ("depth", "tau"):
+        with pytest.raises(
+            ColumnError, match=r"'time' holds text .*'2024-05-01T12:00:00'"
+        ) as caught:
+            read_log(log, required=[required])
+        assert "'tau' holds text (line 2, 'oops') and was left out)" in str(caught.value)
+        with pytest.raises(ColumnError) as streamed:
+            list(LogStream(stream_tables(log, FollowOptions()), required=[required]))
+        assert str(streamed.value) == str(caught.value)
+
+
+def test_an_optional_channel_without_values_is_left_out_and_reported():
+    log = log_of(None, ("q",), ("dq",), t=T, q=ONES, dq=ONES * np.nan)
+    assert list(log.channels) == ["q_rad"]
+    assert log.warnings == ("dq: its columns hold no finite value and were left out",)
+
+
+def test_rows_without_a_time_stamp_are_left_out_and_reported():
+    log = log_of(t=np.array([0.0, np.nan, 0.02]), f=np.array([1.0, 2.0, 3.0]))
+    np.testing.assert_array_equal(log["force_N"], [1.0, 3.0])
+    assert log.warnings == ("time: rows without a stamp, left out: 1 (first: row 2)",)
+
+
+def test_time_comes_from_the_mappings_rate_before_all_else():
+    log = log_of(mapped(rate_hz=200.0), constants={"sample_rate_Hz": 1.0}, t=T, f=ONES)
+    np.testing.assert_allclose(log.t_s, [0.0, 0.005, 0.01])
+    assert log.warnings == ()
+
+
+def test_time_comes_from_the_files_own_rate_if_nothing_else_is_there():
+    log = log_of(constants={"gain": 3.0, "sample_rate_Hz": 1000.0}, f=ONES)
+    np.testing.assert_allclose(log.t_s, [0.0, 0.001, 0.002])
+    assert log.warnings == ("no time column: time from sample_rate_Hz = 1000",)
+
+
+@pytest.mark.parametrize("rate", [0.0, -1.0, np.nan, np.inf])
+def test_no_time_and_no_rate_is_refused(rate):
+    with pytest.raises(ColumnError, match="no time column found; say which one with --time"):
+        log_of(constants={"sample_rate_Hz": rate}, f=ONES)
+
+
+def test_values_that_are_hardly_si_get_a_hint_if_no_unit_was_stated():
+    names = {"t": np.arange(3.0), "q": 90.0 * ONES, "depth": 85.0 * ONES, "v": 3.0 * ONES}
+    hints = log_of(**names).warnings
+    assert [hint.split(":")[0] for hint in hints] == ["time", "q", "depth", "speed"]
+    assert (
+        "depth: it reaches 85 in SI; if the file is in mm, say unit = 'mm', or --depth COLUMN:mm"
+        in hints
+    )
+    stated = {"t_s": np.arange(3.0), "q_rad": 90.0 * ONES, "depth_m": 85.0 * ONES, "v_m_s": ONES}
+    assert log_of(**stated).warnings == ()
+    assert log_of(t=T, q=3.0 * ONES, depth=0.1 * ONES, v=0.1 * ONES).warnings == ()
+
+
+def test_a_minute_of_a_robot_at_1_khz_reads_in_about_a_second(tmp_path):
+    rng, rows = np.random.default_rng(1), 60_000
+    channels = {name: rng.normal(size=(rows, 7)) for name in ("q_rad", "dq_rad_s", "tau_Nm")}
+    path = tmp_path / "minute.csv"
+    write_table(path, {"t_s": np.arange(rows) / 1000, **channels})
+    start_s = time.perf_counter()
+    log = read_log(path, required=("q", "tau"), optional=("dq",))
+    # Three times the goal: the test machine may be busy, a fall-back to Python cells takes longer.
+    assert time.perf_counter() - start_s < 3.0
+    for name, values in channels.items():
+        np.testing.assert_array_equal(log[name], values)
+
+
+def test_real_ur10e_log_has_currents_that_need_their_constants():
+    path = real("ur10e_mamedov2020/unloaded.npz")
+    with pytest.raises(ColumnError, match=r"no column found for tau.*current_A \(6 columns\)"):
+        read_log(path, required=("q", "tau"))
+    spec = ColumnSpec(columns="current_A", scale=(11.0, 11.0, 9.0, 9.0, 9.0, 9.0))
+    log = read_log(path, mapped(tau=spec), required=("q", "tau"))
+    assert log["tau_Nm"].shape == log["q_rad"].shape == (4771, 6)
+
+
+def test_real_liver_log_holds_many_insertions_and_its_own_rate():
+    path = real("liver_dejong2017/insertions.npz")
+    with pytest.raises(ColumnError, match=r"depth: several columns would fit .depth_m_00, depth_m"):
+        read_log(path, required=("depth", "force"))
+    mapping = mapped(depth="depth_m_04", force="force_N_04")
+    log = read_log(path, mapping, required=("depth", "force"))
+    assert log["depth_m"].max() == pytest.approx(0.085, abs=1e-3)
+    assert log.t_s[1] == pytest.approx(0.001)
+    assert log.warnings == ("no time column: time from sample_rate_Hz = 1000",)

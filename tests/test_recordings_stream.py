@@ -13,12 +13,8 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from needleforce.recordings import (
-    ColumnError,
-    ColumnMapping,
-    ColumnSpec,
     FileAccessError,
     FormatError,
-    LogError,
     read_log,
     write_table,
 )
@@ -94,31 +90,9 @@ def test_every_format_streams_what_it_reads(tmp_path, suffix):
     path = tmp_path / f"log.{suffix}"
     write_table(path, columns)
     tables = list(stream_tables(path, FollowOptions()))
-    # An npz file is held in memory as a whole.
-    assert len(tables) == 1 if suffix == "npz" else len(tables) >= 3
+    # npz and Parquet are held in memory as a whole.
+    assert len(tables) >= 3 if suffix.startswith("csv") else len(tables) == 1
     assert_same(streamed(tables), read_log(path, **ASKED))
-
-
-def test_arrays_that_lie_column_by_column_and_numbers_of_the_file_stream_too(tmp_path):
-    rows = CHUNK_ROWS + 11
-    q, tau = np.random.default_rng(1).normal(size=(2, rows, 7))
-    path = tmp_path / "log.npz"
-    np.savez_compressed(path, q=np.asfortranarray(q), tau=tau.astype(">f4"), sample_rate_Hz=500.0)
-    t_s, channels, warnings = streamed(stream_tables(path, FollowOptions()))
-    assert_same((t_s, channels, warnings), read_log(path, **ASKED))
-    np.testing.assert_array_equal(t_s, np.arange(rows) / 500.0)
-    assert warnings == ("no time column: time from sample_rate_Hz = 500",)
-
-
-def test_a_mapping_is_applied_to_every_chunk():
-    mapping = ColumnMapping(
-        channels={"q": ColumnSpec(columns="q{1..2}", unit="deg", scale=(1.0, -1.0))}, rate_hz=100.0
-    )
-    text = text_of(1000, broken=False).encode()
-    t_s, channels, _ = streamed(csv_tables([text[:40_000], text[40_000:]], "log"), mapping)
-    np.testing.assert_array_equal(t_s, np.arange(1000) / 100.0)
-    plain = streamed(csv_tables([text], "log"))[1]
-    np.testing.assert_allclose(channels["q_rad"], plain["q_rad"] * [1, -1] * np.pi / 180)
 
 
 def test_a_unit_is_doubted_at_once_or_when_the_values_show_it():
@@ -133,23 +107,6 @@ def test_a_unit_is_doubted_at_once_or_when_the_values_show_it():
         "depth: it reaches 85 in SI; if the file is in mm, say unit = 'mm', or --depth COLUMN:mm",
     )
     assert stream.take_warnings() == ()
-
-
-@pytest.mark.parametrize(
-    ("text", "error", "message"),
-    [
-        ("", FormatError, "log: it is empty"),
-        ("t,q1,tau1\n", FormatError, "a header but no rows"),
-        ("\x00\x01\x02", FormatError, "not text"),
-        ("t,q1,tau1\n1,2,3\n1,2,3\n", LogError, "no usable time"),
-        ("t,q1,tau1\n,2,3\n,2,3\nnan,1,1\n", LogError, "t"),
-        ("t,q1,tau1\n0,nan,3\n1,nan,3\n", LogError, "q_rad has no finite value in 2 rows"),
-        ("t,q1\n0,1\n1,2\n", ColumnError, "no column found for tau"),
-    ],
-)
-def test_what_is_no_log_is_refused(text, error, message):
-    with pytest.raises(error, match=message):
-        streamed(csv_tables([text.encode()], "log"))
 
 
 def test_a_line_that_never_ends_is_refused():
@@ -182,7 +139,7 @@ def test_following_ends_when_asked_and_leaves_out_the_line_being_written(tmp_pat
     assert t_s.tolist() == [0.0, 1.0]
     assert "cut short" not in "".join(warnings)
     _, _, warnings = streamed(stream_tables(path, FollowOptions(follow=True, idle_s=0.1)))
-    assert warnings[0] == "line 4, the last, is cut short (3 of 3 cells) and was left out"
+    assert "line 4, the last, is cut short (3 of 3 cells) and was left out" in warnings
 
 
 def test_a_pipe_is_read_as_it_comes_and_ends_when_it_is_closed(tmp_path):
@@ -281,13 +238,6 @@ def test_what_comes_through_a_pipe_is_what_the_file_gives(tmp_path, suffix, size
     np.testing.assert_array_equal(force_N, log["force_N"])
     assert len(reported) == 1
     assert f"is {suffix}, not text: it is read to its end" in reported[0]
-
-
-def test_a_bag_in_sqlite_comes_through_a_pipe(tmp_path):
-    write_table(tmp_path / "log.db3", COLUMNS)
-    (file,) = (tmp_path / "log.db3").glob("*.db3")
-    _, force_N, _ = piped(file.read_bytes(), tmp_path / "pipe", 1 << 16)
-    np.testing.assert_array_equal(force_N, COLUMNS["force_N"])
 
 
 def test_no_more_of_a_text_is_waited_for_than_shows_it_from_a_bag():

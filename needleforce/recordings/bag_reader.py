@@ -1,44 +1,173 @@
 """ROS 2 bags as tables: topics are columns, the messages of one topic are the rows."""
 
-from collections.abc import Iterable, Iterator, Mapping
+from collections.abc import Collection, Iterable, Iterator, Mapping
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import NamedTuple
+from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
-from needleforce.recordings.bag_storage import (
-    NONE_YET,
-    BagFiles,
-    RawMessage,
-    bag_files,
-    bag_messages,
-    growing_messages,
-)
-from needleforce.recordings.bag_topics import TopicInfo, TopicReader, TopicRows, interpolate
-from needleforce.recordings.errors import (
-    MAX_BYTES,
-    ColumnError,
-    FormatError,
-    optional_library,
-    require_size,
-)
+from needleforce.recordings.bag_messages import NONE_YET, BagTopic, RawMessage, bag_messages
+from needleforce.recordings.bag_types import Content, TopicDecoder, width_of
+from needleforce.recordings.errors import MAX_BYTES, ColumnError, FormatError, require_size
 from needleforce.recordings.follow import FollowOptions
 from needleforce.recordings.mapping import ChannelRequest
-from needleforce.recordings.table import NS_PER_S, FloatArray, Table, start_of_clock, to_seconds
+from needleforce.recordings.table import (
+    HEAD_ROWS,
+    NS_PER_S,
+    FloatArray,
+    Table,
+    interpolate,
+    start_of_clock,
+    to_seconds,
+)
 
-SETTLED_S = 1.0
+_SETTLED_NS = NS_PER_S
 """When so much recording has brought no new topic, it is decided which topics are read."""
-
-_SETTLED_NS = int(SETTLED_S * NS_PER_S)
 _AS_MANY = 0.9
 """A topic with this fraction of another's messages counts as equally fast."""
+_LEARNED = 20
+"""Messages of a topic that are looked into."""
 _SHORTEST_LIMIT_S = 0.1
 _PERIODS = 5.0
 """So many periods of a topic may lie between two of its messages and still be bridged."""
 _LATE_NS = NS_PER_S
 """A topic whose messages come so much later than those of others loses nothing."""
-_NEVER_NS = -(1 << 62)
+
+
+class Topic:
+    """A topic of a bag: what its messages hold, and the rows that are collected of it.
+
+    Joints are put where their names say; a joint that a message lacks is NaN. Messages that name
+    joints, but none of those chosen, are left out. The time stamp is the header's; where there is
+    none, or it was never set, the recorder's.
+    """
+
+    def __init__(self, topic: BagTopic, first_ns: int) -> None:
+        self.topic, self.count = topic, 0
+        self.first_ns = self.last_ns = first_ns  # when messages were recorded
+        self.columns: dict[str, int | None] = {}  # to width, None for one number
+        self.names: list[str] = []  # of joints, the elements of `named`
+        self.named: set[str] = set()  # columns whose elements have names
+        self.has_stamp = False  # of the source
+        self.fault = ""  # why its messages cannot be read
+        self.choose((), ())
+
+    @property
+    def rate_hz(self) -> float:
+        """Messages per second, 0 for fewer than two."""
+        span_s = (self.last_ns - self.first_ns) / NS_PER_S
+        return (self.count - 1) / span_s if span_s > 0.0 else 0.0
+
+    @property
+    def limit_ns(self) -> float:
+        """How far apart messages may be for interpolation between them."""
+        return NS_PER_S * max(_SHORTEST_LIMIT_S, _PERIODS / max(self.rate_hz, 1e-9))
+
+    def learn(self, message: RawMessage) -> None:
+        """Count a message, and look at what the first ones hold."""
+        self.count += 1
+        self.last_ns = max(self.last_ns, message.log_ns)
+        if self.count > _LEARNED:
+            return
+        try:
+            self._decoder = self._decoder or TopicDecoder(self.topic)
+            content = self._decoder.decode(message.data)
+        except FormatError as error:
+            # One damaged message, the first even, is no reason to lose the topic.
+            self.fault = "" if self.columns else str(error)
+            return
+        self.fault, self.has_stamp = "", self._decoder.has_stamp
+        if content.named:
+            self.names += [name for name in content.names if name not in self.names]
+        self.named |= content.named
+        for name, value in content.values.items():
+            self.columns.setdefault(name, width_of(value))
+
+    def describe(self) -> str:
+        """Return the topic in one line."""
+        what = "source stamps" if self.has_stamp else "stamps of the recorder"
+        what = self.fault or (what if self.columns else "no numbers")
+        topic = f"{self.topic.name}: {self.topic.kind}"
+        return f"{topic}, {self.count} messages, {self.rate_hz:.4g} Hz, {what}"
+
+    def choose(self, columns: Collection[str], joints: Collection[str]) -> None:
+        """Begin to collect rows of some columns, with the joints in this order."""
+        self._decoder: TopicDecoder | None = None
+        self.joints = {joint: place for place, joint in enumerate(joints)}
+        self._widths = {
+            name: len(self.joints) if name in self.named else self.columns[name] or 1
+            for name in columns
+        }
+        self._faults: dict[str, int] = {}
+        self.new_ns: list[int] = []
+        self._new: dict[str, list[Any]] = {name: [] for name in columns}
+        self.stamps_ns: NDArray[np.int64] = np.empty(0, dtype=np.int64)
+        self.values = {name: np.empty((0, width)) for name, width in self._widths.items()}
+        self.latest_ns = -(1 << 62)
+
+    def add(self, message: RawMessage) -> None:
+        """Take a message in."""
+        try:
+            self._decoder = self._decoder or TopicDecoder(self.topic)
+            content = self._decoder.decode(message.data)
+        except FormatError:
+            self._note("messages that do not fit their type, left out")
+            return
+        names = content.names
+        if self.joints and names and self.joints.keys().isdisjoint(names):
+            self._note("messages without any of the joints, left out")
+            return
+        if names and not self.joints.keys() <= set(names):
+            self._note("messages that lack joints")
+        if content.stamp_ns == 0 and message.log_ns:
+            self._note("messages without a source time stamp; the recorder's was taken")
+        self.new_ns.append(content.stamp_ns or message.log_ns)
+        for name, rows in self._new.items():
+            rows.append(self._row(name, content))
+
+    def _row(self, name: str, content: Content) -> Any:
+        """Return the numbers of one column of a message; what does not fit is NaN."""
+        width, value = self._widths[name], content.values.get(name)
+        row = np.full(width, np.nan)
+        if value is None or (name in self.named) != (name in content.named):
+            self._note(f"messages without values of {name}, or not one for each joint")
+        elif name in self.named:
+            if tuple(self.joints) == content.names:
+                return value
+            for joint, number in zip(content.names, value, strict=True):
+                if joint in self.joints:
+                    row[self.joints[joint]] = number
+        elif (width_of(value) or 1) == width:
+            return value if isinstance(value, tuple | np.ndarray) else (value,)
+        else:
+            self._note(f"messages with another number of values of {name}")
+        return row
+
+    def collect(self) -> None:
+        """Append what was taken in to the rows."""
+        if not self.new_ns:
+            return
+        self.stamps_ns = np.append(self.stamps_ns, np.array(self.new_ns, dtype=np.int64))
+        for name, rows in self._new.items():
+            new = np.array(rows, dtype=np.float64).reshape(len(rows), self._widths[name])
+            self.values[name] = np.concatenate([self.values[name], new])
+            rows.clear()
+        self.new_ns.clear()
+        self.latest_ns = int(self.stamps_ns.max(initial=self.latest_ns))
+
+    def keep(self, rows: Any) -> None:
+        """Forget all other rows."""
+        self.stamps_ns = self.stamps_ns[rows]
+        self.values = {name: values[rows] for name, values in self.values.items()}
+
+    def notes(self) -> list[str]:
+        """Return what was left out or guessed so far, one sentence each."""
+        return [f"{self.topic.name}: {what}: {count}" for what, count in self._faults.items()]
+
+    def _note(self, what: str) -> None:
+        self._faults[what] = self._faults.get(what, 0) + 1
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -46,8 +175,7 @@ class BagInfo:
     """A bag and its topics by name; `warnings` report what was lost or is damaged."""
 
     path: Path
-    files: BagFiles
-    topics: Mapping[str, TopicInfo]
+    topics: Mapping[str, Topic]
     warnings: tuple[str, ...]
 
     def table(self) -> Table:
@@ -55,109 +183,156 @@ class BagInfo:
         topics = self.topics.values()
         widths = {name: width for found in topics for name, width in found.columns.items()}
         if not widths:
-            reasons = "; ".join(
+            reasons = (
                 f"{found.topic.name} ({found.topic.kind}) {found.fault or 'holds no numbers'}"
                 for found in topics
             )
-            raise FormatError(f"{self.path} holds no topic with numbers: {reasons}")
+            raise FormatError(f"{self.path} holds no topic with numbers: {'; '.join(reasons)}")
+        faults = (f"{t.topic.name!r}: {t.topic.kind} {t.fault}" for t in topics if t.fault)
         return Table(
             columns={n: np.empty((0,) if k is None else (0, k)) for n, k in widths.items()},
-            joint_names={name: tuple(found.joints) for found in topics for name in found.named},
-            warnings=tuple(
-                f"{found.topic.name!r}: {found.topic.kind} {found.fault}"
-                for found in topics
-                if found.fault
-            ),
+            joint_names={name: tuple(found.names) for found in topics for name in found.named},
+            warnings=tuple(faults),
         )
 
 
 def bag_info(path: Path, max_bytes: int = MAX_BYTES) -> BagInfo:
     """Go through a bag; errors are those of `bag_tables`."""
-    optional_library("rosbags.typesys", "ROS 2 bags")
-    files = bag_files(path)
-    topics: dict[str, TopicInfo] = {}
+    topics: dict[str, Topic] = {}
     faults: list[str] = []
-    for message in bag_messages(files, faults, max_bytes):
-        _topic(message, topics).learn(message)
-    warnings = (*files.warnings, *_lost(files, topics, faults))
+    for message in bag_messages(path, faults, max_bytes):
+        _learn(message, topics)
     if not topics:
-        raise FormatError(
-            f"{path} holds no messages{''.join(f' ({warning})' for warning in warnings)}"
+        raise FormatError(f"{path} holds no messages{''.join(f' ({fault})' for fault in faults)}")
+    if faults:
+        count = sum(topic.count for topic in topics.values())
+        ends = [ns / NS_PER_S for t in topics.values() for ns in (t.first_ns, t.last_ns)]
+        faults = [
+            f"{'; '.join(faults)}: {count} messages from {min(ends):.3f} s to {max(ends):.3f} s "
+            "could be read, what came after, if anything, is lost"
+        ]
+    return BagInfo(path=path, topics=topics, warnings=tuple(faults))
+
+
+def _learn(message: RawMessage, topics: dict[str, Topic]) -> None:
+    if message.topic.name not in topics:
+        topics[message.topic.name] = Topic(message.topic, message.log_ns)
+    topics[message.topic.name].learn(message)
+
+
+class JoinedRows:
+    """Rows at the stamps of one topic, the reference; other topics are interpolated to them.
+
+    Only the needed columns are read; `ColumnError` if the mapping does not fit the bag.
+    """
+
+    def __init__(self, info: BagInfo, request: ChannelRequest, needed: frozenset[str]) -> None:
+        columns = {
+            name: [column for column in found.columns if column in needed]
+            for name, found in info.topics.items()
+            if found.columns.keys() & needed
+        }
+        self.reference = _reference_topic(info, request.mapping.reference_topic, list(columns))
+        columns.setdefault(self.reference, [])
+        self._warnings = list(info.warnings)
+        self.topics = {name: info.topics[name] for name in columns}
+        for name, found in self.topics.items():
+            joints, notes = _joints(found, request)
+            self._warnings += notes
+            found.choose(columns[name], joints)
+        rows, others = info.topics[self.reference], [n for n in columns if n != self.reference]
+        # One message more or less is no other rate, only where the recording begins or ends.
+        if any(abs(info.topics[name].count - rows.count) > 1 for name in others):
+            rates = ", ".join(f"{name} ({info.topics[name].rate_hz:.4g} Hz)" for name in others)
+            self._warnings.append(
+                f"rows are the messages of {self.reference} ({rows.rate_hz:.4g} Hz); "
+                f"interpolated to their stamps: {rates}"
+            )
+        self._start_ns: int | None = None
+        self._is_new = True
+
+    def tables(self, messages: Iterable[RawMessage], rows: int | None) -> Iterator[Table]:
+        """Turn the messages of the topics into tables of at most so many rows, with `t_s`.
+
+        Rows do not wait for what comes after `NONE_YET`; with no limit all come at once.
+        """
+        reference = self.topics[self.reference]
+        for message in messages:
+            if message.topic.name in self.topics:
+                self.topics[message.topic.name].add(message)
+            is_pause = message is NONE_YET
+            if rows is not None and (is_pause or len(reference.new_ns) >= rows):
+                # Which columns are which channels is decided from the first table.
+                while (ready := self._ready()) >= (
+                    1 if is_pause and not self._is_new else min(rows, HEAD_ROWS)
+                ):
+                    yield self._table(min(ready, rows))
+                self._forget()
+        self._ready()
+        self._warnings += [note for topic in self.topics.values() for note in topic.notes()]
+        while reference.stamps_ns.size or self._is_new or self._warnings:
+            yield self._table(rows or reference.stamps_ns.size)
+
+    def _ready(self) -> int:
+        """Collect what has come; return how many rows nothing that may still come can change."""
+        for topic in self.topics.values():
+            topic.collect()
+        stamps_ns = self.topics[self.reference].stamps_ns
+        if not stamps_ns.size:
+            return 0
+        last_ns = np.maximum.accumulate(stamps_ns)
+        until_ns = min(
+            max(topic.latest_ns, int(last_ns[-1]) - max(int(topic.limit_ns), _LATE_NS) - 1)
+            for topic in self.topics.values()
         )
-    return BagInfo(path=path, files=files, topics=topics, warnings=warnings)
+        return int(np.searchsorted(last_ns, until_ns, side="right"))
+
+    def _forget(self) -> None:
+        """Forget what no row needs that waits or may still come, be it a little late."""
+        waiting_ns = self.topics[self.reference].stamps_ns
+        newest_ns = max(topic.latest_ns for topic in self.topics.values())
+        oldest_ns = int(waiting_ns.min(initial=newest_ns - _LATE_NS))
+        for topic in self.topics.values():
+            if topic is not self.topics[self.reference]:
+                topic.keep(topic.stamps_ns >= oldest_ns - 2 * topic.limit_ns)
+
+    def _table(self, rows: int) -> Table:
+        reference = self.topics[self.reference]
+        at_ns = reference.stamps_ns[:rows]
+        if self._start_ns is None:
+            self._start_ns = start_of_clock(int(at_ns[0])) if at_ns.size else 0
+        columns: dict[str, FloatArray] = {"t_s": to_seconds(at_ns, self._start_ns)}
+        for topic in self.topics.values():
+            for column, values in topic.values.items():
+                found = values[:rows]
+                if topic is not reference:
+                    found = interpolate(at_ns, topic.stamps_ns, values, topic.limit_ns)
+                columns[column] = found[:, 0] if topic.columns[column] is None else found
+        reference.keep(slice(rows, None))
+        warnings, self._warnings, self._is_new = tuple(self._warnings), [], False
+        named = ((t, column) for t in self.topics.values() for column in t.named & t.values.keys())
+        joints = {column: tuple(topic.joints) for topic, column in named}
+        return Table(
+            columns=columns, warnings=warnings, joint_names=joints, start_ns=self._start_ns
+        )
 
 
-def _topic(message: RawMessage, topics: dict[str, TopicInfo]) -> TopicInfo:
-    name = message.topic.name
-    if name not in topics:
-        topics[name] = TopicInfo(topic=message.topic, first_ns=message.log_ns)
-    return topics[name]
-
-
-def _lost(files: BagFiles, topics: Mapping[str, TopicInfo], faults: list[str]) -> list[str]:
-    """Say what was read and what is missing, if anything is."""
-    count = sum(topic.count for topic in topics.values())
-    is_short = files.expected is not None and count < files.expected
-    if not (faults or is_short):
-        return []
-    span = ""
-    if topics:
-        first_ns = min(topic.first_ns for topic in topics.values())
-        last_ns = max(topic.last_ns for topic in topics.values())
-        span = f" from {first_ns / NS_PER_S:.3f} s to {last_ns / NS_PER_S:.3f} s"
-        span += f" ({(last_ns - first_ns) / NS_PER_S:.3f} s)"
-    missing = "what came after, if anything, is lost"
-    if files.expected is not None:
-        missing = f"{files.expected - count} of {files.expected} are lost"
-    what = "; ".join(faults) or "the bag is not whole"
-    return [f"{what}: {count} messages{span} could be read, {missing}"]
-
-
-class BagPlan(NamedTuple):
-    """What is read of a bag, and how its messages become rows."""
-
-    columns: Mapping[str, frozenset[str]]  # by topic
-    reference: str  # the topic whose messages are the rows
-    joints: Mapping[str, tuple[str, ...]]  # in their order, by topic
-    notes: tuple[str, ...]  # what was assumed
-
-
-def plan_bag(info: BagInfo, request: ChannelRequest, needed: frozenset[str]) -> BagPlan:
-    """Decide how the needed columns are read; `ColumnError` where the mapping does not fit."""
-    topics = {
-        name: frozenset(found.columns.keys() & needed)
-        for name, found in info.topics.items()
-        if found.columns.keys() & needed
-    }
-    reference = request.mapping.reference_topic
-    if reference is None:
+def _reference_topic(info: BagInfo, name: str | None, needed: list[str]) -> str:
+    if name is None:
         # A few messages that were lost shall make no difference.
-        most = max(info.topics[name].count for name in topics)
-        reference = next(n for n in topics if info.topics[n].count >= _AS_MANY * most)
-    elif reference not in info.topics or info.topics[reference].fault:
+        most = max(info.topics[topic].count for topic in needed)
+        return next(topic for topic in needed if info.topics[topic].count >= _AS_MANY * most)
+    if name not in info.topics or info.topics[name].fault:
         raise ColumnError(
-            f"reference_topic = {reference!r} is no topic that can be read; topics are: "
+            f"reference_topic = {name!r} is no topic that can be read; topics are: "
             f"{', '.join(info.topics)}"
         )
-    topics.setdefault(reference, frozenset())
-    joints, notes = {}, []
-    for name in topics:
-        joints[name], assumed = _joints(info.topics[name], request)
-        notes += assumed
-    rows, others = info.topics[reference], [name for name in topics if name != reference]
-    # One message more or less is no other rate, only where the recording begins or ends.
-    if any(abs(info.topics[name].count - rows.count) > 1 for name in others):
-        rates = ", ".join(f"{name} ({info.topics[name].rate_hz:.4g} Hz)" for name in others)
-        notes.append(
-            f"rows are the messages of {reference} ({rows.rate_hz:.4g} Hz); "
-            f"interpolated to their stamps: {rates}"
-        )
-    return BagPlan(columns=topics, reference=reference, joints=joints, notes=tuple(notes))
+    return name
 
 
-def _joints(found: TopicInfo, request: ChannelRequest) -> tuple[tuple[str, ...], list[str]]:
+def _joints(found: Topic, request: ChannelRequest) -> tuple[tuple[str, ...], list[str]]:
     """Return the order of a topic's joints, and what was assumed."""
-    here, name = tuple(found.joints), found.topic.name
+    here, name = tuple(found.names), found.topic.name
     if not here:
         return (), []
     if missing := [joint for joint in request.mapping.joints if joint not in here]:
@@ -172,142 +347,6 @@ def _joints(found: TopicInfo, request: ChannelRequest) -> tuple[tuple[str, ...],
         f"{name} has the joints {', '.join(here)}, the robot {', '.join(order)}; the order of the "
         "bag was kept, name another one with joints in the mapping"
     ]
-
-
-@dataclass(slots=True)
-class _Signal:
-    """What is known of a topic and still needed."""
-
-    rows: TopicRows
-    limit_ns: float
-    latest_ns: int = _NEVER_NS
-
-
-class _Joiner:
-    """Collects messages of the planned topics and gives out rows."""
-
-    def __init__(self, info: BagInfo, plan: BagPlan) -> None:
-        self._plan = plan
-        self._warnings = [*info.warnings, *plan.notes]
-        self.readers: dict[str, TopicReader] = {}
-        self._signals: dict[str, _Signal] = {}
-        self._joints: dict[str, tuple[str, ...]] = {}
-        self._singles: set[str] = set()
-        for name, columns in plan.columns.items():
-            found = info.topics[name]
-            widths = {column: k for column, k in found.columns.items() if column in columns}
-            reader = TopicReader(found.topic, widths, found.named, plan.joints[name])
-            limit_s = max(_SHORTEST_LIMIT_S, _PERIODS / max(found.rate_hz, 1e-9))
-            self.readers[name] = reader
-            self._signals[name] = _Signal(reader.take(), NS_PER_S * limit_s)
-            self._joints |= dict.fromkeys(columns & found.named, plan.joints[name])
-            self._singles |= {column for column, width in widths.items() if width is None}
-        self._start_ns: int | None = None
-        self._is_new = True
-
-    @property
-    def pending(self) -> int:
-        """How many messages of the reference topic have not been taken from its reader."""
-        return len(self.readers[self._plan.reference])
-
-    @property
-    def waiting(self) -> int:
-        """How many rows could be given out."""
-        return self._signals[self._plan.reference].rows.stamps_ns.size
-
-    @property
-    def ready(self) -> int:
-        """How many of them nothing that may still come can change."""
-        if not self.waiting:
-            return 0
-        last_ns = np.maximum.accumulate(self._signals[self._plan.reference].rows.stamps_ns)
-        until_ns = min(
-            max(signal.latest_ns, int(last_ns[-1]) - max(int(signal.limit_ns), _LATE_NS) - 1)
-            for signal in self._signals.values()
-        )
-        return int(np.searchsorted(last_ns, until_ns, side="right"))
-
-    @property
-    def has_news(self) -> bool:
-        """Whether something is to be reported: that there are columns, or a warning."""
-        return self._is_new or bool(self._warnings)
-
-    def take(self) -> None:
-        """Take what the readers hold."""
-        for name, reader in self.readers.items():
-            signal, new = self._signals[name], reader.take()
-            signal.latest_ns = int(new.stamps_ns.max(initial=signal.latest_ns))
-            signal.rows = TopicRows(
-                np.concatenate([signal.rows.stamps_ns, new.stamps_ns]),
-                {n: np.concatenate([v, new.columns[n]]) for n, v in signal.rows.columns.items()},
-            )
-
-    def end(self) -> None:
-        """Take all that is left, and what the readers had to leave out."""
-        self.take()
-        self._warnings += [note for reader in self.readers.values() for note in reader.notes()]
-
-    def table(self, rows: int) -> Table:
-        """Give out rows."""
-        at_ns = self._signals[self._plan.reference].rows.stamps_ns[:rows]
-        if self._start_ns is None:
-            self._start_ns = start_of_clock(int(at_ns[0])) if at_ns.size else 0
-        columns: dict[str, FloatArray] = {"t_s": to_seconds(at_ns, self._start_ns)}
-        for name, signal in self._signals.items():
-            for column, values in signal.rows.columns.items():
-                if name == self._plan.reference:
-                    found = values[:rows]
-                else:
-                    found = interpolate(at_ns, signal.rows.stamps_ns, values, signal.limit_ns)
-                columns[column] = found[:, 0] if column in self._singles else found
-        self._drop(rows, int(at_ns.max()) if at_ns.size else 0)
-        warnings, self._warnings, self._is_new = tuple(self._warnings), [], False
-        return Table(
-            columns=columns,
-            warnings=warnings,
-            joint_names=self._joints,
-            start_ns=self._start_ns,
-        )
-
-    def forget(self) -> None:
-        """Forget what no row needs that may still come late, while none waits."""
-        if not self.waiting:
-            newest_ns = max(signal.latest_ns for signal in self._signals.values())
-            self._drop(0, newest_ns - _LATE_NS)
-
-    def _drop(self, rows: int, latest_ns: int) -> None:
-        """Forget rows, and what no later one needs if the latest was at this instant."""
-        for name, signal in self._signals.items():
-            stamps_ns = signal.rows.stamps_ns
-            if name == self._plan.reference:
-                kept = slice(rows, None)
-            else:
-                # Rows may run backward a little: as much as is bridged is kept.
-                kept = stamps_ns >= latest_ns - 2 * signal.limit_ns
-            columns = {column: v[kept] for column, v in signal.rows.columns.items()}
-            signal.rows = TopicRows(stamps_ns[kept], columns)
-
-
-def joined_messages(
-    messages: Iterable[RawMessage], info: BagInfo, plan: BagPlan, rows: int | None
-) -> Iterator[Table]:
-    """Turn the messages of the planned topics into tables of at most so many rows, with `t_s`.
-
-    Rows do not wait for what comes after `NONE_YET`.
-    """
-    joiner = _Joiner(info, plan)
-    for message in messages:
-        if message is not NONE_YET:
-            joiner.readers[message.topic.name].add(message)
-        if rows is not None and (message is NONE_YET or joiner.pending >= rows):
-            joiner.take()
-            least = 1 if message is NONE_YET else rows
-            while (ready := joiner.ready) >= least:
-                yield joiner.table(min(ready, rows))
-            joiner.forget()
-    joiner.end()
-    while joiner.waiting or joiner.has_news:
-        yield joiner.table(rows or joiner.waiting)
 
 
 def bag_tables(
@@ -333,14 +372,12 @@ def bag_tables(
     if not needed:
         yield whole
         return
-    plan = plan_bag(info, request or ChannelRequest(), needed)
+    joined = JoinedRows(info, request or ChannelRequest(), needed)
     if rows is None:
-        widths = {n: k or 1 for t in info.topics.values() for n, k in t.columns.items()}
-        count = info.topics[plan.reference].count
-        size = 8 * count * sum(widths[n] for names in plan.columns.values() for n in names)
+        widths = {n: k or 1 for found in info.topics.values() for n, k in found.columns.items()}
+        size = 8 * info.topics[joined.reference].count * sum(widths[name] for name in needed)
         require_size(size, max_bytes, f"{path}: what is read of it")
-    messages = bag_messages(info.files, [], max_bytes, plan.columns)
-    yield from joined_messages(messages, info, plan, rows)
+    yield from joined.tables(bag_messages(path, [], max_bytes), rows)
 
 
 def growing_bag_tables(
@@ -355,33 +392,26 @@ def growing_bag_tables(
     The file is read from its start twice: until it is clear which topics are read, and then on as
     it grows. Rows come as soon as nothing that may still come can change them.
     """
-    silent = replace(options, advance=lambda more: None)
-    begun = _settled_plan(path, request, silent, max_bytes)
-    if begun is None:
+    joined = _settled_rows(path, request, replace(options, advance=lambda more: None), max_bytes)
+    if joined is None:
         yield from bag_tables(path, rows, request, max_bytes)
         return
-    info, plan = begun
     faults: list[str] = []
-    messages = growing_messages(path, options, faults, max_bytes, plan.columns)
     table = None
-    for table in joined_messages(messages, info, plan, rows):
+    for table in joined.tables(bag_messages(path, faults, max_bytes, options), rows):
         yield table
     if faults and table is not None:
-        yield Table(
-            columns={name: values[:0] for name, values in table.columns.items()},
-            warnings=("; ".join(faults),),
-            joint_names=table.joint_names,
-            start_ns=table.start_ns,
-        )
+        columns = {name: values[:0] for name, values in table.columns.items()}
+        yield replace(table, columns=columns, warnings=("; ".join(faults),))
 
 
-def _settled_plan(
+def _settled_rows(
     path: Path, request: ChannelRequest, options: FollowOptions, max_bytes: int
-) -> tuple[BagInfo, BagPlan] | None:
+) -> JoinedRows | None:
     """Go through a bag until it is clear what is read; None if it ends before."""
-    topics: dict[str, TopicInfo] = {}
+    topics: dict[str, Topic] = {}
     reported, settled_ns = "", 0
-    for message in growing_messages(path, options, [], max_bytes):
+    for message in bag_messages(path, [], max_bytes, options):
         if message is NONE_YET:
             continue
         if message.topic.name not in topics:
@@ -389,29 +419,28 @@ def _settled_plan(
             for found in topics.values():
                 found.count, found.first_ns = 0, message.log_ns
             settled_ns = message.log_ns + _SETTLED_NS
-        _topic(message, topics).learn(message)
+        _learn(message, topics)
         if message.log_ns < settled_ns:
             continue
         settled_ns = message.log_ns + _SETTLED_NS
-        info = BagInfo(path=path, files=BagFiles(paths=(path,)), topics=topics, warnings=())
-        plan, missing = _plan(info, request)
-        if plan is not None:
-            return info, plan
+        joined, missing = _join(BagInfo(path=path, topics=topics, warnings=()), request)
+        if joined is not None:
+            return joined
         if missing not in ("", reported):
             reported = missing
             options.warn(f"{path.name}: waiting for more topics; {missing}")
     return None
 
 
-def _plan(info: BagInfo, request: ChannelRequest) -> tuple[BagPlan | None, str]:
+def _join(info: BagInfo, request: ChannelRequest) -> tuple[JoinedRows | None, str]:
     """Return what is read, if that is clear; else what is missing, if something is."""
     try:
         needed = request.columns(info.table())
         if not needed:
             here = ", ".join(info.topics)
             return None, f"needed are {', '.join(request.required)}, and until now there are {here}"
-        plan = plan_bag(info, request, needed)
+        joined = JoinedRows(info, request, needed)
     except (ColumnError, FormatError) as error:
         return None, str(error)
-    has_rates = all(info.topics[name].rate_hz > 0.0 for name in plan.columns)
-    return (plan, "") if has_rates else (None, "")
+    has_rates = all(info.topics[name].rate_hz > 0.0 for name in joined.topics)
+    return (joined if has_rates else None), ""

@@ -4,7 +4,6 @@ An npz file is held in memory as a whole, read or written; pickled objects are n
 """
 
 import zipfile
-from collections.abc import Iterator
 from math import prod
 from pathlib import Path
 from typing import IO, Any, BinaryIO
@@ -70,10 +69,7 @@ def _npz_table(path: Path, archive: zipfile.ZipFile, max_bytes: int) -> Table:
             raise
         except Exception as error:
             # A damaged header raises whatever numpy's and Python's parsers run into.
-            reason = (
-                error if isinstance(error, _UnusableArrayError) else f"cannot be read ({error})"
-            )
-            warnings.append(f"column {name!r} {reason} and was left out")
+            warnings.append(f"column {name!r} cannot be read ({error}) and was left out")
             continue
         if values.ndim:
             columns[name] = values
@@ -92,22 +88,16 @@ def _npz_table(path: Path, archive: zipfile.ZipFile, max_bytes: int) -> Table:
     )
 
 
-class _UnusableArrayError(ValueError):
-    """An array that is no column of numbers; the message goes on after its name."""
-
-
 def _npy_size(stream: IO[bytes]) -> int:
-    """Return from an array's header how many bytes it takes."""
+    """Return from an array's header how many bytes it takes; `ValueError` if it is no column."""
     if np.lib.format.read_magic(stream) == (1, 0):
         shape, _, dtype = np.lib.format.read_array_header_1_0(stream)
     else:
         shape, _, dtype = np.lib.format.read_array_header_2_0(stream)
-    if dtype.hasobject:
-        raise _UnusableArrayError("cannot be read (Object arrays cannot be loaded)")
     if dtype.kind not in _NUMBER_KINDS:
-        raise _UnusableArrayError(f"holds {dtype}, no numbers,")
+        raise ValueError(f"it holds {dtype}, no numbers")
     if len(shape) > 2 or any(n < 1 for n in shape):
-        raise _UnusableArrayError(f"has shape {shape}, not (n,) or (n, k),")
+        raise ValueError(f"its shape is {shape}, not (n,) or (n, k)")
     return prod(shape) * max(dtype.itemsize, 8)
 
 
@@ -138,10 +128,8 @@ class NpzWriter:
                     np.lib.format.write_array(member, values)
 
 
-def parquet_tables(
-    path: Path, rows: int | None = None, max_bytes: int = MAX_BYTES
-) -> Iterator[Table]:
-    """Read a Parquet file in tables of at most so many rows, all at once if None.
+def read_parquet(path: Path, max_bytes: int = MAX_BYTES) -> Table:
+    """Read a Parquet file.
 
     Columns of numbers, or of lists of equally many numbers, are taken; empty cells are NaN. Time
     stamps become seconds, without loss. Columns of anything else are left out, with a warning.
@@ -154,15 +142,13 @@ def parquet_tables(
     parquet = optional_library("pyarrow.parquet", "Parquet files")
     arrow = optional_library("pyarrow", "Parquet files")
     try:
-        # Read ahead, columns would stay in memory to the end.
-        with parquet.ParquetFile(
-            path, pre_buffer=False, buffer_size=1 << 16, page_checksum_verification=True
-        ) as file:
+        with parquet.ParquetFile(path, page_checksum_verification=True) as file:
             groups = [file.metadata.row_group(i) for i in range(file.metadata.num_row_groups)]
-            sizes = [group.total_byte_size for group in groups]
-            size = sum(sizes) if rows is None else max(sizes, default=0)
+            # Repeated numbers take no room in the file, but all of it in memory.
+            values = (g.column(i).num_values for g in groups for i in range(g.num_columns))
+            size = max(8 * sum(values), sum(group.total_byte_size for group in groups))
             require_size(size, max_bytes, f"{path}: what it holds")
-            yield from _parquet_tables(path, file, rows, arrow)
+            return _parquet_table(path, file, arrow)
     except (arrow.ArrowException, UnicodeDecodeError, OSError) as error:
         # Arrow's own failures come as OSError too, but have no number.
         if getattr(error, "errno", None) is not None:
@@ -174,9 +160,9 @@ def parquet_tables(
         ) from error
 
 
-def _parquet_tables(path: Path, file: Any, rows: int | None, arrow: Any) -> Iterator[Table]:
-    schema, total, types = file.schema_arrow, file.metadata.num_rows, arrow.types
-    wanted = [field.name for field in schema if _is_number_column(field.type, types)]
+def _parquet_table(path: Path, file: Any, arrow: Any) -> Table:
+    schema, total = file.schema_arrow, file.metadata.num_rows
+    wanted = [field.name for field in schema if _is_number_column(field.type, arrow.types)]
     warnings = tuple(
         f"column {field.name!r} holds {field.type}, no numbers, and was left out"
         for field in schema
@@ -187,23 +173,26 @@ def _parquet_tables(path: Path, file: Any, rows: int | None, arrow: Any) -> Iter
         raise FormatError(
             f"{path} holds {total} rows of {len(wanted)} columns of numbers{left_out}"
         )
-    readers = {name: _ParquetColumn(arrow) for name in wanted}
+    columns: dict[str, np.ndarray] = {}
+    stamps: dict[str, np.ndarray] = {}
     start_ns = int((schema.metadata or {}).get(START_KEY.encode(), 0))
-    if rows is None:
-        # Not iter_batches, whose batches may end with a row group.
-        batches = file.read(columns=wanted).combine_chunks().to_batches()
-    else:
-        batches = file.iter_batches(batch_size=rows, columns=wanted)
-    for batch in batches:
-        columns, stamps = {}, {}
-        for name, reader in readers.items():
-            cells = batch.column(name)
-            columns[name] = reader.read(cells, start_ns)
-            start_ns = start_ns or reader.start_ns
-            if types.is_integer(cells.type) and not cells.null_count:
+    for name, cells in zip(wanted, file.read(columns=wanted).combine_chunks().columns, strict=True):
+        cells = cells.combine_chunks() if cells.num_chunks != 1 else cells.chunk(0)
+        if _is_list(cells.type, arrow.types):
+            columns[name] = _list_values(cells, arrow)
+        elif arrow.types.is_timestamp(cells.type):
+            whole = cells.is_valid().to_numpy(zero_copy_only=False)
+            kind = arrow.timestamp("ns", cells.type.tz)
+            cells_ns = cells.cast(kind).cast(arrow.int64()).fill_null(0)
+            stamps_ns = cells_ns.to_numpy(zero_copy_only=False)
+            if whole.any():
+                start_ns = start_ns or start_of_clock(int(stamps_ns[whole][0]))
+            columns[name] = np.where(whole, to_seconds(stamps_ns, start_ns), np.nan)
+        else:
+            columns[name] = _numbers(cells, arrow)
+            if arrow.types.is_integer(cells.type) and not cells.null_count:
                 stamps |= whole_stamps({name: cells.to_numpy(zero_copy_only=False)})
-        yield Table(columns=columns, warnings=warnings, start_ns=start_ns, stamps=stamps)
-        warnings = ()
+    return Table(columns=columns, warnings=warnings, start_ns=start_ns, stamps=stamps)
 
 
 def _is_list(kind: Any, types: Any) -> bool:
@@ -217,51 +206,20 @@ def _is_number_column(kind: Any, types: Any) -> bool:
     return types.is_timestamp(kind) or any(test(kind) for test in tests)
 
 
-class _ParquetColumn:
-    """Turns the batches of one column into arrays of equal shape."""
+def _numbers(cells: Any, arrow: Any) -> FloatArray:
+    # Without the check of `safe`, which refuses integers that a double rounds.
+    return cells.cast(arrow.float64(), safe=False).to_numpy(zero_copy_only=False)
 
-    def __init__(self, arrow: Any) -> None:
-        self._arrow = arrow
-        self._width: int | None = None
-        self.start_ns = 0
 
-    def read(self, cells: Any, start_ns: int) -> FloatArray:
-        """Return a batch's values, NaN where a cell is empty; shape (n,), or (n, k) for lists.
-
-        A list column gets the width of its first list; lists of another length are NaN. Time
-        stamps are in seconds since `self.start_ns`, which is `start_ns` if the file says it.
-        """
-        types = self._arrow.types
-        if _is_list(cells.type, types):
-            return self._lists(cells)
-        if types.is_timestamp(cells.type):
-            return self._stamps(cells, start_ns)
-        return self._numbers(cells)
-
-    def _numbers(self, cells: Any) -> FloatArray:
-        # Without the check of `safe`, which refuses integers that a double rounds.
-        return cells.cast(self._arrow.float64(), safe=False).to_numpy(zero_copy_only=False)
-
-    def _lists(self, cells: Any) -> FloatArray:
-        lengths = cells.value_lengths().fill_null(0).to_numpy(zero_copy_only=False)
-        if self._width is None:
-            self._width = int(lengths[0])
-        whole = lengths == self._width
-        values = np.full((len(lengths), self._width), np.nan)
-        kept = cells.filter(self._arrow.array(whole)).flatten()
-        values[whole] = self._numbers(kept).reshape(-1, self._width)
-        return values
-
-    def _stamps(self, cells: Any, start_ns: int) -> FloatArray:
-        whole = cells.is_valid().to_numpy(zero_copy_only=False)
-        kind = self._arrow.timestamp("ns", cells.type.tz)
-        stamps = cells.cast(kind).cast(self._arrow.int64()).fill_null(0)
-        stamps_ns = stamps.to_numpy(zero_copy_only=False)
-        if self.start_ns == 0 and whole.any():
-            self.start_ns = start_ns or start_of_clock(int(stamps_ns[whole][0]))
-        seconds = to_seconds(stamps_ns, self.start_ns)
-        seconds[~whole] = np.nan
-        return seconds
+def _list_values(cells: Any, arrow: Any) -> FloatArray:
+    """Return lists as rows as wide as the first; lists of another length are NaN."""
+    lengths = cells.value_lengths().fill_null(0).to_numpy(zero_copy_only=False)
+    width = int(lengths[0])
+    whole = lengths == width
+    values = np.full((len(lengths), width), np.nan)
+    kept = cells.filter(arrow.array(whole)).flatten()
+    values[whole] = _numbers(kept, arrow).reshape(-1, width)
+    return values
 
 
 class ParquetWriter:

@@ -9,7 +9,7 @@ import sys
 import tempfile
 import time
 import zlib
-from collections.abc import Callable, Iterable, Iterator
+from collections.abc import Callable, Generator, Iterable, Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass
 from itertools import chain
@@ -19,7 +19,6 @@ from needleforce.recordings.errors import (
     FileAccessError,
     FormatError,
     file_errors,
-    optional_library,
     readable_path,
 )
 
@@ -138,77 +137,6 @@ def _is_replaced(
 
 _GZIP = b"\x1f\x8b"
 _GZIP_WINDOW = 31  # zlib's code for "expect a gzip header"
-
-
-class Unpacked:
-    """Iterates over the content of blocks that may be compressed with gzip, whatever the suffix."""
-
-    def __init__(self, blocks: Iterable[bytes]) -> None:
-        self._blocks = iter(blocks)
-        self.fault = ""
-        """Once all is read: what is wrong with the compressed data, if anything."""
-        self.is_damaged = False
-        """Whether what was unpacked may be wrong: damage is seen blocks later, or at the end."""
-
-    def __iter__(self) -> Iterator[bytes]:
-        """Yield blocks of at least one byte, and of at most `BLOCK` bytes if compressed."""
-        head = b""
-        for block in self._blocks:
-            head += block
-            if len(head) >= len(_GZIP):
-                break
-        if head.startswith(_GZIP):
-            yield from self._unpack(head)
-        elif head:
-            yield head
-            yield from self._blocks
-
-    def _unpack(self, data: bytes) -> Iterator[bytes]:
-        while data.startswith(_GZIP):
-            member = zlib.decompressobj(_GZIP_WINDOW)
-            while not member.eof:
-                try:
-                    # A megabyte of gzip can hold a gigabyte: it is unpacked piece by piece.
-                    content = member.decompress(data, BLOCK)
-                except zlib.error:
-                    self.fault, self.is_damaged = "is damaged", True
-                    return
-                if content:
-                    yield content
-                data = member.unused_data if member.eof else member.unconsumed_tail
-                if not (data or member.eof or content):
-                    data = next(self._blocks, b"")
-                    if not data:
-                        self.fault = "is cut short"
-                        return
-            # Appended members, as `cat a.gz b.gz` or a logger that reopens its file gives.
-            while len(data) < len(_GZIP) and (more := next(self._blocks, b"")):
-                data += more
-
-
-def unpacked(packed: bytes, compression: str, size: int) -> tuple[bytes, bool]:
-    """Return what compressed bytes hold, little more than `size` bytes, and whether it is all."""
-    zstd = optional_library("zstandard", "bags compressed with zstd")
-    if compression == "zstd":
-        stream = zstd.ZstdDecompressor().stream_reader(packed)
-    elif compression == "lz4":
-        stream = optional_library("lz4.frame", "MCAP files with lz4 chunks").open(
-            io.BytesIO(packed)
-        )
-    else:
-        raise FormatError(f"has chunks compressed with {compression!r}; zstd and lz4 can be read")
-    parts: list[bytes] = []
-    total, is_whole = 0, True
-    try:
-        # In blocks: what precedes a damaged place is kept, and a bomb is left before it grows.
-        while total <= size and (part := stream.read(1 << 16)):
-            parts.append(part)
-            total += len(part)
-    except (zstd.ZstdError, RuntimeError, EOFError):
-        is_whole = False
-    return b"".join(parts), is_whole
-
-
 _LONGEST_LINE = 1 << 24  # characters
 _MOST_NULS = 1 << 32
 
@@ -216,29 +144,27 @@ _MOST_NULS = 1 << 32
 class TextLines:
     """Iterates over the whole lines of a text, in lists of those that came together.
 
-    Compressed text is unpacked, line ends may be of any kind, and what is not UTF-8 is read as
-    Windows text.
+    Text compressed with gzip is unpacked, whatever its suffix, line ends may be of any kind, and
+    what is not UTF-8 is read as Windows text.
     """
 
     def __init__(self, blocks: Iterable[bytes]) -> None:
-        self._bytes = Unpacked(blocks)
+        self._blocks = iter(blocks)
         self._decode = codecs.getincrementaldecoder("utf-8-sig")()
         self._ends = io.IncrementalNewlineDecoder(None, translate=True)
-        self.count = 0
-        """Lines so far."""
+        self._count = self._nuls = 0
+        self._fault = ""
         self.tail = ""
         """Once all is read: what stands behind the last line end."""
         self.size = 0
         """Bytes of text so far."""
-        self._note = ""
-        self._nuls = 0
         self.warnings: list[str] = []
         """What was lost or guessed."""
 
     def __iter__(self) -> Iterator[list[str]]:
         """Yield the lines, without their ends; `FormatError` if there is no text."""
         is_blank = True
-        for block in self._bytes:
+        for block in self._unpacked():
             self.size += len(block)
             text = self._without_nuls(block)
             is_blank = is_blank and not text.strip()
@@ -246,9 +172,63 @@ class TextLines:
                 raise FormatError("it is not text; expected CSV")
             yield from self._split(self._text(text, is_last=False), is_last=False)
         yield from self._split(self._text(b"", is_last=True), is_last=True)
-        self._fault_note()
+        if self._nuls:
+            self.warnings.append(
+                f"the file ends in {self._nuls} NUL bytes, as power loss may leave them; what "
+                f"follows line {self._count} is lost"
+            )
+        if self._fault:
+            self._fault = (
+                f"the compressed file {self._fault}; what follows line {self._count} is lost"
+            )
+            if "damaged" in self._fault:
+                self._fault += (
+                    ", and lines before it may be wrong: gzip shows that there is damage, not where"
+                )
+            self.warnings.append(self._fault)
+        if self._nuls or self._fault:
+            # What follows the last line end is a piece of a line.
+            self.tail = ""
         if is_blank:
             raise FormatError("it is empty; expected a header row and rows of numbers")
+
+    def forgive_end(self) -> None:
+        """Leave out a piece of a line at the end, and do not blame the source for it."""
+        self.tail = ""
+        if "cut short" in self._fault:
+            self.warnings.remove(self._fault)
+
+    def _unpacked(self) -> Iterator[bytes]:
+        """Yield blocks, of at most `BLOCK` bytes if they are compressed."""
+        data = b""
+        while len(data) < len(_GZIP) and (more := next(self._blocks, b"")):
+            data += more
+        if not data.startswith(_GZIP):
+            yield from (block for block in chain([data], self._blocks) if block)
+            return
+        while data.startswith(_GZIP) and not self._fault:
+            data = yield from self._member(data)
+            # Appended members, as `cat a.gz b.gz` or a logger that reopens its file gives.
+            while len(data) < len(_GZIP) and (more := next(self._blocks, b"")):
+                data += more
+
+    def _member(self, data: bytes) -> Generator[bytes, None, bytes]:
+        """Yield the content of a gzip member; return what follows it."""
+        member = zlib.decompressobj(_GZIP_WINDOW)
+        while not member.eof:
+            try:
+                # A megabyte of gzip can hold a gigabyte: it is unpacked piece by piece.
+                content = member.decompress(data, BLOCK)
+            except zlib.error:
+                self._fault = "is damaged"
+                break
+            if content:
+                yield content
+            data = member.unconsumed_tail
+            if not (data or member.eof or content) and not (data := next(self._blocks, b"")):
+                self._fault = "is cut short"
+                break
+        return member.unused_data
 
     def _without_nuls(self, block: bytes) -> bytes:
         """Return what stands before the NUL bytes with which a file may end after a power loss."""
@@ -258,37 +238,12 @@ class TextLines:
         self._nuls += len(block) - len(text)
         return text
 
-    def _fault_note(self) -> None:
-        if self._nuls:
-            self.tail = ""
-            self.warnings.append(
-                f"the file ends in {self._nuls} NUL bytes, as power loss may leave them; what "
-                f"follows line {self.count} is lost"
-            )
-        if self._bytes.fault:
-            # What follows the last line end is a piece of a line.
-            self.tail = ""
-            self._note = (
-                f"the compressed file {self._bytes.fault}; what follows line {self.count} is lost"
-            )
-            if self._bytes.is_damaged:
-                self._note += (
-                    ", and lines before it may be wrong: gzip shows that there is damage, not where"
-                )
-            self.warnings.append(self._note)
-
-    def forgive_end(self) -> None:
-        """Leave out a piece of a line at the end, and do not blame the source for it."""
-        self.tail = ""
-        if self._bytes.fault and not self._bytes.is_damaged:
-            self.warnings.remove(self._note)
-
     def _split(self, text: str, is_last: bool) -> Iterator[list[str]]:
         *lines, self.tail = (self.tail + self._ends.decode(text, final=is_last)).split("\n")
         if len(self.tail) > _LONGEST_LINE:
-            raise FormatError(f"it is not text; line {self.count + 1} does not end")
+            raise FormatError(f"it is not text; line {self._count + 1} does not end")
         if lines:
-            self.count += len(lines)
+            self._count += len(lines)
             yield lines
 
     def _text(self, block: bytes, is_last: bool) -> str:
@@ -328,15 +283,13 @@ def peek(blocks: Iterable[bytes]) -> tuple[str, Iterator[bytes]]:
 def spooled(blocks: Iterable[bytes], suffix: str) -> Iterator[Path]:
     """Keep a binary recording from a pipe in a temporary file while the context is entered.
 
-    Such formats cannot be read as they come: what a column means, or where it stands, is known
-    at the end.
+    What a column means, or where it stands, is known at the end of such a format.
     """
     with tempfile.TemporaryDirectory(ignore_cleanup_errors=True) as folder:
         path = Path(folder) / f"standard-input{suffix}"
         try:
             with path.open("wb") as file:
-                for block in blocks:
-                    file.write(block)
+                file.writelines(blocks)
         except FileAccessError:
             raise
         except OSError as error:

@@ -12,15 +12,13 @@ from needleforce.recordings.channels import (
     detect_columns,
     parse_column_name,
 )
-from needleforce.recordings.csv_file import HEAD_ROWS
 from needleforce.recordings.errors import ColumnError, LogError, MappingError
 from needleforce.recordings.mapping import ColumnMapping, ColumnSpec, mapped_columns
 from needleforce.recordings.table import (
     NS_PER_S,
     FloatArray,
+    RowClock,
     Table,
-    TimeStampWatch,
-    joined_tables,
     read_only,
     start_of_clock,
     to_seconds,
@@ -39,7 +37,7 @@ class _FiniteWatch:
 
     def update(self, values: FloatArray) -> None:
         finite = np.isfinite(values)
-        bad = np.flatnonzero(~(finite if values.ndim == 1 else finite.all(axis=1)))
+        bad = np.flatnonzero(~finite.reshape(len(values), -1).all(axis=1))
         if bad.size:
             self._first_bad = self._first_bad or self._rows + int(bad[0]) + 1
             self._bad += bad.size
@@ -48,13 +46,10 @@ class _FiniteWatch:
 
     def warnings(self) -> tuple[str, ...]:
         """Report rows that are not finite; `LogError` if there was no finite value at all."""
-        if not self._bad:
-            return ()
-        if not self._any_finite:
+        if self._bad and not self._any_finite:
             raise LogError(f"{self._name} has no finite value in {self._rows} rows")
-        return (
-            f"{self._name}: rows with NaN or infinity: {self._bad} (first: row {self._first_bad})",
-        )
+        what = f"rows with NaN or infinity: {self._bad} (first: row {self._first_bad})"
+        return (f"{self._name}: {what}",) if self._bad else ()
 
 
 # Beyond these an SI value is implausible for a robot or a needle: two turns of a joint,
@@ -142,7 +137,7 @@ class Log:
         bad = np.flatnonzero(~np.isfinite(t_s))
         if bad.size:
             raise LogError(f"t_s: rows that are not finite: {bad.size} (first: row {bad[0] + 1})")
-        stamps = TimeStampWatch()
+        stamps = RowClock()
         stamps.update(t_s)
         warnings = [*self.warnings, *stamps.warnings()]
         for name, values in channels.items():
@@ -233,23 +228,22 @@ def _find_time(
     rate stored in the file (`sample_rate_Hz` and the like), with a warning. `first_row` rows of
     the recording came before these, whose stamps had this `start_ns`; None for the first rows.
     """
-
-    def even(rate_hz: float) -> _SiChannel:
-        times = np.arange(first_row, first_row + rows) / rate_hz
-        return _SiChannel(values=times, is_unit_stated=True)
-
-    if mapping.rate_hz is not None:
-        return even(mapping.rate_hz), ()
-    found = _si_channel(table, CHANNELS["time"], mapping.channels.get("time"))
-    if found is not None:
-        return _exact_time(table, found, start_ns), ()
-    for name, value in table.constants.items():
-        if name.lower() in _RATE_NAMES and 0.0 < value < np.inf:
-            return even(value), (f"no time column: time from {name} = {value:g}",)
-    raise ColumnError(
-        "no time column found; say which one with --time, or the sample rate with --rate "
-        f"(rate_hz in the mapping). Columns are: {table.describe()}{table.left_out()}"
-    )
+    rate_hz, notes = mapping.rate_hz, ()
+    if rate_hz is None:
+        found = _si_channel(table, CHANNELS["time"], mapping.channels.get("time"))
+        if found is not None:
+            return _exact_time(table, found, start_ns), ()
+        for name, value in table.constants.items():
+            if name.lower() in _RATE_NAMES and 0.0 < value < np.inf:
+                rate_hz, notes = value, (f"no time column: time from {name} = {value:g}",)
+                break
+        else:
+            raise ColumnError(
+                "no time column found; say which one with --time, or the sample rate with --rate "
+                f"(rate_hz in the mapping). Columns are: {table.describe()}{table.left_out()}"
+            )
+    times = np.arange(first_row, first_row + rows) / rate_hz
+    return _SiChannel(values=times, is_unit_stated=True), notes
 
 
 def _exact_time(table: Table, found: _SiChannel, start_ns: int | None) -> _SiChannel:
@@ -304,7 +298,7 @@ class LogStream:
         self._required, self._optional = tuple(required), tuple(optional)
         self._reported: dict[str, bool] = {}
         self._rows = self._lost = self._first_lost = self._clock_ns = 0
-        self._stamps, self._units = TimeStampWatch(), _UnitWatch()
+        self._stamps, self._units = RowClock(), _UnitWatch()
         self._finite: dict[str, _FiniteWatch] = {}
         self.start_ns = 0
         """The instant of t_s = 0, see `Table`; known after the first chunk."""
@@ -316,7 +310,7 @@ class LogStream:
         return news
 
     def __iter__(self) -> Iterator[LogChunk]:
-        """Yield the rows; the first chunk has `HEAD_ROWS`, if there are so many.
+        """Yield the rows; the first chunk has 200, if there are so many.
 
         Raises:
             FileAccessError: see `stream_tables`.
@@ -325,7 +319,7 @@ class LogStream:
             MappingError: a channel name is unknown, or a scale does not fit its columns.
             LogError: the channels do not form a log; what only the end shows is reported there.
         """
-        head = joined_tables(self._tables, HEAD_ROWS)
+        head = next(self._tables)
         self._report(head.warnings)
         self.start_ns = head.start_ns
         found = self._find_channels(head)

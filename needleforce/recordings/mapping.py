@@ -1,10 +1,10 @@
 """Which columns of a file are which channels of a log: mappings in code, in TOML, as options."""
 
 import json
+import sys
 import tomllib
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field, replace
-from math import isfinite
 from pathlib import Path
 from types import MappingProxyType
 from typing import Any
@@ -146,10 +146,8 @@ class ColumnMapping:
 
 
 def _is_finite(value: float) -> bool:
-    try:
-        return isfinite(value)
-    except OverflowError:  # a whole number beyond float64
-        return False
+    # A whole number may be larger than any float.
+    return abs(value) <= sys.float_info.max
 
 
 def _short(value: Any) -> str:
@@ -159,7 +157,6 @@ def _short(value: Any) -> str:
         return "a number of thousands of digits"
 
 
-_SPEC_KEYS = {"columns", "unit", "scale"}
 _TOP_KEYS = {"rate_hz", "joints", "reference_topic", "payload"}
 
 
@@ -174,25 +171,22 @@ def load_mapping(path: str | Path) -> ColumnMapping:
         FileAccessError: the file cannot be read.
         MappingError: it is not TOML, or a channel, key, unit or value in it is not valid.
     """
+    place = "$"
     try:
         content = read_toml(path, "mapping")
-    except FormatError as error:
-        raise MappingError(str(error)) from error
-    top, place = {}, "$"
-    channels: dict[str, ColumnSpec] = {}
-    try:
+        top = {name: content.pop(name) for name in _TOP_KEYS & content.keys()}
+        mapping = msgspec.convert(top, ColumnMapping)
+        channels: dict[str, ColumnSpec] = {}
         for name, entry in content.items():
-            if name in _TOP_KEYS:
-                top[name] = entry
-                continue
             place = f"$.{name}"
             spec = entry if isinstance(entry, dict) else {"columns": entry}
-            if unknown := spec.keys() - _SPEC_KEYS:
+            if unknown := spec.keys() - {"columns", "unit", "scale"}:
                 keys = ", ".join(map(repr, sorted(unknown)))
                 raise MappingError(f"[{name}] has {keys}; a channel has columns, unit and scale")
             channels[name] = msgspec.convert(spec, ColumnSpec)
-        place = "$"
-        return replace(msgspec.convert(top, ColumnMapping), channels=channels)
+        return replace(mapping, channels=channels)
+    except FormatError as error:
+        raise MappingError(str(error)) from error
     except (msgspec.ValidationError, OverflowError) as error:
         what = str(error).replace("`$", f"`{place}")
         what += "" if f"`{place}" in what else f" - at `{place}`"
@@ -202,9 +196,7 @@ def load_mapping(path: str | Path) -> ColumnMapping:
 
 
 def read_toml(path: str | Path, what: str) -> dict[str, Any]:
-    """Return the content of a TOML file that an option names; at least one key.
-
-    `what` is what it is, for messages, such as `payload file`.
+    """Return the content of a TOML file, at least one key; `what` it is stands in messages.
 
     Raises:
         FileAccessError: it cannot be read.
@@ -214,9 +206,8 @@ def read_toml(path: str | Path, what: str) -> dict[str, Any]:
         with file_errors(path), readable_path(path).open("rb") as stream:
             data = stream.read(_LONGEST_TOML + 1)
     except FileAccessError as error:
-        raise FileAccessError(str(error).replace("cannot read", f"cannot read the {what}")) from (
-            error
-        )
+        message = str(error).replace("cannot read", f"cannot read the {what}")
+        raise FileAccessError(message) from error
     if len(data) > _LONGEST_TOML:
         raise FormatError(f"the {what} {path} is longer than {_LONGEST_TOML} bytes")
     try:
@@ -246,25 +237,20 @@ class ChannelRequest:
     joints: tuple[str, ...] = ()
 
     def columns(self, table: Table) -> frozenset[str] | None:
-        """Return the names of the columns of a table that the requested channels need.
+        """Return the names of the columns that the channels need; values are not looked at.
 
-        Names and widths are looked at, not values.
-
-        Returns:
-            Their names; None if a required channel is not there.
-
-        Raises:
-            ColumnError: a mapped channel was not found, or is ambiguous.
+        None if a required channel is not there; `ColumnError` if a mapped channel was not found,
+        or is ambiguous.
         """
         names = (*self.required, *self.optional) or tuple(CHANNELS)
         needed: set[str] = set()
         mapped = [name for name in (*names, "time") if name in self.mapping.channels]
         # Mapped channels first: the topics they choose decide where others would be ambiguous.
         for name in dict.fromkeys((*mapped, *names)):
-            spec = self.mapping.channels.get(name)
-            found = (
-                self._detected(table, name, needed) if spec is None else mapped_columns(table, spec)
-            )
+            if (spec := self.mapping.channels.get(name)) is not None:
+                found = mapped_columns(table, spec)
+            else:
+                found = self._detected(table, name, needed)
             if not found and name in self.required:
                 return None
             # An element such as `force_xyz[2]` is found under its own name.

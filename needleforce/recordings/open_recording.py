@@ -5,15 +5,15 @@ from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import replace
 from pathlib import Path
 
+from needleforce.recordings.bag_messages import BAG_SUFFIXES, is_bag
 from needleforce.recordings.bag_reader import (
     BagInfo,
     bag_info,
     bag_tables,
     growing_bag_tables,
 )
-from needleforce.recordings.bag_storage import BAG_SUFFIXES, is_bag
 from needleforce.recordings.channels import CHANNELS, detect_columns
-from needleforce.recordings.columnar import parquet_tables, read_npz
+from needleforce.recordings.columnar import read_npz, read_parquet
 from needleforce.recordings.csv_file import CSV_SUFFIXES, csv_tables
 from needleforce.recordings.errors import (
     MAX_BYTES,
@@ -67,25 +67,22 @@ def read_table(
     path = readable_path(path)
     if path.name.lower().endswith(CSV_SUFFIXES):
         blocks = byte_blocks(path, FollowOptions())
-        tables = csv_tables(blocks, str(path), head_rows=None, max_bytes=max_bytes)
-    else:
-        tables = _tables(path, None, request, max_bytes)
-    first, *rest = tables
-    # The last table of a CSV file has no rows, but all warnings.
-    return replace(first, warnings=rest[-1].warnings) if rest else first
+        table, *rest = csv_tables(blocks, str(path), head_rows=None, max_bytes=max_bytes)
+        # The last table of a CSV file has no rows, but all warnings.
+        return replace(table, warnings=rest[-1].warnings)
+    return next(_tables(path, None, request, max_bytes))
 
 
 def _tables(
     path: Path, rows: int | None, request: ChannelRequest | None, max_bytes: int
 ) -> Iterator[Table]:
-    """Read a binary recording a number of rows at a time, all at once if None."""
+    """Read a binary recording; a bag a number of rows at a time, all at once if None."""
     with file_errors(path):
         if is_bag(path):
             return bag_tables(path, rows, request, max_bytes)
-    if path.name.lower().endswith(".npz"):
-        return iter((read_npz(path, max_bytes),))
-    if path.name.lower().endswith(".parquet"):
-        return parquet_tables(path, rows, max_bytes)
+    for suffix, read in ((".npz", read_npz), (".parquet", read_parquet)):
+        if path.name.lower().endswith(suffix):
+            return iter((read(path, max_bytes),))
     raise FileAccessError(f"{path} has no known suffix; known are: {', '.join(SUFFIXES)}")
 
 
@@ -134,14 +131,9 @@ def log_of(table: Table, request: ChannelRequest) -> Log:
     stream = LogStream(
         [table], request.mapping, required=request.required, optional=request.optional
     )
-    chunks = list(stream)
-    (chunk,) = chunks
-    return Log(
-        t_s=chunk.t_s,
-        channels=chunk.channels,
-        warnings=stream.take_warnings(),
-        start_ns=stream.start_ns,
-    )
+    (chunk,) = list(stream)
+    warnings, start_ns = stream.take_warnings(), stream.start_ns
+    return Log(t_s=chunk.t_s, channels=chunk.channels, warnings=warnings, start_ns=start_ns)
 
 
 def stream_tables(
@@ -174,25 +166,35 @@ def stream_tables(
     name = "standard input" if path is None else str(path)
     if path is None or is_text(path):
         suffix, blocks = peek(byte_blocks(path, options))
-        if suffix and (path is None or path.is_fifo()):
-            yield from _piped_tables(blocks, suffix, name, options, request, max_bytes)
+        if not suffix or (path is not None and not path.is_fifo()):
+            yield from csv_tables(
+                blocks,
+                name,
+                is_growing=options.follow,
+                is_stopped=options.should_stop,
+                max_bytes=max_bytes,
+            )
             return
-        yield from csv_tables(
-            blocks,
-            name,
-            is_growing=options.follow,
-            is_stopped=options.should_stop,
-            max_bytes=max_bytes,
+        options.warn(
+            f"{name} is {suffix[1:]}, not text: it is read to its end, into a temporary file, "
+            "before anything is estimated"
         )
+        with spooled(blocks, suffix) as file:
+            try:
+                # What stopped the pipe has not stopped the reading of what came.
+                yield from _tables(file, CHUNK_ROWS, request, max_bytes)
+            except RecordingError as error:
+                raise type(error)(str(error).replace(str(file), name)) from error
         return
     if options.follow:
         _require_followable(path)
         request = request or ChannelRequest()
-        yield from growing_bag_tables(path, CHUNK_ROWS, request, options, max_bytes)
-        return
-    for table in _tables(path, CHUNK_ROWS, request, max_bytes):
+        tables = growing_bag_tables(path, CHUNK_ROWS, request, options, max_bytes)
+    else:
+        tables = _tables(path, CHUNK_ROWS, request, max_bytes)
+    for table in tables:
         yield table
-        if options.should_stop():
+        if options.should_stop() and not options.follow:
             return
 
 
@@ -212,26 +214,6 @@ def _require_followable(path: Path) -> None:
             f"{path} cannot be followed while it grows; only CSV and MCAP can. Record one of them "
             "(ros2 bag record -s mcap), or read it when it is complete"
         )
-
-
-def _piped_tables(
-    blocks: Iterator[bytes],
-    suffix: str,
-    name: str,
-    options: FollowOptions,
-    request: ChannelRequest | None,
-    max_bytes: int,
-) -> Iterator[Table]:
-    options.warn(
-        f"{name} is {suffix[1:]}, not text: it is read to its end, into a temporary file, before "
-        "anything is estimated"
-    )
-    with spooled(blocks, suffix) as path:
-        try:
-            # What stopped the pipe has not stopped the reading of what came.
-            yield from _tables(path, CHUNK_ROWS, request, max_bytes)
-        except RecordingError as error:
-            raise type(error)(str(error).replace(str(path), name)) from error
 
 
 def suggest_mapping(
@@ -293,7 +275,7 @@ def _bag_head(
         "# Rows are the messages of this topic; others are interpolated to its time stamps.",
         f"reference_topic = {json.dumps(reference)}",
     ]
-    here = list(dict.fromkeys(j for n in topics for j in info.topics[n].joints))
+    here = list(dict.fromkeys(j for n in topics for j in info.topics[n].names))
     if here:
         order = joints if joints and set(joints) <= set(here) else here
         lines.append("# Joints in the order of the robot; they are found by these names.")

@@ -10,8 +10,8 @@ from typing import Any, BinaryIO
 
 from numpy.typing import ArrayLike
 
-from needleforce.recordings.bag_storage import METADATA, is_bag
-from needleforce.recordings.bag_writer import McapWriter, SqliteBagWriter
+from needleforce.recordings.bag_messages import is_bag, require_sqlite_name
+from needleforce.recordings.bag_types import McapWriter, SqliteBagWriter
 from needleforce.recordings.columnar import NpzWriter, ParquetWriter
 from needleforce.recordings.csv_file import CsvGzipWriter, CsvWriter
 from needleforce.recordings.errors import FileAccessError, LogError, file_errors
@@ -31,6 +31,7 @@ WRITERS: Mapping[str, Writer] = {
 }
 FOLDER_SUFFIX = ".db3"
 """A bag in an SQLite file, which ROS 2 wants in a folder with `metadata.yaml`."""
+_METADATA = "metadata.yaml"
 _GROWS = (".csv", ".csv.gz")
 
 
@@ -72,11 +73,9 @@ class OpenTable:
 
     def finish(self) -> bool:
         """Write what is still held back; return whether there was anything to write."""
-        if self._writer is None:
-            return False
-        with file_errors(self._name, "write"):
+        if self._writer is not None:
             self._writer.finish()
-        return True
+        return self._writer is not None
 
 
 @contextmanager
@@ -108,22 +107,26 @@ def open_table(
             lambda: CsvWriter(sys.stdout.buffer, labels()), is_live=True, name="standard output"
         )
         yield output
-        output.finish()
+        with file_errors("standard output", "write"):
+            output.finish()
         return
     path = Path(path)
-    make = _open_folder if _is_folder_name(path) else _open_file
-    with make(path, labels, is_live) as table:
+    part = path.with_name(f".{path.name}.{os.getpid()}.part")
+    if _is_folder_name(path):
+        with _open_folder(path, part, labels) as table:
+            yield table
+        return
+    # A pipe cannot be replaced by a file: whoever reads it waits for its bytes.
+    with file_errors(path, "write"):
+        grows = path.is_fifo() or (is_live and path.name.lower().endswith(_GROWS))
+    with _open_file(path, path if grows else part, labels) as table:
         yield table
 
 
 @contextmanager
-def _open_file(path: Path, labels: Callable[[], Labels], is_live: bool) -> Iterator[OpenTable]:
+def _open_file(path: Path, part: Path, labels: Callable[[], Labels]) -> Iterator[OpenTable]:
+    """Write into a part that replaces the file at the end, or into the file itself."""
     writer = _find_writer(path)
-    # A pipe cannot be replaced by a file: whoever reads it waits for its bytes.
-    with file_errors(path, "write"):
-        is_direct = path.is_fifo()
-    grows = is_direct or (is_live and path.name.lower().endswith(_GROWS))
-    part = path if grows else path.with_name(f".{path.name}.{os.getpid()}.part")
     streams: list[BinaryIO] = []
 
     def begin() -> Any:
@@ -131,26 +134,26 @@ def _open_file(path: Path, labels: Callable[[], Labels], is_live: bool) -> Itera
         return writer(streams[0], labels())
 
     try:
-        table = OpenTable(begin, is_live=grows, name=str(path))
+        table = OpenTable(begin, is_live=part == path, name=str(path))
         yield table
-        if table.finish():
-            with file_errors(path, "write"):
+        with file_errors(path, "write"):
+            if table.finish():
                 streams[0].close()
-                if not grows:
+                if part != path:
                     os.replace(part, path)
     finally:
         for stream in streams:
             # On a full disk closing fails too, but that has been reported.
             with suppress(OSError):
                 stream.close()
-        if streams and not grows:
+        if streams and part != path:
             part.unlink(missing_ok=True)
 
 
 @contextmanager
-def _open_folder(path: Path, labels: Callable[[], Labels], _: bool) -> Iterator[OpenTable]:
+def _open_folder(path: Path, part: Path, labels: Callable[[], Labels]) -> Iterator[OpenTable]:
+    """Write a bag into a folder that replaces the old one at the end."""
     _require_replaceable(path)
-    part = path.with_name(f".{path.name}.{os.getpid()}.part")
     bag = part / path.stem
     try:
         table = OpenTable(lambda: SqliteBagWriter(bag, labels()), is_live=False, name=str(path))
@@ -173,12 +176,7 @@ def _is_folder_name(path: Path) -> bool:
 def _require_replaceable(path: Path) -> None:
     """Check that what stands where a bag is to be written is nothing, or a bag like it."""
     with file_errors(path):
-        # rosbags makes a URI of the path without quoting it, and would write elsewhere.
-        if set("?#%") & set(str(path.absolute())):
-            raise FileAccessError(
-                f"cannot write {path}: a bag in an SQLite file needs a path without ?, # and %; "
-                "give another place, or write .mcap"
-            )
+        require_sqlite_name(path, "write")
         if not os.path.lexists(path):
             return
         if not path.is_dir():
@@ -189,9 +187,9 @@ def _require_replaceable(path: Path) -> None:
         others = [
             entry.name
             for entry in sorted(path.iterdir())
-            if not (entry.is_file() and (entry.name == METADATA or _is_folder_name(entry)))
+            if not (entry.is_file() and (entry.name == _METADATA or _is_folder_name(entry)))
         ]
-    if others or not (path / METADATA).exists():
+    if others or not (path / _METADATA).exists():
         what = f"it holds {others[0]!r}, which is no part of a bag" if others else "it is no bag"
         raise FileAccessError(f"will not replace the folder {path}: {what}; give another name")
 
@@ -267,19 +265,15 @@ def check_writable(path: str | Path, *, source: str | Path | None = None) -> Non
 def check_output_path(path: Path, source: Path) -> None:
     """Check that writing a file or folder cannot harm the recording that is being read.
 
-    Args:
-        path: what is to be written.
-        source: the recording, a file or a folder; it need not exist.
-
     Raises:
-        FileAccessError: it is the recording, or one lies inside the other, or both are files of
-            one bag.
+        FileAccessError: the path is the recording (a file or a folder, which need not exist), or
+            one lies inside the other, or both are files of one bag.
     """
     if not source.exists():
         return
     if _is_same(path, source):
         raise FileAccessError(f"cannot write {path}: it is the log itself; give another name")
-    if source.is_file() and is_bag(source) and (source.resolve().parent / METADATA).exists():
+    if source.is_file() and is_bag(source) and (source.resolve().parent / _METADATA).exists():
         source = source.resolve().parent
     if _overlap(path, source):
         raise FileAccessError(
@@ -289,10 +283,7 @@ def check_output_path(path: Path, source: Path) -> None:
 
 
 def check_output_paths(outputs: Mapping[str, Path]) -> None:
-    """Check that no output would replace another.
-
-    Args:
-        outputs: option to the file or folder that it names.
+    """Check that no output, an option and the path that it names, would replace another.
 
     Raises:
         FileAccessError: two are the same, or one lies inside the other.

@@ -1,7 +1,7 @@
 """Named columns of numbers before anyone has said what they mean, and the time of their rows."""
 
 import math
-from collections.abc import Iterator, Mapping
+from collections.abc import Mapping
 from dataclasses import dataclass, field
 from types import MappingProxyType
 
@@ -13,6 +13,8 @@ from needleforce.recordings.errors import FormatError, LogError
 FloatArray = NDArray[np.float64]
 Columns = Mapping[str, np.ndarray]
 
+HEAD_ROWS = 200
+"""So many rows decide which columns a stream has; they come in one table, however they arrive."""
 START_KEY = "start_ns"
 """What files of numbers call `Labels.start_ns`."""
 
@@ -94,31 +96,6 @@ def read_only(name: str, values: ArrayLike) -> FloatArray:
         raise LogError(f"{name} is not an array of numbers: {error}") from error
     copy.setflags(write=False)
     return copy
-
-
-def joined_tables(tables: Iterator[Table], rows: int) -> Table:
-    """Take tables with equal columns until there are so many rows, or no more, and join them."""
-    taken: list[Table] = []
-    for table in tables:
-        taken.append(table)
-        if sum(map(len, taken)) >= rows:
-            break
-    if len(taken) == 1:
-        return taken[0]
-    first, last = taken[0], taken[-1]
-    full = [table for table in taken if len(table)]
-    exact = set.intersection(*(set(table.stamps) for table in full)) if full else set()
-    return Table(
-        columns={
-            name: np.concatenate([table.columns[name] for table in taken]) for name in last.columns
-        },
-        constants=first.constants,
-        warnings=tuple(warning for table in taken for warning in table.warnings),
-        joint_names=first.joint_names,
-        start_ns=first.start_ns,
-        stamps={name: np.concatenate([table.stamps[name] for table in full]) for name in exact},
-        omitted=first.omitted,
-    )
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -236,6 +213,35 @@ def exceed_float64(values: np.ndarray) -> bool:
     return bool(len(values)) and bool(((values > _EXACT) & (values < 1 << 63)).all())
 
 
+def interpolate(
+    at_ns: NDArray[np.int64], stamps_ns: NDArray[np.int64], values: FloatArray, limit_ns: float
+) -> FloatArray:
+    """Interpolate linearly; where stamps agree, the values are taken as they are.
+
+    Args:
+        at_ns: where values are wanted, shape (n,).
+        stamps_ns: where they are known, shape (m,), in any order.
+        values: shape (m, k).
+        limit_ns: between stamps further apart than this the result is NaN, as outside them.
+    """
+    if not stamps_ns.size:
+        return np.full((at_ns.size, values.shape[1]), np.nan)
+    order = np.argsort(stamps_ns, kind="stable")
+    stamps_ns, values = stamps_ns[order], values[order]
+    before = np.searchsorted(stamps_ns, at_ns, side="right") - 1
+    low = np.clip(before, 0, stamps_ns.size - 1)
+    high = np.clip(before + 1, 0, stamps_ns.size - 1)
+    span = (stamps_ns[high] - stamps_ns[low]).astype(np.float64)
+    inside = (before >= 0) & (span > 0.0) & (span <= limit_ns)
+    fraction = np.divide(at_ns - stamps_ns[low], span, out=np.zeros(at_ns.size), where=inside)
+    with np.errstate(invalid="ignore"):
+        result = values[low] + fraction[:, None] * (values[high] - values[low])
+    result[~inside] = np.nan
+    exact = (before >= 0) & (stamps_ns[low] == at_ns)
+    result[exact] = values[low[exact]]
+    return result
+
+
 _SET_AFTER_S = 0.1
 _SET_AFTER_ROWS = 3
 """A row that is not later than those before came late. When so many rows in a row, over so much
@@ -246,13 +252,20 @@ class RowClock:
     """Time from row to row; a row that comes late is no step, a clock that was set back is left.
 
     A clock that goes back a little soon catches up; until then rows do not advance. If it stays
-    behind, it counts from there, however many rows come at a time.
+    behind, it counts from there, however many rows come at a time. Rows that do not advance stay in
+    a log: an online step skips them.
     """
 
     def __init__(self) -> None:
         self._latest_s = -math.inf
         self._behind_s = math.inf
-        self._rows, self._ran_s = 0, 0.0
+        self._behind, self._ran_s = 0, 0.0
+        self._rows = self._advanced = 0
+        self._faults: dict[str, tuple[int, str]] = {
+            "clock set back, from where it counts anew": (0, ""),
+            "stamps running backward": (0, ""),
+            "stamps repeated": (0, ""),
+        }
 
     def update(self, t_s: FloatArray) -> FloatArray:
         """Take further rows.
@@ -266,74 +279,43 @@ class RowClock:
             advances by the time for which it has run.
         """
         dt_s = np.diff(t_s, prepend=self._latest_s)
-        if (dt_s > 0.0).all():
-            if t_s.size:
-                self._latest_s, self._rows = float(t_s[-1]), 0
-            return dt_s
-        return np.array([self._step(now_s) for now_s in t_s.tolist()])
-
-    def _step(self, now_s: float) -> float:
-        dt_s = now_s - self._latest_s
-        if dt_s > 0.0:
-            self._latest_s, self._rows = now_s, 0
-            return dt_s
-        # A stamp that is no number says nothing of the clock.
-        if not dt_s < 0.0 or (self._rows and now_s == self._behind_s):
-            return dt_s
-        if not self._rows or now_s < self._behind_s:
-            self._rows, self._ran_s = 0, 0.0
-        else:
-            self._ran_s += now_s - self._behind_s
-        self._rows, self._behind_s = self._rows + 1, now_s
-        if self._rows < _SET_AFTER_ROWS or self._ran_s < _SET_AFTER_S:
-            return dt_s
-        self._latest_s, self._rows = now_s, 0
-        return self._ran_s
-
-
-class TimeStampWatch:
-    """Counts stamps that do not advance, however many come at a time.
-
-    A stamp advances if it is later than every stamp before it, or than those since the clock was
-    set back, see `RowClock`. The others stay in the log: an online step skips them.
-    """
-
-    def __init__(self) -> None:
-        self._rows = self._advanced = 0
-        self._clock = RowClock()
-        self._latest_s = -np.inf
-        self._faults: dict[str, tuple[int, str]] = {}
-
-    def update(self, t_s: FloatArray) -> FloatArray:
-        """Take finite time stamps in s, shape (n,); return what `RowClock.update` does."""
-        dt_s = self._clock.update(t_s)
-        advances = dt_s > 0.0
-        self._advanced += int(np.count_nonzero(advances))
-        # The latest stamp that advanced before each row.
-        stamps = np.concatenate(([self._latest_s], t_s))
-        which = np.maximum.accumulate(np.where(advances, np.arange(1, len(t_s) + 1), 0))
-        before_s = stamps[np.concatenate(([0], which))]
-        self._latest_s, before_s = float(before_s[-1]), before_s[:-1]
-        is_back = t_s < before_s
-        for what, rows in (
-            ("clock set back, from where it counts anew", advances & is_back),
-            ("stamps running backward", ~advances & is_back),
-            ("stamps repeated", dt_s == 0.0),
-        ):
-            count, first = self._faults.get(what, (0, ""))
-            if rows.any() and not count:
-                row = int(np.argmax(rows))
-                first = f"row {self._rows + row + 1}, {t_s[row]:.9g} s after {before_s[row]:.9g} s"
-            self._faults[what] = count + int(np.count_nonzero(rows)), first
-        self._rows += t_s.size
+        if not (dt_s > 0.0).all():
+            return np.array([self._step(now_s) for now_s in t_s.tolist()])
+        if t_s.size:
+            self._latest_s, self._behind = float(t_s[-1]), 0
+            self._rows, self._advanced = self._rows + t_s.size, self._advanced + t_s.size
         return dt_s
 
-    def warnings(self) -> tuple[str, ...]:
-        """Report stamps that do not advance; refuse a log in which none does.
+    def _step(self, now_s: float) -> float:
+        before_s = self._latest_s
+        dt_s = self._since_latest(now_s)
+        self._rows += 1
+        if dt_s > 0.0:
+            self._advanced += 1
+            self._latest_s, self._behind = now_s, 0
+        set_back, backward, repeated = self._faults
+        what = repeated if dt_s == 0.0 else set_back if dt_s > 0.0 else backward
+        if now_s < before_s or dt_s == 0.0:
+            here = f"row {self._rows}, {now_s:.9g} s after {before_s:.9g} s"
+            count, first = self._faults[what]
+            self._faults[what] = count + 1, first or here
+        return dt_s
 
-        Returns:
-            One warning for each kind of fault, with how many and where the first stands (rows
-            count from 1).
+    def _since_latest(self, now_s: float) -> float:
+        dt_s = now_s - self._latest_s
+        # A stamp that is no number says nothing of the clock.
+        if not dt_s < 0.0 or (self._behind and now_s == self._behind_s):
+            return dt_s
+        if not self._behind or now_s < self._behind_s:
+            self._behind, self._ran_s = 0, 0.0
+        else:
+            self._ran_s += now_s - self._behind_s
+        self._behind, self._behind_s = self._behind + 1, now_s
+        is_set = self._behind >= _SET_AFTER_ROWS and self._ran_s >= _SET_AFTER_S
+        return self._ran_s if is_set else dt_s
+
+    def warnings(self) -> tuple[str, ...]:
+        """Report stamps that do not advance, a line for each kind of fault; rows count from 1.
 
         Raises:
             LogError: fewer than two stamps advance, so that no time step can be formed.

@@ -1,0 +1,310 @@
+"""The messages of a ROS 2 bag as bytes: `rosbags` reads SQLite, `mcap` the records of MCAP."""
+
+import io
+import re
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any, NamedTuple
+from zlib import crc32
+
+from needleforce.recordings.errors import (
+    FileAccessError,
+    FormatError,
+    file_errors,
+    optional_library,
+    readable_path,
+    require_size,
+)
+from needleforce.recordings.follow import FollowOptions, byte_blocks
+
+BAG_SUFFIXES = (".mcap", ".db3")
+_PART = 8
+"""One chunk or message may take this fraction (1/8) of `max_bytes`."""
+_LATEST_NS = (1 << 63) - 1
+
+
+class BagTopic(NamedTuple):
+    """A topic of a bag, with the definition of its message type if the bag holds it."""
+
+    name: str
+    kind: str  # such as sensor_msgs/msg/JointState
+    encoding: str  # cdr for ROS 2
+    definition: str = ""
+
+
+class RawMessage(NamedTuple):
+    """A serialised message: its topic, when it was recorded on the recorder's clock, its bytes."""
+
+    topic: BagTopic
+    log_ns: int
+    data: bytes
+
+
+NONE_YET = RawMessage(BagTopic("", "", ""), 0, b"")
+"""Stands in place of a message wherever a bag that still grows has been read as far as it goes."""
+
+
+def is_bag(path: Path) -> bool:
+    """Return whether a path names a ROS 2 bag: by its suffix, or as a folder that holds one."""
+    return path.name.lower().endswith(BAG_SUFFIXES) or (path.is_dir() and bool(_storage(path)))
+
+
+def bag_files(path: Path) -> list[Path]:
+    """Find the files of a bag: a `.mcap` or `.db3` file, or those in a folder, in their order."""
+    found = _storage(path) if path.is_dir() else [path]
+    if not found:
+        raise FormatError(
+            f"{path} is a folder without {' or '.join(BAG_SUFFIXES)} files; those that end in "
+            ".zstd must be unpacked: zstd -d"
+        )
+    return found
+
+
+def _storage(folder: Path) -> list[Path]:
+    """Return the files of messages in a folder; those of a split bag are numbered."""
+    with file_errors(folder):
+        found = [p for p in folder.iterdir() if p.is_file() and p.name.endswith(BAG_SUFFIXES)]
+    return sorted(found, key=lambda p: [int(x) for x in re.findall(r"\d{1,99}", p.name)] or [0])
+
+
+def bag_messages(
+    path: Path, faults: list[str], max_bytes: int, options: FollowOptions | None = None
+) -> Iterator[RawMessage]:
+    """Read messages as they were recorded; of a damaged or cut MCAP file those that can be had.
+
+    Args:
+        path: a bag; an MCAP file if it is followed.
+        faults: gets what is wrong with the files, one sentence each.
+        max_bytes: a chunk or message may take an eighth of it when unpacked.
+        options: how a growing file is followed until its recorder finishes it. `NONE_YET` comes
+            each time before more is waited for. None to read what there is.
+    """
+    optional_library("rosbags.typesys", "ROS 2 bags")
+    for file in bag_files(path):
+        found: list[str] = []
+        try:
+            with file_errors(file):
+                if file.name.lower().endswith(".db3"):
+                    yield from _sqlite_messages(readable_path(file), found)
+                else:
+                    yield from _McapReader(file, found, max_bytes // _PART).messages(options)
+        except FormatError as error:
+            raise FormatError(f"{file} {error}") from error
+        finally:
+            faults += [f"{file.name} {fault}" for fault in found]
+
+
+def _unpacked(packed: bytes, compression: str, size: int) -> bytes:
+    """Return what compressed bytes hold as far as it can be had, little more than `size` bytes."""
+    zstd = optional_library("zstandard", "bags compressed with zstd")
+    if compression == "zstd":
+        stream = zstd.ZstdDecompressor().stream_reader(packed)
+    elif compression == "lz4":
+        lz4 = optional_library("lz4.frame", "MCAP files with lz4 chunks")
+        stream = lz4.open(io.BytesIO(packed))
+    else:
+        raise FormatError(f"has chunks compressed with {compression!r}; zstd and lz4 can be read")
+    parts: list[bytes] = []
+    total = 0
+    try:
+        # In blocks: what precedes a damaged place is kept, and a bomb is left before it grows.
+        while total <= size and (part := stream.read(1 << 16)):
+            parts.append(part)
+            total += len(part)
+    except (zstd.ZstdError, RuntimeError, EOFError):
+        pass
+    return b"".join(parts)
+
+
+MAGIC = b"\x89MCAP0\r\n"
+_CHUNK, _LAST, _PRIVATE = 0x06, 0x0F, 0x80
+"""Numbers of records: none lies between the end of the data, the last, and private ones."""
+_HEAD = 9
+"""Bytes of number and size, with which a record begins."""
+
+
+class _McapReader:
+    """Reads the messages of one MCAP file from its start as far as it goes; its end may miss.
+
+    A record, and what a chunk holds when unpacked, may have `limit` bytes.
+    """
+
+    def __init__(self, path: Path, faults: list[str], limit: int) -> None:
+        self._library = optional_library("mcap.stream_reader", "MCAP files")
+        self._path, self._faults, self._limit = path, faults, limit
+        self._schemas: dict[int, tuple[str, str]] = {}
+        self._channels: dict[int, BagTopic] = {}
+        self._at, self._is_over = 0, False
+
+    def messages(self, options: FollowOptions | None) -> Iterator[RawMessage]:
+        """Yield the messages, and `NONE_YET` before more of a growing file is waited for."""
+        held, growing = bytearray(), options is not None
+        options = options or FollowOptions()
+        for block in byte_blocks(self._path, options, with_pauses=growing):
+            if not block:
+                yield NONE_YET
+            held += block
+            if not self._at and len(held) >= len(MAGIC):
+                _require_magic(held, MAGIC, "MCAP")
+                self._at = len(MAGIC)
+                del held[: self._at]
+            yield from self._whole_records(held)
+            if self._is_over:
+                return
+        if not self._at:
+            _require_magic(held, MAGIC, "MCAP")
+        # A growing file may end after any record, and anywhere if it is the user who stops.
+        if not growing or (held and not options.should_stop()):
+            self._faults.append("is cut short")
+        yield from self._piece_of_chunk(bytes(held))
+
+    def _whole_records(self, held: bytearray) -> Iterator[RawMessage]:
+        """Take the records that are there whole, since the parser cannot wait."""
+        while self._at and len(held) >= _HEAD:
+            end = self._end(held)
+            if not end:
+                self._is_over = True
+                self._faults.append(f"is damaged at byte {self._at}; what follows cannot be read")
+            if self._is_over or end > len(held):
+                return
+            record = self._record(bytes(held[:end]))
+            self._is_over = isinstance(record, self._library.DataEnd)
+            yield from self._wanted(record)
+            del held[:end]
+            self._at += end
+
+    def _piece_of_chunk(self, held: bytes) -> Iterator[RawMessage]:
+        """Yield the messages of a chunk that goes on after the end of the file."""
+        if len(held) > _HEAD and held[0] == _CHUNK:
+            missing = self._end(held) - len(held)
+            chunk = self._record(held + bytes(missing))
+            # The data are the last part of a chunk.
+            if chunk is not None and missing < len(chunk.data):
+                chunk.data = chunk.data[:-missing]
+                yield from self._chunk(chunk, is_whole=False)
+
+    def _end(self, held: bytes | bytearray) -> int:
+        """Return where a record ends, or 0: after a lost byte any bytes stand for one."""
+        opcode, size = held[0], int.from_bytes(held[1:_HEAD], "little")
+        if self._limit < size <= self._path.stat().st_size:
+            require_size(size, self._limit, "holds a record that")
+        is_known = 0 < opcode <= _LAST or opcode >= _PRIVATE
+        is_possible = is_known and size <= self._limit and (opcode != _LAST or size == 4)
+        return (_HEAD + size) * is_possible
+
+    def _parser(self, stream: io.BytesIO) -> Iterator[Any]:
+        return self._library.StreamReader(stream, skip_magic=True, emit_chunks=True).records
+
+    def _record(self, data: bytes) -> Any:
+        """Return a record; None for one of no known kind, or a damaged one."""
+        try:
+            return next(self._parser(io.BytesIO(data)), None)
+        except Exception:
+            # Damaged bytes end in whatever the parser runs into.
+            self._faults += ["has a damaged record"] * (data[0] < _PRIVATE)
+            return None
+
+    def _wanted(self, record: Any) -> Iterator[RawMessage]:
+        """Yield the messages in a record, and learn schemas and channels."""
+        library = self._library
+        if isinstance(record, library.Message):
+            topic = self._channels.get(record.channel_id)
+            if topic is None or record.log_time > _LATEST_NS:
+                self._faults[:] = dict.fromkeys((*self._faults, "has damaged messages"))
+            else:
+                yield RawMessage(topic, record.log_time, record.data)
+        elif isinstance(record, library.Chunk):
+            yield from self._chunk(record)
+        elif isinstance(record, library.Schema):
+            text = record.data.decode(errors="replace") if record.encoding == "ros2msg" else ""
+            self._schemas[record.id] = record.name, text
+        elif isinstance(record, library.Channel):
+            kind, text = self._schemas.get(record.schema_id, ("", ""))
+            self._channels[record.id] = BagTopic(record.topic, kind, record.message_encoding, text)
+
+    def _chunk(self, chunk: Any, *, is_whole: bool = True) -> Iterator[RawMessage]:
+        data, size = chunk.data, chunk.uncompressed_size
+        require_size(size, self._limit, "holds a chunk that")
+        if chunk.compression:
+            data = _unpacked(data, chunk.compression, size)[:size]
+        if is_whole and chunk.uncompressed_crc and crc32(data) != chunk.uncompressed_crc:
+            self._faults.append("has a chunk whose checksum is wrong, which was left out")
+            return
+        stream, done = io.BytesIO(data), 0
+        try:
+            for record in self._parser(stream):
+                done = stream.tell()
+                if not isinstance(record, self._library.Chunk):
+                    yield from self._wanted(record)
+        except Exception:
+            # So ends every chunk, since none has a footer.
+            if is_whole and done < size:
+                self._faults.append(
+                    f"has a damaged chunk, of which {done} of {size} bytes are right"
+                )
+
+
+def _require_magic(head: bytes | bytearray, magic: bytes, what: str) -> None:
+    if not head:
+        raise FormatError("is empty")
+    if not head.startswith(magic[: len(head)]):
+        raise FormatError(f"is not an {what} file: it does not begin as one")
+
+
+_SQLITE_MAGIC = b"SQLite format 3\x00"
+
+
+def _sqlite_messages(path: Path, faults: list[str]) -> Iterator[RawMessage]:
+    """Read an SQLite bag in order of recording; a damaged one is refused."""
+    path = path.resolve()
+    require_sqlite_name(path, "read")
+    with path.open("rb") as stream:
+        _require_magic(stream.read(len(_SQLITE_MAGIC)), _SQLITE_MAGIC, "SQLite")
+    journal = Path(f"{path}-wal")
+    if journal.exists() and journal.stat().st_size:
+        faults.append(
+            f"has messages in {journal.name} that are not read; add them with: "
+            f"sqlite3 {path.name} 'PRAGMA wal_checkpoint'"
+        )
+    rosbag2 = optional_library("rosbags.rosbag2", "ROS 2 bags")
+    apsw = optional_library("apsw", "ROS 2 bags")
+    try:
+        with rosbag2.Reader(path) as reader:
+            topics = {}
+            for found in reader.connections:
+                text = found.msgdef.data if found.msgdef.format.name == "MSG" else ""
+                encoding = str(found.ext.serialization_format)
+                topics[found.id] = BagTopic(found.topic, found.msgtype, encoding, text)
+                _require_type(str, found.topic, found.msgtype)
+            for connection, log_ns, data in reader.messages():
+                _require_type(int, log_ns)
+                _require_type(bytes, data)
+                yield RawMessage(topics[connection.id], log_ns, data)
+    except (FileAccessError, FormatError):
+        raise
+    except (
+        *(rosbag2.ReaderError, apsw.Error),
+        *(ValueError, TypeError, KeyError, AttributeError, MemoryError),
+    ) as error:
+        if "missing tables" in str(error):
+            raise FormatError("is not a bag: it has no tables messages and topics") from error
+        raise FormatError(
+            f"is cut short or damaged ({error}); its messages may be had with: "
+            f"sqlite3 {path.name} .recover | sqlite3 recovered.db3"
+        ) from error
+
+
+def _require_type(kind: type, *values: object) -> None:
+    # In SQLite any value may stand in any column.
+    for value in values:
+        if not isinstance(value, kind):
+            raise TypeError(f"{value!r:.40} where there should be {kind.__name__}")
+
+
+def require_sqlite_name(path: Path, verb: str) -> None:
+    """Refuse a path that rosbags would misread: it makes a URI of it, without quoting."""
+    if set("?#%") & set(str(path.absolute())) or not path.suffix.islower():
+        raise FileAccessError(
+            f"cannot {verb} {path}: a bag in an SQLite file needs a path without ?, # and %, and "
+            "the suffix .db3 in small letters; give another name, or use .mcap"
+        )
