@@ -129,9 +129,6 @@ def test_boundaries_release_fast_at_first_and_are_all_listed():
     assert interfaces(()) == ()
 
 
-# What a needle meets on its way.
-
-
 def advance(law, start_m, end_m, speed_m_s=SPEED):
     """Depths and forces along a stretch at constant speed, first sample one step in."""
     steps = max(round(abs(end_m - start_m) / (speed_m_s * 1e-3)), 1)
@@ -209,7 +206,7 @@ def test_withdrawal_is_the_friction_of_the_insertion_on_the_length_still_embedde
     assert (axial[depth < 0.0] == 0.0).all()
 
 
-def test_reinsertion_meets_friction_only_until_the_deepest_point():
+def test_reinsertion_meets_friction_only_until_the_deepest_point_and_cycles_dissipate():
     law = Tissue((gel(70),))
     advance(law, -1e-3, 20e-3)
     advance(law, 20e-3, 5e-3)
@@ -218,9 +215,7 @@ def test_reinsertion_meets_friction_only_until_the_deepest_point():
     assert (tip[depth < 20e-3 - UNLOADING_M - 1e-5] == 0.0).all()
     assert tip[depth > 20e-3 + 1e-5].min() > 0.5
     assert (np.abs(np.diff(tip)) < 0.02).all()
-
-
-def test_a_closed_cycle_inside_tissue_dissipates():
+    # A closed cycle inside tissue dissipates.
     law = Tissue((gel(70),))
     advance(law, -1e-3, 30e-3)
     work = 0.0
@@ -231,7 +226,7 @@ def test_a_closed_cycle_inside_tissue_dissipates():
     assert work > 0.0
 
 
-def test_rest_relaxes_the_tip_force_and_travel_restores_it():
+def test_rest_relaxes_the_force_as_the_recordings_show_and_travel_restores_it():
     layer = bovine_liver()
     law = Tissue((layer,))
     _, before = advance(law, -1e-3, 25e-3)
@@ -241,10 +236,7 @@ def test_rest_relaxes_the_tip_force_and_travel_restores_it():
     assert (np.diff(tips(resting)) <= 0.0).all()
     _, after = advance(law, 25e-3, 26.5e-3)
     assert after[-1].tip_N == pytest.approx(layer.tip_force_N(26.5e-3 - layer.entry_m), rel=0.02)
-
-
-def test_liver_at_rest_holds_the_fraction_the_recordings_show():
-    """De Jong 2017: at 85 mm the force falls to 0.37 (0.25-0.5) of itself within a minute."""
+    # De Jong 2017: at 85 mm the force falls to 0.37 (0.25-0.5) of itself within a minute.
     thick = replace(
         bovine_liver(), thickness_m=0.2, exit_force_N=0.01, stiffening=0.0, membrane=None
     )

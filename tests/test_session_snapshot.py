@@ -35,8 +35,7 @@ from urdf import NeedleTool, Payload, load_lwr
 CONFIGS = {"multilayer": MULTILAYER, "published": PUBLISHED}
 TARE = tare_index(short_run())
 IN_TISSUE = TARE + 4000
-BEYOND = 1500
-"""Ticks for which the resumed session is compared."""
+BEYOND = 1500  # ticks for which the resumed session is compared
 NAN_7 = [[7], "C", np.full(7, np.nan).tobytes()]
 ODD = [None, True, -1, 1.0, 1e300, "x", [], {}, np.nan, np.inf, [[1], "C", bytes(8)], NAN_7]
 ODD += [[[0, 2**60], "C", b""], [[3], "C", bytes(8)], [[1], "?", bytes(8)]]

@@ -133,7 +133,7 @@ class Robot:
         """Return the robot with rotor inertias added to the diagonal of its mass matrix.
 
         For arms whose torque is measured at the motor (the LWR measures behind the gear): as seen
-        at the joints, so times the gear ratio squared, not negative, shape (nv,).
+        at the joints, so times the gear ratio squared, shape (nv,); `InputError` if negative.
         """
         rotor = finite_array(rotor_inertia_kg_m2, (self.nv,), "rotor_inertia_kg_m2")
         if np.any(rotor < 0.0):
