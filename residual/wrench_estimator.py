@@ -70,9 +70,9 @@ def axial_force(
         Resistance to insertion [N]; 0 where nothing is seen.
     """
     information = float(weighted.dot(axial_jacobian)) + damping
-    corrected[:] = residual - offset
+    np.subtract(residual, offset, corrected)
     along = float(weighted.dot(corrected)) / information if information > 0.0 else 0.0
-    force[:] = axis * along
+    np.multiply(axis, along, force)
     return -along
 
 

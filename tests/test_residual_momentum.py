@@ -14,7 +14,7 @@ from residual import (
     SampleError,
     SigmoidFriction,
 )
-from residual.momentum_observer import BEFORE, step_weights
+from residual.momentum_observer import BEFORE, ROWS, set_step_weights
 from urdf import load_lwr
 
 numbers = st.floats(-100.0, 100.0)
@@ -27,8 +27,10 @@ def rows(momentum, coriolis, gravity, torque, residual=0.0):
 def step(before, after, gain, dt_s, alignment="trapezoid"):
     """Residual at the end of a tick, shape (n,), from rows as above at its start and its end."""
     known = np.concatenate((before, after[1:]))
-    # One weight a row, or one a row and joint.
-    return (step_weights(gain, dt_s, alignment).T * known).sum(axis=0)
+    gains = np.atleast_1d(np.asarray(gain, dtype=float))
+    weights = np.empty((len(gains), ROWS))
+    set_step_weights(weights, gains, dt_s, alignment == "hold")
+    return (weights.T * known).sum(axis=0)
 
 
 @given(
