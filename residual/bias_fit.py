@@ -45,13 +45,6 @@ def fit_tare(basis: BiasModel, blocks: TareBlocks) -> Tare:
     leaves beyond that is the sensors' waviness (torque ripple, hysteresis), a wave along each
     joint's position that comes back when the joint does. The second pass knows of it, so that
     waves do not pass for many independent samples of a slope.
-
-    Args:
-        basis: The linear model with its prior.
-        blocks: What was seen.
-
-    Returns:
-        The fitted tare.
     """
     design = np.stack(
         [
@@ -225,12 +218,8 @@ def explain_residual(
     At rest the residual of measured torques is ``g(q) - tau``: g(q) itself if gravity was taken out
     of tau before, 2 g(q) if tau has the other sign, minus g(q) if gravity was added twice.
 
-    Args:
-        basis: Model of the arm, with how large offsets are expected to be.
-        blocks: The motion.
-        is_external: Whether the residual is an estimate that the robot sends itself.
-        is_refused: Whether the tare is refused anyhow; a mass at the flange is looked for only
-            then, and the others only in a residual far beyond all offsets.
+    Only where the tare is refused anyhow, a mass at the flange is considered; otherwise, the others
+    only in a residual far beyond all offsets. ``is_external`` as in `check_free_of_contact`.
     """
     scale = basis.prior.offset_share * basis.effort_Nm
     residual = blocks.residual_Nm / scale

@@ -7,7 +7,7 @@ and its covariance says how far. The offset is subtracted from the observer's ou
 its integral, so that it does not fade.
 """
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Literal
 
 import numpy as np
@@ -91,14 +91,6 @@ class BiasModel:
     Columns in order: offset per joint; mass and first moments per link (static columns of the
     joint-torque regressor, [18]); hysteresis per joint; drift per joint; where gear ratios are
     known, ripple per joint. The constant kind has the first group only.
-
-    Args:
-        robot: The arm with its payload.
-        kind: See `TareKind`.
-        prior: How large each group may be.
-
-    Raises:
-        ConfigurationError: For an unknown kind.
     """
 
     def __init__(self, robot: Robot, kind: TareKind, prior: BiasPrior) -> None:
@@ -186,52 +178,32 @@ class BiasModel:
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class TareBlocks:
-    """Means over short blocks of free motion, one row each.
+    """Means over short blocks of free motion, one row each."""
 
-    Attributes:
-        q_rad: Positions, shape (m, n).
-        hysteresis: States of the torques' loops, -1 to 1, shape (m, loops, n), see
-            `residual.bias_estimator.play_operator`.
-        residual_Nm: Residuals before offset removal, shape (m, n).
-        age_s: Time relative to the end of the tare, <= 0, shape (m,).
-        scatter_Nm2: Variance of single residuals about their block's mean, shape (n,).
-    """
-
-    q_rad: Array
+    q_rad: Array  # Positions, shape (m, n)
+    # States of the torques' loops, -1 to 1, shape (m, loops, n), see
+    # `residual.bias_estimator.play_operator`
     hysteresis: Array
-    residual_Nm: Array
-    age_s: Array
-    scatter_Nm2: Array
+    residual_Nm: Array  # Residuals before offset removal, shape (m, n)
+    age_s: Array  # Time relative to the end of the tare, <= 0, shape (m,)
+    scatter_Nm2: Array  # Variance of single residuals about their block's mean, shape (n,)
 
     def split(self, count: int) -> tuple["TareBlocks", "TareBlocks"]:
         """The first ``count`` blocks and the others."""
-        return tuple(
-            TareBlocks(
-                q_rad=self.q_rad[part],
-                hysteresis=self.hysteresis[part],
-                residual_Nm=self.residual_Nm[part],
-                age_s=self.age_s[part],
-                scatter_Nm2=self.scatter_Nm2,
-            )
-            for part in (slice(None, count), slice(count, None))
-        )  # type: ignore[return-value]
+        names = ("q_rad", "hysteresis", "residual_Nm", "age_s")
+        early = {name: getattr(self, name)[:count] for name in names}
+        late = {name: getattr(self, name)[count:] for name in names}
+        return replace(self, **early), replace(self, **late)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class Tare:
-    """A fitted offset.
+    """A fitted offset; its arrays are read-only."""
 
-    Attributes:
-        basis: The linear model.
-        mean: Its parameters, shape (m,).
-        covariance: Of the parameters, shape (m, m).
-        noise_Nm2: Covariance of a single residual about the model, shape (n, n).
-    """
-
-    basis: BiasModel
-    mean: Array
-    covariance: Array
-    noise_Nm2: Array
+    basis: BiasModel  # The linear model
+    mean: Array  # Its parameters, shape (m,)
+    covariance: Array  # Of the parameters, shape (m, m)
+    noise_Nm2: Array  # Covariance of a single residual about the model, shape (n, n)
 
     def __post_init__(self) -> None:
         for array in (self.mean, self.covariance, self.noise_Nm2):

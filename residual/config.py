@@ -6,8 +6,7 @@ from typing import get_args
 from residual.bias_model import BiasPrior, TareKind
 from residual.errors import ConfigurationError
 from residual.input_validation import check_choice, check_positive, check_switch
-from residual.joint_friction import FrictionModel
-from residual.momentum_observer import ALIGNMENTS, Alignment
+from residual.momentum_observer import ALIGNMENTS, Alignment, FrictionModel
 from residual.tool_kinematics import check_offset, unit_axis
 from residual.velocity_estimator import check_bandwidth
 from residual.wrench_estimator import Axes, Mode, Weighting, check_expected

@@ -111,14 +111,7 @@ def first_match(q: Array, dq: Array) -> VelocityMatch:
 
 
 def velocity_match_step(match: VelocityMatch, q: Array, dq: Array, dt_s: float) -> VelocityMatch:
-    """Take the next check.
-
-    Args:
-        match: So far; it is left as it was.
-        q: Position [rad], shape (n,).
-        dq: Velocity [rad/s], shape (n,).
-        dt_s: Time since the last check [s], more than 0.
-    """
+    """The match after the next check, q [rad] and dq [rad/s], a time ``dt_s`` > 0 later."""
     way, way_dq = q - match.position, 0.5 * dt_s * (dq + match.velocity)
     rate = way / dt_s
     jump = np.abs(rate - match.rate).max()
@@ -152,11 +145,7 @@ def velocity_match_step(match: VelocityMatch, q: Array, dq: Array, dt_s: float) 
 
 
 def velocity_fault(match: VelocityMatch) -> str:
-    """What is wrong with velocities, joint by joint, with the likely reasons; empty if nothing is.
-
-    Args:
-        match: So far.
-    """
+    """What is wrong with velocities, joint by joint, with likely reasons; empty if nothing is."""
     own = match.squares.diagonal()
     differs = (match.beyond > LEAST_BEYOND**2 * own) & (match.seconds >= LEAST_SECONDS)
     if not differs.any():
@@ -241,12 +230,7 @@ class MonitorState(NamedTuple):
 
 
 class ConsistencyMonitor:
-    """Checks now and then what is too slow, and too costly, for every sample.
-
-    Args:
-        robot: Gives the position limits.
-        wrench: Of the estimates that are judged.
-    """
+    """Checks now and then what is too slow, and too costly, for every sample."""
 
     def __init__(self, robot: Robot, wrench: WrenchEstimator) -> None:
         self._lower = robot.position_lower_rad + LIMIT_MARGIN_RAD
@@ -290,11 +274,7 @@ class ConsistencyMonitor:
         self.restore(MonitorState(square, int(found), tuple(at_limit), match))
 
     def check_velocity(self) -> None:
-        """Refuse a tare with velocities that are not the rate of positions.
-
-        Raises:
-            VelocityError: With what is wrong with them.
-        """
+        """Refuse a tare with velocities that are not the rate of positions: a `VelocityError`."""
         if self.velocity_fault:
             raise VelocityError(self.velocity_fault + NO_TARE)
 

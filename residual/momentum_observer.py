@@ -6,7 +6,8 @@ low-pass of the external torque (paper, Section IV; Haddadin et al. 2017).
 """
 
 import math
-from typing import Any, Literal, NamedTuple
+from dataclasses import dataclass, field
+from typing import Any, Literal, NamedTuple, Protocol
 
 import numpy as np
 import pinocchio as pin
@@ -23,7 +24,6 @@ from residual.input_validation import (
     check_positive,
     read_joint_vector,
 )
-from residual.joint_friction import FrictionModel
 from urdf import Robot
 
 Array = NDArray[np.float64]
@@ -129,8 +129,108 @@ def momentum_step(
     rows[MOMENTUM:BEFORE] = rows[BEFORE:]
 
 
+_MOST_EXPONENT = 700.0
+"""Its exponential is a float still, and the sigmoid there is zero for any purpose."""
+
+
+class FrictionModel(Protocol):
+    """Anything that gives the friction torque of every joint at a velocity."""
+
+    def torque(self, dq: NDArray[np.float64]) -> NDArray[np.float64]:
+        """Torque that opposes the motion [Nm], shape (n,), at velocity ``dq`` [rad/s]."""
+        ...
+
+
+def _frozen_vectors(owner: object, names: tuple[str, ...]) -> None:
+    """Store each named field as a read-only float copy; all of one length."""
+    sizes = set()
+    for name in names:
+        given = getattr(owner, name)
+        try:
+            array = np.full(0, np.nan) if np.iscomplexobj(given) else np.array(given, dtype=float)
+        except (TypeError, ValueError, OverflowError):
+            array = np.full(0, np.nan)
+        array = np.atleast_1d(array)
+        if array.ndim != 1 or array.size == 0 or not np.isfinite(array).all():
+            raise ConfigurationError(f"{name} must be one finite number per joint, got {given!r}")
+        array.setflags(write=False)
+        object.__setattr__(owner, name, array)
+        sizes.add(array.size)
+    if len(sizes) > 1:
+        raise ConfigurationError(f"{', '.join(names)} differ in length: {sorted(sizes)}")
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class JointFriction:
+    """Viscous and Coulomb friction with a smooth reversal, plus a constant offset.
+
+    ``tau_f = viscous * dq + coulomb * tanh(dq / reversal_speed) + offset``
+
+    Attributes:
+        viscous_Nms: Viscous coefficient per joint [Nm s/rad].
+        coulomb_Nm: Coulomb level per joint [Nm].
+        offset_Nm: Constant per joint [Nm].
+        reversal_speed_rad_s: Speed over which Coulomb friction changes sign [rad/s].
+
+    Raises:
+        ConfigurationError: If lengths differ, a number is not finite, a viscous or Coulomb
+            coefficient is negative, or the reversal speed is not positive.
+    """
+
+    viscous_Nms: NDArray[np.float64]
+    coulomb_Nm: NDArray[np.float64]
+    offset_Nm: NDArray[np.float64]
+    reversal_speed_rad_s: float = 0.01
+
+    def __post_init__(self) -> None:
+        _frozen_vectors(self, ("viscous_Nms", "coulomb_Nm", "offset_Nm"))
+        if (self.viscous_Nms < 0).any() or (self.coulomb_Nm < 0).any():
+            raise ConfigurationError("viscous_Nms and coulomb_Nm must not be negative")
+        check_positive("reversal_speed_rad_s", self.reversal_speed_rad_s)
+
+    def torque(self, dq: NDArray[np.float64]) -> NDArray[np.float64]:
+        """Friction torque opposing the motion [Nm], shape (n,)."""
+        smooth_sign = np.tanh(dq / self.reversal_speed_rad_s)
+        return self.viscous_Nms * dq + self.coulomb_Nm * smooth_sign + self.offset_Nm
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class SigmoidFriction:
+    """The Franka Panda's friction as identified by Gaz et al., RA-L 2019.
+
+    ``tau_f = A / (1 + exp(-alpha (dq + s))) - A / (1 + exp(-alpha s))``: zero at rest, with a
+    level that may differ between the two directions.
+
+    Attributes:
+        amplitude_Nm: A per joint [Nm].
+        slope_s_rad: alpha per joint [s/rad].
+        shift_rad_s: s per joint [rad/s].
+
+    Raises:
+        ConfigurationError: If lengths differ or a number is not finite.
+    """
+
+    amplitude_Nm: NDArray[np.float64]
+    slope_s_rad: NDArray[np.float64]
+    shift_rad_s: NDArray[np.float64]
+    _level_at_rest: NDArray[np.float64] = field(init=False, repr=False)
+
+    def __post_init__(self) -> None:
+        _frozen_vectors(self, ("amplitude_Nm", "slope_s_rad", "shift_rad_s"))
+        object.__setattr__(self, "_level_at_rest", self._sigmoid(self.shift_rad_s))
+
+    def torque(self, dq: NDArray[np.float64]) -> NDArray[np.float64]:
+        """Friction torque opposing the motion [Nm], shape (n,)."""
+        return self.amplitude_Nm * (self._sigmoid(dq + self.shift_rad_s) - self._level_at_rest)
+
+    def _sigmoid(self, speed: NDArray[np.float64]) -> NDArray[np.float64]:
+        """The sigmoid, 0 to 1."""
+        exponent = -self.slope_s_rad * speed
+        return 1.0 / (1.0 + np.exp(np.minimum(exponent, _MOST_EXPONENT)))
+
+
 class MomentumTerms:
-    """Dynamics of one robot, straight from Pinocchio.
+    """Dynamics of one robot, straight from Pinocchio, and its joint friction.
 
     Rotor inertia, where an arm needs it (motor-current torque), is part of the robot's model
     (`Robot.with_armature`); on the LWR, whose torque is measured behind the gear, it is zero.
@@ -138,8 +238,7 @@ class MomentumTerms:
     Attributes:
         data: Workspace; joint placements and Jacobians of the latest call stand in it.
 
-    Raises:
-        ConfigurationError: If the friction model is of another number of joints.
+    A friction model of another number of joints is refused.
     """
 
     def __init__(self, robot: Robot, friction: FrictionModel | None = None) -> None:
@@ -294,9 +393,6 @@ class MomentumObserver:
             velocity_noise_rad_s: Standard deviation of ``dq`` per joint [rad/s], shape (n,).
             q: Configuration about which the arm will move [rad], shape (n,): its inertia turns
                 noise of velocity into noise of momentum.
-
-        Raises:
-            SampleError: For a wrong shape or a number that is not finite.
         """
         noise = check_joint_vector("velocity_noise_rad_s", velocity_noise_rad_s, self._joints)
         q = check_joint_vector("q", q, self._joints)
