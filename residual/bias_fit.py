@@ -30,7 +30,7 @@ MOST_LEFT, MOST_LEFT_BY_A_MASS = 0.2, 0.6
 """Fraction of the residual, root mean square, that an explanation may leave over; offsets of the
 torque sensors are among it."""
 LEAST_OFFSETS = 3.0
-"""Residual in standard deviations of the offset's prior from which one is looked for unasked."""
+"""Residual, in standard deviations of the offset's prior, beyond which a cause is always sought."""
 NEAR = 0.15
 """So near to a factor with a reason a factor is that one."""
 OFFSET_BLOCKS = 10.0
@@ -171,8 +171,8 @@ def check_free_of_contact(
         is_external: Whether the residual is an estimate that the robot sends itself.
 
     Raises:
-        TareError: If there is contact, with the force seen, or wrong torques, with what they look
-            like.
+        TareError: If there is contact, with the force seen, or wrong torques, with the likely
+            reason.
     """
     force, std = _worst_excess(prior, blocks, wrench, contact_force_N)
     for fraction in SPLITS:
@@ -213,7 +213,7 @@ def _worst_excess(
 def explain_residual(
     basis: BiasModel, blocks: TareBlocks, *, is_external: bool, is_refused: bool
 ) -> str:
-    """What a residual that is no free motion's looks like; empty if like nothing known.
+    """The likely cause of a residual that is not that of free motion; empty if unknown.
 
     At rest the residual of measured torques is ``g(q) - tau``: g(q) itself if gravity was taken out
     of tau before, 2 g(q) if tau has the other sign, minus g(q) if gravity was added twice.
@@ -221,7 +221,7 @@ def explain_residual(
     Only where the tare is refused anyhow, a mass at the flange is considered; otherwise, the others
     only in a residual far beyond all offsets. ``is_external`` as in `check_free_of_contact`.
     """
-    scale = basis.prior.offset_share * basis.effort_Nm
+    scale = basis.prior.offset_fraction * basis.effort_Nm
     residual = blocks.residual_Nm / scale
     size = _rms(residual)
     if size == 0.0 or not (is_refused or size > LEAST_OFFSETS):

@@ -28,28 +28,28 @@ error of every link's mass and first moments, of the sensors' hysteresis and of 
 class BiasPrior:
     """Standard deviations of what the tare fits, before it has seen data.
 
-    They are properties of a class of arms, not of one recording; a share is a fraction of each
+    They are properties of a class of arms, not of one recording; fractions are of each
     joint's effort limit, the range of its torque sensor.
 
     Attributes:
-        offset_share: Constant offset. 1 %: joint-torque sensors of the LWR kind start with
+        offset_fraction: Constant offset. 1 %: joint-torque sensors of the LWR kind start with
             0.1 to 1 Nm on joints of 100 to 176 Nm.
-        mass_share: Error of a link's mass, as a fraction of it. 5 %: two published CAD-grade tables
-            of one arm differ by that much.
+        mass_fraction: Error of a link's mass, as a fraction of it. 5 %: two published CAD-grade
+            tables of one arm differ by that much.
         com_m: Error of a link's centre of mass [m]. 5 mm, after the same two tables.
-        hysteresis_share: Hysteresis of the torque sensor, per loop of `hysteresis_widths`. 0.01 %:
-            well within the 0.5 % linearity such sensors are sold with.
+        hysteresis_fraction: Hysteresis of the torque sensor, per loop of `hysteresis_widths`.
+            0.01 %: well within the 0.5 % linearity such sensors are sold with.
         hysteresis_widths: Half widths of the loops, as fractions of range: a Prandtl-Ishlinskii
             model, since the width of a loop is not known beforehand.
-        ripple_share: Amplitude of the ripple of a joint with a known `gear_ratio`.
+        ripple_fraction: Amplitude of the ripple of a joint with a known `gear_ratio`.
         gear_ratio: Of the harmonic drive of each joint, if known: its torque sensor's ripple then
             goes with twice the motor angle, and is fitted. Empty if unknown.
         wave_rad: Length over which a torque sensor's own waviness changes [rad]. A harmonic drive
             of 160:1 has a ripple of period pi/160 = 0.02 rad: a quarter of that.
-        drift_share_per_min: Linear drift. 0.01 % a minute, as strain gauges warm up (an ATI Mini45
-            was seen to drift 0.04 % of its range in 4 minutes).
-        walk_share_per_sqrt_min: Random walk beside it.
-        resolution_share: What no torque sensor resolves; keeps the weights of joints sensible on
+        drift_fraction_per_min: Linear drift. 0.01 % a minute, as strain gauges warm up (an ATI
+            Mini45 was seen to drift 0.04 % of its range in 4 minutes).
+        walk_fraction_per_sqrt_min: Random walk beside it.
+        resolution_fraction: What no torque sensor resolves; keeps the weights of joints sensible on
             signals without noise. 0.001 %.
         fallback_effort_Nm: Stands in where a description gives no effort limit [Nm].
 
@@ -57,17 +57,17 @@ class BiasPrior:
         ConfigurationError: If a number is not finite and positive.
     """
 
-    offset_share: float = 0.01
-    mass_share: float = 0.05
+    offset_fraction: float = 0.01
+    mass_fraction: float = 0.05
     com_m: float = 0.005
-    hysteresis_share: float = 1e-4
+    hysteresis_fraction: float = 1e-4
     hysteresis_widths: tuple[float, ...] = (5e-5, 1e-4, 2e-4)
-    ripple_share: float = 2e-4
+    ripple_fraction: float = 2e-4
     gear_ratio: tuple[float, ...] = ()
     wave_rad: float = 5e-3
-    drift_share_per_min: float = 1e-4
-    walk_share_per_sqrt_min: float = 3e-5
-    resolution_share: float = 1e-5
+    drift_fraction_per_min: float = 1e-4
+    walk_fraction_per_sqrt_min: float = 3e-5
+    resolution_fraction: float = 1e-5
     fallback_effort_Nm: float = 100.0
 
     def __post_init__(self) -> None:
@@ -127,19 +127,19 @@ class BiasModel:
     def _prior_std(self) -> Array:
         prior, effort = self.prior, self.effort_Nm
         if self.kind == "constant":
-            return 100.0 * prior.offset_share * effort
+            return 100.0 * prior.offset_fraction * effort
         links = []
         for inertia in list(self._model.inertias)[1:]:
             mass = max(inertia.mass, 1e-3)
-            moment = mass * np.hypot(prior.com_m, prior.mass_share * np.abs(inertia.lever))
-            links += [prior.mass_share * mass, *moment]
+            moment = mass * np.hypot(prior.com_m, prior.mass_fraction * np.abs(inertia.lever))
+            links += [prior.mass_fraction * mass, *moment]
         return np.concatenate(
             [
-                prior.offset_share * effort,
+                prior.offset_fraction * effort,
                 links,
-                *(self.loops * [prior.hysteresis_share * effort]),
-                prior.drift_share_per_min / 60.0 * effort,
-                *([] if self.ripple_per_rad is None else 2 * [prior.ripple_share * effort]),
+                *(self.loops * [prior.hysteresis_fraction * effort]),
+                prior.drift_fraction_per_min / 60.0 * effort,
+                *([] if self.ripple_per_rad is None else 2 * [prior.ripple_fraction * effort]),
             ]
         )
 
@@ -168,11 +168,11 @@ class BiasModel:
 
     def resolution_variance(self) -> Array:
         """Least variance of a residual [Nm^2], shape (n,)."""
-        return np.square(self.prior.resolution_share * self.effort_Nm)
+        return np.square(self.prior.resolution_fraction * self.effort_Nm)
 
     def walk_variance(self, age_s: float) -> Array:
         """Variance that the random walk has added since the tare [Nm^2], shape (n,)."""
-        walk = self.prior.walk_share_per_sqrt_min * self.effort_Nm
+        walk = self.prior.walk_fraction_per_sqrt_min * self.effort_Nm
         return walk**2 * (max(age_s, 0.0) / 60.0)
 
 

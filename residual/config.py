@@ -21,7 +21,7 @@ class SensorConfig:
         alignment: How torque fills a tick: ``trapezoid`` for a sampled sensor, ``hold`` for a
             command held until the next sample.
         velocity_bandwidth_per_s: Of the velocity estimate used when ``dq`` is None [1/s].
-        smooth_momentum: Quieten the momentum of an arm that hardly accelerates, see
+        smooth_momentum: Smooth the momentum of an arm that hardly accelerates, see
             `residual.momentum_observer.momentum_step`.
         friction: Joint friction between torque sensor and link, if any is modelled.
         mode: What is assumed of the contact.

@@ -33,14 +33,14 @@ LEAST_TRAVEL_RAD = 0.015
 """Ten steps of a very coarse encoder; a stroke in air of 60 mm makes thrice as much."""
 DQ_RATIO = 20.0
 """So many times that travel by dq alone is used too, whatever q does."""
-HONEST_LAG_S = 0.03
+TOLERATED_LAG_S = 0.03
 """A filtered velocity is late by 20 ms, a held one by ten; the same may hold for a position."""
-HONEST_RAD = 0.02
+TOLERATED_RAD = 0.02
 """A vibration of 50 Hz, seen every 20 ms, seems a velocity; 6 rad/s^2 of it make this travel."""
 LEAST_SECONDS = 1.0
 """Of motion, before anything is reported."""
 LEAST_BEYOND = 0.01
-"""Root mean square difference beyond what is honest that is judged, relative to the travel."""
+"""Root mean square difference beyond what is tolerated that is judged, relative to the travel."""
 
 FACTORS = {
     math.degrees(1.0): "is it in deg/s?",
@@ -123,12 +123,12 @@ def velocity_match_step(match: VelocityMatch, q: Array, dq: Array, dt_s: float) 
     moves = np.maximum(DQ_RATIO * np.abs(a), np.abs(b)) > DQ_RATIO * LEAST_TRAVEL_RAD
     if not moves.any():
         return match._replace(position=q, velocity=dq, rate=rate, travel=a, travel_dq=b)
-    honest = HONEST_RAD + HONEST_LAG_S / dt_s * np.maximum(np.abs(way), np.abs(way_dq))
+    tolerated = TOLERATED_RAD + TOLERATED_LAG_S / dt_s * np.maximum(np.abs(way), np.abs(way_dq))
     change = (a - match.travel) / dt_s
     others = a[:, None]
     terms = (
         np.ones(len(q)),
-        np.maximum(np.abs(b - a) - honest, 0.0) ** 2,
+        np.maximum(np.abs(b - a) - tolerated, 0.0) ** 2,
         b * b,
         change * change,
         change * a,

@@ -70,7 +70,7 @@ class WrenchEstimate(NamedTuple):
             6 force and torque; in the estimator's axes.
         conditioning: Ratio of the largest to the smallest standard deviation over directions in
             the estimated space; 1e6 where a direction cannot be seen.
-        damping_share: Fraction of each true component that damping removes, 0 to 1, shape (k,).
+        damping_fraction: Fraction of each true component that damping removes, 0 to 1, shape (k,).
         residual: External joint torque after offset removal [Nm], shape (n,), read-only.
         status: Whether it may be used.
         message: The reason, when the status is not OK or there is a warning.
@@ -86,7 +86,7 @@ class WrenchEstimate(NamedTuple):
     torque: NDArray[np.float64]
     covariance: NDArray[np.float64]
     conditioning: float
-    damping_share: NDArray[np.float64]
+    damping_fraction: NDArray[np.float64]
     residual: NDArray[np.float64]
     status: Status = Status.OK
     message: str = ""

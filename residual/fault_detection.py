@@ -145,7 +145,7 @@ class OutlierGate:
         return (np.abs(off) > gate).reshape(-1, n)
 
     def sweep(self, swept_rad: Array | None, velocity: Array, dt_s: float, held_s: float) -> Array:
-        """Way that positions may owe after one more sample in which they repeated [rad].
+        """Travel that positions may lag by after one more sample in which they repeated [rad].
 
         A source of positions that is slower than the clock makes up for it in one step. They have
         repeated for ``held_s``, with ``swept_rad`` after the sample before, None if that was new.
@@ -196,7 +196,7 @@ class GuardState:
     is_loaded: bool = False  # Whether a torque was near its limit at that check
     warning: str = ""  # What seemed frozen at that check
     held_s: float = 0.0  # Time for which positions have repeated now [s]
-    # Way that they may owe meanwhile [rad], shape (n,); None if they do not repeat
+    # Travel that they may lag by meanwhile [rad], shape (n,); None if they do not repeat
     swept: Array | None = None
 
 

@@ -387,7 +387,7 @@ class MomentumObserver:
         return rows[0].copy()
 
     def smooth_momentum(self, velocity_noise_rad_s: Array, q: Array) -> None:
-        """From now on quieten the momentum of an arm that hardly accelerates, see `momentum_step`.
+        """From now on smooth the momentum of an arm that hardly accelerates, see `momentum_step`.
 
         Args:
             velocity_noise_rad_s: Standard deviation of ``dq`` per joint [rad/s], shape (n,).

@@ -187,7 +187,7 @@ class JointStream(SampleStream):
         return _new(TorqueSample, (q, dq, tau, residual, settled, self._data))
 
     def _learn_noise(self, probe: NoiseProbe, signal: Array, q: Array, dt_s: float) -> None:
-        """Learn the velocity's noise from the first samples, then quieten the momentum."""
+        """Learn the velocity's noise from the first samples, then smooth the momentum."""
         noise = probe.add(signal, dt_s)
         if noise is not None:
             if self._velocity is not None:

@@ -56,7 +56,7 @@ def _arrays(node: Any, place: str = "") -> Iterator[tuple[str, NDArray[Any]]]:
 
 
 def check_form(state: object, model: object) -> None:
-    """Compare the shapes of all arrays of a state with those of a sound one of the same sensor.
+    """Compare the shapes of all arrays of a state with those of a valid one of the same sensor.
 
     Raises:
         SnapshotError: With the array that differs, or what is missing.

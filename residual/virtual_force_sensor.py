@@ -178,7 +178,7 @@ class VirtualForceSensor:
 
         Raises:
             TareError: Without data, a second time without `start_tare_recording`, with contact in
-                sight, with torques that look like a wrong sign, order, payload or treatment of
+                sight, with torques that suggest a wrong sign, order, payload or treatment of
                 gravity, or velocities that do not fit positions; nothing has then changed.
         """
         if not ignore_contact:

@@ -32,7 +32,7 @@ class AxialWeights(NamedTuple):
 
     weighted: Array  # W a, a the torque per newton; shape (n,)
     variance_N2: float  # Of the axial force
-    damping_share: float  # Fraction of it that damping removes
+    damping_fraction: float  # Fraction of it that damping removes
     conditioning: float  # See `WrenchEstimate`
 
 
@@ -92,7 +92,7 @@ def weighted_inverse(
 
     Returns:
         x, its covariance, shape (k, k), with `UNSEEN_STD` squared on the diagonal where x cannot be
-        seen, ``conditioning`` and ``damping_share`` of `WrenchEstimate`.
+        seen, ``conditioning`` and ``damping_fraction`` of `WrenchEstimate`.
     """
     weighted = jacobian.dot(precision)
     information = weighted.dot(jacobian.T)
@@ -235,7 +235,7 @@ class WrenchEstimator:
         """Go on with weights of an earlier time."""
         self._weights = weights
         self._std = math.sqrt(weights.variance_N2)
-        numbers = np.array((weights.variance_N2, weights.damping_share))
+        numbers = np.array((weights.variance_N2, weights.damping_fraction))
         numbers.setflags(write=False)
         self._spread, self._removed = numbers[:1, None], numbers[1:]
 
