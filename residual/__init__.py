@@ -16,9 +16,13 @@ from residual.errors import (
     TareError,
 )
 from residual.estimate import SensorWarning, Status, WrenchEstimate
-from residual.joint_friction import FrictionModel, JointFriction, SigmoidFriction
 from residual.kalman_observer import KalmanObserver
-from residual.momentum_observer import MomentumObserver
+from residual.momentum_observer import (
+    FrictionModel,
+    JointFriction,
+    MomentumObserver,
+    SigmoidFriction,
+)
 from residual.velocity_estimator import VelocityEstimator
 from residual.virtual_force_sensor import SensorState, VirtualForceSensor
 from residual.wrench_estimator import WrenchEstimator

@@ -1,7 +1,7 @@
 """Keeps the tare: records free motion, fits, subtracts, and says how far it may be trusted."""
 
 from dataclasses import dataclass
-from typing import NamedTuple
+from typing import NamedTuple, Self
 
 import numpy as np
 from numpy.typing import NDArray
@@ -30,22 +30,19 @@ def play_operator(state: Array, change: Array, half_width: Array) -> Array:
     """+1 once a signal has risen by the loop's width, -1 once it has fallen by it.
 
     It remembers at rest, as strain gauges do: friction of a joint would depend on its velocity,
-    the hysteresis of its torque sensor depends on the torque.
-
-    Args:
-        state: Before the change, -1 to 1, shape (loops, n).
-        change: Of the signal, shape (n,).
-        half_width: Half of each loop's width, in the signal's unit, shape (loops, n).
-
-    Returns:
-        State after the change, -1 to 1, shape (loops, n).
+    the hysteresis of its torque sensor depends on the torque. States, -1 to 1, and half widths, in
+    the signal's unit, have the shape (loops, n), the change of the signal (n,).
     """
     return np.minimum(np.maximum(state + change / half_width, -1.0), 1.0)
 
 
 @dataclass(slots=True, eq=False)
-class RecorderState:
-    """All that a `TareRecorder` remembers."""
+class TareRecorder:
+    """Means of residual, position and hysteresis state over short blocks of free motion.
+
+    Memory is bounded: once there are `MOST_BLOCKS`, pairs of neighbours in the older half become
+    one; the latest blocks stay short.
+    """
 
     means: Array  # Of every block: position, residual, hysteresis; shape (m, 2 + loops, n)
     time_s: Array  # Middle of every block [s], shape (m,)
@@ -56,125 +53,76 @@ class RecorderState:
     summed: int = 0  # Number of its samples
     age_s: float = 0.0  # Its length so far [s]
 
-
-class TareRecorder:
-    """Means of residual, position and hysteresis state over short blocks of free motion.
-
-    Memory is bounded: once there are `MOST_BLOCKS`, pairs of neighbours in the older half become
-    one; the latest blocks stay short.
-
-    Args:
-        joints: Number of joints.
-        loops: Number of hysteresis loops.
-        block_s: Length of a block [s]; longer than the observer's lag, so that blocks are nearly
-            independent.
-    """
-
-    def __init__(self, joints: int, loops: int, block_s: float) -> None:
-        self._shape = (2 + loops, joints)
-        self._block_s = block_s
-        self.clear()
-
-    def clear(self) -> None:
-        """Forget all blocks."""
-        shape, n = self._shape, self._shape[1]
-        self._memory = RecorderState(
+    @classmethod
+    def of_size(cls, joints: int, loops: int) -> Self:
+        """Nothing recorded yet."""
+        shape = (2 + loops, joints)
+        return cls(
             means=np.zeros((0, *shape)),
             time_s=np.zeros(0),
-            scatter=np.zeros((0, n)),
+            scatter=np.zeros((0, joints)),
             samples=(),
             sums=np.zeros(shape),
-            squares=np.zeros(n),
+            squares=np.zeros(joints),
         )
 
     @property
     def is_empty(self) -> bool:
-        """Whether nothing has been recorded since `clear`."""
-        return not (self._memory.samples or self._memory.summed)
+        """Whether nothing has been recorded."""
+        return not (self.samples or self.summed)
 
-    def add(self, q: Array, loops: Array, residual: Array, time_s: float, dt_s: float) -> None:
-        """Add one sample.
+    def add(self, q: Array, loops: Array, residual: Array, dt_s: float) -> None:
+        """Add position [rad], hysteresis state and residual [Nm] a time after the last ones."""
+        self.sums[0] += q
+        self.sums[1] += residual
+        self.sums[2:] += loops
+        self.squares += residual * residual
+        self.summed += 1
+        self.age_s += dt_s
 
-        Args:
-            q: Position [rad], shape (n,).
-            loops: Hysteresis state of the torques, shape (loops, n).
-            residual: Before offset removal [Nm], shape (n,).
-            time_s: Its time [s].
-            dt_s: Time since the sample before [s].
-        """
-        memory = self._memory
-        memory.sums[0] += q
-        memory.sums[1] += residual
-        memory.sums[2:] += loops
-        memory.squares += residual * residual
-        memory.summed += 1
-        memory.age_s += dt_s
-        if memory.age_s >= self._block_s - ROUNDING_S:
-            self._close_block(time_s - 0.5 * memory.age_s)
-
-    def _close_block(self, middle_s: float) -> None:
-        memory = self._memory
-        means = memory.sums / memory.summed
-        scatter = np.maximum(memory.squares / memory.summed - means[1] ** 2, 0.0)
-        memory.means = np.concatenate((memory.means, means[None]))
-        memory.time_s = np.append(memory.time_s, middle_s)
-        memory.scatter = np.concatenate((memory.scatter, scatter[None]))
-        memory.samples = (*memory.samples, memory.summed)
-        memory.sums, memory.squares = np.zeros_like(memory.sums), np.zeros_like(memory.squares)
-        memory.summed, memory.age_s = 0, 0.0
-        if len(memory.samples) >= MOST_BLOCKS:
+    def close_block(self, now_s: float) -> None:
+        """End the open block; the next sample begins another."""
+        means = self.sums / self.summed
+        scatter = np.maximum(self.squares / self.summed - means[1] ** 2, 0.0)
+        self.means = np.concatenate((self.means, means[None]))
+        self.time_s = np.append(self.time_s, now_s - 0.5 * self.age_s)
+        self.scatter = np.concatenate((self.scatter, scatter[None]))
+        self.samples = (*self.samples, self.summed)
+        self.sums, self.squares = np.zeros_like(self.sums), np.zeros_like(self.squares)
+        self.summed, self.age_s = 0, 0.0
+        if len(self.samples) >= MOST_BLOCKS:
             self._merge_older()
 
     def _merge_older(self) -> None:
-        memory, half = self._memory, MOST_BLOCKS // 2
+        half = MOST_BLOCKS // 2
         first, second = slice(0, half, 2), slice(1, half, 2)
-        counts = np.array(memory.samples[:half])
+        counts = np.array(self.samples[:half])
         count = counts[::2] + counts[1::2]
         a, b = counts[::2] / count, counts[1::2] / count
-        means, scatter, time_s = memory.means, memory.scatter, memory.time_s
+        means, scatter, time_s = self.means, self.scatter, self.time_s
         between = (a * b)[:, None] * (means[first, 1] - means[second, 1]) ** 2
         merged = a[:, None, None] * means[first] + b[:, None, None] * means[second]
         spread = a[:, None] * scatter[first] + b[:, None] * scatter[second] + between
-        memory.means = np.concatenate((merged, means[half:]))
-        memory.scatter = np.concatenate((spread, scatter[half:]))
-        memory.time_s = np.append(a * time_s[first] + b * time_s[second], time_s[half:])
-        memory.samples = (*count.tolist(), *memory.samples[half:])
+        self.means = np.concatenate((merged, means[half:]))
+        self.scatter = np.concatenate((spread, scatter[half:]))
+        self.time_s = np.append(a * time_s[first] + b * time_s[second], time_s[half:])
+        self.samples = (*count.tolist(), *self.samples[half:])
 
     def blocks(self, now_s: float, window_s: float | None = None) -> TareBlocks:
-        """What was recorded, or the last ``window_s`` of it [s]; at least one block.
-
-        Raises:
-            TareError: If there is not a single block.
-        """
-        memory = self._memory
-        if not memory.samples:
-            raise TareError(
-                f"no settled free motion has been recorded (less than {self._block_s:g} s of it); "
-                "update() the sensor without contact first, in steps no longer than max_gap_s, "
-                "then tare()"
-            )
-        kept = np.ones(len(memory.samples), dtype=bool)
+        """What was recorded, or the last ``window_s`` of it [s]; there must be a block."""
+        kept = np.ones(len(self.samples), dtype=bool)
         if window_s is not None:
-            kept = now_s - memory.time_s <= window_s
+            kept = now_s - self.time_s <= window_s
             kept[-1] = True
-        means = memory.means[kept]
+        means = self.means[kept]
         return TareBlocks(
             q_rad=means[:, 0],
             hysteresis=means[:, 2:],
             residual_Nm=means[:, 1],
-            age_s=memory.time_s[kept] - now_s,
+            age_s=self.time_s[kept] - now_s,
             # The median, so that a knock in one block does not pass for noise in all.
-            scatter_Nm2=np.median(memory.scatter[kept], axis=0),
+            scatter_Nm2=np.median(self.scatter[kept], axis=0),
         )
-
-    @property
-    def state(self) -> RecorderState:
-        """All that is remembered, as copies."""
-        return copied(self._memory)
-
-    def restore(self, state: RecorderState) -> None:
-        """Go on from a `state` taken earlier."""
-        self._memory = copied(state)
 
 
 class TareNumbers(NamedTuple):
@@ -189,7 +137,7 @@ class TareNumbers(NamedTuple):
 class BiasState:
     """All that a `BiasEstimator` remembers."""
 
-    recorder: RecorderState  # Free motion recorded for the next tare
+    recorder: TareRecorder  # Free motion recorded for the next tare
     hysteresis: Array  # State of the torques' loops, shape (loops, n)
     torque_sum: Array  # Of the torques since the last renewal [Nm], shape (n,)
     bias: Array  # Offset that is subtracted [Nm], shape (n,)
@@ -213,10 +161,6 @@ class BiasEstimator:
 
     Until the first `tare` the prior stands in: no offset, a large covariance.
 
-    Args:
-        robot: The arm with its payload.
-        config: Settings of the sensor.
-
     Attributes:
         memory: All that it remembers, for whoever reads it every tick: not to be written.
     """
@@ -233,9 +177,7 @@ class BiasEstimator:
     def __init__(self, robot: Robot, config: SensorConfig) -> None:
         self._config = config
         self._basis = BiasModel(robot, config.tare, config.prior)
-        self._recorder = TareRecorder(
-            robot.nv, self._basis.loops, self.BLOCK_LAGS / config.slowest_gain_per_s
-        )
+        self._block_s = self.BLOCK_LAGS / config.slowest_gain_per_s
         self._joints = robot.nv
         self.reset()
 
@@ -249,7 +191,7 @@ class BiasEstimator:
     @property
     def is_fresh(self) -> bool:
         """Whether neither tare nor recorded motion is of any use now."""
-        return not self.memory.tared and self._recorder.is_empty
+        return not self.memory.tared and self.memory.recorder.is_empty
 
     def follow(self, q: Array, tau: Array, dt_s: float) -> bool:
         """Follow position [rad], torque [Nm], both kept, not copied, and time since the last [s].
@@ -265,7 +207,7 @@ class BiasEstimator:
             if not self.is_fresh:
                 memory.leapt_s += dt_s
             if not memory.tared:
-                self._recorder.clear()
+                self._clear_recorder()
         self._torques.append(tau)
         if len(self._torques) >= MOST_TORQUES:  # a clock of nanoseconds
             self._sum_torques()
@@ -301,7 +243,13 @@ class BiasEstimator:
         """Record one settled residual [Nm] of free motion; ignored once tared."""
         memory = self.memory
         if not memory.tared:
-            self._recorder.add(memory.q, memory.hysteresis, residual, memory.now_s, dt_s)
+            recorder = memory.recorder
+            recorder.add(memory.q, memory.hysteresis, residual, dt_s)
+            if recorder.age_s >= self._block_s - ROUNDING_S:
+                recorder.close_block(memory.now_s)
+
+    def _clear_recorder(self) -> None:
+        self.memory.recorder = TareRecorder.of_size(self._joints, self._basis.loops)
 
     def covariance_Nm2(self) -> Array:
         """Covariance of the corrected residual here and now [Nm^2], shape (n, n)."""
@@ -314,12 +262,7 @@ class BiasEstimator:
     def tare(
         self, wrench: WrenchEstimator, *, ignore_contact: bool, is_external: bool = False
     ) -> Tare:
-        """Fit the offset to what was recorded.
-
-        Args:
-            wrench: Reads axial force, to look for contact.
-            ignore_contact: Take it even where contact is seen, or torques that cannot be.
-            is_external: Whether the residual is an estimate that the robot sends itself.
+        """Fit the offset to what was recorded; arguments as of `check_free_of_contact`.
 
         Raises:
             TareError: Without new data, or with contact in sight; the tare in force then stays.
@@ -330,10 +273,14 @@ class BiasEstimator:
                 "already tared, and nothing was recorded since; call "
                 "start_tare_recording(), move in free air, then tare() again"
             )
-        try:
-            blocks = self._recorder.blocks(memory.now_s, self._config.tare_window_s)
-        except TareError as error:
-            raise TareError("; ".join(filter(None, (str(error), self.warning)))) from None
+        if not memory.recorder.samples:
+            nothing = (
+                f"no settled free motion has been recorded (less than {self._block_s:g} s of it); "
+                "update() the sensor without contact first, in steps no longer than max_gap_s, "
+                "then tare()"
+            )
+            raise TareError("; ".join(filter(None, (nothing, self.warning))))
+        blocks = memory.recorder.blocks(memory.now_s, self._config.tare_window_s)
         if not ignore_contact:
             contact_N = self._config.contact_force_N
             prior = prior_tare(self._basis)
@@ -346,32 +293,29 @@ class BiasEstimator:
 
     def start_tare_recording(self) -> None:
         """Forget what was recorded and record anew; the tare in force stays until the next."""
-        self._recorder.clear()
+        self._clear_recorder()
         self.memory.tared, self.memory.leapt_s = False, 0.0
 
     @property
     def state(self) -> BiasState:
         """All that is remembered, as copies."""
         self._sum_torques()
-        self.memory.recorder = self._recorder.state
         return copied(self.memory)
 
     def restore(self, state: BiasState) -> None:
         """Go on from a `state` taken earlier with the same robot and settings."""
         memory = self.memory = copied(state)
         self._torques: list[Array] = []
-        self._recorder.restore(memory.recorder)
         self._tare = prior_tare(self._basis)
         if memory.tare is not None:
             self._tare = Tare(basis=self._basis, **memory.tare._asdict())
 
     def reset(self) -> None:
         """Forget everything."""
-        self._recorder.clear()
         still = np.zeros(self._joints)
         self.restore(
             BiasState(
-                recorder=self._recorder.state,
+                recorder=TareRecorder.of_size(self._joints, self._basis.loops),
                 hysteresis=np.zeros_like(self._basis.half_width_Nm),
                 torque_sum=still,
                 bias=still,

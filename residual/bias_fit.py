@@ -30,7 +30,7 @@ MOST_LEFT, MOST_LEFT_BY_A_MASS = 0.2, 0.6
 """Fraction of the residual, root mean square, that an explanation may leave over; offsets of the
 torque sensors are among it."""
 LEAST_OFFSETS = 3.0
-"""Residual in standard deviations of the offset's prior from which one is looked for unasked."""
+"""Residual, in standard deviations of the offset's prior, beyond which a cause is always sought."""
 NEAR = 0.15
 """So near to a factor with a reason a factor is that one."""
 OFFSET_BLOCKS = 10.0
@@ -45,13 +45,6 @@ def fit_tare(basis: BiasModel, blocks: TareBlocks) -> Tare:
     leaves beyond that is the sensors' waviness (torque ripple, hysteresis), a wave along each
     joint's position that comes back when the joint does. The second pass knows of it, so that
     waves do not pass for many independent samples of a slope.
-
-    Args:
-        basis: The linear model with its prior.
-        blocks: What was seen.
-
-    Returns:
-        The fitted tare.
     """
     design = np.stack(
         [
@@ -178,8 +171,8 @@ def check_free_of_contact(
         is_external: Whether the residual is an estimate that the robot sends itself.
 
     Raises:
-        TareError: If there is contact, with the force seen, or wrong torques, with what they look
-            like.
+        TareError: If there is contact, with the force seen, or wrong torques, with the likely
+            reason.
     """
     force, std = _worst_excess(prior, blocks, wrench, contact_force_N)
     for fraction in SPLITS:
@@ -220,19 +213,15 @@ def _worst_excess(
 def explain_residual(
     basis: BiasModel, blocks: TareBlocks, *, is_external: bool, is_refused: bool
 ) -> str:
-    """What a residual that is no free motion's looks like; empty if like nothing known.
+    """The likely cause of a residual that is not that of free motion; empty if unknown.
 
     At rest the residual of measured torques is ``g(q) - tau``: g(q) itself if gravity was taken out
     of tau before, 2 g(q) if tau has the other sign, minus g(q) if gravity was added twice.
 
-    Args:
-        basis: Model of the arm, with how large offsets are expected to be.
-        blocks: The motion.
-        is_external: Whether the residual is an estimate that the robot sends itself.
-        is_refused: Whether the tare is refused anyhow; a mass at the flange is looked for only
-            then, and the others only in a residual far beyond all offsets.
+    Only where the tare is refused anyhow, a mass at the flange is considered; otherwise, the others
+    only in a residual far beyond all offsets. ``is_external`` as in `check_free_of_contact`.
     """
-    scale = basis.prior.offset_share * basis.effort_Nm
+    scale = basis.prior.offset_fraction * basis.effort_Nm
     residual = blocks.residual_Nm / scale
     size = _rms(residual)
     if size == 0.0 or not (is_refused or size > LEAST_OFFSETS):

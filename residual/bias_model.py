@@ -7,7 +7,7 @@ and its covariance says how far. The offset is subtracted from the observer's ou
 its integral, so that it does not fade.
 """
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Literal
 
 import numpy as np
@@ -28,28 +28,28 @@ error of every link's mass and first moments, of the sensors' hysteresis and of 
 class BiasPrior:
     """Standard deviations of what the tare fits, before it has seen data.
 
-    They are properties of a class of arms, not of one recording; a share is a fraction of each
+    They are properties of a class of arms, not of one recording; fractions are of each
     joint's effort limit, the range of its torque sensor.
 
     Attributes:
-        offset_share: Constant offset. 1 %: joint-torque sensors of the LWR kind start with
+        offset_fraction: Constant offset. 1 %: joint-torque sensors of the LWR kind start with
             0.1 to 1 Nm on joints of 100 to 176 Nm.
-        mass_share: Error of a link's mass, as a fraction of it. 5 %: two published CAD-grade tables
-            of one arm differ by that much.
+        mass_fraction: Error of a link's mass, as a fraction of it. 5 %: two published CAD-grade
+            tables of one arm differ by that much.
         com_m: Error of a link's centre of mass [m]. 5 mm, after the same two tables.
-        hysteresis_share: Hysteresis of the torque sensor, per loop of `hysteresis_widths`. 0.01 %:
-            well within the 0.5 % linearity such sensors are sold with.
+        hysteresis_fraction: Hysteresis of the torque sensor, per loop of `hysteresis_widths`.
+            0.01 %: well within the 0.5 % linearity such sensors are sold with.
         hysteresis_widths: Half widths of the loops, as fractions of range: a Prandtl-Ishlinskii
             model, since the width of a loop is not known beforehand.
-        ripple_share: Amplitude of the ripple of a joint with a known `gear_ratio`.
+        ripple_fraction: Amplitude of the ripple of a joint with a known `gear_ratio`.
         gear_ratio: Of the harmonic drive of each joint, if known: its torque sensor's ripple then
             goes with twice the motor angle, and is fitted. Empty if unknown.
         wave_rad: Length over which a torque sensor's own waviness changes [rad]. A harmonic drive
             of 160:1 has a ripple of period pi/160 = 0.02 rad: a quarter of that.
-        drift_share_per_min: Linear drift. 0.01 % a minute, as strain gauges warm up (an ATI Mini45
-            was seen to drift 0.04 % of its range in 4 minutes).
-        walk_share_per_sqrt_min: Random walk beside it.
-        resolution_share: What no torque sensor resolves; keeps the weights of joints sensible on
+        drift_fraction_per_min: Linear drift. 0.01 % a minute, as strain gauges warm up (an ATI
+            Mini45 was seen to drift 0.04 % of its range in 4 minutes).
+        walk_fraction_per_sqrt_min: Random walk beside it.
+        resolution_fraction: What no torque sensor resolves; keeps the weights of joints sensible on
             signals without noise. 0.001 %.
         fallback_effort_Nm: Stands in where a description gives no effort limit [Nm].
 
@@ -57,17 +57,17 @@ class BiasPrior:
         ConfigurationError: If a number is not finite and positive.
     """
 
-    offset_share: float = 0.01
-    mass_share: float = 0.05
+    offset_fraction: float = 0.01
+    mass_fraction: float = 0.05
     com_m: float = 0.005
-    hysteresis_share: float = 1e-4
+    hysteresis_fraction: float = 1e-4
     hysteresis_widths: tuple[float, ...] = (5e-5, 1e-4, 2e-4)
-    ripple_share: float = 2e-4
+    ripple_fraction: float = 2e-4
     gear_ratio: tuple[float, ...] = ()
     wave_rad: float = 5e-3
-    drift_share_per_min: float = 1e-4
-    walk_share_per_sqrt_min: float = 3e-5
-    resolution_share: float = 1e-5
+    drift_fraction_per_min: float = 1e-4
+    walk_fraction_per_sqrt_min: float = 3e-5
+    resolution_fraction: float = 1e-5
     fallback_effort_Nm: float = 100.0
 
     def __post_init__(self) -> None:
@@ -91,14 +91,6 @@ class BiasModel:
     Columns in order: offset per joint; mass and first moments per link (static columns of the
     joint-torque regressor, [18]); hysteresis per joint; drift per joint; where gear ratios are
     known, ripple per joint. The constant kind has the first group only.
-
-    Args:
-        robot: The arm with its payload.
-        kind: See `TareKind`.
-        prior: How large each group may be.
-
-    Raises:
-        ConfigurationError: For an unknown kind.
     """
 
     def __init__(self, robot: Robot, kind: TareKind, prior: BiasPrior) -> None:
@@ -135,19 +127,19 @@ class BiasModel:
     def _prior_std(self) -> Array:
         prior, effort = self.prior, self.effort_Nm
         if self.kind == "constant":
-            return 100.0 * prior.offset_share * effort
+            return 100.0 * prior.offset_fraction * effort
         links = []
         for inertia in list(self._model.inertias)[1:]:
             mass = max(inertia.mass, 1e-3)
-            moment = mass * np.hypot(prior.com_m, prior.mass_share * np.abs(inertia.lever))
-            links += [prior.mass_share * mass, *moment]
+            moment = mass * np.hypot(prior.com_m, prior.mass_fraction * np.abs(inertia.lever))
+            links += [prior.mass_fraction * mass, *moment]
         return np.concatenate(
             [
-                prior.offset_share * effort,
+                prior.offset_fraction * effort,
                 links,
-                *(self.loops * [prior.hysteresis_share * effort]),
-                prior.drift_share_per_min / 60.0 * effort,
-                *([] if self.ripple_per_rad is None else 2 * [prior.ripple_share * effort]),
+                *(self.loops * [prior.hysteresis_fraction * effort]),
+                prior.drift_fraction_per_min / 60.0 * effort,
+                *([] if self.ripple_per_rad is None else 2 * [prior.ripple_fraction * effort]),
             ]
         )
 
@@ -176,62 +168,42 @@ class BiasModel:
 
     def resolution_variance(self) -> Array:
         """Least variance of a residual [Nm^2], shape (n,)."""
-        return np.square(self.prior.resolution_share * self.effort_Nm)
+        return np.square(self.prior.resolution_fraction * self.effort_Nm)
 
     def walk_variance(self, age_s: float) -> Array:
         """Variance that the random walk has added since the tare [Nm^2], shape (n,)."""
-        walk = self.prior.walk_share_per_sqrt_min * self.effort_Nm
+        walk = self.prior.walk_fraction_per_sqrt_min * self.effort_Nm
         return walk**2 * (max(age_s, 0.0) / 60.0)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class TareBlocks:
-    """Means over short blocks of free motion, one row each.
+    """Means over short blocks of free motion, one row each."""
 
-    Attributes:
-        q_rad: Positions, shape (m, n).
-        hysteresis: States of the torques' loops, -1 to 1, shape (m, loops, n), see
-            `residual.bias_estimator.play_operator`.
-        residual_Nm: Residuals before offset removal, shape (m, n).
-        age_s: Time relative to the end of the tare, <= 0, shape (m,).
-        scatter_Nm2: Variance of single residuals about their block's mean, shape (n,).
-    """
-
-    q_rad: Array
+    q_rad: Array  # Positions, shape (m, n)
+    # States of the torques' loops, -1 to 1, shape (m, loops, n), see
+    # `residual.bias_estimator.play_operator`
     hysteresis: Array
-    residual_Nm: Array
-    age_s: Array
-    scatter_Nm2: Array
+    residual_Nm: Array  # Residuals before offset removal, shape (m, n)
+    age_s: Array  # Time relative to the end of the tare, <= 0, shape (m,)
+    scatter_Nm2: Array  # Variance of single residuals about their block's mean, shape (n,)
 
     def split(self, count: int) -> tuple["TareBlocks", "TareBlocks"]:
         """The first ``count`` blocks and the others."""
-        return tuple(
-            TareBlocks(
-                q_rad=self.q_rad[part],
-                hysteresis=self.hysteresis[part],
-                residual_Nm=self.residual_Nm[part],
-                age_s=self.age_s[part],
-                scatter_Nm2=self.scatter_Nm2,
-            )
-            for part in (slice(None, count), slice(count, None))
-        )  # type: ignore[return-value]
+        names = ("q_rad", "hysteresis", "residual_Nm", "age_s")
+        early = {name: getattr(self, name)[:count] for name in names}
+        late = {name: getattr(self, name)[count:] for name in names}
+        return replace(self, **early), replace(self, **late)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class Tare:
-    """A fitted offset.
+    """A fitted offset; its arrays are read-only."""
 
-    Attributes:
-        basis: The linear model.
-        mean: Its parameters, shape (m,).
-        covariance: Of the parameters, shape (m, m).
-        noise_Nm2: Covariance of a single residual about the model, shape (n, n).
-    """
-
-    basis: BiasModel
-    mean: Array
-    covariance: Array
-    noise_Nm2: Array
+    basis: BiasModel  # The linear model
+    mean: Array  # Its parameters, shape (m,)
+    covariance: Array  # Of the parameters, shape (m, m)
+    noise_Nm2: Array  # Covariance of a single residual about the model, shape (n, n)
 
     def __post_init__(self) -> None:
         for array in (self.mean, self.covariance, self.noise_Nm2):

@@ -6,8 +6,7 @@ from typing import get_args
 from residual.bias_model import BiasPrior, TareKind
 from residual.errors import ConfigurationError
 from residual.input_validation import check_choice, check_positive, check_switch
-from residual.joint_friction import FrictionModel
-from residual.momentum_observer import ALIGNMENTS, Alignment
+from residual.momentum_observer import ALIGNMENTS, Alignment, FrictionModel
 from residual.tool_kinematics import check_offset, unit_axis
 from residual.velocity_estimator import check_bandwidth
 from residual.wrench_estimator import Axes, Mode, Weighting, check_expected
@@ -22,7 +21,7 @@ class SensorConfig:
         alignment: How torque fills a tick: ``trapezoid`` for a sampled sensor, ``hold`` for a
             command held until the next sample.
         velocity_bandwidth_per_s: Of the velocity estimate used when ``dq`` is None [1/s].
-        smooth_momentum: Quieten the momentum of an arm that hardly accelerates, see
+        smooth_momentum: Smooth the momentum of an arm that hardly accelerates, see
             `residual.momentum_observer.momentum_step`.
         friction: Joint friction between torque sensor and link, if any is modelled.
         mode: What is assumed of the contact.

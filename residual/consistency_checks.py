@@ -33,14 +33,14 @@ LEAST_TRAVEL_RAD = 0.015
 """Ten steps of a very coarse encoder; a stroke in air of 60 mm makes thrice as much."""
 DQ_RATIO = 20.0
 """So many times that travel by dq alone is used too, whatever q does."""
-HONEST_LAG_S = 0.03
+TOLERATED_LAG_S = 0.03
 """A filtered velocity is late by 20 ms, a held one by ten; the same may hold for a position."""
-HONEST_RAD = 0.02
+TOLERATED_RAD = 0.02
 """A vibration of 50 Hz, seen every 20 ms, seems a velocity; 6 rad/s^2 of it make this travel."""
 LEAST_SECONDS = 1.0
 """Of motion, before anything is reported."""
 LEAST_BEYOND = 0.01
-"""Root mean square difference beyond what is honest that is judged, relative to the travel."""
+"""Root mean square difference beyond what is tolerated that is judged, relative to the travel."""
 
 FACTORS = {
     math.degrees(1.0): "is it in deg/s?",
@@ -111,14 +111,7 @@ def first_match(q: Array, dq: Array) -> VelocityMatch:
 
 
 def velocity_match_step(match: VelocityMatch, q: Array, dq: Array, dt_s: float) -> VelocityMatch:
-    """Take the next check.
-
-    Args:
-        match: So far; it is left as it was.
-        q: Position [rad], shape (n,).
-        dq: Velocity [rad/s], shape (n,).
-        dt_s: Time since the last check [s], more than 0.
-    """
+    """The match after the next check, q [rad] and dq [rad/s], a time ``dt_s`` > 0 later."""
     way, way_dq = q - match.position, 0.5 * dt_s * (dq + match.velocity)
     rate = way / dt_s
     jump = np.abs(rate - match.rate).max()
@@ -130,12 +123,12 @@ def velocity_match_step(match: VelocityMatch, q: Array, dq: Array, dt_s: float) 
     moves = np.maximum(DQ_RATIO * np.abs(a), np.abs(b)) > DQ_RATIO * LEAST_TRAVEL_RAD
     if not moves.any():
         return match._replace(position=q, velocity=dq, rate=rate, travel=a, travel_dq=b)
-    honest = HONEST_RAD + HONEST_LAG_S / dt_s * np.maximum(np.abs(way), np.abs(way_dq))
+    tolerated = TOLERATED_RAD + TOLERATED_LAG_S / dt_s * np.maximum(np.abs(way), np.abs(way_dq))
     change = (a - match.travel) / dt_s
     others = a[:, None]
     terms = (
         np.ones(len(q)),
-        np.maximum(np.abs(b - a) - honest, 0.0) ** 2,
+        np.maximum(np.abs(b - a) - tolerated, 0.0) ** 2,
         b * b,
         change * change,
         change * a,
@@ -152,11 +145,7 @@ def velocity_match_step(match: VelocityMatch, q: Array, dq: Array, dt_s: float) 
 
 
 def velocity_fault(match: VelocityMatch) -> str:
-    """What is wrong with velocities, joint by joint, with the likely reasons; empty if nothing is.
-
-    Args:
-        match: So far.
-    """
+    """What is wrong with velocities, joint by joint, with likely reasons; empty if nothing is."""
     own = match.squares.diagonal()
     differs = (match.beyond > LEAST_BEYOND**2 * own) & (match.seconds >= LEAST_SECONDS)
     if not differs.any():
@@ -241,12 +230,7 @@ class MonitorState(NamedTuple):
 
 
 class ConsistencyMonitor:
-    """Checks now and then what is too slow, and too costly, for every sample.
-
-    Args:
-        robot: Gives the position limits.
-        wrench: Of the estimates that are judged.
-    """
+    """Checks now and then what is too slow, and too costly, for every sample."""
 
     def __init__(self, robot: Robot, wrench: WrenchEstimator) -> None:
         self._lower = robot.position_lower_rad + LIMIT_MARGIN_RAD
@@ -290,11 +274,7 @@ class ConsistencyMonitor:
         self.restore(MonitorState(square, int(found), tuple(at_limit), match))
 
     def check_velocity(self) -> None:
-        """Refuse a tare with velocities that are not the rate of positions.
-
-        Raises:
-            VelocityError: With what is wrong with them.
-        """
+        """Refuse a tare with velocities that are not the rate of positions: a `VelocityError`."""
         if self.velocity_fault:
             raise VelocityError(self.velocity_fault + NO_TARE)
 

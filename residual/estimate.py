@@ -15,7 +15,7 @@ MOST_CONDITIONING = 1e6
 
 
 class Status(StrEnum):
-    """What the caller should know about one estimate."""
+    """What one estimate is worth."""
 
     OK = "ok"
     """A tared estimate of a valid sample."""
@@ -70,9 +70,9 @@ class WrenchEstimate(NamedTuple):
             6 force and torque; in the estimator's axes.
         conditioning: Ratio of the largest to the smallest standard deviation over directions in
             the estimated space; 1e6 where a direction cannot be seen.
-        damping_share: Fraction of each true component that damping removes, 0 to 1, shape (k,).
+        damping_fraction: Fraction of each true component that damping removes, 0 to 1, shape (k,).
         residual: External joint torque after offset removal [Nm], shape (n,), read-only.
-        status: What the caller should know.
+        status: Whether it may be used.
         message: The reason, when the status is not OK or there is a warning.
         model_mismatch: Normalised residual: joint torque that no wrench of the assumed kind
             explains, rms over what its covariance allows: about 1 when all is well; 0 where the
@@ -86,7 +86,7 @@ class WrenchEstimate(NamedTuple):
     torque: NDArray[np.float64]
     covariance: NDArray[np.float64]
     conditioning: float
-    damping_share: NDArray[np.float64]
+    damping_fraction: NDArray[np.float64]
     residual: NDArray[np.float64]
     status: Status = Status.OK
     message: str = ""
@@ -95,12 +95,7 @@ class WrenchEstimate(NamedTuple):
 
 
 def unknown_wrench(joints: int, components: int) -> WrenchEstimate:
-    """An estimate that knows nothing, for a first sample that is bad.
-
-    Args:
-        joints: Number of joints.
-        components: Number of unknowns of the mode.
-    """
+    """An estimate that knows nothing, for a first sample that is bad."""
     nothing, residual, removed = np.zeros(3), np.zeros(joints), np.zeros(components)
     unknown = np.diag(np.full(components, UNSEEN_STD**2))
     for array in (nothing, residual, removed, unknown):

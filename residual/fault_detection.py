@@ -31,13 +31,13 @@ from urdf import Robot
 Array = NDArray[np.float64]
 SIGMAS = 12.0
 """A jump within this many standard deviations of the signal's noise is noise."""
-TORQUE_SHARE = 0.02
+TORQUE_RATIO = 0.02
 """Fraction of the effort limit by which a torque may step for no reason. On the LWR that is 3.5 Nm
 at the shoulder, 5 N at 0.65 m, and 0.8 Nm at the wrist; what a force on the tool explains may step
-by more, see `ContactTransient`."""
+by more, see `is_contact`."""
 LEAST_TORQUE_NM = 0.7
 """Never less than this: the gears of a moving wrist of 12 Nm make as much in a millisecond."""
-TORQUE_SHARE_PER_S = 2.0
+TORQUE_RATIO_PER_S = 2.0
 """Fraction of the effort limit per second, beyond the step: for lost samples."""
 ACCELERATION_RAD_S2 = 20.0
 """An arm that inserts a needle stays far below."""
@@ -64,11 +64,11 @@ STAYED_S = 5e-3
 """A jump that has stayed for this long is accepted: the signal is elsewhere now [s]."""
 LONGEST_HOLD_S = 0.1
 """Whatever a signal that jumps does, it is not held back for longer than this [s]."""
-SATURATED_SHARE = 0.99
+SATURATED_RATIO = 0.99
 """Fraction of the effort limit from which a torque counts as clipped."""
 _NO_REPEATS = (False, False, False)
 """Whether all positions, positions with velocities, and all torques of a sample repeat."""
-LOADED_SHARE = 0.9
+LOADED_RATIO = 0.9
 """Fraction of the effort limit from which every torque is watched."""
 
 
@@ -76,13 +76,8 @@ LOADED_SHARE = 0.9
 def fresh_distance(now: Vector, last: Vector, weight: Vector, joints: int) -> float:
     """Root of the sum of squares of the weighted differences of two samples.
 
-    Infinite if all positions or all torques repeat.
-
-    Args:
-        now: A sample, positions first and torques last, shape (2 n,) or (3 n,).
-        last: The one before.
-        weight: What differences are multiplied with, not 0.
-        joints: n.
+    Infinite if all positions or all torques repeat. Samples have positions first and torques last,
+    shape (2 n,) or (3 n,), n joints; no weight is 0.
     """
     off = (now - last) * weight
     if (off[0] == 0.0 and not off[:joints].any()) or (off[-1] == 0.0 and not off[-joints:].any()):
@@ -93,10 +88,7 @@ def fresh_distance(now: Vector, last: Vector, weight: Vector, joints: int) -> fl
 class OutlierGate:
     """Largest plausible jump of position (less its velocity times the time), velocity and torque.
 
-    Args:
-        robot: Gives the effort limits.
-        has_velocity: Whether samples carry a velocity.
-        delay_s: Age of the velocity that positions are predicted with [s].
+    Positions are predicted with a velocity of the age ``delay_s``.
     """
 
     def __init__(self, robot: Robot, *, has_velocity: bool, delay_s: float) -> None:
@@ -113,7 +105,7 @@ class OutlierGate:
         # The difference of two samples has sqrt(2) times the noise of one.
         self._base = SIGMAS * np.sqrt(2.0) * noise
         self._base[:n] += LEAST_POSITION_RAD
-        self._base[-n:] += np.maximum(TORQUE_SHARE * self._effort, LEAST_TORQUE_NM)
+        self._base[-n:] += np.maximum(TORQUE_RATIO * self._effort, LEAST_TORQUE_NM)
         sure = self._base.copy()
         if self._has_velocity:
             sure[n:-n] += ACCELERATION_RAD_S2 * 1e-4
@@ -134,16 +126,10 @@ class OutlierGate:
     def beyond(
         self, off: Array, velocity: Array, dt_s: float, swept_rad: Array | None = None
     ) -> NDArray[np.bool_]:
-        """Which differences are beyond what an arm can do.
+        """Which differences of all signals are beyond what an arm can do, shape (signals, n).
 
-        Args:
-            off: Differences of all signals, positions less what the velocity predicts.
-            velocity: Joint velocity [rad/s], shape (n,).
-            dt_s: Time between the two samples [s].
-            swept_rad: See `sweep`; None if positions had not repeated.
-
-        Returns:
-            A row for each signal, shape (k, n).
+        Of positions, what the velocity [rad/s] predicts over ``dt_s`` is subtracted already;
+        ``swept_rad`` is what `sweep` gave, None if positions had not repeated.
         """
         n = self._joints
         gate = self._base.copy()
@@ -155,19 +141,14 @@ class OutlierGate:
             gate[:n] += swept_rad
         if self._has_velocity:
             gate[n:-n] += ACCELERATION_RAD_S2 * dt_s
-        gate[-n:] += TORQUE_SHARE_PER_S * dt_s * self._effort
+        gate[-n:] += TORQUE_RATIO_PER_S * dt_s * self._effort
         return (np.abs(off) > gate).reshape(-1, n)
 
     def sweep(self, swept_rad: Array | None, velocity: Array, dt_s: float, held_s: float) -> Array:
-        """Way that positions may owe after one more sample in which they repeated [rad].
+        """Travel that positions may lag by after one more sample in which they repeated [rad].
 
-        A source of positions that is slower than the clock makes up for it in one step.
-
-        Args:
-            swept_rad: After the sample before, shape (n,); None if that one was new.
-            velocity: Of this sample [rad/s], shape (n,).
-            dt_s: Time between the two [s].
-            held_s: Time for which positions have repeated [s].
+        A source of positions that is slower than the clock makes up for it in one step. They have
+        repeated for ``held_s``, with ``swept_rad`` after the sample before, None if that was new.
         """
         speed = np.abs(velocity)
         if not self._has_velocity:
@@ -178,30 +159,19 @@ class OutlierGate:
         return swept_rad * max(1.0 - dt_s / LONGEST_HELD_S, 0.0) + speed * dt_s
 
 
-class ContactTransient:
-    """Whether torques jump as a force on the tool makes them, and not as a single sensor's spike.
+def is_contact(jacobian: Array, jump: Array, scale: Array) -> bool:
+    """Whether a plausible force on the tool explains a jump of the torques [Nm], shape (n,).
 
     Args:
-        tool: Kinematics of the frame that forces act on.
+        jacobian: Of the tool's linear velocity, shape (3, n).
+        jump: The jump.
+        scale: Jump that each joint may make without a reason [Nm], shape (n,).
     """
-
-    def __init__(self, tool: ToolKinematics) -> None:
-        self._tool = tool
-
-    def explains(self, q: Array, jump: Array, scale: Array) -> bool:
-        """Whether a plausible force explains a jump of the torques.
-
-        Args:
-            q: Configuration [rad], shape (n,).
-            jump: Of the torques [Nm], shape (n,).
-            scale: Jump that each joint may make without a reason [Nm], shape (n,).
-        """
-        self._tool.update(q)
-        levers, wanted = self._tool.jacobian[:3].T / scale[:, None], jump / scale
-        force = np.linalg.lstsq(levers, wanted, rcond=None)[0]
-        left = wanted - levers.dot(force)
-        is_explained = left.dot(left) <= MOST_UNEXPLAINED**2 * wanted.dot(wanted)
-        return bool(is_explained and force.dot(force) <= MOST_STEP_N**2)
+    levers, wanted = jacobian.T / scale[:, None], jump / scale
+    force = np.linalg.lstsq(levers, wanted, rcond=None)[0]
+    left = wanted - levers.dot(force)
+    is_explained = left.dot(left) <= MOST_UNEXPLAINED**2 * wanted.dot(wanted)
+    return bool(is_explained and force.dot(force) <= MOST_STEP_N**2)
 
 
 @dataclass(slots=True, kw_only=True, eq=False)
@@ -226,12 +196,15 @@ class GuardState:
     is_loaded: bool = False  # Whether a torque was near its limit at that check
     warning: str = ""  # What seemed frozen at that check
     held_s: float = 0.0  # Time for which positions have repeated now [s]
-    # Way that they may owe meanwhile [rad], shape (n,); None if they do not repeat
+    # Travel that they may lag by meanwhile [rad], shape (n,); None if they do not repeat
     swept: Array | None = None
 
 
 class FaultDetector:
     """Judges the samples of one stream before anything uses them.
+
+    A sample is one array of finite positions [rad], velocities [rad/s] if there are any, and
+    torques [Nm], one after the other, shape (2 n,) or (3 n,).
 
     Args:
         robot: Gives the effort limits, and the levers of a force on its tool.
@@ -251,7 +224,7 @@ class FaultDetector:
         n = self._joints = robot.nv
         size = (3 if has_velocity else 2) * n
         self._gates = OutlierGate(robot, has_velocity=has_velocity, delay_s=velocity_delay_s)
-        self._contact = ContactTransient(tool or ToolKinematics(robot))
+        self._tool = tool or ToolKinematics(robot)
         self.restore(
             GuardState(
                 last=np.zeros(size),
@@ -262,11 +235,7 @@ class FaultDetector:
         )
 
     def surely_passes(self, now: Array) -> bool:
-        """Whether a sample, of any numbers, need not be checked: nearly all that come are such.
-
-        Args:
-            now: As in `check`.
-        """
+        """Whether a sample, of any numbers, need not be checked: nearly all that come are such."""
         self._repeats = _NO_REPEATS
         gates, memory = self._gates, self.memory
         distance = fresh_distance(now, memory.last, gates.weight, self._joints)
@@ -274,11 +243,6 @@ class FaultDetector:
 
     def check(self, now: Array, dt_s: float) -> bool:
         """Judge a sample; what it is compared with changes only with `accept`.
-
-        Args:
-            now: Finite positions [rad], velocities [rad/s] if there are any, and torques [Nm], one
-                after the other, shape (2 n,) or (3 n,).
-            dt_s: Time since the last accepted sample [s].
 
         Returns:
             Whether its position has jumped and is accepted only because it stayed where it is.
@@ -300,10 +264,7 @@ class FaultDetector:
     def accept(self, now: Array, velocity: Array, dt_s: float) -> None:
         """The sample last checked has been used; the arrays are kept, not copied.
 
-        Args:
-            now: The sample.
-            velocity: Joint velocity that it leaves off with, measured or estimated [rad/s].
-            dt_s: Time since the one before [s]; 0 for the first.
+        Its joint velocity [rad/s] is measured or estimated; ``dt_s`` is 0 for the first sample.
         """
         memory, probe = self.memory, self._probe
         memory.last, memory.velocity = now, velocity
@@ -346,7 +307,7 @@ class FaultDetector:
         memory = self.memory
         torque = memory.last[-self._joints :]
         stuck = memory.alone.check(torque, memory.age_s)
-        memory.is_loaded = bool((np.abs(torque) >= LOADED_SHARE * self._gates.effort_Nm).any())
+        memory.is_loaded = bool((np.abs(torque) >= LOADED_RATIO * self._gates.effort_Nm).any())
         memory.age_s = 0.0
         memory.warning = ""
         if stuck and not memory.torque.repeats:
@@ -357,7 +318,7 @@ class FaultDetector:
             )
 
     def _check_saturated(self, now: Array) -> None:
-        limit = SATURATED_SHARE * self._gates.effort_Nm
+        limit = SATURATED_RATIO * self._gates.effort_Nm
         clipped = [int(i) for i in np.flatnonzero(np.abs(now[-self._joints :]) >= limit)]
         if clipped:
             raise SuspectSampleError(
@@ -415,12 +376,10 @@ class FaultDetector:
         off = now - before
         off[:n] -= velocity * dt_s
         beyond = self._gates.beyond(off, velocity, dt_s, self.memory.swept)
-        if (
-            beyond[-1].any()
-            and not beyond[:-1].any()
-            and self._contact.explains(now[:n], off[-n:], self._gates.torque_Nm)
-        ):
-            beyond[-1] = False
+        if beyond[-1].any() and not beyond[:-1].any():
+            self._tool.update(now[:n])
+            if is_contact(self._tool.jacobian[:3], off[-n:], self._gates.torque_Nm):
+                beyond[-1] = False
         return beyond
 
     @property

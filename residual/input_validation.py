@@ -1,4 +1,7 @@
-"""What an online step and its settings may be: the one place where samples are refused."""
+"""What an online step and its settings may be: the one place where samples are refused.
+
+A bad sample raises a `SampleError`, a bad setting a `ConfigurationError`, with its name and value.
+"""
 
 import math
 import numbers
@@ -25,13 +28,7 @@ FLOAT64 = np.dtype(np.float64)
 
 
 def check_interval(dt_s: Any) -> float:
-    """Refuse a time step that does not advance.
-
-    Args:
-        dt_s: Time since the previous sample [s], any real number.
-
-    Returns:
-        The same as a plain float.
+    """A time step [s], any real number, as a plain float.
 
     Raises:
         SampleError: If it is not a finite positive number, or beyond `LONGEST_STEP_S`.
@@ -79,18 +76,10 @@ def _is_real(value: object) -> bool:
 
 
 def read_joint_vector(name: str, value: object, joints: int) -> NDArray[np.float64]:
-    """Return the value as a float array of one number per joint; they may still be anything.
-
-    Args:
-        name: What the value is, for the message.
-        value: Anything numpy can read.
-        joints: Number of joints.
-
-    Returns:
-        The same numbers, shape (joints,); the array itself when it already fits.
+    """Anything numpy can read as a float array of shape (joints,); the array itself if it fits.
 
     Raises:
-        SampleError: If the shape is wrong, or these are no real numbers.
+        SampleError: If the shape is wrong, or these are no real numbers; they may be any others.
     """
     try:
         array = _real(value)
@@ -104,11 +93,7 @@ def read_joint_vector(name: str, value: object, joints: int) -> NDArray[np.float
 
 
 def check_joint_vector(name: str, value: object, joints: int) -> NDArray[np.float64]:
-    """As `read_joint_vector`; also refuses what is not finite or beyond `MOST_PLAUSIBLE`.
-
-    Raises:
-        SampleError: For such a value.
-    """
+    """As `read_joint_vector`; also refuses what is not finite or beyond `MOST_PLAUSIBLE`."""
     array = read_joint_vector(name, value, joints)
     # Almost every sample ends here: one number shows that all are finite and small.
     if math.hypot(*array.tolist()) < MOST_PLAUSIBLE:
@@ -124,11 +109,7 @@ def check_joint_vector(name: str, value: object, joints: int) -> NDArray[np.floa
 
 
 def _real(value: Any) -> NDArray[np.float64]:
-    """As floats, but not what numpy makes floats of though nobody measures it: text, truth, dates.
-
-    Raises:
-        TypeError: For such values, and for complex or masked ones.
-    """
+    """As floats; a TypeError for text, truth values, dates, and complex or masked numbers."""
     array = np.asanyarray(value)
     if array.dtype is FLOAT64 and type(array) is np.ndarray:
         return array
@@ -158,15 +139,7 @@ def all_fit(values: tuple[object, ...], joints: int) -> bool:
 def read_rows(
     names: tuple[str, ...], values: tuple[object, ...], joints: int
 ) -> NDArray[np.float64]:
-    """Read all signals of a sample into one new array; its numbers may still be anything.
-
-    Args:
-        names: What each signal is called.
-        values: Its numbers: anything numpy can read.
-        joints: Number of joints.
-
-    Returns:
-        A row for each signal, shape (k, joints): a read-only copy.
+    """Read k named signals into a read-only copy of shape (k, joints), of any numbers.
 
     Raises:
         SampleError: If they cannot be read so: as `check_joint_vector`.
@@ -181,11 +154,7 @@ def read_rows(
 
 
 def check_rows(names: tuple[str, ...], rows: NDArray[np.float64]) -> None:
-    """Refuse numbers that no sample has, in what `read_rows` has read.
-
-    Raises:
-        SampleError: As `check_joint_vector`.
-    """
+    """Refuse, as `check_joint_vector` does, numbers in what `read_rows` has read."""
     # One number stands for all; `hypot` does not overflow, and a NaN fails.
     if not math.hypot(*rows.ravel().tolist()) < MOST_PLAUSIBLE:
         for name, row in zip(names, rows, strict=True):
@@ -193,11 +162,7 @@ def check_rows(names: tuple[str, ...], rows: NDArray[np.float64]) -> None:
 
 
 def check_positive(name: str, value: object, *, least: float = 1e-30, most: float = 1e30) -> None:
-    """Refuse a setting that is not a positive number, or one whose square over- or underflows.
-
-    Raises:
-        ConfigurationError: With the name and what came.
-    """
+    """Refuse a setting that is not a positive number, or one whose square over- or underflows."""
     number = as_float(value)
     if not 0.0 < number < math.inf:
         raise ConfigurationError(f"{name} is {shown(value)}, expected a finite number > 0")
@@ -208,31 +173,19 @@ def check_positive(name: str, value: object, *, least: float = 1e-30, most: floa
 
 
 def check_switch(name: str, value: object) -> None:
-    """Refuse a setting that is neither true nor false.
-
-    Raises:
-        ConfigurationError: With the name and what came.
-    """
+    """Refuse a setting that is neither true nor false."""
     if not isinstance(value, bool | np.bool_):
         raise ConfigurationError(f"{name} is {shown(value)}, expected True or False")
 
 
 def check_choice(name: str, value: object, choices: tuple[str, ...]) -> None:
-    """Refuse a setting that is none of the choices.
-
-    Raises:
-        ConfigurationError: With the name, what came and the choices.
-    """
+    """Refuse a setting that is none of the choices."""
     if not (isinstance(value, str) and value in choices):
         raise ConfigurationError(f"{name} is {shown(value)}, expected one of {list(choices)}")
 
 
 def vector_of_three(name: str, value: object) -> NDArray[np.float64]:
-    """A setting of three finite numbers, shape (3,).
-
-    Raises:
-        ConfigurationError: If it is none.
-    """
+    """A setting of three finite numbers, shape (3,)."""
     try:
         given = _real(value)
     except Exception:  # a stranger's type may raise anything
@@ -246,10 +199,8 @@ class SampleClock:
     """Adds the time of rejected samples to that of the next valid one.
 
     A clock that goes back a little comes forward again: samples are rejected until it has caught
-    up. One that was set back by more, or forward by more than a day, goes on from there.
-
-    Args:
-        most_back_s: How far back still counts as a little [s].
+    up. One that was set back by more than ``most_back_s``, or forward by more than a day, goes on
+    from there.
     """
 
     def __init__(self, most_back_s: float) -> None:

@@ -17,8 +17,7 @@ from residual.input_validation import (
     check_joint_vector,
     check_positive,
 )
-from residual.joint_friction import FrictionModel
-from residual.momentum_observer import ALIGNMENTS, Alignment, MomentumTerms
+from residual.momentum_observer import ALIGNMENTS, Alignment, FrictionModel, MomentumTerms
 from urdf import Robot
 
 Array = NDArray[np.float64]
@@ -46,19 +45,8 @@ def kalman_step(
     """Predict over one tick and correct with the measured momentum.
 
     Per joint ``p+ = p + dt (mean(u) + x) + noise`` and ``x+ = x + random walk``; the momentum
-    computed from the velocity is the measurement.
-
-    Args:
-        last: Before the tick.
-        drive_Nm: mean(u) over the tick [Nm], shape (n,).
-        momentum: M dq at its end [kg m^2/s], shape (n,).
-        var_momentum: Variance of that measurement, shape (n,).
-        noise: Standard deviation of one torque sample [Nm] and random walk of the external torque
-            [Nm/sqrt(s)], both (n,).
-        dt_s: Length of the tick [s].
-
-    Returns:
-        Posterior at the end of the tick.
+    M dq at the end of the tick is the measurement. ``noise`` is the standard deviation of one
+    torque sample [Nm] and the random walk of the external torque [Nm/sqrt(s)], both (n,).
     """
     torque_std, walk_std = noise
     walk = walk_std**2 * dt_s
@@ -141,9 +129,6 @@ class KalmanObserver:
         """Take one sample and return the external joint torque [Nm], shape (n,).
 
         Arguments and errors are those of `MomentumObserver.update`.
-
-        Raises:
-            SampleError: For a bad sample; the state is then unchanged.
         """
         q = check_joint_vector("q", q, self._joints)
         dq = check_joint_vector("dq", dq, self._joints)
@@ -155,7 +140,14 @@ class KalmanObserver:
         if last is not None:
             dt_s = check_interval(dt_s)
         if last is None or dt_s > self._max_gap_s:
-            posterior = self._start(momentum, var_momentum)
+            posterior = KalmanPosterior(
+                momentum=momentum,
+                external_torque_Nm=self.external_torque_Nm,
+                var_momentum=var_momentum,
+                covariance=np.zeros(self._joints),
+                # Over the first seconds anything within ten steps of the walk's size is likely.
+                var_torque_Nm2=(10.0 * self._walk_std) ** 2,
+            )
         else:
             torque = self._torque if self._held else 0.5 * (self._torque + tau)
             drive = torque + 0.5 * (self._motion + motion)
@@ -165,18 +157,6 @@ class KalmanObserver:
             raise SampleError("q, dq and tau are finite but the estimate overflows; check units")
         self._posterior, self._motion, self._torque = posterior, motion, tau.copy()
         return self.external_torque_Nm
-
-    def _start(self, momentum: Array, var_momentum: Array) -> KalmanPosterior:
-        """At a first sample or after a gap: momentum as measured, torque as last known."""
-        zero = np.zeros(self._joints)
-        return KalmanPosterior(
-            momentum=momentum,
-            external_torque_Nm=self.external_torque_Nm,
-            var_momentum=var_momentum,
-            covariance=zero,
-            # Over the first seconds anything within ten steps of the walk's own size is likely.
-            var_torque_Nm2=(10.0 * self._walk_std) ** 2,
-        )
 
     @property
     def external_torque_Nm(self) -> Array:

@@ -6,7 +6,8 @@ low-pass of the external torque (paper, Section IV; Haddadin et al. 2017).
 """
 
 import math
-from typing import Any, Literal, NamedTuple
+from dataclasses import dataclass, field
+from typing import Any, Literal, NamedTuple, Protocol
 
 import numpy as np
 import pinocchio as pin
@@ -23,7 +24,6 @@ from residual.input_validation import (
     check_positive,
     read_joint_vector,
 )
-from residual.joint_friction import FrictionModel
 from urdf import Robot
 
 Array = NDArray[np.float64]
@@ -44,54 +44,36 @@ _PACKED = {(8,)}
 """Distance in memory of the numbers of a contiguous array, as compiled code takes them."""
 
 
-class StepRows(NamedTuple):
-    """What one step of the residual is linear in, or the weights of these rows; arrays (n,)."""
-
-    residual: Any  # r before the tick [Nm]
-    momentum_before: Any  # p at its start [kg m^2/s]
-    coriolis_before: Any  # C' dq there [Nm]
-    gravity_before: Any  # g + tau_f there [Nm]
-    torque_before: Any  # tau there [Nm]
-    momentum: Any  # p at its end; the last four are in the same order
-    coriolis: Any  # C' dq there
-    gravity: Any  # g + tau_f there
-    torque: Any  # tau there
+RESIDUAL, MOMENTUM, CORIOLIS, GRAVITY, TORQUE = range(5)
+"""Rows of a step at the start of a tick: r [Nm], p [kg m^2/s], C' dq, g + tau_f and tau [Nm]."""
+END = 4
+"""The last four at the end of the tick follow in the same order."""
+BEFORE, ROWS = 5, 9
+"""So many rows are known before the tick, and so many there are."""
 
 
-BEFORE = 5
-"""So many of them are known before the tick."""
+@compiled
+def set_step_weights(weights: WrittenMatrix, gains_per_s: Vector, dt_s: float, held: bool) -> None:
+    """Set the weights of the exact step ``r+ = a r + (1 - a) ((p+ - p)/dt - mean(u))``.
 
-
-def step_weights(gain_per_s: float | Array, dt_s: float, alignment: Alignment) -> Array:
-    """Weights of the exact step ``r+ = a r + (1 - a) ((p+ - p)/dt - mean(u))``, a = exp(-K dt).
-
-    It is stable for every K dt, has no start-up spike, and is linear in `StepRows`.
+    With a = exp(-K dt) it is stable for every K dt, has no start-up spike, and is linear in the
+    rows of `momentum_step`.
 
     Args:
-        gain_per_s: K [1/s]: one for all joints, or an array of shape (n,).
+        weights: Where one weight per row is written, shape (1, 9), or (n, 9) for one gain per
+            joint.
+        gains_per_s: K [1/s], shape (1,) or (n,).
         dt_s: Length of the tick [s].
-        alignment: How torque fills the tick.
-
-    Returns:
-        One weight for each of `StepRows`, shape (1, 9), or (n, 9) for one gain per joint.
+        held: Whether torque is held over the tick, see `Alignment`.
     """
-    expm1 = math.expm1 if isinstance(gain_per_s, float) else np.expm1
-    gained = -expm1(-gain_per_s * dt_s)
-    per_second, half, zero = gained / dt_s, 0.5 * gained, 0.0 * gained
-    held = alignment == "hold"
-    weights = StepRows(
-        residual=1.0 - gained,
-        momentum_before=-per_second,
-        coriolis_before=-half,
-        gravity_before=half,
-        torque_before=-gained if held else -half,
-        momentum=per_second,
-        coriolis=-half,
-        gravity=half,
-        torque=zero if held else -half,
-    )
-    array = np.array(weights)
-    return array[None] if array.ndim == 1 else np.ascontiguousarray(array.T)
+    for k in range(len(gains_per_s)):
+        gained = -math.expm1(-float(gains_per_s[k]) * dt_s)
+        row, half = weights[k], 0.5 * gained
+        row[RESIDUAL] = 1.0 - gained
+        row[MOMENTUM], row[MOMENTUM + END] = -gained / dt_s, gained / dt_s
+        row[CORIOLIS], row[CORIOLIS + END] = -half, -half
+        row[GRAVITY], row[GRAVITY + END] = half, half
+        row[TORQUE], row[TORQUE + END] = (-gained, 0.0) if held else (-half, -half)
 
 
 @compiled
@@ -104,7 +86,7 @@ def momentum_step(
     noise_threshold: Vector,
     dt_s: float,
 ) -> None:
-    """One tick of the residual: the momentum is smoothed, then comes the step of `step_weights`.
+    """One tick of the residual: the momentum is smoothed, then comes the exact step.
 
     During an insertion the arm's own inertial force is a few hundredths of a newton, but the noise
     of the velocity, differentiated, is the largest noise of the residual. The momentum therefore
@@ -113,43 +95,142 @@ def momentum_step(
     the implicit one, which never overshoots.
 
     Args:
-        rows: `StepRows`, shape (9, n); all are brought to the end of the tick.
+        rows: See `RESIDUAL` and the others, shape (9, n); all are brought to the end of the tick.
         dynamics: M, C and g + tau_f at its end.
         velocity: dq there [rad/s], shape (n,).
         tau: Measured torque there [Nm], shape (n,).
-        weights: See `step_weights`, shape (1, 9), or (n, 9) for one gain per joint.
+        weights: See `set_step_weights`.
         noise_threshold: Distance at which the bandwidth has doubled, shape (n,); of length 0 where
             nothing is smoothed.
         dt_s: Length of the tick [s]; 0 at a first sample, which only sets the momentum.
     """
     inertia, coriolis_matrix, load = dynamics
-    residual, last_momentum = rows[0], rows[1]
-    momentum, coriolis, gravity, torque = rows[5], rows[6], rows[7], rows[8]
-    np.dot(inertia, velocity, momentum)
-    np.dot(velocity, coriolis_matrix, coriolis)
-    gravity[:] = load
-    torque[:] = tau
+    momentum = inertia.dot(velocity)
+    if dt_s > 0.0 and noise_threshold.size:
+        tick = BANDWIDTH_PER_S * dt_s
+        behind = momentum - rows[MOMENTUM]
+        ratio = behind / noise_threshold
+        ratio *= ratio
+        ratio *= ratio
+        # behind / (1 + tick (1 + ratio^4)) remains.
+        ratio *= tick
+        ratio += 1.0 + tick
+        behind /= ratio
+        momentum -= behind
+    rows[MOMENTUM + END] = momentum
+    rows[CORIOLIS + END] = velocity.dot(coriolis_matrix)
+    rows[GRAVITY + END] = load
+    rows[TORQUE + END] = tau
     if dt_s > 0.0:
-        if noise_threshold.size:
-            tick = BANDWIDTH_PER_S * dt_s
-            behind = momentum - last_momentum
-            ratio = behind / noise_threshold
-            ratio *= ratio
-            ratio *= ratio
-            # behind / (1 + tick (1 + ratio^4)) remains.
-            ratio *= tick
-            ratio += 1.0 + tick
-            behind /= ratio
-            momentum -= behind
         if len(weights) == 1:
-            residual[:] = weights[0].dot(rows)
+            rows[RESIDUAL] = weights[0].dot(rows)
         else:
-            residual[:] = (weights.T * rows).sum(axis=0)
-    rows[1:BEFORE] = rows[BEFORE:]
+            rows[RESIDUAL] = (weights.T * rows).sum(axis=0)
+    rows[MOMENTUM:BEFORE] = rows[BEFORE:]
+
+
+_MOST_EXPONENT = 700.0
+"""Its exponential is a float still, and the sigmoid there is zero for any purpose."""
+
+
+class FrictionModel(Protocol):
+    """Anything that gives the friction torque of every joint at a velocity."""
+
+    def torque(self, dq: NDArray[np.float64]) -> NDArray[np.float64]:
+        """Torque that opposes the motion [Nm], shape (n,), at velocity ``dq`` [rad/s]."""
+        ...
+
+
+def _frozen_vectors(owner: object, names: tuple[str, ...]) -> None:
+    """Store each named field as a read-only float copy; all of one length."""
+    sizes = set()
+    for name in names:
+        given = getattr(owner, name)
+        try:
+            array = np.full(0, np.nan) if np.iscomplexobj(given) else np.array(given, dtype=float)
+        except (TypeError, ValueError, OverflowError):
+            array = np.full(0, np.nan)
+        array = np.atleast_1d(array)
+        if array.ndim != 1 or array.size == 0 or not np.isfinite(array).all():
+            raise ConfigurationError(f"{name} must be one finite number per joint, got {given!r}")
+        array.setflags(write=False)
+        object.__setattr__(owner, name, array)
+        sizes.add(array.size)
+    if len(sizes) > 1:
+        raise ConfigurationError(f"{', '.join(names)} differ in length: {sorted(sizes)}")
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class JointFriction:
+    """Viscous and Coulomb friction with a smooth reversal, plus a constant offset.
+
+    ``tau_f = viscous * dq + coulomb * tanh(dq / reversal_speed) + offset``
+
+    Attributes:
+        viscous_Nms: Viscous coefficient per joint [Nm s/rad].
+        coulomb_Nm: Coulomb level per joint [Nm].
+        offset_Nm: Constant per joint [Nm].
+        reversal_speed_rad_s: Speed over which Coulomb friction changes sign [rad/s].
+
+    Raises:
+        ConfigurationError: If lengths differ, a number is not finite, a viscous or Coulomb
+            coefficient is negative, or the reversal speed is not positive.
+    """
+
+    viscous_Nms: NDArray[np.float64]
+    coulomb_Nm: NDArray[np.float64]
+    offset_Nm: NDArray[np.float64]
+    reversal_speed_rad_s: float = 0.01
+
+    def __post_init__(self) -> None:
+        _frozen_vectors(self, ("viscous_Nms", "coulomb_Nm", "offset_Nm"))
+        if (self.viscous_Nms < 0).any() or (self.coulomb_Nm < 0).any():
+            raise ConfigurationError("viscous_Nms and coulomb_Nm must not be negative")
+        check_positive("reversal_speed_rad_s", self.reversal_speed_rad_s)
+
+    def torque(self, dq: NDArray[np.float64]) -> NDArray[np.float64]:
+        """Friction torque opposing the motion [Nm], shape (n,)."""
+        smooth_sign = np.tanh(dq / self.reversal_speed_rad_s)
+        return self.viscous_Nms * dq + self.coulomb_Nm * smooth_sign + self.offset_Nm
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class SigmoidFriction:
+    """The Franka Panda's friction as identified by Gaz et al., RA-L 2019.
+
+    ``tau_f = A / (1 + exp(-alpha (dq + s))) - A / (1 + exp(-alpha s))``: zero at rest, with a
+    level that may differ between the two directions.
+
+    Attributes:
+        amplitude_Nm: A per joint [Nm].
+        slope_s_rad: alpha per joint [s/rad].
+        shift_rad_s: s per joint [rad/s].
+
+    Raises:
+        ConfigurationError: If lengths differ or a number is not finite.
+    """
+
+    amplitude_Nm: NDArray[np.float64]
+    slope_s_rad: NDArray[np.float64]
+    shift_rad_s: NDArray[np.float64]
+    _level_at_rest: NDArray[np.float64] = field(init=False, repr=False)
+
+    def __post_init__(self) -> None:
+        _frozen_vectors(self, ("amplitude_Nm", "slope_s_rad", "shift_rad_s"))
+        object.__setattr__(self, "_level_at_rest", self._sigmoid(self.shift_rad_s))
+
+    def torque(self, dq: NDArray[np.float64]) -> NDArray[np.float64]:
+        """Friction torque opposing the motion [Nm], shape (n,)."""
+        return self.amplitude_Nm * (self._sigmoid(dq + self.shift_rad_s) - self._level_at_rest)
+
+    def _sigmoid(self, speed: NDArray[np.float64]) -> NDArray[np.float64]:
+        """The sigmoid, 0 to 1."""
+        exponent = -self.slope_s_rad * speed
+        return 1.0 / (1.0 + np.exp(np.minimum(exponent, _MOST_EXPONENT)))
 
 
 class MomentumTerms:
-    """Dynamics of one robot, straight from Pinocchio.
+    """Dynamics of one robot, straight from Pinocchio, and its joint friction.
 
     Rotor inertia, where an arm needs it (motor-current torque), is part of the robot's model
     (`Robot.with_armature`); on the LWR, whose torque is measured behind the gear, it is zero.
@@ -157,8 +238,7 @@ class MomentumTerms:
     Attributes:
         data: Workspace; joint placements and Jacobians of the latest call stand in it.
 
-    Raises:
-        ConfigurationError: If the friction model is of another number of joints.
+    A friction model of another number of joints is refused.
     """
 
     def __init__(self, robot: Robot, friction: FrictionModel | None = None) -> None:
@@ -201,7 +281,7 @@ def _check_length(friction: FrictionModel, joints: int) -> None:
 class MomentumState(NamedTuple):
     """All that a `MomentumObserver` remembers."""
 
-    rows: Array | None  # The first five of `StepRows`, shape (BEFORE, n); None before a sample
+    rows: Array | None  # The first five of a step, shape (BEFORE, n); None before a sample
     noise: Array | None = None  # Momentum noise per joint for smoothing, shape (n,); None without
 
 
@@ -236,13 +316,13 @@ class MomentumObserver:
         check_positive("max_gap_s", max_gap_s)
         n = self._joints = robot.nv
         gains = _gain_vector(gain_per_s, n)
-        # Plain floats where one gain serves all: on an uneven clock its weights change every tick.
-        self._gain = float(gains[0]) if np.ndim(gain_per_s) == 0 else gains
+        # One where it serves all: on an uneven clock its weights change every tick.
+        self._gains = gains[:1].copy() if np.ndim(gain_per_s) == 0 else gains
         self._terms = MomentumTerms(robot, friction)
-        self._alignment: Alignment = alignment
+        self._held = alignment == "hold"
         self._max_gap_s = max_gap_s
-        self._rows = np.zeros((len(StepRows._fields), n))
-        self._weights = np.zeros((1 if isinstance(self._gain, float) else n, len(self._rows)))
+        self._rows = np.zeros((ROWS, n))
+        self._weights = np.zeros((len(self._gains), ROWS))
         self._dt_s = math.nan
         self.reset()
 
@@ -259,7 +339,7 @@ class MomentumObserver:
     @property
     def gain_per_s(self) -> Array:
         """K per joint [1/s], shape (n,), a copy."""
-        return np.full(self._joints, self._gain)
+        return np.full(self._joints, self._gains)
 
     def update(self, q: ArrayLike, dq: ArrayLike, tau: ArrayLike, dt_s: float) -> Array:
         """Take one sample and return the residual.
@@ -300,22 +380,19 @@ class MomentumObserver:
         if not self._initialized or dt_s > self._max_gap_s:
             self._initialized, dt_s = True, 0.0
         elif dt_s != self._dt_s:  # on an even clock that is once
-            self._weights = step_weights(self._gain, dt_s, self._alignment)
+            set_step_weights(self._weights, self._gains, dt_s, self._held)
             self._dt_s = dt_s
         rows, threshold = self._rows, self._noise_threshold
         momentum_step(rows, self._terms.at(q, dq), dq, tau, self._weights, threshold, dt_s)
         return rows[0].copy()
 
     def smooth_momentum(self, velocity_noise_rad_s: Array, q: Array) -> None:
-        """From now on quieten the momentum of an arm that hardly accelerates, see `momentum_step`.
+        """From now on smooth the momentum of an arm that hardly accelerates, see `momentum_step`.
 
         Args:
             velocity_noise_rad_s: Standard deviation of ``dq`` per joint [rad/s], shape (n,).
             q: Configuration about which the arm will move [rad], shape (n,): its inertia turns
                 noise of velocity into noise of momentum.
-
-        Raises:
-            SampleError: For a wrong shape or a number that is not finite.
         """
         noise = check_joint_vector("velocity_noise_rad_s", velocity_noise_rad_s, self._joints)
         q = check_joint_vector("q", q, self._joints)

@@ -21,24 +21,14 @@ _new = tuple.__new__  # makes a named tuple in half the time: there is one in ev
 
 
 class TorqueSample(NamedTuple):
-    """External joint torque with the motion it belongs to.
+    """External joint torque with the motion of the same instant; arrays (n,)."""
 
-    Attributes:
-        q: Position [rad], shape (n,); delayed like the residual when velocity is estimated.
-        dq: Velocity [rad/s], shape (n,), of the same instant.
-        tau: Measured torque [Nm], shape (n,), of the same instant; the external torque where the
-            robot sends that.
-        residual: External joint torque before offset removal [Nm], shape (n,).
-        settled: Whether the filters have forgotten their start.
-        data: Workspace in which joint placements and Jacobians at q stand; None if in none.
-    """
-
-    q: Array
-    dq: Array
-    tau: Array
-    residual: Array
-    settled: bool
-    data: pin.Data | None = None
+    q: Array  # Position [rad], delayed like the residual when velocity is estimated
+    dq: Array  # Velocity [rad/s]
+    tau: Array  # Measured torque [Nm]; the external torque where the robot sends that
+    residual: Array  # External joint torque before offset removal [Nm]
+    settled: bool  # Whether the filters have forgotten their start
+    data: pin.Data | None = None  # In which joint placements and Jacobians at q stand
 
 
 class StreamState(NamedTuple):
@@ -58,11 +48,6 @@ class SampleStream:
     """Positions, velocities if there are any, and torques; all or none with velocities.
 
     Samples are copied, checked once and judged; then `_estimate` makes external torque of them.
-
-    Args:
-        robot: The arm with its payload.
-        config: Settings of the sensor.
-        has_velocity: Whether the robot sends joint velocities.
     """
 
     TORQUE = ""
@@ -97,13 +82,7 @@ class SampleStream:
     def update(
         self, q: ArrayLike, dq: ArrayLike | None, torque: ArrayLike, dt_s: float
     ) -> TorqueSample:
-        """Take one sample.
-
-        Args:
-            q: Positions [rad], shape (n,).
-            dq: Velocities [rad/s], shape (n,); None for a stream without.
-            torque: Torques [Nm], shape (n,).
-            dt_s: Time since the last accepted sample [s].
+        """Take one sample; arguments as of `VirtualForceSensor.update`.
 
         Raises:
             SampleError: For a wrong shape, numbers that are not finite, or a velocity that comes
@@ -208,7 +187,7 @@ class JointStream(SampleStream):
         return _new(TorqueSample, (q, dq, tau, residual, settled, self._data))
 
     def _learn_noise(self, probe: NoiseProbe, signal: Array, q: Array, dt_s: float) -> None:
-        """Learn the velocity's noise from the first samples, then quieten the momentum."""
+        """Learn the velocity's noise from the first samples, then smooth the momentum."""
         noise = probe.add(signal, dt_s)
         if noise is not None:
             if self._velocity is not None:

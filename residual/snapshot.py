@@ -56,11 +56,7 @@ def _arrays(node: Any, place: str = "") -> Iterator[tuple[str, NDArray[Any]]]:
 
 
 def check_form(state: object, model: object) -> None:
-    """Compare the shapes of all arrays of a state with those of another of the same kind.
-
-    Args:
-        state: What is to be restored.
-        model: State of a sensor of the same robot and settings that has seen samples.
+    """Compare the shapes of all arrays of a state with those of a valid one of the same sensor.
 
     Raises:
         SnapshotError: With the array that differs, or what is missing.
@@ -81,10 +77,6 @@ def settings_text(config: Any, joints: int) -> str:
 
     Every setting by name, all digits of every number. A friction model may be any object: it is
     known by the torques that it gives.
-
-    Args:
-        config: A `residual.SensorConfig`.
-        joints: Number of joints of its robot.
     """
     texts = [
         f"{name}={_plain(getattr(config, name))}" for name in _names(config) if name != "friction"
@@ -112,14 +104,10 @@ def _plain(value: object) -> object:
 
 
 def robot_digest(robot: Robot) -> str:
-    """A short name for everything about a robot that an estimate depends on.
+    """A hash of everything about a robot that an estimate depends on.
 
-    Args:
-        robot: Any robot.
-
-    Returns:
-        Hash of joints with their axes and parents, links, payload, frames, limits and gravity:
-        64 hexadecimal digits, equal for robots that no estimator can distinguish.
+    Joints with their axes and parents, links, payload, frames, limits and gravity: 64 hexadecimal
+    digits, equal for robots that no estimator can distinguish.
     """
     model = robot.model
     names = (*robot.joint_names, robot.tool_frame, *robot.frame_names)
@@ -155,14 +143,9 @@ TRIED = 3
 
 
 def try_out(twin: Any, state: Any) -> None:
-    """Make a damaged state fail now and not in a later update.
+    """Make a damaged state fail now, with a `SnapshotError`, and not in a later update.
 
-    Args:
-        twin: A new `VirtualForceSensor` of the same robot and settings, that nobody uses.
-        state: What is to be restored.
-
-    Raises:
-        SnapshotError: If the state is damaged.
+    The twin is a new `VirtualForceSensor` of the same robot and settings, that nobody uses.
     """
     try:
         if state.joints is not None and state.external_torque is not None:

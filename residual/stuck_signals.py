@@ -39,11 +39,7 @@ LEAST_ROWS = 16
 
 
 def new_rows(rows: Array) -> Array:
-    """Rows that are not all of the one before: a source slower than the clock, by its own clock.
-
-    Args:
-        rows: Samples of one source, shape (m, size), m > 0.
-    """
+    """Rows that are not all of the one before: a source slower than the clock, by its own clock."""
     changed = (np.diff(rows, axis=0) != 0.0).any(axis=1)
     return rows[np.concatenate(([True], changed))]
 
@@ -54,9 +50,6 @@ def white_noise(rows: Array) -> Array:
     A smooth motion has almost no third difference over three ticks, white noise of standard
     deviation s has one of ``s sqrt(20)``; the median keeps lost samples out. A signal that was
     filtered before it came reads too low, never too high.
-
-    Returns:
-        Shape (size,).
     """
     if len(rows) <= ORDER:
         return np.zeros(rows.shape[1])
@@ -66,14 +59,7 @@ def white_noise(rows: Array) -> Array:
 
 
 def stands_out(rows: Array) -> NDArray[np.bool_]:
-    """Which signals have noise that stands out of their resolution.
-
-    Args:
-        rows: Samples, shape (m, size).
-
-    Returns:
-        Shape (size,).
-    """
+    """Which signals have noise that stands out of their resolution; rows (m, size) -> (size,)."""
     rows = new_rows(rows)
     if len(rows) < LEAST_ROWS:
         return np.zeros(rows.shape[1], dtype=bool)
@@ -94,12 +80,7 @@ class NoiseState(NamedTuple):
 
 
 class NoiseProbe:
-    """Noise of a smooth vector signal, from its first samples; see `white_noise`.
-
-    Args:
-        size: Length of the vector.
-        seconds: For how long it listens [s].
-    """
+    """Noise of a smooth vector signal, from its first samples; see `white_noise`."""
 
     LEAST_SAMPLES = 32
     """However slow the clock."""
@@ -158,11 +139,7 @@ class StuckSignalDetector:
         return max(LEAST_S, FAR_LONGER * self.usual_s)
 
     def is_stuck(self, dt_s: float) -> bool:
-        """Whether a sample that repeats in all signals is to be rejected.
-
-        Args:
-            dt_s: Time since the last accepted sample [s].
-        """
+        """Whether a sample that repeats in all signals is to be rejected."""
         if not self.is_telling or self.repeats < LEAST_REPEATS:
             return False
         return self._limit_s <= self.repeat_s + dt_s < self._limit_s + LONGEST_REFUSAL_S

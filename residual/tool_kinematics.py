@@ -61,9 +61,7 @@ class ToolKinematics:
     def update(self, q: NDArray[np.float64], computed: pin.Data | None = None) -> None:
         """Move to a configuration [rad], shape (n,).
 
-        Args:
-            q: Joint positions.
-            computed: Workspace in which joint placements and Jacobians of q stand already.
+        ``computed`` is a workspace in which joint placements and Jacobians of q stand already.
         """
         model, data, frame, row = self._model, self._data, self._frame_id, self._row
         if computed is None:
@@ -98,11 +96,7 @@ class ToolKinematics:
 
 
 def unit_axis(axis: ArrayLike) -> NDArray[np.float64]:
-    """An insertion axis of length one, shape (3,).
-
-    Raises:
-        ConfigurationError: If it is not three finite numbers, or all of them are zero.
-    """
+    """An insertion axis of length one, shape (3,); refused unless finite and not all zero."""
     given = vector_of_three("insertion_axis", axis)
     if not given.any():
         raise ConfigurationError(f"insertion_axis is {axis!r}: they must not all be zero")
@@ -111,11 +105,7 @@ def unit_axis(axis: ArrayLike) -> NDArray[np.float64]:
 
 
 def check_offset(offset_m: ArrayLike) -> NDArray[np.float64]:
-    """Refuse a tip offset [m] that is not three numbers, or longer than any tool.
-
-    Raises:
-        ConfigurationError: With what came.
-    """
+    """Refuse a tip offset [m] that is not three numbers, or longer than any tool."""
     given = vector_of_three("tool_offset_m", offset_m)
     if np.abs(given).max() > MOST_OFFSET_M:
         raise ConfigurationError(

@@ -35,10 +35,6 @@ def lag_pair_coefficients(bandwidth_per_s: float, dt_s: float) -> Array:
 
     The input runs straight over the tick; a held one is the case of equal ends.
 
-    Args:
-        bandwidth_per_s: w of each lag [1/s].
-        dt_s: Length of the tick [s].
-
     Returns:
         Shape (3, ROWS): times the rows, both outputs at the end of the tick, and the rate of the
         second one.
@@ -58,32 +54,21 @@ def lag_pair_coefficients(bandwidth_per_s: float, dt_s: float) -> Array:
 
 
 class MatchedSample(NamedTuple):
-    """One consistent, delayed sample.
+    """One consistent, delayed sample; arrays (n,)."""
 
-    Attributes:
-        q: Filtered position [rad], shape (n,).
-        dq: Its exact derivative [rad/s], shape (n,).
-        tau: Torque through the same filter [Nm], shape (n,).
-        settled: Whether the start of the filter has faded; before that ``dq`` is not usable.
-    """
-
-    q: Array
-    dq: Array
-    tau: Array
-    settled: bool
+    q: Array  # Filtered position [rad]
+    dq: Array  # Its exact derivative [rad/s]
+    tau: Array  # Torque through the same filter [Nm]
+    settled: bool  # Whether the start of the filter has faded; before that dq is not usable
 
 
 class VelocityState(NamedTuple):
-    """All that a `VelocityEstimator` remembers.
+    """All that a `VelocityEstimator` remembers."""
 
-    Attributes:
-        rows: Output of both lags and the last sample, position then torque, shape (3, 2 n); None
-            before a sample.
-        age_s: Time since the filter started [s].
-    """
-
+    # Output of both lags and the last sample, position then torque, shape (3, 2 n); None before a
+    # sample
     rows: Array | None
-    age_s: float = 0.0
+    age_s: float = 0.0  # Time since the filter started [s]
 
 
 class VelocityEstimator:
@@ -146,14 +131,9 @@ class VelocityEstimator:
         return MatchedSample(*self.absorb(rows, dt_s))
 
     def absorb(self, sample: Array, dt_s: float) -> tuple[Array, Array, Array, bool]:
-        """As `update`, for finite numbers and a checked time step.
+        """The fields of a `MatchedSample`; as `update`, for finite numbers and a checked time step.
 
-        Args:
-            sample: Position and torque, shape (2, n), contiguous.
-            dt_s: Time since the previous sample [s].
-
-        Returns:
-            The fields of a `MatchedSample`.
+        The sample is position and torque, shape (2, n), contiguous.
         """
         n, rows, given = self._joints, self._rows, sample.ravel()
         if not self._initialized or (dt_s != self._dt_s and self._is_gap(dt_s)):
@@ -208,9 +188,5 @@ class VelocityEstimator:
 
 
 def check_bandwidth(name: str, value: object) -> None:
-    """Refuse a bandwidth [1/s] that no sampled signal has: its square or cube would overflow.
-
-    Raises:
-        ConfigurationError: With the name and what came.
-    """
+    """Refuse a bandwidth [1/s] that no sampled signal has: its square or cube would overflow."""
     check_positive(name, value, most=1e6, least=1e-3)

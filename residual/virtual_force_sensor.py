@@ -62,33 +62,15 @@ class SensorState(NamedTuple):
     rejected: int  # Number of bad samples so far
 
 
-class LagUncertainty:
-    """Widens a standard deviation by what changes faster than the lag may show.
+def hidden_change_N(behind_N: float, std_N: float) -> float:
+    """Standard deviation [N] of a force with that of a change added that its lag may hide.
 
     One more lag of the same length follows the force: what it still misses is about what the
     estimate has missed. Only what stands out of the noise counts as a change.
     """
-
-    followed_N: float | None = None
-    """The force followed; None before the first."""
-
-    def widen(self, axial_N: float, std_N: float, lag_s: float, dt_s: float) -> float:
-        """Standard deviation of an axial force with that of its change added [N].
-
-        Args:
-            axial_N: The force.
-            std_N: Its standard deviation.
-            lag_s: By how much it follows the true one; 0 for not at all.
-            dt_s: Time since the force before.
-        """
-        if self.followed_N is None or lag_s <= 0.0:
-            self.followed_N = axial_N
-            return std_N
-        behind = axial_N - self.followed_N
-        self.followed_N += behind * -math.expm1(-dt_s / lag_s)
-        variance = std_N * std_N
-        hidden = behind * behind - 4.0 * variance
-        return math.sqrt(variance + hidden) if hidden > 0.0 else std_N
+    variance = std_N * std_N
+    hidden = behind_N * behind_N - 4.0 * variance
+    return math.sqrt(variance + hidden) if hidden > 0.0 else std_N
 
 
 class VirtualForceSensor:
@@ -105,6 +87,13 @@ class VirtualForceSensor:
     Args:
         robot: The arm with its payload.
         config: Settings; `PUBLISHED` for the method as published.
+
+    Attributes:
+        lag_s: Time by which the estimate follows the force [s]; 0 before the first sample, and for
+            external torques of the robot itself: their lag is not known here.
+        elapsed_s: Time between the last two samples that were used [s]; 0 for the first.
+        velocity_rad_s: Joint velocity of the last sample used, given or estimated, shape (n,).
+        rejected: Bad samples since the last `reset`.
     """
 
     def __init__(self, robot: Robot, config: SensorConfig = DEFAULT) -> None:
@@ -135,32 +124,9 @@ class VirtualForceSensor:
         return self._offset.memory.tared
 
     @property
-    def lag_s(self) -> float:
-        """Time by which the estimate follows the force [s]; 0 before the first sample.
-
-        It is 0 for external torques of the robot itself too: their lag is not known here.
-        """
-        return self._lag_s
-
-    @property
-    def elapsed_s(self) -> float:
-        """Time between the last two samples that were used [s]; 0 for the first."""
-        return self._elapsed_s
-
-    @property
-    def rejected(self) -> int:
-        """Bad samples since the last `reset`."""
-        return self._rejected
-
-    @property
     def kinematics(self) -> ToolKinematics:
         """Pose and Jacobian of the tool at the last sample that was used."""
         return self._wrench.kinematics
-
-    @property
-    def velocity_rad_s(self) -> NDArray[np.float64]:
-        """Joint velocity of that sample, given or estimated, shape (n,): not to be written."""
-        return self._velocity
 
     def recheck(self, last: WrenchEstimate) -> WrenchEstimate:
         """The last estimate, with `SensorWarning.MODEL_MISMATCH` if this sample does not fit."""
@@ -188,14 +154,11 @@ class VirtualForceSensor:
         """Take one sample of an external-torque estimate that the robot supplies itself.
 
         Args:
-            q: Joint positions [rad], shape (n,).
+            q: As in `update`, like ``dt_s`` and what is returned.
             dq: Joint velocities [rad/s], shape (n,); None, always, to have them estimated from
                 positions, which are then as late as they are. Forces do not depend on them.
             external_torque: Torque of the environment on the joints [Nm], shape (n,).
             dt_s: Time since the previous call [s].
-
-        Returns:
-            As `update`.
         """
         return self._absorb(ExternalTorqueStream, q, dq, external_torque, dt_s)
 
@@ -215,7 +178,7 @@ class VirtualForceSensor:
 
         Raises:
             TareError: Without data, a second time without `start_tare_recording`, with contact in
-                sight, with torques that look like a wrong sign, order, payload or treatment of
+                sight, with torques that suggest a wrong sign, order, payload or treatment of
                 gravity, or velocities that do not fit positions; nothing has then changed.
         """
         if not ignore_contact:
@@ -227,11 +190,11 @@ class VirtualForceSensor:
             )
         except TareError as error:
             # What may be the cause of it.
-            hint = long_step(self._elapsed_s, self._config.max_gap_s)
+            hint = long_step(self.elapsed_s, self._config.max_gap_s)
             raise TareError("; ".join(filter(None, (str(error), hint)))) from None
         self._wrench.set_torque_covariance(self._offset.covariance_Nm2())
         self._wrench.weigh()
-        self._lag_uncertainty = LagUncertainty()
+        self._followed_N: float | None = None
         return tare
 
     def start_tare_recording(self) -> None:
@@ -245,18 +208,18 @@ class VirtualForceSensor:
     def reset(self) -> None:
         """Forget everything, the tare included."""
         self._stream: SampleStream | None = None
-        self._lag_s = self._elapsed_s = 0.0
+        self.lag_s = self.elapsed_s = 0.0
         self._restart()
-        self._velocity = np.zeros(self._robot.nv)
+        self.velocity_rad_s = np.zeros(self._robot.nv)
         self._last: WrenchEstimate | None = None
         self._clock = SampleClock(self._config.max_gap_s)
-        self._rejected = 0
+        self.rejected = 0
 
     def _restart(self) -> None:
         """Forget what a stream of samples has left behind."""
         self._offset.reset()
         self._monitor.restore(MonitorState())
-        self._lag_uncertainty = LagUncertainty()
+        self._followed_N = None
         self._unchecked_s = 0.0
 
     def snapshot(self) -> SensorState:
@@ -268,17 +231,17 @@ class VirtualForceSensor:
                 config=settings_text(self._config, self._robot.nv),
                 joints=stream.state if isinstance(stream, JointStream) else None,
                 external_torque=stream.state if isinstance(stream, ExternalTorqueStream) else None,
-                lag_s=self._lag_s,
+                lag_s=self.lag_s,
                 offset=self._offset.state,
                 torque_covariance=self._wrench.torque_covariance,
                 weights=self._wrench.weights,
                 monitor=self._monitor.state,
-                followed_N=self._lag_uncertainty.followed_N,
+                followed_N=self._followed_N,
                 unchecked_s=self._unchecked_s,
-                velocity=self._velocity,
+                velocity=self.velocity_rad_s,
                 last=self._last,
                 missed_s=self._clock.missed_s,
-                rejected=self._rejected,
+                rejected=self.rejected,
             )
         )
 
@@ -318,10 +281,10 @@ class VirtualForceSensor:
         self._wrench.set_torque_covariance(state.torque_covariance)
         self._wrench.restore(state.weights)
         self._monitor.restore(state.monitor)
-        self._lag_uncertainty.followed_N = state.followed_N
-        self._lag_s, self._velocity = state.lag_s, state.velocity
+        self._followed_N = state.followed_N
+        self.lag_s, self.velocity_rad_s = state.lag_s, state.velocity
         self._unchecked_s = state.unchecked_s
-        self._last, self._rejected = state.last, state.rejected
+        self._last, self.rejected = state.last, state.rejected
         self._clock.missed_s = state.missed_s
         if state.last is not None:
             for value in state.last:
@@ -357,9 +320,9 @@ class VirtualForceSensor:
         self, sample: TorqueSample, stream: SampleStream, elapsed_s: float
     ) -> WrenchEstimate:
         """Remove the offset, project, and say what the caller should know."""
-        q, self._velocity, tau, residual, settled, data = sample
+        q, self.velocity_rad_s, tau, residual, settled, data = sample
         self._clock.missed_s = 0.0
-        self._elapsed_s, self._lag_s = elapsed_s, stream.lag_s
+        self.elapsed_s, self.lag_s = elapsed_s, stream.lag_s
         offset, wrench, monitor = self._offset, self._wrench, self._monitor
         renewed, bias = offset.follow(q, tau, elapsed_s), offset.memory
         tared = bias.tared
@@ -374,20 +337,25 @@ class VirtualForceSensor:
         )
         self._unchecked_s += elapsed_s
         if renewed:
-            dq = self._velocity if stream.has_velocity else None
+            dq = self.velocity_rad_s if stream.has_velocity else None
             monitor.check(q, dq, corrected, self._unchecked_s, tared=tared)
             self._unchecked_s = 0.0
-        std = self._lag_uncertainty.widen(axial, std, stream.lag_s, elapsed_s)
+        if self._followed_N is None or stream.lag_s <= 0.0:
+            self._followed_N = axial
+        else:
+            behind = axial - self._followed_N
+            self._followed_N += behind * -math.expm1(-elapsed_s / stream.lag_s)
+            std = hidden_change_N(behind, std)
         status, message, warnings = _OK, monitor.message, monitor.warnings
         if not (settled and tared) or bias.leapt_s or stream.warning:
-            status, message, warnings = self._doubts(stream, settled=settled)
+            status, message, warnings = self._assess(stream, settled=settled)
         found = (axial, std, force, torque, covariance, conditioning, damped, corrected)
         self._last = last = _new(
             WrenchEstimate, (*found, status, message, monitor.mismatch, warnings)
         )
         return last
 
-    def _doubts(self, stream: SampleStream, *, settled: bool) -> tuple[Status, str, SensorWarning]:
+    def _assess(self, stream: SampleStream, *, settled: bool) -> tuple[Status, str, SensorWarning]:
         """Status, message and warnings of a sample that is not simply a good one."""
         offset, monitor = self._offset, self._monitor
         warnings = monitor.warnings
@@ -396,7 +364,7 @@ class VirtualForceSensor:
         if offset.warning:
             warnings |= SensorWarning.TARE_EXPIRED
         if not settled:
-            gap = long_step(self._elapsed_s, self._config.max_gap_s)
+            gap = long_step(self.elapsed_s, self._config.max_gap_s)
             return Status.INITIALIZING, gap or INITIALIZING, warnings
         if not offset.memory.tared:
             reason = monitor.velocity_fault or offset.warning or NOT_TARED
@@ -407,7 +375,7 @@ class VirtualForceSensor:
 
     def _reject(self, dt_s: float, error: SampleError) -> WrenchEstimate:
         """The last valid estimate again; the time of a bad sample still passes."""
-        self._rejected += 1
+        self.rejected += 1
         last = self._last
         if last is None:
             last = unknown_wrench(self._robot.nv, COMPONENTS[self._config.mode])

@@ -28,19 +28,12 @@ _NOTHING.setflags(write=False)
 
 
 class AxialWeights(NamedTuple):
-    """How the axial mode weighs the joints, until `WrenchEstimator.weigh` weighs them anew.
+    """How the axial mode weighs the joints, until `WrenchEstimator.weigh` weighs them anew."""
 
-    Attributes:
-        weighted: W a, a the torque per newton; shape (n,).
-        variance_N2: Of the axial force.
-        damping_share: Fraction of it that damping removes.
-        conditioning: See `WrenchEstimate`.
-    """
-
-    weighted: Array
-    variance_N2: float
-    damping_share: float
-    conditioning: float
+    weighted: Array  # W a, a the torque per newton; shape (n,)
+    variance_N2: float  # Of the axial force
+    damping_fraction: float  # Fraction of it that damping removes
+    conditioning: float  # See `WrenchEstimate`
 
 
 @compiled
@@ -60,7 +53,7 @@ def axial_force(
         residual: External joint torque with its offset [Nm], shape (n,).
         offset: What it reads without contact [Nm], shape (n,).
         weighted: See `AxialWeights`.
-        axial_jacobian: See `residual.tool_kinematics.ToolKinematics`.
+        axial_jacobian: Row of the Jacobian along the axis [m], shape (n,).
         axis: Insertion direction, shape (3,).
         damping: Inverse variance of the force that is expected at most [1/N^2].
         corrected: Where the residual less its offset is written [Nm], shape (n,).
@@ -70,36 +63,19 @@ def axial_force(
         Resistance to insertion [N]; 0 where nothing is seen.
     """
     information = float(weighted.dot(axial_jacobian)) + damping
-    corrected[:] = residual - offset
+    np.subtract(residual, offset, corrected)
     along = float(weighted.dot(corrected)) / information if information > 0.0 else 0.0
-    force[:] = axis * along
+    np.multiply(axis, along, force)
     return -along
-
-
-class WeightedSolution(NamedTuple):
-    """Solution of ``torque = map' x`` for x.
-
-    Attributes:
-        value: x, shape (k,).
-        covariance: Of x, shape (k, k); `UNSEEN_STD` squared on the diagonal where x cannot be seen.
-        conditioning: Ratio of the largest to the smallest standard deviation over directions.
-        damping_share: Fraction of each true component that damping removes, shape (k,).
-    """
-
-    value: Array
-    covariance: Array
-    conditioning: float
-    damping_share: Array
 
 
 def weighted_inverse(
     jacobian: Array,
     torque: Array,
     error_covariance: Array,
-    *,
-    precision: Array | None = None,
-    damping: Array | None = None,
-) -> WeightedSolution:
+    precision: Array,
+    damping: Array,
+) -> tuple[Array, Array, float, Array]:
     """Solve ``torque = J' x + error`` by weighted least squares; the paper's (13) generalised.
 
     ``x = (J W J' + D)^-1 J W torque``. With W the inverse covariance of the error this is the best
@@ -111,32 +87,28 @@ def weighted_inverse(
         jacobian: J, shape (k, n), rows are directions of x.
         torque: External joint torque [Nm], shape (n,).
         error_covariance: Of the error of that torque [Nm^2], shape (n, n).
-        precision: W, shape (n, n); None for 1.
-        damping: Diagonal of D, shape (k,); None for none.
+        precision: W, shape (n, n).
+        damping: Diagonal of D, shape (k,).
 
     Returns:
-        The solution with its covariance, conditioning and damping.
+        x, its covariance, shape (k, k), with `UNSEEN_STD` squared on the diagonal where x cannot be
+        seen, ``conditioning`` and ``damping_fraction`` of `WrenchEstimate`.
     """
-    weighted = jacobian if precision is None else jacobian.dot(precision)
+    weighted = jacobian.dot(precision)
     information = weighted.dot(jacobian.T)
-    prior = np.zeros(len(information)) if damping is None else damping
-    eigenvalues, vectors = np.linalg.eigh(information + np.diag(prior))
+    eigenvalues, vectors = np.linalg.eigh(information + np.diag(damping))
     # Directions below rounding of the largest are unseen: the pseudo-inverse leaves them at zero.
     seen = eigenvalues > eigenvalues[-1] * 1e-12
     inverse = (vectors[:, seen] / eigenvalues[seen]) @ vectors[:, seen].T
     gain = inverse.dot(weighted)
-    covariance = gain.dot(error_covariance).dot(gain.T) + inverse * prior @ inverse
+    covariance = gain.dot(error_covariance).dot(gain.T) + inverse * damping @ inverse
     if not seen.all():
         blind = (np.abs(vectors[:, ~seen]) > 1e-9).any(axis=1)
         covariance[blind, blind] = UNSEEN_STD**2
     own = np.linalg.eigvalsh(information)
     sightless = own[0] <= own[-1] / MOST_CONDITIONING**2
-    return WeightedSolution(
-        value=gain.dot(torque),
-        covariance=covariance,
-        conditioning=MOST_CONDITIONING if sightless else float(np.sqrt(own[-1] / own[0])),
-        damping_share=np.diag(inverse) * prior,
-    )
+    conditioning = MOST_CONDITIONING if sightless else float(np.sqrt(own[-1] / own[0]))
+    return gain.dot(torque), covariance, conditioning, np.diag(inverse) * damping
 
 
 class WrenchEstimator:
@@ -238,8 +210,8 @@ class WrenchEstimator:
     def weigh(self) -> None:
         """Weigh the joints anew where `kinematics` stands; `solve` keeps the weights until then.
 
-        Only the axial mode does; the others weigh with every sample. The force of older weights is
-        no less true, it is only not quite as quiet as it could be.
+        Only the axial mode does; the others weigh with every sample. Older weights give the same
+        force with a little more noise.
         """
         if self._mode != "axial":
             return
@@ -263,16 +235,14 @@ class WrenchEstimator:
         """Go on with weights of an earlier time."""
         self._weights = weights
         self._std = math.sqrt(weights.variance_N2)
-        numbers = np.array((weights.variance_N2, weights.damping_share))
+        numbers = np.array((weights.variance_N2, weights.damping_fraction))
         numbers.setflags(write=False)
         self._spread, self._removed = numbers[:1, None], numbers[1:]
 
     def solve(self, residual: Array, offset: Array) -> tuple[Any, ...]:
         """Wrench where `kinematics` stands, from an external joint torque.
 
-        Args:
-            residual: External joint torque [Nm], shape (n,).
-            offset: What it reads here without contact [Nm], shape (n,); it is subtracted.
+        The offset [Nm], shape (n,), is what the residual reads here without contact.
 
         Returns:
             The numbers of a `WrenchEstimate`, from ``axial`` to ``residual``.
@@ -311,28 +281,16 @@ class WrenchEstimator:
         if self._in_base:
             axis, rotation = self.kinematics.axis_in_base, self.kinematics.rotation_tool_to_base
             rows = np.concatenate([rotation.dot(rows[k : k + 3]) for k in range(0, size, 3)])
-        solution = weighted_inverse(
-            rows,
-            residual,
-            self._covariance,
-            precision=self._precision if self._weighted else None,
-            damping=self._damping,
+        wrench, covariance, conditioning, removed = weighted_inverse(
+            rows, residual, self._covariance, self._precision, self._damping
         )
-        if not np.isfinite(solution.value).all():
+        if not np.isfinite(wrench).all():
             raise SampleError("q and residual must be finite; skip this sample")
-        force, torque = solution.value[:3], solution.value[3:] if size == 6 else _NOTHING
-        for array in (force, torque, solution.covariance, solution.damping_share, residual):
+        force, torque = wrench[:3], wrench[3:] if size == 6 else _NOTHING
+        for array in (force, torque, covariance, removed, residual):
             array.setflags(write=False)
-        return (
-            -float(axis.dot(force)),
-            _std_along(axis, solution.covariance[:3, :3]),
-            force,
-            torque,
-            solution.covariance,
-            solution.conditioning,
-            solution.damping_share,
-            residual,
-        )
+        axial, std = -float(axis.dot(force)), _std_along(axis, covariance[:3, :3])
+        return axial, std, force, torque, covariance, conditioning, removed, residual
 
     def smallest_singular_value(self) -> float:
         """How much the joints feel of a newton in the direction they feel least [m].
@@ -349,10 +307,7 @@ class WrenchEstimator:
         """Mean square of the joint torque [Nm] that no wrench of the mode explains.
 
         In units of its covariance, at the last configuration: about 1 when the model holds, 0 where
-        the mode has as many unknowns as there are joints.
-
-        Args:
-            residual: External joint torque after offset removal [Nm], shape (n,).
+        the mode has as many unknowns as there are joints. The residual is that without offset.
         """
         rows = self.kinematics.jacobian[: COMPONENTS[self._mode]]
         if self._mode == "axial":
@@ -362,14 +317,12 @@ class WrenchEstimator:
             return 0.0
         weighted = rows.dot(self._inverse)
         known, seen = weighted.dot(rows.T), weighted.dot(residual)
-        wrench = seen / max(known[0, 0], 1e-300) if len(rows) == 1 else _least(known, seen)
+        if len(rows) == 1:
+            wrench = seen / max(known[0, 0], 1e-300)
+        else:  # the smallest solution: nothing where it sees nothing
+            wrench = np.linalg.lstsq(known, seen, rcond=1e-12)[0]
         left = float(residual.dot(self._inverse).dot(residual) - seen.dot(wrench))
         return max(left, 0.0) / spare
-
-
-def _least(matrix: Array, right: Array) -> Array:
-    """Smallest solution of a symmetric system: nothing where it sees nothing."""
-    return np.asarray(np.linalg.lstsq(matrix, right, rcond=1e-12)[0], dtype=np.float64)
 
 
 def _std_along(axis: Array, covariance: Array) -> float:
@@ -389,10 +342,6 @@ def _damping(mode: Mode, expected_force_N: float | None) -> Array:
 
 
 def check_expected(name: str, value: float | None) -> None:
-    """Refuse an expected size of force or torque whose inverse square overflows; None is none.
-
-    Raises:
-        ConfigurationError: With the name and what came.
-    """
+    """Refuse an expected size of force or torque whose inverse square overflows; None is none."""
     if value is not None:
         check_positive(name, value, least=1e-6, most=1e9)

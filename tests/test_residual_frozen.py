@@ -1,4 +1,4 @@
-"""Signals that are stuck are told from sound ones that repeat."""
+"""Signals that are stuck are distinguished from valid ones that repeat."""
 
 import numpy as np
 import pytest

@@ -5,16 +5,17 @@ import pinocchio as pin
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from residual_signals import JOINTS, external_torque_of, swing
+from residual_signals import JOINTS, MIDDLE, external_torque_of, swing
 
 from residual import (
     ConfigurationError,
     JointFriction,
+    KalmanObserver,
     MomentumObserver,
     SampleError,
     SigmoidFriction,
 )
-from residual.momentum_observer import BEFORE, step_weights
+from residual.momentum_observer import BEFORE, ROWS, set_step_weights
 from urdf import load_lwr
 
 numbers = st.floats(-100.0, 100.0)
@@ -27,8 +28,10 @@ def rows(momentum, coriolis, gravity, torque, residual=0.0):
 def step(before, after, gain, dt_s, alignment="trapezoid"):
     """Residual at the end of a tick, shape (n,), from rows as above at its start and its end."""
     known = np.concatenate((before, after[1:]))
-    # One weight a row, or one a row and joint.
-    return (step_weights(gain, dt_s, alignment).T * known).sum(axis=0)
+    gains = np.atleast_1d(np.asarray(gain, dtype=float))
+    weights = np.empty((len(gains), ROWS))
+    set_step_weights(weights, gains, dt_s, alignment == "hold")
+    return (weights.T * known).sum(axis=0)
 
 
 @given(
@@ -161,46 +164,6 @@ def test_bad_sample_is_refused_and_leaves_the_state_unchanged(lwr, reason):
     )
 
 
-def test_bad_first_sample_is_refused_too(lwr):
-    observer = MomentumObserver(lwr, 50.0)
-    with pytest.raises(SampleError, match="tau is not finite"):
-        observer.update(np.zeros(7), np.zeros(7), np.full(7, np.nan), 1e-3)
-    assert observer.state.rows is None
-
-
-def test_snapshot_resumes_bit_equal(lwr):
-    _, q, dq, tau = swing(lwr, seconds=0.1)
-    one, other = MomentumObserver(lwr, 50.0), MomentumObserver(lwr, 50.0)
-    for k in range(51):
-        one.update(q[k], dq[k], tau[k], 1e-3)
-    other.restore(one.state)
-    for k in range(51, 100):
-        first = one.update(q[k], dq[k], tau[k], 1e-3)
-        np.testing.assert_array_equal(first, other.update(q[k], dq[k], tau[k], 1e-3))
-    one.reset()
-    assert one.state.rows is None
-    with pytest.raises(ConfigurationError, match="rows of shape"):
-        one.restore(type(one.state)(np.zeros((BEFORE, 3))))
-
-
-def test_residual_handed_out_is_read_only_and_a_copy(lwr):
-    _, q, dq, tau = swing(lwr, seconds=0.05)
-    observer = MomentumObserver(lwr)
-    first = observer.update(q[0], dq[0], tau[0], 1e-3)
-    second = observer.update(q[1], dq[1], tau[1], 1e-3)
-    kept = second.copy()
-    assert not first.flags.writeable
-    observer.update(q[2], dq[2], tau[2] + 5.0, 1e-3)
-    np.testing.assert_array_equal(second, kept)
-
-
-def test_per_joint_gains_and_lists_are_taken(lwr):
-    observer = MomentumObserver(lwr, [10, 20, 30, 40, 50, 60, 70])
-    residual = observer.update([0.0] * 7, [0.0] * 7, [0.0] * 7, 1e-3)
-    assert residual.shape == (7,)
-    np.testing.assert_array_equal(observer.gain_per_s, [10, 20, 30, 40, 50, 60, 70])
-
-
 def test_modelled_friction_does_not_read_as_force(lwr):
     friction = JointFriction(
         viscous_Nms=np.full(JOINTS, 2.0),
@@ -217,7 +180,7 @@ def test_modelled_friction_does_not_read_as_force(lwr):
     assert worst_known < 0.01 < 0.5 < worst_unknown
 
 
-def test_smoothing_belongs_to_the_state_and_is_forgotten_by_reset(lwr):
+def test_the_state_with_its_smoothing_resumes_bit_equal_and_is_forgotten_by_reset(lwr):
     _, q, dq, tau = swing(lwr, seconds=0.1)
     one, other = MomentumObserver(lwr, 50.0), MomentumObserver(lwr, 50.0)
     one.smooth_momentum(np.full(7, 1e-3), q[0])
@@ -226,21 +189,24 @@ def test_smoothing_belongs_to_the_state_and_is_forgotten_by_reset(lwr):
     other.restore(one.state)
     sample = (q[50], dq[50] + 1e-3, tau[50], 1e-3)
     np.testing.assert_array_equal(one.update(*sample), other.update(*sample))
-    with pytest.raises(SampleError, match="dt_s"):
-        one.update(*sample[:3], 0.0)
+    handed_out = one.update(*sample)
+    kept = handed_out.copy()
+    one.update(*sample[:2], sample[2] + 5.0, 1e-3)
+    np.testing.assert_array_equal(handed_out, kept)
+    assert not handed_out.flags.writeable
+    with pytest.raises(ConfigurationError, match="rows of shape"):
+        one.restore(type(one.state)(np.zeros((BEFORE, 3))))
     one.reset()
+    assert one.state.rows is None
+    with pytest.raises(SampleError, match="tau is not finite"):
+        one.update(q[0], dq[0], np.full(7, np.nan), 1e-3)
+    assert one.state.rows is None
     fresh = MomentumObserver(lwr, 50.0)
     for k in range(3):
         sample = (q[k], dq[k] + 1e-3 * k, tau[k], 1e-3)
         np.testing.assert_array_equal(one.update(*sample), fresh.update(*sample))
     with pytest.raises(SampleError, match="velocity_noise"):
         one.smooth_momentum(np.zeros(3), q[0])
-
-
-def test_friction_of_another_robot_is_refused(lwr):
-    short = JointFriction(viscous_Nms=[1.0] * 6, coulomb_Nm=[0.0] * 6, offset_Nm=[0.0] * 6)
-    with pytest.raises(ConfigurationError, match="7 joints"):
-        MomentumObserver(lwr, friction=short)
 
 
 @pytest.mark.parametrize(
@@ -312,3 +278,98 @@ def test_parameters_that_cannot_be_are_refused(change, match):
     sound = {"viscous_Nms": [0.1], "coulomb_Nm": [0.1], "offset_Nm": [0.0]}
     with pytest.raises(ConfigurationError, match=match):
         JointFriction(**(sound | change))
+
+
+# The Kalman momentum observer.
+
+
+QUIET = {"torque_noise_Nm": 0.05, "velocity_noise_rad_s": 0.0, "walk_Nm_per_sqrt_s": 1.0}
+
+
+def test_without_velocity_noise_it_settles_on_the_momentum_residual_with_the_optimal_gain(lwr):
+    gain = 1.0 / (0.05 * np.sqrt(1e-3))
+    # The discrete filter's own gain: 1 - a = steady gain of the two-state Riccati equation.
+    kalman = KalmanObserver(lwr, **QUIET, alignment="hold")
+    momentum = MomentumObserver(lwr, gain, alignment="hold")
+    data = lwr.create_data()
+    gravity = pin.computeGeneralizedGravity(lwr.model, data, MIDDLE).copy()
+    step = np.ones(7)
+    differences = []
+    for k in range(600):
+        tau = gravity - (step if k > 300 else 0.0)
+        ours = kalman.update(MIDDLE, np.zeros(7), tau, 1e-3)
+        theirs = momentum.update(MIDDLE, np.zeros(7), tau, 1e-3)
+        differences.append(np.abs(ours - theirs).max())
+    assert max(differences[:301]) < 1e-9
+    assert max(differences) < 0.2
+    np.testing.assert_allclose(ours, step, atol=1e-3)
+
+
+def test_variance_is_believable(lwr):
+    rng = np.random.default_rng(1)
+    noise = {"torque_noise_Nm": 0.05, "velocity_noise_rad_s": 2e-4, "walk_Nm_per_sqrt_s": 0.5}
+    kalman = KalmanObserver(lwr, **noise, alignment="hold")
+    gravity = pin.computeGeneralizedGravity(lwr.model, lwr.create_data(), MIDDLE).copy()
+    external, scores = np.zeros(7), []
+    sent = gravity + 0.05 * rng.normal(size=7)
+    for k in range(4000):
+        dq = 2e-4 * rng.normal(size=7)
+        # The arm is held still: the controller balances what the environment adds.
+        estimate = kalman.update(MIDDLE, dq, sent, 1e-3)
+        if k > 500:
+            scores.append((estimate - external) ** 2 / kalman.variance_Nm2)
+        external = external + 0.5 * np.sqrt(1e-3) * rng.normal(size=7)
+        sent = gravity - external + 0.05 * rng.normal(size=7)
+    assert 0.7 < np.mean(scores) < 1.3
+
+
+def test_external_torque_is_found_on_a_moving_arm(lwr):
+    force = np.array([0.0, 0.0, 2.0])
+    _, q, dq, tau = swing(lwr, seconds=0.5, force_at_tip_in_base=force)
+    kalman = KalmanObserver(
+        lwr, torque_noise_Nm=0.05, velocity_noise_rad_s=1e-5, walk_Nm_per_sqrt_s=2.0
+    )
+    for sample in zip(q, dq, tau, strict=True):
+        estimate = kalman.update(*sample, 1e-3)
+    np.testing.assert_allclose(estimate, external_torque_of(lwr, q[-1], force), atol=0.03)
+
+
+def test_variance_stays_positive_and_finite_for_any_step(lwr):
+    rng = np.random.default_rng(2)
+    kalman = KalmanObserver(
+        lwr, torque_noise_Nm=0.05, velocity_noise_rad_s=1e-4, walk_Nm_per_sqrt_s=50.0
+    )
+    assert np.isinf(kalman.variance_Nm2).all()
+    for _ in range(500):
+        kalman.update(MIDDLE, rng.normal(size=7) * 1e-3, rng.normal(size=7), rng.uniform(1e-5, 0.2))
+        assert (kalman.variance_Nm2 > 0).all()
+        assert np.isfinite(kalman.variance_Nm2).all()
+
+
+def test_a_bad_sample_leaves_the_kalman_observer_unchanged(lwr):
+    _, q, dq, tau = swing(lwr, seconds=0.05)
+    kalman, twin = KalmanObserver(lwr, **QUIET), KalmanObserver(lwr, **QUIET)
+    for k in range(20):
+        kalman.update(q[k], dq[k], tau[k], 1e-3)
+        twin.update(q[k], dq[k], tau[k], 1e-3)
+    absurd = (q[20], np.full(7, 1e308), tau[20], 1e-3)
+    for bad in ((q[20] * np.nan, dq[20], tau[20], 1e-3), (*absurd[:3], -1.0), absurd):
+        with pytest.raises(SampleError):
+            kalman.update(*bad)
+    np.testing.assert_array_equal(
+        kalman.update(q[20], dq[20], tau[20], 1e-3), twin.update(q[20], dq[20], tau[20], 1e-3)
+    )
+
+
+@pytest.mark.parametrize(
+    "settings_",
+    [
+        *({name: value} for name in QUIET for value in (-1.0, np.nan, [1.0, 2.0])),
+        {"torque_noise_Nm": 0.0},
+        {"alignment": "x"},
+        {"max_gap_s": np.nan},
+    ],
+)
+def test_settings_of_a_kalman_observer_that_cannot_work_are_refused(lwr, settings_):
+    with pytest.raises(ConfigurationError, match=next(iter(settings_))):
+        KalmanObserver(lwr, **(QUIET | settings_))

@@ -9,27 +9,11 @@ from residual_signals import BIAS, external_torque_of, push, swing, tared_sensor
 
 from residual import (
     DEFAULT,
-    ConfigurationError,
     SensorWarning,
     Status,
     TareError,
     VirtualForceSensor,
 )
-
-
-def test_a_buffer_that_the_caller_reuses_is_not_looked_at_later(lwr):
-    sensor, twin = VirtualForceSensor(lwr), VirtualForceSensor(lwr)
-    _, q, dq, tau = swing(lwr, seconds=1.6, amplitude=0.03)
-    buffer = np.empty(7)
-    for k in range(1500):
-        buffer[:] = q[k]
-        sensor.update(buffer, dq[k], tau[k], 1e-3)
-        twin.update(q[k], dq[k], tau[k], 1e-3)
-    buffer[:] = np.nan
-    sensor.tare()
-    twin.tare()
-    ours = sensor.update(q[1500], dq[1500], tau[1500], 1e-3)
-    assert ours.axial == twin.update(q[1500], dq[1500], tau[1500], 1e-3).axial
 
 
 def test_a_second_tare_needs_new_motion(lwr):
@@ -66,18 +50,9 @@ def test_a_refused_tare_leaves_the_next_estimate_as_it_was(lwr):
     assert (ours.axial, ours.axial_std) == (theirs.axial, theirs.axial_std)
 
 
-@pytest.mark.parametrize("dt_s", [None, "x", [1e-3], np.array([1e-3])])
-def test_a_time_step_that_is_no_number_is_skipped(lwr, dt_s):
-    sensor = tared_sensor(lwr)
-    _, q, dq, tau = swing(lwr, seconds=0.01)
-    estimate = sensor.update(q[0], dq[0], tau[0], dt_s)
-    assert estimate.status is Status.REJECTED
-    assert "dt_s" in estimate.message
-
-
 @pytest.mark.filterwarnings("ignore::RuntimeWarning")
 @pytest.mark.parametrize("with_velocity", [True, False])
-def test_absurd_numbers_are_skipped_and_leave_no_trace(lwr, with_velocity):
+def test_absurd_numbers_are_rejected_and_leave_no_trace(lwr, with_velocity):
     sensor, twin = (tared_sensor(lwr, with_velocity=with_velocity) for _ in range(2))
     _, q, dq, tau = swing(lwr, seconds=0.01, start=2.0, amplitude=0.03)
     for absurd in (1e12, 1e200, 1.7e308):
@@ -85,8 +60,8 @@ def test_absurd_numbers_are_skipped_and_leave_no_trace(lwr, with_velocity):
         assert bad.status is Status.REJECTED
         bad = sensor.update_external_torque(q[0], None, np.full(7, absurd), 1e-3)
         assert bad.status is Status.REJECTED
-    sound = (q[1], dq[1] if with_velocity else None, tau[1])
-    assert sensor.update(*sound, 1e-3).axial == twin.update(*sound, 7e-3).axial
+    valid = (q[1], dq[1] if with_velocity else None, tau[1])
+    assert sensor.update(*valid, 1e-3).axial == twin.update(*valid, 7e-3).axial
 
 
 def test_change_that_the_lag_hides_widens_the_standard_deviation(lwr):
@@ -117,12 +92,10 @@ def test_one_gain_per_joint_is_taken(lwr):
     gains = (50.0, 50.0, 60.0, 60.0, 70.0, 70.0, 70.0)
     sensor = tared_sensor(lwr, replace(DEFAULT, gain_per_s=gains))
     assert sensor.lag_s == pytest.approx(0.02)
-    _, estimate = push(lwr, sensor, [0.0, 0.0, 2.0])
+    q, estimate = push(lwr, sensor, [0.0, 0.0, 2.0])
     assert np.isfinite(estimate.axial)
-    with pytest.raises(ConfigurationError, match="7 of them"):
-        VirtualForceSensor(lwr, replace(DEFAULT, gain_per_s=(50.0, 60.0))).update(
-            np.zeros(7), np.zeros(7), np.zeros(7), 1e-3
-        )
+    # A gap starts the filters anew.
+    assert sensor.update(q, 0.0 * q, 0.0 * q, 0.5).status is Status.INITIALIZING
 
 
 @pytest.mark.parametrize("mode", ["axial", "point", "full"])
@@ -154,7 +127,7 @@ def test_a_clock_that_was_set_forward_is_reported_and_goes_on_from_there(lwr, dt
     assert (ours.axial, ours.axial_std) == (theirs.axial, theirs.axial_std)
 
 
-def test_days_of_bad_samples_do_not_make_the_next_sound_one_a_bad_one(lwr):
+def test_days_of_bad_samples_do_not_make_the_next_valid_one_a_bad_one(lwr):
     sensor = tared_sensor(lwr)
     _, q, dq, tau = swing(lwr, seconds=0.01, start=2.0, amplitude=0.03)
     for _ in range(3):
@@ -223,26 +196,6 @@ def test_a_tare_of_one_kind_of_torque_is_not_used_for_the_other(lwr):
     assert sensor.update(q[3], dq[3], tau[3], 1e-3).status is not Status.REJECTED
 
 
-def test_a_velocity_that_comes_and_goes_is_refused_beside_external_torques_too(lwr):
-    sensor = VirtualForceSensor(lwr)
-    q, still = np.zeros(7), np.zeros(7)
-    sensor.update_external_torque(q, None, still, 1e-3)
-    reported = sensor.update_external_torque(q, still, still, 1e-3)
-    assert reported.status is Status.REJECTED
-    assert "dq was given before" in reported.message
-
-
-def test_speed_of_external_torques_settles_anew_after_a_gap(lwr):
-    sensor = VirtualForceSensor(lwr)
-    _, q, _, _ = swing(lwr, seconds=0.5)
-    for k in range(400):
-        sensor.update_external_torque(q[k], None, BIAS, 1e-3)
-    assert sensor.update_external_torque(q[400], None, BIAS, 0.5).status is Status.INITIALIZING
-    for k in range(401, 460):
-        last = sensor.update_external_torque(q[k], None, BIAS, 1e-3)
-    assert last.status is Status.NOT_TARED
-
-
 @pytest.mark.parametrize("with_velocity", [True, False])
 @pytest.mark.parametrize("own_torque", [True, False])
 def test_no_state_is_an_array_of_the_caller(lwr, with_velocity, own_torque):
@@ -308,7 +261,8 @@ def test_rounding_of_time_stamps_decides_nothing(lwr, with_velocity):
 
 def test_a_leap_of_the_clock_is_reported_until_the_next_tare(lwr):
     sensor, rows = tared(lwr)
-    quiet = feed(sensor, rows[:50])[-1]
+    sensor.update(*rows[0], 59.0)  # a pause
+    quiet = feed(sensor, rows[1:50])[-1]
     assert not quiet.warnings
     sensor.update(*rows[50], 3600.0)
     reported = feed(sensor, rows[51:400])
@@ -320,18 +274,12 @@ def test_a_leap_of_the_clock_is_reported_until_the_next_tare(lwr):
     resumed.restore(sensor.snapshot())
     assert SensorWarning.TARE_EXPIRED in resumed.update(*rows[400], 1e-3).warnings
     sensor.start_tare_recording()
-    feed(sensor, rows[400:900])
+    assert not any(e.warnings for e in feed(sensor, rows[400:900]))
     sensor.tare()
     last = feed(sensor, rows[900:])[-1]
     assert last.status is Status.OK
     assert not last.warnings
     assert last.axial_std < 2.0 * quiet.axial_std
-
-
-def test_a_pause_below_a_minute_is_no_leap(lwr):
-    sensor, rows = tared(lwr)
-    sensor.update(*rows[0], 59.0)
-    assert not feed(sensor, rows[1:400])[-1].warnings
 
 
 @pytest.mark.parametrize("again", [False, True])
@@ -358,19 +306,3 @@ def test_a_leap_while_recording_is_reported_and_what_was_before_it_forgotten(lwr
     assert last.status is Status.OK
     assert not last.warnings
     assert abs(last.axial) < 0.1
-
-
-def test_a_leap_before_any_motion_is_recorded_is_none(lwr):
-    q, dq, tau = signals(lwr, 1.0)
-    sensor = VirtualForceSensor(lwr)
-    sensor.update(q[0], dq[0], tau[0], 1e-3)
-    sensor.update(q[1], dq[1], tau[1], 3600.0)
-    found = feed(sensor, zip(q[2:], dq[2:], tau[2:], strict=True))
-    assert not any(e.warnings for e in found)
-
-
-def test_a_recording_started_anew_after_a_leap_is_as_good_as_any(lwr):
-    sensor, rows = tared(lwr)
-    sensor.update(*rows[0], 3600.0)
-    sensor.start_tare_recording()
-    assert not any(e.warnings for e in feed(sensor, rows[1:400]))

@@ -106,14 +106,3 @@ def test_bad_sample_is_refused_and_leaves_the_state_unchanged():
 def test_settings_that_cannot_work_are_refused(bad):
     with pytest.raises(ConfigurationError, match=next(iter(bad))):
         VelocityEstimator(**({"joints": 7} | bad))
-
-
-def test_what_was_checked_elsewhere_goes_the_same_way(lwr):
-    _, q, dq, tau = swing(lwr, seconds=0.05)
-    velocity, its_twin = VelocityEstimator(7), VelocityEstimator(7)
-    observer, twin = MomentumObserver(lwr), MomentumObserver(lwr)
-    for k in range(50):
-        ours = velocity.update(q[k], tau[k], 1e-3)
-        np.testing.assert_array_equal(ours.dq, its_twin.absorb(np.stack((q[k], tau[k])), 1e-3)[1])
-        residual = observer.update(q[k], dq[k], tau[k], 1e-3)
-        np.testing.assert_array_equal(residual, twin.absorb(q[k], dq[k], tau[k], 1e-3))

@@ -90,7 +90,7 @@ def test_singular_pose_gives_finite_numbers_that_say_so(lwr):
         assert np.isfinite(estimate.force).all()
         assert estimate.axial_std > 50.0, "the joints cannot see a force along the stretched arm"
         assert estimate.conditioning > 1e3
-        assert estimate.damping_share.max() > 0.5
+        assert estimate.damping_fraction.max() > 0.5
     undamped = WrenchEstimator(lwr, "full", expected_force_N=None).estimate(stretched, torque)
     assert undamped.axial_std == UNSEEN_STD
     assert np.isfinite(undamped.force).all()
@@ -100,17 +100,16 @@ def test_damping_is_negligible_where_the_joints_see_well(lwr):
     estimator = WrenchEstimator(lwr, "point")
     estimator.set_torque_covariance(1e-4 * np.eye(7))
     estimate = estimator.estimate(MIDDLE, np.zeros(7))
-    assert estimate.damping_share.max() < 1e-5
+    assert estimate.damping_fraction.max() < 1e-5
     assert 1.0 <= estimate.conditioning < 10.0
 
 
-def test_damping_share_is_the_share_of_the_truth_that_is_removed():
-    jacobian, damping = np.array([[2.0]]), np.array([1.0])
-    solution = weighted_inverse(
-        jacobian, np.array([2.0 * 5.0]), np.eye(1), precision=np.eye(1), damping=damping
+def test_damping_fraction_is_the_fraction_of_the_truth_that_is_removed():
+    value, _, _, removed = weighted_inverse(
+        np.array([[2.0]]), np.array([2.0 * 5.0]), np.eye(1), np.eye(1), np.array([1.0])
     )
-    assert solution.damping_share[0] == pytest.approx(1.0 / 5.0)
-    assert solution.value[0] == pytest.approx(5.0 * (1.0 - solution.damping_share[0]))
+    assert removed[0] == pytest.approx(1.0 / 5.0)
+    assert value[0] == pytest.approx(5.0 * (1.0 - removed[0]))
 
 
 def test_results_are_read_only_and_the_covariance_is_copied(lwr):
