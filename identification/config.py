@@ -3,25 +3,12 @@
 import math
 import numbers
 from dataclasses import dataclass, field
+from typing import Literal
 
 from identification.errors import InvalidConfigError
-from identification.interaction_model import Model
 
-
-def check_positive(name: str, value: object) -> None:
-    """Refuse a setting that is not a finite number above zero.
-
-    Raises:
-        InvalidConfigError: With the name and what came.
-    """
-    if not (_is_finite(value) and value > 0):  # type: ignore[operator]
-        raise InvalidConfigError(f"{name} must be positive and finite, got {value!r}")
-
-
-def _check_kind(name: str, value: object, kind: type) -> None:
-    """Refuse a part of a configuration that is of another type."""
-    if not isinstance(value, kind) or isinstance(value, bool):
-        raise InvalidConfigError(f"{name} must be of type {kind.__name__}, got {value!r}")
+Model = Literal["ml", "kv"]
+"""`ml`: multi-layer, equation (3); `kv`: Kelvin-Voigt, equation (2)."""
 
 
 def _is_finite(value: object) -> bool:
@@ -31,6 +18,21 @@ def _is_finite(value: object) -> bool:
         return math.isfinite(value)
     except OverflowError:
         return False
+
+
+def _check_values(config: object, others: tuple[str, ...] = ()) -> None:
+    """Refuse a setting that is not a finite number above zero, `others` aside."""
+    for name in config.__slots__:  # type: ignore[attr-defined]
+        value = getattr(config, name)
+        if name == "check":
+            _check_kind(name, value, CheckConfig)
+        elif name not in others and not (_is_finite(value) and value > 0):
+            raise InvalidConfigError(f"{name} must be positive and finite, got {value!r}")
+
+
+def _check_kind(name: str, value: object, kind: type) -> None:
+    if not isinstance(value, kind) or isinstance(value, bool):
+        raise InvalidConfigError(f"{name} must be of type {kind.__name__}, got {value!r}")
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -54,8 +56,7 @@ class CheckConfig:
 
     def __post_init__(self) -> None:
         """Raise `InvalidConfigError` unless every limit is positive and finite."""
-        for name in self.__slots__:
-            check_positive(name, getattr(self, name))
+        _check_values(self)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -129,10 +130,7 @@ class MultilayerConfig:
         Raises:
             InvalidConfigError: One is not positive and finite, or the windows are unordered.
         """
-        _check_kind("check", self.check, CheckConfig)
-        for name in self.__slots__:
-            if name != "check":
-                check_positive(name, getattr(self, name))
+        _check_values(self)
         if self.final_window_m <= self.provisional_window_m:
             raise InvalidConfigError(
                 f"final_window_m ({self.final_window_m}) must exceed provisional_window_m "
@@ -201,15 +199,14 @@ class PublishedConfig:
         """
         if not (isinstance(self.model, str) and self.model in ("ml", "kv")):
             raise InvalidConfigError(f"unknown model {self.model!r}; choose 'ml' or 'kv'")
-        _check_kind("check", self.check, CheckConfig)
         _check_kind("most_windows", self.most_windows, numbers.Integral)
-        for name in self.__slots__:
-            value = getattr(self, name)
-            if name in ("contact_depth_m", "derivative_rise_N_per_s"):
-                if not _is_finite(value):
-                    raise InvalidConfigError(f"{name} must be a finite number, got {value!r}")
-            elif name not in ("model", "check"):
-                check_positive(name, value)
+        of_any_sign = ("contact_depth_m", "derivative_rise_N_per_s")
+        _check_values(self, ("model", *of_any_sign))
+        for name in of_any_sign:
+            if not _is_finite(getattr(self, name)):
+                raise InvalidConfigError(
+                    f"{name} must be a finite number, got {getattr(self, name)!r}"
+                )
         if self.sigma1_N <= self.sigma0_N:
             raise InvalidConfigError(
                 f"sigma1_N ({self.sigma1_N}) must exceed sigma0_N ({self.sigma0_N}): "

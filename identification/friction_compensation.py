@@ -4,8 +4,9 @@ All else is done once per block of samples, see `multilayer_identifier`.
 """
 
 import math
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
+from identification.estimate import Outputs
 from needleforce.jit import compiled
 
 _MM = 1e3
@@ -27,8 +28,6 @@ class MultilayerMemory(NamedTuple):
 
 Memory = tuple[float, float, float, float, float, float, float, float]
 """Fields of `MultilayerMemory`, plain."""
-Outputs = tuple[Any, ...]
-"""The fields of an `Estimate` from ``in_contact`` up to the events."""
 
 
 class MultilayerCoefficients(NamedTuple):

@@ -8,7 +8,7 @@ from typing import Any, NamedTuple
 from identification import multilayer_identifier, multilayer_state, published_identifier
 from identification.config import MULTILAYER, MultilayerConfig, PublishedConfig
 from identification.errors import InvalidConfigError, InvalidSnapshotError, NoRuptureError
-from identification.estimate import Estimate, LayerEstimate
+from identification.estimate import Estimate, LayerEstimate, Sample, SampleStatus
 from identification.friction_compensation import (
     LayerFriction,
     MultilayerCoefficients,
@@ -21,8 +21,6 @@ from identification.input_validation import (
     STATUSES,
     CheckMemory,
     CheckState,
-    Sample,
-    SampleStatus,
     as_scalar,
     check_limits,
     check_sample,

@@ -5,15 +5,12 @@ from dataclasses import dataclass
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
 from identification.config import MULTILAYER, MultilayerConfig, PublishedConfig
-from identification.estimate import Estimate, LayerEstimate
+from identification.estimate import Array, Estimate, LayerEstimate, SampleStatus
 from identification.identifier import Identifier
-from identification.input_validation import SampleStatus
 from identification.offline import read_column
-
-Array = NDArray[np.float64]
 
 _WINDOW_S = 0.05
 _MOST_ROWS = 5000
@@ -288,7 +285,7 @@ class Replay:
         hints: Suspicions about signs and units.
     """
 
-    t_s: NDArray[np.float64]
+    t_s: Array
     estimates: tuple[Estimate, ...]
     layers: tuple[LayerEstimate, ...]
     hints: tuple[str, ...]

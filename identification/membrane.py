@@ -9,9 +9,9 @@ non-linear one (a parabola: Okamura, Simone, O'Leary 2004).
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
 from identification.config import MultilayerConfig
+from identification.estimate import Array
 from identification.resampling import BLOCKS, DEPTH, FORCE, SPEED, TRAVEL, merge_rows
 
 _MOST_ROWS = 64
@@ -22,8 +22,6 @@ _CURVATURE = 0.2
 _SPEED_EFFECT = 0.5
 """Change of force with speed over mean force, one standard deviation: friction, part viscous."""
 _FREE = 1e-9
-
-Array = NDArray[np.float64]
 
 
 class ScaledLayer(NamedTuple):

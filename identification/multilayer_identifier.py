@@ -9,16 +9,24 @@ import math
 import numpy as np
 
 from identification.config import MultilayerConfig
-from identification.estimate import MUTED, RuptureState, next_rupture_state
+from identification.estimate import MUTED, Array, RuptureState, Sample, next_rupture_state
 from identification.friction_compensation import MultilayerMemory
-from identification.input_validation import Sample
-from identification.layer_fit import add_point, settle_pool
-from identification.layer_model import Array
+from identification.layer_model import (
+    CUTTING,
+    STIFFNESS,
+    add_layer_prior,
+    add_row,
+    model_row,
+    solve_layer,
+)
 from identification.multilayer_state import Baseline, MultilayerState, first_layer
 from identification.resampling import (
+    BLOCKS,
     DEPTH,
     FORCE,
+    TRAVEL,
     Block,
+    add_layer_row,
     least_block_s,
     mean_block,
     update_lag,
@@ -48,6 +56,10 @@ _RAISED = 4.0
 _LEAST_POINTS = 8
 _LOST = 2.0
 _LOST_POINTS = 50
+_POOLED_BLOCKS = 20.0
+"""A row spans 0.1 s or `row_m` of travel, whichever is sooner."""
+_OTHER_ERROR = 0.2
+"""Weight of the whole force, beside the layer's own, in the error of the linear law."""
 _CHANNEL_M = 2e-4
 """Behind the deepest point by more than this the needle is in its old channel."""
 
@@ -115,10 +127,7 @@ def _touch(state: MultilayerState, block: Block, config: MultilayerConfig) -> Mu
         depth_m = float(points[-1 - blocks_since_change(points[:, FORCE], 1.0), DEPTH])
     baseline = settle_baseline(state.baseline, depth_m)
     state = state._replace(
-        baseline=baseline,
-        in_contact=True,
-        contact_m=depth_m,
-        layer=first_layer(depth_m),
+        baseline=baseline, in_contact=True, contact_m=depth_m, layer=first_layer(depth_m)
     )
     state = _with_raised_track(state, -baseline.offset_N)
     points = state.track.points
@@ -254,6 +263,61 @@ def _follow(
     if state.candidate is not None:
         return measure_rupture(state, config)
     return _lose_contact(add_point(state, point, config))
+
+
+def add_point(
+    state: MultilayerState, point: Array, config: MultilayerConfig, *, is_solved: bool = True
+) -> MultilayerState:
+    """Use one point; every few of them make one row, and a new fit.
+
+    Rows of many points average the noise of the speed: in a regressor it would look like a change
+    of speed without a change of force, that is, like Coulomb friction.
+    """
+    layer = state.layer
+    pool = point.copy()
+    pool[:BLOCKS] *= point[BLOCKS]
+    if layer.pool is not None:
+        pool += layer.pool
+    state = state._replace(layer=layer._replace(pool=pool, points=layer.points + 1))
+    if pool[BLOCKS] < _POOLED_BLOCKS and pool[TRAVEL] < config.row_m:
+        return state
+    return settle_pool(state, config, is_solved=is_solved)
+
+
+def settle_pool(
+    state: MultilayerState, config: MultilayerConfig, *, is_solved: bool = True
+) -> MultilayerState:
+    """Turn the pooled points into one row and fit anew.
+
+    A row weighs by its noise and by the error of the linear law, which rows within a few
+    millimetres have in common: many rows do not make a wrong law right.
+    """
+    layer, pool = state.layer, state.layer.pool
+    if pool is None:
+        return state
+    point = np.append(pool[:BLOCKS] / pool[BLOCKS], pool[BLOCKS:])
+    depth, speed, force, bristle, blocks, travel = point.tolist()
+    row = model_row(
+        depth - layer.start_m, depth - layer.tip_m, speed, bristle, config.cutting_onset_m
+    )
+    before = state.fit.values
+    own = force - float(row[0] * before[0] + row[1] * before[1])
+    error = config.model_error_fraction * max(abs(own), _OTHER_ERROR * abs(force))
+    common = max(config.model_error_m / max(travel, 1e-6), 1.0)
+    variance = block_noise_N2(state.detector) / blocks + error * error * common
+    layer = layer._replace(
+        data=add_row(layer.data, row, force, variance),
+        rows=add_layer_row(layer.rows, point),
+        pool=None,
+    )
+    if not is_solved:
+        return state._replace(layer=layer)
+    known = layer.prior.plus(layer.data)
+    inside = depth - layer.start_m
+    fit = solve_layer(add_layer_prior(known, own, inside, speed, config, layer.residual))
+    row[[CUTTING, STIFFNESS]] = 0.0
+    spread = float(row @ fit.covariance @ row)
+    return state._replace(layer=layer, fit=fit, shaft_std_N=math.sqrt(max(spread, 0.0)))
 
 
 def _advance(state: MultilayerState, *, is_expected: bool = False) -> MultilayerState:

@@ -9,10 +9,10 @@ from identification.estimate import (
     LayerEstimate,
     Rupture,
     RuptureState,
-    layers_left,
+    Sample,
+    layers_traversed,
     next_rupture_state,
 )
-from identification.input_validation import Sample
 from identification.published_update import (
     NO_WINDOWS,
     Array,
@@ -93,10 +93,7 @@ def force_drop_N(force_at_rupture_N: float, force_after_N: float) -> float:
 
 
 def force_ratios(
-    drop_N: float,
-    force_at_rupture_N: float,
-    cumulative_friction_Ns_per_m: float,
-    speed_m_s: float,
+    drop_N: float, force_at_rupture_N: float, cumulative_friction_Ns_per_m: float, speed_m_s: float
 ) -> tuple[float, float]:
     """Elastic and friction ratio (r_K, r_B) of the layer just left, equation (11).
 
@@ -189,9 +186,7 @@ def _subtract_friction(
     stiffness, own = window_step(rerun_windows(windows, start, (0.0, 0.0)), window, start)
     return state._replace(
         memory=memory._replace(
-            rls=RlsState(stiffness, own, start[0], 0.0, start[1]),
-            window=window,
-            waited_s=0.0,
+            rls=RlsState(stiffness, own, start[0], 0.0, start[1]), window=window, waited_s=0.0
         ),
         windows=windows,
         left=None,
@@ -259,7 +254,7 @@ def _open_layer(state: PublishedState, sample: Sample, config: PublishedConfig) 
     """
     memory = state.memory
     rupture = Rupture(
-        layer=layers_left(state.layers) + 1,
+        layer=layers_traversed(state.layers) + 1,
         alarm_s=sample.time_s,
         alarm_depth_m=sample.depth_m,
         time_s=sample.time_s,
@@ -304,7 +299,7 @@ def cusum_constants(sigma0_N: float, sigma1_N: float) -> tuple[float, float]:
 
 def published_coefficients(state: PublishedState, config: PublishedConfig) -> PublishedCoefficients:
     """What follows from a state and seldom changes; beta grows at each detection."""
-    left = layers_left(state.layers) + (state.left is not None)
+    left = layers_traversed(state.layers) + (state.left is not None)
     drift, threshold = cusum_constants(config.sigma0_N, config.sigma1_N)
     return PublishedCoefficients(
         least_speed_m_s=config.least_speed_m_s,

@@ -10,8 +10,8 @@ import math
 from typing import Any, NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
+from identification.estimate import Array, Outputs
 from needleforce.jit import Matrix, compiled
 
 
@@ -52,8 +52,6 @@ Sums = tuple[float, float, float, float, float, float, float]
 """The fields of `WindowSums`, plain."""
 Memory = tuple[Rls, Sums, float, float, float, float, float, float, float, float, float, bool, bool]
 """The fields of `PublishedMemory`, plain."""
-Outputs = tuple[Any, ...]
-"""The fields of an `Estimate` from ``in_contact`` up to the events."""
 
 
 class PublishedMemory(NamedTuple):
@@ -292,8 +290,6 @@ _SLACK = 16
 NO_WINDOWS = np.empty((0, len(WindowSums._fields)))
 """Sums of the windows of a layer, one row each: the fields of `WindowSums`."""
 NO_WINDOWS.setflags(write=False)
-
-Array = NDArray[np.float64]
 
 
 def append_window(windows: Array, sums: WindowSums, most: int) -> Array:

@@ -11,8 +11,8 @@ force falls at once, the speed it is given later.
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
+from identification.estimate import Array
 from identification.friction_compensation import MultilayerMemory
 
 _ROUNDING = 1e-6
@@ -24,8 +24,6 @@ _SIGNIFICANT = 4.0
 _LEAST_LAG_S = 5e-3
 _MOST_LAG_S = 0.25
 """A speed later than that is no speed of this needle."""
-
-Array = NDArray[np.float64]
 
 
 class Block(NamedTuple):
@@ -146,13 +144,7 @@ def update_track(track: Track, block: Block, step_m: float) -> tuple[Track, Arra
     """Add one forward-moving block; return the point once it spans `step_m` of travel."""
     start = block.depth_m if track.from_m is None else track.from_m
     z, v, f, w, n = track.sums
-    sums = (
-        z + block.depth_m,
-        v + block.speed_m_s,
-        f + block.force_N,
-        w + block.bristle,
-        n + 1.0,
-    )
+    sums = (z + block.depth_m, v + block.speed_m_s, f + block.force_N, w + block.bristle, n + 1.0)
     travel = block.depth_m - start
     if travel < step_m:
         return Track(track.points, sums, start), None

@@ -11,15 +11,12 @@ from collections.abc import Sequence
 from typing import Any, NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
 from identification.config import MultilayerConfig
-from identification.estimate import Rupture
+from identification.estimate import Array, Rupture
 from identification.layer_model import MM
 from identification.membrane import Boundary, MembraneSearch
 from identification.resampling import BLOCKS, DEPTH, FORCE, SPEED
-
-Array = NDArray[np.float64]
 
 # Force on both sides of a rupture, extrapolated to the same instant.
 

@@ -10,9 +10,9 @@ from functools import cache
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
 from identification.config import MultilayerConfig
+from identification.estimate import Array
 from identification.resampling import Block
 from needleforce.jit import Matrix, Vector, compiled
 
@@ -34,8 +34,6 @@ _LEAST_INDEPENDENT = 5.0
 _LEAST_VARIANCE = 1e-18
 _SLOWEST = 16
 """Longest scale noise is taken from: beyond 80 ms tissue, not the sensor, is what varies."""
-
-Array = NDArray[np.float64]
 
 
 class FilterBank(NamedTuple):

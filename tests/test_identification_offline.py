@@ -4,8 +4,7 @@ import numpy as np
 import pytest
 
 from identification.errors import InvalidConfigError, InvalidLogError
-from identification.interaction_model import LayerSpan, regression_matrix
-from identification.offline import identify_offline
+from identification.offline import LayerSpan, identify_offline, regression_matrix
 
 THICKNESS_M = 0.03
 STIFFNESS, FRICTION = 30.0, 9000.0

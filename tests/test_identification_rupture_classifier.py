@@ -6,8 +6,7 @@ import numpy as np
 import pytest
 
 from identification.config import MULTILAYER
-from identification.layer_fit import add_layer_prior
-from identification.layer_model import CUTTING, no_information
+from identification.layer_model import CUTTING, add_layer_prior, no_information
 from identification.multilayer_state import initial_multilayer_state
 from identification.rupture_classifier import (
     NO_RESIDUAL_FORCE,

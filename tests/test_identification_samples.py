@@ -17,12 +17,12 @@ from identification.config import (
     PublishedConfig,
 )
 from identification.errors import InvalidConfigError, InvalidSnapshotError
+from identification.estimate import SampleStatus
 from identification.identifier import Identifier
 from identification.input_validation import (
     LAST_USED,
     STATUSES,
     CheckState,
-    SampleStatus,
     check_limits,
     check_sample,
 )
