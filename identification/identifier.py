@@ -53,7 +53,6 @@ class _Method:
     arguments: Callable[[Any, Any], tuple[Any, ...]]  # What the two read of the state
     plain: Callable[[Any], tuple[Any, ...]]  # The state's memory as compiled code takes it
     memory: Callable[[tuple[Any, ...]], Any]  # The same back
-    layers: Callable[[Any], tuple[LayerEstimate, ...]]  # Layers left so far
 
 
 def _multilayer_arguments(state: MultilayerState, config: MultilayerConfig) -> tuple[Any, ...]:
@@ -80,7 +79,6 @@ _METHODS: dict[type, _Method] = {
         arguments=_multilayer_arguments,
         plain=tuple,
         memory=MultilayerMemory._make,
-        layers=multilayer_state.multilayer_layers,
     ),
     PublishedConfig: _Method(
         initial=published_identifier.initial_published_state,
@@ -91,7 +89,6 @@ _METHODS: dict[type, _Method] = {
         arguments=_published_arguments,
         plain=lambda memory: memory.plain,
         memory=PublishedMemory.of,
-        layers=published_identifier.published_layers,
     ),
 }
 """By the type of their settings."""
@@ -139,8 +136,8 @@ class Identifier:
 
     @property
     def layers(self) -> tuple[LayerEstimate, ...]:
-        """Layers left so far, in order, as known now."""
-        layers, shift_m = self._method.layers(self._state), self._check[_SHIFT]
+        """Layers traversed so far, in order, as known now."""
+        layers, shift_m = self._state.known_layers, self._check[_SHIFT]
         return tuple(_in_callers_depth(layer, shift_m) for layer in layers)
 
     def reset(self) -> None:

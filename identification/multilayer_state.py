@@ -132,6 +132,18 @@ class MultilayerState(NamedTuple):
         return self.rupture, self.identified_layer, self.retracted
 
     @property
+    def known_layers(self) -> tuple[LayerEstimate, ...]:
+        """The layers traversed, smoothed by all data since."""
+        fit = self.earlier_fit
+        friction = Gaussian(fit.values[:2], fit.covariance[:2, :2])
+        layers: list[LayerEstimate] = []
+        for estimate, each in zip(reversed(self.layers), reversed(self.traversed), strict=True):
+            smoothed = smoothed_layer(each.posterior, each.friction.thickness_m, friction)
+            layers.append(revised(estimate, smoothed))
+            friction = Gaussian(smoothed.values[:2], smoothed.covariance[:2, :2])
+        return tuple(reversed(layers))
+
+    @property
     def is_due(self) -> bool:
         """Whether the next sample finds work to do even if it fills no block."""
         if self.rupture or self.identified_layer or self.retracted:
@@ -211,15 +223,3 @@ def multilayer_coefficients(
         # At the speed of the last rupture; before the first, at the present one.
         cumulative_speed=MM * layers[-1].rupture.speed_m_s if layers else 0.0,
     )
-
-
-def multilayer_layers(state: MultilayerState) -> tuple[LayerEstimate, ...]:
-    """The layers traversed, smoothed by all data since."""
-    fit = state.earlier_fit
-    friction = Gaussian(fit.values[:2], fit.covariance[:2, :2])
-    layers: list[LayerEstimate] = []
-    for estimate, traversed in zip(reversed(state.layers), reversed(state.traversed), strict=True):
-        smoothed = smoothed_layer(traversed.posterior, traversed.friction.thickness_m, friction)
-        layers.append(revised(estimate, smoothed))
-        friction = Gaussian(smoothed.values[:2], smoothed.covariance[:2, :2])
-    return tuple(reversed(layers))
