@@ -69,14 +69,6 @@ def as_scalar(value: Any) -> float | None:
 
 
 @compiled
-def _rejected(memory: CheckMemory, dt_s: float) -> CheckMemory:
-    """The time of a sample that cannot be read passes."""
-    time, usual, raw_depth, shift, by_depth, by_speed, pending, has_depth, rejected = memory
-    time, pending = time + dt_s, pending + dt_s
-    return time, usual, raw_depth, shift, by_depth, by_speed, pending, has_depth, rejected
-
-
-@compiled
 def _check_motion(
     depth: float, speed: float, interval: float, memory: CheckMemory, limits: Limits
 ) -> tuple[int, float, float, CheckMemory]:
@@ -137,13 +129,19 @@ def check_sample(
         return _TIME_NOT_FORWARD, 0.0, 0.0, memory
     if dt_s < LEAST_DT_S or dt_s > LARGEST_DT_S:
         return _TIME_RANGE, 0.0, 0.0, memory
+    status = _OK
     if not math.isfinite(depth_m + speed_m_s + force_N):
-        return _NOT_FINITE, 0.0, 0.0, _rejected(memory, dt_s)
-    if max(abs(depth_m), abs(speed_m_s)) > LARGEST_MOTION:
-        return _MOTION_RANGE, 0.0, 0.0, _rejected(memory, dt_s)
-    if abs(force_N) > limits[4]:
-        return _FORCE_RANGE, 0.0, 0.0, _rejected(memory, dt_s)
-    return _check_motion(depth_m, speed_m_s, dt_s, memory, limits)
+        status = _NOT_FINITE
+    elif max(abs(depth_m), abs(speed_m_s)) > LARGEST_MOTION:
+        status = _MOTION_RANGE
+    elif abs(force_N) > limits[4]:
+        status = _FORCE_RANGE
+    if status == _OK:
+        return _check_motion(depth_m, speed_m_s, dt_s, memory, limits)
+    time, usual, raw_depth, shift, by_depth, by_speed, pending, has_depth, rejected = memory
+    time, pending = time + dt_s, pending + dt_s
+    memory = (time, usual, raw_depth, shift, by_depth, by_speed, pending, has_depth, rejected)
+    return status, 0.0, 0.0, memory
 
 
 # A state that is restored.
@@ -156,10 +154,7 @@ normal equations are sums of squares, covariances their inverses."""
 def check_state(state: Any, initial: Any, place: str = "state") -> None:
     """Refuse a damaged state, before compiled code reads beyond its arrays or a solver fails.
 
-    Args:
-        state: A tree of named tuples.
-        initial: The state before the first sample, or None where it has no such part.
-        place: Where the tree stands, for the message.
+    `initial` is the state before the first sample, or None where it has no such part.
 
     Raises:
         InvalidSnapshotError: A part is of another type, an array of another kind or shape, or a

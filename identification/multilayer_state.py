@@ -36,7 +36,6 @@ from identification.layer_model import (
 from identification.membrane import MembraneSearch, SearchWork
 from identification.resampling import NO_ROWS, SpeedLag, Track, least_block_s
 from identification.rupture_classifier import (
-    NO_RESIDUAL_FORCE,
     AfterRows,
     ForceAfter,
     ResidualTipForce,
@@ -66,7 +65,7 @@ class LayerData(NamedTuple):
     points: int = 0  # Number of those points
     pool: Array | None = None  # Points not in `data` yet, summed: weighted columns of the track
     rows: Array = NO_ROWS  # The same points at a coarse resolution, see `resampling.add_layer_row`
-    residual: ResidualTipForce = NO_RESIDUAL_FORCE  # Tip force it began with
+    residual: ResidualTipForce = ResidualTipForce()  # Tip force it began with
 
 
 class TraversedLayer(NamedTuple):
