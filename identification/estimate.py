@@ -208,8 +208,14 @@ class Estimate(NamedTuple):
 
 Outputs = tuple[Any, ...]
 """The fields of an `Estimate` from ``in_contact`` up to the events."""
-Events = tuple[Rupture | None, LayerEstimate | None, Rupture | None]
-"""The last three fields of an `Estimate`."""
+
+
+class Events(NamedTuple):
+    """The last three fields of an `Estimate`."""
+
+    rupture: Rupture | None = None
+    identified_layer: LayerEstimate | None = None
+    retracted: Rupture | None = None
 
 
 def layers_traversed(layers: tuple[LayerEstimate, ...]) -> int:

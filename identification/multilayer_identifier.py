@@ -64,13 +64,6 @@ _CHANNEL_M = 2e-4
 """Behind the deepest point by more than this the needle is in its old channel."""
 
 
-def begin_multilayer_sample(state: MultilayerState, _config: MultilayerConfig) -> MultilayerState:
-    """Before a sample: the events of the one before are over."""
-    if state.events == (None, None, None):
-        return state
-    return state._replace(rupture=None, identified_layer=None, retracted=None)
-
-
 def multilayer_step(
     state: MultilayerState, memory: MultilayerMemory, sample: Sample, config: MultilayerConfig
 ) -> MultilayerState:
@@ -178,12 +171,11 @@ def level_score(state: Baseline, interval_s: float, noise_N2: float) -> float:
     forces = state.forces_N
     if len(forces) < _LEAST_SEGMENTS or state.time_s > 0.0:
         return 0.0
-    half = forces[: len(forces) // 2]
+    level, spread = _free_air_level(forces, noise_N2)
     squared = 2.0 * math.log(max(interval_s / SEGMENT_S, math.e))
     squared *= 1.0 + squared / (2.0 * len(forces))
-    spread = max(_neighbour_variance(forces), noise_N2) * (1.0 + 1.0 / len(half))
-    height = forces[-1] - sum(half) / len(half)
-    return height / math.sqrt(max(squared * spread, 1e-18))
+    spread *= 1.0 + 1.0 / (len(forces) // 2)
+    return (forces[-1] - level) / math.sqrt(max(squared * spread, 1e-18))
 
 
 def height_over_drift(state: Baseline, force_N: float, noise_N2: float) -> float:
@@ -191,12 +183,23 @@ def height_over_drift(state: Baseline, force_N: float, noise_N2: float) -> float
 
     Zero while too little of free air is known.
     """
-    forces = state.forces_N
-    if len(forces) < 2:
+    if len(state.forces_N) < 2:
         return 0.0
+    level, spread = _free_air_level(state.forces_N, noise_N2)
+    return (force_N - level) / math.sqrt(max(spread, 1e-18))
+
+
+def _free_air_level(forces: tuple[float, ...], noise_N2: float) -> tuple[float, float]:
+    """Mean of the older half, and the variance of one mean.
+
+    Half the mean square difference between neighbours (von Neumann), from the lower half of the
+    squares: the upper one may contain the contact itself.
+    """
     half = forces[: max(len(forces) // 2, 1)]
-    height = force_N - sum(half) / len(half)
-    return height / math.sqrt(max(_neighbour_variance(forces), noise_N2, 1e-18))
+    squares = sorted((b - a) ** 2 for a, b in itertools.pairwise(forces))
+    kept = squares[: max(len(squares) // 2, 1)]
+    variance = 0.5 * sum(kept) / len(kept) / _LOWER_HALF
+    return sum(half) / len(half), max(variance, noise_N2)
 
 
 def settle_baseline(state: Baseline, contact_m: float) -> Baseline:
@@ -208,16 +211,6 @@ def settle_baseline(state: Baseline, contact_m: float) -> Baseline:
     offset = sum(before) / len(before)
     variance = sum((f - offset) ** 2 for f in before) / max(len(before) - 1, 1)
     return state._replace(offset_N=offset, variance=variance)
-
-
-def _neighbour_variance(forces: tuple[float, ...]) -> float:
-    """Half the mean square difference between neighbours (von Neumann), from its lower half.
-
-    The upper half may hold the contact itself.
-    """
-    squares = sorted((b - a) ** 2 for a, b in itertools.pairwise(forces))
-    kept = squares[: max(len(squares) // 2, 1)]
-    return 0.5 * sum(kept) / len(kept) / _LOWER_HALF
 
 
 # In tissue.
@@ -325,6 +318,6 @@ def _advance(state: MultilayerState, *, is_expected: bool = False) -> Multilayer
     now = state.rupture_state
     if now is RuptureState.NO_RUPTURE and not is_expected:
         return state
-    if now is RuptureState.FORCE_DROP_MEASURING or state.identified_layer is not None:
+    if now is RuptureState.FORCE_DROP_MEASURING or state.events.identified_layer is not None:
         return state
     return state._replace(rupture_state=next_rupture_state(now, is_expected=is_expected))

@@ -121,14 +121,7 @@ class MultilayerState(NamedTuple):
     rupture_state: RuptureState = RuptureState.NO_RUPTURE
     layers: tuple[LayerEstimate, ...] = ()  # Layers identified so far
     traversed: tuple[TraversedLayer, ...] = ()  # Their friction
-    rupture: Rupture | None = None  # Raised by this sample
-    identified_layer: LayerEstimate | None = None  # Identified at this sample
-    retracted: Rupture | None = None  # Alarm this sample showed to be false
-
-    @property
-    def events(self) -> Events:
-        """What the last three fields of an `Estimate` report."""
-        return self.rupture, self.identified_layer, self.retracted
+    events: Events = Events()  # Of this sample
 
     @property
     def known_layers(self) -> tuple[LayerEstimate, ...]:
@@ -145,7 +138,7 @@ class MultilayerState(NamedTuple):
     @property
     def is_due(self) -> bool:
         """Whether the next sample finds work to do even if it fills no block."""
-        if self.rupture or self.identified_layer or self.retracted:
+        if any(self.events):
             return True
         candidate = self.candidate
         return candidate is not None and (candidate.search is None or candidate.work is not None)

@@ -52,14 +52,7 @@ class PublishedState(NamedTuple):
     # That layer once identified, with its part B_i d_i of the cumulative friction, until the next
     # sample
     found: tuple[LayerEstimate, float] | None = None
-    rupture: Rupture | None = None  # Raised by this sample
-    # The layer whose friction is subtracted from this sample on, if any
-    identified_layer: LayerEstimate | None = None
-
-    @property
-    def events(self) -> Events:
-        """What the last three fields of an `Estimate` report; this method retracts nothing."""
-        return self.rupture, self.identified_layer, None
+    events: Events = Events()  # Of this sample; this method retracts nothing
 
     @property
     def known_layers(self) -> tuple[LayerEstimate, ...]:
@@ -70,7 +63,7 @@ class PublishedState(NamedTuple):
     def is_due(self) -> bool:
         """Whether the next sample finds work to do: around a rupture, every one does."""
         is_quiet = self.rupture_state in (RuptureState.NO_RUPTURE, RuptureState.EXPECTED)
-        return not is_quiet or self.found is not None or self.identified_layer is not None
+        return not is_quiet or self.found is not None or any(self.events)
 
     @property
     def sources(self) -> tuple[object, ...]:
@@ -144,14 +137,14 @@ def _identify(
 
 
 def begin_published_sample(state: PublishedState, config: PublishedConfig) -> PublishedState:
-    """Before a sample: events are over, and the friction of a layer found leaves the force.
+    """Before a sample: take the friction of a layer found out of the force.
 
     The sums of the new layer are corrected for the friction now known, so its estimate goes on
     as if that friction had been subtracted from the rupture onwards. This is the second half of
     the re-run's work, done before the next sample is used.
     """
     if state.found is None:
-        return state._replace(rupture=None, identified_layer=None)
+        return state
     (layer, friction), memory = state.found, state.memory
     windows = less_viscous_windows(np.vstack((state.windows, memory.window)), friction)
     windows, window = windows[:-1], WindowSums(*windows[-1].tolist())
@@ -166,8 +159,7 @@ def begin_published_sample(state: PublishedState, config: PublishedConfig) -> Pu
         cumulative_friction_Ns_per_m=state.cumulative_friction_Ns_per_m + friction,
         layers=(*state.layers, layer)[-_MOST_LAYERS:],
         found=None,
-        rupture=None,
-        identified_layer=layer,
+        events=Events(identified_layer=layer),
     )
 
 
@@ -245,7 +237,7 @@ def _open_layer(state: PublishedState, sample: Sample, config: PublishedConfig) 
         start_depth_m=sample.depth_m,
         windows=fresh.windows,
         ruptured=ruptured,
-        rupture=rupture,
+        events=Events(rupture),
     )
 
 

@@ -85,7 +85,7 @@ def raise_rupture(
         fit=Gaussian(values, np.zeros((6, 6))),
         candidate=RuptureCandidate(rupture, layer, fit, False, config.provisional_window_m),
         rupture_state=RuptureState.DETECTED,
-        rupture=rupture,
+        events=state.events._replace(rupture=rupture),
     )
 
 
@@ -300,7 +300,7 @@ def _accept(
         candidate=None if work.is_final else later,
         layers=(*state.layers[:keep], estimate)[-_MOST_LAYERS:],
         traversed=(*state.traversed[:keep], traversed)[-_MOST_LAYERS:],
-        identified_layer=estimate,
+        events=state.events._replace(identified_layer=estimate),
     )
 
 
@@ -363,7 +363,7 @@ def _reject(
             rupture_state=RuptureState.NO_RUPTURE,
             layers=state.layers[:kept],
             traversed=state.traversed[:kept],
-            retracted=candidate.rupture,
+            events=state.events._replace(retracted=candidate.rupture),
         )
     if work.is_final:
         last = replace(state.layers[-1], is_final=True)
