@@ -118,8 +118,7 @@ def learned(speed, depth, block=5):
     for k in range(0, len(speed) - block + 1, block):
         part = slice(k, k + block)
         state, handed = update_lag(
-            state,
-            Block(k * DT_S, block * DT_S, depth[part].mean(), speed[part].mean(), 0.0, 1.0),
+            state, Block(k * DT_S, block * DT_S, depth[part].mean(), speed[part].mean(), 0.0, 1.0)
         )
         out.append(handed.speed_m_s)
     return state.lag_s, np.array(out)
