@@ -61,13 +61,13 @@ class CheckConfig:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class MultilayerConfig:
-    """Physical priors and wanted error rates; nothing here depends on a sensor or a tissue.
+    """Physical priors and required error rates; nothing here depends on a sensor or a tissue.
 
     Attributes:
-        false_alarm_interval_s: Wanted mean time between false alarms: an hour of insertion, some
+        false_alarm_interval_s: Required mean time between false alarms: an hour of insertion, some
             hundred insertions.
         noise_memory_s: How far back the noise is learned; an insertion's noise may change.
-        block_s: Length of the detector's blocks: an eighth of the delay wanted.
+        block_s: Length of the detector's blocks: an eighth of the required delay.
         rest_speed_m_s: Slower than this the needle rests; ruptures need travel.
         expected_fraction: Fraction of the threshold at which a rupture is expected.
         speed_smoothing_s: Time constant of the speed that decides on rest and turns friction into
@@ -86,14 +86,14 @@ class MultilayerConfig:
         model_error_fraction: Relative error of a linear law, correlated over `model_error_m`.
         model_error_m: Travel over which the error of the linear law stays the same.
         friction_fraction: Fraction of friction in a layer's growing force, before data.
-        friction_fraction_std: Its standard deviation.
+        friction_fraction_std: Standard deviation of the fraction, here and below.
         partial_rupture_travel_m: Travel of a release that is as likely a partial rupture as the
             end of a layer: gels and layers release within 0.1 to 0.5 mm, partial ruptures within
             liver take 0.5 to 2 mm.
         partial_rupture_friction_fraction: Fraction of friction in the force that a partial rupture
             leaves: the tip force is least then, and the fraction larger than the two thirds of an
             insertion into liver as a whole.
-        partial_rupture_friction_fraction_std: Its standard deviation.
+        partial_rupture_friction_fraction_std: As above.
         coulomb_speed_m_s: Speed at which Coulomb and viscous friction are equal, before data:
             1.5 mm/s in gels (Table I at two speeds), 7.5 mm/s in liver; their middle.
         coulomb_speed_factor: Factor by which that speed may differ, one standard deviation.
@@ -170,7 +170,7 @@ class PublishedConfig:
         var_stiffness: sigma^2_K,0 of Psi_0.
         var_friction: sigma^2_B,0 of Psi_0.
         contact_depth_m: Depth of the first contact, which the method assumes known.
-        least_speed_m_s: Below this speed T_drop has no meaning and no rupture is looked for.
+        least_speed_m_s: Below this speed T_drop has no meaning and no rupture is detected.
         most_windows: Reset windows kept per layer before neighbours are merged (27 minutes of
             one layer merge to half the reset frequency four times).
         check: Limits of a plausible sample.

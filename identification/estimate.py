@@ -1,7 +1,7 @@
 """What an identifier reports: per sample, per rupture and per layer.
 
 Clock and depth zero are the caller's. Every ``*_s`` here is on the clock of `Identifier.update`:
-its argument ``time_s`` where the caller gives one, else the sum of his ``dt_s`` since the reset.
+its argument ``time_s`` where the caller passes one, else the sum of the ``dt_s`` since the reset.
 Every depth counts from the zero of the caller's ``depth_m``; `Rupture.contact_depth_m` is the
 depth of the first contact with tissue from the same zero, so that a travel in tissue is a
 difference of the two.
@@ -48,7 +48,7 @@ class RuptureState(Enum):
 
 
 MUTED = frozenset({RuptureState.FORCE_DROP_MEASURING, RuptureState.FRICTION_IDENTIFIED})
-"""States in which no new rupture is looked for."""
+"""States in which no new rupture is detected."""
 
 
 def next_rupture_state(
@@ -166,7 +166,7 @@ class Estimate(NamedTuple):
         time_s: Time of the sample on the caller's clock.
         status: What became of the sample; anything but `OK` and `TIME_GAP` was not used.
         rupture_state: State of the rupture machine.
-        in_contact: Whether the needle has met the first layer (and not left it again).
+        in_contact: Whether the needle has met the first layer (and not lost contact again).
         layer: Number of the layer the tip is in, from 1; 0 before contact.
         enhanced_force_N: Axial force less the friction of the layers already traversed.
         tip_force_N: Axial force less all shaft friction, the current layer's included.

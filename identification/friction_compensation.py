@@ -14,7 +14,7 @@ _TINY = 1e-12
 
 
 class MultilayerMemory(NamedTuple):
-    """What every sample changes. Compiled code takes and gives the fields as a plain tuple."""
+    """What every sample changes. Compiled code takes and returns the fields as a plain tuple."""
 
     filled_s: float = 0.0  # Length of the block being filled
     depth_sum: float = 0.0  # Integral of the depth over it
@@ -133,7 +133,7 @@ def shaft_friction(
 
     Returns:
         Friction of the layers traversed and identified, which the enhanced force is without; and
-        that of the current layer, and of one just left that is not identified yet [N].
+        that of the current layer, and of one just ruptured that is not identified yet [N].
     """
     c = coefficients[0]
     _, _, _, _, bristle, _, speed, deepest_m = memory

@@ -41,7 +41,7 @@ class CheckState(NamedTuple):
 
 
 CheckMemory = tuple[float, float, float, float, float, float, float, bool, float]
-"""The fields of `CheckState`, plain: what compiled code takes and gives."""
+"""The fields of `CheckState`, plain: what compiled code takes and returns."""
 Limits = tuple[float, float, float, float, float]
 """The fields of `CheckConfig`."""
 

@@ -7,8 +7,8 @@ dz is the length of shaft in the layer, x the travel of the tip in it: less than
 membrane was pushed in before its puncture.
 Lengths are in millimetres in here, so that all six unknowns are of similar size.
 
-Behind a membrane the friction measured after the puncture is that of the layer left *and* of the
-length of the next one that had been pushed in: only the next layer's own rupture separates the
+Behind a membrane the friction measured after the puncture is that of the layer traversed *and* of
+the length of the next one that had been pushed in: only the next layer's own rupture separates the
 two. The posterior of each layer is therefore kept as it was before that measurement, and what
 becomes known of the sum is carried back (the smoother of Rauch, Tung, Striebel 1965).
 """

@@ -227,7 +227,7 @@ def _rest(state: MultilayerState, config: MultilayerConfig) -> MultilayerState:
 
 
 def _cut(state: MultilayerState, block: Block, config: MultilayerConfig) -> MultilayerState:
-    """The tip meets fresh tissue: look for a rupture, measure one, learn the layer."""
+    """The tip meets fresh tissue: detect a rupture, measure one, learn the layer."""
     block = block._replace(force_N=block.force_N - state.baseline.offset_N)
     track, point = update_track(state.track, block, config.track_step_m)
     detector, detection = update_detector(state.detector, block, config)
@@ -237,7 +237,7 @@ def _cut(state: MultilayerState, block: Block, config: MultilayerConfig) -> Mult
         and state.rupture_state in MUTED
         and block.depth_m < candidate.rupture.depth_m + config.provisional_window_m
     ):
-        # No rupture is looked for while one releases: until its provisional measurement.
+        # No new rupture is detected while one releases: until its provisional measurement.
         state = state._replace(detector=restart_detector(detector), track=track)
         return _follow(state, point, config)
     state = state._replace(detector=detector, track=track)

@@ -97,7 +97,7 @@ class RuptureCandidate(NamedTuple):
     layer: LayerData  # The layer that ruptured, as it was at the alarm
     fit: Gaussian  # Its fit at the alarm
     is_provisional: bool  # Whether its layer has been identified provisionally
-    next_window_m: float  # Travel since the rupture at which to measure next
+    next_window_m: float  # Travel since the rupture at which to measure provisionally
     first: RuptureMeasurement | None = None  # What the provisional measurement found
     search: MembraneSearch | None = None  # What was found of a membrane at the layer's end
     search_work: SearchWork | None = None  # What has been done to find it

@@ -144,7 +144,7 @@ def read_column(
     """A column as a float array of its own, shape (n,).
 
     Raises:
-        InvalidLogError: Not a vector of real numbers, an empty one, or not as wanted.
+        InvalidLogError: Not a vector of real numbers, an empty one, or not as expected.
     """
     try:
         if np.iscomplexobj(values):
@@ -239,10 +239,9 @@ def identify_offline(
         InvalidConfigError: No layer, or an unknown model.
     """
     t = read_column("t_s", t_s, finite=True)
-    z, v, f = (
-        read_column(name, values, len(t), finite=True)
-        for name, values in (("depth_m", depth_m), ("speed_m_s", speed_m_s), ("force_N", force_N))
-    )
+    z = read_column("depth_m", depth_m, len(t), finite=True)
+    v = read_column("speed_m_s", speed_m_s, len(t), finite=True)
+    f = read_column("force_N", force_N, len(t), finite=True)
     if np.any(np.diff(t) <= 0):
         raise InvalidLogError("t_s must increase; sort the recording or drop repeated samples")
     matrix = regression_matrix(t, z, v, layers, model)

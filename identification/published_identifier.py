@@ -172,7 +172,7 @@ def initial_published_state(config: PublishedConfig) -> PublishedState:
 def published_step(
     state: PublishedState, memory: PublishedMemory, sample: Sample, config: PublishedConfig
 ) -> PublishedState:
-    """What is left of a sample that `update_published` has used.
+    """The rest of a sample that `update_published` has used.
 
     Covariance resetting, state machine; after T_drop = k_v / v force drop (10)(11), re-weighting
     (12) and re-run.

@@ -88,10 +88,10 @@ class PublishedCoefficients(NamedTuple):
     reset_Hz: float  # Setting ``reset_frequency_Hz``
     is_ml: bool  # Whether the model is (3), not (2)
     start_m: float  # Depth at which the current layer begins
-    is_inside: bool  # Whether a layer has been left: the needle is in tissue
+    is_inside: bool  # Whether a layer has been traversed: the needle is in tissue
     layer: int  # Number of the current layer
     cumulative_Ns_per_m: float  # Sum of B_j d_j
-    is_muted: bool  # Whether the rupture state looks for no rupture
+    is_muted: bool  # Whether the rupture state detects no new rupture
     is_expected: bool  # Whether it expects one
     is_due: bool  # Whether the next sample finds work to do: around a rupture, every one does
 

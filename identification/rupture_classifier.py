@@ -1,4 +1,4 @@
-"""Whether a rupture ended a layer, was a partial one, or none: what is left at the tip afterwards.
+"""Whether a rupture ended a layer, was a partial one, or none: which tip force remains.
 
 At the end of a layer the tip force goes to nothing, and the force after the rupture is friction.
 After a partial rupture the tissue keeps pushing at the tip; taken for friction, that force would
@@ -32,8 +32,8 @@ _RIDGE = 1e-9
 class ForceAfter(NamedTuple):
     """Axial force just after a rupture, and what follows it."""
 
-    # Force at t_r without the tip force of the layer left, extrapolated from after the release; the
-    # next layer's push is taken out
+    # Force at t_r without the tip force of the ruptured layer, extrapolated from after the release;
+    # the next layer's push is taken out
     force_N: float
     variance: float  # Its variance [N^2]
     slope_N_per_mm: float  # Growth of the force per travel after the release
@@ -91,7 +91,7 @@ def force_after(rows: AfterRows) -> ForceAfter:
     """Force after a rupture: grow the window back towards it until the release is met.
 
     The release lifts two neighbouring chunks of points above what the later ones predict; the
-    chunk before which that happens may hold its tail and is left out too.
+    chunk before which that happens may contain its tail and is excluded too.
     """
     weighted, count = rows.design * rows.weight[:, None], len(rows.weight)
     latest = max(count - max(_LEAST_POINTS, count // 2), 0)
@@ -201,7 +201,7 @@ class RuptureMeasurement(NamedTuple):
     # Length of the next layer on the shaft when its membrane had been punctured
     pushed_in_mm: float
     end_probability: float  # How likely the rupture ended a layer
-    residual: ResidualTipForce  # Tip force that it left if not
+    residual: ResidualTipForce  # Tip force that remains if not
 
     @property
     def friction_N(self) -> float:
@@ -223,7 +223,7 @@ def measure_end(
     earlier: Sequence[float],
     config: MultilayerConfig,
 ) -> RuptureMeasurement:
-    """Measure the end of a layer, and what its rupture may have left at the tip."""
+    """Measure the end of a layer, and what its rupture leaves at the tip."""
     before_N, before_var = before
     here = Boundary(rupture.depth_m, 0.0, before_N, before_var, rupture.speed_m_s)
     boundary, drop_N = search.boundary or here, before_N - after.force_N

@@ -123,7 +123,7 @@ def measure_rupture(
     is_final = is_last or travel >= config.final_window_m
     if not candidate.is_provisional:
         state = state._replace(rupture_state=RuptureState.FORCE_DROP_MEASURING)
-    if is_final or travel >= candidate.next_window_m:
+    if is_final or (not candidate.is_provisional and travel >= candidate.next_window_m):
         return _work(state, candidate, ForceDropMeasurement(is_final), config)
     return state
 
@@ -280,28 +280,29 @@ def _accept(
         force_drop_std_N=end.drop_std_N,
         **layer_outputs(fit, thickness, speed),
     )
-    coulomb, viscous = (MM * thickness * fit.values[[OWN_COULOMB, OWN_VISCOUS]]).tolist()
-    friction = LayerFriction(layer.start_m, thickness, coulomb, viscous)
+    own = (MM * thickness * fit.values[[OWN_COULOMB, OWN_VISCOUS]]).tolist()
+    friction = LayerFriction(layer.start_m, thickness, *own)
+    traversed = TraversedLayer(friction, known, end.end_probability)
     next_layer = _next_layer(carried_friction(known, thickness), end, rupture, state, config)
     next_fit = _next_fit(carried_friction(fit, thickness), end.next_slope_N_per_mm, speed, config)
-    row = np.array([1.0, MM * speed])
-    spread = float(row @ next_fit.covariance[:2, :2] @ row)
     if not candidate.is_provisional:
         state = state._replace(rupture_state=RuptureState.FRICTION_IDENTIFIED)
     keep = len(state.layers) - candidate.is_provisional
-    later = candidate._replace(
-        is_provisional=True, next_window_m=config.final_window_m, first=end, work=None
-    )
-    traversed = TraversedLayer(friction, known, end.end_probability)
+    later = candidate._replace(is_provisional=True, first=end, work=None)
     return state._replace(
         layer=next_layer,
         fit=next_fit,
-        shaft_std_N=math.sqrt(max(spread, 0.0)),
+        shaft_std_N=_shaft_std_N(next_fit, speed),
         candidate=None if work.is_final else later,
         layers=(*state.layers[:keep], estimate)[-_MOST_LAYERS:],
         traversed=(*state.traversed[:keep], traversed)[-_MOST_LAYERS:],
         events=state.events._replace(identified_layer=estimate),
     )
+
+
+def _shaft_std_N(fit: Gaussian, speed_m_s: float) -> float:
+    row = np.array([1.0, MM * speed_m_s])
+    return math.sqrt(max(float(row @ fit.covariance[:2, :2] @ row), 0.0))
 
 
 def _next_layer(

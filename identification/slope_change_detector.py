@@ -89,7 +89,7 @@ the speed at the fastest scale, shape (1,)."""
 Scales = tuple[Vector, Vector, Vector, Vector]
 """Blocks, spans, gains and trend gains of the scales, shape (s,) each."""
 Limits = tuple[float, float, float, float]
-"""Length of the block [s], wanted time between false alarms [s], relative error of the law of
+"""Length of the block [s], required time between false alarms [s], relative error of the law of
 friction, blocks that a variance rests on at the most."""
 
 
