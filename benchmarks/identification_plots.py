@@ -11,7 +11,8 @@ from benchmarks.force_plots import Over
 from benchmarks.methods import ForceReading, Identified
 from benchmarks.offline_fit import layer_spans, offline_fit, quiet_speed_m_s
 from benchmarks.signals import InsertionTruth, NeedleSignal
-from identification.interaction_model import Model, regression_matrix
+from identification.config import Model
+from identification.offline import regression_matrix
 from needleforce.plots import Chart, Curve, Instants, LineStyle, Panel, Shading, palette
 
 Array = NDArray[np.float64]

@@ -9,7 +9,7 @@ the enhanced force without the friction of the layers traversed, and the force a
 Reading order: `identifier`; the published method in `published_update` (every sample),
 `published_identifier`; the multi-layer method in `friction_compensation` (every
 sample), `multilayer_identifier` (every block), `slope_change_detector`, `rupture_measurement`,
-`layer_fit` and `layer_model`; known layers in `interaction_model` and `offline`.
+and `layer_model`; known layers in `offline`.
 """
 
 from identification.config import (
@@ -20,12 +20,10 @@ from identification.config import (
     PublishedConfig,
 )
 from identification.errors import IdentificationError
-from identification.estimate import Estimate, LayerEstimate, Rupture, RuptureState
+from identification.estimate import Estimate, LayerEstimate, Rupture, RuptureState, SampleStatus
 from identification.identifier import Identifier, Snapshot
-from identification.input_validation import SampleStatus
-from identification.interaction_model import LayerSpan
 from identification.log_replay import Replay, replay
-from identification.offline import OfflineIdentification, OfflineLayer, identify_offline
+from identification.offline import LayerSpan, OfflineIdentification, OfflineLayer, identify_offline
 
 __all__ = [
     "MULTILAYER",

@@ -3,25 +3,12 @@
 import math
 import numbers
 from dataclasses import dataclass, field
+from typing import Literal
 
 from identification.errors import InvalidConfigError
-from identification.interaction_model import Model
 
-
-def check_positive(name: str, value: object) -> None:
-    """Refuse a setting that is not a finite number above zero.
-
-    Raises:
-        InvalidConfigError: With the name and what came.
-    """
-    if not (_is_finite(value) and value > 0):  # type: ignore[operator]
-        raise InvalidConfigError(f"{name} must be positive and finite, got {value!r}")
-
-
-def _check_kind(name: str, value: object, kind: type) -> None:
-    """Refuse a part of a configuration that is of another type."""
-    if not isinstance(value, kind) or isinstance(value, bool):
-        raise InvalidConfigError(f"{name} must be of type {kind.__name__}, got {value!r}")
+Model = Literal["ml", "kv"]
+"""`ml`: multi-layer, equation (3); `kv`: Kelvin-Voigt, equation (2)."""
 
 
 def _is_finite(value: object) -> bool:
@@ -31,6 +18,21 @@ def _is_finite(value: object) -> bool:
         return math.isfinite(value)
     except OverflowError:
         return False
+
+
+def _check_values(config: object, others: tuple[str, ...] = ()) -> None:
+    """Refuse a setting that is not a finite number above zero, `others` aside."""
+    for name in config.__slots__:  # type: ignore[attr-defined]
+        value = getattr(config, name)
+        if name == "check":
+            _check_kind(name, value, CheckConfig)
+        elif name not in others and not (_is_finite(value) and value > 0):
+            raise InvalidConfigError(f"{name} must be positive and finite, got {value!r}")
+
+
+def _check_kind(name: str, value: object, kind: type) -> None:
+    if not isinstance(value, kind) or isinstance(value, bool):
+        raise InvalidConfigError(f"{name} must be of type {kind.__name__}, got {value!r}")
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -54,19 +56,18 @@ class CheckConfig:
 
     def __post_init__(self) -> None:
         """Raise `InvalidConfigError` unless every limit is positive and finite."""
-        for name in self.__slots__:
-            check_positive(name, getattr(self, name))
+        _check_values(self)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class MultilayerConfig:
-    """Physical priors and wanted error rates; nothing here depends on a sensor or a tissue.
+    """Physical priors and required error rates; nothing here depends on a sensor or a tissue.
 
     Attributes:
-        false_alarm_interval_s: Wanted mean time between false alarms: an hour of insertion, some
+        false_alarm_interval_s: Required mean time between false alarms: an hour of insertion, some
             hundred insertions.
         noise_memory_s: How far back the noise is learned; an insertion's noise may change.
-        block_s: Length of the detector's blocks: an eighth of the delay wanted.
+        block_s: Length of the detector's blocks: an eighth of the required delay.
         rest_speed_m_s: Slower than this the needle rests; ruptures need travel.
         expected_fraction: Fraction of the threshold at which a rupture is expected.
         speed_smoothing_s: Time constant of the speed that decides on rest and turns friction into
@@ -85,14 +86,14 @@ class MultilayerConfig:
         model_error_fraction: Relative error of a linear law, correlated over `model_error_m`.
         model_error_m: Travel over which the error of the linear law stays the same.
         friction_fraction: Fraction of friction in a layer's growing force, before data.
-        friction_fraction_std: Its standard deviation.
+        friction_fraction_std: Standard deviation of the fraction, here and below.
         partial_rupture_travel_m: Travel of a release that is as likely a partial rupture as the
             end of a layer: gels and layers release within 0.1 to 0.5 mm, partial ruptures within
             liver take 0.5 to 2 mm.
         partial_rupture_friction_fraction: Fraction of friction in the force that a partial rupture
             leaves: the tip force is least then, and the fraction larger than the two thirds of an
             insertion into liver as a whole.
-        partial_rupture_friction_fraction_std: Its standard deviation.
+        partial_rupture_friction_fraction_std: As above.
         coulomb_speed_m_s: Speed at which Coulomb and viscous friction are equal, before data:
             1.5 mm/s in gels (Table I at two speeds), 7.5 mm/s in liver; their middle.
         coulomb_speed_factor: Factor by which that speed may differ, one standard deviation.
@@ -129,10 +130,7 @@ class MultilayerConfig:
         Raises:
             InvalidConfigError: One is not positive and finite, or the windows are unordered.
         """
-        _check_kind("check", self.check, CheckConfig)
-        for name in self.__slots__:
-            if name != "check":
-                check_positive(name, getattr(self, name))
+        _check_values(self)
         if self.final_window_m <= self.provisional_window_m:
             raise InvalidConfigError(
                 f"final_window_m ({self.final_window_m}) must exceed provisional_window_m "
@@ -172,7 +170,7 @@ class PublishedConfig:
         var_stiffness: sigma^2_K,0 of Psi_0.
         var_friction: sigma^2_B,0 of Psi_0.
         contact_depth_m: Depth of the first contact, which the method assumes known.
-        least_speed_m_s: Below this speed T_drop has no meaning and no rupture is looked for.
+        least_speed_m_s: Below this speed T_drop has no meaning and no rupture is detected.
         most_windows: Reset windows kept per layer before neighbours are merged (27 minutes of
             one layer merge to half the reset frequency four times).
         check: Limits of a plausible sample.
@@ -201,15 +199,14 @@ class PublishedConfig:
         """
         if not (isinstance(self.model, str) and self.model in ("ml", "kv")):
             raise InvalidConfigError(f"unknown model {self.model!r}; choose 'ml' or 'kv'")
-        _check_kind("check", self.check, CheckConfig)
         _check_kind("most_windows", self.most_windows, numbers.Integral)
-        for name in self.__slots__:
-            value = getattr(self, name)
-            if name in ("contact_depth_m", "derivative_rise_N_per_s"):
-                if not _is_finite(value):
-                    raise InvalidConfigError(f"{name} must be a finite number, got {value!r}")
-            elif name not in ("model", "check"):
-                check_positive(name, value)
+        of_any_sign = ("contact_depth_m", "derivative_rise_N_per_s")
+        _check_values(self, ("model", *of_any_sign))
+        for name in of_any_sign:
+            if not _is_finite(getattr(self, name)):
+                raise InvalidConfigError(
+                    f"{name} must be a finite number, got {getattr(self, name)!r}"
+                )
         if self.sigma1_N <= self.sigma0_N:
             raise InvalidConfigError(
                 f"sigma1_N ({self.sigma1_N}) must exceed sigma0_N ({self.sigma0_N}): "

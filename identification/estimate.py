@@ -1,7 +1,7 @@
 """What an identifier reports: per sample, per rupture and per layer.
 
 Clock and depth zero are the caller's. Every ``*_s`` here is on the clock of `Identifier.update`:
-its argument ``time_s`` where the caller gives one, else the sum of his ``dt_s`` since the reset.
+its argument ``time_s`` where the caller passes one, else the sum of the ``dt_s`` since the reset.
 Every depth counts from the zero of the caller's ``depth_m``; `Rupture.contact_depth_m` is the
 depth of the first contact with tissue from the same zero, so that a travel in tissue is a
 difference of the two.
@@ -9,9 +9,32 @@ difference of the two.
 
 from dataclasses import dataclass
 from enum import Enum
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
-from identification.input_validation import SampleStatus
+import numpy as np
+from numpy.typing import NDArray
+
+Array = NDArray[np.float64]
+
+
+class SampleStatus(Enum):
+    """What became of a sample. Only `OK` and `TIME_GAP` samples are used."""
+
+    OK = "ok"
+    TIME_GAP = "gap in time: local predictions restart"
+    NOT_A_SCALAR = "not a scalar: depth, speed, force and dt must be single numbers"
+    NOT_FINITE = "not finite"
+    TIME_NOT_FORWARD = "dt must be positive"
+    DEPTH_JUMP = "depth jumped against its speed: the jump is removed"
+    SPEED_SIGN = "speed has the sign opposite to the change of depth"
+    FORCE_RANGE = "force beyond any needle's: check the unit"
+    TIME_RANGE = "dt must be between 1e-12 and 1e6 s: check the unit"
+    MOTION_RANGE = "depth or speed beyond any needle's: check the unit"
+
+    @property
+    def is_used(self) -> bool:
+        """Whether the sample went into the estimate."""
+        return self is SampleStatus.OK or self is SampleStatus.TIME_GAP
 
 
 class RuptureState(Enum):
@@ -25,7 +48,7 @@ class RuptureState(Enum):
 
 
 MUTED = frozenset({RuptureState.FORCE_DROP_MEASURING, RuptureState.FRICTION_IDENTIFIED})
-"""States in which no new rupture is looked for."""
+"""States in which no new rupture is detected."""
 
 
 def next_rupture_state(
@@ -53,7 +76,7 @@ class Rupture:
     """The tip leaves a layer. Raised at the alarm; a false one is retracted later.
 
     Attributes:
-        layer: Number of the layer left, from 1.
+        layer: Number of the layer that ends, from 1.
         alarm_s: Time of the sample that raised the alarm.
         alarm_depth_m: Depth at the alarm.
         time_s: Estimated instant t_r, not later than the alarm.
@@ -83,11 +106,12 @@ class Rupture:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class LayerEstimate:
-    """A layer that has been left, as known now.
+    """A layer that has been traversed, as known now.
 
     The multi-layer method reports a layer twice: provisionally, a millimetre after its rupture,
-    and finally, some millimetres later. Standard deviations are None where the method states none
-    (`published`).
+    and finally, some millimetres later. A field with ``_std_`` in its name is the standard
+    deviation of the one before it, None where the method states none (`published`); one that ends
+    in ``_identified`` is whether the data determine the value.
 
     Attributes:
         layer: Number from 1.
@@ -98,22 +122,13 @@ class LayerEstimate:
         thickness_m: d_i, travel from there to its rupture.
         rupture: How it ended.
         force_drop_N: Elastic force released.
-        force_drop_std_N: Its standard deviation.
         stiffness_N_per_m: K_i.
-        stiffness_std_N_per_m: Its standard deviation.
-        stiffness_identified: Whether the data determine it.
         friction_Ns_per_m2: B_i at the rupture's speed (for `kv` in Ns/m).
-        friction_std_Ns_per_m2: Its standard deviation.
-        friction_identified: Whether the data determine it.
         friction_N: Friction of this layer on the shaft at its rupture, B_i d_i v.
-        friction_std_N: Its standard deviation.
         coulomb_N_per_m: Part of the friction that does not depend on speed, per embedded length;
-            None for `published`, which knows viscous friction only.
-        coulomb_std_N_per_m: Its standard deviation.
-        coulomb_identified: Whether the motion separated it from the viscous part.
+            None for `published`, which knows viscous friction only. Identified where the motion
+            separated it from the viscous part.
         viscous_Ns_per_m2: Part of the friction proportional to speed, per embedded length.
-        viscous_std_Ns_per_m2: Its standard deviation.
-        viscous_identified: Whether the motion separated it from the Coulomb part.
     """
 
     layer: int
@@ -145,26 +160,22 @@ class Estimate(NamedTuple):
     A named tuple, unlike the others: it is made anew at every sample, and a frozen dataclass of as
     many fields takes ten times as long. Change a field with ``_replace``.
 
+    Fields with ``_std_`` and ``_identified`` in their names are as in `LayerEstimate`.
+
     Attributes:
         time_s: Time of the sample on the caller's clock.
         status: What became of the sample; anything but `OK` and `TIME_GAP` was not used.
         rupture_state: State of the rupture machine.
-        in_contact: Whether the needle has met the first layer (and not left it again).
+        in_contact: Whether the needle has met the first layer (and not lost contact again).
         layer: Number of the layer the tip is in, from 1; 0 before contact.
         enhanced_force_N: Axial force less the friction of the layers already traversed.
         tip_force_N: Axial force less all shaft friction, the current layer's included.
         shaft_friction_N: All shaft friction; opposes motion, negative during withdrawal.
-        shaft_friction_std_N: Its standard deviation, None where the method states none.
         predicted_force_N: Axial force the model expected at this sample.
         stiffness_N_per_m: K of the current layer.
-        stiffness_std_N_per_m: Its standard deviation or None.
-        stiffness_identified: Whether the data so far determine it.
         friction_Ns_per_m2: B of the current layer, at the present speed (for `kv` in Ns/m).
-        friction_std_Ns_per_m2: Its standard deviation or None.
-        friction_identified: Whether the data so far determine it.
         cumulative_friction_Ns_per_m: Sum of B_j d_j over the traversed layers, at the speed of
             their ruptures.
-        cumulative_friction_std_Ns_per_m: Its standard deviation or None.
         rupture: The rupture raised by this sample, or None.
         identified_layer: The layer whose friction was identified at this sample, provisionally or
             finally (see `LayerEstimate.is_final`), or None.
@@ -195,10 +206,28 @@ class Estimate(NamedTuple):
     retracted: Rupture | None = None
 
 
-Events = tuple[Rupture | None, LayerEstimate | None, Rupture | None]
-"""The last three fields of an `Estimate`."""
+Outputs = tuple[Any, ...]
+"""The fields of an `Estimate` from ``in_contact`` up to the events."""
 
 
-def layers_left(layers: tuple[LayerEstimate, ...]) -> int:
-    """How many layers have been left, those no longer kept included."""
+class Events(NamedTuple):
+    """The last three fields of an `Estimate`."""
+
+    rupture: Rupture | None = None
+    identified_layer: LayerEstimate | None = None
+    retracted: Rupture | None = None
+
+
+def layers_traversed(layers: tuple[LayerEstimate, ...]) -> int:
+    """How many layers have been traversed, those no longer kept included."""
     return layers[-1].layer if layers else 0
+
+
+class Sample(NamedTuple):
+    """Checked scalars handed to the steps of a method."""
+
+    time_s: float  # Time of the sample on the caller's clock, see `Identifier.update`
+    dt_s: float  # Interval since the previous sample, positive
+    depth_m: float  # Tip travel along the insertion axis, jumps removed
+    speed_m_s: float  # Rate of depth
+    force_N: float  # Axial force, positive when tissue pushes back

@@ -4,8 +4,9 @@ All else is done once per block of samples, see `multilayer_identifier`.
 """
 
 import math
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
+from identification.estimate import Outputs
 from needleforce.jit import compiled
 
 _MM = 1e3
@@ -13,7 +14,7 @@ _TINY = 1e-12
 
 
 class MultilayerMemory(NamedTuple):
-    """What every sample changes. Compiled code takes and gives the fields as a plain tuple."""
+    """What every sample changes. Compiled code takes and returns the fields as a plain tuple."""
 
     filled_s: float = 0.0  # Length of the block being filled
     depth_sum: float = 0.0  # Integral of the depth over it
@@ -27,8 +28,6 @@ class MultilayerMemory(NamedTuple):
 
 Memory = tuple[float, float, float, float, float, float, float, float]
 """Fields of `MultilayerMemory`, plain."""
-Outputs = tuple[Any, ...]
-"""The fields of an `Estimate` from ``in_contact`` up to the events."""
 
 
 class MultilayerCoefficients(NamedTuple):
@@ -102,11 +101,6 @@ def bristle_step(bristle: float, travel_m: float, presliding_m: float) -> float:
     Presliding (Dahl 1968, shape exponent 1), exact solution of dw/dx = (sign(dx) - w) / presliding:
     two half steps equal one, and the deflection never leaves [-1, 1]. Coulomb friction is its limit
     for a short `presliding_m`.
-
-    Args:
-        bristle: Deflection before, -1 to 1.
-        travel_m: Signed travel; none leaves the deflection, so friction holds at rest.
-        presliding_m: Travel over which 63 % of a reversal is done.
     """
     if travel_m == 0.0:
         return bristle
@@ -139,7 +133,7 @@ def shaft_friction(
 
     Returns:
         Friction of the layers traversed and identified, which the enhanced force is without; and
-        that of the current layer, and of one just left that is not identified yet [N].
+        that of the current layer, and of one just ruptured that is not identified yet [N].
     """
     c = coefficients[0]
     _, _, _, _, bristle, _, speed, deepest_m = memory
@@ -161,10 +155,9 @@ def shaft_friction(
 
 @compiled
 def _per_speed(
-    speed: float, friction: tuple[float, float], spread: tuple[float, float, float]
+    speed: float, coulomb: float, viscous: float, spread: tuple[float, float, float]
 ) -> tuple[float, float]:
     """Coulomb and viscous friction as one damping at a speed, and its standard deviation."""
-    coulomb, viscous = friction
     var_coulomb, both, var_viscous = spread
     variance = var_coulomb / (speed * speed) + 2.0 * both / speed + var_viscous
     return coulomb / speed + viscous, math.sqrt(max(variance, 0.0))
@@ -186,16 +179,12 @@ def multilayer_outputs(
     if c.in_contact:
         earlier_N, own_N = shaft_friction(depth_m, force_N, memory, coefficients, traversed)
     speed = _MM * max(abs(speed_m_s), c.rest_speed_m_s)
-    b, b_std = _per_speed(
-        speed,
-        (c.own_coulomb, c.own_viscous),
-        (c.var_own_coulomb, c.var_own_both, c.var_own_viscous),
-    )
+    spread = (c.var_own_coulomb, c.var_own_both, c.var_own_viscous)
+    b, b_std = _per_speed(speed, c.own_coulomb, c.own_viscous, spread)
     if c.cumulative_speed != 0.0:
         speed = c.cumulative_speed
-    d, d_std = _per_speed(
-        speed, (c.earlier_coulomb, c.earlier_viscous), (c.var_coulomb, c.var_both, c.var_viscous)
-    )
+    spread = (c.var_coulomb, c.var_both, c.var_viscous)
+    d, d_std = _per_speed(speed, c.earlier_coulomb, c.earlier_viscous, spread)
     k, k_std, b, b_std = c.stiffness_N_per_m, c.stiffness_std_N_per_m, 1e6 * b, 1e6 * b_std
     return (
         c.in_contact,
@@ -227,15 +216,6 @@ def update_multilayer(
     traversed: Traversed,
 ) -> tuple[bool, Memory, Outputs]:
     """Use one sample.
-
-    Args:
-        depth_m: Travel of the tip along the insertion axis [m].
-        speed_m_s: Rate of depth [m/s].
-        force_N: Axial force [N].
-        dt_s: Time since the sample before [s].
-        memory: The fields of `MultilayerMemory`.
-        coefficients: All else that counts.
-        traversed: The layers traversed, see `embedded_fractions`.
 
     Returns:
         Whether that was all: no block is full, nothing else is due; the new memory, and what to

@@ -5,24 +5,21 @@ from collections.abc import Callable
 from dataclasses import dataclass, replace
 from typing import Any, NamedTuple
 
-from identification import multilayer_identifier, multilayer_state, published_identifier
+from identification import friction_compensation as multilayer_update
+from identification import (
+    multilayer_identifier,
+    multilayer_state,
+    published_identifier,
+    published_update,
+)
 from identification.config import MULTILAYER, MultilayerConfig, PublishedConfig
 from identification.errors import InvalidConfigError, InvalidSnapshotError, NoRuptureError
-from identification.estimate import Estimate, LayerEstimate
-from identification.friction_compensation import (
-    LayerFriction,
-    MultilayerCoefficients,
-    MultilayerMemory,
-    multilayer_outputs,
-    update_multilayer,
-)
+from identification.estimate import Estimate, Events, LayerEstimate, Sample, SampleStatus
 from identification.input_validation import (
     LAST_USED,
     STATUSES,
     CheckMemory,
     CheckState,
-    Sample,
-    SampleStatus,
     as_scalar,
     check_limits,
     check_sample,
@@ -30,12 +27,6 @@ from identification.input_validation import (
 )
 from identification.multilayer_state import MultilayerState
 from identification.published_identifier import PublishedState
-from identification.published_update import (
-    PublishedCoefficients,
-    PublishedMemory,
-    published_outputs,
-    update_published,
-)
 from needleforce.jit import jit_arguments
 
 _new = tuple.__new__
@@ -55,45 +46,42 @@ class _Method:
     arguments: Callable[[Any, Any], tuple[Any, ...]]  # What the two read of the state
     plain: Callable[[Any], tuple[Any, ...]]  # The state's memory as compiled code takes it
     memory: Callable[[tuple[Any, ...]], Any]  # The same back
-    layers: Callable[[Any], tuple[LayerEstimate, ...]]  # Layers left so far
 
 
 def _multilayer_arguments(state: MultilayerState, config: MultilayerConfig) -> tuple[Any, ...]:
     coefficients = multilayer_state.multilayer_coefficients(state, config)
     friction = (layer.friction for layer in state.traversed)
     return (
-        jit_arguments(MultilayerCoefficients, coefficients),
-        jit_arguments(LayerFriction, *friction),
+        jit_arguments(multilayer_update.MultilayerCoefficients, coefficients),
+        jit_arguments(multilayer_update.LayerFriction, *friction),
     )
 
 
 def _published_arguments(state: PublishedState, config: PublishedConfig) -> tuple[Any, ...]:
     coefficients = published_identifier.published_coefficients(state, config)
-    return (jit_arguments(PublishedCoefficients, coefficients),)
+    return (jit_arguments(published_update.PublishedCoefficients, coefficients),)
 
 
 _METHODS: dict[type, _Method] = {
     MultilayerConfig: _Method(
         initial=multilayer_state.initial_multilayer_state,
-        begin=multilayer_identifier.begin_multilayer_sample,
-        update=update_multilayer,
+        begin=lambda state, _: state,
+        update=multilayer_update.update_multilayer,
         step=multilayer_identifier.multilayer_step,
-        outputs=multilayer_outputs,
+        outputs=multilayer_update.multilayer_outputs,
         arguments=_multilayer_arguments,
         plain=tuple,
-        memory=MultilayerMemory._make,
-        layers=multilayer_state.multilayer_layers,
+        memory=multilayer_update.MultilayerMemory._make,
     ),
     PublishedConfig: _Method(
         initial=published_identifier.initial_published_state,
         begin=published_identifier.begin_published_sample,
-        update=update_published,
+        update=published_update.update_published,
         step=published_identifier.published_step,
-        outputs=published_outputs,
+        outputs=published_update.published_outputs,
         arguments=_published_arguments,
         plain=lambda memory: memory.plain,
-        memory=PublishedMemory.of,
-        layers=published_identifier.published_layers,
+        memory=published_update.PublishedMemory.of,
     ),
 }
 """By the type of their settings."""
@@ -141,8 +129,8 @@ class Identifier:
 
     @property
     def layers(self) -> tuple[LayerEstimate, ...]:
-        """Layers left so far, in order, as known now."""
-        layers, shift_m = self._method.layers(self._state), self._check[_SHIFT]
+        """Layers traversed so far, in order, as known now."""
+        layers, shift_m = self._state.known_layers, self._check[_SHIFT]
         return tuple(_in_callers_depth(layer, shift_m) for layer in layers)
 
     def reset(self) -> None:
@@ -250,8 +238,9 @@ class Identifier:
         method, state, arguments = self._method, self._state, self._arguments
         _, dt_s, depth_m, speed_m_s, force_N = sample
         if state.is_due:
-            # The memory in the state is older than the one at hand.
-            begun = method.begin(state._replace(memory=method.memory(self._memory)), self._config)
+            # The memory in the state is older than the one at hand, its events are over.
+            fresh = state._replace(memory=method.memory(self._memory), events=Events())
+            begun = method.begin(fresh, self._config)
             if _coefficients_change(state, begun):
                 arguments = method.arguments(begun, self._config)
                 before = method.plain(begun.memory)
@@ -264,7 +253,7 @@ class Identifier:
             arguments = method.arguments(new, self._config)
             memory = method.plain(new.memory)
             outputs = method.outputs(depth_m, speed_m_s, force_N, memory, *arguments)
-        self._before = None if new.rupture is None else self.snapshot()
+        self._before = None if new.events.rupture is None else self.snapshot()
         self._keep(new, arguments)
         self._check = check
         events = (_in_callers_depth(event, check[_SHIFT]) for event in new.events)
@@ -289,9 +278,7 @@ class Identifier:
     def _reject(self, status: SampleStatus, time_s: float, check: CheckMemory) -> Estimate:
         """A sample that is not used: the last estimate, its events over."""
         self._check = check
-        self._last = self._last._replace(
-            time_s=time_s, status=status, rupture=None, identified_layer=None, retracted=None
-        )
+        self._last = self._last._replace(time_s=time_s, status=status, **Events()._asdict())
         return self._last
 
 

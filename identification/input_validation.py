@@ -2,13 +2,13 @@
 
 import math
 from dataclasses import astuple
-from enum import Enum
 from typing import Any, NamedTuple
 
 import numpy as np
 
 from identification.config import CheckConfig
 from identification.errors import InvalidSnapshotError
+from identification.estimate import SampleStatus
 from needleforce.jit import compiled
 
 _NO_NUMBERS = (str, bytes, bool, np.bool_, complex, np.complexfloating, np.timedelta64)
@@ -17,26 +17,6 @@ LEAST_DT_S, LARGEST_DT_S = 1e-12, 1e6
 """Intervals outside are wrong units or garbage: quotients by them, or their sum, overflow."""
 LARGEST_MOTION = 1e3
 """No needle is as deep [m] or as fast [m/s]; powers of larger numbers overflow."""
-
-
-class SampleStatus(Enum):
-    """What became of a sample. Only `OK` and `TIME_GAP` samples are used."""
-
-    OK = "ok"
-    TIME_GAP = "gap in time: local predictions restart"
-    NOT_A_SCALAR = "not a scalar: depth, speed, force and dt must be single numbers"
-    NOT_FINITE = "not finite"
-    TIME_NOT_FORWARD = "dt must be positive"
-    DEPTH_JUMP = "depth jumped against its speed: the jump is removed"
-    SPEED_SIGN = "speed has the sign opposite to the change of depth"
-    FORCE_RANGE = "force beyond any needle's: check the unit"
-    TIME_RANGE = "dt must be between 1e-12 and 1e6 s: check the unit"
-    MOTION_RANGE = "depth or speed beyond any needle's: check the unit"
-
-    @property
-    def is_used(self) -> bool:
-        """Whether the sample went into the estimate."""
-        return self is SampleStatus.OK or self is SampleStatus.TIME_GAP
 
 
 STATUSES = tuple(SampleStatus)
@@ -61,7 +41,7 @@ class CheckState(NamedTuple):
 
 
 CheckMemory = tuple[float, float, float, float, float, float, float, bool, float]
-"""The fields of `CheckState`, plain: what compiled code takes and gives."""
+"""The fields of `CheckState`, plain: what compiled code takes and returns."""
 Limits = tuple[float, float, float, float, float]
 """The fields of `CheckConfig`."""
 
@@ -89,18 +69,10 @@ def as_scalar(value: Any) -> float | None:
 
 
 @compiled
-def _skipped(memory: CheckMemory, dt_s: float) -> CheckMemory:
-    """The time of a sample that cannot be read passes."""
-    time, usual, raw_depth, shift, by_depth, by_speed, pending, has_depth, rejected = memory
-    time, pending = time + dt_s, pending + dt_s
-    return time, usual, raw_depth, shift, by_depth, by_speed, pending, has_depth, rejected
-
-
-@compiled
 def _check_motion(
     depth: float, speed: float, interval: float, memory: CheckMemory, limits: Limits
 ) -> tuple[int, float, float, CheckMemory]:
-    """Hold depth against speed."""
+    """Compare depth with speed."""
     time, usual, raw_depth, shift, by_depth, by_speed, pending, has_depth, rejected = memory
     gap_s, jump_m, sign_memory_s, sign_travel_m, _ = limits
     # Of the time since the last depth, and since the last sample that was used.
@@ -157,23 +129,19 @@ def check_sample(
         return _TIME_NOT_FORWARD, 0.0, 0.0, memory
     if dt_s < LEAST_DT_S or dt_s > LARGEST_DT_S:
         return _TIME_RANGE, 0.0, 0.0, memory
+    status = _OK
     if not math.isfinite(depth_m + speed_m_s + force_N):
-        return _NOT_FINITE, 0.0, 0.0, _skipped(memory, dt_s)
-    if max(abs(depth_m), abs(speed_m_s)) > LARGEST_MOTION:
-        return _MOTION_RANGE, 0.0, 0.0, _skipped(memory, dt_s)
-    if abs(force_N) > limits[4]:
-        return _FORCE_RANGE, 0.0, 0.0, _skipped(memory, dt_s)
-    return _check_motion(depth_m, speed_m_s, dt_s, memory, limits)
-
-
-class Sample(NamedTuple):
-    """Checked scalars handed to the steps of a method."""
-
-    time_s: float  # Time of the sample on the caller's clock, see `Identifier.update`
-    dt_s: float  # Interval since the previous sample, positive
-    depth_m: float  # Tip travel along the insertion axis, jumps removed
-    speed_m_s: float  # Rate of depth
-    force_N: float  # Axial force, positive when tissue pushes back
+        status = _NOT_FINITE
+    elif max(abs(depth_m), abs(speed_m_s)) > LARGEST_MOTION:
+        status = _MOTION_RANGE
+    elif abs(force_N) > limits[4]:
+        status = _FORCE_RANGE
+    if status == _OK:
+        return _check_motion(depth_m, speed_m_s, dt_s, memory, limits)
+    time, usual, raw_depth, shift, by_depth, by_speed, pending, has_depth, rejected = memory
+    time, pending = time + dt_s, pending + dt_s
+    memory = (time, usual, raw_depth, shift, by_depth, by_speed, pending, has_depth, rejected)
+    return status, 0.0, 0.0, memory
 
 
 # A state that is restored.
@@ -186,10 +154,7 @@ normal equations are sums of squares, covariances their inverses."""
 def check_state(state: Any, initial: Any, place: str = "state") -> None:
     """Refuse a damaged state, before compiled code reads beyond its arrays or a solver fails.
 
-    Args:
-        state: A tree of named tuples.
-        initial: The state before the first sample, or None where it has no such part.
-        place: Where the tree stands, for the message.
+    `initial` is the state before the first sample, or None where it has no such part.
 
     Raises:
         InvalidSnapshotError: A part is of another type, an array of another kind or shape, or a

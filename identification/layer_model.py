@@ -7,8 +7,8 @@ dz is the length of shaft in the layer, x the travel of the tip in it: less than
 membrane was pushed in before its puncture.
 Lengths are in millimetres in here, so that all six unknowns are of similar size.
 
-Behind a membrane the friction measured after the puncture is that of the layer left *and* of the
-length of the next one that had been pushed in: only the next layer's own rupture separates the
+Behind a membrane the friction measured after the puncture is that of the layer traversed *and* of
+the length of the next one that had been pushed in: only the next layer's own rupture separates the
 two. The posterior of each layer is therefore kept as it was before that measurement, and what
 becomes known of the sum is carried back (the smoother of Rauch, Tung, Striebel 1965).
 """
@@ -17,21 +17,19 @@ from dataclasses import replace
 from typing import Any, NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.optimize import nnls
 
-from identification.estimate import LayerEstimate
+from identification.config import MultilayerConfig
+from identification.estimate import Array, LayerEstimate
 
 MM = 1e3
 COULOMB, VISCOUS, CUTTING, STIFFNESS, OWN_COULOMB, OWN_VISCOUS = range(6)
 """Places of C [N], V [N/(mm/s)], F_c [N], K [N/mm], c [N/mm], b [N/(mm mm/s)] in a vector."""
 IDENTIFIED_FRACTION = 0.25
 """A value is identified if its standard deviation is no more of it."""
-_SIZE = 6
 _TINY = 1e-12
-_RIDGE = 1e-10 * np.eye(_SIZE)
-
-Array = NDArray[np.float64]
+_RIDGE = 1e-10 * np.eye(6)
+_LEAST_SLOPE = 1e-4
 
 
 class NormalEquations(NamedTuple):
@@ -54,7 +52,7 @@ class Gaussian(NamedTuple):
 
 def no_information() -> NormalEquations:
     """Nothing known."""
-    return NormalEquations(np.zeros((_SIZE, _SIZE)), np.zeros(_SIZE))
+    return NormalEquations(np.zeros((6, 6)), np.zeros(6))
 
 
 def model_row(
@@ -71,6 +69,41 @@ def add_row(known: NormalEquations, row: Array, value: float, variance: float) -
     """Add a measurement row @ x = value with the given variance."""
     weighted = row / max(variance, _TINY)
     return NormalEquations(known.matrix + weighted[:, None] * row, known.vector + weighted * value)
+
+
+def add_layer_prior(
+    known: NormalEquations,
+    own_N: float,
+    layer_depth_m: float,
+    speed_m_s: float,
+    config: MultilayerConfig,
+    residual: tuple[float, float],
+) -> NormalEquations:
+    """Add the priors on fractions of the force, scaled by what the layer has built up so far.
+
+    At constant speed nothing in a layer separates its stiffness from its friction, nor Coulomb from
+    viscous: without these rows the answer would be arbitrary, with them it is a stated guess with
+    a stated standard deviation that any rupture or change of speed overrides. Cutting counts with
+    the elastic force: friction is a fraction of both. `own_N` is the axial force less the friction
+    of earlier layers, `residual` mean and variance of the tip force that the layer began with.
+    """
+    depth, speed = max(MM * layer_depth_m, 1e-3), MM * max(abs(speed_m_s), config.rest_speed_m_s)
+    slope = max(own_N / depth, _LEAST_SLOPE)
+    mean_N, variance = residual
+    rho, kappa = config.friction_fraction, config.coulomb_fraction(speed / MM)
+    row = np.zeros(6)
+    row[CUTTING], row[STIFFNESS] = -rho / depth, -rho
+    row[OWN_COULOMB], row[OWN_VISCOUS] = 1.0 - rho, (1.0 - rho) * speed
+    kept = -rho * mean_N / depth
+    known = add_row(known, row, kept, (config.friction_fraction_std * slope) ** 2)
+    row = np.zeros(6)
+    row[OWN_COULOMB], row[OWN_VISCOUS] = 1.0 - kappa, -kappa * speed
+    kappa_std = config.coulomb_fraction_std(speed / MM)
+    known = add_row(known, row, 0.0, (kappa_std * rho * slope) ** 2)
+    row = np.zeros(6)
+    row[CUTTING] = 1.0
+    reach = MM * config.cutting_reach_m * slope
+    return add_row(known, row, mean_N, reach * reach + variance)
 
 
 def solve_layer(known: NormalEquations) -> Gaussian:
@@ -119,44 +152,31 @@ def _carry(thickness_m: float) -> Array:
 
 
 def layer_outputs(layer: Gaussian, thickness_m: float, rupture_speed_m_s: float) -> dict[str, Any]:
-    """Stiffness and friction of a layer left as fields of `LayerEstimate`.
+    """Stiffness and friction of a layer traversed as fields of `LayerEstimate`.
 
     Back to SI: c in N/m is 1e3 c in N/mm, b in Ns/m^2 is 1e6 b in N/(mm mm/s).
     """
-    values = np.maximum(layer.values, 0.0)
-    std = np.sqrt(np.maximum(np.diag(layer.covariance), 0.0))
+    values = np.maximum(layer.values, 0.0).tolist()
+    std = np.sqrt(np.maximum(np.diag(layer.covariance), 0.0)).tolist()
     speed = max(rupture_speed_m_s, 1e-6)
     row = np.zeros(6)
     row[OWN_COULOMB], row[OWN_VISCOUS] = MM * thickness_m, MM * thickness_m * MM * speed
     friction = max(float(row @ layer.values), 0.0)
     friction_std = float(np.sqrt(max(row @ layer.covariance @ row, 0.0)))
-    stiffness, stiffness_std = MM * float(values[STIFFNESS]), MM * float(std[STIFFNESS])
-    coulomb, coulomb_std = MM * float(values[OWN_COULOMB]), MM * float(std[OWN_COULOMB])
-    viscous, viscous_std = 1e6 * float(values[OWN_VISCOUS]), 1e6 * float(std[OWN_VISCOUS])
     per_length = 1.0 / (thickness_m * speed)
-    return {
-        "stiffness_N_per_m": stiffness,
-        "stiffness_std_N_per_m": stiffness_std,
-        "stiffness_identified": _is_identified(stiffness, stiffness_std),
-        "friction_Ns_per_m2": friction * per_length,
-        "friction_std_Ns_per_m2": friction_std * per_length,
-        "friction_identified": _is_identified(friction, friction_std),
-        "friction_N": friction,
-        "friction_std_N": friction_std,
-        "coulomb_N_per_m": coulomb,
-        "coulomb_std_N_per_m": coulomb_std,
-        "coulomb_identified": _is_identified(coulomb, coulomb_std),
-        "viscous_Ns_per_m2": viscous,
-        "viscous_std_Ns_per_m2": viscous_std,
-        "viscous_identified": _is_identified(viscous, viscous_std),
-    }
+    fields: dict[str, Any] = {"friction_N": friction, "friction_std_N": friction_std}
+    for name, unit, scale, value, deviation in (
+        ("stiffness", "N_per_m", MM, values[STIFFNESS], std[STIFFNESS]),
+        ("friction", "Ns_per_m2", per_length, friction, friction_std),
+        ("coulomb", "N_per_m", MM, values[OWN_COULOMB], std[OWN_COULOMB]),
+        ("viscous", "Ns_per_m2", 1e6, values[OWN_VISCOUS], std[OWN_VISCOUS]),
+    ):
+        fields[f"{name}_{unit}"], fields[f"{name}_std_{unit}"] = scale * value, scale * deviation
+        fields[f"{name}_identified"] = deviation <= IDENTIFIED_FRACTION * abs(value)
+    return fields
 
 
 def revised(estimate: LayerEstimate, layer: Gaussian) -> LayerEstimate:
     """The same layer with a newer distribution of its unknowns."""
     speed_m_s = estimate.rupture.speed_m_s
     return replace(estimate, **layer_outputs(layer, estimate.thickness_m, speed_m_s))
-
-
-def _is_identified(value: float, std: float) -> bool:
-    return std <= IDENTIFIED_FRACTION * abs(value)

@@ -5,15 +5,12 @@ from dataclasses import dataclass
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
 from identification.config import MULTILAYER, MultilayerConfig, PublishedConfig
-from identification.estimate import Estimate, LayerEstimate
+from identification.estimate import Array, Estimate, LayerEstimate, SampleStatus
 from identification.identifier import Identifier
-from identification.input_validation import SampleStatus
 from identification.offline import read_column
-
-Array = NDArray[np.float64]
 
 _WINDOW_S = 0.05
 _MOST_ROWS = 5000
@@ -46,16 +43,11 @@ class DerivedSpeed:
         self._speed_m_s = 0.0
 
     def update(self, dt_s: Array, depth_m: Array) -> Array:
-        """Take further rows.
+        """Take further rows, at least one: time since the latest row that advanced, and depth.
 
-        Args:
-            dt_s: Time since the latest row that advanced [s], shape (n,), n > 0; not positive for
-                rows that do not advance. That of the very first row is not read.
-            depth_m: Depth [m], shape (n,).
-
-        Returns:
-            Speeds [m/s] of the rows that need wait no longer, beginning with the first that has
-            not been returned, shape (m,).
+        That time is not positive for rows that do not advance; of the very first row it is not
+        read. Returns speeds of the rows that need wait no longer, beginning with the first that
+        has not been returned.
         """
         advances = dt_s > 0.0
         is_first = not self._depth_m.size
@@ -114,7 +106,7 @@ _LEAST_FORCE_N = 0.02
 
 
 class SignCheck:
-    """Looks for a flipped sign or a wrong unit in a recording, any number of rows at a time."""
+    """Checks for a flipped sign or a wrong unit in a recording, any number of rows at a time."""
 
     def __init__(self) -> None:
         self._last_m = np.empty(0)
@@ -209,7 +201,7 @@ class ReplayStream:
 
     @property
     def layers(self) -> tuple[LayerEstimate, ...]:
-        """Layers left so far, in order, as known now."""
+        """Layers traversed so far, in order, as known now."""
         return self._identifier.layers
 
     @property
@@ -233,15 +225,15 @@ class ReplayStream:
         """Take further rows, as `replay` takes them all.
 
         The first call must bring `HEAD_ROWS` rows, or all that there are. Without speed, always or
-        never, rows wait 25 ms for it. The very first ``dt_s`` is not read.
-
-        Returns:
-            The rows whose speed is known, beginning with the first that has not been returned.
+        never, rows wait 25 ms for it; what comes back begins with the first row that has not been
+        returned. The very first ``dt_s`` is not read.
         """
         dt_s = self._since_latest(t_s) if dt_s is None else np.array(dt_s)
         if not self._first_step_s:
-            self._begin(dt_s[1:HEAD_ROWS], is_derived=speed_m_s is None)
-            dt_s[0] = self._first_step_s
+            steps_s = dt_s[1:HEAD_ROWS]
+            forward = steps_s[steps_s > 0.0]
+            dt_s[0] = self._first_step_s = float(np.median(forward)) if forward.size else 1e-3
+            self._speed = DerivedSpeed(self._first_step_s) if speed_m_s is None else None
         self._signs.update(depth_m, speed_m_s, force_N)
         self._waiting = np.hstack((self._waiting, np.stack((t_s, depth_m, force_N, dt_s))))
         if self._speed is None:
@@ -261,12 +253,6 @@ class ReplayStream:
         self._latest_s = float(latest_s[-1])
         return t_s - latest_s[:-1]
 
-    def _begin(self, steps_s: Array, *, is_derived: bool) -> None:
-        forward = steps_s[steps_s > 0.0]
-        self._first_step_s = float(np.median(forward)) if forward.size else 1e-3
-        if is_derived:
-            self._speed = DerivedSpeed(self._first_step_s)
-
     def _replayed(self, speed_m_s: Array) -> ReplayedRows:
         rows = len(speed_m_s)
         t_s, depth_m, force_N, dt_s = self._waiting[:, :rows]
@@ -284,11 +270,11 @@ class Replay:
     Attributes:
         t_s: Time stamps of the recording, shape (n,), read-only.
         estimates: One per row.
-        layers: Layers left, as known at the end.
+        layers: Layers traversed, as known at the end.
         hints: Suspicions about signs and units.
     """
 
-    t_s: NDArray[np.float64]
+    t_s: Array
     estimates: tuple[Estimate, ...]
     layers: tuple[LayerEstimate, ...]
     hints: tuple[str, ...]

@@ -9,9 +9,9 @@ non-linear one (a parabola: Okamura, Simone, O'Leary 2004).
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
 from identification.config import MultilayerConfig
+from identification.estimate import Array
 from identification.resampling import BLOCKS, DEPTH, FORCE, SPEED, TRAVEL, merge_rows
 
 _MOST_ROWS = 64
@@ -22,8 +22,6 @@ _CURVATURE = 0.2
 _SPEED_EFFECT = 0.5
 """Change of force with speed over mean force, one standard deviation: friction, part viscous."""
 _FREE = 1e-9
-
-Array = NDArray[np.float64]
 
 
 class ScaledLayer(NamedTuple):
@@ -38,7 +36,7 @@ class ScaledLayer(NamedTuple):
 
 
 def scale_layer(rows: Array, start_m: float, rupture_m: float) -> ScaledLayer | None:
-    """The rows in which a membrane is looked for, or None where they are too few."""
+    """The rows that are searched for a membrane, or None where they are too few."""
     end = rows[:, DEPTH] + 0.5 * rows[:, TRAVEL]
     side = rows[(rows[:, DEPTH] > start_m) & (end < rupture_m - _MARGIN_M)]
     side = merge_rows(side, -(-len(side) // _MOST_ROWS)) if len(side) else side
@@ -49,26 +47,16 @@ def scale_layer(rows: Array, start_m: float, rupture_m: float) -> ScaledLayer | 
     weight = np.sqrt(side[:, BLOCKS] / side[:, BLOCKS].mean())
     mean = float(force.mean())
     target = (force - mean) * weight
-    return ScaledLayer(
-        rows=side,
-        position=position,
-        speed=side[:, SPEED] / max(float(side[:, SPEED].mean()), 1e-6) - 1.0,
-        root_weight=weight,
-        target=target,
-        priors=_priors(position, force, mean, target),
-    )
-
-
-def _priors(position: Array, force: Array, mean: float, target: Array) -> Array:
     variance = max(0.5 * float(np.var(np.diff(target))), 1e-12)
     half = len(force) // 2
     begin = position[:half] - position[:half].mean()
     rise = float(begin @ force[:half]) / float(begin @ begin)
     slope = max(rise, 0.1 * float(np.ptp(force)), 1e-3)
-    weights = np.full(7, _FREE)
-    weights[2] += variance / (_CURVATURE * slope) ** 2
-    weights[3:5] += variance / (_SPEED_EFFECT * max(abs(mean), 0.02)) ** 2
-    return weights
+    priors = np.full(7, _FREE)
+    priors[2] += variance / (_CURVATURE * slope) ** 2
+    priors[3:5] += variance / (_SPEED_EFFECT * max(abs(mean), 0.02)) ** 2
+    speed = side[:, SPEED] / max(float(side[:, SPEED].mean()), 1e-6) - 1.0
+    return ScaledLayer(side, position, speed, weight, target, priors)
 
 
 def _smooth_squares(layer: ScaledLayer) -> float:
@@ -226,11 +214,7 @@ class SearchWork(NamedTuple):
 def search_step(
     work: SearchWork, rows: Array, rupture_m: float, config: MultilayerConfig
 ) -> SearchWork | MembraneSearch:
-    """Work off the next stage of a search.
-
-    Returns:
-        What has been done now, or what was found.
-    """
+    """Work off the next stage of a search: what has been done now, or what was found."""
     if work.layer is None:
         layer = scale_layer(rows, work.from_m, rupture_m)
         if layer is None:

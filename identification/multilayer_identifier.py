@@ -9,16 +9,24 @@ import math
 import numpy as np
 
 from identification.config import MultilayerConfig
-from identification.estimate import MUTED, RuptureState, next_rupture_state
+from identification.estimate import MUTED, Array, RuptureState, Sample, next_rupture_state
 from identification.friction_compensation import MultilayerMemory
-from identification.input_validation import Sample
-from identification.layer_fit import add_point, settle_pool
-from identification.layer_model import Array
+from identification.layer_model import (
+    CUTTING,
+    STIFFNESS,
+    add_layer_prior,
+    add_row,
+    model_row,
+    solve_layer,
+)
 from identification.multilayer_state import Baseline, MultilayerState, first_layer
 from identification.resampling import (
+    BLOCKS,
     DEPTH,
     FORCE,
+    TRAVEL,
     Block,
+    add_layer_row,
     least_block_s,
     mean_block,
     update_lag,
@@ -48,15 +56,12 @@ _RAISED = 4.0
 _LEAST_POINTS = 8
 _LOST = 2.0
 _LOST_POINTS = 50
+_POOLED_BLOCKS = 20.0
+"""A row spans 0.1 s or `row_m` of travel, whichever is sooner."""
+_OTHER_ERROR = 0.2
+"""Weight of the whole force, beside the layer's own, in the error of the linear law."""
 _CHANNEL_M = 2e-4
 """Behind the deepest point by more than this the needle is in its old channel."""
-
-
-def begin_multilayer_sample(state: MultilayerState, _config: MultilayerConfig) -> MultilayerState:
-    """Before a sample: the events of the one before are over."""
-    if state.events == (None, None, None):
-        return state
-    return state._replace(rupture=None, identified_layer=None, retracted=None)
 
 
 def multilayer_step(
@@ -115,10 +120,7 @@ def _touch(state: MultilayerState, block: Block, config: MultilayerConfig) -> Mu
         depth_m = float(points[-1 - blocks_since_change(points[:, FORCE], 1.0), DEPTH])
     baseline = settle_baseline(state.baseline, depth_m)
     state = state._replace(
-        baseline=baseline,
-        in_contact=True,
-        contact_m=depth_m,
-        layer=first_layer(depth_m),
+        baseline=baseline, in_contact=True, contact_m=depth_m, layer=first_layer(depth_m)
     )
     state = _with_raised_track(state, -baseline.offset_N)
     points = state.track.points
@@ -169,12 +171,11 @@ def level_score(state: Baseline, interval_s: float, noise_N2: float) -> float:
     forces = state.forces_N
     if len(forces) < _LEAST_SEGMENTS or state.time_s > 0.0:
         return 0.0
-    half = forces[: len(forces) // 2]
+    level, spread = _free_air_level(forces, noise_N2)
     squared = 2.0 * math.log(max(interval_s / SEGMENT_S, math.e))
     squared *= 1.0 + squared / (2.0 * len(forces))
-    spread = max(_neighbour_variance(forces), noise_N2) * (1.0 + 1.0 / len(half))
-    height = forces[-1] - sum(half) / len(half)
-    return height / math.sqrt(max(squared * spread, 1e-18))
+    spread *= 1.0 + 1.0 / (len(forces) // 2)
+    return (forces[-1] - level) / math.sqrt(max(squared * spread, 1e-18))
 
 
 def height_over_drift(state: Baseline, force_N: float, noise_N2: float) -> float:
@@ -182,12 +183,23 @@ def height_over_drift(state: Baseline, force_N: float, noise_N2: float) -> float
 
     Zero while too little of free air is known.
     """
-    forces = state.forces_N
-    if len(forces) < 2:
+    if len(state.forces_N) < 2:
         return 0.0
+    level, spread = _free_air_level(state.forces_N, noise_N2)
+    return (force_N - level) / math.sqrt(max(spread, 1e-18))
+
+
+def _free_air_level(forces: tuple[float, ...], noise_N2: float) -> tuple[float, float]:
+    """Mean of the older half, and the variance of one mean.
+
+    Half the mean square difference between neighbours (von Neumann), from the lower half of the
+    squares: the upper one may contain the contact itself.
+    """
     half = forces[: max(len(forces) // 2, 1)]
-    height = force_N - sum(half) / len(half)
-    return height / math.sqrt(max(_neighbour_variance(forces), noise_N2, 1e-18))
+    squares = sorted((b - a) ** 2 for a, b in itertools.pairwise(forces))
+    kept = squares[: max(len(squares) // 2, 1)]
+    variance = 0.5 * sum(kept) / len(kept) / _LOWER_HALF
+    return sum(half) / len(half), max(variance, noise_N2)
 
 
 def settle_baseline(state: Baseline, contact_m: float) -> Baseline:
@@ -199,16 +211,6 @@ def settle_baseline(state: Baseline, contact_m: float) -> Baseline:
     offset = sum(before) / len(before)
     variance = sum((f - offset) ** 2 for f in before) / max(len(before) - 1, 1)
     return state._replace(offset_N=offset, variance=variance)
-
-
-def _neighbour_variance(forces: tuple[float, ...]) -> float:
-    """Half the mean square difference between neighbours (von Neumann), from its lower half.
-
-    The upper half may hold the contact itself.
-    """
-    squares = sorted((b - a) ** 2 for a, b in itertools.pairwise(forces))
-    kept = squares[: max(len(squares) // 2, 1)]
-    return 0.5 * sum(kept) / len(kept) / _LOWER_HALF
 
 
 # In tissue.
@@ -225,7 +227,7 @@ def _rest(state: MultilayerState, config: MultilayerConfig) -> MultilayerState:
 
 
 def _cut(state: MultilayerState, block: Block, config: MultilayerConfig) -> MultilayerState:
-    """The tip meets fresh tissue: look for a rupture, measure one, learn the layer."""
+    """The tip meets fresh tissue: detect a rupture, measure one, learn the layer."""
     block = block._replace(force_N=block.force_N - state.baseline.offset_N)
     track, point = update_track(state.track, block, config.track_step_m)
     detector, detection = update_detector(state.detector, block, config)
@@ -235,7 +237,7 @@ def _cut(state: MultilayerState, block: Block, config: MultilayerConfig) -> Mult
         and state.rupture_state in MUTED
         and block.depth_m < candidate.rupture.depth_m + config.provisional_window_m
     ):
-        # No rupture is looked for while one releases: until its provisional measurement.
+        # No new rupture is detected while one releases: until its provisional measurement.
         state = state._replace(detector=restart_detector(detector), track=track)
         return _follow(state, point, config)
     state = state._replace(detector=detector, track=track)
@@ -256,11 +258,66 @@ def _follow(
     return _lose_contact(add_point(state, point, config))
 
 
+def add_point(
+    state: MultilayerState, point: Array, config: MultilayerConfig, *, is_solved: bool = True
+) -> MultilayerState:
+    """Use one point; every few of them make one row, and a new fit.
+
+    Rows of many points average the noise of the speed: in a regressor it would look like a change
+    of speed without a change of force, that is, like Coulomb friction.
+    """
+    layer = state.layer
+    pool = point.copy()
+    pool[:BLOCKS] *= point[BLOCKS]
+    if layer.pool is not None:
+        pool += layer.pool
+    state = state._replace(layer=layer._replace(pool=pool, points=layer.points + 1))
+    if pool[BLOCKS] < _POOLED_BLOCKS and pool[TRAVEL] < config.row_m:
+        return state
+    return settle_pool(state, config, is_solved=is_solved)
+
+
+def settle_pool(
+    state: MultilayerState, config: MultilayerConfig, *, is_solved: bool = True
+) -> MultilayerState:
+    """Turn the pooled points into one row and fit anew.
+
+    A row weighs by its noise and by the error of the linear law, which rows within a few
+    millimetres have in common: many rows do not make a wrong law right.
+    """
+    layer, pool = state.layer, state.layer.pool
+    if pool is None:
+        return state
+    point = np.append(pool[:BLOCKS] / pool[BLOCKS], pool[BLOCKS:])
+    depth, speed, force, bristle, blocks, travel = point.tolist()
+    row = model_row(
+        depth - layer.start_m, depth - layer.tip_m, speed, bristle, config.cutting_onset_m
+    )
+    before = state.fit.values
+    own = force - float(row[0] * before[0] + row[1] * before[1])
+    error = config.model_error_fraction * max(abs(own), _OTHER_ERROR * abs(force))
+    common = max(config.model_error_m / max(travel, 1e-6), 1.0)
+    variance = block_noise_N2(state.detector) / blocks + error * error * common
+    layer = layer._replace(
+        data=add_row(layer.data, row, force, variance),
+        rows=add_layer_row(layer.rows, point),
+        pool=None,
+    )
+    if not is_solved:
+        return state._replace(layer=layer)
+    known = layer.prior.plus(layer.data)
+    inside = depth - layer.start_m
+    fit = solve_layer(add_layer_prior(known, own, inside, speed, config, layer.residual))
+    row[[CUTTING, STIFFNESS]] = 0.0
+    spread = float(row @ fit.covariance @ row)
+    return state._replace(layer=layer, fit=fit, shaft_std_N=math.sqrt(max(spread, 0.0)))
+
+
 def _advance(state: MultilayerState, *, is_expected: bool = False) -> MultilayerState:
     """Move the rupture state on; what raises and settles a rupture sets its own states."""
     now = state.rupture_state
     if now is RuptureState.NO_RUPTURE and not is_expected:
         return state
-    if now is RuptureState.FORCE_DROP_MEASURING or state.identified_layer is not None:
+    if now is RuptureState.FORCE_DROP_MEASURING or state.events.identified_layer is not None:
         return state
     return state._replace(rupture_state=next_rupture_state(now, is_expected=is_expected))

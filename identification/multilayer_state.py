@@ -6,7 +6,14 @@ from typing import NamedTuple
 import numpy as np
 
 from identification.config import MultilayerConfig
-from identification.estimate import Events, LayerEstimate, Rupture, RuptureState, layers_left
+from identification.estimate import (
+    Array,
+    Events,
+    LayerEstimate,
+    Rupture,
+    RuptureState,
+    layers_traversed,
+)
 from identification.friction_compensation import (
     LayerFriction,
     MultilayerCoefficients,
@@ -20,7 +27,6 @@ from identification.layer_model import (
     OWN_VISCOUS,
     STIFFNESS,
     VISCOUS,
-    Array,
     Gaussian,
     NormalEquations,
     no_information,
@@ -30,7 +36,6 @@ from identification.layer_model import (
 from identification.membrane import MembraneSearch, SearchWork
 from identification.resampling import NO_ROWS, SpeedLag, Track, least_block_s
 from identification.rupture_classifier import (
-    NO_RESIDUAL_FORCE,
     AfterRows,
     ForceAfter,
     ResidualTipForce,
@@ -60,7 +65,7 @@ class LayerData(NamedTuple):
     points: int = 0  # Number of those points
     pool: Array | None = None  # Points not in `data` yet, summed: weighted columns of the track
     rows: Array = NO_ROWS  # The same points at a coarse resolution, see `resampling.add_layer_row`
-    residual: ResidualTipForce = NO_RESIDUAL_FORCE  # Tip force it began with
+    residual: ResidualTipForce = ResidualTipForce()  # Tip force it began with
 
 
 class TraversedLayer(NamedTuple):
@@ -72,11 +77,7 @@ class TraversedLayer(NamedTuple):
 
 
 class ForceDropMeasurement(NamedTuple):
-    """A measurement that has begun and not ended, a stage per tick, see `rupture_measurement`.
-
-    The track stays what it is meanwhile. What a stage could not measure, where points are too few,
-    stays None.
-    """
+    """A measurement under way, a stage per tick; what too few points do not show stays None."""
 
     is_final: bool  # Whether it settles the rupture
     stages: int = 0  # Worked off
@@ -85,22 +86,20 @@ class ForceDropMeasurement(NamedTuple):
     after: ForceAfter | None = None  # That force
     end: RuptureMeasurement | None = None  # How the layer ended
     has_recovered: bool = False  # Whether the force is back on its old line
-    # The unknowns of the layer left, none negative, and their posterior without what the force
-    # after the rupture reveals
-    layer: tuple[Gaussian, Gaussian] | None = None
+    fit: Gaussian | None = None  # The unknowns of the ruptured layer, none negative
+    known: Gaussian | None = None  # Their posterior without the force after the rupture
 
 
 class RuptureCandidate(NamedTuple):
     """A rupture alarmed whose force drop is being measured."""
 
     rupture: Rupture  # The alarm
-    left: LayerData  # The layer left, as it was at the alarm
-    left_fit: Gaussian  # Its fit at the alarm
+    layer: LayerData  # The layer that ruptured, as it was at the alarm
+    fit: Gaussian  # Its fit at the alarm
     is_provisional: bool  # Whether its layer has been identified provisionally
-    next_window_m: float  # Travel since the rupture at which to measure next
+    next_window_m: float  # Travel since the rupture at which to measure provisionally
     first: RuptureMeasurement | None = None  # What the provisional measurement found
-    # What was found of a membrane that the layer left ended with, None before that
-    search: MembraneSearch | None = None
+    search: MembraneSearch | None = None  # What was found of a membrane at the layer's end
     search_work: SearchWork | None = None  # What has been done to find it
     work: ForceDropMeasurement | None = None  # The measurement under way, if any
 
@@ -122,19 +121,24 @@ class MultilayerState(NamedTuple):
     rupture_state: RuptureState = RuptureState.NO_RUPTURE
     layers: tuple[LayerEstimate, ...] = ()  # Layers identified so far
     traversed: tuple[TraversedLayer, ...] = ()  # Their friction
-    rupture: Rupture | None = None  # Raised by this sample
-    identified_layer: LayerEstimate | None = None  # Identified at this sample
-    retracted: Rupture | None = None  # Alarm this sample showed to be false
+    events: Events = Events()  # Of this sample
 
     @property
-    def events(self) -> Events:
-        """What the last three fields of an `Estimate` report."""
-        return self.rupture, self.identified_layer, self.retracted
+    def known_layers(self) -> tuple[LayerEstimate, ...]:
+        """The layers traversed, smoothed by all data since."""
+        fit = self.earlier_fit
+        friction = Gaussian(fit.values[:2], fit.covariance[:2, :2])
+        layers: list[LayerEstimate] = []
+        for estimate, each in zip(reversed(self.layers), reversed(self.traversed), strict=True):
+            smoothed = smoothed_layer(each.posterior, each.friction.thickness_m, friction)
+            layers.append(revised(estimate, smoothed))
+            friction = Gaussian(smoothed.values[:2], smoothed.covariance[:2, :2])
+        return tuple(reversed(layers))
 
     @property
     def is_due(self) -> bool:
         """Whether the next sample finds work to do even if it fills no block."""
-        if self.rupture or self.identified_layer or self.retracted:
+        if any(self.events):
             return True
         candidate = self.candidate
         return candidate is not None and (candidate.search is None or candidate.work is not None)
@@ -149,7 +153,7 @@ class MultilayerState(NamedTuple):
     def earlier_fit(self) -> Gaussian:
         """Fit of the layer whose C and V no open rupture has touched."""
         open_rupture = self.open_rupture
-        return self.fit if open_rupture is None else open_rupture.left_fit
+        return self.fit if open_rupture is None else open_rupture.fit
 
     @property
     def sources(self) -> tuple[object, ...]:
@@ -178,7 +182,7 @@ def multilayer_coefficients(
     values, spread = state.fit.values.tolist(), state.fit.covariance.tolist()
     fit, layers = state.earlier_fit, state.layers
     earlier, earlier_spread = fit.values.tolist(), fit.covariance.tolist()
-    layer = layers_left(layers) + (state.open_rupture is not None) + 1
+    layer = layers_traversed(layers) + (state.open_rupture is not None) + 1
     return MultilayerCoefficients(
         smoothing_s=config.speed_smoothing_s,
         deadband_m=config.track_step_m,
@@ -211,15 +215,3 @@ def multilayer_coefficients(
         # At the speed of the last rupture; before the first, at the present one.
         cumulative_speed=MM * layers[-1].rupture.speed_m_s if layers else 0.0,
     )
-
-
-def multilayer_layers(state: MultilayerState) -> tuple[LayerEstimate, ...]:
-    """The layers left, smoothed by all data since."""
-    fit = state.earlier_fit
-    friction = Gaussian(fit.values[:2], fit.covariance[:2, :2])
-    layers: list[LayerEstimate] = []
-    for estimate, left in zip(reversed(state.layers), reversed(state.traversed), strict=True):
-        smoothed = smoothed_layer(left.posterior, left.friction.thickness_m, friction)
-        layers.append(revised(estimate, smoothed))
-        friction = Gaussian(smoothed.values[:2], smoothed.covariance[:2, :2])
-    return tuple(reversed(layers))

@@ -1,4 +1,7 @@
-"""Offline identification with known layers and ruptures (Section II)."""
+"""Offline identification of known layers (Section II): force models, regressors, least squares.
+
+Resisting force is positive here; the paper's minus signs are part of that convention.
+"""
 
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -7,8 +10,9 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from identification.errors import InvalidLogError
-from identification.interaction_model import LayerSpan, Model, regression_matrix
+from identification.config import Model
+from identification.errors import InvalidConfigError, InvalidLogError
+from identification.estimate import Array
 
 RANK_TOLERANCE = 1e-3
 """Singular values of the scaled columns below this fraction of the largest count as zero: a
@@ -17,29 +21,97 @@ _FREE_FRACTION = 0.05
 _BLOCKS = 60
 
 
+@dataclass(frozen=True, slots=True, kw_only=True)
+class LayerSpan:
+    """Where and when one layer acts on the needle, known beforehand in the offline analysis.
+
+    Attributes:
+        start_s: Instant t_i at which the tip enters the layer.
+        start_depth_m: Depth of the tip at that instant.
+        thickness_m: Thickness d_i along the insertion axis.
+        rupture_s: Instant t_r at which the layer stops pushing back elastically. Without a
+            membrane it is the instant the tip leaves the layer; with one it is earlier or later.
+    """
+
+    start_s: float
+    start_depth_m: float
+    thickness_m: float
+    rupture_s: float
+
+    def __post_init__(self) -> None:
+        """Raise `InvalidConfigError` unless thickness is positive and times are ordered."""
+        values = (self.start_s, self.start_depth_m, self.thickness_m, self.rupture_s)
+        if not np.all(np.isfinite(values)):
+            raise InvalidConfigError(f"layer span has non-finite values: {values}")
+        if self.thickness_m <= 0:
+            raise InvalidConfigError(f"thickness_m must be positive, got {self.thickness_m}")
+        if self.rupture_s <= self.start_s:
+            raise InvalidConfigError(
+                f"a layer must rupture after it starts: start {self.start_s} s, "
+                f"rupture {self.rupture_s} s"
+            )
+
+
+def elastic_column(t_s: Array, depth_m: Array, layer: LayerSpan) -> Array:
+    """Column phi_K of equation (4): dz_i between entry and rupture, zero elsewhere. Shape (n,)."""
+    acting = (t_s > layer.start_s) & (t_s <= layer.rupture_s)
+    return np.where(acting, np.maximum(depth_m - layer.start_depth_m, 0.0), 0.0)
+
+
+def friction_column(
+    t_s: Array, depth_m: Array, speed_m_s: Array, layer: LayerSpan, model: Model
+) -> Array:
+    """Column phi_B of equation (4). Shape (n,).
+
+    `ml`: embedded length times speed. During an insertion the embedded length is dz_i inside the
+    layer and d_i beyond it, which is (4); during withdrawal it shrinks, which (4) leaves open.
+    `kv`: the speed, from entry on and as long as the tip is deeper than the entry.
+    """
+    reach_m = depth_m - layer.start_depth_m
+    if model == "kv":
+        return np.where((t_s > layer.start_s) & (reach_m > 0), speed_m_s, 0.0)
+    return np.where(t_s > layer.start_s, np.clip(reach_m, 0.0, layer.thickness_m), 0.0) * speed_m_s
+
+
+def regression_matrix(
+    t_s: Array, depth_m: Array, speed_m_s: Array, layers: Sequence[LayerSpan], model: Model = "ml"
+) -> Array:
+    """Matrix Phi = [phi_K1 phi_B1 ... phi_Kl phi_Bl] of equation (5).
+
+    Columns of shape (n,), the l layers in order of entry.
+
+    Returns:
+        Shape (n, 2 l); parameters in the order K_1, B_1, ..., K_l, B_l.
+
+    Raises:
+        InvalidConfigError: Unknown model, or no layer at all.
+    """
+    if model not in ("ml", "kv"):
+        raise InvalidConfigError(f"unknown model {model!r}; choose 'ml' or 'kv'")
+    if not layers:
+        raise InvalidConfigError("at least one layer is needed to build a regression matrix")
+    columns = []
+    for layer in layers:
+        columns.append(elastic_column(t_s, depth_m, layer))
+        columns.append(friction_column(t_s, depth_m, speed_m_s, layer, model))
+    return np.column_stack(columns)
+
+
 class LeastSquaresFit(NamedTuple):
     """Answer of a linear least squares with an assessment of itself."""
 
-    parameters: NDArray[np.float64]  # Minimum-norm solution in scaled columns, shape (p,)
-    standard_deviations: NDArray[np.float64]  # Shape (p,); infinite where not identified
+    parameters: Array  # Minimum-norm solution in scaled columns, shape (p,)
+    standard_deviations: Array  # Shape (p,); infinite where not identified
     identified: NDArray[np.bool_]  # Shape (p,); False where the data leave the parameter free
     rank: int  # Numerical rank of the scaled matrix
     condition_number: float  # Of the scaled matrix; infinite for an empty column
     rmse: float  # Root mean square residual, in units of the right-hand side
 
 
-def solve_least_squares(
-    matrix: NDArray[np.float64], target: NDArray[np.float64]
-) -> LeastSquaresFit:
+def solve_least_squares(matrix: Array, target: Array) -> LeastSquaresFit:
     """Solve theta = Phi^# f, equation (6), on columns scaled to unit length.
 
-    Args:
-        matrix: Phi, shape (n, p).
-        target: f, shape (n,).
-
-    Returns:
-        Parameters with standard deviations (autocorrelated residuals allowed for), rank and
-        condition number of the scaled columns, and which parameters are identified.
+    Autocorrelated residuals are allowed for in the standard deviations.
     """
     scale = np.linalg.norm(matrix, axis=0)
     safe = np.where(scale > 0, scale, 1.0)
@@ -68,14 +140,11 @@ def solve_least_squares(
 
 def read_column(
     name: str, values: ArrayLike, rows: int | None = None, *, finite: bool = False
-) -> NDArray[np.float64]:
-    """Return a column as a float array of its own.
-
-    Returns:
-        The same numbers, shape (n,), a copy.
+) -> Array:
+    """A column as a float array of its own, shape (n,).
 
     Raises:
-        InvalidLogError: Not a vector of real numbers, an empty one, or not as wanted.
+        InvalidLogError: Not a vector of real numbers, an empty one, or not as expected.
     """
     try:
         if np.iscomplexobj(values):
@@ -104,8 +173,8 @@ class OfflineLayer:
         stiffness_std_N_per_m: Its standard deviation; infinite when not identified.
         stiffness_identified: Whether the data separate it from the other parameters.
         friction: B_i [Ns/m^2] for `ml`, [Ns/m] for `kv`.
-        friction_std: Its standard deviation; infinite when not identified.
-        friction_identified: Whether the data separate it from the other parameters.
+        friction_std: As for the stiffness.
+        friction_identified: As for the stiffness.
         cumulative_friction_Ns_per_m: Part of this layer in the cumulative friction: B_i d_i for
             `ml` (the values of Table I), B_i for `kv`.
     """
@@ -137,21 +206,7 @@ class OfflineIdentification:
     rank: int
     condition_number: float
     rmse_N: float
-    predicted_force_N: NDArray[np.float64]
-
-
-def _layer(fit: LeastSquaresFit, index: int, span: LayerSpan, model: Model) -> OfflineLayer:
-    k, b = 2 * index, 2 * index + 1
-    friction = float(fit.parameters[b])
-    return OfflineLayer(
-        stiffness_N_per_m=float(fit.parameters[k]),
-        stiffness_std_N_per_m=float(fit.standard_deviations[k]),
-        stiffness_identified=bool(fit.identified[k]),
-        friction=friction,
-        friction_std=float(fit.standard_deviations[b]),
-        friction_identified=bool(fit.identified[b]),
-        cumulative_friction_Ns_per_m=friction * (span.thickness_m if model == "ml" else 1.0),
-    )
+    predicted_force_N: Array
 
 
 def identify_offline(
@@ -184,19 +239,32 @@ def identify_offline(
         InvalidConfigError: No layer, or an unknown model.
     """
     t = read_column("t_s", t_s, finite=True)
-    z, v, f = (
-        read_column(name, values, len(t), finite=True)
-        for name, values in (("depth_m", depth_m), ("speed_m_s", speed_m_s), ("force_N", force_N))
-    )
+    z = read_column("depth_m", depth_m, len(t), finite=True)
+    v = read_column("speed_m_s", speed_m_s, len(t), finite=True)
+    f = read_column("force_N", force_N, len(t), finite=True)
     if np.any(np.diff(t) <= 0):
         raise InvalidLogError("t_s must increase; sort the recording or drop repeated samples")
     matrix = regression_matrix(t, z, v, layers, model)
     fit = solve_least_squares(matrix, f)
     predicted = matrix @ fit.parameters
     predicted.setflags(write=False)
+    # In pairs of stiffness and friction.
+    columns = (fit.parameters, fit.standard_deviations, fit.identified)
+    pairs = zip(*(column.reshape(-1, 2).tolist() for column in columns), layers, strict=True)
     return OfflineIdentification(
         model=model,
-        layers=tuple(_layer(fit, i, span, model) for i, span in enumerate(layers)),
+        layers=tuple(
+            OfflineLayer(
+                stiffness_N_per_m=k,
+                stiffness_std_N_per_m=k_std,
+                stiffness_identified=k_identified,
+                friction=b,
+                friction_std=b_std,
+                friction_identified=b_identified,
+                cumulative_friction_Ns_per_m=b * (span.thickness_m if model == "ml" else 1.0),
+            )
+            for (k, b), (k_std, b_std), (k_identified, b_identified), span in pairs
+        ),
         rank=fit.rank,
         condition_number=fit.condition_number,
         rmse_N=fit.rmse,

@@ -10,8 +10,8 @@ import math
 from typing import Any, NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
+from identification.estimate import Array, Outputs
 from needleforce.jit import Matrix, compiled
 
 
@@ -37,23 +37,15 @@ class RlsState(NamedTuple):
     var_friction: float  # Psi[1, 1]
 
 
-def reset_covariance(state: RlsState, var_stiffness: float, var_friction: float) -> RlsState:
-    """Covariance resetting (Section III-A): Psi back to Psi_0, theta kept."""
-    stiffness, friction = state.stiffness, state.friction
-    return RlsState(stiffness, friction, float(var_stiffness), 0.0, float(var_friction))
-
-
 _ROUNDING = 1e-9
-_FORGETTING = 1.0
 
+Pair = tuple[float, float]
 Rls = tuple[float, float, float, float, float]
 """The fields of `RlsState`, plain."""
 Sums = tuple[float, float, float, float, float, float, float]
 """The fields of `WindowSums`, plain."""
 Memory = tuple[Rls, Sums, float, float, float, float, float, float, float, float, float, bool, bool]
 """The fields of `PublishedMemory`, plain."""
-Outputs = tuple[Any, ...]
-"""The fields of an `Estimate` from ``in_contact`` up to the events."""
 
 
 class PublishedMemory(NamedTuple):
@@ -96,10 +88,10 @@ class PublishedCoefficients(NamedTuple):
     reset_Hz: float  # Setting ``reset_frequency_Hz``
     is_ml: bool  # Whether the model is (3), not (2)
     start_m: float  # Depth at which the current layer begins
-    is_inside: bool  # Whether a layer has been left: the needle is in tissue
+    is_inside: bool  # Whether a layer has been traversed: the needle is in tissue
     layer: int  # Number of the current layer
     cumulative_Ns_per_m: float  # Sum of B_j d_j
-    is_muted: bool  # Whether the rupture state looks for no rupture
+    is_muted: bool  # Whether the rupture state detects no new rupture
     is_expected: bool  # Whether it expects one
     is_due: bool  # Whether the next sample finds work to do: around a rupture, every one does
 
@@ -114,22 +106,14 @@ def is_window_full(window_s: float, reset_Hz: float) -> bool:
 
 
 @compiled
-def regressor(layer_depth_m: float, speed_m_s: float, is_ml: bool) -> tuple[float, float]:
+def regressor(layer_depth_m: float, speed_m_s: float, is_ml: bool) -> Pair:
     """Columns (phi_K, phi_B): (dz, dz v) for `ml`, equation (3); (dz, v) for `kv`, (2)."""
     return layer_depth_m, (layer_depth_m * speed_m_s if is_ml else speed_m_s)
 
 
 @compiled
-def rls_step(
-    rls: Rls, phi: tuple[float, float], force_N: float, forgetting: float
-) -> tuple[Rls, float]:
-    """Use one force sample: equations (7) and (8) of the paper, written out for two columns.
-
-    Args:
-        rls: Estimate before the sample, see `RlsState`.
-        phi: Regressor (phi_K, phi_B).
-        force_N: Force to explain, earlier layers' friction already subtracted.
-        forgetting: lambda in (0, 1]; 1 keeps everything.
+def rls_step(rls: Rls, phi: Pair, force_N: float) -> tuple[Rls, float]:
+    """Use one force sample: equations (7) and (8) with lambda = 1, written out for two columns.
 
     Returns:
         The estimate after the sample, and the error e_k = f_k - phi_k' theta_{k-1}.
@@ -139,14 +123,14 @@ def rls_step(
     error = force_N - (x * k + y * b)
     gx = p11 * x + p12 * y
     gy = p12 * x + p22 * y
-    scale = forgetting + x * gx + y * gy
+    scale = 1.0 + x * gx + y * gy
     step = error / scale
     p11, p12, p22 = p11 - gx * gx / scale, p12 - gx * gy / scale, p22 - gy * gy / scale
     return (k + gx * step, b + gy * step, p11, p12, p22), error
 
 
 @compiled
-def add_sample(sums: Sums, phi: tuple[float, float], force_N: float, speed_m_s: float) -> Sums:
+def add_sample(sums: Sums, phi: Pair, force_N: float, speed_m_s: float) -> Sums:
     """Add one sample to the sums of its window, see `WindowSums`."""
     kk, kb, bb, kf, bf, kv, bv = sums
     x, y = phi
@@ -237,7 +221,7 @@ def update_published(
     phi = regressor(max(layer_depth, 0.0), speed_m_s, c.is_ml)
     earlier = c.cumulative_Ns_per_m * speed_m_s
     own = force_N - earlier
-    rls, error = rls_step(rls, phi, own, _FORGETTING)
+    rls, error = rls_step(rls, phi, own)
     window_s, travel_s, waited = window_s + dt_s, travel_s + dt_s, waited + dt_s
     is_muted = c.is_muted or speed_m_s < c.least_speed_m_s
     decision = 0.0 if is_muted else cusum_step(decision, error, c.drift)
@@ -257,16 +241,7 @@ def update_published(
 # The re-run over a layer.
 
 
-def less_viscous_force(sums: WindowSums, damping_Ns_per_m: float) -> WindowSums:
-    """Sums as if `damping_Ns_per_m * v` had been subtracted from every force sample."""
-    return sums._replace(
-        kf=sums.kf - damping_Ns_per_m * sums.kv, bf=sums.bf - damping_Ns_per_m * sums.bv
-    )
-
-
-def window_step(
-    theta: tuple[float, float], sums: WindowSums, variances: tuple[float, float]
-) -> tuple[float, float]:
+def window_step(theta: Pair, sums: WindowSums, variances: Pair) -> Pair:
     """Estimate after one window that began with covariance diag(variances) at `theta`.
 
     Written as theta + Psi_0 (I + S Psi_0)^-1 (b - S theta): no inverse of Psi_0 or S is needed,
@@ -293,22 +268,19 @@ NO_WINDOWS = np.empty((0, len(WindowSums._fields)))
 """Sums of the windows of a layer, one row each: the fields of `WindowSums`."""
 NO_WINDOWS.setflags(write=False)
 
-Array = NDArray[np.float64]
-
 
 def append_window(windows: Array, sums: WindowSums, most: int) -> Array:
-    """Add a closed window; beyond ``most`` neighbours are added up, see `add_neighbours`."""
-    grown = np.vstack((windows, sums))
-    return _frozen(add_neighbours(grown) if len(grown) >= most + _SLACK else grown)
+    """Add a closed window; beyond ``most`` neighbours are added up.
 
-
-def add_neighbours(windows: Array) -> Array:
-    """Halve the number of windows by adding neighbours: bounds memory in an endless layer.
-
-    The re-run then resets half as often over that stretch; an odd last window stays alone.
+    That halves their number and bounds memory in an endless layer: the re-run then resets half as
+    often over that stretch. An odd last window stays alone.
     """
-    even = len(windows) // 2 * 2
-    return np.concatenate((windows[0:even:2] + windows[1:even:2], windows[even:]))
+    grown = np.vstack((windows, sums))
+    if len(grown) >= most + _SLACK:
+        even = len(grown) // 2 * 2
+        grown = np.concatenate((grown[0:even:2] + grown[1:even:2], grown[even:]))
+    grown.setflags(write=False)
+    return grown
 
 
 def less_viscous_windows(windows: Array, damping_Ns_per_m: float) -> Array:
@@ -316,15 +288,8 @@ def less_viscous_windows(windows: Array, damping_Ns_per_m: float) -> Array:
     corrected = windows.copy()
     corrected[:, _KF] -= damping_Ns_per_m * windows[:, _KV]
     corrected[:, _BF] -= damping_Ns_per_m * windows[:, _BV]
-    return _frozen(corrected)
-
-
-def _frozen(windows: Array) -> Array:
-    windows.setflags(write=False)
-    return windows
-
-
-Pair = tuple[float, float]
+    corrected.setflags(write=False)
+    return corrected
 
 
 @compiled

@@ -3,16 +3,16 @@
 A block is a mean over a few milliseconds, the clock of detection whatever the sample rate. Its
 speed is corrected for the lag of the measurement: a speed that went through a low-pass of time
 constant T obeys v = s + T ds/dt exactly, with s the low-pass's output; so the depth less the
-integral of s is T s and a constant. Whenever the needle changes its speed, T shows. A detector
-that does not know of the lag takes the friction lost while the needle slows down for a rupture:
-force falls at once, the speed it is given later.
+integral of s is T s and a constant. Whenever the needle changes its speed, T shows. Without the
+correction the friction lost while the needle slows down looks like a rupture: the force falls at
+once, the measured speed later.
 """
 
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
+from identification.estimate import Array
 from identification.friction_compensation import MultilayerMemory
 
 _ROUNDING = 1e-6
@@ -24,8 +24,6 @@ _SIGNIFICANT = 4.0
 _LEAST_LAG_S = 5e-3
 _MOST_LAG_S = 0.25
 """A speed later than that is no speed of this needle."""
-
-Array = NDArray[np.float64]
 
 
 class Block(NamedTuple):
@@ -40,7 +38,7 @@ class Block(NamedTuple):
 
 
 def least_block_s(block_s: float) -> float:
-    """Length from which on a block is full: a hair less than wanted, for sums round.
+    """Length from which on a block is full: a hair less than set, for sums round.
 
     Sparse samples make blocks of one sample each.
     """
@@ -118,8 +116,8 @@ def _significant_lag(known: LagEvidence) -> float:
     if known.windows < _LEAST_WINDOWS or known.square <= 0.0:
         return 0.0
     lag = known.cross / known.square
-    left = max(known.residual - lag * known.cross, 0.0) / (known.windows - 1.0)
-    is_significant = lag > _LEAST_LAG_S and lag * lag * known.square > _SIGNIFICANT**2 * left
+    rest = max(known.residual - lag * known.cross, 0.0) / (known.windows - 1.0)
+    is_significant = lag > _LEAST_LAG_S and lag * lag * known.square > _SIGNIFICANT**2 * rest
     return min(lag, _MOST_LAG_S) if is_significant else 0.0
 
 
@@ -146,17 +144,11 @@ def update_track(track: Track, block: Block, step_m: float) -> tuple[Track, Arra
     """Add one forward-moving block; return the point once it spans `step_m` of travel."""
     start = block.depth_m if track.from_m is None else track.from_m
     z, v, f, w, n = track.sums
-    sums = (
-        z + block.depth_m,
-        v + block.speed_m_s,
-        f + block.force_N,
-        w + block.bristle,
-        n + 1.0,
-    )
+    z, v, f = z + block.depth_m, v + block.speed_m_s, f + block.force_N
+    w, n = w + block.bristle, n + 1.0
     travel = block.depth_m - start
     if travel < step_m:
-        return Track(track.points, sums, start), None
-    z, v, f, w, n = sums
+        return Track(track.points, (z, v, f, w, n), start), None
     point = np.array((z / n, v / n, f / n, w / n, n, travel))
     kept = track.points[-(LENGTH - 1) :]
     points = np.empty((len(kept) + 1, kept.shape[1]))

@@ -1,4 +1,4 @@
-"""Whether a rupture ended a layer, was a partial one, or none: what is left at the tip afterwards.
+"""Whether a rupture ended a layer, was a partial one, or none: which tip force remains.
 
 At the end of a layer the tip force goes to nothing, and the force after the rupture is friction.
 After a partial rupture the tissue keeps pushing at the tip; taken for friction, that force would
@@ -7,19 +7,17 @@ and in how much of it falls; neither is certain, so both are weighed.
 """
 
 import math
+import operator
 from collections.abc import Sequence
 from typing import Any, NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
 from identification.config import MultilayerConfig
-from identification.estimate import Rupture
+from identification.estimate import Array, Rupture
 from identification.layer_model import MM
 from identification.membrane import Boundary, MembraneSearch
 from identification.resampling import BLOCKS, DEPTH, FORCE, SPEED
-
-Array = NDArray[np.float64]
 
 # Force on both sides of a rupture, extrapolated to the same instant.
 
@@ -34,8 +32,8 @@ _RIDGE = 1e-9
 class ForceAfter(NamedTuple):
     """Axial force just after a rupture, and what follows it."""
 
-    # Force at t_r without the tip force of the layer left, extrapolated from after the release; the
-    # next layer's push is taken out
+    # Force at t_r without the tip force of the ruptured layer, extrapolated from after the release;
+    # the next layer's push is taken out
     force_N: float
     variance: float  # Its variance [N^2]
     slope_N_per_mm: float  # Growth of the force per travel after the release
@@ -44,8 +42,7 @@ class ForceAfter(NamedTuple):
 def force_before(points: Array, depth_m: float, noise_N2: float) -> tuple[float, float] | None:
     """Force at a rupture extrapolated from the last millimetres before it, and its variance.
 
-    Returns:
-        Both, or None while too few points are at hand.
+    None while too few points are at hand.
     """
     reach = points[:, DEPTH] - depth_m
     is_before = (reach > -_BEFORE_M) & (reach < -_MARGIN_M)
@@ -72,24 +69,29 @@ class AfterRows(NamedTuple):
 def rows_after(
     points: Array, depth_m: float, speed_m_s: float, noise_N2: float, config: MultilayerConfig
 ) -> AfterRows | None:
-    """What the force after a rupture is measured from.
+    """What the force after a rupture is measured from, None while too few points are at hand.
 
-    Returns:
-        The rows, or None while too few points are at hand.
+    A next layer that hardly pushes back hardly resists cutting either; free air does neither: its
+    cutting force is expected from how fast the force grows.
     """
     side = points[points[:, DEPTH] > depth_m]
     if len(side) < _LEAST_POINTS:
         return None
     design = _design(side, depth_m, speed_m_s, config)
     weight, half = side[:, BLOCKS] / max(noise_N2, 1e-12), len(side) // 2
-    return AfterRows(design, weight, _cutting_prior(design[half:], weight[half:], config))
+    line, force, late = design[half:, [0, 2]], design[half:, 3], weight[half:]
+    covariance = np.linalg.inv(line.T @ (line * late[:, None]) + _RIDGE * np.eye(2))
+    slope = float((covariance @ (line.T @ (late * force)))[1])
+    reach = 1e3 * config.cutting_reach_m
+    cutting = max(reach * slope, reach * math.sqrt(covariance[1, 1]), 1e-6)
+    return AfterRows(design, weight, cutting)
 
 
 def force_after(rows: AfterRows) -> ForceAfter:
     """Force after a rupture: grow the window back towards it until the release is met.
 
     The release lifts two neighbouring chunks of points above what the later ones predict; the
-    chunk before which that happens may hold its tail and is left out too.
+    chunk before which that happens may contain its tail and is excluded too.
     """
     weighted, count = rows.design * rows.weight[:, None], len(rows.weight)
     latest = max(count - max(_LEAST_POINTS, count // 2), 0)
@@ -117,25 +119,11 @@ def _design(side: Array, depth_m: float, speed_m_s: float, config: MultilayerCon
     return design
 
 
-def _cutting_prior(design: Array, weight: Array, config: MultilayerConfig) -> float:
-    """Expected cutting force of the next layer, from how fast its force grows.
-
-    A layer that hardly pushes back hardly resists cutting either; free air does neither.
-    """
-    line, force = design[:, [0, 2]], design[:, 3]
-    normal = line.T @ (line * weight[:, None]) + _RIDGE * np.eye(2)
-    covariance = np.linalg.inv(normal)
-    slope = float((covariance @ (line.T @ (weight * force)))[1])
-    reach = 1e3 * config.cutting_reach_m
-    return max(reach * slope, reach * math.sqrt(covariance[1, 1]), 1e-6)
-
-
 def _windows(design: Array, weighted: Array, cutting_N: float, latest: int) -> tuple[Any, Any]:
     """Weighted least squares over the points from `latest` on, and from ever earlier ones on.
 
-    Returns:
-        Of every window: friction, cutting force (near `cutting_N`, never negative) and slope; and
-        their covariance, row by row.
+    Of every window: friction, cutting force (near `cutting_N`, never negative) and slope; and
+    their covariance, row by row.
     """
     products = weighted[:, :3, None] * design[:, None, :4]
     sums = np.cumsum(products[::-1], axis=0)[len(design) - 1 - latest :: _CHUNK]
@@ -198,10 +186,6 @@ class ResidualTipForce(NamedTuple):
     variance: float = 0.0  # Its variance [N^2]
 
 
-NO_RESIDUAL_FORCE = ResidualTipForce()
-"""A tip that is free."""
-
-
 class RuptureMeasurement(NamedTuple):
     """Forces at the end of a layer and what they say about the next."""
 
@@ -217,7 +201,7 @@ class RuptureMeasurement(NamedTuple):
     # Length of the next layer on the shaft when its membrane had been punctured
     pushed_in_mm: float
     end_probability: float  # How likely the rupture ended a layer
-    residual: ResidualTipForce  # Tip force that it left if not
+    residual: ResidualTipForce  # Tip force that remains if not
 
     @property
     def friction_N(self) -> float:
@@ -239,7 +223,7 @@ def measure_end(
     earlier: Sequence[float],
     config: MultilayerConfig,
 ) -> RuptureMeasurement:
-    """Measure the end of a layer, and what its rupture may have left at the tip."""
+    """Measure the end of a layer, and what its rupture leaves at the tip."""
     before_N, before_var = before
     here = Boundary(rupture.depth_m, 0.0, before_N, before_var, rupture.speed_m_s)
     boundary, drop_N = search.boundary or here, before_N - after.force_N
@@ -284,12 +268,9 @@ def end_probability(
 ) -> float:
     """How likely a rupture ended a layer.
 
-    Args:
-        travel_m: Of its release, see `release_travel_m`; nan if not known.
-        drop_fraction: Fraction of the force that fell.
-        earlier: The same probability of the ruptures before: tissue that has ruptured partially
-            does so again.
-        config: Settings.
+    `travel_m` is that of its release, nan if not known, `drop_fraction` the part of the force that
+    fell, `earlier` the same probability of the ruptures before: tissue that has ruptured partially
+    does so again.
     """
     log_odds = _MOST_LOG_ODDS
     if math.isfinite(travel_m):
@@ -328,29 +309,17 @@ _RECOVERED = 0.25
 """Fraction of the fall that may be missing at the most, whatever the noise."""
 
 
-class Line(NamedTuple):
-    """Level at zero offset and slope of a line, with their covariance."""
+def fit_line(offset: Array, value: Array, weight: Array) -> tuple[float, ...]:
+    """Weighted least squares in closed form: three sums need no matrices.
 
-    level: float  # Value at zero
-    slope: float  # Growth per offset
-    level_var: float  # Variance of the level
-    both: float  # Covariance of the two
-    slope_var: float  # Variance of the slope
-
-
-def fit_line(offset: Array, value: Array, weight: Array) -> Line:
-    """Weighted least squares in closed form: three sums need no matrices."""
+    Level at zero offset and slope; variance of the level, covariance, variance of the slope.
+    """
     leaning = weight * offset
     s, x, y = float(weight.sum()), float(leaning.sum()), float(weight @ value)
     xx, xy = float(leaning @ offset), float(leaning @ value)
     determinant = s * xx - x * x
-    return Line(
-        level=(xx * y - x * xy) / determinant,
-        slope=(s * xy - x * y) / determinant,
-        level_var=xx / determinant,
-        both=-x / determinant,
-        slope_var=s / determinant,
-    )
+    level, slope = (xx * y - x * xy) / determinant, (s * xy - x * y) / determinant
+    return level, slope, xx / determinant, -x / determinant, s / determinant
 
 
 def has_recovered(points: Array, depth_m: float, fall_N: float, noise_N2: float) -> bool:
@@ -365,16 +334,16 @@ def has_recovered(points: Array, depth_m: float, fall_N: float, noise_N2: float)
     if min(np.count_nonzero(before), np.count_nonzero(late)) < _LEAST_ON_A_LINE:
         return False
     centre = float(reach[late].mean())
-    was, now = (
+    (was, was_slope, *was_spread), (now, now_slope, *now_spread) = (
         fit_line(
             reach[side] - centre, points[side, FORCE], points[side, BLOCKS] / max(noise_N2, 1e-12)
         )
         for side in (before, late)
     )
-    level_var, slope_var = was.level_var + now.level_var, was.slope_var + now.slope_var
-    if math.sqrt(slope_var) > _SLOPE_KNOWN * max(abs(was.slope), abs(now.slope)):
+    level_var, both, slope_var = map(operator.add, was_spread, now_spread)
+    if math.sqrt(slope_var) > _SLOPE_KNOWN * max(abs(was_slope), abs(now_slope)):
         return False  # another slope could not be distinguished from the same
-    level, slope, both = now.level - was.level, now.slope - was.slope, was.both + now.both
+    level, slope = now - was, now_slope - was_slope
     squares = slope_var * level**2 - 2.0 * both * level * slope + level_var * slope**2
     surprise = squares / (level_var * slope_var - both * both)
     return surprise < _CHANCE and abs(level) < _RECOVERED * fall_N

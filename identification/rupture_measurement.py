@@ -10,13 +10,35 @@ from dataclasses import replace
 import numpy as np
 
 from identification.config import MultilayerConfig
-from identification.estimate import Rupture, RuptureState, layers_left
-from identification.layer_fit import close_layer, identify_layer
-from identification.layer_model import MM, OWN_COULOMB, OWN_VISCOUS, Gaussian, no_information
+from identification.estimate import LayerEstimate, Rupture, RuptureState, layers_traversed
+from identification.friction_compensation import LayerFriction
+from identification.layer_model import (
+    MM,
+    OWN_COULOMB,
+    OWN_VISCOUS,
+    STIFFNESS,
+    Gaussian,
+    NormalEquations,
+    add_layer_prior,
+    add_row,
+    carried_friction,
+    layer_outputs,
+    model_row,
+    no_information,
+    posterior,
+    solve_layer,
+)
 from identification.membrane import SearchWork, search_step
-from identification.multilayer_state import ForceDropMeasurement, MultilayerState, RuptureCandidate
-from identification.resampling import DEPTH, NO_ROWS, Block, rows_of_track
+from identification.multilayer_state import (
+    ForceDropMeasurement,
+    LayerData,
+    MultilayerState,
+    RuptureCandidate,
+    TraversedLayer,
+)
+from identification.resampling import DEPTH, Block, rows_of_track
 from identification.rupture_classifier import (
+    RuptureMeasurement,
     force_after,
     force_before,
     has_recovered,
@@ -39,35 +61,31 @@ _SIGNIFICANT = 3.0
 _REAL = 1.0
 """The same in the final one: the alarm itself was significant, only a fall that has recovered is no
 rupture."""
+_DROP_ERROR = 0.004
+"""Relative error of the law by which the drop is extrapolated."""
+_MEASURING = 4
+"""Stages of a measurement that read the track."""
 
 
 def raise_rupture(
     state: MultilayerState, block: Block, detection: Detection, config: MultilayerConfig
 ) -> MultilayerState:
-    """An alarm: estimate the rupture time, set the layer left aside, begin the next."""
+    """An alarm: estimate the rupture time, set the ruptured layer aside, begin the next."""
     if state.candidate is not None:
         state = finish_measurement(measure_rupture(state, config, is_last=True), config)
-    rupture = _rupture(state, block, detection)
-    left, fit = state.layer, state.fit
-    thickness = MM * max(rupture.depth_m - left.start_m, 0.0)
+    rupture, layer, fit = _rupture(state, block, detection), state.layer, state.fit
+    thickness = MM * max(rupture.depth_m - layer.start_m, 0.0)
     values = np.zeros(6)
-    values[0] = fit.values[0] + thickness * fit.values[OWN_COULOMB]
-    values[1] = fit.values[1] + thickness * fit.values[OWN_VISCOUS]
-    layer = left._replace(
-        start_m=rupture.depth_m,
-        tip_m=rupture.depth_m,
-        data=no_information(),
-        rows=NO_ROWS,
-        points=0,
-        pool=None,
-    )
+    values[:2] = fit.values[:2] + thickness * fit.values[[OWN_COULOMB, OWN_VISCOUS]]
     return state._replace(
         detector=restart_detector(state.detector),
-        layer=layer,
+        layer=LayerData(
+            rupture.depth_m, rupture.depth_m, layer.prior, no_information(), residual=layer.residual
+        ),
         fit=Gaussian(values, np.zeros((6, 6))),
-        candidate=RuptureCandidate(rupture, left, fit, False, config.provisional_window_m),
+        candidate=RuptureCandidate(rupture, layer, fit, False, config.provisional_window_m),
         rupture_state=RuptureState.DETECTED,
-        rupture=rupture,
+        events=state.events._replace(rupture=rupture),
     )
 
 
@@ -79,7 +97,7 @@ def _rupture(state: MultilayerState, block: Block, detection: Detection) -> Rupt
     travel = float(np.sum(detector.speed_m_s[-since:])) * block.dt_s
     chance = math.erfc(detection.deviations / math.sqrt(2.0))
     return Rupture(
-        layer=layers_left(state.layers) + 1,
+        layer=layers_traversed(state.layers) + 1,
         alarm_s=block.time_s,
         alarm_depth_m=block.depth_m,
         time_s=block.time_s - since * block.dt_s,
@@ -105,7 +123,7 @@ def measure_rupture(
     is_final = is_last or travel >= config.final_window_m
     if not candidate.is_provisional:
         state = state._replace(rupture_state=RuptureState.FORCE_DROP_MEASURING)
-    if is_final or travel >= candidate.next_window_m:
+    if is_final or (not candidate.is_provisional and travel >= candidate.next_window_m):
         return _work(state, candidate, ForceDropMeasurement(is_final), config)
     return state
 
@@ -129,10 +147,10 @@ def finish_measurement(state: MultilayerState, config: MultilayerConfig) -> Mult
 
 def _search(candidate: RuptureCandidate, config: MultilayerConfig) -> RuptureCandidate:
     """The next stage of the search for a membrane before the rupture."""
-    left, work = candidate.left, candidate.search_work
+    layer, work = candidate.layer, candidate.search_work
     if work is None:
-        work = SearchWork(max(left.start_m, left.tip_m + config.provisional_window_m))
-    found = search_step(work, left.rows, candidate.rupture.depth_m, config)
+        work = SearchWork(max(layer.start_m, layer.tip_m + config.provisional_window_m))
+    found = search_step(work, layer.rows, candidate.rupture.depth_m, config)
     if isinstance(found, SearchWork):
         return candidate._replace(search_work=found)
     return candidate._replace(search=found, search_work=None)
@@ -144,27 +162,20 @@ def _work(
     work: ForceDropMeasurement,
     config: MultilayerConfig,
 ) -> MultilayerState:
-    """The next stage: both sides of the rupture, whether it was one, the layer left."""
-    rupture, end = candidate.rupture, work.end
+    """The next stage: both sides of the rupture, whether it was one, the ruptured layer."""
+    end, least = work.end, _REAL if work.is_final else _SIGNIFICANT
     if work.stages < _MEASURING:
         work = _measure(state, candidate, work, config)
-    elif work.layer is not None:
-        return _accept(state, candidate, work, config)
-    elif (
-        end is not None
-        and not work.has_recovered
-        and (end.drop_N >= (_REAL if work.is_final else _SIGNIFICANT) * end.drop_std_N)
-    ):
-        bias_var = state.baseline.variance
-        layer = identify_layer(candidate.left, rupture, end, bias_var, config)
-        work = work._replace(layer=layer)
-    else:
+    elif end is None or work.has_recovered or end.drop_N < least * end.drop_std_N:
         return _reject(state, candidate, work, config)
+    elif work.fit is None:
+        layer, bias_var = candidate.layer, state.baseline.variance
+        fit, known = identify_layer(layer, candidate.rupture, end, bias_var, config)
+        work = work._replace(fit=fit, known=known)
+    else:
+        return _accept(state, candidate, work, config)
     work = work._replace(stages=work.stages + 1)
     return state._replace(candidate=candidate._replace(work=work))
-
-
-_MEASURING = 4
 
 
 def _measure(
@@ -197,6 +208,56 @@ def _measure(
     return work
 
 
+def identify_layer(
+    layer: LayerData,
+    rupture: Rupture,
+    end: RuptureMeasurement,
+    bias_var: float,
+    config: MultilayerConfig,
+) -> tuple[Gaussian, Gaussian]:
+    """Batch refit of the layer with both sides of its rupture as measurements.
+
+    The force before is tip and friction together, the force after is friction alone (unless the
+    rupture was partial): their difference is (10), K d = f_drop. With small noise the answer is
+    that of the re-weighting (12); here it comes with a covariance.
+
+    Returns:
+        See `ForceDropMeasurement.fit` and `ForceDropMeasurement.known`.
+    """
+    boundary, thickness = end.boundary, _thickness_m(layer, end, config)
+    speed, onset = boundary.speed_m_s, config.cutting_onset_m
+    tip = max(boundary.depth_m - layer.tip_m, config.track_step_m)
+    before = model_row(thickness, tip, speed, 1.0, onset)
+    # Friction of the layers before, as expected when this one began.
+    matrix = layer.prior.matrix[:2, :2] + 1e-9 * np.eye(2)
+    own = boundary.force_N - float(before[:2] @ np.linalg.solve(matrix, layer.prior.vector[:2]))
+    # Without one law a spring or another layer is in the data.
+    known = layer.prior.plus(layer.data) if end.is_one_law else layer.prior
+    known = add_layer_prior(known, own, thickness, speed, config, layer.residual)
+    known = add_row(known, before, boundary.force_N, boundary.force_var + bias_var)
+    # After the puncture of a membrane the next layer springs back along the shaft: it rubs on the
+    # length that had been pushed in. Which fraction of its slope that is, the prior guesses here.
+    slope = end.next_slope_N_per_mm
+    rubbing = end.pushed_in_mm * slope
+    uncertain = math.hypot(
+        config.friction_fraction_std * rubbing,
+        config.friction_fraction * slope * MM * boundary.std_m,
+    )
+    row = model_row(thickness, 0.0, rupture.speed_m_s, 1.0, onset)
+    value = end.friction_N - config.friction_fraction * rubbing
+    fit = solve_layer(add_row(known, row, value, _after_var(end, bias_var) + uncertain**2))
+    return fit, posterior(known)
+
+
+def _thickness_m(layer: LayerData, end: RuptureMeasurement, config: MultilayerConfig) -> float:
+    return max(end.boundary.depth_m - layer.start_m, config.track_step_m)
+
+
+def _after_var(end: RuptureMeasurement, bias_var: float) -> float:
+    """Variance of the force after the rupture as a measurement of friction [N^2]."""
+    return end.friction_var + bias_var + (_DROP_ERROR * end.drop_N) ** 2
+
+
 def _accept(
     state: MultilayerState,
     candidate: RuptureCandidate,
@@ -204,31 +265,87 @@ def _accept(
     config: MultilayerConfig,
 ) -> MultilayerState:
     """Close the layer; the final measurement replaces what the provisional one found."""
-    end, layer = work.end, work.layer
-    if end is None or layer is None:
+    end, fit, known = work.end, work.fit, work.known
+    if end is None or fit is None or known is None:
         return state
-    keep, rupture = len(state.layers) - candidate.is_provisional, candidate.rupture
-    closed = close_layer(
-        candidate.left, rupture, end, layer, state.baseline.variance, config, is_final=work.is_final
+    layer, rupture = candidate.layer, candidate.rupture
+    thickness, speed = _thickness_m(layer, end, config), rupture.speed_m_s
+    estimate = LayerEstimate(
+        layer=rupture.layer,
+        is_final=work.is_final,
+        start_depth_m=layer.start_m,
+        thickness_m=thickness,
+        rupture=rupture,
+        force_drop_N=end.drop_N,
+        force_drop_std_N=end.drop_std_N,
+        **layer_outputs(fit, thickness, speed),
     )
-    later = candidate._replace(
-        is_provisional=True, next_window_m=config.final_window_m, first=end, work=None
-    )
-    undisturbed_m = rupture.depth_m + config.provisional_window_m
-    rows = rows_of_track(state.track.points, undisturbed_m, config.row_m)
-    row = np.array([1.0, MM * rupture.speed_m_s])
-    spread = float(row @ closed.next_fit.covariance[:2, :2] @ row)
+    own = (MM * thickness * fit.values[[OWN_COULOMB, OWN_VISCOUS]]).tolist()
+    friction = LayerFriction(layer.start_m, thickness, *own)
+    traversed = TraversedLayer(friction, known, end.end_probability)
+    next_layer = _next_layer(carried_friction(known, thickness), end, rupture, state, config)
+    next_fit = _next_fit(carried_friction(fit, thickness), end.next_slope_N_per_mm, speed, config)
     if not candidate.is_provisional:
         state = state._replace(rupture_state=RuptureState.FRICTION_IDENTIFIED)
+    keep = len(state.layers) - candidate.is_provisional
+    later = candidate._replace(is_provisional=True, first=end, work=None)
     return state._replace(
-        layer=closed.next_layer._replace(rows=rows),
-        fit=closed.next_fit,
-        shaft_std_N=math.sqrt(max(spread, 0.0)),
+        layer=next_layer,
+        fit=next_fit,
+        shaft_std_N=_shaft_std_N(next_fit, speed),
         candidate=None if work.is_final else later,
-        layers=(*state.layers[:keep], closed.estimate)[-_MOST_LAYERS:],
-        traversed=(*state.traversed[:keep], closed.traversed)[-_MOST_LAYERS:],
-        identified_layer=closed.estimate,
+        layers=(*state.layers[:keep], estimate)[-_MOST_LAYERS:],
+        traversed=(*state.traversed[:keep], traversed)[-_MOST_LAYERS:],
+        events=state.events._replace(identified_layer=estimate),
     )
+
+
+def _shaft_std_N(fit: Gaussian, speed_m_s: float) -> float:
+    row = np.array([1.0, MM * speed_m_s])
+    return math.sqrt(max(float(row @ fit.covariance[:2, :2] @ row), 0.0))
+
+
+def _next_layer(
+    friction: Gaussian,
+    end: RuptureMeasurement,
+    rupture: Rupture,
+    state: MultilayerState,
+    config: MultilayerConfig,
+) -> LayerData:
+    """What is known when the next layer begins: the friction carried into it, and the force then.
+
+    With a membrane that force contains some of the layer's own friction: what it identifies
+    reveals later how much.
+    """
+    matrix, vector = np.zeros((6, 6)), np.zeros(6)
+    matrix[:2, :2] = np.linalg.inv(friction.covariance + 1e-12 * np.eye(2))
+    vector[:2] = matrix[:2, :2] @ friction.values
+    row = model_row(end.pushed_in_mm / MM, 0.0, rupture.speed_m_s, 1.0, config.cutting_onset_m)
+    edge = config.friction_fraction * end.next_slope_N_per_mm * MM * end.boundary.std_m
+    variance = _after_var(end, state.baseline.variance) + edge**2
+    prior = add_row(NormalEquations(matrix, vector), row, end.friction_N, variance)
+    undisturbed_m = rupture.depth_m + config.provisional_window_m
+    return LayerData(
+        end.boundary.depth_m,
+        rupture.depth_m,
+        prior,
+        no_information(),
+        rows=rows_of_track(state.track.points, undisturbed_m, config.row_m),
+        residual=end.residual,
+    )
+
+
+def _next_fit(
+    friction: Gaussian, slope_N_per_mm: float, speed_m_s: float, config: MultilayerConfig
+) -> Gaussian:
+    """Fit with which the next layer begins; K, c and b are the prior of a layer of that slope."""
+    values, covariance = np.zeros(6), np.zeros((6, 6))
+    values[:2], covariance[:2, :2] = friction
+    own = config.friction_fraction * slope_N_per_mm
+    coulomb = config.coulomb_fraction(speed_m_s)
+    viscous = (1.0 - coulomb) * own / (MM * max(speed_m_s, config.rest_speed_m_s))
+    values[STIFFNESS:] = slope_N_per_mm - own, coulomb * own, viscous
+    return Gaussian(values, covariance)
 
 
 def _reject(
@@ -241,13 +358,13 @@ def _reject(
     if work.has_recovered or (work.is_final and not candidate.is_provisional):
         kept = len(state.layers) - candidate.is_provisional
         return state._replace(
-            layer=candidate.left,
-            fit=candidate.left_fit,
+            layer=candidate.layer,
+            fit=candidate.fit,
             candidate=None,
             rupture_state=RuptureState.NO_RUPTURE,
             layers=state.layers[:kept],
             traversed=state.traversed[:kept],
-            retracted=candidate.rupture,
+            events=state.events._replace(retracted=candidate.rupture),
         )
     if work.is_final:
         last = replace(state.layers[-1], is_final=True)

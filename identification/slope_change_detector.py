@@ -10,9 +10,9 @@ from functools import cache
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
 from identification.config import MultilayerConfig
+from identification.estimate import Array
 from identification.resampling import Block
 from needleforce.jit import Matrix, Vector, compiled
 
@@ -34,8 +34,6 @@ _LEAST_INDEPENDENT = 5.0
 _LEAST_VARIANCE = 1e-18
 _SLOWEST = 16
 """Longest scale noise is taken from: beyond 80 ms tissue, not the sensor, is what varies."""
-
-Array = NDArray[np.float64]
 
 
 class FilterBank(NamedTuple):
@@ -85,24 +83,14 @@ def filter_bank() -> FilterBank:
 
 # The arithmetic of one block at all scales.
 
-Outputs = tuple[float, float, float, float, float]
-"""Change, rise, trend, base and ahead of one scale, see `FilterBank`."""
 Learned = tuple[Vector, Vector, Vector]
 """Of each scale: variance, shape (s,), and how many blocks it rests on, shape (s,); variance of
 the speed at the fastest scale, shape (1,)."""
 Scales = tuple[Vector, Vector, Vector, Vector]
 """Blocks, spans, gains and trend gains of the scales, shape (s,) each."""
 Limits = tuple[float, float, float, float]
-"""Length of the block [s], wanted time between false alarms [s], relative error of the law of
+"""Length of the block [s], required time between false alarms [s], relative error of the law of
 friction, blocks that a variance rests on at the most."""
-
-
-@compiled
-def _of_scale(outputs: Vector, k: int) -> Outputs:
-    """Outputs of the filters of one scale; `outputs` holds all scales, filter by filter."""
-    s = len(outputs) // 5
-    change, rise, trend = float(outputs[k]), float(outputs[s + k]), float(outputs[2 * s + k])
-    return change, rise, trend, float(outputs[3 * s + k]), float(outputs[4 * s + k])
 
 
 @compiled
@@ -120,26 +108,24 @@ def _threshold(blocks: float, count: int, seen: float, dt_s: float, interval_s: 
 
 @compiled
 def _standardised_fall(
-    force: Outputs, speed: Outputs, variance: float, speed_variance: float, law_error: float
+    force: Matrix, speed: Matrix, k: int, variance: float, speed_variance: float, law_error: float
 ) -> float:
     """Fall of the force beyond what the loss of speed explains, were all the force viscous."""
-    change, _, _, force_base, force_ahead = force
-    speed_change, _, _, speed_base, speed_ahead = speed
-    usual = max(abs(speed_base), 1e-6)
+    usual = max(abs(speed[3, k]), 1e-6)
     # Damping as it was, or as it is with more shaft inside.
-    now = force_ahead / max(speed_ahead, _SLOWED * usual)
-    damping = max(force_base / usual, now, 0.0)
-    lost = min(speed_change * damping, 0.0)
+    now = force[4, k] / max(speed[4, k], _SLOWED * usual)
+    damping = max(force[3, k] / usual, now, 0.0)
+    lost = min(speed[0, k] * damping, 0.0)
     law = law_error * lost
     deviation = math.sqrt(variance + damping * damping * speed_variance + law * law)
-    return -min(change - lost, 0.0) / deviation
+    return -min(force[0, k] - lost, 0.0) / deviation
 
 
 @compiled
 def _detect(
-    force: Vector, speed: Vector, filled: int, learned: Learned, scales: Scales, limits: Limits
+    force: Matrix, speed: Matrix, filled: int, learned: Learned, scales: Scales, limits: Limits
 ) -> tuple[float, float, float, float, float]:
-    """Hold one block against the line through the blocks before; fields of `Detection`."""
+    """Compare one block with the line through the blocks before; fields of `Detection`."""
     variance, seen, speed_variance = learned
     blocks, spans, gains, trend_gains = scales
     dt_s, interval_s, law_error, _ = limits
@@ -151,13 +137,12 @@ def _detect(
             continue
         threshold = _threshold(blocks[k], count, seen[k], dt_s, interval_s)
         known = max(variance[k], _LEAST_VARIANCE)
-        of_force, of_speed = _of_scale(force, k), _of_scale(speed, k)
-        rise_now = of_force[0] / math.sqrt(known) / threshold
+        rise_now = force[0, k] / math.sqrt(known) / threshold
         if rise_now > rise:
             rise, rise_scale = rise_now, blocks[k]
         chance = _FALL * math.sqrt(known * trend_gains[k] / gains[k])
-        if of_force[2] < -max(0.5 * of_force[1], chance):
-            deviation = _standardised_fall(of_force, of_speed, known, white * gains[k], law_error)
+        if force[2, k] < -max(0.5 * force[1, k], chance):
+            deviation = _standardised_fall(force, speed, k, known, white * gains[k], law_error)
             if deviation / threshold > fall:
                 fall, deviations, fall_scale = deviation / threshold, deviation, blocks[k]
     return fall, rise, deviations, fall_scale, rise_scale
@@ -175,7 +160,7 @@ def _mean_square(known: float, output: float, rate: float, is_known: bool) -> fl
 
 @compiled
 def _learn(
-    force: Vector, speed: Vector, filled: int, learned: Learned, scales: Scales, limits: Limits
+    force: Matrix, speed: Matrix, filled: int, learned: Learned, scales: Scales, limits: Limits
 ) -> Learned:
     """Mean square of each scale's output.
 
@@ -194,10 +179,10 @@ def _learn(
         is_known = seen[k] > 10.0 * blocks[k]
         seen[k] = min(seen[k] + 1.0, limits[3])
         rate = 1.0 / max(seen[k], 1.0)
-        now = _mean_square(variance[k], force[k], rate, is_known)
+        now = _mean_square(variance[k], force[0, k], rate, is_known)
         if k == 0:
             fastest = now
-            speed_variance[0] = _mean_square(speed_variance[0], speed[0], rate, is_known)
+            speed_variance[0] = _mean_square(speed_variance[0], speed[0, 0], rate, is_known)
         variance[k] = max(now, min(fastest / gains[0] * gains[k], fastest))
     return variance, seen, speed_variance
 
@@ -212,13 +197,11 @@ def update_slope_change(
     scales: Scales,
     limits: Limits,
 ) -> tuple[tuple[Vector, Vector], tuple[float, float, float, float, float], Learned]:
-    """Evaluate one block by what was known, then learn from it; see `update_detector`.
-
-    Returns:
-        The signals with the new block, the detection, and what is known now.
-    """
+    """Evaluate one block by what was known, then learn from it; see `update_detector`."""
     force, speed = np.append(signals[0][1:], newest[0]), np.append(signals[1][1:], newest[1])
     of_force, of_speed = np.dot(filters, force), np.dot(filters, speed)
+    # The five filters of `FilterBank`, each at all scales.
+    of_force, of_speed = of_force.reshape(5, -1), of_speed.reshape(5, -1)
     detection = _detect(of_force, of_speed, filled, learned, scales, limits)
     return (force, speed), detection, _learn(of_force, of_speed, filled, learned, scales, limits)
 
@@ -277,7 +260,7 @@ def block_noise_N2(state: DetectorState) -> float:
 def update_detector(
     state: DetectorState, block: Block, config: MultilayerConfig
 ) -> tuple[DetectorState, Detection]:
-    """Hold one block against the line through the blocks before, at every scale.
+    """Compare one block with the line through the blocks before, at every scale.
 
     A fall that the loss of speed could explain, were all the force viscous, does not count, nor one
     within the noise of that speed; nor does a mere flattening: the force since then must fall, at
@@ -327,10 +310,7 @@ def blocks_since_change(force_N: Array, sign: float) -> int:
     """Most likely number of blocks since the force left its line.
 
     Maximises the likelihood of f = a + b t + c max(t - k, 0) over k: the argmax of the detector's
-    own statistic, so the change point is earlier than the alarm.
-
-    Returns:
-        Blocks between the change point and the newest block, at least one.
+    own statistic, so the change point is earlier than the alarm. At least one.
     """
     evidence = sign * (_change_columns(len(force_N)) @ force_N)
     return len(force_N) - 1 - (_EDGE + int(np.argmax(evidence)))

@@ -1,13 +1,35 @@
-"""The detector learns its threshold: alarms on falls, not on noise of any size or spectrum."""
+"""Blocks, presliding, track, baseline, the lag of the speed, and the detector of slope changes.
 
+The detector learns its threshold: alarms on falls, not on noise of any size or spectrum.
+"""
+
+import math
 from dataclasses import replace
 
 import numpy as np
 import pytest
+from hypothesis import given
+from hypothesis import strategies as st
 from scipy.signal import lfilter
 
-from identification.config import MULTILAYER
-from identification.resampling import Block
+from identification import MULTILAYER, Identifier
+from identification.friction_compensation import MultilayerMemory, bristle_step, follow_depth
+from identification.multilayer_identifier import (
+    Baseline,
+    level_score,
+    settle_baseline,
+    update_baseline,
+)
+from identification.resampling import (
+    LENGTH,
+    Block,
+    SpeedLag,
+    Track,
+    least_block_s,
+    mean_block,
+    update_lag,
+    update_track,
+)
 from identification.slope_change_detector import (
     SCALES,
     block_noise_N2,
@@ -18,21 +40,22 @@ from identification.slope_change_detector import (
     update_detector,
 )
 
-DT_S = 5e-3
+BLOCK_S = 5e-3
 
 
-def falls(force, speed=None):
-    state, scores = initial_detector(), []
+def falls(force, speed=None, config=MULTILAYER):
+    """Scores of the falls, the memory at the end, and all detections."""
+    state, detections = initial_detector(), []
     speeds = np.full(len(force), 2e-3) if speed is None else speed
-    for k, (f, v) in enumerate(zip(force, speeds, strict=True)):
-        block = Block(DT_S * k, DT_S, 1e-5 * k, float(v), float(f), 1.0)
-        state, detection = update_detector(state, block, MULTILAYER)
-        scores.append(detection.fall)
-    return np.array(scores), state
+    for k, (f, v) in enumerate(zip(force.tolist(), speeds.tolist(), strict=True)):
+        block = Block(BLOCK_S * k, BLOCK_S, 1e-5 * k, v, f, 1.0)
+        state, detection = update_detector(state, block, config)
+        detections.append(detection)
+    return np.array([found.fall for found in detections]), state, detections
 
 
 def correlated(rng, n, std, correlation_s):
-    keep = np.exp(-DT_S / max(correlation_s, 1e-9))
+    keep = np.exp(-BLOCK_S / max(correlation_s, 1e-9))
     return std * lfilter([np.sqrt(1 - keep**2)], [1, -keep], rng.standard_normal(n))
 
 
@@ -51,7 +74,7 @@ def test_filters_ignore_lines_and_measure_slope_changes():
 @pytest.mark.parametrize("correlation_s", [0.0, 0.02])
 def test_noise_alone_does_not_alarm(std, correlation_s):
     rng = np.random.default_rng(11)
-    scores, _ = falls(1.0 + correlated(rng, 24_000, std, correlation_s))
+    scores, *_ = falls(1.0 + correlated(rng, 24_000, std, correlation_s))
     assert np.count_nonzero(scores > 1.0) == 0
 
 
@@ -60,23 +83,19 @@ def test_noise_alone_alarms_about_as_often_as_is_wanted(seed):
     """Once per two seconds and side at the most, and not ten times less: the threshold is tight."""
     config = replace(MULTILAYER, false_alarm_interval_s=2.0)
     noise = 0.01 * np.random.default_rng(seed).standard_normal(30_000)
-    state, scores = initial_detector(), []
-    for k, force in enumerate(noise.tolist()):
-        block = Block(DT_S * k, DT_S, 1e-5 * k, 2e-3, 1.0 + force, 1.0)
-        state, detection = update_detector(state, block, config)
-        scores.append(max(detection.fall, detection.rise))
+    scores = [max(found.fall, found.rise) for found in falls(1.0 + noise, config=config)[2]]
     is_alarm = np.array(scores[400:]) > 1.0
-    wanted = 2.0 * DT_S * len(is_alarm) / 2.0
+    wanted = 2.0 * BLOCK_S * len(is_alarm) / 2.0
     assert 0.1 * wanted < np.count_nonzero(is_alarm[1:] & ~is_alarm[:-1]) < wanted
 
 
 @pytest.mark.parametrize(("std", "correlation_s"), [(0.0045, 0.0), (0.03, 0.02)])
 def test_a_release_is_found_and_its_change_point_lies_before_the_alarm(std, correlation_s):
     rng = np.random.default_rng(12)
-    time = DT_S * np.arange(2000)
+    time = BLOCK_S * np.arange(2000)
     clean = 0.1 * np.minimum(time, 8.0) - np.clip((time - 8.0) / 0.13, 0.0, 1.0) * 0.5
     force = clean + correlated(rng, len(time), std, correlation_s)
-    scores, _ = falls(force)
+    scores, *_ = falls(force)
     alarm = int(np.argmax(scores > 1.0))
     assert np.max(scores[:1600]) < 1.0
     assert 1600 < alarm < 1620
@@ -84,34 +103,26 @@ def test_a_release_is_found_and_its_change_point_lies_before_the_alarm(std, corr
     assert abs(alarm - since - 1600) <= 4
 
 
-def test_the_threshold_follows_the_noise():
-    rng = np.random.default_rng(13)
-    _, quiet = falls(correlated(rng, 3000, 0.002, 0.0))
-    _, loud = falls(correlated(rng, 3000, 0.04, 0.0))
-    assert np.sqrt(block_noise_N2(quiet)) == pytest.approx(0.002, rel=0.4)
-    assert np.sqrt(block_noise_N2(loud)) == pytest.approx(0.04, rel=0.4)
+@pytest.mark.parametrize(
+    ("std", "correlation_s", "least", "most"),
+    [(0.002, 0.0, 0.6, 1.4), (0.04, 0.0, 0.6, 1.4), (0.01, 0.02, 1.5, 4.0)],
+)
+def test_the_threshold_follows_the_noise(std, correlation_s, least, most):
+    """Correlated noise counts for more than its variance; a restart keeps it, not the signal."""
+    _, state, _ = falls(correlated(np.random.default_rng(13), 4000, std, correlation_s))
+    assert least * std < np.sqrt(block_noise_N2(state)) < most * std
+    again = restart_detector(state)
+    assert again.filled == 0
+    assert np.array_equal(again.variance, state.variance)
 
 
-def test_correlated_noise_counts_for_more_than_its_variance():
-    rng = np.random.default_rng(14)
-    _, state = falls(correlated(rng, 6000, 0.01, 0.02))
-    assert 1.5 * 0.01 < np.sqrt(block_noise_N2(state)) < 4.0 * 0.01
-
-
-def test_loss_of_speed_is_no_rupture():
+@pytest.mark.parametrize("is_slowing", [True, False])
+def test_loss_of_speed_and_a_flattening_force_are_no_rupture(is_slowing):
     rng = np.random.default_rng(15)
-    time = DT_S * np.arange(2000)
-    speed = 2e-3 * np.clip((9.0 - time) / 0.5, 0.05, 1.0)
-    force = 500.0 * speed + 0.002 * rng.standard_normal(len(time))
-    scores, _ = falls(force, speed)
-    assert np.max(scores) < 1.0
-
-
-def test_a_flattening_force_is_no_rupture():
-    rng = np.random.default_rng(16)
-    time = DT_S * np.arange(2000)
-    scores, _ = falls(0.5 * np.minimum(time, 8.0) + 0.002 * rng.standard_normal(len(time)))
-    assert np.max(scores) < 1.0
+    time = BLOCK_S * np.arange(2000)
+    speed = 2e-3 * (np.clip((9.0 - time) / 0.5, 0.05, 1.0) if is_slowing else np.ones(2000))
+    force = 500.0 * speed if is_slowing else 0.5 * np.minimum(time, 8.0)
+    assert np.max(falls(force + 0.002 * rng.standard_normal(2000), speed)[0]) < 1.0
 
 
 def test_one_odd_value_at_a_time_does_not_silence_or_fire_the_detector():
@@ -120,14 +131,137 @@ def test_one_odd_value_at_a_time_does_not_silence_or_fire_the_detector():
     force[500] += 5.0
     force[1500:1526] -= np.linspace(0.0, 0.5, 26)
     force[1526:] -= 0.5
-    scores, _ = falls(force)
+    scores, *_ = falls(force)
     assert np.max(scores[600:1500]) < 1.0
     assert np.max(scores[1500:1526]) > 1.0
 
 
-def test_restart_keeps_the_noise_and_forgets_the_signal():
-    rng = np.random.default_rng(18)
-    _, state = falls(correlated(rng, 3000, 0.01, 0.0))
-    again = restart_detector(state)
-    assert again.filled == 0
-    assert np.array_equal(again.variance, state.variance)
+travel = st.floats(-2e-3, 2e-3)
+
+
+@given(st.floats(-1.0, 1.0), travel, travel)
+def test_bristle_steps_compose_and_stay_bounded(start, first, second):
+    after = bristle_step(start, first, 3e-4)
+    assert -1.0 <= after <= 1.0
+    if first * second > 0.0:
+        once = bristle_step(start, first + second, 3e-4)
+        assert bristle_step(after, second, 3e-4) == pytest.approx(once, abs=1e-12)
+
+
+def test_bristle_holds_at_rest_and_turns_after_a_reversal():
+    assert bristle_step(0.7, 0.0, 3e-4) == 0.7
+    assert bristle_step(1.0, -3e-3, 3e-4) == pytest.approx(-1.0, abs=1e-3)
+
+
+def test_jitter_of_the_depth_does_not_turn_the_bristle():
+    rng = np.random.default_rng(3)
+    bristle, follower = 0.0, 0.0
+    for depth in 2e-6 * np.arange(3000) + 6e-6 * rng.standard_normal(3000):
+        moved = follow_depth(follower, float(depth), 2e-5)
+        bristle, follower = bristle_step(bristle, moved - follower, 3e-4), moved
+    assert bristle > 0.95
+
+
+def test_block_is_the_time_weighted_mean_and_a_sparse_sample_one_of_its_own():
+    short, long = MultilayerMemory(filled_s=0.001), MultilayerMemory(0.004, 7e-4, 0.0, 0.016, 0.5)
+    assert short.filled_s < least_block_s(4e-3) <= long.filled_s
+    block = mean_block(long, 0.004)
+    assert block == Block(0.004, 0.004, pytest.approx(0.175), 0.0, pytest.approx(4.0), 0.5)
+    block = mean_block(MultilayerMemory(0.05, 5e-3, 0.0, 0.05, 1.0), 0.05)
+    assert (block.dt_s, block.force_N) == (0.05, 1.0)
+
+
+def _block(time, depth, force):
+    return Block(time, 5e-3, depth, 2e-3, force, 1.0)
+
+
+def test_track_keeps_a_bounded_past_at_fixed_travel():
+    track = Track()
+    for k in range(20_000):
+        track, _ = update_track(track, _block(0.005 * k, 1e-5 * k, 0.1), 2e-5)
+    assert len(track.points) == LENGTH
+    assert np.all(np.diff(track.points[:, 0]) >= 2e-5 - 1e-12)
+    assert np.allclose(track.points[:, 5], np.diff(track.points[:, 0]).mean(), rtol=0.5)
+    assert not track.points.flags.writeable
+
+
+def test_baseline_finds_offset_and_a_slow_rise_but_no_noise():
+    rng = np.random.default_rng(5)
+    state, scores = Baseline(), []
+    for k in range(1600):
+        force = 0.2 + 0.003 * rng.standard_normal() + max(k - 1000, 0) * 1e-4
+        state = update_baseline(state, _block(0.005 * k, 1e-5 * (k - 1000), force))
+        scores.append(level_score(state, 3600.0, 1e-8))
+    assert max(scores[:1000]) < 1.0
+    assert max(scores[1000:1400]) > 1.0
+    settled = settle_baseline(state, 0.0)
+    assert settled.offset_N == pytest.approx(0.2, abs=0.002)
+    assert math.sqrt(settled.variance) < 0.003
+
+
+DT_S = 1e-3
+
+
+def low_passed(signal, time_constant_s):
+    if time_constant_s == 0.0:
+        return signal
+    keep = np.exp(-DT_S / time_constant_s)
+    return lfilter([1.0 - keep], [1.0, -keep], signal, zi=[keep * signal[0]])[0]
+
+
+def motion(n=14_000, ramp_s=0.3):
+    """Rest, constant speed, rest."""
+    time = DT_S * np.arange(n)
+    speed = 3e-3 * np.clip((time - 1.0) / ramp_s, 0.0, 1.0)
+    speed *= np.clip((time[-1] - 1.5 - time) / ramp_s, 0.0, 1.0)
+    return speed, np.cumsum(speed) * DT_S
+
+
+def learned(speed, depth, block=5):
+    state, out = SpeedLag(), []
+    for k in range(0, len(speed) - block + 1, block):
+        part = slice(k, k + block)
+        state, handed = update_lag(
+            state, Block(k * DT_S, block * DT_S, depth[part].mean(), speed[part].mean(), 0.0, 1.0)
+        )
+        out.append(handed.speed_m_s)
+    return state.lag_s, np.array(out)
+
+
+@pytest.mark.parametrize("time_constant_s", [0.02, 0.05, 0.1])
+@pytest.mark.parametrize("noise_m", [0.0, 6e-6])
+def test_the_time_constant_is_learned_and_the_speed_restored(time_constant_s, noise_m):
+    speed, depth = motion()
+    rng = np.random.default_rng(5)
+    given = low_passed(speed, time_constant_s)
+    found, restored = learned(given, depth + noise_m * rng.standard_normal(len(depth)))
+    assert found == pytest.approx(time_constant_s, rel=0.1)
+    blocks = speed.reshape(-1, 5).mean(axis=1)
+    late = len(blocks) // 2
+    assert np.max(np.abs(restored - blocks)[late:]) < 0.15e-3
+    assert np.max(np.abs(given.reshape(-1, 5).mean(axis=1) - blocks)[late:]) > 0.15e-3
+
+
+@pytest.mark.parametrize("seed", range(10))
+def test_a_speed_without_lag_is_left_as_it_is(seed):
+    speed, depth = motion()
+    rng = np.random.default_rng(seed)
+    noisy = speed + 1.2e-4 * rng.standard_normal(len(speed))
+    found, restored = learned(noisy, depth + 6e-6 * rng.standard_normal(len(depth)))
+    assert found == 0.0
+    assert np.allclose(restored, noisy.reshape(-1, 5).mean(axis=1))
+
+
+@pytest.mark.parametrize("time_constant_s", [0.0, 0.02, 0.05])
+@pytest.mark.parametrize("ramp_s", [0.1, 0.5])
+def test_no_alarm_when_the_needle_stops(time_constant_s, ramp_s):
+    """All force is viscous friction: it falls at once, the speed as given only later."""
+    speed, depth = motion(ramp_s=ramp_s)
+    rng = np.random.default_rng(int(1e3 * (time_constant_s + ramp_s)))
+    force = 12_000.0 * np.maximum(depth - 2e-3, 0.0) * speed
+    force += 0.01 * rng.standard_normal(len(force))
+    given = low_passed(speed + 1.2e-4 * rng.standard_normal(len(speed)), time_constant_s)
+    measured = depth + 6e-6 * rng.standard_normal(len(depth))
+    identifier = Identifier()
+    rows = zip(measured.tolist(), given.tolist(), force.tolist(), strict=True)
+    assert all(identifier.update(*row, DT_S).rupture is None for row in rows)

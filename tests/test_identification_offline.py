@@ -4,8 +4,7 @@ import numpy as np
 import pytest
 
 from identification.errors import InvalidConfigError, InvalidLogError
-from identification.interaction_model import LayerSpan, regression_matrix
-from identification.offline import identify_offline
+from identification.offline import LayerSpan, identify_offline, regression_matrix
 
 THICKNESS_M = 0.03
 STIFFNESS, FRICTION = 30.0, 9000.0
@@ -129,15 +128,26 @@ def test_bad_columns_are_refused(change, message):
         identify_offline(**(log | change), layers=[span])
 
 
-def test_bad_layers_are_refused():
-    with pytest.raises(InvalidConfigError, match="thickness"):
-        LayerSpan(start_s=0.0, start_depth_m=0.0, thickness_m=0.0, rupture_s=1.0)
-    with pytest.raises(InvalidConfigError, match="rupture"):
-        LayerSpan(start_s=2.0, start_depth_m=0.0, thickness_m=1.0, rupture_s=1.0)
-    with pytest.raises(InvalidConfigError, match="non-finite"):
-        LayerSpan(start_s=np.nan, start_depth_m=0.0, thickness_m=1.0, rupture_s=1.0)
-    with pytest.raises(InvalidConfigError, match="at least one layer"):
-        identify_offline([0.0], [0.0], [0.0], [0.0], [])
-    span = LayerSpan(start_s=0.0, start_depth_m=0.0, thickness_m=0.1, rupture_s=9.0)
-    with pytest.raises(InvalidConfigError, match="'ml' or 'kv'"):
-        identify_offline([0.0], [0.0], [0.0], [0.0], [span], model="xx")
+SPAN = {"start_s": 0.0, "start_depth_m": 0.0, "thickness_m": 0.1, "rupture_s": 9.0}
+
+
+@pytest.mark.parametrize(
+    ("change", "message"),
+    [
+        ({"thickness_m": 0.0}, "thickness"),
+        ({"start_s": 2.0, "rupture_s": 1.0}, "rupture"),
+        ({"start_s": np.nan}, "non-finite"),
+    ],
+)
+def test_bad_layers_are_refused(change, message):
+    with pytest.raises(InvalidConfigError, match=message):
+        LayerSpan(**(SPAN | change))
+
+
+@pytest.mark.parametrize(
+    ("layers", "model", "message"),
+    [([], "ml", "at least one layer"), ([LayerSpan(**SPAN)], "xx", "'ml' or 'kv'")],
+)
+def test_no_layer_and_an_unknown_model_are_refused(layers, model, message):
+    with pytest.raises(InvalidConfigError, match=message):
+        identify_offline([0.0], [0.0], [0.0], [0.0], layers, model=model)

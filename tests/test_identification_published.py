@@ -1,12 +1,212 @@
-"""The published method on forces made by its own model (3), ruptures released at once."""
+"""The published method: its equations one by one, the re-run by windows, and its own model (3)."""
+
+from itertools import product
 
 import numpy as np
 import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
 
 from identification.config import PUBLISHED, PUBLISHED_KV, PublishedConfig
 from identification.errors import InvalidConfigError
-from identification.estimate import RuptureState
+from identification.estimate import RuptureState as S
+from identification.estimate import next_rupture_state
 from identification.identifier import Identifier
+from identification.published_identifier import (
+    cusum_constants,
+    force_ratios,
+    reweighted_friction_variance,
+)
+from identification.published_update import (
+    NO_WINDOWS,
+    WindowSums,
+    add_sample,
+    append_window,
+    cusum_step,
+    derivative_step,
+    less_viscous_windows,
+    rerun_windows,
+    rls_step,
+    window_step,
+)
+
+number = st.floats(-2.0, 2.0)
+
+
+@settings(deadline=None, max_examples=60)
+@given(st.lists(st.tuples(number, number, number), min_size=1, max_size=30))
+def test_rls_equals_ridge_regression(rows):
+    """(7)(8) from covariance Psi_0 is a ridge regression; its error is the innovation."""
+    state = (0.0, 0.0, 4.0, 0.0, 9.0)
+    for x, y, f in rows:
+        innovation = f - x * state[0] - y * state[1]
+        state, error = rls_step(state, (x, y), f)
+        assert error == pytest.approx(innovation)
+    table = np.array(rows)
+    phi, f = table[:, :2], table[:, 2]
+    information = np.diag([1 / 4.0, 1 / 9.0]) + phi.T @ phi
+    expected = np.linalg.solve(information, phi.T @ f)
+    assert np.allclose(state[:2], expected, atol=1e-8)
+    covariance = np.linalg.inv(information)
+    assert np.allclose(state[2:], [covariance[0, 0], covariance[0, 1], covariance[1, 1]], atol=1e-8)
+
+
+def test_cusum_is_that_of_equation_9():
+    """It stays at zero in the standard case and grows in the other."""
+    drift, threshold = cusum_constants(0.01, 0.08)
+    assert drift == pytest.approx((0.08**2 + 0.01**2) / 2)
+    assert threshold == pytest.approx((0.08**2 - 0.01**2) / 2)
+    assert cusum_step(0.0, 0.01, drift) == 0.0
+    assert cusum_step(0.5, 0.08, drift) == pytest.approx(0.5 + 0.08**2 - drift)
+
+
+@given(st.floats(1e-3, 1.0), st.floats(1e-3, 1.0))
+def test_derivative_of_a_ramp_needs_no_particular_step(first_s, second_s):
+    """Two steps over a ramp equal one over both."""
+    slope = 3.0
+    twice = derivative_step(1.0, slope * first_s, first_s, 0.2)
+    twice = derivative_step(twice, slope * second_s, second_s, 0.2)
+    once = derivative_step(1.0, slope * (first_s + second_s), first_s + second_s, 0.2)
+    assert twice == pytest.approx(once)
+
+
+def test_ratios_are_those_of_equation_11():
+    assert force_ratios(1.4, 2.6, 0.0, 2.3e-3) == pytest.approx((1.4 / 2.6, 1.2 / 2.6))
+    elastic, _ = force_ratios(1.0, 3.0, 400.0, 2.5e-3)
+    assert elastic == pytest.approx(1.0 / 2.0)
+
+
+@given(number, st.floats(-1.0, 3.0))
+def test_ratios_stay_physical_whatever_was_measured(drop, force):
+    elastic, friction = force_ratios(drop, force, 100.0, 2e-3)
+    assert 0.0 < elastic < 1.0
+    assert elastic + friction == pytest.approx(1.0)
+
+
+def test_reweighting_is_equation_12_and_splits_the_force_by_the_ratios():
+    """Collinear columns: RLS from Psi'_0 splits the force as r_K : r_B."""
+    speed, ratio = 2.3e-3, 0.4
+    variance = reweighted_friction_variance(1e6, 1 - ratio, ratio, speed)
+    assert variance == pytest.approx(1e6 * ratio / (1 - ratio) / speed**2)
+    state = (0.0, 0.0, 1e6, 0.0, variance)
+    for depth in np.linspace(1e-4, 0.03, 200):
+        state, _ = rls_step(state, (depth, depth * speed), 80.0 * depth)
+    assert state[1] * speed / 80.0 == pytest.approx(ratio, rel=1e-3)
+
+
+@settings(deadline=None, max_examples=40)
+@given(
+    seed=st.integers(0, 10_000),
+    length=st.integers(1, 120),
+    window=st.integers(1, 30),
+    ratio=st.floats(0.01, 100.0),
+    is_constant=st.booleans(),
+)
+def test_rerun_from_sums_equals_the_rerun_over_samples(seed, length, window, ratio, is_constant):
+    rng = np.random.default_rng(seed)
+    speed = np.full(length, 2.3e-3) if is_constant else 2e-3 + 1e-3 * np.sin(np.arange(length) / 9)
+    depth = 1e-3 + np.cumsum(speed) * 1e-3
+    force = 30.0 * depth + 8000.0 * depth * speed + 0.01 * rng.standard_normal(length)
+    variances = (1e6, 1e6 * ratio / 2.3e-3**2)
+    fresh = (variances[0], 0.0, variances[1])
+    state, sums, history = (0.0, 0.0, *fresh), tuple(WindowSums()), NO_WINDOWS
+    for k in range(length):
+        if k and k % window == 0:
+            state = (*state[:2], *fresh)
+            history = append_window(history, WindowSums(*sums), 4096)
+            sums = tuple(WindowSums())
+        phi = (depth[k], depth[k] * speed[k])
+        state, _ = rls_step(state, phi, force[k])
+        sums = add_sample(sums, phi, force[k], speed[k])
+    history = append_window(history, WindowSums(*sums), 4096)
+    scale = np.abs(state[:2]) + np.sqrt(variances) * 1e-6
+    gap = np.abs(np.array(rerun_windows(history, variances, (0.0, 0.0))) - state[:2])
+    assert np.all(gap < 1e-6 * scale)
+
+
+ALARMS = [{"is_alarm": a, "is_expected": e} for a, e in product((False, True), repeat=2)]
+
+
+@pytest.mark.parametrize(
+    ("state", "flags", "expected"),
+    [
+        (S.NO_RUPTURE, {}, S.NO_RUPTURE),
+        (S.NO_RUPTURE, {"is_expected": True}, S.EXPECTED),
+        (S.NO_RUPTURE, {"is_alarm": True}, S.DETECTED),
+        (S.EXPECTED, {}, S.NO_RUPTURE),
+        (S.EXPECTED, {"is_alarm": True, "is_expected": True}, S.DETECTED),
+        *((S.DETECTED, flags, S.FORCE_DROP_MEASURING) for flags in ALARMS),
+        *((S.FORCE_DROP_MEASURING, flags, S.FORCE_DROP_MEASURING) for flags in ALARMS),
+        (S.FORCE_DROP_MEASURING, {"is_measured": True}, S.FRICTION_IDENTIFIED),
+        *(
+            (S.FRICTION_IDENTIFIED, {"is_settled": False, **f}, S.FRICTION_IDENTIFIED)
+            for f in ALARMS
+        ),
+        (S.FRICTION_IDENTIFIED, {}, S.NO_RUPTURE),
+    ],
+)
+def test_the_states_follow_each_other_and_no_alarm_interrupts_a_measurement(state, flags, expected):
+    assert next_rupture_state(state, **flags) is expected
+
+
+def windows(count, *, friction=0.0, noise=1e-4):
+    """Windows of a needle at nearly constant speed: columns are nearly collinear."""
+    rng = np.random.default_rng(count)
+    found = []
+    for k in range(count):
+        sums = tuple(WindowSums())
+        for j in range(25):
+            depth = 2.3e-6 * (25 * k + j + 1)
+            speed = 2.3e-3 + noise * rng.standard_normal()
+            force = 60.0 * depth + 9000.0 * depth * speed + 0.01 * rng.standard_normal()
+            sums = add_sample(sums, (depth, depth * speed), force - friction * speed, speed)
+        found.append(WindowSums(*sums))
+    return tuple(found)
+
+
+def history_of(found, most=4096):
+    history = NO_WINDOWS
+    for sums in found:
+        history = append_window(history, sums, most)
+    return history
+
+
+@pytest.mark.parametrize("count", [0, 1, 5, 64, 400, 1001])
+@pytest.mark.parametrize("friction_variance", [1e6, 1e10, 1e2])
+def test_the_rerun_is_that_of_window_by_window(count, friction_variance):
+    found = windows(count)
+    variances = (1e6, friction_variance)
+    ours = rerun_windows(history_of(found), variances, (1.0, 2.0))
+    theta = (1.0, 2.0)
+    for sums in found:
+        theta = window_step(theta, sums, variances)
+    assert ours == pytest.approx(theta, rel=1e-6)
+
+
+@pytest.mark.parametrize("count", [0, 130])
+def test_a_later_friction_is_taken_out_of_every_window(count):
+    """As if it had been subtracted from every sample."""
+    expected = history_of(windows(count, friction=3.0))
+    np.testing.assert_allclose(less_viscous_windows(history_of(windows(count)), 3.0), expected)
+
+
+def test_memory_is_bounded_by_adding_neighbours_and_an_older_history_stays_what_it_was():
+    found = windows(145)
+    history = history_of(found[:144], most=128)
+    pairs = np.array(found[:144]).reshape(72, 2, 7)
+    np.testing.assert_allclose(history, pairs.sum(axis=1))
+    before = history.copy()
+    grown = append_window(history, found[-1], 128)
+    np.testing.assert_array_equal(history, before)
+    odd = append_window(grown, found[0], 58)  # 74 windows
+    np.testing.assert_allclose(odd.sum(axis=0), grown.sum(axis=0) + found[0])
+    assert len(odd) == 37
+    assert len(append_window(odd, found[0], 22)) == 19
+    assert len(append_window(odd[:36], found[0], 21)) == 19  # the last one stays alone
+    for sums in found:
+        history = append_window(history, sums, 128)
+    assert len(history) <= 128 + 16
+
 
 DT_S, SPEED = 1e-3, 2.3e-3
 LAYERS = ((0.030, 15.0, 8_000.0), (0.020, 60.0, 9_000.0))
@@ -25,42 +225,42 @@ def ml_insertion(layers=LAYERS, noise_N=0.01, beyond_m=4e-3, seed=3):
     return z, f + noise_N * rng.standard_normal(len(z))
 
 
-def run(identifier, z, f):
-    return [identifier.update(float(a), SPEED, float(b), DT_S) for a, b in zip(z, f, strict=True)]
+def run(z, f, config=PUBLISHED):
+    identifier = Identifier(config)
+    rows = zip(z.tolist(), f.tolist(), strict=True)
+    return identifier, [identifier.update(a, SPEED, b, DT_S) for a, b in rows]
 
 
 def test_finds_ruptures_and_friction_of_its_own_model():
     z, f = ml_insertion()
-    identifier = Identifier(PUBLISHED)
-    estimates = run(identifier, z, f)
+    identifier, estimates = run(z, f)
     ruptures = [e.rupture for e in estimates if e.rupture]
     assert [round(r.depth_m, 3) for r in ruptures] == [0.030, 0.050]
     for layer, (thickness, stiffness, friction) in zip(identifier.layers, LAYERS, strict=True):
         assert layer.thickness_m == pytest.approx(thickness, rel=0.02)
         assert layer.friction_Ns_per_m2 == pytest.approx(friction, rel=0.25)
         assert layer.stiffness_N_per_m == pytest.approx(stiffness, rel=0.25)
-    last = np.mean([e.enhanced_force_N for e in estimates[-500:]])
-    assert abs(last) < 0.2 * np.mean(f[-500:])
+    last = abs(np.mean([e.enhanced_force_N for e in estimates[-500:]]))
+    assert last < 0.2 * np.mean(f[-500:])
+    kelvin_voigt = run(z, f, PUBLISHED_KV)[1][-500:]
+    assert last < abs(np.mean([e.enhanced_force_N for e in kelvin_voigt]))
 
 
 def test_states_follow_the_machine():
-    z, f = ml_insertion(LAYERS[:1])
-    states = [e.rupture_state for e in run(Identifier(PUBLISHED), z, f)]
-    detected = states.index(RuptureState.DETECTED)
-    measuring = states.count(RuptureState.FORCE_DROP_MEASURING) * DT_S
-    assert states[detected + 1] is RuptureState.FORCE_DROP_MEASURING
+    states = [e.rupture_state for e in run(*ml_insertion(LAYERS[:1]))[1]]
+    detected = states.index(S.DETECTED)
+    measuring = states.count(S.FORCE_DROP_MEASURING) * DT_S
+    assert states[detected + 1] is S.FORCE_DROP_MEASURING
     assert measuring == pytest.approx(1e-3 / SPEED, abs=0.01)
-    assert states[-1] in (RuptureState.NO_RUPTURE, RuptureState.EXPECTED)
+    assert states[-1] in (S.NO_RUPTURE, S.EXPECTED)
 
 
 def test_compensation_leaves_no_jump_in_the_prediction():
     z, f = ml_insertion(noise_N=0.002)
-    estimates = run(Identifier(PUBLISHED), z, f)
-    at = next(k for k, e in enumerate(estimates) if e.identified_layer)
-    after = [
-        abs(e.predicted_force_N - y) for e, y in zip(estimates[at + 1 :], f[at + 1 :], strict=True)
-    ][:200]
-    assert max(after) < 0.15
+    _, estimates = run(z, f)
+    at = next(k for k, e in enumerate(estimates) if e.identified_layer) + 1
+    rows = zip(estimates[at : at + 200], f[at : at + 200], strict=True)
+    assert max(abs(e.predicted_force_N - y) for e, y in rows) < 0.15
 
 
 def test_a_layer_is_listed_when_identified_and_subtracted_from_the_next_sample_on():
@@ -74,22 +274,13 @@ def test_a_layer_is_listed_when_identified_and_subtracted_from_the_next_sample_o
         before = before or len(identifier.layers)
     assert before == 1
     assert identifier.layers == (estimate.identified_layer,)
-    share = estimate.identified_layer.friction_N / estimate.identified_layer.rupture.speed_m_s
-    assert estimate.cumulative_friction_Ns_per_m == pytest.approx(share)
+    damping = estimate.identified_layer.friction_N / estimate.identified_layer.rupture.speed_m_s
+    assert estimate.cumulative_friction_Ns_per_m == pytest.approx(damping)
 
 
 def test_nothing_happens_before_contact():
-    estimates = run(Identifier(PUBLISHED), np.linspace(-0.01, -0.001, 500), np.zeros(500))
+    _, estimates = run(np.linspace(-0.01, -0.001, 500), np.zeros(500))
     assert all(not e.in_contact and e.layer == 0 and e.rupture is None for e in estimates)
-
-
-def test_multilayer_model_compensates_better_than_kelvin_voigt():
-    z, f = ml_insertion()
-    residues = []
-    for config in (PUBLISHED, PUBLISHED_KV):
-        estimates = run(Identifier(config), z, f)
-        residues.append(abs(np.mean([e.enhanced_force_N for e in estimates[-500:]])))
-    assert residues[0] < residues[1]
 
 
 @pytest.mark.parametrize(
@@ -99,6 +290,7 @@ def test_multilayer_model_compensates_better_than_kelvin_voigt():
         ({"sigma0_N": 0.1}, "exceed"),
         ({"reset_frequency_Hz": 0.0}, "positive"),
         ({"drop_travel_m": float("nan")}, "finite"),
+        ({"most_windows": 0.5}, "most_windows"),
     ],
 )
 def test_bad_settings_are_refused(change, message):

@@ -61,12 +61,17 @@ def test_pieces_give_what_the_whole_gives_bit_for_bit(columns, cuts, has_speed):
     assert stream.hints == whole.hints
 
 
+def derived(t_s, depth_m):
+    speed = DerivedSpeed(0.001)
+    found = speed.update(np.diff(t_s, prepend=0.0), depth_m), speed.finish()
+    return np.concatenate(found)
+
+
 def test_derived_speed_is_the_mean_rate_over_50_ms():
     rng = np.random.default_rng(0)
     t_s = np.arange(500) / 1000
     depth_m = np.cumsum(rng.normal(size=500))
-    speed = DerivedSpeed(0.001)
-    found = np.concatenate([speed.update(np.diff(t_s, prepend=0.0), depth_m), speed.finish()])
+    found = derived(t_s, depth_m)
     rate = np.diff(depth_m) / np.diff(t_s)
     expected = uniform_filter1d(np.concatenate((rate[:1], rate)), 50, mode="nearest")
     np.testing.assert_allclose(found, expected, rtol=1e-9, atol=1e-9)
@@ -76,8 +81,7 @@ def test_one_absurd_depth_spoils_the_speed_around_it_only():
     t_s = np.arange(500) / 1000
     depth_m = 0.01 * t_s
     depth_m[250] = 1e300
-    speed = DerivedSpeed(0.001)
-    found = np.concatenate([speed.update(np.diff(t_s, prepend=0.0), depth_m), speed.finish()])
+    found = derived(t_s, depth_m)
     assert found[200] == pytest.approx(0.01)
     assert found[300] == pytest.approx(0.01)
 
@@ -85,8 +89,7 @@ def test_one_absurd_depth_spoils_the_speed_around_it_only():
 @pytest.mark.parametrize("rows", [1, 2, 3])
 def test_the_shortest_recordings_have_a_speed(rows):
     t_s = np.arange(rows) / 1000
-    speed = DerivedSpeed(0.001)
-    found = np.concatenate([speed.update(np.diff(t_s, prepend=0.0), 0.01 * t_s), speed.finish()])
+    found = derived(t_s, 0.01 * t_s)
     np.testing.assert_allclose(found, 0.01 if rows > 1 else 0.0)
     assert len(replay(t_s, 0.01 * t_s, 0.0 * t_s).estimates) == rows
 
@@ -111,7 +114,7 @@ def test_a_clock_that_mostly_stands_still_has_a_usual_step_all_the_same():
 
 
 def ruptures_s(result):
-    """When the layers were left."""
+    """When the layers ruptured."""
     return [layer.rupture.time_s for layer in result.layers]
 
 
@@ -161,8 +164,8 @@ def test_a_clock_that_was_set_back_hides_no_event(columns, has_speed):
     clean, followed = (
         replay(t, depth_m, force_N, speed_m_s, dt_s=RowClock().update(t)) for t in (t_s, back_s)
     )
-    skipped = [k for k, e in enumerate(followed.estimates) if not e.status.is_used]
-    assert len([k for k in skipped if k != 300]) <= 12
+    rejected = [k for k, e in enumerate(followed.estimates) if not e.status.is_used]
+    assert len([k for k in rejected if k != 300]) <= 12
     assert len(followed.layers) == len(clean.layers) == 1
     # The step in which it was set is not known.
     # Events are on the clock of the log, which stands 20 s earlier by then.
@@ -189,14 +192,13 @@ def test_a_stamp_that_is_no_number_spoils_its_own_row_only(columns):
     t_s = t_s.copy()
     t_s[[500, 501, 502, 503, 800]] = np.nan
     result = replay(t_s, depth_m, force_N, speed_m_s)
-    skipped = [k for k, e in enumerate(result.estimates) if not e.status.is_used]
-    assert skipped == [300, 500, 501, 502, 503, 800]
+    rejected = [k for k, e in enumerate(result.estimates) if not e.status.is_used]
+    assert rejected == [300, 500, 501, 502, 503, 800]
     assert len(result.layers) == 1
 
 
-def test_a_gap_says_little_about_the_speed_beside_it():
+def test_a_gap_shows_little_about_the_speed_beside_it():
     t_s, depth_m = np.arange(1000) / 1000, 0.01 * np.arange(1000) / 1000
     t_s[500:] += 3.0
-    speed = DerivedSpeed(0.001)
-    found = np.concatenate([speed.update(np.diff(t_s, prepend=0.0), depth_m), speed.finish()])
+    found = derived(t_s, depth_m)
     np.testing.assert_allclose(found, 0.01, rtol=1e-6)

@@ -8,47 +8,44 @@ import pytest
 from identification import MULTILAYER, PUBLISHED, Identifier
 from identification import rupture_measurement as rupture_step
 from identification.errors import InvalidSnapshotError
+from identification.estimate import Events
 from identification.published_identifier import PublishedState
 from identification.rupture_measurement import finish_measurement
 from needleforce import read_snapshot, write_snapshot
 
+both_methods = pytest.mark.parametrize("config", [MULTILAYER, PUBLISHED])
 
-def signal(n, seed=4):
+
+def samples(n=8000, seed=4):
+    """Depth, speed, force and interval of a needle that leaves a layer of 10 mm."""
     rng = np.random.default_rng(seed)
     z = -2e-3 + 2.5e-6 * np.arange(n)
     reach = np.maximum(z, 0.0)
     f = np.where(reach < 0.01, 60.0 * reach, 30.0 * reach) + 0.01 * rng.standard_normal(n)
-    return z.tolist(), f.tolist()
+    return [(a, 2.5e-3, b, 1e-3) for a, b in zip(z.tolist(), f.tolist(), strict=True)]
 
 
-@pytest.mark.parametrize("config", [MULTILAYER, PUBLISHED])
+def run(identifier, rows):
+    return [identifier.update(*row) for row in rows]
+
+
+@both_methods
 @pytest.mark.parametrize("cut", [700, 5003, 6100])
 def test_restored_identifier_goes_on_bit_for_bit(config, cut):
-    z, f = signal(8000)
-    whole, part = Identifier(config), Identifier(config)
-    expected = [whole.update(a, 2.5e-3, b, 1e-3) for a, b in zip(z, f, strict=True)]
-    for a, b in zip(z[:cut], f[:cut], strict=True):
-        part.update(a, 2.5e-3, b, 1e-3)
-    kept = pickle.loads(pickle.dumps(part.snapshot()))
-    other = Identifier(config)
-    other.restore(kept)
-    resumed = [other.update(a, 2.5e-3, b, 1e-3) for a, b in zip(z[cut:], f[cut:], strict=True)]
-    assert resumed == expected[cut:]
-
-
-def test_a_snapshot_is_not_touched_by_what_follows():
-    z, f = signal(6000)
-    identifier = Identifier()
-    for a, b in zip(z[:3000], f[:3000], strict=True):
-        identifier.update(a, 2.5e-3, b, 1e-3)
-    kept = identifier.snapshot()
+    rows = samples()
+    part, other = Identifier(config), Identifier(config)
+    expected = run(part, rows[:cut])
+    kept = part.snapshot()
     before = pickle.dumps(kept)
-    for a, b in zip(z[3000:], f[3000:], strict=True):
-        identifier.update(a, 2.5e-3, b, 1e-3)
+    expected += run(part, rows[cut:])
     assert pickle.dumps(kept) == before
+    other.restore(pickle.loads(before))
+    assert run(other, rows[cut:]) == expected[cut:]
+    other.reset()
+    assert run(other, rows) == expected
 
 
-@pytest.mark.parametrize("config", [MULTILAYER, PUBLISHED])
+@both_methods
 def test_memory_is_bounded(config):
     rng = np.random.default_rng(6)
     identifier, sizes = Identifier(config), []
@@ -57,50 +54,25 @@ def test_memory_is_bounded(config):
         identifier.update(1e-5 * k, 5e-3, 0.5 + 1e-5 * k + noise[k], 2e-3)
         if k % 3000 == 2999:
             sizes.append(len(pickle.dumps(identifier.snapshot())))
-    limit = 4096 * 7 * 10
-    assert max(sizes) < max(2 * sizes[2], limit)
-
-
-def test_reset_forgets_everything():
-    z, f = signal(6000)
-    used = Identifier()
-    for a, b in zip(z, f, strict=True):
-        used.update(a, 2.5e-3, b, 1e-3)
-    used.reset()
-    fresh = Identifier()
-    assert [used.update(a, 2.5e-3, b, 1e-3) for a, b in zip(z[:500], f[:500], strict=True)] == [
-        fresh.update(a, 2.5e-3, b, 1e-3) for a, b in zip(z[:500], f[:500], strict=True)
-    ]
-
-
-def test_equal_input_gives_equal_output():
-    z, f = signal(3000)
-    rows = []
-    for _ in range(2):
-        identifier = Identifier()
-        rows.append([identifier.update(a, 2.5e-3, b, 1e-3) for a, b in zip(z, f, strict=True)])
-    assert rows[0] == rows[1]
+    assert max(sizes) < max(2 * sizes[2], 4096 * 7 * 10)
 
 
 def is_at_work(state):
-    """Whether a re-run has begun and not ended."""
+    """Whether a measurement or a re-run has begun and not ended."""
     if isinstance(state, PublishedState):
         return state.found is not None
-    pending = state.candidate
-    return pending is not None and (pending.work or pending.search_work) is not None
+    candidate = state.candidate
+    return candidate is not None and (candidate.work or candidate.search_work) is not None
 
 
 def test_what_is_worked_off_tick_by_tick_or_at_once_is_the_same():
-    z, f = signal(8000)
     slow, fast, early, late = Identifier(), Identifier(), [], []
-    for k, (a, b) in enumerate(zip(z, f, strict=True)):
-        early += [
-            (k, found) for found in [slow.update(a, 2.5e-3, b, 1e-3).identified_layer] if found
-        ]
-        fast.update(a, 2.5e-3, b, 1e-3)
+    for k, row in enumerate(samples()):
+        early += [(k, found) for found in [slow.update(*row).identified_layer] if found]
+        fast.update(*row)
         kept = fast.snapshot()
-        state = finish_measurement(kept.state._replace(identified_layer=None), MULTILAYER)
-        late += [(k, found) for found in [state.identified_layer] if found]
+        state = finish_measurement(kept.state._replace(events=Events()), MULTILAYER)
+        late += [(k, found) for found in [state.events.identified_layer] if found]
         fast.restore(kept._replace(state=state))
     assert len(early) == len(late) == 2
     assert [found for _, found in early] == [found for _, found in late]
@@ -115,64 +87,49 @@ def test_no_tick_at_a_kilohertz_works_off_more_than_one_stage(monkeypatch):
 
     for name in ("_work", "_search"):
         monkeypatch.setattr(rupture_step, name, counted(getattr(rupture_step, name)))
-    z, f = signal(8000)
     identifier, most = Identifier(), 0
-    for a, b in zip(z, f, strict=True):
+    for row in samples():
         before = len(worked)
-        identifier.update(a, 2.5e-3, b, 1e-3)
+        identifier.update(*row)
         most = max(most, len(worked) - before)
     assert most == 1
     assert len(worked) > 10
 
 
 @pytest.mark.parametrize(("config", "least"), [(MULTILAYER, 10), (PUBLISHED, 1)])
-def test_a_snapshot_taken_while_work_is_left_resumes_bit_for_bit(config, least, tmp_path):
-    z, f = signal(8000)
+def test_every_state_of_an_insertion_is_accepted_and_resumes_bit_for_bit(config, least, tmp_path):
+    """Each seventh one, and from a file each one that is taken while work is left."""
     whole, part, files = Identifier(config), Identifier(config), 0
-    for a, b in zip(z, f, strict=True):
-        expected, found = (one.update(a, 2.5e-3, b, 1e-3) for one in (whole, part))
-        assert found == expected
-        if is_at_work(part.snapshot().state):
+    for k, row in enumerate(samples()):
+        assert part.update(*row) == whole.update(*row)
+        kept = part.snapshot()
+        if is_at_work(kept.state):
             files += 1
-            write_snapshot(part.snapshot(), tmp_path / "kept.json")
-            part = Identifier(config)
-            part.restore(read_snapshot(tmp_path / "kept.json"))
+            write_snapshot(kept, tmp_path / "kept.json")
+            kept = read_snapshot(tmp_path / "kept.json")
+        elif k % 7:
+            continue
+        part = Identifier(config)
+        part.restore(kept)
     assert files >= least
 
 
 def test_a_second_event_finds_the_work_before_it_done():
-    """Rest begins while the look is under way: it ends with the next block, nothing is lost."""
-    z, f = signal(8000)
-    ahead, stopped, looks = Identifier(), Identifier(), 0
-    for a, b in zip(z, f, strict=True):
-        ahead.update(a, 2.5e-3, b, 1e-3)
+    """Rest begins during a measurement: it ends with the next block, nothing is lost."""
+    ahead, stopped, measurements = Identifier(), Identifier(), 0
+    for row in samples():
+        ahead.update(*row)
         kept = ahead.snapshot()
-        pending = kept.state.candidate
-        if pending is None or pending.work is None:
+        candidate = kept.state.candidate
+        if candidate is None or candidate.work is None:
             continue
-        looks += 1
-        expected = finish_measurement(kept.state, MULTILAYER).identified_layer
+        measurements += 1
+        expected = finish_measurement(kept.state, MULTILAYER).events.identified_layer
         stopped.restore(kept)
         # A block of one sample leaves no tick in between.
         assert expected is not None
-        assert stopped.update(a, 0.0, b, 10e-3).identified_layer == expected
-    assert looks > 2
-
-
-def damaged(config, place, change):
-    """A snapshot in tissue, one array or number of its state changed."""
-    identifier = Identifier(config)
-    z, f = signal(5600)
-    for a, b in zip(z, f, strict=True):
-        identifier.update(a, 2.5e-3, b, 1e-3)
-    whole, *names = identifier.snapshot(), *place.split(".")
-    parts = [whole.state]
-    for name in names[:-1]:
-        parts.append(getattr(parts[-1], name))
-    value = change(getattr(parts[-1], names[-1]))
-    for part, name in zip(reversed(parts), reversed(names), strict=True):
-        value = part._replace(**{name: value})
-    return identifier, whole._replace(state=value)
+        assert stopped.update(row[0], 0.0, row[2], 10e-3).identified_layer == expected
+    assert measurements > 2
 
 
 def with_corner(number):
@@ -182,6 +139,15 @@ def with_corner(number):
         return matrix
 
     return change
+
+
+@pytest.fixture(scope="module")
+def in_tissue():
+    """An identifier of each method in tissue."""
+    found = {config: Identifier(config) for config in (MULTILAYER, PUBLISHED)}
+    for identifier in found.values():
+        run(identifier, samples(5600))
+    return found
 
 
 @pytest.mark.parametrize(
@@ -202,19 +168,16 @@ def with_corner(number):
         (PUBLISHED, "windows", lambda windows: np.asfortranarray(windows)),
     ],
 )
-def test_a_damaged_state_is_refused_and_changes_nothing(config, place, change):
-    identifier, snapshot = damaged(config, place, change)
+def test_a_damaged_state_is_refused_and_changes_nothing(in_tissue, config, place, change):
+    identifier = in_tissue[config]
+    whole, *names = identifier.snapshot(), *place.split(".")
+    parts = [whole.state]
+    for name in names[:-1]:
+        parts.append(getattr(parts[-1], name))
+    value = change(getattr(parts[-1], names[-1]))
+    for part, name in zip(reversed(parts), reversed(names), strict=True):
+        value = part._replace(**{name: value})
     before = pickle.dumps(identifier.snapshot())
-    with pytest.raises(InvalidSnapshotError, match=place.split(".")[0]):
-        identifier.restore(snapshot)
+    with pytest.raises(InvalidSnapshotError, match=names[0]):
+        identifier.restore(whole._replace(state=value))
     assert pickle.dumps(identifier.snapshot()) == before
-
-
-@pytest.mark.parametrize("config", [MULTILAYER, PUBLISHED])
-def test_every_state_of_an_insertion_is_accepted(config):
-    identifier, twin = Identifier(config), Identifier(config)
-    z, f = signal(8000)
-    for k, (a, b) in enumerate(zip(z, f, strict=True)):
-        identifier.update(a, 2.5e-3, b, 1e-3)
-        if k % 7 == 0:
-            twin.restore(identifier.snapshot())
