@@ -62,10 +62,19 @@ def _published_arguments(state: PublishedState, config: PublishedConfig) -> tupl
     return (jit_arguments(published_update.PublishedCoefficients, coefficients),)
 
 
+# Functions by name, since an identifier can be pickled.
+def _as_it_is(state: Any, _config: Any) -> Any:
+    return state
+
+
+def _plain_memory(memory: published_update.PublishedMemory) -> Any:
+    return memory.plain
+
+
 _METHODS: dict[type, _Method] = {
     MultilayerConfig: _Method(
         initial=multilayer_state.initial_multilayer_state,
-        begin=lambda state, _: state,
+        begin=_as_it_is,
         update=multilayer_update.update_multilayer,
         step=multilayer_identifier.multilayer_step,
         outputs=multilayer_update.multilayer_outputs,
@@ -80,7 +89,7 @@ _METHODS: dict[type, _Method] = {
         step=published_identifier.published_step,
         outputs=published_update.published_outputs,
         arguments=_published_arguments,
-        plain=lambda memory: memory.plain,
+        plain=_plain_memory,
         memory=published_update.PublishedMemory.of,
     ),
 }
