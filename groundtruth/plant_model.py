@@ -46,8 +46,7 @@ class PlantModel:
 
     torque_noise_correlation_s: float = 0.0
     """Time constant of that noise, zero for white. The source states the 0.03 % after an 8 Hz
-    filter, and 1 / (2 pi 8 Hz) = 20 ms. `clean` takes the number per sample, which is kinder: a
-    mean over 0.2 s has 4.5 times less of it."""
+    filter: 1 / (2 pi 8 Hz) = 20 ms. `clean` takes the number per sample, which is kinder."""
 
     torque_bias_min_Nm: tuple[float, ...] = (0.0,) * 7
     """Least magnitude of the constant offset; the magnitude is drawn uniformly, the sign too."""
@@ -79,8 +78,7 @@ class PlantModel:
 
     joint_coulomb: float = 0.0
     """Coulomb friction between torque sensor and link, as a fraction of limit, see
-    `groundtruth.bearing_friction`. No source states it. It is calibrated on the two errors that the
-    published method has on the real arm, see `FRI`."""
+    `groundtruth.bearing_friction`. No source states it; calibrated, see `FRI`."""
 
     joint_viscous_Nms_per_rad: tuple[float, ...] = (0.0,) * 7
     """Viscous friction there."""
@@ -123,11 +121,8 @@ class PlantModel:
 def drawn_factors(
     plant_model: PlantModel, shape: tuple[int, ...], rng: np.random.Generator
 ) -> NDArray[np.float64]:
-    """Factors on stated sizes, equal chance per octave within the plant model's `size_spread`.
-
-    Without a spread nothing is drawn, so that what is drawn afterwards does not change.
-    """
-    if plant_model.size_spread == 1.0:
+    """Factors on stated sizes, equal chance per octave within the plant model's `size_spread`."""
+    if plant_model.size_spread == 1.0:  # keeps what is drawn afterwards
         return np.ones(shape)
     return plant_model.size_spread ** rng.uniform(-1.0, 1.0, shape)
 

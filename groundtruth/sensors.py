@@ -59,7 +59,7 @@ def _coloured(white: Array, plant_model: PlantModel) -> Array:
     kept = np.exp(-TICK_s / plant_model.torque_noise_correlation_s)
     entering = np.sqrt(1.0 - kept * kept) * white
     entering[0] = white[0]  # as if it had gone on for ever before
-    return lfilter([1.0], [1.0, -kept], entering, axis=0)
+    return np.asarray(lfilter([1.0], [1.0, -kept], entering, axis=0))
 
 
 def _bend(load: Array, rng: np.random.Generator) -> Array:

@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from groundtruth.arm_control import ArmTrace, drive
 from groundtruth.arm_motion import InsertionPath, scenario_motion, scenario_path
 from groundtruth.arm_plant import ArmPlant, TissueContact, lwr_bodies
-from groundtruth.bearing_friction import drawn_friction
+from groundtruth.bearing_friction import BearingFriction
 from groundtruth.errors import NoiseError, PlantModelError, RunError
 from groundtruth.force_noise import NOISES, ForceNoise
 from groundtruth.plant_model import PLANT_MODELS, PlantModel, TICK_s
@@ -161,7 +161,7 @@ def simulate(
     contact = _contact(path, chosen)
     motion = scenario_motion(path, chosen)
     limit_Nm = bodies.robot.effort_limit_Nm
-    friction = drawn_friction(plant_model, limit_Nm, np.random.default_rng(friction_seed))
+    friction = BearingFriction(plant_model, limit_Nm, np.random.default_rng(friction_seed))
     trace = drive(ArmPlant(bodies, contact, friction), bodies.model(), motion, progress)
     time = np.arange(len(trace.q_rad), dtype=np.float64) * TICK_s
     kept, signals = _sense(trace, time, limit_Nm, plant_model, sensor_seed)
