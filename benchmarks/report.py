@@ -35,7 +35,7 @@ from needleforce.plots.page import PAGE
 # Cumulative friction of the single gels, gathered from the rows of a run.
 
 
-PLANTS = ("clean", "degraded", "ideal", "needle")
+PLANTS = ("clean", "fri", "degraded", "ideal", "needle")
 """The first of these on which gels were run is shown."""
 SPEEDS = ("constant", "sinusoidal")
 PERCENTS = (25, 50, 70)

@@ -22,7 +22,7 @@ KEPT_FADE_M = 5e-3
 """Travel over which the tip force kept after an internal rupture fades. Chosen: four diameters."""
 
 SPEED_ROUNDING_M_S = 2e-5
-"""Below it a power law of speed becomes linear: no physics step can follow an infinite slope."""
+"""Below it a power law of speed is linear: no physics step can follow an infinite slope."""
 
 TEXTURE_WAVES = 16
 
@@ -176,10 +176,8 @@ class ShaftFriction:
         viscous = self.viscous_Ns_per_m2 * speed_m_s
         if self.speed_exponent == 1.0:
             return viscous
-        low = SPEED_ROUNDING_M_S * SPEED_ROUNDING_M_S
-        reference = self.reference_speed_m_s * self.reference_speed_m_s
-        ratio = (speed_m_s * speed_m_s + low) / (reference + low)
-        return viscous * ratio ** (0.5 * (self.speed_exponent - 1.0))
+        ratio = max(abs(speed_m_s), SPEED_ROUNDING_M_S) / self.reference_speed_m_s
+        return viscous * ratio ** (self.speed_exponent - 1.0)
 
     def gripped_m(self, embedded_m: float, thickness_m: float) -> float:
         """Length with the same friction, were it proportional to length."""

@@ -160,7 +160,7 @@ FRI = replace(
     name="fri",
     torque_noise_correlation_s=20e-3,
     torque_nonlinearity=0.005,
-    joint_coulomb=2.5e-4,
+    joint_coulomb=2.1e-4,
     size_spread=2.0,
     position_noise_std_rad=5e-5,
     position_step_rad=1.75e-4,
@@ -169,30 +169,21 @@ FRI = replace(
 )
 """The arm as its research interface gives it."""
 
-DEGRADED = PlantModel(
+DEGRADED = replace(
+    FRI,
     name="degraded",
     cad_fraction=0.3,
     payload_error=0.05,
     payload_com_spread_m=0.0025,
     torque_noise_std_Nm=tuple(2.0 * std for std in CLEAN.torque_noise_std_Nm),
-    torque_bias_min_Nm=CLEAN.torque_bias_min_Nm,
-    torque_bias_max_Nm=CLEAN.torque_bias_max_Nm,
-    torque_drift_std_per_min=1e-4,
-    torque_random_walk_std_per_sqrt_min=3e-5,
-    torque_noise_correlation_s=FRI.torque_noise_correlation_s,
     torque_ripple=1e-4,
     torque_hysteresis=1e-4,
     torque_nonlinearity=0.01,
     joint_coulomb=2.0 * FRI.joint_coulomb,
-    size_spread=FRI.size_spread,
     position_noise_std_rad=1.75e-4,
-    position_step_rad=1.75e-4,
-    velocity_noise_std_rad_s=None,
-    clock_jitter_std_s=5e-5,
     drop_probability=1e-3,
     drop_max_samples=3,
     ft_noise_std=tuple(2.0 * std for std in _FT_NOISE),
-    ft_drift_std_per_min=_FT_DRIFT,
 )
 """A neglected arm seen through its bare research interface: twice the noise, further errors."""
 

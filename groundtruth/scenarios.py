@@ -25,7 +25,7 @@ from groundtruth.materials import (
 )
 from groundtruth.motion import Motion, constant_motion, free_motion, sinusoidal_motion
 from groundtruth.tissue import MultilayerTissue, Tissue, TissueLaw
-from groundtruth.variations import TissueVariation, random_variation, variation
+from groundtruth.variations import VARIATIONS, TissueVariation, random_variation
 
 LawName = Literal["tissue", "multilayer"]
 LAWS = {"tissue": Tissue, "multilayer": MultilayerTissue}
@@ -63,18 +63,8 @@ class Scenario:
         return replace(self, law=law)
 
     def with_variation(self, change: TissueVariation, rng: np.random.Generator) -> "Scenario":
-        """The same scenario in a tissue outside the catalogue's law, see `groundtruth.variations`.
-
-        Args:
-            change: What is different in every layer.
-            rng: Source of the texture.
-        """
-        return replace(
-            self,
-            id=f"{self.id}+{change.name}",
-            title=f"{self.title}, {change.name}",
-            layers=tuple(change.layer(layer, rng) for layer in self.layers),
-        )
+        """The same scenario with every layer changed; the generator draws the texture."""
+        return replace(self, layers=tuple(change.layer(layer, rng) for layer in self.layers))
 
     def new_tissue(self) -> TissueLaw:
         """Fresh, uncut tissue under the scenario's law."""
@@ -172,6 +162,7 @@ RANDOM_STACK = "random-stack"
 """The id of every drawn scenario under the catalogue's law."""
 RANDOM_TISSUE = "random-tissue"
 """The id of those whose layers draw their law too."""
+DRAWN = (RANDOM_STACK, RANDOM_TISSUE)
 
 
 def scenario(scenario_id: str) -> Scenario:
@@ -181,28 +172,31 @@ def scenario(scenario_id: str) -> Scenario:
         ScenarioError: There is none; the message lists the names.
     """
     if scenario_id not in SCENARIOS:
-        known = ", ".join((*SCENARIOS, RANDOM_STACK, RANDOM_TISSUE))
+        known = ", ".join((*SCENARIOS, *DRAWN))
         raise ScenarioError(f"no scenario {scenario_id!r}; known: {known} (two drawn from a seed)")
     return SCENARIOS[scenario_id]
 
 
 def named_scenario(name: str, seed: int) -> Scenario:
-    """A catalogued scenario, or one drawn from the seed, in the catalogue's tissue or a variation.
+    """A catalogued scenario, or one drawn from the seed.
 
     Args:
-        name: As catalogued, ``random-stack`` or ``random-tissue``; with ``+`` and the name of a
-            variation behind it, in that tissue: ``stack-constant+texture-20mN``.
+        name: As catalogued, ``random-stack`` or ``random-tissue``; followed by ``+`` and one of
+            `VARIATIONS`, in that tissue: ``stack-constant+texture-20mN``.
         seed: Of what is drawn.
 
     Raises:
         ScenarioError: There is none of that name; the message lists the names.
     """
-    name, varied, change = name.partition("+")
-    drawn = {RANDOM_STACK: random_stack, RANDOM_TISSUE: random_tissue}.get(name)
-    chosen = scenario(name) if drawn is None else drawn(np.random.default_rng(seed))
-    if not varied:
+    base, plus, change = name.partition("+")
+    drawn = {RANDOM_STACK: random_stack, RANDOM_TISSUE: random_tissue}.get(base)
+    chosen = scenario(base) if drawn is None else drawn(np.random.default_rng(seed))
+    if not plus:
         return chosen
-    return chosen.with_variation(variation(change), np.random.default_rng([seed, 1]))
+    if change not in VARIATIONS:
+        raise ScenarioError(f"no variation {change!r}; known: {', '.join(VARIATIONS)}")
+    varied = chosen.with_variation(VARIATIONS[change], np.random.default_rng([seed, 1]))
+    return replace(varied, id=name, title=f"{chosen.title}, {change}")
 
 
 # Ranges of the random scenarios.

@@ -38,8 +38,7 @@ class Signals:
     """What a robot and its F/T sensor give, n samples; all that an estimator may see.
 
     Attributes:
-        t_s: Time stamps, shape (n,), increasing; jittered on ``fri`` and
-            ``degraded``, with gaps on the latter.
+        t_s: Time stamps, shape (n,), increasing; jittered, or with gaps, on some plants.
         q_rad: Joint positions, shape (n, 7).
         dq_rad_s: Joint velocities, shape (n, 7), or None where the interface reports none.
         tau_Nm: Link-side joint torques, shape (n, 7). Row k is held from its sample to the next
@@ -161,7 +160,9 @@ def simulate(
     contact = _contact(path, chosen)
     motion = scenario_motion(path, chosen)
     limit_Nm = bodies.robot.effort_limit_Nm
-    friction = BearingFriction(plant_model, limit_Nm, np.random.default_rng(friction_seed))
+    friction = None
+    if plant_model.joint_coulomb > 0.0 or any(plant_model.joint_viscous_Nms_per_rad):
+        friction = BearingFriction(plant_model, limit_Nm, np.random.default_rng(friction_seed))
     trace = drive(ArmPlant(bodies, contact, friction), bodies.model(), motion, progress)
     time = np.arange(len(trace.q_rad), dtype=np.float64) * TICK_s
     kept, signals = _sense(trace, time, limit_Nm, plant_model, sensor_seed)

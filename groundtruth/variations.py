@@ -11,7 +11,6 @@ from types import MappingProxyType
 
 import numpy as np
 
-from groundtruth.errors import ScenarioError
 from groundtruth.layers import Layer, ShaftFriction, Texture
 
 TEXTURE_LENGTH_M = 0.5e-3
@@ -22,7 +21,6 @@ class TissueVariation:
     """What is different in each layer; every default leaves the layer as it is.
 
     Attributes:
-        name: For tables.
         texture_N: Standard deviation of a texture of the tip force, correlated over 0.5 mm.
         release_m: Travel over which a rupture releases the force, membranes included.
         tip_exponent: Power of the elastic tip force over penetration.
@@ -34,7 +32,6 @@ class TissueVariation:
             stays.
     """
 
-    name: str
     texture_N: float = 0.0
     release_m: float | None = None
     tip_exponent: float = 1.0
@@ -84,43 +81,36 @@ class TissueVariation:
         ), tip_N
 
 
-# "Liver" below: 19 insertions into real liver at 5 mm/s to 85 mm (de Jong 2017). "Barnett": needles
-# in tissue ex vivo (Barnett, Lee, Moore 2015): 61 % of the force tears, 18 spreads, 21 is friction.
-_NAMED = (
-    # Liver: 15 to 19 mN within 3 mm.
-    TissueVariation(name="texture-15mN", texture_N=15e-3),
-    TissueVariation(name="texture-20mN", texture_N=20e-3),
-    # Liver: falls of the force take 0.5 to 2 mm.
-    TissueVariation(name="release-1mm", release_m=1e-3),
-    TissueVariation(name="release-2mm", release_m=2e-3),
-    # Chosen: a channel that gives way the more the deeper the tip.
-    TissueVariation(name="concave", tip_exponent=0.5),
-    # Okamura, Simone, O'Leary 2004: second-order spring of bovine liver.
-    TissueVariation(name="quadratic", tip_exponent=2.0),
-    # Barnett: 61 of 61 + 18 % of the tip force are cutting.
-    TissueVariation(name="plateau", cutting_fraction=0.77),
-    # Liver: 2.5 falls inside one organ, none of them to zero. The sizes are chosen.
-    TissueVariation(name="kept-30", kept_fraction=0.3),
-    TissueVariation(name="kept-60", kept_fraction=0.6),
-    # Liver: pull-out over insertion force falls from 0.95 at 20 mm to 0.65 at 78 mm, which is
-    # friction with length^0.7 where the insertion force grows with the length.
-    TissueVariation(name="length-0.6", length_exponent=0.6),
-    # Table I: from 2.3 to 3 mm/s friction of the gels rises by 7 to 12 %: speed^0.25 to speed^0.43.
-    TissueVariation(name="speed-0.3", speed_exponent=0.3),
-    # Barnett: 21 %. Liver: 65 to 95 %.
-    TissueVariation(name="friction-20", friction_fraction=0.2),
-    TissueVariation(name="friction-75", friction_fraction=0.75),
+# "Liver": 19 insertions into real liver at 5 mm/s to 85 mm (de Jong 2017). "Barnett": needles in
+# tissue ex vivo (Barnett, Lee, Moore 2015): 61 % of the force tears, 18 spreads, 21 is friction.
+VARIATIONS: Mapping[str, TissueVariation] = MappingProxyType(
+    {
+        # Liver: 15 to 19 mN within 3 mm.
+        "texture-15mN": TissueVariation(texture_N=15e-3),
+        "texture-20mN": TissueVariation(texture_N=20e-3),
+        # Liver: falls of the force take 0.5 to 2 mm.
+        "release-1mm": TissueVariation(release_m=1e-3),
+        "release-2mm": TissueVariation(release_m=2e-3),
+        # Chosen: a channel that gives way the more the deeper the tip.
+        "concave": TissueVariation(tip_exponent=0.5),
+        # Okamura, Simone, O'Leary 2004: second-order spring of bovine liver.
+        "quadratic": TissueVariation(tip_exponent=2.0),
+        # Barnett: 61 of 61 + 18 % of the tip force are cutting.
+        "plateau": TissueVariation(cutting_fraction=0.77),
+        # Liver: 2.5 falls inside one organ. That force stays, and how much, is chosen.
+        "kept-30": TissueVariation(kept_fraction=0.3),
+        "kept-60": TissueVariation(kept_fraction=0.6),
+        # Liver: pull-out over insertion force falls from 0.95 at 20 mm to 0.65 at 78 mm: friction
+        # with length^0.7, where the insertion force grows with the length.
+        "length-0.6": TissueVariation(length_exponent=0.6),
+        # Table I: from 2.3 to 3 mm/s the gels' friction rises by 7 to 12 %: speed^0.25 to ^0.43.
+        "speed-0.3": TissueVariation(speed_exponent=0.3),
+        # Barnett: 21 %. Liver: 65 to 95 %.
+        "friction-20": TissueVariation(friction_fraction=0.2),
+        "friction-75": TissueVariation(friction_fraction=0.75),
+    }
 )
-
-VARIATIONS: Mapping[str, TissueVariation] = MappingProxyType({item.name: item for item in _NAMED})
 """One change at a time, by name."""
-
-
-def variation(name: str) -> TissueVariation:
-    """The variation of that name; `ScenarioError` with the known ones if there is none."""
-    if name not in VARIATIONS:
-        raise ScenarioError(f"no variation {name!r}; known: {', '.join(VARIATIONS)}")
-    return VARIATIONS[name]
 
 
 def random_variation(rng: np.random.Generator) -> TissueVariation:
@@ -131,7 +121,6 @@ def random_variation(rng: np.random.Generator) -> TissueVariation:
     """
     # Arguments are drawn in this order: another order gives other tissues for the same seed.
     return TissueVariation(
-        name="random",
         texture_N=rng.uniform(1e-3, 20e-3),
         release_m=float(np.exp(rng.uniform(*np.log((0.1e-3, 2e-3))))),
         tip_exponent=2.0 ** rng.uniform(-1.0, 1.0),

@@ -111,7 +111,7 @@ def test_a_benchmark_that_fails_is_told_and_the_others_go_on(tmp_path, capsys):
     ("arguments", "told"),
     [
         (["nothing"], "no benchmark 'nothing'; choose from: liver-constant"),
-        (["--plant", "soft"], "no plant 'soft'; choose from: ideal, clean, degraded"),
+        (["--plant", "soft"], "no plant 'soft'; choose from: ideal, clean, fri, degraded"),
         (["--data", "/no/such/folder"], "no folder of recordings at"),
         (["panda-real"], "panda-real needs recordings: give --data DIR"),
         (["--json", "/no/such/folder/a.json"], "cannot write"),
@@ -181,7 +181,7 @@ def test_list_names_everything(capsys):
     assert main(["list"]) == 0
     out = capsys.readouterr().out
     assert "liver-constant" in out
-    assert "ideal, clean, degraded, needle" in out
+    assert "ideal, clean, fri, degraded, needle" in out
 
 
 @pytest.mark.parametrize(("cost", "code"), [(1.9, 0), (3.5, 1)])

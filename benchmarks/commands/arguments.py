@@ -87,8 +87,8 @@ def _add_run(run: argparse.ArgumentParser) -> None:
         action="append",
         type=_names,
         metavar="LEVEL[,LEVEL]",
-        help="ideal, clean, degraded, or needle (no arm); may be given more than once (default: "
-        "clean; for random-stack needle)",
+        help="ideal, clean, fri, degraded, or needle (no arm); may be given more than once "
+        "(default: clean; for drawn scenarios needle)",
     )
     run.add_argument(
         "--seeds", type=_positive, default=1, metavar="N", help="run seeds 0 to N-1 (default 1)"

@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from groundtruth.errors import GroundTruthError, RunError
 from groundtruth.plant_model import PLANT_MODELS
-from groundtruth.scenarios import RANDOM_STACK, SCENARIOS, Scenario, named_scenario
+from groundtruth.scenarios import RANDOM_STACK, RANDOM_TISSUE, SCENARIOS, Scenario, named_scenario
 from groundtruth.simulation import Run, simulate
 from recordings import RecordingError, check_writable, write_table
 from recordings.apart import require_apart
@@ -204,6 +204,7 @@ def _simulate(chosen: Scenario, arguments: Namespace) -> Run:
 def _listed() -> str:
     rows = {name: item.title for name, item in SCENARIOS.items()}
     rows[RANDOM_STACK] = "one to four layers drawn from the seed"
+    rows[RANDOM_TISSUE] = "the same, each layer of its own law"
     width = max(map(len, rows))
     return "".join(f"{name:<{width}}  {title}\n" for name, title in rows.items())
 
