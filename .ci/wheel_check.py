@@ -12,7 +12,6 @@ import numpy as np
 import pinocchio
 
 import identification
-import recordings
 import residual
 import urdf
 from needleforce import InsertionSession, jit
@@ -28,13 +27,12 @@ def check_files() -> None:
     assert any(path.endswith("licenses/LICENSE") for path in shipped), "no LICENSE in the wheel"
     assert metadata(NAME)["License-Expression"] == "Apache-2.0"
     assert "urdf/data/lwr4plus.urdf" in shipped
-    assert "figures/page.css" in shipped
+    assert "needleforce/plots/page.html" in shipped
     for room in (
         "urdf",
         "residual",
         "identification",
         "groundtruth",
-        "recordings",
         "needleforce",
     ):
         assert f"{room}/py.typed" in shipped, room
@@ -43,7 +41,7 @@ def check_files() -> None:
 
 def check_imported_from_the_wheel() -> None:
     """No package comes from the repository."""
-    for package in (urdf, residual, identification, recordings, jit):
+    for package in (urdf, residual, identification, jit):
         assert "site-packages" in Path(package.__file__ or "").parts, package.__file__
 
 
@@ -64,11 +62,15 @@ def check_a_force() -> None:
 
 
 def check_commands() -> None:
-    """The commands start without the optional extras."""
-    for package in ("residual", "identification"):
-        command = [sys.executable, "-I", "-m", package, "--help"]
+    """The command and its forwards start without the optional extras."""
+    beside = Path(sys.executable).parent / "needleforce"
+    for command in (
+        [str(beside), "force", "--help"],
+        [sys.executable, "-I", "-m", "needleforce", "identify", "--help"],
+        [sys.executable, "-I", "-m", "residual", "--help"],
+    ):
         said = subprocess.run(command, capture_output=True, text=True, check=True).stdout
-        assert f"python -m {package}" in said
+        assert "LOG" in said, command
 
 
 if __name__ == "__main__":

@@ -1,15 +1,37 @@
-"""The verdict: estimators against truth, on simulated insertions and on real recordings.
+"""Estimators against ground truth, on simulated insertions and on real recordings.
 
-Here lies what is run: the `catalogue` of benchmarks, their way from a `plan` to jobs on several
-processes, and the rows that come back. Everything else is in folders.
-
-Reading order: `catalogue` (what can be run), `benchmark` and `job` (one thing to run, one piece of
-work), `row` (a number that comes of it). Then the folders, in the order in which numbers come
-about: `signals` (what estimators get, and the truth), `methods` (estimators on a signal),
-`metrics` (how good they are) and `bounds` (how good they could be), put together in `simulated`
-and `recorded` (the benchmarks); `verdict` (what the numbers should be, whether they are), `tables`,
-`charts` and `report` (how they are shown). Apart from these: `speed` (what a tick costs) and
-`faults` (what broken signals do). Each command has a file in `commands`.
+Reading order: `catalogue` (what can be run), `benchmark` (a job and what it finds), `rows` (one
+number of the results). Then in the order in which numbers come about: `signals` (what estimators
+get, and the ground truth), `methods` (estimators on a signal), `force_metrics`,
+`identification_metrics` and `bounds` (how good they are, how good they could be), put together in
+`simulated` and `recorded`; `targets`, `evaluation`, `tables` and `results_page` (what the numbers
+should be, and how they are shown). Apart from these: `speed` and `soak` (what an update costs),
+`faults` and `fault_study` (what broken signals do).
 
 Not part of the installed packages: run it from the repository, ``python -m benchmarks --help``.
+Every error message is one line for the person at the keyboard.
 """
+
+
+class BenchmarkError(Exception):
+    """Base of all errors of this package."""
+
+    def __str__(self) -> str:
+        """The message itself; a KeyError would put it in quotes."""
+        return str(self.args[0]) if self.args else ""
+
+
+class UnknownIdError(BenchmarkError, KeyError):
+    """A benchmark or a plant of that name does not exist."""
+
+
+class DataError(BenchmarkError, ValueError):
+    """A recording is missing or is not what it should be."""
+
+
+class ResultsError(BenchmarkError, ValueError):
+    """A file of results cannot be read, written or compared."""
+
+
+class UnknownMetricError(BenchmarkError, KeyError):
+    """A number was measured that `metrics.csv` does not list."""

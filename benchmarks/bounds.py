@@ -1,28 +1,28 @@
-"""How well any estimator can know the friction of a layer: the Cramér-Rao bound.
+"""How well any estimator can know the friction of a layer, and how soon a rupture.
 
-Once the geometry is known the axial force is linear in what is unknown of it: a scale of each
-layer's friction, and slope, bend and cutting force of each layer's tip. The bound is that of an
-estimator which is told the law, the depths of all ruptures, the colour of the noise, and how large
-slopes, bends and cutting forces may be. No estimator is told as much.
+Friction, the Cramér-Rao bound: once the geometry is known the axial force is linear in what is
+unknown of it, a scale of each layer's friction, and slope, bend and cutting force of each layer's
+tip. The bound is that of an estimator which knows the law, the depths of all ruptures, the noise
+spectrum, and how large slopes, bends and cutting forces may be. No estimator knows as much.
+
+Delay, Lorden's bound: a detector whose false alarms are a time T apart must not alarm before it has
+gathered log(T / d) nats of evidence within the delay d (Lorden 1971, with T / d independent trials
+between two false alarms). Evidence is the Kullback-Leibler divergence between the force with and
+without the release. The bound is that of a detector which knows size and course of the release, the
+force there would be without it, and the noise spectrum.
 """
 
 import math
-from collections.abc import Iterator, Sequence
-from dataclasses import replace
+from collections.abc import Sequence
 from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 from scipy.linalg import cholesky, solve_triangular, toeplitz
-from scipy.signal import lfilter
 
-from benchmarks.signals import InsertionTruth, NeedleSignal, truth_of_needle
-from groundtruth import SCENARIOS, Rupture, Scenario, insert_needle
-from groundtruth.motion import constant_motion
+from benchmarks.signals import InsertionTruth, NeedleSignal, lagging
+from groundtruth import Rupture
 from identification import MULTILAYER
-
-# The noise of a force reading as a stationary process, measured where nothing ruptures.
-
 
 Array = NDArray[np.float64]
 
@@ -51,16 +51,6 @@ def reading_error_N(signal: NeedleSignal, truth: InsertionTruth, lag_s: float = 
     return np.interp(t_s, t_s[quiet], error[quiet])
 
 
-def lagging(values: Array, t_s: Array, lag_s: float) -> Array:
-    """Values behind a first-order lag, sampled evenly, shape (n,)."""
-    if lag_s <= 0.0:
-        return values
-
-    keep = float(np.exp(-np.median(np.diff(t_s)) / lag_s))
-    found, _ = lfilter([1.0 - keep], [1.0, -keep], values, zi=[keep * values[0]])
-    return np.asarray(found, dtype=np.float64)
-
-
 def autocovariance(error_N: Array, length: int) -> Array:
     """Autocovariance about zero at lags 0 to length - 1 [N^2].
 
@@ -83,18 +73,18 @@ def whitener(covariance: Array) -> Array:
     return np.asarray(np.linalg.cholesky(matrix), dtype=np.float64)
 
 
-LOOK_m = MULTILAYER.second_look_m
+MEASURED_m = MULTILAYER.final_window_m
 """Travel after a rupture by which its layer is identified for good."""
 BLOCK_s = 0.02
 MOST_BLOCKS = 1000
 ONSET_m = MULTILAYER.cutting_onset_m
 """Travel over which the cutting force of a layer builds up."""
-CUTTING_SHARE = 0.12
-"""Root mean square share of cutting in the tip force of drawn layers (0 to 0.2)."""
-BEND_SHARE = 0.15
+CUTTING_FRACTION = 0.12
+"""Root mean square fraction of cutting in the tip force of drawn layers (0 to 0.2)."""
+BEND_FRACTION = 0.15
 """The same of the bent part of their elastic force (stiffening 0 to 0.3)."""
 VAGUE = 0.8
-"""Prior standard deviation, as a share of the true value, of friction and tip force: both are drawn
+"""Prior standard deviation, relative to the true value, of friction and tip force: both are drawn
 within a factor of 10 or so, equally likely per octave."""
 
 
@@ -112,15 +102,15 @@ def friction_bounds(
     error_N: Array,
     *,
     is_white: bool,
-    cutting_share: float = CUTTING_SHARE,
+    cutting_fraction: float = CUTTING_FRACTION,
 ) -> list[float]:
-    """Relative standard deviation of each layer's friction, by `LOOK_m` after its rupture.
+    """Relative standard deviation of each layer's friction, by `MEASURED_m` after its rupture.
 
     Args:
         truth: Of the run.
-        error_N: Of the reading at the samples of `truth.is_insertion`, see `noise_colour`.
-        is_white: Take the noise of the samples as white, whatever its colour is.
-        cutting_share: Root mean square share of cutting in the tip force; 0 when there is none.
+        error_N: Of the reading at the samples of `truth.is_insertion`, see `reading_error_N`.
+        is_white: Take the noise of the samples as white, whatever its spectrum is.
+        cutting_fraction: Root mean square fraction of cutting in the tip force; 0 for none.
 
     Returns:
         One value for each layer that ruptured, in order.
@@ -131,7 +121,7 @@ def friction_bounds(
     depth = truth.depth_m[inside]
     frictions = truth.layer_friction_N[inside][:, [rupture.layer - 1 for rupture in exits]]
     columns = np.column_stack([depth, frictions, *(_tip_columns(depth, tip) for tip in tips)])
-    size = max(round(BLOCK_s / _tick_s(truth)), -(-len(depth) // MOST_BLOCKS))
+    size = max(round(BLOCK_s / truth.period_s), -(-len(depth) // MOST_BLOCKS))
     blocks = _means(columns, size)
     depth, columns = blocks[:, 0], blocks[:, 1:]
     if is_white:
@@ -141,10 +131,10 @@ def friction_bounds(
     kept = _is_modelled(depth, tips, exits)
     factor = cholesky(covariance[np.ix_(kept, kept)], lower=True)
     white = np.asarray(solve_triangular(factor, columns[kept], lower=True))
-    prior = np.diag(_prior_std(tips, cutting_share) ** -2.0)
+    prior = np.diag(_prior_std(tips, cutting_fraction) ** -2.0)
     found = []
     for number, rupture in enumerate(exits):
-        rows = white[depth[kept] <= rupture.onset_m + LOOK_m]
+        rows = white[depth[kept] <= rupture.onset_m + MEASURED_m]
         variances = np.diag(np.linalg.inv(rows.T @ rows + prior))
         found.append(float(np.sqrt(variances[number])))
     return found
@@ -166,18 +156,18 @@ def _tips(truth: InsertionTruth, exits: list[Rupture]) -> list[_Tip]:
 def _tip_columns(depth_m: Array, tip: _Tip) -> Array:
     """Slope, bend and cutting force, each 1 N at the far end, shape (n, 3)."""
     travel = np.maximum(depth_m - tip.onset_m, 0.0)
-    share = travel / max(tip.to_m - tip.onset_m, 1e-6)
+    way = travel / max(tip.to_m - tip.onset_m, 1e-6)
     onset = np.minimum(travel / ONSET_m, 1.0)
-    columns = np.column_stack([share, share * (1.0 - share), onset * (2.0 - onset)])
+    columns = np.column_stack([way, way * (1.0 - way), onset * (2.0 - onset)])
     columns[(depth_m < tip.from_m) | (depth_m > tip.to_m)] = 0.0
     return columns
 
 
-def _prior_std(tips: list[_Tip], cutting_share: float) -> Array:
+def _prior_std(tips: list[_Tip], cutting_fraction: float) -> Array:
     """Of the scales of friction, then of slope, bend and cutting force of each tip."""
-    shares = np.array([VAGUE, BEND_SHARE, max(cutting_share, 1e-6)])
+    fractions = np.array([VAGUE, BEND_FRACTION, max(cutting_fraction, 1e-6)])
     return np.concatenate(
-        [np.full(len(tips), VAGUE), *(max(tip.exit_N, 1e-3) * shares for tip in tips)]
+        [np.full(len(tips), VAGUE), *(max(tip.exit_N, 1e-3) * fractions for tip in tips)]
     )
 
 
@@ -186,7 +176,7 @@ def _is_modelled(depth_m: Array, tips: list[_Tip], exits: list[Rupture]) -> NDAr
     kept = np.zeros(len(depth_m), dtype=bool)
     for tip in tips:
         kept |= (depth_m >= tip.from_m) & (depth_m <= tip.to_m)
-    return kept | (depth_m >= exits[-1].onset_m + LOOK_m / 6.0)
+    return kept | (depth_m >= exits[-1].onset_m + MEASURED_m / 6.0)
 
 
 def _means(columns: Array, size: int) -> Array:
@@ -195,23 +185,10 @@ def _means(columns: Array, size: int) -> Array:
     return columns[: count * size].reshape(count, size, -1).mean(axis=1)
 
 
-def _tick_s(truth: InsertionTruth) -> float:
-    return float(np.median(np.diff(truth.t_s)))
-
-
-# How soon any detector can know a rupture: Lorden's bound on the mean delay.
-#
-# A detector whose false alarms are a time T apart must not alarm before it has gathered log(T / d)
-# nats of evidence within the delay d (Lorden 1971, with T / d independent trials between two false
-# alarms). Evidence is the Kullback-Leibler divergence between the force with and without the
-# release. The bound is that of a detector which is told size and course of the release, the force
-# there would be without it, and the colour of the noise.
-
-
 INTERVAL_s = MULTILAYER.false_alarm_interval_s
 """Between false alarms."""
 BEFORE_s = 0.3
-"""Past of the noise that is known: what wanders slowly is taken off by it."""
+"""Past of the noise that is known: slow drift is taken off by it."""
 WITHIN_s = 0.5
 """After so long every release is over."""
 LINE_s = 0.1
@@ -226,10 +203,10 @@ def delay_bounds_s(
     Args:
         truth: Of the run, sampled evenly.
         ruptures: Of it.
-        error_N: Of the reading at the samples of `truth.is_insertion`, see `noise_colour`.
+        error_N: Of the reading at the samples of `truth.is_insertion`, see `reading_error_N`.
         lag_s: Time constant of the sensor.
     """
-    tick = float(np.median(np.diff(truth.t_s)))
+    tick = truth.period_s
     before, within = round(BEFORE_s / tick), round(WITHIN_s / tick)
     factor = whitener(autocovariance(error_N, before + within))
     found = []
@@ -275,94 +252,3 @@ def least_delay_s(evidence: Array, delay_s: Array, interval_s: float = INTERVAL_
     needed = np.log(np.maximum(interval_s / delay_s, math.e))
     enough = np.flatnonzero(evidence >= needed)
     return float(delay_s[enough[0]]) if len(enough) else math.inf
-
-
-# Bounds of a stack of two gels, as release, speed, thickness and cutting change.
-
-
-GEL = SCENARIOS["gel-50-constant"].layers[0]
-"""The paper's middle gel: 0.75 N at the tip, 17 N/m of friction at 2.3 mm/s."""
-MIDDLE = {"release_m": 0.3e-3, "speed_m_s": 3e-3, "thickness_m": 25e-3}
-CHANGES = {
-    "release_m": (0.1e-3, 0.3e-3, 0.5e-3, 2e-3),
-    "speed_m_s": (2e-3, 3e-3, 6e-3),
-    "thickness_m": (10e-3, 25e-3, 40e-3),
-}
-"""One at a time; 2 mm is the longest release of real liver."""
-CUTTING = "cutting_share"
-CUTTING_SHARES = (0.0, CUTTING_SHARE, 1.0)
-"""Root mean square share of cutting in the tip force that the estimator is told."""
-BEYOND_m = 11e-3
-STANDOFF_m = 5e-3
-
-
-class ForceNoiseSeries(NamedTuple):
-    """Noise of one source.
-
-    Attributes:
-        name: For people.
-        error_N: A stretch of it, a millisecond per sample, shape (m,).
-        is_white: Whether it is to be taken as white.
-        lag_s: Time constant of the source.
-    """
-
-    name: str
-    error_N: Array
-    is_white: bool
-    lag_s: float
-
-
-class BoundCase(NamedTuple):
-    """Bounds of one stack with one noise.
-
-    Attributes:
-        changed: What is not as in `MIDDLE`, or is looked at.
-        value: Its value.
-        noise: Name of the noise.
-        friction_pct: Least standard deviation of the friction of the second layer.
-        delay_ms: Least mean delay of its rupture.
-    """
-
-    changed: str
-    value: float
-    noise: str
-    friction_pct: float
-    delay_ms: float
-
-
-def bound_cases(noises: list[ForceNoiseSeries]) -> Iterator[BoundCase]:
-    """Every change with every noise, in order."""
-    for changed, values in CHANGES.items():
-        for value in values:
-            truth = _truth(**(MIDDLE | {changed: value}))
-            for noise in noises:
-                yield BoundCase(changed, value, noise.name, *_bounds(truth, noise))
-    truth = _truth(**MIDDLE)
-    for share in CUTTING_SHARES:
-        for noise in noises:
-            yield BoundCase(CUTTING, share, noise.name, *_bounds(truth, noise, share))
-
-
-def _bounds(
-    truth: InsertionTruth, noise: ForceNoiseSeries, cutting_share: float = CUTTING_SHARE
-) -> tuple[float, float]:
-    friction = friction_bounds(
-        truth, noise.error_N, is_white=noise.is_white, cutting_share=cutting_share
-    )
-    error = _whitened(noise.error_N) if noise.is_white else noise.error_N
-    delay = delay_bounds_s(truth, truth.ruptures[-1:], error, noise.lag_s)
-    return 100.0 * friction[-1], 1e3 * delay[0]
-
-
-def _truth(*, release_m: float, speed_m_s: float, thickness_m: float) -> InsertionTruth:
-    layer = replace(GEL, release_m=release_m, thickness_m=thickness_m)
-    depth = 2.0 * thickness_m + BEYOND_m
-    motion = constant_motion(speed_m_s=speed_m_s, depth_m=depth, standoff_m=STANDOFF_m)
-    stack = Scenario(id="bound", title="two equal gels", layers=(layer, layer), motion=motion)
-    return truth_of_needle(insert_needle(stack, noise="clean"))
-
-
-def _whitened(error_N: Array) -> Array:
-    """White noise of the same size."""
-    rng = np.random.default_rng(0)
-    return float(np.std(error_N)) * rng.standard_normal(len(error_N))

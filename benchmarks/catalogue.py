@@ -4,21 +4,20 @@ from collections.abc import Mapping
 from functools import partial
 from types import MappingProxyType
 
+from benchmarks import UnknownIdError
 from benchmarks.benchmark import Benchmark
-from benchmarks.errors import UnknownIdError
-from benchmarks.observers import run_observers
 from benchmarks.recorded import bovine, liver, panda, ur10e
 from benchmarks.recorded.bovine import run_bovine_real
 from benchmarks.recorded.liver import run_liver_real
 from benchmarks.recorded.liver_limit import run_liver_limit
 from benchmarks.recorded.panda import run_panda_liver, run_panda_real
 from benchmarks.recorded.ur10e import run_ur10e_payload
-from benchmarks.simulated import NEEDLE, run_simulated
+from benchmarks.simulated import NEEDLE, run_observers, run_simulated
 from groundtruth import SCENARIOS
 from groundtruth.scenarios import RANDOM_STACK, RANDOM_TISSUE
 
 QUICK = (
-    # The two of the paper's Figure 5, the other speed of each, and the organs: under a minute.
+    # The two of the published Figure 5, the other speed of each, and the organs: under a minute.
     "gel-25-sinusoidal",
     "gel-70-constant",
     "stack-sinusoidal",
@@ -88,7 +87,7 @@ _RECORDED = (
     ),
     _recording(
         id="liver-limit",
-        title="what 19 insertions into real liver tell of the pull-out force at all",
+        title="how well 19 insertions into real liver can predict the pull-out force at all",
         run=run_liver_limit,
         needs=(liver.FOLDER,),
         is_default=False,

@@ -1,4 +1,4 @@
-"""A force reading against the true force: error, bias, lag, and whether its doubts are fair."""
+"""A force reading against the true force: error, bias, lag, and coverage."""
 
 import numpy as np
 from numpy.typing import NDArray
@@ -6,22 +6,19 @@ from scipy.optimize import minimize_scalar
 from scipy.signal import lfilter
 
 from benchmarks.methods import ForceReading, joint_residual
-from benchmarks.metric_catalogue import Measurement
+from benchmarks.metrics import Measurement
 from benchmarks.signals import ForceTruth, JointSignals
 from groundtruth import Run
-
-# How far an estimate runs behind the truth.
-
 
 Array = NDArray[np.float64]
 
 EARLIEST_S, LATEST_S = -0.1, 0.6
-"""Delays that are looked for; the paper's own lag is 0.2 s."""
+"""Delays that are searched; the published sensor lags by 0.2 s."""
 COARSE_S = 0.01
 
 
 def force_lag_s(t_s: Array, estimate: Array, truth: Array) -> float:
-    """Delay of the estimate: the shift of the truth that leaves the least squared difference.
+    """Delay of the estimate: the shift of the truth that leaves the least variance of the error.
 
     A constant difference between the two is not counted.
 
@@ -63,14 +60,13 @@ def wrench_metrics(reading: ForceReading, truth: ForceTruth) -> list[Measurement
     judged = truth.judged
     estimate, true = reading.axial_N[judged], truth.axial_N[judged]
     error = estimate - true
-    inside = np.abs(error) <= 2.0 * reading.std_N[judged]
-    some = error.size > 0
-    values = {
-        "wrench_rmse_N": np.sqrt(np.mean(error**2)) if some else np.nan,
-        "wrench_bias_N": np.mean(error) if some else np.nan,
-        "wrench_coverage_2sigma": np.mean(inside) if some else np.nan,
-    }
-    if some and np.ptp(true) > 0.0:
+    names = ("wrench_rmse_N", "wrench_bias_N", "wrench_coverage_2sigma")
+    values: dict[str, float] = {name: np.nan for name in names}
+    if error.size > 0:
+        inside = np.abs(error) <= 2.0 * reading.std_N[judged]
+        numbers = (np.sqrt(np.mean(error**2)), np.mean(error), np.mean(inside))
+        values = dict(zip(names, map(float, numbers), strict=True))
+    if error.size > 0 and np.ptp(true) > 0.0:
         values["wrench_lag_ms"] = 1e3 * force_lag_s(truth.t_s[judged], estimate, true)
     return [
         Measurement(reading.source, reading.method, name, float(value))
@@ -78,15 +74,12 @@ def wrench_metrics(reading: ForceReading, truth: ForceTruth) -> list[Measurement
     ]
 
 
-# The momentum residual against the filter it ought to be.
-
-
 GAIN_per_s = 50.0
-"""As in the comparison with other people's observers."""
+"""As in comparisons with other momentum observers."""
 
 
 def residual_metrics(run: Run, signals: JointSignals) -> list[Measurement]:
-    """Error of a plain observer on a ideal arm; nothing on any other.
+    """Error of a plain observer on an ideal arm; nothing on any other.
 
     The ideal is r' = K (external torque - r) with the true torque's mean over each tick, solved
     exactly: row k of the truth, the tick from sample k to the next, gives the value at k + 1.

@@ -1,4 +1,4 @@
-"""One signal through one method's online identification."""
+"""Both methods on one signal: the virtual sensor, the F/T sensor, online identification."""
 
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, replace
@@ -8,8 +8,8 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from benchmarks import DataError
 from benchmarks.benchmark import Progress
-from benchmarks.errors import DataError
 from benchmarks.rows import Method, Source
 from benchmarks.signals import InsertionTruth, JointSignals, NeedleSignal
 from groundtruth import Run
@@ -28,25 +28,143 @@ from residual import FrictionModel, MomentumObserver, SensorConfig, VirtualForce
 from residual.momentum_observer import Alignment
 from urdf import LWR_GEAR_RATIO, Robot
 
-# Ruptures as an identifier reported them, on the run's own clock.
+Array = NDArray[np.float64]
+
+METHODS: Mapping[Method, SensorConfig] = MappingProxyType(
+    {"default": DEFAULT_SENSOR, "published": PUBLISHED_SENSOR}
+)
+"""Settings of the virtual sensor, by the name they are reported under."""
+IDENTIFIERS: Mapping[Method, MultilayerConfig | PublishedConfig] = MappingProxyType(
+    {"default": MULTILAYER, "published": PUBLISHED}
+)
+"""Settings of the identification; one configuration each for every run."""
+
+
+def on_lwr(config: SensorConfig) -> SensorConfig:
+    """A setting with what a user knows of the simulated arm, as of the real one.
+
+    Its torque command is held over each period, and its gears are in the data sheet.
+    """
+    prior = replace(config.prior, gear_ratio=LWR_GEAR_RATIO)
+    return replace(config, alignment="hold", prior=prior)
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class ForceReading:
+    """Axial force of one source and method over a whole run, n samples."""
+
+    source: Source  # see `Source`
+    method: Method  # see `Method`
+    axial_N: Array  # force, positive when tissue pushes back, shape (n,), read-only
+    std_N: Array  # standard deviation the source states for it, shape (n,), read-only
+
+    def __post_init__(self) -> None:
+        """Keep read-only copies."""
+        for name in ("axial_N", "std_N"):
+            array = np.array(getattr(self, name), dtype=np.float64)
+            array.setflags(write=False)
+            object.__setattr__(self, name, array)
+
+
+REPORT_EVERY = 1000
+"""Samples between two reports of progress."""
+
+
+def virtual_force(
+    robot: Robot,
+    signals: JointSignals,
+    config: SensorConfig,
+    method: Method,
+    tare_s: float,
+    progress: Progress,
+) -> ForceReading:
+    """Axial force from joint signals, tared once as a user would.
+
+    Args:
+        robot: The arm as the estimator knows it.
+        signals: What the arm sent.
+        config: Settings of the sensor.
+        method: Under which name the reading is reported.
+        tare_s: Time of the tare: nothing has been touched before it.
+        progress: Gets the fraction done.
+
+    Raises:
+        TareError: The sensor sees contact at that time.
+    """
+    sensor = VirtualForceSensor(robot, config)
+    found = np.zeros((2, len(signals.t_s)))
+    tare = int(np.searchsorted(signals.t_s, tare_s))
+    for k, sample in enumerate(signals.samples()):
+        if k % REPORT_EVERY == 0:
+            progress(k / len(signals.t_s))
+        if k == tare:
+            sensor.tare()
+        estimate = sensor.update(*sample)
+        found[:, k] = estimate.axial, estimate.axial_std
+    return ForceReading(source="virtual", method=method, axial_N=found[0], std_N=found[1])
+
+
+TARE_s = 3.0
+"""The last stroke in free air. Over a whole stroke, from rest to rest, the needle's inertia cancels
+from the mean; its weight does not change on a straight line and goes with the bias."""
+
+
+def ft_force(run: Run) -> ForceReading:
+    """Axial force from the F/T reading, zeroed over the last free stroke.
+
+    The standard deviation it states is its noise over that stroke: what a user would write down.
+    """
+    t_s = run.signals.t_s
+    resistance = -run.signals.ft_wrench[:, 2]
+    free = resistance[(t_s > run.tare_end_s - TARE_s) & (t_s <= run.tare_end_s)]
+    return ForceReading(
+        source="ft",
+        method="default",
+        axial_N=resistance - free.mean(),
+        std_N=np.full(len(t_s), free.std()),
+    )
+
+
+def joint_residual(
+    robot: Robot,
+    signals: JointSignals,
+    gain_per_s: float,
+    *,
+    alignment: Alignment = "trapezoid",
+    friction: FrictionModel | None = None,
+) -> Array:
+    """Run a `MomentumObserver` over all samples, without tare or wrench.
+
+    Args:
+        robot: The arm.
+        signals: What it sent, velocities included.
+        gain_per_s: Observer gain K.
+        alignment: How torque fills a period.
+        friction: Joint friction, if any is modelled.
+
+    Returns:
+        Residual after every sample [Nm], shape (n, j).
+
+    Raises:
+        DataError: The arm sent no velocities.
+    """
+    if signals.dq_rad_s is None:
+        raise DataError("a plain observer needs joint velocities, and these signals have none")
+    observer = MomentumObserver(robot, gain_per_s, alignment=alignment, friction=friction)
+    samples = zip(signals.q_rad, signals.dq_rad_s, signals.tau_Nm, signals.dt_s, strict=True)
+    return np.array([observer.update(q, dq, tau, float(dt)) for q, dq, tau, dt in samples])
 
 
 class Alarm(NamedTuple):
-    """One reported rupture.
+    """One rupture as an identifier reported it, on the run's own clock."""
 
-    Attributes:
-        sample: Index of the sample that raised it.
-        alarm_s: Time of that sample.
-        dated_s: When the rupture happened, as estimated at last.
-        layer: The layer it ended, as known at the end; None if it was never identified.
-        online: The same layer as identified in the layer after it, before any later rupture told
-            more: what was taken off the force then.
-    """
-
-    sample: int
-    alarm_s: float
-    dated_s: float
+    sample: int  # index of the sample that raised it
+    alarm_s: float  # time of that sample
+    rupture_s: float  # estimated rupture time, as known at the end
+    # the layer it ended, as known at the end; None if it was never identified
     layer: LayerEstimate | None
+    # the same layer as identified in the layer after it, before any later rupture: what was taken
+    # off the force then
     online: LayerEstimate | None
 
 
@@ -59,9 +177,9 @@ def alarms_of(result: Replay, t_s: NDArray[np.float64]) -> list[Alarm]:
     """
     by_alarm = {layer.rupture.alarm_s: layer for layer in result.layers}
     online = {
-        estimate.compensated.rupture.alarm_s: estimate.compensated
+        estimate.identified_layer.rupture.alarm_s: estimate.identified_layer
         for estimate in result.estimates
-        if estimate.compensated is not None
+        if estimate.identified_layer is not None
     }
     found = []
     for k, estimate in enumerate(result.estimates):
@@ -69,52 +187,35 @@ def alarms_of(result: Replay, t_s: NDArray[np.float64]) -> list[Alarm]:
         if event is None:
             continue
         layer = by_alarm.get(event.alarm_s)
-        # The date may have become better since the alarm.
+        # The estimated time may have become better since the alarm.
         last = event if layer is None else layer.rupture
-        dated_s = float(t_s[k]) - (event.alarm_s - last.time_s)
-        found.append(Alarm(k, float(t_s[k]), dated_s, layer, online.get(event.alarm_s)))
+        rupture_s = float(t_s[k]) - (event.alarm_s - last.time_s)
+        found.append(Alarm(k, float(t_s[k]), rupture_s, layer, online.get(event.alarm_s)))
     return found
 
 
 def first_compensation(result: Replay) -> int | None:
     """Index of the sample at which friction was first identified, if ever."""
-    is_compensated = (estimate.compensated is not None for estimate in result.estimates)
+    is_compensated = (estimate.identified_layer is not None for estimate in result.estimates)
     return next((k for k, found in enumerate(is_compensated) if found), None)
 
 
 def cumulative_friction_Ns_per_m(alarms: Iterable[Alarm]) -> float:
-    """Sum of B d over the layers left, each at the speed of its rupture, as known at the end."""
+    """Sum of B d over the traversed layers, each at the speed of its rupture, as known at last."""
     layers = [alarm.layer for alarm in alarms if alarm.layer is not None]
     return sum(layer.friction_N / max(layer.rupture.speed_m_s, 1e-9) for layer in layers)
 
 
-Array = NDArray[np.float64]
-
-IDENTIFIERS: Mapping[Method, MultilayerConfig | PublishedConfig] = MappingProxyType(
-    {"default": MULTILAYER, "published": PUBLISHED}
-)
-"""By the name they are reported under; one configuration each for every run."""
-
-
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class Identified:
-    """What a method made of a signal; sample k of it is sample ``start + k`` of the run.
+    """What a method made of a signal; sample k of it is sample ``start + k`` of the run."""
 
-    Attributes:
-        source: Of the force.
-        method: Of the identification (and, of a virtual force, of the sensor).
-        start: The first sample it was given: the end of the tare.
-        result: Its estimates.
-        alarms: The ruptures it reported; their samples count from the run's first.
-        force_N: The force it was given, shape (n - start,).
-    """
-
-    source: Source
-    method: Method
-    start: int
-    result: Replay
-    alarms: tuple[Alarm, ...]
-    force_N: Array
+    source: Source  # of the force
+    method: Method  # of the identification (and, of a virtual force, of the sensor)
+    start: int  # the first sample it was given: the end of the tare
+    result: Replay  # its estimates
+    alarms: tuple[Alarm, ...]  # the ruptures it reported; their samples count from the run's first
+    force_N: Array  # the force it was given, shape (n - start,)
 
     @property
     def enhanced_N(self) -> Array:
@@ -133,10 +234,10 @@ def identify(
     method: Method,
     config: MultilayerConfig | PublishedConfig | None = None,
 ) -> Identified:
-    """Feed a method from the end of the tare to the end of the run.
+    """Run a method from the end of the tare to the end of the run.
 
-    `default` finds first contact by itself. `published` assumes it known, and is told: the one
-    thing of the truth that an identifier sees here.
+    `default` finds first contact by itself. `published` assumes it known, and is given it: the one
+    thing of the ground truth that an identifier sees here.
     """
     start = int(np.searchsorted(truth.t_s, truth.tare_end_s))
     config = IDENTIFIERS[method] if config is None else config
@@ -159,150 +260,3 @@ def identify(
         alarms=tuple(alarm._replace(sample=alarm.sample + start) for alarm in alarms),
         force_N=signal.force_N[start:],
     )
-
-
-# An axial force as a sensor tells it, sample by sample.
-
-
-@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
-class ForceReading:
-    """Axial force of one source and method over a whole run, n samples.
-
-    Attributes:
-        source: See `Source`.
-        method: See `Method`.
-        axial_N: Force, positive when tissue pushes back, shape (n,), read-only.
-        std_N: Standard deviation the source states for it, shape (n,), read-only.
-    """
-
-    source: Source
-    method: Method
-    axial_N: Array
-    std_N: Array
-
-    def __post_init__(self) -> None:
-        """Keep read-only copies."""
-        for name in ("axial_N", "std_N"):
-            array = np.array(getattr(self, name), dtype=np.float64)
-            array.setflags(write=False)
-            object.__setattr__(self, name, array)
-
-
-# The virtual sensor on a stream of joint signals.
-
-
-TELL_EVERY = 1000
-"""Samples between two reports of progress."""
-
-
-def virtual_force(
-    robot: Robot,
-    signals: JointSignals,
-    config: SensorConfig,
-    method: Method,
-    tare_s: float,
-    progress: Progress,
-) -> ForceReading:
-    """Axial force from joint signals, tared once as a user would.
-
-    Args:
-        robot: The arm as the estimator knows it.
-        signals: What the arm sent.
-        config: Settings of the sensor.
-        method: Under which name the reading is reported.
-        tare_s: Time of the tare: nothing has been touched before it.
-        progress: Told the share done.
-
-    Raises:
-        TareError: The sensor sees contact at that time.
-    """
-    sensor = VirtualForceSensor(robot, config)
-    axial, std = np.zeros(len(signals.t_s)), np.zeros(len(signals.t_s))
-    dt_s = signals.dt_s
-    waiting = True
-    for k, now in enumerate(signals.t_s):
-        if k % TELL_EVERY == 0:
-            progress(k / len(signals.t_s))
-        if waiting and now >= tare_s:
-            sensor.tare()
-            waiting = False
-        estimate = sensor.update(
-            signals.q_rad[k], signals.velocity(k), signals.tau_Nm[k], float(dt_s[k])
-        )
-        axial[k], std[k] = estimate.axial, estimate.axial_std
-    return ForceReading(source="virtual", method=method, axial_N=axial, std_N=std)
-
-
-# The axial force that the F/T sensor at the needle's base reads.
-
-
-TARE_s = 3.0
-"""The last stroke in free air. Over a whole stroke, from rest to rest, the needle's inertia cancels
-from the mean; its weight does not change on a straight line and goes with the offset."""
-
-
-def ft_force(run: Run) -> ForceReading:
-    """Axial force from the F/T reading, zeroed over the last free stroke.
-
-    The standard deviation it states is its noise over that stroke: what a user would write down.
-    """
-    t_s = run.signals.t_s
-    resistance = -run.signals.ft_wrench[:, 2]
-    free = resistance[(t_s > run.tare_end_s - TARE_s) & (t_s <= run.tare_end_s)]
-    return ForceReading(
-        source="ft",
-        method="default",
-        axial_N=resistance - free.mean(),
-        std_N=np.full(len(t_s), free.std()),
-    )
-
-
-# The plain residual of a stream of joint signals, without tare or wrench.
-
-
-def joint_residual(
-    robot: Robot,
-    signals: JointSignals,
-    gain_per_s: float,
-    *,
-    alignment: Alignment = "trapezoid",
-    friction: FrictionModel | None = None,
-) -> Array:
-    """Run a `MomentumObserver` over all samples.
-
-    Args:
-        robot: The arm.
-        signals: What it sent, velocities included.
-        gain_per_s: Observer gain K.
-        alignment: How torque fills a tick.
-        friction: Joint friction, if any is modelled.
-
-    Returns:
-        Residual after every sample [Nm], shape (n, j).
-
-    Raises:
-        DataError: The arm sent no velocities.
-    """
-    if signals.dq_rad_s is None:
-        raise DataError("a plain observer needs joint velocities, and these signals have none")
-    observer = MomentumObserver(robot, gain_per_s, alignment=alignment, friction=friction)
-    samples = zip(signals.q_rad, signals.dq_rad_s, signals.tau_Nm, signals.dt_s, strict=True)
-    return np.array([observer.update(q, dq, tau, float(dt)) for q, dq, tau, dt in samples])
-
-
-# The two settings of the virtual sensor that are always run side by side.
-
-
-METHODS: Mapping[Method, SensorConfig] = MappingProxyType(
-    {"default": DEFAULT_SENSOR, "published": PUBLISHED_SENSOR}
-)
-"""By the name they are reported under."""
-
-
-def on_lwr(config: SensorConfig) -> SensorConfig:
-    """A setting with what a user knows of the simulated arm, as of the real one.
-
-    Its torque command is held over each tick, and its gears are in the data sheet.
-    """
-    prior = replace(config.prior, gear_ratio=LWR_GEAR_RATIO)
-    return replace(config, alignment="hold", prior=prior)

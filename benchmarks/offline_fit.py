@@ -1,4 +1,4 @@
-"""Offline identification with everything known: the layers and ruptures of the truth."""
+"""Offline identification with layers and ruptures known from the ground truth."""
 
 from typing import Literal
 
@@ -15,7 +15,7 @@ not the noise of an arm's velocity, which B Δz would turn into force."""
 
 
 def offline_metrics(signal: NeedleSignal, truth: InsertionTruth) -> dict[str, float]:
-    """What each model leaves unexplained of the insertion, in N, as in Figures 2 and 3."""
+    """Rms residual of each model over the insertion [N], as in Figures 2 and 3."""
     return {
         "offline_rmse_ml_N": offline_fit(signal, truth, "ml").rmse_N,
         "offline_rmse_kv_N": offline_fit(signal, truth, "kv").rmse_N,
@@ -48,7 +48,7 @@ def layer_spans(truth: InsertionTruth) -> list[LayerSpan]:
     """The spans from first contact to the first rupture, and from each rupture to the next.
 
     A membrane on the surface thus has a span of its own, the fictitious layer of Section III-B. A
-    layer the tip has not left at the deepest point ends there.
+    layer that the tip is still in at the deepest point ends there.
     """
     inside = truth.is_insertion
     last = int(np.flatnonzero(inside)[-1])
@@ -60,10 +60,7 @@ def layer_spans(truth: InsertionTruth) -> list[LayerSpan]:
     starts = [(truth.contact_s, 0.0), *ends[:-1]]
     return [
         LayerSpan(
-            start_s=start_s,
-            start_depth_m=start_m,
-            thickness_m=end_m - start_m,
-            rupture_s=end_s,
+            start_s=start_s, start_depth_m=start_m, thickness_m=end_m - start_m, rupture_s=end_s
         )
         for (start_s, start_m), (end_s, end_m) in zip(starts, ends, strict=True)
     ]

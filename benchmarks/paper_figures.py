@@ -1,4 +1,4 @@
-"""The paper's figures: which run gives the counterpart of each, and what there is to see."""
+"""The paper's figures: which run gives the counterpart of each, and what to compare."""
 
 from dataclasses import dataclass
 
@@ -16,7 +16,7 @@ class PaperFigure:
         title: What it is about.
         scenarios: Runs that give its counterpart.
         shows: What the paper shows.
-        see: Where to look in ours; what is found there, the numbers of the run say.
+        see: What to compare in ours; the results stand in the numbers of the run.
     """
 
     number: str
@@ -30,6 +30,16 @@ class PaperFigure:
         """Above its section."""
         kind = "Table" if self.number == TABLE_ONE else "Figure"
         return f"{kind} {self.number}: {self.title}"
+
+    @property
+    def anchor(self) -> str:
+        """Of its section within the page."""
+        return f"table-{self.number}" if self.number == TABLE_ONE else f"figure-{self.number}"
+
+    @property
+    def command(self) -> str:
+        """Draws all of it."""
+        return f"python -m benchmarks run {' '.join(self.scenarios)} --report DIR"
 
 
 OFFLINE_PANELS = {
@@ -59,13 +69,13 @@ RUPTURES_IN_PAPER = {
     "13": "2, at about 16.5 and 25.5 s",
     "14": "2 of 3, at about 27.5 and 35 s",
 }
-"""As the paper's text tells them, on the clock of its recordings."""
+"""As in the paper's text, on the clock of its recordings."""
 FRICTION_IN_PAPER = {
     "8": "481 online, 534 offline (Table I)",
     "9": "481 online, 534 offline (Table I)",
     "11": "481 online, 534 offline (Table I)",
 }
-RESIDUE_IN_PAPER = {
+REMAINING_IN_PAPER = {
     "8": "almost zero (ML)",
     "9": "a rising curve is left",
     "11": "almost zero",
@@ -75,75 +85,75 @@ RESIDUE_IN_PAPER = {
 }
 
 _ENHANCED = (
-    "Up to the first rupture nothing is known and nothing is taken off. Continuous upright lines: "
-    "a rupture is detected; dashed ones: friction is identified and taken off from there on, by "
-    "ours at a first look and then for good; grey: the layer really gives way. From then on the "
-    "enhanced force should follow the dotted truth: what the tip feels in the layer it is in."
+    "Nothing is subtracted before the first rupture. Ticks on the lower edge mark detected "
+    "ruptures, dots where friction was identified and from where on it is subtracted (ours "
+    "gives a provisional, then a final estimate); grey bands are the true ruptures. After a "
+    "rupture the enhanced force should follow the dotted true one: the force without the friction "
+    "of the layers already traversed."
 )
 PAPER_FIGURES = (
     PaperFigure(
         number="2",
         title="the two models, fitted offline",
         scenarios=("gel-70-constant", "stack-constant", "gel-70-sinusoidal", "stack-sinusoidal"),
-        shows="Force measured, and reconstructed offline by the Kelvin-Voigt (KV) and the "
+        shows="measured force, and its reconstruction offline by the Kelvin-Voigt (KV) and the "
         "multi-layer (ML) model: one 70 % gel and a stack of three, at constant and sinusoidal "
-        "speed. The paper's RMSE stand in its legends only; its text says that ML is better.",
-        see="Look at how near either model stays to the reading as the needle goes deeper: KV "
-        "has no friction that grows with depth. In the shaded part, which was not fitted, look at "
-        "what each foretells of the withdrawal; neither knows friction at rest. The RMSE below "
-        "are of these runs.",
+        "speed. The RMSE stand in the legends only; the text says that ML is better.",
+        see="the distance of either model from the measured force as the needle goes deeper: KV "
+        "has no friction that grows with depth. The shaded withdrawal was not fitted but predicted "
+        "with the parameters of the insertion; neither model has static friction.",
     ),
     PaperFigure(
         number="3",
         title="the two models on the stack with the latex glove, fitted offline",
         scenarios=("stack-glove-constant",),
-        shows="The same with a latex glove around the middle gel; ML again closer than KV.",
-        see="The glove is stretched, a steep rise, and bursts: look at these corners, for which "
-        "either model has straight lines only, and at the stretches between them.",
+        shows="the same with a latex glove around the middle gel; ML again closer than KV.",
+        see="the stretched glove gives a steep rise and a sudden drop, which neither model can "
+        "follow: both are linear in depth within a layer.",
     ),
     PaperFigure(
         number="5",
         title="axial force from joint torques alone",
         scenarios=("gel-70-constant", "stack-glove-constant"),
-        shows="Force of the F/T sensor, force estimated from the residual, and their difference, "
+        shows="force of the F/T sensor, force estimated from the residual, and their difference, "
         "over time and over depth: RMSE 0.2444 N (one layer) and 0.285 N (stack with glove).",
-        see="Look at how late each sensor follows where the force falls, and at whether the error "
-        "of ours stays within the band that it states: the table has both as numbers. The paper's "
-        "are of a real arm and real gels: to be laid beside ours, not to be equalled.",
+        see="the delay of each sensor where the force drops, and whether the error of ours stays "
+        "within its stated band; the table gives both. The paper's numbers come from a real arm "
+        "and real gels, ours from a simulation, so they cannot be compared directly.",
     ),
     PaperFigure(
         number="8",
         title="friction compensated online, 70 % gel, constant speed, F/T sensor",
         scenarios=("gel-70-constant",),
-        shows="Measured, predicted and compensated force with KV and ML; stiffness K, friction B "
-        "and cumulative friction as they are identified. ML leaves almost nothing after the exit.",
-        see=_ENHANCED,
+        shows="measured, predicted and compensated force with KV and ML; stiffness K, friction B "
+        "and cumulative friction as identified. With ML almost no force remains after the exit.",
+        see="the enhanced force after each rupture. " + _ENHANCED,
     ),
     PaperFigure(
         number="9",
         title="friction compensated online, 70 % gel, sinusoidal speed, F/T sensor",
         scenarios=("gel-70-sinusoidal",),
-        shows="The same with a sinusoidal speed (A = 7 cm, 0.016 Hz). After the exit a rising "
-        "curve is left: friction is not proportional to speed.",
-        see="Look at what is left after the exit: the published method takes friction as "
-        "proportional to speed, ours also knows friction that does not depend on it. " + _ENHANCED,
+        shows="the same with a sinusoidal speed (A = 7 cm, 0.016 Hz). After the exit a rising "
+        "force remains: friction is not proportional to speed.",
+        see="the force that remains after the exit: the published method takes friction as "
+        "proportional to speed, ours adds friction that does not depend on it. " + _ENHANCED,
     ),
     PaperFigure(
         number=FRICTION_FIGURE,
         title="friction of the three gels, offline and online",
         scenarios=GELS,
-        shows="Friction of the 25, 50 and 70 % gel at constant and sinusoidal speed, identified "
+        shows="friction of the 25, 50 and 70 % gel at constant and sinusoidal speed, identified "
         "offline (triangles) and online (stars). Online is below offline throughout.",
-        see="Stars on the triangles of the same colour, and both on the short black lines of "
-        "truth, are what is wanted.",
+        see="stars should lie on the triangles of the same colour, and both on the short black "
+        "lines of the ground truth.",
     ),
     PaperFigure(
         number=TABLE_ONE,
         title="cumulative friction of single gels",
         scenarios=GELS,
-        shows="Mean and spread over the two speeds, offline and online.",
-        see="The simulated gels were made so that their true friction at 2.3 mm/s is the paper's "
-        "offline figure.",
+        shows="mean and spread over the two speeds, offline and online.",
+        see="the simulated gels are set so that their true friction at 2.3 mm/s is the paper's "
+        "offline value.",
     ),
     PaperFigure(
         number="11",
@@ -151,33 +161,32 @@ PAPER_FIGURES = (
         scenarios=("gel-70-constant",),
         shows="Figure 8 again with the force estimated from joint torques in place of the F/T "
         "sensor's; the coefficients of Figure 8 in grey.",
-        see=_ENHANCED,
+        see="the enhanced force after each rupture. " + _ENHANCED,
     ),
     PaperFigure(
         number="12",
         title="friction compensated online, stack with glove, constant speed, virtual sensor",
         scenarios=("stack-glove-constant",),
-        shows="Three layers, the middle one in a latex glove, 3 mm/s: three ruptures found.",
-        see=_ENHANCED,
+        shows="three layers, the middle one in a latex glove, 3 mm/s: three ruptures detected.",
+        see="the enhanced force after each rupture. " + _ENHANCED,
     ),
     PaperFigure(
         number="13",
         title="friction compensated online, bovine liver, constant speed, virtual sensor",
         scenarios=("liver-constant",),
-        shows="Liver with its capsule, 2.3 mm/s: two ruptures found; the way to the first, on "
-        "which the capsule is stretched, counts as a layer of its own.",
-        see="Look at the stretch between the two ruptures: with the fictitious layer, what holds "
-        "the needle before the capsule gives way may count as friction and be taken off there. "
-        + _ENHANCED,
+        shows="liver with its capsule, 2.3 mm/s: two ruptures detected; the travel up to the "
+        "first, on which the capsule is stretched, counts as a layer of its own.",
+        see="the force between the two ruptures: the fictitious layer may take the resistance of "
+        "the stretched capsule for friction, which is then subtracted there. " + _ENHANCED,
     ),
     PaperFigure(
         number="14",
         title="friction compensated online, abdominal phantom, virtual sensor",
         scenarios=("abdomen-sinusoidal",),
-        shows="Fat, muscle and liver of a phantom, sinusoidal speed (A = 11.5 cm, 0.02 Hz; the "
+        shows="fat, muscle and liver of a phantom, sinusoidal speed (A = 11.5 cm, 0.02 Hz; the "
         "caption says constant, the text and the curve say sinusoidal). The first transition is "
         "not detected.",
-        see="The step from fat to muscle frees no force: the table counts how many of the true "
+        see="the step from fat to muscle releases no force: the table counts how many of the true "
         "ruptures were detected. " + _ENHANCED,
     ),
 )

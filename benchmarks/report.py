@@ -2,18 +2,20 @@
 
 import math
 import statistics
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
+from typing import NamedTuple
 
 import numpy as np
+from numpy.typing import NDArray
 from rich.console import RenderableType
 from rich.table import Table
 from rich.text import Text
 
 from benchmarks.benchmark import Drawing
 from benchmarks.paper_figures import FRICTION_FIGURE, PAPER_FIGURES, TABLE_ONE, PaperFigure
-from benchmarks.rows import Row, to_json, write_results
+from benchmarks.rows import Row, to_json
 from benchmarks.tables import NOTHING, run_tables
 from benchmarks.targets import GELS, TABLE_ONE_Ns_per_m
 from needleforce.plots import (
@@ -27,114 +29,107 @@ from needleforce.plots import (
     Panel,
     Section,
     palette,
-    save_svg,
+    save_page_figure,
     write_page,
 )
+from needleforce.plots.chart import write_file
 from needleforce.plots.page import PAGE
 
-# Cumulative friction of the single gels, gathered from the rows of a run.
-
-
 PLANTS = ("clean", "fri", "degraded", "ideal", "needle")
-"""The first of these on which gels were run is shown."""
-SPEEDS = ("constant", "sinusoidal")
+"""The first of these on which a figure was run is shown."""
+SPEEDS = {"constant": palette.BLUE, "sinusoidal": palette.VERMILION}
+"""With their colours in the paper."""
 PERCENTS = (25, 50, 70)
-METRIC = "cumulative_friction_{kind}_Ns_per_m"
+Array = NDArray[np.float64]
+
+
+class Estimate(NamedTuple):
+    """Which friction of a gel; ``tuned``: published, online, with the settings of its authors."""
+
+    kind: str
+    source: str = "ft"
+    method: str = "default"
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class GelFriction:
-    """What the rows of one plant say of the gels.
+    """Cumulative friction of the single gels on one plant, Ns/m.
 
     Attributes:
         plant: Which.
-        rows: Of that plant and these gels.
-        tuned: By the published method as its authors ran it, by scenario, seed 0.
+        seeds: How many.
+        scenarios: Gels there are numbers of.
+        by_gel: Values, one per seed, by scenario and estimate.
     """
 
     plant: str
-    rows: tuple[Row, ...]
-    tuned: Mapping[str, float]
+    seeds: int
+    scenarios: set[str]
+    by_gel: dict[tuple[str, Estimate], list[float]]
 
-    def values(
-        self, percent: int, speed: str, kind: str, source: str = "ft", method: str = "default"
-    ) -> Sequence[float]:
-        """Friction of a gel at a speed in Ns/m, one per seed.
-
-        Args:
-            percent: Of isinglass.
-            speed: One of `SPEEDS`.
-            kind: ``true``, ``offline``, ``online``, or ``tuned``: see `tuned`.
-            source: Of the force.
-            method: Of the identification.
-        """
-        if kind == "tuned":
-            told = self.tuned.get(f"gel-{percent}-{speed}")
-            return [] if told is None else [told]
-        wanted = (f"gel-{percent}-{speed}", source, method, METRIC.format(kind=kind))
+    def values(self, percent: int, estimate: Estimate, *speeds: str) -> list[float]:
+        """Of all seeds at the speeds, by default at both."""
         return [
-            row.value
-            for row in self.rows
-            if (row.scenario, row.source, row.method, row.metric) == wanted
+            value
+            for speed in speeds or SPEEDS
+            for value in self.by_gel.get((f"gel-{percent}-{speed}", estimate), [])
         ]
 
-    def middle(
-        self, percent: int, speed: str, kind: str, source: str = "ft", method: str = "default"
-    ) -> float:
-        """Median over the seeds of what `values` gives; nan where there is none."""
-        found = self.values(percent, speed, kind, source, method)
-        return statistics.median(found) if found else float("nan")
-
-    @property
-    def scenarios(self) -> set[str]:
-        """Gels there are rows for."""
-        return {row.scenario for row in self.rows}
+    def medians(self, estimate: Estimate, speed: str) -> list[float]:
+        """One per gel; nan where there is none."""
+        found = [self.values(percent, estimate, speed) for percent in PERCENTS]
+        return [statistics.median(values) if values else math.nan for values in found]
 
 
 def gel_friction(rows: Iterable[Row], drawings: Iterable[Drawing]) -> GelFriction | None:
     """The gels of the best plant they were run on; None without any."""
     found = [row for row in rows if row.scenario in GELS and row.metric.startswith("cumulative_")]
-    for plant in PLANTS:
-        mine = tuple(row for row in found if row.plant == plant)
-        if mine:
-            tuned = {
-                item.scenario: item.tuned_friction_Ns_per_m
-                for item in drawings
-                if item.plant == plant and not math.isnan(item.tuned_friction_Ns_per_m)
-            }
-            return GelFriction(plant=plant, rows=mine, tuned=tuned)
-    return None
+    plant = next((name for name in PLANTS if any(row.plant == name for row in found)), None)
+    if plant is None:
+        return None
+    mine = [row for row in found if row.plant == plant]
+    by_gel: dict[tuple[str, Estimate], list[float]] = {}
+    for row in mine:
+        kind = row.metric.removeprefix("cumulative_friction_").removesuffix("_Ns_per_m")
+        key = row.scenario, Estimate(kind, row.source, row.method)
+        by_gel.setdefault(key, []).append(row.value)
+    for item in drawings:
+        if item.plant == plant and not math.isnan(item.tuned_friction_Ns_per_m):
+            key = item.scenario, Estimate("tuned", "ft", "published")
+            by_gel[key] = [item.tuned_friction_Ns_per_m]
+    return GelFriction(
+        plant=plant,
+        seeds=len({row.seed for row in mine}),
+        scenarios={row.scenario for row in mine},
+        by_gel=by_gel,
+    )
 
 
-# The paper's Table I beside ours.
-
-
-ONLINE = (
-    ("published, tuned, F/T", "tuned", "ft", "published"),
-    ("published, F/T", "online", "ft", "published"),
-    ("ours, F/T", "online", "ft", "default"),
-    ("ours, virtual", "online", "virtual", "default"),
-)
-"""Words, kind, source, method."""
+ONLINE = {
+    "published, tuned, F/T": Estimate("tuned", "ft", "published"),
+    "published, F/T": Estimate("online", "ft", "published"),
+    "ours, F/T": Estimate("online"),
+    "ours, virtual": Estimate("online", "virtual"),
+}
 
 
 def gel_table(gels: GelFriction) -> PageTable:
-    """Mean ± spread over the two speeds (and seeds), and the way from offline in per cent."""
+    """The paper's Table I beside ours: mean ± spread over both speeds (and seeds)."""
     head = ["gel", "paper\noffline", "paper\nonline", "here\ntrue", "here\noffline"]
-    head += [f"here online\n{words}" for words, *_ in ONLINE]
+    head += [f"here online\n{words}" for words in ONLINE]
     rows = []
-    for percent in PERCENTS:
-        published = TABLE_ONE_Ns_per_m[percent]
-        offline = _both(gels, percent, "offline")
+    for percent, paper in TABLE_ONE_Ns_per_m.items():
+        offline = gels.values(percent, Estimate("offline"))
+        online = [gels.values(percent, estimate) for estimate in ONLINE.values()]
+        change_pct = 100.0 * (paper.online / paper.offline - 1.0)
         rows.append(
             (
                 f"{percent} %",
-                f"{published.offline} ± {published.offline_spread}",
-                f"{published.online} ± {published.online_spread}"
-                f" ({100.0 * (published.online / published.offline - 1.0):+.0f} %)",
-                _cell(_both(gels, percent, "true")),
+                f"{paper.offline} ± {paper.offline_spread}",
+                f"{paper.online} ± {paper.online_spread} ({change_pct:+.0f} %)",
+                _cell(gels.values(percent, Estimate("true"))),
                 _cell(offline),
-                *(_cell(_both(gels, percent, *key), offline) for _, *key in ONLINE),
+                *(_cell(values, offline) for values in online),
             )
         )
     return PageTable(
@@ -144,19 +139,9 @@ def gel_table(gels: GelFriction) -> PageTable:
         rows=tuple(rows),
         numeric=frozenset(range(1, len(head))),
         note="The paper calls its spread a variance; its size and unit are those of a standard "
-        "deviation. Tuned: with the commanded speed, as its authors ran it; else with the speed "
-        "that the arm measures, whose noise the published method takes for excitation.",
+        "deviation. Tuned: with the commanded speed and its authors' settings; else with the "
+        "measured speed, whose noise the published method takes for excitation.",
     )
-
-
-def _both(
-    gels: GelFriction, percent: int, kind: str, source: str = "ft", method: str = "default"
-) -> list[float]:
-    return [
-        value
-        for speed in SPEEDS
-        for value in gels.values(percent, speed, kind, source=source, method=method)
-    ]
 
 
 def _cell(values: Sequence[float], offline: Sequence[float] = ()) -> str:
@@ -164,40 +149,83 @@ def _cell(values: Sequence[float], offline: Sequence[float] = ()) -> str:
         return NOTHING
     mean = statistics.fmean(values)
     spread = f" ± {statistics.pstdev(values):.0f}" if len(values) > 1 else ""
-    more = ""
-    if offline:
-        more = f" ({100.0 * (mean / statistics.fmean(offline) - 1.0):+.0f} %)"
+    more = f" ({100.0 * (mean / statistics.fmean(offline) - 1.0):+.0f} %)" if offline else ""
     return f"{mean:.0f}{spread}{more}"
 
 
-# The parts of the page: one per figure of the paper, one per further run.
+SERIES = {
+    "offline": (Estimate("offline"), "^"),
+    "ours, F/T": (Estimate("online"), "*"),
+    "ours, virtual": (Estimate("online", "virtual"), "D"),
+    "published": (Estimate("tuned", "ft", "published"), "x"),
+}
+"""With their markers."""
+PAPER_PLACE, FIRST_PLACE, STEP = -0.36, -0.2, 0.14
+
+
+def friction_chart(title: str, gels: GelFriction) -> Chart:
+    """After the paper's Figure 10: from the left the paper's means of a gel, then ours."""
+    places, paper = np.arange(3.0), TABLE_ONE_Ns_per_m.values()
+    grey = LineStyle(color=palette.GREY, marker="^", size_pt=6.0)
+    star = replace(grey, marker="*", size_pt=8.0)
+    points: list[tuple[LineStyle, Array, Sequence[float] | Array, str]] = [
+        (grey, places + PAPER_PLACE, [gel.offline for gel in paper], "paper, offline"),
+        (star, places + PAPER_PLACE, [gel.online for gel in paper], "paper, online"),
+    ]
+    for k, (words, (estimate, marker)) in enumerate(SERIES.items()):
+        for speed, color in SPEEDS.items():
+            style = LineStyle(color=color, marker=marker, size_pt=7.0 if marker == "*" else 5.5)
+            values = gels.medians(estimate, speed)
+            if np.isfinite(values).any():
+                x = places + FIRST_PLACE + k * STEP
+                points.append((style, x, values, f"{words}, {speed}"))
+    # The truth: short lines across each group.
+    ends = np.array([FIRST_PLACE - 0.06, FIRST_PLACE + 3 * STEP + 0.06, math.nan])
+    for speed, style in zip(SPEEDS, (palette.TRUE, palette.TRUE_PART), strict=True):
+        x = np.add.outer(places, ends).ravel()
+        values = np.repeat(gels.medians(Estimate("true"), speed), 3)
+        points.append((style, x, values, f"ground truth, {speed}"))
+    curves = [Curve(style=style, x=x, y=np.array(y), label=label) for style, x, y, label in points]
+    return Chart(
+        title=title,
+        x_label="isinglass in the gel",
+        panels=(Panel(y_label="cumulative friction [Ns/m]", curves=tuple(curves)),),
+        x_limits=(-0.6, 2.6),
+        x_ticks=tuple((float(k), f"{percent} %") for k, percent in enumerate(PERCENTS)),
+    )
 
 
 def paper_sections(drawings: Sequence[Drawing], rows: Sequence[Row]) -> list[Section]:
     """One section per figure that these runs give, at least in part."""
-    sections = []
+    sections, gels = [], gel_friction(rows, drawings)
+    of_gels = gels.scenarios if gels is not None else set()
     for item in PAPER_FIGURES:
         mine = chosen(drawings, item.number)
-        if item.number == TABLE_ONE:
-            gels = gel_friction(rows, drawings)
-            if gels is not None:
-                sections.append(_section(item, (), (gel_table(gels),), gels.scenarios))
+        if item.number == TABLE_ONE and gels is not None:
+            sections.append(_section(item, (), (gel_table(gels),), of_gels))
         elif mine:
             here = {drawing.scenario for drawing in mine}
-            if item.number == FRICTION_FIGURE:
-                gels = gel_friction(rows, drawings)
-                here = gels.scenarios if gels is not None else set()
+            here = of_gels if item.number == FRICTION_FIGURE else here
             sections.append(_section(item, mine, _facts(item, mine), here))
     return sections
 
 
+def chosen(drawings: Iterable[Drawing], figure: str) -> list[Drawing]:
+    """The panels of a figure, on the one plant that is shown."""
+    found = [drawing for drawing in drawings if drawing.figure == figure]
+    plants = {drawing.plant for drawing in found}
+    best = next((plant for plant in PLANTS if plant in plants), "")
+    mine = [drawing for drawing in found if drawing.plant == best]
+    return sorted(mine, key=lambda drawing: drawing.panel)
+
+
 def further_sections(drawings: Sequence[Drawing]) -> list[Section]:
-    """Runs that are the counterpart of no figure, or were made on another arm as well."""
+    """Runs that are the counterpart of no figure, or were made with another plant model as well."""
     used = {drawing.path for item in PAPER_FIGURES for drawing in chosen(drawings, item.number)}
-    rest = [drawing for drawing in drawings if drawing.path not in used]
     groups: dict[tuple[str, str], list[Drawing]] = {}
-    for drawing in rest:
-        groups.setdefault((drawing.scenario, drawing.plant), []).append(drawing)
+    for drawing in drawings:
+        if drawing.path not in used:
+            groups.setdefault((drawing.scenario, drawing.plant), []).append(drawing)
     return [
         Section(
             heading=f"Further run: {mine[0].provenance}",
@@ -209,12 +237,10 @@ def further_sections(drawings: Sequence[Drawing]) -> list[Section]:
 
 
 def missing_section(sections: Sequence[Section]) -> Section | None:
-    """Which command draws the figures that these runs do not give; None if none is missing."""
+    """Which command draws the figures that these runs do not include; None if none is missing."""
     here = {section.anchor for section in sections}
     rows = [
-        (item.heading, f"`python -m benchmarks run {' '.join(item.scenarios)} --report DIR`")
-        for item in PAPER_FIGURES
-        if _anchor(item) not in here
+        (item.heading, f"`{item.command}`") for item in PAPER_FIGURES if item.anchor not in here
     ]
     if not rows:
         return None
@@ -226,142 +252,45 @@ def missing_section(sections: Sequence[Section]) -> Section | None:
     )
 
 
-def chosen(drawings: Iterable[Drawing], figure: str) -> list[Drawing]:
-    """The drawings of a figure, on the one plant that is shown."""
-    found = [drawing for drawing in drawings if drawing.figure == figure]
-    mine = sorted(found, key=lambda drawing: drawing.panel)
-    plants = {drawing.plant for drawing in mine}
-    best = next((plant for plant in PLANTS if plant in plants), "")
-    return [drawing for drawing in mine if drawing.plant == best]
-
-
-def _anchor(item: PaperFigure) -> str:
-    return f"table-{item.number}" if item.number == TABLE_ONE else f"figure-{item.number}"
-
-
 def _section(
-    item: PaperFigure,
-    mine: Sequence[Drawing],
-    tables: tuple[PageTable, ...],
-    here: set[str],
+    item: PaperFigure, mine: Sequence[Drawing], tables: tuple[PageTable, ...], here: set[str]
 ) -> Section:
-    absent = [name for name in item.scenarios if name not in here]
-    notice = f"Not among these runs, so not here: {', '.join(absent)}. All of it is drawn by:"
-    command = f"python -m benchmarks run {' '.join(item.scenarios)} --report DIR"
+    absent = ", ".join(name for name in item.scenarios if name not in here)
+    notice = f"Not among these runs, so missing here: {absent}. For all panels run:"
     return Section(
         heading=item.heading,
-        anchor=_anchor(item),
-        paragraphs=(f"In the paper: {item.shows}", f"Here: {item.see}"),
+        anchor=item.anchor,
+        paragraphs=(f"In the paper: {item.shows}", f"To compare: {item.see}"),
         notices=(notice,) if absent else (),
         figures=tuple(map(_figure, mine)),
         tables=tables,
-        command=command if absent else "",
+        command=item.command if absent else "",
     )
 
 
 def _figure(drawing: Drawing) -> PageFigure:
     caption = f"{drawing.caption} From {drawing.provenance}."
-    return PageFigure(path=drawing.path, alt=drawing.alt, caption=caption)
+    return PageFigure(path=drawing.path, alt=drawing.alt, caption=caption, wide=drawing.wide)
 
 
 def _facts(item: PaperFigure, mine: Sequence[Drawing]) -> tuple[PageTable, ...]:
     facts = [fact for drawing in mine for fact in drawing.facts]
     if not facts:
         return ()
-    return (
-        PageTable(
-            caption=f"Figure {item.number}, in numbers",
-            head=("", "published", *(head for head, _ in facts[0].here)),
-            rows=tuple(
-                (fact.what, fact.paper, *(value for _, value in fact.here)) for fact in facts
-            ),
-        ),
-    )
+    head = ("", "published", *(head for head, _ in facts[0].here))
+    rows = tuple((fact.what, fact.paper, *(value for _, value in fact.here)) for fact in facts)
+    return (PageTable(caption=f"Figure {item.number}, in numbers", head=head, rows=rows),)
 
 
-# After the paper's Figure 10: friction of the gels, offline and online.
-
-
-COLORS = {"constant": palette.BLUE, "sinusoidal": palette.VERMILION}
-"""As in the paper."""
-SERIES = (
-    ("offline", "default", "ft", "^", "offline"),
-    ("online", "default", "ft", "*", "ours, F/T"),
-    ("online", "default", "virtual", "D", "ours, virtual"),
-    ("tuned", "published", "ft", "x", "published"),
-)
-"""Kind, method, source, marker, words."""
-PAPER_PLACE, FIRST_PLACE, STEP = -0.36, -0.2, 0.14
-
-
-def friction_chart(title: str, gels: GelFriction) -> Chart:
-    """One group of points per gel: from the left the paper's means, then ours."""
-    curves = [*_paper_points()]
-    for k, (kind, method, source, marker, words) in enumerate(SERIES):
-        for speed, color in COLORS.items():
-            style = LineStyle(color=color, marker=marker, size_pt=7.0 if marker == "*" else 5.5)
-            values = [gels.middle(p, speed, kind, source=source, method=method) for p in PERCENTS]
-            if np.isfinite(values).any():
-                x = np.arange(3.0) + FIRST_PLACE + k * STEP
-                label = f"{words}, {speed}"
-                curves.append(Curve(style=style, x=x, y=np.array(values), label=label))
-    curves += [_truth(gels, speed) for speed in COLORS]
-    return Chart(
-        title=title,
-        x_label="isinglass in the gel",
-        panels=(Panel(y_label="cumulative friction [Ns/m]", curves=tuple(curves)),),
-        x_limits=(-0.6, 2.6),
-        x_ticks=tuple((float(k), f"{percent} %") for k, percent in enumerate(PERCENTS)),
-    )
-
-
-def _paper_points() -> list[Curve]:
-    x = np.arange(3.0) + PAPER_PLACE
-    published = [TABLE_ONE_Ns_per_m[percent] for percent in PERCENTS]
-    style = LineStyle(color=palette.GREY, marker="^", size_pt=6.0)
-    return [
-        Curve(
-            style=style,
-            x=x,
-            y=np.array([item.offline for item in published]),
-            label="paper, offline",
-        ),
-        Curve(
-            style=replace(style, marker="*", size_pt=8.0),
-            x=x,
-            y=np.array([item.online for item in published]),
-            label="paper, online",
-        ),
-    ]
-
-
-def _truth(gels: GelFriction, speed: str) -> Curve:
-    """Short lines across each group; dotted for the sinusoidal speed."""
-    x, y = [], []
-    for k, percent in enumerate(PERCENTS):
-        value = gels.middle(percent, speed, "true")
-        x += [k + FIRST_PLACE - 0.06, k + FIRST_PLACE + 3 * STEP + 0.06, np.nan]
-        y += [value, value, np.nan]
-    style = palette.TRUE if speed == "constant" else palette.TRUE_PART
-    return Curve(style=style, x=np.array(x), y=np.array(y), label=f"truth, {speed}")
-
-
-# The tables of the terminal as tables of the page.
-
-
-def page_tables(tables: Sequence[Table]) -> tuple[PageTable, ...]:
-    """The same heads and cells, without colours."""
-    return tuple(_converted(table) for table in tables)
-
-
-def _converted(table: Table) -> PageTable:
-    columns = table.columns
-    cells = [[_plain(cell) for cell in column.cells] for column in columns]
+def page_table(table: Table) -> PageTable:
+    """A table of the terminal: the same heads and cells, without colours."""
+    cells = [[_plain(cell) for cell in column.cells] for column in table.columns]
+    right = [k for k, column in enumerate(table.columns) if column.justify == "right"]
     return PageTable(
         caption=_plain(table.title),
-        head=tuple(_plain(column.header) for column in columns),
+        head=tuple(_plain(column.header) for column in table.columns),
         rows=tuple(zip(*cells, strict=True)),
-        numeric=frozenset(k for k, column in enumerate(columns) if column.justify == "right"),
+        numeric=frozenset(right),
         note=_plain(table.caption),
     )
 
@@ -377,12 +306,12 @@ LEAD = (
     "Counterparts of the figures of “Online needle-tissue interaction model identification for "
     "force feedback enhancement in robot-assisted interventional procedures” (Ferro, Gaz, "
     "Anzidei, Vendittelli). The insertions are simulated, so the true force is known; the "
-    "estimators see only what a robot would give them.",
-    "Blue and continuous: our method, one setting for everything. Orange and dashed: the published "
-    "method; in Figures 8 to 14 as its authors ran it, with the commanded speed and σ₁ set for "
-    "each recording, in the tables of all numbers with one setting and the measured speed, as "
-    "ours. Black: the truth; dotted where it is a part of the force. Times count from the "
-    "moment the needle sets out. Forces are positive when tissue pushes back.",
+    "estimators get only the signals that a robot would give them.",
+    "Blue, continuous: our method, one setting for everything. Orange, dashed: the published "
+    "method; in Figures 8 to 14 with its authors' settings (commanded speed, σ₁ set for each "
+    "recording), in the tables of all numbers with one setting and the measured speed, as ours. "
+    "Black, dotted: the ground truth. Times count from the start of the needle's motion. Forces "
+    "are positive when tissue pushes back.",
 )
 
 
@@ -390,7 +319,7 @@ def write_report(folder: Path, rows: Sequence[Row], drawings: Sequence[Drawing])
     """Write ``index.html`` with everything inside, and ``results.json`` beside it.
 
     Args:
-        folder: Exists, and holds the drawings.
+        folder: Exists, and holds the figures of the runs.
         rows: The numbers.
         drawings: Of all runs.
 
@@ -398,54 +327,48 @@ def write_report(folder: Path, rows: Sequence[Row], drawings: Sequence[Drawing])
         The page.
 
     Raises:
-        ResultsError: The numbers cannot be written.
-        figures.FiguresError: The page cannot be written.
+        FiguresError: A file cannot be written.
     """
-    write_results(folder / "results.json", rows)
-    everything = [*drawings, *_friction_drawing(folder, rows, drawings)]
-    figures = paper_sections(everything, rows)
-    missing = missing_section(figures)
-    sections = [*figures, *further_sections(everything), _numbers(rows)]
-    if missing is not None:
-        sections.append(missing)
-    return write_page(folder / PAGE, Page(title=TITLE, lead=LEAD, sections=tuple(sections)))
-
-
-def _numbers(rows: Sequence[Row]) -> Section:
     content = to_json(rows).encode()
-    return Section(
+    write_file(folder / "results.json", content)
+    gels = gel_friction(rows, drawings)
+    everything = [*drawings, *([] if gels is None else [_friction_drawing(folder, gels)])]
+    figures = paper_sections(everything, rows)
+    numbers = Section(
         heading="All numbers of these runs",
         anchor="numbers",
         paragraphs=("As printed by the command; targets last.",),
-        tables=page_tables(run_tables(rows)),
-        attachments=(
-            Attachment(name="results.json", media_type="application/json", content=content),
-        ),
+        tables=tuple(map(page_table, run_tables(rows))),
+        attachments=(Attachment("results.json", "application/json", content),),
     )
+    missing = missing_section(figures)
+    sections = [*figures, *further_sections(everything), numbers, *([missing] if missing else [])]
+    return write_page(folder / PAGE, Page(title=TITLE, lead=LEAD, sections=tuple(sections)))
 
 
-def _friction_drawing(
-    folder: Path, rows: Sequence[Row], drawings: Sequence[Drawing]
-) -> list[Drawing]:
-    gels = gel_friction(rows, drawings)
-    if gels is None:
-        return []
-    title = f"{FRICTION_FIGURE}  friction of the gels\n{gels.plant}"
-    seeds = len({row.seed for row in gels.rows})
-    path = save_svg(friction_chart(title, gels), folder / f"figure-{FRICTION_FIGURE}-{gels.plant}")
-    return [
-        Drawing(
-            figure=FRICTION_FIGURE,
-            scenario="gel-*",
-            plant=gels.plant,
-            seed=0,
-            path=path,
-            alt="Cumulative friction of the 25, 50 and 70 % gel: the paper's means and ours, "
-            "offline and online, at both speeds",
-            caption="Grey: the paper's means over both speeds (its Table I). Triangles: offline; "
-            "stars: ours online on the F/T reading; diamonds: on the virtual sensor; crosses: the "
-            "published method on the F/T reading, as its authors ran it. The sinusoidal speed is "
-            "lower at the rupture, and friction over speed is then another number: hence two "
-            f"lines of truth. Medians over {seeds} seed(s).",
-        )
-    ]
+def _friction_drawing(folder: Path, gels: GelFriction) -> Drawing:
+    run = "needle without an arm" if gels.plant == "needle" else f"{gels.plant} plant"
+    title = f"Figure {FRICTION_FIGURE}: cumulative friction of the gels\n{run}"
+    shown = save_page_figure(
+        friction_chart(title, gels),
+        folder / f"figure-{FRICTION_FIGURE}-{gels.plant}.svg",
+        alt="Cumulative friction of the 25, 50 and 70 % gel: the paper's means and ours, offline "
+        "and online, at both speeds",
+        caption="Cumulative friction [Ns/m] by gel. Grey: the paper's means over both speeds (its "
+        "Table I). Triangles: offline; stars: ours online on the F/T sensor's force; diamonds: on "
+        "the virtual sensor's; crosses: the published method on the F/T sensor's, with its "
+        "authors' settings. The sinusoidal speed is lower at the rupture, and friction over speed "
+        "is then another number: hence two lines of ground truth. Medians over "
+        f"{gels.seeds} seed{'' if gels.seeds == 1 else 's'}.",
+        is_alone=True,
+    )
+    return Drawing(
+        figure=FRICTION_FIGURE,
+        scenario="gel-*",
+        plant=gels.plant,
+        seed=0,
+        path=shown.path,
+        wide=shown.wide,
+        alt=shown.alt,
+        caption=shown.caption,
+    )

@@ -1,13 +1,13 @@
-"""One number of the verdict, and the words that say where it comes from."""
+"""One number of the results, and files of them."""
 
 import json
 import math
 from collections.abc import Iterable, Sequence
-from dataclasses import asdict, dataclass, fields
+from dataclasses import asdict, dataclass, fields, replace
 from pathlib import Path
 from typing import Any, Literal, NamedTuple
 
-from benchmarks.errors import ResultsError
+from benchmarks import ResultsError
 
 Source = Literal["ft", "virtual"]
 """Which force: read by the F/T sensor, or estimated from joint signals."""
@@ -33,27 +33,16 @@ class RowKey(NamedTuple):
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Row:
-    """One measured number.
+    """One measured number."""
 
-    Attributes:
-        scenario: Name of the benchmark.
-        plant: Arm level of a simulation, ``recording`` for real data.
-        seed: Seed of a simulation, number of the recording for real data.
-        source: See `Source`.
-        method: See `Method`.
-        metric: A name of `benchmarks.metric_catalogue`.
-        value: The number; nan where it could not be determined.
-        unit: Its unit.
-    """
-
-    scenario: str
-    plant: str
-    seed: int
-    source: str
-    method: str
-    metric: str
-    value: float
-    unit: str
+    scenario: str  # name of the benchmark
+    plant: str  # plant model of a simulation, ``recording`` for real data
+    seed: int  # seed of a simulation, number of the recording for real data
+    source: str  # see `Source`
+    method: str  # see `Method`
+    metric: str  # a name of `metrics.csv`
+    value: float  # the number; nan where it could not be determined
+    unit: str  # its unit
 
     @property
     def key(self) -> RowKey:
@@ -61,23 +50,25 @@ class Row:
         return RowKey(self.scenario, self.plant, self.seed, self.source, self.method, self.metric)
 
 
-# Results as JSON: rows and nothing else, so that equal runs give equal bytes.
-
-
+NAMES = tuple(field.name for field in fields(Row))
 SCHEMA = 1
 SIGNIFICANT_DIGITS = 6
 """More would only record rounding."""
-
-NAMES = tuple(field.name for field in fields(Row))
 _KINDS: dict[str, tuple[Any, str]] = {
     "seed": (int, "a whole number"),
     "value": (int | float, "a number or null"),
 }
 """What a field must be, where it is not text."""
+OLD_NAMES: dict[str, dict[str, str]] = {
+    "plant": {"textbook": "ideal", "realistic": "clean", "hard": "degraded"},
+    "method": {"paper": "published", "paper-kv": "published-kv"},
+}
+"""Names in files written before the plants and methods got the field's words: a run of that time
+must still be comparable with one of today."""
 
 
 def to_json(rows: Iterable[Row]) -> str:
-    """Rows as text; a value that is not finite becomes null, which JSON can say."""
+    """Rows and nothing else, so that equal runs give equal bytes; not finite becomes null."""
     lines = ",\n".join("  " + json.dumps(_plain(row), allow_nan=False) for row in rows)
     return f'{{"schema": {SCHEMA}, "rows": [\n{lines}\n]}}\n'
 
@@ -95,7 +86,7 @@ def write_results(path: str | Path, rows: Iterable[Row]) -> None:
 
 
 def read_results(path: str | Path) -> list[Row]:
-    """Read rows from a file; null becomes nan.
+    """Read rows from a file; null becomes nan, `OLD_NAMES` become today's.
 
     Raises:
         ResultsError: The file cannot be read, is not JSON of this schema, lacks a field, or has
@@ -112,12 +103,13 @@ def read_results(path: str | Path) -> list[Row]:
     rows = content.get("rows")
     if not isinstance(rows, list):
         raise ResultsError(f'{path} has no list of "rows"')
-    found = [_row(item, f"{path}, row {number}") for number, item in enumerate(rows, 1)]
-    keys = [row.key for row in found]
-    if len(set(keys)) != len(keys):
-        twice = next(key for key in keys if keys.count(key) > 1)
-        raise ResultsError(f"{path} has more than one row for: {twice}")
-    return found
+    found: dict[RowKey, Row] = {}
+    for number, item in enumerate(rows, 1):
+        row = _row(item, f"{path}, row {number}")
+        if row.key in found:
+            raise ResultsError(f"{path} has more than one row for: {row.key}")
+        found[row.key] = row
+    return list(_undefined_precision_as_nan(found).values())
 
 
 def read_merged(paths: Sequence[str | Path]) -> list[Row]:
@@ -143,9 +135,34 @@ def _plain(row: Row) -> dict[str, Any]:
 def _row(item: Any, where: str) -> Row:
     if not isinstance(item, dict) or set(item) != set(NAMES):
         raise ResultsError(f"{where}: expected the fields {', '.join(NAMES)}")
-    values: dict[str, Any] = item | {"value": math.nan if item["value"] is None else item["value"]}
+    values = dict[str, Any](item)
+    if values["value"] is None:
+        values["value"] = math.nan
     for name, value in values.items():
         kind, wanted = _KINDS.get(name, (str, "text"))
         if isinstance(value, bool) or not isinstance(value, kind):
             raise ResultsError(f"{where}: {name} is {value!r}, expected {wanted}")
+    for name, today in OLD_NAMES.items():
+        values[name] = today.get(values[name], values[name])
     return Row(**values)
+
+
+def _undefined_precision_as_nan(found: dict[RowKey, Row]) -> dict[RowKey, Row]:
+    """Older files say precision 1 where nothing was detected; today it is undefined there.
+
+    With an alarm, precision is 1 only if that alarm found a rupture or a soft transition. So a
+    precision of 1 beside recalls of 0 was written without any alarm.
+    """
+
+    def was_silent(row: Row) -> bool:
+        recalls = [
+            found.get(row.key._replace(metric=name))
+            for name in ("rupture_recall", "soft_transition_recall")
+        ]
+        known = [recall.value for recall in recalls if recall is not None]
+        return row.value == 1.0 and bool(known) and not any(known)
+
+    for key, row in found.items():
+        if key.metric == "rupture_precision" and was_silent(row):
+            found[key] = replace(row, value=math.nan)
+    return found

@@ -1,4 +1,4 @@
-"""From what was asked for to jobs."""
+"""From a request to jobs, and the jobs on several processes."""
 
 import multiprocessing
 import os
@@ -8,69 +8,57 @@ from concurrent.futures import FIRST_EXCEPTION, Future, ProcessPoolExecutor, wai
 from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
+from benchmarks import BenchmarkError, DataError, UnknownIdError
 from benchmarks.benchmark import RECORDING, Benchmark, Job, Outcome, Progress
 from benchmarks.catalogue import BENCHMARKS, benchmark
-from benchmarks.errors import BenchmarkError, DataError, UnknownIdError
 from benchmarks.paper_figures import NEEDED
 from benchmarks.simulated import NEEDLE
 from benchmarks.targets import TISSUE
 from groundtruth import PLANT_MODELS, GroundTruthError
 from needleforce.plots import FiguresError
-from recordings import RecordingError
+from needleforce.recordings import RecordingError
 from residual import ResidualError
 from urdf import UrdfError
 
 ALL = "all"
-GROUPS = {"tissue": TISSUE}
-"""Names that stand for several benchmarks; `ALL` for every one."""
 PLANTS = (*PLANT_MODELS, NEEDLE)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Request:
-    """What was asked for.
+    """What was asked for."""
 
-    Attributes:
-        ids: Names of benchmarks; none for the quick ones (and, where charts are wanted, for what
-            the paper's figures need), ``all`` for all, ``tissue`` for the scenarios with tissue.
-        plants: Arm levels of simulations, ``needle`` for none; when empty, every benchmark runs on
-            its own: the random stack with the needle alone, so that hundreds are affordable.
-        seeds: Seeds 0 to seeds - 1 are run.
-        data: Folder of recordings, if any.
-        drawings: Folder for charts, if wanted.
-    """
-
+    # names of benchmarks; none for the quick ones (and, where figures are wanted, for what the
+    # published figures need), ``all`` for all, ``tissue`` for the scenarios with tissue
     ids: Sequence[str] = ()
+    # plant models of simulations, ``needle`` for none; when empty, every benchmark runs on its
+    # own: the random stack with the needle alone, so that hundreds are affordable
     plants: Sequence[str] = ()
-    seeds: int = 1
-    data: Path | None = None
-    drawings: Path | None = None
+    seeds: int = 1  # seeds 0 to seeds - 1 are run
+    data: Path | None = None  # folder of recordings, if any
+    drawings: Path | None = None  # folder for figures, if wanted
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
-class Plan:
-    """What will be done.
+class Plan(NamedTuple):
+    """What will be done."""
 
-    Attributes:
-        jobs: In order.
-        skipped: Names of benchmarks that are left out for want of recordings.
-    """
-
-    jobs: tuple[Job, ...]
-    skipped: tuple[str, ...]
+    jobs: tuple[Job, ...]  # in order
+    skipped: tuple[str, ...]  # names of benchmarks that are left out for want of recordings
 
 
 def make_plan(request: Request) -> Plan:
     """Turn a request into jobs.
 
     Raises:
-        UnknownIdError: A benchmark or an arm level of that name does not exist.
+        UnknownIdError: A benchmark or a plant of that name does not exist.
         DataError: The folder of recordings does not exist, or a benchmark that was asked for by
             name needs one, or an arm where only the needle was asked for.
     """
-    _check_plants(request.plants)
+    for plant in request.plants:
+        if plant not in PLANTS:
+            raise UnknownIdError(f"no plant {plant!r}; choose from: {', '.join(PLANTS)}")
     if request.data is not None and not request.data.is_dir():
         raise DataError(f"no folder of recordings at {request.data}")
     jobs: list[Job] = []
@@ -86,15 +74,9 @@ def make_plan(request: Request) -> Plan:
     return Plan(jobs=tuple(jobs), skipped=tuple(skipped))
 
 
-def _check_plants(plants: Sequence[str]) -> None:
-    for plant in plants:
-        if plant not in PLANTS:
-            raise UnknownIdError(f"no plant {plant!r}; choose from: {', '.join(PLANTS)}")
-
-
 def _chosen(request: Request) -> list[Benchmark]:
     """The benchmarks in the catalogue's order, each once."""
-    ids = [name for asked in request.ids for name in GROUPS.get(asked, (asked,))]
+    ids = [name for asked in request.ids for name in (TISSUE if asked == "tissue" else (asked,))]
     for name in ids:
         if name != ALL:
             benchmark(name)
@@ -130,7 +112,7 @@ def _jobs(item: Benchmark, request: Request) -> list[Job]:
             plant=plant,
             seed=seed,
             data=request.data if item.is_recorded else None,
-            # One chart of each kind tells enough.
+            # One figure of each kind is enough.
             drawings=request.drawings if seed == 0 else None,
         )
         for plant in plants
@@ -138,29 +120,12 @@ def _jobs(item: Benchmark, request: Request) -> list[Job]:
     ]
 
 
-# Does one job; a failure of ours comes back as a line, not as a traceback.
-
-
-KNOWN = (
-    BenchmarkError,
-    GroundTruthError,
-    ResidualError,
-    UrdfError,
-    RecordingError,
-    FiguresError,
-)
+KNOWN = (BenchmarkError, GroundTruthError, ResidualError, UrdfError, RecordingError, FiguresError)
+"""Errors that come back from a job as one line, not as a traceback."""
 
 
 def run_job(job: Job, progress: Progress) -> Outcome:
-    """Run the job's benchmark.
-
-    Args:
-        job: What to do.
-        progress: Told the share done.
-
-    Returns:
-        Rows, or the reason why there are none. Errors nobody has foreseen are raised.
-    """
+    """Rows of a job, or the reason why there are none; unforeseen errors are raised."""
     try:
         found = benchmark(job.benchmark).run(job, progress)
     except KNOWN as error:
@@ -169,25 +134,22 @@ def run_job(job: Job, progress: Progress) -> Outcome:
     return Outcome(job=job, rows=rows, drawings=found.drawings)
 
 
-# Jobs on several processes.
-
-
 POLL_s = 0.2
 THREAD_SETTINGS = ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS")
 
-Shares = Callable[[int, float], None]
-"""Takes the index of a job and the share of it that is done, 0 to 1."""
+JobProgress = Callable[[int, float], None]
+"""Takes the index of a job and the fraction of it that is done, 0 to 1."""
 
 _worker_queue: Any = None
 
 
-def run_jobs(jobs: Sequence[Job], processes: int, on_progress: Shares) -> list[Outcome]:
+def run_jobs(jobs: Sequence[Job], processes: int, on_progress: JobProgress) -> list[Outcome]:
     """Do all jobs and return their outcomes in the order of the jobs.
 
     Args:
         jobs: What to do.
         processes: How many at a time; with one, all is done in this process.
-        on_progress: Told now and then how far each job is.
+        on_progress: Gets the progress of each job now and then.
     """
     if processes <= 1 or len(jobs) <= 1:
         return [run_job(job, partial(on_progress, index)) for index, job in enumerate(jobs)]
@@ -210,7 +172,7 @@ def run_jobs(jobs: Sequence[Job], processes: int, on_progress: Shares) -> list[O
         pool.shutdown(wait=True, cancel_futures=True)
 
 
-def _watch(futures: Sequence[Future[Outcome]], queue: Any, on_progress: Shares) -> None:
+def _watch(futures: Sequence[Future[Outcome]], queue: Any, on_progress: JobProgress) -> None:
     """Pass progress on until all is done or something unforeseen happens."""
     running = set(futures)
     while running:
@@ -222,16 +184,13 @@ def _watch(futures: Sequence[Future[Outcome]], queue: Any, on_progress: Shares) 
 
 
 def _attach(queue: Any) -> None:
-    # Ctrl-C reaches the whole group: end without a traceback each, the parent tells.
+    # Ctrl-C reaches the whole group: end without a traceback each, the parent reports.
     signal.signal(signal.SIGINT, signal.SIG_DFL)
     global _worker_queue
     _worker_queue = queue
 
 
 def _work(index: int, job: Job) -> Outcome:
-    def tell(share: float) -> None:
-        _worker_queue.put((index, share))
-
-    outcome = run_job(job, tell)
-    tell(1.0)
+    outcome = run_job(job, lambda fraction: _worker_queue.put((index, fraction)))
+    _worker_queue.put((index, 1.0))
     return outcome

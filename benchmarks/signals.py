@@ -1,4 +1,4 @@
-"""What was true of one insertion: what its identification is judged against."""
+"""Signals that estimators get, and the ground truth that their estimates are judged against."""
 
 from dataclasses import dataclass
 from itertools import accumulate
@@ -7,6 +7,7 @@ from typing import NamedTuple
 import numpy as np
 import pinocchio as pin
 from numpy.typing import NDArray
+from scipy.signal import lfilter
 
 from benchmarks.rows import Source
 from groundtruth import NeedleRun, Run, Rupture, Truth
@@ -20,56 +21,47 @@ Array = NDArray[np.float64]
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class InsertionTruth:
-    """Truth at the n samples of a run through L layers.
+    """Ground truth at the n samples of a run through L layers."""
 
-    Attributes:
-        t_s: True instants, shape (n,).
-        depth_m: Travel of the tip since first contact, shape (n,).
-        speed_m_s: Its rate, shape (n,).
-        axial_N: Axial force, shape (n,), positive when tissue pushes back.
-        tip_N: Its part at the tip, shape (n,).
-        layer_friction_N: Friction of each layer on the shaft, shape (n, L).
-        layer: Where the tip is: 0 above, i in layer i, L + 1 beyond, shape (n,).
-        ruptures: In the order they happened.
-        tare_end_s: Nothing has been touched before.
-        contact_s: First contact.
-        insertion_end_s: The needle is at its deepest.
-        boundaries_m: Where each layer ends in undeformed tissue; none where that is not told.
-    """
-
-    t_s: Array
-    depth_m: Array
-    speed_m_s: Array
-    axial_N: Array
-    tip_N: Array
-    layer_friction_N: Array
-    layer: NDArray[np.int64]
-    ruptures: tuple[Rupture, ...]
-    tare_end_s: float
-    contact_s: float
-    insertion_end_s: float
+    t_s: Array  # true instants, shape (n,)
+    depth_m: Array  # travel of the tip since first contact, shape (n,)
+    speed_m_s: Array  # its rate, shape (n,)
+    axial_N: Array  # axial force, shape (n,), positive when tissue pushes back
+    tip_N: Array  # its part at the tip, shape (n,)
+    layer_friction_N: Array  # friction of each layer on the shaft, shape (n, L)
+    layer: NDArray[np.int64]  # where the tip is: 0 above, i in layer i, L + 1 beyond, shape (n,)
+    ruptures: tuple[Rupture, ...]  # in the order they happened
+    tare_end_s: float  # nothing has been touched before
+    contact_s: float  # first contact
+    insertion_end_s: float  # the needle is at its deepest
+    # where each layer ends in undeformed tissue; empty if unknown
     boundaries_m: tuple[float, ...] = ()
 
     @property
     def enhanced_N(self) -> Array:
-        """Axial force without the friction of the layers already left, shape (n,)."""
+        """Axial force without the friction of the layers already traversed, shape (n,)."""
         number = np.arange(1, self.layer_friction_N.shape[1] + 1)
-        is_left = number[None, :] < self.layer[:, None]
-        return self.axial_N - np.sum(self.layer_friction_N * is_left, axis=1)
+        is_traversed = number[None, :] < self.layer[:, None]
+        return self.axial_N - np.sum(self.layer_friction_N * is_traversed, axis=1)
 
     @property
     def is_insertion(self) -> NDArray[np.bool_]:
         """Samples from first contact to the deepest point, shape (n,)."""
         return (self.t_s >= self.contact_s) & (self.t_s <= self.insertion_end_s)
 
+    @property
+    def period_s(self) -> float:
+        """Time between two samples."""
+        return float(np.median(np.diff(self.t_s)))
+
 
 def truth_of_run(run: Run) -> InsertionTruth:
-    """The truth of an insertion by the simulated arm."""
+    """The ground truth of an insertion by the simulated arm."""
     return _truth(run, run.truth, run.contact_s)
 
 
 def truth_of_needle(run: NeedleRun) -> InsertionTruth:
-    """The truth of an insertion by a needle without an arm."""
+    """The ground truth of an insertion by a needle without an arm."""
     return _truth(run, run, run.truth.contact_s)
 
 
@@ -91,29 +83,36 @@ def _truth(run: Run | NeedleRun, motion: Truth | NeedleRun, contact_s: float) ->
     )
 
 
-# Joint signals of an arm, simulated or recorded: all that the virtual sensor gets.
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class ForceTruth:
+    """True axial force over a run, and the part of it that is judged."""
+
+    t_s: Array  # time, shape (n,), increasing
+    depth_m: Array  # travel of the tip since first contact, shape (n,)
+    axial_N: Array  # true axial force, shape (n,)
+    zeroed_s: float  # when the sensors were zeroed; readings before mean nothing
+    start_s: float  # first contact
+    end_s: float  # end of the withdrawal
+
+    @property
+    def judged(self) -> NDArray[np.bool_]:
+        """The samples that count, shape (n,)."""
+        return (self.t_s >= self.start_s) & (self.t_s <= self.end_s)
 
 
 CLOCK_DIGITS = 9
-"""Time stamps are whole nanoseconds; differences of their floats are not, and a tick that differs
+"""Time stamps are whole nanoseconds; differences of their floats are not, and a period that differs
 in its last bit looks like a clock that jitters."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class JointSignals:
-    """n samples of an arm with j joints.
+    """n samples of an arm with j joints: all that the virtual sensor gets."""
 
-    Attributes:
-        t_s: Time stamps, shape (n,), increasing.
-        q_rad: Positions, shape (n, j).
-        dq_rad_s: Velocities, shape (n, j), or None where the arm sends none.
-        tau_Nm: Torques, shape (n, j).
-    """
-
-    t_s: Array
-    q_rad: Array
-    dq_rad_s: Array | None
-    tau_Nm: Array
+    t_s: Array  # time stamps, shape (n,), increasing
+    q_rad: Array  # positions, shape (n, j)
+    dq_rad_s: Array | None  # velocities, shape (n, j), or None where the arm sends none
+    tau_Nm: Array  # torques, shape (n, j)
 
     @classmethod
     def of_run(cls, run: Run) -> "JointSignals":
@@ -129,24 +128,29 @@ class JointSignals:
         """
         return np.round(np.diff(self.t_s, prepend=self.t_s[0] - 1.0), CLOCK_DIGITS)
 
-    def velocity(self, k: int) -> Array | None:
-        """Velocities of sample k, or None."""
-        return None if self.dq_rad_s is None else self.dq_rad_s[k]
+    def samples(self) -> list[tuple[Array, Array | None, Array, float]]:
+        """Arguments of an estimator's `update`, sample by sample."""
+        # Lists: a controller has its sample at hand and need not cut it out of an array.
+        velocities = [None] * len(self.t_s) if self.dq_rad_s is None else list(self.dq_rad_s)
+        return list(zip(self.q_rad, velocities, self.tau_Nm, self.dt_s.tolist(), strict=True))
 
 
-# Depth and speed of the needle as the robot's own kinematics tell them.
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class NeedleSignal:
+    """n samples of depth, speed and force: what an identifier gets."""
+
+    source: Source  # where the force comes from
+    t_s: Array  # time stamps, shape (n,)
+    depth_m: Array  # travel along the needle's axis, shape (n,); where its zero lies is not known
+    speed_m_s: Array  # its rate, shape (n,)
+    force_N: Array  # axial force, zeroed in free air, shape (n,)
 
 
 class MeasuredTravel(NamedTuple):
-    """Travel of the tip along the needle's axis, and its rate.
+    """Travel of the tip along the needle's axis, and its rate, each of shape (n,)."""
 
-    Attributes:
-        depth_m: Zero where the tare ended, shape (n,).
-        speed_m_s: Its rate, shape (n,).
-    """
-
-    depth_m: Array
-    speed_m_s: Array
+    depth_m: Array  # zero where the tare ended
+    speed_m_s: Array  # its rate
 
 
 def measured_travel(robot: Robot, signals: JointSignals, zero_s: float) -> MeasuredTravel:
@@ -169,21 +173,6 @@ def measured_travel(robot: Robot, signals: JointSignals, zero_s: float) -> Measu
     return MeasuredTravel(found[:, 0].copy(), found[:, 1].copy())
 
 
-def smoothed(travel: MeasuredTravel, dt_s: Array, time_constant_s: float) -> MeasuredTravel:
-    """The same travel, its speed through a causal first-order low-pass.
-
-    Args:
-        travel: As measured.
-        dt_s: Time since the previous sample, shape (n,).
-        time_constant_s: Of the low-pass.
-    """
-    speed = travel.speed_m_s.tolist()
-    shares = (1.0 - np.exp(-dt_s / time_constant_s)).tolist()
-    for k in range(1, len(speed)):
-        speed[k] = speed[k - 1] + shares[k] * (speed[k] - speed[k - 1])
-    return travel._replace(speed_m_s=np.array(speed))
-
-
 def _velocities(signals: JointSignals) -> Array:
     """Measured joint velocities, or estimates of them, shape (n, j)."""
     if signals.dq_rad_s is not None:
@@ -197,58 +186,28 @@ def _velocities(signals: JointSignals) -> Array:
     return found
 
 
-# What a force reading is judged against.
+def smoothed(travel: MeasuredTravel, dt_s: Array, time_constant_s: float) -> MeasuredTravel:
+    """The same travel, its speed through a causal first-order low-pass.
 
-
-@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
-class ForceTruth:
-    """True axial force over a run, and the part of it that is judged.
-
-    Attributes:
-        t_s: Time, shape (n,), increasing.
-        depth_m: Travel of the tip since first contact, shape (n,).
-        axial_N: True axial force, shape (n,).
-        zeroed_s: When the sensors were zeroed; what they said before means nothing.
-        start_s: First contact.
-        end_s: End of the withdrawal.
+    Args:
+        travel: As measured.
+        dt_s: Time since the previous sample, shape (n,).
+        time_constant_s: Of the low-pass.
     """
-
-    t_s: Array
-    depth_m: Array
-    axial_N: Array
-    zeroed_s: float
-    start_s: float
-    end_s: float
-
-    @property
-    def judged(self) -> NDArray[np.bool_]:
-        """The samples that count, shape (n,)."""
-        return (self.t_s >= self.start_s) & (self.t_s <= self.end_s)
+    speed = travel.speed_m_s.tolist()
+    gains = (1.0 - np.exp(-dt_s / time_constant_s)).tolist()
+    for k in range(1, len(speed)):
+        speed[k] = speed[k - 1] + gains[k] * (speed[k] - speed[k - 1])
+    return travel._replace(speed_m_s=np.array(speed))
 
 
-# What an identifier gets: depth and speed from kinematics, force from a sensor.
-
-
-@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
-class NeedleSignal:
-    """n samples of one run.
-
-    Attributes:
-        source: Where the force comes from.
-        t_s: Time stamps, shape (n,).
-        depth_m: Travel along the needle's axis, shape (n,); where its zero lies is not known.
-        speed_m_s: Its rate, shape (n,).
-        force_N: Axial force, zeroed in free air, shape (n,).
-    """
-
-    source: Source
-    t_s: Array
-    depth_m: Array
-    speed_m_s: Array
-    force_N: Array
-
-
-# What joints feel of a force at the tool.
+def lagging(values: Array, t_s: Array, lag_s: float) -> Array:
+    """Values behind a first-order lag, sampled evenly and at rest before, shape (n,)."""
+    if lag_s <= 0.0:
+        return values
+    keep = float(np.exp(-np.median(np.diff(t_s)) / lag_s))
+    found, _ = lfilter([1.0 - keep], [1.0, -keep], values, zi=[keep * values[0]])
+    return np.asarray(found, dtype=np.float64)
 
 
 def tool_jacobians(robot: Robot, q_rad: Array) -> Array:

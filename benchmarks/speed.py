@@ -1,124 +1,121 @@
-"""What a tick of the estimators costs, beside the bare Pinocchio calls it cannot do without."""
+"""What an update of the estimators costs, beside the bare Pinocchio calls it cannot do without."""
 
 import gc
-from collections.abc import Callable, Iterable, Mapping
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from contextlib import contextmanager
 from dataclasses import dataclass, replace
 from time import perf_counter_ns
-from typing import Any
+from types import MappingProxyType
+from typing import Any, NamedTuple
 
 import numpy as np
 import pinocchio as pin
 from numpy.typing import NDArray
-from rich.table import Table
 
-from benchmarks.methods import on_lwr
+from benchmarks.methods import IDENTIFIERS, on_lwr
 from benchmarks.signals import JointSignals
-from benchmarks.tables import met_mark
+from benchmarks.tables import ResultTable, met_mark
 from benchmarks.targets import (
-    CHAIN_COST_RATIO,
-    OBSERVER_COST_RATIO,
-    RERUN_COST_RATIO,
-    SENSOR_COST_RATIO,
+    CHAIN_COST_RATIOS,
+    ESTIMATED_VELOCITY_COST_RATIO,
+    LAYER_COST_RATIO,
+    OBSERVER_COST_RATIOS,
+    SENSOR_COST_RATIOS,
 )
 from groundtruth import Scenario, insert_needle, simulate
 from groundtruth.materials import TABLE_I_SPEED_M_S, gel
 from groundtruth.motion import constant_motion
-from identification import MULTILAYER as DEFAULT_IDENTIFIER
-from identification import PUBLISHED as PAPER_IDENTIFIER
-from identification import Identifier, MultilayerConfig, PublishedConfig
+from identification import MULTILAYER, PUBLISHED, Identifier, MultilayerConfig, PublishedConfig
 from needleforce import InsertionSession
 from needleforce.jit import COMPILER
 from residual import DEFAULT, MomentumObserver, VirtualForceSensor
 from residual.bias_estimator import BiasEstimator
 from urdf import Robot
 
-# Times ticks of several subjects side by side.
-
-
-Tick = Callable[[int], object]
+Update = Callable[[int], object]
 """Processes the sample of that index."""
-
 BLOCK = 200
-"""Ticks of one subject before the next has its turn: short enough that whatever slows the machine
+"""Updates of one subject before the next has its turn: short enough that whatever slows the machine
 down slows all of them."""
 NS_PER_US = 1e3
+SCENARIO, PLANT = "stack-constant", "clean"
+JITTER_s = 5e-5
+"""Of the uneven clock: that of the degraded arm."""
+LAYER_TICKS = 6
+"""A layer is identified over so many updates at most: the last one reports it."""
+SHORT_S, LONG_S = 10.0, 60.0
+"""Time spent in the layer, at 1 kHz, before it is identified."""
+REPEATS = 9
+"""Insertions of each kind: the median is free of whatever else a busy machine did."""
+PERCENTILES = {"median": 50.0, "99 %": 99.0, "99.9 %": 99.9, "worst": 100.0}
+
+BARE_OBSERVER, BARE_SENSOR = "dynamics of the observer", "dynamics of the sensor"
 
 
-@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
-class Timing:
-    """Times of one subject.
+class Subject(NamedTuple):
+    """What a subject's cost is a multiple of, and the most that it may be."""
 
-    Attributes:
-        tick_us: Time of each tick [us], shape (blocks, BLOCK).
-    """
-
-    tick_us: NDArray[np.float64]
-
-    def percentile_us(self, percent: float) -> float:
-        """Time that this share of all ticks keeps [us]."""
-        return float(np.percentile(self.tick_us, percent))
-
-    @property
-    def worst_us(self) -> float:
-        """Time of the slowest tick [us]."""
-        return float(self.tick_us.max())
-
-    def ticks_us(self, indices: Iterable[int]) -> NDArray[np.float64]:
-        """Times of some ticks [us], counted from the first that was timed, shape (m,)."""
-        flat = self.tick_us.reshape(-1)
-        return np.array([flat[k] for k in indices if 0 <= k < flat.size])
-
-    def ratio_to(self, other: "Timing") -> float:
-        """Cost in times of the other's: median of the ratios of neighbouring blocks' medians."""
-        ours, theirs = (np.median(item.tick_us, axis=1) for item in (self, other))
-        return float(np.median(ours / theirs))
+    bare: str
+    compiled: float | None = None  # limit where numba compiles
+    plain: float | None = None  # limit in plain Python
 
 
-def time_side_by_side(subjects: Mapping[str, Tick], first: int, last: int) -> dict[str, Timing]:
+OBSERVER, SENSOR, CHAIN = "observer", "sensor", "chain"
+PUBLISHED_CHAIN = "chain, published identifier"
+UNEVEN, ESTIMATED = ", uneven clock", ", velocity estimated"
+SUBJECTS: Mapping[str, Subject] = MappingProxyType(
+    {
+        OBSERVER: Subject(BARE_OBSERVER, *OBSERVER_COST_RATIOS),
+        OBSERVER + UNEVEN: Subject(BARE_OBSERVER),
+        SENSOR: Subject(BARE_SENSOR, *SENSOR_COST_RATIOS),
+        SENSOR + UNEVEN: Subject(BARE_SENSOR),
+        CHAIN: Subject(BARE_SENSOR, *CHAIN_COST_RATIOS),
+        CHAIN + ESTIMATED: Subject(BARE_SENSOR, ESTIMATED_VELOCITY_COST_RATIO),
+        PUBLISHED_CHAIN: Subject(BARE_SENSOR, *CHAIN_COST_RATIOS),
+        PUBLISHED_CHAIN + ESTIMATED: Subject(BARE_SENSOR, ESTIMATED_VELOCITY_COST_RATIO),
+    }
+)
+Times = NDArray[np.float64]
+"""Time of each update of a subject [us], shape (blocks, BLOCK)."""
+
+
+def cost_ratio(times: Times, bare: Times) -> float:
+    """Cost relative to the bare dynamics: median of the ratios of neighbouring blocks' medians."""
+    return float(np.median(np.median(times, axis=1) / np.median(bare, axis=1)))
+
+
+def time_side_by_side(subjects: Mapping[str, Update], first: int, last: int) -> dict[str, Times]:
     """Let subjects take turns, block by block, over the same samples.
 
     Args:
         subjects: By name; each gets every index from 0 to last - 1 once, in order.
-        first: Ticks before this index are not counted: caches fill, filters settle.
+        first: Updates before this index are not counted: caches fill, filters settle.
         last: End of the samples; at least one block after ``first``.
     """
     times: dict[str, list[list[float]]] = {name: [] for name in subjects}
-    for tick in subjects.values():
-        _time(tick, 0, first)
+    for update in subjects.values():
+        _time(update, 0, first)
     for start in range(first, last - BLOCK + 1, BLOCK):
-        for name, tick in subjects.items():
-            times[name].append(_time(tick, start, start + BLOCK))
-    return {name: Timing(tick_us=np.array(blocks)) for name, blocks in times.items()}
+        for name, update in subjects.items():
+            times[name].append(_time(update, start, start + BLOCK))
+    return {name: np.array(blocks) for name, blocks in times.items()}
 
 
-def _time(tick: Tick, start: int, stop: int) -> list[float]:
+def _time(update: Update, start: int, stop: int) -> list[float]:
     taken = []
     for k in range(start, stop):
         before = perf_counter_ns()
-        tick(k)
+        update(k)
         taken.append((perf_counter_ns() - before) / NS_PER_US)
     return taken
 
 
-# One tick of the whole chain on the samples of an insertion, and what happened in it.
-
-
-RERUN_TICKS = 6
-"""A layer is identified anew over so many ticks at most: the last one tells it."""
-
-
-class ChainTick:
-    """A session fed sample by sample; called with the index of the next one.
-
-    Args:
-        robot: The arm.
-        signals: What it sent.
-        tare: Index of the sample before which to tare.
-        identifier: Settings of the identifier.
+class ChainUpdate:
+    """A session that takes an arm's signals sample by sample, called with the index of the next.
 
     Attributes:
-        alarms: Indices of the ticks that raised a rupture.
-        reruns: Indices of the ticks that worked on identifying a layer that had been left.
+        alarms: Indices of the updates that raised a rupture.
+        layers: Indices of the updates that worked on identifying a traversed layer.
     """
 
     def __init__(
@@ -126,17 +123,12 @@ class ChainTick:
         robot: Robot,
         signals: JointSignals,
         tare: int,
-        identifier: MultilayerConfig | PublishedConfig = DEFAULT_IDENTIFIER,
+        identifier: MultilayerConfig | PublishedConfig = MULTILAYER,
     ) -> None:
         self._session = InsertionSession(robot, on_lwr(DEFAULT), identifier)
-        # Lists: a controller has its sample at hand and need not cut it out of an array.
-        count = len(signals.t_s)
-        velocities = [None] * count if signals.dq_rad_s is None else list(signals.dq_rad_s)
-        steps = signals.dt_s.tolist()
-        self._samples = list(zip(signals.q_rad, velocities, signals.tau_Nm, steps, strict=True))
-        self._tare = tare
+        self._samples, self._tare = signals.samples(), tare
         self.alarms: list[int] = []
-        self.reruns: list[int] = []
+        self.layers: list[int] = []
 
     def __call__(self, k: int) -> None:
         """Take sample k."""
@@ -145,123 +137,122 @@ class ChainTick:
         found = self._session.update(*self._samples[k]).identification
         if found.rupture is not None:
             self.alarms.append(k)
-        if found.compensated is not None:
-            self.reruns.extend(range(k + 1 - RERUN_TICKS, k + 1))
+        if found.identified_layer is not None:
+            self.layers.extend(range(k + 1 - LAYER_TICKS, k + 1))
 
 
-# How long Python's garbage collector stops everything.
+@contextmanager
+def gc_pauses() -> Iterator[list[float]]:
+    """Lengths of all garbage collections meanwhile [us]; each is in whatever update is next."""
+    pauses_us: list[float] = []
+    start_ns = 0
 
-
-class GcPauses:
-    """Times every collection while it is entered; collections happen in whatever tick is next.
-
-    Attributes:
-        pauses_us: Length of each [us], in order.
-    """
-
-    def __init__(self) -> None:
-        self.pauses_us: list[float] = []
-        self._start_ns = 0
-
-    def __enter__(self) -> "GcPauses":
-        gc.callbacks.append(self._note)
-        return self
-
-    def __exit__(self, *_: object) -> None:
-        gc.callbacks.remove(self._note)
-
-    def _note(self, phase: str, _: dict[str, Any]) -> None:
+    def note(phase: str, _: dict[str, Any]) -> None:
+        nonlocal start_ns
         if phase == "start":
-            self._start_ns = perf_counter_ns()
+            start_ns = perf_counter_ns()
         else:
-            self.pauses_us.append((perf_counter_ns() - self._start_ns) / NS_PER_US)
+            pauses_us.append((perf_counter_ns() - start_ns) / NS_PER_US)
+
+    gc.callbacks.append(note)
+    try:
+        yield pauses_us
+    finally:
+        gc.callbacks.remove(note)
 
 
-SCENARIO, ARM = "stack-constant", "clean"
-JITTER_s = 5e-5
-"""Of the uneven clock: that of the degraded arm."""
-OBSERVER, SENSOR = "observer", "sensor"
-UNEVEN_OBSERVER, UNEVEN_SENSOR = "observer, uneven clock", "sensor, uneven clock"
-CHAIN, CHAIN_WITHOUT_VELOCITY = "chain", "chain, velocity estimated"
-PAPER_CHAIN, PAPER_CHAIN_WITHOUT_VELOCITY = (
-    "chain, paper's identifier",
-    "chain, paper's identifier, velocity estimated",
-)
-BARE_OBSERVER, BARE_SENSOR = "dynamics of the observer", "dynamics of the sensor"
+def pause_line(pauses_us: Sequence[float]) -> str:
+    """What the garbage collector took, in one line."""
+    if not pauses_us:
+        return "No garbage collection happened meanwhile."
+    return (
+        f"{len(pauses_us)} garbage collections happened meanwhile, in whatever update was next; "
+        f"the longest took {max(pauses_us):.0f} us. gc.freeze() after the tare spares a "
+        "controller most of it (docs/loop.md)."
+    )
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class SpeedReport:
-    """What was timed.
+    """What was timed; updates are counted from the first that was timed."""
 
-    Attributes:
-        timings: By subject.
-        alarms: Ticks that raised a rupture, by chain, counted from the first that was timed.
-        reruns: Ticks that worked on identifying a layer anew, counted alike.
-        pauses: Garbage collections meanwhile.
-    """
+    times: dict[str, Times]  # by subject
+    alarms: dict[str, list[int]]  # updates that raised a rupture, by chain
+    layers: dict[str, list[int]]  # updates that worked on identifying a layer, by chain
+    pauses_us: list[float]  # garbage collections meanwhile
+    layer_us: dict[tuple[str, float], float]  # `layer_us` by identifier and seconds in the layer
 
-    timings: dict[str, Timing]
-    alarms: dict[str, tuple[int, ...]]
-    reruns: dict[str, tuple[int, ...]]
-    pauses: GcPauses
+    def ratio(self, name: str) -> float:
+        """Cost of a subject relative to its bare dynamics."""
+        return cost_ratio(self.times[name], self.times[SUBJECTS[name].bare])
+
+    def layer_ratio(self, identifier_us: float) -> float:
+        """A sensor's median update and an identifier's, relative to the bare dynamics."""
+        sensor, bare = (np.median(self.times[name]) for name in (SENSOR, BARE_SENSOR))
+        return float((sensor + identifier_us) / bare)
 
 
 def measure_speed(progress: Callable[[float], None]) -> SpeedReport:
-    """Time all of them on the signals of a simulated insertion, from the tare on.
+    """Time everything on the signals of a simulated insertion, from the tare on.
 
     Args:
-        progress: Told the share of the simulation that is done.
+        progress: Gets the fraction of the simulation that is done.
     """
-    run = simulate(SCENARIO, ARM, 0, progress)
+    run = simulate(SCENARIO, PLANT, 0, progress)
     even = JointSignals.of_run(run)
     noise = np.random.default_rng(0).normal(scale=JITTER_s, size=len(even.t_s))
     uneven = replace(even, t_s=even.t_s + noise)
     blind = replace(even, dq_rad_s=None)
     tare = int(np.searchsorted(even.t_s, run.tare_end_s))
     chains = {
-        CHAIN: ChainTick(run.robot, even, tare),
-        CHAIN_WITHOUT_VELOCITY: ChainTick(run.robot, blind, tare),
-        PAPER_CHAIN: ChainTick(run.robot, even, tare, PAPER_IDENTIFIER),
-        PAPER_CHAIN_WITHOUT_VELOCITY: ChainTick(run.robot, blind, tare, PAPER_IDENTIFIER),
+        CHAIN: ChainUpdate(run.robot, even, tare),
+        CHAIN + ESTIMATED: ChainUpdate(run.robot, blind, tare),
+        PUBLISHED_CHAIN: ChainUpdate(run.robot, even, tare, PUBLISHED),
+        PUBLISHED_CHAIN + ESTIMATED: ChainUpdate(run.robot, blind, tare, PUBLISHED),
     }
     subjects = {
         BARE_OBSERVER: _bare_observer(run.robot, even),
         OBSERVER: _observer(run.robot, even),
-        UNEVEN_OBSERVER: _observer(run.robot, uneven),
+        OBSERVER + UNEVEN: _observer(run.robot, uneven),
         BARE_SENSOR: bare_sensor(run.robot, even),
         SENSOR: _sensor(run.robot, even, tare),
-        UNEVEN_SENSOR: _sensor(run.robot, uneven, tare),
+        SENSOR + UNEVEN: _sensor(run.robot, uneven, tare),
         **chains,
     }
-    # The first counted tick comes after that of the tare.
+    # The first counted update comes after that of the tare.
     first = tare + 1
-    with GcPauses() as pauses:
-        timings = time_side_by_side(subjects, first, len(even.t_s))
+    with gc_pauses() as pauses_us:
+        times = time_side_by_side(subjects, first, len(even.t_s))
     return SpeedReport(
-        timings=timings,
-        alarms={name: tuple(k - first for k in tick.alarms) for name, tick in chains.items()},
-        reruns={name: tuple(k - first for k in tick.reruns) for name, tick in chains.items()},
-        pauses=pauses,
+        times=times,
+        alarms={name: [k - first for k in each.alarms] for name, each in chains.items()},
+        layers={name: [k - first for k in each.layers] for name, each in chains.items()},
+        pauses_us=pauses_us,
+        layer_us={
+            (name, seconds): layer_us(seconds, config)
+            for name, config in IDENTIFIERS.items()
+            for seconds in (SHORT_S, LONG_S)
+        },
     )
 
 
-def _bare_observer(robot: Robot, signals: JointSignals) -> Tick:
+def _bare_observer(robot: Robot, signals: JointSignals) -> Update:
     """Mass matrix, Coriolis matrix and gravity."""
     model, data = robot.model, robot.create_data()
-    positions, velocities = list(signals.q_rad), _velocities(signals)
+    assert signals.dq_rad_s is not None, "the arm that is timed sends velocities"
+    positions, velocities = list(signals.q_rad), list(signals.dq_rad_s)
 
-    def tick(k: int) -> None:
+    def update(k: int) -> None:
         q = positions[k]
         pin.crba(model, data, q)
         pin.computeCoriolisMatrix(model, data, q, velocities[k])
         pin.computeGeneralizedGravity(model, data, q)
 
-    return tick
+    return update
 
 
-def bare_sensor(robot: Robot, signals: JointSignals) -> Tick:
-    """Mass and Coriolis matrix, gravity and Jacobian; the torque regressor when the offset is due.
+def bare_sensor(robot: Robot, signals: JointSignals) -> Update:
+    """Mass and Coriolis matrix, gravity and Jacobian; the torque regressor when the bias is due.
 
     Args:
         robot: The arm.
@@ -273,56 +264,31 @@ def bare_sensor(robot: Robot, signals: JointSignals) -> Tick:
     observer = _bare_observer(robot, signals)
     ticks = round(BiasEstimator.RENEW_S / float(np.median(signals.dt_s)))
 
-    def tick(k: int) -> None:
+    def update(k: int) -> None:
         observer(k)
         q = positions[k]
         pin.computeFrameJacobian(model, data, q, frame, axes)
         if k % ticks == 0:
             pin.computeJointTorqueRegressor(model, data, q, still, still)
 
-    return tick
+    return update
 
 
-def _observer(robot: Robot, signals: JointSignals) -> Tick:
+def _observer(robot: Robot, signals: JointSignals) -> Update:
     observer = MomentumObserver(robot, DEFAULT.gain_per_s, alignment="hold")
-    return _feed(signals, observer.update)
+    samples: list[Any] = signals.samples()
+    return lambda k: observer.update(*samples[k])
 
 
-def _sensor(robot: Robot, signals: JointSignals, tare: int) -> Tick:
-    sensor = VirtualForceSensor(robot, on_lwr(DEFAULT))
-    update = _feed(signals, sensor.update)
+def _sensor(robot: Robot, signals: JointSignals, tare: int) -> Update:
+    sensor, samples = VirtualForceSensor(robot, on_lwr(DEFAULT)), signals.samples()
 
-    def tick(k: int) -> None:
+    def update(k: int) -> None:
         if k == tare:
             sensor.tare()
-        update(k)
+        sensor.update(*samples[k])
 
-    return tick
-
-
-def _feed(signals: JointSignals, update: Callable[..., object]) -> Tick:
-    # Lists: a controller has its sample at hand and need not cut it out of an array.
-    positions, velocities = list(signals.q_rad), _velocities(signals)
-    torques, steps = list(signals.tau_Nm), signals.dt_s.tolist()
-
-    def tick(k: int) -> None:
-        update(positions[k], velocities[k], torques[k], steps[k])
-
-    return tick
-
-
-def _velocities(signals: JointSignals) -> list[NDArray[np.float64]]:
-    assert signals.dq_rad_s is not None, "the arm that is timed sends velocities"
-    return list(signals.dq_rad_s)
-
-
-# What the dearest of the ticks costs that identify a layer anew, after short and long layers.
-
-
-SHORT_S, LONG_S = 10.0, 60.0
-"""Time spent in the layer; at 1 kHz."""
-REPEATS = 9
-"""Insertions of each kind: the median is free of whatever else a busy machine did."""
+    return update
 
 
 def slab(seconds: float) -> Scenario:
@@ -338,10 +304,10 @@ def slab(seconds: float) -> Scenario:
     )
 
 
-def rerun_us(seconds: float, config: MultilayerConfig | PublishedConfig) -> float:
-    """Time of the slowest tick from the first alarm until the last layer is identified [us].
+def layer_us(seconds: float, config: MultilayerConfig | PublishedConfig) -> float:
+    """Time of the slowest update from the first alarm until the last layer is identified [us].
 
-    Of each tick the median of `REPEATS` equal insertions.
+    Of each update the median of `REPEATS` equal insertions.
 
     Args:
         seconds: Time spent in the layer [s].
@@ -349,147 +315,90 @@ def rerun_us(seconds: float, config: MultilayerConfig | PublishedConfig) -> floa
     """
     run = insert_needle(slab(seconds), seed=0)
     inside = run.t_s > run.tare_end_s
-    samples = list(
-        zip(
-            run.depth_m[inside].tolist(),
-            run.speed_m_s[inside].tolist(),
-            run.force_N[inside].tolist(),
-            strict=True,
-        )
-    )
-    ticks = [_event_ticks_us(samples, config) for _ in range(REPEATS)]
-    # The same work every time: what is slow only once was interrupted.
-    return float(np.max(np.median(ticks, axis=0)))
-
-
-def _event_ticks_us(
-    samples: list[tuple[float, float, float]], config: MultilayerConfig | PublishedConfig
-) -> NDArray[np.float64]:
-    """Times of the ticks from the first alarm to the last identification, zero elsewhere."""
-    identifier, taken_us = Identifier(config), np.zeros(len(samples))
+    columns = (run.depth_m, run.speed_m_s, run.force_N)
+    samples = list(zip(*(column[inside].tolist() for column in columns), strict=True))
+    taken_us = np.zeros((REPEATS, len(samples)))
     alarm, last = len(samples), 0
-    for k, sample in enumerate(samples):
-        before = perf_counter_ns()
-        found = identifier.update(*sample, 1e-3)
-        taken_us[k] = (perf_counter_ns() - before) / NS_PER_US
-        if found.rupture is not None:
-            alarm = min(alarm, k)
-        if found.compensated is not None:
-            last = k
-    tick = np.arange(len(samples))
-    return np.where((tick >= alarm) & (tick <= last), taken_us, 0.0)
+    for times in taken_us:
+        identifier = Identifier(config)
+        for k, (depth_m, speed_m_s, force_N) in enumerate(samples):
+            before = perf_counter_ns()
+            found = identifier.update(depth_m, speed_m_s, force_N, 1e-3)
+            times[k] = (perf_counter_ns() - before) / NS_PER_US
+            # The same work every time, so the same alarms.
+            if found.rupture is not None:
+                alarm = min(alarm, k)
+            if found.identified_layer is not None:
+                last = max(last, k)
+    # What is slow only once was interrupted.
+    return float(np.max(np.median(taken_us, axis=0)[alarm : last + 1], initial=0.0))
 
 
-# The tables of ``python -m benchmarks speed``.
+def speed_report(report: SpeedReport) -> tuple[list[ResultTable], str, bool]:
+    """Tables, a closing line, and whether all targets are met."""
+    tables = [speed_table(report), event_table(report), layer_table(report)]
+    is_met = not any("missed" in line for table in tables for line in table.lines)
+    return tables, pause_line(report.pauses_us), is_met
 
 
-PERCENTILES = {"median": 50.0, "99 %": 99.0, "99.9 %": 99.9}
-BARE = {
-    OBSERVER: BARE_OBSERVER,
-    UNEVEN_OBSERVER: BARE_OBSERVER,
-    SENSOR: BARE_SENSOR,
-    UNEVEN_SENSOR: BARE_SENSOR,
-    CHAIN: BARE_SENSOR,
-    CHAIN_WITHOUT_VELOCITY: BARE_SENSOR,
-    PAPER_CHAIN: BARE_SENSOR,
-    PAPER_CHAIN_WITHOUT_VELOCITY: BARE_SENSOR,
-}
-"""What a subject's cost is a multiple of."""
-LIMITS = {
-    OBSERVER: OBSERVER_COST_RATIO,
-    SENSOR: SENSOR_COST_RATIO,
-    CHAIN: CHAIN_COST_RATIO,
-    CHAIN_WITHOUT_VELOCITY: CHAIN_COST_RATIO,
-    PAPER_CHAIN: CHAIN_COST_RATIO,
-    PAPER_CHAIN_WITHOUT_VELOCITY: CHAIN_COST_RATIO,
-}
-
-
-def speed_table(timings: Mapping[str, Timing]) -> Table:
-    """Microseconds per tick, and the ratio to the bare dynamics with its target."""
-    ticks = next(iter(timings.values())).tick_us.size
-    table = Table(
-        title="Cost of a tick",
-        caption=f"{ticks} ticks each of a simulated insertion, taking turns; ratios of medians; "
-        + (f"compiled by {COMPILER}" if COMPILER else "plain Python: no numba, the extra `fast`"),
-    )
-    table.add_column("what", no_wrap=True)
-    for name in (*PERCENTILES, "worst"):
-        table.add_column(f"{name}\nus", justify="right")
-    for name in ("ratio", "target", ""):
-        table.add_column(name, justify="right", no_wrap=True)
-    for name, timing in timings.items():
-        times = [f"{timing.percentile_us(percent):.1f}" for percent in PERCENTILES.values()]
-        ratio = ratio_of(timings, name) if name in BARE else None
-        cells = _ratio_cells(ratio, LIMITS.get(name))
-        table.add_row(name, *times, f"{timing.worst_us:.0f}", *cells)
-    return table
-
-
-def event_table(report: SpeedReport) -> Table:
-    """Ticks that raise a rupture and ticks that identify a layer anew, in the same insertion."""
-    table = Table(title="Ticks in which something happens")
-    for name in ("what", "in"):
-        table.add_column(name, no_wrap=True)
-    for name in ("ticks", "median\nus", "worst\nus", "worst as\na ratio"):
-        table.add_column(name, justify="right")
-    bare = report.timings[BARE_SENSOR].percentile_us(50.0)
-    for what, events in (("rupture raised", report.alarms), ("layer identified", report.reruns)):
-        for name, indices in events.items():
-            times = report.timings[name].ticks_us(indices)
-            if len(times):
-                worst = float(times.max())
-                cells = (f"{np.median(times):.0f}", f"{worst:.0f}", f"{worst / bare:.0f}")
-                table.add_row(what, name, str(len(times)), *cells)
-    return table
-
-
-def rerun_table(report: SpeedReport, rerun_us: Mapping[tuple[str, float], float]) -> Table:
-    """The tick that identifies a layer anew, after short and long layers, with its target.
-
-    Args:
-        report: Gives the sensor's share of such a tick, and the bare dynamics.
-        rerun_us: Of the identifier alone, by its name and the seconds in the layer.
-    """
-    table = Table(
-        title="The tick that identifies a layer anew, with the sensor's median tick",
-        caption="median of insertions into one gel of the needle alone, at 1 kHz",
-    )
-    for name in ("identifier", "layer", "us", "ratio", "target", ""):
-        table.add_column(name, justify="right" if name != "identifier" else "left", no_wrap=True)
-    sensor = report.timings[SENSOR].percentile_us(50.0)
-    for (name, seconds), taken in rerun_us.items():
-        ratio = rerun_ratio(report, taken)
-        cells = _ratio_cells(ratio, RERUN_COST_RATIO)
-        table.add_row(name, f"{seconds:g} s", f"{sensor + taken:.0f}", *cells)
-    return table
-
-
-def pause_line(pauses: GcPauses) -> str:
-    """What the garbage collector took of all these ticks."""
-    if not pauses.pauses_us:
-        return "No garbage collection happened meanwhile."
-    return (
-        f"{len(pauses.pauses_us)} garbage collections happened meanwhile, in whatever tick was "
-        f"next; the longest took {max(pauses.pauses_us):.0f} us. gc.freeze() after the tare "
-        "spares a controller most of it (docs/loop.md)."
-    )
-
-
-def ratio_of(timings: Mapping[str, Timing], name: str) -> float:
-    """Cost of a subject in times of its bare dynamics."""
-    return timings[name].ratio_to(timings[BARE[name]])
-
-
-def rerun_ratio(report: SpeedReport, identifier_us: float) -> float:
-    """A sensor's median tick and an identifier's tick in times of the bare dynamics."""
-    bare = report.timings[BARE_SENSOR].percentile_us(50.0)
-    return (report.timings[SENSOR].percentile_us(50.0) + identifier_us) / bare
-
-
-def _ratio_cells(ratio: float | None, limit: float | None) -> tuple[str, str, str]:
-    if ratio is None:
-        return "", "", ""
+def _ratio_cells(ratio: float, limit: float | None) -> tuple[str, str, str]:
     if limit is None:
         return f"{ratio:.2f}", "", ""
     return f"{ratio:.2f}", f"≤ {limit:g}", met_mark(ratio <= limit)
+
+
+def speed_table(report: SpeedReport) -> ResultTable:
+    """Microseconds per update, and the ratio to the bare dynamics with its target."""
+    lines = []
+    for name, times in report.times.items():
+        cells, subject = ("", "", ""), SUBJECTS.get(name)
+        if subject is not None:
+            limit = subject.compiled if COMPILER else subject.plain
+            cells = _ratio_cells(report.ratio(name), limit)
+        taken = [f"{np.percentile(times, percent):.1f}" for percent in PERCENTILES.values()]
+        lines.append((name, *taken, *cells))
+    ticks = next(iter(report.times.values())).size
+    how = f"compiled by {COMPILER}" if COMPILER else "plain Python: no numba, the extra `fast`"
+    return ResultTable(
+        title="Cost of a tick",
+        heads=("what", *(f"{name}\nus" for name in PERCENTILES), "ratio", "target", ""),
+        align="LrrrrrrL",
+        lines=tuple(lines),
+        caption=f"{ticks} ticks each of a simulated insertion, taking turns; ratios of medians, "
+        f"relative to the bare Pinocchio calls; {how}",
+    )
+
+
+def event_table(report: SpeedReport) -> ResultTable:
+    """Updates that raise a rupture and updates that identify a layer, in the same insertion."""
+    lines = []
+    for what, events in (("rupture raised", report.alarms), ("layer identified", report.layers)):
+        for name, indices in events.items():
+            times = report.times[name].reshape(-1)
+            taken = times[[k for k in indices if 0 <= k < times.size]]
+            if taken.size:
+                ratio = taken.max() / np.median(report.times[BARE_SENSOR])
+                numbers = (taken.size, np.median(taken), taken.max(), ratio)
+                lines.append((what, name, *(f"{number:.0f}" for number in numbers)))
+    return ResultTable(
+        title="Ticks in which something happens",
+        heads=("what", "in", "ticks", "median\nus", "worst\nus", "worst,\nratio"),
+        align="LLrrrr",
+        lines=tuple(lines),
+    )
+
+
+def layer_table(report: SpeedReport) -> ResultTable:
+    """The update that identifies a layer, after short and long layers, with its target."""
+    sensor = float(np.median(report.times[SENSOR]))
+    lines = []
+    for (name, seconds), taken in report.layer_us.items():
+        cells = _ratio_cells(report.layer_ratio(taken), LAYER_COST_RATIO)
+        lines.append((name, f"{seconds:g} s", f"{sensor + taken:.0f}", *cells))
+    return ResultTable(
+        title="The tick that identifies a layer, with the sensor's median tick",
+        heads=("identifier", "layer", "us", "ratio", "target", ""),
+        align="LrrrrL",
+        lines=tuple(lines),
+        caption="median of insertions into one gel of the needle alone, at 1 kHz",
+    )

@@ -1,8 +1,8 @@
-"""``python -m groundtruth``: forwards to `needleforce.cli.simulate`."""
+"""``python -m groundtruth`` is ``needleforce simulate``."""
 
 import sys
 
-from needleforce.cli.simulate import main
+from needleforce.cli import main
 
 if __name__ == "__main__":
-    sys.exit(main())
+    sys.exit(main(["simulate", *sys.argv[1:]]))

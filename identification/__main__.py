@@ -1,8 +1,8 @@
-"""``python -m identification``: forwards to `needleforce.cli.identify`."""
+"""``python -m identification`` is ``needleforce identify``."""
 
 import sys
 
-from needleforce.cli.identify import main
+from needleforce.cli import main
 
 if __name__ == "__main__":
-    sys.exit(main())
+    sys.exit(main(["identify", *sys.argv[1:]]))

@@ -1,4 +1,4 @@
-"""Errors of this room: one base, leaves that are also the built-in kind they refine."""
+"""Errors of `identification`: one base, leaves that are also the built-in kind they refine."""
 
 
 class IdentificationError(Exception):
@@ -14,7 +14,7 @@ class InvalidLogError(IdentificationError, ValueError):
 
 
 class InvalidSnapshotError(IdentificationError, ValueError):
-    """A snapshot does not belong to the identifier it is restored into."""
+    """A snapshot does not belong to the identifier it is restored into, or is damaged."""
 
 
 class NoRuptureError(IdentificationError, RuntimeError):

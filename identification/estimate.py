@@ -1,4 +1,11 @@
-"""What an identifier tells: per sample, per rupture and per layer."""
+"""What an identifier reports: per sample, per rupture and per layer.
+
+Clock and depth zero are the caller's. Every ``*_s`` here is on the clock of `Identifier.update`:
+its argument ``time_s`` where the caller gives one, else the sum of his ``dt_s`` since the reset.
+Every depth counts from the zero of the caller's ``depth_m``; `Rupture.contact_depth_m` is the
+depth of the first contact with tissue from the same zero, so that a travel in tissue is a
+difference of the two.
+"""
 
 from dataclasses import dataclass
 from enum import Enum
@@ -6,20 +13,18 @@ from typing import NamedTuple
 
 from identification.input_validation import SampleStatus
 
-# State machine around a rupture (the authors' framework).
-
 
 class RuptureState(Enum):
-    """Where the identifier stands with respect to a rupture."""
+    """Where the identifier stands with respect to a rupture (the authors' framework)."""
 
     NO_RUPTURE = "no rupture"
     EXPECTED = "expected"
     DETECTED = "detected"
     FORCE_DROP_MEASURING = "force drop measuring"
-    COMPENSATED = "compensated"
+    FRICTION_IDENTIFIED = "friction identified"
 
 
-MUTED = frozenset({RuptureState.FORCE_DROP_MEASURING, RuptureState.COMPENSATED})
+MUTED = frozenset({RuptureState.FORCE_DROP_MEASURING, RuptureState.FRICTION_IDENTIFIED})
 """States in which no new rupture is looked for."""
 
 
@@ -31,15 +36,7 @@ def next_rupture_state(
     is_measured: bool = False,
     is_settled: bool = True,
 ) -> RuptureState:
-    """Advance the machine by one sample.
-
-    Args:
-        state: Current state.
-        is_alarm: The change detector alarms.
-        is_expected: The filtered force derivative is beyond its threshold.
-        is_measured: T_drop has passed, the force drop can be computed.
-        is_settled: The estimate has been re-initialised after the compensation.
-    """
+    """Advance the rupture state by one sample."""
     if state in (RuptureState.NO_RUPTURE, RuptureState.EXPECTED):
         if is_alarm:
             return RuptureState.DETECTED
@@ -47,13 +44,13 @@ def next_rupture_state(
     if state is RuptureState.DETECTED:
         return RuptureState.FORCE_DROP_MEASURING
     if state is RuptureState.FORCE_DROP_MEASURING:
-        return RuptureState.COMPENSATED if is_measured else state
+        return RuptureState.FRICTION_IDENTIFIED if is_measured else state
     return RuptureState.NO_RUPTURE if is_settled else state
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Rupture:
-    """The tip leaves a layer.
+    """The tip leaves a layer. Raised at the alarm; a false one is retracted later.
 
     Attributes:
         layer: Number of the layer left, from 1.
@@ -64,6 +61,8 @@ class Rupture:
         force_N: Axial force at that instant.
         speed_m_s: Speed at that instant.
         confidence: 1 - probability that the alarm is chance, 0 to 1.
+        contact_depth_m: Depth at which the first layer was met: found by the multi-layer method,
+            known beforehand in `published`.
     """
 
     layer: int
@@ -74,16 +73,27 @@ class Rupture:
     force_N: float
     speed_m_s: float
     confidence: float
+    contact_depth_m: float
+
+    @property
+    def travel_in_tissue_m(self) -> float:
+        """Depth of the rupture counted from the first contact."""
+        return self.depth_m - self.contact_depth_m
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class LayerEstimate:
     """A layer that has been left, as known now.
 
-    Standard deviations are None where the method states none (`published`).
+    The multi-layer method reports a layer twice: provisionally, a millimetre after its rupture,
+    and finally, some millimetres later. Standard deviations are None where the method states none
+    (`published`).
 
     Attributes:
         layer: Number from 1.
+        is_final: Whether the measurement of its rupture has ended: False in a provisional estimate,
+            which a final one follows unless the alarm is retracted. `Identifier.layers` goes on
+            refining final estimates with what later layers reveal about their friction.
         start_depth_m: Depth at which it begins.
         thickness_m: d_i, travel from there to its rupture.
         rupture: How it ended.
@@ -100,13 +110,14 @@ class LayerEstimate:
         coulomb_N_per_m: Part of the friction that does not depend on speed, per embedded length;
             None for `published`, which knows viscous friction only.
         coulomb_std_N_per_m: Its standard deviation.
-        coulomb_identified: Whether the motion told it from the viscous part.
+        coulomb_identified: Whether the motion separated it from the viscous part.
         viscous_Ns_per_m2: Part of the friction proportional to speed, per embedded length.
         viscous_std_Ns_per_m2: Its standard deviation.
-        viscous_identified: Whether the motion told it from the Coulomb part.
+        viscous_identified: Whether the motion separated it from the Coulomb part.
     """
 
     layer: int
+    is_final: bool
     start_depth_m: float
     thickness_m: float
     rupture: Rupture
@@ -135,14 +146,14 @@ class Estimate(NamedTuple):
     many fields takes ten times as long. Change a field with ``_replace``.
 
     Attributes:
-        time_s: Time since reset.
-        status: What became of the sample; anything but `OK` was not absorbed.
+        time_s: Time of the sample on the caller's clock.
+        status: What became of the sample; anything but `OK` and `TIME_GAP` was not used.
         rupture_state: State of the rupture machine.
         in_contact: Whether the needle has met the first layer (and not left it again).
         layer: Number of the layer the tip is in, from 1; 0 before contact.
         enhanced_force_N: Axial force less the friction of the layers already traversed.
         tip_force_N: Axial force less all shaft friction, the current layer's included.
-        shaft_friction_N: All shaft friction; opposes motion, negative on the way out.
+        shaft_friction_N: All shaft friction; opposes motion, negative during withdrawal.
         shaft_friction_std_N: Its standard deviation, None where the method states none.
         predicted_force_N: Axial force the model expected at this sample.
         stiffness_N_per_m: K of the current layer.
@@ -155,9 +166,10 @@ class Estimate(NamedTuple):
             their ruptures.
         cumulative_friction_std_Ns_per_m: Its standard deviation or None.
         rupture: The rupture raised by this sample, or None.
-        compensated: The layer whose friction was identified at this sample, or None.
-        withdrawn: The rupture, raised before, that this sample showed to be none (the force came
-            back; its layer goes on and is not listed), or None.
+        identified_layer: The layer whose friction was identified at this sample, provisionally or
+            finally (see `LayerEstimate.is_final`), or None.
+        retracted: The rupture, raised before, that this sample showed to be a false alarm (the
+            force came back; its layer goes on and is not listed), or None.
     """
 
     time_s: float
@@ -179,8 +191,12 @@ class Estimate(NamedTuple):
     cumulative_friction_Ns_per_m: float
     cumulative_friction_std_Ns_per_m: float | None
     rupture: Rupture | None
-    compensated: LayerEstimate | None
-    withdrawn: Rupture | None = None
+    identified_layer: LayerEstimate | None
+    retracted: Rupture | None = None
+
+
+Events = tuple[Rupture | None, LayerEstimate | None, Rupture | None]
+"""The last three fields of an `Estimate`."""
 
 
 def layers_left(layers: tuple[LayerEstimate, ...]) -> int:

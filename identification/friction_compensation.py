@@ -1,94 +1,94 @@
-"""What every sample asks of this toolkit's own identification; the rest is done once per block."""
+"""What every sample asks of the multi-layer method: shaft friction out of the force.
+
+All else is done once per block of samples, see `multilayer_identifier`.
+"""
 
 import math
 from typing import Any, NamedTuple
 
-from needleforce.jit import Vector, compiled
+from needleforce.jit import compiled
 
-(
-    SMOOTHING_S,
-    PLAY_M,
-    PRESLIDING_M,
-    BLOCK_S,
-    ONSET_M,
-    REST_SPEED,
-    IDENTIFIED_SHARE,
-    IS_DUE,
-    IN_CONTACT,
-    LAYER,
-    OFFSET_N,
-    START_M,
-    TIP_M,
-    COULOMB,
-    VISCOUS,
-    STIFFNESS,
-    STIFFNESS_STD,
-    OWN_COULOMB,
-    OWN_VISCOUS,
-    VAR_OWN_COULOMB,
-    VAR_OWN_BOTH,
-    VAR_OWN_VISCOUS,
-    SHAFT_STD_N,
-    EARLIER_COULOMB,
-    EARLIER_VISCOUS,
-    VAR_COULOMB,
-    VAR_BOTH,
-    VAR_VISCOUS,
-    CUMULATIVE_SPEED,
-    TRAVERSED,
-) = range(30)
-"""Places of the numbers that `multilayer_coefficients`; four per traversed layer at the end."""
-PER_LAYER = 4
 _MM = 1e3
 _TINY = 1e-12
 
 
-class MultilayerUpdate(NamedTuple):
-    """What every sample changes. Compiled code takes and gives the fields as a plain tuple.
+class MultilayerMemory(NamedTuple):
+    """What every sample changes. Compiled code takes and gives the fields as a plain tuple."""
 
-    Attributes:
-        filled_s: Length of the block being filled.
-        depth_sum: Integral of the depth over it.
-        speed_sum: Integral of the speed over it.
-        force_sum: Integral of the force over it.
-        bristle: Presliding deflection.
-        follower_m: Depth less the jitter of its measurement.
-        speed_m_s: Speed without the noise of its measurement.
-        deepest_m: Deepest point so far; minus infinity before the first sample.
+    filled_s: float = 0.0  # Length of the block being filled
+    depth_sum: float = 0.0  # Integral of the depth over it
+    speed_sum: float = 0.0  # Integral of the speed over it
+    force_sum: float = 0.0  # Integral of the force over it
+    bristle: float = 0.0  # Presliding deflection
+    follower_m: float = 0.0  # Depth less the jitter of its measurement
+    speed_m_s: float = 0.0  # Speed without the noise of its measurement
+    deepest_m: float = -math.inf  # Deepest point so far; minus infinity before the first sample
+
+
+Memory = tuple[float, float, float, float, float, float, float, float]
+"""Fields of `MultilayerMemory`, plain."""
+Outputs = tuple[Any, ...]
+"""The fields of an `Estimate` from ``in_contact`` up to the events."""
+
+
+class MultilayerCoefficients(NamedTuple):
+    """What `update_multilayer` reads; changes with the fit, a rupture or the layers only.
+
+    Unknowns of a layer as in `layer_model`, in N and mm.
     """
 
-    filled_s: float = 0.0
-    depth_sum: float = 0.0
-    speed_sum: float = 0.0
-    force_sum: float = 0.0
-    bristle: float = 0.0
-    follower_m: float = 0.0
-    speed_m_s: float = 0.0
-    deepest_m: float = -math.inf
+    smoothing_s: float  # Setting ``speed_smoothing_s``
+    deadband_m: float  # Jitter of the depth that is no travel
+    presliding_m: float  # Setting
+    block_s: float  # Length from which on a block is full
+    onset_m: float  # Setting ``cutting_onset_m``
+    rest_speed_m_s: float  # Setting
+    identified_fraction: float  # A value is identified if its deviation is no more of it
+    is_due: bool  # Whether the next sample finds work to do even if it fills no block
+    in_contact: bool  # The first layer has been met
+    layer: int  # Number of the layer the tip is in, 0 before contact
+    offset_N: float  # Force in free air
+    start_m: float  # Depth at which the layer begins
+    tip_m: float  # Depth from which on it resists the tip
+    coulomb: float  # C, Coulomb friction of the layers before
+    viscous: float  # V, their viscous friction
+    stiffness_N_per_m: float  # K of the layer
+    stiffness_std_N_per_m: float  # Its standard deviation
+    own_coulomb: float  # c of the layer
+    own_viscous: float  # b of the layer
+    var_own_coulomb: float  # Variance of c
+    var_own_both: float  # Covariance of c and b
+    var_own_viscous: float  # Variance of b
+    shaft_std_N: float  # Standard deviation of the shaft friction
+    earlier_coulomb: float  # C without what an open rupture has added
+    earlier_viscous: float  # V without that
+    var_coulomb: float  # Variance of C, as the next two without an open rupture
+    var_both: float  # Covariance of C and V
+    var_viscous: float  # Variance of V
+    # Speed for the cumulative friction [mm/s]: that of the last rupture; 0 before the first, to
+    # take the present one
+    cumulative_speed: float
 
-    @property
-    def plain(self) -> tuple[Any, ...]:
-        """As `multilayer_update` takes it."""
-        return tuple(self)
 
-    @staticmethod
-    def of(plain: tuple[Any, ...]) -> "MultilayerUpdate":
-        """From what `multilayer_update` gave."""
-        return MultilayerUpdate(*plain)
+class LayerFriction(NamedTuple):
+    """Friction of one layer traversed, as the needle is withdrawn through it."""
+
+    start_m: float  # Depth at which it begins
+    thickness_m: float
+    coulomb_N: float  # c d
+    viscous: float  # b d [N/(mm/s)]
 
 
-Fields = tuple[float, float, float, float, float, float, float, float]
-"""Of `MultilayerUpdate`, plain."""
-Figures = tuple[Any, ...]
-"""The fields of an `Estimate` from ``in_contact`` up to the events."""
+Coefficients = tuple[MultilayerCoefficients, ...]
+Traversed = tuple[LayerFriction, ...]
 
 
 @compiled
 def follow_depth(follower_m: float, depth_m: float, deadband_m: float) -> float:
     """Depth without the jitter of the measurement: it moves only when more than `deadband_m` off.
 
-    The play of a loose coupling: noise smaller than the play causes no reversal, a true reversal
-    is followed after twice the play.
+    The backlash of a loose coupling: noise smaller than it causes no reversal, a true reversal
+    is followed after twice the deadband.
     """
     if follower_m < depth_m - deadband_m:
         return depth_m - deadband_m
@@ -115,51 +115,47 @@ def bristle_step(bristle: float, travel_m: float, presliding_m: float) -> float:
 
 
 @compiled
-def _embedded_shares(depth_m: float, numbers: Vector) -> tuple[float, float]:
-    """Share of the cumulative Coulomb and viscous friction still on the shaft."""
-    if depth_m >= numbers[START_M] or len(numbers) == TRAVERSED:
-        return 1.0, 1.0
+def embedded_fractions(depth_m: float, traversed: Traversed) -> tuple[float, float]:
+    """Fraction of the cumulative Coulomb and viscous friction still on the shaft."""
     coulomb = viscous = all_coulomb = all_viscous = _TINY
-    for k in range(TRAVERSED, len(numbers), PER_LAYER):
-        share = min(max(depth_m - numbers[k], 0.0) / numbers[k + 1], 1.0)
-        coulomb += share * numbers[k + 2]
-        viscous += share * numbers[k + 3]
-        all_coulomb += numbers[k + 2]
-        all_viscous += numbers[k + 3]
+    for k in range(len(traversed)):
+        layer = traversed[k]
+        fraction = min(max(depth_m - layer.start_m, 0.0) / layer.thickness_m, 1.0)
+        coulomb += fraction * layer.coulomb_N
+        viscous += fraction * layer.viscous
+        all_coulomb += layer.coulomb_N
+        all_viscous += layer.viscous
     return coulomb / all_coulomb, viscous / all_viscous
 
 
 @compiled
 def shaft_friction(
-    depth_m: float, force_N: float, tick: Fields, numbers: Vector
+    depth_m: float, force_N: float, memory: Memory, coefficients: Coefficients, traversed: Traversed
 ) -> tuple[float, float]:
     """Friction of the needle's shaft in tissue, positive when it resists insertion.
 
-    On the way out the embedded length shrinks layer by layer, and a tip drawn back by more than
+    During withdrawal the embedded length shrinks layer by layer, and a tip drawn back by more than
     a needle diameter touches nothing: all force is friction then.
 
-    Args:
-        depth_m: Of the sample [m].
-        force_N: Its force less the free-air offset [N].
-        tick: After the sample.
-        numbers: See `multilayer_update`.
-
     Returns:
-        Friction of the layers traversed and identified, without which the enhanced force goes; and
+        Friction of the layers traversed and identified, which the enhanced force is without; and
         that of the current layer, and of one just left that is not identified yet [N].
     """
-    _, _, _, _, bristle, _, speed, deepest_m = tick
+    c = coefficients[0]
+    _, _, _, _, bristle, _, speed, deepest_m = memory
     speed = _MM * speed
-    coulomb_share, viscous_share = _embedded_shares(depth_m, numbers)
+    coulomb_fraction = viscous_fraction = 1.0
+    if depth_m < c.start_m and len(traversed) > 0:
+        coulomb_fraction, viscous_fraction = embedded_fractions(depth_m, traversed)
     earlier = (
-        bristle * coulomb_share * numbers[EARLIER_COULOMB]
-        + speed * viscous_share * numbers[EARLIER_VISCOUS]
+        bristle * coulomb_fraction * c.earlier_coulomb
+        + speed * viscous_fraction * c.earlier_viscous
     )
-    if depth_m < deepest_m - numbers[ONSET_M]:
+    if depth_m < deepest_m - c.onset_m:
         return earlier, force_N - earlier
-    total = bristle * coulomb_share * numbers[COULOMB] + speed * viscous_share * numbers[VISCOUS]
-    depth = _MM * max(depth_m - numbers[START_M], 0.0)
-    own = depth * (bristle * numbers[OWN_COULOMB] + speed * numbers[OWN_VISCOUS])
+    total = bristle * coulomb_fraction * c.coulomb + speed * viscous_fraction * c.viscous
+    depth = _MM * max(depth_m - c.start_m, 0.0)
+    own = depth * (bristle * c.own_coulomb + speed * c.own_viscous)
     return earlier, total - earlier + own
 
 
@@ -176,87 +172,93 @@ def _per_speed(
 
 @compiled
 def multilayer_outputs(
-    depth_m: float, speed_m_s: float, force_N: float, tick: Fields, numbers: Vector
-) -> Figures:
-    """Enhanced force, tip force and their companions, for one sample; see `multilayer_update`."""
-    in_contact = numbers[IN_CONTACT] != 0.0
-    force_N -= numbers[OFFSET_N]
+    depth_m: float,
+    speed_m_s: float,
+    force_N: float,
+    memory: Memory,
+    coefficients: Coefficients,
+    traversed: Traversed,
+) -> Outputs:
+    """Enhanced force, tip force and their companions, for one sample; see `update_multilayer`."""
+    c = coefficients[0]
+    force_N -= c.offset_N
     earlier_N = own_N = 0.0
-    if in_contact:
-        earlier_N, own_N = shaft_friction(depth_m, force_N, tick, numbers)
-    speed = _MM * max(abs(speed_m_s), numbers[REST_SPEED])
+    if c.in_contact:
+        earlier_N, own_N = shaft_friction(depth_m, force_N, memory, coefficients, traversed)
+    speed = _MM * max(abs(speed_m_s), c.rest_speed_m_s)
     b, b_std = _per_speed(
         speed,
-        (numbers[OWN_COULOMB], numbers[OWN_VISCOUS]),
-        (numbers[VAR_OWN_COULOMB], numbers[VAR_OWN_BOTH], numbers[VAR_OWN_VISCOUS]),
+        (c.own_coulomb, c.own_viscous),
+        (c.var_own_coulomb, c.var_own_both, c.var_own_viscous),
     )
-    if numbers[CUMULATIVE_SPEED] != 0.0:
-        speed = numbers[CUMULATIVE_SPEED]
+    if c.cumulative_speed != 0.0:
+        speed = c.cumulative_speed
     d, d_std = _per_speed(
-        speed,
-        (numbers[EARLIER_COULOMB], numbers[EARLIER_VISCOUS]),
-        (numbers[VAR_COULOMB], numbers[VAR_BOTH], numbers[VAR_VISCOUS]),
+        speed, (c.earlier_coulomb, c.earlier_viscous), (c.var_coulomb, c.var_both, c.var_viscous)
     )
-    k, k_std, b, b_std = numbers[STIFFNESS], numbers[STIFFNESS_STD], 1e6 * b, 1e6 * b_std
-    share = numbers[IDENTIFIED_SHARE]
+    k, k_std, b, b_std = c.stiffness_N_per_m, c.stiffness_std_N_per_m, 1e6 * b, 1e6 * b_std
     return (
-        in_contact,
-        int(numbers[LAYER]),
+        c.in_contact,
+        c.layer,
         force_N - earlier_N,
         force_N - earlier_N - own_N,
         earlier_N + own_N,
-        numbers[SHAFT_STD_N],
-        earlier_N + own_N + k * max(depth_m - numbers[TIP_M], 0.0),
+        c.shaft_std_N,
+        earlier_N + own_N + k * max(depth_m - c.tip_m, 0.0),
         k,
         k_std,
-        in_contact and k_std <= share * abs(k),
+        c.in_contact and k_std <= c.identified_fraction * abs(k),
         b,
         b_std,
-        in_contact and b_std <= share * abs(b),
+        c.in_contact and b_std <= c.identified_fraction * abs(b),
         _MM * d,
         _MM * d_std,
     )
 
 
 @compiled
-def multilayer_update(
+def update_multilayer(
     depth_m: float,
     speed_m_s: float,
     force_N: float,
     dt_s: float,
-    tick: Fields,
-    numbers: Vector,
-) -> tuple[bool, Fields, Figures]:
-    """Absorb one sample.
+    memory: Memory,
+    coefficients: Coefficients,
+    traversed: Traversed,
+) -> tuple[bool, Memory, Outputs]:
+    """Use one sample.
 
     Args:
         depth_m: Travel of the tip along the insertion axis [m].
         speed_m_s: Rate of depth [m/s].
         force_N: Axial force [N].
         dt_s: Time since the sample before [s].
-        tick: The fields of `MultilayerUpdate`.
-        numbers: All else that counts, see `multilayer_coefficients`.
+        memory: The fields of `MultilayerMemory`.
+        coefficients: All else that counts.
+        traversed: The layers traversed, see `embedded_fractions`.
 
     Returns:
-        Whether that was all: no block is full, nothing else is due; the new fields, and what to
-        tell, see `multilayer_outputs`.
+        Whether that was all: no block is full, nothing else is due; the new memory, and what to
+        report, see `multilayer_outputs`.
     """
-    filled, depth_sum, speed_sum, force_sum, bristle, last, smooth, deepest = tick
+    c = coefficients[0]
+    filled, depth_sum, speed_sum, force_sum, bristle, last, smooth, deepest = memory
     keep = 0.0
     if deepest == -math.inf:
         last = depth_m
     else:
-        keep = math.exp(-dt_s / numbers[SMOOTHING_S])
-    follower = follow_depth(last, depth_m, numbers[PLAY_M])
+        keep = math.exp(-dt_s / c.smoothing_s)
+    follower = follow_depth(last, depth_m, c.deadband_m)
     new = (
         filled + dt_s,
         depth_sum + dt_s * depth_m,
         speed_sum + dt_s * speed_m_s,
         force_sum + dt_s * force_N,
-        bristle_step(bristle, follower - last, numbers[PRESLIDING_M]),
+        bristle_step(bristle, follower - last, c.presliding_m),
         follower,
         keep * smooth + (1.0 - keep) * speed_m_s,
         max(deepest, depth_m),
     )
-    is_calm = new[0] < numbers[BLOCK_S] and numbers[IS_DUE] == 0.0
-    return is_calm, new, multilayer_outputs(depth_m, speed_m_s, force_N, new, numbers)
+    is_all = new[0] < c.block_s and not c.is_due
+    outputs = multilayer_outputs(depth_m, speed_m_s, force_N, new, coefficients, traversed)
+    return is_all, new, outputs

@@ -1,128 +1,102 @@
-"""The online identifier: plumbing around pure steps."""
+"""The online identifier: two methods behind one class."""
 
 import math
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any, NamedTuple
 
+from identification import multilayer_identifier, multilayer_state, published_identifier
+from identification.config import MULTILAYER, MultilayerConfig, PublishedConfig
 from identification.errors import InvalidConfigError, InvalidSnapshotError, NoRuptureError
 from identification.estimate import Estimate, LayerEstimate
-from identification.friction_compensation import multilayer_outputs, multilayer_update
+from identification.friction_compensation import (
+    LayerFriction,
+    MultilayerCoefficients,
+    MultilayerMemory,
+    multilayer_outputs,
+    update_multilayer,
+)
 from identification.input_validation import (
-    LAST_ABSORBED,
+    LAST_USED,
     STATUSES,
     CheckMemory,
     CheckState,
     Sample,
     SampleStatus,
     as_scalar,
-    check_step,
-    packed_limits,
+    check_limits,
+    check_sample,
+    check_state,
 )
-from identification.multilayer_config import MULTILAYER, MultilayerConfig
-from identification.multilayer_identifier import begin_default_sample, multilayer_step
-from identification.multilayer_state import (
-    MultilayerState,
-    initial_default_state,
-    multilayer_coefficients,
-    multilayer_layers,
+from identification.multilayer_state import MultilayerState
+from identification.published_identifier import PublishedState
+from identification.published_update import (
+    PublishedCoefficients,
+    PublishedMemory,
+    published_outputs,
+    update_published,
 )
-from identification.published_config import PublishedConfig
-from identification.published_identifier import (
-    begin_paper_sample,
-    initial_paper_state,
-    published_coefficients,
-    published_layers,
-    published_step,
-)
-from identification.published_update import paper_figures, published_update
-from identification.slope_change_detector import check_detector
-
-# The two methods behind one face: pure functions that the identifier calls.
-
-
-@dataclass(frozen=True, slots=True)
-class Method:
-    """One way of identifying.
-
-    Attributes:
-        initial: State before the first sample.
-        begin: Before a sample, where one is due.
-        tick: What every sample asks; mostly that is all.
-        step: What else a sample asks, where it does.
-        standing: What `tick` reads of the state.
-        figures: What is told of the state after a sample.
-        layers: Layers left so far.
-    """
-
-    initial: Callable[[Any], Any]
-    begin: Callable[[Any, Any], Any]
-    tick: Callable[..., tuple[bool, tuple[Any, ...], tuple[Any, ...]]]
-    step: Callable[[Any, Any, Sample, Any], Any]
-    standing: Callable[[Any, Any], Any]
-    figures: Callable[..., tuple[Any, ...]]
-    layers: Callable[[Any], tuple[LayerEstimate, ...]]
-
-    def absorb(
-        self,
-        before: tuple[Any, Any, tuple[Any, ...]],
-        sample: Sample,
-        done: tuple[tuple[Any, ...], tuple[Any, ...]],
-        config: Any,
-    ) -> tuple[Any, Any, tuple[Any, ...]]:
-        """Absorb a sample that asks more than `tick`.
-
-        Args:
-            before: A state, what stands of it, and the fields of its tick before the sample: those
-                in the state may be older.
-            sample: The sample.
-            done: What `tick` made of it: fields and figures.
-            config: Settings.
-
-        Returns:
-            The state after it, what stands of that, and the figures to tell.
-        """
-        (state, standing, last), (fields, figures) = before, done
-        _, dt_s, depth_m, speed_m_s, force_N = sample
-        if standing.is_due:
-            state = self.begin(state._replace(tick=state.tick.of(last)), config)
-            if not standing.holds(state):
-                standing = self.standing(state, config)
-                _, fields, figures = self.tick(
-                    depth_m, speed_m_s, force_N, dt_s, state.tick.plain, standing.numbers
-                )
-        state = self.step(state, state.tick.of(fields), sample, config)
-        if not standing.holds(state):
-            standing = self.standing(state, config)
-            figures = self.figures(depth_m, speed_m_s, force_N, state.tick.plain, standing.numbers)
-        return state, standing, figures
-
-
-METHODS: dict[type, Method] = {
-    MultilayerConfig: Method(
-        initial=initial_default_state,
-        begin=begin_default_sample,
-        tick=multilayer_update,
-        step=multilayer_step,
-        standing=multilayer_coefficients,
-        figures=multilayer_outputs,
-        layers=multilayer_layers,
-    ),
-    PublishedConfig: Method(
-        initial=initial_paper_state,
-        begin=begin_paper_sample,
-        tick=published_update,
-        step=published_step,
-        standing=published_coefficients,
-        figures=paper_figures,
-        layers=published_layers,
-    ),
-}
-"""By the type of their settings."""
-
+from needleforce.jit import jit_arguments
 
 _new = tuple.__new__
 """Makes an `Estimate` of a tuple in a third of the time."""
+
+
+@dataclass(frozen=True, slots=True)
+class _Method:
+    """One way of identifying, as pure functions."""
+
+    initial: Callable[[Any], Any]  # State before the first sample
+    begin: Callable[[Any, Any], Any]  # Before a sample, where one is due
+    # What every sample asks; mostly that is all
+    update: Callable[..., tuple[bool, tuple[Any, ...], tuple[Any, ...]]]
+    step: Callable[[Any, Any, Sample, Any], Any]  # What else a sample asks, where it does
+    outputs: Callable[..., tuple[Any, ...]]  # What to report of the state after a sample
+    arguments: Callable[[Any, Any], tuple[Any, ...]]  # What the two read of the state
+    plain: Callable[[Any], tuple[Any, ...]]  # The state's memory as compiled code takes it
+    memory: Callable[[tuple[Any, ...]], Any]  # The same back
+    layers: Callable[[Any], tuple[LayerEstimate, ...]]  # Layers left so far
+
+
+def _multilayer_arguments(state: MultilayerState, config: MultilayerConfig) -> tuple[Any, ...]:
+    coefficients = multilayer_state.multilayer_coefficients(state, config)
+    friction = (layer.friction for layer in state.traversed)
+    return (
+        jit_arguments(MultilayerCoefficients, coefficients),
+        jit_arguments(LayerFriction, *friction),
+    )
+
+
+def _published_arguments(state: PublishedState, config: PublishedConfig) -> tuple[Any, ...]:
+    coefficients = published_identifier.published_coefficients(state, config)
+    return (jit_arguments(PublishedCoefficients, coefficients),)
+
+
+_METHODS: dict[type, _Method] = {
+    MultilayerConfig: _Method(
+        initial=multilayer_state.initial_multilayer_state,
+        begin=multilayer_identifier.begin_multilayer_sample,
+        update=update_multilayer,
+        step=multilayer_identifier.multilayer_step,
+        outputs=multilayer_outputs,
+        arguments=_multilayer_arguments,
+        plain=tuple,
+        memory=MultilayerMemory._make,
+        layers=multilayer_state.multilayer_layers,
+    ),
+    PublishedConfig: _Method(
+        initial=published_identifier.initial_published_state,
+        begin=published_identifier.begin_published_sample,
+        update=update_published,
+        step=published_identifier.published_step,
+        outputs=published_outputs,
+        arguments=_published_arguments,
+        plain=lambda memory: memory.plain,
+        memory=PublishedMemory.of,
+        layers=published_identifier.published_layers,
+    ),
+}
+"""By the type of their settings."""
 
 
 class Snapshot(NamedTuple):
@@ -135,9 +109,9 @@ class Snapshot(NamedTuple):
         last: Last estimate.
     """
 
-    config: object
+    config: MultilayerConfig | PublishedConfig
     check: CheckState
-    state: Any
+    state: MultilayerState | PublishedState
     last: Estimate
 
 
@@ -145,42 +119,50 @@ class Identifier:
     """Finds ruptures and identifies stiffness and friction of each layer, sample by sample.
 
     Depth grows into the tissue, speed is its rate, force is positive when tissue pushes back.
+    Depths in what it reports have the zero of the depths it is given, see `estimate`.
     """
 
     def __init__(self, config: MultilayerConfig | PublishedConfig = MULTILAYER) -> None:
         """Choose the method by its configuration.
 
         Args:
-            config: `DEFAULT` or `PUBLISHED`, or one of these with changed fields.
+            config: `MULTILAYER` or `PUBLISHED`, or one of these with changed fields.
 
         Raises:
-            InvalidConfigError: Not a configuration of this room.
+            InvalidConfigError: Another type of configuration.
         """
-        method = METHODS.get(type(config))
+        method = _METHODS.get(type(config))
         if method is None:
-            known = ", ".join(kind.__name__ for kind in METHODS)
+            known = ", ".join(kind.__name__ for kind in _METHODS)
             raise InvalidConfigError(f"config must be one of {known}, got {type(config).__name__}")
-        self._config, self._method, self._method_tick = config, method, method.tick
-        self._limits = packed_limits(config.check)
+        self._config, self._method, self._method_update = config, method, method.update
+        self._limits = check_limits(config.check)
         self.reset()
 
     @property
     def layers(self) -> tuple[LayerEstimate, ...]:
         """Layers left so far, in order, as known now."""
-        return self._method.layers(self._state)
+        layers, shift_m = self._method.layers(self._state), self._check[_SHIFT]
+        return tuple(_in_callers_depth(layer, shift_m) for layer in layers)
 
     def reset(self) -> None:
-        """Forget everything: a new insertion begins."""
+        """Forget everything: a new insertion begins, its clock at 0."""
         config, method = self._config, self._method
         state = method.initial(config)
-        figures = method.figures(
-            0.0, 0.0, 0.0, state.tick.plain, method.standing(state, config).numbers
-        )
-        last = _new(Estimate, (0.0, SampleStatus.OK, state.rupture_state, *figures, *state.events))
-        self.restore(Snapshot(config, CheckState(), state, last))
+        memory, arguments = method.plain(state.memory), method.arguments(state, config)
+        outputs = method.outputs(0.0, 0.0, 0.0, memory, *arguments)
+        last = Estimate(0.0, SampleStatus.OK, state.rupture_state, *outputs, *state.events)
+        self._resume(Snapshot(config, CheckState(), state, last))
 
-    def update(self, depth_m: float, speed_m_s: float, force_N: float, dt_s: float) -> Estimate:
-        """Absorb one sample.
+    def update(
+        self,
+        depth_m: float,
+        speed_m_s: float,
+        force_N: float,
+        dt_s: float,
+        time_s: float | None = None,
+    ) -> Estimate:
+        """Use one sample.
 
         A sample that cannot be trusted (see `SampleStatus`) is reported and skipped: the estimate
         then repeats the last one with the new status.
@@ -190,23 +172,29 @@ class Identifier:
             speed_m_s: Rate of depth [m/s].
             force_N: Axial force, positive when tissue pushes back [N].
             dt_s: Time since the previous sample [s].
+            time_s: Time of the sample on the clock on which estimates and events are to be
+                reported [s]; None for the sum of ``dt_s`` since the reset.
         """
-        if not (type(depth_m) is type(speed_m_s) is type(force_N) is type(dt_s) is float):
-            return self._update_raw((depth_m, speed_m_s, force_N, dt_s))
-        number, elapsed_s, depth_m, check = check_step(
+        if not (type(depth_m) is type(speed_m_s) is type(force_N) is type(dt_s) is float) or (
+            time_s is not None and not (type(time_s) is float and math.isfinite(time_s))
+        ):
+            return self._update_raw((depth_m, speed_m_s, force_N, dt_s), time_s)
+        number, elapsed_s, depth_m, check = check_sample(
             depth_m, speed_m_s, force_N, dt_s, self._check, self._limits
         )
-        if number > LAST_ABSORBED:
-            return self._refuse(STATUSES[number], check)
-        is_calm, tick, figures = self._method_tick(
-            depth_m, speed_m_s, force_N, elapsed_s, self._tick, self._numbers
+        if time_s is None:
+            time_s = check[0]
+        if number > LAST_USED:
+            return self._reject(STATUSES[number], time_s, check)
+        is_all, memory, outputs = self._method_update(
+            depth_m, speed_m_s, force_N, elapsed_s, self._memory, *self._arguments
         )
-        if not is_calm:
-            sample = Sample(check[0], elapsed_s, depth_m, speed_m_s, force_N)
-            return self._absorb(sample, (tick, figures), STATUSES[number], check)
-        self._check, self._tick = check, tick
+        if not is_all:
+            sample = Sample(time_s, elapsed_s, depth_m, speed_m_s, force_N)
+            return self._step(sample, memory, outputs, STATUSES[number], check)
+        self._check, self._memory = check, memory
         estimate = self._last = _new(
-            Estimate, (check[0], STATUSES[number], self._machine, *figures, None, None, None)
+            Estimate, (time_s, STATUSES[number], self._rupture_state, *outputs, None, None, None)
         )
         return estimate
 
@@ -218,12 +206,11 @@ class Identifier:
         """
         if self._before is None or self._last.rupture is None:
             raise NoRuptureError("the last update raised no rupture: there is none to undo")
-        self.restore(self._before)
+        self._resume(self._before)
 
     def snapshot(self) -> Snapshot:
         """Everything needed to resume exactly here."""
-        state = self._state
-        state = state._replace(tick=state.tick.of(self._tick))
+        state = self._state._replace(memory=self._method.memory(self._memory))
         return Snapshot(self._config, CheckState(*self._check), state, self._last)
 
     def restore(self, snapshot: Snapshot) -> None:
@@ -231,54 +218,105 @@ class Identifier:
 
         Raises:
             InvalidSnapshotError: Not a snapshot, one of another configuration, or a damaged one.
+                Nothing has then changed.
         """
         if not isinstance(snapshot, Snapshot) or snapshot.config != self._config:
             raise InvalidSnapshotError(
                 f"expected a Snapshot taken with {self._config}, got {type(snapshot).__name__}"
             )
+        check_state(snapshot.state, self._method.initial(self._config))
+        check_state(snapshot.check, CheckState())
+        self._resume(snapshot)
+
+    def _resume(self, snapshot: Snapshot) -> None:
         _, check, state, last = snapshot
-        if isinstance(state, MultilayerState):
-            check_detector(state.detector)
-        self._stand(state, self._method.standing(state, self._config))
-        self._check, self._last, self._before = check.plain, last, None
+        self._keep(state, self._method.arguments(state, self._config))
+        self._check, self._last, self._before = check[:], last, None
 
-    def _stand(self, state: Any, standing: Any) -> None:
-        """Keep a state and what follows from it: what ordinary samples need, at hand."""
-        self._tick, self._machine = state.tick.plain, state.rupture_state
-        self._state, self._standing, self._numbers = state, standing, standing.numbers
+    def _keep(self, state: Any, arguments: tuple[Any, ...]) -> None:
+        """Keep a state, and at hand what ordinary samples need of it."""
+        self._memory, self._rupture_state = self._method.plain(state.memory), state.rupture_state
+        self._state, self._arguments = state, arguments
 
-    def _absorb(
+    def _step(
         self,
         sample: Sample,
-        done: tuple[tuple[Any, ...], tuple[Any, ...]],
+        memory: tuple[Any, ...],
+        outputs: tuple[Any, ...],
         status: SampleStatus,
         check: CheckMemory,
     ) -> Estimate:
-        """A sample that asks more than `Method.tick`, which has given `done`."""
-        before = (self._state, self._standing, self._tick)
-        state, standing, figures = self._method.absorb(before, sample, done, self._config)
-        self._before = None if state.rupture is None else self.snapshot()
-        self._stand(state, standing)
+        """A sample that asks more than `_Method.update`, which has given memory and outputs."""
+        method, state, arguments = self._method, self._state, self._arguments
+        _, dt_s, depth_m, speed_m_s, force_N = sample
+        if state.is_due:
+            # The memory in the state is older than the one at hand.
+            begun = method.begin(state._replace(memory=method.memory(self._memory)), self._config)
+            if _coefficients_change(state, begun):
+                arguments = method.arguments(begun, self._config)
+                before = method.plain(begun.memory)
+                _, memory, outputs = method.update(
+                    depth_m, speed_m_s, force_N, dt_s, before, *arguments
+                )
+            state = begun
+        new = method.step(state, method.memory(memory), sample, self._config)
+        if _coefficients_change(state, new):
+            arguments = method.arguments(new, self._config)
+            memory = method.plain(new.memory)
+            outputs = method.outputs(depth_m, speed_m_s, force_N, memory, *arguments)
+        self._before = None if new.rupture is None else self.snapshot()
+        self._keep(new, arguments)
         self._check = check
-        estimate = (sample.time_s, status, self._machine, *figures, *state.events)
+        events = (_in_callers_depth(event, check[_SHIFT]) for event in new.events)
+        estimate = (sample.time_s, status, self._rupture_state, *outputs, *events)
         self._last = _new(Estimate, estimate)
         return self._last
 
-    def _update_raw(self, values: tuple[object, ...]) -> Estimate:
+    def _update_raw(self, values: tuple[object, ...], time_s: object) -> Estimate:
         """As `update`, for values of any type."""
-        scalars = [as_scalar(value) for value in values]
-        numbers = [scalar for scalar in scalars if scalar is not None]
-        if len(numbers) == len(scalars):
-            return self.update(*numbers)
-        # Judged as one that is not finite: its time passes, if it has one.
-        dt_s = math.nan if scalars[-1] is None else scalars[-1]
-        *_, check = check_step(math.nan, 0.0, 0.0, dt_s, self._check, self._limits)
-        return self._refuse(SampleStatus.NOT_A_SCALAR, check)
+        *numbers, time = map(as_scalar, (*values, 0.0 if time_s is None else time_s))
+        if time is not None and math.isfinite(time) and None not in numbers:
+            return self.update(*numbers, time_s=None if time_s is None else time)  # type: ignore
+        # Handled as one that is not finite: its time passes, if it has one.
+        dt_s = math.nan if numbers[-1] is None else numbers[-1]
+        *_, check = check_sample(math.nan, 0.0, 0.0, dt_s, self._check, self._limits)
+        is_odd = time is None or None in numbers
+        status = SampleStatus.NOT_A_SCALAR if is_odd else SampleStatus.NOT_FINITE
+        if time is None or not math.isfinite(time):
+            time = self._last.time_s
+        return self._reject(status, check[0] if time_s is None else time, check)
 
-    def _refuse(self, status: SampleStatus, check: CheckMemory) -> Estimate:
-        """A sample that is not absorbed: the last estimate, its events over."""
+    def _reject(self, status: SampleStatus, time_s: float, check: CheckMemory) -> Estimate:
+        """A sample that is not used: the last estimate, its events over."""
         self._check = check
         self._last = self._last._replace(
-            time_s=check[0], status=status, rupture=None, compensated=None, withdrawn=None
+            time_s=time_s, status=status, rupture=None, identified_layer=None, retracted=None
         )
         return self._last
+
+
+_SHIFT = CheckState._fields.index("depth_shift_m")
+
+
+def _coefficients_change(before: Any, after: Any) -> bool:
+    """Whether another state asks for other coefficients."""
+    pairs = zip(before.sources, after.sources, strict=True)
+    return any(one is not other for one, other in pairs)
+
+
+def _in_callers_depth(event: Any, shift_m: float) -> Any:
+    """An event with the jumps that were removed from the depth: in the caller's depth."""
+    if event is None or shift_m == 0.0:
+        return event
+    if isinstance(event, LayerEstimate):
+        return replace(
+            event,
+            start_depth_m=event.start_depth_m + shift_m,
+            rupture=_in_callers_depth(event.rupture, shift_m),
+        )
+    return replace(
+        event,
+        depth_m=event.depth_m + shift_m,
+        alarm_depth_m=event.alarm_depth_m + shift_m,
+        contact_depth_m=event.contact_depth_m + shift_m,
+    )

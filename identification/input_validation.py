@@ -1,81 +1,26 @@
-"""Decides whether a raw sample may be absorbed; nothing else in this room sees raw input."""
+"""What a sample must be before an identifier uses it; the estimators see checked numbers only."""
 
 import math
-import numbers
-from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import astuple
 from enum import Enum
 from typing import Any, NamedTuple
 
 import numpy as np
 
-from identification.errors import InvalidConfigError
-from needleforce.jit import COMPILER, Vector, compiled
+from identification.config import CheckConfig
+from identification.errors import InvalidSnapshotError
+from needleforce.jit import compiled
 
-# What a configuration may be set to: the one place where figures are refused.
-
-
-def check_finite(name: str, value: object) -> None:
-    """Refuse a figure that is not a finite number.
-
-    Raises:
-        InvalidConfigError: With the name and what came.
-    """
-    if not _is_finite(value):
-        raise InvalidConfigError(f"{name} must be a finite number, got {value!r}")
-
-
-def check_positive(name: str, value: object) -> None:
-    """Refuse a figure that is not a finite number above zero.
-
-    Raises:
-        InvalidConfigError: With the name and what came.
-    """
-    if not (_is_finite(value) and value > 0):  # type: ignore[operator]
-        raise InvalidConfigError(f"{name} must be positive and finite, got {value!r}")
-
-
-def check_kind(name: str, value: object, kind: type) -> None:
-    """Refuse a part of a configuration that is something else.
-
-    Raises:
-        InvalidConfigError: With the name, what came and what was expected.
-    """
-    if not isinstance(value, kind) or isinstance(value, bool):
-        raise InvalidConfigError(f"{name} must be of type {kind.__name__}, got {value!r}")
-
-
-def _is_finite(value: object) -> bool:
-    if not isinstance(value, numbers.Real) or isinstance(value, bool):
-        return False
-    try:
-        return math.isfinite(value)
-    except OverflowError:
-        return False
-
-
-# Many numbers for a compiled function, in the form that it reads fastest.
-
-
-def packed(numbers: Sequence[float]) -> Any:
-    """Numbers that seldom change: an array for compiled code, a tuple for plain Python.
-
-    Args:
-        numbers: Any number of them; whoever reads them names their places.
-    """
-    if not COMPILER:
-        return tuple(map(float, numbers))
-    array = np.array(numbers, dtype=np.float64)
-    array.setflags(write=False)
-    return array
-
-
-_NO_NUMBERS = (str, bytes, bool, np.bool_, complex, np.complexfloating)
+_NO_NUMBERS = (str, bytes, bool, np.bool_, complex, np.complexfloating, np.timedelta64)
 """What Python or numpy would make a float of, though nobody measures it."""
+LEAST_DT_S, LARGEST_DT_S = 1e-12, 1e6
+"""Intervals outside are wrong units or garbage: quotients by them, or their sum, overflow."""
+LARGEST_MOTION = 1e3
+"""No needle is as deep [m] or as fast [m/s]; powers of larger numbers overflow."""
 
 
 class SampleStatus(Enum):
-    """What became of a sample. Only `OK` and `TIME_GAP` samples are absorbed."""
+    """What became of a sample. Only `OK` and `TIME_GAP` samples are used."""
 
     OK = "ok"
     TIME_GAP = "gap in time: local predictions restart"
@@ -85,206 +30,215 @@ class SampleStatus(Enum):
     DEPTH_JUMP = "depth jumped against its speed: the jump is removed"
     SPEED_SIGN = "speed has the sign opposite to the change of depth"
     FORCE_RANGE = "force beyond any needle's: check the unit"
+    TIME_RANGE = "dt must be between 1e-12 and 1e6 s: check the unit"
+    MOTION_RANGE = "depth or speed beyond any needle's: check the unit"
 
     @property
-    def is_absorbed(self) -> bool:
+    def is_used(self) -> bool:
         """Whether the sample went into the estimate."""
         return self is SampleStatus.OK or self is SampleStatus.TIME_GAP
 
 
 STATUSES = tuple(SampleStatus)
-"""In the order of their numbers, by which `check_step` names them; those absorbed come first."""
-_NUMBERS = {status: number for number, status in enumerate(STATUSES)}
-_OK, _TIME_GAP = _NUMBERS[SampleStatus.OK], _NUMBERS[SampleStatus.TIME_GAP]
-LAST_ABSORBED = _TIME_GAP
-_NOT_FINITE = _NUMBERS[SampleStatus.NOT_FINITE]
-_TIME_NOT_FORWARD = _NUMBERS[SampleStatus.TIME_NOT_FORWARD]
-_DEPTH_JUMP, _SPEED_SIGN = _NUMBERS[SampleStatus.DEPTH_JUMP], _NUMBERS[SampleStatus.SPEED_SIGN]
-_FORCE_RANGE = _NUMBERS[SampleStatus.FORCE_RANGE]
-_GAP, _JUMP, _MEMORY, _TRAVEL, _FORCE = range(5)
-"""Places of the limits, in the order of `CheckConfig`."""
-
-
-@dataclass(frozen=True, slots=True, kw_only=True)
-class CheckConfig:
-    """Limits of a believable sample.
-
-    Attributes:
-        gap_s: An interval longer than this, and than ten usual ones, is a gap.
-        jump_m: Change of depth beyond what speed explains that counts as a jump; a needle at
-            a surgical 100 mm/s moves a tenth of this between samples at 1 kHz.
-        sign_memory_s: Time constant over which travel from depth and from speed are compared.
-        sign_travel_m: Both must exceed this, with opposite signs, to be called contradictory.
-        force_limit_N: Largest believable axial force; needles buckle far below.
-    """
-
-    gap_s: float = 0.25
-    jump_m: float = 1e-3
-    sign_memory_s: float = 0.2
-    sign_travel_m: float = 5e-5
-    force_limit_N: float = 200.0
-
-    def __post_init__(self) -> None:
-        """Raise `InvalidConfigError` unless every limit is positive and finite."""
-        for name in self.__slots__:
-            check_positive(name, getattr(self, name))
+"""In the order of their numbers, by which `check_sample` names them; those used come first."""
+_OK, _TIME_GAP, _NOT_A_SCALAR, _NOT_FINITE, _TIME_NOT_FORWARD = range(5)
+_DEPTH_JUMP, _SPEED_SIGN, _FORCE_RANGE, _TIME_RANGE, _MOTION_RANGE = range(5, 10)
+LAST_USED = _TIME_GAP
 
 
 class CheckState(NamedTuple):
-    """Memory of the check: just enough to notice jumps and contradictions.
+    """Memory of the check: just enough to notice jumps and contradictions."""
 
-    Attributes:
-        time_s: Since the start.
-        usual_dt_s: Smoothed interval.
-        raw_depth_m: Last depth that could be read, of a sample absorbed or refused.
-        depth_shift_m: Sum of all jumps removed.
-        depth_travel_m: Recent travel by depth.
-        speed_travel_m: The same by speed.
-        pending_s: Time since `raw_depth_m`.
-        has_depth: Whether there is one.
-        refused_s: Time from the last sample absorbed to `raw_depth_m`.
-    """
-
-    time_s: float = 0.0
-    usual_dt_s: float = 0.0
-    raw_depth_m: float = 0.0
-    depth_shift_m: float = 0.0
-    depth_travel_m: float = 0.0
-    speed_travel_m: float = 0.0
-    pending_s: float = 0.0
-    has_depth: bool = False
-    refused_s: float = 0.0
-
-    @property
-    def plain(self) -> "CheckMemory":
-        """As `check_step` takes it."""
-        return self[:]
+    time_s: float = 0.0  # Since the start
+    usual_dt_s: float = 0.0  # Smoothed interval
+    raw_depth_m: float = 0.0  # Last depth that could be read, of a sample used or rejected
+    depth_shift_m: float = 0.0  # Sum of all jumps removed
+    depth_travel_m: float = 0.0  # Recent travel by depth
+    speed_travel_m: float = 0.0  # The same by speed
+    pending_s: float = 0.0  # Time since `raw_depth_m`
+    has_depth: bool = False  # Whether there is one
+    rejected_s: float = 0.0  # Time from the last sample used to `raw_depth_m`
 
 
 CheckMemory = tuple[float, float, float, float, float, float, float, bool, float]
 """The fields of `CheckState`, plain: what compiled code takes and gives."""
+Limits = tuple[float, float, float, float, float]
+"""The fields of `CheckConfig`."""
 
 
-def as_scalar(value: object) -> float | None:
+def check_limits(config: CheckConfig) -> Limits:
+    """The limits as `check_sample` takes them."""
+    gap_s, jump_m, memory_s, travel_m, force_N = map(float, astuple(config))
+    return gap_s, jump_m, memory_s, travel_m, force_N
+
+
+def as_scalar(value: Any) -> float | None:
     """As a float, or None if it is not a single real number."""
     if isinstance(value, float):
         return float(value)
-    if isinstance(value, np.ndarray) and value.ndim == 0:
-        value = value[()]
-    if isinstance(value, _NO_NUMBERS) or value is np.ma.masked:
-        return None
     try:
-        return None if np.ndim(value) > 0 else float(value)  # type: ignore
+        if isinstance(value, np.ndarray) and value.ndim == 0:
+            value = value[()]
+        if isinstance(value, _NO_NUMBERS) or value is np.ma.masked:
+            return None
+        return None if np.ndim(value) > 0 else float(value)
     except OverflowError:
         return math.inf
-    except (TypeError, ValueError):
+    except Exception:  # foreign objects convert by code of their own, which may raise anything
         return None
-
-
-def packed_limits(config: CheckConfig) -> Any:
-    """The limits as `check_step` takes them."""
-    return packed([getattr(config, name) for name in config.__slots__])
 
 
 @compiled
 def _skipped(memory: CheckMemory, dt_s: float) -> CheckMemory:
     """The time of a sample that cannot be read passes."""
-    time, usual, raw_depth, shift, by_depth, by_speed, pending, has_depth, refused = memory
+    time, usual, raw_depth, shift, by_depth, by_speed, pending, has_depth, rejected = memory
     time, pending = time + dt_s, pending + dt_s
-    return time, usual, raw_depth, shift, by_depth, by_speed, pending, has_depth, refused
+    return time, usual, raw_depth, shift, by_depth, by_speed, pending, has_depth, rejected
 
 
 @compiled
-def _motion_check(
-    depth: float, speed: float, interval: float, memory: CheckMemory, limits: Vector
+def _check_motion(
+    depth: float, speed: float, interval: float, memory: CheckMemory, limits: Limits
 ) -> tuple[int, float, float, CheckMemory]:
-    """Judge depth against speed."""
-    time, usual, raw_depth, shift, by_depth, by_speed, pending, has_depth, refused = memory
-    # Of the time since the last depth, and since the last sample that was absorbed.
+    """Hold depth against speed."""
+    time, usual, raw_depth, shift, by_depth, by_speed, pending, has_depth, rejected = memory
+    gap_s, jump_m, sign_memory_s, sign_travel_m, _ = limits
+    # Of the time since the last depth, and since the last sample that was used.
     dt = interval + pending
-    elapsed = dt + refused
-    gap = max(limits[_GAP], 10.0 * usual)
+    elapsed = dt + rejected
+    gap = max(gap_s, 10.0 * usual)
     change = depth - raw_depth if has_depth else 0.0
     surprise = change - speed * dt
-    keep = math.exp(-dt / limits[_MEMORY])
-    is_jump = abs(surprise) > limits[_JUMP] + abs(speed) * dt
+    keep = math.exp(-dt / sign_memory_s)
+    is_jump = abs(surprise) > jump_m + abs(speed) * dt
     by_depth, by_speed = keep * by_depth, keep * by_speed
     if is_jump:
         shift += surprise
     elif has_depth and dt <= gap:
-        # One speed says nothing of the way through a gap, nor of that before the first depth.
+        # One speed says nothing of the travel through a gap, nor of that before the first depth.
         by_depth, by_speed = by_depth + change, by_speed + speed * dt
-    is_contrary = by_depth * by_speed < 0.0 and (
-        min(abs(by_depth), abs(by_speed)) > limits[_TRAVEL]
-    )
-    status, refused = _OK, 0.0
+    is_contrary = by_depth * by_speed < 0.0 and min(abs(by_depth), abs(by_speed)) > sign_travel_m
+    status, rejected = _OK, 0.0
     if is_jump:
-        status, refused = _DEPTH_JUMP, elapsed
+        status, rejected = _DEPTH_JUMP, elapsed
     elif is_contrary:
-        status, refused = _SPEED_SIGN, elapsed
+        status, rejected = _SPEED_SIGN, elapsed
     elif has_depth and elapsed > gap:
         status = _TIME_GAP
     if usual == 0.0:
         usual = interval
     usual += 0.05 * (interval - usual)
     time += interval
-    memory = (time, usual, depth, shift, by_depth, by_speed, 0.0, True, refused)
+    memory = (time, usual, depth, shift, by_depth, by_speed, 0.0, True, rejected)
     return status, elapsed, depth - shift, memory
 
 
 @compiled
-def check_step(
+def check_sample(
     depth_m: float,
     speed_m_s: float,
     force_N: float,
     dt_s: float,
     memory: CheckMemory,
-    limits: Vector,
+    limits: Limits,
 ) -> tuple[int, float, float, CheckMemory]:
-    """Judge one raw sample.
+    """Check one raw sample: depth, speed, force and interval as `Identifier.update` takes them.
 
-    Time runs on over samples that are refused, as long as their interval is valid: a dropped
+    Time runs on over samples that are rejected, as long as their interval is valid: a dropped
     force does not shift the clock of what follows.
 
-    Args:
-        depth_m: Travel of the tip along the insertion axis [m].
-        speed_m_s: Rate of depth [m/s].
-        force_N: Axial force [N].
-        dt_s: Time since the previous sample [s].
-        memory: Of the check, see `CheckState`.
-        limits: See `packed_limits`.
-
     Returns:
-        The status by its place in `STATUSES`; of a sample to absorb the interval since the one
-        absorbed before [s] and the depth less the jumps removed [m]; and the new memory.
+        The status by its place in `STATUSES`; of a sample to use the interval since the one
+        used before [s] and the depth less the jumps removed [m]; and the new memory.
     """
     if not math.isfinite(dt_s):
         return _NOT_FINITE, 0.0, 0.0, memory
     if dt_s <= 0.0:
         return _TIME_NOT_FORWARD, 0.0, 0.0, memory
+    if dt_s < LEAST_DT_S or dt_s > LARGEST_DT_S:
+        return _TIME_RANGE, 0.0, 0.0, memory
     if not math.isfinite(depth_m + speed_m_s + force_N):
         return _NOT_FINITE, 0.0, 0.0, _skipped(memory, dt_s)
-    if abs(force_N) > limits[_FORCE]:
+    if max(abs(depth_m), abs(speed_m_s)) > LARGEST_MOTION:
+        return _MOTION_RANGE, 0.0, 0.0, _skipped(memory, dt_s)
+    if abs(force_N) > limits[4]:
         return _FORCE_RANGE, 0.0, 0.0, _skipped(memory, dt_s)
-    return _motion_check(depth_m, speed_m_s, dt_s, memory, limits)
-
-
-# One sample of an insertion.
+    return _check_motion(depth_m, speed_m_s, dt_s, memory, limits)
 
 
 class Sample(NamedTuple):
-    """Checked scalars handed to the step functions.
+    """Checked scalars handed to the steps of a method."""
 
-    Attributes:
-        time_s: Time since the identifier was reset, the sum of all intervals.
-        dt_s: Interval since the previous sample, positive.
-        depth_m: Tip travel along the insertion axis, jumps removed.
-        speed_m_s: Rate of depth.
-        force_N: Axial force, positive when tissue pushes back.
+    time_s: float  # Time of the sample on the caller's clock, see `Identifier.update`
+    dt_s: float  # Interval since the previous sample, positive
+    depth_m: float  # Tip travel along the insertion axis, jumps removed
+    speed_m_s: float  # Rate of depth
+    force_N: float  # Axial force, positive when tissue pushes back
+
+
+# A state that is restored.
+
+_ROUNDING = {"matrix": 1e-11, "covariance": 1e-3}
+"""How far below zero an eigenvalue of a matrix of that name may lie, its diagonal scaled to ones:
+normal equations are sums of squares, covariances their inverses."""
+
+
+def check_state(state: Any, initial: Any, place: str = "state") -> None:
+    """Refuse a damaged state, before compiled code reads beyond its arrays or a solver fails.
+
+    Args:
+        state: A tree of named tuples.
+        initial: The state before the first sample, or None where it has no such part.
+        place: Where the tree stands, for the message.
+
+    Raises:
+        InvalidSnapshotError: A part is of another type, an array of another kind or shape, or a
+            matrix not symmetric and positive semi-definite, or a track with absurd rows.
     """
+    if isinstance(state, np.ndarray) or isinstance(initial, np.ndarray):
+        _check_array(state, initial, place)
+    elif hasattr(initial, "_fields") and type(state) is not type(initial):
+        raise InvalidSnapshotError(f"{place} is {state!r:.80}, expected {type(initial).__name__}")
+    elif hasattr(state, "_fields"):
+        for name, part in zip(state._fields, state, strict=True):
+            check_state(part, getattr(initial, name, None), f"{place}.{name}")
+        if "var_stiffness" in state._fields:
+            first, both, second = state.var_stiffness, state.covariance, state.var_friction
+            _check_definite(np.array([[first, both], [both, second]]), 1e-3, place)
+    elif isinstance(state, tuple):
+        for k, part in enumerate(state):
+            check_state(part, None, f"{place}[{k}]")
 
-    time_s: float
-    dt_s: float
-    depth_m: float
-    speed_m_s: float
-    force_N: float
+
+def _check_array(array: Any, initial: Any, place: str) -> None:
+    is_array = isinstance(array, np.ndarray) and array.dtype == np.float64
+    if not is_array or not (array.flags.c_contiguous):
+        raise InvalidSnapshotError(f"{place} is {array!r:.80}, expected an array of floats")
+    if initial is not None:
+        rows = array.shape[0] if initial.shape[:1] == (0,) and array.ndim else None
+        expected = initial.shape if rows is None else (rows, *initial.shape[1:])
+        if array.shape != expected:
+            raise InvalidSnapshotError(f"{place} has shape {array.shape}, expected {expected}")
+    name = place.rpartition(".")[2]
+    if name in _ROUNDING:
+        _check_definite(array, _ROUNDING[name], place)
+    if name in ("points", "rows"):
+        # Depth, speed, force, bristle; blocks and travel.
+        is_valid = (np.abs(array[:, :4]) <= LARGEST_MOTION).all() and (array[:, 4:] > 0.0).all()
+        if not is_valid:
+            raise InvalidSnapshotError(f"the snapshot is damaged: {place} has impossible rows")
+
+
+def _check_definite(matrix: Any, rounding: float, place: str) -> None:
+    """Refuse a matrix that is not symmetric and positive semi-definite."""
+    is_square = matrix.ndim == 2 and matrix.shape[0] == matrix.shape[1]
+    if is_square and np.isfinite(matrix).all():
+        diagonal = matrix.diagonal()
+        scale = 1.0 / np.sqrt(np.where(diagonal > 0.0, diagonal, 1.0))
+        scaled = scale[:, None] * matrix * scale
+        is_symmetric = np.allclose(scaled, scaled.T, rtol=0.0, atol=rounding)
+        if is_symmetric and np.linalg.eigvalsh(scaled).min() >= -rounding:
+            return
+    raise InvalidSnapshotError(
+        f"the snapshot is damaged: {place} is not symmetric and positive semi-definite"
+    )

@@ -1,6 +1,6 @@
 """Force models of the paper and their regressors, equations (1) to (5).
 
-Resisting force is positive here; the paper's minus signs are absorbed in that convention.
+Resisting force is positive here; the paper's minus signs are part of that convention.
 """
 
 from collections.abc import Sequence
@@ -47,25 +47,6 @@ class LayerSpan:
             )
 
 
-def kv_force(
-    stiffness_N_per_m: float, friction_Ns_per_m: float, depth_m: float, speed_m_s: float
-) -> float:
-    """Kelvin-Voigt force f = K z + B v, equation (2) [N]."""
-    return stiffness_N_per_m * depth_m + friction_Ns_per_m * speed_m_s
-
-
-def ml_force(
-    stiffness_N_per_m: float,
-    friction_Ns_per_m2: float,
-    cumulative_friction_Ns_per_m: float,
-    layer_depth_m: float,
-    speed_m_s: float,
-) -> float:
-    """Multi-layer force f = K_i dz_i + B_i dz_i v + B_d v, equation (3) [N]."""
-    own = (stiffness_N_per_m + friction_Ns_per_m2 * speed_m_s) * layer_depth_m
-    return own + cumulative_friction_Ns_per_m * speed_m_s
-
-
 def elastic_column(
     t_s: NDArray[np.float64], depth_m: NDArray[np.float64], layer: LayerSpan
 ) -> NDArray[np.float64]:
@@ -84,7 +65,7 @@ def friction_column(
     """Column phi_B of equation (4). Shape (n,).
 
     `ml`: embedded length times speed. During an insertion the embedded length is dz_i inside the
-    layer and d_i beyond it, which is (4); on the way out it shrinks again, which (4) leaves open.
+    layer and d_i beyond it, which is (4); during withdrawal it shrinks, which (4) leaves open.
     `kv`: the speed, from entry on and as long as the tip is deeper than the entry.
     """
     reach_m = depth_m - layer.start_depth_m

@@ -7,15 +7,11 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from identification.config import MULTILAYER, MultilayerConfig, PublishedConfig
 from identification.estimate import Estimate, LayerEstimate
 from identification.identifier import Identifier
 from identification.input_validation import SampleStatus
-from identification.multilayer_config import MULTILAYER, MultilayerConfig
 from identification.offline import read_column
-from identification.published_config import PublishedConfig
-
-# Speed from depth, for recordings without it.
-
 
 Array = NDArray[np.float64]
 
@@ -112,16 +108,13 @@ class DerivedSpeed:
         return np.divide(total, time_s, out=np.full(rows, np.nan), where=time_s > 0.0)
 
 
-# Tells what a recording with a flipped sign or a wrong unit looks like.
-
-
 _LEAST_TRAVEL_M = 1e-3
 _LARGEST_DEPTH_M = 1.0
 _LEAST_FORCE_N = 0.02
 
 
-class SignWatch:
-    """Looks at a recording, of which any number of rows may come at a time."""
+class SignCheck:
+    """Looks for a flipped sign or a wrong unit in a recording, any number of rows at a time."""
 
     def __init__(self) -> None:
         self._last_m = np.empty(0)
@@ -131,13 +124,7 @@ class SignWatch:
         self._least_N, self._largest_N = np.inf, -np.inf
 
     def update(self, depth_m: Array, speed_m_s: Array | None, force_N: Array) -> None:
-        """Take further rows.
-
-        Args:
-            depth_m: Tip depth, shape (n,); may hold gaps.
-            speed_m_s: Recorded speed, shape (n,), or None.
-            force_N: Axial force, shape (n,).
-        """
+        """Take further rows: columns of shape (n,), with gaps; a speed if one was recorded."""
         before = self._last_m if self._last_m.size else depth_m[:1]
         change = np.diff(depth_m, prepend=before)
         self._last_m = depth_m[-1:]
@@ -166,10 +153,8 @@ class SignWatch:
         if span > _LARGEST_DEPTH_M:
             hints.append(f"depth spans {span:.3g} m; is it in millimetres?")
         if start is None or span < _LEAST_TRAVEL_M:
-            return (
-                *hints,
-                f"depth moves by {span * 1e3:.3g} mm only; there is nothing to identify",
-            )
+            still = f"depth moves by {span * 1e3:.3g} mm only; there is nothing to identify"
+            return (*hints, still)
         if self._fresh_m > 0.0 and self._pushed_Nm / self._fresh_m < -_LEAST_FORCE_N:
             hints.append(
                 "the force is negative while the needle goes in; it must be positive when tissue "
@@ -184,61 +169,43 @@ class SignWatch:
         return tuple(hints)
 
 
-def sign_hints(depth_m: Array, speed_m_s: Array | None, force_N: Array) -> tuple[str, ...]:
-    """Look at a whole recording for signs of a wrong sign.
-
-    Args:
-        depth_m: Tip depth, shape (n,); may hold gaps.
-        speed_m_s: Recorded speed, shape (n,), or None.
-        force_N: Axial force, shape (n,).
-
-    Returns:
-        One sentence per suspicion; none for a recording that looks right.
-    """
-    watch = SignWatch()
-    watch.update(depth_m, speed_m_s, force_N)
-    return watch.hints()
-
-
-# A recording through the online identifier, any number of rows at a time.
-
-
-_REFUSED = (SampleStatus.FORCE_RANGE, SampleStatus.DEPTH_JUMP, SampleStatus.SPEED_SIGN)
-"""What nobody has told of a row before; a NaN or a late stamp has been told by who read the log."""
+_REPORTED = (
+    SampleStatus.FORCE_RANGE,
+    SampleStatus.MOTION_RANGE,
+    SampleStatus.DEPTH_JUMP,
+    SampleStatus.SPEED_SIGN,
+)
+"""What nobody has reported of a row before; who read the log has reported a NaN or a late stamp."""
 
 HEAD_ROWS = 200
 """The usual time step is the median over so many first rows."""
 
 
 class ReplayedRows(NamedTuple):
-    """Consecutive rows with their estimates.
+    """Consecutive rows with their estimates."""
 
-    Attributes:
-        t_s: Time stamps [s], shape (n,).
-        force_N: Axial force as recorded [N], shape (n,).
-        estimates: One per row.
-    """
-
-    t_s: Array
-    force_N: Array
-    estimates: list[Estimate]
+    t_s: Array  # Time stamps [s], shape (n,)
+    force_N: Array  # Axial force as recorded [N], shape (n,)
+    estimates: list[Estimate]  # One per row
 
 
 class ReplayStream:
     """Runs the identifier over a recording; results do not depend on how the rows come.
 
+    Estimates, ruptures and layers are on the clock of the recording.
+
     Args:
-        config: `DEFAULT`, `PUBLISHED` or a variant.
+        config: `MULTILAYER`, `PUBLISHED` or a variant.
     """
 
     def __init__(self, config: MultilayerConfig | PublishedConfig = MULTILAYER) -> None:
         self._identifier = Identifier(config)
-        self._signs = SignWatch()
+        self._signs = SignCheck()
         self._speed: DerivedSpeed | None = None
         self._first_step_s = 0.0
         self._latest_s: float | None = None
         self._waiting = np.empty((4, 0))
-        self._refused: Counter[SampleStatus] = Counter()
+        self._rejected: Counter[SampleStatus] = Counter()
 
     @property
     def layers(self) -> tuple[LayerEstimate, ...]:
@@ -247,13 +214,13 @@ class ReplayStream:
 
     @property
     def hints(self) -> tuple[str, ...]:
-        """Suspicions about signs and units of all rows so far, and how many were refused."""
-        refused = (
-            f"rows that were refused: {self._refused[status]} ({status.value})"
-            for status in _REFUSED
-            if self._refused[status]
+        """Suspicions about signs and units of all rows so far, and how many were rejected."""
+        rejected = (
+            f"rows that were rejected: {self._rejected[status]} ({status.value})"
+            for status in _REPORTED
+            if self._rejected[status]
         )
-        return (*self._signs.hints(), *refused)
+        return (*self._signs.hints(), *rejected)
 
     def run(
         self,
@@ -263,18 +230,10 @@ class ReplayStream:
         speed_m_s: Array | None = None,
         dt_s: Array | None = None,
     ) -> ReplayedRows:
-        """Take further rows.
+        """Take further rows, as `replay` takes them all.
 
-        Args:
-            t_s: Time stamps [s], shape (n,), n > 0; the first call must bring `HEAD_ROWS` rows, or
-                all that there are.
-            depth_m: Tip depth, growing into the tissue [m], shape (n,).
-            force_N: Axial force, positive when tissue pushes back [N], shape (n,).
-            speed_m_s: Rate of depth [m/s], shape (n,); None, always, to derive it from depth,
-                for which rows wait 25 ms.
-            dt_s: Time since the latest row that advanced [s], shape (n,), not positive for rows
-                that do not; None, always, to count from the latest stamp. That of the very first
-                row is not read.
+        The first call must bring `HEAD_ROWS` rows, or all that there are. Without speed, always or
+        never, rows wait 25 ms for it. The very first ``dt_s`` is not read.
 
         Returns:
             The rows whose speed is known, beginning with the first that has not been returned.
@@ -312,13 +271,10 @@ class ReplayStream:
         rows = len(speed_m_s)
         t_s, depth_m, force_N, dt_s = self._waiting[:, :rows]
         self._waiting = self._waiting[:, rows:]
-        columns = (depth_m, speed_m_s, force_N, dt_s)
+        columns = (depth_m, speed_m_s, force_N, dt_s, t_s)
         estimates = list(map(self._identifier.update, *(column.tolist() for column in columns)))
-        self._refused.update(estimate.status for estimate in estimates)
+        self._rejected.update(estimate.status for estimate in estimates)
         return ReplayedRows(t_s, force_N, estimates)
-
-
-_ROWS = 1000
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -350,15 +306,15 @@ def replay(
     """Run the identifier over a recording, sample by sample.
 
     Rows that cannot be used (gaps, time running backwards) are reported in their estimate's
-    status, not dropped. Where a clock may have been set, let
-    `recordings.clock.row_clock.RowClock` tell ``dt_s``.
+    status, not dropped. Where a clock may have been set, give ``dt_s``. Estimates, ruptures and
+    layers are on the clock of ``t_s`` and count depth from the zero of ``depth_m``.
 
     Args:
         t_s: Time stamps [s], shape (n,).
         depth_m: Tip depth, growing into the tissue [m], shape (n,).
         force_N: Axial force, positive when tissue pushes back [N], shape (n,).
         speed_m_s: Rate of depth [m/s]; differentiated from depth if None.
-        config: `DEFAULT`, `PUBLISHED` or a variant.
+        config: `MULTILAYER`, `PUBLISHED` or a variant.
         dt_s: Time since the latest row that advanced [s], shape (n,), not positive for a row that
             does not; None to count from the latest stamp.
 
@@ -369,11 +325,7 @@ def replay(
     z, f = read_column("depth_m", depth_m, len(t)), read_column("force_N", force_N, len(t))
     v = None if speed_m_s is None else read_column("speed_m_s", speed_m_s, len(t))
     steps = None if dt_s is None else read_column("dt_s", dt_s, len(t))
-    stream, estimates = ReplayStream(config), []
-    for start in range(0, len(t), _ROWS):
-        part = slice(start, start + _ROWS)
-        rows = (None if column is None else column[part] for column in (v, steps))
-        estimates += stream.run(t[part], z[part], f[part], *rows).estimates
-    estimates += stream.finish().estimates
+    stream = ReplayStream(config)
+    estimates = stream.run(t, z, f, v, steps).estimates + stream.finish().estimates
     t.setflags(write=False)
     return Replay(t_s=t, estimates=tuple(estimates), layers=stream.layers, hints=stream.hints)

@@ -11,18 +11,15 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from identification.multilayer_config import MultilayerConfig
+from identification.config import MultilayerConfig
 from identification.resampling import BLOCKS, DEPTH, FORCE, SPEED, TRAVEL, merge_rows
-
-# A layer as the search for its membrane sees it: some rows, scaled.
-
 
 _MOST_ROWS = 64
 _LEAST_ROWS = 12
 _MARGIN_M = 5e-5
 _CURVATURE = 0.2
 """Bend of a layer's force over its slope, one standard deviation (tissue stiffens by 0 to 30 %)."""
-_SPEED_SHARE = 0.5
+_SPEED_EFFECT = 0.5
 """Change of force with speed over mean force, one standard deviation: friction, part viscous."""
 _FREE = 1e-9
 
@@ -30,33 +27,18 @@ Array = NDArray[np.float64]
 
 
 class ScaledLayer(NamedTuple):
-    """Rows of a layer, scaled: position 0 to 1, speed about its mean, root of weights.
+    """Rows of a layer, scaled: position 0 to 1, speed about its mean, root of weights."""
 
-    Attributes:
-        rows: The rows, see `layer_rows`, shape (n, 6).
-        position: Shape (n,).
-        speed: Shape (n,).
-        root_weight: Shape (n,).
-        target: Weighted force about its mean, shape (n,).
-        priors: Weights of the priors on the unknowns of a membrane, see `membrane_fit`; shape (7,).
-    """
-
-    rows: Array
-    position: Array
-    speed: Array
-    root_weight: Array
-    target: Array
-    priors: Array
+    rows: Array  # The rows, see `resampling.add_layer_row`, shape (n, 6)
+    position: Array  # Shape (n,)
+    speed: Array  # Shape (n,)
+    root_weight: Array  # Shape (n,)
+    target: Array  # Weighted force about its mean, shape (n,)
+    priors: Array  # Weights of the priors on the unknowns of a membrane, shape (7,)
 
 
 def scale_layer(rows: Array, start_m: float, rupture_m: float) -> ScaledLayer | None:
-    """The rows in which a membrane is looked for, or None where they are too few.
-
-    Args:
-        rows: Rows of the layer, see `layer_rows`.
-        start_m: Depth from which on the layer was met undisturbed.
-        rupture_m: Where the rupture happened.
-    """
+    """The rows in which a membrane is looked for, or None where they are too few."""
     end = rows[:, DEPTH] + 0.5 * rows[:, TRAVEL]
     side = rows[(rows[:, DEPTH] > start_m) & (end < rupture_m - _MARGIN_M)]
     side = merge_rows(side, -(-len(side) // _MOST_ROWS)) if len(side) else side
@@ -85,12 +67,12 @@ def _priors(position: Array, force: Array, mean: float, target: Array) -> Array:
     slope = max(rise, 0.1 * float(np.ptp(force)), 1e-3)
     weights = np.full(7, _FREE)
     weights[2] += variance / (_CURVATURE * slope) ** 2
-    weights[3:5] += variance / (_SPEED_SHARE * max(abs(mean), 0.02)) ** 2
+    weights[3:5] += variance / (_SPEED_EFFECT * max(abs(mean), 0.02)) ** 2
     return weights
 
 
-def smooth_squares(layer: ScaledLayer) -> float:
-    """Sum of squares that a smooth cubic leaves, with the same priors on the speed's share."""
+def _smooth_squares(layer: ScaledLayer) -> float:
+    """Sum of squares that a smooth cubic leaves, with the same priors on the effect of speed."""
     u, v = layer.position, layer.speed
     columns = np.stack([np.ones_like(u), u, u**2, v, v * u, u**3], axis=1)
     columns = columns * layer.root_weight[:, None]
@@ -100,43 +82,37 @@ def smooth_squares(layer: ScaledLayer) -> float:
     return float(layer.target @ layer.target - vector @ solution)
 
 
-# Fits a membrane's spring behind each boundary that a layer may have had.
-#
-# Seven unknowns: level, slope and bend of the layer up to the boundary, its change with speed
-# (level and slope), and a straight and a parabolic part of the spring beyond.
+# A membrane's spring behind each boundary that a layer may have had. Seven unknowns: level, slope
+# and bend of the layer up to the boundary, its change with speed (level and slope), and a straight
+# and a parabolic part of the spring beyond.
 
-
-_CANDIDATES = 40
-_REACH = (0.08, 0.96)
-"""Shares of the layer's length between which a boundary is looked for."""
 _PARABOLA, _LINE = (0, 1, 2, 3, 4, 6), (0, 1, 2, 3, 4, 5)
-
-
-STARTS = np.linspace(*_REACH, _CANDIDATES)
-"""Candidate boundaries, as shares of the layer's length."""
+STARTS = np.linspace(0.08, 0.96, 40)
+"""Candidate boundaries, as fractions of the layer's length."""
 STARTS.setflags(write=False)
+_UNKNOWNS = 7
+_EVIDENCE = 30.0
+"""Gain of log-likelihood, twice, over a smooth cubic: five to six standard deviations."""
+_BETTER = 0.75
+"""Fraction of the cubic's sum of squares that must not be exceeded: with little noise any tissue
+is significantly no cubic."""
+_MOST_PUSHED_M = 13e-3
+"""No membrane gives more: the capsule of bovine liver 11 mm."""
+_AT_ONCE = 8
+"""Candidates of one stage."""
 
 
 class MembraneFits(NamedTuple):
-    """Best membrane for each of some candidate boundaries.
+    """Best membrane for each of some candidate boundaries."""
 
-    Attributes:
-        squares: Sums of squares, infinite where no spring pushes, shape (m,).
-        solutions: The seven unknowns, shape (m, 7).
-    """
-
-    squares: Array
-    solutions: Array
+    squares: Array  # Sums of squares, infinite where no spring pushes, shape (m,)
+    solutions: Array  # The seven unknowns, shape (m, 7)
 
 
 def fit_membranes(layer: ScaledLayer, starts: Array) -> MembraneFits:
     """The best of three springs per candidate, none of which may pull: mixed, parabola, line.
 
     A straight spring must be steeper than the layer by half, or it is a bend of the layer.
-
-    Args:
-        layer: The layer.
-        starts: Candidates, some of `STARTS`.
     """
     normal, vector = _normal_equations(layer, starts)
     total = float(layer.target @ layer.target)
@@ -152,12 +128,6 @@ def fit_membranes(layer: ScaledLayer, starts: Array) -> MembraneFits:
         solutions[is_better] = 0.0
         solutions[is_better[:, None], index] = part[is_better]
     return MembraneFits(squares, solutions)
-
-
-def unit_covariance(layer: ScaledLayer, start: float) -> Array:
-    """Covariance of the unknowns behind one candidate, for a variance of one; shape (7, 7)."""
-    normal, _ = _normal_equations(layer, np.array([start]))
-    return np.asarray(np.linalg.inv(normal[0]), dtype=float)
 
 
 def _normal_equations(layer: ScaledLayer, starts: Array) -> tuple[Array, Array]:
@@ -179,71 +149,36 @@ def _solve(normal: Array, vector: Array, total: float) -> tuple[Array, Array]:
     return total - np.sum(part * vector, axis=1), part
 
 
-_UNKNOWNS = 7
-_EVIDENCE = 30.0
-"""Gain of log-likelihood, twice, over a smooth cubic: five to six standard deviations."""
-_BETTER = 0.75
-"""Share of the cubic's sum of squares that must not be exceeded: with little noise any tissue is
-significantly no cubic."""
-
-
 class Boundary(NamedTuple):
-    """Where a layer ended.
+    """Where a layer ended."""
 
-    Attributes:
-        depth_m: Depth: that of its rupture, or where its membrane began to be pushed in.
-        std_m: Its standard deviation.
-        force_N: Force there.
-        force_var: Its variance [N^2].
-        speed_m_s: Speed there.
-    """
-
-    depth_m: float
-    std_m: float
-    force_N: float
-    force_var: float
-    speed_m_s: float
+    depth_m: float  # Depth: that of its rupture, or where its membrane began to be pushed in
+    std_m: float  # Its standard deviation
+    force_N: float  # Force there
+    force_var: float  # Its variance [N^2]
+    speed_m_s: float  # Speed there
 
 
-def find_membrane(rows: Array, start_m: float, rupture_m: float) -> Boundary | None:
-    """Where the membrane that a layer ended with began, or None if there was none.
-
-    Args:
-        rows: Rows of the layer, see `layer_rows`.
-        start_m: Depth from which on the layer was met undisturbed.
-        rupture_m: Where the rupture happened.
-    """
-    layer = scale_layer(rows, start_m, rupture_m)
-    return None if layer is None else judge_membranes(layer, fit_membranes(layer, STARTS))
-
-
-def judge_membranes(layer: ScaledLayer, fits: MembraneFits) -> Boundary | None:
+def best_membrane(layer: ScaledLayer, fits: MembraneFits) -> Boundary | None:
     """The boundary, if a membrane explains the layer much better than a smooth cubic does.
 
     A single non-linear spring, as a capsule at the very surface is, has no boundary in it and
     stays one (fictitious) layer, as in Section III-B.
-
-    Args:
-        layer: The layer.
-        fits: Of all `STARTS`.
     """
     best = int(np.argmin(fits.squares))
     if not np.isfinite(fits.squares[best]):
         return None
     variance = max(float(fits.squares[best]), 1e-12) / (len(layer.rows) - _UNKNOWNS)
-    smooth = smooth_squares(layer)
+    smooth = _smooth_squares(layer)
     evidence = (smooth - fits.squares[best]) / variance
     if evidence < _EVIDENCE or fits.squares[best] > _BETTER * smooth:
         return None
-    if not _is_steeper(fits.solutions[best], 1.0 - STARTS[best]):
-        return None
-    covariance = variance * unit_covariance(layer, float(STARTS[best]))
+    _, slope, _, _, _, straight, parabola = fits.solutions[best].tolist()
+    if straight + 2.0 * parabola * (1.0 - float(STARTS[best])) <= max(slope, 0.0):
+        return None  # a membrane at its puncture pushes back more steeply than the layer did
+    normal, _ = _normal_equations(layer, STARTS[best : best + 1])
+    covariance = variance * np.asarray(np.linalg.inv(normal[0]), dtype=float)
     return _membrane(layer.rows, fits, variance, covariance)
-
-
-def _is_steeper(solution: Array, reach: float) -> bool:
-    """Whether the membrane at its puncture pushes back more steeply than the layer did."""
-    return float(solution[5] + 2.0 * solution[6] * reach) > max(float(solution[1]), 0.0)
 
 
 def _membrane(side: Array, fits: MembraneFits, variance: float, covariance: Array) -> Boundary:
@@ -268,57 +203,30 @@ def _membrane(side: Array, fits: MembraneFits, variance: float, covariance: Arra
     )
 
 
-# Looks for the membrane a layer ended with, a stage per tick, once its rupture has alarmed.
-#
-# All that this needs is known then; the ticks that measure the force drop, millimetres later, are
-# spared it.
-
-
-_MOST_PUSHED_M = 13e-3
-"""No membrane gives more: the capsule of bovine liver 11 mm."""
-_AT_ONCE = 8
-"""Candidates of one stage."""
+# The search, a stage per tick once the rupture has alarmed: all that it needs is known then, and
+# the ticks that measure the force drop, millimetres later, are spared it.
 
 
 class MembraneSearch(NamedTuple):
-    """What was found.
+    """What was found."""
 
-    Attributes:
-        boundary: Where the membrane before the rupture began, None if there was none.
-        is_one_law: Whether the layer's force obeyed one law up to the rupture.
-    """
-
-    boundary: Boundary | None
-    is_one_law: bool
+    boundary: Boundary | None  # Where the membrane before the rupture began, None if there was none
+    is_one_law: bool  # Whether the layer's force obeyed one law up to the rupture
 
 
 class SearchWork(NamedTuple):
-    """What has been done of a search.
+    """What has been done of a search."""
 
-    Attributes:
-        from_m: Depth from which on the layer is searched.
-        is_second: Whether only what follows a missed transition is.
-        layer: What is searched, None before the first stage.
-        fits: Of the candidates tried so far.
-    """
-
-    from_m: float
-    is_second: bool = False
-    layer: ScaledLayer | None = None
-    fits: tuple[MembraneFits, ...] = ()
+    from_m: float  # Depth from which on the layer is searched
+    is_second: bool = False  # Whether only what follows a missed transition is
+    layer: ScaledLayer | None = None  # What is searched, None before the first stage
+    fits: tuple[MembraneFits, ...] = ()  # Of the candidates tried so far
 
 
 def search_step(
-    work: SearchWork, rows: NDArray[np.float64], rupture_m: float, config: MultilayerConfig
+    work: SearchWork, rows: Array, rupture_m: float, config: MultilayerConfig
 ) -> SearchWork | MembraneSearch:
     """Work off the next stage of a search.
-
-    Args:
-        work: What has been done; at first the depth from which on the layer was met undisturbed,
-            its own puncture over.
-        rows: Rows of the layer, see `layer_rows`.
-        rupture_m: Depth of its rupture.
-        config: Settings.
 
     Returns:
         What has been done now, or what was found.
@@ -333,13 +241,13 @@ def search_step(
         fits = fit_membranes(work.layer, STARTS[tried : tried + _AT_ONCE])
         return work._replace(fits=(*work.fits, fits))
     every = MembraneFits(*(np.concatenate(parts) for parts in zip(*work.fits, strict=True)))
-    return _conclude(work, judge_membranes(work.layer, every), rupture_m, config)
+    return _conclude(work, best_membrane(work.layer, every), rupture_m, config)
 
 
 def _conclude(
     work: SearchWork, found: Boundary | None, rupture_m: float, config: MultilayerConfig
 ) -> SearchWork | MembraneSearch:
-    """What a layer searched through tells.
+    """What a search through a whole layer found.
 
     A boundary further back than any membrane gives is a soft transition that was missed. What
     follows it is searched again; the friction of both parts is measured together.

@@ -1,108 +1,133 @@
-"""What a sample asks of this toolkit's own identification beyond `multilayer_update`."""
+"""The multi-layer method beyond `update_multilayer`: free air, contact, cutting.
 
+Once per block of samples, or between blocks while a rupture is being measured.
+"""
+
+import itertools
 import math
 
 import numpy as np
-from numpy.typing import NDArray
 
+from identification.config import MultilayerConfig
 from identification.estimate import MUTED, RuptureState, next_rupture_state
-from identification.free_air_baseline import (
-    SEGMENT_S,
-    baseline_step,
-    height_over_wander,
-    level_score,
-    settle_baseline,
-)
-from identification.friction_compensation import MultilayerUpdate
+from identification.friction_compensation import MultilayerMemory
 from identification.input_validation import Sample
-from identification.layer_fit import layer_step, settle_pool
-from identification.multilayer_config import MultilayerConfig
-from identification.multilayer_state import MultilayerState, untouched_layer
+from identification.layer_fit import add_point, settle_pool
+from identification.layer_model import Array
+from identification.multilayer_state import Baseline, MultilayerState, first_layer
 from identification.resampling import (
     DEPTH,
     FORCE,
     Block,
-    emptied,
-    is_block_full,
+    least_block_s,
     mean_block,
-    track_step,
+    update_lag,
+    update_track,
 )
 from identification.rupture_measurement import (
-    finish_look,
+    finish_measurement,
     measure_rupture,
     raise_rupture,
     work_on_rupture,
 )
 from identification.slope_change_detector import (
     block_noise_N2,
-    blocks_since_kink,
-    detector_step,
+    blocks_since_change,
     restart_detector,
+    update_detector,
 )
-from identification.speed_lag import lag_step
 
-# First contact: where the force leaves its free-air level.
-
-
-_LEVEL = 4.0
+SEGMENT_S = 0.25
+"""Length of the means whose drift is learned."""
+_MOST_SEGMENTS = 40
+_LEAST_SEGMENTS = 4
+_LOWER_HALF = 0.143
+"""Mean of the lower half of a squared standard normal."""
+_RAISED = 4.0
+"""Standard deviations above free air that make a rise of the force a contact."""
 _LEAST_POINTS = 8
 _LOST = 2.0
 _LOST_POINTS = 50
+_CHANNEL_M = 2e-4
+"""Behind the deepest point by more than this the needle is in its old channel."""
 
 
-def free_air_step(
-    state: MultilayerState, block: Block, config: MultilayerConfig
+def begin_multilayer_sample(state: MultilayerState, _config: MultilayerConfig) -> MultilayerState:
+    """Before a sample: the events of the one before are over."""
+    if state.events == (None, None, None):
+        return state
+    return state._replace(rupture=None, identified_layer=None, retracted=None)
+
+
+def multilayer_step(
+    state: MultilayerState, memory: MultilayerMemory, sample: Sample, config: MultilayerConfig
 ) -> MultilayerState:
-    """Learn offset and noise of the force until it rises: then contact is dated back.
+    """What is done once per block, or between blocks after a rupture."""
+    if memory.filled_s < least_block_s(config.block_s):
+        state = state._replace(memory=memory)
+        return state if state.candidate is None else work_on_rupture(state, config)
+    block, lag = mean_block(memory, sample.time_s), state.lag
+    is_gap = block.dt_s > max(10.0 * config.block_s, config.check.gap_s)
+    if is_gap:
+        lag = lag._replace(last=None)
+    else:
+        lag, block = update_lag(lag, block)
+    emptied = memory._replace(filled_s=0.0, depth_sum=0.0, speed_sum=0.0, force_sum=0.0)
+    state = state._replace(memory=emptied, lag=lag)
+    if state.candidate is not None:
+        state = finish_measurement(state, config)
+    if is_gap:
+        return state._replace(detector=restart_detector(state.detector))
+    if not state.in_contact:
+        return _free_air(state, block, config)
+    is_moving = memory.speed_m_s > config.rest_speed_m_s
+    is_cutting = is_moving and block.depth_m > memory.deepest_m - _CHANNEL_M
+    return _cut(state, block, config) if is_cutting else _rest(state, config)
 
-    Contact is an upward kink that chance does not explain and that leaves the level of free air
-    (a stiff surface), or a level that has left it slowly (a soft one), of an advancing needle.
+
+# Free air and first contact.
+
+
+def _free_air(state: MultilayerState, block: Block, config: MultilayerConfig) -> MultilayerState:
+    """Learn offset and noise of the force until it rises: then contact was where it began to.
+
+    Contact is an upward slope change that chance does not explain and that leaves the level of free
+    air (a stiff surface), or a level that has left it slowly (a soft one), of an advancing needle.
     """
-    detector, verdict = detector_step(state.detector, block, config)
-    state = state._replace(detector=detector, baseline=baseline_step(state.baseline, block))
+    detector, detection = update_detector(state.detector, block, config)
+    state = state._replace(detector=detector, baseline=update_baseline(state.baseline, block))
     if block.speed_m_s <= config.rest_speed_m_s:
         return state
-    track, _ = track_step(state.track, block, config.track_step_m)
+    track, _ = update_track(state.track, block, config.track_step_m)
     state = state._replace(track=track)
     noise = block_noise_N2(detector) * block.dt_s / SEGMENT_S
-    is_slow = level_score(state.baseline, config.false_alarm_interval_s, noise) > 1.0
-    if is_slow or (verdict.rise > 1.0 and _is_raised(state, verdict.rise_scale, noise)):
-        return _touch(state, _contact_depth(state, block), config)
-    return state
+    is_contact = level_score(state.baseline, config.false_alarm_interval_s, noise) > 1.0
+    if not is_contact and detection.rise > 1.0:
+        level = float(np.mean(detector.force_N[-detection.rise_scale :]))
+        is_contact = height_over_drift(state.baseline, level, noise) > _RAISED
+    return _touch(state, block, config) if is_contact else state
 
 
-def _is_raised(state: MultilayerState, scale: int, noise_N2: float) -> bool:
-    """Whether the blocks since the kink stand above what the sensor wanders in free air."""
-    level = float(np.mean(state.detector.force_N[-scale:]))
-    return height_over_wander(state.baseline, level, noise_N2) > _LEVEL
-
-
-def _contact_depth(state: MultilayerState, block: Block) -> float:
-    """Depth at which the force left its line, found on the recent track."""
-    points = state.track.points
-    if len(points) < _LEAST_POINTS:
-        return block.depth_m
-    since = blocks_since_kink(points[:, FORCE], 1.0)
-    return float(points[-1 - since, DEPTH])
-
-
-def _touch(state: MultilayerState, depth_m: float, config: MultilayerConfig) -> MultilayerState:
-    """Begin the first layer at `depth_m` with the points already beyond it."""
-    state = state._replace(baseline=settle_baseline(state.baseline, depth_m))
-    points = state.track.points.copy()
-    points[:, FORCE] -= state.baseline.offset_N
-    points.setflags(write=False)
+def _touch(state: MultilayerState, block: Block, config: MultilayerConfig) -> MultilayerState:
+    """Begin the first layer where the force left its line, with the points already beyond."""
+    points, depth_m = state.track.points, block.depth_m
+    if len(points) >= _LEAST_POINTS:
+        depth_m = float(points[-1 - blocks_since_change(points[:, FORCE], 1.0), DEPTH])
+    baseline = settle_baseline(state.baseline, depth_m)
     state = state._replace(
+        baseline=baseline,
         in_contact=True,
-        layer=untouched_layer(depth_m),
-        track=state.track._replace(points=points),
+        contact_m=depth_m,
+        layer=first_layer(depth_m),
     )
+    state = _with_raised_track(state, -baseline.offset_N)
+    points = state.track.points
     for point in points[points[:, DEPTH] > depth_m]:
-        state = layer_step(state, point, config, is_solved=False)
+        state = add_point(state, point, config, is_solved=False)
     return state
 
 
-def lose_contact(state: MultilayerState) -> MultilayerState:
+def _lose_contact(state: MultilayerState) -> MultilayerState:
     """Go back to free air if the force has: a bump, not a tissue, was met."""
     if state.layers or state.layer.points < _LOST_POINTS:
         return state
@@ -110,57 +135,89 @@ def lose_contact(state: MultilayerState) -> MultilayerState:
     spread = state.baseline.variance + block_noise_N2(state.detector) / len(recent)
     if float(np.mean(recent)) > _LOST * math.sqrt(spread):
         return state
+    return _with_raised_track(state._replace(in_contact=False), state.baseline.offset_N)
+
+
+def _with_raised_track(state: MultilayerState, by_N: float) -> MultilayerState:
     points = state.track.points.copy()
-    points[:, FORCE] += state.baseline.offset_N
-    return state._replace(in_contact=False, track=state.track._replace(points=points))
+    points[:, FORCE] += by_N
+    points.setflags(write=False)
+    return state._replace(track=state.track._replace(points=points))
 
 
-_CHANNEL_M = 2e-4
+def update_baseline(state: Baseline, block: Block) -> Baseline:
+    """Use one block of free-air force."""
+    total = state.sum_Ns + block.force_N * block.dt_s
+    time = state.time_s + block.dt_s
+    if time < SEGMENT_S:
+        return state._replace(sum_Ns=total, time_s=time)
+    return state._replace(
+        forces_N=(*state.forces_N, total / time)[-_MOST_SEGMENTS:],
+        depths_m=(*state.depths_m, block.depth_m)[-_MOST_SEGMENTS:],
+        sum_Ns=0.0,
+        time_s=0.0,
+    )
 
 
-def begin_default_sample(state: MultilayerState, _config: MultilayerConfig) -> MultilayerState:
-    """Before a sample: the events of the one before are over."""
-    if state.events == (None, None, None):
-        return state
-    return state._replace(rupture=None, compensated=None, withdrawn=None)
+def level_score(state: Baseline, interval_s: float, noise_N2: float) -> float:
+    """Newest mean's height above the older half, over the height chance would reach.
 
-
-def multilayer_step(
-    state: MultilayerState, tick: MultilayerUpdate, sample: Sample, config: MultilayerConfig
-) -> MultilayerState:
-    """What is done once per block, or between blocks after a rupture.
-
-    Args:
-        state: Before the sample.
-        tick: What `multilayer_update` has made of the sample.
-        sample: The sample.
-        config: Settings.
+    Above 1, chance explains it less than once per `interval_s`. The spread comes from the
+    differences between neighbours, which a slow rise hardly touches; it is widened while few
+    means are known, as Student's t is.
     """
-    if not is_block_full(tick.filled_s, config.block_s):
-        state = state._replace(tick=tick)
-        return state if state.pending is None else work_on_rupture(state, config)
-    block, lag = mean_block(tick, sample.time_s), state.lag
-    is_gap = block.dt_s > max(10.0 * config.block_s, config.check.gap_s)
-    if is_gap:
-        lag = lag._replace(last=None)
-    else:
-        lag, block = lag_step(lag, block)
-    state = state.after_block(emptied(tick), lag)
-    if state.pending is not None:
-        state = finish_look(state, config)
-    if is_gap:
-        return state._replace(detector=restart_detector(state.detector))
-    if not state.in_contact:
-        return free_air_step(state, block, config)
-    is_moving = tick.speed_m_s > config.rest_speed_m_s
-    is_cutting = is_moving and block.depth_m > tick.deepest_m - _CHANNEL_M
-    return _cut(state, block, config) if is_cutting else _idle(state, config)
+    forces = state.forces_N
+    if len(forces) < _LEAST_SEGMENTS or state.time_s > 0.0:
+        return 0.0
+    half = forces[: len(forces) // 2]
+    squared = 2.0 * math.log(max(interval_s / SEGMENT_S, math.e))
+    squared *= 1.0 + squared / (2.0 * len(forces))
+    spread = max(_neighbour_variance(forces), noise_N2) * (1.0 + 1.0 / len(half))
+    height = forces[-1] - sum(half) / len(half)
+    return height / math.sqrt(max(squared * spread, 1e-18))
 
 
-def _idle(state: MultilayerState, config: MultilayerConfig) -> MultilayerState:
-    """Rest, reversal or an old channel: no rupture can happen, a pending one is settled."""
+def height_over_drift(state: Baseline, force_N: float, noise_N2: float) -> float:
+    """Height of a force above the older half of the means, in units of their drift.
+
+    Zero while too little of free air is known.
+    """
+    forces = state.forces_N
+    if len(forces) < 2:
+        return 0.0
+    half = forces[: max(len(forces) // 2, 1)]
+    height = force_N - sum(half) / len(half)
+    return height / math.sqrt(max(_neighbour_variance(forces), noise_N2, 1e-18))
+
+
+def settle_baseline(state: Baseline, contact_m: float) -> Baseline:
+    """Offset and slow error from what was measured before the contact at `contact_m`."""
+    rows = zip(state.forces_N, state.depths_m, strict=True)
+    before = [force for force, depth in rows if depth < contact_m]
+    if not before:
+        return state
+    offset = sum(before) / len(before)
+    variance = sum((f - offset) ** 2 for f in before) / max(len(before) - 1, 1)
+    return state._replace(offset_N=offset, variance=variance)
+
+
+def _neighbour_variance(forces: tuple[float, ...]) -> float:
+    """Half the mean square difference between neighbours (von Neumann), from its lower half.
+
+    The upper half may hold the contact itself.
+    """
+    squares = sorted((b - a) ** 2 for a, b in itertools.pairwise(forces))
+    kept = squares[: max(len(squares) // 2, 1)]
+    return 0.5 * sum(kept) / len(kept) / _LOWER_HALF
+
+
+# In tissue.
+
+
+def _rest(state: MultilayerState, config: MultilayerConfig) -> MultilayerState:
+    """Rest, reversal or an old channel: no rupture can happen, one being measured is settled."""
     state = state._replace(detector=restart_detector(state.detector))
-    if state.pending is not None:
+    if state.candidate is not None:
         state = measure_rupture(state, config, is_last=True)
     else:
         state = settle_pool(state, config)
@@ -169,43 +226,41 @@ def _idle(state: MultilayerState, config: MultilayerConfig) -> MultilayerState:
 
 def _cut(state: MultilayerState, block: Block, config: MultilayerConfig) -> MultilayerState:
     """The tip meets fresh tissue: look for a rupture, measure one, learn the layer."""
-    block = block.less(state.baseline.offset_N)
-    track, point = track_step(state.track, block, config.track_step_m)
-    detector, verdict = detector_step(state.detector, block, config)
-    is_muted = _is_muted(state, block, config)
-    state = state.after_point(restart_detector(detector) if is_muted else detector, track)
-    if is_muted:
+    block = block._replace(force_N=block.force_N - state.baseline.offset_N)
+    track, point = update_track(state.track, block, config.track_step_m)
+    detector, detection = update_detector(state.detector, block, config)
+    candidate = state.candidate
+    if (
+        candidate is not None
+        and state.rupture_state in MUTED
+        and block.depth_m < candidate.rupture.depth_m + config.provisional_window_m
+    ):
+        # No rupture is looked for while one releases: until its provisional measurement.
+        state = state._replace(detector=restart_detector(detector), track=track)
         return _follow(state, point, config)
-    if verdict.fall > 1.0:
-        return raise_rupture(state, block, verdict, config)
+    state = state._replace(detector=detector, track=track)
+    if detection.fall > 1.0:
+        return raise_rupture(state, block, detection, config)
     state = _follow(state, point, config)
-    return _advance(state, is_expected=verdict.fall > config.expected_share)
-
-
-def _is_muted(state: MultilayerState, block: Block, config: MultilayerConfig) -> bool:
-    """No rupture is looked for while one is releasing: until its first look."""
-    pending = state.pending
-    if pending is None or state.rupture_state not in MUTED:
-        return False
-    return block.depth_m < pending.rupture.depth_m + config.provisional_window_m
+    return _advance(state, is_expected=detection.fall > config.expected_fraction)
 
 
 def _follow(
-    state: MultilayerState, point: NDArray[np.float64] | None, config: MultilayerConfig
+    state: MultilayerState, point: Array | None, config: MultilayerConfig
 ) -> MultilayerState:
     """Use a new track point: for the rupture being measured, else for the layer."""
     if point is None:
         return state
-    if state.pending is not None:
+    if state.candidate is not None:
         return measure_rupture(state, config)
-    return lose_contact(layer_step(state, point, config))
+    return _lose_contact(add_point(state, point, config))
 
 
 def _advance(state: MultilayerState, *, is_expected: bool = False) -> MultilayerState:
-    """Move the machine on; what raises and settles a rupture sets its own states."""
-    machine = state.rupture_state
-    if machine is RuptureState.NO_RUPTURE and not is_expected:
+    """Move the rupture state on; what raises and settles a rupture sets its own states."""
+    now = state.rupture_state
+    if now is RuptureState.NO_RUPTURE and not is_expected:
         return state
-    if machine is RuptureState.FORCE_DROP_MEASURING or state.compensated is not None:
+    if now is RuptureState.FORCE_DROP_MEASURING or state.identified_layer is not None:
         return state
-    return state._replace(rupture_state=next_rupture_state(machine, is_expected=is_expected))
+    return state._replace(rupture_state=next_rupture_state(now, is_expected=is_expected))

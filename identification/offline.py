@@ -2,6 +2,7 @@
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -9,44 +10,22 @@ from numpy.typing import ArrayLike, NDArray
 from identification.errors import InvalidLogError
 from identification.interaction_model import LayerSpan, Model, regression_matrix
 
-# Least squares (6) that says which parameters the data determine.
-
-
 RANK_TOLERANCE = 1e-3
-"""Singular values of the scaled columns below this share of the largest count as zero: a
+"""Singular values of the scaled columns below this fraction of the largest count as zero: a
 difference between columns under 0.1 % is smaller than any linear tissue model is right."""
-_NULL_SHARE = 0.05
+_FREE_FRACTION = 0.05
 _BLOCKS = 60
 
 
-@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
-class LeastSquaresFit:
-    """Answer of a linear least squares that grades itself.
+class LeastSquaresFit(NamedTuple):
+    """Answer of a linear least squares with an assessment of itself."""
 
-    Attributes:
-        parameters: Minimum-norm solution in scaled columns, shape (p,).
-        standard_deviations: Shape (p,); infinite where not identified.
-        identified: Shape (p,); False where the data leave the parameter (partly) free.
-        rank: Numerical rank of the scaled matrix.
-        condition_number: Of the scaled matrix; infinite for an empty column.
-        rmse: Root mean square residual, in units of the right-hand side.
-    """
-
-    parameters: NDArray[np.float64]
-    standard_deviations: NDArray[np.float64]
-    identified: NDArray[np.bool_]
-    rank: int
-    condition_number: float
-    rmse: float
-
-
-def _block_covariance(
-    scaled: NDArray[np.float64], residual: NDArray[np.float64], inverse: NDArray[np.float64]
-) -> NDArray[np.float64]:
-    """Sandwich covariance over contiguous blocks: residuals of tissue are far from white."""
-    edges = np.linspace(0, len(residual), min(_BLOCKS, len(residual)) + 1).astype(int)
-    scores = np.add.reduceat(scaled * residual[:, None], edges[:-1], axis=0)
-    return inverse @ (scores.T @ scores) @ inverse
+    parameters: NDArray[np.float64]  # Minimum-norm solution in scaled columns, shape (p,)
+    standard_deviations: NDArray[np.float64]  # Shape (p,); infinite where not identified
+    identified: NDArray[np.bool_]  # Shape (p,); False where the data leave the parameter free
+    rank: int  # Numerical rank of the scaled matrix
+    condition_number: float  # Of the scaled matrix; infinite for an empty column
+    rmse: float  # Root mean square residual, in units of the right-hand side
 
 
 def solve_least_squares(
@@ -70,9 +49,12 @@ def solve_least_squares(
     solution = vt[kept].T @ ((u[:, kept].T @ target) / s[kept])
     residual = target - scaled @ solution
     pseudo_inverse = (vt[kept].T / s[kept] ** 2) @ vt[kept]
-    covariance = _block_covariance(scaled, residual, pseudo_inverse)
-    free_share = 1.0 - np.sum(vt[kept] ** 2, axis=0)
-    identified = (free_share < _NULL_SHARE**2) & (scale > 0)
+    # Sandwich covariance over contiguous blocks: residuals of tissue are far from white.
+    edges = np.linspace(0, len(residual), min(_BLOCKS, len(residual)) + 1).astype(int)
+    scores = np.add.reduceat(scaled * residual[:, None], edges[:-1], axis=0)
+    covariance = pseudo_inverse @ (scores.T @ scores) @ pseudo_inverse
+    free = 1.0 - np.sum(vt[kept] ** 2, axis=0)
+    identified = (free < _FREE_FRACTION**2) & (scale > 0)
     deviation = np.sqrt(np.maximum(np.diag(covariance), 0.0)) / safe
     return LeastSquaresFit(
         parameters=solution / safe,
@@ -84,19 +66,10 @@ def solve_least_squares(
     )
 
 
-# One column of a recording as numbers.
-
-
 def read_column(
     name: str, values: ArrayLike, rows: int | None = None, *, finite: bool = False
 ) -> NDArray[np.float64]:
     """Return a column as a float array of its own.
-
-    Args:
-        name: What it is, for the message.
-        values: One number per row.
-        rows: How many rows there must be, those of t_s; None for any number but zero.
-        finite: Whether all numbers must be finite.
 
     Returns:
         The same numbers, shape (n,), a copy.
@@ -133,8 +106,8 @@ class OfflineLayer:
         friction: B_i [Ns/m^2] for `ml`, [Ns/m] for `kv`.
         friction_std: Its standard deviation; infinite when not identified.
         friction_identified: Whether the data separate it from the other parameters.
-        cumulative_friction_Ns_per_m: Share of this layer in the cumulative friction: B_i d_i for
-            `ml` (the figures of Table I), B_i for `kv`.
+        cumulative_friction_Ns_per_m: Part of this layer in the cumulative friction: B_i d_i for
+            `ml` (the values of Table I), B_i for `kv`.
     """
 
     stiffness_N_per_m: float

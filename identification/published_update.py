@@ -1,28 +1,40 @@
-"""What every sample asks of the published method: equations (3) and (7) to (9), the derivative."""
+"""What every sample asks of the published method: equations (3) and (7) to (9), the derivative.
+
+And the re-run over a whole layer (Section III-B), window by window. A window between two covariance
+resets maps the estimate linearly, theta_k = A_k theta_{k-1} + c_k: RLS with lambda = 1 is a
+regularised least squares, theta = (Psi_0^-1 + S)^-1 (Psi_0^-1 theta_prev + b) with S = sum phi phi'
+and b = sum phi f. A re-run needs S and b of each window, not its samples.
+"""
 
 import math
 from typing import Any, NamedTuple
 
-from identification.rls_windows import WindowSums
-from needleforce.jit import Vector, compiled
+import numpy as np
+from numpy.typing import NDArray
+
+from needleforce.jit import Matrix, compiled
+
+
+class WindowSums(NamedTuple):
+    """Sums over the samples between two covariance resets."""
+
+    kk: float = 0.0  # Sum of phi_K^2
+    kb: float = 0.0  # Sum of phi_K phi_B
+    bb: float = 0.0  # Sum of phi_B^2
+    kf: float = 0.0  # Sum of phi_K f
+    bf: float = 0.0  # Sum of phi_B f
+    kv: float = 0.0  # Sum of phi_K v
+    bv: float = 0.0  # Sum of phi_B v; with `kv` it allows a later change of the cumulative friction
 
 
 class RlsState(NamedTuple):
-    """Estimate and covariance of a two-parameter recursive least squares.
+    """Estimate and covariance of a two-parameter recursive least squares."""
 
-    Attributes:
-        stiffness: First parameter, K.
-        friction: Second parameter, B.
-        var_stiffness: Psi[0, 0].
-        covariance: Psi[0, 1] = Psi[1, 0].
-        var_friction: Psi[1, 1].
-    """
-
-    stiffness: float
-    friction: float
-    var_stiffness: float
-    covariance: float
-    var_friction: float
+    stiffness: float  # First parameter, K
+    friction: float  # Second parameter, B
+    var_stiffness: float  # Psi[0, 0]
+    covariance: float  # Psi[0, 1] = Psi[1, 0]
+    var_friction: float  # Psi[1, 1]
 
 
 def reset_covariance(state: RlsState, var_stiffness: float, var_friction: float) -> RlsState:
@@ -31,24 +43,6 @@ def reset_covariance(state: RlsState, var_stiffness: float, var_friction: float)
     return RlsState(stiffness, friction, float(var_stiffness), 0.0, float(var_friction))
 
 
-(
-    LEAST_SPEED,
-    DRIFT,
-    THRESHOLD,
-    BETA,
-    DERIVATIVE_S,
-    RESET_HZ,
-    IS_ML,
-    START_M,
-    IS_INSIDE,
-    LAYER,
-    CUMULATIVE,
-    IS_MUTED,
-    IS_EXPECTED,
-    IS_DUE,
-    PLACES,
-) = range(15)
-"""Places of the numbers that `published_coefficients` lays out."""
 _ROUNDING = 1e-9
 _FORGETTING = 1.0
 
@@ -56,55 +50,61 @@ Rls = tuple[float, float, float, float, float]
 """The fields of `RlsState`, plain."""
 Sums = tuple[float, float, float, float, float, float, float]
 """The fields of `WindowSums`, plain."""
-Fields = tuple[Rls, Sums, float, float, float, float, float, float, float, float, float, bool, bool]
-"""Of `PublishedUpdate`, plain."""
-Figures = tuple[Any, ...]
+Memory = tuple[Rls, Sums, float, float, float, float, float, float, float, float, float, bool, bool]
+"""The fields of `PublishedMemory`, plain."""
+Outputs = tuple[Any, ...]
 """The fields of an `Estimate` from ``in_contact`` up to the events."""
 
 
-class PublishedUpdate(NamedTuple):
-    """What every sample changes. Compiled code takes and gives plain tuples.
+class PublishedMemory(NamedTuple):
+    """What every sample changes. Compiled code takes and gives plain tuples."""
 
-    Attributes:
-        rls: Current estimate and covariance.
-        window: Sums since the last covariance reset.
-        window_s: Time since then.
-        travel_s: Time spent in the layer the tip is in.
-        mean_speed_m_s: Average speed in it.
-        decision: g_k of equation (9).
-        derivative_N_per_s: Filtered force derivative.
-        force_N: Last force; nan before the first sample.
-        force_before_N: The one before, or the last if there is none.
-        waited_s: Time since the detection.
-        predicted_N: phi' theta + B_d v before the last sample was absorbed.
-        is_alarm: Whether g exceeds its threshold.
-        is_expected: Whether the derivative announces a rupture.
-    """
-
-    rls: RlsState
-    window: WindowSums = WindowSums()
-    window_s: float = 0.0
-    travel_s: float = 0.0
-    mean_speed_m_s: float = 0.0
-    decision: float = 0.0
-    derivative_N_per_s: float = 0.0
-    force_N: float = math.nan
-    force_before_N: float = math.nan
-    waited_s: float = 0.0
-    predicted_N: float = 0.0
-    is_alarm: bool = False
-    is_expected: bool = False
+    rls: RlsState  # Current estimate and covariance
+    window: WindowSums = WindowSums()  # Sums since the last covariance reset
+    window_s: float = 0.0  # Time since then
+    travel_s: float = 0.0  # Time spent in the layer the tip is in
+    mean_speed_m_s: float = 0.0  # Average speed in it
+    decision: float = 0.0  # g_k of equation (9)
+    derivative_N_per_s: float = 0.0  # Filtered force derivative
+    force_N: float = math.nan  # Last force; nan before the first sample
+    force_before_N: float = math.nan  # The one before, or the last if there is none
+    waited_s: float = 0.0  # Time since the detection
+    predicted_N: float = 0.0  # phi' theta + B_d v before the last sample was used
+    is_alarm: bool = False  # Whether g exceeds its threshold
+    is_expected: bool = False  # Whether the derivative announces a rupture
 
     @property
     def plain(self) -> tuple[Any, ...]:
-        """As `published_update` takes it."""
+        """As `update_published` takes it."""
         return tuple(self.rls), tuple(self.window), *self[2:]
 
     @staticmethod
-    def of(plain: tuple[Any, ...]) -> "PublishedUpdate":
-        """From what `published_update` gave."""
+    def of(plain: tuple[Any, ...]) -> "PublishedMemory":
+        """From what `update_published` gave."""
         rls, window, *rest = plain
-        return PublishedUpdate(RlsState(*rls), WindowSums(*window), *rest)
+        return PublishedMemory(RlsState(*rls), WindowSums(*window), *rest)
+
+
+class PublishedCoefficients(NamedTuple):
+    """What `update_published` reads; changes with a layer or the rupture state only."""
+
+    least_speed_m_s: float  # Setting
+    drift: float  # nu of equation (9)
+    threshold: float  # gamma of equation (9)
+    beta: float  # Threshold of the derivative, grown by the detections so far
+    derivative_s: float  # Setting ``derivative_time_constant_s``
+    reset_Hz: float  # Setting ``reset_frequency_Hz``
+    is_ml: bool  # Whether the model is (3), not (2)
+    start_m: float  # Depth at which the current layer begins
+    is_inside: bool  # Whether a layer has been left: the needle is in tissue
+    layer: int  # Number of the current layer
+    cumulative_Ns_per_m: float  # Sum of B_j d_j
+    is_muted: bool  # Whether the rupture state looks for no rupture
+    is_expected: bool  # Whether it expects one
+    is_due: bool  # Whether the next sample finds work to do: around a rupture, every one does
+
+
+Coefficients = tuple[PublishedCoefficients, ...]
 
 
 @compiled
@@ -123,7 +123,7 @@ def regressor(layer_depth_m: float, speed_m_s: float, is_ml: bool) -> tuple[floa
 def rls_step(
     rls: Rls, phi: tuple[float, float], force_N: float, forgetting: float
 ) -> tuple[Rls, float]:
-    """Absorb one force sample: equations (7) and (8) of the paper, written out for two columns.
+    """Use one force sample: equations (7) and (8) of the paper, written out for two columns.
 
     Args:
         rls: Estimate before the sample, see `RlsState`.
@@ -174,93 +174,177 @@ def derivative_step(
     """Advance the first-order low-pass of df/dt; exact for a force linear over the step.
 
     The second criterion of Section III-B.
-
-    Args:
-        derivative_N_per_s: Filtered derivative so far.
-        change_N: f_k - f_{k-1}.
-        dt_s: Time between the two samples.
-        time_constant_s: Of the low-pass.
     """
     keep = math.exp(-dt_s / time_constant_s)
     return keep * derivative_N_per_s + (1.0 - keep) * change_N / dt_s
 
 
 @compiled
-def paper_figures(
-    depth_m: float, speed_m_s: float, force_N: float, tick: Fields, numbers: Vector
-) -> Figures:
-    """Enhanced force f - sum(B_j d_j) v and its companions; see `published_update`."""
-    depth = max(depth_m - numbers[START_M], 0.0)
-    in_contact = depth > 0.0 or numbers[IS_INSIDE] != 0.0
-    stiffness, friction = tick[0][0], tick[0][1]
-    phi = regressor(depth, speed_m_s, numbers[IS_ML] != 0.0)
-    earlier = numbers[CUMULATIVE] * speed_m_s
+def published_outputs(
+    depth_m: float, speed_m_s: float, force_N: float, memory: Memory, coefficients: Coefficients
+) -> Outputs:
+    """Enhanced force f - sum(B_j d_j) v and its companions; see `update_published`."""
+    c = coefficients[0]
+    depth = max(depth_m - c.start_m, 0.0)
+    in_contact = depth > 0.0 or c.is_inside
+    stiffness, friction = memory[0][0], memory[0][1]
+    phi = regressor(depth, speed_m_s, c.is_ml)
+    earlier = c.cumulative_Ns_per_m * speed_m_s
     own = friction * phi[1] if in_contact else 0.0
     return (
         in_contact,
-        int(numbers[LAYER]) if in_contact else 0,
+        c.layer if in_contact else 0,
         force_N - earlier,
         force_N - earlier - own,
         earlier + own,
         None,
-        tick[10],
+        memory[10],
         stiffness,
         None,
         False,
         friction,
         None,
         False,
-        numbers[CUMULATIVE],
+        c.cumulative_Ns_per_m,
         None,
     )
 
 
 @compiled
-def published_update(
+def update_published(
     depth_m: float,
     speed_m_s: float,
     force_N: float,
     dt_s: float,
-    tick: Fields,
-    numbers: Vector,
-) -> tuple[bool, Fields, Figures]:
-    """Absorb one sample: RLS (7)(8), CUSUM (9) and the derivative criterion.
-
-    Args:
-        depth_m: Travel of the tip along the insertion axis [m].
-        speed_m_s: Rate of depth [m/s].
-        force_N: Axial force [N].
-        dt_s: Time since the sample before [s].
-        tick: `PublishedUpdate.plain`.
-        numbers: All else that counts, see `published_coefficients`.
+    memory: Memory,
+    coefficients: Coefficients,
+) -> tuple[bool, Memory, Outputs]:
+    """Use one sample: RLS (7)(8), CUSUM (9) and the derivative criterion.
 
     Returns:
-        Whether that was all: no window is full, the state machine stays where it is; the new
-        fields, and what to tell, see `paper_figures`.
+        Whether that was all: no window is full, the rupture state stays what it is; the new
+        memory, and what to report, see `published_outputs`.
     """
-    rls, window, window_s, travel_s, mean, decision, derivative, last, _, waited, _, _, was = tick
+    c = coefficients[0]
+    rls, window, window_s, travel_s, mean, decision, derivative, last, _, waited, _, _, was = memory
     before = force_N if math.isnan(last) else last
-    layer_depth = depth_m - numbers[START_M]
-    if layer_depth <= 0.0 and numbers[IS_INSIDE] == 0.0:
+    layer_depth = depth_m - c.start_m
+    if layer_depth <= 0.0 and not c.is_inside:
         so_far = (rls, window, window_s, travel_s, mean, decision, derivative)
         # Numba knows no starred parts of a tuple.
         free = so_far + (force_N, before, waited, 0.0, False, was)  # noqa: RUF005
-        return True, free, paper_figures(depth_m, speed_m_s, force_N, free, numbers)
-    phi = regressor(max(layer_depth, 0.0), speed_m_s, numbers[IS_ML] != 0.0)
-    earlier = numbers[CUMULATIVE] * speed_m_s
+        return True, free, published_outputs(depth_m, speed_m_s, force_N, free, coefficients)
+    phi = regressor(max(layer_depth, 0.0), speed_m_s, c.is_ml)
+    earlier = c.cumulative_Ns_per_m * speed_m_s
     own = force_N - earlier
     rls, error = rls_step(rls, phi, own, _FORGETTING)
     window_s, travel_s, waited = window_s + dt_s, travel_s + dt_s, waited + dt_s
-    is_muted = numbers[IS_MUTED] != 0.0 or speed_m_s < numbers[LEAST_SPEED]
-    decision = 0.0 if is_muted else cusum_step(decision, error, numbers[DRIFT])
-    derivative = derivative_step(derivative, force_N - before, dt_s, numbers[DERIVATIVE_S])
-    is_alarm = decision > numbers[THRESHOLD]
-    is_expected = not is_muted and derivative < -numbers[BETA]
+    is_muted = c.is_muted or speed_m_s < c.least_speed_m_s
+    decision = 0.0 if is_muted else cusum_step(decision, error, c.drift)
+    derivative = derivative_step(derivative, force_N - before, dt_s, c.derivative_s)
+    is_alarm = decision > c.threshold
+    is_expected = not is_muted and derivative < -c.beta
     window = add_sample(window, phi, own, speed_m_s)
     mean += (speed_m_s - mean) * dt_s / travel_s
     so_far = (rls, window, window_s, travel_s, mean, decision, derivative)
     predicted = own - error + earlier
     new = so_far + (force_N, before, waited, predicted, is_alarm, is_expected)  # noqa: RUF005
-    is_calm = not is_alarm and is_expected == (numbers[IS_EXPECTED] != 0.0)
-    is_calm = is_calm and numbers[IS_DUE] == 0.0 and not is_window_full(window_s, numbers[RESET_HZ])
-    return is_calm, new, paper_figures(depth_m, speed_m_s, force_N, new, numbers)
+    is_all = not is_alarm and is_expected == c.is_expected
+    is_all = is_all and not c.is_due and not is_window_full(window_s, c.reset_Hz)
+    return is_all, new, published_outputs(depth_m, speed_m_s, force_N, new, coefficients)
+
+
+# The re-run over a layer.
+
+
+def less_viscous_force(sums: WindowSums, damping_Ns_per_m: float) -> WindowSums:
+    """Sums as if `damping_Ns_per_m * v` had been subtracted from every force sample."""
+    return sums._replace(
+        kf=sums.kf - damping_Ns_per_m * sums.kv, bf=sums.bf - damping_Ns_per_m * sums.bv
+    )
+
+
+def window_step(
+    theta: tuple[float, float], sums: WindowSums, variances: tuple[float, float]
+) -> tuple[float, float]:
+    """Estimate after one window that began with covariance diag(variances) at `theta`.
+
+    Written as theta + Psi_0 (I + S Psi_0)^-1 (b - S theta): no inverse of Psi_0 or S is needed,
+    so collinear columns and zero variances are harmless.
+    """
+    k, b = theta
+    p, q = variances
+    rk = sums.kf - sums.kk * k - sums.kb * b
+    rb = sums.bf - sums.kb * k - sums.bb * b
+    m11, m12 = 1.0 + sums.kk * p, sums.kb * q
+    m21, m22 = sums.kb * p, 1.0 + sums.bb * q
+    excitation = max(sums.kk * sums.bb - sums.kb * sums.kb, 0.0)
+    determinant = 1.0 + sums.kk * p + sums.bb * q + p * q * excitation
+    return (
+        k + p * (m22 * rk - m12 * rb) / determinant,
+        b + q * (m11 * rb - m21 * rk) / determinant,
+    )
+
+
+_KF, _BF, _KV, _BV = (WindowSums._fields.index(name) for name in ("kf", "bf", "kv", "bv"))
+_SLACK = 16
+"""Windows beyond the most before neighbours are added up: not at every window."""
+NO_WINDOWS = np.empty((0, len(WindowSums._fields)))
+"""Sums of the windows of a layer, one row each: the fields of `WindowSums`."""
+NO_WINDOWS.setflags(write=False)
+
+Array = NDArray[np.float64]
+
+
+def append_window(windows: Array, sums: WindowSums, most: int) -> Array:
+    """Add a closed window; beyond ``most`` neighbours are added up, see `add_neighbours`."""
+    grown = np.vstack((windows, sums))
+    return _frozen(add_neighbours(grown) if len(grown) >= most + _SLACK else grown)
+
+
+def add_neighbours(windows: Array) -> Array:
+    """Halve the number of windows by adding neighbours: bounds memory in an endless layer.
+
+    The re-run then resets half as often over that stretch; an odd last window stays alone.
+    """
+    even = len(windows) // 2 * 2
+    return np.concatenate((windows[0:even:2] + windows[1:even:2], windows[even:]))
+
+
+def less_viscous_windows(windows: Array, damping_Ns_per_m: float) -> Array:
+    """Windows as if ``damping_Ns_per_m * v`` had been subtracted from every force sample."""
+    corrected = windows.copy()
+    corrected[:, _KF] -= damping_Ns_per_m * windows[:, _KV]
+    corrected[:, _BF] -= damping_Ns_per_m * windows[:, _BV]
+    return _frozen(corrected)
+
+
+def _frozen(windows: Array) -> Array:
+    windows.setflags(write=False)
+    return windows
+
+
+Pair = tuple[float, float]
+
+
+@compiled
+def rerun_windows(windows: Matrix, variances: Pair, theta: Pair) -> Pair:
+    """The estimate after all windows, as by a re-run over their samples up to rounding.
+
+    `window_step` written as A and c.
+    """
+    k, b = theta
+    p, q = variances
+    for i in range(len(windows)):
+        kk, kb, bb = windows[i, 0], windows[i, 1], windows[i, 2]
+        kf, bf = windows[i, 3], windows[i, 4]
+        pb, qb = p * kb, q * kb
+        first, second = 1.0 + q * bb, 1.0 + p * kk
+        excitation = max(kk * bb - kb * kb, 0.0)
+        scale = 1.0 / (second + q * bb + (p * q) * excitation)
+        own_k, own_b = p * (first * kf - qb * bf) * scale, q * (second * bf - pb * kf) * scale
+        k, b = (
+            own_k + first * scale * k - pb * scale * b,
+            own_b - qb * scale * k + second * scale * b,
+        )
+    return float(k), float(b)

@@ -1,6 +1,7 @@
 """The decorator of functions that every tick calls."""
 
 from collections.abc import Callable
+from functools import cache
 from inspect import signature
 from typing import Annotated, Any, TypeVar, get_args, get_origin, get_type_hints
 
@@ -36,9 +37,9 @@ def compiled(function: Function) -> Function:
     kept on disk beside the file; what is kept there would not notice a change in another file.
 
     That happens when its module is imported, where every parameter is annotated as `float`, `int`,
-    `bool`, one of the arrays above or a tuple of a fixed number of them; what it calls
-    then stands above it. Where one is not (``Any``, ``tuple[float, ...]``), whoever calls it in a
-    tick calls it once when constructed, with the same types. No tick waits for a compiler.
+    `bool`, one of the arrays above, a tuple of a fixed number of them or `jit_arguments`; what it
+    calls then stands above it. Where one is not (``Any``, ``tuple[float, ...]``), whoever calls it
+    in a tick calls it once when constructed, with the same types. No tick waits for a compiler.
 
     Args:
         function: Numeric expressions that numpy runs nearly as fast without a compiler; one in
@@ -58,6 +59,41 @@ def compiled(function: Function) -> Function:
         return numba.njit(*early)(function)
 
 
+Fields = TypeVar("Fields", bound=tuple[Any, ...])
+
+
+def jit_arguments(kind: type[Fields], *records: Fields) -> tuple[Fields, ...]:
+    """Named numbers in the form that a function of `compiled` reads fastest.
+
+    The function annotates them as ``tuple[Kind, ...]`` with `Kind` a named tuple, and reads
+    ``arguments[0].name``. Compiled, that is an array of records: thirty numbers take 0.2 us to hand
+    over, a named tuple of them 1.5 us. Without a compiler it is the tuple itself.
+
+    Args:
+        kind: The named tuple, its fields annotated as `float`, `int` or `bool`.
+        records: Any number of them.
+    """
+    kinds = _field_kinds(kind).values()
+    rows = [tuple(one(value) for one, value in zip(kinds, row, strict=True)) for row in records]
+    if not COMPILER:
+        return tuple(kind(*row) for row in rows)
+    array: Any = np.array(rows, dtype=_record_type(kind))
+    array.setflags(write=False)
+    return array
+
+
+@cache
+def _field_kinds(kind: type) -> dict[str, type]:
+    return get_type_hints(kind)
+
+
+@cache
+def _record_type(kind: type) -> np.dtype[Any]:
+    names = {float: np.float64, int: np.int64, bool: np.bool_}
+    places = [(name, names[hint]) for name, hint in _field_kinds(kind).items()]
+    return np.dtype(places, align=True)
+
+
 def _numba_type(hint: Any) -> Any:
     """Type of a parameter, or None if its annotation leaves it open."""
     scalars = {float: "float64", int: "int64", bool: "boolean"}
@@ -68,6 +104,9 @@ def _numba_type(hint: Any) -> Any:
         layout, read_only = "A" if "strided" in marks else "C", "written" not in marks
         # A parameter that is only read takes read-only arrays and others.
         return numba.types.Array(numba.types.float64, dimensions, layout, readonly=read_only)
+    if get_origin(hint) is tuple and hasattr(get_args(hint)[0], "_fields"):  # `jit_arguments`
+        record = numba.from_dtype(_record_type(get_args(hint)[0]))
+        return numba.types.Array(record, 1, "C", readonly=True)
     if get_origin(hint) is tuple and Ellipsis not in get_args(hint):
         parts = [_numba_type(part) for part in get_args(hint)]
         return None if None in parts else numba.types.Tuple(parts)

@@ -22,8 +22,8 @@ from needleforce.jit import Matrix, Vector, compiled
 from residual import DEFAULT as DEFAULT_SENSOR
 from residual import SensorConfig, SensorWarning, Status, VirtualForceSensor, WrenchEstimate
 from residual.bias_model import Tare
-from residual.snapshot import SensorState
 from residual.tool_kinematics import ToolKinematics
+from residual.virtual_force_sensor import SensorState
 from urdf import Robot
 
 # Depth and speed of the needle by the robot's own kinematics.
@@ -57,17 +57,19 @@ class TravelZero(NamedTuple):
 
 
 @compiled
-def tip_motion(axis: Vector, pose: Matrix, advance: Vector, dq: Vector) -> tuple[float, float]:
+def tip_motion(
+    axis: Vector, pose: Matrix, axial_jacobian: Vector, dq: Vector
+) -> tuple[float, float]:
     """Place of the tip along an axis [m], and its speed along the needle [m/s].
 
     Args:
         axis: In base axes, shape (3,).
         pose: See `residual.tool_kinematics.ToolKinematics`, as the next.
-        advance: Shape (n,).
+        axial_jacobian: Shape (n,).
         dq: Joint velocities [rad/s], shape (n,).
     """
     tip_m = np.ascontiguousarray(pose[:3, 3])
-    return float(axis.dot(tip_m)), float(advance.dot(dq))
+    return float(axis.dot(tip_m)), float(axial_jacobian.dot(dq))
 
 
 class TipTravel:
@@ -89,7 +91,7 @@ class TipTravel:
     def read(self, dq: NDArray[np.float64]) -> Travel:
         """Depth and speed where the kinematics stand, for joint velocities [rad/s], shape (n,)."""
         tool = self._kinematics
-        along_m, speed_m_s = tip_motion(self._axis, tool.pose, tool.advance, dq)
+        along_m, speed_m_s = tip_motion(self._axis, tool.pose, tool.axial_jacobian, dq)
         return _new(Travel, (along_m - self._start_m, speed_m_s))
 
     @property
@@ -104,7 +106,7 @@ class TipTravel:
         self._start_m = float(self._axis.dot(state.start_in_base_m))
 
 
-# What a session tells about a tick, and all that it remembers.
+# What a session reports about a tick, and all that it remembers.
 
 
 class SessionEstimate(NamedTuple):
@@ -114,11 +116,13 @@ class SessionEstimate(NamedTuple):
         wrench: Force on the needle, see `WrenchEstimate`.
         depth_m: Travel of the tip along the needle since the tare or `begin_insertion`.
         speed_m_s: Its rate.
-        identification: Layers, friction, tip force; that of the last tick that was fed to the
-            identifier, its ``rupture``, ``compensated`` and ``withdrawn`` only in the tick that
-            brought them.
+        identification: Layers, friction, tip force: that of the last tick used for identification,
+            its events (``rupture``, ``identified_layer``, ``retracted``) only in the tick that
+            brought them. Times are on this session's clock, depths from its zero.
         status: Whether the numbers are of this tick and tared.
         used_for_identification: Whether this tick's force went into the identification.
+        time_s: Sum of the time steps since the first sample after `reset` [s]: the clock of all
+            events. Rejected samples count, a clock that was set does not.
     """
 
     wrench: WrenchEstimate
@@ -127,6 +131,7 @@ class SessionEstimate(NamedTuple):
     identification: Estimate
     status: Status
     used_for_identification: bool
+    time_s: float
 
     @property
     def warnings(self) -> SensorWarning:
@@ -143,7 +148,8 @@ class SessionSnapshot(NamedTuple):
         zero: Where depth is counted from.
         travel: Last depth and speed.
         speed_lag_s: Setting of the session.
-        unfed_s: Time of samples taken by the sensor that the identifier has not seen [s].
+        unused_s: Time of valid samples that were not used for identification [s].
+        time_s: See `SessionEstimate`.
     """
 
     sensor: SensorState
@@ -151,7 +157,8 @@ class SessionSnapshot(NamedTuple):
     zero: TravelZero
     travel: Travel
     speed_lag_s: float
-    unfed_s: float
+    unused_s: float
+    time_s: float
 
 
 # Errors of the `insertion` package: one base, each leaf also a standard exception.
@@ -173,7 +180,7 @@ class SnapshotFileError(InsertionError, ValueError):
     """A file that is no snapshot, or one of a version that cannot be read."""
 
 
-_NOT_FED = (
+_NOT_USED = (
     SensorWarning.JOINT_LIMIT
     | SensorWarning.NEAR_SINGULAR
     | SensorWarning.MODEL_MISMATCH
@@ -184,8 +191,8 @@ _NOT_FED = (
 
 # Names of an enumeration take as long to look up as a call, and there is a named tuple in every
 # tick: this is its own way of making one, without the detour.
-_OK, _SKIPPED = Status.OK, Status.REJECTED
-_FED = tuple(status for status in SampleStatus if status.is_absorbed)
+_OK, _REJECTED = Status.OK, Status.REJECTED
+_USED = tuple(status for status in SampleStatus if status.is_used)
 
 
 class InsertionSession:
@@ -194,10 +201,12 @@ class InsertionSession:
     Call `update` every tick from the start of the robot; move in free air, call `tare`, insert.
     For another insertion with the same tare call `begin_insertion` above the tissue.
 
-    The identifier is fed only forces of this tick (`Status.OK`) that no joint limit, singular pose,
-    frozen signal, misfit, stale tare or wrong velocity makes worthless. Otherwise its last estimate
-    stays, and the time passes: after a longer gap it says ``TIME_GAP`` and starts its local
-    predictions anew.
+    Only forces of this tick (`Status.OK`) without a warning that makes them worthless (joint limit,
+    singular pose, frozen signal, model mismatch, expired tare, wrong velocity) are used for
+    identification. In other ticks its last estimate stays and time passes: after a longer gap it
+    reports ``TIME_GAP`` and starts its local predictions again.
+
+    Depth counts from the tare or the last `begin_insertion` (before both, from the first sample).
 
     Args:
         robot: The arm with its payload; the z axis of its tool frame is the needle, unless
@@ -235,7 +244,7 @@ class InsertionSession:
 
     @property
     def tared(self) -> bool:
-        """Whether the offset has been removed."""
+        """Whether the bias has been removed."""
         return self._sensor.tared
 
     @property
@@ -250,7 +259,7 @@ class InsertionSession:
 
     @property
     def layers(self) -> tuple[LayerEstimate, ...]:
-        """Layers left so far, in order, as known now."""
+        """Layers traversed so far, in order, as known now."""
         return self._identifier.layers
 
     def update(
@@ -265,7 +274,7 @@ class InsertionSession:
             dt_s: Time since the previous call [s]; not read on the first one.
 
         Returns:
-            What is known now. A bad sample does not raise, it is told in the status.
+            What is known now. A bad sample does not raise: the status reports it.
         """
         return self._follow(self._sensor.update(q, dq, tau, dt_s))
 
@@ -283,20 +292,20 @@ class InsertionSession:
         Returns:
             As `update`.
         """
-        wrench = self._sensor.update_external_torque(q, external_torque, dt_s, dq)
+        wrench = self._sensor.update_external_torque(q, dq, external_torque, dt_s)
         return self._follow(wrench)
 
-    def tare(self, *, force: bool = False) -> Tare:
-        """Remove the offset and begin an insertion here; see `VirtualForceSensor.tare`.
+    def tare(self, *, ignore_contact: bool = False) -> Tare:
+        """Remove the bias and begin an insertion here; see `VirtualForceSensor.tare`.
 
         Args:
-            force: Take it even where contact is seen, or velocities that cannot be.
+            ignore_contact: Take it even where contact is seen, or velocities that cannot be.
 
         Raises:
             TareError: Without data, a second time without `start_tare_recording`, with contact in
                 sight or velocities that do not fit positions; nothing has then changed.
         """
-        tare = self._sensor.tare(force=force)
+        tare = self._sensor.tare(ignore_contact=ignore_contact)
         self.begin_insertion()
         return tare
 
@@ -310,12 +319,12 @@ class InsertionSession:
         self._last_travel = Travel(0.0, 0.0)
         self._identifier.reset()
         self._identification = self._identifier.snapshot().last
-        self._unfed_s = 0.0
+        self._unused_s = 0.0
 
     def reset(self) -> None:
         """Forget everything, the tare included."""
         self._sensor.reset()
-        self._is_started = False
+        self._is_started, self._time_s = False, 0.0
         self.begin_insertion()
 
     def snapshot(self) -> SessionSnapshot:
@@ -326,7 +335,8 @@ class InsertionSession:
             self._travel.state,
             self._last_travel,
             self._speed_lag_s,
-            self._unfed_s,
+            self._unused_s,
+            self._time_s,
         )
 
     def restore(self, snapshot: SessionSnapshot) -> None:
@@ -355,7 +365,8 @@ class InsertionSession:
         self._identifier.restore(snapshot.identifier)
         self._travel.restore(snapshot.zero)
         self._is_started = snapshot.sensor.last is not None
-        self._last_travel, self._unfed_s = snapshot.travel, snapshot.unfed_s
+        self._last_travel, self._unused_s = snapshot.travel, snapshot.unused_s
+        self._time_s = snapshot.time_s
         self._identification = _without_events(snapshot.identifier.last)
 
     def _try_out(self, snapshot: SessionSnapshot) -> None:
@@ -376,45 +387,47 @@ class InsertionSession:
     def _follow(self, wrench: WrenchEstimate) -> SessionEstimate:
         """Depth, speed and, where the force is worth it, the identifier."""
         status = wrench.status
-        if status is _SKIPPED:
+        if status is _REJECTED:
             return self._idle(wrench)
         if not self._is_started:
             self._travel.zero()
             self._is_started = True
-        # The sensor's clock counts the time of skipped samples and knows one that was set.
+        else:
+            # The sensor's clock counts the time of rejected samples and knows one that was set.
+            self._time_s += self._sensor.elapsed_s
         elapsed_s = self._sensor.elapsed_s
         travel = self._travel.read(self._sensor.velocity_rad_s)
         if self._speed_lag_s > 0.0:
             last = self._last_travel.speed_m_s
-            share = -math.expm1(-elapsed_s / self._speed_lag_s)
-            travel = travel._replace(speed_m_s=last + share * (travel.speed_m_s - last))
+            weight = -math.expm1(-elapsed_s / self._speed_lag_s)
+            travel = travel._replace(speed_m_s=last + weight * (travel.speed_m_s - last))
         self._last_travel = travel
-        if status is not _OK or (wrench.warnings and wrench.warnings & _NOT_FED):
-            self._unfed_s += elapsed_s
+        if status is not _OK or (wrench.warnings and wrench.warnings & _NOT_USED):
+            self._unused_s += elapsed_s
             return self._idle(wrench)
-        if self._unfed_s:
-            elapsed_s, self._unfed_s = elapsed_s + self._unfed_s, 0.0
+        if self._unused_s:
+            elapsed_s, self._unused_s = elapsed_s + self._unused_s, 0.0
         depth_m, speed_m_s = travel
-        found = self._identifier.update(depth_m, speed_m_s, wrench.axial, elapsed_s)
+        found = self._identifier.update(depth_m, speed_m_s, wrench.axial, elapsed_s, self._time_s)
         if found.rupture is not None:
-            # A push aside looks like a rupture before it has stayed for long enough to be told.
+            # A lateral push looks like a rupture before its mismatch has lasted long enough.
             wrench = self._sensor.recheck(wrench)
             if wrench.warnings & SensorWarning.MODEL_MISMATCH:
                 self._identifier.undo_rupture()
-                self._unfed_s = elapsed_s
+                self._unused_s = elapsed_s
                 return self._idle(wrench)
         self._identification = found
-        used_for_identification = found.status in _FED
         return _new(
-            SessionEstimate, (wrench, depth_m, speed_m_s, found, status, used_for_identification)
+            SessionEstimate,
+            (wrench, depth_m, speed_m_s, found, status, found.status in _USED, self._time_s),
         )
 
     def _idle(self, wrench: WrenchEstimate) -> SessionEstimate:
-        """A tick that the identifier does not see."""
+        """A tick that is not used for identification."""
         last = self._identification
-        if (last.rupture, last.compensated, last.withdrawn) != (None, None, None):
+        if (last.rupture, last.identified_layer, last.retracted) != (None, None, None):
             last = self._identification = _without_events(last)
-        return SessionEstimate(wrench, *self._last_travel, last, wrench.status, False)
+        return SessionEstimate(wrench, *self._last_travel, last, wrench.status, False, self._time_s)
 
 
 def _check_kind(value: object, kind: type, name: str, hint: str) -> None:
@@ -425,4 +438,4 @@ def _check_kind(value: object, kind: type, name: str, hint: str) -> None:
 
 
 def _without_events(estimate: Estimate) -> Estimate:
-    return estimate._replace(rupture=None, compensated=None, withdrawn=None)
+    return estimate._replace(rupture=None, identified_layer=None, retracted=None)

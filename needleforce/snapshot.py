@@ -11,8 +11,9 @@ import math
 import os
 import secrets
 from collections.abc import Iterator
+from dataclasses import fields, is_dataclass
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import Any, NamedTuple, get_type_hints
 
 import msgspec
 import numpy as np
@@ -22,7 +23,7 @@ from identification import Snapshot as IdentifierSnapshot
 from identification.multilayer_state import MultilayerState
 from identification.published_identifier import PublishedState
 from needleforce.session import SessionSnapshot, SnapshotFileError
-from residual.snapshot import SensorState
+from residual.virtual_force_sensor import SensorState
 
 SNAPSHOT_FORMAT = "needleforce-snapshot"
 SNAPSHOT_VERSION = 4
@@ -35,10 +36,10 @@ LARGEST = 1e30
 AnySnapshot = SessionSnapshot | SensorState | IdentifierSnapshot
 
 _KINDS = {"session": SessionSnapshot, "sensor": SensorState, "identifier": IdentifierSnapshot}
-# The annotations of an identifier's snapshot leave the method open; the envelope names it.
-_METHODS: dict[str, tuple[type, type]] = {
-    "multilayer": (MultilayerConfig, MultilayerState),
-    "published": (PublishedConfig, PublishedState),
+# The annotations of an identifier's snapshot name both methods; the envelope says which it is.
+_METHODS: dict[str, dict[str, type | None]] = {
+    "multilayer": {"config": MultilayerConfig, "state": MultilayerState},
+    "published": {"config": PublishedConfig, "state": PublishedState},
 }
 _NOT_FINITE = {
     "limit_s": math.inf,
@@ -81,8 +82,9 @@ def write_snapshot(snapshot: AnySnapshot, path: str | os.PathLike[str]) -> None:
             "expected what snapshot() of a session, a sensor or an identifier returns, got a "
             f"{type(snapshot).__name__}"
         )
-    config = getattr(_identifier_part(snapshot), "config", None)
-    method = next((name for name, (type_, _) in _METHODS.items() if type(config) is type_), "")
+    identifier = snapshot.identifier if isinstance(snapshot, SessionSnapshot) else snapshot
+    config = type(getattr(identifier, "config", None))
+    method = next((name for name, types in _METHODS.items() if types["config"] is config), "")
     data = msgspec.msgpack.encode(snapshot, enc_hook=_plain_array)
     digest = hashlib.sha256(data).hexdigest()
     envelope = _Envelope(SNAPSHOT_FORMAT, SNAPSHOT_VERSION, kind, method, digest, data)
@@ -148,29 +150,47 @@ def _check_envelope(envelope: _Envelope, path: str | os.PathLike[str]) -> None:
 
 def _decoded(envelope: _Envelope) -> AnySnapshot:
     """The state tree of an envelope, typed to its leaves."""
-    kind = _KINDS[envelope.kind]
-    snapshot = msgspec.msgpack.decode(envelope.data, type=kind, dec_hook=_array)
-    part = _identifier_part(snapshot)
-    if part is None:
-        return snapshot
+    plain = msgspec.msgpack.decode(envelope.data)
+    if envelope.kind == "sensor":
+        return _convert(plain, SensorState)
     if envelope.method not in _METHODS:
         raise SnapshotFileError(
             f"the snapshot is of the method {envelope.method!r}, expected one of "
             f"{', '.join(_METHODS)}"
         )
-    config, state = _METHODS[envelope.method]
-    typed = part._replace(
-        config=msgspec.convert(part.config, config, dec_hook=_array),
-        state=msgspec.convert(part.state, state, dec_hook=_array),
+    if envelope.kind == "identifier":
+        return _named(IdentifierSnapshot, plain, _METHODS[envelope.method])
+    identifier = _named(
+        IdentifierSnapshot,
+        _field(SessionSnapshot, plain, "identifier"),
+        _METHODS[envelope.method],
     )
-    return typed if snapshot is part else snapshot._replace(identifier=typed)
+    return _named(SessionSnapshot, plain, {"identifier": None})._replace(identifier=identifier)
 
 
-def _identifier_part(snapshot: AnySnapshot) -> IdentifierSnapshot | None:
-    """The part whose types depend on the method."""
-    if isinstance(snapshot, SessionSnapshot):
-        return snapshot.identifier
-    return snapshot if isinstance(snapshot, IdentifierSnapshot) else None
+def _named(kind: type[Any], plain: Any, special: dict[str, type | None]) -> Any:
+    """A named tuple, field by field: some of its types are known from elsewhere, None for later."""
+    hints = get_type_hints(kind) | special
+    fields = {name: _field(kind, plain, name) for name in kind._fields}
+    return kind(
+        **{
+            name: None if hints[name] is None else _convert(value, hints[name])
+            for name, value in fields.items()
+        }
+    )
+
+
+def _field(kind: type[Any], plain: Any, name: str) -> Any:
+    if not isinstance(plain, list) or len(plain) != len(kind._fields):
+        raise SnapshotFileError(
+            f"the snapshot is damaged: {kind.__name__} has {len(kind._fields)} fields, got "
+            f"{str(plain)[:80]}"
+        )
+    return plain[kind._fields.index(name)]
+
+
+def _convert(plain: Any, kind: Any) -> Any:
+    return msgspec.convert(plain, kind, dec_hook=_array)
 
 
 def _plain_array(value: Any) -> Any:
@@ -197,8 +217,6 @@ class _Array(NamedTuple):
 
 def _array(kind: Any, plain: Any) -> Any:
     """The read-only array that `_plain_array` was given."""
-    if kind is object:  # of an identifier's snapshot, typed later
-        return plain
     shape, order, data = msgspec.convert(plain, _Array)
     if order not in ("C", "F"):
         raise ValueError(f"an array of order {order!r}, expected 'C' or 'F'")
@@ -212,6 +230,9 @@ def _numbers(value: Any, place: str) -> Iterator[tuple[str, Any]]:
     """Every float and array of a state tree, with the name of its field."""
     if isinstance(value, float | np.ndarray):
         yield place, value
+    elif is_dataclass(value):
+        for field in fields(value):
+            yield from _numbers(getattr(value, field.name), field.name)
     elif isinstance(value, tuple):
         names = getattr(value, "_fields", None) or (place,) * len(value)
         for name, item in zip(names, value, strict=True):

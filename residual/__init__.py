@@ -1,8 +1,9 @@
 """Joint signals to external joint torque to wrench: the virtual force/torque sensor.
 
-Reading order: `momentum_step` (the equation), `momentum_observer` (the residual), `sample_guard`
-(what is no measurement), `joint_stream` (samples to residual), `tare` (offset removal), `wrench`
-(equation 13), `slow_checks` (when to doubt it), `virtual_force_sensor` (all of it in two calls).
+Reading order: `momentum_observer` (the equation and the residual), `fault_detection` (what is no
+measurement), `sample_stream` (samples to residual), `bias_model`, `bias_fit` and `bias_estimator`
+(offset removal), `wrench_estimator` (equation 13), `consistency_checks` (when it may be wrong),
+`virtual_force_sensor` (all of it in two calls).
 """
 
 from residual.bias_model import BiasPrior
@@ -19,7 +20,7 @@ from residual.joint_friction import FrictionModel, JointFriction, SigmoidFrictio
 from residual.kalman_observer import KalmanObserver
 from residual.momentum_observer import MomentumObserver
 from residual.velocity_estimator import VelocityEstimator
-from residual.virtual_force_sensor import VirtualForceSensor
+from residual.virtual_force_sensor import SensorState, VirtualForceSensor
 from residual.wrench_estimator import WrenchEstimator
 
 __all__ = [
@@ -34,6 +35,7 @@ __all__ = [
     "ResidualError",
     "SampleError",
     "SensorConfig",
+    "SensorState",
     "SensorWarning",
     "SigmoidFriction",
     "SnapshotError",

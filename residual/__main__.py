@@ -1,8 +1,8 @@
-"""``python -m residual``: forwards to `needleforce.cli.force`."""
+"""``python -m residual`` is ``needleforce force``."""
 
 import sys
 
-from needleforce.cli.force import main
+from needleforce.cli import main
 
 if __name__ == "__main__":
-    sys.exit(main())
+    sys.exit(main(["force", *sys.argv[1:]]))

@@ -1,4 +1,11 @@
-"""What a robot's residual may be off by before anything has touched it."""
+"""Offset removal that lasts: a model of what a robot's residual reads without contact.
+
+Section IV of the paper subtracts a constant r_0, which holds near where it was taken only. Here
+the error is a linear model of physical causes with a prior on each (`BiasModel`), fitted by
+Bayesian least squares over the free motion before contact. It extrapolates along the insertion
+and its covariance says how far. The offset is subtracted from the observer's output, never inside
+its integral, so that it does not fade.
+"""
 
 from dataclasses import dataclass
 from typing import Literal
@@ -8,8 +15,10 @@ import pinocchio as pin
 from numpy.typing import NDArray
 
 from residual.errors import ConfigurationError
+from residual.input_validation import known_limits
 from urdf import Robot
 
+Array = NDArray[np.float64]
 TareKind = Literal["constant", "model"]
 """``constant``: the paper's r_0, one number per joint. ``model``: r_0 and the torque of a small
 error of every link's mass and first moments, of the sensors' hysteresis and of their drift."""
@@ -19,18 +28,18 @@ error of every link's mass and first moments, of the sensors' hysteresis and of 
 class BiasPrior:
     """Standard deviations of what the tare fits, before it has seen data.
 
-    They are properties of a class of arms, not of one recording; shares are of each joint's
-    effort limit, the range of its torque sensor.
+    They are properties of a class of arms, not of one recording; a share is a fraction of each
+    joint's effort limit, the range of its torque sensor.
 
     Attributes:
         offset_share: Constant offset. 1 %: joint-torque sensors of the LWR kind start with
             0.1 to 1 Nm on joints of 100 to 176 Nm.
-        mass_share: Error of a link's mass, as a share of it. 5 %: two published CAD-grade tables
+        mass_share: Error of a link's mass, as a fraction of it. 5 %: two published CAD-grade tables
             of one arm differ by that much.
         com_m: Error of a link's centre of mass [m]. 5 mm, after the same two tables.
         hysteresis_share: Hysteresis of the torque sensor, per loop of `hysteresis_widths`. 0.01 %:
             well within the 0.5 % linearity such sensors are sold with.
-        hysteresis_widths: Half widths of the loops, as shares of range: a Prandtl-Ishlinskii
+        hysteresis_widths: Half widths of the loops, as fractions of range: a Prandtl-Ishlinskii
             model, since the width of a loop is not known beforehand.
         ripple_share: Amplitude of the ripple of a joint with a known `gear_ratio`.
         gear_ratio: Of the harmonic drive of each joint, if known: its torque sensor's ripple then
@@ -77,7 +86,7 @@ class BiasPrior:
 
 
 class BiasModel:
-    """The linear model of a residual without contact: ``bias = H(q, trend, age) theta``.
+    """The linear model of a residual without contact: ``bias = H(q, hysteresis, age) theta``.
 
     Columns in order: offset per joint; mass and first moments per link (static columns of the
     joint-torque regressor, [18]); hysteresis per joint; drift per joint; where gear ratios are
@@ -100,8 +109,7 @@ class BiasModel:
         self.prior = prior
         self._model, self._data = robot.model, robot.create_data()
         self._still = np.zeros(robot.nv)
-        limit = robot.effort_limit_Nm
-        self.effort_Nm = np.where(np.isfinite(limit) & (limit > 0), limit, prior.fallback_effort_Nm)
+        self.effort_Nm = known_limits(robot.effort_limit_Nm, prior.fallback_effort_Nm)
         bodies = self._model.njoints - 1
         self._static = np.concatenate([10 * k + np.arange(4) for k in range(bodies)])
         ratio = prior.gear_ratio if kind == "model" else ()
@@ -124,7 +132,7 @@ class BiasModel:
                 self.groups[name] = slice(start, start + size)
                 start += size
 
-    def _prior_std(self) -> NDArray[np.float64]:
+    def _prior_std(self) -> Array:
         prior, effort = self.prior, self.effort_Nm
         if self.kind == "constant":
             return 100.0 * prior.offset_share * effort
@@ -143,43 +151,37 @@ class BiasModel:
             ]
         )
 
-    def regressor(self, q: NDArray[np.float64]) -> NDArray[np.float64]:
+    def gravity_Nm(self, q: Array) -> Array:
+        """Torque that holds the arm against gravity [Nm], shape (n,)."""
+        return pin.computeGeneralizedGravity(self._model, self._data, q)
+
+    def regressor(self, q: Array) -> Array:
         """Static torque per mass and first moment of every link, shape (n, 4 links)."""
         still = self._still
         full = pin.computeJointTorqueRegressor(self._model, self._data, q, still, still)
-        return full[:, self._static]
+        # Of a single joint it comes as a vector.
+        return full.reshape(self.joints, -1)[:, self._static]
 
-    def columns(
-        self, q: NDArray[np.float64], trend: NDArray[np.float64], age_s: float
-    ) -> NDArray[np.float64]:
-        """H at a position [rad], torque trend (-1 to 1, (loops, n)) and age of the tare [s]."""
+    def columns(self, q: Array, hysteresis: Array, age_s: float) -> Array:
+        """H at a position [rad], hysteresis state (-1 to 1, (loops, n)) and age of the tare [s]."""
         identity = np.eye(self.joints)
         if self.kind == "constant":
             return identity
-        loops = [np.diag(loop) for loop in trend]
+        loops = [np.diag(loop) for loop in hysteresis]
         columns = [identity, self.regressor(q), *loops, age_s * identity]
         if self.ripple_per_rad is not None:
             angle = self.ripple_per_rad * q
             columns += [np.diag(np.sin(angle)), np.diag(np.cos(angle))]
         return np.concatenate(columns, axis=1)
 
-    def resolution_variance(self) -> NDArray[np.float64]:
+    def resolution_variance(self) -> Array:
         """Least variance of a residual [Nm^2], shape (n,)."""
         return np.square(self.prior.resolution_share * self.effort_Nm)
 
-    def walk_variance(self, age_s: float) -> NDArray[np.float64]:
+    def walk_variance(self, age_s: float) -> Array:
         """Variance that the random walk has added since the tare [Nm^2], shape (n,)."""
-        share = self.prior.walk_share_per_sqrt_min * self.effort_Nm
-        return share**2 * (max(age_s, 0.0) / 60.0)
-
-
-# Offset removal that lasts: the residual's error without contact, fitted over the free approach.
-#
-# Section IV of the paper subtracts a constant r_0, which holds near where it was taken only. Here
-# the error is a linear model of physical causes with a prior on each (`BiasModel`), fitted by
-# Bayesian least squares over the free motion before contact. It extrapolates along the insertion
-# and its covariance says how far. The offset is subtracted from the observer's output, never inside
-# its integral, so that it does not fade.
+        walk = self.prior.walk_share_per_sqrt_min * self.effort_Nm
+        return walk**2 * (max(age_s, 0.0) / 60.0)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -188,24 +190,25 @@ class TareBlocks:
 
     Attributes:
         q_rad: Positions, shape (m, n).
-        trend: Trends of the torques, -1 to 1, shape (m, loops, n), see `residual.bias_estimator`.
+        hysteresis: States of the torques' loops, -1 to 1, shape (m, loops, n), see
+            `residual.bias_estimator.play_operator`.
         residual_Nm: Residuals before offset removal, shape (m, n).
         age_s: Time relative to the end of the tare, <= 0, shape (m,).
         scatter_Nm2: Variance of single residuals about their block's mean, shape (n,).
     """
 
-    q_rad: NDArray[np.float64]
-    trend: NDArray[np.float64]
-    residual_Nm: NDArray[np.float64]
-    age_s: NDArray[np.float64]
-    scatter_Nm2: NDArray[np.float64]
+    q_rad: Array
+    hysteresis: Array
+    residual_Nm: Array
+    age_s: Array
+    scatter_Nm2: Array
 
     def split(self, count: int) -> tuple["TareBlocks", "TareBlocks"]:
         """The first ``count`` blocks and the others."""
         return tuple(
             TareBlocks(
                 q_rad=self.q_rad[part],
-                trend=self.trend[part],
+                hysteresis=self.hysteresis[part],
                 residual_Nm=self.residual_Nm[part],
                 age_s=self.age_s[part],
                 scatter_Nm2=self.scatter_Nm2,
@@ -226,18 +229,16 @@ class Tare:
     """
 
     basis: BiasModel
-    mean: NDArray[np.float64]
-    covariance: NDArray[np.float64]
-    noise_Nm2: NDArray[np.float64]
+    mean: Array
+    covariance: Array
+    noise_Nm2: Array
 
     def __post_init__(self) -> None:
         for array in (self.mean, self.covariance, self.noise_Nm2):
             array.setflags(write=False)
 
-    def bias_Nm(
-        self, q: NDArray[np.float64], trend: NDArray[np.float64], age_s: float
-    ) -> NDArray[np.float64]:
-        """Residual without contact at a configuration, trend and age since the tare, (n,)."""
+    def bias_Nm(self, q: Array, hysteresis: Array, age_s: float) -> Array:
+        """Residual without contact at a configuration, hysteresis and age since the tare, (n,)."""
         groups, mean = self.basis.groups, self.mean
         bias = mean[groups["offset"]]
         if "links" not in groups:
@@ -245,7 +246,7 @@ class Tare:
         bias = (
             bias
             + self.basis.regressor(q).dot(mean[groups["links"]])
-            + (trend * mean[groups["hysteresis"]].reshape(trend.shape)).sum(axis=0)
+            + (hysteresis * mean[groups["hysteresis"]].reshape(hysteresis.shape)).sum(axis=0)
             + age_s * mean[groups["drift"]]
         )
         if self.basis.ripple_per_rad is not None:
@@ -253,11 +254,9 @@ class Tare:
             bias += np.sin(angle) * mean[groups["sine"]] + np.cos(angle) * mean[groups["cosine"]]
         return bias
 
-    def covariance_Nm2(
-        self, q: NDArray[np.float64], trend: NDArray[np.float64], age_s: float
-    ) -> NDArray[np.float64]:
+    def covariance_Nm2(self, q: Array, hysteresis: Array, age_s: float) -> Array:
         """Covariance of the residual's error after the tare: noise, model and drift, (n, n)."""
-        columns = self.basis.columns(q, trend, age_s)
+        columns = self.basis.columns(q, hysteresis, age_s)
         model = columns.dot(self.covariance).dot(columns.T)
         walk = np.diag(self.basis.walk_variance(age_s))
         return model + self.noise_Nm2 + walk

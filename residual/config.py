@@ -5,11 +5,12 @@ from typing import get_args
 
 from residual.bias_model import BiasPrior, TareKind
 from residual.errors import ConfigurationError
-from residual.input_validation import check_alignment, check_choice, check_positive, check_switch
+from residual.input_validation import check_choice, check_positive, check_switch
 from residual.joint_friction import FrictionModel
-from residual.momentum_observer import Alignment
-from residual.tool_kinematics import unit_axis
-from residual.wrench_estimator import Axes, Mode, Weighting
+from residual.momentum_observer import ALIGNMENTS, Alignment
+from residual.tool_kinematics import check_offset, unit_axis
+from residual.velocity_estimator import check_bandwidth
+from residual.wrench_estimator import Axes, Mode, Weighting, check_expected
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -22,7 +23,7 @@ class SensorConfig:
             command held until the next sample.
         velocity_bandwidth_per_s: Of the velocity estimate used when ``dq`` is None [1/s].
         smooth_momentum: Quieten the momentum of an arm that hardly accelerates, see
-            `residual.momentum_observer`.
+            `residual.momentum_observer.momentum_step`.
         friction: Joint friction between torque sensor and link, if any is modelled.
         mode: What is assumed of the contact.
         weighting: ``covariance``: by what the tare has learnt of each joint; ``none``: the plain
@@ -30,17 +31,23 @@ class SensorConfig:
         frame: Frame of the wrench; the robot's tool frame when None.
         axes: Axes of force and torque.
         insertion_axis: Insertion direction in the frame.
+        tool_offset_m: Where the needle's tip is in the frame [m]: force, depth and lever arms are
+            the tip's, without a change of the robot's description.
+        torque_is_gravity_compensated: The measured torque leaves gravity out, as some drivers
+            report it: g(q) is added back. Not for the external torque of a robot's own estimate
+            (Panda's ``tau_ext_hat_filtered``), which goes to ``update_external_torque``.
         expected_force_N: See `WrenchEstimator`; None for no damping.
         tare: Kind of offset removal.
         tare_window_s: Only this much of the past enters a tare [s]; None for all of it.
         prior: What the residual may be off by before data.
-        contact_force_N: Smallest axial force that makes a tare be refused [N].
+        contact_force_N: Smallest axial force for which a tare is refused [N].
         guard: Hold back spikes and frozen or saturated torques, see `residual.fault_detection`.
         max_gap_s: Longest time step that is integrated [s]; after a longer one filters restart.
 
     Raises:
         ConfigurationError: For a setting that cannot be: a number that is not finite and positive,
-            a choice that does not exist, an axis of no direction, a switch that is no truth value.
+            a choice that does not exist, an axis of no direction, a switch that is neither true nor
+            false.
     """
 
     gain_per_s: float | tuple[float, ...] = 70.0
@@ -53,6 +60,8 @@ class SensorConfig:
     frame: str | None = None
     axes: Axes = "base"
     insertion_axis: tuple[float, float, float] = (0.0, 0.0, 1.0)
+    tool_offset_m: tuple[float, float, float] = (0.0, 0.0, 0.0)
+    torque_is_gravity_compensated: bool = False
     expected_force_N: float | None = 100.0
     tare: TareKind = "model"
     tare_window_s: float | None = None
@@ -65,22 +74,24 @@ class SensorConfig:
         gains = self.gain_per_s if isinstance(self.gain_per_s, tuple) else (self.gain_per_s,)
         for gain in gains or (None,):
             check_positive("gain_per_s", gain)
-        for name in ("velocity_bandwidth_per_s", "contact_force_N", "max_gap_s"):
+        check_bandwidth("velocity_bandwidth_per_s", self.velocity_bandwidth_per_s)
+        for name in ("contact_force_N", "max_gap_s"):
             check_positive(name, getattr(self, name))
-        for name in ("tare_window_s", "expected_force_N"):
-            if getattr(self, name) is not None:
-                check_positive(name, getattr(self, name))
-        for name in ("smooth_momentum", "guard"):
+        if self.tare_window_s is not None:
+            check_positive("tare_window_s", self.tare_window_s)
+        check_expected("expected_force_N", self.expected_force_N)
+        for name in ("smooth_momentum", "guard", "torque_is_gravity_compensated"):
             check_switch(name, getattr(self, name))
         unit_axis(self.insertion_axis)
+        check_offset(self.tool_offset_m)
         if not isinstance(self.prior, BiasPrior):
             raise ConfigurationError(f"prior is {self.prior!r}, expected a BiasPrior")
         if self.friction is not None and not callable(getattr(self.friction, "torque", None)):
             raise ConfigurationError(
                 f"friction is {self.friction!r}, expected a JointFriction or another object that "
-                "tells a torque(dq), or None"
+                "gives a torque(dq), or None"
             )
-        check_alignment(self.alignment)
+        check_choice("alignment", self.alignment, ALIGNMENTS)
         check_choice("mode", self.mode, get_args(Mode))
         check_choice("weighting", self.weighting, get_args(Weighting))
         check_choice("axes", self.axes, get_args(Axes))

@@ -1,4 +1,11 @@
-"""What makes a force doubtful and changes slowly: limits, singular poses, a misfit, velocities."""
+"""What makes a force uncertain and changes slowly: limits, singular poses, a mismatch, velocities.
+
+Whether measured velocities are the rate of the measured positions is judged by travel that fades
+within a second, summed from q by its differences and from dq by trapezoids between two checks. So a
+position that is coarse or held is off by one step at most, noise and vibration of the velocity
+average out, and what is left of a valid pair is the time by which one is later than the other.
+Travel of a joint that hardly moves means nothing and is not used.
+"""
 
 import math
 from typing import NamedTuple
@@ -6,126 +13,34 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from needleforce.jit import Matrix, Vector, compiled
 from residual.errors import VelocityError
 from residual.estimate import SensorWarning, WrenchEstimate
 from residual.wrench_estimator import WrenchEstimator
 from urdf import Robot
 
-# Whether measured velocities are the rate of the measured positions, one look (pure functions).
-#
-# Both are summed to travel that fades within a second, q by its differences, dq by trapezoids
-# between two looks. So a position that is coarse or held is off by one step at most, noise and
-# vibration of the velocity average out, and what is left of a sound pair is the time by which one
-# is later than the other. Travel of a joint that hardly moves tells nothing and is not looked at.
-
-
-POSITION, VELOCITY, RATE, TRAVEL, SAID = range(5)
-"""Rows of a match at the last look: position [rad], velocity and rate of the position [rad/s],
-fading travel of q and of dq [rad]."""
-SECONDS, BEYOND, SAID_SQUARE, CHANGE_SQUARE, CHANGE_TRAVEL, CHANGE_SAID = range(5, 11)
-"""Time for which a joint has been looked at [s]; sums over it: squares of the difference beyond a
-lag, of dq's travel [rad^2 s] and of the change of q's [rad^2/s]; products of that change with both
-travels [rad^2]."""
-SQUARES = 11
-"""From here n rows, one for each joint: square of its travel while the joint of the column was
-looked at [rad^2 s]; then n rows: product of its travel with dq's of the joint of the column."""
+Array = NDArray[np.float64]
 
 TRAVEL_S = 1.0
 """Travel fades with this time constant: shorter makes slow strokes short, longer adds up bias."""
 MEMORY_S = 10.0
-"""Of the motion that is looked at; time at rest does not count, so an arm that waits for its tare
+"""Of the motion that is used; time at rest does not count, so an arm that waits for its tare
 does not forget."""
 LONGEST_S = 0.2
-"""A trapezoid over more tells nothing."""
+"""A trapezoid over more means nothing."""
 MOST_ACCELERATION_RAD_S2 = 20.0
 """As in `residual.fault_detection`: a position that jumps has no rate."""
 LEAST_TRAVEL_RAD = 0.015
 """Ten steps of a very coarse encoder; a stroke in air of 60 mm makes thrice as much."""
-SAID_RATIO = 20.0
-"""So many times that travel by dq alone is looked at too, whatever q does."""
+DQ_RATIO = 20.0
+"""So many times that travel by dq alone is used too, whatever q does."""
 HONEST_LAG_S = 0.03
 """A filtered velocity is late by 20 ms, a held one by ten; the same may hold for a position."""
 HONEST_RAD = 0.02
 """A vibration of 50 Hz, seen every 20 ms, seems a velocity; 6 rad/s^2 of it make this travel."""
 LEAST_SECONDS = 1.0
-"""Of motion, before anything is told."""
+"""Of motion, before anything is reported."""
 LEAST_BEYOND = 0.01
-"""Root mean square difference beyond what is honest that is looked at, in times of the travel."""
-
-
-def first_match(q: NDArray[np.float64], dq: NDArray[np.float64]) -> NDArray[np.float64]:
-    """A match that knows one look only, shape (SQUARES + 2 n, n).
-
-    Args:
-        q: Position [rad], shape (n,).
-        dq: Velocity [rad/s], shape (n,).
-    """
-    match = np.zeros((SQUARES + 2 * len(q), len(q)))
-    match[POSITION], match[VELOCITY] = q, dq
-    return match
-
-
-@compiled
-def velocity_match_step(match: Matrix, q: Vector, dq: Vector, dt_s: float) -> Matrix:
-    """Take the next look.
-
-    Args:
-        match: So far, shape (SQUARES + 2 n, n).
-        q: Position [rad], shape (n,).
-        dq: Velocity [rad/s], shape (n,).
-        dt_s: Time since the last look [s], more than 0.
-
-    Returns:
-        The match after it, of the same shape.
-    """
-    n = q.size
-    way, said = q - match[POSITION], 0.5 * dt_s * (dq + match[VELOCITY])
-    rate = way / dt_s
-    after = match.copy()
-    after[POSITION], after[VELOCITY], after[RATE] = q, dq, rate
-    jump = np.abs(rate - match[RATE]).max()
-    if jump > MOST_ACCELERATION_RAD_S2 * dt_s or dt_s > LONGEST_S:
-        after[TRAVEL : SAID + 1] = 0.0
-        return after
-    kept = math.exp(-dt_s / TRAVEL_S)
-    a, b = kept * match[TRAVEL] + way, kept * match[SAID] + said
-    after[TRAVEL], after[SAID] = a, b
-    seen = np.maximum(SAID_RATIO * np.abs(a), np.abs(b)) > SAID_RATIO * LEAST_TRAVEL_RAD
-    if not seen.any():
-        return after
-    honest = HONEST_RAD + HONEST_LAG_S / dt_s * np.maximum(np.abs(way), np.abs(said))
-    change = (a - match[TRAVEL]) / dt_s
-    terms = np.ones((match.shape[0] - SECONDS, n))
-    terms[BEYOND - SECONDS] = np.maximum(np.abs(b - a) - honest, 0.0) ** 2
-    terms[SAID_SQUARE - SECONDS] = b * b
-    terms[CHANGE_SQUARE - SECONDS] = change * change
-    terms[CHANGE_TRAVEL - SECONDS] = change * a
-    terms[CHANGE_SAID - SECONDS] = change * b
-    others = a.reshape(n, 1)
-    terms[SQUARES - SECONDS : SQUARES - SECONDS + n] *= others * others
-    terms[SQUARES - SECONDS + n :] = others * b
-    weight = seen * 1.0
-    after[SECONDS:] += weight * (
-        dt_s * terms - (1.0 - math.exp(-dt_s / MEMORY_S)) * match[SECONDS:]
-    )
-    return after
-
-
-@compiled
-def differs(match: Matrix) -> bool:
-    """Whether a velocity may not be the rate of its position; quick, and sure where it says no.
-
-    Args:
-        match: So far, shape (SQUARES + 2 n, n).
-    """
-    own = np.diag(match[SQUARES : SQUARES + match.shape[1]])
-    beyond = match[BEYOND] > LEAST_BEYOND**2 * own
-    return bool(np.any(beyond & (match[SECONDS] >= LEAST_SECONDS)))
-
-
-# Says in words what is wrong with a velocity that is not the rate of its position.
-
+"""Root mean square difference beyond what is honest that is judged, relative to the travel."""
 
 FACTORS = {
     math.degrees(1.0): "is it in deg/s?",
@@ -136,159 +51,197 @@ FACTORS = {
 }
 """Factors with a likely reason; each may come with the other sign."""
 OTHER_FACTOR = "is it in other units, or of the motor before its gear, or are time stamps wrong?"
-OTHER_JOINT = "is the order of the joints another?"
 NEAR = 0.05
 """So near to one of these a factor is that one, to another joint's travel dq's is that one's."""
 MOST_OFF = 0.4
-"""Root mean square difference of dq's travel from q's, in times of it, that noise does not make."""
+"""Root mean square difference of dq's travel from q's, relative to it, that noise does not make."""
 LEAST_OFF = 0.12
 """The same where another joint or a lag is just what makes it."""
 UNEXPLAINED = 0.1
-"""Share of dq's mean square travel that a factor may leave over, or a lag of the difference."""
+"""Fraction of dq's mean square travel that a factor may leave over, or a lag of the difference."""
 LONGEST_LAG_S, LAG_SECONDS = 0.1, 2.0
-"""A filtered velocity is late by 20 ms; what is late by more, over that much motion, is told."""
+"""A filtered velocity is late by 20 ms; what is late by more, over that much motion, is
+reported."""
 STILL = 1e-3
-"""What moves by less than this share of the other stands still."""
-
-
-class _Sums(NamedTuple):
-    """What a match knows of one joint; squares and products as in `residual.consistency_checks`."""
-
-    seconds: float
-    beyond: float
-    said: float
-    change: float
-    change_own: float
-    change_said: float
-    own: float
-    product: float
-
-    @property
-    def difference(self) -> float:
-        return self.said - 2.0 * self.product + self.own
-
-
-def velocity_fault(match: NDArray[np.float64]) -> str:
-    """What is wrong, joint by joint, with the likely reasons; empty if nothing surely is.
-
-    Args:
-        match: See `residual.consistency_checks`.
-    """
-    if not differs(match):
-        return ""
-    joints: dict[str, list[int]] = {}
-    is_sure = False
-    sums = [_sums_of(match, i) for i in range(match.shape[1])]
-    off = [s.seconds >= LEAST_SECONDS and s.difference > LEAST_OFF**2 * s.own for s in sums]
-    for i in np.flatnonzero(off).tolist():
-        one = sums[i]
-        fault, is_plain = _other(match, i, off) or _late(one), True
-        if not fault and one.difference > MOST_OFF**2 * one.own:
-            fault, is_plain = _factor(one), False
-        if fault:
-            joints.setdefault(fault, []).append(i)
-            is_sure |= one.beyond > (LEAST_BEYOND if is_plain else MOST_OFF) ** 2 * one.own
-    if not is_sure:
-        return ""
-    return "; ".join(f"dq at joint index {found} {fault}" for fault, found in joints.items())
-
-
-def _sums_of(match: NDArray[np.float64], i: int) -> _Sums:
-    rows = (SECONDS, BEYOND, SAID_SQUARE, CHANGE_SQUARE, CHANGE_TRAVEL, CHANGE_SAID)
-    rows += (SQUARES + i, SQUARES + match.shape[1] + i)
-    return _Sums(*match[list(rows), i].tolist())
-
-
-def _other(match: NDArray[np.float64], i: int, off: list[bool]) -> str:
-    """The joint whose rate a velocity is, if there is one: its own velocity is not sound either."""
-    n = len(off)
-    squares, products = match[SQUARES : SQUARES + n, i], match[SQUARES + n :, i]
-    said, seconds = match[SAID_SQUARE, i], match[SECONDS]
-    is_sound = (seconds >= LEAST_SECONDS) & ~np.array(off)
-    moves = squares > seconds[i] * (0.2 * LEAST_TRAVEL_RAD) ** 2
-    left = np.where(moves & ~is_sound, said - 2.0 * products + squares, np.inf)
-    left[i] = np.inf
-    other = int(np.argmin(left))
-    if left[other] > NEAR**2 * said:
-        return ""
-    return f"is the rate of q at joint index {other}: {OTHER_JOINT}"
-
-
-def _late(one: _Sums) -> str:
-    """By how much a velocity is late, if that is all that is wrong.
-
-    Least squares of dq's travel over q's and over the change of q's.
-    """
-    scale = one.own * one.change - one.change_own**2
-    if scale <= 0.0 or one.seconds < LAG_SECONDS:
-        return ""
-    factor = (one.product * one.change - one.change_said * one.change_own) / scale
-    late_s = (one.product * one.change_own - one.change_said * one.own) / scale
-    left = one.said - factor * one.product + late_s * one.change_said
-    explained = late_s**2 * one.change
-    is_all = left < UNEXPLAINED * one.difference < 2.0 * UNEXPLAINED * explained
-    if abs(late_s) < LONGEST_LAG_S or not is_all:
-        return ""
-    where = "behind" if late_s > 0.0 else "ahead of"
-    return f"is {abs(late_s):.1f} s {where} q: is one of them late?"
-
-
-def _factor(one: _Sums) -> str:
-    """What a constant factor between velocity and rate stands for, or that there is none."""
-    if one.said < STILL**2 * one.own:
-        return "stands still while q moves: is it sent at all?"
-    if one.own < STILL**2 * one.said:
-        return "moves while q stands still: is q sent at all?"
-    if one.product**2 < (1.0 - UNEXPLAINED) * one.said * one.own:
-        return "does not follow q: is it late, stale, or another joint's?"
-    factor, reason = float(f"{one.product / one.own:.2g}"), OTHER_FACTOR
-    for known, text in FACTORS.items():
-        if abs(abs(one.product) / one.own / known - 1.0) < NEAR:
-            factor, reason = math.copysign(known, one.product), text
-    if factor < 0.0 and factor != -1.0:
-        reason = f"is its sign the other one, and {reason}"
-    return f"is {factor:.3g} times the rate of q: {reason}"
-
+"""What moves by less than this fraction of the other stands still."""
 
 LIMIT_MARGIN_RAD = 0.01
 """Half a degree from its limit a joint counts as being there."""
 LEAST_SINGULAR_VALUE = 0.05
 """Below it a newton is a twentieth of a newton metre in all joints together: as much as the noise
 of one torque sample."""
-MISFIT_MEMORY_S = 0.2
-"""A knock of a few milliseconds is no misfit."""
-MOST_MISFIT = 4.0
+MISMATCH_MEMORY_S = 0.2
+"""A knock of a few milliseconds is no model mismatch."""
+MOST_MISMATCH = 4.0
 """The covariance holds for the arm that was tared; four times its standard deviation does not
 happen by chance in all joints together."""
-
 NO_TARE = (
-    " No tare would hold: correct the velocities and move in free air anew, or force=True if you "
-    "know better"
+    " No tare would hold: correct the velocities and move in free air anew, or ignore_contact=True "
+    "if you know better"
 )
-_REASONS = {
-    SensorWarning.JOINT_LIMIT: "a joint is at its position limit",
-    SensorWarning.NEAR_SINGULAR: "the joints hardly feel a force in this pose",
-    SensorWarning.MODEL_MISMATCH: "the joint torques do not fit the assumed contact",
-}
 
 
-class SlowState(NamedTuple):
-    """All that `ConsistencyMonitor` remember.
+class VelocityMatch(NamedTuple):
+    """How velocities match positions; each (n,) but for the last two.
 
-    Attributes:
-        misfit_squared: Smoothed.
-        cautions: Of the last look, as a number.
-        match: Of measured velocities with positions, see `residual.consistency_checks`; None
-            before a look, and where velocities are estimated.
+    The sums fade over `MEMORY_S` of motion and are taken while the joint moves.
     """
 
-    misfit_squared: float = 0.0
-    warnings: int = 0
-    match: NDArray[np.float64] | None = None
+    position: Array  # At the last check [rad]
+    velocity: Array  # Measured there [rad/s]
+    rate: Array  # Of the position there [rad/s]
+    travel: Array  # Fading travel of q [rad]
+    travel_dq: Array  # Fading travel of dq [rad]
+    seconds: Array  # Time for which a joint has been judged [s]
+    beyond: Array  # Sum of squares of the difference of both travels beyond a lag [rad^2 s]
+    square_dq: Array  # Sum of squares of dq's travel [rad^2 s]
+    square_change: Array  # Of the change of q's travel [rad^2/s]
+    change_travel: Array  # Sum of products of that change with q's travel [rad^2]
+    change_dq: Array  # The same with dq's travel [rad^2]
+    # Row i, column j: square of the travel of joint i while joint j is judged [rad^2 s], shape (n,
+    # n)
+    squares: Array
+    products: Array  # Row i, column j: product of that travel with dq's of joint j, shape (n, n)
+
+
+def first_match(q: Array, dq: Array) -> VelocityMatch:
+    """A match that knows one check only, of position [rad] and velocity [rad/s], shape (n,)."""
+    rest = [np.zeros(len(q))] * 9 + [np.zeros((len(q), len(q)))] * 2
+    return VelocityMatch(q, dq, *rest)
+
+
+def velocity_match_step(match: VelocityMatch, q: Array, dq: Array, dt_s: float) -> VelocityMatch:
+    """Take the next check.
+
+    Args:
+        match: So far; it is left as it was.
+        q: Position [rad], shape (n,).
+        dq: Velocity [rad/s], shape (n,).
+        dt_s: Time since the last check [s], more than 0.
+    """
+    way, way_dq = q - match.position, 0.5 * dt_s * (dq + match.velocity)
+    rate = way / dt_s
+    jump = np.abs(rate - match.rate).max()
+    if jump > MOST_ACCELERATION_RAD_S2 * dt_s or dt_s > LONGEST_S:
+        still = np.zeros(len(q))
+        return match._replace(position=q, velocity=dq, rate=rate, travel=still, travel_dq=still)
+    kept = math.exp(-dt_s / TRAVEL_S)
+    a, b = kept * match.travel + way, kept * match.travel_dq + way_dq
+    moves = np.maximum(DQ_RATIO * np.abs(a), np.abs(b)) > DQ_RATIO * LEAST_TRAVEL_RAD
+    if not moves.any():
+        return match._replace(position=q, velocity=dq, rate=rate, travel=a, travel_dq=b)
+    honest = HONEST_RAD + HONEST_LAG_S / dt_s * np.maximum(np.abs(way), np.abs(way_dq))
+    change = (a - match.travel) / dt_s
+    others = a[:, None]
+    terms = (
+        np.ones(len(q)),
+        np.maximum(np.abs(b - a) - honest, 0.0) ** 2,
+        b * b,
+        change * change,
+        change * a,
+        change * b,
+        others * others,
+        others * b,
+    )
+    faded, weight = 1.0 - math.exp(-dt_s / MEMORY_S), moves * 1.0
+    sums = [
+        last + weight * (dt_s * term - faded * last)
+        for last, term in zip(match[5:], terms, strict=True)
+    ]
+    return VelocityMatch(q, dq, rate, a, b, *sums)
+
+
+def velocity_fault(match: VelocityMatch) -> str:
+    """What is wrong with velocities, joint by joint, with the likely reasons; empty if nothing is.
+
+    Args:
+        match: So far.
+    """
+    own = match.squares.diagonal()
+    differs = (match.beyond > LEAST_BEYOND**2 * own) & (match.seconds >= LEAST_SECONDS)
+    if not differs.any():
+        return ""
+    difference = match.square_dq - 2.0 * match.products.diagonal() + own
+    off = (match.seconds >= LEAST_SECONDS) & (difference > LEAST_OFF**2 * own)
+    joints: dict[str, list[int]] = {}
+    is_sure = False
+    for i in np.flatnonzero(off).tolist():
+        fault, least = _other_joint(match, i, off) or _late(match, i), LEAST_BEYOND
+        if not fault and difference[i] > MOST_OFF**2 * own[i]:
+            fault, least = _factor(match, i), MOST_OFF
+        if fault:
+            joints.setdefault(fault, []).append(i)
+            is_sure |= bool(match.beyond[i] > least**2 * own[i])
+    if not is_sure:
+        return ""
+    return "; ".join(f"dq at joint index {found} {fault}" for fault, found in joints.items())
+
+
+def _other_joint(match: VelocityMatch, i: int, off: NDArray[np.bool_]) -> str:
+    """The joint whose rate a velocity is, if there is one: its own velocity is not right either."""
+    squares, products, square_dq = match.squares[:, i], match.products[:, i], match.square_dq[i]
+    is_right = (match.seconds >= LEAST_SECONDS) & ~off
+    moves = squares > match.seconds[i] * (0.2 * LEAST_TRAVEL_RAD) ** 2
+    left = np.where(moves & ~is_right, square_dq - 2.0 * products + squares, np.inf)
+    left[i] = np.inf
+    other = int(np.argmin(left))
+    if left[other] > NEAR**2 * square_dq:
+        return ""
+    return f"is the rate of q at joint index {other}: is the order of the joints another?"
+
+
+def _late(match: VelocityMatch, i: int) -> str:
+    """By how much a velocity is late, if that is all that is wrong.
+
+    Least squares of dq's travel over q's and over the change of q's.
+    """
+    own, product, square_dq = match.squares[i, i], match.products[i, i], match.square_dq[i]
+    change, change_own = match.square_change[i], match.change_travel[i]
+    change_dq = match.change_dq[i]
+    scale = own * change - change_own**2
+    if scale <= 0.0 or match.seconds[i] < LAG_SECONDS:
+        return ""
+    factor = (product * change - change_dq * change_own) / scale
+    late_s = (product * change_own - change_dq * own) / scale
+    left = square_dq - factor * product + late_s * change_dq
+    difference, explained = square_dq - 2.0 * product + own, late_s**2 * change
+    is_all = left < UNEXPLAINED * difference < 2.0 * UNEXPLAINED * explained
+    if abs(late_s) < LONGEST_LAG_S or not is_all:
+        return ""
+    where = "behind" if late_s > 0.0 else "ahead of"
+    return f"is {abs(late_s):.1f} s {where} q: is one of them late?"
+
+
+def _factor(match: VelocityMatch, i: int) -> str:
+    """What a constant factor between velocity and rate stands for, or that there is none."""
+    own, product, square_dq = match.squares[i, i], match.products[i, i], match.square_dq[i]
+    if square_dq < STILL**2 * own:
+        return "stands still while q moves: is it sent at all?"
+    if own < STILL**2 * square_dq:
+        return "moves while q stands still: is q sent at all?"
+    if product**2 < (1.0 - UNEXPLAINED) * square_dq * own:
+        return "does not follow q: is it late, stale, or another joint's?"
+    factor, reason = float(f"{product / own:.2g}"), OTHER_FACTOR
+    for known, text in FACTORS.items():
+        if abs(abs(product) / own / known - 1.0) < NEAR:
+            factor, reason = math.copysign(known, product), text
+    if factor < 0.0 and factor != -1.0:
+        reason = f"is its sign the other one, and {reason}"
+    return f"is {factor:.3g} times the rate of q: {reason}"
+
+
+class MonitorState(NamedTuple):
+    """All that a `ConsistencyMonitor` remembers."""
+
+    mismatch_squared: float = 0.0  # Smoothed
+    warnings: int = 0  # Of the last check, as a number
+    at_limit: tuple[int, ...] = ()  # Indices of joints that were at a position limit then
+    # Of measured velocities with positions; None before a check, and where velocities are estimated
+    match: VelocityMatch | None = None
 
 
 class ConsistencyMonitor:
-    """Looks now and then at what is too slow, and too dear, for every sample.
+    """Checks now and then what is too slow, and too costly, for every sample.
 
     Args:
         robot: Gives the position limits.
@@ -302,90 +255,101 @@ class ConsistencyMonitor:
         free = self._upper <= self._lower
         self._lower[free], self._upper[free] = -np.inf, np.inf
         self._wrench = wrench
-        self.restore(SlowState())
+        self.restore(MonitorState())
 
-    def look(
-        self,
-        q: NDArray[np.float64],
-        dq: NDArray[np.float64] | None,
-        residual: NDArray[np.float64],
-        dt_s: float,
-        *,
-        tared: bool,
+    def check(
+        self, q: Array, dq: Array | None, residual: Array, dt_s: float, *, tared: bool
     ) -> None:
-        """Look at the sample for which a wrench was just estimated.
+        """Check the sample for which a wrench was just estimated.
 
         Args:
             q: Its configuration [rad], shape (n,).
             dq: Its velocity as measured [rad/s], shape (n,); None where it is estimated from q.
             residual: After offset removal [Nm], shape (n,).
-            dt_s: Time since the last look [s].
+            dt_s: Time since the last check [s].
             tared: Whether the residual's covariance is a fitted one.
         """
         found = SensorWarning.NONE
-        if (q <= self._lower).any() or (q >= self._upper).any():
+        at_limit = np.flatnonzero((q <= self._lower) | (q >= self._upper)).tolist()
+        if at_limit:
             found |= SensorWarning.JOINT_LIMIT
         if self._wrench.smallest_singular_value() < LEAST_SINGULAR_VALUE:
             found |= SensorWarning.NEAR_SINGULAR
-        now = self._wrench.misfit_squared(residual) if tared else 0.0
-        share = -math.expm1(-dt_s / MISFIT_MEMORY_S)
-        square = self._misfit_squared + share * (now - self._misfit_squared)
-        if square > MOST_MISFIT**2:
+        now = self._wrench.mismatch_squared(residual) if tared else 0.0
+        last = self._state.mismatch_squared
+        square = last - math.expm1(-dt_s / MISMATCH_MEMORY_S) * (now - last)
+        if square > MOST_MISMATCH**2:
             found |= SensorWarning.MODEL_MISMATCH
-        match = None if dq is None else self._matched(q, dq, dt_s)
-        self.restore(SlowState(square, int(found), match))
+        match = self._state.match
+        if dq is None:
+            match = None
+        elif match is None or dt_s <= 0.0:
+            match = first_match(q, dq)
+        else:
+            match = velocity_match_step(match, q, dq, dt_s)
+        self.restore(MonitorState(square, int(found), tuple(at_limit), match))
 
-    def _matched(
-        self, q: NDArray[np.float64], dq: NDArray[np.float64], dt_s: float
-    ) -> NDArray[np.float64]:
-        """How velocities match positions after one more look."""
-        if self._match is None or dt_s <= 0.0:
-            return first_match(q, dq)
-        return velocity_match_step(self._match, q, dq, dt_s)
-
-    def check_velocity(self, *, force: bool) -> None:
+    def check_velocity(self) -> None:
         """Refuse a tare with velocities that are not the rate of positions.
-
-        Args:
-            force: Take it all the same.
 
         Raises:
             VelocityError: With what is wrong with them.
         """
-        if self.velocity_fault and not force:
+        if self.velocity_fault:
             raise VelocityError(self.velocity_fault + NO_TARE)
 
     def forget_velocity(self) -> None:
         """Compare velocities with positions anew."""
-        warnings = self.warnings & ~SensorWarning.VELOCITY
-        self.restore(SlowState(self._misfit_squared, int(warnings)))
+        warnings = int(self.warnings & ~SensorWarning.VELOCITY)
+        self.restore(self._state._replace(match=None, warnings=warnings))
 
     def recheck(self, last: WrenchEstimate) -> WrenchEstimate:
-        """The last estimate, its `SensorWarning.MODEL_MISMATCH` raised if this sample misfits.
+        """The last estimate, with `SensorWarning.MODEL_MISMATCH` if this sample does not fit.
 
-        Too dear for every sample, and a knock does it too: for what must not wait.
+        Too costly for every sample, and a knock does it too: for what must not wait.
         """
-        if self._wrench.misfit_squared(last.residual) <= MOST_MISFIT**2:
+        if self._wrench.mismatch_squared(last.residual) <= MOST_MISMATCH**2:
             return last
-        message = "; ".join(filter(None, (last.message, _REASONS[SensorWarning.MODEL_MISMATCH])))
-        return last._replace(warnings=last.warnings | SensorWarning.MODEL_MISMATCH, message=message)
+        found = SensorWarning.MODEL_MISMATCH
+        message = "; ".join(filter(None, (last.message, self._reason(found))))
+        return last._replace(warnings=last.warnings | found, message=message)
 
     @property
-    def state(self) -> SlowState:
-        """All that is remembered."""
-        return SlowState(self._misfit_squared, int(self.warnings), self._match)
+    def limit(self) -> str:
+        """Which joints are at a position limit, in words; empty if none is."""
+        at_limit = list(self._state.at_limit)
+        return f"joint index {at_limit} is at its position limit" if at_limit else ""
 
-    def restore(self, state: SlowState) -> None:
+    def _reason(self, warning: SensorWarning) -> str:
+        if warning is SensorWarning.JOINT_LIMIT:
+            return self.limit
+        if warning is SensorWarning.NEAR_SINGULAR:
+            return "the joints hardly feel a force in this pose"
+        return "the joint torques do not fit the assumed contact"
+
+    @property
+    def state(self) -> MonitorState:
+        """All that is remembered; its arrays are never written again."""
+        return self._state
+
+    def restore(self, state: MonitorState) -> None:
         """Go on from a `state` taken earlier."""
-        self._misfit_squared = state.misfit_squared
-        self.model_mismatch = math.sqrt(state.misfit_squared)
-        """Smoothed misfit, see `WrenchEstimate`."""
-        self._match = state.match
+        self._state = state
+        self.mismatch = math.sqrt(state.mismatch_squared)
+        """Smoothed model mismatch, see `WrenchEstimate`."""
         self.velocity_fault = "" if state.match is None else velocity_fault(state.match)
         """What is wrong with measured velocities, in words; empty if nothing surely is."""
-        told = SensorWarning.VELOCITY if self.velocity_fault else SensorWarning.NONE
-        self.warnings = SensorWarning(state.warnings) | told
-        """What was found at the last look."""
-        reasons = [text for one, text in _REASONS.items() if one in self.warnings]
-        self.message = "; ".join(filter(None, (self.velocity_fault, *reasons)))
+        self.warnings = SensorWarning(state.warnings)
+        """What was found at the last check."""
+        self.message = ""
         """The same in words."""
+        if self.velocity_fault:
+            self.warnings |= SensorWarning.VELOCITY
+        if self.warnings:
+            named = (
+                SensorWarning.JOINT_LIMIT,
+                SensorWarning.NEAR_SINGULAR,
+                SensorWarning.MODEL_MISMATCH,
+            )
+            reasons = [self._reason(one) for one in named if one in self.warnings]
+            self.message = "; ".join(filter(None, (self.velocity_fault, *reasons)))

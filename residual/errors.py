@@ -15,22 +15,22 @@ class ConfigurationError(ResidualError, ValueError):
 
 
 class SampleError(ResidualError, ValueError):
-    """A sample that must not be absorbed: wrong shape, not finite, or time not advancing.
+    """A sample that must not be used: wrong shape, not finite, or time not advancing.
 
     Whoever raises it has left its state as it was before the call.
     """
 
 
 class SuspectSampleError(SampleError):
-    """A sample of sound numbers that is no measurement: a spike, a frozen or a saturated torque.
+    """A sample of valid numbers that is no measurement: a spike, a frozen or a saturated torque.
 
     Attributes:
-        caution: Which of these, a `residual.SensorWarning`.
+        warning: Which of these, a `residual.SensorWarning`.
     """
 
-    def __init__(self, message: str, caution: "SensorWarning") -> None:
+    def __init__(self, message: str, warning: "SensorWarning") -> None:
         super().__init__(message)
-        self.caution = caution
+        self.warning = warning
 
 
 class TareError(ResidualError, RuntimeError):

@@ -18,13 +18,13 @@ class Status(StrEnum):
     """What the caller should know about one estimate."""
 
     OK = "ok"
-    """A tared estimate of a sound sample."""
+    """A tared estimate of a valid sample."""
     NOT_TARED = "not tared"
     """The offset has not been removed yet: the numbers carry the model's errors."""
     INITIALIZING = "settling"
     """The filters have just started, or started anew after a gap in time."""
     REJECTED = "skipped"
-    """The sample was bad and was not absorbed: the numbers are those of the last sound one."""
+    """The sample was bad and was not used: the numbers are those of the last valid one."""
 
 
 class SensorWarning(IntFlag):
@@ -35,8 +35,8 @@ class SensorWarning(IntFlag):
     """A signal jumped further than an arm can, and has not stayed there."""
     FROZEN = 2
     """Torques, or positions and velocities, repeat bit for bit although they are noisy ones. A
-    sample is skipped if they do so in all joints, for 5 s at most; then, or if one torque does so
-    by itself, the caution is all."""
+    sample is rejected if they do so in all joints, for 5 s at most; then, or if one torque does so
+    by itself, the warning is all."""
     SATURATED = 4
     """A torque is at the joint's effort limit: the true one may be anything beyond."""
     JOINT_LIMIT = 8
@@ -70,13 +70,14 @@ class WrenchEstimate(NamedTuple):
             6 force and torque; in the estimator's axes.
         conditioning: Ratio of the largest to the smallest standard deviation over directions in
             the estimated space; 1e6 where a direction cannot be seen.
-        damping_share: Share of each true component that damping removes, 0 to 1, shape (k,).
+        damping_share: Fraction of each true component that damping removes, 0 to 1, shape (k,).
         residual: External joint torque after offset removal [Nm], shape (n,), read-only.
         status: What the caller should know.
-        message: The reason, when the status is not OK or there is a caution.
-        misfit: Joint torque that no wrench of the assumed kind explains, rms over what its
-            covariance allows: about 1 when all is well; 0 where nothing is left to tell it by.
-        cautions: What may be wrong beyond the standard deviation.
+        message: The reason, when the status is not OK or there is a warning.
+        model_mismatch: Normalised residual: joint torque that no wrench of the assumed kind
+            explains, rms over what its covariance allows: about 1 when all is well; 0 where the
+            mode has as many unknowns as there are joints.
+        warnings: What may be wrong beyond the standard deviation.
     """
 
     axial: float
@@ -100,19 +101,16 @@ def unknown_wrench(joints: int, components: int) -> WrenchEstimate:
         joints: Number of joints.
         components: Number of unknowns of the mode.
     """
-    nothing, residual, share = np.zeros(3), np.zeros(joints), np.zeros(components)
+    nothing, residual, removed = np.zeros(3), np.zeros(joints), np.zeros(components)
     unknown = np.diag(np.full(components, UNSEEN_STD**2))
-    for array in (nothing, residual, share, unknown):
+    for array in (nothing, residual, removed, unknown):
         array.setflags(write=False)
     return WrenchEstimate(
-        0.0, UNSEEN_STD, nothing, nothing, unknown, MOST_CONDITIONING, share, residual
+        0.0, UNSEEN_STD, nothing, nothing, unknown, MOST_CONDITIONING, removed, residual
     )
 
 
-# What the virtual sensor tells its caller in words.
-
-
-INITIALIZING = "the filters have just started, or a time step was longer than max_gap_s"
+INITIALIZING = "the filters have just started"
 NOT_TARED = "tare() has not been called"
 TARE_EXPIRED = (
     "since the tare a time step of minutes has come, a pause or a clock that was set; "
@@ -128,19 +126,16 @@ OTHER_KIND = (
 )
 
 
-def with_warnings(
-    warnings: SensorWarning, message: str, frozen: str, stale: str
-) -> tuple[SensorWarning, str]:
-    """Cautions and message with what else is to be warned of.
+MILLISECONDS_S = 0.5
+"""A time step from here on, sample after sample, is one in milliseconds, or a very slow log."""
 
-    Args:
-        warnings: So far.
-        message: So far.
-        frozen: What seems frozen, in words; empty if nothing does.
-        stale: What has become of the tare, in words; empty if nothing has.
-    """
-    if frozen:
-        warnings |= SensorWarning.FROZEN
-    if stale:
-        warnings |= SensorWarning.TARE_EXPIRED
-    return warnings, "; ".join(filter(None, (frozen, stale, message)))
+
+def long_step(dt_s: float, max_gap_s: float) -> str:
+    """What to say of a time step [s] that is too long to be integrated; empty if it is not."""
+    if dt_s <= max_gap_s:
+        return ""
+    unit = "; is it in milliseconds?" if dt_s >= MILLISECONDS_S else ""
+    return (
+        f"dt_s = {dt_s:g} s is longer than max_gap_s = {max_gap_s:g} s, so the filters start "
+        f"anew{unit}"
+    )

@@ -1,4 +1,4 @@
-"""Holds back samples that are sound numbers and yet no measurement: spikes, frozen, saturated.
+"""Holds back samples that are valid numbers and yet no measurement: spikes, frozen, saturated.
 
 A jump is judged against what an arm can do in the time and against the noise of the signal itself,
 learnt in the first half second; before that nothing counts as a spike or as frozen. What is held
@@ -6,42 +6,39 @@ back is treated like a lost sample: time passes, the estimate stays.
 """
 
 import math
-from typing import NamedTuple
+from dataclasses import dataclass, field
 
 import numpy as np
-import pinocchio as pin
 from numpy.typing import NDArray
 
 from needleforce.jit import Vector, compiled
 from residual.errors import SuspectSampleError
 from residual.estimate import SensorWarning
-from residual.input_validation import ROUNDING_S
+from residual.input_validation import ROUNDING_S, known_limits
+from residual.snapshot import copied
 from residual.stuck_signals import (
-    AloneState,
-    AloneWatch,
     NoiseProbe,
     NoiseState,
-    RepeatState,
+    SingleSignalDetector,
     StuckSignalDetector,
     new_rows,
     stands_out,
     white_noise,
 )
+from residual.tool_kinematics import ToolKinematics
 from urdf import Robot
 
-# How far a joint signal may jump between two samples.
-
-
+Array = NDArray[np.float64]
 SIGMAS = 12.0
 """A jump within this many standard deviations of the signal's noise is noise."""
 TORQUE_SHARE = 0.02
-"""Share of the effort limit by which a torque may step for no reason. On the LWR that is 3.5 Nm at
-the shoulder, 5 N at 0.65 m, and 0.8 Nm at the wrist; what a force on the tool explains may step by
-more, see `residual.fault_detection`."""
+"""Fraction of the effort limit by which a torque may step for no reason. On the LWR that is 3.5 Nm
+at the shoulder, 5 N at 0.65 m, and 0.8 Nm at the wrist; what a force on the tool explains may step
+by more, see `ContactTransient`."""
 LEAST_TORQUE_NM = 0.7
 """Never less than this: the gears of a moving wrist of 12 Nm make as much in a millisecond."""
 TORQUE_SHARE_PER_S = 2.0
-"""Share of the effort limit per second, beyond the step: for lost samples."""
+"""Fraction of the effort limit per second, beyond the step: for lost samples."""
 ACCELERATION_RAD_S2 = 20.0
 """An arm that inserts a needle stays far below."""
 LEAST_POSITION_RAD = 1e-4
@@ -54,8 +51,25 @@ needle it is nothing: 0.1 rad/s make half a milliradian of it."""
 LONGEST_HELD_S = 0.1
 """No source of positions is slower than ten samples a second."""
 HELD_ACCELERATION_RAD_S2 = 4.0
-"""Change of an estimated velocity that positions do not tell while they repeat. Far less than what
+"""Change of an estimated velocity that positions do not show while they repeat. Far less than what
 a single step may be off by: an arm at rest repeats its positions for ever."""
+MOST_STEP_N = 100.0
+"""A force that may come or go within one sample: a rupture is newtons, a stiff contact tens."""
+MOST_UNEXPLAINED = 0.35
+"""Fraction of the jump that the force may leave over; a spike of one joint leaves most of
+itself."""
+CHECK_S = 0.02
+"""Every so often each torque is checked by itself [s]."""
+STAYED_S = 5e-3
+"""A jump that has stayed for this long is accepted: the signal is elsewhere now [s]."""
+LONGEST_HOLD_S = 0.1
+"""Whatever a signal that jumps does, it is not held back for longer than this [s]."""
+SATURATED_SHARE = 0.99
+"""Fraction of the effort limit from which a torque counts as clipped."""
+_NO_REPEATS = (False, False, False)
+"""Whether all positions, positions with velocities, and all torques of a sample repeat."""
+LOADED_SHARE = 0.9
+"""Fraction of the effort limit from which every torque is watched."""
 
 
 @compiled
@@ -77,25 +91,24 @@ def fresh_distance(now: Vector, last: Vector, weight: Vector, joints: int) -> fl
 
 
 class OutlierGate:
-    """Largest believable jump of position (less its velocity times the time), velocity and torque.
+    """Largest plausible jump of position (less its velocity times the time), velocity and torque.
 
     Args:
         robot: Gives the effort limits.
         has_velocity: Whether samples carry a velocity.
-        delay_s: Age of the velocity that positions are foretold with [s].
+        delay_s: Age of the velocity that positions are predicted with [s].
     """
 
     def __init__(self, robot: Robot, *, has_velocity: bool, delay_s: float) -> None:
         n = self._joints = robot.nv
         self._has_velocity, self._delay_s = has_velocity, delay_s
-        limit = robot.effort_limit_Nm
-        self.effort_Nm = np.where(np.isfinite(limit) & (limit > 0), limit, np.inf)
+        self.effort_Nm = known_limits(robot.effort_limit_Nm, np.inf)
         """Effort limits [Nm], infinite where the description gives none, shape (n,)."""
-        self._effort = np.where(np.isfinite(self.effort_Nm), limit, UNKNOWN_EFFORT_NM)
+        self._effort = known_limits(robot.effort_limit_Nm, UNKNOWN_EFFORT_NM)
         self.learn(np.zeros((3 if has_velocity else 2) * n))
 
-    def learn(self, noise: NDArray[np.float64]) -> None:
-        """Tell the noise of all signals: position, velocity if there is one, torque."""
+    def learn(self, noise: Array) -> None:
+        """Take the noise of all signals: position, velocity if there is one, torque."""
         n = self._joints
         # The difference of two samples has sqrt(2) times the noise of one.
         self._base = SIGMAS * np.sqrt(2.0) * noise
@@ -109,26 +122,22 @@ class OutlierGate:
         self.weight = self.narrowest / sure
         """What differences are multiplied with before, at most 1, shape of a sample."""
 
-    def is_near(self, off: NDArray[np.float64]) -> bool:
+    def is_near(self, off: Array) -> bool:
         """Whether a difference is within the narrowest gates, all signals together."""
         return math.hypot(*(off * self.weight).tolist()) < self.narrowest
 
     @property
-    def torque_Nm(self) -> NDArray[np.float64]:
+    def torque_Nm(self) -> Array:
         """Torque that may step within no time, shape (n,)."""
         return self._base[-self._joints :]
 
     def beyond(
-        self,
-        off: NDArray[np.float64],
-        velocity: NDArray[np.float64],
-        dt_s: float,
-        swept_rad: NDArray[np.float64] | None = None,
+        self, off: Array, velocity: Array, dt_s: float, swept_rad: Array | None = None
     ) -> NDArray[np.bool_]:
         """Which differences are beyond what an arm can do.
 
         Args:
-            off: Differences of all signals, positions less what the velocity foretells.
+            off: Differences of all signals, positions less what the velocity predicts.
             velocity: Joint velocity [rad/s], shape (n,).
             dt_s: Time between the two samples [s].
             swept_rad: See `sweep`; None if positions had not repeated.
@@ -149,13 +158,7 @@ class OutlierGate:
         gate[-n:] += TORQUE_SHARE_PER_S * dt_s * self._effort
         return (np.abs(off) > gate).reshape(-1, n)
 
-    def sweep(
-        self,
-        swept_rad: NDArray[np.float64] | None,
-        velocity: NDArray[np.float64],
-        dt_s: float,
-        held_s: float,
-    ) -> NDArray[np.float64]:
+    def sweep(self, swept_rad: Array | None, velocity: Array, dt_s: float, held_s: float) -> Array:
         """Way that positions may owe after one more sample in which they repeated [rad].
 
         A source of positions that is slower than the clock makes up for it in one step.
@@ -175,155 +178,101 @@ class OutlierGate:
         return swept_rad * max(1.0 - dt_s / LONGEST_HELD_S, 0.0) + speed * dt_s
 
 
-# Whether torques that jump do so as a force on the tool makes them.
-
-
-MOST_STEP_N = 100.0
-"""A force that may come or go within one sample: a rupture is newtons, a stiff contact tens."""
-MOST_UNEXPLAINED = 0.35
-"""Share of the jump that the force may leave over; a spike of one joint leaves most of itself."""
-
-
 class ContactTransient:
-    """Tells a contact, felt by all joints according to their levers, from a spike of a sensor.
+    """Whether torques jump as a force on the tool makes them, and not as a single sensor's spike.
 
     Args:
-        robot: The arm; forces act on its tool frame.
+        tool: Kinematics of the frame that forces act on.
     """
 
-    def __init__(self, robot: Robot) -> None:
-        self._model, self._data = robot.model, robot.create_data()
-        self._frame_id = robot.tool_frame_id
+    def __init__(self, tool: ToolKinematics) -> None:
+        self._tool = tool
 
-    def explains(
-        self, q: NDArray[np.float64], jump: NDArray[np.float64], scale: NDArray[np.float64]
-    ) -> bool:
-        """Whether a believable force explains a jump of the torques.
+    def explains(self, q: Array, jump: Array, scale: Array) -> bool:
+        """Whether a plausible force explains a jump of the torques.
 
         Args:
             q: Configuration [rad], shape (n,).
             jump: Of the torques [Nm], shape (n,).
-            scale: Jump that each joint is believed without a reason [Nm], shape (n,).
+            scale: Jump that each joint may make without a reason [Nm], shape (n,).
         """
-        axes = pin.ReferenceFrame.LOCAL
-        jacobian = pin.computeFrameJacobian(self._model, self._data, q, self._frame_id, axes)[:3]
-        levers, wanted = jacobian.T / scale[:, None], jump / scale
+        self._tool.update(q)
+        levers, wanted = self._tool.jacobian[:3].T / scale[:, None], jump / scale
         force = np.linalg.lstsq(levers, wanted, rcond=None)[0]
         left = wanted - levers.dot(force)
         is_explained = left.dot(left) <= MOST_UNEXPLAINED**2 * wanted.dot(wanted)
         return bool(is_explained and force.dot(force) <= MOST_STEP_N**2)
 
 
-# What a sample guard remembers from one sample to the next.
+@dataclass(slots=True, kw_only=True, eq=False)
+class GuardState:
+    """All that a `FaultDetector` remembers."""
 
-
-class GuardState(NamedTuple):
-    """All that a `FaultDetector` remembers.
-
-    Attributes:
-        last: Last accepted sample: position, velocity if there is one, torque; shape (2 n,) or
-            (3 n,); zeros before the first.
-        velocity: Velocity that it left off with [rad/s], shape (n,).
-        noise: Learnt noise of the same signals; None until learnt.
-        probe: What is known of the noise so far; None once it is learnt.
-        rejected: Last sample held back as a spike, or None.
-        missed_s: Time since the last accepted sample [s].
-        stayed_s: Time for which samples held back agree with each other [s].
-        motion: Of the watch for positions and velocities that repeat.
-        torque: Of the watch for torques that repeat.
-        alone: Of the watch for single torques that repeat.
-        age_s: Time since each torque was looked at by itself [s].
-        is_loaded: Whether a torque was near its limit at that look.
-        warning: What seemed frozen at that look.
-        held_s: Time for which positions have repeated now [s].
-        swept: Way that they may owe meanwhile [rad], shape (n,); None if they do not repeat.
-    """
-
-    last: NDArray[np.float64]
-    velocity: NDArray[np.float64]
-    noise: NDArray[np.float64] | None
-    probe: NoiseState | None
-    rejected: NDArray[np.float64] | None
-    missed_s: float
-    stayed_s: float
-    motion: RepeatState
-    torque: RepeatState
-    alone: AloneState
-    age_s: float
-    is_loaded: bool
-    warning: str
-    held_s: float = 0.0
-    swept: NDArray[np.float64] | None = None
-
-
-def fresh_guard(joints: int, size: int) -> GuardState:
-    """Nothing seen yet.
-
-    Args:
-        joints: Number of joints.
-        size: Length of a sample.
-    """
-    return GuardState(
-        last=np.zeros(size),
-        velocity=np.zeros(joints),
-        noise=None,
-        probe=NoiseProbe(size).state,
-        rejected=None,
-        missed_s=0.0,
-        stayed_s=0.0,
-        motion=RepeatState(),
-        torque=RepeatState(),
-        alone=AloneWatch(joints).state,
-        age_s=0.0,
-        is_loaded=False,
-        warning="",
-    )
-
-
-LOOK_S = 0.02
-"""Every so often each torque is looked at by itself [s]."""
-STAYED_S = 5e-3
-"""A jump that has stayed for this long is believed: the signal is elsewhere now [s]."""
-LONGEST_HOLD_S = 0.1
-"""Whatever a signal that jumps does, it is not held back for longer than this [s]."""
-SATURATED_SHARE = 0.99
-"""Share of the effort limit from which a torque counts as clipped."""
-LOADED_SHARE = 0.9
-"""Share of the effort limit from which every torque is watched."""
+    # Last accepted sample: position, velocity if there is one, torque; shape (2 n,) or (3 n,);
+    # zeros before the first
+    last: Array
+    velocity: Array  # Velocity that it left off with [rad/s], shape (n,)
+    alone: SingleSignalDetector  # Of the check for single torques that repeat
+    noise: Array | None = None  # Learnt noise of the same signals; None until learnt
+    probe: NoiseState | None = None  # What is known of the noise so far; None once it is learnt
+    rejected: Array | None = None  # Last sample held back as a spike, or None
+    missed_s: float = 0.0  # Time since the last accepted sample [s]
+    stayed_s: float = 0.0  # Time for which samples held back agree with each other [s]
+    # Of the check for positions and velocities that repeat
+    motion: StuckSignalDetector = field(default_factory=StuckSignalDetector)
+    # Of the check for torques that repeat
+    torque: StuckSignalDetector = field(default_factory=StuckSignalDetector)
+    age_s: float = 0.0  # Time since each torque was checked by itself [s]
+    is_loaded: bool = False  # Whether a torque was near its limit at that check
+    warning: str = ""  # What seemed frozen at that check
+    held_s: float = 0.0  # Time for which positions have repeated now [s]
+    # Way that they may owe meanwhile [rad], shape (n,); None if they do not repeat
+    swept: Array | None = None
 
 
 class FaultDetector:
-    """Judges the samples of one stream before anything absorbs them.
+    """Judges the samples of one stream before anything uses them.
 
     Args:
         robot: Gives the effort limits, and the levers of a force on its tool.
         has_velocity: Whether samples carry a velocity.
-        velocity_delay_s: Age of the velocity that `accept` is told [s].
+        velocity_delay_s: Age of the velocity that `accept` gets [s].
+        tool: What forces act on; the robot's tool frame when None.
     """
 
-    def __init__(self, robot: Robot, *, has_velocity: bool, velocity_delay_s: float = 0.0) -> None:
+    def __init__(
+        self,
+        robot: Robot,
+        *,
+        has_velocity: bool,
+        velocity_delay_s: float = 0.0,
+        tool: ToolKinematics | None = None,
+    ) -> None:
         n = self._joints = robot.nv
+        size = (3 if has_velocity else 2) * n
         self._gates = OutlierGate(robot, has_velocity=has_velocity, delay_s=velocity_delay_s)
-        self._contact = ContactTransient(robot)
-        self._motion, self._torque, self._alone = (
-            StuckSignalDetector(),
-            StuckSignalDetector(),
-            AloneWatch(n),
+        self._contact = ContactTransient(tool or ToolKinematics(robot))
+        self.restore(
+            GuardState(
+                last=np.zeros(size),
+                velocity=np.zeros(n),
+                alone=SingleSignalDetector.of_size(n),
+                probe=NoiseProbe(size).state,
+            )
         )
-        self.restore(fresh_guard(n, (3 if has_velocity else 2) * n))
 
-    def surely_passes(self, now: NDArray[np.float64]) -> bool:
+    def surely_passes(self, now: Array) -> bool:
         """Whether a sample, of any numbers, need not be checked: nearly all that come are such.
 
         Args:
             now: As in `check`.
         """
-        self._position_repeats = self._motion_repeats = self._torque_repeats = False
-        gates = self._gates
-        distance = fresh_distance(now, self._last, gates.weight, self._joints)
-        return distance < gates.narrowest and not self._is_loaded
+        self._repeats = _NO_REPEATS
+        gates, memory = self._gates, self.memory
+        distance = fresh_distance(now, memory.last, gates.weight, self._joints)
+        return distance < gates.narrowest and not memory.is_loaded
 
-    def check(self, now: NDArray[np.float64], dt_s: float) -> bool:
+    def check(self, now: Array, dt_s: float) -> bool:
         """Judge a sample; what it is compared with changes only with `accept`.
 
         Args:
@@ -332,81 +281,82 @@ class FaultDetector:
             dt_s: Time since the last accepted sample [s].
 
         Returns:
-            Whether its position has jumped and is believed only because it stayed where it is.
+            Whether its position has jumped and is accepted only because it stayed where it is.
 
         Raises:
             SuspectSampleError: For a spike, frozen signals or a saturated torque.
         """
-        off = now - self._last
-        if self._is_loaded:
+        memory = self.memory
+        off = now - memory.last
+        if memory.is_loaded:
             self._check_saturated(now)
-        self._position_repeats = self._motion_repeats = self._torque_repeats = False
+        self._repeats = _NO_REPEATS
         if off.item(0) == 0.0 or off.item(-1) == 0.0:
             self._check_frozen(off, dt_s)
-        if self._noise is None or self._gates.is_near(off):
+        if memory.noise is None or self._gates.is_near(off):
             return False
         return self._check_jump(now, dt_s)
 
-    def accept(self, now: NDArray[np.float64], velocity: NDArray[np.float64], dt_s: float) -> None:
-        """The sample last checked has been absorbed; the arrays are kept, not copied.
+    def accept(self, now: Array, velocity: Array, dt_s: float) -> None:
+        """The sample last checked has been used; the arrays are kept, not copied.
 
         Args:
             now: The sample.
             velocity: Joint velocity that it leaves off with, measured or estimated [rad/s].
             dt_s: Time since the one before [s]; 0 for the first.
         """
-        self._last, self._velocity = now, velocity
-        learning = self._probe is not None
-        if self._position_repeats:
-            self._held_s += dt_s
-            self._swept = self._gates.sweep(self._swept, velocity, dt_s, self._held_s)
-        elif self._held_s:
-            self._held_s, self._swept = 0.0, None
-        if self._motion_repeats or self._motion.repeats:
-            self._motion.accept(self._motion_repeats, dt_s, learning=learning)
-        if self._torque_repeats or self._torque.repeats:
-            self._torque.accept(self._torque_repeats, dt_s, learning=learning)
-        if self._missed_s:
-            self._rejected, self._missed_s, self._stayed_s = None, 0.0, 0.0
-        if learning:
-            self._learn(dt_s)
-        self._age_s += dt_s
-        if self._age_s >= LOOK_S - ROUNDING_S:
-            self._look()
+        memory, probe = self.memory, self._probe
+        memory.last, memory.velocity = now, velocity
+        position_repeats, motion_repeats, torque_repeats = self._repeats
+        if position_repeats:
+            memory.held_s += dt_s
+            memory.swept = self._gates.sweep(memory.swept, velocity, dt_s, memory.held_s)
+        elif memory.held_s:
+            memory.held_s, memory.swept = 0.0, None
+        learning = probe is not None
+        if motion_repeats or memory.motion.repeats:
+            memory.motion.accept(motion_repeats, dt_s, learning=learning)
+        if torque_repeats or memory.torque.repeats:
+            memory.torque.accept(torque_repeats, dt_s, learning=learning)
+        if memory.missed_s:
+            memory.rejected, memory.missed_s, memory.stayed_s = None, 0.0, 0.0
+        if probe is not None and probe.add(now, dt_s) is not None:
+            self._learn(probe.rows)
+        memory.age_s += dt_s
+        if memory.age_s >= CHECK_S - ROUNDING_S:
+            self._check_each()
 
-    def _what_seems_frozen(self) -> str:
-        if self._alone.stuck and not self._torque.repeats:
-            return f"tau at joint index {self._alone.stuck} repeats bit for bit: check its sensor"
-        if self._torque.seems_stuck or self._motion.seems_stuck:
-            return "all joints still repeat bit for bit; no longer held back, the arm may rest"
-        return ""
-
-    def _learn(self, dt_s: float) -> None:
-        assert self._probe is not None
-        if self._probe.add(self._last, dt_s) is None:
-            return
-        n, rows = self._joints, self._probe.rows
+    def _learn(self, rows: Array) -> None:
+        """The first half second, shape (m, size), is over: learn noise and resolution."""
+        n, memory = self._joints, self.memory
         # Each signal by its own clock: what mostly repeats would seem to have no noise.
         signals = np.split(rows, rows.shape[1] // n, axis=1)
-        self._noise = np.concatenate([white_noise(new_rows(signal)) for signal in signals])
+        memory.noise = np.concatenate([white_noise(new_rows(signal)) for signal in signals])
         self._probe = None
-        self._gates.learn(self._noise)
+        self._gates.learn(memory.noise)
         torque = stands_out(rows[:, -n:])
-        self._torque.learn(bool(torque.all()))
-        self._alone.learn(torque, self._torque.usual_s)
+        memory.torque.is_telling = bool(torque.all())
+        memory.alone.learn(torque, memory.torque.usual_s)
         # Encoders may be too coarse for noise where velocities are not.
         motion = stands_out(rows[:, :-n]).reshape(-1, n).any(axis=0)
-        self._motion.learn(bool(motion.all()))
+        memory.motion.is_telling = bool(motion.all())
 
-    def _look(self) -> None:
+    def _check_each(self) -> None:
         """Every so often: does one torque repeat by itself, is one near its limit?"""
-        torque = self._last[-self._joints :]
-        self._alone.look(torque, self._age_s)
-        self._is_loaded = bool((np.abs(torque) >= LOADED_SHARE * self._gates.effort_Nm).any())
-        self._age_s = 0.0
-        self.warning = self._what_seems_frozen()
+        memory = self.memory
+        torque = memory.last[-self._joints :]
+        stuck = memory.alone.check(torque, memory.age_s)
+        memory.is_loaded = bool((np.abs(torque) >= LOADED_SHARE * self._gates.effort_Nm).any())
+        memory.age_s = 0.0
+        memory.warning = ""
+        if stuck and not memory.torque.repeats:
+            memory.warning = f"tau at joint index {stuck} repeats bit for bit: check its sensor"
+        elif memory.torque.seems_stuck or memory.motion.seems_stuck:
+            memory.warning = (
+                "all joints still repeat bit for bit; no longer held back, the arm may rest"
+            )
 
-    def _check_saturated(self, now: NDArray[np.float64]) -> None:
+    def _check_saturated(self, now: Array) -> None:
         limit = SATURATED_SHARE * self._gates.effort_Nm
         clipped = [int(i) for i in np.flatnonzero(np.abs(now[-self._joints :]) >= limit)]
         if clipped:
@@ -416,18 +366,19 @@ class FaultDetector:
                 SensorWarning.SATURATED,
             )
 
-    def _check_frozen(self, off: NDArray[np.float64], dt_s: float) -> None:
-        n = self._joints
-        self._position_repeats = not off[:n].any()
-        self._motion_repeats = self._position_repeats and not off[n:-n].any()
-        self._torque_repeats = not off[-n:].any()
+    def _check_frozen(self, off: Array, dt_s: float) -> None:
+        n, memory = self._joints, self.memory
+        position_repeats = not off[:n].any()
+        motion_repeats = position_repeats and not off[n:-n].any()
+        torque_repeats = not off[-n:].any()
+        self._repeats = position_repeats, motion_repeats, torque_repeats
         frozen = [
             name
-            for name, repeats, watch in (
-                ("position", self._motion_repeats, self._motion),
-                ("torque", self._torque_repeats, self._torque),
+            for name, repeats, detector in (
+                ("position", motion_repeats, memory.motion),
+                ("torque", torque_repeats, memory.torque),
             )
-            if repeats and watch.is_stuck(dt_s)
+            if repeats and detector.is_stuck(dt_s)
         ]
         if frozen:
             raise SuspectSampleError(
@@ -436,20 +387,20 @@ class FaultDetector:
                 SensorWarning.FROZEN,
             )
 
-    def _check_jump(self, now: NDArray[np.float64], dt_s: float) -> bool:
+    def _check_jump(self, now: Array, dt_s: float) -> bool:
         self._check_saturated(now)
-        beyond = self._beyond(now, self._last, dt_s)
+        memory = self.memory
+        beyond = self._beyond(now, memory.last, dt_s)
         if not beyond.any():
             return False
         has_moved = bool(beyond[0].any())
         if dt_s > LONGEST_HOLD_S:
-            return has_moved and self._missed_s > 0.0
-        since_s = dt_s - self._missed_s
-        rejected = self._rejected
+            return has_moved and memory.missed_s > 0.0
+        since_s, rejected = dt_s - memory.missed_s, memory.rejected
         agrees = rejected is not None and not self._beyond(now, rejected, since_s).any()
-        self._stayed_s = self._stayed_s + since_s if agrees else 0.0
-        self._missed_s, self._rejected = dt_s, now
-        if self._stayed_s >= STAYED_S - ROUNDING_S:
+        memory.stayed_s = memory.stayed_s + since_s if agrees else 0.0
+        memory.missed_s, memory.rejected = dt_s, now
+        if memory.stayed_s >= STAYED_S - ROUNDING_S:
             return has_moved
         jumped = [int(i) for i in np.flatnonzero(beyond.any(axis=0))]
         raise SuspectSampleError(
@@ -458,14 +409,12 @@ class FaultDetector:
             SensorWarning.SPIKE,
         )
 
-    def _beyond(
-        self, now: NDArray[np.float64], before: NDArray[np.float64], dt_s: float
-    ) -> NDArray[np.bool_]:
+    def _beyond(self, now: Array, before: Array, dt_s: float) -> NDArray[np.bool_]:
         """Which signals have jumped further than an arm or a contact can, shape (signals, n)."""
-        n = self._joints
+        n, velocity = self._joints, self.memory.velocity
         off = now - before
-        off[:n] -= self._velocity * dt_s
-        beyond = self._gates.beyond(off, self._velocity, dt_s, self._swept)
+        off[:n] -= velocity * dt_s
+        beyond = self._gates.beyond(off, velocity, dt_s, self.memory.swept)
         if (
             beyond[-1].any()
             and not beyond[:-1].any()
@@ -476,40 +425,13 @@ class FaultDetector:
 
     @property
     def state(self) -> GuardState:
-        """All that the guard remembers; its arrays are never written again."""
-        return GuardState(
-            self._last,
-            self._velocity,
-            self._noise,
-            None if self._probe is None else self._probe.state,
-            self._rejected,
-            self._missed_s,
-            self._stayed_s,
-            self._motion.state,
-            self._torque.state,
-            self._alone.state,
-            self._age_s,
-            self._is_loaded,
-            self.warning,
-            self._held_s,
-            self._swept,
-        )
+        """All that is remembered, as copies."""
+        self.memory.probe = None if self._probe is None else self._probe.state
+        return copied(self.memory)
 
     def restore(self, state: GuardState) -> None:
         """Go on from a `state` taken earlier."""
-        self._last, self._velocity, self._noise = state.last, state.velocity, state.noise
-        self._gates.learn(np.zeros_like(self._last) if state.noise is None else state.noise)
-        self._probe = None
-        if state.probe is not None:
-            self._probe = NoiseProbe(len(self._last))
-            self._probe.restore(state.probe)
-        self._rejected = state.rejected
-        self._missed_s, self._stayed_s = state.missed_s, state.stayed_s
-        self._motion.restore(state.motion)
-        self._torque.restore(state.torque)
-        self._alone.restore(state.alone)
-        self._position_repeats = self._motion_repeats = self._torque_repeats = False
-        self._held_s, self._swept = state.held_s, state.swept
-        self._age_s, self._is_loaded = state.age_s, state.is_loaded
-        self.warning = state.warning
-        """What seems frozen in samples that are accepted all the same; empty if nothing does."""
+        memory = self.memory = copied(state)
+        self._probe = None if memory.probe is None else NoiseProbe.of(memory.probe)
+        self._gates.learn(np.zeros_like(memory.last) if memory.noise is None else memory.noise)
+        self._repeats = _NO_REPEATS

@@ -1,4 +1,4 @@
-"""What an online step may be fed: the one place where samples are refused."""
+"""What an online step and its settings may be: the one place where samples are refused."""
 
 import math
 import numbers
@@ -12,16 +12,19 @@ from residual.errors import ConfigurationError, SampleError
 
 MOST_PLAUSIBLE = 1e9
 """No joint signal in SI units comes near it; beyond it products overflow."""
-
+SHORTEST_STEP_S = 1e-12
+"""No clock ticks faster, and the inverse of what is far shorter overflows."""
 LONGEST_STEP_S = 86_400.0
 """A time step beyond a day is no pause but a clock that was set, from boot time to date perhaps."""
-
-
+ROUNDING_S = 1e-5
+"""Sums of time steps that come this near to a limit have reached it [s]: stamps since 1970 are
+rounded to a quarter of a microsecond, and rounding must not decide on a tick more or less."""
+_ndarray = np.ndarray
 FLOAT64 = np.dtype(np.float64)
 """What an array of floats has as its ``dtype``: comparing it takes no call."""
 
 
-def check_interval(dt_s: float) -> float:
+def check_interval(dt_s: Any) -> float:
     """Refuse a time step that does not advance.
 
     Args:
@@ -33,21 +36,46 @@ def check_interval(dt_s: float) -> float:
     Raises:
         SampleError: If it is not a finite positive number, or beyond `LONGEST_STEP_S`.
     """
-    if type(dt_s) is float and 0.0 < dt_s <= LONGEST_STEP_S:  # the quick way for almost every one
-        return dt_s
-    if not isinstance(dt_s, numbers.Real) or isinstance(dt_s, bool) or not 0.0 < dt_s < math.inf:
+    step_s = dt_s if type(dt_s) is float else as_float(dt_s)
+    if not 0.0 < step_s < math.inf:
         raise SampleError(
-            f"dt_s is {dt_s!r} s, expected a finite positive time step; "
+            f"dt_s is {shown(dt_s)} s, expected a finite positive time step; "
             "skip this sample or repair the clock"
         )
-    if dt_s > LONGEST_STEP_S:
-        # An integer may be beyond all floats.
-        shown = min(dt_s, sys.float_info.max)
+    if step_s < SHORTEST_STEP_S:
+        raise SampleError(f"dt_s is {step_s:.4g} s, shorter than any clock ticks; repair the clock")
+    if step_s > LONGEST_STEP_S:
         raise SampleError(
-            f"dt_s is {shown:.4g} s, more than a day: the clock was set; skip this sample and "
+            f"dt_s is {step_s:.4g} s, more than a day: the clock was set; skip this sample and "
             "go on with the next time step"
         )
-    return float(dt_s)
+    return step_s
+
+
+def as_float(value: Any) -> float:
+    """A real number of any type as a float, the largest one for what is beyond; else NaN."""
+    # A time span of numpy counts as an integer there, of a unit that nobody knows here.
+    if not _is_real(value):
+        return math.nan
+    try:
+        return float(value)
+    except OverflowError:
+        return sys.float_info.max if value > 0 else -sys.float_info.max
+    except Exception:  # whatever a stranger's type makes of it
+        return math.nan
+
+
+def shown(value: object) -> str:
+    """A value as a message can show it, whatever its type makes of that."""
+    try:
+        text = repr(value)
+    except Exception:  # an integer of more digits than Python prints, or a stranger's type
+        text = f"a {type(value).__name__} that cannot be shown"
+    return text if len(text) <= 200 else f"{text[:200]}..."
+
+
+def _is_real(value: object) -> bool:
+    return isinstance(value, numbers.Real) and not isinstance(value, bool | np.timedelta64)
 
 
 def read_joint_vector(name: str, value: object, joints: int) -> NDArray[np.float64]:
@@ -66,7 +94,7 @@ def read_joint_vector(name: str, value: object, joints: int) -> NDArray[np.float
     """
     try:
         array = _real(value)
-    except (TypeError, ValueError, OverflowError) as error:
+    except Exception as error:  # a stranger's type may raise anything
         raise SampleError(f"{name} is not an array of numbers: {error}") from error
     if array.shape != (joints,):
         raise SampleError(
@@ -76,22 +104,13 @@ def read_joint_vector(name: str, value: object, joints: int) -> NDArray[np.float
 
 
 def check_joint_vector(name: str, value: object, joints: int) -> NDArray[np.float64]:
-    """Return the value as a float array of one number per joint.
-
-    Args:
-        name: What the value is, for the message.
-        value: Anything numpy can read.
-        joints: Number of joints.
-
-    Returns:
-        As `read_joint_vector`.
+    """As `read_joint_vector`; also refuses what is not finite or beyond `MOST_PLAUSIBLE`.
 
     Raises:
-        SampleError: If the shape is wrong, these are no real numbers, or one is not finite or
-            beyond `MOST_PLAUSIBLE`.
+        SampleError: For such a value.
     """
     array = read_joint_vector(name, value, joints)
-    # Almost every sample ends here: one number tells that all are finite and small.
+    # Almost every sample ends here: one number shows that all are finite and small.
     if math.hypot(*array.tolist()) < MOST_PLAUSIBLE:
         return array
     if not np.isfinite(array).all():
@@ -124,8 +143,16 @@ def _real(value: Any) -> NDArray[np.float64]:
     return np.asarray(array, dtype=np.float64)
 
 
-def _is_real(value: object) -> bool:
-    return isinstance(value, numbers.Real) and not isinstance(value, bool)
+def all_fit(values: tuple[object, ...], joints: int) -> bool:
+    """Whether all are arrays of one float per joint, and nothing but arrays."""
+    shape = (joints,)
+    for value in values:
+        if type(value) is not _ndarray or value.shape != shape:
+            return False
+        # Arrays that were pickled bring a dtype of their own, equal and not the same.
+        if value.dtype is not FLOAT64 and value.dtype != FLOAT64:
+            return False
+    return True
 
 
 def read_rows(
@@ -144,55 +171,40 @@ def read_rows(
     Raises:
         SampleError: If they cannot be read so: as `check_joint_vector`.
     """
-    shape = (joints,)
-    for value in values:
-        # Arrays that were pickled bring a dtype of their own, equal and not the same.
-        if not (
-            type(value) is np.ndarray
-            and (value.dtype is FLOAT64 or value.dtype == FLOAT64)
-            and value.shape == shape
-        ):
-            vectors = zip(names, values, strict=True)
-            rows = np.stack([check_joint_vector(name, value, joints) for name, value in vectors])
-            break
-    else:  # almost every sample
+    if all_fit(values, joints):  # almost every sample
         rows = np.array(values)
+    else:
+        vectors = zip(names, values, strict=True)
+        rows = np.stack([check_joint_vector(name, value, joints) for name, value in vectors])
     rows.setflags(False)  # pyright: ignore[reportCallIssue]  # by name it takes thrice as long
     return rows
 
 
 def check_rows(names: tuple[str, ...], rows: NDArray[np.float64]) -> None:
-    """Refuse numbers that no sample has.
-
-    Args:
-        names: What each signal is called.
-        rows: What `read_rows` has read.
+    """Refuse numbers that no sample has, in what `read_rows` has read.
 
     Raises:
         SampleError: As `check_joint_vector`.
     """
-    # One number tells of all; `hypot` does not overflow, and a NaN fails.
+    # One number stands for all; `hypot` does not overflow, and a NaN fails.
     if not math.hypot(*rows.ravel().tolist()) < MOST_PLAUSIBLE:
         for name, row in zip(names, rows, strict=True):
             check_joint_vector(name, row, len(row))
 
 
-# What the stateful estimators may be set to: the one place where settings are refused.
-
-
-def check_positive(name: str, value: object) -> None:
-    """Refuse a setting that is not a finite positive number.
+def check_positive(name: str, value: object, *, least: float = 1e-30, most: float = 1e30) -> None:
+    """Refuse a setting that is not a positive number, or one whose square over- or underflows.
 
     Raises:
         ConfigurationError: With the name and what came.
     """
-    is_number = isinstance(value, numbers.Real) and not isinstance(value, bool)
-    try:
-        is_sound = is_number and 0.0 < float(value) < math.inf  # type: ignore[arg-type]
-    except OverflowError:
-        is_sound = False
-    if not is_sound:
-        raise ConfigurationError(f"{name} is {value!r}, expected a finite number > 0")
+    number = as_float(value)
+    if not 0.0 < number < math.inf:
+        raise ConfigurationError(f"{name} is {shown(value)}, expected a finite number > 0")
+    if not least <= number <= most:
+        raise ConfigurationError(
+            f"{name} is {number:g}, expected a number between {least:g} and {most:g}"
+        )
 
 
 def check_switch(name: str, value: object) -> None:
@@ -202,7 +214,7 @@ def check_switch(name: str, value: object) -> None:
         ConfigurationError: With the name and what came.
     """
     if not isinstance(value, bool | np.bool_):
-        raise ConfigurationError(f"{name} is {value!r}, expected True or False")
+        raise ConfigurationError(f"{name} is {shown(value)}, expected True or False")
 
 
 def check_choice(name: str, value: object, choices: tuple[str, ...]) -> None:
@@ -212,39 +224,28 @@ def check_choice(name: str, value: object, choices: tuple[str, ...]) -> None:
         ConfigurationError: With the name, what came and the choices.
     """
     if not (isinstance(value, str) and value in choices):
-        raise ConfigurationError(f"{name} is {value!r}, expected one of {list(choices)}")
+        raise ConfigurationError(f"{name} is {shown(value)}, expected one of {list(choices)}")
 
 
-def check_alignment(alignment: object) -> None:
-    """Refuse a torque alignment that does not exist.
-
-    Raises:
-        ConfigurationError: With the choices.
-    """
-    check_choice("alignment", alignment, ("hold", "trapezoid"))
-
-
-def check_gap(max_gap_s: object) -> None:
-    """Refuse a longest time step that is not a finite positive number.
+def vector_of_three(name: str, value: object) -> NDArray[np.float64]:
+    """A setting of three finite numbers, shape (3,).
 
     Raises:
-        ConfigurationError: With what came.
+        ConfigurationError: If it is none.
     """
-    check_positive("max_gap_s", max_gap_s)
-
-
-# Time between the samples that were absorbed, over those that were not.
-
-
-ROUNDING_S = 1e-5
-"""Sums of time steps that come this near to a limit have reached it [s]: stamps since 1970 are
-rounded to a quarter of a microsecond, and rounding must not decide on a tick more or less."""
+    try:
+        given = _real(value)
+    except Exception:  # a stranger's type may raise anything
+        given = np.zeros(0)
+    if given.shape != (3,) or not np.isfinite(given).all():
+        raise ConfigurationError(f"{name} is {shown(value)}, expected three finite numbers")
+    return given
 
 
 class SampleClock:
-    """Adds the time of skipped samples to that of the next sound one.
+    """Adds the time of rejected samples to that of the next valid one.
 
-    A clock that goes back a little comes forward again: samples are skipped until it has caught
+    A clock that goes back a little comes forward again: samples are rejected until it has caught
     up. One that was set back by more, or forward by more than a day, goes on from there.
 
     Args:
@@ -254,27 +255,36 @@ class SampleClock:
     def __init__(self, most_back_s: float) -> None:
         self._most_back_s = most_back_s
         self.missed_s = 0.0
-        """Time since the last sample that was absorbed [s], negative after a step back."""
+        """Time since the last sample that was used [s], negative after a step back."""
 
     def elapsed(self, dt_s: float) -> float:
-        """Time since the last sample that was absorbed [s].
+        """Time since the last sample that was used [s].
 
         Raises:
             SampleError: For a time step that does not advance, or for a clock that was set.
         """
-        dt_s = check_interval(dt_s)
+        if type(dt_s) is not float or not SHORTEST_STEP_S <= dt_s <= LONGEST_STEP_S:
+            dt_s = check_interval(dt_s)
         if not self.missed_s:
             return dt_s
         elapsed_s = dt_s + self.missed_s
         if elapsed_s <= 0.0:
             raise SampleError(
                 f"dt_s is {dt_s!r} s after a clock that went back by {-self.missed_s:.3g} s; "
-                "skipped until it has caught up"
+                "rejected until it has caught up"
             )
         return min(elapsed_s, LONGEST_STEP_S)
 
-    def miss(self, dt_s: float) -> None:
-        """A sample was skipped: its time still passes, if it has a sound one."""
-        is_number = isinstance(dt_s, numbers.Real) and not isinstance(dt_s, bool)
-        if is_number and -self._most_back_s < dt_s <= LONGEST_STEP_S:
-            self.missed_s += float(dt_s)
+    def miss(self, dt_s: object) -> None:
+        """A sample was rejected: its time still passes, if it has a valid one."""
+        step_s = as_float(dt_s)
+        if -self._most_back_s < step_s <= LONGEST_STEP_S:
+            self.missed_s += step_s
+
+
+def known_limits(limits: NDArray[np.float64], instead: float) -> NDArray[np.float64]:
+    """Limits of a description, shape (n,), with another number where it gives none.
+
+    Files write 0, Pinocchio infinity or the largest float for "unknown".
+    """
+    return np.where((limits > 0.0) & (limits < MOST_PLAUSIBLE), limits, instead)

@@ -14,7 +14,7 @@ _MOST_EXPONENT = 700.0
 
 
 class FrictionModel(Protocol):
-    """Anything that tells the friction torque of every joint at a velocity."""
+    """Anything that gives the friction torque of every joint at a velocity."""
 
     def torque(self, dq: NDArray[np.float64]) -> NDArray[np.float64]:
         """Torque that opposes the motion [Nm], shape (n,), at velocity ``dq`` [rad/s]."""
@@ -93,17 +93,17 @@ class SigmoidFriction:
     amplitude_Nm: NDArray[np.float64]
     slope_s_rad: NDArray[np.float64]
     shift_rad_s: NDArray[np.float64]
-    _share_at_rest: NDArray[np.float64] = field(init=False, repr=False)
+    _level_at_rest: NDArray[np.float64] = field(init=False, repr=False)
 
     def __post_init__(self) -> None:
         _frozen_vectors(self, ("amplitude_Nm", "slope_s_rad", "shift_rad_s"))
-        object.__setattr__(self, "_share_at_rest", self._share(self.shift_rad_s))
+        object.__setattr__(self, "_level_at_rest", self._sigmoid(self.shift_rad_s))
 
     def torque(self, dq: NDArray[np.float64]) -> NDArray[np.float64]:
         """Friction torque opposing the motion [Nm], shape (n,)."""
-        return self.amplitude_Nm * (self._share(dq + self.shift_rad_s) - self._share_at_rest)
+        return self.amplitude_Nm * (self._sigmoid(dq + self.shift_rad_s) - self._level_at_rest)
 
-    def _share(self, speed: NDArray[np.float64]) -> NDArray[np.float64]:
+    def _sigmoid(self, speed: NDArray[np.float64]) -> NDArray[np.float64]:
         """The sigmoid, 0 to 1."""
         exponent = -self.slope_s_rad * speed
         return 1.0 / (1.0 + np.exp(np.minimum(exponent, _MOST_EXPONENT)))

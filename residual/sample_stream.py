@@ -1,128 +1,63 @@
-"""One stream of samples with joint torques, into external torque."""
+"""One stream of samples into external torque: joint torques, or the robot's own estimate of it."""
 
 from typing import NamedTuple
 
 import numpy as np
+import pinocchio as pin
 from numpy.typing import ArrayLike, NDArray
 
 from residual.config import SensorConfig
 from residual.errors import SampleError
-from residual.external_torque import (
-    ExternalTorqueEstimator,
-    ExternalTorqueState,
-    TorqueSample,
-    velocity_estimator,
-)
 from residual.fault_detection import FaultDetector, GuardState
-from residual.input_validation import check_rows, read_rows
-from residual.velocity_estimator import VelocityState
+from residual.input_validation import ROUNDING_S, check_rows, read_rows
+from residual.momentum_observer import MomentumObserver, MomentumState
+from residual.stuck_signals import NoiseProbe, NoiseState
+from residual.tool_kinematics import ToolKinematics
+from residual.velocity_estimator import VelocityEstimator, VelocityState
 from urdf import Robot
 
-# Where the samples of a stream come in: copied, checked once, and judged.
+Array = NDArray[np.float64]
+_new = tuple.__new__  # makes a named tuple in half the time: there is one in every tick
 
 
-class SampleEntry:
-    """Reads positions, velocities if there are any, and torques; all or none with velocities.
-
-    Args:
-        robot: The arm.
-        config: Settings of the sensor.
-        has_velocity: Whether samples carry a velocity.
-        torque_name: What the caller calls the torque.
-        velocity_delay_s: Age of the velocity that `accept` is told [s].
-    """
-
-    def __init__(
-        self,
-        robot: Robot,
-        config: SensorConfig,
-        *,
-        has_velocity: bool,
-        torque_name: str,
-        velocity_delay_s: float,
-    ) -> None:
-        self._joints, self._has_velocity = robot.nv, has_velocity
-        self._names = ("q", "dq", torque_name) if has_velocity else ("q", torque_name)
-        self._guard = (
-            FaultDetector(robot, has_velocity=has_velocity, velocity_delay_s=velocity_delay_s)
-            if config.guard
-            else None
-        )
-        self._read = np.zeros(0)
-
-    def read(
-        self, q: ArrayLike, dq: ArrayLike | None, torque: ArrayLike, dt_s: float
-    ) -> tuple[NDArray[np.float64], bool]:
-        """Read a sample; nothing changes before `accept` but what the guard knows of spikes.
-
-        Args:
-            q: Positions [rad], shape (n,).
-            dq: Velocities [rad/s], shape (n,), or None.
-            torque: Torques [Nm], shape (n,).
-            dt_s: Time since the last accepted sample [s].
-
-        Returns:
-            The signals, one a row, torque last, as a read-only copy of shape (2, n) or (3, n); and
-            whether the position has jumped, and stayed there.
-
-        Raises:
-            SampleError: For a wrong shape, numbers that are not finite, or a velocity that comes
-                and goes.
-            SuspectSampleError: For a spike, frozen signals or a saturated torque.
-        """
-        if (dq is None) == self._has_velocity:
-            raise SampleError(
-                "dq was given before and is missing now, or the reverse; keep to one of the two "
-                "for a stream, or reset() first"
-            )
-        values = (q, torque) if dq is None else (q, dq, torque)
-        rows = read_rows(self._names, values, self._joints)
-        now, guard = rows.ravel(), self._guard
-        if guard is None:
-            check_rows(self._names, rows)
-            return rows, False
-        self._read = now
-        # What is hardly off the last sample needs no other look, nor a check of its numbers.
-        if guard.surely_passes(now):
-            return rows, False
-        check_rows(self._names, rows)
-        return rows, guard.check(now, dt_s)
-
-    def accept(self, velocity: NDArray[np.float64], dt_s: float) -> None:
-        """The sample last read has been absorbed; see `FaultDetector.accept`."""
-        if self._guard is not None:
-            self._guard.accept(self._read, velocity, dt_s)
-
-    @property
-    def warning(self) -> str:
-        """What seems frozen in samples that are accepted all the same; empty if nothing does."""
-        return "" if self._guard is None else self._guard.warning
-
-    @property
-    def state(self) -> GuardState | None:
-        """All that is remembered; None without a guard."""
-        return None if self._guard is None else self._guard.state
-
-    def restore(self, state: GuardState | None) -> None:
-        """Go on from a `state` taken earlier with the same settings."""
-        if self._guard is not None and state is not None:
-            self._guard.restore(state)
-
-
-class JointStreamState(NamedTuple):
-    """All that a `JointStream` remembers.
+class TorqueSample(NamedTuple):
+    """External joint torque with the motion it belongs to.
 
     Attributes:
-        torque: Of the external torque.
-        guard: Of the sample guard; None where there is none.
+        q: Position [rad], shape (n,); delayed like the residual when velocity is estimated.
+        dq: Velocity [rad/s], shape (n,), of the same instant.
+        tau: Measured torque [Nm], shape (n,), of the same instant; the external torque where the
+            robot sends that.
+        residual: External joint torque before offset removal [Nm], shape (n,).
+        settled: Whether the filters have forgotten their start.
+        data: Workspace in which joint placements and Jacobians at q stand; None if in none.
     """
 
-    torque: ExternalTorqueState
-    guard: GuardState | None
+    q: Array
+    dq: Array
+    tau: Array
+    residual: Array
+    settled: bool
+    data: pin.Data | None = None
 
 
-class JointStream:
-    """Positions, velocities if there are any, and torques, into external torque.
+class StreamState(NamedTuple):
+    """All that a stream remembers."""
+
+    # Of the velocity estimator; None where the robot sends velocities
+    velocity: VelocityState | None
+    guard: GuardState | None  # Of the fault detector; None where there is none
+    # Of the momentum observer; None in a stream of external torques, as the next
+    observer: MomentumState | None = None
+    probe: NoiseState | None = None  # Of the noise probe; None once the noise is known
+    age_s: float = 0.0  # Time since the filters started [s]
+    missed_s: float = 0.0  # Time that the observer has not seen yet [s]
+
+
+class SampleStream:
+    """Positions, velocities if there are any, and torques; all or none with velocities.
+
+    Samples are copied, checked once and judged; then `_estimate` makes external torque of them.
 
     Args:
         robot: The arm with its payload.
@@ -130,126 +65,188 @@ class JointStream:
         has_velocity: Whether the robot sends joint velocities.
     """
 
+    TORQUE = ""
+    """What the caller calls the torque."""
+    lag_s = 0.0
+    """Time by which the estimate follows the torque [s], where that is known here."""
+
     def __init__(self, robot: Robot, config: SensorConfig, *, has_velocity: bool) -> None:
-        self._torque = ExternalTorqueEstimator(robot, config, has_velocity=has_velocity)
-        self._entry = SampleEntry(
-            robot,
-            config,
-            has_velocity=has_velocity,
-            torque_name="tau",
-            velocity_delay_s=self._torque.delay_s,
-        )
         self.has_velocity = has_velocity
         """Whether samples carry a measured velocity."""
-        self.lag_s = self._torque.lag_s
-        """Time by which the estimate follows the torque [s]."""
+        self._joints, self._model, self._data = robot.nv, robot.model, robot.create_data()
+        self._adds_gravity = False
+        self._names = ("q", "dq", self.TORQUE) if has_velocity else ("q", self.TORQUE)
+        self._velocity = None
+        if not has_velocity:
+            self._velocity = VelocityEstimator(
+                robot.nv,
+                config.velocity_bandwidth_per_s,
+                alignment=config.alignment,
+                max_gap_s=config.max_gap_s,
+            )
+        self._delay_s = 0.0 if self._velocity is None else self._velocity.delay_s
+        self._guard = None
+        if config.guard:
+            tip = None
+            if any(config.tool_offset_m):
+                tip = ToolKinematics(robot, config.frame, offset_m=config.tool_offset_m)
+            self._guard = FaultDetector(
+                robot, has_velocity=has_velocity, velocity_delay_s=self._delay_s, tool=tip
+            )
 
     def update(
-        self, q: ArrayLike, dq: ArrayLike | None, tau: ArrayLike, dt_s: float
+        self, q: ArrayLike, dq: ArrayLike | None, torque: ArrayLike, dt_s: float
     ) -> TorqueSample:
-        """Take one sample; see `VirtualForceSensor.update`.
+        """Take one sample.
+
+        Args:
+            q: Positions [rad], shape (n,).
+            dq: Velocities [rad/s], shape (n,); None for a stream without.
+            torque: Torques [Nm], shape (n,).
+            dt_s: Time since the last accepted sample [s].
 
         Raises:
-            SampleError: For a bad sample; nothing has then changed but what the guard knows of it.
+            SampleError: For a wrong shape, numbers that are not finite, or a velocity that comes
+                and goes; nothing has then changed but what the fault detector knows of it.
+            SuspectSampleError: For a spike, frozen signals or a saturated torque.
         """
-        rows, has_jumped = self._entry.read(q, dq, tau, dt_s)
-        if has_jumped:
-            self._torque.restart_velocity()
-        velocity = rows[1] if self.has_velocity else None
-        sample = self._torque.update(rows[0], velocity, rows[-1], dt_s)
-        self._entry.accept(sample.dq, dt_s)
+        if (dq is None) == self.has_velocity:
+            raise SampleError(
+                "dq was given before and is missing now, or the reverse; keep to one of the two "
+                "for a stream, or reset() first"
+            )
+        values = (q, torque) if dq is None else (q, dq, torque)
+        rows = read_rows(self._names, values, self._joints)
+        if self._adds_gravity:
+            rows = self._with_gravity(rows)
+        now, guard = rows.ravel(), self._guard
+        # What is hardly off the last sample needs no other check, nor one of its numbers.
+        if guard is None or not guard.surely_passes(now):
+            check_rows(self._names, rows)
+            has_jumped = guard is not None and guard.check(now, dt_s)
+            if has_jumped and self._velocity is not None:
+                self._velocity.reset()  # the position reading is elsewhere now
+        sample = self._estimate(rows, dt_s)
+        if guard is not None:
+            guard.accept(now, sample.dq, dt_s)
         return sample
 
+    def _with_gravity(self, rows: Array) -> Array:
+        """Samples whose torque leaves gravity out, with it."""
+        rows = rows.copy()
+        rows[-1] += pin.computeGeneralizedGravity(self._model, self._data, rows[0])
+        rows.setflags(write=False)
+        return rows
+
+    def _estimate(self, rows: Array, dt_s: float) -> TorqueSample:
+        raise NotImplementedError
+
     @property
     def warning(self) -> str:
         """What seems frozen in samples that are taken all the same; empty if nothing does."""
-        return self._entry.warning
+        return "" if self._guard is None else self._guard.memory.warning
 
     @property
-    def state(self) -> JointStreamState:
+    def state(self) -> StreamState:
         """All that is remembered, as copies."""
-        return JointStreamState(self._torque.state, self._entry.state)
-
-    def restore(self, state: JointStreamState) -> None:
-        """Go on from a `state` taken earlier, of a stream with or without velocity as this one."""
-        self._torque.restore(state.torque)
-        self._entry.restore(state.guard)
-
-
-# One stream of samples with the external torque that the robot estimates itself.
-
-
-class ExternalTorqueStreamState(NamedTuple):
-    """All that an `ExternalTorqueStream` remembers.
-
-    Attributes:
-        velocity: Of the velocity estimator; None where the robot sends velocities.
-        guard: Of the sample guard; None where there is none.
-    """
-
-    velocity: VelocityState | None
-    guard: GuardState | None
-
-
-class ExternalTorqueStream:
-    """Positions, velocities if there are any, and external torques.
-
-    Where velocities are estimated, position is as late as they are; the torque stays as it is: how
-    late the robot's own estimate is cannot be known here.
-
-    Args:
-        robot: The arm.
-        config: Settings of the sensor.
-        has_velocity: Whether the robot sends joint velocities.
-    """
-
-    lag_s = 0.0
-    """Whatever lag the robot's estimate has is not known here."""
-
-    def __init__(self, robot: Robot, config: SensorConfig, *, has_velocity: bool) -> None:
-        self._velocity = None if has_velocity else velocity_estimator(robot, config)
-        self._entry = SampleEntry(
-            robot,
-            config,
-            has_velocity=has_velocity,
-            torque_name="external_torque",
-            velocity_delay_s=0.0 if self._velocity is None else self._velocity.delay_s,
+        return StreamState(
+            None if self._velocity is None else self._velocity.state,
+            None if self._guard is None else self._guard.state,
         )
-        self.has_velocity = has_velocity
-        """Whether samples carry a measured velocity."""
 
-    def update(
-        self, q: ArrayLike, dq: ArrayLike | None, external_torque: ArrayLike, dt_s: float
-    ) -> TorqueSample:
-        """Take one sample; see `VirtualForceSensor.update_external_torque`.
-
-        Raises:
-            SampleError: For a bad sample; nothing has then changed but what the guard knows of it.
-        """
-        rows, has_jumped = self._entry.read(q, dq, external_torque, dt_s)
-        position, torque = rows[0], rows[-1]
-        if self._velocity is None:
-            velocity, settled = rows[1], True
-        else:
-            if has_jumped:
-                self._velocity.reset()
-            position, velocity, _, settled = self._velocity.absorb(position, torque, dt_s)
-        self._entry.accept(velocity, dt_s)
-        return TorqueSample(position, velocity, torque, torque, settled)
-
-    @property
-    def warning(self) -> str:
-        """What seems frozen in samples that are taken all the same; empty if nothing does."""
-        return self._entry.warning
-
-    @property
-    def state(self) -> ExternalTorqueStreamState:
-        """All that is remembered, as copies."""
-        velocity = None if self._velocity is None else self._velocity.state
-        return ExternalTorqueStreamState(velocity, self._entry.state)
-
-    def restore(self, state: ExternalTorqueStreamState) -> None:
+    def restore(self, state: StreamState) -> None:
         """Go on from a `state` taken earlier, of a stream with or without velocity as this one."""
         if self._velocity is not None and state.velocity is not None:
             self._velocity.restore(state.velocity)
-        self._entry.restore(state.guard)
+        if self._guard is not None and state.guard is not None:
+            self._guard.restore(state.guard)
+
+
+class JointStream(SampleStream):
+    """Measured joint torques; see `SampleStream`."""
+
+    TORQUE = "tau"
+    SETTLING_LAGS = 5.0
+    """Lags after which the start of the residual has faded to 1 %."""
+
+    def __init__(self, robot: Robot, config: SensorConfig, *, has_velocity: bool) -> None:
+        super().__init__(robot, config, has_velocity=has_velocity)
+        self._observer = MomentumObserver(
+            robot,
+            config.gain_per_s,
+            # The matched filter hands on a continuous torque.
+            alignment=config.alignment if has_velocity else "trapezoid",
+            friction=config.friction,
+            max_gap_s=config.max_gap_s,
+        )
+        self._data = self._observer.data
+        self._adds_gravity = config.torque_is_gravity_compensated
+        self._probe = NoiseProbe(robot.nv) if config.smooth_momentum else None
+        self._max_gap_s = config.max_gap_s
+        self._settling_s = self.SETTLING_LAGS / config.slowest_gain_per_s - ROUNDING_S
+        self._age_s = self._missed_s = 0.0
+        self.lag_s = 1.0 / config.slowest_gain_per_s + self._delay_s
+
+    def _estimate(self, rows: Array, dt_s: float) -> TorqueSample:
+        last_s = dt_s
+        if self._velocity is None:
+            q, dq, tau = rows[0], rows[1], rows[2]
+        else:
+            q, dq, tau, settled = self._velocity.absorb(rows, dt_s)
+            self._missed_s += dt_s
+            if not settled:
+                self._age_s = 0.0
+                return TorqueSample(q, dq, tau, self._observer.residual, False)
+            dt_s, self._missed_s = self._missed_s, 0.0
+        residual = self._observer.absorb(q, dq, tau, dt_s)
+        self._age_s = 0.0 if dt_s > self._max_gap_s else self._age_s + dt_s
+        probe = self._probe
+        if probe is not None:
+            signal = rows[1] if self._velocity is None else rows[0]
+            self._learn_noise(probe, signal, q, last_s)
+        settled = self._age_s >= self._settling_s and self._probe is None
+        return _new(TorqueSample, (q, dq, tau, residual, settled, self._data))
+
+    def _learn_noise(self, probe: NoiseProbe, signal: Array, q: Array, dt_s: float) -> None:
+        """Learn the velocity's noise from the first samples, then quieten the momentum."""
+        noise = probe.add(signal, dt_s)
+        if noise is not None:
+            if self._velocity is not None:
+                noise = noise * self._velocity.noise_per_position_noise(dt_s)
+            self._observer.smooth_momentum(noise, q)
+            self._probe = None
+
+    @property
+    def state(self) -> StreamState:
+        """All that is remembered, as copies."""
+        return super().state._replace(
+            observer=self._observer.state,
+            probe=None if self._probe is None else self._probe.state,
+            age_s=self._age_s,
+            missed_s=self._missed_s,
+        )
+
+    def restore(self, state: StreamState) -> None:
+        """Go on from a `state` taken earlier, of a stream with or without velocity as this one."""
+        super().restore(state)
+        assert state.observer is not None, "a state of a stream of joint torques"
+        self._observer.restore(state.observer)
+        self._probe = None if state.probe is None else NoiseProbe.of(state.probe)
+        self._age_s, self._missed_s = state.age_s, state.missed_s
+
+
+class ExternalTorqueStream(SampleStream):
+    """External torques that the robot estimates itself; see `SampleStream`.
+
+    Where velocities are estimated, position is as late as they are; the torque stays as it is: how
+    late the robot's own estimate is cannot be known here.
+    """
+
+    TORQUE = "external_torque"
+
+    def _estimate(self, rows: Array, dt_s: float) -> TorqueSample:
+        torque = rows[-1]
+        if self._velocity is None:
+            return TorqueSample(rows[0], rows[1], torque, torque, True)
+        q, dq, _, settled = self._velocity.absorb(rows, dt_s)
+        return TorqueSample(q, dq, torque, torque, settled)

@@ -1,94 +1,58 @@
-"""All that a virtual force sensor remembers, as one immutable value."""
+"""What a snapshot needs: copies of state trees, their form, and to which sensor they belong."""
 
 import hashlib
 from collections.abc import Iterator
 from dataclasses import fields, is_dataclass
-from typing import Any, NamedTuple
+from types import NoneType
+from typing import Any, TypeVar, get_args, get_type_hints
 
 import numpy as np
 import pinocchio as pin
 from numpy.typing import NDArray
 
-from residual.bias_estimator import OffsetState
-from residual.config import SensorConfig
-from residual.consistency_checks import SlowState
 from residual.errors import SnapshotError
-from residual.estimate import WrenchEstimate
-from residual.joint_friction import FrictionModel
-from residual.sample_stream import ExternalTorqueStreamState, JointStreamState
-from residual.wrench_estimator import AxialWeights
 from urdf import Robot
 
-
-class SensorState(NamedTuple):
-    """State of a `VirtualForceSensor`.
-
-    Attributes:
-        robot: `robot_digest` of its robot.
-        config: Its settings in words; they must be the same to go on.
-        joints: Of the stream of joint signals; None before the first sample of one.
-        external_torque: Of the stream of external torques; None before the first sample of one.
-        lag_s: Of the stream that the last sample came by [s].
-        offset: Of the offset removal.
-        torque_covariance: Of the residual's error, as last renewed [Nm^2], shape (n, n).
-        weights: Of the wrench, as last renewed.
-        slow: Of the slow checks.
-        doubt: Of the doubt that the lag adds [N].
-        looked_s: Time since the last slow check [s].
-        velocity: Joint velocity of the last sample [rad/s], shape (n,).
-        last: Last estimate; None before the first.
-        missed_s: Time of samples skipped since then [s].
-        skipped: Number of bad samples so far.
-    """
-
-    robot: str
-    config: str
-    joints: JointStreamState | None
-    external_torque: ExternalTorqueStreamState | None
-    lag_s: float
-    offset: OffsetState
-    torque_covariance: NDArray[np.float64]
-    weights: AxialWeights
-    slow: SlowState
-    doubt: float | None
-    looked_s: float
-    velocity: NDArray[np.float64]
-    last: WrenchEstimate | None
-    missed_s: float
-    skipped: int
-
-
-def check_belongs(state: object, robot: str, config: str) -> None:
-    """Refuse a state that is not of such a sensor.
-
-    Args:
-        state: What is to be restored.
-        robot: `robot_digest` of the sensor's robot.
-        config: Its settings in words.
-
-    Raises:
-        SnapshotError: With what differs.
-    """
-    if not isinstance(state, SensorState):
-        raise SnapshotError(f"expected a SensorState, got {type(state).__name__}")
-    if state.robot != robot:
-        raise SnapshotError(
-            "the snapshot is of another robot (joints, links, payload, frames or limits differ); "
-            "restore it with the robot it was taken with"
-        )
-    if state.config != config:
-        raise SnapshotError(
-            f"the snapshot is of other settings: {state.config}, this sensor has {config}"
-        )
-
-
-# Whether a state has the form of a sensor's: arrays of the shapes that such a sensor keeps.
-
-
+Array = NDArray[np.float64]
+Tree = TypeVar("Tree")
 GROWING = ("probe.rows", "recorder.means", "recorder.time_s", "recorder.scatter")
 """Ends of the places of arrays whose first dimension counts what was gathered so far."""
-LIKE = {"guard.noise": "guard.last", "guard.rejected": "guard.last"}
+LIKE = {
+    "guard.noise": "guard.last",
+    "guard.rejected": "guard.last",
+    "guard.swept": "guard.velocity",
+}
 """Arrays that a new sensor has not got yet, and others of the same shape."""
+_SPEEDS_RAD_S = np.array([0.0, 1e-4, 1e-3, 3e-3, 1e-2, 3e-2, 0.1, 0.3, 1.0, 3.0])
+
+
+def _names(node: object) -> tuple[str, ...]:
+    """Names of the fields of a named tuple or data class, none of anything else."""
+    if is_dataclass(node):
+        return tuple(field.name for field in fields(node))
+    return getattr(type(node), "_fields", ())
+
+
+def copied(tree: Tree) -> Tree:
+    """A copy of a tree of named tuples and data classes; its arrays are its own, to be written."""
+    node: Any = tree
+    if isinstance(node, np.ndarray):
+        # The order of numbers in memory decides the order of sums, and that their last bit.
+        return node.copy(order="K")  # type: ignore[return-value]
+    if names := _names(node):
+        return type(node)(**{name: copied(getattr(node, name)) for name in names})
+    return tree
+
+
+def _arrays(node: Any, place: str = "") -> Iterator[tuple[str, NDArray[Any]]]:
+    """Every array of a tree, and where it stands: names of fields with dots between."""
+    if isinstance(node, np.ndarray):
+        yield place, node
+    for name in _names(node):
+        part, where = getattr(node, name), f"{place}.{name}" if place else name
+        if part is None and NoneType not in get_args(get_type_hints(type(node))[name]):
+            raise SnapshotError(f"{where} is missing")
+        yield from _arrays(part, where)
 
 
 def check_form(state: object, model: object) -> None:
@@ -99,7 +63,7 @@ def check_form(state: object, model: object) -> None:
         model: State of a sensor of the same robot and settings that has seen samples.
 
     Raises:
-        SnapshotError: With the array that differs.
+        SnapshotError: With the array that differs, or what is missing.
     """
     expected = {place: array.shape for place, array in _arrays(model)}
     for place, array in _arrays(state):
@@ -112,52 +76,34 @@ def check_form(state: object, model: object) -> None:
             raise SnapshotError(f"{place} has shape {array.shape}, expected {wanted}")
 
 
-def _arrays(value: Any, place: str = "") -> Iterator[tuple[str, np.ndarray[Any, Any]]]:
-    """Every array of a state, and where it stands: names of fields with dots between."""
-    if isinstance(value, np.ndarray):
-        yield place, value
-    for name in getattr(type(value), "_fields", ()):
-        yield from _arrays(getattr(value, name), f"{place}.{name}" if place else name)
+def settings_text(config: Any, joints: int) -> str:
+    """Settings in words that are equal only for equal settings.
 
-
-# Settings in words that are equal only for equal settings.
-
-
-_SPEEDS_RAD_S = np.array([0.0, 1e-4, 1e-3, 3e-3, 1e-2, 3e-2, 0.1, 0.3, 1.0, 3.0])
-
-
-def settings_text(config: SensorConfig, joints: int) -> str:
-    """Every setting by name, all digits of every number, friction by what it does.
-
-    A friction model may be any object: it is known by the torques that it gives.
+    Every setting by name, all digits of every number. A friction model may be any object: it is
+    known by the torques that it gives.
 
     Args:
-        config: Settings of a sensor.
+        config: A `residual.SensorConfig`.
         joints: Number of joints of its robot.
     """
     texts = [
-        f"{field.name}={_plain(getattr(config, field.name))}"
-        for field in fields(config)
-        if field.name != "friction"
+        f"{name}={_plain(getattr(config, name))}" for name in _names(config) if name != "friction"
     ]
-    return f"{', '.join(texts)}, friction={_friction_text(config.friction, joints)}"
-
-
-def _friction_text(friction: FrictionModel | None, joints: int) -> str:
-    if friction is None:
-        return "None"
-    found = hashlib.sha256()
-    for speed in (*_SPEEDS_RAD_S, *-_SPEEDS_RAD_S):
-        # Not the same speed everywhere: joints may have changed places.
-        torque = friction.torque(speed * (1.0 + 0.1 * np.arange(joints)))
-        found.update(np.ascontiguousarray(torque, dtype=np.float64).tobytes())
-    return f"{type(friction).__name__} {found.hexdigest()[:16]}"
+    friction, text = config.friction, "None"
+    if friction is not None:
+        found = hashlib.sha256()
+        for speed in (*_SPEEDS_RAD_S, *-_SPEEDS_RAD_S):
+            # Not the same speed everywhere: joints may have changed places.
+            torque = friction.torque(speed * (1.0 + 0.1 * np.arange(joints)))
+            found.update(np.ascontiguousarray(torque, dtype=np.float64).tobytes())
+        text = f"{type(friction).__name__} {found.hexdigest()[:16]}"
+    return f"{', '.join(texts)}, friction={text}"
 
 
 def _plain(value: object) -> object:
     """Numbers of any kind and shape as Python's own, whose text has all their digits."""
     if is_dataclass(value):
-        return {field.name: _plain(getattr(value, field.name)) for field in fields(value)}
+        return {name: _plain(getattr(value, name)) for name in _names(value)}
     if isinstance(value, np.ndarray | np.generic):
         return _plain(value.tolist())
     if isinstance(value, list | tuple):
@@ -165,17 +111,15 @@ def _plain(value: object) -> object:
     return repr(value)
 
 
-# A short name for everything about a robot that an estimate depends on.
-
-
 def robot_digest(robot: Robot) -> str:
-    """Hash of joints with their axes and parents, links, payload, frames, limits and gravity.
+    """A short name for everything about a robot that an estimate depends on.
 
     Args:
         robot: Any robot.
 
     Returns:
-        64 hexadecimal digits; equal for robots that no estimator can tell apart.
+        Hash of joints with their axes and parents, links, payload, frames, limits and gravity:
+        64 hexadecimal digits, equal for robots that no estimator can distinguish.
     """
     model = robot.model
     names = (*robot.joint_names, robot.tool_frame, *robot.frame_names)
@@ -198,8 +142,48 @@ def robot_digest(robot: Robot) -> str:
     return found.hexdigest()
 
 
-def _axis(joint: pin.JointModel) -> NDArray[np.float64]:
+def _axis(joint: pin.JointModel) -> Array:
     """How a joint of one number moves its link: velocity and rotation for a rate of one."""
     data = joint.createData()
     joint.calc(data, np.zeros(joint.nq))
     return np.asarray(data.S)
+
+
+TRIED_S = 0.03
+"""Time step of a trial: long enough that everything which changes slowly is renewed."""
+TRIED = 3
+
+
+def try_out(twin: Any, state: Any) -> None:
+    """Make a damaged state fail now and not in a later update.
+
+    Args:
+        twin: A new `VirtualForceSensor` of the same robot and settings, that nobody uses.
+        state: What is to be restored.
+
+    Raises:
+        SnapshotError: If the state is damaged.
+    """
+    try:
+        if state.joints is not None and state.external_torque is not None:
+            raise SnapshotError("it is of two streams")
+        still = np.zeros_like(twin.velocity_rad_s)
+        _run(twin, state, still, still, still)
+        check_form(state, twin.snapshot())
+        twin._take(copied(state))
+        torque = still if state.offset.smooth_torque is None else state.offset.smooth_torque
+        _run(twin, state, state.offset.q, state.velocity, torque)
+    except Exception as error:  # whatever a damaged state makes of its parts
+        raise SnapshotError(f"the snapshot is damaged: {error}") from error
+
+
+def _run(twin: Any, state: Any, q: Array, dq: Array, torque: Array) -> None:
+    """A few samples of the kind that the state is of."""
+    stream = state.joints or state.external_torque
+    if stream is None:
+        return
+    update = twin.update if state.joints is not None else twin.update_external_torque
+    for _ in range(TRIED):
+        found = update(q, dq if stream.velocity is None else None, torque, TRIED_S)
+        if not np.isfinite((found.axial, found.axial_std, found.model_mismatch)).all():
+            raise SnapshotError("its estimates are not finite")

@@ -1,28 +1,44 @@
-"""Tells signals that repeat because their source is stuck from those that repeat as a rule.
+"""Signals that repeat because their source is stuck, and those that repeat as a rule.
 
-Many sound signals repeat bit for bit: a resolution coarser than the noise, a source slower than
-the clock, samples that come twice. A repeat tells something only where the noise of every joint
+Many valid signals repeat bit for bit: a resolution coarser than the noise, a source slower than
+the clock, samples that come twice. A repeat means something only where the noise of every joint
 stands out of the resolution, and only when all joints repeat together for far longer than they did
 while nothing was wrong. Of any other signal nothing is claimed: what a stuck torque does to the
 force is then left to `residual.consistency_checks` to notice.
 """
 
 import math
-from typing import NamedTuple
+from dataclasses import dataclass
+from typing import NamedTuple, Self
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from residual.input_validation import ROUNDING_S
 
-# Learns the white noise of a sampled signal from its first samples.
-
-
+Array = NDArray[np.float64]
 ORDER = 3
 """Of the differences: a smooth motion has almost none over three ticks."""
+LEAST_S, LEAST_REPEATS = 0.02, 8
+"""No shorter repeat counts as a stuck source, whatever the signal."""
+FAR_LONGER = 20.0
+"""Times the longest repeat of the first half second."""
+LONGEST_USUAL_S = 0.1
+"""No source of torque is slower than ten samples a second."""
+LONGEST_REFUSAL_S = 5.0
+"""After this nothing is rejected any more, only reported: should a valid signal fall still after
+all, on an arm at rest, then not for ever."""
+LEAST_ALONE_S = 0.5
+"""No shorter repeat of a single joint is reported."""
+LEAST_WHITENESS = 0.5
+"""Ratio of third to second differences: 1.8 for white noise, next to nothing for a smooth motion
+that has none."""
+ROUNDING = 1e-9
+"""No smaller difference counts as one [rad, rad/s, Nm]."""
+LEAST_ROWS = 16
 
 
-def new_rows(rows: NDArray[np.float64]) -> NDArray[np.float64]:
+def new_rows(rows: Array) -> Array:
     """Rows that are not all of the one before: a source slower than the clock, by its own clock.
 
     Args:
@@ -32,8 +48,12 @@ def new_rows(rows: NDArray[np.float64]) -> NDArray[np.float64]:
     return rows[np.concatenate(([True], changed))]
 
 
-def white_noise(rows: NDArray[np.float64]) -> NDArray[np.float64]:
+def white_noise(rows: Array) -> Array:
     """Standard deviation of the noise of samples, shape (m, size); 0 where they are fewer than 4.
+
+    A smooth motion has almost no third difference over three ticks, white noise of standard
+    deviation s has one of ``s sqrt(20)``; the median keeps lost samples out. A signal that was
+    filtered before it came reads too low, never too high.
 
     Returns:
         Shape (size,).
@@ -45,24 +65,36 @@ def white_noise(rows: NDArray[np.float64]) -> NDArray[np.float64]:
     return np.asarray(np.median(differences, axis=0) / (0.6745 * math.sqrt(20.0)))
 
 
-class NoiseState(NamedTuple):
-    """All that a `NoiseProbe` remembers.
+def stands_out(rows: Array) -> NDArray[np.bool_]:
+    """Which signals have noise that stands out of their resolution.
 
-    Attributes:
-        rows: Samples so far, shape (m, size).
-        left_s: For how long it still listens [s].
+    Args:
+        rows: Samples, shape (m, size).
+
+    Returns:
+        Shape (size,).
     """
+    rows = new_rows(rows)
+    if len(rows) < LEAST_ROWS:
+        return np.zeros(rows.shape[1], dtype=bool)
+    # Steps are multiples of the resolution, however fast the arm moves.
+    gaps = np.diff(np.sort(np.diff(rows, axis=0), axis=0), axis=0)
+    resolution = np.where(gaps > ROUNDING, gaps, np.inf).min(axis=0)
+    second, third = (np.median(np.abs(np.diff(rows, n=order, axis=0)), axis=0) for order in (2, 3))
+    # As in `white_noise`. Resolution alone makes less than two thirds of a step of such noise.
+    noise = third / (0.6745 * np.sqrt(20.0))
+    return (third > LEAST_WHITENESS * second) & (noise >= resolution)
 
-    rows: NDArray[np.float64]
+
+class NoiseState(NamedTuple):
+    """All that a `NoiseProbe` remembers: samples so far, shape (m, size), and the time left [s]."""
+
+    rows: Array
     left_s: float
 
 
 class NoiseProbe:
-    """Noise of a smooth vector signal, from its third differences.
-
-    A smooth motion has almost no third difference over three ticks, white noise of standard
-    deviation s has one of ``s sqrt(20)``; the median keeps lost samples out. A signal that was
-    filtered before it came reads too low, never too high.
+    """Noise of a smooth vector signal, from its first samples; see `white_noise`.
 
     Args:
         size: Length of the vector.
@@ -79,7 +111,15 @@ class NoiseProbe:
         self._count = 0
         self._left_s = seconds
 
-    def add(self, value: ArrayLike, dt_s: float) -> NDArray[np.float64] | None:
+    @classmethod
+    def of(cls, state: NoiseState) -> Self:
+        """A probe that goes on from a state."""
+        probe = cls(state.rows.shape[1], state.left_s)
+        probe._count = len(state.rows)
+        probe._rows[: probe._count] = state.rows
+        return probe
+
+    def add(self, value: ArrayLike, dt_s: float) -> Array | None:
         """Take a sample, shape (size,), that came ``dt_s`` after the one before.
 
         Returns:
@@ -94,97 +134,43 @@ class NoiseProbe:
         return white_noise(self.rows)
 
     @property
-    def rows(self) -> NDArray[np.float64]:
+    def rows(self) -> Array:
         """Samples so far, shape (m, size): not to be written."""
         return self._rows[: self._count]
 
     @property
     def state(self) -> NoiseState:
         """All that the probe remembers, as copies."""
-        return NoiseState(self._rows[: self._count].copy(), self._left_s)
-
-    def restore(self, state: NoiseState) -> None:
-        """Go on from a `state` taken earlier."""
-        self._count, self._left_s = len(state.rows), state.left_s
-        self._rows[: self._count] = state.rows
+        return NoiseState(self.rows.copy(), self._left_s)
 
 
-LEAST_S, LEAST_REPEATS = 0.02, 8
-"""No shorter repeat counts as a stuck source, whatever the signal."""
-FAR_LONGER = 20.0
-"""Times the longest repeat of the first half second."""
-LONGEST_USUAL_S = 0.1
-"""No source of torque is slower than ten samples a second."""
-LONGEST_REFUSAL_S = 5.0
-"""After this nothing is refused any more, it is only told: should a sound signal fall still after
-all, on an arm at rest, then not for ever."""
-LEAST_ALONE_S = 0.5
-"""No shorter repeat of a single joint is told."""
-LEAST_WHITENESS = 0.5
-"""Ratio of third to second differences: 1.8 for white noise, next to nothing for a smooth motion
-that has none."""
-ROUNDING = 1e-9
-"""No smaller difference counts as one [rad, rad/s, Nm]."""
-LEAST_ROWS = 16
-
-
-def stands_out(rows: NDArray[np.float64]) -> NDArray[np.bool_]:
-    """Which signals have noise that stands out of their resolution.
-
-    Args:
-        rows: Samples, shape (m, size).
-
-    Returns:
-        Shape (size,).
-    """
-    rows = new_rows(rows)
-    if len(rows) < LEAST_ROWS:
-        return np.zeros(rows.shape[1], dtype=bool)
-    # Steps are multiples of the resolution, however fast the arm moves.
-    gaps = np.diff(np.sort(np.diff(rows, axis=0), axis=0), axis=0)
-    resolution = np.where(gaps > ROUNDING, gaps, np.inf).min(axis=0)
-    second, third = (np.median(np.abs(np.diff(rows, n=order, axis=0)), axis=0) for order in (2, 3))
-    # As in `NoiseProbe`. Resolution alone makes less than two thirds of a step of such noise.
-    noise = third / (0.6745 * np.sqrt(20.0))
-    return (third > LEAST_WHITENESS * second) & (noise >= resolution)
-
-
-class RepeatState(NamedTuple):
-    """All that a `StuckSignalDetector` remembers.
-
-    Attributes:
-        usual_s: Longest repeat while learning [s].
-        repeat_s: For how long all signals have repeated now [s].
-        repeats: For how many accepted samples.
-        tells: Whether a repeat tells anything of these signals.
-    """
-
-    usual_s: float = 0.0
-    repeat_s: float = 0.0
-    repeats: int = 0
-    tells: bool = False
-
-
+@dataclass(slots=True)
 class StuckSignalDetector:
-    """Watches signals that come from one source and would get stuck together."""
+    """Watches signals that come from one source and would get stuck together; all it remembers."""
 
-    def __init__(self) -> None:
-        self.restore(RepeatState())
+    usual_s: float = 0.0  # Longest repeat while learning [s]
+    repeat_s: float = 0.0  # For how long all signals have repeated now [s]
+    repeats: int = 0  # For how many accepted samples
+    is_telling: bool = False  # Whether a repeat means anything in these signals
+
+    @property
+    def _limit_s(self) -> float:
+        return max(LEAST_S, FAR_LONGER * self.usual_s)
 
     def is_stuck(self, dt_s: float) -> bool:
-        """Whether a sample that repeats in all signals is to be refused.
+        """Whether a sample that repeats in all signals is to be rejected.
 
         Args:
             dt_s: Time since the last accepted sample [s].
         """
-        if not self._tells or self.repeats < LEAST_REPEATS:
+        if not self.is_telling or self.repeats < LEAST_REPEATS:
             return False
         return self._limit_s <= self.repeat_s + dt_s < self._limit_s + LONGEST_REFUSAL_S
 
     @property
     def seems_stuck(self) -> bool:
         """Whether samples are accepted although the source seems to be stuck."""
-        return self._tells and self.repeats > 0 and self.repeat_s > self._limit_s
+        return self.is_telling and self.repeats > 0 and self.repeat_s > self._limit_s
 
     def accept(self, is_repeat: bool, dt_s: float, *, learning: bool) -> None:
         """A sample was accepted that came a time [s] after the one before."""
@@ -193,64 +179,28 @@ class StuckSignalDetector:
         if learning:
             self.usual_s = min(max(self.usual_s, self.repeat_s), LONGEST_USUAL_S)
 
-    def learn(self, tells: bool) -> None:
-        """Learning has ended: does a repeat of these signals tell anything?"""
-        self._tells = tells
-        self._limit_s = max(LEAST_S, FAR_LONGER * self.usual_s)
 
-    @property
-    def state(self) -> RepeatState:
-        """All that is remembered."""
-        return RepeatState(self.usual_s, self.repeat_s, self.repeats, self._tells)
+@dataclass(slots=True, eq=False)
+class SingleSignalDetector:
+    """Checks now and then whether one signal repeats while the others go on; all it remembers."""
 
-    def restore(self, state: RepeatState) -> None:
-        """Go on from a `state` taken earlier."""
-        self.usual_s, self.repeat_s, self.repeats, tells = state
-        self.learn(tells)
+    values: Array  # At the last check, shape (n,)
+    still_s: Array  # For how long each has been the same at every check [s], shape (n,)
+    # For how long at least it is reported, infinite for a signal whose repeats mean nothing [s],
+    # shape (n,)
+    limit_s: Array
 
+    @classmethod
+    def of_size(cls, size: int) -> Self:
+        """Nothing seen yet of so many signals."""
+        return cls(np.zeros(size), np.zeros(size), np.full(size, np.inf))
 
-class AloneState(NamedTuple):
-    """All that an `AloneWatch` remembers.
+    def learn(self, is_telling: NDArray[np.bool_], usual_s: float) -> None:
+        """Learning has ended: of which signals, shape (size,), does a repeat mean anything?"""
+        self.limit_s = np.where(is_telling, max(LEAST_ALONE_S, FAR_LONGER * usual_s), np.inf)
 
-    Attributes:
-        values: Of the last look, shape (n,).
-        still_s: For how long each has been the same at every look [s], shape (n,).
-        limit_s: For how long at least it is told, infinite for a signal of which a repeat tells
-            nothing [s], shape (n,).
-    """
-
-    values: NDArray[np.float64]
-    still_s: NDArray[np.float64]
-    limit_s: NDArray[np.float64]
-
-
-class AloneWatch:
-    """Looks now and then whether one signal repeats while the others go on.
-
-    Args:
-        size: Number of signals.
-    """
-
-    def __init__(self, size: int) -> None:
-        self.restore(AloneState(np.zeros(size), np.zeros(size), np.full(size, np.inf)))
-
-    def learn(self, tells: NDArray[np.bool_], usual_s: float) -> None:
-        """Learning has ended: of which signals, shape (size,), does a repeat tell anything?"""
-        self._limit_s = np.where(tells, max(LEAST_ALONE_S, FAR_LONGER * usual_s), np.inf)
-
-    def look(self, values: NDArray[np.float64], dt_s: float) -> None:
-        """Look at the signals, shape (size,), a time [s] after the last look."""
-        self._still_s = np.where(values == self._values, self._still_s + dt_s, 0.0)
-        self._values = values
-        self.stuck = [int(i) for i in np.flatnonzero(self._still_s >= self._limit_s)]
-
-    @property
-    def state(self) -> AloneState:
-        """All that is remembered."""
-        return AloneState(self._values, self._still_s, self._limit_s)
-
-    def restore(self, state: AloneState) -> None:
-        """Go on from a `state` taken earlier."""
-        self._values, self._still_s, self._limit_s = state
-        self.stuck = [int(i) for i in np.flatnonzero(self._still_s >= self._limit_s)]
-        """Indices of signals that seem to be stuck."""
+    def check(self, values: Array, dt_s: float) -> list[int]:
+        """Indices of signals, shape (size,), that seem stuck a time [s] after the last check."""
+        self.still_s = np.where(values == self.values, self.still_s + dt_s, 0.0)
+        self.values = values
+        return [int(i) for i in np.flatnonzero(self.still_s >= self.limit_s)]

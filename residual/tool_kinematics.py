@@ -5,9 +5,12 @@ import pinocchio as pin
 from numpy.typing import ArrayLike, NDArray
 
 from residual.errors import ConfigurationError
+from residual.input_validation import vector_of_three
 from urdf import Robot
 
 _LOCAL = pin.ReferenceFrame.LOCAL
+MOST_OFFSET_M = 10.0
+"""No tool is longer."""
 
 
 class ToolKinematics:
@@ -17,16 +20,17 @@ class ToolKinematics:
         robot: The arm.
         frame: Name of the frame; the robot's tool frame when None.
         insertion_axis: Insertion direction in the frame's axes, normalised here.
+        offset_m: Where the needle's tip is in that frame: pose and Jacobian are the tip's.
 
     Attributes:
         jacobian: Of the latest `update`, in the frame's own axes, shape (6, n).
-        advance: Its row along the insertion axis [m]: advance · dq is the speed of the needle,
-            and minus advance the joint torque per newton of resistance, shape (n,).
+        axial_jacobian: Its row along the insertion axis [m]: times dq it is the speed of the
+            needle, and minus it the joint torque per newton of resistance, shape (n,).
         axis_in_base: Insertion direction in base axes, shape (3,).
-        pose: Of the frame in the base, homogeneous, shape (4, 4).
+        pose: Of the tip in the base, homogeneous, shape (4, 4).
 
     Raises:
-        ConfigurationError: For a zero axis.
+        ConfigurationError: For a zero axis, or an offset that is none.
         urdf.UrdfError: For an unknown frame.
     """
 
@@ -35,6 +39,7 @@ class ToolKinematics:
         robot: Robot,
         frame: str | None = None,
         insertion_axis: ArrayLike = (0.0, 0.0, 1.0),
+        offset_m: ArrayLike = (0.0, 0.0, 0.0),
     ) -> None:
         self._model, self._data = robot.model, robot.create_data()
         self._frame_id = robot.frame_id(frame if frame is not None else robot.tool_frame)
@@ -42,8 +47,14 @@ class ToolKinematics:
         # One row of the Jacobian is the row along the axis, where the axis is one of the frame's.
         aligned = np.flatnonzero(self.axis_in_tool == 1.0)
         self._row = int(aligned[0]) if len(aligned) else None
+        offset_m = check_offset(offset_m)
+        self._tip = None
+        if offset_m.any():
+            at = robot.model.frames[self._frame_id]
+            self._joint_id = at.parentJoint
+            self._tip = at.placement * pin.SE3(np.eye(3), offset_m)
         self.jacobian = np.zeros((6, robot.nv))
-        self.advance = np.zeros(robot.nv)
+        self.axial_jacobian = np.zeros(robot.nv)
         self.axis_in_base = self.axis_in_tool
         self.pose = np.eye(4)
 
@@ -54,19 +65,25 @@ class ToolKinematics:
             q: Joint positions.
             computed: Workspace in which joint placements and Jacobians of q stand already.
         """
-        data = self._data
+        model, data, frame, row = self._model, self._data, self._frame_id, self._row
         if computed is None:
-            pin.computeJointJacobians(self._model, data, q)
+            pin.computeJointJacobians(model, data, q)
         else:
             data = computed
-        model, frame, row = self._model, self._frame_id, self._row
-        self.jacobian = jacobian = pin.getFrameJacobian(model, data, frame, _LOCAL)
-        self.pose = pose = pin.updateFramePlacement(model, data, frame).homogeneous
+        if self._tip is None:
+            jacobian = pin.getFrameJacobian(model, data, frame, _LOCAL)
+            pose = pin.updateFramePlacement(model, data, frame).homogeneous
+        else:
+            jacobian = pin.getFrameJacobian(model, data, self._joint_id, self._tip, _LOCAL)
+            pose = (data.oMi[self._joint_id] * self._tip).homogeneous
+        if jacobian.ndim == 1:  # of a single joint it comes as a vector
+            jacobian = jacobian[:, None]
+        self.jacobian, self.pose = jacobian, pose
         if row is None:
-            self.advance = self.axis_in_tool.dot(jacobian[:3])
+            self.axial_jacobian = self.axis_in_tool.dot(jacobian[:3])
             self.axis_in_base = pose[:3, :3].dot(self.axis_in_tool)
         else:
-            self.advance = jacobian[row].copy()
+            self.axial_jacobian = jacobian[row].copy()
             self.axis_in_base = pose[:3, row]
 
     @property
@@ -76,7 +93,7 @@ class ToolKinematics:
 
     @property
     def place_in_base_m(self) -> NDArray[np.float64]:
-        """Where the frame's origin is, shape (3,)."""
+        """Where the tip is, shape (3,)."""
         return self.pose[:3, 3]
 
 
@@ -86,13 +103,22 @@ def unit_axis(axis: ArrayLike) -> NDArray[np.float64]:
     Raises:
         ConfigurationError: If it is not three finite numbers, or all of them are zero.
     """
-    try:
-        given = np.zeros(0) if np.iscomplexobj(axis) else np.asarray(axis, dtype=np.float64)
-    except (TypeError, ValueError, OverflowError):
-        given = np.zeros(0)
-    if given.shape != (3,) or not np.isfinite(given).all() or not given.any():
-        raise ConfigurationError(
-            f"insertion_axis is {axis!r}, expected three numbers, not all zero"
-        )
+    given = vector_of_three("insertion_axis", axis)
+    if not given.any():
+        raise ConfigurationError(f"insertion_axis is {axis!r}: they must not all be zero")
     given = given / np.abs(given).max()
     return given / np.linalg.norm(given)
+
+
+def check_offset(offset_m: ArrayLike) -> NDArray[np.float64]:
+    """Refuse a tip offset [m] that is not three numbers, or longer than any tool.
+
+    Raises:
+        ConfigurationError: With what came.
+    """
+    given = vector_of_three("tool_offset_m", offset_m)
+    if np.abs(given).max() > MOST_OFFSET_M:
+        raise ConfigurationError(
+            f"tool_offset_m is {offset_m!r}, beyond {MOST_OFFSET_M:g} m: is it in millimetres?"
+        )
+    return given

@@ -1,34 +1,65 @@
 """The virtual force/torque sensor: the few calls that a controller makes."""
 
 import math
-from collections.abc import Callable
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from residual.bias_estimator import BiasEstimator
+from residual.bias_estimator import BiasEstimator, BiasState
 from residual.bias_model import Tare
 from residual.config import DEFAULT, SensorConfig
-from residual.consistency_checks import ConsistencyMonitor, SlowState
-from residual.errors import SampleError, SnapshotError, SuspectSampleError
+from residual.consistency_checks import ConsistencyMonitor, MonitorState
+from residual.errors import SampleError, SnapshotError, SuspectSampleError, TareError
 from residual.estimate import (
     INITIALIZING,
     NOT_TARED,
     OTHER_KIND,
+    SensorWarning,
     Status,
     WrenchEstimate,
+    long_step,
     unknown_wrench,
-    with_warnings,
 )
-from residual.external_torque import TorqueSample
 from residual.input_validation import SampleClock
-from residual.sample_stream import ExternalTorqueStream, JointStream
-from residual.snapshot import SensorState, check_belongs, check_form, robot_digest, settings_text
+from residual.sample_stream import (
+    ExternalTorqueStream,
+    JointStream,
+    SampleStream,
+    StreamState,
+    TorqueSample,
+)
+from residual.snapshot import copied, robot_digest, settings_text, try_out
 from residual.tool_kinematics import ToolKinematics
-from residual.wrench_estimator import COMPONENTS, WrenchEstimator
+from residual.wrench_estimator import COMPONENTS, AxialWeights, WrenchEstimator
 from urdf import Robot
 
-# What a lag may hide: a force that changes is known less well than one that rests.
+_OK = Status.OK  # names of an enumeration take as long to find as a call
+_new = tuple.__new__  # makes a named tuple in half the time: there is one in every tick
+
+
+class SensorState(NamedTuple):
+    """All that a `VirtualForceSensor` remembers."""
+
+    robot: str  # `robot_digest` of its robot
+    config: str  # Its settings in words; they must be the same to go on
+    # Of the stream of joint signals; None before the first sample of one
+    joints: StreamState | None
+    # Of the stream of external torques; None before the first sample of one
+    external_torque: StreamState | None
+    lag_s: float  # Of the stream that the last sample came by [s]
+    offset: BiasState  # Of the offset removal
+    # Of the residual's error, as last renewed [Nm^2], shape (n, n)
+    torque_covariance: NDArray[np.float64]
+    weights: AxialWeights  # Of the wrench, as last renewed
+    monitor: MonitorState  # Of the consistency checks
+    # Force followed for the uncertainty that the lag adds [N]; None before one
+    followed_N: float | None
+    unchecked_s: float  # Time since the last consistency check [s]
+    velocity: NDArray[np.float64]  # Joint velocity of the last sample [rad/s], shape (n,)
+    last: WrenchEstimate | None  # Last estimate; None before the first
+    missed_s: float  # Time of samples rejected since then [s]
+    rejected: int  # Number of bad samples so far
 
 
 class LagUncertainty:
@@ -38,11 +69,11 @@ class LagUncertainty:
     estimate has missed. Only what stands out of the noise counts as a change.
     """
 
-    def __init__(self) -> None:
-        self.restart()
+    followed_N: float | None = None
+    """The force followed; None before the first."""
 
     def widen(self, axial_N: float, std_N: float, lag_s: float, dt_s: float) -> float:
-        """Standard deviation of an axial force with the doubt added [N].
+        """Standard deviation of an axial force with that of its change added [N].
 
         Args:
             axial_N: The force.
@@ -50,85 +81,14 @@ class LagUncertainty:
             lag_s: By how much it follows the true one; 0 for not at all.
             dt_s: Time since the force before.
         """
-        if self._slow_N is None or lag_s <= 0.0:
-            self._slow_N = axial_N
+        if self.followed_N is None or lag_s <= 0.0:
+            self.followed_N = axial_N
             return std_N
-        behind = axial_N - self._slow_N
-        self._slow_N += behind * -math.expm1(-dt_s / lag_s)
+        behind = axial_N - self.followed_N
+        self.followed_N += behind * -math.expm1(-dt_s / lag_s)
         variance = std_N * std_N
         hidden = behind * behind - 4.0 * variance
         return math.sqrt(variance + hidden) if hidden > 0.0 else std_N
-
-    def restart(self) -> None:
-        """Forget the force followed: the next one is a first one."""
-        self._slow_N: float | None = None
-
-    @property
-    def state(self) -> float | None:
-        """The force followed [N]; None before the first."""
-        return self._slow_N
-
-    def restore(self, state: float | None) -> None:
-        """Go on from a `state` taken earlier."""
-        self._slow_N = state
-
-
-# Tries a state out on a sensor that nobody uses, before one that somebody uses takes it.
-
-
-TRIED_S = 0.03
-"""Time step of a trial: long enough that everything which changes slowly is renewed."""
-TRIED = 3
-
-
-def try_out(
-    twin: "VirtualForceSensor", take: Callable[[SensorState], None], state: SensorState
-) -> None:
-    """Make a damaged state fail now and not in a later update.
-
-    Args:
-        twin: A new sensor of the same robot and settings.
-        take: Makes the twin go on from a state.
-        state: What is to be restored.
-
-    Raises:
-        SnapshotError: If the state is damaged.
-    """
-    try:
-        if state.joints is not None and state.external_torque is not None:
-            raise SnapshotError("it is of two streams")
-        still = np.zeros_like(twin.velocity_rad_s)
-        _run(twin, state, still, still, still)
-        check_form(state, twin.snapshot())
-        take(state)
-        torque = still if state.offset.smooth_torque is None else state.offset.smooth_torque
-        _run(twin, state, state.offset.q, state.velocity, torque)
-    except Exception as error:  # whatever a damaged state makes of its parts
-        raise SnapshotError(f"the snapshot is damaged: {error}") from error
-
-
-def _run(
-    twin: "VirtualForceSensor",
-    state: SensorState,
-    q: NDArray[np.float64],
-    dq: NDArray[np.float64],
-    torque: NDArray[np.float64],
-) -> None:
-    """A few samples of the kind that the state is of."""
-    for _ in range(TRIED):
-        if state.joints is not None:
-            given = state.joints.torque.velocity is None
-            found = twin.update(q, dq if given else None, torque, TRIED_S)
-        elif state.external_torque is not None:
-            given = state.external_torque.velocity is None
-            found = twin.update_external_torque(q, torque, TRIED_S, dq if given else None)
-        else:
-            return
-        if not np.isfinite((found.axial, found.axial_std, found.model_mismatch)).all():
-            raise SnapshotError("its estimates are not finite")
-
-
-_new = tuple.__new__  # makes a named tuple in half the time: there is one in every tick
 
 
 class VirtualForceSensor:
@@ -138,8 +98,9 @@ class VirtualForceSensor:
     environment exerts on the tool at its frame, in base axes by default: a weight hung there reads
     as a force down, tissue that pushes back reads as a positive axial force.
 
-    A bad sample (wrong shape, not finite, time not advancing) is not absorbed: the last sound
-    estimate comes back with status ``REJECTED`` and the reason.
+    A bad sample (wrong shape, not finite, time not advancing) is not used: the last valid estimate
+    comes back with status ``REJECTED`` and the reason. `copy.deepcopy` and `pickle` give a sensor
+    that goes on bit for bit.
 
     Args:
         robot: The arm with its payload.
@@ -151,7 +112,11 @@ class VirtualForceSensor:
         self._digest = robot_digest(robot)
         JointStream(robot, config, has_velocity=True)  # refuses what does not fit the robot now
         self._offset = BiasEstimator(robot, config)
-        where = {"frame": config.frame, "insertion_axis": config.insertion_axis}
+        where = {
+            "frame": config.frame,
+            "insertion_axis": config.insertion_axis,
+            "tool_offset_m": config.tool_offset_m,
+        }
         self._wrench = WrenchEstimator(
             robot,
             config.mode,
@@ -161,13 +126,13 @@ class VirtualForceSensor:
             **where,
         )
         self._contact = WrenchEstimator(robot, **where)
-        self._slow, self._doubt = ConsistencyMonitor(robot, self._wrench), LagUncertainty()
+        self._monitor = ConsistencyMonitor(robot, self._wrench)
         self.reset()
 
     @property
     def tared(self) -> bool:
         """Whether the offset has been removed."""
-        return self._offset.tared
+        return self._offset.memory.tared
 
     @property
     def lag_s(self) -> float:
@@ -179,17 +144,17 @@ class VirtualForceSensor:
 
     @property
     def elapsed_s(self) -> float:
-        """Time between the last two samples that were absorbed [s]; 0 for the first."""
+        """Time between the last two samples that were used [s]; 0 for the first."""
         return self._elapsed_s
 
     @property
     def skipped(self) -> int:
         """Bad samples since the last `reset`."""
-        return self._skipped
+        return self._rejected
 
     @property
     def kinematics(self) -> ToolKinematics:
-        """Pose and Jacobian of the tool at the last sample that was absorbed."""
+        """Pose and Jacobian of the tool at the last sample that was used."""
         return self._wrench.kinematics
 
     @property
@@ -198,8 +163,8 @@ class VirtualForceSensor:
         return self._velocity
 
     def recheck(self, last: WrenchEstimate) -> WrenchEstimate:
-        """The last estimate, its `SensorWarning.MODEL_MISMATCH` raised if this sample misfits."""
-        return self._slow.recheck(last)
+        """The last estimate, with `SensorWarning.MODEL_MISMATCH` if this sample does not fit."""
+        return self._monitor.recheck(last)
 
     def update(
         self, q: ArrayLike, dq: ArrayLike | None, tau: ArrayLike, dt_s: float
@@ -213,28 +178,28 @@ class VirtualForceSensor:
             dt_s: Time since the previous call [s]; not read on the first one.
 
         Returns:
-            The wrench with its uncertainty and status. A bad sample is told there, not raised.
+            The wrench with its uncertainty and status. A bad sample is reported there, not raised.
         """
         return self._absorb(JointStream, q, dq, tau, dt_s)
 
     def update_external_torque(
-        self, q: ArrayLike, external_torque: ArrayLike, dt_s: float, dq: ArrayLike | None = None
+        self, q: ArrayLike, dq: ArrayLike | None, external_torque: ArrayLike, dt_s: float
     ) -> WrenchEstimate:
         """Take one sample of an external-torque estimate that the robot supplies itself.
 
         Args:
             q: Joint positions [rad], shape (n,).
-            external_torque: Torque of the environment on the joints [Nm], shape (n,).
-            dt_s: Time since the previous call [s].
             dq: Joint velocities [rad/s], shape (n,); None, always, to have them estimated from
                 positions, which are then as late as they are. Forces do not depend on them.
+            external_torque: Torque of the environment on the joints [Nm], shape (n,).
+            dt_s: Time since the previous call [s].
 
         Returns:
             As `update`.
         """
         return self._absorb(ExternalTorqueStream, q, dq, external_torque, dt_s)
 
-    def tare(self, *, force: bool = False) -> Tare:
+    def tare(self, *, ignore_contact: bool = False) -> Tare:
         """Fit the offset to the free motion seen since the start or `start_tare_recording`.
 
         Call it while the arm rests or from outside the control loop: it takes a few tenths of a
@@ -242,20 +207,31 @@ class VirtualForceSensor:
         what the prior lets the model be wrong by (tens of newtons on an LWR).
 
         Args:
-            force: Take it even where contact is seen, or velocities that do not fit positions.
+            ignore_contact: Take it even where contact is seen, or torques or velocities that
+                cannot be.
 
         Returns:
             The fitted tare.
 
         Raises:
             TareError: Without data, a second time without `start_tare_recording`, with contact in
-                sight or velocities that do not fit positions; nothing has then changed.
+                sight, with torques that look like a wrong sign, order, payload or treatment of
+                gravity, or velocities that do not fit positions; nothing has then changed.
         """
-        self._slow.check_velocity(force=force)
-        tare = self._offset.tare(self._contact, force=force)
+        if not ignore_contact:
+            self._monitor.check_velocity()
+        external = isinstance(self._stream, ExternalTorqueStream)
+        try:
+            tare = self._offset.tare(
+                self._contact, ignore_contact=ignore_contact, is_external=external
+            )
+        except TareError as error:
+            # What may be the cause of it.
+            hint = long_step(self._elapsed_s, self._config.max_gap_s)
+            raise TareError("; ".join(filter(None, (str(error), hint)))) from None
         self._wrench.set_torque_covariance(self._offset.covariance_Nm2())
         self._wrench.weigh()
-        self._doubt.restart()
+        self._lag_uncertainty = LagUncertainty()
         return tare
 
     def start_tare_recording(self) -> None:
@@ -264,39 +240,46 @@ class VirtualForceSensor:
         The next sample may be of the other kind of torque: everything then starts anew.
         """
         self._offset.start_tare_recording()
-        self._slow.forget_velocity()
+        self._monitor.forget_velocity()
 
     def reset(self) -> None:
         """Forget everything, the tare included."""
-        self._stream: JointStream | ExternalTorqueStream | None = None
-        self._lag_s = self._elapsed_s = self._looked_s = 0.0
-        self._offset.reset()
-        self._slow.restore(SlowState())
-        self._doubt.restart()
+        self._stream: SampleStream | None = None
+        self._lag_s = self._elapsed_s = 0.0
+        self._restart()
         self._velocity = np.zeros(self._robot.nv)
         self._last: WrenchEstimate | None = None
         self._clock = SampleClock(self._config.max_gap_s)
-        self._skipped = 0
+        self._rejected = 0
+
+    def _restart(self) -> None:
+        """Forget what a stream of samples has left behind."""
+        self._offset.reset()
+        self._monitor.restore(MonitorState())
+        self._lag_uncertainty = LagUncertainty()
+        self._unchecked_s = 0.0
 
     def snapshot(self) -> SensorState:
-        """All that the sensor remembers; immutable. `insertion.write_snapshot` stores it."""
+        """All that the sensor remembers; immutable. `needleforce.write_snapshot` stores it."""
         stream = self._stream
-        return SensorState(
-            robot=self._digest,
-            config=settings_text(self._config, self._robot.nv),
-            joints=stream.state if isinstance(stream, JointStream) else None,
-            external_torque=stream.state if isinstance(stream, ExternalTorqueStream) else None,
-            lag_s=self._lag_s,
-            offset=self._offset.state,
-            torque_covariance=self._wrench.torque_covariance,
-            weights=self._wrench.weights,
-            slow=self._slow.state,
-            doubt=self._doubt.state,
-            looked_s=self._looked_s,
-            velocity=self._velocity,
-            last=self._last,
-            missed_s=self._clock.missed_s,
-            skipped=self._skipped,
+        return copied(
+            SensorState(
+                robot=self._digest,
+                config=settings_text(self._config, self._robot.nv),
+                joints=stream.state if isinstance(stream, JointStream) else None,
+                external_torque=stream.state if isinstance(stream, ExternalTorqueStream) else None,
+                lag_s=self._lag_s,
+                offset=self._offset.state,
+                torque_covariance=self._wrench.torque_covariance,
+                weights=self._wrench.weights,
+                monitor=self._monitor.state,
+                followed_N=self._lag_uncertainty.followed_N,
+                unchecked_s=self._unchecked_s,
+                velocity=self._velocity,
+                last=self._last,
+                missed_s=self._clock.missed_s,
+                rejected=self._rejected,
+            )
         )
 
     def restore(self, state: SensorState) -> None:
@@ -306,41 +289,55 @@ class VirtualForceSensor:
             SnapshotError: Not a snapshot of such a sensor, a damaged one, or one of another robot
                 or other settings; nothing has then changed.
         """
-        check_belongs(state, self._digest, settings_text(self._config, self._robot.nv))
-        twin = type(self)(self._robot, self._config)
-        try_out(twin, twin._take, state)
-        self._take(state)
+        if not isinstance(state, SensorState):
+            raise SnapshotError(f"expected a SensorState, got {type(state).__name__}")
+        if state.robot != self._digest:
+            raise SnapshotError(
+                "the snapshot is of another robot (joints, links, payload, frames or limits "
+                "differ); restore it with the robot it was taken with"
+            )
+        config = settings_text(self._config, self._robot.nv)
+        if state.config != config:
+            raise SnapshotError(
+                f"the snapshot is of other settings: {state.config}, this sensor has {config}"
+            )
+        try_out(type(self)(self._robot, self._config), state)
+        self._take(copied(state))
 
     def _take(self, state: SensorState) -> None:
         self.reset()
-        if state.joints is not None:
-            given = state.joints.torque.velocity is None
-            self._stream = JointStream(self._robot, self._config, has_velocity=given)
-            self._stream.restore(state.joints)
-        if state.external_torque is not None:
-            given = state.external_torque.velocity is None
-            self._stream = ExternalTorqueStream(self._robot, self._config, has_velocity=given)
-            self._stream.restore(state.external_torque)
+        for kind, kept in (
+            (JointStream, state.joints),
+            (ExternalTorqueStream, state.external_torque),
+        ):
+            if kept is not None:
+                has_velocity = kept.velocity is None
+                self._stream = kind(self._robot, self._config, has_velocity=has_velocity)
+                self._stream.restore(kept)
         self._offset.restore(state.offset)
         self._wrench.set_torque_covariance(state.torque_covariance)
         self._wrench.restore(state.weights)
-        self._slow.restore(state.slow)
-        self._doubt.restore(state.doubt)
-        self._lag_s, self._looked_s, self._velocity = state.lag_s, state.looked_s, state.velocity
-        self._last, self._skipped = state.last, state.skipped
+        self._monitor.restore(state.monitor)
+        self._lag_uncertainty.followed_N = state.followed_N
+        self._lag_s, self._velocity = state.lag_s, state.velocity
+        self._unchecked_s = state.unchecked_s
+        self._last, self._rejected = state.last, state.rejected
         self._clock.missed_s = state.missed_s
         if state.last is not None:
-            self.kinematics.update(self._offset.q)
+            for value in state.last:
+                if isinstance(value, np.ndarray):  # it may be handed out again
+                    value.setflags(write=False)
+            self.kinematics.update(self._offset.memory.q)
 
     def _absorb(
         self,
-        kind: type[JointStream] | type[ExternalTorqueStream],
+        kind: type[SampleStream],
         q: ArrayLike,
         dq: ArrayLike | None,
         torque: ArrayLike,
         dt_s: float,
     ) -> WrenchEstimate:
-        """One sample of either kind, or why it was not absorbed."""
+        """One sample of either kind, or why it was rejected."""
         stream = self._stream
         try:
             if stream is None or type(stream) is not kind:
@@ -350,50 +347,67 @@ class VirtualForceSensor:
             elapsed_s = 0.0 if self._last is None else self._clock.elapsed(dt_s)
             sample = stream.update(q, dq, torque, elapsed_s)
         except SampleError as error:
-            return self._skip(dt_s, error)
+            return self._reject(dt_s, error)
         if stream is not self._stream:
             self._stream = stream
-            self._offset.reset()
-            self._slow.restore(SlowState())
-            self._doubt.restart()
+            self._restart()
         return self._finish(sample, stream, elapsed_s)
 
     def _finish(
-        self, sample: TorqueSample, stream: JointStream | ExternalTorqueStream, elapsed_s: float
+        self, sample: TorqueSample, stream: SampleStream, elapsed_s: float
     ) -> WrenchEstimate:
         """Remove the offset, project, and say what the caller should know."""
         q, self._velocity, tau, residual, settled, data = sample
         self._clock.missed_s = 0.0
         self._elapsed_s, self._lag_s = elapsed_s, stream.lag_s
-        offset, wrench, slow = self._offset, self._wrench, self._slow
-        renewed, tared = offset.follow(q, tau, elapsed_s), offset.tared
+        offset, wrench, monitor = self._offset, self._wrench, self._monitor
+        renewed, bias = offset.follow(q, tau, elapsed_s), offset.memory
+        tared = bias.tared
         if settled and not tared:
             offset.record(residual, elapsed_s)
         wrench.kinematics.update(q, data)
         if renewed:
             wrench.set_torque_covariance(offset.covariance_Nm2())
             wrench.weigh()
-        numbers = wrench.solve(residual, offset.offset_Nm)
-        self._looked_s += elapsed_s
+        axial, std, force, torque, covariance, conditioning, damped, corrected = wrench.solve(
+            residual, bias.bias
+        )
+        self._unchecked_s += elapsed_s
         if renewed:
             dq = self._velocity if stream.has_velocity else None
-            slow.look(q, dq, numbers[-1], self._looked_s, tared=tared)
-            self._looked_s = 0.0
-        std = self._doubt.widen(numbers[0], numbers[1], stream.lag_s, elapsed_s)
-        status, message, warnings = Status.OK, slow.message, slow.warnings
-        if stream.warning or offset.warning:
-            warnings, message = with_warnings(warnings, message, stream.warning, offset.warning)
-        if not settled:
-            status, message = Status.INITIALIZING, INITIALIZING
-        elif not tared:
-            status, message = Status.NOT_TARED, slow.velocity_fault or offset.warning or NOT_TARED
-        told = (status, message, slow.model_mismatch, warnings)
-        self._last = last = _new(WrenchEstimate, (numbers[0], std, *numbers[2:], *told))
+            monitor.check(q, dq, corrected, self._unchecked_s, tared=tared)
+            self._unchecked_s = 0.0
+        std = self._lag_uncertainty.widen(axial, std, stream.lag_s, elapsed_s)
+        status, message, warnings = _OK, monitor.message, monitor.warnings
+        if not (settled and tared) or bias.leapt_s or stream.warning:
+            status, message, warnings = self._doubts(stream, settled=settled)
+        found = (axial, std, force, torque, covariance, conditioning, damped, corrected)
+        self._last = last = _new(
+            WrenchEstimate, (*found, status, message, monitor.mismatch, warnings)
+        )
         return last
 
-    def _skip(self, dt_s: float, error: SampleError) -> WrenchEstimate:
-        """The last sound estimate again; the time of a bad sample still passes."""
-        self._skipped += 1
+    def _doubts(self, stream: SampleStream, *, settled: bool) -> tuple[Status, str, SensorWarning]:
+        """Status, message and warnings of a sample that is not simply a good one."""
+        offset, monitor = self._offset, self._monitor
+        warnings = monitor.warnings
+        if stream.warning:
+            warnings |= SensorWarning.FROZEN
+        if offset.warning:
+            warnings |= SensorWarning.TARE_EXPIRED
+        if not settled:
+            gap = long_step(self._elapsed_s, self._config.max_gap_s)
+            return Status.INITIALIZING, gap or INITIALIZING, warnings
+        if not offset.memory.tared:
+            reason = monitor.velocity_fault or offset.warning or NOT_TARED
+            limit = monitor.limit
+            return Status.NOT_TARED, "; ".join(filter(None, (reason, limit))), warnings
+        message = "; ".join(filter(None, (stream.warning, offset.warning, monitor.message)))
+        return Status.OK, message, warnings
+
+    def _reject(self, dt_s: float, error: SampleError) -> WrenchEstimate:
+        """The last valid estimate again; the time of a bad sample still passes."""
+        self._rejected += 1
         last = self._last
         if last is None:
             last = unknown_wrench(self._robot.nv, COMPONENTS[self._config.mode])
@@ -401,5 +415,5 @@ class VirtualForceSensor:
             self._clock.miss(dt_s)
         warnings = last.warnings
         if isinstance(error, SuspectSampleError):
-            warnings |= error.caution
+            warnings |= error.warning
         return last._replace(status=Status.REJECTED, message=str(error), warnings=warnings)

@@ -1,7 +1,7 @@
 """From external joint torque to the wrench at a named frame: equation (13) and better."""
 
 import math
-from typing import Literal, NamedTuple
+from typing import Any, Literal, NamedTuple
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -9,24 +9,35 @@ from numpy.typing import ArrayLike, NDArray
 from needleforce.jit import StridedVector, Vector, WrittenVector, compiled
 from residual.errors import ConfigurationError, SampleError
 from residual.estimate import MOST_CONDITIONING, UNSEEN_STD, WrenchEstimate
-from residual.input_validation import check_choice, check_joint_vector
+from residual.input_validation import check_choice, check_joint_vector, check_positive
 from residual.tool_kinematics import ToolKinematics
 from urdf import Robot
 
-# Equation (13), weighted, for a force along the needle: one unknown, every tick.
+Array = NDArray[np.float64]
+Mode = Literal["axial", "point", "full"]
+"""What is assumed of the contact: a force along the needle axis, a force at the frame's origin,
+or a force and a torque."""
+Axes = Literal["base", "tool"]
+Weighting = Literal["covariance", "none"]
+COMPONENTS = {"axial": 1, "point": 3, "full": 6}
+"""Unknowns of every mode."""
+EXPECTED_TORQUE_NM = 10.0
+"""Of the full mode: as `WrenchEstimator`'s ``expected_force_N``."""
+_NOTHING = np.zeros(3)
+_NOTHING.setflags(write=False)
 
 
 class AxialWeights(NamedTuple):
-    """How the axial mode weighs the joints, until it is told to weigh them anew.
+    """How the axial mode weighs the joints, until `WrenchEstimator.weigh` weighs them anew.
 
     Attributes:
         weighted: W a, a the torque per newton; shape (n,).
         variance_N2: Of the axial force.
-        damping_share: Share of it that damping removes.
+        damping_share: Fraction of it that damping removes.
         conditioning: See `WrenchEstimate`.
     """
 
-    weighted: NDArray[np.float64]
+    weighted: Array
     variance_N2: float
     damping_share: float
     conditioning: float
@@ -37,7 +48,7 @@ def axial_force(
     residual: Vector,
     offset: Vector,
     weighted: Vector,
-    advance: Vector,
+    axial_jacobian: Vector,
     axis: StridedVector,
     damping: float,
     corrected: WrittenVector,
@@ -49,7 +60,7 @@ def axial_force(
         residual: External joint torque with its offset [Nm], shape (n,).
         offset: What it reads without contact [Nm], shape (n,).
         weighted: See `AxialWeights`.
-        advance: See `residual.tool_kinematics.ToolKinematics`.
+        axial_jacobian: See `residual.tool_kinematics.ToolKinematics`.
         axis: Insertion direction, shape (3,).
         damping: Inverse variance of the force that is expected at most [1/N^2].
         corrected: Where the residual less its offset is written [Nm], shape (n,).
@@ -58,14 +69,11 @@ def axial_force(
     Returns:
         Resistance to insertion [N]; 0 where nothing is seen.
     """
-    information = float(weighted.dot(advance)) + damping
+    information = float(weighted.dot(axial_jacobian)) + damping
     corrected[:] = residual - offset
     along = float(weighted.dot(corrected)) / information if information > 0.0 else 0.0
     force[:] = axis * along
     return -along
-
-
-# Equation (13), weighted: a wrench from joint torques, with its covariance (pure functions).
 
 
 class WeightedSolution(NamedTuple):
@@ -75,29 +83,29 @@ class WeightedSolution(NamedTuple):
         value: x, shape (k,).
         covariance: Of x, shape (k, k); `UNSEEN_STD` squared on the diagonal where x cannot be seen.
         conditioning: Ratio of the largest to the smallest standard deviation over directions.
-        damping_share: Share of each true component that damping removes, shape (k,).
+        damping_share: Fraction of each true component that damping removes, shape (k,).
     """
 
-    value: NDArray[np.float64]
-    covariance: NDArray[np.float64]
+    value: Array
+    covariance: Array
     conditioning: float
-    damping_share: NDArray[np.float64]
+    damping_share: Array
 
 
 def weighted_inverse(
-    jacobian: NDArray[np.float64],
-    torque: NDArray[np.float64],
-    error_covariance: NDArray[np.float64],
+    jacobian: Array,
+    torque: Array,
+    error_covariance: Array,
     *,
-    precision: NDArray[np.float64] | None = None,
-    damping: NDArray[np.float64] | None = None,
+    precision: Array | None = None,
+    damping: Array | None = None,
 ) -> WeightedSolution:
     """Solve ``torque = J' x + error`` by weighted least squares; the paper's (13) generalised.
 
     ``x = (J W J' + D)^-1 J W torque``. With W the inverse covariance of the error this is the best
     linear estimate; W = 1 and D = 0 give the pseudo-inverse (J')# of equation (13). D is the
     inverse variance of what x is expected to be: it matters only where the joints cannot see x,
-    there it draws the answer to zero, and the share that it removes is reported.
+    there it draws the answer to zero, and the fraction that it removes is reported.
 
     Args:
         jacobian: J, shape (k, n), rows are directions of x.
@@ -107,7 +115,7 @@ def weighted_inverse(
         damping: Diagonal of D, shape (k,); None for none.
 
     Returns:
-        The solution with its covariance, conditioning and damping share.
+        The solution with its covariance, conditioning and damping.
     """
     weighted = jacobian if precision is None else jacobian.dot(precision)
     information = weighted.dot(jacobian.T)
@@ -131,22 +139,6 @@ def weighted_inverse(
     )
 
 
-Array = NDArray[np.float64]
-Mode = Literal["axial", "point", "full"]
-"""What is assumed of the contact: a force along the needle axis, a force at the frame's origin,
-or a force and a torque."""
-Axes = Literal["base", "tool"]
-Weighting = Literal["covariance", "none"]
-
-WrenchNumbers = tuple[float, float, Array, Array, Array, float, Array, Array]
-"""The first eight fields of a `WrenchEstimate`."""
-
-COMPONENTS = {"axial": 1, "point": 3, "full": 6}
-"""Unknowns of every mode."""
-_NOTHING = np.zeros(3)
-_NOTHING.setflags(write=False)
-
-
 class WrenchEstimator:
     """Wrench of the environment on the tool, by covariance-weighted least squares.
 
@@ -160,11 +152,11 @@ class WrenchEstimator:
         frame: Name of the frame; the robot's tool frame when None.
         axes: Axes in which force and torque are expressed.
         insertion_axis: Insertion direction in the frame's axes, normalised here.
+        tool_offset_m: Where the tip, at which the wrench acts, is in the frame [m].
         weighting: ``covariance``, by the inverse covariance of the torque; ``none``, the plain
             pseudo-inverse of equation (13), which has no damping either.
         expected_force_N: Size of force beyond which an estimate is drawn to zero where the joints
             cannot see it (damping near singular poses); None for no damping.
-        expected_torque_Nm: The same of torque, in the full mode.
 
     Raises:
         ConfigurationError: For an unknown mode or axes, or a zero axis.
@@ -179,18 +171,19 @@ class WrenchEstimator:
         frame: str | None = None,
         axes: Axes = "base",
         insertion_axis: ArrayLike = (0.0, 0.0, 1.0),
+        tool_offset_m: ArrayLike = (0.0, 0.0, 0.0),
         weighting: Weighting = "covariance",
         expected_force_N: float | None = 100.0,
-        expected_torque_Nm: float = 10.0,
     ) -> None:
         check_choice("mode", mode, tuple(COMPONENTS))
         check_choice("weighting", weighting, ("covariance", "none"))
         check_choice("axes", axes, ("base", "tool"))
-        self.kinematics = ToolKinematics(robot, frame, insertion_axis)
+        self.kinematics = ToolKinematics(robot, frame, insertion_axis, tool_offset_m)
         self._mode: Mode = mode
         self._in_base = axes == "base"
         self._joints = robot.nv
-        self._damping = _damping(mode, expected_force_N, expected_torque_Nm)
+        check_expected("expected_force_N", expected_force_N)
+        self._damping = _damping(mode, expected_force_N)
         if weighting == "none":
             self._damping[:] = 0.0
         self._axial_damping = float(self._damping[0])
@@ -198,8 +191,8 @@ class WrenchEstimator:
         self._covariance = self._inverse = self._precision = np.eye(robot.nv)
         self.restore(AxialWeights(np.zeros(robot.nv), UNSEEN_STD**2, 0.0, MOST_CONDITIONING))
 
-    def set_torque_covariance(self, covariance_Nm2: NDArray[np.float64]) -> None:
-        """Tell how far the residual may be trusted: it sets weights and standard deviations.
+    def set_torque_covariance(self, covariance_Nm2: Array) -> None:
+        """Set how far the residual may be trusted: it sets weights and standard deviations.
 
         Args:
             covariance_Nm2: Of the residual's error [Nm^2], shape (n, n), positive definite.
@@ -225,11 +218,11 @@ class WrenchEstimator:
             self._precision = self._inverse
 
     @property
-    def torque_covariance(self) -> NDArray[np.float64]:
-        """What `set_torque_covariance` was told last, or 1 [Nm^2], shape (n, n), a copy."""
+    def torque_covariance(self) -> Array:
+        """What `set_torque_covariance` was given last, or 1 [Nm^2], shape (n, n), a copy."""
         return self._covariance.copy()
 
-    def estimate(self, q: NDArray[np.float64], residual: NDArray[np.float64]) -> WrenchEstimate:
+    def estimate(self, q: Array, residual: Array) -> WrenchEstimate:
         """Wrench at a configuration [rad] from the external joint torque [Nm], both shape (n,).
 
         Raises:
@@ -250,16 +243,16 @@ class WrenchEstimator:
         """
         if self._mode != "axial":
             return
-        advance = self.kinematics.advance
-        weighted = self._precision.dot(advance) if self._weighted else advance.copy()
-        information = float(weighted.dot(advance))
+        axial_jacobian = self.kinematics.axial_jacobian
+        weighted = self._precision.dot(axial_jacobian) if self._weighted else axial_jacobian.copy()
+        information = float(weighted.dot(axial_jacobian))
         damping = self._axial_damping
         total = information + damping
         noise = information if self._weighted else float(weighted @ self._covariance @ weighted)
         variance = (noise + damping) / total**2 if total > 0.0 else UNSEEN_STD**2
-        share = damping / total if total > 0.0 else 0.0
+        removed = damping / total if total > 0.0 else 0.0
         sees = information > 0.0
-        self.restore(AxialWeights(weighted, variance, share, 1.0 if sees else MOST_CONDITIONING))
+        self.restore(AxialWeights(weighted, variance, removed, 1.0 if sees else MOST_CONDITIONING))
 
     @property
     def weights(self) -> AxialWeights:
@@ -272,9 +265,9 @@ class WrenchEstimator:
         self._std = math.sqrt(weights.variance_N2)
         numbers = np.array((weights.variance_N2, weights.damping_share))
         numbers.setflags(write=False)
-        self._spread, self._share = numbers[:1, None], numbers[1:]
+        self._spread, self._removed = numbers[:1, None], numbers[1:]
 
-    def solve(self, residual: Array, offset: Array) -> WrenchNumbers:
+    def solve(self, residual: Array, offset: Array) -> tuple[Any, ...]:
         """Wrench where `kinematics` stands, from an external joint torque.
 
         Args:
@@ -296,7 +289,7 @@ class WrenchEstimator:
             residual,
             offset,
             weights.weighted,
-            kinematics.advance,
+            kinematics.axial_jacobian,
             axis,
             self._axial_damping,
             corrected,
@@ -307,10 +300,10 @@ class WrenchEstimator:
         # By name it takes thrice as long, in every tick.
         force.setflags(False)  # pyright: ignore[reportCallIssue]
         corrected.setflags(False)  # pyright: ignore[reportCallIssue]
-        spread, share = self._spread, self._share
-        return axial, self._std, force, _NOTHING, spread, weights.conditioning, share, corrected
+        spread, removed = self._spread, self._removed
+        return axial, self._std, force, _NOTHING, spread, weights.conditioning, removed, corrected
 
-    def _general(self, residual: NDArray[np.float64]) -> WrenchNumbers:
+    def _general(self, residual: Array) -> tuple[Any, ...]:
         """Three or six unknowns."""
         axis = self.kinematics.axis_in_tool
         size = COMPONENTS[self._mode]
@@ -348,11 +341,11 @@ class WrenchEstimator:
         newton), at the last configuration.
         """
         if self._mode == "axial":
-            return math.sqrt(self.kinematics.advance.dot(self.kinematics.advance))
+            return math.sqrt(self.kinematics.axial_jacobian.dot(self.kinematics.axial_jacobian))
         rows = self.kinematics.jacobian[: COMPONENTS[self._mode]]
         return float(np.linalg.svd(rows, compute_uv=False)[-1])
 
-    def misfit_squared(self, residual: NDArray[np.float64]) -> float:
+    def mismatch_squared(self, residual: Array) -> float:
         """Mean square of the joint torque [Nm] that no wrench of the mode explains.
 
         In units of its covariance, at the last configuration: about 1 when the model holds, 0 where
@@ -363,7 +356,7 @@ class WrenchEstimator:
         """
         rows = self.kinematics.jacobian[: COMPONENTS[self._mode]]
         if self._mode == "axial":
-            rows = self.kinematics.advance[None]
+            rows = self.kinematics.axial_jacobian[None]
         spare = rows.shape[1] - len(rows)
         if spare <= 0:
             return 0.0
@@ -379,24 +372,27 @@ def _least(matrix: Array, right: Array) -> Array:
     return np.asarray(np.linalg.lstsq(matrix, right, rcond=1e-12)[0], dtype=np.float64)
 
 
-def _std_along(axis: NDArray[np.float64], covariance: NDArray[np.float64]) -> float:
-    """Standard deviation along an axis; that of the unseen if the axis has a share in it."""
+def _std_along(axis: Array, covariance: Array) -> float:
+    """Standard deviation along an axis; that of the unseen if the axis has a component there."""
     if (np.diag(covariance) >= UNSEEN_STD**2).any():
         return UNSEEN_STD
     return float(np.sqrt(axis.dot(covariance).dot(axis)))
 
 
-def _damping(
-    mode: Mode, expected_force_N: float | None, expected_torque_Nm: float
-) -> NDArray[np.float64]:
+def _damping(mode: Mode, expected_force_N: float | None) -> Array:
     """Diagonal of the damping: inverse variance of the wrench that is expected at most."""
     size = COMPONENTS[mode]
     if expected_force_N is None:
         return np.zeros(size)
-    if not (expected_force_N > 0 and expected_torque_Nm > 0):
-        raise ConfigurationError(
-            f"expected_force_N and expected_torque_Nm are {expected_force_N!r} and "
-            f"{expected_torque_Nm!r}, expected positive numbers (or None for no damping)"
-        )
-    expected = np.array([expected_force_N] * 3 + [expected_torque_Nm] * 3)[:size]
+    expected = np.array([expected_force_N] * 3 + [EXPECTED_TORQUE_NM] * 3)[:size]
     return 1.0 / expected**2
+
+
+def check_expected(name: str, value: float | None) -> None:
+    """Refuse an expected size of force or torque whose inverse square overflows; None is none.
+
+    Raises:
+        ConfigurationError: With the name and what came.
+    """
+    if value is not None:
+        check_positive(name, value, least=1e-6, most=1e9)

@@ -47,6 +47,7 @@ addEventListener("load", () => {
     wide: [...document.querySelectorAll("body *")].filter(item =>
       item.getBoundingClientRect().right > innerWidth + 1 && !item.closest(".scroll, pre")
     ).map(item => item.tagName),
+    hints: [...document.querySelectorAll(".hint")].filter(item => item.offsetHeight).length,
     letters: Math.min(...letters.map(item => parseFloat(getComputedStyle(item).fontSize))),
   };
   parent.postMessage(JSON.stringify(found), "*");

@@ -1,5 +1,6 @@
 """A short simulated insertion on the clean arm, for the tests of sessions."""
 
+from dataclasses import fields, is_dataclass
 from functools import cache
 
 import numpy as np
@@ -37,4 +38,6 @@ def same(one, other):
         return np.array_equal(one, other)
     if isinstance(one, tuple):
         return len(one) == len(other) and all(map(same, one, other))
+    if is_dataclass(one):
+        return all(same(getattr(one, f.name), getattr(other, f.name)) for f in fields(one))
     return one == other or (one != one and other != other)

@@ -4,7 +4,7 @@ import numpy as np
 import pinocchio as pin
 from residual_signals import external_torque_of, swing
 
-from recordings import write_table
+from needleforce.recordings import write_table
 
 CONTACT_S = 2.8
 AXIAL_N = 1.5

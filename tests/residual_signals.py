@@ -16,7 +16,7 @@ def external_torque_of(robot, q, force_at_tip_in_base):
     jacobian = pin.computeFrameJacobian(
         robot.model, data, q, robot.tool_frame_id, pin.LOCAL_WORLD_ALIGNED
     )
-    return jacobian[:3].T @ np.asarray(force_at_tip_in_base)
+    return jacobian.reshape(6, -1)[:3].T @ np.asarray(force_at_tip_in_base)
 
 
 def swing(

@@ -7,33 +7,30 @@ import numpy as np
 import pytest
 from benchmark_rows import make_row
 
+from benchmarks.bound_study import ForceNoiseSeries, bound_cases, case_table
 from benchmarks.bounds import (
-    ForceNoiseSeries,
     INTERVAL_s,
-    LOOK_m,
+    MEASURED_m,
     ONSET_m,
     autocovariance,
-    bound_cases,
     delay_bounds_s,
     evidence_nats,
     friction_bounds,
-    lagging,
     least_delay_s,
     reading_error_N,
     release_course_N,
     whitener,
 )
-from benchmarks.commands.bound import case_table
-from benchmarks.friction_metrics import bound_metrics
-from benchmarks.signals import NeedleSignal, truth_of_needle
-from benchmarks.tables import bound_table
+from benchmarks.identification_metrics import bound_metrics
+from benchmarks.signals import NeedleSignal, lagging, truth_of_needle
+from benchmarks.tables import TABLES
 from groundtruth import SCENARIOS, Scenario, insert_needle
 from groundtruth.motion import constant_motion
 from identification import MULTILAYER
 
 RNG = np.random.default_rng(3)
 WHITE = 0.01 * RNG.standard_normal(8000)
-WANDERING = lagging(10.0 * WHITE, 1e-3 * np.arange(8000), 0.2)
+DRIFTING = lagging(10.0 * WHITE, 1e-3 * np.arange(8000), 0.2)
 GEL = SCENARIOS["gel-50-constant"].layers[0]
 
 
@@ -79,31 +76,31 @@ def test_an_autocovariance_belongs_to_a_covariance():
     assert found[0] == pytest.approx(np.mean(WHITE**2))
     assert np.abs(found[1:]).max() < 0.1 * found[0]
     assert autocovariance(np.ones(10), 12)[-2:].tolist() == [0.0, 0.0]
-    factor = whitener(autocovariance(WANDERING, 200))
+    factor = whitener(autocovariance(DRIFTING, 200))
     assert np.all(np.diag(factor) > 0.0)
-    assert (factor @ factor.T)[0, 5] == pytest.approx(autocovariance(WANDERING, 6)[5])
+    assert (factor @ factor.T)[0, 5] == pytest.approx(autocovariance(DRIFTING, 6)[5])
 
 
 def test_white_noise_of_twice_the_size_doubles_the_bound_of_friction(truth):
-    # Small noise: what is drawn tells nothing more then.
+    # Small noise: what is drawn adds nothing then.
     one, two = (friction_bounds(truth, k * WHITE, is_white=True) for k in (0.01, 0.02))
     assert two == pytest.approx([2.0 * value for value in one], rel=0.02)
 
 
 def test_the_bound_of_a_level_is_that_of_a_mean(truth):
     """Without cutting it is where a line meets the rupture, 2 s / sqrt(n); a bend costs more."""
-    first = friction_bounds(truth, WHITE, is_white=True, cutting_share=0.0)[0]
+    first = friction_bounds(truth, WHITE, is_white=True, cutting_fraction=0.0)[0]
     samples = 2.7e-3 / 4e-3 / 1e-3
     level = 2.0 * 0.01 / math.sqrt(samples) / truth.ruptures[0].layer_friction_N
     assert level < first < 2.0 * level
 
 
-def test_friction_is_harder_to_know_with_colour_cutting_and_a_long_release(truth):
-    plain = friction_bounds(truth, WANDERING, is_white=True)[1]
-    assert friction_bounds(truth, WANDERING, is_white=False)[1] > 2.0 * plain
-    assert friction_bounds(truth, WANDERING, is_white=True, cutting_share=0.0)[1] < plain
+def test_friction_is_harder_to_know_with_drift_cutting_and_a_long_release(truth):
+    plain = friction_bounds(truth, DRIFTING, is_white=True)[1]
+    assert friction_bounds(truth, DRIFTING, is_white=False)[1] > 2.0 * plain
+    assert friction_bounds(truth, DRIFTING, is_white=True, cutting_fraction=0.0)[1] < plain
     longer = truth_of_needle(stack(release_m=1e-3))
-    assert friction_bounds(longer, WANDERING, is_white=True)[1] > plain
+    assert friction_bounds(longer, DRIFTING, is_white=True)[1] > plain
 
 
 def test_evidence_of_a_step_in_white_noise_grows_evenly():
@@ -135,7 +132,7 @@ def test_noise_and_lag_delay_the_earliest_alarm(truth):
     assert quiet[0] < late[0]
 
 
-def test_a_run_tells_its_bounds_and_one_without_ruptures_tells_none(truth):
+def test_a_run_has_bounds_and_one_without_ruptures_has_none(truth):
     values = bound_metrics(signal(truth, WHITE), truth, 0.01)
     assert set(values) == {
         "friction_bound_pct",
@@ -152,18 +149,17 @@ def test_bounds_stand_beside_what_was_reached():
         make_row(metric="friction_error_mean_pct", value=3.75),
         make_row(metric="rupture_delay_ms", value=5.5, method="published"),
     ]
-    table = bound_table(rows)
-    assert table is not None
-    assert [next(iter(column.cells)) for column in table.columns[4:6]] == ["1.25", "3.75"]
-    assert list(table.columns[-1].cells) == ["5.5"]
-    assert bound_table(rows[1:]) is None
+    (line,) = TABLES["bounds"](rows).lines
+    assert line[4:6] == ("1.25", "3.75")
+    assert line[-1] == "5.5"
+    assert TABLES["bounds"](rows[1:]).lines == ()
 
 
 def test_the_command_has_a_line_for_every_change():
     noises = [ForceNoiseSeries("white", WHITE, is_white=True, lag_s=0.0)]
     cases = list(bound_cases(noises))
     table = case_table(cases, noises)
-    heads = list(table.columns[0].cells)
+    heads = [line[0] for line in table.lines]
     assert len(heads) == len(cases) == 13
     assert {"release 0.1 mm", "speed 6 mm/s", "thickness 40 mm", "cutting up to 12 %"} < set(heads)
     by_change = {(case.changed, case.value): case for case in cases}
@@ -172,6 +168,6 @@ def test_the_command_has_a_line_for_every_change():
 
 
 def test_the_bounds_are_of_the_settings_that_ours_has():
-    assert MULTILAYER.second_look_m == LOOK_m
+    assert MULTILAYER.final_window_m == MEASURED_m
     assert MULTILAYER.cutting_onset_m == ONSET_m
     assert MULTILAYER.false_alarm_interval_s == INTERVAL_s

@@ -7,23 +7,22 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
-from benchmarks.friction_metrics import (
-    LayerFriction,
-    friction_metrics,
-    layer_frictions,
-    online_friction_metrics,
-)
-from benchmarks.identification_metrics import CLEAR_m, beyond_last_exit, enhanced_metrics
-from benchmarks.methods import Alarm, alarms_of, first_compensation
-from benchmarks.offline_fit import layer_spans, offline_metrics
-from benchmarks.rupture_metrics import (
+from benchmarks.identification_metrics import (
+    CLEAR_m,
     EARLY_s,
     LATE_s,
+    LayerFriction,
+    beyond_last_exit,
+    enhanced_metrics,
     force_noise_N,
+    friction_metrics,
     is_visible,
+    layer_frictions,
     match,
     rupture_metrics,
 )
+from benchmarks.methods import Alarm, alarms_of, first_compensation
+from benchmarks.offline_fit import layer_spans, offline_metrics
 from benchmarks.signals import InsertionTruth, NeedleSignal
 from groundtruth import Rupture
 
@@ -46,14 +45,14 @@ def rupture(onset_s, layer=1, drop_N=0.5, friction_N=0.4):
     )
 
 
-def alarm(alarm_s, friction_N=None, std_N=None, dated_s=None, online_N=None):
+def alarm(alarm_s, friction_N=None, std_N=None, rupture_s=None, online_N=None):
     layer = online = None
     if friction_N is not None:
         layer = SimpleNamespace(friction_N=friction_N, friction_std_N=std_N)
     if online_N is not None:
         online = SimpleNamespace(friction_N=online_N, friction_std_N=std_N)
     sample = int(np.searchsorted(T, alarm_s))
-    return Alarm(sample, alarm_s, alarm_s if dated_s is None else dated_s, layer, online)
+    return Alarm(sample, alarm_s, alarm_s if rupture_s is None else rupture_s, layer, online)
 
 
 def truth(*ruptures):
@@ -78,7 +77,7 @@ def truth(*ruptures):
 
 def identified(enhanced_N, tip_N, compensated_at=None):
     estimates = [
-        SimpleNamespace(rupture=None, compensated="layer" if k == compensated_at else None)
+        SimpleNamespace(rupture=None, identified_layer="layer" if k == compensated_at else None)
         for k in range(len(enhanced_N))
     ]
     return SimpleNamespace(
@@ -89,7 +88,7 @@ def identified(enhanced_N, tip_N, compensated_at=None):
     )
 
 
-# Who belongs to whom.
+# Matching.
 
 
 @pytest.mark.parametrize("late", [-EARLY_s + 0.01, 0.0, LATE_s - 0.01])
@@ -97,10 +96,21 @@ def test_an_alarm_inside_the_window_belongs_to_the_rupture(late):
     assert len(match([rupture(7.0)], [alarm(7.0 + late)]).found) == 1
 
 
-@pytest.mark.parametrize("late", [-EARLY_s - 0.01, LATE_s + 0.01])
+@pytest.mark.parametrize("late", [-EARLY_s - 0.01, LATE_s + 0.01, 1.6, 5.0])
 def test_an_alarm_outside_is_false_and_the_rupture_missed(late):
     found = match([rupture(7.0)], [alarm(7.0 + late)])
     assert (len(found.found), len(found.missed), len(found.false)) == (0, 1, 1)
+
+
+def test_the_window_of_an_alarm_is_the_documented_one():
+    """In numbers: a window as long as one likes would find every rupture and no false alarm."""
+    assert (EARLY_s, LATE_s) == (0.2, 1.5)
+    values = rupture_metrics(match([rupture(7.0)], [alarm(8.51)]), truth(), 0.01)
+    assert (values["rupture_recall"], values["rupture_precision"]) == (0.0, 0.0)
+    assert "rupture_delay_ms" not in values
+    # Friction that is identified by such an alarm does not count for the layer either.
+    (layer,) = layer_frictions([rupture(7.0)], [alarm(8.51, friction_N=0.4)], 0.01)
+    assert layer.estimated_N == 0.0
 
 
 def test_a_second_alarm_for_one_rupture_is_false_and_the_nearer_one_counts():
@@ -124,7 +134,7 @@ def test_close_ruptures_each_keep_their_alarm():
 
 
 def test_a_perfect_detector_has_its_delay_and_nothing_else():
-    values = rupture_metrics(match([rupture(7.0)], [alarm(7.05, dated_s=7.01)]), truth(), 0.01)
+    values = rupture_metrics(match([rupture(7.0)], [alarm(7.05, rupture_s=7.01)]), truth(), 0.01)
     assert values["rupture_recall"] == values["rupture_precision"] == 1.0
     assert values["rupture_delay_ms"] == pytest.approx(50.0)
     assert values["rupture_dating_error_ms"] == pytest.approx(10.0)
@@ -140,9 +150,11 @@ def test_a_soft_transition_is_reported_apart_and_finding_it_is_no_false_alarm():
     assert (found["rupture_precision"], found["soft_transition_recall"]) == (1.0, 1.0)
 
 
-def test_silence_has_no_recall_and_no_false_alarm():
+def test_silence_has_no_recall_and_an_undefined_precision():
     values = rupture_metrics(match([rupture(7.0)], []), truth(), 0.01)
-    assert values == {"rupture_precision": 1.0, "rupture_recall": 0.0}
+    assert values["rupture_recall"] == 0.0
+    assert math.isnan(values["rupture_precision"])
+    assert len(values) == 2
 
 
 def test_false_alarms_cost_precision():
@@ -177,7 +189,7 @@ def test_the_friction_of_each_layer_is_judged_at_its_own_rupture():
 
 def test_what_was_known_online_is_judged_apart_from_what_is_known_at_the_end():
     one = [alarm(7.1, 0.4, 0.01, online_N=0.5)]
-    values = online_friction_metrics(layer_frictions([rupture(7.0)], one, 0.01, online=True))
+    values = friction_metrics(layer_frictions([rupture(7.0)], one, 0.01, online=True), "_online")
     assert values["friction_error_online_worst_pct"] == pytest.approx(25.0)
     assert values["friction_coverage_online_2sigma"] == 0.0
 
@@ -203,7 +215,7 @@ def test_a_layer_with_a_soft_end_counts_together_with_the_next_found_or_not():
     assert found.error == pytest.approx(0.0)
 
 
-def test_without_stated_doubts_there_is_no_coverage():
+def test_without_stated_deviations_there_is_no_coverage():
     values = friction_metrics([LayerFriction(0.4, 0.4, math.nan)])
     assert "friction_coverage_2sigma" not in values
     assert friction_metrics([]) == {}
@@ -212,7 +224,7 @@ def test_without_stated_doubts_there_is_no_coverage():
 # Forces.
 
 
-def test_a_perfect_enhanced_force_has_no_residue_and_no_error():
+def test_a_perfect_enhanced_force_leaves_no_force_and_no_error():
     true = truth()
     values = enhanced_metrics(identified(true.enhanced_N, true.tip_N, compensated_at=750), true)
     assert values == pytest.approx(
@@ -234,7 +246,7 @@ def test_errors_before_the_first_compensation_and_after_the_insertion_do_not_cou
     assert enhanced_metrics(found, true)["enhanced_rmse_N"] == pytest.approx(0.0, abs=1e-12)
 
 
-def test_the_residue_is_taken_clear_of_the_release_and_only_while_the_needle_advances():
+def test_the_remaining_force_is_taken_clear_of_the_release_and_only_while_the_needle_advances():
     true = truth()
     times = T[beyond_last_exit(true)]
     assert times[0] == pytest.approx(7.1 + CLEAR_m / SPEED, abs=0.03)
@@ -288,17 +300,19 @@ def test_a_layer_the_tip_stays_in_ends_at_the_deepest_point():
 # Alarms on the run's clock.
 
 
-def test_an_alarm_is_dated_on_the_runs_clock_by_what_is_known_last():
+def test_a_rupture_has_its_best_estimated_time_on_the_runs_clock():
     event = SimpleNamespace(alarm_s=0.03, time_s=0.03)
     better = SimpleNamespace(alarm_s=0.03, time_s=0.01)
     layer = SimpleNamespace(rupture=better)
     estimates = [
-        SimpleNamespace(rupture=event if k == 2 else None, compensated=layer if k == 4 else None)
+        SimpleNamespace(
+            rupture=event if k == 2 else None, identified_layer=layer if k == 4 else None
+        )
         for k in range(6)
     ]
     result = SimpleNamespace(estimates=estimates, layers=(layer,))
     (found,) = alarms_of(result, 5.0 + 0.01 * np.arange(6))
     assert (found.sample, found.layer) == (2, layer)
     assert found.alarm_s == pytest.approx(5.02)
-    assert found.dated_s == pytest.approx(5.0)
+    assert found.rupture_s == pytest.approx(5.0)
     assert first_compensation(result) == 4

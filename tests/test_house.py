@@ -1,4 +1,4 @@
-"""The rules of the house: size, names, public faces, docstrings, nothing private."""
+"""The rules of the project: size, names, public names, docstrings, nothing private."""
 
 import ast
 import re
@@ -10,14 +10,13 @@ from pathlib import Path
 import pytest
 
 ROOT = Path(__file__).resolve().parents[1]
-ESTIMATORS = ("residual", "identification", "insertion")
-INSTALLED = (*ESTIMATORS, "figures", "groundtruth", "recordings", "urdf")
-ROOMS = (*INSTALLED, "benchmarks")
-FOLDERS = (*ROOMS, "speedup")
+LIBRARIES = ("urdf", "residual", "identification", "groundtruth")
+INSTALLED = (*LIBRARIES, "needleforce")
+PACKAGES = (*INSTALLED, "benchmarks")
 PROJECT = tomllib.loads((ROOT / "pyproject.toml").read_text(encoding="utf-8"))
-MOST_LINES = 300
+MOST_LINES = 450
 MOST_CODE_LINES = 40
-MOST_PUBLIC_NAMES = 20
+MOST_PUBLIC_NAMES = 26
 VAGUE_NAMES = {"utils.py", "util.py", "common.py", "helpers.py", "misc.py"}
 
 
@@ -36,7 +35,7 @@ def project_files():
     """Files under version control; in a copy without it, what lies in the project's folders."""
     paths = [ROOT / name for name in listed_by_git()]
     if not paths:
-        folders = (*FOLDERS, ".ci", "tests", "docs", "examples")
+        folders = (*PACKAGES, ".ci", "tests", "docs", "examples")
         paths = [path for folder in folders for path in (ROOT / folder).rglob("*")]
         paths += [path for path in ROOT.glob("*.*") if not path.name.startswith(".")]
     return [path for path in paths if path.is_file() and "__pycache__" not in path.parts]
@@ -60,7 +59,7 @@ def syntax(path):
 
 
 SOURCES = [path for path in project_files() if path.suffix == ".py"]
-ROOM_SOURCES = [path for path in SOURCES if path.relative_to(ROOT).parts[0] in FOLDERS]
+PACKAGE_SOURCES = [path for path in SOURCES if path.relative_to(ROOT).parts[0] in PACKAGES]
 TESTS = [path for path in SOURCES if path.parent == ROOT / "tests"]
 
 
@@ -106,9 +105,9 @@ def test_no_function_or_class_has_the_name_of_a_module_beside_it():
     assert found == {}
 
 
-@pytest.mark.parametrize("room", ROOMS)
-def test_the_public_face_is_sorted_small_and_resolves(room):
-    package = import_module(room)
+@pytest.mark.parametrize("package_name", PACKAGES)
+def test_the_public_face_is_sorted_small_and_resolves(package_name):
+    package = import_module(package_name)
     assert package.__doc__
     names = getattr(package, "__all__", [])
     # Constants first, then classes, then functions, as the formatter sorts them.
@@ -119,18 +118,18 @@ def test_the_public_face_is_sorted_small_and_resolves(room):
 
 INNER = sorted(
     path.parent.relative_to(ROOT).as_posix()
-    for path in ROOM_SOURCES
+    for path in PACKAGE_SOURCES
     if path.name == "__init__.py" and path.parent.parent != ROOT and path.parent.name != "data"
 )
 
 
-@pytest.mark.parametrize("folder", [*ROOMS, *INNER])
+@pytest.mark.parametrize("folder", [*PACKAGES, *INNER])
 def test_the_docstring_of_a_folder_says_with_which_files_to_begin(folder):
     package = import_module(folder.replace("/", "."))
     _, order, listed = package.__doc__.partition("Reading order: ")
     assert order
     names = [name for name in re.findall(r"`(\w+)`", listed) if name.islower()]
-    names = [name for name in names if name not in ROOMS]
+    names = [name for name in names if name not in PACKAGES]
     assert len(names) > 1
     places = {name: ROOT / folder / name for name in names}
     assert [
@@ -140,10 +139,10 @@ def test_the_docstring_of_a_folder_says_with_which_files_to_begin(folder):
     ] == []
 
 
-@pytest.mark.parametrize("room", INSTALLED)
-def test_an_installed_package_has_a_public_face_types_and_one_base_error(room):
-    package = import_module(room)
-    module = import_module(f"{room}.errors")
+@pytest.mark.parametrize("package_name", LIBRARIES)
+def test_a_library_has_a_public_face_types_and_one_base_error(package_name):
+    package = import_module(package_name)
+    module = import_module(f"{package_name}.errors")
     own = [
         value
         for value in vars(module).values()
@@ -153,7 +152,7 @@ def test_an_installed_package_has_a_public_face_types_and_one_base_error(room):
     assert len(bases) == 1
     assert all(issubclass(error, bases[0]) for error in own)
     assert bases[0].__name__ in package.__all__
-    assert (ROOT / room / "py.typed").is_file()
+    assert (ROOT / package_name / "py.typed").is_file()
 
 
 def undocumented(tree):
@@ -172,10 +171,12 @@ def undocumented(tree):
 
 def test_everything_public_is_documented():
     missing = {
-        name_of(path): names for path in ROOM_SOURCES if (names := list(undocumented(syntax(path))))
+        name_of(path): names
+        for path in PACKAGE_SOURCES
+        if (names := list(undocumented(syntax(path))))
     }
     assert missing == {}
-    assert [name_of(path) for path in ROOM_SOURCES if not ast.get_docstring(syntax(path))] == []
+    assert [name_of(path) for path in PACKAGE_SOURCES if not ast.get_docstring(syntax(path))] == []
 
 
 # Written so that these lines do not match themselves.
@@ -229,7 +230,7 @@ def test_every_test_asserts_something(path):
 def test_the_project_file_lists_every_package_on_disk():
     on_disk = {
         ".".join(path.parent.relative_to(ROOT).parts)
-        for path in ROOM_SOURCES
+        for path in PACKAGE_SOURCES
         if path.name == "__init__.py" and "benchmarks" not in path.parts
     }
     assert set(PROJECT["tool"]["setuptools"]["packages"]) == on_disk

@@ -1,10 +1,14 @@
-"""Every online equation of the paper, one by one."""
+"""Every online equation of the paper, one by one, the rupture states and the re-run by windows."""
+
+from itertools import product
 
 import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from identification.estimate import RuptureState as S
+from identification.estimate import next_rupture_state
 from identification.published_identifier import (
     RlsState,
     cusum_constants,
@@ -14,13 +18,19 @@ from identification.published_identifier import (
     reset_covariance,
     reweighted_friction_variance,
 )
-from identification.published_update import add_sample, cusum_step, derivative_step, rls_step
-from identification.rls_windows import (
-    WindowHistory,
+from identification.published_update import (
+    NO_WINDOWS,
     WindowSums,
+    add_neighbours,
+    add_sample,
     append_window,
+    cusum_step,
+    derivative_step,
     less_viscous_force,
-    rerun_history,
+    less_viscous_windows,
+    rerun_windows,
+    rls_step,
+    window_step,
 )
 
 number = st.floats(-2.0, 2.0)
@@ -115,7 +125,7 @@ def test_rerun_from_sums_equals_the_rerun_over_samples(seed, length, window, rat
     force = 30.0 * depth + 8000.0 * depth * speed + 0.01 * rng.standard_normal(length)
     variances = (1e6, 1e6 * ratio / 2.3e-3**2)
     state = (0.0, 0.0, variances[0], 0.0, variances[1])
-    sums, history = tuple(WindowSums()), WindowHistory()
+    sums, history = tuple(WindowSums()), NO_WINDOWS
     for k in range(length):
         if k and k % window == 0:
             state = tuple(reset_covariance(RlsState(*state), *variances))
@@ -126,7 +136,7 @@ def test_rerun_from_sums_equals_the_rerun_over_samples(seed, length, window, rat
         sums = add_sample(sums, phi, force[k], speed[k])
     history = append_window(history, WindowSums(*sums), 4096)
     scale = np.abs(state[:2]) + np.sqrt(variances) * 1e-6
-    gap = np.abs(np.array(rerun_history(history, variances)) - state[:2])
+    gap = np.abs(np.array(rerun_windows(history, variances, (0.0, 0.0))) - state[:2])
     assert np.all(gap < 1e-6 * scale)
 
 
@@ -137,3 +147,93 @@ def test_sums_follow_a_later_friction():
         late = add_sample(late, (x, y), f, v)
         early = add_sample(early, (x, y), f - 100.0 * v, v)
     assert less_viscous_force(WindowSums(*late), 100.0) == pytest.approx(early)
+
+
+def test_the_published_path_goes_through_all_states():
+    assert next_rupture_state(S.NO_RUPTURE, is_expected=True) is S.EXPECTED
+    assert next_rupture_state(S.EXPECTED, is_alarm=True, is_expected=True) is S.DETECTED
+    assert next_rupture_state(S.DETECTED) is S.FORCE_DROP_MEASURING
+    assert next_rupture_state(S.FORCE_DROP_MEASURING) is S.FORCE_DROP_MEASURING
+    assert next_rupture_state(S.FORCE_DROP_MEASURING, is_measured=True) is S.FRICTION_IDENTIFIED
+    assert next_rupture_state(S.FRICTION_IDENTIFIED) is S.NO_RUPTURE
+
+
+def test_alarm_alone_is_enough_and_expectation_may_pass():
+    assert next_rupture_state(S.NO_RUPTURE, is_alarm=True) is S.DETECTED
+    assert next_rupture_state(S.EXPECTED) is S.NO_RUPTURE
+
+
+def test_no_alarm_interrupts_a_measurement():
+    for alarm, expected in product((False, True), repeat=2):
+        flags = {"is_alarm": alarm, "is_expected": expected}
+        assert next_rupture_state(S.FORCE_DROP_MEASURING, **flags) is S.FORCE_DROP_MEASURING
+        assert (
+            next_rupture_state(S.FRICTION_IDENTIFIED, is_settled=False, **flags)
+            is S.FRICTION_IDENTIFIED
+        )
+
+
+def windows(count, *, noise=1e-4):
+    """Windows of a needle at nearly constant speed: columns are nearly collinear."""
+    rng = np.random.default_rng(count)
+    found = []
+    for k in range(count):
+        sums = tuple(WindowSums())
+        for j in range(25):
+            depth = 2.3e-6 * (25 * k + j + 1)
+            speed = 2.3e-3 + noise * rng.standard_normal()
+            force = 60.0 * depth + 9000.0 * depth * speed + 0.01 * rng.standard_normal()
+            sums = add_sample(sums, (depth, depth * speed), force, speed)
+        found.append(WindowSums(*sums))
+    return tuple(found)
+
+
+def history_of(found, most=4096):
+    history = NO_WINDOWS
+    for sums in found:
+        history = append_window(history, sums, most)
+    return history
+
+
+@pytest.mark.parametrize("count", [0, 1, 5, 64, 400, 1001])
+@pytest.mark.parametrize("friction_variance", [1e6, 1e10, 1e2])
+def test_the_rerun_is_that_of_window_by_window(count, friction_variance):
+    found = windows(count)
+    variances = (1e6, friction_variance)
+    ours = rerun_windows(history_of(found), variances, (1.0, 2.0))
+    theta = (1.0, 2.0)
+    for sums in found:
+        theta = window_step(theta, sums, variances)
+    assert ours == pytest.approx(theta, rel=1e-6)
+
+
+def test_friction_is_taken_out_of_every_window():
+    found = windows(130)
+    expected = np.array([less_viscous_force(sums, 3.0) for sums in found])
+    np.testing.assert_allclose(less_viscous_windows(history_of(found), 3.0), expected)
+    assert len(less_viscous_windows(NO_WINDOWS, 3.0)) == 0
+
+
+def test_memory_is_bounded_by_adding_neighbours():
+    found = windows(144)
+    history = history_of(found, most=128)
+    pairs = np.array(found).reshape(72, 2, 7)
+    np.testing.assert_allclose(history, pairs.sum(axis=1))
+    for sums in found:
+        history = append_window(history, sums, 128)
+    assert len(history) <= 128 + 16
+
+
+@pytest.mark.parametrize("count", [0, 1, 5, 6])
+def test_adding_neighbours_keeps_their_sum(count):
+    rows = np.outer(np.arange(count), np.ones(7))
+    halved = add_neighbours(rows)
+    assert len(halved) == -(-count // 2)
+    np.testing.assert_array_equal(halved.sum(axis=0), rows.sum(axis=0))
+
+
+def test_an_older_history_stays_what_it_was():
+    older = history_of(windows(100))
+    before = older.copy()
+    append_window(older, windows(1)[0], 4096)
+    np.testing.assert_array_equal(older, before)

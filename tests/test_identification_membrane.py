@@ -7,8 +7,8 @@ from groundtruth import ForceNoise, Layer, Scenario, insert_needle
 from groundtruth.layers import Membrane, ShaftFriction
 from groundtruth.motion import constant_motion
 from identification import Identifier
-from identification.layer_belief import Gaussian, carried_friction, look_back
-from identification.membrane import find_membrane
+from identification.layer_model import Gaussian, carried_friction, smoothed_layer
+from identification.membrane import STARTS, best_membrane, fit_membranes, scale_layer
 from identification.resampling import MOST_ROWS, NO_ROWS, add_layer_row, merge_rows
 
 LENGTH_M = 30e-3
@@ -23,6 +23,11 @@ def rows_of(force_of_depth, noise_N=0.0, seed=0, speed=None):
     speeds = np.full_like(depth, SPEED_M_S) if speed is None else speed(depth)
     ones = np.ones_like(depth)
     return np.column_stack([depth, speeds, force, ones, 16.0 * ones, ROW_M * ones])
+
+
+def find_membrane(rows, start_m, rupture_m):
+    layer = scale_layer(rows, start_m, rupture_m)
+    return None if layer is None else best_membrane(layer, fit_membranes(layer, STARTS))
 
 
 def pushed_in(start_m, puncture_N, hardening, slope_N_per_m):
@@ -95,7 +100,7 @@ def test_hindsight_equals_all_data_at_once():
         prior.values + gain * (value - row @ prior.values),
         prior.covariance - np.outer(gain, row @ prior.covariance),
     )
-    smoothed = look_back(belief, thickness_m, later)
+    smoothed = smoothed_layer(belief, thickness_m, later)
     carry = np.zeros((2, 6))
     carry[0, 0], carry[0, 4], carry[1, 1], carry[1, 5] = 1.0, 12.0, 1.0, 12.0
     direct = row @ carry
@@ -139,7 +144,7 @@ def test_the_next_rupture_tells_what_the_membrane_hid():
         estimate = identifier.update(
             float(needle.depth_m[k]), float(needle.speed_m_s[k]), float(needle.force_N[k]), 1e-3
         )
-        told += [estimate.compensated] if estimate.compensated else []
+        told += [estimate.identified_layer] if estimate.identified_layer else []
     truth = [rupture.layer_friction_N for rupture in needle.truth.ruptures]
     now = identifier.layers
     assert [layer.friction_N for layer in now] == pytest.approx(truth, rel=0.15)

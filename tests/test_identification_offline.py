@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from identification.errors import InvalidConfigError, InvalidLogError
-from identification.interaction_model import LayerSpan, kv_force, ml_force, regression_matrix
+from identification.interaction_model import LayerSpan, regression_matrix
 from identification.offline import identify_offline
 
 THICKNESS_M = 0.03
@@ -92,9 +92,12 @@ def test_multilayer_model_explains_a_plateau_the_kelvin_voigt_model_cannot():
     assert ml.rmse_N < 0.1 * kv.rmse_N
 
 
-def test_models_equal_their_equations():
-    assert kv_force(2.0, 3.0, 0.5, 0.1) == pytest.approx(2.0 * 0.5 + 3.0 * 0.1)
-    assert ml_force(2.0, 3.0, 7.0, 0.5, 0.1) == pytest.approx(2 * 0.5 + 3 * 0.5 * 0.1 + 7 * 0.1)
+@pytest.mark.parametrize(("model", "columns"), [("kv", (0.5, 0.1)), ("ml", (0.5, 0.5 * 0.1))])
+def test_a_row_inside_a_layer_is_that_of_its_equation(model, columns):
+    """K z + B v, equation (2); K dz + B dz v, equation (3)."""
+    span = LayerSpan(start_s=-1.0, start_depth_m=0.0, thickness_m=1.0, rupture_s=9.0)
+    row = regression_matrix(np.zeros(1), np.array([0.5]), np.array([0.1]), [span], model)
+    assert row[0] == pytest.approx(columns)
 
 
 def test_friction_column_shrinks_again_on_the_way_out():

@@ -10,10 +10,10 @@ from scipy.ndimage import uniform_filter1d
 
 from groundtruth import insert_needle
 from identification import Identifier, replay
-from identification.log_replay import HEAD_ROWS, DerivedSpeed, ReplayStream, SignWatch, sign_hints
-from needleforce.cli import identify as command
-from recordings import write_table
-from recordings.clock.row_clock import RowClock
+from identification.log_replay import HEAD_ROWS, DerivedSpeed, ReplayStream, SignCheck
+from needleforce.cli import main
+from needleforce.recordings import write_table
+from needleforce.recordings.table import RowClock
 
 
 @pytest.fixture(scope="module")
@@ -36,7 +36,8 @@ def test_with_recorded_speed_it_is_a_loop_over_update(columns):
     identifier = Identifier()
     usual = float(np.median(np.diff(t_s[:HEAD_ROWS])))
     dt_s = np.concatenate(([usual], np.diff(t_s))).tolist()
-    rows = zip(depth_m.tolist(), speed_m_s.tolist(), force_N.tolist(), dt_s, strict=True)
+    columns = (depth_m.tolist(), speed_m_s.tolist(), force_N.tolist(), dt_s, t_s.tolist())
+    rows = zip(*columns, strict=True)
     assert list(result.estimates) == [identifier.update(*row) for row in rows]
     assert result.layers == identifier.layers
 
@@ -93,18 +94,20 @@ def test_the_shortest_recordings_have_a_speed(rows):
 @given(st.integers(1, 900), st.sampled_from([1.0, -1.0]), st.sampled_from([1.0, -1.0]))
 def test_hints_do_not_depend_on_how_rows_come(columns, cut, sign, speed_sign):
     _, depth_m, force_N, speed_m_s = columns
-    whole = sign_hints(sign * depth_m, speed_sign * speed_m_s, force_N)
-    watch = SignWatch()
-    for part in (slice(0, cut), slice(cut, None)):
-        watch.update(sign * depth_m[part], speed_sign * speed_m_s[part], force_N[part])
-    assert watch.hints() == whole
-    assert bool(whole) == (sign < 0.0 or speed_sign < 0.0)
+    found = []
+    for parts in ([slice(None)], [slice(0, cut), slice(cut, None)]):
+        check = SignCheck()
+        for part in parts:
+            check.update(sign * depth_m[part], speed_sign * speed_m_s[part], force_N[part])
+        found.append(check.hints())
+    assert found[0] == found[1]
+    assert bool(found[0]) == (sign < 0.0 or speed_sign < 0.0)
 
 
 def test_a_clock_that_mostly_stands_still_has_a_usual_step_all_the_same():
     t_s = np.repeat(np.arange(100) / 100, 3)
     result = replay(t_s, 0.01 * t_s, 0.0 * t_s)
-    assert sum(estimate.status.is_absorbed for estimate in result.estimates) == 100
+    assert sum(estimate.status.is_used for estimate in result.estimates) == 100
 
 
 def ruptures_s(result):
@@ -158,11 +161,12 @@ def test_a_clock_that_was_set_back_hides_no_event(columns, has_speed):
     clean, followed = (
         replay(t, depth_m, force_N, speed_m_s, dt_s=RowClock().update(t)) for t in (t_s, back_s)
     )
-    skipped = [k for k, e in enumerate(followed.estimates) if not e.status.is_absorbed]
+    skipped = [k for k, e in enumerate(followed.estimates) if not e.status.is_used]
     assert len([k for k in skipped if k != 300]) <= 12
     assert len(followed.layers) == len(clean.layers) == 1
     # The step in which it was set is not known.
-    assert ruptures_s(followed) == pytest.approx(ruptures_s(clean), abs=0.03)
+    # Events are on the clock of the log, which stands 20 s earlier by then.
+    assert ruptures_s(followed) == pytest.approx([ruptures_s(clean)[0] - 20.0], abs=0.03)
 
 
 def test_the_library_reads_a_clock_as_the_command_does(columns, tmp_path):
@@ -173,10 +177,10 @@ def test_the_library_reads_a_clock_as_the_command_does(columns, tmp_path):
     path, out = tmp_path / "log.csv", tmp_path / "out.csv"
     table = {"t_s": t_s, "depth_m": depth_m, "force_N": force_N, "speed_m_s": speed_m_s}
     write_table(path, table)
-    assert command.main([str(path), "-o", str(out)]) == 0
+    assert main(["identify", str(path), "-o", str(out)]) == 0
     rows = np.genfromtxt(out, delimiter=",", names=True)
     estimates = replay(t_s, depth_m, force_N, speed_m_s, dt_s=RowClock().update(t_s)).estimates
-    np.testing.assert_array_equal(rows["absorbed"], [e.status.is_absorbed for e in estimates])
+    np.testing.assert_array_equal(rows["used"], [e.status.is_used for e in estimates])
     np.testing.assert_array_equal(rows["tip_force_N"], [e.tip_force_N for e in estimates])
 
 
@@ -185,7 +189,7 @@ def test_a_stamp_that_is_no_number_spoils_its_own_row_only(columns):
     t_s = t_s.copy()
     t_s[[500, 501, 502, 503, 800]] = np.nan
     result = replay(t_s, depth_m, force_N, speed_m_s)
-    skipped = [k for k, e in enumerate(result.estimates) if not e.status.is_absorbed]
+    skipped = [k for k, e in enumerate(result.estimates) if not e.status.is_used]
     assert skipped == [300, 500, 501, 502, 503, 800]
     assert len(result.layers) == 1
 

@@ -1,24 +1,31 @@
-"""Bad samples are reported and skipped; good ones that follow are not harmed."""
+"""Bad samples are reported and skipped, bad settings refused; what follows is not harmed."""
 
 import math
 import warnings
+from dataclasses import fields, replace
 from fractions import Fraction
 
 import numpy as np
 import pytest
 
+from identification.config import (
+    MULTILAYER,
+    PUBLISHED,
+    PUBLISHED_KV,
+    CheckConfig,
+    MultilayerConfig,
+    PublishedConfig,
+)
 from identification.errors import InvalidConfigError, InvalidSnapshotError
 from identification.identifier import Identifier
 from identification.input_validation import (
-    LAST_ABSORBED,
+    LAST_USED,
     STATUSES,
-    CheckConfig,
     CheckState,
     SampleStatus,
-    check_step,
-    packed_limits,
+    check_limits,
+    check_sample,
 )
-from identification.published_config import PUBLISHED, PUBLISHED_KV
 
 GOOD = (0.001, 0.002, 0.1, 1e-3)
 
@@ -38,6 +45,8 @@ GOOD = (0.001, 0.002, 0.1, 1e-3)
         ((0.001, "fast", 0.1, 1e-3), SampleStatus.NOT_A_SCALAR),
         ((0.001, 0.002, 1000.0, 1e-3), SampleStatus.FORCE_RANGE),
         ((0.1, 0.002, 0.1, 1e-3), SampleStatus.DEPTH_JUMP),
+        ((1e4, 0.002, 0.1, 1e-3), SampleStatus.MOTION_RANGE),
+        ((0.001, -1e308, 0.1, 1e-3), SampleStatus.MOTION_RANGE),
     ],
 )
 def test_bad_sample_is_reported_and_not_absorbed(values, status):
@@ -58,6 +67,16 @@ def test_numpy_scalars_integers_and_fractions_are_welcome():
     assert estimate.status is SampleStatus.OK
     estimate = Identifier(PUBLISHED).update(Fraction(0), np.int32(0), 0, np.array(1e-3))
     assert estimate.status is SampleStatus.OK
+
+
+class Hostile:
+    """Raises whatever is asked of it."""
+
+    def fail(self, *_):
+        raise RuntimeError("not a number")
+
+    __float__ = __array__ = __len__ = __index__ = fail
+    __repr__ = lambda self: "Hostile()"  # noqa: E731
 
 
 NO_NUMBERS = {
@@ -81,6 +100,8 @@ NO_NUMBERS = {
             b"0.1",
             np.array(None),
             np.datetime64("2026-01-01"),
+            np.timedelta64(1, "ms"),
+            Hostile(),
             [[1.0], [1.0, 2.0]],
             {},
         )
@@ -106,6 +127,64 @@ def test_what_is_no_real_number_is_reported_without_a_warning(kind, place):
     assert identifier.update(*GOOD).status is SampleStatus.OK
 
 
+@pytest.mark.parametrize("config", [MULTILAYER, PUBLISHED])
+@pytest.mark.parametrize("dt_s", [1e308, 1e7, 5e-324, 1e-13])
+def test_an_absurd_interval_is_rejected_and_every_number_stays_finite(config, dt_s):
+    identifier = Identifier(config)
+    for k in range(300):
+        found = identifier.update(1e-5 * k, 0.01, 0.1 + 1e-3 * k, dt_s if k % 3 else 1e-3)
+        assert found.status is (SampleStatus.TIME_RANGE if k % 3 else SampleStatus.OK)
+        assert all(math.isfinite(value) for value in found if isinstance(value, float))
+    assert found.time_s == pytest.approx(0.1)
+
+
+def test_events_are_on_the_clock_of_the_caller():
+    """Absolute time where it is given, else the sum of the intervals."""
+    summed, absolute = Identifier(), Identifier()
+    for k in range(8000):
+        depth = 2.5e-6 * k - 2e-3
+        force = 60.0 * max(depth, 0.0) if depth < 0.01 else 0.1
+        found = summed.update(depth, 2.5e-3, force, 1e-3)
+        other = absolute.update(depth, 2.5e-3, force, 1e-3, time_s=5e4 + 1e-3 * k)
+        assert found.time_s == pytest.approx(1e-3 * (k + 1))
+        assert other.time_s == 5e4 + 1e-3 * k
+        assert (other.rupture is None) == (found.rupture is None)
+    one, two = summed.layers[0].rupture, absolute.layers[0].rupture
+    assert two.time_s - one.time_s == pytest.approx(5e4 - 1e-3)
+    assert two.alarm_s - one.alarm_s == pytest.approx(5e4 - 1e-3)
+    assert two.depth_m == one.depth_m
+
+
+@pytest.mark.parametrize("time_s", [math.nan, math.inf, "now", [1.0], 1j])
+def test_a_sample_without_a_usable_time_is_rejected(time_s):
+    identifier = Identifier()
+    identifier.update(0.0, 0.0, 0.0, 1e-3, 7.0)
+    found = identifier.update(0.0, 0.0, 0.0, 1e-3, time_s)
+    assert not found.status.is_used
+    assert found.time_s == 7.0
+    assert identifier.update(0.0, 0.0, 0.0, 1e-3, np.float32(8.0)).time_s == 8.0
+
+
+@pytest.mark.parametrize("config", [MULTILAYER, PUBLISHED])
+def test_events_count_depth_from_the_zero_of_the_caller(config):
+    """He moves his zero by 50 mm in free air: the estimate goes on, events are in his depth."""
+    config = replace(config, contact_depth_m=3e-3) if config is PUBLISHED else config
+    plain, moved = Identifier(config), Identifier(config)
+    for k in range(9000):
+        depth = 2.5e-6 * k
+        force = 60.0 * max(depth - 3e-3, 0.0) if depth < 0.013 else 0.1
+        found = plain.update(depth, 2.5e-3, force, 1e-3)
+        other = moved.update(depth + (0.05 if k > 500 else 0.0), 2.5e-3, force, 1e-3)
+        assert (other.rupture is None) == (found.rupture is None)
+    one, two = plain.layers[0], moved.layers[0]
+    assert two.rupture.depth_m - one.rupture.depth_m == pytest.approx(0.05, abs=1e-5)
+    assert two.rupture.contact_depth_m - one.rupture.contact_depth_m == pytest.approx(
+        0.05, abs=1e-5
+    )
+    assert two.start_depth_m - one.start_depth_m == pytest.approx(0.05, abs=1e-5)
+    assert two.thickness_m == pytest.approx(one.thickness_m, abs=1e-5)
+
+
 def test_clock_runs_on_over_bad_forces_and_motion_is_not_called_a_jump():
     identifier = Identifier(PUBLISHED)
     depth, speed = 0.0, 5e-3
@@ -122,8 +201,8 @@ def test_clock_runs_on_over_bad_forces_and_motion_is_not_called_a_jump():
 
 def checked(check, row):
     """Memory, status and, if it is absorbed, depth and interval of a row."""
-    number, dt_s, depth_m, check = check_step(*row, tuple(check), packed_limits(CheckConfig()))
-    taken = (depth_m, dt_s) if number <= LAST_ABSORBED else None
+    number, dt_s, depth_m, check = check_sample(*row, tuple(check), check_limits(CheckConfig()))
+    taken = (depth_m, dt_s) if number <= LAST_USED else None
     return CheckState(*check), taken, STATUSES[number]
 
 
@@ -222,3 +301,32 @@ def test_unknown_configuration_and_foreign_snapshots_are_refused():
         Identifier(object())
     with pytest.raises(InvalidSnapshotError, match="Snapshot"):
         Identifier(PUBLISHED).restore(Identifier(PUBLISHED_KV).snapshot())
+
+
+FIELDS = [
+    (kind, field.name)
+    for kind in (PublishedConfig, MultilayerConfig, CheckConfig)
+    for field in fields(kind)
+]
+
+
+@pytest.mark.parametrize(("kind", "name"), FIELDS)
+@pytest.mark.parametrize(
+    "value", [None, "1", 1j, True, [1.0], np.ones(2), np.nan, np.inf, 10**400, {}]
+)
+def test_what_is_no_figure_is_refused(kind, name, value):
+    with pytest.raises(InvalidConfigError, match=name):
+        kind(**{name: value})
+
+
+@pytest.mark.parametrize(("kind", "name"), FIELDS)
+def test_its_own_value_is_welcome_as_a_numpy_scalar_too(kind, name):
+    value = getattr(kind(), name)
+    if isinstance(value, float | int):
+        value = np.asarray(value)[()]
+    assert getattr(kind(**{name: value}), name) == value
+
+
+def test_windows_are_counted_in_whole_numbers():
+    with pytest.raises(InvalidConfigError, match="most_windows"):
+        PublishedConfig(most_windows=0.5)

@@ -7,8 +7,9 @@ import pytest
 
 from identification import MULTILAYER, PUBLISHED, Identifier
 from identification import rupture_measurement as rupture_step
+from identification.errors import InvalidSnapshotError
 from identification.published_identifier import PublishedState
-from identification.rupture_measurement import finish_look
+from identification.rupture_measurement import finish_measurement
 from needleforce import read_snapshot, write_snapshot
 
 
@@ -85,19 +86,21 @@ def is_at_work(state):
     """Whether a re-run has begun and not ended."""
     if isinstance(state, PublishedState):
         return state.found is not None
-    pending = state.pending
-    return pending is not None and (pending.look or pending.search_work) is not None
+    pending = state.candidate
+    return pending is not None and (pending.work or pending.search_work) is not None
 
 
 def test_what_is_worked_off_tick_by_tick_or_at_once_is_the_same():
     z, f = signal(8000)
     slow, fast, early, late = Identifier(), Identifier(), [], []
     for k, (a, b) in enumerate(zip(z, f, strict=True)):
-        early += [(k, found) for found in [slow.update(a, 2.5e-3, b, 1e-3).compensated] if found]
+        early += [
+            (k, found) for found in [slow.update(a, 2.5e-3, b, 1e-3).identified_layer] if found
+        ]
         fast.update(a, 2.5e-3, b, 1e-3)
         kept = fast.snapshot()
-        state = finish_look(kept.state._replace(compensated=None), MULTILAYER)
-        late += [(k, found) for found in [state.compensated] if found]
+        state = finish_measurement(kept.state._replace(identified_layer=None), MULTILAYER)
+        late += [(k, found) for found in [state.identified_layer] if found]
         fast.restore(kept._replace(state=state))
     assert len(early) == len(late) == 2
     assert [found for _, found in early] == [found for _, found in late]
@@ -110,7 +113,7 @@ def test_no_tick_at_a_kilohertz_works_off_more_than_one_stage(monkeypatch):
     def counted(stage):
         return lambda *given: (worked.append(stage), stage(*given))[1]
 
-    for name in ("look_stage", "search_stage"):
+    for name in ("_work", "_search"):
         monkeypatch.setattr(rupture_step, name, counted(getattr(rupture_step, name)))
     z, f = signal(8000)
     identifier, most = Identifier(), 0
@@ -144,13 +147,74 @@ def test_a_second_event_finds_the_work_before_it_done():
     for a, b in zip(z, f, strict=True):
         ahead.update(a, 2.5e-3, b, 1e-3)
         kept = ahead.snapshot()
-        pending = kept.state.pending
-        if pending is None or pending.look is None:
+        pending = kept.state.candidate
+        if pending is None or pending.work is None:
             continue
         looks += 1
-        expected = finish_look(kept.state, MULTILAYER).compensated
+        expected = finish_measurement(kept.state, MULTILAYER).identified_layer
         stopped.restore(kept)
         # A block of one sample leaves no tick in between.
         assert expected is not None
-        assert stopped.update(a, 0.0, b, 10e-3).compensated == expected
+        assert stopped.update(a, 0.0, b, 10e-3).identified_layer == expected
     assert looks > 2
+
+
+def damaged(config, place, change):
+    """A snapshot in tissue, one array or number of its state changed."""
+    identifier = Identifier(config)
+    z, f = signal(5600)
+    for a, b in zip(z, f, strict=True):
+        identifier.update(a, 2.5e-3, b, 1e-3)
+    whole, *names = identifier.snapshot(), *place.split(".")
+    parts = [whole.state]
+    for name in names[:-1]:
+        parts.append(getattr(parts[-1], name))
+    value = change(getattr(parts[-1], names[-1]))
+    for part, name in zip(reversed(parts), reversed(names), strict=True):
+        value = part._replace(**{name: value})
+    return identifier, whole._replace(state=value)
+
+
+def with_corner(number):
+    def change(matrix):
+        matrix = matrix.copy()
+        matrix[0, 1] = number
+        return matrix
+
+    return change
+
+
+@pytest.mark.parametrize(
+    ("config", "place", "change"),
+    [
+        (MULTILAYER, "fit.covariance", with_corner(0.3)),
+        (MULTILAYER, "fit.covariance", lambda matrix: -matrix),
+        (MULTILAYER, "fit.covariance", lambda matrix: matrix[:2, :2]),
+        (MULTILAYER, "layer.prior.matrix", with_corner(-7.0)),
+        (MULTILAYER, "layer.data.matrix", lambda matrix: matrix - 1e3 * np.eye(6)),
+        (MULTILAYER, "layer.data.matrix", with_corner(np.nan)),
+        (MULTILAYER, "detector.variance", lambda _: np.zeros(3)),
+        (MULTILAYER, "track.points", lambda points: points[:, :4]),
+        (MULTILAYER, "track.points", lambda points: points.astype(int)),
+        (MULTILAYER, "lag", lambda _: None),
+        (PUBLISHED, "memory.rls.covariance", lambda _: 1e12),
+        (PUBLISHED, "memory.rls.var_friction", lambda _: -1.0),
+        (PUBLISHED, "windows", lambda windows: np.asfortranarray(windows)),
+    ],
+)
+def test_a_damaged_state_is_refused_and_changes_nothing(config, place, change):
+    identifier, snapshot = damaged(config, place, change)
+    before = pickle.dumps(identifier.snapshot())
+    with pytest.raises(InvalidSnapshotError, match=place.split(".")[0]):
+        identifier.restore(snapshot)
+    assert pickle.dumps(identifier.snapshot()) == before
+
+
+@pytest.mark.parametrize("config", [MULTILAYER, PUBLISHED])
+def test_every_state_of_an_insertion_is_accepted(config):
+    identifier, twin = Identifier(config), Identifier(config)
+    z, f = signal(8000)
+    for k, (a, b) in enumerate(zip(z, f, strict=True)):
+        identifier.update(a, 2.5e-3, b, 1e-3)
+        if k % 7 == 0:
+            twin.restore(identifier.snapshot())

@@ -1,136 +1,119 @@
-"""Topics of a bag become rows: different rates, several publishers, pieces."""
+"""Messages become columns: their names, joints, vectors, and signals between their stamps."""
 
 import numpy as np
 import pytest
-from bag_samples import (
-    TYPES,
-    insertion_rows,
-    joint_state,
-    number,
-    write_bag,
+from bag_samples import TYPES, joint_state, message, wrench
+from hypothesis import given
+from hypothesis import strategies as st
+from rosbags.typesys import Stores, get_types_from_idl, get_typestore
+
+from needleforce.recordings import FormatError
+from needleforce.recordings.bag_storage import BagTopic
+from needleforce.recordings.bag_topics import TopicDecoder, interpolate
+
+texts = st.text(st.characters(codec="ascii", exclude_characters="\0"), max_size=9)
+finite = st.floats(allow_nan=False)
+JOINT_STATE = "sensor_msgs/msg/JointState"
+
+
+def made(content, **options):
+    return bytes(TYPES.serialize_cdr(content, content.__msgtype__, **options))
+
+
+def decoded(content, topic="/x", **options):
+    decoder = TopicDecoder(BagTopic(topic, content.__msgtype__, "cdr"))
+    return decoder.decode(made(content, **options))
+
+
+@given(
+    names=st.lists(texts, max_size=5), lengths=st.lists(st.integers(0, 9), min_size=3, max_size=3)
 )
-from mappings import mapped
-
-from recordings import (
-    ColumnError,
-    ColumnMapping,
-    read_log,
-)
-from recordings.bags.format import bag_chunks
-from recordings.columns.wanted import Wanted
-from recordings.log_stream import LogStream
-
-
-@pytest.fixture
-def folder(tmp_path):
-    return tmp_path / "bag"
+def test_joint_states_of_any_names_and_lengths(names, lengths):
+    arrays = [np.arange(float(n)) for n in lengths]
+    found = decoded(joint_state(12_345_678_901, names, *arrays), "/j")
+    is_named = all(names) and len(set(names)) == len(names)
+    assert found.names == (tuple(names) if is_named else ())
+    assert found.stamp_ns == 12_345_678_901
+    for field, values in zip(("position", "velocity", "effort"), arrays, strict=True):
+        assert list(found.values.get(f"/j/{field}", [])) == values.tolist()
+        assert (f"/j/{field}" in found.named) == (0 < len(values) == len(found.names))
 
 
-def test_names_decide_when_their_order_changes_and_missing_joints_are_nan(folder):
-    orders = ["ab", "ba", "a"]
-    places = {"a": 1.0, "b": 2.0}
-    rows = [
-        ("/j", k, joint_state(k + 1, order, [places[name] for name in order]))
-        for k, order in enumerate(orders)
-    ]
-    log = read_log(write_bag(folder, rows), required=["q"])
-    np.testing.assert_array_equal(log["q_rad"], [[1.0, 2.0], [1.0, 2.0], [1.0, np.nan]])
-    assert "/j: messages that lack joints: 1" in log.warnings
-
-
-def test_messages_of_a_gripper_on_the_same_topic_are_left_out(folder):
-    rows = []
-    for k in range(1, 6):
-        rows.append(("/j", k, joint_state(10 * k, "ab", [k, k])))
-        rows.append(("/j", k, joint_state(10 * k + 5, ["finger"], [0.5])))
-    log = read_log(write_bag(folder, rows), required=["q"], joints=["a", "b"])
-    np.testing.assert_array_equal(log["q_rad"][:, 0], np.arange(1.0, 6.0))
-    assert "/j: messages without any of the joints, left out: 5" in log.warnings
-
-
-def test_slower_topics_are_interpolated_to_the_stamps_of_the_fastest(folder):
-    rows = [("/force", k, number(k)) for k in range(0, 1000, 10)]
-    rows += [("/depth", k, number(2.0 * k)) for k in range(0, 1000, 100)]
-    log = read_log(write_bag(folder, sorted(rows, key=lambda row: row[1])))
-    np.testing.assert_allclose(log["depth_m"][:91], 20.0 * np.arange(91))
-    assert np.isnan(log["depth_m"][91:]).all()
-    assert "rows are the messages of /force" in log.warnings[0]
-    assert "/depth" in log.warnings[0]
-
-
-def test_the_mapping_may_choose_the_clock(folder):
-    write_bag(folder, insertion_rows(40))
-    mapping = ColumnMapping(
-        clock="/depth_mm", channels=mapped(force="/ft/wrench/force_xyz[2]").channels
+def test_arrays_of_messages_and_images_are_no_signals():
+    header = joint_state(1, "", []).header
+    numbers = [np.arange(3.0) for _ in range(4)]
+    time = message("builtin_interfaces/msg/Duration", 7, 8)
+    point = message("trajectory_msgs/msg/JointTrajectoryPoint", *numbers, time)
+    trajectory = message("trajectory_msgs/msg/JointTrajectory", header, ["x"], [point, point])
+    assert decoded(trajectory).values == {}
+    assert decoded(trajectory).names == ("x",)
+    image = message(
+        *("sensor_msgs/msg/Image", header, 10, 10, "mono8", 0, 10), np.zeros(100, np.uint8)
     )
-    log = read_log(folder, mapping, required=["depth", "force"])
-    np.testing.assert_allclose(log["force_N"], [-0.0, -10.0, -20.0, -30.0], atol=2e-3)
-    with pytest.raises(ColumnError, match="'/none' is no topic that can be read; topics are"):
-        read_log(folder, ColumnMapping(clock="/none"), required=["depth"])
+    assert "/x/data" not in decoded(image).values
 
 
-def test_nothing_is_interpolated_across_a_gap(folder):
-    rows = [("/force", k * 10_000_000, number(1.0)) for k in range(200)]
-    rows += [("/depth", k * 10_000_000, number(0.0)) for k in (*range(50), *range(150, 200))]
-    log = read_log(write_bag(folder, sorted(rows, key=lambda row: row[1])))
-    assert np.isnan(log["depth_m"][50:150]).all()
-    assert np.isfinite(log["depth_m"][:50]).all()
+def test_big_endian_messages_are_read():
+    found = decoded(wrench(3, (1.5, 2.5, 3.5)), little_endian=False)
+    assert found.values["/x/force_xyz"] == (1.5, 2.5, 3.5)
 
 
-def test_several_topics_that_would_fit_must_be_chosen_from(folder):
-    rows = [(topic, k, joint_state(k, "ab", [k, k])) for k in range(1, 4) for topic in ("/l", "/r")]
-    write_bag(folder, rows)
-    with pytest.raises(
-        ColumnError, match=r"several columns would fit \(/l/position, /r/position\)"
+@given(cut=st.integers(0, 80))
+def test_a_message_that_is_too_short_is_refused(cut):
+    data = made(joint_state(1, "ab", [1, 2], [3, 4], [5, 6]))
+    with pytest.raises(FormatError):
+        TopicDecoder(BagTopic("/j", JOINT_STATE, "cdr")).decode(data[:cut])
+
+
+@given(data=st.binary(min_size=0, max_size=200))
+def test_noise_is_refused_or_gives_numbers(data):
+    try:
+        found = TopicDecoder(BagTopic("/j", JOINT_STATE, "cdr")).decode(b"\0\1\0\0" + data)
+    except FormatError:
+        return
+    assert all(len(values) for values in found.values.values())
+
+
+def test_columns_are_called_by_topic_and_field():
+    for topic, content, names in (
+        ("/ft", wrench(1, (1, 2, 3)), ["/ft/force_xyz", "/ft/torque_xyz"]),
+        ("/d", message("std_msgs/msg/Float64", 1.0), ["/d"]),
+        ("/p", message("geometry_msgs/msg/Pose2D", 1.0, 2.0, 3.0), ["/p/xy", "/p/theta"]),
+        ("/v", message("geometry_msgs/msg/Vector3", 1.0, 2.0, 3.0), ["/v/xyz"]),
     ):
-        read_log(folder, required=["q"])
-    assert len(read_log(folder, mapped(q="/r/position"), required=["q"])) == 3
+        assert list(decoded(content, topic).values) == names
 
 
-def test_of_several_topics_the_one_with_the_joints_of_the_robot_is_read(folder):
-    rows = [
-        (topic, k, joint_state(k, names, [k, factor * k], [k, k], [k, k]))
-        for k in range(1, 4)
-        for topic, names, factor in (("/arm", "ab", 2.0), ("/hand", "xy", 3.0))
-    ]
-    write_bag(folder, rows)
-    asked = {"required": ["q", "tau"], "optional": ["dq"]}
-    log = read_log(folder, joints=["b", "a"], **asked)
-    assert log["q_rad"][:, 0].tolist() == [2.0, 4.0, 6.0]
-    assert len(list(LogStream(bag_chunks(folder, 2, Wanted(joints=("a", "b"), **asked)), **asked)))
-    with pytest.raises(ColumnError, match="several columns would fit"):
-        read_log(folder, joints=["a", "x"], **asked)
+def test_a_type_may_be_defined_in_idl():
+    text = "module a { module msg { struct X { double depth; sequence<double> q; }; }; };"
+    types = get_typestore(Stores.EMPTY)
+    types.register(get_types_from_idl(text))
+    data = types.serialize_cdr(types.types["a/msg/X"](0.5, np.array([1.0, 2.0])), "a/msg/X")
+    mark = "=" * 80 + "\nIDL: a/msg/X\n"
+    for definition in (text, mark + text):
+        found = TopicDecoder(BagTopic("/x", "a/msg/X", "cdr", definition, True)).decode(data)
+        assert found.values["/x/depth"] == 0.5
+        assert found.values["/x/q"].tolist() == [1.0, 2.0]
 
 
-def test_a_channel_that_is_mapped_decides_for_those_that_are_not(folder):
-    rows = [
-        (topic, k, joint_state(k, "ab", [k, k], [k, k], [factor * k, k]))
-        for k in range(1, 4)
-        for topic, factor in (("/l", 2.0), ("/r", 3.0))
-    ]
-    write_bag(folder, rows)
-    log = read_log(folder, mapped(q="/r/position"), required=["q", "tau"], optional=["dq"])
-    assert log["tau_Nm"][:, 0].tolist() == [3.0, 6.0, 9.0]
-    assert "dq_rad_s" in log
+@given(
+    known=st.lists(st.tuples(st.integers(0, 50), finite), min_size=1, max_size=20),
+    at=st.lists(st.integers(-5, 55), min_size=1, max_size=20),
+)
+def test_where_stamps_agree_values_are_taken_as_they_are(known, at):
+    known = dict(known)
+    stamps, values = np.array(list(known)), np.array(list(known.values()))[:, None]
+    found = interpolate(np.array(at), stamps, values, 10.0)[:, 0]
+    for stamp, value in zip(at, found.tolist(), strict=True):
+        if stamp in known:
+            assert value == known[stamp]
+        elif not min(known) < stamp < max(known):
+            assert np.isnan(value)
 
 
-def test_messages_of_another_length_are_told(folder):
-    array = TYPES.types["std_msgs/msg/Float64MultiArray"]
-    layout = TYPES.types["std_msgs/msg/MultiArrayLayout"]([], 0)
-    rows = [("/tau", k, array(layout, np.arange(float(n)))) for k, n in enumerate([2, 2, 3, 2])]
-    log = read_log(write_bag(folder, rows), required=["tau"])
-    np.testing.assert_array_equal(np.isfinite(log["tau_Nm"][:, 0]), [True, True, False, True])
-    assert "/tau: messages with another number of values of /tau: 1" in log.warnings
-
-
-@pytest.mark.parametrize("rows", [1, 7, 64, 1000])
-def test_chunks_are_the_bag_in_pieces(folder, rows):
-    write_bag(folder, insertion_rows(333))
-    wanted = Wanted(mapping=mapped(depth="/depth_mm", force="/ft/wrench/force_xyz[2]"))
-    whole = next(bag_chunks(folder, None, wanted))
-    chunks = list(bag_chunks(folder, rows, wanted))
-    for name, values in whole.columns.items():
-        joined = np.concatenate([chunk.columns[name] for chunk in chunks])
-        np.testing.assert_array_equal(joined, values)
-    assert [w for chunk in chunks for w in chunk.warnings] == list(whole.warnings)
-    assert max(chunk.columns["t_s"].size for chunk in chunks) <= rows
+def test_between_stamps_is_a_straight_line_unless_they_are_too_far_apart():
+    stamps, values = np.array([0, 10, 100]), np.array([[0.0], [5.0], [50.0]])
+    found = interpolate(np.array([2, 50]), stamps, values, 20.0)
+    assert found[0, 0] == 1.0
+    assert np.isnan(found[1, 0])
+    assert np.isnan(interpolate(np.array([2]), stamps[:0], values[:0], 20.0)).all()

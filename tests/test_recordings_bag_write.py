@@ -12,9 +12,9 @@ from rosbags.highlevel import AnyReader
 from rosbags.interfaces import QosDurability, QosHistory, QosReliability
 from rosbags.rosbag2 import Reader
 
-from recordings import FileAccessError, LogError, read_log, read_table, write_table
-from recordings.open_table import open_table
-from recordings.tables.labels import Labels
+from needleforce.recordings import FileAccessError, LogError, read_log, read_table, write_table
+from needleforce.recordings.output import open_table
+from needleforce.recordings.table import Labels
 
 START_NS = 1_700_000_000_123_456_789
 SUFFIXES = (".mcap", ".db3")
@@ -95,10 +95,10 @@ def test_events_are_diagnostic_messages_where_a_value_changes(path):
     with open_table(path, labels=lambda: Labels(events={"status": texts})) as table:
         for value in (0, 0, 1, 1, 3, 3):
             table.append({"t_s": [0.1], "status": np.array([value])})
-    told = [message.status[0] for _, message in messages_of(path, "/diagnostics")]
-    assert [status.message for status in told] == ["begun", "layer 3"]
-    assert [status.level for status in told] == [1, 1]
-    assert told[1].values[0].value == "3"
+    reported = [message.status[0] for _, message in messages_of(path, "/diagnostics")]
+    assert [status.message for status in reported] == ["begun", "layer 3"]
+    assert [status.level for status in reported] == [1, 1]
+    assert reported[1].values[0].value == "3"
 
 
 def test_metadata_quality_of_service_and_definitions_are_there(path):
@@ -179,21 +179,21 @@ def test_an_existing_bag_is_replaced_only_by_a_whole_one(path):
 
 
 @pytest.mark.parametrize(
-    ("columns", "told"),
+    ("columns", "reported"),
     [
         ({"axial_N": [1.0]}, "a bag needs time stamps: a column t_s"),
         ({"t_s": [0.0, np.nan]}, "one is not finite"),
         ({"t_s": [-1.0, 0.0]}, "before zero; t_s reaches -1.0 s"),
     ],
 )
-def test_what_no_bag_can_hold_is_refused(path, columns, told):
-    with pytest.raises(LogError, match=told):
+def test_what_no_bag_can_hold_is_refused(path, columns, reported):
+    with pytest.raises(LogError, match=reported):
         write_table(path, columns)
     assert not path.exists()
 
 
 @pytest.mark.parametrize("name", ["x.mcap", "x.db3"])
-def test_a_place_that_cannot_be_written_is_told(tmp_path, name):
+def test_a_place_that_cannot_be_written_is_reported(tmp_path, name):
     (tmp_path / "file").write_text("")
     with pytest.raises(FileAccessError, match="cannot write"):
         write_table(tmp_path / "file" / name, {"t_s": [0.0]})

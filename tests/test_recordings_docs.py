@@ -1,20 +1,23 @@
-"""The page on recordings says what the code does: its examples run, its tables are the code's."""
+"""The pages on recordings and bags hold: their examples run, their tables are the code's."""
 
 import re
-import shlex
-from argparse import ArgumentParser
 from pathlib import Path
 
+import numpy as np
 import pytest
 from page_sessions import session_failures
 
-import recordings
-from recordings import CHANNELS, load_mapping, mapping_arguments, mapping_from_arguments, read_log
-from recordings.read_log import _READERS
-from recordings.text.format import HEAD_ROWS
+from needleforce import recordings
+from needleforce.recordings import CHANNELS, ColumnMapping, load_mapping, read_log
+from needleforce.recordings.bag_topics import standard_types
+from needleforce.recordings.bag_writer import bag_topics
+from needleforce.recordings.csv_file import CSV_SUFFIXES, HEAD_ROWS
+from needleforce.recordings.mapping import parse_column_spec, read_toml
+from needleforce.recordings.table import Labels
 
-PAGE = Path(__file__).parents[1] / "docs" / "recordings.md"
-TEXT = PAGE.read_text(encoding="utf-8")
+DOCS = Path(__file__).parents[1] / "docs"
+PAGES = [DOCS / "recordings.md", DOCS / "bags.md"]
+TEXT, BAGS = (page.read_text(encoding="utf-8") for page in PAGES)
 FILES = dict(re.findall(r"^```(?:csv|toml)\n# (\S+)\n(.*?)^```$", TEXT, re.DOTALL | re.MULTILINE))
 
 
@@ -30,17 +33,16 @@ def test_the_page_has_the_files_it_speaks_of():
     assert set(FILES) == {"insertion.csv", "robot.csv", "robot.toml", "broken.csv"}
 
 
-def test_the_sessions_give_what_the_page_shows():
-    assert session_failures(PAGE) == ""
+@pytest.mark.parametrize("page", PAGES, ids=lambda page: page.name)
+def test_the_sessions_give_what_the_pages_show(page):
+    assert session_failures(page) == ""
 
 
-def test_the_command_line_gives_the_mapping_that_the_page_describes():
-    (line,) = re.findall(r"^python -m identification (.*)$", TEXT, re.MULTILINE)
-    parser = ArgumentParser()
-    parser.add_argument("log")
-    mapping_arguments(parser, ["depth", "speed", "force"])
-    arguments = parser.parse_args(shlex.split(line))
-    log = read_log(arguments.log, mapping_from_arguments(arguments), required=["depth", "force"])
+def test_the_options_on_the_page_give_the_mapping_that_it_describes():
+    (line,) = re.findall(r"^needleforce identify robot.csv (.*)$", TEXT, re.MULTILINE)
+    options = re.findall(r"--(\w+) (\S+)", line)
+    specs = {name: parse_column_spec(text, CHANNELS[name]) for name, text in options}
+    log = read_log("robot.csv", ColumnMapping(channels=specs), required=["depth", "force"])
     assert log["force_N"].tolist() == [2.5, 2.5]
     assert log["depth_m"].tolist() == [0.09, 0.09]
     assert log.t_s[0] == 0.001
@@ -55,7 +57,7 @@ def test_the_patterns_named_beside_the_mapping_mean_the_same():
 
 
 def test_the_table_of_names_and_units_is_the_codes():
-    rows = re.findall(r"^\| `(\w+)` \| `(\w+)` \| (.*) \| (.*) \|$", TEXT, re.MULTILINE)
+    rows = re.findall(r"^\| `(\w+)` \| `(\w+)` \| (.*?) \| (.*?) \|$", TEXT, re.MULTILINE)
     written = {
         name: (key, tuple(re.findall("`(.*?)`", names)), tuple(re.findall("`(.*?)`", units)))
         for name, key, names, units in rows
@@ -68,16 +70,34 @@ def test_the_table_of_names_and_units_is_the_codes():
 
 def test_every_suffix_and_error_named_is_the_codes():
     formats = TEXT.split("## Formats")[1].split("\n\n")[1]
-    assert set(re.findall(r"`(\.[\w.]+)`", formats)) == set(_READERS)
-    for name in set(re.findall(r"`(\w+Error)`", TEXT)):
+    found = set(re.findall(r"`(\.[\w.]+)`", formats))
+    assert found == {*CSV_SUFFIXES, ".npz", ".parquet"}
+    for name in set(re.findall(r"`(\w+Error)`", TEXT + BAGS)):
         assert issubclass(getattr(recordings, name), recordings.RecordingError)
-
-
-def test_the_table_of_faults_holds_for_a_header_alone():
-    Path("header.csv").write_text("t,f\n", encoding="utf-8")
-    with pytest.raises(recordings.FormatError):
-        read_log("header.csv")
-
-
-def test_so_many_rows_decide_as_the_page_says():
     assert f"decided from the first {HEAD_ROWS} rows" in TEXT
+
+
+def test_the_payload_of_the_page_is_read():
+    (lines,) = re.findall(r"```toml\n(.*?)```", BAGS, re.DOTALL)
+    Path("payload.toml").write_text(lines, encoding="utf-8")
+    payload = load_mapping("payload.toml").payload
+    assert payload == read_toml("payload.toml", "payload file")["payload"]
+
+
+def test_the_table_of_topics_is_the_codes():
+    rows = np.zeros(1)
+    columns = {
+        "t_s": rows,
+        **dict.fromkeys(("q_rad", "dq_rad_s", "tau_Nm"), np.zeros((1, 7))),
+        **dict.fromkeys(("ft_force_N", "ft_torque_Nm"), np.zeros((1, 3))),
+        **{f"force_{xyz}_in_base_N": rows for xyz in "xyz"},
+        **{f"torque_{xyz}_in_base_Nm": rows for xyz in "xyz"},
+        "axial_N": rows,
+    }
+    table = BAGS.split("## What is written")[1].split("## When")[0]
+    for topic in bag_topics(columns, Labels()):
+        (row,) = [line for line in table.splitlines() if f"| `{topic.name}`" in line]
+        assert f"`{topic.kind.replace('/msg', '')}`" in row
+    for kind in re.findall(r"`(\w+_msgs/\w+)`", BAGS):
+        package, name = kind.split("/")
+        assert f"{package}/msg/{name}" in standard_types().types

@@ -1,35 +1,46 @@
 """A bag that is followed while it is recorded gives what the finished file gives."""
 
-import subprocess
-import sys
 import threading
 import time
+import tracemalloc
+from struct import pack
 
 import numpy as np
 import pytest
-from bag_samples import data_file, insertion_rows, write_bag
-from growing_bags import (
+from bag_samples import (
     ASKED,
     END,
     HEADER,
     LONGEST_S,
+    START_NS,
     assert_same,
+    data_file,
     followed,
     grow,
     in_pieces,
+    insertion_rows,
+    joint_state,
+    mapped,
+    number,
     recorded,
     without_chunks,
+    wrench,
+    write_bag,
 )
-from hypothesis import given
-from hypothesis import strategies as st
-from residual_command_log import write_insertion
 
-from recordings import FileAccessError, FormatError, read_log, write_table
-from recordings.bag_storage.mcap_records import MAGIC
-from recordings.columns.wanted import Wanted
-from recordings.sources.byte_source import Patience
-from recordings.sources.growing_file import GrowingFile
-from recordings.table_stream import stream_tables
+from needleforce.recordings import (
+    ColumnError,
+    ColumnMapping,
+    FileAccessError,
+    FormatError,
+    read_log,
+)
+from needleforce.recordings.bag_reader import bag_info, joined_messages, plan_bag
+from needleforce.recordings.bag_storage import MAGIC, NONE_YET, bag_messages
+from needleforce.recordings.errors import MAX_BYTES
+from needleforce.recordings.follow import FollowOptions
+from needleforce.recordings.mapping import ChannelRequest
+from needleforce.recordings.open_recording import stream_tables
 
 ROWS = np.arange(5000)
 DEPTHS = {"t_s": ROWS / 1000, "depth_m": 1e-6 * ROWS, "force_N": 1e-3 * ROWS**0.5}
@@ -60,7 +71,9 @@ def test_rows_come_while_the_recorder_still_writes(tmp_path):
     path, go_on = tmp_path / "growing.mcap", threading.Event()
     half = len(data) // 2
     writer = grow(path, [data[:half], data[half:]], go_on=go_on)
-    tables = stream_tables(path, Patience(follow=True, idle_s=LONGEST_S), Wanted(**ASKED))
+    tables = stream_tables(
+        path, FollowOptions(follow=True, idle_s=LONGEST_S), ChannelRequest(**ASKED)
+    )
     rows, before = 0, None
     for table in tables:
         rows += len(table.columns["t_s"])
@@ -72,17 +85,17 @@ def test_rows_come_while_the_recorder_still_writes(tmp_path):
     assert rows == 3000
 
 
-def test_who_stops_hears_nothing_of_what_was_not_finished_and_an_idle_end_tells_it(tmp_path):
+def test_who_stops_hears_nothing_of_what_was_not_finished_and_an_idle_end_shows_it(tmp_path):
     recorded(tmp_path / "bag", insertion_rows(3000))
     data = without_chunks(data_file(tmp_path / "bag"))
     path = tmp_path / "growing.mcap"
     path.write_bytes(data[: len(data) * 2 // 3 + 7])
-    chunks, warnings = followed(path, Patience(follow=True, idle_s=0.2))
+    chunks, warnings = followed(path, FollowOptions(follow=True, idle_s=0.2))
     assert "growing.mcap is cut short" in warnings
     rows = sum(len(chunk.t_s) for chunk in chunks)
     assert 1900 < rows < 2100
     is_over = threading.Event()
-    patience = Patience(follow=True, should_stop=is_over.is_set)
+    patience = FollowOptions(follow=True, should_stop=is_over.is_set)
     timer = threading.Timer(0.5, is_over.set)
     timer.start()
     chunks, warnings = followed(path, patience)
@@ -94,7 +107,7 @@ def test_an_idle_end_between_two_messages_is_no_fault(tmp_path):
     recorded(tmp_path / "bag", insertion_rows(2000))
     path = tmp_path / "growing.mcap"
     path.write_bytes(without_chunks(data_file(tmp_path / "bag"))[: -len(END)])
-    chunks, warnings = followed(path, Patience(follow=True, idle_s=0.2))
+    chunks, warnings = followed(path, FollowOptions(follow=True, idle_s=0.2))
     assert sum(len(chunk.t_s) for chunk in chunks) == 2000
     assert "cut short" not in "".join(warnings)
 
@@ -109,22 +122,8 @@ def test_a_recording_shorter_than_what_decides_its_topics_is_read_when_it_ends(t
     assert set(warnings) == set(log.warnings)
 
 
-@given(st.lists(st.binary(max_size=9)), st.lists(st.integers(0, 7), min_size=1))
-def test_a_growing_file_gives_its_bytes_in_pieces_of_any_size(blocks, sizes):
-    file, found, pauses = GrowingFile(blocks), b"", 0
-    for size in sizes * (sum(map(len, blocks)) + len(blocks) + 1):
-        part = file.read(size)
-        if part is None:
-            pauses += 1
-            continue
-        found += part
-        assert len(part) == size or found == b"".join(blocks)
-    assert found == b"".join(blocks) or max(sizes) == 0
-    assert pauses <= blocks.count(b"")
-
-
-def test_what_cannot_be_followed_is_told_with_what_to_do(tmp_path):
-    follow = Patience(follow=True, idle_s=0.1)
+def test_what_cannot_be_followed_is_reported_with_what_to_do(tmp_path):
+    follow = FollowOptions(follow=True, idle_s=0.1)
     with pytest.raises(FileAccessError, match=r"x.db3 cannot be followed.*ros2 bag record -s mcap"):
         list(stream_tables(tmp_path / "x.db3", follow))
     with pytest.raises(FileAccessError, match=r"is a folder.*name the .mcap file in it"):
@@ -142,20 +141,110 @@ def test_what_cannot_be_followed_is_told_with_what_to_do(tmp_path):
             list(stream_tables(path, follow))
 
 
-@pytest.mark.parametrize("name", ["identification", "residual"])
-def test_the_commands_follow_a_bag(tmp_path, lwr, name):
-    path, out, expected = (tmp_path / file for file in ("log.mcap", "out.csv", "expected.csv"))
-    if name == "residual":
-        write_insertion(tmp_path / "whole.mcap", lwr)
-    else:
-        write_table(tmp_path / "whole.mcap", DEPTHS)
-    command = [sys.executable, "-m", name]
-    options = ["--tare", "0:2.5"] if name == "residual" else []
-    whole = [*command, str(tmp_path / "whole.mcap"), *options, "-o", str(expected)]
-    subprocess.run(whole, check=True, capture_output=True)
-    writer = grow(path, in_pieces((tmp_path / "whole.mcap").read_bytes(), 20), pause_s=0.1)
-    argv = [*command, str(path), "--follow", *options, "-o", str(out)]
-    done = subprocess.run(argv, capture_output=True, check=False, timeout=120)
+STEP_NS = 10_000_000
+
+
+def late_topic(first):
+    """Joint states for 6 s; depths from the message `first` on."""
+    for k in range(600):
+        t_ns = START_NS + k * STEP_NS
+        yield "/joint_states", t_ns, joint_state(t_ns, "ab", (k, k), (), (k, k))
+        if k >= first:
+            yield "/depth_mm", t_ns, number(k)
+
+
+def test_a_topic_that_is_not_there_yet_is_waited_for_and_reported_once(tmp_path):
+    path, reported = tmp_path / "growing.mcap", []
+    path.write_bytes(recorded(tmp_path / "bag", late_topic(350)))
+    patience = FollowOptions(follow=True, idle_s=LONGEST_S, warn=reported.append)
+    chunks, _ = followed(path, patience)
+    assert_same(chunks, read_log(path, **ASKED))
+    assert reported == [
+        "growing.mcap: waiting for more topics; needed are q, tau, depth, and until now there are "
+        "/joint_states"
+    ]
+
+
+def test_a_topic_that_never_comes_is_an_error_when_the_recording_has_ended(tmp_path):
+    path, reported = tmp_path / "growing.mcap", []
+    path.write_bytes(recorded(tmp_path / "bag", late_topic(600)))
+    patience = FollowOptions(follow=True, idle_s=LONGEST_S, warn=reported.append)
+    with pytest.raises(ColumnError, match="no column found for depth"):
+        followed(path, patience)
+    with pytest.raises(ColumnError, match="'/none' is no topic"):
+        followed(path, patience, ColumnMapping(reference_topic="/none"), required=("q",))
+    assert "waiting for more topics; reference_topic = '/none' is no topic" in reported[-1]
+
+
+FORCE = {"required": ("q", "force")}
+FORCE_MAPPING = mapped(force="/ft/force_xyz[2]")
+
+
+def arm_and_force(count, late_ns=0, force_ends=None):
+    """Joint states, and forces that reach the recorder later than their stamps say."""
+    rows = []
+    for k in range(count):
+        t_ns = START_NS + k * STEP_NS
+        rows.append(("/joint_states", t_ns, joint_state(t_ns, "ab", (k, -k))))
+        if force_ends is None or k < force_ends:
+            rows.append(("/ft", t_ns + late_ns, wrench(t_ns, (0.0, 0.0, k))))
+    return sorted(rows, key=lambda row: row[1])
+
+
+@pytest.mark.parametrize("late_s", [0.0, 0.3, 0.9])
+def test_topics_that_reach_the_recorder_late_lose_nothing(tmp_path, late_s):
+    recorded(tmp_path / "bag", arm_and_force(500, round(1e9 * late_s)))
+    path = tmp_path / "growing.mcap"
+    writer = grow(path, in_pieces(without_chunks(data_file(tmp_path / "bag")), 60))
+    chunks, _ = followed(path, mapping=FORCE_MAPPING, **FORCE)
     writer.join()
-    assert done.returncode == 0, done.stderr
-    assert out.read_bytes() == expected.read_bytes()
+    force_N = np.concatenate([chunk.channels["force_N"] for chunk in chunks])
+    np.testing.assert_array_equal(force_N, np.arange(500.0))
+    assert_same(chunks, read_log(path, FORCE_MAPPING, **FORCE))
+
+
+def test_rows_do_not_wait_for_a_topic_that_has_gone(tmp_path):
+    recorded(tmp_path / "bag", arm_and_force(800, force_ends=300))
+    path, is_over = tmp_path / "growing.mcap", threading.Event()
+    path.write_bytes(without_chunks(data_file(tmp_path / "bag"))[: -len(END)])
+    patience = FollowOptions(follow=True, should_stop=is_over.is_set)
+    tables = stream_tables(path, patience, ChannelRequest(mapping=FORCE_MAPPING, **FORCE))
+    timer = threading.Timer(LONGEST_S, is_over.set)
+    timer.start()
+    first = next(tables)
+    timer.cancel()
+    # All but those of the last second, which is how late a topic may be.
+    assert len(first.columns["t_s"]) == 699
+    assert np.isfinite(first.columns["/ft/force_xyz"][:300]).all()
+    assert np.isnan(first.columns["/ft/force_xyz"][300:]).all()
+    is_over.set()
+    assert sum(len(table.columns["t_s"]) for table in tables) == 101
+
+
+def test_while_the_clock_is_silent_what_other_topics_bring_does_not_fill_memory(tmp_path):
+    info = bag_info(write_bag(tmp_path / "bag", arm_and_force(200)))
+    wanted = ChannelRequest(mapping=ColumnMapping(reference_topic="/joint_states"))
+    plan = plan_bag(info, wanted, frozenset({"/joint_states/position", "/ft/force_xyz"}))
+    whole = list(bag_messages(info.files, [], MAX_BYTES))
+    force = next(message for message in whole if message.topic.name == "/ft")
+
+    def messages():
+        yield from whole
+        for k in range(20_000):
+            log_ns = START_NS + (200 + k) * STEP_NS
+            stamp = pack("<iI", *divmod(log_ns, 1_000_000_000))
+            yield force._replace(log_ns=log_ns, data=force.data[:4] + stamp + force.data[12:])
+            if k % 100 == 0:
+                yield NONE_YET
+                held.append(tracemalloc.get_traced_memory()[0])
+
+    held = []
+    tracemalloc.start()
+    try:
+        rows = sum(
+            len(table.columns["t_s"]) for table in joined_messages(messages(), info, plan, 2048)
+        )
+    finally:
+        tracemalloc.stop()
+    assert rows == 200
+    assert held[-1] - held[len(held) // 2] < 50_000

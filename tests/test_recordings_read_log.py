@@ -6,11 +6,11 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from bag_samples import mapped
 from hypothesis import given
 from hypothesis import strategies as st
-from mappings import mapped
 
-from recordings import (
+from needleforce.recordings import (
     ColumnError,
     ColumnMapping,
     ColumnSpec,
@@ -21,11 +21,12 @@ from recordings import (
     read_log,
     write_table,
 )
-from recordings.columns.channel import CHANNELS
-from recordings.log_stream import LogStream
-from recordings.select_channels import select_channels
-from recordings.sources.byte_source import Patience
-from recordings.table_stream import stream_tables
+from needleforce.recordings.channels import CHANNELS
+from needleforce.recordings.follow import FollowOptions
+from needleforce.recordings.log import LogStream
+from needleforce.recordings.mapping import ChannelRequest
+from needleforce.recordings.open_recording import log_of as log_of_table
+from needleforce.recordings.open_recording import stream_tables
 
 BESIDE = Path(__file__).parents[2] / "shared" / "data"
 DATA = Path(os.environ.get("NEEDLEFORCE_DATA", BESIDE))
@@ -40,7 +41,10 @@ def real(name):
 
 def log_of(mapping=None, required=(), optional=(), constants=None, **columns):
     table = Table(columns=columns, constants=constants or {})
-    return select_channels(table, mapping or ColumnMapping(), required, optional)
+    request = ChannelRequest(
+        mapping=mapping or ColumnMapping(), required=tuple(required), optional=tuple(optional)
+    )
+    return log_of_table(table, request)
 
 
 T = np.arange(3.0) / 100
@@ -84,30 +88,29 @@ def test_units_and_scales_multiply(chosen, scale):
     np.testing.assert_allclose(values, expected)
 
 
-def test_a_stated_unit_wins_over_the_one_in_the_name():
-    columns = {"t_s": T, "depth_m": 5.0 * ONES}
-    stated = mapped(depth=ColumnSpec(columns="depth_m", unit="mm"))
-    np.testing.assert_allclose(log_of(stated, **columns)["depth_m"], 0.005)
-    np.testing.assert_allclose(log_of(**columns)["depth_m"], 5.0)
+CURRENT, WRENCH = np.arange(6.0).reshape(3, 2), np.arange(18.0).reshape(3, 6)
 
 
-def test_each_column_has_its_own_unit_and_scale():
-    mapping = mapped(q=ColumnSpec(columns=("a_deg", "b_rad"), scale=(1.0, -2.0)))
-    log = log_of(mapping, t=T, a_deg=180.0 * ONES, b_rad=ONES)
-    np.testing.assert_allclose(log["q_rad"], [[np.pi, -2.0]] * 3)
-
-
-def test_a_two_dimensional_current_becomes_torque_by_its_constants():
-    current_A = np.arange(6.0).reshape(3, 2)
-    mapping = mapped(tau=ColumnSpec(columns="current_A", scale=(10.0, 20.0)))
-    log = log_of(mapping, t=T, current_A=current_A)
-    np.testing.assert_allclose(log["tau_Nm"], current_A * [10.0, 20.0])
-
-
-def test_one_element_of_a_wrench_can_be_the_force():
-    wrench = np.arange(18.0).reshape(3, 6)
-    mapping = mapped(force=ColumnSpec(columns="wrench[2]", scale=-1.0))
-    np.testing.assert_allclose(log_of(mapping, t=T, wrench=wrench)["force_N"], -wrench[:, 2])
+@pytest.mark.parametrize(
+    ("spec", "columns", "key", "expected"),
+    [
+        (None, {"depth_m": 5.0 * ONES}, "depth_m", 5.0 * ONES),
+        # A stated unit wins over the one in the name; each column has its own, and its own scale.
+        (ColumnSpec(columns="depth_m", unit="mm"), {"depth_m": ONES}, "depth_m", ONES / 1000),
+        (
+            ColumnSpec(columns=("a_deg", "b_rad"), scale=(1.0, -2.0)),
+            {"a_deg": 180.0 * ONES, "b_rad": ONES},
+            "q_rad",
+            np.array([[np.pi, -2.0]] * 3),
+        ),
+        (ColumnSpec(columns="i", scale=(1.0, 2.0)), {"i": CURRENT}, "tau_Nm", CURRENT * [1, 2]),
+        (ColumnSpec(columns="w[2]", scale=-1.0), {"w": WRENCH}, "force_N", -WRENCH[:, 2]),
+    ],
+)
+def test_columns_become_si(spec, columns, key, expected):
+    name = next(name for name, channel in CHANNELS.items() if channel.key == key)
+    log = log_of(mapped(**({name: spec} if spec else {})), t=T, **columns)
+    np.testing.assert_allclose(log[key], expected)
 
 
 def test_only_the_channels_asked_for_are_looked_at():
@@ -122,7 +125,7 @@ def test_without_a_request_every_recognised_channel_is_taken():
     assert set(log.channels) == {"force_N", "depth_m"}
 
 
-def test_a_missing_channel_is_told_with_usual_names_and_columns():
+def test_a_missing_channel_is_reported_with_usual_names_and_columns():
     with pytest.raises(ColumnError) as caught:
         log_of(None, ("q", "tau"), t=T, q=ONES, moment=ONES)
     message = str(caught.value)
@@ -168,32 +171,34 @@ def test_a_left_out_column_is_explained_when_it_is_asked_for(tmp_path):
         read_log(path, mapped(force="pull"))
 
 
-def test_all_that_is_missing_is_told_at_once():
+def test_all_that_is_missing_is_reported_at_once():
     table = Table(columns={"t": [0.0, 1.0], "a": [1.0, 2.0]})
     message = r"no column found for q \(joint.* Nor for tau \(measured joint torques\). Columns are"
     with pytest.raises(ColumnError, match=message):
-        select_channels(table, ColumnMapping(), required=["q", "tau"], optional=["dq"])
+        log_of_table(table, ChannelRequest(required=("q", "tau"), optional=("dq",)))
 
 
-def test_what_was_left_out_is_told_when_nothing_fits(tmp_path):
+def test_what_was_left_out_is_reported_when_nothing_fits(tmp_path):
     log = tmp_path / "log.csv"
     log.write_text("time,tau,z\n2024-05-01T12:00:00,oops,1\n2024-05-01T12:00:01,oops,2\n")
     for required in ("depth", "tau"):
-        with pytest.raises(ColumnError, match=r"'time' holds text .*'2024-05-01T12:00:00'") as told:
+        with pytest.raises(
+            ColumnError, match=r"'time' holds text .*'2024-05-01T12:00:00'"
+        ) as caught:
             read_log(log, required=[required])
-        assert "'tau' holds text (line 2, 'oops') and was left out)" in str(told.value)
+        assert "'tau' holds text (line 2, 'oops') and was left out)" in str(caught.value)
         with pytest.raises(ColumnError) as streamed:
-            list(LogStream(stream_tables(log, Patience()), required=[required]))
-        assert str(streamed.value) == str(told.value)
+            list(LogStream(stream_tables(log, FollowOptions()), required=[required]))
+        assert str(streamed.value) == str(caught.value)
 
 
-def test_an_optional_channel_without_values_is_left_out_and_told():
+def test_an_optional_channel_without_values_is_left_out_and_reported():
     log = log_of(None, ("q",), ("dq",), t=T, q=ONES, dq=ONES * np.nan)
     assert list(log.channels) == ["q_rad"]
     assert log.warnings == ("dq: its columns hold no finite value and were left out",)
 
 
-def test_rows_without_a_time_stamp_are_left_out_and_told():
+def test_rows_without_a_time_stamp_are_left_out_and_reported():
     log = log_of(t=np.array([0.0, np.nan, 0.02]), f=np.array([1.0, 2.0, 3.0]))
     np.testing.assert_array_equal(log["force_N"], [1.0, 3.0])
     assert log.warnings == ("time: rows without a stamp, left out: 1 (first: row 2)",)

@@ -8,7 +8,7 @@ from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 from hypothesis.extra import numpy as hnp
 
-from recordings import (
+from needleforce.recordings import (
     FileAccessError,
     Log,
     LogError,
@@ -18,7 +18,7 @@ from recordings import (
     write_log,
     write_table,
 )
-from recordings.open_table import open_table
+from needleforce.recordings.output import open_table
 
 SUFFIXES = ("csv", "csv.gz", "npz")
 T_S = np.arange(3) / 1000.0
@@ -104,7 +104,7 @@ def test_a_write_that_fails_half_way_leaves_the_old_file(tmp_path, monkeypatch):
     assert [entry.name for entry in tmp_path.iterdir()] == ["t.csv"]
 
 
-def test_unknown_suffix_and_missing_folder_are_told(tmp_path):
+def test_unknown_suffix_and_missing_folder_are_reported(tmp_path):
     with pytest.raises(FileAccessError, match=r"known are: \.csv, \.csv\.gz, \.npz"):
         write_table(tmp_path / "t.xlsx", {"t": T_S})
     with pytest.raises(FileAccessError, match=r"cannot write .*No such file"):

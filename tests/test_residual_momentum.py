@@ -7,8 +7,14 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from residual_signals import JOINTS, external_torque_of, swing
 
-from residual import ConfigurationError, JointFriction, MomentumObserver, SampleError
-from residual.momentum_observer import ROWS, momentum_step
+from residual import (
+    ConfigurationError,
+    JointFriction,
+    MomentumObserver,
+    SampleError,
+    SigmoidFriction,
+)
+from residual.momentum_observer import BEFORE, step_weights
 from urdf import load_lwr
 
 numbers = st.floats(-100.0, 100.0)
@@ -16,6 +22,13 @@ numbers = st.floats(-100.0, 100.0)
 
 def rows(momentum, coriolis, gravity, torque, residual=0.0):
     return np.array([[residual], [momentum], [coriolis], [gravity], [torque]])
+
+
+def step(before, after, gain, dt_s, alignment="trapezoid"):
+    """Residual at the end of a tick, shape (n,), from rows as above at its start and its end."""
+    known = np.concatenate((before, after[1:]))
+    # One weight a row, or one a row and joint.
+    return (step_weights(gain, dt_s, alignment).T * known).sum(axis=0)
 
 
 @given(
@@ -30,18 +43,18 @@ def test_two_half_steps_equal_one_step_for_a_held_input(residual, slope, held, g
     start = rows(0.0, 1.0, 2.0, held, residual)
     middle = rows(slope * dt / 2, 1.0, 2.0, held)
     end = rows(slope * dt, 1.0, 2.0, held)
-    whole = momentum_step(start, end, gain, dt)
-    middle[0] = momentum_step(start, middle, gain, dt / 2)
-    assert momentum_step(middle, end, gain, dt / 2) == pytest.approx(whole, rel=1e-9, abs=1e-9)
+    whole = step(start, end, gain, dt)
+    middle[0] = step(start, middle, gain, dt / 2)
+    assert step(middle, end, gain, dt / 2) == pytest.approx(whole, rel=1e-9, abs=1e-9)
 
 
 @given(gain_dt=st.floats(1e-6, 50.0), residual=numbers, target=numbers)
 def test_step_never_diverges_whatever_the_gain(gain_dt, residual, target):
     before = rows(0.0, 0.0, 0.0, 0.0, residual)
     after = rows(target * 1e-3, 0.0, 0.0, 0.0)
-    step = momentum_step(before, after, np.array([gain_dt / 1e-3]), 1e-3)
+    found = step(before, after, np.array([gain_dt / 1e-3]), 1e-3)
     low, high = sorted((residual, target))
-    assert low - 1e-9 <= step[0] <= high + 1e-9
+    assert low - 1e-9 <= found[0] <= high + 1e-9
 
 
 def test_step_is_the_first_order_low_pass():
@@ -50,12 +63,14 @@ def test_step_is_the_first_order_low_pass():
     for k in range(200):
         before, after = (rows(target * dt * (k + i), 0.0, 0.0, 0.0) for i in (0, 1))
         before[0] = residual
-        residual = momentum_step(before, after, np.array([gain]), dt)
+        residual = step(before, after, np.array([gain]), dt)
     assert residual[0] == pytest.approx(target * (1 - np.exp(-gain * 0.2)), rel=1e-12)
 
 
-def test_observer_and_pure_step_agree(lwr):
-    observer = MomentumObserver(lwr, 40.0)
+@pytest.mark.parametrize("alignment", ["hold", "trapezoid"])
+@pytest.mark.parametrize("gain", [40.0, np.linspace(10.0, 80.0, 7)], ids=["one gain", "gains"])
+def test_observer_and_pure_step_agree(lwr, gain, alignment):
+    observer = MomentumObserver(lwr, gain, alignment=alignment)
     times, q, dq, tau = swing(lwr, seconds=0.1)
     data = lwr.create_data()
 
@@ -70,7 +85,7 @@ def test_observer_and_pure_step_agree(lwr):
     for k in range(1, len(times)):
         after, dt = sample_rows(k), times[k] - times[k - 1]
         before[0] = expected
-        expected = momentum_step(before, after, np.full(7, 40.0), dt)
+        expected = step(before, after, gain, dt, alignment)
         before = after
         np.testing.assert_allclose(observer.update(q[k], dq[k], tau[k], dt), expected, atol=1e-12)
 
@@ -165,7 +180,7 @@ def test_snapshot_resumes_bit_equal(lwr):
     one.reset()
     assert one.state.rows is None
     with pytest.raises(ConfigurationError, match="rows of shape"):
-        one.restore(type(one.state)(np.zeros((ROWS, 3))))
+        one.restore(type(one.state)(np.zeros((BEFORE, 3))))
 
 
 def test_residual_handed_out_is_read_only_and_a_copy(lwr):
@@ -241,3 +256,59 @@ def test_friction_of_another_robot_is_refused(lwr):
 def test_settings_that_cannot_work_are_refused(lwr, settings_, match):
     with pytest.raises(ConfigurationError, match=match):
         MomentumObserver(lwr, **settings_)
+
+
+# Joint friction models.
+
+
+def test_smooth_friction_opposes_motion_and_reaches_coulomb_plus_viscous():
+    friction = JointFriction(viscous_Nms=[2.0], coulomb_Nm=[1.0], offset_Nm=[0.25])
+    assert friction.torque(np.array([0.5]))[0] == pytest.approx(2.0 * 0.5 + 1.0 + 0.25)
+    assert friction.torque(np.array([-0.5]))[0] == pytest.approx(-2.0 * 0.5 - 1.0 + 0.25)
+    assert friction.torque(np.array([0.0]))[0] == pytest.approx(0.25)
+
+
+def test_sigmoid_friction_is_zero_at_rest_and_follows_its_formula():
+    friction = SigmoidFriction(amplitude_Nm=[0.5], slope_s_rad=[5.0], shift_rad_s=[0.04])
+    assert friction.torque(np.array([0.0]))[0] == 0.0
+    expected = 0.5 / (1 + np.exp(-5 * (0.3 + 0.04))) - 0.5 / (1 + np.exp(-5 * 0.04))
+    assert friction.torque(np.array([0.3]))[0] == pytest.approx(expected)
+
+
+def test_sigmoid_friction_levels_off_at_any_speed():
+    one, ones = np.ones(4), np.array([-1.0, 1.0, -1.0, 1.0])
+    friction = SigmoidFriction(amplitude_Nm=one, slope_s_rad=50.0 * ones, shift_rad_s=30.0 * one)
+    # A warning is an error in this suite.
+    found = friction.torque(np.array([-1e3, -1e3, 1e3, 1e3]))
+    np.testing.assert_allclose(found, [1.0, -1.0, 0.0, 0.0], atol=1e-300)
+
+
+def test_parameters_are_read_only_copies():
+    coulomb = np.array([1.0])
+    friction = JointFriction(viscous_Nms=[0.0], coulomb_Nm=coulomb, offset_Nm=[0.0])
+    coulomb[0] = 9.0
+    assert friction.coulomb_Nm[0] == 1.0
+    assert not friction.coulomb_Nm.flags.writeable
+
+
+@pytest.mark.parametrize(
+    ("change", "match"),
+    [
+        ({"viscous_Nms": [-1.0]}, "negative"),
+        ({"coulomb_Nm": [1.0, 2.0]}, "differ in length"),
+        ({"offset_Nm": [np.nan]}, "offset_Nm"),
+        ({"offset_Nm": ["much"]}, "offset_Nm"),
+        ({"offset_Nm": [1j]}, "offset_Nm"),
+        ({"offset_Nm": None}, "offset_Nm"),
+        ({"offset_Nm": [10**400]}, "offset_Nm"),
+        ({"reversal_speed_rad_s": 0.0}, "reversal_speed"),
+        ({"reversal_speed_rad_s": np.inf}, "reversal_speed"),
+        ({"reversal_speed_rad_s": np.nan}, "reversal_speed"),
+        ({"reversal_speed_rad_s": None}, "reversal_speed"),
+        ({"reversal_speed_rad_s": 10**400}, "reversal_speed"),
+    ],
+)
+def test_parameters_that_cannot_be_are_refused(change, match):
+    sound = {"viscous_Nms": [0.1], "coulomb_Nm": [0.1], "offset_Nm": [0.0]}
+    with pytest.raises(ConfigurationError, match=match):
+        JointFriction(**(sound | change))

@@ -5,12 +5,20 @@ from fractions import Fraction
 
 import numpy as np
 import pytest
-from residual_signals import MIDDLE
+from residual_signals import MIDDLE, swing
 
+from identification import MULTILAYER as IDENTIFIER
+from identification import PUBLISHED as PAPER_IDENTIFIER
+from identification import Identifier
+from identification.errors import InvalidSnapshotError
 from residual import (
+    DEFAULT,
+    ConfigurationError,
+    JointFriction,
     KalmanObserver,
     MomentumObserver,
     SampleError,
+    SnapshotError,
     Status,
     VelocityEstimator,
     VirtualForceSensor,
@@ -109,3 +117,102 @@ def test_a_time_step_that_is_none_is_refused(lwr, dt_s):
     assert sensor.update(STILL, STILL, STILL, dt_s).status is Status.REJECTED
     assert sensor.update(STILL, STILL, STILL, 1e-3).status is Status.INITIALIZING
     assert sensor.elapsed_s == 1e-3
+
+
+# What is unusual and sound is taken; what is damaged is refused before compiled code reads it.
+
+
+STEPS = [1e-3, np.float32(1e-3), np.longdouble(1e-3), Fraction(1, 1000)]
+
+
+@pytest.mark.parametrize("dt_s", STEPS, ids=[type(one).__name__ for one in STEPS])
+def test_a_time_step_may_be_any_real_number(lwr, dt_s):
+    _, q, dq, tau = swing(lwr, seconds=0.02)
+    sensor, observer, velocity = (
+        VirtualForceSensor(lwr),
+        MomentumObserver(lwr),
+        VelocityEstimator(7),
+    )
+    for one in zip(q, dq, tau, strict=True):
+        wrench, residual = sensor.update(*one, dt_s), observer.update(*one, dt_s)
+        matched = velocity.update(one[0], one[2], dt_s)
+    assert sensor.skipped == 0
+    assert sensor.elapsed_s == pytest.approx(1e-3)
+    assert type(wrench.axial) is float
+    assert np.isfinite(residual).all()
+    assert np.isfinite(matched.dq).all()
+
+
+def test_a_residual_with_gaps_in_memory_is_read_like_another(lwr):
+    q, torques = np.full(7, 0.3), np.random.default_rng(0).normal(size=(7, 5))
+    estimator = WrenchEstimator(lwr)
+    expected = estimator.estimate(q, torques[:, 3].copy())
+    assert estimator.estimate(q, torques[:, 3]).axial == expected.axial != 0.0
+
+
+def test_nobody_can_write_into_the_samples_that_the_sensor_keeps(lwr):
+    class Careless(JointFriction):
+        def torque(self, dq_rad_s):
+            dq_rad_s *= 2.0
+            return super().torque(dq_rad_s)
+
+    _, q, dq, tau = swing(lwr, seconds=0.01)
+    sensor = VirtualForceSensor(lwr)
+    sensor.update(q[0], dq[0], tau[0], 1e-3)
+    assert not sensor.velocity_rad_s.flags.writeable
+    nothing = np.zeros(7)
+    careless = Careless(coulomb_Nm=nothing, viscous_Nms=nothing, offset_Nm=nothing)
+    observer = MomentumObserver(lwr, friction=careless)
+    with pytest.raises(ValueError, match="read-only"):
+        observer.update(q[0], dq[0], tau[0], 1e-3)
+
+
+def test_a_clock_of_nanoseconds_does_not_fill_the_memory(lwr):
+    _, q, dq, tau = swing(lwr, seconds=0.01)
+    sensor = VirtualForceSensor(lwr, DEFAULT)
+    for k in range(2500):
+        sensor.update(q[0], dq[0], tau[0] + 1e-6 * k, 1e-9)
+    assert len(sensor._offset._torques) <= 1000
+    assert sensor.snapshot().offset.summed == 2499  # the first sample renews
+
+
+@pytest.mark.parametrize("noise", [np.ones(3), np.ones(8), np.zeros(7), np.full(7, np.nan)])
+def test_noise_of_another_arm_is_refused(lwr, noise):
+    _, q, dq, tau = swing(lwr, seconds=0.7)
+    observer, sensor = MomentumObserver(lwr), VirtualForceSensor(lwr)
+    for one in zip(q, dq, tau, strict=True):
+        observer.update(*one, 1e-3)
+        sensor.update(*one, 1e-3)
+    before = observer.residual
+    with pytest.raises(ConfigurationError, match="noise"):
+        observer.restore(observer.state._replace(noise=noise))
+    np.testing.assert_array_equal(observer.residual, before)
+    state = sensor.snapshot()
+    damaged = state.joints.observer._replace(noise=noise)
+    with pytest.raises(SnapshotError, match="noise"):
+        sensor.restore(state._replace(joints=state.joints._replace(observer=damaged)))
+
+
+@pytest.mark.parametrize("wrong", [np.zeros(0), np.zeros(3, dtype=int), np.zeros(400)[::2]])
+def test_a_damaged_detector_is_refused(wrong):
+    identifier = Identifier()
+    whole = identifier.snapshot()
+    detector = whole.state.detector._replace(variance=wrong)
+    with pytest.raises(InvalidSnapshotError, match="variance"):
+        identifier.restore(whole._replace(state=whole.state._replace(detector=detector)))
+
+
+@pytest.mark.parametrize(
+    "config",
+    [
+        IDENTIFIER.__class__(false_alarm_interval_s=Fraction(600), noise_memory_s=Fraction(4)),
+        PAPER_IDENTIFIER.__class__(var_stiffness=10**20),
+        PAPER_IDENTIFIER.__class__(var_friction=Fraction(10)),
+    ],
+    ids=["fractions", "a large integer", "a fraction"],
+)
+def test_settings_may_be_any_real_number(config):
+    identifier = Identifier(config)
+    for k in range(3000):
+        estimate = identifier.update(1e-5 * k, 1e-2, 1e-3 * k, 1e-3)
+    assert np.isfinite(estimate.enhanced_force_N)

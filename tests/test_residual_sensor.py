@@ -45,7 +45,7 @@ def test_tare_does_not_fade(lwr):
     assert max(abs(e.axial) for e in last) < 0.02
 
 
-def test_status_tells_settling_then_not_tared_then_ok(lwr):
+def test_status_is_settling_then_not_tared_then_ok(lwr):
     sensor = VirtualForceSensor(lwr)
     _, q, dq, tau = swing(lwr, seconds=1.0)
     statuses = [sensor.update(q[k], dq[k], tau[k], 1e-3).status for k in range(len(q))]
@@ -81,7 +81,7 @@ BAD = {
 
 
 @pytest.mark.parametrize("reason", BAD)
-def test_bad_sample_is_reported_and_skipped_never_absorbed(lwr, reason):
+def test_bad_sample_is_reported_and_skipped_never_used(lwr, reason):
     sensor, twin = tared_sensor(lwr), tared_sensor(lwr)
     _, q, dq, tau = swing(lwr, seconds=0.02, start=2.0, amplitude=0.03)
     good = sensor.update(q[0], dq[0], tau[0], 1e-3)
@@ -126,7 +126,7 @@ def test_tare_without_motion_is_refused_and_changes_nothing(lwr):
     assert not sensor.tared
 
 
-def test_tare_in_contact_is_refused_unless_forced(lwr):
+def test_tare_in_contact_is_refused_unless_ignored(lwr):
     sensor = VirtualForceSensor(lwr)
     _, q, dq, tau = swing(lwr, seconds=3.0, amplitude=0.03)
     for k in range(len(q)):
@@ -135,7 +135,7 @@ def test_tare_in_contact_is_refused_unless_forced(lwr):
     with pytest.raises(TareError, match="in contact"):
         sensor.tare()
     assert not sensor.tared
-    sensor.tare(force=True)
+    sensor.tare(ignore_contact=True)
     assert sensor.tared
 
 
@@ -143,15 +143,16 @@ def test_external_torque_of_the_robot_takes_the_same_way(lwr):
     sensor = VirtualForceSensor(lwr, replace(DEFAULT, mode="point"))
     q = swing(lwr, seconds=1.0, amplitude=0.03)[1]
     for k in range(500):
-        sensor.update_external_torque(q[k], BIAS, 1e-3)
+        sensor.update_external_torque(q[k], None, BIAS, 1e-3)
     sensor.tare()
     force = np.array([0.5, 1.0, -2.0])
     torque = BIAS + external_torque_of(lwr, q[500], force)
-    estimate = sensor.update_external_torque(q[500], torque, 1e-3)
+    estimate = sensor.update_external_torque(q[500], None, torque, 1e-3)
     np.testing.assert_allclose(estimate.force, force, atol=0.02)
     assert estimate.axial_std < 0.1
-    assert sensor.update_external_torque(q[501], torque * np.nan, 1e-3).status is Status.REJECTED
-    assert sensor.update_external_torque(q[501], torque, -1.0).status is Status.REJECTED
+    for bad, dt_s in ((torque * np.nan, 1e-3), (torque, -1.0)):
+        reported = sensor.update_external_torque(q[501], None, bad, dt_s)
+        assert reported.status is Status.REJECTED
 
 
 def force_noise(robot, config, amplitude):

@@ -4,9 +4,17 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from guarded_sensor import feed, signals, tared
 from residual_signals import BIAS, external_torque_of, push, swing, tared_sensor
 
-from residual import DEFAULT, ConfigurationError, Status, TareError, VirtualForceSensor
+from residual import (
+    DEFAULT,
+    ConfigurationError,
+    SensorWarning,
+    Status,
+    TareError,
+    VirtualForceSensor,
+)
 
 
 def test_a_buffer_that_the_caller_reuses_is_not_looked_at_later(lwr):
@@ -75,9 +83,8 @@ def test_absurd_numbers_are_skipped_and_leave_no_trace(lwr, with_velocity):
     for absurd in (1e12, 1e200, 1.7e308):
         bad = sensor.update(q[0], dq[0] if with_velocity else None, np.full(7, absurd), 1e-3)
         assert bad.status is Status.REJECTED
-        assert (
-            sensor.update_external_torque(q[0], np.full(7, absurd), 1e-3).status is Status.REJECTED
-        )
+        bad = sensor.update_external_torque(q[0], None, np.full(7, absurd), 1e-3)
+        assert bad.status is Status.REJECTED
     sound = (q[1], dq[1] if with_velocity else None, tau[1])
     assert sensor.update(*sound, 1e-3).axial == twin.update(*sound, 7e-3).axial
 
@@ -135,12 +142,12 @@ def test_everything_handed_out_is_read_only(lwr, mode):
 
 
 @pytest.mark.parametrize("dt_s", [1e200, 1.8e9, 86_401.0])
-def test_a_clock_that_was_set_forward_is_told_and_goes_on_from_there(lwr, dt_s):
+def test_a_clock_that_was_set_forward_is_reported_and_goes_on_from_there(lwr, dt_s):
     sensor, twin = tared_sensor(lwr), tared_sensor(lwr)
     _, q, dq, tau = swing(lwr, seconds=0.01, start=2.0, amplitude=0.03)
-    told = sensor.update(q[0], dq[0], tau[0], dt_s)
-    assert told.status is Status.REJECTED
-    assert "clock was set" in told.message
+    reported = sensor.update(q[0], dq[0], tau[0], dt_s)
+    assert reported.status is Status.REJECTED
+    assert "clock was set" in reported.message
     ours = sensor.update(q[1], dq[1], tau[1], 2e-3)
     theirs = twin.update(q[1], dq[1], tau[1], 2e-3)
     assert ours.status is Status.OK
@@ -168,7 +175,7 @@ def test_the_robots_own_estimate_has_its_own_standard_deviation_and_motion(lwr, 
         force = external_torque_of(lwr, q[k], [0.0, 0.0, 5.0]) if k >= 1000 else 0.0
         torque = BIAS + force + noise[k]
         estimate = sensor.update_external_torque(
-            q[k], torque, 1e-3, dq[k] if with_velocity else None
+            q[k], dq[k] if with_velocity else None, torque, 1e-3
         )
         found.append(estimate)
         settling = not with_velocity and k < 40
@@ -190,7 +197,7 @@ def test_the_lag_is_that_of_the_stream_in_use(lwr):
     assert sensor.lag_s > 0.0
     _, q, dq, tau = swing(lwr, seconds=0.01, start=2.0, amplitude=0.03)
     sensor.start_tare_recording()
-    sensor.update_external_torque(q[0], np.zeros(7), 1e-3)
+    sensor.update_external_torque(q[0], None, np.zeros(7), 1e-3)
     assert sensor.lag_s == 0.0
     twin = VirtualForceSensor(lwr)
     twin.restore(sensor.snapshot())
@@ -203,14 +210,14 @@ def test_the_lag_is_that_of_the_stream_in_use(lwr):
 def test_a_tare_of_one_kind_of_torque_is_not_used_for_the_other(lwr):
     sensor, twin = tared_sensor(lwr), tared_sensor(lwr)
     _, q, dq, tau = swing(lwr, seconds=0.01, start=2.0, amplitude=0.03)
-    told = sensor.update_external_torque(q[0], np.zeros(7), 1e-9)
-    assert told.status is Status.REJECTED
-    assert "were mixed" in told.message
+    reported = sensor.update_external_torque(q[0], None, np.zeros(7), 1e-9)
+    assert reported.status is Status.REJECTED
+    assert "were mixed" in reported.message
     assert sensor.update(q[1], dq[1], tau[1], 1e-3).axial == pytest.approx(
         twin.update(q[1], dq[1], tau[1], 1e-3).axial, abs=1e-6
     )
     sensor.start_tare_recording()
-    assert sensor.update_external_torque(q[2], np.zeros(7), 1e-3, dq[2]).status is Status.NOT_TARED
+    assert sensor.update_external_torque(q[2], dq[2], np.zeros(7), 1e-3).status is Status.NOT_TARED
     assert sensor.update(q[3], dq[3], tau[3], 1e-3).status is Status.REJECTED
     sensor.reset()
     assert sensor.update(q[3], dq[3], tau[3], 1e-3).status is not Status.REJECTED
@@ -219,20 +226,20 @@ def test_a_tare_of_one_kind_of_torque_is_not_used_for_the_other(lwr):
 def test_a_velocity_that_comes_and_goes_is_refused_beside_external_torques_too(lwr):
     sensor = VirtualForceSensor(lwr)
     q, still = np.zeros(7), np.zeros(7)
-    sensor.update_external_torque(q, still, 1e-3)
-    told = sensor.update_external_torque(q, still, 1e-3, still)
-    assert told.status is Status.REJECTED
-    assert "dq was given before" in told.message
+    sensor.update_external_torque(q, None, still, 1e-3)
+    reported = sensor.update_external_torque(q, still, still, 1e-3)
+    assert reported.status is Status.REJECTED
+    assert "dq was given before" in reported.message
 
 
 def test_speed_of_external_torques_settles_anew_after_a_gap(lwr):
     sensor = VirtualForceSensor(lwr)
     _, q, _, _ = swing(lwr, seconds=0.5)
     for k in range(400):
-        sensor.update_external_torque(q[k], BIAS, 1e-3)
-    assert sensor.update_external_torque(q[400], BIAS, 0.5).status is Status.INITIALIZING
+        sensor.update_external_torque(q[k], None, BIAS, 1e-3)
+    assert sensor.update_external_torque(q[400], None, BIAS, 0.5).status is Status.INITIALIZING
     for k in range(401, 460):
-        last = sensor.update_external_torque(q[k], BIAS, 1e-3)
+        last = sensor.update_external_torque(q[k], None, BIAS, 1e-3)
     assert last.status is Status.NOT_TARED
 
 
@@ -246,7 +253,7 @@ def test_no_state_is_an_array_of_the_caller(lwr, with_velocity, own_torque):
     def feed(one, q_k, dq_k, tau_k):
         dq_k = dq_k if with_velocity else None
         if own_torque:
-            return one.update_external_torque(q_k, tau_k, 1e-3, dq_k)
+            return one.update_external_torque(q_k, dq_k, tau_k, 1e-3)
         return one.update(q_k, dq_k, tau_k, 1e-3)
 
     for k in range(700):
@@ -267,7 +274,103 @@ def test_no_state_is_an_array_of_the_caller(lwr, with_velocity, own_torque):
 def test_numbers_that_are_none_of_a_joint_are_refused_without_a_warning(lwr, odd):
     sensor, still = VirtualForceSensor(lwr), np.zeros(7)
     for sample in ((odd, still, still), (still, odd, still), (still, still, odd)):
-        told = sensor.update(*sample, 1e-3)
-        assert told.status is Status.REJECTED
-        assert "1e+300" in told.message or "not an array of numbers" in told.message
+        reported = sensor.update(*sample, 1e-3)
+        assert reported.status is Status.REJECTED
+        assert "1e+300" in reported.message or "not an array of numbers" in reported.message
     assert sensor.update(still, still, still, 1e-3).status is Status.INITIALIZING
+
+
+# Neither the rounding of time stamps nor a clock that is set spoils an estimate unseen.
+
+
+def run(robot, stamps_s, *, with_velocity=True):
+    """Estimates of a sensor that is tared after two seconds."""
+    q, dq, tau = signals(robot, 3.0)
+    steps = np.diff(stamps_s, prepend=stamps_s[0] - 1e-3).tolist()
+    sensor, found = VirtualForceSensor(robot), []
+    for k, dt_s in enumerate(steps):
+        if k == 2000:
+            sensor.tare()
+        found.append(sensor.update(q[k], dq[k] if with_velocity else None, tau[k], dt_s))
+    return found
+
+
+@pytest.mark.parametrize("with_velocity", [True, False])
+def test_rounding_of_time_stamps_decides_nothing(lwr, with_velocity):
+    ticks = np.arange(3000)
+    exact = run(lwr, ticks / 1000, with_velocity=with_velocity)
+    for stamps_s in (ticks * 1e-3, np.cumsum(np.full(3000, 1e-3)), 1.7e9 + ticks / 1000):
+        rounded = run(lwr, stamps_s, with_velocity=with_velocity)
+        assert [e.status for e in rounded] == [e.status for e in exact]
+        axial = np.array([(a.axial, b.axial) for a, b in zip(rounded, exact, strict=True)])
+        assert np.abs(np.diff(axial[2000:])).max() < 1e-4
+
+
+def test_a_leap_of_the_clock_is_reported_until_the_next_tare(lwr):
+    sensor, rows = tared(lwr)
+    quiet = feed(sensor, rows[:50])[-1]
+    assert not quiet.warnings
+    sensor.update(*rows[50], 3600.0)
+    reported = feed(sensor, rows[51:400])
+    assert reported[-1].status is Status.OK
+    assert all(SensorWarning.TARE_EXPIRED in e.warnings for e in reported)
+    assert "tare again" in reported[-1].message
+    assert reported[-1].axial_std > 10.0 * quiet.axial_std
+    resumed = VirtualForceSensor(lwr)
+    resumed.restore(sensor.snapshot())
+    assert SensorWarning.TARE_EXPIRED in resumed.update(*rows[400], 1e-3).warnings
+    sensor.start_tare_recording()
+    feed(sensor, rows[400:900])
+    sensor.tare()
+    last = feed(sensor, rows[900:])[-1]
+    assert last.status is Status.OK
+    assert not last.warnings
+    assert last.axial_std < 2.0 * quiet.axial_std
+
+
+def test_a_pause_below_a_minute_is_no_leap(lwr):
+    sensor, rows = tared(lwr)
+    sensor.update(*rows[0], 59.0)
+    assert not feed(sensor, rows[1:400])[-1].warnings
+
+
+@pytest.mark.parametrize("again", [False, True])
+def test_a_leap_while_recording_is_reported_and_what_was_before_it_forgotten(lwr, again):
+    q, dq, tau = signals(lwr, 3.0)
+    rows = list(zip(q, dq, tau, strict=True))
+    sensor = VirtualForceSensor(lwr)
+    if again:
+        sensor, _ = tared(lwr)
+        sensor.start_tare_recording()
+    assert not feed(sensor, [(q, dq, tau + 2.0) for q, dq, tau in rows[:1000]])[-1].warnings
+    sensor.update(*rows[1000], 3600.0)
+    with pytest.raises(TareError, match=r"no settled free motion.*a time step of minutes"):
+        sensor.tare()
+    reported = feed(sensor, rows[1001:2000])
+    assert all(SensorWarning.TARE_EXPIRED in e.warnings for e in reported)
+    assert reported[-1].status is Status.NOT_TARED
+    assert "forgotten" in reported[-1].message
+    resumed = VirtualForceSensor(lwr)
+    resumed.restore(sensor.snapshot())
+    assert SensorWarning.TARE_EXPIRED in resumed.update(*rows[2000], 1e-3).warnings
+    sensor.tare()
+    last = feed(sensor, rows[2000:])[-1]
+    assert last.status is Status.OK
+    assert not last.warnings
+    assert abs(last.axial) < 0.1
+
+
+def test_a_leap_before_any_motion_is_recorded_is_none(lwr):
+    q, dq, tau = signals(lwr, 1.0)
+    sensor = VirtualForceSensor(lwr)
+    sensor.update(q[0], dq[0], tau[0], 1e-3)
+    sensor.update(q[1], dq[1], tau[1], 3600.0)
+    found = feed(sensor, zip(q[2:], dq[2:], tau[2:], strict=True))
+    assert not any(e.warnings for e in found)
+
+
+def test_a_recording_started_anew_after_a_leap_is_as_good_as_any(lwr):
+    sensor, rows = tared(lwr)
+    sensor.update(*rows[0], 3600.0)
+    sensor.start_tare_recording()
+    assert not any(e.warnings for e in feed(sensor, rows[1:400]))

@@ -87,10 +87,10 @@ def test_a_damaged_snapshot_leaves_a_running_sensor_as_it_was(lwr):
     (sensor, rows), (twin, _) = tared(lwr, more=0.2), tared(lwr, more=0.2)
     state = sensor.snapshot()
     for damaged in (
-        state._replace(offset=state.offset._replace(recorder=None)),
+        state._replace(offset=replace(state.offset, recorder=None)),
         state._replace(weights=state.weights._replace(variance_N2=-1.0)),
         state._replace(torque_covariance=-np.eye(7)),
-        state._replace(slow=None),
+        state._replace(monitor=None),
     ):
         with pytest.raises(SnapshotError, match="damaged"):
             sensor.restore(damaged)

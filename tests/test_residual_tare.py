@@ -8,10 +8,9 @@ import pytest
 from residual_signals import MIDDLE
 
 from residual import BiasPrior, ConfigurationError, TareError, WrenchEstimator
-from residual.bias_estimator import check_free_of_contact, trend_step
-from residual.bias_fit import fit_tare
+from residual.bias_estimator import TareRecorder, play_operator
+from residual.bias_fit import check_free_of_contact, fit_tare
 from residual.bias_model import BiasModel, TareBlocks, prior_tare
-from residual.bias_recorder import TareRecorder
 
 TOWARDS = np.array([0.0, 0.12, 0.01, 0.15, 0.0, 0.1, 0.0])
 FORWARD = np.tile(np.sign(TOWARDS), (3, 1))
@@ -32,7 +31,7 @@ def stroke(robot, basis, *, truth=None, noise=0.005, seed=0, blocks=300, reach=1
     residual = bias + noise * rng.normal(size=bias.shape)
     scatter = np.full(robot.nv, (2 * noise) ** 2)
     return theta, TareBlocks(
-        q_rad=q, trend=trend, residual_Nm=residual, age_s=age, scatter_Nm2=scatter
+        q_rad=q, hysteresis=trend, residual_Nm=residual, age_s=age, scatter_Nm2=scatter
     )
 
 
@@ -176,12 +175,12 @@ def test_ripple_of_a_known_gear_ratio_is_fitted(lwr):
 def test_torque_trend_remembers_at_rest_and_turns_over_the_width():
     half_width, trend = np.array([0.01]), np.zeros(1)
     for _ in range(10):
-        trend = trend_step(trend, np.array([0.002]), half_width)
+        trend = play_operator(trend, np.array([0.002]), half_width)
     assert trend[0] == 1.0
-    assert trend_step(trend, np.zeros(1), half_width)[0] == 1.0
-    back = trend_step(trend, np.array([-0.01]), half_width)
+    assert play_operator(trend, np.zeros(1), half_width)[0] == 1.0
+    back = play_operator(trend, np.array([-0.01]), half_width)
     assert back[0] == pytest.approx(0.0)
-    assert trend_step(back, np.array([-1.0]), half_width)[0] == -1.0
+    assert play_operator(back, np.array([-1.0]), half_width)[0] == -1.0
 
 
 def test_merged_blocks_keep_the_variance_of_their_samples():
@@ -190,9 +189,9 @@ def test_merged_blocks_keep_the_variance_of_their_samples():
     for k in range(30_000):
         value = 0.01 * rng.normal(size=1)
         recorder.add(np.zeros(1), np.zeros((1, 1)), value, k * 1e-3, 1e-3)
-    old = recorder._blocks[0]
-    assert old.samples > 200
-    assert old.scatter[0] == pytest.approx(1e-4, rel=0.25)
+    old = recorder.state
+    assert old.samples[0] > 200
+    assert old.scatter[0, 0] == pytest.approx(1e-4, rel=0.25)
     assert len(recorder.blocks(30.0, window_s=0.5).age_s) >= 20, "the latest blocks stay short"
 
 
@@ -204,7 +203,7 @@ def test_age_counts_from_the_tare_and_hysteresis_from_the_trend(lwr):
     trend = np.stack([np.ones(7), np.zeros(7), -np.ones(7)])
     got = basis.columns(MIDDLE, trend, 10.0) @ theta
     np.testing.assert_allclose(got, np.full(7, 0.1 + 0.1 - 0.4))
-    rising = trend_step(np.zeros((1, 7)), np.ones(7), np.ones((1, 7)))
+    rising = play_operator(np.zeros((1, 7)), np.ones(7), np.ones((1, 7)))
     assert (rising == 1.0).all()
 
 

@@ -114,6 +114,6 @@ def test_what_was_checked_elsewhere_goes_the_same_way(lwr):
     observer, twin = MomentumObserver(lwr), MomentumObserver(lwr)
     for k in range(50):
         ours = velocity.update(q[k], tau[k], 1e-3)
-        np.testing.assert_array_equal(ours.dq, its_twin.absorb(q[k], tau[k], 1e-3)[1])
+        np.testing.assert_array_equal(ours.dq, its_twin.absorb(np.stack((q[k], tau[k])), 1e-3)[1])
         residual = observer.update(q[k], dq[k], tau[k], 1e-3)
         np.testing.assert_array_equal(residual, twin.absorb(q[k], dq[k], tau[k], 1e-3))

@@ -4,8 +4,23 @@ import re
 
 import numpy as np
 import pytest
+from guarded_sensor import feed, signals, tared
+from insertion_run import same
+from residual_signals import BIAS
 
+from needleforce import InsertionSession, read_snapshot, write_snapshot
+from residual import (
+    DEFAULT,
+    PUBLISHED,
+    SensorWarning,
+    SnapshotError,
+    Status,
+    TareError,
+    VirtualForceSensor,
+)
 from residual.consistency_checks import first_match, velocity_fault, velocity_match_step
+from residual.snapshot import copied
+from residual.virtual_force_sensor import SensorState
 
 SHARES = np.array([0.03, -0.8, 0.07, 1.05, 0.25, 1.8, 0.2])
 """Way of every joint in a straight stroke, in times of the stroke's."""
@@ -32,7 +47,7 @@ def shaking():
     return times, 0.3 * (1.0 - np.cos(phase)), 0.3 * omega * np.sin(phase)
 
 
-def told(times, q, dq):
+def reports(times, q, dq):
     """What is told at every look, with its time, and the last match."""
     q, dq = np.ascontiguousarray(q), np.ascontiguousarray(dq)
     match, last, found = first_match(q[0], dq[0]), 0, []
@@ -76,7 +91,7 @@ def noisy(values, std):
     return values + std * np.random.default_rng(0).normal(size=values.shape)
 
 
-SOUND = {
+RIGHT = {
     "as it is": lambda q, dq: (q, dq),
     "noise of good sensors": lambda q, dq: (noisy(q, 1e-5), noisy(dq, 2e-3)),
     "noise of bad encoders": lambda q, dq: (noisy(q, 1e-3), dq),
@@ -128,30 +143,30 @@ SECONDS = {"late by 0.5 s": 6.5, "stale": 6.5}
 """Until these are told; for those the way back is needed."""
 
 
-@pytest.mark.parametrize("source", SOUND)
+@pytest.mark.parametrize("source", RIGHT)
 @pytest.mark.parametrize("motion", [stroke, shaking])
-def test_sound_signals_are_never_told(motion, source):
+def test_right_signals_are_never_reported(motion, source):
     times, q, dq = motion()
-    found, _ = told(times, *SOUND[source](q, dq))
+    found, _ = reports(times, *RIGHT[source](q, dq))
     assert not any(text for _, text in found)
 
 
-def test_jitter_of_the_clock_and_gaps_are_not_told():
+def test_jitter_of_the_clock_and_gaps_are_not_reported():
     times, q, dq = stroke()
     rng = np.random.default_rng(2)
     stamps = np.maximum.accumulate(times + 5e-3 * rng.uniform(size=len(times)))
-    assert not any(text for _, text in told(stamps, q, dq)[0])
+    assert not any(text for _, text in reports(stamps, q, dq)[0])
     kept = np.ones(len(times), dtype=bool)
     for start, length in zip(rng.uniform(0, 14, 12), (0.03, 0.1, 0.19, 0.4) * 3, strict=True):
         kept &= ~((times >= start) & (times < start + length))
-    assert not any(text for _, text in told(times[kept], q[kept], dq[kept])[0])
+    assert not any(text for _, text in reports(times[kept], q[kept], dq[kept])[0])
 
 
 @pytest.mark.parametrize("kind", WRONG)
-def test_wrong_velocities_are_told_within_seconds_and_stay_told_at_rest(kind):
+def test_wrong_velocities_are_reported_within_seconds_and_stay_reported_at_rest(kind):
     bend, words = WRONG[kind]
     times, q, dq = stroke()
-    found, match = told(times, *bend(q, dq))
+    found, match = reports(times, *bend(q, dq))
     first_s = next(time_s for time_s, text in found if text)
     assert REST_S < first_s < REST_S + SECONDS.get(kind, 2.5)
     assert re.search(words, found[-1][1]), found[-1][1]
@@ -163,14 +178,14 @@ def test_wrong_velocities_are_told_within_seconds_and_stay_told_at_rest(kind):
 
 def test_joints_that_do_not_move_are_not_judged():
     times, q, dq = stroke()
-    found, _ = told(times, 0.0 * q, noisy(0.0 * dq, 0.05))
+    found, _ = reports(times, 0.0 * q, noisy(0.0 * dq, 0.05))
     assert not any(text for _, text in found)
-    assert told(times, 0.0 * q, 0.0 * dq + 1.0)[0][-1][1] != ""
+    assert reports(times, 0.0 * q, 0.0 * dq + 1.0)[0][-1][1] != ""
 
 
 def test_velocities_that_have_become_right_are_forgotten_by_motion():
     times, q, dq = stroke()
-    wrong = told(times, q, -dq)[1]
+    wrong = reports(times, q, -dq)[1]
     match = wrong
     for _ in range(20):
         for k in range(20, len(times), 20):
@@ -179,11 +194,113 @@ def test_velocities_that_have_become_right_are_forgotten_by_motion():
     assert not velocity_fault(match)
 
 
-def test_a_match_is_left_as_it_was_and_the_compiled_step_is_the_plain_one():
+def test_a_match_is_left_as_it_was():
     times, q, dq = shaking()
-    _, match = told(times[:3000], q, 2.0 * dq)
-    before = match.copy()
-    after = velocity_match_step(match, q[3020], dq[3020], 0.02)
-    np.testing.assert_array_equal(match, before)
-    plain = getattr(velocity_match_step, "py_func", velocity_match_step)
-    np.testing.assert_allclose(after, plain(match, q[3020], dq[3020], 0.02), rtol=1e-12, atol=1e-18)
+    _, match = reports(times[:3000], q, 2.0 * dq)
+    before = copied(match)
+    velocity_match_step(match, q[3020], dq[3020], 0.02)
+    np.testing.assert_equal(match, before)
+
+
+# What is reported of wrong velocities: by the sensor and by a session.
+
+
+def rows_of(robot, seconds=4.0, factor=1.0, start=0.0):
+    q, dq, tau = signals(robot, seconds, start=start)
+    return [(q_k, factor * dq_k, tau_k) for q_k, dq_k, tau_k in zip(q, dq, tau, strict=True)]
+
+
+@pytest.mark.parametrize("config", [DEFAULT, PUBLISHED])
+@pytest.mark.parametrize("factor", [DEGREES, -1.0])
+def test_the_tare_is_refused_with_the_reason_and_not_with_contact(lwr, factor, config):
+    sensor = VirtualForceSensor(lwr, config)
+    found = feed(sensor, rows_of(lwr, factor=factor))
+    assert SensorWarning.VELOCITY in found[-1].warnings
+    assert found[-1].status is Status.NOT_TARED
+    assert f"is {factor:.3g} times the rate of q" in found[-1].message
+    with pytest.raises(TareError, match="times the rate of q") as refused:
+        sensor.tare()
+    assert "in contact" not in str(refused.value)
+    assert not sensor.tared
+    sensor.tare(ignore_contact=True)
+    later = feed(sensor, rows_of(lwr, 0.1, factor, start=4.0))[-1]
+    assert sensor.tared
+    assert SensorWarning.VELOCITY in later.warnings
+    assert "times the rate of q" in later.message
+
+
+def test_right_velocities_are_not_reported_and_without_velocities_nothing_is(lwr):
+    sensor, rows = tared(lwr)
+    assert not any(e.warnings for e in feed(sensor, rows))
+    sensor, rows = tared(lwr, with_velocity=False)
+    assert not any(e.warnings for e in feed(sensor, rows))
+    assert sensor.snapshot().monitor.match is None
+
+
+def test_free_motion_recorded_anew_is_judged_anew(lwr):
+    sensor = VirtualForceSensor(lwr)
+    assert feed(sensor, rows_of(lwr, factor=DEGREES))[-1].warnings == SensorWarning.VELOCITY
+    # A jump of all velocities, which the filters have to forget first.
+    feed(sensor, rows_of(lwr, 0.5, start=4.0))
+    sensor.start_tare_recording()
+    found = feed(sensor, rows_of(lwr, start=4.5))
+    assert not any(e.warnings for e in found)
+    sensor.tare()
+    sensor.start_tare_recording()
+    assert SensorWarning.VELOCITY in feed(sensor, rows_of(lwr, start=8.0, factor=-1.0))[-1].warnings
+
+
+def test_the_robots_own_external_torque_is_judged_the_same_way(lwr):
+    sensor = VirtualForceSensor(lwr)
+    rows = rows_of(lwr, factor=-1.0)
+    found = [sensor.update_external_torque(q, dq, BIAS, 1e-3) for q, dq, _ in rows]
+    assert SensorWarning.VELOCITY in found[-1].warnings
+    sensor.reset()
+    found = [sensor.update_external_torque(q, None, BIAS, 1e-3) for q, _, _ in rows]
+    assert not any(e.warnings for e in found)
+
+
+def test_a_session_keeps_wrong_velocities_from_its_identifier(lwr):
+    session = InsertionSession(lwr)
+    for row in rows_of(lwr, factor=-1.0):
+        session.update(*row, 1e-3)
+    with pytest.raises(TareError, match="times the rate of q"):
+        session.tare()
+    session.tare(force=True)
+    found = [session.update(*row, 1e-3) for row in rows_of(lwr, 0.3, -1.0, start=4.0)]
+    assert all(
+        SensorWarning.VELOCITY in e.warnings and not e.used_for_identification for e in found
+    )
+
+
+@pytest.mark.parametrize("cut", [900, 2500])
+def test_a_snapshot_goes_on_bit_for_bit_before_and_after_it_is_reported(lwr, tmp_path, cut):
+    rows = rows_of(lwr, factor=-1.0)
+    sensor, other = VirtualForceSensor(lwr), VirtualForceSensor(lwr)
+    feed(sensor, rows[:cut])
+    state = sensor.snapshot()
+    write_snapshot(state, tmp_path / "state")
+    stored = read_snapshot(tmp_path / "state")
+    assert isinstance(stored, SensorState)
+    other.restore(stored)
+    assert other.snapshot().monitor.match is not state.monitor.match
+    for row in rows[cut:]:
+        assert same(sensor.update(*row, 1e-3), other.update(*row, 1e-3))
+    assert same(sensor.snapshot().monitor, other.snapshot().monitor)
+    assert SensorWarning.VELOCITY in sensor.update(*rows[-1], 1e-3).warnings
+
+
+@pytest.mark.parametrize("name", ["position", "seconds", "products"])
+@pytest.mark.parametrize("shape", [(), (25,), (3, 3), (7, 6), (6,)])
+def test_a_damaged_match_is_refused(lwr, name, shape):
+    sensor, rows = tared(lwr)
+    feed(sensor, rows[:50])
+    state = sensor.snapshot()
+    match = state.monitor.match
+    assert match is not None
+    assert match.products.shape == (7, 7)
+    match = match._replace(**{name: np.zeros(shape)})
+    damaged = state._replace(monitor=state.monitor._replace(match=match))
+    with pytest.raises(SnapshotError, match="damaged"):
+        sensor.restore(damaged)
+    sensor.restore(state)

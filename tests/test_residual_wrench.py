@@ -41,7 +41,7 @@ def test_tissue_that_pushes_back_is_a_positive_axial_force(lwr, mode, axes):
     np.testing.assert_allclose(estimate.force, expected, atol=2e-3)
 
 
-def test_force_and_torque_are_told_apart_at_any_named_frame(lwr):
+def test_force_and_torque_are_reported_apart_at_any_named_frame(lwr):
     wrench = np.array([1.0, -2.0, 3.0, 0.1, 0.2, -0.3])
     data = lwr.create_data()
     jacobian = pin.computeFrameJacobian(

@@ -273,4 +273,4 @@ def test_a_field_changed_on_purpose_is_refused_or_does_no_harm(tmp_path, data):
 @pytest.mark.parametrize("value", [object(), 1 + 2j, np.zeros(2, dtype=np.int64)])
 def test_what_a_snapshot_cannot_hold_is_refused(value, tmp_path):
     with pytest.raises(SnapshotFileError, match="cannot hold"):
-        write_snapshot(stopped()[1]._replace(unfed_s=value), tmp_path / "s")
+        write_snapshot(stopped()[1]._replace(unused_s=value), tmp_path / "s")

@@ -7,18 +7,17 @@ doi 10.1109/TBME.2004.831542.
 from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
-from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
+from benchmarks import DataError
 from benchmarks.benchmark import Findings, Job, Progress
-from benchmarks.errors import DataError
+from benchmarks.identification_metrics import VISIBLE_SIGMAS, nearest_pairs
 from benchmarks.methods import IDENTIFIERS
-from benchmarks.metric_catalogue import Measurement
-from benchmarks.recorded.liver import alarms_at_falls, force_falls
-from benchmarks.rupture_metrics import VISIBLE_SIGMAS
-from identification import PublishedConfig, Replay, replay
+from benchmarks.metrics import Measurement
+from benchmarks.recorded.liver import alarms_at_drops, force_drops
+from identification import PublishedConfig, replay
 
 Array = NDArray[np.float64]
 
@@ -37,22 +36,8 @@ RUPTURES_mm = (19.2, 29.9, 32.7, 36.7)
 """The capsule as annotated by the authors; the others read off the curve."""
 
 
-class BovineInsertion(NamedTuple):
-    """The insertion as a sensor would have sent it, n samples.
-
-    Attributes:
-        t_s: Time, shape (n,).
-        depth_m: Depth, shape (n,).
-        force_N: Axial force, shape (n,).
-    """
-
-    t_s: Array
-    depth_m: Array
-    force_N: Array
-
-
-def read_bovine(data: Path, rng: np.random.Generator | None) -> BovineInsertion:
-    """Turn the points of the figure into a signal.
+def read_bovine(data: Path, rng: np.random.Generator | None) -> tuple[Array, Array, Array]:
+    """Time, depth and axial force, shape (n,) each, from the points of the figure.
 
     The curve was traced in one stroke of 232 points; those that follow it in the file go over parts
     of it again, less exactly, and would put a zigzag into it. The stroke's points are joined by
@@ -80,14 +65,7 @@ def read_bovine(data: Path, rng: np.random.Generator | None) -> BovineInsertion:
     force_N = np.interp(depth_m, depth, force)
     if rng is not None:
         force_N += NOISE_N * rng.standard_normal(len(depth_m))
-    return BovineInsertion(t_s=np.arange(len(depth_m)) / RATE_hz, depth_m=depth_m, force_N=force_N)
-
-
-# ``bovine-real``: the four ruptures of an insertion into bovine liver.
-#
-# The curve falls in more places than the annotated ones (docs/limits.md). An alarm that belongs to
-# none of the four counts as false, whatever the force does there; whether it falls there by more
-# than five times the noise, as a true rupture of a simulated tissue must, is told beside it.
+    return np.arange(len(depth_m)) / RATE_hz, depth_m, force_N
 
 
 NEAR_mm = 1.5
@@ -95,31 +73,36 @@ NEAR_mm = 1.5
 
 
 def run_bovine_real(job: Job, progress: Progress) -> Findings:
-    """Both methods; `published` is told where first contact is, ours finds it.
+    """``bovine-real``: the four ruptures of the insertion, by both methods.
 
-    Raises:
-        DataError: The recording is missing or broken.
+    The curve falls in more places than the annotated ones (docs/limits.md). An alarm that belongs
+    to none of the four counts as false, whatever the force does there; whether it drops there by
+    more than five times the noise, as at a true rupture of a simulated tissue, is reported beside
+    it. `published` is given the depth of first contact, ours finds it.
     """
     data = job.recordings
-    signal = read_bovine(data, np.random.default_rng(job.seed))
-    drawn = read_bovine(data, None)
-    falls = force_falls(drawn.depth_m, drawn.force_N, VISIBLE_SIGMAS * NOISE_N)
+    t_s, depth_m, force_N = read_bovine(data, np.random.default_rng(job.seed))
+    drops = force_drops(*read_bovine(data, None)[1:], VISIBLE_SIGMAS * NOISE_N)
     found: list[Measurement] = []
     for k, (method, config) in enumerate(IDENTIFIERS.items()):
         progress(k / len(IDENTIFIERS))
         if isinstance(config, PublishedConfig):
             config = replace(config, contact_depth_m=CONTACT_m)
-        result = replay(signal.t_s, signal.depth_m, signal.force_N, config=config)
-        alarms_mm, dated_mm = _depths_mm(result)
-        values = depth_metrics(alarms_mm, dated_mm, RUPTURES_mm)
-        with_fall = alarms_at_falls([1e-3 * alarm for alarm in alarms_mm], falls)
-        values["ruptures_without_fall"] = float(len(alarms_mm) - with_fall)
+        result = replay(t_s, depth_m, force_N, config=config)
+        events = [row.rupture for row in result.estimates if row.rupture is not None]
+        alarms_m = [event.alarm_depth_m for event in events]
+        values = depth_metrics(
+            [1e3 * alarm for alarm in alarms_m],
+            [1e3 * event.depth_m for event in events],
+            RUPTURES_mm,
+        )
+        values["ruptures_without_fall"] = float(len(events) - alarms_at_drops(alarms_m, drops))
         found += [Measurement("ft", method, name, value) for name, value in values.items()]
     return Findings(found)
 
 
 def depth_metrics(
-    alarms_mm: Sequence[float], dated_mm: Sequence[float], true_mm: Sequence[float]
+    alarms_mm: Sequence[float], estimated_mm: Sequence[float], true_mm: Sequence[float]
 ) -> dict[str, float]:
     """Missed and false ruptures, and how far the others are out.
 
@@ -127,22 +110,13 @@ def depth_metrics(
 
     Args:
         alarms_mm: Depths of the alarms.
-        dated_mm: Depths at which the same ruptures were estimated to have happened.
+        estimated_mm: Depths at which the same ruptures were estimated to have happened.
         true_mm: Annotated depths.
 
     Returns:
         Numbers by name; worst distances only when something was found.
     """
-    pairs = sorted(
-        (abs(alarm - true), i, j)
-        for i, true in enumerate(true_mm)
-        for j, alarm in enumerate(alarms_mm)
-        if abs(alarm - true) <= NEAR_mm
-    )
-    alarm_of: dict[int, int] = {}
-    for _, i, j in pairs:
-        if i not in alarm_of and j not in alarm_of.values():
-            alarm_of[i] = j
+    alarm_of = nearest_pairs(true_mm, alarms_mm, NEAR_mm, NEAR_mm)
     values = {
         "ruptures_missed": float(len(true_mm) - len(alarm_of)),
         "ruptures_false": float(len(alarms_mm) - len(alarm_of)),
@@ -152,13 +126,6 @@ def depth_metrics(
             abs(alarms_mm[j] - true_mm[i]) for i, j in alarm_of.items()
         )
         values["rupture_dated_depth_error_mm"] = max(
-            abs(dated_mm[j] - true_mm[i]) for i, j in alarm_of.items()
+            abs(estimated_mm[j] - true_mm[i]) for i, j in alarm_of.items()
         )
     return values
-
-
-def _depths_mm(result: Replay) -> tuple[list[float], list[float]]:
-    """Depths of the alarms, and of the ruptures as estimated with them."""
-    events = [row.rupture for row in result.estimates if row.rupture is not None]
-    alarms = [1e3 * event.alarm_depth_m for event in events]
-    return alarms, [1e3 * event.depth_m for event in events]

@@ -15,16 +15,13 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.ndimage import uniform_filter1d
 
+from benchmarks import DataError
 from benchmarks.benchmark import Findings, Job, Progress
-from benchmarks.errors import DataError
+from benchmarks.identification_metrics import VISIBLE_SIGMAS
 from benchmarks.methods import IDENTIFIERS
-from benchmarks.metric_catalogue import Measurement
+from benchmarks.metrics import Measurement
 from benchmarks.rows import Method
-from benchmarks.rupture_metrics import VISIBLE_SIGMAS
 from identification import replay
-
-# The force with which a needle is pulled out: friction alone, the yardstick of real tissue.
-
 
 Array = NDArray[np.float64]
 
@@ -36,20 +33,11 @@ SETTLED_m = 2e-3
 """Travel back after which friction has turned round and the tip touches nothing."""
 
 
-class InAndOut(NamedTuple):
-    """The parts of a recording.
+def insertion_parts(depth_m: Array) -> tuple[slice, slice]:
+    """Insertion and withdrawal in a recording that holds the needle in between.
 
-    Attributes:
-        insertion: From its start to where the needle is within `HAIR_m` of its deepest.
-        withdrawal: Where it is on its way out and friction has turned round.
-    """
-
-    insertion: slice
-    withdrawal: slice
-
-
-def in_and_out(depth_m: Array) -> InAndOut:
-    """Split a recording of one insertion, hold and withdrawal.
+    The insertion ends where the needle is within `HAIR_m` of its deepest; the withdrawal begins
+    when friction has turned round.
 
     Args:
         depth_m: Depth, shape (n,).
@@ -58,16 +46,13 @@ def in_and_out(depth_m: Array) -> InAndOut:
     deep = np.flatnonzero(depth_m >= deepest - HAIR_m)
     back = np.flatnonzero(depth_m[deep[-1] :] < deepest - SETTLED_m)
     out = deep[-1] + (int(back[0]) if len(back) else len(depth_m))
-    return InAndOut(slice(0, int(deep[0]) + 1), slice(int(out), len(depth_m)))
+    return slice(0, int(deep[0]) + 1), slice(int(out), len(depth_m))
 
 
 def mean_at_depth(depth_m: Array, values: Array, at_m: float) -> float:
     """Mean of values near a depth, nan when the needle was never there."""
     near = np.abs(depth_m - at_m) <= WINDOW_m
     return float(np.mean(values[near])) if near.any() else float("nan")
-
-
-# Reads the files of real recordings, and says plainly what is wrong with one.
 
 
 def read_arrays(path: Path, names: Sequence[str]) -> list[Array]:
@@ -82,11 +67,9 @@ def read_arrays(path: Path, names: Sequence[str]) -> list[Array]:
             if missing:
                 raise DataError(f"{path} lacks {', '.join(missing)}; it has {', '.join(content)}")
             arrays = [np.asarray(content[name], dtype=np.float64) for name in names]
-    except (OSError, EOFError, BadZipFile) as error:
-        raise DataError(f"cannot read {path}: {error}") from error
-    except ValueError as error:
-        if isinstance(error, DataError):
-            raise
+    except DataError:
+        raise
+    except (OSError, EOFError, BadZipFile, ValueError) as error:
         raise DataError(f"cannot read {path}: {error}") from error
     for name, array in zip(names, arrays, strict=True):
         if array.size == 0 or not np.isfinite(array).all():
@@ -114,39 +97,37 @@ NUMBERS = (0, 2, 4, 6, 8, 10, 12, 16, 18, 20, 22, 24, 26, 28, 30, 32, 34, 36, 38
 """Of the insertions, as in the file."""
 NOISE_N = 7e-3
 """Of the recorded force, above 20 Hz, as the recordings' description says."""
+DEPTHS_mm = (42, 78)
+"""Half way and near the end: where friction is compared."""
 REST_s = 0.9
 """The needle rests at least this long at the start of each recording."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class LiverInsertion:
-    """One recording, as a rule from the end of the rest at its start.
+    """One recording of n samples: insertion, hold and withdrawal."""
 
-    Attributes:
-        t_s: Time since its first sample, shape (n,).
-        depth_m: Depth, shape (n,).
-        force_N: Axial force, as a rule less its mean at rest, shape (n,).
-    """
+    t_s: Array  # time since its first sample, shape (n,)
+    depth_m: Array  # depth, shape (n,)
+    force_N: Array  # axial force as recorded, shape (n,)
+    insertion: slice  # its parts, see `insertion_parts`
+    withdrawal: slice
 
-    t_s: Array
-    depth_m: Array
-    force_N: Array
+    @property
+    def pullout_N(self) -> tuple[float, ...]:
+        """Force of pulling the needle out at each of `DEPTHS_mm`: friction alone."""
+        return tuple(-self.force_at_N(self.withdrawal, mm) for mm in DEPTHS_mm)
 
     def force_at_N(self, part: slice, depth_mm: float) -> float:
         """Mean force near a depth [mm] in a part of the recording; nan if the needle was not there.
 
-        Negative on the way out, where friction holds the needle back.
+        Negative during withdrawal, where friction holds the needle back.
         """
         return mean_at_depth(self.depth_m[part], self.force_N[part], 1e-3 * depth_mm)
 
 
-def read_liver(data: Path, index: int, *, as_recorded: bool = False) -> LiverInsertion:
-    """Read one insertion.
-
-    Args:
-        data: Folder of recordings.
-        index: Into `NUMBERS`.
-        as_recorded: Whether to keep the rest at the start, and the force as it was read.
+def read_liver(data: Path, index: int) -> LiverInsertion:
+    """Read one insertion from the folder of recordings; the index is one into `NUMBERS`.
 
     Raises:
         DataError: There is no such insertion, or the file is missing or broken.
@@ -156,16 +137,11 @@ def read_liver(data: Path, index: int, *, as_recorded: bool = False) -> LiverIns
     number = f"{NUMBERS[index]:02d}"
     names = ("sample_rate_Hz", f"depth_m_{number}", f"force_N_{number}")
     rate, depth, force = read_arrays(data / FOLDER / "insertions.npz", names)
-    rest = int(REST_s * float(rate))
-    start, offset = (0, 0.0) if as_recorded else (rest, float(force[:rest].mean()))
+    parts = insertion_parts(depth)
+    t_s = np.arange(len(depth)) / float(rate)
     return LiverInsertion(
-        t_s=np.arange(len(depth) - start) / float(rate),
-        depth_m=depth[start:],
-        force_N=force[start:] - offset,
+        t_s=t_s, depth_m=depth, force_N=force, insertion=parts[0], withdrawal=parts[1]
     )
-
-
-# Sudden falls of a recorded force, found offline with the whole curve at hand.
 
 
 LEAST_N = 0.15
@@ -176,218 +152,144 @@ SMOOTHING = 21
 """Samples of the centred mean that comes first."""
 
 
-class Fall(NamedTuple):
-    """One fall of the force.
+class ForceDrop(NamedTuple):
+    """One sudden drop of the force, found offline."""
 
-    Attributes:
-        from_m: Depth at its top.
-        to_m: Depth at its foot.
-        drop_N: Its height.
-    """
-
-    from_m: float
-    to_m: float
-    drop_N: float
+    from_m: float  # depth at its top
+    to_m: float  # depth at its foot
+    drop_N: float  # its height
 
 
 NEAR_m = 0.5e-3
-"""An alarm belongs to a fall when it lies between its top and its foot, or so close to either."""
+"""An alarm belongs to a drop when it lies between its top and its foot, or so close to either."""
 
 
-def force_falls(depth_m: Array, force_N: Array, least_N: float = LEAST_N) -> list[Fall]:
-    """Every fall by at least `least_N` within `LONGEST_m` of travel.
+def force_drops(depth_m: Array, force_N: Array, least_N: float = LEAST_N) -> list[ForceDrop]:
+    """Every drop by at least `least_N` within `LONGEST_m` of travel.
 
-    Overlapping falls are one. The last `LONGEST_m` do not count: there the needle slows down.
+    Overlapping drops are one. The last `LONGEST_m` do not count: there the needle slows down.
 
     Args:
         depth_m: Depth of the advancing needle, shape (n,), not decreasing but for noise.
         force_N: Axial force, shape (n,).
-        least_N: The smallest fall that counts.
+        least_N: The smallest drop that counts.
     """
     depth = np.maximum.accumulate(depth_m)
     force = uniform_filter1d(force_N, SMOOTHING, mode="nearest")
     begin = np.searchsorted(depth, depth - LONGEST_m)
     inside = np.flatnonzero(depth < depth[-1] - LONGEST_m)
-    found: list[Fall] = []
+    found: list[ForceDrop] = []
     for k in inside.tolist():
         top = int(begin[k]) + int(np.argmax(force[begin[k] : k + 1]))
-        drop = float(force[top] - force[k])
-        if drop < least_N:
+        drop = ForceDrop(float(depth[top]), float(depth[k]), float(force[top] - force[k]))
+        if drop.drop_N < least_N:
             continue
-        fall = Fall(float(depth[top]), float(depth[k]), drop)
-        if not found or fall.from_m > found[-1].to_m:
-            found.append(fall)
-        elif drop > found[-1].drop_N:
-            found[-1] = fall
+        if not found or drop.from_m > found[-1].to_m:
+            found.append(drop)
+        elif drop.drop_N > found[-1].drop_N:
+            found[-1] = drop
     return found
 
 
-def falls_found(falls: Sequence[Fall], alarms_m: Sequence[float]) -> int:
-    """How many falls have an alarm of their own or share one.
-
-    Args:
-        falls: Found offline.
-        alarms_m: Depths of the alarms.
-    """
-    return sum(any(_is_at(alarm, fall) for alarm in alarms_m) for fall in falls)
+def drops_found(drops: Sequence[ForceDrop], alarms_m: Sequence[float]) -> int:
+    """How many of the drops have an alarm at their depth, perhaps a common one."""
+    return sum(any(_is_at(alarm, drop) for alarm in alarms_m) for drop in drops)
 
 
-def alarms_at_falls(alarms_m: Sequence[float], falls: Sequence[Fall]) -> int:
-    """How many alarms have a fall; several may share one.
-
-    Args:
-        alarms_m: Depths of the alarms.
-        falls: Found offline.
-    """
-    return sum(any(_is_at(alarm, fall) for fall in falls) for alarm in alarms_m)
+def alarms_at_drops(alarms_m: Sequence[float], drops: Sequence[ForceDrop]) -> int:
+    """How many of the alarms, given by their depths, lie at a drop, perhaps a common one."""
+    return sum(any(_is_at(alarm, drop) for drop in drops) for alarm in alarms_m)
 
 
-def _is_at(alarm_m: float, fall: Fall) -> bool:
-    return fall.from_m - NEAR_m <= alarm_m <= fall.to_m + NEAR_m
+def _is_at(alarm_m: float, drop: ForceDrop) -> bool:
+    return drop.from_m - NEAR_m <= alarm_m <= drop.to_m + NEAR_m
 
 
-# What a method tells of one insertion into real liver, against what is known of it.
+class LiverReference(NamedTuple):
+    """What the estimates of an insertion are compared with."""
+
+    pullout_N: tuple[float, ...]  # force of pulling the needle out at each of `DEPTHS_mm`
+    drops: list[ForceDrop]  # drops of the force as large as an internal rupture
+    small_drops: list[ForceDrop]  # drops by more than five times its noise, the former among them
 
 
-DEPTHS_mm = (42, 78)
-"""Half way and near the end: where friction is compared."""
+class LiverEstimates(NamedTuple):
+    """What a method made of an insertion; a rule of thumb reports friction only."""
+
+    reference: LiverReference
+    friction_N: tuple[float, ...]  # at each depth
+    alarms_m: Sequence[float] = ()  # depths of the ruptures reported
+    enhanced_N: Array = np.empty(0)  # enhanced force, shape (n,)
 
 
-class LiverKnown(NamedTuple):
-    """What is known of an insertion from elsewhere.
-
-    Attributes:
-        pullout_N: Force of pulling the needle out at each of `DEPTHS_mm`.
-        falls: Falls of the force as large as an internal rupture.
-        small_falls: Falls by more than five times its noise, the former among them.
-    """
-
-    pullout_N: tuple[float, ...]
-    falls: list[Fall]
-    small_falls: list[Fall]
+def liver_reference(insertion: LiverInsertion, depth_m: Array, force_N: Array) -> LiverReference:
+    """Find the drops of a force over depth, as recorded or as put on an arm, shape (n,) each."""
+    small = force_drops(depth_m, force_N, VISIBLE_SIGMAS * NOISE_N)
+    return LiverReference(insertion.pullout_N, force_drops(depth_m, force_N), small)
 
 
-class LiverTold(NamedTuple):
-    """What a method made of it.
-
-    Attributes:
-        error_pct: Relative error of the friction at each depth.
-        friction_N: That friction.
-        ruptures: Ruptures reported; none for a rule that reports none.
-        at_falls: How many of them have a fall of the force.
-        falls_found: Falls as large as a rupture that have an alarm.
-        enhanced_N: Enhanced force, shape (n,).
-    """
-
-    error_pct: tuple[float, ...]
-    friction_N: tuple[float, ...] = ()
-    ruptures: int = 0
-    at_falls: int = 0
-    falls_found: int = 0
-    enhanced_N: Array = np.empty(0)
-
-
-def known_of(pullout_N: Sequence[float], depth_m: Array, force_N: Array) -> LiverKnown:
-    """Find the falls of an insertion.
-
-    Args:
-        pullout_N: At each of `DEPTHS_mm`.
-        depth_m: Depth of the advancing needle, shape (n,).
-        force_N: Axial force as recorded, shape (n,).
-    """
-    small = force_falls(depth_m, force_N, VISIBLE_SIGMAS * NOISE_N)
-    return LiverKnown(tuple(pullout_N), force_falls(depth_m, force_N), small)
-
-
-def tell(
-    t_s: Array, depth_m: Array, force_N: Array, method: Method, known: LiverKnown
-) -> LiverTold:
-    """Shaft friction at each depth as told when the needle was there, and ruptures reported."""
-    result = replay(t_s, depth_m, force_N, config=IDENTIFIERS[method])
-    friction = np.array([estimate.shaft_friction_N for estimate in result.estimates])
-    told = [mean_at_depth(depth_m, friction, 1e-3 * mm) for mm in DEPTHS_mm]
-    events = [row.rupture for row in result.estimates if row.rupture is not None]
-    alarms = [event.alarm_depth_m for event in events]
-    return LiverTold(
-        errors_pct(told, known.pullout_N),
-        tuple(told),
-        len(alarms),
-        alarms_at_falls(alarms, known.small_falls),
-        falls_found(known.falls, alarms),
-        np.array([estimate.enhanced_force_N for estimate in result.estimates]),
+def liver_estimates(
+    t_s: Array, depth_m: Array, force_N: Array, method: Method, reference: LiverReference
+) -> LiverEstimates:
+    """Shaft friction at each depth as estimated when the needle was there, and ruptures."""
+    estimates = replay(t_s, depth_m, force_N, config=IDENTIFIERS[method]).estimates
+    friction = np.array([estimate.shaft_friction_N for estimate in estimates])
+    return LiverEstimates(
+        reference,
+        tuple(mean_at_depth(depth_m, friction, 1e-3 * mm) for mm in DEPTHS_mm),
+        [row.rupture.alarm_depth_m for row in estimates if row.rupture is not None],
+        np.array([estimate.enhanced_force_N for estimate in estimates]),
     )
 
 
-def errors_pct(told: Sequence[float], true: Sequence[float]) -> tuple[float, ...]:
-    """Relative errors."""
-    return tuple(100.0 * abs(a - b) / b for a, b in zip(told, true, strict=True))
-
-
-def friction_values(told: Sequence[LiverTold]) -> Iterator[tuple[str, float]]:
+def friction_values(found: Sequence[LiverEstimates]) -> Iterator[tuple[str, float]]:
     """Median and 90th percentile of the errors over insertions, all depths together and each."""
-    errors = np.array([each.error_pct for each in told])
-    columns = {"": errors.ravel()}
-    for mm, column in zip(DEPTHS_mm, errors.T, strict=True):
-        columns[f"_{mm}mm"] = column
-    for where, values in columns.items():
-        for name, share in (("median", 50.0), ("p90", 90.0)):
-            yield f"pullout_error{where}_{name}_pct", float(np.percentile(values, share))
+    true = np.array([each.reference.pullout_N for each in found])
+    errors = 100.0 * np.abs(np.array([each.friction_N for each in found]) - true) / true
+    by_depth = {f"_{mm}mm": column for mm, column in zip(DEPTHS_mm, errors.T, strict=True)}
+    for where, values in ({"": errors.ravel()} | by_depth).items():
+        for name, percent in (("median", 50.0), ("p90", 90.0)):
+            yield f"pullout_error{where}_{name}_pct", float(np.percentile(values, percent))
 
 
-def rupture_values(told: Sequence[LiverTold], falls: int) -> Iterator[tuple[str, float]]:
-    """Ruptures reported over all insertions against the falls in them.
-
-    Args:
-        told: Of each insertion.
-        falls: How many falls as large as a rupture all of them hold.
-    """
-    ruptures = sum(each.ruptures for each in told)
-    yield "ruptures_per_insertion", ruptures / len(told)
-    yield "falls_per_insertion", falls / len(told)
-    if falls:
-        yield "fall_recall", sum(each.falls_found for each in told) / falls
+def rupture_values(found: Sequence[LiverEstimates]) -> Iterator[tuple[str, float]]:
+    """Ruptures reported over all insertions against the drops of the force in them."""
+    ruptures = sum(len(each.alarms_m) for each in found)
+    drops = sum(len(each.reference.drops) for each in found)
+    yield "ruptures_per_insertion", ruptures / len(found)
+    yield "falls_per_insertion", drops / len(found)
+    if drops:
+        with_alarm = sum(drops_found(each.reference.drops, each.alarms_m) for each in found)
+        yield "fall_recall", with_alarm / drops
     if ruptures:
-        yield "ruptures_at_falls", sum(each.at_falls for each in told) / ruptures
+        at = sum(alarms_at_drops(each.alarms_m, each.reference.small_drops) for each in found)
+        yield "ruptures_at_falls", at / ruptures
 
 
-# ``liver-real``: friction told during insertion against the force that pulls the needle out.
-#
-# The needle is pulled out against friction alone, so the pull-out force at a depth is what the
-# shaft friction was there on the way in. Methods see the insertion only.
-
-
-GUESS_SHARE = 0.7
-"""The rule of thumb: so much of the insertion force is friction."""
+GUESSED_FRICTION = 0.7
+"""The rule of thumb: this fraction of the insertion force is friction."""
 
 
 def run_liver_real(job: Job, progress: Progress) -> Findings:
-    """All insertions through both methods and the guess.
+    """``liver-real``: friction estimated during insertion against the pull-out force.
 
-    Raises:
-        DataError: The recording is missing or broken.
+    The needle is pulled out against friction alone, so the pull-out force at a depth is what the
+    shaft friction was there during insertion. Methods see the insertion only.
     """
     data = job.recordings
-    told: dict[Method, list[LiverTold]] = {"guess": [], "published": [], "default": []}
-    falls = 0
+    by_method: dict[Method, list[LiverEstimates]] = {"guess": [], "published": [], "default": []}
     for index in range(len(NUMBERS)):
         progress(index / len(NUMBERS))
-        insertion = read_liver(data, index, as_recorded=True)
-        parts = in_and_out(insertion.depth_m)
-        inside = parts.insertion
-        t_s, depth, force = (
-            column[inside] for column in (insertion.t_s, insertion.depth_m, insertion.force_N)
-        )
-        pullout = [-insertion.force_at_N(parts.withdrawal, mm) for mm in DEPTHS_mm]
-        known = known_of(pullout, depth, force)
-        falls += len(known.falls)
-        guess = [GUESS_SHARE * insertion.force_at_N(inside, mm) for mm in DEPTHS_mm]
-        told["guess"].append(LiverTold(errors_pct(guess, pullout)))
+        whole = read_liver(data, index)
+        inside = whole.insertion
+        t_s, depth, force = (each[inside] for each in (whole.t_s, whole.depth_m, whole.force_N))
+        reference = liver_reference(whole, depth, force)
+        guess = tuple(GUESSED_FRICTION * whole.force_at_N(inside, mm) for mm in DEPTHS_mm)
+        by_method["guess"].append(LiverEstimates(reference, guess))
         for method in IDENTIFIERS:
-            told[method].append(tell(t_s, depth, force, method, known))
+            by_method[method].append(liver_estimates(t_s, depth, force, method, reference))
     found: list[Measurement] = []
-    for method, each in told.items():
-        values = list(friction_values(each))
-        if method != "guess":
-            values += rupture_values(each, falls)
+    for method, each in by_method.items():
+        values = [*friction_values(each), *(rupture_values(each) if method != "guess" else ())]
         found += [Measurement("ft", method, name, value) for name, value in values]
     return Findings(found)

@@ -1,9 +1,9 @@
-"""``liver-limit``: how much of the pull-out force an insertion into real liver tells at all.
+"""``liver-limit``: how well an insertion into real liver can predict the pull-out force at all.
 
-Regressions of the pull-out force on everything we could think of in the insertion, each judged on
-insertions it has not seen; and how good a yardstick the pull-out force is. No method of ours is
-judged here. The regressions learn from pull-out forces of the same livers, which an estimator in
-use does not have.
+Regressions of the pull-out force on features of the insertion, each judged on insertions left out
+of its training; and how good a reference the pull-out force is. No method of ours is judged here.
+The regressions learn from pull-out forces of the same livers, which an estimator in use does not
+have.
 """
 
 from collections.abc import Callable, Mapping, Sequence
@@ -18,22 +18,17 @@ from scipy.ndimage import uniform_filter1d
 from scipy.optimize import minimize
 
 from benchmarks.benchmark import Findings, Job, Progress
-from benchmarks.metric_catalogue import Measurement
+from benchmarks.metrics import Measurement
 from benchmarks.recorded.liver import (
     NUMBERS,
     DEPTHS_mm,
-    InAndOut,
     LiverInsertion,
-    force_falls,
-    in_and_out,
-    known_of,
+    force_drops,
+    liver_estimates,
+    liver_reference,
     mean_at_depth,
     read_liver,
-    tell,
 )
-
-# What an insertion into liver shows by the time a depth is reached, for a regression.
-
 
 Array = NDArray[np.float64]
 
@@ -47,14 +42,16 @@ EARLY_mm = (5, 10, 20)
 RECENT_mm = (5, 10, 20)
 
 
-def liver_features(depth_m: Array, force_N: Array, at_m: float, told_N: float) -> dict[str, float]:
+def liver_features(
+    depth_m: Array, force_N: Array, at_m: float, friction_N: float
+) -> dict[str, float]:
     """Features by name; forces as logarithms.
 
     Args:
         depth_m: Depth of the advancing needle, shape (n,).
         force_N: Axial force as recorded, shape (n,).
         at_m: Nothing deeper is looked at.
-        told_N: Friction that our identification tells there.
+        friction_N: As our identification estimates it there.
     """
     depth = np.arange(FIRST_m, at_m + STEP_m / 2.0, STEP_m)
     smooth = uniform_filter1d(force_N, SMOOTHING)
@@ -64,14 +61,14 @@ def liver_features(depth_m: Array, force_N: Array, at_m: float, told_N: float) -
         "half": float(np.interp(at_m / 2.0, depth, force)),
         "mean": float(force.mean()),
         "most": float(force.max()),
-        "friction told": told_N,
+        "estimated friction": friction_N,
     }
     for mm in EARLY_mm:
         found[f"force at {mm} mm"] = float(np.interp(1e-3 * mm, depth, force))
     for mm in RECENT_mm:
         found[f"least of {mm} mm"] = float(force[depth > at_m - 1e-3 * mm].min())
     found = {name: float(np.log(max(value, LEAST))) for name, value in found.items()}
-    return {"depth": at_m} | found | _shape(depth, force) | _falls(depth_m, force_N, at_m)
+    return {"depth": at_m} | found | _shape(depth, force) | _drops(depth_m, force_N, at_m)
 
 
 def _shape(depth_m: Array, force_N: Array) -> dict[str, float]:
@@ -91,33 +88,24 @@ def _shape(depth_m: Array, force_N: Array) -> dict[str, float]:
     }
 
 
-def _falls(depth_m: Array, force_N: Array, at_m: float) -> dict[str, float]:
-    """Falls so far, and the vibration of cutting."""
-    drops = [fall.drop_N for fall in force_falls(depth_m, force_N) if fall.to_m <= at_m]
+def _drops(depth_m: Array, force_N: Array, at_m: float) -> dict[str, float]:
+    """Drops of the force so far, and the vibration of cutting."""
+    drops = [drop.drop_N for drop in force_drops(depth_m, force_N) if drop.to_m <= at_m]
     fine = force_N - uniform_filter1d(force_N, FINE)
     return {
-        "falls": float(len(drops)),
-        "fallen": float(sum(drops)),
-        "largest fall": float(max(drops, default=0.0)),
+        "drops": float(len(drops)),
+        "dropped": float(sum(drops)),
+        "largest drop": float(max(drops, default=0.0)),
         "vibration": float(np.std(fine[depth_m <= at_m])),
     }
 
 
-# Regressions that are judged on what they have not seen: one group left out at a time.
-
-
 class Seen(NamedTuple):
-    """What a regression learns from: n rows of p features.
+    """What a regression learns from: n rows of p features."""
 
-    Attributes:
-        features: Shape (n, p).
-        target: Shape (n,).
-        group: Rows of one group tell of each other; shape (n,).
-    """
-
-    features: Array
-    target: Array
-    group: NDArray[np.int64]
+    features: Array  # shape (n, p)
+    target: Array  # shape (n,)
+    group: NDArray[np.int64]  # rows of one group are not independent; shape (n,)
 
     def only(self, rows: NDArray[np.bool_]) -> "Seen":
         """Some of the rows."""
@@ -167,7 +155,7 @@ def gaussian_process(seen: Seen, asked: Array) -> Array:
     values = (target - mean) / spread
     apart = _squared_distance(known, known)
 
-    def surprise(logs: Array) -> float:
+    def negative_log_likelihood(logs: Array) -> float:
         size, length, noise = np.exp(logs)
         covariance = size * np.exp(-0.5 * apart / length) + (noise + NOISE_LEAST) * np.eye(
             len(values)
@@ -178,7 +166,7 @@ def gaussian_process(seen: Seen, asked: Array) -> Array:
 
     start = np.log([1.0, float(known.shape[1]), 0.5])
     size, length, noise = np.exp(
-        minimize(surprise, start, bounds=[(-5.0, 5.0)] * 3, method="L-BFGS-B").x
+        minimize(negative_log_likelihood, start, bounds=[(-5.0, 5.0)] * 3, method="L-BFGS-B").x
     )
     covariance = size * np.exp(-0.5 * apart / length) + (noise + NOISE_LEAST) * np.eye(len(values))
     cross = size * np.exp(-0.5 * _squared_distance(wanted, known) / length)
@@ -209,7 +197,7 @@ REGRESSIONS: Mapping[str, tuple[Fit, tuple[str, ...]]] = MappingProxyType(
     {
         "depth": (level, ("depth",)),
         "force": (linear, ("depth", "force")),
-        "told": (linear, ("depth", "friction told")),
+        "told": (linear, ("depth", "estimated friction")),
         "few": (linear, FEW),
         "ridge": (ridge, ()),
         "gp_few": (gaussian_process, FEW),
@@ -221,50 +209,25 @@ SHALLOW_mm = 20
 PEAK_FROM_mm = 60
 
 
-class _Pullout(NamedTuple):
-    """Pull-out force of one insertion against itself.
-
-    Attributes:
-        over_insertion: At `SHALLOW_mm`, as a share of the whole insertion force there.
-        peak: Largest beyond `PEAK_FROM_mm` but above the deepest of `DEPTHS_mm`, as a share of
-            that at the latter.
-        at_N: At each of `DEPTHS_mm`.
-    """
-
-    over_insertion: float
-    peak: float
-    at_N: tuple[float, ...]
-
-
 def run_liver_limit(job: Job, progress: Progress) -> Findings:
-    """Regressions over all insertions, and the yardstick.
-
-    Raises:
-        DataError: The recording is missing or broken.
-    """
+    """Regressions over all insertions, and the reference."""
     data = job.recordings
     features: list[dict[str, float]] = []
-    pullouts: list[_Pullout] = []
+    insertions: list[LiverInsertion] = []
     for index in range(len(NUMBERS)):
         progress(index / len(NUMBERS))
-        insertion = read_liver(data, index, as_recorded=True)
-        parts = in_and_out(insertion.depth_m)
-        out = _pullout(insertion, parts)
-        depth, force = insertion.depth_m[parts.insertion], insertion.force_N[parts.insertion]
-        told = tell(
-            insertion.t_s[parts.insertion],
-            depth,
-            force,
-            "default",
-            known_of(out.at_N, depth, force),
-        )
+        insertion = read_liver(data, index)
+        inside = insertion.insertion
+        depth, force = insertion.depth_m[inside], insertion.force_N[inside]
+        reference = liver_reference(insertion, depth, force)
+        found = liver_estimates(insertion.t_s[inside], depth, force, "default", reference)
         features += [
             liver_features(depth, force, 1e-3 * mm, friction)
-            for mm, friction in zip(DEPTHS_mm, told.friction_N, strict=True)
+            for mm, friction in zip(DEPTHS_mm, found.friction_N, strict=True)
         ]
-        pullouts.append(out)
-    values = regression_values(features, [each for out in pullouts for each in out.at_N])
-    values |= _yardstick_values(pullouts)
+        insertions.append(insertion)
+    pullouts = [each for insertion in insertions for each in insertion.pullout_N]
+    values = regression_values(features, pullouts) | reference_values(insertions)
     return Findings([Measurement("ft", "default", name, value) for name, value in values.items()])
 
 
@@ -282,35 +245,26 @@ def regression_values(
     values: dict[str, float] = {}
     for name, (fit, wanted) in REGRESSIONS.items():
         table = np.array([[row[key] for key in wanted or row] for row in features])
-        told = np.exp(left_out(fit, Seen(table, np.log(true), group)))
-        errors = 100.0 * np.abs(told - true) / true
+        predicted = np.exp(left_out(fit, Seen(table, np.log(true), group)))
+        errors = 100.0 * np.abs(predicted - true) / true
         values[f"pullout_left_out_{name}_median_pct"] = float(np.median(errors))
         values[f"pullout_left_out_{name}_p90_pct"] = float(np.percentile(errors, 90.0))
     return values
 
 
-def _pullout(insertion: LiverInsertion, parts: InAndOut) -> _Pullout:
-    def out_N(mm: float) -> float:
-        return -insertion.force_at_N(parts.withdrawal, mm)
-
-    deepest = DEPTHS_mm[-1]
-    peak = max(out_N(mm) for mm in range(PEAK_FROM_mm, deepest + 1))
-    return _Pullout(
-        out_N(SHALLOW_mm) / insertion.force_at_N(parts.insertion, SHALLOW_mm),
-        peak / out_N(deepest),
-        tuple(out_N(mm) for mm in DEPTHS_mm),
-    )
-
-
-def _yardstick_values(pullouts: Sequence[_Pullout]) -> dict[str, float]:
+def reference_values(insertions: Sequence[LiverInsertion]) -> dict[str, float]:
     """How the pull-out force contradicts itself, and how it scatters between insertions."""
-    over = np.array([out.over_insertion for out in pullouts])
-    peaks = np.array([out.peak for out in pullouts])
-    at = np.array([out.at_N for out in pullouts])
+    deepest, over, peaks = DEPTHS_mm[-1], [], []
+    for each in insertions:
+        shallow = each.force_at_N(each.insertion, SHALLOW_mm)
+        over.append(-each.force_at_N(each.withdrawal, SHALLOW_mm) / shallow)
+        out = [each.force_at_N(each.withdrawal, mm) for mm in range(PEAK_FROM_mm, deepest + 1)]
+        peaks.append(min(out) / out[-1])
+    at = np.array([each.pullout_N for each in insertions])
     next_to = np.abs(np.diff(at, axis=0)) / (0.5 * (at[1:] + at[:-1]))
     return {
-        "pullout_above_insertion_share": float(np.mean(over > 1.0)),
-        "pullout_over_insertion_most": float(over.max()),
+        "pullout_above_insertion_share": float(np.mean(np.array(over) > 1.0)),
+        "pullout_over_insertion_most": max(over),
         "pullout_shallower_peak_median_pct": 100.0 * float(np.median(peaks) - 1.0),
         "pullout_shallower_peak_p90_pct": 100.0 * float(np.percentile(peaks, 90.0) - 1.0),
         "pullout_neighbour_median_pct": 100.0 * float(np.median(next_to)),

@@ -12,25 +12,23 @@ from typing import Any
 import numpy as np
 import pinocchio as pin
 
+from benchmarks import DataError
 from benchmarks.benchmark import Drawing, Findings, Job, Progress, progress_part
-from benchmarks.errors import DataError
 from benchmarks.force_metrics import wrench_metrics
+from benchmarks.force_plots import force_figures
 from benchmarks.methods import IDENTIFIERS, METHODS, ForceReading, joint_residual, virtual_force
-from benchmarks.metric_catalogue import Measurement
-from benchmarks.plots import force_drawings
+from benchmarks.metrics import Measurement
 from benchmarks.recorded.liver import (
-    DEPTHS_mm,
+    LiverEstimates,
     LiverInsertion,
-    LiverTold,
     REST_s,
     friction_values,
-    in_and_out,
-    known_of,
+    liver_estimates,
+    liver_reference,
     read_arrays,
     read_liver,
     read_table,
     rupture_values,
-    tell,
 )
 from benchmarks.rows import Source
 from benchmarks.signals import ForceTruth, JointSignals, tool_jacobians
@@ -46,17 +44,11 @@ EFFORT_LIMIT_Nm = (87.0, 87.0, 87.0, 87.0, 12.0, 12.0, 12.0)
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class Panda:
-    """The recording with its model.
+    """The recording with its model."""
 
-    Attributes:
-        robot: The arm, tool frame at the flange.
-        friction: Friction left between torque sensor and link.
-        signals: 21 s of free motion.
-    """
-
-    robot: Robot
-    friction: SigmoidFriction
-    signals: JointSignals
+    robot: Robot  # the arm, tool frame at the flange
+    friction: SigmoidFriction  # friction left between torque sensor and link
+    signals: JointSignals  # 21 s of free motion
 
 
 def read_panda(data: Path) -> Panda:
@@ -111,9 +103,6 @@ def _friction(table: dict[str, Any]) -> SigmoidFriction:
     )
 
 
-# ``panda-real``: the residual's noise floor on a real arm without contact.
-
-
 GAIN_per_s = 30.0
 """That of the known-good figures."""
 SETTLING_LAGS = 5.0
@@ -121,11 +110,7 @@ SETTLING_LAGS = 5.0
 
 
 def run_panda_real(job: Job, progress: Progress) -> Findings:
-    """Root mean square of the settled residual, per joint.
-
-    Raises:
-        DataError: The recording is missing or broken.
-    """
+    """``panda-real``: noise floor of the residual without contact, per joint."""
     panda = read_panda(job.recordings)
     signals = panda.signals
     residual = joint_residual(panda.robot, signals, GAIN_per_s, friction=panda.friction)
@@ -140,39 +125,34 @@ def run_panda_real(job: Job, progress: Progress) -> Findings:
     )
 
 
-# Identification on the force of ``panda-liver``: what the whole chain tells of real tissue.
-
-
 OF_MANY = "_p90_pct"
 """One insertion has no 90th percentile."""
 
 
-def told_values(
+def identification_values(
     insertion: LiverInsertion, truth: ForceTruth, readings: Sequence[ForceReading]
 ) -> list[Measurement]:
     """Friction and ruptures by both methods, from the force itself and from each one's own sensor.
 
-    A real enhanced force has no truth; that of the virtual force is held against that which the
-    same method tells from the force itself.
+    A real enhanced force has no ground truth; that of the virtual force is compared with that of
+    the same method on the force itself.
 
     Args:
-        insertion: The whole recording, withdrawal included.
+        insertion: The recording.
         truth: The force as it acts on the arm, which an F/T sensor would read.
         readings: Of the virtual sensors, one per method.
     """
     felt = truth.t_s >= truth.zeroed_s
     t_s, depth, force = truth.t_s[felt], truth.depth_m[felt], truth.axial_N[felt]
-    out = in_and_out(insertion.depth_m).withdrawal
-    pullout = [-insertion.force_at_N(out, mm) for mm in DEPTHS_mm]
-    known = known_of(pullout, depth, force)
+    reference = liver_reference(insertion, depth, force)
     found: list[Measurement] = []
     by_method = {item.method: item.axial_N[felt] for item in readings}
     for method in IDENTIFIERS:
-        ft = tell(t_s, depth, force, method, known)
-        virtual = tell(t_s, depth, by_method[method], method, known)
-        by_source: dict[Source, LiverTold] = {"ft": ft, "virtual": virtual}
-        for source, told in by_source.items():
-            values = [*friction_values([told]), *rupture_values([told], len(known.falls))]
+        ft = liver_estimates(t_s, depth, force, method, reference)
+        virtual = liver_estimates(t_s, depth, by_method[method], method, reference)
+        by_source: dict[Source, LiverEstimates] = {"ft": ft, "virtual": virtual}
+        for source, item in by_source.items():
+            values = [*friction_values([item]), *rupture_values([item])]
             found += [
                 Measurement(source, method, name, value)
                 for name, value in values
@@ -183,34 +163,29 @@ def told_values(
     return found
 
 
-# ``panda-liver``: a real tissue force on a real arm.
-#
-# The recorded Panda has touched nothing, the recorded needle had no robot. Both are put together: a
-# force F on the flange makes the joints feel ``J' F``, and what they measure less than they would
-# without it is just that, ``tau = tau_free - J' F``. Tissue that resists with f pushes along minus
-# the flange's z axis, so ``tau = tau_free + f J_z'``.
-#
-# The whole chain runs on it: joint signals in, enhanced force out, beside the same force as an F/T
-# sensor would have read it. Only the depth is the recorded needle's: the Panda moves otherwise.
-
-
 TARE_s = 4.0
 """Free motion before the tare."""
 FREE_s = 1.0
 """Free motion between tare and insertion: about the rest at the start of every liver recording,
 from which the identifiers learn the noise of the force. 16 s are left, 80 mm at 5 mm/s."""
-NOT_TOLD = "wrench_lag_ms"
+NOT_JUDGED = "wrench_lag_ms"
 """The force changes less than this arm's noise: its lag would be a guess."""
 
 
 def run_panda_liver(job: Job, progress: Progress) -> Findings:
-    """Recover axial force, ruptures and friction of one liver insertion by both methods.
+    """``panda-liver``: a real tissue force on a real arm, by both methods.
 
-    Raises:
-        DataError: A recording is missing or broken.
+    The recorded Panda has touched nothing, the recorded needle had no robot. Both are combined: a
+    force F on the flange acts on the joints as ``J' F``, and reduces the measured torque by just
+    that, ``tau = tau_free - J' F``. Tissue that resists with f pushes along minus the flange's z
+    axis, so ``tau = tau_free + f J_z'``.
+
+    The whole chain runs on it: joint signals in, enhanced force out, beside the same force as an
+    F/T sensor would have read it. Only the depth is the recorded needle's: the Panda moves
+    otherwise.
     """
     data = job.recordings
-    panda, insertion = read_panda(data), read_liver(data, job.seed, as_recorded=True)
+    panda, insertion = read_panda(data), read_liver(data, job.seed)
     truth = _truth(panda, insertion)
     along = tool_jacobians(panda.robot, panda.signals.q_rad)[:, 2]
     loaded = panda.signals.tau_Nm + truth.axial_N[:, None] * along
@@ -222,11 +197,11 @@ def run_panda_liver(job: Job, progress: Progress) -> Findings:
         readings.append(virtual_force(panda.robot, signals, real, method, TARE_s, part))
     drawings: tuple[Drawing, ...] = ()
     if job.drawings is not None:
-        drawings = force_drawings(job, job.drawings, truth, readings)
+        drawings = force_figures(job, job.drawings, truth, readings)
     found: list[Measurement] = []
     for reading in readings:
-        found += [item for item in wrench_metrics(reading, truth) if item.metric != NOT_TOLD]
-    found += told_values(insertion, truth, readings)
+        found += [item for item in wrench_metrics(reading, truth) if item.metric != NOT_JUDGED]
+    found += identification_values(insertion, truth, readings)
     return Findings(found, drawings)
 
 

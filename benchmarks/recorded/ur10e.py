@@ -12,10 +12,10 @@ import numpy as np
 import pinocchio as pin
 from numpy.typing import NDArray
 
+from benchmarks import DataError
 from benchmarks.benchmark import Findings, Job, Progress
-from benchmarks.errors import DataError
 from benchmarks.methods import joint_residual
-from benchmarks.metric_catalogue import Measurement
+from benchmarks.metrics import Measurement
 from benchmarks.recorded.liver import read_arrays, read_table
 from benchmarks.signals import JointSignals, tool_jacobians
 from residual import JointFriction, WrenchEstimator
@@ -29,19 +29,13 @@ PINOCCHIO_ORDER = (9, 6, 7, 8, 0, 1, 3, 2, 4, 5)
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class Ur10e:
-    """The recordings with their model.
+    """The recordings with their model."""
 
-    Attributes:
-        robot: The arm with its rotors, tool frame at the end link.
-        friction: Friction of its joints: torque comes from currents, so all of it is in there.
-        unloaded: Signals without payload; torque is torque constant times current.
-        loaded: Signals of the same motion with the payload.
-    """
-
-    robot: Robot
+    robot: Robot  # the arm with its rotors, tool frame at the end link
+    # friction of its joints: torque comes from currents, so all of it is in there
     friction: JointFriction
-    unloaded: JointSignals
-    loaded: JointSignals
+    unloaded: JointSignals  # signals without payload; torque is torque constant times current
+    loaded: JointSignals  # signals of the same motion with the payload
 
 
 def read_ur10e(data: Path) -> Ur10e:
@@ -98,14 +92,6 @@ def _placement(row: dict[str, Any]) -> pin.SE3:
     return pin.SE3(pin.rpy.rpyToMatrix(*row["rpy_rad"]), np.array(row["xyz_m"]))
 
 
-# ``ur10e-payload``: the weight of a known payload from motor currents.
-#
-# Torque is torque constant times current, and the constants read 12 to 16 % low. The arm's own
-# model was identified with the same constants, so model and measurement agree without payload
-# whatever their common scale; only a known weight tells it. One factor on all joint torques
-# (measured, model and friction alike, hence on the residual) is therefore all there is to fit.
-
-
 Array = NDArray[np.float64]
 
 GAIN_per_s = 20.0
@@ -117,10 +103,12 @@ LEAST_SINGULAR_VALUE = 0.1
 
 
 def run_ur10e_payload(job: Job, progress: Progress) -> Findings:
-    """Vertical force without and with payload, and the weight after fitting one torque scale.
+    """``ur10e-payload``: the weight of a known payload from motor currents.
 
-    Raises:
-        DataError: A recording is missing or broken.
+    Torque is torque constant times current, and the constants read 12 to 16 % low. The arm's own
+    model was identified with the same constants, so model and measurement agree without payload
+    whatever their common scale; only a known weight shows it. One factor on all joint torques
+    (measured, model and friction alike, hence on the residual) is therefore all there is to fit.
     """
     arm = read_ur10e(job.recordings)
     residual_unloaded = _residual(arm, arm.unloaded)
@@ -157,16 +145,13 @@ def _settled(signals: JointSignals) -> NDArray[np.bool_]:
 def _force_up(robot: Robot, signals: JointSignals, residual: Array, name: str) -> dict[str, float]:
     """Mean and scatter of the vertical force in base axes, by equation (13), torque scale 1."""
     wrench = WrenchEstimator(robot, "full", weighting="none", expected_force_N=None)
-    seen = _settled(signals) & (_least_singular_value(robot, signals.q_rad) > LEAST_SINGULAR_VALUE)
+    jacobians = tool_jacobians(robot, signals.q_rad)
+    regular = np.linalg.svd(jacobians, compute_uv=False)[:, -1] > LEAST_SINGULAR_VALUE
+    seen = _settled(signals) & regular
     force = np.array(
         [wrench.estimate(signals.q_rad[k], residual[k]).force[2] for k in np.flatnonzero(seen)]
     )
     return {f"{name}_N": float(force.mean()), f"{name}_std_N": float(force.std())}
-
-
-def _least_singular_value(robot: Robot, q_rad: Array) -> Array:
-    values = np.linalg.svd(tool_jacobians(robot, q_rad), compute_uv=False)
-    return np.asarray(values[:, -1], dtype=np.float64)
 
 
 def _payload_kg(robot: Robot, q_rad: Array, residual: Array, noise_Nm: Array) -> float:

@@ -1,366 +1,445 @@
-"""``python -m residual LOG``: forces from a recording of joint signals."""
+"""`needleforce force`: forces from joint signals, as table, summary, figure and page."""
 
-import sys
-from argparse import ArgumentParser, Namespace, RawDescriptionHelpFormatter
-from collections.abc import Sequence
-from dataclasses import dataclass, fields
-from typing import Any
+import math
+from collections import Counter
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass, replace
+from pathlib import Path
 
 import numpy as np
 from numpy.typing import NDArray
 
-from needleforce.cli.config_files import (
-    CommandError,
-    build,
-    dataclass_values,
+from needleforce.cli.force_replay import Replay, Rows, TareWindow, has_status, tare_ends
+from needleforce.cli.log import (
+    ChannelRequest,
+    LogSession,
+    RowOverview,
+    in_window,
+    mapping_from_options,
+    open_output,
+    result_page,
+    run_log,
+    time_axis,
 )
-from needleforce.cli.force_replay import (
-    AUTOMATIC_S,
-    ForceResult,
-    ForceRows,
-    ForceStatistics,
-    Replay,
-    TareOption,
-    TareRequest,
-    joint_signals,
-    torque_channel,
+from needleforce.cli.options import (
+    JointColumns,
+    Output,
+    Reading,
+    RobotOptions,
+    SensorOptions,
+    TareOptions,
 )
-from needleforce.cli.force_report import (
-    force_labels,
-    force_table,
-    format_rows,
-    save_picture,
-    summary_rows,
-    write_report,
-)
-from needleforce.cli.robot_options import (
-    payload_from_arguments,
+from needleforce.cli.robot import (
+    payload_from_options,
     payload_lines,
-    robot_arguments,
-    robot_from_arguments,
+    robot_from_options,
+    sensor_config,
+    with_friction,
 )
-from needleforce.plots import FiguresError, require_matplotlib
-from needleforce.plots.page import folder_if_filled
-from recordings import RecordingError, mapping_arguments
-from recordings.command.log_session import LogSession
-from recordings.command.mapping_arguments import mapping_from_arguments
-from recordings.command.output_arguments import check_outputs, open_output, output_arguments
-from recordings.command.row_overview import RowOverview
-from recordings.command.run_command import run_command, write_out
-from recordings.command.source_arguments import source_arguments
-from recordings.command.suggest_mapping import suggest_mapping
-from recordings.open_table import STANDARD_STREAM
-from recordings.tables.labels import Labels
-from recordings.toml_file import read_toml
-from residual.config import DEFAULT, PUBLISHED, SensorConfig
-from residual.errors import ResidualError
-from residual.estimate import Status
-from residual.joint_friction import FrictionModel, JointFriction, SigmoidFriction
-from urdf import Robot, UrdfError
-
-# The command line of ``python -m residual``.
-
-
-_DESCRIPTION = "Force on a needle from a robot's recorded joint signals, with standard deviations."
-
-_EPILOG = f"""\
-The sensor reads well once it was tared on motion without contact. Without --tare and --no-tare,
-the first {AUTOMATIC_S:g} s of the log after the filters have settled are taken for such
-motion. If contact is seen there, or in the window of --tare, the command stops and says so. The
-summary says what was tared on.
-
-examples:
-  python -m residual insertion.csv --tare 0:4 -o forces.csv --png forces.png
-  python -m residual log.npz --urdf arm.urdf --tool-frame tool0 --payload needle.toml -o forces.csv
-
-See docs/residual.md for the TOML files and the columns, docs/recordings.md for logs."""
+from needleforce.cli.terminal import CommandError, write_out
+from needleforce.plots import (
+    Chart,
+    Curve,
+    Instants,
+    LineStyle,
+    Page,
+    PageFigure,
+    PageTable,
+    Panel,
+    Section,
+    Shading,
+    palette,
+    save_page_figure,
+    settings_table,
+)
+from needleforce.plots.chart import limits_of
+from needleforce.recordings.channels import FORCE_STATUS
+from needleforce.recordings.open_recording import suggest_mapping
+from needleforce.recordings.table import Labels
+from residual import SensorConfig, SensorWarning, Status
+from urdf import Robot
 
 
-def build_parser() -> ArgumentParser:
-    """Return the parser of the command."""
-    parser = ArgumentParser(
-        prog="python -m residual",
-        description=_DESCRIPTION,
-        epilog=_EPILOG,
-        formatter_class=RawDescriptionHelpFormatter,
-    )
-    source_arguments(parser, "time, q, tau and perhaps dq")
-    output_arguments(
-        parser,
-        table="forces",
-        picture="picture of forces over time",
-        page="charts, summary, warnings and settings",
-    )
-    robot_arguments(parser)
-    _sensor_arguments(parser)
-    _tare_arguments(parser)
-    mapping_arguments(parser, ["q", "dq", "tau", "tau_ext"])
-    return parser
+def run(
+    source: str,
+    reading: Reading,
+    output: Output,
+    robot_options: RobotOptions,
+    sensor: SensorOptions,
+    tare: TareOptions,
+    columns: JointColumns,
+) -> int:
+    """Run the command and return its exit code; what it raises is reported in one line."""
+    robot, known = robot_from_options(robot_options, columns.mapping), mapping_from_options(columns)
+    torque, joints = "tau_ext" if sensor.external_torque else "tau", robot.joint_names
+    if columns.print_config:
+        payload = payload_lines(payload_from_options(robot_options, columns.mapping))
+        channels = ("q", torque, "dq")
+        write_out(suggest_mapping(source, channels, mapping=known, joints=joints, payload=payload))
+        return 0
+    if tare.tare is not None and tare.no_tare:
+        raise CommandError("--tare and --no-tare contradict each other; give one of them")
+    if tare.tare is not None:
+        tare_ends(tare.tare, 0.0)  # before a log is waited for
+    robot, friction = with_friction(robot, sensor.friction)
+    config = sensor_config(sensor, friction)
+    request = ChannelRequest(mapping=known, required=("q", torque), optional=("dq",), joints=joints)
+
+    def estimate(log: LogSession) -> ForceResult:
+        replay = Replay(robot, config, tare, is_external=sensor.external_torque)
+        return estimate_forces(log, replay, output)
+
+    return run_log(source, reading, request, output, estimate)
 
 
-def _sensor_arguments(parser: ArgumentParser) -> None:
-    group = parser.add_argument_group("sensor")
-    group.add_argument("--gain", type=float, metavar="K", help="observer gain K in 1/s (lag 1/K)")
-    group.add_argument(
-        "--alignment",
-        choices=("hold", "trapezoid"),
-        help="whether torques are commands held until the next sample, or samples of a sensor",
-    )
-    group.add_argument(
-        "--mode",
-        choices=("axial", "point", "full"),
-        help="contact: a force along the needle, any force at the tip, or force and torque",
-    )
-    group.add_argument("--paper", action="store_true", help="the method as published")
-    group.add_argument("--config", metavar="FILE", help="TOML file of further settings")
-    group.add_argument(
-        "--friction", metavar="FILE", help="TOML file of joint friction and rotor inertia"
-    )
-    group.add_argument(
-        "--external-torque",
-        action="store_true",
-        help="read the external torque that the robot estimates itself (tau_ext) instead of tau",
-    )
+# From a log to its result.
 
 
-def _tare_arguments(parser: ArgumentParser) -> None:
-    group = parser.add_argument_group("tare")
-    which = group.add_mutually_exclusive_group()
-    which.add_argument(
-        "--tare",
-        metavar="START:END",
-        help="free motion, in seconds of the log's clock, or with a + from its first stamp (+0:+4)",
-    )
-    which.add_argument("--no-tare", action="store_true", help="leave the offset in the forces")
-    group.add_argument("--force-tare", action="store_true", help="tare even where contact is seen")
-
-
-# From a log to its result: rows in, forces out, as they come.
-
-
-_SETTLING = "settling"
-
-
-def run_log(
-    arguments: Namespace,
-    log: LogSession,
-    robot: Robot,
-    config: SensorConfig,
-    request: TareRequest,
-) -> ForceResult:
-    """Run the sensor over a log and write its forces.
-
-    Args:
-        arguments: Of the command: where the table goes, which torque is read.
-        log: The log, entered.
-        robot: The arm with its payload.
-        config: Settings of the sensor.
-        request: Where to tare.
-
-    Raises:
-        CommandError: The log does not fit the robot, or the tare is refused.
-        recordings.RecordingError: The log cannot be read, or the table not written.
-    """
-    replay, forces = Replay(robot, config, request), ForceStatistics()
-    overview = RowOverview(_tracked(config))
-    has_velocity = False
-
-    def labels() -> Labels:
-        return force_labels(log, robot, config)
-
-    with open_output(arguments, is_live=log.is_live, labels=labels) as table:
-        for chunk in log:
-            signals = joint_signals(chunk, robot, is_external=arguments.external_torque)
-            has_velocity = signals.dq_rad_s is not None
-            rows = replay.run(signals)
-            forces.add(rows)
-            overview.add(rows.columns() | {_SETTLING: rows.has_status(Status.INITIALIZING)})
-            if table is not None:
-                table.append(force_table(rows, config))
-        replay.finish(is_whole=not log.is_interrupted)
-    return ForceResult(
-        log=log.name,
-        robot=robot,
-        config=config,
-        is_external=arguments.external_torque,
-        has_velocity=has_velocity,
-        replay=replay,
-        statistics=forces,
-        overview=ForceRows.of_columns(overview.columns()),
-    )
-
-
-def _tracked(config: SensorConfig) -> list[str]:
-    """Return the columns of which a picture must not lose the extremes."""
-    tracked = ["axial_N", "axial_std_N", "status", "after_gap", _SETTLING]
+def estimate_forces(log: LogSession, replay: Replay, output: Output) -> "ForceResult":
+    """Run the sensor over a log and write its forces."""
+    config = replay.config
+    tracked = ["axial_N", "axial_std_N", "status", "after_gap", _IS_INITIALIZING]
     if config.mode != "axial":
         tracked += ["force_N", "std"]
     if config.mode == "full":
         tracked.append("torque_Nm")
-    return tracked
+    statistics, overview = ForceStatistics(), RowOverview(tracked)
+    with open_output(output, log, lambda: _labels(log, replay.robot, config)) as table:
+        for chunk in log:
+            rows = replay.run(chunk)
+            statistics.add(rows)
+            overview.add(rows | {_IS_INITIALIZING: has_status(rows, Status.INITIALIZING)})
+            if table is not None:
+                table.append(force_table(rows, config))
+        replay.finish(is_whole=not log.is_interrupted)
+    return ForceResult(log.name, replay, statistics, overview.columns())
 
 
-# What a user of the command got wrong, in one line.
+_IS_INITIALIZING = "is initializing"
 
 
-# A validated dataclass from a table of a TOML file, with errors that name key and value.
+def _labels(log: LogSession, robot: Robot, config: SensorConfig) -> Labels:
+    """Return what a bag of forces says beside the numbers."""
+    tool_frame = config.frame if config.frame is not None else robot.tool_frame
+    # Frame 0 is Pinocchio's own "universe"; the first of the URDF is its root link.
+    base_frame = robot.frame_names[1]
+    return Labels(
+        start_ns=log.start_ns,
+        frame=base_frame if config.axes == "base" else tool_frame,
+        events={"force_status": FORCE_STATUS},
+    )
 
 
-# Settings of the sensor from options and the file of ``--config``; options win.
+def force_table(rows: Rows, config: SensorConfig) -> dict[str, NDArray]:
+    """Return the columns in the order in which they are written; names carry the unit."""
+    table = {name: rows[name] for name in ("t_s", "travel_m", "axial_N", "axial_std_N")}
+    vectors = [("force", "N", rows["force_N"])]
+    if config.mode != "axial":
+        vectors.append(("force_std", "N", rows["std"][:, :3]))
+    if config.mode == "full":
+        vectors.append(("torque", "Nm", rows["torque_Nm"]))
+        vectors.append(("torque_std", "Nm", rows["std"][:, 3:]))
+    for name, unit, values in vectors:
+        for i, xyz in enumerate("xyz"):
+            table[f"{name}_{xyz}_in_{config.axes}_{unit}"] = values[:, i]
+    table["model_mismatch"] = rows["model_mismatch"]
+    table["force_warnings"] = rows["warnings"]
+    table["force_status"] = rows["status"]
+    return table
 
 
-_OPTIONS = {"gain": "gain_per_s", "alignment": "alignment", "mode": "mode"}
+_MOST_VALUES = 8192
 
 
-def sensor_config(arguments: Namespace, friction: FrictionModel | None) -> SensorConfig:
-    """Return the preset with the file's settings, then the options', in place of its own.
+class ThinnedMedian:
+    """Exact for few values; of many, the median of every second, fourth, eighth, ..."""
 
-    Args:
-        arguments: With ``published``, ``config`` (a path or None), ``gain``, ``alignment``,
-            ``mode``.
-        friction: Joint friction, or None.
+    def __init__(self) -> None:
+        self._kept = np.empty(0)
+        self._stride, self._seen = 1, 0
 
-    Raises:
-        CommandError: A setting is not valid.
-        recordings.RecordingError: The file cannot be read.
-    """
-    preset = PUBLISHED if arguments.paper else DEFAULT
-    values: dict[str, Any] = {item.name: getattr(preset, item.name) for item in fields(preset)}
-    where = "options"
-    if arguments.config is not None:
-        where = arguments.config
-        table = read_toml(where, "config file")
-        values |= dataclass_values(SensorConfig, table, where, leave_out=("friction",))
-    given = {name: getattr(arguments, option) for option, name in _OPTIONS.items()}
-    given = {name: value for name, value in given.items() if value is not None}
-    values |= dataclass_values(SensorConfig, given, "options")
-    return build(SensorConfig, values | {"friction": friction}, where)
+    def add(self, values: NDArray[np.float64]) -> None:
+        """Take further values, shape (n,)."""
+        first = -self._seen % self._stride
+        self._kept = np.concatenate((self._kept, values[first :: self._stride]))
+        self._seen += len(values)
+        while len(self._kept) > _MOST_VALUES:
+            self._kept = self._kept[::2]
+            self._stride *= 2
+
+    @property
+    def value(self) -> float:
+        """The median; nan of nothing."""
+        return float(np.median(self._kept)) if len(self._kept) else math.nan
 
 
-# What lies between torque measurement and link, from the option ``--friction``.
+class ForceStatistics:
+    """Counts rows and remembers ranges, in memory that does not grow with the log."""
+
+    def __init__(self) -> None:
+        self.first_s, self.last_s = math.inf, -math.inf
+        self.steps_s = ThinnedMedian()
+        """Of time steps that advance."""
+        self.counts: Counter[Status] = Counter()
+        self.warnings: Counter[SensorWarning] = Counter()
+        self.ranges_N = {status: (math.inf, -math.inf) for status in Status}
+        """Least and largest axial force of the rows of a status."""
+        self.std_N = {status: ThinnedMedian() for status in Status}
+
+    def add(self, rows: Rows) -> None:
+        """Take further rows."""
+        latest_s = np.maximum.accumulate(np.concatenate(([self.last_s], rows["t_s"])))
+        steps = np.diff(latest_s)
+        self.steps_s.add(steps[(steps > 0.0) & np.isfinite(steps)])
+        self.first_s = min(self.first_s, float(rows["t_s"].min()))
+        self.last_s = float(latest_s[-1])
+        for warning in SensorWarning:
+            self.warnings[warning] += int(np.count_nonzero(rows["warnings"] & warning))
+        for status in Status:
+            chosen = has_status(rows, status)
+            if chosen.any():
+                self.counts[status] += int(np.count_nonzero(chosen))
+                axial_N = rows["axial_N"][chosen]
+                low_N, high_N = self.ranges_N[status]
+                low_N, high_N = min(low_N, axial_N.min()), max(high_N, axial_N.max())
+                self.ranges_N[status] = (float(low_N), float(high_N))
+                self.std_N[status].add(rows["axial_std_N"][chosen])
 
 
-_MODELS = {"viscous_coulomb": JointFriction, "sigmoid": SigmoidFriction}
-
-
-@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
-class Drive:
-    """Friction and rotor inertia of the joints; the LWR, measuring behind the gear, has none.
+@dataclass(frozen=True, slots=True, eq=False)
+class ForceResult:
+    """The outcome of a whole log, of bounded size however long the log.
 
     Attributes:
-        friction: Joint friction, or None.
-        rotor_inertia_kg_m2: As seen at the joints, shape (n,), or None.
+        log: What the log is called.
+        replay: The sensor after the log: robot, settings, tare, lag, rejected rows, gaps.
+        statistics: Numbers about all rows.
+        rows: As many as a figure needs; all rows of a short log, of a long one those in which a
+            force is least or largest for a while.
     """
 
-    friction: FrictionModel | None = None
-    rotor_inertia_kg_m2: NDArray[np.float64] | None = None
+    log: str
+    replay: Replay
+    statistics: ForceStatistics
+    rows: Rows
 
+    def text(self) -> str:
+        """Return the lines of the summary with their texts below each other."""
+        lines = list(summary_lines(self.replay, self.statistics))
+        width = max(len(label) for label, _ in lines)
+        return "".join(f"{label:<{width}}  {text}\n" for label, text in lines)
 
-def load_drive(path: str, joints: int) -> Drive:
-    """Read a friction file.
+    def figure(self, output: Output) -> Chart:
+        """Return the chart that the options ask for."""
+        shown = replace(self, rows=in_window(self.rows, output))
+        return travel_chart(shown) if output.over == "depth" else force_chart(shown)
 
-    It holds one table, ``[viscous_coulomb]`` with the fields of `residual.JointFriction` or
-    ``[sigmoid]`` with those of `residual.SigmoidFriction`, and may hold ``rotor_inertia_kg_m2``.
-
-    Args:
-        path: A TOML file.
-        joints: How many numbers every list must have.
-
-    Raises:
-        CommandError: Something in it is missing or not valid.
-        recordings.RecordingError: The file cannot be read.
-    """
-    content = read_toml(path, "friction file")
-    rotor = content.pop("rotor_inertia_kg_m2", None)
-    unknown = [name for name in content if name not in _MODELS]
-    if unknown or len(content) > 1:
-        raise CommandError(
-            f"{path} has {', '.join(content)}; expected one table of "
-            f"{' or '.join(f'[{name}]' for name in _MODELS)}, and rotor_inertia_kg_m2 if it counts"
+    def page(self, folder: Path, warnings: Sequence[str]) -> Page:
+        """Save the charts of a report in a folder and return the page that shows them."""
+        summary = PageTable(
+            caption="What was used, done and found",
+            head=("", ""),
+            rows=tuple(summary_lines(self.replay, self.statistics)),
         )
-    friction = None
-    for name, table in content.items():
-        friction = _friction(name, table, f"{path}: [{name}]", joints)
-    if rotor is not None:
-        rotor = _per_joint(rotor, f"{path}: rotor_inertia_kg_m2", joints)
-    return Drive(friction=friction, rotor_inertia_kg_m2=rotor)
-
-
-def _friction(name: str, table: Any, where: str, joints: int) -> FrictionModel:
-    if not isinstance(table, dict):
-        raise CommandError(f"{where} must be a table")
-    kind = _MODELS[name]
-    values = dataclass_values(kind, table, where)
-    for key, value in values.items():
-        if isinstance(value, np.ndarray):
-            _per_joint(value.tolist(), f"{where}: {key}", joints)
-    return build(kind, values, where)
-
-
-def _per_joint(value: Any, what: str, joints: int) -> NDArray[np.float64]:
-    try:
-        array = np.array(value, dtype=np.float64)
-    except (TypeError, ValueError):
-        array = np.empty(0)
-    if array.shape != (joints,):
-        raise CommandError(f"{what} = {value!r}, expected {joints} numbers, one per joint")
-    return array
-
-
-ERRORS = (ResidualError, RecordingError, UrdfError, FiguresError)
-"""What is told in one line."""
-
-
-def main(argv: Sequence[str] | None = None) -> int:
-    """Run the command and return its exit code, see `run_command`."""
-    return run_command(build_parser(), argv, _run, ERRORS)
-
-
-def _run(arguments: Namespace) -> int:
-    robot = robot_from_arguments(arguments)
-    if arguments.print_config:
-        return _print_config(arguments, robot)
-    check_outputs(arguments)
-    if arguments.png is not None:
-        require_matplotlib("--png")
-    drive = load_drive(arguments.friction, robot.nv) if arguments.friction else Drive()
-    if drive.rotor_inertia_kg_m2 is not None:
-        robot = robot.with_armature(drive.rotor_inertia_kg_m2)
-    config = sensor_config(arguments, drive.friction)
-    torque = torque_channel(is_external=arguments.external_torque)
-    channels = {"required": ("q", torque), "optional": ("dq",)}
-    log = LogSession(arguments, **channels, joints=robot.joint_names)
-    with folder_if_filled(arguments.report), log:
-        result = run_log(arguments, log, robot, config, _tare_request(arguments))
-        if arguments.png is not None:
-            save_picture(arguments.png, result)
-        if arguments.report is not None:
-            write_report(arguments.report, result, log.warnings)
-    is_table_out = arguments.output == STANDARD_STREAM
-    write_out(format_rows(summary_rows(result)), to_stderr=is_table_out)
-    return log.exit_code
-
-
-def _print_config(arguments: Namespace, robot: Robot) -> int:
-    channels = ("q", "dq", torque_channel(is_external=arguments.external_torque))
-    default = "needle" if arguments.urdf is None else "none"
-    payload = payload_lines(payload_from_arguments(arguments, default))
-    known = mapping_from_arguments(arguments)
-    write_out(
-        suggest_mapping(
-            arguments.log, channels, mapping=known, joints=robot.joint_names, payload=payload
+        return result_page(
+            f"Forces from {self.log}",
+            f"Made by `needleforce force`: {self.replay.description}.",
+            warnings,
+            tuple(_page_figures(self, folder)),
+            Section(heading="Summary", anchor="summary", tables=(summary,)),
+            settings_table(self.replay.config, "Sensor: as in a file for --config, SI units"),
         )
+
+
+# The summary.
+
+
+def summary_lines(replay: Replay, found: ForceStatistics) -> Iterator[tuple[str, str]]:
+    """Yield label and text of every line: what was used, what was done, what came out."""
+    payload = replay.robot.payload
+    mass_kg = payload.mass_kg if payload is not None else 0.0
+    yield "robot", f"{replay.robot.model.name}, {replay.robot.nv} joints, payload {mass_kg:.3g} kg"
+    yield "sensor", replay.description
+    counts = [f"{count} {status.value}" for status in Status if (count := found.counts[status])]
+    rate_hz = 1.0 / found.steps_s.value
+    span = f"{found.counts.total()} in {found.last_s - found.first_s:.4g} s at {rate_hz:.4g} Hz"
+    yield "samples", f"{span}: {', '.join(counts)}"
+    reasons = [f"{count} x {reason}" for reason, count in replay.rejected.most_common()]
+    listed = "; ".join(
+        [*reasons[:4], *([f"{len(reasons) - 4} other reasons"] * (len(reasons) > 4))]
     )
-    return 0
+    yield "rejected", f"{replay.rejected.total()}: {listed}" if reasons else "none"
+    yield "gaps", _gaps(replay)
+    warnings = [
+        f"{count} x {str(warning.name).lower().replace('_', ' ')}"
+        for warning, count in found.warnings.most_common()
+        if count
+    ]
+    yield "warnings", ", ".join(warnings) or "none"
+    if replay.velocity_fault:
+        yield "velocity", replay.velocity_fault
+    yield "tare", _tare(replay.tare)
+    yield "axial force", _force(found)
+    lag = "that of the robot's own estimate"
+    yield "lag", lag if replay.is_external else f"{1e3 * replay.lag_s:.1f} ms"
 
 
-def _tare_request(arguments: Namespace) -> TareRequest:
-    if arguments.no_tare:
-        return TareRequest(where=None)
-    if arguments.tare is None:
-        return TareRequest(force=arguments.force_tare)
-    return TareRequest(where=TareOption(arguments.tare), force=arguments.force_tare)
+def _gaps(replay: Replay) -> str:
+    limit_s = replay.config.max_gap_s
+    if not replay.gaps:
+        return f"none longer than {limit_s:g} s"
+    return (
+        f"{replay.gaps} longer than {limit_s:g} s (longest {replay.longest_gap_s:.3g} s), after "
+        "which the filters restarted"
+    )
 
 
-if __name__ == "__main__":
-    sys.exit(main())
+def _tare(done: TareWindow | None) -> str:
+    if done is None or done.tare is None:
+        return "none: forces carry the errors of the model and of the torque sensors"
+    kind, offset_Nm = done.tare.basis.kind, done.largest_offset_Nm
+    return f"{done} of the log, kind {kind!r}, offsets up to {offset_Nm:.2g} Nm"
+
+
+def _force(found: ForceStatistics) -> str:
+    status = Status.OK if found.counts[Status.OK] else Status.NOT_TARED
+    if not found.counts[status]:
+        return "none: no sample was valid after the filters had settled"
+    low_N, high_N = found.ranges_N[status]
+    spread = f"standard deviation {found.std_N[status].value:.3f} N (median)"
+    note = "" if status is Status.OK else ", not tared"
+    return f"{low_N:.3f} to {high_N:.3f} N, {spread}{note}"
+
+
+# Charts.
+
+_PANEL_IN = 2.2
+_LEAST_TRAVEL_M = 1e-3
+"""A chart over travel has nothing to show where the tool hardly moves."""
+
+
+def force_chart(result: ForceResult) -> Chart:
+    """Return every estimated component over time, with its band of two standard deviations."""
+    rows, config = result.rows, result.replay.config
+    start_s, time = time_axis(rows["t_s"])
+    x = rows["t_s"] - start_s
+    axial = ("axial force", palette.OURS, rows["axial_N"], rows["axial_std_N"])
+    groups: dict[str, list[_Component]] = {palette.FORCE: [axial]}
+    vectors = [("force", "N", rows["force_N"], rows["std"][:, :3])] * (config.mode != "axial")
+    vectors += [("torque", "Nm", rows["torque_Nm"], rows["std"][:, 3:])] * (config.mode == "full")
+    dashes = (palette.OURS.dash, palette.DASHED, palette.DASH_DOTTED)
+    styles = [
+        replace(palette.UNTARED, color=color, dash=dash)
+        for color, dash in zip(palette.AXES_XYZ, dashes, strict=True)
+    ]
+    for name, unit, values, std in vectors:
+        groups[f"{name},\n{config.axes} axes [{unit}]"] = [
+            (f"{name} {xyz}", styles[i], values[:, i], std[:, i]) for i, xyz in enumerate("xyz")
+        ]
+    rejected = tuple(x[has_status(rows, Status.REJECTED)].tolist())
+    return Chart(
+        title=f"Force on the needle\n{result.log}: {result.replay.description}",
+        x_label=time,
+        panels=tuple(_panel(label, rows, x, parts) for label, parts in groups.items()),
+        shadings=_shadings(result, x, start_s),
+        instants=(Instants(label="rejected", style=palette.REJECTED, places=rejected),),
+        x_limits=(float(x.min()), float(x.max())),
+        height_in=0.8 + _PANEL_IN * len(groups),
+    )
+
+
+def travel_chart(result: ForceResult) -> Chart:
+    """Return the tared axial force over travel, as in the paper's Figure 5."""
+    tared = has_status(result.rows, Status.OK)
+    axial_N = np.where(result.rows["after_gap"], np.nan, result.rows["axial_N"])[tared]
+    place_mm = 1e3 * result.rows["travel_m"][tared]
+    curve = Curve(style=palette.OURS, x=place_mm, y=axial_N, label="axial force")
+    return Chart(
+        title=f"Axial force over travel\n{result.log}",
+        x_label="travel of the tool along the needle [mm]",
+        panels=(Panel(y_label=palette.FORCE, curves=(curve,)),),
+    )
+
+
+_Component = tuple[str, LineStyle, NDArray[np.float64], NDArray[np.float64]]
+
+
+def _panel(
+    label: str, rows: Rows, x: NDArray[np.float64], components: Sequence[_Component]
+) -> Panel:
+    """Return the curves; the scale is that of the tared rows, if there are any."""
+    curves = [curve for part in components for curve in component_curves(rows, x, *part)]
+    tared = [curve for curve in curves if curve.std is not None]
+    limits = limits_of(tared, None) if tared else None
+    return Panel(y_label=label, curves=tuple(curves), limits=limits)
+
+
+def component_curves(
+    rows: Rows,
+    x: NDArray[np.float64],
+    name: str,
+    style: LineStyle,
+    value: NDArray[np.float64],
+    std: NDArray[np.float64],
+) -> list[Curve]:
+    """Return the tared part of a component with its band, and the part that was not tared.
+
+    A rejected row leaves no hole, a gap in time does. Before a tare the band is the prior's, wider
+    than any chart: the line alone shows more.
+    """
+    kept = ~has_status(rows, Status.REJECTED)
+    gaps = np.flatnonzero(rows["after_gap"][kept])
+    x = np.insert(x[kept], gaps, x[kept][gaps])
+    value, std = (np.insert(values[kept], gaps, np.nan) for values in (value, std))
+    tared = np.insert(has_status(rows, Status.OK)[kept], gaps, False)
+    grey = palette.UNTARED
+    if not tared.any():
+        untared = replace(grey, color=style.color)
+        return [Curve(style=untared, x=x, y=value, label=f"{name}, not tared")]
+    curve = Curve(
+        style=style,
+        x=x,
+        y=np.where(tared, value, np.nan),
+        label=name,
+        std=np.where(tared, std, np.nan),
+        band_label=f"{name}, ± 2 std",
+    )
+    if tared.all():
+        return [curve]
+    return [Curve(style=grey, x=x, y=np.where(tared, np.nan, value), label="not tared"), curve]
+
+
+def _shadings(result: ForceResult, x: NDArray[np.float64], start_s: float) -> tuple[Shading, ...]:
+    found, tare = [], result.replay.tare
+    if tare is not None:
+        span = (tare.start_s - start_s, tare.end_s - start_s)
+        found.append(Shading(label="tare", color=palette.TARE, spans=(span,)))
+    flags = has_status(result.rows, Status.INITIALIZING).astype(np.int8)
+    edges = np.diff(np.concatenate(([0], flags, [0])))
+    first, last = x[np.flatnonzero(edges == 1)], x[np.flatnonzero(edges == -1) - 1]
+    if len(first):
+        spans = tuple(zip(first.tolist(), last.tolist(), strict=True))
+        found.append(Shading(label="filters settle", color=palette.INITIALIZING, spans=spans))
+    return tuple(found)
+
+
+def _page_figures(result: ForceResult, folder: Path) -> Iterator[PageFigure]:
+    yield save_page_figure(
+        force_chart(result),
+        folder / "forces.svg",
+        alt=f"Estimated forces of {result.log} over time",
+        caption="The force of the environment on the tool; the axial force is positive when "
+        "tissue pushes back. The band is two standard deviations wide to either side. Grey "
+        "lines are not tared: they carry the errors of the model and of the torque sensors.",
+        is_alone=True,
+    )
+    travel_m = result.rows["travel_m"][has_status(result.rows, Status.OK)]
+    if len(travel_m) and np.ptp(travel_m) >= _LEAST_TRAVEL_M:
+        yield save_page_figure(
+            travel_chart(result),
+            folder / "forces-over-travel.svg",
+            alt=f"Axial force of {result.log} over the travel of the tool",
+            caption="The same axial force over the travel of the tool along the needle since the "
+            "first sample: in tissue the upper branch is the insertion, the lower the withdrawal.",
+            is_alone=True,
+        )

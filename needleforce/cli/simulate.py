@@ -1,81 +1,68 @@
-"""``python -m groundtruth SCENARIO -o FILE``: a simulated insertion as a recording."""
+"""`needleforce simulate`: a simulated insertion as a recording, and its ground truth beside it."""
 
-import sys
-from argparse import ArgumentParser, Namespace, RawDescriptionHelpFormatter
-from collections.abc import Sequence
 from pathlib import Path
 
 import numpy as np
 from numpy.typing import NDArray
 
-from groundtruth.errors import GroundTruthError, RunError
-from groundtruth.plant_model import PLANT_MODELS
-from groundtruth.scenarios import RANDOM_STACK, RANDOM_TISSUE, SCENARIOS, Scenario, named_scenario
-from groundtruth.simulation import Run, simulate
-from recordings import RecordingError, check_writable, write_table
-from recordings.apart import require_apart
-from recordings.command.progress import progress
-from recordings.command.run_command import run_command, write_out
-from recordings.tables.labels import Labels
-from urdf import UrdfError
+from groundtruth import SCENARIOS, Run, simulate
+from groundtruth.scenarios import RANDOM_STACK, RANDOM_TISSUE, Scenario, named_scenario
+from needleforce.cli.options import SimulationOptions
+from needleforce.cli.terminal import CommandError, progress, write_out
+from needleforce.recordings import check_writable, write_table
+from needleforce.recordings.output import check_output_paths
+from needleforce.recordings.table import Labels
 
-# The command line of ``python -m groundtruth``.
-
-
-_DESCRIPTION = (
-    "A recording of a simulated insertion, as a robot would have made it: joint positions, "
-    "velocities and torques of a KUKA LWR 4+, and the wrench of a force sensor at the needle."
-)
-
-_EPILOG = """\
-FILE may end in .csv, .csv.gz, .npz, .parquet, .mcap, or in .db3 for a folder with a ROS 2 bag.
-
-examples:
-  python -m groundtruth --list
-  python -m groundtruth gel-25-constant -o insertion.mcap --truth truth.csv
-  python -m residual insertion.mcap -o forces.mcap
-  python -m identification forces.mcap
-
-See docs/recordings.md for columns and topics."""
+_EVENTS = {
+    "layer": ("above the tissue", "in layer {}"),
+    "rupture": ("", "layer {} ruptures"),
+    "surface_rupture": ("", "the membrane on the surface ruptures"),
+}
+"""Columns of the ground truth in words, see `Labels`."""
 
 
-def build_parser() -> ArgumentParser:
-    """Return the parser of the command."""
-    parser = ArgumentParser(
-        prog="python -m groundtruth",
-        description=_DESCRIPTION,
-        epilog=_EPILOG,
-        formatter_class=RawDescriptionHelpFormatter,
-    )
-    parser.add_argument(
-        "scenario", metavar="SCENARIO", nargs="?", help="what is simulated; see --list"
-    )
-    parser.add_argument("-o", "--output", metavar="FILE", help="the recording")
-    parser.add_argument(
-        "--truth",
-        metavar="FILE",
-        help="what the robot does not know: true forces, depth, layers, ruptures",
-    )
-    parser.add_argument(
-        "--plant",
-        choices=tuple(PLANT_MODELS),
-        default="clean",
-        help="how good arm and sensors are (default: clean)",
-    )
-    parser.add_argument(
-        "--seed", type=int, default=0, metavar="N", help="of everything drawn (default: 0)"
-    )
-    parser.add_argument("--list", action="store_true", help="print the scenarios and stop")
-    return parser
+def run(scenario: str | None, options: SimulationOptions) -> int:
+    """Simulate a scenario and write what was asked for; return the exit code."""
+    if options.list:
+        write_out(_listed())
+        return 0
+    chosen = _checked(scenario, options)
+    done = 0.0
+    with progress(1.0, chosen.id) as advance:
+
+        def report(fraction: float) -> None:
+            nonlocal done
+            advance(fraction - done)
+            done = fraction
+
+        made = simulate(chosen, plant=options.plant, seed=options.seed, progress=report)
+    names = made.robot.joint_names
+    if options.output is not None:
+        write_table(options.output, signal_table(made), labels=Labels(joint_names=names))
+    if options.truth is not None:
+        labels = Labels(joint_names=names, prefix="/truth", events=_EVENTS)
+        write_table(options.truth, truth_table(made), labels=labels)
+    write_out(_summary(made, options.output))
+    return 0
 
 
-# A run as a table: what a robot's own recording would hold, and apart from it, what was true.
+def _checked(scenario: str | None, options: SimulationOptions) -> Scenario:
+    outputs = {"-o": options.output, "--truth": options.truth}
+    paths = {option: path for option, path in outputs.items() if path is not None}
+    if not paths:
+        raise CommandError("nothing to write: name a file with -o FILE or --truth FILE")
+    if scenario is None:
+        raise CommandError("no scenario is named; --list prints them")
+    if options.seed < 0:
+        raise CommandError(f"--seed {options.seed}: expected a whole number from 0 up")
+    chosen = named_scenario(scenario, options.seed)
+    check_output_paths(paths)
+    for path in paths.values():
+        check_writable(path)
+    return chosen
 
 
-Columns = dict[str, NDArray]
-
-
-def signal_table(run: Run) -> Columns:
+def signal_table(run: Run) -> dict[str, NDArray]:
     """Return what the robot and its F/T sensor gave; n rows, units in the names.
 
     Args:
@@ -87,7 +74,7 @@ def signal_table(run: Run) -> Columns:
         shape (n, 3).
     """
     signals = run.signals
-    columns: Columns = {"t_s": signals.t_s + _shift_s(run), "q_rad": signals.q_rad}
+    columns = {"t_s": signals.t_s + _shift_s(run), "q_rad": signals.q_rad}
     if signals.dq_rad_s is not None:
         columns["dq_rad_s"] = signals.dq_rad_s
     columns["tau_Nm"] = signals.tau_Nm
@@ -96,18 +83,15 @@ def signal_table(run: Run) -> Columns:
     return columns
 
 
-def truth_table(run: Run) -> Columns:
-    """Return what was true at the same samples; see `Truth` for the meaning.
+def truth_table(run: Run) -> dict[str, NDArray]:
+    """Return the ground truth at the same samples; see `groundtruth.Truth` for the meaning.
 
     `rupture` is the number of the layer that the tip begins to leave at a row, counted from 1, else
-    0; of two that give way within one row the second is told at the next. `surface_rupture` is 1
-    where a membrane on the surface gives way.
-
-    Args:
-        run: The run.
+    0; of two that rupture within one row the second stands in the next. `surface_rupture` is 1
+    where a membrane on the surface ruptures.
     """
     truth = run.truth
-    columns: Columns = {
+    columns: dict[str, NDArray] = {
         "t_s": truth.t_s + _shift_s(run),
         "depth_m": truth.depth_m,
         "speed_m_s": truth.speed_m_s,
@@ -125,7 +109,7 @@ def truth_table(run: Run) -> Columns:
 
 
 def _shift_s(run: Run) -> float:
-    """What makes the first stamp of a clock with jitter no less than zero, as bags want it."""
+    """Return what makes the first stamp of a clock with jitter no less than zero, as bags want."""
     return max(0.0, -float(run.signals.t_s[0]))
 
 
@@ -142,65 +126,6 @@ def _ruptures(run: Run, *, on_surface: bool) -> NDArray[np.int64]:
     return marks
 
 
-ERRORS = (GroundTruthError, RecordingError, UrdfError)
-"""What is told in one line."""
-
-_EVENTS = {
-    "layer": ("above the tissue", "in layer {}"),
-    "rupture": ("", "layer {} gives way"),
-    "surface_rupture": ("", "the membrane on the surface gives way"),
-}
-"""Columns of the truth in words, see `recordings.tables.labels.Labels`."""
-
-
-def main(argv: Sequence[str] | None = None) -> int:
-    """Run the command and return its exit code, see `run_command`."""
-    return run_command(build_parser(), argv, _run, ERRORS)
-
-
-def _run(arguments: Namespace) -> int:
-    if arguments.list:
-        write_out(_listed())
-        return 0
-    chosen = _chosen(arguments)
-    outputs = {"-o": arguments.output, "--truth": arguments.truth}
-    named = {option: Path(path) for option, path in outputs.items() if path is not None}
-    require_apart(named)
-    for path in named.values():
-        check_writable(path)
-    run = _simulate(chosen, arguments)
-    if arguments.output is not None:
-        labels = Labels(joint_names=run.robot.joint_names)
-        write_table(arguments.output, signal_table(run), labels=labels)
-    if arguments.truth is not None:
-        labels = Labels(joint_names=run.robot.joint_names, prefix="/truth", events=_EVENTS)
-        write_table(arguments.truth, truth_table(run), labels=labels)
-    write_out(_summary(run, arguments))
-    return 0
-
-
-def _chosen(arguments: Namespace) -> Scenario:
-    if not (arguments.output or arguments.truth):
-        raise RunError("nothing to write: name a file with -o FILE or --truth FILE")
-    if arguments.scenario is None:
-        raise RunError("no scenario is named; --list prints them")
-    if arguments.seed < 0:
-        raise RunError(f"--seed {arguments.seed}: expected a whole number from 0 up")
-    return named_scenario(arguments.scenario, arguments.seed)
-
-
-def _simulate(chosen: Scenario, arguments: Namespace) -> Run:
-    done = 0.0
-    with progress(1.0, chosen.id) as advance:
-
-        def report(share: float) -> None:
-            nonlocal done
-            advance(share - done)
-            done = share
-
-        return simulate(chosen, plant=arguments.plant, seed=arguments.seed, progress=report)
-
-
 def _listed() -> str:
     rows = {name: item.title for name, item in SCENARIOS.items()}
     rows[RANDOM_STACK] = "one to four layers drawn from the seed"
@@ -209,20 +134,14 @@ def _listed() -> str:
     return "".join(f"{name:<{width}}  {title}\n" for name, title in rows.items())
 
 
-def _summary(run: Run, arguments: Namespace) -> str:
-    samples = len(run.signals.t_s)
-    lines = [
-        f"{run.scenario.id}: {run.scenario.title}; {run.plant} arm, seed {run.seed}",
-        f"{samples} samples in {run.signals.t_s[-1]:.4g} s, free of contact until "
-        f"{run.tare_end_s:.4g} s",
-    ]
-    if arguments.output is not None:
-        forces = f"forces{''.join(Path(arguments.output).suffixes)}"
-        lines.append(
-            f"next: python -m residual {arguments.output} --tare 0:{run.tare_end_s:.4g} -o {forces}"
-        )
-    return "".join(f"{line}\n" for line in lines)
-
-
-if __name__ == "__main__":
-    sys.exit(main())
+def _summary(run: Run, output: Path | None) -> str:
+    end_s = f"{run.tare_end_s:.4g}"
+    text = (
+        f"{run.scenario.id}: {run.scenario.title}; plant model {run.plant}, seed {run.seed}\n"
+        f"{len(run.signals.t_s)} samples in {run.signals.t_s[-1]:.4g} s, without contact until "
+        f"{end_s} s\n"
+    )
+    if output is not None:
+        forces = f"forces{''.join(output.suffixes)}"
+        text += f"next: needleforce force {output} --tare 0:{end_s} -o {forces}\n"
+    return text

@@ -1,31 +1,33 @@
 """Charts and the self-contained page; knows neither robots nor needles.
 
-A chart is plain data: panels over one axis, curves in them, and what is marked in all of them.
-`palette` is the one home of colours, line styles and the words of an axis.
-
-    chart = Chart(title="…", x_label=palette.TIME, panels=(Panel(y_label=palette.FORCE, …),))
-    path = save_svg(chart, folder / "force")
-    write_page(folder / "index.html", Page(title="…", sections=(Section(…),)))
-
-Reading order: `chart` with `panel` and `curve`, `draw`, `save`; `page` with `section`, `page.css`.
-matplotlib is imported only when a chart is drawn.
+`chart` holds charts as plain data and saves them as PNG, SVG or PDF, `palette` the colours, line
+styles and words of an axis, `page` one HTML file with figures, tables and text inside (its
+template is `page.html`). matplotlib and jinja2 are imported only when something is drawn.
 """
 
 from needleforce.plots import palette
 from needleforce.plots.chart import (
     Chart,
     Curve,
+    FiguresError,
     Instants,
     LineStyle,
     Panel,
     Shading,
-    Ticks,
     require_matplotlib,
-    save_png,
-    save_svg,
+    save_figure,
 )
-from needleforce.plots.errors import FiguresError
-from needleforce.plots.page import Attachment, Page, PageFigure, PageTable, Section, write_page
+from needleforce.plots.page import (
+    Attachment,
+    Page,
+    PageFigure,
+    PageTable,
+    Section,
+    folder_if_filled,
+    save_page_figure,
+    settings_table,
+    write_page,
+)
 
 __all__ = [
     "Attachment",
@@ -40,10 +42,11 @@ __all__ = [
     "Panel",
     "Section",
     "Shading",
-    "Ticks",
+    "folder_if_filled",
     "palette",
     "require_matplotlib",
-    "save_png",
-    "save_svg",
+    "save_figure",
+    "save_page_figure",
+    "settings_table",
     "write_page",
 ]

@@ -1,42 +1,56 @@
-"""A chart as plain data."""
+"""Charts: panels over one x axis, drawn with matplotlib for the screen and for print.
 
+A chart is plain data, so what it shows can be tested without drawing it:
+
+    chart = Chart(title="…", x_label=palette.TIME, panels=(Panel(y_label=palette.FORCE, …),))
+    save_figure(chart.within(10.0, 20.0), "forces.pdf")
+
+matplotlib is imported only when a chart is drawn. Equal charts give equal bytes.
+"""
+
+import os
 import re
+import warnings
 from collections.abc import Sequence
-from dataclasses import dataclass
+from contextlib import suppress
+from dataclasses import dataclass, replace
 from io import BytesIO
 from pathlib import Path
 from textwrap import wrap
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
-
-from needleforce.plots.errors import ChartError, MissingExtraError, WriteError
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
 
-
-# How one kind of curve is drawn.
-
-
+Array = NDArray[np.float64]
+Span = tuple[float, float]
 Dash = str | tuple[float, tuple[float, ...]]
 """As matplotlib takes it: ``-``, ``:``, or (offset, (on, off, …)) in points."""
 
 
+class FiguresError(Exception):
+    """Base of every error of this package."""
+
+
+class MissingExtraError(FiguresError, RuntimeError):
+    """Something optional is not installed."""
+
+
+class ChartError(FiguresError, ValueError):
+    """A chart or table that cannot be shown: ragged, empty, or of an unknown format."""
+
+
+class WriteError(FiguresError, OSError):
+    """A file cannot be written, or a figure that a page needs cannot be read."""
+
+
 @dataclass(frozen=True, slots=True, kw_only=True)
 class LineStyle:
-    """How one kind of curve is drawn.
-
-    Attributes:
-        color: As ``#rrggbb``.
-        dash: Tells the curves apart where colours do not: in print, and to eyes that mix them up.
-        width_pt: Of the line.
-        opacity: 0 to 1.
-        marker: Of the points, as matplotlib names it; none for a line.
-        size_pt: Of the marker.
-    """
+    """How one kind of curve or event is drawn; a style with a marker draws no line."""
 
     color: str
     dash: Dash = "-"
@@ -46,23 +60,17 @@ class LineStyle:
     size_pt: float = 7.0
 
 
-# One line of a panel.
-
-
-Array = NDArray[np.float64]
-
-
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class Curve:
     """One line of a panel; nothing is drawn where a value is not finite.
 
     Attributes:
         style: How it is drawn.
-        x: Places, shape (n,), read-only.
-        y: Values, shape (n,), read-only.
-        label: In the legend; None for none there.
-        std: Standard deviations, shape (n,): a band of two is shaded. None for no band.
-        band_label: Of the band in the legend; None for none there.
+        x: Places, shape (n,).
+        y: Values, shape (n,).
+        label: In the legend; None for none there, as for the band.
+        std: Standard deviations, shape (n,): a band of two to either side is shaded.
+        band_label: Of the band.
     """
 
     style: LineStyle
@@ -73,99 +81,48 @@ class Curve:
     band_label: str | None = None
 
     def __post_init__(self) -> None:
-        """Keep read-only copies.
-
-        Raises:
-            ChartError: x, y and std do not go together.
-        """
+        """Raise `ChartError` where x, y and std are not of one shape (n,)."""
         for name in ("x", "y", "std"):
             value = getattr(self, name)
-            if value is None:
-                continue
-            array = np.array(value, dtype=np.float64)
-            array.setflags(write=False)
-            object.__setattr__(self, name, array)
-            if array.ndim != 1 or array.shape != self.x.shape:
+            if value is not None and (np.ndim(value) != 1 or len(value) != len(self.x)):
                 raise ChartError(
-                    f"curve {self.label!r}: {name} has shape {array.shape} where x has "
-                    f"{self.x.shape}; give one value per point"
+                    f"curve {self.label!r}: {name} has shape {np.shape(value)} where x has "
+                    f"{np.shape(self.x)}; give one value per point"
                 )
-
-
-# One of the panels that share the x axis of a chart.
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Panel:
-    """One of the panels that share the x axis of a chart.
+    """One of the panels that share the x axis of a chart; its last curve is drawn on top.
 
-    Attributes:
-        y_label: With the unit.
-        curves: In the order of drawing, the last on top.
-        limits: Of the y axis; None for what the curves need, without lonely spikes.
-        height: In proportion to the other panels.
-        has_zero_line: Whether a thin line marks zero.
+    Without `limits` the y axis holds `limits_of` the curves. What is cut off is marked.
     """
 
     y_label: str
     curves: tuple[Curve, ...]
-    limits: tuple[float, float] | None = None
+    limits: Span | None = None
     height: float = 1.0
-    has_zero_line: bool = True
 
 
-# What is marked in every panel of a chart.
-
-
-@dataclass(frozen=True, slots=True, kw_only=True)
-class Shading:
-    """Stretches of the x axis with a meaning.
-
-    Attributes:
-        label: In the legend.
-        color: Of the shade.
-        spans: First and last place of each stretch.
-        least_pt: Width to which a short stretch is drawn at least, so that it is seen.
-    """
+class Shading(NamedTuple):
+    """Spans of the x axis behind the curves of every panel, each at least so wide that it shows."""
 
     label: str
     color: str
-    spans: tuple[tuple[float, float], ...]
+    spans: tuple[Span, ...]
     least_pt: float = 0.0
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
-class Instants:
-    """Vertical lines.
-
-    Attributes:
-        label: In the legend.
-        style: Of the lines.
-        places: On the x axis.
-    """
+class Instants(NamedTuple):
+    """Events in every panel: markers on the lower edge, where they hide no peak."""
 
     label: str
     style: LineStyle
     places: tuple[float, ...]
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
-class Ticks:
-    """Short strokes along the lower edge.
-
-    Attributes:
-        label: In the legend.
-        color: Of the strokes.
-        places: On the x axis.
-    """
-
-    label: str
-    color: str
-    places: tuple[float, ...]
-
-
-WIDTH_IN = 4.4
-"""At the width of a phone the letters are then still large enough to read."""
+WIDTH_IN, WIDE_IN = 4.4, 8.4
+"""Beside another chart (its letters can be read at the width of a phone), and alone on a page."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -173,16 +130,15 @@ class Chart:
     """Panels below each other over one x axis, with one legend below them.
 
     Attributes:
-        title: One line above.
+        title: First line: what is shown, in bold. Further lines: of which run.
         x_label: With the unit.
         panels: From above.
-        shadings: Stretches marked in every panel.
-        instants: Lines marked in every panel.
-        ticks: Strokes marked in every panel.
+        shadings: Spans marked in every panel.
+        instants: Events marked in every panel.
         x_limits: None for what the curves need.
         x_ticks: Places and what stands there; empty for numbers.
-        width_in: In inches.
-        height_in: In inches, without the legend.
+        width_in: `WIDTH_IN`, or `WIDE_IN` for a chart alone.
+        height_in: Without the legend.
     """
 
     title: str
@@ -190,82 +146,50 @@ class Chart:
     panels: tuple[Panel, ...]
     shadings: tuple[Shading, ...] = ()
     instants: tuple[Instants, ...] = ()
-    ticks: tuple[Ticks, ...] = ()
-    x_limits: tuple[float, float] | None = None
+    x_limits: Span | None = None
     x_ticks: tuple[tuple[float, str], ...] = ()
     width_in: float = WIDTH_IN
     height_in: float = 3.0
 
     def __post_init__(self) -> None:
-        """Check that there is something to draw.
-
-        Raises:
-            ChartError: No panel.
-        """
+        """Raise `ChartError` where there is nothing to draw."""
         if not self.panels:
             raise ChartError(f"chart {self.title!r} has no panel; give at least one")
 
+    def within(self, first: float, last: float) -> "Chart":
+        """The same between two places of the x axis, with y axes for what is seen there."""
+        if not first < last:
+            raise ChartError(f"window from {first:g} to {last:g}; the end must lie after the start")
+        panels = tuple(replace(panel, limits=None) for panel in self.panels)
+        return replace(self, panels=panels, x_limits=(first, last))
 
-# How much room a panel needs.
 
-
-MOST_OF = 99.8
-"""Per cent of each curve that is shown; lonely spikes may leave the panel."""
+MOST_OF, MOST_OF_BAND = 99.8, 95.0
+"""Per cent of each curve, and of the edges of its band, that its panel shows."""
 MARGIN = 0.06
 
 
-def limits_of(curves: Sequence[Curve], x_limits: tuple[float, float] | None) -> tuple[float, float]:
-    """Lower and upper limit: zero, and nearly all of every curve with its band."""
+def limits_of(curves: Sequence[Curve], x_limits: Span | None) -> Span:
+    """Lower and upper limit: zero, and most of every curve and its band."""
     edges = [0.0]
     for curve in curves:
-        inside = np.isfinite(curve.y) & np.isfinite(curve.x)
-        if x_limits is not None:
-            inside &= (curve.x >= x_limits[0]) & (curve.x <= x_limits[1])
-        if not inside.any():
+        seen = np.isfinite(curve.y) & _inside(curve.x, x_limits)
+        if not seen.any():
             continue
-        y = curve.y[inside]
-        band = np.zeros_like(y) if curve.std is None else 2.0 * curve.std[inside]
-        band[~np.isfinite(band)] = 0.0
-        edges.append(float(np.percentile(y - band, 100.0 - MOST_OF)))
-        edges.append(float(np.percentile(y + band, MOST_OF)))
-    low, high = min(edges), max(edges)
+        y = curve.y[seen]
+        edges += [*np.percentile(y, (100.0 - MOST_OF, MOST_OF))]
+        if curve.std is not None:
+            band = np.nan_to_num(2.0 * curve.std[seen], posinf=0.0)
+            edges.append(np.percentile(y - band, 100.0 - MOST_OF_BAND))
+            edges.append(np.percentile(y + band, MOST_OF_BAND))
+    low, high = float(min(edges)), float(max(edges))
     margin = MARGIN * (high - low) or 1.0
     return low - margin, high + margin
 
 
-# Fewer points of a curve that look the same: the least and the largest of every block.
-
-
-BLOCKS = 500
-"""More than a chart has columns of dots on a phone; print gets two points of each."""
-
-
-def kept_points(y: Array, blocks: int = BLOCKS) -> NDArray[np.intp]:
-    """Indices of the points to draw, increasing.
-
-    A block keeps its least and its largest value, so that no spike is lost, and its first value
-    that is not finite, so that no gap is bridged. The first and the last point stay.
-
-    Args:
-        y: Values, shape (n,).
-        blocks: Into which the curve is cut.
-    """
-    size = -(-len(y) // blocks)
-    if size <= 2:
-        return np.arange(len(y))
-    keep = {0, len(y) - 1}
-    for start in range(0, len(y), size):
-        block = y[start : start + size]
-        is_finite = np.isfinite(block)
-        if is_finite.any():
-            keep.add(start + int(np.argmin(np.where(is_finite, block, np.inf))))
-            keep.add(start + int(np.argmax(np.where(is_finite, block, -np.inf))))
-        if not is_finite.all():
-            keep.add(start + int(np.argmin(is_finite)))
-    return np.array(sorted(keep), dtype=np.intp)
-
-
-# From a chart to a matplotlib figure.
+def _inside(x: Array, x_limits: Span | None) -> NDArray[np.bool_]:
+    low, high = x_limits or (-np.inf, np.inf)
+    return (x >= low) & (x <= high) & np.isfinite(x)
 
 
 SETTINGS: dict[Any, Any] = {
@@ -282,16 +206,25 @@ SETTINGS: dict[Any, Any] = {
     "legend.fontsize": 9.0,
     "lines.solid_capstyle": "round",
     "axes.formatter.useoffset": False,
+    "path.simplify_threshold": 0.8,  # thins a million points to those that are seen, with peaks
+    "text.parse_math": False,  # titles hold file names, and `$\frac{$.csv` is one
     "svg.fonttype": "path",
     "svg.hashsalt": "needleforce",  # equal charts give equal bytes
+    "pdf.fonttype": 42,  # journals refuse type 3
 }
 """Of matplotlib; must hold while a chart is drawn and while it is saved."""
-BAND_OPACITY = 0.2
-TWO_COLUMNS = 54
-"""Letters that two columns of a legend have room for at the usual width; longer words get one."""
+BAND_OPACITY, AREA_POINTS = 0.2, 1000
+LETTERS = 54
+"""Of a legend's row, and of a title's line, at the usual width."""
 LEGEND_ROW_IN = 0.17
-TITLE_LETTERS = 50
-"""Of a line at the usual width."""
+CUT_PLACES = 40
+"""Marks of cut curves along an edge at most."""
+_NOT_TEXT = re.compile("[\x00-\x09\x0b-\x1f\x7f-\x9f\ud800-\udfff\ufffe\uffff]")
+
+
+def printable(text: str) -> str:
+    r"""Text that XML and UTF-8 can hold: bytes of a file name that cannot become ``\udcff``."""
+    return _NOT_TEXT.sub(lambda found: found.group().encode("unicode_escape").decode(), text)
 
 
 def draw(chart: Chart) -> "Figure":
@@ -303,85 +236,99 @@ def draw(chart: Chart) -> "Figure":
     places = figure.subplots(
         len(heights), 1, sharex=True, squeeze=False, gridspec_kw={"height_ratios": heights}
     )[:, 0]
-    for place, panel in zip(places, chart.panels, strict=True):
-        _mark(place, chart)
-        _draw_panel(place, panel, chart.x_limits)
+    for axes, panel in zip(places, chart.panels, strict=True):
+        _draw_marks(axes, chart)
+        _draw_panel(axes, panel, chart.x_limits)
     figure.align_ylabels(list(places))
     places[-1].set_xlabel(chart.x_label)
     if chart.x_limits is not None:
         places[-1].set_xlim(*chart.x_limits)
     if chart.x_ticks:
         places[-1].set_xticks(*zip(*chart.x_ticks, strict=True))
-    figure.suptitle(_title(chart), x=0.01, ha="left", fontsize=9.5, fontweight="bold")
-    rows = _legend(figure, list(places), chart)
+    room = chart.width_in / WIDTH_IN * LETTERS
+    what, *which = ("\n".join(wrap(line, int(room))) for line in printable(chart.title).split("\n"))
+    figure.suptitle(what, x=0.01, ha="left", fontsize=9.5, fontweight="bold")
+    # The pad leaves room for the values of cut peaks above the panel.
+    places[0].set_title("\n".join(which), loc="left", fontsize=8.5, color="#444444", pad=10.0)
+    rows = _legend(figure, list(places), chart, room)
     figure.set_size_inches(chart.width_in, chart.height_in + rows * LEGEND_ROW_IN)
     return figure
 
 
-def _draw_panel(axes: "Axes", panel: Panel, x_limits: tuple[float, float] | None) -> None:
-    if panel.has_zero_line:
-        axes.axhline(0.0, color="#555555", linewidth=0.6)
+def _draw_marks(axes: "Axes", chart: Chart) -> None:
+    from matplotlib.transforms import ScaledTranslation
+
+    for label, color, spans, least_pt in chart.shadings:
+        for first, last in spans:
+            axes.axvspan(first, last, color=color, linewidth=least_pt, label=label, zorder=0.4)
+    for label, style, places in chart.instants:
+        lift = ScaledTranslation(0.0, style.size_pt / 144.0, axes.figure.dpi_scale_trans)
+        onto = axes.get_xaxis_transform() + lift
+        if places:
+            y = np.zeros(len(places))
+            axes.plot(places, y, transform=onto, label=label, zorder=4, **_line(style))
+
+
+def _draw_panel(axes: "Axes", panel: Panel, x_limits: Span | None) -> None:
+    limits = panel.limits or limits_of(panel.curves, x_limits)
+    axes.axhline(0.0, color="#555555", linewidth=0.6)
     for curve in panel.curves:
-        _draw_curve(axes, curve)
+        _draw_curve(axes, curve, x_limits)
     axes.set_ylabel(panel.y_label)
-    axes.set_ylim(*(panel.limits or limits_of(panel.curves, x_limits)))
+    axes.set_ylim(*limits)
+    for edge, side in zip(limits, (-1.0, 1.0), strict=True):
+        _mark_what_is_cut(axes, panel.curves, edge, side, x_limits)
 
 
-def _draw_curve(axes: "Axes", curve: Curve) -> None:
-    rows = kept_points(curve.y)
-    x, y, style = curve.x[rows], curve.y[rows], curve.style
+def _draw_curve(axes: "Axes", curve: Curve, x_limits: Span | None) -> None:
+    x, y, style = curve.x, curve.y, curve.style
     if curve.std is not None:
-        low, high = y - 2.0 * curve.std[rows], y + 2.0 * curve.std[rows]
-        axes.fill_between(
-            x,
-            low,
-            high,
-            color=style.color,
-            alpha=BAND_OPACITY,
-            linewidth=0,
-            label=curve.band_label,
-            rasterized=False,
-        )
-    axes.plot(x, y, label=curve.label, **_line(style), **_marker(style))
+        low, high = y - 2.0 * curve.std, y + 2.0 * curve.std
+        # matplotlib thins lines, not areas. All NaN stay, so that no gap is bridged.
+        seen = np.flatnonzero(_inside(x, x_limits))
+        some = np.union1d(seen[:: len(seen) // AREA_POINTS + 1], np.flatnonzero(np.isnan(low)))
+        band: dict[str, Any] = {"color": style.color, "label": curve.band_label}
+        axes.fill_between(x[some], low[some], high[some], alpha=BAND_OPACITY, linewidth=0, **band)
+        for edge in (low, high):  # above the curve, whose noise may fill the band
+            axes.plot(x, edge, color=style.color, linewidth=0.5, alpha=0.6, zorder=3)
+    axes.plot(x, y, label=curve.label, **_line(style))
 
 
 def _line(style: LineStyle) -> dict[str, Any]:
-    return {
-        "color": style.color,
-        "linestyle": "none" if style.marker else style.dash,
-        "linewidth": style.width_pt,
-        "alpha": style.opacity,
-    }
-
-
-def _marker(style: LineStyle) -> dict[str, Any]:
+    line: dict[str, Any] = {"color": style.color, "alpha": style.opacity}
     if not style.marker:
-        return {}
-    return {"marker": style.marker, "markersize": style.size_pt, "markeredgewidth": style.width_pt}
+        return line | {"linestyle": style.dash, "linewidth": style.width_pt}
+    more = {"markersize": style.size_pt, "markeredgewidth": style.width_pt}
+    return line | {"linestyle": "none", "marker": style.marker} | more
 
 
-def _mark(axes: "Axes", chart: Chart) -> None:
-    for shading in chart.shadings:
-        for first, last in shading.spans:
-            wide, color = shading.least_pt, shading.color
-            axes.axvspan(first, last, color=color, linewidth=wide, label=shading.label)
-    for instants in chart.instants:
-        for place in instants.places:
-            axes.axvline(place, label=instants.label, **_line(instants.style))
-    for ticks in chart.ticks:
-        if ticks.places:
-            axes.plot(
-                ticks.places,
-                np.full(len(ticks.places), 0.02),
-                "|",
-                color=ticks.color,
-                markersize=8,
-                transform=axes.get_xaxis_transform(),
-                label=ticks.label,
-            )
+def _mark_what_is_cut(
+    axes: "Axes", curves: Sequence[Curve], edge: float, side: float, x_limits: Span | None
+) -> None:
+    """Triangles where curves leave the panel, and beside the farthest its value."""
+    farthest, shape = (edge, 0.0, ""), {"marker": "^" if side > 0 else "v", "markersize": 3.5}
+    for curve in curves:
+        beyond = (side * curve.y > side * edge) & _inside(curve.x, x_limits)
+        if not beyond.any():
+            continue
+        x, y, color = curve.x[beyond], curve.y[beyond], curve.style.color
+        step = np.ptp(x_limits or curve.x[np.isfinite(curve.x)]) / CUT_PLACES or 1.0
+        marked = step * np.unique(np.round(x / step))
+        edges = np.full(len(marked), edge)
+        axes.plot(marked, edges, " ", color=color, clip_on=False, zorder=5, **shape)
+        k = int(np.argmax(side * y))
+        if side * y[k] > side * farthest[0]:
+            farthest = float(y[k]), float(x[k]), color
+    value, place, color = farthest
+    if color:
+        text = f"{value:.3g}" if abs(value) < 1e3 else f"{value:.0f}"
+        text = text.replace("-", "\N{MINUS SIGN}")
+        aside, side_x = ("right", -4.0) if place > np.mean(axes.get_xlim()) else ("left", 4.0)
+        small: dict[str, Any] = {"fontsize": 7.0, "color": color, "va": "bottom", "ha": aside}
+        axes.annotate(text, (place, edge), (side_x, 2.0), textcoords="offset points", **small)
 
 
-def _legend(figure: "Figure", places: list["Axes"], chart: Chart) -> int:
+def _legend(figure: "Figure", places: list["Axes"], chart: Chart, room: float) -> int:
     """One legend for all panels, below them, where it hides nothing; returns its rows."""
     shown: dict[str, Any] = {}
     for axes in places:
@@ -389,116 +336,105 @@ def _legend(figure: "Figure", places: list["Axes"], chart: Chart) -> int:
             shown.setdefault(label, handle)
     if not shown:
         return 0
-    marks = [mark.label for mark in (*chart.shadings, *chart.instants, *chart.ticks)]
-    ordered = sorted(shown, key=lambda label: label in marks)
-    columns = _legend_columns(ordered, chart)
+    marks = [mark.label for mark in (*chart.shadings, *chart.instants)]
+    labels = sorted(shown, key=lambda label: label in marks)
+    for columns in (4, 3, 2, 1):
+        rows = -(-len(labels) // columns)
+        parts = [labels[k : k + rows] for k in range(0, len(labels), rows)]
+        if sum(max(map(len, part)) + 6 for part in parts) <= room + 12:
+            break
     figure.legend(
-        [shown[label] for label in ordered],
-        ordered,
+        [shown[label] for label in labels],
+        labels,
         loc="outside lower left",
         ncols=columns,
         handlelength=2.2,
         columnspacing=1.2,
         labelspacing=0.3,
     )
-    return -(-len(ordered) // columns)
+    return rows
 
 
-def _legend_columns(labels: list[str], chart: Chart) -> int:
-    half = -(-len(labels) // 2)
-    longest = [max(map(len, part), default=0) for part in (labels[:half], labels[half:])]
-    return 2 if sum(longest) <= TWO_COLUMNS * chart.width_in / WIDTH_IN else 1
+FORMATS: dict[str, dict[str, Any]] = {
+    ".png": {"dpi": 160},
+    ".svg": {"metadata": {"Date": None}},
+    ".pdf": {"metadata": {"CreationDate": None}},
+}
+"""Suffix and what matplotlib needs to know; a date would make equal charts differ."""
 
 
-def _title(chart: Chart) -> str:
-    most = int(TITLE_LETTERS * chart.width_in / WIDTH_IN)
-    return "\n".join(part for line in chart.title.splitlines() for part in wrap(line, most))
-
-
-# Charts as files.
-
-
-MOST_SVG_BYTES = 1_000_000
-"""A larger drawing is quicker to show as dots."""
-DPI = 160
-_COORDINATE = re.compile(r"(-?\d+\.\d)\d+")
-_SPACE = re.compile(r"\s*\n|(?<=[A-Za-z]) ")
-_PATH = re.compile(r' d="([^"]*)"')
-
-
-def require_matplotlib(what: str) -> None:
+def require_matplotlib(what: str, path: str | Path | None = None) -> None:
     """Find out before the work what could not be drawn after it.
 
     Args:
-        what: Who needs it, for the message, such as ``--png``.
+        what: Who needs it, for the message, such as ``--report``.
+        path: Of the figure, if there is to be one.
 
     Raises:
-        MissingExtraError: matplotlib is not installed.
+        MissingExtraError: A library of the extra ``plots`` is not installed.
+        ChartError: The path does not end in one of `FORMATS`.
     """
+    if path is not None and Path(path).suffix.lower() not in FORMATS:
+        known = ", ".join(FORMATS)
+        raise ChartError(f"cannot write {path}: its name must end in one of {known}")
     try:
+        import jinja2  # noqa: F401
         import matplotlib.figure  # noqa: F401
     except ImportError as error:
         raise MissingExtraError(
-            f"{what} needs matplotlib, which is not installed; "
+            f"{what} needs {error.name or 'matplotlib'}, which is not installed; "
             "install it with: pip install 'needleforce[plots]'"
         ) from error
 
 
-def save_png(chart: Chart, path: str | Path) -> Path:
-    """Draw a chart and write it as PNG.
-
-    Raises:
-        MissingExtraError: matplotlib is not installed.
-        WriteError: The file cannot be written.
-    """
-    return _write(Path(path), _rendered(chart, "png"))
-
-
-def save_svg(chart: Chart, path: str | Path) -> Path:
-    """Draw a chart and write it as SVG, or as PNG if the SVG would be very large.
-
-    Args:
-        chart: What to draw.
-        path: Without its ending, which is added.
+def save_figure(chart: Chart, path: str | Path) -> Path:
+    """Draw a chart and write it as PNG, SVG or PDF, by the ending of its name.
 
     Returns:
         The file.
 
     Raises:
         MissingExtraError: matplotlib is not installed.
+        ChartError: The path does not end in one of `FORMATS`.
         WriteError: The file cannot be written.
     """
-    stem = Path(path)
-    drawing = _rounded(_rendered(chart, "svg"))
-    if len(drawing) > MOST_SVG_BYTES:
-        return save_png(chart, stem.with_name(f"{stem.name}.png"))
-    return _write(stem.with_name(f"{stem.name}.svg"), drawing)
-
-
-def _rendered(chart: Chart, kind: str) -> bytes:
-    require_matplotlib("a figure")
+    require_matplotlib("a figure", path)
     from matplotlib import rc_context
 
-    more: dict[str, Any] = {"metadata": {"Date": None}} if kind == "svg" else {"dpi": DPI}
-    file = BytesIO()
-    with rc_context(SETTINGS):
-        draw(chart).savefig(file, format=kind, **more)
-    return file.getvalue()
+    suffix, content = Path(path).suffix.lower(), BytesIO()
+    with rc_context(SETTINGS), warnings.catch_warnings():
+        # A file name in a script that the font lacks is drawn as boxes.
+        warnings.filterwarnings("ignore", "Glyph .* missing from")
+        draw(chart).savefig(content, format=suffix[1:], **FORMATS[suffix])
+    drawn = content.getvalue()
+    if suffix == ".svg":
+        # A tenth of a point is finer than any line; the other digits are half of the file.
+        drawn = re.sub(rb" \nL (-?\d+\.\d)\d* (-?\d+\.\d)\d*", rb"L\1 \2", drawn)
+    return write_file(path, drawn)
 
 
-def _rounded(drawing: bytes) -> bytes:
-    """A tenth of a point is finer than any line; the other digits are half of the file."""
+def write_file(path: str | Path, content: bytes) -> Path:
+    """Write a file whole or not at all: a full disk leaves the older one as it was.
 
-    def round_path(match: re.Match[str]) -> str:
-        shorter = _SPACE.sub("", _COORDINATE.sub(r"\1", match.group(1)))
-        return f' d="{shorter}"'
+    Returns:
+        The file.
 
-    return _PATH.sub(round_path, drawing.decode()).encode()
-
-
-def _write(path: Path, content: bytes) -> Path:
+    Raises:
+        WriteError: It cannot be written.
+    """
+    place = Path(os.path.realpath(path))
+    part = place.with_name(f".{place.name}.{os.getpid()}.part")
     try:
-        path.write_bytes(content)
+        if place.exists() and not place.is_file():  # a pipe or a device stays what it is
+            place.write_bytes(content)
+            return Path(path)
+        part.unlink(missing_ok=True)
+        with part.open("xb") as file:
+            file.write(content)
+        os.replace(part, place)
     except OSError as error:
         raise WriteError(f"cannot write {path}: {error.strerror or error}") from error
-    return path
+    finally:
+        with suppress(OSError):
+            part.unlink(missing_ok=True)
+    return Path(path)

@@ -4,30 +4,25 @@ import re
 from base64 import b64encode
 from collections.abc import Iterator
 from contextlib import contextmanager, suppress
-from dataclasses import dataclass, fields, is_dataclass
-from html import escape
+from dataclasses import dataclass, fields, is_dataclass, replace
 from importlib.resources import files
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
-from needleforce.plots.chart import require_matplotlib
-from needleforce.plots.errors import ChartError, WriteError
-
-# Text as HTML.
-
-
-_CODE = re.compile(r"`([^`]+)`")
-
-
-def inline(text: str) -> str:
-    """Escape text; what stands between backticks becomes code, a line end a line break."""
-    return _CODE.sub(r"<code>\1</code>", escape(text)).replace("\n", "<br>")
-
-
-# A figure of a page.
-
+from needleforce.plots.chart import (
+    WIDE_IN,
+    Chart,
+    ChartError,
+    WriteError,
+    printable,
+    require_matplotlib,
+    save_figure,
+    write_file,
+)
 
 MEDIA_TYPES = {".svg": "image/svg+xml", ".png": "image/png"}
+PAGE = "index.html"
+"""Name of the page in the folder of a report."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -35,35 +30,16 @@ class PageFigure:
     """A figure of a page.
 
     Attributes:
-        path: The drawing, SVG or PNG; its content goes into the page.
+        path: SVG or PNG; its content goes into the page.
         alt: What it shows, for those who cannot see it.
-        caption: Below it.
+        caption: Below it; text between backticks becomes code, as everywhere on a page.
+        wide: The same figure for wide screens and print, where it stands alone in its row.
     """
 
     path: Path
     alt: str
     caption: str
-
-    def html(self) -> str:
-        """The figure, with the drawing inside.
-
-        As an image, not as elements of the page: names inside two drawings cannot clash.
-
-        Raises:
-            WriteError: The drawing cannot be read.
-        """
-        try:
-            content = b64encode(self.path.read_bytes()).decode()
-        except OSError as error:
-            raise WriteError(f"cannot read {self.path}: {error.strerror or error}") from error
-        source = f"data:{MEDIA_TYPES[self.path.suffix]};base64,{content}"
-        return (
-            f'<figure><img src="{source}" alt="{escape(self.alt)}">'
-            f"<figcaption>{inline(self.caption)}</figcaption></figure>"
-        )
-
-
-# A table of a page.
+    wide: Path | None = None
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -85,11 +61,7 @@ class PageTable:
     note: str = ""
 
     def __post_init__(self) -> None:
-        """Check the rows.
-
-        Raises:
-            ChartError: A row is longer or shorter than the head.
-        """
+        """Raise `ChartError` where a row is longer or shorter than the head."""
         for row in self.rows:
             if len(row) != len(self.head):
                 raise ChartError(
@@ -97,65 +69,21 @@ class PageTable:
                     "heads; give one cell per head"
                 )
 
-    def html(self) -> str:
-        """The table in a box of its own, which scrolls where the screen is narrow."""
-        heads = "".join(
-            f"<th scope=col{self._side(i)}>{inline(text)}</th>" for i, text in enumerate(self.head)
-        )
-        head = f"<thead><tr>{heads}</tr></thead>" if any(self.head) else ""
-        body = "\n".join(f"<tr>{self._row(row)}</tr>" for row in self.rows)
-        note = f"<p class=note>{inline(self.note)}</p>" if self.note else ""
-        return (
-            f'<div class=scroll role=region tabindex=0 aria-label="{escape(self.caption)}">'
-            f"<table><caption>{inline(self.caption)}</caption>"
-            f"{head}<tbody>{body}</tbody></table></div>{note}"
-        )
 
-    def _row(self, row: tuple[str, ...]) -> str:
-        return "".join(f"<td{self._side(i)}>{inline(text)}</td>" for i, text in enumerate(row))
-
-    def _side(self, column: int) -> str:
-        return " class=number" if column in self.numeric else ""
-
-
-# A part of a page under a heading of its own.
-
-
-@dataclass(frozen=True, slots=True, kw_only=True)
-class Attachment:
-    """A file that is kept inside the page and can be saved from it.
-
-    Attributes:
-        name: Of the file.
-        media_type: Such as ``application/json``.
-        content: Of the file.
-    """
+class Attachment(NamedTuple):
+    """A file that is kept inside the page and can be saved from it."""
 
     name: str
     media_type: str
     content: bytes
 
-    def html(self) -> str:
-        """A link that saves the file."""
-        data = b64encode(self.content).decode()
-        name = escape(self.name)
-        source = f"data:{escape(self.media_type)};base64,{data}"
-        return f'<a download="{name}" href="{source}">{name}</a>'
-
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Section:
-    """A part of a page: text, then a command, figures and tables.
+    """A part of a page: a heading, text, notices, a command as typed, figures, tables, files.
 
-    Attributes:
-        heading: Above it.
-        anchor: Under which it can be reached within the page.
-        paragraphs: Text.
-        notices: Text that must not be overlooked, such as warnings.
-        command: Shown below the text, as it would be typed; none where empty.
-        figures: Side by side where there is room.
-        tables: Below the figures.
-        attachments: Files to save.
+    Notices are text that must not be overlooked; `anchor` is the section's id within the page.
+    Figures stand side by side where there is room.
     """
 
     heading: str
@@ -167,125 +95,69 @@ class Section:
     tables: tuple[PageTable, ...] = ()
     attachments: tuple[Attachment, ...] = ()
 
-    def html(self) -> str:
-        """The section.
-
-        Raises:
-            WriteError: A drawing cannot be read.
-        """
-        parts = [f"<h2>{inline(self.heading)}</h2>"]
-        parts += [f"<p>{inline(text)}</p>" for text in self.paragraphs]
-        parts += [f"<p class=notice>{inline(text)}</p>" for text in self.notices]
-        if self.command:
-            parts.append(f"<pre tabindex=0><code>{escape(self.command)}</code></pre>")
-        if self.figures:
-            drawn = "\n".join(figure.html() for figure in self.figures)
-            parts.append(f"<div class=figures>{drawn}</div>")
-        parts += [table.html() for table in self.tables]
-        if self.attachments:
-            links = ", ".join(item.html() for item in self.attachments)
-            parts.append(f"<p>Kept inside this page, to be saved: {links}.</p>")
-        inside = "\n".join(parts)
-        return f'<section id="{escape(self.anchor)}">\n{inside}\n</section>'
-
-
-# The policy forbids every resource but what stands in the page itself.
-_FRAME = """<!DOCTYPE html>
-<html lang="en">
-<head>
-<meta charset="utf-8">
-<meta name="viewport" content="width=device-width, initial-scale=1">
-<meta http-equiv="Content-Security-Policy"
- content="default-src 'none'; img-src data:; style-src 'unsafe-inline'">
-<link rel="icon" href="data:,">
-<title>{title}</title>
-<style>
-{style}</style>
-</head>
-<body>
-<header>
-<h1>{title}</h1>
-{lead}
-</header>
-{contents}<main>
-{sections}
-</main>
-</body>
-</html>
-"""
-LEAST_CONTENTS = 3
-"""Sections from which on a list of them helps."""
-
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Page:
-    """What a page holds.
-
-    Attributes:
-        title: In the window and above all.
-        lead: Paragraphs under the title.
-        sections: In order.
-    """
+    """Title, paragraphs under it, and sections, listed above where there are at least three."""
 
     title: str
     lead: tuple[str, ...] = ()
     sections: tuple[Section, ...] = ()
 
     def html(self) -> str:
-        """The whole page.
+        """The whole page; raises `WriteError` where a figure cannot be read."""
+        from jinja2 import Environment
+        from markupsafe import Markup, escape
 
-        Raises:
-            WriteError: A drawing cannot be read.
-        """
-        return _FRAME.format(
-            title=escape(self.title),
-            style=files("figures").joinpath("page.css").read_text(encoding="utf-8"),
-            lead="\n".join(f"<p>{inline(text)}</p>" for text in self.lead),
-            contents=self._contents(),
-            sections="\n".join(section.html() for section in self.sections),
-        )
+        def inline(text: str) -> Markup:
+            code = re.sub(r"`([^`]+)`", r"<code>\1</code>", str(escape(text)))
+            return Markup(code.replace("\n", "<br>"))
 
-    def _contents(self) -> str:
-        if len(self.sections) < LEAST_CONTENTS:
-            return ""
-        links = "\n".join(
-            f'<li><a href="#{escape(item.anchor)}">{inline(item.heading)}</a></li>'
-            for item in self.sections
-        )
-        return f'<nav aria-label="Contents"><ul>\n{links}\n</ul></nav>\n'
+        environment = Environment(autoescape=True)
+        environment.filters |= {"inline": inline, "data_uri": _data_uri}
+        source = files("needleforce.plots").joinpath("page.html").read_text(encoding="utf-8")
+        return printable(environment.from_string(source).render(page=self))
+
+
+def _data_uri(item: Path | Attachment) -> str:
+    if isinstance(item, Attachment):
+        media_type, content = item.media_type, item.content
+    else:
+        # As an image, not as elements of the page: names inside two drawings cannot clash.
+        media_type = MEDIA_TYPES[item.suffix]
+        try:
+            content = item.read_bytes()
+        except OSError as error:
+            raise WriteError(f"cannot read {item}: {error.strerror or error}") from error
+    return f"data:{media_type};base64,{b64encode(content).decode()}"
 
 
 def write_page(path: str | Path, page: Page) -> Path:
-    """Write a page.
-
-    Args:
-        path: Of the HTML file.
-        page: What it holds.
-
-    Returns:
-        The file.
+    """Write a page as HTML file, whole or not at all, and return its path.
 
     Raises:
-        WriteError: The file cannot be written, or a drawing cannot be read.
+        WriteError: The file cannot be written, or a figure cannot be read.
     """
-    place, content = Path(path), page.html()
-    try:
-        place.write_text(content, encoding="utf-8")
-    except OSError as error:
-        raise WriteError(f"cannot write {place}: {error.strerror or error}") from error
-    return place
+    return write_file(path, page.html().encode())
 
 
-# The settings of a run as a table: what a reader needs to do it again.
+def save_page_figure(
+    chart: Chart, path: Path, *, alt: str, caption: str, is_alone: bool = False
+) -> PageFigure:
+    """Save a chart as a figure of a page; one that stands alone also as ``NAME-wide``.
+
+    Raises:
+        FiguresError: It cannot be drawn or written.
+    """
+    wide = None
+    if is_alone:
+        beside = path.with_stem(f"{path.stem}-wide")
+        wide = save_figure(replace(chart, width_in=WIDE_IN), beside)
+    return PageFigure(path=save_figure(chart, path), alt=alt, caption=caption, wide=wide)
 
 
 def settings_table(settings: Any, caption: str) -> PageTable:
-    """One line per field of a dataclass; of a dataclass within it ``outer.inner``.
-
-    Args:
-        settings: The dataclass.
-        caption: Of the table.
-    """
+    """One line per field of a dataclass; of a dataclass within it ``outer.inner``."""
     return PageTable(caption=caption, head=("setting", "value"), rows=tuple(_rows(settings, "")))
 
 
@@ -294,54 +166,15 @@ def _rows(settings: Any, prefix: str) -> Iterator[tuple[str, str]]:
         value, name = getattr(settings, item.name), f"{prefix}{item.name}"
         if is_dataclass(value):
             yield from _rows(value, f"{name}.")
-        else:
-            yield f"`{name}`", _text(value)
-
-
-def _text(value: Any) -> str:
-    if value is None or value == ():
-        return "none"
-    if isinstance(value, float):
-        return f"{value:g}"
-    if isinstance(value, tuple | list):
-        return ", ".join(map(_text, value))
-    return str(value)
-
-
-# The folder of a report, made before the work that fills it.
-
-
-PAGE = "index.html"
-"""Name of the page in it."""
-
-
-def report_folder(path: str | Path) -> Path:
-    """Make sure that a report can be written before minutes of work, not after.
-
-    Args:
-        path: Of the folder; it is made if there is none.
-
-    Returns:
-        The folder.
-
-    Raises:
-        MissingExtraError: matplotlib is not installed.
-        WriteError: The folder cannot be made.
-    """
-    require_matplotlib("--report")
-    folder = Path(path)
-    try:
-        folder.mkdir(parents=True, exist_ok=True)
-    except OSError as error:
-        raise WriteError(f"cannot write to {folder}: {error.strerror or error}") from error
-    return folder
+            continue
+        values = value if isinstance(value, tuple | list) else (value,) if value is not None else ()
+        texts = [f"{each:g}" if isinstance(each, float) else str(each) for each in values]
+        yield f"`{name}`", ", ".join(texts) or "none"
 
 
 @contextmanager
 def folder_if_filled(path: str | Path | None) -> Iterator[Path | None]:
-    """`report_folder` for as long as the work takes; an empty one that it made is removed again.
-
-    So an interrupt, or a mistake that ends the work at once, leaves nothing behind.
+    """Make the folder of a report before the work; if nothing was put in, remove it afterwards.
 
     Args:
         path: Of the folder; None where no report is wanted.
@@ -350,15 +183,19 @@ def folder_if_filled(path: str | Path | None) -> Iterator[Path | None]:
         The folder, if any.
 
     Raises:
-        MissingExtraError: matplotlib is not installed.
+        MissingExtraError: A library of the extra ``plots`` is not installed.
         WriteError: The folder cannot be made.
     """
     if path is None:
         yield None
         return
+    require_matplotlib("--report")
     folder = Path(path)
     made = [each for each in (folder, *folder.parents) if not each.exists()]
-    report_folder(folder)
+    try:
+        folder.mkdir(parents=True, exist_ok=True)
+    except OSError as error:
+        raise WriteError(f"cannot write to {folder}: {error.strerror or error}") from error
     try:
         yield folder
     finally:

@@ -1,7 +1,8 @@
-"""The one home of colours, line styles and the words on axes.
+"""Colours, line styles and the words on axes, in one place.
 
-The hues are those of Okabe and Ito, which eyes that mix up red and green still tell apart; every
-role has a line style of its own as well, for print.
+The hues are those of Okabe and Ito, which colour-blind eyes can separate; every role has a line
+style of its own as well, for print. Where curves coincide, broad pale ones are drawn below and
+thin dashed or dotted ones above, so that all are seen.
 """
 
 from dataclasses import replace
@@ -28,12 +29,12 @@ DASH_DOTTED: Dash = (0.0, (6.0, 2.0, 1.2, 2.0))
 
 TRUE = LineStyle(color=BLACK, width_pt=0.9)
 TRUE_PART = LineStyle(color=BLACK, dash=DOTTED, width_pt=1.5)
-"""A part of the true force, or a true parameter."""
+"""A part of the true force, or a true parameter, drawn over others."""
 READING = LineStyle(color=GREEN, width_pt=2.6, opacity=0.45)
-"""The force an identifier is given: broad and pale, for others run along it."""
-OTHER_SENSOR = LineStyle(color=GREY, width_pt=0.8)
-"""Another sensor's force, or what was made of it, for comparison."""
-OTHER_DASHED = replace(OTHER_SENSOR, dash=DASHED)
+"""The force an identifier is given, drawn below the others."""
+OTHER_SENSOR = LineStyle(color=GREY, width_pt=4.0, opacity=0.4)
+"""Another sensor's force, for comparison, drawn below the others."""
+OTHER_DASHED = LineStyle(color="#555555", dash=DASHED, width_pt=0.9)
 PREDICTED = LineStyle(color=ORANGE, dash=DASHED, width_pt=1.0)
 OURS = LineStyle(color=BLUE, width_pt=1.4)
 PUBLISHED = LineStyle(color=VERMILION, dash=DASHED, width_pt=1.2)
@@ -42,10 +43,11 @@ PUBLISHED_KV = LineStyle(color=PURPLE, dash=DASH_DOTTED, width_pt=1.1)
 """The published method, with the Kelvin-Voigt model."""
 TIP = LineStyle(color=PURPLE, dash=DASH_DOTTED, width_pt=1.0)
 """The force at the tip alone."""
-
-RUPTURE = LineStyle(color=BLACK, width_pt=0.9)
-COMPENSATION = LineStyle(color=BLACK, dash=DASHED, width_pt=0.9)
-TRUE_RUPTURE = "#c6c6c6"
-"""Shade of the time in which a layer really gives way."""
 UNTARED = LineStyle(color=GREY, width_pt=1.0)
-TARE, INITIALIZING, REJECTED = "#d5efd9", "#e4e4e4", "#c0392b"
+
+RUPTURE = LineStyle(color=BLACK, marker="|", width_pt=1.6, size_pt=13.0)
+COMPENSATION = replace(RUPTURE, marker="o", width_pt=0.5, size_pt=3.0)
+REJECTED = LineStyle(color="#c0392b", marker="|", width_pt=1.0, size_pt=7.0)
+TRUE_RUPTURE = "#d2d2d2"
+"""Shade of the time in which a layer ruptures, in the ground truth."""
+TARE, INITIALIZING = "#d5efd9", "#e4e4e4"

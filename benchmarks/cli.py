@@ -1,0 +1,342 @@
+"""The commands of ``python -m benchmarks``, and what becomes of their errors.
+
+Packages that only some commands need are imported inside them: `compare` needs no simulator.
+"""
+
+import math
+import os
+import sys
+from collections import Counter
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import contextmanager
+from functools import partial
+from itertools import product
+from pathlib import Path
+from typing import Annotated, Literal
+
+from cyclopts import App, CycloptsError, Parameter
+from cyclopts.validators import Number
+
+from benchmarks import BenchmarkError, ResultsError
+
+DATA_VARIABLE = "NEEDLEFORCE_DATA"
+EXTRA_PACKAGES = ("rich", "mujoco", "matplotlib", "pandas", "psutil")
+FAILURE = 1
+"""Exit code of a command that has done its work, and found what the help names."""
+USAGE = 2
+"""Exit code after one line that says what is wrong with options or files."""
+INTERRUPTED, READER_GONE = 130, 141
+"""Exit codes after Ctrl-C and when the reader of standard output has gone, as shells have them."""
+
+app = App(
+    name="python -m benchmarks",
+    help="Estimators against ground truth: simulated insertions and real recordings.\n\nExit "
+    "codes: 0 all well, 1 a target missed (--strict), a regression or a benchmark that failed, 2 "
+    "wrong usage or unreadable files.",
+    version_flags=[],
+    suppress_keyboard_interrupt=False,
+    default_parameter=Parameter(negative=""),
+)
+Positive = Annotated[int, Parameter(validator=Number(gte=1))]
+
+
+def main(arguments: Sequence[str] | None = None) -> int:
+    """Run a command line, by default that of this process, and return its exit code."""
+    tokens = sys.argv[1:] if arguments is None else list(arguments)
+    try:
+        if not tokens:
+            app.help_print([])
+            return USAGE
+        code = app(tokens, exit_on_error=False, print_error=False, result_action="return_value")
+        sys.stdout.flush()
+        return code or 0
+    except (BenchmarkError, CycloptsError) as error:
+        return _fail(error)
+    except ModuleNotFoundError as error:
+        if error.name not in EXTRA_PACKAGES:
+            raise
+        return _fail(f"{error.name} is not installed; pip install -e '.[bench]'")
+    except KeyboardInterrupt:
+        sys.stderr.write("interrupted\n")
+        return INTERRUPTED
+    except BrokenPipeError:
+        # What is still buffered goes nowhere, or Python would complain at its end.
+        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
+        return READER_GONE
+
+
+def _fail(reason: object) -> int:
+    sys.stderr.write(f"error: {' '.join(str(reason).split())}\n")
+    return USAGE
+
+
+@contextmanager
+def progress_bar(jobs: int) -> Iterator[Callable[[int, float], None]]:
+    """Show a bar on stderr; yields what takes the index of a job and the fraction of it done.
+
+    Nothing is drawn where there is no terminal.
+    """
+    if not sys.stderr.isatty():
+        yield lambda index, fraction: None
+        return
+    from rich.console import Console
+    from rich.progress import Progress, TimeElapsedColumn
+
+    done = [0.0] * jobs
+    columns = (*Progress.get_default_columns(), TimeElapsedColumn())
+    with Progress(*columns, console=Console(stderr=True), transient=True) as bar:
+        task = bar.add_task(f"{jobs} benchmarks", total=float(jobs))
+
+        def update(index: int, fraction: float) -> None:
+            bar.advance(task, fraction - done[index])
+            done[index] = fraction
+
+        yield update
+
+
+@app.command(name="list")
+def list_() -> None:
+    """What can be run."""
+    from benchmarks.catalogue import BENCHMARKS
+    from benchmarks.runner import PLANTS
+    from benchmarks.tables import ResultTable, new_console
+
+    needs = {True: "recordings", False: "simulation"}
+    table = ResultTable(
+        title="Benchmarks",
+        heads=("ID", "", "what", "needs"),
+        align="LLlL",
+        lines=tuple(
+            (item.id, "*" if item.is_default else "", item.title, needs[item.is_recorded])
+            for item in BENCHMARKS.values()
+        ),
+        caption="* runs when nothing is named; 'tissue' names the scenarios with tissue, 'all' all",
+    )
+    console = new_console()
+    console.print(table.rich())
+    console.print(f"Plants of a simulation: {', '.join(PLANTS)}")
+
+
+def _processors() -> int:
+    return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
+
+
+@app.command
+def run(
+    *ids: str,
+    plant: Sequence[str] = (),
+    seeds: Positive = 1,
+    data: Annotated[Path | None, Parameter(env_var=DATA_VARIABLE)] = None,
+    json: Path | None = None,
+    report: Path | None = None,
+    jobs: Positive | None = None,
+    strict: bool = False,
+) -> int:
+    """Run benchmarks, print tables and targets.
+
+    Args:
+        ids: Names of the list, tissue, or all; default: a quick set.
+        plant: ideal, clean, fri, degraded, or needle (no arm), with commas between several; may be
+            given more than once. Default: clean; for drawn scenarios needle.
+        seeds: Run seeds 0 to N-1.
+        data: Folder of real recordings.
+        json: Write the numbers there.
+        report: Write a page into that folder: the figures of the published paper from these runs,
+            and all tables. With no ID named, runs all that the figures need.
+        jobs: Processes at a time; default: one per processor.
+        strict: Exit with 1 if a target is missed.
+    """
+    from benchmarks.evaluation import evaluate
+    from benchmarks.report import write_report
+    from benchmarks.rows import write_results
+    from benchmarks.runner import Request, make_plan, run_jobs
+    from benchmarks.tables import new_console, run_tables
+    from needleforce.plots import FiguresError
+    from needleforce.plots.page import folder_if_filled
+
+    plants = [name.strip() for names in plant for name in names.split(",") if name.strip()]
+    if plant and not plants:
+        raise BenchmarkError("--plant: expected at least one name")
+    console = new_console()
+    try:
+        # The folder first: better before minutes of work than after.
+        with folder_if_filled(report) as folder:
+            plan = make_plan(
+                Request(ids=ids, plants=plants, seeds=seeds, data=data, drawings=folder)
+            )
+            with progress_bar(len(plan.jobs)) as update:
+                outcomes = run_jobs(plan.jobs, jobs or _processors(), update)
+            rows = [row for outcome in outcomes for row in outcome.rows]
+            for table in run_tables(rows):
+                console.print(table)
+            failed = [item for item in outcomes if item.failure is not None]
+            for item in failed:
+                console.print(f"failed: {item.job}: {item.failure}", style="red", markup=False)
+            if plan.skipped:
+                reason = f"Skipped for want of recordings (--data DIR or {DATA_VARIABLE})"
+                console.print(f"{reason}: {', '.join(plan.skipped)}", style="yellow")
+            if json is not None:
+                write_results(json, rows)
+            if folder is not None:
+                drawings = [drawing for item in outcomes for drawing in item.drawings]
+                console.print(f"Report: {write_report(folder, rows, drawings)}")
+    except FiguresError as error:
+        raise BenchmarkError(str(error)) from error
+    missed = strict and not all(found.is_met for found in evaluate(rows))
+    return FAILURE if failed or missed else 0
+
+
+@app.command
+def compare(old: Path, new: Path) -> int:
+    """Find what has become worse between two runs.
+
+    A number that is missing or not finite in the later run is a failure.
+
+    Args:
+        old: Results of the earlier run.
+        new: Results of the later run.
+    """
+    from benchmarks.evaluation import Change, compare_rows
+    from benchmarks.rows import read_results
+    from benchmarks.tables import comparison_table, new_console
+
+    found = compare_rows(read_results(old), read_results(new))
+    if not found:
+        raise ResultsError(f"{old} and {new} have no rows: nothing to compare")
+    console = new_console()
+    changed = [item for item in found if item.change is not Change.SAME]
+    if changed:
+        console.print(comparison_table(changed).rich())
+    counts = Counter(item.change for item in found)
+    console.print(", ".join(f"{counts[change]} {change}" for change in Change if counts[change]))
+    return FAILURE if any(item.is_failure for item in found) else 0
+
+
+@app.command
+def results(
+    *files: Annotated[Path, Parameter(required=True)],
+    page: Path | None = None,
+    readme: Path | None = None,
+) -> None:
+    """Print the summary of runs; write all tables to a page.
+
+    Of a scenario on a plant that several files hold, the last one counts.
+
+    Args:
+        files: Results from run --json.
+        page: Write all tables there (docs/results.md).
+        readme: Write the summary between the marks of that page (README.md).
+    """
+    from benchmarks.results_page import fill, printed_by, results_page, summary_block, summary_table
+    from benchmarks.rows import read_merged
+    from benchmarks.tables import new_console
+
+    rows = read_merged(files)
+    # Folders of one machine mean nothing to a reader.
+    command = printed_by(path.name for path in files)
+    try:
+        if page is not None:
+            page.write_text(results_page(rows, f"{command} --page {page.name}"), encoding="utf-8")
+        if readme is not None:
+            text = readme.read_text(encoding="utf-8")
+            readme.write_text(fill(text, summary_block(rows, command)), encoding="utf-8")
+    except OSError as error:
+        raise ResultsError(f"cannot read or write {error.filename}: {error.strerror}") from error
+    new_console().print(summary_table(rows).rich())
+
+
+@app.command
+def bound() -> None:
+    """What the noise of a force allows any estimator to know."""
+    from benchmarks.bound_study import bound_cases, bound_noises, case_table
+    from benchmarks.tables import new_console
+
+    with progress_bar(1) as update:
+        noises = bound_noises(partial(update, 0))
+    new_console().print(case_table(list(bound_cases(noises)), noises).rich())
+
+
+@app.command
+def speed(soak: bool = False, ticks: Positive = 1_000_000, strict: bool = False) -> int:
+    """Time the estimators beside their bare dynamics. Takes about 75 s.
+
+    Args:
+        soak: Instead, many ticks of the chain (four minutes): growth of memory, cost at the end.
+        ticks: How many, with --soak.
+        strict: Exit with 1 if a target is missed.
+    """
+    from benchmarks.soak import run_soak, soak_table
+    from benchmarks.speed import measure_speed, speed_report
+    from benchmarks.tables import new_console
+
+    console = new_console()
+    with progress_bar(1) as update:
+        if soak:
+            found = run_soak(ticks, partial(update, 0))
+            tables, closing, is_met = [soak_table(found, ticks)], "", found.is_met
+        else:
+            tables, closing, is_met = speed_report(measure_speed(partial(update, 0)))
+    for table in tables:
+        console.print(table.rich())
+    if closing:
+        console.print(closing)
+    return FAILURE if strict and not is_met else 0
+
+
+@app.command
+def faults(without_velocity: bool = False, markdown: bool = False, strict: bool = False) -> int:
+    """Break the signals of a running insertion. Takes about 45 s.
+
+    Args:
+        without_velocity: The arm sends no velocities, they are estimated.
+        markdown: Print the table of docs/loop.md.
+        strict: Exit with 1 if a fault is not recovered from, or a number is not finite.
+    """
+    from benchmarks.fault_study import FaultStudy, fault_table
+    from benchmarks.tables import new_console
+
+    with progress_bar(1) as update:
+        study = FaultStudy(
+            lambda fraction: update(0, 0.2 * fraction), with_velocity=not without_velocity
+        )
+        found = []
+        for result in study.results():
+            found.append(result)
+            update(0, min(0.2 + 0.03 * len(found), 1.0))
+    console, table = new_console(), fault_table(found)
+    if markdown:
+        console.print("\n".join(table.markdown()), soft_wrap=True, markup=False)
+    else:
+        console.print(table.rich())
+    bad = any(not result.is_finite or math.isinf(result.recovery_s) for result in found)
+    return FAILURE if strict and bad else 0
+
+
+@app.command
+def stream(
+    seconds: Positive = 60,
+    format: Sequence[Literal[".csv", ".csv.gz", ".npz", ".parquet", ".mcap"]] = (),
+    folder: Path | None = None,
+    strict: bool = False,
+) -> int:
+    """Send a long recording through the commands.
+
+    Args:
+        seconds: Length of the recording; 3600 needs 3 GB on the disk and ten minutes.
+        format: Of the recording; may be given more than once (default .csv).
+        folder: Where the files lie meanwhile.
+        strict: Exit with 1 if a target is missed.
+    """
+    from benchmarks.stream import LEAST_SECONDS, RECORDINGS, measure_stream, stream_table
+    from benchmarks.tables import new_console
+
+    if seconds < LEAST_SECONDS:
+        raise BenchmarkError(f"--seconds must be at least {LEAST_SECONDS:g}: the tare takes half")
+    cases = list(product(RECORDINGS, format or [".csv"]))
+    with progress_bar(len(cases)) as update:
+        speeds = [
+            measure_stream(*case, seconds, folder, partial(update, index))
+            for index, case in enumerate(cases)
+        ]
+    new_console().print(stream_table(speeds).rich())
+    return FAILURE if strict and not all(speed.is_met for speed in speeds) else 0

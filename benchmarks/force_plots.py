@@ -1,0 +1,232 @@
+"""Figures of the axial force of one run, after the paper's Figure 5, and where figures are kept."""
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass, field, replace
+from pathlib import Path
+from typing import Literal
+
+import numpy as np
+from numpy.typing import NDArray
+
+from benchmarks.benchmark import RECORDING, Drawing, Fact, Job
+from benchmarks.force_metrics import force_lag_s
+from benchmarks.methods import ForceReading
+from benchmarks.paper_figures import FORCE_PANELS
+from benchmarks.signals import ForceTruth
+from benchmarks.targets import PUBLISHED_RMSE_N
+from needleforce.plots import Chart, Curve, LineStyle, Panel, palette, save_page_figure
+
+Array = NDArray[np.float64]
+Over = Literal["time", "depth"]
+"""What is along the x axis."""
+
+
+@dataclass(slots=True)
+class RunFigures:
+    """Saves the figures of one run in a folder, and keeps them in order."""
+
+    job: Job
+    folder: Path
+    saved: list[Drawing] = field(default_factory=list)
+
+    def add(
+        self,
+        chart: Chart,
+        kind: str,
+        *,
+        panel: tuple[str, str] = ("", ""),
+        alt: str,
+        caption: str,
+        facts: tuple[Fact, ...] = (),
+        tuned_friction_Ns_per_m: float = math.nan,
+        is_alone: bool = False,
+    ) -> None:
+        """Draw a chart; its title says what is shown, this adds of which figure and run.
+
+        Args:
+            chart: The chart.
+            kind: Ending of the file's name.
+            panel: Figure of the paper, and letter of the panel; empty for none.
+            alt: As in `Drawing`.
+            caption: As in `Drawing`.
+            facts: As in `Drawing`.
+            tuned_friction_Ns_per_m: As in `Drawing`.
+            is_alone: Whether it takes the whole width of the page.
+
+        Raises:
+            FiguresError: It cannot be drawn or saved.
+        """
+        job, (figure, letter) = self.job, panel
+        number = f"figure-{figure}-" if figure else ""
+        path = self.folder / f"{number}{job.benchmark}-{job.plant}-{job.seed}-{kind}.svg"
+        shown = save_page_figure(
+            replace(chart, title=self._title(f"{figure}{letter}", chart.title)),
+            path,
+            alt=alt,
+            caption=caption,
+            is_alone=is_alone,
+        )
+        self.saved.append(
+            Drawing(
+                figure=figure,
+                panel=letter,
+                scenario=job.benchmark,
+                plant=job.plant,
+                seed=job.seed,
+                path=shown.path,
+                wide=shown.wide,
+                alt=alt,
+                caption=caption,
+                facts=facts,
+                tuned_friction_Ns_per_m=tuned_friction_Ns_per_m,
+            )
+        )
+
+    def _title(self, number: str, what: str) -> str:
+        """What is shown, and below it of which run."""
+        job = self.job
+        which = {RECORDING: "recording", "needle": "needle without an arm, seed"}
+        run = f"{job.benchmark}, {which.get(job.plant, f'{job.plant} plant, seed')} {job.seed}"
+        return f"Figure {number}: {what}\n{run}" if number else f"{what}\n{run}".capitalize()
+
+
+STYLES: dict[tuple[str, str], tuple[str, LineStyle]] = {
+    ("ft", "default"): ("F/T sensor", palette.OTHER_SENSOR),
+    ("virtual", "default"): ("virtual sensor, ours", palette.OURS),
+    ("virtual", "published"): ("virtual sensor, published", palette.PUBLISHED),
+}
+"""By source and method, in the order of drawing: dashed lines lie on continuous ones."""
+MARGIN_s = 2.0
+"""Shown before contact and after withdrawal."""
+MOST_OF = 99.0
+"""Per cent of each error curve that its panel must hold."""
+CALM_RATIO = 3.0
+"""Limit of the error panel over the size of the smallest error: no wild curve flattens the rest."""
+
+
+def force_chart(
+    title: str,
+    truth: ForceTruth,
+    readings: Sequence[ForceReading],
+    over: Over = "time",
+    window: tuple[float, float] | None = None,
+) -> Chart:
+    """Force, and below it the error against the true force.
+
+    Args:
+        title: What is shown.
+        truth: Of the run.
+        readings: Of the sensors.
+        over: Time since the sensors were zeroed [s], or depth since contact [mm].
+        window: First and last place on that axis; None for the whole run.
+    """
+    first = max(truth.start_s - MARGIN_s, truth.zeroed_s)
+    shown = (truth.t_s > first) & (truth.t_s <= truth.end_s + MARGIN_s)
+    place = truth.t_s - truth.zeroed_s if over == "time" else 1e3 * truth.depth_m
+    x, true = place[shown], truth.axial_N[shown]
+    forces, errors = [], []
+    for key, (name, style) in STYLES.items():
+        for item in readings:
+            if (item.source, item.method) != key:
+                continue
+            y = item.axial_N[shown]
+            label = f"{name}, RMSE {rmse_N(item, truth, truth.axial_N):.3f} N"
+            forces.append(Curve(style=style, x=x, y=y, label=label))
+            is_ours = style is palette.OURS
+            std = item.std_N[shown] if is_ours else None
+            band = "ours, ± 2 std" if is_ours else None
+            errors.append(Curve(style=style, x=x, y=y - true, std=std, band_label=band))
+    forces.append(Curve(style=palette.TRUE_PART, x=x, y=true, label="true force"))
+    limit = _error_limit([curve for curve in errors if curve.style is not palette.OTHER_SENSOR])
+    chart = Chart(
+        title=title,
+        x_label=palette.INSERTION_TIME if over == "time" else palette.DEPTH,
+        panels=(
+            Panel(y_label=palette.FORCE, curves=tuple(forces), height=1.6),
+            Panel(y_label=palette.FORCE_ERROR, curves=_thin(errors), limits=(-limit, limit)),
+        ),
+        x_limits=(float(x.min()), float(x.max())),
+        height_in=3.6,
+    )
+    return chart if window is None else chart.within(*window)
+
+
+def _thin(errors: Sequence[Curve]) -> tuple[Curve, ...]:
+    """Errors differ: the quieter one lies on the noisier one, and lines are thin."""
+    ordered = sorted(errors, key=lambda curve: curve.style is not palette.OURS)
+    dark = replace(palette.OTHER_DASHED, dash="-")
+    styles = [dark if one.style is palette.OTHER_SENSOR else one.style for one in ordered]
+    return tuple(
+        replace(curve, style=replace(style, width_pt=0.7))
+        for curve, style in zip(ordered, styles, strict=True)
+    )
+
+
+def _error_limit(errors: Sequence[Curve]) -> float:
+    """Half the height of the error panel: no wild curve may flatten the others."""
+    sizes = [float(np.percentile(np.abs(curve.y), MOST_OF)) for curve in errors]
+    limit = 1.2 * min(max(sizes), CALM_RATIO * min(sizes)) if sizes else 0.0
+    return limit or 1.0
+
+
+def rmse_N(reading: ForceReading, truth: ForceTruth, target_N: Array) -> float:
+    """Difference of a reading from the true force, or another one, over the judged part."""
+    return float(np.sqrt(np.mean((reading.axial_N - target_N)[truth.judged] ** 2)))
+
+
+def force_figures(
+    job: Job, folder: Path, truth: ForceTruth, readings: Sequence[ForceReading]
+) -> tuple[Drawing, ...]:
+    """Force and error over time, and over depth where the paper shows it so."""
+    figures, panels = RunFigures(job, folder), FORCE_PANELS.get(job.benchmark, ())
+    figures.add(
+        force_chart("axial force over time", truth, readings),
+        "force-time",
+        panel=("5", panels[0]) if panels else ("", ""),
+        alt="Axial force over time by every sensor, with the true force; below, the errors",
+        caption="Axial force [N] over time [s]; below, its error against the true force [N], with "
+        "the band of two standard deviations that our sensor states. Triangles mark where a curve "
+        "leaves its panel. RMSE from first contact to the end of the withdrawal.",
+        facts=_facts(job.benchmark, truth, readings) if panels else (),
+        is_alone=not panels,
+    )
+    if panels:
+        figures.add(
+            force_chart("axial force over depth", truth, readings, "depth"),
+            "force-depth",
+            panel=("5", panels[1]),
+            alt="Axial force over depth by every sensor, with the true force; below, the errors",
+            caption="The same over depth [mm]. The upper branch is the insertion, the lower one "
+            "the withdrawal, where friction holds the needle back.",
+        )
+    return tuple(figures.saved)
+
+
+def _facts(scenario: str, truth: ForceTruth, readings: Sequence[ForceReading]) -> tuple[Fact, ...]:
+    by_key = {(item.source, item.method): item for item in readings}
+    if len(by_key) < len(STYLES):
+        return ()
+    ft, ours, published = (by_key[key] for key in STYLES)
+    part, both = truth.judged, (published, ours)
+    time_s, true_N = truth.t_s[part], truth.axial_N[part]
+    delays_ms = [1e3 * force_lag_s(time_s, item.axial_N[part], true_N) for item in both]
+    within = np.abs(ours.axial_N - truth.axial_N)[part] <= 2.0 * ours.std_N[part]
+    values = {
+        "RMSE against the F/T sensor [N]": [f"{rmse_N(i, truth, ft.axial_N):.4f}" for i in both],
+        "RMSE against the true force [N]": [f"{rmse_N(i, truth, truth.axial_N):.4f}" for i in both],
+        "delay behind the true force [ms]": [f"{delay_ms:.0f}" for delay_ms in delays_ms],
+        "true force within 2 stated standard deviations [%]": [
+            "none stated",
+            f"{100.0 * np.mean(within):.1f}",
+        ],
+    }
+    heads = ("published, here", "ours, here")
+    return tuple(
+        Fact(
+            what=f"`{scenario}`: {what}",
+            paper=f"{PUBLISHED_RMSE_N[scenario]:g}" if "F/T" in what else "–",
+            here=tuple(zip(heads, texts, strict=True)),
+        )
+        for what, texts in values.items()
+    )

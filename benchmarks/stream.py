@@ -1,0 +1,288 @@
+"""Recordings of any length through the commands: how fast, and does their memory grow?"""
+
+import math
+import os
+import subprocess
+import sys
+import time
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from contextlib import suppress
+from dataclasses import dataclass
+from pathlib import Path
+from tempfile import TemporaryDirectory, TemporaryFile
+from types import MappingProxyType
+from typing import Any, NamedTuple
+
+import numpy as np
+import pandas as pd
+import pinocchio as pin
+import psutil
+from numpy.typing import NDArray
+
+from benchmarks import BenchmarkError
+from benchmarks.signals import tool_jacobians
+from benchmarks.tables import ResultTable
+from groundtruth import insert_needle
+from needleforce.recordings import RecordingError
+from needleforce.recordings.channels import FORCE_STATUS
+from needleforce.recordings.output import open_table
+from urdf import NeedleTool, Robot, load_lwr
+
+Columns = dict[str, NDArray[np.float64]]
+
+RATE_HZ = 1000.0
+FREE_S = 10.0
+"""So long at its start a recording of joint signals is without contact."""
+CYCLE_S, REACH_RAD, PUSH_N, RETURN_S = 20.0, 0.05, 1.5, 20.0
+TORQUE_NOISE_NM, FORCE_NOISE_N = 0.01, 0.003
+LATE_ROWS = 80_000
+"""Longer than a cycle of a long recording."""
+POLL_S, BYTES_PER_MB = 0.05, 1e6
+LEAST_TIMES_REAL = 20.0
+"""Times real time, on one core."""
+MOST_GROWTH_MB = 20.0
+"""From a tenth of the recording to its end; interpreters and allocators breathe."""
+LEAST_SECONDS = 2.0 * FREE_S
+
+
+def joint_recording(seconds: float, rng: np.random.Generator) -> Iterator[Columns]:
+    """Joint signals of an LWR that moves, and is pushed once in every cycle.
+
+    Args:
+        seconds: Length [s].
+        rng: Of the noise.
+
+    Yields:
+        Columns of consecutive rows.
+    """
+    cycle = _joint_cycle(load_lwr(payload=NeedleTool()))
+    for columns in _repeated(cycle, seconds):
+        torque = columns["tau_Nm"]
+        columns["tau_Nm"] = torque + TORQUE_NOISE_NM * rng.normal(size=torque.shape)
+        yield columns
+
+
+def needle_recording(seconds: float, rng: np.random.Generator) -> Iterator[Columns]:
+    """Depth, speed and force of a needle that is inserted into gel and withdrawn, again and again.
+
+    As `joint_recording`. Every cycle is in fresh tissue, whose surface lies as deep as the needle
+    has come before: in the channel of an insertion there is nothing left to rupture.
+    """
+    run = insert_needle("gel-50-constant", seed=0, rate_hz=RATE_HZ)
+    taring = int(np.searchsorted(run.t_s, run.tare_end_s))
+    deepest_m = float(run.depth_m.max())
+    way_m = deepest_m + float(run.depth_m[taring] - run.depth_m[-1])
+    phase = np.arange(1.0, RETURN_S * RATE_HZ) / (RETURN_S * RATE_HZ) * np.pi
+    way = run.depth_m[-1] + 0.5 * way_m * (1.0 - np.cos(phase))
+    way_speed = 0.5 * way_m * np.pi / RETURN_S * np.sin(phase)
+    cycle = {
+        "depth_m": np.concatenate((run.depth_m, way)),
+        "speed_m_s": np.concatenate((run.speed_m_s, way_speed)),
+        "force_N": np.concatenate((run.force_N, np.zeros(len(way)))),
+    }
+    for number, columns in enumerate(_repeated(cycle, seconds, taring)):
+        columns["depth_m"] += number * deepest_m
+        force = columns["force_N"]
+        columns["force_N"] = force + FORCE_NOISE_N * rng.normal(size=force.shape)
+        yield columns
+
+
+def _repeated(cycle: Columns, seconds: float, again_from: int = 0) -> Iterator[Columns]:
+    """The cycle, and then over and over its rows from `again_from` on."""
+    left, done, start = round(seconds * RATE_HZ), 0, 0
+    while left > 0:
+        columns = {name: values[start : start + left].copy() for name, values in cycle.items()}
+        rows = len(next(iter(columns.values())))
+        yield {"t_s": np.arange(done, done + rows) / RATE_HZ, **columns}
+        left, done, start = left - rows, done + rows, again_from
+
+
+def _joint_cycle(robot: Robot) -> Columns:
+    """Smooth motion that ends as it began, and a push along the needle in its second half."""
+    t = np.arange(CYCLE_S * RATE_HZ) / RATE_HZ
+    joints = np.arange(robot.nv)
+    pulsation = 2.0 * np.pi / CYCLE_S * (1.0 + joints % 3)
+    phase = np.outer(t, pulsation)
+    middle = np.array([0.0, 0.5, 0.0, -1.2, 0.0, 0.9, 0.0])
+    q = np.asarray(middle + REACH_RAD * np.sin(phase), dtype=np.float64)
+    dq = np.asarray(REACH_RAD * pulsation * np.cos(phase), dtype=np.float64)
+    ddq = -REACH_RAD * pulsation**2 * np.sin(phase)
+    push = np.where(t > FREE_S, PUSH_N * np.sin(np.pi * (t - FREE_S) / FREE_S) ** 2, 0.0)
+    data = robot.create_data()
+    free = [pin.rnea(robot.model, data, *row) for row in zip(q, dq, ddq, strict=True)]
+    # The tissue pushes the tool back along its z axis: torque of the environment.
+    external = -push[:, None] * tool_jacobians(robot, q)[:, 2]
+    return {"q_rad": q, "dq_rad_s": dq, "tau_Nm": np.array(free) - external}
+
+
+RECORDINGS: Mapping[str, Callable[[float, np.random.Generator], Iterator[Columns]]] = (
+    MappingProxyType({"residual": joint_recording, "identification": needle_recording})
+)
+"""What is sent through a command, by its name."""
+
+
+class ProcessUse(NamedTuple):
+    """What a process needed."""
+
+    wall_s: float  # from start to end
+    cpu_s: float  # time on processors
+    memory_MB: tuple[float, ...]  # resident memory as it went on, in equal steps of time
+
+    def memory_at(self, fraction: float) -> float:
+        """Resident memory when that fraction of the time had passed [MB]; nan if unknown."""
+        if not self.memory_MB:
+            return float("nan")
+        return self.memory_MB[min(int(fraction * len(self.memory_MB)), len(self.memory_MB) - 1)]
+
+
+def run_python(
+    arguments: Sequence[str], progress: Callable[[float], None] = lambda seconds: None
+) -> ProcessUse:
+    """Run ``python`` with these arguments to its end, watching time and memory.
+
+    Args:
+        arguments: After the interpreter.
+        progress: Gets now and then how many seconds have passed.
+
+    Raises:
+        BenchmarkError: It failed.
+    """
+    # One thread of linear algebra: what is measured is one core.
+    environment = os.environ | {"OMP_NUM_THREADS": "1"}
+    start_s, before_s = time.perf_counter(), _children_s()
+    memory_MB: list[float] = []
+    # A file, not a pipe: that would be full after 64 kB, and the process would wait for ever.
+    with TemporaryFile() as errors:
+        command = [sys.executable, *arguments]
+        process = psutil.Popen(command, env=environment, stdout=subprocess.DEVNULL, stderr=errors)
+        while process.poll() is None:
+            with suppress(psutil.Error):  # it may have ended since the question
+                memory_MB.append(process.memory_info().rss / BYTES_PER_MB)
+            progress(time.perf_counter() - start_s)
+            time.sleep(POLL_S)
+        wall_s = time.perf_counter() - start_s
+        errors.seek(0)
+        said = errors.read().decode(errors="replace").strip()
+    if process.returncode != 0:
+        raise BenchmarkError(f"python {' '.join(arguments)} failed: {said.splitlines()[-1:]}")
+    return ProcessUse(wall_s, _children_s() - before_s, tuple(memory_MB))
+
+
+def _children_s() -> float:
+    """Time on processors of all processes that this one has started and that have ended [s]."""
+    times = psutil.Process().cpu_times()
+    return times.children_user + times.children_system
+
+
+class LateRows(NamedTuple):
+    """Of the last `LATE_ROWS` rows that a command wrote, or of all if there are fewer."""
+
+    ruptures: int | None  # found in them; None for a command that looks for none
+    rejected: int  # rows that the command could not use
+
+
+def late_rows(path: Path) -> LateRows:
+    """Read the end of a table that `residual` or `identification` has written as CSV."""
+    wanted = ("force_status", "absorbed", "rupture")
+    table: Any = pd.read_csv(path, usecols=lambda name: name in wanted).tail(LATE_ROWS)
+    if "force_status" in table:
+        rejected = FORCE_STATUS.index("rejected")
+        return LateRows(None, int((table["force_status"] == rejected).sum()))
+    return LateRows(int((table["rupture"] != 0.0).sum()), int((table["absorbed"] == 0.0).sum()))
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class StreamSpeed:
+    """What a command needed for a recording."""
+
+    command: str  # ``residual`` or ``identification``
+    suffix: str  # of the recording; results are written as CSV
+    seconds: float  # length of the recording
+    rows: int  # of the recording
+    use: ProcessUse
+    late: LateRows  # what was found at the end: a command that idles is fast
+
+    @property
+    def times_real(self) -> float:
+        """Length of the recording over time on the processor."""
+        return self.seconds / self.use.cpu_s
+
+    @property
+    def is_met(self) -> bool:
+        """Whether both targets are, without idling; unknown memory counts as a miss.
+
+        No late row may be rejected, and ruptures go on if the recording is long.
+        """
+        is_alive = self.late.ruptures != 0 or self.rows < 2 * LATE_ROWS
+        growth_MB = self.use.memory_at(1.0) - self.use.memory_at(0.1)
+        is_cheap = self.times_real >= LEAST_TIMES_REAL and growth_MB <= MOST_GROWTH_MB
+        return is_cheap and is_alive and self.late.rejected == 0
+
+
+def measure_stream(
+    command: str,
+    suffix: str,
+    seconds: float,
+    folder: Path | None,
+    progress: Callable[[float], None],
+) -> StreamSpeed:
+    """Make a recording and send it through a command.
+
+    Args:
+        command: One of `RECORDINGS`.
+        suffix: Of the recording.
+        seconds: Length of the recording [s], at least `LEAST_SECONDS`.
+        folder: Where the files lie while it runs; None for the system's place.
+        progress: Gets the fraction done so far, roughly.
+
+    Raises:
+        BenchmarkError: The files cannot be written, or the command failed.
+    """
+    options = ["--tare", f"0:{FREE_S:g}"] if command == "residual" else []
+    expected_s, rows = seconds / LEAST_TIMES_REAL, 0
+    try:
+        with TemporaryDirectory(dir=folder) as place:
+            log, out = Path(place) / f"log{suffix}", Path(place) / "out.csv"
+            with open_table(log) as table:
+                for columns in RECORDINGS[command](seconds, np.random.default_rng(0)):
+                    table.append(columns)
+                    rows += len(columns["t_s"])
+                    progress(0.3 * rows / (seconds * RATE_HZ))
+            use = run_python(
+                ["-m", command, str(log), *options, "-o", str(out)],
+                lambda passed_s: progress(0.3 + 0.7 * min(passed_s / expected_s, 1.0)),
+            )
+            late = late_rows(out)
+    except (OSError, RecordingError) as error:
+        raise BenchmarkError(f"no recording to stream: {error}") from error
+    return StreamSpeed(
+        command=command, suffix=suffix, seconds=seconds, rows=rows, use=use, late=late
+    )
+
+
+def stream_table(speeds: Sequence[StreamSpeed]) -> ResultTable:
+    """Time and memory of every case, with the targets."""
+    lines = []
+    for speed in speeds:
+        use = speed.use
+        memory = (use.memory_at(0.1), use.memory_at(1.0), max(use.memory_MB, default=math.nan))
+        numbers = (
+            f"{1e6 * use.cpu_s / speed.rows:.1f}",
+            f"{speed.times_real:.1f}",
+            f"{speed.seconds / use.wall_s:.1f}",
+            *(f"{value:.0f}" for value in memory),
+        )
+        ruptures = "" if speed.late.ruptures is None else str(speed.late.ruptures)
+        late = (ruptures, str(speed.late.rejected), "yes" if speed.is_met else "no")
+        lines.append((speed.command, speed.suffix, str(speed.rows), *numbers, *late))
+    return ResultTable(
+        title=f"A recording of {speeds[0].seconds:g} s at 1 kHz through the commands, CSV out "
+        f"(targets: {LEAST_TIMES_REAL:g} times real time on one core, "
+        f"memory grows by {MOST_GROWTH_MB:g} MB at most)",
+        heads=(
+            *("command", "log", "rows", "us per row", "x real time", "x real time (wall clock)"),
+            *("MB at 10 %", "MB at the end", "MB at most", "late ruptures", "late rejected", "met"),
+        ),
+        align="LL" + 10 * "r",
+        lines=tuple(lines),
+    )

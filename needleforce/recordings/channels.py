@@ -1,0 +1,336 @@
+"""The channels of a log, their units, and how their columns are found by name."""
+
+import re
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass
+from difflib import get_close_matches
+from itertools import pairwise
+from math import pi
+from types import MappingProxyType
+
+from needleforce.recordings.errors import ColumnError, MappingError
+from needleforce.recordings.table import FloatArray, Table
+
+Units = Mapping[str, float]
+"""Units that may stand in a file, each with its factor to SI; the first is SI."""
+
+_TIME = {"s": 1.0, "ms": 1e-3, "us": 1e-6, "ns": 1e-9}
+_ANGLE = {"rad": 1.0, "deg": pi / 180.0}
+_ANGULAR_SPEED = {"rad/s": 1.0, "deg/s": pi / 180.0}
+_TORQUE = {"Nm": 1.0, "mNm": 1e-3}
+_LENGTH = {"m": 1.0, "cm": 1e-2, "mm": 1e-3, "um": 1e-6}
+_SPEED = {"m/s": 1.0, "cm/s": 1e-2, "mm/s": 1e-3, "um/s": 1e-6}
+_FORCE = {"N": 1.0, "mN": 1e-3}
+_CODE = {"1": 1.0}
+
+# How people write the same unit; applied in this order.
+_SPELLINGS = (("µ", "u"), ("μ", "u"), ("°", "deg"), ("N·m", "Nm"), ("N.m", "Nm"), ("N*m", "Nm"))
+_SLASHES = ("_per_", "_")
+_UNIT_PARTS = 3
+"""The longest unit in a name has so many parts: `mm_per_s`."""
+
+FORCE_STATUS = ("ok", "not tared", "initializing", "rejected")
+"""What 0, 1, 2, ... of the column `force_status` mean; only the first is a usable force."""
+WORTHLESS = {
+    "frozen": 2,
+    "joint limit": 8,
+    "near singular": 16,
+    "model mismatch": 32,
+    "tare expired": 64,
+    "velocity": 128,
+}
+"""Bits of the column `force_warnings` that make a force worthless to an identifier."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Channel:
+    """One quantity of a log.
+
+    Attributes:
+        name: how mappings and options call it, such as `q`.
+        key: its name in a `Log`, with the SI unit, such as `q_rad`.
+        units: units accepted in a file, with their factors to SI; the first is SI.
+        per_joint: whether it has one column per joint (2-D) rather than one value (1-D).
+        spellings: column names, without unit and joint number and in lower case, that are
+            recognised when no mapping is given.
+        meaning: one phrase for help texts.
+    """
+
+    name: str
+    key: str
+    units: Units
+    per_joint: bool
+    spellings: tuple[str, ...]
+    meaning: str
+
+    @property
+    def si_unit(self) -> str:
+        """The SI unit of this channel."""
+        return next(iter(self.units))
+
+
+_TAU_EXT = (
+    "tau_ext tau_external tau_ext_hat tau_ext_hat_filtered external_torque external_torques "
+    "external_joint_torque external_joint_torques"
+)
+_JOINTS = (
+    ("q", "q_rad", _ANGLE, "q position pos joint_position joint_positions actual_q",
+     "joint positions"),
+    ("dq", "dq_rad_s", _ANGULAR_SPEED,
+     "dq qd qdot q_dot velocity vel joint_velocity joint_velocities actual_qd",
+     "joint velocities"),
+    ("tau", "tau_Nm", _TORQUE, "tau tau_j effort torque joint_torque joint_torques",
+     "measured joint torques"),
+    ("tau_ext", "tau_ext_Nm", _TORQUE, _TAU_EXT,
+     "external joint torques as the robot estimates them"),
+)  # fmt: skip
+_SINGLE = (
+    ("depth", "depth_m", _LENGTH, "depth z insertion_depth travel", "depth of the needle tip"),
+    ("speed", "speed_m_s", _SPEED, "speed v insertion_speed", "rate of depth"),
+    ("force", "force_N", _FORCE, "force f fz f_z force_z axial axial_force insertion_force",
+     "axial force, positive when tissue pushes back"),
+    ("force_status", "force_status", _CODE, "force_status",
+     "whether the force can be used, as `python -m residual` writes it"),
+    ("force_warnings", "force_warnings", _CODE, "force_warnings",
+     "what may be wrong with the force, as `python -m residual` writes it"),
+)  # fmt: skip
+_TIME_ROW = ("time", "t_s", _TIME, "t time timestamp time_stamp stamp", "time stamp")
+
+CHANNELS: Mapping[str, Channel] = MappingProxyType(
+    {
+        name: Channel(
+            name=name,
+            key=key,
+            units=MappingProxyType(units),
+            per_joint=rows is _JOINTS,
+            spellings=tuple(spellings.split()),
+            meaning=meaning,
+        )
+        for rows in ((_TIME_ROW,), _JOINTS, _SINGLE)
+        for name, key, units, spellings, meaning in rows
+    }
+)
+"""Every channel by the name that mappings use."""
+
+
+def find_unit(text: str, units: Units) -> str | None:
+    """Return the key of `units` that a text such as `mm/s`, `mm_s` or `µs` spells, or None."""
+    unit = text.strip()
+    for written, meant in _SPELLINGS:
+        unit = unit.replace(written, meant)
+    for slash in _SLASHES:
+        unit = unit.replace(slash, "/")
+    return unit if unit in units else None
+
+
+def require_unit(text: str, units: Units, what: str) -> str:
+    """Return the key of `units` that a text spells; `MappingError` if it is none of them."""
+    unit = find_unit(text, units)
+    if unit is None:
+        raise MappingError(f"unit {text!r} of {what} is not known; use one of: {', '.join(units)}")
+    return unit
+
+
+# At most nine digits: longer numbers are no joint's, and counting up to them would take all memory.
+_BRACKETED = re.compile(r"^(?P<stem>.*\S)\s*[\[(](?P<unit>[^\[\]()]+)[\])]$")
+_NUMBERED = re.compile(r"^(?P<stem>.*?[^\d_.\[ ])(?P<mark>[_. ]?)\[?(?P<number>\d{1,9})\]?$")
+_RANGE = re.compile(r"\{(?P<first>\d{1,9})\.\.(?P<last>\d{1,9})\}")
+_ELEMENT = re.compile(r"^(?P<name>.+)\[(?P<index>\d{1,9})\]$")
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class ColumnName:
+    """A column name taken apart.
+
+    Attributes:
+        stem: lower case, without path, number and unit: `q` in `/robot/q_3_rad`.
+        family: the name with its number blanked; the columns of one signal share it.
+        number: the trailing number (a joint's), or None.
+        unit: the unit the name carries, or None.
+    """
+
+    stem: str
+    family: str
+    number: int | None
+    unit: str | None
+
+
+def parse_column_name(name: str, units: Units) -> ColumnName:
+    """Take a column name apart, reading as unit only a unit of the quantity looked for.
+
+    Understands `q1`, `q_1`, `q[0]`, `q1_deg`, `q_deg_1`, `z [mm]`, `z (mm)`, `speed_mm_s` and a
+    leading path such as `/joint_states/`.
+    """
+    rest, unit = split_unit(name.strip(), units)
+    number, family = None, name
+    if match := _NUMBERED.match(rest):
+        number = int(match["number"])
+        start, end = match.span("number")
+        family = name.replace(rest, f"{rest[:start]}#{rest[end:]}", 1)
+        rest = match["stem"]
+        if unit is None:
+            rest, unit = split_unit(rest, units)
+    stem = rest.rsplit("/", 1)[-1].strip().lower()
+    return ColumnName(stem=stem, family=family, number=number, unit=unit)
+
+
+def split_unit(name: str, units: Units) -> tuple[str, str | None]:
+    """Split a unit off the end of a name, as in `z [mm]` or `speed_mm_s`; None if it has none."""
+    if (match := _BRACKETED.match(name)) and (unit := find_unit(match["unit"], units)):
+        return match["stem"], unit
+    for parts in range(_UNIT_PARTS, 0, -1):
+        head, *tail = name.rsplit("_", parts)
+        if len(tail) == parts and (unit := find_unit("_".join(tail), units)):
+            return head, unit
+    return name, None
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class FoundColumn:
+    """A column in the file's unit, shape (n,) or (n, k), or one element of such a one."""
+
+    name: str
+    values: FloatArray
+
+    @property
+    def width(self) -> int:
+        """How many values it has per row."""
+        return 1 if self.values.ndim == 1 else self.values.shape[1]
+
+
+def _column(table: Table, name: str) -> FoundColumn:
+    return FoundColumn(name=name, values=table.columns[name])
+
+
+def find_columns(table: Table, pattern: str) -> tuple[FoundColumn, ...]:
+    """Return the columns that a name or pattern stands for.
+
+    In this order: a column of exactly that name; `q{1..7}`, the numbers from 1 to 7; `q_*`, all
+    columns with a number in that place; `wrench[2]`, one column (from 0) of a two-dimensional
+    one; and `q_rad` for a family `q_rad_1`, `q_rad_2`, ... as this package writes it to CSV.
+
+    Returns:
+        At least one column; numbered ones in the order of their numbers.
+
+    Raises:
+        ColumnError: no such column, or a number is missing in a family.
+    """
+    if pattern in table.columns:
+        return (_column(table, pattern),)
+    if match := _RANGE.search(pattern):
+        names = _expanded_range(pattern, match)
+        return tuple(column for name in names for column in find_columns(table, name))
+    if "*" in pattern:
+        return _find_numbered(table, pattern, re.escape(pattern).replace(r"\*", r"(\d{1,9})", 1))
+    if match := _ELEMENT.match(pattern):
+        return (_find_element(table, pattern, match["name"], int(match["index"])),)
+    return _find_numbered(table, pattern, rf"{re.escape(pattern)}[_. ]?\[?(\d{{1,9}})\]?")
+
+
+def _expanded_range(pattern: str, match: re.Match[str]) -> Iterator[str]:
+    first, last = match["first"], match["last"]
+    step = 1 if int(first) <= int(last) else -1
+    width = len(first) if first.startswith("0") else 1
+    head, tail = pattern[: match.start()], pattern[match.end() :]
+    # One at a time: the first that is not there ends the search, however long the range is.
+    numbers = range(int(first), int(last) + step, step)
+    return (f"{head}{number:0{width}d}{tail}" for number in numbers)
+
+
+def _find_element(table: Table, pattern: str, name: str, index: int) -> FoundColumn:
+    values = table.columns.get(name)
+    if values is None or values.ndim != 2:
+        raise _not_found(table, pattern)
+    if index >= values.shape[1]:
+        raise ColumnError(
+            f"{pattern!r}: column {name!r} has the elements [0] to [{values.shape[1] - 1}]"
+        )
+    return FoundColumn(name=pattern, values=values[:, index])
+
+
+def _find_numbered(table: Table, pattern: str, expression: str) -> tuple[FoundColumn, ...]:
+    numbered: dict[int, str] = {}
+    for name in table.columns:
+        if not (match := re.fullmatch(expression, name)):
+            continue
+        number = int(match[1])
+        if number in numbered:
+            raise ColumnError(f"{pattern!r} fits both {numbered[number]!r} and {name!r}; name one")
+        numbered[number] = name
+    if not numbered:
+        raise _not_found(table, pattern)
+    return tuple(_column(table, numbered[number]) for number in _without_gap(numbered, pattern))
+
+
+def _without_gap(numbers: Mapping[int, str], pattern: str) -> list[int]:
+    """Return the numbers of a family of columns in order; they must follow each other."""
+    ordered = sorted(numbers)
+    missing: list[int] = []
+    for before, after in pairwise(ordered):
+        missing += range(before + 1, min(after, before + 6))
+    if missing:
+        raise ColumnError(
+            f"{pattern!r}: found the numbers {ordered[0]} to {ordered[-1]}, but not "
+            f"{', '.join(map(str, missing[:5]))}; list the columns to use"
+        )
+    return ordered
+
+
+def _not_found(table: Table, pattern: str) -> ColumnError:
+    notes = dict.fromkeys((*table.omitted, *table.warnings))
+    reported = "".join(f" ({note})" for note in notes if repr(pattern) in note)
+    hint = _hint(list(table.columns), pattern)
+    return ColumnError(f"no column {pattern!r}{reported}.{hint} Columns are: {table.describe()}")
+
+
+def _hint(names: list[str], pattern: str) -> str:
+    """Say what may have been meant."""
+    if "*" in pattern:
+        return " The * stands for one number; all the rest of the name must be written out."
+    head, colon, unit = pattern.rpartition(":")
+    if colon and any(name.startswith(head) for name in names):
+        return f" The unit {unit!r} is none of this channel's; --help lists them."
+    with_unit = [name for name in names if re.match(rf"{re.escape(pattern)}\s*[\[(]\D", name)]
+    close = with_unit or get_close_matches(pattern, names[:1000], n=1)
+    return f" Did you mean {close[0]!r}?" if close else ""
+
+
+def detect_columns(table: Table, channel: Channel) -> tuple[FoundColumn, ...]:
+    """Return the columns whose names say that they are this channel.
+
+    Returns:
+        The columns in joint order; empty if there is none.
+
+    Raises:
+        ColumnError: several would fit, or a joint's column is missing.
+    """
+    named = {name: parse_column_name(name, channel.units) for name in table.columns}
+    named = {name: parts for name, parts in named.items() if parts.stem in channel.spellings}
+    if channel.per_joint:
+        candidates = _joint_candidates(table, named)
+    else:
+        fitting = [name for name in named if _column(table, name).width == 1]
+        plain = [name for name in fitting if named[name].number is None]
+        candidates = {name: (_column(table, name),) for name in plain or fitting}
+    if len(candidates) > 1:
+        raise ColumnError(
+            f"{channel.name}: several columns would fit ({', '.join(candidates)}); say which one "
+            f"with --{channel.name}, or under {channel.name} in the mapping"
+        )
+    return next(iter(candidates.values()), ())
+
+
+def _joint_candidates(
+    table: Table, named: Mapping[str, ColumnName]
+) -> Mapping[str, tuple[FoundColumn, ...]]:
+    candidates: dict[str, tuple[FoundColumn, ...]] = {}
+    families: dict[str, dict[int, str]] = {}
+    for name, parts in named.items():
+        if parts.number is None or table.columns[name].ndim == 2:
+            candidates[name] = (_column(table, name),)
+        else:
+            families.setdefault(parts.family, {})[parts.number] = name
+    for family, members in families.items():
+        ordered = _without_gap(members, family)
+        candidates[family] = tuple(_column(table, members[number]) for number in ordered)
+    return candidates

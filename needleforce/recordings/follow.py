@@ -1,0 +1,347 @@
+"""The bytes of a file, of a pipe, or of a file that still grows, as they come."""
+
+import codecs
+import io
+import os
+import select
+import stat
+import sys
+import tempfile
+import time
+import zlib
+from collections.abc import Callable, Iterable, Iterator
+from contextlib import contextmanager
+from dataclasses import dataclass
+from itertools import chain
+from pathlib import Path
+
+from needleforce.recordings.errors import (
+    FileAccessError,
+    FormatError,
+    file_errors,
+    optional_library,
+    readable_path,
+)
+
+BLOCK = 1 << 18
+"""The most bytes that are read, or unpacked, at a time."""
+STANDARD_STREAM = "-"
+"""Instead of a file: standard input or standard output."""
+
+_POLL_S = 0.05
+_GONE_S = 1.0
+"""So long after its last row a file that is no more under its name is read to its end."""
+_SMALL, _PAUSE_S = 4096, 0.005  # rows that come one by one are taken some at a time
+_CHECKED_TAIL = 256
+"""So many bytes before the place of reading show whether a file was written anew."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class FollowOptions:
+    """How long more is waited for.
+
+    Attributes:
+        follow: whether a file is read on when its end is reached, because it grows.
+        idle_s: stop when nothing came for this long; None to wait for ever.
+        should_stop: asked before more is read; True to stop.
+        advance: gets how many more bytes were read.
+        warn: gets in words why reading ended before the user wanted it to.
+    """
+
+    follow: bool = False
+    idle_s: float | None = None
+    should_stop: Callable[[], bool] = lambda: False
+    advance: Callable[[float], None] = lambda more: None
+    warn: Callable[[str], None] = lambda text: None
+
+
+def byte_blocks(
+    path: Path | None, options: FollowOptions, *, with_pauses: bool = False
+) -> Iterator[bytes]:
+    """Read a file, or standard input if None; whoever waits for more gets at once what there is.
+
+    With pauses, an empty block says each time that more is now waited for.
+
+    Raises:
+        FileAccessError: the file cannot be read, or was shortened or rewritten while it was
+            followed.
+    """
+    with file_errors("standard input" if path is None else path):
+        if path is not None:
+            # Without O_NONBLOCK a pipe that nobody writes would block here, deaf to Ctrl-C.
+            handle = os.open(readable_path(path), os.O_RDONLY | os.O_NONBLOCK)
+        elif sys.stdin is None:
+            raise FileAccessError("cannot read standard input: it is closed")
+        else:
+            handle = sys.stdin.fileno()
+        try:
+            blocks = _blocks(handle, options, path)
+            yield from (block for block in blocks if block or with_pauses)
+        finally:
+            if path is not None:
+                os.close(handle)
+
+
+def _blocks(handle: int, options: FollowOptions, path: Path | None) -> Iterator[bytes]:
+    is_file = stat.S_ISREG(os.fstat(handle).st_mode)
+    done, tail, last_s = 0, b"", time.monotonic()
+    follows = options.follow and is_file
+    while not options.should_stop():
+        if is_file or select.select([handle], [], [], _POLL_S)[0]:
+            _require_unchanged(handle, path, done, tail if follows else None)
+            block = os.read(handle, BLOCK)
+            if block:
+                done += len(block)
+                tail = (tail + block)[-_CHECKED_TAIL:]
+                options.advance(len(block))
+                yield block
+                last_s = time.monotonic()
+                if len(block) < _SMALL:
+                    time.sleep(_PAUSE_S)
+                continue
+            # The writer of a pipe that has closed it will not come back.
+            if not follows or _is_replaced(handle, path, last_s, options.warn):
+                return
+            yield b""
+            time.sleep(_POLL_S)
+        if options.idle_s is not None and time.monotonic() - last_s >= options.idle_s:
+            return
+
+
+def _require_unchanged(handle: int, path: Path | None, done: int, tail: bytes | None) -> None:
+    """Refuse a followed file that was truncated, also if it has grown again since."""
+    if tail is None:
+        return
+    if os.fstat(handle).st_size < done:
+        raise FileAccessError(f"{path} has become shorter while it was followed")
+    if os.pread(handle, len(tail), done - len(tail)) != tail:
+        raise FileAccessError(f"{path} was written anew while it was followed; start again")
+
+
+def _is_replaced(
+    handle: int, path: Path | None, last_s: float, warn: Callable[[str], None]
+) -> bool:
+    """Return whether nothing will come of a followed file, because it is no more at its place."""
+    if path is None or time.monotonic() - last_s < _GONE_S:
+        return False
+    try:
+        if os.path.samestat(path.stat(), os.fstat(handle)):
+            return False
+    except OSError:
+        pass
+    warn(
+        f"{path} was moved, deleted or replaced while it was followed; it was read to its end, and "
+        "no other file is; start again to follow the new one"
+    )
+    return True
+
+
+_GZIP = b"\x1f\x8b"
+_GZIP_WINDOW = 31  # zlib's code for "expect a gzip header"
+
+
+class Unpacked:
+    """Iterates over the content of blocks that may be compressed with gzip, whatever the suffix."""
+
+    def __init__(self, blocks: Iterable[bytes]) -> None:
+        self._blocks = iter(blocks)
+        self.fault = ""
+        """Once all is read: what is wrong with the compressed data, if anything."""
+        self.is_damaged = False
+        """Whether what was unpacked may be wrong: damage is seen blocks later, or at the end."""
+
+    def __iter__(self) -> Iterator[bytes]:
+        """Yield blocks of at least one byte, and of at most `BLOCK` bytes if compressed."""
+        head = b""
+        for block in self._blocks:
+            head += block
+            if len(head) >= len(_GZIP):
+                break
+        if head.startswith(_GZIP):
+            yield from self._unpack(head)
+        elif head:
+            yield head
+            yield from self._blocks
+
+    def _unpack(self, data: bytes) -> Iterator[bytes]:
+        while data.startswith(_GZIP):
+            member = zlib.decompressobj(_GZIP_WINDOW)
+            while not member.eof:
+                try:
+                    # A megabyte of gzip can hold a gigabyte: it is unpacked piece by piece.
+                    content = member.decompress(data, BLOCK)
+                except zlib.error:
+                    self.fault, self.is_damaged = "is damaged", True
+                    return
+                if content:
+                    yield content
+                data = member.unused_data if member.eof else member.unconsumed_tail
+                if not (data or member.eof or content):
+                    data = next(self._blocks, b"")
+                    if not data:
+                        self.fault = "is cut short"
+                        return
+            # Appended members, as `cat a.gz b.gz` or a logger that reopens its file gives.
+            while len(data) < len(_GZIP) and (more := next(self._blocks, b"")):
+                data += more
+
+
+def unpacked(packed: bytes, compression: str, size: int) -> tuple[bytes, bool]:
+    """Return what compressed bytes hold, little more than `size` bytes, and whether it is all."""
+    zstd = optional_library("zstandard", "bags compressed with zstd")
+    if compression == "zstd":
+        stream = zstd.ZstdDecompressor().stream_reader(packed)
+    elif compression == "lz4":
+        stream = optional_library("lz4.frame", "MCAP files with lz4 chunks").open(
+            io.BytesIO(packed)
+        )
+    else:
+        raise FormatError(f"has chunks compressed with {compression!r}; zstd and lz4 can be read")
+    parts: list[bytes] = []
+    total, is_whole = 0, True
+    try:
+        # In blocks: what precedes a damaged place is kept, and a bomb is left before it grows.
+        while total <= size and (part := stream.read(1 << 16)):
+            parts.append(part)
+            total += len(part)
+    except (zstd.ZstdError, RuntimeError, EOFError):
+        is_whole = False
+    return b"".join(parts), is_whole
+
+
+_LONGEST_LINE = 1 << 24  # characters
+_MOST_NULS = 1 << 32
+
+
+class TextLines:
+    """Iterates over the whole lines of a text, in lists of those that came together.
+
+    Compressed text is unpacked, line ends may be of any kind, and what is not UTF-8 is read as
+    Windows text.
+    """
+
+    def __init__(self, blocks: Iterable[bytes]) -> None:
+        self._bytes = Unpacked(blocks)
+        self._decode = codecs.getincrementaldecoder("utf-8-sig")()
+        self._ends = io.IncrementalNewlineDecoder(None, translate=True)
+        self.count = 0
+        """Lines so far."""
+        self.tail = ""
+        """Once all is read: what stands behind the last line end."""
+        self.size = 0
+        """Bytes of text so far."""
+        self._note = ""
+        self._nuls = 0
+        self.warnings: list[str] = []
+        """What was lost or guessed."""
+
+    def __iter__(self) -> Iterator[list[str]]:
+        """Yield the lines, without their ends; `FormatError` if there is no text."""
+        is_blank = True
+        for block in self._bytes:
+            self.size += len(block)
+            text = self._without_nuls(block)
+            is_blank = is_blank and not text.strip()
+            if is_blank and self._nuls:
+                raise FormatError("it is not text; expected CSV")
+            yield from self._split(self._text(text, is_last=False), is_last=False)
+        yield from self._split(self._text(b"", is_last=True), is_last=True)
+        self._fault_note()
+        if is_blank:
+            raise FormatError("it is empty; expected a header row and rows of numbers")
+
+    def _without_nuls(self, block: bytes) -> bytes:
+        """Return what stands before the NUL bytes with which a file may end after a power loss."""
+        text = block.rstrip(b"\x00")
+        if b"\x00" in text or (self._nuls and text) or self._nuls > _MOST_NULS:
+            raise FormatError("it is not text; expected CSV")
+        self._nuls += len(block) - len(text)
+        return text
+
+    def _fault_note(self) -> None:
+        if self._nuls:
+            self.tail = ""
+            self.warnings.append(
+                f"the file ends in {self._nuls} NUL bytes, as power loss may leave them; what "
+                f"follows line {self.count} is lost"
+            )
+        if self._bytes.fault:
+            # What follows the last line end is a piece of a line.
+            self.tail = ""
+            self._note = (
+                f"the compressed file {self._bytes.fault}; what follows line {self.count} is lost"
+            )
+            if self._bytes.is_damaged:
+                self._note += (
+                    ", and lines before it may be wrong: gzip shows that there is damage, not where"
+                )
+            self.warnings.append(self._note)
+
+    def forgive_end(self) -> None:
+        """Leave out a piece of a line at the end, and do not blame the source for it."""
+        self.tail = ""
+        if self._bytes.fault and not self._bytes.is_damaged:
+            self.warnings.remove(self._note)
+
+    def _split(self, text: str, is_last: bool) -> Iterator[list[str]]:
+        *lines, self.tail = (self.tail + self._ends.decode(text, final=is_last)).split("\n")
+        if len(self.tail) > _LONGEST_LINE:
+            raise FormatError(f"it is not text; line {self.count + 1} does not end")
+        if lines:
+            self.count += len(lines)
+            yield lines
+
+    def _text(self, block: bytes, is_last: bool) -> str:
+        waiting = self._decode.getstate()[0]
+        try:
+            return self._decode.decode(block, final=is_last)
+        except UnicodeDecodeError:
+            self.warnings.append("the file is not UTF-8; it was read as Windows text (cp1252)")
+            self._decode = codecs.getincrementaldecoder("cp1252")(errors="replace")
+            return self._decode.decode(waiting + block, final=is_last)
+
+
+_MAGIC = {
+    b"\x89MCAP0\r\n": ".mcap",
+    b"SQLite format 3\x00": ".db3",
+    b"PK\x03\x04": ".npz",
+    b"PAR1": ".parquet",
+}
+"""How files begin, and their suffix."""
+
+
+def peek(blocks: Iterable[bytes]) -> tuple[str, Iterator[bytes]]:
+    """Return the suffix of a recording as it begins, empty if it is text, and all its bytes.
+
+    No more is waited for than decides it.
+    """
+    rest, head = iter(blocks), b""
+    for block in rest:
+        head += block
+        if not any(magic.startswith(head) for magic in _MAGIC):
+            break
+    suffix = next((end for magic, end in _MAGIC.items() if head.startswith(magic)), "")
+    return suffix, chain([head] if head else [], rest)
+
+
+@contextmanager
+def spooled(blocks: Iterable[bytes], suffix: str) -> Iterator[Path]:
+    """Keep a binary recording from a pipe in a temporary file while the context is entered.
+
+    Such formats cannot be read as they come: what a column means, or where it stands, is known
+    at the end.
+    """
+    with tempfile.TemporaryDirectory(ignore_cleanup_errors=True) as folder:
+        path = Path(folder) / f"standard-input{suffix}"
+        try:
+            with path.open("wb") as file:
+                for block in blocks:
+                    file.write(block)
+        except FileAccessError:
+            raise
+        except OSError as error:
+            raise FileAccessError(
+                f"cannot keep the piped recording in {folder}: {error.strerror or error}; "
+                "give it as a file, or set TMPDIR to a folder with more room"
+            ) from error
+        yield path

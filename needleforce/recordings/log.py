@@ -1,0 +1,448 @@
+"""From tables to a log: channels in SI units, one time stamp per row, whole or as they come."""
+
+from collections.abc import Iterable, Iterator, Mapping
+from dataclasses import dataclass, replace
+from types import MappingProxyType
+
+import numpy as np
+
+from needleforce.recordings.channels import (
+    CHANNELS,
+    Channel,
+    detect_columns,
+    parse_column_name,
+)
+from needleforce.recordings.csv_file import HEAD_ROWS
+from needleforce.recordings.errors import ColumnError, LogError, MappingError
+from needleforce.recordings.mapping import ColumnMapping, ColumnSpec, mapped_columns
+from needleforce.recordings.table import (
+    NS_PER_S,
+    FloatArray,
+    Table,
+    TimeStampWatch,
+    joined_tables,
+    read_only,
+    start_of_clock,
+    to_seconds,
+)
+
+_RATE_NAMES = ("sample_rate_hz", "sampling_rate_hz", "rate_hz", "fs_hz")
+
+
+class _FiniteWatch:
+    """Counts rows of a channel with NaN or infinity, however many come at a time."""
+
+    def __init__(self, name: str) -> None:
+        self._name = name
+        self._rows = self._bad = self._first_bad = 0
+        self._any_finite = False
+
+    def update(self, values: FloatArray) -> None:
+        finite = np.isfinite(values)
+        bad = np.flatnonzero(~(finite if values.ndim == 1 else finite.all(axis=1)))
+        if bad.size:
+            self._first_bad = self._first_bad or self._rows + int(bad[0]) + 1
+            self._bad += bad.size
+        self._any_finite = self._any_finite or bool(finite.any())
+        self._rows += len(values)
+
+    def warnings(self) -> tuple[str, ...]:
+        """Report rows that are not finite; `LogError` if there was no finite value at all."""
+        if not self._bad:
+            return ()
+        if not self._any_finite:
+            raise LogError(f"{self._name} has no finite value in {self._rows} rows")
+        return (
+            f"{self._name}: rows with NaN or infinity: {self._bad} (first: row {self._first_bad})",
+        )
+
+
+# Beyond these an SI value is implausible for a robot or a needle: two turns of a joint,
+# a needle of a metre, a force that buckles any needle. For time it is the median step: ten
+# samples a second are not a force log.
+_LIMITS = {
+    "t_s": ("time", 0.1, "ms"),
+    "q_rad": ("q", 4.0 * np.pi, "deg"),
+    "depth_m": ("depth", 1.0, "mm"),
+    "speed_m_s": ("speed", 1.0, "mm/s"),
+    "force_N": ("force", 200.0, "mN"),
+}
+# Steps of so many units belong to logs between 10 Hz and 10 kHz.
+_STEPS = ((1e5, "ns"), (200.0, "us"))
+
+
+class _UnitWatch:
+    """Looks for channels that hardly are in SI units, of those whose unit was assumed."""
+
+    def __init__(self) -> None:
+        self._sizes: dict[str, float] = {}
+        self._reported: set[str] = set()
+
+    def update(self, channels: Mapping[str, FloatArray]) -> None:
+        """Take rows by channel key; the step of time is that of the first ones."""
+        for key, values in channels.items():
+            finite = values[np.isfinite(values)]
+            if key == "t_s" and key not in self._sizes:
+                steps = np.abs(np.diff(finite))
+                self._sizes[key] = float(np.median(steps)) if steps.size else 0.0
+            elif key in _LIMITS and key != "t_s":
+                largest = float(np.max(np.abs(finite), initial=0.0))
+                self._sizes[key] = max(largest, self._sizes.get(key, 0.0))
+
+    def news(self) -> tuple[str, ...]:
+        """Return a warning for each channel that looks as if it were not in SI units; each once."""
+        warnings = []
+        for key, size in self._sizes.items():
+            name, limit, unit = _LIMITS[key]
+            if key == "t_s":
+                unit = next((u for least, u in _STEPS if size >= least), unit)
+            if size > limit and key not in self._reported:
+                self._reported.add(key)
+                what = "its median step" if key == "t_s" else "it"
+                warnings.append(
+                    f"{name}: {what} reaches {size:.4g} in SI; if the file is in {unit}, "
+                    f"say unit = {unit!r}, or --{name} COLUMN:{unit}"
+                )
+        return tuple(warnings)
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class Log:
+    """Time stamps and named channels of equal length.
+
+    Rows are kept as recorded. Backward or repeated stamps and non-finite values are reported in
+    `warnings`; the online steps skip them.
+
+    Attributes:
+        t_s: time stamps in s, shape (n,), finite, read-only; the file's clock, not rebased.
+        channels: name with SI unit (`q_rad`, `dq_rad_s`, `tau_Nm`, `tau_ext_Nm`, `depth_m`,
+            `speed_m_s`, `force_N`) to values, shape (n,) or (n, joints), read-only.
+        warnings: what is wrong with the recording, one sentence each.
+        start_ns: the instant of t_s = 0 on the clock that stamped the file, see `Table`.
+    """
+
+    t_s: FloatArray
+    channels: Mapping[str, FloatArray]
+    warnings: tuple[str, ...] = ()
+    start_ns: int = 0
+
+    def __post_init__(self) -> None:
+        """Copy, freeze and check the data; add what is wrong with them to `warnings`.
+
+        Raises:
+            LogError: no channel, not numbers, wrong shapes or lengths, time not finite or never
+                advancing, or a channel without a single finite value.
+        """
+        t_s = read_only("t_s", self.t_s)
+        channels = {name: read_only(name, values) for name, values in self.channels.items()}
+        if not channels:
+            raise LogError("a log needs at least one channel beside time")
+        if t_s.ndim != 1 or not t_s.size:
+            raise LogError(f"t_s has shape {t_s.shape}; expected (n,) with n > 0")
+        bad = np.flatnonzero(~np.isfinite(t_s))
+        if bad.size:
+            raise LogError(f"t_s: rows that are not finite: {bad.size} (first: row {bad[0] + 1})")
+        stamps = TimeStampWatch()
+        stamps.update(t_s)
+        warnings = [*self.warnings, *stamps.warnings()]
+        for name, values in channels.items():
+            if values.ndim not in (1, 2) or values.shape[0] != t_s.size:
+                raise LogError(
+                    f"{name} has shape {values.shape}; expected ({t_s.size},) or ({t_s.size}, k), "
+                    f"as t_s has {t_s.size} stamps"
+                )
+            watch = _FiniteWatch(name)
+            watch.update(values)
+            warnings += watch.warnings()
+        object.__setattr__(self, "t_s", t_s)
+        object.__setattr__(self, "channels", MappingProxyType(channels))
+        object.__setattr__(self, "warnings", tuple(dict.fromkeys(warnings)))
+
+    def __len__(self) -> int:
+        """Return the number of rows."""
+        return self.t_s.size
+
+    def __contains__(self, name: object) -> bool:
+        """Return whether the log has this channel."""
+        return name in self.channels
+
+    def __getitem__(self, name: str) -> FloatArray:
+        """Return a channel's values; `ColumnError` if the log has no such channel."""
+        if name not in self.channels:
+            raise ColumnError(
+                f"the log has no channel {name!r}; it has: {', '.join(self.channels)}"
+            )
+        return self.channels[name]
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class _SiChannel:
+    """A channel's values in SI units, the names of its columns, and how they were converted."""
+
+    values: FloatArray
+    is_unit_stated: bool
+    columns: tuple[str, ...] = ()
+    factor: float = 1.0  # from the file's unit to SI, of the first column
+    start_ns: int = 0  # of time, where it is not the table's
+
+
+def _si_channel(table: Table, channel: Channel, spec: ColumnSpec | None) -> _SiChannel | None:
+    """Find a channel in a table and convert it to SI units; None if no name looks like it.
+
+    The unit is the specification's, else the one in each column's name, else SI.
+    """
+    if spec is None:
+        columns = detect_columns(table, channel)
+        spec = ColumnSpec(columns=channel.name)
+    else:
+        columns = mapped_columns(table, spec)
+    if not columns:
+        return None
+    width = sum(column.width for column in columns)
+    names = ", ".join(column.name for column in columns)
+    if width != 1 and not channel.per_joint:
+        raise ColumnError(f"{channel.name} is one column, but {names} gives {width}; choose one")
+    if len({len(column.values) for column in columns}) > 1:
+        raise LogError(f"{channel.name}: the columns {names} differ in length")
+    scales = np.atleast_1d(np.array(spec.scale, dtype=np.float64))
+    if scales.size not in (1, width):
+        raise MappingError(
+            f"{channel.name}: {scales.size} scale factors for {width} columns; give one or {width}"
+        )
+    units = [
+        spec.unit or parse_column_name(column.name, channel.units).unit
+        for column in columns
+        for _ in range(column.width)
+    ]
+    factors = np.array([channel.units[unit or channel.si_unit] for unit in units]) * scales
+    values = np.column_stack([column.values for column in columns]) * factors
+    return _SiChannel(
+        values=values if channel.per_joint else values[:, 0],
+        is_unit_stated=all(units),
+        columns=tuple(column.name for column in columns),
+        factor=float(factors[0]),
+    )
+
+
+def _find_time(
+    table: Table, mapping: ColumnMapping, rows: int, first_row: int, start_ns: int | None
+) -> tuple[_SiChannel, tuple[str, ...]]:
+    """Return a table's time stamps in s, and what had to be assumed.
+
+    In this order: the mapping's `rate_hz`; its time column; a column with a usual name; a sample
+    rate stored in the file (`sample_rate_Hz` and the like), with a warning. `first_row` rows of
+    the recording came before these, whose stamps had this `start_ns`; None for the first rows.
+    """
+
+    def even(rate_hz: float) -> _SiChannel:
+        times = np.arange(first_row, first_row + rows) / rate_hz
+        return _SiChannel(values=times, is_unit_stated=True)
+
+    if mapping.rate_hz is not None:
+        return even(mapping.rate_hz), ()
+    found = _si_channel(table, CHANNELS["time"], mapping.channels.get("time"))
+    if found is not None:
+        return _exact_time(table, found, start_ns), ()
+    for name, value in table.constants.items():
+        if name.lower() in _RATE_NAMES and 0.0 < value < np.inf:
+            return even(value), (f"no time column: time from {name} = {value:g}",)
+    raise ColumnError(
+        "no time column found; say which one with --time, or the sample rate with --rate "
+        f"(rate_hz in the mapping). Columns are: {table.describe()}{table.left_out()}"
+    )
+
+
+def _exact_time(table: Table, found: _SiChannel, start_ns: int | None) -> _SiChannel:
+    """Count whole nanoseconds too large for float64 from the first, so that none is lost."""
+    stamps_ns = table.stamps.get(found.columns[0])
+    if table.start_ns or start_ns == 0 or found.factor * NS_PER_S != 1.0:
+        return found
+    if start_ns is None:
+        if stamps_ns is None:
+            return found
+        start_ns = start_of_clock(int(stamps_ns[0]))
+    if stamps_ns is None:
+        return replace(found, values=found.values - start_ns / NS_PER_S, start_ns=start_ns)
+    return replace(found, values=to_seconds(stamps_ns, start_ns), start_ns=start_ns)
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class LogChunk:
+    """Consecutive rows of a log, `t_s` and `channels` as in a `Log`.
+
+    `dt_s` is the time since the latest row that advanced, shape (n,), see `RowClock`.
+    """
+
+    t_s: FloatArray
+    dt_s: FloatArray
+    channels: Mapping[str, FloatArray]
+
+
+class LogStream:
+    """Iterates over the rows of a recording in SI units, a chunk at a time.
+
+    Which columns are which channels is decided from the first rows. Rows and numbers are those of
+    `read_log`, and what is wrong with them is reported as there.
+
+    Args:
+        tables: from `stream_tables`.
+        mapping: see `read_log`.
+        required: see `read_log`.
+        optional: see `read_log`.
+    """
+
+    def __init__(
+        self,
+        tables: Iterable[Table],
+        mapping: ColumnMapping | None = None,
+        *,
+        required: Iterable[str] = (),
+        optional: Iterable[str] = (),
+    ) -> None:
+        self._tables = iter(tables)
+        self._mapping = mapping or ColumnMapping()
+        self._required, self._optional = tuple(required), tuple(optional)
+        self._reported: dict[str, bool] = {}
+        self._rows = self._lost = self._first_lost = self._clock_ns = 0
+        self._stamps, self._units = TimeStampWatch(), _UnitWatch()
+        self._finite: dict[str, _FiniteWatch] = {}
+        self.start_ns = 0
+        """The instant of t_s = 0, see `Table`; known after the first chunk."""
+
+    def take_warnings(self) -> tuple[str, ...]:
+        """Return what has been found wrong with the recording since the last call."""
+        news = tuple(warning for warning, is_old in self._reported.items() if not is_old)
+        self._reported |= dict.fromkeys(news, True)
+        return news
+
+    def __iter__(self) -> Iterator[LogChunk]:
+        """Yield the rows; the first chunk has `HEAD_ROWS`, if there are so many.
+
+        Raises:
+            FileAccessError: see `stream_tables`.
+            FormatError: see `stream_tables`.
+            ColumnError: time, a required or a mapped channel was not found, or is ambiguous.
+            MappingError: a channel name is unknown, or a scale does not fit its columns.
+            LogError: the channels do not form a log; what only the end shows is reported there.
+        """
+        head = joined_tables(self._tables, HEAD_ROWS)
+        self._report(head.warnings)
+        self.start_ns = head.start_ns
+        found = self._find_channels(head)
+        self._finite = {key: _FiniteWatch(key) for key in found}
+        yield from self._chunk(head, found)
+        for table in self._tables:
+            self._report(table.warnings)
+            if len(table):
+                channels = {
+                    CHANNELS[name].key: _si_channel(table, CHANNELS[name], spec)
+                    for name, spec in self._mapping.channels.items()
+                    if CHANNELS[name].key in found
+                }
+                yield from self._chunk(table, {k: c for k, c in channels.items() if c is not None})
+        self._finish()
+
+    def _find_channels(self, table: Table) -> dict[str, _SiChannel]:
+        """Return the channels that a table has, by their key in a `Log`."""
+        names = tuple(name for name in CHANNELS if name != "time")
+        for name in (*self._required, *self._optional):
+            if name not in names:
+                raise MappingError(f"unknown channel {name!r}; channels are: {', '.join(names)}")
+        optional = self._optional if self._required or self._optional else names
+        selected: dict[str, _SiChannel] = {}
+        missing: list[Channel] = []
+        for name in (*self._required, *optional):
+            spec = self._mapping.channels.get(name)
+            found = _si_channel(table, CHANNELS[name], spec)
+            if found is None:
+                missing += [CHANNELS[name]] * (name in self._required)
+            elif name in self._required or spec is not None or np.isfinite(found.values).any():
+                selected[CHANNELS[name].key] = found
+            else:
+                self._report((f"{name}: its columns hold no finite value and were left out",))
+        if missing:
+            raise _missing(table, *missing)
+        if not selected:
+            raise ColumnError(f"no channel was recognised. Columns are: {table.describe()}")
+        return selected
+
+    def _chunk(self, table: Table, found: Mapping[str, _SiChannel]) -> Iterator[LogChunk]:
+        rows = len(next(iter(found.values())).values)
+        time, notes = _find_time(
+            table, self._mapping, rows, self._rows, self._clock_ns if self._rows else None
+        )
+        self._clock_ns = time.start_ns
+        self.start_ns = self.start_ns or time.start_ns
+        self._report(notes)
+        everything = {"t_s": time, **found}
+        _check_sizes(everything)
+        self._units.update({k: f.values for k, f in everything.items() if not f.is_unit_stated})
+        if not self._rows:
+            self._report(self._units.news())
+            self._mapping = _settled(self._mapping, everything)
+        keep = np.isfinite(time.values)
+        if not keep.all():
+            self._first_lost = self._first_lost if self._lost else self._rows + int(np.argmin(keep))
+            self._lost += int(np.count_nonzero(~keep))
+        self._rows += rows
+        if not keep.any():
+            return
+        t_s = time.values[keep]
+        channels = {key: f.values[keep] for key, f in found.items()}
+        chunk = LogChunk(t_s=t_s, dt_s=self._stamps.update(t_s), channels=channels)
+        for key, values in chunk.channels.items():
+            self._finite[key].update(values)
+        yield chunk
+
+    def _finish(self) -> None:
+        """Report and refuse what only the whole log shows."""
+        if self._lost:
+            first = self._first_lost + 1
+            lost = f"time: rows without a stamp, left out: {self._lost} (first: row {first})"
+            self._report((lost,))
+        if self._lost == self._rows:
+            raise LogError(f"of {self._rows} rows none has a time stamp")
+        self._report(self._units.news())
+        self._report(self._stamps.warnings())
+        for watch in self._finite.values():
+            self._report(watch.warnings())
+
+    def _report(self, warnings: tuple[str, ...]) -> None:
+        self._reported |= {w: False for w in warnings if w not in self._reported}
+
+
+def _settled(mapping: ColumnMapping, found: Mapping[str, _SiChannel]) -> ColumnMapping:
+    """Return a mapping that names the columns that were found, and no others."""
+    specs = {}
+    for name, channel in CHANNELS.items():
+        if channel.key in found and (columns := found[channel.key].columns):
+            given = mapping.channels.get(name, ColumnSpec(columns=columns))
+            specs[name] = ColumnSpec(columns=columns, unit=given.unit, scale=given.scale)
+    return ColumnMapping(channels=specs, rate_hz=mapping.rate_hz)
+
+
+def _missing(table: Table, channel: Channel, *others: Channel) -> ColumnError:
+    also = ", ".join(f"{other.name} ({other.meaning})" for other in others)
+    return ColumnError(
+        f"no column found for {channel.name} ({channel.meaning}); usual names are "
+        f"{', '.join(channel.spellings)}. Say which one with --{channel.name}, or under "
+        f"{channel.name} in the mapping. {f'Nor for {also}. ' if also else ''}"
+        f"Columns are: {table.describe()}{table.left_out()}"
+    )
+
+
+def _check_sizes(channels: Mapping[str, _SiChannel]) -> None:
+    """Refuse channels that differ in length or in the number of joints."""
+    shapes = {key: found.values.shape for key, found in channels.items()}
+    if len({shape[0] for shape in shapes.values()}) > 1:
+        lengths = ", ".join(f"{key} {shape[0]}" for key, shape in shapes.items())
+        turned = [
+            f"; {key} has {shape[0]} rows of {shape[1]}: is it transposed?"
+            for key, shape in shapes.items()
+            if len(shape) == 2 and shape[0] < shape[1]
+        ]
+        raise LogError(f"channels differ in length, in rows: {lengths}{''.join(turned)}")
+    joints = {key: shape[1] for key, shape in shapes.items() if len(shape) == 2}
+    if len(set(joints.values())) > 1:
+        widths = ", ".join(f"{key} {width}" for key, width in joints.items())
+        raise LogError(f"channels differ in the number of joints: {widths}")

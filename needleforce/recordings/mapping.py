@@ -1,0 +1,348 @@
+"""Which columns of a file are which channels of a log: mappings in code, in TOML, as options."""
+
+import json
+import tomllib
+from collections.abc import Iterable, Mapping
+from dataclasses import dataclass, field, replace
+from math import isfinite
+from pathlib import Path
+from types import MappingProxyType
+from typing import Any
+
+import msgspec
+
+from needleforce.recordings.channels import (
+    CHANNELS,
+    Channel,
+    FoundColumn,
+    detect_columns,
+    find_columns,
+    find_unit,
+    parse_column_name,
+    require_unit,
+)
+from needleforce.recordings.errors import (
+    ColumnError,
+    FileAccessError,
+    FormatError,
+    MappingError,
+    file_errors,
+    readable_path,
+)
+from needleforce.recordings.table import Table
+
+_LONGEST_TOML = 1 << 22  # bytes
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class ColumnSpec:
+    """The columns of one channel.
+
+    Attributes:
+        columns: a name, a pattern such as `q{1..7}` or `q_*`, or a tuple of them, in joint order.
+        unit: the unit in the file; None to take it from the column's name, else SI.
+        scale: factor applied after conversion to SI, one for all columns or one each; negative
+            to turn a sign.
+    """
+
+    columns: str | tuple[str, ...]
+    unit: str | None = None
+    scale: float | tuple[float, ...] = 1.0
+
+    def __post_init__(self) -> None:
+        """Check columns and scale.
+
+        Raises:
+            MappingError: no column is named, or a scale is zero or not finite.
+        """
+        if not self.columns or not all(self.patterns):
+            raise MappingError(f"columns = {self.columns!r} names no column")
+        scales = self.scale if isinstance(self.scale, tuple) else (self.scale,)
+        if not scales or not all(_is_finite(factor) and factor != 0.0 for factor in scales):
+            raise MappingError(f"scale = {_short(self.scale)} must be finite and not zero")
+
+    @property
+    def patterns(self) -> tuple[str, ...]:
+        """The column names and patterns in order."""
+        return (self.columns,) if isinstance(self.columns, str) else self.columns
+
+    def checked_for(self, channel: Channel) -> "ColumnSpec":
+        """Return this with its unit as the channel spells it; `MappingError` if it is none."""
+        if self.unit is None:
+            return self
+        unit = require_unit(self.unit, channel.units, f"channel {channel.name!r}")
+        return ColumnSpec(columns=self.columns, unit=unit, scale=self.scale)
+
+
+def parse_column_spec(text: str, channel: Channel) -> ColumnSpec:
+    """Read the short form of the command line: `NAMES[:UNIT][:SCALE]`.
+
+    `NAMES` is a name, a pattern or a list separated by commas. What follows a colon counts as
+    scale or unit only if it is one, since column names may hold colons themselves.
+
+    Args:
+        text: such as `z:mm`, `fz:N:-1` or `q{1..7}:deg`.
+        channel: the channel it is meant for.
+
+    Raises:
+        MappingError: no column is named, or the scale is zero or not finite.
+    """
+    names, unit, scale = text, None, 1.0
+    head, colon, tail = names.rpartition(":")
+    if colon:
+        try:
+            names, scale = head, float(tail)
+        except ValueError:
+            names = text
+    head, colon, tail = names.rpartition(":")
+    if colon and (unit := find_unit(tail, channel.units)):
+        names = head
+    columns = tuple(name.strip() for name in names.split(","))
+    return ColumnSpec(columns=columns[0] if len(columns) == 1 else columns, unit=unit, scale=scale)
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class ColumnMapping:
+    """Columns for some or all channels; channels not listed are found by their usual names.
+
+    Attributes:
+        channels: channel name (a key of `CHANNELS`) to its columns.
+        rate_hz: sample rate of a file without time stamps; it replaces a time column.
+        joints: for a bag, the names of the robot's joints in the robot's order; joint signals
+            are put into this order by name.
+        reference_topic: for a bag, the topic whose messages are the rows of the log.
+        payload: what hangs on the robot, as the command that needs it understands it.
+    """
+
+    channels: Mapping[str, ColumnSpec] = field(default_factory=dict)
+    rate_hz: float | None = None
+    joints: tuple[str, ...] = ()
+    reference_topic: str | None = None
+    payload: Any = None
+
+    def __post_init__(self) -> None:
+        """Check names, units and the rate.
+
+        Raises:
+            MappingError: an unknown channel or unit, a rate that is not a positive number, both a
+                rate and a time column, or a joint named twice.
+        """
+        channels = {}
+        for name, spec in self.channels.items():
+            if name not in CHANNELS:
+                raise MappingError(f"unknown channel {name!r}; channels are: {', '.join(CHANNELS)}")
+            channels[name] = spec.checked_for(CHANNELS[name])
+        object.__setattr__(self, "channels", MappingProxyType(channels))
+        if len(set(self.joints)) < len(self.joints):
+            raise MappingError(f"joints = {list(self.joints)} names a joint twice")
+        if self.rate_hz is None:
+            return
+        if not (_is_finite(self.rate_hz) and self.rate_hz > 0.0):
+            raise MappingError(
+                f"rate_hz = {_short(self.rate_hz)} must be a positive number of samples/s"
+            )
+        if "time" in channels:
+            raise MappingError("both rate_hz and a time column are given; keep one of them")
+
+
+def _is_finite(value: float) -> bool:
+    try:
+        return isfinite(value)
+    except OverflowError:  # a whole number beyond float64
+        return False
+
+
+def _short(value: Any) -> str:
+    try:
+        return repr(value)[:60]
+    except ValueError:  # a whole number of more digits than Python writes
+        return "a number of thousands of digits"
+
+
+_SPEC_KEYS = {"columns", "unit", "scale"}
+_TOP_KEYS = {"rate_hz", "joints", "reference_topic", "payload"}
+
+
+def load_mapping(path: str | Path) -> ColumnMapping:
+    """Read a column mapping from a TOML file.
+
+    Each channel is a table with `columns` and, if needed, `unit` and `scale`, or just the columns
+    (`depth = "z"`). At the top may stand `rate_hz`, `joints`, `reference_topic` and `payload`, see
+    `ColumnMapping`.
+
+    Raises:
+        FileAccessError: the file cannot be read.
+        MappingError: it is not TOML, or a channel, key, unit or value in it is not valid.
+    """
+    try:
+        content = read_toml(path, "mapping")
+    except FormatError as error:
+        raise MappingError(str(error)) from error
+    top, place = {}, "$"
+    channels: dict[str, ColumnSpec] = {}
+    try:
+        for name, entry in content.items():
+            if name in _TOP_KEYS:
+                top[name] = entry
+                continue
+            place = f"$.{name}"
+            spec = entry if isinstance(entry, dict) else {"columns": entry}
+            if unknown := spec.keys() - _SPEC_KEYS:
+                keys = ", ".join(map(repr, sorted(unknown)))
+                raise MappingError(f"[{name}] has {keys}; a channel has columns, unit and scale")
+            channels[name] = msgspec.convert(spec, ColumnSpec)
+        place = "$"
+        return replace(msgspec.convert(top, ColumnMapping), channels=channels)
+    except (msgspec.ValidationError, OverflowError) as error:
+        what = str(error).replace("`$", f"`{place}")
+        what += "" if f"`{place}" in what else f" - at `{place}`"
+        raise MappingError(f"{path}: {what}; a channel has columns, unit and scale") from error
+    except MappingError as error:
+        raise MappingError(f"{path}: {error}") from error
+
+
+def read_toml(path: str | Path, what: str) -> dict[str, Any]:
+    """Return the content of a TOML file that an option names; at least one key.
+
+    `what` is what it is, for messages, such as `payload file`.
+
+    Raises:
+        FileAccessError: it cannot be read.
+        FormatError: it is not TOML, or is empty.
+    """
+    try:
+        with file_errors(path), readable_path(path).open("rb") as stream:
+            data = stream.read(_LONGEST_TOML + 1)
+    except FileAccessError as error:
+        raise FileAccessError(str(error).replace("cannot read", f"cannot read the {what}")) from (
+            error
+        )
+    if len(data) > _LONGEST_TOML:
+        raise FormatError(f"the {what} {path} is longer than {_LONGEST_TOML} bytes")
+    try:
+        content = tomllib.loads(data.decode())
+    except (ValueError, RecursionError) as error:
+        raise FormatError(f"the {what} {path} is not valid TOML: {error}") from error
+    if not content:
+        raise FormatError(f"the {what} {path} is empty")
+    return content
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class ChannelRequest:
+    """Channels, and which columns they are; a format that holds much reads only that.
+
+    Attributes:
+        mapping: see `read_log`.
+        required: see `read_log`.
+        optional: see `read_log`.
+        joints: the robot's joints in its order; a recording that names joints, and has all of
+            these, is put into this order. `mapping.joints` goes before.
+    """
+
+    mapping: ColumnMapping = field(default_factory=ColumnMapping)
+    required: tuple[str, ...] = ()
+    optional: tuple[str, ...] = ()
+    joints: tuple[str, ...] = ()
+
+    def columns(self, table: Table) -> frozenset[str] | None:
+        """Return the names of the columns of a table that the requested channels need.
+
+        Names and widths are looked at, not values.
+
+        Returns:
+            Their names; None if a required channel is not there.
+
+        Raises:
+            ColumnError: a mapped channel was not found, or is ambiguous.
+        """
+        names = (*self.required, *self.optional) or tuple(CHANNELS)
+        needed: set[str] = set()
+        mapped = [name for name in (*names, "time") if name in self.mapping.channels]
+        # Mapped channels first: the topics they choose decide where others would be ambiguous.
+        for name in dict.fromkeys((*mapped, *names)):
+            spec = self.mapping.channels.get(name)
+            found = (
+                self._detected(table, name, needed) if spec is None else mapped_columns(table, spec)
+            )
+            if not found and name in self.required:
+                return None
+            # An element such as `force_xyz[2]` is found under its own name.
+            needed |= {
+                c.name if c.name in table.columns else c.name.rpartition("[")[0] for c in found
+            }
+        return frozenset(needed)
+
+    def _detected(self, table: Table, name: str, chosen: set[str]) -> tuple[FoundColumn, ...]:
+        """Find a channel by its usual names.
+
+        Of several that would fit, one beside chosen columns, else one that has the robot's joints.
+        """
+        try:
+            return detect_columns(table, CHANNELS[name])
+        except ColumnError:
+            parents = {column.rpartition("/")[0] for column in chosen}
+            beside = {n: v for n, v in table.columns.items() if n.rpartition("/")[0] in parents}
+            joints = {*(self.mapping.joints or self.joints)}
+            if not beside and joints:
+                named = table.joint_names
+                beside = {n: table.columns[n] for n in named if joints <= set(named[n])}
+            if beside and (found := detect_columns(Table(columns=beside), CHANNELS[name])):
+                return found
+            raise
+
+
+def mapped_columns(table: Table, spec: ColumnSpec) -> tuple[FoundColumn, ...]:
+    """Return the columns that a specification names; `ColumnError` if one is not there."""
+    return tuple(column for pattern in spec.patterns for column in find_columns(table, pattern))
+
+
+def mapping_text(table: Table, channels: Iterable[str], known: ColumnMapping) -> list[str]:
+    """Return the lines of a mapping of a table as TOML, and as comments what else there is.
+
+    Only what the known mapping does not say is looked for.
+    """
+    lines: list[str] = []
+    used: set[str] = set()
+    for name in channels:
+        lines += [*_channel_text(table, CHANNELS[name], known.channels.get(name), used), ""]
+    if left := [name for name in table.columns if name not in used]:
+        lines.append("# Columns that are not used:")
+        for name in left:
+            values = table.columns[name]
+            span = f"[0] to [{values.shape[1] - 1}]" if values.ndim == 2 else ""
+            lines.append(comment_line(f"  {name}{span}"))
+        lines.append("")
+    return lines
+
+
+def comment_line(text: str) -> str:
+    """Return a comment for TOML; names in it come from files and must not end its line."""
+    return "# " + "".join(c if c.isprintable() else repr(c)[1:-1] for c in text)
+
+
+def _channel_text(
+    table: Table, channel: Channel, spec: ColumnSpec | None, used: set[str]
+) -> list[str]:
+    reason = f"not found; {channel.meaning}"
+    try:
+        found = detect_columns(table, channel) if spec is None else mapped_columns(table, spec)
+    except ColumnError as error:
+        if spec is not None:
+            raise
+        found, reason = (), " ".join(str(error).split(";")[0].split())
+    if not found:
+        lines = [f"[{channel.name}]", 'columns = ""', f'unit = "{channel.si_unit}"']
+        return [comment_line(reason), *(f"# {line}" for line in lines)]
+    names = [column.name for column in found]
+    used |= set(names)
+    units = {parse_column_name(name, channel.units).unit for name in names}
+    unit = (spec and spec.unit) or (units.pop() if len(units) == 1 else None)
+    source = "of" if unit else "assumed; of"
+    return [
+        f"[{channel.name}]  # {channel.meaning}",
+        f"columns = {json.dumps(names[0] if len(names) == 1 else names)}",
+        f"unit = {json.dumps(unit or channel.si_unit)}  # {source} {', '.join(channel.units)}",
+        f"scale = {json.dumps(spec.scale if spec else 1.0)}  # -1.0 turns the sign"
+        + (", or one for each joint" * channel.per_joint),
+    ]

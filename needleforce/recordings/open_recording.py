@@ -1,0 +1,303 @@
+"""Opening a recording, whatever its format: as one table, as tables of its rows, or as a log."""
+
+import json
+from collections.abc import Iterable, Iterator, Sequence
+from dataclasses import replace
+from pathlib import Path
+
+from needleforce.recordings.bag_reader import (
+    BagInfo,
+    bag_info,
+    bag_tables,
+    growing_bag_tables,
+)
+from needleforce.recordings.bag_storage import BAG_SUFFIXES, is_bag
+from needleforce.recordings.channels import CHANNELS, detect_columns
+from needleforce.recordings.columnar import parquet_tables, read_npz
+from needleforce.recordings.csv_file import CSV_SUFFIXES, csv_tables
+from needleforce.recordings.errors import (
+    MAX_BYTES,
+    ColumnError,
+    FileAccessError,
+    RecordingError,
+    file_errors,
+    readable_path,
+)
+from needleforce.recordings.follow import (
+    STANDARD_STREAM,
+    FollowOptions,
+    byte_blocks,
+    peek,
+    spooled,
+)
+from needleforce.recordings.log import Log, LogStream
+from needleforce.recordings.mapping import (
+    ChannelRequest,
+    ColumnMapping,
+    comment_line,
+    mapping_text,
+)
+from needleforce.recordings.table import Table
+
+CHUNK_ROWS = 2048
+"""The most rows of a table of a binary format."""
+SUFFIXES = (*CSV_SUFFIXES, ".npz", ".parquet", *BAG_SUFFIXES)
+"""What can be read."""
+
+
+def read_table(
+    path: str | Path, request: ChannelRequest | None = None, *, max_bytes: int = MAX_BYTES
+) -> Table:
+    """Read a file's columns as they stand, without saying what they mean.
+
+    Args:
+        path: a file ending in `.csv`, `.tsv` or `.txt` (the first two also with `.gz`), `.npz` or
+            `.parquet`; or a ROS 2 bag: a file ending in `.mcap` or `.db3`, or a folder of them.
+        request: what is read of a bag; of other files everything is.
+        max_bytes: the most memory that the content of the file may take.
+
+    Returns:
+        The columns in the file's units.
+
+    Raises:
+        FileAccessError: the file cannot be read, or its suffix is not known.
+        FormatError: nothing usable is in it, or it is larger than `max_bytes`.
+        ColumnError: a bag has not what is requested.
+    """
+    path = readable_path(path)
+    if path.name.lower().endswith(CSV_SUFFIXES):
+        blocks = byte_blocks(path, FollowOptions())
+        tables = csv_tables(blocks, str(path), head_rows=None, max_bytes=max_bytes)
+    else:
+        tables = _tables(path, None, request, max_bytes)
+    first, *rest = tables
+    # The last table of a CSV file has no rows, but all warnings.
+    return replace(first, warnings=rest[-1].warnings) if rest else first
+
+
+def _tables(
+    path: Path, rows: int | None, request: ChannelRequest | None, max_bytes: int
+) -> Iterator[Table]:
+    """Read a binary recording a number of rows at a time, all at once if None."""
+    with file_errors(path):
+        if is_bag(path):
+            return bag_tables(path, rows, request, max_bytes)
+    if path.name.lower().endswith(".npz"):
+        return iter((read_npz(path, max_bytes),))
+    if path.name.lower().endswith(".parquet"):
+        return parquet_tables(path, rows, max_bytes)
+    raise FileAccessError(f"{path} has no known suffix; known are: {', '.join(SUFFIXES)}")
+
+
+def read_log(
+    path: str | Path,
+    mapping: ColumnMapping | None = None,
+    *,
+    required: Iterable[str] = (),
+    optional: Iterable[str] = (),
+    joints: Iterable[str] = (),
+    max_bytes: int = MAX_BYTES,
+) -> Log:
+    """Read a recording into SI units.
+
+    Args:
+        path: see `read_table`.
+        mapping: which columns are which channels; channels it does not list, or all without a
+            mapping, are found by their usual names.
+        required: channels that must be there: `q`, `dq`, `tau`, `tau_ext`, `depth`, `speed`,
+            `force`.
+        optional: channels taken if they are there. With neither given, all are optional.
+        joints: names of the robot's joints; a recording that names joints is put into this order.
+        max_bytes: the most memory that the content of the file may take.
+
+    Returns:
+        The log. Its `warnings` report what is wrong with the recording.
+
+    Raises:
+        FileAccessError: the file cannot be read, or its suffix is not known.
+        FormatError: nothing usable is in it, or it is larger than `max_bytes`.
+        ColumnError: time, a required or a mapped channel was not found, or is ambiguous.
+        MappingError: a channel name is unknown, or a scale does not fit its columns.
+        LogError: the channels do not form a log.
+    """
+    request = ChannelRequest(
+        mapping=mapping or ColumnMapping(),
+        required=tuple(required),
+        optional=tuple(optional),
+        joints=tuple(joints),
+    )
+    return log_of(read_table(path, request, max_bytes=max_bytes), request)
+
+
+def log_of(table: Table, request: ChannelRequest) -> Log:
+    """Return the log that a request makes of a table; errors are those of `read_log`."""
+    stream = LogStream(
+        [table], request.mapping, required=request.required, optional=request.optional
+    )
+    chunks = list(stream)
+    (chunk,) = chunks
+    return Log(
+        t_s=chunk.t_s,
+        channels=chunk.channels,
+        warnings=stream.take_warnings(),
+        start_ns=stream.start_ns,
+    )
+
+
+def stream_tables(
+    source: str | Path,
+    options: FollowOptions,
+    request: ChannelRequest | None = None,
+    *,
+    max_bytes: int = MAX_BYTES,
+) -> Iterator[Table]:
+    """Read a recording as it comes, so that memory stays bounded (but for npz).
+
+    Args:
+        source: a file, see `read_table`, or `-` for standard input: CSV, plain or compressed, or
+            a binary format, which is kept in a temporary file until all of it has come.
+        options: how long more is waited for; any source is left when it says to stop.
+        request: what is read of a bag; of other sources everything is.
+        max_bytes: the most memory that the rows of one table may take, or an npz file as a whole.
+
+    Yields:
+        Tables of consecutive rows with equal columns, the first with `HEAD_ROWS` rows at least,
+        if there are so many; the last may have none, but warnings.
+
+    Raises:
+        FileAccessError: the source cannot be read, is neither text nor MCAP but to be followed, or
+            its suffix is not known.
+        FormatError: nothing usable is in it, or a part of it is larger than allowed.
+        ColumnError: a bag has not what is requested.
+    """
+    path = None if str(source) == STANDARD_STREAM else readable_path(source)
+    name = "standard input" if path is None else str(path)
+    if path is None or is_text(path):
+        suffix, blocks = peek(byte_blocks(path, options))
+        if suffix and (path is None or path.is_fifo()):
+            yield from _piped_tables(blocks, suffix, name, options, request, max_bytes)
+            return
+        yield from csv_tables(
+            blocks,
+            name,
+            is_growing=options.follow,
+            is_stopped=options.should_stop,
+            max_bytes=max_bytes,
+        )
+        return
+    if options.follow:
+        _require_followable(path)
+        request = request or ChannelRequest()
+        yield from growing_bag_tables(path, CHUNK_ROWS, request, options, max_bytes)
+        return
+    for table in _tables(path, CHUNK_ROWS, request, max_bytes):
+        yield table
+        if options.should_stop():
+            return
+
+
+def is_text(path: Path) -> bool:
+    """Return whether a path is read as CSV: by its suffix, or because it is a pipe."""
+    return path.name.lower().endswith(CSV_SUFFIXES) or path.is_fifo()
+
+
+def _require_followable(path: Path) -> None:
+    if path.is_dir():
+        raise FileAccessError(
+            f"{path} is a folder, which cannot be followed while it grows; name the .mcap file in "
+            "it, or read it when it is complete"
+        )
+    if not path.name.lower().endswith(".mcap"):
+        raise FileAccessError(
+            f"{path} cannot be followed while it grows; only CSV and MCAP can. Record one of them "
+            "(ros2 bag record -s mcap), or read it when it is complete"
+        )
+
+
+def _piped_tables(
+    blocks: Iterator[bytes],
+    suffix: str,
+    name: str,
+    options: FollowOptions,
+    request: ChannelRequest | None,
+    max_bytes: int,
+) -> Iterator[Table]:
+    options.warn(
+        f"{name} is {suffix[1:]}, not text: it is read to its end, into a temporary file, before "
+        "anything is estimated"
+    )
+    with spooled(blocks, suffix) as path:
+        try:
+            # What stopped the pipe has not stopped the reading of what came.
+            yield from _tables(path, CHUNK_ROWS, request, max_bytes)
+        except RecordingError as error:
+            raise type(error)(str(error).replace(str(path), name)) from error
+
+
+def suggest_mapping(
+    source: str | Path,
+    channels: Iterable[str],
+    *,
+    mapping: ColumnMapping | None = None,
+    joints: Sequence[str] = (),
+    payload: Sequence[str] = (),
+) -> str:
+    """Return a mapping of a recording as TOML to be edited, with what else there is as comments.
+
+    Args:
+        source: see `stream_tables`.
+        channels: the channels that are looked for, apart from time.
+        mapping: what is known already; only what it does not say is looked for.
+        joints: the robot's joints in its order.
+        payload: lines that say what hangs on the robot.
+
+    Raises:
+        FileAccessError: the recording cannot be read.
+        FormatError: nothing usable is in it.
+        ColumnError: the mapping names a column that is not there.
+    """
+    known, names = mapping or ColumnMapping(), list(channels)
+    title = f"Mapping of {Path(source).name}; edit it, then: --mapping FILE"
+    lines = [comment_line(title), ""]
+    if str(source) != STANDARD_STREAM and is_bag(readable_path(source)):
+        info = bag_info(Path(source))
+        table = info.table()
+        lines += ["# Topics:"]
+        lines += [comment_line(f"  {found.describe()}") for found in info.topics.values()]
+        lines += [*map(comment_line, info.warnings), "", *_bag_head(info, table, names, joints)]
+    else:
+        table = next(stream_tables(source, FollowOptions()))
+        if known.rate_hz is None:
+            names = ["time", *names]
+        else:
+            lines += [f"rate_hz = {known.rate_hz}", ""]
+    lines += [*payload, ""] if payload else []
+    return "\n".join([*lines, *mapping_text(table, names, known)])
+
+
+def _bag_head(
+    info: BagInfo, table: Table, channels: Sequence[str], joints: Sequence[str]
+) -> list[str]:
+    """Say whose messages are the rows, and the order of joints."""
+    columns: set[str] = set()
+    for name in channels:
+        try:
+            columns |= {column.name for column in detect_columns(table, CHANNELS[name])}
+        except ColumnError:  # several would fit, which the mapping will say
+            continue
+    topics = [name for name, found in info.topics.items() if found.columns.keys() & columns]
+    if not topics:
+        return []
+    reference = max(topics, key=lambda name: info.topics[name].count)
+    lines = [
+        "# Rows are the messages of this topic; others are interpolated to its time stamps.",
+        f"reference_topic = {json.dumps(reference)}",
+    ]
+    here = list(dict.fromkeys(j for n in topics for j in info.topics[n].joints))
+    if here:
+        order = joints if joints and set(joints) <= set(here) else here
+        lines.append("# Joints in the order of the robot; they are found by these names.")
+        if list(order) != list(joints) and joints:
+            lines.append(comment_line(f"The robot calls them: {', '.join(joints)}"))
+        lines.append(f"joints = {json.dumps(list(order))}")
+    return [*lines, ""]

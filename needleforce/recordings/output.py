@@ -1,0 +1,318 @@
+"""Tables that are written: whole or not at all, or row by row for others to follow."""
+
+import os
+import shutil
+import sys
+from collections.abc import Callable, Iterator, Mapping
+from contextlib import contextmanager, suppress
+from pathlib import Path
+from typing import Any, BinaryIO
+
+from numpy.typing import ArrayLike
+
+from needleforce.recordings.bag_storage import METADATA, is_bag
+from needleforce.recordings.bag_writer import McapWriter, SqliteBagWriter
+from needleforce.recordings.columnar import NpzWriter, ParquetWriter
+from needleforce.recordings.csv_file import CsvGzipWriter, CsvWriter
+from needleforce.recordings.errors import FileAccessError, LogError, file_errors
+from needleforce.recordings.follow import STANDARD_STREAM
+from needleforce.recordings.log import Log
+from needleforce.recordings.table import Labels, checked_columns
+
+Writer = Callable[[BinaryIO, Labels], Any]
+"""Makes what appends checked columns to a stream, flushes and finishes it."""
+
+WRITERS: Mapping[str, Writer] = {
+    ".csv": CsvWriter,
+    ".csv.gz": CsvGzipWriter,
+    ".npz": NpzWriter,
+    ".parquet": ParquetWriter,
+    ".mcap": McapWriter,
+}
+FOLDER_SUFFIX = ".db3"
+"""A bag in an SQLite file, which ROS 2 wants in a folder with `metadata.yaml`."""
+_GROWS = (".csv", ".csv.gz")
+
+
+class OpenTable:
+    """A table under construction; made by `open_table`.
+
+    `begin` opens the file and returns what writes its format, with the first rows. A live table
+    shows readers every chunk at once.
+    """
+
+    def __init__(self, begin: Callable[[], Any], *, is_live: bool, name: str) -> None:
+        self._begin, self._is_live, self._name = begin, is_live, name
+        self._writer: Any = None
+        self._kinds: list[str] = []
+
+    def append(self, columns: Mapping[str, ArrayLike]) -> None:
+        """Write rows.
+
+        Args:
+            columns: see `write_table`; the same in every call.
+
+        Raises:
+            FileAccessError: the file cannot be written.
+            LogError: the columns are no table, or not those of the rows before.
+            BrokenPipeError: the reader of standard output has gone.
+        """
+        arrays = checked_columns(columns)
+        kinds = [f"{name} {v.dtype}{list(v.shape[1:])}" for name, v in arrays.items()]
+        with file_errors(self._name, "write"):
+            if self._writer is None:
+                self._writer, self._kinds = self._begin(), kinds
+            if kinds != self._kinds:
+                raise LogError(
+                    f"rows with the columns {kinds} do not fit those before: {self._kinds}"
+                )
+            self._writer.append(arrays)
+            if self._is_live:
+                self._writer.flush()
+
+    def finish(self) -> bool:
+        """Write what is still held back; return whether there was anything to write."""
+        if self._writer is None:
+            return False
+        with file_errors(self._name, "write"):
+            self._writer.finish()
+        return True
+
+
+@contextmanager
+def open_table(
+    path: str | Path, *, is_live: bool = False, labels: Callable[[], Labels] = Labels
+) -> Iterator[OpenTable]:
+    """Open a table for writing; the file is not touched before there are rows.
+
+    Args:
+        path: a file with a suffix of `WRITERS`, a folder ending in `.db3` for a ROS 2 bag in an
+            SQLite file, or `-` for CSV on standard output.
+        is_live: Write rows to the file itself as they come, and leave them there whatever
+            happens. Otherwise the file is replaced when all rows are written, or not at all. What
+            cannot grow (npz) is always written at the end.
+        labels: gives what the formats that have room for it say beside the numbers; asked when
+            the first rows are there.
+
+    Yields:
+        The table, to be given rows.
+
+    Raises:
+        FileAccessError: the file cannot be written, or its suffix is not known.
+        BrokenPipeError: the reader of standard output has gone.
+    """
+    if str(path) == STANDARD_STREAM:
+        if sys.stdout is None:
+            raise FileAccessError("cannot write standard output: it is closed")
+        output = OpenTable(
+            lambda: CsvWriter(sys.stdout.buffer, labels()), is_live=True, name="standard output"
+        )
+        yield output
+        output.finish()
+        return
+    path = Path(path)
+    make = _open_folder if _is_folder_name(path) else _open_file
+    with make(path, labels, is_live) as table:
+        yield table
+
+
+@contextmanager
+def _open_file(path: Path, labels: Callable[[], Labels], is_live: bool) -> Iterator[OpenTable]:
+    writer = _find_writer(path)
+    # A pipe cannot be replaced by a file: whoever reads it waits for its bytes.
+    with file_errors(path, "write"):
+        is_direct = path.is_fifo()
+    grows = is_direct or (is_live and path.name.lower().endswith(_GROWS))
+    part = path if grows else path.with_name(f".{path.name}.{os.getpid()}.part")
+    streams: list[BinaryIO] = []
+
+    def begin() -> Any:
+        streams.append(part.open("wb"))
+        return writer(streams[0], labels())
+
+    try:
+        table = OpenTable(begin, is_live=grows, name=str(path))
+        yield table
+        if table.finish():
+            with file_errors(path, "write"):
+                streams[0].close()
+                if not grows:
+                    os.replace(part, path)
+    finally:
+        for stream in streams:
+            # On a full disk closing fails too, but that has been reported.
+            with suppress(OSError):
+                stream.close()
+        if streams and not grows:
+            part.unlink(missing_ok=True)
+
+
+@contextmanager
+def _open_folder(path: Path, labels: Callable[[], Labels], _: bool) -> Iterator[OpenTable]:
+    _require_replaceable(path)
+    part = path.with_name(f".{path.name}.{os.getpid()}.part")
+    bag = part / path.stem
+    try:
+        table = OpenTable(lambda: SqliteBagWriter(bag, labels()), is_live=False, name=str(path))
+        yield table
+        with file_errors(path, "write"):
+            if table.finish():
+                if path.exists():
+                    # Minutes may have passed since it was looked at.
+                    _require_replaceable(path)
+                    path.rename(part / "old")
+                bag.rename(path)
+    finally:
+        shutil.rmtree(part, ignore_errors=True)
+
+
+def _is_folder_name(path: Path) -> bool:
+    return path.name.lower().endswith(FOLDER_SUFFIX)
+
+
+def _require_replaceable(path: Path) -> None:
+    """Check that what stands where a bag is to be written is nothing, or a bag like it."""
+    with file_errors(path):
+        # rosbags makes a URI of the path without quoting it, and would write elsewhere.
+        if set("?#%") & set(str(path.absolute())):
+            raise FileAccessError(
+                f"cannot write {path}: a bag in an SQLite file needs a path without ?, # and %; "
+                "give another place, or write .mcap"
+            )
+        if not os.path.lexists(path):
+            return
+        if not path.is_dir():
+            raise FileAccessError(
+                f"cannot write {path}: a bag is written as a folder, and a file of this name is "
+                "there"
+            )
+        others = [
+            entry.name
+            for entry in sorted(path.iterdir())
+            if not (entry.is_file() and (entry.name == METADATA or _is_folder_name(entry)))
+        ]
+    if others or not (path / METADATA).exists():
+        what = f"it holds {others[0]!r}, which is no part of a bag" if others else "it is no bag"
+        raise FileAccessError(f"will not replace the folder {path}: {what}; give another name")
+
+
+def _find_writer(path: Path) -> Writer:
+    for suffix, writer in WRITERS.items():
+        if path.name.lower().endswith(suffix):
+            return writer
+    known = (*WRITERS, FOLDER_SUFFIX)
+    raise FileAccessError(f"{path} has no known suffix; known are: {', '.join(known)}")
+
+
+def write_table(
+    path: str | Path, columns: Mapping[str, ArrayLike], *, labels: Labels | None = None
+) -> None:
+    """Write named columns; readers see the old file or the whole new one, never a part.
+
+    Floats are written so that they read back bit for bit. In CSV, a two-dimensional column
+    `q_rad` becomes `q_rad_1`, `q_rad_2`, ...; `read_log` joins them again.
+
+    Args:
+        path: a file ending in `.csv`, `.csv.gz`, `.npz`, `.parquet` or `.mcap`, or a folder
+            ending in `.db3`; replaced if it exists.
+        columns: name, with its unit, to numbers, shape (n,) or (n, k), all of the same n.
+        labels: what the formats that have room for it say beside the numbers.
+
+    Raises:
+        FileAccessError: the file cannot be written, or its suffix is not known.
+        LogError: the columns are not numbers, differ in length, or a name is empty, starts with
+            `#` or stands twice.
+    """
+    with open_table(path, labels=lambda: labels or Labels()) as table:
+        table.append(columns)
+
+
+def write_log(path: str | Path, log: Log) -> None:
+    """Write a log's time and channels, in SI units.
+
+    Raises:
+        FileAccessError: the file cannot be written, or its suffix is not known.
+    """
+    columns = {"t_s": log.t_s, **log.channels}
+    write_table(path, columns, labels=Labels(start_ns=log.start_ns))
+
+
+def check_writable(path: str | Path, *, source: str | Path | None = None) -> None:
+    """Find out before the work what `write_table` would refuse after it.
+
+    Args:
+        path: see `write_table`; or `-` for standard output.
+        source: a file or folder that is being read and must not be harmed.
+
+    Raises:
+        FileAccessError: the suffix is not known, there is no such folder, something stands there
+            that must not be replaced, or it and the source lie one inside the other.
+    """
+    if str(path) == STANDARD_STREAM:
+        return
+    path = Path(path)
+    with file_errors(path, "write"):
+        if not _is_folder_name(path):
+            _find_writer(path)
+        if not path.parent.is_dir():
+            raise FileAccessError(f"cannot write {path}: there is no folder {path.parent}")
+        if _is_folder_name(path):
+            _require_replaceable(path)
+        elif path.is_dir():
+            raise FileAccessError(f"cannot write {path}: it is a folder")
+        if source is not None:
+            check_output_path(path, Path(source))
+
+
+def check_output_path(path: Path, source: Path) -> None:
+    """Check that writing a file or folder cannot harm the recording that is being read.
+
+    Args:
+        path: what is to be written.
+        source: the recording, a file or a folder; it need not exist.
+
+    Raises:
+        FileAccessError: it is the recording, or one lies inside the other, or both are files of
+            one bag.
+    """
+    if not source.exists():
+        return
+    if _is_same(path, source):
+        raise FileAccessError(f"cannot write {path}: it is the log itself; give another name")
+    if source.is_file() and is_bag(source) and (source.resolve().parent / METADATA).exists():
+        source = source.resolve().parent
+    if _overlap(path, source):
+        raise FileAccessError(
+            f"cannot write {path}: it and the log {source} lie one inside the other; "
+            "give a place outside"
+        )
+
+
+def check_output_paths(outputs: Mapping[str, Path]) -> None:
+    """Check that no output would replace another.
+
+    Args:
+        outputs: option to the file or folder that it names.
+
+    Raises:
+        FileAccessError: two are the same, or one lies inside the other.
+    """
+    known: dict[str, Path] = {}
+    for option, path in outputs.items():
+        for other, place in known.items():
+            if _is_same(path, place) or _overlap(path, place):
+                raise FileAccessError(
+                    f"{other} and {option} both write to {place}; give each a place of its own"
+                )
+        known[option] = path
+
+
+def _is_same(path: Path, other: Path) -> bool:
+    if path.exists() and other.exists():
+        return path.samefile(other)
+    return path.resolve() == other.resolve()
+
+
+def _overlap(path: Path, other: Path) -> bool:
+    path, other = path.resolve(), other.resolve()
+    return path == other or path in other.parents or other in path.parents

@@ -1,0 +1,351 @@
+"""Named columns of numbers before anyone has said what they mean, and the time of their rows."""
+
+import math
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass, field
+from types import MappingProxyType
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from needleforce.recordings.errors import FormatError, LogError
+
+FloatArray = NDArray[np.float64]
+Columns = Mapping[str, np.ndarray]
+
+START_KEY = "start_ns"
+"""What files of numbers call `Labels.start_ns`."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class Table:
+    """Named columns as read from a file, in the file's own units.
+
+    Columns may differ in length (an npz file may hold several recordings); a `Log` may not.
+
+    Attributes:
+        columns: name to values, shape (n,) or (n, k); stored as read-only copies.
+        constants: single numbers of the file, such as a sample rate.
+        warnings: what the reader had to leave out or guess.
+        joint_names: for two-dimensional columns of a file that names joints, their names in the
+            order of the column.
+        start_ns: the instant of t = 0 on the clock that stamped the file, in ns; not zero only
+            where stamps are too large for seconds in float64 to resolve nanoseconds.
+        stamps: those of `columns` that float64 has rounded, as the whole numbers that they are.
+        omitted: which columns were left out and why, where `warnings` come with later rows.
+    """
+
+    columns: Mapping[str, FloatArray]
+    constants: Mapping[str, float] = field(default_factory=dict)
+    warnings: tuple[str, ...] = ()
+    joint_names: Mapping[str, tuple[str, ...]] = field(default_factory=dict)
+    start_ns: int = 0
+    stamps: Mapping[str, NDArray[np.int64]] = field(default_factory=dict)
+    omitted: tuple[str, ...] = ()
+
+    def __post_init__(self) -> None:
+        """Copy and freeze the columns.
+
+        Raises:
+            FormatError: there is no column, or one is not one- or two-dimensional.
+            LogError: a column does not hold numbers.
+        """
+        if not self.columns:
+            raise FormatError("no column of numbers: a table needs at least one")
+        columns = {name: read_only(name, values) for name, values in self.columns.items()}
+        for name, values in columns.items():
+            if values.ndim not in (1, 2):
+                raise FormatError(
+                    f"column {name!r} has shape {values.shape}; expected (n,) or (n, k)"
+                )
+        object.__setattr__(self, "columns", MappingProxyType(columns))
+        for name in ("constants", "stamps", "joint_names"):
+            object.__setattr__(self, name, MappingProxyType(dict(getattr(self, name))))
+
+    def __len__(self) -> int:
+        """Return the number of rows of the longest column."""
+        return max(map(len, self.columns.values()))
+
+    def describe(self, limit: int = 40) -> str:
+        """Return the column names for a message, two-dimensional ones with their width."""
+        names = [
+            f"{name} ({values.shape[1]} columns)" if values.ndim == 2 else name
+            for name, values in self.columns.items()
+        ]
+        more = f" and {len(names) - limit} more" if len(names) > limit else ""
+        return ", ".join(names[:limit]) + more
+
+    def left_out(self, limit: int = 3) -> str:
+        """Return in brackets, for a message, which columns the reader left out and why."""
+        notes = [
+            note
+            for note in dict.fromkeys((*self.omitted, *self.warnings))
+            if note.startswith("column ") and note.endswith("was left out")
+        ]
+        more = f"; and {len(notes) - limit} more" if len(notes) > limit else ""
+        return f" ({'; '.join(notes[:limit])}{more})" if notes else ""
+
+
+def read_only(name: str, values: ArrayLike) -> FloatArray:
+    """Return a contiguous read-only copy as float64; `LogError` if these are no numbers."""
+    try:
+        copy = np.array(values, dtype=np.float64, order="C")
+    except (TypeError, ValueError) as error:
+        raise LogError(f"{name} is not an array of numbers: {error}") from error
+    copy.setflags(write=False)
+    return copy
+
+
+def joined_tables(tables: Iterator[Table], rows: int) -> Table:
+    """Take tables with equal columns until there are so many rows, or no more, and join them."""
+    taken: list[Table] = []
+    for table in tables:
+        taken.append(table)
+        if sum(map(len, taken)) >= rows:
+            break
+    if len(taken) == 1:
+        return taken[0]
+    first, last = taken[0], taken[-1]
+    full = [table for table in taken if len(table)]
+    exact = set.intersection(*(set(table.stamps) for table in full)) if full else set()
+    return Table(
+        columns={
+            name: np.concatenate([table.columns[name] for table in taken]) for name in last.columns
+        },
+        constants=first.constants,
+        warnings=tuple(warning for table in taken for warning in table.warnings),
+        joint_names=first.joint_names,
+        start_ns=first.start_ns,
+        stamps={name: np.concatenate([table.stamps[name] for table in full]) for name in exact},
+        omitted=first.omitted,
+    )
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Labels:
+    """Names that go with the columns of a table that is written.
+
+    Bags carry all of them, the other formats `start_ns`, if it is not zero.
+
+    Attributes:
+        start_ns: the instant of t_s = 0 on the clock of the source, in ns; a log read from a bag
+            has it, and the bag written from it then has the source's stamps, to the nanosecond.
+        joint_names: in the order of the columns of `q_rad`, `dq_rad_s` and `tau_Nm`.
+        frame: the frame in which forces are given.
+        prefix: how the topics of a bag begin that hold estimates.
+        events: columns of small whole numbers to what their values 0, 1, 2, ... mean, `{}` for
+            the value; the last text holds for all values beyond. A bag gets a diagnostic message
+            where the value changes, unless the text is empty.
+    """
+
+    start_ns: int = 0
+    joint_names: tuple[str, ...] = ()
+    frame: str = ""
+    prefix: str = "/needleforce"
+    events: Mapping[str, tuple[str, ...]] = field(default_factory=dict)
+
+
+def checked_columns(columns: Mapping[str, ArrayLike]) -> Columns:
+    """Return columns to be written as arrays.
+
+    Args:
+        columns: name, with its unit, to numbers, shape (n,) or (n, k), all of the same n.
+
+    Raises:
+        LogError: the columns are not numbers, differ in length, or a name is empty or starts
+            with `#`.
+    """
+    arrays: dict[str, np.ndarray] = {}
+    for name, values in columns.items():
+        try:
+            arrays[name] = np.asarray(values)
+        except ValueError as error:
+            raise LogError(f"column {name!r} is not an array of numbers: {error}") from error
+    if not arrays:
+        raise LogError("no columns to write")
+    first = next(iter(arrays.values()))
+    rows = len(first) if first.ndim else 0
+    for name, values in arrays.items():
+        if not name.strip() or name.startswith("#"):
+            raise LogError(f"column name {name!r} is empty or starts with '#'")
+        if values.dtype.kind not in "fiub" or values.ndim not in (1, 2) or len(values) != rows:
+            raise LogError(
+                f"column {name!r} has shape {values.shape} and type {values.dtype}; expected "
+                f"numbers of shape ({rows},) or ({rows}, k)"
+            )
+    return arrays
+
+
+def flat_columns(columns: Columns) -> dict[str, np.ndarray]:
+    """Return columns of one value a row; `q_rad` becomes `q_rad_1`, `q_rad_2`, ...
+
+    Raises:
+        LogError: a name would stand twice.
+    """
+    flat: dict[str, np.ndarray] = {}
+    for name, values in columns.items():
+        parts = {name: values} if values.ndim == 1 else {}
+        if values.ndim == 2:
+            parts = {f"{name}_{i + 1}": column for i, column in enumerate(values.T)}
+        for part, column in parts.items():
+            if part in flat:
+                raise LogError(f"column name {part!r} would stand twice in the header")
+            flat[part] = column
+    return flat
+
+
+NS_PER_S = 1_000_000_000
+_EXACT_NS = 1 << 52
+"""Up to here (52 days) a double of seconds resolves nanoseconds."""
+_EXACT = 1 << 53
+"""Up to here float64 holds every whole number."""
+
+
+def start_of_clock(first_ns: int) -> int:
+    """Return the instant from which seconds are counted so that nothing is lost.
+
+    It is 0, so that the file's clock is kept, or the first stamp if that clock began long ago.
+    """
+    return 0 if abs(first_ns) < _EXACT_NS // 2 else first_ns
+
+
+def to_seconds(stamps_ns: NDArray[np.int64], start_ns: int) -> FloatArray:
+    """Return stamps in seconds since `start_ns`; the nearest double, from which they come back."""
+    return (stamps_ns - np.int64(start_ns)) / NS_PER_S
+
+
+def to_nanoseconds(t_s: ArrayLike, start_ns: int) -> NDArray[np.int64]:
+    """Return seconds since `start_ns` as stamps, to the nearest nanosecond; they must be finite."""
+    return np.rint(np.asarray(t_s, dtype=np.float64) * NS_PER_S).astype(np.int64) + np.int64(
+        start_ns
+    )
+
+
+def whole_stamps(columns: Mapping[str, np.ndarray]) -> dict[str, NDArray[np.int64]]:
+    """Return the columns of whole numbers that float64 would round, as ns since 1970 are."""
+    return {
+        name: values.astype(np.int64)
+        for name, values in columns.items()
+        if values.dtype.kind in "iu" and values.ndim == 1 and exceed_float64(values)
+    }
+
+
+def exceed_float64(values: np.ndarray) -> bool:
+    """Return whether float64 rounds whole numbers as large as these, and int64 does not."""
+    # Not abs, which overflows for the least integer; a NaN is not larger than anything.
+    return bool(len(values)) and bool(((values > _EXACT) & (values < 1 << 63)).all())
+
+
+_SET_AFTER_S = 0.1
+_SET_AFTER_ROWS = 3
+"""A row that is not later than those before came late. When so many rows in a row, over so much
+time, are later than each other but not than those before, it was not they: the clock was set."""
+
+
+class RowClock:
+    """Time from row to row; a row that comes late is no step, a clock that was set back is left.
+
+    A clock that goes back a little soon catches up; until then rows do not advance. If it stays
+    behind, it counts from there, however many rows come at a time.
+    """
+
+    def __init__(self) -> None:
+        self._latest_s = -math.inf
+        self._behind_s = math.inf
+        self._rows, self._ran_s = 0, 0.0
+
+    def update(self, t_s: FloatArray) -> FloatArray:
+        """Take further rows.
+
+        Args:
+            t_s: time stamps in s, shape (n,).
+
+        Returns:
+            Time in s since the latest row that advanced, shape (n,): not positive for a row that
+            does not, inf for the first of all. The row at which a set clock is recognised
+            advances by the time for which it has run.
+        """
+        dt_s = np.diff(t_s, prepend=self._latest_s)
+        if (dt_s > 0.0).all():
+            if t_s.size:
+                self._latest_s, self._rows = float(t_s[-1]), 0
+            return dt_s
+        return np.array([self._step(now_s) for now_s in t_s.tolist()])
+
+    def _step(self, now_s: float) -> float:
+        dt_s = now_s - self._latest_s
+        if dt_s > 0.0:
+            self._latest_s, self._rows = now_s, 0
+            return dt_s
+        # A stamp that is no number says nothing of the clock.
+        if not dt_s < 0.0 or (self._rows and now_s == self._behind_s):
+            return dt_s
+        if not self._rows or now_s < self._behind_s:
+            self._rows, self._ran_s = 0, 0.0
+        else:
+            self._ran_s += now_s - self._behind_s
+        self._rows, self._behind_s = self._rows + 1, now_s
+        if self._rows < _SET_AFTER_ROWS or self._ran_s < _SET_AFTER_S:
+            return dt_s
+        self._latest_s, self._rows = now_s, 0
+        return self._ran_s
+
+
+class TimeStampWatch:
+    """Counts stamps that do not advance, however many come at a time.
+
+    A stamp advances if it is later than every stamp before it, or than those since the clock was
+    set back, see `RowClock`. The others stay in the log: an online step skips them.
+    """
+
+    def __init__(self) -> None:
+        self._rows = self._advanced = 0
+        self._clock = RowClock()
+        self._latest_s = -np.inf
+        self._faults: dict[str, tuple[int, str]] = {}
+
+    def update(self, t_s: FloatArray) -> FloatArray:
+        """Take finite time stamps in s, shape (n,); return what `RowClock.update` does."""
+        dt_s = self._clock.update(t_s)
+        advances = dt_s > 0.0
+        self._advanced += int(np.count_nonzero(advances))
+        # The latest stamp that advanced before each row.
+        stamps = np.concatenate(([self._latest_s], t_s))
+        which = np.maximum.accumulate(np.where(advances, np.arange(1, len(t_s) + 1), 0))
+        before_s = stamps[np.concatenate(([0], which))]
+        self._latest_s, before_s = float(before_s[-1]), before_s[:-1]
+        is_back = t_s < before_s
+        for what, rows in (
+            ("clock set back, from where it counts anew", advances & is_back),
+            ("stamps running backward", ~advances & is_back),
+            ("stamps repeated", dt_s == 0.0),
+        ):
+            count, first = self._faults.get(what, (0, ""))
+            if rows.any() and not count:
+                row = int(np.argmax(rows))
+                first = f"row {self._rows + row + 1}, {t_s[row]:.9g} s after {before_s[row]:.9g} s"
+            self._faults[what] = count + int(np.count_nonzero(rows)), first
+        self._rows += t_s.size
+        return dt_s
+
+    def warnings(self) -> tuple[str, ...]:
+        """Report stamps that do not advance; refuse a log in which none does.
+
+        Returns:
+            One warning for each kind of fault, with how many and where the first stands (rows
+            count from 1).
+
+        Raises:
+            LogError: fewer than two stamps advance, so that no time step can be formed.
+        """
+        # The first of all counts as one that advances.
+        if self._advanced < 2:
+            raise LogError(
+                f"no usable time: of {self._rows} samples none is later than the first; "
+                "at least two time stamps must advance"
+            )
+        return tuple(
+            f"time: {what}: {count} (first: {first})"
+            for what, (count, first) in self._faults.items()
+            if count
+        )

@@ -1,0 +1,191 @@
+"""How many files one piece of work passes, and how long the import chains are.
+
+A newcomer who wants to understand one update has to open every file that it passes. What numba
+compiles is not seen here; with ``NUMBA_DISABLE_JIT=1`` it is.
+"""
+
+import ast
+import runpy
+import sys
+from contextlib import contextmanager
+from functools import cache
+from pathlib import Path
+
+import numpy as np
+import pytest
+from insertion_run import short_run, tare_index
+from residual_command_log import write_insertion
+
+from benchmarks.signals import JointSignals
+from needleforce import InsertionSession
+from residual import VirtualForceSensor
+
+ROOT = Path(__file__).resolve().parents[1]
+PRODUCT = ("urdf", "residual", "identification", "groundtruth", "needleforce")
+MOST_FILES_PER_UPDATE = 25
+MOST_FILES_PER_ROW = 12
+LONGEST_CHAIN = 14
+
+
+def file_of(code):
+    """Name of the product's file that a code object is from, empty for any other."""
+    path = Path(code.co_filename)
+    if not path.is_relative_to(ROOT):
+        return ""
+    name = path.relative_to(ROOT)
+    return name.as_posix() if name.parts[0] not in ("tests", "benchmarks") else ""
+
+
+@contextmanager
+def profiled(on_call):
+    """Call a function with the frame of every Python function that is entered, or resumed."""
+
+    def note(frame, event, _):
+        if event == "call":
+            on_call(frame)
+
+    before = sys.getprofile()
+    sys.setprofile(note)
+    try:
+        yield
+    finally:
+        sys.setprofile(before)
+
+
+def files_passed(work):
+    """Files of the product that a call passes."""
+    codes = set()
+    with profiled(lambda frame: codes.add(frame.f_code)):
+        work()
+    return {name for name in map(file_of, codes) if name}
+
+
+def listed(names):
+    return f"{len(names)} files:\n" + "\n".join(sorted(names))
+
+
+# One update of the whole chain.
+
+
+@cache
+def files_of_updates():
+    """Files that each of the updates around the tare and in the tissue passes."""
+    run = short_run()
+    session, tare = InsertionSession(run.robot), tare_index(run)
+    touched = int(np.searchsorted(run.signals.t_s, run.contact_s))
+    found = []
+    for k, sample in enumerate(JointSignals.of_run(run).samples()[: touched + 3000]):
+        if k == tare:
+            session.tare()
+        if k > touched and k % 10 == 0:
+            found.append(files_passed(lambda sample=sample: session.update(*sample)))
+        else:
+            session.update(*sample)
+    return found
+
+
+def test_one_update_of_the_chain_passes_few_files():
+    most = max(files_of_updates(), key=len)
+    assert "needleforce/session.py" in most
+    assert len(most) <= MOST_FILES_PER_UPDATE, listed(most)
+
+
+# One row of a log on its way to the sensor.
+
+
+def files_of_a_row(log, out):
+    """Files that rows of a log pass on their way into the sensor.
+
+    Those passed before the first update (reading, but also setting up) that are passed again
+    between later ones (reading, but also writing): what belongs to reading alone is in both.
+    """
+    update = VirtualForceSensor.update.__code__
+    before, between, since = set(), set(), set()
+
+    def note(frame):
+        code, above = frame.f_code, frame
+        if code is update:
+            between.update(since)
+            since.clear()
+            note.is_running = True
+        # What the sensor itself passes, in an update or at the tare, is not on the way to it.
+        while above is not None and above.f_code.co_filename != update.co_filename:
+            above = above.f_back
+        if above is None:
+            (since if note.is_running else before).add(code)
+
+    note.is_running = False
+    argv = sys.argv
+    sys.argv = ["residual", str(log), "--tare", "0:13", "-o", str(out)]
+    try:
+        with profiled(note), pytest.raises(SystemExit) as ended:
+            runpy.run_module("residual", run_name="__main__", alter_sys=True)
+    finally:
+        sys.argv = argv
+    assert ended.value.code in (0, None)
+    return {name for name in map(file_of, before & between) if name}
+
+
+def test_a_row_of_csv_passes_few_files_on_its_way_to_the_sensor(lwr, tmp_path):
+    write_insertion(tmp_path / "log.csv", lwr, seconds=15.0, contact_s=14.0)
+    found = files_of_a_row(tmp_path / "log.csv", tmp_path / "out.csv")
+    assert found
+    assert len(found) <= MOST_FILES_PER_ROW, listed(found)
+
+
+# Chains of imports.
+
+
+@cache
+def modules():
+    """Modules of the product and their files, by dotted name."""
+    found = {}
+    for package in PRODUCT:
+        for path in sorted((ROOT / package).rglob("*.py")):
+            parts = path.relative_to(ROOT).with_suffix("").parts
+            found[".".join(parts[:-1] if parts[-1] == "__init__" else parts)] = path
+    return found
+
+
+def imports_of(name):
+    """Modules of the product that a module imports when it is imported, its own parents aside."""
+    tree = ast.parse(modules()[name].read_text(encoding="utf-8"))
+    wanted = set()
+    # Not inside functions, and not for type checkers only: that is not executed on import.
+    for node in tree.body:
+        if isinstance(node, ast.Import):
+            wanted |= {alias.name for alias in node.names}
+        elif isinstance(node, ast.ImportFrom) and node.module and not node.level:
+            for alias in node.names:
+                inner = f"{node.module}.{alias.name}"
+                wanted.add(inner if inner in modules() else node.module)
+    return sorted(wanted & set(modules()) - {name})
+
+
+def longest_chain(graph):
+    """The longest chain of imports in a graph of names.
+
+    Raises:
+        AssertionError: The graph has a circle; the message names it.
+    """
+    chains = {}
+
+    def chain(name, path):
+        assert name not in path, f"a circle of imports: {' -> '.join((*path, name))}"
+        if name not in chains:
+            below = [chain(each, (*path, name)) for each in graph[name]]
+            chains[name] = (name, *max(below, key=len, default=()))
+        return chains[name]
+
+    return max((chain(name, ()) for name in graph), key=len, default=())
+
+
+def test_chains_of_imports_are_short_and_have_no_circle():
+    longest = longest_chain({name: imports_of(name) for name in modules()})
+    assert len(longest) <= LONGEST_CHAIN, f"{len(longest)}: {' -> '.join(longest)}"
+
+
+def test_chains_and_circles_are_found():
+    assert longest_chain({"a": ["b", "c"], "b": ["c"], "c": []}) == ("a", "b", "c")
+    with pytest.raises(AssertionError, match="a -> b -> a"):
+        longest_chain({"a": ["b"], "b": ["a"]})

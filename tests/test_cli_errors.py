@@ -1,0 +1,309 @@
+"""Bad input to `needleforce`: exit code 2 and one line that helps, never a traceback."""
+
+import builtins
+import os
+import re
+import sys
+from pathlib import Path
+
+import pytest
+from residual_command_log import SMALL_ARM, write_insertion
+
+from needleforce.cli import main
+from needleforce.recordings import write_table
+
+
+@pytest.fixture(scope="module")
+def folder(lwr, tmp_path_factory):
+    folder = tmp_path_factory.mktemp("logs")
+    write_insertion(folder / "good.csv", lwr, seconds=1.2, contact_s=9.0)
+    whole = (folder / "good.csv").read_bytes()
+    write_insertion(folder / "good.npz", lwr, seconds=0.1)
+    npz = (folder / "good.npz").read_bytes()
+    (folder / "cut.npz").write_bytes(npz[: len(npz) // 2])
+    (folder / "empty.csv").write_bytes(b"")
+    (folder / "header.csv").write_bytes(whole[: whole.index(b"\n") + 1])
+    (folder / "cut.csv").write_bytes(whole[: whole.index(b"\n") + 1000])
+    write_insertion(folder / "no_torque.csv", lwr, seconds=0.1, only=("t_s", "q_rad"))
+    columns = {"t_s": [0.0, 0.001], "q_rad": [[0.0] * 6] * 2, "tau_Nm": [[0.0] * 6] * 2}
+    write_table(folder / "six.csv", columns)
+    for name, text in FILES.items():
+        (folder / name).write_text(text)
+    (folder / "binary.toml").write_bytes(b"\xff\xfe\x00")
+    return folder
+
+
+FILES = {
+    "arm.urdf": SMALL_ARM,
+    "cut.urdf": SMALL_ARM[:400],
+    "hollow.urdf": SMALL_ARM.replace('izz="0.01"', 'izz="9.0"'),
+    "broken.toml": "mass_kg = ",
+    "deep.toml": "a = " + "[" * 5000,
+    "blank.toml": "# nothing\n",
+    "half.toml": "mass_kg = 1.0\n",
+    "text_mass.toml": 'mass_kg = "heavy"\ncom_m = [0.0, 0.0, 0.1]\n',
+    "huge_mass.toml": "mass_kg = 1e308\ncom_m = [0.0, 0.0, 0.1]\n",
+    "negative.toml": "mass_kg = -1.0\ncom_m = [0.0, 0.0, 0.1]\n",
+    "flat.toml": "mass_kg = 1.0\ncom_m = [0.0, 0.0]\n",
+    "triangle.toml": "mass_kg = 1.0\ncom_m = [0.0, 0.0, 0.1]\n"
+    "inertia_kg_m2 = [[1.0, 0.0, 0.0], [0.0, 1.0, 0.0], [0.0, 0.0, 9.0]]\n",
+    "ragged.toml": "mass_kg = 1.0\ncom_m = [0.0, 0.0, 0.1]\ninertia_kg_m2 = [[1.0], [0.0, 1.0]]\n",
+    "both.toml": "mass_kg = 1.0\n[needle]\nneedle_mass_kg = 0.1\n",
+    "thick.toml": "[needle]\nneedle_diameter_m = 0.1\n",
+    "needle_key.toml": "[needle]\nlength = 0.1\n",
+    "key.toml": "gian_per_s = 5.0\n",
+    "type.toml": 'gain_per_s = "fast"\n',
+    "switch.toml": "smooth_momentum = 1\n",
+    "choice.toml": 'mode = "axail"\n',
+    "range.toml": "gain_per_s = -5.0\n",
+    "whole.toml": f"contact_force_N = 1{'0' * 400}\n",
+    "digits.toml": f"contact_force_N = 0x1{'0' * 9000}\n",
+    "axis.toml": "insertion_axis = [0.0, 1.0]\n",
+    "frame.toml": 'frame = "nowhere"\n',
+    "no_prior.toml": "prior = 5\n",
+    "prior.toml": "[prior]\nripple_widths = 1.0\n",
+    "given_friction.toml": "[friction]\na = 1\n",
+    "no_model.toml": "[stribeck]\na = 1.0\n",
+    "no_table.toml": "sigmoid = 3\n",
+    "short.toml": "[viscous_coulomb]\nviscous_Nms = [1.0, 2.0]\n",
+    "part.toml": "[viscous_coulomb]\nviscous_Nms = [0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0]\n",
+    "rotor.toml": 'rotor_inertia_kg_m2 = "heavy"\n',
+    "rotor_sign.toml": "rotor_inertia_kg_m2 = [-1.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0]\n",
+    "three.toml": "payload = 3",
+    "no_com.toml": "[payload]\nmass_kg = 1.5",
+    "joints.toml": 'joints = "a"',
+    "twice.toml": 'joints = ["a", "a"]',
+    "topic.toml": "reference_topic = 1",
+    "rate.toml": f"rate_hz = 1{'0' * 400}\n",
+    "scale.toml": f'[q]\ncolumns = "q_rad"\nscale = 1{"0" * 400}\n',
+}
+
+LOGS = {
+    "missing.csv": "missing.csv",
+    "log.xlsx": "no known suffix",
+    "empty.csv": "empty.csv",
+    "header.csv": "header.csv",
+    "cut.npz": "cut.npz",
+    "cut.csv": "the log ends before",
+    "no_torque.csv": "no column found for tau .*Columns are: t_s, q_rad_1",
+    "six.csv": "6 columns per joint signal, the robot has 7 joints: lwr_joint_1.*lwr_joint_7.*--q",
+    "n" * 300 + ".csv": "name too long",
+}
+
+OPTIONS = {
+    "--tau effort": "no column 'effort'.*Columns are",
+    "--tau tau_Nm:N": "no column",
+    "--q q_rad_{1..6}": "differ in the number of joints",
+    "--mapping missing.toml": "cannot read the mapping",
+    "--mapping deep.toml": "deep.toml is not valid TOML",
+    "--mapping three.toml": "payload = 3, expected a table, a file, needle or none",
+    "--mapping no_com.toml": "com_m is missing",
+    "--mapping joints.toml": r"Expected `array`, got `str` - at `\$.joints`",
+    "--mapping twice.toml": "names a joint twice",
+    "--mapping topic.toml": r"got `int` - at `\$.reference_topic`",
+    "--mapping rate.toml": "rate.toml: .*out of range",
+    "--mapping scale.toml": "scale.toml: .*out of range",
+    "--rate -5": "rate_hz = -5",
+    "--robot pandas": "no example robot 'pandas'; robots: panda",
+    "--robot ur5e --urdf arm.urdf": "--robot and --urdf name two robots",
+    "--urdf missing.urdf": "no such file",
+    "--urdf cut.urdf": "not well-formed XML",
+    "--urdf hollow.urdf --tool-frame tip": "link 'upper': .*triangle inequality",
+    "--urdf arm.urdf": "7 columns per joint signal, the robot has 3 joints: .*, gripper",
+    "--urdf arm.urdf --tool-frame nowhere": "no frame 'nowhere'.*frames: .*tip",
+    "--urdf arm.urdf --tool-frame tip --without thumb": "thumb",
+    "--urdf arm.urdf --tool-frame tip --lock wrist": "cannot lock 'wrist'.*shoulder, elbow",
+    "--urdf arm.urdf --tool-frame tip --lock gripper=open": "'open' is no number",
+    "--urdf arm.urdf --tool-frame tip --lock gripper": "robot has 2 joints: shoulder, elbow",
+    "--urdf arm.urdf --tool-frame tip --tip-offset 0 0 inf": "finite|inf",
+    "--tool-frame flange": "--urdf FILE",
+    "--lock lwr_joint_3": "--urdf FILE",
+    "--payload missing.toml": "cannot read the payload file missing.toml: No such file",
+    "--payload broken.toml": "payload file broken.toml is not valid TOML",
+    "--payload deep.toml": "payload file deep.toml is not valid TOML",
+    "--payload binary.toml": "not valid TOML",
+    "--payload blank.toml": "is empty",
+    "--payload half.toml": "com_m is missing",
+    "--payload text_mass.toml": "mass_kg = 'heavy', expected a number",
+    "--payload huge_mass.toml": "huge_mass.toml|mass",
+    "--payload negative.toml": "negative.toml: .*mass",
+    "--payload flat.toml": r"com_m has shape \(2,\), expected \(3,\)",
+    "--payload triangle.toml": "triangle.toml: payload",
+    "--payload ragged.toml": "inertia_kg_m2 = .*, expected a list of numbers",
+    "--payload both.toml": r"\[needle\] alone",
+    "--payload thick.toml": "thinner shaft",
+    "--payload needle_key.toml": "unknown key 'length'; .*known are: sensor_mass_kg",
+    "--config key.toml": "unknown key 'gian_per_s'; did you mean gain_per_s. known are: gain_per_s",
+    "--config type.toml": "gain_per_s = 'fast', expected a number",
+    "--config switch.toml": "smooth_momentum = 1, expected true or false",
+    "--config choice.toml": "mode = 'axail', expected 'axial' or 'point' or 'full'",
+    "--config range.toml": "range.toml: gain_per_s is -5.0",
+    "--config whole.toml": "contact_force_N = 10{59}: Number out of range",
+    "--config digits.toml": "contact_force_N = a number of thousands of digits",
+    "--config axis.toml": "insertion_axis = .*expected a list of length 3",
+    "--config frame.toml": "no frame 'nowhere'",
+    "--config no_prior.toml": "prior = 5, expected a table",
+    "--config prior.toml": "prior: unknown key 'ripple_widths'",
+    "--config given_friction.toml": "give joint friction with --friction FILE",
+    "--gain inf": "gain_per_s is inf, expected a finite number",
+    "--gain 0": "gain_per_s is 0.0, expected a finite number > 0",
+    "--insertion-axis 0 0 0": "insertion_axis is .0.0, 0.0, 0.0.: they must not all be zero",
+    "--friction no_model.toml": r"has stribeck; expected one table of \[viscous_coulomb\]",
+    "--friction no_table.toml": "expected a table",
+    "--friction short.toml": "viscous_Nms = .1.0, 2.0., expected 7 numbers, one per joint",
+    "--friction part.toml": r"\[viscous_coulomb\]: missing: coulomb_Nm",
+    "--friction rotor.toml": "expected 7 numbers",
+    "--friction rotor_sign.toml": "must not be negative",
+    "--tare 4": "expected START:END",
+    "--tare a:b": "'a' is no time",
+    "--tare 0:inf": "'inf' is no time",
+    "--tare 1:0.5": "START must come before END",
+    "--tare 0:60": "outside the log, which runs from 0 to 1.199 s",
+    "--tare=-3:-1": "outside the log, which starts at 0 s; expected",
+    "--tare 0.1:0.11": "0.1 to 0.11 s: the filters had not settled by then",
+    "": "the log ends before the filters have settled and 2 s of free motion.*--no-tare",
+    "-o forces.xlsx": "known are: .csv",
+    "-o none/forces.csv": "no folder none",
+    "--png none/forces.png": "no folder none",
+    "--figure .": "cannot write",
+    "--figure forces.gif": "forces.gif: its name must end in one of",
+    "--from soon": "--from: 'soon' is no time; expected seconds",
+    "--to nan": "--to: 'nan' is no time",
+}
+
+USAGE = {
+    "force": "LOG requires an argument",
+    "forc good.csv": 'Unknown command "forc". Did you mean "force"',
+    "force good.csv more.csv": "'more.csv': not expected here",
+    "force good.csv --mode sideways": 'Choose from: "axial", "point", "full"',
+    "force good.csv --mode axail": 'Did you mean "axial"',
+    "force good.csv --gain fast": 'unable to convert "fast" into float',
+    "force good.csv --gian 4": "Unknown option: --gian. Did you mean --gain",
+    "force good.csv --surprise": "Unknown option: --surprise",
+    "force good.csv -o": "-o requires an argument",
+    "force good.csv --tare 0:1 --no-tare": "--tare and --no-tare contradict each other",
+    "force good.csv --idle 0": "--idle 0: expected a number of seconds > 0",
+    "force good.csv --idle inf": "--idle inf: expected a number of seconds > 0",
+    "force good.csv --idle soon": 'unable to convert "soon" into float',
+    "identify good.csv --method ferro": 'Choose from: "multilayer", "published"',
+    "identify none.csv": "none.csv",
+    "identify empty.csv": "it is empty",
+    "identify good.csv": "no column found for depth",
+    "identify good.csv -o no/x.csv": "no folder no",
+    "identify good.csv --figure no/x.png": "no folder no",
+    "report good.csv": "DIR requires an argument",
+    "report - page": "a report needs a file",
+}
+
+
+def complaint(argv, capsys):
+    """Run the command; return its one line of complaint."""
+    assert main(argv) == 2
+    printed = capsys.readouterr()
+    assert printed.out == ""
+    lines = [line for line in printed.err.splitlines() if not line.startswith("warning: ")]
+    assert len(lines) == 1, printed.err
+    assert lines[0].startswith("error: ")
+    return lines[0]
+
+
+@pytest.mark.filterwarnings("ignore::RuntimeWarning")
+@pytest.mark.parametrize(
+    ("argv", "message"),
+    [
+        *((["force", name, "-o", "out.csv"], message) for name, message in LOGS.items()),
+        *((["force", "good.csv", *text.split()], message) for text, message in OPTIONS.items()),
+        *((text.split(), message) for text, message in USAGE.items()),
+    ],
+    ids=lambda value: " ".join(value)[-60:] if isinstance(value, list) else "",
+)
+def test_what_cannot_be_used_is_one_line_and_leaves_nothing(
+    folder, monkeypatch, capsys, argv, message
+):
+    monkeypatch.chdir(folder)
+    before = sorted(path.name for path in folder.iterdir())
+    line = complaint(argv, capsys)
+    assert re.search(message, line), line
+    assert sorted(path.name for path in folder.iterdir()) == before
+
+
+def test_contact_in_the_default_window_is_not_tared_away(lwr, tmp_path, capsys):
+    log = write_insertion(tmp_path / "early.npz", lwr, contact_s=1.2)
+    line = complaint(["force", str(log)], capsys)
+    assert re.search("no tare from .*needle.*--force-tare.*--tare START:END.*--no-tare", line)
+
+
+@pytest.mark.parametrize("command", ["force", "identify"])
+@pytest.mark.parametrize("output", [["--figure", "f.png"], ["--report", "page"]])
+def test_a_figure_without_matplotlib_is_refused_before_the_work(
+    folder, monkeypatch, capsys, command, output
+):
+    real = builtins.__import__
+
+    def refuse(name, *args, **kwargs):
+        if name.startswith("matplotlib"):
+            raise ImportError(name, name="matplotlib")
+        return real(name, *args, **kwargs)
+
+    for name in [name for name in sys.modules if name.startswith("matplotlib")]:
+        monkeypatch.delitem(sys.modules, name)
+    monkeypatch.setattr(builtins, "__import__", refuse)
+    monkeypatch.chdir(folder)
+    line = complaint([command, "missing.csv", *output], capsys)
+    assert "needs matplotlib, which is not installed" in line
+    assert "pip install" in line
+
+
+def test_a_library_that_a_format_needs_is_named(folder, tmp_path, capsys, monkeypatch):
+    write_table(tmp_path / "log.mcap", {"t_s": [0.0, 1.0], "q_rad": [[0.0] * 7] * 2})
+    monkeypatch.setitem(sys.modules, "rosbags.typesys", None)
+    line = complaint(["force", str(tmp_path / "log.mcap")], capsys)
+    assert "ROS 2 bags need the library rosbags" in line
+    assert "pip install" in line
+
+
+def test_a_failed_command_leaves_no_folder_and_one_that_cannot_be_made_is_named(tmp_path, capsys):
+    (tmp_path / "file").touch()
+    for command in ("force", "identify"):
+        line = complaint([command, "no.csv", "--report", str(tmp_path / "new" / "page")], capsys)
+        assert "no.csv" in line
+        line = complaint([command, "no.csv", "--report", str(tmp_path / "file" / "page")], capsys)
+        assert "cannot write to" in line
+    assert os.listdir(tmp_path) == ["file"]
+
+
+def test_warnings_of_the_log_are_passed_on(folder, tmp_path, capsys):
+    text = (folder / "good.csv").read_text().splitlines()
+    text[40] = text[40].rsplit(",", 1)[0] + ",oops"
+    (tmp_path / "log.csv").write_text("\n".join(text) + "\n")
+    assert main(["force", str(tmp_path / "log.csv"), "--external-torque", "--no-tare"]) == 0
+    assert "warning: " in capsys.readouterr().err
+
+
+def test_a_transposed_array_and_stamps_in_another_unit_are_named(lwr, tmp_path, capsys):
+    import numpy as np
+    from residual_command_log import insertion
+
+    columns = insertion(lwr)
+    np.savez(tmp_path / "log.npz", **{name: values.T for name, values in columns.items()})
+    line = complaint(["force", str(tmp_path / "log.npz"), "--no-tare"], capsys)
+    assert "q_rad has 7 rows of 4000: is it transposed?" in line
+    columns["t_s"] = 1_700_000_000_000_000_000 + np.rint(1e9 * columns["t_s"]).astype(np.int64)
+    write_table(tmp_path / "log.npz", {"time": columns.pop("t_s"), **columns})
+    assert main(["force", str(tmp_path / "log.npz"), "--tare", "+0:+1"]) == 2
+    printed = capsys.readouterr().err
+    assert "if the file is in ns, say unit = 'ns'" in printed
+    assert "--tare +0:+1 does not fit the log, whose first stamp is 1.7e+18 s" in printed
+
+
+@pytest.mark.skipif(sys.platform != "linux", reason="file names are bytes on Linux")
+def test_a_name_that_is_no_text_is_read_drawn_and_printed(folder, tmp_path, capsys):
+    name = tmp_path / os.fsdecode(b"log-\xff-$\\frac{$.csv")
+    name.write_bytes((folder / "good.csv").read_bytes())
+    page, picture = tmp_path / "page", tmp_path / "f.png"
+    argv = ["force", str(name), "--no-tare", "--report", str(page), "--figure", str(picture)]
+    assert main(argv) == 0
+    assert "log-\\udcff-$\\frac{$.csv" in (page / "index.html").read_text(encoding="utf-8")
+    assert main(["force", str(name), "--print-config"]) == 0
+    assert "\\udcff" in capsys.readouterr().out
+    assert Path(picture).stat().st_size > 5_000

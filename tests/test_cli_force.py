@@ -1,0 +1,442 @@
+"""`needleforce force`: the forces it writes are those that were put into the log."""
+
+from dataclasses import replace
+
+import numpy as np
+import pinocchio as pin
+import pytest
+from residual_command_log import AXIAL_N, CONTACT_S, SMALL_ARM, insertion, write_insertion
+
+from needleforce.cli import force as force_module
+from needleforce.cli import main
+from needleforce.cli.force import ThinnedMedian, _panel, component_curves
+from needleforce.plots import palette
+from needleforce.recordings import read_log, read_table, write_table
+from residual import SensorWarning
+from urdf import MissingPackageError, example_robot_path, load_urdf
+
+TARE = ["--tare", "0:2.5"]
+
+
+@pytest.fixture(scope="module")
+def log(lwr, tmp_path_factory):
+    return str(write_insertion(tmp_path_factory.mktemp("log") / "insertion.csv", lwr))
+
+
+@pytest.fixture
+def run(tmp_path, capsys):
+    """Run the command with an output file; return its columns and what it printed."""
+
+    def run(*argv, name="forces.csv"):
+        path = tmp_path / name
+        code = main(["force", *argv, "-o", str(path)])
+        printed = capsys.readouterr()
+        assert code == 0, printed.err
+        return read_table(path).columns, printed.out
+
+    return run
+
+
+@pytest.mark.parametrize(
+    "options",
+    [
+        [],
+        ["--mode", "point"],
+        ["--mode", "full", "--alignment", "trapezoid"],
+        ["--gain", "30"],
+        ["--external-torque"],
+        ["--insertion-axis", "0", "0", "2"],
+    ],
+    ids=" ".join,
+)
+def test_axial_force_is_the_true_one_with_its_standard_deviation(log, run, options):
+    columns, _ = run(log, *TARE, *options)
+    contact = columns["t_s"] > CONTACT_S + 0.3
+    error = columns["axial_N"][contact] - AXIAL_N
+    assert np.abs(error).max() < 0.15
+    assert abs(error.mean()) < 0.05
+    std = columns["axial_std_N"][contact]
+    assert (std > 0.0).all()
+    assert np.mean(np.abs(error) < 3.0 * std) > 0.95
+    free = (columns["t_s"] > 2.6) & (columns["t_s"] < CONTACT_S)
+    assert np.abs(columns["axial_N"][free]).max() < 0.1
+
+
+def test_the_published_method_and_a_log_without_velocity_find_the_force(log, run, lwr, tmp_path):
+    for option in ("--published", "--paper"):
+        columns, printed = run(log, *TARE, option)
+        assert columns["axial_N"][-1] == pytest.approx(AXIAL_N, abs=0.2)
+        assert "K = 5 1/s" in printed
+    bare = write_insertion(tmp_path / "bare.npz", lwr, only=("t_s", "q_rad", "tau_Nm"))
+    columns, printed = run(str(bare), *TARE)
+    assert columns["axial_N"][-1] == pytest.approx(AXIAL_N, abs=0.1)
+    assert "velocity estimated" in printed
+
+
+def test_rows_and_times_are_those_of_the_log(log, run):
+    columns, _ = run(log, *TARE, name="forces.npz")
+    np.testing.assert_array_equal(columns["t_s"], read_log(log).t_s)
+    status = columns["force_status"]
+    assert status[0] == 2
+    assert set(status[columns["t_s"] > 2.5]) == {0}
+    assert 1 in status[columns["t_s"] < 2.5]
+
+
+@pytest.mark.parametrize(("mode", "components"), [("axial", 3), ("point", 6), ("full", 12)])
+def test_every_column_says_its_unit_and_the_vector_agrees_with_the_axial_force(
+    log, run, mode, components
+):
+    columns, _ = run(log, *TARE, "--mode", mode)
+    assert len(columns) == 7 + components
+    plain = ("model_mismatch", "force_warnings", "force_status")
+    for name in columns:
+        assert name in plain or name.rsplit("_", 1)[1] in ("s", "m", "N", "Nm"), name
+    force = np.stack([columns[f"force_{xyz}_in_base_N"] for xyz in "xyz"], axis=1)
+    assert np.linalg.norm(force[-1]) == pytest.approx(AXIAL_N, abs=0.2)
+
+
+def test_travel_is_that_of_the_tip(run, lwr, tmp_path):
+    columns = insertion(lwr, seconds=0.6)
+    path = tmp_path / "log.npz"
+    write_table(path, columns)
+    found, _ = run(str(path), "--no-tare")
+    data = lwr.create_data()
+
+    def tip(k):
+        pin.forwardKinematics(lwr.model, data, columns["q_rad"][k])
+        return pin.updateFramePlacement(lwr.model, data, lwr.tool_frame_id).copy()
+
+    expected = tip(0).rotation[:, 2] @ (tip(-1).translation - tip(0).translation)
+    assert found["travel_m"][-1] == pytest.approx(expected, abs=1e-12)
+    assert found["travel_m"][0] == 0.0
+
+
+def test_a_tare_is_chosen_and_reported_when_none_was_given(log, run):
+    columns, printed = run(log)
+    (line,) = [line for line in printed.splitlines() if line.startswith("tare")]
+    start_s, end_s = float(line.split()[1]), float(line.split()[3])
+    assert end_s - start_s == pytest.approx(2.0)
+    assert columns["force_status"][columns["t_s"] > end_s].max() == 0
+    assert columns["axial_N"][-1] == pytest.approx(AXIAL_N, abs=0.15)
+
+
+def test_without_a_tare_no_row_claims_to_be_tared(log, run):
+    columns, printed = run(log, "--no-tare")
+    assert 0 not in columns["force_status"]
+    assert "tare         none" in printed
+
+
+def test_a_tare_may_be_counted_from_the_first_stamp_or_end_with_the_log(run, lwr, tmp_path):
+    path = str(write_insertion(tmp_path / "late.npz", lwr, start_s=1000.0))
+    relative, _ = run(path, "--tare", "+0:+2.5")
+    absolute, _ = run(path, "--tare", ":1002.5")
+    np.testing.assert_array_equal(relative["axial_N"], absolute["axial_N"])
+    assert relative["axial_N"][-1] == pytest.approx(AXIAL_N, abs=0.15)
+    calm = str(write_insertion(tmp_path / "calm.npz", lwr, seconds=2.0, contact_s=9.0))
+    columns, printed = run(calm, "--tare", "+0.6:1.999")
+    assert columns["force_status"].max() == 2
+    assert "0.6 to 1.999 s" in printed
+    late = str(write_insertion(tmp_path / "epoch.npz", lwr, start_s=1.7e9))
+    assert "1700000000.000 to 1700000002.500 s" in run(late, "--tare", "+0:+2.5")[1]
+
+
+def test_contact_can_be_tared_away_only_by_force(run, lwr, tmp_path, capsys):
+    path = str(write_insertion(tmp_path / "early.npz", lwr, contact_s=1.0))
+    assert main(["force", path, *TARE]) == 2
+    assert "--force-tare" in capsys.readouterr().err
+    run(path, *TARE, "--force-tare")
+
+
+def test_bad_rows_are_rejected_counted_and_leave_the_rest_right(run, lwr, tmp_path):
+    columns = insertion(lwr)
+    columns["q_rad"][2000:2010, 2] = np.nan
+    columns["tau_Nm"][3300] = np.inf
+    columns["t_s"][1500] = columns["t_s"][1490]
+    keep = np.r_[0:2600, 2750:4000]
+    path = tmp_path / "broken.npz"
+    write_table(path, {name: values[keep] for name, values in columns.items()})
+    found, printed = run(str(path), *TARE)
+    rejected = np.flatnonzero(found["force_status"] == 3)
+    np.testing.assert_array_equal(rejected, [1500, *range(2000, 2010), 3150])
+    assert np.isnan(found["axial_N"][rejected]).all()
+    valid = found["force_status"] != 3
+    assert np.isfinite(np.stack([found[n][valid] for n in found])).all()
+    assert found["axial_N"][-1] == pytest.approx(AXIAL_N, abs=0.15)
+    assert "12: 10 x q is not finite" in printed
+    assert "1 x time does not advance" in printed
+    assert "1 longer than 0.1 s (longest 0.151 s)" in printed
+
+
+def test_what_may_be_wrong_beyond_the_standard_deviation_is_reported(run, lwr, tmp_path):
+    columns = insertion(lwr)
+    columns["tau_Nm"][3500, 2] += 80.0
+    columns["tau_Nm"][3700:3800, 1] = lwr.effort_limit_Nm[1]
+    write_table(tmp_path / "log.npz", columns)
+    found, printed = run(str(tmp_path / "log.npz"), *TARE)
+    warnings = found["force_warnings"].astype(int)
+    assert warnings[3500] & SensorWarning.SPIKE
+    assert found["force_status"][3500] == 3
+    assert (warnings[3710:3800] & SensorWarning.SATURATED).all()
+    assert not warnings[:3000].any()
+    assert "x saturated" in printed
+    assert 0.3 < np.median(found["model_mismatch"][found["force_status"] == 0]) < 3.0
+    assert found["axial_N"][-1] == pytest.approx(AXIAL_N, abs=0.2)
+
+
+def test_a_clock_that_was_set_back_costs_a_few_rows_and_no_more(run, lwr, tmp_path):
+    columns = insertion(lwr)
+    columns["t_s"] = columns["t_s"].copy()
+    columns["t_s"][2600:] -= columns["t_s"][2600]
+    path = tmp_path / "reset.npz"
+    write_table(path, columns)
+    found, _ = run(str(path), *TARE)
+    rejected = np.flatnonzero(found["force_status"] == 3)
+    assert 2600 in rejected
+    assert 3 <= len(rejected) <= 110
+    np.testing.assert_array_equal(found["t_s"], columns["t_s"])
+    assert found["axial_N"][-1] == pytest.approx(AXIAL_N, abs=0.15)
+
+
+def test_velocities_in_degrees_are_refused_by_joint_and_reason(run, lwr, tmp_path, capsys):
+    columns = insertion(lwr)
+    columns["dq_rad_s"] = np.degrees(columns["dq_rad_s"])
+    log = str(tmp_path / "log.npz")
+    write_table(log, columns)
+    assert main(["force", log, *TARE]) == 2
+    refused = capsys.readouterr().err
+    for text in ("is 57.3 times the rate of q: is it in deg/s?", "--force-tare", "--dq dq_*:deg/s"):
+        assert text in refused
+    _, printed = run(log, *TARE, "--dq", "dq_rad_s:deg/s")
+    assert "velocity" not in printed.replace("velocity from the log", "")
+    found, printed = run(log, *TARE, "--force-tare")
+    lines = printed.splitlines()
+    assert any(line.startswith("warnings ") and "x velocity" in line for line in lines)
+    assert any(line.startswith("velocity ") and "is it in deg/s?" in line for line in lines)
+    assert (found["force_warnings"][-1000:].astype(int) & SensorWarning.VELOCITY).all()
+
+
+def test_torque_without_gravity_or_negated_is_named_and_an_option_cures_it(
+    run, lwr, tmp_path, capsys
+):
+    columns, data = insertion(lwr), lwr.create_data()
+    gravity = [pin.computeGeneralizedGravity(lwr.model, data, q) for q in columns["q_rad"]]
+    logs = {"whole": columns["tau_Nm"], "negated": -columns["tau_Nm"]}
+    logs["free"] = columns["tau_Nm"] - np.array(gravity)
+    for name, tau_Nm in logs.items():
+        write_table(tmp_path / f"{name}.npz", columns | {"tau_Nm": tau_Nm})
+    expected, _ = run(str(tmp_path / "whole.npz"), *TARE)
+    for name, advice, cure in (
+        ("free", "give --gravity-compensated", ["--gravity-compensated"]),
+        ("negated", "--tau tau_*:Nm:-1", ["--tau", "tau_Nm:Nm:-1"]),
+    ):
+        log = str(tmp_path / f"{name}.npz")
+        assert main(["force", log, *TARE]) == 2
+        assert advice in capsys.readouterr().err
+        found, _ = run(log, *TARE, *cure)
+        np.testing.assert_allclose(found["axial_N"], expected["axial_N"], atol=0.02)
+
+
+# Robots and payloads.
+
+
+def test_any_urdf_with_locked_joints_or_without_a_link_gives_forces(run, tmp_path):
+    urdf = tmp_path / "arm.urdf"
+    urdf.write_text(SMALL_ARM)
+    arm = load_urdf(urdf, tool_frame="tip", locked_joints={"gripper": 0.02})
+    path = str(write_insertion(tmp_path / "arm.npz", arm, axial_N=3.0))
+    robot = ["--urdf", str(urdf), "--tool-frame", "tip"]
+    columns, printed = run(path, *robot, "--lock", "gripper=0.02", *TARE)
+    assert "arm, 2 joints, payload 0 kg" in printed
+    assert np.isfinite(columns["axial_N"]).all()
+    offset = ["--without", "finger", "--tip-offset", "0", "0", "0.1"]
+    columns, printed = run(path, *robot, *offset, "--no-tare")
+    assert "arm, 2 joints" in printed
+    assert "axial force at tool" in printed
+
+
+def test_a_known_arm_is_loaded_by_name(lwr, run, log, tmp_path):
+    assert "lwr4plus" in run(log, "--robot", "lwr", "--no-tare")[1]
+    columns = insertion(lwr, seconds=0.6)
+    path = tmp_path / "ur.npz"
+    write_table(
+        path,
+        {
+            "t_s": columns["t_s"],
+            "q_rad": columns["q_rad"][:, :6],
+            "tau_Nm": columns["tau_Nm"][:, :6],
+        },
+    )
+    assert "6 joints, payload 0 kg" in run(str(path), "--robot", "ur10e", "--no-tare")[1]
+
+
+def test_a_payload_that_the_model_lacks_reads_as_its_weight_downward(log, run, tmp_path):
+    light = tmp_path / "light.toml"
+    light.write_text("[needle]\nsensor_mass_kg = 0.0\n")
+    options = ("--no-tare", "--mode", "full")
+    right, printed = run(log, *options)
+    lacking, printed_lacking = run(log, *options, "--payload", str(light))
+    weight_N = (right["force_z_in_base_N"] - lacking["force_z_in_base_N"])[1500]
+    assert weight_N == pytest.approx(0.236 * 9.80665, abs=0.2)
+    assert "payload 0.304 kg" in printed
+    assert "payload 0.068 kg" in printed_lacking
+
+
+FRICTION = """
+[sigmoid]
+amplitude_Nm = [0.54615, 0.87224, 0.64068, 1.2794, 0.83904, 0.30301, 0.56489]
+slope_s_rad = [5.1181, 9.0657, 10.136, 5.5903, 8.3469, 17.133, 10.336]
+shift_rad_s = [0.039533, 0.025882, -0.04607, 0.036194, 0.026226, -0.021047, 0.0035526]
+"""
+
+
+@pytest.fixture
+def panda(recordings_dir, tmp_path):
+    """A Franka Panda in free motion, recorded."""
+    log = recordings_dir / "panda_gaz2019" / "free_motion.npz"
+    if not log.is_file():
+        pytest.skip(f"no {log.name} of the Panda")
+    try:
+        urdf = str(example_robot_path("panda"))
+    except MissingPackageError as error:
+        pytest.skip(str(error))
+    (tmp_path / "friction.toml").write_text(FRICTION)
+    return str(log), urdf, ["--friction", str(tmp_path / "friction.toml")]
+
+
+def test_a_real_arm_in_free_motion_reads_no_more_force_than_its_model_is_off(panda, run):
+    log, urdf, friction = panda
+    tare = ["--tare", ":10", "--force-tare"]
+    named, printed = run(log, "--robot", "panda", *friction, *tare)
+    tared = named["force_status"] == 0
+    axial_N, std_N = named["axial_N"][tared], named["axial_std_N"][tared]
+    assert tared.sum() > 10_000
+    # The public model is wrong by up to 0.75 Nm rms per joint, a few N at the hand.
+    assert np.sqrt(np.mean(axial_N**2)) < 4.0
+    assert np.mean(np.abs(axial_N) < 2.0 * std_N) > 0.7
+    assert "panda, 7 joints, payload 0 kg" in printed
+    fingers = ["--lock", "panda_finger_joint1", "panda_finger_joint2"]
+    by_file = ["--urdf", urdf, "--tool-frame", "panda_hand_tcp", *fingers]
+    columns, _ = run(log, *by_file, *friction, *tare)
+    np.testing.assert_array_equal(columns["axial_N"], named["axial_N"])
+
+
+def test_fingers_that_are_not_in_the_log_must_be_locked(panda, capsys):
+    log, urdf, friction = panda
+    argv = ["--urdf", urdf, "--tool-frame", "panda_hand_tcp", *friction, "--no-tare"]
+    assert main(["force", log, *argv]) == 2
+    message = capsys.readouterr().err
+    assert "mimics" in message
+    assert "lock it with --lock" in message
+
+
+# Figures.
+
+
+def rows_of(status, after_gap=()):
+    count = len(status)
+    return {
+        "t_s": np.arange(count) * 0.01,
+        "axial_N": np.arange(count, dtype=float),
+        "axial_std_N": np.full(count, 0.5),
+        "status": np.array(status),
+        "after_gap": np.isin(np.arange(count), after_gap),
+    }
+
+
+def curves_of(rows):
+    axial = ("axial force", palette.OURS, rows["axial_N"], rows["axial_std_N"])
+    return component_curves(rows, rows["t_s"], *axial), axial
+
+
+@pytest.mark.parametrize(
+    ("options", "suffix"),
+    [
+        (["--tare", "+0:+2.5"], "png"),
+        (["--tare", "+0:+2.5", "--mode", "point"], "svg"),
+        (["--tare", "+0:+2.5", "--mode", "full"], "pdf"),
+        (["--no-tare"], "png"),
+        (["--tare", "+0:+2.5", "--over", "depth", "--from", "+2.6"], "svg"),
+        (["--no-tare", "--from", "+1", "--to", "+1.5"], "pdf"),
+    ],
+    ids=str,
+)
+@pytest.mark.parametrize("start_s", [0.0, 1.7e9])
+def test_a_figure_is_written_for_every_mode(lwr, tmp_path, options, suffix, start_s):
+    columns = insertion(lwr, seconds=3.0, start_s=start_s)
+    columns["tau_Nm"][2600:2650] = np.nan
+    keep = np.r_[0:1500, 1700:3000]
+    write_table(tmp_path / "log.npz", {name: values[keep] for name, values in columns.items()})
+    path = tmp_path / f"forces.{suffix}"
+    assert main(["force", str(tmp_path / "log.npz"), *options, "--figure", str(path)]) == 0
+    content = path.read_bytes()
+    assert content.startswith({"png": b"\x89PNG", "svg": b"<?xml", "pdf": b"%PDF"}[suffix])
+    assert len(content) > 5_000
+
+
+def test_a_log_without_a_valid_row_still_has_a_figure(lwr, tmp_path, capsys):
+    columns = insertion(lwr, seconds=0.1)
+    columns["q_rad"][:, 0] = np.nan
+    write_table(tmp_path / "$\\frac{$.npz", columns)
+    path = tmp_path / "forces.png"
+    argv = ["force", str(tmp_path / "$\\frac{$.npz"), "--no-tare", "--png", str(path)]
+    assert main([*argv, "--report", str(tmp_path / "page")]) == 0
+    assert path.is_file()
+    assert "no sample was valid" in capsys.readouterr().out
+    assert "$\\frac{$" in (tmp_path / "page" / "index.html").read_text()
+
+
+def test_a_window_without_rows_is_refused(log, tmp_path, capsys):
+    argv = ["force", log, "--no-tare", "--png", str(tmp_path / "f.png"), "--from", "90"]
+    assert main(argv) == 2
+    assert "the log runs from 0 to 3.999 s" in capsys.readouterr().err
+
+
+def test_a_rejected_row_leaves_no_hole_and_a_gap_does():
+    (untared, tared), _ = curves_of(rows_of([1, 0, 3, 0, 0], after_gap=[4]))
+    np.testing.assert_array_equal(tared.y, [np.nan, 1.0, 3.0, np.nan, 4.0])
+    np.testing.assert_array_equal(tared.x, [0.0, 0.01, 0.03, 0.04, 0.04])
+    assert untared.y[0] == 0.0
+
+
+def test_what_is_not_tared_is_grey_and_without_a_band():
+    (untared, tared), _ = curves_of(rows_of([1, 1, 0, 0]))
+    assert (untared.label, untared.std) == ("not tared", None)
+    np.testing.assert_array_equal(np.isfinite(untared.y), [True, True, False, False])
+    assert tared.style is palette.OURS
+    assert tared.label == "axial force"
+    np.testing.assert_array_equal(np.isfinite(tared.y), [False, False, True, True])
+    (only,), _ = curves_of(rows_of([1, 1]))
+    assert only.label == "axial force, not tared"
+    assert only.style == replace(palette.UNTARED, color=palette.OURS.color)
+
+
+def test_the_scale_is_that_of_tared_rows_their_band_and_zero():
+    rows = rows_of([1, 1, 0, 0])
+    rows["axial_N"][:2] += 50.0
+    low, high = _panel("force", rows, rows["t_s"], [curves_of(rows)[1]]).limits
+    assert low < 0.0
+    assert 3.0 + 2 * 0.5 < high < 5.0
+
+
+def test_the_figure_of_a_long_log_keeps_its_spikes(log, run, monkeypatch, tmp_path):
+    drawn = []
+    monkeypatch.setattr("needleforce.cli.log.RowOverview.__init__.__defaults__", (400,))
+    chart = force_module.force_chart
+    monkeypatch.setattr(
+        force_module, "force_chart", lambda result: (drawn.append(result), chart(result))[1]
+    )
+    table, _ = run(log, *TARE, "--figure", str(tmp_path / "f.png"))
+    rows = drawn[0].rows
+    assert len(rows["t_s"]) <= 400
+    for extreme in (np.min, np.max):
+        assert extreme(rows["axial_N"]) == extreme(table["axial_N"])
+    assert rows["t_s"][0] == table["t_s"][0]
+    assert set(rows["status"]) == set(table["force_status"].astype(int))
+
+
+def test_the_median_of_many_values_is_that_of_some_of_them():
+    median = ThinnedMedian()
+    assert np.isnan(median.value)
+    for part in np.split(np.arange(100_000.0), 10):
+        median.add(part)
+    assert median.value == pytest.approx(49_999.5, rel=1e-3)

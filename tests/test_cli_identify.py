@@ -1,0 +1,204 @@
+"""`needleforce identify`: from a recording to layers, a table and a figure."""
+
+import re
+
+import numpy as np
+import pytest
+
+from groundtruth import insert_needle
+from identification import replay
+from needleforce import session
+from needleforce.cli import main
+from needleforce.cli.identify import (
+    IdentificationResult,
+    UsableForce,
+    depth_chart,
+    layer_chart,
+)
+from needleforce.recordings import write_table
+from needleforce.recordings.channels import FORCE_STATUS, WORTHLESS
+from needleforce.recordings.log import LogChunk
+from residual import SensorWarning, Status
+
+
+@pytest.fixture(scope="module")
+def needle():
+    """Columns of an insertion from the end of the free motion on."""
+    run = insert_needle("gel-50-constant", seed=1, rate_hz=250.0)
+    part = slice(int(np.searchsorted(run.t_s, run.tare_end_s)), None)
+    names = ("t_s", "depth_m", "force_N", "speed_m_s")
+    return {name: getattr(run, name)[part] for name in names}
+
+
+def write(path, columns, **changes):
+    write_table(path, {**columns, **changes})
+    return str(path)
+
+
+def table_of(printed):
+    """The printed table of layers: one dictionary per layer."""
+    header, *lines = printed.splitlines()
+    names, *rows = (re.split(r"  +", line.strip()) for line in (header, *lines))
+    return [dict(zip(names, row, strict=True)) for row in rows]
+
+
+def test_layers_are_printed_and_table_and_figure_written(needle, tmp_path, capsys):
+    log, out, png = write(tmp_path / "log.csv", needle), tmp_path / "o.csv", tmp_path / "o.png"
+    assert main(["identify", log, "-o", str(out), "--png", str(png)]) == 0
+    (layer,) = table_of(capsys.readouterr().out)
+    assert "±" in layer["friction N"]
+    table = np.genfromtxt(out, delimiter=",", names=True)
+    assert len(table) == len(needle["t_s"])
+    assert np.count_nonzero(table["rupture"]) == 1
+    assert table["identified_layer"][table["is_final"] == 1].tolist() == [1.0]
+    assert np.all(table["used"] == 1)
+    assert png.read_bytes()[:4] == b"\x89PNG"
+    figure = tmp_path / "depth.pdf"
+    argv = ["identify", log, "--figure", str(figure), "--over", "depth", "--to", "+20"]
+    assert main(argv) == 0
+    assert figure.read_bytes().startswith(b"%PDF")
+
+
+@pytest.mark.parametrize("method", ["published", "published-kv"])
+def test_the_published_method_is_offered(needle, tmp_path, capsys, method):
+    log = write(tmp_path / "log.csv", needle)
+    assert main(["identify", log, "--method", method]) == 0
+    assert len(table_of(capsys.readouterr().out)) == 1
+
+
+@pytest.mark.parametrize("start_s", [100.0, 1.7e9])
+def test_table_and_rows_give_the_same_instant_of_an_alarm(tmp_path, needle, capsys, start_s):
+    log = write(tmp_path / "log.csv", needle, t_s=needle["t_s"] + start_s)
+    out = tmp_path / "out.csv"
+    assert main(["identify", log, "-o", str(out)]) == 0
+    rows = np.genfromtxt(out, delimiter=",", names=True)
+    alarm_s = rows["t_s"][rows["rupture"] > 0]
+    (layer,) = table_of(capsys.readouterr().out)
+    assert float(layer["alarm s"]) == pytest.approx(alarm_s[0], abs=0.006)
+
+
+def test_flipped_force_gets_a_hint(needle, tmp_path, capsys):
+    log = write(tmp_path / "log.csv", needle, force_N=-needle["force_N"])
+    assert main(["identify", log]) == 0
+    assert "flip its sign; a factor of -1 after the unit does" in capsys.readouterr().err
+    assert main(["identify", log, "--force", "force_N:N:-1"]) == 0
+    assert "flip" not in capsys.readouterr().err
+
+
+def test_rejected_rows_are_counted_with_the_reason(needle, tmp_path, capsys):
+    columns = {"t_s": needle["t_s"], "depth_m": needle["depth_m"]}
+    force = 1e3 * needle["force_N"]
+    log = write(tmp_path / "mN.csv", columns, force=force)
+    assert main(["identify", log]) == 0
+    printed = capsys.readouterr().err
+    rejected = int((np.abs(force) > 200.0).sum())
+    assert f"rows that were rejected: {rejected} (force beyond any needle's" in printed
+    assert "in SI; if the file is in mN, say unit = 'mN'" in printed
+    assert main(["identify", log, "--force", "force:mN"]) == 0
+    assert "rejected" not in capsys.readouterr().err
+
+
+def test_a_clock_that_was_set_back_hides_no_layer(needle, tmp_path, capsys):
+    whole_s = needle["t_s"]
+    t_s = whole_s.copy()
+    half = int(np.searchsorted(needle["depth_m"], 0.004))
+    t_s[half:] -= t_s[half]
+    columns = {name: needle[name] for name in ("depth_m", "force_N")}
+    log, out = write(tmp_path / "log.csv", {"t_s": t_s, **columns}), tmp_path / "out.csv"
+    assert main(["identify", log, "-o", str(out)]) == 0
+    printed = capsys.readouterr()
+    assert "clock set back" in printed.err
+    (layer,) = table_of(printed.out)
+    expected_s = replay(whole_s, **columns).layers[0].rupture.time_s - whole_s[half]
+    assert float(layer["rupture s"]) == pytest.approx(expected_s, abs=0.03)
+    rows = np.genfromtxt(out, delimiter=",", names=True)
+    np.testing.assert_array_equal(rows["t_s"], t_s)
+    assert 3 <= np.count_nonzero(rows["used"] == 0) <= 30
+
+
+# Forces that `needleforce force` has marked.
+
+
+def test_the_codes_are_those_of_the_virtual_sensor_and_of_a_session():
+    assert tuple(status.value for status in Status) == FORCE_STATUS
+    for word, bit in WORTHLESS.items():
+        assert SensorWarning[word.upper().replace(" ", "_")] == bit
+    assert sum(WORTHLESS.values()) == session._NOT_FED
+
+
+def chunk(columns):
+    rows = np.arange(6.0)
+    return LogChunk(t_s=rows, dt_s=rows, channels={"force_N": rows + 1.0} | columns)
+
+
+@pytest.mark.parametrize("name", ["force_status", "force_warnings", "both"])
+def test_marked_rows_are_left_out_and_counted(name):
+    status = np.array([0.0, 1.0, 2.0, 3.0, 0.0, 0.0])
+    warnings = np.array([0.0, 0.0, 0.0, 0.0, 5.0, 32.0 + 1.0])
+    columns = {"force_status": status, "force_warnings": warnings}
+    chosen = columns if name == "both" else {name: columns[name]}
+    usable_force = UsableForce(is_ignored=False)
+    force_N = usable_force(chunk(chosen))
+    is_marked = (status != 0) & ("force_status" in chosen)
+    bad = is_marked | ((warnings == 33) & ("force_warnings" in chosen))
+    np.testing.assert_array_equal(np.isnan(force_N), bad)
+    assert len(usable_force.warnings) == (2 if name == "both" else 1)
+    assert not np.isnan(UsableForce(is_ignored=True)(chunk(chosen))).any()
+
+
+def test_a_status_column_of_the_user_does_not_silence_a_log(needle, tmp_path, capsys):
+    count = len(needle["t_s"])
+    log = write(tmp_path / "log.csv", needle, status=np.ones(count))
+    assert main(["identify", log]) == 0
+    assert len(table_of(capsys.readouterr().out)) == 1
+    write(tmp_path / "log.csv", needle, force_warnings=np.full(count, 32))
+    assert main(["identify", log]) == 0
+    printed = capsys.readouterr()
+    assert f"velocity) were left out: {count}" in printed.err
+    assert "no rupture detected" in printed.out
+    assert main(["identify", log, "--ignore-status"]) == 0
+    assert len(table_of(capsys.readouterr().out)) == 1
+
+
+# Charts.
+
+
+def result(method="published-kv", **changes):
+    names = ("force_N", "depth_m", "predicted_force_N", "enhanced_force_N", "tip_force_N")
+    parameters = ("stiffness_N_per_m", "friction_Ns_per_m2", "cumulative_friction_Ns_per_m")
+    rows = {name: np.ones(50) for name in (*names, *parameters, "used")}
+    rows |= {name.replace("_N", "_std_N", 1): np.full(50, np.nan) for name in parameters}
+    made = IdentificationResult("log", method)
+    made.ruptures_s.append(0.4)
+    made.rows = {"t_s": np.linspace(0.0, 1.0, 50)} | rows | changes
+    return made
+
+
+def test_the_kelvin_voigt_friction_has_its_own_unit_and_no_band_is_invented():
+    kv, ml = (layer_chart(one, one.rows) for one in (result(), result("published")))
+    assert kv.panels[2].y_label == "friction B\n[Ns/m]"
+    assert ml.panels[2].y_label == "friction B\n[Ns/m²]"
+    assert all(curve.std is None for panel in kv.panels for curve in panel.curves)
+    assert kv.instants[0].places == (0.4,)
+
+
+def test_nothing_is_drawn_before_the_first_row_that_was_used():
+    made = result(used=np.repeat([0.0, 1.0, 0.0], [10, 30, 10]))
+    forces, *parameters = layer_chart(made, made.rows).panels
+    (over_depth,) = depth_chart(made, made.rows).panels
+    hidden = (*forces.curves[1:], *over_depth.curves[1:])
+    for curve in (*hidden, *(panel.curves[0] for panel in parameters)):
+        assert np.isnan(curve.y[:10]).all()
+        assert np.isfinite(curve.y[10:]).all()
+    assert np.isfinite(forces.curves[0].y).all()
+    assert over_depth.curves[0].x[0] == 1000.0
+
+
+def test_seconds_since_1970_are_counted_from_the_first_sample():
+    late = result(t_s=1.7e9 + np.linspace(0.0, 1.0, 50))
+    late.ruptures_s[0] += 1.7e9
+    chart = layer_chart(late, late.rows)
+    assert chart.x_limits == (0.0, 1.0)
+    assert chart.x_label == "time since the first sample [s]"
+    assert chart.instants[0].places == pytest.approx((0.4,))
+    assert layer_chart(result(), result().rows).x_label == "time of the log [s]"

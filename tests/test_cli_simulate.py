@@ -1,0 +1,208 @@
+"""`needleforce simulate`: a simulated insertion as a recording, and the commands after it."""
+
+import re
+from dataclasses import fields, replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from groundtruth import SCENARIOS, simulate
+from needleforce.cli import main
+from needleforce.cli import simulate as command
+from needleforce.cli.simulate import signal_table, truth_table
+from needleforce.recordings import read_log, read_table
+
+ID = "gel-25-constant"
+SUFFIXES = (".csv", ".csv.gz", ".npz", ".parquet", ".mcap", ".db3")
+
+
+END_S = 34.0
+"""The needle rests beyond the gel by then."""
+
+
+@pytest.fixture(scope="module")
+def run():
+    """One simulated insertion, without its withdrawal, for all tests."""
+    whole = simulate(ID, plant="clean", seed=0)
+    rows = whole.signals.t_s < END_S
+    return replace(
+        whole, signals=cut(whole.signals, rows), truth=cut(whole.truth, whole.truth.t_s < END_S)
+    )
+
+
+def cut(result, rows):
+    """Keep some rows of signals or truth."""
+    arrays = {item.name: getattr(result, item.name) for item in fields(result)}
+    kept = {k: v[rows] for k, v in arrays.items() if isinstance(v, np.ndarray)}
+    return replace(result, **kept)
+
+
+@pytest.fixture
+def quick(run, monkeypatch, tmp_path):
+    """The command with the simulation done already, in an empty folder."""
+    asked = []
+
+    def simulated(chosen, *, plant, seed, progress):
+        asked.append((chosen.id, plant, seed))
+        progress(0.5)
+        progress(1.0)
+        return run
+
+    monkeypatch.setattr(command, "simulate", simulated)
+    monkeypatch.chdir(tmp_path)
+    return asked
+
+
+@pytest.mark.parametrize("suffix", SUFFIXES)
+def test_every_format_goes_through_both_commands_without_an_option(quick, capsys, suffix, run):
+    assert main(["simulate", ID, "-o", f"x{suffix}"]) == 0
+    assert quick == [(ID, "clean", 0)]
+    printed = capsys.readouterr().out
+    assert "without contact until 13 s" in printed
+    assert f"needleforce force x{suffix} --tare 0:13 -o forces{suffix}" in printed
+    assert main(["force", f"x{suffix}", "-o", f"forces{suffix}"]) == 0
+    capsys.readouterr()
+    assert main(["identify", f"forces{suffix}"]) == 0
+    out, err = capsys.readouterr()
+    (layer,) = [line.split() for line in out.splitlines()[1:]]
+    true = run.truth.ruptures[0]
+    assert float(layer[3]) == pytest.approx(true.onset_s, abs=0.1)
+    friction_N = float(layer[7].partition("±")[0])
+    assert friction_N == pytest.approx(true.layer_friction_N, rel=0.1)
+    assert "--ignore-status takes them" in err
+    assert len(err.splitlines()) == 1
+
+
+def test_the_recording_holds_what_a_robot_gives_and_nothing_else(quick, run):
+    assert main(["simulate", ID, "-o", "x.mcap"]) == 0
+    log = read_log("x.mcap", required=["q", "tau"], optional=["dq"])
+    np.testing.assert_array_equal(log["q_rad"], run.signals.q_rad)
+    np.testing.assert_array_equal(log["tau_Nm"], run.signals.tau_Nm)
+    np.testing.assert_allclose(log.t_s, run.signals.t_s, atol=5e-10, rtol=0)
+    table = read_table("x.mcap")
+    assert set(table.columns) == {
+        "t_s",
+        *(f"/joint_states/{field}" for field in ("position", "velocity", "effort")),
+        *(f"/ft_sensor/wrench/{field}_xyz" for field in ("force", "torque")),
+    }
+    assert table.joint_names["/joint_states/effort"] == run.robot.joint_names
+    wrench = np.hstack([table.columns[f"/ft_sensor/wrench/{f}_xyz"] for f in ("force", "torque")])
+    np.testing.assert_array_equal(wrench, run.signals.ft_wrench)
+
+
+def test_the_truth_goes_into_a_file_of_its_own(quick, run):
+    assert main(["simulate", ID, "--truth", "truth.npz"]) == 0
+    columns = read_table("truth.npz").columns
+    np.testing.assert_array_equal(columns["axial_N"], run.truth.axial_N)
+    np.testing.assert_array_equal(columns["layer_friction_N"], run.truth.layer_friction_N)
+    (row,) = np.flatnonzero(columns["rupture"])
+    assert columns["t_s"][row] == pytest.approx(run.truth.rupture_s[0], abs=1e-3)
+    assert columns["rupture"][row] == 1.0
+    log = read_log("truth.npz", required=["depth", "speed", "force"])
+    np.testing.assert_array_equal(log["force_N"], run.truth.axial_N)
+
+
+def messages(path):
+    """What a bag tells in words."""
+    from rosbags.highlevel import AnyReader
+
+    with AnyReader([Path(path)]) as bag:
+        connections = [c for c in bag.connections if c.topic == "/diagnostics"]
+        return [
+            bag.deserialize(data, connection.msgtype).status[0].message
+            for connection, _, data in bag.messages(connections=connections)
+        ]
+
+
+def test_the_truth_in_a_bag_tells_layers_as_events(quick):
+    assert main(["simulate", ID, "--truth", "truth.db3"]) == 0
+    found = messages("truth.db3")
+    assert found == ["above the tissue", "in layer 1", "in layer 2", "layer 1 ruptures"]
+
+
+def test_a_membrane_on_the_surface_is_told_and_no_rupture_hides_another(run, monkeypatch, tmp_path):
+    first = run.truth.ruptures[0]
+    together = tuple(replace(first, layer=number) for number in (0, 1, 2))
+    truth = replace(run.truth, ruptures=together)
+    columns = truth_table(replace(run, truth=truth))
+    assert columns["rupture"][columns["rupture"] > 0].tolist() == [1, 2]
+    assert np.count_nonzero(columns["surface_rupture"]) == 1
+    monkeypatch.setattr(command, "simulate", lambda *given, **named: replace(run, truth=truth))
+    monkeypatch.chdir(tmp_path)
+    assert main(["simulate", ID, "--truth", "truth.db3"]) == 0
+    found = messages("truth.db3")
+    assert "the membrane on the surface ruptures" in found
+    assert [text for text in found if text.startswith("layer")] == [
+        "layer 1 ruptures",
+        "layer 2 ruptures",
+    ]
+
+
+def test_tables_have_one_row_per_sample(run):
+    for table in (signal_table(run), truth_table(run)):
+        assert {len(values) for values in table.values()} == {len(run.signals.t_s)}
+    assert not any("axial" in name or "depth" in name for name in signal_table(run))
+
+
+def test_a_clock_that_begins_before_zero_is_shifted_with_the_truth(run):
+    signals = replace(run.signals, t_s=run.signals.t_s - 7e-5)
+    early = replace(run, signals=signals)
+    assert signal_table(early)["t_s"][0] == 0.0
+    np.testing.assert_array_equal(truth_table(early)["t_s"], run.truth.t_s + 7e-5)
+
+
+def test_options_reach_the_simulation(quick):
+    assert (
+        main(["simulate", "stack-constant", "-o", "x.npz", "--plant", "degraded", "--seed", "5"])
+        == 0
+    )
+    assert main(["simulate", "random-stack", "-o", "x.npz", "--plant", "ideal"]) == 0
+    assert quick == [("stack-constant", "degraded", 5), ("random-stack", "ideal", 0)]
+
+
+def test_list_names_every_scenario(capsys):
+    assert main(["simulate", "--list"]) == 0
+    listed = [line.split()[0] for line in capsys.readouterr().out.splitlines()]
+    assert listed == [*SCENARIOS, "random-stack", "random-tissue"]
+
+
+@pytest.mark.parametrize(
+    ("arguments", "told"),
+    [
+        ([ID], "nothing to write: name a file with -o FILE or --truth FILE"),
+        (["-o", "x.csv"], "no scenario is named; --list prints them"),
+        (["gel-26", "-o", "x.csv"], "no scenario 'gel-26'; known: gel-25-constant"),
+        (["gel-26", "-o", "x.csv"], ", random-stack"),
+        ([ID, "-o", "x.xyz"], "x.xyz has no known suffix; known are: .csv"),
+        ([ID, "-o", "no/x.csv"], "there is no folder no"),
+        ([ID, "-o", "x.csv", "--seed", "-1"], "expected a whole number from 0 up"),
+        ([ID, "-o", "x.csv", "--truth", "./x.csv"], "-o and --truth both write to x.csv"),
+    ],
+)
+def test_bad_requests_are_one_line_before_anything_is_simulated(quick, capsys, arguments, told):
+    assert main(["simulate", *arguments]) == 2
+    out, err = capsys.readouterr()
+    assert out == ""
+    assert re.fullmatch(rf"error: .*{re.escape(told)}.*\n", err)
+    assert quick == []
+
+
+def test_recording_and_truth_need_a_place_of_their_own(quick, capsys):
+    Path("here.csv").touch()
+    Path("hard.csv").hardlink_to("here.csv")
+    Path("x.db3").mkdir()
+    Path("through").symlink_to("x.db3")
+    for output, truth in (("here.csv", "hard.csv"), ("x.db3", "through/truth.csv")):
+        assert main(["simulate", ID, "-o", output, "--truth", truth]) == 2
+        assert f"-o and --truth both write to {output}" in capsys.readouterr().err
+    assert quick == []
+
+
+def test_without_mujoco_the_command_says_what_to_install(capsys, monkeypatch, tmp_path):
+    monkeypatch.setattr("groundtruth.arm_plant.mujoco", None)
+    assert main(["simulate", "free-motion", "-o", str(tmp_path / "x.csv")]) == 2
+    message = capsys.readouterr().err
+    assert message.startswith("error: the simulated arm needs")
+    assert "mujoco" in message
+    assert "pip install" in message

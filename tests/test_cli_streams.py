@@ -1,0 +1,305 @@
+"""Commands on pipes and growing files, and what signals, full disks and gone readers leave."""
+
+import os
+import signal
+import subprocess
+import sys
+import threading
+import time
+from pathlib import Path
+
+import numpy as np
+import pytest
+from bag_samples import grow, in_pieces
+from residual_command_log import write_insertion
+
+from groundtruth import insert_needle
+from identification.log_replay import ReplayStream
+from needleforce.cli import main
+from needleforce.cli.force_replay import Replay
+from needleforce.recordings import read_table, write_table
+
+PROGRAM = [sys.executable, "-m", "needleforce"]
+OPTIONS = {"force": ["--tare", "0:2.5"], "identify": []}
+FIRST_COLUMNS = {"force": b"t_s,travel_m,", "identify": b"t_s,enhanced_force_N,"}
+SUMMARY = {"force": "axial force", "identify": "friction N"}
+PATIENCE_S = 60.0
+
+
+@pytest.fixture(scope="module")
+def logs(lwr, tmp_path_factory):
+    """A log for each command, one of them without the speed that is then derived."""
+    folder = tmp_path_factory.mktemp("log")
+    run = insert_needle("gel-50-constant", seed=1, rate_hz=150.0)
+    columns = {"t_s": run.t_s, "depth_m": run.depth_m, "force_N": run.force_N}
+    write_table(folder / "derived.csv", columns)
+    write_table(folder / "identify.csv", columns | {"speed_m_s": run.speed_m_s})
+    write_insertion(folder / "force.csv", lwr)
+    return folder
+
+
+@pytest.fixture(scope="module", params=["force", "identify", "derived"])
+def case(request, logs):
+    """A command with its log, and what it writes for the whole file."""
+    name = "identify" if request.param == "derived" else request.param
+    path, table = logs / f"{request.param}.csv", logs / f"{request.param}-expected.csv"
+    assert main([name, str(path), *OPTIONS[name], "-o", str(table)]) == 0
+    return name, path, table.read_bytes()
+
+
+def wait_for(condition):
+    until = time.monotonic() + PATIENCE_S
+    while not condition():
+        assert time.monotonic() < until
+        time.sleep(0.05)
+
+
+def start(*argv):
+    return subprocess.Popen(
+        [*PROGRAM, *map(str, argv)], stdout=subprocess.PIPE, stderr=subprocess.PIPE
+    )
+
+
+def test_a_pipe_in_and_out_gives_the_bytes_of_the_file(case):
+    name, path, expected = case
+    argv = [*PROGRAM, name, "-", *OPTIONS[name], "-o", "-"]
+    done = subprocess.run(argv, input=path.read_bytes(), capture_output=True, check=False)
+    assert (done.returncode, done.stdout) == (0, expected), done.stderr
+    assert SUMMARY[name].encode() in done.stderr
+
+
+def test_every_row_of_the_log_has_its_row_in_the_table(case, tmp_path):
+    _, path, expected = case
+    (tmp_path / "table.csv").write_bytes(expected)
+    found, logged = (read_table(p).columns["t_s"] for p in (tmp_path / "table.csv", path))
+    np.testing.assert_array_equal(found, logged)
+
+
+def test_both_commands_work_in_one_pipe(logs):
+    data = (logs / "force.csv").read_bytes()
+    argv = [sys.executable, "-m", "residual", "-", "--tare", "0:2.5", "-o", "-"]
+    forces = subprocess.run(argv, input=data, capture_output=True, check=True).stdout
+    argv = [sys.executable, "-m", "identification", "-", "-o", "-"]
+    done = subprocess.run(argv, input=forces, capture_output=True, check=False)
+    assert done.returncode == 0, done.stderr
+    assert done.stdout.count(b"\n") == forces.count(b"\n") == 4001
+
+
+@pytest.mark.parametrize("suffix", ["npz", "csv.gz"])
+def test_the_bytes_do_not_depend_on_the_format_of_the_log(lwr, logs, tmp_path, suffix):
+    expected, out = tmp_path / "expected.csv", tmp_path / "out.csv"
+    path = write_insertion(tmp_path / f"log.{suffix}", lwr)
+    for log, table in ((logs / "force.csv", expected), (path, out)):
+        assert main(["force", str(log), *OPTIONS["force"], "-o", str(table)]) == 0
+    assert out.read_bytes() == expected.read_bytes()
+
+
+@pytest.mark.parametrize("name", ["force", "identify"])
+def test_a_bag_may_grow_or_come_through_a_pipe(logs, tmp_path, name):
+    log, expected, out = (tmp_path / file for file in ("log.mcap", "expected.csv", "out.csv"))
+    columns = read_table(logs / f"{name}.csv").columns
+    joints = {key: values for key, values in columns.items() if values.ndim == 2}
+    write_table(log, joints | {key: v for key, v in columns.items() if v.ndim == 1})
+    assert main([name, str(log), *OPTIONS[name], "-o", str(expected)]) == 0
+    data = log.read_bytes()
+    argv = [*PROGRAM, name, "-", *OPTIONS[name], "-o", "-"]
+    done = subprocess.run(argv, input=data, capture_output=True, check=False)
+    assert (done.returncode, done.stdout) == (0, expected.read_bytes())
+    assert b"standard input is mcap, not text" in done.stderr
+    writer = grow(tmp_path / "growing.mcap", in_pieces(data, 20), pause_s=0.05)
+    argv = [name, str(tmp_path / "growing.mcap"), "--follow", *OPTIONS[name], "-o", str(out)]
+    assert main(argv) == 0
+    writer.join()
+    assert out.read_bytes() == expected.read_bytes()
+
+
+def test_a_growing_file_gives_rows_at_once_and_all_of_them_in_the_end(logs, tmp_path):
+    log, growing, out = logs / "force.csv", tmp_path / "growing.csv", tmp_path / "out.csv"
+    whole = tmp_path / "whole.csv"
+    assert main(["force", str(log), *OPTIONS["force"], "-o", str(whole)]) == 0
+    data, expected = log.read_bytes(), whole.read_bytes()
+    half = data.index(b"\n", len(data) // 2) - 5
+    growing.write_bytes(data[:half])
+    with start("force", growing, "--follow", *OPTIONS["force"], "-o", out) as process:
+        wait_for(lambda: out.is_file() and out.read_bytes().count(b"\n") > 1900)
+        assert expected.startswith(out.read_bytes())
+        with growing.open("ab") as stream:
+            stream.write(data[half:])
+        wait_for(lambda: len(out.read_bytes()) == len(expected))
+        process.send_signal(signal.SIGINT)
+        printed, said = process.communicate(timeout=PATIENCE_S)
+    assert (process.returncode, said) == (0, b"")
+    assert out.read_bytes() == expected
+    assert b"axial force" in printed
+
+
+def test_following_ends_by_itself_when_nothing_comes(case, tmp_path, capsys):
+    name, path, expected = case
+    out = tmp_path / "out.csv"
+    argv = [name, str(path), "--follow", "--idle", "0.3", *OPTIONS[name], "-o", str(out)]
+    assert main(argv) == 0
+    assert out.read_bytes() == expected
+    assert SUMMARY[name] in capsys.readouterr().out
+
+
+# Signals.
+
+
+@pytest.fixture
+def interrupted(monkeypatch):
+    """Ctrl-C while the first rows are estimated."""
+    for kind in (Replay, ReplayStream):
+
+        def run(self, *columns, before=kind.run):
+            os.kill(os.getpid(), signal.SIGINT)
+            return before(self, *columns)
+
+        monkeypatch.setattr(kind, "run", run)
+
+
+@pytest.mark.usefixtures("interrupted")
+@pytest.mark.parametrize("suffix", ["csv", "npz"])
+@pytest.mark.parametrize("name", ["force", "identify"])
+def test_ctrl_c_keeps_what_was_done_and_says_what_it_replaced(logs, tmp_path, capsys, name, suffix):
+    log, path = logs / f"{name}.csv", tmp_path / f"out.{suffix}"
+    argv = [name, str(log), *OPTIONS[name], "-o", str(path)]
+    assert main(argv) == 130
+    printed = capsys.readouterr()
+    assert "interrupted: the results are those of the rows read so far" in printed.err
+    assert "replaced" not in printed.err
+    outcome = {"force": "tare         none", "identify": "no rupture detected"}
+    assert outcome[name] in printed.out
+    rows = len(read_table(path).columns["t_s"])
+    assert 0 < rows < len(read_table(log).columns["t_s"])
+    assert list(tmp_path.iterdir()) == [path]
+    assert main(argv) == 130
+    replaced = f"{path} holds these rows only; the table that was there is replaced"
+    assert replaced in capsys.readouterr().err
+
+
+@pytest.mark.parametrize(("kind", "code"), [(signal.SIGINT, 130), (signal.SIGTERM, 143)])
+@pytest.mark.parametrize("has_writer", [True, False])
+def test_a_signal_before_there_is_a_log_ends_the_command(tmp_path, kind, code, has_writer):
+    pipe = tmp_path / "pipe.csv"
+    os.mkfifo(pipe)
+    handle = os.open(pipe, os.O_RDWR) if has_writer else None
+    with start("force", pipe, "--no-tare", "-o", tmp_path / "o.npz") as process:
+        # Until the handlers are set and the pipe is open.
+        wait_for(lambda: _is_open(process.pid, pipe))
+        time.sleep(0.2)
+        process.send_signal(kind)
+        printed, said = process.communicate(timeout=PATIENCE_S)
+    if handle is not None:
+        os.close(handle)
+    word = b"interrupted\n" if kind is signal.SIGINT else b"terminated\n"
+    assert (process.returncode, printed, said) == (code, b"", word)
+    assert [path.name for path in tmp_path.iterdir()] == ["pipe.csv"]
+
+
+def _is_open(pid, path):
+    try:
+        links = list(Path(f"/proc/{pid}/fd").iterdir())
+        return any(os.readlink(link) == str(path) for link in links)
+    except OSError:
+        return False
+
+
+def test_a_pipe_that_nobody_writes_ends_after_idle(tmp_path, capsys):
+    pipe = tmp_path / "pipe.csv"
+    os.mkfifo(pipe)
+    assert main(["force", str(pipe), "--no-tare", "--idle", "0.3"]) == 2
+    assert "it is empty" in capsys.readouterr().err
+
+
+@pytest.mark.parametrize("suffix", ["npz", "csv", "parquet", "db3"])
+def test_sigterm_leaves_the_older_table_and_nothing_else(logs, tmp_path, suffix):
+    out = tmp_path / f"out.{suffix}"
+    write_table(out, {"t_s": [1.0, 2.0], "force_N": [3.0, 4.0]})
+    before = sorted(tmp_path.iterdir())
+    with start("force", logs / "force.csv", *OPTIONS["force"], "-o", out) as process:
+        wait_for(lambda: sorted(tmp_path.iterdir()) != before or process.poll() is not None)
+        process.send_signal(signal.SIGTERM)
+        process.communicate(timeout=PATIENCE_S)
+    assert process.returncode == 143
+    assert sorted(tmp_path.iterdir()) == before
+    assert len(read_table(out).columns["t_s"]) == 2
+
+
+def test_a_log_that_fails_leaves_the_older_table_a_stream_what_it_gave(lwr, tmp_path, capsys):
+    early = write_insertion(tmp_path / "early.csv", lwr, contact_s=1.0)
+    out = tmp_path / "out.csv"
+    out.write_text("old\n1\n")
+    argv = ["force", str(early), *OPTIONS["force"], "-o", str(out)]
+    assert main(argv) == 2
+    assert out.read_text() == "old\n1\n"
+    assert main([*argv, "--follow", "--idle", "0.1"]) == 2
+    assert "--force-tare" in capsys.readouterr().err
+    columns = read_table(out).columns
+    assert 1000 < len(columns["t_s"]) <= 2500
+    assert columns["force_status"].min() == 1
+
+
+# Standard streams and named pipes.
+
+
+def test_a_table_goes_into_a_named_pipe(logs, tmp_path):
+    pipe, read = tmp_path / "pipe.csv", []
+    os.mkfifo(pipe)
+    reader = threading.Thread(target=lambda: read.append(pipe.read_bytes()))
+    reader.start()
+    assert main(["force", str(logs / "force.csv"), "--no-tare", "-o", str(pipe)]) == 0
+    reader.join(PATIENCE_S)
+    assert pipe.is_fifo()
+    assert read[0].count(b"\n") == 4001
+
+
+def test_a_reader_that_goes_away_ends_the_command_quietly(case):
+    name, path, _ = case
+    with start(name, path, "-o", "-") as process:
+        assert process.stdout.readline().startswith(FIRST_COLUMNS[name])
+        process.stdout.close()
+        said = process.stderr.read()
+    assert process.returncode == 141
+    assert b"Traceback" not in said
+    assert b"BrokenPipe" not in said
+
+
+@pytest.mark.skipif(not Path("/dev/full").exists(), reason="the system has no /dev/full")
+@pytest.mark.parametrize("output", [[], ["-o", "-"], ["--help"]])
+def test_a_full_disk_is_reported(logs, output):
+    argv = [*PROGRAM, "force", str(logs / "force.csv"), "--no-tare", *output]
+    with open("/dev/full", "wb") as full:
+        done = subprocess.run(argv, stdout=full, stderr=subprocess.PIPE, check=False)
+    assert done.returncode == 2
+    (line,) = done.stderr.splitlines()
+    assert line == b"error: cannot write standard output: No space left on device"
+
+
+@pytest.mark.parametrize(
+    ("command", "data", "message"),
+    [
+        ("force", b"", "standard input: it is empty"),
+        ("force", b"\n\n", "standard input: it is empty"),
+        ("force", bytes(range(256)) * 20, "standard input: it is not text"),
+        ("force", b"t,q1,tau1\n", "a header but no rows"),
+        ("force", b"t,f\n0,1\n1,2\n", "no column found for q"),
+        ("identify", b"", "standard input: it is empty"),
+        ("identify", b"\x00\x01" * 99, "standard input: it is not text"),
+        ("identify", b"PK\x03\x04\x00", "not an npz"),
+        ("identify", b"\x89MCAP0\r\n", "no messages"),
+    ],
+)
+def test_standard_input_without_a_log_is_one_clear_line(
+    command, data, message, monkeypatch, tmp_path, capsys
+):
+    (tmp_path / "data").write_bytes(data)
+    with (tmp_path / "data").open() as stream:
+        monkeypatch.setattr(sys, "stdin", stream)
+        assert main([command, "-", "-o", "-"]) == 2
+    printed = capsys.readouterr()
+    assert printed.out == ""
+    *warnings, line = printed.err.splitlines()
+    assert all(warning.startswith("warning: ") for warning in warnings)
+    assert line.startswith("error: ")
+    assert "standard input" in line or "column" in line
+    assert message in line

@@ -1,0 +1,253 @@
+"""Charts: what is drawn is what was given, also when there is too much of it."""
+
+import builtins
+import errno
+import os
+import re
+import stat
+import sys
+import xml.etree.ElementTree as ElementTree
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from needleforce.plots import (
+    Chart,
+    Curve,
+    FiguresError,
+    Instants,
+    LineStyle,
+    Panel,
+    Shading,
+    palette,
+    require_matplotlib,
+    save_figure,
+)
+from needleforce.plots.chart import (
+    SETTINGS,
+    ChartError,
+    MissingExtraError,
+    WriteError,
+    draw,
+    limits_of,
+    write_file,
+)
+
+pytest.importorskip("matplotlib")
+
+
+def curve(y, label="a force", **more):
+    y = np.asarray(y, dtype=float)
+    return Curve(style=palette.OURS, x=np.arange(len(y)) * 1e-3, y=y, label=label, **more)
+
+
+def chart(*curves, title="Force\na run", limits=None, **more):
+    panel = Panel(y_label=palette.FORCE, curves=curves, limits=limits)
+    return Chart(title=title, x_label=palette.TIME, panels=(panel,), **more)
+
+
+def words(path):
+    """Text of a figure: matplotlib notes it beside the shapes of the letters."""
+    return re.findall(r"<!-- (.*?) -->", path.read_text(encoding="utf-8"))
+
+
+def places(path, color):
+    """Points of the lines of a colour in an SVG, shape (n, 2) in points from the upper left."""
+    text = path.read_text(encoding="utf-8")
+    drawn = re.findall(rf'<path d="([^"]*)" clip-path[^>]*stroke: {color}', text)
+    found = re.findall(r"[ML] ?(-?[\d.]+) (-?[\d.]+)", " ".join(drawn))
+    return np.array(found, dtype=float)
+
+
+def drawn_axes(chart):
+    from matplotlib import rc_context
+
+    with rc_context(SETTINGS):
+        return draw(chart).axes
+
+
+def test_labels_units_and_legend_are_in_the_figure(tmp_path):
+    style = LineStyle(color=palette.BLUE, marker="^")
+    full = chart(
+        Curve(style=style, x=np.zeros(1), y=np.zeros(1), label="gel"),
+        curve([0.0, 1.0], std=np.array([0.1, 0.1]), band_label="± 2 std"),
+        shadings=(Shading("tare", palette.TARE, ((0.0, 1e-4), (2e-4, 5e-4))),),
+        instants=(
+            Instants(label="rupture", style=palette.RUPTURE, places=(0.5e-3,)),
+            Instants(label="rejected", style=palette.REJECTED, places=(0.2e-3,)),
+        ),
+        x_ticks=((0.0, "25 %"), (1e-3, "50 %")),
+    )
+    path = save_figure(full, tmp_path / "a.svg")
+    found = words(path)
+    expected = ["Force", "a run", "axial force [N]", "time [s]", "a force", "± 2 std", "tare"]
+    for text in (*expected, "rupture", "rejected", "gel", "25 %"):
+        assert found.count(text) == 1, "once, also where it stands for several marks"
+    assert ElementTree.parse(path).getroot().tag.endswith("svg")
+
+
+@pytest.mark.parametrize(
+    ("suffix", "start"), [("svg", b"<?xml"), ("png", b"\x89PNG"), ("PDF", b"%PDF")]
+)
+def test_the_ending_gives_the_format_and_equal_charts_give_equal_bytes(tmp_path, suffix, start):
+    paths = [save_figure(chart(curve([0.0, 2.0])), tmp_path / f"{name}.{suffix}") for name in "ab"]
+    assert paths[0].read_bytes().startswith(start)
+    assert paths[0].read_bytes() == paths[1].read_bytes()
+
+
+def test_an_unknown_ending_is_refused_before_the_work(tmp_path):
+    for refuse in (save_figure, require_matplotlib):
+        with pytest.raises(ChartError, match=r"a\.gif: its name must end in one of"):
+            refuse(chart(curve([0.0])), tmp_path / "a.gif")
+
+
+@pytest.mark.parametrize("name", [r"$\frac{$.csv", "a\udcff\x01 -- <b>&.csv", "针.csv", "^_{}.csv"])
+@pytest.mark.parametrize("suffix", ["svg", "png", "pdf"])
+def test_any_file_name_can_stand_in_a_title(tmp_path, name, suffix, recwarn):
+    path = save_figure(chart(curve([0.0, 1.0]), title=f"Forces\n{name}"), tmp_path / f"a.{suffix}")
+    assert path.stat().st_size > 1000
+    assert not recwarn.list
+    if suffix == "svg":
+        ElementTree.parse(path)
+        readable = name.replace("\udcff\x01", r"\udcff\x01")
+        assert readable in words(path) or "--" in name
+
+
+def test_a_long_curve_makes_a_small_file_that_keeps_peaks_and_gaps(tmp_path):
+    noise = np.random.default_rng(0).normal(size=1_000_000)
+    path = save_figure(chart(curve(noise)), tmp_path / "a.svg")
+    assert path.stat().st_size < 100_000
+    wave = np.sin(np.linspace(0.0, 20.0, 300_000))
+    save_figure(chart(curve(wave, std=np.ones(len(wave)))), path)
+    assert path.stat().st_size < 100_000, "of a band as well"
+    noise[123_456] = 20.0
+    spiked = places(save_figure(chart(curve(noise), limits=(-25, 25)), path), palette.BLUE)
+    upper, lower = spiked[:, 1].min(), spiked[:, 1].max()
+    middle = np.median(spiked[:, 1])
+    assert middle - upper > 3.0 * (lower - middle)
+    holed = np.zeros(100_000)
+    holed[4_321:6_000] = np.nan
+    std = np.ones(len(holed))
+    text = save_figure(chart(curve(holed, std=std)), path).read_text(encoding="utf-8")
+    lines = re.findall(rf'<path d="([^"]*)" clip-path[^>]*stroke: {palette.BLUE}', text)
+    assert [line.count("M") for line in lines] == [2, 2, 2], "two pieces: curve and edges of band"
+
+
+def test_room_is_made_for_nearly_everything_and_what_is_cut_is_marked():
+    y = np.ones(10_000)
+    y[77] = 1e6
+    low, high = limits_of([curve(y)], None)
+    assert low < 0.0 < 1.0 < high < 2.0
+    low, high = limits_of([curve(y, std=np.full(len(y), 2.0))], None)
+    assert low < -3.0
+    assert high > 5.0
+    assert limits_of([curve([np.nan])], None) == (-1.0, 1.0)
+    (axes,) = drawn_axes(chart(curve(y)))
+    marks = [line for line in axes.lines if line.get_marker() == "^"]
+    assert [line.get_xdata()[0] for line in marks] == [pytest.approx(0.077, abs=0.1)]
+    assert marks[0].get_ydata()[0] == axes.get_ylim()[1]
+    assert [text.get_text() for text in axes.texts] == ["1000000"]
+    (axes,) = drawn_axes(chart(curve(-y), limits=(-0.5, 0.5)))
+    assert "v" in [line.get_marker() for line in axes.lines]
+    assert not drawn_axes(chart(curve(np.ones(9))))[0].texts, "nothing is cut, nothing is marked"
+
+
+def test_a_window_shows_a_part_with_axes_for_that_part():
+    y = np.concatenate([np.full(100, 50.0), np.ones(100)])
+    assert limits_of([curve(y)], (0.11, 0.2))[1] < 2.0
+    window = chart(curve(y), limits=(0.0, 60.0)).within(0.11, 0.2)
+    (axes,) = drawn_axes(window)
+    assert axes.get_xlim() == (0.11, 0.2)
+    assert axes.get_ylim()[1] < 2.0
+    assert not axes.texts, "what is cut outside of the window is not marked"
+    with pytest.raises(ChartError, match="from 2 to 1; the end must lie after the start"):
+        window.within(2.0, 1.0)
+
+
+def test_events_stand_on_the_lower_edge_and_hide_no_peak():
+    event = Instants(label="rupture", style=palette.RUPTURE, places=(0.5,))
+    (axes,) = drawn_axes(chart(curve([0.0, 1.0]), instants=(event,), x_limits=(0.0, 1.0)))
+    axes.figure.canvas.draw()
+    (mark,) = [line for line in axes.lines if line.get_label() == "rupture"]
+    assert mark.get_linestyle() == "None"
+    box, frame = mark.get_window_extent(), axes.get_window_extent()
+    assert frame.y0 <= box.y0
+    assert box.y1 < frame.y0 + 0.3 * frame.height
+
+
+def test_ragged_and_empty_charts_are_refused():
+    with pytest.raises(ChartError, match=r"'a': y has shape \(2,\) where x has \(3,\)"):
+        Curve(style=palette.OURS, x=np.zeros(3), y=np.zeros(2), label="a")
+    with pytest.raises(ChartError, match="no panel"):
+        Chart(title="a", x_label="b", panels=())
+
+
+def test_a_failing_write_leaves_the_older_file_as_it_was(tmp_path, monkeypatch):
+    path = save_figure(chart(curve([0.0, 1.0])), tmp_path / "forces.svg")
+    before = path.read_bytes()
+    real = Path.open
+
+    def full_disk(self, mode="r", *more, **named):
+        file = real(self, mode, *more, **named)
+        if "b" in mode and "x" in mode:
+            file.write(b"<svg")
+            file.close()
+            raise OSError(errno.ENOSPC, "No space left on device")
+        return file
+
+    monkeypatch.setattr(Path, "open", full_disk)
+    with pytest.raises(WriteError, match=r"forces\.svg: No space left on device"):
+        save_figure(chart(curve([5.0, 1.0])), path)
+    assert path.read_bytes() == before
+    assert list(tmp_path.iterdir()) == [path], "no part of a file is left"
+
+
+def test_a_link_and_a_pipe_stay_what_they_are(tmp_path):
+    target, link, pipe = tmp_path / "target", tmp_path / "link", tmp_path / "pipe"
+    target.write_bytes(b"old")
+    link.symlink_to(target)
+    assert write_file(link, b"new") == link
+    assert link.is_symlink()
+    assert target.read_bytes() == b"new"
+    os.mkfifo(pipe)
+    reader = os.open(pipe, os.O_RDONLY | os.O_NONBLOCK)
+    write_file(pipe, b"through")
+    assert os.read(reader, 10) == b"through"
+    os.close(reader)
+    assert stat.S_ISFIFO(pipe.stat().st_mode)
+
+
+def test_what_cannot_be_written_is_said(tmp_path):
+    with pytest.raises(WriteError, match="cannot write"):
+        save_figure(chart(curve([0.0])), tmp_path / "none" / "a.png")
+    assert issubclass(WriteError, FiguresError)
+
+
+@pytest.mark.parametrize("absent", ["matplotlib", "jinja2"])
+def test_without_its_libraries_the_message_says_what_to_install(monkeypatch, absent):
+    real = builtins.__import__
+
+    def missing(name, *more):
+        if name.startswith(absent):
+            raise ImportError(name, name=absent)
+        return real(name, *more)
+
+    monkeypatch.delitem(sys.modules, "matplotlib.figure", raising=False)
+    monkeypatch.setattr(builtins, "__import__", missing)
+    with pytest.raises(MissingExtraError, match=rf"--report needs {absent}.*needleforce\[plots\]"):
+        require_matplotlib("--report")
+
+
+def luminance(color):
+    """Relative luminance of a colour, as the web's accessibility guidelines define it."""
+    parts = [int(color[k : k + 2], 16) / 255.0 for k in (1, 3, 5)]
+    linear = [c / 12.92 if c <= 0.03928 else ((c + 0.055) / 1.055) ** 2.4 for c in parts]
+    return float(np.dot([0.2126, 0.7152, 0.0722], linear))
+
+
+def test_lines_that_share_a_panel_differ_without_colour_and_stand_out_on_white():
+    roles = [palette.OURS, palette.PUBLISHED, palette.PUBLISHED_KV, palette.TRUE_PART]
+    assert len({role.dash for role in roles}) == len(roles)
+    for role in (*roles, palette.TRUE, palette.READING, palette.OTHER_SENSOR):
+        assert 1.05 / (luminance(role.color) + 0.05) >= 3.0

@@ -1,0 +1,427 @@
+"""Finding columns, their units, and mappings in code, in TOML and in the short form."""
+
+import tomllib
+from dataclasses import FrozenInstanceError
+
+import numpy as np
+import pytest
+from bag_samples import insertion_rows, joint_state, write_bag
+from hypothesis import given
+from hypothesis import strategies as st
+
+from needleforce.recordings import (
+    CHANNELS,
+    ColumnError,
+    ColumnMapping,
+    ColumnSpec,
+    FileAccessError,
+    MappingError,
+    Table,
+    load_mapping,
+    read_log,
+    write_table,
+)
+from needleforce.recordings.channels import (
+    detect_columns,
+    find_columns,
+    find_unit,
+    parse_column_name,
+    require_unit,
+    split_unit,
+)
+from needleforce.recordings.mapping import parse_column_spec
+from needleforce.recordings.open_recording import suggest_mapping
+
+JOINTS = ("q", "dq", "tau")
+
+
+def table_of(*names, **two_dimensional):
+    columns = {name: np.full(3, float(i)) for i, name in enumerate(names)}
+    return Table(columns={**columns, **two_dimensional})
+
+
+def found(table, pattern):
+    return [column.name for column in find_columns(table, pattern)]
+
+
+def detected(table, channel):
+    return [column.name for column in detect_columns(table, CHANNELS[channel])]
+
+
+@pytest.mark.parametrize(
+    ("written", "channel", "unit"),
+    [
+        ("mm/s", "speed", "mm/s"),
+        ("mm_s", "speed", "mm/s"),
+        ("mm_per_s", "speed", "mm/s"),
+        ("µs", "time", "us"),
+        ("μm", "depth", "um"),
+        ("N·m", "tau", "Nm"),
+        ("N.m", "tau", "Nm"),
+        (" N ", "force", "N"),
+        ("°", "q", "deg"),
+        ("°/s", "dq", "deg/s"),
+        ("n", "force", None),
+        ("inch", "depth", None),
+    ],
+)
+def test_units_are_known_in_their_usual_spellings(written, channel, unit):
+    assert find_unit(written, CHANNELS[channel].units) == unit
+
+
+def test_an_unknown_unit_is_refused_with_the_known_ones():
+    with pytest.raises(MappingError, match="'inch' of depth is not known; use one of: m, cm, mm"):
+        require_unit("inch", CHANNELS["depth"].units, "depth")
+
+
+@pytest.mark.parametrize("channel", CHANNELS.values(), ids=lambda channel: channel.name)
+def test_each_channel_is_si_first_and_named_after_it(channel):
+    assert channel.units[channel.si_unit] == 1.0
+    has_unit = channel.name not in ("force_status", "force_warnings")
+    assert split_unit(channel.key, channel.units)[1] == (channel.si_unit if has_unit else None)
+
+
+@pytest.mark.parametrize(
+    ("name", "channel", "stem", "number", "unit"),
+    [
+        ("q", "q", "q", None, None),
+        ("q1", "q", "q", 1, None),
+        ("q_1", "q", "q", 1, None),
+        ("q.1", "q", "q", 1, None),
+        ("q[0]", "q", "q", 0, None),
+        ("q7_deg", "q", "q", 7, "deg"),
+        ("q_rad_7", "q", "q", 7, "rad"),
+        ("q_rad[6]", "q", "q", 6, "rad"),
+        ("dq_rad_s", "dq", "dq", None, "rad/s"),
+        ("dq_rad_s", "q", "dq_rad_s", None, None),
+        ("tau_J3", "tau", "tau_j", 3, None),
+        ("/joint_states/position[2]", "q", "position", 2, None),
+        ("Depth [mm]", "depth", "depth", None, "mm"),
+        ("z (mm)", "depth", "z", None, "mm"),
+        ("speed [mm/s]", "speed", "speed", None, "mm/s"),
+        ("speed_mm_s", "speed", "speed", None, "mm/s"),
+        ("depth_m_04", "depth", "depth", 4, "m"),
+        ("f_z", "force", "f_z", None, None),
+        ("t_ns", "time", "t", None, "ns"),
+        ("time [beats]", "time", "time [beats]", None, None),
+        ("42", "q", "42", None, None),
+        ("q2024051512", "q", "q2024051512", None, None),
+        (f"q{'9' * 5000}", "q", f"q{'9' * 5000}", None, None),
+    ],
+)
+def test_a_name_is_taken_apart(name, channel, stem, number, unit):
+    parts = parse_column_name(name, CHANNELS[channel].units)
+    assert (parts.stem, parts.number, parts.unit) == (stem, number, unit)
+
+
+@given(st.text(max_size=12), st.sampled_from(sorted(CHANNELS)))
+def test_any_text_can_be_taken_apart(name, channel):
+    parts = parse_column_name(name, CHANNELS[channel].units)
+    assert parts.unit is None or parts.unit in CHANNELS[channel].units
+
+
+@pytest.mark.parametrize(
+    ("pattern", "names"),
+    [
+        ("a", ["a"]),
+        ("q{1..3}", ["q1", "q2", "q3"]),
+        ("q{3..1}", ["q3", "q2", "q1"]),
+        ("k{08..10}", ["k08", "k09", "k10"]),
+        ("q*", ["q1", "q2", "q3"]),
+        ("/j*/effort", ["/j9/effort", "/j10/effort"]),
+        ("q", ["q1", "q2", "q3"]),
+        ("wrench[2]", ["wrench[2]"]),
+        ("wrench[{0..1}]", ["wrench[0]", "wrench[1]"]),
+        ("odd*name", ["odd*name"]),
+    ],
+)
+def test_a_pattern_gives_columns_in_the_order_of_their_numbers(pattern, names):
+    # Written in an order that is neither the file's nor the alphabet's.
+    table = table_of(
+        *("q3", "q1", "q2", "a", "k10", "k08", "k09", "/j10/effort", "/j9/effort", "odd*name"),
+        wrench=np.arange(18.0).reshape(3, 6),
+    )
+    assert found(table, pattern) == names
+
+
+def test_an_element_of_a_two_dimensional_column_counts_from_zero():
+    wrench = np.arange(18.0).reshape(3, 6)
+    (column,) = find_columns(table_of(wrench=wrench), "wrench[2]")
+    np.testing.assert_array_equal(column.values, wrench[:, 2])
+
+
+@pytest.mark.parametrize(
+    ("pattern", "message"),
+    [
+        ("force", "no column 'force'. Did you mean 'Force'\\? Columns are: Force, q1"),
+        ("q{1..3}", "no column 'q3'"),
+        ("x_*", r"no column 'x_\*'. The \* stands for one number; all the rest"),
+        ("z", r"no column 'z'. Did you mean 'z \[mm\]'\?"),
+        ("q1:grad", "The unit 'grad' is none of this channel's; --help lists them"),
+        ("/a:b", "no column '/a:b'. Columns are"),
+        ("q1[0]", "no column"),
+        ("none[0]", "no column"),
+        ("wrench[6]", r"has the elements \[0\] to \[5\]"),
+        ("p", "found the numbers 1 to 4, but not 2, 3"),
+        ("p*", "found the numbers 1 to 4, but not 2, 3"),
+        ("k", "fits both 'k1' and 'k_1'"),
+        ("q{1..1000000000000}", "no column"),
+        ("q{1..999999999}", "no column 'q3'"),
+        ("h", "found the numbers 1 to 900000000, but not 2, 3, 4, 5, 6;"),
+    ],
+)
+def test_a_pattern_that_fits_nothing_or_too_much_is_refused(pattern, message):
+    names = ("Force", "q1", "q2", "p1", "p4", "k1", "k_1", "z [mm]", "h1", "h900000000")
+    table = table_of(*names, wrench=np.zeros((3, 6)))
+    with pytest.raises(ColumnError, match=message):
+        find_columns(table, pattern)
+
+
+@pytest.mark.parametrize("channel", CHANNELS.values(), ids=lambda channel: channel.name)
+def test_every_usual_name_is_recognised_in_any_case_and_with_any_unit(channel):
+    for spelling in channel.spellings:
+        for unit in ("", *(f"_{unit.replace('/', '_')}" for unit in channel.units)):
+            for name in (f"{spelling}{unit}", f"/topic/{spelling.upper()}{unit}"):
+                assert detected(table_of("other", name), channel.name) == [name]
+
+
+@pytest.mark.parametrize(
+    ("names", "channel", "columns"),
+    [
+        (["q2", "q1", "q3", "t"], "q", ["q1", "q2", "q3"]),
+        ([f"q_{i}" for i in range(1, 12)], "q", [f"q_{i}" for i in range(1, 12)]),
+        (["position[1]", "position[0]"], "q", ["position[0]", "position[1]"]),
+        (["actual_q_0", "actual_q_1", "actual_qd_0", "actual_qd_1"], "dq", None),
+        (["q", "q_d"], "q", ["q"]),
+        (["force_N", "force_N_1"], "force", ["force_N"]),
+        (["depth_m_04", "force_N_04"], "depth", ["depth_m_04"]),
+        (["temperature", "phase"], "force", []),
+    ],
+)
+def test_columns_are_found_by_their_usual_names(names, channel, columns):
+    expected = ["actual_qd_0", "actual_qd_1"] if columns is None else columns
+    assert detected(table_of(*names), channel) == expected
+
+
+def test_a_two_dimensional_column_is_a_joint_channel_but_not_a_single_one():
+    table = table_of(q=np.zeros((3, 7)), force=np.zeros((3, 6)), z=np.zeros((3, 1)))
+    assert detected(table, "q") == ["q"]
+    assert detected(table, "force") == []
+    assert detected(table, "depth") == ["z"]
+
+
+@pytest.mark.parametrize(
+    ("names", "channel", "message"),
+    [
+        (["t", "timestamp"], "time", r"several columns would fit \(t, timestamp\).*--time"),
+        (["depth_m_00", "depth_m_02"], "depth", "depth_m_00, depth_m_02"),
+        (["q", "position"], "q", "several"),
+        (["q1", "q2", "/other/q1", "/other/q2"], "q", "q#, /other/q#"),
+        (["q1", "q2", "q4"], "q", "numbers 1 to 4, but not 3"),
+    ],
+)
+def test_an_ambiguous_or_incomplete_choice_is_refused(names, channel, message):
+    with pytest.raises(ColumnError, match=message):
+        detect_columns(table_of(*names), CHANNELS[channel])
+
+
+def from_toml(tmp_path, text):
+    path = tmp_path / "mapping.toml"
+    path.write_text(text, encoding="utf-8")
+    return load_mapping(path)
+
+
+@pytest.mark.parametrize("columns", ["", (), ("q1", "")])
+def test_a_specification_names_columns(columns):
+    with pytest.raises(MappingError, match="names no column"):
+        ColumnSpec(columns=columns)
+
+
+@pytest.mark.parametrize("scale", [0.0, float("nan"), float("inf"), (1.0, 0.0), (), 10**400])
+def test_a_scale_is_finite_and_not_zero(scale):
+    with pytest.raises(MappingError, match="finite and not zero"):
+        ColumnSpec(columns="z", scale=scale)
+
+
+def test_a_mapping_is_frozen_and_spells_units_one_way():
+    source = {"speed": ColumnSpec(columns="v", unit="mm_s")}
+    mapping = ColumnMapping(channels=source)
+    source.clear()
+    assert mapping.channels["speed"].unit == "mm/s"
+    with pytest.raises(FrozenInstanceError):
+        mapping.rate_hz = 1.0  # pyright: ignore
+    with pytest.raises(TypeError):
+        mapping.channels["speed"] = ColumnSpec(columns="v")  # pyright: ignore
+
+
+@pytest.mark.parametrize(
+    ("channels", "rate_hz", "message"),
+    [
+        ({"torque": "tau"}, None, "unknown channel 'torque'; channels are: time, q, dq, tau"),
+        ({}, 0.0, "positive"),
+        ({}, float("nan"), "positive"),
+        ({}, float("inf"), "positive"),
+        ({}, 10**400, "positive"),
+        ({"time": "t"}, 100.0, "keep one"),
+    ],
+)
+def test_a_mapping_that_contradicts_itself_is_refused(channels, rate_hz, message):
+    channels = {name: ColumnSpec(columns=columns) for name, columns in channels.items()}
+    with pytest.raises(MappingError, match=message):
+        ColumnMapping(channels=channels, rate_hz=rate_hz)
+
+
+def test_a_mapping_refuses_a_unit_of_another_quantity():
+    with pytest.raises(MappingError, match="unit 'deg' of channel 'depth' is not known"):
+        ColumnMapping(channels={"depth": ColumnSpec(columns="z", unit="deg")})
+
+
+def test_toml_gives_columns_units_scales_and_rate(tmp_path):
+    mapping = from_toml(
+        tmp_path,
+        """
+        rate_hz = 500
+        depth = "z"
+        [q]
+        columns = "q{1..7}"
+        unit = "deg"
+        [tau]
+        columns = ["i1", "i2"]
+        scale = [10.5, -9]
+        [force]
+        columns = "fz"
+        scale = -1
+        """,
+    )
+    assert mapping.rate_hz == 500
+    assert mapping.channels["depth"] == ColumnSpec(columns="z")
+    assert mapping.channels["q"] == ColumnSpec(columns="q{1..7}", unit="deg")
+    assert mapping.channels["tau"] == ColumnSpec(columns=("i1", "i2"), scale=(10.5, -9.0))
+    assert mapping.channels["force"] == ColumnSpec(columns="fz", scale=-1.0)
+
+
+@pytest.mark.parametrize(
+    ("text", "message"),
+    [
+        ("depth = ", "not valid TOML"),
+        ("depht = 'z'", "unknown channel 'depht'"),
+        ("rate_hz = 'fast'", r"Expected `float | null`, got `str` - at `\$.rate_hz`"),
+        ("rate_hz = true", "got `bool`"),
+        (f"rate_hz = 1{'0' * 400}", "rate_hz"),
+        (f"rate_hz = 1{'0' * 5000}", "not valid TOML"),
+        (f"[depth]\ncolumns = 'z'\nscale = 1{'0' * 400}", r"\$.depth"),
+        (f"a = {'[' * 5000}", "not valid TOML"),
+        ("[depth]\ncolumn = 'z'", r"\[depth\] has 'column'; a channel has columns, unit"),
+        ("[depth]\n", "missing required field `columns` - at `\\$.depth`"),
+        ("[depth]\ncolumns = 'z'\nunits = 'mm'", "has 'units'; a channel has columns"),
+        ("[depth]\ncolumns = 'z'\nunit = 1", "got `int` - at `\\$.depth.unit`"),
+        ("joints = 'a'", "Expected `array`, got `str`"),
+        ("joints = ['a', 'a']", "names a joint twice"),
+        ("reference_topic = 1", "got `int` - at `\\$.reference_topic`"),
+        ("clock = '/joint_states'", "unknown channel 'clock'"),
+        ("[depth]\ncolumns = 'z'\nunit = 'N'", "unit 'N' of channel 'depth'"),
+        ("[depth]\ncolumns = 3", "got `int` - at `\\$.depth.columns`"),
+        ("[depth]\ncolumns = ['z', 3]", "got `int` - at `\\$.depth.columns"),
+        ("[depth]\ncolumns = 'z'\nscale = 'x'", "got `str` - at `\\$.depth.scale`"),
+        ("[depth]\ncolumns = 'z'\nscale = 0", "not zero"),
+    ],
+)
+def test_a_wrong_toml_is_refused_with_the_file_named(tmp_path, text, message):
+    with pytest.raises(MappingError, match=message) as caught:
+        from_toml(tmp_path, text)
+    assert "mapping.toml" in str(caught.value)
+
+
+def test_a_toml_in_another_encoding_is_refused(tmp_path):
+    (tmp_path / "mapping.toml").write_bytes(b"depth = 'z\xb5'")
+    with pytest.raises(MappingError, match="not valid TOML"):
+        load_mapping(tmp_path / "mapping.toml")
+
+
+def test_a_mapping_that_is_not_there_is_reported(tmp_path):
+    with pytest.raises(FileAccessError, match="cannot read the mapping"):
+        load_mapping(tmp_path / "none.toml")
+
+
+@pytest.mark.parametrize(
+    ("text", "spec"),
+    [
+        ("z", ColumnSpec(columns="z")),
+        ("z:mm", ColumnSpec(columns="z", unit="mm")),
+        ("z:mm:-1", ColumnSpec(columns="z", unit="mm", scale=-1.0)),
+        ("z:2.5", ColumnSpec(columns="z", scale=2.5)),
+        ("a, b", ColumnSpec(columns=("a", "b"))),
+        ("ns::z:um", ColumnSpec(columns="ns::z", unit="um")),
+        ("z:inch", ColumnSpec(columns="z:inch")),
+    ],
+)
+def test_the_short_form_means_the_same_specification(text, spec):
+    assert parse_column_spec(text, CHANNELS["depth"]) == spec
+
+
+def test_a_short_form_without_a_name_is_refused():
+    with pytest.raises(MappingError, match="names no column"):
+        parse_column_spec(":mm", CHANNELS["depth"])
+
+
+def saved(tmp_path, text):
+    path = tmp_path / "map.toml"
+    path.write_text(text, encoding="utf-8")
+    return load_mapping(path)
+
+
+@pytest.mark.parametrize("suffix", [".csv", ".npz", ".parquet", ".mcap", ".db3"])
+def test_a_suggested_mapping_reads_what_is_found_without_it(tmp_path, suffix):
+    path, rng = tmp_path / f"log{suffix}", np.random.default_rng(0)
+    columns = {name: rng.normal(size=(50, 3)) for name in ("q_rad", "dq_rad_s", "tau_Nm")}
+    write_table(path, {"t_s": np.arange(50) / 1000, **columns})
+    mapping = saved(tmp_path, suggest_mapping(path, JOINTS))
+    assert set(mapping.channels) >= set(JOINTS)
+    plain, mapped = (read_log(path, given, required=JOINTS) for given in (None, mapping))
+    np.testing.assert_array_equal(plain.t_s, mapped.t_s)
+    for name in plain.channels:
+        np.testing.assert_array_equal(plain[name], mapped[name])
+
+
+def test_a_suggested_mapping_describes_a_bag_by_its_topics(tmp_path):
+    folder = write_bag(tmp_path / "bag", insertion_rows(40, names=("b", "a", "c")))
+    text = suggest_mapping(folder, JOINTS, joints=("a", "b"), payload=['payload = "none"'])
+    content = tomllib.loads(text)
+    assert content["reference_topic"] == "/joint_states"
+    assert content["joints"] == ["a", "b"]
+    assert content["payload"] == "none"
+    assert content["q"] == {"columns": "/joint_states/position", "unit": "rad", "scale": 1.0}
+    assert "dq" not in content
+    assert "# columns = " in text.split("# [dq]")[1]
+    lines = text.splitlines()
+    topic = "sensor_msgs/msg/JointState, 40 messages, 1000 Hz, source stamps"
+    assert f"#   /joint_states: {topic}" in lines
+    assert "#   /log: std_msgs/msg/String, 4 messages, 100 Hz, no numbers" in lines
+    assert "#   /ft/wrench/force_xyz[0] to [2]" in lines
+    text = suggest_mapping(folder, JOINTS, joints=("x", "y", "z"))
+    assert tomllib.loads(text)["joints"] == ["b", "a", "c"]
+    assert "# The robot calls them: x, y, z" in text.splitlines()
+
+
+def test_a_suggested_mapping_leaves_to_the_user_what_cannot_be_decided(tmp_path):
+    rows = [(topic, k, joint_state(k, "ab", [k, k])) for k in range(1, 4) for topic in ("/l", "/r")]
+    text = suggest_mapping(write_bag(tmp_path / "bag", rows), JOINTS)
+    assert "q" not in tomllib.loads(text)
+    assert "# q: several columns would fit (/l/position, /r/position)" in text.splitlines()
+    chosen = text.replace("# [q]", "[q]").replace('# columns = ""', 'columns = "/r/position"', 1)
+    assert len(read_log(tmp_path / "bag", saved(tmp_path, chosen), required=["q"])) == 3
+
+
+def test_a_suggested_mapping_takes_units_and_what_is_known(tmp_path):
+    path = tmp_path / "log.csv"
+    path.write_text("time_ms,depth_mm,force,Kraft\n0,1,2,3\n1,2,3,4\n", encoding="utf-8")
+    known = ColumnMapping(channels={"force": ColumnSpec(columns="Kraft", scale=-1.0)})
+    text = suggest_mapping(path, ("depth", "force"), mapping=known)
+    content = tomllib.loads(text)
+    assert content["depth"]["unit"] == "mm"
+    assert content["time"]["unit"] == "ms"
+    assert content["force"] == {"columns": "Kraft", "unit": "N", "scale": -1.0}
+    assert 'unit = "N"  # assumed; of N, mN' in text.splitlines()
+    for name in ("no.mcap", "no.csv"):
+        with pytest.raises(FileAccessError, match="cannot read"):
+            suggest_mapping(tmp_path / name, JOINTS)

@@ -1,0 +1,313 @@
+"""Hostile and damaged files end in one of our errors, soon and within bounded memory."""
+
+import gzip
+import io
+import os
+import sqlite3
+import threading
+import time
+import tomllib
+import tracemalloc
+import zipfile
+from contextlib import closing, contextmanager
+
+import lz4.frame
+import numpy as np
+import pytest
+import zstandard
+from bag_samples import data_file, insertion_rows, number, write_bag
+from mcap.data_stream import RecordBuilder
+from mcap.records import Channel, Chunk, DataEnd, Message, Schema
+
+from needleforce.recordings import (
+    ColumnError,
+    FileAccessError,
+    FollowOptions,
+    FormatError,
+    load_mapping,
+    read_log,
+    read_table,
+    stream_tables,
+    write_table,
+)
+from needleforce.recordings.bag_storage import MAGIC
+from needleforce.recordings.csv_file import csv_tables
+from needleforce.recordings.open_recording import suggest_mapping
+
+SMALL = 8 << 20  # bytes
+BOMB = 64 << 20
+
+
+@contextmanager
+def bounded(peak=6 * SMALL, seconds=10.0):
+    """What runs inside takes little memory and time."""
+    start_s = time.monotonic()
+    tracemalloc.start()
+    try:
+        yield
+        assert tracemalloc.get_traced_memory()[1] < peak
+    finally:
+        tracemalloc.stop()
+    assert time.monotonic() - start_s < seconds
+
+
+def mcap_file(path, *records):
+    builder = RecordBuilder()
+    for record in (*records, DataEnd(0)):
+        record.write(builder)
+    path.write_bytes(MAGIC + builder.end())
+    return path
+
+
+def chunk(data, compression, declared):
+    return Chunk(
+        compression=compression,
+        data=data,
+        message_start_time=0,
+        message_end_time=0,
+        uncompressed_crc=0,
+        uncompressed_size=declared,
+    )
+
+
+PACKERS = {"zstd": zstandard.compress, "lz4": lz4.frame.compress}
+
+
+@pytest.mark.parametrize("compression", PACKERS)
+@pytest.mark.parametrize("declared", [BOMB, 100])
+def test_a_chunk_that_unpacks_to_any_size_is_refused(tmp_path, compression, declared):
+    packed = PACKERS[compression](bytes(BOMB))
+    path = mcap_file(tmp_path / "x.mcap", chunk(packed, compression, declared))
+    with bounded(), pytest.raises(FormatError, match=r"raise max_bytes|holds no messages"):
+        read_table(path, max_bytes=SMALL)
+
+
+def test_a_message_that_unpacks_to_any_size_is_refused(tmp_path):
+    schema = Schema(data=b"float64 data", encoding="ros2msg", id=1, name="std_msgs/msg/Float64")
+    channel = Channel(id=1, topic="/x", message_encoding="cdr", metadata={}, schema_id=1)
+    packed = zstandard.compress(bytes(BOMB))
+    message = Message(channel_id=1, log_time=1, data=packed, publish_time=1, sequence=0)
+    path = mcap_file(tmp_path / "x.mcap", schema, channel, message)
+    with bounded(), pytest.raises(FormatError, match=r"a message of /x takes .* raise max_bytes"):
+        read_table(path, max_bytes=SMALL)
+
+
+@pytest.mark.parametrize("line", [b"# note\n", b"1,2\n"])
+def test_compressed_text_is_read_up_to_the_limit(tmp_path, line):
+    path = tmp_path / "x.csv.gz"
+    path.write_bytes(gzip.compress(b"t,f\n0,1\n" + line * (BOMB // len(line) // 4)))
+    with (
+        bounded(peak=12 * SMALL, seconds=60.0),
+        pytest.raises(FormatError, match="raise max_bytes"),
+    ):
+        read_table(path, max_bytes=SMALL)
+
+
+def test_a_limit_can_be_raised(tmp_path):
+    path = tmp_path / "x.csv"
+    path.write_text("t,f\n" + "0.5,1.25\n" * 1000)
+    with pytest.raises(FormatError, match="raise max_bytes"):
+        read_table(path, max_bytes=1000)
+    assert len(read_table(path, max_bytes=200_000)) == 1000
+
+
+@pytest.mark.parametrize("order", ["C", "F"])
+def test_an_npz_that_unpacks_to_any_size_is_refused(tmp_path, order):
+    path = tmp_path / "x.npz"
+    unused = np.zeros((3000, BOMB // 3000 // 8), order=order)
+    np.savez_compressed(path, t=np.arange(3000.0), f=np.ones(3000), unused=unused)
+    with bounded(), pytest.raises(FormatError, match="raise max_bytes"):
+        read_log(path, max_bytes=SMALL)
+
+
+def npy(header):
+    return b"\x93NUMPY\x01\x00" + len(header).to_bytes(2, "little") + header.encode()
+
+
+@pytest.mark.parametrize(
+    "header",
+    [
+        "{'descr': '<f8', 'fortran_order': False, 'shape': (True,), }",
+        "{'descr': '<f8', 'fortran_order': False, 'shape': (3,",
+        "{'descr': '<f8', 'fortran_order': False, 'shape': (-3,), }",
+        "{'descr': 'no type', 'fortran_order': False, 'shape': (3,), }",
+        "\x00\x00'''",
+        "(" * 900,
+    ],
+)
+def test_a_damaged_header_of_an_array_costs_that_array_only(tmp_path, header):
+    path = tmp_path / "x.npz"
+    np.savez(path, t=np.arange(3.0))
+    with zipfile.ZipFile(path, "a") as archive:
+        archive.writestr("bad.npy", npy(header) + bytes(24))
+    table = read_table(path)
+    assert list(table.columns) == ["t"]
+    assert table.warnings[0].startswith("column 'bad' ")
+
+
+@pytest.mark.parametrize("name", ["x.npz", "x.mcap", "x.db3", "x.csv", "x.parquet", "x.toml"])
+def test_a_device_is_no_file(tmp_path, name):
+    (tmp_path / name).symlink_to("/dev/zero")
+    read = load_mapping if name == "x.toml" else read_table
+    with pytest.raises(FileAccessError, match="neither a file, a folder nor a pipe"):
+        read(tmp_path / name)
+
+
+@pytest.mark.parametrize("name", ["a\0b.csv", "a\0b.npz", "a\0b.mcap", f"{'x' * 300}.csv"])
+def test_a_name_that_no_file_can_have_is_reported(tmp_path, name):
+    for read in (read_table, load_mapping, lambda path: list(stream_tables(path, FollowOptions()))):
+        with pytest.raises(FileAccessError, match="cannot read"):
+            read(tmp_path / name)
+    with pytest.raises(FileAccessError, match="cannot write"):
+        write_table(tmp_path / name, {"t_s": [0.0]})
+
+
+def test_endless_nul_bytes_are_no_text():
+    with bounded(), pytest.raises(FormatError, match="not text"):
+        list(csv_tables(iter(lambda: bytes(1 << 18), b""), "x"))
+
+
+def test_many_columns_take_seconds_not_minutes(tmp_path):
+    path = tmp_path / "x.csv"
+    names = ",".join(f"c{i}" for i in range(100_000))
+    row = ",".join(["1"] * 100_000)
+    path.write_text(f"t,force,{names}\n0,1,{row}\n1,2,{row}\n")
+    start_s = time.monotonic()
+    assert read_log(path, required=["force"])["force_N"].tolist() == [1.0, 2.0]
+    assert time.monotonic() - start_s < 30.0
+
+
+@pytest.mark.parametrize("name", ["q2024051512", f"q{'9' * 23}"])
+def test_a_column_with_a_huge_number_is_not_counted_up_to(tmp_path, name):
+    path = tmp_path / "x.csv"
+    path.write_text(f"t,depth,force,q1,{name}\n0,0,0,1,1\n1,1,1,2,2\n")
+    with bounded():
+        assert read_log(path, required=["q"])["q_rad"].shape == (2, 1)
+    path.write_text("t,depth,force,q1,q900000000\n0,0,0,1,1\n1,1,1,2,2\n")
+    with bounded(), pytest.raises(ColumnError, match="but not 2, 3, 4, 5, 6;"):
+        read_log(path, required=["q"])
+
+
+def nested(depth, size):
+    """A message type of arrays in arrays of a type without fields."""
+    parts = [f"a/T1[{size}] x"]
+    parts += [f"MSG: a/T{k}\na/T{k + 1}[{size}] x" for k in range(1, depth)]
+    return f"\n{'=' * 80}\n".join([*parts, f"MSG: a/T{depth}", ""])
+
+
+@pytest.mark.parametrize(
+    "definition",
+    [
+        *(nested(6, 1000), nested(2, 10**9), "a/X x\n", "string[999999999] x"),
+        *("float64 x; import os", "".join(f"string[1000] x{k}\n" for k in range(500))),
+    ],
+)
+def test_a_type_of_endless_arrays_is_no_signal(tmp_path, definition):
+    schema = Schema(data=definition.encode(), encoding="ros2msg", id=1, name="a/msg/X")
+    channel = Channel(id=1, topic="/x", message_encoding="cdr", metadata={}, schema_id=1)
+    data = b"\0\1\0\0" + bytes(1 << 16)
+    message = Message(channel_id=1, log_time=1, data=data, publish_time=1, sequence=0)
+    path = mcap_file(tmp_path / "x.mcap", schema, channel, message)
+    with bounded(), pytest.raises(FormatError, match="holds no topic with numbers"):
+        read_table(path)
+
+
+LAUGHS = "\n".join(f"a{k}: &a{k} [{', '.join([f'*a{k - 1}'] * 9)}]" for k in range(1, 40))
+
+
+@pytest.mark.parametrize(
+    "text", [f"a0: &a0 [x]\n{LAUGHS}", "- x\n" * 2_000_000, "[" * 100_000, None]
+)
+def test_metadata_that_never_end_are_left_aside(tmp_path, text):
+    folder = write_bag(tmp_path / "bag", insertion_rows(20))
+    path = folder / "metadata.yaml"
+    path.unlink()
+    if text is None:
+        os.mkfifo(path)
+    else:
+        path.write_text(text)
+    start_s = time.monotonic()
+    table = read_table(folder)
+    assert time.monotonic() - start_s < 20.0
+    assert "metadata.yaml is damaged and was left aside" in table.warnings
+    assert len(table) == 20
+
+
+@pytest.mark.parametrize(
+    ("changes", "message"),
+    [
+        (
+            "DROP TABLE messages; CREATE VIEW messages AS WITH RECURSIVE n(i) AS (SELECT 1 UNION "
+            "ALL SELECT i FROM n) SELECT i id, 1 topic_id, 1 timestamp, x'00' data FROM n",
+            "it has no tables messages and topics",
+        ),
+        ("DROP TABLE topics; CREATE TABLE topics(id, name)", r"is damaged .*\.recover"),
+    ],
+)
+def test_an_sqlite_bag_runs_no_query_of_its_own(tmp_path, changes, message):
+    path = data_file(write_bag(tmp_path / "bag", insertion_rows(4), storage="sqlite3"))
+    with closing(sqlite3.connect(path)) as connection, connection:
+        connection.executescript(changes)
+    with pytest.raises(FormatError, match=message):
+        read_table(path)
+
+
+def test_the_number_of_a_topic_is_no_query(tmp_path):
+    path = data_file(write_bag(tmp_path / "bag", insertion_rows(4), storage="sqlite3"))
+    with closing(sqlite3.connect(path)) as connection, connection:
+        connection.executescript(
+            "CREATE TABLE t2 AS SELECT * FROM topics; DROP TABLE topics; "
+            "ALTER TABLE t2 RENAME TO topics; UPDATE topics SET id = '1) OR 1=1 --' WHERE id = 1"
+        )
+    assert list(read_table(path).columns) == ["t_s", "/ft/wrench/force_xyz", *AFTER_FORCE]
+
+
+AFTER_FORCE = ("/ft/wrench/torque_xyz", "/depth_mm")
+
+
+@pytest.mark.parametrize("has_idle", [False, True])
+def test_a_pipe_that_nobody_writes_can_be_left(tmp_path, has_idle):
+    os.mkfifo(tmp_path / "pipe")
+    is_over = threading.Event()
+    timer = threading.Timer(0.3, is_over.set)
+    timer.start()
+    options = FollowOptions(
+        idle_s=0.2 if has_idle else None, should_stop=bool if has_idle else is_over.is_set
+    )
+    start_s = time.monotonic()
+    with pytest.raises(FormatError, match="it is empty"):
+        list(stream_tables(tmp_path / "pipe", options))
+    assert time.monotonic() - start_s < 5.0
+    timer.join()
+
+
+def test_a_followed_file_that_was_written_anew_is_noticed(tmp_path):
+    path = tmp_path / "log.csv"
+    path.write_text("t,f\n" + "".join(f"{k},1\n" for k in range(300)))
+    tables = stream_tables(path, FollowOptions(follow=True, idle_s=5.0))
+    next(tables)
+    path.write_text("t,f\n" + "".join(f"{k},2\n" for k in range(1000, 1500)))
+    with pytest.raises(FileAccessError, match="was written anew while it was followed"):
+        list(tables)
+
+
+def test_names_from_a_file_stay_comments_in_the_mapping_of_it(tmp_path):
+    evil = 'x\nrate_hz = 5\n[force]\ncolumns = "t"'
+    path = tmp_path / "evil\nrate_hz = 6\n.npz"
+    np.savez(path, t=np.arange(3.0), force=np.ones(3), **{evil: np.ones(3)})
+    content = tomllib.loads(suggest_mapping(path, ["depth", "force"]))
+    assert set(content) == {"time", "force"}
+    assert content["force"]["columns"] == "force"
+    folder = write_bag(tmp_path / "bag", [(f"/{evil}", k, number(k)) for k in range(9)])
+    assert tomllib.loads(suggest_mapping(folder, ["depth"])) == {}
+
+
+def test_a_table_is_written_into_a_pipe_that_stays_one(tmp_path):
+    path, found = tmp_path / "pipe.csv", io.BytesIO()
+    os.mkfifo(path)
+    reader = threading.Thread(target=lambda: found.write(path.read_bytes()))
+    reader.start()
+    write_table(path, {"t": [1.0, 2.0]})
+    reader.join()
+    assert found.getvalue() == b"t\n1.0\n2.0\n"
+    assert path.is_fifo()

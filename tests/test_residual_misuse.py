@@ -1,0 +1,320 @@
+"""What an odd robot, an odd caller or a wrong convention does: it works, or is reported by name."""
+
+import copy
+import pickle
+from dataclasses import replace
+
+import numpy as np
+import pinocchio as pin
+import pytest
+from guarded_sensor import feed, signals, tared
+from residual_signals import BIAS, MIDDLE, external_torque_of, swing
+
+from residual import (
+    DEFAULT,
+    PUBLISHED,
+    ConfigurationError,
+    MomentumObserver,
+    SampleError,
+    SensorConfig,
+    SensorWarning,
+    Status,
+    TareError,
+    VelocityEstimator,
+    VirtualForceSensor,
+    WrenchEstimator,
+)
+from residual.tool_kinematics import ToolKinematics
+from urdf import MissingPackageError, Payload, Robot, example_robot_path, load_urdf
+
+
+def same(one, other):
+    return all(np.array_equal(a, b) for a, b in zip(one, other, strict=True))
+
+
+@pytest.mark.parametrize("copied", [copy.deepcopy, lambda one: pickle.loads(pickle.dumps(one))])
+@pytest.mark.parametrize("with_velocity", [True, False])
+@pytest.mark.parametrize("at", [10, 100, 700])
+def test_a_copy_goes_on_bit_for_bit(lwr, copied, with_velocity, at):
+    sensor, rows = tared(lwr, with_velocity=with_velocity)
+    feed(sensor, rows[:at])
+    twin = copied(sensor)
+    for row in rows[at:]:
+        assert same(sensor.update(*row, 1e-3), twin.update(*row, 1e-3))
+    observer = MomentumObserver(lwr)
+    feed(observer, [(q, q, tau) for q, _, tau in rows[:50]])
+    twin = copied(observer)
+    for q, _, tau in rows[50:100]:
+        assert np.array_equal(observer.update(q, q, tau, 1e-3), twin.update(q, q, tau, 1e-3))
+
+
+def robot_of(joint, count):
+    """An arm built straight in Pinocchio, whose unset limits are the largest float."""
+    model, link = pin.Model(), pin.Inertia(2.0, np.array([0.1, 0.0, 0.2]), np.eye(3))
+    for i in range(count):
+        place = pin.SE3(np.eye(3), np.array([0.0, 0.3, 0.1]))
+        index = model.addJoint(i, joint, place, f"joint_{i}")
+        model.addJointFrame(index, -1)
+        model.appendBodyToJoint(index, link, place)
+    tip = pin.SE3(np.eye(3), np.array([0.2, 0.2, 0.1]))
+    model.addFrame(pin.Frame("tool", count, model.nframes - 1, tip, pin.FrameType.OP_FRAME))
+    return Robot(bare_model=model, tool_frame="tool", flange_frame="tool")
+
+
+@pytest.mark.filterwarnings("error")
+@pytest.mark.parametrize("mode", ["axial", "point"])
+@pytest.mark.parametrize("with_velocity", [True, False])
+@pytest.mark.parametrize(
+    ("joint", "count"), [(pin.JointModelPZ(), 1), (pin.JointModelRX(), 1), (pin.JointModelRY(), 3)]
+)
+def test_robots_of_one_joint_and_without_limits_work(joint, count, with_velocity, mode):
+    robot = robot_of(joint, count)
+    sensor = VirtualForceSensor(robot, replace(DEFAULT, mode=mode))
+    _, q, dq, tau = swing(robot, seconds=2.0, amplitude=0.03, middle=np.full(count, 0.4))
+    rng = np.random.default_rng(0)
+    tau = tau - 0.2 + 0.01 * rng.normal(size=tau.shape)
+    rows = [(q[k], dq[k] if with_velocity else None, tau[k]) for k in range(len(q))]
+    feed(sensor, rows[:1500])
+    sensor.tare()
+    force = np.array([0.0, 0.0, 3.0])
+    pushed = [(q, dq, tau - external_torque_of(robot, q, force)) for q, dq, tau in rows[1500:]]
+    last = feed(sensor, pushed)[-1]
+    assert last.status is Status.OK
+    assert all(np.isfinite(value).all() for value in last[:8])
+    if count == 1 and mode == "axial":
+        torque, lever_m = external_torque_of(robot, q[-1], force), sensor.kinematics.axial_jacobian
+        assert last.axial == pytest.approx(-torque[0] / lever_m[0], abs=0.3)
+
+
+class Raises:
+    """An object of somebody else's whose conversions fail in their own way."""
+
+    def __array__(self, *_, **__):
+        raise RuntimeError("no array")
+
+    def __float__(self):
+        raise RuntimeError("no float")
+
+    def __repr__(self):
+        raise RuntimeError("no text")
+
+
+STEPS = {
+    "a time span": np.timedelta64(1, "ms"),
+    "far below": -(10**5000),
+    "far beyond": 10**5000,
+    "next to nothing": 5e-324,
+    "a stranger": Raises(),
+    "NaN": np.float64("nan"),
+}
+
+
+@pytest.mark.parametrize("dt_s", STEPS.values(), ids=STEPS)
+def test_no_time_step_makes_an_update_raise(lwr, dt_s):
+    (sensor, rows), (twin, _) = tared(lwr), tared(lwr)
+    reported = sensor.update(*rows[0], dt_s)
+    assert reported.status is Status.REJECTED
+    assert "dt_s" in reported.message
+    next_one = sensor.update(*rows[1], 1e-3)
+    assert next_one.axial == twin.update(*rows[1], 1e-3).axial
+    velocity = VelocityEstimator(7)
+    velocity.update(rows[0][0], rows[0][2], 1e-3)
+    with pytest.raises(SampleError, match="dt_s"):
+        velocity.update(rows[0][0], rows[0][2], dt_s)
+
+
+@pytest.mark.parametrize("which", [0, 1, 2])
+def test_no_signal_makes_an_update_raise(lwr, which):
+    sensor, rows = tared(lwr)
+    bad = list(rows[0])
+    bad[which] = Raises()
+    assert sensor.update(*bad, 1e-3).status is Status.REJECTED
+    assert sensor.update(*rows[1], 1e-3).status is Status.OK
+
+
+@pytest.mark.parametrize(
+    "settings",
+    [
+        {"expected_force_N": 1e-160},
+        {"expected_force_N": 1e200},
+        {"velocity_bandwidth_per_s": 1e150},
+        {"velocity_bandwidth_per_s": 1e-200},
+        {"insertion_axis": (0, True, Raises())},
+        {"insertion_axis": np.ma.array([0.0, 0.0, 1.0], mask=[1, 0, 0])},
+        {"tool_offset_m": (0.0, 0.0)},
+        {"tool_offset_m": (0.0, 0.0, 150.0)},
+        {"torque_is_gravity_compensated": 1},
+    ],
+)
+def test_absurd_settings_are_refused(settings):
+    with pytest.raises(ConfigurationError, match=next(iter(settings))):
+        SensorConfig(**settings)
+
+
+def gravity_of(robot, q):
+    data = robot.create_data()
+    return np.array([pin.computeGeneralizedGravity(robot.model, data, one) for one in q])
+
+
+def hand(mass_kg):
+    return Payload(mass_kg=mass_kg, com_m=np.array([0, 0, 0.1]), inertia_kg_m2=1e-3 * np.eye(3))
+
+
+WRONG = {
+    "missing gravity": (lambda g, tau: tau - g, {}, "torque_is_gravity_compensated=True"),
+    "gravity twice": (
+        lambda g, tau: tau,
+        {"torque_is_gravity_compensated": True},
+        "torque_is_gravity_compensated=False",
+    ),
+    "wrong sign": (lambda g, tau: -tau, {}, "wrong sign"),
+    "two joints": (lambda g, tau: tau[:, [0, 3, 2, 1, 4, 5, 6]], {}, "1 reads as 3's, 3 reads as"),
+}
+
+
+@pytest.mark.parametrize("preset", [DEFAULT, PUBLISHED])
+@pytest.mark.parametrize("kind", WRONG)
+def test_a_refused_tare_names_what_the_torques_look_like(lwr, kind, preset):
+    bend, settings, words = WRONG[kind]
+    q, dq, tau = signals(lwr, 3.0)
+    sensor = VirtualForceSensor(lwr, replace(preset, **settings))
+    feed(sensor, zip(q, dq, bend(gravity_of(lwr, q), tau), strict=True))
+    with pytest.raises(TareError, match=words):
+        sensor.tare()
+    sensor.tare(ignore_contact=True)
+
+
+@pytest.mark.parametrize(
+    ("in_model", "on_arm", "words"),
+    [(0.76, 0.0, r"has about 0\.[678]\d? kg too much"), (0.0, 2.5, r"lacks about 2(\.[2-6])? kg")],
+)
+def test_a_hand_left_in_the_model_or_missing_there_is_named(lwr, in_model, on_arm, words):
+    robot, model = (
+        lwr.with_payload(lwr.payload + hand(kg)) if kg else lwr for kg in (on_arm, in_model)
+    )
+    _, q, dq, tau = swing(robot, seconds=3.0, amplitude=0.3)
+    sensor = VirtualForceSensor(model)
+    feed(sensor, zip(q, dq, tau - 0.3 * BIAS, strict=True))
+    with pytest.raises(TareError, match=f"{words} at the flange"):
+        sensor.tare()
+
+
+def test_measured_torque_given_as_external_torque_is_named(lwr):
+    q, _, tau = signals(lwr, 2.0)
+    sensor = VirtualForceSensor(lwr)
+    for one in zip(q, tau, strict=True):
+        sensor.update_external_torque(one[0], None, one[1], 1e-3)
+    with pytest.raises(TareError, match=r"the measured torque; call update\(\) instead"):
+        sensor.tare()
+
+
+@pytest.mark.parametrize("with_velocity", [True, False])
+def test_torque_without_gravity_gives_the_same_force(lwr, with_velocity):
+    config = replace(DEFAULT, torque_is_gravity_compensated=True)
+    q, dq, tau = signals(lwr, 3.0)
+    free, sensor, twin = (
+        gravity_of(lwr, q),
+        VirtualForceSensor(lwr, config),
+        VirtualForceSensor(lwr),
+    )
+    for k in range(len(q)):
+        if k == 2000:
+            sensor.tare()
+            twin.tare()
+        velocity = dq[k] if with_velocity else None
+        ours = sensor.update(q[k], velocity, tau[k] - free[k], 1e-3)
+        theirs = twin.update(q[k], velocity, tau[k], 1e-3)
+        assert ours.status is theirs.status
+    assert ours.axial == pytest.approx(theirs.axial, abs=1e-9)
+
+
+@pytest.mark.parametrize("dt_s", [1.0, 2.0, 5.0])
+def test_a_time_step_in_milliseconds_is_reported_with_its_number(lwr, dt_s):
+    sensor = VirtualForceSensor(lwr)
+    last = feed(sensor, zip(*signals(lwr, 0.1), strict=True), dt_s)[-1]
+    assert last.status is Status.INITIALIZING
+    assert f"dt_s = {dt_s:g} s" in last.message
+    assert "in milliseconds?" in last.message
+    with pytest.raises(TareError, match=r"in milliseconds\?"):
+        sensor.tare()
+
+
+def test_a_joint_at_its_limit_is_named_before_the_tare_too(lwr):
+    middle = MIDDLE.copy()
+    middle[5] = lwr.position_upper_rad[5] - 0.01
+    q, dq, tau = signals(lwr, 0.6, middle=middle)
+    last = feed(VirtualForceSensor(lwr), zip(q, dq, tau, strict=True))[-1]
+    assert last.status is Status.NOT_TARED
+    assert SensorWarning.JOINT_LIMIT in last.warnings
+    assert "joint index [5] is at its position limit" in last.message
+
+
+@pytest.mark.parametrize("mode", ["axial", "point"])
+def test_a_tip_offset_is_a_tool_frame_further_out(lwr, mode):
+    offset = np.array([0.02, -0.03, 0.1])
+    model = pin.Model(lwr.bare_model)
+    at = model.frames[lwr.tool_frame_id]
+    place = at.placement * pin.SE3(np.eye(3), offset)
+    model.addFrame(pin.Frame("tip", at.parentJoint, lwr.tool_frame_id, place, at.type))
+    longer = replace(lwr, bare_model=model, tool_frame="tip")
+    torque = np.linspace(-1.0, 1.0, 7)
+    ours = WrenchEstimator(lwr, mode, tool_offset_m=offset).estimate(MIDDLE, torque)
+    theirs = WrenchEstimator(longer, mode).estimate(MIDDLE, torque)
+    np.testing.assert_allclose(ours.force, theirs.force, atol=1e-9)
+    one, other = ToolKinematics(lwr, offset_m=offset), ToolKinematics(longer)
+    one.update(MIDDLE)
+    other.update(MIDDLE)
+    np.testing.assert_allclose(one.pose, other.pose, atol=1e-12)
+    config = replace(DEFAULT, tool_offset_m=tuple(offset), mode=mode)
+    sensor, rows = tared(lwr, config)
+    pushed = [(q, dq, tau - external_torque_of(longer, q, [0, 0, 2.0])) for q, dq, tau in rows]
+    last = feed(sensor, pushed)[-1]
+    assert last.status is Status.OK
+    if mode == "point":
+        np.testing.assert_allclose(last.force, [0, 0, 2.0], atol=0.1)
+
+
+# The whole chain on arms that are not the LWR: free motion, tare, a force at the tool.
+
+
+ROBOTS = {
+    "panda": (
+        "panda_hand_tcp",
+        ("panda_finger_joint1", "panda_finger_joint2"),
+        [0.1, -0.5, 0.2, -1.8, 0.1, 1.6, 0.3],
+    ),
+    "ur10": ("tool0", (), [0.2, -1.2, 1.4, -0.5, 1.1, 0.4]),
+}
+
+
+@pytest.fixture(params=ROBOTS)
+def arm_and_posture(request):
+    tool, locked, posture = ROBOTS[request.param]
+    try:
+        path = example_robot_path(request.param)
+    except MissingPackageError as error:
+        pytest.skip(str(error))
+    return load_urdf(path, tool_frame=tool, locked_joints=locked), np.array(posture)
+
+
+@pytest.mark.parametrize("with_velocity", [True, False])
+def test_force_is_read_through_a_sensor_bias(arm_and_posture, with_velocity):
+    arm, posture = arm_and_posture
+    sensor = VirtualForceSensor(arm, replace(DEFAULT, mode="point"))
+    force = np.array([2.0, -1.0, 3.0])
+    for start, pushed in ((0.0, 0.0 * force), (2.0, force)):
+        _, q, dq, tau = swing(
+            arm,
+            seconds=2.0,
+            start=start,
+            amplitude=0.03,
+            middle=posture,
+            force_at_tip_in_base=pushed,
+        )
+        for k in range(len(q)):
+            velocity = dq[k] if with_velocity else None
+            estimate = sensor.update(q[k], velocity, tau[k] - BIAS[: arm.nv], 1e-3)
+        if not sensor.tared:
+            sensor.tare()
+    assert estimate.status is Status.OK
+    np.testing.assert_allclose(estimate.force, force, atol=0.05)
