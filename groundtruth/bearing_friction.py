@@ -10,10 +10,9 @@ motion than a rigid arm needs, and a momentum observer takes the friction torque
 one: while a needle goes in it looks like tissue that pushes back, and it changes sign on the way
 out.
 
-An insertion turns the joints by 5 mrad/s and ends in rest, so standstill decides. A smoothed sign
-holds nothing at rest; MuJoCo's ``frictionloss`` is a regularised constraint, which creeps under
-load and knows neither Stribeck peak nor presliding. The bristle of the LuGre model (Canudas de Wit
-et al. 1995) holds a joint at rest elastically, for ever, up to the peak.
+An insertion turns the joints by 5 mrad/s and ends in rest, so standstill decides. MuJoCo's
+``frictionloss`` creeps under load and has no Stribeck peak; the bristle of the LuGre model (Canudas
+de Wit et al. 1995) holds a joint at rest elastically, for ever, up to the peak.
 """
 
 import numpy as np

@@ -19,7 +19,8 @@ CUTTING_ONSET_M = 1e-3
 
 
 KEPT_FADE_M = 5e-3
-"""Travel over which the tip force kept after an internal rupture fades. Chosen: four diameters."""
+"""Travel over which the tip force kept after an internal rupture fades. Chosen: four diameters. In
+a thinner layer the rest goes with its own rupture."""
 
 SPEED_ROUNDING_M_S = 2e-5
 """Below it a power law of speed is linear: no physics step can follow an infinite slope."""
@@ -29,12 +30,7 @@ TEXTURE_WAVES = 16
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Texture:
-    """Unevenness of a layer at the tip: a force that depends on the place alone.
-
-    Attributes:
-        std_N: Standard deviation along the layer.
-        waves: Wave number [rad/m] and phase [rad] of each of its sinusoids.
-    """
+    """Unevenness of a layer at the tip: a sum of waves (rad/m, rad) that depends on the place."""
 
     std_N: float
     waves: tuple[tuple[float, float], ...]
@@ -302,7 +298,6 @@ class Interface:
         drop_N: Force released, tissue not relaxed; zero at a bare surface.
         membrane: The membrane to puncture there, if any.
         kept_fraction: Fraction of `drop_N` that is not released but fades: layers hang together.
-        fade_m: Travel from the onset over which it does.
     """
 
     depth_m: float
@@ -311,14 +306,13 @@ class Interface:
     drop_N: float
     membrane: Membrane | None
     kept_fraction: float = 0.0
-    fade_m: float = KEPT_FADE_M
 
     def held(self, deepest_m: float) -> float:
         """Fraction of the force held, 1 to 0, once the tip has been as deep as `deepest_m`."""
         held = 1.0 - self.released(deepest_m)
         if self.kept_fraction == 0.0:
             return held
-        kept = max(1.0 - max(deepest_m - self.onset_m, 0.0) / self.fade_m, 0.0)
+        kept = max(1.0 - max(deepest_m - self.onset_m, 0.0) / KEPT_FADE_M, 0.0)
         return (1.0 - self.kept_fraction) * held + self.kept_fraction * kept * kept
 
     def released(self, deepest_m: float) -> float:
@@ -353,10 +347,9 @@ def interfaces(layers: tuple[Layer, ...]) -> tuple[Interface, ...]:
         if membrane is not None:
             onset, drop = depth + membrane.indentation_m, drop + membrane.puncture_N
             release = membrane.release_m
-        kept_N, fade = 0.0, KEPT_FADE_M
+        kept = 0.0
         if i and below is not None:
-            kept_N = layers[i - 1].kept_fraction * layers[i - 1].exit_force_N
-            fade = min(fade, below.thickness_m - below.entry_m)  # gone before the next rupture
+            kept = layers[i - 1].kept_fraction * layers[i - 1].exit_force_N / drop
         found.append(
             Interface(
                 depth_m=depth,
@@ -364,8 +357,7 @@ def interfaces(layers: tuple[Layer, ...]) -> tuple[Interface, ...]:
                 release_m=release,
                 drop_N=drop,
                 membrane=membrane,
-                kept_fraction=kept_N / drop if kept_N else 0.0,
-                fade_m=fade,
+                kept_fraction=kept,
             )
         )
         depth += 0.0 if below is None else below.thickness_m

@@ -73,8 +73,8 @@ class PlantModel:
     the torque has moved by this much. 1e-4, one fiftieth of the linearity as well."""
 
     torque_nonlinearity: float = 0.0
-    """Greatest smooth deviation of a torque sensor from its straight line, as a fraction of limit;
-    shape and size are drawn per joint. The data sheet promises less than 0.5 %."""
+    """Greatest smooth deviation of a torque sensor from a straight line, as a fraction of limit.
+    The data sheet promises less than 0.5 %."""
 
     joint_coulomb: float = 0.0
     """Coulomb friction between torque sensor and link, as a fraction of limit, see
@@ -84,8 +84,7 @@ class PlantModel:
     """Viscous friction there."""
 
     size_spread: float = 1.0
-    """Friction and drift of each joint are drawn within this factor to either side of their stated
-    size, so that no estimator can have them as constants."""
+    """Friction and drift of each joint are drawn within this factor of their stated size."""
 
     position_noise_std_rad: float = 0.0
     """White noise of the reported position. 1e-5: a motor encoder seen through the gear; the

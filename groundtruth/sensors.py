@@ -63,10 +63,9 @@ def _coloured(white: Array, plant_model: PlantModel) -> Array:
 
 
 def _bend(load: Array, rng: np.random.Generator) -> Array:
-    """A smooth deviation from a straight line, at most one for loads within the range, -1 to 1.
+    """A smooth deviation from a straight line, at most 1 for loads from -1 to 1: bow and S.
 
-    A bow and an S, the Chebyshev polynomials of second and third degree, in drawn parts: what is
-    left of a strain gauge's characteristic once offset and gain are calibrated.
+    Chebyshev polynomials of second and third degree, in drawn parts and sizes.
     """
     size, bow = rng.uniform(size=load.shape[1]), rng.uniform(-1.0, 1.0, load.shape[1])
     bent = bow * (2.0 * load**2 - 1.0) + (1.0 - np.abs(bow)) * (4.0 * load**3 - 3.0 * load)

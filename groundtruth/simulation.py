@@ -5,7 +5,7 @@ reads the force at its base. Both return what a robot would give and, apart from
 """
 
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, fields
 
 import numpy as np
 from numpy.typing import NDArray
@@ -209,23 +209,12 @@ def _sense(
 
 
 def _truth(trace: ArmTrace, tissue: TissueTruth, time: Array, kept: NDArray[np.intp]) -> Truth:
+    of_tissue = {item.name for item in fields(TissueTruth)}
+    found = {"t_s": time}
+    for name in [item.name for item in fields(Truth) if item.name != "t_s"]:
+        found[name] = getattr(tissue if name in of_tissue else trace, name)
     return Truth(
-        t_s=time[kept],
-        q_rad=trace.q_rad[kept],
-        dq_rad_s=trace.dq_rad_s[kept],
-        tau_Nm=trace.tau_Nm[kept],
-        external_torque_Nm=trace.external_torque_Nm[kept],
-        joint_friction_Nm=trace.friction_Nm[kept],
-        axial_N=tissue.axial_N[kept],
-        tip_N=tissue.tip_N[kept],
-        friction_N=tissue.friction_N[kept],
-        layer_friction_N=tissue.layer_friction_N[kept],
-        layer=tissue.layer[kept],
-        depth_m=trace.depth_m[kept],
-        speed_m_s=trace.speed_m_s[kept],
-        ruptures=tissue.ruptures,
-        contact_s=tissue.contact_s,
-        withdrawn_s=tissue.withdrawn_s,
+        **{name: row[kept] if isinstance(row, np.ndarray) else row for name, row in found.items()}
     )
 
 

@@ -8,6 +8,7 @@ assumes the same. A variation changes one of these in every layer, and nothing e
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from types import MappingProxyType
+from typing import Any
 
 import numpy as np
 
@@ -28,8 +29,7 @@ class TissueVariation:
         kept_fraction: Part of the tip force that stays after an internal rupture, fading over 5 mm.
         length_exponent: Friction grows with embedded length to this power.
         speed_exponent: All friction grows with speed to this power: no Coulomb part.
-        friction_fraction: Part of shaft friction in the force at the end of a layer, whose sum
-            stays.
+        friction_fraction: Part of friction in the force at the end of a layer; that force stays.
     """
 
     texture_N: float = 0.0
@@ -44,38 +44,32 @@ class TissueVariation:
     def layer(self, layer: Layer, rng: np.random.Generator) -> Layer:
         """The layer under this variation, its texture drawn; `TissueError` if it is too thin."""
         friction, tip_N = self._friction_and_tip(layer)
-        varied = replace(
-            layer,
-            friction=friction,
-            exit_force_N=tip_N,
-            tip_exponent=self.tip_exponent,
-            kept_fraction=self.kept_fraction,
-        )
+        change: dict[str, Any] = {"tip_exponent": self.tip_exponent}
         if self.texture_N:
-            texture = Texture.drawn(self.texture_N, TEXTURE_LENGTH_M, rng)
-            varied = replace(varied, texture=texture)
+            change["texture"] = Texture.drawn(self.texture_N, TEXTURE_LENGTH_M, rng)
         if self.cutting_fraction is not None:
-            varied = replace(varied, cutting_fraction=self.cutting_fraction)
+            change["cutting_fraction"] = self.cutting_fraction
         if self.release_m is not None:
             membrane = layer.membrane and replace(layer.membrane, release_m=self.release_m)
-            varied = replace(varied, release_m=self.release_m, membrane=membrane)
-        return varied
+            change |= {"release_m": self.release_m, "membrane": membrane}
+        change |= {"friction": friction, "exit_force_N": tip_N, "kept_fraction": self.kept_fraction}
+        return replace(layer, **change)
 
     def _friction_and_tip(self, layer: Layer) -> tuple[ShaftFriction, float]:
         """Friction, and tip force at the end of the layer."""
-        friction, tip_N, scale = layer.friction, layer.exit_force_N, 1.0
-        if self.friction_fraction is not None:
-            shaft_N = friction.sliding_N_per_m(friction.reference_speed_m_s) * layer.thickness_m
-            total_N = shaft_N + tip_N
-            scale = self.friction_fraction * total_N / shaft_N
-            tip_N = (1.0 - self.friction_fraction) * total_N
+        friction, tip_N = layer.friction, layer.exit_force_N
         coulomb, viscous = friction.coulomb_N_per_m, friction.viscous_Ns_per_m2
         if self.speed_exponent != 1.0:
             coulomb, viscous = 0.0, friction.equivalent_viscous_Ns_per_m2
+        if self.friction_fraction is not None:
+            shaft_N = friction.sliding_N_per_m(friction.reference_speed_m_s) * layer.thickness_m
+            scale = self.friction_fraction * (shaft_N + tip_N) / shaft_N
+            coulomb, viscous = scale * coulomb, scale * viscous
+            tip_N += (1.0 - scale) * shaft_N
         return replace(
             friction,
-            coulomb_N_per_m=scale * coulomb,
-            viscous_Ns_per_m2=scale * viscous,
+            coulomb_N_per_m=coulomb,
+            viscous_Ns_per_m2=viscous,
             length_exponent=self.length_exponent,
             speed_exponent=self.speed_exponent,
         ), tip_N

@@ -173,7 +173,7 @@ def test_list_names_everything(capsys):
     assert main(["list"]) == 0
     out = capsys.readouterr().out
     assert "liver-constant" in out
-    assert "ideal, clean, degraded, needle" in out
+    assert "ideal, clean, fri, degraded, needle" in out
 
 
 @pytest.mark.parametrize(("cost", "code"), [(1.9, 0), (3.5, 1)])

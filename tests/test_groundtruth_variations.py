@@ -108,13 +108,13 @@ def test_texture_fades_at_both_ends_of_a_layer_and_never_pulls():
     layer = varied(gel(25), texture_N=0.02)
     change = [layer.tip_force_N(x) - gel(25).tip_force_N(x) for x in (1e-6, layer.thickness_m)]
     np.testing.assert_allclose(change, 0.0, atol=1e-4)
-    rough = replace(layer, texture=replace(layer.texture, std_N=5.0))
+    rough = varied(gel(25), texture_N=5.0)
     assert min(rough.tip_force_N(x) for x in np.linspace(0.0, layer.thickness_m, 400)) == 0.0
 
 
 @pytest.mark.parametrize(("exponent", "middle"), [(0.5, 0.70), (2.0, 0.23)])
 def test_a_concave_and_a_quadratic_tip_force_end_alike(exponent, middle):
-    plain, bent = replace(gel(70), cutting_fraction=0.0), None
+    plain = replace(gel(70), cutting_fraction=0.0)
     bent = varied(plain, tip_exponent=exponent)
     end = plain.thickness_m
     assert bent.tip_force_N(end) == pytest.approx(plain.tip_force_N(end))
