@@ -6,6 +6,7 @@ reads the force at its base. Both return what a robot would give and, apart from
 
 from collections.abc import Callable
 from dataclasses import dataclass, fields
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -210,12 +211,11 @@ def _sense(
 
 def _truth(trace: ArmTrace, tissue: TissueTruth, time: Array, kept: NDArray[np.intp]) -> Truth:
     of_tissue = {item.name for item in fields(TissueTruth)}
-    found = {"t_s": time}
+    found: dict[str, Any] = {"t_s": time[kept]}
     for name in [item.name for item in fields(Truth) if item.name != "t_s"]:
-        found[name] = getattr(tissue if name in of_tissue else trace, name)
-    return Truth(
-        **{name: row[kept] if isinstance(row, np.ndarray) else row for name, row in found.items()}
-    )
+        value = getattr(tissue if name in of_tissue else trace, name)
+        found[name] = value[kept] if isinstance(value, np.ndarray) else value
+    return Truth(**found)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
