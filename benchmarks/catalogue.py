@@ -14,7 +14,7 @@ from benchmarks.recorded.panda import run_panda_liver, run_panda_real
 from benchmarks.recorded.ur10e import run_ur10e_payload
 from benchmarks.simulated import NEEDLE, run_observers, run_simulated
 from groundtruth import SCENARIOS
-from groundtruth.scenarios import RANDOM_STACK
+from groundtruth.scenarios import RANDOM_STACK, RANDOM_TISSUE
 
 QUICK = (
     # The two of the published Figure 5, the other speed of each, and the organs: under a minute.
@@ -38,21 +38,24 @@ def _simulated() -> list[Benchmark]:
         )
         for item in SCENARIOS.values()
     ]
-    drawn = Benchmark(
-        id=RANDOM_STACK,
-        title="layers, motion and speed drawn anew for every seed",
-        run=run_simulated,
-        is_default=False,
-        plants=(NEEDLE,),
-        needs_arm=False,
-    )
+    drawn = [
+        Benchmark(
+            id=name,
+            title=f"layers, motion and {drawn} drawn anew for every seed",
+            run=run_simulated,
+            is_default=False,
+            plants=(NEEDLE,),
+            needs_arm=False,
+        )
+        for name, drawn in ((RANDOM_STACK, "speed"), (RANDOM_TISSUE, "speed, tissue law"))
+    ]
     observers = Benchmark(
         id="observers",
         title="momentum, smoothed momentum and Kalman observer on the same samples",
         run=run_observers,
         is_default=False,
     )
-    return [*named, drawn, observers]
+    return [*named, *drawn, observers]
 
 
 _recording = partial(Benchmark, seeds=1)

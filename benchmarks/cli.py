@@ -136,8 +136,8 @@ def run(
 
     Args:
         ids: Names of the list, tissue, or all; default: a quick set.
-        plant: ideal, clean, degraded, or needle (no arm), with commas between several; may be given
-            more than once. Default: clean; for random-stack needle.
+        plant: ideal, clean, fri, degraded, or needle (no arm), with commas between several; may be
+            given more than once. Default: clean; for drawn scenarios needle.
         seeds: Run seeds 0 to N-1.
         data: Folder of real recordings.
         json: Write the numbers there.

@@ -35,7 +35,7 @@ from needleforce.plots import (
 from needleforce.plots.chart import write_file
 from needleforce.plots.page import PAGE
 
-PLANTS = ("clean", "degraded", "ideal", "needle")
+PLANTS = ("clean", "fri", "degraded", "ideal", "needle")
 """The first of these on which a figure was run is shown."""
 SPEEDS = {"constant": palette.BLUE, "sinusoidal": palette.VERMILION}
 """With their colours in the paper."""

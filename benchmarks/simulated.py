@@ -36,7 +36,7 @@ from groundtruth import (
     simulate,
 )
 from groundtruth.force_noise import MINI45
-from groundtruth.scenarios import RANDOM_STACK, named_scenario
+from groundtruth.scenarios import DRAWN, named_scenario
 from residual import KalmanObserver, MomentumObserver
 
 Array = NDArray[np.float64]
@@ -52,7 +52,7 @@ def run_simulated(job: Job, progress: Progress) -> Findings:
     """Simulate, read every sensor, identify, measure, draw."""
     chosen = named_scenario(job.benchmark, job.seed)
     if job.plant == NEEDLE:
-        return run_needle(job, chosen, progress, is_drawn=job.benchmark == RANDOM_STACK)
+        return run_needle(job, chosen, progress, is_drawn=job.benchmark in DRAWN)
     case = simulated_case(job, chosen, progress_part(progress, 0.0, READING_PART))
     drawings: tuple[Drawing, ...] = ()
     if job.drawings is not None:

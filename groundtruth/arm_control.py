@@ -41,6 +41,7 @@ class ArmTrace:
         axial_jacobian: Speed of the tip along the needle per joint velocity, shape (n + 1, m).
         depth_m: Depth of the tip, shape (n,).
         mean_axial_N: Axial force of the tissue, mean over the tick, shape (n,).
+        joint_friction_Nm: Torque of the bearings on the links, mean over the tick, shape (n, m).
         forces: The tissue's answer, n of them.
     """
 
@@ -51,6 +52,7 @@ class ArmTrace:
     axial_jacobian: Array
     depth_m: Array
     mean_axial_N: Array
+    joint_friction_Nm: Array
     forces: list[TissueForce]
 
     @property
@@ -97,6 +99,7 @@ def drive(
         trace.axial_jacobian[k], trace.depth_m[k] = plant.axial_jacobian, plant.depth_m
         plant.tick(torque)
         trace.ft_wrench[k], trace.mean_axial_N[k] = plant.ft_wrench, plant.mean_axial_N
+        trace.joint_friction_Nm[k] = plant.friction_Nm
         trace.forces.append(plant.tissue_force)
     trace.axial_jacobian[-1] = plant.axial_jacobian
     if progress is not None:
@@ -147,6 +150,7 @@ def _empty_trace(ticks: int, joints: int) -> ArmTrace:
         axial_jacobian=np.empty((ticks + 1, joints)),
         depth_m=np.empty(ticks),
         mean_axial_N=np.empty(ticks),
+        joint_friction_Nm=np.empty((ticks, joints)),
         forces=[],
     )
 

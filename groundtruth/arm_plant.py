@@ -10,6 +10,7 @@ import numpy as np
 import pinocchio as pin
 from numpy.typing import NDArray
 
+from groundtruth.bearing_friction import BearingFriction
 from groundtruth.errors import PlantError, PlantModelError
 from groundtruth.plant_model import PlantModel, TICK_s
 from groundtruth.tissue import TissueForce, TissueLaw, no_force
@@ -162,7 +163,8 @@ def arm_mjcf(bodies: PlantBodies, substep_s: float) -> str:
     Bodies: one per joint; ``sensor``, rigid on the flange; ``needle``, all that lies beyond the
     F/T sensor's measuring plane; and the massless ``tip``, so that a force on it acts at the
     needle's tip. No geometry, contacts, joint limits, damping, armature or friction: the torque
-    of a joint is the link-side torque its sensor reads.
+    of a joint is the link-side torque its sensor reads. Friction of the bearings, which no sensor
+    reads, is added by `ArmPlant`.
 
     The force and torque sensors sit at the ``ft_sensor`` frame and report, in its axes, what the
     arm exerts on the needle body: everything beyond the measuring plane.
@@ -244,9 +246,12 @@ class ArmPlant:
             inertia, in ``ft_sensor`` axes.
         tissue_force: Force of the tissue at the start of the last tick.
         mean_axial_N: Its axial part, mean over the last tick.
+        friction_Nm: Torque of the joint bearings on the links, shape (7,), mean over the last tick.
     """
 
-    def __init__(self, bodies: PlantBodies, contact: TissueContact) -> None:
+    def __init__(
+        self, bodies: PlantBodies, contact: TissueContact, friction: BearingFriction | None = None
+    ) -> None:
         """Compile the model of the true arm; `PlantError` if MuJoCo is not installed."""
         if mujoco is None:
             raise PlantError(
@@ -255,6 +260,7 @@ class ArmPlant:
         self._model = mujoco.MjModel.from_xml_string(arm_mjcf(bodies, SUBSTEP_s))
         self._data = mujoco.MjData(self._model)
         self._contact = contact
+        self._friction = friction
         self._has_tissue = bool(contact.law.layers)
         self._tip = self._model.body("tip").id
         self._tip_force: Array = self._data.xfrc_applied[self._tip, :3]
@@ -266,6 +272,8 @@ class ArmPlant:
         self.ft_wrench = np.zeros(6)
         self.tissue_force: TissueForce = no_force(len(contact.law.layers))
         self.mean_axial_N = 0.0
+        self.friction_Nm = np.zeros(self._model.nv)
+        self._held_Nm = np.zeros(self._model.nv)
         self._locate()
 
     def place(self, q_rad: Array, dq_rad_s: Array) -> None:
@@ -276,13 +284,14 @@ class ArmPlant:
 
     def tick(self, torque_Nm: Array) -> None:
         """Hold a joint torque, shape (7,), for one tick."""
-        self._data.qfrc_applied[:] = torque_Nm
+        self._held_Nm = self._data.qfrc_applied[:] = torque_Nm
+        self.friction_Nm = np.zeros(self._model.nv)
         if self._has_tissue:
             self._tissue_tick(self._contact.law)
         else:
             self._step_and_read()
             for _ in range(SUBSTEPS - 1):
-                mujoco.mj_step(self._model, self._data)
+                self._step()
         self._locate()
 
     def _tissue_tick(self, law: TissueLaw) -> None:
@@ -303,8 +312,16 @@ class ArmPlant:
             axial = law.step(depth, speed, SUBSTEP_s).axial_N
             total += axial
             self._tip_force[:] = axial * back
-            mujoco.mj_step(self._model, self._data)
+            self._step()
         self.mean_axial_N = total / SUBSTEPS
+
+    def _step(self) -> None:
+        """Step once, with the friction of the bearings held over the step."""
+        if self._friction is not None:
+            friction = self._friction.step(self.dq_rad_s, SUBSTEP_s)
+            self._data.qfrc_applied[:] = self._held_Nm + friction
+            self.friction_Nm += friction / SUBSTEPS
+        mujoco.mj_step(self._model, self._data)
 
     def _step_and_read(self) -> None:
         """Step once and read the F/T sensor.
@@ -312,7 +329,7 @@ class ArmPlant:
         MuJoCo evaluates its sensors at the state the step starts from, and reports what the arm
         exerts on the needle; the reading is what the needle exerts on the arm.
         """
-        mujoco.mj_step(self._model, self._data)
+        self._step()
         np.negative(self._data.sensordata, out=self.ft_wrench)
 
     def _locate(self) -> None:

@@ -2,6 +2,10 @@
 
 import math
 from dataclasses import dataclass
+from typing import Self
+
+import numpy as np
+from scipy.special import ndtri
 
 from groundtruth.errors import (
     TissueError,
@@ -12,6 +16,39 @@ from groundtruth.errors import (
 
 CUTTING_ONSET_M = 1e-3
 """Penetration over which the cutting force builds up: about one needle diameter (18G 1.27 mm)."""
+
+
+KEPT_FADE_M = 5e-3
+"""Travel over which the tip force kept after an internal rupture fades. Chosen: four diameters. In
+a thinner layer the rest goes with its own rupture."""
+
+SPEED_ROUNDING_M_S = 2e-5
+"""Below it a power law of speed is linear: no physics step can follow an infinite slope."""
+
+TEXTURE_WAVES = 16
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Texture:
+    """Unevenness of a layer at the tip: a sum of waves (rad/m, rad) that depends on the place."""
+
+    std_N: float
+    waves: tuple[tuple[float, float], ...]
+
+    @classmethod
+    def drawn(cls, std_N: float, length_m: float, rng: np.random.Generator) -> Self:
+        """Draw a texture with correlation exp(-x² / 2 length²) over a distance x."""
+        require_positive(TissueError, std_N=std_N, length_m=length_m)
+        # One wave in each quantile of that correlation's spectrum, a normal distribution.
+        quantile = (np.arange(TEXTURE_WAVES) + rng.uniform(size=TEXTURE_WAVES)) / TEXTURE_WAVES
+        wave_number = ndtri(0.5 + 0.5 * quantile) / length_m
+        phase = rng.uniform(0.0, 2.0 * np.pi, TEXTURE_WAVES)
+        return cls(std_N=std_N, waves=tuple(zip(wave_number.tolist(), phase.tolist(), strict=True)))
+
+    def force_N(self, penetration_m: float) -> float:
+        """Force at a depth into the layer, of either sign."""
+        total = sum(math.cos(number * penetration_m + phase) for number, phase in self.waves)
+        return self.std_N * math.sqrt(2.0 / len(self.waves)) * total
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -68,12 +105,16 @@ class ShaftFriction:
         viscous_Ns_per_m2: Part proportional to speed.
         presliding_m: Travel over which the Coulomb part closes 63 % of the way to its new value.
         reference_speed_m_s: Speed at which the friction was measured or calibrated.
+        speed_exponent: n, of a second part that grows with v^n, alike at the reference speed.
+        length_exponent: n, of friction that grows with length^n, alike on the whole layer.
     """
 
     coulomb_N_per_m: float
     viscous_Ns_per_m2: float
     presliding_m: float
     reference_speed_m_s: float
+    speed_exponent: float = 1.0
+    length_exponent: float = 1.0
 
     def __post_init__(self) -> None:
         """Raise `TissueError` naming the value that no friction can have."""
@@ -86,6 +127,8 @@ class ShaftFriction:
             TissueError,
             presliding_m=self.presliding_m,
             reference_speed_m_s=self.reference_speed_m_s,
+            speed_exponent=self.speed_exponent,
+            length_exponent=self.length_exponent,
         )
 
     @classmethod
@@ -122,7 +165,21 @@ class ShaftFriction:
         if speed_m_s == 0.0:
             return 0.0
         coulomb = math.copysign(self.coulomb_N_per_m, speed_m_s)
-        return coulomb + self.viscous_Ns_per_m2 * speed_m_s
+        return coulomb + self.rising_N_per_m(speed_m_s)
+
+    def rising_N_per_m(self, speed_m_s: float) -> float:
+        """The part of the friction per length that grows with speed, with the speed's sign."""
+        viscous = self.viscous_Ns_per_m2 * speed_m_s
+        if self.speed_exponent == 1.0:
+            return viscous
+        ratio = max(abs(speed_m_s), SPEED_ROUNDING_M_S) / self.reference_speed_m_s
+        return viscous * ratio ** (self.speed_exponent - 1.0)
+
+    def gripped_m(self, embedded_m: float, thickness_m: float) -> float:
+        """Length with the same friction, were it proportional to length."""
+        if self.length_exponent == 1.0 or embedded_m <= 0.0:
+            return embedded_m
+        return thickness_m * (embedded_m / thickness_m) ** self.length_exponent
 
     @property
     def equivalent_viscous_Ns_per_m2(self) -> float:
@@ -147,6 +204,9 @@ class Layer:
             rest.
         friction: Friction of the layer on the shaft.
         membrane: What must be punctured to enter the layer, if anything.
+        tip_exponent: Power of the elastic part, 1 above: 0.5 concave, 2 quadratic. It ends alike.
+        kept_fraction: Fraction of the tip force kept when the needle leaves for a next layer.
+        texture: Unevenness of the tip force, faded over a cutting onset at both ends of the layer.
     """
 
     name: str
@@ -158,6 +218,9 @@ class Layer:
     relaxed_fraction: float
     friction: ShaftFriction
     membrane: Membrane | None = None
+    tip_exponent: float = 1.0
+    kept_fraction: float = 0.0
+    texture: Texture | None = None
 
     def __post_init__(self) -> None:
         """Raise `TissueError` naming the value that no layer can have.
@@ -170,10 +233,12 @@ class Layer:
             thickness_m=self.thickness_m,
             exit_force_N=self.exit_force_N,
             release_m=self.release_m,
+            tip_exponent=self.tip_exponent,
         )
         require_non_negative(TissueError, stiffening=self.stiffening)
         require_fraction(
             TissueError,
+            kept_fraction=self.kept_fraction,
             cutting_fraction=self.cutting_fraction,
             relaxed_fraction=self.relaxed_fraction,
         )
@@ -199,12 +264,18 @@ class Layer:
         """
         if penetration_m <= 0.0:
             return 0.0
-        p = penetration_m / (self.thickness_m - self.entry_m)
-        elastic = p * (1.0 + self.stiffening * p) / (1.0 + self.stiffening)
+        cut_m = self.thickness_m - self.entry_m
+        p = penetration_m / cut_m
+        elastic = (p * (1.0 + self.stiffening * p) / (1.0 + self.stiffening)) ** self.tip_exponent
         onset = min(penetration_m / CUTTING_ONSET_M, 1.0)
         cutting = onset * (2.0 - onset)
         c = self.cutting_fraction
-        return self.exit_force_N * ((1.0 - c) * elastic + c * cutting)
+        force = self.exit_force_N * ((1.0 - c) * elastic + c * cutting)
+        if self.texture is None:
+            return force
+        inside = min(onset, max(cut_m - penetration_m, 0.0) / CUTTING_ONSET_M)
+        # Tissue does not pull at the tip.
+        return max(force + inside * self.texture.force_N(penetration_m), 0.0)
 
     @property
     def stiffness_N_per_m(self) -> float:
@@ -226,6 +297,7 @@ class Interface:
         release_m: Travel over which the force is then released.
         drop_N: Force released, tissue not relaxed; zero at a bare surface.
         membrane: The membrane to puncture there, if any.
+        kept_fraction: Fraction of `drop_N` that is not released but fades: layers hang together.
     """
 
     depth_m: float
@@ -233,6 +305,15 @@ class Interface:
     release_m: float
     drop_N: float
     membrane: Membrane | None
+    kept_fraction: float = 0.0
+
+    def held(self, deepest_m: float) -> float:
+        """Fraction of the force held, 1 to 0, once the tip has been as deep as `deepest_m`."""
+        held = 1.0 - self.released(deepest_m)
+        if self.kept_fraction == 0.0:
+            return held
+        kept = max(1.0 - max(deepest_m - self.onset_m, 0.0) / KEPT_FADE_M, 0.0)
+        return (1.0 - self.kept_fraction) * held + self.kept_fraction * kept * kept
 
     def released(self, deepest_m: float) -> float:
         """Fraction of the force released, 0 to 1, once the tip has been as deep as `deepest_m`.
@@ -266,9 +347,17 @@ def interfaces(layers: tuple[Layer, ...]) -> tuple[Interface, ...]:
         if membrane is not None:
             onset, drop = depth + membrane.indentation_m, drop + membrane.puncture_N
             release = membrane.release_m
+        kept = 0.0
+        if i and below is not None:
+            kept = layers[i - 1].kept_fraction * layers[i - 1].exit_force_N / drop
         found.append(
             Interface(
-                depth_m=depth, onset_m=onset, release_m=release, drop_N=drop, membrane=membrane
+                depth_m=depth,
+                onset_m=onset,
+                release_m=release,
+                drop_N=drop,
+                membrane=membrane,
+                kept_fraction=kept,
             )
         )
         depth += 0.0 if below is None else below.thickness_m

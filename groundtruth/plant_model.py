@@ -7,7 +7,10 @@ drives 160:1 (J1-J4) and 100:1 (J5-J7), 1 kHz, no velocity in the interface. "Li
 joint's effort limit, 176 to 38 Nm.
 """
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
 
 from groundtruth.force_noise import MINI45
 
@@ -39,8 +42,11 @@ class PlantModel:
     times the 50 mm size of an F/T sensor with its adapters."""
 
     torque_noise_std_Nm: tuple[float, ...] = (0.0,) * 7
-    """White noise of one sample. 0.03 % of limit; the source quotes it after an 8 Hz filter, here
-    it is taken per sample."""
+    """Noise of one sample: 0.03 % of limit."""
+
+    torque_noise_correlation_s: float = 0.0
+    """Time constant of that noise, zero for white. The source states the 0.03 % after an 8 Hz
+    filter: 1 / (2 pi 8 Hz) = 20 ms. `clean` takes the number per sample, which is kinder."""
 
     torque_bias_min_Nm: tuple[float, ...] = (0.0,) * 7
     """Least magnitude of the constant offset; the magnitude is drawn uniformly, the sign too."""
@@ -65,6 +71,20 @@ class PlantModel:
     torque_hysteresis: float = 0.0
     """Half-width, as a fraction of limit, of the torque sensor's backlash: the output lags until
     the torque has moved by this much. 1e-4, one fiftieth of the linearity as well."""
+
+    torque_nonlinearity: float = 0.0
+    """Greatest smooth deviation of a torque sensor from a straight line, as a fraction of limit.
+    The data sheet promises less than 0.5 %."""
+
+    joint_coulomb: float = 0.0
+    """Coulomb friction between torque sensor and link, as a fraction of limit, see
+    `groundtruth.bearing_friction`. No source states it; calibrated, see `FRI`."""
+
+    joint_viscous_Nms_per_rad: tuple[float, ...] = (0.0,) * 7
+    """Viscous friction there."""
+
+    size_spread: float = 1.0
+    """Friction and drift of each joint are drawn within this factor of their stated size."""
 
     position_noise_std_rad: float = 0.0
     """White noise of the reported position. 1e-5: a motor encoder seen through the gear; the
@@ -97,6 +117,15 @@ class PlantModel:
     other axes in proportion to their range: 145, 145, 290 N; 5 Nm."""
 
 
+def drawn_factors(
+    plant_model: PlantModel, shape: tuple[int, ...], rng: np.random.Generator
+) -> NDArray[np.float64]:
+    """Factors on stated sizes, equal chance per octave within the plant model's `size_spread`."""
+    if plant_model.size_spread == 1.0:  # keeps what is drawn afterwards
+        return np.ones(shape)
+    return plant_model.size_spread ** rng.uniform(-1.0, 1.0, shape)
+
+
 _FT_NOISE = tuple(
     MINI45.white_std_N * raw / 0.050 for raw in (0.020, 0.019, 0.050, 5.3e-4, 5.3e-4, 5.0e-4)
 )
@@ -125,28 +154,37 @@ CLEAN = PlantModel(
 )
 """A well-kept arm with an identified model."""
 
-DEGRADED = PlantModel(
+FRI = replace(
+    CLEAN,
+    name="fri",
+    torque_noise_correlation_s=20e-3,
+    torque_nonlinearity=0.005,
+    joint_coulomb=2.1e-4,
+    size_spread=2.0,
+    position_noise_std_rad=5e-5,
+    position_step_rad=1.75e-4,
+    velocity_noise_std_rad_s=None,
+    clock_jitter_std_s=5e-5,
+)
+"""The arm as its research interface gives it."""
+
+DEGRADED = replace(
+    FRI,
     name="degraded",
     cad_fraction=0.3,
     payload_error=0.05,
     payload_com_spread_m=0.0025,
     torque_noise_std_Nm=tuple(2.0 * std for std in CLEAN.torque_noise_std_Nm),
-    torque_bias_min_Nm=CLEAN.torque_bias_min_Nm,
-    torque_bias_max_Nm=CLEAN.torque_bias_max_Nm,
-    torque_drift_std_per_min=1e-4,
-    torque_random_walk_std_per_sqrt_min=3e-5,
     torque_ripple=1e-4,
     torque_hysteresis=1e-4,
-    position_noise_std_rad=2e-5,
-    position_step_rad=2e-5,
-    velocity_noise_std_rad_s=None,
-    clock_jitter_std_s=5e-5,
+    torque_nonlinearity=0.01,
+    joint_coulomb=2.0 * FRI.joint_coulomb,
+    position_noise_std_rad=1.75e-4,
     drop_probability=1e-3,
     drop_max_samples=3,
     ft_noise_std=tuple(2.0 * std for std in _FT_NOISE),
-    ft_drift_std_per_min=_FT_DRIFT,
 )
 """A neglected arm seen through its bare research interface: twice the noise, further errors."""
 
-PLANT_MODELS = {model.name: model for model in (IDEAL, CLEAN, DEGRADED)}
+PLANT_MODELS = {model.name: model for model in (IDEAL, CLEAN, FRI, DEGRADED)}
 """The plant models by name."""

@@ -25,6 +25,7 @@ from groundtruth.materials import (
 )
 from groundtruth.motion import Motion, constant_motion, free_motion, sinusoidal_motion
 from groundtruth.tissue import MultilayerTissue, Tissue, TissueLaw
+from groundtruth.variations import VARIATIONS, TissueVariation, random_variation
 
 LawName = Literal["tissue", "multilayer"]
 LAWS = {"tissue": Tissue, "multilayer": MultilayerTissue}
@@ -60,6 +61,10 @@ class Scenario:
             ScenarioError: The law is unknown.
         """
         return replace(self, law=law)
+
+    def with_variation(self, change: TissueVariation, rng: np.random.Generator) -> "Scenario":
+        """The same scenario with every layer changed; the generator draws the texture."""
+        return replace(self, layers=tuple(change.layer(layer, rng) for layer in self.layers))
 
     def new_tissue(self) -> TissueLaw:
         """Fresh, uncut tissue under the scenario's law."""
@@ -154,7 +159,10 @@ SCENARIOS: Mapping[str, Scenario] = MappingProxyType(
 """Every catalogued scenario under its permanent name."""
 
 RANDOM_STACK = "random-stack"
-"""The id of every drawn scenario."""
+"""The id of every drawn scenario under the catalogue's law."""
+RANDOM_TISSUE = "random-tissue"
+"""The id of those whose layers draw their law too."""
+DRAWN = (RANDOM_STACK, RANDOM_TISSUE)
 
 
 def scenario(scenario_id: str) -> Scenario:
@@ -164,20 +172,31 @@ def scenario(scenario_id: str) -> Scenario:
         ScenarioError: There is none; the message lists the names.
     """
     if scenario_id not in SCENARIOS:
-        known = ", ".join((*SCENARIOS, RANDOM_STACK))
-        raise ScenarioError(f"no scenario {scenario_id!r}; known: {known} (drawn from a seed)")
+        known = ", ".join((*SCENARIOS, *DRAWN))
+        raise ScenarioError(f"no scenario {scenario_id!r}; known: {known} (two drawn from a seed)")
     return SCENARIOS[scenario_id]
 
 
 def named_scenario(name: str, seed: int) -> Scenario:
-    """A catalogued scenario, or one drawn from the seed for the name ``random-stack``.
+    """A catalogued scenario, or one drawn from the seed.
+
+    Args:
+        name: As catalogued, ``random-stack`` or ``random-tissue``; followed by ``+`` and one of
+            `VARIATIONS`, in that tissue: ``stack-constant+texture-20mN``.
+        seed: Of what is drawn.
 
     Raises:
         ScenarioError: There is none of that name; the message lists the names.
     """
-    if name == RANDOM_STACK:
-        return random_stack(np.random.default_rng(seed))
-    return scenario(name)
+    base, plus, change = name.partition("+")
+    drawn = {RANDOM_STACK: random_stack, RANDOM_TISSUE: random_tissue}.get(base)
+    chosen = scenario(base) if drawn is None else drawn(np.random.default_rng(seed))
+    if not plus:
+        return chosen
+    if change not in VARIATIONS:
+        raise ScenarioError(f"no variation {change!r}; known: {', '.join(VARIATIONS)}")
+    varied = chosen.with_variation(VARIATIONS[change], np.random.default_rng([seed, 1]))
+    return replace(varied, id=name, title=f"{chosen.title}, {change}")
 
 
 # Ranges of the random scenarios.
@@ -233,6 +252,14 @@ def random_stack(rng: np.random.Generator) -> Scenario:
         layers=layers,
         motion=_motion(rng, float(thickness.sum()), speed, sine=sine),
     )
+
+
+def random_tissue(rng: np.random.Generator) -> Scenario:
+    """Draw a random stack, then the law of each of its layers."""
+    stack = random_stack(rng)
+    layers = tuple(random_variation(rng).layer(layer, rng) for layer in stack.layers)
+    title = f"{stack.title}, each of its own law"
+    return replace(stack, id=RANDOM_TISSUE, title=title, layers=layers)
 
 
 def _uniform(rng: np.random.Generator, limits: tuple[float, float]) -> float:

@@ -6,8 +6,9 @@ and the generator that they are drawn from.
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.signal import lfilter
 
-from groundtruth.plant_model import PlantModel, TICK_s
+from groundtruth.plant_model import PlantModel, TICK_s, drawn_factors
 from urdf import LWR_GEAR_RATIO
 
 Array = NDArray[np.float64]
@@ -26,7 +27,7 @@ def measured_torque(
         tau_Nm: True torques at every tick, shape (n, 7).
         q_rad: True positions, shape (n, 7).
         limit_Nm: Effort limits, shape (7,); ranges of the sensors.
-        plant_model: Gives hysteresis, ripple, offset, drift and noise.
+        plant_model: Gives hysteresis, ripple, non-linearity, offset, drift and noise.
         rng: Source of everything drawn.
 
     Returns:
@@ -37,14 +38,38 @@ def measured_torque(
     bias *= rng.choice((-1.0, 1.0), bias.shape)
     phase = rng.uniform(0.0, 2.0 * np.pi, shape[1])
     drift = limit_Nm * _relative_drift(shape, plant_model, rng)
-    noise = np.array(plant_model.torque_noise_std_Nm) * rng.standard_normal(shape)
+    white = rng.standard_normal(shape)
+    noise = np.array(plant_model.torque_noise_std_Nm) * _coloured(white, plant_model)
     seen = tau_Nm
     if plant_model.torque_hysteresis > 0.0:
         seen = backlash(tau_Nm, plant_model.torque_hysteresis * limit_Nm)
     if plant_model.torque_ripple > 0.0:
         angle = 2.0 * np.array(LWR_GEAR_RATIO) * q_rad + phase
         seen = seen + plant_model.torque_ripple * limit_Nm * np.sin(angle)
+    if plant_model.torque_nonlinearity > 0.0:
+        largest_Nm = plant_model.torque_nonlinearity * limit_Nm
+        seen = seen + largest_Nm * _bend(tau_Nm / limit_Nm, rng)
     return seen + bias + drift + noise
+
+
+def _coloured(white: Array, plant_model: PlantModel) -> Array:
+    """Stationary noise of unit spread and the plant model's correlation time, from white noise."""
+    if plant_model.torque_noise_correlation_s == 0.0:
+        return white
+    kept = np.exp(-TICK_s / plant_model.torque_noise_correlation_s)
+    entering = np.sqrt(1.0 - kept * kept) * white
+    entering[0] = white[0]  # as if it had gone on for ever before
+    return np.asarray(lfilter([1.0], [1.0, -kept], entering, axis=0))
+
+
+def _bend(load: Array, rng: np.random.Generator) -> Array:
+    """A smooth deviation from a straight line, at most 1 for loads from -1 to 1: bow and S.
+
+    Chebyshev polynomials of second and third degree, in drawn parts and sizes.
+    """
+    size, bow = rng.uniform(size=load.shape[1]), rng.uniform(-1.0, 1.0, load.shape[1])
+    bent = bow * (2.0 * load**2 - 1.0) + (1.0 - np.abs(bow)) * (4.0 * load**3 - 3.0 * load)
+    return size * rng.choice((-1.0, 1.0), load.shape[1]) * bent
 
 
 def _relative_drift(
@@ -55,7 +80,8 @@ def _relative_drift(
     rate = plant_model.torque_drift_std_per_min * rng.standard_normal(shape[1])
     step = plant_model.torque_random_walk_std_per_sqrt_min * np.sqrt(TICK_s / SECONDS_PER_MINUTE)
     random_walk = np.cumsum(step * rng.standard_normal(shape), axis=0)
-    return minutes[:, None] * rate + random_walk - random_walk[0]
+    factor = drawn_factors(plant_model, (shape[1],), rng)
+    return factor * (minutes[:, None] * rate + random_walk - random_walk[0])
 
 
 def backlash(signal: Array, half_width: Array) -> Array:

@@ -5,7 +5,8 @@ reads the force at its base. Both return what a robot would give and, apart from
 """
 
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, fields
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -13,6 +14,7 @@ from numpy.typing import NDArray
 from groundtruth.arm_control import ArmTrace, drive
 from groundtruth.arm_motion import InsertionPath, scenario_motion, scenario_path
 from groundtruth.arm_plant import ArmPlant, TissueContact, lwr_bodies
+from groundtruth.bearing_friction import BearingFriction
 from groundtruth.errors import NoiseError, PlantModelError, RunError
 from groundtruth.force_noise import NOISES, ForceNoise
 from groundtruth.plant_model import PLANT_MODELS, PlantModel, TICK_s
@@ -37,7 +39,7 @@ class Signals:
     """What a robot and its F/T sensor give, n samples; all that an estimator may see.
 
     Attributes:
-        t_s: Time stamps, shape (n,), increasing; jittered and with gaps on the degraded arm.
+        t_s: Time stamps, shape (n,), increasing; jittered, or with gaps, on some plants.
         q_rad: Joint positions, shape (n, 7).
         dq_rad_s: Joint velocities, shape (n, 7), or None where the interface reports none.
         tau_Nm: Link-side joint torques, shape (n, 7). Row k is held from its sample to the next
@@ -70,6 +72,8 @@ class Truth(TissueTruth):
         external_torque_Nm: Torque of the tissue on the joints, shape (n, 7), mean over the tick
             that begins at the sample: what a momentum observer can learn from that sample and
             the next.
+        joint_friction_Nm: Torque of the bearings on the links, against their motion, shape (n, 7),
+            mean over the same tick. No torque sensor sees it; an observer takes it for external.
         depth_m: Travel of the tip since first contact, negative above, shape (n,); zero where
             there is no tissue.
         speed_m_s: Speed of the tip along the needle, shape (n,).
@@ -80,6 +84,7 @@ class Truth(TissueTruth):
     dq_rad_s: Array
     tau_Nm: Array
     external_torque_Nm: Array
+    joint_friction_Nm: Array
     depth_m: Array
     speed_m_s: Array
 
@@ -131,7 +136,7 @@ def simulate(
 
     Args:
         scenario: A scenario or the name of a catalogued one.
-        plant: Name of the plant model: ``ideal``, ``clean`` or ``degraded``.
+        plant: Name of the plant model: ``ideal``, ``clean``, ``fri`` or ``degraded``.
         seed: Seed of everything drawn; equal arguments give equal runs.
         progress: Called now and then with the fraction done, 0 to 1.
 
@@ -150,14 +155,17 @@ def simulate(
         raise PlantModelError(f"unknown plant model {plant!r}; choose one of {known}")
     plant_model = PLANT_MODELS[plant]
     tool = NeedleTool()
-    mass_seed, sensor_seed = np.random.SeedSequence(seed).spawn(2)
+    mass_seed, sensor_seed, friction_seed = np.random.SeedSequence(seed).spawn(3)
     bodies = lwr_bodies(tool, plant_model, np.random.default_rng(mass_seed))
     path = scenario_path(bodies.robot, chosen)
     contact = _contact(path, chosen)
     motion = scenario_motion(path, chosen)
-    trace = drive(ArmPlant(bodies, contact), bodies.model(), motion, progress)
-    time = np.arange(len(trace.q_rad), dtype=np.float64) * TICK_s
     limit_Nm = bodies.robot.effort_limit_Nm
+    friction = None
+    if plant_model.joint_coulomb > 0.0 or any(plant_model.joint_viscous_Nms_per_rad):
+        friction = BearingFriction(plant_model, limit_Nm, np.random.default_rng(friction_seed))
+    trace = drive(ArmPlant(bodies, contact, friction), bodies.model(), motion, progress)
+    time = np.arange(len(trace.q_rad), dtype=np.float64) * TICK_s
     kept, signals = _sense(trace, time, limit_Nm, plant_model, sensor_seed)
     tissue = collect_truth(contact.law, time, trace.depth_m, trace.forces)
     return Run(
@@ -202,23 +210,12 @@ def _sense(
 
 
 def _truth(trace: ArmTrace, tissue: TissueTruth, time: Array, kept: NDArray[np.intp]) -> Truth:
-    return Truth(
-        t_s=time[kept],
-        q_rad=trace.q_rad[kept],
-        dq_rad_s=trace.dq_rad_s[kept],
-        tau_Nm=trace.tau_Nm[kept],
-        external_torque_Nm=trace.external_torque_Nm[kept],
-        axial_N=tissue.axial_N[kept],
-        tip_N=tissue.tip_N[kept],
-        friction_N=tissue.friction_N[kept],
-        layer_friction_N=tissue.layer_friction_N[kept],
-        layer=tissue.layer[kept],
-        depth_m=trace.depth_m[kept],
-        speed_m_s=trace.speed_m_s[kept],
-        ruptures=tissue.ruptures,
-        contact_s=tissue.contact_s,
-        withdrawn_s=tissue.withdrawn_s,
-    )
+    of_tissue = {item.name for item in fields(TissueTruth)}
+    found: dict[str, Any] = {"t_s": time[kept]}
+    for name in [item.name for item in fields(Truth) if item.name != "t_s"]:
+        value = getattr(tissue if name in of_tissue else trace, name)
+        found[name] = value[kept] if isinstance(value, np.ndarray) else value
+    return Truth(**found)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)

@@ -1,8 +1,9 @@
 """The laws of tissue: `Tissue` for realistic runs, `MultilayerTissue` for equation (3).
 
 `Tissue` has ruptures of finite travel, membranes, cutting, presliding and relaxation. It is
-deliberately not the law the estimators identify (equation 3). What it shares with it is the
-geometry and, at each layer's reference speed, the shaft friction.
+not the law that the published method identifies (equation 3): it shares the geometry with it and,
+at each layer's reference speed, the shaft friction. Our multilayer estimator does share its form
+(cutting onset, release, presliding), so `groundtruth.variations` departs from it.
 """
 
 import math
@@ -190,7 +191,7 @@ class Tissue:
         force = 0.0
         if back < 1.0 and ruptured > 0:
             last = boundaries[ruptured - 1]
-            force = (1.0 - last.released(deepest)) * last.drop_N
+            force = last.held(deepest) * last.drop_N
             if ruptured < len(boundaries):
                 front = min(deepest, boundaries[ruptured].depth_m)
                 force += self.layers[ruptured - 1].tip_force_N(front - last.onset_m)
@@ -211,8 +212,9 @@ class Tissue:
             if entry.membrane is not None:
                 # The pushed-in tissue springs back along the shaft while the membrane ruptures.
                 embedded *= entry.released(self._deepest_m)
+            embedded = friction.gripped_m(embedded, self.layers[i].thickness_m)
             coulomb = friction.coulomb_N_per_m * self._bristles[i]
-            found[i] = embedded * (coulomb + friction.viscous_Ns_per_m2 * speed_m_s)
+            found[i] = embedded * (coulomb + friction.rising_N_per_m(speed_m_s))
         return tuple(found)
 
 
@@ -240,6 +242,7 @@ class MultilayerTissue:
                 release_m=0.0,
                 drop_N=0.0 if i == 0 else self.layers[i - 1].exit_force_N,
                 membrane=None,
+                kept_fraction=0.0,
             )
             for i, boundary in enumerate(interfaces(self.layers))
         )

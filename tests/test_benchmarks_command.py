@@ -101,7 +101,7 @@ def test_a_benchmark_that_fails_is_named_and_the_others_go_on(tmp_path, capsys):
     ("arguments", "message"),
     [
         (["nothing"], "no benchmark 'nothing'; choose from: liver-constant"),
-        (["--plant", "soft"], "no plant 'soft'; choose from: ideal, clean, degraded"),
+        (["--plant", "soft"], "no plant 'soft'; choose from: ideal, clean, fri, degraded"),
         (["--plant", ","], "--plant: expected at least one name"),
         (["--data", "/no/such/folder"], "no folder of recordings at"),
         (["panda-real"], "panda-real needs recordings: give --data DIR"),
@@ -173,7 +173,7 @@ def test_list_names_everything(capsys):
     assert main(["list"]) == 0
     out = capsys.readouterr().out
     assert "liver-constant" in out
-    assert "ideal, clean, degraded, needle" in out
+    assert "ideal, clean, fri, degraded, needle" in out
 
 
 @pytest.mark.parametrize(("cost", "code"), [(1.9, 0), (3.5, 1)])

@@ -27,7 +27,8 @@ def names(plan):
 
 
 def test_every_scenario_and_every_real_recording_can_be_run_by_name():
-    assert set(SCENARIOS) | {"random-stack", "observers"} | RECORDED == set(BENCHMARKS)
+    drawn = {"random-stack", "random-tissue"}
+    assert set(SCENARIOS) | drawn | {"observers"} | RECORDED == set(BENCHMARKS)
     quick = {"panda-real", "panda-liver", "ur10e-payload", "liver-real", "bovine-real"}
     assert quick | {"liver-limit"} == RECORDED
     assert quick == {name for name in RECORDED if BENCHMARKS[name].is_default}
@@ -134,4 +135,4 @@ def test_the_random_stack_runs_without_an_arm_unless_one_is_named():
 
 def test_a_needle_alone_leaves_out_what_needs_an_arm():
     found = names(make_plan(Request(ids=["all"], plants=["needle"])))
-    assert set(found) == set(SCENARIOS) - {"free-motion"} | {"random-stack"}
+    assert set(found) == set(SCENARIOS) - {"free-motion"} | {"random-stack", "random-tissue"}

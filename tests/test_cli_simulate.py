@@ -164,7 +164,7 @@ def test_options_reach_the_simulation(quick):
 def test_list_names_every_scenario(capsys):
     assert main(["simulate", "--list"]) == 0
     listed = [line.split()[0] for line in capsys.readouterr().out.splitlines()]
-    assert listed == [*SCENARIOS, "random-stack"]
+    assert listed == [*SCENARIOS, "random-stack", "random-tissue"]
 
 
 @pytest.mark.parametrize(

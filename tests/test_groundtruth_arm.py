@@ -25,7 +25,7 @@ from groundtruth.scenarios import SCENARIOS
 from groundtruth.tissue import Tissue, TissueForce
 from urdf import NeedleTool, load_lwr
 
-IDEAL, CLEAN, DEGRADED = PLANT_MODELS.values()
+IDEAL, CLEAN, FRI, DEGRADED = PLANT_MODELS.values()
 EVERY_PLANT = pytest.mark.parametrize("name", PLANT_MODELS)
 GRAVITY = 9.80665
 PUSH_N = 2.5
@@ -90,8 +90,10 @@ def test_the_degraded_arm_has_the_stated_com_error_and_at_least_the_errors_of_th
     spread = np.std(np.array(shifts) - tool.beyond_sensor.com_m)
     # 180 draws: 5 % standard error of the standard deviation
     assert spread == pytest.approx(DEGRADED.payload_com_spread_m, rel=0.2)
-    noise = np.array(CLEAN.torque_noise_std_Nm)
+    noise = np.array(FRI.torque_noise_std_Nm)
     np.testing.assert_allclose(DEGRADED.torque_noise_std_Nm, 2.0 * noise)
+    for name in ("joint_coulomb", "torque_nonlinearity", "position_noise_std_rad"):
+        assert getattr(DEGRADED, name) > getattr(FRI, name) > getattr(CLEAN, name)
     assert DEGRADED.cad_fraction > CLEAN.cad_fraction > 0.0
     assert DEGRADED.payload_error > CLEAN.payload_error > 0.0
     assert DEGRADED.velocity_noise_std_rad_s is None

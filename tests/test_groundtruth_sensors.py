@@ -7,12 +7,13 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 from hypothesis.extra.numpy import arrays
+from scipy.signal import welch
 
 from groundtruth import sensors
 from groundtruth.plant_model import PLANT_MODELS, TICK_s
 from urdf import LWR_GEAR_RATIO
 
-IDEAL, CLEAN, DEGRADED = PLANT_MODELS.values()
+IDEAL, CLEAN, FRI, DEGRADED = PLANT_MODELS.values()
 LIMIT_Nm = np.array([176.0, 176.0, 100.0, 100.0, 100.0, 38.0, 38.0])
 N = 60_000
 STILL = np.zeros((N, 7))
@@ -37,14 +38,54 @@ def test_ideal_sensors_are_perfect():
         np.testing.assert_array_equal(seen, expected)
 
 
-@pytest.mark.parametrize("plant_model", [CLEAN, DEGRADED], ids=["clean", "degraded"])
-def test_torque_noise_is_white_with_the_stated_spread(plant_model):
-    change = np.diff(torque_error(plant_model), axis=0)
+def test_torque_noise_of_the_clean_arm_is_white_with_the_stated_spread():
+    change = np.diff(torque_error(CLEAN), axis=0)
     # differences of white noise: variance doubles, neighbours correlate by -1/2
-    expected = np.sqrt(2) * np.array(plant_model.torque_noise_std_Nm)
+    expected = np.sqrt(2) * np.array(CLEAN.torque_noise_std_Nm)
     np.testing.assert_allclose(change.std(axis=0), expected, rtol=0.02)
     neighbours = (change[1:] * change[:-1]).mean(axis=0) / change.var(axis=0)
     np.testing.assert_allclose(neighbours, -0.5, atol=0.02)
+
+
+def noise_only(plant_model):
+    """The torque noise of a plant model, shape (10 N, 7), in units of what it states."""
+    std = plant_model.torque_noise_std_Nm
+    time_s = plant_model.torque_noise_correlation_s
+    quiet = replace(IDEAL, torque_noise_std_Nm=std, torque_noise_correlation_s=time_s)
+    still = np.zeros((10 * N, 7))
+    return torque_error(quiet, tau=still, q=still) / np.array(std)
+
+
+@pytest.mark.parametrize("plant_model", [FRI, DEGRADED], ids=["fri", "degraded"])
+def test_torque_noise_has_the_stated_spread_behind_an_8_Hz_filter(plant_model):
+    noise = noise_only(plant_model)
+    np.testing.assert_allclose(noise.std(axis=0), 1.0, rtol=0.03)
+    assert np.abs(noise[:3]).max() > 0.1  # at once as large, not rising from zero
+    frequency, density = welch(noise, fs=1.0 / TICK_s, nperseg=8192, axis=0)
+    density = density.mean(axis=1)
+    low = density[(frequency > 0.2) & (frequency < 1.0)].mean()
+    # one pole at 8 Hz: half the density there, a hundredth at 80 Hz
+    assert np.interp(8.0, frequency, density) / low == pytest.approx(0.5, rel=0.15)
+    assert np.interp(80.0, frequency, density) / low == pytest.approx(0.01, rel=0.25)
+    assert low == pytest.approx(4.0 * plant_model.torque_noise_correlation_s, rel=0.1)
+
+
+def test_torque_sensors_bend_smoothly_within_the_data_sheet():
+    bent = replace(IDEAL, torque_nonlinearity=FRI.torque_nonlinearity)
+    load = np.linspace(-1.0, 1.0, 2001)[:, None] * LIMIT_Nm
+    shapes = np.array([torque_error(bent, seed, load, load) / LIMIT_Nm for seed in range(40)])
+    largest = np.abs(shapes).max(axis=1)
+    assert 0.0 < largest.min() < 1e-3 < 4e-3 < largest.max() <= 0.005
+    # a cubic: its fourth differences vanish
+    assert np.abs(np.diff(shapes[:, ::100], n=4, axis=1)).max() < 1e-12
+    assert np.abs(np.diff(shapes[:, ::100], n=2, axis=1)).max() > 1e-5
+
+
+def test_drift_of_single_joints_is_drawn_around_the_stated_size():
+    wide = replace(IDEAL, torque_random_walk_std_per_sqrt_min=3e-5, size_spread=FRI.size_spread)
+    step = np.array([np.diff(torque_error(wide, seed), axis=0).std(axis=0) for seed in range(30)])
+    factor = step / LIMIT_Nm / (3e-5 * np.sqrt(TICK_s / 60.0))
+    assert 0.48 < factor.min() < 0.6 < 1.7 < factor.max() < 2.05
 
 
 def test_torque_bias_lies_in_the_stated_range_with_both_signs():

@@ -126,10 +126,12 @@ def test_equal_arguments_give_equal_runs_and_other_seeds_do_not(runs):
 
 
 def test_plant_models_give_what_they_promise(runs):
-    ideal, clean, degraded = (run.signals for run in runs.values())
+    ideal, clean, fri, degraded = (run.signals for run in runs.values())
     np.testing.assert_array_equal(ideal.tau_Nm, runs["ideal"].truth.tau_Nm)
     assert clean.dq_rad_s is not None
-    assert degraded.dq_rad_s is None
+    assert fri.dq_rad_s is degraded.dq_rad_s is None
+    for name, run in runs.items():
+        assert run.truth.joint_friction_Nm.any() == (name in ("fri", "degraded"))
     assert np.ptp(np.diff(clean.t_s)) < 1e-9
     assert np.diff(degraded.t_s).max() > 1.5e-3
     assert (np.diff(degraded.t_s) > 0.0).all()
@@ -138,14 +140,18 @@ def test_plant_models_give_what_they_promise(runs):
     names = {item.name for item in fields(Signals)}
     assert names == {"t_s", "q_rad", "dq_rad_s", "tau_Nm", "ft_wrench"}
     robots = [run.robot.model.inertias for run in runs.values()]
-    for one, two, three in zip(*robots, strict=True):
-        assert one == two == three  # the estimator's robot is nominal, whatever the arm
+    for one, *others in zip(*robots, strict=True):
+        assert all(
+            one == other for other in others
+        )  # the estimator's robot is nominal, whatever the arm
 
 
 def test_unknown_names_are_refused():
     with pytest.raises(ScenarioError, match="no-such"):
         simulate("no-such")
-    with pytest.raises(PlantModelError, match="'no-such'; choose one of ideal, clean, degraded"):
+    with pytest.raises(
+        PlantModelError, match="'no-such'; choose one of ideal, clean, fri, degraded"
+    ):
         simulate("gel-70-constant", plant="no-such")
 
 

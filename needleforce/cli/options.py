@@ -216,7 +216,7 @@ class SimulationOptions:
     folder with a ROS 2 bag."""
     truth: Annotated[Path | None, Parameter(metavar="FILE")] = None
     """Ground truth, which the robot does not know: forces, depth, layers, ruptures."""
-    plant: Literal["ideal", "clean", "degraded"] = "clean"
+    plant: Literal["ideal", "clean", "fri", "degraded"] = "clean"
     """Plant model: how good arm and sensors are (default: clean)."""
     seed: Annotated[int, Parameter(metavar="N")] = 0
     """Of everything that is drawn at random (default: 0)."""

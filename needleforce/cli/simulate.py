@@ -6,7 +6,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from groundtruth import SCENARIOS, Run, simulate
-from groundtruth.scenarios import RANDOM_STACK, Scenario, named_scenario
+from groundtruth.scenarios import RANDOM_STACK, RANDOM_TISSUE, Scenario, named_scenario
 from needleforce.cli.options import SimulationOptions
 from needleforce.cli.terminal import CommandError, progress, write_out
 from needleforce.recordings import check_writable, write_table
@@ -129,6 +129,7 @@ def _ruptures(run: Run, *, on_surface: bool) -> NDArray[np.int64]:
 def _listed() -> str:
     rows = {name: item.title for name, item in SCENARIOS.items()}
     rows[RANDOM_STACK] = "one to four layers drawn from the seed"
+    rows[RANDOM_TISSUE] = "the same, each layer of its own law"
     width = max(map(len, rows))
     return "".join(f"{name:<{width}}  {title}\n" for name, title in rows.items())
 
