@@ -126,13 +126,13 @@ class Taring:
         is_inside = self._first_s < window.end_s <= last_s and window.start_s < last_s
         if is_inside and window.start_s < window.end_s:
             return
-        log = f"runs from {self._first_s:.12g} to {last_s:.12g} s"
-        if math.isinf(last_s):
-            log = f"starts at {self._first_s:.12g} s"
-        raise CommandError(
-            f"--tare {self._options.tare} lies outside the log, which {log}, or its START is not "
-            f"before its END; {_WINDOW}; if the unit of time is wrong, say --time COLUMN:UNIT"
-        )
+        first, last = f"{self._first_s:.12g} s", f"{last_s:.12g} s"
+        log = f"starts at {first}" if math.isinf(last_s) else f"runs from {first} to {last}"
+        what = f"lies outside the log, which {log}"
+        if not window.start_s < window.end_s:
+            what = f"START must come before END in a log whose first stamp is {first}; "
+            what += "if the unit is wrong, say --time COLUMN:UNIT"
+        raise CommandError(f"--tare {self._options.tare}: {what}; {_WINDOW}")
 
     def _tare(self, window: TareWindow) -> None:
         what = f"no tare from {window}"
