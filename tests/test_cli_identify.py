@@ -1,23 +1,22 @@
 """`needleforce identify`: from a recording to layers, a table and a figure."""
 
 import re
+from collections import Counter
 
 import numpy as np
 import pytest
+from chromium import PHONE, logged, measured, needs_chromium
 
-from groundtruth import insert_needle
+from groundtruth import insert_needle, simulate
 from identification import replay
 from needleforce import session
 from needleforce.cli import main
-from needleforce.cli.identify import (
-    IdentificationResult,
-    UsableForce,
-    depth_chart,
-    layer_chart,
-)
+from needleforce.cli.identify import IdentificationResult, usable_force
+from needleforce.cli.simulate import signal_table
 from needleforce.recordings import write_table
 from needleforce.recordings.channels import FORCE_STATUS, WORTHLESS
 from needleforce.recordings.log import LogChunk
+from residual import DEFAULT as SENSOR
 from residual import SensorWarning, Status
 
 
@@ -54,7 +53,7 @@ def test_layers_are_printed_and_table_and_figure_written(needle, tmp_path, capsy
     assert np.all(table["used"] == 1)
     assert png.read_bytes()[:4] == b"\x89PNG"
     figure = tmp_path / "depth.pdf"
-    argv = ["identify", log, "--figure", str(figure), "--over", "depth", "--to", "+20"]
+    argv = ["identify", log, "--figure", str(figure), "--over", "depth", "--to", "20"]
     assert main(argv) == 0
     assert figure.read_bytes().startswith(b"%PDF")
 
@@ -137,13 +136,13 @@ def test_marked_rows_are_left_out_and_counted(name):
     warnings = np.array([0.0, 0.0, 0.0, 0.0, 5.0, 32.0 + 1.0])
     columns = {"force_status": status, "force_warnings": warnings}
     chosen = columns if name == "both" else {name: columns[name]}
-    usable_force = UsableForce(is_ignored=False)
-    force_N = usable_force(chunk(chosen))
+    left_out = Counter()
+    force_N = usable_force(chunk(chosen), left_out)
     is_marked = (status != 0) & ("force_status" in chosen)
     bad = is_marked | ((warnings == 33) & ("force_warnings" in chosen))
     np.testing.assert_array_equal(np.isnan(force_N), bad)
-    assert len(usable_force.warnings) == (2 if name == "both" else 1)
-    assert not np.isnan(UsableForce(is_ignored=True)(chunk(chosen))).any()
+    expected = [3 if "force_status" in chosen else 0, 1 if "force_warnings" in chosen else 0]
+    assert list(left_out.values()) == expected
 
 
 def test_a_status_column_of_the_user_does_not_silence_a_log(needle, tmp_path, capsys):
@@ -168,37 +167,100 @@ def result(method="published-kv", **changes):
     parameters = ("stiffness_N_per_m", "friction_Ns_per_m2", "cumulative_friction_Ns_per_m")
     rows = {name: np.ones(50) for name in (*names, *parameters, "used")}
     rows |= {name.replace("_N", "_std_N", 1): np.full(50, np.nan) for name in parameters}
-    made = IdentificationResult("log", method)
-    made.ruptures_s.append(0.4)
-    made.rows = {"t_s": np.linspace(0.0, 1.0, 50)} | rows | changes
-    return made
+    rows |= {"t_s": np.linspace(0.0, 1.0, 50), "identified_layer": np.arange(50) == 49}
+    return IdentificationResult("log", method, (), (), rows | changes)
 
 
 def test_the_kelvin_voigt_friction_has_its_own_unit_and_no_band_is_invented():
-    kv, ml = (layer_chart(one, one.rows) for one in (result(), result("published")))
+    kv, ml = result().chart(), result("published").chart()
     assert kv.panels[2].y_label == "friction B\n[Ns/m]"
     assert ml.panels[2].y_label == "friction B\n[Ns/m²]"
     assert all(curve.std is None for panel in kv.panels for curve in panel.curves)
-    assert kv.instants[0].places == (0.4,)
+    assert (kv.x_limits, kv.x_label) == ((0.0, 1.0), "time of the log [s]")
 
 
-def test_nothing_is_drawn_before_the_first_row_that_was_used():
-    made = result(used=np.repeat([0.0, 1.0, 0.0], [10, 30, 10]))
-    forces, *parameters = layer_chart(made, made.rows).panels
-    (over_depth,) = depth_chart(made, made.rows).panels
-    hidden = (*forces.curves[1:], *over_depth.curves[1:])
-    for curve in (*hidden, *(panel.curves[0] for panel in parameters)):
+@pytest.mark.parametrize("over", ["time", "depth"])
+def test_nothing_is_drawn_before_the_first_row_that_was_used(over):
+    made = result(used=np.repeat([0.0, 1.0, 0.0], [10, 30, 10])).chart(over)
+    forces, *parameters = made.panels
+    for curve in (*forces.curves[1:], *(panel.curves[0] for panel in parameters)):
         assert np.isnan(curve.y[:10]).all()
         assert np.isfinite(curve.y[10:]).all()
     assert np.isfinite(forces.curves[0].y).all()
-    assert over_depth.curves[0].x[0] == 1000.0
+    assert forces.curves[0].x[-1] == (1.0 if over == "time" else 1000.0)
 
 
 def test_seconds_since_1970_are_counted_from_the_first_sample():
-    late = result(t_s=1.7e9 + np.linspace(0.0, 1.0, 50))
-    late.ruptures_s[0] += 1.7e9
-    chart = layer_chart(late, late.rows)
+    chart = result(t_s=1.7e9 + np.linspace(0.0, 1.0, 50)).chart()
     assert chart.x_limits == (0.0, 1.0)
     assert chart.x_label == "time since the first sample [s]"
-    assert chart.instants[0].places == pytest.approx((0.4,))
-    assert layer_chart(result(), result().rows).x_label == "time of the log [s]"
+    assert chart.instants[1].places == (1.0,)
+
+
+# Reports of both commands.
+
+
+@pytest.fixture(scope="module")
+def insertion(tmp_path_factory):
+    """A simulated recording, its forces with a tare, and the layers in them, each with a page."""
+    pytest.importorskip("matplotlib")
+    folder = tmp_path_factory.mktemp("report")
+    run = simulate("gel-25-constant", plant="clean", seed=0)
+    rows = run.signals.t_s < 34.0
+    table = {name: values[rows] for name, values in signal_table(run).items()}
+    table["tau_Nm"][15000:15050] = np.nan
+    table["t_s"] += 1.7e9
+    write_table(folder / "log.npz", table)
+    tare = ["--tare", "+0:+13"]
+    assert main(["report", str(folder / "log.npz"), str(folder / "a" / "log"), *tare]) == 0
+    forces = str(folder / "forces.csv")
+    assert main(["force", str(folder / "log.npz"), *tare, "-o", forces]) == 0
+    assert main(["report", forces, str(folder / "layers")]) == 0
+    return folder
+
+
+def test_a_report_shows_the_forces_and_the_layers_in_them(insertion):
+    page, alone = (
+        (insertion / name / "index.html").read_text(encoding="utf-8")
+        for name in ("a/log", "layers")
+    )
+    assert "Forces from log.npz" in page
+    assert "Layers from forces.csv" in alone
+    for label in ("robot", "samples", "rejected", "gaps", "tare", "lag"):
+        assert f"<td>{label}</td>" in page
+    assert f"<td>{SENSOR.gain_per_s:g}</td>" in page
+    assert "<code>prior.gear_ratio</code>" in page
+    for text in ("friction N", "<code>false_alarm_interval_s</code>"):
+        assert text in page
+        assert text in alone
+    tables = [re.search(r"Layers traversed.*?</table>", p, re.S) for p in (page, alone)]
+    assert tables[0].group() == tables[1].group()
+    for text in ("time since the first sample [s]", "axial force [N]", "tare", "rejected"):
+        assert f"<!-- {text} -->" in (insertion / "a" / "log" / "forces-over-time.svg").read_text()
+    for text in ("estimated rupture time", "friction identified", "enhanced force"):
+        assert f"<!-- {text} -->" in (insertion / "layers" / "layers.svg").read_text()
+
+
+@pytest.fixture
+def wrong(needle, tmp_path):
+    """The page of a log whose force has the wrong sign."""
+    log = write(tmp_path / "wrong.csv", needle, force_N=-needle["force_N"])
+    assert main(["identify", log, "--report", str(tmp_path / "wrong")]) == 0
+    return tmp_path / "wrong" / "index.html"
+
+
+def test_warnings_stand_in_the_page(wrong):
+    page = wrong.read_text(encoding="utf-8")
+    assert "<p class=notice>Warning: " in page
+    assert "sign" in page
+
+
+@needs_chromium
+def test_pages_open_on_a_phone(insertion, wrong):
+    for page in (*(insertion / name / "index.html" for name in ("a/log", "layers")), wrong):
+        assert logged(page) == []
+        found = measured(page, PHONE)
+        assert found["content"] <= PHONE[0]
+        assert found["wide"] == []
+        assert len(found["images"]) == page.read_text(encoding="utf-8").count("<figcaption>")
+        assert all(image["height"] > 150 for image in found["images"])

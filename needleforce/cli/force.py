@@ -1,59 +1,26 @@
 """`needleforce force`: forces from joint signals, as table, summary, figure and page."""
 
-import math
 from collections import Counter
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from needleforce.cli.force_replay import Replay, Rows, TareWindow, has_status, tare_ends
-from needleforce.cli.log import (
-    ChannelRequest,
-    LogSession,
-    RowOverview,
-    in_window,
-    mapping_from_options,
-    open_output,
-    result_page,
-    run_log,
-    time_axis,
-)
-from needleforce.cli.options import (
-    JointColumns,
-    Output,
-    Reading,
-    RobotOptions,
-    SensorOptions,
-    TareOptions,
-)
-from needleforce.cli.robot import (
-    payload_from_options,
-    payload_lines,
-    robot_from_options,
-    sensor_config,
-    with_friction,
-)
+from needleforce import cli, plots
+from needleforce.cli import log as logs
+from needleforce.cli import robot as robots
+from needleforce.cli.force_replay import Replay, Rows, has_status, tare_window
+from needleforce.cli.identify import IdentificationResult, identify_layers
+from needleforce.cli.log import LogSession
 from needleforce.cli.terminal import CommandError, write_out
-from needleforce.plots import (
-    Chart,
-    Curve,
-    Instants,
-    LineStyle,
-    Page,
-    PageFigure,
-    PageTable,
-    Panel,
-    Section,
-    Shading,
-    palette,
-    save_page_figure,
-    settings_table,
-)
+from needleforce.plots import Chart, Curve, LineStyle, Panel, palette
 from needleforce.plots.chart import limits_of
 from needleforce.recordings.channels import FORCE_STATUS
+from needleforce.recordings.log import LogChunk
+from needleforce.recordings.mapping import ChannelRequest
 from needleforce.recordings.open_recording import suggest_mapping
 from needleforce.recordings.table import Labels
 from residual import SensorConfig, SensorWarning, Status
@@ -62,384 +29,292 @@ from urdf import Robot
 
 def run(
     source: str,
-    reading: Reading,
-    output: Output,
-    robot_options: RobotOptions,
-    sensor: SensorOptions,
-    tare: TareOptions,
-    columns: JointColumns,
+    output: cli.Output,
+    robot_options: cli.RobotOptions,
+    sensor: cli.SensorOptions,
+    columns: cli.JointColumns,
+    layers: cli.IdentificationOptions | None = None,
 ) -> int:
-    """Run the command and return its exit code; what it raises is reported in one line."""
-    robot, known = robot_from_options(robot_options, columns.mapping), mapping_from_options(columns)
+    """Run the command, with the layers that the forces show if they are asked for, too."""
+    robot = robots.robot_from_options(robot_options, columns.mapping)
+    known = logs.mapping_from_options(columns)
     torque, joints = "tau_ext" if sensor.external_torque else "tau", robot.joint_names
     if columns.print_config:
-        payload = payload_lines(payload_from_options(robot_options, columns.mapping))
+        payload = robots.payload_lines(robots.payload_from_options(robot_options, columns.mapping))
         channels = ("q", torque, "dq")
         write_out(suggest_mapping(source, channels, mapping=known, joints=joints, payload=payload))
         return 0
-    if tare.tare is not None and tare.no_tare:
-        raise CommandError("--tare and --no-tare contradict each other; give one of them")
-    if tare.tare is not None:
-        tare_ends(tare.tare, 0.0)  # before a log is waited for
-    robot, friction = with_friction(robot, sensor.friction)
-    config = sensor_config(sensor, friction)
+    if sensor.tare is not None:
+        if sensor.no_tare:
+            raise CommandError("--tare and --no-tare contradict each other; give one of them")
+        tare_window(sensor.tare, 0.0)  # before a log is waited for
+    robot, friction = robots.with_friction(robot, sensor.friction)
+    config = robots.sensor_config(sensor, friction)
     request = ChannelRequest(mapping=known, required=("q", torque), optional=("dq",), joints=joints)
 
     def estimate(log: LogSession) -> ForceResult:
-        replay = Replay(robot, config, tare, is_external=sensor.external_torque)
-        return estimate_forces(log, replay, output)
+        return estimate_forces(log, Replay(robot, config, sensor), output, layers)
 
-    return run_log(source, reading, request, output, estimate)
+    return logs.run_log(source, output, request, estimate)
 
 
 # From a log to its result.
 
 
-def estimate_forces(log: LogSession, replay: Replay, output: Output) -> "ForceResult":
-    """Run the sensor over a log and write its forces."""
+def estimate_forces(
+    log: LogSession,
+    replay: Replay,
+    output: cli.Output,
+    layers: cli.IdentificationOptions | None = None,
+) -> "ForceResult":
+    """Run the sensor over a log and write its forces; with options, find the layers in them."""
     config = replay.config
-    tracked = ["axial_N", "axial_std_N", "status", "after_gap", _IS_INITIALIZING]
-    if config.mode != "axial":
-        tracked += ["force_N", "std"]
-    if config.mode == "full":
-        tracked.append("torque_Nm")
-    statistics, overview = ForceStatistics(), RowOverview(tracked)
-    with open_output(output, log, lambda: _labels(log, replay.robot, config)) as table:
+    tracked = ["axial_N", "axial_std_N", "status", "after_gap"]
+    tracked += ["force_N", "std"] if config.mode != "axial" else []
+    tracked += ["torque_Nm"] if config.mode == "full" else []
+    result, overview, forces = ForceResult(log.name, replay), logs.RowOverview(tracked), []
+    with logs.open_output(output, log, lambda: _labels(log, replay.robot, config)) as table:
         for chunk in log:
             rows = replay.run(chunk)
-            statistics.add(rows)
-            overview.add(rows | {_IS_INITIALIZING: has_status(rows, Status.INITIALIZING)})
+            result.add(rows)
+            overview.add(rows)
             if table is not None:
                 table.append(force_table(rows, config))
-        replay.finish(is_whole=not log.is_interrupted)
-    return ForceResult(log.name, replay, statistics, overview.columns())
-
-
-_IS_INITIALIZING = "is initializing"
+            if layers is not None:
+                forces.append(_as_log(chunk, rows))
+        replay.finish(is_whole=not log.is_stopped())
+    result.rows = overview.columns()
+    if layers is not None and result.counts[Status.OK]:
+        result.layers = identify_layers(forces, log.name, layers)
+    return result
 
 
 def _labels(log: LogSession, robot: Robot, config: SensorConfig) -> Labels:
     """Return what a bag of forces says beside the numbers."""
     tool_frame = config.frame if config.frame is not None else robot.tool_frame
     # Frame 0 is Pinocchio's own "universe"; the first of the URDF is its root link.
-    base_frame = robot.frame_names[1]
-    return Labels(
-        start_ns=log.start_ns,
-        frame=base_frame if config.axes == "base" else tool_frame,
-        events={"force_status": FORCE_STATUS},
-    )
+    frame = robot.frame_names[1] if config.axes == "base" else tool_frame
+    return Labels(start_ns=log.start_ns, frame=frame, events={"force_status": FORCE_STATUS})
+
+
+def _as_log(chunk: LogChunk, rows: Rows) -> LogChunk:
+    """Return forces as `needleforce identify` would read them from their table."""
+    names = {"depth_m": "travel_m", "force_N": "axial_N"}
+    names |= {"force_status": "status", "force_warnings": "warnings"}
+    channels = {name: rows[column] for name, column in names.items()}
+    return LogChunk(t_s=chunk.t_s, dt_s=chunk.dt_s, channels=channels)
 
 
 def force_table(rows: Rows, config: SensorConfig) -> dict[str, NDArray]:
     """Return the columns in the order in which they are written; names carry the unit."""
     table = {name: rows[name] for name in ("t_s", "travel_m", "axial_N", "axial_std_N")}
-    vectors = [("force", "N", rows["force_N"])]
-    if config.mode != "axial":
-        vectors.append(("force_std", "N", rows["std"][:, :3]))
-    if config.mode == "full":
-        vectors.append(("torque", "Nm", rows["torque_Nm"]))
-        vectors.append(("torque_std", "Nm", rows["std"][:, 3:]))
-    for name, unit, values in vectors:
-        for i, xyz in enumerate("xyz"):
-            table[f"{name}_{xyz}_in_{config.axes}_{unit}"] = values[:, i]
+    for name, unit, values, std in _vectors(rows, config):
+        for column, numbers in ((name, values), (f"{name}_std", std)):
+            columns = zip("xyz", () if numbers is None else numbers.T, strict=False)
+            table |= {f"{column}_{xyz}_in_{config.axes}_{unit}": each for xyz, each in columns}
     table["model_mismatch"] = rows["model_mismatch"]
     table["force_warnings"] = rows["warnings"]
     table["force_status"] = rows["status"]
     return table
 
 
-_MOST_VALUES = 8192
+def _vectors(rows: Rows, config: SensorConfig) -> list[tuple[str, str, NDArray, Any]]:
+    """Return name, unit, components and their standard deviations, None where none are known."""
+    std = None if config.mode == "axial" else rows["std"][:, :3]
+    vectors: list[tuple[str, str, NDArray, Any]] = [("force", "N", rows["force_N"], std)]
+    if config.mode == "full":
+        vectors.append(("torque", "Nm", rows["torque_Nm"], rows["std"][:, 3:]))
+    return vectors
 
 
-class ThinnedMedian:
-    """Exact for few values; of many, the median of every second, fourth, eighth, ..."""
+class ForceResult:
+    """The outcome of a whole log, of bounded size however long the log."""
 
-    def __init__(self) -> None:
-        self._kept = np.empty(0)
-        self._stride, self._seen = 1, 0
-
-    def add(self, values: NDArray[np.float64]) -> None:
-        """Take further values, shape (n,)."""
-        first = -self._seen % self._stride
-        self._kept = np.concatenate((self._kept, values[first :: self._stride]))
-        self._seen += len(values)
-        while len(self._kept) > _MOST_VALUES:
-            self._kept = self._kept[::2]
-            self._stride *= 2
-
-    @property
-    def value(self) -> float:
-        """The median; nan of nothing."""
-        return float(np.median(self._kept)) if len(self._kept) else math.nan
-
-
-class ForceStatistics:
-    """Counts rows and remembers ranges, in memory that does not grow with the log."""
-
-    def __init__(self) -> None:
-        self.first_s, self.last_s = math.inf, -math.inf
-        self.steps_s = ThinnedMedian()
-        """Of time steps that advance."""
+    def __init__(self, log: str, replay: Replay) -> None:
+        self.log, self.replay = log, replay
+        self.rows: Rows = {}  # for a figure
+        self.layers: IdentificationResult | None = None  # what the forces show, if asked for
         self.counts: Counter[Status] = Counter()
         self.warnings: Counter[SensorWarning] = Counter()
-        self.ranges_N = {status: (math.inf, -math.inf) for status in Status}
-        """Least and largest axial force of the rows of a status."""
-        self.std_N = {status: ThinnedMedian() for status in Status}
+        self._first_s, self._last_s, self._rate_hz = np.inf, -np.inf, np.nan
+        # Of the axial force of the rows of a status: least, largest, sum of standard deviations.
+        self._axial_N = {status: (np.inf, -np.inf, 0.0) for status in Status}
 
     def add(self, rows: Rows) -> None:
-        """Take further rows."""
-        latest_s = np.maximum.accumulate(np.concatenate(([self.last_s], rows["t_s"])))
-        steps = np.diff(latest_s)
-        self.steps_s.add(steps[(steps > 0.0) & np.isfinite(steps)])
-        self.first_s = min(self.first_s, float(rows["t_s"].min()))
-        self.last_s = float(latest_s[-1])
+        """Count further rows."""
+        t_s = rows["t_s"]
+        if not self.counts and (steps := np.diff(t_s))[steps > 0.0].size:
+            self._rate_hz = 1.0 / float(np.median(steps[steps > 0.0]))
+        self._first_s, self._last_s = min(self._first_s, t_s.min()), max(self._last_s, t_s.max())
         for warning in SensorWarning:
             self.warnings[warning] += int(np.count_nonzero(rows["warnings"] & warning))
-        for status in Status:
+        for status, (low_N, high_N, total_N) in self._axial_N.items():
             chosen = has_status(rows, status)
-            if chosen.any():
-                self.counts[status] += int(np.count_nonzero(chosen))
-                axial_N = rows["axial_N"][chosen]
-                low_N, high_N = self.ranges_N[status]
-                low_N, high_N = min(low_N, axial_N.min()), max(high_N, axial_N.max())
-                self.ranges_N[status] = (float(low_N), float(high_N))
-                self.std_N[status].add(rows["axial_std_N"][chosen])
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class ForceResult:
-    """The outcome of a whole log, of bounded size however long the log.
-
-    Attributes:
-        log: What the log is called.
-        replay: The sensor after the log: robot, settings, tare, lag, rejected rows, gaps.
-        statistics: Numbers about all rows.
-        rows: As many as a figure needs; all rows of a short log, of a long one those in which a
-            force is least or largest for a while.
-    """
-
-    log: str
-    replay: Replay
-    statistics: ForceStatistics
-    rows: Rows
+            axial_N, std_N = rows["axial_N"][chosen], rows["axial_std_N"][chosen]
+            self.counts[status] += len(axial_N)
+            low_N, high_N = np.min(axial_N, initial=low_N), np.max(axial_N, initial=high_N)
+            self._axial_N[status] = (low_N, high_N, total_N + float(std_N.sum()))
 
     def text(self) -> str:
         """Return the lines of the summary with their texts below each other."""
-        lines = list(summary_lines(self.replay, self.statistics))
+        lines = list(self.summary())
         width = max(len(label) for label, _ in lines)
-        return "".join(f"{label:<{width}}  {text}\n" for label, text in lines)
+        summary = "".join(f"{label:<{width}}  {text}\n" for label, text in lines)
+        return summary if self.layers is None else f"{summary}\n{self.layers.text()}"
 
-    def figure(self, output: Output) -> Chart:
-        """Return the chart that the options ask for."""
-        shown = replace(self, rows=in_window(self.rows, output))
-        return travel_chart(shown) if output.over == "depth" else force_chart(shown)
+    def summary(self) -> Iterator[tuple[str, str]]:
+        """Yield label and text of every line: what was used, what was done, what came out."""
+        replay, payload = self.replay, self.replay.robot.payload
+        mass_kg = payload.mass_kg if payload is not None else 0.0
+        name, joints = replay.robot.model.name, replay.robot.nv
+        yield "robot", f"{name}, {joints} joints, payload {mass_kg:.3g} kg"
+        yield "sensor", replay.description
+        span = f"{self.counts.total()} in {self._last_s - self._first_s:.4g} s"
+        counts = [f"{count} {status.value}" for status in Status if (count := self.counts[status])]
+        yield "samples", f"{span} at {self._rate_hz:.4g} Hz: {', '.join(counts)}"
+        reasons = [f"{count} x {reason}" for reason, count in replay.rejected.most_common(4)]
+        if others := len(replay.rejected) - len(reasons):
+            reasons.append(f"{others} other reasons")
+        total = replay.rejected.total()
+        yield "rejected", f"{total}: {'; '.join(reasons)}" if reasons else "none"
+        gaps, limit = replay.gaps, f"longer than {replay.config.max_gap_s:g} s"
+        longest = f"(longest {replay.longest_gap_s:.3g} s), after which the filters restarted"
+        yield "gaps", f"{gaps} {limit} {longest}" if gaps else f"none {limit}"
+        found = [
+            f"{count} x {str(warning.name).lower().replace('_', ' ')}"
+            for warning, count in self.warnings.most_common()
+            if count
+        ]
+        yield "warnings", ", ".join(found) or "none"
+        if replay.velocity_fault:
+            yield "velocity", replay.velocity_fault
+        yield "tare", self._tare()
+        yield "axial force", self._force()
+        lag = "that of the robot's own estimate"
+        yield "lag", lag if replay.is_external else f"{1e3 * replay.sensor.lag_s:.1f} ms"
 
-    def page(self, folder: Path, warnings: Sequence[str]) -> Page:
-        """Save the charts of a report in a folder and return the page that shows them."""
-        summary = PageTable(
-            caption="What was used, done and found",
-            head=("", ""),
-            rows=tuple(summary_lines(self.replay, self.statistics)),
+    def _tare(self) -> str:
+        window = self.replay.tare
+        if window is None or window.tare is None:
+            return "none: forces carry the errors of the model and of the torque sensors"
+        basis = window.tare.basis
+        offset_Nm = float(np.abs(window.tare.mean[basis.groups["offset"]]).max())
+        return f"{window} of the log, kind {basis.kind!r}, offsets up to {offset_Nm:.2g} Nm"
+
+    def _force(self) -> str:
+        status = Status.OK if self.counts[Status.OK] else Status.NOT_TARED
+        if not self.counts[status]:
+            return "none: no sample was valid after the filters had settled"
+        low_N, high_N, total_N = self._axial_N[status]
+        spread = f"standard deviation {total_N / self.counts[status]:.3f} N (mean)"
+        note = "" if status is Status.OK else ", not tared"
+        return f"{low_N:.3f} to {high_N:.3f} N, {spread}{note}"
+
+    def chart(self, over: cli.Over = "time") -> Chart:
+        """Return every estimated component with its band of two standard deviations."""
+        rows, config, tare = self.rows, self.replay.config, self.replay.tare
+        start_s, x_label = logs.time_axis(rows["t_s"])
+        x = rows["t_s"] - start_s
+        axial = ("axial force", palette.OURS, rows["axial_N"], rows["axial_std_N"])
+        groups: dict[str, list[_Component]] = {palette.FORCE: [axial]}
+        for name, unit, values, std in _vectors(rows, config):
+            if std is not None:
+                groups[f"{name},\n{config.axes} axes [{unit}]"] = [
+                    (f"{name} {xyz}", _STYLES[i], values[:, i], std[:, i])
+                    for i, xyz in enumerate("xyz")
+                ]
+        rejected = tuple(x[has_status(rows, Status.REJECTED)].tolist())
+        spans = () if tare is None else ((tare.start_s - start_s, tare.end_s - start_s),)
+        marks = {
+            "shadings": (plots.Shading(label="tare", color=palette.TARE, spans=spans),),
+            "instants": (plots.Instants("rejected", palette.REJECTED, rejected),),
+        }
+        if over == "depth":
+            x, marks = 1e3 * rows["travel_m"], {}
+            x_label = "travel of the tool along the needle [mm]"
+        return Chart(
+            title=f"Force on the needle\n{self.log}: {self.replay.description}",
+            x_label=x_label,
+            panels=tuple(panel_of(label, rows, x, parts) for label, parts in groups.items()),
+            height_in=0.8 + _PANEL_IN * len(groups),
+            x_limits=logs.span(x),
+            **marks,
         )
-        return result_page(
-            f"Forces from {self.log}",
-            f"Made by `needleforce force`: {self.replay.description}.",
-            warnings,
-            tuple(_page_figures(self, folder)),
-            Section(heading="Summary", anchor="summary", tables=(summary,)),
-            settings_table(self.replay.config, "Sensor: as in a file for --config, SI units"),
+
+    def sections(self, folder: Path) -> tuple[plots.Section, ...]:
+        """Save the charts of a report in a folder and return the sections of its page."""
+        travel_m = self.rows["travel_m"][has_status(self.rows, Status.OK)]
+        is_moving = len(travel_m) and np.ptp(travel_m) >= _LEAST_TRAVEL_M
+        figures = tuple(
+            plots.save_page_figure(
+                self.chart(over),
+                folder / f"forces-over-{over}.svg",
+                alt=f"Estimated forces of {self.log} over {over}",
+                caption=caption,
+                is_alone=True,
+            )
+            for over, caption in _CAPTIONS.items()
+            if over == "time" or is_moving
+        )
+        made = f"Made by `needleforce force`: {self.replay.description}."
+        caption, lines = "What was used, done and found", tuple(self.summary())
+        summary = plots.PageTable(caption=caption, head=("", ""), rows=lines)
+        settings = plots.settings_table(self.replay.config, "As in a file for --config, SI units")
+        return (
+            plots.Section(heading="Forces", anchor="forces", paragraphs=(made,), figures=figures),
+            plots.Section(heading="Summary", anchor="summary", tables=(summary,)),
+            plots.Section(heading="Settings of the sensor", anchor="sensor", tables=(settings,)),
+            *(() if self.layers is None else self.layers.sections(folder)),
         )
 
 
-# The summary.
-
-
-def summary_lines(replay: Replay, found: ForceStatistics) -> Iterator[tuple[str, str]]:
-    """Yield label and text of every line: what was used, what was done, what came out."""
-    payload = replay.robot.payload
-    mass_kg = payload.mass_kg if payload is not None else 0.0
-    yield "robot", f"{replay.robot.model.name}, {replay.robot.nv} joints, payload {mass_kg:.3g} kg"
-    yield "sensor", replay.description
-    counts = [f"{count} {status.value}" for status in Status if (count := found.counts[status])]
-    rate_hz = 1.0 / found.steps_s.value
-    span = f"{found.counts.total()} in {found.last_s - found.first_s:.4g} s at {rate_hz:.4g} Hz"
-    yield "samples", f"{span}: {', '.join(counts)}"
-    reasons = [f"{count} x {reason}" for reason, count in replay.rejected.most_common()]
-    listed = "; ".join(
-        [*reasons[:4], *([f"{len(reasons) - 4} other reasons"] * (len(reasons) > 4))]
-    )
-    yield "rejected", f"{replay.rejected.total()}: {listed}" if reasons else "none"
-    yield "gaps", _gaps(replay)
-    warnings = [
-        f"{count} x {str(warning.name).lower().replace('_', ' ')}"
-        for warning, count in found.warnings.most_common()
-        if count
-    ]
-    yield "warnings", ", ".join(warnings) or "none"
-    if replay.velocity_fault:
-        yield "velocity", replay.velocity_fault
-    yield "tare", _tare(replay.tare)
-    yield "axial force", _force(found)
-    lag = "that of the robot's own estimate"
-    yield "lag", lag if replay.is_external else f"{1e3 * replay.lag_s:.1f} ms"
-
-
-def _gaps(replay: Replay) -> str:
-    limit_s = replay.config.max_gap_s
-    if not replay.gaps:
-        return f"none longer than {limit_s:g} s"
-    return (
-        f"{replay.gaps} longer than {limit_s:g} s (longest {replay.longest_gap_s:.3g} s), after "
-        "which the filters restarted"
-    )
-
-
-def _tare(done: TareWindow | None) -> str:
-    if done is None or done.tare is None:
-        return "none: forces carry the errors of the model and of the torque sensors"
-    kind, offset_Nm = done.tare.basis.kind, done.largest_offset_Nm
-    return f"{done} of the log, kind {kind!r}, offsets up to {offset_Nm:.2g} Nm"
-
-
-def _force(found: ForceStatistics) -> str:
-    status = Status.OK if found.counts[Status.OK] else Status.NOT_TARED
-    if not found.counts[status]:
-        return "none: no sample was valid after the filters had settled"
-    low_N, high_N = found.ranges_N[status]
-    spread = f"standard deviation {found.std_N[status].value:.3f} N (median)"
-    note = "" if status is Status.OK else ", not tared"
-    return f"{low_N:.3f} to {high_N:.3f} N, {spread}{note}"
-
+_CAPTIONS: dict[cli.Over, str] = {
+    "time": "The force of the environment on the tool; the axial force is positive when tissue "
+    "pushes back. The band is two standard deviations wide to either side. Grey lines are not "
+    "tared: they carry the errors of the model and of the torque sensors.",
+    "depth": "The same over the travel of the tool along the needle since the first sample: in "
+    "tissue the upper branch is the insertion, the lower the withdrawal.",
+}
+_LEAST_TRAVEL_M = 1e-3
+"""A chart over travel has nothing to show where the tool hardly moves."""
 
 # Charts.
 
 _PANEL_IN = 2.2
-_LEAST_TRAVEL_M = 1e-3
-"""A chart over travel has nothing to show where the tool hardly moves."""
-
-
-def force_chart(result: ForceResult) -> Chart:
-    """Return every estimated component over time, with its band of two standard deviations."""
-    rows, config = result.rows, result.replay.config
-    start_s, time = time_axis(rows["t_s"])
-    x = rows["t_s"] - start_s
-    axial = ("axial force", palette.OURS, rows["axial_N"], rows["axial_std_N"])
-    groups: dict[str, list[_Component]] = {palette.FORCE: [axial]}
-    vectors = [("force", "N", rows["force_N"], rows["std"][:, :3])] * (config.mode != "axial")
-    vectors += [("torque", "Nm", rows["torque_Nm"], rows["std"][:, 3:])] * (config.mode == "full")
-    dashes = (palette.OURS.dash, palette.DASHED, palette.DASH_DOTTED)
-    styles = [
-        replace(palette.UNTARED, color=color, dash=dash)
-        for color, dash in zip(palette.AXES_XYZ, dashes, strict=True)
-    ]
-    for name, unit, values, std in vectors:
-        groups[f"{name},\n{config.axes} axes [{unit}]"] = [
-            (f"{name} {xyz}", styles[i], values[:, i], std[:, i]) for i, xyz in enumerate("xyz")
-        ]
-    rejected = tuple(x[has_status(rows, Status.REJECTED)].tolist())
-    return Chart(
-        title=f"Force on the needle\n{result.log}: {result.replay.description}",
-        x_label=time,
-        panels=tuple(_panel(label, rows, x, parts) for label, parts in groups.items()),
-        shadings=_shadings(result, x, start_s),
-        instants=(Instants(label="rejected", style=palette.REJECTED, places=rejected),),
-        x_limits=(float(x.min()), float(x.max())),
-        height_in=0.8 + _PANEL_IN * len(groups),
-    )
-
-
-def travel_chart(result: ForceResult) -> Chart:
-    """Return the tared axial force over travel, as in the paper's Figure 5."""
-    tared = has_status(result.rows, Status.OK)
-    axial_N = np.where(result.rows["after_gap"], np.nan, result.rows["axial_N"])[tared]
-    place_mm = 1e3 * result.rows["travel_m"][tared]
-    curve = Curve(style=palette.OURS, x=place_mm, y=axial_N, label="axial force")
-    return Chart(
-        title=f"Axial force over travel\n{result.log}",
-        x_label="travel of the tool along the needle [mm]",
-        panels=(Panel(y_label=palette.FORCE, curves=(curve,)),),
-    )
-
-
+_DASHES = (palette.OURS.dash, palette.DASHED, palette.DASH_DOTTED)
+_STYLES = [
+    replace(palette.UNTARED, color=color, dash=dash)
+    for color, dash in zip(palette.AXES_XYZ, _DASHES, strict=True)
+]
+"""Of the components of a vector."""
 _Component = tuple[str, LineStyle, NDArray[np.float64], NDArray[np.float64]]
 
 
-def _panel(
-    label: str, rows: Rows, x: NDArray[np.float64], components: Sequence[_Component]
-) -> Panel:
-    """Return the curves; the scale is that of the tared rows, if there are any."""
-    curves = [curve for part in components for curve in component_curves(rows, x, *part)]
-    tared = [curve for curve in curves if curve.std is not None]
-    limits = limits_of(tared, None) if tared else None
-    return Panel(y_label=label, curves=tuple(curves), limits=limits)
-
-
-def component_curves(
-    rows: Rows,
-    x: NDArray[np.float64],
-    name: str,
-    style: LineStyle,
-    value: NDArray[np.float64],
-    std: NDArray[np.float64],
-) -> list[Curve]:
+def component_curves(rows: Rows, x: NDArray[np.float64], component: _Component) -> list[Curve]:
     """Return the tared part of a component with its band, and the part that was not tared.
 
     A rejected row leaves no hole, a gap in time does. Before a tare the band is the prior's, wider
     than any chart: the line alone shows more.
     """
+    name, style, value, std = component
     kept = ~has_status(rows, Status.REJECTED)
-    gaps = np.flatnonzero(rows["after_gap"][kept])
-    x = np.insert(x[kept], gaps, x[kept][gaps])
-    value, std = (np.insert(values[kept], gaps, np.nan) for values in (value, std))
-    tared = np.insert(has_status(rows, Status.OK)[kept], gaps, False)
+    x, std, tared = x[kept], std[kept], has_status(rows, Status.OK)[kept]
+    value = np.where(rows["after_gap"], np.nan, value)[kept]
     grey = palette.UNTARED
     if not tared.any():
         untared = replace(grey, color=style.color)
         return [Curve(style=untared, x=x, y=value, label=f"{name}, not tared")]
-    curve = Curve(
-        style=style,
-        x=x,
-        y=np.where(tared, value, np.nan),
-        label=name,
-        std=np.where(tared, std, np.nan),
-        band_label=f"{name}, ± 2 std",
-    )
+    value_std, band = np.where(tared, std, np.nan), f"{name}, ± 2 std"
+    y = np.where(tared, value, np.nan)
+    curve = Curve(style=style, x=x, y=y, label=name, std=value_std, band_label=band)
     if tared.all():
         return [curve]
     return [Curve(style=grey, x=x, y=np.where(tared, np.nan, value), label="not tared"), curve]
 
 
-def _shadings(result: ForceResult, x: NDArray[np.float64], start_s: float) -> tuple[Shading, ...]:
-    found, tare = [], result.replay.tare
-    if tare is not None:
-        span = (tare.start_s - start_s, tare.end_s - start_s)
-        found.append(Shading(label="tare", color=palette.TARE, spans=(span,)))
-    flags = has_status(result.rows, Status.INITIALIZING).astype(np.int8)
-    edges = np.diff(np.concatenate(([0], flags, [0])))
-    first, last = x[np.flatnonzero(edges == 1)], x[np.flatnonzero(edges == -1) - 1]
-    if len(first):
-        spans = tuple(zip(first.tolist(), last.tolist(), strict=True))
-        found.append(Shading(label="filters settle", color=palette.INITIALIZING, spans=spans))
-    return tuple(found)
-
-
-def _page_figures(result: ForceResult, folder: Path) -> Iterator[PageFigure]:
-    yield save_page_figure(
-        force_chart(result),
-        folder / "forces.svg",
-        alt=f"Estimated forces of {result.log} over time",
-        caption="The force of the environment on the tool; the axial force is positive when "
-        "tissue pushes back. The band is two standard deviations wide to either side. Grey "
-        "lines are not tared: they carry the errors of the model and of the torque sensors.",
-        is_alone=True,
-    )
-    travel_m = result.rows["travel_m"][has_status(result.rows, Status.OK)]
-    if len(travel_m) and np.ptp(travel_m) >= _LEAST_TRAVEL_M:
-        yield save_page_figure(
-            travel_chart(result),
-            folder / "forces-over-travel.svg",
-            alt=f"Axial force of {result.log} over the travel of the tool",
-            caption="The same axial force over the travel of the tool along the needle since the "
-            "first sample: in tissue the upper branch is the insertion, the lower the withdrawal.",
-            is_alone=True,
-        )
+def panel_of(label: str, rows: Rows, x: NDArray, components: Sequence[_Component]) -> Panel:
+    """Return the curves; the scale is that of the tared rows, if there are any."""
+    curves = [curve for part in components for curve in component_curves(rows, x, part)]
+    tared = [curve for curve in curves if curve.std is not None]
+    limits = limits_of(tared, None) if tared else None
+    return Panel(y_label=label, curves=tuple(curves), limits=limits)

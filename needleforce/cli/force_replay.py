@@ -8,8 +8,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from needleforce.cli.log import log_time
-from needleforce.cli.options import TareOptions
+from needleforce.cli import SensorOptions
 from needleforce.cli.terminal import CommandError
 from needleforce.recordings.log import LogChunk
 from residual import (
@@ -31,13 +30,9 @@ AUTOMATIC_S = 2.0
 """Without a choice of the user's, so much from the start of the log is taken for free motion [s]:
 whoever records an insertion starts before contact, but not long before."""
 
-_LATE_CLOCK_S = 1e5
 _WINDOW = "expected START:END in seconds, such as 0:4, or +0:+4 from the log's first stamp"
-_VELOCITY = (
-    "--dq says names, unit and factor of the columns, as in --dq dq_*:deg/s or dq_*:rad/s:-1"
-)
 _CHOICES = "choose where the needle is free with --tare START:END, or go without with --no-tare"
-
+_VELOCITY = "say unit and factor of the velocities, as in --dq dq_*:deg/s or dq_*:rad/s:-1"
 _AS_OPTIONS = {
     "ignore_contact=True": "--force-tare",
     "set torque_is_gravity_compensated=True": "give --gravity-compensated",
@@ -49,66 +44,41 @@ _AS_OPTIONS = {
 
 @dataclass(frozen=True, slots=True)
 class TareWindow:
-    """A stretch of motion without contact in the log, and the tare taken there.
-
-    Attributes:
-        start_s: Its start on the log's clock [s].
-        end_s: Its end [s].
-        tare: The fit; None before it is taken.
-    """
+    """A stretch of motion without contact, in seconds of the log's clock, and its tare if taken."""
 
     start_s: float
     end_s: float
     tare: Tare | None = None
 
     def __str__(self) -> str:
-        """In words; to the millisecond where a clock counts from 1970."""
-        return f"{_digits(self.start_s)} to {_digits(self.end_s)} s"
-
-    @property
-    def largest_offset_Nm(self) -> float:
-        """Largest constant offset of a joint [Nm]."""
-        assert self.tare is not None
-        return float(np.abs(self.tare.mean[self.tare.basis.groups["offset"]]).max())
-
-
-def _digits(time_s: float) -> str:
-    return f"{time_s:.6g}" if abs(time_s) < _LATE_CLOCK_S else f"{time_s:.3f}"
+        """In words."""
+        return f"{self.start_s:.12g} to {self.end_s:.12g} s"
 
 
 def tare_window(text: str, first_s: float) -> TareWindow:
     """Return the window of ``--tare`` in a log that starts at ``first_s`` [s]."""
-    (start_s, end_s), (plain_start_s, plain_end_s) = tare_ends(text, first_s), tare_ends(text, 0.0)
-    if start_s < end_s:
-        return TareWindow(start_s, end_s)
-    if plain_start_s < plain_end_s:
-        raise CommandError(
-            f"--tare {text} does not fit the log, whose first stamp is {first_s:.9g} s; if the "
-            f"unit is wrong, say --time COLUMN:UNIT; {_WINDOW}"
-        )
-    raise CommandError(f"--tare {text}: START must come before END; {_WINDOW}")
-
-
-def tare_ends(text: str, first_s: float) -> tuple[float, float]:
-    """Return START and END of ``--tare`` [s], in whatever order."""
-    start_text, colon, end_text = text.partition(":")
+    start, colon, end = text.partition(":")
     if not colon:
         raise CommandError(f"--tare {text}: {_WINDOW}")
-    option = f"--tare {text}"
-    start_s = log_time(option, start_text, first_s) if start_text.strip() else first_s
-    return start_s, log_time(option, end_text, first_s)
+    start_s = _log_time(text, start, first_s) if start.strip() else first_s
+    return TareWindow(start_s, _log_time(text, end, first_s))
+
+
+def _log_time(option: str, text: str, first_s: float) -> float:
+    """Return a time on the log's clock [s]; after a + it counts from the log's start."""
+    try:
+        value = float(text)
+    except ValueError:
+        value = math.nan
+    if not math.isfinite(value):
+        raise CommandError(f"--tare {option}: {text!r} is no time; {_WINDOW}")
+    return first_s + value if text.strip().startswith("+") else value
 
 
 class Taring:
-    """Starts the tare recording and takes the tare when their times come.
+    """Starts the tare recording and takes the tare when their times come."""
 
-    Args:
-        sensor: The sensor that the log runs through.
-        options: What the user wants.
-        first_s: First stamp of the log [s].
-    """
-
-    def __init__(self, sensor: VirtualForceSensor, options: TareOptions, first_s: float) -> None:
+    def __init__(self, sensor: VirtualForceSensor, options: SensorOptions, first_s: float) -> None:
         self._sensor, self._options, self._first_s = sensor, options, first_s
         self._window: TareWindow | None = None
         if options.tare is not None:
@@ -138,12 +108,7 @@ class Taring:
             self._window = TareWindow(t_s, t_s + AUTOMATIC_S)
 
     def finish(self, last_s: float, *, is_whole: bool) -> None:
-        """Take a tare whose window ends with the log.
-
-        Args:
-            last_s: Latest stamp of the log [s].
-            is_whole: Whether the log was read to its end; if not, it may end before the tare.
-        """
+        """Take a tare whose window ends with the log; one that was broken off may end before."""
         window = self._window
         if self._options.no_tare or self.done is not None:
             return
@@ -158,14 +123,16 @@ class Taring:
             )
 
     def _require_inside(self, window: TareWindow, last_s: float) -> None:
-        if window.start_s < last_s and self._first_s < window.end_s <= last_s:
+        is_inside = self._first_s < window.end_s <= last_s and window.start_s < last_s
+        if is_inside and window.start_s < window.end_s:
             return
-        end = f"runs from {_digits(self._first_s)} to {_digits(last_s)} s"
-        if math.isinf(last_s):
-            end = f"starts at {_digits(self._first_s)} s"
-        raise CommandError(
-            f"--tare {self._options.tare} lies outside the log, which {end}; {_WINDOW}"
-        )
+        first, last = f"{self._first_s:.12g} s", f"{last_s:.12g} s"
+        log = f"starts at {first}" if math.isinf(last_s) else f"runs from {first} to {last}"
+        what = f"lies outside the log, which {log}"
+        if not window.start_s < window.end_s:
+            what = f"START must come before END in a log whose first stamp is {first}; "
+            what += "if the unit is wrong, say --time COLUMN:UNIT"
+        raise CommandError(f"--tare {self._options.tare}: {what}; {_WINDOW}")
 
     def _tare(self, window: TareWindow) -> None:
         what = f"no tare from {window}"
@@ -188,7 +155,6 @@ class Taring:
 
 STATUS_CODES = {status: code for code, status in enumerate(Status)}
 """How a status is written to a file of numbers."""
-OTHER_REASONS = "other reasons"
 _MOST_REASONS = 50
 
 
@@ -208,62 +174,22 @@ def has_status(rows: Rows, status: Status) -> NDArray[np.bool_]:
     return rows["status"] == STATUS_CODES[status]
 
 
-class TravelAlongNeedle:
-    """Travel of the tool along the insertion axis as it stood in the first finite row.
-
-    Args:
-        robot: The arm.
-        config: Names frame and insertion axis.
-    """
-
-    def __init__(self, robot: Robot, config: SensorConfig) -> None:
-        self._tool = ToolKinematics(robot, config.frame, config.insertion_axis)
-        self._start: NDArray[np.float64] | None = None
-        self._axis = self._tool.axis_in_base
-
-    def __call__(self, q_rad: NDArray[np.float64]) -> NDArray[np.float64]:
-        """Return the travel in further rows [m], shape (n,), of positions of shape (n, joints)."""
-        positions = np.full((len(q_rad), 3), np.nan)
-        for k in np.flatnonzero(np.isfinite(q_rad).all(axis=1)).tolist():
-            self._tool.update(q_rad[k])
-            positions[k] = self._tool.place_in_base_m
-            if self._start is None:
-                self._start = positions[k].copy()
-                self._axis = self._tool.axis_in_base.copy()
-        if self._start is None:
-            return positions[:, 0]
-        # Not a matrix product, whose rounding may depend on how many rows come at a time.
-        x, y, z = (positions - self._start).T * self._axis[:, None]
-        return 0.0 + x + y + z
-
-
 class Replay:
-    """Runs the sensor over a log.
+    """Runs the sensor over a log."""
 
-    Args:
-        robot: The arm with its payload.
-        config: Settings of the sensor.
-        tare: Where to tare.
-        is_external: Whether the log holds the robot's own estimate of external torque.
-    """
-
-    def __init__(
-        self, robot: Robot, config: SensorConfig, tare: TareOptions, *, is_external: bool
-    ) -> None:
-        self._sensor = VirtualForceSensor(robot, config)
-        self.robot, self.config, self.is_external = robot, config, is_external
-        self._tare, self._has_velocity = tare, False
-        self._travel = TravelAlongNeedle(robot, config)
+    def __init__(self, robot: Robot, config: SensorConfig, options: SensorOptions) -> None:
+        self.sensor = VirtualForceSensor(robot, config)
+        self.robot, self.config, self.is_external = robot, config, options.external_torque
+        self._options, self._has_velocity = options, False
+        self._tool = ToolKinematics(robot, config.frame, config.insertion_axis)
+        self._start_m: NDArray[np.float64] | None = None
+        self._axis = self._tool.axis_in_base
         self._taring: Taring | None = None
         # Of the clock of the first rows, which runs on when the log's clock is set back.
         self._latest_s, self._used_s, self._shift_s = -math.inf, 0.0, 0.0
-        self.rejected: Counter[str] = Counter()
-        """Reasons for rejected rows."""
-        self.velocity_fault = ""
-        """The last message about velocities that are no rates; empty if there were none."""
-        self.gaps = 0
-        """Gaps in time after which the filters restarted."""
-        self.longest_gap_s = 0.0
+        self.rejected: Counter[str] = Counter()  # reasons
+        self.velocity_fault = ""  # the last message about velocities that are no rates
+        self.gaps, self.longest_gap_s = 0, 0.0  # in time, after which the filters restarted
 
     @property
     def description(self) -> str:
@@ -277,23 +203,20 @@ class Replay:
         return f"{what}, K = {config.slowest_gain_per_s:g} 1/s, {velocity}"
 
     @property
-    def lag_s(self) -> float:
-        """Time by which the estimate follows the force [s]."""
-        return self._sensor.lag_s
-
-    @property
     def tare(self) -> TareWindow | None:
         """The tare, if one was taken."""
         return None if self._taring is None else self._taring.done
 
     def run(self, chunk: LogChunk) -> Rows:
         """Return the estimates of further rows, at least one."""
-        q_rad, dq_rad_s, torque_Nm = self._signals(chunk)
-        t_s = chunk.t_s.tolist()
+        q_rad, dq_rad_s = chunk.channels["q_rad"], chunk.channels.get("dq_rad_s")
+        torque_Nm = chunk.channels["tau_ext_Nm" if self.is_external else "tau_Nm"]
+        self._require_joints(q_rad)
+        self._has_velocity, t_s = dq_rad_s is not None, chunk.t_s.tolist()
         if self._taring is None:
-            self._taring = Taring(self._sensor, self._tare, t_s[0])
+            self._taring = Taring(self.sensor, self._options, t_s[0])
             self._used_s = t_s[0]
-        sensor, taring, estimates, gaps = self._sensor, self._taring, [], []
+        sensor, taring, estimates, gaps = self.sensor, self._taring, [], []
         update = sensor.update_external_torque if self.is_external else sensor.update
         for k, (stamp_s, dt_s) in enumerate(zip(t_s, chunk.dt_s.tolist(), strict=True)):
             now_s, advances = self._running_s(stamp_s, dt_s), dt_s > 0.0
@@ -313,32 +236,42 @@ class Replay:
                 is_settled = found.status is not Status.INITIALIZING
                 if is_settled and found.warnings & SensorWarning.VELOCITY:
                     self.velocity_fault = found.message
-        return _rows(chunk.t_s, self._travel(q_rad), estimates, gaps)
+        return {
+            "t_s": chunk.t_s,
+            "travel_m": self._travel_m(q_rad),
+            **_columns(estimates),
+            "after_gap": np.array(gaps),
+        }
 
     def finish(self, *, is_whole: bool) -> None:
-        """Take a tare whose window ends with the log.
-
-        Args:
-            is_whole: Whether the log was read to its end.
-        """
+        """Take a tare whose window ends with the log, which was read to its end or not."""
         if self._taring is not None:
             self._taring.finish(self._latest_s, is_whole=is_whole)
 
-    def _signals(
-        self, chunk: LogChunk
-    ) -> tuple[NDArray[np.float64], NDArray[np.float64] | None, NDArray[np.float64]]:
-        channels, robot = chunk.channels, self.robot
-        self._has_velocity = "dq_rad_s" in channels
+    def _require_joints(self, q_rad: NDArray[np.float64]) -> None:
         # A log holds the same number of joints in every channel, so that one stands for all.
-        columns = channels["q_rad"].shape[1]
-        if columns != robot.nv:
+        columns, names = q_rad.shape[1], self.robot.joint_names
+        if columns != len(names):
             raise CommandError(
-                f"the log has {columns} columns per joint signal, the robot has {robot.nv} joints: "
-                f"{', '.join(robot.joint_names)}. Choose columns with --q, --tau and so on, or "
-                "lock joints with --lock"
+                f"the log has {columns} columns per joint signal, the robot has {len(names)} "
+                f"joints: {', '.join(names)}. Choose columns with --q, --tau and so on, or lock "
+                "joints with --lock"
             )
-        torque = "tau_ext_Nm" if self.is_external else "tau_Nm"
-        return channels["q_rad"], channels.get("dq_rad_s"), channels[torque]
+
+    def _travel_m(self, q_rad: NDArray[np.float64]) -> NDArray[np.float64]:
+        """Return the travel along the insertion axis as it stood in the first finite row [m]."""
+        positions = np.full((len(q_rad), 3), np.nan)
+        for k in np.flatnonzero(np.isfinite(q_rad).all(axis=1)).tolist():
+            self._tool.update(q_rad[k])
+            positions[k] = self._tool.place_in_base_m
+            if self._start_m is None:
+                self._start_m = positions[k].copy()
+                self._axis = self._tool.axis_in_base.copy()
+        if self._start_m is None:
+            return positions[:, 0]
+        # Not a matrix product, whose rounding may depend on how many rows come at a time.
+        x, y, z = (positions - self._start_m).T * self._axis[:, None]
+        return 0.0 + x + y + z
 
     def _running_s(self, stamp_s: float, dt_s: float) -> float:
         """Return the time of a row [s] on a clock that never goes back."""
@@ -353,40 +286,27 @@ class Replay:
     def _count(self, message: str) -> None:
         reason = message.split(";")[0]
         is_known = reason in self.rejected or len(self.rejected) < _MOST_REASONS
-        self.rejected[reason if is_known else OTHER_REASONS] += 1
+        self.rejected[reason if is_known else "other reasons"] += 1
 
     def _has_gap(self, now_s: float) -> bool:
         gap_s, self._used_s = now_s - self._used_s, now_s
         if gap_s <= self.config.max_gap_s:
             return False
-        self.gaps += 1
-        self.longest_gap_s = max(self.longest_gap_s, gap_s)
+        self.gaps, self.longest_gap_s = self.gaps + 1, max(self.longest_gap_s, gap_s)
         return True
 
 
-def _rows(
-    t_s: NDArray[np.float64],
-    travel_m: NDArray[np.float64],
-    estimates: Sequence[WrenchEstimate],
-    gaps: Sequence[bool],
-) -> Rows:
-    covariances = np.array([found.covariance for found in estimates])
+def _columns(estimates: Sequence[WrenchEstimate]) -> Rows:
+    fields = {"axial_N": "axial", "axial_std_N": "axial_std", "force_N": "force"}
+    fields |= {"torque_Nm": "torque", "model_mismatch": "model_mismatch"}
     numbers = {
-        "axial_N": np.array([found.axial for found in estimates]),
-        "axial_std_N": np.array([found.axial_std for found in estimates]),
-        "force_N": np.array([found.force for found in estimates]),
-        "torque_Nm": np.array([found.torque for found in estimates]),
-        "std": np.sqrt(np.diagonal(covariances, axis1=1, axis2=2)),
-        "model_mismatch": np.array([found.model_mismatch for found in estimates]),
+        name: np.array([getattr(found, field) for found in estimates])
+        for name, field in fields.items()
     }
+    covariances = np.array([found.covariance for found in estimates])
+    numbers["std"] = np.sqrt(np.diagonal(covariances, axis1=1, axis2=2))
     status = np.array([STATUS_CODES[found.status] for found in estimates])
     for values in numbers.values():
         values[status == STATUS_CODES[Status.REJECTED]] = np.nan
-    return {
-        "t_s": t_s,
-        "travel_m": travel_m,
-        **numbers,
-        "warnings": np.array([int(found.warnings) for found in estimates]),
-        "status": status,
-        "after_gap": np.array(gaps),
-    }
+    warnings = np.array([int(found.warnings) for found in estimates])
+    return {**numbers, "warnings": warnings, "status": status}

@@ -1,7 +1,8 @@
 """`needleforce identify`: layers and ruptures from depth and force, as table, figure and page."""
 
-from collections import deque
-from collections.abc import Iterator, Sequence
+from collections import Counter
+from collections.abc import Iterable, Iterator
+from dataclasses import dataclass
 from operator import attrgetter
 from pathlib import Path
 
@@ -10,229 +11,42 @@ from numpy.typing import NDArray
 
 from identification import MULTILAYER, PUBLISHED, PUBLISHED_KV, LayerEstimate
 from identification.log_replay import ReplayedRows, ReplayStream
-from needleforce.cli.log import (
-    ChannelRequest,
-    LogSession,
-    RowOverview,
-    in_window,
-    mapping_from_options,
-    open_output,
-    result_page,
-    run_log,
-    time_axis,
-)
-from needleforce.cli.options import DepthColumns, IdentificationOptions, Output, Reading
+from needleforce import cli, plots
+from needleforce.cli import log as logs
+from needleforce.cli.log import LogSession
 from needleforce.cli.terminal import say, write_out
-from needleforce.plots import (
-    Chart,
-    Curve,
-    Instants,
-    Page,
-    PageTable,
-    Panel,
-    Section,
-    palette,
-    save_page_figure,
-    settings_table,
-)
+from needleforce.plots import Chart, Curve, Panel, palette
 from needleforce.recordings.channels import FORCE_STATUS, WORTHLESS
 from needleforce.recordings.log import LogChunk
+from needleforce.recordings.mapping import ChannelRequest
 from needleforce.recordings.open_recording import suggest_mapping
+from needleforce.recordings.output import OpenTable
 from needleforce.recordings.table import Labels
 
-CHANNELS = ("depth", "speed", "force", "force_status", "force_warnings")
-"""What is read of a log beside time."""
-
+REQUIRED, OPTIONAL = ("depth", "force"), ("speed", "force_status", "force_warnings")
+"""Channels that are read of a log beside time."""
 METHODS = {"multilayer": MULTILAYER, "published": PUBLISHED, "published-kv": PUBLISHED_KV}
 """What ``--method`` may be."""
 
 
 def run(
     source: str,
-    reading: Reading,
-    output: Output,
-    options: IdentificationOptions,
-    columns: DepthColumns,
+    output: cli.Output,
+    options: cli.IdentificationOptions,
+    columns: cli.DepthColumns,
 ) -> int:
     """Run the command and return its exit code; what it raises is reported in one line."""
-    known = mapping_from_options(columns)
+    known = logs.mapping_from_options(columns)
     if columns.print_config:
-        write_out(suggest_mapping(source, CHANNELS, mapping=known))
+        write_out(suggest_mapping(source, (*REQUIRED, *OPTIONAL), mapping=known))
         return 0
-    optional = ("speed", "force_status", "force_warnings")
-    request = ChannelRequest(mapping=known, required=("depth", "force"), optional=optional)
-    return run_log(
-        source, reading, request, output, lambda log: identify_layers(log, options, output)
-    )
+    request = ChannelRequest(mapping=known, required=REQUIRED, optional=OPTIONAL)
 
+    def estimate(log: LogSession) -> IdentificationResult:
+        with logs.open_output(output, log, lambda: _labels(log)) as table:
+            return identify_layers(log, log.name, options, table)
 
-# From a log to its result.
-
-Rows = dict[str, NDArray[np.float64]]
-
-
-class UsableForce:
-    """Takes out forces that are marked: one from before the tare is off by a newton.
-
-    These are the rows that `needleforce.InsertionSession` keeps from its identifier.
-
-    Args:
-        is_ignored: Take all forces as they are.
-    """
-
-    def __init__(self, *, is_ignored: bool) -> None:
-        self._is_ignored, self._marked, self._warned = is_ignored, 0, 0
-
-    def __call__(self, chunk: LogChunk) -> NDArray[np.float64]:
-        """Return the force [N], NaN where it is not usable, shape (n,)."""
-        channels, force_N = chunk.channels, chunk.channels["force_N"]
-        if self._is_ignored:
-            return force_N
-        is_marked = channels.get("force_status", np.zeros(len(force_N))) != FORCE_STATUS.index("ok")
-        warnings = np.nan_to_num(channels.get("force_warnings", np.zeros(len(force_N))))
-        is_worthless = (warnings.astype(np.int64) & sum(WORTHLESS.values())) != 0
-        self._marked += int(is_marked.sum())
-        self._warned += int((is_worthless & ~is_marked).sum())
-        return np.where(is_marked | is_worthless, np.nan, force_N)
-
-    @property
-    def warnings(self) -> tuple[str, ...]:
-        """What was left out, if anything was."""
-        reasons = {
-            "whose status says that the force is not tared or not settled": self._marked,
-            f"with a warning ({', '.join(WORTHLESS)})": self._warned,
-        }
-        return tuple(
-            f"rows {reason} were left out: {count} (--ignore-status takes them)"
-            for reason, count in reasons.items()
-            if count
-        )
-
-
-_TRACKED = (
-    "force_N",
-    "predicted_force_N",
-    "enhanced_force_N",
-    "tip_force_N",
-    "stiffness_N_per_m",
-    "friction_Ns_per_m2",
-    "cumulative_friction_Ns_per_m",
-)
-_MOST_EVENTS = 1000
-_FLIP = "; a factor of -1 after the unit does, as in --force fz:N:-1"
-
-
-def identify_layers(
-    log: LogSession, options: IdentificationOptions, output: Output
-) -> "IdentificationResult":
-    """Run the identifier over a log and write its estimates."""
-    stream = ReplayStream(METHODS[options.method])
-    usable_force = UsableForce(is_ignored=options.ignore_status)
-    result, overview = IdentificationResult(log.name, options.method), RowOverview(_TRACKED)
-    with open_output(output, log, lambda: _labels(log)) as table:
-        for rows, depth_m in _replayed(log, stream, usable_force):
-            result.add(rows)
-            columns = estimate_table(rows)
-            overview.add({"depth_m": depth_m, "force_N": rows.force_N} | columns)
-            if table is not None:
-                table.append(columns)
-    hints = (f"{hint.rstrip('?')}{_FLIP}" if "flip" in hint else hint for hint in stream.hints)
-    result.warnings = (*usable_force.warnings, *hints)
-    for warning in result.warnings:
-        say(f"warning: {warning}")
-    result.layers, result.rows = stream.layers, overview.columns()
-    return result
-
-
-class IdentificationResult:
-    """The outcome of a whole log, of bounded size however long the log.
-
-    Args:
-        log: What the log is called.
-        method: One of `METHODS`.
-
-    Attributes:
-        layers: Layers traversed, as known at the end.
-        ruptures_s: Estimated rupture times on the log's clock [s]; the latest ones.
-        identified_s: Times on that clock at which a layer's friction was identified [s].
-        warnings: What was found wrong with signs and forces.
-        rows: As many as a figure needs, with `depth_m`, `force_N` and the columns of
-            `estimate_table`; of a long log those in which a value is least or largest for a while.
-    """
-
-    def __init__(self, log: str, method: str) -> None:
-        self.log, self.method = log, method
-        self.layers: tuple[LayerEstimate, ...] = ()
-        self.warnings: tuple[str, ...] = ()
-        self.rows: Rows = {}
-        self.ruptures_s: deque[float] = deque(maxlen=_MOST_EVENTS)
-        self.identified_s: deque[float] = deque(maxlen=_MOST_EVENTS)
-
-    def add(self, rows: ReplayedRows) -> None:
-        """Remember the events of further rows."""
-        for estimate in rows.estimates:
-            if estimate.rupture is not None:
-                self.ruptures_s.append(estimate.rupture.time_s)
-            if estimate.identified_layer is not None:
-                self.identified_s.append(estimate.time_s)
-
-    def text(self) -> str:
-        """Return a text table, one line per layer; `?` marks what the data do not identify."""
-        if not self.layers:
-            return f"{NO_LAYER}\n"
-        lines = [HEADER, *map(layer_cells, self.layers)]
-        widths = [max(len(line[i]) for line in lines) for i in range(len(HEADER))]
-        return "".join(
-            "  ".join(cell.rjust(width) for cell, width in zip(line, widths, strict=True)) + "\n"
-            for line in lines
-        )
-
-    def figure(self, output: Output) -> Chart:
-        """Return the chart that the options ask for."""
-        rows = in_window(self.rows, output)
-        return depth_chart(self, rows) if output.over == "depth" else layer_chart(self, rows)
-
-    def page(self, folder: Path, warnings: Sequence[str]) -> Page:
-        """Save the chart of a report in a folder and return the page that shows it."""
-        figure = save_page_figure(
-            layer_chart(self, self.rows),
-            folder / "layers.svg",
-            alt=f"Forces and identified parameters of {self.log} over time",
-            caption=_CAPTION,
-            is_alone=True,
-        )
-        layers = PageTable(
-            caption="Layers traversed" if self.layers else f"{NO_LAYER.capitalize()}.",
-            head=HEADER,
-            rows=tuple(map(layer_cells, self.layers)),
-            numeric=frozenset(range(len(HEADER))),
-            note="Times on the log's clock. A ? marks what the data do not identify.",
-        )
-        return result_page(
-            f"Layers in {self.log}",
-            f"Made by `needleforce identify`, method {self.method}.",
-            (*warnings, *self.warnings),
-            (figure,),
-            Section(heading="Layers", anchor="layers", tables=(layers,)),
-            settings_table(METHODS[self.method], f"Method {self.method}, SI units"),
-        )
-
-
-def _replayed(
-    log: LogSession, stream: ReplayStream, usable_force: UsableForce
-) -> Iterator[tuple[ReplayedRows, NDArray[np.float64]]]:
-    """Yield rows with estimates, and their depths; where speed is derived they come later."""
-    waiting_m = np.empty(0)
-    for chunk in log:
-        depth_m, speed_m_s = chunk.channels["depth_m"], chunk.channels.get("speed_m_s")
-        waiting_m = np.concatenate((waiting_m, depth_m))
-        rows = stream.run(chunk.t_s, depth_m, usable_force(chunk), speed_m_s, chunk.dt_s)
-        if rows.estimates:
-            yield rows, waiting_m[: len(rows.t_s)]
-            waiting_m = waiting_m[len(rows.t_s) :]
-    rows = stream.finish()
-    if rows.estimates:
-        yield rows, waiting_m
+    return logs.run_log(source, output, request, estimate)
 
 
 def _labels(log: LogSession) -> Labels:
@@ -245,26 +59,84 @@ def _labels(log: LogSession) -> Labels:
     return Labels(start_ns=log.start_ns, prefix="/needleforce/identification", events=events)
 
 
-# Online estimates as columns of a table.
+# From a log to its result.
 
+Rows = dict[str, NDArray[np.float64]]
+
+
+_UNTARED = "whose status says that the force is not tared or not settled"
+_DOUBTFUL = f"with a warning ({', '.join(WORTHLESS)})"
+
+
+def usable_force(chunk: LogChunk, left_out: Counter[str]) -> NDArray[np.float64]:
+    """Return the force [N], NaN and counted where it is marked: untared it is off by a newton.
+
+    The others are those that `needleforce.InsertionSession` gives to its identifier.
+    """
+    channels, nothing = chunk.channels, np.zeros(len(chunk.t_s))
+    is_marked = channels.get("force_status", nothing) != FORCE_STATUS.index("ok")
+    warnings = np.nan_to_num(channels.get("force_warnings", nothing)).astype(np.int64)
+    is_worthless = (warnings & sum(WORTHLESS.values())) != 0
+    left_out[_UNTARED] += int(is_marked.sum())
+    left_out[_DOUBTFUL] += int((is_worthless & ~is_marked).sum())
+    return np.where(is_marked | is_worthless, np.nan, channels["force_N"])
+
+
+def identify_layers(
+    chunks: Iterable[LogChunk],
+    name: str,
+    options: cli.IdentificationOptions,
+    table: OpenTable | None = None,
+) -> "IdentificationResult":
+    """Run the identifier over a log and write its estimates into a table, if there is one."""
+    stream, left_out = ReplayStream(METHODS[options.method]), Counter[str]()
+    drawn = (*(force for force, _, _ in _FORCES), *_PARAMETERS, "identified_layer")
+    overview = logs.RowOverview(drawn)
+    for rows, depth_m in _replayed(chunks, stream, None if options.ignore_status else left_out):
+        columns = estimate_table(rows)
+        overview.add({"depth_m": depth_m, "force_N": rows.force_N} | columns)
+        if table is not None:
+            table.append(columns)
+    flip = "; a factor of -1 after the unit does, as in --force fz:N:-1"
+    hints = (f"{hint.rstrip('?')}{flip}" if "flip" in hint else hint for hint in stream.hints)
+    counted = (
+        f"rows {reason} were left out: {count} (--ignore-status takes them)"
+        for reason, count in left_out.items()
+        if count
+    )
+    warnings, layers = (*counted, *hints), stream.layers
+    for warning in warnings:
+        say(f"warning: {warning}")
+    return IdentificationResult(name, options.method, layers, warnings, overview.columns())
+
+
+def _replayed(
+    chunks: Iterable[LogChunk], stream: ReplayStream, left_out: Counter[str] | None
+) -> Iterator[tuple[ReplayedRows, NDArray[np.float64]]]:
+    """Yield rows with estimates, and their depths; where speed is derived they come later."""
+    waiting_m = np.empty(0)
+    for chunk in chunks:
+        depth_m, speed_m_s = chunk.channels["depth_m"], chunk.channels.get("speed_m_s")
+        waiting_m = np.concatenate((waiting_m, depth_m))
+        force_N = chunk.channels["force_N"] if left_out is None else usable_force(chunk, left_out)
+        rows = stream.run(chunk.t_s, depth_m, force_N, speed_m_s, chunk.dt_s)
+        if rows.estimates:
+            yield rows, waiting_m[: len(rows.t_s)]
+            waiting_m = waiting_m[len(rows.t_s) :]
+    rows = stream.finish()
+    if rows.estimates:
+        yield rows, waiting_m
+
+
+_EVENTS = ("rupture", "identified_layer", "retracted")
 _NUMBERS = (
-    "enhanced_force_N",
-    "tip_force_N",
-    "shaft_friction_N",
-    "shaft_friction_std_N",
-    "predicted_force_N",
-    "stiffness_N_per_m",
-    "stiffness_std_N_per_m",
-    "friction_Ns_per_m2",
-    "friction_std_Ns_per_m2",
-    "cumulative_friction_Ns_per_m",
-    "cumulative_friction_std_Ns_per_m",
-    "in_contact",
-    "layer",
-    "stiffness_identified",
-    "friction_identified",
+    *("enhanced_force_N", "tip_force_N", "shaft_friction_N", "shaft_friction_std_N"),
+    *("predicted_force_N", "stiffness_N_per_m", "stiffness_std_N_per_m"),
+    *("friction_Ns_per_m2", "friction_std_Ns_per_m2"),
+    *("cumulative_friction_Ns_per_m", "cumulative_friction_std_Ns_per_m"),
+    *("in_contact", "layer", "stiffness_identified", "friction_identified"),
 )
-_read = attrgetter(*_NUMBERS, "status.is_used", "rupture", "identified_layer", "retracted")
+_read = attrgetter(*_NUMBERS, "status.is_used", *_EVENTS)
 
 
 def estimate_table(rows: ReplayedRows) -> Rows:
@@ -275,41 +147,117 @@ def estimate_table(rows: ReplayedRows) -> Rows:
     provisionally or, with `is_final`, finally, `retracted` where the alarm proved false. Standard
     deviations that a method does not state are nan.
     """
-    *numbers, used, ruptures, layers, retracted = zip(*map(_read, rows.estimates), strict=True)
+    *numbers, ruptures, layers, retracted = zip(*map(_read, rows.estimates), strict=True)
     table = {"t_s": rows.t_s}
-    for name, values in zip(_NUMBERS, numbers, strict=True):
+    for name, values in zip((*_NUMBERS, "used"), numbers, strict=True):
         # None becomes nan.
         table[name] = np.array(values, dtype=np.float64)
-    table["used"] = np.array(used, dtype=np.float64)
-    events = {"rupture": ruptures, "identified_layer": layers, "retracted": retracted}
-    for name, found in events.items():
+    for name, found in zip(_EVENTS, (ruptures, layers, retracted), strict=True):
         table[name] = np.array([0.0 if event is None else float(event.layer) for event in found])
     table["is_final"] = np.array([float(one is not None and one.is_final) for one in layers])
     return table
 
 
+@dataclass(frozen=True, slots=True, eq=False)
+class IdentificationResult:
+    """The outcome of a whole log, of bounded size however long the log."""
+
+    log: str
+    method: str  # one of `METHODS`
+    layers: tuple[LayerEstimate, ...]  # traversed, as known at the end
+    warnings: tuple[str, ...]  # what was found wrong with signs and forces
+    rows: Rows  # for a figure: `depth_m`, `force_N` and the columns of `estimate_table`
+
+    def text(self) -> str:
+        """Return a text table, one line per layer; `?` marks what the data do not identify."""
+        if not self.layers:
+            return "no rupture detected\n"
+        lines = [HEADER, *map(layer_cells, self.layers)]
+        widths = [max(map(len, column)) for column in zip(*lines, strict=True)]
+        cells = [map(str.rjust, line, widths) for line in lines]
+        return "".join("  ".join(line) + "\n" for line in cells)
+
+    def chart(self, over: cli.Over = "time") -> Chart:
+        """Return forces above, the identified parameters below, as in the paper's Figure 8."""
+        start_s, x_label = logs.time_axis(self.rows["t_s"])
+        # Nothing is estimated before the first row that was used.
+        is_unknown = np.cumsum(self.rows["used"]) == 0
+        rows = {name: np.where(is_unknown, np.nan, each) for name, each in self.rows.items()}
+        rows |= {name: self.rows[name] for name in ("t_s", "depth_m", "force_N")}
+        x = rows["t_s"] - start_s
+        if over == "depth":
+            x, x_label = 1e3 * rows["depth_m"], "depth [mm]"
+        forces = [
+            Curve(style=style, x=x, y=rows[name], label=text) for name, text, style in _FORCES
+        ]
+        panels = [Panel(y_label=palette.FORCE, curves=tuple(forces), height=2.0)]
+        for name, label in _PARAMETERS.items():
+            std = rows[name.replace("_N", "_std_N", 1)]
+            band = {"std": std, "band_label": "± 2 std"} if np.isfinite(std).any() else {}
+            curve = Curve(style=palette.OURS, x=x, y=rows[name], **band)
+            is_kv = name == "friction_Ns_per_m2" and self.method.endswith("kv")
+            panels.append(Panel(y_label=_OF_KELVIN_VOIGT if is_kv else label, curves=(curve,)))
+        ruptures_s = [layer.rupture.time_s for layer in self.layers]
+        identified_s = rows["t_s"][self.rows["identified_layer"] > 0]
+        events = (
+            ("estimated rupture time", palette.RUPTURE, ruptures_s),
+            ("friction identified", palette.COMPENSATION, identified_s),
+        )
+        return Chart(
+            title=f"Forces and identified parameters\n{self.log}, method {self.method}",
+            x_label=x_label,
+            panels=tuple(panels),
+            instants=tuple(
+                plots.Instants(
+                    label=label, style=style, places=tuple(t_s - start_s for t_s in times_s)
+                )
+                for label, style, times_s in (events if over == "time" else ())
+            ),
+            x_limits=logs.span(x),
+            height_in=6.4,
+        )
+
+    def sections(self, folder: Path) -> tuple[plots.Section, ...]:
+        """Save the chart of a report in a folder and return the sections of its page."""
+        figure = plots.save_page_figure(
+            self.chart(),
+            folder / "layers.svg",
+            alt=f"Forces and identified parameters of {self.log} over time",
+            caption=_CAPTION,
+            is_alone=True,
+        )
+        table = plots.PageTable(
+            caption="Layers traversed" if self.layers else "No rupture detected.",
+            head=HEADER,
+            rows=tuple(map(layer_cells, self.layers)),
+            numeric=frozenset(range(len(HEADER))),
+            note="Times on the log's clock. A ? marks what the data do not identify.",
+        )
+        layers = plots.Section(
+            heading="Layers",
+            anchor="layers",
+            paragraphs=(f"Made by `needleforce identify`, method {self.method}.",),
+            notices=tuple(f"Warning: {text}" for text in self.warnings),
+            figures=(figure,),
+            tables=(table,),
+        )
+        settings = plots.settings_table(METHODS[self.method], f"Method {self.method}, SI units")
+        heading = "Settings of the identification"
+        return layers, plots.Section(heading=heading, anchor="identification", tables=(settings,))
+
+
 # Layers as a table for people, in millimetres.
 
 HEADER = (
-    "layer",
-    "from mm",
-    "thick mm",
-    "rupture s",
-    "alarm s",
-    "drop N",
-    "K N/m",
-    "friction N",
-    "B d Ns/m",
-    "B Ns/m2",
+    *("layer", "from mm", "thick mm", "rupture s", "alarm s", "drop N"),
+    *("K N/m", "friction N", "B Ns/m2"),
 )
-NO_LAYER = "no rupture detected"
 
 
 def layer_cells(layer: LayerEstimate) -> tuple[str, ...]:
     """Return the line of a layer, its times on the log's clock."""
-    rupture = layer.rupture
-    product = layer.friction_N / max(rupture.speed_m_s, 1e-9)
-    unsure = "" if layer.friction_identified else "?"
+    rupture, unsure = layer.rupture, "" if layer.friction_identified else "?"
+    stiffness = _with_std(layer.stiffness_N_per_m, layer.stiffness_std_N_per_m, 1)
     return (
         str(layer.layer),
         f"{1e3 * layer.start_depth_m:.1f}",
@@ -317,10 +265,8 @@ def layer_cells(layer: LayerEstimate) -> tuple[str, ...]:
         f"{rupture.time_s:.2f}",
         f"{rupture.alarm_s:.2f}",
         _with_std(layer.force_drop_N, layer.force_drop_std_N, 2),
-        _with_std(layer.stiffness_N_per_m, layer.stiffness_std_N_per_m, 1)
-        + ("" if layer.stiffness_identified else "?"),
+        stiffness + ("" if layer.stiffness_identified else "?"),
         _with_std(layer.friction_N, layer.friction_std_N, 3) + unsure,
-        f"{product:.0f}{unsure}",
         f"{layer.friction_Ns_per_m2:.0f}{unsure}",
     )
 
@@ -344,66 +290,6 @@ _PARAMETERS = {
     "cumulative_friction_Ns_per_m": palette.CUMULATIVE_FRICTION,
 }
 _OF_KELVIN_VOIGT = "friction B\n[Ns/m]"
-
-
-def layer_chart(result: IdentificationResult, rows: Rows) -> Chart:
-    """Return forces over time above; stiffness, friction and cumulative friction below."""
-    rows = _known(rows)
-    start_s, time = time_axis(rows["t_s"])
-    x = rows["t_s"] - start_s
-    panels = [Panel(y_label=palette.FORCE, curves=_forces(rows, x), height=2.0)]
-    for name, label in _PARAMETERS.items():
-        std = rows[name.replace("_N", "_std_N", 1)]
-        is_stated = bool(np.isfinite(std).any())
-        curve = Curve(
-            style=palette.OURS,
-            x=x,
-            y=rows[name],
-            std=std if is_stated else None,
-            band_label="± 2 std" if is_stated else None,
-        )
-        is_kv = name == "friction_Ns_per_m2" and result.method.endswith("kv")
-        panels.append(Panel(y_label=_OF_KELVIN_VOIGT if is_kv else label, curves=(curve,)))
-    events = (
-        ("estimated rupture time", palette.RUPTURE, result.ruptures_s),
-        ("friction identified", palette.COMPENSATION, result.identified_s),
-    )
-    return Chart(
-        title=f"Forces and identified parameters\n{result.log}, method {result.method}",
-        x_label=time,
-        panels=tuple(panels),
-        instants=tuple(
-            Instants(label=label, style=style, places=tuple(t_s - start_s for t_s in times_s))
-            for label, style, times_s in events
-        ),
-        x_limits=(float(x.min()), float(x.max())),
-        height_in=6.4,
-    )
-
-
-def depth_chart(result: IdentificationResult, rows: Rows) -> Chart:
-    """Return the forces over depth."""
-    rows = _known(rows)
-    return Chart(
-        title=f"Forces over depth\n{result.log}, method {result.method}",
-        x_label="depth [mm]",
-        panels=(Panel(y_label=palette.FORCE, curves=_forces(rows, 1e3 * rows["depth_m"])),),
-    )
-
-
-def _known(rows: Rows) -> Rows:
-    """Return the rows; nothing is estimated before the first one that was used."""
-    is_unknown = np.cumsum(rows["used"]) == 0
-    recorded = {name: rows[name] for name in ("t_s", "depth_m", "force_N")}
-    return {name: np.where(is_unknown, np.nan, values) for name, values in rows.items()} | recorded
-
-
-def _forces(rows: Rows, x: NDArray[np.float64]) -> tuple[Curve, ...]:
-    return tuple(
-        Curve(style=style, x=x, y=rows[name], label=label) for name, label, style in _FORCES
-    )
-
-
 _CAPTION = (
     "Above, the axial force as it was recorded, the force that the model predicts, the enhanced "
     "force (less the force in free air and the friction of the layers traversed) and the force at "

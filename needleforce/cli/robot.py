@@ -1,97 +1,55 @@
 """The robot and its sensor from options and TOML files: arm, payload, friction, settings."""
 
-import re
 from collections.abc import Mapping
-from dataclasses import MISSING, fields, is_dataclass, replace
+from dataclasses import asdict, fields, is_dataclass, replace
 from difflib import get_close_matches
 from typing import Any, TypeVar, get_args, get_type_hints
 
 import msgspec
 import numpy as np
-from msgspec import UNSET
 
-from needleforce.cli.options import RobotOptions, SensorOptions
+import urdf
+from needleforce.cli import RobotOptions, SensorOptions
 from needleforce.cli.terminal import CommandError
 from needleforce.recordings import load_mapping
 from needleforce.recordings.mapping import read_toml
-from residual import (
-    DEFAULT,
-    PUBLISHED,
-    FrictionModel,
-    JointFriction,
-    SensorConfig,
-    SigmoidFriction,
-)
-from urdf import (
-    NeedleTool,
-    Payload,
-    Robot,
-    UnsupportedJointError,
-    load_example,
-    load_lwr,
-    load_urdf,
-)
+from residual import DEFAULT, PUBLISHED, FrictionModel, JointFriction, SensorConfig, SigmoidFriction
+from urdf import NeedleTool, Payload, Robot
 
-# A validated dataclass from a table of a TOML file, with errors that name key and value.
+# A validated dataclass from a table of a TOML file, with errors that name the key.
 
 T = TypeVar("T")
-
 NOTHING = "none"
 """How a file says None, for which TOML has no word."""
-_WORDS = {
-    "float": "a number",
-    "int": "a number",
-    "str": "text",
-    "bool": "true or false",
-    "array": "a list",
-    "numbers": "a list of numbers",
-    "null": repr(NOTHING),
-    "object": "a table",
-}
 
 
-def decoded(kind: type[T], table: Any, where: str, preset: Mapping[str, Any] | None = None) -> T:
-    """Return a dataclass with the values of a table.
+def decoded(kind: type[T], table: Any, where: str, preset: Any = None) -> T:
+    """Return a dataclass with the values of a table as TOML gives it.
 
-    Args:
-        kind: A dataclass of numbers, text, choices, arrays and further dataclasses.
-        table: As TOML gives it.
-        where: File and table, for messages.
-        preset: Fields in place of the dataclass's own defaults, which the table overrides.
+    The dataclass has numbers, text, choices, arrays and further dataclasses; ``where`` names file
+    and table in messages; a preset has the values that the table does not give.
     """
     if not isinstance(table, dict):
-        raise CommandError(f"{where} = {_short(table)}, expected a table")
+        raise CommandError(f"{where} is {type(table).__name__}, expected a table")
     _require_known(kind, table, where)
-    values = {name: None if value == NOTHING else value for name, value in table.items()}
-    for name, value in (preset or {}).items():
-        inner = values.setdefault(name, value)
-        if is_dataclass(value) and isinstance(inner, dict):
-            values[name] = {item.name: getattr(value, item.name) for item in fields(value)} | inner
+    values = {} if preset is None else asdict(preset)
+    for name, value in table.items():
+        is_inner = isinstance(value, dict) and isinstance(values.get(name), dict)
+        values[name] = values[name] | value if is_inner else None if value == NOTHING else value
+    # msgspec asks for fields that are no arguments, too; __post_init__ replaces these values.
+    declared: Any = kind
+    values |= {item.name: [0.0] for item in fields(declared) if not item.init}
     try:
-        found = msgspec.convert(values, _struct(kind), dec_hook=_array)
+        return msgspec.convert(values, kind, dec_hook=_array)
     except (msgspec.ValidationError, OverflowError) as error:
-        raise CommandError(f"{where}: {_explained(str(error), kind, table)}") from error
-    given = {name: getattr(found, name) for name in found.__struct_fields__}
-    try:
-        return kind(**{name: value for name, value in given.items() if value is not UNSET})
-    except (ValueError, TypeError) as error:
-        raise CommandError(f"{where}: {error}") from error
+        what, _, key = str(error).replace("`", "").partition(" - at $.")
+        if what.startswith("Invalid enum value"):
+            what += f", expected {' or '.join(map(repr, get_args(get_type_hints(kind)[key])))}"
+        what = what.replace("null", repr(NOTHING)).replace("object", "table")
+        raise CommandError(f"{where}: {key}{': ' if key else ''}{what}") from error
 
 
-def _struct(kind: type) -> type[msgspec.Struct]:
-    """Return the fields with their types; msgspec would fill fields that are no arguments, too."""
-    hints = get_type_hints(kind)
-    items = [
-        (item.name, hints[item.name])
-        if item.default is item.default_factory is MISSING
-        else (item.name, hints[item.name], UNSET)
-        for item in fields(kind)
-        if item.init
-    ]
-    return msgspec.defstruct(kind.__name__, items, kw_only=True)
-
-
-def _require_known(kind: type, table: Mapping[str, Any], where: str) -> None:
+def _require_known(kind: Any, table: Mapping[str, Any], where: str) -> None:
     hints = get_type_hints(kind)
     known = [item.name for item in fields(kind) if item.init]
     for name, value in table.items():
@@ -110,51 +68,17 @@ def _array(_kind: Any, value: Any) -> np.ndarray:
     except (ValueError, TypeError, OverflowError):
         array = np.array(np.nan)
     if not (array.ndim and np.isfinite(array).all()):
-        raise ValueError("Expected `numbers`")
+        raise ValueError("Expected a list of finite numbers")
     return array
-
-
-def _explained(message: str, kind: type, table: Mapping[str, Any]) -> str:
-    """Return a message of msgspec in plain words, with the value that came."""
-    what, at, path = message.partition(" - at `$.")
-    if not at:
-        return what.replace("Object missing required field", "missing:").replace("`", "")
-    key = path.rstrip("`")
-    name, *inner = re.split(r"[.\[]", key)
-    value = table.get(name)
-    if inner and isinstance(value, dict):
-        value = value.get(inner[0])
-    choices = get_args(get_type_hints(kind).get(name))
-    if what.startswith("Invalid enum value"):
-        expected = " or ".join(map(repr, choices))
-    elif found := re.match(r"Expected `([^`]*)`( of length \d+)?", what):
-        kinds = [_WORDS.get(word, word) for word in found.group(1).split(" | ")]
-        expected = " or ".join(dict.fromkeys(kinds)) + (found.group(2) or "")
-    else:
-        return f"{key} = {_short(value)}: {what}"
-    return f"{key} = {_short(value)}, expected {expected}"
-
-
-def _short(value: Any) -> str:
-    try:
-        return repr(value)[:60]
-    except ValueError:
-        return "a number of thousands of digits"
 
 
 # The arm, and what hangs on its flange.
 
 LWR = "lwr"
-_POINT_MASS = [[0.0] * 3] * 3
 
 
 def robot_from_options(options: RobotOptions, mapping: str | None) -> Robot:
-    """Return the robot that the options describe.
-
-    Args:
-        options: Of the command.
-        mapping: The mapping file, which may name the payload.
-    """
+    """Return the robot that the options describe; a mapping file may name the payload."""
     payload = payload_from_options(options, mapping)
     if options.urdf is not None and options.robot is not None:
         raise CommandError("--robot and --urdf name two robots; give one of them")
@@ -167,17 +91,19 @@ def robot_from_options(options: RobotOptions, mapping: str | None) -> Robot:
         "payload": payload,
     }
     if options.urdf is None and options.robot not in (None, LWR):
-        return load_example(options.robot, **placed)
+        return urdf.load_example(options.robot, **placed)
     if options.urdf is None:
         if options.tool_frame or options.tip_offset or options.without:
             raise CommandError(
                 "--tool-frame, --tip-offset and --without describe a robot of --robot NAME or "
                 "--urdf FILE; the LWR 4+ takes a [needle] in --payload FILE"
             )
-        return load_lwr(payload=payload)
+        return urdf.load_lwr(payload=payload)
     try:
-        return load_urdf(options.urdf, locked_joints=dict(map(_locked, options.lock)), **placed)
-    except UnsupportedJointError as error:
+        return urdf.load_urdf(
+            options.urdf, locked_joints=dict(map(_locked, options.lock)), **placed
+        )
+    except urdf.UnsupportedJointError as error:
         reason = str(error).replace("lock it with locked_joints", "lock it with --lock")
         raise CommandError(reason) from error
 
@@ -199,11 +125,11 @@ def payload_from_options(options: RobotOptions, mapping: str | None) -> Payload 
     point mass without it) in flange axes, or a table ``[needle]`` with fields of
     `urdf.NeedleTool`.
     """
-    is_lwr = options.urdf is None and options.robot in (None, LWR)
     value, where = options.payload, "--payload"
     if value is None and mapping is not None:
         value, where = load_mapping(mapping).payload, f"{mapping}: [payload]"
     if value is None:
+        is_lwr = options.urdf is None and options.robot in (None, LWR)
         value = "needle" if is_lwr else NOTHING
     if value == NOTHING:
         return None
@@ -212,8 +138,9 @@ def payload_from_options(options: RobotOptions, mapping: str | None) -> Payload 
     if isinstance(value, str):
         value, where = read_toml(value, "payload file"), value
     if not isinstance(value, dict):
+        what = type(value).__name__
         raise CommandError(
-            f"{mapping}: payload = {_short(value)}, expected a table, a file, needle or none"
+            f"{mapping}: payload is {what}, expected a table, a file, needle or none"
         )
     return _payload(value, where)
 
@@ -229,23 +156,18 @@ def _payload(table: Mapping[str, Any], where: str) -> Payload | NeedleTool:
                 f"{where}: {name} is missing; a payload has mass_kg, com_m and inertia_kg_m2, or "
                 "is a table [needle]"
             )
-    return decoded(Payload, {"inertia_kg_m2": _POINT_MASS, **table}, where)
+    return decoded(Payload, {"inertia_kg_m2": [[0.0] * 3] * 3, **table}, where)
 
 
 def payload_lines(payload: Payload | NeedleTool | None) -> list[str]:
     """Return a payload as lines of a mapping."""
     if payload is None:
         return ['payload = "none"  # or "needle", a file, or a table [payload]']
+    title = "[payload]  # in flange axes; inertia about the centre of mass"
     if isinstance(payload, NeedleTool):
-        numbers = {item.name: getattr(payload, item.name) for item in fields(payload)}
-        lines = [f"{name} = {number!r}" for name, number in numbers.items()]
-        return ["[payload.needle]  # force sensor and needle; see docs/force.md", *lines]
-    return [
-        "[payload]  # in flange axes; inertia about the centre of mass",
-        f"mass_kg = {payload.mass_kg!r}",
-        f"com_m = {payload.com_m.tolist()}",
-        f"inertia_kg_m2 = {payload.inertia_kg_m2.tolist()}",
-    ]
+        title = "[payload.needle]  # force sensor and needle; see docs/force.md"
+    values = {item.name: np.asarray(getattr(payload, item.name)) for item in fields(payload)}
+    return [title, *(f"{name} = {value.tolist()!r}" for name, value in values.items())]
 
 
 # Friction and rotors between torque measurement and link, and the sensor's settings.
@@ -254,13 +176,10 @@ _MODELS = {"viscous_coulomb": JointFriction, "sigmoid": SigmoidFriction}
 
 
 def with_friction(robot: Robot, path: str | None) -> tuple[Robot, FrictionModel | None]:
-    """Read the file of ``--friction``.
+    """Return the robot with the rotors, and the friction if any, of the file of ``--friction``.
 
     It holds one table, ``[viscous_coulomb]`` with the fields of `residual.JointFriction` or
     ``[sigmoid]`` with those of `residual.SigmoidFriction`, and may hold ``rotor_inertia_kg_m2``.
-
-    Returns:
-        The robot with its rotors, and the friction, if any.
     """
     if path is None:
         return robot, None
@@ -287,28 +206,28 @@ def _per_joint(value: Any, what: str, joints: int) -> np.ndarray:
     try:
         array = np.array(value, dtype=np.float64)
     except (TypeError, ValueError, OverflowError):
-        array = np.empty(0)
+        array = np.array(np.nan)
     if array.shape != (joints,):
-        raise CommandError(f"{what} = {_short(value)}, expected {joints} numbers, one per joint")
+        raise CommandError(
+            f"{what}: found shape {array.shape}, expected {joints} numbers, one per joint"
+        )
     return array
 
 
 def sensor_config(options: SensorOptions, friction: FrictionModel | None) -> SensorConfig:
     """Return the preset with the file's settings, then the options', in place of its own."""
-    preset = PUBLISHED if options.published else DEFAULT
-    values = {item.name: getattr(preset, item.name) for item in fields(preset)}
+    config = PUBLISHED if options.published else DEFAULT
     if options.config is not None:
         table = read_toml(options.config, "config file")
         if "friction" in table:
             raise CommandError(f"{options.config}: give joint friction with --friction FILE")
-        config = decoded(SensorConfig, table, options.config, values)
-        values = {item.name: getattr(config, item.name) for item in fields(config)}
+        config = decoded(SensorConfig, table, options.config, config)
     given = {
         "gain_per_s": options.gain,
         "alignment": options.alignment,
         "mode": options.mode,
         "insertion_axis": options.insertion_axis,
         "torque_is_gravity_compensated": options.gravity_compensated or None,
+        "friction": friction,
     }
-    given = {name: value for name, value in given.items() if value is not None}
-    return replace(decoded(SensorConfig, given, "options", values), friction=friction)
+    return replace(config, **{name: value for name, value in given.items() if value is not None})

@@ -7,8 +7,8 @@ from numpy.typing import NDArray
 
 from groundtruth import SCENARIOS, Run, simulate
 from groundtruth.scenarios import RANDOM_STACK, RANDOM_TISSUE, Scenario, named_scenario
-from needleforce.cli.options import SimulationOptions
-from needleforce.cli.terminal import CommandError, progress, write_out
+from needleforce.cli import SimulationOptions
+from needleforce.cli.terminal import CommandError, write_out
 from needleforce.recordings import check_writable, write_table
 from needleforce.recordings.output import check_output_paths
 from needleforce.recordings.table import Labels
@@ -24,18 +24,14 @@ _EVENTS = {
 def run(scenario: str | None, options: SimulationOptions) -> int:
     """Simulate a scenario and write what was asked for; return the exit code."""
     if options.list:
-        write_out(_listed())
+        rows = {name: item.title for name, item in SCENARIOS.items()}
+        rows[RANDOM_STACK] = "one to four layers drawn from the seed"
+        rows[RANDOM_TISSUE] = "the same, each layer of its own law"
+        width = max(map(len, rows))
+        write_out("".join(f"{name:<{width}}  {title}\n" for name, title in rows.items()))
         return 0
     chosen = _checked(scenario, options)
-    done = 0.0
-    with progress(1.0, chosen.id) as advance:
-
-        def report(fraction: float) -> None:
-            nonlocal done
-            advance(fraction - done)
-            done = fraction
-
-        made = simulate(chosen, plant=options.plant, seed=options.seed, progress=report)
+    made = simulate(chosen, plant=options.plant, seed=options.seed)
     names = made.robot.joint_names
     if options.output is not None:
         write_table(options.output, signal_table(made), labels=Labels(joint_names=names))
@@ -63,24 +59,20 @@ def _checked(scenario: str | None, options: SimulationOptions) -> Scenario:
 
 
 def signal_table(run: Run) -> dict[str, NDArray]:
-    """Return what the robot and its F/T sensor gave; n rows, units in the names.
+    """Return what the robot and its F/T sensor gave: one row per sample, units in the names.
 
-    Args:
-        run: The run.
-
-    Returns:
-        Time stamps (from zero on, like those of the truth), joint signals of shape (n, 7) (no
-        velocities from an arm that reports none), force and torque of the sensor in its axes of
-        shape (n, 3).
+    Time stamps begin at zero at the earliest; an arm that reports no velocities has none.
     """
     signals = run.signals
-    columns = {"t_s": signals.t_s + _shift_s(run), "q_rad": signals.q_rad}
-    if signals.dq_rad_s is not None:
-        columns["dq_rad_s"] = signals.dq_rad_s
-    columns["tau_Nm"] = signals.tau_Nm
-    columns["ft_force_N"] = signals.ft_wrench[:, :3]
-    columns["ft_torque_Nm"] = signals.ft_wrench[:, 3:]
-    return columns
+    dq = {} if signals.dq_rad_s is None else {"dq_rad_s": signals.dq_rad_s}
+    return {
+        "t_s": signals.t_s + _shift_s(run),
+        "q_rad": signals.q_rad,
+        **dq,
+        "tau_Nm": signals.tau_Nm,
+        "ft_force_N": signals.ft_wrench[:, :3],
+        "ft_torque_Nm": signals.ft_wrench[:, 3:],
+    }
 
 
 def truth_table(run: Run) -> dict[str, NDArray]:
@@ -91,18 +83,12 @@ def truth_table(run: Run) -> dict[str, NDArray]:
     where a membrane on the surface ruptures.
     """
     truth = run.truth
-    columns: dict[str, NDArray] = {
-        "t_s": truth.t_s + _shift_s(run),
-        "depth_m": truth.depth_m,
-        "speed_m_s": truth.speed_m_s,
-        "axial_N": truth.axial_N,
-        "tip_N": truth.tip_N,
-        "friction_N": truth.friction_N,
-        "layer": truth.layer,
-        "rupture": _ruptures(run, on_surface=False),
-        "surface_rupture": _ruptures(run, on_surface=True),
-        "tau_ext_Nm": truth.external_torque_Nm,
-    }
+    names = ("depth_m", "speed_m_s", "axial_N", "tip_N", "friction_N", "layer")
+    columns: dict[str, NDArray] = {"t_s": truth.t_s + _shift_s(run)}
+    columns |= {name: getattr(truth, name) for name in names}
+    columns["rupture"] = _ruptures(run, on_surface=False)
+    columns["surface_rupture"] = _ruptures(run, on_surface=True)
+    columns["tau_ext_Nm"] = truth.external_torque_Nm
     if truth.layer_friction_N.shape[1]:
         columns["layer_friction_N"] = truth.layer_friction_N
     return columns
@@ -121,17 +107,8 @@ def _ruptures(run: Run, *, on_surface: bool) -> NDArray[np.int64]:
         row = int(np.searchsorted(run.truth.t_s, rupture.onset_s))
         while row < len(marks) and marks[row]:
             row += 1
-        if row < len(marks):
-            marks[row] = rupture.layer or 1
+        marks[row : row + 1] = rupture.layer or 1
     return marks
-
-
-def _listed() -> str:
-    rows = {name: item.title for name, item in SCENARIOS.items()}
-    rows[RANDOM_STACK] = "one to four layers drawn from the seed"
-    rows[RANDOM_TISSUE] = "the same, each layer of its own law"
-    width = max(map(len, rows))
-    return "".join(f"{name:<{width}}  {title}\n" for name, title in rows.items())
 
 
 def _summary(run: Run, output: Path | None) -> str:

@@ -8,53 +8,34 @@ from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from types import FrameType
 
-FAILED = 2
-"""Exit code after one line that says what is wrong with options or files."""
+FAILED = 2  # exit code after one line that says what is wrong with options or files
+INTERRUPTED = 130  # after Ctrl-C, as shells have it
+READER_GONE = 141  # when the reader of standard output has gone, as in `| head`
+TERMINATED = 143  # after SIGTERM
 
-INTERRUPTED = 130
-"""Exit code after Ctrl-C, as shells have it."""
-
-READER_GONE = 141
-"""Exit code when the reader of standard output has gone, as in `| head`; as shells have it."""
-
-TERMINATED = 143
-"""Exit code after SIGTERM, as shells have it."""
+_FORESEEN = ("urdf", "residual", "identification", "groundtruth", "needleforce", "cyclopts")
+"""Packages whose own errors say what is wrong with the input."""
 
 
 class CommandError(ValueError):
     """An option, a file named by one, or a log that does not fit the robot."""
 
 
-_ERRORS = {
-    "needleforce.plots": "FiguresError",
-    "needleforce.recordings": "RecordingError",
-    "urdf": "UrdfError",
-    "residual": "ResidualError",
-    "identification": "IdentificationError",
-    "groundtruth": "GroundTruthError",
-}
-"""Package to the base of what it raises for wrong input."""
-
-
 class _Terminated(BaseException):
     """SIGTERM, which by default would leave unfinished files behind."""
 
 
-def run_command(work: Callable[[], int], errors: tuple[type[Exception], ...] = ()) -> int:
-    """Run a command to its exit code; every foreseen failure is one line on stderr.
+def run_command(work: Callable[[], int]) -> int:
+    """Run what returns an exit code; every foreseen failure is one line on stderr and a code."""
 
-    Args:
-        work: Returns the exit code when all went well.
-        errors: What it may raise beside the errors of our packages.
+    def end(_number: int, _frame: FrameType | None) -> None:
+        raise _Terminated
 
-    Returns:
-        The exit code of the work, or one of those above.
-    """
     try:
-        with _terminable():
+        with _handled(signal.SIGTERM, end):
             code = work()
-            if sys.stdout is not None:
-                write_out("")
+            write_out("")
+        return code
     except BrokenPipeError:
         _close_output()
         return READER_GONE
@@ -65,73 +46,47 @@ def run_command(work: Callable[[], int], errors: tuple[type[Exception], ...] = (
         say("terminated")
         return TERMINATED
     except Exception as error:
-        if isinstance(error, (CommandError, *errors, *_known_errors())):
-            say(f"error: {error}")
-            return FAILED
-        if not isinstance(error, OSError) or error.filename is not None:
-            raise
-        # A failure without a file: another library could not write standard output.
-        _close_output()
-        say(f"error: cannot write standard output: {error.strerror or error}")
+        say(f"error: {_explained(error)}")
         return FAILED
-    return code
 
 
-def _known_errors() -> tuple[type[Exception], ...]:
-    # A package that was not imported has raised nothing; importing it takes a second.
-    return tuple(
-        getattr(sys.modules[package], name)
-        for package, name in _ERRORS.items()
-        if package in sys.modules
-    )
+def _explained(error: Exception) -> str:
+    """Return a foreseen failure in one line; raise what was not foreseen."""
+    if type(error).__module__.partition(".")[0] in _FORESEEN:
+        return str(error)
+    if not isinstance(error, OSError) or error.filename is not None:
+        raise error
+    # A failure without a file is one of standard output; others say which file.
+    _close_output()
+    return f"cannot write standard output: {error.strerror or error}"
 
 
 @contextmanager
-def _terminable() -> Iterator[None]:
-    """Let SIGTERM unwind the work, so that files are whole or removed."""
-
-    def end(_number: int, _frame: FrameType | None) -> None:
-        raise _Terminated
-
-    is_ours = (
-        threading.current_thread() is threading.main_thread()
-        and signal.getsignal(signal.SIGTERM) is signal.SIG_DFL
-    )
-    if is_ours:
-        signal.signal(signal.SIGTERM, end)
+def _handled(number: int, handler: Callable[[int, FrameType | None], None]) -> Iterator[None]:
+    """Let a handler have a signal while the block runs; only a process's first thread may."""
+    if threading.current_thread() is not threading.main_thread():
+        yield
+        return
+    before = signal.signal(number, handler)
     try:
         yield
     finally:
-        if is_ours:
-            signal.signal(signal.SIGTERM, signal.SIG_DFL)
+        signal.signal(number, before)
 
 
-class StopRequest:
-    """While it is entered, the first Ctrl-C is remembered; the second interrupts."""
+@contextmanager
+def stop_request() -> Iterator[Callable[[], bool]]:
+    """Yield whether Ctrl-C was pressed; while the block runs, only the second one interrupts."""
+    is_pressed = False
 
-    def __init__(self) -> None:
-        self.is_set = False
-
-    def __call__(self) -> bool:
-        """Return whether Ctrl-C was pressed."""
-        return self.is_set
-
-    def __enter__(self) -> "StopRequest":
-        """Listen. Only a process's first thread hears Ctrl-C."""
-        self._listens = threading.current_thread() is threading.main_thread()
-        if self._listens:
-            self._before = signal.signal(signal.SIGINT, self._hear)
-        return self
-
-    def __exit__(self, *_: object) -> None:
-        """Leave Ctrl-C as it was."""
-        if self._listens:
-            signal.signal(signal.SIGINT, self._before)
-
-    def _hear(self, _number: int, _frame: FrameType | None) -> None:
-        if self.is_set:
+    def hear(_number: int, _frame: FrameType | None) -> None:
+        nonlocal is_pressed
+        if is_pressed:
             raise KeyboardInterrupt
-        self.is_set = True
+        is_pressed = True
+
+    with _handled(signal.SIGINT, hear):
+        yield lambda: is_pressed
 
 
 def say(text: str) -> None:
@@ -141,27 +96,15 @@ def say(text: str) -> None:
 
 
 def write_out(text: str, *, to_stderr: bool = False) -> None:
-    """Write a result to standard output, now.
+    """Write whole lines now, to stderr where a table goes to standard output.
 
-    Args:
-        text: Whole lines; what the terminal's encoding lacks is written as an escape.
-        to_stderr: Write to stderr, because a table goes to standard output.
+    What the terminal's encoding lacks is written as an escape.
     """
     stream = sys.stderr if to_stderr else sys.stdout
-    if stream is None:
-        if to_stderr:
-            return
-        raise CommandError("cannot write standard output: it is closed")
-    encoding = stream.encoding or "utf-8"
-    try:
+    if stream is not None:  # as print does where a stream is closed
+        encoding = stream.encoding or "utf-8"
         stream.write(text.encode(encoding, "backslashreplace").decode(encoding))
         stream.flush()
-    except BrokenPipeError:
-        raise
-    except OSError as error:
-        _close_output()
-        reason = error.strerror or error
-        raise CommandError(f"cannot write standard output: {reason}") from error
 
 
 def _close_output() -> None:
@@ -173,26 +116,3 @@ def _close_output() -> None:
     nowhere = os.open(os.devnull, os.O_WRONLY)
     os.dup2(nowhere, handle)
     os.close(nowhere)
-
-
-@contextmanager
-def progress(total: float | None, label: str) -> Iterator[Callable[[float], None]]:
-    """Show a progress bar on stderr while the block runs, if stderr is a terminal.
-
-    Args:
-        total: Of whatever is counted; None if it is not known.
-        label: What is being done.
-
-    Yields:
-        A function that takes how much more is done.
-    """
-    if sys.stderr is None or not sys.stderr.isatty():
-        yield lambda more: None
-        return
-    from rich.console import Console
-    from rich.progress import Progress, TimeElapsedColumn
-
-    columns = (*Progress.get_default_columns(), TimeElapsedColumn())
-    with Progress(*columns, console=Console(stderr=True), transient=True) as bar:
-        task = bar.add_task(label, total=total)
-        yield lambda more: bar.advance(task, more)
