@@ -9,6 +9,7 @@ from typing import NamedTuple
 from benchmarks import DataError
 from benchmarks.metrics import Measurement
 from benchmarks.rows import Row
+from needleforce.plots import PageFigure
 
 RECORDING = "recording"
 """The plant of a benchmark on real data."""
@@ -18,26 +19,23 @@ Progress = Callable[[float], None]
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Fact:
-    """One number of a figure, the paper's beside those of our runs."""
+    """One number of a figure, the published one beside those of our runs."""
 
     what: str  # with the unit
-    paper: str  # as printed in the paper, or said in its text
+    published: str  # as printed there, or said in the text
     here: tuple[tuple[str, str], ...]  # from our runs, by the head of its column
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Drawing:
-    """A figure of a run as a file, and the words that go with it."""
+    """A figure of a run, and the words that go with it."""
 
-    figure: str  # of the paper to which it is the counterpart, such as ``8``; empty for none
+    figure: str  # published one to which it is the counterpart, such as ``8``; empty for none
     panel: str = ""  # letter of the panel; empty for none
     scenario: str  # what was simulated
     plant: str  # on which plant model
     seed: int  # of everything drawn
-    path: Path  # the file
-    wide: Path | None = None  # the same for a wide screen, where it stands alone
-    alt: str  # what it shows, for those who cannot see it
-    caption: str  # what to look at
+    shown: PageFigure  # its files, what it shows, what to look at
     facts: tuple[Fact, ...] = ()  # numbers to stand below
     # cumulative friction in the end, by the published method as its authors ran it; nan where the
     # drawing shows something else

@@ -20,7 +20,7 @@ from groundtruth.motion import constant_motion
 Array = NDArray[np.float64]
 
 GEL = SCENARIOS["gel-50-constant"].layers[0]
-"""The paper's middle gel: 0.75 N at the tip, 17 N/m of friction at 2.3 mm/s."""
+"""The published middle gel: 0.75 N at the tip, 17 N/m of friction at 2.3 mm/s."""
 MIDDLE = {"release_m": 0.3e-3, "speed_m_s": 3e-3, "thickness_m": 25e-3}
 CHANGES = {
     "release_m": (0.1e-3, 0.3e-3, 0.5e-3, 2e-3),

@@ -101,7 +101,7 @@ BENCHMARKS: Mapping[str, Benchmark] = MappingProxyType({item.id: item for item i
 """By name."""
 
 
-def benchmark(benchmark_id: str) -> Benchmark:
+def benchmark_named(benchmark_id: str) -> Benchmark:
     """The benchmark of that name.
 
     Raises:

@@ -12,12 +12,17 @@ from contextlib import contextmanager
 from functools import partial
 from itertools import product
 from pathlib import Path
-from typing import Annotated, Literal
+from typing import TYPE_CHECKING, Annotated, Literal
 
 from cyclopts import App, CycloptsError, Parameter
 from cyclopts.validators import Number
 
 from benchmarks import BenchmarkError, ResultsError
+
+if TYPE_CHECKING:
+    from rich.console import Console
+
+    from benchmarks.benchmark import Outcome
 
 DATA_VARIABLE = "NEEDLEFORCE_DATA"
 EXTRA_PACKAGES = ("rich", "mujoco", "matplotlib", "pandas", "psutil")
@@ -95,7 +100,7 @@ def progress_bar(jobs: int) -> Iterator[Callable[[int, float], None]]:
 
 
 @app.command(name="list")
-def list_() -> None:
+def list_benchmarks() -> None:
     """What can be run."""
     from benchmarks.catalogue import BENCHMARKS
     from benchmarks.runner import PLANTS
@@ -141,8 +146,8 @@ def run(
         seeds: Run seeds 0 to N-1.
         data: Folder of real recordings.
         json: Write the numbers there.
-        report: Write a page into that folder: the figures of the published paper from these runs,
-            and all tables. With no ID named, runs all that the figures need.
+        report: Write a page into that folder: the published figures from these runs, and all
+            tables. With no ID named, runs all that the figures need.
         jobs: Processes at a time; default: one per processor.
         strict: Exit with 1 if a target is missed.
     """
@@ -150,7 +155,7 @@ def run(
     from benchmarks.report import write_report
     from benchmarks.rows import write_results
     from benchmarks.runner import Request, make_plan, run_jobs
-    from benchmarks.tables import new_console, run_tables
+    from benchmarks.tables import new_console, result_tables
     from needleforce.plots import FiguresError
     from needleforce.plots.page import folder_if_filled
 
@@ -161,20 +166,14 @@ def run(
     try:
         # The folder first: better before minutes of work than after.
         with folder_if_filled(report) as folder:
-            plan = make_plan(
-                Request(ids=ids, plants=plants, seeds=seeds, data=data, drawings=folder)
-            )
+            request = Request(ids=ids, plants=plants, seeds=seeds, data=data, drawings=folder)
+            plan = make_plan(request)
             with progress_bar(len(plan.jobs)) as update:
                 outcomes = run_jobs(plan.jobs, jobs or _processors(), update)
             rows = [row for outcome in outcomes for row in outcome.rows]
-            for table in run_tables(rows):
-                console.print(table)
-            failed = [item for item in outcomes if item.failure is not None]
-            for item in failed:
-                console.print(f"failed: {item.job}: {item.failure}", style="red", markup=False)
-            if plan.skipped:
-                reason = f"Skipped for want of recordings (--data DIR or {DATA_VARIABLE})"
-                console.print(f"{reason}: {', '.join(plan.skipped)}", style="yellow")
+            for table in result_tables(rows):
+                console.print(table.rich())
+            failed = _print_gaps(console, outcomes, plan.skipped)
             if json is not None:
                 write_results(json, rows)
             if folder is not None:
@@ -184,6 +183,17 @@ def run(
         raise BenchmarkError(str(error)) from error
     missed = strict and not all(found.is_met for found in evaluate(rows))
     return FAILURE if failed or missed else 0
+
+
+def _print_gaps(console: "Console", outcomes: Sequence["Outcome"], skipped: Sequence[str]) -> bool:
+    """Print what failed and what was left out; returns whether anything failed."""
+    failed = [item for item in outcomes if item.failure is not None]
+    for item in failed:
+        console.print(f"failed: {item.job}: {item.failure}", style="red", markup=False)
+    if skipped:
+        reason = f"Skipped for want of recordings (--data DIR or {DATA_VARIABLE})"
+        console.print(f"{reason}: {', '.join(skipped)}", style="yellow")
+    return bool(failed)
 
 
 @app.command
@@ -256,8 +266,8 @@ def bound() -> None:
     new_console().print(case_table(list(bound_cases(noises)), noises).rich())
 
 
-@app.command
-def speed(soak: bool = False, ticks: Positive = 1_000_000, strict: bool = False) -> int:
+@app.command(name="speed")
+def time_updates(soak: bool = False, ticks: Positive = 1_000_000, strict: bool = False) -> int:
     """Time the estimators beside their bare dynamics. Takes about 75 s.
 
     Args:
@@ -283,8 +293,10 @@ def speed(soak: bool = False, ticks: Positive = 1_000_000, strict: bool = False)
     return FAILURE if strict and not is_met else 0
 
 
-@app.command
-def faults(without_velocity: bool = False, markdown: bool = False, strict: bool = False) -> int:
+@app.command(name="faults")
+def inject_faults(
+    without_velocity: bool = False, markdown: bool = False, strict: bool = False
+) -> int:
     """Break the signals of a running insertion. Takes about 45 s.
 
     Args:
@@ -312,8 +324,8 @@ def faults(without_velocity: bool = False, markdown: bool = False, strict: bool 
     return FAILURE if strict and bad else 0
 
 
-@app.command
-def stream(
+@app.command(name="stream")
+def stream_recordings(
     seconds: Positive = 60,
     format: Sequence[Literal[".csv", ".csv.gz", ".npz", ".parquet", ".mcap"]] = (),
     folder: Path | None = None,

@@ -19,7 +19,7 @@ from benchmarks.methods import (
     identify,
 )
 from benchmarks.metrics import Measurement
-from benchmarks.offline_fit import offline_fit, offline_metrics
+from benchmarks.offline import offline_fit, offline_metrics
 from benchmarks.rows import Method
 from benchmarks.signals import InsertionTruth, NeedleSignal
 from groundtruth import Rupture
@@ -34,7 +34,7 @@ def identify_all(signals: Signals, truth: InsertionTruth) -> list[Identified]:
     return [identify(signals[method], truth, method) for method in IDENTIFIERS]
 
 
-def identification_metrics(
+def measure_identification(
     signals: Signals, identified: Sequence[Identified], truth: InsertionTruth
 ) -> Iterator[Measurement]:
     """Measure both methods on one source.
@@ -170,8 +170,8 @@ def rupture_metrics(matching: Matching, truth: InsertionTruth, noise_N: float) -
         timing = [abs(alarm.rupture_s - rupture.onset_s) for rupture, alarm in hard]
         travel = [truth.depth_m[alarm.sample] - rupture.onset_m for rupture, alarm in hard]
         values["rupture_delay_ms"] = 1e3 * float(np.median(delay))
-        values["rupture_dating_error_ms"] = 1e3 * float(np.median(timing))
-        values["rupture_overshoot_mm"] = 1e3 * float(np.median(travel))
+        values["rupture_timing_error_ms"] = 1e3 * float(np.median(timing))
+        values["detection_depth_error_mm"] = 1e3 * float(np.median(travel))
     return values
 
 
@@ -314,7 +314,7 @@ def enhanced_metrics(identified: Identified, truth: InsertionTruth) -> dict[str,
     beyond = beyond_last_exit(truth)[identified.start :]
     if beyond.any():
         plateau = float(np.mean(np.abs(truth.axial_N[identified.start :][beyond])))
-        values["exit_residue_pct"] = 100.0 * float(np.mean(np.abs(enhanced[beyond]))) / plateau
+        values["remaining_force_pct"] = 100.0 * float(np.mean(np.abs(enhanced[beyond]))) / plateau
     return values
 
 

@@ -62,9 +62,22 @@ _KINDS: dict[str, tuple[Any, str]] = {
 OLD_NAMES: dict[str, dict[str, str]] = {
     "plant": {"textbook": "ideal", "realistic": "clean", "hard": "degraded"},
     "method": {"paper": "published", "paper-kv": "published-kv"},
+    "metric": {
+        "exit_residue_pct": "remaining_force_pct",
+        "rupture_dating_error_ms": "rupture_timing_error_ms",
+        "rupture_overshoot_mm": "detection_depth_error_mm",
+        "rupture_dated_depth_error_mm": "estimated_depth_error_mm",
+        "falls_per_insertion": "drops_per_insertion",
+        "fall_recall": "drop_recall",
+        "ruptures_at_falls": "ruptures_at_drops",
+        "ruptures_without_fall": "ruptures_without_drop",
+        "pullout_above_insertion_share": "pullout_above_insertion_fraction",
+        "pullout_left_out_told_median_pct": "pullout_left_out_friction_median_pct",
+        "pullout_left_out_told_p90_pct": "pullout_left_out_friction_p90_pct",
+    },
 }
-"""Names in files written before the plants and methods got the field's words: a run of that time
-must still be comparable with one of today."""
+"""Names in files written before plants, methods and metrics got the field's words: a run of that
+time must still be comparable with one of today."""
 
 
 def to_json(rows: Iterable[Row]) -> str:

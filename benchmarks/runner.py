@@ -12,8 +12,8 @@ from typing import Any, NamedTuple
 
 from benchmarks import BenchmarkError, DataError, UnknownIdError
 from benchmarks.benchmark import RECORDING, Benchmark, Job, Outcome, Progress
-from benchmarks.catalogue import BENCHMARKS, benchmark
-from benchmarks.paper_figures import NEEDED
+from benchmarks.catalogue import BENCHMARKS, benchmark_named
+from benchmarks.published_figures import NEEDED
 from benchmarks.simulated import NEEDLE
 from benchmarks.targets import TISSUE
 from groundtruth import PLANT_MODELS, GroundTruthError
@@ -42,10 +42,10 @@ class Request:
 
 
 class Plan(NamedTuple):
-    """What will be done."""
+    """Jobs in order, and names of benchmarks that are left out for want of recordings."""
 
-    jobs: tuple[Job, ...]  # in order
-    skipped: tuple[str, ...]  # names of benchmarks that are left out for want of recordings
+    jobs: tuple[Job, ...]
+    skipped: tuple[str, ...]
 
 
 def make_plan(request: Request) -> Plan:
@@ -79,7 +79,7 @@ def _chosen(request: Request) -> list[Benchmark]:
     ids = [name for asked in request.ids for name in (TISSUE if asked == "tissue" else (asked,))]
     for name in ids:
         if name != ALL:
-            benchmark(name)
+            benchmark_named(name)
     if not ids:
         drawn = NEEDED if request.drawings is not None else ()
         return [item for item in BENCHMARKS.values() if item.is_default or item.id in drawn]
@@ -127,7 +127,7 @@ KNOWN = (BenchmarkError, GroundTruthError, ResidualError, UrdfError, RecordingEr
 def run_job(job: Job, progress: Progress) -> Outcome:
     """Rows of a job, or the reason why there are none; unforeseen errors are raised."""
     try:
-        found = benchmark(job.benchmark).run(job, progress)
+        found = benchmark_named(job.benchmark).run(job, progress)
     except KNOWN as error:
         return Outcome(job=job, failure=f"{type(error).__name__}: {error}")
     rows = tuple(item.row(job.benchmark, job.plant, job.seed) for item in found.measurements)

@@ -10,8 +10,8 @@ from scipy.ndimage import uniform_filter1d
 from benchmarks.benchmark import Drawing, Findings, Job, Progress, progress_part
 from benchmarks.force_metrics import residual_metrics, wrench_metrics
 from benchmarks.force_plots import force_figures
-from benchmarks.identification_figures import identification_figures
-from benchmarks.identification_metrics import Signals, identification_metrics, identify_all
+from benchmarks.identification_figures import draw_identification
+from benchmarks.identification_metrics import Signals, identify_all, measure_identification
 from benchmarks.methods import METHODS, ForceReading, ft_force, on_lwr, virtual_force
 from benchmarks.metrics import Measurement
 from benchmarks.rows import Method, Source
@@ -158,12 +158,12 @@ def _identify(
     found = []
     for signals in sources:
         identified = identify_all(signals, truth)
-        measured += identification_metrics(signals, identified, truth)
+        measured += measure_identification(signals, identified, truth)
         found.append((signals, identified))
     if job.drawings is None:
         return Findings(measured)
     commanded = scenario.motion.speed_m_s(truth.t_s)
-    drawings = identification_figures(job, job.drawings, truth, commanded, found, ft)
+    drawings = draw_identification(job, job.drawings, truth, commanded, found, ft)
     return Findings(measured, drawings)
 
 

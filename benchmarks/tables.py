@@ -257,8 +257,8 @@ TABLES: Mapping[str, GroupTable] = MappingProxyType(
                 Column("precision", ".2f", "rupture_precision", is_fraction=True),
                 Column("recall,\nsoft ones", ".2f", "soft_transition_recall", is_fraction=True),
                 Column("delay\nms", ".0f", "rupture_delay_ms"),
-                Column("timing error\nms", ".0f", "rupture_dating_error_ms"),
-                Column("depth error\nmm", ".2f", "rupture_overshoot_mm"),
+                Column("timing error\nms", ".0f", "rupture_timing_error_ms"),
+                Column("depth error\nmm", ".2f", "detection_depth_error_mm"),
             ),
             caption=_SEEDS
             + "Ruptures drop the force by more than five times the source's noise in "
@@ -276,7 +276,7 @@ TABLES: Mapping[str, GroupTable] = MappingProxyType(
                     "within\n2 sigma", ".2f", "friction_coverage_online_2sigma", is_fraction=True
                 ),
                 Column("at the end\n%", ".1f", "friction_error_worst_pct"),
-                Column("remaining\nforce, %", ".1f", "exit_residue_pct"),
+                Column("remaining\nforce, %", ".1f", "remaining_force_pct"),
                 Column("enhanced\nRMSE, N", ".3f", "enhanced_rmse_N"),
                 Column("tip\nRMSE, N", ".3f", "tip_rmse_N"),
             ),
@@ -309,7 +309,7 @@ TABLES: Mapping[str, GroupTable] = MappingProxyType(
                 Column("offline to\nonline, %", "+.0f", "online_change", scale=100.0),
                 Column("published\n%", text=_published_change),
             ),
-            caption=_SEEDS + "'published': from offline to online in the paper.",
+            caption=_SEEDS + "'published': from offline to online in the published Table I.",
         ),
         "offline": GroupTable(
             title="Offline reconstruction: RMSE, N",
@@ -382,8 +382,3 @@ def result_tables(rows: Sequence[Row]) -> list[ResultTable]:
     """The tables that these rows have something for."""
     tables = (*(make(rows) for make in TABLES.values()), target_table(rows))
     return [table for table in tables if table.lines]
-
-
-def run_tables(rows: Sequence[Row]) -> list[Table]:
-    """The same for the terminal."""
-    return [table.rich() for table in result_tables(rows)]

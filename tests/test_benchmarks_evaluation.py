@@ -240,7 +240,7 @@ def test_a_metric_has_the_unit_that_its_name_ends_with():
     units = {
         "wrench_rmse_N": "N",
         "wrench_lag_ms": "ms",
-        "rupture_overshoot_mm": "mm",
+        "detection_depth_error_mm": "mm",
         "residual_rms_J1_Nm": "Nm",
         "weight_error_pct": "%",
         "cumulative_friction_true_Ns_per_m": "Ns/m",

@@ -137,8 +137,8 @@ def test_a_perfect_detector_has_its_delay_and_nothing_else():
     values = rupture_metrics(match([rupture(7.0)], [alarm(7.05, rupture_s=7.01)]), truth(), 0.01)
     assert values["rupture_recall"] == values["rupture_precision"] == 1.0
     assert values["rupture_delay_ms"] == pytest.approx(50.0)
-    assert values["rupture_dating_error_ms"] == pytest.approx(10.0)
-    assert values["rupture_overshoot_mm"] == pytest.approx(0.1, abs=0.03)
+    assert values["rupture_timing_error_ms"] == pytest.approx(10.0)
+    assert values["detection_depth_error_mm"] == pytest.approx(0.1, abs=0.03)
     assert "soft_transition_recall" not in values
 
 
@@ -228,14 +228,14 @@ def test_a_perfect_enhanced_force_leaves_no_force_and_no_error():
     true = truth()
     values = enhanced_metrics(identified(true.enhanced_N, true.tip_N, compensated_at=750), true)
     assert values == pytest.approx(
-        {"enhanced_rmse_N": 0.0, "tip_rmse_N": 0.0, "exit_residue_pct": 0.0}, abs=1e-12
+        {"enhanced_rmse_N": 0.0, "tip_rmse_N": 0.0, "remaining_force_pct": 0.0}, abs=1e-12
     )
 
 
 def test_no_compensation_leaves_the_whole_plateau():
     true = truth()
     values = enhanced_metrics(identified(true.axial_N, true.axial_N), true)
-    assert values["exit_residue_pct"] == pytest.approx(100.0)
+    assert values["remaining_force_pct"] == pytest.approx(100.0)
     assert values["enhanced_rmse_N"] == pytest.approx(0.4)
 
 

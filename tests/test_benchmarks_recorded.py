@@ -78,10 +78,10 @@ def test_the_whole_chain_runs_on_real_torques_with_real_tissue(recordings_dir):
     }
     names = {name for source, _, name in found if source == "ft"}
     assert {"pullout_error_42mm_median_pct", "pullout_error_78mm_median_pct"} < names
-    assert {"fall_recall", "ruptures_at_falls", "ruptures_per_insertion"} < names
+    assert {"drop_recall", "ruptures_at_drops", "ruptures_per_insertion"} < names
     # The force itself at the arm's uneven clock: as in liver-real.
-    assert found["ft", "default", "fall_recall"] == 1.0
-    assert found["ft", "default", "ruptures_at_falls"] > 0.8
+    assert found["ft", "default", "drop_recall"] == 1.0
+    assert found["ft", "default", "ruptures_at_drops"] > 0.8
     # Its falls are smaller than this arm's noise: what matters is that noise raises few alarms.
     assert found["virtual", "default", "ruptures_per_insertion"] <= 3.0
     off = "enhanced_against_ft_rmse_N"
@@ -187,7 +187,7 @@ def test_annotated_ruptures_are_found_missed_or_invented():
     values = depth_metrics([10.2, 20.4, 33.0], [10.0, 20.3, 32.9], [10.0, 20.0, 30.0])
     assert (values["ruptures_missed"], values["ruptures_false"]) == (1.0, 1.0)
     assert values["rupture_depth_error_mm"] == pytest.approx(0.4)
-    assert values["rupture_dated_depth_error_mm"] == pytest.approx(0.3)
+    assert values["estimated_depth_error_mm"] == pytest.approx(0.3)
     assert depth_metrics([], [], [10.0]) == {"ruptures_missed": 1.0, "ruptures_false": 0.0}
 
 
@@ -229,7 +229,7 @@ def test_real_liver_has_a_row_for_every_method(recordings_dir):
     assert by_key["guess", "pullout_error_median_pct"] == pytest.approx(14.0, abs=1.0)
     assert by_key["guess", "pullout_error_p90_pct"] == pytest.approx(42.0, abs=1.0)
     assert ("guess", "ruptures_per_insertion") not in by_key
-    assert by_key["default", "fall_recall"] > 0.5
+    assert by_key["default", "drop_recall"] > 0.5
     assert np.isfinite(list(by_key.values())).all()
 
 
@@ -238,7 +238,7 @@ def test_bovine_liver_has_its_four_ruptures(recordings_dir):
     assert by_key["default", "ruptures_missed"] == 0.0
     assert by_key["default", "rupture_depth_error_mm"] < 1.0
     # Whatever else it reports is a fall of the curve, too.
-    assert by_key["default", "ruptures_without_fall"] == 0.0
+    assert by_key["default", "ruptures_without_drop"] == 0.0
 
 
 def test_the_bovine_curve_falls_in_two_more_places(recordings_dir):
@@ -328,7 +328,7 @@ PINNED = {
     "pullout_left_out_depth_p90_pct": 29.983,
     "pullout_left_out_force_median_pct": 10.640,
     "pullout_left_out_few_median_pct": 11.431,
-    "pullout_above_insertion_share": 0.3684,
+    "pullout_above_insertion_fraction": 0.3684,
     "pullout_over_insertion_most": 1.3248,
     "pullout_shallower_peak_median_pct": 25.08,
     "pullout_neighbour_median_pct": 16.865,

@@ -96,7 +96,7 @@ def run_bovine_real(job: Job, progress: Progress) -> Findings:
             [1e3 * event.depth_m for event in events],
             RUPTURES_mm,
         )
-        values["ruptures_without_fall"] = float(len(events) - alarms_at_drops(alarms_m, drops))
+        values["ruptures_without_drop"] = float(len(events) - alarms_at_drops(alarms_m, drops))
         found += [Measurement("ft", method, name, value) for name, value in values.items()]
     return Findings(found)
 
@@ -125,7 +125,7 @@ def depth_metrics(
         values["rupture_depth_error_mm"] = max(
             abs(alarms_mm[j] - true_mm[i]) for i, j in alarm_of.items()
         )
-        values["rupture_dated_depth_error_mm"] = max(
+        values["estimated_depth_error_mm"] = max(
             abs(estimated_mm[j] - true_mm[i]) for i, j in alarm_of.items()
         )
     return values

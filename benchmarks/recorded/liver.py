@@ -257,13 +257,13 @@ def rupture_values(found: Sequence[LiverEstimates]) -> Iterator[tuple[str, float
     ruptures = sum(len(each.alarms_m) for each in found)
     drops = sum(len(each.reference.drops) for each in found)
     yield "ruptures_per_insertion", ruptures / len(found)
-    yield "falls_per_insertion", drops / len(found)
+    yield "drops_per_insertion", drops / len(found)
     if drops:
         with_alarm = sum(drops_found(each.reference.drops, each.alarms_m) for each in found)
-        yield "fall_recall", with_alarm / drops
+        yield "drop_recall", with_alarm / drops
     if ruptures:
         at = sum(alarms_at_drops(each.alarms_m, each.reference.small_drops) for each in found)
-        yield "ruptures_at_falls", at / ruptures
+        yield "ruptures_at_drops", at / ruptures
 
 
 GUESSED_FRICTION = 0.7

@@ -197,7 +197,7 @@ REGRESSIONS: Mapping[str, tuple[Fit, tuple[str, ...]]] = MappingProxyType(
     {
         "depth": (level, ("depth",)),
         "force": (linear, ("depth", "force")),
-        "told": (linear, ("depth", "estimated friction")),
+        "friction": (linear, ("depth", "estimated friction")),
         "few": (linear, FEW),
         "ridge": (ridge, ()),
         "gp_few": (gaussian_process, FEW),
@@ -263,7 +263,7 @@ def reference_values(insertions: Sequence[LiverInsertion]) -> dict[str, float]:
     at = np.array([each.pullout_N for each in insertions])
     next_to = np.abs(np.diff(at, axis=0)) / (0.5 * (at[1:] + at[:-1]))
     return {
-        "pullout_above_insertion_share": float(np.mean(np.array(over) > 1.0)),
+        "pullout_above_insertion_fraction": float(np.mean(np.array(over) > 1.0)),
         "pullout_over_insertion_most": max(over),
         "pullout_shallower_peak_median_pct": 100.0 * float(np.median(peaks) - 1.0),
         "pullout_shallower_peak_p90_pct": 100.0 * float(np.percentile(peaks, 90.0) - 1.0),
