@@ -34,13 +34,8 @@ _FLOOR = 1e-6
 def reading_error_N(signal: NeedleSignal, truth: InsertionTruth, lag_s: float = 0.0) -> Array:
     """Reading less true force over the insertion, straight lines across the releases.
 
-    Args:
-        signal: The reading.
-        truth: Of the run.
-        lag_s: Time constant of the sensor: the truth goes through it before it is taken off.
-
-    Returns:
-        Error at the samples of `truth.is_insertion`, shape (m,).
+    The truth goes through the sensor's lag before it is taken off. One value for each sample of
+    `truth.is_insertion`, shape (m,).
     """
     inside = truth.is_insertion
     error = (signal.force_N - lagging(truth.axial_N, truth.t_s, lag_s))[inside]
@@ -52,14 +47,10 @@ def reading_error_N(signal: NeedleSignal, truth: InsertionTruth, lag_s: float = 
 
 
 def autocovariance(error_N: Array, length: int) -> Array:
-    """Autocovariance about zero at lags 0 to length - 1 [N^2].
+    """Autocovariance of (m,) samples about zero at lags 0 to length - 1 [N^2].
 
     The biased estimate: it is positive definite, and about zero because a force is judged against
-    its free-air zero, so that a constant error is an error.
-
-    Args:
-        error_N: Shape (m,).
-        length: Number of lags; those the data do not reach are 0.
+    its free-air zero, so that a constant error is an error. Lags the data do not reach are 0.
     """
     count = len(error_N)
     spectrum = np.abs(np.fft.rfft(error_N, 2 * count)) ** 2
@@ -108,7 +99,7 @@ def friction_bounds(
 
     Args:
         truth: Of the run.
-        error_N: Of the reading at the samples of `truth.is_insertion`, see `reading_error_N`.
+        error_N: As `reading_error_N` returns it.
         is_white: Take the noise of the samples as white, whatever its spectrum is.
         cutting_fraction: Root mean square fraction of cutting in the tip force; 0 for none.
 
@@ -200,11 +191,7 @@ def delay_bounds_s(
 ) -> list[float]:
     """Least mean delay after the onset of each release; inf where too little is released.
 
-    Args:
-        truth: Of the run, sampled evenly.
-        ruptures: Of it.
-        error_N: Of the reading at the samples of `truth.is_insertion`, see `reading_error_N`.
-        lag_s: Time constant of the sensor.
+    The run is sampled evenly; `error_N` is as `reading_error_N` returns it, `lag_s` the sensor's.
     """
     tick = truth.period_s
     before, within = round(BEFORE_s / tick), round(WITHIN_s / tick)
@@ -233,22 +220,15 @@ def release_course_N(truth: InsertionTruth, rupture: Rupture, count: int) -> Arr
 def evidence_nats(course_N: Array, factor: Array) -> Array:
     """Kullback-Leibler divergence gathered up to each sample, shape (n,).
 
-    Args:
-        course_N: Mean of the force with the release less that without, shape (n,).
-        factor: Lower triangular, `factor @ factor.T` the covariance of the noise, shape (n, n).
+    `course_N`, shape (n,), is the mean of the force with the release less that without; `factor @
+    factor.T` the covariance of the noise, factor lower triangular, shape (n, n).
     """
     white = np.asarray(solve_triangular(factor, course_N, lower=True))
     return np.asarray(0.5 * np.cumsum(white**2))
 
 
 def least_delay_s(evidence: Array, delay_s: Array, interval_s: float = INTERVAL_s) -> float:
-    """First delay by which the evidence is enough; inf if it never is.
-
-    Args:
-        evidence: Gathered by each delay [nats], shape (n,), not decreasing.
-        delay_s: Shape (n,), positive.
-        interval_s: Wanted between false alarms.
-    """
+    """First delay by which the evidence [nats] is enough; inf if it never is; shapes (n,)."""
     needed = np.log(np.maximum(interval_s / delay_s, math.e))
     enough = np.flatnonzero(evidence >= needed)
     return float(delay_s[enough[0]]) if len(enough) else math.inf

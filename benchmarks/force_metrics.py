@@ -22,11 +22,6 @@ def force_lag_s(t_s: Array, estimate: Array, truth: Array) -> float:
 
     A constant difference between the two is not counted.
 
-    Args:
-        t_s: Time, shape (n,), increasing.
-        estimate: Shape (n,).
-        truth: Shape (n,).
-
     Returns:
         The delay [s], positive when the estimate is late; nan where the truth does not change, or
         for less than a second of data.
@@ -49,13 +44,8 @@ def force_lag_s(t_s: Array, estimate: Array, truth: Array) -> float:
 def wrench_metrics(reading: ForceReading, truth: ForceTruth) -> list[Measurement]:
     """Measure one reading over the judged part of a run.
 
-    Args:
-        reading: Force over the whole run.
-        truth: Of the same samples.
-
-    Returns:
-        rmse, bias, coverage, all nan when no sample is judged; and the lag, where the true force
-        changes.
+    RMSE, bias, coverage, all nan when no sample is judged; and the lag, where the true force
+    changes.
     """
     judged = truth.judged
     estimate, true = reading.axial_N[judged], truth.axial_N[judged]

@@ -44,15 +44,8 @@ class RunFigures:
     ) -> None:
         """Draw a chart; its title says what is shown, this adds of which figure and run.
 
-        Args:
-            chart: The chart.
-            kind: Ending of the file's name.
-            panel: Published figure, and letter of the panel; empty for none.
-            alt: As in `PageFigure`.
-            caption: As in `PageFigure`.
-            facts: As in `Drawing`.
-            tuned_friction_Ns_per_m: As in `Drawing`.
-            is_alone: Whether it takes the whole width of the page.
+        `kind` is the ending of the file's name, `panel` the published figure and its letter, empty
+        for none; a chart alone takes the whole width of the page. The rest is as in `Drawing`.
 
         Raises:
             FiguresError: It cannot be drawn or saved.

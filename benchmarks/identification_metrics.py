@@ -123,11 +123,8 @@ def nearest_pairs(
 ) -> dict[int, int]:
     """Index of the found value that belongs to each true one; those without are left out.
 
-    Args:
-        true: True values.
-        found: Reported values; each belongs to one true value at most, nearest first.
-        before: How much less than the true value a reported one may be.
-        after: How much more.
+    A found value is at most so much before or after the true one, and belongs to one true value
+    at most, nearest first.
     """
     candidates = sorted(
         (abs(value - wanted), i, j)
@@ -145,15 +142,10 @@ def nearest_pairs(
 def rupture_metrics(matching: Matching, truth: InsertionTruth, noise_N: float) -> dict[str, float]:
     """Numbers of one insertion by name; what does not exist in it has no entry.
 
-    Args:
-        matching: Of all true transitions with all alarms.
-        truth: Of the run.
-        noise_N: Of the source: it decides which transitions are ruptures and which are soft.
-
-    Returns:
-        Recall over ruptures and over soft transitions. Precision: the fraction of alarms that
-        belong to either; nan without an alarm, since then it is undefined. Medians over the
-        ruptures found: alarm after onset, error of the estimated time, travel from onset to alarm.
+    The noise decides which transitions are ruptures and which are soft. Recall over ruptures and
+    over soft transitions. Precision: the fraction of alarms that belong to either; nan without an
+    alarm, since then it is undefined. Medians over the ruptures found: alarm after onset, error of
+    the estimated time, travel from onset to alarm.
     """
     hard = [pair for pair in matching.found if is_visible(pair[0], noise_N)]
     missed = [rupture for rupture in matching.missed if is_visible(rupture, noise_N)]
@@ -191,18 +183,12 @@ class LayerFriction(NamedTuple):
 def layer_frictions(
     ruptures: Sequence[Rupture], alarms: Sequence[Alarm], noise_N: float, *, online: bool = False
 ) -> list[LayerFriction]:
-    """Pair every layer with what was identified of it.
+    """Pair every layer with what was identified of it, at the end or, `online`, in the next layer.
 
     A layer ends at its rupture. What is identified by alarms since the layer before it (a surface
     membrane's, a false one's) counts for it: that much friction was taken off the force. A layer
     that ends softly counts together with the one after it, since the force does not separate them;
     one whose rupture was missed counts as estimated at zero.
-
-    Args:
-        ruptures: True ones of the run, in order.
-        alarms: Reported ones.
-        noise_N: Of the source.
-        online: Judge what was known in the layer after it, not what is known at the end.
     """
     found: list[LayerFriction] = []
     true_N, begin_s = 0.0, -math.inf
@@ -237,13 +223,9 @@ def _layer_friction(true_N: float, found: Sequence[LayerEstimate | None]) -> Lay
 def friction_metrics(frictions: Sequence[LayerFriction], when: str = "") -> dict[str, float]:
     """Worst and mean relative error, and whether the stated standard deviations are right.
 
-    Args:
-        frictions: Of one insertion.
-        when: Part of the names: ``_online`` for what was known in the layer after.
-
-    Returns:
-        Numbers by name. The coverage is the fraction of layers within twice the stated standard
-        deviation; layers that were not identified state none and do not count there.
+    `when` is part of the names: ``_online`` for what was known in the layer after. The coverage is
+    the fraction of layers within twice the stated standard deviation; layers that were not
+    identified state none and do not count there.
     """
     if not frictions:
         return {}
@@ -336,13 +318,7 @@ MEAN_ABSOLUTE = float(np.sqrt(2.0 / np.pi))
 
 
 def bound_metrics(signal: NeedleSignal, truth: InsertionTruth, noise_N: float) -> dict[str, float]:
-    """Least errors that the noise of a reading allows, by name; nothing without ruptures.
-
-    Args:
-        signal: Reading of one source.
-        truth: Of the run.
-        noise_N: Of the source: it decides which transitions are ruptures.
-    """
+    """Least errors that the noise of a reading allows, by name; nothing without ruptures."""
     visible = [rupture for rupture in truth.ruptures if is_visible(rupture, noise_N)]
     lag_s = 0.0
     if signal.source == "virtual":

@@ -80,14 +80,6 @@ def virtual_force(
 ) -> ForceReading:
     """Axial force from joint signals, tared once as a user would.
 
-    Args:
-        robot: The arm as the estimator knows it.
-        signals: What the arm sent.
-        config: Settings of the sensor.
-        method: Under which name the reading is reported.
-        tare_s: Time of the tare: nothing has been touched before it.
-        progress: Gets the fraction done.
-
     Raises:
         TareError: The sensor sees contact at that time.
     """
@@ -133,17 +125,7 @@ def joint_residual(
     alignment: Alignment = "trapezoid",
     friction: FrictionModel | None = None,
 ) -> Array:
-    """Run a `MomentumObserver` over all samples, without tare or wrench.
-
-    Args:
-        robot: The arm.
-        signals: What it sent, velocities included.
-        gain_per_s: Observer gain K.
-        alignment: How torque fills a period.
-        friction: Joint friction, if any is modelled.
-
-    Returns:
-        Residual after every sample [Nm], shape (n, j).
+    """Residual of a `MomentumObserver`, without tare or wrench, after every sample [Nm], (n, j).
 
     Raises:
         DataError: The arm sent no velocities.
@@ -169,12 +151,7 @@ class Alarm(NamedTuple):
 
 
 def alarms_of(result: Replay, t_s: NDArray[np.float64]) -> list[Alarm]:
-    """Every rupture reported, in order.
-
-    Args:
-        result: Estimates, one per sample.
-        t_s: True instants of the samples, shape (n,).
-    """
+    """Every rupture reported, in order; `t_s` are the true instants of the samples, shape (n,)."""
     by_alarm = {layer.rupture.alarm_s: layer for layer in result.layers}
     online = {
         estimate.identified_layer.rupture.alarm_s: estimate.identified_layer

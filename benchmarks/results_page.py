@@ -92,12 +92,7 @@ def summary_table(rows: Sequence[Row]) -> ResultTable:
 
 
 def results_page(rows: Sequence[Row], command: str) -> str:
-    """All tables of runs as a page.
-
-    Args:
-        rows: Of the runs.
-        command: The command line that writes the page from files of results.
-    """
+    """All tables of runs as a page, with the command line that writes it."""
     parts = [
         "# Results",
         "",

@@ -144,12 +144,9 @@ _worker_queue: Any = None
 
 
 def run_jobs(jobs: Sequence[Job], processes: int, on_progress: JobProgress) -> list[Outcome]:
-    """Do all jobs and return their outcomes in the order of the jobs.
+    """Do all jobs, so many at a time, and return their outcomes in the order of the jobs.
 
-    Args:
-        jobs: What to do.
-        processes: How many at a time; with one, all is done in this process.
-        on_progress: Gets the progress of each job now and then.
+    With one process, all is done in this one.
     """
     if processes <= 1 or len(jobs) <= 1:
         return [run_job(job, partial(on_progress, index)) for index, job in enumerate(jobs)]

@@ -156,12 +156,8 @@ class MeasuredTravel(NamedTuple):
 def measured_travel(robot: Robot, signals: JointSignals, zero_s: float) -> MeasuredTravel:
     """Forward kinematics of measured positions, Jacobian of measured velocities.
 
-    Where the arm sends no velocity it is estimated as the virtual sensor does it, causally.
-
-    Args:
-        robot: The arm as the estimator knows it; its tool frame's z axis is the needle.
-        signals: What the arm sent.
-        zero_s: The tip's place and axis at that time are the zero and the direction of depth.
+    Where the arm sends no velocity it is estimated as the virtual sensor does it, causally. The
+    tip's place and axis at `zero_s` are the zero and the direction of depth.
     """
     kinematics = ToolKinematics(robot)
     kinematics.update(signals.q_rad[int(np.searchsorted(signals.t_s, zero_s))])
@@ -187,13 +183,7 @@ def _velocities(signals: JointSignals) -> Array:
 
 
 def smoothed(travel: MeasuredTravel, dt_s: Array, time_constant_s: float) -> MeasuredTravel:
-    """The same travel, its speed through a causal first-order low-pass.
-
-    Args:
-        travel: As measured.
-        dt_s: Time since the previous sample, shape (n,).
-        time_constant_s: Of the low-pass.
-    """
+    """The same travel, its speed through a causal first-order low-pass."""
     speed = travel.speed_m_s.tolist()
     gains = (1.0 - np.exp(-dt_s / time_constant_s)).tolist()
     for k in range(1, len(speed)):
@@ -211,12 +201,7 @@ def lagging(values: Array, t_s: Array, lag_s: float) -> Array:
 
 
 def tool_jacobians(robot: Robot, q_rad: Array) -> Array:
-    """Jacobians of the tool frame in its own axes, shape (n, 6, j); row 2 is along the needle.
-
-    Args:
-        robot: An arm of j joints.
-        q_rad: Joint positions, shape (n, j).
-    """
+    """Jacobians of the tool frame in its own axes, shape (n, 6, j); row 2 is along the needle."""
     model, data, frame = robot.model, robot.create_data(), robot.tool_frame_id
     axes = pin.ReferenceFrame.LOCAL
     return np.array([pin.computeFrameJacobian(model, data, q, frame, axes) for q in q_rad])

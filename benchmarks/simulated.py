@@ -174,11 +174,8 @@ NOISE_FACTOR = (0.5, 2.0)
 def run_needle(job: Job, chosen: Scenario, progress: Progress, *, is_drawn: bool) -> Findings:
     """Identification alone, at half a second a run: insert, identify by both methods, measure.
 
-    Args:
-        job: What to do; its seed is that of the noise.
-        chosen: The scenario; without tissue there is nothing to identify.
-        progress: Gets the fraction done.
-        is_drawn: Whether the noise level is drawn with the scenario.
+    Without tissue there is nothing to identify. The seed is that of the noise, whose level may be
+    drawn as well.
     """
     if not chosen.layers:
         return Findings([])

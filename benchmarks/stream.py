@@ -7,7 +7,6 @@ import sys
 import time
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import suppress
-from dataclasses import dataclass
 from pathlib import Path
 from tempfile import TemporaryDirectory, TemporaryFile
 from types import MappingProxyType
@@ -21,7 +20,7 @@ from numpy.typing import NDArray
 
 from benchmarks import BenchmarkError
 from benchmarks.signals import tool_jacobians
-from benchmarks.tables import ResultTable
+from benchmarks.tables import ResultTable, met_mark
 from groundtruth import insert_needle
 from needleforce.recordings import RecordingError
 from needleforce.recordings.channels import FORCE_STATUS
@@ -46,15 +45,7 @@ LEAST_SECONDS = 2.0 * FREE_S
 
 
 def joint_recording(seconds: float, rng: np.random.Generator) -> Iterator[Columns]:
-    """Joint signals of an LWR that moves, and is pushed once in every cycle.
-
-    Args:
-        seconds: Length [s].
-        rng: Of the noise.
-
-    Yields:
-        Columns of consecutive rows.
-    """
+    """Joint signals of an LWR that moves, and is pushed once in every cycle, part by part."""
     cycle = _joint_cycle(load_lwr(payload=NeedleTool()))
     for columns in _repeated(cycle, seconds):
         torque = columns["tau_Nm"]
@@ -140,16 +131,12 @@ def run_python(
 ) -> ProcessUse:
     """Run ``python`` with these arguments to its end, watching time and memory.
 
-    Args:
-        arguments: After the interpreter.
-        progress: Gets now and then how many seconds have passed.
-
     Raises:
         BenchmarkError: It failed.
     """
     # One thread of linear algebra: what is measured is one core.
     environment = os.environ | {"OMP_NUM_THREADS": "1"}
-    start_s, before_s = time.perf_counter(), _children_s()
+    start_s, before = time.perf_counter(), psutil.Process().cpu_times()
     memory_MB: list[float] = []
     # A file, not a pipe: that would be full after 64 kB, and the process would wait for ever.
     with TemporaryFile() as errors:
@@ -165,24 +152,21 @@ def run_python(
         said = errors.read().decode(errors="replace").strip()
     if process.returncode != 0:
         raise BenchmarkError(f"python {' '.join(arguments)} failed: {said.splitlines()[-1:]}")
-    return ProcessUse(wall_s, _children_s() - before_s, tuple(memory_MB))
-
-
-def _children_s() -> float:
-    """Time on processors of all processes that this one has started and that have ended [s]."""
-    times = psutil.Process().cpu_times()
-    return times.children_user + times.children_system
+    # Time of all children that have ended: nothing else is started meanwhile.
+    times = (before, psutil.Process().cpu_times())
+    before_s, after_s = (each.children_user + each.children_system for each in times)
+    return ProcessUse(wall_s, after_s - before_s, tuple(memory_MB))
 
 
 class LateRows(NamedTuple):
-    """Of the last `LATE_ROWS` rows that a command wrote, or of all if there are fewer."""
+    """Ruptures (None where none are looked for) and rejected rows in the last `LATE_ROWS`."""
 
-    ruptures: int | None  # found in them; None for a command that looks for none
-    rejected: int  # rows that the command could not use
+    ruptures: int | None
+    rejected: int
 
 
 def late_rows(path: Path) -> LateRows:
-    """Read the end of a table that `residual` or `identification` has written as CSV."""
+    """Read the end of a table that a command has written as CSV."""
     wanted = ("force_status", "absorbed", "rupture")
     table: Any = pd.read_csv(path, usecols=lambda name: name in wanted).tail(LATE_ROWS)
     if "force_status" in table:
@@ -191,8 +175,7 @@ def late_rows(path: Path) -> LateRows:
     return LateRows(int((table["rupture"] != 0.0).sum()), int((table["absorbed"] == 0.0).sum()))
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
-class StreamSpeed:
+class StreamSpeed(NamedTuple):
     """What a command needed for a recording."""
 
     command: str  # ``residual`` or ``identification``
@@ -226,14 +209,7 @@ def measure_stream(
     folder: Path | None,
     progress: Callable[[float], None],
 ) -> StreamSpeed:
-    """Make a recording and send it through a command.
-
-    Args:
-        command: One of `RECORDINGS`.
-        suffix: Of the recording.
-        seconds: Length of the recording [s], at least `LEAST_SECONDS`.
-        folder: Where the files lie while it runs; None for the system's place.
-        progress: Gets the fraction done so far, roughly.
+    """Make a recording of at least `LEAST_SECONDS` and send it through a command.
 
     Raises:
         BenchmarkError: The files cannot be written, or the command failed.
@@ -255,25 +231,18 @@ def measure_stream(
             late = late_rows(out)
     except (OSError, RecordingError) as error:
         raise BenchmarkError(f"no recording to stream: {error}") from error
-    return StreamSpeed(
-        command=command, suffix=suffix, seconds=seconds, rows=rows, use=use, late=late
-    )
+    return StreamSpeed(command, suffix, seconds, rows, use, late)
 
 
 def stream_table(speeds: Sequence[StreamSpeed]) -> ResultTable:
     """Time and memory of every case, with the targets."""
     lines = []
     for speed in speeds:
-        use = speed.use
+        use, (ruptures, rejected) = speed.use, speed.late
         memory = (use.memory_at(0.1), use.memory_at(1.0), max(use.memory_MB, default=math.nan))
-        numbers = (
-            f"{1e6 * use.cpu_s / speed.rows:.1f}",
-            f"{speed.times_real:.1f}",
-            f"{speed.seconds / use.wall_s:.1f}",
-            *(f"{value:.0f}" for value in memory),
-        )
-        ruptures = "" if speed.late.ruptures is None else str(speed.late.ruptures)
-        late = (ruptures, str(speed.late.rejected), "yes" if speed.is_met else "no")
+        costs = (1e6 * use.cpu_s / speed.rows, speed.times_real, speed.seconds / use.wall_s)
+        numbers = (*(f"{value:.1f}" for value in costs), *(f"{value:.0f}" for value in memory))
+        late = ("" if ruptures is None else str(ruptures), str(rejected), met_mark(speed.is_met))
         lines.append((speed.command, speed.suffix, str(speed.rows), *numbers, *late))
     return ResultTable(
         title=f"A recording of {speeds[0].seconds:g} s at 1 kHz through the commands, CSV out "
@@ -281,8 +250,8 @@ def stream_table(speeds: Sequence[StreamSpeed]) -> ResultTable:
         f"memory grows by {MOST_GROWTH_MB:g} MB at most)",
         heads=(
             *("command", "log", "rows", "us per row", "x real time", "x real time (wall clock)"),
-            *("MB at 10 %", "MB at the end", "MB at most", "late ruptures", "late rejected", "met"),
+            *("MB at 10 %", "MB at the end", "MB at most", "late ruptures", "late rejected", ""),
         ),
-        align="LL" + 10 * "r",
+        align="LL" + 9 * "r" + "L",
         lines=tuple(lines),
     )

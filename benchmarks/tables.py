@@ -124,11 +124,7 @@ class Column(NamedTuple):
 def summary(values: Frame, form: str, best: float = 0.0, *, is_fraction: bool = False) -> str:
     """One value as it is; of more the median, and in brackets the one farthest from the best.
 
-    Args:
-        values: Of the runs, a pandas.Series.
-        form: Format of a number, such as ``.3f``.
-        best: The value wished for.
-        is_fraction: Give the mean and the least instead.
+    Of fractions the mean and the least instead.
     """
     if values.empty:
         return NOTHING
