@@ -7,8 +7,7 @@ from pathlib import Path
 from typing import NamedTuple
 
 from benchmarks import DataError
-from benchmarks.metrics import Measurement
-from benchmarks.rows import Row
+from benchmarks.rows import Measurement, Row
 from needleforce.plots import PageFigure
 
 RECORDING = "recording"

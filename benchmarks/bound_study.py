@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 from benchmarks.benchmark import Job, Progress
 from benchmarks.bounds import CUTTING_FRACTION, delay_bounds_s, friction_bounds, reading_error_N
 from benchmarks.force_metrics import force_lag_s
-from benchmarks.signals import InsertionTruth, truth_of_needle, truth_of_run
+from benchmarks.signals import InsertionTruth, insertion_truth
 from benchmarks.simulated import arm_signals, simulated_case
 from benchmarks.tables import ResultTable
 from groundtruth import SCENARIOS, Scenario, insert_needle, scenario
@@ -71,7 +71,7 @@ def bound_noises(progress: Progress) -> list[ForceNoiseSeries]:
     rng = np.random.default_rng(0)
     ft = MINI45.white_std_N * rng.standard_normal(WHITE_SAMPLES)
     case = simulated_case(RUN, scenario(RUN.benchmark), progress)
-    truth = truth_of_run(case.run)
+    truth = insertion_truth(case.run)
     (signal,) = (
         item["default"] for item in arm_signals(case) if item["default"].source == "virtual"
     )
@@ -116,7 +116,7 @@ def _truth(*, release_m: float, speed_m_s: float, thickness_m: float) -> Inserti
     depth = 2.0 * thickness_m + BEYOND_m
     motion = constant_motion(speed_m_s=speed_m_s, depth_m=depth, standoff_m=STANDOFF_m)
     stack = Scenario(id="bound", title="two equal gels", layers=(layer, layer), motion=motion)
-    return truth_of_needle(insert_needle(stack, noise="clean"))
+    return insertion_truth(insert_needle(stack, noise="clean"))
 
 
 def case_table(cases: Sequence[BoundCase], noises: Sequence[ForceNoiseSeries]) -> ResultTable:

@@ -119,10 +119,16 @@ def friction_bounds(
         covariance = np.var(error_N) / size * np.eye(len(depth))
     else:
         covariance = toeplitz(autocovariance(_means(error_N[:, None], size)[:, 0], len(depth)))
-    kept = _is_modelled(depth, tips, exits)
+    # Without releases and membranes being pushed in: what they do is no part of the model.
+    kept = depth >= exits[-1].onset_m + MEASURED_m / 6.0
+    for tip in tips:
+        kept |= (depth >= tip.from_m) & (depth <= tip.to_m)
     factor = cholesky(covariance[np.ix_(kept, kept)], lower=True)
     white = np.asarray(solve_triangular(factor, columns[kept], lower=True))
-    prior = np.diag(_prior_std(tips, cutting_fraction) ** -2.0)
+    # Of the scales of friction, then of slope, bend and cutting force of each tip.
+    fractions = np.array([VAGUE, BEND_FRACTION, max(cutting_fraction, 1e-6)])
+    of_tips = [max(tip.exit_N, 1e-3) * fractions for tip in tips]
+    prior = np.diag(np.concatenate([np.full(len(tips), VAGUE), *of_tips]) ** -2.0)
     found = []
     for number, rupture in enumerate(exits):
         rows = white[depth[kept] <= rupture.onset_m + MEASURED_m]
@@ -152,22 +158,6 @@ def _tip_columns(depth_m: Array, tip: _Tip) -> Array:
     columns = np.column_stack([way, way * (1.0 - way), onset * (2.0 - onset)])
     columns[(depth_m < tip.from_m) | (depth_m > tip.to_m)] = 0.0
     return columns
-
-
-def _prior_std(tips: list[_Tip], cutting_fraction: float) -> Array:
-    """Of the scales of friction, then of slope, bend and cutting force of each tip."""
-    fractions = np.array([VAGUE, BEND_FRACTION, max(cutting_fraction, 1e-6)])
-    return np.concatenate(
-        [np.full(len(tips), VAGUE), *(max(tip.exit_N, 1e-3) * fractions for tip in tips)]
-    )
-
-
-def _is_modelled(depth_m: Array, tips: list[_Tip], exits: list[Rupture]) -> NDArray[np.bool_]:
-    """Without releases and membranes being pushed in: what they do is no part of the model."""
-    kept = np.zeros(len(depth_m), dtype=bool)
-    for tip in tips:
-        kept |= (depth_m >= tip.from_m) & (depth_m <= tip.to_m)
-    return kept | (depth_m >= exits[-1].onset_m + MEASURED_m / 6.0)
 
 
 def _means(columns: Array, size: int) -> Array:

@@ -151,11 +151,11 @@ def run(
         jobs: Processes at a time; default: one per processor.
         strict: Exit with 1 if a target is missed.
     """
-    from benchmarks.evaluation import evaluate
     from benchmarks.report import write_report
     from benchmarks.rows import write_results
     from benchmarks.runner import Request, make_plan, run_jobs
     from benchmarks.tables import new_console, result_tables
+    from benchmarks.targets import evaluate
     from needleforce.plots import FiguresError
     from needleforce.plots.page import folder_if_filled
 
@@ -206,9 +206,9 @@ def compare(old: Path, new: Path) -> int:
         old: Results of the earlier run.
         new: Results of the later run.
     """
-    from benchmarks.evaluation import Change, compare_rows
     from benchmarks.rows import read_results
     from benchmarks.tables import comparison_table, new_console
+    from benchmarks.targets import Change, compare_rows
 
     found = compare_rows(read_results(old), read_results(new))
     if not found:

@@ -6,7 +6,7 @@ from scipy.optimize import minimize_scalar
 from scipy.signal import lfilter
 
 from benchmarks.methods import ForceReading, joint_residual
-from benchmarks.metrics import Measurement
+from benchmarks.rows import Measurement
 from benchmarks.signals import ForceTruth, JointSignals
 from groundtruth import Run
 
@@ -51,17 +51,14 @@ def wrench_metrics(reading: ForceReading, truth: ForceTruth) -> list[Measurement
     estimate, true = reading.axial_N[judged], truth.axial_N[judged]
     error = estimate - true
     names = ("wrench_rmse_N", "wrench_bias_N", "wrench_coverage_2sigma")
-    values: dict[str, float] = {name: np.nan for name in names}
+    values: dict[str, float] = dict.fromkeys(names, np.nan)
     if error.size > 0:
         inside = np.abs(error) <= 2.0 * reading.std_N[judged]
         numbers = (np.sqrt(np.mean(error**2)), np.mean(error), np.mean(inside))
-        values = dict(zip(names, map(float, numbers), strict=True))
+        values = dict(zip(values, map(float, numbers), strict=True))
     if error.size > 0 and np.ptp(true) > 0.0:
         values["wrench_lag_ms"] = 1e3 * force_lag_s(truth.t_s[judged], estimate, true)
-    return [
-        Measurement(reading.source, reading.method, name, float(value))
-        for name, value in values.items()
-    ]
+    return [Measurement(reading.source, reading.method, *item) for item in values.items()]
 
 
 GAIN_per_s = 50.0

@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from benchmarks.benchmark import Drawing, Fact, Job
 from benchmarks.force_plots import RunFigures
-from benchmarks.identification_metrics import Signals, enhanced_metrics
+from benchmarks.identification_metrics import Signals, enhanced_metrics, offline_metrics
 from benchmarks.identification_plots import (
     SENSORS,
     Compared,
@@ -20,7 +20,6 @@ from benchmarks.identification_plots import (
     true_friction,
 )
 from benchmarks.methods import ForceReading, Identified, cumulative_friction_Ns_per_m, identify
-from benchmarks.offline import offline_metrics
 from benchmarks.published_figures import ENHANCED_FIGURES, OFFLINE_PANELS, PublishedFigure
 from benchmarks.signals import InsertionTruth, NeedleSignal
 from benchmarks.targets import GELS

@@ -9,8 +9,8 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from benchmarks.identification_metrics import layer_spans, offline_fit, quiet_speed_m_s
 from benchmarks.methods import ForceReading, Identified
-from benchmarks.offline import layer_spans, offline_fit, quiet_speed_m_s
 from benchmarks.signals import InsertionTruth, NeedleSignal
 from identification.interaction_model import Model, regression_matrix
 from needleforce.plots import Chart, Curve, Instants, LineStyle, Panel, Shading, palette

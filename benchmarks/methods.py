@@ -55,15 +55,8 @@ class ForceReading:
 
     source: Source  # see `Source`
     method: Method  # see `Method`
-    axial_N: Array  # force, positive when tissue pushes back, shape (n,), read-only
-    std_N: Array  # standard deviation the source states for it, shape (n,), read-only
-
-    def __post_init__(self) -> None:
-        """Keep read-only copies."""
-        for name in ("axial_N", "std_N"):
-            array = np.array(getattr(self, name), dtype=np.float64)
-            array.setflags(write=False)
-            object.__setattr__(self, name, array)
+    axial_N: Array  # force, positive when tissue pushes back, shape (n,)
+    std_N: Array  # standard deviation the source states for it, shape (n,)
 
 
 REPORT_EVERY = 1000
@@ -153,11 +146,8 @@ class Alarm(NamedTuple):
 def alarms_of(result: Replay, t_s: NDArray[np.float64]) -> list[Alarm]:
     """Every rupture reported, in order; `t_s` are the true instants of the samples, shape (n,)."""
     by_alarm = {layer.rupture.alarm_s: layer for layer in result.layers}
-    online = {
-        estimate.identified_layer.rupture.alarm_s: estimate.identified_layer
-        for estimate in result.estimates
-        if estimate.identified_layer is not None
-    }
+    known = (one.identified_layer for one in result.estimates if one.identified_layer is not None)
+    online = {layer.rupture.alarm_s: layer for layer in known}
     found = []
     for k, estimate in enumerate(result.estimates):
         event = estimate.rupture
@@ -173,8 +163,8 @@ def alarms_of(result: Replay, t_s: NDArray[np.float64]) -> list[Alarm]:
 
 def first_compensation(result: Replay) -> int | None:
     """Index of the sample at which friction was first identified, if ever."""
-    is_compensated = (estimate.identified_layer is not None for estimate in result.estimates)
-    return next((k for k, found in enumerate(is_compensated) if found), None)
+    estimates = enumerate(result.estimates)
+    return next((k for k, found in estimates if found.identified_layer is not None), None)
 
 
 def cumulative_friction_Ns_per_m(alarms: Iterable[Alarm]) -> float:
@@ -221,13 +211,9 @@ def identify(
     if isinstance(config, PublishedConfig):
         touch = float(np.interp(truth.contact_s, truth.t_s, signal.depth_m))
         config = replace(config, contact_depth_m=touch)
-    result = replay(
-        signal.t_s[start:],
-        signal.depth_m[start:],
-        signal.force_N[start:],
-        signal.speed_m_s[start:],
-        config,
-    )
+    columns = (signal.t_s, signal.depth_m, signal.force_N, signal.speed_m_s)
+    t_s, depth_m, force_N, speed_m_s = (column[start:] for column in columns)
+    result = replay(t_s, depth_m, force_N, speed_m_s, config)
     alarms = alarms_of(result, truth.t_s[start:])
     return Identified(
         source=signal.source,

@@ -5,9 +5,7 @@ from collections.abc import Iterable, Sequence
 from typing import NamedTuple
 
 from benchmarks import ResultsError
-from benchmarks.evaluation import evaluate
-from benchmarks.metrics import metric
-from benchmarks.rows import Row
+from benchmarks.rows import Row, metric
 from benchmarks.tables import (
     NOTHING,
     Column,
@@ -17,7 +15,7 @@ from benchmarks.tables import (
     result_tables,
     select,
 )
-from benchmarks.targets import GROUPS
+from benchmarks.targets import GROUPS, evaluate
 
 BEGIN = "<!-- results:begin -->"
 END = "<!-- results:end -->"

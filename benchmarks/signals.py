@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 from scipy.signal import lfilter
 
 from benchmarks.rows import Source
-from groundtruth import NeedleRun, Run, Rupture, Truth
+from groundtruth import NeedleRun, Run, Rupture
 from needleforce.session import TipTravel
 from residual import VelocityEstimator
 from residual.tool_kinematics import ToolKinematics
@@ -55,18 +55,9 @@ class InsertionTruth:
         return float(np.median(np.diff(self.t_s)))
 
 
-def truth_of_run(run: Run) -> InsertionTruth:
-    """The ground truth of an insertion by the simulated arm."""
-    return _truth(run, run.truth, run.contact_s)
-
-
-def truth_of_needle(run: NeedleRun) -> InsertionTruth:
-    """The ground truth of an insertion by a needle without an arm."""
-    return _truth(run, run, run.truth.contact_s)
-
-
-def _truth(run: Run | NeedleRun, motion: Truth | NeedleRun, contact_s: float) -> InsertionTruth:
-    true = run.truth
+def insertion_truth(run: Run | NeedleRun) -> InsertionTruth:
+    """The ground truth of an insertion, by the simulated arm or by a needle without one."""
+    true, motion = run.truth, run if isinstance(run, NeedleRun) else run.truth
     return InsertionTruth(
         t_s=motion.t_s,
         depth_m=motion.depth_m,
@@ -77,7 +68,7 @@ def _truth(run: Run | NeedleRun, motion: Truth | NeedleRun, contact_s: float) ->
         layer=true.layer,
         ruptures=true.ruptures,
         tare_end_s=run.tare_end_s,
-        contact_s=contact_s,
+        contact_s=run.truth.contact_s if isinstance(run, NeedleRun) else run.contact_s,
         insertion_end_s=run.scenario.motion.insertion_end_s,
         boundaries_m=tuple(accumulate(layer.thickness_m for layer in run.scenario.layers)),
     )

@@ -3,18 +3,18 @@
 import math
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass
+from pathlib import Path
 from types import MappingProxyType
-from typing import Any, NamedTuple
+from typing import Any
 
+import msgspec
 import numpy as np
 import pandas as pd
 from rich.console import Console
 from rich.table import Table
 
-from benchmarks.evaluation import Comparison, evaluate
-from benchmarks.metrics import METRICS, metric
-from benchmarks.rows import NAMES, Row
-from benchmarks.targets import PUBLISHED_RMSE_N, TARGETS, TABLE_ONE_Ns_per_m
+from benchmarks.rows import METRICS, NAMES, Row, metric
+from benchmarks.targets import PUBLISHED_RMSE_N, TARGETS, Comparison, TABLE_ONE_Ns_per_m, evaluate
 
 NOTHING = "–"
 """In a cell: there is no such number."""
@@ -96,7 +96,7 @@ def select(frame: Frame, **wanted: str | None) -> Frame:
     return frame
 
 
-class Column(NamedTuple):
+class Column(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     """A column of numbers: which rows of a group go into a cell, and how they are shown."""
 
     head: str
@@ -106,12 +106,12 @@ class Column(NamedTuple):
     source: str | None = None
     scale: float = 1.0  # factor on the values
     is_fraction: bool = False  # of several runs, show mean and least, not median and worst
-    text: Callable[[Frame], str] | None = None  # of the group, instead of a number
+    text: str = ""  # name in `TEXTS` of what is shown of the group instead of a number
 
     def cell(self, group: Frame) -> str:
         """What the group's rows give."""
-        if self.text is not None:
-            return self.text(group)
+        if self.text:
+            return TEXTS[self.text](group)
         mine = select(group, metric=self.metric, method=self.method, source=self.source)
         known = METRICS.get(mine["metric"].iloc[0]) if len(mine) else None
         values = mine["value"] * self.scale
@@ -138,29 +138,27 @@ def summary(values: Frame, form: str, best: float = 0.0, *, is_fraction: bool = 
     return f"{values.median():{form}} ({worst:{form}})"
 
 
-def worst_of(*names: str) -> Callable[[Frame], tuple[float, ...]]:
-    """How far the worst run of a group is from the best value, metric by metric."""
-
-    def badness(group: Frame) -> tuple[float, ...]:
-        errors = ((select(group, metric=n)["value"] - METRICS[n].best).abs().max() for n in names)
-        return tuple(0.0 if math.isnan(error) else error for error in errors)
-
-    return badness
-
-
 HEADS = {"source": "force", "metric": "what"}
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
-class GroupTable:
-    """A table with one line per group of rows."""
+class GroupTable(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
+    """A table with one line per group of rows, as `tables.toml` has it."""
 
     title: str
-    shows: str  # groups without a metric of this table of `metrics.csv` are left out
     by: tuple[str, ...]  # columns of `Row` that make a group
     columns: tuple[Column, ...]
+    shows: str = ""  # groups without a metric of this table of `metrics.csv` are left out
     caption: str = ""
-    badness: Callable[[Frame], tuple[float, ...]] = lambda group: ()  # groups with most come first
+    # metrics whose worst run decides the order, worst first; ``target``: missed targets come first
+    worst_first: tuple[str, ...] = ()
+
+    def _badness(self, group: Frame) -> tuple[float, ...]:
+        """How far the worst run of a group is from the best value, metric by metric."""
+        if self.worst_first == ("target",):
+            return (_force_mark(group) == "missed",)
+        values = [(METRICS[n].best, select(group, metric=n)["value"]) for n in self.worst_first]
+        errors = ((each - best).abs().max() for best, each in values)
+        return tuple(0.0 if math.isnan(error) else error for error in errors)
 
     def __call__(self, rows: Iterable[Row]) -> ResultTable:
         """The table of some rows."""
@@ -169,7 +167,7 @@ class GroupTable:
         keys = frame[frame["metric"].isin(names)][list(self.by)].drop_duplicates()
         frame = keys.merge(frame, on=list(self.by))
         groups = list(frame.groupby(list(self.by), sort=False))
-        groups.sort(key=lambda group: self.badness(group[1]), reverse=True)
+        groups.sort(key=lambda group: self._badness(group[1]), reverse=True)
         lines = []
         for key, group in groups:
             line = [*map(str, key), *(column.cell(group) for column in self.columns)]
@@ -218,122 +216,22 @@ def _published_change(group: Frame) -> str:
     return f"{100.0 * (known.online / known.offline - 1.0):.0f}"
 
 
-_OURS = ("default", "virtual")
-_BY_PLANT, _BY_METHOD = ("scenario", "plant"), ("scenario", "plant", "source", "method")
-_SEEDS = "Several seeds: median (worst), of fractions mean (least). "
+TEXTS: dict[str, Callable[[Frame], str]] = {
+    "force target": _force_mark,
+    "real arm": _real_arm,
+    "published change": _published_change,
+}
+"""What a column shows that is not a number of its group."""
 
-TABLES: Mapping[str, GroupTable] = MappingProxyType(
-    {
-        "force": GroupTable(
-            title="Axial force against the true one",
-            shows="force",
-            by=_BY_PLANT,
-            columns=(
-                Column("F/T\nRMSE, N", ".3f", _RMSE, "default", "ft"),
-                Column("published\nRMSE, N", ".3f", _RMSE, "published", "virtual"),
-                Column("default\nRMSE, N", ".3f", _RMSE, *_OURS),
-                Column("default\n/ published", ".2f", "wrench_rmse_ratio", *_OURS),
-                Column("real arm\nN", text=_real_arm),
-                Column("bias\nmN", ".0f", "wrench_bias_N", *_OURS, scale=1e3),
-                Column("lag\nms", ".0f", "wrench_lag_ms", *_OURS),
-                Column("within\n2 sigma", ".2f", "wrench_coverage_2sigma", *_OURS),
-                Column("target", text=_force_mark),
-            ),
-            caption="From first contact to the end of withdrawal; several seeds: median (worst). "
-            "'real arm': RMSE of the published method on its LWR 4+, Figure 5; scenario and tissue "
-            "are alike, not the same. Missed targets first.",
-            badness=lambda group: (_force_mark(group) == "missed",),
-        ),
-        "ruptures": GroupTable(
-            title="Online identification: ruptures",
-            shows="ruptures",
-            by=_BY_METHOD,
-            columns=(
-                Column("recall", ".2f", "rupture_recall", is_fraction=True),
-                Column("precision", ".2f", "rupture_precision", is_fraction=True),
-                Column("recall,\nsoft ones", ".2f", "soft_transition_recall", is_fraction=True),
-                Column("delay\nms", ".0f", "rupture_delay_ms"),
-                Column("timing error\nms", ".0f", "rupture_timing_error_ms"),
-                Column("depth error\nmm", ".2f", "detection_depth_error_mm"),
-            ),
-            caption=_SEEDS
-            + "Ruptures drop the force by more than five times the source's noise in "
-            "free air; an alarm belongs to one within 0.2 s before to 1.5 s after its onset; "
-            "without an alarm there is no precision. Fewest ruptures found first.",
-            badness=worst_of("rupture_recall", "rupture_precision"),
-        ),
-        "friction": GroupTable(
-            title="Online identification: friction and forces",
-            shows="friction",
-            by=_BY_METHOD,
-            columns=(
-                Column("friction, %\nworst layer", ".1f", "friction_error_online_worst_pct"),
-                Column(
-                    "within\n2 sigma", ".2f", "friction_coverage_online_2sigma", is_fraction=True
-                ),
-                Column("at the end\n%", ".1f", "friction_error_worst_pct"),
-                Column("remaining\nforce, %", ".1f", "remaining_force_pct"),
-                Column("enhanced\nRMSE, N", ".3f", "enhanced_rmse_N"),
-                Column("tip\nRMSE, N", ".3f", "tip_rmse_N"),
-            ),
-            caption=_SEEDS + "Remaining force: |enhanced force| beyond the last layer over the "
-            "force there. RMSE: from the first compensation to the deepest point. Largest error of "
-            "the friction first.",
-            badness=worst_of("friction_error_online_worst_pct"),
-        ),
-        "bounds": GroupTable(
-            title="Bounds of identification",
-            shows="bounds",
-            by=("scenario", "plant", "source"),
-            columns=(
-                Column("friction, %\nwhite noise", ".2f", "friction_bound_white_pct", "default"),
-                Column("least\n(bound)", ".2f", "friction_bound_pct", "default"),
-                Column("ours", ".2f", "friction_error_mean_pct", "default"),
-                Column("delay, ms\nleast (bound)", ".1f", "rupture_delay_bound_ms", "default"),
-                Column("ours", ".1f", "rupture_delay_ms", "default"),
-                Column("published", ".1f", "rupture_delay_ms", "published"),
-            ),
-            caption=_SEEDS + "Bounds know the law, position and size of every rupture, and the "
-            "noise of the run; see docs/limits.md.",
-        ),
-        "table I": GroupTable(
-            title="Table I: cumulative friction of single gels, Ns/m",
-            shows="table I",
-            by=_BY_METHOD,
-            columns=(
-                *(Column(k, ".0f", _CUMULATIVE.format(k)) for k in ("true", "offline", "online")),
-                Column("offline to\nonline, %", "+.0f", "online_change", scale=100.0),
-                Column("published\n%", text=_published_change),
-            ),
-            caption=_SEEDS + "'published': from offline to online in the published Table I.",
-        ),
-        "offline": GroupTable(
-            title="Offline reconstruction: RMSE, N",
-            shows="offline",
-            by=_BY_PLANT,
-            columns=(
-                Column("multi-layer", ".3f", "offline_rmse_ml_N"),
-                Column("Kelvin-Voigt", ".3f", "offline_rmse_kv_N"),
-            ),
-            caption="Equation (6) on the F/T reading, true layers and ruptures given; RMSE from "
-            "first contact to the deepest point. " + _SEEDS,
-        ),
-        "real tissue": GroupTable(
-            title="Real tissue",
-            shows="real tissue",
-            by=("scenario", "source", "metric"),
-            columns=tuple(Column(m, ".3g", method=m) for m in ("guess", "published", "default")),
-            caption="Several insertions: median (worst).",
-        ),
-        "numbers": GroupTable(
-            title="Other numbers",
-            shows="numbers",
-            by=("scenario", "plant", "method", "metric"),
-            columns=(Column("value", ".3g"),),
-        ),
-    }
-)
-"""In order, by the name in `metrics.csv`; a new kind of number gets its table here."""
+
+def _read() -> dict[str, GroupTable]:
+    content = Path(__file__).with_name("tables.toml").read_bytes()
+    found = msgspec.toml.decode(content, type=dict[str, GroupTable])
+    return {name: msgspec.structs.replace(table, shows=name) for name, table in found.items()}
+
+
+TABLES: Mapping[str, GroupTable] = MappingProxyType(_read())
+"""In order, by the name in `metrics.csv`; a new kind of number gets its table in `tables.toml`."""
 
 
 def target_table(rows: Iterable[Row]) -> ResultTable:

@@ -22,7 +22,7 @@ from benchmarks.bounds import (
     whitener,
 )
 from benchmarks.identification_metrics import bound_metrics
-from benchmarks.signals import NeedleSignal, lagging, truth_of_needle
+from benchmarks.signals import NeedleSignal, lagging, insertion_truth
 from benchmarks.tables import TABLES
 from groundtruth import SCENARIOS, Scenario, insert_needle
 from groundtruth.motion import constant_motion
@@ -43,7 +43,7 @@ def stack(release_m=0.3e-3, thickness_m=14e-3):
 
 @pytest.fixture(scope="module")
 def truth():
-    return truth_of_needle(stack())
+    return insertion_truth(stack())
 
 
 def signal(truth, error_N):
@@ -99,7 +99,7 @@ def test_friction_is_harder_to_know_with_drift_cutting_and_a_long_release(truth)
     plain = friction_bounds(truth, DRIFTING, is_white=True)[1]
     assert friction_bounds(truth, DRIFTING, is_white=False)[1] > 2.0 * plain
     assert friction_bounds(truth, DRIFTING, is_white=True, cutting_fraction=0.0)[1] < plain
-    longer = truth_of_needle(stack(release_m=1e-3))
+    longer = insertion_truth(stack(release_m=1e-3))
     assert friction_bounds(longer, DRIFTING, is_white=True)[1] > plain
 
 

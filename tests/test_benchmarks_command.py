@@ -10,7 +10,7 @@ from benchmark_rows import make_row
 from benchmarks import DataError, cli, runner
 from benchmarks.benchmark import Benchmark, Findings, Job
 from benchmarks.cli import main
-from benchmarks.metrics import Measurement
+from benchmarks.rows import Measurement
 from benchmarks.rows import read_results, write_results
 
 HARD_RMSE_N = {"liver-constant": 0.05, "gel-25-constant": 0.2}

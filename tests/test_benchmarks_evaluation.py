@@ -10,8 +10,8 @@ from hypothesis import strategies as st
 
 from benchmarks import UnknownMetricError
 from benchmarks.catalogue import BENCHMARKS
-from benchmarks.evaluation import Change, compare_rows, evaluate
-from benchmarks.metrics import METRICS, metric
+from benchmarks.targets import Change, compare_rows, evaluate
+from benchmarks.rows import METRICS, metric
 from benchmarks.targets import GELS, STACKS, TARGETS, TISSUE, Target
 
 LIMIT = Target(what="force", metric="wrench_rmse_N", plant="degraded", at_most=0.12)

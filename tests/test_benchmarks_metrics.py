@@ -11,7 +11,7 @@ from scipy.signal import lfilter
 from benchmarks import UnknownMetricError
 from benchmarks.force_metrics import force_lag_s, wrench_metrics
 from benchmarks.methods import ForceReading
-from benchmarks.metrics import Measurement
+from benchmarks.rows import Measurement
 from benchmarks.signals import ForceTruth
 
 T = np.arange(0.0, 20.0, 1e-3)

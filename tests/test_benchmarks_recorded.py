@@ -10,7 +10,7 @@ from benchmarks import DataError
 from benchmarks.benchmark import Job
 from benchmarks.identification_metrics import VISIBLE_SIGMAS
 from benchmarks.methods import joint_residual
-from benchmarks.metrics import METRICS
+from benchmarks.rows import METRICS
 from benchmarks.recorded.bovine import FILE as BOVINE_FILE
 from benchmarks.recorded.bovine import FOLDER as BOVINE
 from benchmarks.recorded.bovine import NOISE_N, depth_metrics, read_bovine, run_bovine_real

@@ -8,7 +8,7 @@ from benchmark_rows import TEMPLATE, make_row
 
 from benchmarks import ResultsError
 from benchmarks.cli import main
-from benchmarks.metrics import METRICS
+from benchmarks.rows import METRICS
 from benchmarks.results_page import BEGIN, END, HEADLINES, fill, summary_block, summary_table
 from benchmarks.rows import read_merged, read_results, to_json, write_results
 from benchmarks.tables import TABLES, result_tables, target_table

@@ -23,7 +23,7 @@ from benchmarks.identification_plots import (
     true_friction,
 )
 from benchmarks.methods import ForceReading, identify
-from benchmarks.signals import ForceTruth, NeedleSignal, truth_of_needle
+from benchmarks.signals import ForceTruth, NeedleSignal, insertion_truth
 from groundtruth import insert_needle
 from needleforce.plots import palette
 
@@ -143,7 +143,7 @@ class Insertion:
 
     def __init__(self):
         run = insert_needle(SHORT, seed=0)
-        self.truth = truth_of_needle(run)
+        self.truth = insertion_truth(run)
         self.signal = NeedleSignal(
             source="ft",
             t_s=run.t_s,

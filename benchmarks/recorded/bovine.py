@@ -15,8 +15,8 @@ from benchmarks import DataError
 from benchmarks.benchmark import Findings, Job, Progress
 from benchmarks.identification_metrics import VISIBLE_SIGMAS, nearest_pairs
 from benchmarks.methods import IDENTIFIERS
-from benchmarks.metrics import Measurement
 from benchmarks.recorded.liver import at_drops, force_drops
+from benchmarks.rows import Measurement
 from identification import PublishedConfig, replay
 
 Array = NDArray[np.float64]

@@ -18,8 +18,7 @@ from benchmarks import DataError
 from benchmarks.benchmark import Findings, Job, Progress
 from benchmarks.identification_metrics import VISIBLE_SIGMAS
 from benchmarks.methods import IDENTIFIERS
-from benchmarks.metrics import Measurement
-from benchmarks.rows import Method
+from benchmarks.rows import Measurement, Method
 from identification import replay
 
 Array = NDArray[np.float64]

@@ -19,7 +19,6 @@ from scipy.optimize import minimize
 from scipy.spatial.distance import cdist
 
 from benchmarks.benchmark import Findings, Job, Progress
-from benchmarks.metrics import Measurement
 from benchmarks.recorded.liver import (
     NUMBERS,
     DEPTHS_mm,
@@ -30,6 +29,7 @@ from benchmarks.recorded.liver import (
     mean_at_depth,
     read_liver,
 )
+from benchmarks.rows import Measurement
 
 Array = NDArray[np.float64]
 

@@ -17,7 +17,6 @@ from benchmarks.benchmark import Drawing, Findings, Job, Progress, progress_part
 from benchmarks.force_metrics import wrench_metrics
 from benchmarks.force_plots import force_figures
 from benchmarks.methods import IDENTIFIERS, METHODS, ForceReading, joint_residual, virtual_force
-from benchmarks.metrics import Measurement
 from benchmarks.recorded.liver import (
     LiverEstimates,
     LiverInsertion,
@@ -30,7 +29,7 @@ from benchmarks.recorded.liver import (
     read_table,
     rupture_values,
 )
-from benchmarks.rows import Source
+from benchmarks.rows import Measurement, Source
 from benchmarks.signals import ForceTruth, JointSignals, tool_jacobians
 from residual import SigmoidFriction
 from urdf import Robot, SerialJoint, build_serial_robot

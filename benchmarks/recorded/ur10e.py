@@ -14,8 +14,8 @@ from numpy.typing import NDArray
 from benchmarks import DataError
 from benchmarks.benchmark import Findings, Job, Progress
 from benchmarks.methods import joint_residual
-from benchmarks.metrics import Measurement
 from benchmarks.recorded.liver import read_arrays, read_table
+from benchmarks.rows import Measurement
 from benchmarks.signals import JointSignals, tool_jacobians
 from residual import JointFriction, WrenchEstimator
 from urdf import Robot, SerialJoint, build_serial_robot, identify_payload_static
