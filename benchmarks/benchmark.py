@@ -26,31 +26,6 @@ class Fact:
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class Drawing:
-    """A figure of a run, and the words that go with it."""
-
-    figure: str  # published one to which it is the counterpart, such as ``8``; empty for none
-    panel: str = ""  # letter of the panel; empty for none
-    scenario: str  # what was simulated
-    plant: str  # on which plant model
-    seed: int  # of everything drawn
-    shown: PageFigure  # its files, what it shows, what to look at
-    facts: tuple[Fact, ...] = ()  # numbers to stand below
-    # cumulative friction in the end, by the published method as its authors ran it; nan where the
-    # drawing shows something else
-    tuned_friction_Ns_per_m: float = math.nan
-
-    @property
-    def provenance(self) -> str:
-        """Where it comes from, in words."""
-        if self.plant == "needle":
-            return f"`{self.scenario}`, needle without an arm, seed {self.seed}"
-        if self.plant == RECORDING:
-            return f"`{self.scenario}`, recording {self.seed}"
-        return f"`{self.scenario}`, {self.plant} plant, seed {self.seed}"
-
-
-@dataclass(frozen=True, slots=True, kw_only=True)
 class Job:
     """One benchmark on one plant with one seed: a piece of work for a process of its own."""
 
@@ -72,9 +47,29 @@ class Job:
             raise DataError(f"{self.benchmark} needs recordings: give --data DIR")
         return self.data
 
+    @property
+    def where(self) -> str:
+        """Plant and seed, or recording, in words."""
+        words = {RECORDING: "recording", "needle": "needle without an arm, seed"}
+        return f"{words.get(self.plant, f'{self.plant} plant, seed')} {self.seed}"
+
     def __str__(self) -> str:
         """One line for people."""
         return f"{self.benchmark}, {self.plant}, seed {self.seed}"
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Drawing:
+    """A figure of a run, and the words that go with it."""
+
+    figure: str  # published one to which it is the counterpart, such as ``8``; empty for none
+    panel: str = ""  # letter of the panel; empty for none
+    job: Job  # the run
+    shown: PageFigure  # its files, what it shows, what to look at
+    facts: tuple[Fact, ...] = ()  # numbers to stand below
+    # cumulative friction in the end, by the published method as its authors ran it; nan where the
+    # drawing shows something else
+    tuned_friction_Ns_per_m: float = math.nan
 
 
 class Findings(NamedTuple):

@@ -1,7 +1,6 @@
 """Every benchmark under its permanent name."""
 
 from collections.abc import Mapping
-from functools import partial
 from types import MappingProxyType
 
 from benchmarks import UnknownIdError
@@ -27,8 +26,8 @@ QUICK = (
 )
 
 
-def _simulated() -> list[Benchmark]:
-    named = [
+_SIMULATED = (
+    *(
         Benchmark(
             id=item.id,
             title=item.title,
@@ -37,31 +36,29 @@ def _simulated() -> list[Benchmark]:
             needs_arm=not item.layers,
         )
         for item in SCENARIOS.values()
-    ]
-    drawn = Benchmark(
+    ),
+    Benchmark(
         id=RANDOM_STACK,
         title="layers, motion and speed drawn anew for every seed",
         run=run_simulated,
         is_default=False,
         plants=(NEEDLE,),
         needs_arm=False,
-    )
-    observers = Benchmark(
+    ),
+    Benchmark(
         id="observers",
         title="momentum, smoothed momentum and Kalman observer on the same samples",
         run=run_observers,
         is_default=False,
-    )
-    return [*named, drawn, observers]
-
-
-_recording = partial(Benchmark, seeds=1)
+    ),
+)
 _RECORDED = (
-    _recording(
+    Benchmark(
         id="panda-real",
         title="residual of a real Panda in free motion",
         run=run_panda_real,
         needs=(panda.FOLDER,),
+        seeds=1,
     ),
     Benchmark(
         id="panda-liver",
@@ -70,34 +67,39 @@ _RECORDED = (
         needs=(panda.FOLDER, liver.FOLDER),
         seeds=len(liver.NUMBERS),
     ),
-    _recording(
+    Benchmark(
         id="ur10e-payload",
         title="weight of a known payload from the currents of a real UR10e",
         run=run_ur10e_payload,
         needs=(ur10e.FOLDER,),
+        seeds=1,
     ),
-    _recording(
+    Benchmark(
         id="liver-real",
         title="friction in 19 insertions into real liver against the pull-out force",
         run=run_liver_real,
         needs=(liver.FOLDER,),
+        seeds=1,
     ),
-    _recording(
+    Benchmark(
         id="liver-limit",
         title="how well 19 insertions into real liver can predict the pull-out force at all",
         run=run_liver_limit,
         needs=(liver.FOLDER,),
+        seeds=1,
         is_default=False,
     ),
-    _recording(
+    Benchmark(
         id="bovine-real",
         title="the ruptures of an insertion into real bovine liver",
         run=run_bovine_real,
         needs=(bovine.FOLDER,),
+        seeds=1,
     ),
 )
-_ALL = (*_simulated(), *_RECORDED)
-BENCHMARKS: Mapping[str, Benchmark] = MappingProxyType({item.id: item for item in _ALL})
+BENCHMARKS: Mapping[str, Benchmark] = MappingProxyType(
+    {item.id: item for item in (*_SIMULATED, *_RECORDED)}
+)
 """By name."""
 
 

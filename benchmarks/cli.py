@@ -263,7 +263,7 @@ def bound() -> None:
 
     with progress_bar(1) as update:
         noises = bound_noises(partial(update, 0))
-    new_console().print(case_table(list(bound_cases(noises)), noises).rich())
+    new_console().print(case_table(bound_cases(noises), noises).rich())
 
 
 @app.command(name="speed")

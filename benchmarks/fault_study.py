@@ -170,22 +170,17 @@ class FaultStudy:
 
     def results(self) -> Iterator[FaultResult]:
         """Every fault's result, in the order of the table."""
-        yield from self.signal_results()
-        yield from self.pose_results()
+        yield from self.session_results()
         yield tare_in_contact(self.run, self.at)
         yield wrong_payload(self.run)
         yield from motion_results(with_velocity=self._with_velocity)
 
-    def signal_results(self) -> Iterator[FaultResult]:
-        """What sensors, wires and clocks do."""
-        good = FaultStream.of_run(self.run, self.at - LEAD, self._last, self._undisturbed_N)
-        for name, inject in SIGNAL_FAULTS.items():
-            yield self._result(name, inject(good, LEAD), self._inserted)
-
-    def pose_results(self) -> Iterator[FaultResult]:
-        """What poses and loads do, the latter after the tare."""
+    def session_results(self) -> Iterator[FaultResult]:
+        """What sensors, wires and clocks do, and what poses and loads do after the tare."""
         run, tare = self.run, self._tare
         good = FaultStream.of_run(run, self.at - LEAD, self._last, self._undisturbed_N)
+        for name, inject in SIGNAL_FAULTS.items():
+            yield self._result(name, inject(good, LEAD), self._inserted)
         free = FaultStream.of_run(run, tare, tare + BEYOND, self._undisturbed_N)
         hung = loaded(run, good, LEAD, 2000, 0.05 * run.robot.gravity_m_s2)
         pushed = loaded(run, good, LEAD, 2000, np.array([1.0, 0.0, 0.0]))

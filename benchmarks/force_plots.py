@@ -9,7 +9,7 @@ from typing import Literal
 import numpy as np
 from numpy.typing import NDArray
 
-from benchmarks.benchmark import RECORDING, Drawing, Fact, Job
+from benchmarks.benchmark import Drawing, Fact, Job
 from benchmarks.force_metrics import force_lag_s
 from benchmarks.methods import ForceReading
 from benchmarks.published_figures import FORCE_PANELS
@@ -64,9 +64,7 @@ class RunFigures:
             Drawing(
                 figure=figure,
                 panel=letter,
-                scenario=job.benchmark,
-                plant=job.plant,
-                seed=job.seed,
+                job=job,
                 shown=shown,
                 facts=facts,
                 tuned_friction_Ns_per_m=tuned_friction_Ns_per_m,
@@ -75,9 +73,7 @@ class RunFigures:
 
     def _title(self, number: str, what: str) -> str:
         """What is shown, and below it of which run."""
-        job = self.job
-        which = {RECORDING: "recording", "needle": "needle without an arm, seed"}
-        run = f"{job.benchmark}, {which.get(job.plant, f'{job.plant} plant, seed')} {job.seed}"
+        run = f"{self.job.benchmark}, {self.job.where}"
         return f"Figure {number}: {what}\n{run}" if number else f"{what}\n{run}".capitalize()
 
 

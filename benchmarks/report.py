@@ -10,7 +10,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from benchmarks.benchmark import Drawing
+from benchmarks.benchmark import Drawing, Job
 from benchmarks.published_figures import (
     FRICTION_FIGURE,
     PUBLISHED_FIGURES,
@@ -89,8 +89,8 @@ def gel_friction(rows: Iterable[Row], drawings: Iterable[Drawing]) -> GelFrictio
         key = row.scenario, Estimate(kind, row.source, row.method)
         by_gel.setdefault(key, []).append(row.value)
     for item in drawings:
-        if item.plant == plant and not math.isnan(item.tuned_friction_Ns_per_m):
-            by_gel[item.scenario, TUNED] = [item.tuned_friction_Ns_per_m]
+        if item.job.plant == plant and not math.isnan(item.tuned_friction_Ns_per_m):
+            by_gel[item.job.benchmark, TUNED] = [item.tuned_friction_Ns_per_m]
     return GelFriction(
         plant=plant,
         seeds=len({row.seed for row in mine}),
@@ -202,7 +202,7 @@ def published_sections(drawings: Sequence[Drawing], rows: Sequence[Row]) -> list
         if item.number == TABLE_ONE and gels is not None:
             sections.append(_section(item, (), (gel_table(gels),), of_gels))
         elif mine:
-            here = {drawing.scenario for drawing in mine}
+            here = {drawing.job.benchmark for drawing in mine}
             here = of_gels if item.number == FRICTION_FIGURE else here
             sections.append(_section(item, mine, _facts(item, mine), here))
     return sections
@@ -211,8 +211,8 @@ def published_sections(drawings: Sequence[Drawing], rows: Sequence[Row]) -> list
 def chosen(drawings: Iterable[Drawing], figure: str) -> list[Drawing]:
     """The panels of a figure, on the one plant that is shown."""
     found = [drawing for drawing in drawings if drawing.figure == figure]
-    best = _best_plant({drawing.plant for drawing in found})
-    mine = [drawing for drawing in found if drawing.plant == best]
+    best = _best_plant({drawing.job.plant for drawing in found})
+    mine = [drawing for drawing in found if drawing.job.plant == best]
     return sorted(mine, key=lambda drawing: drawing.panel)
 
 
@@ -222,10 +222,10 @@ def further_sections(drawings: Sequence[Drawing]) -> list[Section]:
     groups: dict[tuple[str, str], list[Drawing]] = {}
     for drawing in drawings:
         if id(drawing) not in used:
-            groups.setdefault((drawing.scenario, drawing.plant), []).append(drawing)
+            groups.setdefault((drawing.job.benchmark, drawing.job.plant), []).append(drawing)
     return [
         Section(
-            heading=f"Further run: {mine[0].provenance}",
+            heading=f"Further run: `{scenario}`, {mine[0].job.where}",
             anchor=f"run-{scenario}-{plant}",
             figures=tuple(map(_figure, mine)),
         )
@@ -265,8 +265,8 @@ def _section(
 
 
 def _figure(drawing: Drawing) -> PageFigure:
-    shown = drawing.shown
-    return replace(shown, caption=f"{shown.caption} From {drawing.provenance}.")
+    shown, job = drawing.shown, drawing.job
+    return replace(shown, caption=f"{shown.caption} From `{job.benchmark}`, {job.where}.")
 
 
 def _facts(item: PublishedFigure, mine: Sequence[Drawing]) -> tuple[PageTable, ...]:
@@ -350,4 +350,5 @@ def _friction_drawing(folder: Path, gels: GelFriction) -> Drawing:
         f"{gels.seeds} seed{'' if gels.seeds == 1 else 's'}.",
         is_alone=True,
     )
-    return Drawing(figure=FRICTION_FIGURE, scenario="gel-*", plant=gels.plant, seed=0, shown=shown)
+    job = Job(benchmark="gel-*", plant=gels.plant)
+    return Drawing(figure=FRICTION_FIGURE, job=job, shown=shown)

@@ -198,18 +198,21 @@ def measure_speed(progress: Callable[[float], None]) -> SpeedReport:
     blind = replace(even, dq_rad_s=None)
     tare = int(np.searchsorted(even.t_s, run.tare_end_s))
     chains = {
-        CHAIN: ChainUpdate(run.robot, even, tare),
-        CHAIN + ESTIMATED: ChainUpdate(run.robot, blind, tare),
-        PUBLISHED_CHAIN: ChainUpdate(run.robot, even, tare, PUBLISHED),
-        PUBLISHED_CHAIN + ESTIMATED: ChainUpdate(run.robot, blind, tare, PUBLISHED),
+        name + how: ChainUpdate(run.robot, signals, tare, config)
+        for name, config in ((CHAIN, MULTILAYER), (PUBLISHED_CHAIN, PUBLISHED))
+        for how, signals in (("", even), (ESTIMATED, blind))
     }
+    observers = [
+        MomentumObserver(run.robot, DEFAULT.gain_per_s, alignment="hold") for _ in range(2)
+    ]
+    sensors = [VirtualForceSensor(run.robot, on_lwr(DEFAULT)) for _ in range(2)]
     subjects = {
         BARE_OBSERVER: _bare_observer(run.robot, even),
-        OBSERVER: _observer(run.robot, even),
-        OBSERVER + UNEVEN: _observer(run.robot, uneven),
+        OBSERVER: _fed(observers[0], even),
+        OBSERVER + UNEVEN: _fed(observers[1], uneven),
         BARE_SENSOR: bare_sensor(run.robot, even),
-        SENSOR: _sensor(run.robot, even, tare),
-        SENSOR + UNEVEN: _sensor(run.robot, uneven, tare),
+        SENSOR: _fed(sensors[0], even, tare),
+        SENSOR + UNEVEN: _fed(sensors[1], uneven, tare),
         **chains,
     }
     # The first counted update comes after that of the tare.
@@ -262,19 +265,14 @@ def bare_sensor(robot: Robot, signals: JointSignals) -> Update:
     return update
 
 
-def _observer(robot: Robot, signals: JointSignals) -> Update:
-    observer = MomentumObserver(robot, DEFAULT.gain_per_s, alignment="hold")
-    samples: list[Any] = signals.samples()
-    return lambda k: observer.update(*samples[k])
-
-
-def _sensor(robot: Robot, signals: JointSignals, tare: int) -> Update:
-    sensor, samples = VirtualForceSensor(robot, on_lwr(DEFAULT)), signals.samples()
+def _fed(estimator: Any, signals: JointSignals, tare: int = -1) -> Update:
+    """An estimator that gets the sample of each index, and is tared before that of `tare`."""
+    samples = signals.samples()
 
     def update(k: int) -> None:
         if k == tare:
-            sensor.tare()
-        sensor.update(*samples[k])
+            estimator.tare()
+        estimator.update(*samples[k])
 
     return update
 

@@ -30,7 +30,7 @@ def documented():
 @pytest.fixture(scope="module")
 def results():
     study = FaultStudy(through_layer=False)
-    return [*study.signal_results(), *study.pose_results()]
+    return list(study.session_results())
 
 
 def test_every_fault_of_the_issue_is_in_the_table():
