@@ -38,11 +38,7 @@ class Job:
 
     @property
     def recordings(self) -> Path:
-        """The folder of recordings.
-
-        Raises:
-            DataError: There is none.
-        """
+        """The folder of recordings; `DataError` where there is none."""
         if self.data is None:
             raise DataError(f"{self.benchmark} needs recordings: give --data DIR")
         return self.data

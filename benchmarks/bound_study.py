@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 
 from benchmarks.benchmark import Job, Progress
 from benchmarks.bounds import CUTTING_FRACTION, delay_bounds_s, friction_bounds, reading_error_N
-from benchmarks.force_metrics import force_lag_s
+from benchmarks.methods import force_lag_s
 from benchmarks.signals import InsertionTruth, insertion_truth
 from benchmarks.simulated import arm_signals, simulated_case
 from benchmarks.tables import ResultTable

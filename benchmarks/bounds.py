@@ -97,14 +97,9 @@ def friction_bounds(
 ) -> list[float]:
     """Relative standard deviation of each layer's friction, by `MEASURED_m` after its rupture.
 
-    Args:
-        truth: Of the run.
-        error_N: As `reading_error_N` returns it.
-        is_white: Take the noise of the samples as white, whatever its spectrum is.
-        cutting_fraction: Root mean square fraction of cutting in the tip force; 0 for none.
-
-    Returns:
-        One value for each layer that ruptured, in order.
+    The error of the reading is as `reading_error_N` returns it; its noise can be taken as white,
+    whatever its spectrum is. The fraction is the root mean square one of cutting in the tip force.
+    One value for each layer that ruptured, in order.
     """
     exits = [rupture for rupture in truth.ruptures if rupture.layer > 0]
     tips = _tips(truth, exits)

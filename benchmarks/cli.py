@@ -102,8 +102,7 @@ def progress_bar(jobs: int) -> Iterator[Callable[[int, float], None]]:
 @app.command(name="list")
 def list_benchmarks() -> None:
     """What can be run."""
-    from benchmarks.catalogue import BENCHMARKS
-    from benchmarks.runner import PLANTS
+    from benchmarks.runner import BENCHMARKS, PLANTS
     from benchmarks.tables import ResultTable, new_console
 
     needs = {True: "recordings", False: "simulation"}
@@ -237,13 +236,18 @@ def results(
         page: Write all tables there (docs/results.md).
         readme: Write the summary between the marks of that page (README.md).
     """
-    from benchmarks.results_page import fill, printed_by, results_page, summary_block, summary_table
     from benchmarks.rows import read_merged
-    from benchmarks.tables import new_console
+    from benchmarks.tables import (
+        fill,
+        new_console,
+        results_page,
+        summary_block,
+        summary_table,
+    )
 
     rows = read_merged(files)
     # Folders of one machine mean nothing to a reader.
-    command = printed_by(path.name for path in files)
+    command = " ".join(["python -m benchmarks results", *(path.name for path in files)])
     try:
         if page is not None:
             page.write_text(results_page(rows, f"{command} --page {page.name}"), encoding="utf-8")
@@ -275,7 +279,7 @@ def time_updates(soak: bool = False, ticks: Positive = 1_000_000, strict: bool =
         ticks: How many, with --soak.
         strict: Exit with 1 if a target is missed.
     """
-    from benchmarks.soak import run_soak, soak_table
+    from benchmarks.long_runs import run_soak, soak_table
     from benchmarks.speed import measure_speed, speed_report
     from benchmarks.tables import new_console
 
@@ -339,7 +343,7 @@ def stream_recordings(
         folder: Where the files lie meanwhile.
         strict: Exit with 1 if a target is missed.
     """
-    from benchmarks.stream import LEAST_SECONDS, RECORDINGS, measure_stream, stream_table
+    from benchmarks.long_runs import LEAST_SECONDS, RECORDINGS, measure_stream, stream_table
     from benchmarks.tables import new_console
 
     if seconds < LEAST_SECONDS:

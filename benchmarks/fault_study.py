@@ -133,11 +133,8 @@ def late(force_N: Array, *, with_velocity: bool = True) -> Array:
 class FaultStudy:
     """One insertion, undisturbed, and what it needs to be repeated with a fault.
 
-    Args:
-        progress: Gets the fraction of the simulation that is done.
-        with_velocity: Whether the arm sends velocities.
-        through_layer: Whether every repetition goes on to the end of the layer, so that its rupture
-            must be found, or only a little beyond the fault.
+    A repetition goes on to the end of the layer, whose rupture must be found, or only a little
+    beyond the fault.
     """
 
     def __init__(

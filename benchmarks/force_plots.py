@@ -10,8 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from benchmarks.benchmark import Drawing, Fact, Job
-from benchmarks.force_metrics import force_lag_s
-from benchmarks.methods import ForceReading
+from benchmarks.methods import ForceReading, force_lag_s
 from benchmarks.published_figures import FORCE_PANELS
 from benchmarks.signals import ForceTruth
 from benchmarks.targets import PUBLISHED_RMSE_N

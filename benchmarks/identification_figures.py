@@ -67,14 +67,8 @@ def draw_identification(
 ) -> tuple[Drawing, ...]:
     """Every figure of the identification in a run.
 
-    Args:
-        job: The run.
-        folder: Where the figures go.
-        truth: Of the run.
-        commanded_m_s: Commanded speed, shape (n,).
-        found: Of every source what the methods were given and what they made of it, the F/T
-            sensor's first.
-        ft: The F/T sensor's force, if another source is among them.
+    `found` holds of every source what the methods were given and what they made of it, the F/T
+    sensor's first; `ft` is that sensor's force, if another source is among them.
     """
     figures = RunFigures(job, folder)
     _add_offline(figures, found[0][0]["default"], truth)

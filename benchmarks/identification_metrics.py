@@ -9,13 +9,13 @@ from numpy.typing import NDArray
 from scipy.ndimage import median_filter
 
 from benchmarks.bounds import delay_bounds_s, friction_bounds, reading_error_N
-from benchmarks.force_metrics import force_lag_s
 from benchmarks.methods import (
     IDENTIFIERS,
     Alarm,
     Identified,
     cumulative_friction_Ns_per_m,
     first_compensation,
+    force_lag_s,
     identify,
 )
 from benchmarks.rows import Measurement, Method

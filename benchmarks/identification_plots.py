@@ -62,15 +62,10 @@ def enhanced_chart(
     *,
     has_speed: bool = False,
 ) -> Chart:
-    """Measured, predicted and enhanced force of one method.
+    """Measured, predicted and enhanced force of one method, with its own events.
 
-    Args:
-        title: What is shown.
-        truth: Of the run.
-        item: The method's result; the events are its own.
-        kelvin_voigt: Of the same method with the Kelvin-Voigt model, for comparison.
-        ft: The F/T sensor's force, where the method was given another.
-        has_speed: Whether the profile of the speed is drawn, as in Figure 9.
+    Beside it the same with the Kelvin-Voigt model, the F/T sensor's force where the method was
+    given another, and the profile of the speed, as in Figure 9.
     """
     x, whole = _times_s(item, truth), truth.t_s - truth.tare_end_s
     top_N = float(truth.axial_N[truth.is_insertion].max())

@@ -306,14 +306,6 @@ LEAD = (
 def write_report(folder: Path, rows: Sequence[Row], drawings: Sequence[Drawing]) -> Path:
     """Write ``index.html`` with everything inside, and ``results.json`` beside it.
 
-    Args:
-        folder: Exists, and holds the figures of the runs.
-        rows: The numbers.
-        drawings: Of all runs.
-
-    Returns:
-        The page.
-
     Raises:
         FiguresError: A file cannot be written.
     """

@@ -141,17 +141,13 @@ def _today(item: dict[str, Any]) -> dict[str, Any]:
 
 
 def read_merged(paths: Sequence[str | Path]) -> list[Row]:
-    """Rows of several files; a later one replaces what was measured of the same scenario and plant.
-
-    Raises:
-        ResultsError: As `read_results`.
-    """
+    """Rows of several files; a later one replaces those of the same scenario and plant."""
     found: dict[tuple[str, str], list[Row]] = {}
     for path in paths:
-        rows: dict[tuple[str, str], list[Row]] = {}
-        for row in read_results(path):
-            rows.setdefault((row.scenario, row.plant), []).append(row)
-        found |= rows
+        rows = read_results(path)
+        found |= {(row.scenario, row.plant): [] for row in rows}
+        for row in rows:
+            found[row.scenario, row.plant].append(row)
     return [row for rows in found.values() for row in rows]
 
 

@@ -8,11 +8,18 @@ from numpy.typing import NDArray
 from scipy.ndimage import uniform_filter1d
 
 from benchmarks.benchmark import Drawing, Findings, Job, Progress, progress_part
-from benchmarks.force_metrics import residual_metrics, wrench_metrics
 from benchmarks.force_plots import force_figures
 from benchmarks.identification_figures import draw_identification
 from benchmarks.identification_metrics import Signals, identify_all, measure_identification
-from benchmarks.methods import METHODS, ForceReading, ft_force, on_lwr, virtual_force
+from benchmarks.methods import (
+    METHODS,
+    ForceReading,
+    ft_force,
+    on_lwr,
+    residual_metrics,
+    virtual_force,
+    wrench_metrics,
+)
 from benchmarks.rows import Measurement, Method, Source
 from benchmarks.signals import (
     ForceTruth,

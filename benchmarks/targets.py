@@ -215,14 +215,11 @@ class Comparison(NamedTuple):
 
 
 def compare_rows(old: Iterable[Row], new: Iterable[Row]) -> list[Comparison]:
-    """Compare two runs; rows are matched by all but value and unit.
+    """Compare two runs; rows are matched by all but value and unit, the old ones first.
 
     A row that is missing or not finite in the new run is a failure, whatever it was before; only
     a value that its metric leaves undefined may stay so. A metric that `metrics.csv` does not list
     must not change at all.
-
-    Returns:
-        One comparison per row of either run, in the order of the old, then the new ones.
     """
     before = {row.key: row for row in old}
     after = {row.key: row for row in new}

@@ -32,10 +32,7 @@ def pretend(job, progress):
 
 def use(monkeypatch, *items):
     """Let these be the catalogue."""
-    from benchmarks import catalogue
-
-    for module in (catalogue, runner):
-        monkeypatch.setattr(module, "BENCHMARKS", {item.id: item for item in items})
+    monkeypatch.setattr(runner, "BENCHMARKS", {item.id: item for item in items})
 
 
 @pytest.fixture(autouse=True)

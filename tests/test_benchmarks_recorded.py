@@ -140,34 +140,21 @@ def test_arrays_that_cannot_be_used_are_refused(tmp_path):
             read_arrays(path, ["good"])
 
 
-@pytest.mark.parametrize(("content", "message"), [("{", "cannot read"), ("[1]", "no table")])
-def test_a_broken_table_is_refused(tmp_path, content, message):
+def test_a_broken_table_a_model_that_lacks_one_and_missing_velocities_are_refused(tmp_path, lwr):
     path = tmp_path / "model.json"
-    path.write_text(content)
-    with pytest.raises(DataError, match=message):
-        read_table(path)
-
-
-@pytest.mark.parametrize(
-    ("read", "folder", "arrays"),
-    [
-        (read_panda, PANDA, {"free_motion.npz": ("t_s", "q_rad", "dq_rad_s", "tau_Nm")}),
-        (read_ur10e, UR10E, {}),
-    ],
-)
-def test_a_model_that_lacks_a_table_is_refused(tmp_path, read, folder, arrays):
-    (tmp_path / folder).mkdir()
-    for name, keys in arrays.items():
-        np.savez(tmp_path / folder / name, **{key: np.zeros((2, 7)) for key in keys})
-    (tmp_path / folder / "model.json").write_text(json.dumps({"torque": 1}))
-    with pytest.raises(DataError, match=r"model\.json lacks"):
-        read(tmp_path)
-
-
-def test_a_plain_observer_refuses_signals_without_velocities(lwr):
-    signals = JointSignals(
-        t_s=np.arange(3.0), q_rad=np.zeros((3, 7)), dq_rad_s=None, tau_Nm=np.zeros((3, 7))
-    )
+    for content, message in (("{", "cannot read"), ("[1]", "no table")):
+        path.write_text(content)
+        with pytest.raises(DataError, match=message):
+            read_table(path)
+    for read, folder in ((read_panda, PANDA), (read_ur10e, UR10E)):
+        (tmp_path / folder).mkdir()
+        arrays = {key: np.zeros((2, 7)) for key in ("t_s", "q_rad", "dq_rad_s", "tau_Nm")}
+        np.savez(tmp_path / folder / "free_motion.npz", **arrays)
+        (tmp_path / folder / "model.json").write_text(json.dumps({"torque": 1}))
+        with pytest.raises(DataError, match=r"model\.json lacks"):
+            read(tmp_path)
+    still = np.zeros((3, 7))
+    signals = JointSignals(t_s=np.arange(3.0), q_rad=still, dq_rad_s=None, tau_Nm=still)
     with pytest.raises(DataError, match="needs joint velocities"):
         joint_residual(lwr, signals, 50.0)
 
@@ -290,10 +277,18 @@ def test_a_curved_law_needs_the_process():
     assert errors[1] < 0.5 * errors[0]
 
 
-def test_a_level_is_that_of_the_same_first_feature_and_nobody_is_seen():
-    features = np.array([[1.0], [2.0], [1.0], [2.0], [1.0], [2.0]])
+def test_every_regression_is_judged_and_a_level_is_that_of_the_same_first_feature():
+    names = {name for _, wanted in REGRESSIONS.values() for name in wanted}
+    features = [
+        dict(zip(sorted(names), map(float, row), strict=True)) | {"depth": (0.042, 0.078)[k % 2]}
+        for k, row in enumerate(RNG.standard_normal((12, len(names))))
+    ]
+    values = regression_values(features, [0.8, 1.0] * 6)
+    assert len(values) == 2 * len(REGRESSIONS)
+    assert values["pullout_left_out_depth_median_pct"] == pytest.approx(0.0, abs=1e-9)
+    depths = np.array([[1.0], [2.0], [1.0], [2.0], [1.0], [2.0]])
     target = np.array([1.0, 10.0, 2.0, 20.0, 9.0, 90.0])
-    found = left_out(level, Seen(features, target, np.repeat(np.arange(3), 2)))
+    found = left_out(level, Seen(depths, target, np.repeat(np.arange(3), 2)))
     assert found.tolist() == [5.5, 55.0, 5.0, 50.0, 1.5, 15.0]
 
 
@@ -308,19 +303,6 @@ def test_features_look_no_deeper_than_asked():
     deep = liver_features(depth, fallen, 0.07, 0.5)
     assert deep["drops"] == 1.0
     assert deep["dropped"] == pytest.approx(0.4, abs=0.05)
-
-
-def test_every_regression_is_judged():
-    names = {name for _, wanted in REGRESSIONS.values() for name in wanted}
-    features = [
-        {name: float(value) for name, value in zip(sorted(names), row, strict=False)}
-        for row in RNG.standard_normal((12, len(names)))
-    ]
-    for k, row in enumerate(features):
-        row["depth"] = (0.042, 0.078)[k % 2]
-    values = regression_values(features, [0.8, 1.0] * 6)
-    assert len(values) == 2 * len(REGRESSIONS)
-    assert values["pullout_left_out_depth_median_pct"] == pytest.approx(0.0, abs=1e-9)
 
 
 # Numbers of the recording alone, to which no identifier contributes: they do not change.

@@ -12,12 +12,10 @@ from scipy.signal import lfilter
 
 from benchmarks import DataError, UnknownMetricError
 from benchmarks.benchmark import Job
-from benchmarks.catalogue import BENCHMARKS
-from benchmarks.force_metrics import force_lag_s, wrench_metrics
-from benchmarks.methods import ForceReading
+from benchmarks.methods import ForceReading, force_lag_s, wrench_metrics
 from benchmarks.published_figures import NEEDED
 from benchmarks.rows import Measurement, to_json
-from benchmarks.runner import Request, make_plan
+from benchmarks.runner import BENCHMARKS, Request, make_plan
 from benchmarks.signals import ForceTruth, JointSignals, MeasuredTravel, measured_travel, smoothed
 from benchmarks.simulated import drawn_noise, run_needle, simulated_case, simulated_metrics
 from benchmarks.tables import TABLES
@@ -53,11 +51,11 @@ def test_a_needle_alone_gives_both_methods_on_the_ft_sensor(found):
 
 
 def test_its_charts_are_drawn_and_its_tables_have_lines(found):
-    assert [drawing.path.name for drawing in found.drawings] == [
+    assert [drawing.shown.path.name for drawing in found.drawings] == [
         "short-needle-0-ft-published.svg",
         "short-needle-0-ft-ours.svg",
     ]
-    assert all(drawing.path.stat().st_size > 10_000 for drawing in found.drawings)
+    assert all(drawing.shown.path.stat().st_size > 10_000 for drawing in found.drawings)
     rows = [item.row("gel-70-constant", "needle", 0) for item in found.measurements]
     for name in ("friction", "ruptures", "table I"):
         assert len(TABLES[name](rows).lines) == 2

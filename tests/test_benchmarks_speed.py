@@ -11,8 +11,19 @@ from insertion_run import short_run, tare_index
 
 from benchmarks import BenchmarkError, speed
 from benchmarks.cli import main
+from benchmarks.long_runs import (
+    LATE_ROWS,
+    Cycle,
+    LateRows,
+    ProcessUse,
+    Soak,
+    StreamSpeed,
+    joint_recording,
+    late_rows,
+    needle_recording,
+    run_python,
+)
 from benchmarks.signals import JointSignals
-from benchmarks.soak import Cycle, Soak
 from benchmarks.speed import (
     BLOCK,
     LAYER_TICKS,
@@ -28,16 +39,6 @@ from benchmarks.speed import (
     slab,
     speed_table,
     time_side_by_side,
-)
-from benchmarks.stream import (
-    LATE_ROWS,
-    LateRows,
-    ProcessUse,
-    StreamSpeed,
-    joint_recording,
-    late_rows,
-    needle_recording,
-    run_python,
 )
 from identification import MULTILAYER
 from identification.log_replay import ReplayStream
@@ -258,7 +259,7 @@ def test_the_end_of_a_table_is_read(tmp_path):
     write_table(tmp_path / "a.csv", {"t_s": np.arange(rows), "force_status": 3 * early})
     assert late_rows(tmp_path / "a.csv") == LateRows(ruptures=None, rejected=0)
     late = np.where(np.arange(rows) == rows - 2, 4.0, 0.0)
-    columns = {"t_s": np.arange(rows), "absorbed": 1.0 - early, "rupture": late + early}
+    columns = {"t_s": np.arange(rows), "used": 1.0 - early, "rupture": late + early}
     write_table(tmp_path / "b.csv", columns)
     assert late_rows(tmp_path / "b.csv") == LateRows(ruptures=1, rejected=0)
 

@@ -72,16 +72,11 @@ def test_forces_are_drawn_over_time_and_depth_with_their_errors():
     assert errors[0].y == pytest.approx(0.05), "the noisy curve lies below the others"
 
 
-def test_no_wild_curve_flattens_the_others():
+def test_no_wild_curve_flattens_the_others_and_an_rmse_counts_the_judged_part_only():
     wild = force_chart("a", TRUTH, (*READINGS[:2], reading("virtual", "published", 50.0)))
     low, high = wild.panels[1].limits
     assert -low == high < 0.5
-
-
-def test_an_rmse_counts_the_judged_part_only():
-    late = ForceReading(
-        source="ft", method="default", axial_N=np.where(T < 4.0, 9.0, 1.0), std_N=np.ones(len(T))
-    )
+    late = replace(READINGS[1], axial_N=np.where(T < 4.0, 9.0, 1.0))
     assert rmse_N(late, TRUTH, TRUTH.axial_N) == pytest.approx(0.0, abs=0.05)
 
 

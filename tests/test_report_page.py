@@ -157,14 +157,11 @@ def test_table_one_has_the_published_numbers_beside_ours(dot):
     assert [row[0] for row in table.rows] == [f"{percent} %" for percent in TABLE_ONE_Ns_per_m]
 
 
-def test_gels_are_those_of_the_best_arm():
+def test_gels_are_those_of_the_best_arm_and_points_stand_at_them():
     found = gel_friction([*rows("needle"), *rows("degraded"), *rows("clean")], [])
     assert found is not None
     assert found.plant == "clean"
     assert gel_friction(rows(scenarios=("stack-constant",)), []) is None
-
-
-def test_friction_points_stand_at_their_gels():
     gels = gel_friction(rows(scenarios=("gel-50-constant",)), [])
     assert gels is not None
     chart = friction_chart("a", gels)

@@ -14,9 +14,15 @@ import pinocchio as pin
 
 from benchmarks import DataError
 from benchmarks.benchmark import Drawing, Findings, Job, Progress, progress_part
-from benchmarks.force_metrics import wrench_metrics
 from benchmarks.force_plots import force_figures
-from benchmarks.methods import IDENTIFIERS, METHODS, ForceReading, joint_residual, virtual_force
+from benchmarks.methods import (
+    IDENTIFIERS,
+    METHODS,
+    ForceReading,
+    joint_residual,
+    virtual_force,
+    wrench_metrics,
+)
 from benchmarks.recorded.liver import (
     LiverEstimates,
     LiverInsertion,
