@@ -23,6 +23,7 @@ if TYPE_CHECKING:
     from rich.console import Console
 
     from benchmarks.benchmark import Outcome
+    from benchmarks.rows import Row
 
 DATA_VARIABLE = "NEEDLEFORCE_DATA"
 EXTRA_PACKAGES = ("rich", "mujoco", "matplotlib", "pandas", "psutil")
@@ -155,8 +156,7 @@ def run(
     from benchmarks.runner import Request, make_plan, run_jobs
     from benchmarks.tables import new_console, result_tables
     from benchmarks.targets import evaluate
-    from needleforce.plots import FiguresError
-    from needleforce.plots.page import folder_if_filled
+    from needleforce.plots import FiguresError, folder_if_filled
 
     plants = [name.strip() for names in plant for name in names.split(",") if name.strip()]
     if plant and not plants:
@@ -165,14 +165,13 @@ def run(
     try:
         # The folder first: better before minutes of work than after.
         with folder_if_filled(report) as folder:
-            request = Request(ids=ids, plants=plants, seeds=seeds, data=data, drawings=folder)
-            plan = make_plan(request)
+            plan = make_plan(
+                Request(ids=ids, plants=plants, seeds=seeds, data=data, drawings=folder)
+            )
             with progress_bar(len(plan.jobs)) as update:
                 outcomes = run_jobs(plan.jobs, jobs or _processors(), update)
             rows = [row for outcome in outcomes for row in outcome.rows]
-            for table in result_tables(rows):
-                console.print(table.rich())
-            failed = _print_gaps(console, outcomes, plan.skipped)
+            failed = _print_outcomes(console, rows, outcomes, plan.skipped)
             if json is not None:
                 write_results(json, rows)
             if folder is not None:
@@ -184,8 +183,14 @@ def run(
     return FAILURE if failed or missed else 0
 
 
-def _print_gaps(console: "Console", outcomes: Sequence["Outcome"], skipped: Sequence[str]) -> bool:
-    """Print what failed and what was left out; returns whether anything failed."""
+def _print_outcomes(
+    console: "Console", rows: Sequence["Row"], outcomes: Sequence["Outcome"], skipped: Sequence[str]
+) -> bool:
+    """Print tables, what failed and what was left out; returns whether anything failed."""
+    from benchmarks.tables import result_tables
+
+    for table in result_tables(rows):
+        console.print(table.rich())
     failed = [item for item in outcomes if item.failure is not None]
     for item in failed:
         console.print(f"failed: {item.job}: {item.failure}", style="red", markup=False)

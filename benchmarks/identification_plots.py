@@ -22,6 +22,7 @@ MARGIN_s = 1.0
 LEAST_RUPTURE_PT = 4.0
 """A layer ruptures within 0.1 s of a minute; so wide its shade is seen."""
 SENSORS = {"ft": "F/T sensor", "virtual": "virtual sensor"}
+WHOSE = {"default": (palette.OURS, "ours"), "published": (palette.PUBLISHED, "published")}
 
 
 def _limits_s(truth: InsertionTruth) -> tuple[float, float]:
@@ -72,8 +73,7 @@ def enhanced_chart(
     drawn: list[tuple[LineStyle, Array, Array, str]] = []
     if has_speed:
         profile = truth.speed_m_s / float(np.max(truth.speed_m_s[truth.is_insertion]))
-        scaled_N = 0.5 * top_N * profile
-        drawn.append((palette.OTHER_DASHED, whole, scaled_N, "speed, not to scale"))
+        drawn.append((palette.OTHER_DASHED, whole, 0.5 * top_N * profile, "speed, not to scale"))
     if ft is not None:
         drawn.append((palette.OTHER_SENSOR, whole, ft.axial_N, "force of the F/T sensor"))
     predicted_N = np.array([estimate.predicted_force_N for estimate in item.result.estimates])
@@ -84,8 +84,7 @@ def enhanced_chart(
     if kelvin_voigt is not None:
         there, label = _times_s(kelvin_voigt, truth), "enhanced force, Kelvin-Voigt"
         drawn.append((palette.PUBLISHED_KV, there, kelvin_voigt.enhanced_N, label))
-    is_ours = item.method == "default"
-    enhanced, who = (palette.OURS, "ours") if is_ours else (palette.PUBLISHED, "published")
+    enhanced, who = WHOSE[item.method]
     drawn += [
         (enhanced, x, item.enhanced_N, f"enhanced force, {who}"),
         (palette.TRUE_PART, whole, truth.enhanced_N, "true enhanced force"),

@@ -229,7 +229,7 @@ COARSE_S = 0.01
 
 
 def force_lag_s(t_s: Array, estimate: Array, truth: Array) -> float:
-    """Delay of the estimate [s]: the shift of the truth that leaves the least variance of the error.
+    """Delay of the estimate [s]: the shift of the truth that leaves the least error variance.
 
     A constant difference between the two is not counted. Positive when the estimate is late; nan
     where the truth does not change, or for less than a second of data.
