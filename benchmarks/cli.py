@@ -154,7 +154,7 @@ def run(
     from benchmarks.report import write_report
     from benchmarks.rows import write_results
     from benchmarks.runner import Request, make_plan, run_jobs
-    from benchmarks.tables import new_console, result_tables
+    from benchmarks.tables import new_console
     from benchmarks.targets import evaluate
     from needleforce.plots import FiguresError, folder_if_filled
 
