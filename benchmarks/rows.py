@@ -128,7 +128,19 @@ def read_results(path: str | Path) -> list[Row]:
         if row.key in found:
             raise ResultsError(f"{path} has more than one row for: {row.key}")
         found[row.key] = row
-    return rows
+    return [_undefined_as_nan(row, found) for row in rows]
+
+
+def _undefined_as_nan(row: Row, found: Mapping[RowKey, Row]) -> Row:
+    """Older files say precision 1 where nothing was detected; today it is undefined there.
+
+    With an alarm, precision is 1 only if that alarm found a rupture or a soft transition. So a
+    precision of 1 beside recalls of 0 was written without any alarm.
+    """
+    names = ("rupture_recall", "soft_transition_recall")
+    recalls = [found[key].value for n in names if (key := row.key._replace(metric=n)) in found]
+    was_silent = row.metric == "rupture_precision" and bool(recalls) and not any(recalls)
+    return msgspec.structs.replace(row, value=math.nan) if was_silent and row.value == 1.0 else row
 
 
 def _today(item: dict[str, Any]) -> dict[str, Any]:

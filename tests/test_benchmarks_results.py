@@ -101,6 +101,19 @@ def test_names_of_older_files_become_those_of_today(tmp_path, field, old, today)
     assert getattr(row, field) == today
 
 
+@pytest.mark.parametrize(
+    ("recall", "soft", "is_undefined"),
+    [(0.0, None, True), (0.0, 0.0, True), (0.0, 0.5, False), (1.0, None, False)],
+)
+def test_an_older_precision_without_any_alarm_is_undefined(tmp_path, recall, soft, is_undefined):
+    rows = [{"metric": "rupture_precision", "value": 1.0}]
+    rows.append({"metric": "rupture_recall", "value": recall})
+    if soft is not None:
+        rows.append({"metric": "soft_transition_recall", "value": soft})
+    found = read_results(written(tmp_path / "a.json", *rows))
+    assert math.isnan(found[0].value) == is_undefined
+
+
 def test_of_several_runs_the_last_one_of_a_scenario_and_a_plant_counts(tmp_path):
     first = [make_row(), make_row(plant="clean"), make_row(scenario="liver-constant")]
     more = [make_row(plant="clean", value=0.02), make_row(plant="clean", value=0.04, seed=1)]
