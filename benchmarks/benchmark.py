@@ -7,8 +7,8 @@ from pathlib import Path
 from typing import NamedTuple
 
 from benchmarks import DataError
-from benchmarks.metrics import Measurement
-from benchmarks.rows import Row
+from benchmarks.rows import Measurement, Row
+from needleforce.plots import PageFigure
 
 RECORDING = "recording"
 """The plant of a benchmark on real data."""
@@ -18,39 +18,11 @@ Progress = Callable[[float], None]
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Fact:
-    """One number of a figure, the paper's beside those of our runs."""
+    """One number of a figure, the published one beside those of our runs."""
 
     what: str  # with the unit
-    paper: str  # as printed in the paper, or said in its text
+    published: str  # as printed there, or said in the text
     here: tuple[tuple[str, str], ...]  # from our runs, by the head of its column
-
-
-@dataclass(frozen=True, slots=True, kw_only=True)
-class Drawing:
-    """A figure of a run as a file, and the words that go with it."""
-
-    figure: str  # of the paper to which it is the counterpart, such as ``8``; empty for none
-    panel: str = ""  # letter of the panel; empty for none
-    scenario: str  # what was simulated
-    plant: str  # on which plant model
-    seed: int  # of everything drawn
-    path: Path  # the file
-    wide: Path | None = None  # the same for a wide screen, where it stands alone
-    alt: str  # what it shows, for those who cannot see it
-    caption: str  # what to look at
-    facts: tuple[Fact, ...] = ()  # numbers to stand below
-    # cumulative friction in the end, by the published method as its authors ran it; nan where the
-    # drawing shows something else
-    tuned_friction_Ns_per_m: float = math.nan
-
-    @property
-    def provenance(self) -> str:
-        """Where it comes from, in words."""
-        if self.plant == "needle":
-            return f"`{self.scenario}`, needle without an arm, seed {self.seed}"
-        if self.plant == RECORDING:
-            return f"`{self.scenario}`, recording {self.seed}"
-        return f"`{self.scenario}`, {self.plant} plant, seed {self.seed}"
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -66,18 +38,34 @@ class Job:
 
     @property
     def recordings(self) -> Path:
-        """The folder of recordings.
-
-        Raises:
-            DataError: There is none.
-        """
+        """The folder of recordings; `DataError` where there is none."""
         if self.data is None:
             raise DataError(f"{self.benchmark} needs recordings: give --data DIR")
         return self.data
 
+    @property
+    def where(self) -> str:
+        """Plant and seed, or recording, in words."""
+        words = {RECORDING: "recording", "needle": "needle without an arm, seed"}
+        return f"{words.get(self.plant, f'{self.plant} plant, seed')} {self.seed}"
+
     def __str__(self) -> str:
         """One line for people."""
         return f"{self.benchmark}, {self.plant}, seed {self.seed}"
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Drawing:
+    """A figure of a run, and the words that go with it."""
+
+    figure: str  # published one to which it is the counterpart, such as ``8``; empty for none
+    panel: str = ""  # letter of the panel; empty for none
+    job: Job  # the run
+    shown: PageFigure  # its files, what it shows, what to look at
+    facts: tuple[Fact, ...] = ()  # numbers to stand below
+    # cumulative friction in the end, by the published method as its authors ran it; nan where the
+    # drawing shows something else
+    tuned_friction_Ns_per_m: float = math.nan
 
 
 class Findings(NamedTuple):

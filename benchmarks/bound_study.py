@@ -1,6 +1,6 @@
 """Bounds of a stack of two gels, as release, speed, thickness, cutting and noise change."""
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
 from dataclasses import replace
 from typing import NamedTuple
 
@@ -9,8 +9,8 @@ from numpy.typing import NDArray
 
 from benchmarks.benchmark import Job, Progress
 from benchmarks.bounds import CUTTING_FRACTION, delay_bounds_s, friction_bounds, reading_error_N
-from benchmarks.force_metrics import force_lag_s
-from benchmarks.signals import InsertionTruth, truth_of_needle, truth_of_run
+from benchmarks.methods import force_lag_s
+from benchmarks.signals import InsertionTruth, insertion_truth
 from benchmarks.simulated import arm_signals, simulated_case
 from benchmarks.tables import ResultTable
 from groundtruth import SCENARIOS, Scenario, insert_needle, scenario
@@ -20,27 +20,21 @@ from groundtruth.motion import constant_motion
 Array = NDArray[np.float64]
 
 GEL = SCENARIOS["gel-50-constant"].layers[0]
-"""The paper's middle gel: 0.75 N at the tip, 17 N/m of friction at 2.3 mm/s."""
+"""The published middle gel: 0.75 N at the tip, 17 N/m of friction at 2.3 mm/s."""
 MIDDLE = {"release_m": 0.3e-3, "speed_m_s": 3e-3, "thickness_m": 25e-3}
-CHANGES = {
-    "release_m": (0.1e-3, 0.3e-3, 0.5e-3, 2e-3),
-    "speed_m_s": (2e-3, 3e-3, 6e-3),
-    "thickness_m": (10e-3, 25e-3, 40e-3),
-}
-"""One at a time; 2 mm is the longest release of real liver."""
 CUTTING = "cutting_fraction"
-CUTTING_FRACTIONS = (0.0, CUTTING_FRACTION, 1.0)
-"""Root mean square fraction of cutting in the tip force that the estimator knows of."""
+CHANGES: dict[str, tuple[str, float, str, tuple[float, ...]]] = {
+    "release_m": ("release", 1e3, "mm", (0.1e-3, 0.3e-3, 0.5e-3, 2e-3)),
+    "speed_m_s": ("speed", 1e3, "mm/s", (2e-3, 3e-3, 6e-3)),
+    "thickness_m": ("thickness", 1e3, "mm", (10e-3, 25e-3, 40e-3)),
+    CUTTING: ("cutting up to", 1e2, "%", (0.0, CUTTING_FRACTION, 1.0)),
+}
+"""One at a time, with words, scale and unit; 2 mm is the longest release of real liver. Cutting is
+the root mean square fraction of the tip force that the estimator knows of."""
 BEYOND_m, STANDOFF_m = 11e-3, 5e-3
 RUN = Job(benchmark="stack-constant", plant="clean", seed=0)
 """The insertion from which the noise of the virtual force is taken."""
 WHITE_SAMPLES = 20_000
-WORDS = {
-    "release_m": ("release", 1e3, "mm"),
-    "speed_m_s": ("speed", 1e3, "mm/s"),
-    "thickness_m": ("thickness", 1e3, "mm"),
-    CUTTING: ("cutting up to", 1e2, "%"),
-}
 CAPTION = (
     "Release 0.3 mm, 3 mm/s, 25 mm, about 12 % of the tip force cutting, unless changed. Friction: "
     "standard deviation 3 mm after the rupture. Delay: mean, with one false alarm an hour."
@@ -56,22 +50,12 @@ class ForceNoiseSeries(NamedTuple):
     lag_s: float  # time constant of the source
 
 
-class BoundCase(NamedTuple):
-    """Bounds of one stack with one noise."""
-
-    changed: str  # what is not as in `MIDDLE`
-    value: float  # its value
-    noise: str  # name of the noise
-    friction_pct: float  # least standard deviation of the friction of the second layer
-    delay_ms: float  # least mean delay of its rupture
-
-
 def bound_noises(progress: Progress) -> list[ForceNoiseSeries]:
     """Noise of the F/T sensor, and of the virtual force with its own and with a white spectrum."""
     rng = np.random.default_rng(0)
     ft = MINI45.white_std_N * rng.standard_normal(WHITE_SAMPLES)
     case = simulated_case(RUN, scenario(RUN.benchmark), progress)
-    truth = truth_of_run(case.run)
+    truth = insertion_truth(case.run)
     (signal,) = (
         item["default"] for item in arm_signals(case) if item["default"].source == "virtual"
     )
@@ -84,22 +68,24 @@ def bound_noises(progress: Progress) -> list[ForceNoiseSeries]:
     ]
 
 
-def bound_cases(noises: Sequence[ForceNoiseSeries]) -> Iterator[BoundCase]:
-    """Every change with every noise, in order."""
-    for changed, values in CHANGES.items():
+Bounds = tuple[float, float]
+"""Least deviation of the friction of the second layer [%], least delay of its rupture [ms]."""
+
+
+def bound_cases(noises: Sequence[ForceNoiseSeries]) -> dict[str, list[Bounds]]:
+    """Bounds for every noise, by what is not as in `MIDDLE`, in words."""
+    found: dict[str, list[Bounds]] = {}
+    for changed, (word, scale, unit, values) in CHANGES.items():
         for value in values:
-            truth = _truth(**(MIDDLE | {changed: value}))
-            for noise in noises:
-                yield BoundCase(changed, value, noise.name, *_bounds(truth, noise))
-    truth = _truth(**MIDDLE)
-    for fraction in CUTTING_FRACTIONS:
-        for noise in noises:
-            yield BoundCase(CUTTING, fraction, noise.name, *_bounds(truth, noise, fraction))
+            is_cutting = changed == CUTTING
+            truth = _truth(**(MIDDLE if is_cutting else MIDDLE | {changed: value}))
+            cutting = value if is_cutting else CUTTING_FRACTION
+            line = f"{word} {scale * value:g} {unit}"
+            found[line] = [_bounds(truth, noise, cutting) for noise in noises]
+    return found
 
 
-def _bounds(
-    truth: InsertionTruth, noise: ForceNoiseSeries, cutting_fraction: float = CUTTING_FRACTION
-) -> tuple[float, float]:
+def _bounds(truth: InsertionTruth, noise: ForceNoiseSeries, cutting_fraction: float) -> Bounds:
     friction = friction_bounds(
         truth, noise.error_N, is_white=noise.is_white, cutting_fraction=cutting_fraction
     )
@@ -116,24 +102,22 @@ def _truth(*, release_m: float, speed_m_s: float, thickness_m: float) -> Inserti
     depth = 2.0 * thickness_m + BEYOND_m
     motion = constant_motion(speed_m_s=speed_m_s, depth_m=depth, standoff_m=STANDOFF_m)
     stack = Scenario(id="bound", title="two equal gels", layers=(layer, layer), motion=motion)
-    return truth_of_needle(insert_needle(stack, noise="clean"))
+    return insertion_truth(insert_needle(stack, noise="clean"))
 
 
-def case_table(cases: Sequence[BoundCase], noises: Sequence[ForceNoiseSeries]) -> ResultTable:
+def case_table(cases: dict[str, list[Bounds]], noises: Sequence[ForceNoiseSeries]) -> ResultTable:
     """One line per stack, a pair of columns per noise."""
     heads = ["changed"]
     for noise in noises:
         size = f"{1e3 * float(np.std(noise.error_N)):.0f} mN"
         heads += [f"{noise.name}\n{size}\nfriction, %", "\n\ndelay, ms"]
-    rows: dict[str, list[str]] = {}
-    for case in cases:
-        word, scale, unit = WORDS[case.changed]
-        cells = rows.setdefault(f"{word} {scale * case.value:g} {unit}".strip(), [])
-        cells += [f"{case.friction_pct:.2f}", f"{case.delay_ms:.1f}"]
     return ResultTable(
         title="Bounds for the lower of two equal gels",
         heads=tuple(heads),
         align="L" + (len(heads) - 1) * "r",
-        lines=tuple((head, *cells) for head, cells in rows.items()),
+        lines=tuple(
+            (line, *(cell for one in found for cell in (f"{one[0]:.2f}", f"{one[1]:.1f}")))
+            for line, found in cases.items()
+        ),
         caption=CAPTION,
     )

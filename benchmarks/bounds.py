@@ -34,13 +34,8 @@ _FLOOR = 1e-6
 def reading_error_N(signal: NeedleSignal, truth: InsertionTruth, lag_s: float = 0.0) -> Array:
     """Reading less true force over the insertion, straight lines across the releases.
 
-    Args:
-        signal: The reading.
-        truth: Of the run.
-        lag_s: Time constant of the sensor: the truth goes through it before it is taken off.
-
-    Returns:
-        Error at the samples of `truth.is_insertion`, shape (m,).
+    The truth goes through the sensor's lag before it is taken off. One value for each sample of
+    `truth.is_insertion`, shape (m,).
     """
     inside = truth.is_insertion
     error = (signal.force_N - lagging(truth.axial_N, truth.t_s, lag_s))[inside]
@@ -52,14 +47,10 @@ def reading_error_N(signal: NeedleSignal, truth: InsertionTruth, lag_s: float = 
 
 
 def autocovariance(error_N: Array, length: int) -> Array:
-    """Autocovariance about zero at lags 0 to length - 1 [N^2].
+    """Autocovariance of (m,) samples about zero at lags 0 to length - 1 [N^2].
 
     The biased estimate: it is positive definite, and about zero because a force is judged against
-    its free-air zero, so that a constant error is an error.
-
-    Args:
-        error_N: Shape (m,).
-        length: Number of lags; those the data do not reach are 0.
+    its free-air zero, so that a constant error is an error. Lags the data do not reach are 0.
     """
     count = len(error_N)
     spectrum = np.abs(np.fft.rfft(error_N, 2 * count)) ** 2
@@ -106,14 +97,9 @@ def friction_bounds(
 ) -> list[float]:
     """Relative standard deviation of each layer's friction, by `MEASURED_m` after its rupture.
 
-    Args:
-        truth: Of the run.
-        error_N: Of the reading at the samples of `truth.is_insertion`, see `reading_error_N`.
-        is_white: Take the noise of the samples as white, whatever its spectrum is.
-        cutting_fraction: Root mean square fraction of cutting in the tip force; 0 for none.
-
-    Returns:
-        One value for each layer that ruptured, in order.
+    The error of the reading is as `reading_error_N` returns it; its noise can be taken as white,
+    whatever its spectrum is. The fraction is the root mean square one of cutting in the tip force.
+    One value for each layer that ruptured, in order.
     """
     exits = [rupture for rupture in truth.ruptures if rupture.layer > 0]
     tips = _tips(truth, exits)
@@ -128,10 +114,16 @@ def friction_bounds(
         covariance = np.var(error_N) / size * np.eye(len(depth))
     else:
         covariance = toeplitz(autocovariance(_means(error_N[:, None], size)[:, 0], len(depth)))
-    kept = _is_modelled(depth, tips, exits)
+    # Without releases and membranes being pushed in: what they do is no part of the model.
+    kept = depth >= exits[-1].onset_m + MEASURED_m / 6.0
+    for tip in tips:
+        kept |= (depth >= tip.from_m) & (depth <= tip.to_m)
     factor = cholesky(covariance[np.ix_(kept, kept)], lower=True)
     white = np.asarray(solve_triangular(factor, columns[kept], lower=True))
-    prior = np.diag(_prior_std(tips, cutting_fraction) ** -2.0)
+    # Of the scales of friction, then of slope, bend and cutting force of each tip.
+    fractions = np.array([VAGUE, BEND_FRACTION, max(cutting_fraction, 1e-6)])
+    of_tips = [max(tip.exit_N, 1e-3) * fractions for tip in tips]
+    prior = np.diag(np.concatenate([np.full(len(tips), VAGUE), *of_tips]) ** -2.0)
     found = []
     for number, rupture in enumerate(exits):
         rows = white[depth[kept] <= rupture.onset_m + MEASURED_m]
@@ -163,22 +155,6 @@ def _tip_columns(depth_m: Array, tip: _Tip) -> Array:
     return columns
 
 
-def _prior_std(tips: list[_Tip], cutting_fraction: float) -> Array:
-    """Of the scales of friction, then of slope, bend and cutting force of each tip."""
-    fractions = np.array([VAGUE, BEND_FRACTION, max(cutting_fraction, 1e-6)])
-    return np.concatenate(
-        [np.full(len(tips), VAGUE), *(max(tip.exit_N, 1e-3) * fractions for tip in tips)]
-    )
-
-
-def _is_modelled(depth_m: Array, tips: list[_Tip], exits: list[Rupture]) -> NDArray[np.bool_]:
-    """Without releases and membranes being pushed in: what they do is no part of the model."""
-    kept = np.zeros(len(depth_m), dtype=bool)
-    for tip in tips:
-        kept |= (depth_m >= tip.from_m) & (depth_m <= tip.to_m)
-    return kept | (depth_m >= exits[-1].onset_m + MEASURED_m / 6.0)
-
-
 def _means(columns: Array, size: int) -> Array:
     """Means of `size` rows each; what is left over at the end is dropped."""
     count = len(columns) // size
@@ -200,11 +176,7 @@ def delay_bounds_s(
 ) -> list[float]:
     """Least mean delay after the onset of each release; inf where too little is released.
 
-    Args:
-        truth: Of the run, sampled evenly.
-        ruptures: Of it.
-        error_N: Of the reading at the samples of `truth.is_insertion`, see `reading_error_N`.
-        lag_s: Time constant of the sensor.
+    The run is sampled evenly; `error_N` is as `reading_error_N` returns it, `lag_s` the sensor's.
     """
     tick = truth.period_s
     before, within = round(BEFORE_s / tick), round(WITHIN_s / tick)
@@ -233,22 +205,15 @@ def release_course_N(truth: InsertionTruth, rupture: Rupture, count: int) -> Arr
 def evidence_nats(course_N: Array, factor: Array) -> Array:
     """Kullback-Leibler divergence gathered up to each sample, shape (n,).
 
-    Args:
-        course_N: Mean of the force with the release less that without, shape (n,).
-        factor: Lower triangular, `factor @ factor.T` the covariance of the noise, shape (n, n).
+    `course_N`, shape (n,), is the mean of the force with the release less that without; `factor @
+    factor.T` the covariance of the noise, factor lower triangular, shape (n, n).
     """
     white = np.asarray(solve_triangular(factor, course_N, lower=True))
     return np.asarray(0.5 * np.cumsum(white**2))
 
 
 def least_delay_s(evidence: Array, delay_s: Array, interval_s: float = INTERVAL_s) -> float:
-    """First delay by which the evidence is enough; inf if it never is.
-
-    Args:
-        evidence: Gathered by each delay [nats], shape (n,), not decreasing.
-        delay_s: Shape (n,), positive.
-        interval_s: Wanted between false alarms.
-    """
+    """First delay by which the evidence [nats] is enough; inf if it never is; shapes (n,)."""
     needed = np.log(np.maximum(interval_s / delay_s, math.e))
     enough = np.flatnonzero(evidence >= needed)
     return float(delay_s[enough[0]]) if len(enough) else math.inf

@@ -12,12 +12,18 @@ from contextlib import contextmanager
 from functools import partial
 from itertools import product
 from pathlib import Path
-from typing import Annotated, Literal
+from typing import TYPE_CHECKING, Annotated, Literal
 
 from cyclopts import App, CycloptsError, Parameter
 from cyclopts.validators import Number
 
 from benchmarks import BenchmarkError, ResultsError
+
+if TYPE_CHECKING:
+    from rich.console import Console
+
+    from benchmarks.benchmark import Outcome
+    from benchmarks.rows import Row
 
 DATA_VARIABLE = "NEEDLEFORCE_DATA"
 EXTRA_PACKAGES = ("rich", "mujoco", "matplotlib", "pandas", "psutil")
@@ -95,10 +101,9 @@ def progress_bar(jobs: int) -> Iterator[Callable[[int, float], None]]:
 
 
 @app.command(name="list")
-def list_() -> None:
+def list_benchmarks() -> None:
     """What can be run."""
-    from benchmarks.catalogue import BENCHMARKS
-    from benchmarks.runner import PLANTS
+    from benchmarks.runner import BENCHMARKS, PLANTS
     from benchmarks.tables import ResultTable, new_console
 
     needs = {True: "recordings", False: "simulation"}
@@ -141,18 +146,17 @@ def run(
         seeds: Run seeds 0 to N-1.
         data: Folder of real recordings.
         json: Write the numbers there.
-        report: Write a page into that folder: the figures of the published paper from these runs,
-            and all tables. With no ID named, runs all that the figures need.
+        report: Write a page into that folder: the published figures from these runs, and all
+            tables. With no ID named, runs all that the figures need.
         jobs: Processes at a time; default: one per processor.
         strict: Exit with 1 if a target is missed.
     """
-    from benchmarks.evaluation import evaluate
     from benchmarks.report import write_report
     from benchmarks.rows import write_results
     from benchmarks.runner import Request, make_plan, run_jobs
-    from benchmarks.tables import new_console, run_tables
-    from needleforce.plots import FiguresError
-    from needleforce.plots.page import folder_if_filled
+    from benchmarks.tables import new_console
+    from benchmarks.targets import evaluate
+    from needleforce.plots import FiguresError, folder_if_filled
 
     plants = [name.strip() for names in plant for name in names.split(",") if name.strip()]
     if plant and not plants:
@@ -167,14 +171,7 @@ def run(
             with progress_bar(len(plan.jobs)) as update:
                 outcomes = run_jobs(plan.jobs, jobs or _processors(), update)
             rows = [row for outcome in outcomes for row in outcome.rows]
-            for table in run_tables(rows):
-                console.print(table)
-            failed = [item for item in outcomes if item.failure is not None]
-            for item in failed:
-                console.print(f"failed: {item.job}: {item.failure}", style="red", markup=False)
-            if plan.skipped:
-                reason = f"Skipped for want of recordings (--data DIR or {DATA_VARIABLE})"
-                console.print(f"{reason}: {', '.join(plan.skipped)}", style="yellow")
+            failed = _print_outcomes(console, rows, outcomes, plan.skipped)
             if json is not None:
                 write_results(json, rows)
             if folder is not None:
@@ -184,6 +181,23 @@ def run(
         raise BenchmarkError(str(error)) from error
     missed = strict and not all(found.is_met for found in evaluate(rows))
     return FAILURE if failed or missed else 0
+
+
+def _print_outcomes(
+    console: "Console", rows: Sequence["Row"], outcomes: Sequence["Outcome"], skipped: Sequence[str]
+) -> bool:
+    """Print tables, what failed and what was left out; returns whether anything failed."""
+    from benchmarks.tables import result_tables
+
+    for table in result_tables(rows):
+        console.print(table.rich())
+    failed = [item for item in outcomes if item.failure is not None]
+    for item in failed:
+        console.print(f"failed: {item.job}: {item.failure}", style="red", markup=False)
+    if skipped:
+        reason = f"Skipped for want of recordings (--data DIR or {DATA_VARIABLE})"
+        console.print(f"{reason}: {', '.join(skipped)}", style="yellow")
+    return bool(failed)
 
 
 @app.command
@@ -196,9 +210,9 @@ def compare(old: Path, new: Path) -> int:
         old: Results of the earlier run.
         new: Results of the later run.
     """
-    from benchmarks.evaluation import Change, compare_rows
     from benchmarks.rows import read_results
     from benchmarks.tables import comparison_table, new_console
+    from benchmarks.targets import Change, compare_rows
 
     found = compare_rows(read_results(old), read_results(new))
     if not found:
@@ -227,13 +241,18 @@ def results(
         page: Write all tables there (docs/results.md).
         readme: Write the summary between the marks of that page (README.md).
     """
-    from benchmarks.results_page import fill, printed_by, results_page, summary_block, summary_table
     from benchmarks.rows import read_merged
-    from benchmarks.tables import new_console
+    from benchmarks.tables import (
+        fill,
+        new_console,
+        results_page,
+        summary_block,
+        summary_table,
+    )
 
     rows = read_merged(files)
     # Folders of one machine mean nothing to a reader.
-    command = printed_by(path.name for path in files)
+    command = " ".join(["python -m benchmarks results", *(path.name for path in files)])
     try:
         if page is not None:
             page.write_text(results_page(rows, f"{command} --page {page.name}"), encoding="utf-8")
@@ -253,11 +272,11 @@ def bound() -> None:
 
     with progress_bar(1) as update:
         noises = bound_noises(partial(update, 0))
-    new_console().print(case_table(list(bound_cases(noises)), noises).rich())
+    new_console().print(case_table(bound_cases(noises), noises).rich())
 
 
-@app.command
-def speed(soak: bool = False, ticks: Positive = 1_000_000, strict: bool = False) -> int:
+@app.command(name="speed")
+def time_updates(soak: bool = False, ticks: Positive = 1_000_000, strict: bool = False) -> int:
     """Time the estimators beside their bare dynamics. Takes about 75 s.
 
     Args:
@@ -265,7 +284,7 @@ def speed(soak: bool = False, ticks: Positive = 1_000_000, strict: bool = False)
         ticks: How many, with --soak.
         strict: Exit with 1 if a target is missed.
     """
-    from benchmarks.soak import run_soak, soak_table
+    from benchmarks.long_runs import run_soak, soak_table
     from benchmarks.speed import measure_speed, speed_report
     from benchmarks.tables import new_console
 
@@ -283,8 +302,10 @@ def speed(soak: bool = False, ticks: Positive = 1_000_000, strict: bool = False)
     return FAILURE if strict and not is_met else 0
 
 
-@app.command
-def faults(without_velocity: bool = False, markdown: bool = False, strict: bool = False) -> int:
+@app.command(name="faults")
+def inject_faults(
+    without_velocity: bool = False, markdown: bool = False, strict: bool = False
+) -> int:
     """Break the signals of a running insertion. Takes about 45 s.
 
     Args:
@@ -312,8 +333,8 @@ def faults(without_velocity: bool = False, markdown: bool = False, strict: bool 
     return FAILURE if strict and bad else 0
 
 
-@app.command
-def stream(
+@app.command(name="stream")
+def stream_recordings(
     seconds: Positive = 60,
     format: Sequence[Literal[".csv", ".csv.gz", ".npz", ".parquet", ".mcap"]] = (),
     folder: Path | None = None,
@@ -327,7 +348,7 @@ def stream(
         folder: Where the files lie meanwhile.
         strict: Exit with 1 if a target is missed.
     """
-    from benchmarks.stream import LEAST_SECONDS, RECORDINGS, measure_stream, stream_table
+    from benchmarks.long_runs import LEAST_SECONDS, RECORDINGS, measure_stream, stream_table
     from benchmarks.tables import new_console
 
     if seconds < LEAST_SECONDS:

@@ -68,6 +68,12 @@ def feed(
     return [session.update(*row) for row in rows]
 
 
+def rupture_note(found: Sequence[SessionEstimate], true: int) -> str:
+    """What is noted where another number of ruptures was raised than there were."""
+    raised = sum(e.identification.rupture is not None for e in found)
+    return "" if raised == true else f"{raised} ruptures raised, {true} true"
+
+
 def judge(
     name: str, stream: FaultStream, found: Sequence[SessionEstimate], note: str = ""
 ) -> FaultResult:
@@ -112,9 +118,7 @@ def is_finite(value: object) -> bool:
 def late(force_N: Array, *, with_velocity: bool = True) -> Array:
     """A force as late as the sensor reads it on an ideal arm, shape (n,), at 1 kHz.
 
-    Args:
-        force_N: The true force.
-        with_velocity: Whether the arm sends velocities; without, position and torque are filtered.
+    On an arm without velocities, position and torque are filtered.
     """
     assert isinstance(DEFAULT.gain_per_s, float)
     rates_per_s = [DEFAULT.gain_per_s]
@@ -129,11 +133,8 @@ def late(force_N: Array, *, with_velocity: bool = True) -> Array:
 class FaultStudy:
     """One insertion, undisturbed, and what it needs to be repeated with a fault.
 
-    Args:
-        progress: Gets the fraction of the simulation that is done.
-        with_velocity: Whether the arm sends velocities.
-        through_layer: Whether every repetition goes on to the end of the layer, so that its rupture
-            must be found, or only a little beyond the fault.
+    A repetition goes on to the end of the layer, whose rupture must be found, or only a little
+    beyond the fault.
     """
 
     def __init__(
@@ -166,22 +167,17 @@ class FaultStudy:
 
     def results(self) -> Iterator[FaultResult]:
         """Every fault's result, in the order of the table."""
-        yield from self.signal_results()
-        yield from self.pose_results()
+        yield from self.session_results()
         yield tare_in_contact(self.run, self.at)
         yield wrong_payload(self.run)
         yield from motion_results(with_velocity=self._with_velocity)
 
-    def signal_results(self) -> Iterator[FaultResult]:
-        """What sensors, wires and clocks do."""
-        good = FaultStream.of_run(self.run, self.at - LEAD, self._last, self._undisturbed_N)
-        for name, inject in SIGNAL_FAULTS.items():
-            yield self._result(name, inject(good, LEAD), self._inserted)
-
-    def pose_results(self) -> Iterator[FaultResult]:
-        """What poses and loads do, the latter after the tare."""
+    def session_results(self) -> Iterator[FaultResult]:
+        """What sensors, wires and clocks do, and what poses and loads do after the tare."""
         run, tare = self.run, self._tare
         good = FaultStream.of_run(run, self.at - LEAD, self._last, self._undisturbed_N)
+        for name, inject in SIGNAL_FAULTS.items():
+            yield self._result(name, inject(good, LEAD), self._inserted)
         free = FaultStream.of_run(run, tare, tare + BEYOND, self._undisturbed_N)
         hung = loaded(run, good, LEAD, 2000, 0.05 * run.robot.gravity_m_s2)
         pushed = loaded(run, good, LEAD, 2000, np.array([1.0, 0.0, 0.0]))
@@ -197,13 +193,8 @@ class FaultStudy:
         session = InsertionSession(self.run.robot, on_lwr(DEFAULT))
         session.restore(start)
         found = feed(session, stream, with_velocity=self._with_velocity)
-        ruptures = sum(e.identification.rupture is not None for e in found)
-        expected = int(start is self._inserted and self._through)
-        return judge(name, stream, found, _rupture_note(ruptures, expected))
-
-
-def _rupture_note(raised: int, true: int) -> str:
-    return "" if raised == true else f"{raised} ruptures raised, {true} true"
+        true = int(start is self._inserted and self._through)
+        return judge(name, stream, found, rupture_note(found, true))
 
 
 def motion_results(*, with_velocity: bool = True) -> list[FaultResult]:
@@ -213,29 +204,21 @@ def motion_results(*, with_velocity: bool = True) -> list[FaultResult]:
     tare, count = tare_index(run), len(run.signals.t_s)
     session = InsertionSession(run.robot, on_lwr(DEFAULT))
     whole = FaultStream.of_run(run, 0, count, late(run.truth.axial_N, with_velocity=with_velocity))
-    found = []
-    for first, last in ((0, tare), (tare, count)):
-        part = FaultStream.of_run(run, first, last, whole.reference_N)
-        found += feed(session, part, with_velocity=with_velocity)
-        if last == tare:
-            session.tare()
-    raised = [k for k, e in enumerate(found) if e.identification.rupture is not None]
+    parts = [FaultStream.of_run(run, *at, whole.reference_N) for at in ((0, tare), (tare, count))]
+    found = feed(session, parts[0], with_velocity=with_velocity)
+    session.tare()
+    found += feed(session, parts[1], with_velocity=with_velocity)
     results = []
     for name, (begin_s, end_s) in spans.items():
         start, stop = np.searchsorted(run.signals.t_s, (begin_s, end_s)).tolist()
-        inside = sum(start <= k < stop for k in raised)
         true = sum(begin_s <= one.onset_s < end_s for one in run.truth.ruptures)
-        results.append(judge(name, whole.copy(start, stop), found, _rupture_note(inside, true)))
+        note = rupture_note(found[start:stop], true)
+        results.append(judge(name, whole.copy(start, stop), found, note))
     return results
 
 
 def tare_in_contact(run: Run, at: int) -> FaultResult:
-    """Tare in the tissue for the first time; then withdraw, tare in free air, insert again.
-
-    Args:
-        run: An insertion.
-        at: Sample before which the first tare is asked for, in the tissue.
-    """
+    """Tare in the tissue, before sample `at`; withdraw, tare in free air, insert again."""
     count, nothing = len(run.signals.t_s), np.zeros(len(run.signals.t_s))
     session = InsertionSession(run.robot, on_lwr(DEFAULT))
     before = feed(session, FaultStream.of_run(run, 0, at, nothing))[-1]
@@ -286,13 +269,9 @@ def _lighter(robot: Robot) -> Robot:
     known = robot.payload
     assert known is not None
     fraction = 1.0 - UNKNOWN_KG / known.mass_kg
-    return robot.with_payload(
-        Payload(
-            mass_kg=fraction * known.mass_kg,
-            com_m=known.com_m,
-            inertia_kg_m2=fraction * known.inertia_kg_m2,
-        )
-    )
+    inertia = fraction * known.inertia_kg_m2
+    mass_kg = fraction * known.mass_kg
+    return robot.with_payload(Payload(mass_kg=mass_kg, com_m=known.com_m, inertia_kg_m2=inertia))
 
 
 def recovery(seconds: float) -> str:

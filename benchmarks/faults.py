@@ -1,5 +1,6 @@
 """Faults of sensors, wires, clocks, poses and loads, put into the signals of an insertion."""
 
+import math
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
 from functools import partial
@@ -36,14 +37,7 @@ class FaultStream:
 
     @classmethod
     def of_run(cls, run: Run, first: int, last: int, reference_N: Array) -> "FaultStream":
-        """The samples of a run from ``first`` to before ``last``.
-
-        Args:
-            run: An insertion on an arm that sends velocities.
-            first: First sample.
-            last: First sample after.
-            reference_N: For every sample of the run, shape (n,).
-        """
+        """The samples of a run from ``first`` to before ``last``; the reference is of all."""
         sent, part = run.signals, slice(first, last)
         assert sent.dq_rad_s is not None
         return cls(
@@ -59,22 +53,6 @@ class FaultStream:
         copies = {name: getattr(self, name).copy() for name in SERIES}
         return replace(self, **copies, start=start, stop=stop)
 
-    def without(self, first: int, last: int) -> "FaultStream":
-        """The stream without the samples from ``first`` to before ``last``: they were lost.
-
-        The time they took is that of the sample after them, and the fault ends with it.
-        """
-        kept = np.r_[0:first, last : len(self.dt_s)]
-        dt_s = self.dt_s.copy()
-        dt_s[last] += dt_s[first:last].sum()
-        parts = {name: getattr(self, name)[kept] for name in SERIES} | {"dt_s": dt_s[kept]}
-        return replace(self, **parts, start=first, stop=first + 1)
-
-    def then(self, other: "FaultStream") -> "FaultStream":
-        """Both, one after the other; the fault of the first counts."""
-        joined = {n: np.concatenate((getattr(self, n), getattr(other, n))) for n in SERIES}
-        return replace(self, **joined)
-
 
 Injection = Callable[[FaultStream, int], FaultStream]
 """Puts a fault into a stream from an index on."""
@@ -82,27 +60,35 @@ SHOULDER = 1
 """Joint whose torque carries most of a force along the needle."""
 
 
-def not_finite(stream: FaultStream, at: int, *, samples: int, value: float) -> FaultStream:
-    """One torque is no number for some samples."""
+def stuck_torque(
+    stream: FaultStream, at: int, *, samples: int, value: float | None = None
+) -> FaultStream:
+    """One torque reads the same for some samples: a value, or what it read before."""
     bad = stream.copy(at, at + samples)
-    bad.tau_Nm[at : at + samples, SHOULDER] = value
+    stuck = bad.tau_Nm[at - 1, SHOULDER] if value is None else value
+    bad.tau_Nm[at : at + samples, SHOULDER] = stuck
     return bad
 
 
-def frozen(stream: FaultStream, at: int, *, samples: int, only_torque: bool) -> FaultStream:
-    """The last sample again and again, or only the torque of one joint."""
-    bad, part = stream.copy(at, at + samples), slice(at, at + samples)
-    if only_torque:
-        bad.tau_Nm[part, SHOULDER] = bad.tau_Nm[at - 1, SHOULDER]
-        return bad
+def frozen(stream: FaultStream, at: int, *, samples: int) -> FaultStream:
+    """The last sample again and again."""
+    bad = stream.copy(at, at + samples)
     for array in (bad.q_rad, bad.dq_rad_s, bad.tau_Nm):
-        array[part] = array[at - 1]
+        array[at : at + samples] = array[at - 1]
     return bad
 
 
 def lost(stream: FaultStream, at: int, *, samples: int) -> FaultStream:
-    """Samples that never came."""
-    return stream.without(at, at + samples)
+    """Samples that never came.
+
+    The time they took is that of the sample after them, and the fault ends with it.
+    """
+    last = at + samples
+    kept = np.r_[0:at, last : len(stream.dt_s)]
+    dt_s = stream.dt_s.copy()
+    dt_s[last] += dt_s[at:last].sum()
+    parts = {name: getattr(stream, name)[kept] for name in SERIES} | {"dt_s": dt_s[kept]}
+    return replace(stream, **parts, start=at, stop=at + 1)
 
 
 def jittering_clock(stream: FaultStream, at: int, *, samples: int, std_s: float) -> FaultStream:
@@ -146,19 +132,18 @@ def spike(
 
 def saturated(stream: FaultStream, at: int, *, samples: int) -> FaultStream:
     """One torque reads its joint's effort limit."""
-    bad = stream.copy(at, at + samples)
-    bad.tau_Nm[at : at + samples, SHOULDER] = -load_lwr().effort_limit_Nm[SHOULDER]
-    return bad
+    limit_Nm = load_lwr().effort_limit_Nm[SHOULDER]
+    return stuck_torque(stream, at, samples=samples, value=-limit_Nm)
 
 
 SIGNAL_FAULTS: Mapping[str, Injection] = MappingProxyType(
     {
-        "one torque NaN, 1 sample": partial(not_finite, samples=1, value=np.nan),
-        "one torque infinite, 100 ms": partial(not_finite, samples=100, value=np.inf),
-        "one torque NaN, 1 s": partial(not_finite, samples=1000, value=np.nan),
-        "all signals frozen, 200 ms": partial(frozen, samples=200, only_torque=False),
-        "all signals frozen, 2 s": partial(frozen, samples=2000, only_torque=False),
-        "one torque frozen, 2 s": partial(frozen, samples=2000, only_torque=True),
+        "one torque NaN, 1 sample": partial(stuck_torque, samples=1, value=np.nan),
+        "one torque infinite, 100 ms": partial(stuck_torque, samples=100, value=np.inf),
+        "one torque NaN, 1 s": partial(stuck_torque, samples=1000, value=np.nan),
+        "all signals frozen, 200 ms": partial(frozen, samples=200),
+        "all signals frozen, 2 s": partial(frozen, samples=2000),
+        "one torque frozen, 2 s": partial(stuck_torque, samples=2000),
         "1 ms lost": partial(lost, samples=1),
         "10 ms lost": partial(lost, samples=10),
         "100 ms lost": partial(lost, samples=100),
@@ -200,13 +185,7 @@ def detour(run: Run, stream: FaultStream, target_rad: Array, stop_Nm: Array) -> 
     """A motion in free air to a pose and back, before a stream that starts at rest in free air.
 
     The fault ends when the arm is back. Torques are those of the true arm, with the sensors' noise
-    and the offset that they show where the motion begins.
-
-    Args:
-        run: Gives the arm.
-        stream: What follows.
-        target_rad: The pose, shape (n,).
-        stop_Nm: Torque of an end stop on the joints there, shape (n,).
+    and the offset that they show where the motion begins, and of an end stop at the pose.
     """
     start = stream.q_rad[0]
     fraction, rate, change = _there_and_back()
@@ -233,7 +212,8 @@ def detour(run: Run, stream: FaultStream, target_rad: Array, stop_Nm: Array) -> 
         reference_N=np.zeros(len(q)),
         stop=len(q),
     )
-    return made.then(stream)
+    joined = {name: np.concatenate((getattr(made, name), getattr(stream, name))) for name in SERIES}
+    return replace(made, **joined)
 
 
 def _there_and_back() -> tuple[Array, Array, Array]:
@@ -267,16 +247,44 @@ SPEED_M_S = 5e-3
 STANDOFF_M = 5e-3
 FIRST_STOP_M, TURN_M, DEEPEST_M, AGAIN_M = 15e-3, 10e-3, 42e-3, 20e-3
 TARE_M, TARE_S = 100e-3, 4.0
-PARTS = ("stopped for 60 s", "reversed by 5 mm and in again", "withdrawn", "inserted again")
+_TOP_M = -STANDOFF_M - TARE_M
+_STROKES: tuple[tuple[str, float, Profile, float], ...] = (
+    # Name of its end, where it leads, how, and how long it takes; a cruise has its own speed.
+    ("at rest", _TOP_M, "rest", 1.0),
+    ("down", -STANDOFF_M, "quintic", TARE_S),
+    ("up", _TOP_M, "quintic", TARE_S),
+    ("tared", -STANDOFF_M, "quintic", TARE_S),
+    ("stopped", FIRST_STOP_M, "cruise", math.nan),
+    ("moving", FIRST_STOP_M, "rest", 60.0),
+    ("turned", TURN_M, "cruise", math.nan),
+    ("returned", FIRST_STOP_M, "cruise", math.nan),
+    ("inserted", DEEPEST_M, "cruise", math.nan),
+    ("withdrawing", DEEPEST_M, "rest", 1.0),
+    ("withdrawn", -STANDOFF_M, "cruise", math.nan),
+    ("again", -STANDOFF_M, "rest", 1.0),
+    ("inside", AGAIN_M, "cruise", math.nan),
+    ("inside at rest", AGAIN_M, "rest", 1.0),
+    ("end", -STANDOFF_M, "cruise", math.nan),
+    ("after", -STANDOFF_M, "rest", 0.5),
+)
+PARTS = {
+    "stopped for 60 s": ("stopped", "moving"),
+    "reversed by 5 mm and in again": ("moving", "returned"),
+    "withdrawn": ("withdrawing", "withdrawn"),
+    "inserted again": ("again", "inside"),
+}
+"""What is judged of it: from the end of one stroke to the end of another."""
 
 
-def _strokes() -> tuple[tuple[Stroke, ...], dict[str, float]]:
-    """Motion from above the tissue, and when each named stroke ends [s]."""
-    strokes, ends = [], {}
-    at_m, at_s = -STANDOFF_M - TARE_M, 0.0
+def troubled_scenario() -> tuple[Scenario, dict[str, tuple[float, float]]]:
+    """An insertion with stop, reversal, withdrawal and second insertion.
 
-    def go(name: str, to_m: float, seconds: float, profile: Profile) -> None:
-        nonlocal at_m, at_s
+    Returns:
+        The scenario, and when each of its `PARTS` begins and ends [s].
+    """
+    strokes, ends, at_m, at_s = [], {}, _TOP_M, 0.0
+    for name, to_m, profile, given_s in _STROKES:
+        seconds = abs(to_m - at_m) / SPEED_M_S / 0.9 if profile == "cruise" else given_s
         strokes.append(
             Stroke(
                 profile=profile,
@@ -288,49 +296,13 @@ def _strokes() -> tuple[tuple[Stroke, ...], dict[str, float]]:
         )
         at_m, at_s = to_m, strokes[-1].end_s
         ends[name] = at_s
-
-    def cruise(name: str, to_m: float) -> None:
-        go(name, to_m, abs(to_m - at_m) / SPEED_M_S / 0.9, "cruise")
-
-    go("at rest", at_m, 1.0, "rest")
-    for to_m in (-STANDOFF_M, -STANDOFF_M - TARE_M, -STANDOFF_M):
-        go("tared", to_m, TARE_S, "quintic")
-    cruise("stopped", FIRST_STOP_M)
-    go("moving", FIRST_STOP_M, 60.0, "rest")
-    cruise("turned", TURN_M)
-    cruise("returned", FIRST_STOP_M)
-    cruise("inserted", DEEPEST_M)
-    go("withdrawing", DEEPEST_M, 1.0, "rest")
-    cruise("withdrawn", -STANDOFF_M)
-    go("again", -STANDOFF_M, 1.0, "rest")
-    cruise("inside", AGAIN_M)
-    go("inside at rest", AGAIN_M, 1.0, "rest")
-    cruise("end", -STANDOFF_M)
-    go("after", -STANDOFF_M, 0.5, "rest")
-    return tuple(strokes), ends
-
-
-def troubled_scenario() -> tuple[Scenario, dict[str, tuple[float, float]]]:
-    """An insertion with stop, reversal, withdrawal and second insertion, and its `PARTS`.
-
-    Returns:
-        The scenario, and when each part begins and ends [s].
-    """
-    strokes, ends = _strokes()
     motion = Motion(
-        strokes=strokes,
+        strokes=tuple(strokes),
         tare_end_s=ends["tared"],
         insertion_end_s=ends["inserted"],
         withdrawal_start_s=ends["withdrawing"],
         withdrawal_end_s=ends["end"],
     )
-    names = (
-        ("stopped", "moving"),
-        ("moving", "returned"),
-        ("withdrawing", "withdrawn"),
-        ("again", "inside"),
-    )
-    spans = [(ends[begin], ends[end]) for begin, end in names]
     title = "70 % gel: stopped, reversed, withdrawn, inserted again"
     scenario = Scenario(id="troubled", title=title, layers=(gel(70),), motion=motion)
-    return scenario, dict(zip(PARTS, spans, strict=True))
+    return scenario, {name: (ends[begin], ends[end]) for name, (begin, end) in PARTS.items()}

@@ -1,4 +1,4 @@
-"""Figures of the axial force of one run, after the paper's Figure 5, and where figures are kept."""
+"""Figures of the axial force of one run, after the published Figure 5; all figures of a run."""
 
 import math
 from collections.abc import Sequence
@@ -9,10 +9,9 @@ from typing import Literal
 import numpy as np
 from numpy.typing import NDArray
 
-from benchmarks.benchmark import RECORDING, Drawing, Fact, Job
-from benchmarks.force_metrics import force_lag_s
-from benchmarks.methods import ForceReading
-from benchmarks.paper_figures import FORCE_PANELS
+from benchmarks.benchmark import Drawing, Fact, Job
+from benchmarks.methods import ForceReading, force_lag_s
+from benchmarks.published_figures import FORCE_PANELS
 from benchmarks.signals import ForceTruth
 from benchmarks.targets import PUBLISHED_RMSE_N
 from needleforce.plots import Chart, Curve, LineStyle, Panel, palette, save_page_figure
@@ -44,15 +43,8 @@ class RunFigures:
     ) -> None:
         """Draw a chart; its title says what is shown, this adds of which figure and run.
 
-        Args:
-            chart: The chart.
-            kind: Ending of the file's name.
-            panel: Figure of the paper, and letter of the panel; empty for none.
-            alt: As in `Drawing`.
-            caption: As in `Drawing`.
-            facts: As in `Drawing`.
-            tuned_friction_Ns_per_m: As in `Drawing`.
-            is_alone: Whether it takes the whole width of the page.
+        `kind` is the ending of the file's name, `panel` the published figure and its letter, empty
+        for none; a chart alone takes the whole width of the page. The rest is as in `Drawing`.
 
         Raises:
             FiguresError: It cannot be drawn or saved.
@@ -71,13 +63,8 @@ class RunFigures:
             Drawing(
                 figure=figure,
                 panel=letter,
-                scenario=job.benchmark,
-                plant=job.plant,
-                seed=job.seed,
-                path=shown.path,
-                wide=shown.wide,
-                alt=alt,
-                caption=caption,
+                job=job,
+                shown=shown,
                 facts=facts,
                 tuned_friction_Ns_per_m=tuned_friction_Ns_per_m,
             )
@@ -85,9 +72,7 @@ class RunFigures:
 
     def _title(self, number: str, what: str) -> str:
         """What is shown, and below it of which run."""
-        job = self.job
-        which = {RECORDING: "recording", "needle": "needle without an arm, seed"}
-        run = f"{job.benchmark}, {which.get(job.plant, f'{job.plant} plant, seed')} {job.seed}"
+        run = f"{self.job.benchmark}, {self.job.where}"
         return f"Figure {number}: {what}\n{run}" if number else f"{what}\n{run}".capitalize()
 
 
@@ -110,16 +95,10 @@ def force_chart(
     truth: ForceTruth,
     readings: Sequence[ForceReading],
     over: Over = "time",
-    window: tuple[float, float] | None = None,
 ) -> Chart:
     """Force, and below it the error against the true force.
 
-    Args:
-        title: What is shown.
-        truth: Of the run.
-        readings: Of the sensors.
-        over: Time since the sensors were zeroed [s], or depth since contact [mm].
-        window: First and last place on that axis; None for the whole run.
+    Over time since the sensors were zeroed [s], or over depth since contact [mm].
     """
     first = max(truth.start_s - MARGIN_s, truth.zeroed_s)
     shown = (truth.t_s > first) & (truth.t_s <= truth.end_s + MARGIN_s)
@@ -133,13 +112,11 @@ def force_chart(
             y = item.axial_N[shown]
             label = f"{name}, RMSE {rmse_N(item, truth, truth.axial_N):.3f} N"
             forces.append(Curve(style=style, x=x, y=y, label=label))
-            is_ours = style is palette.OURS
-            std = item.std_N[shown] if is_ours else None
-            band = "ours, ± 2 std" if is_ours else None
-            errors.append(Curve(style=style, x=x, y=y - true, std=std, band_label=band))
+            std = item.std_N[shown] if style is palette.OURS else None
+            errors.append(Curve(style=style, x=x, y=y - true, std=std, band_label="ours, ± 2 std"))
     forces.append(Curve(style=palette.TRUE_PART, x=x, y=true, label="true force"))
     limit = _error_limit([curve for curve in errors if curve.style is not palette.OTHER_SENSOR])
-    chart = Chart(
+    return Chart(
         title=title,
         x_label=palette.INSERTION_TIME if over == "time" else palette.DEPTH,
         panels=(
@@ -149,7 +126,6 @@ def force_chart(
         x_limits=(float(x.min()), float(x.max())),
         height_in=3.6,
     )
-    return chart if window is None else chart.within(*window)
 
 
 def _thin(errors: Sequence[Curve]) -> tuple[Curve, ...]:
@@ -178,7 +154,7 @@ def rmse_N(reading: ForceReading, truth: ForceTruth, target_N: Array) -> float:
 def force_figures(
     job: Job, folder: Path, truth: ForceTruth, readings: Sequence[ForceReading]
 ) -> tuple[Drawing, ...]:
-    """Force and error over time, and over depth where the paper shows it so."""
+    """Force and error over time, and over depth where they are published so."""
     figures, panels = RunFigures(job, folder), FORCE_PANELS.get(job.benchmark, ())
     figures.add(
         force_chart("axial force over time", truth, readings),
@@ -225,7 +201,7 @@ def _facts(scenario: str, truth: ForceTruth, readings: Sequence[ForceReading]) -
     return tuple(
         Fact(
             what=f"`{scenario}`: {what}",
-            paper=f"{PUBLISHED_RMSE_N[scenario]:g}" if "F/T" in what else "–",
+            published=f"{PUBLISHED_RMSE_N[scenario]:g}" if "F/T" in what else "–",
             here=tuple(zip(heads, texts, strict=True)),
         )
         for what, texts in values.items()

@@ -1,7 +1,7 @@
 """Which figures of the identification a run gives, and the numbers beside them."""
 
 import math
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
 
@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from benchmarks.benchmark import Drawing, Fact, Job
 from benchmarks.force_plots import RunFigures
-from benchmarks.identification_metrics import Signals, enhanced_metrics
+from benchmarks.identification_metrics import Signals, enhanced_metrics, offline_metrics
 from benchmarks.identification_plots import (
     SENSORS,
     Compared,
@@ -20,14 +20,7 @@ from benchmarks.identification_plots import (
     true_friction,
 )
 from benchmarks.methods import ForceReading, Identified, cumulative_friction_Ns_per_m, identify
-from benchmarks.offline_fit import offline_metrics
-from benchmarks.paper_figures import (
-    ENHANCED_FIGURES,
-    FRICTION_IN_PAPER,
-    OFFLINE_PANELS,
-    REMAINING_IN_PAPER,
-    RUPTURES_IN_PAPER,
-)
+from benchmarks.published_figures import ENHANCED_FIGURES, OFFLINE_PANELS, PublishedFigure
 from benchmarks.signals import InsertionTruth, NeedleSignal
 from benchmarks.targets import GELS
 from identification import PUBLISHED, PUBLISHED_KV, PublishedConfig
@@ -43,11 +36,11 @@ Array = NDArray[np.float64]
 SIGMA1_N = {"ft": 0.06, "virtual": 0.05}
 """By source: detects the small force drop of the 25 % gel, and the smeared ones of the residual."""
 SIGMA1_OF_FIGURE_N = {"13": 0.04}
-"""Where another is needed to find the ruptures that the paper's figure shows."""
+"""Where another is needed to find the ruptures that the published figure shows."""
 
 
 def sigma1_N(figure: str, source: str) -> float:
-    """The setting of a figure of the paper."""
+    """The setting of a published figure."""
     return SIGMA1_OF_FIGURE_N.get(figure, SIGMA1_N[source])
 
 
@@ -58,21 +51,13 @@ def tuned_published(
     figure: str = "",
     config: PublishedConfig = PUBLISHED,
 ) -> Identified:
-    """Run the published method with the commanded speed and the figure's own σ₁.
-
-    Args:
-        signal: What the benchmark gives the published method.
-        truth: Of the run.
-        commanded_m_s: Commanded speed, shape (n,).
-        figure: Of the paper; empty for none.
-        config: `PUBLISHED` or `PUBLISHED_KV`.
-    """
+    """Run the published method with the commanded speed, shape (n,), and the figure's own σ₁."""
     quiet = replace(signal, speed_m_s=commanded_m_s)
     tuned = replace(config, sigma1_N=sigma1_N(figure, signal.source))
     return identify(quiet, truth, "published", tuned)
 
 
-def identification_figures(
+def draw_identification(
     job: Job,
     folder: Path,
     truth: InsertionTruth,
@@ -82,44 +67,40 @@ def identification_figures(
 ) -> tuple[Drawing, ...]:
     """Every figure of the identification in a run.
 
-    Args:
-        job: The run.
-        folder: Where the figures go.
-        truth: Of the run.
-        commanded_m_s: Commanded speed, shape (n,).
-        found: Of every source what the methods were given and what they made of it, the F/T
-            sensor's first.
-        ft: The F/T sensor's force, if another source is among them.
+    `found` holds of every source what the methods were given and what they made of it, the F/T
+    sensor's first; `ft` is that sensor's force, if another source is among them.
     """
     figures = RunFigures(job, folder)
     _add_offline(figures, found[0][0]["default"], truth)
     on_ft = {item.method: item for item in found[0][1]}["default"]
-    # Shown without a figure of the paper: the whole chain; of gels, for Table I, the F/T sensor.
+    # Without a published counterpart: the whole chain; of gels, for Table I, the F/T sensor.
     usual = "ft" if job.benchmark in GELS or len(found) == 1 else "virtual"
     for signals, identified in found:
         by_method = {item.method: item for item in identified}
         source, given = by_method["default"].source, signals["published"]
-        figure = ENHANCED_FIGURES.get((job.benchmark, source), "")
-        if not figure and source != usual:
+        figure = ENHANCED_FIGURES.get((job.benchmark, source))
+        if figure is None and source != usual:
             continue
-        is_ft = source == "ft"
+        is_ft, number = source == "ft", figure.number if figure else ""
         kelvin_voigt = None
         if figure and is_ft:
-            kelvin_voigt = tuned_published(given, truth, commanded_m_s, figure, PUBLISHED_KV)
+            kelvin_voigt = tuned_published(given, truth, commanded_m_s, number, PUBLISHED_KV)
         compared = Compared(
             ours=by_method["default"],
-            tuned=tuned_published(given, truth, commanded_m_s, figure),
+            tuned=tuned_published(given, truth, commanded_m_s, number),
             published=by_method["published"],
             kelvin_voigt=kelvin_voigt,
             ft=None if is_ft else ft,
             on_ft=None if is_ft else on_ft,
         )
         _add_enhanced(figures, figure, truth, compared)
+        if figure:
+            _add_parameters(figures, number, truth, compared)
     return tuple(figures.saved)
 
 
 def _add_offline(figures: RunFigures, signal: NeedleSignal, truth: InsertionTruth) -> None:
-    """Both models on the F/T sensor's force, where the paper shows that scenario so."""
+    """Both models on the F/T sensor's force, where that scenario is published so."""
     scenario = figures.job.benchmark
     if scenario not in OFFLINE_PANELS:
         return
@@ -137,17 +118,18 @@ def _add_offline(figures: RunFigures, signal: NeedleSignal, truth: InsertionTrut
         "insertion with true layers and ruptures given; below, measured minus modelled force. "
         "Triangles mark where a curve leaves its panel. RMSE from first contact to the deepest "
         "point.",
-        facts=(Fact(what=what, paper="ML below KV", here=here),),
+        facts=(Fact(what=what, published="ML below KV", here=here),),
         is_alone=not panel[1],
     )
 
 
 def _add_enhanced(
-    figures: RunFigures, figure: str, truth: InsertionTruth, compared: Compared
+    figures: RunFigures, figure: PublishedFigure | None, truth: InsertionTruth, compared: Compared
 ) -> None:
-    """The forces by each method; for a figure of the paper the parameters as well."""
+    """The forces by each method."""
     source, tuned, ft = compared.ours.source, compared.tuned, compared.ft
-    sensor, has_speed = SENSORS[source], figure == "9"
+    number = figure.number if figure else ""
+    sensor, has_speed = SENSORS[source], number == "9"
     alt = f"Axial force of the {sensor}, predicted force and enhanced force, with the true one, "
     none = "" if tuned.alarms else " No rupture was detected, so nothing is subtracted."
     friction = cumulative_friction_Ns_per_m(tuned.alarms) if source == "ft" else math.nan
@@ -155,27 +137,31 @@ def _add_enhanced(
     figures.add(
         enhanced_chart(title, truth, tuned, compared.kelvin_voigt, ft, has_speed=has_speed),
         f"{source}-published",
-        panel=(figure, "a" if figure else ""),
+        panel=(number, "a" if number else ""),
         alt=f"{alt}published method",
         caption="Axial forces [N] over time [s]. The published method with the settings of its "
-        f"authors: commanded speed, σ₁ = {sigma1_N(figure, source):g} N.{none}",
+        f"authors: commanded speed, σ₁ = {sigma1_N(number, source):g} N.{none}",
         tuned_friction_Ns_per_m=friction,
     )
     title = f"friction compensation by our method, {sensor}"
     figures.add(
         enhanced_chart(title, truth, compared.ours, None, ft, has_speed=has_speed),
         f"{source}-ours",
-        panel=(figure, "b" if figure else ""),
+        panel=(number, "b" if number else ""),
         alt=f"{alt}our method",
         caption="The same by our method: measured speed, one setting for every recording.",
         facts=_facts(figure, truth, compared) if figure else (),
     )
-    if not figure:
-        return
+
+
+def _add_parameters(
+    figures: RunFigures, number: str, truth: InsertionTruth, compared: Compared
+) -> None:
+    source = compared.ours.source
     figures.add(
-        parameter_chart(f"identified parameters, {sensor}", truth, compared),
+        parameter_chart(f"identified parameters, {SENSORS[source]}", truth, compared),
         f"{source}-parameters",
-        panel=(figure, "c"),
+        panel=(number, "c"),
         alt="Stiffness, friction per length and cumulative friction over time, both methods",
         caption="From above: stiffness K and friction B of the layer the tip is in, and cumulative "
         "friction of the layers traversed, over time [s]. At constant speed K and B cannot be "
@@ -185,34 +171,33 @@ def _add_enhanced(
     )
 
 
-def _facts(figure: str, truth: InsertionTruth, compared: Compared) -> tuple[Fact, ...]:
-    methods = {
-        "published, tuned, here": compared.tuned,
-        "published, one setting, here": compared.published,
-        "ours, one setting, here": compared.ours,
-    }
+def _facts(figure: PublishedFigure, truth: InsertionTruth, compared: Compared) -> tuple[Fact, ...]:
+    heads = ("published, tuned, here", "published, one setting, here", "ours, one setting, here")
+    items = (compared.tuned, compared.published, compared.ours)
     _, steps = true_friction(truth)["cumulative_friction_Ns_per_m"]
-
-    def fact(what: str, paper: str, of: Callable[[Identified], str]) -> Fact:
-        here = tuple((head, of(item)) for head, item in methods.items())
-        return Fact(what=what, paper=paper, here=here)
-
-    return (
-        fact(
+    friction = [f"{cumulative_friction_Ns_per_m(item.alarms):.0f}" for item in items]
+    forces = [enhanced_metrics(item, truth) for item in items]
+    remaining = [f"{each.get('remaining_force_pct', math.nan):.1f}" for each in forces]
+    lines = (
+        (
             f"ruptures detected (true: {len(truth.ruptures)})",
-            RUPTURES_IN_PAPER[figure],
-            lambda item: _ruptures(item, truth),
+            figure.ruptures,
+            [_ruptures(item, truth) for item in items],
         ),
-        fact(
+        (
             f"cumulative friction in the end (true: {steps[-1]:.0f}) [Ns/m]",
-            FRICTION_IN_PAPER.get(figure, "not stated"),
-            lambda item: f"{cumulative_friction_Ns_per_m(item.alarms):.0f}",
+            figure.friction,
+            friction,
         ),
-        fact(
+        (
             "remaining force after the last rupture [% of the axial force]",
-            REMAINING_IN_PAPER[figure],
-            lambda item: f"{enhanced_metrics(item, truth).get('exit_residue_pct', math.nan):.1f}",
+            figure.remaining,
+            remaining,
         ),
+    )
+    return tuple(
+        Fact(what=what, published=published, here=tuple(zip(heads, texts, strict=True)))
+        for what, published, texts in lines
     )
 
 

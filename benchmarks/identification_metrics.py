@@ -2,28 +2,77 @@
 
 import math
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass
 from typing import NamedTuple
 
 import numpy as np
+from identification.interaction_model import Model
 from numpy.typing import NDArray
+from scipy.ndimage import median_filter
 
 from benchmarks.bounds import delay_bounds_s, friction_bounds, reading_error_N
-from benchmarks.force_metrics import force_lag_s
 from benchmarks.methods import (
     IDENTIFIERS,
     Alarm,
     Identified,
     cumulative_friction_Ns_per_m,
     first_compensation,
+    force_lag_s,
     identify,
 )
-from benchmarks.metrics import Measurement
-from benchmarks.offline_fit import offline_fit, offline_metrics
-from benchmarks.rows import Method
+from benchmarks.rows import Measurement, Method
 from benchmarks.signals import InsertionTruth, NeedleSignal
 from groundtruth import Rupture
-from identification import LayerEstimate
+from identification import LayerEstimate, LayerSpan, OfflineIdentification, identify_offline
+
+SPEED_WINDOW_s = 0.2
+"""Over which the median of the speed is taken, centred, as one may offline: the models are judged,
+not the noise of an arm's velocity, which B Δz would turn into force."""
+
+
+def offline_metrics(signal: NeedleSignal, truth: InsertionTruth) -> dict[str, float]:
+    """Rms residual of each model over the insertion [N], as in Figures 2 and 3."""
+    models: tuple[Model, ...] = ("ml", "kv")
+    return {f"offline_rmse_{m}_N": offline_fit(signal, truth, m).rmse_N for m in models}
+
+
+def offline_fit(
+    signal: NeedleSignal, truth: InsertionTruth, model: Model = "ml"
+) -> OfflineIdentification:
+    """Equation (6) on the insertion, from first contact to the deepest point."""
+    inside = truth.is_insertion
+    depth = signal.depth_m - np.interp(truth.contact_s, truth.t_s, signal.depth_m)
+    columns = (truth.t_s, depth, quiet_speed_m_s(signal), signal.force_N)
+    t_s, depth_m, speed_m_s, force_N = (each[inside] for each in columns)
+    return identify_offline(t_s, depth_m, speed_m_s, force_N, layer_spans(truth), model)
+
+
+def quiet_speed_m_s(signal: NeedleSignal) -> NDArray[np.float64]:
+    """The speed without its noise, its steps as they are, shape (n,)."""
+    samples = max(round(SPEED_WINDOW_s / float(np.median(np.diff(signal.t_s)))), 1)
+    return median_filter(signal.speed_m_s, samples + 1 - samples % 2, mode="nearest")
+
+
+def layer_spans(truth: InsertionTruth) -> list[LayerSpan]:
+    """The spans from first contact to the first rupture, and from each rupture to the next.
+
+    A membrane on the surface thus has a span of its own, the fictitious layer of Section III-B. A
+    layer that the tip is still in at the deepest point ends there.
+    """
+    inside = truth.is_insertion
+    last = int(np.flatnonzero(inside)[-1])
+    # An arm that lags may break through after its path has ended: that is not in the data.
+    found = [rupture for rupture in truth.ruptures if rupture.onset_s < truth.t_s[last]]
+    ends = [(rupture.onset_s, rupture.onset_m) for rupture in found]
+    if truth.layer[last] <= truth.layer_friction_N.shape[1]:
+        ends.append((float(truth.t_s[last]), float(truth.depth_m[inside].max())))
+    starts = [(truth.contact_s, 0.0), *ends[:-1]]
+    return [
+        LayerSpan(
+            start_s=start_s, start_depth_m=start_m, thickness_m=end_m - start_m, rupture_s=end_s
+        )
+        for (start_s, start_m), (end_s, end_m) in zip(starts, ends, strict=True)
+    ]
+
 
 Signals = dict[Method, NeedleSignal]
 """One source's signal for each method; a virtual force is the method's own."""
@@ -34,7 +83,7 @@ def identify_all(signals: Signals, truth: InsertionTruth) -> list[Identified]:
     return [identify(signals[method], truth, method) for method in IDENTIFIERS]
 
 
-def identification_metrics(
+def measure_identification(
     signals: Signals, identified: Sequence[Identified], truth: InsertionTruth
 ) -> Iterator[Measurement]:
     """Measure both methods on one source.
@@ -88,8 +137,7 @@ def is_visible(rupture: Rupture, noise_N: float) -> bool:
     return rupture.visible_drop_N > VISIBLE_SIGMAS * noise_N
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
-class Matching:
+class Matching(NamedTuple):
     """True transitions matched with reported ruptures."""
 
     # pairs of a true rupture and its alarm, in the order of the ruptures
@@ -104,12 +152,8 @@ def match(ruptures: Sequence[Rupture], alarms: Sequence[Alarm]) -> Matching:
     An alarm may belong to a rupture when it lies within `EARLY_s` before and `LATE_s` after its
     onset.
     """
-    pairs = nearest_pairs(
-        [rupture.onset_s for rupture in ruptures],
-        [alarm.alarm_s for alarm in alarms],
-        EARLY_s,
-        LATE_s,
-    )
+    onsets_s = [rupture.onset_s for rupture in ruptures]
+    pairs = nearest_pairs(onsets_s, [alarm.alarm_s for alarm in alarms], EARLY_s, LATE_s)
     taken = set(pairs.values())
     return Matching(
         found=tuple((ruptures[i], alarms[pairs[i]]) for i in sorted(pairs)),
@@ -123,11 +167,8 @@ def nearest_pairs(
 ) -> dict[int, int]:
     """Index of the found value that belongs to each true one; those without are left out.
 
-    Args:
-        true: True values.
-        found: Reported values; each belongs to one true value at most, nearest first.
-        before: How much less than the true value a reported one may be.
-        after: How much more.
+    A found value is at most so much before or after the true one, and belongs to one true value
+    at most, nearest first.
     """
     candidates = sorted(
         (abs(value - wanted), i, j)
@@ -145,15 +186,10 @@ def nearest_pairs(
 def rupture_metrics(matching: Matching, truth: InsertionTruth, noise_N: float) -> dict[str, float]:
     """Numbers of one insertion by name; what does not exist in it has no entry.
 
-    Args:
-        matching: Of all true transitions with all alarms.
-        truth: Of the run.
-        noise_N: Of the source: it decides which transitions are ruptures and which are soft.
-
-    Returns:
-        Recall over ruptures and over soft transitions. Precision: the fraction of alarms that
-        belong to either; nan without an alarm, since then it is undefined. Medians over the
-        ruptures found: alarm after onset, error of the estimated time, travel from onset to alarm.
+    The noise decides which transitions are ruptures and which are soft. Recall over ruptures and
+    over soft transitions. Precision: the fraction of alarms that belong to either; nan without an
+    alarm, since then it is undefined. Medians over the ruptures found: alarm after onset, error of
+    the estimated time, travel from onset to alarm.
     """
     hard = [pair for pair in matching.found if is_visible(pair[0], noise_N)]
     missed = [rupture for rupture in matching.missed if is_visible(rupture, noise_N)]
@@ -170,8 +206,8 @@ def rupture_metrics(matching: Matching, truth: InsertionTruth, noise_N: float) -
         timing = [abs(alarm.rupture_s - rupture.onset_s) for rupture, alarm in hard]
         travel = [truth.depth_m[alarm.sample] - rupture.onset_m for rupture, alarm in hard]
         values["rupture_delay_ms"] = 1e3 * float(np.median(delay))
-        values["rupture_dating_error_ms"] = 1e3 * float(np.median(timing))
-        values["rupture_overshoot_mm"] = 1e3 * float(np.median(travel))
+        values["rupture_timing_error_ms"] = 1e3 * float(np.median(timing))
+        values["detection_depth_error_mm"] = 1e3 * float(np.median(travel))
     return values
 
 
@@ -191,18 +227,12 @@ class LayerFriction(NamedTuple):
 def layer_frictions(
     ruptures: Sequence[Rupture], alarms: Sequence[Alarm], noise_N: float, *, online: bool = False
 ) -> list[LayerFriction]:
-    """Pair every layer with what was identified of it.
+    """Pair every layer with what was identified of it, at the end or, `online`, in the next layer.
 
     A layer ends at its rupture. What is identified by alarms since the layer before it (a surface
     membrane's, a false one's) counts for it: that much friction was taken off the force. A layer
     that ends softly counts together with the one after it, since the force does not separate them;
     one whose rupture was missed counts as estimated at zero.
-
-    Args:
-        ruptures: True ones of the run, in order.
-        alarms: Reported ones.
-        noise_N: Of the source.
-        online: Judge what was known in the layer after it, not what is known at the end.
     """
     found: list[LayerFriction] = []
     true_N, begin_s = 0.0, -math.inf
@@ -224,26 +254,18 @@ def layer_frictions(
 
 def _layer_friction(true_N: float, found: Sequence[LayerEstimate | None]) -> LayerFriction:
     layers = [layer for layer in found if layer is not None]
-    stds = [layer.friction_std_N for layer in layers]
-    known = [std for std in stds if std is not None]
-    is_stated = bool(layers) and len(known) == len(stds)
-    return LayerFriction(
-        true_N=true_N,
-        estimated_N=sum(layer.friction_N for layer in layers),
-        std_N=math.hypot(*known) if is_stated else math.nan,
-    )
+    known = [layer.friction_std_N for layer in layers if layer.friction_std_N is not None]
+    is_stated = bool(layers) and len(known) == len(layers)
+    std_N = math.hypot(*known) if is_stated else math.nan
+    return LayerFriction(true_N, sum(layer.friction_N for layer in layers), std_N)
 
 
 def friction_metrics(frictions: Sequence[LayerFriction], when: str = "") -> dict[str, float]:
     """Worst and mean relative error, and whether the stated standard deviations are right.
 
-    Args:
-        frictions: Of one insertion.
-        when: Part of the names: ``_online`` for what was known in the layer after.
-
-    Returns:
-        Numbers by name. The coverage is the fraction of layers within twice the stated standard
-        deviation; layers that were not identified state none and do not count there.
+    `when` is part of the names: ``_online`` for what was known in the layer after. The coverage is
+    the fraction of layers within twice the stated standard deviation; layers that were not
+    identified state none and do not count there.
     """
     if not frictions:
         return {}
@@ -299,8 +321,8 @@ def enhanced_metrics(identified: Identified, truth: InsertionTruth) -> dict[str,
     after = truth.is_insertion[identified.start :].copy()
     begin = first_compensation(identified.result)
     if begin is None:
-        exits = [rupture.end_s for rupture in truth.ruptures if rupture.layer > 0]
-        after &= truth.t_s[identified.start :] > (exits[0] if exits else np.inf)
+        exits = (rupture.end_s for rupture in truth.ruptures if rupture.layer > 0)
+        after &= truth.t_s[identified.start :] > next(exits, math.inf)
     else:
         after[:begin] = False
     enhanced = identified.enhanced_N
@@ -314,18 +336,16 @@ def enhanced_metrics(identified: Identified, truth: InsertionTruth) -> dict[str,
     beyond = beyond_last_exit(truth)[identified.start :]
     if beyond.any():
         plateau = float(np.mean(np.abs(truth.axial_N[identified.start :][beyond])))
-        values["exit_residue_pct"] = 100.0 * float(np.mean(np.abs(enhanced[beyond]))) / plateau
+        values["remaining_force_pct"] = 100.0 * float(np.mean(np.abs(enhanced[beyond]))) / plateau
     return values
 
 
 def beyond_last_exit(truth: InsertionTruth) -> NDArray[np.bool_]:
     """Samples past the last layer while the needle advances, shape (n,)."""
-    none = np.zeros(len(truth.t_s), dtype=bool)
-    if not truth.ruptures or truth.layer.max() <= truth.layer_friction_N.shape[1]:
-        return none
-    end = int(np.searchsorted(truth.t_s, truth.ruptures[-1].end_s))
-    if end >= len(truth.t_s):
-        return none
+    exits_s = [rupture.end_s for rupture in truth.ruptures]
+    end = int(np.searchsorted(truth.t_s, exits_s[-1])) if exits_s else len(truth.t_s)
+    if end >= len(truth.t_s) or truth.layer.max() <= truth.layer_friction_N.shape[1]:
+        return np.zeros(len(truth.t_s), dtype=bool)
     is_clear = truth.depth_m > truth.depth_m[end] + CLEAR_m
     is_advancing = (truth.speed_m_s > ADVANCING_m_s) & (truth.t_s <= truth.insertion_end_s)
     return is_clear & is_advancing
@@ -336,13 +356,7 @@ MEAN_ABSOLUTE = float(np.sqrt(2.0 / np.pi))
 
 
 def bound_metrics(signal: NeedleSignal, truth: InsertionTruth, noise_N: float) -> dict[str, float]:
-    """Least errors that the noise of a reading allows, by name; nothing without ruptures.
-
-    Args:
-        signal: Reading of one source.
-        truth: Of the run.
-        noise_N: Of the source: it decides which transitions are ruptures.
-    """
+    """Least errors that the noise of a reading allows, by name; nothing without ruptures."""
     visible = [rupture for rupture in truth.ruptures if is_visible(rupture, noise_N)]
     lag_s = 0.0
     if signal.source == "virtual":

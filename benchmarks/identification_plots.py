@@ -1,15 +1,16 @@
-"""Charts of the identification in one run, after the paper's Figures 2, 3, 8, 9 and 11 to 14."""
+"""Charts of the identification in one run, after the published Figures 2, 3, 8, 9 and 11 to 14.
+
+The clock starts where the tare stroke ends and the needle sets out, as in the publication.
+"""
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
-from benchmarks.force_plots import Over
+from benchmarks.identification_metrics import layer_spans, offline_fit, quiet_speed_m_s
 from benchmarks.methods import ForceReading, Identified
-from benchmarks.offline_fit import layer_spans, offline_fit, quiet_speed_m_s
 from benchmarks.signals import InsertionTruth, NeedleSignal
 from identification.config import Model
 from identification.offline import regression_matrix
@@ -21,74 +22,37 @@ MARGIN_s = 1.0
 """Shown before contact and after the deepest point."""
 LEAST_RUPTURE_PT = 4.0
 """A layer ruptures within 0.1 s of a minute; so wide its shade is seen."""
-
-
-class InsertionAxis(NamedTuple):
-    """Turns times of a run into places on the x axis.
-
-    Attributes:
-        truth: Of the run. The clock of the figures starts where the tare stroke ends and the needle
-            sets out, as in the paper.
-        over: What is on the axis. Over depth, only the insertion is shown.
-    """
-
-    truth: InsertionTruth
-    over: Over = "time"
-
-    def place(self, t_s: Array) -> Array:
-        """Seconds since the insertion began, or depth [mm]; nan after the insertion."""
-        if self.over == "time":
-            return t_s - self.truth.tare_end_s
-        depth_mm = 1e3 * np.interp(t_s, self.truth.t_s, self.truth.depth_m)
-        return np.where(t_s <= self.truth.insertion_end_s, depth_mm, np.nan)
-
-    def at(self, *t_s: float) -> tuple[float, ...]:
-        """The same for single times."""
-        return tuple(self.place(np.array(t_s)).tolist())
-
-    @property
-    def label(self) -> str:
-        """Words of the axis."""
-        return palette.INSERTION_TIME if self.over == "time" else palette.DEPTH
-
-    @property
-    def limits(self) -> tuple[float, float]:
-        """From just before contact to the deepest point, over time to just after it."""
-        end_s = self.truth.insertion_end_s
-        first, last, after = self.at(self.truth.contact_s - MARGIN_s, end_s, end_s + MARGIN_s)
-        return first, after if self.over == "time" else last
-
-    def true_ruptures(self) -> Shading:
-        """When layers ruptured: from the onset to the end of the release."""
-        spans = [self.at(item.onset_s, item.end_s) for item in self.truth.ruptures]
-        return Shading(
-            label="true rupture",
-            color=palette.TRUE_RUPTURE,
-            spans=tuple((first, last) for first, last in spans),
-            least_pt=LEAST_RUPTURE_PT,
-        )
-
-    def events(self, item: Identified) -> tuple[Instants, Instants]:
-        """Alarms, and where friction was identified, by a method."""
-        t_s = self.truth.t_s[item.start :]
-        is_identified = np.array(
-            [one.identified_layer is not None for one in item.result.estimates]
-        )
-        return (
-            Instants(
-                label="rupture detected",
-                style=palette.RUPTURE,
-                places=self.at(*(alarm.alarm_s for alarm in item.alarms)),
-            ),
-            Instants(
-                label="friction identified",
-                style=palette.COMPENSATION,
-                places=self.at(*t_s[is_identified].tolist()),
-            ),
-        )
-
-
 SENSORS = {"ft": "F/T sensor", "virtual": "virtual sensor"}
+WHOSE = {"default": (palette.OURS, "ours"), "published": (palette.PUBLISHED, "published")}
+
+
+def _limits_s(truth: InsertionTruth) -> tuple[float, float]:
+    """From just before contact to just after the deepest point."""
+    zero = truth.tare_end_s
+    return truth.contact_s - MARGIN_s - zero, truth.insertion_end_s + MARGIN_s - zero
+
+
+def _true_ruptures(truth: InsertionTruth) -> Shading:
+    """When layers ruptured: from the onset to the end of the release."""
+    zero = truth.tare_end_s
+    spans = tuple((item.onset_s - zero, item.end_s - zero) for item in truth.ruptures)
+    return Shading("true rupture", palette.TRUE_RUPTURE, spans, LEAST_RUPTURE_PT)
+
+
+def _times_s(item: Identified, truth: InsertionTruth) -> Array:
+    """Time of every estimate of a method."""
+    return truth.t_s[item.start :] - truth.tare_end_s
+
+
+def _events(item: Identified, truth: InsertionTruth) -> tuple[Instants, Instants]:
+    """Alarms, and where friction was identified, by a method."""
+    alarms = tuple(alarm.alarm_s - truth.tare_end_s for alarm in item.alarms)
+    is_identified = [one.identified_layer is not None for one in item.result.estimates]
+    identified = tuple(_times_s(item, truth)[is_identified].tolist())
+    return (
+        Instants("rupture detected", palette.RUPTURE, alarms),
+        Instants("friction identified", palette.COMPENSATION, identified),
+    )
 
 
 def enhanced_chart(
@@ -98,56 +62,44 @@ def enhanced_chart(
     kelvin_voigt: Identified | None = None,
     ft: ForceReading | None = None,
     *,
-    over: Over = "time",
-    window: tuple[float, float] | None = None,
     has_speed: bool = False,
 ) -> Chart:
-    """Measured, predicted and enhanced force of one method.
+    """Measured, predicted and enhanced force of one method, with its own events.
 
-    Args:
-        title: What is shown.
-        truth: Of the run.
-        item: The method's result; the events are its own.
-        kelvin_voigt: Of the same method with the Kelvin-Voigt model, for comparison.
-        ft: The F/T sensor's force, where the method was given another.
-        over: Time since the insertion began [s], or depth since contact [mm].
-        window: First and last place on that axis; None for the whole insertion.
-        has_speed: Whether the profile of the speed is drawn, as in Figure 9.
+    Beside it the same with the Kelvin-Voigt model, the F/T sensor's force where the method was
+    given another, and the profile of the speed, as in Figure 9.
     """
-    axis, own = InsertionAxis(truth, over), truth.t_s[item.start :]
-    x, is_ours = axis.place(own), item.method == "default"
+    x, whole = _times_s(item, truth), truth.t_s - truth.tare_end_s
     top_N = float(truth.axial_N[truth.is_insertion].max())
-    predicted_N = np.array([estimate.predicted_force_N for estimate in item.result.estimates])
-    enhanced, who = (palette.OURS, "ours") if is_ours else (palette.PUBLISHED, "published")
-    drawn = [
-        (palette.READING, x, item.force_N, f"force of the {SENSORS[item.source]}"),
-        (palette.PREDICTED, x, predicted_N, "predicted force"),
-        (enhanced, x, item.enhanced_N, f"enhanced force, {who}"),
-        (palette.TRUE_PART, axis.place(truth.t_s), truth.enhanced_N, "true enhanced force"),
-    ]
-    if ft is not None:
-        everywhere = axis.place(truth.t_s)
-        drawn.insert(0, (palette.OTHER_SENSOR, everywhere, ft.axial_N, "force of the F/T sensor"))
-    if kelvin_voigt is not None:
-        there, label = axis.place(truth.t_s[kelvin_voigt.start :]), "enhanced force, Kelvin-Voigt"
-        drawn.insert(-2, (palette.PUBLISHED_KV, there, kelvin_voigt.enhanced_N, label))
+    drawn: list[tuple[LineStyle, Array, Array, str]] = []
     if has_speed:
         profile = truth.speed_m_s / float(np.max(truth.speed_m_s[truth.is_insertion]))
-        scaled = 0.5 * top_N * profile
-        drawn.insert(
-            0, (palette.OTHER_DASHED, axis.place(truth.t_s), scaled, "speed, not to scale")
-        )
+        drawn.append((palette.OTHER_DASHED, whole, 0.5 * top_N * profile, "speed, not to scale"))
+    if ft is not None:
+        drawn.append((palette.OTHER_SENSOR, whole, ft.axial_N, "force of the F/T sensor"))
+    predicted_N = np.array([estimate.predicted_force_N for estimate in item.result.estimates])
+    drawn += [
+        (palette.READING, x, item.force_N, f"force of the {SENSORS[item.source]}"),
+        (palette.PREDICTED, x, predicted_N, "predicted force"),
+    ]
+    if kelvin_voigt is not None:
+        there, label = _times_s(kelvin_voigt, truth), "enhanced force, Kelvin-Voigt"
+        drawn.append((palette.PUBLISHED_KV, there, kelvin_voigt.enhanced_N, label))
+    enhanced, who = WHOSE[item.method]
+    drawn += [
+        (enhanced, x, item.enhanced_N, f"enhanced force, {who}"),
+        (palette.TRUE_PART, whole, truth.enhanced_N, "true enhanced force"),
+    ]
     curves = tuple(Curve(style=style, x=x, y=y, label=label) for style, x, y, label in drawn)
-    chart = Chart(
+    return Chart(
         title=title,
-        x_label=axis.label,
+        x_label=palette.INSERTION_TIME,
         panels=(Panel(y_label=palette.FORCE, curves=curves, limits=(-0.25 * top_N, 1.15 * top_N)),),
-        shadings=(axis.true_ruptures(),),
-        instants=axis.events(item),
-        x_limits=axis.limits,
+        shadings=(_true_ruptures(truth),),
+        instants=_events(item, truth),
+        x_limits=_limits_s(truth),
         height_in=2.9,
     )
-    return chart if window is None else chart.within(*window)
 
 
 def true_friction(truth: InsertionTruth) -> dict[str, tuple[Array, Array]]:
@@ -170,12 +122,10 @@ def true_friction(truth: InsertionTruth) -> dict[str, tuple[Array, Array]]:
         total += [sum_before, sum_before, np.nan]
         start_s, start_m, sum_before = rupture.onset_s, rupture.onset_m, sum_before + product
     ends = [start_s, float(truth.insertion_end_s)]
+    sums = np.array([*total, sum_before, sum_before])
     return {
         "friction_Ns_per_m2": (np.array(times), np.array(local)),
-        "cumulative_friction_Ns_per_m": (
-            np.array(times + ends),
-            np.array([*total, sum_before, sum_before]),
-        ),
+        "cumulative_friction_Ns_per_m": (np.array(times + ends), sums),
     }
 
 
@@ -188,23 +138,14 @@ PARAMETERS = {
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Compared:
-    """What several methods made of one force.
+    """What several methods made of one force."""
 
-    Attributes:
-        ours: One setting for everything.
-        tuned: The published method with the settings of its authors.
-        published: The published method with one setting and the measured speed.
-        kelvin_voigt: `tuned` with the Kelvin-Voigt model, if it is to be shown.
-        ft: The F/T sensor's force, where the force was another.
-        on_ft: Ours on the F/T sensor's force, likewise.
-    """
-
-    ours: Identified
-    tuned: Identified
-    published: Identified
-    kelvin_voigt: Identified | None = None
-    ft: ForceReading | None = None
-    on_ft: Identified | None = None
+    ours: Identified  # one setting for everything
+    tuned: Identified  # the published method with the settings of its authors
+    published: Identified  # the published method with one setting and the measured speed
+    kelvin_voigt: Identified | None = None  # `tuned` with the Kelvin-Voigt model, if shown
+    ft: ForceReading | None = None  # the F/T sensor's force, where the force was another
+    on_ft: Identified | None = None  # ours on the F/T sensor's force, likewise
 
 
 def parameter_chart(title: str, truth: InsertionTruth, compared: Compared) -> Chart:
@@ -212,7 +153,7 @@ def parameter_chart(title: str, truth: InsertionTruth, compared: Compared) -> Ch
 
     The Kelvin-Voigt model's friction has another unit and is drawn only where the units agree.
     """
-    axis, true = InsertionAxis(truth), true_friction(truth)
+    true = true_friction(truth)
     drawn = (
         (compared.ours, palette.OURS, "ours"),
         (compared.on_ft, palette.OTHER_DASHED, "ours on the F/T sensor's force"),
@@ -222,54 +163,48 @@ def parameter_chart(title: str, truth: InsertionTruth, compared: Compared) -> Ch
     panels = []
     for name, label in PARAMETERS.items():
         curves = [
-            _parameter(axis, item, style, text, name)
+            _parameter(item, truth, style, text, name)
             for item, style, text in drawn
             if item is not None
             and (item is not compared.kelvin_voigt or name != "friction_Ns_per_m2")
         ]
         if name in true:
             t_s, values = true[name]
-            x = axis.place(t_s)
+            x = t_s - truth.tare_end_s
             curves.append(Curve(style=palette.TRUE_PART, x=x, y=values, label="ground truth"))
         layers = [alarm.layer for alarm in compared.ours.alarms if alarm.layer is not None]
         found = [getattr(layer, name) for layer in layers if hasattr(layer, name)]
-        panels.append(
-            Panel(y_label=label, curves=tuple(curves), limits=_limits(axis, curves, found))
-        )
+        limits = _parameter_limits(_limits_s(truth), curves, found)
+        panels.append(Panel(y_label=label, curves=tuple(curves), limits=limits))
     return Chart(
         title=title,
-        x_label=axis.label,
+        x_label=palette.INSERTION_TIME,
         panels=tuple(panels),
-        shadings=(axis.true_ruptures(),),
-        instants=axis.events(compared.ours),
-        x_limits=axis.limits,
+        shadings=(_true_ruptures(truth),),
+        instants=_events(compared.ours, truth),
+        x_limits=_limits_s(truth),
         height_in=4.6,
     )
 
 
 def _parameter(
-    axis: InsertionAxis, item: Identified, style: LineStyle, label: str, name: str
+    item: Identified, truth: InsertionTruth, style: LineStyle, label: str, name: str
 ) -> Curve:
     estimates, std = item.result.estimates, None
     if style is palette.OURS:
         spread = name.replace("_N_", "_std_N_").replace("_Ns_", "_std_Ns_")
         stated = [getattr(estimate, spread) for estimate in estimates]
         std = np.array([np.nan if one is None else one for one in stated])
-    return Curve(
-        style=style,
-        x=axis.place(axis.truth.t_s[item.start :]),
-        y=np.array([getattr(estimate, name) for estimate in estimates]),
-        label=label,
-        std=std,
-        band_label=None if std is None else "ours, ± 2 std",
-    )
+    y = np.array([getattr(estimate, name) for estimate in estimates])
+    x, band = _times_s(item, truth), "ours, ± 2 std"
+    return Curve(style=style, x=x, y=y, label=label, std=std, band_label=band)
 
 
-def _limits(
-    axis: InsertionAxis, curves: Sequence[Curve], found: Sequence[float]
+def _parameter_limits(
+    shown_s: tuple[float, float], curves: Sequence[Curve], found: Sequence[float]
 ) -> tuple[float, float]:
     """Room for the identified layers, the truth, and most of every curve, without transients."""
-    sizes, (low, high) = [1e-9, *(1.1 * value for value in found)], axis.limits
+    sizes, (low, high) = [1e-9, *(1.1 * value for value in found)], shown_s
     for curve in curves:
         inside = curve.y[(curve.x > low) & (curve.x < high) & np.isfinite(curve.y)]
         if curve.style is palette.TRUE_PART:
@@ -280,7 +215,6 @@ def _limits(
     return -0.2 * max(sizes), max(sizes)
 
 
-AFTER_s = 1.0
 NOT_FITTED = "#f0ead8"
 MODELS: tuple[tuple[Model, str, LineStyle], ...] = (
     ("ml", "multi-layer", palette.OURS),
@@ -293,9 +227,8 @@ def offline_chart(title: str, signal: NeedleSignal, truth: InsertionTruth) -> Ch
 
     The withdrawal is predicted with the parameters of the insertion.
     """
-    axis = InsertionAxis(truth)
-    shown = truth.t_s >= truth.contact_s - AFTER_s
-    x, reading = axis.place(truth.t_s[shown]), signal.force_N[shown]
+    shown = truth.t_s >= truth.contact_s - MARGIN_s
+    x, reading = truth.t_s[shown] - truth.tare_end_s, signal.force_N[shown]
     depth_m = signal.depth_m - np.interp(truth.contact_s, truth.t_s, signal.depth_m)
     spans, speed_m_s = layer_spans(truth), quiet_speed_m_s(signal)
     forces = [Curve(style=palette.READING, x=x, y=reading, label="force of the F/T sensor")]
@@ -308,16 +241,16 @@ def offline_chart(title: str, signal: NeedleSignal, truth: InsertionTruth) -> Ch
         label = f"{name} model, RMSE {fit.rmse_N:.3f} N"
         forces.append(Curve(style=style, x=x, y=predicted, label=label))
         errors.append(Curve(style=style, x=x, y=reading - predicted))
-    (end,) = axis.at(truth.insertion_end_s)
-    predicted_span = Shading("predicted, not fitted", NOT_FITTED, ((end, float(x[-1])),))
+    end_s = truth.insertion_end_s - truth.tare_end_s
+    predicted_span = Shading("predicted, not fitted", NOT_FITTED, ((end_s, float(x[-1])),))
     return Chart(
         title=title,
-        x_label=axis.label,
+        x_label=palette.INSERTION_TIME,
         panels=(
             Panel(y_label=palette.FORCE, curves=tuple(forces), height=1.7),
             Panel(y_label=palette.FORCE_ERROR, curves=tuple(errors)),
         ),
-        shadings=(predicted_span, axis.true_ruptures()),
+        shadings=(predicted_span, _true_ruptures(truth)),
         x_limits=(float(x[0]), float(x[-1])),
         height_in=3.3,
     )

@@ -1,4 +1,4 @@
-"""Both methods on one signal: the virtual sensor, the F/T sensor, online identification."""
+"""Both methods on one signal: virtual sensor, F/T sensor, identification; errors of a force."""
 
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, replace
@@ -7,11 +7,13 @@ from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.optimize import minimize_scalar
+from scipy.signal import lfilter
 
 from benchmarks import DataError
 from benchmarks.benchmark import Progress
-from benchmarks.rows import Method, Source
-from benchmarks.signals import InsertionTruth, JointSignals, NeedleSignal
+from benchmarks.rows import Measurement, Method, Source
+from benchmarks.signals import ForceTruth, InsertionTruth, JointSignals, NeedleSignal
 from groundtruth import Run
 from identification import (
     MULTILAYER,
@@ -55,15 +57,8 @@ class ForceReading:
 
     source: Source  # see `Source`
     method: Method  # see `Method`
-    axial_N: Array  # force, positive when tissue pushes back, shape (n,), read-only
-    std_N: Array  # standard deviation the source states for it, shape (n,), read-only
-
-    def __post_init__(self) -> None:
-        """Keep read-only copies."""
-        for name in ("axial_N", "std_N"):
-            array = np.array(getattr(self, name), dtype=np.float64)
-            array.setflags(write=False)
-            object.__setattr__(self, name, array)
+    axial_N: Array  # force, positive when tissue pushes back, shape (n,)
+    std_N: Array  # standard deviation the source states for it, shape (n,)
 
 
 REPORT_EVERY = 1000
@@ -78,19 +73,7 @@ def virtual_force(
     tare_s: float,
     progress: Progress,
 ) -> ForceReading:
-    """Axial force from joint signals, tared once as a user would.
-
-    Args:
-        robot: The arm as the estimator knows it.
-        signals: What the arm sent.
-        config: Settings of the sensor.
-        method: Under which name the reading is reported.
-        tare_s: Time of the tare: nothing has been touched before it.
-        progress: Gets the fraction done.
-
-    Raises:
-        TareError: The sensor sees contact at that time.
-    """
+    """Axial force from joint signals, tared once as a user would; `TareError` on contact then."""
     sensor = VirtualForceSensor(robot, config)
     found = np.zeros((2, len(signals.t_s)))
     tare = int(np.searchsorted(signals.t_s, tare_s))
@@ -133,17 +116,7 @@ def joint_residual(
     alignment: Alignment = "trapezoid",
     friction: FrictionModel | None = None,
 ) -> Array:
-    """Run a `MomentumObserver` over all samples, without tare or wrench.
-
-    Args:
-        robot: The arm.
-        signals: What it sent, velocities included.
-        gain_per_s: Observer gain K.
-        alignment: How torque fills a period.
-        friction: Joint friction, if any is modelled.
-
-    Returns:
-        Residual after every sample [Nm], shape (n, j).
+    """Residual of a `MomentumObserver`, without tare or wrench, after every sample [Nm], (n, j).
 
     Raises:
         DataError: The arm sent no velocities.
@@ -169,18 +142,10 @@ class Alarm(NamedTuple):
 
 
 def alarms_of(result: Replay, t_s: NDArray[np.float64]) -> list[Alarm]:
-    """Every rupture reported, in order.
-
-    Args:
-        result: Estimates, one per sample.
-        t_s: True instants of the samples, shape (n,).
-    """
+    """Every rupture reported, in order; `t_s` are the true instants of the samples, shape (n,)."""
     by_alarm = {layer.rupture.alarm_s: layer for layer in result.layers}
-    online = {
-        estimate.identified_layer.rupture.alarm_s: estimate.identified_layer
-        for estimate in result.estimates
-        if estimate.identified_layer is not None
-    }
+    known = (one.identified_layer for one in result.estimates if one.identified_layer is not None)
+    online = {layer.rupture.alarm_s: layer for layer in known}
     found = []
     for k, estimate in enumerate(result.estimates):
         event = estimate.rupture
@@ -196,8 +161,8 @@ def alarms_of(result: Replay, t_s: NDArray[np.float64]) -> list[Alarm]:
 
 def first_compensation(result: Replay) -> int | None:
     """Index of the sample at which friction was first identified, if ever."""
-    is_compensated = (estimate.identified_layer is not None for estimate in result.estimates)
-    return next((k for k, found in enumerate(is_compensated) if found), None)
+    estimates = enumerate(result.estimates)
+    return next((k for k, found in estimates if found.identified_layer is not None), None)
 
 
 def cumulative_friction_Ns_per_m(alarms: Iterable[Alarm]) -> float:
@@ -244,13 +209,9 @@ def identify(
     if isinstance(config, PublishedConfig):
         touch = float(np.interp(truth.contact_s, truth.t_s, signal.depth_m))
         config = replace(config, contact_depth_m=touch)
-    result = replay(
-        signal.t_s[start:],
-        signal.depth_m[start:],
-        signal.force_N[start:],
-        signal.speed_m_s[start:],
-        config,
-    )
+    columns = (signal.t_s, signal.depth_m, signal.force_N, signal.speed_m_s)
+    t_s, depth_m, force_N, speed_m_s = (column[start:] for column in columns)
+    result = replay(t_s, depth_m, force_N, speed_m_s, config)
     alarms = alarms_of(result, truth.t_s[start:])
     return Identified(
         source=signal.source,
@@ -260,3 +221,68 @@ def identify(
         alarms=tuple(alarm._replace(sample=alarm.sample + start) for alarm in alarms),
         force_N=signal.force_N[start:],
     )
+
+
+EARLIEST_S, LATEST_S = -0.1, 0.6
+"""Delays that are searched; the published sensor lags by 0.2 s."""
+COARSE_S = 0.01
+
+
+def force_lag_s(t_s: Array, estimate: Array, truth: Array) -> float:
+    """Delay of the estimate [s]: the shift of the truth that leaves the least error variance.
+
+    A constant difference between the two is not counted. Positive when the estimate is late; nan
+    where the truth does not change, or for less than a second of data.
+    """
+    inner = (t_s >= t_s[0] + LATEST_S) & (t_s <= t_s[-1] + EARLIEST_S) if len(t_s) else t_s > 0
+    if np.count_nonzero(inner) < 2 or np.ptp(truth) == 0.0:
+        return float("nan")
+    seen, when = estimate[inner], t_s[inner]
+
+    def left(delay_s: float) -> float:
+        return float(np.var(seen - np.interp(when - delay_s, t_s, truth)))
+
+    coarse = np.arange(EARLIEST_S, LATEST_S + COARSE_S / 2, COARSE_S)
+    best = float(coarse[np.argmin([left(delay) for delay in coarse])])
+    around = (max(best - COARSE_S, EARLIEST_S), min(best + COARSE_S, LATEST_S))
+    found = minimize_scalar(left, bounds=around, method="bounded", options={"xatol": 1e-5})
+    return float(found.x)
+
+
+def wrench_metrics(reading: ForceReading, truth: ForceTruth) -> list[Measurement]:
+    """Measure one reading over the judged part of a run.
+
+    RMSE, bias, coverage, all nan when no sample is judged; and the lag, where the true force
+    changes.
+    """
+    judged = truth.judged
+    estimate, true = reading.axial_N[judged], truth.axial_N[judged]
+    error = estimate - true
+    names = ("wrench_rmse_N", "wrench_bias_N", "wrench_coverage_2sigma")
+    values: dict[str, float] = dict.fromkeys(names, np.nan)
+    if error.size > 0:
+        inside = np.abs(error) <= 2.0 * reading.std_N[judged]
+        numbers = (np.sqrt(np.mean(error**2)), np.mean(error), np.mean(inside))
+        values = dict(zip(values, map(float, numbers), strict=True))
+    if error.size > 0 and np.ptp(true) > 0.0:
+        values["wrench_lag_ms"] = 1e3 * force_lag_s(truth.t_s[judged], estimate, true)
+    return [Measurement(reading.source, reading.method, *item) for item in values.items()]
+
+
+GAIN_per_s = 50.0
+"""As in comparisons with other momentum observers."""
+
+
+def residual_metrics(run: Run, signals: JointSignals) -> list[Measurement]:
+    """Error of a plain observer on an ideal arm; nothing on any other.
+
+    The ideal is r' = K (external torque - r) with the true torque's mean over each tick, solved
+    exactly: row k of the truth, the tick from sample k to the next, gives the value at k + 1.
+    """
+    if run.plant != "ideal":
+        return []
+    residual = joint_residual(run.robot, signals, GAIN_per_s, alignment="hold")
+    decay = np.exp(-GAIN_per_s * np.median(signals.dt_s))
+    ideal = lfilter([0.0, 1.0 - decay], [1.0, -decay], run.truth.external_torque_Nm, axis=0)
+    worst = np.sqrt(np.mean((residual - ideal) ** 2, axis=0)).max()
+    return [Measurement("virtual", "default", "residual_rms_Nm", float(worst))]

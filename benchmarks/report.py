@@ -9,14 +9,16 @@ from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
-from rich.console import RenderableType
-from rich.table import Table
-from rich.text import Text
 
-from benchmarks.benchmark import Drawing
-from benchmarks.paper_figures import FRICTION_FIGURE, PAPER_FIGURES, TABLE_ONE, PaperFigure
+from benchmarks.benchmark import Drawing, Job
+from benchmarks.published_figures import (
+    FRICTION_FIGURE,
+    PUBLISHED_FIGURES,
+    TABLE_ONE,
+    PublishedFigure,
+)
 from benchmarks.rows import Row, to_json
-from benchmarks.tables import NOTHING, run_tables
+from benchmarks.tables import NOTHING, ResultTable, result_tables
 from benchmarks.targets import GELS, TABLE_ONE_Ns_per_m
 from needleforce.plots import (
     Attachment,
@@ -38,8 +40,8 @@ from needleforce.plots.page import PAGE
 PLANTS = ("clean", "fri", "degraded", "ideal", "needle")
 """The first of these on which a figure was run is shown."""
 SPEEDS = {"constant": palette.BLUE, "sinusoidal": palette.VERMILION}
-"""With their colours in the paper."""
-PERCENTS = (25, 50, 70)
+"""With their colours in the publication."""
+PERCENTS = tuple(TABLE_ONE_Ns_per_m)
 Array = NDArray[np.float64]
 
 
@@ -51,29 +53,22 @@ class Estimate(NamedTuple):
     method: str = "default"
 
 
+TUNED = Estimate("tuned", "ft", "published")
+
+
 @dataclass(frozen=True, slots=True, kw_only=True)
 class GelFriction:
-    """Cumulative friction of the single gels on one plant, Ns/m.
-
-    Attributes:
-        plant: Which.
-        seeds: How many.
-        scenarios: Gels there are numbers of.
-        by_gel: Values, one per seed, by scenario and estimate.
-    """
+    """Cumulative friction of the single gels on one plant, Ns/m."""
 
     plant: str
-    seeds: int
-    scenarios: set[str]
-    by_gel: dict[tuple[str, Estimate], list[float]]
+    seeds: int  # how many
+    scenarios: set[str]  # gels there are numbers of
+    by_gel: dict[tuple[str, Estimate], list[float]]  # one value per seed
 
     def values(self, percent: int, estimate: Estimate, *speeds: str) -> list[float]:
         """Of all seeds at the speeds, by default at both."""
-        return [
-            value
-            for speed in speeds or SPEEDS
-            for value in self.by_gel.get((f"gel-{percent}-{speed}", estimate), [])
-        ]
+        names = [f"gel-{percent}-{speed}" for speed in speeds or SPEEDS]
+        return [value for name in names for value in self.by_gel.get((name, estimate), [])]
 
     def medians(self, estimate: Estimate, speed: str) -> list[float]:
         """One per gel; nan where there is none."""
@@ -84,8 +79,8 @@ class GelFriction:
 def gel_friction(rows: Iterable[Row], drawings: Iterable[Drawing]) -> GelFriction | None:
     """The gels of the best plant they were run on; None without any."""
     found = [row for row in rows if row.scenario in GELS and row.metric.startswith("cumulative_")]
-    plant = next((name for name in PLANTS if any(row.plant == name for row in found)), None)
-    if plant is None:
+    plant = _best_plant({row.plant for row in found})
+    if not plant:
         return None
     mine = [row for row in found if row.plant == plant]
     by_gel: dict[tuple[str, Estimate], list[float]] = {}
@@ -94,9 +89,8 @@ def gel_friction(rows: Iterable[Row], drawings: Iterable[Drawing]) -> GelFrictio
         key = row.scenario, Estimate(kind, row.source, row.method)
         by_gel.setdefault(key, []).append(row.value)
     for item in drawings:
-        if item.plant == plant and not math.isnan(item.tuned_friction_Ns_per_m):
-            key = item.scenario, Estimate("tuned", "ft", "published")
-            by_gel[key] = [item.tuned_friction_Ns_per_m]
+        if item.job.plant == plant and not math.isnan(item.tuned_friction_Ns_per_m):
+            by_gel[item.job.benchmark, TUNED] = [item.tuned_friction_Ns_per_m]
     return GelFriction(
         plant=plant,
         seeds=len({row.seed for row in mine}),
@@ -105,8 +99,12 @@ def gel_friction(rows: Iterable[Row], drawings: Iterable[Drawing]) -> GelFrictio
     )
 
 
+def _best_plant(plants: set[str]) -> str:
+    return next((plant for plant in PLANTS if plant in plants), "")
+
+
 ONLINE = {
-    "published, tuned, F/T": Estimate("tuned", "ft", "published"),
+    "published, tuned, F/T": TUNED,
     "published, F/T": Estimate("online", "ft", "published"),
     "ours, F/T": Estimate("online"),
     "ours, virtual": Estimate("online", "virtual"),
@@ -114,19 +112,19 @@ ONLINE = {
 
 
 def gel_table(gels: GelFriction) -> PageTable:
-    """The paper's Table I beside ours: mean ± spread over both speeds (and seeds)."""
-    head = ["gel", "paper\noffline", "paper\nonline", "here\ntrue", "here\noffline"]
+    """The published Table I beside ours: mean ± spread over both speeds (and seeds)."""
+    head = ["gel", "published\noffline", "published\nonline", "here\ntrue", "here\noffline"]
     head += [f"here online\n{words}" for words in ONLINE]
     rows = []
-    for percent, paper in TABLE_ONE_Ns_per_m.items():
+    for percent, known in TABLE_ONE_Ns_per_m.items():
         offline = gels.values(percent, Estimate("offline"))
         online = [gels.values(percent, estimate) for estimate in ONLINE.values()]
-        change_pct = 100.0 * (paper.online / paper.offline - 1.0)
+        change_pct = 100.0 * (known.online / known.offline - 1.0)
         rows.append(
             (
                 f"{percent} %",
-                f"{paper.offline} ± {paper.offline_spread}",
-                f"{paper.online} ± {paper.online_spread} ({change_pct:+.0f} %)",
+                f"{known.offline} ± {known.offline_spread}",
+                f"{known.online} ± {known.online_spread} ({change_pct:+.0f} %)",
                 _cell(gels.values(percent, Estimate("true"))),
                 _cell(offline),
                 *(_cell(values, offline) for values in online),
@@ -138,7 +136,7 @@ def gel_table(gels: GelFriction) -> PageTable:
         head=tuple(head),
         rows=tuple(rows),
         numeric=frozenset(range(1, len(head))),
-        note="The paper calls its spread a variance; its size and unit are those of a standard "
+        note="The published spread is called a variance; its size and unit are those of a standard "
         "deviation. Tuned: with the commanded speed and its authors' settings; else with the "
         "measured speed, whose noise the published method takes for excitation.",
     )
@@ -157,20 +155,20 @@ SERIES = {
     "offline": (Estimate("offline"), "^"),
     "ours, F/T": (Estimate("online"), "*"),
     "ours, virtual": (Estimate("online", "virtual"), "D"),
-    "published": (Estimate("tuned", "ft", "published"), "x"),
+    "published": (TUNED, "x"),
 }
 """With their markers."""
-PAPER_PLACE, FIRST_PLACE, STEP = -0.36, -0.2, 0.14
+PUBLISHED_PLACE, FIRST_PLACE, STEP = -0.36, -0.2, 0.14
 
 
 def friction_chart(title: str, gels: GelFriction) -> Chart:
-    """After the paper's Figure 10: from the left the paper's means of a gel, then ours."""
-    places, paper = np.arange(3.0), TABLE_ONE_Ns_per_m.values()
+    """After the published Figure 10: from the left the published means of a gel, then ours."""
+    places, known = np.arange(3.0), TABLE_ONE_Ns_per_m.values()
     grey = LineStyle(color=palette.GREY, marker="^", size_pt=6.0)
     star = replace(grey, marker="*", size_pt=8.0)
     points: list[tuple[LineStyle, Array, Sequence[float] | Array, str]] = [
-        (grey, places + PAPER_PLACE, [gel.offline for gel in paper], "paper, offline"),
-        (star, places + PAPER_PLACE, [gel.online for gel in paper], "paper, online"),
+        (grey, places + PUBLISHED_PLACE, [gel.offline for gel in known], "published, offline"),
+        (star, places + PUBLISHED_PLACE, [gel.online for gel in known], "published, online"),
     ]
     for k, (words, (estimate, marker)) in enumerate(SERIES.items()):
         for speed, color in SPEEDS.items():
@@ -195,16 +193,16 @@ def friction_chart(title: str, gels: GelFriction) -> Chart:
     )
 
 
-def paper_sections(drawings: Sequence[Drawing], rows: Sequence[Row]) -> list[Section]:
-    """One section per figure that these runs give, at least in part."""
+def published_sections(drawings: Sequence[Drawing], rows: Sequence[Row]) -> list[Section]:
+    """One section per published figure that these runs give, at least in part."""
     sections, gels = [], gel_friction(rows, drawings)
     of_gels = gels.scenarios if gels is not None else set()
-    for item in PAPER_FIGURES:
+    for item in PUBLISHED_FIGURES:
         mine = chosen(drawings, item.number)
         if item.number == TABLE_ONE and gels is not None:
             sections.append(_section(item, (), (gel_table(gels),), of_gels))
         elif mine:
-            here = {drawing.scenario for drawing in mine}
+            here = {drawing.job.benchmark for drawing in mine}
             here = of_gels if item.number == FRICTION_FIGURE else here
             sections.append(_section(item, mine, _facts(item, mine), here))
     return sections
@@ -213,22 +211,21 @@ def paper_sections(drawings: Sequence[Drawing], rows: Sequence[Row]) -> list[Sec
 def chosen(drawings: Iterable[Drawing], figure: str) -> list[Drawing]:
     """The panels of a figure, on the one plant that is shown."""
     found = [drawing for drawing in drawings if drawing.figure == figure]
-    plants = {drawing.plant for drawing in found}
-    best = next((plant for plant in PLANTS if plant in plants), "")
-    mine = [drawing for drawing in found if drawing.plant == best]
+    best = _best_plant({drawing.job.plant for drawing in found})
+    mine = [drawing for drawing in found if drawing.job.plant == best]
     return sorted(mine, key=lambda drawing: drawing.panel)
 
 
 def further_sections(drawings: Sequence[Drawing]) -> list[Section]:
     """Runs that are the counterpart of no figure, or were made with another plant model as well."""
-    used = {drawing.path for item in PAPER_FIGURES for drawing in chosen(drawings, item.number)}
+    used = {id(drawing) for item in PUBLISHED_FIGURES for drawing in chosen(drawings, item.number)}
     groups: dict[tuple[str, str], list[Drawing]] = {}
     for drawing in drawings:
-        if drawing.path not in used:
-            groups.setdefault((drawing.scenario, drawing.plant), []).append(drawing)
+        if id(drawing) not in used:
+            groups.setdefault((drawing.job.benchmark, drawing.job.plant), []).append(drawing)
     return [
         Section(
-            heading=f"Further run: {mine[0].provenance}",
+            heading=f"Further run: `{scenario}`, {mine[0].job.where}",
             anchor=f"run-{scenario}-{plant}",
             figures=tuple(map(_figure, mine)),
         )
@@ -239,28 +236,27 @@ def further_sections(drawings: Sequence[Drawing]) -> list[Section]:
 def missing_section(sections: Sequence[Section]) -> Section | None:
     """Which command draws the figures that these runs do not include; None if none is missing."""
     here = {section.anchor for section in sections}
-    rows = [
-        (item.heading, f"`{item.command}`") for item in PAPER_FIGURES if item.anchor not in here
-    ]
-    if not rows:
+    absent = [item for item in PUBLISHED_FIGURES if item.anchor not in here]
+    if not absent:
         return None
+    rows = tuple((item.heading, f"`{item.command}`") for item in absent)
     return Section(
         heading="Figures that need other runs",
         anchor="missing",
         paragraphs=("`python -m benchmarks run --report DIR` draws all of them.",),
-        tables=(PageTable(caption="Commands", head=("figure", "command"), rows=tuple(rows)),),
+        tables=(PageTable(caption="Commands", head=("figure", "command"), rows=rows),),
     )
 
 
 def _section(
-    item: PaperFigure, mine: Sequence[Drawing], tables: tuple[PageTable, ...], here: set[str]
+    item: PublishedFigure, mine: Sequence[Drawing], tables: tuple[PageTable, ...], here: set[str]
 ) -> Section:
     absent = ", ".join(name for name in item.scenarios if name not in here)
     notice = f"Not among these runs, so missing here: {absent}. For all panels run:"
     return Section(
         heading=item.heading,
         anchor=item.anchor,
-        paragraphs=(f"In the paper: {item.shows}", f"To compare: {item.see}"),
+        paragraphs=(f"Published: {item.shows}", f"To compare: {item.see}"),
         notices=(notice,) if absent else (),
         figures=tuple(map(_figure, mine)),
         tables=tables,
@@ -269,39 +265,31 @@ def _section(
 
 
 def _figure(drawing: Drawing) -> PageFigure:
-    caption = f"{drawing.caption} From {drawing.provenance}."
-    return PageFigure(path=drawing.path, alt=drawing.alt, caption=caption, wide=drawing.wide)
+    shown, job = drawing.shown, drawing.job
+    return replace(shown, caption=f"{shown.caption} From `{job.benchmark}`, {job.where}.")
 
 
-def _facts(item: PaperFigure, mine: Sequence[Drawing]) -> tuple[PageTable, ...]:
+def _facts(item: PublishedFigure, mine: Sequence[Drawing]) -> tuple[PageTable, ...]:
     facts = [fact for drawing in mine for fact in drawing.facts]
     if not facts:
         return ()
     head = ("", "published", *(head for head, _ in facts[0].here))
-    rows = tuple((fact.what, fact.paper, *(value for _, value in fact.here)) for fact in facts)
+    rows = tuple((fact.what, fact.published, *(value for _, value in fact.here)) for fact in facts)
     return (PageTable(caption=f"Figure {item.number}, in numbers", head=head, rows=rows),)
 
 
-def page_table(table: Table) -> PageTable:
-    """A table of the terminal: the same heads and cells, without colours."""
-    cells = [[_plain(cell) for cell in column.cells] for column in table.columns]
-    right = [k for k, column in enumerate(table.columns) if column.justify == "right"]
+def page_table(table: ResultTable) -> PageTable:
+    """A table of the terminal, without colours."""
     return PageTable(
-        caption=_plain(table.title),
-        head=tuple(_plain(column.header) for column in table.columns),
-        rows=tuple(zip(*cells, strict=True)),
-        numeric=frozenset(right),
-        note=_plain(table.caption),
+        caption=table.title,
+        head=table.heads,
+        rows=table.lines,
+        numeric=frozenset(k for k, align in enumerate(table.align) if align == "r"),
+        note=table.caption,
     )
 
 
-def _plain(cell: RenderableType | None) -> str:
-    if cell is None:
-        return ""
-    return cell.plain if isinstance(cell, Text) else Text.from_markup(str(cell)).plain
-
-
-TITLE = "needleforce: the paper's figures, from our own runs"
+TITLE = "needleforce: the published figures, from our own runs"
 LEAD = (
     "Counterparts of the figures of “Online needle-tissue interaction model identification for "
     "force feedback enhancement in robot-assisted interventional procedures” (Ferro, Gaz, "
@@ -318,14 +306,6 @@ LEAD = (
 def write_report(folder: Path, rows: Sequence[Row], drawings: Sequence[Drawing]) -> Path:
     """Write ``index.html`` with everything inside, and ``results.json`` beside it.
 
-    Args:
-        folder: Exists, and holds the figures of the runs.
-        rows: The numbers.
-        drawings: Of all runs.
-
-    Returns:
-        The page.
-
     Raises:
         FiguresError: A file cannot be written.
     """
@@ -333,12 +313,12 @@ def write_report(folder: Path, rows: Sequence[Row], drawings: Sequence[Drawing])
     write_file(folder / "results.json", content)
     gels = gel_friction(rows, drawings)
     everything = [*drawings, *([] if gels is None else [_friction_drawing(folder, gels)])]
-    figures = paper_sections(everything, rows)
+    figures = published_sections(everything, rows)
     numbers = Section(
         heading="All numbers of these runs",
         anchor="numbers",
         paragraphs=("As printed by the command; targets last.",),
-        tables=tuple(map(page_table, run_tables(rows))),
+        tables=tuple(map(page_table, result_tables(rows))),
         attachments=(Attachment("results.json", "application/json", content),),
     )
     missing = missing_section(figures)
@@ -352,23 +332,15 @@ def _friction_drawing(folder: Path, gels: GelFriction) -> Drawing:
     shown = save_page_figure(
         friction_chart(title, gels),
         folder / f"figure-{FRICTION_FIGURE}-{gels.plant}.svg",
-        alt="Cumulative friction of the 25, 50 and 70 % gel: the paper's means and ours, offline "
+        alt="Cumulative friction of the 25, 50 and 70 % gel: the published means and ours, offline "
         "and online, at both speeds",
-        caption="Cumulative friction [Ns/m] by gel. Grey: the paper's means over both speeds (its "
-        "Table I). Triangles: offline; stars: ours online on the F/T sensor's force; diamonds: on "
+        caption="Cumulative friction [Ns/m] by gel. Grey: the published means over both speeds "
+        "(Table I). Triangles: offline; stars: ours online on the F/T sensor's force; diamonds: on "
         "the virtual sensor's; crosses: the published method on the F/T sensor's, with its "
         "authors' settings. The sinusoidal speed is lower at the rupture, and friction over speed "
         "is then another number: hence two lines of ground truth. Medians over "
         f"{gels.seeds} seed{'' if gels.seeds == 1 else 's'}.",
         is_alone=True,
     )
-    return Drawing(
-        figure=FRICTION_FIGURE,
-        scenario="gel-*",
-        plant=gels.plant,
-        seed=0,
-        path=shown.path,
-        wide=shown.wide,
-        alt=shown.alt,
-        caption=shown.caption,
-    )
+    job = Job(benchmark="gel-*", plant=gels.plant)
+    return Drawing(figure=FRICTION_FIGURE, job=job, shown=shown)

@@ -1,13 +1,22 @@
-"""One number of the results, and files of them."""
+"""One number of the results, files of them, and every metric a row may carry.
 
+Columns of `metrics.csv`: `name` ends with the unit, see `UNITS`; `table` is the table of
+`benchmarks.tables` that shows the metric (``none``: it stands in the results only); `best`,
+`tolerance` and `relative_tolerance` say which change is one for the worse; `meaning` is one line.
+A relative tolerance of 1 marks a number shown for reference, by which nothing is judged.
+"""
+
+import csv
 import json
 import math
-from collections.abc import Iterable, Sequence
-from dataclasses import asdict, dataclass, fields, replace
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from pathlib import Path
+from types import MappingProxyType
 from typing import Any, Literal, NamedTuple
 
-from benchmarks import ResultsError
+import msgspec
+
+from benchmarks import ResultsError, UnknownMetricError
 
 Source = Literal["ft", "virtual"]
 """Which force: read by the F/T sensor, or estimated from joint signals."""
@@ -31,8 +40,7 @@ class RowKey(NamedTuple):
         return " ".join(map(str, self))
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
-class Row:
+class Row(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
     """One measured number."""
 
     scenario: str  # name of the benchmark
@@ -50,21 +58,29 @@ class Row:
         return RowKey(self.scenario, self.plant, self.seed, self.source, self.method, self.metric)
 
 
-NAMES = tuple(field.name for field in fields(Row))
+NAMES = Row.__struct_fields__
 SCHEMA = 1
 SIGNIFICANT_DIGITS = 6
 """More would only record rounding."""
-_KINDS: dict[str, tuple[Any, str]] = {
-    "seed": (int, "a whole number"),
-    "value": (int | float, "a number or null"),
-}
-"""What a field must be, where it is not text."""
 OLD_NAMES: dict[str, dict[str, str]] = {
     "plant": {"textbook": "ideal", "realistic": "clean", "hard": "degraded"},
-    "method": {"paper": "published", "paper-kv": "published-kv"},
+    "method": {"paper": "published"},
+    "metric": {
+        "exit_residue_pct": "remaining_force_pct",
+        "rupture_dating_error_ms": "rupture_timing_error_ms",
+        "rupture_overshoot_mm": "detection_depth_error_mm",
+        "rupture_dated_depth_error_mm": "estimated_depth_error_mm",
+        "falls_per_insertion": "drops_per_insertion",
+        "fall_recall": "drop_recall",
+        "ruptures_at_falls": "ruptures_at_drops",
+        "ruptures_without_fall": "ruptures_without_drop",
+        "pullout_above_insertion_share": "pullout_above_insertion_fraction",
+        "pullout_left_out_told_median_pct": "pullout_left_out_friction_median_pct",
+        "pullout_left_out_told_p90_pct": "pullout_left_out_friction_p90_pct",
+    },
 }
-"""Names in files written before the plants and methods got the field's words: a run of that time
-must still be comparable with one of today."""
+"""Names in files written before plants, methods and metrics got the field's words: a run of that
+time must still be comparable with one of today."""
 
 
 def to_json(rows: Iterable[Row]) -> str:
@@ -73,16 +89,22 @@ def to_json(rows: Iterable[Row]) -> str:
     return f'{{"schema": {SCHEMA}, "rows": [\n{lines}\n]}}\n'
 
 
-def write_results(path: str | Path, rows: Iterable[Row]) -> None:
-    """Write rows to a file.
+def _plain(row: Row) -> dict[str, Any]:
+    value = float(f"{row.value:.{SIGNIFICANT_DIGITS}g}") if math.isfinite(row.value) else None
+    return msgspec.structs.asdict(row) | {"value": value}
 
-    Raises:
-        ResultsError: The file cannot be written.
-    """
+
+def write_results(path: str | Path, rows: Iterable[Row]) -> None:
+    """Write rows to a file; raises `ResultsError` where that cannot be done."""
     try:
         Path(path).write_text(to_json(rows), encoding="utf-8")
     except OSError as error:
         raise ResultsError(f"cannot write {path}: {error.strerror}") from error
+
+
+class _File(msgspec.Struct):
+    schema: Literal[1]
+    rows: list[dict[str, Any]]
 
 
 def read_results(path: str | Path) -> list[Row]:
@@ -93,76 +115,135 @@ def read_results(path: str | Path) -> list[Row]:
             two rows with one key.
     """
     try:
-        content = json.loads(Path(path).read_text(encoding="utf-8"))
+        items = msgspec.json.decode(Path(path).read_bytes(), type=_File).rows
+        rows = msgspec.convert([_today(item) for item in items], list[Row])
     except OSError as error:
         raise ResultsError(f"cannot read {path}: {error.strerror}") from error
-    except ValueError as error:
+    except msgspec.ValidationError as error:
+        raise ResultsError(f"{path} is not a file of results: {error}") from error
+    except (msgspec.DecodeError, ValueError) as error:
         raise ResultsError(f"{path} is not JSON: {error}") from error
-    if not isinstance(content, dict) or content.get("schema") != SCHEMA:
-        raise ResultsError(f'{path} is not a file of results: expected {{"schema": {SCHEMA}, ...}}')
-    rows = content.get("rows")
-    if not isinstance(rows, list):
-        raise ResultsError(f'{path} has no list of "rows"')
     found: dict[RowKey, Row] = {}
-    for number, item in enumerate(rows, 1):
-        row = _row(item, f"{path}, row {number}")
+    for row in rows:
         if row.key in found:
             raise ResultsError(f"{path} has more than one row for: {row.key}")
         found[row.key] = row
-    return list(_undefined_precision_as_nan(found).values())
+    return [_undefined_as_nan(row, found) for row in rows]
 
 
-def read_merged(paths: Sequence[str | Path]) -> list[Row]:
-    """Rows of several files; a later one replaces what was measured of the same scenario and plant.
-
-    Raises:
-        ResultsError: As `read_results`.
-    """
-    found: dict[tuple[str, str], list[Row]] = {}
-    for path in paths:
-        rows: dict[tuple[str, str], list[Row]] = {}
-        for row in read_results(path):
-            rows.setdefault((row.scenario, row.plant), []).append(row)
-        found |= rows
-    return [row for rows in found.values() for row in rows]
-
-
-def _plain(row: Row) -> dict[str, Any]:
-    value = float(f"{row.value:.{SIGNIFICANT_DIGITS}g}") if math.isfinite(row.value) else None
-    return asdict(row) | {"value": value}
-
-
-def _row(item: Any, where: str) -> Row:
-    if not isinstance(item, dict) or set(item) != set(NAMES):
-        raise ResultsError(f"{where}: expected the fields {', '.join(NAMES)}")
-    values = dict[str, Any](item)
-    if values["value"] is None:
-        values["value"] = math.nan
-    for name, value in values.items():
-        kind, wanted = _KINDS.get(name, (str, "text"))
-        if isinstance(value, bool) or not isinstance(value, kind):
-            raise ResultsError(f"{where}: {name} is {value!r}, expected {wanted}")
-    for name, today in OLD_NAMES.items():
-        values[name] = today.get(values[name], values[name])
-    return Row(**values)
-
-
-def _undefined_precision_as_nan(found: dict[RowKey, Row]) -> dict[RowKey, Row]:
+def _undefined_as_nan(row: Row, found: Mapping[RowKey, Row]) -> Row:
     """Older files say precision 1 where nothing was detected; today it is undefined there.
 
     With an alarm, precision is 1 only if that alarm found a rupture or a soft transition. So a
     precision of 1 beside recalls of 0 was written without any alarm.
     """
+    names = ("rupture_recall", "soft_transition_recall")
+    recalls = [found[key].value for n in names if (key := row.key._replace(metric=n)) in found]
+    was_silent = row.metric == "rupture_precision" and bool(recalls) and not any(recalls)
+    return msgspec.structs.replace(row, value=math.nan) if was_silent and row.value == 1.0 else row
 
-    def was_silent(row: Row) -> bool:
-        recalls = [
-            found.get(row.key._replace(metric=name))
-            for name in ("rupture_recall", "soft_transition_recall")
-        ]
-        known = [recall.value for recall in recalls if recall is not None]
-        return row.value == 1.0 and bool(known) and not any(known)
 
-    for key, row in found.items():
-        if key.metric == "rupture_precision" and was_silent(row):
-            found[key] = replace(row, value=math.nan)
-    return found
+def _today(item: dict[str, Any]) -> dict[str, Any]:
+    """A stored row with nan for null, and with today's names."""
+    item = {name: math.nan if value is None else value for name, value in item.items()}
+    for name, today in OLD_NAMES.items():
+        if isinstance(old := item.get(name), str):
+            item[name] = today.get(old, old)
+    return item
+
+
+def read_merged(paths: Sequence[str | Path]) -> list[Row]:
+    """Rows of several files; a later one replaces those of the same scenario and plant."""
+    found: dict[tuple[str, str], list[Row]] = {}
+    for path in paths:
+        rows = read_results(path)
+        found |= {(row.scenario, row.plant): [] for row in rows}
+        for row in rows:
+            found[row.scenario, row.plant].append(row)
+    return [row for rows in found.values() for row in rows]
+
+
+UNITS = {"_Ns_per_m": "Ns/m", "_Nm": "Nm", "_N": "N", "_mm": "mm", "_ms": "ms", "_pct": "%"}
+"""By the end of a metric's name; a name that ends otherwise is that of a fraction or a count."""
+UNDEFINED = frozenset({"rupture_precision"})
+"""Metrics that may be nan by definition: without an alarm there is no precision."""
+
+
+class Metric(msgspec.Struct, frozen=True, kw_only=True):
+    """One kind of number."""
+
+    name: str  # as in the results
+    table: str  # the table that shows it
+    meaning: str  # one line
+    best: float  # the value wished for: 0 for an error, 1 for a recall, 0.95 for a coverage
+    tolerance: float  # absolute worsening that is not called a regression, in the metric's unit
+    # the same as a fraction of the old distance from ``best``; the larger of the two counts
+    relative_tolerance: float
+
+    @property
+    def unit(self) -> str:
+        """As in the results; ``1`` for none."""
+        return next((unit for end, unit in UNITS.items() if self.name.endswith(end)), "1")
+
+    @property
+    def may_be_undefined(self) -> bool:
+        """Whether nan is a result of it rather than a failure."""
+        return self.name in UNDEFINED
+
+    def is_regression(self, old: float, new: float) -> bool:
+        """Whether the new value is worse beyond tolerance; a number that is not finite always."""
+        if not (math.isfinite(old) and math.isfinite(new)):
+            return not math.isfinite(new)
+        allowed = max(self.tolerance, self.relative_tolerance * abs(old - self.best))
+        return abs(new - self.best) - abs(old - self.best) > allowed
+
+
+def table_lines(path: Path) -> Iterator[dict[str, str]]:
+    """Lines of one of this package's data tables by column; ``#`` begins a comment line."""
+    with path.open(encoding="utf-8", newline="") as lines:
+        yield from csv.DictReader(line for line in lines if not line.startswith("#"))
+
+
+METRICS: Mapping[str, Metric] = MappingProxyType(
+    {
+        line["name"]: msgspec.convert(line, Metric, strict=False)
+        for line in table_lines(Path(__file__).with_name("metrics.csv"))
+    }
+)
+"""By name."""
+
+
+def metric(name: str) -> Metric:
+    """The metric of that name.
+
+    Raises:
+        UnknownMetricError: There is none.
+    """
+    try:
+        return METRICS[name]
+    except KeyError:
+        raise UnknownMetricError(f"no metric {name!r}; known: {', '.join(METRICS)}") from None
+
+
+class Measurement(NamedTuple):
+    """One measured number, before it is known which job it belongs to; fields as in `Row`."""
+
+    source: Source
+    method: Method
+    metric: str
+    value: float
+
+    def row(self, scenario: str, plant: str, seed: int) -> Row:
+        """The row of a job's results; `UnknownMetricError` if `metrics.csv` lacks the metric."""
+        source, method, name, value = self
+        unit = metric(name).unit
+        return Row(
+            scenario=scenario,
+            plant=plant,
+            seed=seed,
+            source=source,
+            method=method,
+            metric=name,
+            value=float(value),
+            unit=unit,
+        )

@@ -1,26 +1,138 @@
-"""From a request to jobs, and the jobs on several processes."""
+"""Every benchmark by name, from a request to jobs, and the jobs on several processes."""
 
 import multiprocessing
 import os
 import signal
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from concurrent.futures import FIRST_EXCEPTION, Future, ProcessPoolExecutor, wait
 from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
+from types import MappingProxyType
 from typing import Any, NamedTuple
 
 from benchmarks import BenchmarkError, DataError, UnknownIdError
 from benchmarks.benchmark import RECORDING, Benchmark, Job, Outcome, Progress
-from benchmarks.catalogue import BENCHMARKS, benchmark
-from benchmarks.paper_figures import NEEDED
-from benchmarks.simulated import NEEDLE
+from benchmarks.published_figures import NEEDED
+from benchmarks.recorded import bovine, liver, panda, ur10e
+from benchmarks.recorded.bovine import run_bovine_real
+from benchmarks.recorded.liver import run_liver_real
+from benchmarks.recorded.liver_limit import run_liver_limit
+from benchmarks.recorded.panda import run_panda_liver, run_panda_real
+from benchmarks.recorded.ur10e import run_ur10e_payload
+from benchmarks.simulated import NEEDLE, run_observers, run_simulated
 from benchmarks.targets import TISSUE
-from groundtruth import PLANT_MODELS, GroundTruthError
+from groundtruth import PLANT_MODELS, SCENARIOS, GroundTruthError
+from groundtruth.scenarios import RANDOM_STACK, RANDOM_TISSUE
 from needleforce.plots import FiguresError
 from needleforce.recordings import RecordingError
 from residual import ResidualError
 from urdf import UrdfError
+
+QUICK = (
+    # The two of the published Figure 5, the other speed of each, and the organs: under a minute.
+    "gel-25-sinusoidal",
+    "gel-70-constant",
+    "stack-sinusoidal",
+    "stack-glove-constant",
+    "liver-constant",
+    "abdomen-sinusoidal",
+)
+
+
+_SIMULATED = (
+    *(
+        Benchmark(
+            id=item.id,
+            title=item.title,
+            run=run_simulated,
+            is_default=item.id in QUICK,
+            needs_arm=not item.layers,
+        )
+        for item in SCENARIOS.values()
+    ),
+    *(
+        Benchmark(
+            id=name,
+            title=f"layers, motion and {drawn} drawn anew for every seed",
+            run=run_simulated,
+            is_default=False,
+            plants=(NEEDLE,),
+            needs_arm=False,
+        )
+        for name, drawn in ((RANDOM_STACK, "speed"), (RANDOM_TISSUE, "speed, tissue law"))
+    ),
+    Benchmark(
+        id="observers",
+        title="momentum, smoothed momentum and Kalman observer on the same samples",
+        run=run_observers,
+        is_default=False,
+    ),
+)
+_RECORDED = (
+    Benchmark(
+        id="panda-real",
+        title="residual of a real Panda in free motion",
+        run=run_panda_real,
+        needs=(panda.FOLDER,),
+        seeds=1,
+    ),
+    Benchmark(
+        id="panda-liver",
+        title="real liver force on the real torques of a Panda; one insertion per seed",
+        run=run_panda_liver,
+        needs=(panda.FOLDER, liver.FOLDER),
+        seeds=len(liver.NUMBERS),
+    ),
+    Benchmark(
+        id="ur10e-payload",
+        title="weight of a known payload from the currents of a real UR10e",
+        run=run_ur10e_payload,
+        needs=(ur10e.FOLDER,),
+        seeds=1,
+    ),
+    Benchmark(
+        id="liver-real",
+        title="friction in 19 insertions into real liver against the pull-out force",
+        run=run_liver_real,
+        needs=(liver.FOLDER,),
+        seeds=1,
+    ),
+    Benchmark(
+        id="liver-limit",
+        title="how well 19 insertions into real liver can predict the pull-out force at all",
+        run=run_liver_limit,
+        needs=(liver.FOLDER,),
+        seeds=1,
+        is_default=False,
+    ),
+    Benchmark(
+        id="bovine-real",
+        title="the ruptures of an insertion into real bovine liver",
+        run=run_bovine_real,
+        needs=(bovine.FOLDER,),
+        seeds=1,
+    ),
+)
+BENCHMARKS: Mapping[str, Benchmark] = MappingProxyType(
+    {item.id: item for item in (*_SIMULATED, *_RECORDED)}
+)
+"""By name."""
+
+
+def benchmark_named(benchmark_id: str) -> Benchmark:
+    """The benchmark of that name.
+
+    Raises:
+        UnknownIdError: There is none; the message lists the names.
+    """
+    try:
+        return BENCHMARKS[benchmark_id]
+    except KeyError:
+        raise UnknownIdError(
+            f"no benchmark {benchmark_id!r}; choose from: {', '.join(BENCHMARKS)}, tissue, all"
+        ) from None
+
 
 ALL = "all"
 PLANTS = (*PLANT_MODELS, NEEDLE)
@@ -42,10 +154,10 @@ class Request:
 
 
 class Plan(NamedTuple):
-    """What will be done."""
+    """Jobs in order, and names of benchmarks that are left out for want of recordings."""
 
-    jobs: tuple[Job, ...]  # in order
-    skipped: tuple[str, ...]  # names of benchmarks that are left out for want of recordings
+    jobs: tuple[Job, ...]
+    skipped: tuple[str, ...]
 
 
 def make_plan(request: Request) -> Plan:
@@ -79,7 +191,7 @@ def _chosen(request: Request) -> list[Benchmark]:
     ids = [name for asked in request.ids for name in (TISSUE if asked == "tissue" else (asked,))]
     for name in ids:
         if name != ALL:
-            benchmark(name)
+            benchmark_named(name)
     if not ids:
         drawn = NEEDED if request.drawings is not None else ()
         return [item for item in BENCHMARKS.values() if item.is_default or item.id in drawn]
@@ -127,7 +239,7 @@ KNOWN = (BenchmarkError, GroundTruthError, ResidualError, UrdfError, RecordingEr
 def run_job(job: Job, progress: Progress) -> Outcome:
     """Rows of a job, or the reason why there are none; unforeseen errors are raised."""
     try:
-        found = benchmark(job.benchmark).run(job, progress)
+        found = benchmark_named(job.benchmark).run(job, progress)
     except KNOWN as error:
         return Outcome(job=job, failure=f"{type(error).__name__}: {error}")
     rows = tuple(item.row(job.benchmark, job.plant, job.seed) for item in found.measurements)
@@ -144,12 +256,9 @@ _worker_queue: Any = None
 
 
 def run_jobs(jobs: Sequence[Job], processes: int, on_progress: JobProgress) -> list[Outcome]:
-    """Do all jobs and return their outcomes in the order of the jobs.
+    """Do all jobs, so many at a time, and return their outcomes in the order of the jobs.
 
-    Args:
-        jobs: What to do.
-        processes: How many at a time; with one, all is done in this process.
-        on_progress: Gets the progress of each job now and then.
+    With one process, all is done in this one.
     """
     if processes <= 1 or len(jobs) <= 1:
         return [run_job(job, partial(on_progress, index)) for index, job in enumerate(jobs)]

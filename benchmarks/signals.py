@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 from scipy.signal import lfilter
 
 from benchmarks.rows import Source
-from groundtruth import NeedleRun, Run, Rupture, Truth
+from groundtruth import NeedleRun, Run, Rupture
 from needleforce.session import TipTravel
 from residual import VelocityEstimator
 from residual.tool_kinematics import ToolKinematics
@@ -55,18 +55,9 @@ class InsertionTruth:
         return float(np.median(np.diff(self.t_s)))
 
 
-def truth_of_run(run: Run) -> InsertionTruth:
-    """The ground truth of an insertion by the simulated arm."""
-    return _truth(run, run.truth, run.contact_s)
-
-
-def truth_of_needle(run: NeedleRun) -> InsertionTruth:
-    """The ground truth of an insertion by a needle without an arm."""
-    return _truth(run, run, run.truth.contact_s)
-
-
-def _truth(run: Run | NeedleRun, motion: Truth | NeedleRun, contact_s: float) -> InsertionTruth:
-    true = run.truth
+def insertion_truth(run: Run | NeedleRun) -> InsertionTruth:
+    """The ground truth of an insertion, by the simulated arm or by a needle without one."""
+    true, motion = run.truth, run if isinstance(run, NeedleRun) else run.truth
     return InsertionTruth(
         t_s=motion.t_s,
         depth_m=motion.depth_m,
@@ -77,7 +68,7 @@ def _truth(run: Run | NeedleRun, motion: Truth | NeedleRun, contact_s: float) ->
         layer=true.layer,
         ruptures=true.ruptures,
         tare_end_s=run.tare_end_s,
-        contact_s=contact_s,
+        contact_s=run.truth.contact_s if isinstance(run, NeedleRun) else run.contact_s,
         insertion_end_s=run.scenario.motion.insertion_end_s,
         boundaries_m=tuple(accumulate(layer.thickness_m for layer in run.scenario.layers)),
     )
@@ -156,12 +147,8 @@ class MeasuredTravel(NamedTuple):
 def measured_travel(robot: Robot, signals: JointSignals, zero_s: float) -> MeasuredTravel:
     """Forward kinematics of measured positions, Jacobian of measured velocities.
 
-    Where the arm sends no velocity it is estimated as the virtual sensor does it, causally.
-
-    Args:
-        robot: The arm as the estimator knows it; its tool frame's z axis is the needle.
-        signals: What the arm sent.
-        zero_s: The tip's place and axis at that time are the zero and the direction of depth.
+    Where the arm sends no velocity it is estimated as the virtual sensor does it, causally. The
+    tip's place and axis at `zero_s` are the zero and the direction of depth.
     """
     kinematics = ToolKinematics(robot)
     kinematics.update(signals.q_rad[int(np.searchsorted(signals.t_s, zero_s))])
@@ -187,13 +174,7 @@ def _velocities(signals: JointSignals) -> Array:
 
 
 def smoothed(travel: MeasuredTravel, dt_s: Array, time_constant_s: float) -> MeasuredTravel:
-    """The same travel, its speed through a causal first-order low-pass.
-
-    Args:
-        travel: As measured.
-        dt_s: Time since the previous sample, shape (n,).
-        time_constant_s: Of the low-pass.
-    """
+    """The same travel, its speed through a causal first-order low-pass."""
     speed = travel.speed_m_s.tolist()
     gains = (1.0 - np.exp(-dt_s / time_constant_s)).tolist()
     for k in range(1, len(speed)):
@@ -211,12 +192,7 @@ def lagging(values: Array, t_s: Array, lag_s: float) -> Array:
 
 
 def tool_jacobians(robot: Robot, q_rad: Array) -> Array:
-    """Jacobians of the tool frame in its own axes, shape (n, 6, j); row 2 is along the needle.
-
-    Args:
-        robot: An arm of j joints.
-        q_rad: Joint positions, shape (n, j).
-    """
+    """Jacobians of the tool frame in its own axes, shape (n, 6, j); row 2 is along the needle."""
     model, data, frame = robot.model, robot.create_data(), robot.tool_frame_id
     axes = pin.ReferenceFrame.LOCAL
     return np.array([pin.computeFrameJacobian(model, data, q, frame, axes) for q in q_rad])

@@ -8,23 +8,28 @@ from numpy.typing import NDArray
 from scipy.ndimage import uniform_filter1d
 
 from benchmarks.benchmark import Drawing, Findings, Job, Progress, progress_part
-from benchmarks.force_metrics import residual_metrics, wrench_metrics
 from benchmarks.force_plots import force_figures
-from benchmarks.identification_figures import identification_figures
-from benchmarks.identification_metrics import Signals, identification_metrics, identify_all
-from benchmarks.methods import METHODS, ForceReading, ft_force, on_lwr, virtual_force
-from benchmarks.metrics import Measurement
-from benchmarks.rows import Method, Source
+from benchmarks.identification_figures import draw_identification
+from benchmarks.identification_metrics import Signals, identify_all, measure_identification
+from benchmarks.methods import (
+    METHODS,
+    ForceReading,
+    ft_force,
+    on_lwr,
+    residual_metrics,
+    virtual_force,
+    wrench_metrics,
+)
+from benchmarks.rows import Measurement, Method, Source
 from benchmarks.signals import (
     ForceTruth,
     InsertionTruth,
     JointSignals,
     NeedleSignal,
+    insertion_truth,
     measured_travel,
     smoothed,
     tool_jacobians,
-    truth_of_needle,
-    truth_of_run,
 )
 from groundtruth import (
     PLANT_MODELS,
@@ -60,7 +65,7 @@ def run_simulated(job: Job, progress: Progress) -> Findings:
     measured = simulated_metrics(case)
     if chosen.layers:
         ft = next(item for item in case.readings if item.source == "ft")
-        truth = truth_of_run(case.run)
+        truth = insertion_truth(case.run)
         found = _identify(job, arm_signals(case), truth, case.run.scenario, ft)
         measured += found.measurements
         drawings += found.drawings
@@ -83,13 +88,11 @@ def simulated_case(job: Job, chosen: Scenario, progress: Progress) -> SimulatedC
     signals = JointSignals.of_run(run)
     # Where the wrist turns, the F/T reading is mostly the needle's weight.
     readings = [ft_force(run)] if chosen.layers else []
-    start = SIMULATION_PART
-    for method, config in METHODS.items():
-        end = start + (1.0 - SIMULATION_PART) / len(METHODS)
-        part = progress_part(progress, start, end)
+    ends = np.linspace(SIMULATION_PART, 1.0, len(METHODS) + 1).tolist()
+    for k, (method, config) in enumerate(METHODS.items()):
+        part = progress_part(progress, ends[k], ends[k + 1])
         reading = virtual_force(run.robot, signals, on_lwr(config), method, run.tare_end_s, part)
         readings.append(reading)
-        start = end
     # From first contact to the end of withdrawal; without tissue, all after the tare.
     free = not chosen.layers
     truth = ForceTruth(
@@ -105,10 +108,8 @@ def simulated_case(job: Job, chosen: Scenario, progress: Progress) -> SimulatedC
 
 def simulated_metrics(case: SimulatedCase) -> list[Measurement]:
     """Every number of residual and force of one simulated insertion."""
-    found = residual_metrics(case.run, case.signals)
-    for reading in case.readings:
-        found += wrench_metrics(reading, case.truth)
-    return found
+    forces = [item for reading in case.readings for item in wrench_metrics(reading, case.truth)]
+    return residual_metrics(case.run, case.signals) + forces
 
 
 PUBLISHED_SPEED_s = 0.02
@@ -129,21 +130,18 @@ def arm_signals(case: SimulatedCase) -> list[Signals]:
     travel = {"default": measured, "published": smoothed(measured, signals.dt_s, PUBLISHED_SPEED_s)}
     force = {(item.source, item.method): item.axial_N for item in case.readings}
     force["ft", "published"] = force["ft", "default"]
+
+    def signal(source: Source, method: Method) -> NeedleSignal:
+        return NeedleSignal(
+            source=source,
+            t_s=signals.t_s,
+            depth_m=travel[method].depth_m,
+            speed_m_s=travel[method].speed_m_s,
+            force_N=force[source, method],
+        )
+
     sources: tuple[Source, ...] = ("ft", "virtual")
-    methods: tuple[Method, ...] = ("default", "published")
-    return [
-        {
-            method: NeedleSignal(
-                source=source,
-                t_s=signals.t_s,
-                depth_m=travel[method].depth_m,
-                speed_m_s=travel[method].speed_m_s,
-                force_N=force[source, method],
-            )
-            for method in methods
-        }
-        for source in sources
-    ]
+    return [{method: signal(source, method) for method in METHODS} for source in sources]
 
 
 def _identify(
@@ -158,12 +156,12 @@ def _identify(
     found = []
     for signals in sources:
         identified = identify_all(signals, truth)
-        measured += identification_metrics(signals, identified, truth)
+        measured += measure_identification(signals, identified, truth)
         found.append((signals, identified))
     if job.drawings is None:
         return Findings(measured)
     commanded = scenario.motion.speed_m_s(truth.t_s)
-    drawings = identification_figures(job, job.drawings, truth, commanded, found, ft)
+    drawings = draw_identification(job, job.drawings, truth, commanded, found, ft)
     return Findings(measured, drawings)
 
 
@@ -174,11 +172,8 @@ NOISE_FACTOR = (0.5, 2.0)
 def run_needle(job: Job, chosen: Scenario, progress: Progress, *, is_drawn: bool) -> Findings:
     """Identification alone, at half a second a run: insert, identify by both methods, measure.
 
-    Args:
-        job: What to do; its seed is that of the noise.
-        chosen: The scenario; without tissue there is nothing to identify.
-        progress: Gets the fraction done.
-        is_drawn: Whether the noise level is drawn with the scenario.
+    Without tissue there is nothing to identify. The seed is that of the noise, whose level may be
+    drawn as well.
     """
     if not chosen.layers:
         return Findings([])
@@ -195,7 +190,7 @@ def run_needle(job: Job, chosen: Scenario, progress: Progress, *, is_drawn: bool
         force_N=run.force_N,
     )
     signals: Signals = {"default": signal, "published": signal}
-    return _identify(job, [signals], truth_of_needle(run), chosen)
+    return _identify(job, [signals], insertion_truth(run), chosen)
 
 
 def drawn_noise(rng: np.random.Generator) -> ForceNoise:
@@ -227,7 +222,10 @@ def run_observers(job: Job, progress: Progress) -> Findings:
         progress(1.0)
         return Findings([])
     run = simulate(OBSERVED, job.plant, job.seed)
-    weights = _axial_weights(run, np.array(level.torque_noise_std_Nm))
+    # Weights of the joints in the axial force at every sample, shape (n, 7).
+    along = tool_jacobians(run.robot, run.signals.q_rad)[:, 2]
+    pushed = -along / np.array(level.torque_noise_std_Nm) ** 2
+    weights = pushed / np.vecdot(pushed, -along)[:, None]
     progress(0.3)
     found = []
     for k, (name, observers) in enumerate(_observers(run, level).items()):
@@ -242,11 +240,13 @@ def _observers(
 ) -> dict[str, Iterable[MomentumObserver | KalmanObserver]]:
     robot, noise = run.robot, np.array(level.torque_noise_std_Nm)
     speed_noise = level.velocity_noise_std_rad_s or 0.0
-    smoothing = [MomentumObserver(robot, gain, alignment="hold") for gain in GAINS_per_s]
+    plain, smoothing = (
+        [MomentumObserver(robot, gain, alignment="hold") for gain in GAINS_per_s] for _ in range(2)
+    )
     for observer in smoothing:
         observer.smooth_momentum(np.full(robot.nv, speed_noise), run.signals.q_rad[0])
     return {
-        "momentum": [MomentumObserver(robot, gain, alignment="hold") for gain in GAINS_per_s],
+        "momentum": plain,
         "smoothed": smoothing,
         "kalman": [
             KalmanObserver(
@@ -259,13 +259,6 @@ def _observers(
             for walk in RANDOM_WALKS_per_sqrt_s
         ],
     }
-
-
-def _axial_weights(run: Run, noise: Array) -> Array:
-    """Weights of the joints in the axial force at every sample, shape (n, 7)."""
-    along = tool_jacobians(run.robot, run.signals.q_rad)[:, 2]
-    pushed = -along / noise**2
-    return pushed / np.vecdot(pushed, -along)[:, None]
 
 
 def _quick_error_N(run: Run, weights: Array, observer: MomentumObserver | KalmanObserver) -> float:

@@ -1,7 +1,7 @@
 """What an update of the estimators costs, beside the bare Pinocchio calls it cannot do without."""
 
 import gc
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass, replace
 from time import perf_counter_ns
@@ -53,11 +53,11 @@ BARE_OBSERVER, BARE_SENSOR = "dynamics of the observer", "dynamics of the sensor
 
 
 class Subject(NamedTuple):
-    """What a subject's cost is a multiple of, and the most that it may be."""
+    """What a subject's cost is a multiple of, and the most it may be, compiled by numba or not."""
 
     bare: str
-    compiled: float | None = None  # limit where numba compiles
-    plain: float | None = None  # limit in plain Python
+    compiled: float | None = None
+    plain: float | None = None
 
 
 OBSERVER, SENSOR, CHAIN = "observer", "sensor", "chain"
@@ -85,25 +85,23 @@ def cost_ratio(times: Times, bare: Times) -> float:
 
 
 def time_side_by_side(subjects: Mapping[str, Update], first: int, last: int) -> dict[str, Times]:
-    """Let subjects take turns, block by block, over the same samples.
+    """Let subjects take turns, block by block, over the same samples 0 to last - 1.
 
-    Args:
-        subjects: By name; each gets every index from 0 to last - 1 once, in order.
-        first: Updates before this index are not counted: caches fill, filters settle.
-        last: End of the samples; at least one block after ``first``.
+    Updates before `first` are not counted: caches fill, filters settle.
     """
-    times: dict[str, list[list[float]]] = {name: [] for name in subjects}
     for update in subjects.values():
-        _time(update, 0, first)
+        time_each(update, range(first))
+    times: dict[str, list[list[float]]] = {name: [] for name in subjects}
     for start in range(first, last - BLOCK + 1, BLOCK):
         for name, update in subjects.items():
-            times[name].append(_time(update, start, start + BLOCK))
+            times[name].append(time_each(update, range(start, start + BLOCK)))
     return {name: np.array(blocks) for name, blocks in times.items()}
 
 
-def _time(update: Update, start: int, stop: int) -> list[float]:
+def time_each(update: Update, indices: Iterable[int]) -> list[float]:
+    """Time of every update [us]."""
     taken = []
-    for k in range(start, stop):
+    for k in indices:
         before = perf_counter_ns()
         update(k)
         taken.append((perf_counter_ns() - before) / NS_PER_US)
@@ -113,9 +111,8 @@ def _time(update: Update, start: int, stop: int) -> list[float]:
 class ChainUpdate:
     """A session that takes an arm's signals sample by sample, called with the index of the next.
 
-    Attributes:
-        alarms: Indices of the updates that raised a rupture.
-        layers: Indices of the updates that worked on identifying a traversed layer.
+    `alarms` are the updates that raised a rupture, `layers` those that worked on identifying a
+    traversed layer.
     """
 
     def __init__(
@@ -193,11 +190,7 @@ class SpeedReport:
 
 
 def measure_speed(progress: Callable[[float], None]) -> SpeedReport:
-    """Time everything on the signals of a simulated insertion, from the tare on.
-
-    Args:
-        progress: Gets the fraction of the simulation that is done.
-    """
+    """Time everything on the signals of a simulated insertion, from the tare on."""
     run = simulate(SCENARIO, PLANT, 0, progress)
     even = JointSignals.of_run(run)
     noise = np.random.default_rng(0).normal(scale=JITTER_s, size=len(even.t_s))
@@ -205,18 +198,21 @@ def measure_speed(progress: Callable[[float], None]) -> SpeedReport:
     blind = replace(even, dq_rad_s=None)
     tare = int(np.searchsorted(even.t_s, run.tare_end_s))
     chains = {
-        CHAIN: ChainUpdate(run.robot, even, tare),
-        CHAIN + ESTIMATED: ChainUpdate(run.robot, blind, tare),
-        PUBLISHED_CHAIN: ChainUpdate(run.robot, even, tare, PUBLISHED),
-        PUBLISHED_CHAIN + ESTIMATED: ChainUpdate(run.robot, blind, tare, PUBLISHED),
+        name + how: ChainUpdate(run.robot, signals, tare, config)
+        for name, config in ((CHAIN, MULTILAYER), (PUBLISHED_CHAIN, PUBLISHED))
+        for how, signals in (("", even), (ESTIMATED, blind))
     }
+    observers = [
+        MomentumObserver(run.robot, DEFAULT.gain_per_s, alignment="hold") for _ in range(2)
+    ]
+    sensors = [VirtualForceSensor(run.robot, on_lwr(DEFAULT)) for _ in range(2)]
     subjects = {
         BARE_OBSERVER: _bare_observer(run.robot, even),
-        OBSERVER: _observer(run.robot, even),
-        OBSERVER + UNEVEN: _observer(run.robot, uneven),
+        OBSERVER: _fed(observers[0], even),
+        OBSERVER + UNEVEN: _fed(observers[1], uneven),
         BARE_SENSOR: bare_sensor(run.robot, even),
-        SENSOR: _sensor(run.robot, even, tare),
-        SENSOR + UNEVEN: _sensor(run.robot, uneven, tare),
+        SENSOR: _fed(sensors[0], even, tare),
+        SENSOR + UNEVEN: _fed(sensors[1], uneven, tare),
         **chains,
     }
     # The first counted update comes after that of the tare.
@@ -252,12 +248,7 @@ def _bare_observer(robot: Robot, signals: JointSignals) -> Update:
 
 
 def bare_sensor(robot: Robot, signals: JointSignals) -> Update:
-    """Mass and Coriolis matrix, gravity and Jacobian; the torque regressor when the bias is due.
-
-    Args:
-        robot: The arm.
-        signals: What it sent, evenly.
-    """
+    """Mass and Coriolis matrix, gravity and Jacobian; the torque regressor when the bias is due."""
     model, data = robot.model, robot.create_data()
     positions, still = list(signals.q_rad), np.zeros(robot.nv)
     frame, axes = robot.tool_frame_id, pin.ReferenceFrame.LOCAL
@@ -274,19 +265,14 @@ def bare_sensor(robot: Robot, signals: JointSignals) -> Update:
     return update
 
 
-def _observer(robot: Robot, signals: JointSignals) -> Update:
-    observer = MomentumObserver(robot, DEFAULT.gain_per_s, alignment="hold")
-    samples: list[Any] = signals.samples()
-    return lambda k: observer.update(*samples[k])
-
-
-def _sensor(robot: Robot, signals: JointSignals, tare: int) -> Update:
-    sensor, samples = VirtualForceSensor(robot, on_lwr(DEFAULT)), signals.samples()
+def _fed(estimator: Any, signals: JointSignals, tare: int = -1) -> Update:
+    """An estimator that gets the sample of each index, and is tared before that of `tare`."""
+    samples = signals.samples()
 
     def update(k: int) -> None:
         if k == tare:
-            sensor.tare()
-        sensor.update(*samples[k])
+            estimator.tare()
+        estimator.update(*samples[k])
 
     return update
 
@@ -307,31 +293,28 @@ def slab(seconds: float) -> Scenario:
 def layer_us(seconds: float, config: MultilayerConfig | PublishedConfig) -> float:
     """Time of the slowest update from the first alarm until the last layer is identified [us].
 
-    Of each update the median of `REPEATS` equal insertions.
-
-    Args:
-        seconds: Time spent in the layer [s].
-        config: Settings of the identifier.
+    Of each update the median of `REPEATS` equal insertions that spend so many seconds in the layer.
     """
     run = insert_needle(slab(seconds), seed=0)
     inside = run.t_s > run.tare_end_s
     columns = (run.depth_m, run.speed_m_s, run.force_N)
     samples = list(zip(*(column[inside].tolist() for column in columns), strict=True))
-    taken_us = np.zeros((REPEATS, len(samples)))
-    alarm, last = len(samples), 0
-    for times in taken_us:
+    taken_us, alarms, layers = [], set[int](), set[int]()
+    for _ in range(REPEATS):
         identifier = Identifier(config)
-        for k, (depth_m, speed_m_s, force_N) in enumerate(samples):
-            before = perf_counter_ns()
+
+        def update(k: int, identifier: Identifier = identifier) -> None:
+            depth_m, speed_m_s, force_N = samples[k]
             found = identifier.update(depth_m, speed_m_s, force_N, 1e-3)
-            times[k] = (perf_counter_ns() - before) / NS_PER_US
-            # The same work every time, so the same alarms.
             if found.rupture is not None:
-                alarm = min(alarm, k)
+                alarms.add(k)
             if found.identified_layer is not None:
-                last = max(last, k)
-    # What is slow only once was interrupted.
-    return float(np.max(np.median(taken_us, axis=0)[alarm : last + 1], initial=0.0))
+                layers.add(k)
+
+        taken_us.append(time_each(update, range(len(samples))))
+    # The same work every time, so the same alarms. What is slow only once was interrupted.
+    medians = np.median(taken_us, axis=0)[min(alarms, default=0) : max(layers, default=-1) + 1]
+    return float(np.max(medians, initial=0.0))
 
 
 def speed_report(report: SpeedReport) -> tuple[list[ResultTable], str, bool]:

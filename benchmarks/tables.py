@@ -1,20 +1,28 @@
-"""The tables of a run: in the terminal, in docs/results.md and in the report."""
+"""The tables of a run: in the terminal, in docs/results.md, in README.md and in the report."""
 
 import math
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass
+from pathlib import Path
 from types import MappingProxyType
 from typing import Any, NamedTuple
 
+import msgspec
 import numpy as np
 import pandas as pd
 from rich.console import Console
 from rich.table import Table
 
-from benchmarks.evaluation import Comparison, evaluate
-from benchmarks.metrics import METRICS, metric
-from benchmarks.rows import NAMES, Row
-from benchmarks.targets import PUBLISHED_RMSE_N, TARGETS, TABLE_ONE_Ns_per_m
+from benchmarks import ResultsError
+from benchmarks.rows import METRICS, NAMES, Row, metric
+from benchmarks.targets import (
+    GROUPS,
+    PUBLISHED_RMSE_N,
+    TARGETS,
+    Comparison,
+    TABLE_ONE_Ns_per_m,
+    evaluate,
+)
 
 NOTHING = "–"
 """In a cell: there is no such number."""
@@ -96,7 +104,7 @@ def select(frame: Frame, **wanted: str | None) -> Frame:
     return frame
 
 
-class Column(NamedTuple):
+class Column(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     """A column of numbers: which rows of a group go into a cell, and how they are shown."""
 
     head: str
@@ -106,12 +114,12 @@ class Column(NamedTuple):
     source: str | None = None
     scale: float = 1.0  # factor on the values
     is_fraction: bool = False  # of several runs, show mean and least, not median and worst
-    text: Callable[[Frame], str] | None = None  # of the group, instead of a number
+    text: str = ""  # name in `TEXTS` of what is shown of the group instead of a number
 
     def cell(self, group: Frame) -> str:
         """What the group's rows give."""
-        if self.text is not None:
-            return self.text(group)
+        if self.text:
+            return TEXTS[self.text](group)
         mine = select(group, metric=self.metric, method=self.method, source=self.source)
         known = METRICS.get(mine["metric"].iloc[0]) if len(mine) else None
         values = mine["value"] * self.scale
@@ -124,11 +132,7 @@ class Column(NamedTuple):
 def summary(values: Frame, form: str, best: float = 0.0, *, is_fraction: bool = False) -> str:
     """One value as it is; of more the median, and in brackets the one farthest from the best.
 
-    Args:
-        values: Of the runs, a pandas.Series.
-        form: Format of a number, such as ``.3f``.
-        best: The value wished for.
-        is_fraction: Give the mean and the least instead.
+    Of fractions the mean and the least instead.
     """
     if values.empty:
         return NOTHING
@@ -142,29 +146,27 @@ def summary(values: Frame, form: str, best: float = 0.0, *, is_fraction: bool = 
     return f"{values.median():{form}} ({worst:{form}})"
 
 
-def worst_of(*names: str) -> Callable[[Frame], tuple[float, ...]]:
-    """How far the worst run of a group is from the best value, metric by metric."""
-
-    def badness(group: Frame) -> tuple[float, ...]:
-        errors = ((select(group, metric=n)["value"] - METRICS[n].best).abs().max() for n in names)
-        return tuple(0.0 if math.isnan(error) else error for error in errors)
-
-    return badness
-
-
 HEADS = {"source": "force", "metric": "what"}
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
-class GroupTable:
-    """A table with one line per group of rows."""
+class GroupTable(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
+    """A table with one line per group of rows, as `tables.toml` has it."""
 
     title: str
-    shows: str  # groups without a metric of this table of `metrics.csv` are left out
     by: tuple[str, ...]  # columns of `Row` that make a group
     columns: tuple[Column, ...]
+    shows: str = ""  # groups without a metric of this table of `metrics.csv` are left out
     caption: str = ""
-    badness: Callable[[Frame], tuple[float, ...]] = lambda group: ()  # groups with most come first
+    # metrics whose worst run decides the order, worst first; ``target``: missed targets come first
+    worst_first: tuple[str, ...] = ()
+
+    def _badness(self, group: Frame) -> tuple[float, ...]:
+        """How far the worst run of a group is from the best value, metric by metric."""
+        if self.worst_first == ("target",):
+            return (_force_mark(group) == "missed",)
+        values = [(METRICS[n].best, select(group, metric=n)["value"]) for n in self.worst_first]
+        errors = ((each - best).abs().max() for best, each in values)
+        return tuple(0.0 if math.isnan(error) else error for error in errors)
 
     def __call__(self, rows: Iterable[Row]) -> ResultTable:
         """The table of some rows."""
@@ -173,7 +175,7 @@ class GroupTable:
         keys = frame[frame["metric"].isin(names)][list(self.by)].drop_duplicates()
         frame = keys.merge(frame, on=list(self.by))
         groups = list(frame.groupby(list(self.by), sort=False))
-        groups.sort(key=lambda group: self.badness(group[1]), reverse=True)
+        groups.sort(key=lambda group: self._badness(group[1]), reverse=True)
         lines = []
         for key, group in groups:
             line = [*map(str, key), *(column.cell(group) for column in self.columns)]
@@ -222,122 +224,22 @@ def _published_change(group: Frame) -> str:
     return f"{100.0 * (known.online / known.offline - 1.0):.0f}"
 
 
-_OURS = ("default", "virtual")
-_BY_PLANT, _BY_METHOD = ("scenario", "plant"), ("scenario", "plant", "source", "method")
-_SEEDS = "Several seeds: median (worst), of fractions mean (least). "
+TEXTS: dict[str, Callable[[Frame], str]] = {
+    "force target": _force_mark,
+    "real arm": _real_arm,
+    "published change": _published_change,
+}
+"""What a column shows that is not a number of its group."""
 
-TABLES: Mapping[str, GroupTable] = MappingProxyType(
-    {
-        "force": GroupTable(
-            title="Axial force against the true one",
-            shows="force",
-            by=_BY_PLANT,
-            columns=(
-                Column("F/T\nRMSE, N", ".3f", _RMSE, "default", "ft"),
-                Column("published\nRMSE, N", ".3f", _RMSE, "published", "virtual"),
-                Column("default\nRMSE, N", ".3f", _RMSE, *_OURS),
-                Column("default\n/ published", ".2f", "wrench_rmse_ratio", *_OURS),
-                Column("real arm\nN", text=_real_arm),
-                Column("bias\nmN", ".0f", "wrench_bias_N", *_OURS, scale=1e3),
-                Column("lag\nms", ".0f", "wrench_lag_ms", *_OURS),
-                Column("within\n2 sigma", ".2f", "wrench_coverage_2sigma", *_OURS),
-                Column("target", text=_force_mark),
-            ),
-            caption="From first contact to the end of withdrawal; several seeds: median (worst). "
-            "'real arm': RMSE of the published method on its LWR 4+, Figure 5; scenario and tissue "
-            "are alike, not the same. Missed targets first.",
-            badness=lambda group: (_force_mark(group) == "missed",),
-        ),
-        "ruptures": GroupTable(
-            title="Online identification: ruptures",
-            shows="ruptures",
-            by=_BY_METHOD,
-            columns=(
-                Column("recall", ".2f", "rupture_recall", is_fraction=True),
-                Column("precision", ".2f", "rupture_precision", is_fraction=True),
-                Column("recall,\nsoft ones", ".2f", "soft_transition_recall", is_fraction=True),
-                Column("delay\nms", ".0f", "rupture_delay_ms"),
-                Column("timing error\nms", ".0f", "rupture_dating_error_ms"),
-                Column("depth error\nmm", ".2f", "rupture_overshoot_mm"),
-            ),
-            caption=_SEEDS
-            + "Ruptures drop the force by more than five times the source's noise in "
-            "free air; an alarm belongs to one within 0.2 s before to 1.5 s after its onset; "
-            "without an alarm there is no precision. Fewest ruptures found first.",
-            badness=worst_of("rupture_recall", "rupture_precision"),
-        ),
-        "friction": GroupTable(
-            title="Online identification: friction and forces",
-            shows="friction",
-            by=_BY_METHOD,
-            columns=(
-                Column("friction, %\nworst layer", ".1f", "friction_error_online_worst_pct"),
-                Column(
-                    "within\n2 sigma", ".2f", "friction_coverage_online_2sigma", is_fraction=True
-                ),
-                Column("at the end\n%", ".1f", "friction_error_worst_pct"),
-                Column("remaining\nforce, %", ".1f", "exit_residue_pct"),
-                Column("enhanced\nRMSE, N", ".3f", "enhanced_rmse_N"),
-                Column("tip\nRMSE, N", ".3f", "tip_rmse_N"),
-            ),
-            caption=_SEEDS + "Remaining force: |enhanced force| beyond the last layer over the "
-            "force there. RMSE: from the first compensation to the deepest point. Largest error of "
-            "the friction first.",
-            badness=worst_of("friction_error_online_worst_pct"),
-        ),
-        "bounds": GroupTable(
-            title="Bounds of identification",
-            shows="bounds",
-            by=("scenario", "plant", "source"),
-            columns=(
-                Column("friction, %\nwhite noise", ".2f", "friction_bound_white_pct", "default"),
-                Column("least\n(bound)", ".2f", "friction_bound_pct", "default"),
-                Column("ours", ".2f", "friction_error_mean_pct", "default"),
-                Column("delay, ms\nleast (bound)", ".1f", "rupture_delay_bound_ms", "default"),
-                Column("ours", ".1f", "rupture_delay_ms", "default"),
-                Column("published", ".1f", "rupture_delay_ms", "published"),
-            ),
-            caption=_SEEDS + "Bounds know the law, position and size of every rupture, and the "
-            "noise of the run; see docs/limits.md.",
-        ),
-        "table I": GroupTable(
-            title="Table I: cumulative friction of single gels, Ns/m",
-            shows="table I",
-            by=_BY_METHOD,
-            columns=(
-                *(Column(k, ".0f", _CUMULATIVE.format(k)) for k in ("true", "offline", "online")),
-                Column("offline to\nonline, %", "+.0f", "online_change", scale=100.0),
-                Column("published\n%", text=_published_change),
-            ),
-            caption=_SEEDS + "'published': from offline to online in the paper.",
-        ),
-        "offline": GroupTable(
-            title="Offline reconstruction: RMSE, N",
-            shows="offline",
-            by=_BY_PLANT,
-            columns=(
-                Column("multi-layer", ".3f", "offline_rmse_ml_N"),
-                Column("Kelvin-Voigt", ".3f", "offline_rmse_kv_N"),
-            ),
-            caption="Equation (6) on the F/T reading, true layers and ruptures given; RMSE from "
-            "first contact to the deepest point. " + _SEEDS,
-        ),
-        "real tissue": GroupTable(
-            title="Real tissue",
-            shows="real tissue",
-            by=("scenario", "source", "metric"),
-            columns=tuple(Column(m, ".3g", method=m) for m in ("guess", "published", "default")),
-            caption="Several insertions: median (worst).",
-        ),
-        "numbers": GroupTable(
-            title="Other numbers",
-            shows="numbers",
-            by=("scenario", "plant", "method", "metric"),
-            columns=(Column("value", ".3g"),),
-        ),
-    }
-)
-"""In order, by the name in `metrics.csv`; a new kind of number gets its table here."""
+
+def _read() -> dict[str, GroupTable]:
+    content = Path(__file__).with_name("tables.toml").read_bytes()
+    found = msgspec.toml.decode(content, type=dict[str, GroupTable])
+    return {name: msgspec.structs.replace(table, shows=name) for name, table in found.items()}
+
+
+TABLES: Mapping[str, GroupTable] = MappingProxyType(_read())
+"""In order, by the name in `metrics.csv`; a new kind of number gets its table in `tables.toml`."""
 
 
 def target_table(rows: Iterable[Row]) -> ResultTable:
@@ -384,6 +286,112 @@ def result_tables(rows: Sequence[Row]) -> list[ResultTable]:
     return [table for table in tables if table.lines]
 
 
-def run_tables(rows: Sequence[Row]) -> list[Table]:
-    """The same for the terminal."""
-    return [table.rich() for table in result_tables(rows)]
+BEGIN = "<!-- results:begin -->"
+END = "<!-- results:end -->"
+
+
+class Headline(NamedTuple):
+    """A line of the summary: one metric over a group of runs."""
+
+    metric: str
+    form: str  # format of a number
+    what: str  # for people, with the unit
+    source: str = "virtual"
+    plant: str = "clean"
+    scenarios: str = "tissue"  # a group of `benchmarks.targets`, or a scenario
+
+
+_FORCE = Headline("wrench_rmse_N", ".3f", "axial force, rms error, N")
+_RECALL = Headline("rupture_recall", ".2f", "ruptures found, fraction")
+_PULL_OUT = "friction against pull-out force, median error, %"
+HEADLINES = (
+    _FORCE,
+    _FORCE._replace(plant="degraded"),
+    _RECALL,
+    _RECALL._replace(plant="degraded"),
+    Headline("rupture_precision", ".2f", "alarms that are true, fraction"),
+    Headline("rupture_delay_ms", ".0f", "delay of the alarm, ms"),
+    Headline("friction_error_online_worst_pct", ".1f", "friction of a layer, worst error, %"),
+    Headline("pullout_error_median_pct", ".0f", _PULL_OUT, "ft", "recording", "liver-real"),
+)
+"""At most eight: the README shows them."""
+
+
+def summary_table(rows: Sequence[Row]) -> ResultTable:
+    """The `HEADLINES` these rows have something for, the bad ones first.
+
+    Bad is a line with a missed target, then one in which ours is no better than published.
+    """
+    frame = frame_of(rows)
+    met: dict[tuple[str, str, str], bool] = {}
+    for found in evaluate(rows):
+        key = (found.target.metric, found.target.source, found.target.plant)
+        met[key] = met.get(key, True) and found.is_met
+    lines = []
+    for line in HEADLINES:
+        wanted = select(frame, metric=line.metric, source=line.source, plant=line.plant)
+        wanted = wanted[wanted["scenario"].isin(GROUPS.get(line.scenarios, (line.scenarios,)))]
+        if wanted.empty:
+            continue
+        kind = metric(line.metric)
+        cells, errors = [], []
+        for method in ("published", "default"):
+            mine = select(wanted, method=method)
+            cells.append(Column("", line.form, is_fraction=kind.best == 1.0).cell(mine))
+            # Of no number at all nothing can be worse.
+            error = abs(float(mine["value"].median()) - kind.best)
+            errors.append(error if math.isfinite(error) else math.inf)
+        is_met = met.get((line.metric, line.source, line.plant))
+        runs = str((wanted["method"] == "default").sum())
+        where = f"{line.scenarios}, {line.plant}"
+        mark = NOTHING if is_met is None else met_mark(is_met)
+        badness = (is_met is not False, errors[1] < errors[0])
+        lines.append((badness, (line.what, where, *cells, runs, mark)))
+    lines.sort(key=lambda item: item[0])
+    return ResultTable(
+        title="Results",
+        heads=("what", "runs of", "published method", "ours", "runs", "targets"),
+        align="LLrrrL",
+        lines=tuple(line for _, line in lines),
+        caption="Virtual force sensor on a simulated arm, but for `liver-real`, a recording of "
+        "real tissue. Several runs: median (worst), of fractions mean (least).",
+    )
+
+
+def results_page(rows: Sequence[Row], command: str) -> str:
+    """All tables of runs as a page, with the command line that writes it."""
+    parts = [
+        "# Results",
+        "",
+        "Every number of the benchmark, the worst first. Simulated insertions have a ground truth; "
+        "`recording` is real data. A dash: there is no such number. Written by",
+        "",
+        f"```sh\n{command}\n```",
+        "",
+    ]
+    # What is missed must not stand at the bottom of a long page.
+    for table in sorted(result_tables(rows), key=lambda table: table.title != "Targets"):
+        parts += [f"## {table.title}", ""]
+        parts += [table.caption, ""] if table.caption else []
+        parts += [*table.markdown(), ""]
+    return "\n".join(parts)
+
+
+def summary_block(rows: Sequence[Row], command: str) -> str:
+    """The README's table, with the command that prints it."""
+    table = summary_table(rows)
+    lines = [*table.markdown(), "", table.caption, "", f"```sh\n{command}\n```"]
+    return "\n".join(lines) + "\n"
+
+
+def fill(text: str, block: str) -> str:
+    """The page with the block between its marks.
+
+    Raises:
+        ResultsError: The page does not have each mark once, in order.
+    """
+    before, begin, rest = text.partition(BEGIN)
+    _, end, after = rest.partition(END)
+    if not begin or not end or BEGIN in after or END in after or END in before:
+        raise ResultsError(f"expected one {BEGIN} and, after it, one {END} in the page")
+    return f"{before}{BEGIN}\n{block}{END}{after}"

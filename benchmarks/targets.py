@@ -1,6 +1,6 @@
-"""Every limit this toolkit has set itself, from `targets.csv`, and the published numbers.
+"""Every limit this toolkit has set itself, the published numbers, and how runs are judged.
 
-Columns of the file: `metric`, `plant` and `source` as in the results; `scenarios` are names or
+Columns of `targets.csv`: `metric`, `plant` and `source` as in the results; `scenarios` are names or
 groups (`GROUPS`), none for all; `at_least` and `at_most` are limits in the metric's unit;
 `statistic` of all runs must keep them; `relative_to` says that they hold for the ratio to the
 published method in the same run (``published where reported``: a run in which that method has no
@@ -8,14 +8,16 @@ such number is left out); `what` is one line for people. All targets are for the
 """
 
 import math
-from collections.abc import Mapping
-from dataclasses import dataclass
+import statistics
+from collections.abc import Iterable, Mapping, Sequence
+from enum import StrEnum
 from pathlib import Path
 from types import MappingProxyType
 from typing import Literal, NamedTuple
 
-from benchmarks.metrics import metric, table_lines
-from benchmarks.rows import Row
+import msgspec
+
+from benchmarks.rows import METRICS, Row, RowKey, metric, table_lines
 from groundtruth import SCENARIOS
 from groundtruth.scenarios import RANDOM_STACK
 
@@ -32,8 +34,7 @@ Statistic = Literal["worst", "mean", "median"]
 """What of all runs must keep the limits."""
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
-class Target:
+class Target(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
     """Limits for one metric over the runs it applies to."""
 
     what: str  # one line for people
@@ -77,23 +78,16 @@ class Target:
         return f"{self.at_least:g} … {self.at_most:g}{unit}{statistic}"
 
 
-def _target(line: Mapping[str, str]) -> Target:
-    """A line of `targets.csv`."""
-    statistic = line["statistic"]
-    assert statistic in ("worst", "mean", "median"), line
-    names = line["scenarios"].split()
-    return Target(
-        what=line["what"],
-        metric=line["metric"],
-        plant=line["plant"],
-        scenarios=tuple(each for name in names for each in GROUPS.get(name, (name,))),
-        source=line["source"],
-        at_least=float(line["at_least"] or -math.inf),
-        at_most=float(line["at_most"] or math.inf),
-        statistic=statistic,
-        of_published=bool(line["relative_to"]),
-        where_reported=line["relative_to"] == "published where reported",
-    )
+def _target(line: dict[str, str]) -> Target:
+    """A line of `targets.csv`; what is empty there has its default."""
+    given = {name: text for name, text in line.items() if text}
+    names, relative_to = given.pop("scenarios", "").split(), given.pop("relative_to", "")
+    scenarios = [each for name in names for each in GROUPS.get(name, (name,))]
+    relative = {
+        "of_published": bool(relative_to),
+        "where_reported": relative_to == "published where reported",
+    }
+    return msgspec.convert(given | relative | {"scenarios": scenarios}, Target, strict=False)
 
 
 TARGETS = tuple(map(_target, table_lines(Path(__file__).with_name("targets.csv"))))
@@ -134,3 +128,133 @@ TABLE_ONE_Ns_per_m: Mapping[int, PublishedFriction] = MappingProxyType(
     }
 )
 """Cumulative friction of single gels, by per cent of isinglass."""
+
+
+class Evaluation(NamedTuple):
+    """How one target stands."""
+
+    target: Target
+    value: float  # what is judged: the worst, mean or median of the runs; nan if one is not finite
+    runs: int  # how many
+    worst: RowKey  # the row that is farthest out
+
+    @property
+    def is_met(self) -> bool:
+        """Whether the value keeps the target's limits."""
+        return self.target.is_met_by(self.value)
+
+
+def evaluate(rows: Iterable[Row], targets: Sequence[Target] = TARGETS) -> list[Evaluation]:
+    """Judge every target that any of the rows belongs to."""
+    by_key = {row.key: row for row in rows}
+    judged = ((target, judged_values(target, by_key)) for target in targets)
+    return [_evaluation(target, values) for target, values in judged if values]
+
+
+def judged_values(target: Target, by_key: Mapping[RowKey, Row]) -> dict[RowKey, float]:
+    """What a target looks at, by row: values, or their ratios to the published method's.
+
+    A value that is undefined by its metric's definition does not count unless all are.
+    """
+    values: dict[RowKey, float] = {}
+    for key, row in by_key.items():
+        if not target.applies_to(row):
+            continue
+        if not target.of_published:
+            values[key] = row.value
+            continue
+        published = by_key.get(key._replace(method="published"))
+        if published is not None and published.value != 0.0:
+            values[key] = row.value / published.value
+        elif published is not None or not target.where_reported:
+            values[key] = math.nan
+    defined = {key: value for key, value in values.items() if not math.isnan(value)}
+    return defined if METRICS[target.metric].may_be_undefined and defined else values
+
+
+def _evaluation(target: Target, values: Mapping[RowKey, float]) -> Evaluation:
+    worst = max(values, key=lambda key: target.excess(values[key]))
+    if not all(map(math.isfinite, values.values())):
+        value = math.nan
+    elif target.statistic == "worst":
+        value = values[worst]
+    else:
+        middle = {"mean": statistics.fmean, "median": statistics.median}[target.statistic]
+        value = middle(values.values())
+    return Evaluation(target, value, len(values), worst)
+
+
+class Change(StrEnum):
+    """What became of one row from an earlier run to a later one."""
+
+    SAME = "same"
+    BETTER = "better"
+    WORSE = "worse"
+    MISSING = "missing"
+    NOT_FINITE = "not finite"
+    NEW = "new"
+
+
+FAILURES = frozenset({Change.WORSE, Change.MISSING, Change.NOT_FINITE})
+"""What makes a comparison fail."""
+
+
+class Comparison(NamedTuple):
+    """One row of two runs."""
+
+    key: RowKey  # which row
+    unit: str  # of both values
+    old: float  # earlier value, nan where there was none
+    new: float  # later value, nan where there is none
+    change: Change  # what became of it
+
+    @property
+    def is_failure(self) -> bool:
+        """Whether it makes the comparison fail."""
+        return self.change in FAILURES
+
+
+def compare_rows(old: Iterable[Row], new: Iterable[Row]) -> list[Comparison]:
+    """Compare two runs; rows are matched by all but value and unit, the old ones first.
+
+    A row that is missing or not finite in the new run is a failure, whatever it was before; only
+    a value that its metric leaves undefined may stay so. A metric that `metrics.csv` does not list
+    must not change at all.
+    """
+    before = {row.key: row for row in old}
+    after = {row.key: row for row in new}
+    found = []
+    for key in dict.fromkeys((*before, *after)):
+        earlier, later = before.get(key), after.get(key)
+        found.append(
+            Comparison(
+                key=key,
+                unit=(later or before[key]).unit,
+                old=math.nan if earlier is None else earlier.value,
+                new=math.nan if later is None else later.value,
+                change=_change(key.metric, earlier, later),
+            )
+        )
+    return found
+
+
+def _change(metric: str, old: Row | None, new: Row | None) -> Change:
+    kind = METRICS.get(metric)
+    if new is None:
+        return Change.MISSING
+    if not math.isfinite(new.value):
+        was_undefined = old is None or math.isnan(old.value)
+        may_stay = kind is not None and kind.may_be_undefined and math.isnan(new.value)
+        if not (may_stay and was_undefined):
+            return Change.NOT_FINITE
+        return Change.NEW if old is None else Change.SAME
+    if old is None:
+        return Change.NEW
+    if not math.isfinite(old.value):
+        return Change.BETTER
+    if new.value == old.value:
+        return Change.SAME
+    if kind is None or kind.is_regression(old.value, new.value):
+        return Change.WORSE
+    # The same tolerance both ways: what would not count as worse does not count as better.
+    return Change.BETTER if kind.is_regression(new.value, old.value) else Change.SAME

@@ -30,7 +30,7 @@ def documented():
 @pytest.fixture(scope="module")
 def results():
     study = FaultStudy(through_layer=False)
-    return [*study.signal_results(), *study.pose_results()]
+    return list(study.session_results())
 
 
 def test_every_fault_of_the_issue_is_in_the_table():
@@ -72,15 +72,16 @@ def test_a_weight_along_the_needle_is_the_only_fault_that_raises_a_rupture(resul
 
 def test_the_troubled_insertion_does_all_it_should():
     scenario, spans = troubled_scenario()
-    assert list(spans) == list(PARTS)
-    begin_s, end_s = spans[PARTS[0]]
+    parts = list(PARTS)
+    assert list(spans) == parts
+    begin_s, end_s = spans[parts[0]]
     assert end_s - begin_s == pytest.approx(60.0)
     motion = scenario.motion
     assert motion.position_m(end_s) == motion.position_m(begin_s)
-    times = np.linspace(*spans[PARTS[1]], 100)
+    times = np.linspace(*spans[parts[1]], 100)
     depth = np.array([motion.position_m(float(t)) for t in times])
     assert depth.max() - depth.min() == pytest.approx(5e-3, rel=1e-3)
-    assert motion.position_m(spans[PARTS[2]][1]) < 0.0 < motion.position_m(spans[PARTS[3]][1])
+    assert motion.position_m(spans[parts[2]][1]) < 0.0 < motion.position_m(spans[parts[3]][1])
 
 
 def test_the_table_prints_what_was_found():

@@ -1,4 +1,4 @@
-"""Metrics of online identification, on small cases whose answer is known."""
+"""Metrics and bounds of online identification, on small cases whose answer is known."""
 
 import math
 from dataclasses import replace
@@ -6,25 +6,41 @@ from types import SimpleNamespace
 
 import numpy as np
 import pytest
+from benchmark_cases import make_row
 
+from benchmarks.bound_study import ForceNoiseSeries, bound_cases, case_table
+from benchmarks.bounds import (
+    autocovariance,
+    delay_bounds_s,
+    evidence_nats,
+    friction_bounds,
+    least_delay_s,
+    reading_error_N,
+    release_course_N,
+    whitener,
+)
 from benchmarks.identification_metrics import (
     CLEAR_m,
     EARLY_s,
     LATE_s,
     LayerFriction,
     beyond_last_exit,
+    bound_metrics,
     enhanced_metrics,
     force_noise_N,
     friction_metrics,
     is_visible,
     layer_frictions,
+    layer_spans,
     match,
+    offline_metrics,
     rupture_metrics,
 )
 from benchmarks.methods import Alarm, alarms_of, first_compensation
-from benchmarks.offline_fit import layer_spans, offline_metrics
-from benchmarks.signals import InsertionTruth, NeedleSignal
-from groundtruth import Rupture
+from benchmarks.signals import InsertionTruth, NeedleSignal, insertion_truth, lagging
+from benchmarks.tables import TABLES
+from groundtruth import SCENARIOS, Rupture, Scenario, insert_needle
+from groundtruth.motion import constant_motion
 
 SPEED = 2e-3
 T = np.arange(0.0, 20.0, 1e-2)
@@ -91,15 +107,24 @@ def identified(enhanced_N, tip_N, compensated_at=None):
 # Matching.
 
 
-@pytest.mark.parametrize("late", [-EARLY_s + 0.01, 0.0, LATE_s - 0.01])
-def test_an_alarm_inside_the_window_belongs_to_the_rupture(late):
-    assert len(match([rupture(7.0)], [alarm(7.0 + late)]).found) == 1
-
-
-@pytest.mark.parametrize("late", [-EARLY_s - 0.01, LATE_s + 0.01, 1.6, 5.0])
-def test_an_alarm_outside_is_false_and_the_rupture_missed(late):
-    found = match([rupture(7.0)], [alarm(7.0 + late)])
-    assert (len(found.found), len(found.missed), len(found.false)) == (0, 1, 1)
+@pytest.mark.parametrize(
+    ("ruptures", "alarms", "pairs"),
+    [
+        ([7.0], [7.0 - EARLY_s + 0.01], [(7.0, 7.0 - EARLY_s + 0.01)]),
+        ([7.0], [7.0], [(7.0, 7.0)]),
+        ([7.0], [7.0 + LATE_s - 0.01], [(7.0, 7.0 + LATE_s - 0.01)]),
+        ([7.0], [7.0 - EARLY_s - 0.01], []),
+        ([7.0], [7.0 + LATE_s + 0.01], []),
+        ([7.0], [7.5, 7.1], [(7.0, 7.1)]),  # the nearer one counts, the other is false
+        ([7.0, 7.4], [7.45], [(7.4, 7.45)]),  # one alarm does not find two ruptures
+        ([7.0, 7.4], [7.05, 7.5], [(7.0, 7.05), (7.4, 7.5)]),
+    ],
+)
+def test_an_alarm_belongs_to_one_rupture_in_its_window(ruptures, alarms, pairs):
+    found = match(list(map(rupture, ruptures)), list(map(alarm, alarms)))
+    assert [(true.onset_s, seen.alarm_s) for true, seen in found.found] == pairs
+    assert len(found.missed) == len(ruptures) - len(pairs)
+    assert len(found.false) == len(alarms) - len(pairs)
 
 
 def test_the_window_of_an_alarm_is_the_documented_one():
@@ -113,23 +138,6 @@ def test_the_window_of_an_alarm_is_the_documented_one():
     assert layer.estimated_N == 0.0
 
 
-def test_a_second_alarm_for_one_rupture_is_false_and_the_nearer_one_counts():
-    found = match([rupture(7.0)], [alarm(7.5), alarm(7.1)])
-    assert found.found[0][1].alarm_s == 7.1
-    assert [item.alarm_s for item in found.false] == [7.5]
-
-
-def test_one_alarm_does_not_find_two_ruptures():
-    found = match([rupture(7.0), rupture(7.4, layer=2)], [alarm(7.45)])
-    assert found.found[0][0].layer == 2
-    assert [item.layer for item in found.missed] == [1]
-
-
-def test_close_ruptures_each_keep_their_alarm():
-    found = match([rupture(7.0), rupture(7.4, layer=2)], [alarm(7.05), alarm(7.5)])
-    assert [(pair[0].layer, pair[1].alarm_s) for pair in found.found] == [(1, 7.05), (2, 7.5)]
-
-
 # Ruptures.
 
 
@@ -137,8 +145,8 @@ def test_a_perfect_detector_has_its_delay_and_nothing_else():
     values = rupture_metrics(match([rupture(7.0)], [alarm(7.05, rupture_s=7.01)]), truth(), 0.01)
     assert values["rupture_recall"] == values["rupture_precision"] == 1.0
     assert values["rupture_delay_ms"] == pytest.approx(50.0)
-    assert values["rupture_dating_error_ms"] == pytest.approx(10.0)
-    assert values["rupture_overshoot_mm"] == pytest.approx(0.1, abs=0.03)
+    assert values["rupture_timing_error_ms"] == pytest.approx(10.0)
+    assert values["detection_depth_error_mm"] == pytest.approx(0.1, abs=0.03)
     assert "soft_transition_recall" not in values
 
 
@@ -150,21 +158,15 @@ def test_a_soft_transition_is_reported_apart_and_finding_it_is_no_false_alarm():
     assert (found["rupture_precision"], found["soft_transition_recall"]) == (1.0, 1.0)
 
 
-def test_silence_has_no_recall_and_an_undefined_precision():
+def test_silence_has_an_undefined_precision_and_false_alarms_cost_some():
     values = rupture_metrics(match([rupture(7.0)], []), truth(), 0.01)
     assert values["rupture_recall"] == 0.0
     assert math.isnan(values["rupture_precision"])
     assert len(values) == 2
-
-
-def test_false_alarms_cost_precision():
     values = rupture_metrics(match([rupture(7.0)], [alarm(7.0), alarm(4.0)]), truth(), 0.01)
     assert values["rupture_precision"] == 0.5
-
-
-def test_visible_means_more_than_five_times_the_noise():
-    assert not is_visible(rupture(7.0, drop_N=0.05), 0.01)
-    assert is_visible(rupture(7.0, drop_N=0.051), 0.01)
+    visible = [is_visible(rupture(7.0, drop_N=drop_N), 0.01) for drop_N in (0.05, 0.051)]
+    assert visible == [False, True], "more than five times the noise"
 
 
 def test_noise_is_what_the_reading_scatters_in_free_air_after_the_tare():
@@ -194,25 +196,19 @@ def test_what_was_known_online_is_judged_apart_from_what_is_known_at_the_end():
     assert values["friction_coverage_online_2sigma"] == 0.0
 
 
-def test_a_missed_layer_counts_as_estimated_at_zero_even_if_the_next_one_gets_its_friction():
+def test_a_missed_layer_counts_as_zero_and_a_membranes_friction_for_the_layer_below():
     both = [rupture(7.0, friction_N=0.4), rupture(11.0, layer=2, friction_N=0.2)]
     found = layer_frictions(both, [alarm(11.1, 0.6)], 0.01)
     assert [layer.error for layer in found] == pytest.approx([1.0, 2.0])
-
-
-def test_what_a_surface_membrane_was_given_counts_for_the_layer_below_it():
     both = [rupture(4.0, layer=0), rupture(7.0, friction_N=0.4)]
     (layer,) = layer_frictions(both, [alarm(4.0, 0.1, 0.03), alarm(7.0, 0.3, 0.04)], 0.01)
     assert (layer.true_N, layer.estimated_N) == (0.4, pytest.approx(0.4))
     assert layer.std_N == pytest.approx(0.05)
-
-
-def test_a_layer_with_a_soft_end_counts_together_with_the_next_found_or_not():
+    # A layer with a soft end counts together with the next one, found or not.
     both = [rupture(7.0, drop_N=0.01, friction_N=0.4), rupture(11.0, layer=2, friction_N=0.2)]
-    (missed,) = layer_frictions(both, [alarm(11.0, 0.6)], 0.01)
-    (found,) = layer_frictions(both, [alarm(7.0, 0.4), alarm(11.0, 0.2)], 0.01)
-    assert missed.error == pytest.approx(0.0)
-    assert found.error == pytest.approx(0.0)
+    for alarms in ([alarm(11.0, 0.6)], [alarm(7.0, 0.4), alarm(11.0, 0.2)]):
+        (layer,) = layer_frictions(both, alarms, 0.01)
+        assert layer.error == pytest.approx(0.0)
 
 
 def test_without_stated_deviations_there_is_no_coverage():
@@ -224,23 +220,16 @@ def test_without_stated_deviations_there_is_no_coverage():
 # Forces.
 
 
-def test_a_perfect_enhanced_force_leaves_no_force_and_no_error():
+def test_a_perfect_enhanced_force_leaves_nothing_and_no_compensation_the_whole_plateau():
     true = truth()
     values = enhanced_metrics(identified(true.enhanced_N, true.tip_N, compensated_at=750), true)
     assert values == pytest.approx(
-        {"enhanced_rmse_N": 0.0, "tip_rmse_N": 0.0, "exit_residue_pct": 0.0}, abs=1e-12
+        {"enhanced_rmse_N": 0.0, "tip_rmse_N": 0.0, "remaining_force_pct": 0.0}, abs=1e-12
     )
-
-
-def test_no_compensation_leaves_the_whole_plateau():
-    true = truth()
     values = enhanced_metrics(identified(true.axial_N, true.axial_N), true)
-    assert values["exit_residue_pct"] == pytest.approx(100.0)
+    assert values["remaining_force_pct"] == pytest.approx(100.0)
     assert values["enhanced_rmse_N"] == pytest.approx(0.4)
-
-
-def test_errors_before_the_first_compensation_and_after_the_insertion_do_not_count():
-    true = truth()
+    # Errors before the first compensation and after the insertion do not count.
     wild = np.where((T < 7.5) | (true.insertion_end_s < T), 9.0, 0.0)
     found = identified(true.enhanced_N + wild, true.tip_N + wild, compensated_at=755)
     assert enhanced_metrics(found, true)["enhanced_rmse_N"] == pytest.approx(0.0, abs=1e-12)
@@ -282,16 +271,12 @@ def test_the_multi_layer_model_fits_its_own_force_and_kelvin_voigt_does_not():
     assert values["offline_rmse_kv_N"] > 0.01
 
 
-def test_spans_run_from_contact_to_each_rupture_in_turn():
+def test_spans_run_from_contact_to_each_rupture_in_turn_and_end_at_the_deepest_point():
     first, second = layer_spans(truth(rupture(4.0, layer=0), rupture(7.0)))
     assert (first.start_s, first.start_depth_m, first.rupture_s) == (2.0, 0.0, 4.0)
     assert (second.start_s, second.rupture_s) == (4.0, 7.0)
     assert first.thickness_m + second.thickness_m == pytest.approx(10e-3)
-
-
-def test_a_layer_the_tip_stays_in_ends_at_the_deepest_point():
-    late = rupture(18.5)
-    true = replace(truth(late), layer=np.where(T < 2.0, 0, 1))
+    true = replace(truth(rupture(18.5)), layer=np.where(T < 2.0, 0, 1))
     (span,) = layer_spans(true)
     assert span.rupture_s == pytest.approx(true.insertion_end_s)
     assert span.thickness_m == pytest.approx(SPEED * 15.0)
@@ -316,3 +301,142 @@ def test_a_rupture_has_its_best_estimated_time_on_the_runs_clock():
     assert found.alarm_s == pytest.approx(5.02)
     assert found.rupture_s == pytest.approx(5.0)
     assert first_compensation(result) == 4
+
+
+RNG = np.random.default_rng(3)
+WHITE = 0.01 * RNG.standard_normal(8000)
+DRIFTING = lagging(10.0 * WHITE, 1e-3 * np.arange(8000), 0.2)
+GEL = SCENARIOS["gel-50-constant"].layers[0]
+
+
+def stack(release_m=0.3e-3, thickness_m=14e-3):
+    layer = replace(GEL, release_m=release_m, thickness_m=thickness_m)
+    motion = constant_motion(speed_m_s=4e-3, depth_m=2.0 * thickness_m + 11e-3, standoff_m=5e-3)
+    chosen = Scenario(id="two", title="two gels", layers=(layer, layer), motion=motion)
+    return insert_needle(chosen, noise="clean")
+
+
+@pytest.fixture(scope="module")
+def stack_truth():
+    return insertion_truth(stack())
+
+
+def noisy_signal(stack_truth, error_N):
+    force = stack_truth.axial_N + np.resize(error_N, stack_truth.t_s.shape)
+    return NeedleSignal(
+        source="ft",
+        t_s=stack_truth.t_s,
+        depth_m=stack_truth.depth_m,
+        speed_m_s=stack_truth.speed_m_s,
+        force_N=force,
+    )
+
+
+def test_the_error_of_a_reading_is_its_noise_but_for_the_releases_and_the_lag(stack_truth):
+    error = reading_error_N(noisy_signal(stack_truth, WHITE), stack_truth)
+    added = np.resize(WHITE, stack_truth.t_s.shape)[stack_truth.is_insertion]
+    assert len(error) == len(added)
+    assert np.mean(np.isclose(error, added)) > 0.9
+    assert np.std(error) == pytest.approx(np.std(added), rel=0.05)
+    late = replace(
+        noisy_signal(stack_truth, [0.0]),
+        force_N=lagging(stack_truth.axial_N, stack_truth.t_s, 0.02),
+    )
+    assert np.std(reading_error_N(late, stack_truth)) > 1e-4
+    assert np.abs(reading_error_N(late, stack_truth, 0.02)).max() < 1e-12
+
+
+def test_an_autocovariance_belongs_to_a_covariance():
+    found = autocovariance(WHITE, 50)
+    assert found[0] == pytest.approx(np.mean(WHITE**2))
+    assert np.abs(found[1:]).max() < 0.1 * found[0]
+    assert autocovariance(np.ones(10), 12)[-2:].tolist() == [0.0, 0.0]
+    factor = whitener(autocovariance(DRIFTING, 200))
+    assert np.all(np.diag(factor) > 0.0)
+    assert (factor @ factor.T)[0, 5] == pytest.approx(autocovariance(DRIFTING, 6)[5])
+
+
+def test_white_noise_of_twice_the_size_doubles_the_bound_of_friction(stack_truth):
+    # Small noise: what is drawn adds nothing then.
+    one, two = (friction_bounds(stack_truth, k * WHITE, is_white=True) for k in (0.01, 0.02))
+    assert two == pytest.approx([2.0 * value for value in one], rel=0.02)
+
+
+def test_the_bound_of_a_level_is_that_of_a_mean(stack_truth):
+    """Without cutting it is where a line meets the rupture, 2 s / sqrt(n); a bend costs more."""
+    first = friction_bounds(stack_truth, WHITE, is_white=True, cutting_fraction=0.0)[0]
+    samples = 2.7e-3 / 4e-3 / 1e-3
+    level = 2.0 * 0.01 / math.sqrt(samples) / stack_truth.ruptures[0].layer_friction_N
+    assert level < first < 2.0 * level
+
+
+def test_friction_is_harder_to_know_with_drift_cutting_and_a_long_release(stack_truth):
+    plain = friction_bounds(stack_truth, DRIFTING, is_white=True)[1]
+    assert friction_bounds(stack_truth, DRIFTING, is_white=False)[1] > 2.0 * plain
+    assert friction_bounds(stack_truth, DRIFTING, is_white=True, cutting_fraction=0.0)[1] < plain
+    longer = insertion_truth(stack(release_m=1e-3))
+    assert friction_bounds(longer, DRIFTING, is_white=True)[1] > plain
+
+
+def test_evidence_of_a_step_grows_evenly_and_the_least_delay_is_where_it_is_enough():
+    course = np.array([0.0, 0.0, 0.2, 0.2, 0.2, 0.2])
+    grown = evidence_nats(course, 0.1 * np.eye(6))
+    assert grown == pytest.approx([0.0, 0.0, 2.0, 4.0, 6.0, 8.0])
+    delay = np.array([1.0, 2.0, 3.0])
+    assert least_delay_s(np.array([1.0, 2.5, 9.0]), delay, interval_s=2.0 * math.e**2) == 2.0
+    assert least_delay_s(np.array([1.0, 1.5, 1.7]), delay, interval_s=60.0) == math.inf
+
+
+def test_the_course_of_a_release_falls_by_its_drop(stack_truth):
+    rupture = stack_truth.ruptures[0]
+    course = release_course_N(stack_truth, rupture, 100)
+    assert course[0] == pytest.approx(0.0, abs=0.03)
+    assert course[-1] == pytest.approx(-rupture.drop_N, rel=0.15)
+    unknown = replace(rupture, onset_s=-1.0)
+    assert release_course_N(stack_truth, unknown, 5).tolist() == [0.0] * 5
+
+
+def test_noise_and_lag_delay_the_earliest_alarm(stack_truth):
+    quiet, loud = (delay_bounds_s(stack_truth, stack_truth.ruptures, k * WHITE) for k in (1.0, 5.0))
+    late = delay_bounds_s(stack_truth, stack_truth.ruptures, WHITE, lag_s=0.02)
+    assert len(quiet) == 2
+    assert 1e-3 <= quiet[0] < loud[0] < 0.1
+    assert quiet[0] < late[0]
+
+
+def test_a_run_has_bounds_and_one_without_ruptures_has_none(stack_truth):
+    values = bound_metrics(noisy_signal(stack_truth, WHITE), stack_truth, 0.01)
+    assert set(values) == {
+        "friction_bound_pct",
+        "friction_bound_white_pct",
+        "rupture_delay_bound_ms",
+    }
+    assert all(0.0 < value < 20.0 for value in values.values())
+    assert (
+        bound_metrics(noisy_signal(stack_truth, WHITE), replace(stack_truth, ruptures=()), 0.01)
+        == {}
+    )
+
+
+def test_bounds_stand_beside_what_was_reached():
+    rows = [
+        make_row(metric="friction_bound_pct", value=1.25),
+        make_row(metric="friction_error_mean_pct", value=3.75),
+        make_row(metric="rupture_delay_ms", value=5.5, method="published"),
+    ]
+    (line,) = TABLES["bounds"](rows).lines
+    assert line[4:6] == ("1.25", "3.75")
+    assert line[-1] == "5.5"
+    assert TABLES["bounds"](rows[1:]).lines == ()
+
+
+def test_the_command_has_a_line_for_every_change():
+    noises = [ForceNoiseSeries("white", WHITE, is_white=True, lag_s=0.0)]
+    cases = bound_cases(noises)
+    assert [line[0] for line in case_table(cases, noises).lines] == list(cases)
+    assert len(cases) == 13
+    assert {"speed 6 mm/s", "thickness 40 mm", "cutting up to 12 %"} < set(cases)
+    (sudden,), (slow,) = cases["release 0.1 mm"], cases["release 2 mm"]
+    assert sudden[0] < slow[0]
+    (fast,), (creeping,) = cases["speed 6 mm/s"], cases["speed 2 mm/s"]
+    assert fast[1] < creeping[1]

@@ -1,17 +1,25 @@
-"""Simulated benchmarks end to end: the arm, the needle alone, the arm's kinematics."""
+"""From what was asked for to jobs, simulated benchmarks end to end, errors of a force."""
 
+import math
 from dataclasses import replace
 
 import numpy as np
 import pytest
-from gel_slice import gel_slice
+from benchmark_cases import gel_slice
+from hypothesis import given
+from hypothesis import strategies as st
+from scipy.signal import lfilter
 
+from benchmarks import DataError, UnknownMetricError
 from benchmarks.benchmark import Job
-from benchmarks.rows import to_json
-from benchmarks.signals import JointSignals, MeasuredTravel, measured_travel, smoothed
+from benchmarks.methods import ForceReading, force_lag_s, wrench_metrics
+from benchmarks.published_figures import NEEDED
+from benchmarks.rows import Measurement, to_json
+from benchmarks.runner import BENCHMARKS, Request, make_plan
+from benchmarks.signals import ForceTruth, JointSignals, MeasuredTravel, measured_travel, smoothed
 from benchmarks.simulated import drawn_noise, run_needle, simulated_case, simulated_metrics
 from benchmarks.tables import TABLES
-from groundtruth import simulate
+from groundtruth import SCENARIOS, simulate
 from groundtruth.scenarios import named_scenario
 
 SHORT = gel_slice()
@@ -19,8 +27,8 @@ BRIEF = gel_slice(25, thickness_m=8e-3, speed_m_s=15e-3)
 TOUCHLESS = replace(BRIEF, layers=())
 
 
-def silent(share):
-    assert 0.0 <= share <= 1.0
+def silent(fraction):
+    assert 0.0 <= fraction <= 1.0
 
 
 @pytest.fixture(scope="module")
@@ -43,11 +51,11 @@ def test_a_needle_alone_gives_both_methods_on_the_ft_sensor(found):
 
 
 def test_its_charts_are_drawn_and_its_tables_have_lines(found):
-    assert [drawing.path.name for drawing in found.drawings] == [
+    assert [drawing.shown.path.name for drawing in found.drawings] == [
         "short-needle-0-ft-published.svg",
         "short-needle-0-ft-ours.svg",
     ]
-    assert all(drawing.path.stat().st_size > 10_000 for drawing in found.drawings)
+    assert all(drawing.shown.path.stat().st_size > 10_000 for drawing in found.drawings)
     rows = [item.row("gel-70-constant", "needle", 0) for item in found.measurements]
     for name in ("friction", "ruptures", "table I"):
         assert len(TABLES[name](rows).lines) == 2
@@ -102,53 +110,29 @@ def values(case):
     return {(item.source, item.method, item.metric): item.value for item in found}
 
 
-@pytest.fixture(scope="module")
-def ideal_case():
-    return case_of("ideal")
-
-
-@pytest.fixture(scope="module")
-def degraded_case():
-    return case_of("degraded")
-
-
-def test_the_ideal_residual_is_the_ideal_filter(ideal_case):
-    assert values(ideal_case)["virtual", "default", "residual_rms_Nm"] < 1e-6
-
-
-def test_the_ft_sensor_of_the_ideal_arm_reads_the_truth(ideal_case):
-    found = values(ideal_case)
+def test_the_ideal_arm_has_the_ideal_filter_the_true_force_and_known_lags():
+    case = case_of("ideal")
+    found = values(case)
+    assert found["virtual", "default", "residual_rms_Nm"] < 1e-6
     # 68 g of needle are started and stopped: that much inertia is in the reading.
     assert found["ft", "default", "wrench_rmse_N"] < 2e-3
     assert abs(found["ft", "default", "wrench_lag_ms"]) < 5.0
-
-
-def test_the_lag_of_the_published_sensor_is_seen(ideal_case):
-    found = values(ideal_case)
     assert found["virtual", "published", "wrench_lag_ms"] > 100.0
     assert 0.0 < found["virtual", "default", "wrench_lag_ms"] < 50.0
-
-
-def test_a_wrong_sign_would_be_seen(ideal_case):
-    """The error of the force turned round is twice the force."""
-    judged = ideal_case.truth.judged
-    ours = ideal_case.readings[1]
-    assert (ours.source, ours.method) == ("virtual", "default")
-    force = np.sqrt(np.mean(ideal_case.truth.axial_N[judged] ** 2))
+    # A wrong sign would be seen: the error of the force turned round is twice the force.
+    force = np.sqrt(np.mean(case.truth.axial_N[case.truth.judged] ** 2))
     assert force > 0.05
-    assert values(ideal_case)["virtual", "default", "wrench_rmse_N"] < 0.2 * force
+    assert found["virtual", "default", "wrench_rmse_N"] < 0.2 * force
 
 
-def test_equal_jobs_give_equal_bytes(degraded_case):
+def test_equal_jobs_give_equal_bytes_with_four_numbers_for_every_source_and_method():
+    case = case_of("degraded")
     first, second = (
-        to_json(item.row("short", "degraded", 0) for item in simulated_metrics(case))
-        for case in (degraded_case, case_of("degraded"))
+        to_json(item.row("short", "degraded", 0) for item in simulated_metrics(each))
+        for each in (case, case_of("degraded"))
     )
     assert first == second
-
-
-def test_every_source_and_method_has_its_four_numbers(degraded_case):
-    found = values(degraded_case)
+    found = values(case)
     for source, method in (("ft", "default"), ("virtual", "default"), ("virtual", "published")):
         for name in ("rmse_N", "bias_N", "lag_ms", "coverage_2sigma"):
             assert np.isfinite(found[source, method, f"wrench_{name}"])
@@ -167,8 +151,162 @@ def test_without_tissue_only_the_virtual_sensor_is_judged_and_from_the_tare_on()
 
 
 def test_a_random_stack_is_drawn_from_the_seed():
-    def drawn(seed):
-        return named_scenario("random-stack", seed)
+    first, again, other = (named_scenario("random-stack", seed) for seed in (1, 1, 2))
+    assert first == again != other
 
-    assert drawn(1) == drawn(1)
-    assert drawn(1) != drawn(2)
+
+RECORDED = {item.id for item in BENCHMARKS.values() if item.is_recorded}
+
+
+@pytest.fixture
+def data(tmp_path):
+    """A folder that looks like the recordings."""
+    for item in BENCHMARKS.values():
+        for name in item.needs:
+            (tmp_path / name).mkdir(exist_ok=True)
+    return tmp_path
+
+
+def plan(*ids, **asked):
+    return make_plan(Request(ids=ids, **asked))
+
+
+def names(found):
+    return list(dict.fromkeys(job.benchmark for job in found.jobs))
+
+
+def test_without_recordings_the_rest_runs_and_the_skipped_are_named(data):
+    quick = [item for item in BENCHMARKS.values() if item.is_default]
+    assert set(plan().skipped) == {item.id for item in quick if item.is_recorded}
+    assert names(plan()) == [item.id for item in quick if not item.is_recorded]
+    (data / "liver_dejong2017").rmdir()
+    assert plan(data=data).skipped == ("panda-liver", "liver-real")
+    assert "panda-real" in names(plan(data=data))
+
+
+def test_all_means_all_and_tissue_every_scenario_with_tissue(data):
+    assert names(plan("all", data=data)) == list(BENCHMARKS)
+    assert plan("all", data=data).skipped == ()
+    tissue = [name for name, item in SCENARIOS.items() if item.layers]
+    assert len(tissue) == 12
+    assert names(plan("tissue")) == tissue
+    assert names(plan("free-motion", "tissue")) == [*tissue, "free-motion"]
+
+
+def test_every_named_benchmark_runs_once_for_every_plant_and_seed(data, tmp_path):
+    found = plan(
+        "liver-constant", "liver-constant", plants=["degraded", "degraded", "ideal"], seeds=3
+    )
+    jobs = [(job.plant, job.seed) for job in found.jobs]
+    assert jobs == [(plant, seed) for plant in ("degraded", "ideal") for seed in range(3)]
+    # A recording knows no plants and no more seeds than it has.
+    recorded = plan("panda-real", "panda-liver", plants=["degraded", "ideal"], seeds=100, data=data)
+    assert {job.plant for job in recorded.jobs} == {"recording"}
+    assert [job.benchmark for job in recorded.jobs].count("panda-real") == 1
+    assert [job.benchmark for job in recorded.jobs].count("panda-liver") == 19
+    drawn = plan("liver-constant", seeds=2, drawings=tmp_path).jobs
+    assert [job.drawings for job in drawn] == [tmp_path, None]
+
+
+def test_a_report_without_names_runs_all_that_the_published_figures_need(tmp_path):
+    assert set(names(plan(drawings=tmp_path))) == set(NEEDED) | set(names(plan()))
+    assert set(NEEDED) <= set(BENCHMARKS)
+    assert names(plan("liver-constant", drawings=tmp_path)) == ["liver-constant"]
+
+
+def test_every_scenario_and_every_real_recording_can_be_run_by_name():
+    assert set(SCENARIOS) | {"random-stack", "random-tissue", "observers"} | RECORDED == set(
+        BENCHMARKS
+    )
+    quick = {"panda-real", "panda-liver", "ur10e-payload", "liver-real", "bovine-real"}
+    assert quick | {"liver-limit"} == RECORDED
+    assert quick == {name for name in RECORDED if BENCHMARKS[name].is_default}
+
+
+def test_what_lacks_an_arm_or_its_recording_is_refused_with_the_reason(tmp_path):
+    with pytest.raises(DataError, match="free-motion needs an arm: a plant other than needle"):
+        plan("free-motion", plants=["needle"])
+    with pytest.raises(DataError, match="panda-real needs the folder panda_gaz2019"):
+        plan("panda-real", data=tmp_path)
+
+
+def test_the_random_stack_runs_without_an_arm_and_a_needle_alone_leaves_out_what_needs_one():
+    assert {job.plant for job in plan("random-stack").jobs} == {"needle"}
+    assert {job.plant for job in plan("random-stack", plants=["clean"]).jobs} == {"clean"}
+    found = names(plan("all", plants=["needle"]))
+    assert set(found) == set(SCENARIOS) - {"free-motion"} | {"random-stack", "random-tissue"}
+
+
+T = np.arange(0.0, 20.0, 1e-3)
+
+
+def saw(t):
+    """A force that climbs and ruptures, zero before 5 s."""
+    return np.where(t < 5.0, 0.0, np.mod(t, 5.0) * 0.3)
+
+
+def reading(axial, std=0.1):
+    return ForceReading(
+        source="virtual", method="default", axial_N=axial, std_N=np.full(len(axial), std)
+    )
+
+
+def truth(axial, start=2.0, end=18.0):
+    return ForceTruth(t_s=T, depth_m=T, axial_N=axial, zeroed_s=1.0, start_s=start, end_s=end)
+
+
+def measured(axial, true, **kw):
+    return {item.metric: item.value for item in wrench_metrics(reading(axial, **kw), truth(true))}
+
+
+@given(delay=st.floats(-0.05, 0.5), offset=st.floats(-1.0, 1.0))
+def test_a_delay_is_found_whatever_the_offset(delay, offset):
+    found = force_lag_s(T, np.interp(T - delay, T, saw(T)) + offset, saw(T))
+    assert found == pytest.approx(delay, abs=1e-4)
+
+
+def test_the_lag_of_a_first_order_filter_is_about_its_time_constant():
+    """On a ramp it is the time constant, on a step less: ruptures count for more than ramps."""
+    decay = np.exp(-1e-3 / 0.1)
+    late = lfilter([1.0 - decay], [1.0, -decay], saw(T))
+    assert 0.06 < force_lag_s(T, late, saw(T)) < 0.1
+
+
+def test_too_little_data_or_a_force_that_never_changes_has_no_lag():
+    for size in (0, 1, 300):
+        assert math.isnan(force_lag_s(T[:size], T[:size], T[:size]))
+    assert math.isnan(force_lag_s(T, saw(T), np.zeros(len(T))))
+    assert "wrench_lag_ms" not in measured(np.sin(T), np.zeros(len(T)))
+
+
+def test_a_constant_error_is_a_bias_without_lag():
+    found = measured(saw(T) + 0.05, saw(T))
+    assert found["wrench_rmse_N"] == pytest.approx(0.05)
+    assert found["wrench_bias_N"] == pytest.approx(0.05)
+    assert found["wrench_lag_ms"] == pytest.approx(0.0, abs=0.1)
+
+
+@pytest.mark.parametrize(("sigmas", "fraction"), [(1.0, 0.6827), (2.0, 0.9545)])
+def test_coverage_counts_what_lies_within_twice_the_stated_deviation(sigmas, fraction):
+    noise = np.random.default_rng(0).normal(scale=0.2, size=len(T))
+    found = measured(saw(T) + noise, saw(T), std=0.1 * sigmas)
+    assert found["wrench_coverage_2sigma"] == pytest.approx(fraction, abs=0.01)
+
+
+def test_only_the_judged_part_counts_and_without_any_nothing_is_a_number():
+    wild = saw(T) + np.where((T < 2.0) | (T > 18.0), 100.0, 0.0)
+    assert measured(wild, saw(T))["wrench_rmse_N"] == 0.0
+    wild[10_000] = np.nan  # in the judged part it does not hide
+    assert math.isnan(measured(wild, saw(T))["wrench_rmse_N"])
+    never = truth(saw(T), start=30.0, end=40.0)
+    found = {item.metric: item.value for item in wrench_metrics(reading(saw(T)), never)}
+    assert "wrench_rmse_N" in found
+    assert all(math.isnan(value) for value in found.values())
+
+
+def test_a_measurement_takes_its_unit_from_the_catalogue():
+    row = Measurement("ft", "default", "wrench_lag_ms", 3.0).row("gel-25-constant", "degraded", 4)
+    assert (row.unit, row.seed, row.source, row.value) == ("ms", 4, "ft", 3.0)
+
+    with pytest.raises(UnknownMetricError, match="no metric"):
+        Measurement("ft", "default", "luck", 3.0).row("gel-25-constant", "degraded", 4)

@@ -7,13 +7,23 @@ from functools import partial
 import numpy as np
 import pinocchio as pin
 import pytest
-from identification.multilayer_config import MULTILAYER
 from insertion_run import short_run, tare_index
 
 from benchmarks import BenchmarkError, speed
 from benchmarks.cli import main
+from benchmarks.long_runs import (
+    LATE_ROWS,
+    Cycle,
+    LateRows,
+    ProcessUse,
+    Soak,
+    StreamSpeed,
+    joint_recording,
+    late_rows,
+    needle_recording,
+    run_python,
+)
 from benchmarks.signals import JointSignals
-from benchmarks.soak import Cycle, Soak
 from benchmarks.speed import (
     BLOCK,
     LAYER_TICKS,
@@ -30,16 +40,7 @@ from benchmarks.speed import (
     speed_table,
     time_side_by_side,
 )
-from benchmarks.stream import (
-    LATE_ROWS,
-    LateRows,
-    ProcessUse,
-    StreamSpeed,
-    joint_recording,
-    late_rows,
-    needle_recording,
-    run_python,
-)
+from identification import MULTILAYER
 from identification.log_replay import ReplayStream
 from needleforce.recordings import write_table
 
@@ -78,44 +79,37 @@ def test_subjects_see_every_sample_once_and_in_order_and_take_turns():
     assert found["a"].shape == (2, BLOCK)
 
 
-def test_the_ratio_compares_neighbours_so_a_slow_machine_cancels():
+def test_ratios_compare_neighbours_and_ticks_with_an_event_are_shown_apart():
+    # A slow machine cancels.
     assert cost_ratio(timing(2.0, 20.0, 2.0), timing(1.0, 10.0, 1.0)) == pytest.approx(2.0)
-
-
-def test_the_targets_are_those_asked_for():
-    """With numba and without."""
+    # With numba and without.
     limits = [SUBJECTS[name][1:] for name in ("observer", "sensor", "chain")]
     assert limits == [(2.0, 2.3), (3.0, 4.6), (4.5, 8.0)]
     assert SUBJECTS["chain, velocity estimated"].compiled == 5.0
+    raised, identified = event_table(report()).lines
+    assert (raised[0], raised[4:]) == ("rupture raised", ("80", "40"))
+    assert (identified[0], identified[4:]) == ("layer identified", ("40", "20"))
+    # The tick that identifies a layer counts the sensor too.
+    lines = layer_table(report()).lines
+    assert [(line[2], line[5]) for line in lines] == [("60", "met"), ("1006", "missed")]
 
 
 @pytest.mark.parametrize(("compiler", "sensor"), [("numba", "missed"), ("", "met")])
 def test_the_table_marks_what_is_too_slow(monkeypatch, compiler, sensor):
     monkeypatch.setattr(speed, "COMPILER", compiler)
-    names = (
-        "dynamics of the observer",
-        "observer",
-        "observer, uneven clock",
-        "dynamics of the sensor",
-        "sensor",
-        "sensor, uneven clock",
-        "chain",
-    )
-    timings = dict(zip(names, map(timing, (1.0, 1.9, 9.0, 1.0, 3.1, 9.0, 4.5)), strict=True))
+    medians = {
+        "dynamics of the observer": 1.0,
+        "observer": 1.9,
+        "observer, uneven clock": 9.0,
+        "dynamics of the sensor": 1.0,
+        "sensor": 3.1,
+        "sensor, uneven clock": 9.0,
+        "chain": 4.5,
+    }
+    timings = {name: timing(median) for name, median in medians.items()}
     lines = speed_table(report(times=timings)).lines
     assert [line[-1] for line in lines] == ["", "met", "", "", sensor, "", "met"]
     assert [line[5] for line in lines] == ["", "1.90", "9.00", "", "3.10", "9.00", "4.50"]
-
-
-def test_ticks_with_an_event_are_shown_apart():
-    raised, identified = event_table(report()).lines
-    assert (raised[0], raised[4:]) == ("rupture raised", ("80", "40"))
-    assert (identified[0], identified[4:]) == ("layer identified", ("40", "20"))
-
-
-def test_the_tick_that_identifies_a_layer_counts_the_sensor_too():
-    lines = layer_table(report()).lines
-    assert [(line[2], line[5]) for line in lines] == [("60", "met"), ("1006", "missed")]
 
 
 def test_garbage_collections_are_timed_while_it_is_entered():
@@ -214,12 +208,10 @@ def test_a_process_is_watched_to_its_end():
     assert busy.cpu_s > 0.4
     run_python(["-c", "import time; time.sleep(0.2)"], seen.append)
     assert seen == sorted(seen)
+    # One that says much does not block.
+    assert run_python(["-c", "import sys; sys.stderr.write('x' * 1_000_000)"]).wall_s < 20.0
     with pytest.raises(BenchmarkError, match="no such thing"):
         run_python(["-c", "raise SystemExit('no such thing')"])
-
-
-def test_a_process_that_says_much_does_not_block():
-    assert run_python(["-c", "import sys; sys.stderr.write('x' * 1_000_000)"]).wall_s < 20.0
 
 
 STEADY = (100.0,) * 10
@@ -267,7 +259,7 @@ def test_the_end_of_a_table_is_read(tmp_path):
     write_table(tmp_path / "a.csv", {"t_s": np.arange(rows), "force_status": 3 * early})
     assert late_rows(tmp_path / "a.csv") == LateRows(ruptures=None, rejected=0)
     late = np.where(np.arange(rows) == rows - 2, 4.0, 0.0)
-    columns = {"t_s": np.arange(rows), "absorbed": 1.0 - early, "rupture": late + early}
+    columns = {"t_s": np.arange(rows), "used": 1.0 - early, "rupture": late + early}
     write_table(tmp_path / "b.csv", columns)
     assert late_rows(tmp_path / "b.csv") == LateRows(ruptures=1, rejected=0)
 

@@ -4,26 +4,25 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from gel_slice import gel_slice
+from benchmark_cases import gel_slice
 
 from benchmarks.benchmark import Job
 from benchmarks.force_plots import RunFigures, force_chart, force_figures, rmse_N
 from benchmarks.identification_figures import (
-    identification_figures,
+    draw_identification,
     sigma1_N,
     tuned_published,
 )
 from benchmarks.identification_metrics import identify_all
 from benchmarks.identification_plots import (
     Compared,
-    InsertionAxis,
     enhanced_chart,
     offline_chart,
     parameter_chart,
     true_friction,
 )
 from benchmarks.methods import ForceReading, identify
-from benchmarks.signals import ForceTruth, NeedleSignal, truth_of_needle
+from benchmarks.signals import ForceTruth, NeedleSignal, insertion_truth
 from groundtruth import insert_needle
 from needleforce.plots import palette
 
@@ -71,19 +70,13 @@ def test_forces_are_drawn_over_time_and_depth_with_their_errors():
     errors = over_time.panels[1].curves
     assert [curve.std is not None for curve in errors] == [True, False, False]
     assert errors[0].y == pytest.approx(0.05), "the noisy curve lies below the others"
-    assert force_chart("a", TRUTH, READINGS, window=(5.0, 6.0)).x_limits == (5.0, 6.0)
 
 
-def test_no_wild_curve_flattens_the_others():
+def test_no_wild_curve_flattens_the_others_and_an_rmse_counts_the_judged_part_only():
     wild = force_chart("a", TRUTH, (*READINGS[:2], reading("virtual", "published", 50.0)))
     low, high = wild.panels[1].limits
     assert -low == high < 0.5
-
-
-def test_an_rmse_counts_the_judged_part_only():
-    late = ForceReading(
-        source="ft", method="default", axial_N=np.where(T < 4.0, 9.0, 1.0), std_N=np.ones(len(T))
-    )
+    late = replace(READINGS[1], axial_N=np.where(T < 4.0, 9.0, 1.0))
     assert rmse_N(late, TRUTH, TRUTH.axial_N) == pytest.approx(0.0, abs=0.05)
 
 
@@ -94,12 +87,12 @@ def test_figure_5_has_two_panels_and_the_papers_numbers(tmp_path):
         ("5", "c"),
     ]
     against_ft, against_truth, delay, within = over_time.facts
-    assert against_ft.paper == "0.2444"
+    assert against_ft.published == "0.2444"
     assert dict(against_ft.here) == {"published, here": "0.1900", "ours, here": "0.0400"}
     assert dict(against_truth.here)["ours, here"] == "0.0500"
     assert dict(within.here)["ours, here"] == "100.0"
     assert "delay" in delay.what
-    assert over_depth.path.is_file()
+    assert over_depth.shown.path.is_file()
 
 
 def test_what_figure_5_says_of_delay_and_band_is_of_this_run(tmp_path):
@@ -119,10 +112,10 @@ def test_other_runs_have_their_force_over_time_only_on_the_whole_width(tmp_path)
     job = Job(benchmark="random-stack", plant="degraded", seed=3)
     (drawing,) = force_figures(job, tmp_path, TRUTH, READINGS)
     assert (drawing.figure, drawing.facts) == ("", ())
-    assert drawing.path.name == "random-stack-degraded-3-force-time.svg"
-    assert drawing.wide is not None
-    assert drawing.wide.is_file()
-    assert drawing.provenance == "`random-stack`, degraded plant, seed 3"
+    assert drawing.shown.path.name == "random-stack-degraded-3-force-time.svg"
+    assert drawing.shown.wide is not None
+    assert drawing.shown.wide.is_file()
+    assert drawing.job.where == "degraded plant, seed 3"
 
 
 def test_a_title_says_what_is_shown_and_of_which_run(tmp_path):
@@ -143,7 +136,7 @@ class Insertion:
 
     def __init__(self):
         run = insert_needle(SHORT, seed=0)
-        self.truth = truth_of_needle(run)
+        self.truth = insertion_truth(run)
         self.signal = NeedleSignal(
             source="ft",
             t_s=run.t_s,
@@ -172,28 +165,6 @@ def curves(chart):
     return found
 
 
-def test_times_count_from_where_the_needle_sets_out(run):
-    axis = InsertionAxis(run.truth)
-    start_s = run.truth.tare_end_s
-    assert axis.at(start_s, start_s + 2.0) == pytest.approx((0.0, 2.0))
-    low, high = axis.limits
-    contact, end = axis.at(run.truth.contact_s, run.truth.insertion_end_s)
-    assert low < contact < end < high
-
-
-def test_over_depth_the_insertion_alone_is_shown(run):
-    axis = InsertionAxis(run.truth, "depth")
-    contact_mm, later = axis.at(run.truth.contact_s, run.truth.insertion_end_s + 1.0)
-    assert contact_mm == pytest.approx(0.0, abs=0.1)
-    assert np.isnan(later)
-    chart = enhanced_chart("a", run.truth, run.ours, over="depth", window=(2.0, 5.0))
-    assert chart.x_label == palette.DEPTH
-    assert chart.x_limits == (2.0, 5.0)
-    (rupture,) = run.truth.ruptures
-    (span,) = chart.shadings[0].spans
-    assert span[0] == pytest.approx(1e3 * rupture.onset_m, abs=0.2)
-
-
 def test_true_ruptures_alarms_and_identified_friction_are_marked(run):
     chart = enhanced_chart("a", run.truth, run.ours)
     (shading,) = chart.shadings
@@ -206,6 +177,8 @@ def test_true_ruptures_alarms_and_identified_friction_are_marked(run):
     assert identified.label == "friction identified"
     assert len(identified.places) >= 1
     assert all(place > alarms[0] for place in identified.places)
+    low, high = chart.x_limits
+    assert low < run.truth.contact_s - zero < run.truth.insertion_end_s - zero < high
     assert {detected.style, identified.style} == {palette.RUPTURE, palette.COMPENSATION}
 
 
@@ -298,11 +271,11 @@ def test_the_offline_fit_predicts_the_withdrawal(run):
 def test_a_run_of_a_figure_draws_panels_of_their_own_letters_and_numbers(run, tmp_path):
     job = Job(benchmark="gel-70-constant", plant="needle")
     found = [(run.signals, run.identified)]
-    drawings = identification_figures(job, tmp_path, run.truth, run.commanded_m_s, found)
+    drawings = draw_identification(job, tmp_path, run.truth, run.commanded_m_s, found)
     panels = [(item.figure, item.panel) for item in drawings]
     assert panels == [("2", "a"), ("8", "a"), ("8", "b"), ("8", "c")]
     facts = [fact for item in drawings if item.figure == "8" for fact in item.facts]
-    assert [fact.paper for fact in facts] == [
+    assert [fact.published for fact in facts] == [
         "1, at about 15 s",
         "481 online, 534 offline (Table I)",
         "almost zero (ML)",
@@ -314,5 +287,7 @@ def test_a_run_of_a_figure_draws_panels_of_their_own_letters_and_numbers(run, tm
     assert 0.0 <= float(ours[2]) < 10.0
     (tuned,) = [item for item in drawings if not np.isnan(item.tuned_friction_Ns_per_m)]
     assert tuned.tuned_friction_Ns_per_m == pytest.approx(float(ours[1]), rel=0.15)
-    assert all(item.alt and item.caption and item.path.is_file() for item in drawings)
-    assert [item.wide is not None for item in drawings] == [False, False, False, True]
+    assert all(
+        item.shown.alt and item.shown.caption and item.shown.path.is_file() for item in drawings
+    )
+    assert [item.shown.wide is not None for item in drawings] == [False, False, False, True]

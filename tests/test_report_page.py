@@ -1,15 +1,14 @@
-"""The report of a run: every figure, the paper's numbers beside ours, nothing passed off."""
+"""The report of a run: every figure, the published numbers beside ours, nothing passed off."""
 
 import json
 import re
 
 import pytest
 from chromium import DESK, PHONE, logged, measured, needs_chromium, printed
-from rich.table import Table
 
-from benchmarks.benchmark import Drawing, Fact
+from benchmarks.benchmark import Drawing, Fact, Job
 from benchmarks.cli import main
-from benchmarks.paper_figures import ENHANCED_FIGURES, NEEDED, PAPER_FIGURES
+from benchmarks.published_figures import ENHANCED_FIGURES, NEEDED, PUBLISHED_FIGURES
 from benchmarks.report import (
     chosen,
     friction_chart,
@@ -18,12 +17,14 @@ from benchmarks.report import (
     gel_table,
     missing_section,
     page_table,
-    paper_sections,
+    published_sections,
     write_report,
 )
 from benchmarks.rows import Row
+from benchmarks.tables import ResultTable
 from benchmarks.targets import GELS, TABLE_ONE_Ns_per_m
 from groundtruth import SCENARIOS
+from needleforce.plots import PageFigure
 
 pytest.importorskip("matplotlib")
 
@@ -39,22 +40,18 @@ def dot(tmp_path):
 
 
 def drawing(path, figure="", scenario="gel-70-constant", plant="clean", **more):
-    fact = Fact(what="RMSE [N]", paper="0.2444", here=(("ours, here", "0.0190"),))
+    fact = Fact(what="RMSE [N]", published="0.2444", here=(("ours, here", "0.0190"),))
     return Drawing(
         figure=figure,
-        scenario=scenario,
-        plant=plant,
-        seed=0,
-        path=path,
-        alt="a chart",
-        caption=f"What to see in {figure}.",
+        job=Job(benchmark=scenario, plant=plant),
+        shown=PageFigure(path=path, alt="a chart", caption=f"What to see in {figure}."),
         facts=(fact,) if figure == "5" else (),
         **more,
     )
 
 
 def test_the_page_says_where_to_look_and_not_what_a_run_will_have_found():
-    for item in PAPER_FIGURES:
+    for item in PUBLISHED_FIGURES:
         assert not re.search(r"\d+ ms|late by|not detected|follows the reading", item.see), item
 
 
@@ -84,18 +81,19 @@ def everything(path):
     """A drawing of every figure from every run that it needs."""
     return [
         drawing(path, item.number, scenario)
-        for item in PAPER_FIGURES
+        for item in PUBLISHED_FIGURES
         if item.number not in ("10", "I")
         for scenario in item.scenarios
     ]
 
 
-def test_the_figures_are_those_of_the_paper_and_their_runs_exist():
-    assert tuple(item.number for item in PAPER_FIGURES) == NUMBERS
+def test_the_figures_are_the_published_ones_and_their_runs_exist():
+    assert tuple(item.number for item in PUBLISHED_FIGURES) == NUMBERS
     assert set(NEEDED) <= set(SCENARIOS)
-    by_number = {item.number: item for item in PAPER_FIGURES}
-    for (scenario, _), number in ENHANCED_FIGURES.items():
-        assert by_number[number].scenarios == (scenario,)
+    for (scenario, _), item in ENHANCED_FIGURES.items():
+        assert item.scenarios == (scenario,)
+        assert item.ruptures
+        assert item.remaining
 
 
 def test_all_runs_give_all_figures_and_nothing_is_missing(dot, tmp_path):
@@ -110,7 +108,7 @@ def test_all_runs_give_all_figures_and_nothing_is_missing(dot, tmp_path):
 
 
 def test_what_is_missing_stands_there_with_the_command_that_draws_it(dot):
-    sections = paper_sections([drawing(dot, "11"), drawing(dot, "5")], [])
+    sections = published_sections([drawing(dot, "11"), drawing(dot, "5")], [])
     half, whole = sections
     assert [section.anchor for section in sections] == ["figure-5", "figure-11"]
     assert "stack-glove-constant" in half.notices[0]
@@ -129,19 +127,19 @@ def test_a_figure_shows_one_plant_in_order_and_says_where_it_comes_from(dot, tmp
     other = tmp_path / "other.svg"
     other.write_bytes(DOT)
     both = [drawing(other, "8", plant="degraded"), drawing(dot, "8", plant="clean")]
-    assert [item.plant for item in chosen(both, "8")] == ["clean"]
-    assert [item.plant for item in chosen(both[:1], "8")] == ["degraded"]
+    assert [item.job.plant for item in chosen(both, "8")] == ["clean"]
+    assert [item.job.plant for item in chosen(both[:1], "8")] == ["degraded"]
     (further,) = further_sections(both)
     assert "degraded plant" in further.heading
     shuffled = [drawing(dot, "2", panel=panel) for panel in "cadb"]
     assert [item.panel for item in chosen(shuffled, "2")] == ["a", "b", "c", "d"]
-    (section,) = paper_sections([drawing(dot, "9", "gel-70-sinusoidal")], [])
+    (section,) = published_sections([drawing(dot, "9", "gel-70-sinusoidal")], [])
     assert section.figures[0].caption.endswith("From `gel-70-sinusoidal`, clean plant, seed 0.")
-    assert drawing(dot, plant="needle").provenance.endswith("needle without an arm, seed 0")
-    assert drawing(dot, plant="recording").provenance.endswith("recording 0")
+    assert drawing(dot, plant="needle").job.where == "needle without an arm, seed 0"
+    assert drawing(dot, plant="recording").job.where == "recording 0"
 
 
-def test_table_one_has_the_papers_numbers_beside_ours(dot):
+def test_table_one_has_the_published_numbers_beside_ours(dot):
     tuned = [
         drawing(dot, scenario=name, tuned_friction_Ns_per_m=99.0)
         for name in ("gel-25-constant", "gel-25-sinusoidal")
@@ -150,8 +148,8 @@ def test_table_one_has_the_papers_numbers_beside_ours(dot):
     assert gels is not None
     table = gel_table(gels)
     first = dict(zip(table.head, table.rows[0], strict=True))
-    assert first["paper\noffline"] == "113 ± 14"
-    assert first["paper\nonline"] == "84 ± 10 (-26 %)"
+    assert first["published\noffline"] == "113 ± 14"
+    assert first["published\nonline"] == "84 ± 10 (-26 %)"
     assert first["here\ntrue"] == "101 ± 1"
     assert first["here online\nours, F/T"] == "105 ± 1 (-5 %)"
     assert first["here online\npublished, tuned, F/T"] == "99 ± 0 (-11 %)"
@@ -159,19 +157,16 @@ def test_table_one_has_the_papers_numbers_beside_ours(dot):
     assert [row[0] for row in table.rows] == [f"{percent} %" for percent in TABLE_ONE_Ns_per_m]
 
 
-def test_gels_are_those_of_the_best_arm():
+def test_gels_are_those_of_the_best_arm_and_points_stand_at_them():
     found = gel_friction([*rows("needle"), *rows("degraded"), *rows("clean")], [])
     assert found is not None
     assert found.plant == "clean"
     assert gel_friction(rows(scenarios=("stack-constant",)), []) is None
-
-
-def test_friction_points_stand_at_their_gels():
     gels = gel_friction(rows(scenarios=("gel-50-constant",)), [])
     assert gels is not None
     chart = friction_chart("a", gels)
     points = {curve.label: curve for curve in chart.panels[0].curves}
-    assert list(points["paper, offline"].y) == [113.0, 283.0, 534.0]
+    assert list(points["published, offline"].y) == [113.0, 283.0, 534.0]
     ours = points["ours, F/T, constant"]
     assert ours.y[1] == 104.0
     assert round(ours.x[1]) == 1
@@ -180,16 +175,18 @@ def test_friction_points_stand_at_their_gels():
 
 
 def test_tables_of_the_terminal_lose_nothing_but_their_colours():
-    table = Table(title="Targets", caption="A note.")
-    table.add_column("what")
-    table.add_column("reached\nN", justify="right")
-    table.add_row("a [b]", "[green]met[/green]")
+    table = ResultTable(
+        title="Targets",
+        heads=("what", "reached\nN"),
+        align="lr",
+        lines=(("a [b]", "met"),),
+        caption="A note.",
+    )
     converted = page_table(table)
-    assert converted.caption == "Targets"
+    assert (converted.caption, converted.note) == ("Targets", "A note.")
     assert converted.head == ("what", "reached\nN")
-    assert converted.rows[0][1] == "met"
+    assert converted.rows[0] == ("a [b]", "met")
     assert converted.numeric == {1}
-    assert converted.note == "A note."
 
 
 @pytest.fixture(scope="module")

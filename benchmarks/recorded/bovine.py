@@ -15,8 +15,8 @@ from benchmarks import DataError
 from benchmarks.benchmark import Findings, Job, Progress
 from benchmarks.identification_metrics import VISIBLE_SIGMAS, nearest_pairs
 from benchmarks.methods import IDENTIFIERS
-from benchmarks.metrics import Measurement
-from benchmarks.recorded.liver import alarms_at_drops, force_drops
+from benchmarks.recorded.liver import at_drops, force_drops
+from benchmarks.rows import Measurement
 from identification import PublishedConfig, replay
 
 Array = NDArray[np.float64]
@@ -91,12 +91,9 @@ def run_bovine_real(job: Job, progress: Progress) -> Findings:
         result = replay(t_s, depth_m, force_N, config=config)
         events = [row.rupture for row in result.estimates if row.rupture is not None]
         alarms_m = [event.alarm_depth_m for event in events]
-        values = depth_metrics(
-            [1e3 * alarm for alarm in alarms_m],
-            [1e3 * event.depth_m for event in events],
-            RUPTURES_mm,
-        )
-        values["ruptures_without_fall"] = float(len(events) - alarms_at_drops(alarms_m, drops))
+        estimated_mm = [1e3 * event.depth_m for event in events]
+        values = depth_metrics([1e3 * alarm for alarm in alarms_m], estimated_mm, RUPTURES_mm)
+        values["ruptures_without_drop"] = float(len(events) - at_drops(alarms_m, drops)[0])
         found += [Measurement("ft", method, name, value) for name, value in values.items()]
     return Findings(found)
 
@@ -104,28 +101,16 @@ def run_bovine_real(job: Job, progress: Progress) -> Findings:
 def depth_metrics(
     alarms_mm: Sequence[float], estimated_mm: Sequence[float], true_mm: Sequence[float]
 ) -> dict[str, float]:
-    """Missed and false ruptures, and how far the others are out.
+    """Missed and false ruptures, and how far the others are out, if any.
 
-    Each true rupture takes the nearest alarm within `NEAR_mm` that no nearer one has taken.
-
-    Args:
-        alarms_mm: Depths of the alarms.
-        estimated_mm: Depths at which the same ruptures were estimated to have happened.
-        true_mm: Annotated depths.
-
-    Returns:
-        Numbers by name; worst distances only when something was found.
+    Each annotated rupture takes the nearest alarm within `NEAR_mm` that no nearer one has taken.
     """
     alarm_of = nearest_pairs(true_mm, alarms_mm, NEAR_mm, NEAR_mm)
     values = {
         "ruptures_missed": float(len(true_mm) - len(alarm_of)),
         "ruptures_false": float(len(alarms_mm) - len(alarm_of)),
     }
-    if alarm_of:
-        values["rupture_depth_error_mm"] = max(
-            abs(alarms_mm[j] - true_mm[i]) for i, j in alarm_of.items()
-        )
-        values["rupture_dated_depth_error_mm"] = max(
-            abs(estimated_mm[j] - true_mm[i]) for i, j in alarm_of.items()
-        )
+    named = {"rupture_depth_error_mm": alarms_mm, "estimated_depth_error_mm": estimated_mm}
+    for name, depths_mm in named.items() if alarm_of else ():
+        values[name] = max(abs(depths_mm[j] - true_mm[i]) for i, j in alarm_of.items())
     return values

@@ -6,7 +6,6 @@ Data in Brief 2017, doi 10.1016/j.dib.2017.01.018.
 
 import json
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, NamedTuple
 from zipfile import BadZipFile
@@ -19,8 +18,7 @@ from benchmarks import DataError
 from benchmarks.benchmark import Findings, Job, Progress
 from benchmarks.identification_metrics import VISIBLE_SIGMAS
 from benchmarks.methods import IDENTIFIERS
-from benchmarks.metrics import Measurement
-from benchmarks.rows import Method
+from benchmarks.rows import Measurement, Method
 from identification import replay
 
 Array = NDArray[np.float64]
@@ -38,9 +36,6 @@ def insertion_parts(depth_m: Array) -> tuple[slice, slice]:
 
     The insertion ends where the needle is within `HAIR_m` of its deepest; the withdrawal begins
     when friction has turned round.
-
-    Args:
-        depth_m: Depth, shape (n,).
     """
     deepest = float(depth_m.max())
     deep = np.flatnonzero(depth_m >= deepest - HAIR_m)
@@ -63,18 +58,16 @@ def read_arrays(path: Path, names: Sequence[str]) -> list[Array]:
     """
     try:
         with np.load(path, allow_pickle=False) as content:
-            missing = [name for name in names if name not in content]
-            if missing:
-                raise DataError(f"{path} lacks {', '.join(missing)}; it has {', '.join(content)}")
-            arrays = [np.asarray(content[name], dtype=np.float64) for name in names]
-    except DataError:
-        raise
+            has = ", ".join(content)
+            found = {n: np.asarray(content[n], dtype=np.float64) for n in names if n in content}
     except (OSError, EOFError, BadZipFile, ValueError) as error:
         raise DataError(f"cannot read {path}: {error}") from error
-    for name, array in zip(names, arrays, strict=True):
+    if missing := [name for name in names if name not in found]:
+        raise DataError(f"{path} lacks {', '.join(missing)}; it has {has}")
+    for name, array in found.items():
         if array.size == 0 or not np.isfinite(array).all():
             raise DataError(f"{name} of {path} is empty or has values that are not finite")
-    return arrays
+    return [found[name] for name in names]
 
 
 def read_table(path: Path) -> dict[str, Any]:
@@ -103,12 +96,11 @@ REST_s = 0.9
 """The needle rests at least this long at the start of each recording."""
 
 
-@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
-class LiverInsertion:
+class LiverInsertion(NamedTuple):
     """One recording of n samples: insertion, hold and withdrawal."""
 
     t_s: Array  # time since its first sample, shape (n,)
-    depth_m: Array  # depth, shape (n,)
+    depth_m: Array  # shape (n,)
     force_N: Array  # axial force as recorded, shape (n,)
     insertion: slice  # its parts, see `insertion_parts`
     withdrawal: slice
@@ -137,11 +129,8 @@ def read_liver(data: Path, index: int) -> LiverInsertion:
     number = f"{NUMBERS[index]:02d}"
     names = ("sample_rate_Hz", f"depth_m_{number}", f"force_N_{number}")
     rate, depth, force = read_arrays(data / FOLDER / "insertions.npz", names)
-    parts = insertion_parts(depth)
     t_s = np.arange(len(depth)) / float(rate)
-    return LiverInsertion(
-        t_s=t_s, depth_m=depth, force_N=force, insertion=parts[0], withdrawal=parts[1]
-    )
+    return LiverInsertion(t_s, depth, force, *insertion_parts(depth))
 
 
 LEAST_N = 0.15
@@ -153,11 +142,11 @@ SMOOTHING = 21
 
 
 class ForceDrop(NamedTuple):
-    """One sudden drop of the force, found offline."""
+    """One sudden drop of the force, found offline: depths at its top and foot, and its height."""
 
-    from_m: float  # depth at its top
-    to_m: float  # depth at its foot
-    drop_N: float  # its height
+    from_m: float
+    to_m: float
+    drop_N: float
 
 
 NEAR_m = 0.5e-3
@@ -167,12 +156,8 @@ NEAR_m = 0.5e-3
 def force_drops(depth_m: Array, force_N: Array, least_N: float = LEAST_N) -> list[ForceDrop]:
     """Every drop by at least `least_N` within `LONGEST_m` of travel.
 
-    Overlapping drops are one. The last `LONGEST_m` do not count: there the needle slows down.
-
-    Args:
-        depth_m: Depth of the advancing needle, shape (n,), not decreasing but for noise.
-        force_N: Axial force, shape (n,).
-        least_N: The smallest drop that counts.
+    Overlapping drops are one. The last `LONGEST_m` do not count: there the needle slows down. The
+    needle advances, shapes (n,).
     """
     depth = np.maximum.accumulate(depth_m)
     force = uniform_filter1d(force_N, SMOOTHING, mode="nearest")
@@ -191,26 +176,21 @@ def force_drops(depth_m: Array, force_N: Array, least_N: float = LEAST_N) -> lis
     return found
 
 
-def drops_found(drops: Sequence[ForceDrop], alarms_m: Sequence[float]) -> int:
-    """How many of the drops have an alarm at their depth, perhaps a common one."""
-    return sum(any(_is_at(alarm, drop) for alarm in alarms_m) for drop in drops)
-
-
-def alarms_at_drops(alarms_m: Sequence[float], drops: Sequence[ForceDrop]) -> int:
-    """How many of the alarms, given by their depths, lie at a drop, perhaps a common one."""
-    return sum(any(_is_at(alarm, drop) for drop in drops) for alarm in alarms_m)
-
-
-def _is_at(alarm_m: float, drop: ForceDrop) -> bool:
-    return drop.from_m - NEAR_m <= alarm_m <= drop.to_m + NEAR_m
+def at_drops(alarms_m: Sequence[float], drops: Sequence[ForceDrop]) -> tuple[int, int]:
+    """How many alarms, given by their depths, lie at a drop, and how many drops have an alarm."""
+    is_at = [
+        [drop.from_m - NEAR_m <= alarm <= drop.to_m + NEAR_m for drop in drops]
+        for alarm in alarms_m
+    ]
+    return sum(map(any, is_at)), sum(map(any, zip(*is_at, strict=True)))
 
 
 class LiverReference(NamedTuple):
-    """What the estimates of an insertion are compared with."""
+    """What the estimates of an insertion are compared with: pull-out force, drops of the force."""
 
-    pullout_N: tuple[float, ...]  # force of pulling the needle out at each of `DEPTHS_mm`
-    drops: list[ForceDrop]  # drops of the force as large as an internal rupture
-    small_drops: list[ForceDrop]  # drops by more than five times its noise, the former among them
+    pullout_N: tuple[float, ...]  # at each of `DEPTHS_mm`
+    drops: list[ForceDrop]  # as large as an internal rupture
+    small_drops: list[ForceDrop]  # by more than five times the noise, the former among them
 
 
 class LiverEstimates(NamedTuple):
@@ -257,13 +237,12 @@ def rupture_values(found: Sequence[LiverEstimates]) -> Iterator[tuple[str, float
     ruptures = sum(len(each.alarms_m) for each in found)
     drops = sum(len(each.reference.drops) for each in found)
     yield "ruptures_per_insertion", ruptures / len(found)
-    yield "falls_per_insertion", drops / len(found)
+    yield "drops_per_insertion", drops / len(found)
     if drops:
-        with_alarm = sum(drops_found(each.reference.drops, each.alarms_m) for each in found)
-        yield "fall_recall", with_alarm / drops
+        yield "drop_recall", sum(at_drops(e.alarms_m, e.reference.drops)[1] for e in found) / drops
     if ruptures:
-        at = sum(alarms_at_drops(each.alarms_m, each.reference.small_drops) for each in found)
-        yield "ruptures_at_falls", at / ruptures
+        at = sum(at_drops(each.alarms_m, each.reference.small_drops)[0] for each in found)
+        yield "ruptures_at_drops", at / ruptures
 
 
 GUESSED_FRICTION = 0.7

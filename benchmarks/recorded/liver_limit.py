@@ -16,9 +16,9 @@ from numpy.typing import NDArray
 from scipy.linalg import cho_factor, cho_solve
 from scipy.ndimage import uniform_filter1d
 from scipy.optimize import minimize
+from scipy.spatial.distance import cdist
 
 from benchmarks.benchmark import Findings, Job, Progress
-from benchmarks.metrics import Measurement
 from benchmarks.recorded.liver import (
     NUMBERS,
     DEPTHS_mm,
@@ -29,6 +29,7 @@ from benchmarks.recorded.liver import (
     mean_at_depth,
     read_liver,
 )
+from benchmarks.rows import Measurement
 
 Array = NDArray[np.float64]
 
@@ -45,13 +46,10 @@ RECENT_mm = (5, 10, 20)
 def liver_features(
     depth_m: Array, force_N: Array, at_m: float, friction_N: float
 ) -> dict[str, float]:
-    """Features by name; forces as logarithms.
+    """Features by name, forces as logarithms, of what is not deeper than `at_m`.
 
-    Args:
-        depth_m: Depth of the advancing needle, shape (n,).
-        force_N: Axial force as recorded, shape (n,).
-        at_m: Nothing deeper is looked at.
-        friction_N: As our identification estimates it there.
+    Depth of the advancing needle and force as recorded, shape (n,); friction as our identification
+    estimates it there.
     """
     depth = np.arange(FIRST_m, at_m + STEP_m / 2.0, STEP_m)
     smooth = uniform_filter1d(force_N, SMOOTHING)
@@ -68,7 +66,17 @@ def liver_features(
     for mm in RECENT_mm:
         found[f"least of {mm} mm"] = float(force[depth > at_m - 1e-3 * mm].min())
     found = {name: float(np.log(max(value, LEAST))) for name, value in found.items()}
-    return {"depth": at_m} | found | _shape(depth, force) | _drops(depth_m, force_N, at_m)
+    drops = [drop.drop_N for drop in force_drops(depth_m, force_N) if drop.to_m <= at_m]
+    fine = force_N - uniform_filter1d(force_N, FINE)
+    return {
+        "depth": at_m,
+        **found,
+        **_shape(depth, force),
+        "drops": float(len(drops)),
+        "dropped": float(sum(drops)),
+        "largest drop": float(max(drops, default=0.0)),
+        "vibration": float(np.std(fine[depth_m <= at_m])),
+    }
 
 
 def _shape(depth_m: Array, force_N: Array) -> dict[str, float]:
@@ -85,18 +93,6 @@ def _shape(depth_m: Array, force_N: Array) -> dict[str, float]:
         "envelope slope": float(low_slope),
         "usual slope": float(np.median(np.gradient(force_N, depth_m))),
         "roughness": float(np.std(force_N - level - slope * depth_m)),
-    }
-
-
-def _drops(depth_m: Array, force_N: Array, at_m: float) -> dict[str, float]:
-    """Drops of the force so far, and the vibration of cutting."""
-    drops = [drop.drop_N for drop in force_drops(depth_m, force_N) if drop.to_m <= at_m]
-    fine = force_N - uniform_filter1d(force_N, FINE)
-    return {
-        "drops": float(len(drops)),
-        "dropped": float(sum(drops)),
-        "largest drop": float(max(drops, default=0.0)),
-        "vibration": float(np.std(fine[depth_m <= at_m])),
     }
 
 
@@ -153,32 +149,29 @@ def gaussian_process(seen: Seen, asked: Array) -> Array:
     target = seen.target
     mean, spread = float(target.mean()), float(target.std()) or 1.0
     values = (target - mean) / spread
-    apart = _squared_distance(known, known)
+    apart, across = (cdist(each, known, "sqeuclidean") for each in (known, wanted))
+
+    def covariance(logs: Array) -> Array:
+        size, length, noise = np.exp(logs)
+        return size * np.exp(-0.5 * apart / length) + (noise + NOISE_LEAST) * np.eye(len(values))
 
     def negative_log_likelihood(logs: Array) -> float:
-        size, length, noise = np.exp(logs)
-        covariance = size * np.exp(-0.5 * apart / length) + (noise + NOISE_LEAST) * np.eye(
-            len(values)
-        )
-        factor = cho_factor(covariance, lower=True)
+        factor = cho_factor(covariance(logs), lower=True)
         fit = float(values @ cho_solve(factor, values))
         return 0.5 * fit + float(np.sum(np.log(np.diag(factor[0]))))
 
-    start = np.log([1.0, float(known.shape[1]), 0.5])
-    size, length, noise = np.exp(
-        minimize(negative_log_likelihood, start, bounds=[(-5.0, 5.0)] * 3, method="L-BFGS-B").x
-    )
-    covariance = size * np.exp(-0.5 * apart / length) + (noise + NOISE_LEAST) * np.eye(len(values))
-    cross = size * np.exp(-0.5 * _squared_distance(wanted, known) / length)
-    return mean + spread * np.asarray(cross @ np.linalg.solve(covariance, values))
+    start, bounds = np.log([1.0, float(known.shape[1]), 0.5]), [(-5.0, 5.0)] * 3
+    best = minimize(negative_log_likelihood, start, bounds=bounds, method="L-BFGS-B").x
+    size, length, _ = np.exp(best)
+    cross = size * np.exp(-0.5 * across / length)
+    return mean + spread * np.asarray(cross @ np.linalg.solve(covariance(best), values))
 
 
 def _ridge(seen: Seen, asked: Array, penalty: float) -> Array:
     known, wanted = _standardised(seen.features, asked)
-    target = seen.target
+    mean = seen.target.mean()
     normal = known.T @ known + penalty * np.eye(known.shape[1])
-    weights = np.linalg.solve(normal, known.T @ (target - target.mean()))
-    return np.asarray(target.mean() + wanted @ weights)
+    return np.asarray(mean + wanted @ np.linalg.solve(normal, known.T @ (seen.target - mean)))
 
 
 def _standardised(features: Array, asked: Array) -> tuple[Array, Array]:
@@ -187,17 +180,13 @@ def _standardised(features: Array, asked: Array) -> tuple[Array, Array]:
     return (features - mean) / spread, (asked - mean) / spread
 
 
-def _squared_distance(a: Array, b: Array) -> Array:
-    return np.sum((a[:, None, :] - b[None, :, :]) ** 2, axis=2)
-
-
 FEW = ("depth", "force", "force at 10 mm", "usual slope")
 """The three best of the features beside the depth, picked knowing all pull-out forces."""
 REGRESSIONS: Mapping[str, tuple[Fit, tuple[str, ...]]] = MappingProxyType(
     {
         "depth": (level, ("depth",)),
         "force": (linear, ("depth", "force")),
-        "told": (linear, ("depth", "estimated friction")),
+        "friction": (linear, ("depth", "estimated friction")),
         "few": (linear, FEW),
         "ridge": (ridge, ()),
         "gp_few": (gaussian_process, FEW),
@@ -234,12 +223,7 @@ def run_liver_limit(job: Job, progress: Progress) -> Findings:
 def regression_values(
     features: Sequence[Mapping[str, float]], pullout_N: Sequence[float]
 ) -> dict[str, float]:
-    """Errors on insertions left out, by name.
-
-    Args:
-        features: One entry per insertion and depth, insertion by insertion.
-        pullout_N: The same.
-    """
+    """Errors on insertions left out, by name; one entry per insertion and depth in both lists."""
     true = np.array(pullout_N)
     group = np.arange(len(true)) // len(DEPTHS_mm)
     values: dict[str, float] = {}
@@ -263,7 +247,7 @@ def reference_values(insertions: Sequence[LiverInsertion]) -> dict[str, float]:
     at = np.array([each.pullout_N for each in insertions])
     next_to = np.abs(np.diff(at, axis=0)) / (0.5 * (at[1:] + at[:-1]))
     return {
-        "pullout_above_insertion_share": float(np.mean(np.array(over) > 1.0)),
+        "pullout_above_insertion_fraction": float(np.mean(np.array(over) > 1.0)),
         "pullout_over_insertion_most": max(over),
         "pullout_shallower_peak_median_pct": 100.0 * float(np.median(peaks) - 1.0),
         "pullout_shallower_peak_p90_pct": 100.0 * float(np.percentile(peaks, 90.0) - 1.0),

@@ -5,19 +5,24 @@ robot with retrieval of feasible parameters using penalty-based optimization", R
 """
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 import pinocchio as pin
 
 from benchmarks import DataError
 from benchmarks.benchmark import Drawing, Findings, Job, Progress, progress_part
-from benchmarks.force_metrics import wrench_metrics
 from benchmarks.force_plots import force_figures
-from benchmarks.methods import IDENTIFIERS, METHODS, ForceReading, joint_residual, virtual_force
-from benchmarks.metrics import Measurement
+from benchmarks.methods import (
+    IDENTIFIERS,
+    METHODS,
+    ForceReading,
+    joint_residual,
+    virtual_force,
+    wrench_metrics,
+)
 from benchmarks.recorded.liver import (
     LiverEstimates,
     LiverInsertion,
@@ -30,7 +35,7 @@ from benchmarks.recorded.liver import (
     read_table,
     rupture_values,
 )
-from benchmarks.rows import Source
+from benchmarks.rows import Measurement, Source
 from benchmarks.signals import ForceTruth, JointSignals, tool_jacobians
 from residual import SigmoidFriction
 from urdf import Robot, SerialJoint, build_serial_robot
@@ -42,8 +47,7 @@ EFFORT_LIMIT_Nm = (87.0, 87.0, 87.0, 87.0, 12.0, 12.0, 12.0)
 """From Franka's documentation; the tare takes the range of the torque sensors from it."""
 
 
-@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
-class Panda:
+class Panda(NamedTuple):
     """The recording with its model."""
 
     robot: Robot  # the arm, tool frame at the flange
@@ -62,11 +66,13 @@ def read_panda(data: Path) -> Panda:
     t_s, q, dq, tau = read_arrays(folder / "free_motion.npz", names)
     table = read_table(folder / "model.json")
     try:
-        robot, friction = _robot(table), _friction(table["friction"])
+        robot, numbers = _robot(table), table["friction"]
+        keys = ("A_Nm", "alpha_s_rad", "s_rad_s")
+        amplitude, slope, shift = (np.array(numbers[key]) for key in keys)
     except KeyError as error:
         raise DataError(f"{folder / 'model.json'} lacks {error}") from error
-    signals = JointSignals(t_s=t_s, q_rad=q, dq_rad_s=dq, tau_Nm=tau)
-    return Panda(robot=robot, friction=friction, signals=signals)
+    friction = SigmoidFriction(amplitude_Nm=amplitude, slope_s_rad=slope, shift_rad_s=shift)
+    return Panda(robot, friction, JointSignals(t_s=t_s, q_rad=q, dq_rad_s=dq, tau_Nm=tau))
 
 
 def _robot(table: dict[str, Any]) -> Robot:
@@ -95,14 +101,6 @@ def _robot(table: dict[str, Any]) -> Robot:
     return replace(robot, bare_model=limited)
 
 
-def _friction(table: dict[str, Any]) -> SigmoidFriction:
-    return SigmoidFriction(
-        amplitude_Nm=np.array(table["A_Nm"]),
-        slope_s_rad=np.array(table["alpha_s_rad"]),
-        shift_rad_s=np.array(table["s_rad_s"]),
-    )
-
-
 GAIN_per_s = 30.0
 """That of the known-good figures."""
 SETTLING_LAGS = 5.0
@@ -117,12 +115,8 @@ def run_panda_real(job: Job, progress: Progress) -> Findings:
     settled = signals.t_s - signals.t_s[0] >= SETTLING_LAGS / GAIN_per_s
     rms = np.sqrt(np.mean(residual[settled] ** 2, axis=0))
     progress(1.0)
-    return Findings(
-        [
-            Measurement("virtual", "default", f"residual_rms_J{joint}_Nm", float(value))
-            for joint, value in enumerate(rms, 1)
-        ]
-    )
+    values = {f"residual_rms_J{joint}_Nm": float(value) for joint, value in enumerate(rms, 1)}
+    return Findings([Measurement("virtual", "default", *item) for item in values.items()])
 
 
 OF_MANY = "_p90_pct"
@@ -135,12 +129,7 @@ def identification_values(
     """Friction and ruptures by both methods, from the force itself and from each one's own sensor.
 
     A real enhanced force has no ground truth; that of the virtual force is compared with that of
-    the same method on the force itself.
-
-    Args:
-        insertion: The recording.
-        truth: The force as it acts on the arm, which an F/T sensor would read.
-        readings: Of the virtual sensors, one per method.
+    the same method on the force itself, which an F/T sensor would read.
     """
     felt = truth.t_s >= truth.zeroed_s
     t_s, depth, force = truth.t_s[felt], truth.depth_m[felt], truth.axial_N[felt]
@@ -152,12 +141,9 @@ def identification_values(
         virtual = liver_estimates(t_s, depth, by_method[method], method, reference)
         by_source: dict[Source, LiverEstimates] = {"ft": ft, "virtual": virtual}
         for source, item in by_source.items():
-            values = [*friction_values([item]), *rupture_values([item])]
-            found += [
-                Measurement(source, method, name, value)
-                for name, value in values
-                if not name.endswith(OF_MANY)
-            ]
+            values = dict([*friction_values([item]), *rupture_values([item])])
+            kept = (each for each in values.items() if not each[0].endswith(OF_MANY))
+            found += [Measurement(source, method, *each) for each in kept]
         off = float(np.sqrt(np.mean((virtual.enhanced_N - ft.enhanced_N) ** 2)))
         found.append(Measurement("virtual", method, "enhanced_against_ft_rmse_N", off))
     return found

@@ -4,9 +4,8 @@ Mamedov, Mikhel, "Practical aspects of model-based collision detection", Front. 
 2020.
 """
 
-from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 import pinocchio as pin
@@ -15,8 +14,8 @@ from numpy.typing import NDArray
 from benchmarks import DataError
 from benchmarks.benchmark import Findings, Job, Progress
 from benchmarks.methods import joint_residual
-from benchmarks.metrics import Measurement
 from benchmarks.recorded.liver import read_arrays, read_table
+from benchmarks.rows import Measurement
 from benchmarks.signals import JointSignals, tool_jacobians
 from residual import JointFriction, WrenchEstimator
 from urdf import Robot, SerialJoint, build_serial_robot, identify_payload_static
@@ -27,8 +26,7 @@ PINOCCHIO_ORDER = (9, 6, 7, 8, 0, 1, 3, 2, 4, 5)
 """Of the table's ten inertial parameters."""
 
 
-@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
-class Ur10e:
+class Ur10e(NamedTuple):
     """The recordings with their model."""
 
     robot: Robot  # the arm with its rotors, tool frame at the end link
@@ -67,16 +65,15 @@ def _signals(path: Path, torque_constant: np.ndarray) -> JointSignals:
 
 
 def _robot(table: dict[str, Any]) -> Robot:
+    inertias = np.array(table["inertial_parameters"]["rows"])[:, PINOCCHIO_ORDER]
     joints = [
         SerialJoint(
             name=row["name"],
             placement=_placement(row),
             axis=np.array(row["axis"]),
-            inertia=np.array(inertia)[list(PINOCCHIO_ORDER)],
+            inertia=inertia,
         )
-        for row, inertia in zip(
-            table["joints"][:JOINTS], table["inertial_parameters"]["rows"], strict=True
-        )
+        for row, inertia in zip(table["joints"][:JOINTS], inertias, strict=True)
     ]
     # Identified parameters predict torque; not every link is a possible body.
     return build_serial_robot(
@@ -129,9 +126,7 @@ def run_ur10e_payload(job: Job, progress: Progress) -> Findings:
     values["torque_scale"] = scale
     values["weight_error_pct"] = 100.0 * (scale * second / PAYLOAD_kg - 1.0)
     progress(1.0)
-    return Findings(
-        [Measurement("virtual", "default", name, value) for name, value in values.items()]
-    )
+    return Findings([Measurement("virtual", "default", *item) for item in values.items()])
 
 
 def _residual(arm: Ur10e, signals: JointSignals) -> Array:
@@ -148,9 +143,8 @@ def _force_up(robot: Robot, signals: JointSignals, residual: Array, name: str) -
     jacobians = tool_jacobians(robot, signals.q_rad)
     regular = np.linalg.svd(jacobians, compute_uv=False)[:, -1] > LEAST_SINGULAR_VALUE
     seen = _settled(signals) & regular
-    force = np.array(
-        [wrench.estimate(signals.q_rad[k], residual[k]).force[2] for k in np.flatnonzero(seen)]
-    )
+    samples = zip(signals.q_rad[seen], residual[seen], strict=True)
+    force = np.array([wrench.estimate(q, r).force[2] for q, r in samples])
     return {f"{name}_N": float(force.mean()), f"{name}_std_N": float(force.std())}
 
 
@@ -161,7 +155,6 @@ def _payload_kg(robot: Robot, q_rad: Array, residual: Array, noise_Nm: Array) ->
     """
     data = robot.create_data()
     gravity = np.array([pin.computeGeneralizedGravity(robot.model, data, q) for q in q_rad])
-    estimate = identify_payload_static(
-        robot, q_rad, gravity - residual, torque_noise_std_Nm=noise_Nm
-    )
-    return float(estimate.unconstrained_parameters[0])
+    torque = gravity - residual
+    found = identify_payload_static(robot, q_rad, torque, torque_noise_std_Nm=noise_Nm)
+    return float(found.unconstrained_parameters[0])

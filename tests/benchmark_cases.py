@@ -1,16 +1,33 @@
-"""A thin gel, which takes seconds instead of half a minute, for tests."""
+"""Rows of results, and a thin gel that takes seconds instead of half a minute."""
 
 from dataclasses import replace
 
+from benchmarks.rows import Row
 from groundtruth import Scenario
 from groundtruth.materials import gel
 from groundtruth.motion import constant_motion
+
+TEMPLATE = {
+    "scenario": "gel-25-constant",
+    "plant": "degraded",
+    "seed": 0,
+    "source": "virtual",
+    "method": "default",
+    "metric": "wrench_rmse_N",
+    "value": 0.1,
+    "unit": "N",
+}
+
+
+def make_row(**changes):
+    return Row(**(TEMPLATE | changes))
+
 
 BEYOND_M = 11e-3
 
 
 def gel_slice(percent=70, *, thickness_m=12e-3, speed_m_s=5e-3):
-    """An insertion at constant speed into a slice of one of the paper's gels."""
+    """An insertion at constant speed into a slice of one of the published gels."""
     depth_m = thickness_m + BEYOND_M
     return Scenario(
         id="short",

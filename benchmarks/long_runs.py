@@ -1,15 +1,17 @@
-"""Recordings of any length through the commands: how fast, and does their memory grow?"""
+"""A million updates, and recordings of any length: does the chain grow, does it slow down?"""
 
 import math
 import os
 import subprocess
 import sys
 import time
+import tracemalloc
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass
 from pathlib import Path
 from tempfile import TemporaryDirectory, TemporaryFile
+from time import perf_counter_ns
 from types import MappingProxyType
 from typing import Any, NamedTuple
 
@@ -20,13 +22,163 @@ import psutil
 from numpy.typing import NDArray
 
 from benchmarks import BenchmarkError
-from benchmarks.signals import tool_jacobians
-from benchmarks.tables import ResultTable
-from groundtruth import insert_needle
+from benchmarks.benchmark import Progress, progress_part
+from benchmarks.methods import on_lwr
+from benchmarks.signals import JointSignals, tool_jacobians
+from benchmarks.tables import ResultTable, met_mark
+from benchmarks.targets import SOAK_COST_RATIO, SOAK_GROWTH_KB
+from groundtruth import insert_needle, simulate
+from needleforce import InsertionSession
 from needleforce.recordings import RecordingError
 from needleforce.recordings.channels import FORCE_STATUS
 from needleforce.recordings.output import open_table
+from residual import DEFAULT
 from urdf import NeedleTool, Robot, load_lwr
+
+SCENARIO, PLANT = "gel-25-constant", "clean"
+WINDOW = 20_000
+"""Updates of the first and of the last median: more than one cycle's worth of either."""
+SETTLED_S, STILL = 0.5, 1000
+"""The needle is at rest so long after its insertion, for so many samples at least."""
+NS_PER_US, BYTES_PER_KB, BYTES_PER_MB = 1e3, 1024.0, 1024.0**2
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Soak:
+    """What many updates did."""
+
+    # median update at the start, after the tare and one cycle, and at the end, over the same part
+    # of a cycle [us]
+    tick_us: tuple[float, float]
+    # memory that Python held for the chain after that cycle and after the last whole one: in the
+    # tissue a layer's data add to it [kB]
+    python_kB: tuple[float, float]
+    process_MB: tuple[float, float]  # resident memory of the process at the same times [MB]
+    ruptures: tuple[int, ...]  # found in each whole insertion
+    skipped: int  # samples that the session rejected
+
+    @property
+    def marks(self) -> tuple[bool, bool, bool]:
+        """Whether it stayed as quick, held no more, and was busy: idling is cheap."""
+        return (
+            self.tick_us[1] <= SOAK_COST_RATIO * self.tick_us[0],
+            self.python_kB[1] - self.python_kB[0] <= SOAK_GROWTH_KB,
+            self.skipped == 0 and min(self.ruptures) > 0,
+        )
+
+    @property
+    def is_met(self) -> bool:
+        """Whether all targets are."""
+        return all(self.marks)
+
+
+class Cycle:
+    """An insertion with as long a rest in the tissue, without end; `length` updates make one."""
+
+    def __init__(self) -> None:
+        run = simulate(SCENARIO, PLANT, 0)
+        t_s = run.signals.t_s
+        self._robot = run.robot
+        self._rows = JointSignals.of_run(run).samples()
+        self._tare = int(np.searchsorted(t_s, run.tare_end_s))
+        at = int(np.searchsorted(t_s, run.scenario.motion.insertion_end_s + SETTLED_S))
+        still = list(range(at, at + STILL))
+        # Forth and back: a jump from the last to the first would be a spike to the session.
+        moving = len(self._rows) - self._tare
+        rest = (still + still[::-1]) * (moving // (2 * STILL))
+        self._order = [*range(self._tare, at), *rest, *range(at, len(self._rows))]
+        self.length = len(self._order)
+
+    def tared(self) -> InsertionSession:
+        """A session in free air before the first insertion."""
+        session = InsertionSession(self._robot, on_lwr(DEFAULT))
+        for row in self._rows[: self._tare]:
+            session.update(*row)
+        session.tare()
+        return session
+
+    def updates(
+        self, session: InsertionSession, ticks: int, progress: Progress
+    ) -> Iterator[tuple[int, bool, float]]:
+        """Index, whether a rupture was raised, and time [us] of every update.
+
+        Each cycle is a new insertion.
+        """
+        for k in range(ticks):
+            at = k % self.length
+            if at == 0:
+                session.begin_insertion()
+            if k % WINDOW == 0:
+                progress(k / ticks)
+            row = self._rows[self._order[at]]
+            before = perf_counter_ns()
+            found = session.update(*row)
+            taken_us = (perf_counter_ns() - before) / NS_PER_US
+            yield k, found.identification.rupture is not None, taken_us
+
+    def time(
+        self, ticks: int, progress: Progress
+    ) -> tuple[NDArray[np.float64], tuple[int, ...], int]:
+        """Time of every update [us], shape (ticks,); ruptures by whole cycle; samples rejected."""
+        session, taken, ruptures = self.tared(), np.zeros(ticks), [0] * (ticks // self.length + 1)
+        for k, is_rupture, taken_us in self.updates(session, ticks, progress):
+            taken[k] = taken_us
+            ruptures[k // self.length] += is_rupture
+        return taken, tuple(ruptures[:-1]), session.rejected
+
+    def memory(self, ticks: int, progress: Progress) -> NDArray[np.float64]:
+        """Memory of Python [kB] and of the process [MB], after each whole cycle, shape (n, 2)."""
+        session, process, held = self.tared(), psutil.Process(), []
+        tracemalloc.start()
+        try:
+            for k, _, _ in self.updates(session, ticks, progress):
+                if k % self.length == 0 and k > 0:
+                    python_kB = tracemalloc.get_traced_memory()[0] / BYTES_PER_KB
+                    held.append((python_kB, process.memory_info().rss / BYTES_PER_MB))
+            return np.array(held)
+        finally:
+            tracemalloc.stop()
+
+
+def run_soak(ticks: int, progress: Progress = lambda fraction: None) -> Soak:
+    """Insert, rest and withdraw over and over on one tare, every time as a new insertion.
+
+    In every cycle the needle rests in the tissue for as long as it moves. Cost and memory are
+    measured in separate passes, since watching memory costs time. At least two cycles are run.
+    """
+    cycle = Cycle()
+    ticks = max(ticks, 2 * cycle.length + 1)
+    times, ruptures, skipped = cycle.time(ticks, progress_part(progress, 0.0, 0.5))
+    # The same part of a cycle at the end.
+    last = ((len(times) - WINDOW) // cycle.length) * cycle.length
+    medians = [float(np.median(times[at : at + WINDOW])) for at in (cycle.length, last)]
+    held = cycle.memory(ticks, progress_part(progress, 0.5, 1.0))
+    return Soak(
+        tick_us=(medians[0], medians[1]),
+        python_kB=(held[0, 0], held[-1, 0]),
+        process_MB=(held[0, 1], held[-1, 1]),
+        ruptures=ruptures,
+        skipped=skipped,
+    )
+
+
+def soak_table(found: Soak, ticks: int) -> ResultTable:
+    """Start and end, with the targets."""
+    is_quick, is_lean, is_busy = map(met_mark, found.marks)
+    tick_us, python_kB = (f"{value:.1f}" for value in found.tick_us), map(round, found.python_kB)
+    ends = (str(found.ruptures[0]), str(found.ruptures[-1]))
+    return ResultTable(
+        title=f"{ticks} ticks of the chain: insertions, rests and cycles on one tare",
+        heads=("what", "start", "end", "target", ""),
+        align="LrrrL",
+        lines=(
+            ("median tick, us", *tick_us, f"≤ {SOAK_COST_RATIO:g} x start", is_quick),
+            ("Python's memory, kB", *map(str, python_kB), f"+ {SOAK_GROWTH_KB:g} at most", is_lean),
+            ("memory of the process, MB", *(f"{value:.1f}" for value in found.process_MB), "", ""),
+            ("ruptures an insertion", *ends, "≥ 1 in all, none skipped", is_busy),
+        ),
+    )
+
 
 Columns = dict[str, NDArray[np.float64]]
 
@@ -37,7 +189,7 @@ CYCLE_S, REACH_RAD, PUSH_N, RETURN_S = 20.0, 0.05, 1.5, 20.0
 TORQUE_NOISE_NM, FORCE_NOISE_N = 0.01, 0.003
 LATE_ROWS = 80_000
 """Longer than a cycle of a long recording."""
-POLL_S, BYTES_PER_MB = 0.05, 1e6
+POLL_S, BYTES_IN_MB = 0.05, 1e6
 LEAST_TIMES_REAL = 20.0
 """Times real time, on one core."""
 MOST_GROWTH_MB = 20.0
@@ -46,15 +198,7 @@ LEAST_SECONDS = 2.0 * FREE_S
 
 
 def joint_recording(seconds: float, rng: np.random.Generator) -> Iterator[Columns]:
-    """Joint signals of an LWR that moves, and is pushed once in every cycle.
-
-    Args:
-        seconds: Length [s].
-        rng: Of the noise.
-
-    Yields:
-        Columns of consecutive rows.
-    """
+    """Joint signals of an LWR that moves, and is pushed once in every cycle, part by part."""
     cycle = _joint_cycle(load_lwr(payload=NeedleTool()))
     for columns in _repeated(cycle, seconds):
         torque = columns["tau_Nm"]
@@ -140,16 +284,12 @@ def run_python(
 ) -> ProcessUse:
     """Run ``python`` with these arguments to its end, watching time and memory.
 
-    Args:
-        arguments: After the interpreter.
-        progress: Gets now and then how many seconds have passed.
-
     Raises:
         BenchmarkError: It failed.
     """
     # One thread of linear algebra: what is measured is one core.
     environment = os.environ | {"OMP_NUM_THREADS": "1"}
-    start_s, before_s = time.perf_counter(), _children_s()
+    start_s, before = time.perf_counter(), psutil.Process().cpu_times()
     memory_MB: list[float] = []
     # A file, not a pipe: that would be full after 64 kB, and the process would wait for ever.
     with TemporaryFile() as errors:
@@ -157,7 +297,7 @@ def run_python(
         process = psutil.Popen(command, env=environment, stdout=subprocess.DEVNULL, stderr=errors)
         while process.poll() is None:
             with suppress(psutil.Error):  # it may have ended since the question
-                memory_MB.append(process.memory_info().rss / BYTES_PER_MB)
+                memory_MB.append(process.memory_info().rss / BYTES_IN_MB)
             progress(time.perf_counter() - start_s)
             time.sleep(POLL_S)
         wall_s = time.perf_counter() - start_s
@@ -165,34 +305,30 @@ def run_python(
         said = errors.read().decode(errors="replace").strip()
     if process.returncode != 0:
         raise BenchmarkError(f"python {' '.join(arguments)} failed: {said.splitlines()[-1:]}")
-    return ProcessUse(wall_s, _children_s() - before_s, tuple(memory_MB))
-
-
-def _children_s() -> float:
-    """Time on processors of all processes that this one has started and that have ended [s]."""
-    times = psutil.Process().cpu_times()
-    return times.children_user + times.children_system
+    # Time of all children that have ended: nothing else is started meanwhile.
+    times = (before, psutil.Process().cpu_times())
+    before_s, after_s = (each.children_user + each.children_system for each in times)
+    return ProcessUse(wall_s, after_s - before_s, tuple(memory_MB))
 
 
 class LateRows(NamedTuple):
-    """Of the last `LATE_ROWS` rows that a command wrote, or of all if there are fewer."""
+    """Ruptures (None where none are looked for) and rejected rows in the last `LATE_ROWS`."""
 
-    ruptures: int | None  # found in them; None for a command that looks for none
-    rejected: int  # rows that the command could not use
+    ruptures: int | None
+    rejected: int
 
 
 def late_rows(path: Path) -> LateRows:
-    """Read the end of a table that `residual` or `identification` has written as CSV."""
-    wanted = ("force_status", "absorbed", "rupture")
+    """Read the end of a table that a command has written as CSV."""
+    wanted = ("force_status", "used", "rupture")
     table: Any = pd.read_csv(path, usecols=lambda name: name in wanted).tail(LATE_ROWS)
     if "force_status" in table:
         rejected = FORCE_STATUS.index("rejected")
         return LateRows(None, int((table["force_status"] == rejected).sum()))
-    return LateRows(int((table["rupture"] != 0.0).sum()), int((table["absorbed"] == 0.0).sum()))
+    return LateRows(int((table["rupture"] != 0.0).sum()), int((table["used"] == 0.0).sum()))
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
-class StreamSpeed:
+class StreamSpeed(NamedTuple):
     """What a command needed for a recording."""
 
     command: str  # ``residual`` or ``identification``
@@ -226,14 +362,7 @@ def measure_stream(
     folder: Path | None,
     progress: Callable[[float], None],
 ) -> StreamSpeed:
-    """Make a recording and send it through a command.
-
-    Args:
-        command: One of `RECORDINGS`.
-        suffix: Of the recording.
-        seconds: Length of the recording [s], at least `LEAST_SECONDS`.
-        folder: Where the files lie while it runs; None for the system's place.
-        progress: Gets the fraction done so far, roughly.
+    """Make a recording of at least `LEAST_SECONDS` and send it through a command.
 
     Raises:
         BenchmarkError: The files cannot be written, or the command failed.
@@ -255,25 +384,18 @@ def measure_stream(
             late = late_rows(out)
     except (OSError, RecordingError) as error:
         raise BenchmarkError(f"no recording to stream: {error}") from error
-    return StreamSpeed(
-        command=command, suffix=suffix, seconds=seconds, rows=rows, use=use, late=late
-    )
+    return StreamSpeed(command, suffix, seconds, rows, use, late)
 
 
 def stream_table(speeds: Sequence[StreamSpeed]) -> ResultTable:
     """Time and memory of every case, with the targets."""
     lines = []
     for speed in speeds:
-        use = speed.use
+        use, (ruptures, rejected) = speed.use, speed.late
         memory = (use.memory_at(0.1), use.memory_at(1.0), max(use.memory_MB, default=math.nan))
-        numbers = (
-            f"{1e6 * use.cpu_s / speed.rows:.1f}",
-            f"{speed.times_real:.1f}",
-            f"{speed.seconds / use.wall_s:.1f}",
-            *(f"{value:.0f}" for value in memory),
-        )
-        ruptures = "" if speed.late.ruptures is None else str(speed.late.ruptures)
-        late = (ruptures, str(speed.late.rejected), "yes" if speed.is_met else "no")
+        costs = (1e6 * use.cpu_s / speed.rows, speed.times_real, speed.seconds / use.wall_s)
+        numbers = (*(f"{value:.1f}" for value in costs), *(f"{value:.0f}" for value in memory))
+        late = ("" if ruptures is None else str(ruptures), str(rejected), met_mark(speed.is_met))
         lines.append((speed.command, speed.suffix, str(speed.rows), *numbers, *late))
     return ResultTable(
         title=f"A recording of {speeds[0].seconds:g} s at 1 kHz through the commands, CSV out "
@@ -281,8 +403,8 @@ def stream_table(speeds: Sequence[StreamSpeed]) -> ResultTable:
         f"memory grows by {MOST_GROWTH_MB:g} MB at most)",
         heads=(
             *("command", "log", "rows", "us per row", "x real time", "x real time (wall clock)"),
-            *("MB at 10 %", "MB at the end", "MB at most", "late ruptures", "late rejected", "met"),
+            *("MB at 10 %", "MB at the end", "MB at most", "late ruptures", "late rejected", ""),
         ),
-        align="LL" + 10 * "r",
+        align="LL" + 9 * "r" + "L",
         lines=tuple(lines),
     )

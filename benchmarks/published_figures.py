@@ -1,0 +1,77 @@
+"""The published figures: which run gives the counterpart of each, and what to compare."""
+
+from pathlib import Path
+
+import msgspec
+
+from benchmarks.targets import GROUPS
+
+FRICTION_FIGURE, TABLE_ONE = "10", "I"
+
+
+class PublishedFigure(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
+    """One figure of Ferro et al., or their table, as `published_figures.toml` has it."""
+
+    number: str  # in the publication
+    title: str  # what it is about
+    scenarios: tuple[str, ...]  # runs that give its counterpart
+    shows: str  # what is published
+    see: str  # what to compare in ours; the results stand in the numbers of the run
+    source: str = ""  # of the force whose friction is compensated online; empty for other figures
+    # what the text says of such a figure, times on the clock of its recordings
+    ruptures: str = ""
+    friction: str = "not stated"
+    remaining: str = ""
+
+    @property
+    def heading(self) -> str:
+        """Above its section."""
+        return f"{'Table' if self.number == TABLE_ONE else 'Figure'} {self.number}: {self.title}"
+
+    @property
+    def anchor(self) -> str:
+        """Of its section within the page."""
+        return f"{'table' if self.number == TABLE_ONE else 'figure'}-{self.number}"
+
+    @property
+    def command(self) -> str:
+        """Draws all of it."""
+        return f"python -m benchmarks run {' '.join(self.scenarios)} --report DIR"
+
+
+class _File(msgspec.Struct):
+    enhanced: str  # to compare in every figure of friction compensated online
+    figures: list[PublishedFigure]
+
+
+def _read() -> tuple[PublishedFigure, ...]:
+    content = Path(__file__).with_name("published_figures.toml").read_bytes()
+    file = msgspec.toml.decode(content, type=_File)
+    return tuple(
+        msgspec.structs.replace(
+            item,
+            scenarios=tuple(n for name in item.scenarios for n in GROUPS.get(name, (name,))),
+            see=f"{item.see} {file.enhanced}" if item.source else item.see,
+        )
+        for item in file.figures
+    )
+
+
+PUBLISHED_FIGURES = _read()
+"""In the order of the page."""
+NEEDED = tuple(dict.fromkeys(name for item in PUBLISHED_FIGURES for name in item.scenarios))
+"""Every scenario that some figure needs."""
+ENHANCED_FIGURES = {
+    (item.scenarios[0], item.source): item for item in PUBLISHED_FIGURES if item.source
+}
+"""Figure of the friction compensation in a scenario, by the source of its force."""
+OFFLINE_PANELS = {
+    "gel-70-constant": ("2", "a"),
+    "stack-constant": ("2", "b"),
+    "gel-70-sinusoidal": ("2", "c"),
+    "stack-sinusoidal": ("2", "d"),
+    "stack-glove-constant": ("3", ""),
+}
+"""Figure and panel of the offline fit of a scenario."""
+FORCE_PANELS = {"gel-70-constant": ("a", "c"), "stack-glove-constant": ("b", "d")}
+"""Panels of Figure 5, over time and over depth."""
