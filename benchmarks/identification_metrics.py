@@ -5,7 +5,6 @@ from collections.abc import Iterator, Sequence
 from typing import NamedTuple
 
 import numpy as np
-from identification.interaction_model import Model
 from numpy.typing import NDArray
 from scipy.ndimage import median_filter
 
@@ -23,6 +22,7 @@ from benchmarks.rows import Measurement, Method
 from benchmarks.signals import InsertionTruth, NeedleSignal
 from groundtruth import Rupture
 from identification import LayerEstimate, LayerSpan, OfflineIdentification, identify_offline
+from identification.config import Model
 
 SPEED_WINDOW_s = 0.2
 """Over which the median of the speed is taken, centred, as one may offline: the models are judged,
