@@ -399,11 +399,11 @@ def stream_table(speeds: Sequence[StreamSpeed]) -> ResultTable:
         lines.append((speed.command, speed.suffix, str(speed.rows), *numbers, *late))
     return ResultTable(
         title=f"A recording of {speeds[0].seconds:g} s at 1 kHz through the commands, CSV out "
-        f"(targets: {LEAST_TIMES_REAL:g} times real time on one core, "
+        f"(targets: {LEAST_TIMES_REAL:g} times real time of one core (x wall: by the clock), "
         f"memory grows by {MOST_GROWTH_MB:g} MB at most)",
         heads=(
-            *("command", "log", "rows", "us per row", "x real time", "x real time (wall clock)"),
-            *("MB at 10 %", "MB at the end", "MB at most", "late ruptures", "late rejected", ""),
+            *("command", "log", "rows", "us per row", "x real", "x wall"),
+            *("MB 10 %", "MB end", "MB most", "late ruptures", "late rejected", ""),
         ),
         align="LL" + 9 * "r" + "L",
         lines=tuple(lines),

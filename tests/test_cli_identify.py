@@ -122,7 +122,7 @@ def test_the_codes_are_those_of_the_virtual_sensor_and_of_a_session():
     assert tuple(status.value for status in Status) == FORCE_STATUS
     for word, bit in WORTHLESS.items():
         assert SensorWarning[word.upper().replace(" ", "_")] == bit
-    assert sum(WORTHLESS.values()) == session._NOT_FED
+    assert sum(WORTHLESS.values()) == session._NOT_USED
 
 
 def chunk(columns):

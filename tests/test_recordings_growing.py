@@ -35,7 +35,7 @@ from needleforce.recordings import (
     FormatError,
     read_log,
 )
-from needleforce.recordings.bag_messages import MAGIC, NONE_YET, bag_messages
+from needleforce.recordings.bag_messages import MAGIC, NONE_YET, read_messages
 from needleforce.recordings.bag_reader import JoinedRows, bag_info
 from needleforce.recordings.errors import MAX_BYTES
 from needleforce.recordings.follow import FollowOptions
@@ -214,7 +214,7 @@ def test_while_the_clock_is_silent_what_other_topics_bring_does_not_fill_memory(
     wanted = ChannelRequest(mapping=ColumnMapping(reference_topic="/joint_states"))
     columns = frozenset({"/joint_states/position", "/ft/force_xyz"})
     joined = JoinedRows(info, wanted, columns)
-    whole = list(bag_messages(info.path, [], MAX_BYTES))
+    whole = list(read_messages(info.path, [], MAX_BYTES))
     force = next(message for message in whole if message.topic.name == "/ft")
 
     def messages():

@@ -67,7 +67,7 @@ def _storage(folder: Path) -> list[Path]:
     return sorted(found, key=lambda p: [int(x) for x in re.findall(r"\d{1,99}", p.name)] or [0])
 
 
-def bag_messages(
+def read_messages(
     path: Path, faults: list[str], max_bytes: int, options: FollowOptions | None = None
 ) -> Iterator[RawMessage]:
     """Read messages as they were recorded; of a damaged or cut MCAP file those that can be had.

@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from needleforce.recordings.bag_messages import NONE_YET, BagTopic, RawMessage, bag_messages
+from needleforce.recordings.bag_messages import NONE_YET, BagTopic, RawMessage, read_messages
 from needleforce.recordings.bag_types import Content, TopicDecoder, width_of
 from needleforce.recordings.errors import MAX_BYTES, ColumnError, FormatError, require_size
 from needleforce.recordings.follow import FollowOptions
@@ -200,7 +200,7 @@ def bag_info(path: Path, max_bytes: int = MAX_BYTES) -> BagInfo:
     """Go through a bag; errors are those of `bag_tables`."""
     topics: dict[str, Topic] = {}
     faults: list[str] = []
-    for message in bag_messages(path, faults, max_bytes):
+    for message in read_messages(path, faults, max_bytes):
         _learn(message, topics)
     if not topics:
         raise FormatError(f"{path} holds no messages{''.join(f' ({fault})' for fault in faults)}")
@@ -377,7 +377,7 @@ def bag_tables(
         widths = {n: k or 1 for found in info.topics.values() for n, k in found.columns.items()}
         size = 8 * info.topics[joined.reference].count * sum(widths[name] for name in needed)
         require_size(size, max_bytes, f"{path}: what is read of it")
-    yield from joined.tables(bag_messages(path, [], max_bytes), rows)
+    yield from joined.tables(read_messages(path, [], max_bytes), rows)
 
 
 def growing_bag_tables(
@@ -398,7 +398,7 @@ def growing_bag_tables(
         return
     faults: list[str] = []
     table = None
-    for table in joined.tables(bag_messages(path, faults, max_bytes, options), rows):
+    for table in joined.tables(read_messages(path, faults, max_bytes, options), rows):
         yield table
     if faults and table is not None:
         columns = {name: values[:0] for name, values in table.columns.items()}
@@ -411,7 +411,7 @@ def _settled_rows(
     """Go through a bag until it is clear what is read; None if it ends before."""
     topics: dict[str, Topic] = {}
     reported, settled_ns = "", 0
-    for message in bag_messages(path, [], max_bytes, options):
+    for message in read_messages(path, [], max_bytes, options):
         if message is NONE_YET:
             continue
         if message.topic.name not in topics:

@@ -167,13 +167,8 @@ def stream_tables(
     if path is None or is_text(path):
         suffix, blocks = peek(byte_blocks(path, options))
         if not suffix or (path is not None and not path.is_fifo()):
-            yield from csv_tables(
-                blocks,
-                name,
-                is_growing=options.follow,
-                is_stopped=options.should_stop,
-                max_bytes=max_bytes,
-            )
+            growth = {"is_growing": options.follow, "is_stopped": options.should_stop}
+            yield from csv_tables(blocks, name, **growth, max_bytes=max_bytes)
             return
         options.warn(
             f"{name} is {suffix[1:]}, not text: it is read to its end, into a temporary file, "
