@@ -306,11 +306,11 @@ _RECALL = Headline("rupture_recall", ".2f", "ruptures found, fraction")
 _PULL_OUT = "friction against pull-out force, median error, %"
 HEADLINES = (
     _FORCE,
+    _FORCE._replace(plant="fri"),
     _FORCE._replace(plant="degraded"),
     _RECALL,
+    _RECALL._replace(plant="fri"),
     _RECALL._replace(plant="degraded"),
-    Headline("rupture_precision", ".2f", "alarms that are true, fraction"),
-    Headline("rupture_delay_ms", ".0f", "delay of the alarm, ms"),
     Headline("friction_error_online_worst_pct", ".1f", "friction of a layer, worst error, %"),
     Headline("pullout_error_median_pct", ".0f", _PULL_OUT, "ft", "recording", "liver-real"),
 )
