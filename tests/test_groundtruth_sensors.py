@@ -38,13 +38,19 @@ def test_ideal_sensors_are_perfect():
         np.testing.assert_array_equal(seen, expected)
 
 
-def test_torque_noise_of_the_clean_arm_is_white_with_the_stated_spread():
+def test_the_clean_arms_torque_has_white_noise_and_a_bias_as_stated():
     change = np.diff(torque_error(CLEAN), axis=0)
     # differences of white noise: variance doubles, neighbours correlate by -1/2
     expected = np.sqrt(2) * np.array(CLEAN.torque_noise_std_Nm)
     np.testing.assert_allclose(change.std(axis=0), expected, rtol=0.02)
     neighbours = (change[1:] * change[:-1]).mean(axis=0) / change.var(axis=0)
     np.testing.assert_allclose(neighbours, -0.5, atol=0.02)
+    errors = [torque_error(CLEAN, seed, STILL[:400], STILL[:400]) for seed in range(40)]
+    start = np.array([error.mean(axis=0) for error in errors])
+    assert (np.abs(start) > np.array(CLEAN.torque_bias_min_Nm) - 0.02).all()
+    assert (np.abs(start) < np.array(CLEAN.torque_bias_max_Nm) + 0.02).all()
+    assert (start.min(axis=0) < 0.0).all()
+    assert (start.max(axis=0) > 0.0).all()
 
 
 def noise_only(plant_model):
@@ -81,24 +87,11 @@ def test_torque_sensors_bend_smoothly_within_the_data_sheet():
     assert np.abs(np.diff(shapes[:, ::100], n=2, axis=1)).max() > 1e-5
 
 
-def test_drift_of_single_joints_is_drawn_around_the_stated_size():
+def test_torque_drift_over_a_minute_has_the_stated_spread_drawn_for_each_joint():
     wide = replace(IDEAL, torque_random_walk_std_per_sqrt_min=3e-5, size_spread=FRI.size_spread)
     step = np.array([np.diff(torque_error(wide, seed), axis=0).std(axis=0) for seed in range(30)])
     factor = step / LIMIT_Nm / (3e-5 * np.sqrt(TICK_s / 60.0))
     assert 0.48 < factor.min() < 0.6 < 1.7 < factor.max() < 2.05
-
-
-def test_torque_bias_lies_in_the_stated_range_with_both_signs():
-    start = np.array(
-        [torque_error(CLEAN, seed, STILL[:400], STILL[:400]).mean(axis=0) for seed in range(40)]
-    )
-    assert (np.abs(start) > np.array(CLEAN.torque_bias_min_Nm) - 0.02).all()
-    assert (np.abs(start) < np.array(CLEAN.torque_bias_max_Nm) + 0.02).all()
-    assert (start.min(axis=0) < 0.0).all()
-    assert (start.max(axis=0) > 0.0).all()
-
-
-def test_torque_drift_over_a_minute_has_the_stated_spread():
     others = ("torque_noise_std_Nm", "torque_bias_min_Nm", "torque_bias_max_Nm")
     quiet = replace(CLEAN, **dict.fromkeys(others, (0.0,) * 7))
     ends = np.array([torque_error(quiet, seed)[[0, -1]] for seed in range(60)]) / LIMIT_Nm
@@ -157,15 +150,12 @@ def test_wrench_noise_and_drift_have_the_stated_spread():
     assert (ends / CLEAN.ft_drift_std_per_min).std() == pytest.approx(1.0, rel=0.25)
 
 
-def test_stamps_jitter_but_keep_their_order():
+def test_stamps_jitter_in_order_and_losses_are_short_and_as_frequent_as_stated():
     true = np.arange(N) * TICK_s
     wild = replace(DEGRADED, clock_jitter_std_s=1e-3)
     assert (np.diff(sensors.time_stamps(true, wild, np.random.default_rng(0))) > 0.0).all()
     error = sensors.time_stamps(true, DEGRADED, np.random.default_rng(0)) - true
     assert error.std() == pytest.approx(DEGRADED.clock_jitter_std_s, rel=0.02)
-
-
-def test_losses_are_short_and_as_frequent_as_stated():
     kept = sensors.received_samples(10 * N, DEGRADED, np.random.default_rng(0))
     assert kept[[0, -1]].tolist() == [0, 10 * N - 1]
     gaps = np.diff(kept) - 1

@@ -1,6 +1,6 @@
 """Layers and membranes, and the laws of tissue: ruptures, withdrawal, rest, equation (3)."""
 
-from dataclasses import FrozenInstanceError, replace
+from dataclasses import replace
 from itertools import pairwise
 
 import numpy as np
@@ -34,16 +34,13 @@ fractions, travels, times = st.floats(0.0, 1.0), st.floats(-0.1, 0.1), st.floats
 bristles, lengths = st.floats(-1.0, 1.0), st.floats(1e-5, 1e-2)
 
 
-@pytest.mark.parametrize("layer", [gel(25), gel(70, membrane=GLOVE), bovine_liver()])
-def test_tip_force_rises_to_the_exit_force(layer):
-    penetration = np.linspace(0.0, layer.thickness_m - layer.entry_m, 500)
-    force = [layer.tip_force_N(float(p)) for p in penetration]
-    assert force[0] == 0.0
-    assert force[-1] == pytest.approx(layer.exit_force_N)
-    assert (np.diff(force) > 0.0).all()
-
-
-def test_cutting_force_builds_up_within_a_needle_diameter_and_stays():
+def test_tip_force_rises_to_the_exit_force_and_cutting_within_a_needle_diameter():
+    for layer in (gel(25), gel(70, membrane=GLOVE), bovine_liver()):
+        penetration = np.linspace(0.0, layer.thickness_m - layer.entry_m, 500)
+        force = [layer.tip_force_N(float(p)) for p in penetration]
+        assert force[0] == 0.0
+        assert force[-1] == pytest.approx(layer.exit_force_N)
+        assert (np.diff(force) > 0.0).all()
     cutting = replace(gel(50), cutting_fraction=1.0)
     assert cutting.tip_force_N(0.5 * CUTTING_ONSET_M) == pytest.approx(0.75 * cutting.exit_force_N)
     for penetration in (CUTTING_ONSET_M, 0.01, 0.03):
@@ -81,27 +78,21 @@ def test_calibrated_friction_is_the_measured_one_at_its_speed_and_odd_in_speed(
 @pytest.mark.parametrize(
     ("good", "field", "value"),
     [
-        (gel(50), "thickness_m", 0.0),
-        (gel(50), "exit_force_N", -1.0),
+        *((gel(50), name, 0.0) for name in ("thickness_m", "release_m")),
+        *((gel(50), name, -0.1) for name in ("exit_force_N", "stiffening")),
         (gel(50), "cutting_fraction", 1.1),
-        (gel(50), "stiffening", -0.1),
-        (gel(50), "release_m", 0.0),
         (gel(50), "relaxed_fraction", float("nan")),
-        (MEMBRANE, "puncture_N", 0.0),
+        *((MEMBRANE, name, 0.0) for name in ("puncture_N", "release_m")),
         (MEMBRANE, "indentation_m", -1e-3),
         (MEMBRANE, "hardening", 1.5),
-        (MEMBRANE, "release_m", 0.0),
+        *((FRICTION, name, 0.0) for name in ("presliding_m", "reference_speed_m_s")),
         (FRICTION, "coulomb_N_per_m", -1.0),
         (FRICTION, "viscous_Ns_per_m2", float("nan")),
-        (FRICTION, "presliding_m", 0.0),
-        (FRICTION, "reference_speed_m_s", 0.0),
     ],
 )
 def test_what_no_tissue_has_is_refused_by_name(good, field, value):
     with pytest.raises(TissueError, match=field):
         replace(good, **{field: value})
-    with pytest.raises(FrozenInstanceError):
-        setattr(good, field, value)
 
 
 def test_layers_that_cannot_be_made_are_refused():
@@ -153,18 +144,15 @@ def test_bristle_stays_in_its_range_follows_the_travel_and_half_steps_agree(
     assert bristle_step(half, travel / 2, 5e-4, length, 0.0) == pytest.approx(once, abs=1e-9)
 
 
-@pytest.mark.parametrize(
-    ("before", "travel", "dt", "fraction", "after"),
-    [
+def test_bristle_after_a_rest_and_a_reversal():
+    for before, travel, dt, fraction, after in (
         (1.0, 0.0, 100.0 * RELAXATION_S, 0.4, 0.6),  # a long rest leaves the held fraction
         (-1.0, 0.0, 100.0 * RELAXATION_S, 0.4, -0.6),
         (0.3, 0.0, 100.0, 0.4, 0.3),  # no travel and no relaxation leave it all
         (0.8, 0.0, 100.0, 0.0, 0.8),
         (1.0, -2e-4, 1e-9, 0.0, 1.0 - 2.0 * (1.0 - np.exp(-1.0))),  # 63 % of a reversal
-    ],
-)
-def test_bristle_after_a_rest_and_a_reversal(before, travel, dt, fraction, after):
-    assert bristle_step(before, travel, dt, 2e-4, fraction) == pytest.approx(after, abs=1e-9)
+    ):
+        assert bristle_step(before, travel, dt, 2e-4, fraction) == pytest.approx(after, abs=1e-9)
 
 
 @given(relaxed=fractions, speed=travels, dt=times)
@@ -176,9 +164,10 @@ def test_relaxation_stays_a_fraction_and_half_steps_agree(relaxed, speed, dt):
 
 
 @EVERY_GEL
-def test_tip_force_falls_from_the_exit_force_to_zero_within_the_release(percent):
+def test_tip_force_ends_within_the_release_and_withdrawal_is_friction_on_the_length(percent):
     layer = gel(percent)
-    depth, forces = advance(Tissue((layer,)), -2e-3, layer.thickness_m + 5e-3)
+    law = Tissue((layer,))
+    depth, forces = advance(law, -2e-3, layer.thickness_m + 5e-3)
     tip = tips(forces)
     assert tip.max() == pytest.approx(GEL_TIP_FORCE_N[percent], rel=0.01)
     assert depth[tip.argmax()] == pytest.approx(layer.thickness_m, abs=1e-5)
@@ -187,13 +176,7 @@ def test_tip_force_falls_from_the_exit_force_to_zero_within_the_release(percent)
     assert (np.diff(tip[inside]) < 0.0).all()
     assert forces[-1].axial_N == pytest.approx(TABLE_I_N[percent], rel=0.01)
     assert forces[-1].layer == 2
-
-
-@EVERY_GEL
-def test_withdrawal_is_the_friction_of_the_insertion_on_the_length_still_embedded(percent):
-    layer = gel(percent)
-    law = Tissue((layer,))
-    depth_in, inward = advance(law, -2e-3, layer.thickness_m + 5e-3)
+    depth_in, inward = depth, forces
     depth, outward = advance(law, layer.thickness_m + 5e-3, -2e-3)
     assert (tips(outward) == 0.0).all()
     friction_in = np.interp(depth, depth_in, [force.friction_N for force in inward])
@@ -303,13 +286,11 @@ def equation_3(z, v):
     return cumulative * v
 
 
-@given(depth_m=st.floats(-0.02, 0.12), speed_m_s=st.floats(-0.01, 0.01))
-def test_first_insertion_is_equation_3(depth_m, speed_m_s):
-    force = MultilayerTissue(GELS).step(depth_m, speed_m_s, 1e-3)
-    assert force.axial_N == pytest.approx(equation_3(depth_m, speed_m_s), abs=1e-12)
-
-
-def test_under_equation_3_cumulative_friction_is_table_i_and_alone_in_withdrawal():
+def test_first_insertion_is_equation_3_with_table_i_and_withdrawal_friction_alone():
+    rng = np.random.default_rng(0)
+    for depth_m, speed_m_s in rng.uniform((-0.02, -0.01), (0.12, 0.01), (200, 2)).tolist():
+        force = MultilayerTissue(GELS).step(depth_m, speed_m_s, 1e-3)
+        assert force.axial_N == pytest.approx(equation_3(depth_m, speed_m_s), abs=1e-12)
     law = MultilayerTissue(GELS)
     force = law.step(0.105, 1.0, 1e-3)
     assert force.layer_friction_N == pytest.approx([113.0, 283.0, 534.0])

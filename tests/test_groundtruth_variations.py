@@ -57,15 +57,11 @@ def pushed_through(layers, end_m, speed_m_s=SPEED):
     return depths, [law.step(float(z), speed_m_s, 1e-5 / speed_m_s) for z in depths]
 
 
-def test_no_variation_is_none():
-    for layer in LAYERS:
-        assert varied(layer) == layer
-
-
 @pytest.mark.parametrize("name", CHANGES)
 def test_a_variation_changes_what_it_says_and_nothing_else(name):
     assert set(CHANGES) == set(VARIATIONS)
     for layer in LAYERS:
+        assert varied(layer) == layer
         other = VARIATIONS[name].layer(layer, np.random.default_rng(0))
         wanted = {item for item in CHANGES[name] if layer.membrane or "membrane" not in item}
         assert differences(layer, other) == wanted
@@ -140,7 +136,7 @@ def test_kept_tip_force_stays_after_an_internal_rupture_fades_and_ends_at_the_ex
     assert not np.any(friction)
 
 
-def test_friction_grows_with_the_stated_power_of_length():
+def test_friction_grows_with_the_stated_powers_of_length_and_speed_and_is_none_at_rest():
     layer = varied(gel(70), length_exponent=0.6)
     depth, plain = pushed_through((gel(70),), gel(70).thickness_m)
     _, power = pushed_through((layer,), gel(70).thickness_m)
@@ -149,9 +145,6 @@ def test_friction_grows_with_the_stated_power_of_length():
         ratio = power[k].friction_N / plain[k].friction_N
         assert ratio == pytest.approx(share**-0.4, rel=1e-3)
         assert power[k].tip_N == plain[k].tip_N
-
-
-def test_friction_grows_with_the_stated_power_of_speed_and_is_none_at_rest():
     plain, power = gel(70).friction, varied(gel(70), speed_exponent=0.3).friction
     slid = power.sliding_N_per_m(SPEED)
     assert slid == pytest.approx(plain.sliding_N_per_m(SPEED))
@@ -162,23 +155,20 @@ def test_friction_grows_with_the_stated_power_of_speed_and_is_none_at_rest():
 
 @pytest.mark.parametrize("fraction", [0.2, 0.75])
 def test_friction_fraction_shares_out_the_same_force(fraction):
-    layer = varied(gel(50), friction_fraction=fraction)
-    shaft = [item.friction.sliding_N_per_m(SPEED) * item.thickness_m for item in (gel(50), layer)]
+    layers = gel(50), varied(gel(50), friction_fraction=fraction)
+    shaft = [item.friction.sliding_N_per_m(SPEED) * item.thickness_m for item in layers]
     total = shaft[0] + gel(50).exit_force_N
-    assert shaft[1] + layer.exit_force_N == pytest.approx(total)
+    assert shaft[1] + layers[1].exit_force_N == pytest.approx(total)
     assert shaft[1] == pytest.approx(fraction * total)
 
 
-def test_names_of_varied_scenarios():
+def test_random_tissue_is_the_random_stack_with_drawn_laws_that_runs():
     rough = "gel-70-constant+texture-20mN"
     assert named_scenario(rough, 1) == named_scenario(rough, 1) != named_scenario(rough, 2)
     assert named_scenario("random-stack+kept-60", 3).layers[0].kept_fraction == 0.6
     assert "gel-70-constant" in SCENARIOS
     with pytest.raises(ScenarioError, match=r"no variation 'soft'; known: texture-15mN"):
         named_scenario("gel-70-constant+soft", 0)
-
-
-def test_random_tissue_is_the_random_stack_with_drawn_laws_that_runs():
     stacks = [random_stack(np.random.default_rng(seed)) for seed in range(60)]
     tissues = [random_tissue(np.random.default_rng(seed)) for seed in range(60)]
     assert named_scenario("random-tissue", 7) == tissues[7]

@@ -128,7 +128,7 @@ def test_a_long_curve_makes_a_small_file_that_keeps_peaks_and_gaps(tmp_path):
     assert [line.count("M") for line in lines] == [2, 2, 2], "two pieces: curve and edges of band"
 
 
-def test_room_is_made_for_nearly_everything_and_what_is_cut_is_marked():
+def test_room_is_made_for_nearly_everything_and_what_is_cut_is_marked_also_in_a_window():
     y = np.ones(10_000)
     y[77] = 1e6
     low, high = limits_of([curve(y)], None)
@@ -145,9 +145,7 @@ def test_room_is_made_for_nearly_everything_and_what_is_cut_is_marked():
     (axes,) = drawn_axes(chart(curve(-y), limits=(-0.5, 0.5)))
     assert "v" in [line.get_marker() for line in axes.lines]
     assert not drawn_axes(chart(curve(np.ones(9))))[0].texts, "nothing is cut, nothing is marked"
-
-
-def test_a_window_shows_a_part_with_axes_for_that_part():
+    # A window has axes for the part that it shows.
     y = np.concatenate([np.full(100, 50.0), np.ones(100)])
     assert limits_of([curve(y)], (0.11, 0.2))[1] < 2.0
     window = chart(curve(y), limits=(0.0, 60.0)).within(0.11, 0.2)

@@ -7,7 +7,7 @@ import pytest
 from benchmark_cases import gel_slice
 
 from benchmarks.benchmark import Job
-from benchmarks.force_plots import RunFigures, force_chart, force_figures, rmse_N
+from benchmarks.force_plots import force_chart, force_figures, rmse_N
 from benchmarks.identification_figures import (
     draw_identification,
     sigma1_N,
@@ -70,9 +70,7 @@ def test_forces_are_drawn_over_time_and_depth_with_their_errors():
     errors = over_time.panels[1].curves
     assert [curve.std is not None for curve in errors] == [True, False, False]
     assert errors[0].y == pytest.approx(0.05), "the noisy curve lies below the others"
-
-
-def test_no_wild_curve_flattens_the_others_and_an_rmse_counts_the_judged_part_only():
+    # No wild curve flattens the others, and an RMSE counts the judged part only.
     wild = force_chart("a", TRUTH, (*READINGS[:2], reading("virtual", "published", 50.0)))
     low, high = wild.panels[1].limits
     assert -low == high < 0.5
@@ -80,12 +78,9 @@ def test_no_wild_curve_flattens_the_others_and_an_rmse_counts_the_judged_part_on
     assert rmse_N(late, TRUTH, TRUTH.axial_N) == pytest.approx(0.0, abs=0.05)
 
 
-def test_figure_5_has_two_panels_and_the_papers_numbers(tmp_path):
+def test_figure_5_has_two_panels_and_the_papers_numbers_and_other_runs_one_wide_panel(tmp_path):
     over_time, over_depth = force_figures(GEL, tmp_path, TRUTH, READINGS)
-    assert [(item.figure, item.panel) for item in (over_time, over_depth)] == [
-        ("5", "a"),
-        ("5", "c"),
-    ]
+    assert [item.figure + item.panel for item in (over_time, over_depth)] == ["5a", "5c"]
     against_ft, against_truth, delay, within = over_time.facts
     assert against_ft.published == "0.2444"
     assert dict(against_ft.here) == {"published, here": "0.1900", "ours, here": "0.0400"}
@@ -93,6 +88,12 @@ def test_figure_5_has_two_panels_and_the_papers_numbers(tmp_path):
     assert dict(within.here)["ours, here"] == "100.0"
     assert "delay" in delay.what
     assert over_depth.shown.path.is_file()
+    job = Job(benchmark="random-stack", plant="degraded", seed=3)
+    (drawing,) = force_figures(job, tmp_path, TRUTH, READINGS)
+    assert (drawing.figure, drawing.facts) == ("", ())
+    assert drawing.shown.path.name == "random-stack-degraded-3-force-time.svg"
+    assert drawing.shown.wide.is_file()
+    assert drawing.job.where == "degraded plant, seed 3"
 
 
 def test_what_figure_5_says_of_delay_and_band_is_of_this_run(tmp_path):
@@ -106,26 +107,6 @@ def test_what_figure_5_says_of_delay_and_band_is_of_this_run(tmp_path):
     *_, delay, within = force_figures(GEL, tmp_path, truth, readings)[0].facts
     assert dict(delay.here) == {"published, here": "0", "ours, here": "100"}
     assert float(dict(within.here)["ours, here"]) < 1.0
-
-
-def test_other_runs_have_their_force_over_time_only_on_the_whole_width(tmp_path):
-    job = Job(benchmark="random-stack", plant="degraded", seed=3)
-    (drawing,) = force_figures(job, tmp_path, TRUTH, READINGS)
-    assert (drawing.figure, drawing.facts) == ("", ())
-    assert drawing.shown.path.name == "random-stack-degraded-3-force-time.svg"
-    assert drawing.shown.wide is not None
-    assert drawing.shown.wide.is_file()
-    assert drawing.job.where == "degraded plant, seed 3"
-
-
-def test_a_title_says_what_is_shown_and_of_which_run(tmp_path):
-    for plant, number, expected in (
-        ("degraded", "8b", "Figure 8b: axial forces\na, degraded plant, seed 2"),
-        ("recording", "", "Axial forces\na, recording 2"),
-        ("needle", "", "Axial forces\na, needle without an arm, seed 2"),
-    ):
-        figures = RunFigures(Job(benchmark="a", plant=plant, seed=2), tmp_path)
-        assert figures._title(number, "axial forces") == expected
 
 
 SHORT = gel_slice()
@@ -165,7 +146,7 @@ def curves(chart):
     return found
 
 
-def test_true_ruptures_alarms_and_identified_friction_are_marked(run):
+def test_ruptures_and_identified_friction_are_marked_in_the_forces_of_a_method(run):
     chart = enhanced_chart("a", run.truth, run.ours)
     (shading,) = chart.shadings
     (rupture,) = run.truth.ruptures
@@ -180,10 +161,7 @@ def test_true_ruptures_alarms_and_identified_friction_are_marked(run):
     low, high = chart.x_limits
     assert low < run.truth.contact_s - zero < run.truth.insertion_end_s - zero < high
     assert {detected.style, identified.style} == {palette.RUPTURE, palette.COMPENSATION}
-
-
-def test_the_forces_of_a_method_are_drawn_in_its_style(run):
-    ours = curves(enhanced_chart("a", run.truth, run.ours))
+    ours = curves(chart)
     assert ours["enhanced force, ours"].style is palette.OURS
     assert np.array_equal(ours["enhanced force, ours"].y, run.ours.enhanced_N)
     assert np.array_equal(ours["force of the F/T sensor"].y, run.ours.force_N)
@@ -191,17 +169,6 @@ def test_the_forces_of_a_method_are_drawn_in_its_style(run):
     published = enhanced_chart("a", run.truth, run.published, run.published, has_speed=True)
     labels = {"enhanced force, published", "enhanced force, Kelvin-Voigt", "speed, not to scale"}
     assert labels <= set(curves(published))
-
-
-def test_another_sensor_lies_broad_below_the_force_it_is_compared_with(run):
-    n = len(run.truth.t_s)
-    ft = ForceReading(source="ft", method="default", axial_N=np.ones(n), std_N=np.ones(n))
-    virtual = replace(run.ours, source="virtual")
-    first, second, *_ = enhanced_chart("a", run.truth, virtual, ft=ft).panels[0].curves
-    assert first.label == "force of the F/T sensor"
-    assert second.label == "force of the virtual sensor"
-    assert np.array_equal(first.y, ft.axial_N)
-    assert first.style.width_pt > second.style.width_pt + 1.0
 
 
 def test_parameters_have_units_bands_and_the_truth_where_there_is_one(run):
