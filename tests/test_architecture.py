@@ -64,12 +64,7 @@ def listed(names):
     return f"{len(names)} files:\n" + "\n".join(sorted(names))
 
 
-# One update of the whole chain.
-
-
-@cache
-def files_of_updates():
-    """Files that each of the updates around the tare and in the tissue passes."""
+def test_one_update_of_the_chain_passes_few_files():
     run = short_run()
     session, tare = InsertionSession(run.robot), tare_index(run)
     touched = int(np.searchsorted(run.signals.t_s, run.contact_s))
@@ -81,16 +76,9 @@ def files_of_updates():
             found.append(files_passed(lambda sample=sample: session.update(*sample)))
         else:
             session.update(*sample)
-    return found
-
-
-def test_one_update_of_the_chain_passes_few_files():
-    most = max(files_of_updates(), key=len)
+    most = max(found, key=len)
     assert "needleforce/session.py" in most
     assert len(most) <= MOST_FILES_PER_UPDATE, listed(most)
-
-
-# One row of a log on its way to the sensor.
 
 
 def files_of_a_row(log, out):
@@ -131,9 +119,6 @@ def test_a_row_of_csv_passes_few_files_on_its_way_to_the_sensor(lwr, tmp_path):
     found = files_of_a_row(tmp_path / "log.csv", tmp_path / "out.csv")
     assert found
     assert len(found) <= MOST_FILES_PER_ROW, listed(found)
-
-
-# Chains of imports.
 
 
 @cache

@@ -41,15 +41,11 @@ def test_every_fault_of_the_issue_is_in_the_table():
         assert any(word in name for name in names), word
 
 
-def test_no_number_is_infinite_and_every_fault_is_recovered_from(results):
+def test_every_fault_is_recovered_from_finite_and_as_the_page_says(results):
+    page = documented()
     for result in results:
         assert result.is_finite, result
         assert result.recovery_s <= 0.1, result
-
-
-def test_what_is_reported_is_what_the_page_says(results):
-    page = documented()
-    for result in results:
         worst, _, after, reported = page[result.name][:4]
         assert reported == (", ".join(result.reported) or "–"), result
         assert result.worst_N == pytest.approx(float(worst), abs=0.05, rel=0.1), result
@@ -64,9 +60,7 @@ def test_faults_that_must_be_reported_are(results):
     assert "JOINT_LIMIT" in reported["wrist pressed to its limit, 1 s"]
     assert "NEAR_SINGULAR" in reported["arm stretched along the needle, 1 s"]
     assert "MODEL_MISMATCH" in reported["pushed aside with 1 N, 2 s"]
-
-
-def test_a_weight_along_the_needle_is_the_only_fault_that_raises_a_rupture(results):
+    # A weight along the needle is the only fault that raises a rupture.
     assert [result.name for result in results if result.note] == ["50 g hung on the tool, 2 s"]
 
 
@@ -85,24 +79,14 @@ def test_the_troubled_insertion_does_all_it_should():
 
 
 def test_the_table_prints_what_was_found():
-    bad = FaultResult(
-        name="x", worst_N=1.234, worst_sigma=2.0, recovery_s=math.inf, reported=(), is_finite=False
-    )
-    good = FaultResult(
-        name="y",
-        worst_N=0.0,
-        worst_sigma=0.0,
-        recovery_s=0.0123,
-        reported=("a", "B"),
-        is_finite=True,
-    )
+    names = ("name", "worst_N", "worst_sigma", "recovery_s", "reported", "is_finite")
+    rows = ("x", 1.234, 2.0, math.inf, (), False), ("y", 0.0, 0.0, 0.0123, ("a", "B"), True)
+    bad, good = (FaultResult(**dict(zip(names, row, strict=True))) for row in rows)
     header, _, *rows = fault_table([bad, good]).markdown()
     assert header in PAGE
     assert rows[0].startswith("| x | 1.23 | 2 | never | – | not finite")
     assert rows[1] == "| y | 0.00 | 0 | 12 ms | a, B |  |"
-
-
-def test_a_number_that_is_not_finite_is_found_anywhere():
+    # A number that is not finite is found anywhere.
     assert is_finite((1.0, (np.zeros(2), "text", None)))
     assert not is_finite((1.0, (np.array([0.0, np.inf]),)))
     assert not is_finite((math.nan,))

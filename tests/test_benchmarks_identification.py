@@ -150,15 +150,12 @@ def test_a_perfect_detector_has_its_delay_and_nothing_else():
     assert "soft_transition_recall" not in values
 
 
-def test_a_soft_transition_is_reported_apart_and_finding_it_is_no_false_alarm():
+def test_soft_transitions_silence_and_false_alarms_are_told_apart():
     both = [rupture(7.0), rupture(11.0, layer=2, drop_N=0.04)]
     missed = rupture_metrics(match(both, [alarm(7.0)]), truth(), 0.01)
     assert (missed["rupture_recall"], missed["soft_transition_recall"]) == (1.0, 0.0)
     found = rupture_metrics(match(both, [alarm(7.0), alarm(11.0)]), truth(), 0.01)
     assert (found["rupture_precision"], found["soft_transition_recall"]) == (1.0, 1.0)
-
-
-def test_silence_has_an_undefined_precision_and_false_alarms_cost_some():
     values = rupture_metrics(match([rupture(7.0)], []), truth(), 0.01)
     assert values["rupture_recall"] == 0.0
     assert math.isnan(values["rupture_precision"])
@@ -167,9 +164,7 @@ def test_silence_has_an_undefined_precision_and_false_alarms_cost_some():
     assert values["rupture_precision"] == 0.5
     visible = [is_visible(rupture(7.0, drop_N=drop_N), 0.01) for drop_N in (0.05, 0.051)]
     assert visible == [False, True], "more than five times the noise"
-
-
-def test_noise_is_what_the_reading_scatters_in_free_air_after_the_tare():
+    # Noise is what the reading scatters in free air after the tare.
     true = truth()
     free = (true.tare_end_s < T) & (true.contact_s > T)
     reading = np.where(free, np.where(np.arange(len(T)) % 2, 0.03, -0.03), 50.0)
@@ -187,9 +182,7 @@ def test_the_friction_of_each_layer_is_judged_at_its_own_rupture():
     assert values["friction_error_worst_pct"] == pytest.approx(10.0)
     assert values["friction_error_mean_pct"] == pytest.approx(7.5)
     assert values["friction_coverage_2sigma"] == 0.5
-
-
-def test_what_was_known_online_is_judged_apart_from_what_is_known_at_the_end():
+    # What was known online is judged apart from what is known at the end.
     one = [alarm(7.1, 0.4, 0.01, online_N=0.5)]
     values = friction_metrics(layer_frictions([rupture(7.0)], one, 0.01, online=True), "_online")
     assert values["friction_error_online_worst_pct"] == pytest.approx(25.0)
@@ -209,9 +202,7 @@ def test_a_missed_layer_counts_as_zero_and_a_membranes_friction_for_the_layer_be
     for alarms in ([alarm(11.0, 0.6)], [alarm(7.0, 0.4), alarm(11.0, 0.2)]):
         (layer,) = layer_frictions(both, alarms, 0.01)
         assert layer.error == pytest.approx(0.0)
-
-
-def test_without_stated_deviations_there_is_no_coverage():
+    # Without stated deviations there is no coverage.
     values = friction_metrics([LayerFriction(0.4, 0.4, math.nan)])
     assert "friction_coverage_2sigma" not in values
     assert friction_metrics([]) == {}
@@ -233,17 +224,11 @@ def test_a_perfect_enhanced_force_leaves_nothing_and_no_compensation_the_whole_p
     wild = np.where((T < 7.5) | (true.insertion_end_s < T), 9.0, 0.0)
     found = identified(true.enhanced_N + wild, true.tip_N + wild, compensated_at=755)
     assert enhanced_metrics(found, true)["enhanced_rmse_N"] == pytest.approx(0.0, abs=1e-12)
-
-
-def test_the_remaining_force_is_taken_clear_of_the_release_and_only_while_the_needle_advances():
-    true = truth()
+    # The remaining force is taken clear of the release and only while the needle advances.
     times = T[beyond_last_exit(true)]
     assert times[0] == pytest.approx(7.1 + CLEAR_m / SPEED, abs=0.03)
     assert times[-1] < 17.0
-
-
-def test_true_enhanced_force_loses_a_layers_friction_when_the_tip_leaves_it():
-    true = truth()
+    # The true enhanced force loses a layer's friction when the tip leaves it.
     before, after = np.searchsorted(T, [6.9, 7.1])
     assert true.enhanced_N[before] == true.axial_N[before]
     assert true.enhanced_N[after] == pytest.approx(0.0)
@@ -252,21 +237,19 @@ def test_true_enhanced_force_loses_a_layers_friction_when_the_tip_leaves_it():
 # Offline.
 
 
-def offline_signal(true):
-    """The true force, with the zero of depth where a user has it: not at the surface."""
+def signal(true, error_N=0.0, zero_m=0.0):
+    """The true force with an error, and with the zero of depth where a user has it."""
+    force_N = true.axial_N + np.resize(error_N, true.t_s.shape)
+    depth_m, speed_m_s = true.depth_m + zero_m, true.speed_m_s
     return NeedleSignal(
-        source="ft",
-        t_s=T,
-        depth_m=true.depth_m + 4e-3,
-        speed_m_s=true.speed_m_s,
-        force_N=true.axial_N,
+        source="ft", t_s=true.t_s, depth_m=depth_m, speed_m_s=speed_m_s, force_N=force_N
     )
 
 
 def test_the_multi_layer_model_fits_its_own_force_and_kelvin_voigt_does_not():
     # The tip is free at 7 s already. Friction without speed, at rest, is in neither model.
     true = replace(truth(rupture(6.995)), insertion_end_s=16.9)
-    values = offline_metrics(offline_signal(true), true)
+    values = offline_metrics(signal(true, zero_m=4e-3), true)
     assert values["offline_rmse_ml_N"] == pytest.approx(0.0, abs=1e-9)
     assert values["offline_rmse_kv_N"] > 0.01
 
@@ -289,12 +272,8 @@ def test_a_rupture_has_its_best_estimated_time_on_the_runs_clock():
     event = SimpleNamespace(alarm_s=0.03, time_s=0.03)
     better = SimpleNamespace(alarm_s=0.03, time_s=0.01)
     layer = SimpleNamespace(rupture=better)
-    estimates = [
-        SimpleNamespace(
-            rupture=event if k == 2 else None, identified_layer=layer if k == 4 else None
-        )
-        for k in range(6)
-    ]
+    estimates = [SimpleNamespace(rupture=None, identified_layer=None) for _ in range(6)]
+    estimates[2].rupture, estimates[4].identified_layer = event, layer
     result = SimpleNamespace(estimates=estimates, layers=(layer,))
     (found,) = alarms_of(result, 5.0 + 0.01 * np.arange(6))
     assert (found.sample, found.layer) == (2, layer)
@@ -321,27 +300,14 @@ def stack_truth():
     return insertion_truth(stack())
 
 
-def noisy_signal(stack_truth, error_N):
-    force = stack_truth.axial_N + np.resize(error_N, stack_truth.t_s.shape)
-    return NeedleSignal(
-        source="ft",
-        t_s=stack_truth.t_s,
-        depth_m=stack_truth.depth_m,
-        speed_m_s=stack_truth.speed_m_s,
-        force_N=force,
-    )
-
-
 def test_the_error_of_a_reading_is_its_noise_but_for_the_releases_and_the_lag(stack_truth):
-    error = reading_error_N(noisy_signal(stack_truth, WHITE), stack_truth)
+    error = reading_error_N(signal(stack_truth, WHITE), stack_truth)
     added = np.resize(WHITE, stack_truth.t_s.shape)[stack_truth.is_insertion]
     assert len(error) == len(added)
     assert np.mean(np.isclose(error, added)) > 0.9
     assert np.std(error) == pytest.approx(np.std(added), rel=0.05)
-    late = replace(
-        noisy_signal(stack_truth, [0.0]),
-        force_N=lagging(stack_truth.axial_N, stack_truth.t_s, 0.02),
-    )
+    force_N = lagging(stack_truth.axial_N, stack_truth.t_s, 0.02)
+    late = replace(signal(stack_truth), force_N=force_N)
     assert np.std(reading_error_N(late, stack_truth)) > 1e-4
     assert np.abs(reading_error_N(late, stack_truth, 0.02)).max() < 1e-12
 
@@ -356,21 +322,15 @@ def test_an_autocovariance_belongs_to_a_covariance():
     assert (factor @ factor.T)[0, 5] == pytest.approx(autocovariance(DRIFTING, 6)[5])
 
 
-def test_white_noise_of_twice_the_size_doubles_the_bound_of_friction(stack_truth):
+def test_the_bound_of_friction_is_that_of_a_mean_and_grows_with_all_that_hides_it(stack_truth):
     # Small noise: what is drawn adds nothing then.
     one, two = (friction_bounds(stack_truth, k * WHITE, is_white=True) for k in (0.01, 0.02))
     assert two == pytest.approx([2.0 * value for value in one], rel=0.02)
-
-
-def test_the_bound_of_a_level_is_that_of_a_mean(stack_truth):
-    """Without cutting it is where a line meets the rupture, 2 s / sqrt(n); a bend costs more."""
+    # Without cutting it is where a line meets the rupture, 2 s / sqrt(n); a bend costs more.
     first = friction_bounds(stack_truth, WHITE, is_white=True, cutting_fraction=0.0)[0]
     samples = 2.7e-3 / 4e-3 / 1e-3
     level = 2.0 * 0.01 / math.sqrt(samples) / stack_truth.ruptures[0].layer_friction_N
     assert level < first < 2.0 * level
-
-
-def test_friction_is_harder_to_know_with_drift_cutting_and_a_long_release(stack_truth):
     plain = friction_bounds(stack_truth, DRIFTING, is_white=True)[1]
     assert friction_bounds(stack_truth, DRIFTING, is_white=False)[1] > 2.0 * plain
     assert friction_bounds(stack_truth, DRIFTING, is_white=True, cutting_fraction=0.0)[1] < plain
@@ -387,16 +347,13 @@ def test_evidence_of_a_step_grows_evenly_and_the_least_delay_is_where_it_is_enou
     assert least_delay_s(np.array([1.0, 1.5, 1.7]), delay, interval_s=60.0) == math.inf
 
 
-def test_the_course_of_a_release_falls_by_its_drop(stack_truth):
+def test_a_release_falls_by_its_drop_and_noise_and_lag_delay_its_earliest_alarm(stack_truth):
     rupture = stack_truth.ruptures[0]
     course = release_course_N(stack_truth, rupture, 100)
     assert course[0] == pytest.approx(0.0, abs=0.03)
     assert course[-1] == pytest.approx(-rupture.drop_N, rel=0.15)
     unknown = replace(rupture, onset_s=-1.0)
     assert release_course_N(stack_truth, unknown, 5).tolist() == [0.0] * 5
-
-
-def test_noise_and_lag_delay_the_earliest_alarm(stack_truth):
     quiet, loud = (delay_bounds_s(stack_truth, stack_truth.ruptures, k * WHITE) for k in (1.0, 5.0))
     late = delay_bounds_s(stack_truth, stack_truth.ruptures, WHITE, lag_s=0.02)
     assert len(quiet) == 2
@@ -404,21 +361,13 @@ def test_noise_and_lag_delay_the_earliest_alarm(stack_truth):
     assert quiet[0] < late[0]
 
 
-def test_a_run_has_bounds_and_one_without_ruptures_has_none(stack_truth):
-    values = bound_metrics(noisy_signal(stack_truth, WHITE), stack_truth, 0.01)
-    assert set(values) == {
-        "friction_bound_pct",
-        "friction_bound_white_pct",
-        "rupture_delay_bound_ms",
-    }
+def test_a_run_has_bounds_beside_what_was_reached_and_one_without_ruptures_has_none(stack_truth):
+    values = bound_metrics(signal(stack_truth, WHITE), stack_truth, 0.01)
+    wanted = {"friction_bound_pct", "friction_bound_white_pct", "rupture_delay_bound_ms"}
+    assert set(values) == wanted
     assert all(0.0 < value < 20.0 for value in values.values())
-    assert (
-        bound_metrics(noisy_signal(stack_truth, WHITE), replace(stack_truth, ruptures=()), 0.01)
-        == {}
-    )
-
-
-def test_bounds_stand_beside_what_was_reached():
+    without = replace(stack_truth, ruptures=())
+    assert bound_metrics(signal(stack_truth, WHITE), without, 0.01) == {}
     rows = [
         make_row(metric="friction_bound_pct", value=1.25),
         make_row(metric="friction_error_mean_pct", value=3.75),

@@ -20,7 +20,6 @@ from benchmarks.signals import ForceTruth, JointSignals, MeasuredTravel, measure
 from benchmarks.simulated import drawn_noise, run_needle, simulated_case, simulated_metrics
 from benchmarks.tables import TABLES
 from groundtruth import SCENARIOS, simulate
-from groundtruth.scenarios import named_scenario
 
 SHORT = gel_slice()
 BRIEF = gel_slice(25, thickness_m=8e-3, speed_m_s=15e-3)
@@ -31,13 +30,9 @@ def silent(fraction):
     assert 0.0 <= fraction <= 1.0
 
 
-@pytest.fixture(scope="module")
-def found(tmp_path_factory):
-    job = Job(benchmark="short", plant="needle", drawings=tmp_path_factory.mktemp("drawings"))
-    return run_needle(job, SHORT, silent, is_drawn=False)
-
-
-def test_a_needle_alone_gives_both_methods_on_the_ft_sensor(found):
+def test_a_needle_alone_gives_both_methods_on_the_ft_sensor_charts_and_lines(tmp_path):
+    job = Job(benchmark="short", plant="needle", drawings=tmp_path)
+    found = run_needle(job, SHORT, silent, is_drawn=False)
     by_key = {(item.source, item.method, item.metric): item.value for item in found.measurements}
     assert {key[:2] for key in by_key} == {("ft", "default"), ("ft", "published")}
     assert by_key["ft", "default", "rupture_recall"] == 1.0
@@ -48,9 +43,6 @@ def test_a_needle_alone_gives_both_methods_on_the_ft_sensor(found):
     assert ("ft", "published", "offline_rmse_ml_N") not in by_key
     ml, kv = (by_key["ft", "default", f"offline_rmse_{model}_N"] for model in ("ml", "kv"))
     assert 0.0 < ml < kv
-
-
-def test_its_charts_are_drawn_and_its_tables_have_lines(found):
     assert [drawing.shown.path.name for drawing in found.drawings] == [
         "short-needle-0-ft-published.svg",
         "short-needle-0-ft-ours.svg",
@@ -60,10 +52,7 @@ def test_its_charts_are_drawn_and_its_tables_have_lines(found):
     for name in ("friction", "ruptures", "table I"):
         assert len(TABLES[name](rows).lines) == 2
         assert TABLES[name]([]).lines == ()
-
-
-def test_without_tissue_there_is_nothing_to_identify():
-    job = Job(benchmark="short", plant="needle")
+    # Without tissue there is nothing to identify.
     assert run_needle(job, replace(SHORT, layers=()), silent, is_drawn=False).measurements == []
 
 
@@ -143,16 +132,8 @@ def test_without_tissue_only_the_virtual_sensor_is_judged_and_from_the_tare_on()
     case = case_of("clean", TOUCHLESS)
     assert {item.source for item in case.readings} == {"virtual"}
     assert case.truth.start_s == case.run.tare_end_s
-    assert {metric for _, _, metric in values(case)} == {
-        "wrench_rmse_N",
-        "wrench_bias_N",
-        "wrench_coverage_2sigma",
-    }
-
-
-def test_a_random_stack_is_drawn_from_the_seed():
-    first, again, other = (named_scenario("random-stack", seed) for seed in (1, 1, 2))
-    assert first == again != other
+    numbers = {"wrench_rmse_N", "wrench_bias_N", "wrench_coverage_2sigma"}
+    assert {metric for _, _, metric in values(case)} == numbers
 
 
 RECORDED = {item.id for item in BENCHMARKS.values() if item.is_recorded}
@@ -206,18 +187,15 @@ def test_every_named_benchmark_runs_once_for_every_plant_and_seed(data, tmp_path
     assert [job.benchmark for job in recorded.jobs].count("panda-liver") == 19
     drawn = plan("liver-constant", seeds=2, drawings=tmp_path).jobs
     assert [job.drawings for job in drawn] == [tmp_path, None]
-
-
-def test_a_report_without_names_runs_all_that_the_published_figures_need(tmp_path):
+    # A report without names runs all that the published figures need.
     assert set(names(plan(drawings=tmp_path))) == set(NEEDED) | set(names(plan()))
     assert set(NEEDED) <= set(BENCHMARKS)
     assert names(plan("liver-constant", drawings=tmp_path)) == ["liver-constant"]
 
 
 def test_every_scenario_and_every_real_recording_can_be_run_by_name():
-    assert set(SCENARIOS) | {"random-stack", "random-tissue", "observers"} | RECORDED == set(
-        BENCHMARKS
-    )
+    others = {"random-stack", "random-tissue", "observers"}
+    assert set(SCENARIOS) | others | RECORDED == set(BENCHMARKS)
     quick = {"panda-real", "panda-liver", "ur10e-payload", "liver-real", "bovine-real"}
     assert quick | {"liver-limit"} == RECORDED
     assert quick == {name for name in RECORDED if BENCHMARKS[name].is_default}
@@ -228,9 +206,7 @@ def test_what_lacks_an_arm_or_its_recording_is_refused_with_the_reason(tmp_path)
         plan("free-motion", plants=["needle"])
     with pytest.raises(DataError, match="panda-real needs the folder panda_gaz2019"):
         plan("panda-real", data=tmp_path)
-
-
-def test_the_random_stack_runs_without_an_arm_and_a_needle_alone_leaves_out_what_needs_one():
+    # A needle alone leaves out what needs an arm.
     assert {job.plant for job in plan("random-stack").jobs} == {"needle"}
     assert {job.plant for job in plan("random-stack", plants=["clean"]).jobs} == {"clean"}
     found = names(plan("all", plants=["needle"]))
@@ -265,32 +241,26 @@ def test_a_delay_is_found_whatever_the_offset(delay, offset):
     assert found == pytest.approx(delay, abs=1e-4)
 
 
-def test_the_lag_of_a_first_order_filter_is_about_its_time_constant():
-    """On a ramp it is the time constant, on a step less: ruptures count for more than ramps."""
+def test_a_filter_has_about_its_time_constant_as_lag_and_what_never_changes_none():
+    # On a ramp it is the time constant, on a step less: ruptures count for more than ramps.
     decay = np.exp(-1e-3 / 0.1)
     late = lfilter([1.0 - decay], [1.0, -decay], saw(T))
     assert 0.06 < force_lag_s(T, late, saw(T)) < 0.1
-
-
-def test_too_little_data_or_a_force_that_never_changes_has_no_lag():
     for size in (0, 1, 300):
         assert math.isnan(force_lag_s(T[:size], T[:size], T[:size]))
     assert math.isnan(force_lag_s(T, saw(T), np.zeros(len(T))))
     assert "wrench_lag_ms" not in measured(np.sin(T), np.zeros(len(T)))
 
 
-def test_a_constant_error_is_a_bias_without_lag():
+def test_a_constant_error_is_a_bias_and_coverage_counts_two_stated_deviations():
     found = measured(saw(T) + 0.05, saw(T))
     assert found["wrench_rmse_N"] == pytest.approx(0.05)
     assert found["wrench_bias_N"] == pytest.approx(0.05)
     assert found["wrench_lag_ms"] == pytest.approx(0.0, abs=0.1)
-
-
-@pytest.mark.parametrize(("sigmas", "fraction"), [(1.0, 0.6827), (2.0, 0.9545)])
-def test_coverage_counts_what_lies_within_twice_the_stated_deviation(sigmas, fraction):
     noise = np.random.default_rng(0).normal(scale=0.2, size=len(T))
-    found = measured(saw(T) + noise, saw(T), std=0.1 * sigmas)
-    assert found["wrench_coverage_2sigma"] == pytest.approx(fraction, abs=0.01)
+    for std, fraction in ((0.1, 0.6827), (0.2, 0.9545)):
+        found = measured(saw(T) + noise, saw(T), std=std)
+        assert found["wrench_coverage_2sigma"] == pytest.approx(fraction, abs=0.01)
 
 
 def test_only_the_judged_part_counts_and_without_any_nothing_is_a_number():

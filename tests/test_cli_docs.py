@@ -63,11 +63,6 @@ def test_every_command_of_the_page_runs(command, capsys):
     assert all("--ignore-status takes them" in line for line in said)
 
 
-def test_the_page_uses_every_file_it_shows():
-    assert len(COMMANDS) == 12
-    assert set(FILES) == set(re.findall(r"\w+\.toml", " ".join(COMMANDS)))
-
-
 def test_the_pipe_of_the_page_runs_to_its_end():
     (line,) = re.findall(r"^cat .*$", FORCE, re.MULTILINE)
     line = line.replace("needleforce ", f"{shlex.quote(sys.executable)} -m needleforce ")
@@ -77,12 +72,23 @@ def test_the_pipe_of_the_page_runs_to_its_end():
     assert len(read_table("layers.csv").columns["t_s"]) == 4000
 
 
-def test_the_table_of_exit_codes_is_the_codes():
+def test_files_codes_and_numbers_of_the_page_are_the_codes():
+    assert len(COMMANDS) == 12
+    assert set(FILES) == set(re.findall(r"\w+\.toml", " ".join(COMMANDS)))
     codes = FORCE.split("## Exit codes")[1]
     assert [int(code) for code in re.findall(r"^\| (\d+) \|", codes, re.MULTILINE)] == [
         *(0, FAILED, INTERRUPTED, READER_GONE, TERMINATED)
     ]
     assert f"at most {MOST_ROWS // 1000} {MOST_ROWS % 1000:03d}" in FORCE
+    words = {"settling": "filters settle", "initializing": "filters settle", "skipped": "rejected"}
+    for status, code in STATUS_CODES.items():
+        assert f"{code} {words.get(status.value, status.value)}" in FORCE
+    for warning in SensorWarning:
+        assert f"{warning.value} {warning.name.lower().replace('_', ' ')}" in FORCE
+    assert f"the first {AUTOMATIC_S:g} s after the filters have settled" in FORCE
+    known = {item.name for item in fields(SensorConfig)}
+    settings = FILES["settings.toml"].split("[prior]")[0]
+    assert set(re.findall(r"^(\w+) =", settings, re.MULTILINE)) <= known
 
 
 def test_the_summary_has_the_lines_that_the_page_shows(capsys):
@@ -108,18 +114,6 @@ def test_the_table_of_forces_is_the_codes(mode):
                 names = [names[0].replace("_x_", f"_{xyz}_") for xyz in "xyz"]
             shown += names
     assert shown == list(read_table("table.csv").columns)
-
-
-def test_codes_and_numbers_in_the_text_are_the_codes():
-    words = {"settling": "filters settle", "initializing": "filters settle", "skipped": "rejected"}
-    for status, code in STATUS_CODES.items():
-        assert f"{code} {words.get(status.value, status.value)}" in FORCE
-    for warning in SensorWarning:
-        assert f"{warning.value} {warning.name.lower().replace('_', ' ')}" in FORCE
-    assert f"the first {AUTOMATIC_S:g} s after the filters have settled" in FORCE
-    known = {item.name for item in fields(SensorConfig)}
-    settings = FILES["settings.toml"].split("[prior]")[0]
-    assert set(re.findall(r"^(\w+) =", settings, re.MULTILINE)) <= known
 
 
 def test_the_page_on_identification_runs_and_names_the_columns(tmp_path, monkeypatch, capsys):

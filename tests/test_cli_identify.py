@@ -1,21 +1,20 @@
 """`needleforce identify`: from a recording to layers, a table and a figure."""
 
 import re
-from collections import Counter
 
 import numpy as np
 import pytest
 from chromium import PHONE, logged, measured, needs_chromium
+from insertion_run import short_run
 
-from groundtruth import insert_needle, simulate
+from groundtruth import insert_needle
 from identification import replay
 from needleforce import session
 from needleforce.cli import main
-from needleforce.cli.identify import IdentificationResult, usable_force
+from needleforce.cli.identify import IdentificationResult
 from needleforce.cli.simulate import signal_table
 from needleforce.recordings import write_table
 from needleforce.recordings.channels import FORCE_STATUS, WORTHLESS
-from needleforce.recordings.log import LogChunk
 from residual import DEFAULT as SENSOR
 from residual import SensorWarning, Status
 
@@ -58,33 +57,30 @@ def test_layers_are_printed_and_table_and_figure_written(needle, tmp_path, capsy
     assert figure.read_bytes().startswith(b"%PDF")
 
 
-@pytest.mark.parametrize("method", ["published", "published-kv"])
-def test_the_published_method_is_offered(needle, tmp_path, capsys, method):
-    log = write(tmp_path / "log.csv", needle)
-    assert main(["identify", log, "--method", method]) == 0
-    assert len(table_of(capsys.readouterr().out)) == 1
-
-
-@pytest.mark.parametrize("start_s", [100.0, 1.7e9])
-def test_table_and_rows_give_the_same_instant_of_an_alarm(tmp_path, needle, capsys, start_s):
+@pytest.mark.parametrize(
+    ("method", "start_s"), [("multilayer", 1.7e9), ("published", 100.0), ("published-kv", 0.0)]
+)
+def test_every_method_gives_the_instant_of_the_alarm_on_the_logs_clock(
+    tmp_path, needle, capsys, method, start_s
+):
     log = write(tmp_path / "log.csv", needle, t_s=needle["t_s"] + start_s)
     out = tmp_path / "out.csv"
-    assert main(["identify", log, "-o", str(out)]) == 0
+    assert main(["identify", log, "--method", method, "-o", str(out)]) == 0
     rows = np.genfromtxt(out, delimiter=",", names=True)
     alarm_s = rows["t_s"][rows["rupture"] > 0]
     (layer,) = table_of(capsys.readouterr().out)
     assert float(layer["alarm s"]) == pytest.approx(alarm_s[0], abs=0.006)
 
 
-def test_flipped_force_gets_a_hint(needle, tmp_path, capsys):
+def test_a_wrong_sign_or_unit_of_the_force_gets_a_hint(needle, tmp_path, capsys):
     log = write(tmp_path / "log.csv", needle, force_N=-needle["force_N"])
-    assert main(["identify", log]) == 0
+    assert main(["identify", log, "--report", str(tmp_path / "page")]) == 0
     assert "flip its sign; a factor of -1 after the unit does" in capsys.readouterr().err
+    page = (tmp_path / "page" / "index.html").read_text(encoding="utf-8")
+    assert "<p class=notice>Warning: " in page
+    assert "flip its sign" in page
     assert main(["identify", log, "--force", "force_N:N:-1"]) == 0
     assert "flip" not in capsys.readouterr().err
-
-
-def test_rejected_rows_are_counted_with_the_reason(needle, tmp_path, capsys):
     columns = {"t_s": needle["t_s"], "depth_m": needle["depth_m"]}
     force = 1e3 * needle["force_N"]
     log = write(tmp_path / "mN.csv", columns, force=force)
@@ -125,28 +121,17 @@ def test_the_codes_are_those_of_the_virtual_sensor_and_of_a_session():
     assert sum(WORTHLESS.values()) == session._NOT_USED
 
 
-def chunk(columns):
-    rows = np.arange(6.0)
-    return LogChunk(t_s=rows, dt_s=rows, channels={"force_N": rows + 1.0} | columns)
-
-
-@pytest.mark.parametrize("name", ["force_status", "force_warnings", "both"])
-def test_marked_rows_are_left_out_and_counted(name):
-    status = np.array([0.0, 1.0, 2.0, 3.0, 0.0, 0.0])
-    warnings = np.array([0.0, 0.0, 0.0, 0.0, 5.0, 32.0 + 1.0])
-    columns = {"force_status": status, "force_warnings": warnings}
-    chosen = columns if name == "both" else {name: columns[name]}
-    left_out = Counter()
-    force_N = usable_force(chunk(chosen), left_out)
-    is_marked = (status != 0) & ("force_status" in chosen)
-    bad = is_marked | ((warnings == 33) & ("force_warnings" in chosen))
-    np.testing.assert_array_equal(np.isnan(force_N), bad)
-    expected = [3 if "force_status" in chosen else 0, 1 if "force_warnings" in chosen else 0]
-    assert list(left_out.values()) == expected
-
-
-def test_a_status_column_of_the_user_does_not_silence_a_log(needle, tmp_path, capsys):
-    count = len(needle["t_s"])
+def test_marked_rows_are_left_out_and_counted_and_a_users_own_status_is_none(
+    needle, tmp_path, capsys
+):
+    count, out = len(needle["t_s"]), str(tmp_path / "out.csv")
+    status, warnings = np.zeros((2, count))
+    status[:4], warnings[4:6] = [0.0, 1.0, 2.0, 3.0], [5.0, 32.0 + 1.0]
+    log = write(tmp_path / "log.csv", needle, force_status=status, force_warnings=warnings)
+    assert main(["identify", log, "-o", out]) == 0
+    table = np.genfromtxt(out, delimiter=",", names=True)
+    assert table["used"][:7].tolist() == [1, 0, 0, 0, 1, 0, 1]
+    assert re.findall(r"were left out: (\d+)", capsys.readouterr().err) == ["3", "1"]
     log = write(tmp_path / "log.csv", needle, status=np.ones(count))
     assert main(["identify", log]) == 0
     assert len(table_of(capsys.readouterr().out)) == 1
@@ -171,12 +156,17 @@ def result(method="published-kv", **changes):
     return IdentificationResult("log", method, (), (), rows | changes)
 
 
-def test_the_kelvin_voigt_friction_has_its_own_unit_and_no_band_is_invented():
+def test_charts_have_units_and_clock_of_the_log_and_no_band_is_invented():
     kv, ml = result().chart(), result("published").chart()
     assert kv.panels[2].y_label == "friction B\n[Ns/m]"
     assert ml.panels[2].y_label == "friction B\n[Ns/m²]"
     assert all(curve.std is None for panel in kv.panels for curve in panel.curves)
     assert (kv.x_limits, kv.x_label) == ((0.0, 1.0), "time of the log [s]")
+    # Seconds since 1970 are counted from the first sample.
+    chart = result(t_s=1.7e9 + np.linspace(0.0, 1.0, 50)).chart()
+    assert chart.x_limits == (0.0, 1.0)
+    assert chart.x_label == "time since the first sample [s]"
+    assert chart.instants[1].places == (1.0,)
 
 
 @pytest.mark.parametrize("over", ["time", "depth"])
@@ -190,13 +180,6 @@ def test_nothing_is_drawn_before_the_first_row_that_was_used(over):
     assert forces.curves[0].x[-1] == (1.0 if over == "time" else 1000.0)
 
 
-def test_seconds_since_1970_are_counted_from_the_first_sample():
-    chart = result(t_s=1.7e9 + np.linspace(0.0, 1.0, 50)).chart()
-    assert chart.x_limits == (0.0, 1.0)
-    assert chart.x_label == "time since the first sample [s]"
-    assert chart.instants[1].places == (1.0,)
-
-
 # Reports of both commands.
 
 
@@ -205,10 +188,10 @@ def insertion(tmp_path_factory):
     """A simulated recording, its forces with a tare, and the layers in them, each with a page."""
     pytest.importorskip("matplotlib")
     folder = tmp_path_factory.mktemp("report")
-    run = simulate("gel-25-constant", plant="clean", seed=0)
-    rows = run.signals.t_s < 34.0
+    run = short_run()
+    rows = np.flatnonzero(run.signals.t_s < 34.0)[::2]
     table = {name: values[rows] for name, values in signal_table(run).items()}
-    table["tau_Nm"][15000:15050] = np.nan
+    table["tau_Nm"][7500:7525] = np.nan
     table["t_s"] += 1.7e9
     write_table(folder / "log.npz", table)
     tare = ["--tare", "+0:+13"]
@@ -241,23 +224,9 @@ def test_a_report_shows_the_forces_and_the_layers_in_them(insertion):
         assert f"<!-- {text} -->" in (insertion / "layers" / "layers.svg").read_text()
 
 
-@pytest.fixture
-def wrong(needle, tmp_path):
-    """The page of a log whose force has the wrong sign."""
-    log = write(tmp_path / "wrong.csv", needle, force_N=-needle["force_N"])
-    assert main(["identify", log, "--report", str(tmp_path / "wrong")]) == 0
-    return tmp_path / "wrong" / "index.html"
-
-
-def test_warnings_stand_in_the_page(wrong):
-    page = wrong.read_text(encoding="utf-8")
-    assert "<p class=notice>Warning: " in page
-    assert "sign" in page
-
-
 @needs_chromium
-def test_pages_open_on_a_phone(insertion, wrong):
-    for page in (*(insertion / name / "index.html" for name in ("a/log", "layers")), wrong):
+def test_pages_open_on_a_phone(insertion):
+    for page in (insertion / name / "index.html" for name in ("a/log", "layers")):
         assert logged(page) == []
         found = measured(page, PHONE)
         assert found["content"] <= PHONE[0]

@@ -71,25 +71,6 @@ def test_a_pipe_in_and_out_gives_the_bytes_of_the_file(case, tmp_path):
     np.testing.assert_array_equal(found, logged)
 
 
-def test_both_commands_work_in_one_pipe(logs):
-    data = (logs / "force.csv").read_bytes()
-    argv = [sys.executable, "-m", "residual", "-", "--tare", "0:2.5", "-o", "-"]
-    forces = subprocess.run(argv, input=data, capture_output=True, check=True).stdout
-    argv = [sys.executable, "-m", "identification", "-", "-o", "-"]
-    done = subprocess.run(argv, input=forces, capture_output=True, check=False)
-    assert done.returncode == 0, done.stderr
-    assert done.stdout.count(b"\n") == forces.count(b"\n") == 4001
-
-
-@pytest.mark.parametrize("suffix", ["npz", "csv.gz"])
-def test_the_bytes_do_not_depend_on_the_format_of_the_log(lwr, logs, tmp_path, suffix):
-    expected, out = tmp_path / "expected.csv", tmp_path / "out.csv"
-    path = write_insertion(tmp_path / f"log.{suffix}", lwr)
-    for log, table in ((logs / "force.csv", expected), (path, out)):
-        assert main(["force", str(log), *OPTIONS["force"], "-o", str(table)]) == 0
-    assert out.read_bytes() == expected.read_bytes()
-
-
 @pytest.mark.parametrize("name", ["force", "identify"])
 def test_a_bag_may_grow_or_come_through_a_pipe(logs, tmp_path, name):
     log, expected, out = (tmp_path / file for file in ("log.mcap", "expected.csv", "out.csv"))
@@ -290,5 +271,4 @@ def test_standard_input_without_a_log_is_one_clear_line(
     *warnings, line = printed.err.splitlines()
     assert all(warning.startswith("warning: ") for warning in warnings)
     assert line.startswith("error: ")
-    assert "standard input" in line or "column" in line
     assert message in line

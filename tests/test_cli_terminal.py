@@ -67,13 +67,10 @@ def test_a_foreseen_failure_is_one_line_and_a_code(capsys, error, code, said):
     assert capsys.readouterr().err == said
 
 
-def test_what_was_not_foreseen_is_not_hidden():
+def test_what_was_not_foreseen_is_not_hidden_and_the_code_of_the_work_handed_on(capsys):
     for error in (ZeroDivisionError(), PermissionError(13, "forbidden", "some.file")):
         with pytest.raises(type(error)):
             run_command(failing(error))
-
-
-def test_the_code_of_the_work_is_handed_on(capsys):
     assert run_command(lambda: 7) == 7
     say("two\nlines")
     write_out("table\n", to_stderr=True)
@@ -137,19 +134,15 @@ def test_help_and_version_answer_without_the_estimators(capsys):
     assert "START:END" in done.stdout
 
 
-@pytest.mark.parametrize("package", ["residual", "identification", "groundtruth"])
-def test_the_packages_forward_to_their_command(package):
-    done = subprocess.run(
-        [sys.executable, "-m", package, "--help"], capture_output=True, text=True, check=True
-    )
-    assert done.stdout.startswith("Usage: needleforce ")
-
-
-@pytest.mark.parametrize("shell", ["bash", "zsh", "fish"])
-def test_shells_complete_commands_and_options(shell):
-    script = app.generate_completion(shell=shell)
-    for word in ("force", "identify", "external-torque", "published-kv"):
-        assert word in script
+def test_the_packages_forward_to_their_command_and_shells_complete_its_options():
+    for package in ("residual", "identification", "groundtruth"):
+        argv = [sys.executable, "-m", package, "--help"]
+        done = subprocess.run(argv, capture_output=True, text=True, check=True)
+        assert done.stdout.startswith("Usage: needleforce ")
+    for shell in ("bash", "zsh", "fish"):
+        script = app.generate_completion(shell=shell)
+        for word in ("force", "identify", "external-torque", "published-kv"):
+            assert word in script
 
 
 def test_options_name_every_channel_and_every_choice():
@@ -256,7 +249,7 @@ def test_only_a_bag_and_nothing_else_is_replaced_by_a_bag(folder):
 
 
 @pytest.mark.parametrize("pieces", [1, 7, 90])
-def test_of_a_long_table_few_rows_stay_and_the_extremes_are_among_them(pieces):
+def test_of_a_long_table_few_rows_stay_and_the_extremes_and_a_short_one_is_kept_whole(pieces):
     x = np.random.default_rng(0).normal(size=5_000)
     x[::7] = np.nan
     overview = RowOverview(("x", "v"), most_rows=200)
@@ -270,12 +263,9 @@ def test_of_a_long_table_few_rows_stay_and_the_extremes_are_among_them(pieces):
     np.testing.assert_array_equal(kept["x"], x[kept["n"]])
     assert np.nanmin(kept["x"]) == np.nanmin(x)
     assert np.nanmax(kept["x"]) == np.nanmax(x)
-
-
-def test_a_short_table_is_kept_whole():
     overview = RowOverview(("n",), most_rows=300)
     assert overview.columns() == {}
-    for numbers in np.array_split(np.arange(300), 7):
+    for numbers in np.array_split(np.arange(300), pieces):
         overview.add({"n": numbers})
     np.testing.assert_array_equal(overview.columns()["n"], np.arange(300))
 

@@ -2,22 +2,14 @@
 
 import numpy as np
 import pytest
-from insertion_run import (
-    insert,
-    resumed_after,
-    same,
-    samples,
-    short_run,
-    tare_index,
-    time_steps,
-)
+from insertion_run import insert, resumed_after, same, samples, short_run, tare_index, time_steps
 
 from benchmarks.signals import JointSignals, measured_travel
 from identification import MultilayerConfig, SampleStatus
 from identification.input_validation import CheckConfig
 from needleforce import InsertionError, InsertionSession
 from needleforce.session import TipTravel
-from residual import DEFAULT, PUBLISHED, SensorWarning, Status, TareError
+from residual import DEFAULT, SensorWarning, Status, TareError
 from residual.tool_kinematics import ToolKinematics
 
 RUN = short_run()
@@ -173,22 +165,14 @@ def test_speed_lag_smooths_the_speed_over_the_true_time(whole):
             assert ours.speed_m_s == pytest.approx(theirs.speed_m_s, rel=0.2)
 
 
-def test_the_published_settings_run_through(lwr):
-    session = InsertionSession(lwr, PUBLISHED)
-    for _ in range(10):
-        estimate = session.update(Q, np.zeros(7), np.zeros(7), 1e-3)
-    assert estimate.wrench.covariance.shape == (6, 6)
-
-
 @pytest.mark.parametrize(
     ("arguments", "options", "match"),
     [
         (("arm.urdf",), {}, r"robot is a str, expected a Robot; .*load_urdf"),
         ((RUN.robot, {"mode": "full"}), {}, r"sensor_config is a dict, .*SensorConfig"),
-        *(
-            ((RUN.robot,), {"speed_lag_s": lag_s}, f"speed_lag_s is {lag_s!r}, expected a finite")
-            for lag_s in (-1.0, np.inf, np.nan, "x")
-        ),
+        ((RUN.robot,), {"speed_lag_s": -1.0}, "speed_lag_s is -1.0, expected a finite"),
+        ((RUN.robot,), {"speed_lag_s": np.inf}, "speed_lag_s is inf, expected a finite"),
+        ((RUN.robot,), {"speed_lag_s": "x"}, "speed_lag_s is 'x', expected a finite"),
     ],
 )
 def test_settings_that_cannot_work_are_refused_with_a_sentence(arguments, options, match):

@@ -104,16 +104,14 @@ def test_sensor_and_identifier_alone_are_stored_too(tmp_path):
 def test_external_torque_resumes_too(tmp_path):
     run = short_run()
     session, other = InsertionSession(run.robot), InsertionSession(run.robot)
-    rng = np.random.default_rng(0)
-    for k in range(1500):
-        torque = rng.normal(size=7)
-        estimate = session.update_external_torque(run.signals.q_rad[k], None, torque, 1e-3)
+    torques = np.random.default_rng(0).normal(size=(1500, 7))
+    for k, (q, torque) in enumerate(zip(run.signals.q_rad[:1500], torques, strict=True)):
+        estimate = session.update_external_torque(q, None, torque, 1e-3)
         if k == 900:
             write_snapshot(session.snapshot(), tmp_path / "s")
             other.restore(read_snapshot(tmp_path / "s"))
         if k > 900:
-            twin = other.update_external_torque(run.signals.q_rad[k], None, torque, 1e-3)
-            assert same(twin, estimate)
+            assert same(other.update_external_torque(q, None, torque, 1e-3), estimate)
 
 
 def test_another_robot_or_other_settings_are_refused_and_change_nothing(lwr):
@@ -230,12 +228,7 @@ def with_change(plain, path, value):
 
 
 @given(st.data())
-@settings(
-    max_examples=200,
-    deadline=None,
-    derandomize=True,
-    suppress_health_check=[HealthCheck.function_scoped_fixture],
-)
+@settings(max_examples=200, suppress_health_check=[HealthCheck.function_scoped_fixture])
 def test_a_field_changed_on_purpose_is_refused_or_does_no_harm(tmp_path, data):
     path, envelope, plain = written(tmp_path)
     place = data.draw(st.sampled_from(sorted(places(plain), key=str)))

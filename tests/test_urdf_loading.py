@@ -124,9 +124,6 @@ def test_a_tool_is_placed_anywhere_on_a_link_and_a_needle_stands_there(
     ("old", "new", "message"),
     [
         ('value="1"', 'value="-1"', "mass is -1 kg"),
-        ('value="1"', 'value="0"', "mass is 0 kg but its moments are not"),
-        ('value="1"', 'value="1e308"', "above 1e.09 in SI units"),
-        ('ixx="0.01"', 'ixx="-0.01"', "not positive definite"),
         ('ixy="0"', 'ixy="0.02"', "not positive definite"),
         ('izz="0.01"', 'izz="0.05"', "triangle inequality"),
     ],
@@ -166,37 +163,37 @@ def test_an_inertial_that_the_reader_would_drop_is_refused(urdf_file, old, new, 
             load_urdf(path, check_inertias=check)
 
 
-@pytest.mark.parametrize(
-    ("old", "new"),
-    [
+def test_numbers_that_the_reader_takes_are_taken_and_mass_it_loses_is_noticed(
+    urdf_file, monkeypatch
+):
+    for old, new in (
         ('value="1"', 'value=" 1"'),
         ('value="1"', 'value="+1.0E0"'),
         ('value="1"', 'value="1."'),
         (ORIGIN, '<origin xyz=" 0  0\t.1 " rpy="0 0 0"/>'),
         (ORIGIN, "<!-- a note --><origin xyz='0 0 1e-1'/><origin xyz='9 9 9'/>"),
-    ],
-)
-def test_numbers_that_the_reader_takes_are_taken(urdf_file, old, new):
-    path = urdf_file(link("a", (ORIGIN + MASS + INERTIA).replace(old, new)), ONE_LINK[1])
-    inertia = load_urdf(path).model.inertias[1]
-    assert inertia.mass == 1.0
-    assert inertia.lever == pytest.approx([0, 0, 0.1])
-
-
-def test_mass_lost_by_another_reader_is_noticed(urdf_file, monkeypatch):
+    ):
+        path = urdf_file(link("a", (ORIGIN + MASS + INERTIA).replace(old, new)), ONE_LINK[1])
+        inertia = load_urdf(path).model.inertias[1]
+        assert inertia.mass == 1.0
+        assert inertia.lever == pytest.approx([0, 0, 0.1])
     monkeypatch.setattr(description, "_NUMBER", description.re.compile(".*"))
     path = urdf_file(link("a", ORIGIN, '<mass value="1 "/>', INERTIA), ONE_LINK[1])
     with pytest.raises(UrdfFileError, match=r"file add up to 1 kg, .* loaded model to 0 kg"):
         load_urdf(path)
 
 
-def test_a_robot_whose_joints_move_nothing_is_refused(urdf_file):
+def test_a_robot_whose_joints_move_nothing_is_refused_and_a_point_mass_carried(urdf_file):
     path = urdf_file(link("a"), joint("weld", "base", "a", kind="fixed"))
     with pytest.raises(UnsupportedJointError, match="no joint that moves"):
         load_urdf(path, tool_frame="a")
     path = urdf_file(*ONE_LINK, '<link name="b"/>', joint("idle", "a", "b"))
     with pytest.raises(InertiaError, match="move no inertia: idle"):
         load_urdf(path)
+    # Rounding may leave a point mass a moment of -1e-20, which Pinocchio's constructor refuses.
+    body = Payload(mass_kg=0.3, com_m=np.full(3, 0.1), inertia_kg_m2=np.diag([0, -1e-20, 0]))
+    robot = load_urdf(urdf_file(*ONE_LINK), payload=body)
+    assert pin.computeTotalMass(robot.model) == pytest.approx(1.3)
 
 
 def test_a_chain_that_would_crash_the_reader_is_refused(urdf_file, monkeypatch):
@@ -275,10 +272,3 @@ def test_arguments_that_do_not_fit_are_refused(urdf_file, arguments, error, mess
     path = urdf_file(link("needle_tip"), joint("j1", "base", "needle_tip"))
     with pytest.raises(error, match=message):
         load_urdf(path, **arguments)
-
-
-def test_an_identified_point_mass_can_be_carried(urdf_file):
-    """Rounding may leave such a body a moment of -1e-20, which Pinocchio's constructor refuses."""
-    body = Payload(mass_kg=0.3, com_m=np.full(3, 0.1), inertia_kg_m2=np.diag([0, -1e-20, 0]))
-    robot = load_urdf(urdf_file(*ONE_LINK), payload=body)
-    assert pin.computeTotalMass(robot.model) == pytest.approx(1.3)

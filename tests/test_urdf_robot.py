@@ -137,9 +137,6 @@ def test_limits_and_names_are_those_of_the_data_sheet(arm):
     assert frame.placement.isIdentity()
 
 
-# Well-known arms by name.
-
-
 def example(name, **options):
     try:
         return load_example(name, **options)
@@ -172,12 +169,9 @@ def test_panda_has_its_hand_on_unless_it_is_left_out():
     assert masses[1] - masses[2] == pytest.approx(0.76, abs=0.01)
     one_finger = example("panda", without=["panda_leftfinger"], tool_frame="panda_hand")
     assert masses[1] - pin.computeTotalMass(one_finger.model) == pytest.approx(0.015)
-
-
-def test_an_arm_by_its_file_is_the_same():
-    arm, path = example("panda"), example_robot_path("panda")
-    robot = load_urdf(path, tool_frame="panda_hand_tcp", locked_joints=FINGERS)
-    assert robot.model == arm.model
+    path = example_robot_path("panda")
+    by_file = load_urdf(path, tool_frame="panda_hand_tcp", locked_joints=FINGERS)
+    assert by_file.model == full.model
     assert load_example("lwr4plus").model == load_lwr().model
     with pytest.raises(UnknownNameError, match=r"give tool_frame.*ee_link, tool0"):
         load_urdf(example_robot_path("ur10"))
@@ -202,13 +196,13 @@ def test_the_ur_arms_are_the_maker_s_table(name):
     assert robot.effort_limit_Nm == pytest.approx(effort)
 
 
-@pytest.mark.parametrize("name", ["lwr", "ur10E", "../panda"])
-def test_an_unknown_name_is_answered_with_the_known(name):
-    with pytest.raises(UnknownNameError, match=r", ".join(NAMES)):
-        load_example(name)
+def test_an_unknown_name_is_answered_with_the_known_and_a_missing_package_named(
+    monkeypatch, tmp_path
+):
+    for name in ("lwr", "ur10E", "../panda"):
+        with pytest.raises(UnknownNameError, match=r", ".join(NAMES)):
+            load_example(name)
 
-
-def test_a_missing_package_is_named_with_its_install_line(monkeypatch, tmp_path):
     def not_found(name):
         raise metadata.PackageNotFoundError(name)
 
@@ -217,9 +211,6 @@ def test_a_missing_package_is_named_with_its_install_line(monkeypatch, tmp_path)
     with pytest.raises(MissingPackageError, match="; pip install example-robot-data"):
         load_example("panda")
     assert load_example("ur10e").nv == 6
-
-
-# The robot itself: checked, nothing changes behind one's back, copies as asked.
 
 
 def test_unknown_frame_lists_the_valid_ones(lwr):
@@ -278,9 +269,6 @@ def test_armature_is_added_to_the_diagonal_of_the_mass_matrix_only(lwr):
             lwr.with_armature(rotor)
 
 
-# An arm from numbers: the same as from its URDF, and identified tables of real arms.
-
-
 def a_joint(**change):
     good = {"name": "j1", "placement": np.eye(4), "axis": np.array([0, 1.0, 0]), "inertia": POINT}
     return SerialJoint(**(good | change))
@@ -309,7 +297,7 @@ def test_the_lwr_from_numbers_is_the_lwr_from_its_urdf(lwr):
     assert built.joint_names == tuple(f"j{i}" for i in range(7))
 
 
-def test_tool_placement_and_rotor_inertia_enter_the_model():
+def test_tool_placement_and_rotor_inertia_enter_the_model_and_modified_dh_rows(recordings_dir):
     offset = np.eye(4)
     offset[:3, 3] = [0.1, 0.2, 0.3]
     robot = build_serial_robot([a_joint()], tool_placement=offset, rotor_inertia_kg_m2=[0.7])
@@ -317,15 +305,10 @@ def test_tool_placement_and_rotor_inertia_enter_the_model():
     assert frame.placement.translation == pytest.approx([0.1, 0.2, 0.3])
     mass_matrix = pin.crba(robot.model, robot.create_data(), np.zeros(1))
     assert mass_matrix[0, 0] == pytest.approx(0.02 + 0.7)
-
-
-def test_a_modified_dh_row_is_its_placement(recordings_dir):
-    """The Panda's published table puts the flange where the arm's data sheet does."""
+    # The Panda's published table puts the flange where the arm's data sheet does.
     robot = read_panda(recordings_dir).robot
-    data = robot.create_data()
-    pin.framesForwardKinematics(robot.model, data, np.zeros(7))
     height = 0.333 + 0.316 + 0.384 - 0.107
-    assert data.oMf[robot.frame_id("tool")].translation == pytest.approx([0.088, 0, height])
+    assert pose(robot, np.zeros(7), "tool").translation == pytest.approx([0.088, 0, height])
 
 
 def test_joints_are_copies_and_unphysical_or_massless_links_are_refused_unless_asked_for():
@@ -347,9 +330,8 @@ def test_joints_are_copies_and_unphysical_or_massless_links_are_refused_unless_a
         assert build_serial_robot(joints, check_inertias=False).nv == len(joints)
 
 
-@pytest.mark.parametrize(
-    ("change", "error", "message"),
-    [
+def test_malformed_joints_chains_and_options_are_refused():
+    for change, error, message in (
         ({"axis": np.zeros(3)}, InputError, "axis is zero"),
         ({"axis": np.zeros(2)}, InputError, "axis has shape"),
         ({"inertia": np.zeros(6)}, InputError, "inertia has shape"),
@@ -358,24 +340,13 @@ def test_joints_are_copies_and_unphysical_or_massless_links_are_refused_unless_a
         ({"placement": np.eye(3)}, InputError, "placement has shape"),
         ({"placement": np.diag([1.0, 1, -1, 1])}, InputError, "not a rigid motion"),
         ({"placement": np.diag([1.0, 1, 1, 2])}, InputError, "not a rigid motion"),
-    ],
-)
-def test_malformed_joints_are_refused(change, error, message):
-    with pytest.raises(error, match=message):
-        a_joint(**change)
-
-
-@pytest.mark.parametrize(
-    ("names", "options", "message"),
-    [
-        ([], {}, "names"),
-        (["a", "a"], {}, "names"),
-        (["tool"], {}, "names"),
-        (["a"], {"tool_placement": np.eye(3)}, "tool_placement"),
-        (["a"], {"rotor_inertia_kg_m2": [1.0, 1.0]}, "rotor_inertia_kg_m2"),
-        (["a"], {"gravity_m_s2": [1.0, 1.0]}, "gravity_m_s2"),
-    ],
-)
-def test_malformed_chains_and_options_are_refused(names, options, message):
-    with pytest.raises(InputError, match=message):
-        build_serial_robot([a_joint(name=name) for name in names], **options)
+    ):
+        with pytest.raises(error, match=message):
+            a_joint(**change)
+    for names in ([], ["a", "a"], ["tool"]):
+        with pytest.raises(InputError, match="names"):
+            build_serial_robot([a_joint(name=name) for name in names])
+    options = {"tool_placement": np.eye(3), "rotor_inertia_kg_m2": [1, 1], "gravity_m_s2": [1, 1]}
+    for name, value in options.items():
+        with pytest.raises(InputError, match=name):
+            build_serial_robot([a_joint()], **{name: value})
