@@ -15,7 +15,7 @@ from benchmarks.fault_study import (
     late,
     recovery,
 )
-from benchmarks.faults import PARTS, SIGNAL_FAULTS, troubled_scenario
+from benchmarks.faults import PARTS, SIGNAL_FAULTS
 
 PAGE = (Path(__file__).parents[1] / "docs" / "loop.md").read_text(encoding="utf-8")
 
@@ -62,20 +62,6 @@ def test_faults_that_must_be_reported_are(results):
     assert "MODEL_MISMATCH" in reported["pushed aside with 1 N, 2 s"]
     # A weight along the needle is the only fault that raises a rupture.
     assert [result.name for result in results if result.note] == ["50 g hung on the tool, 2 s"]
-
-
-def test_the_troubled_insertion_does_all_it_should():
-    scenario, spans = troubled_scenario()
-    parts = list(PARTS)
-    assert list(spans) == parts
-    begin_s, end_s = spans[parts[0]]
-    assert end_s - begin_s == pytest.approx(60.0)
-    motion = scenario.motion
-    assert motion.position_m(end_s) == motion.position_m(begin_s)
-    times = np.linspace(*spans[parts[1]], 100)
-    depth = np.array([motion.position_m(float(t)) for t in times])
-    assert depth.max() - depth.min() == pytest.approx(5e-3, rel=1e-3)
-    assert motion.position_m(spans[parts[2]][1]) < 0.0 < motion.position_m(spans[parts[3]][1])
 
 
 def test_the_table_prints_what_was_found():

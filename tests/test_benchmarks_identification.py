@@ -10,14 +10,12 @@ from benchmark_cases import make_row
 
 from benchmarks.bound_study import ForceNoiseSeries, bound_cases, case_table
 from benchmarks.bounds import (
-    autocovariance,
     delay_bounds_s,
     evidence_nats,
     friction_bounds,
     least_delay_s,
     reading_error_N,
     release_course_N,
-    whitener,
 )
 from benchmarks.identification_metrics import (
     CLEAR_m,
@@ -310,16 +308,6 @@ def test_the_error_of_a_reading_is_its_noise_but_for_the_releases_and_the_lag(st
     late = replace(signal(stack_truth), force_N=force_N)
     assert np.std(reading_error_N(late, stack_truth)) > 1e-4
     assert np.abs(reading_error_N(late, stack_truth, 0.02)).max() < 1e-12
-
-
-def test_an_autocovariance_belongs_to_a_covariance():
-    found = autocovariance(WHITE, 50)
-    assert found[0] == pytest.approx(np.mean(WHITE**2))
-    assert np.abs(found[1:]).max() < 0.1 * found[0]
-    assert autocovariance(np.ones(10), 12)[-2:].tolist() == [0.0, 0.0]
-    factor = whitener(autocovariance(DRIFTING, 200))
-    assert np.all(np.diag(factor) > 0.0)
-    assert (factor @ factor.T)[0, 5] == pytest.approx(autocovariance(DRIFTING, 6)[5])
 
 
 def test_the_bound_of_friction_is_that_of_a_mean_and_grows_with_all_that_hides_it(stack_truth):

@@ -114,7 +114,7 @@ def test_an_empty_folder_fails_the_job_in_one_line(tmp_path, name):
     assert nowhere.failure == f"DataError: {name} needs recordings: give --data DIR"
 
 
-def test_arrays_that_cannot_be_used_are_refused(tmp_path):
+def test_broken_recordings_models_and_missing_velocities_are_refused(tmp_path, lwr):
     path = tmp_path / "a.npz"
     np.savez(path, good=np.ones(3), empty=np.zeros(0), bad=np.array([1.0, np.nan]))
     assert read_arrays(path, ["good"])[0].tolist() == [1.0, 1.0, 1.0]
@@ -129,9 +129,6 @@ def test_arrays_that_cannot_be_used_are_refused(tmp_path):
         path.write_bytes(content)
         with pytest.raises(DataError, match="cannot read"):
             read_arrays(path, ["good"])
-
-
-def test_a_broken_table_a_model_that_lacks_one_and_missing_velocities_are_refused(tmp_path, lwr):
     path = tmp_path / "model.json"
     for content, message in (("{", "cannot read"), ("[1]", "no table")):
         path.write_text(content)
@@ -249,16 +246,6 @@ def test_a_law_is_learned_and_holds_for_what_was_not_seen(fit):
         features, target = RNG.standard_normal((40, 20)), RNG.standard_normal(40)
         found = left_out(fit, Seen(features, target, GROUP))
         assert np.sqrt(np.mean((found - target) ** 2)) < 1.25 * np.std(target)
-
-
-def test_a_penalty_is_chosen_without_seeing_the_twin_of_a_row():
-    """Rows in pairs: learning a pair by heart predicts its other row, and no other pair."""
-    features = np.repeat(RNG.standard_normal((15, 14)), 2, axis=0)
-    target = np.repeat(RNG.standard_normal(15), 2)
-    seen = Seen(features, target, np.repeat(np.arange(15), 2))
-    alone = seen._replace(group=np.arange(30))
-    asked = RNG.standard_normal((50, 14))
-    assert np.std(ridge(seen, asked)) < 0.5 * np.std(ridge(alone, asked))
 
 
 def test_every_regression_is_judged_and_a_level_is_that_of_the_same_first_feature():

@@ -16,7 +16,7 @@ from benchmarks.methods import ForceReading, force_lag_s, wrench_metrics
 from benchmarks.published_figures import NEEDED
 from benchmarks.rows import Measurement, to_json
 from benchmarks.runner import BENCHMARKS, Request, make_plan
-from benchmarks.signals import ForceTruth, JointSignals, MeasuredTravel, measured_travel, smoothed
+from benchmarks.signals import ForceTruth, JointSignals, measured_travel
 from benchmarks.simulated import drawn_noise, run_needle, simulated_case, simulated_metrics
 from benchmarks.tables import TABLES
 from groundtruth import SCENARIOS, simulate
@@ -63,28 +63,15 @@ def test_drawn_noise_stays_within_a_factor_of_two():
 
 
 # The degraded arm's encoders step by 1.75e-4 rad, 0.1 mm at the tip, and it sends no velocity.
-@pytest.mark.parametrize(
-    ("plant", "depth_std_m", "zero_m", "speed_std_m_s"),
-    [("ideal", 2e-5, 1e-4, 1e-3), ("degraded", 1.3e-4, 4e-4, 5e-3)],
-)
-def test_the_robots_kinematics_give_the_travel_of_the_tip(
-    plant, depth_std_m, zero_m, speed_std_m_s
-):
-    run = simulate(SHORT, plant)
+def test_the_robots_kinematics_give_the_travel_of_the_tip():
+    run = simulate(SHORT, "degraded")
     travel = measured_travel(run.robot, JointSignals.of_run(run), run.tare_end_s)
     after = run.truth.t_s > run.tare_end_s
     error = (travel.depth_m - run.truth.depth_m)[after]
-    assert np.std(error) < depth_std_m
+    assert np.std(error) < 1.3e-4
     # The zero is where the tare ended, 10 mm above the surface, and not the surface.
-    assert np.mean(error) == pytest.approx(10e-3, abs=zero_m)
-    assert np.std((travel.speed_m_s - run.truth.speed_m_s)[after]) < speed_std_m_s
-
-
-def test_a_smoothed_speed_lags_by_its_time_constant_and_leaves_the_depth_alone():
-    ramp = np.linspace(0.0, 1.0, 1001)
-    travel = smoothed(MeasuredTravel(ramp, ramp), np.full(1001, 1e-3), 0.02)
-    assert np.array_equal(travel.depth_m, ramp)
-    assert travel.speed_m_s[-1] == pytest.approx(0.98, abs=1e-3)
+    assert np.mean(error) == pytest.approx(10e-3, abs=4e-4)
+    assert np.std((travel.speed_m_s - run.truth.speed_m_s)[after]) < 5e-3
 
 
 # The arm.

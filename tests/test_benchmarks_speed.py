@@ -100,13 +100,6 @@ def test_a_chain_update_notes_what_happened_in_it():
     assert update.alarms[0] < update.layers[0] < update.layers[-1]
 
 
-def test_a_slab_takes_its_time():
-    motion = speed.slab(10.0).motion
-    time = np.arange(0.0, motion.duration_s, 1e-2)
-    inside = np.array([0.0 < motion.position_m(t) < speed.slab(10.0).thickness_m for t in time])
-    assert np.sum(inside[time < motion.insertion_end_s]) * 1e-2 == pytest.approx(10.0, abs=0.5)
-
-
 def test_the_bare_sensor_asks_for_a_regressor_as_often_as_the_sensor(lwr, monkeypatch):
     asked = []
     monkeypatch.setattr(pin, "computeJointTorqueRegressor", lambda *given: asked.append(given))

@@ -199,16 +199,12 @@ def test_what_cannot_be_used_is_one_line_and_leaves_nothing(
 def test_a_figure_without_matplotlib_is_refused_before_the_work(
     folder, monkeypatch, capsys, command, output
 ):
-    real = builtins.__import__
-
-    def refuse(name, *args, **kwargs):
+    def missing(name, *more, before=builtins.__import__, **named):
         if name.startswith("matplotlib"):
             raise ImportError(name, name="matplotlib")
-        return real(name, *args, **kwargs)
+        return before(name, *more, **named)
 
-    for name in [name for name in sys.modules if name.startswith("matplotlib")]:
-        monkeypatch.delitem(sys.modules, name)
-    monkeypatch.setattr(builtins, "__import__", refuse)
+    monkeypatch.setattr(builtins, "__import__", missing)
     monkeypatch.chdir(folder)
     line = complaint([command, "missing.csv", *output], capsys)
     assert "needs matplotlib, which is not installed" in line

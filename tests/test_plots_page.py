@@ -16,7 +16,6 @@ from needleforce.plots import (
     PageTable,
     Panel,
     Section,
-    folder_if_filled,
     palette,
     save_figure,
     save_page_figure,
@@ -129,19 +128,6 @@ def test_settings_are_listed_with_those_within():
     inside = {"`inner.gain`": "1.23457e+06", "`inner.names`": "a, 2.5"}
     table = settings_table(outer, "Sensor")
     assert dict(table.rows) == inside | {"`friction`": "none", "`empty`": "none"}
-
-
-def test_a_folder_is_made_before_the_work_and_removed_if_nothing_was_put_in(tmp_path):
-    with folder_if_filled(tmp_path / "a" / "b") as folder:
-        assert folder.is_dir()
-    assert not (tmp_path / "a").exists()
-    with folder_if_filled(tmp_path / "a" / "b") as folder:
-        (folder / "page").touch()
-    assert (tmp_path / "a" / "b" / "page").exists()
-    with pytest.raises(WriteError, match="cannot write to"), folder_if_filled(folder / "page"):
-        pytest.fail("the work has begun")
-    with folder_if_filled(None) as folder:
-        assert folder is None
 
 
 @pytest.fixture(scope="module")

@@ -18,7 +18,6 @@ from benchmarks.identification_metrics import identify_all
 from benchmarks.identification_plots import (
     Compared,
     enhanced_chart,
-    offline_chart,
     parameter_chart,
     true_friction,
 )
@@ -164,7 +163,7 @@ def test_ruptures_and_identified_friction_are_marked_in_the_forces_of_a_method(r
     assert np.array_equal(ours["true enhanced force"].y, run.truth.enhanced_N)
 
 
-def test_parameters_have_units_bands_and_the_truth_where_there_is_one(run):
+def test_parameters_have_bands_and_the_truth_which_is_force_over_speed_at_the_rupture(run):
     published = dict.fromkeys(("tuned", "published", "kelvin_voigt"), run.published)
     compared = Compared(ours=run.ours, on_ft=run.ours, **published)
     chart = parameter_chart("a", run.truth, compared)
@@ -177,7 +176,6 @@ def test_parameters_have_units_bands_and_the_truth_where_there_is_one(run):
     ours = next(curve for curve in friction.curves if curve.label == "ours")
     assert ours.std is not None
     assert total.limits[1] > true_friction(run.truth)["cumulative_friction_Ns_per_m"][1][-1]
-    # True friction is force over speed at the rupture.
     (rupture,) = run.truth.ruptures
     steps = true_friction(run.truth)
     times, total = steps["cumulative_friction_Ns_per_m"]
@@ -202,18 +200,6 @@ def test_the_published_method_with_its_authors_settings_comes_near_the_truth(run
     assert error_N(tuned) < 0.5 * error_N(identify(noisy, run.truth, "published"))
     for figure, source in (("8", "ft"), ("11", "virtual"), ("13", "virtual"), ("", "ft")):
         assert 0.03 <= sigma1_N(figure, source) <= 0.15, "what its authors used"
-
-
-def test_the_offline_fit_predicts_the_withdrawal(run):
-    chart = offline_chart("a", run.signal, run.truth)
-    unfitted, _ = chart.shadings
-    assert unfitted.spans[0][0] == run.truth.insertion_end_s - run.truth.tare_end_s
-    labels = list(curves(chart))
-    assert labels[0] == "force of the F/T sensor"
-    assert [label.split(" model")[0] for label in labels[1:3]] == ["multi-layer", "Kelvin-Voigt"]
-    ml = curves(chart)[labels[1]]
-    assert ml.y.min() < -0.1, "in the withdrawal the needle is held back"
-    assert chart.x_limits[1] == pytest.approx(ml.x[-1])
 
 
 def test_a_run_of_a_figure_draws_panels_of_their_own_letters_and_numbers(run, tmp_path):

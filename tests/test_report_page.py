@@ -17,11 +17,9 @@ from benchmarks.report import (
     gel_friction,
     gel_table,
     missing_section,
-    page_table,
     published_sections,
     write_report,
 )
-from benchmarks.tables import ResultTable
 from benchmarks.targets import GELS, TABLE_ONE_Ns_per_m
 from groundtruth import SCENARIOS
 from needleforce.plots import PageFigure
@@ -151,16 +149,6 @@ def test_table_one_and_its_chart_have_the_published_numbers_beside_ours(dot):
     assert round(ours.x[1]) == 1
     assert "ours, F/T, sinusoidal" not in points
     assert [text for _, text in chart.x_ticks] == ["25 %", "50 %", "70 %"]
-
-
-def test_tables_of_the_terminal_lose_nothing_but_their_colours():
-    heads, lines = ("what", "reached\nN"), (("a [b]", "met"),)
-    table = ResultTable(title="Targets", heads=heads, align="lr", lines=lines, caption="A note.")
-    converted = page_table(table)
-    assert (converted.caption, converted.note) == ("Targets", "A note.")
-    assert converted.head == ("what", "reached\nN")
-    assert converted.rows[0] == ("a [b]", "met")
-    assert converted.numeric == {1}
 
 
 def test_the_command_writes_page_drawings_and_numbers(tmp_path):

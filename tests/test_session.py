@@ -8,7 +8,6 @@ from benchmarks.signals import JointSignals, measured_travel
 from identification import MultilayerConfig, SampleStatus
 from identification.input_validation import CheckConfig
 from needleforce import InsertionError, InsertionSession
-from needleforce.session import TipTravel
 from residual import DEFAULT, SensorWarning, Status, TareError
 from residual.tool_kinematics import ToolKinematics
 
@@ -59,22 +58,6 @@ def test_depth_and_speed_are_those_of_the_offline_kinematics(whole, with_velocit
     np.testing.assert_allclose(speed, offline.speed_m_s[part], atol=2e-6 if with_velocity else 1e-4)
     truth = RUN.truth.depth_m[part] - RUN.truth.depth_m[TARE]
     np.testing.assert_allclose(depth, truth, atol=1e-4)
-
-
-def test_travel_counts_from_its_zero_along_the_needle(lwr):
-    kinematics = ToolKinematics(lwr)
-    kinematics.update(Q)
-    travel = TipTravel(kinematics)
-    assert travel.read(np.zeros(7)) == pytest.approx((0.0, 0.0), abs=1e-12)
-    step = kinematics.axial_jacobian / kinematics.axial_jacobian.dot(kinematics.axial_jacobian)
-    assert travel.read(step).speed_m_s == pytest.approx(1.0)
-    kinematics.update(Q + 1e-4 * step)
-    assert travel.read(step).depth_m == pytest.approx(1e-4, rel=1e-2)
-    kept = travel.state
-    travel.zero()
-    assert travel.read(step).depth_m == pytest.approx(0.0, abs=1e-12)
-    travel.restore(kept)
-    assert travel.read(step).depth_m == pytest.approx(1e-4, rel=1e-2)
 
 
 def test_only_valid_tared_forces_of_this_tick_are_used_for_identification():
@@ -196,16 +179,6 @@ def test_a_clock_that_was_set_takes_no_time(dt_s):
     assert after.used_for_identification
     passed_s = after.identification.time_s - before.identification.time_s
     assert passed_s == pytest.approx(rows[51][3])
-
-
-def test_time_of_rejected_samples_is_counted_once():
-    session, rows = resumed_after(TARE, 300)
-    start_s = session.snapshot().time_s
-    for k, (q, dq, tau, dt_s) in enumerate(rows):
-        last = session.update(q, dq, tau * np.nan if 100 <= k < 130 else tau, dt_s)
-    assert last.used_for_identification
-    assert last.time_s - start_s == pytest.approx(0.3)
-    assert last.identification.time_s == last.time_s
 
 
 def test_a_force_that_the_identifier_rejects_was_not_used():
