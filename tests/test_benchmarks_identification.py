@@ -102,9 +102,6 @@ def identified(enhanced_N, tip_N, compensated_at=None):
     )
 
 
-# Matching.
-
-
 @pytest.mark.parametrize(
     ("ruptures", "alarms", "pairs"),
     [
@@ -136,9 +133,6 @@ def test_the_window_of_an_alarm_is_the_documented_one():
     assert layer.estimated_N == 0.0
 
 
-# Ruptures.
-
-
 def test_a_perfect_detector_has_its_delay_and_nothing_else():
     values = rupture_metrics(match([rupture(7.0)], [alarm(7.05, rupture_s=7.01)]), truth(), 0.01)
     assert values["rupture_recall"] == values["rupture_precision"] == 1.0
@@ -167,9 +161,6 @@ def test_soft_transitions_silence_and_false_alarms_are_told_apart():
     free = (true.tare_end_s < T) & (true.contact_s > T)
     reading = np.where(free, np.where(np.arange(len(T)) % 2, 0.03, -0.03), 50.0)
     assert force_noise_N(SimpleNamespace(force_N=reading), true) == pytest.approx(0.03, rel=0.01)
-
-
-# Friction.
 
 
 def test_the_friction_of_each_layer_is_judged_at_its_own_rupture():
@@ -206,9 +197,6 @@ def test_a_missed_layer_counts_as_zero_and_a_membranes_friction_for_the_layer_be
     assert friction_metrics([]) == {}
 
 
-# Forces.
-
-
 def test_a_perfect_enhanced_force_leaves_nothing_and_no_compensation_the_whole_plateau():
     true = truth()
     values = enhanced_metrics(identified(true.enhanced_N, true.tip_N, compensated_at=750), true)
@@ -230,9 +218,6 @@ def test_a_perfect_enhanced_force_leaves_nothing_and_no_compensation_the_whole_p
     before, after = np.searchsorted(T, [6.9, 7.1])
     assert true.enhanced_N[before] == true.axial_N[before]
     assert true.enhanced_N[after] == pytest.approx(0.0)
-
-
-# Offline.
 
 
 def signal(true, error_N=0.0, zero_m=0.0):
@@ -261,9 +246,6 @@ def test_spans_run_from_contact_to_each_rupture_in_turn_and_end_at_the_deepest_p
     (span,) = layer_spans(true)
     assert span.rupture_s == pytest.approx(true.insertion_end_s)
     assert span.thickness_m == pytest.approx(SPEED * 15.0)
-
-
-# Alarms on the run's clock.
 
 
 def test_a_rupture_has_its_best_estimated_time_on_the_runs_clock():

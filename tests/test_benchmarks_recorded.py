@@ -147,9 +147,6 @@ def test_broken_recordings_models_and_missing_velocities_are_refused(tmp_path, l
         joint_residual(lwr, signals, 50.0)
 
 
-# Real tissue.
-
-
 def test_a_recording_is_split_where_the_needle_turns():
     inward = np.linspace(0, 0.08, 801)
     depth = np.concatenate((inward, np.full(100, 0.08), inward[::-1]))
@@ -225,9 +222,6 @@ def test_bovine_liver_has_its_four_ruptures_and_its_curve_falls_in_two_more_plac
     assert depths == pytest.approx([0.1, 15.7, 19.1, 30.0, 32.7, 36.6, 38.6], abs=0.06)
     drops = [drop.drop_N for drop in found]
     assert drops == pytest.approx([0.09, 0.09, 1.20, 0.83, 0.93, 0.74, 0.16], abs=0.01)
-
-
-# What an insertion can predict of the pull-out force.
 
 
 RNG = np.random.default_rng(5)

@@ -112,9 +112,6 @@ def test_of_several_runs_the_last_one_of_a_scenario_and_a_plant_counts(tmp_path)
     assert found == [first[0], *more, first[2]]
 
 
-# Tables.
-
-
 @pytest.mark.parametrize("kind", METRICS.values(), ids=METRICS)
 def test_every_metric_is_shown_in_its_own_table_or_stands_in_the_results_only(kind):
     rows = [make_row(metric=kind.name, unit=kind.unit, plant="needle", source="virtual")]
@@ -146,9 +143,6 @@ def test_the_force_table_shows_ratio_published_figure_and_targets_the_missed_fir
     assert [line[-1] for line in good] == ["met", "–"]
     rows = [make_row(value=0.11), make_row(value=0.12, method="published")]
     assert [line[4] for line in target_table(rows).lines] == ["missed", "met"]
-
-
-# Pages.
 
 
 def clean_rows():
@@ -219,9 +213,6 @@ def only(rows, target):
 
 def seeds(values, **changes):
     return [make_row(seed=k, value=value, **changes) for k, value in enumerate(values)]
-
-
-# Targets.
 
 
 def test_the_worst_run_or_a_statistic_of_all_decides_and_a_limit_may_be_touched():
@@ -327,9 +318,6 @@ def test_the_limits_of_the_force_are_those_asked_for():
 def test_the_limits_of_identification_are_those_asked_for(source, plant, most, least):
     assert limits("at_most", source, plant) == most
     assert limits("at_least", source, plant) == least
-
-
-# Comparison of two runs.
 
 
 def change(old, new, name="wrench_rmse_N"):

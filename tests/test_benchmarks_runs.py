@@ -74,9 +74,6 @@ def test_the_robots_kinematics_give_the_travel_of_the_tip():
     assert np.std((travel.speed_m_s - run.truth.speed_m_s)[after]) < 5e-3
 
 
-# The arm.
-
-
 def case_of(plant, chosen=BRIEF):
     return simulated_case(Job(benchmark="short", plant=plant), chosen, silent)
 

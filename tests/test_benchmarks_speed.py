@@ -113,9 +113,6 @@ def test_the_bare_sensor_asks_for_a_regressor_as_often_as_the_sensor(lwr, monkey
     assert len(asked) == 10, "once in 20 ms"
 
 
-# Soak.
-
-
 def soaked(**changes):
     known = {"tick_us": (10.0, 11.0), "python_kB": (5.0, 25.0), "process_MB": (1.0, 1.0)}
     return long_runs.Soak(**(known | {"ruptures": (1, 2), "skipped": 0} | changes))
@@ -129,9 +126,6 @@ def test_a_soak_compares_end_with_start_and_every_cycle_is_a_whole_insertion():
     cycle = long_runs.Cycle()
     _, ruptures, skipped = cycle.time(2 * cycle.length, lambda fraction: None)
     assert (ruptures, skipped) == ((1, 1), 0)
-
-
-# Long recordings through the commands.
 
 
 @pytest.mark.parametrize("make", [long_runs.joint_recording, long_runs.needle_recording])
@@ -149,16 +143,11 @@ def test_a_recording_is_as_long_as_asked_smooth_and_the_same_every_time(make):
 
 
 def test_a_process_is_watched_to_its_end():
-    seen = []
     use = long_runs.run_python(["-c", "x = bytearray(50_000_000); import time; time.sleep(0.3)"])
     assert use.wall_s > 0.3
     assert 0.0 < use.cpu_s < use.wall_s + 0.1
     if sys.platform == "linux":
         assert max(use.memory_MB) > 50.0
-    busy = long_runs.run_python(["-c", "from time import process_time as t\nwhile t() < 0.5: pass"])
-    assert busy.cpu_s > 0.4
-    long_runs.run_python(["-c", "import time; time.sleep(0.2)"], seen.append)
-    assert seen == sorted(seen)
     # One that says much does not block.
     assert (
         long_runs.run_python(["-c", "import sys; sys.stderr.write('x' * 1_000_000)"]).wall_s < 20.0

@@ -119,27 +119,36 @@ def test_a_tare_may_be_counted_from_the_first_stamp_or_end_with_the_log(run, lwr
     assert "1700000000 to 1700000002.5 s" in run(late, "--tare", "+0:+2.5")[1]
 
 
-def test_bad_rows_and_a_clock_set_back_are_rejected_counted_and_leave_the_rest_right(
-    run, lwr, tmp_path
-):
+def test_bad_rows_are_rejected_counted_and_leave_the_rest_right(run, lwr, tmp_path):
     columns = insertion(lwr)
     columns["q_rad"][2000:2010, 2] = np.nan
     columns["tau_Nm"][3300] = np.inf
+    columns["tau_Nm"][3500, 2] += 80.0
+    columns["tau_Nm"][3700:3800, 1] = lwr.effort_limit_Nm[1]
     columns["t_s"][1500] = columns["t_s"][1490]
     keep = np.r_[0:2600, 2750:4000]
     path = tmp_path / "broken.npz"
     write_table(path, {name: values[keep] for name, values in columns.items()})
     found, printed = run(str(path), *TARE)
     rejected = np.flatnonzero(found["force_status"] == 3)
-    np.testing.assert_array_equal(rejected, [1500, *range(2000, 2010), 3150])
+    np.testing.assert_array_equal(rejected, [1500, *range(2000, 2010), 3150, 3350])
     assert np.isnan(found["axial_N"][rejected]).all()
     valid = found["force_status"] != 3
     assert np.isfinite(np.stack([found[n][valid] for n in found])).all()
     assert found["axial_N"][-1] == pytest.approx(AXIAL_N, abs=0.15)
-    assert "12: 10 x q is not finite" in printed
+    warnings = found["force_warnings"].astype(int)
+    assert warnings[3350] & SensorWarning.SPIKE
+    assert (warnings[3560:3650] & SensorWarning.SATURATED).all()
+    assert not warnings[:1500].any()
+    assert 0.3 < np.median(found["model_mismatch"][found["force_status"] == 0]) < 3.0
+    assert "x saturated" in printed
+    assert "13: 10 x q is not finite" in printed
     assert "1 x time does not advance" in printed
     assert "1 longer than 0.1 s (longest 0.151 s)" in printed
-    columns = insertion(lwr)
+
+
+def test_a_clock_that_was_set_back_costs_a_few_rows_and_no_more(run, lwr, tmp_path):
+    columns, path = insertion(lwr), tmp_path / "reset.npz"
     columns["t_s"][2600:] -= columns["t_s"][2600]
     write_table(path, columns)
     found, _ = run(str(path), *TARE)
@@ -148,22 +157,6 @@ def test_bad_rows_and_a_clock_set_back_are_rejected_counted_and_leave_the_rest_r
     assert 3 <= len(rejected) <= 110
     np.testing.assert_array_equal(found["t_s"], columns["t_s"])
     assert found["axial_N"][-1] == pytest.approx(AXIAL_N, abs=0.15)
-
-
-def test_what_may_be_wrong_beyond_the_standard_deviation_is_reported(run, lwr, tmp_path):
-    columns = insertion(lwr)
-    columns["tau_Nm"][3500, 2] += 80.0
-    columns["tau_Nm"][3700:3800, 1] = lwr.effort_limit_Nm[1]
-    write_table(tmp_path / "log.npz", columns)
-    found, printed = run(str(tmp_path / "log.npz"), *TARE)
-    warnings = found["force_warnings"].astype(int)
-    assert warnings[3500] & SensorWarning.SPIKE
-    assert found["force_status"][3500] == 3
-    assert (warnings[3710:3800] & SensorWarning.SATURATED).all()
-    assert not warnings[:3000].any()
-    assert "x saturated" in printed
-    assert 0.3 < np.median(found["model_mismatch"][found["force_status"] == 0]) < 3.0
-    assert found["axial_N"][-1] == pytest.approx(AXIAL_N, abs=0.2)
 
 
 def test_velocities_in_degrees_are_refused_by_joint_and_reason(run, lwr, tmp_path, capsys):
@@ -205,10 +198,7 @@ def test_torque_without_gravity_or_negated_is_named_and_an_option_cures_it(
         np.testing.assert_allclose(found["axial_N"], expected["axial_N"], atol=0.02)
 
 
-# Robots and payloads.
-
-
-def test_any_urdf_with_locked_joints_or_without_a_link_gives_forces(run, tmp_path):
+def test_any_urdf_with_locked_joints_or_without_a_link_gives_forces(lwr, run, log, tmp_path):
     urdf = tmp_path / "arm.urdf"
     urdf.write_text(SMALL_ARM)
     arm = load_urdf(urdf, tool_frame="tip", locked_joints={"gripper": 0.02})
@@ -221,9 +211,7 @@ def test_any_urdf_with_locked_joints_or_without_a_link_gives_forces(run, tmp_pat
     columns, printed = run(path, *robot, *offset, "--no-tare")
     assert "arm, 2 joints" in printed
     assert "axial force at tool" in printed
-
-
-def test_a_known_arm_is_loaded_by_name(lwr, run, log, tmp_path):
+    # A known arm is loaded by its name.
     assert "lwr4plus" in run(log, "--robot", "lwr", "--no-tare")[1]
     columns, path = insertion(lwr, seconds=0.6), tmp_path / "ur.npz"
     six = {name: columns[name][:, :6] for name in ("q_rad", "tau_Nm")}
@@ -287,23 +275,13 @@ def test_a_real_arm_in_free_motion_reads_no_more_force_than_its_model_is_off(pan
     assert "lock it with --lock" in message
 
 
-# Figures.
-
-
-def rows_of(status, after_gap=()):
-    count = len(status)
-    return {
-        "t_s": np.arange(count) * 0.01,
-        "axial_N": np.arange(count, dtype=float),
-        "axial_std_N": np.full(count, 0.5),
-        "status": np.array(status),
-        "after_gap": np.isin(np.arange(count), after_gap),
-    }
-
-
-def curves_of(rows):
-    axial = ("axial force", palette.OURS, rows["axial_N"], rows["axial_std_N"])
-    return component_curves(rows, rows["t_s"], axial), axial
+def curves_of(status, after_gap=(), untared_N=0.0):
+    """Curves of rows of a status, and their panel."""
+    k = np.arange(len(status), dtype=float)
+    rows = {"t_s": 0.01 * k, "status": np.array(status), "after_gap": np.isin(k, after_gap)}
+    axial_N = k + untared_N * (rows["status"] == 1)
+    axial = ("axial force", palette.OURS, axial_N, np.full(len(k), 0.5))
+    return component_curves(rows, rows["t_s"], axial), panel_of("N", rows, rows["t_s"], [axial])
 
 
 @pytest.mark.parametrize(
@@ -345,21 +323,19 @@ def test_a_log_without_a_valid_row_still_has_figures_but_no_window(lwr, tmp_path
 
 
 def test_a_gap_leaves_a_hole_and_what_is_not_tared_is_grey_and_not_in_the_scale():
-    (untared, tared), _ = curves_of(rows_of([1, 0, 3, 0, 0], after_gap=[4]))
+    (untared, tared), _ = curves_of([1, 0, 3, 0, 0], after_gap=[4])
     np.testing.assert_array_equal(tared.y, [np.nan, 1.0, 3.0, np.nan])
     np.testing.assert_array_equal(tared.x, [0.0, 0.01, 0.03, 0.04])
     assert untared.y[0] == 0.0
-    (untared, tared), _ = curves_of(rows_of([1, 1, 0, 0]))
+    (untared, tared), _ = curves_of([1, 1, 0, 0])
     assert (untared.label, untared.std) == ("not tared", None)
     np.testing.assert_array_equal(np.isfinite(untared.y), [True, True, False, False])
     assert tared.style is palette.OURS
     assert tared.label == "axial force"
     np.testing.assert_array_equal(np.isfinite(tared.y), [False, False, True, True])
-    (only,), _ = curves_of(rows_of([1, 1]))
+    (only,), _ = curves_of([1, 1])
     assert only.label == "axial force, not tared"
     assert only.style == replace(palette.UNTARED, color=palette.OURS.color)
-    rows = rows_of([1, 1, 0, 0])
-    rows["axial_N"][:2] += 50.0
-    low, high = panel_of("force", rows, rows["t_s"], [curves_of(rows)[1]]).limits
+    low, high = curves_of([1, 1, 0, 0], untared_N=50.0)[1].limits
     assert low < 0.0
     assert 3.0 + 2 * 0.5 < high < 5.0

@@ -111,9 +111,6 @@ def test_a_clock_that_was_set_back_hides_no_layer(needle, tmp_path, capsys):
     assert 3 <= np.count_nonzero(rows["used"] == 0) <= 30
 
 
-# Forces that `needleforce force` has marked.
-
-
 def test_the_codes_are_those_of_the_virtual_sensor_and_of_a_session():
     assert tuple(status.value for status in Status) == FORCE_STATUS
     for word, bit in WORTHLESS.items():
@@ -142,9 +139,6 @@ def test_marked_rows_are_left_out_and_counted_and_a_users_own_status_is_none(
     assert "no rupture detected" in printed.out
     assert main(["identify", log, "--ignore-status"]) == 0
     assert len(table_of(capsys.readouterr().out)) == 1
-
-
-# Charts.
 
 
 def result(method="published-kv", **changes):
@@ -178,9 +172,6 @@ def test_nothing_is_drawn_before_the_first_row_that_was_used(over):
         assert np.isfinite(curve.y[10:]).all()
     assert np.isfinite(forces.curves[0].y).all()
     assert forces.curves[0].x[-1] == (1.0 if over == "time" else 1000.0)
-
-
-# Reports of both commands.
 
 
 @pytest.fixture(scope="module")

@@ -119,9 +119,6 @@ def test_following_ends_by_itself_when_nothing_comes(case, tmp_path, capsys):
     assert SUMMARY[name] in capsys.readouterr().out
 
 
-# Signals.
-
-
 @pytest.fixture
 def interrupted(monkeypatch):
     """Ctrl-C while the first rows are estimated."""
@@ -210,9 +207,6 @@ def test_a_log_that_fails_leaves_the_older_table_a_stream_what_it_gave(lwr, tmp_
     columns = read_table(out).columns
     assert 1000 < len(columns["t_s"]) <= 2500
     assert columns["force_status"].min() == 1
-
-
-# Standard streams and named pipes.
 
 
 def test_a_table_goes_into_a_named_pipe(logs, tmp_path):

@@ -92,16 +92,9 @@ def test_closed_standard_streams_are_done_without_and_a_table_needs_one(monkeypa
     assert capsys.readouterr().err == ""
 
 
-@pytest.fixture
-def _ctrl_c_is_heard():
+def test_the_first_ctrl_c_asks_and_the_second_interrupts():
     # A job in the background of a shell starts with it ignored.
     before = signal.signal(signal.SIGINT, signal.default_int_handler)
-    yield
-    signal.signal(signal.SIGINT, before)
-
-
-@pytest.mark.usefixtures("_ctrl_c_is_heard")
-def test_the_first_ctrl_c_asks_and_the_second_interrupts():
     with stop_request() as stop:
         assert not stop()
         os.kill(os.getpid(), signal.SIGINT)
@@ -110,6 +103,7 @@ def test_the_first_ctrl_c_asks_and_the_second_interrupts():
             os.kill(os.getpid(), signal.SIGINT)
     with pytest.raises(KeyboardInterrupt):
         os.kill(os.getpid(), signal.SIGINT)
+    signal.signal(signal.SIGINT, before)
 
 
 def test_what_the_terminal_cannot_write_is_an_escape(monkeypatch):
@@ -117,9 +111,6 @@ def test_what_the_terminal_cannot_write_is_an_escape(monkeypatch):
     monkeypatch.setattr(sys, "stdout", stream)
     write_out("0.3±0.1 \udcff\n")
     assert stream.buffer.getvalue() == b"0.3\\xb10.1 \\udcff\n"
-
-
-# Help, completion and the options.
 
 
 def test_help_and_version_answer_without_the_estimators(capsys):
@@ -163,8 +154,6 @@ def test_options_name_every_channel_and_every_choice():
     assert choices(cli.SensorOptions, "mode") == set(get_args(Mode))
     assert choices(cli.SensorOptions, "alignment") == set(get_args(Alignment))
 
-
-# Outputs never harm the log, each other or what is not the command's own.
 
 COLUMNS = {"t_s": np.arange(3) / 1000.0, "force_N": np.ones(3)}
 
@@ -214,8 +203,7 @@ def test_an_output_that_would_harm_something_is_refused(source, outputs, message
             check_writable(outputs["output"], source=source)
 
 
-@pytest.mark.usefixtures("folder")
-def test_outputs_side_by_side_are_fine():
+def test_outputs_side_by_side_are_fine_and_only_a_bag_is_replaced_by_a_bag(folder):
     for source, outputs in (
         ("log.csv", {"output": "f.csv", "figure": "g.pdf", "report": "."}),
         ("bag.db3", {"output": "f.db3", "figure": "g.png", "report": "report"}),
@@ -223,9 +211,6 @@ def test_outputs_side_by_side_are_fine():
         ("-", {"output": "-", "figure": "g.svg"}),
     ):
         assert check(source, **outputs) is None
-
-
-def test_only_a_bag_and_nothing_else_is_replaced_by_a_bag(folder):
     write_table("bag.db3", COLUMNS)
     notes = folder / "bag.db3" / "notes.txt"
     notes.write_text("dear")
@@ -243,9 +228,6 @@ def test_only_a_bag_and_nothing_else_is_replaced_by_a_bag(folder):
     with pytest.raises(FileAccessError, match="no part of a bag"):
         write_table("bag.db3", COLUMNS)
     assert notes.read_text() == (folder / "file.db3").read_text() == "dear"
-
-
-# Few rows of long tables.
 
 
 @pytest.mark.parametrize("pieces", [1, 7, 90])
@@ -270,14 +252,11 @@ def test_of_a_long_table_few_rows_stay_and_the_extremes_and_a_short_one_is_kept_
     np.testing.assert_array_equal(overview.columns()["n"], np.arange(300))
 
 
-# The mapping that --print-config writes.
-
-
 @pytest.fixture(scope="module")
 def joint_columns(lwr):
     """Joint signals of a short insertion."""
-    wanted = ("t_s", "q_rad", "dq_rad_s", "tau_Nm")
-    return {name: insertion(lwr)[name] for name in wanted}
+    columns = insertion(lwr)
+    return {name: columns[name] for name in ("t_s", "q_rad", "dq_rad_s", "tau_Nm")}
 
 
 def written(tmp_path, text):

@@ -163,9 +163,6 @@ def test_settings_that_cannot_work_are_refused_with_a_sentence(arguments, option
         InsertionSession(*arguments, **options)
 
 
-# Time, when samples are missing or a clock is set.
-
-
 @pytest.mark.parametrize("dt_s", [-10.0, 1.8e9, np.nan, None])
 def test_a_clock_that_was_set_takes_no_time(dt_s):
     session, rows = resumed_after(TARE, 52)
@@ -195,9 +192,6 @@ def test_a_force_that_the_identifier_rejects_was_not_used():
     assert found[-1].wrench.axial > 1.0
     assert found[-1].identification.status is SampleStatus.FORCE_RANGE
     assert not found[-1].used_for_identification
-
-
-# A push aside is no rupture, although it looks like one before its mismatch has lasted.
 
 
 def pushed(rows, force_in_base_N, first, count):

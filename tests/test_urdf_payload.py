@@ -37,10 +37,8 @@ def payloads(draw):
     masses = [draw(st.floats(0.05, 2.0)) for _ in range(3)]
     points = [0.3 * draw(vectors) for _ in range(3)]
     com = sum(m * p for m, p in zip(masses, points, strict=True)) / sum(masses)
-    arms = [p - com for p in points]
-    inertia = sum(
-        m * (r @ r * np.eye(3) - np.outer(r, r)) for m, r in zip(masses, arms, strict=True)
-    )
+    arms = zip(masses, (p - com for p in points), strict=True)
+    inertia = sum(m * (r @ r * np.eye(3) - np.outer(r, r)) for m, r in arms)
     return Payload(mass_kg=sum(masses), com_m=com, inertia_kg_m2=inertia)
 
 
@@ -154,8 +152,7 @@ def test_no_sensor_leaves_the_needle_on_the_flange():
     assert (tool.has_sensor, tool.sensor_mass_kg) == (False, 0.0)
     assert tool.payload.parameters == pytest.approx(NeedleTool().beyond_sensor.parameters)
     assert tool.tip_in_flange_m == pytest.approx([0, 0, 0.153])
-    plate = NeedleTool(sensor_height_m=0, sensor_mass_kg=0.1)
-    assert plate.payload.mass_kg == pytest.approx(0.168)
+    assert NeedleTool(sensor_height_m=0, sensor_mass_kg=0.1).payload.mass_kg == pytest.approx(0.168)
 
 
 @pytest.mark.parametrize(
@@ -178,11 +175,10 @@ def test_tools_that_cannot_be_built(change, message):
 # Identification: what simulation knows, it finds; its uncertainty is true.
 
 
-def torques(robot, q, dq, ddq):
+def torques(robot, *motion):
     data = robot.create_data()
-    return np.array(
-        [pin.rnea(robot.model, data, *row).copy() for row in zip(q, dq, ddq, strict=True)]
-    )
+    rows = zip(*motion, strict=True)
+    return np.array([pin.rnea(robot.model, data, *row).copy() for row in rows])
 
 
 @pytest.fixture(scope="module")
@@ -375,7 +371,6 @@ def test_no_body_is_nearer(seed):
 
 
 def test_a_body_stays_where_it_is_and_directions_without_data_get_an_answer():
-    """With mass and first moments alone any inertia large enough will do, and one is found."""
     inside = from_pseudo_inertia(np.diag([0.2, 0.3, 0.4, 1.0]))
     assert nearest_body(inside, np.eye(10)) == pytest.approx(inside, abs=1e-6)
     answer = np.array([2.0, 0.3, -0.2, 0.5, 0, 0, 0, 0, 0, 0])

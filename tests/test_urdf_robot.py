@@ -273,15 +273,10 @@ def test_the_lwr_from_numbers_is_the_lwr_from_its_urdf(lwr):
     axes = [(0, 0, 1), (0, -1, 0), (0, 0, 1), (0, 1, 0), (0, 0, 1), (0, -1, 0), (0, 0, 2)]
     heights = [0.110, 0.200, 0.200, 0.200, 0.200, 0.190, 0.078]
     bodies = [body.toDynamicParameters() for body in load_lwr().model.inertias[1:]]
-    joints = [
-        SerialJoint(
-            name=f"j{i}",
-            placement=pin.SE3(np.eye(3), np.array([0, 0, height])),
-            axis=np.array(axis, dtype=float),
-            inertia=inertia,
-        )
-        for i, (axis, height, inertia) in enumerate(zip(axes, heights, bodies, strict=True))
-    ]
+    joints = []
+    for i, (axis, height, body) in enumerate(zip(axes, heights, bodies, strict=True)):
+        place = pin.SE3(np.eye(3), np.array([0, 0, height]))
+        joints.append(a_joint(name=f"j{i}", placement=place, axis=axis, inertia=body))
     built = build_serial_robot(joints, payload=NeedleTool())
     rng = np.random.default_rng(2)
     for _ in range(5):
