@@ -5,7 +5,6 @@ compiles is not seen here; with ``NUMBA_DISABLE_JIT=1`` it is.
 """
 
 import ast
-import runpy
 import sys
 from contextlib import contextmanager
 from functools import cache
@@ -18,6 +17,7 @@ from residual_command_log import write_insertion
 
 from benchmarks.signals import JointSignals
 from needleforce import InsertionSession
+from needleforce.cli import main
 from residual import VirtualForceSensor
 
 ROOT = Path(__file__).resolve().parents[1]
@@ -103,14 +103,8 @@ def files_of_a_row(log, out):
             (since if note.is_running else before).add(code)
 
     note.is_running = False
-    argv = sys.argv
-    sys.argv = ["residual", str(log), "--tare", "0:13", "-o", str(out)]
-    try:
-        with profiled(note), pytest.raises(SystemExit) as ended:
-            runpy.run_module("residual", run_name="__main__", alter_sys=True)
-    finally:
-        sys.argv = argv
-    assert ended.value.code in (0, None)
+    with profiled(note):
+        assert main(["force", str(log), "--tare", "0:13", "-o", str(out)]) == 0
     return {name for name in map(file_of, before & between) if name}
 
 

@@ -1,6 +1,7 @@
 """The command: tables, files, exit codes, and one line for every mistake."""
 
 import re
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -163,27 +164,23 @@ def test_speed_fails_when_strict_and_too_slow(monkeypatch, capsys, cost, code):
     assert "99.9 %" in capsys.readouterr().out
 
 
-def results(tmp_path, name, *rows):
-    write_results(tmp_path / name, rows)
-    return str(tmp_path / name)
-
-
-def test_compare_fails_on_what_is_worse_or_lost_and_says_it(tmp_path, capsys):
-    old = results(tmp_path, "old.json", make_row(), make_row(seed=1))
-    new = results(tmp_path, "new.json", make_row(value=0.3), make_row(seed=1))
-    lost = results(tmp_path, "nan.json", make_row(value=float("nan")), make_row(seed=1))
-    assert main(["compare", old, new]) == 1
-    assert "1 same, 1 worse" in capsys.readouterr().out
-    assert main(["compare", new, old]) == 0
-    assert main(["compare", old, old]) == 0
-    assert main(["compare", old, results(tmp_path, "one.json", make_row())]) == 1
-    assert main(["compare", old, lost]) == 1
-    assert main(["compare", lost, lost]) == 1
-    empty = results(tmp_path, "empty.json")
-    assert main(["compare", empty, empty]) == 2
-    assert "nothing to compare" in capsys.readouterr().err
-    assert main(["compare", empty, str(tmp_path / "none.json")]) == 2
-    assert "cannot read" in capsys.readouterr().err
+def test_compare_fails_on_what_is_worse_or_lost_and_says_it(tmp_path, monkeypatch, capsys):
+    monkeypatch.chdir(tmp_path)
+    rows = {"old": [0.1, 0.1], "new": [0.3, 0.1], "lost": [float("nan"), 0.1], "one": [0.1]}
+    for name, values in (rows | {"empty": []}).items():
+        write_results(Path(name), [make_row(seed=k, value=v) for k, v in enumerate(values)])
+    for pair, code, said in (
+        ("old new", 1, "1 same, 1 worse"),
+        ("new old", 0, "1 better"),
+        ("old old", 0, "2 same"),
+        ("old one", 1, "missing"),
+        ("old lost", 1, "not finite"),
+        ("lost lost", 1, "not finite"),
+        ("empty empty", 2, "nothing to compare"),
+        ("empty none", 2, "cannot read"),
+    ):
+        assert main(["compare", *pair.split()]) == code
+        assert said in "".join(capsys.readouterr())
 
 
 def test_a_missing_package_is_named_and_any_other_fault_is_not_hidden(monkeypatch, capsys):

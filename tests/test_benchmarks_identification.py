@@ -11,9 +11,7 @@ from benchmark_cases import make_row
 from benchmarks.bound_study import ForceNoiseSeries, bound_cases, case_table
 from benchmarks.bounds import (
     delay_bounds_s,
-    evidence_nats,
     friction_bounds,
-    least_delay_s,
     reading_error_N,
     release_course_N,
 )
@@ -306,15 +304,6 @@ def test_the_bound_of_friction_is_that_of_a_mean_and_grows_with_all_that_hides_i
     assert friction_bounds(stack_truth, DRIFTING, is_white=True, cutting_fraction=0.0)[1] < plain
     longer = insertion_truth(stack(release_m=1e-3))
     assert friction_bounds(longer, DRIFTING, is_white=True)[1] > plain
-
-
-def test_evidence_of_a_step_grows_evenly_and_the_least_delay_is_where_it_is_enough():
-    course = np.array([0.0, 0.0, 0.2, 0.2, 0.2, 0.2])
-    grown = evidence_nats(course, 0.1 * np.eye(6))
-    assert grown == pytest.approx([0.0, 0.0, 2.0, 4.0, 6.0, 8.0])
-    delay = np.array([1.0, 2.0, 3.0])
-    assert least_delay_s(np.array([1.0, 2.5, 9.0]), delay, interval_s=2.0 * math.e**2) == 2.0
-    assert least_delay_s(np.array([1.0, 1.5, 1.7]), delay, interval_s=60.0) == math.inf
 
 
 def test_a_release_falls_by_its_drop_and_noise_and_lag_delay_its_earliest_alarm(stack_truth):

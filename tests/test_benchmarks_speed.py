@@ -149,9 +149,8 @@ def test_a_process_is_watched_to_its_end():
     if sys.platform == "linux":
         assert max(use.memory_MB) > 50.0
     # One that says much does not block.
-    assert (
-        long_runs.run_python(["-c", "import sys; sys.stderr.write('x' * 1_000_000)"]).wall_s < 20.0
-    )
+    talk = "import sys; sys.stderr.write('x' * 1_000_000)"
+    assert long_runs.run_python(["-c", talk]).wall_s < 20.0
     with pytest.raises(BenchmarkError, match="no such thing"):
         long_runs.run_python(["-c", "raise SystemExit('no such thing')"])
 
@@ -159,9 +158,8 @@ def test_a_process_is_watched_to_its_end():
 STEADY = (100.0,) * 10
 
 
-@pytest.mark.parametrize(
-    ("cpu_s", "memory_MB", "late", "rows", "is_met"),
-    [
+def test_speed_memory_and_late_rows_of_a_long_recording_count():
+    for cpu_s, memory_MB, late, rows, is_met in (
         (4.9, STEADY, (1, 0), 200_000, True),
         (5.1, STEADY, (1, 0), 200_000, False),
         (4.9, (*STEADY[1:], 150.0), (1, 0), 200_000, False),
@@ -170,19 +168,12 @@ STEADY = (100.0,) * 10
         (4.9, STEADY, (0, 0), 20_000, True),
         (4.9, STEADY, (None, 0), 200_000, True),
         (4.9, STEADY, (1, 1), 200_000, False),
-    ],
-)
-def test_speed_memory_and_late_rows_count(cpu_s, memory_MB, late, rows, is_met):
-    found = long_runs.StreamSpeed(
-        command="residual",
-        suffix=".csv",
-        seconds=100.0,
-        rows=rows,
-        use=long_runs.ProcessUse(wall_s=9.0, cpu_s=cpu_s, memory_MB=memory_MB),
-        late=long_runs.LateRows(*late),
-    )
-    assert found.is_met == is_met
-    assert found.times_real == pytest.approx(100.0 / cpu_s)
+    ):
+        use = long_runs.ProcessUse(wall_s=9.0, cpu_s=cpu_s, memory_MB=memory_MB)
+        seen = {"rows": rows, "use": use, "late": long_runs.LateRows(*late)}
+        found = long_runs.StreamSpeed(command="residual", suffix=".csv", seconds=100.0, **seen)
+        assert found.is_met == is_met
+        assert found.times_real == pytest.approx(100.0 / cpu_s)
 
 
 def test_a_long_recording_ruptures_fresh_tissue_in_every_cycle():

@@ -123,28 +123,36 @@ def test_bad_rows_are_rejected_counted_and_leave_the_rest_right(run, lwr, tmp_pa
     columns = insertion(lwr)
     columns["q_rad"][2000:2010, 2] = np.nan
     columns["tau_Nm"][3300] = np.inf
-    columns["tau_Nm"][3500, 2] += 80.0
-    columns["tau_Nm"][3700:3800, 1] = lwr.effort_limit_Nm[1]
     columns["t_s"][1500] = columns["t_s"][1490]
     keep = np.r_[0:2600, 2750:4000]
     path = tmp_path / "broken.npz"
     write_table(path, {name: values[keep] for name, values in columns.items()})
     found, printed = run(str(path), *TARE)
     rejected = np.flatnonzero(found["force_status"] == 3)
-    np.testing.assert_array_equal(rejected, [1500, *range(2000, 2010), 3150, 3350])
+    np.testing.assert_array_equal(rejected, [1500, *range(2000, 2010), 3150])
     assert np.isnan(found["axial_N"][rejected]).all()
     valid = found["force_status"] != 3
     assert np.isfinite(np.stack([found[n][valid] for n in found])).all()
     assert found["axial_N"][-1] == pytest.approx(AXIAL_N, abs=0.15)
-    warnings = found["force_warnings"].astype(int)
-    assert warnings[3350] & SensorWarning.SPIKE
-    assert (warnings[3560:3650] & SensorWarning.SATURATED).all()
-    assert not warnings[:1500].any()
-    assert 0.3 < np.median(found["model_mismatch"][found["force_status"] == 0]) < 3.0
-    assert "x saturated" in printed
-    assert "13: 10 x q is not finite" in printed
+    assert "12: 10 x q is not finite" in printed
     assert "1 x time does not advance" in printed
     assert "1 longer than 0.1 s (longest 0.151 s)" in printed
+
+
+def test_what_may_be_wrong_beyond_the_standard_deviation_is_reported(run, lwr, tmp_path):
+    columns = insertion(lwr)
+    columns["tau_Nm"][3500, 2] += 80.0
+    columns["tau_Nm"][3700:3800, 1] = lwr.effort_limit_Nm[1]
+    write_table(tmp_path / "log.npz", columns)
+    found, printed = run(str(tmp_path / "log.npz"), *TARE)
+    warnings = found["force_warnings"].astype(int)
+    assert warnings[3500] & SensorWarning.SPIKE
+    assert found["force_status"][3500] == 3
+    assert (warnings[3710:3800] & SensorWarning.SATURATED).all()
+    assert not warnings[:3000].any()
+    assert "x saturated" in printed
+    assert 0.3 < np.median(found["model_mismatch"][found["force_status"] == 0]) < 3.0
+    assert found["axial_N"][-1] == pytest.approx(AXIAL_N, abs=0.2)
 
 
 def test_a_clock_that_was_set_back_costs_a_few_rows_and_no_more(run, lwr, tmp_path):

@@ -28,85 +28,72 @@ def needle():
     return {name: getattr(run, name)[part] for name in names}
 
 
-def write(path, columns, **changes):
-    write_table(path, {**columns, **changes})
-    return str(path)
+@pytest.fixture
+def identify(needle, tmp_path, capsys):
+    """Run the command on the needle's columns; return table, printed layers and complaints."""
+
+    def run(*options, **changes):
+        log, out = tmp_path / "log.csv", tmp_path / "out.csv"
+        columns = {name: values for name, values in (needle | changes).items() if len(values)}
+        write_table(log, columns)
+        assert main(["identify", str(log), "-o", str(out), *options]) == 0
+        printed = capsys.readouterr()
+        names, *rows = (re.split(r"  +", line.strip()) for line in printed.out.splitlines())
+        layers = [dict(zip(names, row, strict=True)) for row in rows]
+        return np.genfromtxt(out, delimiter=",", names=True), layers, printed.err
+
+    return run
 
 
-def table_of(printed):
-    """The printed table of layers: one dictionary per layer."""
-    header, *lines = printed.splitlines()
-    names, *rows = (re.split(r"  +", line.strip()) for line in (header, *lines))
-    return [dict(zip(names, row, strict=True)) for row in rows]
-
-
-def test_layers_are_printed_and_table_and_figure_written(needle, tmp_path, capsys):
-    log, out, png = write(tmp_path / "log.csv", needle), tmp_path / "o.csv", tmp_path / "o.png"
-    assert main(["identify", log, "-o", str(out), "--png", str(png)]) == 0
-    (layer,) = table_of(capsys.readouterr().out)
+def test_layers_are_printed_and_table_and_figure_written(needle, identify, tmp_path):
+    png, pdf = tmp_path / "o.png", tmp_path / "depth.pdf"
+    table, (layer,), _ = identify("--png", str(png))
     assert "±" in layer["friction N"]
-    table = np.genfromtxt(out, delimiter=",", names=True)
     assert len(table) == len(needle["t_s"])
     assert np.count_nonzero(table["rupture"]) == 1
     assert table["identified_layer"][table["is_final"] == 1].tolist() == [1.0]
     assert np.all(table["used"] == 1)
     assert png.read_bytes()[:4] == b"\x89PNG"
-    figure = tmp_path / "depth.pdf"
-    argv = ["identify", log, "--figure", str(figure), "--over", "depth", "--to", "20"]
-    assert main(argv) == 0
-    assert figure.read_bytes().startswith(b"%PDF")
+    identify("--figure", str(pdf), "--over", "depth", "--to", "20")
+    assert pdf.read_bytes().startswith(b"%PDF")
 
 
 @pytest.mark.parametrize(
     ("method", "start_s"), [("multilayer", 1.7e9), ("published", 100.0), ("published-kv", 0.0)]
 )
 def test_every_method_gives_the_instant_of_the_alarm_on_the_logs_clock(
-    tmp_path, needle, capsys, method, start_s
+    needle, identify, method, start_s
 ):
-    log = write(tmp_path / "log.csv", needle, t_s=needle["t_s"] + start_s)
-    out = tmp_path / "out.csv"
-    assert main(["identify", log, "--method", method, "-o", str(out)]) == 0
-    rows = np.genfromtxt(out, delimiter=",", names=True)
+    rows, (layer,), _ = identify("--method", method, t_s=needle["t_s"] + start_s)
     alarm_s = rows["t_s"][rows["rupture"] > 0]
-    (layer,) = table_of(capsys.readouterr().out)
     assert float(layer["alarm s"]) == pytest.approx(alarm_s[0], abs=0.006)
 
 
-def test_a_wrong_sign_or_unit_of_the_force_gets_a_hint(needle, tmp_path, capsys):
-    log = write(tmp_path / "log.csv", needle, force_N=-needle["force_N"])
-    assert main(["identify", log, "--report", str(tmp_path / "page")]) == 0
-    assert "flip its sign; a factor of -1 after the unit does" in capsys.readouterr().err
+def test_a_wrong_sign_or_unit_of_the_force_gets_a_hint(needle, identify, tmp_path):
+    force_N = needle["force_N"]
+    *_, said = identify("--report", str(tmp_path / "page"), force_N=-force_N)
+    assert "flip its sign; a factor of -1 after the unit does" in said
     page = (tmp_path / "page" / "index.html").read_text(encoding="utf-8")
     assert "<p class=notice>Warning: " in page
     assert "flip its sign" in page
-    assert main(["identify", log, "--force", "force_N:N:-1"]) == 0
-    assert "flip" not in capsys.readouterr().err
-    columns = {"t_s": needle["t_s"], "depth_m": needle["depth_m"]}
-    force = 1e3 * needle["force_N"]
-    log = write(tmp_path / "mN.csv", columns, force=force)
-    assert main(["identify", log]) == 0
-    printed = capsys.readouterr().err
-    rejected = int((np.abs(force) > 200.0).sum())
-    assert f"rows that were rejected: {rejected} (force beyond any needle's" in printed
-    assert "in SI; if the file is in mN, say unit = 'mN'" in printed
-    assert main(["identify", log, "--force", "force:mN"]) == 0
-    assert "rejected" not in capsys.readouterr().err
+    assert "flip" not in identify("--force", "force_N:N:-1", force_N=-force_N)[2]
+    in_mN = {"speed_m_s": (), "force_N": (), "force": 1e3 * force_N}
+    *_, said = identify(**in_mN)
+    rejected = int((np.abs(in_mN["force"]) > 200.0).sum())
+    assert f"rows that were rejected: {rejected} (force beyond any needle's" in said
+    assert "in SI; if the file is in mN, say unit = 'mN'" in said
+    assert "rejected" not in identify("--force", "force:mN", **in_mN)[2]
 
 
-def test_a_clock_that_was_set_back_hides_no_layer(needle, tmp_path, capsys):
-    whole_s = needle["t_s"]
-    t_s = whole_s.copy()
+def test_a_clock_that_was_set_back_hides_no_layer(needle, identify):
+    whole_s, t_s = needle["t_s"], needle["t_s"].copy()
     half = int(np.searchsorted(needle["depth_m"], 0.004))
     t_s[half:] -= t_s[half]
+    rows, (layer,), said = identify(t_s=t_s, speed_m_s=())
+    assert "clock set back" in said
     columns = {name: needle[name] for name in ("depth_m", "force_N")}
-    log, out = write(tmp_path / "log.csv", {"t_s": t_s, **columns}), tmp_path / "out.csv"
-    assert main(["identify", log, "-o", str(out)]) == 0
-    printed = capsys.readouterr()
-    assert "clock set back" in printed.err
-    (layer,) = table_of(printed.out)
     expected_s = replay(whole_s, **columns).layers[0].rupture.time_s - whole_s[half]
     assert float(layer["rupture s"]) == pytest.approx(expected_s, abs=0.03)
-    rows = np.genfromtxt(out, delimiter=",", names=True)
     np.testing.assert_array_equal(rows["t_s"], t_s)
     assert 3 <= np.count_nonzero(rows["used"] == 0) <= 30
 
@@ -118,27 +105,19 @@ def test_the_codes_are_those_of_the_virtual_sensor_and_of_a_session():
     assert sum(WORTHLESS.values()) == session._NOT_USED
 
 
-def test_marked_rows_are_left_out_and_counted_and_a_users_own_status_is_none(
-    needle, tmp_path, capsys
-):
-    count, out = len(needle["t_s"]), str(tmp_path / "out.csv")
+def test_marked_rows_are_left_out_and_counted_and_a_users_own_status_is_none(needle, identify):
+    count = len(needle["t_s"])
     status, warnings = np.zeros((2, count))
     status[:4], warnings[4:6] = [0.0, 1.0, 2.0, 3.0], [5.0, 32.0 + 1.0]
-    log = write(tmp_path / "log.csv", needle, force_status=status, force_warnings=warnings)
-    assert main(["identify", log, "-o", out]) == 0
-    table = np.genfromtxt(out, delimiter=",", names=True)
-    assert table["used"][:7].tolist() == [1, 0, 0, 0, 1, 0, 1]
-    assert re.findall(r"were left out: (\d+)", capsys.readouterr().err) == ["3", "1"]
-    log = write(tmp_path / "log.csv", needle, status=np.ones(count))
-    assert main(["identify", log]) == 0
-    assert len(table_of(capsys.readouterr().out)) == 1
-    write(tmp_path / "log.csv", needle, force_warnings=np.full(count, 32))
-    assert main(["identify", log]) == 0
-    printed = capsys.readouterr()
-    assert f"velocity) were left out: {count}" in printed.err
-    assert "no rupture detected" in printed.out
-    assert main(["identify", log, "--ignore-status"]) == 0
-    assert len(table_of(capsys.readouterr().out)) == 1
+    rows, _, said = identify(force_status=status, force_warnings=warnings)
+    assert rows["used"][:7].tolist() == [1, 0, 0, 0, 1, 0, 1]
+    assert re.findall(r"were left out: (\d+)", said) == ["3", "1"]
+    assert len(identify(status=np.ones(count))[1]) == 1
+    marked = {"force_warnings": np.full(count, 32)}
+    _, layers, said = identify(**marked)
+    assert f"velocity) were left out: {count}" in said
+    assert layers == []
+    assert len(identify("--ignore-status", **marked)[1]) == 1
 
 
 def result(method="published-kv", **changes):

@@ -60,10 +60,14 @@ def start(*argv):
     )
 
 
+def piped(name, data):
+    argv = [*PROGRAM, name, "-", *OPTIONS[name], "-o", "-"]
+    return subprocess.run(argv, input=data, capture_output=True, check=False)
+
+
 def test_a_pipe_in_and_out_gives_the_bytes_of_the_file(case, tmp_path):
     name, path, expected = case
-    argv = [*PROGRAM, name, "-", *OPTIONS[name], "-o", "-"]
-    done = subprocess.run(argv, input=path.read_bytes(), capture_output=True, check=False)
+    done = piped(name, path.read_bytes())
     assert (done.returncode, done.stdout) == (0, expected), done.stderr
     assert SUMMARY[name].encode() in done.stderr
     (tmp_path / "table.csv").write_bytes(expected)
@@ -75,12 +79,10 @@ def test_a_pipe_in_and_out_gives_the_bytes_of_the_file(case, tmp_path):
 def test_a_bag_may_grow_or_come_through_a_pipe(logs, tmp_path, name):
     log, expected, out = (tmp_path / file for file in ("log.mcap", "expected.csv", "out.csv"))
     columns = read_table(logs / f"{name}.csv").columns
-    joints = {key: values for key, values in columns.items() if values.ndim == 2}
-    write_table(log, joints | {key: v for key, v in columns.items() if v.ndim == 1})
+    write_table(log, dict(sorted(columns.items(), key=lambda item: -item[1].ndim)))
     assert main([name, str(log), *OPTIONS[name], "-o", str(expected)]) == 0
     data = log.read_bytes()
-    argv = [*PROGRAM, name, "-", *OPTIONS[name], "-o", "-"]
-    done = subprocess.run(argv, input=data, capture_output=True, check=False)
+    done = piped(name, data)
     assert (done.returncode, done.stdout) == (0, expected.read_bytes())
     assert b"standard input is mcap, not text" in done.stderr
     writer = grow(tmp_path / "growing.mcap", in_pieces(data, 20), pause_s=0.05)

@@ -252,86 +252,71 @@ def test_of_a_long_table_few_rows_stay_and_the_extremes_and_a_short_one_is_kept_
     np.testing.assert_array_equal(overview.columns()["n"], np.arange(300))
 
 
-@pytest.fixture(scope="module")
-def joint_columns(lwr):
-    """Joint signals of a short insertion."""
-    columns = insertion(lwr)
-    return {name: columns[name] for name in ("t_s", "q_rad", "dq_rad_s", "tau_Nm")}
+@pytest.fixture
+def run(tmp_path, monkeypatch, capsys):
+    """Run a command in an empty folder; return what it prints."""
+    monkeypatch.chdir(tmp_path)
+
+    def run(*argv):
+        assert main([*argv]) == 0
+        return capsys.readouterr().out
+
+    return run
 
 
-def written(tmp_path, text):
-    path = tmp_path / "map.toml"
-    path.write_text(text, encoding="utf-8")
-    return path
+def written(text):
+    Path("map.toml").write_text(text, encoding="utf-8")
+    return "map.toml"
 
 
-def test_what_options_say_already_stands_in_the_mapping(tmp_path, capsys):
-    path = tmp_path / "log.csv"
-    path.write_text("Zeit;Weg;fz [mN]\n0;1;2\n1;2;3\n", encoding="utf-8")
-    argv = [str(path), "--time", "Zeit:ms", "--depth", "Weg:mm:-1", "--force", "fz [mN]"]
-    assert main(["identify", *argv, "--print-config"]) == 0
-    mapping = load_mapping(written(tmp_path, capsys.readouterr().out))
-    log = read_log(path, mapping, required=["depth", "force"])
+def test_what_options_say_already_stands_in_the_mapping(run, capsys):
+    Path("log.csv").write_text("Zeit;Weg;fz [mN]\n0;1;2\n1;2;3\n", encoding="utf-8")
+    columns = ["--time", "Zeit:ms", "--depth", "Weg:mm:-1", "--force", "fz [mN]"]
+    mapping = load_mapping(written(run("identify", "log.csv", *columns, "--print-config")))
+    log = read_log("log.csv", mapping, required=["depth", "force"])
     np.testing.assert_allclose(log.t_s, [0.0, 1e-3])
     np.testing.assert_allclose(log["depth_m"], [-1e-3, -2e-3])
     np.testing.assert_allclose(log["force_N"], [2e-3, 3e-3])
-    assert main(["identify", str(path), "--rate", "50", "--print-config"]) == 0
-    rate = load_mapping(written(tmp_path, capsys.readouterr().out))
+    rate = load_mapping(written(run("identify", "log.csv", "--rate", "50", "--print-config")))
     assert rate.rate_hz == 50.0
-    assert main(["identify", str(path), "--force", "nothing", "--print-config"]) == 2
+    assert main(["identify", "log.csv", "--force", "nothing", "--print-config"]) == 2
     assert "no column 'nothing'" in capsys.readouterr().err
 
 
-def test_the_commands_print_edit_and_read_it(tmp_path, joint_columns, lwr, capsys, monkeypatch):
-    monkeypatch.chdir(tmp_path)
-    order = [6, 5, 4, 3, 2, 1, 0]
-    turned = joint_columns | {
-        n: joint_columns[n][:, order] for n in ("q_rad", "dq_rad_s", "tau_Nm")
-    }
-    names = tuple(lwr.joint_names[i] for i in order)
-    write_table("log.mcap", turned, labels=Labels(joint_names=names))
-    write_table("log.csv", joint_columns)
-    assert main(["force", "log.mcap", "--print-config"]) == 0
-    text = capsys.readouterr().out
+def test_the_commands_print_edit_and_read_it(run, lwr):
+    columns = insertion(lwr)
+    table = {name: columns[name] for name in ("t_s", "q_rad", "dq_rad_s", "tau_Nm")}
+    turned = {k: v[..., ::-1] if v.ndim == 2 else v for k, v in table.items()}
+    write_table("log.mcap", turned, labels=Labels(joint_names=lwr.joint_names[::-1]))
+    write_table("log.csv", table)
+    text = run("force", "log.mcap", "--print-config")
     assert tomllib.loads(text)["joints"] == list(lwr.joint_names)
     assert tomllib.loads(text)["payload"]["needle"]["needle_mass_kg"] == 0.068
-    edited = written(tmp_path, text.replace("scale = 1.0  # -1.0", "scale = -1.0  # -1.0"))
-    tare = ["--tare", "0:2.5"]
+    edited = written(text.replace("scale = 1.0  # -1.0", "scale = -1.0  # -1.0"))
     results = []
     for options in (
-        ["log.csv", "-o", "a.npz", *tare],
-        ["log.mcap", "-o", "b.npz", *tare],
-        ["log.mcap", "-o", "c.npz", "--no-tare", "--mapping", str(edited)],
+        ["log.csv", "-o", "a.npz", "--tare", "0:2.5"],
+        ["log.mcap", "-o", "b.npz", "--tare", "0:2.5"],
+        ["log.mcap", "-o", "c.npz", "--no-tare", "--mapping", edited],
     ):
-        assert main(["force", *options]) == 0
+        run("force", *options)
         results.append(np.load(options[2])["axial_N"])
     np.testing.assert_allclose(results[1], results[0], atol=1e-9)
     assert not np.allclose(results[2], results[0], equal_nan=True)
-    capsys.readouterr()
-    assert main(["identify", "b.npz", "--print-config"]) == 0
-    content = tomllib.loads(capsys.readouterr().out)
+    content = tomllib.loads(run("identify", "b.npz", "--print-config"))
     assert content["force"]["columns"] == "axial_N"
     assert content["depth"]["columns"] == "travel_m"
 
 
-@pytest.mark.parametrize(
-    ("lines", "options", "summary", "printed"),
-    [
+def test_the_payload_may_stand_in_the_mapping(run, lwr):
+    write_table("log.npz", {name: insertion(lwr)[name] for name in ("t_s", "q_rad", "tau_Nm")})
+    for lines, options, summary, printed in (
         ("joints = []", [], "payload 0.304 kg", "needle_mass_kg = 0.068"),
         ('payload = "none"', [], "payload 0 kg", 'payload = "none"'),
         ('payload = "none"', ["--payload", "needle"], "payload 0.304 kg", "[payload.needle]"),
         ("[payload]\nmass_kg = 1.5\ncom_m = [0, 0, 0.1]", [], "payload 1.5 kg", "mass_kg = 1.5"),
         ("[payload.needle]\nsensor_mass_kg = 0.0", [], "payload 0.068 kg", "sensor_mass_kg = 0.0"),
-    ],
-)
-def test_the_payload_may_stand_in_the_mapping(
-    tmp_path, joint_columns, capsys, monkeypatch, lines, options, summary, printed
-):
-    monkeypatch.chdir(tmp_path)
-    write_table("log.npz", joint_columns)
-    mapping = written(tmp_path, lines)
-    argv = ["force", "log.npz", "--mapping", str(mapping), *options]
-    assert main([*argv, "--no-tare"]) == 0
-    assert summary in capsys.readouterr().out.splitlines()[0]
-    assert main([*argv, "--print-config"]) == 0
-    assert printed in capsys.readouterr().out
+    ):
+        argv = ["force", "log.npz", "--mapping", written(lines), *options]
+        assert summary in run(*argv, "--no-tare").splitlines()[0]
+        assert printed in run(*argv, "--print-config")

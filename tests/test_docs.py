@@ -1,7 +1,9 @@
 """README and docs say what there is: examples run, commands exist, links lead somewhere."""
 
+import gc
 import io
 import re
+import runpy
 from contextlib import redirect_stdout
 from pathlib import Path
 
@@ -15,6 +17,14 @@ from residual.estimate import UNSEEN_STD
 from residual.velocity_estimator import VelocityEstimator
 
 ROOT = Path(__file__).parents[1]
+SAYS = {
+    "controller_loop": (
+        r"(?s).*layer 1 ruptured at 3\d.\d mm.*at most \d\.\d\d N.*; 0 samples rejected"
+    ),
+    "own_torque_estimate": r"at most 0\.\d\d N; the gel is 2[789]\.\d mm thick",
+    "stop_and_resume": r"both read -?\d\.\d{6} N in the end",
+}
+"""What the files in examples/ print."""
 PAGES = sorted([ROOT / "README.md", *(ROOT / "docs").glob("*.md")])
 README = (ROOT / "README.md").read_text(encoding="utf-8")
 LOOP = (ROOT / "docs" / "loop.md").read_text(encoding="utf-8")
@@ -48,6 +58,18 @@ def test_the_readmes_example_finds_the_layers():
         assert found.thickness_m == pytest.approx(true.thickness_m, abs=1e-3)
     assert said.count("rupture of layer") == len(truth)
     assert len(re.findall(r"mm, friction \d\.\d\d ± \d\.\d\d N", said)) == len(truth)
+
+
+@pytest.mark.parametrize("name", SAYS)
+def test_an_example_is_short_runs_and_says_what_it_found(name, capsys):
+    assert sorted(path.stem for path in ROOT.glob("examples/*.py")) == sorted(SAYS)
+    example = ROOT / "examples" / f"{name}.py"
+    assert len(example.read_text(encoding="utf-8").splitlines()) <= 40
+    try:
+        runpy.run_path(str(example), run_name="__main__")
+    finally:
+        gc.unfreeze()
+    assert re.match(SAYS[name], capsys.readouterr().out)
 
 
 def test_the_readme_is_short_and_its_first_screen_says_what_and_for_whom():

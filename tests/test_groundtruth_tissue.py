@@ -63,39 +63,25 @@ def test_membrane_stiffens_up_to_its_puncture_force(hardening, u):
 def test_calibrated_friction_is_the_measured_one_at_its_speed_and_odd_in_speed(
     force, speed, fraction
 ):
-    friction = ShaftFriction.calibrated(
-        force_N_per_m=force,
-        reference_speed_m_s=speed,
-        coulomb_fraction=fraction,
-        presliding_m=1e-4,
-    )
+    measured = {"force_N_per_m": force, "reference_speed_m_s": speed, "presliding_m": 1e-4}
+    friction = ShaftFriction.calibrated(**measured, coulomb_fraction=fraction)
     assert friction.sliding_N_per_m(speed) == pytest.approx(force)
     assert friction.sliding_N_per_m(-speed) == -friction.sliding_N_per_m(speed)
     assert friction.sliding_N_per_m(0.0) == 0.0
     assert friction.equivalent_viscous_Ns_per_m2 * speed == pytest.approx(force)
 
 
-@pytest.mark.parametrize(
-    ("good", "field", "value"),
-    [
-        *((gel(50), name, 0.0) for name in ("thickness_m", "release_m")),
-        *((gel(50), name, -0.1) for name in ("exit_force_N", "stiffening")),
-        (gel(50), "cutting_fraction", 1.1),
-        (gel(50), "relaxed_fraction", float("nan")),
-        *((MEMBRANE, name, 0.0) for name in ("puncture_N", "release_m")),
-        (MEMBRANE, "indentation_m", -1e-3),
-        (MEMBRANE, "hardening", 1.5),
-        *((FRICTION, name, 0.0) for name in ("presliding_m", "reference_speed_m_s")),
-        (FRICTION, "coulomb_N_per_m", -1.0),
-        (FRICTION, "viscous_Ns_per_m2", float("nan")),
-    ],
-)
-def test_what_no_tissue_has_is_refused_by_name(good, field, value):
-    with pytest.raises(TissueError, match=field):
-        replace(good, **{field: value})
-
-
-def test_layers_that_cannot_be_made_are_refused():
+def test_what_no_tissue_has_is_refused_by_name():
+    nan = float("nan")
+    layer = {"thickness_m": 0.0, "release_m": 0.0, "exit_force_N": -1.0, "stiffening": -0.1}
+    layer |= {"cutting_fraction": 1.1, "relaxed_fraction": nan}
+    membrane = {"puncture_N": 0.0, "release_m": 0.0, "indentation_m": -1e-3, "hardening": 1.5}
+    friction = {"coulomb_N_per_m": -1.0, "viscous_Ns_per_m2": nan}
+    friction |= {"presliding_m": 0.0, "reference_speed_m_s": 0.0}
+    for good, bad in ((gel(50), layer), (MEMBRANE, membrane), (FRICTION, friction)):
+        for field, value in bad.items():
+            with pytest.raises(TissueError, match=field):
+                replace(good, **{field: value})
     with pytest.raises(TissueError, match="make it thicker"):
         replace(bovine_liver(), thickness_m=12e-3)
     with pytest.raises(TissueError, match="25, 50 and 70"):

@@ -1,12 +1,15 @@
 """The rules of the project: size, names, public names, docstrings, nothing private."""
 
 import ast
+import pkgutil
 import re
 import subprocess
 import tomllib
+from dataclasses import fields, is_dataclass
 from importlib import import_module
 from pathlib import Path
 
+import numpy as np
 import pytest
 
 ROOT = Path(__file__).resolve().parents[1]
@@ -173,6 +176,28 @@ def test_a_library_has_a_public_face_types_and_one_base_error(package_name):
     assert all(issubclass(error, bases[0]) for error in own)
     assert bases[0].__name__ in package.__all__
     assert (ROOT / package_name / "py.typed").is_file()
+
+
+def with_arrays():
+    """Every dataclass of the estimators with a field that is an array."""
+    for package in map(import_module, ("identification", "residual")):
+        for info in pkgutil.iter_modules(package.__path__, f"{package.__name__}."):
+            module = None if "__main__" in info.name else import_module(info.name)
+            for kind in vars(module).values() if module else ():
+                is_own = isinstance(kind, type) and kind.__module__ == info.name
+                if is_own and is_dataclass(kind) and re.search("[aA]rray", str(fields(kind))):
+                    yield kind
+
+
+@pytest.mark.parametrize("kind", list(with_arrays()), ids=lambda kind: kind.__name__)
+def test_frozen_dataclasses_with_arrays_are_compared_and_hashed_by_identity(kind):
+    one, other = object.__new__(kind), object.__new__(kind)
+    for made in (one, other):
+        for field in fields(kind):
+            object.__setattr__(made, field.name, np.ones(2))
+    assert one == one
+    assert one != other
+    assert len({one, other}) == 2
 
 
 def undocumented(tree):
