@@ -8,7 +8,7 @@ from benchmarks.signals import JointSignals, measured_travel
 from identification import MultilayerConfig, SampleStatus
 from identification.input_validation import CheckConfig
 from needleforce import InsertionError, InsertionSession
-from residual import DEFAULT, SensorWarning, Status, TareError
+from residual import DEFAULT, PUBLISHED, SensorWarning, Status, TareError
 from residual.tool_kinematics import ToolKinematics
 
 RUN = short_run()
@@ -161,6 +161,13 @@ def test_speed_lag_smooths_the_speed_over_the_true_time(whole):
 def test_settings_that_cannot_work_are_refused_with_a_sentence(arguments, options, match):
     with pytest.raises(InsertionError, match=match):
         InsertionSession(*arguments, **options)
+
+
+def test_the_published_settings_run_through(lwr):
+    session = InsertionSession(lwr, PUBLISHED)
+    for _ in range(10):
+        estimate = session.update(Q, np.zeros(7), np.zeros(7), 1e-3)
+    assert estimate.wrench.covariance.shape == (6, 6)
 
 
 @pytest.mark.parametrize("dt_s", [-10.0, 1.8e9, np.nan, None])
