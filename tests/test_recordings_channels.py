@@ -37,11 +37,11 @@ def table_of(*names, **two_dimensional):
 
 
 def found(table, pattern):
-    return [column.name for column in find_columns(table, pattern)]
+    return [name for name, _ in find_columns(table, pattern)]
 
 
 def detected(table, channel):
-    return [column.name for column in detect_columns(table, CHANNELS[channel])]
+    return [name for name, _ in detect_columns(table, CHANNELS[channel])]
 
 
 @pytest.mark.parametrize(

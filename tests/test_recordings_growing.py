@@ -36,7 +36,7 @@ from needleforce.recordings import (
     read_log,
 )
 from needleforce.recordings.bag_messages import MAGIC, NONE_YET, read_messages
-from needleforce.recordings.bag_reader import JoinedRows, bag_info
+from needleforce.recordings.bag_reader import Bag, JoinedRows, survey
 from needleforce.recordings.errors import MAX_BYTES
 from needleforce.recordings.follow import FollowOptions
 from needleforce.recordings.mapping import ChannelRequest
@@ -210,11 +210,12 @@ def test_rows_do_not_wait_for_a_topic_that_has_gone(tmp_path):
 
 
 def test_while_the_clock_is_silent_what_other_topics_bring_does_not_fill_memory(tmp_path):
-    info = bag_info(write_bag(tmp_path / "bag", arm_and_force(200)))
+    bag = Bag(write_bag(tmp_path / "bag", arm_and_force(200)))
+    assert survey(bag) is None
     wanted = ChannelRequest(mapping=ColumnMapping(reference_topic="/joint_states"))
     columns = frozenset({"/joint_states/position", "/ft/force_xyz"})
-    joined = JoinedRows(info, wanted, columns)
-    whole = list(read_messages(info.path, [], MAX_BYTES))
+    joined = JoinedRows(bag, wanted, columns)
+    whole = list(read_messages(bag.path, [], MAX_BYTES))
     force = next(message for message in whole if message.topic.name == "/ft")
 
     def messages():

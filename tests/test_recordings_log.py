@@ -15,7 +15,6 @@ from hypothesis.extra import numpy as hnp
 from needleforce import recordings
 from needleforce.recordings import (
     ColumnError,
-    ColumnMapping,
     ColumnSpec,
     FormatError,
     Log,
@@ -29,8 +28,6 @@ from needleforce.recordings import (
 from needleforce.recordings.channels import CHANNELS
 from needleforce.recordings.follow import FollowOptions
 from needleforce.recordings.log import LogStream
-from needleforce.recordings.mapping import ChannelRequest
-from needleforce.recordings.open_recording import log_of as log_of_table
 from needleforce.recordings.open_recording import stream_tables
 from needleforce.recordings.table import RowClock, start_of_clock, to_nanoseconds, to_seconds
 
@@ -230,10 +227,7 @@ def real(name):
 
 def log_of(mapping=None, required=(), optional=(), constants=None, **columns):
     table = Table(columns=columns, constants=constants or {})
-    request = ChannelRequest(
-        mapping=mapping or ColumnMapping(), required=tuple(required), optional=tuple(optional)
-    )
-    return log_of_table(table, request)
+    return LogStream([table], mapping, required=required, optional=optional).joined()
 
 
 T = np.arange(3.0) / 100

@@ -232,17 +232,6 @@ def test_estimates_are_a_wrench_and_numbers(path):
     assert axial == columns["axial_N"].tolist()
 
 
-def test_events_are_diagnostic_messages_where_a_value_changes(path):
-    texts = ("", "begun", "layer {}")
-    with open_table(path, labels=lambda: Labels(events={"status": texts})) as table:
-        for value in (0, 0, 1, 1, 3, 3):
-            table.append({"t_s": [0.1], "status": np.array([value])})
-    reported = [message.status[0] for _, message in messages_of(path, "/diagnostics")]
-    assert [status.message for status in reported] == ["begun", "layer 3"]
-    assert [status.level for status in reported] == [1, 1]
-    assert reported[1].values[0].value == "3"
-
-
 def test_metadata_and_definitions_are_there(path):
     columns = {k: v for k, v in joint_columns().items() if k != "dq_rad_s"}
     write_table(path, columns)

@@ -13,13 +13,6 @@ from needleforce.recordings import check_writable, write_table
 from needleforce.recordings.output import check_output_paths
 from needleforce.recordings.table import Labels
 
-_EVENTS = {
-    "layer": ("above the tissue", "in layer {}"),
-    "rupture": ("", "layer {} ruptures"),
-    "surface_rupture": ("", "the membrane on the surface ruptures"),
-}
-"""Columns of the ground truth in words, see `Labels`."""
-
 
 def run(scenario: str | None, options: SimulationOptions) -> int:
     """Simulate a scenario and write what was asked for; return the exit code."""
@@ -36,7 +29,7 @@ def run(scenario: str | None, options: SimulationOptions) -> int:
     if options.output is not None:
         write_table(options.output, signal_table(made), labels=Labels(joint_names=names))
     if options.truth is not None:
-        labels = Labels(joint_names=names, prefix="/truth", events=_EVENTS)
+        labels = Labels(joint_names=names, prefix="/truth")
         write_table(options.truth, truth_table(made), labels=labels)
     write_out(_summary(made, options.output))
     return 0

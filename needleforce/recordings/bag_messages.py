@@ -1,13 +1,17 @@
 """The messages of a ROS 2 bag as bytes: `rosbags` reads SQLite, `mcap` the records of MCAP."""
 
+import heapq
 import io
 import re
+import struct
 from collections.abc import Iterator
+from operator import attrgetter
 from pathlib import Path
 from typing import Any, NamedTuple
 from zlib import crc32
 
 from needleforce.recordings.errors import (
+    PART,
     FileAccessError,
     FormatError,
     file_errors,
@@ -18,8 +22,6 @@ from needleforce.recordings.errors import (
 from needleforce.recordings.follow import FollowOptions, byte_blocks
 
 BAG_SUFFIXES = (".mcap", ".db3")
-_PART = 8
-"""One chunk or message may take this fraction (1/8) of `max_bytes`."""
 _LATEST_NS = (1 << 63) - 1
 
 
@@ -80,18 +82,22 @@ def read_messages(
             each time before more is waited for. None to read what there is.
     """
     optional_library("rosbags.typesys", "ROS 2 bags")
-    for file in bag_files(path):
+
+    def messages(file: Path) -> Iterator[RawMessage]:
         found: list[str] = []
         try:
             with file_errors(file):
                 if file.name.lower().endswith(".db3"):
                     yield from _sqlite_messages(readable_path(file), found)
                 else:
-                    yield from _McapReader(file, found, max_bytes // _PART).messages(options)
+                    yield from _McapReader(file, found, max_bytes // PART).messages(options)
         except FormatError as error:
             raise FormatError(f"{file} {error}") from error
         finally:
-            faults += [f"{file.name} {fault}" for fault in found]
+            faults.extend(f"{file.name} {fault}" for fault in found)
+
+    # Those of a split bag follow each other; those that were recorded side by side are merged.
+    return heapq.merge(*map(messages, bag_files(path)), key=attrgetter("log_ns"))
 
 
 def _unpacked(packed: bytes, compression: str, size: int) -> bytes:
@@ -117,10 +123,12 @@ def _unpacked(packed: bytes, compression: str, size: int) -> bytes:
 
 
 MAGIC = b"\x89MCAP0\r\n"
-_CHUNK, _LAST, _PRIVATE = 0x06, 0x0F, 0x80
-"""Numbers of records: none lies between the end of the data, the last, and private ones."""
-_HEAD = 9
-"""Bytes of number and size, with which a record begins."""
+_HEAD = struct.Struct("<BQ")
+"""Number and size, with which a record begins."""
+_MESSAGE_HEAD = struct.Struct("<HIQQ")
+"""Channel, sequence, when it was recorded and published."""
+_SCHEMA, _CHANNEL, _MESSAGE, _CHUNK, _DATA_END, _PRIVATE = 0x03, 0x04, 0x05, 0x06, 0x0F, 0x80
+"""Numbers of records: none lies between the end of the data and private ones."""
 
 
 class _McapReader:
@@ -130,7 +138,8 @@ class _McapReader:
     """
 
     def __init__(self, path: Path, faults: list[str], limit: int) -> None:
-        self._library = optional_library("mcap.stream_reader", "MCAP files")
+        self._library = optional_library("mcap.records", "MCAP files")
+        self._stream = optional_library("mcap.data_stream", "MCAP files").ReadDataStream
         self._path, self._faults, self._limit = path, faults, limit
         self._schemas: dict[int, tuple[str, str]] = {}
         self._channels: dict[int, BagTopic] = {}
@@ -138,7 +147,7 @@ class _McapReader:
 
     def messages(self, options: FollowOptions | None) -> Iterator[RawMessage]:
         """Yield the messages, and `NONE_YET` before more of a growing file is waited for."""
-        held, growing = bytearray(), options is not None
+        held, growing = b"", options is not None
         options = options or FollowOptions()
         for block in byte_blocks(self._path, options, with_pauses=growing):
             if not block:
@@ -147,8 +156,11 @@ class _McapReader:
             if not self._at and len(held) >= len(MAGIC):
                 _require_magic(held, MAGIC, "MCAP")
                 self._at = len(MAGIC)
-                del held[: self._at]
-            yield from self._whole_records(held)
+                held = held[self._at :]
+            if self._at:
+                start = self._at
+                yield from self._records(held)
+                held = held[self._at - start :]
             if self._is_over:
                 return
         if not self._at:
@@ -156,73 +168,66 @@ class _McapReader:
         # A growing file may end after any record, and anywhere if it is the user who stops.
         if not growing or (held and not options.should_stop()):
             self._faults.append("is cut short")
-        yield from self._piece_of_chunk(bytes(held))
-
-    def _whole_records(self, held: bytearray) -> Iterator[RawMessage]:
-        """Take the records that are there whole, since the parser cannot wait."""
-        while self._at and len(held) >= _HEAD:
-            end = self._end(held)
-            if not end:
-                self._is_over = True
-                self._faults.append(f"is damaged at byte {self._at}; what follows cannot be read")
-            if self._is_over or end > len(held):
-                return
-            record = self._record(bytes(held[:end]))
-            self._is_over = isinstance(record, self._library.DataEnd)
-            yield from self._wanted(record)
-            del held[:end]
-            self._at += end
-
-    def _piece_of_chunk(self, held: bytes) -> Iterator[RawMessage]:
-        """Yield the messages of a chunk that goes on after the end of the file."""
-        if len(held) > _HEAD and held[0] == _CHUNK:
-            missing = self._end(held) - len(held)
-            chunk = self._record(held + bytes(missing))
+        if len(held) > _HEAD.size and held[0] == _CHUNK:
             # The data are the last part of a chunk.
-            if chunk is not None and missing < len(chunk.data):
-                chunk.data = chunk.data[:-missing]
-                yield from self._chunk(chunk, is_whole=False)
+            yield from self._taken(_CHUNK, held[_HEAD.size :], is_whole=False)
 
-    def _end(self, held: bytes | bytearray) -> int:
-        """Return where a record ends, or 0: after a lost byte any bytes stand for one."""
-        opcode, size = held[0], int.from_bytes(held[1:_HEAD], "little")
-        if self._limit < size <= self._path.stat().st_size:
-            require_size(size, self._limit, "holds a record that")
-        is_known = 0 < opcode <= _LAST or opcode >= _PRIVATE
-        is_possible = is_known and size <= self._limit and (opcode != _LAST or size == 4)
-        return (_HEAD + size) * is_possible
+    def _records(self, held: bytes) -> Iterator[RawMessage]:
+        """Take the records that are there whole, and move on behind them."""
+        at = 0
+        while len(held) - at >= _HEAD.size:
+            opcode, size = _HEAD.unpack_from(held, at)
+            if self._limit < size <= self._path.stat().st_size:
+                require_size(size, self._limit, "holds a record that")
+            # After a lost byte any bytes stand for a record.
+            is_known = 0 < opcode <= _DATA_END or opcode >= _PRIVATE
+            if not is_known or size > self._limit or (opcode == _DATA_END and size != 4):
+                self._faults.append(f"is damaged at byte {self._at}; what follows cannot be read")
+                self._is_over = True
+                return
+            end = at + _HEAD.size + size
+            if end > len(held):
+                return
+            yield from self._taken(opcode, held[at + _HEAD.size : end])
+            self._at += end - at
+            at = end
+            if opcode == _DATA_END:
+                self._is_over = True
+                return
 
-    def _parser(self, stream: io.BytesIO) -> Iterator[Any]:
-        return self._library.StreamReader(stream, skip_magic=True, emit_chunks=True).records
-
-    def _record(self, data: bytes) -> Any:
-        """Return a record; None for one of no known kind, or a damaged one."""
-        try:
-            return next(self._parser(io.BytesIO(data)), None)
-        except Exception:
-            # Damaged bytes end in whatever the parser runs into.
-            self._faults += ["has a damaged record"] * (data[0] < _PRIVATE)
-            return None
-
-    def _wanted(self, record: Any) -> Iterator[RawMessage]:
+    def _taken(self, opcode: int, data: bytes, *, is_whole: bool = True) -> Iterator[RawMessage]:
         """Yield the messages in a record, and learn schemas and channels."""
-        library = self._library
-        if isinstance(record, library.Message):
-            topic = self._channels.get(record.channel_id)
-            if topic is None or record.log_time > _LATEST_NS:
-                self._faults[:] = dict.fromkeys((*self._faults, "has damaged messages"))
+        if opcode == _MESSAGE:
+            yield from self._message(data)
+        elif opcode in (_SCHEMA, _CHANNEL, _CHUNK):
+            kind = {_SCHEMA: "Schema", _CHANNEL: "Channel", _CHUNK: "Chunk"}[opcode]
+            try:
+                record = getattr(self._library, kind).read(self._stream(io.BytesIO(data)))
+            except Exception:
+                # Damaged bytes end in whatever the parser runs into.
+                self._faults += ["has a damaged record"] * is_whole
+                return
+            if opcode == _SCHEMA:
+                text = record.data.decode(errors="replace") if record.encoding == "ros2msg" else ""
+                self._schemas[record.id] = record.name, text
+            elif opcode == _CHANNEL:
+                kind, text = self._schemas.get(record.schema_id, ("", ""))
+                topic = BagTopic(record.topic, kind, record.message_encoding, text)
+                self._channels[record.id] = topic
             else:
-                yield RawMessage(topic, record.log_time, record.data)
-        elif isinstance(record, library.Chunk):
-            yield from self._chunk(record)
-        elif isinstance(record, library.Schema):
-            text = record.data.decode(errors="replace") if record.encoding == "ros2msg" else ""
-            self._schemas[record.id] = record.name, text
-        elif isinstance(record, library.Channel):
-            kind, text = self._schemas.get(record.schema_id, ("", ""))
-            self._channels[record.id] = BagTopic(record.topic, kind, record.message_encoding, text)
+                yield from self._chunk(record, is_whole=is_whole)
 
-    def _chunk(self, chunk: Any, *, is_whole: bool = True) -> Iterator[RawMessage]:
+    def _message(self, data: bytes) -> Iterator[RawMessage]:
+        # By hand, since the parser of the library takes ten times as long.
+        is_whole = len(data) >= _MESSAGE_HEAD.size
+        channel, _, log_ns, _ = _MESSAGE_HEAD.unpack_from(data) if is_whole else (0, 0, 0, 0)
+        topic = self._channels.get(channel)
+        if is_whole and topic is not None and log_ns <= _LATEST_NS:
+            yield RawMessage(topic, log_ns, data[_MESSAGE_HEAD.size :])
+        elif "has damaged messages" not in self._faults:
+            self._faults.append("has damaged messages")
+
+    def _chunk(self, chunk: Any, *, is_whole: bool) -> Iterator[RawMessage]:
         data, size = chunk.data, chunk.uncompressed_size
         require_size(size, self._limit, "holds a chunk that")
         if chunk.compression:
@@ -230,21 +235,19 @@ class _McapReader:
         if is_whole and chunk.uncompressed_crc and crc32(data) != chunk.uncompressed_crc:
             self._faults.append("has a chunk whose checksum is wrong, which was left out")
             return
-        stream, done = io.BytesIO(data), 0
-        try:
-            for record in self._parser(stream):
-                done = stream.tell()
-                if not isinstance(record, self._library.Chunk):
-                    yield from self._wanted(record)
-        except Exception:
-            # So ends every chunk, since none has a footer.
-            if is_whole and done < size:
-                self._faults.append(
-                    f"has a damaged chunk, of which {done} of {size} bytes are right"
-                )
+        at = 0
+        while len(data) - at >= _HEAD.size:
+            opcode, length = _HEAD.unpack_from(data, at)
+            end = at + _HEAD.size + length
+            if end > len(data) or opcode == _CHUNK:
+                break
+            yield from self._taken(opcode, data[at + _HEAD.size : end])
+            at = end
+        if is_whole and at < size:
+            self._faults.append(f"has a damaged chunk, of which {at} of {size} bytes are right")
 
 
-def _require_magic(head: bytes | bytearray, magic: bytes, what: str) -> None:
+def _require_magic(head: bytes, magic: bytes, what: str) -> None:
     if not head:
         raise FormatError("is empty")
     if not head.startswith(magic[: len(head)]):
@@ -275,10 +278,12 @@ def _sqlite_messages(path: Path, faults: list[str]) -> Iterator[RawMessage]:
                 text = found.msgdef.data if found.msgdef.format.name == "MSG" else ""
                 encoding = str(found.ext.serialization_format)
                 topics[found.id] = BagTopic(found.topic, found.msgtype, encoding, text)
-                _require_type(str, found.topic, found.msgtype)
+                if not isinstance(found.topic, str) or not isinstance(found.msgtype, str):
+                    raise TypeError(f"topic {found.topic!r:.40} has no name")
             for connection, log_ns, data in reader.messages():
-                _require_type(int, log_ns)
-                _require_type(bytes, data)
+                # In SQLite any value may stand in any column.
+                if type(log_ns) is not int or type(data) is not bytes:
+                    raise TypeError(f"message {log_ns!r:.40} is no time stamp and bytes")
                 yield RawMessage(topics[connection.id], log_ns, data)
     except (FileAccessError, FormatError):
         raise
@@ -292,13 +297,6 @@ def _sqlite_messages(path: Path, faults: list[str]) -> Iterator[RawMessage]:
             f"is cut short or damaged ({error}); its messages may be had with: "
             f"sqlite3 {path.name} .recover | sqlite3 recovered.db3"
         ) from error
-
-
-def _require_type(kind: type, *values: object) -> None:
-    # In SQLite any value may stand in any column.
-    for value in values:
-        if not isinstance(value, kind):
-            raise TypeError(f"{value!r:.40} where there should be {kind.__name__}")
 
 
 def require_sqlite_name(path: Path, verb: str) -> None:

@@ -1,6 +1,7 @@
 """The bytes of a file, of a pipe, or of a file that still grows, as they come."""
 
 import codecs
+import gzip
 import io
 import os
 import select
@@ -9,11 +10,12 @@ import sys
 import tempfile
 import time
 import zlib
-from collections.abc import Callable, Generator, Iterable, Iterator
+from collections.abc import Callable, Iterable, Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass
 from itertools import chain
 from pathlib import Path
+from typing import Any
 
 from needleforce.recordings.errors import (
     FileAccessError,
@@ -43,14 +45,14 @@ class FollowOptions:
         follow: whether a file is read on when its end is reached, because it grows.
         idle_s: stop when nothing came for this long; None to wait for ever.
         should_stop: asked before more is read; True to stop.
-        advance: gets how many more bytes were read.
+        progress: gets the share of the recording that was read, where it is known.
         warn: gets in words why reading ended before the user wanted it to.
     """
 
     follow: bool = False
     idle_s: float | None = None
     should_stop: Callable[[], bool] = lambda: False
-    advance: Callable[[float], None] = lambda more: None
+    progress: Callable[[float], None] = lambda share: None
     warn: Callable[[str], None] = lambda text: None
 
 
@@ -92,7 +94,8 @@ def _blocks(handle: int, options: FollowOptions, path: Path | None) -> Iterator[
             if block:
                 done += len(block)
                 tail = (tail + block)[-_CHECKED_TAIL:]
-                options.advance(len(block))
+                if is_file and not follows:
+                    options.progress(done / max(os.fstat(handle).st_size, 1))
                 yield block
                 last_s = time.monotonic()
                 if len(block) < _SMALL:
@@ -136,9 +139,24 @@ def _is_replaced(
 
 
 _GZIP = b"\x1f\x8b"
-_GZIP_WINDOW = 31  # zlib's code for "expect a gzip header"
 _LONGEST_LINE = 1 << 24  # characters
 _MOST_NULS = 1 << 32
+
+
+class _RawBlocks(io.RawIOBase):
+    """Blocks of bytes as a stream that can be read, which gives what has come, not more."""
+
+    def __init__(self, blocks: Iterable[bytes]) -> None:
+        self._blocks, self._held = iter(blocks), b""
+
+    def readable(self) -> bool:
+        return True
+
+    def readinto(self, buffer: Any) -> int:
+        data = self._held or next(self._blocks, b"")
+        taken, self._held = data[: len(buffer)], data[len(buffer) :]
+        buffer[: len(taken)] = taken
+        return len(taken)
 
 
 class TextLines:
@@ -172,15 +190,12 @@ class TextLines:
                 raise FormatError("it is not text; expected CSV")
             yield from self._split(self._text(text, is_last=False), is_last=False)
         yield from self._split(self._text(b"", is_last=True), is_last=True)
+        lost = f"what follows line {self._count} is lost"
         if self._nuls:
-            self.warnings.append(
-                f"the file ends in {self._nuls} NUL bytes, as power loss may leave them; what "
-                f"follows line {self._count} is lost"
-            )
+            what = f"{self._nuls} NUL bytes, as power loss may leave them"
+            self.warnings.append(f"the file ends in {what}; {lost}")
         if self._fault:
-            self._fault = (
-                f"the compressed file {self._fault}; what follows line {self._count} is lost"
-            )
+            self._fault = f"the compressed file {self._fault}; {lost}"
             if "damaged" in self._fault:
                 self._fault += (
                     ", and lines before it may be wrong: gzip shows that there is damage, not where"
@@ -200,35 +215,23 @@ class TextLines:
 
     def _unpacked(self) -> Iterator[bytes]:
         """Yield blocks, of at most `BLOCK` bytes if they are compressed."""
-        data = b""
-        while len(data) < len(_GZIP) and (more := next(self._blocks, b"")):
-            data += more
-        if not data.startswith(_GZIP):
-            yield from (block for block in chain([data], self._blocks) if block)
+        head = b""
+        while len(head) < len(_GZIP) and (more := next(self._blocks, b"")):
+            head += more
+        blocks = chain([head] if head else [], self._blocks)
+        if not head.startswith(_GZIP):
+            yield from blocks
             return
-        while data.startswith(_GZIP) and not self._fault:
-            data = yield from self._member(data)
-            # Appended members, as `cat a.gz b.gz` or a logger that reopens its file gives.
-            while len(data) < len(_GZIP) and (more := next(self._blocks, b"")):
-                data += more
-
-    def _member(self, data: bytes) -> Generator[bytes, None, bytes]:
-        """Yield the content of a gzip member; return what follows it."""
-        member = zlib.decompressobj(_GZIP_WINDOW)
-        while not member.eof:
-            try:
-                # A megabyte of gzip can hold a gigabyte: it is unpacked piece by piece.
-                content = member.decompress(data, BLOCK)
-            except zlib.error:
-                self._fault = "is damaged"
-                break
-            if content:
-                yield content
-            data = member.unconsumed_tail
-            if not (data or member.eof or content) and not (data := next(self._blocks, b"")):
-                self._fault = "is cut short"
-                break
-        return member.unused_data
+        # A megabyte of gzip can hold a gigabyte: it is unpacked piece by piece.
+        member: Any = _RawBlocks(blocks)
+        try:
+            with gzip.GzipFile(fileobj=member) as file:
+                while block := file.read1(BLOCK):
+                    yield block
+        except EOFError:
+            self._fault = "is cut short"
+        except (gzip.BadGzipFile, zlib.error):
+            self._fault = "is damaged"
 
     def _without_nuls(self, block: bytes) -> bytes:
         """Return what stands before the NUL bytes with which a file may end after a power loss."""

@@ -14,12 +14,11 @@ import msgspec
 from needleforce.recordings.channels import (
     CHANNELS,
     Channel,
-    FoundColumn,
+    Found,
     detect_columns,
     find_columns,
     find_unit,
     parse_column_name,
-    require_unit,
 )
 from needleforce.recordings.errors import (
     ColumnError,
@@ -70,8 +69,13 @@ class ColumnSpec:
         """Return this with its unit as the channel spells it; `MappingError` if it is none."""
         if self.unit is None:
             return self
-        unit = require_unit(self.unit, channel.units, f"channel {channel.name!r}")
-        return ColumnSpec(columns=self.columns, unit=unit, scale=self.scale)
+        unit = find_unit(self.unit, channel.units)
+        if unit is None:
+            raise MappingError(
+                f"unit {self.unit!r} of channel {channel.name!r} is not known; use one of: "
+                f"{', '.join(channel.units)}"
+            )
+        return replace(self, unit=unit)
 
 
 def parse_column_spec(text: str, channel: Channel) -> ColumnSpec:
@@ -254,12 +258,10 @@ class ChannelRequest:
             if not found and name in self.required:
                 return None
             # An element such as `force_xyz[2]` is found under its own name.
-            needed |= {
-                c.name if c.name in table.columns else c.name.rpartition("[")[0] for c in found
-            }
+            needed |= {c if c in table.columns else c.rpartition("[")[0] for c, _ in found}
         return frozenset(needed)
 
-    def _detected(self, table: Table, name: str, chosen: set[str]) -> tuple[FoundColumn, ...]:
+    def _detected(self, table: Table, name: str, chosen: set[str]) -> Found:
         """Find a channel by its usual names.
 
         Of several that would fit, one beside chosen columns, else one that has the robot's joints.
@@ -278,9 +280,9 @@ class ChannelRequest:
             raise
 
 
-def mapped_columns(table: Table, spec: ColumnSpec) -> tuple[FoundColumn, ...]:
+def mapped_columns(table: Table, spec: ColumnSpec) -> Found:
     """Return the columns that a specification names; `ColumnError` if one is not there."""
-    return tuple(column for pattern in spec.patterns for column in find_columns(table, pattern))
+    return [column for pattern in spec.patterns for column in find_columns(table, pattern)]
 
 
 def mapping_text(table: Table, channels: Iterable[str], known: ColumnMapping) -> list[str]:
@@ -316,11 +318,11 @@ def _channel_text(
     except ColumnError as error:
         if spec is not None:
             raise
-        found, reason = (), " ".join(str(error).split(";")[0].split())
+        found, reason = [], " ".join(str(error).split(";")[0].split())
     if not found:
         lines = [f"[{channel.name}]", 'columns = ""', f'unit = "{channel.si_unit}"']
         return [comment_line(reason), *(f"# {line}" for line in lines)]
-    names = [column.name for column in found]
+    names = [name for name, _ in found]
     used |= set(names)
     units = {parse_column_name(name, channel.units).unit for name in names}
     unit = (spec and spec.unit) or (units.pop() if len(units) == 1 else None)
