@@ -8,7 +8,7 @@ from numpy.typing import NDArray
 from groundtruth import SCENARIOS, Run, simulate
 from groundtruth.scenarios import RANDOM_STACK, RANDOM_TISSUE, Scenario, named_scenario
 from needleforce.cli import SimulationOptions
-from needleforce.cli.terminal import CommandError, write_out
+from needleforce.cli.terminal import CommandError, progress_bar, write_out
 from needleforce.recordings import check_writable, write_table
 from needleforce.recordings.output import check_output_paths
 from needleforce.recordings.table import Labels
@@ -24,7 +24,8 @@ def run(scenario: str | None, options: SimulationOptions) -> int:
         write_out("".join(f"{name:<{width}}  {title}\n" for name, title in rows.items()))
         return 0
     chosen = _checked(scenario, options)
-    made = simulate(chosen, plant=options.plant, seed=options.seed)
+    with progress_bar(f"simulating {chosen.id}"):
+        made = simulate(chosen, plant=options.plant, seed=options.seed)
     names = made.robot.joint_names
     if options.output is not None:
         write_table(options.output, signal_table(made), labels=Labels(joint_names=names))
