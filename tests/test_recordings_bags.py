@@ -165,38 +165,21 @@ def test_the_mapping_may_choose_the_clock(folder):
         read_log(folder, ColumnMapping(reference_topic="/none"), required=["depth"])
 
 
-def test_several_topics_that_would_fit_must_be_chosen_from(folder):
-    rows = [(topic, k, joint_state(k, "ab", [k, k])) for k in range(1, 4) for topic in ("/l", "/r")]
-    write_bag(folder, rows)
-    with pytest.raises(
-        ColumnError, match=r"several columns would fit \(/l/position, /r/position\)"
-    ):
-        read_log(folder, required=["q"])
-    assert len(read_log(folder, mapped(q="/r/position"), required=["q"])) == 3
-
-
-def test_of_several_topics_the_one_with_the_joints_of_the_robot_is_read(folder):
+def test_of_several_topics_that_would_fit_the_robot_or_the_mapping_chooses(folder):
     rows = [
-        (topic, k, joint_state(k, names, [k, factor * k], [k, k], [k, k]))
+        (topic, k, joint_state(k, names, [k, factor * k], [k, k], [factor * k, k]))
         for k in range(1, 4)
         for topic, names, factor in (("/arm", "ab", 2.0), ("/hand", "xy", 3.0))
     ]
     write_bag(folder, rows)
     asked = {"required": ["q", "tau"], "optional": ["dq"]}
-    log = read_log(folder, joints=["b", "a"], **asked)
-    assert log["q_rad"][:, 0].tolist() == [2.0, 4.0, 6.0]
-    with pytest.raises(ColumnError, match="several columns would fit"):
-        read_log(folder, joints=["a", "x"], **asked)
-
-
-def test_a_channel_that_is_mapped_decides_for_those_that_are_not(folder):
-    rows = [
-        (topic, k, joint_state(k, "ab", [k, k], [k, k], [factor * k, k]))
-        for k in range(1, 4)
-        for topic, factor in (("/l", 2.0), ("/r", 3.0))
-    ]
-    write_bag(folder, rows)
-    log = read_log(folder, mapped(q="/r/position"), required=["q", "tau"], optional=["dq"])
+    assert read_log(folder, joints=["b", "a"], **asked)["q_rad"][:, 0].tolist() == [2.0, 4.0, 6.0]
+    several = r"several columns would fit \(/arm/position, /hand/position\)"
+    for joints in ([], ["a", "x"]):
+        with pytest.raises(ColumnError, match=several):
+            read_log(folder, joints=joints, **asked)
+    # A channel that is mapped decides for those that are not.
+    log = read_log(folder, mapped(q="/hand/position"), **asked)
     assert log["tau_Nm"][:, 0].tolist() == [3.0, 6.0, 9.0]
     assert "dq_rad_s" in log
 

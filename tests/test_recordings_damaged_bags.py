@@ -251,12 +251,16 @@ def test_a_cut_sqlite_bag_is_refused_with_what_may_recover_it(tmp_path, bags, sh
         "UPDATE messages SET timestamp = 'text' WHERE id < 3",
         "UPDATE topics SET name = x'00ff' WHERE id = 1",
         "DROP TABLE messages",
+        "DROP TABLE topics; CREATE TABLE topics(id, name)",
+        # A view could run any query, and without end.
+        "DROP TABLE messages; CREATE VIEW messages AS WITH RECURSIVE n(i) AS (SELECT 1 UNION ALL "
+        "SELECT i FROM n) SELECT i id, 1 topic_id, 1 timestamp, x'00' data FROM n",
     ],
 )
-def test_values_of_another_type_in_an_sqlite_bag_are_refused(tmp_path, change):
+def test_an_sqlite_bag_with_other_values_or_tables_is_refused(tmp_path, change):
     path = data_file(write_bag(tmp_path / "bag", insertion_rows(40), storage="sqlite3"))
     with closing(sqlite3.connect(path)) as connection, connection:
-        connection.execute(change)
+        connection.executescript(change)
     with pytest.raises(FormatError, match=r"damaged .*\.recover|no tables messages and topics"):
         read_table(path)
 

@@ -11,7 +11,6 @@ import pyarrow.parquet as pq
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
-from hypothesis.extra.numpy import arrays
 
 from needleforce.recordings import FileAccessError, FormatError, read_log, read_table, write_table
 from needleforce.recordings.csv_file import csv_tables
@@ -312,16 +311,6 @@ def path(tmp_path):
     return tmp_path / "log.parquet"
 
 
-@given(values=arrays(np.float64, st.tuples(st.integers(1, 30), st.integers(1, 3))))
-def test_floats_read_back_bit_for_bit(tmp_path_factory, values):
-    path = tmp_path_factory.mktemp("parquet") / "log.parquet"
-    write_table(path, {"t_s": np.arange(len(values)), "q_rad": values})
-    table = read_table(path)
-    for i, column in enumerate(values.T):
-        np.testing.assert_array_equal(table.columns[f"q_rad_{i + 1}"], column)
-    assert table.warnings == ()
-
-
 def test_types_of_other_writers_become_numbers(path):
     lists = pa.array([[1, 2], None, [5, 6], [7, 8]], pa.list_(pa.int32()))
     ragged = pa.array([[1, 2], [3], [], None], pa.list_(pa.int32()))
@@ -351,11 +340,6 @@ def test_a_missing_stamp_is_nan_and_the_row_is_reported(path):
     log = read_log(path)
     assert log.t_s.tolist() == [0.01, 0.02, 0.03]
     assert "rows without a stamp" in log.warnings[0]
-
-
-def test_all_row_groups_are_read(path):
-    pq.write_table(pa.table({"t": np.arange(100.0)}), path, row_group_size=7)
-    assert read_table(path).columns["t"].size == 100
 
 
 @pytest.mark.parametrize("share", [0.0, 0.3, 0.9, 0.999])

@@ -129,6 +129,17 @@ _MESSAGE_HEAD = struct.Struct("<HIQQ")
 """Channel, sequence, when it was recorded and published."""
 _SCHEMA, _CHANNEL, _MESSAGE, _CHUNK, _DATA_END, _PRIVATE = 0x03, 0x04, 0x05, 0x06, 0x0F, 0x80
 """Numbers of records: none lies between the end of the data and private ones."""
+_PARSED = {_SCHEMA: "Schema", _CHANNEL: "Channel", _CHUNK: "Chunk"}
+
+
+def _records(data: bytes | bytearray) -> Iterator[tuple[int, int, int]]:
+    """Yield number, start and end of the content of records; the last may end behind the data."""
+    at = 0
+    while len(data) - at >= _HEAD.size:
+        opcode, size = _HEAD.unpack_from(data, at)
+        at += _HEAD.size
+        yield opcode, at, at + size
+        at += size
 
 
 class _McapReader:
@@ -147,20 +158,13 @@ class _McapReader:
 
     def messages(self, options: FollowOptions | None) -> Iterator[RawMessage]:
         """Yield the messages, and `NONE_YET` before more of a growing file is waited for."""
-        held, growing = b"", options is not None
+        held, growing = bytearray(), options is not None
         options = options or FollowOptions()
         for block in byte_blocks(self._path, options, with_pauses=growing):
             if not block:
                 yield NONE_YET
             held += block
-            if not self._at and len(held) >= len(MAGIC):
-                _require_magic(held, MAGIC, "MCAP")
-                self._at = len(MAGIC)
-                held = held[self._at :]
-            if self._at:
-                start = self._at
-                yield from self._records(held)
-                held = held[self._at - start :]
+            yield from self._whole_records(held)
             if self._is_over:
                 return
         if not self._at:
@@ -168,64 +172,75 @@ class _McapReader:
         # A growing file may end after any record, and anywhere if it is the user who stops.
         if not growing or (held and not options.should_stop()):
             self._faults.append("is cut short")
-        if len(held) > _HEAD.size and held[0] == _CHUNK:
+        for opcode, start, _ in _records(held):
             # The data are the last part of a chunk.
-            yield from self._taken(_CHUNK, held[_HEAD.size :], is_whole=False)
+            if opcode == _CHUNK:
+                yield from self._taken(opcode, bytes(held[start:]), is_whole=False)
 
-    def _records(self, held: bytes) -> Iterator[RawMessage]:
-        """Take the records that are there whole, and move on behind them."""
-        at = 0
-        while len(held) - at >= _HEAD.size:
-            opcode, size = _HEAD.unpack_from(held, at)
-            if self._limit < size <= self._path.stat().st_size:
-                require_size(size, self._limit, "holds a record that")
-            # After a lost byte any bytes stand for a record.
-            is_known = 0 < opcode <= _DATA_END or opcode >= _PRIVATE
-            if not is_known or size > self._limit or (opcode == _DATA_END and size != 4):
-                self._faults.append(f"is damaged at byte {self._at}; what follows cannot be read")
-                self._is_over = True
+    def _whole_records(self, held: bytearray) -> Iterator[RawMessage]:
+        """Take the records that are there whole out of the bytes held."""
+        if not self._at:
+            if len(held) < len(MAGIC):
                 return
-            end = at + _HEAD.size + size
-            if end > len(held):
-                return
-            yield from self._taken(opcode, held[at + _HEAD.size : end])
-            self._at += end - at
-            at = end
+            _require_magic(held, MAGIC, "MCAP")
+            del held[: len(MAGIC)]
+            self._at = len(MAGIC)
+        done = 0
+        for opcode, start, end in _records(held):
+            if self._is_damaged(opcode, end - start):
+                self._is_over, at = True, self._at + done
+                self._faults.append(f"is damaged at byte {at}; what follows cannot be read")
+            if self._is_over or end > len(held):
+                break
+            yield from self._taken(opcode, bytes(held[start:end]))
+            done = end
             if opcode == _DATA_END:
                 self._is_over = True
-                return
+                break
+        self._at += done
+        del held[:done]
+
+    def _is_damaged(self, opcode: int, size: int) -> bool:
+        """Return whether no record can be so: after a lost byte any bytes stand for one."""
+        if self._limit < size <= self._path.stat().st_size:
+            require_size(size, self._limit, "holds a record that")
+        is_known = 0 < opcode <= _DATA_END or opcode >= _PRIVATE
+        return not is_known or size > self._limit or (opcode == _DATA_END and size != 4)
 
     def _taken(self, opcode: int, data: bytes, *, is_whole: bool = True) -> Iterator[RawMessage]:
         """Yield the messages in a record, and learn schemas and channels."""
         if opcode == _MESSAGE:
-            yield from self._message(data)
-        elif opcode in (_SCHEMA, _CHANNEL, _CHUNK):
-            kind = {_SCHEMA: "Schema", _CHANNEL: "Channel", _CHUNK: "Chunk"}[opcode]
-            try:
-                record = getattr(self._library, kind).read(self._stream(io.BytesIO(data)))
-            except Exception:
-                # Damaged bytes end in whatever the parser runs into.
-                self._faults += ["has a damaged record"] * is_whole
-                return
-            if opcode == _SCHEMA:
-                text = record.data.decode(errors="replace") if record.encoding == "ros2msg" else ""
-                self._schemas[record.id] = record.name, text
-            elif opcode == _CHANNEL:
-                kind, text = self._schemas.get(record.schema_id, ("", ""))
-                topic = BagTopic(record.topic, kind, record.message_encoding, text)
-                self._channels[record.id] = topic
-            else:
-                yield from self._chunk(record, is_whole=is_whole)
+            if (message := self._message(data)) is not None:
+                yield message
+            return
+        kind = _PARSED.get(opcode)
+        if kind is None:
+            return
+        try:
+            record = getattr(self._library, kind).read(self._stream(io.BytesIO(data)))
+        except Exception:
+            # Damaged bytes end in whatever the parser runs into.
+            self._faults += ["has a damaged record"] * is_whole
+            return
+        if opcode == _CHUNK:
+            yield from self._chunk(record, is_whole=is_whole)
+        elif opcode == _SCHEMA:
+            text = record.data.decode(errors="replace") if record.encoding == "ros2msg" else ""
+            self._schemas[record.id] = record.name, text
+        else:
+            kind, text = self._schemas.get(record.schema_id, ("", ""))
+            self._channels[record.id] = BagTopic(record.topic, kind, record.message_encoding, text)
 
-    def _message(self, data: bytes) -> Iterator[RawMessage]:
+    def _message(self, data: bytes) -> RawMessage | None:
         # By hand, since the parser of the library takes ten times as long.
-        is_whole = len(data) >= _MESSAGE_HEAD.size
-        channel, _, log_ns, _ = _MESSAGE_HEAD.unpack_from(data) if is_whole else (0, 0, 0, 0)
-        topic = self._channels.get(channel)
-        if is_whole and topic is not None and log_ns <= _LATEST_NS:
-            yield RawMessage(topic, log_ns, data[_MESSAGE_HEAD.size :])
-        elif "has damaged messages" not in self._faults:
+        if len(data) >= _MESSAGE_HEAD.size:
+            channel, _, log_ns, _ = _MESSAGE_HEAD.unpack_from(data)
+            topic = self._channels.get(channel)
+            if topic is not None and log_ns <= _LATEST_NS:
+                return RawMessage(topic, log_ns, data[_MESSAGE_HEAD.size :])
+        if "has damaged messages" not in self._faults:
             self._faults.append("has damaged messages")
+        return None
 
     def _chunk(self, chunk: Any, *, is_whole: bool) -> Iterator[RawMessage]:
         data, size = chunk.data, chunk.uncompressed_size
@@ -235,19 +250,17 @@ class _McapReader:
         if is_whole and chunk.uncompressed_crc and crc32(data) != chunk.uncompressed_crc:
             self._faults.append("has a chunk whose checksum is wrong, which was left out")
             return
-        at = 0
-        while len(data) - at >= _HEAD.size:
-            opcode, length = _HEAD.unpack_from(data, at)
-            end = at + _HEAD.size + length
+        done = 0
+        for opcode, start, end in _records(data):
             if end > len(data) or opcode == _CHUNK:
                 break
-            yield from self._taken(opcode, data[at + _HEAD.size : end])
-            at = end
-        if is_whole and at < size:
-            self._faults.append(f"has a damaged chunk, of which {at} of {size} bytes are right")
+            yield from self._taken(opcode, data[start:end])
+            done = end
+        if is_whole and done < size:
+            self._faults.append(f"has a damaged chunk, of which {done} of {size} bytes are right")
 
 
-def _require_magic(head: bytes, magic: bytes, what: str) -> None:
+def _require_magic(head: bytes | bytearray, magic: bytes, what: str) -> None:
     if not head:
         raise FormatError("is empty")
     if not head.startswith(magic[: len(head)]):
@@ -271,32 +284,31 @@ def _sqlite_messages(path: Path, faults: list[str]) -> Iterator[RawMessage]:
         )
     rosbag2 = optional_library("rosbags.rosbag2", "ROS 2 bags")
     apsw = optional_library("apsw", "ROS 2 bags")
+    damage = (ValueError, TypeError, KeyError, AttributeError, MemoryError)
     try:
         with rosbag2.Reader(path) as reader:
-            topics = {}
-            for found in reader.connections:
-                text = found.msgdef.data if found.msgdef.format.name == "MSG" else ""
-                encoding = str(found.ext.serialization_format)
-                topics[found.id] = BagTopic(found.topic, found.msgtype, encoding, text)
-                if not isinstance(found.topic, str) or not isinstance(found.msgtype, str):
-                    raise TypeError(f"topic {found.topic!r:.40} has no name")
+            topics = {found.id: _sqlite_topic(found) for found in reader.connections}
             for connection, log_ns, data in reader.messages():
                 # In SQLite any value may stand in any column.
                 if type(log_ns) is not int or type(data) is not bytes:
-                    raise TypeError(f"message {log_ns!r:.40} is no time stamp and bytes")
+                    raise TypeError(f"{log_ns!r:.40} and {type(data)} for a time stamp and bytes")
                 yield RawMessage(topics[connection.id], log_ns, data)
     except (FileAccessError, FormatError):
         raise
-    except (
-        *(rosbag2.ReaderError, apsw.Error),
-        *(ValueError, TypeError, KeyError, AttributeError, MemoryError),
-    ) as error:
+    except (rosbag2.ReaderError, apsw.Error, *damage) as error:
         if "missing tables" in str(error):
             raise FormatError("is not a bag: it has no tables messages and topics") from error
         raise FormatError(
             f"is cut short or damaged ({error}); its messages may be had with: "
             f"sqlite3 {path.name} .recover | sqlite3 recovered.db3"
         ) from error
+
+
+def _sqlite_topic(found: Any) -> BagTopic:
+    if not (isinstance(found.topic, str) and isinstance(found.msgtype, str)):
+        raise TypeError(f"{found.topic!r:.40} is no name of a topic")
+    text = found.msgdef.data if found.msgdef.format.name == "MSG" else ""
+    return BagTopic(found.topic, found.msgtype, str(found.ext.serialization_format), text)
 
 
 def require_sqlite_name(path: Path, verb: str) -> None:

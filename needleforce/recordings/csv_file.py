@@ -169,7 +169,7 @@ class _CsvRows:
         return cells
 
     def _values(self, line: int, cells: list[str]) -> list[float]:
-        """Return the numbers in a row's cells; what is none is NaN, with a note if there is text."""
+        """Return the numbers in a row's cells; what is none is NaN, and noted if it is text."""
         values = []
         for i, text in enumerate(cells):
             cell = text.strip()
