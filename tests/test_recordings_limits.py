@@ -21,7 +21,6 @@ from mcap.data_stream import RecordBuilder
 from mcap.records import Channel, Chunk, DataEnd, Message, Schema
 
 from needleforce.recordings import (
-    ColumnError,
     FileAccessError,
     FollowOptions,
     FormatError,
@@ -154,7 +153,7 @@ def test_a_name_that_no_file_can_have_is_reported(tmp_path, name):
 
 
 def test_endless_nul_bytes_are_no_text():
-    with bounded(), pytest.raises(FormatError, match="not text"):
+    with bounded(), pytest.raises(FormatError, match="NUL bytes"):
         list(csv_tables(iter(lambda: bytes(1 << 18), b""), "x"))
 
 
@@ -166,17 +165,6 @@ def test_many_columns_take_seconds_not_minutes(tmp_path):
     start_s = time.monotonic()
     assert read_log(path, required=["force"])["force_N"].tolist() == [1.0, 2.0]
     assert time.monotonic() - start_s < 30.0
-
-
-@pytest.mark.parametrize("name", ["q2024051512", f"q{'9' * 23}"])
-def test_a_column_with_a_huge_number_is_not_counted_up_to(tmp_path, name):
-    path = tmp_path / "x.csv"
-    path.write_text(f"t,depth,force,q1,{name}\n0,0,0,1,1\n1,1,1,2,2\n")
-    with bounded():
-        assert read_log(path, required=["q"])["q_rad"].shape == (2, 1)
-    path.write_text("t,depth,force,q1,q900000000\n0,0,0,1,1\n1,1,1,2,2\n")
-    with bounded(), pytest.raises(ColumnError, match="but not 2, 3, 4, 5, 6;"):
-        read_log(path, required=["q"])
 
 
 def nested(depth, size):

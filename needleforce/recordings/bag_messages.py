@@ -5,6 +5,7 @@ import io
 import re
 import struct
 from collections.abc import Iterator
+from itertools import chain
 from operator import attrgetter
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -23,6 +24,7 @@ from needleforce.recordings.follow import FollowOptions, byte_blocks
 
 BAG_SUFFIXES = (".mcap", ".db3")
 _LATEST_NS = (1 << 63) - 1
+_MOST_OPEN = 64  # files
 
 
 class BagTopic(NamedTuple):
@@ -96,8 +98,11 @@ def read_messages(
         finally:
             faults.extend(f"{file.name} {fault}" for fault in found)
 
-    # Those of a split bag follow each other; those that were recorded side by side are merged.
-    return heapq.merge(*map(messages, bag_files(path)), key=attrgetter("log_ns"))
+    files = [messages(file) for file in bag_files(path)]
+    # Files may have been recorded side by side; of a bag split into many, one at a time is open.
+    if len(files) > _MOST_OPEN:
+        return chain.from_iterable(files)
+    return heapq.merge(*files, key=attrgetter("log_ns"))
 
 
 def _unpacked(packed: bytes, compression: str, size: int) -> bytes:

@@ -140,7 +140,8 @@ def _is_replaced(
 
 _GZIP = b"\x1f\x8b"
 _LONGEST_LINE = 1 << 24  # characters
-_MOST_NULS = 1 << 32
+_WINDOWS = {0xDC00 + byte: bytes([byte]).decode("cp1252", "replace") for byte in range(128, 256)}
+"""What bytes that are no UTF-8, as Python escapes them, mean in Windows text."""
 
 
 class _RawBlocks(io.RawIOBase):
@@ -168,10 +169,9 @@ class TextLines:
 
     def __init__(self, blocks: Iterable[bytes]) -> None:
         self._blocks = iter(blocks)
-        self._decode = codecs.getincrementaldecoder("utf-8-sig")()
-        self._ends = io.IncrementalNewlineDecoder(None, translate=True)
-        self._count = self._nuls = 0
-        self._fault = ""
+        decoder = codecs.getincrementaldecoder("utf-8-sig")("surrogateescape")
+        self._decoder = io.IncrementalNewlineDecoder(decoder, translate=True)
+        self._count, self._fault, self._is_blank = 0, "", True
         self.tail = ""
         """Once all is read: what stands behind the last line end."""
         self.size = 0
@@ -181,30 +181,24 @@ class TextLines:
 
     def __iter__(self) -> Iterator[list[str]]:
         """Yield the lines, without their ends; `FormatError` if there is no text."""
-        is_blank = True
         for block in self._unpacked():
             self.size += len(block)
-            text = self._without_nuls(block)
-            is_blank = is_blank and not text.strip()
-            if is_blank and self._nuls:
-                raise FormatError("it is not text; expected CSV")
-            yield from self._split(self._text(text, is_last=False), is_last=False)
-        yield from self._split(self._text(b"", is_last=True), is_last=True)
-        lost = f"what follows line {self._count} is lost"
-        if self._nuls:
-            what = f"{self._nuls} NUL bytes, as power loss may leave them"
-            self.warnings.append(f"the file ends in {what}; {lost}")
+            text, nul, _ = block.partition(b"\x00")
+            yield from self._split(self._decoder.decode(text))
+            if nul:
+                self._fault = "the file goes on with NUL bytes, as power loss may leave them"
+                break
+        yield from self._split(self._decoder.decode(b"", final=True))
         if self._fault:
-            self._fault = f"the compressed file {self._fault}; {lost}"
+            self._fault += f"; what follows line {self._count} is lost"
             if "damaged" in self._fault:
                 self._fault += (
                     ", and lines before it may be wrong: gzip shows that there is damage, not where"
                 )
             self.warnings.append(self._fault)
-        if self._nuls or self._fault:
             # What follows the last line end is a piece of a line.
             self.tail = ""
-        if is_blank:
+        if self._is_blank:
             raise FormatError("it is empty; expected a header row and rows of numbers")
 
     def forgive_end(self) -> None:
@@ -229,34 +223,22 @@ class TextLines:
                 while block := file.read1(BLOCK):
                     yield block
         except EOFError:
-            self._fault = "is cut short"
+            self._fault = "the compressed file is cut short"
         except (gzip.BadGzipFile, zlib.error):
-            self._fault = "is damaged"
+            self._fault = "the compressed file is damaged"
 
-    def _without_nuls(self, block: bytes) -> bytes:
-        """Return what stands before the NUL bytes with which a file may end after a power loss."""
-        text = block.rstrip(b"\x00")
-        if b"\x00" in text or (self._nuls and text) or self._nuls > _MOST_NULS:
-            raise FormatError("it is not text; expected CSV")
-        self._nuls += len(block) - len(text)
-        return text
-
-    def _split(self, text: str, is_last: bool) -> Iterator[list[str]]:
-        *lines, self.tail = (self.tail + self._ends.decode(text, final=is_last)).split("\n")
+    def _split(self, escaped: str) -> Iterator[list[str]]:
+        text = escaped if escaped.isascii() else escaped.translate(_WINDOWS)
+        note = "the file is not UTF-8; it was read as Windows text (cp1252)"
+        if text != escaped and note not in self.warnings:
+            self.warnings.append(note)
+        self._is_blank = self._is_blank and not text.strip()
+        *lines, self.tail = (self.tail + text).split("\n")
         if len(self.tail) > _LONGEST_LINE:
             raise FormatError(f"it is not text; line {self._count + 1} does not end")
         if lines:
             self._count += len(lines)
             yield lines
-
-    def _text(self, block: bytes, is_last: bool) -> str:
-        waiting = self._decode.getstate()[0]
-        try:
-            return self._decode.decode(block, final=is_last)
-        except UnicodeDecodeError:
-            self.warnings.append("the file is not UTF-8; it was read as Windows text (cp1252)")
-            self._decode = codecs.getincrementaldecoder("cp1252")(errors="replace")
-            return self._decode.decode(waiting + block, final=is_last)
 
 
 _MAGIC = {

@@ -224,9 +224,7 @@ class LogStream:
 
     Args:
         tables: from `stream_tables`.
-        mapping: see `read_log`.
-        required: see `read_log`.
-        optional: see `read_log`.
+        mapping, required, optional: see `read_log`.
     """
 
     def __init__(
@@ -257,8 +255,7 @@ class LogStream:
         """Yield the rows; the first chunk has 200, if there are so many.
 
         Raises:
-            FileAccessError: see `stream_tables`.
-            FormatError: see `stream_tables`.
+            RecordingError: see `stream_tables`.
             ColumnError: time, a required or a mapped channel was not found, or is ambiguous.
             MappingError: a channel name is unknown, or a scale does not fit its columns.
             LogError: the channels do not form a log; what only the end shows is reported there.

@@ -58,35 +58,19 @@ class ColumnSpec:
             raise MappingError(f"columns = {self.columns!r} names no column")
         scales = self.scale if isinstance(self.scale, tuple) else (self.scale,)
         if not scales or not all(_is_finite(factor) and factor != 0.0 for factor in scales):
-            raise MappingError(f"scale = {_short(self.scale)} must be finite and not zero")
+            raise MappingError(f"scale = {self.scale!r:.60} must be finite and not zero")
 
     @property
     def patterns(self) -> tuple[str, ...]:
         """The column names and patterns in order."""
         return (self.columns,) if isinstance(self.columns, str) else self.columns
 
-    def checked_for(self, channel: Channel) -> "ColumnSpec":
-        """Return this with its unit as the channel spells it; `MappingError` if it is none."""
-        if self.unit is None:
-            return self
-        unit = find_unit(self.unit, channel.units)
-        if unit is None:
-            raise MappingError(
-                f"unit {self.unit!r} of channel {channel.name!r} is not known; use one of: "
-                f"{', '.join(channel.units)}"
-            )
-        return replace(self, unit=unit)
-
 
 def parse_column_spec(text: str, channel: Channel) -> ColumnSpec:
-    """Read the short form of the command line: `NAMES[:UNIT][:SCALE]`.
+    """Read the short form of the command line: `NAMES[:UNIT][:SCALE]`, as in `fz:N:-1`.
 
     `NAMES` is a name, a pattern or a list separated by commas. What follows a colon counts as
     scale or unit only if it is one, since column names may hold colons themselves.
-
-    Args:
-        text: such as `z:mm`, `fz:N:-1` or `q{1..7}:deg`.
-        channel: the channel it is meant for.
 
     Raises:
         MappingError: no column is named, or the scale is zero or not finite.
@@ -135,7 +119,7 @@ class ColumnMapping:
         for name, spec in self.channels.items():
             if name not in CHANNELS:
                 raise MappingError(f"unknown channel {name!r}; channels are: {', '.join(CHANNELS)}")
-            channels[name] = spec.checked_for(CHANNELS[name])
+            channels[name] = replace(spec, unit=_known_unit(name, spec.unit))
         object.__setattr__(self, "channels", MappingProxyType(channels))
         if len(set(self.joints)) < len(self.joints):
             raise MappingError(f"joints = {list(self.joints)} names a joint twice")
@@ -143,22 +127,26 @@ class ColumnMapping:
             return
         if not (_is_finite(self.rate_hz) and self.rate_hz > 0.0):
             raise MappingError(
-                f"rate_hz = {_short(self.rate_hz)} must be a positive number of samples/s"
+                f"rate_hz = {self.rate_hz!r:.60} must be a positive number of samples/s"
             )
         if "time" in channels:
             raise MappingError("both rate_hz and a time column are given; keep one of them")
 
 
+def _known_unit(name: str, unit: str | None) -> str | None:
+    """Return a unit as the channel spells it; `MappingError` if it is none of its."""
+    units = CHANNELS[name].units
+    known = None if unit is None else find_unit(unit, units)
+    if known is None and unit is not None:
+        raise MappingError(
+            f"unit {unit!r} of channel {name!r} is not known; use one of: {', '.join(units)}"
+        )
+    return known
+
+
 def _is_finite(value: float) -> bool:
     # A whole number may be larger than any float.
     return abs(value) <= sys.float_info.max
-
-
-def _short(value: Any) -> str:
-    try:
-        return repr(value)[:60]
-    except ValueError:  # a whole number of more digits than Python writes
-        return "a number of thousands of digits"
 
 
 _TOP_KEYS = {"rate_hz", "joints", "reference_topic", "payload"}

@@ -89,11 +89,9 @@ def read_log(
         The log. Its `warnings` report what is wrong with the recording.
 
     Raises:
-        FileAccessError: the file cannot be read, or its suffix is not known.
-        FormatError: nothing usable is in it, or it is larger than `max_bytes`.
-        ColumnError: time, a required or a mapped channel was not found, or is ambiguous.
-        MappingError: a channel name is unknown, or a scale does not fit its columns.
-        LogError: the channels do not form a log.
+        RecordingError: see `read_table`; or time, a required or a mapped channel was not found or
+            is ambiguous (`ColumnError`), a channel name is unknown or a scale does not fit its
+            columns (`MappingError`), or the channels do not form a log (`LogError`).
     """
     request = ChannelRequest(
         mapping=mapping or ColumnMapping(),
@@ -129,10 +127,8 @@ def stream_tables(
         if there are so many; the last may have none, but warnings.
 
     Raises:
-        FileAccessError: the source cannot be read, is neither text nor MCAP but to be followed, or
-            its suffix is not known.
-        FormatError: nothing usable is in it, or a part of it is larger than allowed.
-        ColumnError: a bag has not what is requested.
+        RecordingError: see `read_table`; or the source is to be followed, but neither text nor
+            MCAP (`FileAccessError`).
     """
     path = None if str(source) == STANDARD_STREAM else readable_path(source)
     if path is not None and not is_text(path):
@@ -212,9 +208,7 @@ def suggest_mapping(
         payload: lines that say what hangs on the robot.
 
     Raises:
-        FileAccessError: the recording cannot be read.
-        FormatError: nothing usable is in it.
-        ColumnError: the mapping names a column that is not there.
+        RecordingError: see `read_table`; or the mapping names a column that is not there.
     """
     known, names = mapping or ColumnMapping(), list(channels)
     title = f"Mapping of {Path(source).name}; edit it, then: --mapping FILE"
