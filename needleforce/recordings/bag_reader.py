@@ -371,10 +371,7 @@ def bag_tables(
     The file is read from its start twice: until it is clear which topics are read, and for their
     rows. An MCAP file that is followed is read on as a recorder writes it, until it is finished.
 
-    Raises:
-        FileAccessError: the bag cannot be read, or rosbags is not installed.
-        FormatError: it is not a bag, or holds no messages or no numbers, or too much.
-        ColumnError: a mapped channel was not found, or is ambiguous.
+    Raises as `stream_tables` does.
     """
     bag, growing = Bag(path), options if options.follow else None
     joined = survey(bag, request, growing, max_bytes)

@@ -270,10 +270,9 @@ class _BagWriter:
         self._connections: dict[str, Any] = {}
 
     def append(self, columns: Columns) -> None:
-        """Write rows of checked columns, the same in every call; with `t_s`.
+        """Write rows of checked columns, the same in every call.
 
-        Raises:
-            LogError: there is no time stamp, or one that no message can carry.
+        `LogError` if there is no time stamp `t_s`, or one that no message can carry.
         """
         stamps_ns = _stamps(columns, self._labels.start_ns).tolist()
         topics = list(bag_topics(columns, self._labels, stamps_ns))

@@ -192,11 +192,8 @@ def find_columns(table: Table, pattern: str) -> Found:
     columns with a number in that place; `wrench[2]`, one column (from 0) of a two-dimensional
     one; and `q_rad` for a family `q_rad_1`, `q_rad_2`, ... as this package writes it to CSV.
 
-    Returns:
-        At least one column; numbered ones in the order of their numbers.
-
-    Raises:
-        ColumnError: no such column, or a number is missing in a family.
+    Numbered ones come in the order of their numbers. `ColumnError` if there is no such column, or
+    a number is missing in a family.
     """
     if pattern in table.columns:
         return [(pattern, table.columns[pattern])]
@@ -273,13 +270,9 @@ def _hint(names: list[str], pattern: str) -> str:
 
 
 def detect_columns(table: Table, channel: Channel) -> Found:
-    """Return the columns whose names say that they are this channel.
+    """Return the columns whose names say that they are this channel, in joint order, if any.
 
-    Returns:
-        The columns in joint order; empty if there is none.
-
-    Raises:
-        ColumnError: several would fit, or a joint's column is missing.
+    `ColumnError` if several would fit, or a joint's column is missing.
     """
     named = {name: parse_column_name(name, channel.units) for name in table.columns}
     named = {name: parts for name, parts in named.items() if parts.stem in channel.spellings}

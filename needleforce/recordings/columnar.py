@@ -33,11 +33,8 @@ _CUT = "so that nothing can be read without its end"
 def read_npz(path: Path, max_bytes: int) -> Table:
     """Read an npz archive: arrays of numbers become columns, single numbers constants.
 
-    Arrays that hold no numbers, or are damaged, are left out, with a warning.
-
-    Raises:
-        FileAccessError: the file cannot be read.
-        FormatError: it is no npz archive, is cut short, or holds no usable array, or too much.
+    Arrays that hold no numbers, or are damaged, are left out, with a warning. Raises as
+    `read_table` does.
     """
     with file_errors(path):
         try:
@@ -123,11 +120,7 @@ def read_parquet(path: Path, max_bytes: int) -> Table:
 
     Columns of numbers, or of lists of equally many numbers, are taken; empty cells are NaN. Time
     stamps become seconds, without loss. Columns of anything else are left out, with a warning.
-
-    Raises:
-        FileAccessError: the file cannot be read, or pyarrow is not installed.
-        FormatError: it is no Parquet file, is damaged or cut short, or holds no numbers, or too
-            much.
+    Raises as `read_table` does.
     """
     parquet = optional_library("pyarrow.parquet", "Parquet files")
     arrow = optional_library("pyarrow", "Parquet files")

@@ -117,9 +117,8 @@ class Log:
     def __post_init__(self) -> None:
         """Copy, freeze and check the data; add what is wrong with them to `warnings`.
 
-        Raises:
-            LogError: no channel, not numbers, wrong shapes or lengths, time not finite or never
-                advancing, or a channel without a single finite value.
+        `LogError` if there is no channel, something is no array of numbers of the right shape, time
+        is not finite or never advances, or a channel has no finite value.
         """
         t_s = read_only("t_s", self.t_s)
         channels = {name: read_only(name, values) for name, values in self.channels.items()}

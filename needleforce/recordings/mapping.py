@@ -49,11 +49,7 @@ class ColumnSpec:
     scale: float | tuple[float, ...] = 1.0
 
     def __post_init__(self) -> None:
-        """Check columns and scale.
-
-        Raises:
-            MappingError: no column is named, or a scale is zero or not finite.
-        """
+        """Check columns and scale; `MappingError` if one is missing, zero or not finite."""
         if not self.columns or not all(self.patterns):
             raise MappingError(f"columns = {self.columns!r} names no column")
         scales = self.scale if isinstance(self.scale, tuple) else (self.scale,)
@@ -109,12 +105,7 @@ class ColumnMapping:
     payload: Any = None
 
     def __post_init__(self) -> None:
-        """Check names, units and the rate.
-
-        Raises:
-            MappingError: an unknown channel or unit, a rate that is not a positive number, both a
-                rate and a time column, or a joint named twice.
-        """
+        """Check names, units and the rate; `MappingError` if they contradict each other."""
         channels = {}
         for name, spec in self.channels.items():
             if name not in CHANNELS:
@@ -190,9 +181,7 @@ def load_mapping(path: str | Path) -> ColumnMapping:
 def read_toml(path: str | Path, what: str) -> dict[str, Any]:
     """Return the content of a TOML file, at least one key; `what` it is stands in messages.
 
-    Raises:
-        FileAccessError: it cannot be read.
-        FormatError: it is not TOML, or is empty.
+    `FileAccessError` if it cannot be read, `FormatError` if it is not TOML, or is empty.
     """
     try:
         with file_errors(path), readable_path(path).open("rb") as stream:

@@ -49,15 +49,9 @@ class OpenTable:
         self._kinds: list[str] = []
 
     def append(self, columns: Mapping[str, ArrayLike]) -> None:
-        """Write rows.
+        """Write rows of the same columns in every call; raises as `write_table` does.
 
-        Args:
-            columns: see `write_table`; the same in every call.
-
-        Raises:
-            FileAccessError: the file cannot be written.
-            LogError: the columns are no table, or not those of the rows before.
-            BrokenPipeError: the reader of standard output has gone.
+        `BrokenPipeError` if the reader of standard output has gone.
         """
         arrays = checked_columns(columns)
         kinds = [f"{name} {v.dtype}{list(v.shape[1:])}" for name, v in arrays.items()]
@@ -268,9 +262,8 @@ def check_writable(path: str | Path, *, source: str | Path | None = None) -> Non
 def check_output_path(path: Path, source: Path) -> None:
     """Check that writing a file or folder cannot harm the recording that is being read.
 
-    Raises:
-        FileAccessError: the path is the recording (a file or a folder, which need not exist), or
-            one lies inside the other, or both are files of one bag.
+    `FileAccessError` if it is the recording (a file or a folder, which need not exist), or one lies
+    inside the other, or both are files of one bag.
     """
     if not source.exists():
         return
@@ -286,11 +279,7 @@ def check_output_path(path: Path, source: Path) -> None:
 
 
 def check_output_paths(outputs: Mapping[str, Path]) -> None:
-    """Check that no output, an option and the path that it names, would replace another.
-
-    Raises:
-        FileAccessError: two are the same, or one lies inside the other.
-    """
+    """Check that no output, an option and the path that it names, would replace another."""
     for (option, path), (other, place) in combinations(outputs.items(), 2):
         if _overlap(path, place):
             raise FileAccessError(

@@ -43,12 +43,7 @@ class Table:
     start_ns: int = 0
 
     def __post_init__(self) -> None:
-        """Copy and freeze the columns.
-
-        Raises:
-            FormatError: there is no column, or one is not one- or two-dimensional.
-            LogError: a column does not hold numbers.
-        """
+        """Copy and freeze the columns; `FormatError` or `LogError` if they are none of numbers."""
         if not self.columns:
             raise FormatError("no column of numbers: a table needs at least one")
         columns = {
@@ -133,15 +128,7 @@ class Labels:
 
 
 def checked_columns(columns: Mapping[str, ArrayLike]) -> Columns:
-    """Return columns to be written as arrays.
-
-    Args:
-        columns: name, with its unit, to numbers, shape (n,) or (n, k), all of the same n.
-
-    Raises:
-        LogError: the columns are not numbers, differ in length, or a name is empty or starts
-            with `#`.
-    """
+    """Return columns as arrays; `LogError` if `write_table` cannot write them."""
     arrays: dict[str, np.ndarray] = {}
     for name, values in columns.items():
         try:
@@ -166,8 +153,7 @@ def checked_columns(columns: Mapping[str, ArrayLike]) -> Columns:
 def flat_columns(columns: Columns) -> dict[str, np.ndarray]:
     """Return columns of one value a row; `q_rad` becomes `q_rad_1`, `q_rad_2`, ...
 
-    Raises:
-        LogError: a name would stand twice.
+    `LogError` if a name would stand twice.
     """
     flat: dict[str, np.ndarray] = {}
     for name, values in columns.items():
@@ -269,15 +255,10 @@ class RowClock:
         }
 
     def update(self, t_s: FloatArray) -> FloatArray:
-        """Take further rows.
+        """Take time stamps in s, shape (n,); return time in s since the latest row that advanced.
 
-        Args:
-            t_s: time stamps in s, shape (n,).
-
-        Returns:
-            Time in s since the latest row that advanced, shape (n,): not positive for a row that
-            does not, inf for the first of all. The row at which a set clock is recognised
-            advances by the time for which it has run.
+        It is not positive for a row that does not advance, inf for the first of all. The row at
+        which a set clock is recognised advances by the time for which it has run.
         """
         dt_s = np.diff(t_s, prepend=self._latest_s)
         if not (dt_s > 0.0).all():
@@ -318,8 +299,7 @@ class RowClock:
     def warnings(self) -> tuple[str, ...]:
         """Report stamps that do not advance, a line for each kind of fault; rows count from 1.
 
-        Raises:
-            LogError: fewer than two stamps advance, so that no time step can be formed.
+        `LogError` if fewer than two stamps advance, so that no time step can be formed.
         """
         # The first of all counts as one that advances.
         if self._advanced < 2:
