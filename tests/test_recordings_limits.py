@@ -178,6 +178,7 @@ def nested(depth, size):
     "definition",
     [
         *(nested(6, 1000), nested(2, 10**9), "a/X x\n", "string[999999999] x"),
+        "string x\nstring y\nstring z\n",
         *("float64 x; import os", "".join(f"string[1000] x{k}\n" for k in range(500))),
     ],
 )

@@ -5,6 +5,7 @@ Bags are written as MCAP, with checksums, or as SQLite.
 
 import re
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from contextlib import suppress
 from functools import cache, lru_cache
 from operator import attrgetter
 from pathlib import Path
@@ -35,6 +36,7 @@ _MOST_UNROLLED = 2000
 _TYPE_NAME = re.compile(r"[A-Za-z]\w*(/[A-Za-z]\w*)*", re.ASCII)
 _FIELD_NAME = re.compile(r"[A-Za-z_]\w*", re.ASCII)
 _BASE, _NAME, _ARRAY = 1, 2, 3  # kinds of fields, as rosbags numbers them
+_FLOATS = {(_BASE, ("float32", 0)), (_BASE, ("float64", 0))}
 _ZSTD_MAGIC = b"\x28\xb5\x2f\xfd"
 
 
@@ -51,17 +53,14 @@ def _types_of(kind: str, definition: str) -> Any:
     standard = standard_types()
     library = optional_library("rosbags.typesys", "ROS 2 bags")
     if definition and len(definition) <= _LONGEST_DEFINITION:
-        try:
+        # The parser raises whatever a damaged definition makes it run into; some types of a bag are
+        # of no interest.
+        with suppress(Exception):
             found = dict(library.get_types_from_msg(definition, kind))
             _require_plain(found)
             store = library.get_typestore(library.Stores.EMPTY)
             store.register(found)
             store.get_msgdef(kind)
-        except Exception:
-            # The parser raises whatever a damaged definition makes it run into; some types of a
-            # bag are of no interest.
-            pass
-        else:
             return store
     if kind not in standard.fielddefs:
         raise FormatError(f"holds messages of the type {kind}, without its definition")
@@ -135,7 +134,7 @@ class TopicDecoder:
         """Yield where there are numbers in a type: single ones, vectors and arrays."""
         fields = self._types.get_msgdef(kind).fields
         names = tuple(name for name, _ in fields)
-        if names in _VECTORS and {node for _, (node, _) in fields} == {_BASE}:
+        if names in _VECTORS and {kind for _, kind in fields} <= _FLOATS:
             last = "_".join((*path[-1:], "".join(names)))
             yield _Column((*path[:-1], last), attrgetter(*(".".join((*path, x)) for x in names)))
             return

@@ -180,7 +180,7 @@ class _CsvRows:
                     self._note("decimal commas read as points", f"line {line}")
             if value is not None:
                 self._has_number.add(i)
-            elif cell:
+            elif cell and i not in self.omitted:
                 self._note(self._not_numbers(i), f"line {line}, {cell[:40]!r}")
             values.append(nan if value is None else value)
         return values
@@ -220,13 +220,10 @@ class _CsvRows:
 
     def notes(self) -> tuple[str, ...]:
         """What was left out or could not be read so far, a line for each kind of fault."""
-        omitted = {self._not_numbers(i) for i in self.omitted}
-        faults = (
+        return tuple(
             f"{what}: {count} (first: {first})" if first else what
             for what, (count, first) in self._faults.items()
-            if what not in omitted
         )
-        return (*self.omitted.values(), *faults)
 
 
 def _is_row(line: str) -> bool:

@@ -24,7 +24,7 @@ from needleforce.recordings.errors import (
     readable_path,
 )
 
-BLOCK = 1 << 18
+BLOCK = 1 << 20
 """The most bytes that are read, or unpacked, at a time."""
 STANDARD_STREAM = "-"
 """Instead of a file: standard input or standard output."""
