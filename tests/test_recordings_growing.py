@@ -36,7 +36,7 @@ from needleforce.recordings import (
     read_log,
 )
 from needleforce.recordings.bag_messages import MAGIC, NONE_YET, read_messages
-from needleforce.recordings.bag_reader import JoinedRows, bag_info
+from needleforce.recordings.bag_reader import Bag, JoinedRows, survey
 from needleforce.recordings.errors import MAX_BYTES
 from needleforce.recordings.follow import FollowOptions
 from needleforce.recordings.mapping import ChannelRequest
@@ -110,23 +110,26 @@ def test_a_recording_shorter_than_what_decides_its_topics_is_read_when_it_ends(t
     assert set(warnings) == set(log.warnings)
 
 
-def test_what_cannot_be_followed_is_reported_with_what_to_do(tmp_path):
-    follow = FollowOptions(follow=True, idle_s=0.1)
-    with pytest.raises(FileAccessError, match=r"x.db3 cannot be followed.*ros2 bag record -s mcap"):
-        list(stream_tables(tmp_path / "x.db3", follow))
-    with pytest.raises(FileAccessError, match=r"is a folder.*name the .mcap file in it"):
-        list(stream_tables(write_bag(tmp_path / "bag", insertion_rows(3)), follow))
-    with pytest.raises(FileAccessError, match=r"cannot read .*none.mcap: No such file"):
-        list(stream_tables(tmp_path / "none.mcap", follow))
-    path = tmp_path / "x.mcap"
-    for data, message in (
-        (b"", "x.mcap is empty"),
-        (b"0123456789", "is not an MCAP file"),
-        (MAGIC + HEADER, "holds no messages"),
-    ):
-        path.write_bytes(data)
-        with pytest.raises(FormatError, match=message):
-            list(stream_tables(path, follow))
+@pytest.mark.parametrize(
+    ("name", "data", "error", "message"),
+    [
+        ("x.db3", None, FileAccessError, r"x.db3 cannot be followed.*ros2 bag record -s mcap"),
+        ("x.npz", None, FileAccessError, r"cannot be followed.*when it is complete"),
+        ("x.csv", None, FileAccessError, r"cannot read .*x.csv: No such file"),
+        ("x.mcap", None, FileAccessError, r"cannot read .*x.mcap: No such file"),
+        ("bag", None, FileAccessError, r"is a folder.*name the .mcap file in it"),
+        ("x.mcap", b"", FormatError, "x.mcap is empty"),
+        ("x.mcap", b"0123456789", FormatError, "is not an MCAP file"),
+        ("x.mcap", MAGIC + HEADER, FormatError, "holds no messages"),
+    ],
+)
+def test_what_cannot_be_followed_is_reported_with_what_to_do(tmp_path, name, data, error, message):
+    if name == "bag":
+        write_bag(tmp_path / name, insertion_rows(3))
+    if data is not None:
+        (tmp_path / name).write_bytes(data)
+    with pytest.raises(error, match=message):
+        list(stream_tables(tmp_path / name, FollowOptions(follow=True, idle_s=0.1)))
 
 
 STEP_NS = 10_000_000
@@ -210,11 +213,12 @@ def test_rows_do_not_wait_for_a_topic_that_has_gone(tmp_path):
 
 
 def test_while_the_clock_is_silent_what_other_topics_bring_does_not_fill_memory(tmp_path):
-    info = bag_info(write_bag(tmp_path / "bag", arm_and_force(200)))
+    bag = Bag(write_bag(tmp_path / "bag", arm_and_force(200)))
+    assert survey(bag) is None
     wanted = ChannelRequest(mapping=ColumnMapping(reference_topic="/joint_states"))
     columns = frozenset({"/joint_states/position", "/ft/force_xyz"})
-    joined = JoinedRows(info, wanted, columns)
-    whole = list(read_messages(info.path, [], MAX_BYTES))
+    joined = JoinedRows(bag, wanted, columns)
+    whole = list(read_messages(bag.path, [], MAX_BYTES))
     force = next(message for message in whole if message.topic.name == "/ft")
 
     def messages():

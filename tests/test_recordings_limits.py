@@ -3,13 +3,12 @@
 import gzip
 import io
 import os
-import sqlite3
 import threading
 import time
 import tomllib
 import tracemalloc
 import zipfile
-from contextlib import closing, contextmanager
+from contextlib import contextmanager
 
 import lz4.frame
 import numpy as np
@@ -17,12 +16,11 @@ import pyarrow as pa
 import pyarrow.parquet as pq
 import pytest
 import zstandard
-from bag_samples import data_file, insertion_rows, number, write_bag
+from bag_samples import number, write_bag
 from mcap.data_stream import RecordBuilder
 from mcap.records import Channel, Chunk, DataEnd, Message, Schema
 
 from needleforce.recordings import (
-    ColumnError,
     FileAccessError,
     FollowOptions,
     FormatError,
@@ -155,7 +153,7 @@ def test_a_name_that_no_file_can_have_is_reported(tmp_path, name):
 
 
 def test_endless_nul_bytes_are_no_text():
-    with bounded(), pytest.raises(FormatError, match="not text"):
+    with bounded(), pytest.raises(FormatError, match="NUL bytes"):
         list(csv_tables(iter(lambda: bytes(1 << 18), b""), "x"))
 
 
@@ -169,17 +167,6 @@ def test_many_columns_take_seconds_not_minutes(tmp_path):
     assert time.monotonic() - start_s < 30.0
 
 
-@pytest.mark.parametrize("name", ["q2024051512", f"q{'9' * 23}"])
-def test_a_column_with_a_huge_number_is_not_counted_up_to(tmp_path, name):
-    path = tmp_path / "x.csv"
-    path.write_text(f"t,depth,force,q1,{name}\n0,0,0,1,1\n1,1,1,2,2\n")
-    with bounded():
-        assert read_log(path, required=["q"])["q_rad"].shape == (2, 1)
-    path.write_text("t,depth,force,q1,q900000000\n0,0,0,1,1\n1,1,1,2,2\n")
-    with bounded(), pytest.raises(ColumnError, match="but not 2, 3, 4, 5, 6;"):
-        read_log(path, required=["q"])
-
-
 def nested(depth, size):
     """A message type of arrays in arrays of a type without fields."""
     parts = [f"a/T1[{size}] x"]
@@ -191,6 +178,7 @@ def nested(depth, size):
     "definition",
     [
         *(nested(6, 1000), nested(2, 10**9), "a/X x\n", "string[999999999] x"),
+        "string x\nstring y\nstring z\n",
         *("float64 x; import os", "".join(f"string[1000] x{k}\n" for k in range(500))),
     ],
 )
@@ -201,25 +189,6 @@ def test_a_type_of_endless_arrays_is_no_signal(tmp_path, definition):
     message = Message(channel_id=1, log_time=1, data=data, publish_time=1, sequence=0)
     path = mcap_file(tmp_path / "x.mcap", schema, channel, message)
     with bounded(), pytest.raises(FormatError, match="holds no topic with numbers"):
-        read_table(path)
-
-
-@pytest.mark.parametrize(
-    ("changes", "message"),
-    [
-        (
-            "DROP TABLE messages; CREATE VIEW messages AS WITH RECURSIVE n(i) AS (SELECT 1 UNION "
-            "ALL SELECT i FROM n) SELECT i id, 1 topic_id, 1 timestamp, x'00' data FROM n",
-            "it has no tables messages and topics",
-        ),
-        ("DROP TABLE topics; CREATE TABLE topics(id, name)", r"damaged .*\.recover"),
-    ],
-)
-def test_an_sqlite_bag_runs_no_query_of_its_own(tmp_path, changes, message):
-    path = data_file(write_bag(tmp_path / "bag", insertion_rows(4), storage="sqlite3"))
-    with closing(sqlite3.connect(path)) as connection, connection:
-        connection.executescript(changes)
-    with pytest.raises(FormatError, match=message):
         read_table(path)
 
 

@@ -12,10 +12,8 @@ from hypothesis import given
 from hypothesis import strategies as st
 from hypothesis.extra import numpy as hnp
 
-from needleforce import recordings
 from needleforce.recordings import (
     ColumnError,
-    ColumnMapping,
     ColumnSpec,
     FormatError,
     Log,
@@ -23,34 +21,23 @@ from needleforce.recordings import (
     MappingError,
     Table,
     read_log,
+    read_table,
     write_log,
     write_table,
 )
 from needleforce.recordings.channels import CHANNELS
-from needleforce.recordings.follow import FollowOptions
 from needleforce.recordings.log import LogStream
-from needleforce.recordings.mapping import ChannelRequest
-from needleforce.recordings.open_recording import log_of as log_of_table
-from needleforce.recordings.open_recording import stream_tables
 from needleforce.recordings.table import RowClock, start_of_clock, to_nanoseconds, to_seconds
 
 T_S = np.arange(4) / 1000.0
-
-
-def test_all_is_sorted_and_resolves():
-    assert list(recordings.__all__) == sorted(recordings.__all__)
-    assert all(hasattr(recordings, name) for name in recordings.__all__)
-    assert len(recordings.__all__) <= 20
 
 
 def test_log_stores_read_only_copies():
     t_s, force_N = T_S.copy(), np.ones(4)
     log = Log(t_s=t_s, channels={"force_N": force_N})
     t_s[0] = force_N[0] = 99.0
-    assert log.t_s[0] == 0.0
-    assert log["force_N"][0] == 1.0
-    assert not log.t_s.flags.writeable
-    assert not log["force_N"].flags.writeable
+    assert (log.t_s[0], log["force_N"][0]) == (0.0, 1.0)
+    assert [v.flags.writeable for v in (log.t_s, log["force_N"])] == [False, False]
     with pytest.raises(TypeError):
         log.channels["force_N"] = force_N  # pyright: ignore
     with pytest.raises(dataclasses.FrozenInstanceError):
@@ -114,16 +101,15 @@ def test_what_is_no_table_is_refused_with_the_reason(columns, error, message):
 
 
 RAMP_S = np.arange(1000) / 1000
+LATE_S = RAMP_S.copy()
+LATE_S[100::50] -= 0.02
+LATE_S[320] = LATE_S[319]
 
 
 def test_late_and_repeated_rows_do_not_advance_and_shift_nothing():
-    t_s = RAMP_S.copy()
-    t_s[100::50] -= 0.02
-    t_s[320] = t_s[319]
-    dt_s = RowClock().update(t_s)
-    advances = dt_s > 0.0
-    assert np.count_nonzero(~advances) == 19
-    assert dt_s[advances][1:].sum() == pytest.approx(t_s.max() - t_s[0])
+    dt_s = RowClock().update(LATE_S)
+    assert np.count_nonzero(dt_s <= 0.0) == 19
+    assert dt_s[dt_s > 0.0][1:].sum() == pytest.approx(LATE_S.max() - LATE_S[0])
 
 
 @pytest.mark.parametrize("back_s", [0.5, 3600.0])
@@ -170,35 +156,27 @@ def test_stamps_come_back_from_seconds(first_ns, since_ns):
 @pytest.mark.parametrize("start_ns", [0, EPOCH_NS])
 def test_every_format_keeps_the_clock_of_the_source(tmp_path, suffix, start_ns):
     stamps_ns = start_ns + np.cumsum(np.arange(300)) * 1_000_003
-    log = Log(
-        t_s=to_seconds(stamps_ns, start_ns),
-        channels={"q_rad": np.zeros((300, 2))},
-        start_ns=start_ns,
-    )
+    channels = {"q_rad": np.zeros((300, 2))}
+    log = Log(t_s=to_seconds(stamps_ns, start_ns), channels=channels, start_ns=start_ns)
     path = tmp_path / f"log.{suffix}"
     write_log(path, log)
     again = read_log(path, required=["q"])
     assert to_nanoseconds(again.t_s, again.start_ns).tolist() == stamps_ns.tolist()
-    stream = LogStream(stream_tables(path, FollowOptions()), required=["q"])
-    t_s = np.concatenate([chunk.t_s for chunk in stream])
-    assert to_nanoseconds(t_s, stream.start_ns).tolist() == stamps_ns.tolist()
 
 
-@pytest.mark.parametrize("suffix", ["csv", "csv.gz", "npz", "parquet"])
-@pytest.mark.parametrize("is_ragged", [False, True])
-def test_whole_nanoseconds_since_the_epoch_lose_no_digit(tmp_path, suffix, is_ragged):
+@pytest.mark.parametrize("suffix", ["csv", "ragged.csv", "npz", "parquet"])
+def test_whole_nanoseconds_since_the_epoch_lose_no_digit(tmp_path, suffix):
     stamps_ns = EPOCH_NS + np.cumsum(np.arange(5000)) % 7 + 1_000_003 * np.arange(5000)
     path = tmp_path / f"log.{suffix}"
     write_table(path, {"time [ns]": stamps_ns, "force_N": np.ones(5000)})
-    if is_ragged and suffix == "csv":
+    if suffix == "ragged.csv":
         lines = path.read_text().splitlines()
         lines[3000:3000] = ["1,2,3", f"{EPOCH_NS}"]
         path.write_text("\n".join(lines) + "\n")
+    else:
+        assert read_table(path).columns["time [ns]"].tolist() == stamps_ns.tolist()
     log = read_log(path)
     assert to_nanoseconds(log.t_s, log.start_ns).tolist() == stamps_ns.tolist()
-    stream = LogStream(stream_tables(path, FollowOptions()))
-    t_s = np.concatenate([chunk.t_s for chunk in stream])
-    assert to_nanoseconds(t_s, stream.start_ns).tolist() == stamps_ns.tolist()
     write_log(tmp_path / "log.mcap", log)
     again = read_log(tmp_path / "log.mcap")
     assert to_nanoseconds(again.t_s, again.start_ns).tolist() == stamps_ns.tolist()
@@ -211,7 +189,7 @@ def test_a_stamp_that_is_no_whole_number_costs_digits_but_no_second(tmp_path, ro
     lines = [f"{stamp},1.0" for stamp in stamps_ns]
     lines[row] = "oops,1.0"
     path.write_text("\n".join(["time_ns,force_N", *lines]) + "\n")
-    t_s = np.concatenate([chunk.t_s for chunk in LogStream(stream_tables(path, FollowOptions()))])
+    t_s = read_log(path).t_s
     assert len(t_s) == 4999
     expected_s = np.delete(1e-3 * np.arange(5000), row)
     np.testing.assert_allclose(t_s - t_s[0], expected_s, atol=2e-6)
@@ -230,10 +208,7 @@ def real(name):
 
 def log_of(mapping=None, required=(), optional=(), constants=None, **columns):
     table = Table(columns=columns, constants=constants or {})
-    request = ChannelRequest(
-        mapping=mapping or ColumnMapping(), required=tuple(required), optional=tuple(optional)
-    )
-    return log_of_table(table, request)
+    return LogStream([table], mapping, required=required, optional=optional).joined()
 
 
 T = np.arange(3.0) / 100
@@ -347,33 +322,32 @@ def test_what_was_left_out_is_reported_when_nothing_fits(tmp_path):
         ) as caught:
             read_log(log, required=[required])
         assert "'tau' holds text (line 2, 'oops') and was left out)" in str(caught.value)
-        with pytest.raises(ColumnError) as streamed:
-            list(LogStream(stream_tables(log, FollowOptions()), required=[required]))
-        assert str(streamed.value) == str(caught.value)
+
+
+@pytest.mark.parametrize(
+    ("mapping", "constants", "columns", "t_s", "warning"),
+    [
+        (None, {}, {"t": [0.0, np.nan, 0.02]}, [0.0, 0.02], "time: rows without a stamp, left "
+         "out: 1 (first: row 2)"),
+        (mapped(rate_hz=200.0), {"sample_rate_Hz": 1.0}, {"t": T}, [0.0, 0.005, 0.01], ""),
+        (None, {"gain": 3.0, "sample_rate_Hz": 1000.0}, {}, [0.0, 0.001, 0.002],
+         "no time column: time from sample_rate_Hz = 1000"),
+    ],
+    ids=["column", "rate of the mapping", "rate of the file"],
+)  # fmt: skip
+def test_time_comes_from_the_mappings_rate_a_column_or_the_files_rate(
+    mapping, constants, columns, t_s, warning
+):
+    log = log_of(mapping, constants=constants, **columns, f=np.arange(3.0))
+    np.testing.assert_allclose(log.t_s, t_s)
+    assert log["force_N"].tolist() == ([0.0, 2.0] if len(t_s) == 2 else [0.0, 1.0, 2.0])
+    assert log.warnings == ((warning,) if warning else ())
 
 
 def test_an_optional_channel_without_values_is_left_out_and_reported():
     log = log_of(None, ("q",), ("dq",), t=T, q=ONES, dq=ONES * np.nan)
     assert list(log.channels) == ["q_rad"]
     assert log.warnings == ("dq: its columns hold no finite value and were left out",)
-
-
-def test_rows_without_a_time_stamp_are_left_out_and_reported():
-    log = log_of(t=np.array([0.0, np.nan, 0.02]), f=np.array([1.0, 2.0, 3.0]))
-    np.testing.assert_array_equal(log["force_N"], [1.0, 3.0])
-    assert log.warnings == ("time: rows without a stamp, left out: 1 (first: row 2)",)
-
-
-def test_time_comes_from_the_mappings_rate_before_all_else():
-    log = log_of(mapped(rate_hz=200.0), constants={"sample_rate_Hz": 1.0}, t=T, f=ONES)
-    np.testing.assert_allclose(log.t_s, [0.0, 0.005, 0.01])
-    assert log.warnings == ()
-
-
-def test_time_comes_from_the_files_own_rate_if_nothing_else_is_there():
-    log = log_of(constants={"gain": 3.0, "sample_rate_Hz": 1000.0}, f=ONES)
-    np.testing.assert_allclose(log.t_s, [0.0, 0.001, 0.002])
-    assert log.warnings == ("no time column: time from sample_rate_Hz = 1000",)
 
 
 @pytest.mark.parametrize("rate", [0.0, -1.0, np.nan, np.inf])

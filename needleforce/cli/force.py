@@ -18,7 +18,6 @@ from needleforce.cli.log import LogSession
 from needleforce.cli.terminal import CommandError, write_out
 from needleforce.plots import Chart, Curve, LineStyle, Panel, palette
 from needleforce.plots.chart import limits_of
-from needleforce.recordings.channels import FORCE_STATUS
 from needleforce.recordings.log import LogChunk
 from needleforce.recordings.mapping import ChannelRequest
 from needleforce.recordings.open_recording import suggest_mapping
@@ -94,7 +93,7 @@ def _labels(log: LogSession, robot: Robot, config: SensorConfig) -> Labels:
     tool_frame = config.frame if config.frame is not None else robot.tool_frame
     # Frame 0 is Pinocchio's own "universe"; the first of the URDF is its root link.
     frame = robot.frame_names[1] if config.axes == "base" else tool_frame
-    return Labels(start_ns=log.start_ns, frame=frame, events={"force_status": FORCE_STATUS})
+    return Labels(start_ns=log.start_ns, frame=frame)
 
 
 def _as_log(chunk: LogChunk, rows: Rows) -> LogChunk:

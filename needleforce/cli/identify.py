@@ -51,12 +51,7 @@ def run(
 
 def _labels(log: LogSession) -> Labels:
     """Return what a bag of estimates says beside the numbers."""
-    events = {
-        "rupture": ("", "layer {} ruptured"),
-        "identified_layer": ("", "friction of layer {} identified"),
-        "retracted": ("", "rupture of layer {} retracted"),
-    }
-    return Labels(start_ns=log.start_ns, prefix="/needleforce/identification", events=events)
+    return Labels(start_ns=log.start_ns, prefix="/needleforce/identification")
 
 
 # From a log to its result.

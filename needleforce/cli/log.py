@@ -11,7 +11,14 @@ import numpy as np
 
 from needleforce import plots, recordings
 from needleforce.cli import Columns, Output
-from needleforce.cli.terminal import INTERRUPTED, CommandError, say, stop_request, write_out
+from needleforce.cli.terminal import (
+    INTERRUPTED,
+    CommandError,
+    progress_bar,
+    say,
+    stop_request,
+    write_out,
+)
 from needleforce.plots.page import PAGE
 from needleforce.recordings import CHANNELS, ColumnMapping, FollowOptions, LogStream, RecordingError
 from needleforce.recordings.errors import file_errors, readable_path
@@ -94,11 +101,19 @@ class LogSession:
 
     def __iter__(self) -> Iterator[LogChunk]:
         """Yield the rows."""
+        is_table_elsewhere = self._output.output != STANDARD_STREAM and not self.is_live
+        with progress_bar(self.name, is_wanted=is_table_elsewhere) as progress:
+            yield from self._chunks(progress)
+        if self.exit_code:
+            say("interrupted: the results are those of the rows read so far")
+
+    def _chunks(self, progress: Callable[[float], None]) -> Iterator[LogChunk]:
         request = self._request
         options = FollowOptions(
             follow=self._output.follow,
             idle_s=self._output.idle,
             should_stop=self.is_stopped,
+            progress=progress,
             warn=self._warn,
         )
         tables = recordings.stream_tables(self._source, options, request)
@@ -115,8 +130,6 @@ class LogSession:
             raise
         finally:
             self._warn(*stream.take_warnings())
-        if self.exit_code:
-            say("interrupted: the results are those of the rows read so far")
 
     def _warn(self, *warnings: str) -> None:
         self.warnings += warnings

@@ -8,17 +8,10 @@ from numpy.typing import NDArray
 from groundtruth import SCENARIOS, Run, simulate
 from groundtruth.scenarios import RANDOM_STACK, RANDOM_TISSUE, Scenario, named_scenario
 from needleforce.cli import SimulationOptions
-from needleforce.cli.terminal import CommandError, write_out
+from needleforce.cli.terminal import CommandError, progress_bar, write_out
 from needleforce.recordings import check_writable, write_table
 from needleforce.recordings.output import check_output_paths
 from needleforce.recordings.table import Labels
-
-_EVENTS = {
-    "layer": ("above the tissue", "in layer {}"),
-    "rupture": ("", "layer {} ruptures"),
-    "surface_rupture": ("", "the membrane on the surface ruptures"),
-}
-"""Columns of the ground truth in words, see `Labels`."""
 
 
 def run(scenario: str | None, options: SimulationOptions) -> int:
@@ -31,12 +24,13 @@ def run(scenario: str | None, options: SimulationOptions) -> int:
         write_out("".join(f"{name:<{width}}  {title}\n" for name, title in rows.items()))
         return 0
     chosen = _checked(scenario, options)
-    made = simulate(chosen, plant=options.plant, seed=options.seed)
+    with progress_bar(f"simulating {chosen.id}"):
+        made = simulate(chosen, plant=options.plant, seed=options.seed)
     names = made.robot.joint_names
     if options.output is not None:
         write_table(options.output, signal_table(made), labels=Labels(joint_names=names))
     if options.truth is not None:
-        labels = Labels(joint_names=names, prefix="/truth", events=_EVENTS)
+        labels = Labels(joint_names=names, prefix="/truth")
         write_table(options.truth, truth_table(made), labels=labels)
     write_out(_summary(made, options.output))
     return 0

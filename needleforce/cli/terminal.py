@@ -89,6 +89,21 @@ def stop_request() -> Iterator[Callable[[], bool]]:
         yield lambda: is_pressed
 
 
+@contextmanager
+def progress_bar(what: str, *, is_wanted: bool = True) -> Iterator[Callable[[float], None]]:
+    """Show on stderr, if that is a terminal, how far work has come; yield what takes the share."""
+    if not is_wanted or sys.stderr is None or not sys.stderr.isatty():
+        yield lambda share: None
+        return
+    from rich.console import Console
+    from rich.progress import Progress
+
+    # What is said meanwhile stands above the bar; the bar leaves no trace.
+    with Progress(console=Console(stderr=True), transient=True, redirect_stdout=False) as bar:
+        task = bar.add_task(what, total=None)
+        yield lambda share: bar.update(task, total=1.0, completed=share)
+
+
 def say(text: str) -> None:
     """Write one line to stderr, whatever line ends a message has."""
     if sys.stderr is not None:

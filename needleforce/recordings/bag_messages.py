@@ -1,13 +1,18 @@
 """The messages of a ROS 2 bag as bytes: `rosbags` reads SQLite, `mcap` the records of MCAP."""
 
+import heapq
 import io
 import re
+import struct
 from collections.abc import Iterator
+from itertools import chain
+from operator import attrgetter
 from pathlib import Path
 from typing import Any, NamedTuple
 from zlib import crc32
 
 from needleforce.recordings.errors import (
+    PART,
     FileAccessError,
     FormatError,
     file_errors,
@@ -18,9 +23,8 @@ from needleforce.recordings.errors import (
 from needleforce.recordings.follow import FollowOptions, byte_blocks
 
 BAG_SUFFIXES = (".mcap", ".db3")
-_PART = 8
-"""One chunk or message may take this fraction (1/8) of `max_bytes`."""
 _LATEST_NS = (1 << 63) - 1
+_MOST_OPEN = 64  # files
 
 
 class BagTopic(NamedTuple):
@@ -80,18 +84,25 @@ def read_messages(
             each time before more is waited for. None to read what there is.
     """
     optional_library("rosbags.typesys", "ROS 2 bags")
-    for file in bag_files(path):
+
+    def messages(file: Path) -> Iterator[RawMessage]:
         found: list[str] = []
         try:
             with file_errors(file):
                 if file.name.lower().endswith(".db3"):
                     yield from _sqlite_messages(readable_path(file), found)
                 else:
-                    yield from _McapReader(file, found, max_bytes // _PART).messages(options)
+                    yield from _McapReader(file, found, max_bytes // PART).messages(options)
         except FormatError as error:
             raise FormatError(f"{file} {error}") from error
         finally:
-            faults += [f"{file.name} {fault}" for fault in found]
+            faults.extend(f"{file.name} {fault}" for fault in found)
+
+    files = [messages(file) for file in bag_files(path)]
+    # Files may have been recorded side by side; of a bag split into many, one at a time is open.
+    if len(files) > _MOST_OPEN:
+        return chain.from_iterable(files)
+    return heapq.merge(*files, key=attrgetter("log_ns"))
 
 
 def _unpacked(packed: bytes, compression: str, size: int) -> bytes:
@@ -117,10 +128,23 @@ def _unpacked(packed: bytes, compression: str, size: int) -> bytes:
 
 
 MAGIC = b"\x89MCAP0\r\n"
-_CHUNK, _LAST, _PRIVATE = 0x06, 0x0F, 0x80
-"""Numbers of records: none lies between the end of the data, the last, and private ones."""
-_HEAD = 9
-"""Bytes of number and size, with which a record begins."""
+_HEAD = struct.Struct("<BQ")
+"""Number and size, with which a record begins."""
+_MESSAGE_HEAD = struct.Struct("<HIQQ")
+"""Channel, sequence, when it was recorded and published."""
+_SCHEMA, _CHANNEL, _MESSAGE, _CHUNK, _DATA_END, _PRIVATE = 0x03, 0x04, 0x05, 0x06, 0x0F, 0x80
+"""Numbers of records: none lies between the end of the data and private ones."""
+_PARSED = {_SCHEMA: "Schema", _CHANNEL: "Channel", _CHUNK: "Chunk"}
+
+
+def _records(data: bytes | bytearray) -> Iterator[tuple[int, int, int]]:
+    """Yield number, start and end of the content of records; the last may end behind the data."""
+    at = 0
+    while len(data) - at >= _HEAD.size:
+        opcode, size = _HEAD.unpack_from(data, at)
+        at += _HEAD.size
+        yield opcode, at, at + size
+        at += size
 
 
 class _McapReader:
@@ -130,7 +154,8 @@ class _McapReader:
     """
 
     def __init__(self, path: Path, faults: list[str], limit: int) -> None:
-        self._library = optional_library("mcap.stream_reader", "MCAP files")
+        self._library = optional_library("mcap.records", "MCAP files")
+        self._stream = optional_library("mcap.data_stream", "MCAP files").ReadDataStream
         self._path, self._faults, self._limit = path, faults, limit
         self._schemas: dict[int, tuple[str, str]] = {}
         self._channels: dict[int, BagTopic] = {}
@@ -144,10 +169,6 @@ class _McapReader:
             if not block:
                 yield NONE_YET
             held += block
-            if not self._at and len(held) >= len(MAGIC):
-                _require_magic(held, MAGIC, "MCAP")
-                self._at = len(MAGIC)
-                del held[: self._at]
             yield from self._whole_records(held)
             if self._is_over:
                 return
@@ -156,73 +177,77 @@ class _McapReader:
         # A growing file may end after any record, and anywhere if it is the user who stops.
         if not growing or (held and not options.should_stop()):
             self._faults.append("is cut short")
-        yield from self._piece_of_chunk(bytes(held))
+        for opcode, start, _ in _records(held):
+            # The data are the last part of a chunk.
+            if opcode == _CHUNK:
+                yield from self._taken(opcode, bytes(held[start:]), is_whole=False)
 
     def _whole_records(self, held: bytearray) -> Iterator[RawMessage]:
-        """Take the records that are there whole, since the parser cannot wait."""
-        while self._at and len(held) >= _HEAD:
-            end = self._end(held)
-            if not end:
-                self._is_over = True
-                self._faults.append(f"is damaged at byte {self._at}; what follows cannot be read")
-            if self._is_over or end > len(held):
+        """Take the records that are there whole out of the bytes held."""
+        if not self._at:
+            if len(held) < len(MAGIC):
                 return
-            record = self._record(bytes(held[:end]))
-            self._is_over = isinstance(record, self._library.DataEnd)
-            yield from self._wanted(record)
-            del held[:end]
-            self._at += end
+            _require_magic(held, MAGIC, "MCAP")
+            del held[: len(MAGIC)]
+            self._at = len(MAGIC)
+        done = 0
+        for opcode, start, end in _records(held):
+            if self._is_damaged(opcode, end - start):
+                self._is_over, at = True, self._at + done
+                self._faults.append(f"is damaged at byte {at}; what follows cannot be read")
+            if self._is_over or end > len(held):
+                break
+            yield from self._taken(opcode, bytes(held[start:end]))
+            done = end
+            if opcode == _DATA_END:
+                self._is_over = True
+                break
+        self._at += done
+        del held[:done]
 
-    def _piece_of_chunk(self, held: bytes) -> Iterator[RawMessage]:
-        """Yield the messages of a chunk that goes on after the end of the file."""
-        if len(held) > _HEAD and held[0] == _CHUNK:
-            missing = self._end(held) - len(held)
-            chunk = self._record(held + bytes(missing))
-            # The data are the last part of a chunk.
-            if chunk is not None and missing < len(chunk.data):
-                chunk.data = chunk.data[:-missing]
-                yield from self._chunk(chunk, is_whole=False)
-
-    def _end(self, held: bytes | bytearray) -> int:
-        """Return where a record ends, or 0: after a lost byte any bytes stand for one."""
-        opcode, size = held[0], int.from_bytes(held[1:_HEAD], "little")
+    def _is_damaged(self, opcode: int, size: int) -> bool:
+        """Return whether no record can be so: after a lost byte any bytes stand for one."""
         if self._limit < size <= self._path.stat().st_size:
             require_size(size, self._limit, "holds a record that")
-        is_known = 0 < opcode <= _LAST or opcode >= _PRIVATE
-        is_possible = is_known and size <= self._limit and (opcode != _LAST or size == 4)
-        return (_HEAD + size) * is_possible
+        is_known = 0 < opcode <= _DATA_END or opcode >= _PRIVATE
+        return not is_known or size > self._limit or (opcode == _DATA_END and size != 4)
 
-    def _parser(self, stream: io.BytesIO) -> Iterator[Any]:
-        return self._library.StreamReader(stream, skip_magic=True, emit_chunks=True).records
-
-    def _record(self, data: bytes) -> Any:
-        """Return a record; None for one of no known kind, or a damaged one."""
+    def _taken(self, opcode: int, data: bytes, *, is_whole: bool = True) -> Iterator[RawMessage]:
+        """Yield the messages in a record, and learn schemas and channels."""
+        if opcode == _MESSAGE:
+            if (message := self._message(data)) is not None:
+                yield message
+            return
+        kind = _PARSED.get(opcode)
+        if kind is None:
+            return
         try:
-            return next(self._parser(io.BytesIO(data)), None)
+            record = getattr(self._library, kind).read(self._stream(io.BytesIO(data)))
         except Exception:
             # Damaged bytes end in whatever the parser runs into.
-            self._faults += ["has a damaged record"] * (data[0] < _PRIVATE)
-            return None
-
-    def _wanted(self, record: Any) -> Iterator[RawMessage]:
-        """Yield the messages in a record, and learn schemas and channels."""
-        library = self._library
-        if isinstance(record, library.Message):
-            topic = self._channels.get(record.channel_id)
-            if topic is None or record.log_time > _LATEST_NS:
-                self._faults[:] = dict.fromkeys((*self._faults, "has damaged messages"))
-            else:
-                yield RawMessage(topic, record.log_time, record.data)
-        elif isinstance(record, library.Chunk):
-            yield from self._chunk(record)
-        elif isinstance(record, library.Schema):
+            self._faults += ["has a damaged record"] * is_whole
+            return
+        if opcode == _CHUNK:
+            yield from self._chunk(record, is_whole=is_whole)
+        elif opcode == _SCHEMA:
             text = record.data.decode(errors="replace") if record.encoding == "ros2msg" else ""
             self._schemas[record.id] = record.name, text
-        elif isinstance(record, library.Channel):
+        else:
             kind, text = self._schemas.get(record.schema_id, ("", ""))
             self._channels[record.id] = BagTopic(record.topic, kind, record.message_encoding, text)
 
-    def _chunk(self, chunk: Any, *, is_whole: bool = True) -> Iterator[RawMessage]:
+    def _message(self, data: bytes) -> RawMessage | None:
+        # By hand, since the parser of the library takes ten times as long.
+        if len(data) >= _MESSAGE_HEAD.size:
+            channel, _, log_ns, _ = _MESSAGE_HEAD.unpack_from(data)
+            topic = self._channels.get(channel)
+            if topic is not None and log_ns <= _LATEST_NS:
+                return RawMessage(topic, log_ns, data[_MESSAGE_HEAD.size :])
+        if "has damaged messages" not in self._faults:
+            self._faults.append("has damaged messages")
+        return None
+
+    def _chunk(self, chunk: Any, *, is_whole: bool) -> Iterator[RawMessage]:
         data, size = chunk.data, chunk.uncompressed_size
         require_size(size, self._limit, "holds a chunk that")
         if chunk.compression:
@@ -230,18 +255,14 @@ class _McapReader:
         if is_whole and chunk.uncompressed_crc and crc32(data) != chunk.uncompressed_crc:
             self._faults.append("has a chunk whose checksum is wrong, which was left out")
             return
-        stream, done = io.BytesIO(data), 0
-        try:
-            for record in self._parser(stream):
-                done = stream.tell()
-                if not isinstance(record, self._library.Chunk):
-                    yield from self._wanted(record)
-        except Exception:
-            # So ends every chunk, since none has a footer.
-            if is_whole and done < size:
-                self._faults.append(
-                    f"has a damaged chunk, of which {done} of {size} bytes are right"
-                )
+        done = 0
+        for opcode, start, end in _records(data):
+            if end > len(data) or opcode == _CHUNK:
+                break
+            yield from self._taken(opcode, data[start:end])
+            done = end
+        if is_whole and done < size:
+            self._faults.append(f"has a damaged chunk, of which {done} of {size} bytes are right")
 
 
 def _require_magic(head: bytes | bytearray, magic: bytes, what: str) -> None:
@@ -268,24 +289,18 @@ def _sqlite_messages(path: Path, faults: list[str]) -> Iterator[RawMessage]:
         )
     rosbag2 = optional_library("rosbags.rosbag2", "ROS 2 bags")
     apsw = optional_library("apsw", "ROS 2 bags")
+    damage = (ValueError, TypeError, KeyError, AttributeError, MemoryError)
     try:
         with rosbag2.Reader(path) as reader:
-            topics = {}
-            for found in reader.connections:
-                text = found.msgdef.data if found.msgdef.format.name == "MSG" else ""
-                encoding = str(found.ext.serialization_format)
-                topics[found.id] = BagTopic(found.topic, found.msgtype, encoding, text)
-                _require_type(str, found.topic, found.msgtype)
+            topics = {found.id: _sqlite_topic(found) for found in reader.connections}
             for connection, log_ns, data in reader.messages():
-                _require_type(int, log_ns)
-                _require_type(bytes, data)
+                # In SQLite any value may stand in any column.
+                if type(log_ns) is not int or type(data) is not bytes:
+                    raise TypeError(f"{log_ns!r:.40} and {type(data)} for a time stamp and bytes")
                 yield RawMessage(topics[connection.id], log_ns, data)
     except (FileAccessError, FormatError):
         raise
-    except (
-        *(rosbag2.ReaderError, apsw.Error),
-        *(ValueError, TypeError, KeyError, AttributeError, MemoryError),
-    ) as error:
+    except (rosbag2.ReaderError, apsw.Error, *damage) as error:
         if "missing tables" in str(error):
             raise FormatError("is not a bag: it has no tables messages and topics") from error
         raise FormatError(
@@ -294,11 +309,11 @@ def _sqlite_messages(path: Path, faults: list[str]) -> Iterator[RawMessage]:
         ) from error
 
 
-def _require_type(kind: type, *values: object) -> None:
-    # In SQLite any value may stand in any column.
-    for value in values:
-        if not isinstance(value, kind):
-            raise TypeError(f"{value!r:.40} where there should be {kind.__name__}")
+def _sqlite_topic(found: Any) -> BagTopic:
+    if not (isinstance(found.topic, str) and isinstance(found.msgtype, str)):
+        raise TypeError(f"{found.topic!r:.40} is no name of a topic")
+    text = found.msgdef.data if found.msgdef.format.name == "MSG" else ""
+    return BagTopic(found.topic, found.msgtype, str(found.ext.serialization_format), text)
 
 
 def require_sqlite_name(path: Path, verb: str) -> None:

@@ -1,7 +1,7 @@
 """ROS 2 bags as tables: topics are columns, the messages of one topic are the rows."""
 
-from collections.abc import Collection, Iterable, Iterator, Mapping
-from dataclasses import dataclass, replace
+from collections.abc import Collection, Iterable, Iterator
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -9,8 +9,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from needleforce.recordings.bag_messages import NONE_YET, BagTopic, RawMessage, read_messages
-from needleforce.recordings.bag_types import Content, TopicDecoder, width_of
-from needleforce.recordings.errors import MAX_BYTES, ColumnError, FormatError, require_size
+from needleforce.recordings.bag_types import Content, TopicDecoder, size_of
+from needleforce.recordings.errors import MAX_BYTES, ColumnError, FormatError
 from needleforce.recordings.follow import FollowOptions
 from needleforce.recordings.mapping import ChannelRequest
 from needleforce.recordings.table import (
@@ -45,10 +45,10 @@ class Topic:
     """
 
     def __init__(self, topic: BagTopic, first_ns: int) -> None:
-        self.topic, self.count = topic, 0
+        self.topic, self.name, self.count = topic, topic.name, 0
         self.first_ns = self.last_ns = first_ns  # when messages were recorded
         self.columns: dict[str, int | None] = {}  # to width, None for one number
-        self.names: list[str] = []  # of joints, the elements of `named`
+        self.joint_names: list[str] = []  # the elements of `named`
         self.named: set[str] = set()  # columns whose elements have names
         self.has_stamp = False  # of the source
         self.fault = ""  # why its messages cannot be read
@@ -65,6 +65,10 @@ class Topic:
         """How far apart messages may be for interpolation between them."""
         return NS_PER_S * max(_SHORTEST_LIMIT_S, _PERIODS / max(self.rate_hz, 1e-9))
 
+    def _decoded(self, message: RawMessage) -> Content:
+        self._decoder = self._decoder or TopicDecoder(self.topic)
+        return self._decoder.decode(message.data)
+
     def learn(self, message: RawMessage) -> None:
         """Count a message, and look at what the first ones hold."""
         self.count += 1
@@ -72,30 +76,30 @@ class Topic:
         if self.count > _LEARNED:
             return
         try:
-            self._decoder = self._decoder or TopicDecoder(self.topic)
-            content = self._decoder.decode(message.data)
+            content = self._decoded(message)
         except FormatError as error:
             # One damaged message, the first even, is no reason to lose the topic.
             self.fault = "" if self.columns else str(error)
             return
-        self.fault, self.has_stamp = "", self._decoder.has_stamp
+        self.fault, self.has_stamp = "", content.stamp_ns is not None
         if content.named:
-            self.names += [name for name in content.names if name not in self.names]
+            self.joint_names += [n for n in content.names if n not in self.joint_names]
         self.named |= content.named
         for name, value in content.values.items():
-            self.columns.setdefault(name, width_of(value))
+            self.columns.setdefault(name, size_of(value))
 
     def describe(self) -> str:
         """Return the topic in one line."""
         what = "source stamps" if self.has_stamp else "stamps of the recorder"
         what = self.fault or (what if self.columns else "no numbers")
-        topic = f"{self.topic.name}: {self.topic.kind}"
-        return f"{topic}, {self.count} messages, {self.rate_hz:.4g} Hz, {what}"
+        return (
+            f"{self.name}: {self.topic.kind}, {self.count} messages, {self.rate_hz:.4g} Hz, {what}"
+        )
 
     def choose(self, columns: Collection[str], joints: Collection[str]) -> None:
         """Begin to collect rows of some columns, with the joints in this order."""
         self._decoder: TopicDecoder | None = None
-        self.joints = {joint: place for place, joint in enumerate(joints)}
+        self.joints = tuple(joints)
         self._widths = {
             name: len(self.joints) if name in self.named else self.columns[name] or 1
             for name in columns
@@ -110,17 +114,18 @@ class Topic:
     def add(self, message: RawMessage) -> None:
         """Take a message in."""
         try:
-            self._decoder = self._decoder or TopicDecoder(self.topic)
-            content = self._decoder.decode(message.data)
+            content = self._decoded(message)
         except FormatError:
             self._note("messages that do not fit their type, left out")
             return
         names = content.names
-        if self.joints and names and self.joints.keys().isdisjoint(names):
-            self._note("messages without any of the joints, left out")
-            return
-        if names and not self.joints.keys() <= set(names):
-            self._note("messages that lack joints")
+        if names and names != self.joints:
+            missing = set(self.joints) - set(names)
+            if self.joints and len(missing) == len(self.joints):
+                self._note("messages without any of the joints, left out")
+                return
+            if missing:
+                self._note("messages that lack joints")
         if content.stamp_ns == 0 and message.log_ns:
             self._note("messages without a source time stamp; the recorder's was taken")
         self.new_ns.append(content.stamp_ns or message.log_ns)
@@ -130,20 +135,18 @@ class Topic:
     def _row(self, name: str, content: Content) -> Any:
         """Return the numbers of one column of a message; what does not fit is NaN."""
         width, value = self._widths[name], content.values.get(name)
-        row = np.full(width, np.nan)
         if value is None or (name in self.named) != (name in content.named):
             self._note(f"messages without values of {name}, or not one for each joint")
         elif name in self.named:
-            if tuple(self.joints) == content.names:
+            if self.joints == content.names:
                 return value
-            for joint, number in zip(content.names, value, strict=True):
-                if joint in self.joints:
-                    row[self.joints[joint]] = number
-        elif (width_of(value) or 1) == width:
+            given = dict(zip(content.names, value, strict=True))
+            return [given.get(joint, np.nan) for joint in self.joints]
+        elif (size_of(value) or 1) == width:
             return value if isinstance(value, tuple | np.ndarray) else (value,)
         else:
             self._note(f"messages with another number of values of {name}")
-        return row
+        return np.full(width, np.nan)
 
     def collect(self) -> None:
         """Append what was taken in to the rows."""
@@ -164,60 +167,65 @@ class Topic:
 
     def notes(self) -> list[str]:
         """Return what was left out or guessed so far, one sentence each."""
-        return [f"{self.topic.name}: {what}: {count}" for what, count in self._faults.items()]
+        return [f"{self.name}: {what}: {count}" for what, count in self._faults.items()]
 
     def _note(self, what: str) -> None:
         self._faults[what] = self._faults.get(what, 0) + 1
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
-class BagInfo:
-    """A bag and its topics by name; `warnings` report what was lost or is damaged."""
+class Bag:
+    """A bag and its topics by name, as far as it was gone through, see `survey`."""
 
-    path: Path
-    topics: Mapping[str, Topic]
-    warnings: tuple[str, ...]
+    def __init__(self, path: Path) -> None:
+        self.path = path
+        self.topics: dict[str, Topic] = {}
+        self.faults: list[str] = []
+
+    def learn(self, message: RawMessage) -> bool:
+        """Take a message; return whether its topic is a new one."""
+        is_new = message.topic.name not in self.topics
+        if is_new:
+            self.topics[message.topic.name] = Topic(message.topic, message.log_ns)
+        self.topics[message.topic.name].learn(message)
+        return is_new
+
+    def count_from(self, log_ns: int) -> None:
+        """Count all topics from this time on; the message of it counts for its own."""
+        for topic in self.topics.values():
+            topic.count, topic.first_ns = int(topic.first_ns == log_ns), log_ns
+
+    @property
+    def warnings(self) -> list[str]:
+        """What was lost or is damaged, and how much there is."""
+        if not self.faults:
+            return []
+        topics = self.topics.values()
+        ends = [ns / NS_PER_S for topic in topics for ns in (topic.first_ns, topic.last_ns)]
+        return [
+            f"{'; '.join(self.faults)}: {sum(topic.count for topic in topics)} messages from "
+            f"{min(ends):.3f} s to {max(ends):.3f} s could be read, what came after, if anything, "
+            "is lost"
+        ]
 
     def table(self) -> Table:
-        """Return all columns of the bag without rows, to look columns up by name."""
+        """Return all columns without rows, to look columns up by name."""
         topics = self.topics.values()
-        widths = {name: width for found in topics for name, width in found.columns.items()}
+        if not topics:
+            faults = "".join(f" ({fault})" for fault in self.faults)
+            raise FormatError(f"{self.path} holds no messages{faults}")
+        widths = {name: width for topic in topics for name, width in topic.columns.items()}
         if not widths:
             reasons = (
-                f"{found.topic.name} ({found.topic.kind}) {found.fault or 'holds no numbers'}"
-                for found in topics
+                f"{topic.name} ({topic.topic.kind}) {topic.fault or 'holds no numbers'}"
+                for topic in topics
             )
             raise FormatError(f"{self.path} holds no topic with numbers: {'; '.join(reasons)}")
-        faults = (f"{t.topic.name!r}: {t.topic.kind} {t.fault}" for t in topics if t.fault)
+        faults = (f"{t.name!r}: {t.topic.kind} {t.fault}" for t in topics if t.fault)
         return Table(
             columns={n: np.empty((0,) if k is None else (0, k)) for n, k in widths.items()},
-            joint_names={name: tuple(found.names) for found in topics for name in found.named},
+            joint_names={n: tuple(topic.joint_names) for topic in topics for n in topic.named},
             warnings=tuple(faults),
         )
-
-
-def bag_info(path: Path, max_bytes: int = MAX_BYTES) -> BagInfo:
-    """Go through a bag; errors are those of `bag_tables`."""
-    topics: dict[str, Topic] = {}
-    faults: list[str] = []
-    for message in read_messages(path, faults, max_bytes):
-        _learn(message, topics)
-    if not topics:
-        raise FormatError(f"{path} holds no messages{''.join(f' ({fault})' for fault in faults)}")
-    if faults:
-        count = sum(topic.count for topic in topics.values())
-        ends = [ns / NS_PER_S for t in topics.values() for ns in (t.first_ns, t.last_ns)]
-        faults = [
-            f"{'; '.join(faults)}: {count} messages from {min(ends):.3f} s to {max(ends):.3f} s "
-            "could be read, what came after, if anything, is lost"
-        ]
-    return BagInfo(path=path, topics=topics, warnings=tuple(faults))
-
-
-def _learn(message: RawMessage, topics: dict[str, Topic]) -> None:
-    if message.topic.name not in topics:
-        topics[message.topic.name] = Topic(message.topic, message.log_ns)
-    topics[message.topic.name].learn(message)
 
 
 class JoinedRows:
@@ -226,42 +234,42 @@ class JoinedRows:
     Only the needed columns are read; `ColumnError` if the mapping does not fit the bag.
     """
 
-    def __init__(self, info: BagInfo, request: ChannelRequest, needed: frozenset[str]) -> None:
+    def __init__(self, bag: Bag, request: ChannelRequest, needed: frozenset[str]) -> None:
         columns = {
-            name: [column for column in found.columns if column in needed]
-            for name, found in info.topics.items()
-            if found.columns.keys() & needed
+            name: [column for column in topic.columns if column in needed]
+            for name, topic in bag.topics.items()
+            if topic.columns.keys() & needed
         }
-        self.reference = _reference_topic(info, request.mapping.reference_topic, list(columns))
-        columns.setdefault(self.reference, [])
-        self._warnings = list(info.warnings)
-        self.topics = {name: info.topics[name] for name in columns}
-        for name, found in self.topics.items():
-            joints, notes = _joints(found, request)
+        chosen = _reference_topic(bag, request.mapping.reference_topic, list(columns))
+        self.topics = {name: bag.topics[name] for name in {**columns, chosen: ()}}
+        self.reference = rows = self.topics[chosen]
+        self._others = [topic for topic in self.topics.values() if topic is not rows]
+        self._warnings = bag.warnings
+        for name, topic in self.topics.items():
+            joints, notes = _joints(topic, request)
             self._warnings += notes
-            found.choose(columns[name], joints)
-        rows, others = info.topics[self.reference], [n for n in columns if n != self.reference]
+            topic.choose(columns.get(name, ()), joints)
         # One message more or less is no other rate, only where the recording begins or ends.
-        if any(abs(info.topics[name].count - rows.count) > 1 for name in others):
-            rates = ", ".join(f"{name} ({info.topics[name].rate_hz:.4g} Hz)" for name in others)
+        if any(abs(topic.count - rows.count) > 1 for topic in self._others):
+            rates = ", ".join(f"{topic.name} ({topic.rate_hz:.4g} Hz)" for topic in self._others)
             self._warnings.append(
-                f"rows are the messages of {self.reference} ({rows.rate_hz:.4g} Hz); "
+                f"rows are the messages of {chosen} ({rows.rate_hz:.4g} Hz); "
                 f"interpolated to their stamps: {rates}"
             )
         self._start_ns: int | None = None
         self._is_new = True
 
-    def tables(self, messages: Iterable[RawMessage], rows: int | None) -> Iterator[Table]:
+    def tables(self, messages: Iterable[RawMessage], rows: int) -> Iterator[Table]:
         """Turn the messages of the topics into tables of at most so many rows, with `t_s`.
 
-        Rows do not wait for what comes after `NONE_YET`; with no limit all come at once.
+        Rows do not wait for what comes after `NONE_YET`.
         """
-        reference = self.topics[self.reference]
+        reference = self.reference
         for message in messages:
             if message.topic.name in self.topics:
                 self.topics[message.topic.name].add(message)
             is_pause = message is NONE_YET
-            if rows is not None and (is_pause or len(reference.new_ns) >= rows):
+            if is_pause or len(reference.new_ns) >= rows:
                 # Which columns are which channels is decided from the first table.
                 while (ready := self._ready()) >= (
                     1 if is_pause and not self._is_new else min(rows, HEAD_ROWS)
@@ -271,13 +279,13 @@ class JoinedRows:
         self._ready()
         self._warnings += [note for topic in self.topics.values() for note in topic.notes()]
         while reference.stamps_ns.size or self._is_new or self._warnings:
-            yield self._table(rows or reference.stamps_ns.size)
+            yield self._table(rows)
 
     def _ready(self) -> int:
         """Collect what has come; return how many rows nothing that may still come can change."""
         for topic in self.topics.values():
             topic.collect()
-        stamps_ns = self.topics[self.reference].stamps_ns
+        stamps_ns = self.reference.stamps_ns
         if not stamps_ns.size:
             return 0
         last_ns = np.maximum.accumulate(stamps_ns)
@@ -289,20 +297,20 @@ class JoinedRows:
 
     def _forget(self) -> None:
         """Forget what no row needs that waits or may still come, be it a little late."""
-        waiting_ns = self.topics[self.reference].stamps_ns
         newest_ns = max(topic.latest_ns for topic in self.topics.values())
-        oldest_ns = int(waiting_ns.min(initial=newest_ns - _LATE_NS))
-        for topic in self.topics.values():
-            if topic is not self.topics[self.reference]:
-                topic.keep(topic.stamps_ns >= oldest_ns - 2 * topic.limit_ns)
+        oldest_ns = int(self.reference.stamps_ns.min(initial=newest_ns - _LATE_NS))
+        for topic in self._others:
+            topic.keep(topic.stamps_ns >= oldest_ns - 2 * topic.limit_ns)
 
     def _table(self, rows: int) -> Table:
-        reference = self.topics[self.reference]
+        reference = self.reference
         at_ns = reference.stamps_ns[:rows]
         if self._start_ns is None:
             self._start_ns = start_of_clock(int(at_ns[0])) if at_ns.size else 0
         columns: dict[str, FloatArray] = {"t_s": to_seconds(at_ns, self._start_ns)}
+        joints: dict[str, tuple[str, ...]] = {}
         for topic in self.topics.values():
+            joints |= dict.fromkeys(topic.named & topic.values.keys(), topic.joints)
             for column, values in topic.values.items():
                 found = values[:rows]
                 if topic is not reference:
@@ -310,137 +318,127 @@ class JoinedRows:
                 columns[column] = found[:, 0] if topic.columns[column] is None else found
         reference.keep(slice(rows, None))
         warnings, self._warnings, self._is_new = tuple(self._warnings), [], False
-        named = ((t, column) for t in self.topics.values() for column in t.named & t.values.keys())
-        joints = {column: tuple(topic.joints) for topic, column in named}
         return Table(
             columns=columns, warnings=warnings, joint_names=joints, start_ns=self._start_ns
         )
 
 
-def _reference_topic(info: BagInfo, name: str | None, needed: list[str]) -> str:
+def _reference_topic(bag: Bag, name: str | None, needed: list[str]) -> str:
     if name is None:
         # A few messages that were lost shall make no difference.
-        most = max(info.topics[topic].count for topic in needed)
-        return next(topic for topic in needed if info.topics[topic].count >= _AS_MANY * most)
-    if name not in info.topics or info.topics[name].fault:
+        most = max(bag.topics[topic].count for topic in needed)
+        return next(topic for topic in needed if bag.topics[topic].count >= _AS_MANY * most)
+    if name not in bag.topics or bag.topics[name].fault:
         raise ColumnError(
             f"reference_topic = {name!r} is no topic that can be read; topics are: "
-            f"{', '.join(info.topics)}"
+            f"{', '.join(bag.topics)}"
         )
     return name
 
 
-def _joints(found: Topic, request: ChannelRequest) -> tuple[tuple[str, ...], list[str]]:
+def _joints(topic: Topic, request: ChannelRequest) -> tuple[tuple[str, ...], list[str]]:
     """Return the order of a topic's joints, and what was assumed."""
-    here, name = tuple(found.names), found.topic.name
+    here = tuple(topic.joint_names)
     if not here:
         return (), []
     if missing := [joint for joint in request.mapping.joints if joint not in here]:
         raise ColumnError(
-            f"joints of the mapping that {name} does not have: {', '.join(missing)}; "
+            f"joints of the mapping that {topic.name} does not have: {', '.join(missing)}; "
             f"it has: {', '.join(here)}"
         )
     order = request.mapping.joints or request.joints
     if not order or set(order) <= set(here):
         return order or here, []
     return here, [
-        f"{name} has the joints {', '.join(here)}, the robot {', '.join(order)}; the order of the "
-        "bag was kept, name another one with joints in the mapping"
+        f"{topic.name} has the joints {', '.join(here)}, the robot {', '.join(order)}; the order "
+        "of the bag was kept, name another one with joints in the mapping"
     ]
 
 
 def bag_tables(
     path: Path,
-    rows: int | None = None,
-    request: ChannelRequest | None = None,
-    max_bytes: int = MAX_BYTES,
+    request: ChannelRequest | None,
+    options: FollowOptions,
+    max_bytes: int,
+    rows: int,
 ) -> Iterator[Table]:
-    """Read a ROS 2 bag in tables of at most so many rows, all at once if None.
+    """Read a ROS 2 bag in tables of at most so many rows; all its columns without a request.
 
     The messages of one topic are the rows, those of others are interpolated to its time stamps.
     A cut or damaged MCAP file yields what can be read of it, and the warnings say what was lost.
     If a required channel is missing, one table has all columns, without rows.
 
-    Raises:
-        FileAccessError: the bag cannot be read, or rosbags is not installed.
-        FormatError: it is not a bag, or holds no messages or no numbers, or too much.
-        ColumnError: a mapped channel was not found, or is ambiguous.
+    The file is read from its start twice: until it is clear which topics are read, and for their
+    rows. An MCAP file that is followed is read on as a recorder writes it, until it is finished.
+
+    Raises as `stream_tables` does.
     """
-    info = bag_info(path, max_bytes)
-    whole = info.table()
-    needed = frozenset(whole.columns) if request is None else request.columns(whole)
-    if not needed:
-        yield whole
-        return
-    joined = JoinedRows(info, request or ChannelRequest(), needed)
-    if rows is None:
-        widths = {n: k or 1 for found in info.topics.values() for n, k in found.columns.items()}
-        size = 8 * info.topics[joined.reference].count * sum(widths[name] for name in needed)
-        require_size(size, max_bytes, f"{path}: what is read of it")
-    yield from joined.tables(read_messages(path, [], max_bytes), rows)
-
-
-def growing_bag_tables(
-    path: Path,
-    rows: int,
-    request: ChannelRequest,
-    options: FollowOptions,
-    max_bytes: int = MAX_BYTES,
-) -> Iterator[Table]:
-    """Read an MCAP file as a recorder writes it, until it finishes the file, see `bag_tables`.
-
-    The file is read from its start twice: until it is clear which topics are read, and then on as
-    it grows. Rows come as soon as nothing that may still come can change them.
-    """
-    joined = _settled_rows(path, request, replace(options, advance=lambda more: None), max_bytes)
+    bag, growing = Bag(path), options if options.follow else None
+    joined = survey(bag, request, growing, max_bytes)
+    is_whole = joined is None
     if joined is None:
-        yield from bag_tables(path, rows, request, max_bytes)
-        return
+        if growing is not None:
+            # It has ended: now all of it can be counted.
+            bag, growing = Bag(path), None
+            survey(bag, max_bytes=max_bytes)
+        whole = bag.table()
+        needed = frozenset(whole.columns) if request is None else request.columns(whole)
+        if not needed:
+            yield whole
+            return
+        joined = JoinedRows(bag, request or ChannelRequest(), needed)
     faults: list[str] = []
-    table = None
-    for table in joined.tables(read_messages(path, faults, max_bytes, options), rows):
+    table, done, count = None, 0, joined.reference.count
+    for table in joined.tables(read_messages(path, faults, max_bytes, growing), rows):
         yield table
-    if faults and table is not None:
+        done += len(table)
+        if is_whole:
+            options.progress(done / count)
+    if faults and not is_whole and table is not None:
         columns = {name: values[:0] for name, values in table.columns.items()}
         yield replace(table, columns=columns, warnings=("; ".join(faults),))
 
 
-def _settled_rows(
-    path: Path, request: ChannelRequest, options: FollowOptions, max_bytes: int
+def survey(
+    bag: Bag,
+    request: ChannelRequest | None = None,
+    growing: FollowOptions | None = None,
+    max_bytes: int = MAX_BYTES,
 ) -> JoinedRows | None:
-    """Go through a bag until it is clear what is read; None if it ends before."""
-    topics: dict[str, Topic] = {}
+    """Learn the topics of a bag, of all its messages.
+
+    If it is still growing, until it is clear which rows are read: return these then.
+    """
     reported, settled_ns = "", 0
-    for message in read_messages(path, [], max_bytes, options):
+    for message in read_messages(bag.path, bag.faults, max_bytes, growing):
         if message is NONE_YET:
             continue
-        if message.topic.name not in topics:
-            # Counted anew from here, so that rates are those of the same time.
-            for found in topics.values():
-                found.count, found.first_ns = 0, message.log_ns
-            settled_ns = message.log_ns + _SETTLED_NS
-        _learn(message, topics)
-        if message.log_ns < settled_ns:
+        is_new = bag.learn(message)
+        if growing is None or not (is_new or message.log_ns >= settled_ns):
             continue
         settled_ns = message.log_ns + _SETTLED_NS
-        joined, missing = _join(BagInfo(path=path, topics=topics, warnings=()), request)
+        if is_new:
+            # Counted anew from here, so that rates are those of the same time.
+            bag.count_from(message.log_ns)
+            continue
+        joined, missing = _join(bag, request or ChannelRequest())
         if joined is not None:
             return joined
         if missing not in ("", reported):
             reported = missing
-            options.warn(f"{path.name}: waiting for more topics; {missing}")
+            growing.warn(f"{bag.path.name}: waiting for more topics; {missing}")
     return None
 
 
-def _join(info: BagInfo, request: ChannelRequest) -> tuple[JoinedRows | None, str]:
+def _join(bag: Bag, request: ChannelRequest) -> tuple[JoinedRows | None, str]:
     """Return what is read, if that is clear; else what is missing, if something is."""
     try:
-        needed = request.columns(info.table())
+        needed = request.columns(bag.table())
         if not needed:
-            here = ", ".join(info.topics)
+            here = ", ".join(bag.topics)
             return None, f"needed are {', '.join(request.required)}, and until now there are {here}"
-        joined = JoinedRows(info, request, needed)
+        joined = JoinedRows(bag, request, needed)
     except (ColumnError, FormatError) as error:
         return None, str(error)
-    has_rates = all(info.topics[name].rate_hz > 0.0 for name in joined.topics)
+    has_rates = all(topic.rate_hz > 0.0 for topic in joined.topics.values())
     return (joined if has_rates else None), ""

@@ -4,7 +4,8 @@ Bags are written as MCAP, with checksums, or as SQLite.
 """
 
 import re
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from contextlib import suppress
 from functools import cache, lru_cache
 from operator import attrgetter
 from pathlib import Path
@@ -15,23 +16,27 @@ from numpy.typing import NDArray
 
 from needleforce.recordings.bag_messages import BagTopic
 from needleforce.recordings.errors import FormatError, LogError, optional_library
-from needleforce.recordings.table import NS_PER_S, Columns, Labels, to_nanoseconds
+from needleforce.recordings.table import NS_PER_S, Columns, Labels, flat_columns, to_nanoseconds
 
 STANDARD = "ROS2_HUMBLE"
 """Whose standard messages are meant where a bag holds no definitions."""
 CDR = "cdr"
 _NAMES = ("name", "names", "joint_names")
 """Fields that name the elements of the arrays beside them."""
-_VECTORS = (("x", "y", "z", "w"), ("x", "y", "z"), ("x", "y"))
+_VECTORS = (tuple("xyzw"), tuple("xyz"), tuple("xy"))
 _STAMP = {("header", "stamp", "sec"), ("header", "stamp", "nanosec")}
 _MOST_ELEMENTS = 64
 """Longer arrays are images and point clouds, not signals."""
+_SIGNALS = ("q_rad", "dq_rad_s", "tau_Nm")
+"""What a `JointState` holds as position, velocity and effort."""
+_SENSOR = ("ft_force_N", "ft_torque_Nm")
 _LONGEST_DEFINITION = 1 << 18  # characters
 _MOST_UNROLLED = 2000
 """`rosbags` generates code for each element of an array of texts or messages."""
 _TYPE_NAME = re.compile(r"[A-Za-z]\w*(/[A-Za-z]\w*)*", re.ASCII)
 _FIELD_NAME = re.compile(r"[A-Za-z_]\w*", re.ASCII)
 _BASE, _NAME, _ARRAY = 1, 2, 3  # kinds of fields, as rosbags numbers them
+_FLOATS = {(_BASE, ("float32", 0)), (_BASE, ("float64", 0))}
 _ZSTD_MAGIC = b"\x28\xb5\x2f\xfd"
 
 
@@ -48,17 +53,14 @@ def _types_of(kind: str, definition: str) -> Any:
     standard = standard_types()
     library = optional_library("rosbags.typesys", "ROS 2 bags")
     if definition and len(definition) <= _LONGEST_DEFINITION:
-        try:
+        # The parser raises whatever a damaged definition makes it run into; some types of a bag are
+        # of no interest.
+        with suppress(Exception):
             found = dict(library.get_types_from_msg(definition, kind))
             _require_plain(found)
             store = library.get_typestore(library.Stores.EMPTY)
             store.register(found)
             store.get_msgdef(kind)
-        except Exception:
-            # The parser raises whatever a damaged definition makes it run into; some types of a
-            # bag are of no interest.
-            pass
-        else:
             return store
     if kind not in standard.fielddefs:
         raise FormatError(f"holds messages of the type {kind}, without its definition")
@@ -88,9 +90,17 @@ class Content(NamedTuple):
     named: frozenset[str]  # columns with one number for each name
 
 
-def width_of(value: Any) -> int | None:
+def size_of(value: Any) -> int | None:
     """Return how many numbers a value of `Content` holds; None for a single number."""
     return len(value) if isinstance(value, tuple | np.ndarray) else None
+
+
+class _Column(NamedTuple):
+    """Where the numbers of a column stand in a message."""
+
+    path: tuple[str, ...]
+    get: Callable[[Any], Any]
+    is_array: bool = False
 
 
 class TopicDecoder:
@@ -107,25 +117,35 @@ class TopicDecoder:
         self._kind = topic.kind
         self._types = _types_of(topic.kind, topic.definition)
         try:
-            places = dict(self._places((), topic.kind))
-            fields = [name for name, _ in self._types.get_msgdef(topic.kind).fields]
+            fields = {name for name, _ in self._types.get_msgdef(topic.kind).fields}
+            columns = list(self._columns((), topic.kind))
         except (KeyError, RecursionError) as error:
             raise FormatError(f"has the type {topic.kind}, whose definition is damaged") from error
-        self.has_stamp = places.keys() >= _STAMP
-        if self.has_stamp:
-            places = {path: kind for path, kind in places.items() if path not in _STAMP}
+        paths = {column.path for column in columns}
+        self._has_stamp = paths >= _STAMP
         self._names = next((name for name in _NAMES if name in fields), None)
-        self._columns = list(_columns(topic, list(places.items())))
+        self._getters = [
+            (_column_name(topic, column.path), column.get, column.is_array, len(column.path) == 1)
+            for column in columns
+            if not (self._has_stamp and column.path in _STAMP)
+        ]
 
-    def _places(self, path: tuple[str, ...], kind: str) -> Iterator[tuple[tuple[str, ...], Any]]:
-        """Yield the paths to numbers in a type, with the base type, and whether it is an array."""
-        for name, (node, rest) in self._types.get_msgdef(kind).fields:
+    def _columns(self, path: tuple[str, ...], kind: str) -> Iterator[_Column]:
+        """Yield where there are numbers in a type: single ones, vectors and arrays."""
+        fields = self._types.get_msgdef(kind).fields
+        names = tuple(name for name, _ in fields)
+        if names in _VECTORS and {kind for _, kind in fields} <= _FLOATS:
+            last = "_".join((*path[-1:], "".join(names)))
+            yield _Column((*path[:-1], last), attrgetter(*(".".join((*path, x)) for x in names)))
+            return
+        for name, (node, rest) in fields:
+            place = (*path, name)
             if node == _NAME:
-                yield from self._places((*path, name), rest)
+                yield from self._columns(place, rest)
             elif node == _BASE and rest[0] != "string":
-                yield (*path, name), (rest[0], False)
+                yield _Column(place, attrgetter(".".join(place)))
             elif node >= _ARRAY and rest[0][0] == _BASE and rest[0][1][0] != "string":
-                yield (*path, name), (rest[0][1][0], True)
+                yield _Column(place, attrgetter(".".join(place)), is_array=True)
 
     def decode(self, data: bytes) -> Content:
         """Decode a message; `FormatError` if it does not fit its type."""
@@ -141,7 +161,7 @@ class TopicDecoder:
         # Empty or repeated names identify no joint: their order then has to.
         names = names if all(names) and len(set(names)) == len(names) else ()
         values, named = {}, set()
-        for column, get, is_array, is_beside_names in self._columns:
+        for column, get, is_array, is_beside_names in self._getters:
             value = get(message)
             if is_array:
                 if not 0 < len(value) <= _MOST_ELEMENTS:
@@ -150,145 +170,95 @@ class TopicDecoder:
                     named.add(column)
             values[column] = value
         stamp_ns = None
-        if self.has_stamp:
+        if self._has_stamp:
             stamp_ns = message.header.stamp.sec * NS_PER_S + message.header.stamp.nanosec
         return Content(stamp_ns, names, values, frozenset(named))
 
 
-def _columns(
-    topic: BagTopic, places: list[tuple[tuple[str, ...], Any]]
-) -> Iterator[tuple[str, Callable[[Any], Any], bool, bool]]:
-    """Yield name, getter, whether it is an array, and whether it stands beside names."""
-    at = 0
-    while at < len(places):
-        path, (_, is_array) = places[at]
-        width = next((len(v) for v in _VECTORS if _is_vector(places[at : at + len(v)], v)), 0)
-        inside = [place for place, _ in places[at : at + (width or 1)]]
-        is_beside = is_array and len(path) == 1
-        if width:
-            path = (*path[:-2], "_".join((*path[-2:-1], "".join(p[-1] for p in inside))))
-        if topic.kind.endswith("Stamped"):
-            path = path[1:] or path
-        name = topic.name if path == ("data",) else "/".join((topic.name, *path))
-        yield name, attrgetter(*map(".".join, inside)), is_array, is_beside
-        at += width or 1
+def _column_name(topic: BagTopic, path: tuple[str, ...]) -> str:
+    if topic.kind.endswith("Stamped"):
+        path = path[1:] or path
+    return topic.name if path == ("data",) else "/".join((topic.name, *path))
 
 
-def _is_vector(places: list[tuple[tuple[str, ...], Any]], components: tuple[str, ...]) -> bool:
-    return (
-        tuple(path[-1] for path, _ in places) == components
-        and len({(path[:-1], kind) for path, kind in places}) == 1
-        and not places[0][1][1]
-    )
-
-
-_DIAGNOSTICS = "diagnostic_msgs/msg/DiagnosticArray"
-_OK, _WARN = 0, 1
 _METADATA_VERSION = 8
 """Of the metadata of an SQLite bag: the latest that ROS 2 Humble reads."""
 _CHUNK_BYTES = 1 << 20
 
-Make = Callable[[Any, int], Any]
-"""Makes a message from a row of the topic's columns and its time stamp in ns."""
-
 
 class OutTopic(NamedTuple):
-    """A topic to write: one message for each row of `columns`, made by `make`."""
+    """A topic to write, with its messages, one for each row."""
 
     name: str
     kind: str
-    columns: tuple[str, ...]
-    make: Make
+    messages: Iterable[Any]
 
 
-def bag_topics(columns: Columns, labels: Labels) -> list[OutTopic]:
-    """Decide which topics are written.
+def bag_topics(columns: Columns, labels: Labels, stamps_ns: Sequence[int]) -> Iterator[OutTopic]:
+    """Yield the topics of some rows, of these time stamps.
 
     `q_rad`, `dq_rad_s` and `tau_Nm` become a `JointState`; `ft_force_N` with `ft_torque_Nm`, and
     `force_x_in_...`, `torque_x_in_...` and so on, become a `WrenchStamped`; every other column
     but `t_s` becomes a `Float64` of its own.
     """
-    topics = [*_joint_states(columns, labels), *_wrenches(columns, labels)]
-    taken = {"t_s", *(name for topic in topics for name in topic.columns)}
-    for name in (n for n in columns if n not in taken):
+    left = {name: np.array(v, dtype=np.float64, order="C") for name, v in columns.items()}
+    del left["t_s"]
+    signals = {name: left[name] for name in _SIGNALS if name in left and left[name].ndim == 2}
+    width = next(iter(signals.values())).shape[1] if signals else 0
+    signals = {name: left.pop(name) for name, v in signals.items() if v.shape[1] == width}
+    if signals:
+        empty = np.empty((len(stamps_ns), 0))
+        numbers = [signals.get(name, empty) for name in _SIGNALS]
+        yield _joint_states(labels.joint_names, numbers, _headers(stamps_ns, ""))
+    if all(name in left and left[name].shape[1:] == (3,) for name in _SENSOR):
+        vectors = [left.pop(name) for name in _SENSOR]
+        yield _wrenches("/ft_sensor/wrench", vectors, _headers(stamps_ns, "ft_sensor"))
+    force, torque = (_pop_vector(left, part) for part in ("force", "torque"))
+    if force is not None:
+        # A force at the tip has no torque.
+        vectors = [force, np.zeros_like(force) if torque is None else torque]
+        yield _wrenches(f"{labels.prefix}/wrench", vectors, _headers(stamps_ns, labels.frame))
+    for name, values in flat_columns(left).items():
         topic = f"{labels.prefix}/{re.sub(r'[^A-Za-z0-9_]', '_', name)}"
-        if columns[name].ndim == 1:
-            topics.append(_number(topic, name, None))
-        else:
-            width = columns[name].shape[1]
-            topics += [_number(f"{topic}_{i + 1}", name, i) for i in range(width)]
-    return topics
+        # Without a header: its time stamp is the one of the record.
+        kind = "std_msgs/msg/Float64"
+        yield OutTopic(topic, kind, map(standard_types().types[kind], values.tolist()))
 
 
-def _header(stamp_ns: int, frame: str) -> Any:
+def _headers(stamps_ns: Sequence[int], frame: str) -> Iterator[Any]:
     types = standard_types().types
-    stamp = types["builtin_interfaces/msg/Time"](*divmod(stamp_ns, NS_PER_S))
-    return types["std_msgs/msg/Header"](stamp, frame)
+    time, header = types["builtin_interfaces/msg/Time"], types["std_msgs/msg/Header"]
+    return (header(time(*divmod(stamp_ns, NS_PER_S)), frame) for stamp_ns in stamps_ns)
 
 
-def _joint_states(columns: Columns, labels: Labels) -> Iterator[OutTopic]:
-    signals = {"position": "q_rad", "velocity": "dq_rad_s", "effort": "tau_Nm"}
-    here = {f: n for f, n in signals.items() if n in columns and columns[n].ndim == 2}
-    if not here:
-        return
-    width = columns[next(iter(here.values()))].shape[1]
-    here = {field: name for field, name in here.items() if columns[name].shape[1] == width}
-    names = list(labels.joint_names)
+def _joint_states(
+    names: Sequence[str], numbers: list[np.ndarray], headers: Iterable[Any]
+) -> OutTopic:
+    kind, width = "sensor_msgs/msg/JointState", max(values.shape[1] for values in numbers)
     if len(names) != width:
         names = [f"joint_{i + 1}" for i in range(width)]
-    kind, empty = "sensor_msgs/msg/JointState", dict.fromkeys(signals, np.empty(0))
-    cls = standard_types().types[kind]
-
-    def make(row: Any, stamp_ns: int) -> Any:
-        return cls(_header(stamp_ns, ""), names, **empty | dict(zip(here, row, strict=True)))
-
-    yield OutTopic("/joint_states", kind, tuple(here.values()), make)
+    cls, named = standard_types().types[kind], list(names)
+    rows = zip(headers, *numbers, strict=True)
+    return OutTopic("/joint_states", kind, (cls(header, named, *row) for header, *row in rows))
 
 
-def _wrenches(columns: Columns, labels: Labels) -> Iterator[OutTopic]:
-    """Yield the wrench of a sensor, and the one estimated, whose torque may be missing."""
-    sensor = ("ft_force_N", "ft_torque_Nm")
-    if all(name in columns and columns[name].shape[1:] == (3,) for name in sensor):
-        yield _wrench("/ft_sensor/wrench", "ft_sensor", sensor, lambda row: row)
-    names: dict[str, str] = {}
+def _pop_vector(columns: dict[str, np.ndarray], part: str) -> np.ndarray | None:
+    """Take `force_x_in_...` and so on from the columns, shape (n, 3); None if one is missing."""
+    found: dict[str, str] = {}
     for name, values in columns.items():
-        if values.ndim == 1 and (match := re.fullmatch(r"(force|torque)_([xyz])_in_\w+", name)):
-            names.setdefault(match[1] + match[2], name)
-    if all(f"force{xyz}" in names for xyz in "xyz"):
-        places = {part: i for i, part in enumerate(names)}
-
-        def parts(row: Any) -> tuple[Any, Any]:
-            given = [*row, 0.0]
-            force, torque = (
-                [given[places.get(part + xyz, -1)] for xyz in "xyz"] for part in ("force", "torque")
-            )
-            return force, torque
-
-        yield _wrench(f"{labels.prefix}/wrench", labels.frame, tuple(names.values()), parts)
+        if values.ndim == 1 and (match := re.fullmatch(rf"{part}_([xyz])_in_\w+", name)):
+            found.setdefault(match[1], name)
+    if len(found) < len("xyz"):
+        return None
+    return np.column_stack([columns.pop(found[xyz]) for xyz in "xyz"])
 
 
-def _wrench(
-    name: str, frame: str, columns: tuple[str, ...], parts: Callable[[Any], tuple[Any, Any]]
-) -> OutTopic:
+def _wrenches(name: str, vectors: list[np.ndarray], headers: Iterable[Any]) -> OutTopic:
     kind, types = "geometry_msgs/msg/WrenchStamped", standard_types().types
     vector, wrench = types["geometry_msgs/msg/Vector3"], types["geometry_msgs/msg/Wrench"]
-
-    def make(row: Any, stamp_ns: int) -> Any:
-        force, torque = parts(row)
-        return types[kind](_header(stamp_ns, frame), wrench(vector(*force), vector(*torque)))
-
-    return OutTopic(name, kind, columns, make)
-
-
-def _number(topic: str, column: str, element: int | None) -> OutTopic:
-    """A number without a header: its time stamp is the one of the record."""
-    kind = "std_msgs/msg/Float64"
-    cls = standard_types().types[kind]
-
-    def make(row: Any, _: int) -> Any:
-        return cls(row[0] if element is None else row[0][element])
-
-    return OutTopic(topic, kind, (column,), make)
+    force, torque = ([vector(*row) for row in values.tolist()] for values in vectors)
+    rows = zip(headers, map(wrench, force, torque), strict=True)
+    return OutTopic(name, kind, (types[kind](header, content) for header, content in rows))
 
 
 class _BagWriter:
@@ -296,60 +266,24 @@ class _BagWriter:
 
     def __init__(self, labels: Labels) -> None:
         self._types, self._labels = standard_types(), labels
-        self._topics: list[tuple[Any, OutTopic]] | None = None
-        self._diagnostics: Any = None
-        self._latest: dict[str, int] = {}
+        self._connections: dict[str, Any] = {}
 
     def append(self, columns: Columns) -> None:
-        """Write rows of checked columns, the same in every call; with `t_s`.
+        """Write rows of checked columns, the same in every call.
 
-        Raises:
-            LogError: there is no time stamp, or one that no message can carry.
+        `LogError` if there is no time stamp `t_s`, or one that no message can carry.
         """
-        stamps_ns, labels = _stamps(columns, self._labels.start_ns), self._labels
-        if self._topics is None:
-            topics = bag_topics(columns, labels)
-            self._topics = [(self._connect(topic.name, topic.kind), topic) for topic in topics]
-            if any(name in columns for name in labels.events):
-                self._diagnostics = self._connect("/diagnostics", _DIAGNOSTICS)
-        series = []
-        for connection, topic in self._topics:
-            values = (columns[name].astype(np.float64, order="C") for name in topic.columns)
-            cells = (v.tolist() if v.ndim == 1 else v for v in values)
-            series.append((connection, topic.kind, topic.make, list(zip(*cells, strict=True))))
-        changes = [column for name in labels.events if (column := self._changes(columns, name))]
+        stamps_ns = _stamps(columns, self._labels.start_ns).tolist()
+        topics = list(bag_topics(columns, self._labels, stamps_ns))
+        for topic in topics:
+            if topic.name not in self._connections:
+                self._connections[topic.name] = self._connect(topic.name, topic.kind)
         serialize = self._types.serialize_cdr
-        for row, stamp_ns in enumerate(stamps_ns.tolist()):
-            for connection, kind, make, rows in series:
-                self._write(connection, stamp_ns, serialize(make(rows[row], stamp_ns), kind))
-            for statuses in changes:
-                if row in statuses:
-                    event = self._types.types[_DIAGNOSTICS](
-                        _header(stamp_ns, labels.frame), [statuses[row]]
-                    )
-                    self._write(self._diagnostics, stamp_ns, serialize(event, _DIAGNOSTICS))
-
-    def _changes(self, columns: Columns, name: str) -> dict[int, Any]:
-        """Return row and status where a column of `Labels.events` changes."""
-        texts, types = self._labels.events[name], self._types.types
-        values = np.nan_to_num(columns.get(name, ())).astype(np.int64).tolist()
-        changes = {}
-        for row, value in enumerate(values if texts else ()):
-            text = texts[min(max(value, 0), len(texts) - 1)].format(value)
-            # The first value of all is a change.
-            if self._latest.get(name) != value and text:
-                changes[row] = types["diagnostic_msgs/msg/DiagnosticStatus"](
-                    level=_OK if value == 0 else _WARN,
-                    name=f"{self._labels.prefix.strip('/')}: {name}",
-                    message=text,
-                    hardware_id="",
-                    values=[types["diagnostic_msgs/msg/KeyValue"](key=name, value=str(value))],
-                )
-            self._latest[name] = value
-        return changes
-
-    def flush(self) -> None:
-        """Nothing can be read before the end."""
+        places = [(self._connections[topic.name], topic.kind) for topic in topics]
+        rows = zip(*(topic.messages for topic in topics), strict=True)
+        for stamp_ns, messages in zip(stamps_ns, rows, strict=bool(topics)):
+            for (connection, kind), message in zip(places, messages, strict=True):
+                self._write(connection, stamp_ns, serialize(message, kind))
 
     def _connect(self, name: str, kind: str) -> Any:
         raise NotImplementedError

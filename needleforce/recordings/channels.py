@@ -7,9 +7,12 @@ from difflib import get_close_matches
 from itertools import pairwise
 from math import pi
 from types import MappingProxyType
+from typing import NamedTuple
 
-from needleforce.recordings.errors import ColumnError, MappingError
-from needleforce.recordings.table import FloatArray, Table
+import numpy as np
+
+from needleforce.recordings.errors import ColumnError
+from needleforce.recordings.table import Table
 
 Units = Mapping[str, float]
 """Units that may stand in a file, each with its factor to SI; the first is SI."""
@@ -90,9 +93,9 @@ _SINGLE = (
     ("force", "force_N", _FORCE, "force f fz f_z force_z axial axial_force insertion_force",
      "axial force, positive when tissue pushes back"),
     ("force_status", "force_status", _CODE, "force_status",
-     "whether the force can be used, as `python -m residual` writes it"),
+     "whether the force can be used, as `needleforce force` writes it"),
     ("force_warnings", "force_warnings", _CODE, "force_warnings",
-     "what may be wrong with the force, as `python -m residual` writes it"),
+     "what may be wrong with the force, as `needleforce force` writes it"),
 )  # fmt: skip
 _TIME_ROW = ("time", "t_s", _TIME, "t time timestamp time_stamp stamp", "time stamp")
 
@@ -123,14 +126,6 @@ def find_unit(text: str, units: Units) -> str | None:
     return unit if unit in units else None
 
 
-def require_unit(text: str, units: Units, what: str) -> str:
-    """Return the key of `units` that a text spells; `MappingError` if it is none of them."""
-    unit = find_unit(text, units)
-    if unit is None:
-        raise MappingError(f"unit {text!r} of {what} is not known; use one of: {', '.join(units)}")
-    return unit
-
-
 # At most nine digits: longer numbers are no joint's, and counting up to them would take all memory.
 _BRACKETED = re.compile(r"^(?P<stem>.*\S)\s*[\[(](?P<unit>[^\[\]()]+)[\])]$")
 _NUMBERED = re.compile(r"^(?P<stem>.*?[^\d_.\[ ])(?P<mark>[_. ]?)\[?(?P<number>\d{1,9})\]?$")
@@ -138,21 +133,17 @@ _RANGE = re.compile(r"\{(?P<first>\d{1,9})\.\.(?P<last>\d{1,9})\}")
 _ELEMENT = re.compile(r"^(?P<name>.+)\[(?P<index>\d{1,9})\]$")
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
-class ColumnName:
-    """A column name taken apart.
-
-    Attributes:
-        stem: lower case, without path, number and unit: `q` in `/robot/q_3_rad`.
-        family: the name with its number blanked; the columns of one signal share it.
-        number: the trailing number (a joint's), or None.
-        unit: the unit the name carries, or None.
-    """
+class ColumnName(NamedTuple):
+    """A column name taken apart."""
 
     stem: str
+    """Lower case, without path, number and unit: `q` in `/robot/q_3_rad`."""
     family: str
+    """The name with its number blanked; the columns of one signal share it."""
     number: int | None
+    """The trailing number (a joint's)."""
     unit: str | None
+    """The unit that the name carries."""
 
 
 def parse_column_name(name: str, units: Units) -> ColumnName:
@@ -171,7 +162,7 @@ def parse_column_name(name: str, units: Units) -> ColumnName:
         if unit is None:
             rest, unit = split_unit(rest, units)
     stem = rest.rsplit("/", 1)[-1].strip().lower()
-    return ColumnName(stem=stem, family=family, number=number, unit=unit)
+    return ColumnName(stem, family, number, unit)
 
 
 def split_unit(name: str, units: Units) -> tuple[str, str | None]:
@@ -185,45 +176,40 @@ def split_unit(name: str, units: Units) -> tuple[str, str | None]:
     return name, None
 
 
-@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
-class FoundColumn:
-    """A column in the file's unit, shape (n,) or (n, k), or one element of such a one."""
-
-    name: str
-    values: FloatArray
-
-    @property
-    def width(self) -> int:
-        """How many values it has per row."""
-        return 1 if self.values.ndim == 1 else self.values.shape[1]
+Found = list[tuple[str, np.ndarray]]
+"""Names and values of columns in the file's unit, shape (n,) or (n, k)."""
 
 
-def _column(table: Table, name: str) -> FoundColumn:
-    return FoundColumn(name=name, values=table.columns[name])
+def width_of(values: np.ndarray) -> int:
+    """Return how many values a column has per row."""
+    return 1 if values.ndim == 1 else values.shape[1]
 
 
-def find_columns(table: Table, pattern: str) -> tuple[FoundColumn, ...]:
+def find_columns(table: Table, pattern: str) -> Found:
     """Return the columns that a name or pattern stands for.
 
     In this order: a column of exactly that name; `q{1..7}`, the numbers from 1 to 7; `q_*`, all
     columns with a number in that place; `wrench[2]`, one column (from 0) of a two-dimensional
     one; and `q_rad` for a family `q_rad_1`, `q_rad_2`, ... as this package writes it to CSV.
 
-    Returns:
-        At least one column; numbered ones in the order of their numbers.
-
-    Raises:
-        ColumnError: no such column, or a number is missing in a family.
+    Numbered ones come in the order of their numbers. `ColumnError` if there is no such column, or
+    a number is missing in a family.
     """
     if pattern in table.columns:
-        return (_column(table, pattern),)
+        return [(pattern, table.columns[pattern])]
     if match := _RANGE.search(pattern):
         names = _expanded_range(pattern, match)
-        return tuple(column for name in names for column in find_columns(table, name))
+        return [column for name in names for column in find_columns(table, name)]
     if "*" in pattern:
         return _find_numbered(table, pattern, re.escape(pattern).replace(r"\*", r"(\d{1,9})", 1))
     if match := _ELEMENT.match(pattern):
-        return (_find_element(table, pattern, match["name"], int(match["index"])),)
+        values, index = table.columns.get(match["name"]), int(match["index"])
+        if values is None or values.ndim != 2:
+            raise _not_found(table, pattern)
+        if index >= values.shape[1]:
+            what = f"column {match['name']!r} has the elements [0] to [{values.shape[1] - 1}]"
+            raise ColumnError(f"{pattern!r}: {what}")
+        return [(pattern, values[:, index])]
     return _find_numbered(table, pattern, rf"{re.escape(pattern)}[_. ]?\[?(\d{{1,9}})\]?")
 
 
@@ -237,18 +223,7 @@ def _expanded_range(pattern: str, match: re.Match[str]) -> Iterator[str]:
     return (f"{head}{number:0{width}d}{tail}" for number in numbers)
 
 
-def _find_element(table: Table, pattern: str, name: str, index: int) -> FoundColumn:
-    values = table.columns.get(name)
-    if values is None or values.ndim != 2:
-        raise _not_found(table, pattern)
-    if index >= values.shape[1]:
-        raise ColumnError(
-            f"{pattern!r}: column {name!r} has the elements [0] to [{values.shape[1] - 1}]"
-        )
-    return FoundColumn(name=pattern, values=values[:, index])
-
-
-def _find_numbered(table: Table, pattern: str, expression: str) -> tuple[FoundColumn, ...]:
+def _find_numbered(table: Table, pattern: str, expression: str) -> Found:
     numbered: dict[int, str] = {}
     for name in table.columns:
         if not (match := re.fullmatch(expression, name)):
@@ -259,12 +234,12 @@ def _find_numbered(table: Table, pattern: str, expression: str) -> tuple[FoundCo
         numbered[number] = name
     if not numbered:
         raise _not_found(table, pattern)
-    return tuple(_column(table, numbered[number]) for number in _without_gap(numbered, pattern))
+    return _in_order(table, numbered, pattern)
 
 
-def _without_gap(numbers: Mapping[int, str], pattern: str) -> list[int]:
-    """Return the numbers of a family of columns in order; they must follow each other."""
-    ordered = sorted(numbers)
+def _in_order(table: Table, numbered: Mapping[int, str], pattern: str) -> Found:
+    """Return a family of columns in the order of their numbers, which must follow each other."""
+    ordered = sorted(numbered)
     missing: list[int] = []
     for before, after in pairwise(ordered):
         missing += range(before + 1, min(after, before + 6))
@@ -273,12 +248,11 @@ def _without_gap(numbers: Mapping[int, str], pattern: str) -> list[int]:
             f"{pattern!r}: found the numbers {ordered[0]} to {ordered[-1]}, but not "
             f"{', '.join(map(str, missing[:5]))}; list the columns to use"
         )
-    return ordered
+    return [(numbered[number], table.columns[numbered[number]]) for number in ordered]
 
 
 def _not_found(table: Table, pattern: str) -> ColumnError:
-    notes = dict.fromkeys((*table.omitted, *table.warnings))
-    reported = "".join(f" ({note})" for note in notes if repr(pattern) in note)
+    reported = "".join(f" ({note})" for note in table.warnings if repr(pattern) in note)
     hint = _hint(list(table.columns), pattern)
     return ColumnError(f"no column {pattern!r}{reported}.{hint} Columns are: {table.describe()}")
 
@@ -295,42 +269,29 @@ def _hint(names: list[str], pattern: str) -> str:
     return f" Did you mean {close[0]!r}?" if close else ""
 
 
-def detect_columns(table: Table, channel: Channel) -> tuple[FoundColumn, ...]:
-    """Return the columns whose names say that they are this channel.
+def detect_columns(table: Table, channel: Channel) -> Found:
+    """Return the columns whose names say that they are this channel, in joint order, if any.
 
-    Returns:
-        The columns in joint order; empty if there is none.
-
-    Raises:
-        ColumnError: several would fit, or a joint's column is missing.
+    `ColumnError` if several would fit, or a joint's column is missing.
     """
     named = {name: parse_column_name(name, channel.units) for name in table.columns}
     named = {name: parts for name, parts in named.items() if parts.stem in channel.spellings}
-    if channel.per_joint:
-        candidates = _joint_candidates(table, named)
-    else:
-        fitting = [name for name in named if _column(table, name).width == 1]
-        plain = [name for name in fitting if named[name].number is None]
-        candidates = {name: (_column(table, name),) for name in plain or fitting}
+    candidates: dict[str, Found] = {}
+    families: dict[str, dict[int, str]] = {}
+    for name, parts in named.items():
+        values = table.columns[name]
+        if channel.per_joint and parts.number is not None and values.ndim == 1:
+            families.setdefault(parts.family, {})[parts.number] = name
+        elif channel.per_joint or width_of(values) == 1:
+            candidates[name] = [(name, values)]
+    for family, numbered in families.items():
+        candidates[family] = _in_order(table, numbered, family)
+    if not channel.per_joint:
+        plain = {name: c for name, c in candidates.items() if named[name].number is None}
+        candidates = plain or candidates
     if len(candidates) > 1:
         raise ColumnError(
             f"{channel.name}: several columns would fit ({', '.join(candidates)}); say which one "
             f"with --{channel.name}, or under {channel.name} in the mapping"
         )
-    return next(iter(candidates.values()), ())
-
-
-def _joint_candidates(
-    table: Table, named: Mapping[str, ColumnName]
-) -> Mapping[str, tuple[FoundColumn, ...]]:
-    candidates: dict[str, tuple[FoundColumn, ...]] = {}
-    families: dict[str, dict[int, str]] = {}
-    for name, parts in named.items():
-        if parts.number is None or table.columns[name].ndim == 2:
-            candidates[name] = (_column(table, name),)
-        else:
-            families.setdefault(parts.family, {})[parts.number] = name
-    for family, members in families.items():
-        ordered = _without_gap(members, family)
-        candidates[family] = tuple(_column(table, members[number]) for number in ordered)
-    return candidates
+    return next(iter(candidates.values()), [])

@@ -1,6 +1,6 @@
 """npz and Parquet: files that hold one column after the other, read and written.
 
-An npz file is held in memory as a whole, read or written; pickled objects are never loaded.
+Both are held in memory as a whole; pickled objects are never loaded.
 """
 
 import zipfile
@@ -11,7 +11,6 @@ from typing import IO, Any, BinaryIO
 import numpy as np
 
 from needleforce.recordings.errors import (
-    MAX_BYTES,
     FormatError,
     file_errors,
     optional_library,
@@ -20,26 +19,22 @@ from needleforce.recordings.errors import (
 from needleforce.recordings.table import (
     START_KEY,
     Columns,
-    FloatArray,
     Labels,
     Table,
     flat_columns,
     start_of_clock,
     to_seconds,
-    whole_stamps,
 )
 
 _NUMBER_KINDS = "fiub"
+_CUT = "so that nothing can be read without its end"
 
 
-def read_npz(path: Path, max_bytes: int = MAX_BYTES) -> Table:
+def read_npz(path: Path, max_bytes: int) -> Table:
     """Read an npz archive: arrays of numbers become columns, single numbers constants.
 
-    Arrays that hold no numbers, or are damaged, are left out, with a warning.
-
-    Raises:
-        FileAccessError: the file cannot be read.
-        FormatError: it is no npz archive, is cut short, or holds no usable array, or too much.
+    Arrays that hold no numbers, or are damaged, are left out, with a warning. Raises as
+    `read_table` does.
     """
     with file_errors(path):
         try:
@@ -48,13 +43,12 @@ def read_npz(path: Path, max_bytes: int = MAX_BYTES) -> Table:
         except (zipfile.BadZipFile, NotImplementedError) as error:
             raise FormatError(
                 f"{path} is not an npz archive, or it is cut short: an npz file ends with its "
-                "table of contents, so that nothing can be read without its end"
+                f"table of contents, {_CUT}"
             ) from error
 
 
 def _npz_table(path: Path, archive: zipfile.ZipFile, max_bytes: int) -> Table:
-    columns: dict[str, np.ndarray] = {}
-    constants: dict[str, float] = {}
+    arrays: dict[str, np.ndarray] = {}
     warnings: list[str] = []
     total = 0
     for member in archive.namelist():
@@ -64,27 +58,23 @@ def _npz_table(path: Path, archive: zipfile.ZipFile, max_bytes: int) -> Table:
                 total += _npy_size(stream)
             require_size(total, max_bytes, f"{path}: what its arrays hold")
             with archive.open(member) as stream:
-                values = np.lib.format.read_array(stream, allow_pickle=False)
+                arrays[name] = np.lib.format.read_array(stream, allow_pickle=False)
         except (OSError, FormatError, MemoryError):
             raise
         except Exception as error:
             # A damaged header raises whatever numpy's and Python's parsers run into.
             warnings.append(f"column {name!r} cannot be read ({error}) and was left out")
-            continue
-        if values.ndim:
-            columns[name] = values
-        else:
-            constants[name] = values.item()
+    constants = {name: values.item() for name, values in arrays.items() if not values.ndim}
+    columns = {name: values for name, values in arrays.items() if values.ndim}
     if not columns:
-        raise FormatError(
-            f"{path} holds no array of numbers{': ' * bool(warnings)}{'; '.join(warnings)}"
-        )
+        reasons = f": {'; '.join(warnings)}" if warnings else ""
+        raise FormatError(f"{path} holds no array of numbers{reasons}")
+    start_ns = int(constants.pop(START_KEY, 0))
     return Table(
         columns=columns,
         warnings=tuple(warnings),
-        start_ns=int(constants.pop(START_KEY, 0)),
+        start_ns=start_ns,
         constants={name: float(value) for name, value in constants.items()},
-        stamps=whole_stamps(columns),
     )
 
 
@@ -113,9 +103,6 @@ class NpzWriter:
         for name, values in columns.items():
             self._parts.setdefault(name, []).append(np.array(values))
 
-    def flush(self) -> None:
-        """Nothing can be read before the end."""
-
     def finish(self) -> None:
         """Write the archive."""
         arrays = {name: np.concatenate(parts) for name, parts in self._parts.items()}
@@ -128,16 +115,12 @@ class NpzWriter:
                     np.lib.format.write_array(member, values)
 
 
-def read_parquet(path: Path, max_bytes: int = MAX_BYTES) -> Table:
+def read_parquet(path: Path, max_bytes: int) -> Table:
     """Read a Parquet file.
 
     Columns of numbers, or of lists of equally many numbers, are taken; empty cells are NaN. Time
     stamps become seconds, without loss. Columns of anything else are left out, with a warning.
-
-    Raises:
-        FileAccessError: the file cannot be read, or pyarrow is not installed.
-        FormatError: it is no Parquet file, is damaged or cut short, or holds no numbers, or too
-            much.
+    Raises as `read_table` does.
     """
     parquet = optional_library("pyarrow.parquet", "Parquet files")
     arrow = optional_library("pyarrow", "Parquet files")
@@ -156,70 +139,52 @@ def read_parquet(path: Path, max_bytes: int = MAX_BYTES) -> Table:
                 raise
         raise FormatError(
             f"{path} is not a Parquet file, or it is damaged or cut short: a Parquet file ends "
-            f"with its table of contents, so that nothing can be read without its end ({error})"
+            f"with its table of contents, {_CUT} ({error})"
         ) from error
 
 
 def _parquet_table(path: Path, file: Any, arrow: Any) -> Table:
-    schema, total = file.schema_arrow, file.metadata.num_rows
-    wanted = [field.name for field in schema if _is_number_column(field.type, arrow.types)]
-    warnings = tuple(
-        f"column {field.name!r} holds {field.type}, no numbers, and was left out"
-        for field in schema
-        if field.name not in wanted
-    )
-    if not (wanted and total):
-        left_out = "".join(f" ({warning})" for warning in warnings)
-        raise FormatError(
-            f"{path} holds {total} rows of {len(wanted)} columns of numbers{left_out}"
-        )
     columns: dict[str, np.ndarray] = {}
-    stamps: dict[str, np.ndarray] = {}
-    start_ns = int((schema.metadata or {}).get(START_KEY.encode(), 0))
-    for name, cells in zip(wanted, file.read(columns=wanted).combine_chunks().columns, strict=True):
-        cells = cells.combine_chunks() if cells.num_chunks != 1 else cells.chunk(0)
-        if _is_list(cells.type, arrow.types):
-            columns[name] = _list_values(cells, arrow)
-        elif arrow.types.is_timestamp(cells.type):
-            whole = cells.is_valid().to_numpy(zero_copy_only=False)
-            kind = arrow.timestamp("ns", cells.type.tz)
-            cells_ns = cells.cast(kind).cast(arrow.int64()).fill_null(0)
-            stamps_ns = cells_ns.to_numpy(zero_copy_only=False)
-            if whole.any():
-                start_ns = start_ns or start_of_clock(int(stamps_ns[whole][0]))
-            columns[name] = np.where(whole, to_seconds(stamps_ns, start_ns), np.nan)
-        else:
+    warnings: list[str] = []
+    start_ns = int((file.schema_arrow.metadata or {}).get(START_KEY.encode(), 0))
+    for name in file.schema_arrow.names if file.metadata.num_rows else ():
+        cells = file.read(columns=[name]).column(0).combine_chunks()
+        if arrow.types.is_timestamp(cells.type):
+            nanoseconds = cells.cast(arrow.timestamp("ns", cells.type.tz)).cast(arrow.int64())
+            is_known = cells.is_valid().to_numpy(zero_copy_only=False)
+            stamps_ns = nanoseconds.fill_null(0).to_numpy(zero_copy_only=False)
+            if is_known.any():
+                start_ns = start_ns or start_of_clock(int(stamps_ns[is_known][0]))
+            columns[name] = np.where(is_known, to_seconds(stamps_ns, start_ns), np.nan)
+            continue
+        try:
             columns[name] = _numbers(cells, arrow)
-            if arrow.types.is_integer(cells.type) and not cells.null_count:
-                stamps |= whole_stamps({name: cells.to_numpy(zero_copy_only=False)})
-    return Table(columns=columns, warnings=warnings, start_ns=start_ns, stamps=stamps)
+        except (arrow.ArrowInvalid, arrow.ArrowNotImplementedError, TypeError):
+            what = "lists of any length" if arrow.types.is_list(cells.type) else "no numbers"
+            warnings.append(f"column {name!r} holds {cells.type}, {what}, and was left out")
+    if not columns:
+        left_out = "".join(f" ({warning})" for warning in warnings)
+        raise FormatError(f"{path} holds {file.metadata.num_rows} rows without numbers{left_out}")
+    return Table(columns=columns, warnings=tuple(warnings), start_ns=start_ns)
 
 
-def _is_list(kind: Any, types: Any) -> bool:
-    return types.is_list(kind) or types.is_large_list(kind) or types.is_fixed_size_list(kind)
-
-
-def _is_number_column(kind: Any, types: Any) -> bool:
-    if _is_list(kind, types):
-        kind = kind.value_type
-    tests = (types.is_floating, types.is_integer, types.is_boolean, types.is_decimal)
-    return types.is_timestamp(kind) or any(test(kind) for test in tests)
-
-
-def _numbers(cells: Any, arrow: Any) -> FloatArray:
+def _numbers(cells: Any, arrow: Any) -> np.ndarray:
+    """Return cells as numbers, empty ones as NaN; lists become rows as wide as the first."""
+    types, float64 = arrow.types, arrow.float64()
+    if types.is_list(cells.type) or types.is_large_list(cells.type):
+        width = len(cells.drop_null()[0]) if cells.null_count < len(cells) else 0
+        cells = cells.cast(arrow.list_(cells.type.value_type, width))
+    if types.is_fixed_size_list(cells.type):
+        width, inner = cells.type.list_size, _numbers(cells.flatten(), arrow)
+        rows = np.full((len(cells), width), np.nan)
+        rows[cells.is_valid().to_numpy(zero_copy_only=False)] = inner.reshape(-1, width)
+        return rows
+    if types.is_string(cells.type) or types.is_large_string(cells.type):
+        raise TypeError("text, which a cast would read as numbers")
+    if types.is_integer(cells.type) and not cells.null_count:
+        return cells.to_numpy(zero_copy_only=False)
     # Without the check of `safe`, which refuses integers that a double rounds.
-    return cells.cast(arrow.float64(), safe=False).to_numpy(zero_copy_only=False)
-
-
-def _list_values(cells: Any, arrow: Any) -> FloatArray:
-    """Return lists as rows as wide as the first; lists of another length are NaN."""
-    lengths = cells.value_lengths().fill_null(0).to_numpy(zero_copy_only=False)
-    width = int(lengths[0])
-    whole = lengths == width
-    values = np.full((len(lengths), width), np.nan)
-    kept = cells.filter(arrow.array(whole)).flatten()
-    values[whole] = _numbers(kept, arrow).reshape(-1, width)
-    return values
+    return cells.cast(float64, safe=False).to_numpy(zero_copy_only=False)
 
 
 class ParquetWriter:
@@ -241,9 +206,6 @@ class ParquetWriter:
             )
         if table.num_rows:
             self._writer.write_table(table)
-
-    def flush(self) -> None:
-        """Nothing can be read before the end."""
 
     def finish(self) -> None:
         """Write the table of contents, without which the file cannot be read."""

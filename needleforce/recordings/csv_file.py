@@ -10,7 +10,6 @@ from math import nan
 from typing import BinaryIO
 
 import numpy as np
-from numpy.typing import NDArray
 
 from needleforce.recordings.errors import MAX_BYTES, FormatError, require_size
 from needleforce.recordings.follow import TextLines
@@ -48,15 +47,12 @@ class _CsvRows:
     def __init__(self) -> None:
         self.names: tuple[str, ...] = ()
         """Unique; a column without a name is `column_N`."""
-        self.start_ns = 0
-        """The start of the clock, if a comment before the header says it."""
-        self.rows: list[str] = []
-        """Rows that wait to be read."""
+        self.rows: list[tuple[int, str]] = []
+        """Rows that wait to be read, each with the number of its line."""
         self.omitted: dict[int, str] = {}
         """Which columns are left out, and why."""
-        self._numbers: list[int] = []
         self._delimiter, self._comment, self._header = ",", "", ""
-        self._lines = self._total = 0
+        self._lines = self._total = self._start_ns = 0
         self._is_chosen = False
         self._has_number: set[int] = set()
         self._faults: dict[str, tuple[int, str]] = {}
@@ -68,8 +64,7 @@ class _CsvRows:
         rows = [(n, line) for n, line in enumerate(lines, self._lines + 1) if _is_row(line)]
         self._lines += len(lines)
         self._total += len(rows)
-        self._numbers += [n for n, _ in rows]
-        self.rows += [line for _, line in rows]
+        self.rows += rows
 
     def end(self, tail: str, *, is_growing: bool) -> None:
         """Take what stands behind the last line end; `FormatError` if there was no row.
@@ -100,7 +95,7 @@ class _CsvRows:
             if line.strip():
                 self._comment = line
             if match := _START.match(line):
-                self.start_ns = int(match[1])
+                self._start_ns = int(match[1])
         self._lines += len(lines)
         return []
 
@@ -139,68 +134,56 @@ class _CsvRows:
         return line.split(self._delimiter)
 
     def table(self) -> Table:
-        """Return the rows that wait as a table."""
-        rows, numbers, width = self.rows, self._numbers, len(self.names)
+        """Return the rows that wait as a table; the first reports which columns are left out."""
+        rows, width = [row for _, row in self.rows], len(self.names)
         try:
             values = np.loadtxt(rows, delimiter=self._delimiter, comments=None, ndmin=2)
         except ValueError:
             values = np.empty((0, 0))
         if values.shape[1] != width:
             # Cell by cell is slower, but it can say what is wrong.
-            cells = zip(numbers, map(self._cells, rows), strict=True)
-            found = [
-                [self._value(n, i, cell.strip()) for i, cell in enumerate(row)]
-                for n, row in cells
-                if self._fits(n, row)
-            ]
+            found = []
+            for n, row in self.rows:
+                cells = self._split_row(row)
+                if len(cells) == width:
+                    found.append(self._values(n, cells))
+                else:
+                    what = f"rows without the header's {width} cells, left out"
+                    self._note(what, f"line {n} with {len(cells)}")
             values = np.array(found, dtype=np.float64).reshape(-1, width)
             if not self._is_chosen:
                 self._choose(values)
+        warnings = () if self._is_chosen else tuple(self.omitted.values())
         self._is_chosen = True
         columns = {n: values[:, i] for i, n in enumerate(self.names) if i not in self.omitted}
-        stamps = {}
-        for name, column in columns.items():
-            if (
-                exceed_float64(column)
-                and (exact := self._exact(self.names.index(name))) is not None
-            ):
-                stamps[name] = exact
-        self.rows, self._numbers = [], []
-        return Table(
-            columns=columns,
-            start_ns=self.start_ns,
-            stamps=stamps,
-            omitted=tuple(self.omitted.values()),
-        )
+        for name in [name for name, column in columns.items() if exceed_float64(column)]:
+            exact = self._exact(self.names.index(name))
+            columns[name] = columns[name] if exact is None else exact
+        self.rows = []
+        return Table(columns=columns, start_ns=self._start_ns, warnings=warnings)
 
-    def _cells(self, row: str) -> list[str]:
+    def _split_row(self, row: str) -> list[str]:
         cells = self._split(row)
         while len(cells) > len(self.names) and not cells[-1].strip():
             cells.pop()
         return cells
 
-    def _fits(self, line: int, cells: list[str]) -> bool:
-        if len(cells) == len(self.names):
-            return True
-        self._note(self._ragged, f"line {line} with {len(cells)}")
-        return False
-
-    @property
-    def _ragged(self) -> str:
-        return f"rows without the header's {len(self.names)} cells, left out"
-
-    def _value(self, line: int, column: int, cell: str) -> float:
-        value = _number(cell)
-        if value is None and self._delimiter != ",":
-            value = _number(cell.replace(",", "."))
+    def _values(self, line: int, cells: list[str]) -> list[float]:
+        """Return the numbers in a row's cells; what is none is NaN, and noted if it is text."""
+        values = []
+        for i, text in enumerate(cells):
+            cell = text.strip()
+            value = _number(cell)
+            if value is None and self._delimiter != ",":
+                value = _number(cell.replace(",", "."))
+                if value is not None:
+                    self._note("decimal commas read as points", f"line {line}")
             if value is not None:
-                self._note("decimal commas read as points", f"line {line}")
-        if value is None:
-            if cell:
-                self._note(self._not_numbers(column), f"line {line}, {cell[:40]!r}")
-            return nan
-        self._has_number.add(column)
-        return value
+                self._has_number.add(i)
+            elif cell and i not in self.omitted:
+                self._note(self._not_numbers(i), f"line {line}, {cell[:40]!r}")
+            values.append(nan if value is None else value)
+        return values
 
     def _not_numbers(self, column: int) -> str:
         return f"column {self.names[column]!r}: cells that are not numbers, read as NaN"
@@ -213,8 +196,9 @@ class _CsvRows:
         """Decide from the first rows which columns are left out."""
         width = len(self.names)
         if not len(values):
+            _, first = next(iter(self._faults.values()))
             raise FormatError(
-                f"no row has the header's {width} cells (first: {self._faults[self._ragged][1]}); "
+                f"no row has the header's {width} cells (first: {first}); "
                 f"check the delimiter and the header: {_EXPECTED}"
             )
         for i in sorted(set(range(width)) - self._has_number):
@@ -225,24 +209,21 @@ class _CsvRows:
             reasons = "; ".join(self.omitted.values())
             raise FormatError(f"no column holds a number: {reasons[:500]}; {_EXPECTED}")
 
-    def _exact(self, column: int) -> NDArray[np.int64] | None:
-        """Read a column of whole numbers that float64 would round once more, without loss."""
-        cells = (self._cells(row) for row in self.rows)
+    def _exact(self, column: int) -> np.ndarray | None:
+        """Read whole numbers that float64 would round once more; None if some are none."""
+        rows = (self._split_row(row) for _, row in self.rows)
+        whole = [cells[column] for cells in rows if len(cells) == len(self.names)]
         try:
-            texts = [row[column] for row in cells if len(row) == len(self.names)]
-            return np.array([int(text) for text in texts], dtype=np.int64)
+            return np.array([int(cell) for cell in whole], dtype=np.int64)
         except (ValueError, OverflowError):
             return None
 
     def notes(self) -> tuple[str, ...]:
         """What was left out or could not be read so far, a line for each kind of fault."""
-        omitted = {self._not_numbers(i) for i in self.omitted}
-        faults = (
+        return tuple(
             f"{what}: {count} (first: {first})" if first else what
             for what, (count, first) in self._faults.items()
-            if what not in omitted
         )
-        return (*self.omitted.values(), *faults)
 
 
 def _is_row(line: str) -> bool:
@@ -260,7 +241,6 @@ def csv_tables(
     blocks: Iterable[bytes],
     name: str,
     *,
-    head_rows: int | None = HEAD_ROWS,
     is_growing: bool = False,
     is_stopped: Callable[[], bool] = lambda: False,
     max_bytes: int = MAX_BYTES,
@@ -270,21 +250,20 @@ def csv_tables(
     Args:
         blocks: bytes as read.
         name: of the source, for errors.
-        head_rows: least rows of the first table; None to read all into one.
         is_growing: whether the source may end in the middle of a line that is being written.
         is_stopped: asked at the end, whether it is one only because the user wanted no more.
         max_bytes: the most bytes of text that wait to be read.
 
     Yields:
-        Tables of consecutive rows with equal columns; then one without rows, whose warnings
-        report all that was wrong.
+        Tables of consecutive rows with equal columns, the first of `HEAD_ROWS` rows if there are so
+        many; then one without rows, whose warnings report all that was wrong.
     """
     lines, rows = TextLines(blocks), _CsvRows()
     is_first, read_until = True, 0
     try:
         for batch in lines:
             rows.add(batch)
-            if head_rows is not None and len(rows.rows) >= (head_rows if is_first else 1):
+            if len(rows.rows) >= (HEAD_ROWS if is_first else 1):
                 yield rows.table()
                 is_first, read_until = False, lines.size
             waiting = lines.size - read_until + _ROW_BYTES * len(rows.rows)
@@ -331,9 +310,7 @@ class CsvWriter:
         """Let readers of the file see what was written."""
         self._stream.flush()
 
-    def finish(self) -> None:
-        """Write what is still held back."""
-        self._stream.flush()
+    finish = flush
 
 
 class CsvGzipWriter(CsvWriter):

@@ -56,8 +56,9 @@ def optional_library(module: str, what: str) -> ModuleType:
         return import_module(module)
     except ImportError as error:
         library = module.partition(".")[0]
+        install = "pyarrow" if library == "pyarrow" else "rosbags mcap"
         raise FileAccessError(
-            f"{what} need the library {library}: pip install 'needleforce[recordings]'"
+            f"{what} need the library {library}: pip install {install}"
         ) from error
 
 

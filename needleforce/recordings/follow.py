@@ -1,6 +1,7 @@
 """The bytes of a file, of a pipe, or of a file that still grows, as they come."""
 
 import codecs
+import gzip
 import io
 import os
 import select
@@ -9,11 +10,12 @@ import sys
 import tempfile
 import time
 import zlib
-from collections.abc import Callable, Generator, Iterable, Iterator
+from collections.abc import Callable, Iterable, Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass
 from itertools import chain
 from pathlib import Path
+from typing import Any
 
 from needleforce.recordings.errors import (
     FileAccessError,
@@ -22,7 +24,7 @@ from needleforce.recordings.errors import (
     readable_path,
 )
 
-BLOCK = 1 << 18
+BLOCK = 1 << 20
 """The most bytes that are read, or unpacked, at a time."""
 STANDARD_STREAM = "-"
 """Instead of a file: standard input or standard output."""
@@ -43,14 +45,14 @@ class FollowOptions:
         follow: whether a file is read on when its end is reached, because it grows.
         idle_s: stop when nothing came for this long; None to wait for ever.
         should_stop: asked before more is read; True to stop.
-        advance: gets how many more bytes were read.
+        progress: gets the share of the recording that was read, where it is known.
         warn: gets in words why reading ended before the user wanted it to.
     """
 
     follow: bool = False
     idle_s: float | None = None
     should_stop: Callable[[], bool] = lambda: False
-    advance: Callable[[float], None] = lambda more: None
+    progress: Callable[[float], None] = lambda share: None
     warn: Callable[[str], None] = lambda text: None
 
 
@@ -92,7 +94,8 @@ def _blocks(handle: int, options: FollowOptions, path: Path | None) -> Iterator[
             if block:
                 done += len(block)
                 tail = (tail + block)[-_CHECKED_TAIL:]
-                options.advance(len(block))
+                if is_file and not follows:
+                    options.progress(done / max(os.fstat(handle).st_size, 1))
                 yield block
                 last_s = time.monotonic()
                 if len(block) < _SMALL:
@@ -136,9 +139,25 @@ def _is_replaced(
 
 
 _GZIP = b"\x1f\x8b"
-_GZIP_WINDOW = 31  # zlib's code for "expect a gzip header"
 _LONGEST_LINE = 1 << 24  # characters
-_MOST_NULS = 1 << 32
+_WINDOWS = {0xDC00 + byte: bytes([byte]).decode("cp1252", "replace") for byte in range(128, 256)}
+"""What bytes that are no UTF-8, as Python escapes them, mean in Windows text."""
+
+
+class _RawBlocks(io.RawIOBase):
+    """Blocks of bytes as a stream that can be read, which gives what has come, not more."""
+
+    def __init__(self, blocks: Iterable[bytes]) -> None:
+        self._blocks, self._held = iter(blocks), b""
+
+    def readable(self) -> bool:
+        return True
+
+    def readinto(self, buffer: Any) -> int:
+        data = self._held or next(self._blocks, b"")
+        taken, self._held = data[: len(buffer)], data[len(buffer) :]
+        buffer[: len(taken)] = taken
+        return len(taken)
 
 
 class TextLines:
@@ -150,10 +169,9 @@ class TextLines:
 
     def __init__(self, blocks: Iterable[bytes]) -> None:
         self._blocks = iter(blocks)
-        self._decode = codecs.getincrementaldecoder("utf-8-sig")()
-        self._ends = io.IncrementalNewlineDecoder(None, translate=True)
-        self._count = self._nuls = 0
-        self._fault = ""
+        decoder = codecs.getincrementaldecoder("utf-8-sig")("surrogateescape")
+        self._decoder = io.IncrementalNewlineDecoder(decoder, translate=True)
+        self._count, self._fault, self._is_blank = 0, "", True
         self.tail = ""
         """Once all is read: what stands behind the last line end."""
         self.size = 0
@@ -163,33 +181,24 @@ class TextLines:
 
     def __iter__(self) -> Iterator[list[str]]:
         """Yield the lines, without their ends; `FormatError` if there is no text."""
-        is_blank = True
         for block in self._unpacked():
             self.size += len(block)
-            text = self._without_nuls(block)
-            is_blank = is_blank and not text.strip()
-            if is_blank and self._nuls:
-                raise FormatError("it is not text; expected CSV")
-            yield from self._split(self._text(text, is_last=False), is_last=False)
-        yield from self._split(self._text(b"", is_last=True), is_last=True)
-        if self._nuls:
-            self.warnings.append(
-                f"the file ends in {self._nuls} NUL bytes, as power loss may leave them; what "
-                f"follows line {self._count} is lost"
-            )
+            text, nul, _ = block.partition(b"\x00")
+            yield from self._split(self._decoder.decode(text))
+            if nul:
+                self._fault = "the file goes on with NUL bytes, as power loss may leave them"
+                break
+        yield from self._split(self._decoder.decode(b"", final=True))
         if self._fault:
-            self._fault = (
-                f"the compressed file {self._fault}; what follows line {self._count} is lost"
-            )
+            self._fault += f"; what follows line {self._count} is lost"
             if "damaged" in self._fault:
                 self._fault += (
                     ", and lines before it may be wrong: gzip shows that there is damage, not where"
                 )
             self.warnings.append(self._fault)
-        if self._nuls or self._fault:
             # What follows the last line end is a piece of a line.
             self.tail = ""
-        if is_blank:
+        if self._is_blank:
             raise FormatError("it is empty; expected a header row and rows of numbers")
 
     def forgive_end(self) -> None:
@@ -200,60 +209,36 @@ class TextLines:
 
     def _unpacked(self) -> Iterator[bytes]:
         """Yield blocks, of at most `BLOCK` bytes if they are compressed."""
-        data = b""
-        while len(data) < len(_GZIP) and (more := next(self._blocks, b"")):
-            data += more
-        if not data.startswith(_GZIP):
-            yield from (block for block in chain([data], self._blocks) if block)
+        head = b""
+        while len(head) < len(_GZIP) and (more := next(self._blocks, b"")):
+            head += more
+        blocks = chain([head] if head else [], self._blocks)
+        if not head.startswith(_GZIP):
+            yield from blocks
             return
-        while data.startswith(_GZIP) and not self._fault:
-            data = yield from self._member(data)
-            # Appended members, as `cat a.gz b.gz` or a logger that reopens its file gives.
-            while len(data) < len(_GZIP) and (more := next(self._blocks, b"")):
-                data += more
+        # A megabyte of gzip can hold a gigabyte: it is unpacked piece by piece.
+        member: Any = _RawBlocks(blocks)
+        try:
+            with gzip.GzipFile(fileobj=member) as file:
+                while block := file.read1(BLOCK):
+                    yield block
+        except EOFError:
+            self._fault = "the compressed file is cut short"
+        except (gzip.BadGzipFile, zlib.error):
+            self._fault = "the compressed file is damaged"
 
-    def _member(self, data: bytes) -> Generator[bytes, None, bytes]:
-        """Yield the content of a gzip member; return what follows it."""
-        member = zlib.decompressobj(_GZIP_WINDOW)
-        while not member.eof:
-            try:
-                # A megabyte of gzip can hold a gigabyte: it is unpacked piece by piece.
-                content = member.decompress(data, BLOCK)
-            except zlib.error:
-                self._fault = "is damaged"
-                break
-            if content:
-                yield content
-            data = member.unconsumed_tail
-            if not (data or member.eof or content) and not (data := next(self._blocks, b"")):
-                self._fault = "is cut short"
-                break
-        return member.unused_data
-
-    def _without_nuls(self, block: bytes) -> bytes:
-        """Return what stands before the NUL bytes with which a file may end after a power loss."""
-        text = block.rstrip(b"\x00")
-        if b"\x00" in text or (self._nuls and text) or self._nuls > _MOST_NULS:
-            raise FormatError("it is not text; expected CSV")
-        self._nuls += len(block) - len(text)
-        return text
-
-    def _split(self, text: str, is_last: bool) -> Iterator[list[str]]:
-        *lines, self.tail = (self.tail + self._ends.decode(text, final=is_last)).split("\n")
+    def _split(self, escaped: str) -> Iterator[list[str]]:
+        text = escaped if escaped.isascii() else escaped.translate(_WINDOWS)
+        note = "the file is not UTF-8; it was read as Windows text (cp1252)"
+        if text != escaped and note not in self.warnings:
+            self.warnings.append(note)
+        self._is_blank = self._is_blank and not text.strip()
+        *lines, self.tail = (self.tail + text).split("\n")
         if len(self.tail) > _LONGEST_LINE:
             raise FormatError(f"it is not text; line {self._count + 1} does not end")
         if lines:
             self._count += len(lines)
             yield lines
-
-    def _text(self, block: bytes, is_last: bool) -> str:
-        waiting = self._decode.getstate()[0]
-        try:
-            return self._decode.decode(block, final=is_last)
-        except UnicodeDecodeError:
-            self.warnings.append("the file is not UTF-8; it was read as Windows text (cp1252)")
-            self._decode = codecs.getincrementaldecoder("cp1252")(errors="replace")
-            return self._decode.decode(waiting + block, final=is_last)
 
 
 _MAGIC = {

@@ -1,8 +1,9 @@
 """From tables to a log: channels in SI units, one time stamp per row, whole or as they come."""
 
 from collections.abc import Iterable, Iterator, Mapping
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from types import MappingProxyType
+from typing import NamedTuple
 
 import numpy as np
 
@@ -11,8 +12,15 @@ from needleforce.recordings.channels import (
     Channel,
     detect_columns,
     parse_column_name,
+    width_of,
 )
-from needleforce.recordings.errors import ColumnError, LogError, MappingError
+from needleforce.recordings.errors import (
+    MAX_BYTES,
+    ColumnError,
+    LogError,
+    MappingError,
+    require_size,
+)
 from needleforce.recordings.mapping import ColumnMapping, ColumnSpec, mapped_columns
 from needleforce.recordings.table import (
     NS_PER_S,
@@ -25,31 +33,6 @@ from needleforce.recordings.table import (
 )
 
 _RATE_NAMES = ("sample_rate_hz", "sampling_rate_hz", "rate_hz", "fs_hz")
-
-
-class _FiniteWatch:
-    """Counts rows of a channel with NaN or infinity, however many come at a time."""
-
-    def __init__(self, name: str) -> None:
-        self._name = name
-        self._rows = self._bad = self._first_bad = 0
-        self._any_finite = False
-
-    def update(self, values: FloatArray) -> None:
-        finite = np.isfinite(values)
-        bad = np.flatnonzero(~finite.reshape(len(values), -1).all(axis=1))
-        if bad.size:
-            self._first_bad = self._first_bad or self._rows + int(bad[0]) + 1
-            self._bad += bad.size
-        self._any_finite = self._any_finite or bool(finite.any())
-        self._rows += len(values)
-
-    def warnings(self) -> tuple[str, ...]:
-        """Report rows that are not finite; `LogError` if there was no finite value at all."""
-        if self._bad and not self._any_finite:
-            raise LogError(f"{self._name} has no finite value in {self._rows} rows")
-        what = f"rows with NaN or infinity: {self._bad} (first: row {self._first_bad})"
-        return (f"{self._name}: {what}",) if self._bad else ()
 
 
 # Beyond these an SI value is implausible for a robot or a needle: two turns of a joint,
@@ -66,39 +49,49 @@ _LIMITS = {
 _STEPS = ((1e5, "ns"), (200.0, "us"))
 
 
-class _UnitWatch:
-    """Looks for channels that hardly are in SI units, of those whose unit was assumed."""
+class _Watch:
+    """Looks for what is odd in one channel, however many rows come at a time."""
 
-    def __init__(self) -> None:
-        self._sizes: dict[str, float] = {}
-        self._reported: set[str] = set()
+    def __init__(self, key: str) -> None:
+        self._key, self._size, self._is_doubted = key, 0.0, False
+        self._rows = self._bad = self._first_bad = 0
+        self._any_finite = False
 
-    def update(self, channels: Mapping[str, FloatArray]) -> None:
-        """Take rows by channel key; the step of time is that of the first ones."""
-        for key, values in channels.items():
-            finite = values[np.isfinite(values)]
-            if key == "t_s" and key not in self._sizes:
-                steps = np.abs(np.diff(finite))
-                self._sizes[key] = float(np.median(steps)) if steps.size else 0.0
-            elif key in _LIMITS and key != "t_s":
-                largest = float(np.max(np.abs(finite), initial=0.0))
-                self._sizes[key] = max(largest, self._sizes.get(key, 0.0))
+    def update(self, values: FloatArray, *, is_unit_stated: bool = True) -> None:
+        """Take rows; the step of time is that of the first ones."""
+        finite = np.isfinite(values)
+        bad = np.flatnonzero(~finite.all(axis=tuple(range(1, values.ndim))))
+        if bad.size:
+            self._first_bad = self._first_bad or self._rows + int(bad[0]) + 1
+            self._bad += bad.size
+        self._any_finite = self._any_finite or bool(finite.any())
+        if not is_unit_stated:
+            sizes = np.abs(values[finite])
+            if self._key != "t_s":
+                self._size = max(self._size, float(np.max(sizes, initial=0.0)))
+            elif not self._rows and sizes.size > 1:
+                self._size = float(np.median(np.abs(np.diff(values[finite]))))
+        self._rows += len(values)
 
-    def news(self) -> tuple[str, ...]:
-        """Return a warning for each channel that looks as if it were not in SI units; each once."""
-        warnings = []
-        for key, size in self._sizes.items():
-            name, limit, unit = _LIMITS[key]
-            if key == "t_s":
-                unit = next((u for least, u in _STEPS if size >= least), unit)
-            if size > limit and key not in self._reported:
-                self._reported.add(key)
-                what = "its median step" if key == "t_s" else "it"
-                warnings.append(
-                    f"{name}: {what} reaches {size:.4g} in SI; if the file is in {unit}, "
-                    f"say unit = {unit!r}, or --{name} COLUMN:{unit}"
-                )
-        return tuple(warnings)
+    def not_finite(self) -> tuple[str, ...]:
+        """Report rows that are not finite; `LogError` if there was no finite value at all."""
+        if self._bad and not self._any_finite:
+            raise LogError(f"{self._key} has no finite value in {self._rows} rows")
+        what = f"rows with NaN or infinity: {self._bad} (first: row {self._first_bad})"
+        return (f"{self._key}: {what}",) if self._bad else ()
+
+    def hardly_si(self) -> tuple[str, ...]:
+        """Report, once, values whose unit was assumed and that hardly are in SI units."""
+        name, limit, unit = _LIMITS.get(self._key, ("", np.inf, ""))
+        if self._size <= limit or self._is_doubted:
+            return ()
+        self._is_doubted = True
+        is_time = self._key == "t_s"
+        unit = next((u for least, u in _STEPS if is_time and self._size >= least), unit)
+        return (
+            f"{name}: {'its median step' if is_time else 'it'} reaches {self._size:.4g} in SI; if "
+            f"the file is in {unit}, say unit = {unit!r}, or --{name} COLUMN:{unit}",
+        )
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -124,9 +117,8 @@ class Log:
     def __post_init__(self) -> None:
         """Copy, freeze and check the data; add what is wrong with them to `warnings`.
 
-        Raises:
-            LogError: no channel, not numbers, wrong shapes or lengths, time not finite or never
-                advancing, or a channel without a single finite value.
+        `LogError` if there is no channel, something is no array of numbers of the right shape, time
+        is not finite or never advances, or a channel has no finite value.
         """
         t_s = read_only("t_s", self.t_s)
         channels = {name: read_only(name, values) for name, values in self.channels.items()}
@@ -146,9 +138,9 @@ class Log:
                     f"{name} has shape {values.shape}; expected ({t_s.size},) or ({t_s.size}, k), "
                     f"as t_s has {t_s.size} stamps"
                 )
-            watch = _FiniteWatch(name)
+            watch = _Watch(name)
             watch.update(values)
-            warnings += watch.warnings()
+            warnings += watch.not_finite()
         object.__setattr__(self, "t_s", t_s)
         object.__setattr__(self, "channels", MappingProxyType(channels))
         object.__setattr__(self, "warnings", tuple(dict.fromkeys(warnings)))
@@ -170,15 +162,13 @@ class Log:
         return self.channels[name]
 
 
-@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
-class _SiChannel:
+class _SiChannel(NamedTuple):
     """A channel's values in SI units, the names of its columns, and how they were converted."""
 
     values: FloatArray
     is_unit_stated: bool
     columns: tuple[str, ...] = ()
     factor: float = 1.0  # from the file's unit to SI, of the first column
-    start_ns: int = 0  # of time, where it is not the table's
 
 
 def _si_channel(table: Table, channel: Channel, spec: ColumnSpec | None) -> _SiChannel | None:
@@ -186,78 +176,31 @@ def _si_channel(table: Table, channel: Channel, spec: ColumnSpec | None) -> _SiC
 
     The unit is the specification's, else the one in each column's name, else SI.
     """
-    if spec is None:
-        columns = detect_columns(table, channel)
-        spec = ColumnSpec(columns=channel.name)
-    else:
-        columns = mapped_columns(table, spec)
-    if not columns:
+    found = detect_columns(table, channel) if spec is None else mapped_columns(table, spec)
+    spec = spec or ColumnSpec(columns=channel.name)
+    if not found:
         return None
-    width = sum(column.width for column in columns)
-    names = ", ".join(column.name for column in columns)
+    columns, widths = tuple(name for name, _ in found), [width_of(values) for _, values in found]
+    width, names = sum(widths), ", ".join(columns)
     if width != 1 and not channel.per_joint:
         raise ColumnError(f"{channel.name} is one column, but {names} gives {width}; choose one")
-    if len({len(column.values) for column in columns}) > 1:
+    if len({len(values) for _, values in found}) > 1:
         raise LogError(f"{channel.name}: the columns {names} differ in length")
     scales = np.atleast_1d(np.array(spec.scale, dtype=np.float64))
     if scales.size not in (1, width):
         raise MappingError(
             f"{channel.name}: {scales.size} scale factors for {width} columns; give one or {width}"
         )
-    units = [
-        spec.unit or parse_column_name(column.name, channel.units).unit
-        for column in columns
-        for _ in range(column.width)
-    ]
-    factors = np.array([channel.units[unit or channel.si_unit] for unit in units]) * scales
-    values = np.column_stack([column.values for column in columns]) * factors
+    units = [spec.unit or parse_column_name(name, channel.units).unit for name in columns]
+    si = np.array([channel.units[unit or channel.si_unit] for unit in units])
+    factors = np.repeat(si, widths) * scales
+    values = np.column_stack([values for _, values in found]) * factors
     return _SiChannel(
         values=values if channel.per_joint else values[:, 0],
         is_unit_stated=all(units),
-        columns=tuple(column.name for column in columns),
+        columns=columns,
         factor=float(factors[0]),
     )
-
-
-def _find_time(
-    table: Table, mapping: ColumnMapping, rows: int, first_row: int, start_ns: int | None
-) -> tuple[_SiChannel, tuple[str, ...]]:
-    """Return a table's time stamps in s, and what had to be assumed.
-
-    In this order: the mapping's `rate_hz`; its time column; a column with a usual name; a sample
-    rate stored in the file (`sample_rate_Hz` and the like), with a warning. `first_row` rows of
-    the recording came before these, whose stamps had this `start_ns`; None for the first rows.
-    """
-    rate_hz, notes = mapping.rate_hz, ()
-    if rate_hz is None:
-        found = _si_channel(table, CHANNELS["time"], mapping.channels.get("time"))
-        if found is not None:
-            return _exact_time(table, found, start_ns), ()
-        for name, value in table.constants.items():
-            if name.lower() in _RATE_NAMES and 0.0 < value < np.inf:
-                rate_hz, notes = value, (f"no time column: time from {name} = {value:g}",)
-                break
-        else:
-            raise ColumnError(
-                "no time column found; say which one with --time, or the sample rate with --rate "
-                f"(rate_hz in the mapping). Columns are: {table.describe()}{table.left_out()}"
-            )
-    times = np.arange(first_row, first_row + rows) / rate_hz
-    return _SiChannel(values=times, is_unit_stated=True), notes
-
-
-def _exact_time(table: Table, found: _SiChannel, start_ns: int | None) -> _SiChannel:
-    """Count whole nanoseconds too large for float64 from the first, so that none is lost."""
-    stamps_ns = table.stamps.get(found.columns[0])
-    if table.start_ns or start_ns == 0 or found.factor * NS_PER_S != 1.0:
-        return found
-    if start_ns is None:
-        if stamps_ns is None:
-            return found
-        start_ns = start_of_clock(int(stamps_ns[0]))
-    if stamps_ns is None:
-        return replace(found, values=found.values - start_ns / NS_PER_S, start_ns=start_ns)
-    return replace(found, values=to_seconds(stamps_ns, start_ns), start_ns=start_ns)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -280,9 +223,7 @@ class LogStream:
 
     Args:
         tables: from `stream_tables`.
-        mapping: see `read_log`.
-        required: see `read_log`.
-        optional: see `read_log`.
+        mapping, required, optional: see `read_log`.
     """
 
     def __init__(
@@ -298,8 +239,8 @@ class LogStream:
         self._required, self._optional = tuple(required), tuple(optional)
         self._reported: dict[str, bool] = {}
         self._rows = self._lost = self._first_lost = self._clock_ns = 0
-        self._stamps, self._units = RowClock(), _UnitWatch()
-        self._finite: dict[str, _FiniteWatch] = {}
+        self._stamps = RowClock()
+        self._watches: dict[str, _Watch] = {}
         self.start_ns = 0
         """The instant of t_s = 0, see `Table`; known after the first chunk."""
 
@@ -313,8 +254,7 @@ class LogStream:
         """Yield the rows; the first chunk has 200, if there are so many.
 
         Raises:
-            FileAccessError: see `stream_tables`.
-            FormatError: see `stream_tables`.
+            RecordingError: see `stream_tables`.
             ColumnError: time, a required or a mapped channel was not found, or is ambiguous.
             MappingError: a channel name is unknown, or a scale does not fit its columns.
             LogError: the channels do not form a log; what only the end shows is reported there.
@@ -323,7 +263,7 @@ class LogStream:
         self._report(head.warnings)
         self.start_ns = head.start_ns
         found = self._find_channels(head)
-        self._finite = {key: _FiniteWatch(key) for key in found}
+        self._watches = {key: _Watch(key) for key in ("t_s", *found)}
         yield from self._chunk(head, found)
         for table in self._tables:
             self._report(table.warnings)
@@ -362,47 +302,99 @@ class LogStream:
 
     def _chunk(self, table: Table, found: Mapping[str, _SiChannel]) -> Iterator[LogChunk]:
         rows = len(next(iter(found.values())).values)
-        time, notes = _find_time(
-            table, self._mapping, rows, self._rows, self._clock_ns if self._rows else None
-        )
-        self._clock_ns = time.start_ns
-        self.start_ns = self.start_ns or time.start_ns
-        self._report(notes)
+        time = self._find_time(table, rows)
         everything = {"t_s": time, **found}
         _check_sizes(everything)
-        self._units.update({k: f.values for k, f in everything.items() if not f.is_unit_stated})
-        if not self._rows:
-            self._report(self._units.news())
-            self._mapping = _settled(self._mapping, everything)
         keep = np.isfinite(time.values)
+        for key, channel in everything.items():
+            values = channel.values if key == "t_s" else channel.values[keep]
+            self._watches[key].update(values, is_unit_stated=channel.is_unit_stated)
+        if not self._rows:
+            self._report_units()
+            self._mapping = _settled(self._mapping, everything)
         if not keep.all():
-            self._first_lost = self._first_lost if self._lost else self._rows + int(np.argmin(keep))
+            self._first_lost = self._first_lost or self._rows + int(np.argmin(keep)) + 1
             self._lost += int(np.count_nonzero(~keep))
         self._rows += rows
-        if not keep.any():
-            return
-        t_s = time.values[keep]
-        channels = {key: f.values[keep] for key, f in found.items()}
-        chunk = LogChunk(t_s=t_s, dt_s=self._stamps.update(t_s), channels=channels)
-        for key, values in chunk.channels.items():
-            self._finite[key].update(values)
-        yield chunk
+        if keep.any():
+            t_s = time.values[keep]
+            channels = {key: channel.values[keep] for key, channel in found.items()}
+            yield LogChunk(t_s=t_s, dt_s=self._stamps.update(t_s), channels=channels)
+
+    def _find_time(self, table: Table, rows: int) -> _SiChannel:
+        """Return a table's time stamps in s.
+
+        In this order: the mapping's `rate_hz`; its time column; a column with a usual name; a
+        sample rate stored in the file (`sample_rate_Hz` and the like), with a warning.
+        """
+        rate_hz = self._mapping.rate_hz
+        if rate_hz is None:
+            found = _si_channel(table, CHANNELS["time"], self._mapping.channels.get("time"))
+            if found is not None:
+                return self._exact_time(table, found)
+            for name, value in table.constants.items():
+                if name.lower() in _RATE_NAMES and 0.0 < value < np.inf:
+                    self._report((f"no time column: time from {name} = {value:g}",))
+                    rate_hz = value
+                    break
+            else:
+                raise ColumnError(
+                    "no time column found; say which one with --time, or the sample rate with "
+                    "--rate (rate_hz in the mapping). "
+                    f"Columns are: {table.describe()}{table.left_out()}"
+                )
+        times = np.arange(self._rows, self._rows + rows) / rate_hz
+        return _SiChannel(values=times, is_unit_stated=True)
+
+    def _exact_time(self, table: Table, found: _SiChannel) -> _SiChannel:
+        """Count whole nanoseconds too large for float64 from the first, so that none is lost."""
+        raw = table.columns.get(found.columns[0], found.values)
+        if table.start_ns or found.factor * NS_PER_S != 1.0:
+            return found
+        if not self._rows and raw.dtype.kind == "i":
+            self._clock_ns = self.start_ns = start_of_clock(int(raw[0]))
+        if self._clock_ns == 0:
+            return found
+        if raw.dtype.kind == "i":
+            return found._replace(values=to_seconds(raw, self._clock_ns))
+        return found._replace(values=found.values - self._clock_ns / NS_PER_S)
 
     def _finish(self) -> None:
         """Report and refuse what only the whole log shows."""
         if self._lost:
-            first = self._first_lost + 1
-            lost = f"time: rows without a stamp, left out: {self._lost} (first: row {first})"
-            self._report((lost,))
+            what = f"time: rows without a stamp, left out: {self._lost}"
+            self._report((f"{what} (first: row {self._first_lost})",))
         if self._lost == self._rows:
             raise LogError(f"of {self._rows} rows none has a time stamp")
-        self._report(self._units.news())
+        self._report_units()
         self._report(self._stamps.warnings())
-        for watch in self._finite.values():
-            self._report(watch.warnings())
+        for key, watch in self._watches.items():
+            self._report(() if key == "t_s" else watch.not_finite())
+
+    def _report_units(self) -> None:
+        for watch in self._watches.values():
+            self._report(watch.hardly_si())
 
     def _report(self, warnings: tuple[str, ...]) -> None:
         self._reported |= {w: False for w in warnings if w not in self._reported}
+
+    def joined(self, max_bytes: int = MAX_BYTES) -> Log:
+        """Return all rows as one log; `FormatError` if they take more bytes than allowed."""
+        chunks: list[LogChunk] = []
+        size = 0
+        for chunk in self:
+            chunks.append(chunk)
+            size += chunk.t_s.nbytes + sum(values.nbytes for values in chunk.channels.values())
+            require_size(size, max_bytes, "what is read of it")
+        return Log(
+            t_s=np.concatenate([chunk.t_s for chunk in chunks]),
+            channels={
+                key: np.concatenate([chunk.channels[key] for chunk in chunks])
+                for key in chunks[0].channels
+            },
+            warnings=self.take_warnings(),
+            start_ns=self.start_ns,
+        )
 
 
 def _settled(mapping: ColumnMapping, found: Mapping[str, _SiChannel]) -> ColumnMapping:

@@ -14,12 +14,11 @@ import msgspec
 from needleforce.recordings.channels import (
     CHANNELS,
     Channel,
-    FoundColumn,
+    Found,
     detect_columns,
     find_columns,
     find_unit,
     parse_column_name,
-    require_unit,
 )
 from needleforce.recordings.errors import (
     ColumnError,
@@ -50,39 +49,24 @@ class ColumnSpec:
     scale: float | tuple[float, ...] = 1.0
 
     def __post_init__(self) -> None:
-        """Check columns and scale.
-
-        Raises:
-            MappingError: no column is named, or a scale is zero or not finite.
-        """
+        """Check columns and scale; `MappingError` if one is missing, zero or not finite."""
         if not self.columns or not all(self.patterns):
             raise MappingError(f"columns = {self.columns!r} names no column")
         scales = self.scale if isinstance(self.scale, tuple) else (self.scale,)
         if not scales or not all(_is_finite(factor) and factor != 0.0 for factor in scales):
-            raise MappingError(f"scale = {_short(self.scale)} must be finite and not zero")
+            raise MappingError(f"scale = {self.scale!r:.60} must be finite and not zero")
 
     @property
     def patterns(self) -> tuple[str, ...]:
         """The column names and patterns in order."""
         return (self.columns,) if isinstance(self.columns, str) else self.columns
 
-    def checked_for(self, channel: Channel) -> "ColumnSpec":
-        """Return this with its unit as the channel spells it; `MappingError` if it is none."""
-        if self.unit is None:
-            return self
-        unit = require_unit(self.unit, channel.units, f"channel {channel.name!r}")
-        return ColumnSpec(columns=self.columns, unit=unit, scale=self.scale)
-
 
 def parse_column_spec(text: str, channel: Channel) -> ColumnSpec:
-    """Read the short form of the command line: `NAMES[:UNIT][:SCALE]`.
+    """Read the short form of the command line: `NAMES[:UNIT][:SCALE]`, as in `fz:N:-1`.
 
     `NAMES` is a name, a pattern or a list separated by commas. What follows a colon counts as
     scale or unit only if it is one, since column names may hold colons themselves.
-
-    Args:
-        text: such as `z:mm`, `fz:N:-1` or `q{1..7}:deg`.
-        channel: the channel it is meant for.
 
     Raises:
         MappingError: no column is named, or the scale is zero or not finite.
@@ -121,17 +105,12 @@ class ColumnMapping:
     payload: Any = None
 
     def __post_init__(self) -> None:
-        """Check names, units and the rate.
-
-        Raises:
-            MappingError: an unknown channel or unit, a rate that is not a positive number, both a
-                rate and a time column, or a joint named twice.
-        """
+        """Check names, units and the rate; `MappingError` if they contradict each other."""
         channels = {}
         for name, spec in self.channels.items():
             if name not in CHANNELS:
                 raise MappingError(f"unknown channel {name!r}; channels are: {', '.join(CHANNELS)}")
-            channels[name] = spec.checked_for(CHANNELS[name])
+            channels[name] = replace(spec, unit=_known_unit(name, spec.unit))
         object.__setattr__(self, "channels", MappingProxyType(channels))
         if len(set(self.joints)) < len(self.joints):
             raise MappingError(f"joints = {list(self.joints)} names a joint twice")
@@ -139,22 +118,26 @@ class ColumnMapping:
             return
         if not (_is_finite(self.rate_hz) and self.rate_hz > 0.0):
             raise MappingError(
-                f"rate_hz = {_short(self.rate_hz)} must be a positive number of samples/s"
+                f"rate_hz = {self.rate_hz!r:.60} must be a positive number of samples/s"
             )
         if "time" in channels:
             raise MappingError("both rate_hz and a time column are given; keep one of them")
 
 
+def _known_unit(name: str, unit: str | None) -> str | None:
+    """Return a unit as the channel spells it; `MappingError` if it is none of its."""
+    units = CHANNELS[name].units
+    known = None if unit is None else find_unit(unit, units)
+    if known is None and unit is not None:
+        raise MappingError(
+            f"unit {unit!r} of channel {name!r} is not known; use one of: {', '.join(units)}"
+        )
+    return known
+
+
 def _is_finite(value: float) -> bool:
     # A whole number may be larger than any float.
     return abs(value) <= sys.float_info.max
-
-
-def _short(value: Any) -> str:
-    try:
-        return repr(value)[:60]
-    except ValueError:  # a whole number of more digits than Python writes
-        return "a number of thousands of digits"
 
 
 _TOP_KEYS = {"rate_hz", "joints", "reference_topic", "payload"}
@@ -198,9 +181,7 @@ def load_mapping(path: str | Path) -> ColumnMapping:
 def read_toml(path: str | Path, what: str) -> dict[str, Any]:
     """Return the content of a TOML file, at least one key; `what` it is stands in messages.
 
-    Raises:
-        FileAccessError: it cannot be read.
-        FormatError: it is not TOML, or is empty.
+    `FileAccessError` if it cannot be read, `FormatError` if it is not TOML, or is empty.
     """
     try:
         with file_errors(path), readable_path(path).open("rb") as stream:
@@ -254,12 +235,10 @@ class ChannelRequest:
             if not found and name in self.required:
                 return None
             # An element such as `force_xyz[2]` is found under its own name.
-            needed |= {
-                c.name if c.name in table.columns else c.name.rpartition("[")[0] for c in found
-            }
+            needed |= {c if c in table.columns else c.rpartition("[")[0] for c, _ in found}
         return frozenset(needed)
 
-    def _detected(self, table: Table, name: str, chosen: set[str]) -> tuple[FoundColumn, ...]:
+    def _detected(self, table: Table, name: str, chosen: set[str]) -> Found:
         """Find a channel by its usual names.
 
         Of several that would fit, one beside chosen columns, else one that has the robot's joints.
@@ -278,9 +257,9 @@ class ChannelRequest:
             raise
 
 
-def mapped_columns(table: Table, spec: ColumnSpec) -> tuple[FoundColumn, ...]:
+def mapped_columns(table: Table, spec: ColumnSpec) -> Found:
     """Return the columns that a specification names; `ColumnError` if one is not there."""
-    return tuple(column for pattern in spec.patterns for column in find_columns(table, pattern))
+    return [column for pattern in spec.patterns for column in find_columns(table, pattern)]
 
 
 def mapping_text(table: Table, channels: Iterable[str], known: ColumnMapping) -> list[str]:
@@ -316,11 +295,11 @@ def _channel_text(
     except ColumnError as error:
         if spec is not None:
             raise
-        found, reason = (), " ".join(str(error).split(";")[0].split())
+        found, reason = [], " ".join(str(error).split(";")[0].split())
     if not found:
         lines = [f"[{channel.name}]", 'columns = ""', f'unit = "{channel.si_unit}"']
         return [comment_line(reason), *(f"# {line}" for line in lines)]
-    names = [column.name for column in found]
+    names = [name for name, _ in found]
     used |= set(names)
     units = {parse_column_name(name, channel.units).unit for name in names}
     unit = (spec and spec.unit) or (units.pop() if len(units) == 1 else None)

@@ -2,16 +2,11 @@
 
 import json
 from collections.abc import Iterable, Iterator, Sequence
-from dataclasses import replace
+from contextlib import suppress
 from pathlib import Path
 
 from needleforce.recordings.bag_messages import BAG_SUFFIXES, is_bag
-from needleforce.recordings.bag_reader import (
-    BagInfo,
-    bag_info,
-    bag_tables,
-    growing_bag_tables,
-)
+from needleforce.recordings.bag_reader import Bag, bag_tables, survey
 from needleforce.recordings.channels import CHANNELS, detect_columns
 from needleforce.recordings.columnar import read_npz, read_parquet
 from needleforce.recordings.csv_file import CSV_SUFFIXES, csv_tables
@@ -37,7 +32,7 @@ from needleforce.recordings.mapping import (
     comment_line,
     mapping_text,
 )
-from needleforce.recordings.table import Table
+from needleforce.recordings.table import Table, joined_tables
 
 CHUNK_ROWS = 2048
 """The most rows of a table of a binary format."""
@@ -64,26 +59,9 @@ def read_table(
         FormatError: nothing usable is in it, or it is larger than `max_bytes`.
         ColumnError: a bag has not what is requested.
     """
-    path = readable_path(path)
-    if path.name.lower().endswith(CSV_SUFFIXES):
-        blocks = byte_blocks(path, FollowOptions())
-        table, *rest = csv_tables(blocks, str(path), head_rows=None, max_bytes=max_bytes)
-        # The last table of a CSV file has no rows, but all warnings.
-        return replace(table, warnings=rest[-1].warnings)
-    return next(_tables(path, None, request, max_bytes))
-
-
-def _tables(
-    path: Path, rows: int | None, request: ChannelRequest | None, max_bytes: int
-) -> Iterator[Table]:
-    """Read a binary recording; a bag a number of rows at a time, all at once if None."""
-    with file_errors(path):
-        if is_bag(path):
-            return bag_tables(path, rows, request, max_bytes)
-    for suffix, read in ((".npz", read_npz), (".parquet", read_parquet)):
-        if path.name.lower().endswith(suffix):
-            return iter((read(path, max_bytes),))
-    raise FileAccessError(f"{path} has no known suffix; known are: {', '.join(SUFFIXES)}")
+    return joined_tables(
+        stream_tables(path, FollowOptions(), request, max_bytes=max_bytes), max_bytes
+    )
 
 
 def read_log(
@@ -95,7 +73,7 @@ def read_log(
     joints: Iterable[str] = (),
     max_bytes: int = MAX_BYTES,
 ) -> Log:
-    """Read a recording into SI units.
+    """Read a recording into SI units: all rows of its `LogStream`.
 
     Args:
         path: see `read_table`.
@@ -111,11 +89,9 @@ def read_log(
         The log. Its `warnings` report what is wrong with the recording.
 
     Raises:
-        FileAccessError: the file cannot be read, or its suffix is not known.
-        FormatError: nothing usable is in it, or it is larger than `max_bytes`.
-        ColumnError: time, a required or a mapped channel was not found, or is ambiguous.
-        MappingError: a channel name is unknown, or a scale does not fit its columns.
-        LogError: the channels do not form a log.
+        RecordingError: see `read_table`; or time, a required or a mapped channel was not found or
+            is ambiguous (`ColumnError`), a channel name is unknown or a scale does not fit its
+            columns (`MappingError`), or the channels do not form a log (`LogError`).
     """
     request = ChannelRequest(
         mapping=mapping or ColumnMapping(),
@@ -123,17 +99,10 @@ def read_log(
         optional=tuple(optional),
         joints=tuple(joints),
     )
-    return log_of(read_table(path, request, max_bytes=max_bytes), request)
-
-
-def log_of(table: Table, request: ChannelRequest) -> Log:
-    """Return the log that a request makes of a table; errors are those of `read_log`."""
-    stream = LogStream(
-        [table], request.mapping, required=request.required, optional=request.optional
-    )
-    (chunk,) = list(stream)
-    warnings, start_ns = stream.take_warnings(), stream.start_ns
-    return Log(t_s=chunk.t_s, channels=chunk.channels, warnings=warnings, start_ns=start_ns)
+    tables = stream_tables(path, FollowOptions(), request, max_bytes=max_bytes)
+    return LogStream(
+        tables, request.mapping, required=request.required, optional=request.optional
+    ).joined(max_bytes)
 
 
 def stream_tables(
@@ -143,59 +112,69 @@ def stream_tables(
     *,
     max_bytes: int = MAX_BYTES,
 ) -> Iterator[Table]:
-    """Read a recording as it comes, so that memory stays bounded (but for npz).
+    """Read a recording as it comes, so that memory stays bounded (but for npz and Parquet).
 
     Args:
         source: a file, see `read_table`, or `-` for standard input: CSV, plain or compressed, or
             a binary format, which is kept in a temporary file until all of it has come.
         options: how long more is waited for; any source is left when it says to stop.
         request: what is read of a bag; of other sources everything is.
-        max_bytes: the most memory that the rows of one table may take, or an npz file as a whole.
+        max_bytes: the most memory that the rows of one table may take, or a file that is read as
+            a whole.
 
     Yields:
         Tables of consecutive rows with equal columns, the first with `HEAD_ROWS` rows at least,
         if there are so many; the last may have none, but warnings.
 
     Raises:
-        FileAccessError: the source cannot be read, is neither text nor MCAP but to be followed, or
-            its suffix is not known.
-        FormatError: nothing usable is in it, or a part of it is larger than allowed.
-        ColumnError: a bag has not what is requested.
+        RecordingError: see `read_table`; or the source is to be followed, but neither text nor
+            MCAP (`FileAccessError`).
     """
     path = None if str(source) == STANDARD_STREAM else readable_path(source)
-    name = "standard input" if path is None else str(path)
-    if path is None or is_text(path):
-        suffix, blocks = peek(byte_blocks(path, options))
-        if not suffix or (path is not None and not path.is_fifo()):
-            growth = {"is_growing": options.follow, "is_stopped": options.should_stop}
-            yield from csv_tables(blocks, name, **growth, max_bytes=max_bytes)
-            return
-        options.warn(
-            f"{name} is {suffix[1:]}, not text: it is read to its end, into a temporary file, "
-            "before anything is estimated"
-        )
-        with spooled(blocks, suffix) as file:
-            try:
-                # What stopped the pipe has not stopped the reading of what came.
-                yield from _tables(file, CHUNK_ROWS, request, max_bytes)
-            except RecordingError as error:
-                raise type(error)(str(error).replace(str(file), name)) from error
+    if path is not None and not is_text(path):
+        for table in _binary_tables(path, options, request, max_bytes):
+            yield table
+            if options.should_stop() and not options.follow:
+                return
         return
-    if options.follow:
-        _require_followable(path)
-        request = request or ChannelRequest()
-        tables = growing_bag_tables(path, CHUNK_ROWS, request, options, max_bytes)
-    else:
-        tables = _tables(path, CHUNK_ROWS, request, max_bytes)
-    for table in tables:
-        yield table
-        if options.should_stop() and not options.follow:
-            return
+    name = "standard input" if path is None else str(path)
+    suffix, blocks = peek(byte_blocks(path, options))
+    if not suffix or (path is not None and not path.is_fifo()):
+        growth = {"is_growing": options.follow, "is_stopped": options.should_stop}
+        yield from csv_tables(blocks, name, **growth, max_bytes=max_bytes)
+        return
+    options.warn(
+        f"{name} is {suffix[1:]}, not text: it is read to its end, into a temporary file, "
+        "before anything is estimated"
+    )
+    with spooled(blocks, suffix) as file:
+        try:
+            # What stopped the pipe has not stopped the reading of what came.
+            yield from _binary_tables(file, FollowOptions(), request, max_bytes)
+        except RecordingError as error:
+            raise type(error)(str(error).replace(str(file), name)) from error
 
 
 def is_text(path: Path) -> bool:
     """Return whether a path is read as CSV: by its suffix, or because it is a pipe."""
     return path.name.lower().endswith(CSV_SUFFIXES) or path.is_fifo()
+
+
+def _binary_tables(
+    path: Path, options: FollowOptions, request: ChannelRequest | None, max_bytes: int
+) -> Iterator[Table]:
+    if options.follow:
+        _require_followable(path)
+    with file_errors(path):
+        holds_messages = is_bag(path)
+    if holds_messages:
+        yield from bag_tables(path, request, options, max_bytes, CHUNK_ROWS)
+        return
+    for suffix, read in ((".npz", read_npz), (".parquet", read_parquet)):
+        if path.name.lower().endswith(suffix):
+            yield read(path, max_bytes)
+            return
+    raise FileAccessError(f"{path} has no known suffix; known are: {', '.join(SUFFIXES)}")
 
 
 def _require_followable(path: Path) -> None:
@@ -229,19 +208,18 @@ def suggest_mapping(
         payload: lines that say what hangs on the robot.
 
     Raises:
-        FileAccessError: the recording cannot be read.
-        FormatError: nothing usable is in it.
-        ColumnError: the mapping names a column that is not there.
+        RecordingError: see `read_table`; or the mapping names a column that is not there.
     """
     known, names = mapping or ColumnMapping(), list(channels)
     title = f"Mapping of {Path(source).name}; edit it, then: --mapping FILE"
     lines = [comment_line(title), ""]
     if str(source) != STANDARD_STREAM and is_bag(readable_path(source)):
-        info = bag_info(Path(source))
-        table = info.table()
+        bag = Bag(Path(source))
+        survey(bag)
+        table = bag.table()
         lines += ["# Topics:"]
-        lines += [comment_line(f"  {found.describe()}") for found in info.topics.values()]
-        lines += [*map(comment_line, info.warnings), "", *_bag_head(info, table, names, joints)]
+        lines += [comment_line(f"  {topic.describe()}") for topic in bag.topics.values()]
+        lines += [*map(comment_line, bag.warnings), "", *_bag_head(bag, table, names, joints)]
     else:
         table = next(stream_tables(source, FollowOptions()))
         if known.rate_hz is None:
@@ -252,25 +230,21 @@ def suggest_mapping(
     return "\n".join([*lines, *mapping_text(table, names, known)])
 
 
-def _bag_head(
-    info: BagInfo, table: Table, channels: Sequence[str], joints: Sequence[str]
-) -> list[str]:
+def _bag_head(bag: Bag, table: Table, channels: Sequence[str], joints: Sequence[str]) -> list[str]:
     """Say whose messages are the rows, and the order of joints."""
     columns: set[str] = set()
     for name in channels:
-        try:
-            columns |= {column.name for column in detect_columns(table, CHANNELS[name])}
-        except ColumnError:  # several would fit, which the mapping will say
-            continue
-    topics = [name for name, found in info.topics.items() if found.columns.keys() & columns]
+        with suppress(ColumnError):  # several would fit, which the mapping will say
+            columns |= {column for column, _ in detect_columns(table, CHANNELS[name])}
+    topics = [topic for topic in bag.topics.values() if topic.columns.keys() & columns]
     if not topics:
         return []
-    reference = max(topics, key=lambda name: info.topics[name].count)
+    reference = max(topics, key=lambda topic: topic.count)
     lines = [
         "# Rows are the messages of this topic; others are interpolated to its time stamps.",
-        f"reference_topic = {json.dumps(reference)}",
+        f"reference_topic = {json.dumps(reference.name)}",
     ]
-    here = list(dict.fromkeys(j for n in topics for j in info.topics[n].names))
+    here = list(dict.fromkeys(joint for topic in topics for joint in topic.joint_names))
     if here:
         order = joints if joints and set(joints) <= set(here) else here
         lines.append("# Joints in the order of the robot; they are found by these names.")

@@ -5,6 +5,7 @@ import shutil
 import sys
 from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager, suppress
+from itertools import combinations
 from pathlib import Path
 from typing import Any, BinaryIO
 
@@ -48,15 +49,9 @@ class OpenTable:
         self._kinds: list[str] = []
 
     def append(self, columns: Mapping[str, ArrayLike]) -> None:
-        """Write rows.
+        """Write rows of the same columns in every call; raises as `write_table` does.
 
-        Args:
-            columns: see `write_table`; the same in every call.
-
-        Raises:
-            FileAccessError: the file cannot be written.
-            LogError: the columns are no table, or not those of the rows before.
-            BrokenPipeError: the reader of standard output has gone.
+        `BrokenPipeError` if the reader of standard output has gone.
         """
         arrays = checked_columns(columns)
         kinds = [f"{name} {v.dtype}{list(v.shape[1:])}" for name, v in arrays.items()]
@@ -113,18 +108,20 @@ def open_table(
     path = Path(path)
     part = path.with_name(f".{path.name}.{os.getpid()}.part")
     if _is_folder_name(path):
-        with _open_folder(path, part, labels) as table:
-            yield table
-        return
-    # A pipe cannot be replaced by a file: whoever reads it waits for its bytes.
-    with file_errors(path, "write"):
-        grows = path.is_fifo() or (is_live and path.name.lower().endswith(_GROWS))
-    with _open_file(path, path if grows else part, labels) as table:
+        opened = _open_folder(path, part, labels)
+    else:
+        # A pipe cannot be replaced by a file: whoever reads it waits for its bytes.
+        with file_errors(path, "write"):
+            grows = is_live and path.name.lower().endswith(_GROWS)
+            opened = _open_file(path, path if grows or path.is_fifo() else part, labels, grows)
+    with opened as table:
         yield table
 
 
 @contextmanager
-def _open_file(path: Path, part: Path, labels: Callable[[], Labels]) -> Iterator[OpenTable]:
+def _open_file(
+    path: Path, part: Path, labels: Callable[[], Labels], is_live: bool
+) -> Iterator[OpenTable]:
     """Write into a part that replaces the file at the end, or into the file itself."""
     writer = _find_writer(path)
     streams: list[BinaryIO] = []
@@ -134,7 +131,7 @@ def _open_file(path: Path, part: Path, labels: Callable[[], Labels]) -> Iterator
         return writer(streams[0], labels())
 
     try:
-        table = OpenTable(begin, is_live=part == path, name=str(path))
+        table = OpenTable(begin, is_live=is_live, name=str(path))
         yield table
         with file_errors(path, "write"):
             if table.finish():
@@ -142,9 +139,9 @@ def _open_file(path: Path, part: Path, labels: Callable[[], Labels]) -> Iterator
                 if part != path:
                     os.replace(part, path)
     finally:
-        for stream in streams:
-            # On a full disk closing fails too, but that has been reported.
-            with suppress(OSError):
+        # On a full disk closing fails too, but that has been reported.
+        with suppress(OSError):
+            for stream in streams:
                 stream.close()
         if streams and part != path:
             part.unlink(missing_ok=True)
@@ -265,13 +262,12 @@ def check_writable(path: str | Path, *, source: str | Path | None = None) -> Non
 def check_output_path(path: Path, source: Path) -> None:
     """Check that writing a file or folder cannot harm the recording that is being read.
 
-    Raises:
-        FileAccessError: the path is the recording (a file or a folder, which need not exist), or
-            one lies inside the other, or both are files of one bag.
+    `FileAccessError` if it is the recording (a file or a folder, which need not exist), or one lies
+    inside the other, or both are files of one bag.
     """
     if not source.exists():
         return
-    if _is_same(path, source):
+    if path.exists() and path.samefile(source):
         raise FileAccessError(f"cannot write {path}: it is the log itself; give another name")
     if source.is_file() and is_bag(source) and (source.resolve().parent / _METADATA).exists():
         source = source.resolve().parent
@@ -283,27 +279,17 @@ def check_output_path(path: Path, source: Path) -> None:
 
 
 def check_output_paths(outputs: Mapping[str, Path]) -> None:
-    """Check that no output, an option and the path that it names, would replace another.
-
-    Raises:
-        FileAccessError: two are the same, or one lies inside the other.
-    """
-    known: dict[str, Path] = {}
-    for option, path in outputs.items():
-        for other, place in known.items():
-            if _is_same(path, place) or _overlap(path, place):
-                raise FileAccessError(
-                    f"{other} and {option} both write to {place}; give each a place of its own"
-                )
-        known[option] = path
-
-
-def _is_same(path: Path, other: Path) -> bool:
-    if path.exists() and other.exists():
-        return path.samefile(other)
-    return path.resolve() == other.resolve()
+    """Check that no output, an option and the path that it names, would replace another."""
+    for (option, path), (other, place) in combinations(outputs.items(), 2):
+        if _overlap(path, place):
+            raise FileAccessError(
+                f"{option} and {other} both write to {path}; give each a place of its own"
+            )
 
 
 def _overlap(path: Path, other: Path) -> bool:
+    """Return whether two paths are the same place, or one lies inside the other."""
+    if path.exists() and other.exists() and path.samefile(other):
+        return True
     path, other = path.resolve(), other.resolve()
     return path == other or path in other.parents or other in path.parents

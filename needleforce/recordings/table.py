@@ -1,14 +1,14 @@
 """Named columns of numbers before anyone has said what they mean, and the time of their rows."""
 
 import math
-from collections.abc import Mapping
-from dataclasses import dataclass, field
+from collections.abc import Iterable, Mapping
+from dataclasses import dataclass, field, replace
 from types import MappingProxyType
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from needleforce.recordings.errors import FormatError, LogError
+from needleforce.recordings.errors import FormatError, LogError, require_size
 
 FloatArray = NDArray[np.float64]
 Columns = Mapping[str, np.ndarray]
@@ -26,43 +26,35 @@ class Table:
     Columns may differ in length (an npz file may hold several recordings); a `Log` may not.
 
     Attributes:
-        columns: name to values, shape (n,) or (n, k); stored as read-only copies.
+        columns: name to values, shape (n,) or (n, k), read-only copies as float64; those of whole
+            numbers that float64 would round, as nanoseconds since 1970 are, as int64.
         constants: single numbers of the file, such as a sample rate.
         warnings: what the reader had to leave out or guess.
         joint_names: for two-dimensional columns of a file that names joints, their names in the
             order of the column.
         start_ns: the instant of t = 0 on the clock that stamped the file, in ns; not zero only
             where stamps are too large for seconds in float64 to resolve nanoseconds.
-        stamps: those of `columns` that float64 has rounded, as the whole numbers that they are.
-        omitted: which columns were left out and why, where `warnings` come with later rows.
     """
 
-    columns: Mapping[str, FloatArray]
+    columns: Mapping[str, np.ndarray]
     constants: Mapping[str, float] = field(default_factory=dict)
     warnings: tuple[str, ...] = ()
     joint_names: Mapping[str, tuple[str, ...]] = field(default_factory=dict)
     start_ns: int = 0
-    stamps: Mapping[str, NDArray[np.int64]] = field(default_factory=dict)
-    omitted: tuple[str, ...] = ()
 
     def __post_init__(self) -> None:
-        """Copy and freeze the columns.
-
-        Raises:
-            FormatError: there is no column, or one is not one- or two-dimensional.
-            LogError: a column does not hold numbers.
-        """
+        """Copy and freeze the columns; `FormatError` or `LogError` if they are none of numbers."""
         if not self.columns:
             raise FormatError("no column of numbers: a table needs at least one")
-        columns = {name: read_only(name, values) for name, values in self.columns.items()}
+        columns = {
+            name: read_only(name, values, is_exact=True) for name, values in self.columns.items()
+        }
         for name, values in columns.items():
             if values.ndim not in (1, 2):
                 raise FormatError(
                     f"column {name!r} has shape {values.shape}; expected (n,) or (n, k)"
                 )
         object.__setattr__(self, "columns", MappingProxyType(columns))
-        for name in ("constants", "stamps", "joint_names"):
-            object.__setattr__(self, name, MappingProxyType(dict(getattr(self, name))))
 
     def __len__(self) -> int:
         """Return the number of rows of the longest column."""
@@ -79,23 +71,40 @@ class Table:
 
     def left_out(self, limit: int = 3) -> str:
         """Return in brackets, for a message, which columns the reader left out and why."""
-        notes = [
-            note
-            for note in dict.fromkeys((*self.omitted, *self.warnings))
-            if note.startswith("column ") and note.endswith("was left out")
-        ]
+        notes = [note for note in self.warnings if note.endswith("was left out")]
         more = f"; and {len(notes) - limit} more" if len(notes) > limit else ""
         return f" ({'; '.join(notes[:limit])}{more})" if notes else ""
 
 
-def read_only(name: str, values: ArrayLike) -> FloatArray:
-    """Return a contiguous read-only copy as float64; `LogError` if these are no numbers."""
+def read_only(name: str, values: ArrayLike, *, is_exact: bool = False) -> np.ndarray:
+    """Return a contiguous read-only copy as float64; `LogError` if these are no numbers.
+
+    Where it shall be exact, whole numbers that float64 would round stay such, as int64.
+    """
     try:
-        copy = np.array(values, dtype=np.float64, order="C")
+        array = np.asarray(values)
+        is_exact &= array.dtype.kind in "iu" and array.ndim == 1 and exceed_float64(array)
+        copy = np.array(array, dtype=np.int64 if is_exact else np.float64, order="C")
     except (TypeError, ValueError) as error:
         raise LogError(f"{name} is not an array of numbers: {error}") from error
     copy.setflags(write=False)
     return copy
+
+
+def joined_tables(tables: Iterable[Table], max_bytes: int) -> Table:
+    """Return tables of consecutive rows as one; `FormatError` if they take too many bytes."""
+    parts, size = [], 0
+    for table in tables:
+        parts.append(table)
+        size += sum(values.nbytes for values in table.columns.values())
+        require_size(size, max_bytes, "the recording")
+    if len(parts) == 1:
+        return parts[0]
+    names = parts[0].columns
+    filled = [part for part in parts if len(part)] or parts[:1]
+    warnings = tuple(dict.fromkeys(note for part in parts for note in part.warnings))
+    columns = {name: np.concatenate([part.columns[name] for part in filled]) for name in names}
+    return replace(parts[0], columns=columns, warnings=warnings)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -110,28 +119,16 @@ class Labels:
         joint_names: in the order of the columns of `q_rad`, `dq_rad_s` and `tau_Nm`.
         frame: the frame in which forces are given.
         prefix: how the topics of a bag begin that hold estimates.
-        events: columns of small whole numbers to what their values 0, 1, 2, ... mean, `{}` for
-            the value; the last text holds for all values beyond. A bag gets a diagnostic message
-            where the value changes, unless the text is empty.
     """
 
     start_ns: int = 0
     joint_names: tuple[str, ...] = ()
     frame: str = ""
     prefix: str = "/needleforce"
-    events: Mapping[str, tuple[str, ...]] = field(default_factory=dict)
 
 
 def checked_columns(columns: Mapping[str, ArrayLike]) -> Columns:
-    """Return columns to be written as arrays.
-
-    Args:
-        columns: name, with its unit, to numbers, shape (n,) or (n, k), all of the same n.
-
-    Raises:
-        LogError: the columns are not numbers, differ in length, or a name is empty or starts
-            with `#`.
-    """
+    """Return columns as arrays; `LogError` if `write_table` cannot write them."""
     arrays: dict[str, np.ndarray] = {}
     for name, values in columns.items():
         try:
@@ -156,8 +153,7 @@ def checked_columns(columns: Mapping[str, ArrayLike]) -> Columns:
 def flat_columns(columns: Columns) -> dict[str, np.ndarray]:
     """Return columns of one value a row; `q_rad` becomes `q_rad_1`, `q_rad_2`, ...
 
-    Raises:
-        LogError: a name would stand twice.
+    `LogError` if a name would stand twice.
     """
     flat: dict[str, np.ndarray] = {}
     for name, values in columns.items():
@@ -196,15 +192,6 @@ def to_nanoseconds(t_s: ArrayLike, start_ns: int) -> NDArray[np.int64]:
     return np.rint(np.asarray(t_s, dtype=np.float64) * NS_PER_S).astype(np.int64) + np.int64(
         start_ns
     )
-
-
-def whole_stamps(columns: Mapping[str, np.ndarray]) -> dict[str, NDArray[np.int64]]:
-    """Return the columns of whole numbers that float64 would round, as ns since 1970 are."""
-    return {
-        name: values.astype(np.int64)
-        for name, values in columns.items()
-        if values.dtype.kind in "iu" and values.ndim == 1 and exceed_float64(values)
-    }
 
 
 def exceed_float64(values: np.ndarray) -> bool:
@@ -268,15 +255,10 @@ class RowClock:
         }
 
     def update(self, t_s: FloatArray) -> FloatArray:
-        """Take further rows.
+        """Take time stamps in s, shape (n,); return time in s since the latest row that advanced.
 
-        Args:
-            t_s: time stamps in s, shape (n,).
-
-        Returns:
-            Time in s since the latest row that advanced, shape (n,): not positive for a row that
-            does not, inf for the first of all. The row at which a set clock is recognised
-            advances by the time for which it has run.
+        It is not positive for a row that does not advance, inf for the first of all. The row at
+        which a set clock is recognised advances by the time for which it has run.
         """
         dt_s = np.diff(t_s, prepend=self._latest_s)
         if not (dt_s > 0.0).all():
@@ -317,8 +299,7 @@ class RowClock:
     def warnings(self) -> tuple[str, ...]:
         """Report stamps that do not advance, a line for each kind of fault; rows count from 1.
 
-        Raises:
-            LogError: fewer than two stamps advance, so that no time step can be formed.
+        `LogError` if fewer than two stamps advance, so that no time step can be formed.
         """
         # The first of all counts as one that advances.
         if self._advanced < 2:
