@@ -41,9 +41,8 @@ class WrenchGain(NamedTuple):
     # Insertion direction in the same axes, then the variance of the axial force and of a lateral
     # one, in the direction known least [N^2]; shape (5,)
     axis: Array
-    covariance: Array  # See `WrenchEstimate`, like the next two
-    conditioning: float
-    damping_fraction: Array
+    # ``covariance``, ``conditioning`` and ``damping_fraction`` of `WrenchEstimate`
+    told: tuple[Array, float, Array]
 
 
 def weighted_inverse(
@@ -258,9 +257,7 @@ class WrenchEstimator:
         self._gain = WrenchGain(
             rows=np.vstack((q, directions[:, :size].T.dot(gain))),
             axis=np.append(axis, variances),
-            covariance=covariance,
-            conditioning=conditioning,
-            damping_fraction=removed,
+            told=(covariance, conditioning, removed),
         )
         for array in (covariance, removed):
             array.setflags(write=False)
@@ -279,22 +276,20 @@ class WrenchEstimator:
         Raises:
             SampleError: For numbers that are not finite.
         """
-        gain = self._gain
-        size = len(gain.rows) - 1
+        rows, axis, told = self._gain
+        size = len(rows) - 1
         found = np.empty(size + self._joints)
-        scalars = wrench_step(q, residual, offset, gain.rows, gain.axis, share, followed_N, found)
+        scalars = wrench_step(q, residual, offset, rows, axis, share, followed_N, found)
         if not math.isfinite(scalars[0]):
             self.weigh(q)
-            gain = self._gain
-            rows, axis = gain.rows, gain.axis
+            rows, axis, told = self._gain
             scalars = wrench_step(q, residual, offset, rows, axis, share, followed_N, found)
             if not math.isfinite(scalars[0]):
                 raise SampleError("q and residual must be finite; skip this sample")
         # By name it takes thrice as long, in every tick.
         found.setflags(False)  # pyright: ignore[reportCallIssue]
         torque = _NOTHING if size == 3 else found[3:6]
-        kept = gain.covariance, gain.conditioning, gain.damping_fraction
-        return *scalars, found[:3], torque, *kept, found[size:]
+        return *scalars, found[:3], torque, *told, found[size:]
 
     @property
     def weighed_at(self) -> Array:
