@@ -22,6 +22,7 @@ from residual.estimate import (
     unknown_wrench,
 )
 from residual.input_validation import SampleClock
+from residual.motion_error import MotionError
 from residual.sample_stream import (
     ExternalTorqueStream,
     JointStream,
@@ -57,6 +58,7 @@ class SensorState(NamedTuple):
     followed_N: NDArray[np.float64]
     follows: bool  # Whether it does so already
     unchecked_s: float  # Time since the last consistency check [s]
+    smooth_velocity: NDArray[np.float64]  # See `residual.motion_error`; shape (n,)
     velocity: NDArray[np.float64]  # Joint velocity of the last sample [rad/s], shape (n,)
     last: WrenchEstimate | None  # Last estimate; None before the first
     missed_s: float  # Time of samples rejected since then [s]
@@ -106,6 +108,7 @@ class VirtualForceSensor:
         )
         self._contact = WrenchEstimator(robot, "axial", **where)
         self._monitor = ConsistencyMonitor(robot, self._wrench)
+        self._motion = MotionError(robot, config.prior.mass_fraction)
         self.reset()
 
     @property
@@ -117,6 +120,15 @@ class VirtualForceSensor:
     def kinematics(self) -> ToolKinematics:
         """Pose and Jacobian of the tool at the last sample that was used."""
         return self._wrench.kinematics
+
+    @property
+    def residual_std_Nm(self) -> NDArray[np.float64]:
+        """Standard deviation of `WrenchEstimate.residual` per joint [Nm], shape (n,).
+
+        Noise, what the tare left unknown here, drift since, and the torque of motion, which is
+        known as well as the links' masses: an arm that accelerates makes it larger.
+        """
+        return np.sqrt(np.diag(self._wrench.torque_covariance))
 
     def recheck(self, last: WrenchEstimate) -> WrenchEstimate:
         """The last estimate, with `SensorWarning.MODEL_MISMATCH` if this sample does not fit."""
@@ -229,6 +241,7 @@ class VirtualForceSensor:
                 followed_N=self._followed_N,
                 follows=self._follows,
                 unchecked_s=self._unchecked_s,
+                smooth_velocity=self._motion.smooth_velocity,
                 velocity=self.velocity_rad_s,
                 last=self._last,
                 missed_s=self._clock.missed_s,
@@ -275,6 +288,7 @@ class VirtualForceSensor:
         self._followed_N, self._follows = state.followed_N, state.follows
         self.lag_s, self.velocity_rad_s = state.lag_s, state.velocity
         self._unchecked_s = state.unchecked_s
+        self._motion.smooth_velocity = state.smooth_velocity
         self._last, self.rejected = state.last, state.rejected
         self._clock.missed_s = state.missed_s
         if state.last is not None:
@@ -319,8 +333,10 @@ class VirtualForceSensor:
         tared = bias.tared
         if settled and not tared:
             offset.record(residual, elapsed_s)
+        self._unchecked_s += elapsed_s
         if renewed:
-            wrench.set_torque_covariance(offset.covariance_Nm2())
+            motion = self._motion.variance_Nm2(q, self.velocity_rad_s, self._unchecked_s)
+            wrench.set_torque_covariance(offset.covariance_Nm2() + np.diag(motion))
             wrench.weigh(q)
         wrench.kinematics.update(q, data)
         # One more lag follows the force; it begins where the force is.
@@ -329,7 +345,6 @@ class VirtualForceSensor:
             share = -math.expm1(-elapsed_s / stream.lag_s)
         found = wrench.solve(q, residual, bias.bias, self._followed_N, share)
         self._follows = True
-        self._unchecked_s += elapsed_s
         if renewed:
             dq = self.velocity_rad_s if stream.has_velocity else None
             monitor.check(q, dq, found[-1], self._unchecked_s, tared=tared)
