@@ -30,7 +30,7 @@ from residual import (
 )
 from residual.fault_detection import fresh_distance
 from residual.momentum_observer import momentum_step
-from residual.wrench_estimator import axial_force
+from residual.wrench_estimator import wrench_step
 from urdf import load_lwr
 
 STILL = np.zeros(7)
@@ -269,20 +269,21 @@ def test_the_distance_of_two_samples(seed, repeats):
 
 @needs_numba
 @settings(deadline=None)
-@given(seed=seeds, damping=st.sampled_from([0.0, 1e-4]))
-def test_force_and_motion_of_the_needle(seed, damping):
+@given(seed=seeds, size=st.sampled_from([3, 6]), share=st.sampled_from([0.1, 1.0]))
+def test_force_and_motion_of_the_needle(seed, size, share):
     rng = np.random.default_rng(seed)
-    residual, offset, weighted, advance, dq = rng.normal(size=(5, 7))
-    axis, pose = rng.normal(size=(3, 3))[:, 1], rng.normal(size=(4, 4))
+    q, residual, offset, advance, dq = rng.normal(size=(5, 7))
+    rows, axis, pose = rng.normal(size=(1 + size, 7)), rng.random(5), rng.normal(size=(4, 4))
+    rows[0] = q
     forces, motions = [], []
     for force_of, motion_of in (
-        (axial_force, tip_motion),
-        (axial_force.py_func, tip_motion.py_func),
+        (wrench_step, tip_motion),
+        (wrench_step.py_func, tip_motion.py_func),
     ):
-        corrected, force = np.empty(7), np.empty(3)
-        given_ = (residual, offset, weighted, advance, axis, damping, corrected, force)
-        forces.append([force_of(*given_), *corrected, *force])
-        motions.append(motion_of(axis.copy(), pose, advance, dq))
+        found, followed_N = np.empty(size + 7), np.ones(3)
+        given_ = (q, residual, offset, rows, axis, share, followed_N, found)
+        forces.append([*force_of(*given_), *found, *followed_N])
+        motions.append(motion_of(axis[:3], pose, advance, dq))
     np.testing.assert_allclose(*forces, rtol=1e-9, atol=1e-12)
     np.testing.assert_allclose(*motions, rtol=1e-9, atol=1e-12)
 
