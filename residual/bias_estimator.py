@@ -6,57 +6,46 @@ from typing import NamedTuple, Self
 import numpy as np
 from numpy.typing import NDArray
 
-from residual.bias_fit import check_free_of_contact, fit_tare
+from residual.bias_fit import FreeMotionFit
 from residual.bias_model import BiasModel, Tare, TareBlocks, prior_tare
 from residual.config import SensorConfig
 from residual.errors import TareError
 from residual.estimate import FORGOTTEN, TARE_EXPIRED
 from residual.input_validation import ROUNDING_S
+from residual.joint_states import JointStates
 from residual.snapshot import copied
+from residual.tare_check import check_free_of_contact
 from residual.wrench_estimator import WrenchEstimator
 from urdf import Robot
 
 Array = NDArray[np.float64]
-SMOOTHING_S = 0.15
-"""Lag of the torque whose hysteresis is followed [s]: its noise is then well below the loop's
-width."""
 MOST_TORQUES = 1000
 """As many samples are kept between two renewals at most; then their sum is."""
 MOST_BLOCKS = 400
 """When there are as many, the older half is merged in pairs: a fit takes a fraction of a second."""
 
 
-def play_operator(state: Array, change: Array, half_width: Array) -> Array:
-    """+1 once a signal has risen by the loop's width, -1 once it has fallen by it.
-
-    It remembers at rest, as strain gauges do: friction of a joint would depend on its velocity,
-    the hysteresis of its torque sensor depends on the torque. States, -1 to 1, and half widths, in
-    the signal's unit, have the shape (loops, n), the change of the signal (n,).
-    """
-    return np.minimum(np.maximum(state + change / half_width, -1.0), 1.0)
-
-
 @dataclass(slots=True, eq=False)
 class TareRecorder:
-    """Means of residual, position and hysteresis state over short blocks of free motion.
+    """Means of residual, position and joint states over short blocks of free motion.
 
     Memory is bounded: once there are `MOST_BLOCKS`, pairs of neighbours in the older half become
     one; the latest blocks stay short.
     """
 
-    means: Array  # Of every block: position, residual, hysteresis; shape (m, 2 + loops, n)
+    means: Array  # Of every block: position, residual, states; shape (m, 2 + states, n)
     time_s: Array  # Middle of every block [s], shape (m,)
     scatter: Array  # Variance within every block [Nm^2], shape (m, n)
     samples: tuple[int, ...]  # Number of samples of every block, shape (m,)
-    sums: Array  # Of the open block, shape (2 + loops, n)
+    sums: Array  # Of the open block, shape (2 + states, n)
     squares: Array  # Of its residuals [Nm^2], shape (n,)
     summed: int = 0  # Number of its samples
     age_s: float = 0.0  # Its length so far [s]
 
     @classmethod
-    def of_size(cls, joints: int, loops: int) -> Self:
+    def of_size(cls, joints: int, states: int) -> Self:
         """Nothing recorded yet."""
-        shape = (2 + loops, joints)
+        shape = (2 + states, joints)
         return cls(
             means=np.zeros((0, *shape)),
             time_s=np.zeros(0),
@@ -71,11 +60,11 @@ class TareRecorder:
         """Whether nothing has been recorded."""
         return not (self.samples or self.summed)
 
-    def add(self, q: Array, loops: Array, residual: Array, dt_s: float) -> None:
-        """Add position [rad], hysteresis state and residual [Nm] a time after the last ones."""
+    def add(self, q: Array, states: Array, residual: Array, dt_s: float) -> None:
+        """Add position [rad], joint states and residual [Nm] a time after the last ones."""
         self.sums[0] += q
         self.sums[1] += residual
-        self.sums[2:] += loops
+        self.sums[2:] += states
         self.squares += residual * residual
         self.summed += 1
         self.age_s += dt_s
@@ -117,7 +106,7 @@ class TareRecorder:
         means = self.means[kept]
         return TareBlocks(
             q_rad=means[:, 0],
-            hysteresis=means[:, 2:],
+            states=means[:, 2:],
             residual_Nm=means[:, 1],
             age_s=self.time_s[kept] - now_s,
             # The median, so that a knock in one block does not pass for noise in all.
@@ -131,6 +120,7 @@ class TareNumbers(NamedTuple):
     mean: Array
     covariance: Array
     noise_Nm2: Array
+    walk_Nm2_per_s: Array
 
 
 @dataclass(slots=True, kw_only=True, eq=False)
@@ -138,7 +128,9 @@ class BiasState:
     """All that a `BiasEstimator` remembers."""
 
     recorder: TareRecorder  # Free motion recorded for the next tare
-    hysteresis: Array  # State of the torques' loops, shape (loops, n)
+    # Of hysteresis and friction, see `residual.joint_states`; None before a sample
+    joint_memory: Array | None = None
+    states: Array  # What follows from it, shape (states, n)
     torque_sum: Array  # Of the torques since the last renewal [Nm], shape (n,)
     bias: Array  # Offset that is subtracted [Nm], shape (n,)
     q: Array  # Last position [rad], shape (n,)
@@ -146,10 +138,8 @@ class BiasState:
     tared: bool = False  # Whether it is the current one
     tared_s: float = 0.0  # When it was taken [s]
     now_s: float = 0.0  # Time since the start [s]
-    renewed_s: float = 0.0  # When hysteresis and offset were renewed last [s]
+    renewed_s: float = 0.0  # When states and offset were renewed last [s]
     due_s: float = 0.0  # When they are renewed next [s]
-    # Torque whose hysteresis is followed [Nm], shape (n,); None before the first
-    smooth_torque: Array | None = None
     summed: int = 0  # Number of torques in the sum
     # Time in steps longer than `BiasEstimator.LEAP_S` since the tare, or since free motion is
     # recorded [s]
@@ -197,7 +187,7 @@ class BiasEstimator:
         """Follow position [rad], torque [Nm], both kept, not copied, and time since the last [s].
 
         Returns:
-            Whether hysteresis and offset have been renewed; the covariance may then be read anew.
+            Whether joint states and offset have been renewed; the covariance may then be read anew.
         """
         memory = self.memory
         memory.q = q
@@ -217,20 +207,16 @@ class BiasEstimator:
         return True
 
     def _renew(self) -> None:
-        """Renew what changes slowly: the state of the torques' hysteresis and the offset."""
+        """Renew what changes slowly: hysteresis, friction and the offset."""
         memory = self.memory
         dt_s = memory.now_s - memory.renewed_s
         self._sum_torques()
         torque = memory.torque_sum / memory.summed
         memory.torque_sum, memory.summed = np.zeros(self._joints), 0
         memory.renewed_s, memory.due_s = memory.now_s, memory.now_s + self.RENEW_S
-        if memory.smooth_torque is None:
-            memory.smooth_torque = torque
-        change = (torque - memory.smooth_torque) * (dt_s / (SMOOTHING_S + dt_s))
-        memory.smooth_torque = memory.smooth_torque + change
-        half_width = self._basis.half_width_Nm
-        memory.hysteresis = play_operator(memory.hysteresis, change, half_width)
-        memory.bias = self._tare.bias_Nm(memory.q, memory.hysteresis, self._age_s)
+        self._states.follow(memory.q, torque, dt_s)
+        memory.states, memory.joint_memory = self._states.rows, self._states.memory
+        memory.bias = self._tare.bias_Nm(memory.q, memory.states, self._age_s)
 
     def _sum_torques(self) -> None:
         """Keep the sum of the torques only."""
@@ -244,16 +230,16 @@ class BiasEstimator:
         memory = self.memory
         if not memory.tared:
             recorder = memory.recorder
-            recorder.add(memory.q, memory.hysteresis, residual, dt_s)
+            recorder.add(memory.q, memory.states, residual, dt_s)
             if recorder.age_s >= self._block_s - ROUNDING_S:
                 recorder.close_block(memory.now_s)
 
     def _clear_recorder(self) -> None:
-        self.memory.recorder = TareRecorder.of_size(self._joints, self._basis.loops)
+        self.memory.recorder = TareRecorder.of_size(self._joints, self._basis.states)
 
     def covariance_Nm2(self) -> Array:
         """Covariance of the corrected residual here and now [Nm^2], shape (n, n)."""
-        return self._tare.covariance_Nm2(self.memory.q, self.memory.hysteresis, self._age_s)
+        return self._tare.covariance_Nm2(self.memory.q, self.memory.states, self._age_s)
 
     @property
     def _age_s(self) -> float:
@@ -281,14 +267,16 @@ class BiasEstimator:
             )
             raise TareError("; ".join(filter(None, (nothing, self.warning))))
         blocks = memory.recorder.blocks(memory.now_s, self._config.tare_window_s)
+        fit = FreeMotionFit(self._basis, blocks)
         if not ignore_contact:
-            contact_N = self._config.contact_force_N
-            prior = prior_tare(self._basis)
-            check_free_of_contact(prior, blocks, wrench, contact_N, is_external=is_external)
-        fitted = self._tare = fit_tare(self._basis, blocks)
-        memory.tare = TareNumbers(fitted.mean, fitted.covariance, fitted.noise_Nm2)
+            check_free_of_contact(
+                fit, wrench, self._config.contact_force_N, is_external=is_external
+            )
+        fitted = self._tare = fit.tare
+        numbers = (getattr(fitted, name) for name in TareNumbers._fields)
+        memory.tare = TareNumbers(*numbers)
         memory.tared, memory.tared_s, memory.leapt_s = True, memory.now_s, 0.0
-        memory.bias = fitted.bias_Nm(memory.q, memory.hysteresis, 0.0)
+        memory.bias = fitted.bias_Nm(memory.q, memory.states, 0.0)
         return fitted
 
     def start_tare_recording(self) -> None:
@@ -307,6 +295,8 @@ class BiasEstimator:
         memory = self.memory = copied(state)
         self._torques: list[Array] = []
         self._tare = prior_tare(self._basis)
+        self._states = JointStates(self._basis)
+        self._states.memory, self._states.rows = memory.joint_memory, memory.states
         if memory.tare is not None:
             self._tare = Tare(basis=self._basis, **memory.tare._asdict())
 
@@ -315,8 +305,8 @@ class BiasEstimator:
         still = np.zeros(self._joints)
         self.restore(
             BiasState(
-                recorder=TareRecorder.of_size(self._joints, self._basis.loops),
-                hysteresis=np.zeros_like(self._basis.half_width_Nm),
+                recorder=TareRecorder.of_size(self._joints, self._basis.states),
+                states=np.zeros((self._basis.states, self._joints)),
                 torque_sum=still,
                 bias=still,
                 q=still,

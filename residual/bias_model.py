@@ -7,7 +7,8 @@ and its covariance says how far. The offset is subtracted from the observer's ou
 its integral, so that it does not fade.
 """
 
-from dataclasses import dataclass, replace
+import math
+from dataclasses import dataclass
 from typing import Literal
 
 import numpy as np
@@ -29,7 +30,9 @@ class BiasPrior:
     """Standard deviations of what the tare fits, before it has seen data.
 
     They are properties of a class of arms, not of one recording; fractions are of each
-    joint's effort limit, the range of its torque sensor.
+    joint's effort limit, the range of its torque sensor. The sizes of link errors, hysteresis,
+    friction and drift are where the tare starts from: the motion corrects them, see
+    `residual.bias_fit`.
 
     Attributes:
         offset_fraction: Constant offset. 1 %: joint-torque sensors of the LWR kind start with
@@ -46,8 +49,20 @@ class BiasPrior:
             goes with twice the motor angle, and is fitted. Empty if unknown.
         wave_rad: Length over which a torque sensor's own waviness changes [rad]. A harmonic drive
             of 160:1 has a ripple of period pi/160 = 0.02 rad: a quarter of that.
-        drift_fraction_per_min: Linear drift. 0.01 % a minute, as strain gauges warm up (an ATI
-            Mini45 was seen to drift 0.04 % of its range in 4 minutes).
+        friction_fraction: Coulomb friction of a bearing between torque sensor and link, and as much
+            for what it has more at low speed. 0.03 %: a bearing of 50 mm radius under 100 N with a
+            friction coefficient of rolling, 0.005, has 0.025 Nm.
+        viscous_fraction_s: Viscous friction there, per rad/s. 0.4 %: an identification of a real
+            LWR 4+ found 0.19 to 0.84 Nm s/rad on joints of 38 to 176 Nm.
+        stribeck_rad_s: Speed over which friction falls from that at rest to Coulomb friction; ball
+            bearings and seals do so within hundredths of a radian per second.
+        presliding_rad: Half the rotation over which friction turns round, per Maxwell-slip
+            element; until then a bearing is a spring. Rolling bearings slide after 5 to 50 um: at
+            a radius of 50 mm 0.1 to 1 mrad.
+        drift_fraction_per_min: Drift, a steady one and one that fades, each. 0.01 % a minute, as
+            strain gauges warm up (an ATI Mini45 was seen to drift 0.04 % of its range in 4
+            minutes).
+        fading_s: Time in which the second one fades; that Mini45 drifted half as fast later on.
         walk_fraction_per_sqrt_min: Random walk beside it.
         resolution_fraction: What no torque sensor resolves; keeps the weights of joints sensible on
             signals without noise. 0.001 %.
@@ -61,11 +76,16 @@ class BiasPrior:
     mass_fraction: float = 0.05
     com_m: float = 0.005
     hysteresis_fraction: float = 1e-4
-    hysteresis_widths: tuple[float, ...] = (5e-5, 1e-4, 2e-4)
+    hysteresis_widths: tuple[float, ...] = (5e-5, 2e-4, 8e-4)
     ripple_fraction: float = 2e-4
     gear_ratio: tuple[float, ...] = ()
     wave_rad: float = 5e-3
+    friction_fraction: float = 3e-4
+    viscous_fraction_s: float = 4e-3
+    stribeck_rad_s: float = 0.03
+    presliding_rad: tuple[float, ...] = (5e-5, 2e-4, 8e-4)
     drift_fraction_per_min: float = 1e-4
+    fading_s: float = 120.0
     walk_fraction_per_sqrt_min: float = 3e-5
     resolution_fraction: float = 1e-5
     fallback_effort_Nm: float = 100.0
@@ -78,70 +98,78 @@ class BiasPrior:
                 np.isfinite(numeric).all() and (numeric > 0).all()
             ):
                 raise ConfigurationError(f"{name} is {value!r}, expected finite numbers > 0")
-        if np.ndim(self.hysteresis_widths) != 1 or np.ndim(self.gear_ratio) != 1:
-            raise ConfigurationError(
-                "hysteresis_widths and gear_ratio must be tuples of numbers, got "
-                f"{self.hysteresis_widths!r} and {self.gear_ratio!r}"
-            )
+        for name in ("hysteresis_widths", "presliding_rad", "gear_ratio"):
+            if np.ndim(getattr(self, name)) != 1:
+                raise ConfigurationError(
+                    f"{name} must be a tuple of numbers, got {getattr(self, name)!r}"
+                )
 
 
 class BiasModel:
-    """The linear model of a residual without contact: ``bias = H(q, hysteresis, age) theta``.
+    """The linear model of a residual without contact: ``bias = H(q, states, age) theta``.
 
     Columns in order: offset per joint; mass and first moments per link (static columns of the
-    joint-torque regressor, [18]); hysteresis per joint; drift per joint; where gear ratios are
-    known, ripple per joint. The constant kind has the first group only.
+    joint-torque regressor, [18]); then per joint hysteresis, friction, drift and, where gear ratios
+    are known, ripple. The constant kind has the first group only.
+
+    The states, shape (states, n), are what `residual.joint_states` follows: loops of hysteresis,
+    friction elements, their excess at low speed, and speed.
     """
 
     def __init__(self, robot: Robot, kind: TareKind, prior: BiasPrior) -> None:
         if kind not in ("constant", "model"):
             raise ConfigurationError(f"tare is {kind!r}, expected 'constant' or 'model'")
-        self.joints = robot.nv
+        n = self.joints = robot.nv
         self.kind: TareKind = kind
         self.prior = prior
         self._model, self._data = robot.model, robot.create_data()
-        self._still = np.zeros(robot.nv)
+        self._still = np.zeros(n)
         self.effort_Nm = known_limits(robot.effort_limit_Nm, prior.fallback_effort_Nm)
         bodies = self._model.njoints - 1
         self._static = np.concatenate([10 * k + np.arange(4) for k in range(bodies)])
         ratio = prior.gear_ratio if kind == "model" else ()
-        if ratio and len(ratio) != robot.nv:
+        if ratio and len(ratio) != n:
             raise ConfigurationError(
-                f"gear_ratio has {len(ratio)} numbers, expected {robot.nv}: one per joint, or none"
+                f"gear_ratio has {len(ratio)} numbers, expected {n}: one per joint, or none"
             )
         self.ripple_per_rad = 2.0 * np.array(ratio) if ratio else None
-        self.loops = len(prior.hysteresis_widths)
-        self.half_width_Nm = np.outer(prior.hysteresis_widths, self.effort_Nm)
-        self.std = self._prior_std()
-        n = robot.nv
-        self.groups = {"offset": slice(0, n)}
-        if kind == "model":
-            sizes = {"links": 4 * bodies, "hysteresis": self.loops * n, "drift": n}
-            if self.ripple_per_rad is not None:
-                sizes |= {"sine": n, "cosine": n}
-            start = n
-            for name, size in sizes.items():
-                self.groups[name] = slice(start, start + size)
-                start += size
+        self.loops, self.elements = len(prior.hysteresis_widths), len(prior.presliding_rad)
+        self.states = self.loops + self.elements + 2
+        std = self._prior_std()
+        self.std = np.concatenate(list(std.values()))
+        self.groups: dict[str, slice] = {}
+        start = 0
+        for name, values in std.items():
+            self.groups[name] = slice(start, start + len(values))
+            start += len(values)
+        # Where the numbers of one joint each stand in H.
+        linked = self.groups.get("links", slice(n, n))
+        own = np.r_[0 : linked.start, linked.stop : start]
+        self._own = (np.tile(np.arange(n), len(own) // n), own)
 
-    def _prior_std(self) -> Array:
+    def _prior_std(self) -> dict[str, Array]:
+        """Of every group of columns, in order."""
         prior, effort = self.prior, self.effort_Nm
         if self.kind == "constant":
-            return 100.0 * prior.offset_fraction * effort
+            return {"offset": 100.0 * prior.offset_fraction * effort}
         links = []
         for inertia in list(self._model.inertias)[1:]:
             mass = max(inertia.mass, 1e-3)
             moment = mass * np.hypot(prior.com_m, prior.mass_fraction * np.abs(inertia.lever))
             links += [prior.mass_fraction * mass, *moment]
-        return np.concatenate(
-            [
-                prior.offset_fraction * effort,
-                links,
-                *(self.loops * [prior.hysteresis_fraction * effort]),
-                prior.drift_fraction_per_min / 60.0 * effort,
-                *([] if self.ripple_per_rad is None else 2 * [prior.ripple_fraction * effort]),
-            ]
-        )
+        coulomb, viscous = prior.friction_fraction, prior.viscous_fraction_s
+        std = {
+            "offset": prior.offset_fraction * effort,
+            "links": np.array(links),
+            "hysteresis": np.tile(prior.hysteresis_fraction * effort, self.loops),
+            "coulomb": np.tile(coulomb * effort, self.elements),
+            "stribeck": coulomb * effort,
+            "viscous": viscous * effort,
+            "drift": np.tile(prior.drift_fraction_per_min / 60.0 * effort, 2),
+        }
+        if self.ripple_per_rad is not None:
+            std["sine"] = std["cosine"] = prior.ripple_fraction * effort
+        return std
 
     def gravity_Nm(self, q: Array) -> Array:
         """Torque that holds the arm against gravity [Nm], shape (n,)."""
@@ -154,26 +182,28 @@ class BiasModel:
         # Of a single joint it comes as a vector.
         return full.reshape(self.joints, -1)[:, self._static]
 
-    def columns(self, q: Array, hysteresis: Array, age_s: float) -> Array:
-        """H at a position [rad], hysteresis state (-1 to 1, (loops, n)) and age of the tare [s]."""
-        identity = np.eye(self.joints)
+    def columns(self, q: Array, states: Array, age_s: float) -> Array:
+        """H at a position [rad], states and age of the tare [s], shape (n, m)."""
         if self.kind == "constant":
-            return identity
-        loops = [np.diag(loop) for loop in hysteresis]
-        columns = [identity, self.regressor(q), *loops, age_s * identity]
+            return np.eye(self.joints)
+        fading_s = self.prior.fading_s
+        one = np.ones((1, self.joints))
+        rows = [one, states, age_s * one, -fading_s * math.expm1(-age_s / fading_s) * one]
         if self.ripple_per_rad is not None:
             angle = self.ripple_per_rad * q
-            columns += [np.diag(np.sin(angle)), np.diag(np.cos(angle))]
-        return np.concatenate(columns, axis=1)
+            rows += [np.sin(angle)[None], np.cos(angle)[None]]
+        columns = np.zeros((self.joints, len(self.std)))
+        columns[:, self.groups["links"]] = self.regressor(q)
+        columns[self._own] = np.concatenate(rows).ravel()
+        return columns
 
     def resolution_variance(self) -> Array:
         """Least variance of a residual [Nm^2], shape (n,)."""
         return np.square(self.prior.resolution_fraction * self.effort_Nm)
 
-    def walk_variance(self, age_s: float) -> Array:
-        """Variance that the random walk has added since the tare [Nm^2], shape (n,)."""
-        walk = self.prior.walk_fraction_per_sqrt_min * self.effort_Nm
-        return walk**2 * (max(age_s, 0.0) / 60.0)
+    def walk_Nm2_per_s(self) -> Array:
+        """Variance that a random walk of the prior's size adds in a second [Nm^2/s], shape (n,)."""
+        return np.square(self.prior.walk_fraction_per_sqrt_min * self.effort_Nm) / 60.0
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -181,19 +211,10 @@ class TareBlocks:
     """Means over short blocks of free motion, one row each."""
 
     q_rad: Array  # Positions, shape (m, n)
-    # States of the torques' loops, -1 to 1, shape (m, loops, n), see
-    # `residual.bias_estimator.play_operator`
-    hysteresis: Array
+    states: Array  # Of hysteresis and friction, shape (m, states, n)
     residual_Nm: Array  # Residuals before offset removal, shape (m, n)
     age_s: Array  # Time relative to the end of the tare, <= 0, shape (m,)
     scatter_Nm2: Array  # Variance of single residuals about their block's mean, shape (n,)
-
-    def split(self, count: int) -> tuple["TareBlocks", "TareBlocks"]:
-        """The first ``count`` blocks and the others."""
-        names = ("q_rad", "hysteresis", "residual_Nm", "age_s")
-        early = {name: getattr(self, name)[:count] for name in names}
-        late = {name: getattr(self, name)[count:] for name in names}
-        return replace(self, **early), replace(self, **late)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -204,34 +225,21 @@ class Tare:
     mean: Array  # Its parameters, shape (m,)
     covariance: Array  # Of the parameters, shape (m, m)
     noise_Nm2: Array  # Covariance of a single residual about the model, shape (n, n)
+    walk_Nm2_per_s: Array  # Variance that the sensors' random walk adds in a second, shape (n,)
 
     def __post_init__(self) -> None:
-        for array in (self.mean, self.covariance, self.noise_Nm2):
+        for array in (self.mean, self.covariance, self.noise_Nm2, self.walk_Nm2_per_s):
             array.setflags(write=False)
 
-    def bias_Nm(self, q: Array, hysteresis: Array, age_s: float) -> Array:
-        """Residual without contact at a configuration, hysteresis and age since the tare, (n,)."""
-        groups, mean = self.basis.groups, self.mean
-        bias = mean[groups["offset"]]
-        if "links" not in groups:
-            return bias
-        bias = (
-            bias
-            + self.basis.regressor(q).dot(mean[groups["links"]])
-            + (hysteresis * mean[groups["hysteresis"]].reshape(hysteresis.shape)).sum(axis=0)
-            + age_s * mean[groups["drift"]]
-        )
-        if self.basis.ripple_per_rad is not None:
-            angle = self.basis.ripple_per_rad * q
-            bias += np.sin(angle) * mean[groups["sine"]] + np.cos(angle) * mean[groups["cosine"]]
-        return bias
+    def bias_Nm(self, q: Array, states: Array, age_s: float) -> Array:
+        """Residual without contact at a configuration, states and age of the tare [s], (n,)."""
+        return self.basis.columns(q, states, age_s).dot(self.mean)
 
-    def covariance_Nm2(self, q: Array, hysteresis: Array, age_s: float) -> Array:
+    def covariance_Nm2(self, q: Array, states: Array, age_s: float) -> Array:
         """Covariance of the residual's error after the tare: noise, model and drift, (n, n)."""
-        columns = self.basis.columns(q, hysteresis, age_s)
+        columns = self.basis.columns(q, states, age_s)
         model = columns.dot(self.covariance).dot(columns.T)
-        walk = np.diag(self.basis.walk_variance(age_s))
-        return model + self.noise_Nm2 + walk
+        return model + self.noise_Nm2 + np.diag(max(age_s, 0.0) * self.walk_Nm2_per_s)
 
 
 def prior_tare(basis: BiasModel) -> Tare:
@@ -242,4 +250,5 @@ def prior_tare(basis: BiasModel) -> Tare:
         mean=np.zeros(len(basis.std)),
         covariance=np.diag(basis.std**2),
         noise_Nm2=noise,
+        walk_Nm2_per_s=basis.walk_Nm2_per_s(),
     )

@@ -8,30 +8,39 @@ import pytest
 from residual_signals import MIDDLE
 
 from residual import BiasPrior, ConfigurationError, TareError, WrenchEstimator
-from residual.bias_estimator import TareRecorder, play_operator
-from residual.bias_fit import check_free_of_contact, fit_tare
-from residual.bias_model import BiasModel, TareBlocks, prior_tare
+from residual.bias_estimator import TareRecorder
+from residual.bias_fit import FreeMotionFit, fit_tare
+from residual.bias_model import BiasModel, TareBlocks
+from residual.joint_states import play_operator
+from residual.tare_check import check_free_of_contact
 
 TOWARDS = np.array([0.0, 0.12, 0.01, 0.15, 0.0, 0.1, 0.0])
-FORWARD = np.tile(np.sign(TOWARDS), (3, 1))
-STILL = np.zeros((3, 7))
+LOOPS = 3
+FORWARD, STILL = np.zeros((8, 7)), np.zeros((8, 7))
+FORWARD[:LOOPS] = np.sign(TOWARDS)
 OFFSET = np.array([0.3, -0.8, 0.4, 0.5, -0.2, 0.1, -0.05])
 
 
-def stroke(robot, basis, *, truth=None, noise=0.005, seed=0, blocks=300, reach=1.0):
+def stroke(
+    robot, basis, *, truth=None, noise=0.005, seed=0, blocks=300, reach=1.0, joint_speed=False
+):
     """Blocks of a there-and-back motion with a bias drawn from the prior (or given)."""
     rng = np.random.default_rng(seed)
     phase = np.linspace(0.0, 3 * np.pi, blocks)
     place = 0.5 * (1 - np.cos(phase)) * reach - reach
     q = MIDDLE + place[:, None] * TOWARDS
     trend = np.sign(np.sin(phase))[:, None, None] * FORWARD
+    if joint_speed:
+        speed = np.sin(phase)[:, None] * TOWARDS
+        trend[:, LOOPS:-1] = np.sign(speed)[:, None]
+        trend[:, -1] = speed
     age = np.linspace(-9.0, 0.0, blocks)
     theta = basis.std * rng.normal(size=len(basis.std)) if truth is None else truth
     bias = np.array([basis.columns(*row) @ theta for row in zip(q, trend, age, strict=True)])
     residual = bias + noise * rng.normal(size=bias.shape)
     scatter = np.full(robot.nv, (2 * noise) ** 2)
     return theta, TareBlocks(
-        q_rad=q, hysteresis=trend, residual_Nm=residual, age_s=age, scatter_Nm2=scatter
+        q_rad=q, states=trend, residual_Nm=residual, age_s=age, scatter_Nm2=scatter
     )
 
 
@@ -116,17 +125,16 @@ def test_constant_kind_is_the_mean_residual(lwr):
 
 @pytest.mark.parametrize("newton", [1.0, -1.0, 60.0])
 def test_contact_on_the_way_or_standing_is_refused(lwr, basis, newton):
-    wrench, prior = WrenchEstimator(lwr), prior_tare(basis)
-    stands = newton > 10.0
+    wrench, stands = WrenchEstimator(lwr), newton > 10.0
     _, blocks = stroke(lwr, basis, truth=np.zeros(len(basis.std)) if stands else None)
-    check_free_of_contact(prior, blocks, wrench, 0.25)
+    check_free_of_contact(FreeMotionFit(basis, blocks), wrench, 0.25, is_external=False)
     jacobian = pin.computeFrameJacobian(
         lwr.model, lwr.create_data(), MIDDLE, lwr.tool_frame_id, pin.LOCAL
     )
     push = np.where(np.arange(300) > (-1 if stands else 270), newton, 0.0)
     touched = replace(blocks, residual_Nm=blocks.residual_Nm - push[:, None] * jacobian[2])
     with pytest.raises(TareError, match="in contact"):
-        check_free_of_contact(prior, touched, wrench, 0.25)
+        check_free_of_contact(FreeMotionFit(basis, touched), wrench, 0.25, is_external=False)
 
 
 def recorded(values, block):
@@ -186,14 +194,18 @@ def test_merged_blocks_keep_the_variance_of_their_samples():
     assert len(old.blocks(30.0, window_s=0.5).age_s) >= 20, "the latest blocks stay short"
 
 
-def test_age_counts_from_the_tare_and_hysteresis_from_the_trend(lwr):
+def test_age_counts_from_the_tare_and_joints_are_as_they_were_moved(lwr):
     basis = BiasModel(lwr, "model", BiasPrior())
     theta = np.zeros(len(basis.std))
     theta[basis.groups["drift"]] = 0.01
+    theta[basis.groups["drift"].start + 7 :] = 0.0
     theta[basis.groups["hysteresis"]] = np.repeat([0.1, 0.2, 0.4], 7)
-    trend = np.stack([np.ones(7), np.zeros(7), -np.ones(7)])
+    theta[basis.groups["viscous"]] = 2.0
+    trend = STILL.copy()
+    trend[:LOOPS] = [[1.0], [0.0], [-1.0]]
+    trend[-1] = 0.05
     got = basis.columns(MIDDLE, trend, 10.0) @ theta
-    np.testing.assert_allclose(got, np.full(7, 0.1 + 0.1 - 0.4))
+    np.testing.assert_allclose(got, np.full(7, 0.1 + 0.1 - 0.4 + 0.1))
     rising = play_operator(np.zeros((1, 7)), np.ones(7), np.ones((1, 7)))
     assert (rising == 1.0).all()
 

@@ -1,0 +1,168 @@
+"""Refuses a tare that would hide a contact, and says what a residual looks like."""
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.optimize import linear_sum_assignment
+
+from residual.bias_fit import FreeMotionFit
+from residual.bias_model import BiasModel, TareBlocks
+from residual.errors import TareError
+from residual.wrench_estimator import WrenchEstimator
+
+Array = NDArray[np.float64]
+SIGMAS = 5.0
+"""A force must exceed this many standard deviations to count as contact."""
+INTERVALS = 24
+"""Parts of the motion; a contact begins and ends with one of them."""
+
+MOST_LEFT, MOST_LEFT_BY_A_MASS = 0.2, 0.6
+"""Fraction of the residual, root mean square, that an explanation may leave over; offsets of the
+torque sensors are among it."""
+LEAST_OFFSETS = 3.0
+"""Residual, in standard deviations of the offset's prior, beyond which a cause is always sought."""
+NEAR = 0.15
+"""So near to a factor with a reason a factor is that one."""
+OFFSET_BLOCKS = 10.0
+FURTHEST_M = 0.5
+"""No hand or tool has its centre of mass further from the last joint."""
+
+
+def check_free_of_contact(
+    fit: FreeMotionFit, wrench: WrenchEstimator, contact_force_N: float, *, is_external: bool
+) -> None:
+    """Refuse a tare whose motion was not free, or whose torques are not what they are taken for.
+
+    A contact is an axial force that begins and ends somewhere in the motion, or stands during all
+    of it. For each such interval the force is fitted beside all that the tare fits: what friction,
+    drift or a coarse model explain is no contact.
+
+    Args:
+        fit: The tare, fitted as if the motion were free.
+        wrench: Gives the direction of the needle; it must be the caller's own for this.
+        contact_force_N: Smallest force that counts [N].
+        is_external: Whether the residual is an estimate that the robot sends itself.
+
+    Raises:
+        TareError: If there is contact, with the force seen, or wrong torques, with the likely
+            reason.
+    """
+    force, std = _worst_force(fit, wrench, contact_force_N)
+    cause = explain_residual(
+        fit.tare.basis, fit.blocks, is_external=is_external, is_refused=force != 0.0
+    )
+    if force != 0.0 or cause:
+        seen = f"the sensor reads {force:.2f} N along the needle where 0 +/- {std:.2f} N is "
+        raise TareError(
+            (seen + "expected in free motion: " if force != 0.0 else "")
+            + (cause or "the needle seems to be in contact, or the payload is wrong")
+            + ". Tare in free air, or ignore_contact=True if you know better"
+        )
+
+
+def _worst_force(
+    fit: FreeMotionFit, wrench: WrenchEstimator, contact_force_N: float
+) -> tuple[float, float]:
+    """Axial force of the likeliest contact, with its standard deviation; zeros if there is none."""
+    q = fit.blocks.q_rad
+    along = np.empty_like(q)
+    for k, position in enumerate(q):
+        wrench.kinematics.update(position)
+        along[k] = wrench.kinematics.axial_jacobian
+    parts = np.array_split(np.arange(len(q)), min(INTERVALS, len(q)))
+    torque = np.zeros((*q.shape, len(parts)))
+    for k, part in enumerate(parts):
+        torque[part, :, k] = -along[part]
+    information, evidence = fit.information_on(torque)
+    best, force, std = 0.0, 0.0, 0.0
+    for first in range(len(parts)):
+        for last in range(first, len(parts)):
+            own = slice(first, last + 1)
+            known = float(information[own, own].sum())
+            if known <= 0.0:
+                continue
+            found, spread = float(evidence[own].sum()) / known, 1.0 / np.sqrt(known)
+            if abs(found) > max(contact_force_N, SIGMAS * spread) and abs(found) > best * spread:
+                best, force, std = abs(found) / spread, found, spread
+    return force, std
+
+
+def explain_residual(
+    basis: BiasModel, blocks: TareBlocks, *, is_external: bool, is_refused: bool
+) -> str:
+    """The likely cause of a residual that is not that of free motion; empty if unknown.
+
+    At rest the residual of measured torques is ``g(q) - tau``: g(q) itself if gravity was taken out
+    of tau before, 2 g(q) if tau has the other sign, minus g(q) if gravity was added twice.
+
+    Only where the tare is refused anyhow, a mass at the flange is considered; otherwise, the others
+    only in a residual far beyond all offsets. ``is_external`` as in `check_free_of_contact`.
+    """
+    scale = basis.prior.offset_fraction * basis.effort_Nm
+    residual = blocks.residual_Nm / scale
+    size = _rms(residual)
+    if size == 0.0 or not (is_refused or size > LEAST_OFFSETS):
+        return ""
+    gravity_Nm = np.array([basis.gravity_Nm(q) for q in blocks.q_rad])
+    gravity = gravity_Nm / scale
+    if gravity.any():
+        factor = float(np.vdot(residual, gravity) / np.vdot(gravity, gravity))
+        if _rms(residual - factor * gravity) < MOST_LEFT * size:
+            for known, reason in _GRAVITY_FACTORS[is_external].items():
+                if abs(factor / known - 1.0) < NEAR:
+                    return f"the residual is {factor:.2f} times gravity's torque g(q): {reason}"
+    order = () if is_external else _order_of_joints(gravity_Nm - blocks.residual_Nm, gravity_Nm)
+    if order:
+        moved = [f"{i} reads as {j}'s" for i, j in enumerate(order) if i != j]
+        return f"joints seem to be exchanged: tau at joint index {', '.join(moved)}"
+    return _mass_at_flange(basis, blocks, scale) if is_refused else ""
+
+
+_GRAVITY_FACTORS = {
+    False: {
+        1.0: "tau seems to leave gravity out; set torque_is_gravity_compensated=True",
+        2.0: "tau seems to have the wrong sign; negate it",
+        -1.0: "gravity seems to be added twice; set torque_is_gravity_compensated=False",
+    },
+    True: {
+        1.0: "it seems to be the measured torque; call update() instead",
+        -1.0: "it seems to be the negated measured torque; negate it and call update() instead",
+    },
+}
+
+
+def _rms(values: Array) -> float:
+    return float(np.sqrt(np.mean(np.square(values))))
+
+
+def _order_of_joints(torque: Array, gravity: Array) -> tuple[int, ...]:
+    """Whose gravity each measured torque is, both (m, n); empty if their own, or nobody's."""
+    cost = np.square(torque[:, :, None] - gravity[:, None, :]).mean(axis=0)
+    own = float(np.trace(cost))
+    # Joints without gravity are alike: of equal orders the one that moves fewest is meant.
+    joints, order = linear_sum_assignment(cost + 1e-3 * own * (1.0 - np.eye(len(cost))))
+    explains = (order != joints).any() and cost[joints, order].sum() < MOST_LEFT**2 * own
+    return tuple(order.tolist()) if explains else ()
+
+
+def _mass_at_flange(basis: BiasModel, blocks: TareBlocks, scale: Array) -> str:
+    """A mass behind the last joint that the model has too much of, or lacks; empty if it is none.
+
+    Least squares of the residual over its mass and first moments, and an offset per joint.
+    """
+    n = len(scale)
+    masses = np.concatenate([basis.regressor(q)[:, -4:] / scale[:, None] for q in blocks.q_rad])
+    offsets = np.tile(np.eye(n), (len(blocks.q_rad), 1))
+    # An offset is expected within one unit: beyond, it costs as much as so many blocks.
+    prior = np.hstack((np.zeros((n, 4)), np.sqrt(OFFSET_BLOCKS) * np.eye(n)))
+    residual = (blocks.residual_Nm / scale).ravel()
+    columns = np.vstack((np.hstack((masses, offsets)), prior))
+    # Directions that a short motion does not show stay at zero.
+    found = np.linalg.lstsq(columns, np.append(residual, np.zeros(n)), rcond=1e-3)[0]
+    mass, is_body = float(found[0]), np.linalg.norm(found[1:4]) < FURTHEST_M * abs(found[0])
+    if not is_body or _rms(residual - masses @ found[:4]) > MOST_LEFT_BY_A_MASS * _rms(residual):
+        return ""
+    fault = "has about {:.2g} kg too much" if mass > 0.0 else "lacks about {:.2g} kg"
+    return (
+        f"the robot's model {fault.format(abs(mass))} at the flange: correct hand, tool and "
+        "payload in it, unless the needle is in contact"
+    )
