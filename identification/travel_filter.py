@@ -26,8 +26,12 @@ _BLOCK_S = 0.016
 _ENOUGH_BLOCKS = 12.0
 _HASTE_S = 0.05
 _SIGNIFICANT = 4.0
-_UNKNOWN_SPEED_VARIANCE = 1e-2
-"""At the first sample: a tenth of a metre per second."""
+_MOST_SURPRISE = 5.0
+"""Standard deviations that one innovation counts: a single odd depth is not a needle that turns."""
+_GAP_S = 0.25
+"""After a longer step the filter starts anew."""
+_UNKNOWN_DEPTH_VARIANCE, _UNKNOWN_SPEED_VARIANCE = 1e-8, 1e-2
+"""At its first sample: 0.1 mm, and a tenth of a metre per second."""
 
 
 class Noise(NamedTuple):
@@ -53,6 +57,7 @@ class TravelState(NamedTuple):
     noise_both: float = 0.0
     noise_speed: float = 0.0
     surprise: float = 0.0  # Mean of the latest standardised innovations of the depth
+    speed_surprise: float = 0.0  # The same of a speed that is told
     of_depth: Noise = Noise()
     of_speed: Noise = Noise()
     of_blocks: Noise = Noise()  # Of means of the speed
@@ -76,7 +81,7 @@ class TravelState(NamedTuple):
 PlainNoise = tuple[float, float, float, float, float]
 """The fields of `Noise`."""
 Memory = tuple[
-    float, float, float, float, float, float, float, float, float,
+    float, float, float, float, float, float, float, float, float, float,
     PlainNoise, PlainNoise, PlainNoise, float, float, float,
 ]  # fmt: skip
 """The fields of `TravelState`, plain."""
@@ -115,6 +120,12 @@ def _haste(surprise: float, gain: float) -> float:
 
 
 @compiled
+def _clipped(off: float) -> float:
+    """Standard deviations that an innovation counts."""
+    return min(max(off, -_MOST_SURPRISE), _MOST_SURPRISE)
+
+
+@compiled
 def filter_travel(
     depth_m: float, speed_m_s: float, dt_s: float, memory: Memory
 ) -> tuple[Motion, Memory]:
@@ -122,20 +133,20 @@ def filter_travel(
 
     Time steps may differ from sample to sample; the filter is exact for each.
     """
-    z, v, pzz, pzv, pvv, nzz, nzv, nvv, surprise = memory[:9]
-    of_depth, of_speed, of_blocks, filled, samples, speed_sum = memory[9:]
-    is_told = not math.isnan(speed_m_s)
+    z, v, pzz, pzv, pvv, nzz, nzv, nvv, surprise, speed_surprise = memory[:10]
+    of_depth, of_speed, of_blocks, filled, samples, speed_sum = memory[10:]
+    is_told, gain = not math.isnan(speed_m_s), -math.expm1(-dt_s / _HASTE_S)
     of_depth = learn_noise(of_depth, depth_m, dt_s, _LEAST_DEPTH_VARIANCE)
     noise = max(of_depth[0], _LEAST_DEPTH_VARIANCE)
     if is_told:
         of_speed = learn_noise(of_speed, speed_m_s, dt_s, _LEAST_SPEED_VARIANCE)
         filled, samples, speed_sum = filled + dt_s, samples + 1.0, speed_sum + speed_m_s
-    if pzz == 0.0:
+    if pzz == 0.0 or dt_s > _GAP_S:
         z, v = depth_m, speed_m_s if is_told else 0.0
-        pzz, pvv = 1e-8, _UNKNOWN_SPEED_VARIANCE
+        pzz, pzv, pvv = _UNKNOWN_DEPTH_VARIANCE, 0.0, _UNKNOWN_SPEED_VARIANCE
+        nzz, nzv, nvv, surprise, speed_surprise = noise, 0.0, 0.0, 0.0, 0.0
     else:
-        gain = -math.expm1(-dt_s / _HASTE_S)
-        wander = _WANDER_M2_PER_S3 * _haste(surprise, gain)
+        wander = _WANDER_M2_PER_S3 * _haste(max(abs(surprise), abs(speed_surprise)), gain)
         z += v * dt_s
         pzz += dt_s * (2.0 * pzv + dt_s * pvv) + wander * dt_s**3 / 3.0
         pzv += dt_s * pvv + wander * dt_s * dt_s / 2.0
@@ -144,7 +155,7 @@ def filter_travel(
         nzv += dt_s * nvv
         total = pzz + noise
         error = depth_m - z
-        surprise += gain * (error / math.sqrt(total) - surprise)
+        surprise += gain * (_clipped(error / math.sqrt(total)) - surprise)
         gz, gv = pzz / total, pzv / total
         z, v = z + gz * error, v + gv * error
         pzz, pzv, pvv = (1.0 - gz) * pzz, (1.0 - gz) * pzv, pvv - gv * pzv
@@ -158,6 +169,7 @@ def filter_travel(
             noise = max(noise, of_blocks[0] * _BLOCK_S / dt_s)
         total = pvv + noise
         error = speed_m_s - v
+        speed_surprise += gain * (_clipped(error / math.sqrt(total)) - speed_surprise)
         gz, gv = pzv / total, pvv / total
         z, v = z + gz * error, v + gv * error
         pzz, pzv, pvv = pzz - gz * pzv, (1.0 - gv) * pzv, (1.0 - gv) * pvv
@@ -168,7 +180,7 @@ def filter_travel(
         mean = speed_sum / samples
         of_blocks = learn_noise(of_blocks, mean, filled, _LEAST_SPEED_VARIANCE)
         filled = samples = speed_sum = 0.0
-    state = (z, v, pzz, pzv, pvv, nzz, nzv, nvv, surprise)
+    state = (z, v, pzz, pzv, pvv, nzz, nzv, nvv, surprise, speed_surprise)
     motion = (z, v, math.sqrt(max(nzz, 0.0)), math.sqrt(max(nvv, 0.0)))
     more = (of_depth, of_speed, of_blocks, filled, samples, speed_sum)
     return motion, state + more
