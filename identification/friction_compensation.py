@@ -11,6 +11,8 @@ from needleforce.jit import compiled
 
 _MM = 1e3
 _TINY = 1e-12
+_JITTER = 3.0
+"""Standard deviations of the depth within which it plays."""
 
 
 class MultilayerMemory(NamedTuple):
@@ -190,7 +192,9 @@ def multilayer_outputs(
         c.in_contact,
         c.layer,
         force_N - earlier_N,
+        d_std * _MM * abs(speed_m_s),
         force_N - earlier_N - own_N,
+        c.shaft_std_N,
         earlier_N + own_N,
         c.shaft_std_N,
         earlier_N + own_N + k * max(depth_m - c.tip_m, 0.0),
@@ -209,6 +213,7 @@ def multilayer_outputs(
 def update_multilayer(
     depth_m: float,
     speed_m_s: float,
+    jitter_m: float,
     force_N: float,
     dt_s: float,
     memory: Memory,
@@ -228,7 +233,7 @@ def update_multilayer(
         last = depth_m
     else:
         keep = math.exp(-dt_s / c.smoothing_s)
-    follower = follow_depth(last, depth_m, c.deadband_m)
+    follower = follow_depth(last, depth_m, max(c.deadband_m, _JITTER * jitter_m))
     new = (
         filled + dt_s,
         depth_sum + dt_s * depth_m,
