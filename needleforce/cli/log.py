@@ -21,16 +21,12 @@ from needleforce.cli.terminal import (
 )
 from needleforce.plots.page import PAGE
 from needleforce.recordings import CHANNELS, ColumnMapping, FollowOptions, LogStream, RecordingError
+from needleforce.recordings import output as output_files
 from needleforce.recordings.errors import file_errors, readable_path
 from needleforce.recordings.follow import STANDARD_STREAM
 from needleforce.recordings.log import LogChunk
 from needleforce.recordings.mapping import ChannelRequest, parse_column_spec
-from needleforce.recordings.output import (
-    OpenTable,
-    check_output_path,
-    check_output_paths,
-    open_table,
-)
+from needleforce.recordings.output import OpenTable, open_table
 from needleforce.recordings.table import Labels
 
 if TYPE_CHECKING:
@@ -187,11 +183,9 @@ def check_outputs(source: str, output: Output) -> None:
                 raise CommandError(f"cannot write {output.figure}: it is a folder")
             if not (folder := output.figure.parent).is_dir():
                 raise CommandError(f"cannot write {output.figure}: there is no folder {folder}")
-    if source != STANDARD_STREAM:
-        log = readable_path(source)
-        for path in outputs.values():
-            check_output_path(path, log)
-    check_output_paths(outputs)
+    output_files.check_outputs(
+        outputs, None if source == STANDARD_STREAM else readable_path(source)
+    )
 
 
 @contextmanager

@@ -10,7 +10,7 @@ from groundtruth.scenarios import RANDOM_STACK, RANDOM_TISSUE, Scenario, named_s
 from needleforce.cli import SimulationOptions
 from needleforce.cli.terminal import CommandError, progress_bar, write_out
 from needleforce.recordings import check_writable, write_table
-from needleforce.recordings.output import check_output_paths
+from needleforce.recordings.output import check_outputs
 from needleforce.recordings.table import Labels
 
 
@@ -46,7 +46,7 @@ def _checked(scenario: str | None, options: SimulationOptions) -> Scenario:
     if options.seed < 0:
         raise CommandError(f"--seed {options.seed}: expected a whole number from 0 up")
     chosen = named_scenario(scenario, options.seed)
-    check_output_paths(paths)
+    check_outputs(paths)
     for path in paths.values():
         check_writable(path)
     return chosen

@@ -24,7 +24,7 @@ from needleforce.recordings.errors import (
     readable_path,
 )
 
-BLOCK = 1 << 20
+BLOCK = 1 << 18
 """The most bytes that are read, or unpacked, at a time."""
 STANDARD_STREAM = "-"
 """Instead of a file: standard input or standard output."""
@@ -199,7 +199,8 @@ class TextLines:
             # What follows the last line end is a piece of a line.
             self.tail = ""
         if self._is_blank:
-            raise FormatError("it is empty; expected a header row and rows of numbers")
+            what = "is not text" if "NUL" in self._fault else "is empty"
+            raise FormatError(f"it {what}; expected a header row and rows of numbers")
 
     def forgive_end(self) -> None:
         """Leave out a piece of a line at the end, and do not blame the source for it."""

@@ -255,35 +255,30 @@ def check_writable(path: str | Path, *, source: str | Path | None = None) -> Non
             _require_replaceable(path)
         elif path.is_dir():
             raise FileAccessError(f"cannot write {path}: it is a folder")
-        if source is not None:
-            check_output_path(path, Path(source))
+        check_outputs({"": path}, None if source is None else Path(source))
 
 
-def check_output_path(path: Path, source: Path) -> None:
-    """Check that writing a file or folder cannot harm the recording that is being read.
+def check_outputs(outputs: Mapping[str, Path], source: Path | None = None) -> None:
+    """Check that no output, an option and the path that it names, would replace another one.
 
-    `FileAccessError` if it is the recording (a file or a folder, which need not exist), or one lies
-    inside the other, or both are files of one bag.
+    Nor may it harm the recording that is read, a file or a folder, which need not exist.
     """
-    if not source.exists():
-        return
-    if path.exists() and path.samefile(source):
-        raise FileAccessError(f"cannot write {path}: it is the log itself; give another name")
-    if source.is_file() and is_bag(source) and (source.resolve().parent / _METADATA).exists():
-        source = source.resolve().parent
-    if _overlap(path, source):
-        raise FileAccessError(
-            f"cannot write {path}: it and the log {source} lie one inside the other; "
-            "give a place outside"
-        )
-
-
-def check_output_paths(outputs: Mapping[str, Path]) -> None:
-    """Check that no output, an option and the path that it names, would replace another."""
     for (option, path), (other, place) in combinations(outputs.items(), 2):
         if _overlap(path, place):
             raise FileAccessError(
                 f"{option} and {other} both write to {path}; give each a place of its own"
+            )
+    if source is None or not source.exists():
+        return
+    whole = source.resolve().parent
+    is_part = source.is_file() and is_bag(source) and (whole / _METADATA).exists()
+    for path in outputs.values():
+        if path.exists() and path.samefile(source):
+            raise FileAccessError(f"cannot write {path}: it is the log itself; give another name")
+        if _overlap(path, whole if is_part else source):
+            raise FileAccessError(
+                f"cannot write {path}: it and the log {source} lie one inside the other; "
+                "give a place outside"
             )
 
 
