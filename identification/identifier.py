@@ -10,7 +10,6 @@ from identification.estimate import Estimate, Events, LayerEstimate, Sample, Sam
 from identification.input_validation import (
     LAST_USED,
     STATUSES,
-    CheckMemory,
     CheckState,
     as_scalar,
     check_limits,
@@ -116,7 +115,7 @@ class Identifier:
     def reset(self) -> None:
         """Forget everything: a new insertion begins, its clock at 0."""
         self._method = self._new_method()
-        self._check, self._travel = CheckState()[:], TravelState().plain
+        self._check, self._travel = CheckState()[:], TravelState()[:]
         self._last = Estimate(0.0, SampleStatus.OK, *self._method.report())
         self._before: Snapshot | None = None
 
@@ -165,7 +164,7 @@ class Identifier:
         estimate = self._last = _new(Estimate, (time_s, STATUSES[number], *found))
         if found[_EVENTS:] != _NO_EVENTS:
             self._before = Snapshot(
-                self._config, CheckState(*check), TravelState.of(travel), method.before, last
+                self._config, CheckState(*check), TravelState(*travel), method.before, last
             )
             shift_m = self._check[_SHIFT]
             events = (_in_callers_depth(event, shift_m) for event in found[_EVENTS:])
@@ -184,7 +183,7 @@ class Identifier:
 
     def snapshot(self) -> Snapshot:
         """Everything needed to resume exactly here."""
-        check, travel = CheckState(*self._check), TravelState.of(self._travel)
+        check, travel = CheckState(*self._check), TravelState(*self._travel)
         return Snapshot(self._config, check, travel, self._method.state, self._last)
 
     def restore(self, snapshot: Snapshot) -> None:
@@ -210,21 +209,16 @@ class Identifier:
     def _resume(self, snapshot: Snapshot) -> None:
         _, check, travel, state, last = snapshot
         self._method.restore(state)
-        self._check, self._travel = check[:], travel.plain
+        self._check, self._travel = check[:], travel[:]
         self._last, self._before = last, None
 
     def _update_raw(self, values: tuple[Any, ...], is_told: bool, time_s: object) -> Estimate:
         """As `update`, for values of any type; the speed is one that is told or estimated."""
-        *numbers, time = map(as_scalar, (*values, 0.0 if time_s is None else time_s))
+        numbers: list[Any] = [as_scalar(value) for value in values]
+        time = as_scalar(0.0 if time_s is None else time_s)
         if time is not None and math.isfinite(time) and None not in numbers:
-            depth_m, speed_m_s, force_N, dt_s = numbers
-            return self.update(  # type: ignore[reportArgumentType]
-                depth_m,
-                speed_m_s if is_told else None,
-                force_N,
-                dt_s,
-                None if time_s is None else time,
-            )
+            numbers[1] = numbers[1] if is_told else None
+            return self.update(*numbers, time_s=None if time_s is None else time)
         # Handled as one that is not finite: its time passes, if it has one.
         dt_s = math.nan if numbers[-1] is None else numbers[-1]
         *_, self._check = check_sample(math.nan, 0.0, 0.0, dt_s, is_told, self._check, self._limits)

@@ -136,7 +136,8 @@ class MultilayerMethod:
         return (new.rupture_state, *outputs, *new.events)
 
     def _keep(self, state: MultilayerState) -> None:
-        self._state, self._memory, known = state, tuple(state.memory), self._sources
+        self._memory: Any = tuple(state.memory)
+        self._state, known = state, self._sources
         self._sources = state.sources
         if known is None or any(a is not b for a, b in zip(known, self._sources, strict=True)):
             coefficients = multilayer_coefficients(state, self._config)

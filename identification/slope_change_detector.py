@@ -260,8 +260,8 @@ def update_detector(
 ) -> tuple[DetectorState, Detection]:
     """Compare one block with the line through the blocks before, at every scale.
 
-    A fall that the loss of speed could explain, were all the force viscous, does not count; nor does a mere flattening: the force since then must fall, at
-    half the rate it rose or faster.
+    A fall that the loss of speed could explain, were all the force viscous, does not count; nor
+    does a mere flattening: the force since then must fall, at half the rate it rose or faster.
     """
     bank = filter_bank()
     filled = min(state.filled + 1, bank.length)

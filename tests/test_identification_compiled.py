@@ -114,7 +114,7 @@ def test_the_check_is_the_same_compiled_and_plain(rows, is_spoilt):
 @settings(deadline=None, max_examples=60)
 @given(samples, st.booleans())
 def test_the_travel_filter_is_the_same_compiled_and_plain(rows, is_told):
-    memory = TravelState().plain
+    memory = TravelState()[:]
     for depth_m, speed_m_s, _, dt_s in rows:
         given_row = (depth_m, speed_m_s if is_told else math.nan, dt_s, memory)
         result = filter_travel(*given_row)

@@ -38,12 +38,12 @@ def told_speed(kind, t_s, depth_m, speed_m_s, rng):
 
 
 def filtered(t_s, depth_m, speed_m_s):
-    memory, found = TravelState().plain, []
+    memory, found = TravelState()[:], []
     steps = np.diff(t_s, prepend=t_s[0] - 1e-3)
     for row in zip(depth_m.tolist(), speed_m_s.tolist(), steps.tolist(), strict=True):
         answer, memory = filter_travel(*row, memory)
         found.append(answer)
-    return np.array(found), TravelState.of(memory)
+    return np.array(found), TravelState(*memory)
 
 
 @pytest.mark.parametrize("told", ["none", "measured", "estimated"])
@@ -54,7 +54,7 @@ def test_noise_is_learned_and_what_it_leaves_is_stated(told, noise_m, rate_hz, j
     t_s, depth_m, speed_m_s = motion(rate_hz=rate_hz, jitter=jitter)
     noisy_m = depth_m + noise_m * rng.standard_normal(len(t_s))
     found, state = filtered(t_s, noisy_m, told_speed(told, t_s, noisy_m, speed_m_s, rng))
-    assert math.sqrt(state.of_depth.variance) == pytest.approx(noise_m, rel=0.15)
+    assert math.sqrt(state.of_depth[0]) == pytest.approx(noise_m, rel=0.15)
     steady = (t_s > 2.0) & (t_s < 5.0)
     off_m, off_m_s = (found[:, :2] - np.column_stack((depth_m, speed_m_s)))[steady].T
     std_m, std_m_s = found[steady, 2:].mean(axis=0)
@@ -90,7 +90,7 @@ def test_rest_of_a_rounded_depth_teaches_no_noise():
     t_s, depth_m, _ = motion()
     rounded = np.round(depth_m / 1e-5) * 1e-5
     found, state = filtered(t_s, rounded, np.full(len(t_s), math.nan))
-    assert math.sqrt(state.of_depth.variance) > 1e-6
+    assert math.sqrt(state.of_depth[0]) > 1e-6
     assert np.abs(found[(t_s > 2.0) & (t_s < 5.0), 1] - 4e-3).max() < 4e-4
 
 
