@@ -135,6 +135,11 @@ STEPS = {
     "next to nothing": 5e-324,
     "a stranger": Raises(),
     "NaN": np.float64("nan"),
+    "true": True,
+    "complex": 1j,
+    "text": "x",
+    "none": None,
+    "a list": [1e-3],
 }
 
 

@@ -9,10 +9,6 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from residual_signals import MIDDLE, swing
 
-from identification import MULTILAYER as IDENTIFIER
-from identification import PUBLISHED as PAPER_IDENTIFIER
-from identification import Identifier
-from identification.errors import InvalidSnapshotError
 from needleforce.jit import COMPILER
 from needleforce.session import tip_motion
 from residual import (
@@ -23,7 +19,6 @@ from residual import (
     MomentumObserver,
     SampleError,
     SnapshotError,
-    Status,
     VelocityEstimator,
     VirtualForceSensor,
     WrenchEstimator,
@@ -111,22 +106,6 @@ def test_real_numbers_of_any_type_are_welcome(lwr, update, valid):
     assert str(UPDATES[update](lwr, valid)) == str(UPDATES[update](lwr, STILL))
 
 
-@pytest.mark.parametrize("dt_s", [10**400, -(10**400), True, 1j, "x", None, [1e-3]])
-def test_a_time_step_that_is_none_is_refused(lwr, dt_s):
-    observer, velocity = MomentumObserver(lwr), VelocityEstimator(7)
-    sensor = VirtualForceSensor(lwr)
-    observer.update(STILL, STILL, STILL, 1e-3)
-    velocity.update(STILL, STILL, 1e-3)
-    sensor.update(STILL, STILL, STILL, 1e-3)
-    with pytest.raises(SampleError, match="dt_s"):
-        observer.update(STILL, STILL, STILL, dt_s)
-    with pytest.raises(SampleError, match="dt_s"):
-        velocity.update(STILL, STILL, dt_s)
-    assert sensor.update(STILL, STILL, STILL, dt_s).status is Status.REJECTED
-    assert sensor.update(STILL, STILL, STILL, 1e-3).status is Status.INITIALIZING
-    assert sensor.elapsed_s == 1e-3
-
-
 # What is unusual and valid is taken; what is damaged is refused before compiled code reads it.
 
 
@@ -199,31 +178,6 @@ def test_noise_of_another_arm_is_refused(lwr, noise):
     damaged = state.joints.observer._replace(noise=noise)
     with pytest.raises(SnapshotError, match="noise"):
         sensor.restore(state._replace(joints=state.joints._replace(observer=damaged)))
-
-
-@pytest.mark.parametrize("wrong", [np.zeros(0), np.zeros(3, dtype=int), np.zeros(400)[::2]])
-def test_a_damaged_detector_is_refused(wrong):
-    identifier = Identifier()
-    whole = identifier.snapshot()
-    detector = whole.state.detector._replace(variance=wrong)
-    with pytest.raises(InvalidSnapshotError, match="variance"):
-        identifier.restore(whole._replace(state=whole.state._replace(detector=detector)))
-
-
-@pytest.mark.parametrize(
-    "config",
-    [
-        IDENTIFIER.__class__(false_alarm_interval_s=Fraction(600), noise_memory_s=Fraction(4)),
-        PAPER_IDENTIFIER.__class__(var_stiffness=10**20),
-        PAPER_IDENTIFIER.__class__(var_friction=Fraction(10)),
-    ],
-    ids=["fractions", "a large integer", "a fraction"],
-)
-def test_settings_may_be_any_real_number(config):
-    identifier = Identifier(config)
-    for k in range(3000):
-        estimate = identifier.update(1e-5 * k, 1e-2, 1e-3 * k, 1e-3)
-    assert np.isfinite(estimate.enhanced_force_N)
 
 
 # What is compiled gives the same numbers as plain Python.
