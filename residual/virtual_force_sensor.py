@@ -192,7 +192,7 @@ class VirtualForceSensor:
             # What may be the cause of it.
             hint = long_step(self.elapsed_s, self._config.max_gap_s)
             raise TareError("; ".join(filter(None, (str(error), hint)))) from None
-        self._wrench.set_torque_covariance(self._offset.covariance_Nm2())
+        self._wrench.set_torque_covariance(self._monitor.widened(self._offset.covariance_Nm2()))
         self._wrench.weigh()
         self._followed_N: float | None = None
         return tare
@@ -330,7 +330,7 @@ class VirtualForceSensor:
             offset.record(residual, elapsed_s)
         wrench.kinematics.update(q, data)
         if renewed:
-            wrench.set_torque_covariance(offset.covariance_Nm2())
+            wrench.set_torque_covariance(monitor.widened(offset.covariance_Nm2()))
             wrench.weigh()
         axial, std, force, torque, covariance, conditioning, damped, corrected = wrench.solve(
             residual, bias.bias
