@@ -24,7 +24,8 @@ class SensorConfig:
         smooth_momentum: Smooth the momentum of an arm that hardly accelerates, see
             `residual.momentum_observer.momentum_step`.
         friction: Joint friction between torque sensor and link, if any is modelled.
-        mode: What is assumed of the contact.
+        mode: What is assumed of the contact: ``point``, a force in any direction; ``axial``, one
+            along the needle, into which a lateral force leaks; ``full``, force and torque.
         weighting: ``covariance``: by what the tare has learnt of each joint; ``none``: the plain
             pseudo-inverse of equation (13).
         frame: Frame of the wrench; the robot's tool frame when None.
@@ -54,7 +55,7 @@ class SensorConfig:
     velocity_bandwidth_per_s: float = 200.0
     smooth_momentum: bool = True
     friction: FrictionModel | None = None
-    mode: Mode = "axial"
+    mode: Mode = "point"
     weighting: Weighting = "covariance"
     frame: str | None = None
     axes: Axes = "base"

@@ -63,6 +63,11 @@ class WrenchEstimate(NamedTuple):
     Attributes:
         axial: Axial force [N]: resistance to insertion, positive when tissue pushes back.
         axial_std: Its standard deviation [N]; `UNSEEN_STD` where nothing is known.
+        lateral: Size of the force across the needle [N], never negative: of noise alone it reads
+            about `lateral_std`. Its direction is in ``force``. Zero in mode ``axial``, which
+            assumes that there is none.
+        lateral_std: Standard deviation of that force in the direction that is known least [N];
+            `UNSEEN_STD` in mode ``axial``.
         force: Force on the tool [N], shape (3,), in the estimator's axes, read-only.
         torque: Torque on the tool about the frame's origin [Nm], shape (3,), read-only; zero in
             the modes that assume none.
@@ -82,6 +87,8 @@ class WrenchEstimate(NamedTuple):
 
     axial: float
     axial_std: float
+    lateral: float
+    lateral_std: float
     force: NDArray[np.float64]
     torque: NDArray[np.float64]
     covariance: NDArray[np.float64]
@@ -101,7 +108,16 @@ def unknown_wrench(joints: int, components: int) -> WrenchEstimate:
     for array in (nothing, residual, removed, unknown):
         array.setflags(write=False)
     return WrenchEstimate(
-        0.0, UNSEEN_STD, nothing, nothing, unknown, MOST_CONDITIONING, removed, residual
+        0.0,
+        UNSEEN_STD,
+        0.0,
+        UNSEEN_STD,
+        nothing,
+        nothing,
+        unknown,
+        MOST_CONDITIONING,
+        removed,
+        residual,
     )
 
 

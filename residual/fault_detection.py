@@ -181,11 +181,13 @@ class GuardState:
     # Last accepted sample: position, velocity if there is one, torque; shape (2 n,) or (3 n,);
     # zeros before the first
     last: Array
+    before: Array  # The accepted sample before it
     velocity: Array  # Velocity that it left off with [rad/s], shape (n,)
     alone: SingleSignalDetector  # Of the check for single torques that repeat
     noise: Array | None = None  # Learnt noise of the same signals; None until learnt
     probe: NoiseState | None = None  # What is known of the noise so far; None once it is learnt
     rejected: Array | None = None  # Last sample held back as a spike, or None
+    step_s: float = 0.0  # Time between the last two accepted samples [s]; 0 before two
     missed_s: float = 0.0  # Time since the last accepted sample [s]
     stayed_s: float = 0.0  # Time for which samples held back agree with each other [s]
     # Of the check for positions and velocities that repeat
@@ -228,6 +230,7 @@ class FaultDetector:
         self.restore(
             GuardState(
                 last=np.zeros(size),
+                before=np.zeros(size),
                 velocity=np.zeros(n),
                 alone=SingleSignalDetector.of_size(n),
                 probe=NoiseProbe(size).state,
@@ -267,6 +270,7 @@ class FaultDetector:
         Its joint velocity [rad/s] is measured or estimated; ``dt_s`` is 0 for the first sample.
         """
         memory, probe = self.memory, self._probe
+        memory.before, memory.step_s = memory.last, dt_s
         memory.last, memory.velocity = now, velocity
         position_repeats, motion_repeats, torque_repeats = self._repeats
         if position_repeats:
@@ -370,15 +374,20 @@ class FaultDetector:
             SensorWarning.SPIKE,
         )
 
-    def _beyond(self, now: Array, before: Array, dt_s: float) -> NDArray[np.bool_]:
+    def _beyond(self, now: Array, last: Array, dt_s: float) -> NDArray[np.bool_]:
         """Which signals have jumped further than an arm or a contact can, shape (signals, n)."""
-        n, velocity = self._joints, self.memory.velocity
-        off = now - before
+        n, memory, gates = self._joints, self.memory, self._gates
+        velocity, change = memory.velocity, now - last
+        off = change.copy()
         off[:n] -= velocity * dt_s
-        beyond = self._gates.beyond(off, velocity, dt_s, self.memory.swept)
+        beyond = gates.beyond(off, velocity, dt_s, memory.swept)
+        if beyond.any() and memory.step_s > 0.0:
+            # A fast arm goes on as it did: no single sample that is far off does.
+            course = (memory.last - memory.before) * (dt_s / memory.step_s)
+            beyond &= gates.beyond(change - course, velocity, dt_s, memory.swept)
         if beyond[-1].any() and not beyond[:-1].any():
             self._tool.update(now[:n])
-            if is_contact(self._tool.jacobian[:3], off[-n:], self._gates.torque_Nm):
+            if is_contact(self._tool.jacobian[:3], change[-n:], gates.torque_Nm):
                 beyond[-1] = False
         return beyond
 

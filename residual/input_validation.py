@@ -233,9 +233,22 @@ class SampleClock:
             self.missed_s += step_s
 
 
+LEAST_LIMIT = 1e-6
+"""No motor is weaker [Nm, N]; what is expected in fractions of it would vanish."""
+
+
 def known_limits(limits: NDArray[np.float64], instead: float) -> NDArray[np.float64]:
-    """Limits of a description, shape (n,), with another number where it gives none.
+    """Effort limits of a description, shape (n,), with another number where it gives none.
 
     Files write 0, Pinocchio infinity or the largest float for "unknown".
+
+    Raises:
+        ConfigurationError: For a limit that no motor has.
     """
+    absurd = [int(i) for i in np.flatnonzero((limits > 0.0) & (limits < LEAST_LIMIT))]
+    if absurd:
+        raise ConfigurationError(
+            f"effort limits at joint index {absurd} are {limits[absurd].tolist()}, expected at "
+            f"least {LEAST_LIMIT:g} Nm, or 0 where it is unknown: correct the robot's description"
+        )
     return np.where((limits > 0.0) & (limits < MOST_PLAUSIBLE), limits, instead)

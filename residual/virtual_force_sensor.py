@@ -22,6 +22,7 @@ from residual.estimate import (
     unknown_wrench,
 )
 from residual.input_validation import SampleClock
+from residual.motion_error import MotionError
 from residual.sample_stream import (
     ExternalTorqueStream,
     JointStream,
@@ -31,7 +32,7 @@ from residual.sample_stream import (
 )
 from residual.snapshot import copied, robot_digest, settings_text, try_out
 from residual.tool_kinematics import ToolKinematics
-from residual.wrench_estimator import COMPONENTS, AxialWeights, WrenchEstimator
+from residual.wrench_estimator import COMPONENTS, WrenchEstimator
 from urdf import Robot
 
 _OK = Status.OK  # names of an enumeration take as long to find as a call
@@ -51,26 +52,17 @@ class SensorState(NamedTuple):
     offset: BiasState  # Of the offset removal
     # Of the residual's error, as last renewed [Nm^2], shape (n, n)
     torque_covariance: NDArray[np.float64]
-    weights: AxialWeights  # Of the wrench, as last renewed
+    weighed_at: NDArray[np.float64]  # Where the joints were weighed last [rad], shape (n,)
     monitor: MonitorState  # Of the consistency checks
-    # Force followed for the uncertainty that the lag adds [N]; None before one
-    followed_N: float | None
+    # Force followed for the uncertainty that the lag adds [N], shape (3,)
+    followed_N: NDArray[np.float64]
+    follows: bool  # Whether it does so already
     unchecked_s: float  # Time since the last consistency check [s]
+    smooth_velocity: NDArray[np.float64]  # See `residual.motion_error`; shape (n,)
     velocity: NDArray[np.float64]  # Joint velocity of the last sample [rad/s], shape (n,)
     last: WrenchEstimate | None  # Last estimate; None before the first
     missed_s: float  # Time of samples rejected since then [s]
     rejected: int  # Number of bad samples so far
-
-
-def hidden_change_N(behind_N: float, std_N: float) -> float:
-    """Standard deviation [N] of a force with that of a change added that its lag may hide.
-
-    One more lag of the same length follows the force: what it still misses is about what the
-    estimate has missed. Only what stands out of the noise counts as a change.
-    """
-    variance = std_N * std_N
-    hidden = behind_N * behind_N - 4.0 * variance
-    return math.sqrt(variance + hidden) if hidden > 0.0 else std_N
 
 
 class VirtualForceSensor:
@@ -114,8 +106,9 @@ class VirtualForceSensor:
             expected_force_N=config.expected_force_N,
             **where,
         )
-        self._contact = WrenchEstimator(robot, **where)
+        self._contact = WrenchEstimator(robot, "axial", **where)
         self._monitor = ConsistencyMonitor(robot, self._wrench)
+        self._motion = MotionError(robot, config.prior.mass_fraction)
         self.reset()
 
     @property
@@ -127,6 +120,15 @@ class VirtualForceSensor:
     def kinematics(self) -> ToolKinematics:
         """Pose and Jacobian of the tool at the last sample that was used."""
         return self._wrench.kinematics
+
+    @property
+    def residual_std_Nm(self) -> NDArray[np.float64]:
+        """Standard deviation of `WrenchEstimate.residual` per joint [Nm], shape (n,).
+
+        Noise, what the tare left unknown here, drift since, and the torque of motion, which is
+        known as well as the links' masses: an arm that accelerates makes it larger.
+        """
+        return np.sqrt(np.diag(self._wrench.torque_covariance))
 
     def recheck(self, last: WrenchEstimate) -> WrenchEstimate:
         """The last estimate, with `SensorWarning.MODEL_MISMATCH` if this sample does not fit."""
@@ -193,8 +195,8 @@ class VirtualForceSensor:
             hint = long_step(self.elapsed_s, self._config.max_gap_s)
             raise TareError("; ".join(filter(None, (str(error), hint)))) from None
         self._wrench.set_torque_covariance(self._monitor.widened(self._offset.covariance_Nm2()))
-        self._wrench.weigh()
-        self._followed_N: float | None = None
+        self._wrench.weigh(self._offset.memory.q)
+        self._follows = False
         return tare
 
     def start_tare_recording(self) -> None:
@@ -219,7 +221,7 @@ class VirtualForceSensor:
         """Forget what a stream of samples has left behind."""
         self._offset.reset()
         self._monitor.restore(MonitorState())
-        self._followed_N = None
+        self._followed_N, self._follows = np.zeros(3), False
         self._unchecked_s = 0.0
 
     def snapshot(self) -> SensorState:
@@ -234,10 +236,12 @@ class VirtualForceSensor:
                 lag_s=self.lag_s,
                 offset=self._offset.state,
                 torque_covariance=self._wrench.torque_covariance,
-                weights=self._wrench.weights,
+                weighed_at=self._wrench.weighed_at,
                 monitor=self._monitor.state,
                 followed_N=self._followed_N,
+                follows=self._follows,
                 unchecked_s=self._unchecked_s,
+                smooth_velocity=self._motion.smooth_velocity,
                 velocity=self.velocity_rad_s,
                 last=self._last,
                 missed_s=self._clock.missed_s,
@@ -279,11 +283,12 @@ class VirtualForceSensor:
                 self._stream.restore(kept)
         self._offset.restore(state.offset)
         self._wrench.set_torque_covariance(state.torque_covariance)
-        self._wrench.restore(state.weights)
+        self._wrench.weigh(state.weighed_at)
         self._monitor.restore(state.monitor)
-        self._followed_N = state.followed_N
+        self._followed_N, self._follows = state.followed_N, state.follows
         self.lag_s, self.velocity_rad_s = state.lag_s, state.velocity
         self._unchecked_s = state.unchecked_s
+        self._motion.smooth_velocity = state.smooth_velocity
         self._last, self.rejected = state.last, state.rejected
         self._clock.missed_s = state.missed_s
         if state.last is not None:
@@ -328,28 +333,25 @@ class VirtualForceSensor:
         tared = bias.tared
         if settled and not tared:
             offset.record(residual, elapsed_s)
-        wrench.kinematics.update(q, data)
-        if renewed:
-            wrench.set_torque_covariance(monitor.widened(offset.covariance_Nm2()))
-            wrench.weigh()
-        axial, std, force, torque, covariance, conditioning, damped, corrected = wrench.solve(
-            residual, bias.bias
-        )
         self._unchecked_s += elapsed_s
         if renewed:
+            motion = self._motion.variance_Nm2(q, self.velocity_rad_s, self._unchecked_s)
+            wrench.set_torque_covariance(monitor.widened(offset.covariance_Nm2() + np.diag(motion)))
+            wrench.weigh(q)
+        wrench.kinematics.update(q, data)
+        # One more lag follows the force; it begins where the force is.
+        is_late, share = self._follows and stream.lag_s > 0.0, 1.0
+        if is_late:
+            share = -math.expm1(-elapsed_s / stream.lag_s)
+        found = wrench.solve(q, residual, bias.bias, self._followed_N, share)
+        self._follows = True
+        if renewed:
             dq = self.velocity_rad_s if stream.has_velocity else None
-            monitor.check(q, dq, corrected, self._unchecked_s, tared=tared)
+            monitor.check(q, dq, found[-1], self._unchecked_s, tared=tared)
             self._unchecked_s = 0.0
-        if self._followed_N is None or stream.lag_s <= 0.0:
-            self._followed_N = axial
-        else:
-            behind = axial - self._followed_N
-            self._followed_N += behind * -math.expm1(-elapsed_s / stream.lag_s)
-            std = hidden_change_N(behind, std)
         status, message, warnings = _OK, monitor.message, monitor.warnings
         if not (settled and tared) or bias.leapt_s or stream.warning:
             status, message, warnings = self._assess(stream, settled=settled)
-        found = (axial, std, force, torque, covariance, conditioning, damped, corrected)
         self._last = last = _new(
             WrenchEstimate, (*found, status, message, monitor.mismatch, warnings)
         )

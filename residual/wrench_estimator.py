@@ -6,7 +6,7 @@ from typing import Any, Literal, NamedTuple
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from needleforce.jit import StridedVector, Vector, WrittenVector, compiled
+from needleforce.jit import Matrix, Vector, WrittenVector, compiled
 from residual.errors import ConfigurationError, SampleError
 from residual.estimate import MOST_CONDITIONING, UNSEEN_STD, WrenchEstimate
 from residual.input_validation import check_choice, check_joint_vector, check_positive
@@ -27,54 +27,26 @@ _NOTHING = np.zeros(3)
 _NOTHING.setflags(write=False)
 
 
-class AxialWeights(NamedTuple):
-    """How the axial mode weighs the joints, until `WrenchEstimator.weigh` weighs them anew."""
-
-    weighted: Array  # W a, a the torque per newton; shape (n,)
-    variance_N2: float  # Of the axial force
-    damping_fraction: float  # Fraction of it that damping removes
-    conditioning: float  # See `WrenchEstimate`
+MOST_TURN_RAD = 1e-3
+"""A gain holds until a joint has moved so far: the force is then off by a thousandth of itself. A
+needle at 10 mm/s takes longer than a renewal to turn the arm by as much."""
 
 
-@compiled
-def axial_force(
-    residual: Vector,
-    offset: Vector,
-    weighted: Vector,
-    axial_jacobian: Vector,
-    axis: StridedVector,
-    damping: float,
-    corrected: WrittenVector,
-    force: WrittenVector,
-) -> float:
-    """Axial force from external joint torque.
+class WrenchGain(NamedTuple):
+    """How the joints are weighed at one configuration; arrays are read-only."""
 
-    Args:
-        residual: External joint torque with its offset [Nm], shape (n,).
-        offset: What it reads without contact [Nm], shape (n,).
-        weighted: See `AxialWeights`.
-        axial_jacobian: Row of the Jacobian along the axis [m], shape (n,).
-        axis: Insertion direction, shape (3,).
-        damping: Inverse variance of the force that is expected at most [1/N^2].
-        corrected: Where the residual less its offset is written [Nm], shape (n,).
-        force: Where the force on the tool is written [N], in the axes of ``axis``, shape (3,).
-
-    Returns:
-        Resistance to insertion [N]; 0 where nothing is seen.
-    """
-    information = float(weighted.dot(axial_jacobian)) + damping
-    np.subtract(residual, offset, corrected)
-    along = float(weighted.dot(corrected)) / information if information > 0.0 else 0.0
-    np.multiply(axis, along, force)
-    return -along
+    # That configuration [rad], then what makes force (and torque), in the axes asked for, of joint
+    # torque; shape (4 or 7, n)
+    rows: Array
+    # Insertion direction in the same axes, then the variance of the axial force and of a lateral
+    # one, in the direction known least [N^2]; shape (5,)
+    axis: Array
+    # ``covariance``, ``conditioning`` and ``damping_fraction`` of `WrenchEstimate`
+    told: tuple[Array, float, Array]
 
 
 def weighted_inverse(
-    jacobian: Array,
-    torque: Array,
-    error_covariance: Array,
-    precision: Array,
-    damping: Array,
+    jacobian: Array, error_covariance: Array, precision: Array, damping: Array
 ) -> tuple[Array, Array, float, Array]:
     """Solve ``torque = J' x + error`` by weighted least squares; the paper's (13) generalised.
 
@@ -85,14 +57,14 @@ def weighted_inverse(
 
     Args:
         jacobian: J, shape (k, n), rows are directions of x.
-        torque: External joint torque [Nm], shape (n,).
         error_covariance: Of the error of that torque [Nm^2], shape (n, n).
         precision: W, shape (n, n).
         damping: Diagonal of D, shape (k,).
 
     Returns:
-        x, its covariance, shape (k, k), with `UNSEEN_STD` squared on the diagonal where x cannot be
-        seen, ``conditioning`` and ``damping_fraction`` of `WrenchEstimate`.
+        The matrix that makes x of the torque, shape (k, n); the covariance of x, shape (k, k), with
+        `UNSEEN_STD` squared on the diagonal where x cannot be seen; ``conditioning`` and
+        ``damping_fraction`` of `WrenchEstimate`.
     """
     weighted = jacobian.dot(precision)
     information = weighted.dot(jacobian.T)
@@ -108,7 +80,66 @@ def weighted_inverse(
     own = np.linalg.eigvalsh(information)
     sightless = own[0] <= own[-1] / MOST_CONDITIONING**2
     conditioning = MOST_CONDITIONING if sightless else float(np.sqrt(own[-1] / own[0]))
-    return gain.dot(torque), covariance, conditioning, np.diag(inverse) * damping
+    return gain, covariance, conditioning, np.diag(inverse) * damping
+
+
+@compiled
+def wrench_step(
+    q: Vector,
+    residual: Vector,
+    offset: Vector,
+    rows: Matrix,
+    axis: Vector,
+    share: float,
+    followed_N: WrittenVector,
+    found: WrittenVector,
+) -> tuple[float, float, float, float]:
+    """Force from external joint torque, with what its lag may hide.
+
+    One more lag of the same length follows the force: what it still misses is about what the
+    estimate has missed. Only what stands out of the noise counts as a change.
+
+    Args:
+        q: Configuration [rad], shape (n,).
+        residual: External joint torque with its offset [Nm], shape (n,).
+        offset: What it reads without contact [Nm], shape (n,).
+        rows: See `WrenchGain`, like ``axis``.
+        axis: Insertion direction and variances, shape (5,).
+        share: Fraction of the way that the follower goes in this tick; 1 where there is no lag.
+        followed_N: The follower [N], shape (3,), brought to the end of the tick.
+        found: Where force, torque if it is asked for, and the residual less its offset are written
+            [N, Nm], shape (3 + n,) or (6 + n,).
+
+    Returns:
+        Resistance to insertion, its standard deviation, size of the lateral force, and the standard
+        deviation of one of its components [N]; NaN, and nothing else has happened, where the arm
+        has turned too far for the gain.
+    """
+    if not np.abs(q - rows[0]).max() <= MOST_TURN_RAD:
+        return math.nan, math.nan, math.nan, math.nan
+    size = len(rows) - 1
+    corrected = residual - offset
+    found[size:] = corrected
+    found[:size] = rows[1:].dot(corrected)
+    force, along_needle = found[:3], axis[:3]
+    axial = float(along_needle.dot(force))
+    across = force - axial * along_needle
+    behind = force - followed_N
+    followed_N += share * behind
+    missed = float(along_needle.dot(behind))
+    missed_across = float(behind.dot(behind)) - missed * missed
+    if share >= 1.0:
+        missed = missed_across = 0.0
+    variance, lateral_variance = axis[3], axis[4]
+    # Of the lateral force two components are noisy.
+    hidden = max(missed * missed - 4.0 * variance, 0.0)
+    hidden_across = max(missed_across - 8.0 * lateral_variance, 0.0)
+    return (
+        -axial,
+        math.sqrt(variance + hidden),
+        math.sqrt(float(across.dot(across))),
+        math.sqrt(lateral_variance + hidden_across),
+    )
 
 
 class WrenchEstimator:
@@ -138,7 +169,7 @@ class WrenchEstimator:
     def __init__(
         self,
         robot: Robot,
-        mode: Mode = "axial",
+        mode: Mode = "point",
         *,
         frame: str | None = None,
         axes: Axes = "base",
@@ -151,20 +182,20 @@ class WrenchEstimator:
         check_choice("weighting", weighting, ("covariance", "none"))
         check_choice("axes", axes, ("base", "tool"))
         self.kinematics = ToolKinematics(robot, frame, insertion_axis, tool_offset_m)
-        self._mode: Mode = mode
         self._in_base = axes == "base"
         self._joints = robot.nv
         check_expected("expected_force_N", expected_force_N)
-        self._damping = _damping(mode, expected_force_N)
-        if weighting == "none":
-            self._damping[:] = 0.0
-        self._axial_damping = float(self._damping[0])
+        # Which components of force and torque, in the frame's axes, an unknown stands for.
+        self._directions = np.eye(6)[: COMPONENTS[mode]]
+        if mode == "axial":
+            self._directions = np.concatenate((self.kinematics.axis_in_tool, _NOTHING))[None]
+        self._damping = _damping(mode, None if weighting == "none" else expected_force_N)
         self._weighted = weighting == "covariance"
-        self._covariance = self._inverse = self._precision = np.eye(robot.nv)
-        self.restore(AxialWeights(np.zeros(robot.nv), UNSEEN_STD**2, 0.0, MOST_CONDITIONING))
+        self._covariance = self._inverse = np.eye(robot.nv)
+        self.weigh(np.zeros(robot.nv))
 
     def set_torque_covariance(self, covariance_Nm2: Array) -> None:
-        """Set how far the residual may be trusted: it sets weights and standard deviations.
+        """Set how far the residual may be trusted, for the next `weigh`.
 
         Args:
             covariance_Nm2: Of the residual's error [Nm^2], shape (n, n), positive definite.
@@ -186,8 +217,6 @@ class WrenchEstimator:
             raise ConfigurationError("covariance_Nm2 is not positive definite") from error
         self._covariance = covariance_Nm2.copy()
         self._inverse = root.T @ root
-        if self._weighted:
-            self._precision = self._inverse
 
     @property
     def torque_covariance(self) -> Array:
@@ -202,47 +231,44 @@ class WrenchEstimator:
         """
         q = check_joint_vector("q", q, self._joints)
         residual = check_joint_vector("residual", residual, self._joints)
-        residual = np.ascontiguousarray(residual)
-        self.kinematics.update(q)
-        self.weigh()
-        return WrenchEstimate(*self.solve(residual, np.zeros(self._joints)))
+        q, residual = np.ascontiguousarray(q), np.ascontiguousarray(residual)
+        self.weigh(q)
+        return WrenchEstimate(
+            *self.solve(q, residual, np.zeros(self._joints), np.zeros(3), share=1.0)
+        )
 
-    def weigh(self) -> None:
-        """Weigh the joints anew where `kinematics` stands; `solve` keeps the weights until then.
+    def weigh(self, q: Array) -> None:
+        """Weigh the joints at a configuration [rad], shape (n,); `solve` does so until the next."""
+        tool, k, size = self.kinematics, len(self._directions), max(len(self._directions), 3)
+        tool.update(q)
+        jacobian, axis, directions = tool.jacobian, tool.axis_in_tool, self._directions
+        if self._in_base:
+            turn = np.kron(np.eye(2), tool.rotation_tool_to_base)
+            jacobian, axis = turn.dot(jacobian), turn[:3, :3].dot(axis)
+        if k == 1:
+            directions = np.concatenate((axis, _NOTHING))[None]
+        precision = self._inverse if self._weighted else np.eye(self._joints)
+        gain, covariance, conditioning, removed = weighted_inverse(
+            directions.dot(jacobian), self._covariance, precision, self._damping
+        )
+        variances = (covariance[0, 0], UNSEEN_STD**2)
+        if k > 1:
+            variances = _variances(axis, covariance[:3, :3])
+        self._gain = WrenchGain(
+            rows=np.vstack((q, directions[:, :size].T.dot(gain))),
+            axis=np.append(axis, variances),
+            told=(covariance, conditioning, removed),
+        )
+        for array in (covariance, removed):
+            array.setflags(write=False)
 
-        Only the axial mode does; the others weigh with every sample. Older weights give the same
-        force with a little more noise.
-        """
-        if self._mode != "axial":
-            return
-        axial_jacobian = self.kinematics.axial_jacobian
-        weighted = self._precision.dot(axial_jacobian) if self._weighted else axial_jacobian.copy()
-        information = float(weighted.dot(axial_jacobian))
-        damping = self._axial_damping
-        total = information + damping
-        noise = information if self._weighted else float(weighted @ self._covariance @ weighted)
-        variance = (noise + damping) / total**2 if total > 0.0 else UNSEEN_STD**2
-        removed = damping / total if total > 0.0 else 0.0
-        sees = information > 0.0
-        self.restore(AxialWeights(weighted, variance, removed, 1.0 if sees else MOST_CONDITIONING))
+    def solve(
+        self, q: Array, residual: Array, offset: Array, followed_N: Array, share: float
+    ) -> tuple[Any, ...]:
+        """Wrench at a configuration [rad], shape (n,), from an external joint torque.
 
-    @property
-    def weights(self) -> AxialWeights:
-        """The weights in force."""
-        return self._weights
-
-    def restore(self, weights: AxialWeights) -> None:
-        """Go on with weights of an earlier time."""
-        self._weights = weights
-        self._std = math.sqrt(weights.variance_N2)
-        numbers = np.array((weights.variance_N2, weights.damping_fraction))
-        numbers.setflags(write=False)
-        self._spread, self._removed = numbers[:1, None], numbers[1:]
-
-    def solve(self, residual: Array, offset: Array) -> tuple[Any, ...]:
-        """Wrench where `kinematics` stands, from an external joint torque.
-
-        The offset [Nm], shape (n,), is what the residual reads here without contact.
+        The offset [Nm], shape (n,), is what the residual reads here without contact; the last two
+        arguments are those of `wrench_step`.
 
         Returns:
             The numbers of a `WrenchEstimate`, from ``axial`` to ``residual``.
@@ -250,47 +276,30 @@ class WrenchEstimator:
         Raises:
             SampleError: For numbers that are not finite.
         """
-        if self._mode != "axial":
-            return self._general(residual - offset)
-        kinematics, weights = self.kinematics, self._weights
-        axis = kinematics.axis_in_base if self._in_base else kinematics.axis_in_tool
-        corrected, force = np.empty(self._joints), np.empty(3)
-        axial = axial_force(
-            residual,
-            offset,
-            weights.weighted,
-            kinematics.axial_jacobian,
-            axis,
-            self._axial_damping,
-            corrected,
-            force,
-        )
-        if not math.isfinite(axial):
-            raise SampleError("q and residual must be finite; skip this sample")
+        rows, axis, told = self._gain
+        size = len(rows) - 1
+        found = np.empty(size + self._joints)
+        scalars = wrench_step(q, residual, offset, rows, axis, share, followed_N, found)
+        if not math.isfinite(scalars[0]):
+            self.weigh(q)
+            rows, axis, told = self._gain
+            scalars = wrench_step(q, residual, offset, rows, axis, share, followed_N, found)
+            if not math.isfinite(scalars[0]):
+                raise SampleError("q and residual must be finite; skip this sample")
         # By name it takes thrice as long, in every tick.
-        force.setflags(False)  # pyright: ignore[reportCallIssue]
-        corrected.setflags(False)  # pyright: ignore[reportCallIssue]
-        spread, removed = self._spread, self._removed
-        return axial, self._std, force, _NOTHING, spread, weights.conditioning, removed, corrected
+        found.setflags(False)  # pyright: ignore[reportCallIssue]
+        torque = _NOTHING if size == 3 else found[3:6]
+        return *scalars, found[:3], torque, *told, found[size:]
 
-    def _general(self, residual: Array) -> tuple[Any, ...]:
-        """Three or six unknowns."""
-        axis = self.kinematics.axis_in_tool
-        size = COMPONENTS[self._mode]
-        rows = self.kinematics.jacobian[:size]
-        if self._in_base:
-            axis, rotation = self.kinematics.axis_in_base, self.kinematics.rotation_tool_to_base
-            rows = np.concatenate([rotation.dot(rows[k : k + 3]) for k in range(0, size, 3)])
-        wrench, covariance, conditioning, removed = weighted_inverse(
-            rows, residual, self._covariance, self._precision, self._damping
-        )
-        if not np.isfinite(wrench).all():
-            raise SampleError("q and residual must be finite; skip this sample")
-        force, torque = wrench[:3], wrench[3:] if size == 6 else _NOTHING
-        for array in (force, torque, covariance, removed, residual):
-            array.setflags(write=False)
-        axial, std = -float(axis.dot(force)), _std_along(axis, covariance[:3, :3])
-        return axial, std, force, torque, covariance, conditioning, removed, residual
+    @property
+    def weighed_at(self) -> Array:
+        """Configuration of the last `weigh` [rad], shape (n,): with it `weigh` gives the same."""
+        return self._gain.rows[0]
+
+    @property
+    def _rows(self) -> Array:
+        """Joint torque of each unknown where the arm stands, in the tool's axes, shape (k, n)."""
+        return self._directions.dot(self.kinematics.jacobian)
 
     def smallest_singular_value(self) -> float:
         """How much the joints feel of a newton in the direction they feel least [m].
@@ -298,10 +307,7 @@ class WrenchEstimator:
         Of the directions that the mode asks for (in the full mode a newton metre counts as a
         newton), at the last configuration.
         """
-        if self._mode == "axial":
-            return math.sqrt(self.kinematics.axial_jacobian.dot(self.kinematics.axial_jacobian))
-        rows = self.kinematics.jacobian[: COMPONENTS[self._mode]]
-        return float(np.linalg.svd(rows, compute_uv=False)[-1])
+        return float(np.linalg.svd(self._rows, compute_uv=False)[-1])
 
     def mismatch_squared(self, residual: Array) -> float:
         """Mean square of the joint torque [Nm] that no wrench of the mode explains.
@@ -309,27 +315,28 @@ class WrenchEstimator:
         In units of its covariance, at the last configuration: about 1 when the model holds, 0 where
         the mode has as many unknowns as there are joints. The residual is that without offset.
         """
-        rows = self.kinematics.jacobian[: COMPONENTS[self._mode]]
-        if self._mode == "axial":
-            rows = self.kinematics.axial_jacobian[None]
+        rows = self._rows
         spare = rows.shape[1] - len(rows)
         if spare <= 0:
             return 0.0
         weighted = rows.dot(self._inverse)
-        known, seen = weighted.dot(rows.T), weighted.dot(residual)
-        if len(rows) == 1:
-            wrench = seen / max(known[0, 0], 1e-300)
-        else:  # the smallest solution: nothing where it sees nothing
-            wrench = np.linalg.lstsq(known, seen, rcond=1e-12)[0]
+        seen = weighted.dot(residual)
+        # The smallest solution: nothing where it sees nothing.
+        wrench = np.linalg.lstsq(weighted.dot(rows.T), seen, rcond=1e-12)[0]
         left = float(residual.dot(self._inverse).dot(residual) - seen.dot(wrench))
         return max(left, 0.0) / spare
 
 
-def _std_along(axis: Array, covariance: Array) -> float:
-    """Standard deviation along an axis; that of the unseen if the axis has a component there."""
+def _variances(axis: Array, covariance: Array) -> tuple[float, float]:
+    """Of the axial force, and of the lateral in the direction known least; those of the unseen.
+
+    Force and axis in the same axes; where a component is not seen, neither is.
+    """
     if (np.diag(covariance) >= UNSEEN_STD**2).any():
-        return UNSEEN_STD
-    return float(np.sqrt(axis.dot(covariance).dot(axis)))
+        return UNSEEN_STD**2, UNSEEN_STD**2
+    across = np.eye(3) - np.outer(axis, axis)
+    lateral = np.linalg.eigvalsh(across.dot(covariance).dot(across))[-1]
+    return float(axis.dot(covariance).dot(axis)), float(lateral)
 
 
 def _damping(mode: Mode, expected_force_N: float | None) -> Array:

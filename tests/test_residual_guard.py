@@ -8,6 +8,7 @@ import pytest
 from guarded_sensor import feed, tared
 from residual_signals import external_torque_of
 
+from benchmarks.guard_study import KINDS, held_back, sensed
 from residual import DEFAULT, SampleError, SensorWarning, Status, VirtualForceSensor
 from residual.fault_detection import OutlierGate
 from residual.sample_stream import ExternalTorqueStream
@@ -130,6 +131,36 @@ def test_a_push_aside_does_not_fit_the_axial_mode_and_fits_the_point_mode(lwr):
         assert (SensorWarning.MODEL_MISMATCH in found.warnings) == mismatches
         assert found.status is Status.OK
         assert bool(found.message) == mismatches
+
+
+@pytest.mark.parametrize("with_velocity", [True, False])
+@pytest.mark.parametrize("kind", KINDS)
+def test_no_valid_sample_of_a_fast_arm_a_hand_or_a_rupture_is_held_back(lwr, kind, with_velocity):
+    for seed in (1, 2):
+        rng = np.random.default_rng(seed)
+        motion = sensed(KINDS[kind](lwr, rng, 2000), rng)
+        assert held_back(lwr, motion, has_velocity=with_velocity) == 0
+
+
+def test_a_spike_of_a_fast_arm_is_still_held_back(lwr):
+    rng = np.random.default_rng(1)
+    q, dq, tau = sensed(KINDS["up to the velocity limits"](lwr, rng, 2000), rng)
+    for which, size in ((q, 0.05), (dq, 0.5), (tau, 20.0)):
+        which[1500 + 100 * np.arange(3), 2] += size
+        assert held_back(lwr, (q, dq, tau), has_velocity=True) == 3
+        which[1500 + 100 * np.arange(3), 2] -= size
+
+
+def test_acceleration_widens_the_deviation_of_each_joint(lwr):
+    sensor, rows = tared(lwr)
+    feed(sensor, rows[:100])
+    at_rest = sensor.residual_std_Nm
+    rng = np.random.default_rng(2)
+    fast = KINDS["up to the velocity limits"](lwr, rng, 2000)
+    found = feed(sensor, list(zip(*fast, strict=True)))
+    assert sensor.residual_std_Nm.shape == (7,)
+    assert (sensor.residual_std_Nm[:4] > 3.0 * at_rest[:4]).all()
+    assert found[-1].axial_std > 3.0 * found[0].axial_std
 
 
 MIDDLES = [

@@ -24,7 +24,14 @@ from residual import (
     WrenchEstimator,
 )
 from residual.tool_kinematics import ToolKinematics
-from urdf import MissingPackageError, Payload, Robot, example_robot_path, load_urdf
+from urdf import (
+    MissingPackageError,
+    Payload,
+    Robot,
+    UnsupportedJointError,
+    example_robot_path,
+    load_urdf,
+)
 
 
 def same(one, other):
@@ -85,6 +92,29 @@ def test_robots_of_one_joint_and_without_limits_work(joint, count, with_velocity
         assert last.axial == pytest.approx(-torque[0] / lever_m[0], abs=0.3)
 
 
+def with_limits(effort):
+    model = pin.Model(robot_of(pin.JointModelRX(), 2).bare_model)
+    model.upperEffortLimit = np.full(2, effort)
+    return Robot(bare_model=model, tool_frame="tool", flange_frame="tool")
+
+
+@pytest.mark.parametrize("effort", [0.0, -1.0, np.nan, np.inf, 1e300])
+def test_an_effort_limit_that_is_none_counts_as_unknown(effort):
+    sensor, expected = (VirtualForceSensor(with_limits(one)) for one in (effort, 0.0))
+    _, q, dq, tau = swing(with_limits(effort), seconds=1.0, amplitude=0.03)
+    rows = list(zip(q, dq, tau, strict=True))
+    ours, theirs = feed(sensor, rows)[-1], feed(expected, rows)[-1]
+    assert ours.axial_std == theirs.axial_std < 100.0
+
+
+@pytest.mark.parametrize("joint", [pin.JointModelRUBZ(), pin.JointModelSpherical()])
+def test_what_no_sensor_can_work_with_is_refused_at_construction(joint):
+    with pytest.raises(UnsupportedJointError, match="joint 'joint_0' has"):
+        robot_of(joint, 1)
+    with pytest.raises(ConfigurationError, match=r"effort limits at joint index \[0, 1\]"):
+        VirtualForceSensor(with_limits(1e-300))
+
+
 class Raises:
     """An object of somebody else's whose conversions fail in their own way."""
 
@@ -105,6 +135,11 @@ STEPS = {
     "next to nothing": 5e-324,
     "a stranger": Raises(),
     "NaN": np.float64("nan"),
+    "true": True,
+    "complex": 1j,
+    "text": "x",
+    "none": None,
+    "a list": [1e-3],
 }
 
 

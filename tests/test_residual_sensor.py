@@ -286,7 +286,7 @@ def test_a_damaged_snapshot_leaves_a_running_sensor_as_it_was(lwr):
     state = sensor.snapshot()
     for damaged in (
         state._replace(offset=replace(state.offset, recorder=None)),
-        state._replace(weights=state.weights._replace(variance_N2=-1.0)),
+        state._replace(weighed_at=np.full(7, np.nan)),
         state._replace(torque_covariance=-np.eye(7)),
         state._replace(monitor=None),
     ):

@@ -5,10 +5,9 @@ import re
 import numpy as np
 import pytest
 from guarded_sensor import feed, signals, tared
-from insertion_run import same
 from residual_signals import BIAS
 
-from needleforce import InsertionSession, read_snapshot, write_snapshot
+from needleforce import InsertionSession
 from residual import (
     DEFAULT,
     PUBLISHED,
@@ -20,7 +19,6 @@ from residual import (
 )
 from residual.consistency_checks import first_match, velocity_fault, velocity_match_step
 from residual.snapshot import copied
-from residual.virtual_force_sensor import SensorState
 
 RATIOS = np.array([0.03, -0.8, 0.07, 1.05, 0.25, 1.8, 0.2])
 """Way of every joint in a straight stroke, in times of the stroke's."""
@@ -271,23 +269,6 @@ def test_a_session_keeps_wrong_velocities_from_its_identifier(lwr):
     assert all(
         SensorWarning.VELOCITY in e.warnings and not e.used_for_identification for e in found
     )
-
-
-@pytest.mark.parametrize("cut", [300, 900, 2500])
-def test_a_snapshot_goes_on_bit_for_bit_before_and_after_it_is_reported(lwr, tmp_path, cut):
-    rows = rows_of(lwr, factor=-1.0)
-    sensor, other = VirtualForceSensor(lwr), VirtualForceSensor(lwr)
-    feed(sensor, rows[:cut])
-    state = sensor.snapshot()
-    write_snapshot(state, tmp_path / "state")
-    stored = read_snapshot(tmp_path / "state")
-    assert isinstance(stored, SensorState)
-    other.restore(stored)
-    assert other.snapshot().monitor.match is not state.monitor.match
-    for row in rows[cut:]:
-        assert same(sensor.update(*row, 1e-3), other.update(*row, 1e-3))
-    assert same(sensor.snapshot().monitor, other.snapshot().monitor)
-    assert SensorWarning.VELOCITY in sensor.update(*rows[-1], 1e-3).warnings
 
 
 @pytest.mark.parametrize("name", ["position", "seconds", "products"])

@@ -105,11 +105,9 @@ def test_damping_is_negligible_where_the_joints_see_well(lwr):
 
 
 def test_damping_fraction_is_the_fraction_of_the_truth_that_is_removed():
-    value, _, _, removed = weighted_inverse(
-        np.array([[2.0]]), np.array([2.0 * 5.0]), np.eye(1), np.eye(1), np.array([1.0])
-    )
+    gain, _, _, removed = weighted_inverse(np.array([[2.0]]), np.eye(1), np.eye(1), np.array([1.0]))
     assert removed[0] == pytest.approx(1.0 / 5.0)
-    assert value[0] == pytest.approx(5.0 * (1.0 - removed[0]))
+    assert gain[0, 0] * (2.0 * 5.0) == pytest.approx(5.0 * (1.0 - removed[0]))
 
 
 def test_results_are_read_only_and_the_covariance_is_copied(lwr):

@@ -42,6 +42,8 @@ class Robot:
 
     Raises:
         UnknownNameError: The tool or flange frame is not in the model.
+        UnsupportedJointError: A joint of several numbers, as Pinocchio's continuous and ball joints
+            are, or none that moves.
     """
 
     bare_model: pin.Model
@@ -53,6 +55,7 @@ class Robot:
 
     def __post_init__(self) -> None:
         bare = pin.Model(self.bare_model)
+        _check_joints(bare)
         object.__setattr__(self, "bare_model", bare)
         object.__setattr__(self, "model", pin.Model(bare))
         object.__setattr__(self, "tool_frame_id", self.frame_id(self.tool_frame))
@@ -143,6 +146,18 @@ class Robot:
         return replace(self, bare_model=bare)
 
 
+def _check_joints(model: pin.Model) -> None:
+    """Refuse joints whose position and velocity do not have one number each, or none at all."""
+    if model.nv == 0:
+        raise UnsupportedJointError(f"robot {model.name!r} has no joint that moves")
+    for name, joint in zip(list(model.names)[1:], list(model.joints)[1:], strict=True):
+        if (joint.nq, joint.nv) != (1, 1):
+            raise UnsupportedJointError(
+                f"joint {name!r} has {joint.nq} positions and {joint.nv} velocities, expected one "
+                "each: lock it, or make it a revolute or prismatic one"
+            )
+
+
 def rigid_motion(placement: Any, name: str) -> pin.SE3:
     """Return a placement given as ``pin.SE3``, homogeneous matrix or translation alone."""
     if isinstance(placement, pin.SE3):
@@ -174,8 +189,7 @@ def assemble_robot(
         raise InputError(
             f"payload must be Payload, NeedleTool or None, got {type(payload).__name__}"
         )
-    if model.nv == 0:
-        raise UnsupportedJointError(f"robot {model.name!r} has no joint that moves")
+    _check_joints(model)
     model.gravity = pin.Motion(finite_array(gravity_m_s2, (3,), "gravity_m_s2").copy(), np.zeros(3))
     # Refuses an unknown flange with a list of the frames there are.
     Robot(bare_model=model, tool_frame=flange_frame, flange_frame=flange_frame)
