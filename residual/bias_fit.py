@@ -1,4 +1,4 @@
-"""Fits a tare to blocks of free motion: Bayesian least squares, with sizes that the motion corrects.
+"""Fits a tare to blocks of free motion: Bayesian least squares with sizes that are learnt.
 
 The prior says how large link errors, hysteresis, friction and drift are on arms of a kind. Of one
 arm they may be several times smaller or larger: the sizes that make the motion likeliest are taken
@@ -23,6 +23,8 @@ SWEEPS = 3
 """Passes over the groups, one at a time."""
 WALK_TERMS = 8
 """Of the Karhunen-Loeve series of a random walk: 96 % of its variance."""
+CONTACT_STD_N = 100.0
+"""Of a contact's force before data: any."""
 FEW_BLOCKS = 8
 """From seven differences between neighbours a variance is known to two thirds of itself; from fewer
 it may be nearly nothing by chance, and a few blocks would count for too much."""
@@ -38,35 +40,53 @@ class FreeMotionFit:
     when the joint does. The second pass knows of it, so that waves do not pass for many independent
     samples of a slope.
 
+    Args:
+        basis: The causes.
+        blocks: The motion.
+        contact: Torque per newton of a force that is fitted beside them [Nm/N], shape (blocks, n,
+            3); None if there is none.
+        learn: Whether the sizes are learnt; the prior's otherwise.
+
     Attributes:
         blocks: The motion.
         tare: What was found.
-        sizes: Of the groups in `LEARNT`, relative to the prior's.
+        sizes: Of the groups in `LEARNT` and of the random walk, relative to the prior's.
+        contact_N: Size of that force and its standard deviation in this direction [N].
     """
 
-    def __init__(self, basis: BiasModel, blocks: TareBlocks) -> None:
+    def __init__(
+        self,
+        basis: BiasModel,
+        blocks: TareBlocks,
+        contact: Array | None = None,
+        *,
+        learn: bool = True,
+    ) -> None:
         self.blocks = blocks
-        self._columns = np.stack(
+        columns = np.stack(
             [
                 basis.columns(q, states, age)
                 for q, states, age in zip(blocks.q_rad, blocks.states, blocks.age_s, strict=True)
             ]
         )
+        touched = columns[:, :, :0] if contact is None else contact
+        self._columns = np.concatenate((columns, touched), axis=2)
         residual = blocks.residual_Nm
         is_model, is_few = basis.kind == "model", len(residual) < FEW_BLOCKS
         terms = WALK_TERMS if is_model and not is_few else 0
         self._walk = _walk_columns(blocks.age_s, terms)
         walk_std = np.repeat(np.sqrt(basis.walk_Nm2_per_s()), terms)
         groups = {name: basis.groups[name] for name in LEARNT if name in basis.groups}
-        std = np.concatenate((basis.std, walk_std))
+        size = len(basis.std)
+        std = np.concatenate((basis.std, np.full(touched.shape[2], CONTACT_STD_N), walk_std))
         if terms:
-            groups["walk"] = slice(len(basis.std), len(std))
+            groups["walk"] = slice(len(std) - len(walk_std), len(std))
 
         # Neighbours of which there are few mean nothing: then a block is as noisy as its samples.
         least = basis.resolution_variance()
         white = least + (blocks.scatter_Nm2 if is_few else _noise_density(residual, (1,)))
         self._whiteners = [np.eye(len(residual)) / v for v in white]
-        groups = {} if is_few else groups
+        groups = groups if learn and not is_few else {}
         left = self._solve(std, groups)
         density = white if is_few else least + _noise_density(left, BATCHES)
         wave = _wave_variance(left, density, np.ptp(blocks.q_rad, axis=0), basis)
@@ -75,7 +95,7 @@ class FreeMotionFit:
             for d, w, q in zip(density, wave, blocks.q_rad.T, strict=True)
         ]
         self._left = self._solve(std, groups)
-        own, square = slice(0, len(basis.std)), np.square(self._left).mean(axis=0)
+        own, square = slice(0, size), np.square(self._left).mean(axis=0)
         self.tare = Tare(
             basis=basis,
             mean=self._mean[own].copy(),
@@ -83,6 +103,14 @@ class FreeMotionFit:
             noise_Nm2=np.diag(blocks.scatter_Nm2 + np.maximum(white + wave, square)),
             walk_Nm2_per_s=basis.walk_Nm2_per_s() * self.sizes.get("walk", 1.0) ** 2,
         )
+        self.contact_N = (0.0, 0.0)
+        if contact is not None:
+            force = self._mean[size : size + 3]
+            spread = self._covariance[size : size + 3, size : size + 3]
+            most = float(np.linalg.norm(force))
+            # In units of its covariance as far from zero as the force is.
+            sigmas = float(np.sqrt(force @ np.linalg.solve(spread, force)))
+            self.contact_N = (most, most / max(sigmas, 1e-9))
 
     def _rows(self) -> Iterator[tuple[int, Array]]:
         """Every joint with its columns over all blocks, the walk's last; shape (blocks, m)."""

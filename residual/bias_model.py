@@ -8,7 +8,7 @@ its integral, so that it does not fade.
 """
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Literal
 
 import numpy as np
@@ -215,6 +215,11 @@ class TareBlocks:
     residual_Nm: Array  # Residuals before offset removal, shape (m, n)
     age_s: Array  # Time relative to the end of the tare, <= 0, shape (m,)
     scatter_Nm2: Array  # Variance of single residuals about their block's mean, shape (n,)
+
+    def part(self, kept: NDArray[np.bool_]) -> "TareBlocks":
+        """Some of the blocks, shape (m,)."""
+        names = ("q_rad", "states", "residual_Nm", "age_s")
+        return replace(self, **{name: getattr(self, name)[kept] for name in names})
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)

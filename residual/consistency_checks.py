@@ -222,7 +222,8 @@ def _factor(match: VelocityMatch, i: int) -> str:
 class MonitorState(NamedTuple):
     """All that a `ConsistencyMonitor` remembers."""
 
-    mismatch_squared: float = 0.0  # Smoothed
+    mismatch_squared: float = 0.0  # Smoothed, in units of the covariance before it was widened
+    widening: float = 1.0  # Factor by which the covariance in use was widened
     warnings: int = 0  # Of the last check, as a number
     at_limit: tuple[int, ...] = ()  # Indices of joints that were at a position limit then
     # Of measured velocities with positions; None before a check, and where velocities are estimated
@@ -259,8 +260,8 @@ class ConsistencyMonitor:
             found |= SensorWarning.JOINT_LIMIT
         if self._wrench.smallest_singular_value() < LEAST_SINGULAR_VALUE:
             found |= SensorWarning.NEAR_SINGULAR
-        now = self._wrench.mismatch_squared(residual) if tared else 0.0
-        last = self._state.mismatch_squared
+        widening, last = self._state.widening, self._state.mismatch_squared
+        now = widening * self._wrench.mismatch_squared(residual) if tared else 0.0
         square = last - math.expm1(-dt_s / MISMATCH_MEMORY_S) * (now - last)
         if square > MOST_MISMATCH**2:
             found |= SensorWarning.MODEL_MISMATCH
@@ -271,7 +272,17 @@ class ConsistencyMonitor:
             match = first_match(q, dq)
         else:
             match = velocity_match_step(match, q, dq, dt_s)
-        self.restore(MonitorState(square, int(found), tuple(at_limit), match))
+        self.restore(MonitorState(square, widening, int(found), tuple(at_limit), match))
+
+    def widened(self, covariance_Nm2: Array) -> Array:
+        """A covariance that contains what no wrench explains: a push on the arm, a wrong model.
+
+        The variance factor of least squares: what is seen in the torques that the wrench does not
+        make is likely to be in those that it does.
+        """
+        widening = max(1.0, self._state.mismatch_squared)
+        self._state = self._state._replace(widening=widening)
+        return widening * covariance_Nm2
 
     def check_velocity(self) -> None:
         """Refuse a tare with velocities that are not the rate of positions: a `VelocityError`."""
@@ -288,7 +299,8 @@ class ConsistencyMonitor:
 
         Too costly for every sample, and a knock does it too: for what must not wait.
         """
-        if self._wrench.mismatch_squared(last.residual) <= MOST_MISMATCH**2:
+        square = self._state.widening * self._wrench.mismatch_squared(last.residual)
+        if square <= MOST_MISMATCH**2:
             return last
         found = SensorWarning.MODEL_MISMATCH
         message = "; ".join(filter(None, (last.message, self._reason(found))))

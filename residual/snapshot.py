@@ -155,7 +155,8 @@ def try_out(twin: Any, state: Any) -> None:
         _run(twin, state, still, still, still)
         check_form(state, twin.snapshot())
         twin._take(copied(state))
-        torque = still if state.offset.smooth_torque is None else state.offset.smooth_torque
+        memory = state.offset.joint_memory
+        torque = still if memory is None else memory[-2]
         _run(twin, state, state.offset.q, state.velocity, torque)
     except Exception as error:  # whatever a damaged state makes of its parts
         raise SnapshotError(f"the snapshot is damaged: {error}") from error

@@ -5,7 +5,7 @@ from numpy.typing import NDArray
 from scipy.optimize import linear_sum_assignment
 
 from residual.bias_fit import FreeMotionFit
-from residual.bias_model import BiasModel, TareBlocks
+from residual.bias_model import BiasModel, TareBlocks, prior_tare
 from residual.errors import TareError
 from residual.wrench_estimator import WrenchEstimator
 
@@ -32,13 +32,14 @@ def check_free_of_contact(
 ) -> None:
     """Refuse a tare whose motion was not free, or whose torques are not what they are taken for.
 
-    A contact is an axial force that begins and ends somewhere in the motion, or stands during all
-    of it. For each such interval the force is fitted beside all that the tare fits: what friction,
-    drift or a coarse model explain is no contact.
+    A contact that stands during all of the motion breaks the prior. One that begins or ends in it
+    is fitted beside all that the tare fits, in its likeliest interval: what friction, drift or a
+    coarse model explain is no contact.
 
     Args:
         fit: The tare, fitted as if the motion were free.
-        wrench: Gives the direction of the needle; it must be the caller's own for this.
+        wrench: Reads the axial force from joint torques; its covariance is overwritten, so it must
+            be the caller's own for this.
         contact_force_N: Smallest force that counts [N].
         is_external: Whether the residual is an estimate that the robot sends itself.
 
@@ -46,10 +47,16 @@ def check_free_of_contact(
         TareError: If there is contact, with the force seen, or wrong torques, with the likely
             reason.
     """
-    force, std = _worst_force(fit, wrench, contact_force_N)
-    cause = explain_residual(
-        fit.tare.basis, fit.blocks, is_external=is_external, is_refused=force != 0.0
-    )
+    basis, blocks = fit.tare.basis, fit.blocks
+    force, std = _beyond_prior(basis, blocks, wrench)
+    if force == 0.0:
+        at_prior = FreeMotionFit(basis, blocks, learn=False)
+        # Fitted beside it, a contact does not pass for a sensor that drifts or a rough bearing.
+        kept, contact = _likeliest_contact(at_prior, wrench)
+        force, std = FreeMotionFit(basis, blocks.part(kept), contact[kept]).contact_N
+    if abs(force) <= max(contact_force_N, SIGMAS * std):
+        force = 0.0
+    cause = explain_residual(basis, blocks, is_external=is_external, is_refused=force != 0.0)
     if force != 0.0 or cause:
         seen = f"the sensor reads {force:.2f} N along the needle where 0 +/- {std:.2f} N is "
         raise TareError(
@@ -59,31 +66,60 @@ def check_free_of_contact(
         )
 
 
-def _worst_force(
-    fit: FreeMotionFit, wrench: WrenchEstimator, contact_force_N: float
+def _beyond_prior(
+    basis: BiasModel, blocks: TareBlocks, wrench: WrenchEstimator
 ) -> tuple[float, float]:
-    """Axial force of the likeliest contact, with its standard deviation; zeros if there is none."""
+    """Axial force that no error of the prior's size makes, and its std; zeros if there is none."""
+    prior, worst, excess = prior_tare(basis), (0.0, 0.0), SIGMAS
+    for part in np.array_split(np.arange(len(blocks.age_s)), min(INTERVALS, len(blocks.age_s))):
+        k = part[len(part) // 2]
+        q, age_s = blocks.q_rad[k], abs(float(blocks.age_s[k]))
+        wrench.set_torque_covariance(prior.covariance_Nm2(q, blocks.states[k], age_s))
+        seen = wrench.estimate(q, blocks.residual_Nm[part].mean(axis=0))
+        if abs(seen.axial) > excess * seen.axial_std:
+            worst, excess = (seen.axial, seen.axial_std), abs(seen.axial) / seen.axial_std
+    return worst
+
+
+def _likeliest_contact(
+    fit: FreeMotionFit, wrench: WrenchEstimator
+) -> tuple[NDArray[np.bool_], Array]:
+    """Torque per newton on the tip, in the likeliest interval of contact, shape (blocks, n, 3).
+
+    First come the blocks that say how large its force is: not those in which it begins or ends.
+    """
     q = fit.blocks.q_rad
-    along = np.empty_like(q)
+    torque = np.empty((*q.shape, 3))
     for k, position in enumerate(q):
         wrench.kinematics.update(position)
-        along[k] = wrench.kinematics.axial_jacobian
+        torque[k] = wrench.kinematics.jacobian[:3].T
     parts = np.array_split(np.arange(len(q)), min(INTERVALS, len(q)))
-    torque = np.zeros((*q.shape, len(parts)))
+    within = np.zeros((*torque.shape[:2], len(parts), 3))
     for k, part in enumerate(parts):
-        torque[part, :, k] = -along[part]
-    information, evidence = fit.information_on(torque)
-    best, force, std = 0.0, 0.0, 0.0
-    for first in range(len(parts)):
-        for last in range(first, len(parts)):
-            own = slice(first, last + 1)
-            known = float(information[own, own].sum())
-            if known <= 0.0:
-                continue
-            found, spread = float(evidence[own].sum()) / known, 1.0 / np.sqrt(known)
-            if abs(found) > max(contact_force_N, SIGMAS * spread) and abs(found) > best * spread:
-                best, force, std = abs(found) / spread, found, spread
-    return force, std
+        within[part, :, k] = torque[part]
+    first, last = _best_interval(*fit.information_on(within.reshape(*q.shape, -1)))
+    is_touched = np.isin(np.arange(len(q)), np.concatenate(parts[first:last]))
+    kept = np.ones(len(q), dtype=bool)
+    for edge in {first, last} - {0, len(parts)}:
+        kept[parts[edge - 1]] = kept[parts[edge]] = False
+    if not (kept & is_touched).any():  # as short as its edges
+        kept[is_touched] = True
+    return kept, is_touched[:, None, None] * torque
+
+
+def _best_interval(information: Array, evidence: Array) -> tuple[int, int]:
+    """First part of the likeliest interval and the one after its last, of three forces per part."""
+    count = len(evidence) // 3
+    information, evidence = information.reshape(count, 3, count, 3), evidence.reshape(count, 3)
+    best, most = (0, count), 0.0
+    for first in range(count):
+        for last in range(first + 1, count + 1):
+            own = slice(first, last)
+            known, seen = information[own, :, own].sum(axis=(0, 2)), evidence[own].sum(axis=0)
+            gain = float(seen @ np.linalg.lstsq(known, seen, rcond=1e-9)[0])
+            if gain > most:
+                best, most = (first, last), gain
+    return best
 
 
 def explain_residual(

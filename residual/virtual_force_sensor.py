@@ -194,7 +194,7 @@ class VirtualForceSensor:
             # What may be the cause of it.
             hint = long_step(self.elapsed_s, self._config.max_gap_s)
             raise TareError("; ".join(filter(None, (str(error), hint)))) from None
-        self._wrench.set_torque_covariance(self._offset.covariance_Nm2())
+        self._wrench.set_torque_covariance(self._monitor.widened(self._offset.covariance_Nm2()))
         self._wrench.weigh(self._offset.memory.q)
         self._follows = False
         return tare
@@ -336,7 +336,7 @@ class VirtualForceSensor:
         self._unchecked_s += elapsed_s
         if renewed:
             motion = self._motion.variance_Nm2(q, self.velocity_rad_s, self._unchecked_s)
-            wrench.set_torque_covariance(offset.covariance_Nm2() + np.diag(motion))
+            wrench.set_torque_covariance(monitor.widened(offset.covariance_Nm2() + np.diag(motion)))
             wrench.weigh(q)
         wrench.kinematics.update(q, data)
         # One more lag follows the force; it begins where the force is.
