@@ -50,7 +50,6 @@ from identification.resampling import (
     add_layer_row,
     least_block_s,
     mean_block,
-    update_lag,
     update_track,
 )
 from identification.rupture_measurement import (
@@ -155,14 +154,10 @@ def multilayer_step(
     if memory.filled_s < least_block_s(config.block_s):
         state = state._replace(memory=memory)
         return state if state.candidate is None else work_on_rupture(state, config)
-    block, lag = mean_block(memory, sample.time_s), state.lag
+    block = mean_block(memory, sample.time_s)
     is_gap = block.dt_s > max(10.0 * config.block_s, config.check.gap_s)
-    if is_gap:
-        lag = lag._replace(last=None)
-    else:
-        lag, block = update_lag(lag, block)
     emptied = memory._replace(filled_s=0.0, depth_sum=0.0, speed_sum=0.0, force_sum=0.0)
-    state = state._replace(memory=emptied, lag=lag)
+    state = state._replace(memory=emptied)
     if state.candidate is not None:
         state = finish_measurement(state, config)
     if is_gap:
