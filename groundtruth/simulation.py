@@ -74,8 +74,8 @@ class Truth(TissueTruth):
             the next.
         joint_friction_Nm: Torque of the bearings on the links, against their motion, shape (n, 7),
             mean over the same tick. No torque sensor sees it; an observer takes it for external.
-        depth_m: Travel of the tip since first contact, negative above, shape (n,); zero where
-            there is no tissue.
+        depth_m: Depth of the tip in the tissue, negative above, shape (n,); zero where there is
+            none.
         speed_m_s: Speed of the tip along the needle, shape (n,).
     """
 
@@ -126,7 +126,7 @@ class Run:
 
 def simulate(
     scenario: Scenario | str,
-    plant: str = "ideal",
+    plant: PlantModel | str = "ideal",
     seed: int = 0,
     progress: Callable[[float], None] | None = None,
 ) -> Run:
@@ -136,7 +136,7 @@ def simulate(
 
     Args:
         scenario: A scenario or the name of a catalogued one.
-        plant: Name of the plant model: ``ideal``, ``clean``, ``fri`` or ``degraded``.
+        plant: A plant model or the name of one: ``ideal``, ``clean``, ``fri`` or ``degraded``.
         seed: Seed of everything drawn; equal arguments give equal runs.
         progress: Called now and then with the fraction done, 0 to 1.
 
@@ -150,10 +150,7 @@ def simulate(
         PlantError: The tissue has pushed the arm off its motion.
     """
     chosen = scenario_named(scenario) if isinstance(scenario, str) else scenario
-    if plant not in PLANT_MODELS:
-        known = ", ".join(PLANT_MODELS)
-        raise PlantModelError(f"unknown plant model {plant!r}; choose one of {known}")
-    plant_model = PLANT_MODELS[plant]
+    plant_model = _plant_named(plant)
     tool = NeedleTool()
     mass_seed, sensor_seed, friction_seed = np.random.SeedSequence(seed).spawn(3)
     bodies = lwr_bodies(tool, plant_model, np.random.default_rng(mass_seed))
@@ -170,7 +167,7 @@ def simulate(
     tissue = collect_truth(contact.law, time, trace.depth_m, trace.forces)
     return Run(
         scenario=chosen,
-        plant=plant,
+        plant=plant_model.name,
         seed=seed,
         robot=bodies.robot,
         tool=tool,
@@ -180,12 +177,28 @@ def simulate(
     )
 
 
+def _plant_named(plant: PlantModel | str) -> PlantModel:
+    if isinstance(plant, PlantModel):
+        return plant
+    if plant not in PLANT_MODELS:
+        known = ", ".join(PLANT_MODELS)
+        raise PlantModelError(f"unknown plant model {plant!r}; choose one of {known}")
+    return PLANT_MODELS[plant]
+
+
 def _contact(path: InsertionPath, scenario: Scenario) -> TissueContact:
     """Lay the tissue so that the zero of the scenario's motion is its surface."""
     start = path.transform_start_to_base
     axis = start.rotation[:, 2].copy()
     surface = start.translation - scenario.motion.start_m * axis
-    return TissueContact(law=scenario.new_tissue(), surface_in_base_m=surface, axis_in_base=axis)
+    return TissueContact(
+        law=scenario.new_tissue(),
+        surface_in_base_m=surface,
+        axis_in_base=axis,
+        motion=scenario.tissue_motion,
+        lateral=scenario.lateral,
+        elbow=scenario.elbow,
+    )
 
 
 def _sense(
@@ -226,7 +239,8 @@ class NeedleRun:
         scenario: What was run.
         seed: Of the sensor noise.
         t_s: Time, shape (n,).
-        depth_m: Travel of the tip since first contact, negative above the surface, shape (n,).
+        depth_m: Place of the tip below the surface where that would rest, negative above, shape
+            (n,).
         speed_m_s: Its rate, shape (n,).
         force_N: Reading of the sensor, zeroed at the end of the tare stroke, shape (n,).
         tare_end_s: Contact has not happened before this time; all that a user knows of it.
@@ -273,11 +287,15 @@ def insert_needle(
     sensor = _noise_named(noise)
     fine_s = _fine_times(chosen.motion.duration_s, rate_hz, substeps)
     depth, speed = chosen.motion.position_m(fine_s), chosen.motion.speed_m_s(fine_s)
+    moved = (np.zeros_like(fine_s),) * 2
+    if chosen.tissue_motion is not None:
+        moved = chosen.tissue_motion.at(fine_s)
+    inside_m, relative_m_s = depth - moved[0], speed - moved[1]
     law, dt_s = chosen.new_tissue(), 1.0 / (rate_hz * substeps)
-    samples = zip(depth.tolist(), speed.tolist(), strict=True)
+    samples = zip(inside_m.tolist(), relative_m_s.tolist(), strict=True)
     forces = [law.step(z, v, dt_s) for z, v in samples][::substeps]
     t_s, depth_m = fine_s[::substeps].copy(), depth[::substeps].copy()
-    truth = collect_truth(law, t_s, depth_m, forces)
+    truth = collect_truth(law, t_s, inside_m[::substeps], forces)
     tare_end_s = chosen.motion.tare_end_s
     rng = np.random.default_rng(seed)
     return NeedleRun(
