@@ -160,7 +160,9 @@ def _in_steps(back_m: tuple[float, float]) -> Callable[[Motion, Draw], list[Move
             if back > 0.0:
                 found.append(("cruise", back / speed_m_s, -back))
             place_m = reached_m - back
-        return [*found, ("cruise", (total_m - place_m) / speed_m_s, total_m - place_m)]
+        last_m = total_m - place_m
+        found.append(("cruise", last_m / speed_m_s, last_m))
+        return found
 
     return moves
 
