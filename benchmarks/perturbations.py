@@ -153,10 +153,8 @@ def _in_steps(back_m: tuple[float, float]) -> Callable[[Motion, Draw], list[Move
         while total_m - reached_m > 20e-3:
             reached_m += float(rng.uniform(5e-3, 15e-3))
             travel_m, back = reached_m - place_m, float(rng.uniform(*back_m))
-            found += [
-                ("cruise", travel_m / speed_m_s, travel_m),
-                ("rest", float(rng.uniform(0.3, 3.0)), 0.0),
-            ]
+            found.append(("cruise", travel_m / speed_m_s, travel_m))
+            found.append(("rest", float(rng.uniform(0.3, 3.0)), 0.0))
             if back > 0.0:
                 found.append(("cruise", back / speed_m_s, -back))
             place_m = reached_m - back
