@@ -11,9 +11,9 @@ from benchmarks.benchmark import Job, Progress
 from benchmarks.bounds import CUTTING_FRACTION, delay_bounds_s, friction_bounds, reading_error_N
 from benchmarks.methods import force_lag_s
 from benchmarks.signals import InsertionTruth, insertion_truth
-from benchmarks.simulated import arm_signals, simulated_case
+from benchmarks.simulated import read_sensors, session_signal
 from benchmarks.tables import ResultTable
-from groundtruth import SCENARIOS, Scenario, insert_needle, scenario
+from groundtruth import SCENARIOS, Scenario, insert_needle, simulate
 from groundtruth.force_noise import MINI45
 from groundtruth.motion import constant_motion
 
@@ -54,11 +54,9 @@ def bound_noises(progress: Progress) -> list[ForceNoiseSeries]:
     """Noise of the F/T sensor, and of the virtual force with its own and with a white spectrum."""
     rng = np.random.default_rng(0)
     ft = MINI45.white_std_N * rng.standard_normal(WHITE_SAMPLES)
-    case = simulated_case(RUN, scenario(RUN.benchmark), progress)
+    case = read_sensors(simulate(RUN.benchmark, RUN.plant, RUN.seed), progress)
     truth = insertion_truth(case.run)
-    (signal,) = (
-        item["default"] for item in arm_signals(case) if item["default"].source == "virtual"
-    )
+    signal = session_signal(case, "default", case.sessions["default"].reading)
     lag_s = max(force_lag_s(truth.t_s, signal.force_N, truth.axial_N), 0.0)
     error = reading_error_N(signal, truth, lag_s)
     return [

@@ -20,9 +20,13 @@ from benchmarks import ResultsError, UnknownMetricError
 
 Source = Literal["ft", "virtual"]
 """Which force: read by the F/T sensor, or estimated from joint signals."""
-Method = Literal["published", "default", "guess"]
+Method = Literal["published", "published-as-run", "published-best-K", "default", "guess"]
 """Whose method: as published, or ours. What does not depend on it stands under ``default``;
-``guess`` is a rule of thumb that an identification worth having must beat."""
+``guess`` is a rule of thumb that an identification worth having must beat.
+
+``published`` has one setting and the measured speed, as ours. ``published-as-run`` is it as its
+authors ran it: commanded speed, σ₁ chosen for each recording; ``published-best-K`` is that with the
+gain of the observer that suits the recording best, where theirs is 5/s."""
 
 
 class RowKey(NamedTuple):

@@ -136,7 +136,7 @@ class NeedleSignal:
     source: Source  # where the force comes from
     t_s: Array  # time stamps, shape (n,)
     depth_m: Array  # travel along the needle's axis, shape (n,); where its zero lies is not known
-    speed_m_s: Array  # its rate, shape (n,)
+    speed_m_s: Array | None  # its rate, shape (n,); None where nothing measures it
     force_N: Array  # axial force, zeroed in free air, shape (n,)
 
 
@@ -168,15 +168,6 @@ def measured_travel(robot: Robot, signals: JointSignals, zero_s: float) -> Measu
         kinematics.update(q)
         found[k] = travel.read(dq)
     return MeasuredTravel(found[:, 0].copy(), found[:, 1].copy())
-
-
-def smoothed(travel: MeasuredTravel, dt_s: Array, time_constant_s: float) -> MeasuredTravel:
-    """The same travel, its speed through a causal first-order low-pass."""
-    speed = travel.speed_m_s.tolist()
-    gains = (1.0 - np.exp(-dt_s / time_constant_s)).tolist()
-    for k in range(1, len(speed)):
-        speed[k] = speed[k - 1] + gains[k] * (speed[k] - speed[k - 1])
-    return travel._replace(speed_m_s=np.array(speed))
 
 
 def lagging(values: Array, t_s: Array, lag_s: float) -> Array:
