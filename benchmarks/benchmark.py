@@ -96,6 +96,7 @@ class Benchmark:
     seeds: int | None = None  # how many different seeds it has; None for any number
     is_default: bool = True  # whether it runs when nothing is named
     plants: tuple[str, ...] = ("clean",)  # on which plants a simulation runs when none is named
+    perturbs: bool = False  # whether its plants are names of perturbations
     needs_arm: bool = True  # whether a simulation without an arm has nothing to show
 
     @property

@@ -12,6 +12,7 @@ from contextlib import contextmanager
 from functools import partial
 from itertools import product
 from pathlib import Path
+from time import perf_counter
 from typing import TYPE_CHECKING, Annotated, Literal
 
 from cyclopts import App, CycloptsError, Parameter
@@ -131,6 +132,7 @@ def run(
     *ids: str,
     plant: Sequence[str] = (),
     seeds: Positive = 1,
+    first_seed: int = 0,
     data: Annotated[Path | None, Parameter(env_var=DATA_VARIABLE)] = None,
     json: Path | None = None,
     report: Path | None = None,
@@ -140,10 +142,12 @@ def run(
     """Run benchmarks, print tables and targets.
 
     Args:
-        ids: Names of the list, tissue, or all; default: a quick set.
+        ids: Names of the list, tissue, robustness, or all but that; default: a quick set.
         plant: ideal, clean, fri, degraded, or needle (no arm), with commas between several; may be
-            given more than once. Default: clean; for drawn scenarios needle.
-        seeds: Run seeds 0 to N-1.
+            given more than once. Default: clean; for drawn scenarios needle. Of robustness, names
+            of perturbations (benchmarks/perturbations.toml); default: all.
+        seeds: Run so many seeds.
+        first_seed: The first of them. Methods are tuned on seeds below 1000.
         data: Folder of real recordings.
         json: Write the numbers there.
         report: Write a page into that folder: the published figures from these runs, and all
@@ -161,17 +165,26 @@ def run(
     plants = [name.strip() for names in plant for name in names.split(",") if name.strip()]
     if plant and not plants:
         raise BenchmarkError("--plant: expected at least one name")
-    console = new_console()
+    console, begin_s = new_console(), perf_counter()
     try:
         # The folder first: better before minutes of work than after.
         with folder_if_filled(report) as folder:
             plan = make_plan(
-                Request(ids=ids, plants=plants, seeds=seeds, data=data, drawings=folder)
+                Request(
+                    ids=ids,
+                    plants=plants,
+                    seeds=seeds,
+                    first_seed=first_seed,
+                    data=data,
+                    drawings=folder,
+                )
             )
             with progress_bar(len(plan.jobs)) as update:
                 outcomes = run_jobs(plan.jobs, jobs or _processors(), update)
             rows = [row for outcome in outcomes for row in outcome.rows]
             failed = _print_outcomes(console, rows, outcomes, plan.skipped)
+            taken_s = perf_counter() - begin_s
+            console.print(f"{len(plan.jobs)} runs in {taken_s:.0f} s")
             if json is not None:
                 write_results(json, rows)
             if folder is not None:
@@ -231,6 +244,7 @@ def results(
     *files: Annotated[Path, Parameter(required=True)],
     page: Path | None = None,
     readme: Path | None = None,
+    limits: Path | None = None,
 ) -> None:
     """Print the summary of runs; write all tables to a page.
 
@@ -240,6 +254,7 @@ def results(
         files: Results from run --json.
         page: Write all tables there (docs/results.md).
         readme: Write the summary between the marks of that page (README.md).
+        limits: Write the worst rows of robustness between the marks of that page (docs/limits.md).
     """
     from benchmarks.rows import read_merged
     from benchmarks.tables import (
@@ -248,6 +263,7 @@ def results(
         results_page,
         summary_block,
         summary_table,
+        worst_rows,
     )
 
     rows = read_merged(files)
@@ -259,6 +275,9 @@ def results(
         if readme is not None:
             text = readme.read_text(encoding="utf-8")
             readme.write_text(fill(text, summary_block(rows, command)), encoding="utf-8")
+        if limits is not None:
+            text = limits.read_text(encoding="utf-8")
+            limits.write_text(fill(text, worst_rows(rows)), encoding="utf-8")
     except OSError as error:
         raise ResultsError(f"cannot read or write {error.filename}: {error.strerror}") from error
     new_console().print(summary_table(rows).rich())

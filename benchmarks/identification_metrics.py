@@ -113,11 +113,7 @@ def measure_identification(item: Identified, truth: InsertionTruth) -> Iterator[
     What the models can explain offline depends on neither method nor estimated force: it is stated
     once, on the F/T reading.
     """
-    values = rupture_metrics(match(truth.ruptures, item.alarms), truth)
-    values |= friction_metrics(layer_frictions(truth.ruptures, item.alarms))
-    online = layer_frictions(truth.ruptures, item.alarms, online=True)
-    values |= friction_metrics(online, "_online")
-    values |= enhanced_metrics(item, truth)
+    values = event_metrics(item, truth) | enhanced_metrics(item, truth)
     if is_single_gel(truth):
         values |= table_one(item, truth)
     if (item.source, item.method) == ("ft", "default"):
@@ -126,6 +122,14 @@ def measure_identification(item: Identified, truth: InsertionTruth) -> Iterator[
         values |= bound_metrics(item.signal, truth)
     for name, value in values.items():
         yield Measurement(item.source, item.method, name, value)
+
+
+def event_metrics(item: Identified, truth: InsertionTruth) -> dict[str, float]:
+    """Numbers of ruptures and friction by name."""
+    values = rupture_metrics(match(truth.ruptures, item.alarms), truth)
+    values |= friction_metrics(layer_frictions(truth.ruptures, item.alarms))
+    online = layer_frictions(truth.ruptures, item.alarms, online=True)
+    return values | friction_metrics(online, "_online")
 
 
 VISIBLE_N = 0.15

@@ -1,14 +1,30 @@
-"""Estimators in perturbed worlds: `perturbed_needle` for the identification alone."""
+"""Estimators in perturbed worlds, by the arm or, for the identification alone, by the needle.
 
+The published method runs on the F/T force everywhere; on the virtual force only where the plant
+itself is what changes, since its sensor would double the time.
+"""
+
+from collections.abc import Iterator
 from dataclasses import dataclass, fields, replace
 from functools import lru_cache
 
 import numpy as np
 from numpy.typing import NDArray
 
-from benchmarks.perturbations import perturbed
-from benchmarks.signals import InsertionTruth, JointSignals, insertion_truth, measured_travel
-from groundtruth import ForceNoise, PlantModel, Scenario, insert_needle
+from benchmarks.benchmark import Findings, Job, Progress, progress_part
+from benchmarks.identification_metrics import event_metrics, identify_as_run
+from benchmarks.methods import METHODS, Identified, identify
+from benchmarks.perturbations import FT_ONLY, GROUPS, MIXED, PERTURBED, perturbed
+from benchmarks.rows import Measurement
+from benchmarks.signals import (
+    InsertionTruth,
+    JointSignals,
+    NeedleSignal,
+    insertion_truth,
+    measured_travel,
+)
+from benchmarks.simulated import identify_sources, read_sensors, simulated_metrics
+from groundtruth import ForceNoise, PlantModel, Scenario, insert_needle, simulate
 from groundtruth.arm_motion import scenario_motion, scenario_path
 from groundtruth.force_noise import MINI45
 from groundtruth.scenarios import named_scenario
@@ -40,6 +56,17 @@ class NeedleCase:
     speed_m_s: Array | None  # its rate, shape (n,); None where there is only the depth
     force_N: Array  # F/T sensor, zeroed in free air, shape (n,)
     truth: InsertionTruth  # at the same samples
+
+    @property
+    def signal(self) -> NeedleSignal:
+        """What an identifier gets."""
+        return NeedleSignal(
+            source="ft",
+            t_s=self.t_s,
+            depth_m=self.depth_m,
+            speed_m_s=self.speed_m_s,
+            force_N=self.force_N,
+        )
 
 
 def perturbed_needle(name: str, scenario: Scenario | str, seed: int) -> NeedleCase:
@@ -79,6 +106,33 @@ def perturbed_needle(name: str, scenario: Scenario | str, seed: int) -> NeedleCa
         force_N=run.force_N[kept],
         truth=_at_samples(insertion_truth(run), kept),
     )
+
+
+def run_robustness(job: Job, progress: Progress) -> Findings:
+    """``robustness-...``: the world of the plant's name, our method and the published one."""
+    name = job.plant
+    chosen = job.benchmark.removeprefix(PERTURBED)
+    scenario = SCENARIOS[job.seed % len(SCENARIOS)] if chosen == MIXED else chosen
+    if name in FT_ONLY:
+        case = perturbed_needle(name, scenario, job.seed)
+        signal, truth = case.signal, case.truth
+        found = [
+            identify(signal, truth, "default"),
+            identify_as_run(signal, truth, truth.speed_m_s),
+        ]
+        return Findings(list(_events(found, truth)))
+    world, _ = perturbed(name, named_scenario(scenario, job.seed), job.seed)
+    run = simulate(world.scenario, world.plant, job.seed, progress_part(progress, 0.0, 0.5))
+    methods = METHODS if name in GROUPS["plants"] else ("default",)
+    case = read_sensors(run, progress_part(progress, 0.5, 0.9), tuple(methods))
+    found = [item for source in identify_sources(case) for item in source]
+    return Findings([*simulated_metrics(case), *_events(found, insertion_truth(run))])
+
+
+def _events(found: list[Identified], truth: InsertionTruth) -> Iterator[Measurement]:
+    for item in found:
+        for metric, value in event_metrics(item, truth).items():
+            yield Measurement(item.source, item.method, metric, value)
 
 
 @lru_cache(maxsize=1)

@@ -81,18 +81,21 @@ class SimulatedCase:
     signals: JointSignals  # what the arm sent
     truth: ForceTruth  # what force readings are judged against
     sessions: dict[Method, SessionRun]  # of every method, as a user has it
-    best_gain: ForceReading  # by the published sensor with the gain that suits the run
+    # by the published sensor with the gain that suits the run, where that method was run
+    best_gain: ForceReading | None
     ft: ForceReading | None  # the F/T sensor's
 
     @property
     def readings(self) -> list[ForceReading]:
         """Axial force of every source and method."""
         # Where the wrist turns, the F/T reading is mostly the needle's weight.
-        ft = [] if self.ft is None else [self.ft]
-        return [*ft, *(item.reading for item in self.sessions.values()), self.best_gain]
+        apart = [each for each in (self.ft, self.best_gain) if each is not None]
+        return [*(item.reading for item in self.sessions.values()), *apart]
 
 
-def read_sensors(run: Run, progress: Progress) -> SimulatedCase:
+def read_sensors(
+    run: Run, progress: Progress, methods: Sequence[Method] = tuple(METHODS)
+) -> SimulatedCase:
     """Run the session of every method on what the simulated arm sent, and read the F/T sensor."""
     signals, free = JointSignals.of_run(run), not run.scenario.layers
     # From first contact to the end of withdrawal; without tissue, all after the tare.
@@ -107,17 +110,18 @@ def read_sensors(run: Run, progress: Progress) -> SimulatedCase:
     place_m = run.scenario.motion.position_m
     contact_m = 0.0 if free else place_m(run.contact_s) - place_m(run.tare_end_s)
     sessions: dict[Method, SessionRun] = {}
-    for k, method in enumerate(METHODS):
-        part = progress_part(progress, k / len(METHODS), (k + 1) / len(METHODS))
+    for k, method in enumerate(methods):
+        part = progress_part(progress, k / len(methods), (k + 1) / len(methods))
         sessions[method] = run_session(
             run.robot, signals, method, run.tare_end_s, part, contact_m=contact_m
         )
+    published = sessions.get("published")
     return SimulatedCase(
         run=run,
         signals=signals,
         truth=truth,
         sessions=sessions,
-        best_gain=best_gain(sessions["published"].reading, truth, signals.dt_s),
+        best_gain=published and best_gain(published.reading, truth, signals.dt_s),
         ft=None if free else ft_force(run),
     )
 
@@ -159,10 +163,11 @@ def identify_sources(case: SimulatedCase) -> list[list[Identified]]:
         on_ft.append(identify(session_signal(case, method, case.ft), truth, method))
         signal = session_signal(case, method, session.reading)
         on_virtual.append(identify(signal, truth, method, result=session.result))
-    for found in (on_ft, on_virtual):
-        found.append(identify_as_run(found[-1].signal, truth, commanded_m_s))
-    signal = session_signal(case, "published", case.best_gain)
-    on_virtual.append(identify_as_run(signal, truth, commanded_m_s, "published-best-K"))
+    on_ft.append(identify_as_run(on_ft[0].signal, truth, commanded_m_s))
+    if case.best_gain is not None:
+        on_virtual.append(identify_as_run(on_virtual[-1].signal, truth, commanded_m_s))
+        signal = session_signal(case, "published", case.best_gain)
+        on_virtual.append(identify_as_run(signal, truth, commanded_m_s, "published-best-K"))
     return [on_ft, on_virtual]
 
 

@@ -2,7 +2,7 @@
 
 import math
 from collections.abc import Callable, Iterable, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from types import MappingProxyType
 from typing import Any, NamedTuple
@@ -14,6 +14,7 @@ from rich.console import Console
 from rich.table import Table
 
 from benchmarks import ResultsError
+from benchmarks.perturbations import PERTURBATIONS, PERTURBED
 from benchmarks.rows import METRICS, NAMES, Row, metric
 from benchmarks.targets import (
     GROUPS,
@@ -148,6 +149,8 @@ def summary(values: Frame, form: str, best: float = 0.0, *, is_fraction: bool = 
 
 
 HEADS = {"source": "force", "metric": "what"}
+ALIGN = {"target": "L", "what": "l"}
+"""Of columns that are no numbers, by head."""
 
 
 class GroupTable(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
@@ -158,13 +161,18 @@ class GroupTable(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_field
     columns: tuple[Column, ...]
     shows: str = ""  # groups without a metric of this table of `metrics.csv` are left out
     caption: str = ""
-    # metrics whose worst run decides the order, worst first; ``target``: missed targets come first
+    # metrics whose worst run decides the order, worst first; ``target``: missed targets come
+    # first; ``shortfall``: of our fractions
     worst_first: tuple[str, ...] = ()
+    has_worst: bool = True  # whether a cell shows the worst of several runs too
+    perturbed: bool = False  # whether it is of the runs in perturbed worlds, or of the others
 
     def _badness(self, group: Frame) -> tuple[float, ...]:
         """How far the worst run of a group is from the best value, metric by metric."""
         if self.worst_first == ("target",):
             return (_force_mark(group) == "missed",)
+        if self.worst_first == ("shortfall",):
+            return (_shortfall(group),)
         values = [(METRICS[n].best, select(group, metric=n)["value"]) for n in self.worst_first]
         errors = ((each - best).abs().max() for best, each in values)
         return tuple(0.0 if math.isnan(error) else error for error in errors)
@@ -172,14 +180,19 @@ class GroupTable(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_field
     def __call__(self, rows: Iterable[Row]) -> ResultTable:
         """The table of some rows."""
         frame = frame_of(rows)
-        names = [name for name, kind in METRICS.items() if kind.table == self.shows]
+        is_perturbed = frame["scenario"].str.startswith(PERTURBED)
+        frame = frame[is_perturbed == self.perturbed]
+        names = [n for n, kind in METRICS.items() if self.perturbed or kind.table == self.shows]
         keys = frame[frame["metric"].isin(names)][list(self.by)].drop_duplicates()
         frame = keys.merge(frame, on=list(self.by))
         groups = list(frame.groupby(list(self.by), sort=False))
         groups.sort(key=lambda group: self._badness(group[1]), reverse=True)
         lines = []
         for key, group in groups:
-            line = [*map(str, key), *(column.cell(group) for column in self.columns)]
+            cells = [column.cell(group) for column in self.columns]
+            if not self.has_worst:
+                cells = [cell.partition(" (")[0] for cell in cells]
+            line = [*map(str, key), *cells]
             if "metric" in self.by:
                 kind = metric(group["metric"].iloc[0])
                 line[self.by.index("metric")] = kind.meaning
@@ -187,7 +200,7 @@ class GroupTable(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_field
             lines.append(tuple(line))
         heads = [HEADS.get(name, name) for name in self.by] + [c.head for c in self.columns]
         align = ["l" if name == "metric" else "L" for name in self.by]
-        align += ["L" if column.head == "target" else "r" for column in self.columns]
+        align += [ALIGN.get(column.head, "r") for column in self.columns]
         if "metric" in self.by:
             heads, align = [*heads, "unit"], [*align, "L"]
         return ResultTable(
@@ -215,6 +228,35 @@ def _force_mark(group: Frame) -> str:
     return met_mark(all(kept)) if kept else NOTHING
 
 
+SHORT_OF = {
+    "rupture_recall": 1.0,
+    "rupture_precision": 1.0,
+    "friction_coverage_online_2sigma": 0.95,
+    "wrench_coverage_2sigma": 0.95,
+}
+
+
+def _shortfall(group: Frame) -> float:
+    """How much our worst fraction, a mean over runs, falls short of what it should be."""
+    ours = select(group, method="default")
+    found = [
+        best - select(ours, metric=name, source=source)["value"].mean()
+        for name, best in SHORT_OF.items()
+        for source in ("ft", "virtual")
+    ]
+    return max((each for each in found if not math.isnan(each)), default=0.0)
+
+
+def _perturbation(group: Frame) -> str:
+    """What is perturbed."""
+    name = group["plant"].iloc[0]
+    return PERTURBATIONS[name].what if name in PERTURBATIONS else "three of these at a time"
+
+
+def _runs(group: Frame) -> str:
+    return str(len(group[["scenario", "seed"]].drop_duplicates()))
+
+
 def _real_arm(group: Frame) -> str:
     return f"{PUBLISHED_RMSE_N.get(group['scenario'].iloc[0], NOTHING)}"
 
@@ -229,6 +271,8 @@ TEXTS: dict[str, Callable[[Frame], str]] = {
     "force target": _force_mark,
     "real arm": _real_arm,
     "published change": _published_change,
+    "perturbation": _perturbation,
+    "runs": _runs,
 }
 """What a column shows that is not a number of its group."""
 
@@ -285,6 +329,18 @@ def result_tables(rows: Sequence[Row]) -> list[ResultTable]:
     """The tables that these rows have something for."""
     tables = (*(make(rows) for make in TABLES.values()), target_table(rows))
     return [table for table in tables if table.lines]
+
+
+WORST_ROWS = 8
+
+
+def worst_rows(rows: Sequence[Row]) -> str:
+    """The worst lines of the robustness table, for docs/limits.md."""
+    table = TABLES["robustness"](rows)
+    if not table.lines:
+        raise ResultsError("no runs of robustness among the results")
+    worst = replace(table, lines=table.lines[:WORST_ROWS])
+    return "\n".join([*worst.markdown(), "", table.caption]) + "\n"
 
 
 BEGIN = "<!-- results:begin -->"
