@@ -103,7 +103,8 @@ class Perturbation(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fie
         moves: list[Move] = [(s.profile, s.duration_s, s.travel_m) for s in inside]
         ramp, travel_m = inside[0].ramp_fraction, inside[-1].end_m + standoff_m
         if self.speed_m_s is not None:
-            ramp, moves = 0.05, [("cruise", travel_m / drawn(self.speed_m_s, rng), travel_m)]
+            ramp = 0.05
+            moves = [("cruise", travel_m / drawn(self.speed_m_s, rng), travel_m)]
         if self.steps is not None:
             speed_m_s = travel_m / sum(move[1] for move in moves)
             ramp, moves = 0.1, _pieces(self.steps, travel_m, speed_m_s, rng)

@@ -149,8 +149,6 @@ def summary(values: Frame, form: str, best: float = 0.0, *, is_fraction: bool = 
 
 
 HEADS = {"source": "force", "metric": "what"}
-ALIGN = {"target": "L", "what": "l"}
-"""Of columns that are no numbers, by head."""
 
 
 class GroupTable(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
@@ -200,7 +198,7 @@ class GroupTable(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_field
             lines.append(tuple(line))
         heads = [HEADS.get(name, name) for name in self.by] + [c.head for c in self.columns]
         align = ["l" if name == "metric" else "L" for name in self.by]
-        align += [ALIGN.get(column.head, "r") for column in self.columns]
+        align += ["L" if column.head == "target" else "r" for column in self.columns]
         if "metric" in self.by:
             heads, align = [*heads, "unit"], [*align, "L"]
         return ResultTable(
@@ -247,12 +245,6 @@ def _shortfall(group: Frame) -> float:
     return max((each for each in found if not math.isnan(each)), default=0.0)
 
 
-def _perturbation(group: Frame) -> str:
-    """What is perturbed."""
-    name = group["plant"].iloc[0]
-    return PERTURBATIONS[name].what if name in PERTURBATIONS else "three of these at a time"
-
-
 def _runs(group: Frame) -> str:
     return str(len(group[["scenario", "seed"]].drop_duplicates()))
 
@@ -271,7 +263,6 @@ TEXTS: dict[str, Callable[[Frame], str]] = {
     "force target": _force_mark,
     "real arm": _real_arm,
     "published change": _published_change,
-    "perturbation": _perturbation,
     "runs": _runs,
 }
 """What a column shows that is not a number of its group."""
@@ -339,7 +330,9 @@ def worst_rows(rows: Sequence[Row]) -> str:
     table = TABLES["robustness"](rows)
     if not table.lines:
         raise ResultsError("no runs of robustness among the results")
-    worst = replace(table, lines=table.lines[:WORST_ROWS])
+    what = {name: each.what for name, each in PERTURBATIONS.items()}
+    lines = [(what.get(line[0], line[0]), *line[1:]) for line in table.lines[:WORST_ROWS]]
+    worst = replace(table, lines=tuple(lines))
     return "\n".join([*worst.markdown(), "", table.caption]) + "\n"
 
 
