@@ -283,17 +283,6 @@ def results(
     new_console().print(summary_table(rows).rich())
 
 
-@app.command
-def bound() -> None:
-    """What the noise of a force allows any estimator to know."""
-    from benchmarks.bound_study import bound_cases, bound_noises, case_table
-    from benchmarks.tables import new_console
-
-    with progress_bar(1) as update:
-        noises = bound_noises(partial(update, 0))
-    new_console().print(case_table(bound_cases(noises), noises).rich())
-
-
 @app.command(name="speed")
 def time_updates(soak: bool = False, ticks: Positive = 1_000_000, strict: bool = False) -> int:
     """Time the estimators beside their bare dynamics. Takes about 75 s.

@@ -107,7 +107,6 @@ def _add_enhanced(
     sensor, has_speed = SENSORS[source], number == "9"
     alt = f"Axial force of the {sensor}, predicted force and enhanced force, with the true one, "
     none = "" if tuned.alarms else " No rupture was detected, so nothing is subtracted."
-    friction = cumulative_friction_Ns_per_m(tuned.alarms) if source == "ft" else math.nan
     title = f"friction compensation by the published method, {sensor}"
     figures.add(
         enhanced_chart(title, truth, tuned, compared.kelvin_voigt, ft, has_speed=has_speed),
@@ -116,7 +115,6 @@ def _add_enhanced(
         alt=f"{alt}published method",
         caption="Axial forces [N] over time [s]. The published method with the settings of its "
         f"authors: commanded speed, σ₁ = {tuned.config.sigma1_N:g} N.{none}",
-        tuned_friction_Ns_per_m=friction,
     )
     title = f"friction compensation by our method, {sensor}"
     figures.add(

@@ -78,9 +78,6 @@ OLD_NAMES: dict[str, dict[str, str]] = {
         "fall_recall": "drop_recall",
         "ruptures_at_falls": "ruptures_at_drops",
         "ruptures_without_fall": "ruptures_without_drop",
-        "pullout_above_insertion_share": "pullout_above_insertion_fraction",
-        "pullout_left_out_told_median_pct": "pullout_left_out_friction_median_pct",
-        "pullout_left_out_told_p90_pct": "pullout_left_out_friction_p90_pct",
     },
 }
 """Names in files written before plants, methods and metrics got the field's words: a run of that

@@ -18,12 +18,11 @@ from benchmarks.published_figures import NEEDED
 from benchmarks.recorded import bovine, liver, panda, ur10e
 from benchmarks.recorded.bovine import run_bovine_real
 from benchmarks.recorded.liver import run_liver_real
-from benchmarks.recorded.liver_limit import run_liver_limit
 from benchmarks.recorded.panda import run_panda_liver, run_panda_real
 from benchmarks.recorded.ur10e import run_ur10e_payload
 from benchmarks.robustness import SCENARIOS as ROBUST
 from benchmarks.robustness import run_robustness
-from benchmarks.simulated import NEEDLE, run_observers, run_simulated
+from benchmarks.simulated import NEEDLE, run_simulated
 from benchmarks.targets import TISSUE
 from groundtruth import PLANT_MODELS, SCENARIOS, GroundTruthError
 from groundtruth.scenarios import RANDOM_STACK, RANDOM_TISSUE
@@ -64,12 +63,6 @@ _SIMULATED = (
             needs_arm=False,
         )
         for name, drawn in ((RANDOM_STACK, "speed"), (RANDOM_TISSUE, "speed, tissue law"))
-    ),
-    Benchmark(
-        id="observers",
-        title="momentum, smoothed momentum and Kalman observer on the same samples",
-        run=run_observers,
-        is_default=False,
     ),
 )
 _ROBUSTNESS = tuple(
@@ -114,14 +107,6 @@ _RECORDED = (
         run=run_liver_real,
         needs=(liver.FOLDER,),
         seeds=1,
-    ),
-    Benchmark(
-        id="liver-limit",
-        title="how well 19 insertions into real liver can predict the pull-out force at all",
-        run=run_liver_limit,
-        needs=(liver.FOLDER,),
-        seeds=1,
-        is_default=False,
     ),
     Benchmark(
         id="bovine-real",

@@ -1,11 +1,10 @@
-"""Benchmarks on simulated insertions: by the arm, by the needle alone, and of the observers."""
+"""Benchmarks on simulated insertions, by the arm and by the needle alone."""
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.ndimage import uniform_filter1d
 
 from benchmarks.benchmark import Drawing, Findings, Job, Progress, progress_part
 from benchmarks.force_plots import force_figures
@@ -31,12 +30,9 @@ from benchmarks.signals import (
     JointSignals,
     NeedleSignal,
     insertion_truth,
-    tool_jacobians,
 )
 from groundtruth import (
-    PLANT_MODELS,
     ForceNoise,
-    PlantModel,
     Run,
     Scenario,
     insert_needle,
@@ -44,7 +40,6 @@ from groundtruth import (
 )
 from groundtruth.force_noise import MINI45
 from groundtruth.scenarios import DRAWN, named_scenario
-from residual import KalmanObserver, MomentumObserver
 
 Array = NDArray[np.float64]
 
@@ -229,73 +224,3 @@ def drawn_noise(rng: np.random.Generator) -> ForceNoise:
         white_std_N=white * MINI45.white_std_N,
         drift_std_N_per_s=drift * MINI45.drift_std_N_per_s,
     )
-
-
-OBSERVED = "gel-70-constant"
-"""The insertion of the benchmark ``observers``, that of the published Figure 5."""
-SLOW_SAMPLES = 3001
-GAINS_per_s = (20.0, 30.0, 50.0, 70.0)
-RANDOM_WALKS_per_sqrt_s = (1.0, 2.0, 4.0)
-"""Random walk of the external torque in units of a joint's torque noise, for the Kalman form."""
-
-
-def run_observers(job: Job, progress: Progress) -> Findings:
-    """Three observers of the external torque on the same samples, each at its best setting.
-
-    They are judged on the axial force by what noise and lag leave: errors slower than 3 s, those
-    of the bias, are the same for all and taken out. Nothing on an arm without velocities or noise.
-    """
-    level = PLANT_MODELS[job.plant]
-    if not level.velocity_noise_std_rad_s:
-        progress(1.0)
-        return Findings([])
-    run = simulate(OBSERVED, job.plant, job.seed)
-    # Weights of the joints in the axial force at every sample, shape (n, 7).
-    along = tool_jacobians(run.robot, run.signals.q_rad)[:, 2]
-    pushed = -along / np.array(level.torque_noise_std_Nm) ** 2
-    weights = pushed / np.vecdot(pushed, -along)[:, None]
-    progress(0.3)
-    found = []
-    for k, (name, observers) in enumerate(_observers(run, level).items()):
-        least = min(_quick_error_N(run, weights, observer) for observer in observers)
-        found.append(Measurement("virtual", "default", f"observer_{name}_rmse_N", least))
-        progress(0.3 + 0.7 * (k + 1) / 3)
-    return Findings(found)
-
-
-def _observers(
-    run: Run, level: PlantModel
-) -> dict[str, Iterable[MomentumObserver | KalmanObserver]]:
-    robot, noise = run.robot, np.array(level.torque_noise_std_Nm)
-    speed_noise = level.velocity_noise_std_rad_s or 0.0
-    plain, smoothing = (
-        [MomentumObserver(robot, gain, alignment="hold") for gain in GAINS_per_s] for _ in range(2)
-    )
-    for observer in smoothing:
-        observer.smooth_momentum(np.full(robot.nv, speed_noise), run.signals.q_rad[0])
-    return {
-        "momentum": plain,
-        "smoothed": smoothing,
-        "kalman": [
-            KalmanObserver(
-                robot,
-                torque_noise_Nm=noise,
-                velocity_noise_rad_s=speed_noise,
-                walk_Nm_per_sqrt_s=walk * noise,
-                alignment="hold",
-            )
-            for walk in RANDOM_WALKS_per_sqrt_s
-        ],
-    }
-
-
-def _quick_error_N(run: Run, weights: Array, observer: MomentumObserver | KalmanObserver) -> float:
-    """Root mean square of the quick part of the axial error in contact."""
-    sent, truth = run.signals, run.truth
-    assert sent.dq_rad_s is not None, "this arm sends velocities"
-    samples = zip(sent.q_rad, sent.dq_rad_s, sent.tau_Nm, strict=True)
-    torque = np.array([observer.update(*sample, 1e-3) for sample in samples])
-    error = np.vecdot(weights, torque) - truth.axial_N
-    quick = error - uniform_filter1d(error, SLOW_SAMPLES)
-    touching = (truth.t_s >= run.contact_s) & (truth.t_s <= run.withdrawn_s)
-    return float(np.sqrt(np.mean(quick[touching] ** 2)))

@@ -8,12 +8,8 @@ from benchmark_cases import gel_slice
 
 from benchmarks.benchmark import Job
 from benchmarks.force_plots import RunFigures, force_chart, force_figures, rmse_N
-from benchmarks.identification_figures import (
-    draw_identification,
-    sigma1_N,
-    tuned_published,
-)
-from benchmarks.identification_metrics import identify_all
+from benchmarks.identification_figures import draw_identification
+from benchmarks.identification_metrics import SIGMA1_N, identify_as_run
 from benchmarks.identification_plots import (
     Compared,
     enhanced_chart,
@@ -144,11 +140,12 @@ class Insertion:
             speed_m_s=run.speed_m_s,
             force_N=run.force_N,
         )
-        self.signals = {"default": self.signal, "published": self.signal}
-        self.identified = identify_all(self.signals, self.truth)
+        self.commanded_m_s = SHORT.motion.speed_m_s(self.truth.t_s)
+        methods = ("default", "published")
+        self.identified = [identify(self.signal, self.truth, method) for method in methods]
+        self.identified.append(identify_as_run(self.signal, self.truth, self.commanded_m_s))
         by_method = {item.method: item for item in self.identified}
         self.ours, self.published = by_method["default"], by_method["published"]
-        self.commanded_m_s = SHORT.motion.speed_m_s(self.truth.t_s)
 
 
 @pytest.fixture(scope="module")
@@ -196,7 +193,7 @@ def test_the_forces_of_a_method_are_drawn_in_its_style(run):
 def test_another_sensor_lies_broad_below_the_force_it_is_compared_with(run):
     n = len(run.truth.t_s)
     ft = ForceReading(source="ft", method="default", axial_N=np.ones(n), std_N=np.ones(n))
-    virtual = replace(run.ours, source="virtual")
+    virtual = replace(run.ours, signal=replace(run.signal, source="virtual"))
     first, second, *_ = enhanced_chart("a", run.truth, virtual, ft=ft).panels[0].curves
     assert first.label == "force of the F/T sensor"
     assert second.label == "force of the virtual sensor"
@@ -243,7 +240,7 @@ def test_true_friction_is_force_over_speed_at_the_rupture(run):
 def test_the_published_method_with_its_authors_settings_comes_near_the_truth(run):
     noise = np.random.default_rng(0).normal(scale=0.2e-3, size=len(run.truth.t_s))
     noisy = replace(run.signal, speed_m_s=run.signal.speed_m_s + noise)
-    tuned = tuned_published(noisy, run.truth, run.commanded_m_s)
+    tuned = identify_as_run(noisy, run.truth, run.commanded_m_s)
     (rupture,) = run.truth.ruptures
 
     def error_N(item):
@@ -252,8 +249,8 @@ def test_the_published_method_with_its_authors_settings_comes_near_the_truth(run
 
     assert error_N(tuned) < 0.15 * rupture.layer_friction_N
     assert error_N(tuned) < 0.5 * error_N(identify(noisy, run.truth, "published"))
-    for figure, source in (("8", "ft"), ("11", "virtual"), ("13", "virtual"), ("", "ft")):
-        assert 0.03 <= sigma1_N(figure, source) <= 0.15, "what its authors used"
+    assert tuned.config.sigma1_N in SIGMA1_N
+    assert (min(SIGMA1_N), max(SIGMA1_N)) == (0.03, 0.15), "what its authors used"
 
 
 def test_the_offline_fit_predicts_the_withdrawal(run):
@@ -270,7 +267,7 @@ def test_the_offline_fit_predicts_the_withdrawal(run):
 
 def test_a_run_of_a_figure_draws_panels_of_their_own_letters_and_numbers(run, tmp_path):
     job = Job(benchmark="gel-70-constant", plant="needle")
-    found = [(run.signals, run.identified)]
+    found = [run.identified]
     drawings = draw_identification(job, tmp_path, run.truth, run.commanded_m_s, found)
     panels = [(item.figure, item.panel) for item in drawings]
     assert panels == [("2", "a"), ("8", "a"), ("8", "b"), ("8", "c")]
@@ -285,8 +282,8 @@ def test_a_run_of_a_figure_draws_panels_of_their_own_letters_and_numbers(run, tm
     assert ours[0] == f"1, at {run.ours.alarms[0].alarm_s - run.truth.tare_end_s:.1f} s"
     assert float(ours[1]) == pytest.approx(rupture.layer_friction_N / 5e-3, rel=0.05)
     assert 0.0 <= float(ours[2]) < 10.0
-    (tuned,) = [item for item in drawings if not np.isnan(item.tuned_friction_Ns_per_m)]
-    assert tuned.tuned_friction_Ns_per_m == pytest.approx(float(ours[1]), rel=0.15)
+    tuned = dict(facts[1].here)["published, tuned, here"]
+    assert float(tuned) == pytest.approx(float(ours[1]), rel=0.15)
     assert all(
         item.shown.alt and item.shown.caption and item.shown.path.is_file() for item in drawings
     )
