@@ -1,6 +1,6 @@
 """Both methods on one signal: virtual sensor, F/T sensor, identification; errors of a force."""
 
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from types import MappingProxyType
 from typing import NamedTuple
@@ -143,7 +143,12 @@ OBSERVER_GAINS_per_s = (5.0, 10.0, 20.0, 40.0, 70.0)
 """The authors' and larger ones; 70/s is ours."""
 
 
-def best_gain(reading: ForceReading, truth: ForceTruth, dt_s: Array) -> ForceReading:
+def best_gain(
+    reading: ForceReading,
+    truth: ForceTruth,
+    dt_s: Array,
+    gains_per_s: Sequence[float] = OBSERVER_GAINS_per_s,
+) -> ForceReading:
     """The published force with the gain of its observer that gives the least error.
 
     One lag is taken off the force and another put on. That is what another gain would give: the
@@ -154,7 +159,7 @@ def best_gain(reading: ForceReading, truth: ForceTruth, dt_s: Array) -> ForceRea
     kept = np.exp(-PUBLISHED_SENSOR.slowest_gain_per_s * dt_s[start + 1 :])
     unfiltered = (force[start + 1 :] - kept * force[start:-1]) / (1.0 - kept)
     found: list[tuple[float, Array]] = []
-    for gain_per_s in OBSERVER_GAINS_per_s:
+    for gain_per_s in gains_per_s:
         axial_N, last = force.copy(), float(force[start])
         passed = -np.expm1(-gain_per_s * dt_s[start + 1 :])
         for k, (value, part) in enumerate(
