@@ -365,6 +365,7 @@ HEADLINES = (
     Headline("pullout_error_median_pct", ".0f", _PULL_OUT, "ft", "recording", "liver-real"),
 )
 """At most eight: the README shows them."""
+SUMMED = ("published", "published-best-K", "default")
 
 
 def summary_table(rows: Sequence[Row]) -> ResultTable:
@@ -385,7 +386,7 @@ def summary_table(rows: Sequence[Row]) -> ResultTable:
             continue
         kind = metric(line.metric)
         cells, errors = [], []
-        for method in ("published", "default"):
+        for method in SUMMED:
             mine = select(wanted, method=method)
             cells.append(Column("", line.form, is_fraction=kind.best == 1.0).cell(mine))
             # Of no number at all nothing can be worse.
@@ -395,16 +396,17 @@ def summary_table(rows: Sequence[Row]) -> ResultTable:
         runs = str((wanted["method"] == "default").sum())
         where = f"{line.scenarios}, {line.plant}"
         mark = NOTHING if is_met is None else met_mark(is_met)
-        badness = (is_met is not False, errors[1] < errors[0])
+        badness = (is_met is not False, errors[-1] < min(errors[:-1]))
         lines.append((badness, (line.what, where, *cells, runs, mark)))
     lines.sort(key=lambda item: item[0])
     return ResultTable(
         title="Results",
-        heads=("what", "runs of", "published method", "ours", "runs", "targets"),
-        align="LLrrrL",
+        heads=("what", "runs of", "published method", "as run, best K", "ours", "runs", "targets"),
+        align="LLrrrrL",
         lines=tuple(line for _, line in lines),
         caption="Virtual force sensor on a simulated arm, but for `liver-real`, a recording of "
-        "real tissue. Several runs: median (worst), of fractions mean (least).",
+        "real tissue. Several runs: median (worst), of fractions mean (least). As run, best K: the "
+        "published method with commanded speed, its threshold and gain chosen for each run.",
     )
 
 
