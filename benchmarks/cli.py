@@ -23,7 +23,7 @@ from benchmarks import BenchmarkError, ResultsError
 if TYPE_CHECKING:
     from rich.console import Console
 
-    from benchmarks.benchmark import Outcome
+    from benchmarks.benchmark import Job, Outcome
     from benchmarks.rows import Row
 
 DATA_VARIABLE = "NEEDLEFORCE_DATA"
@@ -157,7 +157,7 @@ def run(
     """
     from benchmarks.report import write_report
     from benchmarks.rows import write_results
-    from benchmarks.runner import Request, make_plan, run_jobs
+    from benchmarks.runner import Request, make_plan
     from benchmarks.tables import new_console
     from benchmarks.targets import evaluate
     from needleforce.plots import FiguresError, folder_if_filled
@@ -165,26 +165,14 @@ def run(
     plants = [name.strip() for names in plant for name in names.split(",") if name.strip()]
     if plant and not plants:
         raise BenchmarkError("--plant: expected at least one name")
-    console, begin_s = new_console(), perf_counter()
+    console = new_console()
     try:
         # The folder first: better before minutes of work than after.
         with folder_if_filled(report) as folder:
-            plan = make_plan(
-                Request(
-                    ids=ids,
-                    plants=plants,
-                    seeds=seeds,
-                    first_seed=first_seed,
-                    data=data,
-                    drawings=folder,
-                )
-            )
-            with progress_bar(len(plan.jobs)) as update:
-                outcomes = run_jobs(plan.jobs, jobs or _processors(), update)
+            plan = make_plan(Request(ids, plants, seeds, first_seed, data, folder))
+            outcomes = _timed(plan.jobs, jobs or _processors(), console)
             rows = [row for outcome in outcomes for row in outcome.rows]
             failed = _print_outcomes(console, rows, outcomes, plan.skipped)
-            taken_s = perf_counter() - begin_s
-            console.print(f"{len(plan.jobs)} runs in {taken_s:.0f} s")
             if json is not None:
                 write_results(json, rows)
             if folder is not None:
@@ -194,6 +182,16 @@ def run(
         raise BenchmarkError(str(error)) from error
     missed = strict and not all(found.is_met for found in evaluate(rows))
     return FAILURE if failed or missed else 0
+
+
+def _timed(jobs: Sequence["Job"], processes: int, console: "Console") -> list["Outcome"]:
+    from benchmarks.runner import run_jobs
+
+    begin_s = perf_counter()
+    with progress_bar(len(jobs)) as update:
+        outcomes = run_jobs(jobs, processes, update)
+    console.print(f"{len(jobs)} runs in {perf_counter() - begin_s:.0f} s")
+    return outcomes
 
 
 def _print_outcomes(

@@ -104,12 +104,9 @@ def run_session(
     """
     is_published = method == "published"
     config = replace(PUBLISHED, contact_depth_m=contact_m) if is_published else MULTILAYER
-    session = InsertionSession(
-        robot,
-        on_lwr(METHODS[method]) if sensor is None else sensor,
-        config,
-        speed_lag_s=PUBLISHED_SPEED_s if is_published else 0.0,
-    )
+    lag_s = PUBLISHED_SPEED_s if is_published else 0.0
+    chosen = on_lwr(METHODS[method]) if sensor is None else sensor
+    session = InsertionSession(robot, chosen, config, speed_lag_s=lag_s)
     found = np.zeros((4, len(signals.t_s)))
     tare = int(np.searchsorted(signals.t_s, tare_s))
     estimates: list[Estimate] = []
@@ -127,16 +124,10 @@ def run_session(
         found[:, k] = made.wrench.axial, made.wrench.axial_std, made.depth_m, made.speed_m_s
         if k >= tare:
             estimates.append(made.identification)
-    axial_N, std_N, depth_m, speed_m_s = found
-    return SessionRun(
-        reading=ForceReading(source="virtual", method=method, axial_N=axial_N, std_N=std_N),
-        depth_m=depth_m,
-        speed_m_s=speed_m_s,
-        result=Replay(
-            t_s=signals.t_s[tare:], estimates=tuple(estimates), layers=session.layers, hints=()
-        ),
-        was_refused=was_refused,
-    )
+    reading = ForceReading(source="virtual", method=method, axial_N=found[0], std_N=found[1])
+    t_s, layers = signals.t_s[tare:], session.layers
+    result = Replay(t_s=t_s, estimates=tuple(estimates), layers=layers, hints=())
+    return SessionRun(reading, found[2], found[3], result, was_refused)
 
 
 OBSERVER_GAINS_per_s = (5.0, 10.0, 20.0, 40.0, 70.0)

@@ -142,7 +142,7 @@ IDS = {"tissue": TISSUE, "robustness": tuple(PERTURBED + name for name in ROBUST
 PLANTS = (*PLANT_MODELS, NEEDLE)
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
+@dataclass(frozen=True, slots=True)
 class Request:
     """What was asked for."""
 

@@ -179,15 +179,7 @@ def test_the_summary_has_at_most_eight_lines_the_bad_ones_first():
     table = summary_table(clean_rows())
     degraded, recall, force = sorted(table.lines[:2]) + list(table.lines[2:])
     assert recall == ("ruptures found, fraction", "tissue, clean", "–", "–", "0.40", "1", "missed")
-    assert degraded == (
-        "axial force, rms error, N",
-        "tissue, degraded",
-        "–",
-        "–",
-        "0.300",
-        "1",
-        "missed",
-    )
+    assert degraded[1:] == ("tissue, degraded", "–", "–", "0.300", "1", "missed")
     assert force[1:] == ("tissue, clean", "0.151", "0.080", "0.021 (0.030)", "2", "met")
 
 
