@@ -61,14 +61,6 @@ class Scenario:
         if self.law not in LAWS:
             raise ScenarioError(f"unknown tissue law {self.law!r}; known: {', '.join(LAWS)}")
 
-    def with_law(self, law: LawName) -> "Scenario":
-        """The same scenario under another tissue law.
-
-        Raises:
-            ScenarioError: The law is unknown.
-        """
-        return replace(self, law=law)
-
     def with_variation(self, change: TissueVariation, rng: np.random.Generator) -> "Scenario":
         """The same scenario with every layer changed; the generator draws the texture."""
         return replace(self, layers=tuple(change.layer(layer, rng) for layer in self.layers))

@@ -4,7 +4,7 @@
 reads the force at its base. Both return what a robot would give and, apart from it, the truth.
 """
 
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, fields
 from typing import Any
 
@@ -15,7 +15,7 @@ from groundtruth.arm_control import ArmTrace, drive
 from groundtruth.arm_motion import InsertionPath, scenario_motion, scenario_path
 from groundtruth.arm_plant import ArmPlant, TissueContact, lwr_bodies
 from groundtruth.bearing_friction import BearingFriction
-from groundtruth.errors import NoiseError, PlantModelError, RunError
+from groundtruth.errors import GroundTruthError, NoiseError, PlantModelError, RunError
 from groundtruth.force_noise import NOISES, ForceNoise
 from groundtruth.plant_model import PLANT_MODELS, PlantModel, TICK_s
 from groundtruth.scenarios import Scenario
@@ -150,7 +150,7 @@ def simulate(
         PlantError: The tissue has pushed the arm off its motion.
     """
     chosen = scenario_named(scenario) if isinstance(scenario, str) else scenario
-    plant_model = _plant_named(plant)
+    plant_model: PlantModel = _named(plant, PLANT_MODELS, "plant model", PlantModelError)
     tool = NeedleTool()
     mass_seed, sensor_seed, friction_seed = np.random.SeedSequence(seed).spawn(3)
     bodies = lwr_bodies(tool, plant_model, np.random.default_rng(mass_seed))
@@ -177,13 +177,13 @@ def simulate(
     )
 
 
-def _plant_named(plant: PlantModel | str) -> PlantModel:
-    if isinstance(plant, PlantModel):
-        return plant
-    if plant not in PLANT_MODELS:
-        known = ", ".join(PLANT_MODELS)
-        raise PlantModelError(f"unknown plant model {plant!r}; choose one of {known}")
-    return PLANT_MODELS[plant]
+def _named(item: Any, known: Mapping[str, Any], kind: str, error: type[GroundTruthError]) -> Any:
+    """The item of that name; what is no name is one already."""
+    if not isinstance(item, str):
+        return item
+    if item not in known:
+        raise error(f"no {kind} {item!r}; known: {', '.join(known)}")
+    return known[item]
 
 
 def _contact(path: InsertionPath, scenario: Scenario) -> TissueContact:
@@ -284,7 +284,7 @@ def insert_needle(
         RunError: The rate or the number of sub-steps is unusable.
     """
     chosen = scenario_named(scenario) if isinstance(scenario, str) else scenario
-    sensor = _noise_named(noise)
+    sensor: ForceNoise = _named(noise, NOISES, "noise model", NoiseError)
     fine_s = _fine_times(chosen.motion.duration_s, rate_hz, substeps)
     depth, speed = chosen.motion.position_m(fine_s), chosen.motion.speed_m_s(fine_s)
     moved = (np.zeros_like(fine_s),) * 2
@@ -308,14 +308,6 @@ def insert_needle(
         tare_end_s=tare_end_s,
         truth=truth,
     )
-
-
-def _noise_named(noise: ForceNoise | str) -> ForceNoise:
-    if isinstance(noise, ForceNoise):
-        return noise
-    if noise not in NOISES:
-        raise NoiseError(f"no noise model {noise!r}; known: {', '.join(NOISES)}, or a ForceNoise")
-    return NOISES[noise]
 
 
 def _fine_times(duration_s: float, rate_hz: float, substeps: int) -> Array:

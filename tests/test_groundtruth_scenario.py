@@ -160,9 +160,9 @@ def test_names_are_permanent_and_choose_motion_seed_and_law():
         with pytest.raises(ScenarioError, match=r"no scenario 'gel-80'; known: .*random-stack"):
             ask("gel-80")
     assert isinstance(gel.new_tissue(), Tissue)
-    assert isinstance(gel.with_law("multilayer").new_tissue(), MultilayerTissue)
+    assert isinstance(replace(gel, law="multilayer").new_tissue(), MultilayerTissue)
     with pytest.raises(ScenarioError, match="multilayer"):
-        gel.with_law("springs")
+        replace(gel, law="springs")
 
 
 def test_needle_goes_at_least_a_centimetre_beyond_and_is_long_enough():
