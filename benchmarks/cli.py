@@ -116,7 +116,8 @@ def list_benchmarks() -> None:
             (item.id, "*" if item.is_default else "", item.title, needs[item.is_recorded])
             for item in BENCHMARKS.values()
         ),
-        caption="* runs when nothing is named; 'tissue' names the scenarios with tissue, 'all' all",
+        caption="* runs when nothing is named; 'tissue' names the scenarios with tissue, "
+        "'robustness' the worlds in which they are perturbed, 'all' all others",
     )
     console = new_console()
     console.print(table.rich())
