@@ -294,7 +294,7 @@ LEAD = (
     "estimators get only the signals that a robot would give them.",
     "Blue, continuous: our method, one setting for everything. Orange, dashed: the published "
     "method; in Figures 8 to 14 with its authors' settings (commanded speed, σ₁ set for each "
-    "recording), in the tables of all numbers with one setting and the measured speed, as ours. "
+    "recording), in the tables of all numbers also with one setting and the measured speed. "
     "Black, dotted: the ground truth. Times count from the start of the needle's motion. Forces "
     "are positive when tissue pushes back.",
 )
