@@ -298,6 +298,8 @@ def identify(
         speed_m_s = None if signal.speed_m_s is None else signal.speed_m_s[start:]
         t_s, depth_m, force_N = signal.t_s[start:], signal.depth_m[start:], signal.force_N[start:]
         result = replay(t_s, depth_m, force_N, speed_m_s, config)
+    # A session is tared by the arm's own clock, which may be a sample off.
+    start = len(signal.t_s) - len(result.estimates)
     alarms = alarms_of(result, truth.t_s[start:])
     return Identified(
         signal=signal,

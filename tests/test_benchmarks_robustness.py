@@ -7,7 +7,7 @@ import pytest
 from benchmark_cases import gel_slice, make_row
 
 from benchmarks.benchmark import Job
-from benchmarks.methods import best_gain, run_session
+from benchmarks.methods import best_gain, identify, run_session
 from benchmarks.perturbations import ARM_ONLY, FT_ONLY, GROUPS, MIXED, PERTURBATIONS, perturbed
 from benchmarks.robustness import SCENARIOS, perturbed_needle, run_robustness
 from benchmarks.runner import Request, make_plan
@@ -133,3 +133,13 @@ def test_the_worst_comes_first_and_other_tables_leave_these_runs_out():
 def test_every_plant_number_that_is_changed_exists():
     names = {item.name for item in fields(PLANT_MODELS["clean"])}
     assert all({*item.plant, *item.times} <= names for item in PERTURBATIONS.values())
+
+
+def test_a_session_tared_a_sample_late_by_its_own_clock_is_judged_on_its_own_samples():
+    case = perturbed_needle("none", BRIEF, 1)
+    whole = identify(case.signal, case.truth, "default")
+    late = replace(whole.result, estimates=whole.result.estimates[1:])
+    found = identify(case.signal, case.truth, "default", result=late)
+    assert found.start == whole.start + 1
+    assert found.start + len(found.enhanced_N) == len(case.t_s)
+    assert [alarm.sample for alarm in found.alarms] == [alarm.sample for alarm in whole.alarms]
