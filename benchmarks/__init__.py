@@ -4,9 +4,9 @@ Reading order: `runner` (what can be run), `benchmark` (a job and what it finds)
 number of the results, every metric). Then in the order in which numbers come about: `signals` (what
 estimators get, and the ground truth), `methods` (estimators on a signal, errors of a force),
 `identification_metrics` and `bounds` (how good they are, how good they could be), put together in
-`simulated` and `recorded`; `targets` and `tables` (what the numbers should be, and how they are
-shown). Apart from these: `speed` and `long_runs` (what an update costs), `faults` and `fault_study`
-(what broken signals do).
+`simulated`, `robustness` (in the worlds of `perturbations`) and `recorded`; `targets` and `tables`
+(what the numbers should be, and how they are shown). Apart from these: `speed` and `long_runs`
+(what an update costs), `faults` and `fault_study` (what broken signals do).
 
 Not part of the installed packages: run it from the repository, ``python -m benchmarks --help``.
 Every error message is one line for the person at the keyboard.

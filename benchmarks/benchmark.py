@@ -1,6 +1,5 @@
 """One thing that can be run by name, a job of it, and what the job finds."""
 
-import math
 from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
@@ -63,9 +62,6 @@ class Drawing:
     job: Job  # the run
     shown: PageFigure  # its files, what it shows, what to look at
     facts: tuple[Fact, ...] = ()  # numbers to stand below
-    # cumulative friction in the end, by the published method as its authors ran it; nan where the
-    # drawing shows something else
-    tuned_friction_Ns_per_m: float = math.nan
 
 
 class Findings(NamedTuple):
@@ -96,6 +92,7 @@ class Benchmark:
     seeds: int | None = None  # how many different seeds it has; None for any number
     is_default: bool = True  # whether it runs when nothing is named
     plants: tuple[str, ...] = ("clean",)  # on which plants a simulation runs when none is named
+    perturbs: bool = False  # whether its plants are names of perturbations
     needs_arm: bool = True  # whether a simulation without an arm has nothing to show
 
     @property

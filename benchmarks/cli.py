@@ -12,6 +12,7 @@ from contextlib import contextmanager
 from functools import partial
 from itertools import product
 from pathlib import Path
+from time import perf_counter
 from typing import TYPE_CHECKING, Annotated, Literal
 
 from cyclopts import App, CycloptsError, Parameter
@@ -22,7 +23,7 @@ from benchmarks import BenchmarkError, ResultsError
 if TYPE_CHECKING:
     from rich.console import Console
 
-    from benchmarks.benchmark import Outcome
+    from benchmarks.benchmark import Job, Outcome
     from benchmarks.rows import Row
 
 DATA_VARIABLE = "NEEDLEFORCE_DATA"
@@ -115,7 +116,8 @@ def list_benchmarks() -> None:
             (item.id, "*" if item.is_default else "", item.title, needs[item.is_recorded])
             for item in BENCHMARKS.values()
         ),
-        caption="* runs when nothing is named; 'tissue' names the scenarios with tissue, 'all' all",
+        caption="* runs when nothing is named; 'tissue' names the scenarios with tissue, "
+        "'robustness' the worlds in which they are perturbed, 'all' all others",
     )
     console = new_console()
     console.print(table.rich())
@@ -131,6 +133,7 @@ def run(
     *ids: str,
     plant: Sequence[str] = (),
     seeds: Positive = 1,
+    first_seed: int = 0,
     data: Annotated[Path | None, Parameter(env_var=DATA_VARIABLE)] = None,
     json: Path | None = None,
     report: Path | None = None,
@@ -140,10 +143,12 @@ def run(
     """Run benchmarks, print tables and targets.
 
     Args:
-        ids: Names of the list, tissue, or all; default: a quick set.
+        ids: Names of the list, tissue, robustness, or all but that; default: a quick set.
         plant: ideal, clean, fri, degraded, or needle (no arm), with commas between several; may be
-            given more than once. Default: clean; for drawn scenarios needle.
-        seeds: Run seeds 0 to N-1.
+            given more than once. Default: clean; for drawn scenarios needle. Of robustness, names
+            of perturbations (benchmarks/perturbations.toml); default: all.
+        seeds: Run so many seeds.
+        first_seed: The first of them. Methods are tuned on seeds below 1000.
         data: Folder of real recordings.
         json: Write the numbers there.
         report: Write a page into that folder: the published figures from these runs, and all
@@ -153,7 +158,7 @@ def run(
     """
     from benchmarks.report import write_report
     from benchmarks.rows import write_results
-    from benchmarks.runner import Request, make_plan, run_jobs
+    from benchmarks.runner import Request, make_plan
     from benchmarks.tables import new_console
     from benchmarks.targets import evaluate
     from needleforce.plots import FiguresError, folder_if_filled
@@ -165,11 +170,8 @@ def run(
     try:
         # The folder first: better before minutes of work than after.
         with folder_if_filled(report) as folder:
-            plan = make_plan(
-                Request(ids=ids, plants=plants, seeds=seeds, data=data, drawings=folder)
-            )
-            with progress_bar(len(plan.jobs)) as update:
-                outcomes = run_jobs(plan.jobs, jobs or _processors(), update)
+            plan = make_plan(Request(ids, plants, seeds, first_seed, data, folder))
+            outcomes = _timed(plan.jobs, jobs or _processors(), console)
             rows = [row for outcome in outcomes for row in outcome.rows]
             failed = _print_outcomes(console, rows, outcomes, plan.skipped)
             if json is not None:
@@ -181,6 +183,16 @@ def run(
         raise BenchmarkError(str(error)) from error
     missed = strict and not all(found.is_met for found in evaluate(rows))
     return FAILURE if failed or missed else 0
+
+
+def _timed(jobs: Sequence["Job"], processes: int, console: "Console") -> list["Outcome"]:
+    from benchmarks.runner import run_jobs
+
+    begin_s = perf_counter()
+    with progress_bar(len(jobs)) as update:
+        outcomes = run_jobs(jobs, processes, update)
+    console.print(f"{len(jobs)} runs in {perf_counter() - begin_s:.0f} s")
+    return outcomes
 
 
 def _print_outcomes(
@@ -231,6 +243,7 @@ def results(
     *files: Annotated[Path, Parameter(required=True)],
     page: Path | None = None,
     readme: Path | None = None,
+    limits: Path | None = None,
 ) -> None:
     """Print the summary of runs; write all tables to a page.
 
@@ -240,6 +253,7 @@ def results(
         files: Results from run --json.
         page: Write all tables there (docs/results.md).
         readme: Write the summary between the marks of that page (README.md).
+        limits: Write the worst rows of robustness between the marks of that page (docs/limits.md).
     """
     from benchmarks.rows import read_merged
     from benchmarks.tables import (
@@ -248,6 +262,7 @@ def results(
         results_page,
         summary_block,
         summary_table,
+        worst_rows,
     )
 
     rows = read_merged(files)
@@ -259,20 +274,12 @@ def results(
         if readme is not None:
             text = readme.read_text(encoding="utf-8")
             readme.write_text(fill(text, summary_block(rows, command)), encoding="utf-8")
+        if limits is not None:
+            text = limits.read_text(encoding="utf-8")
+            limits.write_text(fill(text, worst_rows(rows)), encoding="utf-8")
     except OSError as error:
         raise ResultsError(f"cannot read or write {error.filename}: {error.strerror}") from error
     new_console().print(summary_table(rows).rich())
-
-
-@app.command
-def bound() -> None:
-    """What the noise of a force allows any estimator to know."""
-    from benchmarks.bound_study import bound_cases, bound_noises, case_table
-    from benchmarks.tables import new_console
-
-    with progress_bar(1) as update:
-        noises = bound_noises(partial(update, 0))
-    new_console().print(case_table(bound_cases(noises), noises).rich())
 
 
 @app.command(name="speed")

@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from groundtruth import PLANT_MODELS, Motion, Run, Scenario
 from groundtruth.arm_plant import lwr_bodies
 from groundtruth.materials import gel
-from groundtruth.motion import Profile, Stroke
+from groundtruth.motion import Move, Profile, chain_strokes
 from urdf import load_lwr
 
 Array = NDArray[np.float64]
@@ -282,22 +282,16 @@ def troubled_scenario() -> tuple[Scenario, dict[str, tuple[float, float]]]:
     Returns:
         The scenario, and when each of its `PARTS` begins and ends [s].
     """
-    strokes, ends, at_m, at_s = [], {}, _TOP_M, 0.0
-    for name, to_m, profile, given_s in _STROKES:
+    moves: list[Move] = []
+    at_m = _TOP_M
+    for _, to_m, profile, given_s in _STROKES:
         seconds = abs(to_m - at_m) / SPEED_M_S / 0.9 if profile == "cruise" else given_s
-        strokes.append(
-            Stroke(
-                profile=profile,
-                start_s=at_s,
-                duration_s=seconds,
-                start_m=at_m,
-                travel_m=to_m - at_m,
-            )
-        )
-        at_m, at_s = to_m, strokes[-1].end_s
-        ends[name] = at_s
+        moves.append((profile, seconds, to_m - at_m))
+        at_m = to_m
+    strokes = chain_strokes(_TOP_M, moves)
+    ends = {name: stroke.end_s for (name, *_), stroke in zip(_STROKES, strokes, strict=True)}
     motion = Motion(
-        strokes=tuple(strokes),
+        strokes=strokes,
         tare_end_s=ends["tared"],
         insertion_end_s=ends["inserted"],
         withdrawal_start_s=ends["withdrawing"],

@@ -1,6 +1,5 @@
 """Figures of the axial force of one run, after the published Figure 5; all figures of a run."""
 
-import math
 from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
@@ -38,7 +37,6 @@ class RunFigures:
         alt: str,
         caption: str,
         facts: tuple[Fact, ...] = (),
-        tuned_friction_Ns_per_m: float = math.nan,
         is_alone: bool = False,
     ) -> None:
         """Draw a chart; its title says what is shown, this adds of which figure and run.
@@ -66,7 +64,6 @@ class RunFigures:
                 job=job,
                 shown=shown,
                 facts=facts,
-                tuned_friction_Ns_per_m=tuned_friction_Ns_per_m,
             )
         )
 

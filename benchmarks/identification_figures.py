@@ -2,7 +2,6 @@
 
 import math
 from collections.abc import Sequence
-from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -10,7 +9,11 @@ from numpy.typing import NDArray
 
 from benchmarks.benchmark import Drawing, Fact, Job
 from benchmarks.force_plots import RunFigures
-from benchmarks.identification_metrics import Signals, enhanced_metrics, offline_metrics
+from benchmarks.identification_metrics import (
+    enhanced_metrics,
+    identify_as_run,
+    offline_metrics,
+)
 from benchmarks.identification_plots import (
     SENSORS,
     Compared,
@@ -19,42 +22,13 @@ from benchmarks.identification_plots import (
     parameter_chart,
     true_friction,
 )
-from benchmarks.methods import ForceReading, Identified, cumulative_friction_Ns_per_m, identify
+from benchmarks.methods import ForceReading, Identified, cumulative_friction_Ns_per_m
 from benchmarks.published_figures import ENHANCED_FIGURES, OFFLINE_PANELS, PublishedFigure
 from benchmarks.signals import InsertionTruth, NeedleSignal
 from benchmarks.targets import GELS
-from identification import PUBLISHED, PUBLISHED_KV, PublishedConfig
+from identification import PUBLISHED_KV, PublishedConfig
 
 Array = NDArray[np.float64]
-
-# The published method as its authors ran it, for the counterparts of their figures.
-#
-# In the tables it runs as ours does: one setting for every recording, and the speed that the arm
-# measures. Its authors changed σ₁ between recordings (0.03 to 0.15 N), and its figures show a speed
-# without noise; with 0.12 mm/s of noise on 2.3 mm/s it takes noise for excitation, and on a force
-# that lags by 0.2 s its CUSUM never alarms at the 0.08 N of the text.
-SIGMA1_N = {"ft": 0.06, "virtual": 0.05}
-"""By source: detects the small force drop of the 25 % gel, and the smeared ones of the residual."""
-SIGMA1_OF_FIGURE_N = {"13": 0.04}
-"""Where another is needed to find the ruptures that the published figure shows."""
-
-
-def sigma1_N(figure: str, source: str) -> float:
-    """The setting of a published figure."""
-    return SIGMA1_OF_FIGURE_N.get(figure, SIGMA1_N[source])
-
-
-def tuned_published(
-    signal: NeedleSignal,
-    truth: InsertionTruth,
-    commanded_m_s: Array,
-    figure: str = "",
-    config: PublishedConfig = PUBLISHED,
-) -> Identified:
-    """Run the published method with the commanded speed, shape (n,), and the figure's own σ₁."""
-    quiet = replace(signal, speed_m_s=commanded_m_s)
-    tuned = replace(config, sigma1_N=sigma1_N(figure, signal.source))
-    return identify(quiet, truth, "published", tuned)
 
 
 def draw_identification(
@@ -62,32 +36,32 @@ def draw_identification(
     folder: Path,
     truth: InsertionTruth,
     commanded_m_s: Array,
-    found: Sequence[tuple[Signals, Sequence[Identified]]],
+    found: Sequence[Sequence[Identified]],
     ft: ForceReading | None = None,
 ) -> tuple[Drawing, ...]:
     """Every figure of the identification in a run.
 
-    `found` holds of every source what the methods were given and what they made of it, the F/T
-    sensor's first; `ft` is that sensor's force, if another source is among them.
+    `found` holds what every method made of each source, the F/T sensor's first; `ft` is that
+    sensor's force, if another source is among them.
     """
     figures = RunFigures(job, folder)
-    _add_offline(figures, found[0][0]["default"], truth)
-    on_ft = {item.method: item for item in found[0][1]}["default"]
+    on_ft = {item.method: item for item in found[0]}["default"]
+    _add_offline(figures, on_ft.signal, truth)
     # Without a published counterpart: the whole chain; of gels, for Table I, the F/T sensor.
     usual = "ft" if job.benchmark in GELS or len(found) == 1 else "virtual"
-    for signals, identified in found:
+    for identified in found:
         by_method = {item.method: item for item in identified}
-        source, given = by_method["default"].source, signals["published"]
+        tuned, source = by_method["published-as-run"], identified[0].source
         figure = ENHANCED_FIGURES.get((job.benchmark, source))
         if figure is None and source != usual:
             continue
         is_ft, number = source == "ft", figure.number if figure else ""
         kelvin_voigt = None
         if figure and is_ft:
-            kelvin_voigt = tuned_published(given, truth, commanded_m_s, number, PUBLISHED_KV)
+            kelvin_voigt = identify_as_run(tuned.signal, truth, commanded_m_s, config=PUBLISHED_KV)
         compared = Compared(
             ours=by_method["default"],
-            tuned=tuned_published(given, truth, commanded_m_s, number),
+            tuned=tuned,
             published=by_method["published"],
             kelvin_voigt=kelvin_voigt,
             ft=None if is_ft else ft,
@@ -128,11 +102,11 @@ def _add_enhanced(
 ) -> None:
     """The forces by each method."""
     source, tuned, ft = compared.ours.source, compared.tuned, compared.ft
+    assert isinstance(tuned.config, PublishedConfig)
     number = figure.number if figure else ""
     sensor, has_speed = SENSORS[source], number == "9"
     alt = f"Axial force of the {sensor}, predicted force and enhanced force, with the true one, "
     none = "" if tuned.alarms else " No rupture was detected, so nothing is subtracted."
-    friction = cumulative_friction_Ns_per_m(tuned.alarms) if source == "ft" else math.nan
     title = f"friction compensation by the published method, {sensor}"
     figures.add(
         enhanced_chart(title, truth, tuned, compared.kelvin_voigt, ft, has_speed=has_speed),
@@ -140,8 +114,7 @@ def _add_enhanced(
         panel=(number, "a" if number else ""),
         alt=f"{alt}published method",
         caption="Axial forces [N] over time [s]. The published method with the settings of its "
-        f"authors: commanded speed, σ₁ = {sigma1_N(number, source):g} N.{none}",
-        tuned_friction_Ns_per_m=friction,
+        f"authors: commanded speed, σ₁ = {tuned.config.sigma1_N:g} N.{none}",
     )
     title = f"friction compensation by our method, {sensor}"
     figures.add(

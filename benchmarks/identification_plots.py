@@ -23,7 +23,11 @@ MARGIN_s = 1.0
 LEAST_RUPTURE_PT = 4.0
 """A layer ruptures within 0.1 s of a minute; so wide its shade is seen."""
 SENSORS = {"ft": "F/T sensor", "virtual": "virtual sensor"}
-WHOSE = {"default": (palette.OURS, "ours"), "published": (palette.PUBLISHED, "published")}
+WHOSE = {
+    "default": (palette.OURS, "ours"),
+    "published": (palette.PUBLISHED, "published"),
+    "published-as-run": (palette.PUBLISHED, "published"),
+}
 
 
 def _limits_s(truth: InsertionTruth) -> tuple[float, float]:

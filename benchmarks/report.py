@@ -46,14 +46,14 @@ Array = NDArray[np.float64]
 
 
 class Estimate(NamedTuple):
-    """Which friction of a gel; ``tuned``: published, online, with the settings of its authors."""
+    """Which friction of a gel."""
 
     kind: str
     source: str = "ft"
     method: str = "default"
 
 
-TUNED = Estimate("tuned", "ft", "published")
+TUNED = Estimate("online", "ft", "published-as-run")
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -76,7 +76,7 @@ class GelFriction:
         return [statistics.median(values) if values else math.nan for values in found]
 
 
-def gel_friction(rows: Iterable[Row], drawings: Iterable[Drawing]) -> GelFriction | None:
+def gel_friction(rows: Iterable[Row]) -> GelFriction | None:
     """The gels of the best plant they were run on; None without any."""
     found = [row for row in rows if row.scenario in GELS and row.metric.startswith("cumulative_")]
     plant = _best_plant({row.plant for row in found})
@@ -88,9 +88,6 @@ def gel_friction(rows: Iterable[Row], drawings: Iterable[Drawing]) -> GelFrictio
         kind = row.metric.removeprefix("cumulative_friction_").removesuffix("_Ns_per_m")
         key = row.scenario, Estimate(kind, row.source, row.method)
         by_gel.setdefault(key, []).append(row.value)
-    for item in drawings:
-        if item.job.plant == plant and not math.isnan(item.tuned_friction_Ns_per_m):
-            by_gel[item.job.benchmark, TUNED] = [item.tuned_friction_Ns_per_m]
     return GelFriction(
         plant=plant,
         seeds=len({row.seed for row in mine}),
@@ -195,7 +192,7 @@ def friction_chart(title: str, gels: GelFriction) -> Chart:
 
 def published_sections(drawings: Sequence[Drawing], rows: Sequence[Row]) -> list[Section]:
     """One section per published figure that these runs give, at least in part."""
-    sections, gels = [], gel_friction(rows, drawings)
+    sections, gels = [], gel_friction(rows)
     of_gels = gels.scenarios if gels is not None else set()
     for item in PUBLISHED_FIGURES:
         mine = chosen(drawings, item.number)
@@ -297,7 +294,7 @@ LEAD = (
     "estimators get only the signals that a robot would give them.",
     "Blue, continuous: our method, one setting for everything. Orange, dashed: the published "
     "method; in Figures 8 to 14 with its authors' settings (commanded speed, σ₁ set for each "
-    "recording), in the tables of all numbers with one setting and the measured speed, as ours. "
+    "recording), in the tables of all numbers also with one setting and the measured speed. "
     "Black, dotted: the ground truth. Times count from the start of the needle's motion. Forces "
     "are positive when tissue pushes back.",
 )
@@ -311,7 +308,7 @@ def write_report(folder: Path, rows: Sequence[Row], drawings: Sequence[Drawing])
     """
     content = to_json(rows).encode()
     write_file(folder / "results.json", content)
-    gels = gel_friction(rows, drawings)
+    gels = gel_friction(rows)
     everything = [*drawings, *([] if gels is None else [_friction_drawing(folder, gels)])]
     figures = published_sections(everything, rows)
     numbers = Section(

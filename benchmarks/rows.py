@@ -20,9 +20,13 @@ from benchmarks import ResultsError, UnknownMetricError
 
 Source = Literal["ft", "virtual"]
 """Which force: read by the F/T sensor, or estimated from joint signals."""
-Method = Literal["published", "default", "guess"]
+Method = Literal["published", "published-as-run", "published-best-K", "default", "guess"]
 """Whose method: as published, or ours. What does not depend on it stands under ``default``;
-``guess`` is a rule of thumb that an identification worth having must beat."""
+``guess`` is a rule of thumb that an identification worth having must beat.
+
+``published`` has one setting and the measured speed, as ours. ``published-as-run`` is it as its
+authors ran it: commanded speed, σ₁ chosen for each recording; ``published-best-K`` is that with the
+gain of the observer that suits the recording best, where theirs is 5/s."""
 
 
 class RowKey(NamedTuple):
@@ -74,9 +78,6 @@ OLD_NAMES: dict[str, dict[str, str]] = {
         "fall_recall": "drop_recall",
         "ruptures_at_falls": "ruptures_at_drops",
         "ruptures_without_fall": "ruptures_without_drop",
-        "pullout_above_insertion_share": "pullout_above_insertion_fraction",
-        "pullout_left_out_told_median_pct": "pullout_left_out_friction_median_pct",
-        "pullout_left_out_told_p90_pct": "pullout_left_out_friction_p90_pct",
     },
 }
 """Names in files written before plants, methods and metrics got the field's words: a run of that

@@ -13,14 +13,16 @@ from typing import Any, NamedTuple
 
 from benchmarks import BenchmarkError, DataError, UnknownIdError
 from benchmarks.benchmark import RECORDING, Benchmark, Job, Outcome, Progress
+from benchmarks.perturbations import MIXED, PERTURBATIONS, PERTURBED
 from benchmarks.published_figures import NEEDED
 from benchmarks.recorded import bovine, liver, panda, ur10e
 from benchmarks.recorded.bovine import run_bovine_real
 from benchmarks.recorded.liver import run_liver_real
-from benchmarks.recorded.liver_limit import run_liver_limit
 from benchmarks.recorded.panda import run_panda_liver, run_panda_real
 from benchmarks.recorded.ur10e import run_ur10e_payload
-from benchmarks.simulated import NEEDLE, run_observers, run_simulated
+from benchmarks.robustness import SCENARIOS as ROBUST
+from benchmarks.robustness import run_robustness
+from benchmarks.simulated import NEEDLE, run_simulated
 from benchmarks.targets import TISSUE
 from groundtruth import PLANT_MODELS, SCENARIOS, GroundTruthError
 from groundtruth.scenarios import RANDOM_STACK, RANDOM_TISSUE
@@ -62,12 +64,20 @@ _SIMULATED = (
         )
         for name, drawn in ((RANDOM_STACK, "speed"), (RANDOM_TISSUE, "speed, tissue law"))
     ),
+)
+_ROBUSTNESS = tuple(
     Benchmark(
-        id="observers",
-        title="momentum, smoothed momentum and Kalman observer on the same samples",
-        run=run_observers,
+        id=PERTURBED + name,
+        title=title,
+        run=run_robustness,
         is_default=False,
-    ),
+        plants=plants,
+        perturbs=True,
+    )
+    for name, title, plants in (
+        *((name, f"{name} in perturbed worlds", tuple(PERTURBATIONS)) for name in ROBUST),
+        (MIXED, "one of these scenarios, three perturbations at a time", (MIXED,)),
+    )
 )
 _RECORDED = (
     Benchmark(
@@ -99,14 +109,6 @@ _RECORDED = (
         seeds=1,
     ),
     Benchmark(
-        id="liver-limit",
-        title="how well 19 insertions into real liver can predict the pull-out force at all",
-        run=run_liver_limit,
-        needs=(liver.FOLDER,),
-        seeds=1,
-        is_default=False,
-    ),
-    Benchmark(
         id="bovine-real",
         title="the ruptures of an insertion into real bovine liver",
         run=run_bovine_real,
@@ -115,7 +117,7 @@ _RECORDED = (
     ),
 )
 BENCHMARKS: Mapping[str, Benchmark] = MappingProxyType(
-    {item.id: item for item in (*_SIMULATED, *_RECORDED)}
+    {item.id: item for item in (*_SIMULATED, *_ROBUSTNESS, *_RECORDED)}
 )
 """By name."""
 
@@ -130,15 +132,17 @@ def benchmark_named(benchmark_id: str) -> Benchmark:
         return BENCHMARKS[benchmark_id]
     except KeyError:
         raise UnknownIdError(
-            f"no benchmark {benchmark_id!r}; choose from: {', '.join(BENCHMARKS)}, tissue, all"
+            f"no benchmark {benchmark_id!r}; choose from: {', '.join((*BENCHMARKS, *IDS))}, all"
         ) from None
 
 
 ALL = "all"
+IDS = {"tissue": TISSUE, "robustness": tuple(PERTURBED + name for name in ROBUST)}
+"""Names of several benchmarks; `ALL` is for all but those in perturbed worlds."""
 PLANTS = (*PLANT_MODELS, NEEDLE)
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
+@dataclass(frozen=True, slots=True)
 class Request:
     """What was asked for."""
 
@@ -146,9 +150,11 @@ class Request:
     # published figures need), ``all`` for all, ``tissue`` for the scenarios with tissue
     ids: Sequence[str] = ()
     # plant models of simulations, ``needle`` for none; when empty, every benchmark runs on its
-    # own: the random stack with the needle alone, so that hundreds are affordable
+    # own: the random stack with the needle alone, so that hundreds are affordable; for
+    # benchmarks in perturbed worlds, names of perturbations
     plants: Sequence[str] = ()
-    seeds: int = 1  # seeds 0 to seeds - 1 are run
+    seeds: int = 1  # how many seeds are run
+    first_seed: int = 0  # the first of them
     data: Path | None = None  # folder of recordings, if any
     drawings: Path | None = None  # folder for figures, if wanted
 
@@ -169,8 +175,11 @@ def make_plan(request: Request) -> Plan:
             name needs one, or an arm where only the needle was asked for.
     """
     for plant in request.plants:
-        if plant not in PLANTS:
-            raise UnknownIdError(f"no plant {plant!r}; choose from: {', '.join(PLANTS)}")
+        if plant not in (*PLANTS, *PERTURBATIONS, MIXED):
+            raise UnknownIdError(
+                f"no plant {plant!r}; choose from: {', '.join(PLANTS)}, or, for robustness, "
+                f"{', '.join(PERTURBATIONS)}"
+            )
     if request.data is not None and not request.data.is_dir():
         raise DataError(f"no folder of recordings at {request.data}")
     jobs: list[Job] = []
@@ -188,20 +197,22 @@ def make_plan(request: Request) -> Plan:
 
 def _chosen(request: Request) -> list[Benchmark]:
     """The benchmarks in the catalogue's order, each once."""
-    ids = [name for asked in request.ids for name in (TISSUE if asked == "tissue" else (asked,))]
+    ids = [name for asked in request.ids for name in IDS.get(asked, (asked,))]
     for name in ids:
         if name != ALL:
             benchmark_named(name)
     if not ids:
         drawn = NEEDED if request.drawings is not None else ()
         return [item for item in BENCHMARKS.values() if item.is_default or item.id in drawn]
-    return [item for item in BENCHMARKS.values() if ALL in ids or item.id in ids]
+    return [
+        item for item in BENCHMARKS.values() if item.id in ids or (ALL in ids and not item.perturbs)
+    ]
 
 
 def _missing(item: Benchmark, request: Request) -> str:
     """What a benchmark lacks, nothing for one that can run."""
     if not item.is_recorded:
-        return "" if _plants(item, request) else f"an arm: a plant other than {NEEDLE}"
+        return "" if _plants(item, request) else f"a plant, one of {', '.join(_possible(item))}"
     data = request.data
     if data is None:
         return "recordings: give --data DIR or set NEEDLEFORCE_DATA"
@@ -212,11 +223,20 @@ def _missing(item: Benchmark, request: Request) -> str:
 def _plants(item: Benchmark, request: Request) -> tuple[str, ...]:
     """The plants a simulation runs on, each once; none when it needs an arm and none was named."""
     asked = tuple(dict.fromkeys(request.plants)) or item.plants
-    return tuple(plant for plant in asked if plant != NEEDLE or not item.needs_arm)
+    return tuple(plant for plant in asked if plant in _possible(item))
+
+
+def _possible(item: Benchmark) -> tuple[str, ...]:
+    """The plants it can run on."""
+    if item.perturbs:
+        return item.plants
+    return tuple(PLANT_MODELS) if item.needs_arm else PLANTS
 
 
 def _jobs(item: Benchmark, request: Request) -> list[Job]:
-    seeds = request.seeds if item.seeds is None else min(item.seeds, request.seeds)
+    first, seeds = request.first_seed, request.seeds
+    if item.seeds is not None:
+        first, seeds = 0, min(item.seeds, request.seeds)
     plants = (RECORDING,) if item.is_recorded else _plants(item, request)
     return [
         Job(
@@ -225,10 +245,10 @@ def _jobs(item: Benchmark, request: Request) -> list[Job]:
             seed=seed,
             data=request.data if item.is_recorded else None,
             # One figure of each kind is enough.
-            drawings=request.drawings if seed == 0 else None,
+            drawings=request.drawings if seed == first else None,
         )
         for plant in plants
-        for seed in range(seeds)
+        for seed in range(first, first + seeds)
     ]
 
 

@@ -24,8 +24,8 @@ class InsertionTruth:
     """Ground truth at the n samples of a run through L layers."""
 
     t_s: Array  # true instants, shape (n,)
-    depth_m: Array  # travel of the tip since first contact, shape (n,)
-    speed_m_s: Array  # its rate, shape (n,)
+    depth_m: Array  # depth of the tip in the tissue, shape (n,)
+    speed_m_s: Array  # speed of the tip, shape (n,)
     axial_N: Array  # axial force, shape (n,), positive when tissue pushes back
     tip_N: Array  # its part at the tip, shape (n,)
     layer_friction_N: Array  # friction of each layer on the shaft, shape (n, L)
@@ -58,9 +58,12 @@ class InsertionTruth:
 def insertion_truth(run: Run | NeedleRun) -> InsertionTruth:
     """The ground truth of an insertion, by the simulated arm or by a needle without one."""
     true, motion = run.truth, run if isinstance(run, NeedleRun) else run.truth
+    depth_m, organ = motion.depth_m, run.scenario.tissue_motion
+    if isinstance(run, NeedleRun) and organ is not None:
+        depth_m = depth_m - organ.at(run.t_s)[0]
     return InsertionTruth(
         t_s=motion.t_s,
-        depth_m=motion.depth_m,
+        depth_m=depth_m,
         speed_m_s=motion.speed_m_s,
         axial_N=true.axial_N,
         tip_N=true.tip_N,
@@ -133,7 +136,7 @@ class NeedleSignal:
     source: Source  # where the force comes from
     t_s: Array  # time stamps, shape (n,)
     depth_m: Array  # travel along the needle's axis, shape (n,); where its zero lies is not known
-    speed_m_s: Array  # its rate, shape (n,)
+    speed_m_s: Array | None  # its rate, shape (n,); None where nothing measures it
     force_N: Array  # axial force, zeroed in free air, shape (n,)
 
 
@@ -147,39 +150,24 @@ class MeasuredTravel(NamedTuple):
 def measured_travel(robot: Robot, signals: JointSignals, zero_s: float) -> MeasuredTravel:
     """Forward kinematics of measured positions, Jacobian of measured velocities.
 
-    Where the arm sends no velocity it is estimated as the virtual sensor does it, causally. The
-    tip's place and axis at `zero_s` are the zero and the direction of depth.
+    Where the arm sends no velocity, velocity and the position that belongs to it are estimated as
+    the virtual sensor does it. The tip's place and axis at `zero_s` are the zero and the direction
+    of depth.
     """
+    q_rad, dq_rad_s = signals.q_rad, signals.dq_rad_s
+    if dq_rad_s is None:
+        estimator = VelocityEstimator(q_rad.shape[1])
+        samples = zip(signals.q_rad, signals.tau_Nm, signals.dt_s.tolist(), strict=True)
+        matched = [estimator.update(*sample) for sample in samples]
+        q_rad, dq_rad_s = (np.array([each[k] for each in matched]) for k in (0, 1))
     kinematics = ToolKinematics(robot)
-    kinematics.update(signals.q_rad[int(np.searchsorted(signals.t_s, zero_s))])
+    kinematics.update(q_rad[int(np.searchsorted(signals.t_s, zero_s))])
     travel = TipTravel(kinematics)
     found = np.zeros((len(signals.t_s), 2))
-    for k, (q, dq) in enumerate(zip(signals.q_rad, _velocities(signals), strict=True)):
+    for k, (q, dq) in enumerate(zip(q_rad, dq_rad_s, strict=True)):
         kinematics.update(q)
         found[k] = travel.read(dq)
     return MeasuredTravel(found[:, 0].copy(), found[:, 1].copy())
-
-
-def _velocities(signals: JointSignals) -> Array:
-    """Measured joint velocities, or estimates of them, shape (n, j)."""
-    if signals.dq_rad_s is not None:
-        return signals.dq_rad_s
-    estimator = VelocityEstimator(signals.q_rad.shape[1])
-    found = np.zeros_like(signals.q_rad)
-    for k, dt in enumerate(signals.dt_s.tolist()):
-        matched = estimator.update(signals.q_rad[k], signals.tau_Nm[k], dt)
-        if matched.settled:
-            found[k] = matched.dq
-    return found
-
-
-def smoothed(travel: MeasuredTravel, dt_s: Array, time_constant_s: float) -> MeasuredTravel:
-    """The same travel, its speed through a causal first-order low-pass."""
-    speed = travel.speed_m_s.tolist()
-    gains = (1.0 - np.exp(-dt_s / time_constant_s)).tolist()
-    for k in range(1, len(speed)):
-        speed[k] = speed[k - 1] + gains[k] * (speed[k] - speed[k - 1])
-    return travel._replace(speed_m_s=np.array(speed))
 
 
 def lagging(values: Array, t_s: Array, lag_s: float) -> Array:

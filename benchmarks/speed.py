@@ -19,6 +19,7 @@ from benchmarks.targets import (
     CHAIN_COST_RATIOS,
     ESTIMATED_VELOCITY_COST_RATIO,
     LAYER_COST_RATIO,
+    MEAN_TICK_RATIO,
     OBSERVER_COST_RATIOS,
     SENSOR_COST_RATIOS,
 )
@@ -338,17 +339,25 @@ def speed_table(report: SpeedReport) -> ResultTable:
         if subject is not None:
             limit = subject.compiled if COMPILER else subject.plain
             cells = _ratio_cells(report.ratio(name), limit)
-        taken = [f"{np.percentile(times, percent):.1f}" for percent in PERCENTILES.values()]
-        lines.append((name, *taken, *cells))
+        taken = [float(np.percentile(times, percent)) for percent in PERCENTILES.values()]
+        mean = float(np.mean(times))
+        evenness: tuple[str, str] = ("", "")
+        if subject is not None and cells[1]:
+            evenness = (f"{mean / taken[0]:.2f}", met_mark(mean <= MEAN_TICK_RATIO * taken[0]))
+        lines.append((name, *(f"{value:.1f}" for value in (mean, *taken)), *cells, *evenness))
     ticks = next(iter(report.times.values())).size
     how = f"compiled by {COMPILER}" if COMPILER else "plain Python: no numba, the extra `fast`"
     return ResultTable(
         title="Cost of a tick",
-        heads=("what", *(f"{name}\nus" for name in PERCENTILES), "ratio", "target", ""),
-        align="LrrrrrrL",
+        heads=(
+            *("what", "mean\nus", *(f"{name}\nus" for name in PERCENTILES)),
+            *("ratio", "target", "", "mean /\nmedian", ""),
+        ),
+        align="LrrrrrrrLrL",
         lines=tuple(lines),
         caption=f"{ticks} ticks each of a simulated insertion, taking turns; ratios of medians, "
-        f"relative to the bare Pinocchio calls; {how}",
+        f"relative to the bare Pinocchio calls; means at most {MEAN_TICK_RATIO:g} x the median; "
+        f"{how}",
     )
 
 

@@ -11,6 +11,7 @@ import pinocchio as pin
 from numpy.typing import NDArray
 
 from groundtruth.bearing_friction import BearingFriction
+from groundtruth.disturbances import ElbowPush, LateralForce, TissueMotion
 from groundtruth.errors import PlantError, PlantModelError
 from groundtruth.plant_model import PlantModel, TICK_s
 from groundtruth.tissue import TissueForce, TissueLaw, no_force
@@ -220,17 +221,23 @@ def _numbers(values: Iterable[float]) -> str:
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class TissueContact:
-    """Tissue in front of the needle.
+    """What the arm touches: tissue in front of the needle, perhaps a hand at the elbow.
 
     Attributes:
         law: The tissue; one without layers is free air.
         surface_in_base_m: Point of the surface that the tip meets, shape (3,).
         axis_in_base: Direction of insertion along which depth is measured, shape (3,).
+        motion: Of the surface along that direction.
+        lateral: Force of the tissue across the needle.
+        elbow: Pushes at the elbow.
     """
 
     law: TissueLaw
     surface_in_base_m: Array
     axis_in_base: Array
+    motion: TissueMotion | None = None
+    lateral: LateralForce | None = None
+    elbow: ElbowPush | None = None
 
 
 class ArmPlant:
@@ -240,7 +247,7 @@ class ArmPlant:
         q_rad: Joint positions now, shape (7,), a view.
         dq_rad_s: Joint velocities now, shape (7,), a view.
         axial_jacobian: Speed of the tip along the needle per joint velocity, shape (7,), now.
-        depth_m: Travel of the tip below the surface, now; zero where there is no tissue.
+        depth_m: Depth of the tip below the surface, now; zero where there is no tissue.
         ft_wrench: Reading of the F/T sensor at the start of the last tick, shape (6,), a view:
             force (N) and torque (Nm) of the environment on the needle, plus weight, minus
             inertia, in ``ft_sensor`` axes.
@@ -262,7 +269,10 @@ class ArmPlant:
         self._has_tissue = bool(contact.law.layers)
         self._tip = self._model.body("tip").id
         self._tip_force: Array = self._data.xfrc_applied[self._tip, :3]
-        self._tip_axis: Array = self._data.xmat[self._tip].reshape(3, 3)[:, 2]
+        self._tip_axes: Array = self._data.xmat[self._tip].reshape(3, 3)
+        self._tip_axis: Array = self._tip_axes[:, 2]
+        elbow = self._model.body("link_4").id
+        self._elbow_force: Array = self._data.xfrc_applied[elbow, :3]
         self._tip_position: Array = self._data.xpos[self._tip]
         self._jacobian = np.zeros((3, self._model.nv))
         self.q_rad: Array = self._data.qpos
@@ -272,6 +282,7 @@ class ArmPlant:
         self.mean_axial_N = 0.0
         self.friction_Nm = np.zeros(self._model.nv)
         self._held_Nm = np.zeros(self._model.nv)
+        self._time_s = self._surface_m_s = 0.0
         self._locate()
 
     def place(self, q_rad: Array, dq_rad_s: Array) -> None:
@@ -282,6 +293,8 @@ class ArmPlant:
 
     def tick(self, torque_Nm: Array) -> None:
         """Hold a joint torque, shape (7,), for one tick."""
+        if self._contact.elbow is not None:
+            self._elbow_force[:] = self._contact.elbow.at(self._time_s)
         self._held_Nm = self._data.qfrc_applied[:] = torque_Nm
         self.friction_Nm = np.zeros(self._model.nv)
         if self._has_tissue:
@@ -290,6 +303,7 @@ class ArmPlant:
             self._step_and_read()
             for _ in range(SUBSTEPS - 1):
                 self._step()
+        self._time_s += TICK_s
         self._locate()
 
     def _tissue_tick(self, law: TissueLaw) -> None:
@@ -299,17 +313,21 @@ class ArmPlant:
         1e-4 rad meanwhile.
         """
         rate, back = self.axial_jacobian, -self._tip_axis
-        depth, speed = self.depth_m, float(rate.dot(self.dq_rad_s))
+        aside: Array | float = 0.0
+        if self._contact.lateral is not None:
+            aside = self._tip_axes[:, :2] @ self._contact.lateral.at(self.depth_m)
+        away = self._surface_m_s
+        depth, speed = self.depth_m, float(rate.dot(self.dq_rad_s)) - away
         force = self.tissue_force = law.step(depth, speed, SUBSTEP_s)
         total = force.axial_N
-        self._tip_force[:] = total * back
+        self._tip_force[:] = total * back + aside
         self._step_and_read()
         for _ in range(SUBSTEPS - 1):
-            before, speed = speed, float(rate.dot(self.dq_rad_s))
+            before, speed = speed, float(rate.dot(self.dq_rad_s)) - away
             depth += 0.5 * SUBSTEP_s * (before + speed)
             axial = law.step(depth, speed, SUBSTEP_s).axial_N
             total += axial
-            self._tip_force[:] = axial * back
+            self._tip_force[:] = axial * back + aside
             self._step()
         self.mean_axial_N = total / SUBSTEPS
 
@@ -338,4 +356,7 @@ class ArmPlant:
         self.axial_jacobian = self._tip_axis @ self._jacobian
         from_surface = self._tip_position - self._contact.surface_in_base_m
         depth = float(from_surface.dot(self._contact.axis_in_base))
+        if self._contact.motion is not None:
+            moved_m, self._surface_m_s = map(float, self._contact.motion.at(self._time_s))
+            depth -= moved_m
         self.depth_m = depth if self._has_tissue else 0.0

@@ -4,25 +4,38 @@ from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.signal import lfilter
 
 from groundtruth.errors import NoiseError, require_non_negative
 
 Array = NDArray[np.float64]
 
 
+def coloured(white: Array, period_s: float, correlation_s: float) -> Array:
+    """Stationary noise of unit spread and that correlation time from white noise, row by row."""
+    if correlation_s == 0.0:
+        return white
+    kept = np.exp(-period_s / correlation_s)
+    entering = np.sqrt(1.0 - kept * kept) * white
+    entering[0] = white[0]  # as if it had gone on for ever before
+    return np.asarray(lfilter([1.0], [1.0, -kept], entering, axis=0))
+
+
 @dataclass(frozen=True, slots=True, kw_only=True)
 class ForceNoise:
-    """White noise, drift since the last zeroing, and steps of the reading; zero switches off.
+    """Noise, drift since the last zeroing, and steps of the reading; zero switches off.
 
     Attributes:
-        white_std_N: Standard deviation of the white noise of one sample.
+        white_std_N: Standard deviation of the noise of one sample.
         drift_std_N_per_s: Standard deviation of the drift rate, drawn once per run.
         step_N: Smallest step of the reading.
+        correlation_s: Time constant of the noise if it is not white.
     """
 
     white_std_N: float
     drift_std_N_per_s: float
     step_N: float
+    correlation_s: float = 0.0
 
     def __post_init__(self) -> None:
         """Raise `NoiseError` naming the value that is negative or not finite."""
@@ -31,6 +44,7 @@ class ForceNoise:
             white_std_N=self.white_std_N,
             drift_std_N_per_s=self.drift_std_N_per_s,
             step_N=self.step_N,
+            correlation_s=self.correlation_s,
         )
 
     def reading_N(
@@ -44,9 +58,11 @@ class ForceNoise:
             zeroed_s: When the sensor was last zeroed: the drift passes through zero there.
             rng: Source of the noise.
         """
-        white = self.white_std_N * rng.standard_normal(force_N.shape)
+        white = rng.standard_normal(force_N.shape)
+        period_s = float(np.median(np.diff(t_s))) if t_s.size > 1 else 1.0
+        noise = self.white_std_N * coloured(white, period_s, self.correlation_s)
         drift = self.drift_std_N_per_s * rng.standard_normal() * (t_s - zeroed_s)
-        reading = force_N + white + drift
+        reading = force_N + noise + drift
         if self.step_N > 0.0:
             reading = np.round(reading / self.step_N) * self.step_N
         reading.setflags(write=False)

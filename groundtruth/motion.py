@@ -11,6 +11,8 @@ from numpy.typing import NDArray
 from groundtruth.errors import MotionError, require_positive
 
 Profile = Literal["rest", "quintic", "cruise", "cosine"]
+Move = tuple[Profile, float, float]
+"""Profile, duration [s] and travel [m] of a stroke."""
 Array = NDArray[np.float64]
 
 FIRST_REST_S = 1.0
@@ -172,13 +174,13 @@ class Motion:
 
 
 def chain_strokes(
-    start_m: float, moves: Sequence[tuple[Profile, float, float]], *, ramp_fraction: float = 0.1
+    start_m: float, moves: Sequence[Move], *, ramp_fraction: float = 0.1
 ) -> tuple[Stroke, ...]:
     """Strokes one after the other, the first at time zero.
 
     Args:
         start_m: Where the first begins.
-        moves: Profile, duration and travel of each.
+        moves: What each does.
         ramp_fraction: Of every `cruise` among them.
 
     Raises:
@@ -200,35 +202,37 @@ def chain_strokes(
     return tuple(strokes)
 
 
-def _protocol(
+def protocol(
     standoff_m: float,
-    travel_m: float,
-    profile: Profile,
-    duration_s: float,
+    insertion: Sequence[Move],
+    *,
     ramp_fraction: float = 0.5,
+    tare_stroke_m: float = TARE_STROKE_M,
 ) -> Motion:
-    """The whole protocol around an insertion stroke."""
-    tare_s = TARE_STROKE_M / TARE_SPEED_M_S
-    strokes = chain_strokes(
-        -standoff_m - TARE_STROKE_M,
-        [
-            ("rest", FIRST_REST_S, 0.0),
-            ("quintic", tare_s, TARE_STROKE_M),
-            ("quintic", tare_s, -TARE_STROKE_M),
-            ("quintic", tare_s, TARE_STROKE_M),
-            (profile, duration_s, travel_m),
-            ("rest", TURNING_REST_S, 0.0),
-            (profile, duration_s, -travel_m),
-            ("rest", LAST_REST_S, 0.0),
-        ],
-        ramp_fraction=ramp_fraction,
-    )
+    """The whole protocol around the strokes of an insertion.
+
+    The last of them is the one that withdraws, over all they travel. Without a tare stroke the
+    needle rests as long as three of the usual ones would take.
+    """
+    tare_s = (tare_stroke_m or TARE_STROKE_M) / TARE_SPEED_M_S
+    tare: list[Move] = [("quintic", tare_s, sign * tare_stroke_m) for sign in (1.0, -1.0, 1.0)]
+    travel_m = sum(move[2] for move in insertion)
+    profile, last_s, last_m = insertion[-1]
+    moves: list[Move] = [
+        ("rest", FIRST_REST_S, 0.0),
+        *tare,
+        *insertion,
+        ("rest", TURNING_REST_S, 0.0),
+        (profile, last_s * travel_m / last_m, -travel_m),
+        ("rest", LAST_REST_S, 0.0),
+    ]
+    strokes = chain_strokes(-standoff_m - tare_stroke_m, moves, ramp_fraction=ramp_fraction)
     return Motion(
         strokes=strokes,
         tare_end_s=strokes[3].end_s,
-        insertion_end_s=strokes[4].end_s,
-        withdrawal_start_s=strokes[5].end_s,
-        withdrawal_end_s=strokes[6].end_s,
+        insertion_end_s=strokes[-4].end_s,
+        withdrawal_start_s=strokes[-3].end_s,
+        withdrawal_end_s=strokes[-2].end_s,
     )
 
 
@@ -248,7 +252,7 @@ def constant_motion(*, speed_m_s: float, depth_m: float, standoff_m: float) -> M
     duration = travel / speed_m_s + RAMP_S
     if duration < 2.0 * RAMP_S:
         raise MotionError(f"{travel} m are too short to reach {speed_m_s} m/s: go deeper or slower")
-    return _protocol(standoff_m, travel, "cruise", duration, RAMP_S / duration)
+    return protocol(standoff_m, [("cruise", duration, travel)], ramp_fraction=RAMP_S / duration)
 
 
 def sinusoidal_motion(*, stroke_m: float, frequency_hz: float, standoff_m: float) -> Motion:
@@ -269,7 +273,7 @@ def sinusoidal_motion(*, stroke_m: float, frequency_hz: float, standoff_m: float
     )
     if stroke_m <= standoff_m:
         raise MotionError(f"a stroke of {stroke_m} m ends above the surface, {standoff_m} m away")
-    return _protocol(standoff_m, stroke_m, "cosine", 0.5 / frequency_hz)
+    return protocol(standoff_m, [("cosine", 0.5 / frequency_hz, stroke_m)])
 
 
 def free_motion(*, height_m: float, stroke_m: float, frequency_hz: float) -> Motion:
@@ -284,4 +288,4 @@ def free_motion(*, height_m: float, stroke_m: float, frequency_hz: float) -> Mot
         MotionError: A value is not positive.
     """
     require_positive(MotionError, height_m=height_m, stroke_m=stroke_m, frequency_hz=frequency_hz)
-    return _protocol(height_m + stroke_m, stroke_m, "cosine", 0.5 / frequency_hz)
+    return protocol(height_m + stroke_m, [("cosine", 0.5 / frequency_hz, stroke_m)])

@@ -63,6 +63,13 @@ class PlantModel:
     """Random walk on top, as a fraction of limit after one minute. 3e-5, a third of the linear
     part: real drift is not straight, but nearly so over the two minutes of an insertion."""
 
+    torque_warm_up: float = 0.0
+    """Part of the zero, as a fraction of limit, that fades while the sensor warms up; the sign is
+    drawn. Chosen: 1e-3 over a minute, some times the 4e-4 in 4 minutes of the sensor above."""
+
+    warm_up_s: float = 60.0
+    """Time constant of that."""
+
     torque_ripple: float = 0.0
     """Amplitude, as a fraction of limit, of a ripple periodic in joint position: the elliptic wave
     generator passes the sensor twice per motor turn, sin(2 N q) with gear ratio N. 1e-4, one
@@ -102,6 +109,9 @@ class PlantModel:
     """Error of the time stamps, cut at 0.4 ticks so that they keep their order. 5e-5: stamps taken
     on arrival by a PC without a tuned real-time kernel."""
 
+    ticks_per_sample: int = 1
+    """The interface sends every so many ticks: 1 for 1 kHz, 5 for 200 Hz."""
+
     drop_probability: float = 0.0
     """Probability, at each sample, that a loss begins. 1e-3: UDP through a shared switch."""
 
@@ -111,6 +121,9 @@ class PlantModel:
     ft_noise_std: tuple[float, ...] = (0.0,) * 6
     """White noise of one sample of the reference F/T sensor, N and Nm. Along z that of `MINI45`;
     the other axes in proportion to raw samples of one: 20, 19, 50 mN; 0.53, 0.53, 0.50 mNm."""
+
+    ft_noise_correlation_s: float = 0.0
+    """Time constant of that noise, zero for white."""
 
     ft_drift_std_per_min: tuple[float, ...] = (0.0,) * 6
     """Standard deviation of its linear drift rate, N/min and Nm/min. Along z that of `MINI45`; the

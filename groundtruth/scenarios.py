@@ -12,6 +12,7 @@ from typing import Literal
 
 import numpy as np
 
+from groundtruth.disturbances import ElbowPush, LateralForce, TissueMotion
 from groundtruth.errors import ScenarioError
 from groundtruth.layers import Layer, Membrane, ShaftFriction
 from groundtruth.materials import (
@@ -41,6 +42,9 @@ class Scenario:
         layers: First the one the needle meets first; none for free motion.
         motion: Motion of the needle tip relative to the undeformed surface.
         law: `tissue` (realistic) or `multilayer` (exactly equation 3).
+        tissue_motion: Motion of the surface about its place, if it does not rest.
+        lateral: Force across the needle, if any; the needle alone does not feel it.
+        elbow: Pushes at the elbow, if any; neither does it feel those.
     """
 
     id: str
@@ -48,19 +52,14 @@ class Scenario:
     layers: tuple[Layer, ...]
     motion: Motion
     law: LawName = "tissue"
+    tissue_motion: TissueMotion | None = None
+    lateral: LateralForce | None = None
+    elbow: ElbowPush | None = None
 
     def __post_init__(self) -> None:
         """Raise `ScenarioError` if the law is unknown."""
         if self.law not in LAWS:
             raise ScenarioError(f"unknown tissue law {self.law!r}; known: {', '.join(LAWS)}")
-
-    def with_law(self, law: LawName) -> "Scenario":
-        """The same scenario under another tissue law.
-
-        Raises:
-            ScenarioError: The law is unknown.
-        """
-        return replace(self, law=law)
 
     def with_variation(self, change: TissueVariation, rng: np.random.Generator) -> "Scenario":
         """The same scenario with every layer changed; the generator draws the texture."""

@@ -6,8 +6,8 @@ and the generator that they are drawn from.
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.signal import lfilter
 
+from groundtruth.force_noise import coloured
 from groundtruth.plant_model import PlantModel, TICK_s, drawn_factors
 from urdf import LWR_GEAR_RATIO
 
@@ -39,7 +39,8 @@ def measured_torque(
     phase = rng.uniform(0.0, 2.0 * np.pi, shape[1])
     drift = limit_Nm * _relative_drift(shape, plant_model, rng)
     white = rng.standard_normal(shape)
-    noise = np.array(plant_model.torque_noise_std_Nm) * _coloured(white, plant_model)
+    noise = coloured(white, TICK_s, plant_model.torque_noise_correlation_s)
+    noise = np.array(plant_model.torque_noise_std_Nm) * noise
     seen = tau_Nm
     if plant_model.torque_hysteresis > 0.0:
         seen = backlash(tau_Nm, plant_model.torque_hysteresis * limit_Nm)
@@ -50,16 +51,6 @@ def measured_torque(
         largest_Nm = plant_model.torque_nonlinearity * limit_Nm
         seen = seen + largest_Nm * _bend(tau_Nm / limit_Nm, rng)
     return seen + bias + drift + noise
-
-
-def _coloured(white: Array, plant_model: PlantModel) -> Array:
-    """Stationary noise of unit spread and the plant model's correlation time, from white noise."""
-    if plant_model.torque_noise_correlation_s == 0.0:
-        return white
-    kept = np.exp(-TICK_s / plant_model.torque_noise_correlation_s)
-    entering = np.sqrt(1.0 - kept * kept) * white
-    entering[0] = white[0]  # as if it had gone on for ever before
-    return np.asarray(lfilter([1.0], [1.0, -kept], entering, axis=0))
 
 
 def _bend(load: Array, rng: np.random.Generator) -> Array:
@@ -75,13 +66,18 @@ def _bend(load: Array, rng: np.random.Generator) -> Array:
 def _relative_drift(
     shape: tuple[int, ...], plant_model: PlantModel, rng: np.random.Generator
 ) -> Array:
-    """Linear drift and a random walk, from zero, as fractions of the limit."""
+    """Linear drift, a random walk and the warming up, as fractions of the limit."""
     minutes = np.arange(shape[0]) * (TICK_s / SECONDS_PER_MINUTE)
     rate = plant_model.torque_drift_std_per_min * rng.standard_normal(shape[1])
     step = plant_model.torque_random_walk_std_per_sqrt_min * np.sqrt(TICK_s / SECONDS_PER_MINUTE)
     random_walk = np.cumsum(step * rng.standard_normal(shape), axis=0)
     factor = drawn_factors(plant_model, (shape[1],), rng)
-    return factor * (minutes[:, None] * rate + random_walk - random_walk[0])
+    drift = factor * (minutes[:, None] * rate + random_walk - random_walk[0])
+    if plant_model.torque_warm_up == 0.0:
+        return drift
+    cold = np.exp(-np.arange(shape[0]) * TICK_s / plant_model.warm_up_s)
+    sign = rng.choice((-1.0, 1.0), shape[1])
+    return drift + plant_model.torque_warm_up * sign * cold[:, None]
 
 
 def backlash(signal: Array, half_width: Array) -> Array:
@@ -121,12 +117,13 @@ def measured_velocity(
 def measured_wrench(wrench: Array, plant_model: PlantModel, rng: np.random.Generator) -> Array:
     """Reading of the reference F/T sensor at the needle's base, shape (n, 6), N and Nm.
 
-    White noise and a linear drift from zero: the sensor was biased without load.
+    Noise and a linear drift from zero: the sensor was biased without load.
     """
     minutes = np.arange(len(wrench)) * (TICK_s / SECONDS_PER_MINUTE)
     rate = np.array(plant_model.ft_drift_std_per_min) * rng.standard_normal(wrench.shape[1])
-    noise = np.array(plant_model.ft_noise_std) * rng.standard_normal(wrench.shape)
-    return wrench + minutes[:, None] * rate + noise
+    white = rng.standard_normal(wrench.shape)
+    noise = coloured(white, TICK_s, plant_model.ft_noise_correlation_s)
+    return wrench + minutes[:, None] * rate + np.array(plant_model.ft_noise_std) * noise
 
 
 def time_stamps(true_s: Array, plant_model: PlantModel, rng: np.random.Generator) -> Array:
@@ -141,11 +138,12 @@ def time_stamps(true_s: Array, plant_model: PlantModel, rng: np.random.Generator
 def received_samples(
     count: int, plant_model: PlantModel, rng: np.random.Generator
 ) -> NDArray[np.intp]:
-    """Indices of the samples that arrive out of `count`, ascending; first and last always do."""
-    kept = np.ones(count, dtype=bool)
-    starts = np.flatnonzero(rng.random(count) < plant_model.drop_probability)
+    """Indices of the samples that arrive of `count` ticks, ascending; first and last always do."""
+    sent = np.arange(0, count, plant_model.ticks_per_sample)
+    kept = np.ones(len(sent), dtype=bool)
+    starts = np.flatnonzero(rng.random(len(sent)) < plant_model.drop_probability)
     lengths = rng.integers(1, plant_model.drop_max_samples, len(starts), endpoint=True)
     for start, length in zip(starts, lengths, strict=True):
         kept[start : start + length] = False
     kept[[0, -1]] = True
-    return np.flatnonzero(kept)
+    return sent[kept]

@@ -4,7 +4,7 @@
 reads the force at its base. Both return what a robot would give and, apart from it, the truth.
 """
 
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, fields
 from typing import Any
 
@@ -15,7 +15,7 @@ from groundtruth.arm_control import ArmTrace, drive
 from groundtruth.arm_motion import InsertionPath, scenario_motion, scenario_path
 from groundtruth.arm_plant import ArmPlant, TissueContact, lwr_bodies
 from groundtruth.bearing_friction import BearingFriction
-from groundtruth.errors import NoiseError, PlantModelError, RunError
+from groundtruth.errors import GroundTruthError, NoiseError, PlantModelError, RunError
 from groundtruth.force_noise import NOISES, ForceNoise
 from groundtruth.plant_model import PLANT_MODELS, PlantModel, TICK_s
 from groundtruth.scenarios import Scenario
@@ -74,8 +74,8 @@ class Truth(TissueTruth):
             the next.
         joint_friction_Nm: Torque of the bearings on the links, against their motion, shape (n, 7),
             mean over the same tick. No torque sensor sees it; an observer takes it for external.
-        depth_m: Travel of the tip since first contact, negative above, shape (n,); zero where
-            there is no tissue.
+        depth_m: Depth of the tip in the tissue, negative above, shape (n,); zero where there is
+            none.
         speed_m_s: Speed of the tip along the needle, shape (n,).
     """
 
@@ -126,7 +126,7 @@ class Run:
 
 def simulate(
     scenario: Scenario | str,
-    plant: str = "ideal",
+    plant: PlantModel | str = "ideal",
     seed: int = 0,
     progress: Callable[[float], None] | None = None,
 ) -> Run:
@@ -136,7 +136,7 @@ def simulate(
 
     Args:
         scenario: A scenario or the name of a catalogued one.
-        plant: Name of the plant model: ``ideal``, ``clean``, ``fri`` or ``degraded``.
+        plant: A plant model or the name of one: ``ideal``, ``clean``, ``fri`` or ``degraded``.
         seed: Seed of everything drawn; equal arguments give equal runs.
         progress: Called now and then with the fraction done, 0 to 1.
 
@@ -150,10 +150,7 @@ def simulate(
         PlantError: The tissue has pushed the arm off its motion.
     """
     chosen = scenario_named(scenario) if isinstance(scenario, str) else scenario
-    if plant not in PLANT_MODELS:
-        known = ", ".join(PLANT_MODELS)
-        raise PlantModelError(f"unknown plant model {plant!r}; choose one of {known}")
-    plant_model = PLANT_MODELS[plant]
+    plant_model: PlantModel = _named(plant, PLANT_MODELS, "plant model", PlantModelError)
     tool = NeedleTool()
     mass_seed, sensor_seed, friction_seed = np.random.SeedSequence(seed).spawn(3)
     bodies = lwr_bodies(tool, plant_model, np.random.default_rng(mass_seed))
@@ -170,7 +167,7 @@ def simulate(
     tissue = collect_truth(contact.law, time, trace.depth_m, trace.forces)
     return Run(
         scenario=chosen,
-        plant=plant,
+        plant=plant_model.name,
         seed=seed,
         robot=bodies.robot,
         tool=tool,
@@ -180,12 +177,28 @@ def simulate(
     )
 
 
+def _named(item: Any, known: Mapping[str, Any], kind: str, error: type[GroundTruthError]) -> Any:
+    """The item of that name; what is no name is one already."""
+    if not isinstance(item, str):
+        return item
+    if item not in known:
+        raise error(f"no {kind} {item!r}; known: {', '.join(known)}")
+    return known[item]
+
+
 def _contact(path: InsertionPath, scenario: Scenario) -> TissueContact:
     """Lay the tissue so that the zero of the scenario's motion is its surface."""
     start = path.transform_start_to_base
     axis = start.rotation[:, 2].copy()
     surface = start.translation - scenario.motion.start_m * axis
-    return TissueContact(law=scenario.new_tissue(), surface_in_base_m=surface, axis_in_base=axis)
+    return TissueContact(
+        law=scenario.new_tissue(),
+        surface_in_base_m=surface,
+        axis_in_base=axis,
+        motion=scenario.tissue_motion,
+        lateral=scenario.lateral,
+        elbow=scenario.elbow,
+    )
 
 
 def _sense(
@@ -226,7 +239,8 @@ class NeedleRun:
         scenario: What was run.
         seed: Of the sensor noise.
         t_s: Time, shape (n,).
-        depth_m: Travel of the tip since first contact, negative above the surface, shape (n,).
+        depth_m: Place of the tip below the surface where that would rest, negative above, shape
+            (n,).
         speed_m_s: Its rate, shape (n,).
         force_N: Reading of the sensor, zeroed at the end of the tare stroke, shape (n,).
         tare_end_s: Contact has not happened before this time; all that a user knows of it.
@@ -270,14 +284,18 @@ def insert_needle(
         RunError: The rate or the number of sub-steps is unusable.
     """
     chosen = scenario_named(scenario) if isinstance(scenario, str) else scenario
-    sensor = _noise_named(noise)
+    sensor: ForceNoise = _named(noise, NOISES, "noise model", NoiseError)
     fine_s = _fine_times(chosen.motion.duration_s, rate_hz, substeps)
     depth, speed = chosen.motion.position_m(fine_s), chosen.motion.speed_m_s(fine_s)
+    moved = (np.zeros_like(fine_s),) * 2
+    if chosen.tissue_motion is not None:
+        moved = chosen.tissue_motion.at(fine_s)
+    inside_m, relative_m_s = depth - moved[0], speed - moved[1]
     law, dt_s = chosen.new_tissue(), 1.0 / (rate_hz * substeps)
-    samples = zip(depth.tolist(), speed.tolist(), strict=True)
+    samples = zip(inside_m.tolist(), relative_m_s.tolist(), strict=True)
     forces = [law.step(z, v, dt_s) for z, v in samples][::substeps]
     t_s, depth_m = fine_s[::substeps].copy(), depth[::substeps].copy()
-    truth = collect_truth(law, t_s, depth_m, forces)
+    truth = collect_truth(law, t_s, inside_m[::substeps], forces)
     tare_end_s = chosen.motion.tare_end_s
     rng = np.random.default_rng(seed)
     return NeedleRun(
@@ -290,14 +308,6 @@ def insert_needle(
         tare_end_s=tare_end_s,
         truth=truth,
     )
-
-
-def _noise_named(noise: ForceNoise | str) -> ForceNoise:
-    if isinstance(noise, ForceNoise):
-        return noise
-    if noise not in NOISES:
-        raise NoiseError(f"no noise model {noise!r}; known: {', '.join(NOISES)}, or a ForceNoise")
-    return NOISES[noise]
 
 
 def _fine_times(duration_s: float, rate_hz: float, substeps: int) -> Array:

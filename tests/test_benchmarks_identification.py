@@ -8,7 +8,6 @@ import numpy as np
 import pytest
 from benchmark_cases import make_row
 
-from benchmarks.bound_study import ForceNoiseSeries, bound_cases, case_table
 from benchmarks.bounds import (
     delay_bounds_s,
     friction_bounds,
@@ -23,7 +22,6 @@ from benchmarks.identification_metrics import (
     beyond_last_exit,
     bound_metrics,
     enhanced_metrics,
-    force_noise_N,
     friction_metrics,
     is_visible,
     layer_frictions,
@@ -123,16 +121,16 @@ def test_an_alarm_belongs_to_one_rupture_in_its_window(ruptures, alarms, pairs):
 def test_the_window_of_an_alarm_is_the_documented_one():
     """In numbers: a window as long as one likes would find every rupture and no false alarm."""
     assert (EARLY_s, LATE_s) == (0.2, 1.5)
-    values = rupture_metrics(match([rupture(7.0)], [alarm(8.51)]), truth(), 0.01)
+    values = rupture_metrics(match([rupture(7.0)], [alarm(8.51)]), truth())
     assert (values["rupture_recall"], values["rupture_precision"]) == (0.0, 0.0)
     assert "rupture_delay_ms" not in values
     # Friction that is identified by such an alarm does not count for the layer either.
-    (layer,) = layer_frictions([rupture(7.0)], [alarm(8.51, friction_N=0.4)], 0.01)
+    (layer,) = layer_frictions([rupture(7.0)], [alarm(8.51, friction_N=0.4)])
     assert layer.estimated_N == 0.0
 
 
 def test_a_perfect_detector_has_its_delay_and_nothing_else():
-    values = rupture_metrics(match([rupture(7.0)], [alarm(7.05, rupture_s=7.01)]), truth(), 0.01)
+    values = rupture_metrics(match([rupture(7.0)], [alarm(7.05, rupture_s=7.01)]), truth())
     assert values["rupture_recall"] == values["rupture_precision"] == 1.0
     assert values["rupture_delay_ms"] == pytest.approx(50.0)
     assert values["rupture_timing_error_ms"] == pytest.approx(10.0)
@@ -142,28 +140,24 @@ def test_a_perfect_detector_has_its_delay_and_nothing_else():
 
 def test_soft_transitions_silence_and_false_alarms_are_told_apart():
     both = [rupture(7.0), rupture(11.0, layer=2, drop_N=0.04)]
-    missed = rupture_metrics(match(both, [alarm(7.0)]), truth(), 0.01)
+    missed = rupture_metrics(match(both, [alarm(7.0)]), truth())
     assert (missed["rupture_recall"], missed["soft_transition_recall"]) == (1.0, 0.0)
-    found = rupture_metrics(match(both, [alarm(7.0), alarm(11.0)]), truth(), 0.01)
+    found = rupture_metrics(match(both, [alarm(7.0), alarm(11.0)]), truth())
     assert (found["rupture_precision"], found["soft_transition_recall"]) == (1.0, 1.0)
-    values = rupture_metrics(match([rupture(7.0)], []), truth(), 0.01)
+    values = rupture_metrics(match([rupture(7.0)], []), truth())
     assert values["rupture_recall"] == 0.0
     assert math.isnan(values["rupture_precision"])
-    assert len(values) == 2
-    values = rupture_metrics(match([rupture(7.0)], [alarm(7.0), alarm(4.0)]), truth(), 0.01)
+    assert values["false_alarms"] == 0.0
+    values = rupture_metrics(match([rupture(7.0)], [alarm(7.0), alarm(4.0)]), truth())
     assert values["rupture_precision"] == 0.5
-    visible = [is_visible(rupture(7.0, drop_N=drop_N), 0.01) for drop_N in (0.05, 0.051)]
-    assert visible == [False, True], "more than five times the noise"
-    # Noise is what the reading scatters in free air after the tare.
-    true = truth()
-    free = (true.tare_end_s < T) & (true.contact_s > T)
-    reading = np.where(free, np.where(np.arange(len(T)) % 2, 0.03, -0.03), 50.0)
-    assert force_noise_N(SimpleNamespace(force_N=reading), true) == pytest.approx(0.03, rel=0.01)
+    assert values["false_alarms"] == 1.0
+    visible = [is_visible(rupture(7.0, drop_N=drop_N)) for drop_N in (0.15, 0.151)]
+    assert visible == [False, True], "whatever the noise"
 
 
 def test_the_friction_of_each_layer_is_judged_at_its_own_rupture():
     both = [rupture(7.0, friction_N=0.4), rupture(11.0, layer=2, friction_N=0.2)]
-    found = layer_frictions(both, [alarm(7.1, 0.44, 0.01), alarm(11.1, 0.19, 0.01)], 0.01)
+    found = layer_frictions(both, [alarm(7.1, 0.44, 0.01), alarm(11.1, 0.19, 0.01)])
     assert [layer.error for layer in found] == pytest.approx([0.1, 0.05])
     values = friction_metrics(found)
     assert values["friction_error_worst_pct"] == pytest.approx(10.0)
@@ -171,23 +165,23 @@ def test_the_friction_of_each_layer_is_judged_at_its_own_rupture():
     assert values["friction_coverage_2sigma"] == 0.5
     # What was known online is judged apart from what is known at the end.
     one = [alarm(7.1, 0.4, 0.01, online_N=0.5)]
-    values = friction_metrics(layer_frictions([rupture(7.0)], one, 0.01, online=True), "_online")
+    values = friction_metrics(layer_frictions([rupture(7.0)], one, online=True), "_online")
     assert values["friction_error_online_worst_pct"] == pytest.approx(25.0)
     assert values["friction_coverage_online_2sigma"] == 0.0
 
 
 def test_a_missed_layer_counts_as_zero_and_a_membranes_friction_for_the_layer_below():
     both = [rupture(7.0, friction_N=0.4), rupture(11.0, layer=2, friction_N=0.2)]
-    found = layer_frictions(both, [alarm(11.1, 0.6)], 0.01)
+    found = layer_frictions(both, [alarm(11.1, 0.6)])
     assert [layer.error for layer in found] == pytest.approx([1.0, 2.0])
     both = [rupture(4.0, layer=0), rupture(7.0, friction_N=0.4)]
-    (layer,) = layer_frictions(both, [alarm(4.0, 0.1, 0.03), alarm(7.0, 0.3, 0.04)], 0.01)
+    (layer,) = layer_frictions(both, [alarm(4.0, 0.1, 0.03), alarm(7.0, 0.3, 0.04)])
     assert (layer.true_N, layer.estimated_N) == (0.4, pytest.approx(0.4))
     assert layer.std_N == pytest.approx(0.05)
     # A layer with a soft end counts together with the next one, found or not.
     both = [rupture(7.0, drop_N=0.01, friction_N=0.4), rupture(11.0, layer=2, friction_N=0.2)]
     for alarms in ([alarm(11.0, 0.6)], [alarm(7.0, 0.4), alarm(11.0, 0.2)]):
-        (layer,) = layer_frictions(both, alarms, 0.01)
+        (layer,) = layer_frictions(both, alarms)
         assert layer.error == pytest.approx(0.0)
     # Without stated deviations there is no coverage.
     values = friction_metrics([LayerFriction(0.4, 0.4, math.nan)])
@@ -321,12 +315,11 @@ def test_a_release_falls_by_its_drop_and_noise_and_lag_delay_its_earliest_alarm(
 
 
 def test_a_run_has_bounds_beside_what_was_reached_and_one_without_ruptures_has_none(stack_truth):
-    values = bound_metrics(signal(stack_truth, WHITE), stack_truth, 0.01)
+    values = bound_metrics(signal(stack_truth, WHITE), stack_truth)
     wanted = {"friction_bound_pct", "friction_bound_white_pct", "rupture_delay_bound_ms"}
     assert set(values) == wanted
     assert all(0.0 < value < 20.0 for value in values.values())
-    without = replace(stack_truth, ruptures=())
-    assert bound_metrics(signal(stack_truth, WHITE), without, 0.01) == {}
+    assert bound_metrics(signal(stack_truth, WHITE), replace(stack_truth, ruptures=())) == {}
     rows = [
         make_row(metric="friction_bound_pct", value=1.25),
         make_row(metric="friction_error_mean_pct", value=3.75),
@@ -336,15 +329,3 @@ def test_a_run_has_bounds_beside_what_was_reached_and_one_without_ruptures_has_n
     assert line[4:6] == ("1.25", "3.75")
     assert line[-1] == "5.5"
     assert TABLES["bounds"](rows[1:]).lines == ()
-
-
-def test_the_command_has_a_line_for_every_change():
-    noises = [ForceNoiseSeries("white", WHITE, is_white=True, lag_s=0.0)]
-    cases = bound_cases(noises)
-    assert [line[0] for line in case_table(cases, noises).lines] == list(cases)
-    assert len(cases) == 13
-    assert {"speed 6 mm/s", "thickness 40 mm", "cutting up to 12 %"} < set(cases)
-    (sudden,), (slow,) = cases["release 0.1 mm"], cases["release 2 mm"]
-    assert sudden[0] < slow[0]
-    (fast,), (creeping,) = cases["speed 6 mm/s"], cases["speed 2 mm/s"]
-    assert fast[1] < creeping[1]

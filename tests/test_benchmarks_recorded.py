@@ -8,13 +8,13 @@ import pytest
 
 from benchmarks import DataError
 from benchmarks.benchmark import Job
-from benchmarks.identification_metrics import VISIBLE_SIGMAS
 from benchmarks.methods import joint_residual
 from benchmarks.recorded.bovine import FILE as BOVINE_FILE
 from benchmarks.recorded.bovine import FOLDER as BOVINE
 from benchmarks.recorded.bovine import NOISE_N, depth_metrics, read_bovine, run_bovine_real
 from benchmarks.recorded.liver import (
     NUMBERS,
+    VISIBLE_SIGMAS,
     at_drops,
     force_drops,
     insertion_parts,
@@ -24,23 +24,10 @@ from benchmarks.recorded.liver import (
     read_table,
     run_liver_real,
 )
-from benchmarks.recorded.liver_limit import (
-    REGRESSIONS,
-    Seen,
-    gaussian_process,
-    left_out,
-    level,
-    linear,
-    liver_features,
-    regression_values,
-    ridge,
-    run_liver_limit,
-)
 from benchmarks.recorded.panda import FOLDER as PANDA
 from benchmarks.recorded.panda import read_panda, run_panda_liver, run_panda_real
 from benchmarks.recorded.ur10e import FOLDER as UR10E
 from benchmarks.recorded.ur10e import read_ur10e, run_ur10e_payload
-from benchmarks.rows import METRICS
 from benchmarks.runner import run_job
 from benchmarks.signals import JointSignals
 
@@ -222,70 +209,3 @@ def test_bovine_liver_has_its_four_ruptures_and_its_curve_falls_in_two_more_plac
     assert depths == pytest.approx([0.1, 15.7, 19.1, 30.0, 32.7, 36.6, 38.6], abs=0.06)
     drops = [drop.drop_N for drop in found]
     assert drops == pytest.approx([0.09, 0.09, 1.20, 0.83, 0.93, 0.74, 0.16], abs=0.01)
-
-
-RNG = np.random.default_rng(5)
-GROUP = np.repeat(np.arange(20), 2)
-FEATURES = RNG.standard_normal((40, 3))
-
-
-@pytest.mark.parametrize("fit", [linear, ridge, gaussian_process])
-def test_a_law_is_learned_and_holds_for_what_was_not_seen(fit):
-    target = 2.0 + FEATURES @ [1.0, -0.5, 0.0]
-    assert left_out(fit, Seen(FEATURES, target, GROUP)) == pytest.approx(target, abs=0.1)
-    curved = np.sin(2.0 * FEATURES[:, 0])
-    error = np.std(left_out(fit, Seen(FEATURES[:, :1], curved, GROUP)) - curved)
-    assert (error < 0.5 * np.std(curved)) == (fit is gaussian_process), "a curve needs the process"
-    if fit is not linear:  # where there is nothing to learn, the mean is predicted
-        features, target = RNG.standard_normal((40, 20)), RNG.standard_normal(40)
-        found = left_out(fit, Seen(features, target, GROUP))
-        assert np.sqrt(np.mean((found - target) ** 2)) < 1.25 * np.std(target)
-
-
-def test_every_regression_is_judged_and_a_level_is_that_of_the_same_first_feature():
-    names = {name for _, wanted in REGRESSIONS.values() for name in wanted}
-    features = [
-        dict(zip(sorted(names), map(float, row), strict=True)) | {"depth": (0.042, 0.078)[k % 2]}
-        for k, row in enumerate(RNG.standard_normal((12, len(names))))
-    ]
-    values = regression_values(features, [0.8, 1.0] * 6)
-    assert len(values) == 2 * len(REGRESSIONS)
-    assert values["pullout_left_out_depth_median_pct"] == pytest.approx(0.0, abs=1e-9)
-    depths = np.array([[1.0], [2.0], [1.0], [2.0], [1.0], [2.0]])
-    target = np.array([1.0, 10.0, 2.0, 20.0, 9.0, 90.0])
-    found = left_out(level, Seen(depths, target, np.repeat(np.arange(3), 2)))
-    assert found.tolist() == [5.5, 55.0, 5.0, 50.0, 1.5, 15.0]
-
-
-def test_features_look_no_deeper_than_asked():
-    depth = np.linspace(0.0, 0.08, 16_001)
-    force = 20.0 * depth + 0.1
-    fallen = force - np.where(depth > 0.05, 0.4, 0.0)
-    one, two = (liver_features(depth, each, 0.042, 0.5) for each in (force, fallen))
-    assert one == two
-    assert np.exp(one["force"]) == pytest.approx(0.94, abs=1e-3)
-    assert one["usual slope"] == pytest.approx(20.0, rel=1e-6)
-    deep = liver_features(depth, fallen, 0.07, 0.5)
-    assert deep["drops"] == 1.0
-    assert deep["dropped"] == pytest.approx(0.4, abs=0.05)
-
-
-# Numbers of the recording alone, to which no identifier contributes: they do not change.
-PINNED = {
-    "pullout_left_out_depth_median_pct": 10.299,
-    "pullout_left_out_depth_p90_pct": 29.983,
-    "pullout_left_out_force_median_pct": 10.640,
-    "pullout_left_out_few_median_pct": 11.431,
-    "pullout_above_insertion_fraction": 0.3684,
-    "pullout_over_insertion_most": 1.3248,
-    "pullout_shallower_peak_median_pct": 25.08,
-    "pullout_neighbour_median_pct": 16.865,
-}
-
-
-def test_the_study_gives_the_same_numbers_again(recordings_dir):
-    """Better regressions are welcome: only what no method can change is held fast."""
-    by_key = values(run_liver_limit, "liver-limit", recordings_dir)
-    found = {name: value for (_, name), value in by_key.items()}
-    assert set(found) <= set(METRICS)
-    assert {name: found[name] for name in PINNED} == pytest.approx(PINNED, rel=2e-3)

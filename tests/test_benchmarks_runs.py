@@ -17,9 +17,9 @@ from benchmarks.published_figures import NEEDED
 from benchmarks.rows import Measurement
 from benchmarks.runner import BENCHMARKS, Request, make_plan
 from benchmarks.signals import ForceTruth
-from benchmarks.simulated import drawn_noise, run_needle, simulated_case, simulated_metrics
+from benchmarks.simulated import drawn_noise, read_sensors, run_needle, simulated_metrics
 from benchmarks.tables import TABLES
-from groundtruth import SCENARIOS
+from groundtruth import SCENARIOS, simulate
 
 SHORT = gel_slice()
 BRIEF = gel_slice(25, thickness_m=8e-3, speed_m_s=15e-3)
@@ -34,7 +34,8 @@ def test_a_needle_alone_gives_both_methods_on_the_ft_sensor_charts_and_lines(tmp
     job = Job(benchmark="short", plant="needle", drawings=tmp_path)
     found = run_needle(job, SHORT, silent, is_drawn=False)
     by_key = {(item.source, item.method, item.metric): item.value for item in found.measurements}
-    assert {key[:2] for key in by_key} == {("ft", "default"), ("ft", "published")}
+    methods = {"default", "published", "published-as-run"}
+    assert {key[:2] for key in by_key} == {("ft", method) for method in methods}
     assert by_key["ft", "default", "rupture_recall"] == 1.0
     assert by_key["ft", "default", "rupture_precision"] == 1.0
     assert by_key["ft", "default", "friction_error_worst_pct"] < 10.0
@@ -50,7 +51,7 @@ def test_a_needle_alone_gives_both_methods_on_the_ft_sensor_charts_and_lines(tmp
     assert all(drawing.shown.path.stat().st_size > 10_000 for drawing in found.drawings)
     rows = [item.row("gel-70-constant", "needle", 0) for item in found.measurements]
     for name in ("friction", "ruptures", "table I"):
-        assert len(TABLES[name](rows).lines) == 2
+        assert len(TABLES[name](rows).lines) == 3
         assert TABLES[name]([]).lines == ()
     # Without tissue there is nothing to identify.
     assert run_needle(job, replace(SHORT, layers=()), silent, is_drawn=False).measurements == []
@@ -63,7 +64,7 @@ def test_drawn_noise_stays_within_a_factor_of_two():
 
 
 def case_of(plant, chosen=BRIEF):
-    return simulated_case(Job(benchmark="short", plant=plant), chosen, silent)
+    return read_sensors(simulate(chosen, plant), silent)
 
 
 def values(case):
@@ -93,14 +94,14 @@ def test_equal_runs_give_equal_numbers_four_for_every_source_and_method():
     for source, method in (("ft", "default"), ("virtual", "default"), ("virtual", "published")):
         for name in ("rmse_N", "bias_N", "lag_ms", "coverage_2sigma"):
             assert np.isfinite(found[source, method, f"wrench_{name}"])
-    assert len(found) == 12
+    assert len(found) == 18
 
 
 def test_without_tissue_only_the_virtual_sensor_is_judged_and_from_the_tare_on():
     case = case_of("clean", TOUCHLESS)
     assert {item.source for item in case.readings} == {"virtual"}
     assert case.truth.start_s == case.run.tare_end_s
-    numbers = {"wrench_rmse_N", "wrench_bias_N", "wrench_coverage_2sigma"}
+    numbers = {"wrench_rmse_N", "wrench_bias_N", "wrench_coverage_2sigma", "tare_refused"}
     assert {metric for _, _, metric in values(case)} == numbers
 
 
@@ -134,7 +135,7 @@ def test_without_recordings_the_rest_runs_and_the_skipped_are_named(data):
 
 
 def test_all_means_all_and_tissue_every_scenario_with_tissue(data):
-    assert names(plan("all", data=data)) == list(BENCHMARKS)
+    assert names(plan("all", data=data)) == [n for n, b in BENCHMARKS.items() if not b.perturbs]
     assert plan("all", data=data).skipped == ()
     tissue = [name for name, item in SCENARIOS.items() if item.layers]
     assert len(tissue) == 12
@@ -162,15 +163,14 @@ def test_every_named_benchmark_runs_once_for_every_plant_and_seed(data, tmp_path
 
 
 def test_every_scenario_and_every_real_recording_can_be_run_by_name():
-    others = {"random-stack", "random-tissue", "observers"}
-    assert set(SCENARIOS) | others | RECORDED == set(BENCHMARKS)
+    named = {name for name, item in BENCHMARKS.items() if not item.perturbs}
+    assert set(SCENARIOS) | {"random-stack", "random-tissue"} | RECORDED == named
     quick = {"panda-real", "panda-liver", "ur10e-payload", "liver-real", "bovine-real"}
-    assert quick | {"liver-limit"} == RECORDED
-    assert quick == {name for name in RECORDED if BENCHMARKS[name].is_default}
+    assert quick == RECORDED
 
 
 def test_what_lacks_an_arm_or_its_recording_is_refused_with_the_reason(tmp_path):
-    with pytest.raises(DataError, match="free-motion needs an arm: a plant other than needle"):
+    with pytest.raises(DataError, match="free-motion needs a plant, one of ideal, clean"):
         plan("free-motion", plants=["needle"])
     with pytest.raises(DataError, match="panda-real needs the folder panda_gaz2019"):
         plan("panda-real", data=tmp_path)

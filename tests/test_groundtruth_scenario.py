@@ -137,9 +137,9 @@ def test_names_are_permanent_and_choose_motion_seed_and_law():
         with pytest.raises(ScenarioError, match=r"no scenario 'gel-80'; known: .*random-stack"):
             ask("gel-80")
     assert isinstance(gel.new_tissue(), Tissue)
-    assert isinstance(gel.with_law("multilayer").new_tissue(), MultilayerTissue)
+    assert isinstance(replace(gel, law="multilayer").new_tissue(), MultilayerTissue)
     with pytest.raises(ScenarioError, match="multilayer"):
-        gel.with_law("springs")
+        replace(gel, law="springs")
     # The needle goes at least a centimetre beyond and is long enough.
     for case in (*(scenario(name) for name in RUPTURES), *DRAWN):
         assert case.motion.deepest_m - case.thickness_m >= 10e-3

@@ -159,7 +159,7 @@ def test_plant_models_give_what_they_promise(runs):
 def test_unknown_names_and_tissue_that_throws_the_arm_off_are_refused():
     with pytest.raises(ScenarioError, match="no-such"):
         simulate("no-such")
-    with pytest.raises(PlantModelError, match="'no-such'; choose one of ideal, clean, fri, degr"):
+    with pytest.raises(PlantModelError, match="'no-such'; known: ideal, clean, fri, degraded"):
         simulate("gel-70-constant", plant="no-such")
     with pytest.raises(PlantError, match="softer tissue"):
         simulate(short_scenario(4e5))

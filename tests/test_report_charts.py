@@ -9,12 +9,8 @@ from benchmark_cases import gel_slice
 
 from benchmarks.benchmark import Job
 from benchmarks.force_plots import force_chart, force_figures, rmse_N
-from benchmarks.identification_figures import (
-    draw_identification,
-    sigma1_N,
-    tuned_published,
-)
-from benchmarks.identification_metrics import identify_all
+from benchmarks.identification_figures import draw_identification
+from benchmarks.identification_metrics import SIGMA1_N, identify_as_run
 from benchmarks.identification_plots import (
     enhanced_chart,
     true_friction,
@@ -100,17 +96,17 @@ def run():
     run = insert_needle(SHORT, seed=0)
     measured = {name: getattr(run, name) for name in ("t_s", "depth_m", "speed_m_s", "force_N")}
     truth, signal = insertion_truth(run), NeedleSignal(source="ft", **measured)
-    signals = {"default": signal, "published": signal}
-    identified = identify_all(signals, truth)
+    commanded_m_s = SHORT.motion.speed_m_s(truth.t_s)
+    identified = [identify(signal, truth, method) for method in ("default", "published")]
+    identified.append(identify_as_run(signal, truth, commanded_m_s))
     made = {item.method: item for item in identified}
     return SimpleNamespace(
         truth=truth,
         signal=signal,
-        signals=signals,
         identified=identified,
         ours=made["default"],
         published=made["published"],
-        commanded_m_s=SHORT.motion.speed_m_s(truth.t_s),
+        commanded_m_s=commanded_m_s,
     )
 
 
@@ -138,7 +134,7 @@ def test_true_friction_is_force_over_speed_at_the_rupture(run):
 def test_the_published_method_with_its_authors_settings_comes_near_the_truth(run):
     noise = np.random.default_rng(0).normal(scale=0.2e-3, size=len(run.truth.t_s))
     noisy = replace(run.signal, speed_m_s=run.signal.speed_m_s + noise)
-    tuned = tuned_published(noisy, run.truth, run.commanded_m_s)
+    tuned = identify_as_run(noisy, run.truth, run.commanded_m_s)
     (rupture,) = run.truth.ruptures
 
     def error_N(item):
@@ -147,13 +143,13 @@ def test_the_published_method_with_its_authors_settings_comes_near_the_truth(run
 
     assert error_N(tuned) < 0.15 * rupture.layer_friction_N
     assert error_N(tuned) < 0.5 * error_N(identify(noisy, run.truth, "published"))
-    for figure, source in (("8", "ft"), ("11", "virtual"), ("13", "virtual"), ("", "ft")):
-        assert 0.03 <= sigma1_N(figure, source) <= 0.15, "what its authors used"
+    assert tuned.config.sigma1_N in SIGMA1_N
+    assert (min(SIGMA1_N), max(SIGMA1_N)) == (0.03, 0.15), "what its authors used"
 
 
 def test_a_run_of_a_figure_draws_panels_of_their_own_letters_and_numbers(run, tmp_path):
     job = Job(benchmark="gel-70-constant", plant="needle")
-    found = [(run.signals, run.identified)]
+    found = [run.identified]
     drawings = draw_identification(job, tmp_path, run.truth, run.commanded_m_s, found)
     panels = [(item.figure, item.panel) for item in drawings]
     assert panels == [("2", "a"), ("8", "a"), ("8", "b"), ("8", "c")]
@@ -168,8 +164,8 @@ def test_a_run_of_a_figure_draws_panels_of_their_own_letters_and_numbers(run, tm
     assert ours[0] == f"1, at {run.ours.alarms[0].alarm_s - run.truth.tare_end_s:.1f} s"
     assert float(ours[1]) == pytest.approx(rupture.layer_friction_N / 5e-3, rel=0.05)
     assert 0.0 <= float(ours[2]) < 10.0
-    (tuned,) = [item for item in drawings if not np.isnan(item.tuned_friction_Ns_per_m)]
-    assert tuned.tuned_friction_Ns_per_m == pytest.approx(float(ours[1]), rel=0.15)
+    tuned = dict(facts[1].here)["published, tuned, here"]
+    assert float(tuned) == pytest.approx(float(ours[1]), rel=0.15)
     assert all(
         item.shown.alt and item.shown.caption and item.shown.path.is_file() for item in drawings
     )

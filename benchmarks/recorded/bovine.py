@@ -13,9 +13,9 @@ from numpy.typing import NDArray
 
 from benchmarks import DataError
 from benchmarks.benchmark import Findings, Job, Progress
-from benchmarks.identification_metrics import VISIBLE_SIGMAS, nearest_pairs
+from benchmarks.identification_metrics import nearest_pairs
 from benchmarks.methods import IDENTIFIERS
-from benchmarks.recorded.liver import at_drops, force_drops
+from benchmarks.recorded.liver import VISIBLE_SIGMAS, at_drops, force_drops
 from benchmarks.rows import Measurement
 from identification import PublishedConfig, replay
 

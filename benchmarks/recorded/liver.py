@@ -16,7 +16,6 @@ from scipy.ndimage import uniform_filter1d
 
 from benchmarks import DataError
 from benchmarks.benchmark import Findings, Job, Progress
-from benchmarks.identification_metrics import VISIBLE_SIGMAS
 from benchmarks.methods import IDENTIFIERS
 from benchmarks.rows import Measurement, Method
 from identification import replay
@@ -88,6 +87,8 @@ def read_table(path: Path) -> dict[str, Any]:
 FOLDER = "liver_dejong2017"
 NUMBERS = (0, 2, 4, 6, 8, 10, 12, 16, 18, 20, 22, 24, 26, 28, 30, 32, 34, 36, 38)
 """Of the insertions, as in the file."""
+VISIBLE_SIGMAS = 5.0
+"""A fall of a recorded force is seen when it is so many times the noise."""
 NOISE_N = 7e-3
 """Of the recorded force, above 20 Hz, as the recordings' description says."""
 DEPTHS_mm = (42, 78)

@@ -20,7 +20,7 @@ from benchmarks.methods import (
     METHODS,
     ForceReading,
     joint_residual,
-    virtual_force,
+    run_session,
     wrench_metrics,
 )
 from benchmarks.recorded.liver import (
@@ -180,7 +180,8 @@ def run_panda_liver(job: Job, progress: Progress) -> Findings:
     for k, (method, config) in enumerate(METHODS.items()):
         part = progress_part(progress, k / len(METHODS), (k + 1) / len(METHODS))
         real = replace(config, friction=panda.friction)
-        readings.append(virtual_force(panda.robot, signals, real, method, TARE_s, part))
+        made = run_session(panda.robot, signals, method, TARE_s, part, sensor=real)
+        readings.append(made.reading)
     drawings: tuple[Drawing, ...] = ()
     if job.drawings is not None:
         drawings = force_figures(job, job.drawings, truth, readings)

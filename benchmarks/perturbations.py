@@ -1,0 +1,215 @@
+"""Perturbed worlds: a scenario and a plant in which one thing is not as the estimators assume.
+
+`perturbations.toml` defines them: what is changed, within which range, and why. Its fields are
+those of `Perturbation`.
+"""
+
+import math
+from collections.abc import Mapping
+from dataclasses import dataclass, replace
+from pathlib import Path
+from types import MappingProxyType
+from typing import Any
+from zlib import crc32
+
+import msgspec
+import numpy as np
+
+from groundtruth import PLANT_MODELS, Motion, PlantModel, Scenario
+from groundtruth.disturbances import ElbowPush, LateralForce, TissueMotion
+from groundtruth.motion import Move, protocol
+from groundtruth.variations import TissueVariation, random_variation
+
+Rng = np.random.Generator
+Range = tuple[float, float]
+
+
+class _Wave(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
+    amplitude_m: Range
+    frequency_hz: Range
+
+
+class _Steps(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
+    every_m: Range  # travel of a piece
+    rest_s: Range  # after each
+    back_m: Range = (0.0, 0.0)  # pulled back after the rest
+
+
+class _Elbow(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
+    force_N: Range  # in any direction
+    every_s: Range  # from one push to the next
+    duration_s: Range
+
+
+class Perturbation(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
+    """One departure; of what is not given, nothing is changed."""
+
+    what: str  # for people
+    source: str  # of the size
+    base: str = ""  # the plant, by name
+    plant: dict[str, Range] = {}  # numbers of the plant; of joint-wise ones, each is drawn
+    times: dict[str, Range] = {}  # factors on joint-wise numbers of the plant
+    sends_velocity: bool = True  # whether the robot sends velocities
+    has_speed: bool = True  # whether who reads the F/T sensor has a speed beside the depth
+    tare_stroke_m: Range | None = None  # zero: at rest
+    speed_m_s: Range | None = None  # constant speed of the insertion
+    steps: _Steps | None = None  # pieces of the insertion
+    waves: tuple[_Wave, ...] = ()  # motion of the tissue
+    tissue: dict[str, Range] = {}  # numbers of a `TissueVariation`, of every layer
+    own_laws: bool = False  # a random variation for every layer
+    lateral: dict[str, Range] = {}  # numbers of a `LateralForce`
+    elbow: _Elbow | None = None  # pushes of a hand
+
+    def __call__(self, world: "World", rng: Rng) -> "World":
+        """The world with this changed, its size drawn."""
+        plant = PLANT_MODELS[self.base] if self.base else world.plant
+        numbers: dict[str, Any] = {}
+        for name, limits in self.plant.items():
+            numbers[name] = _like(getattr(plant, name), limits, rng)
+        for name, limits in self.times.items():
+            factor = drawn(limits, rng)
+            numbers[name] = tuple(factor * each for each in getattr(plant, name))
+        if not self.sends_velocity:
+            numbers["velocity_noise_std_rad_s"] = None
+        return World(
+            scenario=self._scenario(world.scenario, rng),
+            plant=replace(plant, **numbers),
+            has_speed=world.has_speed and self.has_speed,
+        )
+
+    def _scenario(self, scenario: Scenario, rng: Rng) -> Scenario:
+        if self.speed_m_s is not None or self.steps is not None or self.tare_stroke_m is not None:
+            scenario = replace(scenario, motion=self._motion(scenario.motion, rng))
+        if self.waves:
+            scenario = replace(scenario, tissue_motion=_tissue_motion(self.waves, rng))
+        if self.tissue:
+            numbers = {name: drawn(limits, rng) for name, limits in self.tissue.items()}
+            scenario = scenario.with_variation(TissueVariation(**numbers), rng)
+        if self.own_laws:
+            layers = tuple(random_variation(rng).layer(layer, rng) for layer in scenario.layers)
+            scenario = replace(scenario, layers=layers)
+        if self.lateral:
+            numbers = {name: drawn(limits, rng) for name, limits in self.lateral.items()}
+            direction = float(rng.uniform(0.0, 2.0 * np.pi))
+            scenario = replace(scenario, lateral=LateralForce(direction_rad=direction, **numbers))
+        if self.elbow is not None:
+            scenario = replace(scenario, elbow=_pushes(self.elbow, scenario.motion, rng))
+        return scenario
+
+    def _motion(self, motion: Motion, rng: Rng) -> Motion:
+        """The protocol with another insertion, or another tare."""
+        standoff_m, stroke_m = -motion.strokes[3].end_m, motion.strokes[1].travel_m
+        inside = [s for s in motion.strokes[4:] if s.end_s < motion.withdrawal_start_s - 1e-6]
+        moves: list[Move] = [(s.profile, s.duration_s, s.travel_m) for s in inside]
+        ramp, travel_m = inside[0].ramp_fraction, inside[-1].end_m + standoff_m
+        if self.speed_m_s is not None:
+            ramp = 0.05
+            moves = [("cruise", travel_m / drawn(self.speed_m_s, rng), travel_m)]
+        if self.steps is not None:
+            speed_m_s = travel_m / sum(move[1] for move in moves)
+            ramp, moves = 0.1, _pieces(self.steps, travel_m, speed_m_s, rng)
+        if self.tare_stroke_m is not None:
+            stroke_m = drawn(self.tare_stroke_m, rng)
+        return protocol(standoff_m, moves, ramp_fraction=ramp, tare_stroke_m=stroke_m)
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class World:
+    """What is simulated; what the plant's sensors add holds for the needle alone as well."""
+
+    scenario: Scenario
+    plant: PlantModel = PLANT_MODELS["clean"]
+    has_speed: bool = True
+
+
+def drawn(limits: Range, rng: Rng) -> float:
+    """A number of the range, with equal chance per octave; the ends may both be 0."""
+    low, high = limits
+    return float(np.exp(rng.uniform(math.log(low), math.log(high)))) if high > 0.0 else 0.0
+
+
+def _like(value: object, limits: Range, rng: Rng) -> object:
+    """A drawn number of the kind of the one that it takes the place of."""
+    if isinstance(value, tuple):
+        return tuple(drawn(limits, rng) for _ in value)
+    return round(drawn(limits, rng)) if isinstance(value, int) else drawn(limits, rng)
+
+
+def _tissue_motion(waves: tuple[_Wave, ...], rng: Rng) -> TissueMotion:
+    """Each wave with a second harmonic of up to half its size: no organ moves as a pure sine."""
+    found: list[tuple[float, float, float]] = []
+    for wave in waves:
+        size_m, frequency_hz = drawn(wave.amplitude_m, rng), drawn(wave.frequency_hz, rng)
+        phases = rng.uniform(0.0, 2.0 * np.pi, 2).tolist()
+        second_m = float(rng.uniform(0.0, 0.5)) * size_m
+        found.append((size_m, frequency_hz, phases[0]))
+        found.append((second_m, 2.0 * frequency_hz, phases[1]))
+    return TissueMotion(waves=tuple(found))
+
+
+LAST_PIECE_m = 20e-3
+"""No rest where so little is left."""
+
+
+def _pieces(steps: _Steps, total_m: float, speed_m_s: float, rng: Rng) -> list[Move]:
+    found: list[Move] = []
+    place_m = reached_m = 0.0
+    while total_m - reached_m > LAST_PIECE_m:
+        reached_m += drawn(steps.every_m, rng)
+        travel_m, back_m = reached_m - place_m, drawn(steps.back_m, rng)
+        found.append(("cruise", travel_m / speed_m_s, travel_m))
+        found.append(("rest", drawn(steps.rest_s, rng), 0.0))
+        if back_m > 0.0:
+            found.append(("cruise", back_m / speed_m_s, -back_m))
+        place_m = reached_m - back_m
+    last_m = total_m - place_m
+    found.append(("cruise", last_m / speed_m_s, last_m))
+    return found
+
+
+def _pushes(elbow: _Elbow, motion: Motion, rng: Rng) -> ElbowPush:
+    start_s = [motion.tare_end_s + drawn(elbow.every_s, rng)]
+    while start_s[-1] < motion.withdrawal_end_s:
+        start_s.append(start_s[-1] + drawn(elbow.every_s, rng))
+    side = rng.standard_normal(3)
+    x, y, z = (drawn(elbow.force_N, rng) / np.linalg.norm(side) * side).tolist()
+    return ElbowPush(
+        force_N=(x, y, z), start_s=tuple(start_s), duration_s=drawn(elbow.duration_s, rng)
+    )
+
+
+GROUPS: Mapping[str, Mapping[str, Perturbation]] = MappingProxyType(
+    msgspec.toml.decode(
+        Path(__file__).with_suffix(".toml").read_bytes(), type=dict[str, dict[str, Perturbation]]
+    )
+)
+"""As in the file."""
+PERTURBATIONS: Mapping[str, Perturbation] = MappingProxyType(
+    {name: each for group in GROUPS.values() for name, each in group.items()}
+)
+"""By name, in the order of the table."""
+ARM_ONLY = frozenset(name for group in ("pushes", "torque", "tare") for name in GROUPS[group])
+"""Of these the needle without an arm feels nothing."""
+FT_ONLY = frozenset((*GROUPS["F/T"], "depth-only"))
+"""Of these the virtual force feels nothing."""
+MIXED, MIXED_COUNT = "mixed", 3
+PERTURBED = "robustness-"
+"""The names of benchmarks in perturbed worlds begin so."""
+
+
+def perturbed(name: str, scenario: Scenario, seed: int) -> tuple[World, tuple[str, ...]]:
+    """A scenario in a perturbed world, and the perturbations: of `mixed`, those that were drawn.
+
+    Equal arguments give equal worlds; estimators are tuned on seeds below 1000, and reported on
+    seeds from 1000 on.
+    """
+    rng = np.random.default_rng([seed, crc32(f"{name} {scenario.id}".encode())])
+    names = (name,)
+    if name == MIXED:
+        groups = [list(group) for kind, group in GROUPS.items() if kind != "plants"]
+        chosen = sorted(rng.choice(len(groups), MIXED_COUNT, replace=False).tolist())
+        names = tuple(groups[k][int(rng.integers(len(groups[k])))] for k in chosen)
+    world = World(scenario=scenario)
+    for each in names:
+        world = PERTURBATIONS[each](world, rng)
+    return world, names

@@ -1,0 +1,156 @@
+"""Estimators in perturbed worlds, by the arm or, for the identification alone, by the needle.
+
+The published method runs on the F/T force everywhere; on the virtual force only where the plant
+itself is what changes, since its sensor would double the time.
+"""
+
+from collections.abc import Iterator
+from dataclasses import dataclass, fields, replace
+from functools import lru_cache
+
+import numpy as np
+from numpy.typing import NDArray
+
+from benchmarks.benchmark import Findings, Job, Progress, progress_part
+from benchmarks.identification_metrics import event_metrics, identify_as_run
+from benchmarks.methods import METHODS, Identified, identify
+from benchmarks.perturbations import FT_ONLY, GROUPS, MIXED, PERTURBED, perturbed
+from benchmarks.rows import Measurement
+from benchmarks.signals import (
+    InsertionTruth,
+    JointSignals,
+    NeedleSignal,
+    insertion_truth,
+    measured_travel,
+)
+from benchmarks.simulated import identify_sources, read_sensors, simulated_metrics
+from groundtruth import ForceNoise, PlantModel, Scenario, insert_needle, simulate
+from groundtruth.arm_motion import scenario_motion, scenario_path
+from groundtruth.force_noise import MINI45
+from groundtruth.scenarios import named_scenario
+from groundtruth.sensors import (
+    SECONDS_PER_MINUTE,
+    measured_position,
+    measured_velocity,
+    received_samples,
+    time_stamps,
+)
+from urdf import NeedleTool, Robot, load_lwr
+
+Array = NDArray[np.float64]
+
+SCENARIOS = ("gel-25-constant", "stack-constant", "liver-constant", "abdomen-sinusoidal")
+"""A single layer, several, one with a membrane, and a motion that is never constant."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class NeedleCase:
+    """n samples of an insertion by the needle alone, and their truth.
+
+    Depth and speed are as an arm that follows its motion exactly would measure them.
+    """
+
+    perturbations: tuple[str, ...]  # their names
+    t_s: Array  # time stamps, shape (n,)
+    depth_m: Array  # travel since the end of the tare, shape (n,)
+    speed_m_s: Array | None  # its rate, shape (n,); None where there is only the depth
+    force_N: Array  # F/T sensor, zeroed in free air, shape (n,)
+    truth: InsertionTruth  # at the same samples
+
+    @property
+    def signal(self) -> NeedleSignal:
+        """What an identifier gets."""
+        return NeedleSignal(
+            source="ft",
+            t_s=self.t_s,
+            depth_m=self.depth_m,
+            speed_m_s=self.speed_m_s,
+            force_N=self.force_N,
+        )
+
+
+def perturbed_needle(name: str, scenario: Scenario | str, seed: int) -> NeedleCase:
+    """Insert the needle alone in a perturbed world.
+
+    Args:
+        name: One of `PERTURBATIONS`, or ``mixed``.
+        scenario: A scenario, or the name of one.
+        seed: Of sizes and noise; of the scenario too, where that is drawn.
+    """
+    chosen = named_scenario(scenario, seed) if isinstance(scenario, str) else scenario
+    world, names = perturbed(name, chosen, seed)
+    plant, robot = world.plant, _lwr()
+    run = insert_needle(world.scenario, seed=seed, noise=ft_noise(plant))
+    along = scenario_motion(scenario_path(robot, world.scenario), world.scenario)
+    clock, loss, position, velocity = map(
+        np.random.default_rng, np.random.SeedSequence([seed, 2]).spawn(4)
+    )
+    kept = received_samples(len(run.t_s), plant, loss)
+    dq = measured_velocity(along.dq_rad_s, plant, velocity)
+    signals = JointSignals(
+        t_s=time_stamps(run.t_s, plant, clock)[kept],
+        q_rad=measured_position(along.q_rad, plant, position)[kept],
+        dq_rad_s=None if dq is None or not world.has_speed else dq[kept],
+        tau_Nm=np.zeros((len(kept), robot.nv)),
+    )
+    if world.has_speed:
+        travel = measured_travel(robot, signals, run.tare_end_s)
+    else:
+        still = replace(signals, dq_rad_s=np.zeros_like(signals.q_rad))
+        travel = measured_travel(robot, still, run.tare_end_s)
+    return NeedleCase(
+        perturbations=names,
+        t_s=signals.t_s,
+        depth_m=travel.depth_m,
+        speed_m_s=travel.speed_m_s if world.has_speed else None,
+        force_N=run.force_N[kept],
+        truth=_at_samples(insertion_truth(run), kept),
+    )
+
+
+def run_robustness(job: Job, progress: Progress) -> Findings:
+    """``robustness-...``: the world of the plant's name, our method and the published one."""
+    name = job.plant
+    chosen = job.benchmark.removeprefix(PERTURBED)
+    scenario = SCENARIOS[job.seed % len(SCENARIOS)] if chosen == MIXED else chosen
+    if name in FT_ONLY:
+        case = perturbed_needle(name, scenario, job.seed)
+        signal, truth = case.signal, case.truth
+        found = [
+            identify(signal, truth, "default"),
+            identify_as_run(signal, truth, truth.speed_m_s),
+        ]
+        return Findings(list(_events(found, truth)))
+    world, _ = perturbed(name, named_scenario(scenario, job.seed), job.seed)
+    run = simulate(world.scenario, world.plant, job.seed, progress_part(progress, 0.0, 0.5))
+    methods = METHODS if name in GROUPS["plants"] else ("default",)
+    case = read_sensors(run, progress_part(progress, 0.5, 0.9), tuple(methods))
+    found = [item for source in identify_sources(case) for item in source]
+    return Findings([*simulated_metrics(case), *_events(found, insertion_truth(run))])
+
+
+def _events(found: list[Identified], truth: InsertionTruth) -> Iterator[Measurement]:
+    for item in found:
+        for metric, value in event_metrics(item, truth).items():
+            yield Measurement(item.source, item.method, metric, value)
+
+
+@lru_cache(maxsize=1)
+def _lwr() -> Robot:
+    return load_lwr(payload=NeedleTool())
+
+
+def ft_noise(plant: PlantModel) -> ForceNoise:
+    """The plant's F/T sensor along the needle."""
+    return ForceNoise(
+        white_std_N=plant.ft_noise_std[2],
+        drift_std_N_per_s=plant.ft_drift_std_per_min[2] / SECONDS_PER_MINUTE,
+        step_N=MINI45.step_N,
+        correlation_s=plant.ft_noise_correlation_s,
+    )
+
+
+def _at_samples(truth: InsertionTruth, kept: NDArray[np.intp]) -> InsertionTruth:
+    arrays = {item.name: getattr(truth, item.name) for item in fields(truth)}
+    kept_ones = {n: each[kept] for n, each in arrays.items() if isinstance(each, np.ndarray)}
+    return replace(truth, **kept_ones)
