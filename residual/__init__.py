@@ -16,7 +16,6 @@ from residual.errors import (
     TareError,
 )
 from residual.estimate import SensorWarning, Status, WrenchEstimate
-from residual.kalman_observer import KalmanObserver
 from residual.momentum_observer import (
     FrictionModel,
     JointFriction,
@@ -34,7 +33,6 @@ __all__ = [
     "ConfigurationError",
     "FrictionModel",
     "JointFriction",
-    "KalmanObserver",
     "MomentumObserver",
     "ResidualError",
     "SampleError",

@@ -5,12 +5,11 @@ import pinocchio as pin
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
-from residual_signals import JOINTS, MIDDLE, external_torque_of, swing
+from residual_signals import JOINTS, external_torque_of, swing
 
 from residual import (
     ConfigurationError,
     JointFriction,
-    KalmanObserver,
     MomentumObserver,
     SampleError,
     SigmoidFriction,
@@ -253,75 +252,3 @@ def test_parameters_that_cannot_be_are_refused(change, match):
     sound = {"viscous_Nms": [0.1], "coulomb_Nm": [0.1], "offset_Nm": [0.0]}
     with pytest.raises(ConfigurationError, match=match):
         JointFriction(**(sound | change))
-
-
-# The Kalman momentum observer.
-
-
-QUIET = {"torque_noise_Nm": 0.05, "velocity_noise_rad_s": 0.0, "walk_Nm_per_sqrt_s": 1.0}
-
-
-def test_without_velocity_noise_it_settles_on_the_momentum_residual_with_the_optimal_gain(lwr):
-    gain = 1.0 / (0.05 * np.sqrt(1e-3))
-    # The discrete filter's own gain: 1 - a = steady gain of the two-state Riccati equation.
-    kalman = KalmanObserver(lwr, **QUIET, alignment="hold")
-    momentum = MomentumObserver(lwr, gain, alignment="hold")
-    data = lwr.create_data()
-    gravity = pin.computeGeneralizedGravity(lwr.model, data, MIDDLE).copy()
-    step = np.ones(7)
-    differences = []
-    for k in range(600):
-        tau = gravity - (step if k > 300 else 0.0)
-        ours = kalman.update(MIDDLE, np.zeros(7), tau, 1e-3)
-        theirs = momentum.update(MIDDLE, np.zeros(7), tau, 1e-3)
-        differences.append(np.abs(ours - theirs).max())
-    assert max(differences[:301]) < 1e-9
-    assert max(differences) < 0.2
-    np.testing.assert_allclose(ours, step, atol=1e-3)
-
-
-def test_variance_is_believable(lwr):
-    rng = np.random.default_rng(1)
-    noise = {"torque_noise_Nm": 0.05, "velocity_noise_rad_s": 2e-4, "walk_Nm_per_sqrt_s": 0.5}
-    kalman = KalmanObserver(lwr, **noise, alignment="hold")
-    gravity = pin.computeGeneralizedGravity(lwr.model, lwr.create_data(), MIDDLE).copy()
-    external, scores = np.zeros(7), []
-    sent = gravity + 0.05 * rng.normal(size=7)
-    for k in range(4000):
-        dq = 2e-4 * rng.normal(size=7)
-        # The arm is held still: the controller balances what the environment adds.
-        estimate = kalman.update(MIDDLE, dq, sent, 1e-3)
-        if k > 500:
-            scores.append((estimate - external) ** 2 / kalman.variance_Nm2)
-        external = external + 0.5 * np.sqrt(1e-3) * rng.normal(size=7)
-        sent = gravity - external + 0.05 * rng.normal(size=7)
-    assert 0.7 < np.mean(scores) < 1.3
-
-
-def test_a_bad_sample_leaves_the_kalman_observer_unchanged(lwr):
-    _, q, dq, tau = swing(lwr, seconds=0.05)
-    kalman, twin = KalmanObserver(lwr, **QUIET), KalmanObserver(lwr, **QUIET)
-    for k in range(20):
-        kalman.update(q[k], dq[k], tau[k], 1e-3)
-        twin.update(q[k], dq[k], tau[k], 1e-3)
-    absurd = (q[20], np.full(7, 1e308), tau[20], 1e-3)
-    for bad in ((q[20] * np.nan, dq[20], tau[20], 1e-3), (*absurd[:3], -1.0), absurd):
-        with pytest.raises(SampleError):
-            kalman.update(*bad)
-    np.testing.assert_array_equal(
-        kalman.update(q[20], dq[20], tau[20], 1e-3), twin.update(q[20], dq[20], tau[20], 1e-3)
-    )
-
-
-@pytest.mark.parametrize(
-    "settings_",
-    [
-        *({name: value} for name in QUIET for value in (-1.0, np.nan, [1.0, 2.0])),
-        {"torque_noise_Nm": 0.0},
-        {"alignment": "x"},
-        {"max_gap_s": np.nan},
-    ],
-)
-def test_settings_of_a_kalman_observer_that_cannot_work_are_refused(lwr, settings_):
-    with pytest.raises(ConfigurationError, match=next(iter(settings_))):
-        KalmanObserver(lwr, **(QUIET | settings_))

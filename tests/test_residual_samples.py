@@ -15,7 +15,6 @@ from residual import (
     DEFAULT,
     ConfigurationError,
     JointFriction,
-    KalmanObserver,
     MomentumObserver,
     SampleError,
     SnapshotError,
@@ -51,18 +50,12 @@ BEYOND = {
 }
 
 
-def kalman(robot):
-    noise = {"torque_noise_Nm": 0.1, "velocity_noise_rad_s": 0.01, "walk_Nm_per_sqrt_s": 1.0}
-    return KalmanObserver(robot, **noise)
-
-
 UPDATES = {
     "velocity, q": lambda robot, bad: VelocityEstimator(7).update(bad, STILL, 1e-3),
     "velocity, tau": lambda robot, bad: VelocityEstimator(7).update(STILL, bad, 1e-3),
     "momentum, q": lambda robot, bad: MomentumObserver(robot).update(bad, STILL, STILL, 1e-3),
     "momentum, dq": lambda robot, bad: MomentumObserver(robot).update(STILL, bad, STILL, 1e-3),
     "momentum, tau": lambda robot, bad: MomentumObserver(robot).update(STILL, STILL, bad, 1e-3),
-    "Kalman, q": lambda robot, bad: kalman(robot).update(bad, STILL, STILL, 1e-3),
     **{
         f"{mode} wrench, {name}": lambda robot, bad, mode=mode, name=name: WrenchEstimator(
             robot, mode
