@@ -109,14 +109,11 @@ class FreeMotionFit:
         square = np.square(self._left).mean(axis=0)
         return blocks.scatter_Nm2 + np.maximum(white + wave, square)
 
-    def contact_N(self) -> tuple[float, float]:
-        """Size of the force that was fitted and its standard deviation in its direction [N]."""
+    def contact_N(self, axis: Array) -> tuple[float, float]:
+        """The force that was fitted, along an axis, shape (3,), and its standard deviation [N]."""
         own = slice(len(self.tare.mean), len(self.tare.mean) + 3)
-        force, spread = self._mean[own], self._covariance[own, own]
-        most = float(np.linalg.norm(force))
-        # In units of its covariance as far from zero as the force is.
-        sigmas = float(np.sqrt(force @ np.linalg.solve(spread, force)))
-        return most, most / max(sigmas, 1e-9)
+        variance = float(axis @ self._covariance[own, own] @ axis)
+        return float(axis @ self._mean[own]), float(np.sqrt(variance))
 
     def _rows(self) -> Iterator[tuple[int, Array]]:
         """Every joint with its columns over all blocks, the walk's last; shape (blocks, m)."""
