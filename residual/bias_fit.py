@@ -51,7 +51,6 @@ class FreeMotionFit:
         blocks: The motion.
         tare: What was found.
         sizes: Of the groups in `LEARNT` and of the random walk, relative to the prior's.
-        contact_N: Size of that force and its standard deviation in this direction [N].
     """
 
     def __init__(
@@ -82,11 +81,23 @@ class FreeMotionFit:
         if terms:
             groups["walk"] = slice(len(std) - len(walk_std), len(std))
 
+        noise_Nm2 = self._fit(basis, std, groups if learn and not is_few else {}, is_few)
+        own = slice(0, size)
+        self.tare = Tare(
+            basis=basis,
+            mean=self._mean[own].copy(),
+            covariance=self._covariance[own, own].copy(),
+            noise_Nm2=np.diag(noise_Nm2),
+            walk_Nm2_per_s=basis.walk_Nm2_per_s() * self.sizes.get("walk", 1.0) ** 2,
+        )
+
+    def _fit(self, basis: BiasModel, std: Array, groups: dict[str, slice], is_few: bool) -> Array:
+        """Both passes; returns the variance of a single residual about the fit, shape (n,)."""
+        blocks, residual = self.blocks, self.blocks.residual_Nm
         # Neighbours of which there are few mean nothing: then a block is as noisy as its samples.
         least = basis.resolution_variance()
         white = least + (blocks.scatter_Nm2 if is_few else _noise_density(residual, (1,)))
         self._whiteners = [np.eye(len(residual)) / v for v in white]
-        groups = groups if learn and not is_few else {}
         left = self._solve(std, groups)
         density = white if is_few else least + _noise_density(left, BATCHES)
         wave = _wave_variance(left, density, np.ptp(blocks.q_rad, axis=0), basis)
@@ -95,22 +106,14 @@ class FreeMotionFit:
             for d, w, q in zip(density, wave, blocks.q_rad.T, strict=True)
         ]
         self._left = self._solve(std, groups)
-        own, square = slice(0, size), np.square(self._left).mean(axis=0)
-        self.tare = Tare(
-            basis=basis,
-            mean=self._mean[own].copy(),
-            covariance=self._covariance[own, own].copy(),
-            noise_Nm2=np.diag(blocks.scatter_Nm2 + np.maximum(white + wave, square)),
-            walk_Nm2_per_s=basis.walk_Nm2_per_s() * self.sizes.get("walk", 1.0) ** 2,
-        )
-        self.contact_N = (0.0, 0.0)
-        if contact is not None:
-            force = self._mean[size : size + 3]
-            spread = self._covariance[size : size + 3, size : size + 3]
-            most = float(np.linalg.norm(force))
-            # In units of its covariance as far from zero as the force is.
-            sigmas = float(np.sqrt(force @ np.linalg.solve(spread, force)))
-            self.contact_N = (most, most / max(sigmas, 1e-9))
+        square = np.square(self._left).mean(axis=0)
+        return blocks.scatter_Nm2 + np.maximum(white + wave, square)
+
+    def contact_N(self, axis: Array) -> tuple[float, float]:
+        """The force that was fitted, along an axis, shape (3,), and its standard deviation [N]."""
+        own = slice(len(self.tare.mean), len(self.tare.mean) + 3)
+        variance = float(axis @ self._covariance[own, own] @ axis)
+        return float(axis @ self._mean[own]), float(np.sqrt(variance))
 
     def _rows(self) -> Iterator[tuple[int, Array]]:
         """Every joint with its columns over all blocks, the walk's last; shape (blocks, m)."""

@@ -278,9 +278,10 @@ class ConsistencyMonitor:
         """A covariance that contains what no wrench explains: a push on the arm, a wrong model.
 
         The variance factor of least squares: what is seen in the torques that the wrench does not
-        make is likely to be in those that it does.
+        make is likely to be in those that it does; twice, since four torques show a variance only
+        within a factor of two.
         """
-        widening = max(1.0, self._state.mismatch_squared)
+        widening = 1.0 + 2.0 * max(0.0, self._state.mismatch_squared - 1.0)
         self._state = self._state._replace(widening=widening)
         return widening * covariance_Nm2
 

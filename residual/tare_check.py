@@ -53,7 +53,8 @@ def check_free_of_contact(
         at_prior = FreeMotionFit(basis, blocks, learn=False)
         # Fitted beside it, a contact does not pass for a sensor that drifts or a rough bearing.
         kept, contact = _likeliest_contact(at_prior, wrench)
-        force, std = FreeMotionFit(basis, blocks.part(kept), contact[kept]).contact_N
+        beside = FreeMotionFit(basis, blocks.part(kept), contact[kept])
+        force, std = beside.contact_N(-wrench.kinematics.axis_in_tool)
     if abs(force) <= max(contact_force_N, SIGMAS * std):
         force = 0.0
     cause = explain_residual(basis, blocks, is_external=is_external, is_refused=force != 0.0)
