@@ -17,6 +17,10 @@ from numpy.typing import NDArray
 Array = NDArray[np.float64]
 
 
+Motion = tuple[float, float, float, float]
+"""Depth [m], speed [m/s] and the standard deviation of the noise in each."""
+
+
 class SampleStatus(Enum):
     """What became of a sample. Only `OK` and `TIME_GAP` samples are used."""
 

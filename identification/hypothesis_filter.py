@@ -1,0 +1,299 @@
+"""One hypothesis: what is unknown of the force, once it is given how the tissue gave way.
+
+Given a history of events the axial force is linear in seventeen unknowns:
+
+    f = o + C w + V v + R r(z) + T t(z) + K x + H x² + c y w + b y v + d + e
+
+with o the offset; C, V Coulomb and viscous friction of the layers left; R the tip force being
+released, T the force held or needed to cut, K, H stiffness; c, b friction per length of shaft in
+the layer; d disturbances: the colour of the sensor's noise, heartbeat, breathing, and the error of
+this law. Known are w, the presliding deflection (1 when sliding inwards), v the speed, x the travel
+of the tip and y the length of shaft in the layer, and e is white. An event (contact, the end of a
+layer, a tear in it, a membrane met) is a linear map of the unknowns that leaves the force as it is.
+
+So each hypothesis is a Kalman filter (switching linear model, Shumway and Stoffer 1991), and how
+well it predicts the force is the evidence for it. Lengths are in mm, speeds in mm/s, forces in N.
+"""
+
+import math
+from typing import Annotated
+
+import numpy as np
+from numpy.typing import NDArray
+
+from needleforce.jit import Matrix, Vector, WrittenMatrix, WrittenVector, compiled
+
+# Places of the unknowns. LEFT: friction of the shaft between the last two events, at the last.
+OFFSET, COULOMB, VISCOUS, RELEASED, HELD, STIFFNESS, STIFFENING = range(7)
+OWN_COULOMB, OWN_VISCOUS, LEFT, COLOUR, HEART, HEART_RATE, BREATH, BREATH_RATE, LAW, LAW_RATE = range(
+    7, 17
+)
+UNKNOWNS = 17
+_AFTER_TIP = STIFFENING + 1  # the tip's unknowns are those from RELEASED to before this
+
+# Places of what a hypothesis takes for certain: where its tip is; depth at which the shaft's
+# friction and the tip's force in the layer begin; depth and length of the last release; whether
+# HELD is held force, not cutting; whether the friction's fraction has been judged; how many
+# ruptures there have been; force of the layer before the last until its release has been judged.
+KIND, ROOT, TIP, RELEASE, LENGTH, IS_HELD, IS_JUDGED, RUPTURES, OWN_FORCE = range(9)
+FACTS = 9
+AIR, LAYER, MEMBRANE = 0.0, 1.0, 2.0
+CONTACT, EXIT, TEAR, MEETING = range(4)
+"""Events; a membrane is met under a layer that goes on pushing, and its puncture is an exit."""
+
+Spreads = Annotated[NDArray[np.float64], 3]
+"""Covariances of n hypotheses, shape (n, 17, 17)."""
+
+CUTTING_ONSET_MM = 1.0
+"""Travel over which the cutting force of a fresh layer builds up: about a needle diameter."""
+BEATS = ((1.2, 0.3), (0.3, 0.5))
+"""Frequency [Hz] and damping of the tissue's own motion: heartbeat, breathing."""
+COLOUR_S = 0.025
+"""Correlation time of a force sensor's noise behind its filter."""
+LAW_ERROR = 0.03
+"""Relative error of the linear law, the same over `LAW_MM` of travel."""
+LAW_MM = 5.0
+OFFSET_WALK = 1e-6
+"""Drift of the sensor's zero [N²/s]."""
+HELD_WANDER = 0.05
+"""Relative change of cutting force, per square root of a mm."""
+SHAPE_ERROR = 0.1
+"""Of a release or an onset of cutting, as part of its force."""
+TEMPER = 0.5
+"""Weight of evidence: errors of the law are alike from one block to the next."""
+FREEDOM = 8.0
+"""Degrees of freedom of Student's t: a single surprise proves little."""
+SLOPE, SLOPE_STD = 0.03, 0.04
+"""Growth of the force in a layer, before data [N/mm]."""
+FRACTION, FRACTION_STD = 0.55, 0.2
+"""Of friction in that growth."""
+COULOMB_SPEED, COULOMB_LOG_STD = 3.4, 0.8
+"""Speed at which Coulomb and viscous friction are equal [mm/s]: 1.5 in gels, 7.5 in liver."""
+
+
+@compiled
+def oscillation(dt_s: float, hz: float, damping: float) -> tuple[float, float, float, float]:
+    """Transition of a damped oscillator's deflection and rate, row by row."""
+    w = 2.0 * math.pi * hz
+    d = w * math.sqrt(1.0 - damping**2)
+    decay, cosine, sine = math.exp(-damping * w * dt_s), math.cos(d * dt_s), math.sin(d * dt_s)
+    return (
+        decay * (cosine + damping * w / d * sine),
+        decay * sine / d,
+        -decay * w * w / d * sine,
+        decay * (cosine - damping * w / d * sine),
+    )
+
+
+@compiled
+def smooth_walk(travel: float, length: float) -> tuple[float, float, float, float]:
+    """Transition of a critically damped value and its slope (Matern 3/2), row by row."""
+    reach = travel / length
+    decay = math.exp(-reach)
+    slope = -decay * reach / length
+    return decay * (1.0 + reach), decay * travel, slope, decay * (1.0 - reach)
+
+
+@compiled
+def regressors(facts: Matrix, depth: float, speed: float, deflection: float) -> Matrix:
+    """Rows of every hypothesis at one place: force = row @ unknowns, shape (n, 17)."""
+    rows = np.zeros((len(facts), UNKNOWNS))
+    gone = np.minimum(np.maximum((depth - facts[:, RELEASE]) / facts[:, LENGTH], 0.0), 1.0)
+    released = (1.0 - gone) ** 2
+    travel = np.maximum(depth - facts[:, TIP], 0.0)
+    length = np.maximum(depth - facts[:, ROOT], 0.0)
+    onset = np.minimum(travel / CUTTING_ONSET_MM, 1.0)
+    rows[:, OFFSET] = 1.0
+    rows[:, COULOMB] = deflection
+    rows[:, VISCOUS] = speed
+    rows[:, RELEASED] = released
+    rows[:, HELD] = np.where(facts[:, IS_HELD] > 0.0, 1.0 - released, onset * (2.0 - onset))
+    rows[:, STIFFNESS] = travel
+    rows[:, STIFFENING] = travel * travel
+    rows[:, OWN_COULOMB] = deflection * length
+    rows[:, OWN_VISCOUS] = speed * length
+    rows[:, COLOUR] = 1.0
+    rows[:, HEART] = 1.0
+    rows[:, BREATH] = 1.0
+    rows[:, LAW] = 1.0
+    return rows
+
+
+@compiled
+def predict(
+    means: Matrix, spreads: Spreads, held: Vector, dt_s: float, travel: float, levels: Vector
+) -> tuple[Matrix, Spreads]:
+    """Unknowns a time and a travel later.
+
+    Args:
+        means: Of every hypothesis, shape (n, 17).
+        spreads: Their covariances.
+        held: Variance by which the cutting force changes, shape (n,).
+        dt_s: Time.
+        travel: Fresh travel of the tip.
+        levels: Variances of colour, heartbeat, breathing and of the law's error.
+    """
+    keep = np.ones(UNKNOWNS)
+    keep[COLOUR] = math.exp(-dt_s / COLOUR_S)
+    means, spreads = means * keep, spreads * (keep.reshape(-1, 1) * keep)
+    spreads[:, OFFSET, OFFSET] += OFFSET_WALK * dt_s
+    spreads[:, HELD, HELD] += held
+    spreads[:, COLOUR, COLOUR] += (1.0 - keep[COLOUR] ** 2) * levels[0]
+    for k in range(3):
+        at, hz, damping = HEART + 2 * k, BEATS[min(k, 1)][0], BEATS[min(k, 1)][1]
+        turn, rate = oscillation(dt_s, hz, damping), 2.0 * math.pi * hz
+        if k == 2:
+            turn, rate = smooth_walk(travel, LAW_MM), 1.0 / LAW_MM
+        a, b, c, d = turn
+        one, two = means[:, at].copy(), means[:, at + 1].copy()
+        means[:, at], means[:, at + 1] = a * one + b * two, c * one + d * two
+        first, second = spreads[:, at].copy(), spreads[:, at + 1].copy()
+        spreads[:, at], spreads[:, at + 1] = a * first + b * second, c * first + d * second
+        first, second = spreads[:, :, at].copy(), spreads[:, :, at + 1].copy()
+        spreads[:, :, at], spreads[:, :, at + 1] = a * first + b * second, c * first + d * second
+        # Noise that leaves the stationary variances `level` and `level * rate**2` as they are.
+        level, fast = levels[1 + k], levels[1 + k] * rate**2
+        spreads[:, at, at] += level - a * a * level - b * b * fast
+        spreads[:, at, at + 1] -= a * c * level + b * d * fast
+        spreads[:, at + 1, at] -= a * c * level + b * d * fast
+        spreads[:, at + 1, at + 1] += fast - c * c * level - d * d * fast
+    return means, spreads
+
+
+@compiled
+def absorb(
+    means: Matrix, spreads: Spreads, facts: Matrix, rows: Matrix, measured: tuple[float, float, float]
+) -> tuple[Matrix, Spreads, Vector]:
+    """Use the mean force of a block.
+
+    Args:
+        means: Of every hypothesis, shape (n, 17).
+        spreads: Their covariances.
+        facts: What they take for certain, shape (n, 9).
+        rows: Their regressors, shape (n, 17).
+        measured: Force, its variance for all hypotheses, depth.
+
+    Returns:
+        New means and covariances, and the logarithm of the evidence, shape (n,).
+    """
+    force, common, depth = measured
+    gone = np.minimum(np.maximum((depth - facts[:, RELEASE]) / facts[:, LENGTH], 0.0), 1.0)
+    early = np.maximum(1.0 - np.maximum(depth - facts[:, TIP], 0.0) / CUTTING_ONSET_MM, 0.0)
+    noise = common + (SHAPE_ERROR * means[:, RELEASED]) ** 2 * 4.0 * gone * (1.0 - gone)
+    noise += (SHAPE_ERROR * means[:, HELD] * early) ** 2
+    found, narrowed = np.empty_like(means), np.empty_like(spreads)
+    evidence = np.empty(len(means))
+    for k in range(len(means)):
+        cross = np.dot(spreads[k], rows[k])
+        variance = np.dot(rows[k], cross) + noise[k]
+        error = force - np.dot(rows[k], means[k])
+        surprise = error * error / variance
+        evidence[k] = -0.5 * math.log(variance)
+        evidence[k] -= 0.5 * (FREEDOM + 1.0) * math.log1p(surprise / FREEDOM)
+        gain = cross / (variance * max((FREEDOM + surprise) / (FREEDOM + 1.0), 1.0))
+        found[k] = means[k] + gain * error
+        narrowed[k] = spreads[k] - np.outer(gain, cross)
+    return found, narrowed, TEMPER * evidence
+
+
+@compiled
+def add_layer_prior(
+    mean: WrittenVector, spread: WrittenMatrix, speed: float, is_new: bool
+) -> None:
+    """Add what is known beforehand of a layer; a tear leaves its friction as it was."""
+    coulomb = COULOMB_SPEED / (COULOMB_SPEED + max(speed, 0.1))
+    viscous, pace, std = 1.0 - coulomb, max(speed, 0.5), 0.7 * SLOPE_STD
+    mean[STIFFNESS] += (1.0 - FRACTION) * SLOPE
+    spread[STIFFNESS, STIFFNESS] += std**2
+    spread[STIFFENING, STIFFENING] += 3e-4**2
+    if is_new:
+        mean[OWN_COULOMB] += FRACTION * coulomb * SLOPE
+        spread[OWN_COULOMB, OWN_COULOMB] += (std * coulomb) ** 2
+        mean[OWN_VISCOUS] += FRACTION * viscous * SLOPE / pace
+        spread[OWN_VISCOUS, OWN_VISCOUS] += (std * viscous / pace) ** 2
+        mean[HELD] += 0.03
+        spread[HELD, HELD] += 0.08**2
+        # Stiff tissue is hard to cut.
+        spread[:, HELD] += spread[:, STIFFNESS]
+        spread[HELD, :] += spread[STIFFNESS, :]
+
+
+@compiled
+def after_event(
+    mean: Vector,
+    spread: Matrix,
+    row: Vector,
+    event: tuple[int, float, float],
+    now: tuple[float, float, float, float, float],
+) -> tuple[Vector, Matrix]:
+    """Unknowns of a hypothesis after an event; the force goes on as it was.
+
+    Args:
+        mean: Before it, shape (17,).
+        spread: Before it, shape (17, 17).
+        row: Regressor where it happens, shape (17,).
+        event: Which, in what the tip was before, and is after.
+        now: Length of shaft in the layer, that since the last event, deflection, speed, force.
+    """
+    what, was, becomes = event
+    length, passed, deflection, speed, force = now
+    change, noise, tip = np.eye(UNKNOWNS), np.zeros((UNKNOWNS, UNKNOWNS)), np.zeros(UNKNOWNS)
+    tip[RELEASED:_AFTER_TIP] = row[RELEASED:_AFTER_TIP]
+    change[RELEASED:_AFTER_TIP] = 0.0
+    if what in (EXIT, TEAR):  # the error of the law was the tip's, and goes with it
+        tip[LAW] = 1.0
+        change[LAW : LAW_RATE + 1] = 0.0
+        noise[LAW, LAW] = (LAW_ERROR * (force - mean[OFFSET] - np.dot(tip, mean))) ** 2
+        noise[LAW_RATE, LAW_RATE] = noise[LAW, LAW] / LAW_MM**2
+    if what == CONTACT:
+        change[OWN_COULOMB : OWN_VISCOUS + 1] = 0.0
+        change[LEFT] = 0.0
+        noise[COULOMB, COULOMB] = (0.2 * (1.0 - deflection)) ** 2  # or it starts inside tissue
+    elif what == TEAR:
+        change[RELEASED], change[HELD] = tip, 0.5 * tip
+        noise[HELD, HELD] = (0.25 * np.dot(tip, mean)) ** 2 + 1e-4
+    else:
+        change[OWN_COULOMB : OWN_VISCOUS + 1] = 0.0
+        if was == LAYER:
+            change[COULOMB, OWN_COULOMB], change[VISCOUS, OWN_VISCOUS] = length, length
+        change[HELD if what == MEETING else RELEASED] = tip
+    if was == LAYER:
+        change[LEFT] = 0.0
+        change[LEFT, OWN_COULOMB] = passed * deflection
+        change[LEFT, OWN_VISCOUS] = passed * speed
+    mean = np.dot(change, mean)
+    spread = np.dot(np.dot(change, spread), np.ascontiguousarray(change.T)) + noise
+    if becomes == LAYER:
+        add_layer_prior(mean, spread, speed, what != TEAR)
+    elif becomes == MEMBRANE:
+        mean[STIFFNESS], mean[STIFFENING] = 0.05, 0.01
+        spread[STIFFNESS, STIFFNESS], spread[STIFFENING, STIFFENING] = 0.1**2, 0.02**2
+    return mean, spread
+
+
+@compiled
+def judge_fraction(
+    mean: Vector, spread: Matrix, speed: float, is_due: bool
+) -> tuple[bool, Vector, Matrix]:
+    """Apply the prior of friction's fraction in the growth of the force, once that is known.
+
+    Returns:
+        Whether it has been applied, and the unknowns.
+    """
+    row = np.zeros(UNKNOWNS)
+    row[STIFFNESS], row[OWN_COULOMB], row[OWN_VISCOUS] = 1.0, 1.0, speed
+    slope, variance = np.dot(row, mean), np.dot(row, np.dot(spread, row))
+    if variance > (0.2 * max(slope, 0.004)) ** 2 and not is_due:
+        return False, mean.copy(), spread.copy()
+    slope, speed = max(slope, 2e-3), max(speed, 0.1)
+    coulomb = COULOMB_SPEED / (COULOMB_SPEED + speed)
+    row[STIFFNESS], row[OWN_COULOMB] = -FRACTION, 1.0 - FRACTION
+    row[OWN_VISCOUS] = (1.0 - FRACTION) * speed
+    cross = np.dot(spread, row)
+    gain = cross / (np.dot(row, cross) + (FRACTION_STD * slope) ** 2)
+    mean, spread = mean - gain * np.dot(row, mean), spread - np.outer(gain, cross)
+    row[STIFFNESS], row[OWN_COULOMB], row[OWN_VISCOUS] = 0.0, 1.0 - coulomb, -coulomb * speed
+    cross = np.dot(spread, row)
+    std = coulomb * (1.0 - coulomb) * COULOMB_LOG_STD * FRACTION * slope
+    gain = cross / (np.dot(row, cross) + std**2)
+    return True, mean - gain * np.dot(row, mean), spread - np.outer(gain, cross)

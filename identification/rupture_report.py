@@ -1,0 +1,202 @@
+"""What the bank says: the shaft's friction at one depth, ruptures, and layers left.
+
+Every answer is a mixture over the hypotheses: its mean is their mean, and where they differ its
+standard deviation is wider than that of each.
+"""
+
+import math
+from typing import NamedTuple
+
+import numpy as np
+
+from identification.estimate import Array, LayerEstimate, Rupture
+from identification.hypothesis_bank import (
+    CONTACT_MM,
+    PART_END,
+    PART_FRICTION,
+    PART_START,
+    RUPTURE_FORCE,
+    RUPTURE_MM,
+    RUPTURE_S,
+    RUPTURE_SPEED,
+    STIFFNESS_HERE,
+    WAS_TEAR,
+    Bank,
+    Place,
+)
+from identification.hypothesis_filter import (
+    AIR,
+    COULOMB,
+    HELD,
+    IS_HELD,
+    KIND,
+    LAYER,
+    LEFT,
+    OFFSET,
+    OWN_COULOMB,
+    OWN_VISCOUS,
+    RELEASED,
+    ROOT,
+    RUPTURES,
+    STIFFENING,
+    STIFFNESS,
+    TIP,
+    VISCOUS,
+    regressors,
+)
+from identification.switching_update import Answer
+
+_MM = 1e3
+_LEAST_WEIGHT = 1e-3
+"""Less likely hypotheses do not show in an answer."""
+_CLEAR_SIGMAS = 3.0
+"""Least released force of a rupture worth an alarm, in standard deviations of a block's force."""
+_KEPT_SHARE = 0.3
+"""Hypotheses with the last rupture must be so likely, together, to say what it was."""
+_IDENTIFIED = 0.25
+"""A value is identified if its standard deviation is no more of it."""
+_NAMES = ("stiffness", "coulomb", "viscous")
+_UNITS = (("N_per_m", _MM), ("N_per_m", _MM), ("Ns_per_m2", _MM * _MM))
+
+
+def _mixture(weights: Array, means: Array, spreads: Array) -> tuple[Array, Array]:
+    """Mean and covariance of a mixture; weights shape (n,), means (n, m), spreads (n, m, m)."""
+    mean = weights @ means
+    off = means - mean
+    return mean, np.tensordot(weights, spreads, 1) + (weights * off.T) @ off
+
+
+def answer_at(bank: Bank, place: Place, ruptures: int) -> Answer:
+    """Friction of the shaft at a place, for the samples that follow; `ruptures` known so far."""
+    every = bank.weights
+    likely = every > _LEAST_WEIGHT
+    weights = every[likely] / every[likely].sum()
+    facts, means, spreads = bank.facts[likely], bank.means[likely], bank.spreads[likely]
+    length = np.maximum(place.depth - facts[:, ROOT], 0.0)
+    # Offset, C, V, A, B, their growth, stiffness: a linear map of each one's unknowns.
+    maps = np.zeros((len(weights), 8, means.shape[1]))
+    is_met = (facts[:, KIND] != AIR) | (facts[:, RUPTURES] > 0.0)
+    maps[:, 0, OFFSET] = 1.0
+    for row, left, own in ((1, COULOMB, OWN_COULOMB), (2, VISCOUS, OWN_VISCOUS)):
+        maps[:, row, left] = maps[:, row + 2, left] = maps[:, row + 4, own] = is_met
+        maps[:, row + 2, own] = is_met * length
+    maps[:, 7, STIFFNESS] = facts[:, KIND] != AIR
+    maps[:, 7, STIFFENING] = 2.0 * np.maximum(place.depth - facts[:, TIP], 0.0)
+    found = np.einsum("nij,nj->ni", maps, means)
+    mean, spread = _mixture(weights, found, maps @ spreads @ maps.transpose(0, 2, 1))
+    row = regressors(facts[:1], place.depth, place.speed, place.deflection)[0]
+    tip = slice(RELEASED, STIFFENING + 1)
+    met = float(every[(bank.facts[:, KIND] != AIR) | (bank.facts[:, RUPTURES] > 0.0)].sum())
+    in_contact = met > 0.5
+    first = 0 if is_met[0] else int(np.argmax(is_met))
+    diagonal = np.maximum(spread.diagonal(), 0.0)
+    return Answer(
+        in_contact,
+        ruptures + 1 if in_contact else 0,
+        float(bank.records[likely][first, CONTACT_MM]) / _MM if in_contact else 0.0,
+        place.depth,
+        place.noise**2,
+        *mean.tolist(),
+        float(row[tip] @ means[0, tip]),
+        float(diagonal[0]),
+        *(float(spread[i, j]) for i, j in _PAIRS),
+        float(diagonal[5]),
+        float(spread[5, 6]),
+        float(diagonal[6]),
+        float(diagonal[7]),
+    )
+
+
+_PAIRS = ((0, 1), (0, 2), (1, 1), (1, 2), (2, 2), (0, 3), (0, 4), (3, 3), (3, 4), (4, 4))
+
+
+class Verdict(NamedTuple):
+    """What the hypotheses say of the number of ruptures."""
+
+    more: float  # probability of one more than known, with a clear fall of the force
+    fewer: float  # probability of fewer than known
+    pick: int  # the likeliest hypothesis with one more, -1 without any
+    best: int  # ruptures of the likeliest of all
+
+
+def count_ruptures(bank: Bank, known: int, noise: float) -> Verdict:
+    """Compare the number of ruptures known with those of the hypotheses."""
+    weights, facts = bank.weights, bank.facts
+    released = bank.means[:, RELEASED] * np.where(facts[:, IS_HELD] > 0.0, 0.5, 1.0)
+    more = facts[:, RUPTURES] > known
+    is_clear = released > _CLEAR_SIGMAS * noise
+    pick = int(np.argmax(np.where(more, weights, -1.0))) if more.any() else -1
+    fewer = float(weights[facts[:, RUPTURES] < known].sum())
+    best = int(facts[int(np.argmax(weights)), RUPTURES])
+    return Verdict(float(weights[more & is_clear].sum()), fewer, pick, best)
+
+
+def rupture_of(
+    bank: Bank, pick: int, layer: int, confidence: float, alarm: tuple[float, float]
+) -> Rupture:
+    """The rupture that hypothesis `pick` knows of, alarmed at a time and depth."""
+    record = bank.records[pick]
+    return Rupture(
+        layer=layer,
+        alarm_s=alarm[0],
+        alarm_depth_m=alarm[1],
+        time_s=min(float(record[RUPTURE_S]), alarm[0]),
+        depth_m=float(record[RUPTURE_MM]) / _MM,
+        force_N=float(record[RUPTURE_FORCE]),
+        speed_m_s=float(record[RUPTURE_SPEED]) / _MM,
+        confidence=min(confidence, 1.0),
+        contact_depth_m=float(record[CONTACT_MM]) / _MM,
+    )
+
+
+def layer_left(bank: Bank, rupture: Rupture, known: int, *, is_final: bool) -> LayerEstimate | None:
+    """The layer, or the part of one, that the last rupture ended.
+
+    None where other hypotheses are likelier than those that know of this rupture as the last.
+    """
+    facts, records, weights = bank.facts, bank.records, bank.weights
+    # A membrane met since has begun to write down the next layer.
+    mine = (facts[:, RUPTURES] == known) & (records[:, PART_END] <= records[:, RUPTURE_MM])
+    total = float(weights[mine].sum())
+    if total < _KEPT_SHARE:
+        return None
+    share, means, spreads = weights[mine] / total, bank.means[mine], bank.spreads[mine]
+    at = [LEFT, RELEASED]
+    mean, spread = _mixture(share, means[:, at], spreads[:, at][:, :, at])
+    (friction, drop), (std, drop_std) = mean.tolist(), np.sqrt(spread.diagonal()).tolist()
+    record = records[mine][int(np.argmax(share))]
+    thickness = max(float(record[RUPTURE_MM] - record[PART_START]), 1e-3)
+    speed = max(float(record[RUPTURE_SPEED]), 1e-3)
+    # Its unknowns are known as they were at its end; its friction has become better known since.
+    scale = friction / record[PART_FRICTION] if record[PART_FRICTION] > 0.0 else 0.0
+    fields: dict[str, float | bool] = {}
+    for k, (name, (unit, factor)) in enumerate(zip(_NAMES, _UNITS, strict=True)):
+        value, variance = record[STIFFNESS_HERE + 2 * k : STIFFNESS_HERE + 2 * k + 2].tolist()
+        value = max(factor * value * (scale if k else 1.0), 0.0)
+        deviation = factor * math.sqrt(max(variance, 0.0))
+        fields[f"{name}_{unit}"], fields[f"{name}_std_{unit}"] = value, deviation
+        fields[f"{name}_identified"] = deviation <= _IDENTIFIED * value
+    per_length = _MM * _MM / (thickness * speed)
+    friction = max(friction, 0.0)
+    return LayerEstimate(
+        layer=rupture.layer,
+        is_final=is_final,
+        start_depth_m=float(record[PART_START]) / _MM,
+        thickness_m=thickness / _MM,
+        rupture=rupture,
+        force_drop_N=drop,
+        force_drop_std_N=drop_std,
+        friction_Ns_per_m2=per_length * friction,
+        friction_std_Ns_per_m2=per_length * std,
+        friction_identified=std <= _IDENTIFIED * friction,
+        friction_N=friction,
+        friction_std_N=std,
+        **fields,  # type: ignore[arg-type]
+    )
+
+
+def tear_probability(bank: Bank, known: int) -> float:
+    """How likely the last rupture was a tear within a layer, not its end."""
+    weights = np.where(bank.facts[:, RUPTURES] == known, bank.weights, 0.0)
+    total = float(weights.sum())
+    return float(weights @ bank.records[:, WAS_TEAR]) / total if total > 0.0 else 0.0

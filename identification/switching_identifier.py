@@ -1,0 +1,315 @@
+"""The switching filter over time: blocks of samples, ruptures, layers, answers.
+
+A block's work is spread over three samples: its force is absorbed in the sample that fills it;
+hypotheses of new events begin in the next; the bank is pruned and reports in the one after.
+"""
+
+import math
+from dataclasses import replace
+from typing import NamedTuple
+
+import numpy as np
+
+from identification.config import SwitchingConfig
+from identification.disturbance_levels import STEP_S, DisturbanceLevels
+from identification.estimate import (
+    Events,
+    LayerEstimate,
+    Rupture,
+    RuptureState,
+    Sample,
+    layers_traversed,
+)
+from identification.hypothesis_bank import (
+    STEP_MM,
+    Bank,
+    Place,
+    first_bank,
+    judge_fractions,
+    prune,
+    spawn,
+)
+from identification.hypothesis_filter import (
+    AIR,
+    HELD,
+    HELD_WANDER,
+    KIND,
+    LAW_ERROR,
+    OFFSET,
+    OWN_COULOMB,
+    OWN_VISCOUS,
+    ROOT,
+    RUPTURES,
+    STIFFNESS,
+    VISCOUS,
+    absorb,
+    predict,
+    regressors,
+)
+from identification.rupture_report import (
+    Verdict,
+    answer_at,
+    count_ruptures,
+    layer_left,
+    rupture_of,
+)
+from identification.switching_update import Answer, LeftLayer, SwitchingMemory, is_full
+
+_MM = 1e3
+PRESLIDING_MM = 0.3
+"""As in `switching_update`."""
+_GAP_S = 0.25
+"""A longer block is a gap: what it says is not used."""
+_USUAL_S = 10.0
+"""The usual speed is the highest of so many seconds."""
+_CREEP, _SLOW, _HALF = 0.05, 0.15, 0.3
+"""Advancing means faster than this [mm/s] and than a part of the usual speed; new hypotheses want
+more of it: at a stop the force falls without any rupture."""
+_CHANNEL_MM = 0.02
+"""Behind the deepest point by more than this, and the noise, the tip is in its own channel."""
+_UNSETTLED = 0.3
+"""Error of the friction while presliding turns or after a rest, as part of the force."""
+_RELEASED_MM = 0.7
+"""Within this travel after a rupture the force falls: it says nothing of the noise."""
+_TAKEN_BACK = 0.9
+"""Probability of fewer ruptures at which an alarm is taken back."""
+_PROVISIONAL_M, _FINAL_M = 1e-3, 3e-3
+"""Travel after a rupture at which its layer is reported."""
+_FAR_MM = 1e9
+_NOTHING, _SPAWN, _PRUNE = range(3)
+
+
+class Course(NamedTuple):
+    """How the needle has moved so far, block by block."""
+
+    deepest: float = -_FAR_MM  # [mm]
+    spawned: float = -_FAR_MM  # depth at which hypotheses began last [mm]
+    usual_speed: float = 0.0  # [mm/s]
+    resumed: float = 0.0  # how much of a rest or reversal is left in the friction, 0 to 1
+    clear: float = _FAR_MM  # depth at which the last release is over [mm]
+
+
+class SwitchingState(NamedTuple):
+    """All that the switching filter remembers; immutable."""
+
+    bank: Bank
+    levels: DisturbanceLevels = DisturbanceLevels()
+    memory: SwitchingMemory = SwitchingMemory()  # what every sample changes
+    course: Course = Course()
+    place: Place = Place(*(0.0,) * 8)  # middle of the last block
+    stage: int = _NOTHING  # what is left to do for that block
+    answer: Answer = Answer()
+    ruptures: int = 0  # in the hypotheses that the last report followed
+    alarm: Rupture | None = None  # the last one raised and not taken back
+    layers: tuple[LayerEstimate, ...] = ()
+    rupture_state: RuptureState = RuptureState.NO_RUPTURE
+    events: Events = Events()  # of this sample
+
+    @property
+    def known_layers(self) -> tuple[LayerEstimate, ...]:
+        """The layers left, as known now."""
+        return self.layers
+
+    @property
+    def is_due(self) -> bool:
+        """Whether the next sample finds work to do even if it fills no block."""
+        return self.stage != _NOTHING or any(self.events)
+
+    @property
+    def sources(self) -> tuple[object, ...]:
+        """What every sample reads follows from these."""
+        return self.answer, self.layers
+
+
+def initial_switching_state(_config: object) -> SwitchingState:
+    """State before the first sample."""
+    return SwitchingState(first_bank())
+
+
+def left_layers(state: SwitchingState) -> list[LeftLayer]:
+    """Friction of the layers left, for the withdrawal."""
+    found = []
+    for layer in state.layers:
+        coulomb = min((layer.coulomb_N_per_m or 0.0) * layer.thickness_m, layer.friction_N)
+        viscous = (layer.friction_N - coulomb) / max(_MM * layer.rupture.speed_m_s, 1e-3)
+        found.append(LeftLayer(layer.start_depth_m, layer.thickness_m, coulomb, viscous))
+    return found
+
+
+def switching_step(
+    state: SwitchingState, memory: SwitchingMemory, sample: Sample, config: SwitchingConfig
+) -> SwitchingState:
+    """What is done once per block, in three parts."""
+    state = state._replace(memory=memory)
+    if is_full(tuple(memory)):
+        while state.stage != _NOTHING:  # blocks of one or two samples
+            state = _work(state, sample, config)
+        state = _absorb(state, sample)
+    elif state.stage != _NOTHING:
+        state = _work(state, sample, config)
+    return state._replace(memory=state.memory._replace(due=float(state.is_due)))
+
+
+def _work(state: SwitchingState, sample: Sample, config: SwitchingConfig) -> SwitchingState:
+    if state.stage == _SPAWN:
+        return _branch(state)
+    return _report(state, sample, config)
+
+
+def _absorb(state: SwitchingState, sample: Sample) -> SwitchingState:
+    """Let every hypothesis predict the force of the block, and learn from it."""
+    memory, course, bank, levels = state.memory, state.course, state.bank, state.levels
+    dt, last = memory.filled_s, course.deepest
+    z, v, w = (x / dt for x in (_MM * memory.depth_sum, _MM * memory.speed_sum, memory.deflection_sum))
+    jitter, speed_noise = _MM * memory.depth_std_m, _MM * memory.speed_std_m_s
+    usual = max(course.usual_speed * math.exp(-dt / _USUAL_S), v)
+    fresh = max(z - last, 0.0) if last > -_FAR_MM else 0.0
+    is_gap = dt > _GAP_S
+    is_advancing = v > max(_CREEP + 2.0 * speed_noise, _SLOW * usual) and not is_gap
+    is_advancing &= z > last - _CHANNEL_MM - 4.0 * jitter
+    place = Place(sample.time_s - 0.5 * dt, dt, z, v, w, memory.force_sum / dt, usual, levels.noise)
+    course = course._replace(deepest=max(last, z), usual_speed=usual)
+    emptied = memory._replace(
+        filled_s=0.0, depth_sum=0.0, speed_sum=0.0, deflection_sum=0.0, force_sum=0.0
+    )
+    bank = _predicted(bank, place, fresh, levels)
+    is_met = bool((bank.facts[:, KIND] != AIR).any() or (bank.facts[:, RUPTURES] > 0.0).any())
+    is_used = (is_advancing or not is_met) and not is_gap
+    if is_used:
+        course = course._replace(resumed=course.resumed * math.exp(-fresh / PRESLIDING_MM))
+        if z > course.clear:
+            levels, course = levels.restarted(), course._replace(clear=_FAR_MM)
+        levels = levels.with_force(place.force, dt, v)
+        place = place._replace(noise=levels.noise)
+        bank = _absorbed(bank, place, levels, course.resumed, speed_noise)
+    else:
+        course, levels = course._replace(resumed=1.0), levels.restarted()
+    stage = _SPAWN if is_used and is_advancing else _PRUNE
+    return state._replace(
+        bank=bank, levels=levels, memory=emptied, course=course, place=place, stage=stage
+    )
+
+
+def _predicted(bank: Bank, place: Place, fresh: float, levels: DisturbanceLevels) -> Bank:
+    # Errors of the law are the same for all: what claims less would be believed more.
+    best = bank.means[0]
+    slope = max(best[STIFFNESS] + best[OWN_COULOMB] + best[OWN_VISCOUS] * place.speed, 0.004)
+    held = fresh * (HELD_WANDER * min(max(best[HELD], 0.02), 2.0 * slope)) ** 2
+    law = (LAW_ERROR * (place.force - best[OFFSET])) ** 2
+    variances = np.array([*levels.levels[1:], law])
+    means, spreads = predict(
+        bank.means,
+        bank.spreads,
+        np.where(bank.facts[:, KIND] != AIR, held, 0.0),
+        place.dt_s,
+        fresh,
+        variances,
+    )
+    return bank._replace(means=means, spreads=spreads)
+
+
+def _absorbed(
+    bank: Bank, place: Place, levels: DisturbanceLevels, resumed: float, speed_noise: float
+) -> Bank:
+    best, fact = bank.means[0], bank.facts[0]
+    damping = best[VISCOUS] + best[OWN_VISCOUS] * max(place.depth - fact[ROOT], 0.0)
+    variance = max(levels.levels[0] * STEP_S / place.dt_s, 1e-8)
+    variance += (2.0 * damping * speed_noise) ** 2
+    if fact[KIND] != AIR:
+        loose = _UNSETTLED * max(1.0 - place.deflection, resumed)
+        variance += (loose * (place.force - best[OFFSET])) ** 2
+    rows = regressors(bank.facts, place.depth, place.speed, place.deflection)
+    measured = (place.force, float(variance), place.depth)
+    means, spreads, evidence = absorb(bank.means, bank.spreads, bank.facts, rows, measured)
+    log_weights = bank.log_weights + evidence
+    return bank._replace(means=means, spreads=spreads, log_weights=log_weights)
+
+
+def _branch(state: SwitchingState) -> SwitchingState:
+    """Begin hypotheses of what may have happened in the block's travel."""
+    place, course, bank = state.place, state.course, state.bank
+    is_fast = place.speed > _HALF * place.usual_speed
+    if is_fast and place.depth - course.spawned >= STEP_MM:
+        begin = place._replace(depth=place.depth - 0.5 * place.speed * place.dt_s)
+        bank = spawn(bank, begin, course.spawned)
+        course = course._replace(spawned=place.depth)
+    return state._replace(bank=judge_fractions(bank, place), course=course, stage=_PRUNE)
+
+
+def _report(state: SwitchingState, sample: Sample, config: SwitchingConfig) -> SwitchingState:
+    """Prune; raise or take back an alarm, report the layer left, answer for the next samples."""
+    bank, place = prune(state.bank, state.place), state.place
+    verdict = count_ruptures(bank, state.ruptures, place.noise)
+    now = RuptureState.EXPECTED if verdict.more > 0.5 else RuptureState.NO_RUPTURE
+    if _is_open(state):
+        now = RuptureState.FORCE_DROP_MEASURING
+    state = state._replace(bank=bank, stage=_NOTHING, rupture_state=now)
+    if verdict.more > config.alarm_probability:
+        state = _raise_alarm(state, sample, verdict)
+    elif state.alarm is not None and verdict.fewer > _TAKEN_BACK:
+        state = _take_back(state, verdict.best)
+    elif state.alarm is not None:
+        state = _report_layer(state, state.alarm)
+    answer = answer_at(bank, place, layers_traversed(state.layers) + _is_open(state))
+    if state.alarm is not None:
+        answer = answer._replace(cumulative_speed=_MM * state.alarm.speed_m_s)
+    return state._replace(answer=answer)
+
+
+def _is_open(state: SwitchingState) -> bool:
+    """Whether the layer of the last alarm is not among the layers yet."""
+    alarm = state.alarm
+    return alarm is not None and layers_traversed(state.layers) < alarm.layer
+
+
+def _raise_alarm(state: SwitchingState, sample: Sample, verdict: Verdict) -> SwitchingState:
+    events, layers = state.events, state.layers
+    if layers and not layers[-1].is_final:
+        layers = (*layers[:-1], replace(layers[-1], is_final=True))
+        events = events._replace(identified_layer=layers[-1])
+    at = (sample.time_s, sample.depth_m)
+    number = layers_traversed(layers) + 1
+    rupture = rupture_of(state.bank, verdict.pick, number, verdict.more, at)
+    return state._replace(
+        alarm=rupture,
+        ruptures=int(state.bank.facts[verdict.pick, RUPTURES]),
+        layers=layers,
+        levels=state.levels.restarted(),
+        course=state.course._replace(clear=_MM * rupture.depth_m + _RELEASED_MM),
+        rupture_state=RuptureState.DETECTED,
+        events=events._replace(rupture=rupture),
+    )
+
+
+def _take_back(state: SwitchingState, ruptures: int) -> SwitchingState:
+    """The force has come back: no rupture was there, and the layer goes on."""
+    layers, alarm = state.layers, state.alarm
+    if alarm is not None and layers_traversed(layers) == alarm.layer:
+        layers = layers[:-1]
+    return state._replace(
+        alarm=None,
+        ruptures=ruptures,
+        layers=layers,
+        events=state.events._replace(retracted=alarm),
+    )
+
+
+def _report_layer(state: SwitchingState, alarm: Rupture) -> SwitchingState:
+    """Report the layer that the last rupture ended, twice, and keep what is known of it."""
+    travel = state.place.depth / _MM - alarm.depth_m
+    is_open, layers = _is_open(state), state.layers
+    if is_open and travel < _PROVISIONAL_M:
+        return state
+    is_final = travel >= _FINAL_M or travel < 0.0 or (not is_open and layers[-1].is_final)
+    known = layer_left(state.bank, alarm, state.ruptures, is_final=is_final)
+    if known is None:
+        return state
+    if is_open:
+        return state._replace(
+            layers=(*layers, known),
+            events=state.events._replace(identified_layer=known),
+            rupture_state=RuptureState.FRICTION_IDENTIFIED,
+        )
+    if is_final and not layers[-1].is_final:
+        state = state._replace(events=state.events._replace(identified_layer=known))
+    return state._replace(layers=(*layers[:-1], known))
