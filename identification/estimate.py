@@ -232,6 +232,15 @@ class Sample(NamedTuple):
 
     time_s: float  # Time of the sample on the caller's clock, see `Identifier.update`
     dt_s: float  # Interval since the previous sample, positive
-    depth_m: float  # Tip travel along the insertion axis, jumps removed
-    speed_m_s: float  # Rate of depth
+    motion: Motion  # Depth, jumps removed, and speed, with their deviations
     force_N: float  # Axial force, positive when tissue pushes back
+
+    @property
+    def depth_m(self) -> float:
+        """Tip travel along the insertion axis, jumps removed."""
+        return self.motion[0]
+
+    @property
+    def speed_m_s(self) -> float:
+        """Rate of depth."""
+        return self.motion[1]

@@ -6,11 +6,13 @@ All else is done once per block of samples, see `multilayer_identifier`.
 import math
 from typing import NamedTuple
 
-from identification.estimate import Outputs
+from identification.estimate import Motion, Outputs
 from needleforce.jit import compiled
 
 _MM = 1e3
 _TINY = 1e-12
+_JITTER = 3.0
+"""Standard deviations of the depth within which it plays."""
 
 
 class MultilayerMemory(NamedTuple):
@@ -165,8 +167,7 @@ def _per_speed(
 
 @compiled
 def multilayer_outputs(
-    depth_m: float,
-    speed_m_s: float,
+    motion: Motion,
     force_N: float,
     memory: Memory,
     coefficients: Coefficients,
@@ -174,6 +175,7 @@ def multilayer_outputs(
 ) -> Outputs:
     """Enhanced force, tip force and their companions, for one sample; see `update_multilayer`."""
     c = coefficients[0]
+    depth_m, speed_m_s, _, _ = motion
     force_N -= c.offset_N
     earlier_N = own_N = 0.0
     if c.in_contact:
@@ -207,8 +209,7 @@ def multilayer_outputs(
 
 @compiled
 def update_multilayer(
-    depth_m: float,
-    speed_m_s: float,
+    motion: Motion,
     force_N: float,
     dt_s: float,
     memory: Memory,
@@ -222,13 +223,14 @@ def update_multilayer(
         report, see `multilayer_outputs`.
     """
     c = coefficients[0]
+    depth_m, speed_m_s, jitter_m, _ = motion
     filled, depth_sum, speed_sum, force_sum, bristle, last, smooth, deepest = memory
     keep = 0.0
     if deepest == -math.inf:
         last = depth_m
     else:
         keep = math.exp(-dt_s / c.smoothing_s)
-    follower = follow_depth(last, depth_m, c.deadband_m)
+    follower = follow_depth(last, depth_m, max(c.deadband_m, _JITTER * jitter_m))
     new = (
         filled + dt_s,
         depth_sum + dt_s * depth_m,
@@ -240,5 +242,5 @@ def update_multilayer(
         max(deepest, depth_m),
     )
     is_all = new[0] < c.block_s and not c.is_due
-    outputs = multilayer_outputs(depth_m, speed_m_s, force_N, new, coefficients, traversed)
+    outputs = multilayer_outputs(motion, force_N, new, coefficients, traversed)
     return is_all, new, outputs

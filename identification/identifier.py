@@ -27,10 +27,12 @@ from identification.input_validation import (
 )
 from identification.multilayer_state import MultilayerState
 from identification.published_identifier import PublishedState
+from identification.travel_filter import TravelState, filter_travel
 from needleforce.jit import jit_arguments
 
 _new = tuple.__new__
 """Makes an `Estimate` of a tuple in a third of the time."""
+_AT_REST = (0.0, 0.0, 0.0, 0.0)
 
 
 @dataclass(frozen=True, slots=True)
@@ -46,6 +48,7 @@ class _Method:
     arguments: Callable[[Any, Any], tuple[Any, ...]]  # What the two read of the state
     plain: Callable[[Any], tuple[Any, ...]]  # The state's memory as compiled code takes it
     memory: Callable[[tuple[Any, ...]], Any]  # The same back
+    is_filtered: bool  # Whether it takes depth and speed from the travel filter, or as they come
 
 
 def _multilayer_arguments(state: MultilayerState, config: MultilayerConfig) -> tuple[Any, ...]:
@@ -81,6 +84,7 @@ _METHODS: dict[type, _Method] = {
         arguments=_multilayer_arguments,
         plain=tuple,
         memory=multilayer_update.MultilayerMemory._make,
+        is_filtered=True,
     ),
     PublishedConfig: _Method(
         initial=published_identifier.initial_published_state,
@@ -91,6 +95,7 @@ _METHODS: dict[type, _Method] = {
         arguments=_published_arguments,
         plain=_plain_memory,
         memory=published_update.PublishedMemory.of,
+        is_filtered=False,
     ),
 }
 """By the type of their settings."""
@@ -102,12 +107,14 @@ class Snapshot(NamedTuple):
     Attributes:
         config: Configuration it belongs to.
         check: Memory of the sample check.
+        travel: Memory of the travel filter.
         state: Memory of the method.
         last: Last estimate.
     """
 
     config: MultilayerConfig | PublishedConfig
     check: CheckState
+    travel: TravelState
     state: MultilayerState | PublishedState
     last: Estimate
 
@@ -147,9 +154,9 @@ class Identifier:
         config, method = self._config, self._method
         state = method.initial(config)
         memory, arguments = method.plain(state.memory), method.arguments(state, config)
-        outputs = method.outputs(0.0, 0.0, 0.0, memory, *arguments)
+        outputs = method.outputs(_AT_REST, 0.0, memory, *arguments)
         last = Estimate(0.0, SampleStatus.OK, state.rupture_state, *outputs, *state.events)
-        self._resume(Snapshot(config, CheckState(), state, last))
+        self._resume(Snapshot(config, CheckState(), TravelState(), state, last))
 
     def update(
         self,
@@ -183,11 +190,14 @@ class Identifier:
             time_s = check[0]
         if number > LAST_USED:
             return self._reject(STATUSES[number], time_s, check)
+        motion, self._travel = filter_travel(depth_m, speed_m_s, elapsed_s, self._travel)
+        if not self._method.is_filtered:
+            motion = depth_m, speed_m_s, 0.0, 0.0
         is_all, memory, outputs = self._method_update(
-            depth_m, speed_m_s, force_N, elapsed_s, self._memory, *self._arguments
+            motion, force_N, elapsed_s, self._memory, *self._arguments
         )
         if not is_all:
-            sample = Sample(time_s, elapsed_s, depth_m, speed_m_s, force_N)
+            sample = Sample(time_s, elapsed_s, motion, force_N)
             return self._step(sample, memory, outputs, STATUSES[number], check)
         self._check, self._memory = check, memory
         estimate = self._last = _new(
@@ -208,7 +218,8 @@ class Identifier:
     def snapshot(self) -> Snapshot:
         """Everything needed to resume exactly here."""
         state = self._state._replace(memory=self._method.memory(self._memory))
-        return Snapshot(self._config, CheckState(*self._check), state, self._last)
+        check, travel = CheckState(*self._check), TravelState.of(self._travel)
+        return Snapshot(self._config, check, travel, state, self._last)
 
     def restore(self, snapshot: Snapshot) -> None:
         """Resume where `snapshot` was taken, bit for bit.
@@ -223,12 +234,14 @@ class Identifier:
             )
         check_state(snapshot.state, self._method.initial(self._config))
         check_state(snapshot.check, CheckState())
+        check_state(snapshot.travel, TravelState())
         self._resume(snapshot)
 
     def _resume(self, snapshot: Snapshot) -> None:
-        _, check, state, last = snapshot
+        _, check, travel, state, last = snapshot
         self._keep(state, self._method.arguments(state, self._config))
-        self._check, self._last, self._before = check[:], last, None
+        self._check, self._travel = check[:], travel.plain
+        self._last, self._before = last, None
 
     def _keep(self, state: Any, arguments: tuple[Any, ...]) -> None:
         """Keep a state, and at hand what ordinary samples need of it."""
@@ -245,7 +258,7 @@ class Identifier:
     ) -> Estimate:
         """A sample that asks more than `_Method.update`, which has given memory and outputs."""
         method, state, arguments = self._method, self._state, self._arguments
-        _, dt_s, depth_m, speed_m_s, force_N = sample
+        _, dt_s, motion, force_N = sample
         if state.is_due:
             # The memory in the state is older than the one at hand, its events are over.
             fresh = state._replace(memory=method.memory(self._memory), events=Events())
@@ -253,15 +266,13 @@ class Identifier:
             if _coefficients_change(state, begun):
                 arguments = method.arguments(begun, self._config)
                 before = method.plain(begun.memory)
-                _, memory, outputs = method.update(
-                    depth_m, speed_m_s, force_N, dt_s, before, *arguments
-                )
+                _, memory, outputs = method.update(motion, force_N, dt_s, before, *arguments)
             state = begun
         new = method.step(state, method.memory(memory), sample, self._config)
         if _coefficients_change(state, new):
             arguments = method.arguments(new, self._config)
             memory = method.plain(new.memory)
-            outputs = method.outputs(depth_m, speed_m_s, force_N, memory, *arguments)
+            outputs = method.outputs(motion, force_N, memory, *arguments)
         self._before = None if new.events.rupture is None else self.snapshot()
         self._keep(new, arguments)
         self._check = check

@@ -60,6 +60,7 @@ _POOLED_BLOCKS = 20.0
 """A row spans 0.1 s or `row_m` of travel, whichever is sooner."""
 _OTHER_ERROR = 0.2
 """Weight of the whole force, beside the layer's own, in the error of the linear law."""
+_JITTER = 4.0
 _CHANNEL_M = 2e-4
 """Behind the deepest point by more than this the needle is in its old channel."""
 
@@ -85,8 +86,9 @@ def multilayer_step(
         return state._replace(detector=restart_detector(state.detector))
     if not state.in_contact:
         return _free_air(state, block, config)
+    channel_m = _CHANNEL_M + _JITTER * sample.motion[2]
     is_moving = memory.speed_m_s > config.rest_speed_m_s
-    is_cutting = is_moving and block.depth_m > memory.deepest_m - _CHANNEL_M
+    is_cutting = is_moving and block.depth_m > memory.deepest_m - channel_m
     return _cut(state, block, config) if is_cutting else _rest(state, config)
 
 

@@ -11,7 +11,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from identification.estimate import Array, Outputs
+from identification.estimate import Array, Motion, Outputs
 from needleforce.jit import Matrix, compiled
 
 
@@ -165,10 +165,11 @@ def derivative_step(
 
 @compiled
 def published_outputs(
-    depth_m: float, speed_m_s: float, force_N: float, memory: Memory, coefficients: Coefficients
+    motion: Motion, force_N: float, memory: Memory, coefficients: Coefficients
 ) -> Outputs:
     """Enhanced force f - sum(B_j d_j) v and its companions; see `update_published`."""
     c = coefficients[0]
+    depth_m, speed_m_s, _, _ = motion
     depth = max(depth_m - c.start_m, 0.0)
     in_contact = depth > 0.0 or c.is_inside
     stiffness, friction = memory[0][0], memory[0][1]
@@ -196,8 +197,7 @@ def published_outputs(
 
 @compiled
 def update_published(
-    depth_m: float,
-    speed_m_s: float,
+    motion: Motion,
     force_N: float,
     dt_s: float,
     memory: Memory,
@@ -210,6 +210,7 @@ def update_published(
         memory, and what to report, see `published_outputs`.
     """
     c = coefficients[0]
+    depth_m, speed_m_s, _, _ = motion
     rls, window, window_s, travel_s, mean, decision, derivative, last, _, waited, _, _, was = memory
     before = force_N if math.isnan(last) else last
     layer_depth = depth_m - c.start_m
@@ -217,7 +218,7 @@ def update_published(
         so_far = (rls, window, window_s, travel_s, mean, decision, derivative)
         # Numba knows no starred parts of a tuple.
         free = so_far + (force_N, before, waited, 0.0, False, was)  # noqa: RUF005
-        return True, free, published_outputs(depth_m, speed_m_s, force_N, free, coefficients)
+        return True, free, published_outputs(motion, force_N, free, coefficients)
     phi = regressor(max(layer_depth, 0.0), speed_m_s, c.is_ml)
     earlier = c.cumulative_Ns_per_m * speed_m_s
     own = force_N - earlier
@@ -235,7 +236,7 @@ def update_published(
     new = so_far + (force_N, before, waited, predicted, is_alarm, is_expected)  # noqa: RUF005
     is_all = not is_alarm and is_expected == c.is_expected
     is_all = is_all and not c.is_due and not is_window_full(window_s, c.reset_Hz)
-    return is_all, new, published_outputs(depth_m, speed_m_s, force_N, new, coefficients)
+    return is_all, new, published_outputs(motion, force_N, new, coefficients)
 
 
 # The re-run over a layer.

@@ -28,6 +28,8 @@ _CLIPPED_MEAN = 0.920
 _EVENT = 25.0
 _FALL = 3.0
 """Standard deviations by which the force must itself fall, not only leave its line."""
+_SLACK = 3.0
+"""The loss of speed may be larger than it looks by so many standard deviations of its noise."""
 _SLOWED = 0.5
 """Least fraction of its usual speed at which the needle's friction is evaluated."""
 _LEAST_INDEPENDENT = 5.0
@@ -84,8 +86,7 @@ def filter_bank() -> FilterBank:
 # The arithmetic of one block at all scales.
 
 Learned = tuple[Vector, Vector, Vector]
-"""Of each scale: variance, shape (s,), and how many blocks it rests on, shape (s,); variance of
-the speed at the fastest scale, shape (1,)."""
+"""Of each scale, shape (s,): variance, how many blocks it rests on, and variance of the speed."""
 Scales = tuple[Vector, Vector, Vector, Vector]
 """Blocks, spans, gains and trend gains of the scales, shape (s,) each."""
 Limits = tuple[float, float, float, float]
@@ -115,9 +116,9 @@ def _standardised_fall(
     # Damping as it was, or as it is with more shaft inside.
     now = force[4, k] / max(speed[4, k], _SLOWED * usual)
     damping = max(force[3, k] / usual, now, 0.0)
-    lost = min(speed[0, k] * damping, 0.0)
+    lost = min((speed[0, k] - _SLACK * math.sqrt(speed_variance)) * damping, 0.0)
     law = law_error * lost
-    deviation = math.sqrt(variance + damping * damping * speed_variance + law * law)
+    deviation = math.sqrt(variance + law * law)
     return -min(force[0, k] - lost, 0.0) / deviation
 
 
@@ -130,7 +131,6 @@ def _detect(
     blocks, spans, gains, trend_gains = scales
     dt_s, interval_s, law_error, _ = limits
     fall = rise = deviations = fall_scale = rise_scale = 0.0
-    white = speed_variance[0] / gains[0]
     count = len(variance)
     for k in range(count):
         if filled < spans[k] or seen[k] <= _LEAST_INDEPENDENT * blocks[k]:
@@ -142,7 +142,7 @@ def _detect(
             rise, rise_scale = rise_now, blocks[k]
         chance = _FALL * math.sqrt(known * trend_gains[k] / gains[k])
         if force[2, k] < -max(0.5 * force[1, k], chance):
-            deviation = _standardised_fall(force, speed, k, known, white * gains[k], law_error)
+            deviation = _standardised_fall(force, speed, k, known, speed_variance[k], law_error)
             if deviation / threshold > fall:
                 fall, deviations, fall_scale = deviation / threshold, deviation, blocks[k]
     return fall, rise, deviations, fall_scale, rise_scale
@@ -182,7 +182,7 @@ def _learn(
         now = _mean_square(variance[k], force[0, k], rate, is_known)
         if k == 0:
             fastest = now
-            speed_variance[0] = _mean_square(speed_variance[0], speed[0, 0], rate, is_known)
+        speed_variance[k] = _mean_square(speed_variance[k], speed[0, k], rate, is_known)
         variance[k] = max(now, min(fastest / gains[0] * gains[k], fastest))
     return variance, seen, speed_variance
 
@@ -213,9 +213,7 @@ class DetectorState(NamedTuple):
     speed_m_s: Array  # Last blocks' speeds, shape (length,)
     filled: int  # Blocks since the last restart
     variance: Array  # Learned mean square of each scale's change [N^2], shape (s,)
-    # The same of the speed's change at the fastest scale, shape (1,): noise of the measured speed,
-    # which no true acceleration reaches in 10 ms
-    speed_variance: Array
+    speed_variance: Array  # The same of the speed's change, shape (s,)
     seen: Array  # Blocks each variance was learned from, shape (s,)
 
 
@@ -232,7 +230,7 @@ class Detection(NamedTuple):
 def initial_detector() -> DetectorState:
     """Nothing seen, nothing learned."""
     empty, zeros = np.zeros(filter_bank().length), np.zeros(len(SCALES))
-    return DetectorState(empty, empty, 0, zeros, zeros[:1], zeros)
+    return DetectorState(empty, empty, 0, zeros, zeros, zeros)
 
 
 def restart_detector(state: DetectorState) -> DetectorState:
@@ -262,8 +260,7 @@ def update_detector(
 ) -> tuple[DetectorState, Detection]:
     """Compare one block with the line through the blocks before, at every scale.
 
-    A fall that the loss of speed could explain, were all the force viscous, does not count, nor one
-    within the noise of that speed; nor does a mere flattening: the force since then must fall, at
+    A fall that the loss of speed could explain, were all the force viscous, does not count; nor does a mere flattening: the force since then must fall, at
     half the rate it rose or faster.
     """
     bank = filter_bank()

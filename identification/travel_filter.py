@@ -10,9 +10,10 @@ means over 16 ms scatter says how little it knows.
 import math
 from typing import NamedTuple
 
+from identification.estimate import Motion
 from needleforce.jit import compiled
 
-_WANDER_M2_PER_S3 = 2e-6
+_WANDER_M2_PER_S3 = 2e-7
 """Spectral density of the acceleration: the speed changes by half a millimetre per second in 0.1 s,
 one standard deviation. Starts and stops are quicker, see `_haste`."""
 _MEMORY_S = 2.0
@@ -24,8 +25,8 @@ _LEAST_DEPTH_VARIANCE, _LEAST_SPEED_VARIANCE = 1e-16, 1e-14
 """0.01 um and 0.1 um/s: what rounding leaves of exact samples."""
 _BLOCK_S = 0.016
 _ENOUGH_BLOCKS = 12.0
-_HASTE_S = 0.02
-_SIGNIFICANT = 9.0
+_HASTE_S = 0.05
+_SIGNIFICANT = 4.0
 _UNKNOWN_SPEED_VARIANCE = 1e-2
 """At the first sample: a tenth of a metre per second."""
 
@@ -80,8 +81,6 @@ Memory = tuple[
     PlainNoise, PlainNoise, PlainNoise, float, float, float,
 ]  # fmt: skip
 """The fields of `TravelState`, plain."""
-Motion = tuple[float, float, float, float]
-"""Depth [m], speed [m/s] and the standard deviation that noise of the samples leaves in each."""
 
 
 @compiled
