@@ -61,7 +61,7 @@ PRESLIDING_MM = 0.3
 _GAP_S = 0.25
 """A longer block is a gap: what it says is not used."""
 _USUAL_S = 10.0
-"""The usual speed is the highest of so many seconds."""
+"""The usual speed is the highest in tissue of so many seconds."""
 _CREEP, _SLOW, _HALF = 0.05, 0.15, 0.3
 """Advancing means faster than this [mm/s] and than a part of the usual speed; new hypotheses want
 more of it: at a stop the force falls without any rupture."""
@@ -162,7 +162,8 @@ def _absorb(state: SwitchingState, sample: Sample) -> SwitchingState:
     dt, last = memory.filled_s, course.deepest
     z, v, w = (x / dt for x in (_MM * memory.depth_sum, _MM * memory.speed_sum, memory.deflection_sum))
     jitter, speed_noise = _MM * memory.depth_std_m, _MM * memory.speed_std_m_s
-    usual = max(course.usual_speed * math.exp(-dt / _USUAL_S), v)
+    # The approach may be as quick as it likes.
+    usual = max(course.usual_speed * math.exp(-dt / _USUAL_S), v) if state.answer.in_contact else v
     fresh = max(z - last, 0.0) if last > -_FAR_MM else 0.0
     is_gap = dt > _GAP_S
     is_advancing = v > max(_CREEP + 2.0 * speed_noise, _SLOW * usual) and not is_gap
