@@ -19,6 +19,7 @@ from identification.hypothesis_filter import (
     HELD,
     IS_HELD,
     IS_JUDGED,
+    IS_PUNCTURED,
     KIND,
     LAYER,
     LEFT,
@@ -82,10 +83,10 @@ RECORDS = 15
 class Bank(NamedTuple):
     """n hypotheses, the likeliest first; at most `MOST`."""
 
-    means: Array  # of the unknowns, shape (n, 17)
-    spreads: Spreads  # their covariances, shape (n, 17, 17)
+    means: Array  # of the unknowns, shape (n, 18)
+    spreads: Spreads  # their covariances, shape (n, 18, 18)
     log_weights: Array  # logarithm of each one's probability, shape (n,)
-    facts: Array  # what it takes for certain, shape (n, 9)
+    facts: Array  # what it takes for certain, shape (n, 10)
     records: Array  # what it says of the last rupture, shape (n, 15)
 
     def take(self, index: Array) -> "Bank":
@@ -186,7 +187,7 @@ def _child(
         before,
         spread_before,
         row,
-        (event, float(was), becomes),
+        (event, float(was), becomes, bool(was == MEMBRANE and fact[IS_HELD])),
         (length, depth - begin, place.deflection, place.speed, place.force),
     )
     if event in (EXIT, TEAR):
@@ -212,7 +213,9 @@ def _child(
     if event != TEAR:
         fact[ROOT] = start
         fact[IS_JUDGED] = float(becomes != LAYER)
-    fact[[TIP, KIND, IS_HELD]] = depth, becomes, float(event in (TEAR, MEETING))
+    fact[[TIP, KIND]] = depth, becomes
+    fact[IS_HELD] = float(event in (TEAR, MEETING))
+    fact[IS_PUNCTURED] = float(event == EXIT and was == MEMBRANE)
     n = len(chances)
     facts = np.repeat(fact[None], n, axis=0)
     facts[:, LENGTH] = list(chances)

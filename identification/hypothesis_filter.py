@@ -1,6 +1,6 @@
 """One hypothesis: what is unknown of the force, once it is given how the tissue gave way.
 
-Given a history of events the axial force is linear in seventeen unknowns:
+Given a history of events the axial force is linear in eighteen unknowns:
 
     f = o + C w + V v + R r(z) + T t(z) + K x + H x² + c y w + b y v + d + e
 
@@ -23,26 +23,27 @@ from numpy.typing import NDArray
 
 from needleforce.jit import Matrix, Vector, WrittenMatrix, WrittenVector, compiled
 
-# Places of the unknowns. LEFT: friction of the shaft between the last two events, at the last.
+# Places of the unknowns. LEFT: friction, at the last rupture, of the shaft since the rupture before;
+# EARLIER: the same of the one before.
 OFFSET, COULOMB, VISCOUS, RELEASED, HELD, STIFFNESS, STIFFENING = range(7)
-OWN_COULOMB, OWN_VISCOUS, LEFT, COLOUR, HEART, HEART_RATE, BREATH, BREATH_RATE, LAW, LAW_RATE = range(
-    7, 17
-)
-UNKNOWNS = 17
+OWN_COULOMB, OWN_VISCOUS, LEFT, EARLIER = range(7, 11)
+COLOUR, HEART, HEART_RATE, BREATH, BREATH_RATE, LAW, LAW_RATE = range(11, 18)
+UNKNOWNS = 18
 _AFTER_TIP = STIFFENING + 1  # the tip's unknowns are those from RELEASED to before this
 
 # Places of what a hypothesis takes for certain: where its tip is; depth at which the shaft's
 # friction and the tip's force in the layer begin; depth and length of the last release; whether
 # HELD is held force, not cutting; whether the friction's fraction has been judged; how many
-# ruptures there have been; force of the layer before the last until its release has been judged.
-KIND, ROOT, TIP, RELEASE, LENGTH, IS_HELD, IS_JUDGED, RUPTURES, OWN_FORCE = range(9)
-FACTS = 9
+# ruptures there have been; force of the layer before the last until its release has been judged;
+# whether the layer was entered through a membrane.
+KIND, ROOT, TIP, RELEASE, LENGTH, IS_HELD, IS_JUDGED, RUPTURES, OWN_FORCE, IS_PUNCTURED = range(10)
+FACTS = 10
 AIR, LAYER, MEMBRANE = 0.0, 1.0, 2.0
 CONTACT, EXIT, TEAR, MEETING = range(4)
 """Events; a membrane is met under a layer that goes on pushing, and its puncture is an exit."""
 
 Spreads = Annotated[NDArray[np.float64], 3]
-"""Covariances of n hypotheses, shape (n, 17, 17)."""
+"""Covariances of n hypotheses, shape (n, 18, 18)."""
 
 CUTTING_ONSET_MM = 1.0
 """Travel over which the cutting force of a fresh layer builds up: about a needle diameter."""
@@ -53,6 +54,10 @@ COLOUR_S = 0.025
 LAW_ERROR = 0.03
 """Relative error of the linear law, the same over `LAW_MM` of travel."""
 LAW_MM = 5.0
+LEFT_ERROR = 0.1
+"""Of that, as part, for friction of the layers left: it depends on the motion alone."""
+CUTTING, CUTTING_STD, CUTTING_MM = 0.03, 0.15, 2.0
+"""Cutting force [N], and the travel over which stiffness would reach what it is more or less."""
 OFFSET_WALK = 1e-6
 """Drift of the sensor's zero [N²/s]."""
 HELD_WANDER = 0.05
@@ -96,12 +101,14 @@ def smooth_walk(travel: float, length: float) -> tuple[float, float, float, floa
 
 @compiled
 def regressors(facts: Matrix, depth: float, speed: float, deflection: float) -> Matrix:
-    """Rows of every hypothesis at one place: force = row @ unknowns, shape (n, 17)."""
+    """Rows of every hypothesis at one place: force = row @ unknowns, shape (n, 18)."""
     rows = np.zeros((len(facts), UNKNOWNS))
     gone = np.minimum(np.maximum((depth - facts[:, RELEASE]) / facts[:, LENGTH], 0.0), 1.0)
     released = (1.0 - gone) ** 2
     travel = np.maximum(depth - facts[:, TIP], 0.0)
     length = np.maximum(depth - facts[:, ROOT], 0.0)
+    # What a membrane had pushed in springs back along the shaft as its force is released.
+    length *= np.where(facts[:, IS_PUNCTURED] > 0.0, 1.0 - released, 1.0)
     onset = np.minimum(travel / CUTTING_ONSET_MM, 1.0)
     rows[:, OFFSET] = 1.0
     rows[:, COULOMB] = deflection
@@ -126,7 +133,7 @@ def predict(
     """Unknowns a time and a travel later.
 
     Args:
-        means: Of every hypothesis, shape (n, 17).
+        means: Of every hypothesis, shape (n, 18).
         spreads: Their covariances.
         held: Variance by which the cutting force changes, shape (n,).
         dt_s: Time.
@@ -167,10 +174,10 @@ def absorb(
     """Use the mean force of a block.
 
     Args:
-        means: Of every hypothesis, shape (n, 17).
+        means: Of every hypothesis, shape (n, 18).
         spreads: Their covariances.
-        facts: What they take for certain, shape (n, 9).
-        rows: Their regressors, shape (n, 17).
+        facts: What they take for certain, shape (n, 10).
+        rows: Their regressors, shape (n, 18).
         measured: Force, its variance for all hypotheses, depth.
 
     Returns:
@@ -211,11 +218,11 @@ def add_layer_prior(
         spread[OWN_COULOMB, OWN_COULOMB] += (std * coulomb) ** 2
         mean[OWN_VISCOUS] += FRACTION * viscous * SLOPE / pace
         spread[OWN_VISCOUS, OWN_VISCOUS] += (std * viscous / pace) ** 2
-        mean[HELD] += 0.03
-        spread[HELD, HELD] += 0.08**2
+        mean[HELD] += CUTTING
+        spread[HELD, HELD] += CUTTING_STD**2
         # Stiff tissue is hard to cut.
-        spread[:, HELD] += spread[:, STIFFNESS]
-        spread[HELD, :] += spread[STIFFNESS, :]
+        spread[:, HELD] += CUTTING_MM * spread[:, STIFFNESS]
+        spread[HELD, :] += CUTTING_MM * spread[STIFFNESS, :]
 
 
 @compiled
@@ -223,19 +230,20 @@ def after_event(
     mean: Vector,
     spread: Matrix,
     row: Vector,
-    event: tuple[int, float, float],
+    event: tuple[int, float, float, bool],
     now: tuple[float, float, float, float, float],
 ) -> tuple[Vector, Matrix]:
     """Unknowns of a hypothesis after an event; the force goes on as it was.
 
     Args:
-        mean: Before it, shape (17,).
-        spread: Before it, shape (17, 17).
-        row: Regressor where it happens, shape (17,).
-        event: Which, in what the tip was before, and is after.
+        mean: Before it, shape (18,).
+        spread: Before it, shape (18, 18).
+        row: Regressor where it happens, shape (18,).
+        event: Which, in what the tip was before and is after, and whether it was in a membrane met
+            under a layer.
         now: Length of shaft in the layer, that since the last event, deflection, speed, force.
     """
-    what, was, becomes = event
+    what, was, becomes, is_met = event
     length, passed, deflection, speed, force = now
     change, noise, tip = np.eye(UNKNOWNS), np.zeros((UNKNOWNS, UNKNOWNS)), np.zeros(UNKNOWNS)
     tip[RELEASED:_AFTER_TIP] = row[RELEASED:_AFTER_TIP]
@@ -243,11 +251,10 @@ def after_event(
     if what in (EXIT, TEAR):  # the error of the law was the tip's, and goes with it
         tip[LAW] = 1.0
         change[LAW : LAW_RATE + 1] = 0.0
-        noise[LAW, LAW] = (LAW_ERROR * (force - mean[OFFSET] - np.dot(tip, mean))) ** 2
+        noise[LAW, LAW] = (LAW_ERROR * LEFT_ERROR * (force - mean[OFFSET] - np.dot(tip, mean))) ** 2
         noise[LAW_RATE, LAW_RATE] = noise[LAW, LAW] / LAW_MM**2
     if what == CONTACT:
         change[OWN_COULOMB : OWN_VISCOUS + 1] = 0.0
-        change[LEFT] = 0.0
         noise[COULOMB, COULOMB] = (0.2 * (1.0 - deflection)) ** 2  # or it starts inside tissue
     elif what == TEAR:
         change[RELEASED], change[HELD] = tip, 0.5 * tip
@@ -257,8 +264,11 @@ def after_event(
         if was == LAYER:
             change[COULOMB, OWN_COULOMB], change[VISCOUS, OWN_VISCOUS] = length, length
         change[HELD if what == MEETING else RELEASED] = tip
+    # A membrane met ends the layer's part of the shaft before its puncture is the rupture.
+    if was == LAYER or (what == EXIT and not is_met):
+        change[LEFT : EARLIER + 1] = 0.0
+        change[EARLIER, LEFT] = 1.0
     if was == LAYER:
-        change[LEFT] = 0.0
         change[LEFT, OWN_COULOMB] = passed * deflection
         change[LEFT, OWN_VISCOUS] = passed * speed
     mean = np.dot(change, mean)

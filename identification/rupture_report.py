@@ -5,14 +5,15 @@ standard deviation is wider than that of each.
 """
 
 import math
+from dataclasses import replace
 from typing import NamedTuple
 
 import numpy as np
+from numpy.typing import NDArray
 
 from identification.estimate import Array, LayerEstimate, Rupture
 from identification.hypothesis_bank import (
     CONTACT_MM,
-    PART_END,
     PART_FRICTION,
     PART_START,
     RUPTURE_FORCE,
@@ -27,11 +28,11 @@ from identification.hypothesis_bank import (
 from identification.hypothesis_filter import (
     AIR,
     COULOMB,
-    HELD,
+    EARLIER,
     IS_HELD,
     KIND,
-    LAYER,
     LEFT,
+    MEMBRANE,
     OFFSET,
     OWN_COULOMB,
     OWN_VISCOUS,
@@ -149,49 +150,76 @@ def rupture_of(
     )
 
 
-def layer_left(bank: Bank, rupture: Rupture, known: int, *, is_final: bool) -> LayerEstimate | None:
-    """The layer, or the part of one, that the last rupture ended.
+def _is_meeting(bank: Bank) -> NDArray[np.bool_]:
+    """Which hypotheses say that the tip pushes a membrane under the last layer."""
+    return (bank.facts[:, KIND] == MEMBRANE) & (bank.facts[:, IS_HELD] > 0.0)
+
+
+def friction_left(bank: Bank, known: int, *, before: bool = False) -> tuple[float, float] | None:
+    """Friction of the layer that the last rupture ended, or of the one `before`, and its deviation.
 
     None where other hypotheses are likelier than those that know of this rupture as the last.
     """
-    facts, records, weights = bank.facts, bank.records, bank.weights
-    # A membrane met since has begun to write down the next layer.
-    mine = (facts[:, RUPTURES] == known) & (records[:, PART_END] <= records[:, RUPTURE_MM])
+    mine, weights = bank.facts[:, RUPTURES] == known, bank.weights
+    place = np.where(_is_meeting(bank), EARLIER, LEFT)
+    if before:
+        mine &= ~_is_meeting(bank)
+        place = np.full_like(place, EARLIER)
     total = float(weights[mine].sum())
     if total < _KEPT_SHARE:
         return None
-    share, means, spreads = weights[mine] / total, bank.means[mine], bank.spreads[mine]
-    at = [LEFT, RELEASED]
-    mean, spread = _mixture(share, means[:, at], spreads[:, at][:, :, at])
-    (friction, drop), (std, drop_std) = mean.tolist(), np.sqrt(spread.diagonal()).tolist()
-    record = records[mine][int(np.argmax(share))]
+    rows, place, share = np.flatnonzero(mine), place[mine], weights[mine] / total
+    values, variances = bank.means[rows, place], bank.spreads[rows, place, place]
+    mean = float(share @ values)
+    variance = float(share @ (np.maximum(variances, 0.0) + (values - mean) ** 2))
+    return mean, math.sqrt(variance)
+
+
+def layer_left(bank: Bank, rupture: Rupture, known: int) -> LayerEstimate | None:
+    """The layer, or the part of one, that the last rupture ended; None as in `friction_left`."""
+    mine = (bank.facts[:, RUPTURES] == known) & ~_is_meeting(bank)
+    share, known_friction = np.where(mine, bank.weights, 0.0), friction_left(bank, known)
+    if known_friction is None or not mine.any():
+        return None
+    best = int(np.argmax(share))
+    record = bank.records[best]
     thickness = max(float(record[RUPTURE_MM] - record[PART_START]), 1e-3)
-    speed = max(float(record[RUPTURE_SPEED]), 1e-3)
-    # Its unknowns are known as they were at its end; its friction has become better known since.
-    scale = friction / record[PART_FRICTION] if record[PART_FRICTION] > 0.0 else 0.0
     fields: dict[str, float | bool] = {}
     for k, (name, (unit, factor)) in enumerate(zip(_NAMES, _UNITS, strict=True)):
         value, variance = record[STIFFNESS_HERE + 2 * k : STIFFNESS_HERE + 2 * k + 2].tolist()
-        value = max(factor * value * (scale if k else 1.0), 0.0)
-        deviation = factor * math.sqrt(max(variance, 0.0))
+        value, deviation = factor * max(value, 0.0), factor * math.sqrt(max(variance, 0.0))
         fields[f"{name}_{unit}"], fields[f"{name}_std_{unit}"] = value, deviation
         fields[f"{name}_identified"] = deviation <= _IDENTIFIED * value
-    per_length = _MM * _MM / (thickness * speed)
-    friction = max(friction, 0.0)
-    return LayerEstimate(
+    layer = LayerEstimate(
         layer=rupture.layer,
-        is_final=is_final,
+        is_final=False,
         start_depth_m=float(record[PART_START]) / _MM,
         thickness_m=thickness / _MM,
         rupture=rupture,
-        force_drop_N=drop,
-        force_drop_std_N=drop_std,
+        force_drop_N=float(bank.means[best, RELEASED]),
+        force_drop_std_N=math.sqrt(max(float(bank.spreads[best, RELEASED, RELEASED]), 0.0)),
+        friction_Ns_per_m2=0.0,
+        friction_identified=False,
+        friction_N=max(float(record[PART_FRICTION]), 0.0),
+        **fields,  # type: ignore[arg-type]
+    )
+    return with_friction(layer, *known_friction)
+
+
+def with_friction(layer: LayerEstimate, friction: float, std: float) -> LayerEstimate:
+    """The same layer with its friction known better; Coulomb and viscous part in proportion."""
+    friction = max(friction, 0.0)
+    scale = friction / layer.friction_N if layer.friction_N > 0.0 else 1.0
+    per_length = 1.0 / (layer.thickness_m * max(layer.rupture.speed_m_s, 1e-6))
+    return replace(
+        layer,
+        friction_N=friction,
+        friction_std_N=std,
         friction_Ns_per_m2=per_length * friction,
         friction_std_Ns_per_m2=per_length * std,
         friction_identified=std <= _IDENTIFIED * friction,
-        friction_N=friction,
-        friction_std_N=std,
-        **fields,  # type: ignore[arg-type]
+        coulomb_N_per_m=scale * (layer.coulomb_N_per_m or 0.0),
+        viscous_Ns_per_m2=scale * (layer.viscous_Ns_per_m2 or 0.0),
     )
 
 

@@ -31,10 +31,12 @@ from identification.hypothesis_bank import (
 )
 from identification.hypothesis_filter import (
     AIR,
+    COULOMB,
     HELD,
     HELD_WANDER,
     KIND,
     LAW_ERROR,
+    LEFT_ERROR,
     OFFSET,
     OWN_COULOMB,
     OWN_VISCOUS,
@@ -50,8 +52,10 @@ from identification.rupture_report import (
     Verdict,
     answer_at,
     count_ruptures,
+    friction_left,
     layer_left,
     rupture_of,
+    with_friction,
 )
 from identification.switching_update import Answer, LeftLayer, SwitchingMemory, is_full
 
@@ -60,8 +64,8 @@ PRESLIDING_MM = 0.3
 """As in `switching_update`."""
 _GAP_S = 0.25
 """A longer block is a gap: what it says is not used."""
-_USUAL_S = 10.0
-"""The usual speed is the highest in tissue of so many seconds."""
+_USUAL_S, _USUAL_MM = 10.0, 3.0
+"""The usual speed is the highest of so much time and travel: the approach may be quick."""
 _CREEP, _SLOW, _HALF = 0.05, 0.15, 0.3
 """Advancing means faster than this [mm/s] and than a part of the usual speed; new hypotheses want
 more of it: at a stop the force falls without any rupture."""
@@ -162,8 +166,7 @@ def _absorb(state: SwitchingState, sample: Sample) -> SwitchingState:
     dt, last = memory.filled_s, course.deepest
     z, v, w = (x / dt for x in (_MM * memory.depth_sum, _MM * memory.speed_sum, memory.deflection_sum))
     jitter, speed_noise = _MM * memory.depth_std_m, _MM * memory.speed_std_m_s
-    # The approach may be as quick as it likes.
-    usual = max(course.usual_speed * math.exp(-dt / _USUAL_S), v) if state.answer.in_contact else v
+    usual = max(course.usual_speed * math.exp(-dt / _USUAL_S - abs(v) * dt / _USUAL_MM), v)
     fresh = max(z - last, 0.0) if last > -_FAR_MM else 0.0
     is_gap = dt > _GAP_S
     is_advancing = v > max(_CREEP + 2.0 * speed_noise, _SLOW * usual) and not is_gap
@@ -196,8 +199,9 @@ def _predicted(bank: Bank, place: Place, fresh: float, levels: DisturbanceLevels
     best = bank.means[0]
     slope = max(best[STIFFNESS] + best[OWN_COULOMB] + best[OWN_VISCOUS] * place.speed, 0.004)
     held = fresh * (HELD_WANDER * min(max(best[HELD], 0.02), 2.0 * slope)) ** 2
-    law = (LAW_ERROR * (place.force - best[OFFSET])) ** 2
-    variances = np.array([*levels.levels[1:], law])
+    left = place.deflection * best[COULOMB] + place.speed * best[VISCOUS]
+    law = LAW_ERROR * (abs(place.force - best[OFFSET] - left) + LEFT_ERROR * abs(left))
+    variances = np.array([*levels.levels[1:], law * law])
     means, spreads = predict(
         bank.means,
         bank.spreads,
@@ -297,20 +301,25 @@ def _take_back(state: SwitchingState, ruptures: int) -> SwitchingState:
 
 def _report_layer(state: SwitchingState, alarm: Rupture) -> SwitchingState:
     """Report the layer that the last rupture ended, twice, and keep what is known of it."""
+    bank, layers, events = state.bank, state.layers, state.events
     travel = state.place.depth / _MM - alarm.depth_m
-    is_open, layers = _is_open(state), state.layers
-    if is_open and travel < _PROVISIONAL_M:
-        return state
-    is_final = travel >= _FINAL_M or travel < 0.0 or (not is_open and layers[-1].is_final)
-    known = layer_left(state.bank, alarm, state.ruptures, is_final=is_final)
-    if known is None:
-        return state
-    if is_open:
+    if _is_open(state):
+        layer = layer_left(bank, alarm, state.ruptures) if travel >= _PROVISIONAL_M else None
+        if layer is None:
+            return state
         return state._replace(
-            layers=(*layers, known),
-            events=state.events._replace(identified_layer=known),
+            layers=(*layers, layer),
+            events=events._replace(identified_layer=layer),
             rupture_state=RuptureState.FRICTION_IDENTIFIED,
         )
-    if is_final and not layers[-1].is_final:
-        state = state._replace(events=state.events._replace(identified_layer=known))
-    return state._replace(layers=(*layers[:-1], known))
+    friction = friction_left(bank, state.ruptures)
+    layer = layers[-1] if friction is None else with_friction(layers[-1], *friction)
+    if not layer.is_final and (travel >= _FINAL_M or travel < 0.0):
+        layer = replace(layer, is_final=True)
+        events = events._replace(identified_layer=layer)
+    earlier = friction_left(bank, state.ruptures, before=True) if len(layers) > 1 else None
+    if earlier is not None:
+        layers = (*layers[:-2], with_friction(layers[-2], *earlier), layer)
+    else:
+        layers = (*layers[:-1], layer)
+    return state._replace(layers=layers, events=events)

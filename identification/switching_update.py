@@ -86,7 +86,7 @@ class Answer(NamedTuple):
     var_own_coulomb: float = 0.0
     cov_own: float = 0.0
     var_own_viscous: float = 0.0
-    var_stiffness: float = 0.0
+    stiffness_variance: float = 0.0
     # Speed for the cumulative friction: that of the last rupture; 0 before the first, to take the
     # present one
     cumulative_speed: float = 0.0
@@ -186,7 +186,7 @@ def switching_outputs(
         speed = a.cumulative_speed
     spread = (a.var_left_coulomb, a.cov_left, a.var_left_viscous)
     d, d_std = _per_speed(speed, a.left_coulomb, a.left_viscous, spread)
-    k, k_std = _MM * a.stiffness, _MM * math.sqrt(a.var_stiffness)
+    k, k_std = _MM * a.stiffness, _MM * math.sqrt(a.stiffness_variance)
     b, b_std = _MM * _MM * b, _MM * _MM * b_std
     return (
         a.in_contact,
