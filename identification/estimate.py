@@ -17,10 +17,6 @@ from numpy.typing import NDArray
 Array = NDArray[np.float64]
 
 
-Motion = tuple[float, float, float, float]
-"""Depth [m], speed [m/s] and the standard deviation of the noise in each."""
-
-
 class SampleStatus(Enum):
     """What became of a sample. Only `OK` and `TIME_GAP` samples are used."""
 
@@ -77,7 +73,7 @@ def next_rupture_state(
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Rupture:
-    """The tip leaves a layer. Raised at the alarm; a false one is retracted later.
+    """The tip leaves a layer. Raised at the alarm, provisionally; a false one is retracted later.
 
     Attributes:
         layer: Number of the layer that ends, from 1.
@@ -87,9 +83,13 @@ class Rupture:
         depth_m: Depth at that instant.
         force_N: Axial force at that instant.
         speed_m_s: Speed at that instant.
-        confidence: 1 - probability that the alarm is chance, 0 to 1.
+        probability: That the tissue gave way there and it is no chance of the signal, 0 to 1; of a
+            retracted one, what is left of it.
+        is_final: Whether it is settled: while False it may still be retracted.
         contact_depth_m: Depth at which the first layer was met: found by the multi-layer method,
             known beforehand in `published`.
+        tear_probability: That it was a tear inside the layer and not its end, None where the method
+            does not tell them apart.
     """
 
     layer: int
@@ -99,8 +99,10 @@ class Rupture:
     depth_m: float
     force_N: float
     speed_m_s: float
-    confidence: float
+    probability: float
+    is_final: bool = False
     contact_depth_m: float
+    tear_probability: float | None = None
 
     @property
     def travel_in_tissue_m(self) -> float:
@@ -172,7 +174,8 @@ class Estimate(NamedTuple):
         rupture_state: State of the rupture machine.
         in_contact: Whether the needle has met the first layer (and not lost contact again).
         layer: Number of the layer the tip is in, from 1; 0 before contact.
-        enhanced_force_N: Axial force less the friction of the layers already traversed.
+        enhanced_force_N: Axial force less the friction of the layers already traversed. As of all
+            forces, its deviation is that of the friction taken off, not of the force itself.
         tip_force_N: Axial force less all shaft friction, the current layer's included.
         shaft_friction_N: All shaft friction; opposes motion, negative during withdrawal.
         predicted_force_N: Axial force the model expected at this sample.
@@ -193,7 +196,9 @@ class Estimate(NamedTuple):
     in_contact: bool
     layer: int
     enhanced_force_N: float
+    enhanced_force_std_N: float | None
     tip_force_N: float
+    tip_force_std_N: float | None
     shaft_friction_N: float
     shaft_friction_std_N: float | None
     predicted_force_N: float
@@ -228,19 +233,12 @@ def layers_traversed(layers: tuple[LayerEstimate, ...]) -> int:
 
 
 class Sample(NamedTuple):
-    """Checked scalars handed to the steps of a method."""
+    """A checked sample as a method gets it; every number is finite."""
 
     time_s: float  # Time of the sample on the caller's clock, see `Identifier.update`
-    dt_s: float  # Interval since the previous sample, positive
-    motion: Motion  # Depth, jumps removed, and speed, with their deviations
+    dt_s: float  # Interval since the previous sample that was used, positive
+    depth_m: float  # Tip travel along the insertion axis, jumps removed
+    speed_m_s: float  # Rate of depth
+    depth_std_m: float  # Standard deviation of its noise
+    speed_std_m_s: float  # The same of the speed
     force_N: float  # Axial force, positive when tissue pushes back
-
-    @property
-    def depth_m(self) -> float:
-        """Tip travel along the insertion axis, jumps removed."""
-        return self.motion[0]
-
-    @property
-    def speed_m_s(self) -> float:
-        """Rate of depth."""
-        return self.motion[1]

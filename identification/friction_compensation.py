@@ -6,7 +6,7 @@ All else is done once per block of samples, see `multilayer_identifier`.
 import math
 from typing import NamedTuple
 
-from identification.estimate import Motion, Outputs
+from identification.estimate import Outputs
 from needleforce.jit import compiled
 
 _MM = 1e3
@@ -167,7 +167,8 @@ def _per_speed(
 
 @compiled
 def multilayer_outputs(
-    motion: Motion,
+    depth_m: float,
+    speed_m_s: float,
     force_N: float,
     memory: Memory,
     coefficients: Coefficients,
@@ -175,7 +176,6 @@ def multilayer_outputs(
 ) -> Outputs:
     """Enhanced force, tip force and their companions, for one sample; see `update_multilayer`."""
     c = coefficients[0]
-    depth_m, speed_m_s, _, _ = motion
     force_N -= c.offset_N
     earlier_N = own_N = 0.0
     if c.in_contact:
@@ -192,7 +192,9 @@ def multilayer_outputs(
         c.in_contact,
         c.layer,
         force_N - earlier_N,
+        d_std * _MM * abs(speed_m_s),
         force_N - earlier_N - own_N,
+        c.shaft_std_N,
         earlier_N + own_N,
         c.shaft_std_N,
         earlier_N + own_N + k * max(depth_m - c.tip_m, 0.0),
@@ -209,7 +211,9 @@ def multilayer_outputs(
 
 @compiled
 def update_multilayer(
-    motion: Motion,
+    depth_m: float,
+    speed_m_s: float,
+    jitter_m: float,
     force_N: float,
     dt_s: float,
     memory: Memory,
@@ -223,7 +227,6 @@ def update_multilayer(
         report, see `multilayer_outputs`.
     """
     c = coefficients[0]
-    depth_m, speed_m_s, jitter_m, _ = motion
     filled, depth_sum, speed_sum, force_sum, bristle, last, smooth, deepest = memory
     keep = 0.0
     if deepest == -math.inf:
@@ -242,5 +245,5 @@ def update_multilayer(
         max(deepest, depth_m),
     )
     is_all = new[0] < c.block_s and not c.is_due
-    outputs = multilayer_outputs(motion, force_N, new, coefficients, traversed)
+    outputs = multilayer_outputs(depth_m, speed_m_s, force_N, new, coefficients, traversed)
     return is_all, new, outputs

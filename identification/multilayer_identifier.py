@@ -5,12 +5,27 @@ Once per block of samples, or between blocks while a rupture is being measured.
 
 import itertools
 import math
+from typing import Any
 
 import numpy as np
 
 from identification.config import MultilayerConfig
-from identification.estimate import MUTED, Array, RuptureState, Sample, next_rupture_state
-from identification.friction_compensation import MultilayerMemory
+from identification.estimate import (
+    MUTED,
+    Array,
+    Events,
+    LayerEstimate,
+    RuptureState,
+    Sample,
+    next_rupture_state,
+)
+from identification.friction_compensation import (
+    LayerFriction,
+    MultilayerCoefficients,
+    MultilayerMemory,
+    multilayer_outputs,
+    update_multilayer,
+)
 from identification.layer_model import (
     CUTTING,
     STIFFNESS,
@@ -19,7 +34,13 @@ from identification.layer_model import (
     model_row,
     solve_layer,
 )
-from identification.multilayer_state import Baseline, MultilayerState, first_layer
+from identification.multilayer_state import (
+    Baseline,
+    MultilayerState,
+    first_layer,
+    initial_multilayer_state,
+    multilayer_coefficients,
+)
 from identification.resampling import (
     BLOCKS,
     DEPTH,
@@ -44,6 +65,7 @@ from identification.slope_change_detector import (
     restart_detector,
     update_detector,
 )
+from needleforce.jit import jit_arguments
 
 SEGMENT_S = 0.25
 """Length of the means whose drift is learned."""
@@ -63,6 +85,66 @@ _OTHER_ERROR = 0.2
 _JITTER = 4.0
 _CHANNEL_M = 2e-4
 """Behind the deepest point by more than this the needle is in its old channel."""
+
+
+class MultilayerMethod:
+    """The multi-layer method, sample by sample; see `identification.identifier.Method`."""
+
+    takes_filtered_travel = True
+
+    def __init__(self, config: MultilayerConfig) -> None:
+        self._config = config
+        self.restore(initial_multilayer_state(config))
+
+    @property
+    def state(self) -> MultilayerState:
+        """All that it remembers."""
+        return self._state._replace(memory=MultilayerMemory._make(self._memory))
+
+    def restore(self, state: MultilayerState) -> None:
+        """Go on from there."""
+        self.before, self._sources = state, None
+        self._keep(state)
+
+    @property
+    def layers(self) -> tuple[LayerEstimate, ...]:
+        """Layers traversed so far, smoothed by all data since."""
+        return self._state.known_layers
+
+    def report(self) -> tuple[Any, ...]:
+        """What there is to report without a sample."""
+        outputs = multilayer_outputs(0.0, 0.0, 0.0, self._memory, *self._arguments)
+        return (self._state.rupture_state, *outputs, None, None, None)
+
+    def update(self, sample: Sample) -> tuple[Any, ...]:
+        """Use one sample: what to report of it, from the rupture state to the events."""
+        _, dt_s, depth_m, speed_m_s, depth_std_m, _, force_N = sample
+        is_all, memory, outputs = update_multilayer(
+            depth_m, speed_m_s, depth_std_m, force_N, dt_s, self._memory, *self._arguments
+        )
+        if is_all:
+            self._memory = memory
+            return (self._state.rupture_state, *outputs, None, None, None)
+        before, state = self.state, self._state
+        if any(state.events):
+            state = state._replace(events=Events())
+        new = multilayer_step(state, MultilayerMemory._make(memory), sample, self._config)
+        if new.events.rupture is not None:
+            self.before = before
+        self._keep(new)
+        outputs = multilayer_outputs(depth_m, speed_m_s, force_N, self._memory, *self._arguments)
+        return (new.rupture_state, *outputs, *new.events)
+
+    def _keep(self, state: MultilayerState) -> None:
+        self._state, self._memory, known = state, tuple(state.memory), self._sources
+        self._sources = state.sources
+        if known is None or any(a is not b for a, b in zip(known, self._sources, strict=True)):
+            coefficients = multilayer_coefficients(state, self._config)
+            friction = (layer.friction for layer in state.traversed)
+            self._arguments = (
+                jit_arguments(MultilayerCoefficients, coefficients),
+                jit_arguments(LayerFriction, *friction),
+            )
 
 
 def multilayer_step(
@@ -86,7 +168,7 @@ def multilayer_step(
         return state._replace(detector=restart_detector(state.detector))
     if not state.in_contact:
         return _free_air(state, block, config)
-    channel_m = _CHANNEL_M + _JITTER * sample.motion[2]
+    channel_m = _CHANNEL_M + _JITTER * sample.depth_std_m
     is_moving = memory.speed_m_s > config.rest_speed_m_s
     is_cutting = is_moving and block.depth_m > memory.deepest_m - channel_m
     return _cut(state, block, config) if is_cutting else _rest(state, config)

@@ -1,13 +1,12 @@
 """The published method beyond `published_update`: windows, ruptures, layers (Section III-B)."""
 
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 
 from identification.config import PublishedConfig
 from identification.estimate import (
     MUTED,
-    Events,
     LayerEstimate,
     Rupture,
     RuptureState,
@@ -16,18 +15,24 @@ from identification.estimate import (
     next_rupture_state,
 )
 from identification.published_update import (
+    NO_SUMS,
     NO_WINDOWS,
     Array,
+    Memory,
     PublishedCoefficients,
     PublishedMemory,
     RlsState,
-    WindowSums,
     append_window,
     is_window_full,
     less_viscous_windows,
+    published_outputs,
     rerun_windows,
-    window_step,
+    update_published,
 )
+from needleforce.jit import jit_arguments
+
+_MOST_LAYERS = 256
+"""Layers kept: far more than a needle meets; the oldest go first."""
 
 
 class RupturedLayer(NamedTuple):
@@ -49,26 +54,166 @@ class PublishedState(NamedTuple):
     rupture_state: RuptureState = RuptureState.NO_RUPTURE  # State of the rupture machine
     cumulative_friction_Ns_per_m: float = 0.0  # Sum of B_j d_j over the layers subtracted
     layers: tuple[LayerEstimate, ...] = ()  # Layers identified so far
-    # That layer once identified, with its part B_i d_i of the cumulative friction, until the next
-    # sample
-    found: tuple[LayerEstimate, float] | None = None
-    events: Events = Events()  # Of this sample; this method retracts nothing
+
+
+class PublishedMethod:
+    """The published method, sample by sample; see `identification.identifier.Method`."""
+
+    takes_filtered_travel = False
+
+    def __init__(self, config: PublishedConfig) -> None:
+        self._config = config
+        self.restore(PublishedState(_fresh_memory(config), float(config.contact_depth_m)))
 
     @property
-    def known_layers(self) -> tuple[LayerEstimate, ...]:
+    def state(self) -> PublishedState:
+        """All that it remembers."""
+        rls, *others = self._memory
+        return self._state._replace(memory=PublishedMemory(RlsState(*rls), *others))
+
+    def restore(self, state: PublishedState) -> None:
+        """Go on from there."""
+        self.before = state
+        self._coefficients = None
+        self._keep(state)
+
+    @property
+    def layers(self) -> tuple[LayerEstimate, ...]:
         """The layers traversed; what follows does not change them."""
-        return self.layers if self.found is None else (*self.layers, self.found[0])
+        return self._state.layers
 
-    @property
-    def is_due(self) -> bool:
-        """Whether the next sample finds work to do: around a rupture, every one does."""
-        is_quiet = self.rupture_state in (RuptureState.NO_RUPTURE, RuptureState.EXPECTED)
-        return not is_quiet or self.found is not None or any(self.events)
+    def report(self) -> tuple[Any, ...]:
+        """What there is to report without a sample."""
+        outputs = published_outputs(0.0, 0.0, 0.0, self._memory, self._arguments)
+        return (self._state.rupture_state, *outputs, None, None, None)
 
-    @property
-    def sources(self) -> tuple[object, ...]:
-        """What `published_coefficients` follow from."""
-        return self.rupture_state, self.ruptured, self.layers, self.is_due
+    def update(self, sample: Sample) -> tuple[Any, ...]:
+        """Use one sample: what to report of it, from the rupture state to the events."""
+        _, dt_s, depth_m, speed_m_s, _, _, force_N = sample
+        is_all, memory, outputs = update_published(
+            depth_m, speed_m_s, force_N, dt_s, self._memory, self._arguments
+        )
+        if is_all:
+            self._memory = memory
+            return (self._state.rupture_state, *outputs, None, None, None)
+        before, self._memory = self.state, memory
+        known, ruptured = before.layers, before.ruptured
+        state = published_step(self.state, sample, self._config)
+        self._keep(state)
+        rupture = None
+        if state.ruptured is not None and ruptured is None:
+            self.before, rupture = before, state.ruptured.rupture
+        outputs = published_outputs(depth_m, speed_m_s, force_N, self._memory, self._arguments)
+        layer = None if state.layers is known else state.layers[-1]
+        return (state.rupture_state, *outputs, rupture, layer, None)
+
+    def _keep(self, state: PublishedState) -> None:
+        self._state, self._memory = state, _plain(state.memory)
+        coefficients = published_coefficients(state, self._config)
+        if coefficients != self._coefficients:
+            self._coefficients = coefficients
+            self._arguments = jit_arguments(PublishedCoefficients, coefficients)
+
+
+def _plain(memory: PublishedMemory) -> Memory:
+    return (tuple(memory.rls), *memory[1:])
+
+
+def _fresh_memory(config: PublishedConfig) -> PublishedMemory:
+    variances = float(config.var_stiffness), 0.0, float(config.var_friction)
+    return PublishedMemory(RlsState(0.0, 0.0, *variances))
+
+
+def cusum_constants(sigma0_N: float, sigma1_N: float) -> tuple[float, float]:
+    """Drift nu and threshold gamma [N^2] of the CUSUM on the squared error, equation (9)."""
+    var0, var1 = sigma0_N * sigma0_N, sigma1_N * sigma1_N
+    return (var1 + var0) / 2.0, (var1 - var0) / 2.0
+
+
+def published_coefficients(state: PublishedState, config: PublishedConfig) -> PublishedCoefficients:
+    """What follows from a state and seldom changes; beta grows at each detection."""
+    count = layers_traversed(state.layers) + (state.ruptured is not None)
+    drift, threshold = cusum_constants(config.sigma0_N, config.sigma1_N)
+    return PublishedCoefficients(
+        least_speed_m_s=config.least_speed_m_s,
+        drift=drift,
+        threshold=threshold,
+        beta=config.derivative_threshold_N_per_s + count * config.derivative_rise_N_per_s,
+        derivative_s=config.derivative_time_constant_s,
+        reset_Hz=config.reset_frequency_Hz,
+        is_ml=config.model == "ml",
+        start_m=state.start_depth_m,
+        is_inside=count > 0,
+        layer=count + 1,
+        cumulative_Ns_per_m=state.cumulative_friction_Ns_per_m,
+        is_muted=state.rupture_state in MUTED or state.rupture_state is RuptureState.DETECTED,
+        is_expected=state.rupture_state is RuptureState.EXPECTED,
+    )
+
+
+def published_step(
+    state: PublishedState, sample: Sample, config: PublishedConfig
+) -> PublishedState:
+    """The rest of a sample that `update_published` has used.
+
+    Covariance resetting, state machine; after T_drop = k_v / v force drop (10)(11), re-weighting
+    (12) and re-run.
+    """
+    memory, ruptured, windows = state.memory, state.ruptured, state.windows
+    if is_window_full(memory.window_s, config.reset_frequency_Hz):
+        windows = append_window(windows, memory.window, config.most_windows)
+        rls = RlsState(*memory.rls[:2], *_fresh_memory(config).rls[2:])
+        memory = memory._replace(rls=rls, window=NO_SUMS, window_s=0.0)
+    drop_s = config.drop_travel_m / ruptured.rupture.speed_m_s if ruptured is not None else 0.0
+    rupture_state = next_rupture_state(
+        state.rupture_state,
+        is_alarm=memory.is_alarm,
+        is_expected=memory.is_expected,
+        is_measured=ruptured is not None and memory.waited_s >= drop_s,
+        is_settled=memory.waited_s * config.reset_frequency_Hz >= 1.0,
+    )
+    state = state._replace(memory=memory, windows=windows, rupture_state=rupture_state)
+    if rupture_state is RuptureState.DETECTED and ruptured is None:
+        return _open_layer(state, sample, config)
+    if rupture_state is RuptureState.FRICTION_IDENTIFIED and ruptured is not None:
+        return _identify(state, ruptured, sample.force_N, config)
+    return state
+
+
+def _open_layer(state: PublishedState, sample: Sample, config: PublishedConfig) -> PublishedState:
+    """A rupture is detected: the next layer begins here and now (d_i of Section III).
+
+    f(t_r) of (10) is the last force before the alarming sample, which may have dropped already. So
+    may those of its whole reset window: the layer's re-run is without it.
+    """
+    memory = state.memory
+    rupture = Rupture(
+        layer=layers_traversed(state.layers) + 1,
+        alarm_s=sample.time_s,
+        alarm_depth_m=sample.depth_m,
+        time_s=sample.time_s,
+        depth_m=sample.depth_m,
+        force_N=memory.force_before_N,
+        speed_m_s=sample.speed_m_s,
+        probability=1.0,
+        is_final=True,
+        contact_depth_m=float(config.contact_depth_m),
+    )
+    windows = state.windows
+    if not len(windows):
+        windows = append_window(windows, memory.window, config.most_windows)
+    return state._replace(
+        memory=_fresh_memory(config)._replace(
+            derivative_N_per_s=memory.derivative_N_per_s,
+            force_N=memory.force_N,
+            force_before_N=memory.force_before_N,
+            predicted_N=memory.predicted_N,
+            is_expected=memory.is_expected,
+        ),
+        start_depth_m=sample.depth_m,
+        windows=NO_WINDOWS,
+        ruptured=RupturedLayer(state.start_depth_m, windows, memory.mean_speed_m_s, rupture),
+    )
 
 
 # Equations (10) to (12): force drop, ratios, re-weighting.
@@ -76,8 +221,6 @@ class PublishedState(NamedTuple):
 _SMALLEST_RATIO = 1e-3
 _LEAST_THICKNESS_M = 1e-9
 _LEAST_SPEED_M_S = 1e-6
-_MOST_LAYERS = 256
-"""Layers kept: far more than a needle meets; the oldest go first."""
 
 
 def force_ratios(
@@ -116,8 +259,9 @@ def _identify(
     )
     speed = max(abs(ruptured.mean_speed_m_s), _LEAST_SPEED_M_S)
     variance = reweighted_friction_variance(config.var_friction, elastic, friction_ratio, speed)
-    start = (float(config.var_stiffness), float(variance))
-    stiffness, friction = rerun_windows(ruptured.windows, start, (0.0, 0.0))
+    stiffness, friction = rerun_windows(
+        ruptured.windows, (float(config.var_stiffness), float(variance))
+    )
     thickness = max(rupture.depth_m - ruptured.start_depth_m, _LEAST_THICKNESS_M)
     damping = friction * (thickness if config.model == "ml" else 1.0)
     layer = LayerEstimate(
@@ -133,137 +277,24 @@ def _identify(
         friction_identified=drop > 0.0,
         friction_N=damping * rupture.speed_m_s,
     )
-    return state._replace(found=(layer, damping))
+    return _subtract(state, damping, config)._replace(
+        ruptured=None, layers=(*state.layers, layer)[-_MOST_LAYERS:]
+    )
 
 
-def begin_published_sample(state: PublishedState, config: PublishedConfig) -> PublishedState:
-    """Before a sample: take the friction of a layer found out of the force.
+def _subtract(state: PublishedState, damping: float, config: PublishedConfig) -> PublishedState:
+    """Take the friction of a layer found out of the force, for the layer after it.
 
     The sums of the new layer are corrected for the friction now known, so its estimate goes on
-    as if that friction had been subtracted from the rupture onwards. This is the second half of
-    the re-run's work, done before the next sample is used.
-    """
-    if state.found is None:
-        return state
-    (layer, friction), memory = state.found, state.memory
-    windows = less_viscous_windows(np.vstack((state.windows, memory.window)), friction)
-    windows, window = windows[:-1], WindowSums(*windows[-1].tolist())
-    start = (float(config.var_stiffness), float(config.var_friction))
-    stiffness, own = window_step(rerun_windows(windows, start, (0.0, 0.0)), window, start)
-    return state._replace(
-        memory=memory._replace(
-            rls=RlsState(stiffness, own, start[0], 0.0, start[1]), window=window, waited_s=0.0
-        ),
-        windows=windows,
-        ruptured=None,
-        cumulative_friction_Ns_per_m=state.cumulative_friction_Ns_per_m + friction,
-        layers=(*state.layers, layer)[-_MOST_LAYERS:],
-        found=None,
-        events=Events(identified_layer=layer),
-    )
-
-
-def initial_published_state(config: PublishedConfig) -> PublishedState:
-    """State before the first sample."""
-    rls = RlsState(0.0, 0.0, float(config.var_stiffness), 0.0, float(config.var_friction))
-    return PublishedState(PublishedMemory(rls), config.contact_depth_m)
-
-
-def published_step(
-    state: PublishedState, memory: PublishedMemory, sample: Sample, config: PublishedConfig
-) -> PublishedState:
-    """The rest of a sample that `update_published` has used.
-
-    Covariance resetting, state machine; after T_drop = k_v / v force drop (10)(11), re-weighting
-    (12) and re-run.
-    """
-    ruptured = state.ruptured
-    if sample.depth_m <= state.start_depth_m and not state.layers and ruptured is None:
-        return state._replace(memory=memory)
-    windows, drop_s = state.windows, 0.0
-    if is_window_full(memory.window_s, config.reset_frequency_Hz):
-        windows = append_window(windows, memory.window, config.most_windows)
-        rls = memory.rls._replace(
-            var_stiffness=float(config.var_stiffness),
-            covariance=0.0,
-            var_friction=float(config.var_friction),
-        )
-        memory = memory._replace(rls=rls, window=WindowSums(), window_s=0.0)
-    if ruptured is not None:
-        drop_s = config.drop_travel_m / ruptured.rupture.speed_m_s
-    rupture_state = next_rupture_state(
-        state.rupture_state,
-        is_alarm=memory.is_alarm,
-        is_expected=memory.is_expected,
-        is_measured=ruptured is not None and memory.waited_s >= drop_s,
-        is_settled=memory.waited_s * config.reset_frequency_Hz >= 1.0,
-    )
-    state = state._replace(memory=memory, windows=windows, rupture_state=rupture_state)
-    if rupture_state is RuptureState.DETECTED and ruptured is None:
-        return _open_layer(state, sample, config)
-    if rupture_state is RuptureState.FRICTION_IDENTIFIED and ruptured is not None:
-        return _identify(state, ruptured, sample.force_N, config)
-    return state
-
-
-def _open_layer(state: PublishedState, sample: Sample, config: PublishedConfig) -> PublishedState:
-    """A rupture is detected: the next layer begins here and now (d_i of Section III).
-
-    f(t_r) of (10) is the last force before the alarming sample, which may have dropped already.
+    as if that friction had been subtracted from the rupture onwards.
     """
     memory = state.memory
-    rupture = Rupture(
-        layer=layers_traversed(state.layers) + 1,
-        alarm_s=sample.time_s,
-        alarm_depth_m=sample.depth_m,
-        time_s=sample.time_s,
-        depth_m=sample.depth_m,
-        force_N=memory.force_before_N,
-        speed_m_s=sample.speed_m_s,
-        confidence=1.0,
-        contact_depth_m=float(config.contact_depth_m),
-    )
-    windows = append_window(state.windows, memory.window, config.most_windows)
-    ruptured = RupturedLayer(state.start_depth_m, windows, memory.mean_speed_m_s, rupture)
-    fresh = initial_published_state(config)
+    windows = less_viscous_windows(np.vstack((state.windows, memory.window)), damping)
+    variances = _fresh_memory(config).rls[2:]
+    own = rerun_windows(windows, (variances[0], variances[2]))
+    window: Any = tuple(windows[-1].tolist())
     return state._replace(
-        memory=fresh.memory._replace(
-            derivative_N_per_s=memory.derivative_N_per_s,
-            force_N=memory.force_N,
-            force_before_N=memory.force_before_N,
-            predicted_N=memory.predicted_N,
-            is_expected=memory.is_expected,
-        ),
-        start_depth_m=sample.depth_m,
-        windows=fresh.windows,
-        ruptured=ruptured,
-        events=Events(rupture),
-    )
-
-
-def cusum_constants(sigma0_N: float, sigma1_N: float) -> tuple[float, float]:
-    """Drift nu and threshold gamma [N^2] of the CUSUM on the squared error, equation (9)."""
-    var0, var1 = sigma0_N * sigma0_N, sigma1_N * sigma1_N
-    return (var1 + var0) / 2.0, (var1 - var0) / 2.0
-
-
-def published_coefficients(state: PublishedState, config: PublishedConfig) -> PublishedCoefficients:
-    """What follows from a state and seldom changes; beta grows at each detection."""
-    count = layers_traversed(state.layers) + (state.ruptured is not None)
-    drift, threshold = cusum_constants(config.sigma0_N, config.sigma1_N)
-    return PublishedCoefficients(
-        least_speed_m_s=config.least_speed_m_s,
-        drift=drift,
-        threshold=threshold,
-        beta=config.derivative_threshold_N_per_s + count * config.derivative_rise_N_per_s,
-        derivative_s=config.derivative_time_constant_s,
-        reset_Hz=config.reset_frequency_Hz,
-        is_ml=config.model == "ml",
-        start_m=state.start_depth_m,
-        is_inside=count > 0,
-        layer=count + 1,
-        cumulative_Ns_per_m=state.cumulative_friction_Ns_per_m,
-        is_muted=state.rupture_state in MUTED,
-        is_expected=state.rupture_state is RuptureState.EXPECTED,
-        is_due=state.is_due,
+        memory=memory._replace(rls=RlsState(*own, *variances), window=window, waited_s=0.0),
+        windows=windows[:-1],
+        cumulative_friction_Ns_per_m=state.cumulative_friction_Ns_per_m + damping,
     )

@@ -7,24 +7,25 @@ and b = sum phi f. A re-run needs S and b of each window, not its samples.
 """
 
 import math
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 
-from identification.estimate import Array, Motion, Outputs
+from identification.estimate import Array, Outputs
 from needleforce.jit import Matrix, compiled
 
+_ROUNDING = 1e-9
 
-class WindowSums(NamedTuple):
-    """Sums over the samples between two covariance resets."""
-
-    kk: float = 0.0  # Sum of phi_K^2
-    kb: float = 0.0  # Sum of phi_K phi_B
-    bb: float = 0.0  # Sum of phi_B^2
-    kf: float = 0.0  # Sum of phi_K f
-    bf: float = 0.0  # Sum of phi_B f
-    kv: float = 0.0  # Sum of phi_K v
-    bv: float = 0.0  # Sum of phi_B v; with `kv` it allows a later change of the cumulative friction
+Pair = tuple[float, float]
+Rls = tuple[float, float, float, float, float]
+"""The fields of `RlsState`."""
+Sums = tuple[float, float, float, float, float, float, float]
+"""Over the samples between two covariance resets: phi_K^2, phi_K phi_B, phi_B^2, phi_K f, phi_B f;
+and phi_K v, phi_B v, which with `kv` allow a later change of the cumulative friction."""
+NO_SUMS: Sums = (0.0,) * 7
+_KF, _BF, _KV, _BV = 3, 4, 5, 6
+Memory = tuple[Rls, Sums, float, float, float, float, float, float, float, float, float, bool, bool]
+"""The fields of `PublishedMemory`."""
 
 
 class RlsState(NamedTuple):
@@ -37,22 +38,11 @@ class RlsState(NamedTuple):
     var_friction: float  # Psi[1, 1]
 
 
-_ROUNDING = 1e-9
-
-Pair = tuple[float, float]
-Rls = tuple[float, float, float, float, float]
-"""The fields of `RlsState`, plain."""
-Sums = tuple[float, float, float, float, float, float, float]
-"""The fields of `WindowSums`, plain."""
-Memory = tuple[Rls, Sums, float, float, float, float, float, float, float, float, float, bool, bool]
-"""The fields of `PublishedMemory`, plain."""
-
-
 class PublishedMemory(NamedTuple):
     """What every sample changes. Compiled code takes and gives plain tuples."""
 
     rls: RlsState  # Current estimate and covariance
-    window: WindowSums = WindowSums()  # Sums since the last covariance reset
+    window: Sums = NO_SUMS  # Since the last covariance reset
     window_s: float = 0.0  # Time since then
     travel_s: float = 0.0  # Time spent in the layer the tip is in
     mean_speed_m_s: float = 0.0  # Average speed in it
@@ -64,17 +54,6 @@ class PublishedMemory(NamedTuple):
     predicted_N: float = 0.0  # phi' theta + B_d v before the last sample was used
     is_alarm: bool = False  # Whether g exceeds its threshold
     is_expected: bool = False  # Whether the derivative announces a rupture
-
-    @property
-    def plain(self) -> tuple[Any, ...]:
-        """As `update_published` takes it."""
-        return tuple(self.rls), tuple(self.window), *self[2:]
-
-    @staticmethod
-    def of(plain: tuple[Any, ...]) -> "PublishedMemory":
-        """From what `update_published` gave."""
-        rls, window, *rest = plain
-        return PublishedMemory(RlsState(*rls), WindowSums(*window), *rest)
 
 
 class PublishedCoefficients(NamedTuple):
@@ -93,7 +72,6 @@ class PublishedCoefficients(NamedTuple):
     cumulative_Ns_per_m: float  # Sum of B_j d_j
     is_muted: bool  # Whether the rupture state detects no new rupture
     is_expected: bool  # Whether it expects one
-    is_due: bool  # Whether the next sample finds work to do: around a rupture, every one does
 
 
 Coefficients = tuple[PublishedCoefficients, ...]
@@ -131,7 +109,7 @@ def rls_step(rls: Rls, phi: Pair, force_N: float) -> tuple[Rls, float]:
 
 @compiled
 def add_sample(sums: Sums, phi: Pair, force_N: float, speed_m_s: float) -> Sums:
-    """Add one sample to the sums of its window, see `WindowSums`."""
+    """Add one sample to the sums of its window."""
     kk, kb, bb, kf, bf, kv, bv = sums
     x, y = phi
     return (
@@ -165,11 +143,10 @@ def derivative_step(
 
 @compiled
 def published_outputs(
-    motion: Motion, force_N: float, memory: Memory, coefficients: Coefficients
+    depth_m: float, speed_m_s: float, force_N: float, memory: Memory, coefficients: Coefficients
 ) -> Outputs:
     """Enhanced force f - sum(B_j d_j) v and its companions; see `update_published`."""
     c = coefficients[0]
-    depth_m, speed_m_s, _, _ = motion
     depth = max(depth_m - c.start_m, 0.0)
     in_contact = depth > 0.0 or c.is_inside
     stiffness, friction = memory[0][0], memory[0][1]
@@ -180,7 +157,9 @@ def published_outputs(
         in_contact,
         c.layer if in_contact else 0,
         force_N - earlier,
+        None,
         force_N - earlier - own,
+        None,
         earlier + own,
         None,
         memory[10],
@@ -197,7 +176,8 @@ def published_outputs(
 
 @compiled
 def update_published(
-    motion: Motion,
+    depth_m: float,
+    speed_m_s: float,
     force_N: float,
     dt_s: float,
     memory: Memory,
@@ -210,7 +190,6 @@ def update_published(
         memory, and what to report, see `published_outputs`.
     """
     c = coefficients[0]
-    depth_m, speed_m_s, _, _ = motion
     rls, window, window_s, travel_s, mean, decision, derivative, last, _, waited, _, _, was = memory
     before = force_N if math.isnan(last) else last
     layer_depth = depth_m - c.start_m
@@ -218,59 +197,37 @@ def update_published(
         so_far = (rls, window, window_s, travel_s, mean, decision, derivative)
         # Numba knows no starred parts of a tuple.
         free = so_far + (force_N, before, waited, 0.0, False, was)  # noqa: RUF005
-        return True, free, published_outputs(motion, force_N, free, coefficients)
+        return True, free, published_outputs(depth_m, speed_m_s, force_N, free, coefficients)
     phi = regressor(max(layer_depth, 0.0), speed_m_s, c.is_ml)
     earlier = c.cumulative_Ns_per_m * speed_m_s
     own = force_N - earlier
     rls, error = rls_step(rls, phi, own)
     window_s, travel_s, waited = window_s + dt_s, travel_s + dt_s, waited + dt_s
-    is_muted = c.is_muted or speed_m_s < c.least_speed_m_s
-    decision = 0.0 if is_muted else cusum_step(decision, error, c.drift)
+    is_quiet = c.is_muted or speed_m_s < c.least_speed_m_s
+    decision = 0.0 if is_quiet else cusum_step(decision, error, c.drift)
     derivative = derivative_step(derivative, force_N - before, dt_s, c.derivative_s)
     is_alarm = decision > c.threshold
-    is_expected = not is_muted and derivative < -c.beta
+    is_expected = not is_quiet and derivative < -c.beta
     window = add_sample(window, phi, own, speed_m_s)
     mean += (speed_m_s - mean) * dt_s / travel_s
     so_far = (rls, window, window_s, travel_s, mean, decision, derivative)
     predicted = own - error + earlier
     new = so_far + (force_N, before, waited, predicted, is_alarm, is_expected)  # noqa: RUF005
-    is_all = not is_alarm and is_expected == c.is_expected
-    is_all = is_all and not c.is_due and not is_window_full(window_s, c.reset_Hz)
-    return is_all, new, published_outputs(motion, force_N, new, coefficients)
+    is_all = not (is_alarm or c.is_muted) and is_expected == c.is_expected
+    is_all = is_all and not is_window_full(window_s, c.reset_Hz)
+    return is_all, new, published_outputs(depth_m, speed_m_s, force_N, new, coefficients)
 
 
 # The re-run over a layer.
 
-
-def window_step(theta: Pair, sums: WindowSums, variances: Pair) -> Pair:
-    """Estimate after one window that began with covariance diag(variances) at `theta`.
-
-    Written as theta + Psi_0 (I + S Psi_0)^-1 (b - S theta): no inverse of Psi_0 or S is needed,
-    so collinear columns and zero variances are harmless.
-    """
-    k, b = theta
-    p, q = variances
-    rk = sums.kf - sums.kk * k - sums.kb * b
-    rb = sums.bf - sums.kb * k - sums.bb * b
-    m11, m12 = 1.0 + sums.kk * p, sums.kb * q
-    m21, m22 = sums.kb * p, 1.0 + sums.bb * q
-    excitation = max(sums.kk * sums.bb - sums.kb * sums.kb, 0.0)
-    determinant = 1.0 + sums.kk * p + sums.bb * q + p * q * excitation
-    return (
-        k + p * (m22 * rk - m12 * rb) / determinant,
-        b + q * (m11 * rb - m21 * rk) / determinant,
-    )
-
-
-_KF, _BF, _KV, _BV = (WindowSums._fields.index(name) for name in ("kf", "bf", "kv", "bv"))
 _SLACK = 16
 """Windows beyond the most before neighbours are added up: not at every window."""
-NO_WINDOWS = np.empty((0, len(WindowSums._fields)))
-"""Sums of the windows of a layer, one row each: the fields of `WindowSums`."""
+NO_WINDOWS = np.empty((0, len(NO_SUMS)))
+"""Sums of the windows of a layer, one row of `Sums` each."""
 NO_WINDOWS.setflags(write=False)
 
 
-def append_window(windows: Array, sums: WindowSums, most: int) -> Array:
+def append_window(windows: Array, sums: Sums, most: int) -> Array:
     """Add a closed window; beyond ``most`` neighbours are added up.
 
     That halves their number and bounds memory in an endless layer: the re-run then resets half as
@@ -294,12 +251,14 @@ def less_viscous_windows(windows: Array, damping_Ns_per_m: float) -> Array:
 
 
 @compiled
-def rerun_windows(windows: Matrix, variances: Pair, theta: Pair) -> Pair:
-    """The estimate after all windows, as by a re-run over their samples up to rounding.
+def rerun_windows(windows: Matrix, variances: Pair) -> Pair:
+    """The estimate after all windows, as by a re-run from zero over their samples up to rounding.
 
-    `window_step` written as A and c.
+    Each window begins with covariance diag(variances). Its map is written without an inverse of
+    that or of S, so collinear columns and zero variances are harmless:
+    theta + Psi_0 (I + S Psi_0)^-1 (b - S theta).
     """
-    k, b = theta
+    k = b = 0.0
     p, q = variances
     for i in range(len(windows)):
         kk, kb, bb = windows[i, 0], windows[i, 1], windows[i, 2]

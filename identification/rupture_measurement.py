@@ -104,7 +104,7 @@ def _rupture(state: MultilayerState, block: Block, detection: Detection) -> Rupt
         depth_m=max(block.depth_m - travel, state.layer.start_m),
         force_N=float(detector.force_N[-1 - since]),
         speed_m_s=float(np.mean(detector.speed_m_s[-span:-since])),
-        confidence=1.0 - chance,
+        probability=1.0 - chance,
         contact_depth_m=state.contact_m,
     )
 
@@ -270,6 +270,8 @@ def _accept(
         return state
     layer, rupture = candidate.layer, candidate.rupture
     thickness, speed = _thickness_m(layer, end, config), rupture.speed_m_s
+    tear = 1.0 - end.end_probability
+    rupture = replace(rupture, is_final=work.is_final, tear_probability=tear)
     estimate = LayerEstimate(
         layer=rupture.layer,
         is_final=work.is_final,
@@ -364,10 +366,11 @@ def _reject(
             rupture_state=RuptureState.NO_RUPTURE,
             layers=state.layers[:kept],
             traversed=state.traversed[:kept],
-            events=state.events._replace(retracted=candidate.rupture),
+            events=state.events._replace(retracted=replace(candidate.rupture, probability=0.0)),
         )
     if work.is_final:
-        last = replace(state.layers[-1], is_final=True)
+        last = state.layers[-1]
+        last = replace(last, is_final=True, rupture=replace(last.rupture, is_final=True))
         return state._replace(candidate=None, layers=(*state.layers[:-1], last))
     next_window_m = candidate.next_window_m + config.provisional_window_m
     return state._replace(candidate=candidate._replace(next_window_m=next_window_m, work=None))

@@ -28,7 +28,7 @@ _CLIPPED_MEAN = 0.920
 _EVENT = 25.0
 _FALL = 3.0
 """Standard deviations by which the force must itself fall, not only leave its line."""
-_SLACK = 3.0
+_SLACK = 2.0
 """The loss of speed may be larger than it looks by so many standard deviations of its noise."""
 _SLOWED = 0.5
 """Least fraction of its usual speed at which the needle's friction is evaluated."""

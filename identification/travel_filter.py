@@ -10,7 +10,6 @@ means over 16 ms scatter says how little it knows.
 import math
 from typing import NamedTuple
 
-from identification.estimate import Motion
 from needleforce.jit import compiled
 
 _WANDER_M2_PER_S3 = 2e-7
@@ -81,6 +80,8 @@ Memory = tuple[
     PlainNoise, PlainNoise, PlainNoise, float, float, float,
 ]  # fmt: skip
 """The fields of `TravelState`, plain."""
+Motion = tuple[float, float, float, float]
+"""Depth [m], speed [m/s] and the standard deviation that noise of the samples leaves in each."""
 
 
 @compiled

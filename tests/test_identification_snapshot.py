@@ -8,7 +8,7 @@ import pytest
 from identification import MULTILAYER, PUBLISHED, Identifier
 from identification import rupture_measurement as rupture_step
 from identification.errors import InvalidSnapshotError
-from identification.estimate import Events
+from identification.estimate import Events, RuptureState
 from identification.published_identifier import PublishedState
 from identification.rupture_measurement import finish_measurement
 from needleforce import read_snapshot, write_snapshot
@@ -60,7 +60,7 @@ def test_memory_is_bounded(config):
 def is_at_work(state):
     """Whether a measurement or a re-run has begun and not ended."""
     if isinstance(state, PublishedState):
-        return state.found is not None
+        return state.rupture_state is RuptureState.FRICTION_IDENTIFIED
     candidate = state.candidate
     return candidate is not None and (candidate.work or candidate.search_work) is not None
 
