@@ -133,7 +133,7 @@ def count_ruptures(bank: Bank, known: int, noise: float) -> Verdict:
 
 
 def rupture_of(
-    bank: Bank, pick: int, layer: int, confidence: float, alarm: tuple[float, float]
+    bank: Bank, pick: int, layer: int, probability: float, alarm: tuple[float, float]
 ) -> Rupture:
     """The rupture that hypothesis `pick` knows of, alarmed at a time and depth."""
     record = bank.records[pick]
@@ -145,8 +145,9 @@ def rupture_of(
         depth_m=float(record[RUPTURE_MM]) / _MM,
         force_N=float(record[RUPTURE_FORCE]),
         speed_m_s=float(record[RUPTURE_SPEED]) / _MM,
-        confidence=min(confidence, 1.0),
+        probability=min(probability, 1.0),
         contact_depth_m=float(record[CONTACT_MM]) / _MM,
+        tear_probability=tear_probability(bank, int(bank.facts[pick, RUPTURES])),
     )
 
 

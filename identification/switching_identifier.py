@@ -6,7 +6,7 @@ hypotheses of new events begin in the next; the bank is pruned and reports in th
 
 import math
 from dataclasses import replace
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -57,7 +57,15 @@ from identification.rupture_report import (
     rupture_of,
     with_friction,
 )
-from identification.switching_update import Answer, LeftLayer, SwitchingMemory, is_full
+from identification.switching_update import (
+    Answer,
+    LeftLayer,
+    SwitchingMemory,
+    is_full,
+    switching_outputs,
+    update_switching,
+)
+from needleforce.jit import jit_arguments
 
 _MM = 1e3
 PRESLIDING_MM = 0.3
@@ -110,24 +118,70 @@ class SwitchingState(NamedTuple):
     events: Events = Events()  # of this sample
 
     @property
-    def known_layers(self) -> tuple[LayerEstimate, ...]:
-        """The layers left, as known now."""
-        return self.layers
-
-    @property
     def is_due(self) -> bool:
         """Whether the next sample finds work to do even if it fills no block."""
         return self.stage != _NOTHING or any(self.events)
 
+
+class SwitchingMethod:
+    """The switching filter, sample by sample; see `identification.identifier.Method`."""
+
+    takes_filtered_travel = True
+
+    def __init__(self, config: SwitchingConfig) -> None:
+        self._config = config
+        self.restore(SwitchingState(first_bank()))
+
     @property
-    def sources(self) -> tuple[object, ...]:
-        """What every sample reads follows from these."""
-        return self.answer, self.layers
+    def state(self) -> SwitchingState:
+        """All that it remembers."""
+        return self._state._replace(memory=SwitchingMemory._make(self._memory))
 
+    def restore(self, state: SwitchingState) -> None:
+        """Go on from there."""
+        self.before, self._sources = state, None
+        self._keep(state)
 
-def initial_switching_state(_config: object) -> SwitchingState:
-    """State before the first sample."""
-    return SwitchingState(first_bank())
+    @property
+    def layers(self) -> tuple[LayerEstimate, ...]:
+        """Layers left so far, as known now."""
+        return self._state.layers
+
+    def report(self) -> tuple[Any, ...]:
+        """What there is to report without a sample."""
+        outputs = switching_outputs((0.0, 0.0, 0.0, 0.0), 0.0, self._memory, *self._arguments)
+        return (self._state.rupture_state, *outputs, None, None, None)
+
+    def update(self, sample: Sample) -> tuple[Any, ...]:
+        """Use one sample: what to report of it, from the rupture state to the events."""
+        motion, force_N = sample[2:6], sample.force_N
+        is_all, memory, outputs = update_switching(
+            motion, force_N, sample.dt_s, self._memory, *self._arguments
+        )
+        if is_all:
+            self._memory = memory
+            return (self._state.rupture_state, *outputs, None, None, None)
+        before, state = self.state, self._state
+        if any(state.events):
+            state = state._replace(events=Events())
+        new = switching_step(state, SwitchingMemory._make(memory), sample, self._config)
+        if new.events.rupture is not None:
+            self.before = before
+        if self._keep(new):
+            outputs = switching_outputs(motion, force_N, self._memory, *self._arguments)
+        return (new.rupture_state, *outputs, *new.events)
+
+    def _keep(self, state: SwitchingState) -> bool:
+        """Keep a state; whether what samples read of it is new."""
+        self._state, self._memory, known = state, tuple(state.memory), self._sources
+        self._sources = state.answer, state.layers
+        if known is not None and all(a is b for a, b in zip(known, self._sources, strict=True)):
+            return False
+        left = None if known is None or known[1] is not state.layers else self._arguments[1]
+        if left is None:
+            left = jit_arguments(LeftLayer, *left_layers(state))
+        self._arguments = (jit_arguments(Answer, state.answer), left)
+        return True
 
 
 def left_layers(state: SwitchingState) -> list[LeftLayer]:

@@ -6,7 +6,7 @@ All else is done once per block of samples, see `switching_identifier`.
 import math
 from typing import NamedTuple
 
-from identification.estimate import Motion, Outputs
+from identification.estimate import Outputs
 from needleforce.jit import compiled
 
 _MM = 1e3
@@ -27,6 +27,10 @@ _UNLOADED_M = 1e-3
 _IDENTIFIED = 0.25
 """A value is identified if its standard deviation is no more of it."""
 _TINY = 1e-12
+
+
+Motion = tuple[float, float, float, float]
+"""Depth [m], speed [m/s], and the standard deviations of their noise."""
 
 
 class SwitchingMemory(NamedTuple):
@@ -192,7 +196,9 @@ def switching_outputs(
         a.in_contact,
         a.layer,
         enhanced,
+        enhanced_std,
         tip,
+        tip_std,
         friction,
         friction_std,
         predicted,
