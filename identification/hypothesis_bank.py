@@ -9,6 +9,7 @@ import math
 from typing import NamedTuple
 
 import numpy as np
+from numpy.typing import NDArray
 
 from identification.estimate import Array
 from identification.hypothesis_filter import (
@@ -39,7 +40,6 @@ from identification.hypothesis_filter import (
     TEAR,
     TIP,
     UNKNOWNS,
-    Spreads,
     after_event,
     judge_fraction,
     regressors,
@@ -67,6 +67,11 @@ PUSHED_MM = 12.0
 """A membrane hardly gives more."""
 LEAST_DROP = 0.12
 """Of a layer's force, released at its rupture."""
+QUOTAS = (30, 8, 12, 6)
+"""Hypotheses kept: of events just past, of membranes just met, of older ones, of older membranes.
+What an event was shows in some tenths of a millimetre; then it competes with the older ones."""
+CAPACITY = sum(QUOTAS) + 40
+"""With the children of one step, before they are pruned."""
 NEGLIGIBLE = -30.0
 """Logarithm of a weight that no force will raise again."""
 _NO_RELEASE = -1e9
@@ -81,15 +86,31 @@ RECORDS = 15
 
 
 class Bank(NamedTuple):
-    """n hypotheses, the likeliest first; at most `MOST`."""
+    """n hypotheses, once pruned the likeliest first; never more than `CAPACITY`."""
 
     means: Array  # of the unknowns, shape (n, 18)
-    spreads: Spreads  # their covariances, shape (n, 18, 18)
+    spreads: Array  # their covariances, shape (n, 18, 18)
     log_weights: Array  # logarithm of each one's probability, shape (n,)
     facts: Array  # what it takes for certain, shape (n, 10)
     records: Array  # what it says of the last rupture, shape (n, 15)
 
-    def take(self, index: Array) -> "Bank":
+    @property
+    def damage(self) -> str:
+        """What is wrong with the arrays, if anything; checked before compiled code reads them."""
+        n, last = len(self.log_weights), (UNKNOWNS, UNKNOWNS)
+        shapes = ((n, UNKNOWNS), (n, *last), (n,), (n, FACTS), (n, RECORDS))
+        if not 1 <= n <= CAPACITY or [np.shape(part) for part in self] != list(shapes):
+            return f"its arrays have shapes {[np.shape(part) for part in self]}"
+        if not all(np.isfinite(part).all() for part in self):
+            return "it has numbers that are not finite"
+        scale = np.sqrt(np.maximum(np.einsum("nii->ni", self.spreads), 1e-300))
+        scaled = self.spreads / (scale[:, :, None] * scale[:, None, :])
+        if not np.allclose(scaled, scaled.transpose(0, 2, 1), rtol=0.0, atol=1e-3):
+            return "its covariances are not symmetric"
+        is_kind = np.isin(self.facts[:, KIND], (AIR, LAYER, MEMBRANE))
+        return "" if (is_kind & (self.facts[:, LENGTH] > 0.0)).all() else "its facts are impossible"
+
+    def take(self, index: NDArray[np.intp]) -> "Bank":
         """Some of them."""
         return Bank(*(part[index] for part in self))
 
@@ -260,10 +281,8 @@ def prune(bank: Bank, place: Place) -> Bank:
     order = order[weights[order] > NEGLIGIBLE]
     pushed = is_membrane[order]
     young = travel[order] < np.where(pushed, 1.5, 0.4)
-    classes = ((young & ~pushed, 30), (young & pushed, 8), (~young & ~pushed, 12), (~young & pushed, 6))
-    kept = [np.flatnonzero(some)[:most] for some, most in classes]
-    return bank._replace(log_weights=weights, facts=facts).take(order[np.sort(np.concatenate(kept))])
-
-
-MOST = 30 + 8 + 12 + 6
-"""Hypotheses kept."""
+    classes = (young & ~pushed, young & pushed, ~young & ~pushed, ~young & pushed)
+    kept = [np.flatnonzero(some)[:most] for some, most in zip(classes, QUOTAS, strict=True)]
+    return bank._replace(log_weights=weights, facts=facts).take(
+        order[np.sort(np.concatenate(kept))]
+    )

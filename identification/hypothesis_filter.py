@@ -169,7 +169,11 @@ def predict(
 
 @compiled
 def absorb(
-    means: Matrix, spreads: Spreads, facts: Matrix, rows: Matrix, measured: tuple[float, float, float]
+    means: Matrix,
+    spreads: Spreads,
+    facts: Matrix,
+    rows: Matrix,
+    measured: tuple[float, float, float],
 ) -> tuple[Matrix, Spreads, Vector]:
     """Use the mean force of a block.
 
@@ -192,7 +196,7 @@ def absorb(
     evidence = np.empty(len(means))
     for k in range(len(means)):
         cross = np.dot(spreads[k], rows[k])
-        variance = np.dot(rows[k], cross) + noise[k]
+        variance = max(np.dot(rows[k], cross), 0.0) + noise[k]
         error = force - np.dot(rows[k], means[k])
         surprise = error * error / variance
         evidence[k] = -0.5 * math.log(variance)
@@ -204,9 +208,7 @@ def absorb(
 
 
 @compiled
-def add_layer_prior(
-    mean: WrittenVector, spread: WrittenMatrix, speed: float, is_new: bool
-) -> None:
+def add_layer_prior(mean: WrittenVector, spread: WrittenMatrix, speed: float, is_new: bool) -> None:
     """Add what is known beforehand of a layer; a tear leaves its friction as it was."""
     coulomb = COULOMB_SPEED / (COULOMB_SPEED + max(speed, 0.1))
     viscous, pace, std = 1.0 - coulomb, max(speed, 0.5), 0.7 * SLOPE_STD

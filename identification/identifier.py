@@ -94,7 +94,9 @@ class Identifier:
     Depths in what it reports have the zero of the depths it is given, see `estimate`.
     """
 
-    def __init__(self, config: MultilayerConfig | PublishedConfig | SwitchingConfig = MULTILAYER) -> None:
+    def __init__(
+        self, config: MultilayerConfig | PublishedConfig | SwitchingConfig = MULTILAYER
+    ) -> None:
         """Choose the method by its configuration.
 
         Args:
@@ -170,7 +172,7 @@ class Identifier:
             )
             shift_m = self._check[_SHIFT]
             events = (_in_callers_depth(event, shift_m) for event in found[_EVENTS:])
-            estimate = self._last = _new(Estimate, (*estimate[: _EVENTS], *events))
+            estimate = self._last = _new(Estimate, (*estimate[:_EVENTS], *events))
         return estimate
 
     def undo_rupture(self) -> None:
@@ -220,7 +222,11 @@ class Identifier:
         if time is not None and math.isfinite(time) and None not in numbers:
             depth_m, speed_m_s, force_N, dt_s = numbers
             return self.update(  # type: ignore[reportArgumentType]
-                depth_m, None if is_untold else speed_m_s, force_N, dt_s, None if time_s is None else time
+                depth_m,
+                None if is_untold else speed_m_s,
+                force_N,
+                dt_s,
+                None if time_s is None else time,
             )
         # Handled as one that is not finite: its time passes, if it has one.
         dt_s = math.nan if numbers[-1] is None else numbers[-1]

@@ -164,6 +164,9 @@ def check_state(state: Any, initial: Any, place: str = "state") -> None:
         _check_array(state, initial, place)
     elif hasattr(initial, "_fields") and type(state) is not type(initial):
         raise InvalidSnapshotError(f"{place} is {state!r:.80}, expected {type(initial).__name__}")
+    elif hasattr(state, "damage"):
+        if state.damage:
+            raise InvalidSnapshotError(f"the snapshot is damaged: {place}: {state.damage}")
     elif hasattr(state, "_fields"):
         for name, part in zip(state._fields, state, strict=True):
             check_state(part, getattr(initial, name, None), f"{place}.{name}")

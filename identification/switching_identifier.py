@@ -218,7 +218,9 @@ def _absorb(state: SwitchingState, sample: Sample) -> SwitchingState:
     """Let every hypothesis predict the force of the block, and learn from it."""
     memory, course, bank, levels = state.memory, state.course, state.bank, state.levels
     dt, last = memory.filled_s, course.deepest
-    z, v, w = (x / dt for x in (_MM * memory.depth_sum, _MM * memory.speed_sum, memory.deflection_sum))
+    z, v, w = (
+        x / dt for x in (_MM * memory.depth_sum, _MM * memory.speed_sum, memory.deflection_sum)
+    )
     jitter, speed_noise = _MM * memory.depth_std_m, _MM * memory.speed_std_m_s
     usual = max(course.usual_speed * math.exp(-dt / _USUAL_S - abs(v) * dt / _USUAL_MM), v)
     fresh = max(z - last, 0.0) if last > -_FAR_MM else 0.0
