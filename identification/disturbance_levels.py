@@ -11,33 +11,31 @@ import numpy as np
 
 from identification.estimate import Array
 from identification.hypothesis_filter import BEATS, COLOUR_S, oscillation
-from needleforce.jit import Matrix, Vector, WrittenVector, compiled
+from needleforce.jit import Matrix, Vector, WrittenMatrix, WrittenVector, compiled
 
 STEP_S = 0.01
 """Time between two forces in the differences."""
-_LAGS = np.array([1, 2, 4, 8, 16, 32, 64, 128])
-_MEMORY = 400.0
+_MEMORY = 400
 """Differences over which a level is learned: four seconds."""
 _MOVED_MM = 5.0
 """Over more travel it is the tissue that varies, not its motion."""
-_TRIMMED = 0.92
-"""Mean of a squared standard normal that counts four times its mean at most."""
+_MEDIAN = 0.455
+"""Of a squared standard normal. Ruptures are a minority of the differences, heartbeats are not."""
 
 
-def _design() -> Array:
-    """Variance of a second difference at each lag by unit variance of each part, shape (4, 8)."""
-    lag = STEP_S * _LAGS
-    rows = []
-    for likeness in (
-        lambda h: 0.0,
-        lambda h: math.exp(-h / COLOUR_S),
-        *(lambda h, beat=beat: oscillation(h, *beat)[0] for beat in BEATS),
-    ):
-        rows.append([6.0 - 8.0 * likeness(h) + 2.0 * likeness(2.0 * h) for h in lag.tolist()])
-    return np.array(rows)
+def _likeness(part: int, lag_s: float) -> float:
+    """Correlation of a part of the noise with itself some time before."""
+    if part < 2:
+        return math.exp(-lag_s / COLOUR_S) if part else 0.0
+    return oscillation(lag_s, *BEATS[part - 2])[0]
 
 
-_DESIGN = _design()
+def _difference(part: int, lag_s: float) -> float:
+    """Variance of a second difference of a part of the noise of unit variance."""
+    return 6.0 - 8.0 * _likeness(part, lag_s) + 2.0 * _likeness(part, 2.0 * lag_s)
+
+
+_DESIGN = np.array([[_difference(part, STEP_S * 2**k) for k in range(8)] for part in range(4)])
 
 
 class DisturbanceLevels(NamedTuple):
@@ -45,8 +43,8 @@ class DisturbanceLevels(NamedTuple):
 
     past: Array = np.zeros(257)  # forces, a step apart, newest last
     count: float = 0.0  # how many of them follow each other undisturbed
-    squares: Array = np.zeros(8)  # mean squared differences
-    seen: Array = np.zeros(8)  # how many each rests on, at most the memory
+    squares: Array = np.zeros((8, _MEMORY))  # of the last differences at each lag
+    seen: Array = np.zeros(8)  # how many there have been
     levels: Array = np.array([1e-4, 0.0, 0.0, 0.0])  # variances: white, colour, heart, breath
     force_sum: float = 0.0  # integral of the force over the step being filled
     filled_s: float = 0.0  # length of that so far
@@ -58,7 +56,7 @@ class DisturbanceLevels(NamedTuple):
         return math.sqrt(max(white + colour + 0.1 * (heart + breath), 1e-8))
 
     def restarted(self) -> "DisturbanceLevels":
-        """After a gap, a rest or a release: no difference reaches across."""
+        """After a gap or a rest: no difference reaches across."""
         return self._replace(count=0.0, force_sum=0.0, filled_s=0.0)
 
     def with_force(self, force: float, dt_s: float, speed: float) -> "DisturbanceLevels":
@@ -69,34 +67,40 @@ class DisturbanceLevels(NamedTuple):
         past = np.append(self.past[1:], total / filled)
         squares, seen = self.squares.copy(), self.seen.copy()
         _learn(past, self.count + 1.0, squares, seen)
-        levels = _levels(squares, seen, _DESIGN, self.levels, speed)
-        return DisturbanceLevels(past, self.count + 1.0, squares, seen, levels)
+        levels, count = self.levels, self.count + 1.0
+        if count % 10.0 == 0.0 and seen[0] > 10.0:
+            levels = _levels(squares, seen, _DESIGN, speed)
+        return self._replace(
+            past=past,
+            count=count,
+            squares=squares,
+            seen=seen,
+            levels=levels,
+            force_sum=0.0,
+            filled_s=0.0,
+        )
 
 
 @compiled
-def _learn(past: Vector, count: float, squares: WrittenVector, seen: WrittenVector) -> None:
-    """Use the newest second differences; a large one counts little, once there are some."""
+def _learn(past: Vector, count: float, squares: WrittenMatrix, seen: WrittenVector) -> None:
+    """Keep the newest second differences."""
     for k in range(8):
         lag = 2**k
         if count <= 2 * lag:
             break
         square = (past[256] - 2.0 * past[256 - lag] + past[256 - 2 * lag]) ** 2
-        seen[k] = min(seen[k] + 1.0, _MEMORY)
-        if seen[k] > 5 * lag:
-            rate = (0.1 if square > 25.0 * squares[k] else 1.0) / seen[k]
-            squares[k] += rate * (min(square, 4.0 * squares[k]) / _TRIMMED - squares[k])
-        else:
-            squares[k] += (square - squares[k]) / seen[k]
+        squares[k, int(seen[k]) % _MEMORY] = square
+        seen[k] += 1.0
 
 
 @compiled
-def _levels(
-    squares: Vector, seen: Vector, design: Matrix, before: Vector, speed: float
-) -> WrittenVector:
-    """Variance of each part; as before while little has been seen."""
-    levels, left = before.copy(), squares.copy()
-    if seen[0] <= 10.0:
-        return levels
+def _levels(squares: Matrix, seen: Vector, design: Matrix, speed: float) -> Vector:
+    """Variance of each part, each taking what the faster ones leave."""
+    levels, left = np.zeros(4), np.zeros(8)
+    for k in range(8):
+        known = min(int(seen[k]), _MEMORY)
+        if known > min(2 * 2**k, 30):
+            left[k] = np.median(squares[k, :known]) / _MEDIAN
     for part in range(4):
         level = 0.0
         for k in (2 * part, 2 * part + 1):

@@ -6,6 +6,7 @@ least likely, class by class, since what an event was may show only at the next 
 """
 
 import math
+from collections.abc import Iterator
 from typing import NamedTuple
 
 import numpy as np
@@ -35,7 +36,6 @@ from identification.hypothesis_filter import (
     RELEASED,
     ROOT,
     RUPTURES,
-    STIFFENING,
     STIFFNESS,
     TEAR,
     TIP,
@@ -142,6 +142,16 @@ def first_bank() -> Bank:
     return Bank(np.zeros((1, UNKNOWNS)), spreads, np.zeros(1), facts, np.zeros((1, RECORDS)))
 
 
+class _Children(NamedTuple):
+    """New hypotheses, part by part, as `Bank` has them."""
+
+    means: list[Array]
+    spreads: list[Array]
+    log_weights: list[float]
+    facts: list[Array]
+    records: list[Array]
+
+
 def spawn(bank: Bank, place: Place, before: float) -> Bank:
     """Add what may have happened since the hypotheses spawned last, at depth `before`."""
     facts, order = bank.facts, np.argsort(-bank.log_weights, kind="stable")
@@ -149,100 +159,109 @@ def spawn(bank: Bank, place: Place, before: float) -> Bank:
     likely &= place.depth > facts[:, RELEASE] + np.maximum(facts[:, LENGTH], 0.3)
     parents: dict[tuple[float, float], int] = {}
     for k in order[likely[order]].tolist():  # what it was may only show at its end
-        parents.setdefault((facts[k, KIND], facts[k, IS_HELD]), k)
+        parents.setdefault((float(facts[k, KIND]), float(facts[k, IS_HELD])), k)
     step = max(place.depth - max(before, place.depth - 1.0), STEP_MM)
     is_membrane_due = int(place.depth / MEMBRANE_STEP_MM) != int(before / MEMBRANE_STEP_MM)
-    children = [bank]
-    for k in parents.values():
-        kind = facts[k, KIND]
-        if kind == AIR:
-            children += _contacts(bank, k, place, HAZARD * step)
-        elif place.depth > facts[k, TIP] + LEAST_MM:
-            children += _ruptures(bank, k, place, HAZARD * step)
-            is_known = place.depth > facts[k, ROOT] + 2.0 and facts[k, IS_JUDGED]
-            if kind == LAYER and is_membrane_due and is_known:
-                chance = MEMBRANE_SHARE * MEMBRANE_STEP_MM * HAZARD
-                children.append(_child(bank, k, place, MEETING, MEMBRANE, {0.3: chance}))
-    return Bank(*(np.concatenate(parts) for parts in zip(*children, strict=True)))
+    rows = regressors(facts, place.depth, place.speed, place.deflection)
+    children = _Children([], [], [], [], [])
+    for (kind, _), k in parents.items():
+        for event, becomes, chances in _events(facts[k], place, HAZARD * step, is_membrane_due):
+            _add_child(children, bank, k, place, rows[k], (event, kind, becomes), chances)
+    if not children.means:
+        return bank
+    return Bank(*(np.concatenate(parts) for parts in zip(bank, children, strict=True)))
 
 
-def _contacts(bank: Bank, k: int, place: Place, chance: float) -> list[Bank]:
-    """The tip meets a layer, or a membrane on it."""
-    if bank.facts[k, RUPTURES]:
-        if place.depth < bank.facts[k, RELEASE] + 3.0:
-            return []
-        chance *= 0.1  # gaps of air are rare
-    if place.deflection < 0.3:
-        return []
-    return [
-        _child(bank, k, place, CONTACT, LAYER, {0.3: 0.7 * chance}),
-        _child(bank, k, place, CONTACT, MEMBRANE, {0.3: 0.3 * chance}),
-    ]
-
-
-def _ruptures(bank: Bank, k: int, place: Place, chance: float) -> list[Bank]:
-    """The tip leaves a layer or a membrane, or tears a layer."""
+def _events(
+    fact: Array, place: Place, chance: float, is_membrane_due: bool
+) -> Iterator[tuple[int, float, dict[float, float]]]:
+    """What may happen to one hypothesis: event, what the tip is in then, chances by release."""
+    kind = fact[KIND]
+    if kind == AIR:
+        if fact[RUPTURES]:
+            chance *= 0.1  # gaps of air are rare
+        is_near = fact[RUPTURES] and place.depth < fact[RELEASE] + 3.0
+        if place.deflection >= 0.3 and not is_near:
+            yield CONTACT, LAYER, {0.3: 0.7 * chance}
+            yield CONTACT, MEMBRANE, {0.3: 0.3 * chance}
+        return
+    if place.depth <= fact[TIP] + LEAST_MM:
+        return
     ends = (1.0 - TEAR_SHARE) * chance / len(RELEASES_MM)
-    found = [
-        _child(bank, k, place, EXIT, LAYER, dict.fromkeys(RELEASES_MM, ends * (1.0 - AIR_SHARE)))
-    ]
-    if bank.facts[k, KIND] == LAYER:
-        into_air = dict.fromkeys(RELEASES_MM, ends * AIR_SHARE)
-        tears = dict.fromkeys(TEARS_MM, TEAR_SHARE * chance / len(TEARS_MM))
-        found.append(_child(bank, k, place, EXIT, AIR, into_air))
-        found.append(_child(bank, k, place, TEAR, LAYER, tears))
-    return found
+    yield EXIT, LAYER, dict.fromkeys(RELEASES_MM, ends * (1.0 - AIR_SHARE))
+    if kind == LAYER:
+        yield EXIT, AIR, dict.fromkeys(RELEASES_MM, ends * AIR_SHARE)
+        yield TEAR, LAYER, dict.fromkeys(TEARS_MM, TEAR_SHARE * chance / len(TEARS_MM))
+        if is_membrane_due and place.depth > fact[ROOT] + 2.0 and fact[IS_JUDGED]:
+            yield MEETING, MEMBRANE, {0.3: MEMBRANE_SHARE * MEMBRANE_STEP_MM * HAZARD}
 
 
-def _child(
-    bank: Bank, k: int, place: Place, event: int, becomes: float, chances: dict[float, float]
-) -> Bank:
-    """Hypotheses of one event in hypothesis k, with their release lengths and chances."""
-    fact, record = bank.facts[k].copy(), bank.records[k].copy()
+def _add_child(
+    children: _Children,
+    bank: Bank,
+    k: int,
+    place: Place,
+    row: Array,
+    change: tuple[int, float, float],
+    chances: dict[float, float],
+) -> None:
+    """Add hypotheses of one event in hypothesis k, one for each release length."""
+    event, was, becomes = change
     before, spread_before = bank.means[k], bank.spreads[k]
-    depth, was = place.depth, fact[KIND]
-    row = regressors(bank.facts[k : k + 1], depth, place.speed, place.deflection)[0]
-    length = max(depth - fact[ROOT], 0.0)
+    fact, record, depth = bank.facts[k].copy(), bank.records[k].copy(), place.depth
     begin = max(fact[ROOT], record[PART_END]) if was == LAYER else depth
-    mean, spread = after_event(
-        before,
-        spread_before,
-        row,
-        (event, float(was), becomes, bool(was == MEMBRANE and fact[IS_HELD])),
-        (length, depth - begin, place.deflection, place.speed, place.force),
-    )
+    is_met = was == MEMBRANE and fact[IS_HELD] > 0.0
+    length = max(depth - fact[ROOT], 0.0)
+    now = (float(length), float(depth - begin), place.deflection, place.speed, place.force)
+    mean, spread = after_event(before, spread_before, row, (*change, bool(is_met)), now)
     if event in (EXIT, TEAR):
         own = slice(RELEASED, OWN_VISCOUS + 1)
-        fact[[RELEASE, OWN_FORCE]] = depth, row[own] @ before[own]
+        fact[RELEASE], fact[OWN_FORCE] = depth, row[own] @ before[own]
         fact[RUPTURES] += 1.0
-        moment = (place.time_s - 0.5 * place.dt_s, depth, place.speed, place.force)
-        record[RUPTURE_S : WAS_TEAR + 1] = *moment, float(event == TEAR)
     else:
         fact[RELEASE] = _NO_RELEASE
-    if was == LAYER:
-        record[[PART_START, PART_END, PART_FRICTION]] = begin, depth, mean[LEFT]
-        per_length = [STIFFNESS, OWN_COULOMB, OWN_VISCOUS]
-        record[STIFFNESS_HERE:CONTACT_MM:2] = before[per_length]
-        record[STIFFNESS_HERE + 1 : CONTACT_MM : 2] = spread_before[per_length, per_length]
-    elif event == CONTACT:
-        record[PART_START:CONTACT_MM] = 0.0
-        record[[PART_START, PART_END]] = depth
-        if not fact[RUPTURES]:
-            record[CONTACT_MM] = depth
-    # The layer behind a membrane has rubbed since the membrane was met.
-    start = fact[TIP] if event == EXIT and was == MEMBRANE else depth
+    part = (begin, mean[LEFT], before, spread_before)
+    _write_record(record, place, change, part, is_first=not fact[RUPTURES])
     if event != TEAR:
-        fact[ROOT] = start
+        # The layer behind a membrane has rubbed since the membrane was met.
+        fact[ROOT] = fact[TIP] if event == EXIT and was == MEMBRANE else depth
         fact[IS_JUDGED] = float(becomes != LAYER)
-    fact[[TIP, KIND]] = depth, becomes
+    fact[TIP], fact[KIND] = depth, becomes
     fact[IS_HELD] = float(event in (TEAR, MEETING))
     fact[IS_PUNCTURED] = float(event == EXIT and was == MEMBRANE)
-    n = len(chances)
-    facts = np.repeat(fact[None], n, axis=0)
-    facts[:, LENGTH] = list(chances)
-    log_weights = bank.log_weights[k] + np.log(list(chances.values()))
-    repeated = [np.repeat(part[None], n, axis=0) for part in (mean, spread, record)]
-    return Bank(*repeated[:2], log_weights, facts, repeated[2])
+    for release, chance in chances.items():
+        fact = fact.copy()
+        fact[LENGTH] = release
+        weight = float(bank.log_weights[k]) + math.log(chance)
+        born = (mean, spread, weight, fact, record)
+        for part, value in zip(children, born, strict=True):
+            part.append(value)  # type: ignore[arg-type]
+
+
+def _write_record(
+    record: Array,
+    place: Place,
+    change: tuple[int, float, float],
+    part: tuple[float, float, Array, Array],
+    *,
+    is_first: bool,
+) -> None:
+    """Write down what a report may need of an event and of the part of a layer that it ends."""
+    event, was, _ = change
+    begin, friction, mean, spread = part
+    if event in (EXIT, TEAR):
+        moment = (place.time_s - 0.5 * place.dt_s, place.depth, place.speed, place.force)
+        record[RUPTURE_S : WAS_TEAR + 1] = (*moment, float(event == TEAR))
+    if was == LAYER:
+        record[PART_START : PART_FRICTION + 1] = begin, place.depth, friction
+        for n, j in enumerate((STIFFNESS, OWN_COULOMB, OWN_VISCOUS)):
+            at = STIFFNESS_HERE + 2 * n
+            record[at], record[at + 1] = mean[j], spread[j, j]
+    elif event == CONTACT:
+        record[PART_START:CONTACT_MM] = 0.0
+        record[PART_START] = record[PART_END] = place.depth
+        if is_first:
+            record[CONTACT_MM] = place.depth
 
 
 def judge_fractions(bank: Bank, place: Place) -> Bank:
@@ -268,13 +287,16 @@ def prune(bank: Bank, place: Place) -> Bank:
     due = facts[:, OWN_FORCE] > 0.0
     due &= place.depth > facts[:, RELEASE] + facts[:, LENGTH] + 0.1
     least = np.maximum(LEAST_DROP * facts[:, OWN_FORCE], 2.0 * place.noise)
-    weights[due & (bank.means[:, RELEASED] < least)] -= 12.0
+    is_torn = (facts[:, KIND] == LAYER) & (facts[:, IS_HELD] > 0.0)
+    fallen = bank.means[:, RELEASED] - np.where(is_torn, bank.means[:, HELD], 0.0)
+    weights[due & (fallen < least)] -= 12.0
     facts[due, OWN_FORCE] = 0.0
     variance = np.maximum(bank.spreads[:, STIFFNESS, STIFFNESS], 0.0)
     is_odd = bank.means[:, STIFFNESS] + 2.0 * np.sqrt(variance) < 0.0
     is_odd |= bank.means[:, OWN_COULOMB] + bank.means[:, OWN_VISCOUS] * place.speed < -0.003
     weights[is_odd & (facts[:, KIND] != AIR) & (travel > 2.0)] -= 0.1
-    weights[is_membrane & (travel > PUSHED_MM)] -= 0.3
+    pushed_mm = place.dt_s * max(place.speed, 0.0)
+    weights[is_membrane & (travel > PUSHED_MM)] -= 0.3 * min(pushed_mm / 0.04, 2.0)
     weights -= weights.max()
     weights -= math.log(np.exp(weights).sum())
     order = np.argsort(-weights, kind="stable")

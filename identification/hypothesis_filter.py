@@ -23,8 +23,8 @@ from numpy.typing import NDArray
 
 from needleforce.jit import Matrix, Vector, WrittenMatrix, WrittenVector, compiled
 
-# Places of the unknowns. LEFT: friction, at the last rupture, of the shaft since the rupture before;
-# EARLIER: the same of the one before.
+# Places of the unknowns. LEFT: friction, at the last rupture, of the shaft since the rupture
+# before; EARLIER: the same of the one before.
 OFFSET, COULOMB, VISCOUS, RELEASED, HELD, STIFFNESS, STIFFENING = range(7)
 OWN_COULOMB, OWN_VISCOUS, LEFT, EARLIER = range(7, 11)
 COLOUR, HEART, HEART_RATE, BREATH, BREATH_RATE, LAW, LAW_RATE = range(11, 18)
@@ -70,8 +70,8 @@ FREEDOM = 8.0
 """Degrees of freedom of Student's t: a single surprise proves little."""
 SLOPE, SLOPE_STD = 0.03, 0.04
 """Growth of the force in a layer, before data [N/mm]."""
-FRACTION, FRACTION_STD = 0.55, 0.2
-"""Of friction in that growth."""
+FRACTION, FRACTION_STD, FRACTION_SPEED = 0.55, 0.2, 3.0
+"""Of friction in that growth, at a speed [mm/s]; only the viscous part grows with speed."""
 COULOMB_SPEED, COULOMB_LOG_STD = 3.4, 0.8
 """Speed at which Coulomb and viscous friction are equal [mm/s]: 1.5 in gels, 7.5 in liver."""
 
@@ -208,17 +208,34 @@ def absorb(
 
 
 @compiled
-def add_layer_prior(mean: WrittenVector, spread: WrittenMatrix, speed: float, is_new: bool) -> None:
-    """Add what is known beforehand of a layer; a tear leaves its friction as it was."""
-    coulomb = COULOMB_SPEED / (COULOMB_SPEED + max(speed, 0.1))
+def friction_fraction(speed: float) -> tuple[float, float, float]:
+    """Friction in the growth of the force at a speed, its deviation, and Coulomb's part of it."""
+    odds = FRACTION / (1.0 - FRACTION)
+    odds *= (COULOMB_SPEED + speed) / (COULOMB_SPEED + FRACTION_SPEED)
+    fraction = odds / (1.0 + odds)
+    std = FRACTION_STD * fraction * (1.0 - fraction) / (FRACTION * (1.0 - FRACTION))
+    return fraction, std, COULOMB_SPEED / (COULOMB_SPEED + speed)
+
+
+@compiled
+def add_prior(
+    mean: WrittenVector, spread: WrittenMatrix, speed: float, kind: float, is_torn: bool
+) -> None:
+    """Add what is known beforehand of a layer or a membrane; a tear leaves friction as it was."""
+    if kind == MEMBRANE:
+        mean[STIFFNESS], mean[STIFFENING] = 0.05, 0.01
+        spread[STIFFNESS, STIFFNESS], spread[STIFFENING, STIFFENING] = 0.1**2, 0.02**2
+    if kind != LAYER:
+        return
+    fraction, _, coulomb = friction_fraction(max(speed, 0.1))
     viscous, pace, std = 1.0 - coulomb, max(speed, 0.5), 0.7 * SLOPE_STD
-    mean[STIFFNESS] += (1.0 - FRACTION) * SLOPE
+    mean[STIFFNESS] += (1.0 - fraction) * SLOPE
     spread[STIFFNESS, STIFFNESS] += std**2
     spread[STIFFENING, STIFFENING] += 3e-4**2
-    if is_new:
-        mean[OWN_COULOMB] += FRACTION * coulomb * SLOPE
+    if not is_torn:
+        mean[OWN_COULOMB] += fraction * coulomb * SLOPE
         spread[OWN_COULOMB, OWN_COULOMB] += (std * coulomb) ** 2
-        mean[OWN_VISCOUS] += FRACTION * viscous * SLOPE / pace
+        mean[OWN_VISCOUS] += fraction * viscous * SLOPE / pace
         spread[OWN_VISCOUS, OWN_VISCOUS] += (std * viscous / pace) ** 2
         mean[HELD] += CUTTING
         spread[HELD, HELD] += CUTTING_STD**2
@@ -275,11 +292,7 @@ def after_event(
         change[LEFT, OWN_VISCOUS] = passed * speed
     mean = np.dot(change, mean)
     spread = np.dot(np.dot(change, spread), np.ascontiguousarray(change.T)) + noise
-    if becomes == LAYER:
-        add_layer_prior(mean, spread, speed, what != TEAR)
-    elif becomes == MEMBRANE:
-        mean[STIFFNESS], mean[STIFFENING] = 0.05, 0.01
-        spread[STIFFNESS, STIFFNESS], spread[STIFFENING, STIFFENING] = 0.1**2, 0.02**2
+    add_prior(mean, spread, speed, becomes, what == TEAR)
     return mean, spread
 
 
@@ -298,14 +311,44 @@ def judge_fraction(
     if variance > (0.2 * max(slope, 0.004)) ** 2 and not is_due:
         return False, mean.copy(), spread.copy()
     slope, speed = max(slope, 2e-3), max(speed, 0.1)
-    coulomb = COULOMB_SPEED / (COULOMB_SPEED + speed)
-    row[STIFFNESS], row[OWN_COULOMB] = -FRACTION, 1.0 - FRACTION
-    row[OWN_VISCOUS] = (1.0 - FRACTION) * speed
+    fraction, std, coulomb = friction_fraction(speed)
+    row[STIFFNESS], row[OWN_COULOMB] = -fraction, 1.0 - fraction
+    row[OWN_VISCOUS] = (1.0 - fraction) * speed
     cross = np.dot(spread, row)
-    gain = cross / (np.dot(row, cross) + (FRACTION_STD * slope) ** 2)
+    gain = cross / (np.dot(row, cross) + (std * slope) ** 2)
     mean, spread = mean - gain * np.dot(row, mean), spread - np.outer(gain, cross)
     row[STIFFNESS], row[OWN_COULOMB], row[OWN_VISCOUS] = 0.0, 1.0 - coulomb, -coulomb * speed
     cross = np.dot(spread, row)
-    std = coulomb * (1.0 - coulomb) * COULOMB_LOG_STD * FRACTION * slope
+    std = coulomb * (1.0 - coulomb) * COULOMB_LOG_STD * fraction * slope
     gain = cross / (np.dot(row, cross) + std**2)
     return True, mean - gain * np.dot(row, mean), spread - np.outer(gain, cross)
+
+
+@compiled
+def shaft_mixture(
+    means: Matrix, spreads: Spreads, facts: Matrix, weights: Vector, depth: float
+) -> tuple[Vector, Matrix]:
+    """Friction of the shaft at a depth, all hypotheses together.
+
+    Returns:
+        Mean and covariance of the offset, C, V, Coulomb and viscous friction of the whole shaft,
+        c, b and the stiffness at the tip, shapes (8,) and (8, 8).
+    """
+    found, total, spread = np.zeros((len(means), 8)), np.zeros(8), np.zeros((8, 8))
+    row = np.zeros((8, UNKNOWNS))
+    for k in range(len(means)):
+        is_met = facts[k, KIND] != AIR or facts[k, RUPTURES] > 0.0
+        met, length = (1.0 if is_met else 0.0), max(depth - facts[k, ROOT], 0.0)
+        row[0, OFFSET] = 1.0
+        row[1, COULOMB] = row[2, VISCOUS] = row[3, COULOMB] = row[4, VISCOUS] = met
+        row[3, OWN_COULOMB] = row[4, OWN_VISCOUS] = met * length
+        row[5, OWN_COULOMB] = row[6, OWN_VISCOUS] = met
+        row[7, STIFFNESS] = 1.0 if facts[k, KIND] != AIR else 0.0
+        row[7, STIFFENING] = row[7, STIFFNESS] * 2.0 * max(depth - facts[k, TIP], 0.0)
+        found[k] = np.dot(row, means[k])
+        total += weights[k] * found[k]
+        spread += weights[k] * np.dot(np.dot(row, spreads[k]), np.ascontiguousarray(row.T))
+    for k in range(len(means)):
+        off = found[k] - total
+        spread += weights[k] * np.outer(off, off)
+    return total, spread

@@ -11,7 +11,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from identification.estimate import Array, LayerEstimate, Rupture
+from identification.estimate import LayerEstimate, Rupture
 from identification.hypothesis_bank import (
     CONTACT_MM,
     PART_FRICTION,
@@ -27,23 +27,18 @@ from identification.hypothesis_bank import (
 )
 from identification.hypothesis_filter import (
     AIR,
-    COULOMB,
     EARLIER,
+    HELD,
     IS_HELD,
     KIND,
+    LAYER,
     LEFT,
     MEMBRANE,
-    OFFSET,
-    OWN_COULOMB,
-    OWN_VISCOUS,
     RELEASED,
-    ROOT,
     RUPTURES,
     STIFFENING,
-    STIFFNESS,
-    TIP,
-    VISCOUS,
     regressors,
+    shaft_mixture,
 )
 from identification.switching_update import Answer
 
@@ -60,41 +55,23 @@ _NAMES = ("stiffness", "coulomb", "viscous")
 _UNITS = (("N_per_m", _MM), ("N_per_m", _MM), ("Ns_per_m2", _MM * _MM))
 
 
-def _mixture(weights: Array, means: Array, spreads: Array) -> tuple[Array, Array]:
-    """Mean and covariance of a mixture; weights shape (n,), means (n, m), spreads (n, m, m)."""
-    mean = weights @ means
-    off = means - mean
-    return mean, np.tensordot(weights, spreads, 1) + (weights * off.T) @ off
-
-
 def answer_at(bank: Bank, place: Place, ruptures: int) -> Answer:
     """Friction of the shaft at a place, for the samples that follow; `ruptures` known so far."""
     every = bank.weights
     likely = every > _LEAST_WEIGHT
     weights = every[likely] / every[likely].sum()
     facts, means, spreads = bank.facts[likely], bank.means[likely], bank.spreads[likely]
-    length = np.maximum(place.depth - facts[:, ROOT], 0.0)
-    # Offset, C, V, A, B, their growth, stiffness: a linear map of each one's unknowns.
-    maps = np.zeros((len(weights), 8, means.shape[1]))
+    mean, spread = shaft_mixture(means, spreads, facts, weights, place.depth)
     is_met = (facts[:, KIND] != AIR) | (facts[:, RUPTURES] > 0.0)
-    maps[:, 0, OFFSET] = 1.0
-    for row, left, own in ((1, COULOMB, OWN_COULOMB), (2, VISCOUS, OWN_VISCOUS)):
-        maps[:, row, left] = maps[:, row + 2, left] = maps[:, row + 4, own] = is_met
-        maps[:, row + 2, own] = is_met * length
-    maps[:, 7, STIFFNESS] = facts[:, KIND] != AIR
-    maps[:, 7, STIFFENING] = 2.0 * np.maximum(place.depth - facts[:, TIP], 0.0)
-    found = np.einsum("nij,nj->ni", maps, means)
-    mean, spread = _mixture(weights, found, maps @ spreads @ maps.transpose(0, 2, 1))
     row = regressors(facts[:1], place.depth, place.speed, place.deflection)[0]
     tip = slice(RELEASED, STIFFENING + 1)
-    met = float(every[(bank.facts[:, KIND] != AIR) | (bank.facts[:, RUPTURES] > 0.0)].sum())
-    in_contact = met > 0.5
-    first = 0 if is_met[0] else int(np.argmax(is_met))
+    in_contact = bool(weights @ is_met > 0.5)
+    contact = float(bank.records[likely][int(np.argmax(is_met)), CONTACT_MM]) / _MM
     diagonal = np.maximum(spread.diagonal(), 0.0)
     return Answer(
         in_contact,
         ruptures + 1 if in_contact else 0,
-        float(bank.records[likely][first, CONTACT_MM]) / _MM if in_contact else 0.0,
+        contact if in_contact else 0.0,
         place.depth,
         place.noise**2,
         *mean.tolist(),
@@ -123,7 +100,9 @@ class Verdict(NamedTuple):
 def count_ruptures(bank: Bank, known: int, noise: float) -> Verdict:
     """Compare the number of ruptures known with those of the hypotheses."""
     weights, facts = bank.weights, bank.facts
-    released = bank.means[:, RELEASED] * np.where(facts[:, IS_HELD] > 0.0, 0.5, 1.0)
+    # After a tear part of the force is held: what has fallen is the rest.
+    is_torn = (facts[:, KIND] == LAYER) & (facts[:, IS_HELD] > 0.0)
+    released = bank.means[:, RELEASED] - np.where(is_torn, bank.means[:, HELD], 0.0)
     more = facts[:, RUPTURES] > known
     is_clear = released > _CLEAR_SIGMAS * noise
     pick = int(np.argmax(np.where(more, weights, -1.0))) if more.any() else -1

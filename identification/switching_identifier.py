@@ -81,12 +81,12 @@ _CHANNEL_MM = 0.02
 """Behind the deepest point by more than this, and the noise, the tip is in its own channel."""
 _UNSETTLED = 0.3
 """Error of the friction while presliding turns or after a rest, as part of the force."""
-_RELEASED_MM = 0.7
-"""Within this travel after a rupture the force falls: it says nothing of the noise."""
 _TAKEN_BACK = 0.9
 """Probability of fewer ruptures at which an alarm is taken back."""
 _PROVISIONAL_M, _FINAL_M = 1e-3, 3e-3
 """Travel after a rupture at which its layer is reported."""
+_REVISE = 10.0
+"""Blocks between two revisions of the layers left."""
 _FAR_MM = 1e9
 _NOTHING, _SPAWN, _PRUNE = range(3)
 
@@ -98,7 +98,6 @@ class Course(NamedTuple):
     spawned: float = -_FAR_MM  # depth at which hypotheses began last [mm]
     usual_speed: float = 0.0  # [mm/s]
     resumed: float = 0.0  # how much of a rest or reversal is left in the friction, 0 to 1
-    clear: float = _FAR_MM  # depth at which the last release is over [mm]
 
 
 class SwitchingState(NamedTuple):
@@ -237,8 +236,6 @@ def _absorb(state: SwitchingState, sample: Sample) -> SwitchingState:
     is_used = (is_advancing or not is_met) and not is_gap
     if is_used:
         course = course._replace(resumed=course.resumed * math.exp(-fresh / PRESLIDING_MM))
-        if z > course.clear:
-            levels, course = levels.restarted(), course._replace(clear=_FAR_MM)
         levels = levels.with_force(place.force, dt, v)
         place = place._replace(noise=levels.noise)
         bank = _absorbed(bank, place, levels, course.resumed, speed_noise)
@@ -335,8 +332,6 @@ def _raise_alarm(state: SwitchingState, sample: Sample, verdict: Verdict) -> Swi
         alarm=rupture,
         ruptures=int(state.bank.facts[verdict.pick, RUPTURES]),
         layers=layers,
-        levels=state.levels.restarted(),
-        course=state.course._replace(clear=_MM * rupture.depth_m + _RELEASED_MM),
         rupture_state=RuptureState.DETECTED,
         events=events._replace(rupture=rupture),
     )
@@ -368,9 +363,12 @@ def _report_layer(state: SwitchingState, alarm: Rupture) -> SwitchingState:
             events=events._replace(identified_layer=layer),
             rupture_state=RuptureState.FRICTION_IDENTIFIED,
         )
+    is_due = not layers[-1].is_final and (travel >= _FINAL_M or travel < 0.0)
+    if not is_due and state.levels.count % _REVISE != 0.0:
+        return state
     friction = friction_left(bank, state.ruptures)
     layer = layers[-1] if friction is None else with_friction(layers[-1], *friction)
-    if not layer.is_final and (travel >= _FINAL_M or travel < 0.0):
+    if is_due:
         layer = replace(layer, is_final=True)
         events = events._replace(identified_layer=layer)
     earlier = friction_left(bank, state.ruptures, before=True) if len(layers) > 1 else None
