@@ -17,10 +17,12 @@ STEP_S = 0.01
 """Time between two forces in the differences."""
 _MEMORY = 400
 """Differences over which a level is learned: four seconds."""
-_MOVED_MM = 5.0
+_MOVED_MM = 3.0
 """Over more travel it is the tissue that varies, not its motion."""
-_MEDIAN = 0.455
-"""Of a squared standard normal. Ruptures are a minority of the differences, heartbeats are not."""
+_MEDIAN, _QUARTER = 0.455, 0.1015
+"""Of a squared standard normal. Ruptures are a minority of the differences, heartbeats are not; but
+at slow lags a contact, a membrane and a rupture may be half of them."""
+_SLOW = 4
 
 
 def _likeness(part: int, lag_s: float) -> float:
@@ -100,7 +102,10 @@ def _levels(squares: Matrix, seen: Vector, design: Matrix, speed: float) -> Vect
     for k in range(8):
         known = min(int(seen[k]), _MEMORY)
         if known > min(2 * 2**k, 30):
-            left[k] = np.median(squares[k, :known]) / _MEDIAN
+            ordered = np.sort(squares[k, :known])
+            left[k] = ordered[known // 2] / _MEDIAN
+            if k >= _SLOW:
+                left[k] = ordered[known // 4] / _QUARTER
     for part in range(4):
         level = 0.0
         for k in (2 * part, 2 * part + 1):

@@ -64,7 +64,7 @@ HELD_WANDER = 0.05
 """Relative change of cutting force, per square root of a mm."""
 SHAPE_ERROR = 0.1
 """Of a release or an onset of cutting, as part of its force."""
-TEMPER = 0.5
+TEMPER = 0.7
 """Weight of evidence: errors of the law are alike from one block to the next."""
 FREEDOM = 8.0
 """Degrees of freedom of Student's t: a single surprise proves little."""

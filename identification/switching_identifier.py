@@ -88,7 +88,7 @@ _PROVISIONAL_M, _FINAL_M = 1e-3, 3e-3
 _REVISE = 10.0
 """Blocks between two revisions of the layers left."""
 _FAR_MM = 1e9
-_NOTHING, _SPAWN, _PRUNE = range(3)
+_NOTHING, _SPAWN, _PRUNE, _REPORT = range(4)
 
 
 class Course(NamedTuple):
@@ -241,7 +241,7 @@ def _absorb(state: SwitchingState, sample: Sample) -> SwitchingState:
         bank = _absorbed(bank, place, levels, course.resumed, speed_noise)
     else:
         course, levels = course._replace(resumed=1.0), levels.restarted()
-    stage = _SPAWN if is_used and is_advancing else _PRUNE
+    stage = (_SPAWN if is_advancing else _PRUNE) if is_used else _REPORT
     return state._replace(
         bank=bank, levels=levels, memory=emptied, course=course, place=place, stage=stage
     )
@@ -296,7 +296,9 @@ def _branch(state: SwitchingState) -> SwitchingState:
 
 def _report(state: SwitchingState, sample: Sample, config: SwitchingConfig) -> SwitchingState:
     """Prune; raise or take back an alarm, report the layer left, answer for the next samples."""
-    bank, place = prune(state.bank, state.place), state.place
+    bank, place = state.bank, state.place
+    if state.stage != _REPORT:
+        bank = prune(bank, place)
     verdict = count_ruptures(bank, state.ruptures, place.noise)
     now = RuptureState.EXPECTED if verdict.more > 0.5 else RuptureState.NO_RUPTURE
     if _is_open(state):

@@ -16,12 +16,14 @@ the noise of single samples."""
 _PRESLIDING_MM = 0.3
 """Travel over which friction turns after a reversal: gel clings for a fifth, soft tissue for half a
 millimetre."""
-_PLAY = 3.0
-"""Standard deviations of the depth within which the needle may not have moved at all."""
-_REST_SPEED, _REST_S = 0.1, 2.0
-"""Slower than this [mm/s] the needle rests, and in that time its friction may let go."""
-_UNKNOWN = 0.3
-"""Of the friction, while presliding turns or after a rest, one standard deviation."""
+_PLAY, _LEAST_PLAY_M = 3.0, 2e-5
+"""Standard deviations of the depth, and least travel, within which the needle may not have moved:
+an arm's joints have play, and a filtered depth swings past a sudden stop."""
+_REST_SPEED, _REST_S = 0.1, 8.5
+"""Slower than this [mm/s] the needle rests; real liver loses its force in that time."""
+_RELAXED, _UNKNOWN = 0.6, 0.3
+"""Part of the friction lost in a long rest: 0.6 of the whole force in real liver (19 holds of 60 s);
+and standard deviation of that part, and of friction while presliding turns."""
 _UNLOADED_M = 1e-3
 """A tip drawn back by a needle diameter touches nothing."""
 _IDENTIFIED = 0.25
@@ -148,8 +150,9 @@ def _forces(
     coulomb_share = viscous_share = 1.0
     if depth_m < deepest_m - _UNLOADED_M and len(layers) > 0:
         coulomb_share, viscous_share = _embedded(depth_m, layers)
-    # Friction at rest, and while it turns, lies somewhere between none and all of it.
+    # Friction after a rest, and while it turns, lies somewhere between none and all of it.
     loose = _UNKNOWN * max(1.0 - abs(w), rest)
+    w *= 1.0 - _RELAXED * rest
     p, q = w * coulomb_share, speed * viscous_share
     left = p * a.left_coulomb + q * a.left_viscous
     var_left = p * p * a.var_left_coulomb + 2.0 * p * q * a.cov_left + q * q * a.var_left_viscous
@@ -241,7 +244,7 @@ def update_switching(
     w, last, rest, deepest, _, _ = memory[6:]
     if deepest == -math.inf:
         last = depth_m
-    play = _PLAY * depth_std_m
+    play = max(_PLAY * depth_std_m, _LEAST_PLAY_M)
     follower = depth_m - play if last < depth_m - play else min(last, depth_m + play)
     if follower != last:
         # Presliding (Dahl 1968, shape exponent 1), its exact solution: two half steps equal one.

@@ -24,6 +24,7 @@ from identification.hypothesis_filter import (
     ROOT,
     RUPTURES,
     STIFFNESS,
+    TEMPER,
     TIP,
     UNKNOWNS,
     absorb,
@@ -122,7 +123,7 @@ def test_a_force_that_was_expected_teaches_as_kalman_says():
     # Late in the layer nothing is being released, and no other noise comes on top.
     cross = spread @ row
     assert spreads[0] == pytest.approx(spread - np.outer(cross, cross) / variance)
-    assert evidence[0] == pytest.approx(-0.25 * np.log(variance))
+    assert evidence[0] == pytest.approx(-0.5 * TEMPER * np.log(variance))
     far = absorb(bank.means, bank.spreads, bank.facts, rows, (force + 1.0, 4e-4, 12.0))
     assert far[2][0] < evidence[0]
     assert (row @ far[0][0] - force) > 0.0
