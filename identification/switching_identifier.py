@@ -238,7 +238,9 @@ def _absorb(state: SwitchingState, sample: Sample) -> SwitchingState:
         course = course._replace(resumed=course.resumed * math.exp(-fresh / PRESLIDING_MM))
         levels = levels.with_force(place.force, dt, v)
         place = place._replace(noise=levels.noise)
-        bank = _absorbed(bank, place, levels, course.resumed, speed_noise)
+        # A speed is as late as its filter: where it changes it is off by a block's change.
+        speed_std = math.hypot(2.0 * speed_noise, v - state.place.speed)
+        bank = _absorbed(bank, place, levels, course.resumed, speed_std)
     else:
         course, levels = course._replace(resumed=1.0), levels.restarted()
     stage = (_SPAWN if is_advancing else _PRUNE) if is_used else _REPORT
@@ -267,12 +269,12 @@ def _predicted(bank: Bank, place: Place, fresh: float, levels: DisturbanceLevels
 
 
 def _absorbed(
-    bank: Bank, place: Place, levels: DisturbanceLevels, resumed: float, speed_noise: float
+    bank: Bank, place: Place, levels: DisturbanceLevels, resumed: float, speed_std: float
 ) -> Bank:
     best, fact = bank.means[0], bank.facts[0]
     damping = best[VISCOUS] + best[OWN_VISCOUS] * max(place.depth - fact[ROOT], 0.0)
     variance = max(levels.levels[0] * STEP_S / place.dt_s, 1e-8)
-    variance += (2.0 * damping * speed_noise) ** 2
+    variance += (damping * speed_std) ** 2
     if fact[KIND] != AIR:
         loose = _UNSETTLED * max(1.0 - place.deflection, resumed)
         variance += (loose * (place.force - best[OFFSET])) ** 2
