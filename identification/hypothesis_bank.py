@@ -18,7 +18,6 @@ from identification.hypothesis_filter import (
     CONTACT,
     EXIT,
     FACTS,
-    HELD,
     IS_HELD,
     IS_JUDGED,
     IS_PUNCTURED,
@@ -43,6 +42,7 @@ from identification.hypothesis_filter import (
     after_event,
     judge_fraction,
     regressors,
+    weigh,
 )
 
 STEP_MM = 0.02
@@ -63,10 +63,6 @@ MEMBRANE_STEP_MM = 0.25
 """Travel between hypotheses of a membrane met."""
 LEAST_MM = 1.2
 """Least travel between two ruptures: about a needle diameter."""
-PUSHED_MM = 12.0
-"""A membrane hardly gives more."""
-LEAST_DROP = 0.12
-"""Of a layer's force, released at its rupture."""
 QUOTAS = (30, 8, 12, 6)
 """Hypotheses kept: of events just past, of membranes just met, of older ones, of older membranes.
 What an event was shows in some tenths of a millimetre; then it competes with the older ones."""
@@ -148,8 +144,8 @@ class _Children(NamedTuple):
     means: list[Array]
     spreads: list[Array]
     log_weights: list[float]
-    facts: list[Array]
-    records: list[Array]
+    facts: list[list[float]]
+    records: list[list[float]]
 
 
 def spawn(bank: Bank, place: Place, before: float) -> Bank:
@@ -165,7 +161,9 @@ def spawn(bank: Bank, place: Place, before: float) -> Bank:
     rows = regressors(facts, place.depth, place.speed, place.deflection)
     children = _Children([], [], [], [], [])
     for (kind, _), k in parents.items():
-        for event, becomes, chances in _events(facts[k], place, HAZARD * step, is_membrane_due):
+        for event, becomes, chances in _events(
+            facts[k].tolist(), place, HAZARD * step, is_membrane_due
+        ):
             _add_child(children, bank, k, place, rows[k], (event, kind, becomes), chances)
     if not children.means:
         return bank
@@ -173,7 +171,7 @@ def spawn(bank: Bank, place: Place, before: float) -> Bank:
 
 
 def _events(
-    fact: Array, place: Place, chance: float, is_membrane_due: bool
+    fact: list[float], place: Place, chance: float, is_membrane_due: bool
 ) -> Iterator[tuple[int, float, dict[float, float]]]:
     """What may happen to one hypothesis: event, what the tip is in then, chances by release."""
     kind = fact[KIND]
@@ -208,19 +206,19 @@ def _add_child(
     """Add hypotheses of one event in hypothesis k, one for each release length."""
     event, was, becomes = change
     before, spread_before = bank.means[k], bank.spreads[k]
-    fact, record, depth = bank.facts[k].copy(), bank.records[k].copy(), place.depth
+    fact, record, depth = bank.facts[k].tolist(), bank.records[k].tolist(), place.depth
     begin = max(fact[ROOT], record[PART_END]) if was == LAYER else depth
     is_met = was == MEMBRANE and fact[IS_HELD] > 0.0
     length = max(depth - fact[ROOT], 0.0)
-    now = (float(length), float(depth - begin), place.deflection, place.speed, place.force)
-    mean, spread = after_event(before, spread_before, row, (*change, bool(is_met)), now)
+    now = (length, depth - begin, place.deflection, place.speed, place.force)
+    mean, spread = after_event(before, spread_before, row, (*change, is_met), now)
     if event in (EXIT, TEAR):
         own = slice(RELEASED, OWN_VISCOUS + 1)
-        fact[RELEASE], fact[OWN_FORCE] = depth, row[own] @ before[own]
+        fact[RELEASE], fact[OWN_FORCE] = depth, float(row[own] @ before[own])
         fact[RUPTURES] += 1.0
     else:
         fact[RELEASE] = _NO_RELEASE
-    part = (begin, mean[LEFT], before, spread_before)
+    part = (begin, float(mean[LEFT]), before, spread_before)
     _write_record(record, place, change, part, is_first=not fact[RUPTURES])
     if event != TEAR:
         # The layer behind a membrane has rubbed since the membrane was met.
@@ -229,17 +227,16 @@ def _add_child(
     fact[TIP], fact[KIND] = depth, becomes
     fact[IS_HELD] = float(event in (TEAR, MEETING))
     fact[IS_PUNCTURED] = float(event == EXIT and was == MEMBRANE)
-    for release, chance in chances.items():
-        fact = fact.copy()
-        fact[LENGTH] = release
-        weight = float(bank.log_weights[k]) + math.log(chance)
-        born = (mean, spread, weight, fact, record)
-        for part, value in zip(children, born, strict=True):
-            part.append(value)  # type: ignore[arg-type]
+    weight, n = float(bank.log_weights[k]), len(chances)
+    children.means.extend([mean] * n)
+    children.spreads.extend([spread] * n)
+    children.log_weights.extend(weight + math.log(chance) for chance in chances.values())
+    children.facts.extend([*fact[:LENGTH], release, *fact[LENGTH + 1 :]] for release in chances)
+    children.records.extend([record] * n)
 
 
 def _write_record(
-    record: Array,
+    record: list[float],
     place: Place,
     change: tuple[int, float, float],
     part: tuple[float, float, Array, Array],
@@ -256,9 +253,9 @@ def _write_record(
         record[PART_START : PART_FRICTION + 1] = begin, place.depth, friction
         for n, j in enumerate((STIFFNESS, OWN_COULOMB, OWN_VISCOUS)):
             at = STIFFNESS_HERE + 2 * n
-            record[at], record[at + 1] = mean[j], spread[j, j]
+            record[at], record[at + 1] = float(mean[j]), float(spread[j, j])
     elif event == CONTACT:
-        record[PART_START:CONTACT_MM] = 0.0
+        record[PART_START:CONTACT_MM] = [0.0] * (CONTACT_MM - PART_START)
         record[PART_START] = record[PART_END] = place.depth
         if is_first:
             record[CONTACT_MM] = place.depth
@@ -281,24 +278,9 @@ def judge_fractions(bank: Bank, place: Place) -> Bank:
 
 def prune(bank: Bank, place: Place) -> Bank:
     """Weigh down what no tissue does, and keep the likeliest of each class, best first."""
-    facts, weights = bank.facts.copy(), bank.log_weights.copy()
-    travel = place.depth - facts[:, TIP]
-    is_membrane = facts[:, KIND] == MEMBRANE
-    due = facts[:, OWN_FORCE] > 0.0
-    due &= place.depth > facts[:, RELEASE] + facts[:, LENGTH] + 0.1
-    least = np.maximum(LEAST_DROP * facts[:, OWN_FORCE], 2.0 * place.noise)
-    is_torn = (facts[:, KIND] == LAYER) & (facts[:, IS_HELD] > 0.0)
-    fallen = bank.means[:, RELEASED] - np.where(is_torn, bank.means[:, HELD], 0.0)
-    weights[due & (fallen < least)] -= 12.0
-    facts[due, OWN_FORCE] = 0.0
-    variance = np.maximum(bank.spreads[:, STIFFNESS, STIFFNESS], 0.0)
-    is_odd = bank.means[:, STIFFNESS] + 2.0 * np.sqrt(variance) < 0.0
-    is_odd |= bank.means[:, OWN_COULOMB] + bank.means[:, OWN_VISCOUS] * place.speed < -0.003
-    weights[is_odd & (facts[:, KIND] != AIR) & (travel > 2.0)] -= 0.1
-    pushed_mm = place.dt_s * max(place.speed, 0.0)
-    weights[is_membrane & (travel > PUSHED_MM)] -= 0.3 * min(pushed_mm / 0.04, 2.0)
-    weights -= weights.max()
-    weights -= math.log(np.exp(weights).sum())
+    now = (place.depth, place.speed, place.dt_s, place.noise)
+    weights, facts = weigh(bank.means, bank.spreads, bank.facts, bank.log_weights, now)
+    travel, is_membrane = place.depth - facts[:, TIP], facts[:, KIND] == MEMBRANE
     order = np.argsort(-weights, kind="stable")
     order = order[weights[order] > NEGLIGIBLE]
     pushed = is_membrane[order]

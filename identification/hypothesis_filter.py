@@ -72,6 +72,10 @@ SLOPE, SLOPE_STD = 0.03, 0.04
 """Growth of the force in a layer, before data [N/mm]."""
 FRACTION, FRACTION_STD, FRACTION_SPEED = 0.55, 0.2, 3.0
 """Of friction in that growth, at a speed [mm/s]; only the viscous part grows with speed."""
+PUSHED_MM = 12.0
+"""A membrane hardly gives more."""
+LEAST_DROP = 0.12
+"""Of a layer's force, released at its rupture."""
 COULOMB_SPEED, COULOMB_LOG_STD = 3.4, 0.8
 """Speed at which Coulomb and viscous friction are equal [mm/s]: 1.5 in gels, 7.5 in liver."""
 
@@ -322,6 +326,41 @@ def judge_fraction(
     std = coulomb * (1.0 - coulomb) * COULOMB_LOG_STD * fraction * slope
     gain = cross / (np.dot(row, cross) + std**2)
     return True, mean - gain * np.dot(row, mean), spread - np.outer(gain, cross)
+
+
+@compiled
+def weigh(
+    means: Matrix,
+    spreads: Spreads,
+    facts: Matrix,
+    log_weights: Vector,
+    now: tuple[float, float, float, float],
+) -> tuple[Vector, Matrix]:
+    """Weigh down what no tissue does, at a depth, speed, length of block and noise of the force.
+
+    Returns:
+        Logarithms of weights that sum to one, and the facts, releases judged.
+    """
+    depth, speed, dt_s, noise = now
+    weights, facts = log_weights.copy(), facts.copy()
+    for k in range(len(means)):
+        kind, travel = facts[k, KIND], depth - facts[k, TIP]
+        own, mean = facts[k, OWN_FORCE], means[k]
+        if own > 0.0 and depth > facts[k, RELEASE] + facts[k, LENGTH] + 0.1:
+            is_torn = kind == LAYER and facts[k, IS_HELD] > 0.0
+            fallen = mean[RELEASED] - (mean[HELD] if is_torn else 0.0)
+            if fallen < max(LEAST_DROP * own, 2.0 * noise):
+                weights[k] -= 12.0
+            facts[k, OWN_FORCE] = 0.0
+        if kind != AIR and travel > 2.0:
+            std = math.sqrt(max(spreads[k, STIFFNESS, STIFFNESS], 0.0))
+            friction = mean[OWN_COULOMB] + mean[OWN_VISCOUS] * speed
+            if mean[STIFFNESS] + 2.0 * std < 0.0 or friction < -0.003:
+                weights[k] -= 0.1
+        if kind == MEMBRANE and travel > PUSHED_MM:
+            weights[k] -= 0.3 * min(dt_s * max(speed, 0.0) / 0.04, 2.0)
+    weights -= weights.max()
+    return weights - math.log(np.exp(weights).sum()), facts
 
 
 @compiled
