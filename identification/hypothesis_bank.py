@@ -55,6 +55,8 @@ TEARS_MM = (0.5, 1.5)
 """Of a tear: within liver 0.5 to 2 mm."""
 TEAR_SHARE = 0.15
 """Of ruptures."""
+KEPT_SHARE = 0.2
+"""Of ends of a layer after which some of the tip's force stays for a while."""
 AIR_SHARE = 0.25
 """Of ends into free air."""
 MEMBRANE_SHARE = 0.15
@@ -66,7 +68,7 @@ LEAST_MM = 1.2
 QUOTAS = (30, 8, 12, 6)
 """Hypotheses kept: of events just past, of membranes just met, of older ones, of older membranes.
 What an event was shows in some tenths of a millimetre; then it competes with the older ones."""
-CAPACITY = sum(QUOTAS) + 40
+CAPACITY = sum(QUOTAS) + 60
 """With the children of one step, before they are pruned."""
 NEGLIGIBLE = -30.0
 """Logarithm of a weight that no force will raise again."""
@@ -84,8 +86,8 @@ RECORDS = 15
 class Bank(NamedTuple):
     """n hypotheses, once pruned the likeliest first; never more than `CAPACITY`."""
 
-    means: Array  # of the unknowns, shape (n, 18)
-    spreads: Array  # their covariances, shape (n, 18, 18)
+    means: Array  # of the unknowns, shape (n, 19)
+    spreads: Array  # their covariances, shape (n, 19, 19)
     log_weights: Array  # logarithm of each one's probability, shape (n,)
     facts: Array  # what it takes for certain, shape (n, 10)
     records: Array  # what it says of the last rupture, shape (n, 15)
@@ -161,10 +163,11 @@ def spawn(bank: Bank, place: Place, before: float) -> Bank:
     rows = regressors(facts, place.depth, place.speed, place.deflection)
     children = _Children([], [], [], [], [])
     for (kind, _), k in parents.items():
-        for event, becomes, chances in _events(
+        for event, becomes, is_kept, chances in _events(
             facts[k].tolist(), place, HAZARD * step, is_membrane_due
         ):
-            _add_child(children, bank, k, place, rows[k], (event, kind, becomes), chances)
+            change = (event, kind, becomes, is_kept)
+            _add_child(children, bank, k, place, rows[k], change, chances)
     if not children.means:
         return bank
     return Bank(*(np.concatenate(parts) for parts in zip(bank, children, strict=True)))
@@ -172,26 +175,32 @@ def spawn(bank: Bank, place: Place, before: float) -> Bank:
 
 def _events(
     fact: list[float], place: Place, chance: float, is_membrane_due: bool
-) -> Iterator[tuple[int, float, dict[float, float]]]:
-    """What may happen to one hypothesis: event, what the tip is in then, chances by release."""
+) -> Iterator[tuple[int, float, bool, dict[float, float]]]:
+    """What may happen to one hypothesis.
+
+    Yields:
+        Event, what the tip is in then, whether some of its force stays, and chances by release.
+    """
     kind = fact[KIND]
     if kind == AIR:
         if fact[RUPTURES]:
             chance *= 0.1  # gaps of air are rare
         is_near = fact[RUPTURES] and place.depth < fact[RELEASE] + 3.0
         if place.deflection >= 0.3 and not is_near:
-            yield CONTACT, LAYER, {0.3: 0.7 * chance}
-            yield CONTACT, MEMBRANE, {0.3: 0.3 * chance}
+            yield CONTACT, LAYER, False, {0.3: 0.7 * chance}
+            yield CONTACT, MEMBRANE, False, {0.3: 0.3 * chance}
         return
     if place.depth <= fact[TIP] + LEAST_MM:
         return
     ends = (1.0 - TEAR_SHARE) * chance / len(RELEASES_MM)
-    yield EXIT, LAYER, dict.fromkeys(RELEASES_MM, ends * (1.0 - AIR_SHARE))
+    further = ends * (1.0 - AIR_SHARE)
+    yield EXIT, LAYER, False, dict.fromkeys(RELEASES_MM, further)
     if kind == LAYER:
-        yield EXIT, AIR, dict.fromkeys(RELEASES_MM, ends * AIR_SHARE)
-        yield TEAR, LAYER, dict.fromkeys(TEARS_MM, TEAR_SHARE * chance / len(TEARS_MM))
+        yield EXIT, LAYER, True, dict.fromkeys(RELEASES_MM, further * KEPT_SHARE)
+        yield EXIT, AIR, False, dict.fromkeys(RELEASES_MM, ends * AIR_SHARE)
+        yield TEAR, LAYER, False, dict.fromkeys(TEARS_MM, TEAR_SHARE * chance / len(TEARS_MM))
         if is_membrane_due and place.depth > fact[ROOT] + 2.0 and fact[IS_JUDGED]:
-            yield MEETING, MEMBRANE, {0.3: MEMBRANE_SHARE * MEMBRANE_STEP_MM * HAZARD}
+            yield MEETING, MEMBRANE, False, {0.3: MEMBRANE_SHARE * MEMBRANE_STEP_MM * HAZARD}
 
 
 def _add_child(
@@ -200,18 +209,20 @@ def _add_child(
     k: int,
     place: Place,
     row: Array,
-    change: tuple[int, float, float],
+    change: tuple[int, float, float, bool],
     chances: dict[float, float],
 ) -> None:
     """Add hypotheses of one event in hypothesis k, one for each release length."""
-    event, was, becomes = change
+    event, was, becomes, is_kept = change
     before, spread_before = bank.means[k], bank.spreads[k]
     fact, record, depth = bank.facts[k].tolist(), bank.records[k].tolist(), place.depth
     begin = max(fact[ROOT], record[PART_END]) if was == LAYER else depth
     is_met = was == MEMBRANE and fact[IS_HELD] > 0.0
     length = max(depth - fact[ROOT], 0.0)
     now = (length, depth - begin, place.deflection, place.speed, place.force)
-    mean, spread = after_event(before, spread_before, row, (*change, is_met), now)
+    mean, spread = after_event(
+        before, spread_before, row, (event, was, becomes, is_met, is_kept), now
+    )
     if event in (EXIT, TEAR):
         own = slice(RELEASED, OWN_VISCOUS + 1)
         fact[RELEASE], fact[OWN_FORCE] = depth, float(row[own] @ before[own])
@@ -238,13 +249,13 @@ def _add_child(
 def _write_record(
     record: list[float],
     place: Place,
-    change: tuple[int, float, float],
+    change: tuple[int, float, float, bool],
     part: tuple[float, float, Array, Array],
     *,
     is_first: bool,
 ) -> None:
     """Write down what a report may need of an event and of the part of a layer that it ends."""
-    event, was, _ = change
+    event, was, _, _ = change
     begin, friction, mean, spread = part
     if event in (EXIT, TEAR):
         moment = (place.time_s - 0.5 * place.dt_s, place.depth, place.speed, place.force)

@@ -1,13 +1,13 @@
 """One hypothesis: what is unknown of the force, once it is given how the tissue gave way.
 
-Given a history of events the axial force is linear in eighteen unknowns:
+Given a history of events the axial force is linear in nineteen unknowns:
 
-    f = o + C w + V v + R r(z) + T t(z) + K x + H x² + c y w + b y v + d + e
+    f = o + C w + V v + R r(z) + U u(z) + T t(z) + K x + H x² + c y w + b y v + d + e
 
 with o the offset; C, V Coulomb and viscous friction of the layers left; R the tip force being
-released, T the force held or needed to cut, K, H stiffness; c, b friction per length of shaft in
-the layer; d disturbances: the colour of the sensor's noise, heartbeat, breathing, and the error of
-this law. Known are w, the presliding deflection (1 when sliding inwards), v the speed, x the travel
+released, U what of it stays and fades later, T the force held or needed to cut, K, H stiffness; c,
+b friction per length of shaft in the layer; d disturbances: the colour of the sensor's noise,
+heartbeat, breathing, and the error of this law. Known are w, the presliding deflection (1 when sliding inwards), v the speed, x the travel
 of the tip and y the length of shaft in the layer, and e is white. An event (contact, the end of a
 layer, a tear in it, a membrane met) is a linear map of the unknowns that leaves the force as it is.
 
@@ -25,11 +25,11 @@ from needleforce.jit import Matrix, Vector, WrittenMatrix, WrittenVector, compil
 
 # Places of the unknowns. LEFT: friction, at the last rupture, of the shaft since the rupture
 # before; EARLIER: the same of the one before.
-OFFSET, COULOMB, VISCOUS, RELEASED, HELD, STIFFNESS, STIFFENING = range(7)
-OWN_COULOMB, OWN_VISCOUS, LEFT, EARLIER = range(7, 11)
-COLOUR, HEART, HEART_RATE, BREATH, BREATH_RATE, LAW, LAW_RATE = range(11, 18)
-UNKNOWNS = 18
-_AFTER_TIP = STIFFENING + 1  # the tip's unknowns are those from RELEASED to before this
+OFFSET, COULOMB, VISCOUS, RELEASED, HELD, STIFFNESS, STIFFENING, KEPT = range(8)
+OWN_COULOMB, OWN_VISCOUS, LEFT, EARLIER = range(8, 12)
+COLOUR, HEART, HEART_RATE, BREATH, BREATH_RATE, LAW, LAW_RATE = range(12, 19)
+UNKNOWNS = 19
+_AFTER_TIP = KEPT + 1  # the tip's unknowns are those from RELEASED to before this
 
 # Places of what a hypothesis takes for certain: where its tip is; depth at which the shaft's
 # friction and the tip's force in the layer begin; depth and length of the last release; whether
@@ -43,7 +43,7 @@ CONTACT, EXIT, TEAR, MEETING = range(4)
 """Events; a membrane is met under a layer that goes on pushing, and its puncture is an exit."""
 
 Spreads = Annotated[NDArray[np.float64], 3]
-"""Covariances of n hypotheses, shape (n, 18, 18)."""
+"""Covariances of n hypotheses, shape (n, 19, 19)."""
 
 CUTTING_ONSET_MM = 1.0
 """Travel over which the cutting force of a fresh layer builds up: about a needle diameter."""
@@ -62,6 +62,11 @@ OFFSET_WALK = 1e-6
 """Drift of the sensor's zero [N²/s]."""
 HELD_WANDER = 0.05
 """Relative change of cutting force, per square root of a mm."""
+KEPT_FRACTION, KEPT_STD, KEPT_MM = 0.45, 0.15, 5.0
+"""Of a tip force that stays after its rupture, and the travel over which it fades: chosen, between
+the 30 and 60 % that tears in liver suggest."""
+NEVER = -1e8
+"""Depth of a release before any."""
 SHAPE_ERROR = 0.1
 """Of a release or an onset of cutting, as part of its force."""
 TEMPER = 0.7
@@ -105,7 +110,7 @@ def smooth_walk(travel: float, length: float) -> tuple[float, float, float, floa
 
 @compiled
 def regressors(facts: Matrix, depth: float, speed: float, deflection: float) -> Matrix:
-    """Rows of every hypothesis at one place: force = row @ unknowns, shape (n, 18)."""
+    """Rows of every hypothesis at one place: force = row @ unknowns, shape (n, 19)."""
     rows = np.zeros((len(facts), UNKNOWNS))
     gone = np.minimum(np.maximum((depth - facts[:, RELEASE]) / facts[:, LENGTH], 0.0), 1.0)
     released = (1.0 - gone) ** 2
@@ -121,6 +126,8 @@ def regressors(facts: Matrix, depth: float, speed: float, deflection: float) -> 
     rows[:, HELD] = np.where(facts[:, IS_HELD] > 0.0, 1.0 - released, onset * (2.0 - onset))
     rows[:, STIFFNESS] = travel
     rows[:, STIFFENING] = travel * travel
+    faded = np.maximum(1.0 - (depth - facts[:, RELEASE]) / KEPT_MM, 0.0) ** 2
+    rows[:, KEPT] = np.where(facts[:, RELEASE] > NEVER, faded - released, 0.0)
     rows[:, OWN_COULOMB] = deflection * length
     rows[:, OWN_VISCOUS] = speed * length
     rows[:, COLOUR] = 1.0
@@ -137,7 +144,7 @@ def predict(
     """Unknowns a time and a travel later.
 
     Args:
-        means: Of every hypothesis, shape (n, 18).
+        means: Of every hypothesis, shape (n, 19).
         spreads: Their covariances.
         held: Variance by which the cutting force changes, shape (n,).
         dt_s: Time.
@@ -182,10 +189,10 @@ def absorb(
     """Use the mean force of a block.
 
     Args:
-        means: Of every hypothesis, shape (n, 18).
+        means: Of every hypothesis, shape (n, 19).
         spreads: Their covariances.
         facts: What they take for certain, shape (n, 10).
-        rows: Their regressors, shape (n, 18).
+        rows: Their regressors, shape (n, 19).
         measured: Force, its variance for all hypotheses, depth.
 
     Returns:
@@ -253,20 +260,20 @@ def after_event(
     mean: Vector,
     spread: Matrix,
     row: Vector,
-    event: tuple[int, float, float, bool],
+    event: tuple[int, float, float, bool, bool],
     now: tuple[float, float, float, float, float],
 ) -> tuple[Vector, Matrix]:
     """Unknowns of a hypothesis after an event; the force goes on as it was.
 
     Args:
-        mean: Before it, shape (18,).
-        spread: Before it, shape (18, 18).
-        row: Regressor where it happens, shape (18,).
-        event: Which, in what the tip was before and is after, and whether it was in a membrane met
-            under a layer.
+        mean: Before it, shape (19,).
+        spread: Before it, shape (19, 19).
+        row: Regressor where it happens, shape (19,).
+        event: Which, in what the tip was before and is after, whether it was in a membrane met
+            under a layer, and whether some of its force stays for a while.
         now: Length of shaft in the layer, that since the last event, deflection, speed, force.
     """
-    what, was, becomes, is_met = event
+    what, was, becomes, is_met, is_kept = event
     length, passed, deflection, speed, force = now
     change, noise, tip = np.eye(UNKNOWNS), np.zeros((UNKNOWNS, UNKNOWNS)), np.zeros(UNKNOWNS)
     tip[RELEASED:_AFTER_TIP] = row[RELEASED:_AFTER_TIP]
@@ -287,6 +294,9 @@ def after_event(
         if was == LAYER:
             change[COULOMB, OWN_COULOMB], change[VISCOUS, OWN_VISCOUS] = length, length
         change[HELD if what == MEETING else RELEASED] = tip
+    if is_kept:
+        change[KEPT] = KEPT_FRACTION * tip
+        noise[KEPT, KEPT] = (KEPT_STD * np.dot(tip, mean)) ** 2
     # A membrane met ends the layer's part of the shaft before its puncture is the rupture.
     if was == LAYER or (what == EXIT and not is_met):
         change[LEFT : EARLIER + 1] = 0.0
@@ -348,7 +358,7 @@ def weigh(
         own, mean = facts[k, OWN_FORCE], means[k]
         if own > 0.0 and depth > facts[k, RELEASE] + facts[k, LENGTH] + 0.1:
             is_torn = kind == LAYER and facts[k, IS_HELD] > 0.0
-            fallen = mean[RELEASED] - (mean[HELD] if is_torn else 0.0)
+            fallen = mean[RELEASED] - mean[KEPT] - (mean[HELD] if is_torn else 0.0)
             if fallen < max(LEAST_DROP * own, 2.0 * noise):
                 weights[k] -= 12.0
             facts[k, OWN_FORCE] = 0.0

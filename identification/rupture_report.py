@@ -30,13 +30,13 @@ from identification.hypothesis_filter import (
     EARLIER,
     HELD,
     IS_HELD,
+    KEPT,
     KIND,
     LAYER,
     LEFT,
     MEMBRANE,
     RELEASED,
     RUPTURES,
-    STIFFENING,
     regressors,
     shaft_mixture,
 )
@@ -64,11 +64,11 @@ def answer_at(bank: Bank, place: Place, ruptures: int) -> Answer:
     mean, spread = shaft_mixture(means, spreads, facts, weights, place.depth)
     is_met = (facts[:, KIND] != AIR) | (facts[:, RUPTURES] > 0.0)
     row = regressors(facts[:1], place.depth, place.speed, place.deflection)[0]
-    tip = slice(RELEASED, STIFFENING + 1)
+    tip = slice(RELEASED, KEPT + 1)
     in_contact = bool(weights @ is_met > 0.5)
     contact = float(bank.records[likely][int(np.argmax(is_met)), CONTACT_MM]) / _MM
     diagonal = np.maximum(spread.diagonal(), 0.0)
-    return Answer(
+    fields = (
         in_contact,
         ruptures + 1 if in_contact else 0,
         contact if in_contact else 0.0,
@@ -82,7 +82,9 @@ def answer_at(bank: Bank, place: Place, ruptures: int) -> Answer:
         float(spread[5, 6]),
         float(diagonal[6]),
         float(diagonal[7]),
+        0.0,
     )
+    return Answer._make(fields)
 
 
 _PAIRS = ((0, 1), (0, 2), (1, 1), (1, 2), (2, 2), (0, 3), (0, 4), (3, 3), (3, 4), (4, 4))
@@ -102,7 +104,8 @@ def count_ruptures(bank: Bank, known: int, noise: float) -> Verdict:
     weights, facts = bank.weights, bank.facts
     # After a tear part of the force is held: what has fallen is the rest.
     is_torn = (facts[:, KIND] == LAYER) & (facts[:, IS_HELD] > 0.0)
-    released = bank.means[:, RELEASED] - np.where(is_torn, bank.means[:, HELD], 0.0)
+    released = bank.means[:, RELEASED] - bank.means[:, KEPT]
+    released -= np.where(is_torn, bank.means[:, HELD], 0.0)
     more = facts[:, RUPTURES] > known
     is_clear = released > _CLEAR_SIGMAS * noise
     pick = int(np.argmax(np.where(more, weights, -1.0))) if more.any() else -1

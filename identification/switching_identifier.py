@@ -87,6 +87,8 @@ _PROVISIONAL_M, _FINAL_M = 1e-3, 3e-3
 """Travel after a rupture at which its layer is reported."""
 _REVISE = 10.0
 """Blocks between two revisions of the layers left."""
+_MOTION_MM = 0.1
+"""Of tissue with the heart, one standard deviation, if its beat is not known better."""
 _FAR_MM = 1e9
 _NOTHING, _SPAWN, _PRUNE, _REPORT = range(4)
 
@@ -172,7 +174,7 @@ class SwitchingMethod:
 
     def _keep(self, state: SwitchingState) -> bool:
         """Keep a state; whether what samples read of it is new."""
-        self._state, self._memory, known = state, tuple(state.memory), self._sources
+        self._state, self._memory, known = state, state.memory[:], self._sources
         self._sources = state.answer, state.layers
         if known is not None and all(a is b for a, b in zip(known, self._sources, strict=True)):
             return False
@@ -198,7 +200,7 @@ def switching_step(
 ) -> SwitchingState:
     """What is done once per block, in three parts."""
     state = state._replace(memory=memory)
-    if is_full(tuple(memory)):
+    if is_full(memory[:]):
         while state.stage != _NOTHING:  # blocks of one or two samples
             state = _work(state, sample, config)
         state = _absorb(state, sample)
@@ -257,6 +259,10 @@ def _predicted(bank: Bank, place: Place, fresh: float, levels: DisturbanceLevels
     left = place.deflection * best[COULOMB] + place.speed * best[VISCOUS]
     law = LAW_ERROR * (abs(place.force - best[OFFSET] - left) + LEFT_ERROR * abs(left))
     variances = np.array([*levels.levels[1:], law * law])
+    # Before a few beats have been seen nobody knows whether the tissue moves.
+    variances[1] = max(
+        variances[1], (_MOTION_MM * slope) ** 2 if bank.facts[0, KIND] != AIR else 0.0
+    )
     means, spreads = predict(
         bank.means,
         bank.spreads,
@@ -375,9 +381,8 @@ def _report_layer(state: SwitchingState, alarm: Rupture) -> SwitchingState:
     if is_due:
         layer = replace(layer, is_final=True)
         events = events._replace(identified_layer=layer)
-    earlier = friction_left(bank, state.ruptures, before=True) if len(layers) > 1 else None
-    if earlier is not None:
-        layers = (*layers[:-2], with_friction(layers[-2], *earlier), layer)
-    else:
-        layers = (*layers[:-1], layer)
-    return state._replace(layers=layers, events=events)
+    kept = [*layers[:-1], layer]
+    earlier = friction_left(bank, state.ruptures, before=True)
+    if earlier is not None and len(kept) > 1:
+        kept[-2] = with_friction(kept[-2], *earlier)
+    return state._replace(layers=tuple(kept), events=events)

@@ -22,7 +22,7 @@ an arm's joints have play, and a filtered depth swings past a sudden stop."""
 _REST_SPEED, _REST_S = 0.1, 8.5
 """Slower than this [mm/s] the needle rests; real liver loses its force in that time."""
 _RELAXED, _UNKNOWN = 0.6, 0.3
-"""Part of the friction lost in a long rest: 0.6 of the whole force in real liver (19 holds of 60 s);
+"""Part of the friction lost in a long rest, as of the whole force in real liver (19 holds of 60 s);
 and standard deviation of that part, and of friction while presliding turns."""
 _UNLOADED_M = 1e-3
 """A tip drawn back by a needle diameter touches nothing."""

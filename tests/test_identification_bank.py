@@ -140,7 +140,7 @@ def test_compiled_and_plain_arithmetic_agree(function):
             bank.means[0],
             bank.spreads[0],
             rows[0],
-            (EXIT, LAYER, LAYER, False),
+            (EXIT, LAYER, LAYER, False, True),
             (8.0, 8.0, 1.0, 4.0, 0.9),
         ),
         "judge_fraction": (bank.means[0], bank.spreads[0], 4.0, True),
