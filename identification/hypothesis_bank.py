@@ -18,6 +18,7 @@ from identification.hypothesis_filter import (
     CONTACT,
     EXIT,
     FACTS,
+    HELD,
     IS_HELD,
     IS_JUDGED,
     IS_PUNCTURED,
@@ -27,6 +28,7 @@ from identification.hypothesis_filter import (
     LENGTH,
     MEETING,
     MEMBRANE,
+    NO_CUTTING,
     OFFSET,
     OWN_COULOMB,
     OWN_FORCE,
@@ -40,6 +42,7 @@ from identification.hypothesis_filter import (
     TIP,
     UNKNOWNS,
     after_event,
+    hold_cutting,
     judge_fraction,
     regressors,
     weigh,
@@ -49,8 +52,8 @@ STEP_MM = 0.02
 """Least travel between new hypotheses."""
 HAZARD = 0.03
 """Ruptures per mm of travel, beforehand."""
-RELEASES_MM = (0.15, 0.3, 0.5)
-"""Of a layer's end or a membrane: gels and layers release within 0.1 to 0.5 mm."""
+RELEASES_MM = (0.15, 0.3, 0.5, 1.0, 2.0)
+"""Of a layer's end or a membrane: gels release within 0.1 to 0.5 mm, real liver within 2 mm."""
 TEARS_MM = (0.5, 1.5)
 """Of a tear: within liver 0.5 to 2 mm."""
 TEAR_SHARE = 0.15
@@ -65,10 +68,10 @@ MEMBRANE_STEP_MM = 0.25
 """Travel between hypotheses of a membrane met."""
 LEAST_MM = 1.2
 """Least travel between two ruptures: about a needle diameter."""
-QUOTAS = (30, 8, 12, 6)
+QUOTAS = (60, 8, 16, 6)
 """Hypotheses kept: of events just past, of membranes just met, of older ones, of older membranes.
 What an event was shows in some tenths of a millimetre; then it competes with the older ones."""
-CAPACITY = sum(QUOTAS) + 60
+CAPACITY = sum(QUOTAS) + 90
 """With the children of one step, before they are pruned."""
 NEGLIGIBLE = -30.0
 """Logarithm of a weight that no force will raise again."""
@@ -287,8 +290,22 @@ def judge_fractions(bank: Bank, place: Place) -> Bank:
     return bank._replace(means=means, spreads=spreads, facts=facts)
 
 
+def _without_negative_cutting(bank: Bank) -> Bank:
+    std = np.sqrt(np.maximum(bank.spreads[:, HELD, HELD], 0.0))
+    is_cutting = (bank.facts[:, KIND] == LAYER) & (bank.facts[:, IS_HELD] == 0.0)
+    due = np.flatnonzero(is_cutting & (bank.means[:, HELD] < -NO_CUTTING - std))
+    if not due.size:
+        return bank
+    means, spreads, weights = bank.means.copy(), bank.spreads.copy(), bank.log_weights.copy()
+    for k in due.tolist():
+        change, means[k], spreads[k] = hold_cutting(means[k], spreads[k])
+        weights[k] += change
+    return bank._replace(means=means, spreads=spreads, log_weights=weights)
+
+
 def prune(bank: Bank, place: Place) -> Bank:
     """Weigh down what no tissue does, and keep the likeliest of each class, best first."""
+    bank = _without_negative_cutting(bank)
     now = (place.depth, place.speed, place.dt_s, place.noise)
     weights, facts = weigh(bank.means, bank.spreads, bank.facts, bank.log_weights, now)
     travel, is_membrane = place.depth - facts[:, TIP], facts[:, KIND] == MEMBRANE

@@ -7,9 +7,10 @@ Given a history of events the axial force is linear in nineteen unknowns:
 with o the offset; C, V Coulomb and viscous friction of the layers left; R the tip force being
 released, U what of it stays and fades later, T the force held or needed to cut, K, H stiffness; c,
 b friction per length of shaft in the layer; d disturbances: the colour of the sensor's noise,
-heartbeat, breathing, and the error of this law. Known are w, the presliding deflection (1 when sliding inwards), v the speed, x the travel
-of the tip and y the length of shaft in the layer, and e is white. An event (contact, the end of a
-layer, a tear in it, a membrane met) is a linear map of the unknowns that leaves the force as it is.
+heartbeat, breathing, and the error of this law. Known are w, the presliding deflection (1 when
+sliding inwards), v the speed, x the travel of the tip and y the length of shaft in the layer, and e
+is white. An event (contact, the end of a layer, a tear in it, a membrane met) is a linear map of
+the unknowns that leaves the force as it is.
 
 So each hypothesis is a Kalman filter (switching linear model, Shumway and Stoffer 1991), and how
 well it predicts the force is the evidence for it. Lengths are in mm, speeds in mm/s, forces in N.
@@ -75,6 +76,10 @@ FREEDOM = 8.0
 """Degrees of freedom of Student's t: a single surprise proves little."""
 SLOPE, SLOPE_STD = 0.03, 0.04
 """Growth of the force in a layer, before data [N/mm]."""
+STIFFENING_STD = 1e-3
+"""Of the growth of that growth [N/mm²]."""
+NO_CUTTING = 0.02
+"""Cutting force that counts as none [N]; it is never negative."""
 FRACTION, FRACTION_STD, FRACTION_SPEED = 0.55, 0.2, 3.0
 """Of friction in that growth, at a speed [mm/s]; only the viscous part grows with speed."""
 PUSHED_MM = 12.0
@@ -184,7 +189,7 @@ def absorb(
     spreads: Spreads,
     facts: Matrix,
     rows: Matrix,
-    measured: tuple[float, float, float],
+    measured: tuple[float, float, float, float],
 ) -> tuple[Matrix, Spreads, Vector]:
     """Use the mean force of a block.
 
@@ -193,16 +198,17 @@ def absorb(
         spreads: Their covariances.
         facts: What they take for certain, shape (n, 10).
         rows: Their regressors, shape (n, 19).
-        measured: Force, its variance for all hypotheses, depth.
+        measured: Force, its variance for all hypotheses, depth, standard deviation of its noise.
 
     Returns:
         New means and covariances, and the logarithm of the evidence, shape (n,).
     """
-    force, common, depth = measured
+    force, common, depth, depth_std = measured
     gone = np.minimum(np.maximum((depth - facts[:, RELEASE]) / facts[:, LENGTH], 0.0), 1.0)
     early = np.maximum(1.0 - np.maximum(depth - facts[:, TIP], 0.0) / CUTTING_ONSET_MM, 0.0)
     noise = common + (SHAPE_ERROR * means[:, RELEASED]) ** 2 * 4.0 * gone * (1.0 - gone)
     noise += (SHAPE_ERROR * means[:, HELD] * early) ** 2
+    noise += (2.0 * means[:, RELEASED] * (1.0 - gone) / facts[:, LENGTH] * depth_std) ** 2
     found, narrowed = np.empty_like(means), np.empty_like(spreads)
     evidence = np.empty(len(means))
     for k in range(len(means)):
@@ -242,7 +248,7 @@ def add_prior(
     viscous, pace, std = 1.0 - coulomb, max(speed, 0.5), 0.7 * SLOPE_STD
     mean[STIFFNESS] += (1.0 - fraction) * SLOPE
     spread[STIFFNESS, STIFFNESS] += std**2
-    spread[STIFFENING, STIFFENING] += 3e-4**2
+    spread[STIFFENING, STIFFENING] += STIFFENING_STD**2
     if not is_torn:
         mean[OWN_COULOMB] += fraction * coulomb * SLOPE
         spread[OWN_COULOMB, OWN_COULOMB] += (std * coulomb) ** 2
@@ -336,6 +342,19 @@ def judge_fraction(
     std = coulomb * (1.0 - coulomb) * COULOMB_LOG_STD * fraction * slope
     gain = cross / (np.dot(row, cross) + std**2)
     return True, mean - gain * np.dot(row, mean), spread - np.outer(gain, cross)
+
+
+@compiled
+def hold_cutting(mean: Vector, spread: Matrix) -> tuple[float, Vector, Matrix]:
+    """Take a negative cutting force for none: with its onset it would look like a slow release.
+
+    Returns:
+        What that adds to the logarithm of the weight, and the unknowns.
+    """
+    variance = max(spread[HELD, HELD], 0.0) + NO_CUTTING**2
+    gain = spread[HELD] / variance
+    surprise = mean[HELD] ** 2 / variance
+    return -0.5 * surprise, mean - gain * mean[HELD], spread - np.outer(gain, spread[HELD])
 
 
 @compiled

@@ -242,7 +242,7 @@ def _absorb(state: SwitchingState, sample: Sample) -> SwitchingState:
         place = place._replace(noise=levels.noise)
         # A speed is as late as its filter: where it changes it is off by a block's change.
         speed_std = math.hypot(2.0 * speed_noise, v - state.place.speed)
-        bank = _absorbed(bank, place, levels, course.resumed, speed_std)
+        bank = _absorbed(bank, place, levels, course.resumed, (jitter, speed_std))
     else:
         course, levels = course._replace(resumed=1.0), levels.restarted()
     stage = (_SPAWN if is_advancing else _PRUNE) if is_used else _REPORT
@@ -275,9 +275,9 @@ def _predicted(bank: Bank, place: Place, fresh: float, levels: DisturbanceLevels
 
 
 def _absorbed(
-    bank: Bank, place: Place, levels: DisturbanceLevels, resumed: float, speed_std: float
+    bank: Bank, place: Place, levels: DisturbanceLevels, resumed: float, noise: tuple[float, float]
 ) -> Bank:
-    best, fact = bank.means[0], bank.facts[0]
+    (depth_std, speed_std), best, fact = noise, bank.means[0], bank.facts[0]
     damping = best[VISCOUS] + best[OWN_VISCOUS] * max(place.depth - fact[ROOT], 0.0)
     variance = max(levels.levels[0] * STEP_S / place.dt_s, 1e-8)
     variance += (damping * speed_std) ** 2
@@ -285,7 +285,7 @@ def _absorbed(
         loose = _UNSETTLED * max(1.0 - place.deflection, resumed)
         variance += (loose * (place.force - best[OFFSET])) ** 2
     rows = regressors(bank.facts, place.depth, place.speed, place.deflection)
-    measured = (place.force, float(variance), place.depth)
+    measured = (place.force, float(variance), place.depth, depth_std)
     means, spreads, evidence = absorb(bank.means, bank.spreads, bank.facts, rows, measured)
     log_weights = bank.log_weights + evidence
     return bank._replace(means=means, spreads=spreads, log_weights=log_weights)

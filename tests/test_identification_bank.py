@@ -116,7 +116,7 @@ def test_a_force_that_was_expected_teaches_as_kalman_says():
     rows = regressors(bank.facts, PLACE.depth, PLACE.speed, PLACE.deflection)
     row, spread, force = rows[0], bank.spreads[0], float(force_of(bank)[0])
     means, spreads, evidence = absorb(
-        bank.means, bank.spreads, bank.facts, rows, (force, 4e-4, 12.0)
+        bank.means, bank.spreads, bank.facts, rows, (force, 4e-4, 12.0, 0.0)
     )
     assert means[0] == pytest.approx(bank.means[0])
     variance = row @ spread @ row + 4e-4
@@ -124,7 +124,7 @@ def test_a_force_that_was_expected_teaches_as_kalman_says():
     cross = spread @ row
     assert spreads[0] == pytest.approx(spread - np.outer(cross, cross) / variance)
     assert evidence[0] == pytest.approx(-0.5 * TEMPER * np.log(variance))
-    far = absorb(bank.means, bank.spreads, bank.facts, rows, (force + 1.0, 4e-4, 12.0))
+    far = absorb(bank.means, bank.spreads, bank.facts, rows, (force + 1.0, 4e-4, 12.0, 0.0))
     assert far[2][0] < evidence[0]
     assert (row @ far[0][0] - force) > 0.0
 
@@ -134,7 +134,7 @@ def test_compiled_and_plain_arithmetic_agree(function):
     bank = hypothesis(3, LAYER)
     rows = regressors(bank.facts, PLACE.depth, PLACE.speed, PLACE.deflection)
     arguments = {
-        "absorb": (bank.means, bank.spreads, bank.facts, rows, (0.8, 1e-4, 12.0)),
+        "absorb": (bank.means, bank.spreads, bank.facts, rows, (0.8, 1e-4, 12.0, 0.01)),
         "predict": (bank.means, bank.spreads, np.zeros(1), 0.01, 0.04, np.full(4, 1e-4)),
         "after_event": (
             bank.means[0],
@@ -161,7 +161,7 @@ def test_what_the_force_contradicts_is_dropped_and_the_rest_bounded():
         bank = prune(spawn(bank, place, place.depth - 0.04), place)
         rows = regressors(bank.facts, place.depth, place.speed, 1.0)
         means, spreads, evidence = absorb(
-            bank.means, bank.spreads, bank.facts, rows, (place.force, 1e-4, place.depth)
+            bank.means, bank.spreads, bank.facts, rows, (place.force, 1e-4, place.depth, 0.0)
         )
         bank = bank._replace(means=means, spreads=spreads, log_weights=bank.log_weights + evidence)
         assert len(bank.log_weights) <= sum(QUOTAS)
