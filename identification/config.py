@@ -152,6 +152,31 @@ MULTILAYER = MultilayerConfig()
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
+class SwitchingConfig:
+    """Settings of the switching filter; its physical priors stand where they are used.
+
+    Attributes:
+        alarm_probability: Probability of one more rupture at which an alarm is raised.
+        check: Limits of a plausible sample.
+    """
+
+    alarm_probability: float = 0.98
+    check: CheckConfig = field(default_factory=CheckConfig)
+
+    def __post_init__(self) -> None:
+        """Raise `InvalidConfigError` unless the probability lies between 0.5 and 1."""
+        _check_values(self)
+        if not 0.5 <= self.alarm_probability < 1.0:
+            raise InvalidConfigError(
+                f"alarm_probability must be from 0.5 to below 1, got {self.alarm_probability!r}"
+            )
+
+
+SWITCHING = SwitchingConfig()
+"""The one configuration for simulated and real, F/T and virtual sensors."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
 class PublishedConfig:
     """Everything the published identification needs; the defaults are the published values.
 

@@ -4,7 +4,7 @@ import math
 from dataclasses import replace
 from typing import Any, NamedTuple, Protocol
 
-from identification.config import MULTILAYER, MultilayerConfig, PublishedConfig
+from identification.config import MULTILAYER, MultilayerConfig, PublishedConfig, SwitchingConfig
 from identification.errors import InvalidConfigError, InvalidSnapshotError, NoRuptureError
 from identification.estimate import Estimate, Events, LayerEstimate, Sample, SampleStatus
 from identification.input_validation import (
@@ -19,6 +19,7 @@ from identification.input_validation import (
 from identification.multilayer_identifier import MultilayerMethod
 from identification.multilayer_state import MultilayerState
 from identification.published_identifier import PublishedMethod, PublishedState
+from identification.switching_identifier import SwitchingMethod, SwitchingState
 from identification.travel_filter import TravelState, filter_travel
 
 _new = tuple.__new__
@@ -62,6 +63,7 @@ class Method(Protocol):
 _METHODS: dict[type, type[Method]] = {
     MultilayerConfig: MultilayerMethod,
     PublishedConfig: PublishedMethod,
+    SwitchingConfig: SwitchingMethod,
 }
 """By the type of their settings."""
 
@@ -77,10 +79,10 @@ class Snapshot(NamedTuple):
         last: Last estimate.
     """
 
-    config: MultilayerConfig | PublishedConfig
+    config: MultilayerConfig | PublishedConfig | SwitchingConfig
     check: CheckState
     travel: TravelState
-    state: MultilayerState | PublishedState
+    state: MultilayerState | PublishedState | SwitchingState
     last: Estimate
 
 
@@ -91,7 +93,9 @@ class Identifier:
     Depths in what it reports have the zero of the depths it is given, see `estimate`.
     """
 
-    def __init__(self, config: MultilayerConfig | PublishedConfig = MULTILAYER) -> None:
+    def __init__(
+        self, config: MultilayerConfig | PublishedConfig | SwitchingConfig = MULTILAYER
+    ) -> None:
         """Choose the method by its configuration.
 
         Args:

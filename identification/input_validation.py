@@ -173,14 +173,22 @@ def check_state(state: Any, initial: Any, place: str = "state") -> None:
     elif hasattr(initial, "_fields") and type(state) is not type(initial):
         raise InvalidSnapshotError(f"{place} is {state!r:.80}, expected {type(initial).__name__}")
     elif hasattr(state, "_fields"):
-        for name, part in zip(state._fields, state, strict=True):
-            check_state(part, getattr(initial, name, None), f"{place}.{name}")
-        if "var_stiffness" in state._fields:
-            first, both, second = state.var_stiffness, state.covariance, state.var_friction
-            _check_definite(np.array([[first, both], [both, second]]), 1e-3, place)
+        _check_fields(state, initial, place)
     elif isinstance(state, tuple):
         for k, part in enumerate(state):
             check_state(part, None, f"{place}[{k}]")
+
+
+def _check_fields(state: Any, initial: Any, place: str) -> None:
+    if hasattr(state, "damage"):  # it checks itself
+        if state.damage:
+            raise InvalidSnapshotError(f"the snapshot is damaged: {place}: {state.damage}")
+        return
+    for name, part in zip(state._fields, state, strict=True):
+        check_state(part, getattr(initial, name, None), f"{place}.{name}")
+    if "var_stiffness" in state._fields:
+        first, both, second = state.var_stiffness, state.covariance, state.var_friction
+        _check_definite(np.array([[first, both], [both, second]]), 1e-3, place)
 
 
 def _check_array(array: Any, initial: Any, place: str) -> None:

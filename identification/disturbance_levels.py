@@ -1,0 +1,117 @@
+"""How noisy the force is, part by part: white, colour of the sensor, heartbeat, breathing.
+
+Second differences of the force at lags of 10 ms to 1.3 s: a straight line does not show in them,
+and each part shows most at lags near its own time. A part takes what the faster ones leave.
+"""
+
+import math
+from typing import NamedTuple
+
+import numpy as np
+
+from identification.estimate import Array
+from identification.hypothesis_filter import BEATS, COLOUR_S, oscillation
+from needleforce.jit import Matrix, Vector, WrittenMatrix, WrittenVector, compiled
+
+STEP_S = 0.01
+"""Time between two forces in the differences."""
+_MEMORY = 400
+"""Differences over which a level is learned: four seconds."""
+_MOVED_MM = 3.0
+"""Over more travel it is the tissue that varies, not its motion."""
+_MEDIAN, _QUARTER = 0.455, 0.1015
+"""Of a squared standard normal. Ruptures are a minority of the differences, heartbeats are not; but
+at slow lags a contact, a membrane and a rupture may be half of them."""
+_SLOW = 4
+
+
+def _likeness(part: int, lag_s: float) -> float:
+    """Correlation of a part of the noise with itself some time before."""
+    if part < 2:
+        return math.exp(-lag_s / COLOUR_S) if part else 0.0
+    return oscillation(lag_s, *BEATS[part - 2])[0]
+
+
+def _difference(part: int, lag_s: float) -> float:
+    """Variance of a second difference of a part of the noise of unit variance."""
+    return 6.0 - 8.0 * _likeness(part, lag_s) + 2.0 * _likeness(part, 2.0 * lag_s)
+
+
+_DESIGN = np.array([[_difference(part, STEP_S * 2**k) for k in range(8)] for part in range(4)])
+
+
+class DisturbanceLevels(NamedTuple):
+    """What is known of the noise."""
+
+    past: Array = np.zeros(257)  # forces, a step apart, newest last
+    count: float = 0.0  # how many of them follow each other undisturbed
+    squares: Array = np.zeros((8, _MEMORY))  # of the last differences at each lag
+    seen: Array = np.zeros(8)  # how many there have been
+    levels: Array = np.array([1e-4, 0.0, 0.0, 0.0])  # variances: white, colour, heart, breath
+    force_sum: float = 0.0  # integral of the force over the step being filled
+    filled_s: float = 0.0  # length of that so far
+
+    @property
+    def noise(self) -> float:
+        """Standard deviation of a block's force that no hypothesis can explain [N]."""
+        white, colour, heart, breath = self.levels.tolist()
+        return math.sqrt(max(white + colour + 0.1 * (heart + breath), 1e-8))
+
+    def restarted(self) -> "DisturbanceLevels":
+        """After a gap or a rest: no difference reaches across."""
+        return self._replace(count=0.0, force_sum=0.0, filled_s=0.0)
+
+    def with_force(self, force: float, dt_s: float, speed: float) -> "DisturbanceLevels":
+        """Use the mean force of a block [N] at a speed [mm/s]."""
+        total, filled = self.force_sum + force * dt_s, self.filled_s + dt_s
+        if filled < STEP_S * (1.0 - 1e-6):
+            return self._replace(force_sum=total, filled_s=filled)
+        past = np.append(self.past[1:], total / filled)
+        squares, seen = self.squares.copy(), self.seen.copy()
+        _learn(past, self.count + 1.0, squares, seen)
+        levels, count = self.levels, self.count + 1.0
+        if count % 10.0 == 0.0 and seen[0] > 10.0:
+            levels = _levels(squares, seen, _DESIGN, speed)
+        return self._replace(
+            past=past,
+            count=count,
+            squares=squares,
+            seen=seen,
+            levels=levels,
+            force_sum=0.0,
+            filled_s=0.0,
+        )
+
+
+@compiled
+def _learn(past: Vector, count: float, squares: WrittenMatrix, seen: WrittenVector) -> None:
+    """Keep the newest second differences."""
+    for k in range(8):
+        lag = 2**k
+        if count <= 2 * lag:
+            break
+        square = (past[256] - 2.0 * past[256 - lag] + past[256 - 2 * lag]) ** 2
+        squares[k, int(seen[k]) % _MEMORY] = square
+        seen[k] += 1.0
+
+
+@compiled
+def _levels(squares: Matrix, seen: Vector, design: Matrix, speed: float) -> Vector:
+    """Variance of each part, each taking what the faster ones leave."""
+    levels, left = np.zeros(4), np.zeros(8)
+    for k in range(8):
+        known = min(int(seen[k]), _MEMORY)
+        if known > min(2 * 2**k, 30):
+            ordered = np.sort(squares[k, :known])
+            left[k] = ordered[known // 2] / _MEDIAN
+            if k >= _SLOW:
+                left[k] = ordered[known // 4] / _QUARTER
+    for part in range(4):
+        level = 0.0
+        for k in (2 * part, 2 * part + 1):
+            is_tissue = part >= 2 and 2**k * STEP_S * speed >= _MOVED_MM
+            if seen[k] > 2 * 2**k and not is_tissue:
+                level = max(level, left[k] / design[part, k])
+        levels[part] = level
+        left -= level * design[part]
+    return levels

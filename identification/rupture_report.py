@@ -1,0 +1,213 @@
+"""What the bank says: the shaft's friction at one depth, ruptures, and layers left.
+
+Every answer is a mixture over the hypotheses: its mean is their mean, and where they differ its
+standard deviation is wider than that of each.
+"""
+
+import math
+from dataclasses import replace
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from identification.estimate import LayerEstimate, Rupture
+from identification.hypothesis_bank import (
+    CONTACT_MM,
+    PART_FRICTION,
+    PART_START,
+    RUPTURE_FORCE,
+    RUPTURE_MM,
+    RUPTURE_S,
+    RUPTURE_SPEED,
+    STIFFNESS_HERE,
+    WAS_TEAR,
+    Bank,
+    Place,
+)
+from identification.hypothesis_filter import (
+    AIR,
+    EARLIER,
+    HELD,
+    IS_HELD,
+    KEPT,
+    KIND,
+    LAYER,
+    LEFT,
+    MEMBRANE,
+    RELEASED,
+    RUPTURES,
+    regressors,
+    shaft_mixture,
+)
+from identification.switching_update import Answer
+
+_MM = 1e3
+_LEAST_WEIGHT = 1e-3
+"""Less likely hypotheses do not show in an answer."""
+_CLEAR_SIGMAS = 3.0
+"""Least released force of a rupture worth an alarm, in standard deviations of a block's force."""
+_KEPT_SHARE = 0.3
+"""Hypotheses with the last rupture must be so likely, together, to say what it was."""
+_IDENTIFIED = 0.25
+"""A value is identified if its standard deviation is no more of it."""
+_NAMES = ("stiffness", "coulomb", "viscous")
+_UNITS = (("N_per_m", _MM), ("N_per_m", _MM), ("Ns_per_m2", _MM * _MM))
+
+
+def answer_at(bank: Bank, place: Place, ruptures: int) -> Answer:
+    """Friction of the shaft at a place, for the samples that follow; `ruptures` known so far."""
+    every = bank.weights
+    likely = every > _LEAST_WEIGHT
+    weights = every[likely] / every[likely].sum()
+    facts, means, spreads = bank.facts[likely], bank.means[likely], bank.spreads[likely]
+    mean, spread = shaft_mixture(means, spreads, facts, weights, place.depth)
+    is_met = (facts[:, KIND] != AIR) | (facts[:, RUPTURES] > 0.0)
+    row = regressors(facts[:1], place.depth, place.speed, place.deflection)[0]
+    tip = slice(RELEASED, KEPT + 1)
+    in_contact = bool(weights @ is_met > 0.5)
+    contact = float(bank.records[likely][int(np.argmax(is_met)), CONTACT_MM]) / _MM
+    diagonal = np.maximum(spread.diagonal(), 0.0)
+    fields = (
+        in_contact,
+        ruptures + 1 if in_contact else 0,
+        contact if in_contact else 0.0,
+        place.depth,
+        place.noise**2,
+        *mean.tolist(),
+        float(row[tip] @ means[0, tip]),
+        float(diagonal[0]),
+        *(float(spread[i, j]) for i, j in _PAIRS),
+        float(diagonal[5]),
+        float(spread[5, 6]),
+        float(diagonal[6]),
+        float(diagonal[7]),
+        0.0,
+    )
+    return Answer._make(fields)
+
+
+_PAIRS = ((0, 1), (0, 2), (1, 1), (1, 2), (2, 2), (0, 3), (0, 4), (3, 3), (3, 4), (4, 4))
+
+
+class Verdict(NamedTuple):
+    """What the hypotheses say of the number of ruptures."""
+
+    more: float  # probability of one more than known, with a clear fall of the force
+    fewer: float  # probability of fewer than known
+    pick: int  # the likeliest hypothesis with one more, -1 without any
+    best: int  # ruptures of the likeliest of all
+
+
+def count_ruptures(bank: Bank, known: int, noise: float) -> Verdict:
+    """Compare the number of ruptures known with those of the hypotheses."""
+    weights, facts = bank.weights, bank.facts
+    # After a tear part of the force is held: what has fallen is the rest.
+    is_torn = (facts[:, KIND] == LAYER) & (facts[:, IS_HELD] > 0.0)
+    released = bank.means[:, RELEASED] - bank.means[:, KEPT]
+    released -= np.where(is_torn, bank.means[:, HELD], 0.0)
+    more = facts[:, RUPTURES] > known
+    is_clear = released > _CLEAR_SIGMAS * noise
+    pick = int(np.argmax(np.where(more, weights, -1.0))) if more.any() else -1
+    fewer = float(weights[facts[:, RUPTURES] < known].sum())
+    best = int(facts[int(np.argmax(weights)), RUPTURES])
+    return Verdict(float(weights[more & is_clear].sum()), fewer, pick, best)
+
+
+def rupture_of(
+    bank: Bank, pick: int, layer: int, probability: float, alarm: tuple[float, float]
+) -> Rupture:
+    """The rupture that hypothesis `pick` knows of, alarmed at a time and depth."""
+    record = bank.records[pick]
+    return Rupture(
+        layer=layer,
+        alarm_s=alarm[0],
+        alarm_depth_m=alarm[1],
+        time_s=min(float(record[RUPTURE_S]), alarm[0]),
+        depth_m=float(record[RUPTURE_MM]) / _MM,
+        force_N=float(record[RUPTURE_FORCE]),
+        speed_m_s=float(record[RUPTURE_SPEED]) / _MM,
+        probability=min(probability, 1.0),
+        contact_depth_m=float(record[CONTACT_MM]) / _MM,
+        tear_probability=tear_probability(bank, int(bank.facts[pick, RUPTURES])),
+    )
+
+
+def _is_meeting(bank: Bank) -> NDArray[np.bool_]:
+    """Which hypotheses say that the tip pushes a membrane under the last layer."""
+    return (bank.facts[:, KIND] == MEMBRANE) & (bank.facts[:, IS_HELD] > 0.0)
+
+
+def friction_left(bank: Bank, known: int, *, before: bool = False) -> tuple[float, float] | None:
+    """Friction of the layer that the last rupture ended, or of the one `before`, and its deviation.
+
+    None where other hypotheses are likelier than those that know of this rupture as the last.
+    """
+    mine, weights = bank.facts[:, RUPTURES] == known, bank.weights
+    place = np.where(_is_meeting(bank), EARLIER, LEFT)
+    if before:
+        mine &= ~_is_meeting(bank)
+        place = np.full_like(place, EARLIER)
+    total = float(weights[mine].sum())
+    if total < _KEPT_SHARE:
+        return None
+    rows, place, share = np.flatnonzero(mine), place[mine], weights[mine] / total
+    values, variances = bank.means[rows, place], bank.spreads[rows, place, place]
+    mean = float(share @ values)
+    variance = float(share @ (np.maximum(variances, 0.0) + (values - mean) ** 2))
+    return mean, math.sqrt(variance)
+
+
+def layer_left(bank: Bank, rupture: Rupture, known: int) -> LayerEstimate | None:
+    """The layer, or the part of one, that the last rupture ended; None as in `friction_left`."""
+    mine = (bank.facts[:, RUPTURES] == known) & ~_is_meeting(bank)
+    share, known_friction = np.where(mine, bank.weights, 0.0), friction_left(bank, known)
+    if known_friction is None or not mine.any():
+        return None
+    best = int(np.argmax(share))
+    record = bank.records[best]
+    thickness = max(float(record[RUPTURE_MM] - record[PART_START]), 1e-3)
+    fields: dict[str, float | bool] = {}
+    for k, (name, (unit, factor)) in enumerate(zip(_NAMES, _UNITS, strict=True)):
+        value, variance = record[STIFFNESS_HERE + 2 * k : STIFFNESS_HERE + 2 * k + 2].tolist()
+        value, deviation = factor * max(value, 0.0), factor * math.sqrt(max(variance, 0.0))
+        fields[f"{name}_{unit}"], fields[f"{name}_std_{unit}"] = value, deviation
+        fields[f"{name}_identified"] = deviation <= _IDENTIFIED * value
+    layer = LayerEstimate(
+        layer=rupture.layer,
+        is_final=False,
+        start_depth_m=float(record[PART_START]) / _MM,
+        thickness_m=thickness / _MM,
+        rupture=rupture,
+        force_drop_N=float(bank.means[best, RELEASED]),
+        force_drop_std_N=math.sqrt(max(float(bank.spreads[best, RELEASED, RELEASED]), 0.0)),
+        friction_Ns_per_m2=0.0,
+        friction_identified=False,
+        friction_N=max(float(record[PART_FRICTION]), 0.0),
+        **fields,  # type: ignore[arg-type]
+    )
+    return with_friction(layer, *known_friction)
+
+
+def with_friction(layer: LayerEstimate, friction: float, std: float) -> LayerEstimate:
+    """The same layer with its friction known better; Coulomb and viscous part in proportion."""
+    friction = max(friction, 0.0)
+    scale = friction / layer.friction_N if layer.friction_N > 0.0 else 1.0
+    per_length = 1.0 / (layer.thickness_m * max(layer.rupture.speed_m_s, 1e-6))
+    return replace(
+        layer,
+        friction_N=friction,
+        friction_std_N=std,
+        friction_Ns_per_m2=per_length * friction,
+        friction_std_Ns_per_m2=per_length * std,
+        friction_identified=std <= _IDENTIFIED * friction,
+        coulomb_N_per_m=scale * (layer.coulomb_N_per_m or 0.0),
+        viscous_Ns_per_m2=scale * (layer.viscous_Ns_per_m2 or 0.0),
+    )
+
+
+def tear_probability(bank: Bank, known: int) -> float:
+    """How likely the last rupture was a tear within a layer, not its end."""
+    weights = np.where(bank.facts[:, RUPTURES] == known, bank.weights, 0.0)
+    total = float(weights.sum())
+    return float(weights @ bank.records[:, WAS_TEAR]) / total if total > 0.0 else 0.0

@@ -1,0 +1,227 @@
+"""The bank of hypotheses: what an event changes, what the force teaches, which of them stay."""
+
+import numpy as np
+import pytest
+
+from identification import hypothesis_bank, hypothesis_filter
+from identification.disturbance_levels import DisturbanceLevels
+from identification.hypothesis_bank import CAPACITY, QUOTAS, Bank, Place, first_bank, prune, spawn
+from identification.hypothesis_filter import (
+    AIR,
+    COLOUR,
+    EXIT,
+    HEART,
+    IS_HELD,
+    KIND,
+    LAW,
+    LAYER,
+    LEFT,
+    LENGTH,
+    MEMBRANE,
+    OWN_COULOMB,
+    OWN_VISCOUS,
+    RELEASE,
+    ROOT,
+    RUPTURES,
+    STIFFNESS,
+    TEMPER,
+    TIP,
+    UNKNOWNS,
+    absorb,
+    after_event,
+    judge_fraction,
+    predict,
+    regressors,
+)
+from identification.rupture_report import answer_at, count_ruptures, friction_left
+
+PLACE = Place(
+    time_s=3.0,
+    dt_s=0.01,
+    depth=12.0,
+    speed=4.0,
+    deflection=1.0,
+    force=0.9,
+    usual_speed=4.0,
+    noise=0.01,
+)
+
+
+def hypothesis(seed, kind, *, is_held=False):
+    """A bank of one hypothesis that has been in its layer for a while, its unknowns drawn."""
+    rng = np.random.default_rng(seed)
+    bank = first_bank()
+    factor = 0.05 * rng.standard_normal((UNKNOWNS, UNKNOWNS))
+    facts = bank.facts.copy()
+    facts[0, [KIND, ROOT, TIP, IS_HELD]] = kind, 4.0, 5.0, is_held
+    if kind == LAYER:
+        facts[0, [RELEASE, LENGTH, RUPTURES]] = 5.0, 0.3, 1.0
+    means = 0.1 * np.abs(rng.standard_normal((1, UNKNOWNS)))
+    if kind != LAYER:
+        means[0, [OWN_COULOMB, OWN_VISCOUS, STIFFNESS]] = 0.0
+    return bank._replace(means=means, spreads=(factor @ factor.T)[None], facts=facts)
+
+
+def force_of(bank, place=PLACE):
+    rows = regressors(bank.facts, place.depth, place.speed, place.deflection)
+    return np.einsum("ni,ni->n", rows, bank.means)
+
+
+@pytest.mark.parametrize("seed", range(3))
+@pytest.mark.parametrize(("kind", "is_held"), [(LAYER, False), (LAYER, True), (MEMBRANE, True)])
+def test_the_force_goes_on_as_it_was_across_an_event(seed, kind, is_held):
+    before = hypothesis(seed, kind, is_held=is_held)
+    after = spawn(before, PLACE, PLACE.depth - 0.3)
+    born = after.take(np.arange(1, len(after.log_weights)))
+    assert len(born.log_weights) > 2
+    assert force_of(born) == pytest.approx(np.repeat(force_of(before), len(born.log_weights)))
+    assert set(born.facts[:, RUPTURES] - before.facts[0, RUPTURES]) <= {0.0, 1.0}
+    assert len(after.log_weights) <= CAPACITY
+
+
+def test_first_contact_takes_nothing_from_the_force():
+    before = first_bank()
+    after = spawn(before, PLACE, PLACE.depth - 0.1)
+    assert sorted(after.facts[1:, KIND]) == [LAYER, MEMBRANE]
+    assert force_of(after) == pytest.approx(np.zeros(3))
+    assert (after.facts[1:, [ROOT, TIP]] == PLACE.depth).all()
+
+
+def test_the_friction_of_a_layer_left_stays_on_the_shaft_and_is_remembered():
+    before = hypothesis(5, LAYER)
+    born = spawn(before, PLACE, PLACE.depth - 0.3)
+    exits = (born.facts[:, RUPTURES] == 2.0) & (born.facts[:, IS_HELD] == 0.0)
+    length = PLACE.depth - 4.0
+    own = before.means[0, OWN_COULOMB] + PLACE.speed * before.means[0, OWN_VISCOUS]
+    assert born.means[exits, LEFT] == pytest.approx(np.full(exits.sum(), length * own))
+    friction = friction_left(born._replace(log_weights=np.where(exits, 0.0, -50.0)), 2)
+    assert friction is not None
+    assert friction[0] == pytest.approx(length * own)
+
+
+def test_two_steps_of_time_and_travel_are_one():
+    bank, levels, none = hypothesis(1, LAYER), np.array([1e-4, 2e-4, 3e-4, 4e-4]), np.zeros(1)
+    whole = predict(bank.means, bank.spreads, none, 0.02, 0.08, levels)
+    half = predict(
+        *predict(bank.means, bank.spreads, none, 0.01, 0.04, levels), none, 0.01, 0.04, levels
+    )
+    for one, other in zip(whole, half, strict=True):
+        assert one == pytest.approx(other, abs=1e-12)
+    _, late = predict(bank.means, bank.spreads, none, 60.0, 300.0, levels)
+    assert late[0, [COLOUR, HEART, LAW], [COLOUR, HEART, LAW]] == pytest.approx(levels[[0, 1, 3]])
+
+
+def test_a_force_that_was_expected_teaches_as_kalman_says():
+    bank = hypothesis(2, LAYER)
+    rows = regressors(bank.facts, PLACE.depth, PLACE.speed, PLACE.deflection)
+    row, spread, force = rows[0], bank.spreads[0], float(force_of(bank)[0])
+    means, spreads, evidence = absorb(
+        bank.means, bank.spreads, bank.facts, rows, (force, 4e-4, 12.0, 0.0)
+    )
+    assert means[0] == pytest.approx(bank.means[0])
+    variance = row @ spread @ row + 4e-4
+    # Late in the layer nothing is being released, and no other noise comes on top.
+    cross = spread @ row
+    assert spreads[0] == pytest.approx(spread - np.outer(cross, cross) / variance)
+    assert evidence[0] == pytest.approx(-0.5 * TEMPER * np.log(variance))
+    far = absorb(bank.means, bank.spreads, bank.facts, rows, (force + 1.0, 4e-4, 12.0, 0.0))
+    assert far[2][0] < evidence[0]
+    assert (row @ far[0][0] - force) > 0.0
+
+
+@pytest.mark.parametrize("function", [absorb, predict, after_event, judge_fraction, regressors])
+def test_compiled_and_plain_arithmetic_agree(function):
+    bank = hypothesis(3, LAYER)
+    rows = regressors(bank.facts, PLACE.depth, PLACE.speed, PLACE.deflection)
+    arguments = {
+        "absorb": (bank.means, bank.spreads, bank.facts, rows, (0.8, 1e-4, 12.0, 0.01)),
+        "predict": (bank.means, bank.spreads, np.zeros(1), 0.01, 0.04, np.full(4, 1e-4)),
+        "after_event": (
+            bank.means[0],
+            bank.spreads[0],
+            rows[0],
+            (EXIT, LAYER, LAYER, False, True),
+            (8.0, 8.0, 1.0, 4.0, 0.9),
+        ),
+        "judge_fraction": (bank.means[0], bank.spreads[0], 4.0, True),
+        "regressors": (bank.facts, 12.0, 4.0, 0.7),
+    }[function.__name__]
+    plain = getattr(function, "py_func", function)
+    found, expected = function(*arguments), plain(*arguments)
+    for one, other in zip(
+        np.atleast_1d(found) if function is regressors else found, expected, strict=True
+    ):
+        assert np.asarray(one) == pytest.approx(np.asarray(other), rel=1e-9, abs=1e-14)
+
+
+def test_what_the_force_contradicts_is_dropped_and_the_rest_bounded():
+    bank, rng = first_bank(), np.random.default_rng(4)
+    for step in range(400):
+        place = PLACE._replace(depth=0.04 * step, force=0.01 * rng.standard_normal())
+        bank = prune(spawn(bank, place, place.depth - 0.04), place)
+        rows = regressors(bank.facts, place.depth, place.speed, 1.0)
+        means, spreads, evidence = absorb(
+            bank.means, bank.spreads, bank.facts, rows, (place.force, 1e-4, place.depth, 0.0)
+        )
+        bank = bank._replace(means=means, spreads=spreads, log_weights=bank.log_weights + evidence)
+        assert len(bank.log_weights) <= sum(QUOTAS)
+    bank = prune(bank, place)
+    assert bank.damage == ""
+    assert bank.facts[0, KIND] == AIR
+    assert count_ruptures(bank, 0, 0.01).more < 0.01
+
+
+def test_hypotheses_that_differ_make_an_answer_less_certain():
+    one, other = hypothesis(6, LAYER), hypothesis(6, LAYER)
+    other.means[0, OWN_COULOMB] += 0.02
+    both = Bank(*(np.concatenate(parts) for parts in zip(one, other, strict=True)))
+    alone, mixed = answer_at(one, PLACE, 1), answer_at(both, PLACE, 1)
+    length = PLACE.depth - 4.0
+    assert mixed.coulomb == pytest.approx(alone.coulomb + 0.01 * length)
+    assert mixed.var_coulomb == pytest.approx(alone.var_coulomb + (0.01 * length) ** 2)
+    assert mixed.in_contact
+    assert mixed.layer == 2
+
+
+def test_the_fraction_of_friction_is_a_prior_that_waits_for_the_slope():
+    bank = hypothesis(7, LAYER)
+    assert not judge_fraction(bank.means[0], 1e4 * bank.spreads[0], 4.0, False)[0]
+    is_judged, mean, spread = judge_fraction(bank.means[0], bank.spreads[0], 4.0, True)
+    assert is_judged
+    assert np.trace(spread) < np.trace(bank.spreads[0])
+    slope = [mean[STIFFNESS], mean[OWN_COULOMB] + 4.0 * mean[OWN_VISCOUS]]
+    was = bank.means[0, [STIFFNESS, OWN_COULOMB, OWN_VISCOUS]] @ [0.0, 1.0, 4.0]
+    before = was / (was + bank.means[0, STIFFNESS])
+    assert abs(slope[1] / sum(slope) - 0.55) < abs(before - 0.55)
+
+
+def test_noise_is_learned_part_by_part_and_a_ramp_is_none():
+    rng = np.random.default_rng(8)
+    levels, ramp = DisturbanceLevels(), DisturbanceLevels()
+    t = 0.01 * np.arange(2000)
+    beat = 0.05 * np.sin(2.0 * np.pi * 1.2 * t)
+    for force, place in zip(
+        (beat + 0.01 * rng.standard_normal(2000)).tolist(), t.tolist(), strict=True
+    ):
+        levels = levels.with_force(force, 0.01, 2.0)
+        ramp = ramp.with_force(0.1 * place, 0.01, 2.0)
+    white, colour, heart, _ = np.sqrt(levels.levels)
+    assert white == pytest.approx(0.01, rel=0.15)
+    assert colour < 0.008
+    assert 0.02 < heart < 0.08
+    assert np.sqrt(ramp.levels).max() < 1e-6
+    assert levels.restarted().with_force(1.0, 0.01, 2.0).count == 1.0
+
+
+@pytest.mark.parametrize(
+    "change",
+    [
+        {"means": np.zeros((2, UNKNOWNS))},
+        {"spreads": np.full((1, UNKNOWNS, UNKNOWNS), np.nan)},
+        {"facts": np.zeros((1, hypothesis_filter.FACTS))},
+        {"records": np.zeros((1, hypothesis_bank.RECORDS - 1))},
+    ],
+)
+def test_a_damaged_bank_says_so(change):
+    assert first_bank().damage == ""
+    assert first_bank()._replace(**change).damage != ""
