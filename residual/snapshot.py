@@ -4,8 +4,8 @@ import hashlib
 import math
 from collections.abc import Iterator
 from dataclasses import fields, is_dataclass
-from types import NoneType
-from typing import Any, TypeVar, get_args, get_type_hints
+from types import UnionType
+from typing import Any, TypeVar, get_args, get_origin, get_type_hints
 
 import numpy as np
 import pinocchio as pin
@@ -45,14 +45,26 @@ def copied(tree: Tree) -> Tree:
     return tree
 
 
+ENDLESS = "alone.limit_s"
+"""End of the place of numbers that may be infinite."""
+
+
 def _arrays(node: Any, place: str = "") -> Iterator[tuple[str, NDArray[Any]]]:
-    """Every array of a tree, and where it stands: names of fields with dots between."""
+    """Every array of a tree, and where it stands: names of fields with dots between.
+
+    Refuses a part that is of another kind than its field, or a number that is not finite.
+    """
     if isinstance(node, np.ndarray):
         yield place, node
+    is_number = isinstance(node, np.ndarray | float) and not place.endswith(ENDLESS)
+    if is_number and not np.isfinite(node).all():
+        raise SnapshotError(f"{place} is not finite")
+    hints = get_type_hints(type(node)) if _names(node) else {}
     for name in _names(node):
         part, where = getattr(node, name), f"{place}.{name}" if place else name
-        if part is None and NoneType not in get_args(get_type_hints(type(node))[name]):
-            raise SnapshotError(f"{where} is missing")
+        kinds = get_args(hints[name]) if isinstance(hints[name], UnionType) else (hints[name],)
+        if not isinstance(part, tuple(get_origin(kind) or kind for kind in kinds)):
+            raise SnapshotError(f"{where} is a {type(part).__name__}, expected {hints[name]}")
         yield from _arrays(part, where)
 
 

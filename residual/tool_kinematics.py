@@ -24,9 +24,6 @@ class ToolKinematics:
 
     Attributes:
         jacobian: Of the latest `update`, in the frame's own axes, shape (6, n).
-        axial_jacobian: Its row along the insertion axis [m]: times dq it is the speed of the
-            needle, and minus it the joint torque per newton of resistance, shape (n,).
-        axis_in_base: Insertion direction in base axes, shape (3,).
         pose: Of the tip in the base, homogeneous, shape (4, 4).
 
     Raises:
@@ -54,8 +51,6 @@ class ToolKinematics:
             self._joint_id = at.parentJoint
             self._tip = at.placement * pin.SE3(np.eye(3), offset_m)
         self.jacobian = np.zeros((6, robot.nv))
-        self.axial_jacobian = np.zeros(robot.nv)
-        self.axis_in_base = self.axis_in_tool
         self.pose = np.eye(4)
 
     def update(self, q: NDArray[np.float64], computed: pin.Data | None = None) -> None:
@@ -63,7 +58,7 @@ class ToolKinematics:
 
         ``computed`` is a workspace in which joint placements and Jacobians of q stand already.
         """
-        model, data, frame, row = self._model, self._data, self._frame_id, self._row
+        model, data, frame = self._model, self._data, self._frame_id
         if computed is None:
             pin.computeJointJacobians(model, data, q)
         else:
@@ -77,12 +72,21 @@ class ToolKinematics:
         if jacobian.ndim == 1:  # of a single joint it comes as a vector
             jacobian = jacobian[:, None]
         self.jacobian, self.pose = jacobian, pose
-        if row is None:
-            self.axial_jacobian = self.axis_in_tool.dot(jacobian[:3])
-            self.axis_in_base = pose[:3, :3].dot(self.axis_in_tool)
-        else:
-            self.axial_jacobian = jacobian[row].copy()
-            self.axis_in_base = pose[:3, row]
+
+    @property
+    def axial_jacobian(self) -> NDArray[np.float64]:
+        """Row of the Jacobian along the insertion axis [m], shape (n,).
+
+        Times dq it is the speed of the needle, minus it the joint torque per newton of resistance.
+        """
+        if self._row is not None:
+            return self.jacobian[self._row]
+        return self.axis_in_tool.dot(self.jacobian[:3])
+
+    @property
+    def axis_in_base(self) -> NDArray[np.float64]:
+        """Insertion direction in base axes, shape (3,)."""
+        return self.rotation_tool_to_base.dot(self.axis_in_tool)
 
     @property
     def rotation_tool_to_base(self) -> NDArray[np.float64]:

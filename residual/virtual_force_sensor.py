@@ -340,9 +340,9 @@ class VirtualForceSensor:
             wrench.weigh(q)
         wrench.kinematics.update(q, data)
         # One more lag follows the force; it begins where the force is.
-        is_late, share = self._follows and stream.lag_s > 0.0, 1.0
-        if is_late:
-            share = -math.expm1(-elapsed_s / stream.lag_s)
+        share, lag_s = 1.0, stream.lag_s
+        if lag_s > 0.0 and self._follows:
+            share = -math.expm1(-elapsed_s / lag_s)
         found = wrench.solve(q, residual, bias.bias, self._followed_N, share)
         self._follows = True
         if renewed:

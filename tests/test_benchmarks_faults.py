@@ -63,7 +63,8 @@ def test_faults_that_must_be_reported_are(results):
             assert (word in name) == (warning in words) or "wrist" in name, name
     assert "JOINT_LIMIT" in reported["wrist pressed to its limit, 1 s"]
     assert "NEAR_SINGULAR" in reported["arm stretched along the needle, 1 s"]
-    assert "MODEL_MISMATCH" in reported["pushed aside with 1 N, 2 s"]
+    # The force across the needle is one of the three that are estimated.
+    assert not reported["pushed aside with 1 N, 2 s"]
 
 
 def test_a_weight_along_the_needle_is_the_only_fault_that_raises_a_rupture(results):
