@@ -291,7 +291,7 @@ def test_a_damaged_snapshot_leaves_a_running_sensor_as_it_was(lwr):
         state._replace(monitor=None),
         state._replace(rejected="x"),
         state._replace(last=state.last._replace(lateral=np.inf)),
-        state._replace(offset=replace(state.offset, smooth_torque=np.full(7, np.nan))),
+        state._replace(offset=replace(state.offset, joint_memory=np.full((8, 7), np.nan))),
     ):
         with pytest.raises(SnapshotError, match="damaged"):
             sensor.restore(damaged)
