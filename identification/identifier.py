@@ -10,7 +10,6 @@ from identification.estimate import Estimate, Events, LayerEstimate, Sample, Sam
 from identification.input_validation import (
     LAST_USED,
     STATUSES,
-    CheckMemory,
     CheckState,
     as_scalar,
     check_limits,
@@ -120,7 +119,7 @@ class Identifier:
     def reset(self) -> None:
         """Forget everything: a new insertion begins, its clock at 0."""
         self._method = self._new_method()
-        self._check, self._travel = CheckState()[:], TravelState().plain
+        self._check, self._travel = CheckState()[:], TravelState()[:]
         self._last = Estimate(0.0, SampleStatus.OK, *self._method.report())
         self._before: Snapshot | None = None
 
@@ -146,29 +145,30 @@ class Identifier:
             time_s: Time of the sample on the clock on which estimates and events are to be
                 reported [s]; None for the sum of ``dt_s`` since the reset.
         """
-        speed = self._travel[1] if speed_m_s is None else speed_m_s
+        is_told = speed_m_s is not None
+        speed = speed_m_s if is_told else self._travel[1]
         if not (type(depth_m) is type(speed) is type(force_N) is type(dt_s) is float) or (
             time_s is not None and not (type(time_s) is float and math.isfinite(time_s))
         ):
-            return self._update_raw((depth_m, speed, force_N, dt_s), speed_m_s is None, time_s)
+            return self._update_raw((depth_m, speed, force_N, dt_s), is_told, time_s)
         check, travel, last = self._check, self._travel, self._last
         number, elapsed_s, depth_m, self._check = check_sample(
-            depth_m, speed, force_N, dt_s, check, self._limits
+            depth_m, speed, force_N, dt_s, is_told, check, self._limits
         )
         if time_s is None:
             time_s = self._check[0]
         if number > LAST_USED:
             return self._reject(STATUSES[number], time_s)
-        told = math.nan if speed_m_s is None else speed
+        told = speed if is_told else math.nan
         motion, self._travel = filter_travel(depth_m, told, elapsed_s, travel)
         method = self._method
         if not method.takes_filtered_travel:
-            motion = (depth_m, motion[1] if speed_m_s is None else speed, 0.0, 0.0)
+            motion = (depth_m, speed if is_told else motion[1], 0.0, 0.0)
         found = method.update(_new(Sample, (time_s, elapsed_s, *motion, force_N)))
         estimate = self._last = _new(Estimate, (time_s, STATUSES[number], *found))
         if found[_EVENTS:] != _NO_EVENTS:
             self._before = Snapshot(
-                self._config, CheckState(*check), TravelState.of(travel), method.before, last
+                self._config, CheckState(*check), TravelState(*travel), method.before, last
             )
             shift_m = self._check[_SHIFT]
             events = (_in_callers_depth(event, shift_m) for event in found[_EVENTS:])
@@ -187,7 +187,7 @@ class Identifier:
 
     def snapshot(self) -> Snapshot:
         """Everything needed to resume exactly here."""
-        check, travel = CheckState(*self._check), TravelState.of(self._travel)
+        check, travel = CheckState(*self._check), TravelState(*self._travel)
         return Snapshot(self._config, check, travel, self._method.state, self._last)
 
     def restore(self, snapshot: Snapshot) -> None:
@@ -213,24 +213,19 @@ class Identifier:
     def _resume(self, snapshot: Snapshot) -> None:
         _, check, travel, state, last = snapshot
         self._method.restore(state)
-        self._check, self._travel = check[:], travel.plain
+        self._check, self._travel = check[:], travel[:]
         self._last, self._before = last, None
 
-    def _update_raw(self, values: tuple[Any, ...], is_untold: bool, time_s: object) -> Estimate:
-        """As `update`, for values of any type; `is_untold`: nobody measured the speed."""
-        *numbers, time = map(as_scalar, (*values, 0.0 if time_s is None else time_s))
+    def _update_raw(self, values: tuple[Any, ...], is_told: bool, time_s: object) -> Estimate:
+        """As `update`, for values of any type; the speed is one that is told or estimated."""
+        numbers: list[Any] = [as_scalar(value) for value in values]
+        time = as_scalar(0.0 if time_s is None else time_s)
         if time is not None and math.isfinite(time) and None not in numbers:
-            depth_m, speed_m_s, force_N, dt_s = numbers
-            return self.update(  # type: ignore[reportArgumentType]
-                depth_m,
-                None if is_untold else speed_m_s,
-                force_N,
-                dt_s,
-                None if time_s is None else time,
-            )
+            numbers[1] = numbers[1] if is_told else None
+            return self.update(*numbers, time_s=None if time_s is None else time)
         # Handled as one that is not finite: its time passes, if it has one.
         dt_s = math.nan if numbers[-1] is None else numbers[-1]
-        *_, self._check = check_sample(math.nan, 0.0, 0.0, dt_s, self._check, self._limits)
+        *_, self._check = check_sample(math.nan, 0.0, 0.0, dt_s, is_told, self._check, self._limits)
         is_odd = time is None or None in numbers
         status = SampleStatus.NOT_A_SCALAR if is_odd else SampleStatus.NOT_FINITE
         if time is None or not math.isfinite(time):

@@ -2,6 +2,7 @@
 
 from collections import Counter
 from dataclasses import dataclass
+from itertools import repeat
 from typing import NamedTuple
 
 import numpy as np
@@ -11,94 +12,6 @@ from identification.config import MULTILAYER, MultilayerConfig, PublishedConfig
 from identification.estimate import Array, Estimate, LayerEstimate, SampleStatus
 from identification.identifier import Identifier
 from identification.offline import read_column
-
-_WINDOW_S = 0.05
-_MOST_ROWS = 5000
-_GAP_S = 0.25
-"""What happened in a longer step says little about the rows beside it."""
-_LITTLE_S = 1e-9
-
-
-class DerivedSpeed:
-    """Change of depth over time, centred over 50 ms; rows wait for the half window after them.
-
-    Only rows whose stamps advance count: where several rows have one stamp, the first of them.
-    The others get the speed of the row that advanced before them. However many rows come at a
-    time, the numbers are the same, bit for bit.
-
-    Args:
-        step_s: Usual step of the stamps that advance [s], > 0; at most 100 kHz are smoothed so
-            long.
-    """
-
-    def __init__(self, step_s: float) -> None:
-        self._width = min(max(round(_WINDOW_S / step_s), 1), _MOST_ROWS)
-        self._depth_m = np.empty(0)
-        self._is_padded = False
-        # Steps of time and changes of depth up to rows that advance.
-        self._steps = np.empty((2, 0))
-        # Of every row that waits, which one advanced last, counted from the first unknown speed.
-        self._owners = np.empty(0, dtype=np.int64)
-        self._advanced = 0
-        self._speed_m_s = 0.0
-
-    def update(self, dt_s: Array, depth_m: Array) -> Array:
-        """Take further rows, at least one: time since the latest row that advanced, and depth.
-
-        That time is not positive for rows that do not advance; of the very first row it is not
-        read. Returns speeds of the rows that need wait no longer, beginning with the first that
-        has not been returned.
-        """
-        advances = dt_s > 0.0
-        is_first = not self._depth_m.size
-        advances[0] |= is_first
-        self._owners = np.concatenate((self._owners, self._advanced - 1 + np.cumsum(advances)))
-        self._advanced += int(np.count_nonzero(advances))
-        depths = np.concatenate((self._depth_m, depth_m[advances]))
-        steps = np.stack((dt_s[advances][1:] if is_first else dt_s[advances], np.diff(depths)))
-        self._depth_m = depths[-1:]
-        if steps.size and not self._is_padded:
-            # The first row has no step before it: it takes the second's, as do those before it.
-            self._is_padded = True
-            steps = np.hstack((np.repeat(steps[:, :1], self._width // 2 + 1, axis=1), steps))
-        self._steps = np.hstack((self._steps, steps))
-        return self._known(self._means())
-
-    def finish(self) -> Array:
-        """Return the speeds of the rows that still waited [m/s], shape (m,)."""
-        if not self._is_padded:
-            return np.zeros(len(self._owners))
-        after = self._width - 1 - self._width // 2
-        last = np.repeat(self._steps[:, -1:], after, axis=1)
-        self._steps = np.hstack((self._steps, last))
-        return self._known(self._means())
-
-    def _known(self, means: Array) -> Array:
-        """Speeds of the rows whose last advancing row is among those of the means, or before."""
-        speeds = np.concatenate(([self._speed_m_s], means))
-        is_known = self._owners < len(means)
-        known = speeds[self._owners[is_known] + 1]
-        self._owners = self._owners[~is_known] - len(means)
-        self._advanced -= len(means)
-        self._speed_m_s = float(speeds[-1])
-        return known
-
-    def _means(self) -> Array:
-        """Known changes of depth over their time, in every whole window."""
-        rows = self._steps.shape[1] - self._width + 1
-        if rows <= 0:
-            return np.empty(0)
-        dt_s, change_m = self._steps
-        weights = np.where(np.isfinite(change_m), np.where(dt_s > _GAP_S, _LITTLE_S, dt_s), 0.0)
-        changes = np.where(weights > 0.0, change_m * (weights / dt_s), 0.0)
-        total, time_s = np.zeros(rows), np.zeros(rows)
-        # In this order for every row, so that rounding does not depend on how rows came.
-        for k in range(self._width):
-            total += changes[k : k + rows]
-            time_s += weights[k : k + rows]
-        self._steps = self._steps[:, rows:]
-        return np.divide(total, time_s, out=np.full(rows, np.nan), where=time_s > 0.0)
-
 
 _LEAST_TRAVEL_M = 1e-3
 _LARGEST_DEPTH_M = 1.0
@@ -193,10 +106,8 @@ class ReplayStream:
     def __init__(self, config: MultilayerConfig | PublishedConfig = MULTILAYER) -> None:
         self._identifier = Identifier(config)
         self._signs = SignCheck()
-        self._speed: DerivedSpeed | None = None
-        self._first_step_s = 0.0
+        self._has_begun = False
         self._latest_s: float | None = None
-        self._waiting = np.empty((4, 0))
         self._rejected: Counter[SampleStatus] = Counter()
 
     @property
@@ -224,26 +135,22 @@ class ReplayStream:
     ) -> ReplayedRows:
         """Take further rows, as `replay` takes them all.
 
-        The first call must bring `HEAD_ROWS` rows, or all that there are. Without speed, always or
-        never, rows wait 25 ms for it; what comes back begins with the first row that has not been
-        returned. The very first ``dt_s`` is not read.
+        The first call must bring `HEAD_ROWS` rows, or all that there are. The very first ``dt_s``
+        is not read.
         """
         dt_s = self._since_latest(t_s) if dt_s is None else np.array(dt_s)
-        if not self._first_step_s:
+        if not self._has_begun:
             steps_s = dt_s[1:HEAD_ROWS]
             forward = steps_s[steps_s > 0.0]
-            dt_s[0] = self._first_step_s = float(np.median(forward)) if forward.size else 1e-3
-            self._speed = DerivedSpeed(self._first_step_s) if speed_m_s is None else None
+            dt_s[0] = float(np.median(forward)) if forward.size else 1e-3
+            self._has_begun = True
         self._signs.update(depth_m, speed_m_s, force_N)
-        self._waiting = np.hstack((self._waiting, np.stack((t_s, depth_m, force_N, dt_s))))
-        if self._speed is None:
-            assert speed_m_s is not None
-            return self._replayed(speed_m_s)
-        return self._replayed(self._speed.update(dt_s, depth_m))
-
-    def finish(self) -> ReplayedRows:
-        """Return the rows that still waited for what would come after them."""
-        return self._replayed(np.empty(0) if self._speed is None else self._speed.finish())
+        speeds = repeat(None) if speed_m_s is None else speed_m_s.tolist()
+        columns = (column.tolist() for column in (depth_m, force_N, dt_s, t_s))
+        depths, forces, steps, times = columns
+        estimates = list(map(self._identifier.update, depths, speeds, forces, steps, times))
+        self._rejected.update(estimate.status for estimate in estimates)
+        return ReplayedRows(t_s, force_N, estimates)
 
     def _since_latest(self, t_s: Array) -> Array:
         """Time since the latest stamp before each row, not positive where time does not advance."""
@@ -252,15 +159,6 @@ class ReplayStream:
         latest_s = np.fmax.accumulate(np.concatenate(([latest_s], t_s)))
         self._latest_s = float(latest_s[-1])
         return t_s - latest_s[:-1]
-
-    def _replayed(self, speed_m_s: Array) -> ReplayedRows:
-        rows = len(speed_m_s)
-        t_s, depth_m, force_N, dt_s = self._waiting[:, :rows]
-        self._waiting = self._waiting[:, rows:]
-        columns = (depth_m, speed_m_s, force_N, dt_s, t_s)
-        estimates = list(map(self._identifier.update, *(column.tolist() for column in columns)))
-        self._rejected.update(estimate.status for estimate in estimates)
-        return ReplayedRows(t_s, force_N, estimates)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -299,7 +197,7 @@ def replay(
         t_s: Time stamps [s], shape (n,).
         depth_m: Tip depth, growing into the tissue [m], shape (n,).
         force_N: Axial force, positive when tissue pushes back [N], shape (n,).
-        speed_m_s: Rate of depth [m/s]; differentiated from depth if None.
+        speed_m_s: Rate of depth [m/s]; estimated from depth, see `Identifier.update`, if None.
         config: `MULTILAYER`, `PUBLISHED` or a variant.
         dt_s: Time since the latest row that advanced [s], shape (n,), not positive for a row that
             does not; None to count from the latest stamp.
@@ -312,6 +210,6 @@ def replay(
     v = None if speed_m_s is None else read_column("speed_m_s", speed_m_s, len(t))
     steps = None if dt_s is None else read_column("dt_s", dt_s, len(t))
     stream = ReplayStream(config)
-    estimates = stream.run(t, z, f, v, steps).estimates + stream.finish().estimates
+    estimates = stream.run(t, z, f, v, steps).estimates
     t.setflags(write=False)
     return Replay(t_s=t, estimates=tuple(estimates), layers=stream.layers, hints=stream.hints)

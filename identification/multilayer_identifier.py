@@ -50,7 +50,6 @@ from identification.resampling import (
     add_layer_row,
     least_block_s,
     mean_block,
-    update_lag,
     update_track,
 )
 from identification.rupture_measurement import (
@@ -136,7 +135,8 @@ class MultilayerMethod:
         return (new.rupture_state, *outputs, *new.events)
 
     def _keep(self, state: MultilayerState) -> None:
-        self._state, self._memory, known = state, tuple(state.memory), self._sources
+        self._memory: Any = tuple(state.memory)
+        self._state, known = state, self._sources
         self._sources = state.sources
         if known is None or any(a is not b for a, b in zip(known, self._sources, strict=True)):
             coefficients = multilayer_coefficients(state, self._config)
@@ -154,14 +154,10 @@ def multilayer_step(
     if memory.filled_s < least_block_s(config.block_s):
         state = state._replace(memory=memory)
         return state if state.candidate is None else work_on_rupture(state, config)
-    block, lag = mean_block(memory, sample.time_s), state.lag
+    block = mean_block(memory, sample.time_s)
     is_gap = block.dt_s > max(10.0 * config.block_s, config.check.gap_s)
-    if is_gap:
-        lag = lag._replace(last=None)
-    else:
-        lag, block = update_lag(lag, block)
     emptied = memory._replace(filled_s=0.0, depth_sum=0.0, speed_sum=0.0, force_sum=0.0)
-    state = state._replace(memory=emptied, lag=lag)
+    state = state._replace(memory=emptied)
     if state.candidate is not None:
         state = finish_measurement(state, config)
     if is_gap:

@@ -34,7 +34,7 @@ from identification.layer_model import (
     smoothed_layer,
 )
 from identification.membrane import MembraneSearch, SearchWork
-from identification.resampling import NO_ROWS, SpeedLag, Track, least_block_s
+from identification.resampling import NO_ROWS, Track, least_block_s
 from identification.rupture_classifier import (
     AfterRows,
     ForceAfter,
@@ -112,7 +112,6 @@ class MultilayerState(NamedTuple):
     fit: Gaussian  # Its latest fit
     shaft_std_N: float = 0.0  # Standard deviation of the shaft friction at that fit
     memory: MultilayerMemory = MultilayerMemory()  # What every sample changes
-    lag: SpeedLag = SpeedLag()  # Lag of the measured speed behind the depth
     baseline: Baseline = Baseline()  # Force in free air
     track: Track = Track()  # Recent past
     in_contact: bool = False  # The first layer has been met

@@ -238,35 +238,40 @@ def identify_offline(
         InvalidLogError: Empty, ragged, non-finite or unordered columns.
         InvalidConfigError: No layer, or an unknown model.
     """
-    t = read_column("t_s", t_s, finite=True)
-    z = read_column("depth_m", depth_m, len(t), finite=True)
-    v = read_column("speed_m_s", speed_m_s, len(t), finite=True)
-    f = read_column("force_N", force_N, len(t), finite=True)
-    if np.any(np.diff(t) <= 0):
-        raise InvalidLogError("t_s must increase; sort the recording or drop repeated samples")
+    t, z, v, f = _read_log(t_s=t_s, depth_m=depth_m, speed_m_s=speed_m_s, force_N=force_N)
     matrix = regression_matrix(t, z, v, layers, model)
     fit = solve_least_squares(matrix, f)
     predicted = matrix @ fit.parameters
     predicted.setflags(write=False)
-    # In pairs of stiffness and friction.
-    columns = (fit.parameters, fit.standard_deviations, fit.identified)
-    pairs = zip(*(column.reshape(-1, 2).tolist() for column in columns), layers, strict=True)
     return OfflineIdentification(
         model=model,
-        layers=tuple(
-            OfflineLayer(
-                stiffness_N_per_m=k,
-                stiffness_std_N_per_m=k_std,
-                stiffness_identified=k_identified,
-                friction=b,
-                friction_std=b_std,
-                friction_identified=b_identified,
-                cumulative_friction_Ns_per_m=b * (span.thickness_m if model == "ml" else 1.0),
-            )
-            for (k, b), (k_std, b_std), (k_identified, b_identified), span in pairs
-        ),
+        layers=tuple(_layer(fit, k, span, model) for k, span in enumerate(layers)),
         rank=fit.rank,
         condition_number=fit.condition_number,
         rmse_N=fit.rmse,
         predicted_force_N=predicted,
+    )
+
+
+def _read_log(**columns: ArrayLike) -> list[Array]:
+    """The columns, of which the first is the time."""
+    t_s, *others = columns
+    t = read_column(t_s, columns[t_s], finite=True)
+    if np.any(np.diff(t) <= 0):
+        raise InvalidLogError("t_s must increase; sort the recording or drop repeated samples")
+    return [t, *(read_column(name, columns[name], len(t), finite=True) for name in others)]
+
+
+def _layer(fit: LeastSquaresFit, k: int, span: LayerSpan, model: Model) -> OfflineLayer:
+    """Layer k of a fit: parameters are in pairs of stiffness and friction."""
+    columns = (fit.parameters, fit.standard_deviations, fit.identified)
+    values, deviations, identified = (column[2 * k : 2 * k + 2].tolist() for column in columns)
+    return OfflineLayer(
+        stiffness_N_per_m=values[0],
+        stiffness_std_N_per_m=deviations[0],
+        stiffness_identified=identified[0],
+        friction=values[1],
+        friction_std=deviations[1],
+        friction_identified=identified[1],
+        cumulative_friction_Ns_per_m=values[1] * (span.thickness_m if model == "ml" else 1.0),
     )

@@ -18,7 +18,6 @@ from identification.published_update import (
     NO_SUMS,
     NO_WINDOWS,
     Array,
-    Memory,
     PublishedCoefficients,
     PublishedMemory,
     RlsState,
@@ -108,15 +107,12 @@ class PublishedMethod:
         return (state.rupture_state, *outputs, rupture, layer, None)
 
     def _keep(self, state: PublishedState) -> None:
-        self._state, self._memory = state, _plain(state.memory)
+        self._memory: Any = (tuple(state.memory.rls), *state.memory[1:])
+        self._state = state
         coefficients = published_coefficients(state, self._config)
         if coefficients != self._coefficients:
             self._coefficients = coefficients
             self._arguments = jit_arguments(PublishedCoefficients, coefficients)
-
-
-def _plain(memory: PublishedMemory) -> Memory:
-    return (tuple(memory.rls), *memory[1:])
 
 
 def _fresh_memory(config: PublishedConfig) -> PublishedMemory:

@@ -22,7 +22,7 @@ Rls = tuple[float, float, float, float, float]
 Sums = tuple[float, float, float, float, float, float, float]
 """Over the samples between two covariance resets: phi_K^2, phi_K phi_B, phi_B^2, phi_K f, phi_B f;
 and phi_K v, phi_B v, which with `kv` allow a later change of the cumulative friction."""
-NO_SUMS: Sums = (0.0,) * 7
+NO_SUMS: Sums = (0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0)
 _KF, _BF, _KV, _BV = 3, 4, 5, 6
 Memory = tuple[Rls, Sums, float, float, float, float, float, float, float, float, float, bool, bool]
 """The fields of `PublishedMemory`."""

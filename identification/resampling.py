@@ -1,11 +1,6 @@
 """Samples at a fixed resolution: blocks of time, points of the last millimetres, rows of a layer.
 
-A block is a mean over a few milliseconds, the clock of detection whatever the sample rate. Its
-speed is corrected for the lag of the measurement: a speed that went through a low-pass of time
-constant T obeys v = s + T ds/dt exactly, with s the low-pass's output; so the depth less the
-integral of s is T s and a constant. Whenever the needle changes its speed, T shows. Without the
-correction the friction lost while the needle slows down looks like a rupture: the force falls at
-once, the measured speed later.
+A block is a mean over a few milliseconds, the clock of detection whatever the sample rate.
 """
 
 from typing import NamedTuple
@@ -16,14 +11,6 @@ from identification.estimate import Array
 from identification.friction_compensation import MultilayerMemory
 
 _ROUNDING = 1e-6
-_WINDOW_S = 0.1
-_MEMORY = 0.998
-"""Kept per window: a minute."""
-_LEAST_WINDOWS = 5.0
-_SIGNIFICANT = 4.0
-_LEAST_LAG_S = 5e-3
-_MOST_LAG_S = 0.25
-"""A speed later than that is no speed of this needle."""
 
 
 class Block(NamedTuple):
@@ -50,75 +37,6 @@ def mean_block(memory: MultilayerMemory, time_s: float) -> Block:
     length = memory.filled_s
     means = (memory.depth_sum / length, memory.speed_sum / length, memory.force_sum / length)
     return Block(time_s, length, *means, memory.bristle)
-
-
-class LagEvidence(NamedTuple):
-    """Sums over windows of a tenth of a second, from which the lag follows."""
-
-    # Of the newest window: depth less the integral of the speed; None without one
-    mean_gap_m: float | None = None
-    mean_speed_m_s: float = 0.0  # Of that window
-    cross: float = 0.0  # Sum of changes of gap times changes of speed
-    square: float = 0.0  # Sum of squared changes of speed
-    residual: float = 0.0  # Sum of squared changes of gap
-    windows: float = 0.0  # How many windows are in these sums
-
-
-class SpeedLag(NamedTuple):
-    """What is known of the lag of the speed behind the depth."""
-
-    lag_s: float = 0.0  # Time constant of the low-pass; 0 while none is significant
-    last: Block | None = None  # Newest block, lag and all; None at the start and after a gap
-    gap_m: float = 0.0  # Depth less the integral of the speed
-    gap_sum: float = 0.0  # Integral of the gap over the window being filled
-    speed_sum: float = 0.0  # Integral of the speed over it
-    time_s: float = 0.0  # Length of that window so far
-    evidence: LagEvidence = LagEvidence()  # Of the windows before
-
-
-def update_lag(state: SpeedLag, block: Block) -> tuple[SpeedLag, Block]:
-    """Use one block and return it with the speed the needle had, not the one measured."""
-    lag, last, gap, gap_sum, speed_sum, time, evidence = state
-    if last is None:
-        return SpeedLag(lag, block, gap, evidence=evidence._replace(mean_gap_m=None)), block
-    step, speed = block.dt_s, block.speed_m_s
-    dt = 0.5 * (step + last.dt_s)
-    gap += block.depth_m - last.depth_m - 0.5 * (speed + last.speed_m_s) * dt
-    time += step
-    gap_sum += gap * step
-    speed_sum += speed * step
-    if time >= _WINDOW_S:
-        evidence = _add_window(evidence, gap_sum / time, speed_sum / time)
-        lag = _significant_lag(evidence)
-        gap_sum = speed_sum = time = 0.0
-    state = SpeedLag(lag, block, gap, gap_sum, speed_sum, time, evidence)
-    if lag == 0.0:
-        return state, block
-    return state, block._replace(speed_m_s=speed + lag * (speed - last.speed_m_s) / dt)
-
-
-def _add_window(known: LagEvidence, gap_m: float, speed_m_s: float) -> LagEvidence:
-    if known.mean_gap_m is None:
-        return known._replace(mean_gap_m=gap_m, mean_speed_m_s=speed_m_s)
-    gap, speed = gap_m - known.mean_gap_m, speed_m_s - known.mean_speed_m_s
-    return LagEvidence(
-        gap_m,
-        speed_m_s,
-        _MEMORY * known.cross + gap * speed,
-        _MEMORY * known.square + speed * speed,
-        _MEMORY * known.residual + gap * gap,
-        _MEMORY * known.windows + 1.0,
-    )
-
-
-def _significant_lag(known: LagEvidence) -> float:
-    """Least-squares slope of gap over speed, if chance does not explain it."""
-    if known.windows < _LEAST_WINDOWS or known.square <= 0.0:
-        return 0.0
-    lag = known.cross / known.square
-    rest = max(known.residual - lag * known.cross, 0.0) / (known.windows - 1.0)
-    is_significant = lag > _LEAST_LAG_S and lag * lag * known.square > _SIGNIFICANT**2 * rest
-    return min(lag, _MOST_LAG_S) if is_significant else 0.0
 
 
 LENGTH = 512

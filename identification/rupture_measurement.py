@@ -258,6 +258,11 @@ def _after_var(end: RuptureMeasurement, bias_var: float) -> float:
     return end.friction_var + bias_var + (_DROP_ERROR * end.drop_N) ** 2
 
 
+def _revised(rupture: Rupture, end: RuptureMeasurement, *, is_final: bool) -> Rupture:
+    """The rupture as known after a measurement."""
+    return replace(rupture, is_final=is_final, tear_probability=1.0 - end.end_probability)
+
+
 def _accept(
     state: MultilayerState,
     candidate: RuptureCandidate,
@@ -268,10 +273,8 @@ def _accept(
     end, fit, known = work.end, work.fit, work.known
     if end is None or fit is None or known is None:
         return state
-    layer, rupture = candidate.layer, candidate.rupture
+    layer, rupture = candidate.layer, _revised(candidate.rupture, end, is_final=work.is_final)
     thickness, speed = _thickness_m(layer, end, config), rupture.speed_m_s
-    tear = 1.0 - end.end_probability
-    rupture = replace(rupture, is_final=work.is_final, tear_probability=tear)
     estimate = LayerEstimate(
         layer=rupture.layer,
         is_final=work.is_final,

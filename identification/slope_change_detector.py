@@ -28,7 +28,7 @@ _CLIPPED_MEAN = 0.920
 _EVENT = 25.0
 _FALL = 3.0
 """Standard deviations by which the force must itself fall, not only leave its line."""
-_SLACK = 2.0
+_SLACK = 3.0
 """The loss of speed may be larger than it looks by so many standard deviations of its noise."""
 _SLOWED = 0.5
 """Least fraction of its usual speed at which the needle's friction is evaluated."""
@@ -260,8 +260,8 @@ def update_detector(
 ) -> tuple[DetectorState, Detection]:
     """Compare one block with the line through the blocks before, at every scale.
 
-    A fall that the loss of speed could explain, were all the force viscous, does not count; nor does a mere flattening: the force since then must fall, at
-    half the rate it rose or faster.
+    A fall that the loss of speed could explain, were all the force viscous, does not count; nor
+    does a mere flattening: the force since then must fall, at half the rate it rose or faster.
     """
     bank = filter_bank()
     filled = min(state.filled + 1, bank.length)

@@ -26,18 +26,28 @@ _BLOCK_S = 0.016
 _ENOUGH_BLOCKS = 12.0
 _HASTE_S = 0.05
 _SIGNIFICANT = 4.0
-_UNKNOWN_SPEED_VARIANCE = 1e-2
-"""At the first sample: a tenth of a metre per second."""
+_MOST_SURPRISE = 5.0
+"""Standard deviations that one innovation counts: a single odd depth is not a needle that turns."""
+_GAP_S = 0.25
+"""After a longer step the filter starts anew."""
+_UNKNOWN_DEPTH_VARIANCE, _UNKNOWN_SPEED_VARIANCE = 1e-8, 1e-2
+"""At its first sample: 0.1 mm, and a tenth of a metre per second."""
 
 
-class Noise(NamedTuple):
-    """Variance of single samples, learned from distances to the line between two neighbours."""
-
-    variance: float = 0.0  # Learned so far
-    seen: float = 0.0  # How many values it rests on
-    before: float = 0.0  # Last value
-    before_that: float = 0.0  # The one before
-    dt_s: float = 0.0  # Time between the two; 0 while there are none
+Noise = tuple[float, float, float, float, float]
+"""Variance of single samples, learned from distances to the line between two neighbours; on how
+many values it rests; the last value, the one before, and the time between them, 0 while there are
+none."""
+NO_NOISE: Noise = (0.0, 0.0, 0.0, 0.0, 0.0)
+Memory = tuple[
+    float, float, float, float, float, float, float, float, float, float,
+    Noise, Noise, Noise, float, float, float,
+]  # fmt: skip
+"""The fields of `TravelState`."""
+Belief = tuple[float, float, float, float, float, float, float, float]
+"""Its first eight."""
+Motion = tuple[float, float, float, float]
+"""Depth [m], speed [m/s] and the standard deviation that noise of the samples leaves in each."""
 
 
 class TravelState(NamedTuple):
@@ -53,39 +63,17 @@ class TravelState(NamedTuple):
     noise_both: float = 0.0
     noise_speed: float = 0.0
     surprise: float = 0.0  # Mean of the latest standardised innovations of the depth
-    of_depth: Noise = Noise()
-    of_speed: Noise = Noise()
-    of_blocks: Noise = Noise()  # Of means of the speed
+    speed_surprise: float = 0.0  # The same of a speed that is told
+    of_depth: Noise = NO_NOISE
+    of_speed: Noise = NO_NOISE
+    of_blocks: Noise = NO_NOISE  # Of means of the speed
     filled_s: float = 0.0  # Length of the block being filled
     samples: float = 0.0  # Number of samples in it
     speed_sum: float = 0.0  # Sum of their speeds
 
-    @property
-    def plain(self) -> "Memory":
-        """As `filter_travel` takes it."""
-        nested = (tuple(part) if isinstance(part, Noise) else part for part in self)
-        return tuple(nested)  # type: ignore[return-value]
-
-    @staticmethod
-    def of(plain: "Memory") -> "TravelState":
-        """From what `filter_travel` gave."""
-        parts = (Noise(*part) if isinstance(part, tuple) else part for part in plain)
-        return TravelState(*parts)
-
-
-PlainNoise = tuple[float, float, float, float, float]
-"""The fields of `Noise`."""
-Memory = tuple[
-    float, float, float, float, float, float, float, float, float,
-    PlainNoise, PlainNoise, PlainNoise, float, float, float,
-]  # fmt: skip
-"""The fields of `TravelState`, plain."""
-Motion = tuple[float, float, float, float]
-"""Depth [m], speed [m/s] and the standard deviation that noise of the samples leaves in each."""
-
 
 @compiled
-def learn_noise(known: PlainNoise, value: float, dt_s: float, least: float) -> PlainNoise:
+def learn_noise(known: Noise, value: float, dt_s: float, least: float) -> Noise:
     """Use one value, `dt_s` after the last one.
 
     With weights a, 1 - a of its neighbours the middle of three values is off their line by a
@@ -115,6 +103,50 @@ def _haste(surprise: float, gain: float) -> float:
 
 
 @compiled
+def _predict(belief: Belief, dt_s: float, wander: float) -> Belief:
+    """The same `dt_s` later, for a speed that wanders."""
+    z, v, pzz, pzv, pvv, nzz, nzv, nvv = belief
+    return (
+        z + v * dt_s,
+        v,
+        pzz + dt_s * (2.0 * pzv + dt_s * pvv) + wander * dt_s**3 / 3.0,
+        pzv + dt_s * pvv + wander * dt_s * dt_s / 2.0,
+        pvv + wander * dt_s,
+        nzz + dt_s * (2.0 * nzv + dt_s * nvv),
+        nzv + dt_s * nvv,
+        nvv,
+    )
+
+
+@compiled
+def _measure(belief: Belief, value: float, noise: float) -> tuple[Belief, float]:
+    """Use a measurement of the first of the two; returns the standardised innovation too."""
+    z, v, pzz, pzv, pvv, nzz, nzv, nvv = belief
+    total = pzz + noise
+    error, gz, gv = value - z, pzz / total, pzv / total
+    left = 1.0 - gz
+    belief = (
+        z + gz * error,
+        v + gv * error,
+        left * pzz,
+        left * pzv,
+        pvv - gv * pzv,
+        left * left * nzz + gz * gz * noise,
+        left * (nzv - gv * nzz) + gz * gv * noise,
+        nvv + gv * (gv * (nzz + noise) - 2.0 * nzv),
+    )
+    off = error / math.sqrt(total)
+    return belief, min(max(off, -_MOST_SURPRISE), _MOST_SURPRISE)
+
+
+@compiled
+def _swapped(belief: Belief) -> Belief:
+    """Speed first, or depth first again."""
+    z, v, pzz, pzv, pvv, nzz, nzv, nvv = belief
+    return v, z, pvv, pzv, pzz, nvv, nzv, nzz
+
+
+@compiled
 def filter_travel(
     depth_m: float, speed_m_s: float, dt_s: float, memory: Memory
 ) -> tuple[Motion, Memory]:
@@ -122,53 +154,35 @@ def filter_travel(
 
     Time steps may differ from sample to sample; the filter is exact for each.
     """
-    z, v, pzz, pzv, pvv, nzz, nzv, nvv, surprise = memory[:9]
-    of_depth, of_speed, of_blocks, filled, samples, speed_sum = memory[9:]
-    is_told = not math.isnan(speed_m_s)
+    belief, (surprise, speed_surprise) = memory[:8], memory[8:10]
+    of_depth, of_speed, of_blocks, filled, samples, speed_sum = memory[10:]
+    is_told, gain = not math.isnan(speed_m_s), -math.expm1(-dt_s / _HASTE_S)
     of_depth = learn_noise(of_depth, depth_m, dt_s, _LEAST_DEPTH_VARIANCE)
     noise = max(of_depth[0], _LEAST_DEPTH_VARIANCE)
+    if belief[2] == 0.0 or dt_s > _GAP_S:
+        speed = speed_m_s if is_told else 0.0
+        variances = (_UNKNOWN_DEPTH_VARIANCE, 0.0, _UNKNOWN_SPEED_VARIANCE)
+        belief = (depth_m, speed) + variances + (noise, 0.0, 0.0)  # noqa: RUF005
+        surprise = speed_surprise = 0.0
+    else:
+        haste = _haste(max(abs(surprise), abs(speed_surprise)), gain)
+        belief = _predict(belief, dt_s, haste * _WANDER_M2_PER_S3)
+        belief, off = _measure(belief, depth_m, noise)
+        surprise += gain * (off - surprise)
     if is_told:
         of_speed = learn_noise(of_speed, speed_m_s, dt_s, _LEAST_SPEED_VARIANCE)
         filled, samples, speed_sum = filled + dt_s, samples + 1.0, speed_sum + speed_m_s
-    if pzz == 0.0:
-        z, v = depth_m, speed_m_s if is_told else 0.0
-        pzz, pvv = 1e-8, _UNKNOWN_SPEED_VARIANCE
-    else:
-        gain = -math.expm1(-dt_s / _HASTE_S)
-        wander = _WANDER_M2_PER_S3 * _haste(surprise, gain)
-        z += v * dt_s
-        pzz += dt_s * (2.0 * pzv + dt_s * pvv) + wander * dt_s**3 / 3.0
-        pzv += dt_s * pvv + wander * dt_s * dt_s / 2.0
-        pvv += wander * dt_s
-        nzz += dt_s * (2.0 * nzv + dt_s * nvv)
-        nzv += dt_s * nvv
-        total = pzz + noise
-        error = depth_m - z
-        surprise += gain * (error / math.sqrt(total) - surprise)
-        gz, gv = pzz / total, pzv / total
-        z, v = z + gz * error, v + gv * error
-        pzz, pzv, pvv = (1.0 - gz) * pzz, (1.0 - gz) * pzv, pvv - gv * pzv
-        nvv += gv * (gv * (nzz + noise) - 2.0 * nzv)
-        nzv = (1.0 - gz) * (nzv - gv * nzz) + gz * gv * noise
-        nzz = (1.0 - gz) * (1.0 - gz) * nzz + gz * gz * noise
     if is_told and of_speed[1] > 0.0:
         # Of a smooth noise samples of one block are as good as one.
-        noise = of_speed[0]
-        if of_blocks[1] >= _ENOUGH_BLOCKS:
-            noise = max(noise, of_blocks[0] * _BLOCK_S / dt_s)
-        total = pvv + noise
-        error = speed_m_s - v
-        gz, gv = pzv / total, pvv / total
-        z, v = z + gz * error, v + gv * error
-        pzz, pzv, pvv = pzz - gz * pzv, (1.0 - gv) * pzv, (1.0 - gv) * pvv
-        nzz += gz * (gz * (nvv + noise) - 2.0 * nzv)
-        nzv = (1.0 - gv) * (nzv - gz * nvv) + gz * gv * noise
-        nvv = (1.0 - gv) * (1.0 - gv) * nvv + gv * gv * noise
+        is_known = of_blocks[1] >= _ENOUGH_BLOCKS
+        noise = max(of_speed[0], of_blocks[0] * _BLOCK_S / dt_s if is_known else 0.0)
+        belief, off = _measure(_swapped(belief), speed_m_s, noise)
+        belief = _swapped(belief)
+        speed_surprise += gain * (off - speed_surprise)
     if filled >= _BLOCK_S:
         mean = speed_sum / samples
         of_blocks = learn_noise(of_blocks, mean, filled, _LEAST_SPEED_VARIANCE)
         filled = samples = speed_sum = 0.0
-    state = (z, v, pzz, pzv, pvv, nzz, nzv, nvv, surprise)
-    motion = (z, v, math.sqrt(max(nzz, 0.0)), math.sqrt(max(nvv, 0.0)))
+    motion = (belief[0], belief[1], math.sqrt(max(belief[5], 0.0)), math.sqrt(max(belief[7], 0.0)))
     more = (of_depth, of_speed, of_blocks, filled, samples, speed_sum)
-    return motion, state + more
+    return motion, belief + (surprise, speed_surprise) + more  # noqa: RUF005

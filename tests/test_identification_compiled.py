@@ -21,13 +21,15 @@ from identification.multilayer_state import (
     initial_multilayer_state,
     multilayer_coefficients,
 )
-from identification.published_identifier import initial_published_state, published_coefficients
+from identification.published_identifier import PublishedMethod, published_coefficients
 from identification.slope_change_detector import filter_bank, update_slope_change
+from identification.travel_filter import TravelState, filter_travel
 from needleforce.jit import COMPILER, jit_arguments
 
 LIMITS = check_limits(CheckConfig())
 KERNELS = [
     check_sample,
+    filter_travel,
     ours.update_multilayer,
     ours.multilayer_outputs,
     published.update_published,
@@ -103,8 +105,20 @@ def test_the_check_is_the_same_compiled_and_plain(rows, is_spoilt):
     memory = CheckState()[:]
     for k, values in enumerate(rows):
         given_row = (*values[:2], math.nan, values[3]) if is_spoilt and k % 3 == 1 else values
-        result = check_sample(*given_row, memory, LIMITS)
-        assert_same(result, plain(check_sample)(*given_row, memory, LIMITS))
+        result = check_sample(*given_row, k % 5 > 0, memory, LIMITS)
+        assert_same(result, plain(check_sample)(*given_row, k % 5 > 0, memory, LIMITS))
+        memory = result[-1]
+
+
+@needs_compiler
+@settings(deadline=None, max_examples=60)
+@given(samples, st.booleans())
+def test_the_travel_filter_is_the_same_compiled_and_plain(rows, is_told):
+    memory = TravelState()[:]
+    for depth_m, speed_m_s, _, dt_s in rows:
+        given_row = (depth_m, speed_m_s if is_told else math.nan, dt_s, memory)
+        result = filter_travel(*given_row)
+        assert_same(result, plain(filter_travel)(*given_row), rel=1e-9)
         memory = result[-1]
 
 
@@ -118,11 +132,12 @@ def test_our_update_is_the_same_compiled_and_plain(rows, seed, in_contact, layer
     kinds = ((MultilayerCoefficients, coefficients), (LayerFriction, *friction))
     fast, slow = ([make(*kind) for kind in kinds] for make in (jit_arguments, uncompiled))
     memory = tuple(state.memory)
-    for values in rows:
+    for depth_m, speed_m_s, *others in rows:
+        values = (depth_m, speed_m_s, 1e-5, *others)
         result = ours.update_multilayer(*values, memory, *fast)
         assert_same(result, plain(ours.update_multilayer)(*values, memory, *slow))
         memory = result[1]
-        outputs = ours.multilayer_outputs(*values[:3], memory, *fast)
+        outputs = ours.multilayer_outputs(depth_m, speed_m_s, others[0], memory, *fast)
         assert_same(result[2], outputs)
 
 
@@ -130,8 +145,9 @@ def test_our_update_is_the_same_compiled_and_plain(rows, seed, in_contact, layer
 @settings(deadline=None, max_examples=60)
 @given(samples, st.sampled_from([PUBLISHED, PUBLISHED_KV]), st.floats(0.0, 500.0))
 def test_the_published_update_is_the_same_compiled_and_plain(rows, config, cumulative):
-    state = initial_published_state(config)._replace(cumulative_friction_Ns_per_m=cumulative)
-    coefficients, memory = published_coefficients(state, config), state.memory.plain
+    state = PublishedMethod(config).state._replace(cumulative_friction_Ns_per_m=cumulative)
+    coefficients = published_coefficients(state, config)
+    memory = (tuple(state.memory.rls), *state.memory[1:])
     fast = jit_arguments(published.PublishedCoefficients, coefficients)
     slow = uncompiled(published.PublishedCoefficients, coefficients)
     for values in rows:
@@ -146,7 +162,7 @@ def test_the_published_update_is_the_same_compiled_and_plain(rows, config, cumul
 @given(st.integers(0, 999), st.integers(1, 256), st.floats(1e-3, 0.1), st.floats(1e-4, 1.0))
 def test_the_detector_is_the_same_compiled_and_plain(seed, filled, noise, dt_s):
     rng, bank = np.random.default_rng(seed), filter_bank()
-    learned = (noise**2 * rng.random(6), rng.integers(0, 900, 6).astype(float), rng.random(1))
+    learned = (noise**2 * rng.random(6), rng.integers(0, 900, 6).astype(float), rng.random(6))
     signals = noise * rng.standard_normal(256), 0.01 * rng.standard_normal(256)
     for newest in rng.random((5, 2)).tolist():
         limits = (dt_s, 3600.0, 0.03, 4.0 / dt_s)

@@ -6,11 +6,10 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from scipy.ndimage import uniform_filter1d
 
 from groundtruth import insert_needle
 from identification import Identifier, replay
-from identification.log_replay import HEAD_ROWS, DerivedSpeed, ReplayStream, SignCheck
+from identification.log_replay import HEAD_ROWS, ReplayStream, SignCheck
 from needleforce.cli import main
 from needleforce.recordings import write_table
 from needleforce.recordings.table import RowClock
@@ -53,7 +52,6 @@ def test_pieces_give_what_the_whole_gives_bit_for_bit(columns, cuts, has_speed):
         stream.run(t_s[p], depth_m[p], force_N[p], speed_m_s[p] if has_speed else None)
         for p in pieces(len(t_s), cuts)
     ]
-    found.append(stream.finish())
     np.testing.assert_array_equal(np.concatenate([rows.t_s for rows in found]), t_s)
     np.testing.assert_array_equal(np.concatenate([rows.force_N for rows in found]), force_N)
     assert [e for rows in found for e in rows.estimates] == list(whole.estimates)
@@ -61,36 +59,9 @@ def test_pieces_give_what_the_whole_gives_bit_for_bit(columns, cuts, has_speed):
     assert stream.hints == whole.hints
 
 
-def derived(t_s, depth_m):
-    speed = DerivedSpeed(0.001)
-    found = speed.update(np.diff(t_s, prepend=0.0), depth_m), speed.finish()
-    return np.concatenate(found)
-
-
-def test_derived_speed_is_the_mean_rate_over_50_ms():
-    rng = np.random.default_rng(0)
-    t_s = np.arange(500) / 1000
-    depth_m = np.cumsum(rng.normal(size=500))
-    found = derived(t_s, depth_m)
-    rate = np.diff(depth_m) / np.diff(t_s)
-    expected = uniform_filter1d(np.concatenate((rate[:1], rate)), 50, mode="nearest")
-    np.testing.assert_allclose(found, expected, rtol=1e-9, atol=1e-9)
-
-
-def test_one_absurd_depth_spoils_the_speed_around_it_only():
-    t_s = np.arange(500) / 1000
-    depth_m = 0.01 * t_s
-    depth_m[250] = 1e300
-    found = derived(t_s, depth_m)
-    assert found[200] == pytest.approx(0.01)
-    assert found[300] == pytest.approx(0.01)
-
-
 @pytest.mark.parametrize("rows", [1, 2, 3])
-def test_the_shortest_recordings_have_a_speed(rows):
+def test_the_shortest_recordings_need_no_speed(rows):
     t_s = np.arange(rows) / 1000
-    found = derived(t_s, 0.01 * t_s)
-    np.testing.assert_allclose(found, 0.01 if rows > 1 else 0.0)
     assert len(replay(t_s, 0.01 * t_s, 0.0 * t_s).estimates) == rows
 
 
@@ -116,24 +87,6 @@ def test_a_clock_that_mostly_stands_still_has_a_usual_step_all_the_same():
 def ruptures_s(result):
     """When the layers ruptured."""
     return [layer.rupture.time_s for layer in result.layers]
-
-
-@pytest.mark.parametrize("coarse", ["twice", "clock of 10 ms"])
-def test_derived_speed_is_right_though_stamps_repeat(coarse):
-    t_s, depth_m = np.arange(3000) / 1000, 0.004 * np.arange(3000) / 1000
-    if coarse == "twice":
-        t_s, depth_m = np.repeat(t_s, 2), np.repeat(depth_m, 2)
-    else:
-        t_s = np.floor(t_s * 100.0 + 1e-6) / 100.0
-    stream = ReplayStream()
-    speeds = []
-    stream._replayed = speeds.append
-    for part in pieces(len(t_s), [750, 1111]):
-        stream.run(t_s[part], depth_m[part], 0.0 * t_s[part])
-    stream.finish()
-    found = np.concatenate(speeds)
-    assert len(found) == len(t_s)
-    np.testing.assert_allclose(found, 0.004, rtol=1e-6)
 
 
 def test_repeated_rows_change_no_layer(columns):
@@ -195,10 +148,3 @@ def test_a_stamp_that_is_no_number_spoils_its_own_row_only(columns):
     rejected = [k for k, e in enumerate(result.estimates) if not e.status.is_used]
     assert rejected == [300, 500, 501, 502, 503, 800]
     assert len(result.layers) == 1
-
-
-def test_a_gap_shows_little_about_the_speed_beside_it():
-    t_s, depth_m = np.arange(1000) / 1000, 0.01 * np.arange(1000) / 1000
-    t_s[500:] += 3.0
-    found = derived(t_s, depth_m)
-    np.testing.assert_allclose(found, 0.01, rtol=1e-6)

@@ -56,7 +56,12 @@ BAD_ANYWHERE = [
 @pytest.mark.parametrize(
     ("place", "value", "status"),
     [
-        *((place, *bad) for place in range(4) for bad in BAD_ANYWHERE if place != 1 or bad[0] is not None),
+        *(
+            (place, *bad)
+            for place in range(4)
+            for bad in BAD_ANYWHERE
+            if place != 1 or bad[0] is not None
+        ),
         (3, 0.0, SampleStatus.TIME_NOT_FORWARD),
         (3, -1e-3, SampleStatus.TIME_NOT_FORWARD),
         (2, 1000.0, SampleStatus.FORCE_RANGE),
@@ -168,7 +173,7 @@ def check_rows(rows):
     """Statuses, memory after each row, and the depth of the last one used."""
     memory, seen, depth_m, used_s = tuple(CheckState()), [], None, 0.0
     for row in rows:
-        number, dt_s, depth, memory = check_sample(*row, memory, check_limits(CheckConfig()))
+        number, dt_s, depth, memory = check_sample(*row, True, memory, check_limits(CheckConfig()))
         seen.append(STATUSES[number])
         if number <= LAST_USED:
             depth_m, used_s = depth, used_s + dt_s

@@ -162,7 +162,7 @@ def in_tissue():
         (MULTILAYER, "detector.variance", lambda _: np.zeros(3)),
         (MULTILAYER, "track.points", lambda points: points[:, :4]),
         (MULTILAYER, "track.points", lambda points: points.astype(int)),
-        (MULTILAYER, "lag", lambda _: None),
+        (MULTILAYER, "track", lambda _: None),
         (PUBLISHED, "memory.rls.covariance", lambda _: 1e12),
         (PUBLISHED, "memory.rls.var_friction", lambda _: -1.0),
         (PUBLISHED, "windows", lambda windows: np.asfortranarray(windows)),

@@ -113,19 +113,11 @@ def identify_layers(
 def _replayed(
     chunks: Iterable[LogChunk], stream: ReplayStream, left_out: Counter[str] | None
 ) -> Iterator[tuple[ReplayedRows, NDArray[np.float64]]]:
-    """Yield rows with estimates, and their depths; where speed is derived they come later."""
-    waiting_m = np.empty(0)
+    """Yield rows with estimates, and their depths."""
     for chunk in chunks:
         depth_m, speed_m_s = chunk.channels["depth_m"], chunk.channels.get("speed_m_s")
-        waiting_m = np.concatenate((waiting_m, depth_m))
         force_N = chunk.channels["force_N"] if left_out is None else usable_force(chunk, left_out)
-        rows = stream.run(chunk.t_s, depth_m, force_N, speed_m_s, chunk.dt_s)
-        if rows.estimates:
-            yield rows, waiting_m[: len(rows.t_s)]
-            waiting_m = waiting_m[len(rows.t_s) :]
-    rows = stream.finish()
-    if rows.estimates:
-        yield rows, waiting_m
+        yield stream.run(chunk.t_s, depth_m, force_N, speed_m_s, chunk.dt_s), depth_m
 
 
 _EVENTS = ("rupture", "identified_layer", "retracted")

@@ -1,0 +1,127 @@
+"""Depth and speed from noisy samples, whatever of the speed is told."""
+
+import math
+
+import numpy as np
+import pytest
+
+from identification import Identifier, SampleStatus
+from identification.travel_filter import TravelState, filter_travel, learn_noise
+
+
+def motion(seconds=10.0, rate_hz=1000.0, jitter=0.0, seed=0):
+    """Rest, 4 mm/s from 1 s on, rest from 5 s on, back at 4 mm/s from 7 s on; ramps of 0.1 s."""
+    rng = np.random.default_rng(seed)
+    t_s = np.arange(0.0, seconds, 1.0 / rate_hz)
+    t_s = t_s + jitter / rate_hz * rng.uniform(-0.5, 0.5, len(t_s))
+    corners = [0.0, 1.0, 1.1, 5.0, 5.1, 7.0, 7.1, 99.0]
+    speed = 1e-3 * np.interp(t_s, corners, [0, 0, 4, 4, 0, 0, -4, -4])
+    fine = np.arange(-0.01, seconds + 0.01, 1e-4)
+    travel = 1e-7 * np.cumsum(np.interp(fine, corners, [0, 0, 4, 4, 0, 0, -4, -4]))
+    return t_s, np.interp(t_s, fine, travel), speed
+
+
+def told_speed(kind, t_s, depth_m, speed_m_s, rng):
+    if kind == "none":
+        return np.full(len(t_s), math.nan)
+    if kind == "measured":
+        return speed_m_s + 1.4e-4 * rng.standard_normal(len(t_s))
+    # Two lags of 5 ms, differentiated: 10 ms late, and its noise is smooth.
+    found, first, second = np.zeros(len(t_s)), depth_m[0], depth_m[0]
+    for k in range(1, len(t_s)):
+        dt_s = t_s[k] - t_s[k - 1]
+        keep = math.exp(-200.0 * dt_s)
+        first = depth_m[k] + keep * (first - depth_m[k])
+        second = first + keep * (second - first)
+        found[k] = (first - second) * (1.0 - keep) / (keep * dt_s)
+    return found
+
+
+def filtered(t_s, depth_m, speed_m_s):
+    memory, found = TravelState()[:], []
+    steps = np.diff(t_s, prepend=t_s[0] - 1e-3)
+    for row in zip(depth_m.tolist(), speed_m_s.tolist(), steps.tolist(), strict=True):
+        answer, memory = filter_travel(*row, memory)
+        found.append(answer)
+    return np.array(found), TravelState(*memory)
+
+
+@pytest.mark.parametrize("told", ["none", "measured", "estimated"])
+@pytest.mark.parametrize("noise_m", [1.4e-5, 1.2e-4])
+@pytest.mark.parametrize(("rate_hz", "jitter"), [(1000.0, 0.0), (1000.0, 0.6), (200.0, 0.0)])
+def test_noise_is_learned_and_what_it_leaves_is_stated(told, noise_m, rate_hz, jitter):
+    rng = np.random.default_rng(1)
+    t_s, depth_m, speed_m_s = motion(rate_hz=rate_hz, jitter=jitter)
+    noisy_m = depth_m + noise_m * rng.standard_normal(len(t_s))
+    found, state = filtered(t_s, noisy_m, told_speed(told, t_s, noisy_m, speed_m_s, rng))
+    assert math.sqrt(state.of_depth[0]) == pytest.approx(noise_m, rel=0.15)
+    steady = (t_s > 2.0) & (t_s < 5.0)
+    off_m, off_m_s = (found[:, :2] - np.column_stack((depth_m, speed_m_s)))[steady].T
+    std_m, std_m_s = found[steady, 2:].mean(axis=0)
+    # A filter that forgets within 0.1 s has few independent errors in 3 s.
+    assert 0.3 * std_m < np.std(off_m) < 1.6 * std_m
+    assert 0.3 * std_m_s < np.std(off_m_s) < 1.6 * std_m_s
+    assert std_m < 0.5 * noise_m
+    assert std_m_s < 1.5e-4
+
+
+@pytest.mark.parametrize("told", ["none", "measured", "estimated"])
+def test_a_needle_that_stops_or_turns_is_followed(told):
+    rng = np.random.default_rng(2)
+    t_s, depth_m, speed_m_s = motion()
+    noisy_m = depth_m + 1.4e-5 * rng.standard_normal(len(t_s))
+    found, _ = filtered(t_s, noisy_m, told_speed(told, t_s, noisy_m, speed_m_s, rng))
+    assert np.abs(found[:, 0] - depth_m).max() < 6e-5
+    late = np.abs(found[:, 1] - speed_m_s) > 0.5e-3
+    assert late.mean() * t_s[-1] < 0.3
+    assert not late[(t_s > 5.3) & (t_s < 7.0)].any()
+
+
+def test_exact_samples_stay_exact():
+    t_s, depth_m, speed_m_s = motion()
+    for told in (speed_m_s, np.full(len(t_s), math.nan)):
+        found, _ = filtered(t_s, depth_m, told)
+        assert np.abs(found[:, 0] - depth_m).max() < 2e-6
+        steady = (t_s > 2.0) & (t_s < 5.0)
+        assert np.abs(found[steady, 1] - speed_m_s[steady]).max() < 1e-5
+
+
+def test_rest_of_a_rounded_depth_teaches_no_noise():
+    t_s, depth_m, _ = motion()
+    rounded = np.round(depth_m / 1e-5) * 1e-5
+    found, state = filtered(t_s, rounded, np.full(len(t_s), math.nan))
+    assert math.sqrt(state.of_depth[0]) > 1e-6
+    assert np.abs(found[(t_s > 2.0) & (t_s < 5.0), 1] - 4e-3).max() < 4e-4
+
+
+def test_distance_from_the_line_between_uneven_neighbours_is_its_noise():
+    rng = np.random.default_rng(3)
+    known, t_s = (0.0,) * 5, np.cumsum(rng.uniform(0.5e-3, 2e-3, 5000))
+    values = 5e-3 * t_s + 1e-5 * rng.standard_normal(len(t_s))
+    for value, dt_s in zip(values.tolist(), np.diff(t_s, prepend=0.0).tolist(), strict=True):
+        known = learn_noise(known, value, dt_s, 1e-16)
+    assert math.sqrt(known[0]) == pytest.approx(1e-5, rel=0.1)
+
+
+def test_after_a_gap_it_starts_anew():
+    t_s, depth_m, speed_m_s = motion()
+    kept = (t_s < 2.0) | (t_s > 4.0)
+    for told in (speed_m_s[kept], np.full(kept.sum(), math.nan)):
+        found, _ = filtered(t_s[kept], depth_m[kept], told)
+        assert np.abs(found[:, 0] - depth_m[kept]).max() < 1e-4
+        later = (t_s[kept] > 4.1) & (t_s[kept] < 5.0)
+        assert np.abs(found[later, 1] - 4e-3).max() < 1e-4
+
+
+def test_nobody_need_measure_the_speed():
+    """The ruptures of a needle whose depth alone is known, with the noise of a link's encoder."""
+    rng = np.random.default_rng(4)
+    identifier = Identifier()
+    for k in range(9000):
+        depth = 2.5e-6 * k - 5e-3
+        force = 60.0 * max(depth, 0.0) if depth < 0.01 else 0.2
+        noise = rng.standard_normal(2).tolist()
+        found = identifier.update(depth + 1e-4 * noise[0], None, force + 0.01 * noise[1], 1e-3)
+        assert found.status is SampleStatus.OK
+    (layer,) = identifier.layers
+    assert layer.rupture.depth_m == pytest.approx(0.01, abs=3e-4)
