@@ -19,10 +19,8 @@ _MEMORY = 400
 """Differences over which a level is learned: four seconds."""
 _MOVED_MM = 3.0
 """Over more travel it is the tissue that varies, not its motion."""
-_MEDIAN, _QUARTER = 0.455, 0.1015
-"""Of a squared standard normal. Ruptures are a minority of the differences, heartbeats are not; but
-at slow lags a contact, a membrane and a rupture may be half of them."""
-_SLOW = 4
+_MEDIAN = 0.455
+"""Of a squared standard normal. Ruptures are a minority of the differences, heartbeats are not."""
 
 
 def _likeness(part: int, lag_s: float) -> float:
@@ -102,10 +100,7 @@ def _levels(squares: Matrix, seen: Vector, design: Matrix, speed: float) -> Vect
     for k in range(8):
         known = min(int(seen[k]), _MEMORY)
         if known > min(2 * 2**k, 30):
-            ordered = np.sort(squares[k, :known])
-            left[k] = ordered[known // 2] / _MEDIAN
-            if k >= _SLOW:
-                left[k] = ordered[known // 4] / _QUARTER
+            left[k] = np.sort(squares[k, :known])[known // 2] / _MEDIAN
     for part in range(4):
         level = 0.0
         for k in (2 * part, 2 * part + 1):

@@ -70,7 +70,7 @@ NEVER = -1e8
 """Depth of a release before any."""
 SHAPE_ERROR = 0.1
 """Of a release or an onset of cutting, as part of its force."""
-TEMPER = 0.7
+TEMPER = 0.5
 """Weight of evidence: errors of the law are alike from one block to the next."""
 FREEDOM = 8.0
 """Degrees of freedom of Student's t: a single surprise proves little."""

@@ -69,8 +69,8 @@ from identification.switching_update import (
 from needleforce.jit import jit_arguments
 
 _MM = 1e3
-PRESLIDING_MM = 0.3
-"""As in `switching_update`."""
+_RESUMED_MM = 0.6
+"""Travel over which friction is as it was before a rest: twice that of presliding."""
 _GAP_S = 0.25
 """A longer block is a gap: what it says is not used."""
 _USUAL_S, _USUAL_MM = 10.0, 3.0
@@ -238,7 +238,7 @@ def _absorb(state: SwitchingState, sample: Sample) -> SwitchingState:
     is_met = bool((bank.facts[:, KIND] != AIR).any() or (bank.facts[:, RUPTURES] > 0.0).any())
     is_used = (is_advancing or not is_met) and not is_gap
     if is_used:
-        course = course._replace(resumed=course.resumed * math.exp(-fresh / PRESLIDING_MM))
+        course = course._replace(resumed=course.resumed * math.exp(-fresh / _RESUMED_MM))
         levels = levels.with_force(place.force, dt, v)
         place = place._replace(noise=levels.noise)
         # A speed is as late as its filter: where it changes it is off by a block's change.
