@@ -19,10 +19,8 @@ _MEMORY = 400
 """Differences over which a level is learned: four seconds."""
 _MOVED_MM = 3.0
 """Over more travel it is the tissue that varies, not its motion."""
-_MEDIAN, _QUARTER = 0.455, 0.1015
-"""Of a squared standard normal. Ruptures are a minority of the differences, heartbeats are not; but
-at slow lags a contact, a membrane and a rupture may be half of them."""
-_SLOW = 4
+_MEDIAN = 0.455
+"""Of a squared standard normal. Ruptures are a minority of the differences, heartbeats are not."""
 
 
 def _likeness(part: int, lag_s: float) -> float:
@@ -44,7 +42,7 @@ class DisturbanceLevels(NamedTuple):
     """What is known of the noise."""
 
     past: Array = np.zeros(257)  # forces, a step apart, newest last
-    count: float = 0.0  # how many of them follow each other undisturbed
+    steps: float = 0.0  # how many of them follow each other undisturbed
     squares: Array = np.zeros((8, _MEMORY))  # of the last differences at each lag
     seen: Array = np.zeros(8)  # how many there have been
     levels: Array = np.array([1e-4, 0.0, 0.0, 0.0])  # variances: white, colour, heart, breath
@@ -59,7 +57,7 @@ class DisturbanceLevels(NamedTuple):
 
     def restarted(self) -> "DisturbanceLevels":
         """After a gap or a rest: no difference reaches across."""
-        return self._replace(count=0.0, force_sum=0.0, filled_s=0.0)
+        return self._replace(steps=0.0, force_sum=0.0, filled_s=0.0)
 
     def with_force(self, force: float, dt_s: float, speed: float) -> "DisturbanceLevels":
         """Use the mean force of a block [N] at a speed [mm/s]."""
@@ -68,13 +66,13 @@ class DisturbanceLevels(NamedTuple):
             return self._replace(force_sum=total, filled_s=filled)
         past = np.append(self.past[1:], total / filled)
         squares, seen = self.squares.copy(), self.seen.copy()
-        _learn(past, self.count + 1.0, squares, seen)
-        levels, count = self.levels, self.count + 1.0
+        _learn(past, self.steps + 1.0, squares, seen)
+        levels, count = self.levels, self.steps + 1.0
         if count % 10.0 == 0.0 and seen[0] > 10.0:
             levels = _levels(squares, seen, _DESIGN, speed)
         return self._replace(
             past=past,
-            count=count,
+            steps=count,
             squares=squares,
             seen=seen,
             levels=levels,
@@ -102,10 +100,7 @@ def _levels(squares: Matrix, seen: Vector, design: Matrix, speed: float) -> Vect
     for k in range(8):
         known = min(int(seen[k]), _MEMORY)
         if known > min(2 * 2**k, 30):
-            ordered = np.sort(squares[k, :known])
-            left[k] = ordered[known // 2] / _MEDIAN
-            if k >= _SLOW:
-                left[k] = ordered[known // 4] / _QUARTER
+            left[k] = np.sort(squares[k, :known])[known // 2] / _MEDIAN
     for part in range(4):
         level = 0.0
         for k in (2 * part, 2 * part + 1):

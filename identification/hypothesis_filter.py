@@ -70,7 +70,7 @@ NEVER = -1e8
 """Depth of a release before any."""
 SHAPE_ERROR = 0.1
 """Of a release or an onset of cutting, as part of its force."""
-TEMPER = 0.7
+TEMPER = 0.5
 """Weight of evidence: errors of the law are alike from one block to the next."""
 FREEDOM = 8.0
 """Degrees of freedom of Student's t: a single surprise proves little."""
@@ -308,10 +308,8 @@ def after_event(
         change[LEFT : EARLIER + 1] = 0.0
         change[EARLIER, LEFT] = 1.0
     if was == LAYER:
-        change[LEFT, OWN_COULOMB] = passed * deflection
-        change[LEFT, OWN_VISCOUS] = passed * speed
-    mean = np.dot(change, mean)
-    spread = np.dot(np.dot(change, spread), np.ascontiguousarray(change.T)) + noise
+        change[LEFT, OWN_COULOMB], change[LEFT, OWN_VISCOUS] = passed * deflection, passed * speed
+    mean, spread = np.dot(change, mean), np.dot(np.dot(change, spread), change.T.copy()) + noise
     add_prior(mean, spread, speed, becomes, what == TEAR)
     return mean, spread
 

@@ -55,6 +55,7 @@ from identification.rupture_report import (
     friction_left,
     layer_left,
     rupture_of,
+    tear_probability,
     with_friction,
 )
 from identification.switching_update import (
@@ -68,8 +69,8 @@ from identification.switching_update import (
 from needleforce.jit import jit_arguments
 
 _MM = 1e3
-PRESLIDING_MM = 0.3
-"""As in `switching_update`."""
+_RESUMED_MM = 0.6
+"""Travel over which friction is as it was before a rest: twice that of presliding."""
 _GAP_S = 0.25
 """A longer block is a gap: what it says is not used."""
 _USUAL_S, _USUAL_MM = 10.0, 3.0
@@ -237,7 +238,7 @@ def _absorb(state: SwitchingState, sample: Sample) -> SwitchingState:
     is_met = bool((bank.facts[:, KIND] != AIR).any() or (bank.facts[:, RUPTURES] > 0.0).any())
     is_used = (is_advancing or not is_met) and not is_gap
     if is_used:
-        course = course._replace(resumed=course.resumed * math.exp(-fresh / PRESLIDING_MM))
+        course = course._replace(resumed=course.resumed * math.exp(-fresh / _RESUMED_MM))
         levels = levels.with_force(place.force, dt, v)
         place = place._replace(noise=levels.noise)
         # A speed is as late as its filter: where it changes it is off by a block's change.
@@ -315,7 +316,7 @@ def _report(state: SwitchingState, sample: Sample, config: SwitchingConfig) -> S
     if verdict.more > config.alarm_probability:
         state = _raise_alarm(state, sample, verdict)
     elif state.alarm is not None and verdict.fewer > _TAKEN_BACK:
-        state = _take_back(state, verdict.best)
+        state = _take_back(state, verdict.best, 1.0 - verdict.fewer)
     elif state.alarm is not None:
         state = _report_layer(state, state.alarm)
     answer = answer_at(bank, place, layers_traversed(state.layers) + _is_open(state))
@@ -347,8 +348,8 @@ def _raise_alarm(state: SwitchingState, sample: Sample, verdict: Verdict) -> Swi
     )
 
 
-def _take_back(state: SwitchingState, ruptures: int) -> SwitchingState:
-    """The force has come back: no rupture was there, and the layer goes on."""
+def _take_back(state: SwitchingState, ruptures: int, left: float) -> SwitchingState:
+    """The force has come back: no rupture was there but for what is `left` of its probability."""
     layers, alarm = state.layers, state.alarm
     if alarm is not None and layers_traversed(layers) == alarm.layer:
         layers = layers[:-1]
@@ -356,7 +357,7 @@ def _take_back(state: SwitchingState, ruptures: int) -> SwitchingState:
         alarm=None,
         ruptures=ruptures,
         layers=layers,
-        events=state.events._replace(retracted=alarm),
+        events=state.events._replace(retracted=alarm and replace(alarm, probability=left)),
     )
 
 
@@ -374,12 +375,15 @@ def _report_layer(state: SwitchingState, alarm: Rupture) -> SwitchingState:
             rupture_state=RuptureState.FRICTION_IDENTIFIED,
         )
     is_due = not layers[-1].is_final and (travel >= _FINAL_M or travel < 0.0)
-    if not is_due and state.levels.count % _REVISE != 0.0:
+    if not is_due and state.levels.steps % _REVISE != 0.0:
         return state
     friction = friction_left(bank, state.ruptures)
     layer = layers[-1] if friction is None else with_friction(layers[-1], *friction)
     if is_due:
-        layer = replace(layer, is_final=True)
+        rupture = replace(
+            layer.rupture, is_final=True, tear_probability=tear_probability(bank, state.ruptures)
+        )
+        layer = replace(layer, is_final=True, rupture=rupture)
         events = events._replace(identified_layer=layer)
     kept = [*layers[:-1], layer]
     earlier = friction_left(bank, state.ruptures, before=True)

@@ -210,7 +210,7 @@ def test_noise_is_learned_part_by_part_and_a_ramp_is_none():
     assert colour < 0.008
     assert 0.02 < heart < 0.08
     assert np.sqrt(ramp.levels).max() < 1e-6
-    assert levels.restarted().with_force(1.0, 0.01, 2.0).count == 1.0
+    assert levels.restarted().with_force(1.0, 0.01, 2.0).steps == 1.0
 
 
 @pytest.mark.parametrize(

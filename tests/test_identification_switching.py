@@ -97,6 +97,7 @@ def test_two_layers_are_found_and_told_apart_from_their_friction():
         (2, False),
         (2, True),
     ]
+    assert [one.rupture.is_final for one in told] == [False, True, False, True]
     last = estimates[-1]
     assert last.tip_force_N == pytest.approx(0.0, abs=0.1)
     assert last.enhanced_force_N == pytest.approx(0.0, abs=0.1)
