@@ -78,6 +78,8 @@ _USUAL_S, _USUAL_MM = 10.0, 3.0
 _CREEP, _SLOW, _HALF = 0.05, 0.15, 0.3
 """Advancing means faster than this [mm/s] and than a part of the usual speed; new hypotheses want
 more of it: at a stop the force falls without any rupture."""
+_PLAY = 3.0
+"""Standard deviations of the speed's noise within which the speed may not have changed."""
 _CHANNEL_MM = 0.02
 """Behind the deepest point by more than this, and the noise, the tip is in its own channel."""
 _UNSETTLED = 0.3
@@ -101,6 +103,7 @@ class Course(NamedTuple):
     spawned: float = -_FAR_MM  # depth at which hypotheses began last [mm]
     usual_speed: float = 0.0  # [mm/s]
     resumed: float = 0.0  # how much of a rest or reversal is left in the friction, 0 to 1
+    speed: float = 0.0  # less the jitter of its measurement [mm/s]
 
 
 class SwitchingState(NamedTuple):
@@ -224,13 +227,17 @@ def _absorb(state: SwitchingState, sample: Sample) -> SwitchingState:
         x / dt for x in (_MM * memory.depth_sum, _MM * memory.speed_sum, memory.deflection_sum)
     )
     jitter, speed_noise = _MM * memory.depth_std_m, _MM * memory.speed_std_m_s
+    # Friction at a noisy speed would seem to be the same at all speeds: only a change that noise
+    # does not explain is one.
+    play = _PLAY * speed_noise
+    steady = v - play if course.speed < v - play else min(course.speed, v + play)
     usual = max(course.usual_speed * math.exp(-dt / _USUAL_S - abs(v) * dt / _USUAL_MM), v)
     fresh = max(z - last, 0.0) if last > -_FAR_MM else 0.0
     is_gap = dt > _GAP_S
     is_advancing = v > max(_CREEP + 2.0 * speed_noise, _SLOW * usual) and not is_gap
     is_advancing &= z > last - _CHANNEL_MM - 4.0 * jitter
-    place = Place(sample.time_s - 0.5 * dt, dt, z, v, w, memory.force_sum / dt, usual, levels.noise)
-    course = course._replace(deepest=max(last, z), usual_speed=usual)
+    place = Place(sample.time_s - 0.5 * dt, dt, z, steady, w, memory.force_sum / dt, usual, levels.noise)
+    course = course._replace(deepest=max(last, z), usual_speed=usual, speed=steady)
     emptied = memory._replace(
         filled_s=0.0, depth_sum=0.0, speed_sum=0.0, deflection_sum=0.0, force_sum=0.0
     )
@@ -242,7 +249,7 @@ def _absorb(state: SwitchingState, sample: Sample) -> SwitchingState:
         levels = levels.with_force(place.force, dt, v)
         place = place._replace(noise=levels.noise)
         # A speed is as late as its filter: where it changes it is off by a block's change.
-        speed_std = math.hypot(2.0 * speed_noise, v - state.place.speed)
+        speed_std = math.hypot(2.0 * speed_noise, steady - state.place.speed)
         bank = _absorbed(bank, place, levels, course.resumed, (jitter, speed_std))
     else:
         course, levels = course._replace(resumed=1.0), levels.restarted()
