@@ -9,7 +9,8 @@ the enhanced force without the friction of the layers traversed, and the force a
 Reading order: `identifier`; the published method in `published_update` (every sample),
 `published_identifier`; the multi-layer method in `friction_compensation` (every
 sample), `multilayer_identifier` (every block), `slope_change_detector`, `rupture_measurement`,
-and `layer_model`; known layers in `offline`.
+and `layer_model`; the switching filter in `hypothesis_filter`, `hypothesis_bank`,
+`switching_update`, `switching_identifier`; known layers in `offline`.
 """
 
 from identification.config import (

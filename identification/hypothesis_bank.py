@@ -133,6 +133,7 @@ class Place(NamedTuple):
     force: float  # mean over the block [N]
     usual_speed: float  # of the last ten seconds [mm/s]
     noise: float  # standard deviation of a block's force [N]
+    tissue_speed: float = 0.0  # standard deviation of the speed at which tissue moves [mm/s]
 
 
 def first_bank() -> Bank:
@@ -222,10 +223,9 @@ def _add_child(
     begin = max(fact[ROOT], record[PART_END]) if was == LAYER else depth
     is_met = was == MEMBRANE and fact[IS_HELD] > 0.0
     length = max(depth - fact[ROOT], 0.0)
-    now = (length, depth - begin, place.deflection, place.speed, place.force)
-    mean, spread = after_event(
-        before, spread_before, row, (event, was, becomes, is_met, is_kept), now
-    )
+    at = (place.deflection, place.speed, place.tissue_speed, place.force)
+    what, now = (event, was, becomes, is_met, is_kept), (length, depth - begin, *at)
+    mean, spread = after_event(before, spread_before, row, what, now)
     if event in (EXIT, TEAR):
         own = slice(RELEASED, OWN_VISCOUS + 1)
         fact[RELEASE], fact[OWN_FORCE] = depth, float(row[own] @ before[own])

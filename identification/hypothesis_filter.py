@@ -267,7 +267,7 @@ def after_event(
     spread: Matrix,
     row: Vector,
     event: tuple[int, float, float, bool, bool],
-    now: tuple[float, float, float, float, float],
+    now: tuple[float, float, float, float, float, float],
 ) -> tuple[Vector, Matrix]:
     """Unknowns of a hypothesis after an event; the force goes on as it was.
 
@@ -277,10 +277,11 @@ def after_event(
         row: Regressor where it happens, shape (19,).
         event: Which, in what the tip was before and is after, whether it was in a membrane met
             under a layer, and whether some of its force stays for a while.
-        now: Length of shaft in the layer, that since the last event, deflection, speed, force.
+        now: Length of shaft in the layer, that since the last event, deflection, speed, standard
+            deviation of the tissue's own speed, force.
     """
     what, was, becomes, is_met, is_kept = event
-    length, passed, deflection, speed, force = now
+    length, passed, deflection, speed, unseen, force = now
     change, noise, tip = np.eye(UNKNOWNS), np.zeros((UNKNOWNS, UNKNOWNS)), np.zeros(UNKNOWNS)
     tip[RELEASED:_AFTER_TIP] = row[RELEASED:_AFTER_TIP]
     change[RELEASED:_AFTER_TIP] = 0.0
@@ -300,15 +301,15 @@ def after_event(
         if was == LAYER:
             change[COULOMB, OWN_COULOMB], change[VISCOUS, OWN_VISCOUS] = length, length
         change[HELD if what == MEETING else RELEASED] = tip
-    if is_kept:
-        change[KEPT] = KEPT_FRACTION * tip
-        noise[KEPT, KEPT] = (KEPT_STD * np.dot(tip, mean)) ** 2
+    change[KEPT] = (KEPT_FRACTION if is_kept else 0.0) * tip
+    noise[KEPT, KEPT] = ((KEPT_STD if is_kept else 0.0) * np.dot(tip, mean)) ** 2
     # A membrane met ends the layer's part of the shaft before its puncture is the rupture.
     if was == LAYER or (what == EXIT and not is_met):
         change[LEFT : EARLIER + 1] = 0.0
         change[EARLIER, LEFT] = 1.0
     if was == LAYER:
         change[LEFT, OWN_COULOMB], change[LEFT, OWN_VISCOUS] = passed * deflection, passed * speed
+        noise[LEFT, LEFT] = (passed * mean[OWN_VISCOUS] * unseen) ** 2
     mean, spread = np.dot(change, mean), np.dot(np.dot(change, spread), change.T.copy()) + noise
     add_prior(mean, spread, speed, becomes, what == TEAR)
     return mean, spread

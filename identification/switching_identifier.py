@@ -31,6 +31,7 @@ from identification.hypothesis_bank import (
 )
 from identification.hypothesis_filter import (
     AIR,
+    BEATS,
     COULOMB,
     HELD,
     HELD_WANDER,
@@ -42,7 +43,9 @@ from identification.hypothesis_filter import (
     OWN_VISCOUS,
     ROOT,
     RUPTURES,
+    STIFFENING,
     STIFFNESS,
+    TIP,
     VISCOUS,
     absorb,
     predict,
@@ -113,7 +116,7 @@ class SwitchingState(NamedTuple):
     levels: DisturbanceLevels = DisturbanceLevels()
     memory: SwitchingMemory = SwitchingMemory()  # what every sample changes
     course: Course = Course()
-    place: Place = Place(*(0.0,) * 8)  # middle of the last block
+    place: Place = Place(*(0.0,) * 9)  # middle of the last block
     stage: int = _NOTHING  # what is left to do for that block
     answer: Answer = Answer()
     ruptures: int = 0  # in the hypotheses that the last report followed
@@ -299,12 +302,29 @@ def _absorbed(
     return bank._replace(means=means, spreads=spreads, log_weights=log_weights)
 
 
+def _tissue_speed(bank: Bank, place: Place, levels: DisturbanceLevels) -> float:
+    """Standard deviation of the speed at which tissue moves by itself [mm/s], as its force says."""
+    best, fact = bank.means[0], bank.facts[0]
+    travel, length = (max(place.depth - fact[at], 0.0) for at in (TIP, ROOT))
+    slope = best[STIFFNESS] + 2.0 * best[STIFFENING] * travel
+    slope += best[OWN_COULOMB] * place.deflection + best[OWN_VISCOUS] * place.speed
+    damping, variance = max(best[VISCOUS] + best[OWN_VISCOUS] * length, 0.0), 0.0
+    for level, (hz, _), most in zip(levels.levels[2:].tolist(), BEATS, (1.0, 4.0), strict=True):
+        rate = 2.0 * math.pi * hz
+        moved = level / (max(slope, 0.0) ** 2 + 1e-4 + (rate * damping) ** 2)
+        variance += rate**2 * min(moved, most)
+    return math.sqrt(min(variance, 25.0))
+
+
 def _branch(state: SwitchingState) -> SwitchingState:
     """Begin hypotheses of what may have happened in the block's travel."""
     place, course, bank = state.place, state.course, state.bank
     is_fast = place.speed > _HALF * place.usual_speed
     if is_fast and place.depth - course.spawned >= STEP_MM:
-        begin = place._replace(depth=place.depth - 0.5 * place.speed * place.dt_s)
+        begin = place._replace(
+            depth=place.depth - 0.5 * place.speed * place.dt_s,
+            tissue_speed=_tissue_speed(bank, place, state.levels),
+        )
         bank = spawn(bank, begin, course.spawned)
         course = course._replace(spawned=place.depth)
     return state._replace(bank=judge_fractions(bank, place), course=course, stage=_PRUNE)

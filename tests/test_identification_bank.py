@@ -141,7 +141,7 @@ def test_compiled_and_plain_arithmetic_agree(function):
             bank.spreads[0],
             rows[0],
             (EXIT, LAYER, LAYER, False, True),
-            (8.0, 8.0, 1.0, 4.0, 0.9),
+            (8.0, 8.0, 1.0, 4.0, 0.5, 0.9),
         ),
         "judge_fraction": (bank.means[0], bank.spreads[0], 4.0, True),
         "regressors": (bank.facts, 12.0, 4.0, 0.7),
