@@ -35,6 +35,7 @@ from identification.hypothesis_filter import (
     LAYER,
     LEFT,
     MEMBRANE,
+    OFFSET,
     RELEASED,
     RUPTURES,
     regressors,
@@ -47,6 +48,12 @@ _LEAST_WEIGHT = 1e-3
 """Less likely hypotheses do not show in an answer."""
 _CLEAR_SIGMAS = 3.0
 """Least released force of a rupture worth an alarm, in standard deviations of a block's force."""
+_LARGE_FALL = 0.12
+"""Of the force: no robot brakes so hard within a tenth of a second."""
+_SPEED_LAG_S = 0.06
+"""By which a speed that nobody measures may be late: of the sensor and of the travel filter."""
+_SLOWED = 3.0
+"""Fall of viscous friction, per part of the speed lost so far: the speed is late."""
 _KEPT_SHARE = 0.3
 """Hypotheses with the last rupture must be so likely, together, to say what it was."""
 _IDENTIFIED = 0.25
@@ -112,6 +119,23 @@ def count_ruptures(bank: Bank, known: int, noise: float) -> Verdict:
     fewer = float(weights[facts[:, RUPTURES] < known].sum())
     best = int(facts[int(np.argmax(weights)), RUPTURES])
     return Verdict(float(weights[more & is_clear].sum()), fewer, pick, best)
+
+
+def may_be_braking(bank: Bank, verdict: Verdict, place: Place) -> bool:
+    """Whether a needle that slows down could make the fall of the force as well.
+
+    The speed is known late, and friction falls with it at once: a fall that is small beside the
+    force waits until the speed would show, and counts only if it is more than the speed explains.
+    """
+    record, offset = bank.records[verdict.pick], float(bank.means[verdict.pick, OFFSET])
+    force = abs(float(record[RUPTURE_FORCE]) - offset)
+    fall = float(record[RUPTURE_FORCE]) - place.force
+    if fall > _LARGE_FALL * force:
+        return False
+    if place.time_s < record[RUPTURE_S] + _SPEED_LAG_S:
+        return True
+    slowed = 1.0 - place.speed / max(float(record[RUPTURE_SPEED]), 1e-3)
+    return fall < _SLOWED * slowed * force
 
 
 def rupture_of(

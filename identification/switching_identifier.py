@@ -57,6 +57,7 @@ from identification.rupture_report import (
     count_ruptures,
     friction_left,
     layer_left,
+    may_be_braking,
     rupture_of,
     tear_probability,
     with_friction,
@@ -239,7 +240,9 @@ def _absorb(state: SwitchingState, sample: Sample) -> SwitchingState:
     is_gap = dt > _GAP_S
     is_advancing = v > max(_CREEP + 2.0 * speed_noise, _SLOW * usual) and not is_gap
     is_advancing &= z > last - _CHANNEL_MM - 4.0 * jitter
-    place = Place(sample.time_s - 0.5 * dt, dt, z, steady, w, memory.force_sum / dt, usual, levels.noise)
+    place = Place(
+        sample.time_s - 0.5 * dt, dt, z, steady, w, memory.force_sum / dt, usual, levels.noise
+    )
     course = course._replace(deepest=max(last, z), usual_speed=usual, speed=steady)
     emptied = memory._replace(
         filled_s=0.0, depth_sum=0.0, speed_sum=0.0, deflection_sum=0.0, force_sum=0.0
@@ -340,7 +343,7 @@ def _report(state: SwitchingState, sample: Sample, config: SwitchingConfig) -> S
     if _is_open(state):
         now = RuptureState.FORCE_DROP_MEASURING
     state = state._replace(bank=bank, stage=_NOTHING, rupture_state=now)
-    if verdict.more > config.alarm_probability:
+    if verdict.more > config.alarm_probability and not may_be_braking(bank, verdict, place):
         state = _raise_alarm(state, sample, verdict)
     elif state.alarm is not None and verdict.fewer > _TAKEN_BACK:
         state = _take_back(state, verdict.best, 1.0 - verdict.fewer)
