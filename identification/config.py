@@ -61,99 +61,7 @@ class CheckConfig:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class MultilayerConfig:
-    """Physical priors and required error rates; nothing here depends on a sensor or a tissue.
-
-    Attributes:
-        false_alarm_interval_s: Required mean time between false alarms: an hour of insertion, some
-            hundred insertions.
-        noise_memory_s: How far back the noise is learned; an insertion's noise may change.
-        block_s: Length of the detector's blocks: an eighth of the required delay.
-        rest_speed_m_s: Slower than this the needle rests; ruptures need travel.
-        expected_fraction: Fraction of the threshold at which a rupture is expected.
-        speed_smoothing_s: Time constant of the speed that decides on rest and turns friction into
-            force; short against any change of speed by a hand or a robot.
-        track_step_m: Travel between kept points; a release of 0.1 mm still spans a few.
-        row_m: Travel over which points are averaged before they count as data of a layer.
-        presliding_m: Travel over which friction turns after a reversal: gel clings for a fifth,
-            soft tissue for half a millimetre.
-        cutting_onset_m: Travel over which the cutting force of a fresh layer builds up: about a
-            needle diameter (18G: 1.27 mm).
-        cutting_reach_m: That force, give or take as much, as the travel over which the layer's
-            growing force reaches it: a needle diameter or so. Free air grows no force.
-        provisional_window_m: Travel after a rupture over which the provisional estimate of its
-            layer is measured (the published k_v).
-        final_window_m: Travel over which the final estimate is measured.
-        model_error_fraction: Relative error of a linear law, correlated over `model_error_m`.
-        model_error_m: Travel over which the error of the linear law stays the same.
-        friction_fraction: Fraction of friction in a layer's growing force, before data.
-        friction_fraction_std: Standard deviation of the fraction, here and below.
-        partial_rupture_travel_m: Travel of a release that is as likely a partial rupture as the
-            end of a layer: gels and layers release within 0.1 to 0.5 mm, partial ruptures within
-            liver take 0.5 to 2 mm.
-        partial_rupture_friction_fraction: Fraction of friction in the force that a partial rupture
-            leaves: the tip force is least then, and the fraction larger than the two thirds of an
-            insertion into liver as a whole.
-        partial_rupture_friction_fraction_std: As above.
-        coulomb_speed_m_s: Speed at which Coulomb and viscous friction are equal, before data:
-            1.5 mm/s in gels (Table I at two speeds), 7.5 mm/s in liver; their middle.
-        coulomb_speed_factor: Factor by which that speed may differ, one standard deviation.
-        check: Limits of a plausible sample.
-    """
-
-    false_alarm_interval_s: float = 3_600.0
-    noise_memory_s: float = 4.0
-    block_s: float = 5e-3
-    rest_speed_m_s: float = 1e-4
-    expected_fraction: float = 0.6
-    speed_smoothing_s: float = 0.02
-    track_step_m: float = 2e-5
-    row_m: float = 2.5e-4
-    presliding_m: float = 0.3e-3
-    cutting_onset_m: float = 1e-3
-    cutting_reach_m: float = 1.5e-3
-    provisional_window_m: float = 1e-3
-    final_window_m: float = 3e-3
-    model_error_fraction: float = 0.03
-    model_error_m: float = 5e-3
-    friction_fraction: float = 0.5
-    friction_fraction_std: float = 0.2
-    partial_rupture_travel_m: float = 0.4e-3
-    partial_rupture_friction_fraction: float = 0.8
-    partial_rupture_friction_fraction_std: float = 0.15
-    coulomb_speed_m_s: float = 3.4e-3
-    coulomb_speed_factor: float = 2.2
-    check: CheckConfig = field(default_factory=CheckConfig)
-
-    def __post_init__(self) -> None:
-        """Check the values.
-
-        Raises:
-            InvalidConfigError: One is not positive and finite, or the windows are unordered.
-        """
-        _check_values(self)
-        if self.final_window_m <= self.provisional_window_m:
-            raise InvalidConfigError(
-                f"final_window_m ({self.final_window_m}) must exceed provisional_window_m "
-                f"({self.provisional_window_m})"
-            )
-
-    def coulomb_fraction(self, speed_m_s: float) -> float:
-        """Fraction of Coulomb friction at a speed, before data."""
-        return self.coulomb_speed_m_s / (self.coulomb_speed_m_s + abs(speed_m_s))
-
-    def coulomb_fraction_std(self, speed_m_s: float) -> float:
-        """Standard deviation of that fraction."""
-        fraction = self.coulomb_fraction(speed_m_s)
-        return fraction * (1.0 - fraction) * math.log(self.coulomb_speed_factor)
-
-
-MULTILAYER = MultilayerConfig()
-"""The one configuration for simulated and real, F/T and virtual sensors."""
-
-
-@dataclass(frozen=True, slots=True, kw_only=True)
-class SwitchingConfig:
-    """Settings of the switching filter; its physical priors stand where they are used.
+    """Settings of the multi-layer method; its physical priors stand where they are used.
 
     Attributes:
         alarm_probability: Probability of one more rupture at which an alarm is raised.
@@ -172,7 +80,7 @@ class SwitchingConfig:
             )
 
 
-SWITCHING = SwitchingConfig()
+MULTILAYER = MultilayerConfig()
 """The one configuration for simulated and real, F/T and virtual sensors."""
 
 

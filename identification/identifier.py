@@ -4,7 +4,7 @@ import math
 from dataclasses import replace
 from typing import Any, NamedTuple, Protocol
 
-from identification.config import MULTILAYER, MultilayerConfig, PublishedConfig, SwitchingConfig
+from identification.config import MULTILAYER, MultilayerConfig, PublishedConfig
 from identification.errors import InvalidConfigError, InvalidSnapshotError, NoRuptureError
 from identification.estimate import Estimate, Events, LayerEstimate, Sample, SampleStatus
 from identification.input_validation import (
@@ -16,8 +16,6 @@ from identification.input_validation import (
     check_sample,
     check_state,
 )
-from identification.multilayer_identifier import MultilayerMethod
-from identification.multilayer_state import MultilayerState
 from identification.published_identifier import PublishedMethod, PublishedState
 from identification.switching_identifier import SwitchingMethod, SwitchingState
 from identification.travel_filter import TravelState, filter_travel
@@ -61,9 +59,8 @@ class Method(Protocol):
 
 
 _METHODS: dict[type, type[Method]] = {
-    MultilayerConfig: MultilayerMethod,
+    MultilayerConfig: SwitchingMethod,
     PublishedConfig: PublishedMethod,
-    SwitchingConfig: SwitchingMethod,
 }
 """By the type of their settings."""
 
@@ -79,10 +76,10 @@ class Snapshot(NamedTuple):
         last: Last estimate.
     """
 
-    config: MultilayerConfig | PublishedConfig | SwitchingConfig
+    config: MultilayerConfig | PublishedConfig
     check: CheckState
     travel: TravelState
-    state: MultilayerState | PublishedState | SwitchingState
+    state: PublishedState | SwitchingState
     last: Estimate
 
 
@@ -93,9 +90,7 @@ class Identifier:
     Depths in what it reports have the zero of the depths it is given, see `estimate`.
     """
 
-    def __init__(
-        self, config: MultilayerConfig | PublishedConfig | SwitchingConfig = MULTILAYER
-    ) -> None:
+    def __init__(self, config: MultilayerConfig | PublishedConfig = MULTILAYER) -> None:
         """Choose the method by its configuration.
 
         Args:

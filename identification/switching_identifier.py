@@ -10,7 +10,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from identification.config import SwitchingConfig
+from identification.config import MultilayerConfig
 from identification.disturbance_levels import STEP_S, DisturbanceLevels
 from identification.estimate import (
     Events,
@@ -137,7 +137,7 @@ class SwitchingMethod:
 
     takes_filtered_travel = True
 
-    def __init__(self, config: SwitchingConfig) -> None:
+    def __init__(self, config: MultilayerConfig) -> None:
         self._config = config
         self.restore(SwitchingState(first_bank()))
 
@@ -204,7 +204,7 @@ def left_layers(state: SwitchingState) -> list[LeftLayer]:
 
 
 def switching_step(
-    state: SwitchingState, memory: SwitchingMemory, sample: Sample, config: SwitchingConfig
+    state: SwitchingState, memory: SwitchingMemory, sample: Sample, config: MultilayerConfig
 ) -> SwitchingState:
     """What is done once per block, in three parts."""
     state = state._replace(memory=memory)
@@ -217,7 +217,7 @@ def switching_step(
     return state._replace(memory=state.memory._replace(due=float(state.is_due)))
 
 
-def _work(state: SwitchingState, sample: Sample, config: SwitchingConfig) -> SwitchingState:
+def _work(state: SwitchingState, sample: Sample, config: MultilayerConfig) -> SwitchingState:
     if state.stage == _SPAWN:
         return _branch(state)
     return _report(state, sample, config)
@@ -333,7 +333,7 @@ def _branch(state: SwitchingState) -> SwitchingState:
     return state._replace(bank=judge_fractions(bank, place), course=course, stage=_PRUNE)
 
 
-def _report(state: SwitchingState, sample: Sample, config: SwitchingConfig) -> SwitchingState:
+def _report(state: SwitchingState, sample: Sample, config: MultilayerConfig) -> SwitchingState:
     """Prune; raise or take back an alarm, report the layer left, answer for the next samples."""
     bank, place = state.bank, state.place
     if state.stage != _REPORT:

@@ -20,8 +20,6 @@ import numpy as np
 
 from identification import MultilayerConfig, PublishedConfig
 from identification import Snapshot as IdentifierSnapshot
-from identification.config import SwitchingConfig
-from identification.multilayer_state import MultilayerState
 from identification.published_identifier import PublishedState
 from identification.switching_identifier import SwitchingState
 from needleforce.session import SessionSnapshot, SnapshotFileError
@@ -40,8 +38,7 @@ AnySnapshot = SessionSnapshot | SensorState | IdentifierSnapshot
 _KINDS = {"session": SessionSnapshot, "sensor": SensorState, "identifier": IdentifierSnapshot}
 # The annotations of an identifier's snapshot name both methods; the envelope says which it is.
 _METHODS: dict[str, dict[str, type | None]] = {
-    "multilayer": {"config": MultilayerConfig, "state": MultilayerState},
-    "switching": {"config": SwitchingConfig, "state": SwitchingState},
+    "multilayer": {"config": MultilayerConfig, "state": SwitchingState},
     "published": {"config": PublishedConfig, "state": PublishedState},
 }
 _NOT_FINITE = {

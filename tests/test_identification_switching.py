@@ -6,8 +6,7 @@ from itertools import pairwise
 import numpy as np
 import pytest
 
-from identification import Identifier, RuptureState, SampleStatus
-from identification.config import SWITCHING, SwitchingConfig
+from identification import MULTILAYER, Identifier, MultilayerConfig, RuptureState, SampleStatus
 from identification.errors import InvalidConfigError, InvalidSnapshotError
 from needleforce import read_snapshot, write_snapshot
 
@@ -60,7 +59,7 @@ def straight(seed=0, **changes):
 
 
 def run(rows, identifier=None):
-    identifier = Identifier(SWITCHING) if identifier is None else identifier
+    identifier = Identifier(MULTILAYER) if identifier is None else identifier
     return identifier, [identifier.update(*row) for row in rows]
 
 
@@ -85,7 +84,7 @@ def test_two_layers_are_found_and_told_apart_from_their_friction():
     assert_both_found(identifier, estimates)
     first, second = of(estimates, "rupture")
     assert [first.layer, second.layer] == [1, 2]
-    assert first.probability >= SWITCHING.alarm_probability
+    assert first.probability >= MULTILAYER.alarm_probability
     assert not first.is_final
     assert 0.0 <= first.tear_probability <= 1.0
     assert first.contact_depth_m == pytest.approx(0.0, abs=0.5e-3)
@@ -173,7 +172,7 @@ def test_it_goes_on_bit_for_bit_from_a_snapshot(cut, tmp_path):
     assert pickle.dumps(kept) == before
     write_snapshot(kept, tmp_path / "state")
     for snapshot in (pickle.loads(before), read_snapshot(tmp_path / "state")):
-        other = Identifier(SWITCHING)
+        other = Identifier(MULTILAYER)
         other.restore(snapshot)
         assert run(rows[cut:], other)[1] == expected[cut:]
 
@@ -193,7 +192,7 @@ def test_damaged_snapshots_are_refused():
 
 def test_a_bad_sample_is_reported_and_changes_nothing():
     rows = straight(8)[:3000]
-    one, other = Identifier(SWITCHING), Identifier(SWITCHING)
+    one, other = Identifier(MULTILAYER), Identifier(MULTILAYER)
     bad = [(np.nan, SPEED, 0.0, 1e-3), (0.0, SPEED, 1e6, 1e-3), (0.0, SPEED, 0.0, -1.0)]
     for k, row in enumerate(rows):
         expected = one.update(*row, time_s=1e-3 * k)
@@ -218,7 +217,7 @@ def test_a_gap_in_time_is_no_rupture():
 
 
 def test_a_block_is_worked_off_in_three_samples():
-    identifier = Identifier(SWITCHING)
+    identifier = Identifier(MULTILAYER)
     stages = []
     for row in straight(10)[:2600]:
         identifier.update(*row)
@@ -231,7 +230,7 @@ def test_a_block_is_worked_off_in_three_samples():
 @pytest.mark.parametrize("probability", [0.3, 1.0, np.nan, -1.0])
 def test_a_probability_of_an_alarm_must_be_one(probability):
     with pytest.raises(InvalidConfigError, match="alarm_probability"):
-        SwitchingConfig(alarm_probability=probability)
+        MultilayerConfig(alarm_probability=probability)
 
 
 def test_before_contact_there_is_nothing_to_take_off():
