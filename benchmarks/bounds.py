@@ -22,7 +22,6 @@ from scipy.linalg import cholesky, solve_triangular, toeplitz
 
 from benchmarks.signals import InsertionTruth, NeedleSignal, lagging
 from groundtruth import Rupture
-from identification import MULTILAYER
 
 Array = NDArray[np.float64]
 
@@ -64,11 +63,11 @@ def whitener(covariance: Array) -> Array:
     return np.asarray(np.linalg.cholesky(matrix), dtype=np.float64)
 
 
-MEASURED_m = MULTILAYER.final_window_m
+MEASURED_m = 3e-3
 """Travel after a rupture by which its layer is identified for good."""
 BLOCK_s = 0.02
 MOST_BLOCKS = 1000
-ONSET_m = MULTILAYER.cutting_onset_m
+ONSET_m = 1e-3
 """Travel over which the cutting force of a layer builds up."""
 CUTTING_FRACTION = 0.12
 """Root mean square fraction of cutting in the tip force of drawn layers (0 to 0.2)."""
@@ -161,7 +160,7 @@ def _means(columns: Array, size: int) -> Array:
     return columns[: count * size].reshape(count, size, -1).mean(axis=1)
 
 
-INTERVAL_s = MULTILAYER.false_alarm_interval_s
+INTERVAL_s = 3600.0
 """Between false alarms."""
 BEFORE_s = 0.3
 """Past of the noise that is known: slow drift is taken off by it."""

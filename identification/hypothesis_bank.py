@@ -102,6 +102,8 @@ class Bank(NamedTuple):
         shapes = ((n, UNKNOWNS), (n, *last), (n,), (n, FACTS), (n, RECORDS))
         if not 1 <= n <= CAPACITY or [np.shape(part) for part in self] != list(shapes):
             return f"its arrays have shapes {[np.shape(part) for part in self]}"
+        if any(part.dtype != np.float64 for part in self):
+            return f"its arrays hold {[str(part.dtype) for part in self]}, expected float64"
         if not all(np.isfinite(part).all() for part in self):
             return "it has numbers that are not finite"
         scale = np.sqrt(np.maximum(np.einsum("nii->ni", self.spreads), 1e-300))

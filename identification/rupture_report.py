@@ -52,6 +52,8 @@ _LARGE_FALL = 0.12
 """Of the force: no robot brakes so hard within a tenth of a second."""
 _SPEED_LAG_S = 0.06
 """By which a speed that nobody measures may be late: of the sensor and of the travel filter."""
+_LEAST_SLOWED = 0.02
+"""Part of the speed lost that is no noise of a filtered speed."""
 _SLOWED = 3.0
 """Fall of viscous friction, per part of the speed lost so far: the speed is late."""
 _KEPT_SHARE = 0.3
@@ -135,7 +137,7 @@ def may_be_braking(bank: Bank, verdict: Verdict, place: Place) -> bool:
     if place.time_s < record[RUPTURE_S] + _SPEED_LAG_S:
         return True
     slowed = 1.0 - place.speed / max(float(record[RUPTURE_SPEED]), 1e-3)
-    return fall < _SLOWED * slowed * force
+    return slowed > _LEAST_SLOWED and fall < _SLOWED * slowed * force
 
 
 def rupture_of(

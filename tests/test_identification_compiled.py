@@ -9,20 +9,21 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from identification import MULTILAYER, PUBLISHED, PUBLISHED_KV, Identifier
-from identification import friction_compensation as ours
 from identification import published_update as published
 from identification.config import CheckConfig
 from identification.errors import NoRuptureError
-from identification.friction_compensation import LayerFriction, MultilayerCoefficients
-from identification.input_validation import CheckState, check_limits, check_sample
-from identification.layer_model import Gaussian
-from identification.multilayer_state import (
-    TraversedLayer,
-    initial_multilayer_state,
-    multilayer_coefficients,
+from identification.hypothesis_filter import (
+    absorb,
+    after_event,
+    judge_fraction,
+    predict,
+    regressors,
+    shaft_mixture,
+    weigh,
 )
+from identification.input_validation import CheckState, check_limits, check_sample
 from identification.published_identifier import PublishedMethod, published_coefficients
-from identification.slope_change_detector import filter_bank, update_slope_change
+from identification.switching_update import switching_outputs, update_switching
 from identification.travel_filter import TravelState, filter_travel
 from needleforce.jit import COMPILER, jit_arguments
 
@@ -30,12 +31,18 @@ LIMITS = check_limits(CheckConfig())
 KERNELS = [
     check_sample,
     filter_travel,
-    ours.update_multilayer,
-    ours.multilayer_outputs,
+    update_switching,
+    switching_outputs,
+    regressors,
+    predict,
+    absorb,
+    after_event,
+    judge_fraction,
+    weigh,
+    shaft_mixture,
     published.update_published,
     published.published_outputs,
     published.rerun_windows,
-    update_slope_change,
 ]
 
 row = st.tuples(
@@ -68,23 +75,6 @@ def assert_same(compiled, python, rel=1e-12):
     for one, other in zip(flat(compiled), flat(python), strict=True):
         assert type(one) is type(other)
         assert one == other or one == pytest.approx(other, rel=rel, abs=1e-12, nan_ok=True)
-
-
-def multilayer_state(seed, *, in_contact, layers):
-    rng = np.random.default_rng(seed)
-    factor = rng.standard_normal((6, 6))
-    state = initial_multilayer_state(MULTILAYER)
-    known = Gaussian(np.zeros(6), np.eye(6))
-    return state._replace(
-        in_contact=in_contact,
-        fit=Gaussian(np.abs(rng.standard_normal(6)), factor @ factor.T),
-        shaft_std_N=0.1,
-        layer=state.layer._replace(start_m=5e-3 * layers, tip_m=5e-3 * layers + 1e-3),
-        traversed=tuple(
-            TraversedLayer(LayerFriction(5e-3 * k, 5e-3, *rng.random(2).tolist()), known, 0.9)
-            for k in range(layers)
-        ),
-    )
 
 
 @needs_compiler
@@ -124,25 +114,6 @@ def test_the_travel_filter_is_the_same_compiled_and_plain(rows, is_told):
 
 @needs_compiler
 @settings(deadline=None, max_examples=60)
-@given(samples, st.integers(0, 99), st.booleans(), st.integers(0, 3))
-def test_our_update_is_the_same_compiled_and_plain(rows, seed, in_contact, layers):
-    state = multilayer_state(seed, in_contact=in_contact, layers=layers)
-    coefficients = multilayer_coefficients(state, MULTILAYER)
-    friction = [layer.friction for layer in state.traversed]
-    kinds = ((MultilayerCoefficients, coefficients), (LayerFriction, *friction))
-    fast, slow = ([make(*kind) for kind in kinds] for make in (jit_arguments, uncompiled))
-    memory = tuple(state.memory)
-    for depth_m, speed_m_s, *others in rows:
-        values = (depth_m, speed_m_s, 1e-5, *others)
-        result = ours.update_multilayer(*values, memory, *fast)
-        assert_same(result, plain(ours.update_multilayer)(*values, memory, *slow))
-        memory = result[1]
-        outputs = ours.multilayer_outputs(depth_m, speed_m_s, others[0], memory, *fast)
-        assert_same(result[2], outputs)
-
-
-@needs_compiler
-@settings(deadline=None, max_examples=60)
 @given(samples, st.sampled_from([PUBLISHED, PUBLISHED_KV]), st.floats(0.0, 500.0))
 def test_the_published_update_is_the_same_compiled_and_plain(rows, config, cumulative):
     state = PublishedMethod(config).state._replace(cumulative_friction_Ns_per_m=cumulative)
@@ -155,23 +126,6 @@ def test_the_published_update_is_the_same_compiled_and_plain(rows, config, cumul
         assert_same(result, plain(published.update_published)(*values, memory, slow))
         memory = result[1]
         assert_same(result[2], published.published_outputs(*values[:3], memory, fast))
-
-
-@needs_compiler
-@settings(deadline=None, max_examples=60)
-@given(st.integers(0, 999), st.integers(1, 256), st.floats(1e-3, 0.1), st.floats(1e-4, 1.0))
-def test_the_detector_is_the_same_compiled_and_plain(seed, filled, noise, dt_s):
-    rng, bank = np.random.default_rng(seed), filter_bank()
-    learned = (noise**2 * rng.random(6), rng.integers(0, 900, 6).astype(float), rng.random(6))
-    signals = noise * rng.standard_normal(256), 0.01 * rng.standard_normal(256)
-    for newest in rng.random((5, 2)).tolist():
-        limits = (dt_s, 3600.0, 0.03, 4.0 / dt_s)
-        values = (signals, tuple(newest), filled, learned, bank.filters, bank[1:], limits)
-        result, expected = update_slope_change(*values), plain(update_slope_change)(*values)
-        # The filters' outputs are small differences of large forces.
-        for one, other in zip(flat(result), flat(expected), strict=True):
-            assert one == pytest.approx(other, rel=1e-9, abs=1e-12)
-        signals, _, learned = result
 
 
 @pytest.mark.parametrize("config", [MULTILAYER, PUBLISHED])

@@ -6,11 +6,9 @@ import numpy as np
 import pytest
 
 from identification import MULTILAYER, PUBLISHED, Identifier
-from identification import rupture_measurement as rupture_step
 from identification.errors import InvalidSnapshotError
-from identification.estimate import Events, RuptureState
+from identification.estimate import RuptureState
 from identification.published_identifier import PublishedState
-from identification.rupture_measurement import finish_measurement
 from needleforce import read_snapshot, write_snapshot
 
 both_methods = pytest.mark.parametrize("config", [MULTILAYER, PUBLISHED])
@@ -58,42 +56,10 @@ def test_memory_is_bounded(config):
 
 
 def is_at_work(state):
-    """Whether a measurement or a re-run has begun and not ended."""
+    """Whether the work of a block or a re-run has begun and not ended."""
     if isinstance(state, PublishedState):
         return state.rupture_state is RuptureState.FRICTION_IDENTIFIED
-    candidate = state.candidate
-    return candidate is not None and (candidate.work or candidate.search_work) is not None
-
-
-def test_what_is_worked_off_tick_by_tick_or_at_once_is_the_same():
-    slow, fast, early, late = Identifier(), Identifier(), [], []
-    for k, row in enumerate(samples()):
-        early += [(k, found) for found in [slow.update(*row).identified_layer] if found]
-        fast.update(*row)
-        kept = fast.snapshot()
-        state = finish_measurement(kept.state._replace(events=Events()), MULTILAYER)
-        late += [(k, found) for found in [state.events.identified_layer] if found]
-        fast.restore(kept._replace(state=state))
-    assert len(early) == len(late) == 2
-    assert [found for _, found in early] == [found for _, found in late]
-    assert [there - here for (there, _), (here, _) in zip(early, late, strict=True)] == [5, 5]
-
-
-def test_no_tick_at_a_kilohertz_works_off_more_than_one_stage(monkeypatch):
-    worked = []
-
-    def counted(stage):
-        return lambda *given: (worked.append(stage), stage(*given))[1]
-
-    for name in ("_work", "_search"):
-        monkeypatch.setattr(rupture_step, name, counted(getattr(rupture_step, name)))
-    identifier, most = Identifier(), 0
-    for row in samples():
-        before = len(worked)
-        identifier.update(*row)
-        most = max(most, len(worked) - before)
-    assert most == 1
-    assert len(worked) > 10
+    return state.is_due
 
 
 @pytest.mark.parametrize(("config", "least"), [(MULTILAYER, 10), (PUBLISHED, 1)])
@@ -112,24 +78,6 @@ def test_every_state_of_an_insertion_is_accepted_and_resumes_bit_for_bit(config,
         part = Identifier(config)
         part.restore(kept)
     assert files >= least
-
-
-def test_a_second_event_finds_the_work_before_it_done():
-    """Rest begins during a measurement: it ends with the next block, nothing is lost."""
-    ahead, stopped, measurements = Identifier(), Identifier(), 0
-    for row in samples():
-        ahead.update(*row)
-        kept = ahead.snapshot()
-        candidate = kept.state.candidate
-        if candidate is None or candidate.work is None:
-            continue
-        measurements += 1
-        expected = finish_measurement(kept.state, MULTILAYER).events.identified_layer
-        stopped.restore(kept)
-        # A block of one sample leaves no tick in between.
-        assert expected is not None
-        assert stopped.update(row[0], 0.0, row[2], 10e-3).identified_layer == expected
-    assert measurements > 2
 
 
 def with_corner(number):
@@ -153,16 +101,13 @@ def in_tissue():
 @pytest.mark.parametrize(
     ("config", "place", "change"),
     [
-        (MULTILAYER, "fit.covariance", with_corner(0.3)),
-        (MULTILAYER, "fit.covariance", lambda matrix: -matrix),
-        (MULTILAYER, "fit.covariance", lambda matrix: matrix[:2, :2]),
-        (MULTILAYER, "layer.prior.matrix", with_corner(-7.0)),
-        (MULTILAYER, "layer.data.matrix", lambda matrix: matrix - 1e3 * np.eye(6)),
-        (MULTILAYER, "layer.data.matrix", with_corner(np.nan)),
-        (MULTILAYER, "detector.variance", lambda _: np.zeros(3)),
-        (MULTILAYER, "track.points", lambda points: points[:, :4]),
-        (MULTILAYER, "track.points", lambda points: points.astype(int)),
-        (MULTILAYER, "track", lambda _: None),
+        (MULTILAYER, "bank.spreads", with_corner(0.3)),
+        (MULTILAYER, "bank.spreads", lambda spreads: spreads[:, :2, :2]),
+        (MULTILAYER, "bank.means", with_corner(np.nan)),
+        (MULTILAYER, "bank.facts", lambda facts: facts + 7.0),
+        (MULTILAYER, "bank.records", lambda records: records[:, :4]),
+        (MULTILAYER, "bank.log_weights", lambda weights: weights.astype(int)),
+        (MULTILAYER, "levels", lambda _: None),
         (PUBLISHED, "memory.rls.covariance", lambda _: 1e12),
         (PUBLISHED, "memory.rls.var_friction", lambda _: -1.0),
         (PUBLISHED, "windows", lambda windows: np.asfortranarray(windows)),
