@@ -48,9 +48,10 @@ _LEAST_WEIGHT = 1e-3
 """Less likely hypotheses do not show in an answer."""
 _CLEAR_SIGMAS = 3.0
 """Least released force of a rupture worth an alarm, in standard deviations of a block's force."""
-_LARGE_FALL = 0.12
-"""Of the force: no robot brakes so hard within a tenth of a second."""
-_SPEED_LAG_S = 0.06
+_EARLY_FALL, _LARGE_FALL = 0.12, 0.3
+"""Of the force: no robot brakes so hard within a tenth of a second; and more than it ever does
+without being seen to."""
+_SPEED_LAG_S = 0.1
 """By which a speed that nobody measures may be late: of the sensor and of the travel filter."""
 _LEAST_SLOWED = 0.02
 """Part of the speed lost that is no noise of a filtered speed."""
@@ -132,10 +133,10 @@ def may_be_braking(bank: Bank, verdict: Verdict, place: Place) -> bool:
     record, offset = bank.records[verdict.pick], float(bank.means[verdict.pick, OFFSET])
     force = abs(float(record[RUPTURE_FORCE]) - offset)
     fall = float(record[RUPTURE_FORCE]) - place.force
+    if place.time_s < record[RUPTURE_S] + _SPEED_LAG_S:
+        return fall < _EARLY_FALL * force
     if fall > _LARGE_FALL * force:
         return False
-    if place.time_s < record[RUPTURE_S] + _SPEED_LAG_S:
-        return True
     slowed = 1.0 - place.speed / max(float(record[RUPTURE_SPEED]), 1e-3)
     return slowed > _LEAST_SLOWED and fall < _SLOWED * slowed * force
 

@@ -183,7 +183,7 @@ def test_a_report_shows_the_forces_and_the_layers_in_them(insertion):
         assert f"<td>{label}</td>" in page
     assert f"<td>{SENSOR.gain_per_s:g}</td>" in page
     assert "<code>prior.gear_ratio</code>" in page
-    for text in ("friction N", "<code>false_alarm_interval_s</code>"):
+    for text in ("friction N", "<code>alarm_probability</code>"):
         assert text in page
         assert text in alone
     tables = [re.search(r"Layers traversed.*?</table>", p, re.S) for p in (page, alone)]
