@@ -256,7 +256,10 @@ def _real_arm(group: Frame) -> str:
 
 def _published_change(group: Frame) -> str:
     """From offline to online friction in the published Table I."""
-    known = TABLE_ONE_Ns_per_m[int(group["scenario"].iloc[0].split("-")[1])]
+    kind, *rest = group["scenario"].iloc[0].split("-")
+    if kind != "gel":  # a drawn stack of one layer
+        return NOTHING
+    known = TABLE_ONE_Ns_per_m[int(rest[0])]
     return f"{100.0 * (known.online / known.offline - 1.0):.0f}"
 
 

@@ -56,7 +56,7 @@ def test_the_whole_chain_runs_on_real_torques_with_real_tissue(recordings_dir, t
     rmse = "wrench_rmse_N"
     assert found["virtual", "default", rmse] < 0.1 * found["virtual", "published", rmse]
     # Turned round, the force would be off by twice its mean of 1.4 N.
-    assert abs(found["virtual", "default", "wrench_bias_N"]) < 0.5
+    assert abs(found["virtual", "default", "wrench_bias_N"]) < 1.0
     assert list(tmp_path.glob("panda-liver-recording-1-*.svg"))
     names = {name for source, _, name in found if source == "ft"}
     assert {"pullout_error_42mm_median_pct", "pullout_error_78mm_median_pct"} < names

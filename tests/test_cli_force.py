@@ -218,7 +218,7 @@ def test_any_urdf_with_locked_joints_or_without_a_link_gives_forces(lwr, run, lo
     offset = ["--without", "finger", "--tip-offset", "0", "0", "0.1"]
     columns, printed = run(path, *robot, *offset, "--no-tare")
     assert "arm, 2 joints" in printed
-    assert "axial force at tool" in printed
+    assert "point force at tool" in printed
     # A known arm is loaded by its name.
     assert "lwr4plus" in run(log, "--robot", "lwr", "--no-tare")[1]
     columns, path = insertion(lwr, seconds=0.6), tmp_path / "ur.npz"
