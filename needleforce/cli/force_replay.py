@@ -266,7 +266,7 @@ class Replay:
             positions[k] = self._tool.pose[:3, 3]
             if self._start_m is None:
                 self._start_m = positions[k].copy()
-                self._axis = self._tool.axis_in_base.copy()
+                self._axis = self._tool.pose[:3, :3].dot(self._tool.axis_in_tool)
         if self._start_m is None:
             return positions[:, 0]
         # Not a matrix product, whose rounding may depend on how many rows come at a time.
