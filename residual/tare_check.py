@@ -14,6 +14,8 @@ SIGMAS = 5.0
 """A force must exceed this many standard deviations to count as contact."""
 INTERVALS = 24
 """Parts of the motion; a contact begins and ends with one of them."""
+IMPLAUSIBLE = 32.0
+"""Times the prior's drift or walk: no sensor wanders so, but a needle pushed into tissue does."""
 
 MOST_LEFT, MOST_LEFT_BY_A_MASS = 0.2, 0.6
 """Fraction of the residual, root mean square, that an explanation may leave over; offsets of the
@@ -54,6 +56,8 @@ def check_free_of_contact(
         # Fitted beside it, a contact does not pass for a sensor that drifts or a rough bearing.
         kept, contact = _likeliest_contact(at_prior, wrench)
         beside = FreeMotionFit(basis, blocks.part(kept), contact[kept])
+        if max(beside.sizes.get(name, 0.0) for name in ("drift", "walk")) >= IMPLAUSIBLE:
+            beside = FreeMotionFit(basis, blocks.part(kept), contact[kept], learn=False)
         force, std = beside.contact_N(-wrench.kinematics.axis_in_tool)
     if abs(force) <= max(contact_force_N, SIGMAS * std):
         force = 0.0
