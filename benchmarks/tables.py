@@ -250,10 +250,6 @@ def _runs(group: Frame) -> str:
     return str(len(group[["scenario", "seed"]].drop_duplicates()))
 
 
-def _real_arm(group: Frame) -> str:
-    return f"{PUBLISHED_RMSE_N.get(group['scenario'].iloc[0], NOTHING)}"
-
-
 def _published_change(group: Frame) -> str:
     """From offline to online friction in the published Table I."""
     kind, *rest = group["scenario"].iloc[0].split("-")
@@ -265,7 +261,7 @@ def _published_change(group: Frame) -> str:
 
 TEXTS: dict[str, Callable[[Frame], str]] = {
     "force target": _force_mark,
-    "real arm": _real_arm,
+    "real arm": lambda group: str(PUBLISHED_RMSE_N.get(group["scenario"].iloc[0], NOTHING)),
     "published change": _published_change,
     "runs": _runs,
 }
