@@ -88,8 +88,8 @@ class Rupture:
         is_final: Whether it is settled: while False it may still be retracted.
         contact_depth_m: Depth at which the first layer was met: found by the multi-layer method,
             known beforehand in `published`.
-        tear_probability: That it was a tear inside the layer and not its end, None where the method
-            does not tell them apart.
+        partial_rupture_probability: That it was partial and not the layer's end, None where the
+            method does not distinguish them.
     """
 
     layer: int
@@ -102,12 +102,7 @@ class Rupture:
     probability: float
     is_final: bool = False
     contact_depth_m: float
-    tear_probability: float | None = None
-
-    @property
-    def travel_in_tissue_m(self) -> float:
-        """Depth of the rupture counted from the first contact."""
-        return self.depth_m - self.contact_depth_m
+    partial_rupture_probability: float | None = None
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -174,8 +169,8 @@ class Estimate(NamedTuple):
         rupture_state: State of the rupture machine.
         in_contact: Whether the needle has met the first layer (and not lost contact again).
         layer: Number of the layer the tip is in, from 1; 0 before contact.
-        enhanced_force_N: Axial force less the friction of the layers already traversed. As of all
-            forces, its deviation is that of the friction taken off, not of the force itself.
+        enhanced_force_N: Axial force less the friction of the layers already traversed. Its
+            deviation, as that of the tip force, holds the noise of the force too.
         tip_force_N: Axial force less all shaft friction, the current layer's included.
         shaft_friction_N: All shaft friction; opposes motion, negative during withdrawal.
         predicted_force_N: Axial force the model expected at this sample.

@@ -33,12 +33,12 @@ from identification.hypothesis_filter import (
     OWN_COULOMB,
     OWN_FORCE,
     OWN_VISCOUS,
+    PARTIAL,
     RELEASE,
     RELEASED,
     ROOT,
     RUPTURES,
     STIFFNESS,
-    TEAR,
     TIP,
     UNKNOWNS,
     after_event,
@@ -54,15 +54,15 @@ HAZARD = 0.03
 """Ruptures per mm of travel, beforehand."""
 RELEASES_MM = (0.15, 0.3, 0.5, 1.0, 2.0)
 """Of a layer's end or a membrane: gels release within 0.1 to 0.5 mm, real liver within 2 mm."""
-TEARS_MM = (0.5, 1.5)
-"""Of a tear: within liver 0.5 to 2 mm."""
-TEAR_SHARE = 0.15
+PARTIAL_RELEASES_MM = (0.5, 1.5)
+"""Of a partial rupture: within liver 0.5 to 2 mm."""
+PARTIAL_FRACTION = 0.15
 """Of ruptures."""
-KEPT_SHARE = 0.2
+KEPT_PROBABILITY = 0.2
 """Of ends of a layer after which some of the tip's force stays for a while."""
-AIR_SHARE = 0.25
+AIR_FRACTION = 0.25
 """Of ends into free air."""
-MEMBRANE_SHARE = 0.15
+MEMBRANE_FRACTION = 0.15
 """Membranes met under a layer, per rupture."""
 MEMBRANE_STEP_MM = 0.25
 """Travel between hypotheses of a membrane met."""
@@ -78,10 +78,10 @@ NEGLIGIBLE = -30.0
 _NO_RELEASE = -1e9
 
 # What a report needs: when, where, how fast and at which force the last rupture was, and whether
-# it was a tear; of the last part of a layer between two events where it begins and ends, its
+# it was partial; of the last part of a layer between two events where it begins and ends, its
 # friction, stiffness, Coulomb and viscous friction per length and their variances; where tissue was
 # first met.
-RUPTURE_S, RUPTURE_MM, RUPTURE_SPEED, RUPTURE_FORCE, WAS_TEAR = range(5)
+RUPTURE_S, RUPTURE_MM, RUPTURE_SPEED, RUPTURE_FORCE, WAS_PARTIAL = range(5)
 PART_START, PART_END, PART_FRICTION, STIFFNESS_HERE, CONTACT_MM = 5, 6, 7, 8, 14
 RECORDS = 15
 
@@ -198,15 +198,22 @@ def _events(
         return
     if place.depth <= fact[TIP] + LEAST_MM:
         return
-    ends = (1.0 - TEAR_SHARE) * chance / len(RELEASES_MM)
-    further = ends * (1.0 - AIR_SHARE)
+    ends = (1.0 - PARTIAL_FRACTION) * chance / len(RELEASES_MM)
+    further = ends * (1.0 - AIR_FRACTION)
     yield EXIT, LAYER, False, dict.fromkeys(RELEASES_MM, further)
     if kind == LAYER:
-        yield EXIT, LAYER, True, dict.fromkeys(RELEASES_MM, further * KEPT_SHARE)
-        yield EXIT, AIR, False, dict.fromkeys(RELEASES_MM, ends * AIR_SHARE)
-        yield TEAR, LAYER, False, dict.fromkeys(TEARS_MM, TEAR_SHARE * chance / len(TEARS_MM))
+        yield EXIT, LAYER, True, dict.fromkeys(RELEASES_MM, further * KEPT_PROBABILITY)
+        yield EXIT, AIR, False, dict.fromkeys(RELEASES_MM, ends * AIR_FRACTION)
+        yield (
+            PARTIAL,
+            LAYER,
+            False,
+            dict.fromkeys(
+                PARTIAL_RELEASES_MM, PARTIAL_FRACTION * chance / len(PARTIAL_RELEASES_MM)
+            ),
+        )
         if is_membrane_due and place.depth > fact[ROOT] + 2.0 and fact[IS_JUDGED]:
-            yield MEETING, MEMBRANE, False, {0.3: MEMBRANE_SHARE * MEMBRANE_STEP_MM * HAZARD}
+            yield MEETING, MEMBRANE, False, {0.3: MEMBRANE_FRACTION * MEMBRANE_STEP_MM * HAZARD}
 
 
 def _add_child(
@@ -228,7 +235,7 @@ def _add_child(
     at = (place.deflection, place.speed, place.tissue_speed, place.force)
     what, now = (event, was, becomes, is_met, is_kept), (length, depth - begin, *at)
     mean, spread = after_event(before, spread_before, row, what, now)
-    if event in (EXIT, TEAR):
+    if event in (EXIT, PARTIAL):
         own = slice(RELEASED, OWN_VISCOUS + 1)
         fact[RELEASE], fact[OWN_FORCE] = depth, float(row[own] @ before[own])
         fact[RUPTURES] += 1.0
@@ -236,12 +243,12 @@ def _add_child(
         fact[RELEASE] = _NO_RELEASE
     part = (begin, float(mean[LEFT]), before, spread_before)
     _write_record(record, place, change, part, is_first=not fact[RUPTURES])
-    if event != TEAR:
+    if event != PARTIAL:
         # The layer behind a membrane has rubbed since the membrane was met.
         fact[ROOT] = fact[TIP] if event == EXIT and was == MEMBRANE else depth
         fact[IS_JUDGED] = float(becomes != LAYER)
     fact[TIP], fact[KIND] = depth, becomes
-    fact[IS_HELD] = float(event in (TEAR, MEETING))
+    fact[IS_HELD] = float(event in (PARTIAL, MEETING))
     fact[IS_PUNCTURED] = float(event == EXIT and was == MEMBRANE)
     weight, n = float(bank.log_weights[k]), len(chances)
     children.means.extend([mean] * n)
@@ -262,9 +269,9 @@ def _write_record(
     """Write down what a report may need of an event and of the part of a layer that it ends."""
     event, was, _, _ = change
     begin, friction, mean, spread = part
-    if event in (EXIT, TEAR):
+    if event in (EXIT, PARTIAL):
         moment = (place.time_s - 0.5 * place.dt_s, place.depth, place.speed, place.force)
-        record[RUPTURE_S : WAS_TEAR + 1] = (*moment, float(event == TEAR))
+        record[RUPTURE_S : WAS_PARTIAL + 1] = (*moment, float(event == PARTIAL))
     if was == LAYER:
         record[PART_START : PART_FRICTION + 1] = begin, place.depth, friction
         for n, j in enumerate((STIFFNESS, OWN_COULOMB, OWN_VISCOUS)):

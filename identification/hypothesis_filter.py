@@ -9,8 +9,8 @@ released, U what of it stays and fades later, T the force held or needed to cut,
 b friction per length of shaft in the layer; d disturbances: the colour of the sensor's noise,
 heartbeat, breathing, and the error of this law. Known are w, the presliding deflection (1 when
 sliding inwards), v the speed, x the travel of the tip and y the length of shaft in the layer, and e
-is white. An event (contact, the end of a layer, a tear in it, a membrane met) is a linear map of
-the unknowns that leaves the force as it is.
+is white. An event (contact, the end of a layer, a partial rupture, a membrane met) is a linear map
+of the unknowns that leaves the force as it is.
 
 So each hypothesis is a Kalman filter (switching linear model, Shumway and Stoffer 1991), and how
 well it predicts the force is the evidence for it. Lengths are in mm, speeds in mm/s, forces in N.
@@ -40,7 +40,7 @@ _AFTER_TIP = KEPT + 1  # the tip's unknowns are those from RELEASED to before th
 KIND, ROOT, TIP, RELEASE, LENGTH, IS_HELD, IS_JUDGED, RUPTURES, OWN_FORCE, IS_PUNCTURED = range(10)
 FACTS = 10
 AIR, LAYER, MEMBRANE = 0.0, 1.0, 2.0
-CONTACT, EXIT, TEAR, MEETING = range(4)
+CONTACT, EXIT, PARTIAL, MEETING = range(4)
 """Events; a membrane is met under a layer that goes on pushing, and its puncture is an exit."""
 
 Spreads = Annotated[NDArray[np.float64], 3]
@@ -61,11 +61,11 @@ CUTTING, CUTTING_STD, CUTTING_MM = 0.03, 0.15, 2.0
 """Cutting force [N], and the travel over which stiffness would reach what it is more or less."""
 OFFSET_WALK = 1e-6
 """Drift of the sensor's zero [N²/s]."""
-HELD_WANDER = 0.05
+HELD_DRIFT = 0.05
 """Relative change of cutting force, per square root of a mm."""
 KEPT_FRACTION, KEPT_STD, KEPT_MM = 0.45, 0.15, 5.0
 """Of a tip force that stays after its rupture, and the travel over which it fades: chosen, between
-the 30 and 60 % that tears in liver suggest."""
+the 30 and 60 % that partial ruptures in liver suggest."""
 NEVER = -1e8
 """Depth of a release before any."""
 SHAPE_ERROR = 0.1
@@ -236,9 +236,9 @@ def friction_fraction(speed: float) -> tuple[float, float, float]:
 
 @compiled
 def add_prior(
-    mean: WrittenVector, spread: WrittenMatrix, speed: float, kind: float, is_torn: bool
+    mean: WrittenVector, spread: WrittenMatrix, speed: float, kind: float, is_partial: bool
 ) -> None:
-    """Add what is known beforehand of a layer or a membrane; a tear leaves friction as it was."""
+    """Add what is known beforehand of a layer or a membrane; a partial rupture keeps friction."""
     if kind == MEMBRANE:
         mean[STIFFNESS], mean[STIFFENING] = 0.05, 0.01
         spread[STIFFNESS, STIFFNESS], spread[STIFFENING, STIFFENING] = 0.1**2, 0.02**2
@@ -249,7 +249,7 @@ def add_prior(
     mean[STIFFNESS] += (1.0 - fraction) * SLOPE
     spread[STIFFNESS, STIFFNESS] += std**2
     spread[STIFFENING, STIFFENING] += STIFFENING_STD**2
-    if not is_torn:
+    if not is_partial:
         mean[OWN_COULOMB] += fraction * coulomb * SLOPE
         spread[OWN_COULOMB, OWN_COULOMB] += (std * coulomb) ** 2
         mean[OWN_VISCOUS] += fraction * viscous * SLOPE / pace
@@ -285,7 +285,7 @@ def after_event(
     change, noise, tip = np.eye(UNKNOWNS), np.zeros((UNKNOWNS, UNKNOWNS)), np.zeros(UNKNOWNS)
     tip[RELEASED:_AFTER_TIP] = row[RELEASED:_AFTER_TIP]
     change[RELEASED:_AFTER_TIP] = 0.0
-    if what in (EXIT, TEAR):  # the error of the law was the tip's, and goes with it
+    if what in (EXIT, PARTIAL):  # the error of the law was the tip's, and goes with it
         tip[LAW] = 1.0
         change[LAW : LAW_RATE + 1] = 0.0
         noise[LAW, LAW] = (LAW_ERROR * LEFT_ERROR * (force - mean[OFFSET] - np.dot(tip, mean))) ** 2
@@ -293,7 +293,7 @@ def after_event(
     if what == CONTACT:
         change[OWN_COULOMB : OWN_VISCOUS + 1] = 0.0
         noise[COULOMB, COULOMB] = (0.2 * (1.0 - deflection)) ** 2  # or it starts inside tissue
-    elif what == TEAR:
+    elif what == PARTIAL:
         change[RELEASED], change[HELD] = tip, 0.5 * tip
         noise[HELD, HELD] = (0.25 * np.dot(tip, mean)) ** 2 + 1e-4
     else:
@@ -311,7 +311,7 @@ def after_event(
         change[LEFT, OWN_COULOMB], change[LEFT, OWN_VISCOUS] = passed * deflection, passed * speed
         noise[LEFT, LEFT] = (passed * mean[OWN_VISCOUS] * unseen) ** 2
     mean, spread = np.dot(change, mean), np.dot(np.dot(change, spread), change.T.copy()) + noise
-    add_prior(mean, spread, speed, becomes, what == TEAR)
+    add_prior(mean, spread, speed, becomes, what == PARTIAL)
     return mean, spread
 
 
@@ -375,8 +375,8 @@ def weigh(
         kind, travel = facts[k, KIND], depth - facts[k, TIP]
         own, mean = facts[k, OWN_FORCE], means[k]
         if own > 0.0 and depth > facts[k, RELEASE] + facts[k, LENGTH] + 0.1:
-            is_torn = kind == LAYER and facts[k, IS_HELD] > 0.0
-            fallen = mean[RELEASED] - mean[KEPT] - (mean[HELD] if is_torn else 0.0)
+            is_partial = kind == LAYER and facts[k, IS_HELD] > 0.0
+            fallen = mean[RELEASED] - mean[KEPT] - (mean[HELD] if is_partial else 0.0)
             if fallen < max(LEAST_DROP * own, 2.0 * noise):
                 weights[k] -= 12.0
             facts[k, OWN_FORCE] = 0.0

@@ -140,25 +140,25 @@ class Identifier:
             time_s: Time of the sample on the clock on which estimates and events are to be
                 reported [s]; None for the sum of ``dt_s`` since the reset.
         """
-        is_told = speed_m_s is not None
-        speed = speed_m_s if is_told else self._travel[1]
+        is_measured = speed_m_s is not None
+        speed = speed_m_s if is_measured else self._travel[1]
         if not (type(depth_m) is type(speed) is type(force_N) is type(dt_s) is float) or (
             time_s is not None and not (type(time_s) is float and math.isfinite(time_s))
         ):
-            return self._update_raw((depth_m, speed, force_N, dt_s), is_told, time_s)
+            return self._update_raw((depth_m, speed, force_N, dt_s), is_measured, time_s)
         check, travel, last = self._check, self._travel, self._last
         number, elapsed_s, depth_m, self._check = check_sample(
-            depth_m, speed, force_N, dt_s, is_told, check, self._limits
+            depth_m, speed, force_N, dt_s, is_measured, check, self._limits
         )
         if time_s is None:
             time_s = self._check[0]
         if number > LAST_USED:
             return self._reject(STATUSES[number], time_s)
-        told = speed if is_told else math.nan
-        motion, self._travel = filter_travel(depth_m, told, elapsed_s, travel)
+        given = speed if is_measured else math.nan
+        motion, self._travel = filter_travel(depth_m, given, elapsed_s, travel)
         method = self._method
         if not method.takes_filtered_travel:
-            motion = (depth_m, speed if is_told else motion[1], 0.0, 0.0)
+            motion = (depth_m, speed if is_measured else motion[1], 0.0, 0.0)
         found = method.update(_new(Sample, (time_s, elapsed_s, *motion, force_N)))
         estimate = self._last = _new(Estimate, (time_s, STATUSES[number], *found))
         if found[_EVENTS:] != _NO_EVENTS:
@@ -211,16 +211,18 @@ class Identifier:
         self._check, self._travel = check[:], travel[:]
         self._last, self._before = last, None
 
-    def _update_raw(self, values: tuple[Any, ...], is_told: bool, time_s: object) -> Estimate:
-        """As `update`, for values of any type; the speed is one that is told or estimated."""
+    def _update_raw(self, values: tuple[Any, ...], is_measured: bool, time_s: object) -> Estimate:
+        """As `update`, for values of any type; the speed is measured or estimated."""
         numbers: list[Any] = [as_scalar(value) for value in values]
         time = as_scalar(0.0 if time_s is None else time_s)
         if time is not None and math.isfinite(time) and None not in numbers:
-            numbers[1] = numbers[1] if is_told else None
+            numbers[1] = numbers[1] if is_measured else None
             return self.update(*numbers, time_s=None if time_s is None else time)
         # Handled as one that is not finite: its time passes, if it has one.
         dt_s = math.nan if numbers[-1] is None else numbers[-1]
-        *_, self._check = check_sample(math.nan, 0.0, 0.0, dt_s, is_told, self._check, self._limits)
+        *_, self._check = check_sample(
+            math.nan, 0.0, 0.0, dt_s, is_measured, self._check, self._limits
+        )
         is_odd = time is None or None in numbers
         status = SampleStatus.NOT_A_SCALAR if is_odd else SampleStatus.NOT_FINITE
         if time is None or not math.isfinite(time):

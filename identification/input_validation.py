@@ -73,7 +73,7 @@ def _check_motion(
     depth: float,
     speed: float,
     interval: float,
-    is_told: bool,
+    is_measured: bool,
     memory: CheckMemory,
     limits: Limits,
 ) -> tuple[int, float, float, CheckMemory]:
@@ -91,7 +91,7 @@ def _check_motion(
     by_depth, by_speed = keep * by_depth, keep * by_speed
     if is_jump:
         shift += surprise
-    elif has_depth and dt <= gap and is_told:
+    elif has_depth and dt <= gap and is_measured:
         # One speed says nothing of the travel through a gap, nor of that before the first depth.
         by_depth, by_speed = by_depth + change, by_speed + speed * dt
     is_contrary = by_depth * by_speed < 0.0 and min(abs(by_depth), abs(by_speed)) > sign_travel_m
@@ -116,13 +116,13 @@ def check_sample(
     speed_m_s: float,
     force_N: float,
     dt_s: float,
-    is_told: bool,
+    is_measured: bool,
     memory: CheckMemory,
     limits: Limits,
 ) -> tuple[int, float, float, CheckMemory]:
     """Check one raw sample: depth, speed, force and interval as `Identifier.update` takes them.
 
-    Where nobody told the speed, it is the last one estimated, which contradicts no depth.
+    Where nobody measured the speed, it is the last one estimated, which contradicts no depth.
 
     Time runs on over samples that are rejected, as long as their interval is valid: a dropped
     force does not shift the clock of what follows.
@@ -145,7 +145,7 @@ def check_sample(
     elif abs(force_N) > limits[4]:
         status = _FORCE_RANGE
     if status == _OK:
-        return _check_motion(depth_m, speed_m_s, dt_s, is_told, memory, limits)
+        return _check_motion(depth_m, speed_m_s, dt_s, is_measured, memory, limits)
     time, usual, raw_depth, shift, by_depth, by_speed, pending, has_depth, rejected = memory
     time, pending = time + dt_s, pending + dt_s
     memory = (time, usual, raw_depth, shift, by_depth, by_speed, pending, has_depth, rejected)

@@ -21,7 +21,7 @@ from identification.hypothesis_bank import (
     RUPTURE_S,
     RUPTURE_SPEED,
     STIFFNESS_HERE,
-    WAS_TEAR,
+    WAS_PARTIAL,
     Bank,
     Place,
 )
@@ -57,7 +57,7 @@ _LEAST_SLOWED = 0.02
 """Part of the speed lost that is no noise of a filtered speed."""
 _SLOWED = 3.0
 """Fall of viscous friction, per part of the speed lost so far: the speed is late."""
-_KEPT_SHARE = 0.3
+_LEAST_PROBABILITY = 0.3
 """Hypotheses with the last rupture must be so likely, together, to say what it was."""
 _IDENTIFIED = 0.25
 """A value is identified if its standard deviation is no more of it."""
@@ -100,7 +100,7 @@ def answer_at(bank: Bank, place: Place, ruptures: int) -> Answer:
 _PAIRS = ((0, 1), (0, 2), (1, 1), (1, 2), (2, 2), (0, 3), (0, 4), (3, 3), (3, 4), (4, 4))
 
 
-class Verdict(NamedTuple):
+class Evaluation(NamedTuple):
     """What the hypotheses say of the number of ruptures."""
 
     more: float  # probability of one more than known, with a clear fall of the force
@@ -109,28 +109,28 @@ class Verdict(NamedTuple):
     best: int  # ruptures of the likeliest of all
 
 
-def count_ruptures(bank: Bank, known: int, noise: float) -> Verdict:
+def count_ruptures(bank: Bank, known: int, noise: float) -> Evaluation:
     """Compare the number of ruptures known with those of the hypotheses."""
     weights, facts = bank.weights, bank.facts
-    # After a tear part of the force is held: what has fallen is the rest.
-    is_torn = (facts[:, KIND] == LAYER) & (facts[:, IS_HELD] > 0.0)
+    # After a partial rupture part of the force is held: what has fallen is the rest.
+    is_partial = (facts[:, KIND] == LAYER) & (facts[:, IS_HELD] > 0.0)
     released = bank.means[:, RELEASED] - bank.means[:, KEPT]
-    released -= np.where(is_torn, bank.means[:, HELD], 0.0)
+    released -= np.where(is_partial, bank.means[:, HELD], 0.0)
     more = facts[:, RUPTURES] > known
     is_clear = released > _CLEAR_SIGMAS * noise
     pick = int(np.argmax(np.where(more, weights, -1.0))) if more.any() else -1
     fewer = float(weights[facts[:, RUPTURES] < known].sum())
     best = int(facts[int(np.argmax(weights)), RUPTURES])
-    return Verdict(float(weights[more & is_clear].sum()), fewer, pick, best)
+    return Evaluation(float(weights[more & is_clear].sum()), fewer, pick, best)
 
 
-def may_be_braking(bank: Bank, verdict: Verdict, place: Place) -> bool:
+def may_be_braking(bank: Bank, evaluation: Evaluation, place: Place) -> bool:
     """Whether a needle that slows down could make the fall of the force as well.
 
     The speed is known late, and friction falls with it at once: a fall that is small beside the
     force waits until the speed would show, and counts only if it is more than the speed explains.
     """
-    record, offset = bank.records[verdict.pick], float(bank.means[verdict.pick, OFFSET])
+    record, offset = bank.records[evaluation.pick], float(bank.means[evaluation.pick, OFFSET])
     force = abs(float(record[RUPTURE_FORCE]) - offset)
     fall = float(record[RUPTURE_FORCE]) - place.force
     if place.time_s < record[RUPTURE_S] + _SPEED_LAG_S:
@@ -156,7 +156,9 @@ def rupture_of(
         speed_m_s=float(record[RUPTURE_SPEED]) / _MM,
         probability=min(probability, 1.0),
         contact_depth_m=float(record[CONTACT_MM]) / _MM,
-        tear_probability=tear_probability(bank, int(bank.facts[pick, RUPTURES])),
+        partial_rupture_probability=partial_rupture_probability(
+            bank, int(bank.facts[pick, RUPTURES])
+        ),
     )
 
 
@@ -176,22 +178,22 @@ def friction_left(bank: Bank, known: int, *, before: bool = False) -> tuple[floa
         mine &= ~_is_meeting(bank)
         place = np.full_like(place, EARLIER)
     total = float(weights[mine].sum())
-    if total < _KEPT_SHARE:
+    if total < _LEAST_PROBABILITY:
         return None
-    rows, place, share = np.flatnonzero(mine), place[mine], weights[mine] / total
+    rows, place, fraction = np.flatnonzero(mine), place[mine], weights[mine] / total
     values, variances = bank.means[rows, place], bank.spreads[rows, place, place]
-    mean = float(share @ values)
-    variance = float(share @ (np.maximum(variances, 0.0) + (values - mean) ** 2))
+    mean = float(fraction @ values)
+    variance = float(fraction @ (np.maximum(variances, 0.0) + (values - mean) ** 2))
     return mean, math.sqrt(variance)
 
 
 def layer_left(bank: Bank, rupture: Rupture, known: int) -> LayerEstimate | None:
     """The layer, or the part of one, that the last rupture ended; None as in `friction_left`."""
     mine = (bank.facts[:, RUPTURES] == known) & ~_is_meeting(bank)
-    share, known_friction = np.where(mine, bank.weights, 0.0), friction_left(bank, known)
+    likely, known_friction = np.where(mine, bank.weights, 0.0), friction_left(bank, known)
     if known_friction is None or not mine.any():
         return None
-    best = int(np.argmax(share))
+    best = int(np.argmax(likely))
     record = bank.records[best]
     thickness = max(float(record[RUPTURE_MM] - record[PART_START]), 1e-3)
     fields: dict[str, float | bool] = {}
@@ -233,8 +235,8 @@ def with_friction(layer: LayerEstimate, friction: float, std: float) -> LayerEst
     )
 
 
-def tear_probability(bank: Bank, known: int) -> float:
-    """How likely the last rupture was a tear within a layer, not its end."""
+def partial_rupture_probability(bank: Bank, known: int) -> float:
+    """How likely the last rupture was a partial one, not the end of a layer."""
     weights = np.where(bank.facts[:, RUPTURES] == known, bank.weights, 0.0)
     total = float(weights.sum())
-    return float(weights @ bank.records[:, WAS_TEAR]) / total if total > 0.0 else 0.0
+    return float(weights @ bank.records[:, WAS_PARTIAL]) / total if total > 0.0 else 0.0

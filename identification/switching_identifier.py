@@ -34,7 +34,7 @@ from identification.hypothesis_filter import (
     BEATS,
     COULOMB,
     HELD,
-    HELD_WANDER,
+    HELD_DRIFT,
     KIND,
     LAW_ERROR,
     LEFT_ERROR,
@@ -52,14 +52,14 @@ from identification.hypothesis_filter import (
     regressors,
 )
 from identification.rupture_report import (
-    Verdict,
+    Evaluation,
     answer_at,
     count_ruptures,
     friction_left,
     layer_left,
     may_be_braking,
+    partial_rupture_probability,
     rupture_of,
-    tear_probability,
     with_friction,
 )
 from identification.switching_update import (
@@ -82,7 +82,7 @@ _USUAL_S, _USUAL_MM = 10.0, 3.0
 _CREEP, _SLOW, _HALF = 0.05, 0.15, 0.3
 """Advancing means faster than this [mm/s] and than a part of the usual speed; new hypotheses want
 more of it: at a stop the force falls without any rupture."""
-_PLAY = 3.0
+_DEADBAND = 3.0
 """Standard deviations of the speed's noise within which the speed may not have changed."""
 _CHANNEL_MM = 0.02
 """Behind the deepest point by more than this, and the noise, the tip is in its own channel."""
@@ -233,8 +233,8 @@ def _absorb(state: SwitchingState, sample: Sample) -> SwitchingState:
     jitter, speed_noise = _MM * memory.depth_std_m, _MM * memory.speed_std_m_s
     # Friction at a noisy speed would seem to be the same at all speeds: only a change that noise
     # does not explain is one.
-    play = _PLAY * speed_noise
-    steady = v - play if course.speed < v - play else min(course.speed, v + play)
+    deadband = _DEADBAND * speed_noise
+    steady = v - deadband if course.speed < v - deadband else min(course.speed, v + deadband)
     usual = max(course.usual_speed * math.exp(-dt / _USUAL_S - abs(v) * dt / _USUAL_MM), v)
     fresh = max(z - last, 0.0) if last > -_FAR_MM else 0.0
     is_gap = dt > _GAP_S
@@ -269,7 +269,7 @@ def _predicted(bank: Bank, place: Place, fresh: float, levels: DisturbanceLevels
     # Errors of the law are the same for all: what claims less would be believed more.
     best = bank.means[0]
     slope = max(best[STIFFNESS] + best[OWN_COULOMB] + best[OWN_VISCOUS] * place.speed, 0.004)
-    held = fresh * (HELD_WANDER * min(max(best[HELD], 0.02), 2.0 * slope)) ** 2
+    held = fresh * (HELD_DRIFT * min(max(best[HELD], 0.02), 2.0 * slope)) ** 2
     left = place.deflection * best[COULOMB] + place.speed * best[VISCOUS]
     law = LAW_ERROR * (abs(place.force - best[OFFSET] - left) + LEFT_ERROR * abs(left))
     variances = np.array([*levels.levels[1:], law * law])
@@ -338,15 +338,15 @@ def _report(state: SwitchingState, sample: Sample, config: MultilayerConfig) -> 
     bank, place = state.bank, state.place
     if state.stage != _REPORT:
         bank = prune(bank, place)
-    verdict = count_ruptures(bank, state.ruptures, place.noise)
-    now = RuptureState.EXPECTED if verdict.more > 0.5 else RuptureState.NO_RUPTURE
+    evaluation = count_ruptures(bank, state.ruptures, place.noise)
+    now = RuptureState.EXPECTED if evaluation.more > 0.5 else RuptureState.NO_RUPTURE
     if _is_open(state):
         now = RuptureState.FORCE_DROP_MEASURING
     state = state._replace(bank=bank, stage=_NOTHING, rupture_state=now)
-    if verdict.more > config.alarm_probability and not may_be_braking(bank, verdict, place):
-        state = _raise_alarm(state, sample, verdict)
-    elif state.alarm is not None and verdict.fewer > _TAKEN_BACK:
-        state = _take_back(state, verdict.best, 1.0 - verdict.fewer)
+    if evaluation.more > config.alarm_probability and not may_be_braking(bank, evaluation, place):
+        state = _raise_alarm(state, sample, evaluation)
+    elif state.alarm is not None and evaluation.fewer > _TAKEN_BACK:
+        state = _take_back(state, evaluation.best, 1.0 - evaluation.fewer)
     elif state.alarm is not None:
         state = _report_layer(state, state.alarm)
     answer = answer_at(bank, place, layers_traversed(state.layers) + _is_open(state))
@@ -361,17 +361,17 @@ def _is_open(state: SwitchingState) -> bool:
     return alarm is not None and layers_traversed(state.layers) < alarm.layer
 
 
-def _raise_alarm(state: SwitchingState, sample: Sample, verdict: Verdict) -> SwitchingState:
+def _raise_alarm(state: SwitchingState, sample: Sample, evaluation: Evaluation) -> SwitchingState:
     events, layers = state.events, state.layers
     if layers and not layers[-1].is_final:
         layers = (*layers[:-1], replace(layers[-1], is_final=True))
         events = events._replace(identified_layer=layers[-1])
     at = (sample.time_s, sample.depth_m)
     number = layers_traversed(layers) + 1
-    rupture = rupture_of(state.bank, verdict.pick, number, verdict.more, at)
+    rupture = rupture_of(state.bank, evaluation.pick, number, evaluation.more, at)
     return state._replace(
         alarm=rupture,
-        ruptures=int(state.bank.facts[verdict.pick, RUPTURES]),
+        ruptures=int(state.bank.facts[evaluation.pick, RUPTURES]),
         layers=layers,
         rupture_state=RuptureState.DETECTED,
         events=events._replace(rupture=rupture),
@@ -411,7 +411,9 @@ def _report_layer(state: SwitchingState, alarm: Rupture) -> SwitchingState:
     layer = layers[-1] if friction is None else with_friction(layers[-1], *friction)
     if is_due:
         rupture = replace(
-            layer.rupture, is_final=True, tear_probability=tear_probability(bank, state.ruptures)
+            layer.rupture,
+            is_final=True,
+            partial_rupture_probability=partial_rupture_probability(bank, state.ruptures),
         )
         layer = replace(layer, is_final=True, rupture=rupture)
         events = events._replace(identified_layer=layer)

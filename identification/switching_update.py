@@ -16,7 +16,7 @@ the noise of single samples."""
 _PRESLIDING_MM = 0.3
 """Travel over which friction turns after a reversal: gel clings for a fifth, soft tissue for half a
 millimetre."""
-_PLAY, _LEAST_PLAY_M = 3.0, 2e-5
+_DEADBAND, _LEAST_DEADBAND_M = 3.0, 2e-5
 """Standard deviations of the depth, and least travel, within which the needle may not have moved:
 an arm's joints have play, and a filtered depth swings past a sudden stop."""
 _REST_SPEED, _REST_S = 0.1, 8.5
@@ -244,8 +244,8 @@ def update_switching(
     w, last, rest, deepest, _, _ = memory[6:]
     if deepest == -math.inf:
         last = depth_m
-    play = max(_PLAY * depth_std_m, _LEAST_PLAY_M)
-    follower = depth_m - play if last < depth_m - play else min(last, depth_m + play)
+    deadband = max(_DEADBAND * depth_std_m, _LEAST_DEADBAND_M)
+    follower = depth_m - deadband if last < depth_m - deadband else min(last, depth_m + deadband)
     if follower != last:
         # Presliding (Dahl 1968, shape exponent 1), its exact solution: two half steps equal one.
         kept = math.exp(-_MM * abs(follower - last) / _PRESLIDING_MM)

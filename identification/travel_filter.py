@@ -1,8 +1,8 @@
 """Depth and speed of the tip from noisy samples: a Kalman filter that learns their noise.
 
-Its state is depth and speed; the speed wanders as white acceleration would make it. Every sample
-measures the depth, and the speed too where the robot tells it. How noisy either is shows in how far
-a sample lies from the line between its neighbours, which no needle's motion does within a few
+Its state is depth and speed; the speed changes as white acceleration makes it. Every sample
+measures the depth, and the speed where the robot reports it. How noisy either is shows in how far a
+sample lies from the line between its neighbours, which no needle's motion does within a few
 milliseconds. A speed that was itself made from positions is late, and its noise is smooth: what its
 means over 16 ms scatter says how little it knows.
 """
@@ -12,7 +12,7 @@ from typing import NamedTuple
 
 from needleforce.jit import compiled
 
-_WANDER_M2_PER_S3 = 2e-7
+_ACCELERATION_M2_PER_S3 = 2e-7
 """Spectral density of the acceleration: the speed changes by half a millimetre per second in 0.1 s,
 one standard deviation. Starts and stops are quicker, see `_haste`."""
 _MEMORY_S = 2.0
@@ -63,7 +63,7 @@ class TravelState(NamedTuple):
     noise_both: float = 0.0
     noise_speed: float = 0.0
     surprise: float = 0.0  # Mean of the latest standardised innovations of the depth
-    speed_surprise: float = 0.0  # The same of a speed that is told
+    speed_surprise: float = 0.0  # The same of a measured speed
     of_depth: Noise = NO_NOISE
     of_speed: Noise = NO_NOISE
     of_blocks: Noise = NO_NOISE  # Of means of the speed
@@ -94,7 +94,7 @@ def learn_noise(known: Noise, value: float, dt_s: float, least: float) -> Noise:
 
 @compiled
 def _haste(surprise: float, gain: float) -> float:
-    """How many times more the speed wanders just now.
+    """How many times more the speed changes just now.
 
     Innovations of a filter that keeps up have no mean: one that chance does not explain shows a
     needle that starts, stops or turns.
@@ -103,15 +103,15 @@ def _haste(surprise: float, gain: float) -> float:
 
 
 @compiled
-def _predict(belief: Belief, dt_s: float, wander: float) -> Belief:
-    """The same `dt_s` later, for a speed that wanders."""
+def _predict(belief: Belief, dt_s: float, density: float) -> Belief:
+    """The same `dt_s` later, for a speed under white acceleration."""
     z, v, pzz, pzv, pvv, nzz, nzv, nvv = belief
     return (
         z + v * dt_s,
         v,
-        pzz + dt_s * (2.0 * pzv + dt_s * pvv) + wander * dt_s**3 / 3.0,
-        pzv + dt_s * pvv + wander * dt_s * dt_s / 2.0,
-        pvv + wander * dt_s,
+        pzz + dt_s * (2.0 * pzv + dt_s * pvv) + density * dt_s**3 / 3.0,
+        pzv + dt_s * pvv + density * dt_s * dt_s / 2.0,
+        pvv + density * dt_s,
         nzz + dt_s * (2.0 * nzv + dt_s * nvv),
         nzv + dt_s * nvv,
         nvv,
@@ -156,23 +156,23 @@ def filter_travel(
     """
     belief, (surprise, speed_surprise) = memory[:8], memory[8:10]
     of_depth, of_speed, of_blocks, filled, samples, speed_sum = memory[10:]
-    is_told, gain = not math.isnan(speed_m_s), -math.expm1(-dt_s / _HASTE_S)
+    is_measured, gain = not math.isnan(speed_m_s), -math.expm1(-dt_s / _HASTE_S)
     of_depth = learn_noise(of_depth, depth_m, dt_s, _LEAST_DEPTH_VARIANCE)
     noise = max(of_depth[0], _LEAST_DEPTH_VARIANCE)
     if belief[2] == 0.0 or dt_s > _GAP_S:
-        speed = speed_m_s if is_told else 0.0
+        speed = speed_m_s if is_measured else 0.0
         variances = (_UNKNOWN_DEPTH_VARIANCE, 0.0, _UNKNOWN_SPEED_VARIANCE)
         belief = (depth_m, speed) + variances + (noise, 0.0, 0.0)  # noqa: RUF005
         surprise = speed_surprise = 0.0
     else:
         haste = _haste(max(abs(surprise), abs(speed_surprise)), gain)
-        belief = _predict(belief, dt_s, haste * _WANDER_M2_PER_S3)
+        belief = _predict(belief, dt_s, haste * _ACCELERATION_M2_PER_S3)
         belief, off = _measure(belief, depth_m, noise)
         surprise += gain * (off - surprise)
-    if is_told:
+    if is_measured:
         of_speed = learn_noise(of_speed, speed_m_s, dt_s, _LEAST_SPEED_VARIANCE)
         filled, samples, speed_sum = filled + dt_s, samples + 1.0, speed_sum + speed_m_s
-    if is_told and of_speed[1] > 0.0:
+    if is_measured and of_speed[1] > 0.0:
         # Of a smooth noise samples of one block are as good as one.
         is_known = of_blocks[1] >= _ENOUGH_BLOCKS
         noise = max(of_speed[0], of_blocks[0] * _BLOCK_S / dt_s if is_known else 0.0)

@@ -16,8 +16,6 @@ except ImportError:
 
 Vector = Annotated[NDArray[np.float64], 1]
 """Array of shape (n,), contiguous."""
-StridedVector = Annotated[NDArray[np.float64], 1, "strided"]
-"""The same, but perhaps with gaps in memory: for what is taken number by number."""
 Matrix = Annotated[NDArray[np.float64], 2]
 """Array of shape (m, n), contiguous, the last index running fastest."""
 WrittenVector = Annotated[NDArray[np.float64], 1, "written"]
@@ -101,9 +99,9 @@ def _numba_type(hint: Any) -> Any:
         return getattr(numba.types, scalars[hint])
     if get_origin(hint) is Annotated:
         dimensions, *marks = hint.__metadata__
-        layout, read_only = "A" if "strided" in marks else "C", "written" not in marks
         # A parameter that is only read takes read-only arrays and others.
-        return numba.types.Array(numba.types.float64, dimensions, layout, readonly=read_only)
+        read_only = "written" not in marks
+        return numba.types.Array(numba.types.float64, dimensions, "C", readonly=read_only)
     if get_origin(hint) is tuple and hasattr(get_args(hint)[0], "_fields"):  # `jit_arguments`
         record = numba.from_dtype(_record_type(get_args(hint)[0]))
         return numba.types.Array(record, 1, "C", readonly=True)

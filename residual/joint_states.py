@@ -2,7 +2,7 @@
 
 Both are play operators. That of a torque sensor follows the torque, that of a bearing the position:
 on the way in and out of a free stroke the two are alike, at contact they part, and that is how the
-tare tells them from each other afterwards. A bearing between torque sensor and link runs beside the
+tare distinguishes them afterwards. A bearing between torque sensor and link runs beside the
 sensor: its friction reads as an external torque against the motion, and it stays at rest.
 """
 

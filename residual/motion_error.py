@@ -45,8 +45,8 @@ class MotionError:
         if dt_s <= 0.0:
             self.smooth_velocity = dq
         acceleration = (dq - self.smooth_velocity) / SMOOTHING_S
-        share = -math.expm1(-dt_s / SMOOTHING_S)
-        self.smooth_velocity = self.smooth_velocity + share * (dq - self.smooth_velocity)
+        fraction = -math.expm1(-dt_s / SMOOTHING_S)
+        self.smooth_velocity = self.smooth_velocity + fraction * (dq - self.smooth_velocity)
         gravity = pin.computeGeneralizedGravity(self._model, self._data, q)
         motion = pin.rnea(self._model, self._data, q, dq, acceleration) - gravity
         return np.square(self._fraction * motion)

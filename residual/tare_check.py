@@ -15,7 +15,7 @@ SIGMAS = 5.0
 INTERVALS = 24
 """Parts of the motion; a contact begins and ends with one of them."""
 IMPLAUSIBLE = 32.0
-"""Times the prior's drift or walk: no sensor wanders so, but a needle pushed into tissue does."""
+"""Times the prior's drift or walk: no sensor drifts so, but a needle pushed into tissue does."""
 
 MOST_LEFT, MOST_LEFT_BY_A_MASS = 0.2, 0.6
 """Fraction of the residual, root mean square, that an explanation may leave over; offsets of the

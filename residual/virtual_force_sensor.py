@@ -340,10 +340,10 @@ class VirtualForceSensor:
             wrench.weigh(q)
         wrench.kinematics.update(q, data)
         # One more lag follows the force; it begins where the force is.
-        share, lag_s = 1.0, stream.lag_s
+        fraction, lag_s = 1.0, stream.lag_s
         if lag_s > 0.0 and self._follows:
-            share = -math.expm1(-elapsed_s / lag_s)
-        found = wrench.solve(q, residual, bias.bias, self._followed_N, share)
+            fraction = -math.expm1(-elapsed_s / lag_s)
+        found = wrench.solve(q, residual, bias.bias, self._followed_N, fraction)
         self._follows = True
         if renewed:
             dq = self.velocity_rad_s if stream.has_velocity else None

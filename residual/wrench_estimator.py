@@ -42,7 +42,7 @@ class WrenchGain(NamedTuple):
     # one, in the direction known least [N^2]; shape (5,)
     axis: Array
     # ``covariance``, ``conditioning`` and ``damping_fraction`` of `WrenchEstimate`
-    told: tuple[Array, float, Array]
+    reported: tuple[Array, float, Array]
 
 
 def weighted_inverse(
@@ -90,7 +90,7 @@ def wrench_step(
     offset: Vector,
     rows: Matrix,
     axis: Vector,
-    share: float,
+    fraction: float,
     followed_N: WrittenVector,
     found: WrittenVector,
 ) -> tuple[float, float, float, float]:
@@ -105,7 +105,7 @@ def wrench_step(
         offset: What it reads without contact [Nm], shape (n,).
         rows: See `WrenchGain`, like ``axis``.
         axis: Insertion direction and variances, shape (5,).
-        share: Fraction of the way that the follower goes in this tick; 1 where there is no lag.
+        fraction: Of the way that the follower goes in this tick; 1 where there is no lag.
         followed_N: The follower [N], shape (3,), brought to the end of the tick.
         found: Where force, torque if it is asked for, and the residual less its offset are written
             [N, Nm], shape (3 + n,) or (6 + n,).
@@ -125,10 +125,10 @@ def wrench_step(
     axial = float(along_needle.dot(force))
     across = force - axial * along_needle
     behind = force - followed_N
-    followed_N += share * behind
+    followed_N += fraction * behind
     missed = float(along_needle.dot(behind))
     missed_across = float(behind.dot(behind)) - missed * missed
-    if share >= 1.0:
+    if fraction >= 1.0:
         missed = missed_across = 0.0
     variance, lateral_variance = axis[3], axis[4]
     # Of the lateral force two components are noisy.
@@ -234,7 +234,7 @@ class WrenchEstimator:
         q, residual = np.ascontiguousarray(q), np.ascontiguousarray(residual)
         self.weigh(q)
         return WrenchEstimate(
-            *self.solve(q, residual, np.zeros(self._joints), np.zeros(3), share=1.0)
+            *self.solve(q, residual, np.zeros(self._joints), np.zeros(3), fraction=1.0)
         )
 
     def weigh(self, q: Array) -> None:
@@ -257,13 +257,13 @@ class WrenchEstimator:
         self._gain = WrenchGain(
             rows=np.vstack((q, directions[:, :size].T.dot(gain))),
             axis=np.append(axis, variances),
-            told=(covariance, conditioning, removed),
+            reported=(covariance, conditioning, removed),
         )
         for array in (covariance, removed):
             array.setflags(write=False)
 
     def solve(
-        self, q: Array, residual: Array, offset: Array, followed_N: Array, share: float
+        self, q: Array, residual: Array, offset: Array, followed_N: Array, fraction: float
     ) -> tuple[Any, ...]:
         """Wrench at a configuration [rad], shape (n,), from an external joint torque.
 
@@ -276,20 +276,20 @@ class WrenchEstimator:
         Raises:
             SampleError: For numbers that are not finite.
         """
-        rows, axis, told = self._gain
+        rows, axis, reported = self._gain
         size = len(rows) - 1
         found = np.empty(size + self._joints)
-        scalars = wrench_step(q, residual, offset, rows, axis, share, followed_N, found)
+        scalars = wrench_step(q, residual, offset, rows, axis, fraction, followed_N, found)
         if not math.isfinite(scalars[0]):
             self.weigh(q)
-            rows, axis, told = self._gain
-            scalars = wrench_step(q, residual, offset, rows, axis, share, followed_N, found)
+            rows, axis, reported = self._gain
+            scalars = wrench_step(q, residual, offset, rows, axis, fraction, followed_N, found)
             if not math.isfinite(scalars[0]):
                 raise SampleError("q and residual must be finite; skip this sample")
         # By name it takes thrice as long, in every tick.
         found.setflags(False)  # pyright: ignore[reportCallIssue]
         torque = _NOTHING if size == 3 else found[3:6]
-        return *scalars, found[:3], torque, *told, found[size:]
+        return *scalars, found[:3], torque, *reported, found[size:]
 
     @property
     def weighed_at(self) -> Array:

@@ -5,7 +5,18 @@ import pytest
 
 from identification import hypothesis_bank, hypothesis_filter
 from identification.disturbance_levels import DisturbanceLevels
-from identification.hypothesis_bank import CAPACITY, QUOTAS, Bank, Place, first_bank, prune, spawn
+from identification.hypothesis_bank import (
+    CAPACITY,
+    QUOTAS,
+    RUPTURE_FORCE,
+    RUPTURE_S,
+    RUPTURE_SPEED,
+    Bank,
+    Place,
+    first_bank,
+    prune,
+    spawn,
+)
 from identification.hypothesis_filter import (
     AIR,
     COLOUR,
@@ -33,7 +44,13 @@ from identification.hypothesis_filter import (
     predict,
     regressors,
 )
-from identification.rupture_report import answer_at, count_ruptures, friction_left
+from identification.rupture_report import (
+    Evaluation,
+    answer_at,
+    count_ruptures,
+    friction_left,
+    may_be_braking,
+)
 
 PLACE = Place(
     time_s=3.0,
@@ -225,3 +242,22 @@ def test_noise_is_learned_part_by_part_and_a_ramp_is_none():
 def test_a_damaged_bank_says_so(change):
     assert first_bank().damage == ""
     assert first_bank()._replace(**change).damage != ""
+
+
+@pytest.mark.parametrize(
+    ("since_s", "speed", "fall_N", "braking"),
+    [
+        (0.05, 2.3, 0.05, True),  # the speed may be late
+        (0.05, 2.3, 0.20, False),  # too much for any brake in this time
+        (0.15, 2.3, 0.05, False),  # the needle has not slowed down
+        (0.15, 1.9, 0.20, True),  # by 17 %: friction falls as far
+        (0.15, 2.2, 0.20, False),  # by 4 %: it does not
+        (0.15, 1.0, 0.40, False),
+    ],
+)
+def test_a_fall_that_braking_explains_is_no_rupture_yet(since_s, speed, fall_N, braking):
+    bank = first_bank()
+    bank.records[0, [RUPTURE_S, RUPTURE_SPEED, RUPTURE_FORCE]] = 10.0, 2.3, 1.0
+    place = Place(10.0 + since_s, 0.01, 50.0, speed, 1.0, 1.0 - fall_N, 2.3, 0.004)
+    evaluation = Evaluation(more=0.99, fewer=0.0, pick=0, best=1)
+    assert may_be_braking(bank, evaluation, place) == braking

@@ -103,10 +103,10 @@ def test_the_check_is_the_same_compiled_and_plain(rows, is_spoilt):
 @needs_compiler
 @settings(deadline=None, max_examples=60)
 @given(samples, st.booleans())
-def test_the_travel_filter_is_the_same_compiled_and_plain(rows, is_told):
+def test_the_travel_filter_is_the_same_compiled_and_plain(rows, is_measured):
     memory = TravelState()[:]
     for depth_m, speed_m_s, _, dt_s in rows:
-        given_row = (depth_m, speed_m_s if is_told else math.nan, dt_s, memory)
+        given_row = (depth_m, speed_m_s if is_measured else math.nan, dt_s, memory)
         result = filter_travel(*given_row)
         assert_same(result, plain(filter_travel)(*given_row), rel=1e-9)
         memory = result[-1]

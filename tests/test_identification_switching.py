@@ -86,17 +86,17 @@ def test_two_layers_are_found_and_told_apart_from_their_friction():
     assert [first.layer, second.layer] == [1, 2]
     assert first.probability >= MULTILAYER.alarm_probability
     assert not first.is_final
-    assert 0.0 <= first.tear_probability <= 1.0
+    assert 0.0 <= first.partial_rupture_probability <= 1.0
     assert first.contact_depth_m == pytest.approx(0.0, abs=0.5e-3)
     assert 0.0 < first.alarm_s - first.time_s < 0.06
-    told = of(estimates, "identified_layer")
-    assert [(one.layer, one.is_final) for one in told] == [
+    identified = of(estimates, "identified_layer")
+    assert [(one.layer, one.is_final) for one in identified] == [
         (1, False),
         (1, True),
         (2, False),
         (2, True),
     ]
-    assert [one.rupture.is_final for one in told] == [False, True, False, True]
+    assert [one.rupture.is_final for one in identified] == [False, True, False, True]
     last = estimates[-1]
     assert last.tip_force_N == pytest.approx(0.0, abs=0.1)
     assert last.enhanced_force_N == pytest.approx(0.0, abs=0.1)

@@ -1,4 +1,4 @@
-"""Depth and speed from noisy samples, whatever of the speed is told."""
+"""Depth and speed from noisy samples, whatever of the speed is given."""
 
 import math
 
@@ -21,7 +21,7 @@ def motion(seconds=10.0, rate_hz=1000.0, jitter=0.0, seed=0):
     return t_s, np.interp(t_s, fine, travel), speed
 
 
-def told_speed(kind, t_s, depth_m, speed_m_s, rng):
+def speed_given(kind, t_s, depth_m, speed_m_s, rng):
     if kind == "none":
         return np.full(len(t_s), math.nan)
     if kind == "measured":
@@ -46,14 +46,14 @@ def filtered(t_s, depth_m, speed_m_s):
     return np.array(found), TravelState(*memory)
 
 
-@pytest.mark.parametrize("told", ["none", "measured", "estimated"])
+@pytest.mark.parametrize("given", ["none", "measured", "estimated"])
 @pytest.mark.parametrize("noise_m", [1.4e-5, 1.2e-4])
 @pytest.mark.parametrize(("rate_hz", "jitter"), [(1000.0, 0.0), (1000.0, 0.6), (200.0, 0.0)])
-def test_noise_is_learned_and_what_it_leaves_is_stated(told, noise_m, rate_hz, jitter):
+def test_noise_is_learned_and_what_it_leaves_is_stated(given, noise_m, rate_hz, jitter):
     rng = np.random.default_rng(1)
     t_s, depth_m, speed_m_s = motion(rate_hz=rate_hz, jitter=jitter)
     noisy_m = depth_m + noise_m * rng.standard_normal(len(t_s))
-    found, state = filtered(t_s, noisy_m, told_speed(told, t_s, noisy_m, speed_m_s, rng))
+    found, state = filtered(t_s, noisy_m, speed_given(given, t_s, noisy_m, speed_m_s, rng))
     assert math.sqrt(state.of_depth[0]) == pytest.approx(noise_m, rel=0.15)
     steady = (t_s > 2.0) & (t_s < 5.0)
     off_m, off_m_s = (found[:, :2] - np.column_stack((depth_m, speed_m_s)))[steady].T
@@ -65,12 +65,12 @@ def test_noise_is_learned_and_what_it_leaves_is_stated(told, noise_m, rate_hz, j
     assert std_m_s < 1.5e-4
 
 
-@pytest.mark.parametrize("told", ["none", "measured", "estimated"])
-def test_a_needle_that_stops_or_turns_is_followed(told):
+@pytest.mark.parametrize("given", ["none", "measured", "estimated"])
+def test_a_needle_that_stops_or_turns_is_followed(given):
     rng = np.random.default_rng(2)
     t_s, depth_m, speed_m_s = motion()
     noisy_m = depth_m + 1.4e-5 * rng.standard_normal(len(t_s))
-    found, _ = filtered(t_s, noisy_m, told_speed(told, t_s, noisy_m, speed_m_s, rng))
+    found, _ = filtered(t_s, noisy_m, speed_given(given, t_s, noisy_m, speed_m_s, rng))
     assert np.abs(found[:, 0] - depth_m).max() < 6e-5
     late = np.abs(found[:, 1] - speed_m_s) > 0.5e-3
     assert late.mean() * t_s[-1] < 0.3
@@ -79,8 +79,8 @@ def test_a_needle_that_stops_or_turns_is_followed(told):
 
 def test_exact_samples_stay_exact():
     t_s, depth_m, speed_m_s = motion()
-    for told in (speed_m_s, np.full(len(t_s), math.nan)):
-        found, _ = filtered(t_s, depth_m, told)
+    for given in (speed_m_s, np.full(len(t_s), math.nan)):
+        found, _ = filtered(t_s, depth_m, given)
         assert np.abs(found[:, 0] - depth_m).max() < 2e-6
         steady = (t_s > 2.0) & (t_s < 5.0)
         assert np.abs(found[steady, 1] - speed_m_s[steady]).max() < 1e-5
@@ -106,8 +106,8 @@ def test_distance_from_the_line_between_uneven_neighbours_is_its_noise():
 def test_after_a_gap_it_starts_anew():
     t_s, depth_m, speed_m_s = motion()
     kept = (t_s < 2.0) | (t_s > 4.0)
-    for told in (speed_m_s[kept], np.full(kept.sum(), math.nan)):
-        found, _ = filtered(t_s[kept], depth_m[kept], told)
+    for given in (speed_m_s[kept], np.full(kept.sum(), math.nan)):
+        found, _ = filtered(t_s[kept], depth_m[kept], given)
         assert np.abs(found[:, 0] - depth_m[kept]).max() < 1e-4
         later = (t_s[kept] > 4.1) & (t_s[kept] < 5.0)
         assert np.abs(found[later, 1] - 4e-3).max() < 1e-4

@@ -91,9 +91,9 @@ def stop_request() -> Iterator[Callable[[], bool]]:
 
 @contextmanager
 def progress_bar(what: str, *, is_wanted: bool = True) -> Iterator[Callable[[float], None]]:
-    """Show on stderr, if that is a terminal, how far work has come; yield what takes the share."""
+    """Show on stderr, if that is a terminal, how far work has come; yield what takes it."""
     if not is_wanted or sys.stderr is None or not sys.stderr.isatty():
-        yield lambda share: None
+        yield lambda _: None
         return
     from rich.console import Console
     from rich.progress import Progress
@@ -101,7 +101,7 @@ def progress_bar(what: str, *, is_wanted: bool = True) -> Iterator[Callable[[flo
     # What is said meanwhile stands above the bar; the bar leaves no trace.
     with Progress(console=Console(stderr=True), transient=True, redirect_stdout=False) as bar:
         task = bar.add_task(what, total=None)
-        yield lambda share: bar.update(task, total=1.0, completed=share)
+        yield lambda fraction: bar.update(task, total=1.0, completed=fraction)
 
 
 def say(text: str) -> None:

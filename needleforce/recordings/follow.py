@@ -45,14 +45,14 @@ class FollowOptions:
         follow: whether a file is read on when its end is reached, because it grows.
         idle_s: stop when nothing came for this long; None to wait for ever.
         should_stop: asked before more is read; True to stop.
-        progress: gets the share of the recording that was read, where it is known.
+        progress: gets the fraction of the recording that was read, where it is known.
         warn: gets in words why reading ended before the user wanted it to.
     """
 
     follow: bool = False
     idle_s: float | None = None
     should_stop: Callable[[], bool] = lambda: False
-    progress: Callable[[float], None] = lambda share: None
+    progress: Callable[[float], None] = lambda _: None
     warn: Callable[[str], None] = lambda text: None
 
 
