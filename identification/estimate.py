@@ -47,30 +47,6 @@ class RuptureState(Enum):
     FRICTION_IDENTIFIED = "friction identified"
 
 
-MUTED = frozenset({RuptureState.FORCE_DROP_MEASURING, RuptureState.FRICTION_IDENTIFIED})
-"""States in which no new rupture is detected."""
-
-
-def next_rupture_state(
-    state: RuptureState,
-    *,
-    is_alarm: bool = False,
-    is_expected: bool = False,
-    is_measured: bool = False,
-    is_settled: bool = True,
-) -> RuptureState:
-    """Advance the rupture state by one sample."""
-    if state in (RuptureState.NO_RUPTURE, RuptureState.EXPECTED):
-        if is_alarm:
-            return RuptureState.DETECTED
-        return RuptureState.EXPECTED if is_expected else RuptureState.NO_RUPTURE
-    if state is RuptureState.DETECTED:
-        return RuptureState.FORCE_DROP_MEASURING
-    if state is RuptureState.FORCE_DROP_MEASURING:
-        return RuptureState.FRICTION_IDENTIFIED if is_measured else state
-    return RuptureState.NO_RUPTURE if is_settled else state
-
-
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Rupture:
     """The tip leaves a layer. Raised at the alarm, provisionally; a false one is retracted later.
@@ -227,13 +203,7 @@ def layers_traversed(layers: tuple[LayerEstimate, ...]) -> int:
     return layers[-1].layer if layers else 0
 
 
-class Sample(NamedTuple):
-    """A checked sample as a method gets it; every number is finite."""
-
-    time_s: float  # Time of the sample on the caller's clock, see `Identifier.update`
-    dt_s: float  # Interval since the previous sample that was used, positive
-    depth_m: float  # Tip travel along the insertion axis, jumps removed
-    speed_m_s: float  # Rate of depth
-    depth_std_m: float  # Standard deviation of its noise
-    speed_std_m_s: float  # The same of the speed
-    force_N: float  # Axial force, positive when tissue pushes back
+Sample = tuple[float, float, float, float, float, float, float]
+"""A checked sample as a method gets it; every number is finite: time on the caller's clock, see
+`Identifier.update`; interval since the previous sample that was used, positive; depth, jumps
+removed; its rate; standard deviations of the noise of both; axial force."""

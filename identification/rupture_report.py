@@ -11,22 +11,11 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from identification.estimate import LayerEstimate, Rupture
-from identification.hypothesis_bank import (
-    CONTACT_MM,
-    PART_FRICTION,
-    PART_START,
-    RUPTURE_FORCE,
-    RUPTURE_MM,
-    RUPTURE_S,
-    RUPTURE_SPEED,
-    STIFFNESS_HERE,
-    WAS_PARTIAL,
-    Bank,
-    Place,
-)
+from identification.estimate import Array, LayerEstimate, Rupture
+from identification.hypothesis_bank import Bank, BankMemory, Place
 from identification.hypothesis_filter import (
     AIR,
+    CONTACT_MM,
     EARLIER,
     HELD,
     IS_HELD,
@@ -36,12 +25,20 @@ from identification.hypothesis_filter import (
     LEFT,
     MEMBRANE,
     OFFSET,
+    PART_FRICTION,
+    PART_START,
     RELEASED,
+    RUPTURE_FORCE,
+    RUPTURE_MM,
+    RUPTURE_S,
+    RUPTURE_SPEED,
     RUPTURES,
-    regressors,
+    STIFFNESS_HERE,
+    WAS_PARTIAL,
+    regressor,
     shaft_mixture,
 )
-from identification.switching_update import Answer
+from identification.switching_update import NO_ANSWER
 
 _MM = 1e3
 _LEAST_WEIGHT = 1e-3
@@ -63,41 +60,35 @@ _IDENTIFIED = 0.25
 """A value is identified if its standard deviation is no more of it."""
 _NAMES = ("stiffness", "coulomb", "viscous")
 _UNITS = (("N_per_m", _MM), ("N_per_m", _MM), ("Ns_per_m2", _MM * _MM))
+_TIP = slice(RELEASED, KEPT + 1)
+"""The tip's unknowns."""
 
 
-def answer_at(bank: Bank, place: Place, ruptures: int) -> Answer:
-    """Friction of the shaft at a place, for the samples that follow; `ruptures` known so far."""
-    every = bank.weights
-    likely = every > _LEAST_WEIGHT
-    weights = every[likely] / every[likely].sum()
-    facts, means, spreads = bank.facts[likely], bank.means[likely], bank.spreads[likely]
-    mean, spread = shaft_mixture(means, spreads, facts, weights, place.depth)
-    is_met = (facts[:, KIND] != AIR) | (facts[:, RUPTURES] > 0.0)
-    row = regressors(facts[:1], place.depth, place.speed, place.deflection)[0]
-    tip = slice(RELEASED, KEPT + 1)
-    in_contact = bool(weights @ is_met > 0.5)
-    contact = float(bank.records[likely][int(np.argmax(is_met)), CONTACT_MM]) / _MM
-    diagonal = np.maximum(spread.diagonal(), 0.0)
-    fields = (
-        in_contact,
-        ruptures + 1 if in_contact else 0,
-        contact if in_contact else 0.0,
-        place.depth,
-        place.noise**2,
-        *mean.tolist(),
-        float(row[tip] @ means[0, tip]),
-        float(diagonal[0]),
-        *(float(spread[i, j]) for i, j in _PAIRS),
-        float(diagonal[5]),
-        float(spread[5, 6]),
-        float(diagonal[6]),
-        float(diagonal[7]),
-        0.0,
-    )
-    return Answer._make(fields)
+def answer_at(memory: BankMemory, place: Place, ruptures: int, speed: float) -> Array:
+    """Friction of the shaft at a place, for the samples that follow; see `switching_update`.
 
-
-_PAIRS = ((0, 1), (0, 2), (1, 1), (1, 2), (2, 2), (0, 3), (0, 4), (3, 3), (3, 4), (4, 4))
+    Args:
+        memory: The bank.
+        place: Where.
+        ruptures: How many are known so far.
+        speed: Of the last rupture [mm/s], 0 before the first.
+    """
+    bank = memory.bank
+    weights = bank.weights
+    weights[weights <= _LEAST_WEIGHT] = 0.0
+    weights /= weights.sum()
+    answer, best = NO_ANSWER.copy(), int(weights.nonzero()[0][0])
+    answer[1], answer[2:] = shaft_mixture(memory.store, weights, place.depth)
+    diagonal = answer[2:].reshape(-1)[:: len(answer[1]) + 1]
+    np.maximum(diagonal, 0.0, out=diagonal)
+    is_met = (bank.facts[:, KIND] != AIR) | (bank.facts[:, RUPTURES] > 0.0)
+    row = regressor(bank.facts[best], (place.depth, place.speed, place.deflection))
+    tip = float(row[_TIP] @ bank.means[best, _TIP])
+    if weights @ is_met > 0.5:
+        contact = bank.records[int(np.argmax(is_met & (weights > 0.0))), CONTACT_MM] / _MM
+        answer[0, :3] = 1.0, ruptures + 1, contact
+    answer[0, 3:7] = place.depth, place.noise**2, tip, speed
+    return answer
 
 
 class Evaluation(NamedTuple):

@@ -179,7 +179,7 @@ def test_speed_memory_and_late_rows_of_a_long_recording_count():
 def test_a_long_recording_ruptures_fresh_tissue_in_every_cycle():
     stream, ruptures_s = ReplayStream(MULTILAYER), []
     for columns in long_runs.needle_recording(230.0, np.random.default_rng(0)):
-        estimates = stream.run(**columns).estimates
+        estimates = stream.run(**columns)
         assert all(estimate.status.is_used for estimate in estimates)
         ruptures_s += [e.rupture.time_s for e in estimates if e.rupture]
     assert len(ruptures_s) >= 3

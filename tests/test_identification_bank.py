@@ -3,19 +3,15 @@
 import numpy as np
 import pytest
 
-from identification import hypothesis_bank, hypothesis_filter
-from identification.disturbance_levels import DisturbanceLevels
+from identification import hypothesis_filter
+from identification.disturbance_levels import DisturbanceLevels, transitions
 from identification.hypothesis_bank import (
     CAPACITY,
     QUOTAS,
-    RUPTURE_FORCE,
-    RUPTURE_S,
-    RUPTURE_SPEED,
     Bank,
+    BankMemory,
     Place,
     first_bank,
-    prune,
-    spawn,
 )
 from identification.hypothesis_filter import (
     AIR,
@@ -23,6 +19,7 @@ from identification.hypothesis_filter import (
     EXIT,
     HEART,
     IS_HELD,
+    IS_JUDGED,
     KIND,
     LAW,
     LAYER,
@@ -33,16 +30,19 @@ from identification.hypothesis_filter import (
     OWN_VISCOUS,
     RELEASE,
     ROOT,
+    RUPTURE_FORCE,
+    RUPTURE_S,
+    RUPTURE_SPEED,
     RUPTURES,
     STIFFNESS,
     TEMPER,
     TIP,
     UNKNOWNS,
     absorb,
-    after_event,
-    judge_fraction,
+    add_children,
     predict,
-    regressors,
+    regressor,
+    weigh,
 )
 from identification.rupture_report import (
     Evaluation,
@@ -51,6 +51,7 @@ from identification.rupture_report import (
     friction_left,
     may_be_braking,
 )
+from identification.switching_update import COULOMB, IN_CONTACT, LAYER_NUMBER
 
 PLACE = Place(
     time_s=3.0,
@@ -79,8 +80,17 @@ def hypothesis(seed, kind, *, is_held=False):
     return bank._replace(means=means, spreads=(factor @ factor.T)[None], facts=facts)
 
 
-def force_of(bank, place=PLACE):
-    rows = regressors(bank.facts, place.depth, place.speed, place.deflection)
+SCENE = (PLACE.depth, PLACE.speed, PLACE.deflection)
+
+
+def spawn(bank, place, before):
+    memory = BankMemory(bank)
+    memory.spawn(place, before, 0.0)
+    return memory.bank
+
+
+def force_of(bank):
+    rows = np.array([regressor(fact, SCENE) for fact in bank.facts])
     return np.einsum("ni,ni->n", rows, bank.means)
 
 
@@ -89,7 +99,7 @@ def force_of(bank, place=PLACE):
 def test_the_force_goes_on_as_it_was_across_an_event(seed, kind, is_held):
     before = hypothesis(seed, kind, is_held=is_held)
     after = spawn(before, PLACE, PLACE.depth - 0.3)
-    born = after.take(np.arange(1, len(after.log_weights)))
+    born = Bank(*(part[1:] for part in after))
     assert len(born.log_weights) > 2
     assert force_of(born) == pytest.approx(np.repeat(force_of(before), len(born.log_weights)))
     assert set(born.facts[:, RUPTURES] - before.facts[0, RUPTURES]) <= {0.0, 1.0}
@@ -116,95 +126,99 @@ def test_the_friction_of_a_layer_left_stays_on_the_shaft_and_is_remembered():
     assert friction[0] == pytest.approx(length * own)
 
 
+def later(bank, dt_s, travel, levels):
+    memory = BankMemory(bank)
+    turns = transitions(dt_s, travel, 5.0, tuple(levels[1:].tolist()))
+    colour = np.array([np.exp(-dt_s / 0.025), levels[0]])
+    predict(memory.store, 1, 0.0, dt_s, colour, turns)
+    return memory.bank
+
+
 def test_two_steps_of_time_and_travel_are_one():
-    bank, levels, none = hypothesis(1, LAYER), np.array([1e-4, 2e-4, 3e-4, 4e-4]), np.zeros(1)
-    whole = predict(bank.means, bank.spreads, none, 0.02, 0.08, levels)
-    half = predict(
-        *predict(bank.means, bank.spreads, none, 0.01, 0.04, levels), none, 0.01, 0.04, levels
-    )
+    bank, levels = hypothesis(1, LAYER), np.array([1e-4, 2e-4, 3e-4, 4e-4])
+    whole = later(bank, 0.02, 0.08, levels)
+    half = later(later(bank, 0.01, 0.04, levels), 0.01, 0.04, levels)
     for one, other in zip(whole, half, strict=True):
         assert one == pytest.approx(other, abs=1e-12)
-    _, late = predict(bank.means, bank.spreads, none, 60.0, 300.0, levels)
+    late = later(bank, 60.0, 300.0, levels).spreads
     assert late[0, [COLOUR, HEART, LAW], [COLOUR, HEART, LAW]] == pytest.approx(levels[[0, 1, 3]])
+
+
+def learned(bank, force):
+    memory = BankMemory(bank)
+    absorb(memory.store, 1, SCENE, force, 4e-4, 0.0)
+    return memory.bank
 
 
 def test_a_force_that_was_expected_teaches_as_kalman_says():
     bank = hypothesis(2, LAYER)
-    rows = regressors(bank.facts, PLACE.depth, PLACE.speed, PLACE.deflection)
-    row, spread, force = rows[0], bank.spreads[0], float(force_of(bank)[0])
-    means, spreads, evidence = absorb(
-        bank.means, bank.spreads, bank.facts, rows, (force, 4e-4, 12.0, 0.0)
-    )
-    assert means[0] == pytest.approx(bank.means[0])
+    row, spread, force = regressor(bank.facts[0], SCENE), bank.spreads[0], float(force_of(bank)[0])
+    found = learned(bank, force)
+    assert found.means[0] == pytest.approx(bank.means[0])
     variance = row @ spread @ row + 4e-4
     # Late in the layer nothing is being released, and no other noise comes on top.
     cross = spread @ row
-    assert spreads[0] == pytest.approx(spread - np.outer(cross, cross) / variance)
-    assert evidence[0] == pytest.approx(-0.5 * TEMPER * np.log(variance))
-    far = absorb(bank.means, bank.spreads, bank.facts, rows, (force + 1.0, 4e-4, 12.0, 0.0))
-    assert far[2][0] < evidence[0]
-    assert (row @ far[0][0] - force) > 0.0
+    assert found.spreads[0] == pytest.approx(spread - np.outer(cross, cross) / variance)
+    assert found.log_weights[0] == pytest.approx(-0.5 * TEMPER * np.log(variance))
+    far = learned(bank, force + 1.0)
+    assert far.log_weights[0] < found.log_weights[0]
+    assert (row @ far.means[0] - force) > 0.0
 
 
-@pytest.mark.parametrize("function", [absorb, predict, after_event, judge_fraction, regressors])
+ARGUMENTS = {
+    absorb: (1, SCENE, 0.8, 1e-4, 0.01),
+    predict: (1, 1e-4, 0.01, np.full(2, 0.1), transitions(0.01, 0.04, 5.0, (1e-4, 1e-4, 1e-4))),
+    add_children: (0, 1, (EXIT, LAYER, True), SCENE, (3.0, 0.5, 0.9), np.array([0.3, 1.0]), 0.1),
+    weigh: (1, (22.0, 4.0, 0.01, 0.01), True),
+}
+
+
+@pytest.mark.parametrize("function", ARGUMENTS, ids=lambda function: function.__name__)
 def test_compiled_and_plain_arithmetic_agree(function):
-    bank = hypothesis(3, LAYER)
-    rows = regressors(bank.facts, PLACE.depth, PLACE.speed, PLACE.deflection)
-    arguments = {
-        "absorb": (bank.means, bank.spreads, bank.facts, rows, (0.8, 1e-4, 12.0, 0.01)),
-        "predict": (bank.means, bank.spreads, np.zeros(1), 0.01, 0.04, np.full(4, 1e-4)),
-        "after_event": (
-            bank.means[0],
-            bank.spreads[0],
-            rows[0],
-            (EXIT, LAYER, LAYER, False, True),
-            (8.0, 8.0, 1.0, 4.0, 0.5, 0.9),
-        ),
-        "judge_fraction": (bank.means[0], bank.spreads[0], 4.0, True),
-        "regressors": (bank.facts, 12.0, 4.0, 0.7),
-    }[function.__name__]
-    plain = getattr(function, "py_func", function)
-    found, expected = function(*arguments), plain(*arguments)
-    for one, other in zip(
-        np.atleast_1d(found) if function is regressors else found, expected, strict=True
-    ):
-        assert np.asarray(one) == pytest.approx(np.asarray(other), rel=1e-9, abs=1e-14)
+    fast, slow = BankMemory(hypothesis(3, LAYER)), BankMemory(hypothesis(3, LAYER))
+    function(fast.store, *ARGUMENTS[function])
+    getattr(function, "py_func", function)(slow.store, *ARGUMENTS[function])
+    for one, other in zip(fast.store, slow.store, strict=True):
+        assert one == pytest.approx(other, rel=1e-9, abs=1e-14)
 
 
 def test_what_the_force_contradicts_is_dropped_and_the_rest_bounded():
-    bank, rng = first_bank(), np.random.default_rng(4)
+    memory, rng = BankMemory(first_bank()), np.random.default_rng(4)
     for step in range(400):
         place = PLACE._replace(depth=0.04 * step, force=0.01 * rng.standard_normal())
-        bank = prune(spawn(bank, place, place.depth - 0.04), place)
-        rows = regressors(bank.facts, place.depth, place.speed, 1.0)
-        means, spreads, evidence = absorb(
-            bank.means, bank.spreads, bank.facts, rows, (place.force, 1e-4, place.depth, 0.0)
-        )
-        bank = bank._replace(means=means, spreads=spreads, log_weights=bank.log_weights + evidence)
-        assert len(bank.log_weights) <= sum(QUOTAS)
-    bank = prune(bank, place)
-    assert bank.damage == ""
-    assert bank.facts[0, KIND] == AIR
-    assert count_ruptures(bank, 0, 0.01).more < 0.01
+        memory.spawn(place, place.depth - 0.04, 0.0)
+        weigh(memory.store, memory.size, (place.depth, 4.0, 0.01, 0.01), False)
+        memory.prune(place)
+        scene = (place.depth, place.speed, 1.0)
+        absorb(memory.store, memory.size, scene, place.force, 1e-4, 0.0)
+        assert memory.size <= sum(QUOTAS)
+    memory.prune(place)
+    assert memory.bank.damage == ""
+    assert memory.bank.facts[0, KIND] == AIR
+    assert count_ruptures(memory.bank, 0, 0.01).more < 0.01
 
 
 def test_hypotheses_that_differ_make_an_answer_less_certain():
     one, other = hypothesis(6, LAYER), hypothesis(6, LAYER)
     other.means[0, OWN_COULOMB] += 0.02
     both = Bank(*(np.concatenate(parts) for parts in zip(one, other, strict=True)))
-    alone, mixed = answer_at(one, PLACE, 1), answer_at(both, PLACE, 1)
+    alone, mixed = (answer_at(BankMemory(bank), PLACE, 1, 0.0) for bank in (one, both))
     length = PLACE.depth - 4.0
-    assert mixed.coulomb == pytest.approx(alone.coulomb + 0.01 * length)
-    assert mixed.var_coulomb == pytest.approx(alone.var_coulomb + (0.01 * length) ** 2)
-    assert mixed.in_contact
-    assert mixed.layer == 2
+    assert mixed[1, COULOMB] == pytest.approx(alone[1, COULOMB] + 0.01 * length)
+    variances = [answer[2 + COULOMB, COULOMB] for answer in (alone, mixed)]
+    assert variances[1] == pytest.approx(variances[0] + (0.01 * length) ** 2)
+    assert mixed[0, [IN_CONTACT, LAYER_NUMBER]].tolist() == [1.0, 2.0]
 
 
 def test_the_fraction_of_friction_is_a_prior_that_waits_for_the_slope():
     bank = hypothesis(7, LAYER)
-    assert not judge_fraction(bank.means[0], 1e4 * bank.spreads[0], 4.0, False)[0]
-    is_judged, mean, spread = judge_fraction(bank.means[0], bank.spreads[0], 4.0, True)
-    assert is_judged
+    bank.facts[0, IS_JUDGED] = 0.0
+    vague, known = (BankMemory(bank._replace(spreads=k * bank.spreads)) for k in (1e4, 1.0))
+    weigh(vague.store, 1, (14.0, 4.0, 0.01, 0.01), True)
+    assert vague.bank.facts[0, IS_JUDGED] == 0.0
+    weigh(known.store, 1, (16.0, 4.0, 0.01, 0.01), True)
+    assert known.bank.facts[0, IS_JUDGED] == 1.0
+    mean, spread = known.bank.means[0], known.bank.spreads[0]
     assert np.trace(spread) < np.trace(bank.spreads[0])
     slope = [mean[STIFFNESS], mean[OWN_COULOMB] + 4.0 * mean[OWN_VISCOUS]]
     was = bank.means[0, [STIFFNESS, OWN_COULOMB, OWN_VISCOUS]] @ [0.0, 1.0, 4.0]
@@ -236,7 +250,7 @@ def test_noise_is_learned_part_by_part_and_a_ramp_is_none():
         {"means": np.zeros((2, UNKNOWNS))},
         {"spreads": np.full((1, UNKNOWNS, UNKNOWNS), np.nan)},
         {"facts": np.zeros((1, hypothesis_filter.FACTS))},
-        {"records": np.zeros((1, hypothesis_bank.RECORDS - 1))},
+        {"records": np.zeros((1, hypothesis_filter.RECORDS - 1))},
     ],
 )
 def test_a_damaged_bank_says_so(change):

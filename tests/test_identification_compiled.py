@@ -14,30 +14,28 @@ from identification.config import CheckConfig
 from identification.errors import NoRuptureError
 from identification.hypothesis_filter import (
     absorb,
+    add_children,
     after_event,
-    judge_fraction,
     predict,
-    regressors,
+    regressor,
     shaft_mixture,
     weigh,
 )
-from identification.input_validation import CheckState, check_limits, check_sample
 from identification.published_identifier import PublishedMethod, published_coefficients
+from identification.sample_filter import SAMPLE_MEMORY, check_limits, take_sample
 from identification.switching_update import switching_outputs, update_switching
-from identification.travel_filter import TravelState, filter_travel
-from needleforce.jit import COMPILER, jit_arguments
+from needleforce.jit import COMPILER
 
 LIMITS = check_limits(CheckConfig())
 KERNELS = [
-    check_sample,
-    filter_travel,
+    take_sample,
     update_switching,
     switching_outputs,
-    regressors,
+    regressor,
     predict,
     absorb,
+    add_children,
     after_event,
-    judge_fraction,
     weigh,
     shaft_mixture,
     published.update_published,
@@ -59,11 +57,6 @@ def plain(function):
         if hasattr(value, "py_func"):
             world[name] = FunctionType(value.py_func.__code__, world, name)
     return world[function.py_func.__name__]
-
-
-def uncompiled(kind, *records):
-    """Named arguments as plain Python takes them."""
-    return tuple(kind(*record.tolist()) for record in jit_arguments(kind, *records))
 
 
 def flat(value):
@@ -90,26 +83,14 @@ def test_nothing_is_left_to_compile_at_the_first_sample(function):
 
 @needs_compiler
 @settings(deadline=None, max_examples=60)
-@given(samples, st.booleans())
-def test_the_check_is_the_same_compiled_and_plain(rows, is_spoilt):
-    memory = CheckState()[:]
+@given(samples, st.booleans(), st.booleans())
+def test_the_sample_filter_is_the_same_compiled_and_plain(rows, is_spoilt, is_measured):
+    fast, slow = np.zeros(SAMPLE_MEMORY), np.zeros(SAMPLE_MEMORY)
     for k, values in enumerate(rows):
         given_row = (*values[:2], math.nan, values[3]) if is_spoilt and k % 3 == 1 else values
-        result = check_sample(*given_row, k % 5 > 0, memory, LIMITS)
-        assert_same(result, plain(check_sample)(*given_row, k % 5 > 0, memory, LIMITS))
-        memory = result[-1]
-
-
-@needs_compiler
-@settings(deadline=None, max_examples=60)
-@given(samples, st.booleans())
-def test_the_travel_filter_is_the_same_compiled_and_plain(rows, is_measured):
-    memory = TravelState()[:]
-    for depth_m, speed_m_s, _, dt_s in rows:
-        given_row = (depth_m, speed_m_s if is_measured else math.nan, dt_s, memory)
-        result = filter_travel(*given_row)
-        assert_same(result, plain(filter_travel)(*given_row), rel=1e-9)
-        memory = result[-1]
+        result = take_sample(*given_row, is_measured, fast, LIMITS)
+        assert_same(result, plain(take_sample)(*given_row, is_measured, slow, LIMITS), rel=1e-9)
+        assert_same(fast, slow, rel=1e-9)
 
 
 @needs_compiler
@@ -118,14 +99,12 @@ def test_the_travel_filter_is_the_same_compiled_and_plain(rows, is_measured):
 def test_the_published_update_is_the_same_compiled_and_plain(rows, config, cumulative):
     state = PublishedMethod(config).state._replace(cumulative_friction_Ns_per_m=cumulative)
     coefficients = published_coefficients(state, config)
-    memory = (tuple(state.memory.rls), *state.memory[1:])
-    fast = jit_arguments(published.PublishedCoefficients, coefficients)
-    slow = uncompiled(published.PublishedCoefficients, coefficients)
+    memory = state.memory[:]
     for values in rows:
-        result = published.update_published(*values, memory, fast)
-        assert_same(result, plain(published.update_published)(*values, memory, slow))
+        result = published.update_published(*values, memory, coefficients)
+        assert_same(result, plain(published.update_published)(*values, memory, coefficients))
         memory = result[1]
-        assert_same(result[2], published.published_outputs(*values[:3], memory, fast))
+        assert_same(result[2], published.published_outputs(*values[:3], memory, coefficients))
 
 
 @pytest.mark.parametrize("config", [MULTILAYER, PUBLISHED])

@@ -1,7 +1,5 @@
 """The published method: its equations one by one, the re-run by windows, and its own model (3)."""
 
-from itertools import product
-
 import numpy as np
 import pytest
 from hypothesis import given, settings
@@ -10,7 +8,6 @@ from hypothesis import strategies as st
 from identification.config import PUBLISHED, PUBLISHED_KV, PublishedConfig
 from identification.errors import InvalidConfigError
 from identification.estimate import RuptureState as S
-from identification.estimate import next_rupture_state
 from identification.identifier import Identifier
 from identification.published_identifier import (
     cusum_constants,
@@ -121,31 +118,6 @@ def test_rerun_from_sums_equals_the_rerun_over_samples(seed, length, window, rat
     scale = np.abs(state[:2]) + np.sqrt(variances) * 1e-6
     gap = np.abs(np.array(rerun_windows(history, variances)) - state[:2])
     assert np.all(gap < 1e-6 * scale)
-
-
-ALARMS = [{"is_alarm": a, "is_expected": e} for a, e in product((False, True), repeat=2)]
-
-
-@pytest.mark.parametrize(
-    ("state", "flags", "expected"),
-    [
-        (S.NO_RUPTURE, {}, S.NO_RUPTURE),
-        (S.NO_RUPTURE, {"is_expected": True}, S.EXPECTED),
-        (S.NO_RUPTURE, {"is_alarm": True}, S.DETECTED),
-        (S.EXPECTED, {}, S.NO_RUPTURE),
-        (S.EXPECTED, {"is_alarm": True, "is_expected": True}, S.DETECTED),
-        *((S.DETECTED, flags, S.FORCE_DROP_MEASURING) for flags in ALARMS),
-        *((S.FORCE_DROP_MEASURING, flags, S.FORCE_DROP_MEASURING) for flags in ALARMS),
-        (S.FORCE_DROP_MEASURING, {"is_measured": True}, S.FRICTION_IDENTIFIED),
-        *(
-            (S.FRICTION_IDENTIFIED, {"is_settled": False, **f}, S.FRICTION_IDENTIFIED)
-            for f in ALARMS
-        ),
-        (S.FRICTION_IDENTIFIED, {}, S.NO_RUPTURE),
-    ],
-)
-def test_the_states_follow_each_other_and_no_alarm_interrupts_a_measurement(state, flags, expected):
-    assert next_rupture_state(state, **flags) is expected
 
 
 def windows(count, *, friction=0.0, noise=1e-4):

@@ -52,9 +52,7 @@ def test_pieces_give_what_the_whole_gives_bit_for_bit(columns, cuts, has_speed):
         stream.run(t_s[p], depth_m[p], force_N[p], speed_m_s[p] if has_speed else None)
         for p in pieces(len(t_s), cuts)
     ]
-    np.testing.assert_array_equal(np.concatenate([rows.t_s for rows in found]), t_s)
-    np.testing.assert_array_equal(np.concatenate([rows.force_N for rows in found]), force_N)
-    assert [e for rows in found for e in rows.estimates] == list(whole.estimates)
+    assert [e for estimates in found for e in estimates] == list(whole.estimates)
     assert stream.layers == whole.layers
     assert stream.hints == whole.hints
 

@@ -19,12 +19,13 @@ from identification.config import (
 from identification.errors import InvalidConfigError, InvalidSnapshotError
 from identification.estimate import SampleStatus
 from identification.identifier import Identifier
-from identification.input_validation import (
+from identification.sample_filter import (
     LAST_USED,
+    SAMPLE_MEMORY,
     STATUSES,
-    CheckState,
+    TIME,
     check_limits,
-    check_sample,
+    take_sample,
 )
 
 GOOD = (0.001, 0.002, 0.1, 1e-3)
@@ -171,15 +172,16 @@ def test_clock_runs_on_over_bad_forces_and_motion_is_not_called_a_jump():
 
 def check_rows(rows):
     """Statuses, memory after each row, and the depth of the last one used."""
-    memory, seen, depth_m, used_s = tuple(CheckState()), [], None, 0.0
+    memory, seen, depth_m, used_s = np.zeros(SAMPLE_MEMORY), [], None, 0.0
     for row in rows:
-        number, dt_s, depth, memory = check_sample(*row, True, memory, check_limits(CheckConfig()))
+        taken = take_sample(*row, True, memory, check_limits(CheckConfig()))
+        number, dt_s, _, depth, _ = taken
         seen.append(STATUSES[number])
         if number <= LAST_USED:
             depth_m, used_s = depth, used_s + dt_s
             # What has passed over rejected samples is in the interval of the next one used.
-            assert CheckState(*memory).time_s == pytest.approx(used_s)
-    return seen, CheckState(*memory).time_s, depth_m
+            assert memory[TIME] == pytest.approx(used_s)
+    return seen, memory[TIME], depth_m
 
 
 def test_a_jump_of_depth_is_removed_for_good():

@@ -108,8 +108,8 @@ def in_tissue():
         (MULTILAYER, "bank.records", lambda records: records[:, :4]),
         (MULTILAYER, "bank.log_weights", lambda weights: weights.astype(int)),
         (MULTILAYER, "levels", lambda _: None),
-        (PUBLISHED, "memory.rls.covariance", lambda _: 1e12),
-        (PUBLISHED, "memory.rls.var_friction", lambda _: -1.0),
+        (PUBLISHED, "memory.rls", lambda rls: (*rls[:3], 1e12, rls[4])),
+        (PUBLISHED, "memory.rls", lambda rls: (*rls[:4], -1.0)),
         (PUBLISHED, "windows", lambda windows: np.asfortranarray(windows)),
     ],
 )

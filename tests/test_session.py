@@ -7,7 +7,7 @@ from insertion_run import insert, resumed_after, same, samples, short_run, tare_
 
 from benchmarks.signals import JointSignals, measured_travel
 from identification import MultilayerConfig, SampleStatus
-from identification.input_validation import CheckConfig
+from identification.config import CheckConfig
 from needleforce import InsertionError, InsertionSession
 from residual import DEFAULT, PUBLISHED, SensorWarning, Status, TareError
 from residual.tool_kinematics import ToolKinematics
