@@ -11,31 +11,8 @@ from typing import NamedTuple
 
 import numpy as np
 
+from identification import hypothesis_filter as law
 from identification.estimate import Array
-from identification.hypothesis_filter import (
-    AIR,
-    CONTACT,
-    EXIT,
-    FACTS,
-    IS_HELD,
-    IS_JUDGED,
-    KIND,
-    LAYER,
-    LENGTH,
-    MEETING,
-    MEMBRANE,
-    NO_RELEASE,
-    OFFSET,
-    PARTIAL,
-    RECORDS,
-    RELEASE,
-    ROOT,
-    RUPTURES,
-    TIP,
-    UNKNOWNS,
-    Store,
-    add_children,
-)
 from needleforce.jit import Vector, compiled
 
 STEP_MM = 0.02
@@ -80,8 +57,8 @@ class Bank(NamedTuple):
     @property
     def damage(self) -> str:
         """What is wrong with the arrays, if anything; checked before compiled code reads them."""
-        n, last = len(self.log_weights), (UNKNOWNS, UNKNOWNS)
-        shapes = ((n, UNKNOWNS), (n, *last), (n,), (n, FACTS), (n, RECORDS))
+        n, last = len(self.log_weights), (law.UNKNOWNS, law.UNKNOWNS)
+        shapes = ((n, law.UNKNOWNS), (n, *last), (n,), (n, law.FACTS), (n, law.RECORDS))
         if not 1 <= n <= CAPACITY or [np.shape(part) for part in self] != list(shapes):
             return f"its arrays have shapes {[np.shape(part) for part in self]}"
         if any(part.dtype != np.float64 for part in self):
@@ -92,8 +69,12 @@ class Bank(NamedTuple):
         scaled = self.spreads / (scale[:, :, None] * scale[:, None, :])
         if not np.allclose(scaled, scaled.transpose(0, 2, 1), rtol=0.0, atol=1e-3):
             return "its covariances are not symmetric"
-        is_kind = np.isin(self.facts[:, KIND], (AIR, LAYER, MEMBRANE))
-        return "" if (is_kind & (self.facts[:, LENGTH] > 0.0)).all() else "its facts are impossible"
+        is_kind = np.isin(self.facts[:, law.KIND], (law.AIR, law.LAYER, law.MEMBRANE))
+        return (
+            ""
+            if (is_kind & (self.facts[:, law.LENGTH] > 0.0)).all()
+            else "its facts are impossible"
+        )
 
     @property
     def weights(self) -> Array:
@@ -121,10 +102,12 @@ class Place(NamedTuple):
 
 def first_bank() -> Bank:
     """One hypothesis: the tip is in free air, the offset unknown."""
-    spreads, facts = np.zeros((1, UNKNOWNS, UNKNOWNS)), np.zeros((1, FACTS))
-    spreads[0, OFFSET, OFFSET] = 5.0**2
-    facts[0, [RELEASE, LENGTH, IS_JUDGED]] = NO_RELEASE, 1.0, 1.0
-    return Bank(np.zeros((1, UNKNOWNS)), spreads, np.zeros(1), facts, np.zeros((1, RECORDS)))
+    spreads, facts = np.zeros((1, law.UNKNOWNS, law.UNKNOWNS)), np.zeros((1, law.FACTS))
+    spreads[0, law.OFFSET, law.OFFSET] = 5.0**2
+    facts[0, [law.RELEASE, law.LENGTH, law.IS_JUDGED]] = law.NO_RELEASE, 1.0, 1.0
+    return Bank(
+        np.zeros((1, law.UNKNOWNS)), spreads, np.zeros(1), facts, np.zeros((1, law.RECORDS))
+    )
 
 
 class BankMemory:
@@ -160,27 +143,30 @@ class BankMemory:
         facts, weights = self.bank.facts, self.bank.log_weights
         order = np.argsort(-weights, kind="stable")
         likely = weights > weights[order[0]] - 25.0
-        likely &= place.depth > facts[:, RELEASE] + np.maximum(facts[:, LENGTH], 0.3)
+        likely &= place.depth > facts[:, law.RELEASE] + np.maximum(facts[:, law.LENGTH], 0.3)
         order = order[likely[order]]
-        kinds = (2.0 * facts[order, KIND] + facts[order, IS_HELD]).tolist()
+        kinds = (2.0 * facts[order, law.KIND] + facts[order, law.IS_HELD]).tolist()
         parents: dict[float, int] = {}
         for kind, k in zip(kinds, order.tolist(), strict=True):
             parents.setdefault(kind, k)  # what it was may only show at its end
         step = max(place.depth - max(before, place.depth - 1.0), STEP_MM)
         is_membrane_due = int(place.depth / MEMBRANE_STEP_MM) != int(before / MEMBRANE_STEP_MM)
-        scene = place.depth, place.speed, place.deflection
-        moment = place.time_s - 0.5 * place.dt_s, tissue_speed, place.force
+        scene, time_s = (
+            (place.depth, place.speed, place.deflection),
+            place.time_s - 0.5 * place.dt_s,
+        )
+        moment = (*scene, time_s, tissue_speed, place.force)
         for k in parents.values():
             happens = _events(facts[k].tolist(), place, HAZARD * step, is_membrane_due)
             for what, becomes, is_kept, releases, chance in happens:
                 event = (what, becomes, is_kept)
-                add_children(self.store, k, self.size, event, scene, moment, releases, chance)
+                law.add_children(self.store, k, self.size, event, moment, releases, chance)
                 self.size += len(releases)
 
     def prune(self, place: Place) -> None:
         """Keep the likeliest of each class, best first."""
         facts = self.bank.facts
-        travel, is_pushed = place.depth - facts[:, TIP], facts[:, KIND] == MEMBRANE
+        travel, is_pushed = place.depth - facts[:, law.TIP], facts[:, law.KIND] == law.MEMBRANE
         classes = 2.0 * (travel >= np.where(is_pushed, 1.5, 0.4)) + is_pushed
         self._other_size, n = self.size, _keep(self.store, self._other, self.size, classes, QUOTAS)
         self.store, self._other, self.size = self._other, self.store, n
@@ -195,33 +181,33 @@ def _events(
         Event, what the tip is in then, whether some of its force stays, lengths of the release,
         and how likely each is.
     """
-    kind = fact[KIND]
-    if kind == AIR:
-        if fact[RUPTURES]:
+    kind = fact[law.KIND]
+    if kind == law.AIR:
+        if fact[law.RUPTURES]:
             chance *= 0.1  # gaps of air are rare
-        is_near = fact[RUPTURES] and place.depth < fact[RELEASE] + 3.0
+        is_near = fact[law.RUPTURES] and place.depth < fact[law.RELEASE] + 3.0
         if place.deflection >= 0.3 and not is_near:
-            yield CONTACT, LAYER, False, _NO_RELEASES_MM, 0.7 * chance
-            yield CONTACT, MEMBRANE, False, _NO_RELEASES_MM, 0.3 * chance
+            yield law.CONTACT, law.LAYER, False, _NO_RELEASES_MM, 0.7 * chance
+            yield law.CONTACT, law.MEMBRANE, False, _NO_RELEASES_MM, 0.3 * chance
         return
-    if place.depth <= fact[TIP] + LEAST_MM:
+    if place.depth <= fact[law.TIP] + LEAST_MM:
         return
     ends = (1.0 - PARTIAL_FRACTION) * chance / len(RELEASES_MM)
     further = ends * (1.0 - AIR_FRACTION)
-    yield EXIT, LAYER, False, RELEASES_MM, further
-    if kind == LAYER:
-        yield EXIT, LAYER, True, RELEASES_MM, further * KEPT_PROBABILITY
-        yield EXIT, AIR, False, RELEASES_MM, ends * AIR_FRACTION
+    yield law.EXIT, law.LAYER, False, RELEASES_MM, further
+    if kind == law.LAYER:
+        yield law.EXIT, law.LAYER, True, RELEASES_MM, further * KEPT_PROBABILITY
+        yield law.EXIT, law.AIR, False, RELEASES_MM, ends * AIR_FRACTION
         partial = PARTIAL_FRACTION * chance / len(PARTIAL_RELEASES_MM)
-        yield PARTIAL, LAYER, False, PARTIAL_RELEASES_MM, partial
-        if is_membrane_due and place.depth > fact[ROOT] + 2.0 and fact[IS_JUDGED]:
+        yield law.PARTIAL, law.LAYER, False, PARTIAL_RELEASES_MM, partial
+        if is_membrane_due and place.depth > fact[law.ROOT] + 2.0 and fact[law.IS_JUDGED]:
             met = MEMBRANE_FRACTION * MEMBRANE_STEP_MM * HAZARD
-            yield MEETING, MEMBRANE, False, _NO_RELEASES_MM, met
+            yield law.MEETING, law.MEMBRANE, False, _NO_RELEASES_MM, met
 
 
 @compiled
 def _keep(
-    source: Store, target: Store, n: int, classes: Vector, quotas: tuple[int, int, int, int]
+    source: law.Store, target: law.Store, n: int, classes: Vector, quotas: tuple[int, int, int, int]
 ) -> int:
     """Copy the likeliest of n hypotheses, so many of each class at most; returns how many."""
     weights = source[2][:n] - source[2][:n].max()

@@ -58,6 +58,10 @@ PART_START, PART_END, PART_FRICTION, STIFFNESS_HERE, CONTACT_MM = 5, 6, 7, 8, 14
 Store = tuple[WrittenMatrix, WrittenBlocks, WrittenVector, WrittenMatrix, WrittenMatrix]
 """Room for hypotheses, a row each: means, covariances, log weights, facts, records."""
 Scene = tuple[float, float, float]  # depth, speed and presliding deflection
+Moment = tuple[float, float, float, float, float, float]
+"""A scene; time, standard deviation of the tissue's own speed, force."""
+Event = tuple[int, float, bool]
+"""Which, what the tip is in then, and whether some of its force stays for a while."""
 
 CUTTING_ONSET_MM = 1.0
 """Travel over which the cutting force of a fresh layer builds up: about a needle diameter."""
@@ -254,21 +258,14 @@ def _add_prior(
 
 @compiled
 def after_event(
-    mean: Vector,
-    spread: Matrix,
-    fact: Vector,
-    scene: Scene,
-    event: tuple[int, float, bool],
-    now: tuple[float, float, float],
+    mean: Vector, spread: Matrix, fact: Vector, moment: Moment, event: Event, passed: float
 ) -> tuple[Vector, Matrix]:
     """Mean and covariance of a hypothesis after an event; the force goes on as it was.
 
-    `event` is which, what the tip is in then, and whether some of its force stays for a while;
-    `now` the shaft in the layer since the last event, the deviation of the tissue's own speed, and
-    the force.
+    `passed` is the shaft in the layer since the last event.
     """
-    (what, becomes, is_kept), (passed, unseen, force) = event, now
-    (depth, speed, deflection), was, row = scene, fact[KIND], regressor(fact, scene)
+    (what, becomes, is_kept), was, row = event, fact[KIND], regressor(fact, moment[:3])
+    depth, speed, deflection, _, unseen, force = moment
     change, noise, tip = np.eye(UNKNOWNS), np.zeros(UNKNOWNS), np.zeros(UNKNOWNS)
     tip[RELEASED:_AFTER_TIP] = row[RELEASED:_AFTER_TIP]
     change[RELEASED:_AFTER_TIP] = 0.0
@@ -292,8 +289,7 @@ def after_event(
     change[KEPT] = (KEPT_FRACTION if is_kept else 0.0) * tip
     noise[KEPT] = ((KEPT_STD if is_kept else 0.0) * np.dot(tip, mean)) ** 2
     # A membrane met ends the layer's part of the shaft before its puncture is the rupture.
-    is_met = was == MEMBRANE and fact[IS_HELD] > 0.0
-    if was == LAYER or (what == EXIT and not is_met):
+    if was == LAYER or (what == EXIT and (was != MEMBRANE or fact[IS_HELD] == 0.0)):
         change[LEFT : EARLIER + 1] = 0.0
         change[EARLIER, LEFT] = 1.0
     if was == LAYER:
@@ -309,28 +305,24 @@ def add_children(
     store: Store,
     k: int,
     n: int,
-    event: tuple[int, float, bool],
-    scene: Scene,
-    moment: tuple[float, float, float],
+    event: Event,
+    moment: Moment,
     releases: Vector,
     chance: float,
 ) -> None:
     """Write, from row n on, what hypothesis k becomes by an event, one for each release length."""
     means, spreads, log_weights, facts, records = store
-    time_s, unseen, force = moment  # `unseen`: standard deviation of the tissue's own speed
-    (what, becomes, _), depth, was = event, scene[0], facts[k, KIND]
-    begin = max(facts[k, ROOT], records[k, PART_END]) if was == LAYER else depth
-    now = (depth - begin, unseen, force)
-    mean, spread = after_event(means[k], spreads[k], facts[k], scene, event, now)
-    fact, record, part = facts[k].copy(), records[k].copy(), slice(RELEASED, OWN_VISCOUS + 1)
+    (what, becomes, _), (depth, speed, _, time_s, _, force) = event, moment
+    fact, record, was = facts[k].copy(), records[k].copy(), facts[k, KIND]
+    begin = max(fact[ROOT], record[PART_END]) if was == LAYER else depth
+    mean, spread = after_event(means[k], spreads[k], fact, moment, event, depth - begin)
+    fact[RELEASE], is_puncture = NO_RELEASE, what == EXIT and was == MEMBRANE
     if what in (EXIT, PARTIAL):
-        fact[RELEASE] = depth
-        fact[OWN_FORCE] = np.dot(regressor(facts[k], scene)[part], means[k, part])
-        fact[RUPTURES] += 1.0
-        record[RUPTURE_S], record[RUPTURE_MM], record[RUPTURE_SPEED] = time_s, depth, scene[1]
+        part = slice(RELEASED, OWN_VISCOUS + 1)
+        fact[OWN_FORCE] = np.dot(regressor(facts[k], moment[:3])[part], means[k, part])
+        fact[RELEASE], fact[RUPTURES] = depth, fact[RUPTURES] + 1.0
+        record[RUPTURE_S], record[RUPTURE_MM], record[RUPTURE_SPEED] = time_s, depth, speed
         record[RUPTURE_FORCE], record[WAS_PARTIAL] = force, 1.0 if what == PARTIAL else 0.0
-    else:
-        fact[RELEASE] = NO_RELEASE
     if was == LAYER:
         record[PART_START], record[PART_END], record[PART_FRICTION] = begin, depth, mean[LEFT]
         for i, j in enumerate((STIFFNESS, OWN_COULOMB, OWN_VISCOUS)):
@@ -342,11 +334,11 @@ def add_children(
         record[CONTACT_MM] = record[CONTACT_MM] if fact[RUPTURES] else depth
     if what != PARTIAL:
         # The layer behind a membrane has rubbed since the membrane was met.
-        fact[ROOT] = fact[TIP] if what == EXIT and was == MEMBRANE else depth
+        fact[ROOT] = fact[TIP] if is_puncture else depth
         fact[IS_JUDGED] = 0.0 if becomes == LAYER else 1.0
     fact[TIP], fact[KIND] = depth, becomes
     fact[IS_HELD] = 1.0 if what in (PARTIAL, MEETING) else 0.0
-    fact[IS_PUNCTURED] = 1.0 if what == EXIT and was == MEMBRANE else 0.0
+    fact[IS_PUNCTURED] = 1.0 if is_puncture else 0.0
     for i in range(len(releases)):
         means[n + i], spreads[n + i], facts[n + i], records[n + i] = mean, spread, fact, record
         facts[n + i, LENGTH] = releases[i]
@@ -387,9 +379,10 @@ def _judge_fraction(
 def _hold_cutting(mean: WrittenVector, spread: WrittenMatrix) -> float:
     """Take a negative cutting force for none; returns what that adds to the log weight."""
     # With its onset it would look like a slow release.
-    variance, value, row = max(spread[HELD, HELD], 0.0), mean[HELD], np.zeros(UNKNOWNS)
+    variance, value = max(spread[HELD, HELD], 0.0), mean[HELD]
     if value >= -NO_CUTTING - math.sqrt(variance):
         return 0.0
+    row = np.zeros(UNKNOWNS)
     row[HELD] = 1.0
     _condition(mean, spread, row, NO_CUTTING**2)
     return -0.5 * value**2 / (variance + NO_CUTTING**2)

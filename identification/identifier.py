@@ -6,20 +6,11 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
+from identification import sample_filter as samples
 from identification.config import MULTILAYER, MultilayerConfig, PublishedConfig
 from identification.errors import InvalidConfigError, InvalidSnapshotError, NoRuptureError
 from identification.estimate import Array, Estimate, Events, LayerEstimate, SampleStatus
 from identification.published_identifier import PublishedMethod, PublishedState
-from identification.sample_filter import (
-    LAST_USED,
-    SAMPLE_MEMORY,
-    SHIFT,
-    STATUSES,
-    TIME,
-    as_scalar,
-    check_limits,
-    take_sample,
-)
 from identification.switching_identifier import SwitchingMethod, SwitchingState
 
 _new = tuple.__new__
@@ -61,19 +52,19 @@ class Identifier:
         if type(config) not in _METHODS:
             known = ", ".join(kind.__name__ for kind in _METHODS)
             raise InvalidConfigError(f"config must be one of {known}, got {type(config).__name__}")
-        self._config, self._limits = config, check_limits(config.check)
+        self._config, self._limits = config, samples.check_limits(config.check)
         self.reset()
 
     @property
     def layers(self) -> tuple[LayerEstimate, ...]:
         """Layers traversed so far, in order, as known now."""
-        shift_m = float(self._samples[SHIFT])
+        shift_m = float(self._samples[samples.SHIFT])
         return tuple(_in_callers_depth(layer, shift_m) for layer in self._method.layers)
 
     def reset(self) -> None:
         """Forget everything: a new insertion begins, its clock at 0."""
         self._method = _METHODS[type(self._config)](self._config)
-        self._samples = np.zeros(SAMPLE_MEMORY)
+        self._samples = np.zeros(samples.SAMPLE_MEMORY)
         self._last = Estimate(0.0, SampleStatus.OK, *self._method.report())
         self._before: Snapshot | None = None
 
@@ -106,20 +97,20 @@ class Identifier:
         ):
             return self._update_raw((depth_m, speed, force_N, dt_s), is_measured, time_s)
         before, last, method = self._samples.copy(), self._last, self._method
-        number, elapsed_s, clock_s, place_m, motion = take_sample(
+        number, elapsed_s, clock_s, place_m, motion = samples.take_sample(
             depth_m, speed, force_N, dt_s, is_measured, self._samples, self._limits
         )
         if time_s is None:
             time_s = clock_s
-        if number > LAST_USED:
-            return self._reject(STATUSES[number], time_s)
+        if number > samples.LAST_USED:
+            return self._reject(samples.STATUSES[number], time_s)
         if not method.takes_filtered_travel:
             motion = (place_m, speed if is_measured else motion[1], 0.0, 0.0)
         found = method.update((time_s, elapsed_s, *motion, force_N))
-        estimate = self._last = _new(Estimate, (time_s, STATUSES[number], *found))
+        estimate = self._last = _new(Estimate, (time_s, samples.STATUSES[number], *found))
         if found[_EVENTS:] != _NO_EVENTS:
             self._before = Snapshot(self._config, before, method.before, last)
-            shift_m = float(self._samples[SHIFT])
+            shift_m = float(self._samples[samples.SHIFT])
             events = (_in_callers_depth(event, shift_m) for event in found[_EVENTS:])
             estimate = self._last = _new(Estimate, (*estimate[:_EVENTS], *events))
         return estimate
@@ -150,7 +141,7 @@ class Identifier:
                 f"expected a Snapshot taken with {self._config}, got {type(snapshot).__name__}"
             )
         check_state(snapshot.state, _METHODS[type(self._config)](self._config).state)
-        check_state(snapshot.samples, np.zeros(SAMPLE_MEMORY), "samples")
+        check_state(snapshot.samples, np.zeros(samples.SAMPLE_MEMORY), "samples")
         self._resume(snapshot)
 
     def _resume(self, snapshot: Snapshot) -> None:
@@ -160,19 +151,19 @@ class Identifier:
 
     def _update_raw(self, values: tuple[Any, ...], is_measured: bool, time_s: object) -> Estimate:
         """As `update`, for values of any type; the speed is measured or estimated."""
-        numbers: list[Any] = [as_scalar(value) for value in values]
-        time = as_scalar(0.0 if time_s is None else time_s)
+        numbers: list[Any] = [samples.as_scalar(value) for value in values]
+        time = samples.as_scalar(0.0 if time_s is None else time_s)
         if time is not None and math.isfinite(time) and None not in numbers:
             numbers[1] = numbers[1] if is_measured else None
             return self.update(*numbers, time_s=None if time_s is None else time)
         # Handled as one that is not finite: its time passes, if it has one.
         dt_s = math.nan if numbers[-1] is None else numbers[-1]
-        take_sample(math.nan, 0.0, 0.0, dt_s, is_measured, self._samples, self._limits)
+        samples.take_sample(math.nan, 0.0, 0.0, dt_s, is_measured, self._samples, self._limits)
         is_odd = time is None or None in numbers
         status = SampleStatus.NOT_A_SCALAR if is_odd else SampleStatus.NOT_FINITE
         if time is None or not math.isfinite(time):
             time = self._last.time_s
-        return self._reject(status, float(self._samples[TIME]) if time_s is None else time)
+        return self._reject(status, float(self._samples[samples.TIME]) if time_s is None else time)
 
     def _reject(self, status: SampleStatus, time_s: float) -> Estimate:
         """A sample that is not used: the last estimate, its events over."""

@@ -24,18 +24,13 @@ _BLOCKS = 60
 class LayerSpan:
     """Where and when one layer acts on the needle, known beforehand in the offline analysis.
 
-    Attributes:
-        start_s: Instant t_i at which the tip enters the layer.
-        start_depth_m: Depth of the tip at that instant.
-        thickness_m: Thickness d_i along the insertion axis.
-        rupture_s: Instant t_r at which the layer stops pushing back elastically. Without a
-            membrane it is the instant the tip leaves the layer; with one it is earlier or later.
+    Without a membrane it ruptures as the tip leaves it; with one earlier or later.
     """
 
-    start_s: float
-    start_depth_m: float
-    thickness_m: float
-    rupture_s: float
+    start_s: float  # instant t_i at which the tip enters the layer
+    start_depth_m: float  # depth of the tip at that instant
+    thickness_m: float  # thickness d_i along the insertion axis
+    rupture_s: float  # instant t_r at which the layer stops pushing back elastically
 
     def __post_init__(self) -> None:
         """Raise `InvalidConfigError` unless thickness is positive and times are ordered."""
@@ -59,14 +54,7 @@ def regression_matrix(
     phi_K of equation (4) is dz_i between entry and rupture, zero elsewhere. phi_B is, from entry
     on, for `ml` embedded length times speed: dz_i inside the layer and d_i beyond it, which is (4);
     during withdrawal it shrinks, which (4) leaves open. For `kv` it is the speed, as long as the
-    tip is deeper than the entry.
-
-    Args:
-        t_s: Time [s], shape (n,).
-        depth_m: Depth of the tip [m], shape (n,).
-        speed_m_s: Its rate [m/s], shape (n,).
-        layers: Known layers in order of entry.
-        model: `ml`, equation (3), or `kv`, equation (2).
+    tip is deeper than the entry. Columns have shape (n,).
 
     Returns:
         Shape (n, 2 l); parameters in the order K_1, B_1, ..., K_l, B_l.
@@ -146,45 +134,26 @@ def read_column(
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class OfflineLayer:
-    """One layer identified offline.
+    """One layer identified offline; standard deviations are infinite where not identified."""
 
-    Attributes:
-        stiffness_N_per_m: K_i.
-        stiffness_std_N_per_m: Its standard deviation; infinite when not identified.
-        stiffness_identified: Whether the data separate it from the other parameters.
-        friction: B_i [Ns/m^2] for `ml`, [Ns/m] for `kv`.
-        friction_std: As for the stiffness.
-        friction_identified: As for the stiffness.
-        cumulative_friction_Ns_per_m: Part of this layer in the cumulative friction: B_i d_i for
-            `ml` (the values of Table I), B_i for `kv`.
-    """
-
-    stiffness_N_per_m: float
+    stiffness_N_per_m: float  # K_i
     stiffness_std_N_per_m: float
-    stiffness_identified: bool
-    friction: float
+    stiffness_identified: bool  # whether the data separate it from the other parameters
+    friction: float  # B_i [Ns/m^2] for `ml`, [Ns/m] for `kv`
     friction_std: float
     friction_identified: bool
-    cumulative_friction_Ns_per_m: float
+    cumulative_friction_Ns_per_m: float  # B_i d_i for `ml` (the values of Table I), B_i for `kv`
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class OfflineIdentification:
-    """Result of equation (6) over one recording.
-
-    Attributes:
-        model: `ml` or `kv`.
-        layers: One entry per layer, in order of entry.
-        rank: Numerical rank of the scaled regression matrix.
-        rmse_N: Root mean square reconstruction error.
-        predicted_force_N: Reconstruction Phi theta, shape (n,), read-only.
-    """
+    """Result of equation (6) over one recording."""
 
     model: Model
-    layers: tuple[OfflineLayer, ...]
-    rank: int
-    rmse_N: float
-    predicted_force_N: Array
+    layers: tuple[OfflineLayer, ...]  # in order of entry
+    rank: int  # of the scaled regression matrix
+    rmse_N: float  # root mean square reconstruction error
+    predicted_force_N: Array  # reconstruction Phi theta, shape (n,), read-only
 
 
 def identify_offline(

@@ -10,6 +10,9 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
+from identification import hypothesis_filter as law
+from identification import rupture_report as reports
+from identification import switching_update as samples
 from identification.config import MultilayerConfig
 from identification.disturbance_levels import (
     BEATS,
@@ -28,47 +31,6 @@ from identification.estimate import (
     layers_traversed,
 )
 from identification.hypothesis_bank import STEP_MM, Bank, BankMemory, Place, first_bank
-from identification.hypothesis_filter import (
-    AIR,
-    COULOMB,
-    HELD,
-    KIND,
-    LAW_ERROR,
-    LAW_MM,
-    LEFT_ERROR,
-    OFFSET,
-    OWN_COULOMB,
-    OWN_VISCOUS,
-    ROOT,
-    RUPTURES,
-    STIFFENING,
-    STIFFNESS,
-    TIP,
-    VISCOUS,
-    absorb,
-    predict,
-    weigh,
-)
-from identification.rupture_report import (
-    Evaluation,
-    answer_at,
-    count_ruptures,
-    friction_left,
-    layer_left,
-    may_be_braking,
-    partial_rupture_probability,
-    rupture_of,
-    with_friction,
-)
-from identification.switching_update import (
-    DEPTH_STD,
-    FIRST_MEMORY,
-    FORCE_SUM,
-    NO_ANSWER,
-    SPEED_STD,
-    switching_outputs,
-    update_switching,
-)
 
 _MM = 1e3
 _HELD_DRIFT = 0.05
@@ -114,12 +76,12 @@ class SwitchingState(NamedTuple):
     """All that the switching filter remembers; immutable."""
 
     bank: Bank
-    memory: Array = FIRST_MEMORY  # what every sample changes, see `switching_update`
+    memory: Array = samples.FIRST_MEMORY  # what every sample changes, see `switching_update`
     levels: DisturbanceLevels = DisturbanceLevels()
     course: Course = Course()
     place: Place = Place(*(0.0,) * 8)  # middle of the last block
     stage: int = _NOTHING  # what is left to do for that block
-    answer: Array = NO_ANSWER  # see `switching_update`
+    answer: Array = samples.NO_ANSWER  # see `switching_update`
     ruptures: int = 0  # in the hypotheses that the last report followed
     alarm: Rupture | None = None  # the last one raised and not taken back
     layers: tuple[LayerEstimate, ...] = ()
@@ -164,13 +126,13 @@ class SwitchingMethod:
 
     def report(self) -> tuple[Any, ...]:
         """What there is to report without a sample."""
-        return self._outputs((0.0,) * 7)
+        return self._outputs((0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0))
 
     def update(self, sample: Sample) -> tuple[Any, ...]:
         """Use one sample: what to report of it, from the rupture state to the events."""
         state, dt_s, motion, force_N = self._state, sample[1], sample[2:6], sample[6]
         before = self._memory.copy() if self._is_due else self._memory
-        is_full, outputs = update_switching(
+        is_full, outputs = samples.update_switching(
             motion, force_N, dt_s, self._memory, state.answer, self._left
         )
         if not (is_full or self._is_due):
@@ -194,7 +156,7 @@ class SwitchingMethod:
 
     def _outputs(self, sample: Sample) -> tuple[Any, ...]:
         depth_m, speed_m_s, force_N = sample[2], sample[3], sample[6]
-        outputs = switching_outputs(
+        outputs = samples.switching_outputs(
             depth_m, speed_m_s, force_N, self._memory, self._state.answer, self._left
         )
         return (self._state.rupture_state, *outputs, *self._state.events)
@@ -215,14 +177,15 @@ class SwitchingMethod:
             self._state = report(self._state, self._bank, at, self._config)
 
     def _absorb(self, sample: Sample) -> None:
-        """Let every hypothesis predict the force of the block, and learn from it."""
+        """Let every hypothesis law.predict the force of the block, and learn from it."""
         state, memory, bank = self._state, self._memory, self._bank
         course, levels, last = state.course, state.levels, state.course.deepest
-        filled, *sums = memory[: FORCE_SUM + 1].tolist()
+        filled, *sums = memory[: samples.FORCE_SUM + 1].tolist()
         z, v, w, force = (total / filled for total in sums)
         z, v = _MM * z, _MM * v
-        jitter, speed_noise = _MM * float(memory[DEPTH_STD]), _MM * float(memory[SPEED_STD])
-        memory[: FORCE_SUM + 1] = 0.0
+        jitter = _MM * float(memory[samples.DEPTH_STD])
+        speed_noise = _MM * float(memory[samples.SPEED_STD])
+        memory[: samples.FORCE_SUM + 1] = 0.0
         # Friction at a noisy speed would seem to be the same at all speeds: only a change that
         # noise does not explain is one.
         deadband = _DEADBAND * speed_noise
@@ -238,7 +201,7 @@ class SwitchingMethod:
         course = course._replace(deepest=max(last, z), usual_speed=usual, speed=steady)
         _predict(bank, place, fresh, levels)
         facts = bank.bank.facts
-        is_met = bool((facts[:, KIND] != AIR).any() or (facts[:, RUPTURES] > 0.0).any())
+        is_met = bool((facts[:, law.KIND] != law.AIR).any() or (facts[:, law.RUPTURES] > 0.0).any())
         stage = _REPORT
         if (is_advancing or not is_met) and not is_gap:
             course = course._replace(resumed=course.resumed * math.exp(-fresh / _RESUMED_MM))
@@ -279,23 +242,26 @@ def left_layers(state: SwitchingState) -> Array:
 
 def _weigh(bank: BankMemory, place: Place, *, is_advancing: bool) -> None:
     now = (place.depth, place.speed, place.dt_s, place.noise)
-    weigh(bank.store, bank.size, now, is_advancing)
+    law.weigh(bank.store, bank.size, now, is_advancing)
 
 
 def _predict(bank: BankMemory, place: Place, fresh: float, levels: DisturbanceLevels) -> None:
     # Errors of the law are the same for all: what claims less would be believed more.
     best = bank.store[0][0].tolist()
-    slope = max(best[STIFFNESS] + best[OWN_COULOMB] + best[OWN_VISCOUS] * place.speed, 0.004)
-    held = fresh * (_HELD_DRIFT * min(max(best[HELD], 0.02), 2.0 * slope)) ** 2
-    left = place.deflection * best[COULOMB] + place.speed * best[VISCOUS]
-    law = LAW_ERROR * (abs(place.force - best[OFFSET] - left) + LEFT_ERROR * abs(left))
+    slope = best[law.STIFFNESS] + best[law.OWN_COULOMB] + best[law.OWN_VISCOUS] * place.speed
+    slope = max(slope, 0.004)
+    held = fresh * (_HELD_DRIFT * min(max(best[law.HELD], 0.02), 2.0 * slope)) ** 2
+    left = place.deflection * best[law.COULOMB] + place.speed * best[law.VISCOUS]
+    error = law.LAW_ERROR * (
+        abs(place.force - best[law.OFFSET] - left) + law.LEFT_ERROR * abs(left)
+    )
     _, colour, heart, breath = levels.levels.tolist()
-    if bank.store[3][0, KIND] != AIR:
+    if bank.store[3][0, law.KIND] != law.AIR:
         # Before a few beats have been seen nobody knows whether the tissue moves.
         heart = max(heart, (_MOTION_MM * slope) ** 2)
-    turns = transitions(place.dt_s, fresh, LAW_MM, (heart, breath, law * law))
+    turns = transitions(place.dt_s, fresh, law.LAW_MM, (heart, breath, error * error))
     kept = np.array([math.exp(-place.dt_s / COLOUR_S), colour])
-    predict(bank.store, bank.size, held, place.dt_s, kept, turns)
+    law.predict(bank.store, bank.size, held, place.dt_s, kept, turns)
 
 
 def _learn(
@@ -306,22 +272,22 @@ def _learn(
     noise: tuple[float, float],
 ) -> None:
     (depth_std, speed_std), best, fact = noise, bank.store[0][0].tolist(), bank.store[3][0].tolist()
-    damping = best[VISCOUS] + best[OWN_VISCOUS] * max(place.depth - fact[ROOT], 0.0)
+    damping = best[law.VISCOUS] + best[law.OWN_VISCOUS] * max(place.depth - fact[law.ROOT], 0.0)
     variance = max(float(levels.levels[0]) * STEP_S / place.dt_s, 1e-8) + (damping * speed_std) ** 2
-    if fact[KIND] != AIR:
+    if fact[law.KIND] != law.AIR:
         loose = _UNSETTLED * max(1.0 - place.deflection, resumed)
-        variance += (loose * (place.force - best[OFFSET])) ** 2
+        variance += (loose * (place.force - best[law.OFFSET])) ** 2
     scene = (place.depth, place.speed, place.deflection)
-    absorb(bank.store, bank.size, scene, place.force, variance, depth_std)
+    law.absorb(bank.store, bank.size, scene, place.force, variance, depth_std)
 
 
 def _tissue_speed(bank: Bank, place: Place, levels: DisturbanceLevels) -> float:
     """Standard deviation of the speed at which tissue moves by itself [mm/s], as its force says."""
     best, fact = bank.means[0].tolist(), bank.facts[0].tolist()
-    travel, length = (max(place.depth - fact[at], 0.0) for at in (TIP, ROOT))
-    slope = best[STIFFNESS] + 2.0 * best[STIFFENING] * travel
-    slope += best[OWN_COULOMB] * place.deflection + best[OWN_VISCOUS] * place.speed
-    damping, variance = max(best[VISCOUS] + best[OWN_VISCOUS] * length, 0.0), 0.0
+    travel, length = (max(place.depth - fact[at], 0.0) for at in (law.TIP, law.ROOT))
+    slope = best[law.STIFFNESS] + 2.0 * best[law.STIFFENING] * travel
+    slope += best[law.OWN_COULOMB] * place.deflection + best[law.OWN_VISCOUS] * place.speed
+    damping, variance = max(best[law.VISCOUS] + best[law.OWN_VISCOUS] * length, 0.0), 0.0
     for level, (hz, _), most in zip(levels.levels[2:].tolist(), BEATS, (1.0, 4.0), strict=True):
         rate = 2.0 * math.pi * hz
         moved = level / (max(slope, 0.0) ** 2 + 1e-4 + (rate * damping) ** 2)
@@ -337,12 +303,13 @@ def report(
     `at` is the time and the depth of the sample.
     """
     bank, place = memory.bank, state.place
-    evaluation = count_ruptures(bank, state.ruptures, place.noise)
+    evaluation = reports.count_ruptures(bank, state.ruptures, place.noise)
     now = RuptureState.EXPECTED if evaluation.more > 0.5 else RuptureState.NO_RUPTURE
     if state.is_open:
         now = RuptureState.FORCE_DROP_MEASURING
     state = state._replace(stage=_NOTHING, rupture_state=now)
-    if evaluation.more > config.alarm_probability and not may_be_braking(bank, evaluation, place):
+    is_likely = evaluation.more > config.alarm_probability
+    if is_likely and not reports.may_be_braking(bank, evaluation, place):
         state = _raise_alarm(state, bank, at, evaluation)
     elif state.alarm is not None and evaluation.fewer > _TAKEN_BACK:
         state = _take_back(state, state.alarm, evaluation)
@@ -350,28 +317,30 @@ def report(
         state = _report_layer(state, bank, state.alarm)
     speed = 0.0 if state.alarm is None else _MM * state.alarm.speed_m_s
     ruptures = layers_traversed(state.layers) + state.is_open
-    return state._replace(answer=answer_at(memory, place, ruptures, speed))
+    return state._replace(answer=reports.answer_at(memory, place, ruptures, speed))
 
 
 def _raise_alarm(
-    state: SwitchingState, bank: Bank, at: tuple[float, float], evaluation: Evaluation
+    state: SwitchingState, bank: Bank, at: tuple[float, float], evaluation: reports.Evaluation
 ) -> SwitchingState:
     events, layers = state.events, state.layers
     if layers and not layers[-1].is_final:
         layers = (*layers[:-1], replace(layers[-1], is_final=True))
         events = events._replace(identified_layer=layers[-1])
     number = layers_traversed(layers) + 1
-    rupture = rupture_of(bank, evaluation.pick, number, evaluation.more, at)
+    rupture = reports.rupture_of(bank, evaluation.pick, number, evaluation.more, at)
     return state._replace(
         alarm=rupture,
-        ruptures=int(bank.facts[evaluation.pick, RUPTURES]),
+        ruptures=int(bank.facts[evaluation.pick, law.RUPTURES]),
         layers=layers,
         rupture_state=RuptureState.DETECTED,
         events=events._replace(rupture=rupture),
     )
 
 
-def _take_back(state: SwitchingState, alarm: Rupture, evaluation: Evaluation) -> SwitchingState:
+def _take_back(
+    state: SwitchingState, alarm: Rupture, evaluation: reports.Evaluation
+) -> SwitchingState:
     """The force has come back: no rupture was there but for what is left of its probability."""
     retracted = replace(alarm, probability=1.0 - evaluation.fewer)
     return state._replace(
@@ -387,8 +356,8 @@ def _report_layer(state: SwitchingState, bank: Bank, alarm: Rupture) -> Switchin
     layers, events = state.layers, state.events
     travel = state.place.depth / _MM - alarm.depth_m
     if state.is_open:
-        layer = layer_left(bank, alarm, state.ruptures) if travel >= _PROVISIONAL_M else None
-        if layer is None:
+        layer = reports.layer_left(bank, alarm, state.ruptures)
+        if layer is None or travel < _PROVISIONAL_M:
             return state
         return state._replace(
             layers=(*layers, layer),
@@ -398,15 +367,15 @@ def _report_layer(state: SwitchingState, bank: Bank, alarm: Rupture) -> Switchin
     is_due = not layers[-1].is_final and (travel >= _FINAL_M or travel < 0.0)
     if not is_due and state.levels.steps % _REVISE != 0.0:
         return state
-    friction = friction_left(bank, state.ruptures)
-    layer = layers[-1] if friction is None else with_friction(layers[-1], *friction)
+    friction = reports.friction_left(bank, state.ruptures)
+    layer = layers[-1] if friction is None else reports.with_friction(layers[-1], *friction)
     if is_due:
-        partial = partial_rupture_probability(bank, state.ruptures)
+        partial = reports.partial_rupture_probability(bank, state.ruptures)
         rupture = replace(layer.rupture, is_final=True, partial_rupture_probability=partial)
         layer = replace(layer, is_final=True, rupture=rupture)
         events = events._replace(identified_layer=layer)
     kept = [*layers[:-1], layer]
-    earlier = friction_left(bank, state.ruptures, before=True)
+    earlier = reports.friction_left(bank, state.ruptures, before=True)
     if earlier is not None and len(kept) > 1:
-        kept[-2] = with_friction(kept[-2], *earlier)
+        kept[-2] = reports.with_friction(kept[-2], *earlier)
     return state._replace(layers=tuple(kept), events=events)

@@ -168,7 +168,7 @@ def test_a_force_that_was_expected_teaches_as_kalman_says():
 ARGUMENTS = {
     absorb: (1, SCENE, 0.8, 1e-4, 0.01),
     predict: (1, 1e-4, 0.01, np.full(2, 0.1), transitions(0.01, 0.04, 5.0, (1e-4, 1e-4, 1e-4))),
-    add_children: (0, 1, (EXIT, LAYER, True), SCENE, (3.0, 0.5, 0.9), np.array([0.3, 1.0]), 0.1),
+    add_children: (0, 1, (EXIT, LAYER, True), (*SCENE, 3.0, 0.5, 0.9), np.array([0.3, 1.0]), 0.1),
     weigh: (1, (22.0, 4.0, 0.01, 0.01), True),
 }
 
