@@ -341,8 +341,7 @@ def add_children(
     fact[IS_PUNCTURED] = 1.0 if is_puncture else 0.0
     for i in range(len(releases)):
         means[n + i], spreads[n + i], facts[n + i], records[n + i] = mean, spread, fact, record
-        facts[n + i, LENGTH] = releases[i]
-        log_weights[n + i] = log_weights[k] + math.log(chance)
+        log_weights[n + i], facts[n + i, LENGTH] = log_weights[k] + math.log(chance), releases[i]
 
 
 @compiled

@@ -25,7 +25,7 @@ LARGEST_MOTION = 1e3
 """No needle is as deep [m] or as fast [m/s]; powers of larger numbers overflow."""
 _ACCELERATION_M2_PER_S3 = 2e-7
 """Spectral density of the acceleration: the speed changes by half a millimetre per second in 0.1 s,
-one standard deviation. Starts and stops are quicker, see `_haste`."""
+one standard deviation. Starts and stops are quicker, see `_density`."""
 _MEMORY_S = 2.0
 """Over which noise is learned."""
 _FIRST, _CLIP = 50.0, 9.0
@@ -197,13 +197,15 @@ def learn_noise(memory: WrittenVector, at: int, value: float, dt_s: float, least
 
 
 @compiled
-def _haste(surprise: float, gain: float) -> float:
-    """How many times more the speed changes just now.
+def _density(memory: WrittenVector, gain: float) -> float:
+    """Spectral density of the acceleration just now.
 
     Innovations of a filter that keeps up have no mean: one that chance does not explain shows a
     needle that starts, stops or turns.
     """
-    return max(surprise * surprise * (2.0 - gain) / gain / _SIGNIFICANT, 1.0) ** 2
+    surprise = max(abs(memory[_SURPRISE]), abs(memory[_SPEED_SURPRISE]))
+    haste = max(surprise * surprise * (2.0 - gain) / gain / _SIGNIFICANT, 1.0) ** 2
+    return haste * _ACCELERATION_M2_PER_S3
 
 
 @compiled
@@ -241,8 +243,7 @@ def filter_travel(
         m[_VAR_DEPTH], m[_VAR_SPEED] = _UNKNOWN_DEPTH_VARIANCE, _UNKNOWN_SPEED_VARIANCE
         m[_NOISE_DEPTH] = noise
     else:
-        haste = _haste(max(abs(m[_SURPRISE]), abs(m[_SPEED_SURPRISE])), gain)
-        density = haste * _ACCELERATION_M2_PER_S3
+        density = _density(m, gain)
         m[_DEPTH] += m[_SPEED] * dt_s
         m[_VAR_DEPTH] += dt_s * (2.0 * m[_COVARIANCE] + dt_s * m[_VAR_SPEED])
         m[_VAR_DEPTH] += density * dt_s**3 / 3.0
