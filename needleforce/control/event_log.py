@@ -9,6 +9,9 @@ from typing import Any, NamedTuple
 from needleforce.control.errors import SettingError
 
 
+_COLUMNS = ("seq", "t_s", "from", "event", "to", "refused", "data")
+
+
 class LoggedEvent(NamedTuple):
     """One event, a refused one included."""
 
@@ -22,8 +25,7 @@ class LoggedEvent(NamedTuple):
 
     def row(self) -> dict[str, Any]:
         """The event as it stands in the file."""
-        names = ("seq", "t_s", "from", "event", "to", "refused", "data")
-        return dict(zip(names, self, strict=True))
+        return dict(zip(_COLUMNS, self, strict=True))
 
 
 class EventLog:
@@ -53,7 +55,7 @@ def read_events(path: str | Path) -> list[LoggedEvent]:
     for number, line in enumerate(Path(path).read_text(encoding="utf-8").splitlines(), 1):
         try:
             row = json.loads(line)
-            event = LoggedEvent(*(row[name] for name in LoggedEvent(*[""] * 6).row()))
+            event = LoggedEvent(*(row[name] for name in _COLUMNS))
         except (ValueError, KeyError, TypeError) as error:
             raise SettingError(f"{path}, line {number} is no event: {line[:80]!r}") from error
         if event.seq not in (0, events[-1].seq + 1 if events else 0):

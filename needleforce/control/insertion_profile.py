@@ -7,14 +7,16 @@ stop asks for rest at once, and the controller brakes with all that the arm's li
 
 import math
 from dataclasses import dataclass, fields
-from typing import NamedTuple, Self
+from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import ArrayLike
+from numpy.typing import ArrayLike, NDArray
 
 from identification import Estimate, RuptureState
 from needleforce.control.errors import SettingError
 from needleforce.control.manager import Situation, State
+
+Array = NDArray[np.float64]
 
 _TRACK_PER_S = 10.0
 """Gain with which a stroke keeps to its course."""
@@ -64,38 +66,30 @@ class InsertionPlan:
             ):
                 raise SettingError(f"{field.name} is {value!r}, expected a positive number")
 
-    @classmethod
-    def to_point(
-        cls,
-        target_m: ArrayLike,
-        tip_m: ArrayLike,
-        axis: ArrayLike,
-        *,
-        tolerance_m: float = 1e-3,
-        **settings: float,
-    ) -> Self:
-        """A plan that ends at a point that lies ahead of the needle.
 
-        Args:
-            target_m: The point, base frame, shape (3,).
-            tip_m: Where the tip will be at the tare, shape (3,).
-            axis: Direction of the needle, shape (3,).
-            tolerance_m: By how much the needle may miss the point.
-            settings: Other numbers of the plan.
+def depth_of(
+    target_m: ArrayLike, tip_m: ArrayLike, axis: Array, *, tolerance_m: float = 1e-3
+) -> float:
+    """Depth [m] at which a needle reaches a planned target.
 
-        Raises:
-            SettingError: The point lies behind the tip, or off the needle's line.
-        """
-        axis = np.asarray(axis, dtype=np.float64)
-        way = np.subtract(target_m, tip_m)
-        depth_m = float(axis @ way)
-        miss_m = float(np.linalg.norm(way - depth_m * axis))
-        if depth_m <= 0.0 or miss_m > tolerance_m:
-            raise SettingError(
-                f"the target lies {1e3 * depth_m:.1f} mm ahead and {1e3 * miss_m:.1f} mm beside "
-                f"the needle's line; expected it within {1e3 * tolerance_m:g} mm: align the needle"
-            )
-        return cls(depth_m=depth_m, **settings)
+    Args:
+        target_m: The target, base frame, shape (3,).
+        tip_m: Where the tip will be at the tare, shape (3,).
+        axis: Direction of the needle, shape (3,).
+        tolerance_m: By how much the needle may miss the target.
+
+    Raises:
+        SettingError: The target lies behind the tip, or off the needle's line.
+    """
+    way = np.subtract(target_m, tip_m)
+    depth_m = float(axis @ way)
+    miss_m = float(np.linalg.norm(way - depth_m * axis))
+    if depth_m <= 0.0 or miss_m > tolerance_m:
+        raise SettingError(
+            f"the target lies {1e3 * depth_m:.1f} mm ahead and {1e3 * miss_m:.1f} mm beside the "
+            f"needle's line, expected ahead and within {1e3 * tolerance_m:g} mm: align the needle"
+        )
+    return depth_m
 
 
 class Step(NamedTuple):

@@ -247,13 +247,13 @@ class Manager:
         return refused
 
     def _facts(self) -> Facts:
-        estimate, entry_m = self._estimate, self._entry_m
-        is_outside = entry_m is None or estimate is None
+        entry_m = self._entry_m
+        depth_m = 0.0 if self._estimate is None else self._estimate.depth_m
         return Facts(
             limit=self._limits is not None,
             heartbeat=self._time_s - self._beat_s < self._heartbeat_s,
             tared=self.session.tared,
-            outside=is_outside or estimate.depth_m < entry_m - _ENTRY_MARGIN_M,
+            outside=entry_m is None or depth_m < entry_m - _ENTRY_MARGIN_M,
             device=self._monitors.has_device,
             healthy=self._monitors.is_healthy,
         )
