@@ -14,7 +14,7 @@ import math
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, field
 from functools import partial
-from typing import Any, Literal
+from typing import Literal
 
 import numpy as np
 from numpy.typing import NDArray
@@ -51,7 +51,7 @@ TURN_rad, TURN_s = 0.5, 3.0
 
 
 @dataclass(kw_only=True)
-class Test:
+class ClosedLoop:
     """An arm, its controller and the clock of one test.
 
     Attributes:
@@ -103,7 +103,7 @@ def across(seed: int) -> Array:
     return np.array([math.cos(angle), math.sin(angle), 0.0])
 
 
-def _circle(test: Test) -> tuple[Array, Array]:
+def _circle(test: ClosedLoop) -> tuple[Array, Array]:
     """RCM errors on the circle, from its full size on, and the distances of the tip from it."""
     rig, tool = test.rig, test.control.tool
     true = rig.truth
@@ -139,7 +139,7 @@ def _trocar_and_force(seed: int) -> list[Contact]:
 def rcm(servo: str, plant: str, seed: int) -> Iterator[Figure]:
     """The circle."""
     error, off = _circle(
-        Test(servo=servo, plant=plant, seed=seed, contacts=_trocar_and_force(seed))
+        ClosedLoop(servo=servo, plant=plant, seed=seed, contacts=_trocar_and_force(seed))
     )
     most = {"S": 0.01, "I": 0.05}[servo]
     yield Figure("RCM on a circle, max", servo, MILLI * error.max(), "mm", most)
@@ -150,7 +150,9 @@ def rcm(servo: str, plant: str, seed: int) -> Iterator[Figure]:
 def rcm_kinematic(servo: str, plant: str, seed: int) -> Iterator[Figure]:
     """The circle on an arm with kinematic error."""
     contacts = _trocar_and_force(seed)
-    test = Test(servo=servo, plant=plant, seed=seed, contacts=contacts, has_kinematic_error=True)
+    test = ClosedLoop(
+        servo=servo, plant=plant, seed=seed, contacts=contacts, has_kinematic_error=True
+    )
     worst = MILLI * _circle(test)[0].max()
     yield Figure("RCM, kinematic error, max (90 %)", servo, worst, "mm", 0.2, quantile=0.9)
 
@@ -164,7 +166,7 @@ def rcm_elbow(servo: str, plant: str, seed: int) -> Iterator[Figure]:
         return 30.0 * min(phase / PUSH_s, max((1.0 - phase) / PUSH_s, 0.0), 1.0) * side
 
     contacts = [*_trocar_and_force(seed), HandOnArm(at="elbow", force_N=push)]
-    error, _ = _circle(Test(servo=servo, plant=plant, seed=seed, contacts=contacts))
+    error, _ = _circle(ClosedLoop(servo=servo, plant=plant, seed=seed, contacts=contacts))
     most = {"S": 0.05, "I": 1.0}[servo]
     yield Figure("RCM, 30 N on the elbow, max", servo, MILLI * error.max(), "mm", most)
 
@@ -172,12 +174,12 @@ def rcm_elbow(servo: str, plant: str, seed: int) -> Iterator[Figure]:
 def rcm_published(servo: str, plant: str, seed: int) -> Iterator[Figure]:
     """The circle by the published recursion."""
     contacts = _trocar_and_force(seed)
-    test = Test(servo=servo, plant=plant, seed=seed, contacts=contacts, solver="published")
+    test = ClosedLoop(servo=servo, plant=plant, seed=seed, contacts=contacts, solver="published")
     worst = MILLI * _circle(test)[0].max()
     yield Figure("RCM on a circle, published recursion, max", servo, worst, "mm")
 
 
-def _insertion(test: Test, with_fixture: bool = True) -> tuple[Array, float]:
+def _insertion(test: ClosedLoop, with_fixture: bool = True) -> tuple[Array, float]:
     """Distances of the true tip from the line, and the depth it has come to [m]."""
     rig, tool = test.rig, test.control.tool
     true = rig.truth
@@ -193,15 +195,13 @@ def _insertion(test: Test, with_fixture: bool = True) -> tuple[Array, float]:
         user.velocity_m_s = speed * inwards + wish * aside
         return (fixture, user, posture) if with_fixture else (user, posture)
 
-    error = test.run(
-        seconds, stack, lambda: distance_to_axis_m(rig.truth.tip_m, line_m, axis)
-    )
+    error = test.run(seconds, stack, lambda: distance_to_axis_m(rig.truth.tip_m, line_m, axis))
     return error, float((rig.truth.tip_m - line_m) @ axis)
 
 
 def fixture(servo: str, plant: str, seed: int) -> Iterator[Figure]:
     """100 mm of stack-glove along the fixture, and without it."""
-    new = partial(Test, servo=servo, plant=plant, seed=seed, scenario="stack-glove-constant")
+    new = partial(ClosedLoop, servo=servo, plant=plant, seed=seed, scenario="stack-glove-constant")
     error, travel = _insertion(new())
     most = {"S": 0.02, "I": 0.05}[servo]
     yield Figure("fixture, user sideways, max", servo, MILLI * error.max(), "mm", most)
@@ -220,7 +220,7 @@ def fixture_pushed(servo: str, plant: str, seed: int) -> Iterator[Figure]:
 
     hand = HandOnArm(at="hub", force_N=push)
     scenario = "stack-glove-constant"
-    test = Test(servo=servo, plant=plant, seed=seed, scenario=scenario, contacts=[hand])
+    test = ClosedLoop(servo=servo, plant=plant, seed=seed, scenario=scenario, contacts=[hand])
     error, _ = _insertion(test)
     most = {"S": 0.25, "I": 0.35}[servo]
     yield Figure("fixture, 5 N steps at the hub, max", servo, MILLI * error.max(), "mm", most)
@@ -230,7 +230,7 @@ def fixture_pushed(servo: str, plant: str, seed: int) -> Iterator[Figure]:
 def fixture_kinematic(servo: str, plant: str, seed: int) -> Iterator[Figure]:
     """The same on an arm with kinematic error."""
     scenario = "stack-glove-constant"
-    test = Test(
+    test = ClosedLoop(
         servo=servo, plant=plant, seed=seed, scenario=scenario, has_kinematic_error=True
     )
     worst = MILLI * _insertion(test)[0].max()
@@ -240,7 +240,7 @@ def fixture_kinematic(servo: str, plant: str, seed: int) -> Iterator[Figure]:
 def fixture_published(servo: str, plant: str, seed: int) -> Iterator[Figure]:
     """The same by the published recursion: what is left of the travel, too."""
     scenario = "stack-glove-constant"
-    test = Test(servo=servo, plant=plant, seed=seed, scenario=scenario, solver="published")
+    test = ClosedLoop(servo=servo, plant=plant, seed=seed, scenario=scenario, solver="published")
     error, travel = _insertion(test)
     worst = MILLI * error.max()
     yield Figure("fixture, published recursion, max", servo, worst, "mm")
@@ -249,7 +249,7 @@ def fixture_published(servo: str, plant: str, seed: int) -> Iterator[Figure]:
     )
 
 
-def _turn(test: Test) -> float:
+def _turn(test: ClosedLoop) -> float:
     """Largest distance of the tip from where it should rest, per angle [m/rad]."""
     tool, start_m = test.control.tool, test.rig.truth.tip_m
     motion, posture = DecoupledMotion(tool), Posture(test.rig.home_rad)
@@ -271,13 +271,13 @@ def _turn(test: Test) -> float:
 
 def decoupled(servo: str, plant: str, seed: int) -> Iterator[Figure]:
     """The turn about the tip."""
-    found = MILLI * _turn(Test(servo=servo, plant=plant, seed=seed))
+    found = MILLI * _turn(ClosedLoop(servo=servo, plant=plant, seed=seed))
     yield Figure("decoupled turn, tip", servo, found, "mm/rad", {"S": 0.02, "I": 0.1}[servo])
 
 
 def decoupled_kinematic(servo: str, plant: str, seed: int) -> Iterator[Figure]:
     """The same on an arm with kinematic error."""
-    test = Test(servo=servo, plant=plant, seed=seed, has_kinematic_error=True)
+    test = ClosedLoop(servo=servo, plant=plant, seed=seed, has_kinematic_error=True)
     yield Figure("decoupled turn, kinematic error, tip", servo, MILLI * _turn(test), "mm/rad", 1.0)
 
 
