@@ -26,7 +26,7 @@ from benchmarks.runner import THREAD_SETTINGS
 from benchmarks.tables import ResultTable
 
 PREFIX = "control"
-PARTS = ("constraints", "guidance", "teleoperation", "autonomous", "faults")
+PARTS = ("priority", "constraints", "guidance", "teleoperation", "autonomous", "faults")
 IDS = (PREFIX, *(f"{PREFIX}-{part}" for part in PARTS))
 """What the command takes: all parts, or one of them."""
 PLANTS = ("clean", "fri")

@@ -12,7 +12,13 @@ from needleforce.control.ports import ArmReading, Array
 from needleforce.control.priority_solver import Hierarchical, Published, Solver, Stack
 from needleforce.control.tasks import JointVelocity, Task
 from needleforce.control.tool_state import ToolState
-from needleforce.control.velocity_box import ACCELERATION, Limits, LONGEST_STEP_s, velocity_box
+from needleforce.control.velocity_box import (
+    ACCELERATION,
+    Limits,
+    LONGEST_STEP_s,
+    SLACK_rad_s,
+    velocity_box,
+)
 from urdf import Robot
 
 SOLVERS: dict[str, type[Solver]] = {"hierarchical": Hierarchical, "published": Published}
@@ -140,7 +146,7 @@ class Controller:
         Without that of a wish of the joints that comes last; of the last valid sample.
         """
         numbers = self._numbers
-        left = np.abs(numbers.rows @ self._last - numbers.rates)
+        left = np.abs(numbers.rows[: numbers.rates.size] @ self._last - numbers.rates)
         return [float(left[i:k].max()) for i, k in itertools.pairwise((0, *numbers.ends))]
 
     def _numbers_for(self, sizes: tuple[int, ...]) -> tuple[Stack, Solver]:
@@ -153,7 +159,7 @@ class Controller:
 
     def _skip(self, reason: str) -> Command:
         """Brake from the last command at the rate that limits allow."""
-        change = self._limits[ACCELERATION] * self._step_s
+        change = self._limits[ACCELERATION] * self._step_s - SLACK_rad_s
         velocity = self._last - np.clip(self._last, -change, change)
         return self._send(Command(velocity, CommandStatus.SKIPPED, reason))
 

@@ -18,7 +18,8 @@ import numpy as np
 
 from needleforce.control.errors import SettingError
 from needleforce.control.ports import Array
-from needleforce.jit import COMPILER, Matrix, Vector, WrittenMatrix, WrittenVector, compiled
+from needleforce.control.velocity_box import SLACK_rad_s
+from needleforce.jit import COMPILER, Matrix, Vector, WrittenVector, compiled
 
 daqp: Any
 try:
@@ -31,28 +32,30 @@ REGULAR = 0.01
 """A row of length one counts as independent if this much of it is new."""
 
 
-TOLERANCE = 1e-9
+AT_LIMIT = 1e-6
 """Joint velocities this close to a limit are at it [rad/s]."""
+MET = 1e-8
+"""A row that misses by less is met but for the solver's digits."""
 
 
 class Stack:
     """Room for the numbers of a stack of tasks, over and over.
 
     Attributes:
-        rows: J of all tasks, shape (m, n).
+        rows: J of all tasks, shape (m, n), then one row for each joint's wish, shape (m + n, n).
         bounds: Lower bounds (row 0) and upper bounds (row 1) of joint velocities, then of rows,
-            shape (2, n + m).
-        rates: v of all tasks, shape (m,): the end of row 0 of the bounds.
-        wish: w, shape (n,).
+            shape (2, n + m + n).
+        rates: v of all tasks, shape (m,), a part of row 0 of the bounds.
+        wish: w, shape (n,), the part behind them.
         ends: Index behind the last row of each task.
     """
 
     def __init__(self, sizes: Sequence[int], joints: int) -> None:
-        total = sum(sizes)
-        self.rows, self.wish = np.zeros((total, joints)), np.zeros(joints)
-        self.bounds = np.zeros((2, joints + total))
-        self.rates = self.bounds[0, joints:]
         self.ends = tuple(itertools.accumulate(sizes))
+        total = sum(sizes)
+        self.rows = np.vstack((np.zeros((total, joints)), np.eye(joints)))
+        self.bounds = np.zeros((2, joints + total + joints))
+        self.rates, self.wish = np.split(self.bounds[0, joints:], [total])
 
 
 class Solver(Protocol):
@@ -69,6 +72,15 @@ class Solver(Protocol):
 
 
 @compiled
+def is_inside(velocity: Vector, bounds: Matrix) -> bool:
+    """Whether joint velocities are within the first columns of the bounds of a stack."""
+    inside = True
+    for k in range(velocity.size):
+        inside = inside and bounds[0, k] < velocity[k] < bounds[1, k]
+    return inside
+
+
+@compiled
 def dot(one: Vector, other: Vector) -> float:
     """Scalar product."""
     total = 0.0
@@ -78,94 +90,88 @@ def dot(one: Vector, other: Vector) -> float:
 
 
 @compiled
-def remove(basis: Matrix, count: int, rest: WrittenVector) -> None:
-    """Remove from a vector its parts along the first orthonormal rows of a basis."""
-    for j in range(count):
-        along = dot(rest, basis[j])
-        for k in range(rest.size):
-            rest[k] -= along * basis[j, k]
+def meet_rows(
+    numbers: tuple[Matrix, Vector], free: Vector, within: float, velocity: WrittenVector
+) -> int:
+    """Change a velocity as little as possible so that rows are met to the last digit, in order.
 
+    Gram-Schmidt steps, twice for accuracy, make a basis q_i of the rows; moving along q_i meets
+    row i and leaves the rows before it met. In loops, for a compiler.
 
-@compiled
-def meet_all(
-    rows: Matrix, rates: Vector, wish: Vector, basis: WrittenMatrix, velocity: WrittenVector
-) -> bool:
-    """The velocity nearest to the wish that meets all rows; False if rows are nearly dependent.
+    Args:
+        numbers: J, shape (>= m, n), and v, shape (m,).
+        free: 1 for joints that may change, 0 for others, shape (n,).
+        within: A row that misses by more stays as it is.
+        velocity: Joint velocities, changed in place.
 
-    Where it is within limits it is the solution, whatever the priorities. Gram-Schmidt steps,
-    twice for accuracy, make a basis q_i of the rows; moving along q_i meets row i and leaves the
-    rows before it met. In loops, for a compiler.
+    Returns:
+        Number of rows that are independent of those before them; others are passed over.
     """
-    velocity[:] = 0.0
-    count = rows.shape[0]
-    for i in range(count):
-        basis[i] = rows[i]
-        remove(basis, i, basis[i])
-        remove(basis, i, basis[i])
-        new = math.sqrt(dot(basis[i], basis[i]))
-        if not new > REGULAR * math.sqrt(dot(rows[i], rows[i])):
-            return False
-        step = (rates[i] - dot(rows[i], velocity)) / new
-        for k in range(velocity.size):
-            basis[i, k] /= new
-            velocity[k] += step * basis[i, k]
-    rest = wish - velocity
-    remove(basis, count, rest)
-    velocity += rest
-    return True
-
-
-@compiled
-def is_inside(velocity: Vector, bounds: Matrix) -> bool:
-    """Whether joint velocities are within the first columns of the bounds of a stack."""
-    inside = True
-    for k in range(velocity.size):
-        inside = inside and bounds[0, k] < velocity[k] < bounds[1, k]
-    return inside
+    rows, rates = numbers
+    joints, count = velocity.size, 0
+    basis = np.empty((joints + 1, joints))
+    for i in range(rates.size):
+        new = basis[min(count, joints)]
+        new[:] = rows[i] * free
+        size = math.sqrt(dot(new, new))
+        for j in range(2 * count):
+            old = basis[j % count]
+            new -= dot(new, old) * old
+        rest = math.sqrt(dot(new, new))
+        if rest > REGULAR * size:
+            new /= rest
+            left = rates[i] - dot(rows[i], velocity)
+            if abs(left) <= within:
+                velocity += (left / rest) * new
+            count += 1
+    return count
 
 
 class Hierarchical:
     """Hierarchical QP: strict priorities within hard limits.
 
-    Most ticks need no QP: with a compiler `meet_all` goes first. DAQP has the others.
+    Where all rows can be met within limits, `meet_rows` does so and no QP is needed: with a
+    compiler that comes first. DAQP has the others, and what it meets is made exact.
     """
 
-    # A level is softened by a penalty, so of unit rows it is damped where singular values are
-    # below the root of this; DAQP takes that back in levels that are left unmet by more than the
-    # tolerance.
-    SETTINGS = {"rho_soft": 1e-8, "primal_tol": 1e-7}  # noqa: RUF012
+    # DAQP softens levels by a penalty, of which it corrects what exceeds the tolerance. A smaller
+    # penalty costs digits.
+    SETTINGS = {"rho_soft": 1e-6, "primal_tol": 1e-10}  # noqa: RUF012
 
     def __init__(self, stack: Stack) -> None:
         if daqp is None:
             raise SettingError("task priorities need daqp: pip install 'needleforce[control]'")
         self._stack, joints = stack, stack.wish.size
+        self._all_free = np.ones(joints)
+        self._sense = np.zeros(stack.bounds.shape[1], dtype=np.intc)
+        levels = np.array([joints + end for end in (0, *stack.ends, len(stack.rows))], np.intc)
         lower, upper = stack.bounds
-        self._sense = np.zeros(lower.size, dtype=np.intc)
-        self._basis, self._box = np.zeros_like(stack.rows), stack.bounds[:, :joints]
-        levels = np.array([joints, *(joints + end for end in stack.ends)], dtype=np.intc)
-        problem = (np.eye(joints), stack.wish, stack.rows, upper, lower, self._sense, levels)
+        cost = np.eye(joints), np.zeros(joints)
         self._model = daqp.Model()
-        self._model.setup(*problem)
+        self._model.setup(*cost, stack.rows, upper, lower, self._sense, levels)
         self._model.settings = self.SETTINGS
 
     def solve(self) -> tuple[Array | None, bool]:
         """See `Solver`."""
         stack, model = self._stack, self._model
+        numbers, velocity = (stack.rows, stack.rates), stack.wish.copy()
         if COMPILER:
-            velocity = np.empty_like(stack.wish)
-            if meet_all(stack.rows, stack.rates, stack.wish, self._basis, velocity) and is_inside(
-                velocity, stack.bounds
-            ):
+            count = meet_rows(numbers, self._all_free, math.inf, velocity)
+            if count == stack.rates.size and is_inside(velocity, stack.bounds):
                 return velocity, False
         # The model looks at the arrays themselves: naming the rows renews the bounds too, and
         # naming the sense forgets the last active set, so that answers have no history.
-        if model.update(A=stack.rows, sense=self._sense, f=-stack.wish) < 0:
+        if model.update(A=stack.rows, sense=self._sense) < 0:
             return None, False
         velocity, _, flag, _ = model.solve()
-        lower, upper = self._box
-        velocity = np.minimum(np.maximum(velocity, lower), upper)
-        room = np.minimum.reduce(np.minimum(velocity - lower, upper - velocity))
-        return (velocity if flag > 0 else None), bool(room <= TOLERANCE)
+        if flag < 0:
+            return None, False
+        lower, upper = stack.bounds[:, : velocity.size]
+        velocity = np.minimum(np.maximum(velocity, lower - SLACK_rad_s), upper + SLACK_rad_s)
+        room = np.minimum(velocity - lower, upper - velocity)
+        if COMPILER:
+            meet_rows(numbers, (room > AT_LIMIT).astype(np.float64), MET, velocity)
+        return velocity, bool(np.minimum.reduce(room) <= AT_LIMIT)
 
 
 class Published:

@@ -12,6 +12,8 @@ from urdf import Robot
 
 LONGEST_STEP_s = 0.02
 """A sample that comes later gives the arm no more acceleration than this one."""
+SLACK_rad_s = 1e-7
+"""Speeds and their changes stay this far inside, and a solver may exceed the box by as much."""
 LOWEST, HIGHEST, SPEED, ACCELERATION = 0, 1, 2, 3
 """Rows of `Limits.table`."""
 
@@ -60,6 +62,7 @@ class Limits:
             if wrong.any():
                 joints = ", ".join(np.array(robot.joint_names)[wrong])
                 raise SettingError(f"joints {joints}: {what}")
+        table[SPEED] -= SLACK_rad_s
         table.setflags(write=False)
         self.table: Array = table
 
@@ -90,7 +93,7 @@ def velocity_box(
         Whether all that has come is finite.
     """
     joints, speed, rate = q.size, limits[SPEED], limits[ACCELERATION]
-    change = rate * step_s
+    change = rate * step_s - SLACK_rad_s
     low, high, square = last - change, last + change, change * change
     most = np.sqrt(square + 2.0 * rate * np.maximum(limits[HIGHEST] - q, 0.0)) - change
     least = change - np.sqrt(square + 2.0 * rate * np.maximum(q - limits[LOWEST], 0.0))
