@@ -255,7 +255,7 @@ def test_single_bad_samples_do_not_stop():
     ("beside", "reason"),
     [
         (Beside(accepted=False), "refused commands"),
-        (Beside(command_rad_s=np.full(7, 0.5)), "off what was commanded"),
+        (Beside(command_rad_s=np.full(7, 0.05)), "0 % of the commanded motion"),
         (Beside(axial_N=3.0), "axial force 3.00 N"),
     ],
 )

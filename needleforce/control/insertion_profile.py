@@ -22,6 +22,13 @@ _TRACK_PER_S = 10.0
 """Gain with which a stroke keeps to its course."""
 _NEAR_M = 2e-5
 """So near to its end a motion has arrived."""
+_SMOOTH_S, _NOISE_S, _LEARN_S, _PEAK_S = 3e-3, 0.015, 1.0, 0.25
+"""Time constants: of the force, of what its noise is measured against, of that measurement, and of
+the memory of the last peak."""
+_SIGMAS = 7.0
+"""A fall of the force by so many standard deviations of its noise is one."""
+_APART_M = 3e-3
+"""Two ruptures less far apart are one."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -37,8 +44,6 @@ class InsertionPlan:
         stroke_s: Time of the approach, and of the stroke each way.
         dwell_s: Time at the end of the insertion.
         acceleration_m_s2: Of starts and of planned ends.
-        cautious: Part of the speed that is kept while a rupture seems likely but is not certain,
-            where the insertion ends with one.
 
     Raises:
         SettingError: A number that cannot be.
@@ -52,7 +57,6 @@ class InsertionPlan:
     stroke_s: float = 3.0
     dwell_s: float = 1.0
     acceleration_m_s2: float = 0.3
-    cautious: float = 1.0
 
     def __post_init__(self) -> None:
         """Check every number."""
@@ -92,6 +96,50 @@ def depth_of(
     return depth_m
 
 
+class RuptureCount:
+    """Ruptures as a program counts them that knows how the needle is commanded.
+
+    The identification alone must wait whether a fall of the force is a needle that brakes. Here the
+    speed is known to be steady: a rupture that is likely (more likely than not) counts as soon as
+    the force has fallen by more than its noise, and an alarm without such a fall does not count:
+    a tip that meets the next membrane leaves no layer yet.
+    """
+
+    def __init__(self) -> None:
+        self.count = 0
+        self._force_N = self._peak_N = self._before_N = self._last_m = -math.inf
+        self._variance_N2 = 0.0
+
+    def update(self, found: Estimate, force_N: float, depth_m: float, dt_s: float) -> bool:
+        """Whether one more layer has been left, at a steady speed.
+
+        Args:
+            found: Of the identification.
+            force_N: Axial force that it was given.
+            depth_m: Of the tip.
+            dt_s: Since the last call.
+        """
+        if not math.isfinite(self._force_N):
+            self._force_N = self._peak_N = self._before_N = force_N
+        self._force_N += -math.expm1(-dt_s / _SMOOTH_S) * (force_N - self._force_N)
+        self._before_N += -math.expm1(-dt_s / _NOISE_S) * (self._force_N - self._before_N)
+        off_N2 = (self._force_N - self._before_N) ** 2
+        weight = dt_s / (_LEARN_S if off_N2 < 9.0 * self._variance_N2 else 10.0 * _LEARN_S)
+        self._variance_N2 += min(weight, 1.0) * (off_N2 - self._variance_N2)
+        self._peak_N -= dt_s / _PEAK_S * (self._peak_N - self._force_N)
+        self._peak_N = max(self._peak_N, self._force_N)
+        least_N = _SIGMAS * math.sqrt(self._variance_N2)
+        has_fallen = self._peak_N - self._force_N > least_N
+        alarm = found.rupture
+        if alarm is not None:
+            has_fallen |= alarm.force_N - self._force_N > least_N
+        is_likely = alarm is not None or found.rupture_state is RuptureState.EXPECTED
+        if not (is_likely and has_fallen) or depth_m < self._last_m + _APART_M:
+            return False
+        self.count, self._last_m = self.count + 1, depth_m
+        return True
+
+
 class Step(NamedTuple):
     """What to do in the coming cycle."""
 
@@ -107,15 +155,18 @@ class InsertionProfile:
         self._program = (
             ["tare", "insert"] if plan.approach_m == 0.0 else ["approach", "tare", "insert"]
         )
-        self._speed_m_s = self._from_m = 0.0
-        self._last_s = 0.0
+        self._speed_m_s = self._from_m = self._last_s = 0.0
+        self._ruptures = RuptureCount()
 
-    def update(self, now: Situation, identification: Estimate | None = None) -> Step:
+    def update(
+        self, now: Situation, identification: Estimate | None = None, force_N: float | None = None
+    ) -> Step:
         """Speed and event that follow from what is known now.
 
         Args:
             now: From the manager.
             identification: Of another force sensor; by default that of the session.
+            force_N: Axial force of that sensor.
         """
         plan, state, depth_m = self._plan, now.state, now.estimate.depth_m
         dt_s, self._last_s = now.time_s - self._last_s, now.time_s
@@ -132,18 +183,16 @@ class InsertionProfile:
         if state is State.WITHDRAW:
             return self._travel(-depth_m, dt_s, plan.speed_m_s)
         if state is State.INSERTION:
-            return self._insert(identification or now.estimate.identification, depth_m, dt_s)
+            found = identification or now.estimate.identification
+            force_N = now.estimate.wrench.axial if force_N is None else force_N
+            return self._insert(found, force_N, depth_m, dt_s)
         return Step(0.0)
 
-    def _insert(self, found: Estimate, depth_m: float, dt_s: float) -> Step:
-        plan = self._plan
-        speed_m_s = plan.speed_m_s
-        if plan.layer is not None:
-            if found.rupture is not None and found.rupture.layer >= plan.layer:
-                return Step(0.0, "rupture")
-            if found.rupture_state is RuptureState.EXPECTED:
-                speed_m_s *= plan.cautious
-        return self._travel(plan.depth_m - depth_m, dt_s, speed_m_s)
+    def _insert(self, found: Estimate, force_N: float, depth_m: float, dt_s: float) -> Step:
+        plan, ruptures = self._plan, self._ruptures
+        if ruptures.update(found, force_N, depth_m, dt_s) and ruptures.count == plan.layer:
+            return Step(0.0, "rupture")
+        return self._travel(plan.depth_m - depth_m, dt_s, plan.speed_m_s)
 
     def _travel(self, left_m: float, dt_s: float, most_m_s: float) -> Step:
         """Speed on a way that is left, to its end and no further."""

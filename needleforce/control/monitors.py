@@ -31,7 +31,7 @@ class SafetyLimits:
         late_s: Longest time without a sample.
         refused_s: Time of refused commands.
         device_s: Longest time without news of the haptic device in teleoperation.
-        tracking_rad: Joint motion within a fifth of a second that was not commanded, or not made.
+        tracking_rad: Joint motion within half a second that was not commanded.
         reaction_s: Time from a decision to the arm at rest, over which forces are predicted.
 
     Raises:
@@ -45,7 +45,7 @@ class SafetyLimits:
     late_s: float = 0.03
     refused_s: float = 0.005
     device_s: float = 0.05
-    tracking_rad: float = 0.02
+    tracking_rad: float = 0.05
     reaction_s: float = 0.015
 
     def __post_init__(self) -> None:
@@ -87,8 +87,8 @@ _IN_AIR = ("guidance", "approach", "tare")
 _AT_TISSUE = ("teleop", "insertion", "dwell", "withdraw")
 _RATE_S = 0.01
 """Time constant of the force's rate: shorter than the lag of the virtual sensor."""
-_TRACKING_S, _TRACKING_LAG_S = 0.2, 0.03
-"""Memory of the comparison, and time by which an arm may follow its command."""
+_TRACKING_S, _TRACKING_LAG_S, _LEAST_ASKED_RAD = 0.5, 0.03, 1.5e-3
+"""Memory of the comparison, time by which an arm may follow, and the least motion compared."""
 _CLEAR_S = 0.1
 """A fault must be gone for so long before a reset."""
 
@@ -108,7 +108,8 @@ class Monitors:
         self._entry_axial_N = self._entry_lateral_N = 0.0
         self._axial_N: float | None = None
         self._position: Array | None = None
-        self._off_rad: Array | float = 0.0
+        self._made_rad: Array | float = 0.0
+        self._asked_rad: Array | float = 0.0
 
     @property
     def has_device(self) -> bool:
@@ -122,7 +123,7 @@ class Monitors:
 
     def enter(self, estimate: SessionEstimate | None) -> None:
         """A new state begins: commands and forces are compared with what they are now."""
-        self._refused_s, self._off_rad = 0.0, 0.0
+        self._refused_s, self._made_rad, self._asked_rad = 0.0, 0.0, 0.0
         if estimate is not None:
             self._entry_axial_N = estimate.wrench.axial
             self._entry_lateral_N = estimate.wrench.lateral
@@ -177,12 +178,15 @@ class Monitors:
         moved = position - (position if self._position is None else self._position)
         self._position = position
         kept = math.exp(-step_s / _TRACKING_S)
-        self._off_rad = kept * (self._off_rad + moved - step_s * command)
-        beyond = np.abs(self._off_rad) - _TRACKING_LAG_S * np.abs(command)
-        joint = int(np.argmax(beyond))
-        if beyond[joint] <= limits.tracking_rad:
+        self._made_rad = kept * (self._made_rad + moved)
+        self._asked_rad = asked = kept * (self._asked_rad + step_s * command)
+        made, most = float(np.dot(self._made_rad, asked)), float(asked.dot(asked))
+        if most > _LEAST_ASKED_RAD**2 and made < 0.5 * most:
+            return f"the arm makes {max(100.0 * made / most, 0.0):.0f} % of the commanded motion"
+        off_rad = float(np.abs(self._made_rad - asked).max())
+        if off_rad <= limits.tracking_rad + _TRACKING_LAG_S * float(np.abs(command).max()):
             return ""
-        return f"joint index {joint} is {self._off_rad[joint]:.3g} rad off what was commanded"
+        return f"a joint is {off_rad:.3g} rad off what was commanded"
 
     def _forces(
         self, state: str, estimate: SessionEstimate, beside: Beside, step_s: float, lag_s: float
