@@ -325,6 +325,11 @@ class SimulatedArm:
         """Reading of the reference F/T sensor one tick ago, shape (6,), see `Signals`."""
         return self._sensors.wrench(self._tick, self._plant.ft_wrench)
 
+    @property
+    def depths_m(self) -> Array:
+        """True depth of the tip at the start of every tick that has passed."""
+        return np.array(self._depths_m)
+
     def tissue_truth(self) -> TissueTruth:
         """Forces of the tissue and ruptures of the run so far, at all ticks; `PlantError` at 0."""
         if not self._forces:
