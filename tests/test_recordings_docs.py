@@ -28,10 +28,6 @@ def _files_of_the_page(tmp_path, monkeypatch):
         (tmp_path / name).write_text(f"# {name}\n{content}", encoding="utf-8")
 
 
-def test_the_page_has_the_files_it_speaks_of():
-    assert set(FILES) == {"insertion.csv", "robot.csv", "robot.toml", "broken.csv"}
-
-
 @pytest.mark.parametrize("page", PAGES, ids=lambda page: page.name)
 def test_the_sessions_give_what_the_pages_show(page):
     assert session_failures(page) == ""

@@ -82,10 +82,9 @@ def test_a_chunk_that_unpacks_to_any_size_is_refused(tmp_path, compression, decl
         read_table(path, max_bytes=SMALL)
 
 
-@pytest.mark.parametrize("line", [b"# note\n", b"1,2\n"])
-def test_compressed_text_is_read_up_to_the_limit(tmp_path, line):
+def test_compressed_text_is_read_up_to_the_limit(tmp_path):
     path = tmp_path / "x.csv.gz"
-    path.write_bytes(gzip.compress(b"t,f\n0,1\n" + line * (BOMB // len(line) // 4)))
+    path.write_bytes(gzip.compress(b"t,f\n0,1\n" + b"# note\n" * (BOMB // 28)))
     with (
         bounded(peak=12 * SMALL, seconds=60.0),
         pytest.raises(FormatError, match="raise max_bytes"),
@@ -118,10 +117,7 @@ def npy(header):
     "header",
     [
         "{'descr': '<f8', 'fortran_order': False, 'shape': (True,), }",
-        "{'descr': '<f8', 'fortran_order': False, 'shape': (3,",
         "{'descr': '<f8', 'fortran_order': False, 'shape': (-3,), }",
-        "{'descr': 'no type', 'fortran_order': False, 'shape': (3,), }",
-        "\x00\x00'''",
         "(" * 900,
     ],
 )
@@ -157,16 +153,6 @@ def test_endless_nul_bytes_are_no_text():
         list(csv_tables(iter(lambda: bytes(1 << 18), b""), "x"))
 
 
-def test_many_columns_take_seconds_not_minutes(tmp_path):
-    path = tmp_path / "x.csv"
-    names = ",".join(f"c{i}" for i in range(100_000))
-    row = ",".join(["1"] * 100_000)
-    path.write_text(f"t,force,{names}\n0,1,{row}\n1,2,{row}\n")
-    start_s = time.monotonic()
-    assert read_log(path, required=["force"])["force_N"].tolist() == [1.0, 2.0]
-    assert time.monotonic() - start_s < 30.0
-
-
 def nested(depth, size):
     """A message type of arrays in arrays of a type without fields."""
     parts = [f"a/T1[{size}] x"]
@@ -178,7 +164,6 @@ def nested(depth, size):
     "definition",
     [
         *(nested(6, 1000), nested(2, 10**9), "a/X x\n", "string[999999999] x"),
-        "string x\nstring y\nstring z\n",
         *("float64 x; import os", "".join(f"string[1000] x{k}\n" for k in range(500))),
     ],
 )
