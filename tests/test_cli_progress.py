@@ -7,7 +7,7 @@ import pytest
 
 from needleforce.cli import main
 from needleforce.cli.terminal import progress_bar
-from needleforce.recordings import FollowOptions, stream_tables, write_table
+from needleforce.recordings import write_table
 
 ROWS = np.arange(20_000)
 COLUMNS = {"t_s": ROWS / 1000, "depth_m": 1e-6 * ROWS, "force_N": 1e-3 * ROWS**0.5}
@@ -16,16 +16,6 @@ COLUMNS = {"t_s": ROWS / 1000, "depth_m": 1e-6 * ROWS, "force_N": 1e-3 * ROWS**0
 class Terminal(io.StringIO):
     def isatty(self):
         return True
-
-
-@pytest.mark.parametrize("suffix", ["csv", "mcap", "db3"])
-def test_readers_say_which_share_of_a_recording_was_read(tmp_path, suffix):
-    path, shares = tmp_path / f"log.{suffix}", []
-    write_table(path, COLUMNS)
-    assert list(stream_tables(path, FollowOptions(progress=shares.append)))
-    assert shares == sorted(shares)
-    assert len(shares) > 2
-    assert shares[-1] == 1.0
 
 
 @pytest.mark.parametrize("is_terminal", [False, True])

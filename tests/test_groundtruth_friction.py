@@ -59,15 +59,6 @@ def test_sliding_friction_is_against_the_motion_at_the_level_of_its_speed(speed,
     np.testing.assert_allclose(torque, -direction * level * LEVEL_Nm, rtol=1e-3)
 
 
-def test_a_bearing_driven_to_and_fro_takes_energy_out():
-    friction, time = bearings(), np.arange(0.0, 4.0, STEP_s)
-    for amplitude in (0.2 * PRESLIDING_rad, 5.0 * PRESLIDING_rad):
-        dq = np.outer(amplitude * 2.0 * np.pi * np.cos(2.0 * np.pi * time), np.ones(7))
-        torque = np.array([friction.step(row, STEP_s) for row in dq])
-        work = STEP_s * (torque * dq)[len(time) // 2 :].sum(axis=0)
-        assert (work < 0.0).all()
-
-
 def test_sizes_of_single_joints_are_drawn_within_the_stated_factor():
     dq = np.ones(7)  # fast sliding, at once beyond presliding
     drawn = replace(IDEAL, joint_coulomb=COULOMB, size_spread=2.0)

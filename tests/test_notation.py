@@ -56,8 +56,3 @@ def test_every_row_fills_its_columns_and_every_equation_of_the_paper_has_one():
             assert row[1].startswith("`")
     equations = " ".join(row[-1] for _, rows in found for row in rows)
     assert [number for number in range(2, 14) if f"({number})" not in equations] == []
-
-
-def test_a_name_that_does_not_exist_is_noticed():
-    with pytest.raises((AttributeError, ModuleNotFoundError)):
-        resolve("residual.momentum_observer.no_such_function")

@@ -112,14 +112,10 @@ def test_gap_in_time_restarts_without_integrating_across_the_hole(lwr):
 
 BAD_SAMPLES = {
     "q has shape": lambda q, dq, tau: (q[:6], dq, tau, 1e-3),
-    "dq has shape": lambda q, dq, tau: (q, np.zeros((7, 1)), tau, 1e-3),
-    "q is not finite": lambda q, dq, tau: (q * np.nan, dq, tau, 1e-3),
     "dq is not finite at joint index .0.": lambda q, dq, tau: (q, np.r_[np.inf, dq[1:]], tau, 1e-3),
     "tau is not finite": lambda q, dq, tau: (q, dq, tau + np.nan, 1e-3),
-    "dq reaches 1e.200": lambda q, dq, tau: (q, dq + 1e200, tau, 1e-3),
     "dt_s is 0": lambda q, dq, tau: (q, dq, tau, 0.0),
     "dt_s is -0.001": lambda q, dq, tau: (q, dq, tau, -1e-3),
-    "dt_s is nan": lambda q, dq, tau: (q, dq, tau, np.nan),
 }
 
 
@@ -171,16 +167,10 @@ def test_the_state_with_its_smoothing_resumes_bit_equal_and_is_forgotten_by_rese
     with pytest.raises(ConfigurationError, match="rows of shape"):
         one.restore(type(one.state)(np.zeros((BEFORE, 3))))
     one.reset()
-    assert one.state.rows is None
-    with pytest.raises(SampleError, match="tau is not finite"):
-        one.update(q[0], dq[0], np.full(7, np.nan), 1e-3)
-    assert one.state.rows is None
     fresh = MomentumObserver(lwr, 50.0)
     for k in range(3):
         sample = (q[k], dq[k] + 1e-3 * k, tau[k], 1e-3)
         np.testing.assert_array_equal(one.update(*sample), fresh.update(*sample))
-    with pytest.raises(SampleError, match="velocity_noise"):
-        one.smooth_momentum(np.zeros(3), q[0])
 
 
 @pytest.mark.parametrize(
@@ -188,7 +178,6 @@ def test_the_state_with_its_smoothing_resumes_bit_equal_and_is_forgotten_by_rese
     [
         ({"gain_per_s": 0.0}, "gain_per_s"),
         ({"gain_per_s": [1.0, 2.0]}, "7 of them"),
-        ({"gain_per_s": np.nan}, "gain_per_s"),
         ({"alignment": "euler"}, "alignment"),
         ({"max_gap_s": 0.0}, "max_gap_s"),
     ],
@@ -237,15 +226,7 @@ def test_parameters_are_read_only_copies():
         ({"viscous_Nms": [-1.0]}, "negative"),
         ({"coulomb_Nm": [1.0, 2.0]}, "differ in length"),
         ({"offset_Nm": [np.nan]}, "offset_Nm"),
-        ({"offset_Nm": ["much"]}, "offset_Nm"),
-        ({"offset_Nm": [1j]}, "offset_Nm"),
-        ({"offset_Nm": None}, "offset_Nm"),
-        ({"offset_Nm": [10**400]}, "offset_Nm"),
         ({"reversal_speed_rad_s": 0.0}, "reversal_speed"),
-        ({"reversal_speed_rad_s": np.inf}, "reversal_speed"),
-        ({"reversal_speed_rad_s": np.nan}, "reversal_speed"),
-        ({"reversal_speed_rad_s": None}, "reversal_speed"),
-        ({"reversal_speed_rad_s": 10**400}, "reversal_speed"),
     ],
 )
 def test_parameters_that_cannot_be_are_refused(change, match):

@@ -21,8 +21,6 @@ from residual import (
     VirtualForceSensor,
 )
 from residual.estimate import UNSEEN_STD
-from residual.snapshot import robot_digest, settings_text
-from residual.stuck_signals import NoiseProbe
 from urdf import SerialJoint, build_serial_robot
 
 
@@ -85,7 +83,6 @@ BAD = {
     "not finite": lambda q, dq, tau: (q, dq, np.where(np.arange(7) == 3, np.nan, tau), 1e-3),
     "shape": lambda q, dq, tau: (q[:3], dq, tau, 1e-3),
     "not an array of numbers": lambda q, dq, tau: (q, dq, ["a"] * 7, 1e-3),
-    "dt_s is inf": lambda q, dq, tau: (q, dq, tau, np.inf),
     "dq was given before": lambda q, dq, tau: (q, None, tau, 1e-3),
 }
 
@@ -102,9 +99,8 @@ def test_bad_sample_is_reported_and_never_used(lwr, reason):
     assert rejected.axial == good.axial
     assert sensor.rejected == 1
     # The time of a bad sample with a valid clock still passes.
-    elapsed = 1e-3 if reason == "dt_s is inf" else 2e-3
     next_one = sensor.update(q[2], dq[2], tau[2], 1e-3)
-    assert next_one.axial == twin.update(q[2], dq[2], tau[2], elapsed).axial
+    assert next_one.axial == twin.update(q[2], dq[2], tau[2], 2e-3).axial
 
 
 def test_a_clock_that_goes_back_is_waited_for(lwr):
@@ -177,19 +173,6 @@ def test_smoothed_momentum_is_quieter_and_steps_aside_when_the_arm_accelerates(l
     assert force_noise(lwr, DEFAULT, 0.3) < 2.0 * force_noise(lwr, plain, 0.3)
 
 
-def test_noise_of_a_moving_signal_is_learnt():
-    rng = np.random.default_rng(0)
-    probe = NoiseProbe(3)
-    noise = None
-    for k in range(2000):
-        motion = 0.3 * np.sin(3.0 * k * 1e-3 + np.arange(3))
-        noise = probe.add(motion + 1e-4 * rng.normal(size=3), 1e-3)
-        if noise is not None:
-            break
-    assert k == pytest.approx(500, abs=2)
-    np.testing.assert_allclose(noise, 1e-4, rtol=0.2)
-
-
 SIX = np.ones(6)
 
 
@@ -222,28 +205,12 @@ def arm(axis=(0.0, 0.0, 1.0)):
     return build_serial_robot(joints)
 
 
-class Rubbing:
-    """A friction model of somebody else's, without a text of its own."""
-
-    def __init__(self, viscous):
-        self.viscous = viscous
-
-    def torque(self, dq):
-        return self.viscous * dq
-
-
 def with_friction(viscous_7):
     """Settings whose friction differs in the tenth digit of one number among many."""
     viscous = np.full(7, 0.1)
     viscous[6] = viscous_7
     friction = JointFriction(viscous_Nms=viscous, coulomb_Nm=np.full(7, 0.2), offset_Nm=np.zeros(7))
     return replace(DEFAULT, friction=friction)
-
-
-def test_robots_differ_by_the_axis_of_a_joint_alone():
-    assert robot_digest(arm()) == robot_digest(arm())
-    digests = {robot_digest(arm(axis)) for axis in ((0, 0, 1), (0, 0, -1), (1, 0, 0), (1, 1e-6, 0))}
-    assert len(digests) == 4
 
 
 def test_a_snapshot_of_an_arm_with_another_axis_is_refused():
@@ -256,11 +223,6 @@ def test_a_snapshot_of_an_arm_with_another_axis_is_refused():
     ("mine", "equal", "different"),
     [
         (with_friction(0.1), with_friction(0.1), with_friction(0.1 + 1e-10)),
-        (
-            replace(DEFAULT, friction=Rubbing(0.1)),
-            replace(DEFAULT, friction=Rubbing(0.1)),
-            replace(DEFAULT, friction=Rubbing(0.2)),
-        ),
         (
             replace(DEFAULT, insertion_axis=np.array([0.0, 1e-10, 1.0])),
             replace(DEFAULT, insertion_axis=(0.0, 1e-10, 1.0)),
@@ -275,22 +237,13 @@ def test_settings_are_compared_by_what_they_do_and_in_all_digits(lwr, mine, equa
         VirtualForceSensor(lwr, different).restore(kept)
 
 
-def test_every_setting_is_named():
-    text = settings_text(DEFAULT, 7)
-    assert all(f"{name}=" in text for name in DEFAULT.__slots__)
-    assert "friction=None" in text
-
-
 def test_a_damaged_snapshot_leaves_a_running_sensor_as_it_was(lwr):
     (sensor, rows), (twin, _) = tared(lwr, more=0.2), tared(lwr, more=0.2)
     state = sensor.snapshot()
     for damaged in (
         state._replace(offset=replace(state.offset, recorder=None)),
-        state._replace(weighed_at=np.full(7, np.nan)),
         state._replace(torque_covariance=-np.eye(7)),
         state._replace(monitor=None),
-        state._replace(rejected="x"),
-        state._replace(last=state.last._replace(lateral=np.inf)),
         state._replace(offset=replace(state.offset, joint_memory=np.full((8, 7), np.nan))),
     ):
         with pytest.raises(SnapshotError, match="damaged"):

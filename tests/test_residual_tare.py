@@ -66,7 +66,7 @@ def test_bias_is_linear_in_its_physical_causes(lwr, basis):
     np.testing.assert_allclose(got, change, atol=1e-9)
 
 
-@pytest.mark.parametrize("seed", range(5))
+@pytest.mark.parametrize("seed", range(3))
 def test_fit_extrapolates_better_than_a_constant(lwr, basis, seed):
     theta, blocks = stroke(lwr, basis, seed=seed)
     ahead, forward = MIDDLE + 0.8 * TOWARDS, FORWARD
@@ -185,29 +185,6 @@ def test_torque_trend_remembers_at_rest_and_turns_over_the_width():
     back = play_operator(trend, np.array([-0.01]), half_width)
     assert back[0] == pytest.approx(0.0)
     assert play_operator(back, np.array([-1.0]), half_width)[0] == -1.0
-
-
-def test_merged_blocks_keep_the_variance_of_their_samples():
-    old = recorded(0.01 * np.random.default_rng(0).normal(size=(30_000, 1)), 20)
-    assert old.samples[0] > 200
-    assert old.scatter[0, 0] == pytest.approx(1e-4, rel=0.25)
-    assert len(old.blocks(30.0, window_s=0.5).age_s) >= 20, "the latest blocks stay short"
-
-
-def test_age_counts_from_the_tare_and_joints_are_as_they_were_moved(lwr):
-    basis = BiasModel(lwr, "model", BiasPrior())
-    theta = np.zeros(len(basis.std))
-    theta[basis.groups["drift"]] = 0.01
-    theta[basis.groups["drift"].start + 7 :] = 0.0
-    theta[basis.groups["hysteresis"]] = np.repeat([0.1, 0.2, 0.4], 7)
-    theta[basis.groups["viscous"]] = 2.0
-    trend = STILL.copy()
-    trend[:LOOPS] = [[1.0], [0.0], [-1.0]]
-    trend[-1] = 0.05
-    got = basis.columns(MIDDLE, trend, 10.0) @ theta
-    np.testing.assert_allclose(got, np.full(7, 0.1 + 0.1 - 0.4 + 0.1))
-    rising = play_operator(np.zeros((1, 7)), np.ones(7), np.ones((1, 7)))
-    assert (rising == 1.0).all()
 
 
 def test_motion_chooses_how_good_the_link_table_is(lwr, basis):
