@@ -117,28 +117,6 @@ def test_wrong_usage_is_exit_code_2_and_help_says_how_long_a_slow_command_takes(
         assert re.search(r"Takes about \d+ s", capsys.readouterr().out)
 
 
-@pytest.mark.parametrize("stops", [KeyboardInterrupt, DataError])
-def test_work_that_comes_to_nothing_leaves_no_folder_but_what_it_has_drawn(
-    tmp_path, monkeypatch, capsys, stops
-):
-    def stop(request):
-        raise stops
-
-    def draw_and_stop(jobs, processes, progress):
-        (jobs[0].drawings / "force.svg").write_text("")
-        raise KeyboardInterrupt
-
-    with monkeypatch.context() as patched:
-        patched.setattr(runner, "make_plan", stop)
-        assert run("--report", str(tmp_path / "deep" / "report")) != 0
-        assert list(tmp_path.iterdir()) == []
-    capsys.readouterr()
-    monkeypatch.setattr(runner, "run_jobs", draw_and_stop)
-    assert run("--report", str(tmp_path / "report")) == 130
-    assert (tmp_path / "report" / "force.svg").is_file()
-    assert capsys.readouterr().err == "interrupted\n"
-
-
 @pytest.mark.parametrize(("cost", "code"), [(1.9, 0), (3.5, 1)])
 def test_speed_fails_when_strict_and_too_slow(monkeypatch, capsys, cost, code):
     from benchmarks import speed

@@ -8,10 +8,8 @@ import numpy as np
 import pytest
 
 from benchmarks.bounds import (
-    delay_bounds_s,
     friction_bounds,
     reading_error_N,
-    release_course_N,
 )
 from benchmarks.identification_metrics import (
     EARLY_s,
@@ -259,20 +257,6 @@ def test_the_bound_of_friction_is_that_of_a_mean_and_grows_with_all_that_hides_i
     plain = friction_bounds(stack_truth, DRIFTING, is_white=True)[1]
     assert friction_bounds(stack_truth, DRIFTING, is_white=False)[1] > 2.0 * plain
     assert friction_bounds(stack_truth, DRIFTING, is_white=True, cutting_fraction=0.0)[1] < plain
-
-
-def test_a_release_falls_by_its_drop_and_noise_and_lag_delay_its_earliest_alarm(stack_truth):
-    rupture = stack_truth.ruptures[0]
-    course = release_course_N(stack_truth, rupture, 100)
-    assert course[0] == pytest.approx(0.0, abs=0.03)
-    assert course[-1] == pytest.approx(-rupture.drop_N, rel=0.15)
-    unknown = replace(rupture, onset_s=-1.0)
-    assert release_course_N(stack_truth, unknown, 5).tolist() == [0.0] * 5
-    quiet, loud = (delay_bounds_s(stack_truth, stack_truth.ruptures, k * WHITE) for k in (1.0, 5.0))
-    late = delay_bounds_s(stack_truth, stack_truth.ruptures, WHITE, lag_s=0.02)
-    assert len(quiet) == 2
-    assert 1e-3 <= quiet[0] < loud[0] < 0.1
-    assert quiet[0] < late[0]
 
 
 def test_a_run_has_bounds_beside_what_was_reached_and_one_without_ruptures_has_none(stack_truth):

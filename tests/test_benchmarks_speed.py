@@ -1,15 +1,12 @@
 """Cost of updates, soak, and long recordings through the commands."""
 
 import numpy as np
-import pinocchio as pin
 import pytest
 from insertion_run import short_run, tare_index
 
 from benchmarks import long_runs, speed
 from benchmarks.cli import main
 from benchmarks.signals import JointSignals
-from identification import MULTILAYER
-from identification.log_replay import ReplayStream
 
 
 def timing(*medians):
@@ -64,19 +61,6 @@ def test_a_chain_update_notes_what_happened_in_it():
     assert update.alarms[0] < update.layers[0] < update.layers[-1]
 
 
-def test_the_bare_sensor_asks_for_a_regressor_as_often_as_the_sensor(lwr, monkeypatch):
-    asked = []
-    monkeypatch.setattr(pin, "computeJointTorqueRegressor", lambda *given: asked.append(given))
-    still = np.zeros((200, lwr.nv))
-    t_s = 1e-3 * np.arange(200)
-    update = speed.bare_sensor(
-        lwr, JointSignals(t_s=t_s, q_rad=still, dq_rad_s=still, tau_Nm=still)
-    )
-    for k in range(200):
-        update(k)
-    assert len(asked) == 10, "once in 20 ms"
-
-
 def soaked(**changes):
     known = {"tick_us": (10.0, 11.0), "python_kB": (5.0, 25.0), "process_MB": (1.0, 1.0)}
     return long_runs.Soak(**(known | {"ruptures": (1, 2), "skipped": 0} | changes))
@@ -125,16 +109,6 @@ def test_speed_memory_and_late_rows_of_a_long_recording_count():
         found = long_runs.StreamSpeed(command="residual", suffix=".csv", seconds=100.0, **seen)
         assert found.is_met == is_met
         assert found.times_real == pytest.approx(100.0 / cpu_s)
-
-
-def test_a_long_recording_ruptures_fresh_tissue_in_every_cycle():
-    stream, ruptures_s = ReplayStream(MULTILAYER), []
-    for columns in long_runs.needle_recording(230.0, np.random.default_rng(0)):
-        estimates = stream.run(**columns).estimates
-        assert all(estimate.status.is_used for estimate in estimates)
-        ruptures_s += [e.rupture.time_s for e in estimates if e.rupture]
-    assert len(ruptures_s) >= 3
-    assert max(ruptures_s) > 230.0 - long_runs.LATE_ROWS / 1000.0
 
 
 def test_the_command_prints_both_commands_and_refuses_too_short_a_recording(capsys, tmp_path):

@@ -7,13 +7,11 @@ import subprocess
 import sys
 import tomllib
 from pathlib import Path
-from typing import Literal, get_args, get_origin, get_type_hints
 
 import numpy as np
 import pytest
 from residual_command_log import insertion
 
-from needleforce import cli
 from needleforce.cli import Output, app, main
 from needleforce.cli.log import RowOverview, check_outputs
 from needleforce.cli.terminal import (
@@ -28,7 +26,6 @@ from needleforce.cli.terminal import (
 )
 from needleforce.plots import FiguresError
 from needleforce.recordings import (
-    CHANNELS,
     FileAccessError,
     check_writable,
     load_mapping,
@@ -134,25 +131,6 @@ def test_the_packages_forward_to_their_command_and_shells_complete_its_options()
         script = app.generate_completion(shell=shell)
         for word in ("force", "identify", "external-torque", "published-kv"):
             assert word in script
-
-
-def test_options_name_every_channel_and_every_choice():
-    known = {name for name in CHANNELS if hasattr(cli.AllColumns, name)}
-    assert set(CHANNELS) - known == {"force_status", "force_warnings"}  # found, or in a mapping
-    from groundtruth import PLANT_MODELS
-    from needleforce.cli.identify import METHODS
-    from residual.momentum_observer import Alignment
-    from residual.wrench_estimator import Mode
-
-    def choices(kind, name):
-        hint = get_type_hints(kind)[name]
-        (literal,) = [part for part in (hint, *get_args(hint)) if get_origin(part) is Literal]
-        return set(get_args(literal))
-
-    assert choices(cli.SimulationOptions, "plant") == set(PLANT_MODELS)
-    assert choices(cli.IdentificationOptions, "method") == set(METHODS)
-    assert choices(cli.SensorOptions, "mode") == set(get_args(Mode))
-    assert choices(cli.SensorOptions, "alignment") == set(get_args(Alignment))
 
 
 COLUMNS = {"t_s": np.arange(3) / 1000.0, "force_N": np.ones(3)}

@@ -10,7 +10,6 @@ from identification.hypothesis_bank import (
     RUPTURE_FORCE,
     RUPTURE_S,
     RUPTURE_SPEED,
-    Bank,
     Place,
     first_bank,
     prune,
@@ -42,7 +41,6 @@ from identification.hypothesis_filter import (
 )
 from identification.rupture_report import (
     Evaluation,
-    answer_at,
     count_ruptures,
     friction_left,
     may_be_braking,
@@ -149,18 +147,6 @@ def test_what_the_force_contradicts_is_dropped_and_the_rest_bounded():
     assert bank.damage == ""
     assert bank.facts[0, KIND] == AIR
     assert count_ruptures(bank, 0, 0.01).more < 0.01
-
-
-def test_hypotheses_that_differ_make_an_answer_less_certain():
-    one, other = hypothesis(6, LAYER), hypothesis(6, LAYER)
-    other.means[0, OWN_COULOMB] += 0.02
-    both = Bank(*(np.concatenate(parts) for parts in zip(one, other, strict=True)))
-    alone, mixed = answer_at(one, PLACE, 1), answer_at(both, PLACE, 1)
-    length = PLACE.depth - 4.0
-    assert mixed.coulomb == pytest.approx(alone.coulomb + 0.01 * length)
-    assert mixed.var_coulomb == pytest.approx(alone.var_coulomb + (0.01 * length) ** 2)
-    assert mixed.in_contact
-    assert mixed.layer == 2
 
 
 def test_noise_is_learned_part_by_part_and_a_ramp_is_none():

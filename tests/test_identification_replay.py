@@ -57,12 +57,6 @@ def test_pieces_give_what_the_whole_gives_bit_for_bit(columns, cuts, has_speed):
     assert stream.hints == whole.hints
 
 
-@pytest.mark.parametrize("rows", [1, 2, 3])
-def test_the_shortest_recordings_need_no_speed(rows):
-    t_s = np.arange(rows) / 1000
-    assert len(replay(t_s, 0.01 * t_s, 0.0 * t_s).estimates) == rows
-
-
 def test_a_clock_that_mostly_stands_still_has_a_usual_step_all_the_same():
     t_s = np.repeat(np.arange(100) / 100, 3)
     result = replay(t_s, 0.01 * t_s, 0.0 * t_s)

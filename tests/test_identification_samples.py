@@ -152,20 +152,6 @@ def test_events_count_depth_from_the_zero_of_the_caller(config):
     assert two.thickness_m == pytest.approx(one.thickness_m, abs=1e-5)
 
 
-def test_clock_runs_on_over_bad_forces_and_motion_is_not_called_a_jump():
-    identifier = Identifier(PUBLISHED)
-    depth, speed = 0.0, 5e-3
-    for k in range(1500):
-        force = math.nan if 200 <= k < 1200 else 0.1
-        place = math.nan if 200 <= k < 1200 else depth
-        estimate = identifier.update(place, speed, force, 1e-3)
-        depth += speed * 1e-3
-        if k == 1200:
-            assert estimate.status is SampleStatus.TIME_GAP
-    assert estimate.status is SampleStatus.OK
-    assert estimate.time_s == pytest.approx(1.5)
-
-
 def check_rows(rows):
     """Statuses, memory after each row, and the depth of the last one used."""
     memory, seen, depth_m, used_s = tuple(CheckState()), [], None, 0.0

@@ -13,7 +13,6 @@ from bag_samples import (
     data_file,
     insertion_rows,
     joint_state,
-    mapped,
     write_bag,
 )
 from hypothesis import given, settings
@@ -21,7 +20,6 @@ from hypothesis import strategies as st
 
 from needleforce.recordings import (
     FileAccessError,
-    FollowOptions,
     FormatError,
     RecordingError,
     read_log,
@@ -29,9 +27,7 @@ from needleforce.recordings import (
     write_table,
 )
 from needleforce.recordings.bag_messages import read_messages
-from needleforce.recordings.bag_reader import bag_tables
 from needleforce.recordings.errors import MAX_BYTES
-from needleforce.recordings.mapping import ChannelRequest
 
 
 @pytest.fixture
@@ -196,19 +192,6 @@ def test_joints_whose_names_identify_none_keep_their_places(folder, names):
     rows = [("/j", k, joint_state(k + 1, names, [k, 2 * k, 3 * k])) for k in range(1, 5)]
     log = read_log(write_bag(folder, rows), required=["q"], joints=["x", "y", "z"])
     np.testing.assert_array_equal(log["q_rad"], [[k, 2 * k, 3 * k] for k in range(1, 5)])
-
-
-@pytest.mark.parametrize("rows", [1, 64, 1000])
-def test_chunks_are_the_bag_in_pieces(folder, rows):
-    write_bag(folder, insertion_rows(333))
-    wanted = ChannelRequest(mapping=mapped(depth="/depth_mm", force="/ft/wrench/force_xyz[2]"))
-    whole = read_table(folder, wanted)
-    chunks = list(bag_tables(folder, wanted, FollowOptions(), MAX_BYTES, rows))
-    for name, values in whole.columns.items():
-        joined = np.concatenate([chunk.columns[name] for chunk in chunks])
-        np.testing.assert_array_equal(joined, values)
-    assert [w for chunk in chunks for w in chunk.warnings] == list(whole.warnings)
-    assert max(chunk.columns["t_s"].size for chunk in chunks) <= rows
 
 
 @pytest.mark.parametrize("share", [0.001, 0.3, 0.99])

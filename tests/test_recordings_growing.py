@@ -96,16 +96,6 @@ def test_who_stops_hears_nothing_of_what_was_not_finished_and_an_idle_end_shows_
     assert "cut short" not in "".join(warnings)
 
 
-def test_a_recording_shorter_than_what_decides_its_topics_is_read_when_it_ends(tmp_path):
-    path = tmp_path / "growing.mcap"
-    writer = grow(path, in_pieces(recorded(tmp_path / "bag", insertion_rows(300)), 5))
-    chunks, warnings = followed(path)
-    writer.join()
-    log = read_log(path, **ASKED)
-    assert_same(chunks, log)
-    assert set(warnings) == set(log.warnings)
-
-
 @pytest.mark.parametrize(
     ("name", "data", "error", "message"),
     [

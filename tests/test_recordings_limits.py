@@ -7,7 +7,6 @@ import threading
 import time
 import tomllib
 import tracemalloc
-import zipfile
 from contextlib import contextmanager
 
 import lz4.frame
@@ -107,28 +106,6 @@ def test_a_parquet_of_repeated_numbers_that_takes_any_memory_is_refused(tmp_path
     assert path.stat().st_size < SMALL
     with bounded(), pytest.raises(FormatError, match="raise max_bytes"):
         read_table(path, max_bytes=SMALL)
-
-
-def npy(header):
-    return b"\x93NUMPY\x01\x00" + len(header).to_bytes(2, "little") + header.encode()
-
-
-@pytest.mark.parametrize(
-    "header",
-    [
-        "{'descr': '<f8', 'fortran_order': False, 'shape': (True,), }",
-        "{'descr': '<f8', 'fortran_order': False, 'shape': (-3,), }",
-        "(" * 900,
-    ],
-)
-def test_a_damaged_header_of_an_array_costs_that_array_only(tmp_path, header):
-    path = tmp_path / "x.npz"
-    np.savez(path, t=np.arange(3.0))
-    with zipfile.ZipFile(path, "a") as archive:
-        archive.writestr("bad.npy", npy(header) + bytes(24))
-    table = read_table(path)
-    assert list(table.columns) == ["t"]
-    assert table.warnings[0].startswith("column 'bad' ")
 
 
 @pytest.mark.parametrize("name", ["x.npz", "x.mcap", "x.db3", "x.csv", "x.parquet", "x.toml"])

@@ -1,6 +1,5 @@
 """A recording read as it comes is the recording read whole: rows, numbers and warnings."""
 
-import errno
 import gzip
 import os
 import threading
@@ -19,7 +18,7 @@ from needleforce.recordings import (
     write_table,
 )
 from needleforce.recordings.csv_file import HEAD_ROWS, csv_tables
-from needleforce.recordings.follow import FollowOptions, byte_blocks, spooled
+from needleforce.recordings.follow import FollowOptions, byte_blocks
 from needleforce.recordings.log import LogStream
 from needleforce.recordings.open_recording import stream_tables
 
@@ -191,12 +190,3 @@ def test_what_comes_through_a_pipe_is_what_the_file_gives(tmp_path, suffix, size
     np.testing.assert_array_equal(force_N, log["force_N"])
     expected = [] if "csv" in suffix else [f"is {suffix}, not text: it is read to its end"]
     assert all(part in text for part, text in zip(expected, reported, strict=True))
-
-
-def test_a_pipe_for_which_there_is_no_room_is_reported(monkeypatch):
-    def full(*_, **__):
-        raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
-
-    monkeypatch.setattr("pathlib.Path.open", full)
-    with pytest.raises(FileAccessError, match=r"No space left.*TMPDIR"), spooled([b"x"], ".mcap"):
-        pass

@@ -13,7 +13,6 @@ from benchmarks.identification_figures import draw_identification
 from benchmarks.identification_metrics import SIGMA1_N, identify_as_run
 from benchmarks.identification_plots import (
     enhanced_chart,
-    true_friction,
 )
 from benchmarks.methods import ForceReading, identify
 from benchmarks.signals import ForceTruth, NeedleSignal, insertion_truth
@@ -92,17 +91,6 @@ def test_a_chart_marks_the_true_rupture_the_alarm_and_the_identified_friction(ru
     detected, identified = chart.instants
     assert detected.places == tuple(alarm.alarm_s - zero for alarm in run.ours.alarms)
     assert min(identified.places) > detected.places[0]
-
-
-def test_true_friction_is_force_over_speed_at_the_rupture(run):
-    (rupture,) = run.truth.ruptures
-    steps = true_friction(run.truth)
-    times, total = steps["cumulative_friction_Ns_per_m"]
-    assert total[0] == 0.0
-    assert total[-1] == pytest.approx(rupture.layer_friction_N / 5e-3, rel=1e-3)
-    assert times[-1] == run.truth.insertion_end_s
-    _, local = steps["friction_Ns_per_m2"]
-    assert local[0] == pytest.approx(total[-1] / rupture.onset_m)
 
 
 def test_the_published_method_with_its_authors_settings_comes_near_the_truth(run):

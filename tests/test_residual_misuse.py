@@ -13,6 +13,7 @@ from residual import (
     DEFAULT,
     PUBLISHED,
     ConfigurationError,
+    MomentumObserver,
     SampleError,
     SensorConfig,
     Status,
@@ -174,6 +175,24 @@ def test_settings_that_cannot_work_are_refused(name):
     for value in REFUSED_SETTINGS[name]:
         with pytest.raises(ConfigurationError, match=name):
             SensorConfig(**{name: value})
+
+
+@pytest.mark.parametrize(
+    ("make", "settings"),
+    [
+        (MomentumObserver, {"gain_per_s": [1.0, 2.0]}),
+        (MomentumObserver, {"alignment": "euler"}),
+        (MomentumObserver, {"max_gap_s": 0.0}),
+        (WrenchEstimator, {"mode": "sideways"}),
+        (WrenchEstimator, {"insertion_axis": (0, 0, 0)}),
+        (WrenchEstimator, {"expected_force_N": -1.0}),
+        (lambda _, **settings: VelocityEstimator(7, **settings), {"bandwidth_per_s": np.inf}),
+        (lambda _, **settings: VelocityEstimator(**settings), {"joints": -1}),
+    ],
+)
+def test_each_part_refuses_settings_that_cannot_work_by_name(lwr, make, settings):
+    with pytest.raises(ConfigurationError, match=next(iter(settings))):
+        make(lwr, **settings)
 
 
 def gravity_of(robot, q):

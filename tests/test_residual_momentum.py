@@ -11,7 +11,6 @@ from residual import (
     ConfigurationError,
     JointFriction,
     MomentumObserver,
-    SampleError,
     SigmoidFriction,
 )
 from residual.momentum_observer import BEFORE, ROWS, set_step_weights
@@ -110,30 +109,6 @@ def test_gap_in_time_restarts_without_integrating_across_the_hole(lwr):
     assert np.abs(observer.update(q[1501], dq[1501], tau[1501], 1e-3)).max() < 1e-3
 
 
-BAD_SAMPLES = {
-    "q has shape": lambda q, dq, tau: (q[:6], dq, tau, 1e-3),
-    "dq is not finite at joint index .0.": lambda q, dq, tau: (q, np.r_[np.inf, dq[1:]], tau, 1e-3),
-    "tau is not finite": lambda q, dq, tau: (q, dq, tau + np.nan, 1e-3),
-    "dt_s is 0": lambda q, dq, tau: (q, dq, tau, 0.0),
-    "dt_s is -0.001": lambda q, dq, tau: (q, dq, tau, -1e-3),
-}
-
-
-@pytest.mark.parametrize("reason", BAD_SAMPLES)
-@pytest.mark.filterwarnings("ignore::RuntimeWarning")
-def test_bad_sample_is_refused_and_leaves_the_state_unchanged(lwr, reason):
-    _, q, dq, tau = swing(lwr, seconds=0.05)
-    observer, twin = MomentumObserver(lwr, 50.0), MomentumObserver(lwr, 50.0)
-    for k in range(20):
-        observer.update(q[k], dq[k], tau[k], 1e-3)
-        twin.update(q[k], dq[k], tau[k], 1e-3)
-    with pytest.raises(SampleError, match=reason):
-        observer.update(*BAD_SAMPLES[reason](q[20], dq[20], tau[20]))
-    np.testing.assert_array_equal(
-        observer.update(q[20], dq[20], tau[20], 1e-3), twin.update(q[20], dq[20], tau[20], 1e-3)
-    )
-
-
 def test_modelled_friction_does_not_read_as_force(lwr):
     friction = JointFriction(
         viscous_Nms=np.full(JOINTS, 2.0),
@@ -171,20 +146,6 @@ def test_the_state_with_its_smoothing_resumes_bit_equal_and_is_forgotten_by_rese
     for k in range(3):
         sample = (q[k], dq[k] + 1e-3 * k, tau[k], 1e-3)
         np.testing.assert_array_equal(one.update(*sample), fresh.update(*sample))
-
-
-@pytest.mark.parametrize(
-    ("settings_", "match"),
-    [
-        ({"gain_per_s": 0.0}, "gain_per_s"),
-        ({"gain_per_s": [1.0, 2.0]}, "7 of them"),
-        ({"alignment": "euler"}, "alignment"),
-        ({"max_gap_s": 0.0}, "max_gap_s"),
-    ],
-)
-def test_settings_that_cannot_work_are_refused(lwr, settings_, match):
-    with pytest.raises(ConfigurationError, match=match):
-        MomentumObserver(lwr, **settings_)
 
 
 # Joint friction models.

@@ -3,7 +3,6 @@
 from dataclasses import replace
 
 import numpy as np
-import pinocchio as pin
 import pytest
 from guarded_sensor import feed, tared
 from residual_signals import BIAS, external_torque_of, push, swing, tared_sensor
@@ -21,7 +20,6 @@ from residual import (
     VirtualForceSensor,
 )
 from residual.estimate import UNSEEN_STD
-from urdf import SerialJoint, build_serial_robot
 
 
 @pytest.mark.parametrize("with_velocity", [True, False])
@@ -192,19 +190,6 @@ def test_settings_of_another_arm_are_refused_when_the_sensor_is_made(lwr, settin
 # A snapshot is taken back only by a sensor that would have made the same one.
 
 
-LINK = np.array([1.0, 0.0, 0.0, 0.1, 0.02, 0.0, 0.02, 0.0, 0.0, 0.02])
-
-
-def arm(axis=(0.0, 0.0, 1.0)):
-    """Two links, the second joint about the given axis."""
-    placement = pin.SE3(np.eye(3), np.array([0.0, 0.0, 0.3]))
-    joints = [
-        SerialJoint(name=f"joint_{i}", placement=placement, axis=np.asarray(about), inertia=LINK)
-        for i, about in enumerate(((0.0, 1.0, 0.0), axis))
-    ]
-    return build_serial_robot(joints)
-
-
 def with_friction(viscous_7):
     """Settings whose friction differs in the tenth digit of one number among many."""
     viscous = np.full(7, 0.1)
@@ -213,28 +198,11 @@ def with_friction(viscous_7):
     return replace(DEFAULT, friction=friction)
 
 
-def test_a_snapshot_of_an_arm_with_another_axis_is_refused():
-    sensor, other = VirtualForceSensor(arm()), VirtualForceSensor(arm((1.0, 0.0, 0.0)))
-    with pytest.raises(SnapshotError, match="another robot"):
-        other.restore(sensor.snapshot())
-
-
-@pytest.mark.parametrize(
-    ("mine", "equal", "different"),
-    [
-        (with_friction(0.1), with_friction(0.1), with_friction(0.1 + 1e-10)),
-        (
-            replace(DEFAULT, insertion_axis=np.array([0.0, 1e-10, 1.0])),
-            replace(DEFAULT, insertion_axis=(0.0, 1e-10, 1.0)),
-            replace(DEFAULT, insertion_axis=np.array([0.0, 2e-10, 1.0])),
-        ),
-    ],
-)
-def test_settings_are_compared_by_what_they_do_and_in_all_digits(lwr, mine, equal, different):
-    kept = VirtualForceSensor(lwr, mine).snapshot()
-    VirtualForceSensor(lwr, equal).restore(kept)
+def test_settings_are_compared_by_what_they_do_and_in_all_digits(lwr):
+    kept = VirtualForceSensor(lwr, with_friction(0.1)).snapshot()
+    VirtualForceSensor(lwr, with_friction(0.1)).restore(kept)
     with pytest.raises(SnapshotError, match="other settings"):
-        VirtualForceSensor(lwr, different).restore(kept)
+        VirtualForceSensor(lwr, with_friction(0.1 + 1e-10)).restore(kept)
 
 
 def test_a_damaged_snapshot_leaves_a_running_sensor_as_it_was(lwr):

@@ -187,18 +187,6 @@ def test_torque_trend_remembers_at_rest_and_turns_over_the_width():
     assert play_operator(back, np.array([-1.0]), half_width)[0] == -1.0
 
 
-def test_motion_chooses_how_good_the_link_table_is(lwr, basis):
-    normal = []
-    for size in (0.0, 3.0):
-        theta = np.zeros(len(basis.std))
-        links = basis.groups["links"]
-        theta[links] = size * basis.std[links] * np.random.default_rng(3).normal(size=28)
-        _, blocks = stroke(lwr, basis, truth=theta, noise=1e-3)
-        ahead = basis.columns(MIDDLE + 0.5 * TOWARDS, FORWARD, 0.0)
-        normal.append(np.trace(ahead @ fit_tare(basis, blocks).covariance @ ahead.T))
-    assert normal[0] < normal[1]
-
-
 def test_settings_that_cannot_work_are_refused(lwr):
     with pytest.raises(ConfigurationError, match="mass_fraction"):
         BiasPrior(mass_fraction=0.0)

@@ -1,4 +1,4 @@
-"""Friction between torque sensor and link, drift and contact in the motion of a tare."""
+"""Friction between torque sensor and link, and contact in the motion of a tare."""
 
 from dataclasses import replace
 
@@ -10,7 +10,6 @@ from groundtruth.bearing_friction import BearingFriction
 from groundtruth.plant_model import CLEAN
 from residual import DEFAULT, TareError, WrenchEstimator
 from residual.bias_estimator import BiasEstimator
-from residual.bias_fit import FreeMotionFit
 
 DT_S = 4e-3
 REACH_RAD = np.array([0.01, 0.1, 0.02, 0.13, 0.035, 0.22, 0.03])
@@ -32,27 +31,25 @@ def place(t_s):
 class Arm:
     """Residuals of a simulated arm whose bearings rub; no tissue but what a test adds."""
 
-    def __init__(self, robot, coulomb_Nm, seed, *, drift_Nm_per_s=0.0, size=1.0):
+    def __init__(self, robot, coulomb_Nm, seed):
         rng = self.rng = np.random.default_rng(seed)
-        self.robot, self.drift = robot, drift_Nm_per_s * rng.standard_normal(7)
         model = replace(
             CLEAN, joint_coulomb=1.0, joint_viscous_Nms_per_rad=(0.3 * coulomb_Nm.max(),) * 7
         )
         self.bearings = BearingFriction(model, coulomb_Nm, rng)
         self.offset = rng.uniform(-0.5, 0.5, 7)
-        self.wrench, self.size = WrenchEstimator(robot), size
-        self.lag = np.zeros(7)
+        self.wrench = WrenchEstimator(robot)
 
     def feed(self, estimator, times, force=lambda _t: 0.0, *, record=True):
         """Feed an estimator; returns error and std of the axial force at every sample."""
         found = []
         for t in times:
-            q = MIDDLE + self.size * place(t) * REACH_RAD
-            dq = self.size * (place(t + 1e-4) - place(t - 1e-4)) / 2e-4 * REACH_RAD
+            q = MIDDLE + place(t) * REACH_RAD
+            dq = (place(t + 1e-4) - place(t - 1e-4)) / 2e-4 * REACH_RAD
             rubbed = self.bearings.step(dq, DT_S)
             self.wrench.kinematics.update(q)
             pushed = -force(t) * self.wrench.kinematics.axial_jacobian
-            residual = self.offset + rubbed + pushed + self.drift * t
+            residual = self.offset + rubbed + pushed
             tau = estimator._basis.gravity_Nm(q) - residual
             estimator.follow(q, tau, DT_S)
             residual = residual + NOISE_NM * self.rng.standard_normal(7)
@@ -103,20 +100,3 @@ def test_a_short_tare_says_what_it_does_not_know(lwr):
     error, moving = arm.feed(estimator, np.arange(1.0, 3.0, DT_S), record=False)
     assert moving[-1] > 3.0 * at_rest[-1]
     assert np.mean(np.abs(error) < 2.0 * moving) > 0.85
-
-
-def test_drift_far_beyond_the_prior_is_learnt(lwr):
-    stds, sizes = [], []
-    for drift in (3e-5, 3e-3):
-        arm, estimator = Arm(lwr, np.full(7, 1e-4), 7, drift_Nm_per_s=drift), None
-        estimator = BiasEstimator(lwr, DEFAULT)
-        arm.feed(estimator, tare_times())
-        blocks = estimator.memory.recorder.blocks(estimator.memory.now_s)
-        sizes.append(FreeMotionFit(estimator._basis, blocks).sizes["drift"])
-        estimator.tare(WrenchEstimator(lwr), ignore_contact=False)
-        error, std = arm.feed(estimator, np.arange(13.0, 33.0, DT_S), record=False)
-        assert np.mean(np.abs(error) < 2.0 * std) > 0.85
-        stds.append(std[-1])
-    assert sizes[0] <= 1.0
-    assert sizes[1] >= 4.0
-    assert stds[1] > stds[0]

@@ -172,17 +172,6 @@ def test_joints_that_do_not_move_are_not_judged():
     assert reports(times, 0.0 * q, 0.0 * dq + 1.0)[0][-1][1] != ""
 
 
-def test_velocities_that_have_become_right_are_forgotten_by_motion():
-    times, q, dq = stroke()
-    wrong = reports(times, q, -dq)[1]
-    match = wrong
-    for _ in range(20):
-        for k in range(20, len(times), 20):
-            match = velocity_match_step(match, q[k], dq[k], 0.02)
-    assert velocity_fault(wrong)
-    assert not velocity_fault(match)
-
-
 # What is reported of wrong velocities: by the sensor and by a session.
 
 
