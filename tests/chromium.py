@@ -28,6 +28,8 @@ FLAGS = (
 )
 SECONDS = 120.0
 
+PHONE = (390, 844)
+"""Width and height of a window."""
 needs_chromium = pytest.mark.skipif(
     PROGRAM is None, reason="no chromium on this machine: apt-get install chromium"
 )

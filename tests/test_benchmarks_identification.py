@@ -210,18 +210,6 @@ def test_the_multi_layer_model_fits_its_own_force_and_kelvin_voigt_does_not():
     assert values["offline_rmse_kv_N"] > 0.01
 
 
-def test_a_rupture_has_its_best_estimated_time_on_the_runs_clock():
-    event = SimpleNamespace(alarm_s=0.03, time_s=0.03)
-    better = SimpleNamespace(alarm_s=0.03, time_s=0.01)
-    layer = SimpleNamespace(rupture=better)
-    estimates = [SimpleNamespace(rupture=None, identified_layer=None) for _ in range(6)]
-    estimates[2].rupture, estimates[4].identified_layer = event, layer
-    result = SimpleNamespace(estimates=estimates, layers=(layer,))
-    (found,) = alarms_of(result, 5.0 + 0.01 * np.arange(6))
-    assert (found.sample, found.layer) == (2, layer)
-    assert found.alarm_s == pytest.approx(5.02)
-    assert found.rupture_s == pytest.approx(5.0)
-    assert first_compensation(result) == 4
 
 
 RNG = np.random.default_rng(3)
@@ -238,16 +226,6 @@ def stack_truth():
     return insertion_truth(insert_needle(chosen, noise="clean"))
 
 
-def test_the_error_of_a_reading_is_its_noise_but_for_the_releases_and_the_lag(stack_truth):
-    error = reading_error_N(signal(stack_truth, WHITE), stack_truth)
-    added = np.resize(WHITE, stack_truth.t_s.shape)[stack_truth.is_insertion]
-    assert len(error) == len(added)
-    assert np.mean(np.isclose(error, added)) > 0.9
-    assert np.std(error) == pytest.approx(np.std(added), rel=0.05)
-    force_N = lagging(stack_truth.axial_N, stack_truth.t_s, 0.02)
-    late = replace(signal(stack_truth), force_N=force_N)
-    assert np.std(reading_error_N(late, stack_truth)) > 1e-4
-    assert np.abs(reading_error_N(late, stack_truth, 0.02)).max() < 1e-12
 
 
 def test_the_bound_of_friction_is_that_of_a_mean_and_grows_with_all_that_hides_it(stack_truth):

@@ -116,19 +116,6 @@ def test_annotated_ruptures_are_found_missed_or_invented():
     assert depth_metrics([], [], [10.0]) == {"ruptures_missed": 1.0, "ruptures_false": 0.0}
 
 
-def test_a_digitised_curve_becomes_a_signal_at_its_speed(tmp_path):
-    folder = tmp_path / BOVINE
-    folder.mkdir()
-    # The last point begins a second stroke of the pen.
-    (folder / BOVINE_FILE).write_text("depth_m,force_N\n0,0\n0.03,3\n0.03,1\n0.06,2\n0.02,9\n")
-    t_s, depth_m, force_N = read_bovine(tmp_path, np.random.default_rng(0))
-    assert np.diff(depth_m) / np.diff(t_s) == pytest.approx(3e-3)
-    assert depth_m[-1] == pytest.approx(0.06, abs=1e-5)
-    assert force_N.max() < 3.1
-    assert force_N[-1] == pytest.approx(2.0, abs=0.05)
-    (folder / BOVINE_FILE).write_text("depth_m,force_N\n0,x\n")
-    with pytest.raises(DataError):
-        read_bovine(tmp_path, np.random.default_rng(0))
 
 
 def test_sudden_drops_are_found_and_slow_ones_and_the_end_are_not():

@@ -98,15 +98,6 @@ def test_bristle_stays_in_its_range_follows_the_travel_and_half_steps_agree(
     assert bristle_step(half, travel / 2, 5e-4, length, 0.0) == pytest.approx(once, abs=1e-9)
 
 
-def test_bristle_after_a_rest_and_a_reversal():
-    for before, travel, dt, fraction, after in (
-        (1.0, 0.0, 100.0 * RELAXATION_S, 0.4, 0.6),  # a long rest leaves the held fraction
-        (-1.0, 0.0, 100.0 * RELAXATION_S, 0.4, -0.6),
-        (0.3, 0.0, 100.0, 0.4, 0.3),  # no travel and no relaxation leave it all
-        (0.8, 0.0, 100.0, 0.0, 0.8),
-        (1.0, -2e-4, 1e-9, 0.0, 1.0 - 2.0 * (1.0 - np.exp(-1.0))),  # 63 % of a reversal
-    ):
-        assert bristle_step(before, travel, dt, 2e-4, fraction) == pytest.approx(after, abs=1e-9)
 
 
 @given(relaxed=fractions, speed=travels, dt=times)
@@ -180,18 +171,6 @@ def test_membrane_holds_back_the_layer_and_the_shaft_then_enters_it_gradually():
     assert friction[-1] == pytest.approx(slope * depth[-1], rel=0.03)
 
 
-def test_intact_membrane_springs_back_and_an_inner_one_releases_both_forces_at_once():
-    law = Tissue((bovine_liver(),))
-    (_, pushed), (_, back) = advance(law, -1e-3, 8e-3), advance(law, 8e-3, 4e-3)
-    assert pushed[-1].tip_N > back[-1].tip_N > 0.0
-    assert back[-1].tip_N == pytest.approx(BOVINE_CAPSULE.force_N(4e-3), rel=0.02)
-    glove = Membrane(puncture_N=1.0, indentation_m=3e-3, hardening=0.5, release_m=5e-4)
-    law = Tissue((gel(25), gel(50, membrane=glove)))
-    boundary = law.interfaces[1]
-    assert boundary.drop_N == pytest.approx(gel(25).exit_force_N + 1.0)
-    depth, forces = advance(law, -1e-3, boundary.onset_m + 2e-3)
-    assert tips(forces).max() == pytest.approx(boundary.drop_N, rel=0.01)
-    assert depth[tips(forces).argmax()] == pytest.approx(boundary.onset_m, abs=1e-5)
 
 
 @pytest.mark.parametrize("law", [Tissue, MultilayerTissue])

@@ -59,13 +59,6 @@ def test_texture_has_the_stated_spread_and_correlation_and_belongs_to_the_place(
         Texture.drawn(-0.02, 0.5e-3, np.random.default_rng(0))
 
 
-@pytest.mark.parametrize(("exponent", "middle"), [(0.5, 0.70), (2.0, 0.23)])
-def test_a_concave_and_a_quadratic_tip_force_end_alike(exponent, middle):
-    plain = replace(gel(70), cutting_fraction=0.0)
-    bent = varied(plain, tip_exponent=exponent)
-    end = plain.thickness_m
-    assert bent.tip_force_N(end) == pytest.approx(plain.tip_force_N(end))
-    assert bent.tip_force_N(end / 2) / bent.tip_force_N(end) == pytest.approx(middle, abs=0.01)
 
 
 def test_kept_tip_force_stays_after_an_internal_rupture_fades_and_ends_at_the_exit():

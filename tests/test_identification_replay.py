@@ -15,10 +15,13 @@ from needleforce.recordings.table import RowClock
 
 @pytest.fixture(scope="module")
 def columns():
+    """An insertion from the end of the free motion until it has left the gel, one depth missing."""
     run = insert_needle("gel-50-constant", seed=1, rate_hz=100.0)
-    depth_m = run.depth_m.copy()
+    ends_s = run.tare_end_s, run.truth.rupture_s[0] + 3.0
+    part = slice(*np.searchsorted(run.t_s, ends_s))
+    depth_m = run.depth_m[part].copy()
     depth_m[300] = np.nan
-    return run.t_s, depth_m, run.force_N, run.speed_m_s
+    return run.t_s[part], depth_m, run.force_N[part], run.speed_m_s[part]
 
 
 def pieces(rows, cuts):

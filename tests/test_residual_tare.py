@@ -80,7 +80,7 @@ def test_fit_extrapolates_better_than_a_constant(lwr, basis, seed):
 
 def test_stated_covariance_is_believable(lwr, basis):
     ahead, forward, scores = MIDDLE + 0.8 * TOWARDS, FORWARD, []
-    for seed in range(40):
+    for seed in range(20):
         theta, blocks = stroke(lwr, basis, seed=seed)
         fitted = fit_tare(basis, blocks)
         error = fitted.bias_Nm(ahead, forward, 20.0) - basis.columns(ahead, forward, 20.0) @ theta
