@@ -3,7 +3,6 @@
 import re
 from pathlib import Path
 
-import numpy as np
 import pytest
 from benchmark_cases import make_row
 
@@ -115,25 +114,6 @@ def test_wrong_usage_is_exit_code_2_and_help_says_how_long_a_slow_command_takes(
     for command in ("speed", "faults"):
         assert main([command, "--help"]) == 0
         assert re.search(r"Takes about \d+ s", capsys.readouterr().out)
-
-
-@pytest.mark.parametrize(("cost", "code"), [(1.9, 0), (3.5, 1)])
-def test_speed_fails_when_strict_and_too_slow(monkeypatch, capsys, cost, code):
-    from benchmarks import speed
-
-    def measured(progress):
-        progress(1.0)
-        bare = {subject.bare for subject in speed.SUBJECTS.values()}
-        costs = dict.fromkeys(speed.SUBJECTS, cost) | dict.fromkeys(bare, 1.0)
-        times = {name: np.full((2, 3), each) for name, each in costs.items()}
-        layer_us = {("default", 10.0): 20.0}
-        return speed.SpeedReport(times=times, alarms={}, layers={}, pauses_us=[], layer_us=layer_us)
-
-    monkeypatch.setattr(speed, "measure_speed", measured)
-    monkeypatch.setattr(speed, "COMPILER", "numba")
-    assert main(["speed", "--strict"]) == code
-    assert main(["speed"]) == 0
-    assert "99.9 %" in capsys.readouterr().out
 
 
 def test_compare_fails_on_what_is_worse_or_lost_and_says_it(tmp_path, monkeypatch, capsys):

@@ -9,7 +9,6 @@ import pytest
 
 from benchmarks.bounds import (
     friction_bounds,
-    reading_error_N,
 )
 from benchmarks.identification_metrics import (
     EARLY_s,
@@ -24,7 +23,7 @@ from benchmarks.identification_metrics import (
     offline_metrics,
     rupture_metrics,
 )
-from benchmarks.methods import Alarm, alarms_of, first_compensation
+from benchmarks.methods import Alarm
 from benchmarks.signals import InsertionTruth, NeedleSignal, insertion_truth, lagging
 from groundtruth import SCENARIOS, Rupture, Scenario, insert_needle
 from groundtruth.motion import constant_motion
@@ -210,8 +209,6 @@ def test_the_multi_layer_model_fits_its_own_force_and_kelvin_voigt_does_not():
     assert values["offline_rmse_kv_N"] > 0.01
 
 
-
-
 RNG = np.random.default_rng(3)
 WHITE = 0.01 * RNG.standard_normal(8000)
 DRIFTING = lagging(10.0 * WHITE, 1e-3 * np.arange(8000), 0.2)
@@ -224,8 +221,6 @@ def stack_truth():
     motion = constant_motion(speed_m_s=4e-3, depth_m=39e-3, standoff_m=5e-3)
     chosen = Scenario(id="two", title="two gels", layers=(layer, layer), motion=motion)
     return insertion_truth(insert_needle(chosen, noise="clean"))
-
-
 
 
 def test_the_bound_of_friction_is_that_of_a_mean_and_grows_with_all_that_hides_it(stack_truth):

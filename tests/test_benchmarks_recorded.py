@@ -9,9 +9,7 @@ import pytest
 from benchmarks import DataError
 from benchmarks.benchmark import Job
 from benchmarks.methods import joint_residual
-from benchmarks.recorded.bovine import FILE as BOVINE_FILE
-from benchmarks.recorded.bovine import FOLDER as BOVINE
-from benchmarks.recorded.bovine import depth_metrics, read_bovine, run_bovine_real
+from benchmarks.recorded.bovine import depth_metrics, run_bovine_real
 from benchmarks.recorded.liver import (
     at_drops,
     force_drops,
@@ -114,8 +112,6 @@ def test_annotated_ruptures_are_found_missed_or_invented():
     assert values["rupture_depth_error_mm"] == pytest.approx(0.4)
     assert values["estimated_depth_error_mm"] == pytest.approx(0.3)
     assert depth_metrics([], [], [10.0]) == {"ruptures_missed": 1.0, "ruptures_false": 0.0}
-
-
 
 
 def test_sudden_drops_are_found_and_slow_ones_and_the_end_are_not():

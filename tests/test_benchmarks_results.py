@@ -67,19 +67,6 @@ def test_a_file_that_is_bad_or_cannot_be_read_or_written_is_named(tmp_path, cont
         write_results(tmp_path / "no" / "a.json", [])
 
 
-def test_names_of_older_files_become_those_of_today(tmp_path):
-    for field, old, today in (
-        ("plant", "textbook", "ideal"),
-        ("plant", "realistic", "clean"),
-        ("plant", "hard", "degraded"),
-        ("plant", "needle", "needle"),
-        ("method", "paper", "published"),
-        ("metric", "fall_recall", "drop_recall"),
-    ):
-        (row,) = read_results(written(tmp_path / "a.json", {field: old}))
-        assert getattr(row, field) == today
-
-
 def test_of_several_runs_the_last_one_of_a_scenario_and_a_plant_counts(tmp_path):
     first = [make_row(), make_row(plant="clean"), make_row(scenario="liver-constant")]
     more = [make_row(plant="clean", value=0.02), make_row(plant="clean", value=0.04, seed=1)]

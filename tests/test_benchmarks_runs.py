@@ -8,7 +8,6 @@ import pytest
 from benchmark_cases import gel_slice
 from hypothesis import given
 from hypothesis import strategies as st
-from scipy.signal import lfilter
 
 from benchmarks import DataError, UnknownMetricError
 from benchmarks.benchmark import Job
@@ -191,17 +190,6 @@ def measured(axial, true, **kw):
 def test_a_delay_is_found_whatever_the_offset(delay, offset):
     found = force_lag_s(T, np.interp(T - delay, T, saw(T)) + offset, saw(T))
     assert found == pytest.approx(delay, abs=1e-4)
-
-
-def test_a_filter_has_about_its_time_constant_as_lag_and_what_never_changes_none():
-    # On a ramp it is the time constant, on a step less: ruptures count for more than ramps.
-    decay = np.exp(-1e-3 / 0.1)
-    late = lfilter([1.0 - decay], [1.0, -decay], saw(T))
-    assert 0.06 < force_lag_s(T, late, saw(T)) < 0.1
-    for size in (0, 1, 300):
-        assert math.isnan(force_lag_s(T[:size], T[:size], T[:size]))
-    assert math.isnan(force_lag_s(T, saw(T), np.zeros(len(T))))
-    assert "wrench_lag_ms" not in measured(np.sin(T), np.zeros(len(T)))
 
 
 def test_a_constant_error_is_a_bias_and_coverage_counts_two_stated_deviations():

@@ -2,11 +2,9 @@
 
 import numpy as np
 import pytest
-from insertion_run import short_run, tare_index
 
 from benchmarks import long_runs, speed
 from benchmarks.cli import main
-from benchmarks.signals import JointSignals
 
 
 def timing(*medians):
@@ -51,16 +49,6 @@ def test_the_table_marks_what_is_too_slow(monkeypatch, compiler, sensor):
     assert [line[6] for line in lines] == ["", "1.90", "9.00", "", "3.10", "9.00", "4.50"]
 
 
-def test_a_chain_update_notes_what_happened_in_it():
-    run = short_run()
-    update = speed.ChainUpdate(run.robot, JointSignals.of_run(run), tare_index(run))
-    for k in range(tare_index(run) + 17_500):
-        update(k)
-    assert len(update.alarms) == 1
-    assert len(update.layers) % speed.LAYER_TICKS == 0
-    assert update.alarms[0] < update.layers[0] < update.layers[-1]
-
-
 def soaked(**changes):
     known = {"tick_us": (10.0, 11.0), "python_kB": (5.0, 25.0), "process_MB": (1.0, 1.0)}
     return long_runs.Soak(**(known | {"ruptures": (1, 2), "skipped": 0} | changes))
@@ -74,20 +62,6 @@ def test_a_soak_compares_end_with_start_and_every_cycle_is_a_whole_insertion():
     cycle = long_runs.Cycle()
     _, ruptures, skipped = cycle.time(2 * cycle.length, lambda fraction: None)
     assert (ruptures, skipped) == ((1, 1), 0)
-
-
-@pytest.mark.parametrize("make", [long_runs.joint_recording, long_runs.needle_recording])
-def test_a_recording_is_as_long_as_asked_smooth_and_the_same_every_time(make):
-    parts = list(make(100.0, np.random.default_rng(0)))
-    whole = {name: np.concatenate([part[name] for part in parts]) for name in parts[0]}
-    assert len(parts) > 1
-    assert len(whole["t_s"]) == 100_000
-    np.testing.assert_allclose(np.diff(whole["t_s"]), 0.001)
-    moved = whole.get("q_rad", whole.get("depth_m"))
-    assert np.abs(np.diff(moved, axis=0)).max() < 1e-3
-    again = next(iter(make(100.0, np.random.default_rng(0))))
-    for name, values in again.items():
-        np.testing.assert_array_equal(values, parts[0][name])
 
 
 STEADY = (100.0,) * 10

@@ -19,6 +19,7 @@ from needleforce.cli.terminal import (
     INTERRUPTED,
     READER_GONE,
     CommandError,
+    progress_bar,
     run_command,
     say,
     stop_request,
@@ -281,3 +282,40 @@ def test_the_payload_may_stand_in_the_mapping(run, lwr):
         argv = ["force", "log.npz", "--mapping", written(lines), *options]
         assert summary in run(*argv, "--no-tare").splitlines()[0]
         assert printed in run(*argv, "--print-config")
+
+
+# A long command shows on a terminal how far it is, on stderr, and nowhere else.
+
+
+ROWS = np.arange(20_000)
+LONG_COLUMNS = {"t_s": ROWS / 1000, "depth_m": 1e-6 * ROWS, "force_N": 1e-3 * ROWS**0.5}
+
+
+class Terminal(io.StringIO):
+    def isatty(self):
+        return True
+
+
+@pytest.mark.parametrize("is_terminal", [False, True])
+def test_a_bar_is_drawn_on_a_terminal_only(monkeypatch, is_terminal):
+    stream = Terminal() if is_terminal else io.StringIO()
+    monkeypatch.setattr("sys.stderr", stream)
+    monkeypatch.setenv("TERM", "xterm")
+    with progress_bar("log.csv") as progress:
+        progress(0.5)
+    with progress_bar("other.csv", is_wanted=False) as progress:
+        progress(0.5)
+    assert ("log.csv" in stream.getvalue(), "50%" in stream.getvalue()) == (is_terminal,) * 2
+    assert "other.csv" not in stream.getvalue()
+
+
+def test_a_command_draws_it_and_prints_what_it_prints_without(tmp_path, monkeypatch, capsys):
+    path = tmp_path / "log.csv"
+    write_table(path, LONG_COLUMNS)
+    assert main(["identify", str(path)]) == 0
+    plain, stream = capsys.readouterr().out, Terminal()
+    monkeypatch.setattr("sys.stderr", stream)
+    monkeypatch.setenv("TERM", "xterm")
+    assert main(["identify", str(path)]) == 0
+    assert capsys.readouterr().out == plain
+    assert "log.csv" in stream.getvalue()

@@ -11,7 +11,6 @@ from groundtruth.errors import TissueError
 from groundtruth.layers import CUTTING_ONSET_M, Membrane, ShaftFriction
 from groundtruth.materials import BOVINE_CAPSULE, GEL_TIP_FORCE_N, GLOVE, bovine_liver, gel
 from groundtruth.tissue import (
-    RELAXATION_S,
     UNLOADING_M,
     MultilayerTissue,
     Tissue,
@@ -98,8 +97,6 @@ def test_bristle_stays_in_its_range_follows_the_travel_and_half_steps_agree(
     assert bristle_step(half, travel / 2, 5e-4, length, 0.0) == pytest.approx(once, abs=1e-9)
 
 
-
-
 @given(relaxed=fractions, speed=travels, dt=times)
 def test_relaxation_stays_a_fraction_and_half_steps_agree(relaxed, speed, dt):
     once = relaxation_step(relaxed, speed, dt)
@@ -169,8 +166,6 @@ def test_membrane_holds_back_the_layer_and_the_shaft_then_enters_it_gradually():
     assert np.diff(friction).max() < 0.05 * friction[-1]
     slope = bovine_liver().friction.sliding_N_per_m(SPEED)
     assert friction[-1] == pytest.approx(slope * depth[-1], rel=0.03)
-
-
 
 
 @pytest.mark.parametrize("law", [Tissue, MultilayerTissue])

@@ -1,7 +1,5 @@
 """Tissues outside the catalogue's law: each says what it changes and changes nothing else."""
 
-from dataclasses import replace
-
 import numpy as np
 import pytest
 
@@ -57,8 +55,6 @@ def test_texture_has_the_stated_spread_and_correlation_and_belongs_to_the_place(
         assert together == pytest.approx(np.exp(-((lag / 0.5e-3) ** 2) / 2.0), abs=0.05)
     with pytest.raises(TissueError, match="std_N"):
         Texture.drawn(-0.02, 0.5e-3, np.random.default_rng(0))
-
-
 
 
 def test_kept_tip_force_stays_after_an_internal_rupture_fades_and_ends_at_the_exit():

@@ -193,17 +193,6 @@ def test_time_passes_over_jumps_of_depth(jumps, after):
     assert set(seen[101 + jumps :]) == {SampleStatus.OK}
 
 
-@pytest.mark.parametrize("before", [0, 400])
-def test_one_speed_says_nothing_of_the_travel_through_a_gap(before):
-    """13 s of a tare, then a needle that sets out: 0.1 mm/s of noise are no travel of -1.3 mm."""
-    rows = [(0.0, 0.0, 0.0, 1e-3)] * before + [(0.0, 0.0, math.nan, 1e-3)] * 13000
-    rows += [(2e-6 * k, 2e-3 if k > 1 else -1e-4, 0.0, 1e-3) for k in range(1, 401)]
-    seen, time_s, _ = check_rows(rows)
-    assert set(seen[-399:]) == {SampleStatus.OK}
-    assert seen[-400] is (SampleStatus.TIME_GAP if before else SampleStatus.OK)
-    assert time_s == pytest.approx(13.4 + 1e-3 * before)
-
-
 def test_unknown_configuration_and_foreign_snapshots_are_refused():
     with pytest.raises(InvalidConfigError, match="PublishedConfig"):
         Identifier(object())

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from identification import MULTILAYER, Identifier, MultilayerConfig, RuptureState, SampleStatus
+from identification import MULTILAYER, Identifier, MultilayerConfig, SampleStatus
 from identification.errors import InvalidConfigError
 
 SPEED = 4e-3
@@ -188,12 +188,3 @@ def test_a_gap_in_time_is_no_rupture():
 def test_a_probability_of_an_alarm_must_be_one(probability):
     with pytest.raises(InvalidConfigError, match="alarm_probability"):
         MultilayerConfig(alarm_probability=probability)
-
-
-def test_before_contact_there_is_nothing_to_take_off():
-    identifier, estimates = run(straight(11)[:900])
-    assert not any(one.in_contact for one in estimates)
-    assert {one.shaft_friction_N for one in estimates} == {0.0}
-    assert {one.layer for one in estimates} == {0}
-    assert identifier.layers == ()
-    assert {one.rupture_state for one in estimates} == {RuptureState.NO_RUPTURE}

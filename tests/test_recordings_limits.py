@@ -154,22 +154,6 @@ def test_a_type_of_endless_arrays_is_no_signal(tmp_path, definition):
         read_table(path)
 
 
-@pytest.mark.parametrize("has_idle", [False, True])
-def test_a_pipe_that_nobody_writes_can_be_left(tmp_path, has_idle):
-    os.mkfifo(tmp_path / "pipe")
-    is_over = threading.Event()
-    timer = threading.Timer(0.3, is_over.set)
-    timer.start()
-    options = FollowOptions(
-        idle_s=0.2 if has_idle else None, should_stop=bool if has_idle else is_over.is_set
-    )
-    start_s = time.monotonic()
-    with pytest.raises(FormatError, match="it is empty"):
-        list(stream_tables(tmp_path / "pipe", options))
-    assert time.monotonic() - start_s < 5.0
-    timer.join()
-
-
 def test_a_followed_file_that_was_written_anew_is_noticed(tmp_path):
     path = tmp_path / "log.csv"
     path.write_text("t,f\n" + "".join(f"{k},1\n" for k in range(300)))

@@ -154,14 +154,6 @@ def test_positions_held_from_50_to_500_hz_are_no_spikes(lwr, samples, noise_rad,
         assert found[-1].status is Status.NOT_TARED
 
 
-@pytest.mark.parametrize("which", [1, 2])
-def test_velocities_or_torques_held_at_100_hz_are_no_spikes(lwr, which):
-    signals = list(moving(lwr, 1e-5))
-    signals[1] = signals[1] + 0.01 * np.random.default_rng(2).normal(size=signals[1].shape)
-    signals[which] = held(signals[which], 10)
-    assert not spikes(estimates(VirtualForceSensor(lwr), *signals))
-
-
 @pytest.mark.parametrize("samples", MILLISECONDS)
 def test_a_spike_of_a_held_position_is_still_held_back(lwr, samples):
     q, dq, tau = moving(lwr, 1e-5)
@@ -181,14 +173,3 @@ def test_a_rest_of_any_length_makes_no_gate_wide(lwr):
     dq, tau = 1e-3 * rng.normal(size=q.shape), tau[0] + 0.03 * rng.normal(size=q.shape)
     q[3990, 4] += 1e-3
     assert spikes(estimates(VirtualForceSensor(lwr), q, dq, tau)) == [3990]
-
-
-def test_a_hold_is_remembered_by_a_snapshot(lwr):
-    q, dq, tau = moving(lwr, 1e-5)
-    q = held(q, 20)
-    sensor, other = VirtualForceSensor(lwr), VirtualForceSensor(lwr)
-    estimates(sensor, q[:1015], dq[:1015], tau[:1015])
-    state = sensor.snapshot()
-    assert state.joints.guard.held_s == pytest.approx(0.014)
-    other.restore(state)
-    assert not spikes(estimates(other, q[1015:], dq[1015:], tau[1015:]))

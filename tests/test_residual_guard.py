@@ -189,15 +189,3 @@ def test_a_torque_spike_of_one_joint_is_no_contact(lwr, joint):
     held = sensor.update(q, dq, tau + spike, 1e-3)
     assert held.status is Status.REJECTED
     assert held.axial == before.axial
-
-
-@pytest.mark.parametrize("with_velocity", [True, False])
-def test_without_a_guard_nothing_of_it_is_remembered(lwr, with_velocity):
-    sensor, rows = tared(lwr, replace(DEFAULT, guard=False), with_velocity=with_velocity)
-    feed(sensor, rows[:50])
-    q, dq, tau = rows[50]
-    assert sensor.update(q, dq, tau + 100.0, 1e-3).status is Status.OK
-    assert sensor.snapshot().joints.guard is None
-    sensor.start_tare_recording()
-    sensor.update_external_torque(rows[50][0], None, rows[50][2], 1e-3)
-    assert sensor.snapshot().external_torque.guard is None
