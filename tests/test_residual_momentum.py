@@ -59,6 +59,12 @@ def test_step_never_diverges_whatever_the_gain(gain_dt, residual, target):
     assert low - 1e-9 <= found[0] <= high + 1e-9
 
 
+@pytest.mark.parametrize(("alignment", "torque"), [("hold", 1.0), ("trapezoid", 3.0)])
+def test_torque_counts_as_held_from_the_start_of_a_tick_or_as_its_mean(alignment, torque):
+    found = step(rows(0, 0, 0, 1.0), rows(0, 0, 0, 5.0), 50.0, 1e-3, alignment)
+    assert found == pytest.approx(np.expm1(-0.05) * torque)
+
+
 @pytest.mark.parametrize("alignment", ["hold", "trapezoid"])
 @pytest.mark.parametrize("gain", [40.0, np.linspace(10.0, 80.0, 7)], ids=["one gain", "gains"])
 def test_observer_and_pure_step_agree(lwr, gain, alignment):
