@@ -13,8 +13,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from identification import Estimate, RuptureState
-from needleforce.control.errors import SettingError
-from needleforce.control.monitors import require_positive
+from needleforce.control.errors import SettingError, require_positive
 from needleforce.control.ports import Array
 
 if TYPE_CHECKING:

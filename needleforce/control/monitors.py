@@ -5,28 +5,17 @@ have come to rest. A stiff contact is then noticed while its force is still smal
 """
 
 import math
-from collections.abc import Container
-from dataclasses import dataclass, fields
+from dataclasses import dataclass
 from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 
-from needleforce.control.errors import SettingError
+from needleforce.control.errors import require_positive
 from needleforce.control.ports import ArmReading, Array
 from residual import SensorWarning, Status
 
 if TYPE_CHECKING:
     from needleforce.session import SessionEstimate
-
-
-def require_positive(settings: object, or_zero: Container[str] = ()) -> None:
-    """Refuse a dataclass with a number that is not finite and positive; None is left alone."""
-    for field in fields(settings):  # type: ignore[arg-type]
-        value = getattr(settings, field.name)
-        if value is None or (value == 0.0 and field.name in or_zero):
-            continue
-        if not (isinstance(value, int | float) and 0.0 < value < math.inf):
-            raise SettingError(f"{field.name} is {value!r}, expected a positive number")
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
