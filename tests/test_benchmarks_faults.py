@@ -3,12 +3,10 @@
 import re
 from pathlib import Path
 
-import numpy as np
 import pytest
 
 from benchmarks.fault_study import (
     FaultStudy,
-    late,
     recovery,
 )
 from benchmarks.faults import PARTS, SIGNAL_FAULTS
@@ -59,9 +57,3 @@ def test_faults_that_must_be_reported_are(results):
     assert not reported["pushed aside with 1 N, 2 s"]
     # A weight along the needle is the only fault that raises a rupture.
     assert [result.name for result in results if result.note] == ["50 g hung on the tool, 2 s"]
-
-
-def test_a_late_force_lags_by_what_it_should():
-    ramp = 1e-3 * np.arange(2000)
-    assert late(ramp)[-1] == pytest.approx(ramp[-1] - 0.014, abs=1e-3)
-    assert late(ramp, with_velocity=False)[-1] == pytest.approx(ramp[-1] - 0.024, abs=2e-3)

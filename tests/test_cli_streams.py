@@ -30,9 +30,11 @@ def logs(lwr, tmp_path_factory):
     """A log for each command, one of them without the speed that is then derived."""
     folder = tmp_path_factory.mktemp("log")
     run = insert_needle("gel-50-constant", seed=1, rate_hz=150.0)
-    columns = {"t_s": run.t_s, "depth_m": run.depth_m, "force_N": run.force_N}
-    write_table(folder / "derived.csv", columns)
-    write_table(folder / "identify.csv", columns | {"speed_m_s": run.speed_m_s})
+    part = slice(*np.searchsorted(run.t_s, (run.tare_end_s, run.truth.rupture_s[0] + 4.0)))
+    names = ("t_s", "depth_m", "force_N", "speed_m_s")
+    columns = {name: getattr(run, name)[part] for name in names}
+    write_table(folder / "identify.csv", columns)
+    write_table(folder / "derived.csv", {name: columns[name] for name in names[:3]})
     write_insertion(folder / "force.csv", lwr)
     return folder
 
