@@ -31,7 +31,7 @@ from needleforce.control.tasks import (
     TipVelocity,
 )
 from needleforce.control.tool_state import ToolState
-from needleforce.control.velocity_box import Limits, LONGEST_STEP_s, velocity_box
+from needleforce.control.velocity_box import Limits, LONGEST_STEP_s, joint_bounds
 from urdf import NeedleTool, Robot, load_lwr
 
 Array = NDArray[np.float64]
@@ -115,7 +115,7 @@ class Levels:
         for task in above:
             task.write(tool, stack.rows, stack.rates, first)
             first += task.size
-        velocity_box(self._stacks.limits.table, tool.q_rad, last, 1e-3, stack.bounds)
+        joint_bounds(self._stacks.limits.table, tool.q_rad, last, 1e-3, stack.bounds)
         velocity, _ = solver.solve()
         if velocity is None:
             raise RuntimeError(f"no answer to {tasks} at {tool.q_rad.tolist()}")

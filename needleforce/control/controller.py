@@ -17,7 +17,7 @@ from needleforce.control.velocity_box import (
     Limits,
     LONGEST_STEP_s,
     SLACK_rad_s,
-    velocity_box,
+    joint_bounds,
 )
 from urdf import Robot
 
@@ -130,7 +130,7 @@ class Controller:
         except (TypeError, ValueError, ControlError) as error:
             return self._skip(str(error))
         self._numbers, bounds = numbers, numbers.bounds
-        if not velocity_box(self._limits, q, self._last, self._step_s, bounds):
+        if not joint_bounds(self._limits, q, self._last, self._step_s, bounds):
             return self._skip("positions or tasks are not finite")
         velocity, is_limited = solver.solve() if stack else (None, False)
         if velocity is None:

@@ -17,8 +17,9 @@ from needleforce.control.ports import Array
 from needleforce.control.tool_state import ToolState
 from needleforce.jit import Matrix, Vector, WrittenMatrix, WrittenVector, compiled
 
-GAIN_PER_S = 60.0
-"""K of the constraints: at 2 ms of delay a pushed needle is held twice as close as with 30 / s."""
+GAIN_PER_S = 30.0
+"""K of the constraints. 60 / s hold a pushed needle closer where positions are fine; where they are
+rounded to an encoder's steps they make the command rough."""
 
 
 class Task:

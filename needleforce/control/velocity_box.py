@@ -68,7 +68,7 @@ class Limits:
 
 
 @compiled
-def velocity_box(
+def joint_bounds(
     limits: Matrix, q: Vector, last: Vector, step_s: float, bounds: WrittenMatrix
 ) -> bool:
     """Bounds l <= dq <= u of the coming tick, in the first n columns of the bounds of a stack.
