@@ -55,6 +55,23 @@ def passive_part(leaving_J: float, budget_J: float) -> float:
     return max(budget_J, 0.0) / leaving_J
 
 
+class _Allowance:
+    """What the line may give beyond what has entered at its other end.
+
+    Force and motion that meet with a delay never balance exactly, so a line that is held to the
+    last microjoule stops and goes. A fixed amount covers single events; a power, which hand and
+    tissue dissipate in any case, what adds up over a long insertion.
+    """
+
+    def __init__(self, energy_J: float, power_W: float) -> None:
+        self._energy_J, self._power_W = energy_J, power_W
+
+    def after(self, dt_s: float) -> float:
+        """The amount [J] when a further time has passed."""
+        self._energy_J += self._power_W * dt_s
+        return self._energy_J
+
+
 class HandPort:
     """Observer and controller at the port where a device shows a force to a hand.
 
@@ -71,6 +88,7 @@ class HandPort:
         device_mass_kg: Mass of the handle as a hand feels it.
         allowance_J: What may leave beyond what entered at the other side: a hand that yields to a
             spring need not wait for the news that the spring has relaxed.
+        allowance_W: The same, per second.
         most_damping_Ns_m: Largest damping.
     """
 
@@ -78,12 +96,14 @@ class HandPort:
         self,
         device_mass_kg: float = 0.25,
         allowance_J: float = 1e-3,
+        allowance_W: float = 2e-3,
         most_damping_Ns_m: float = 150.0,
     ) -> None:
         self.energy = EnergyPort()
-        self._mass_kg, self._allowance_J = device_mass_kg, allowance_J
-        self._most_damping_Ns_m = most_damping_Ns_m
-        self._force_N, self._position_m = 0.0, None
+        self._mass_kg, self._most_damping_Ns_m = device_mass_kg, most_damping_Ns_m
+        self._allowance = _Allowance(allowance_J, allowance_W)
+        self._force_N = self._damping_N = self._damped_J = 0.0
+        self._position_m: float | None = None
 
     def update(
         self, wanted_N: float, position_m: float, speed_m_s: float, incoming_J: float, dt_s: float
@@ -99,19 +119,24 @@ class HandPort:
         """
         port = self.energy
         if self._position_m is not None:
-            port.observe(self._force_N, position_m - self._position_m)
-        owed_J = incoming_J + self._allowance_J - port.out_J
+            travel_m = position_m - self._position_m
+            port.observe(self._force_N, travel_m)
+            # What damping has taken is paid back; not to count it would damp for ever after.
+            self._damped_J += self._damping_N * travel_m
+        owed_J = incoming_J + self._allowance.after(dt_s) + self._damped_J - port.out_J
         force_N = wanted_N * passive_part(-wanted_N * speed_m_s * dt_s, owed_J)
         against_m_s = math.copysign(speed_m_s, wanted_N * speed_m_s)
         root_m_s = math.sqrt(speed_m_s * speed_m_s + 2.0 * max(port.net_J, 0.0) / self._mass_kg)
         most_N = self._mass_kg / dt_s * (against_m_s + root_m_s)
         force_N = math.copysign(min(abs(force_N), most_N), force_N)
+        self._damping_N = 0.0
         missing_J = -min(owed_J, port.net_J)
-        if missing_J > 0.0 and speed_m_s != 0.0:
-            needed_Ns_m = missing_J / (speed_m_s * speed_m_s * dt_s)
-            force_N += min(needed_Ns_m, self._most_damping_Ns_m) * speed_m_s
-        self._force_N, self._position_m = force_N, position_m
-        return force_N
+        if missing_J > 0.0:
+            most_J = self._most_damping_Ns_m * speed_m_s * speed_m_s * dt_s
+            part = passive_part(most_J, missing_J)
+            self._damping_N = part * self._most_damping_Ns_m * speed_m_s
+        self._force_N, self._position_m = force_N + self._damping_N, position_m
+        return self._force_N
 
 
 class NeedlePort:
@@ -123,12 +148,13 @@ class NeedlePort:
     Args:
         allowance_J: What may leave beyond what has entered at the other side. A delayed force is
             shown too low while it rises, so the hand always owes some.
+        allowance_W: The same, per second.
         force_lag_s: Time constant by which the force follows the true one.
     """
 
-    def __init__(self, allowance_J: float, force_lag_s: float) -> None:
+    def __init__(self, allowance_J: float, allowance_W: float, force_lag_s: float) -> None:
         self.energy = EnergyPort()
-        self._allowance_J, self._lag_s = allowance_J, force_lag_s
+        self._allowance, self._lag_s = _Allowance(allowance_J, allowance_W), force_lag_s
         self._lagged_m_s = 0.0
 
     def update(
@@ -146,5 +172,5 @@ class NeedlePort:
         port = self.energy
         self._lagged_m_s += (speed_m_s - self._lagged_m_s) * dt_s / (self._lag_s + dt_s)
         port.observe(-force_N, self._lagged_m_s * dt_s)
-        budget_J = incoming_J + self._allowance_J - port.out_J
+        budget_J = incoming_J + self._allowance.after(dt_s) - port.out_J
         return wanted_m_s * passive_part(force_N * wanted_m_s * dt_s, budget_J)

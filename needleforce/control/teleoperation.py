@@ -17,21 +17,24 @@ from typing import Generic, Literal, NamedTuple, TypeVar
 
 import numpy as np
 from numpy.random import Generator
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
 from needleforce.control.errors import SettingError
 from needleforce.control.passivity import HandPort, NeedlePort
-from needleforce.control.ports import MasterSample
+from needleforce.control.ports import Array, MasterReading
 from needleforce.session import SessionEstimate, Travel
 from residual import Status
 
-Array = NDArray[np.float64]
 Shown = Literal["tip", "enhanced", "raw"]
 Packet = TypeVar("Packet")
 
 _CATCH_UP_PER_S = 10.0  # rate at which the needle makes up for travel that it could not follow
-_FADE_S = 0.05  # a force that is not known, or belongs to no coupled hand, fades: no step is felt
-_OWED_J = 10e-3  # by the hand to the needle, see `NeedlePort`
+_SPEED_LAG_S = 0.01  # low-pass on the speed of the handle, which comes from its encoder's steps
+_STEADY_S = 0.3  # what lasts longer is steady motion, which is not damped
+_FADE_S = 0.05  # a force that is not known any more fades
+_COUPLING_S = 0.2  # so softly the force comes and goes with the clutch: no step throws the hand
+_OWED_J, _OWED_W = 10e-3, 2e-3  # by the hand to the needle, see `NeedlePort`
+_FORCE_LAG_S = 0.015  # of the virtual sensor, see `InsertionSession.lag_s`
 _SILENCE_S = 0.1  # without news from the device for so long, the needle stands
 
 
@@ -53,13 +56,15 @@ class NeedlePacket(NamedTuple):
 class DelayLine(Generic[Packet]):
     """A line on which packets are late: ``delay ± jitter``, drawn evenly for each of them.
 
-    The newest that has arrived counts; one that an older packet overtakes is dropped.
+    The newest that has arrived counts; one that is overtaken is dropped.
 
     Raises:
-        SettingError: A delay or jitter below zero, or a jitter beyond the delay.
+        SettingError: A delay or jitter below zero, or jitter without a generator.
     """
 
-    def __init__(self, delay_s: float, jitter_s: float, rng: Generator | None = None) -> None:
+    def __init__(
+        self, delay_s: float = 0.0, jitter_s: float = 0.0, rng: Generator | None = None
+    ) -> None:
         if not (0.0 <= jitter_s < math.inf and 0.0 <= delay_s < math.inf):
             raise SettingError(f"delay {delay_s} s ± {jitter_s} s: expected finite numbers >= 0")
         if jitter_s > 0.0 and rng is None:
@@ -104,17 +109,24 @@ class DeviceSide:
     Args:
         axis: Direction of the handle that drives the needle inwards, shape (3,), unit length.
         motion_scale: Needle travel per travel of the handle.
+        damping_Ns_m: Damping of what is quicker than a steady advance: a delayed spring drives a
+            hand, and a hand springs forward when a membrane ruptures.
         port: Observer and controller of the hand's energy.
     """
 
-    def __init__(self, axis: Array, motion_scale: float, port: HandPort) -> None:
+    def __init__(
+        self, axis: Array, motion_scale: float, damping_Ns_m: float, port: HandPort
+    ) -> None:
         self._axis, self._scale, self.port = axis, motion_scale, port
-        self._travel_m, self._position_m = 0.0, None
+        self._damping_Ns_m = damping_Ns_m
+        self._travel_m = 0.0
+        self._position_m: float | None = None
         self._packet = HandPacket(0.0, 0.0, 0.0)
-        self._wanted_N = 0.0
+        self._coupled = 0.0  # 0 to 1
+        self._rate_m_s = self._steady_m_s = 0.0
 
     def update(
-        self, sample: MasterSample | None, news: NeedlePacket | None, dt_s: float
+        self, sample: MasterReading | None, news: NeedlePacket | None, dt_s: float
     ) -> tuple[float, HandPacket]:
         """The force to render, positive against insertion, and the packet to send.
 
@@ -124,9 +136,7 @@ class DeviceSide:
             dt_s: Time since the last call.
         """
         is_coupled = sample is not None and sample.clutch
-        wanted_N = news.force_N if news is not None and is_coupled else 0.0
-        fade = 1.0 if is_coupled else dt_s / (_FADE_S + dt_s)
-        self._wanted_N += fade * (wanted_N - self._wanted_N)
+        self._coupled += (float(is_coupled) - self._coupled) * dt_s / (_COUPLING_S + dt_s)
         if sample is None:
             self._position_m = None
             self._packet = self._packet._replace(speed_m_s=0.0)
@@ -136,9 +146,14 @@ class DeviceSide:
         if is_coupled and self._position_m is not None:
             self._travel_m += self._scale * (position_m - self._position_m)
         self._position_m = position_m
-        incoming_J = 0.0 if news is None else news.energy_J
-        force_N = self.port.update(self._wanted_N, position_m, speed_m_s, incoming_J, dt_s)
-        rate_m_s = self._scale * speed_m_s if is_coupled else 0.0
+        wanted_N, incoming_J = (0.0, 0.0) if news is None else news
+        self._rate_m_s += (speed_m_s - self._rate_m_s) * dt_s / (_SPEED_LAG_S + dt_s)
+        self._steady_m_s += (self._rate_m_s - self._steady_m_s) * dt_s / (_STEADY_S + dt_s)
+        wanted_N = self._coupled * wanted_N + self._damping_Ns_m * (
+            self._rate_m_s - self._steady_m_s
+        )
+        force_N = self.port.update(wanted_N, position_m, speed_m_s, incoming_J, dt_s)
+        rate_m_s = self._scale * self._rate_m_s if is_coupled else 0.0
         self._packet = HandPacket(self._travel_m, rate_m_s, self.port.energy.in_J)
         return force_N, self._packet
 
@@ -208,10 +223,8 @@ class Teleoperation:
         shown: Force at the tip; ``enhanced``, without the friction of layers already traversed; or
             ``raw``, as measured.
         speed_limit_m_s: Largest speed of the needle.
-        delay_s: Delay of the line, each way.
-        jitter_s: Largest deviation from it.
-        rng: Source of the jitter.
-        force_lag_s: Lag of the force estimate, see `InsertionSession.lag_s`.
+        lines: From the device to the needle, and back; None for no delay.
+        damping_Ns_m: Of quick motion of the handle, see `DeviceSide`.
 
     Raises:
         SettingError: A scale out of range, a limit that is not positive, an unknown force, an axis
@@ -226,10 +239,8 @@ class Teleoperation:
         force_scale: float = 1.0,
         shown: Shown = "tip",
         speed_limit_m_s: float = 0.02,
-        delay_s: float = 0.0,
-        jitter_s: float = 0.0,
-        rng: Generator | None = None,
-        force_lag_s: float = 0.015,
+        lines: tuple[DelayLine[HandPacket], DelayLine[NeedlePacket]] | None = None,
+        damping_Ns_m: float = 15.0,
     ) -> None:
         direction = np.asarray(axis, dtype=np.float64)
         length = float(np.linalg.norm(direction))
@@ -247,17 +258,16 @@ class Teleoperation:
         self._shown: Shown = shown
         self._back = -direction / length
         scale = force_scale / motion_scale
-        self.device = DeviceSide(-self._back, motion_scale, HandPort())
-        port = NeedlePort(_OWED_J / scale, force_lag_s)
+        self.device = DeviceSide(-self._back, motion_scale, damping_Ns_m, HandPort())
+        port = NeedlePort(_OWED_J / scale, _OWED_W / scale, _FORCE_LAG_S)
         self.needle = NeedleSide(scale, force_scale, speed_limit_m_s, port)
-        self._there: DelayLine[HandPacket] = DelayLine(delay_s, jitter_s, rng)
-        self._here: DelayLine[NeedlePacket] = DelayLine(delay_s, jitter_s, rng)
+        self._there, self._here = lines or (DelayLine(), DelayLine())
         self._from_hand: HandPacket | None = None
         self._from_needle: NeedlePacket | None = None
         self._force_N = 0.0
 
     def update(
-        self, sample: MasterSample | None, estimate: SessionEstimate, dt_s: float
+        self, sample: MasterReading | None, estimate: SessionEstimate, dt_s: float
     ) -> TeleopCommand:
         """Take the device's newest sample and the newest force; never raises.
 
