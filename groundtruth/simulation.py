@@ -4,7 +4,7 @@
 reads the force at its base. Both return what a robot would give and, apart from it, the truth.
 """
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable
 from dataclasses import dataclass, fields
 from typing import Any
 
@@ -14,10 +14,10 @@ from numpy.typing import NDArray
 from groundtruth.arm_control import ArmTrace, drive
 from groundtruth.arm_motion import InsertionPath, scenario_motion, scenario_path
 from groundtruth.arm_plant import ArmPlant, TissueContact, lwr_bodies
-from groundtruth.bearing_friction import BearingFriction
-from groundtruth.errors import GroundTruthError, NoiseError, PlantModelError, RunError
+from groundtruth.bearing_friction import bearings
+from groundtruth.errors import NoiseError, RunError
 from groundtruth.force_noise import NOISES, ForceNoise
-from groundtruth.plant_model import PLANT_MODELS, PlantModel, TICK_s
+from groundtruth.plant_model import PlantModel, TICK_s, plant_named
 from groundtruth.scenarios import Scenario
 from groundtruth.scenarios import scenario as scenario_named
 from groundtruth.sensors import (
@@ -150,7 +150,7 @@ def simulate(
         PlantError: The tissue has pushed the arm off its motion.
     """
     chosen = scenario_named(scenario) if isinstance(scenario, str) else scenario
-    plant_model: PlantModel = _named(plant, PLANT_MODELS, "plant model", PlantModelError)
+    plant_model = plant_named(plant)
     tool = NeedleTool()
     mass_seed, sensor_seed, friction_seed = np.random.SeedSequence(seed).spawn(3)
     bodies = lwr_bodies(tool, plant_model, np.random.default_rng(mass_seed))
@@ -158,9 +158,7 @@ def simulate(
     contact = _contact(path, chosen)
     motion = scenario_motion(path, chosen)
     limit_Nm = bodies.robot.effort_limit_Nm
-    friction = None
-    if plant_model.joint_coulomb > 0.0 or any(plant_model.joint_viscous_Nms_per_rad):
-        friction = BearingFriction(plant_model, limit_Nm, np.random.default_rng(friction_seed))
+    friction = bearings(plant_model, limit_Nm, np.random.default_rng(friction_seed))
     trace = drive(ArmPlant(bodies, contact, friction), bodies.model(), motion, progress)
     time = np.arange(len(trace.q_rad), dtype=np.float64) * TICK_s
     kept, signals = _sense(trace, time, limit_Nm, plant_model, sensor_seed)
@@ -175,15 +173,6 @@ def simulate(
         truth=_truth(trace, tissue, time, kept),
         tare_end_s=chosen.motion.tare_end_s,
     )
-
-
-def _named(item: Any, known: Mapping[str, Any], kind: str, error: type[GroundTruthError]) -> Any:
-    """The item of that name; what is no name is one already."""
-    if not isinstance(item, str):
-        return item
-    if item not in known:
-        raise error(f"no {kind} {item!r}; known: {', '.join(known)}")
-    return known[item]
 
 
 def _contact(path: InsertionPath, scenario: Scenario) -> TissueContact:
@@ -284,7 +273,9 @@ def insert_needle(
         RunError: The rate or the number of sub-steps is unusable.
     """
     chosen = scenario_named(scenario) if isinstance(scenario, str) else scenario
-    sensor: ForceNoise = _named(noise, NOISES, "noise model", NoiseError)
+    if isinstance(noise, str) and noise not in NOISES:
+        raise NoiseError(f"no noise model {noise!r}; known: {', '.join(NOISES)}")
+    sensor = NOISES[noise] if isinstance(noise, str) else noise
     fine_s = _fine_times(chosen.motion.duration_s, rate_hz, substeps)
     depth, speed = chosen.motion.position_m(fine_s), chosen.motion.speed_m_s(fine_s)
     moved = (np.zeros_like(fine_s),) * 2

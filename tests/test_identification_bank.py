@@ -3,23 +3,12 @@
 import numpy as np
 import pytest
 
-from identification import hypothesis_filter
 from identification.disturbance_levels import DisturbanceLevels, transitions
-from identification.hypothesis_bank import (
-    CAPACITY,
-    QUOTAS,
-    Bank,
-    BankMemory,
-    Place,
-    first_bank,
-)
+from identification.hypothesis_bank import CAPACITY, Bank, BankMemory, Place, first_bank
 from identification.hypothesis_filter import (
-    AIR,
     COLOUR,
-    EXIT,
     HEART,
     IS_HELD,
-    IS_JUDGED,
     KIND,
     LAW,
     LAYER,
@@ -39,19 +28,14 @@ from identification.hypothesis_filter import (
     TIP,
     UNKNOWNS,
     absorb,
-    add_children,
     predict,
     regressor,
-    weigh,
 )
 from identification.rupture_report import (
     Evaluation,
-    answer_at,
-    count_ruptures,
     friction_left,
     may_be_braking,
 )
-from identification.switching_update import COULOMB, IN_CONTACT, LAYER_NUMBER
 
 PLACE = Place(
     time_s=3.0,
@@ -106,14 +90,6 @@ def test_the_force_goes_on_as_it_was_across_an_event(seed, kind, is_held):
     assert len(after.log_weights) <= CAPACITY
 
 
-def test_first_contact_takes_nothing_from_the_force():
-    before = first_bank()
-    after = spawn(before, PLACE, PLACE.depth - 0.1)
-    assert sorted(after.facts[1:, KIND]) == [LAYER, MEMBRANE]
-    assert force_of(after) == pytest.approx(np.zeros(3))
-    assert (after.facts[1:, [ROOT, TIP]] == PLACE.depth).all()
-
-
 def test_the_friction_of_a_layer_left_stays_on_the_shaft_and_is_remembered():
     before = hypothesis(5, LAYER)
     born = spawn(before, PLACE, PLACE.depth - 0.3)
@@ -165,67 +141,6 @@ def test_a_force_that_was_expected_teaches_as_kalman_says():
     assert (row @ far.means[0] - force) > 0.0
 
 
-ARGUMENTS = {
-    absorb: (1, SCENE, 0.8, 1e-4, 0.01),
-    predict: (1, 1e-4, 0.01, np.full(2, 0.1), transitions(0.01, 0.04, 5.0, (1e-4, 1e-4, 1e-4))),
-    add_children: (0, 1, (EXIT, LAYER, True), (*SCENE, 3.0, 0.5, 0.9), np.array([0.3, 1.0]), 0.1),
-    weigh: (1, (22.0, 4.0, 0.01, 0.01), True),
-}
-
-
-@pytest.mark.parametrize("function", ARGUMENTS, ids=lambda function: function.__name__)
-def test_compiled_and_plain_arithmetic_agree(function):
-    fast, slow = BankMemory(hypothesis(3, LAYER)), BankMemory(hypothesis(3, LAYER))
-    function(fast.store, *ARGUMENTS[function])
-    getattr(function, "py_func", function)(slow.store, *ARGUMENTS[function])
-    for one, other in zip(fast.store, slow.store, strict=True):
-        assert one == pytest.approx(other, rel=1e-9, abs=1e-14)
-
-
-def test_what_the_force_contradicts_is_dropped_and_the_rest_bounded():
-    memory, rng = BankMemory(first_bank()), np.random.default_rng(4)
-    for step in range(400):
-        place = PLACE._replace(depth=0.04 * step, force=0.01 * rng.standard_normal())
-        memory.spawn(place, place.depth - 0.04, 0.0)
-        weigh(memory.store, memory.size, (place.depth, 4.0, 0.01, 0.01), False)
-        memory.prune(place)
-        scene = (place.depth, place.speed, 1.0)
-        absorb(memory.store, memory.size, scene, place.force, 1e-4, 0.0)
-        assert memory.size <= sum(QUOTAS)
-    memory.prune(place)
-    assert memory.bank.damage == ""
-    assert memory.bank.facts[0, KIND] == AIR
-    assert count_ruptures(memory.bank, 0, 0.01).more < 0.01
-
-
-def test_hypotheses_that_differ_make_an_answer_less_certain():
-    one, other = hypothesis(6, LAYER), hypothesis(6, LAYER)
-    other.means[0, OWN_COULOMB] += 0.02
-    both = Bank(*(np.concatenate(parts) for parts in zip(one, other, strict=True)))
-    alone, mixed = (answer_at(BankMemory(bank), PLACE, 1, 0.0) for bank in (one, both))
-    length = PLACE.depth - 4.0
-    assert mixed[1, COULOMB] == pytest.approx(alone[1, COULOMB] + 0.01 * length)
-    variances = [answer[2 + COULOMB, COULOMB] for answer in (alone, mixed)]
-    assert variances[1] == pytest.approx(variances[0] + (0.01 * length) ** 2)
-    assert mixed[0, [IN_CONTACT, LAYER_NUMBER]].tolist() == [1.0, 2.0]
-
-
-def test_the_fraction_of_friction_is_a_prior_that_waits_for_the_slope():
-    bank = hypothesis(7, LAYER)
-    bank.facts[0, IS_JUDGED] = 0.0
-    vague, known = (BankMemory(bank._replace(spreads=k * bank.spreads)) for k in (1e4, 1.0))
-    weigh(vague.store, 1, (14.0, 4.0, 0.01, 0.01), True)
-    assert vague.bank.facts[0, IS_JUDGED] == 0.0
-    weigh(known.store, 1, (16.0, 4.0, 0.01, 0.01), True)
-    assert known.bank.facts[0, IS_JUDGED] == 1.0
-    mean, spread = known.bank.means[0], known.bank.spreads[0]
-    assert np.trace(spread) < np.trace(bank.spreads[0])
-    slope = [mean[STIFFNESS], mean[OWN_COULOMB] + 4.0 * mean[OWN_VISCOUS]]
-    was = bank.means[0, [STIFFNESS, OWN_COULOMB, OWN_VISCOUS]] @ [0.0, 1.0, 4.0]
-    before = was / (was + bank.means[0, STIFFNESS])
-    assert abs(slope[1] / sum(slope) - 0.55) < abs(before - 0.55)
-
-
 def test_noise_is_learned_part_by_part_and_a_ramp_is_none():
     rng = np.random.default_rng(8)
     levels, ramp = DisturbanceLevels(), DisturbanceLevels()
@@ -242,20 +157,6 @@ def test_noise_is_learned_part_by_part_and_a_ramp_is_none():
     assert 0.02 < heart < 0.08
     assert np.sqrt(ramp.levels).max() < 1e-6
     assert levels.restarted().with_force(1.0, 0.01, 2.0).steps == 1.0
-
-
-@pytest.mark.parametrize(
-    "change",
-    [
-        {"means": np.zeros((2, UNKNOWNS))},
-        {"spreads": np.full((1, UNKNOWNS, UNKNOWNS), np.nan)},
-        {"facts": np.zeros((1, hypothesis_filter.FACTS))},
-        {"records": np.zeros((1, hypothesis_filter.RECORDS - 1))},
-    ],
-)
-def test_a_damaged_bank_says_so(change):
-    assert first_bank().damage == ""
-    assert first_bank()._replace(**change).damage != ""
 
 
 @pytest.mark.parametrize(

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from identification import Identifier, SampleStatus
-from identification.sample_filter import OF_DEPTH, SAMPLE_MEMORY, filter_travel, learn_noise
+from identification.sample_filter import OF_DEPTH, SAMPLE_MEMORY, filter_travel
 
 
 def motion(seconds=10.0, rate_hz=1000.0, jitter=0.0, seed=0):
@@ -76,30 +76,12 @@ def test_a_needle_that_stops_or_turns_is_followed(given):
     assert not late[(t_s > 5.3) & (t_s < 7.0)].any()
 
 
-def test_exact_samples_stay_exact():
-    t_s, depth_m, speed_m_s = motion()
-    for given in (speed_m_s, np.full(len(t_s), math.nan)):
-        found, _ = filtered(t_s, depth_m, given)
-        assert np.abs(found[:, 0] - depth_m).max() < 2e-6
-        steady = (t_s > 2.0) & (t_s < 5.0)
-        assert np.abs(found[steady, 1] - speed_m_s[steady]).max() < 1e-5
-
-
 def test_rest_of_a_rounded_depth_teaches_no_noise():
     t_s, depth_m, _ = motion()
     rounded = np.round(depth_m / 1e-5) * 1e-5
     found, known_m = filtered(t_s, rounded, np.full(len(t_s), math.nan))
     assert known_m > 1e-6
     assert np.abs(found[(t_s > 2.0) & (t_s < 5.0), 1] - 4e-3).max() < 4e-4
-
-
-def test_distance_from_the_line_between_uneven_neighbours_is_its_noise():
-    rng = np.random.default_rng(3)
-    known, t_s = np.zeros(5), np.cumsum(rng.uniform(0.5e-3, 2e-3, 5000))
-    values = 5e-3 * t_s + 1e-5 * rng.standard_normal(len(t_s))
-    for value, dt_s in zip(values.tolist(), np.diff(t_s, prepend=0.0).tolist(), strict=True):
-        learn_noise(known, 0, value, dt_s, 1e-16)
-    assert math.sqrt(known[0]) == pytest.approx(1e-5, rel=0.1)
 
 
 def test_after_a_gap_it_starts_anew():
