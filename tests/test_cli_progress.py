@@ -18,7 +18,7 @@ class Terminal(io.StringIO):
         return True
 
 
-@pytest.mark.parametrize("suffix", ["csv", "mcap", "db3"])
+@pytest.mark.parametrize("suffix", ["csv", "mcap"])
 def test_readers_say_which_share_of_a_recording_was_read(tmp_path, suffix):
     path, shares = tmp_path / f"log.{suffix}", []
     write_table(path, COLUMNS)

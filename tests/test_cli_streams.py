@@ -183,7 +183,7 @@ def _is_open(pid, path):
         return False
 
 
-@pytest.mark.parametrize("suffix", ["npz", "csv", "parquet", "db3"])
+@pytest.mark.parametrize("suffix", ["npz", "csv", "parquet", "mcap"])
 def test_sigterm_leaves_the_older_table_and_nothing_else(logs, tmp_path, suffix):
     out = tmp_path / f"out.{suffix}"
     write_table(out, {"t_s": [1.0, 2.0], "force_N": [3.0, 4.0]})

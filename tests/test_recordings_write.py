@@ -1,7 +1,6 @@
 """What is written reads back, bags are valid for others, a failed write leaves no trace."""
 
-import sqlite3
-from contextlib import closing, suppress
+from contextlib import suppress
 
 import numpy as np
 import pytest
@@ -34,7 +33,7 @@ T_S = np.arange(3) / 1000.0
     values=arrays(np.float64, st.tuples(st.integers(2, 20), st.integers(1, 3))),
     steps_ns=st.lists(st.integers(1, 10**10), min_size=20, max_size=20),
     start_ns=st.sampled_from([0, 5, START_NS]),
-    suffix=st.sampled_from((*SUFFIXES, "parquet", "mcap", "db3")),
+    suffix=st.sampled_from((*SUFFIXES, "parquet", "mcap")),
 )
 def test_numbers_and_stamps_read_back_bit_for_bit(
     tmp_path_factory, values, steps_ns, start_ns, suffix
@@ -173,9 +172,9 @@ def test_the_log_that_is_being_read_is_no_place_to_write(tmp_path):
         check_writable(tmp_path / "link.csv", source=path)
 
 
-@pytest.fixture(params=[".mcap", ".db3"])
-def path(request, tmp_path):
-    return tmp_path / f"out{request.param}"
+@pytest.fixture
+def path(tmp_path):
+    return tmp_path / "out.mcap"
 
 
 def joint_columns(rows=20):
@@ -245,13 +244,6 @@ def test_metadata_and_definitions_are_there(path):
     (_, state), *_ = messages_of(path, "/joint_states")
     assert state.velocity.size == 0
     assert state.name == ["joint_1", "joint_2"]
-    if path.suffix == ".db3":
-        text = (path / "metadata.yaml").read_text()
-        assert "storage_identifier: sqlite3" in text
-        assert "version: 8" in text
-        assert sorted(p.name for p in path.iterdir()) == ["metadata.yaml", "out.db3"]
-        with closing(sqlite3.connect(path / "out.db3")) as connection:
-            assert connection.execute("PRAGMA integrity_check").fetchone() == ("ok",)
 
 
 def test_an_existing_bag_is_replaced_only_by_a_whole_one(path):
