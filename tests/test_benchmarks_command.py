@@ -151,8 +151,7 @@ def test_speed_fails_when_strict_and_too_slow(monkeypatch, capsys, cost, code):
         bare = {subject.bare for subject in speed.SUBJECTS.values()}
         costs = dict.fromkeys(speed.SUBJECTS, cost) | dict.fromkeys(bare, 1.0)
         times = {name: np.full((2, 3), each) for name, each in costs.items()}
-        layer_us = {("default", 10.0): 20.0}
-        return speed.SpeedReport(times=times, alarms={}, layers={}, pauses_us=[], layer_us=layer_us)
+        return speed.SpeedReport(times=times, alarms={}, layers={}, pauses_us=[])
 
     monkeypatch.setattr(speed, "measure_speed", measured)
     monkeypatch.setattr(speed, "COMPILER", "numba")

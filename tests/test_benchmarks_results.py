@@ -81,28 +81,6 @@ def test_a_file_that_is_bad_or_cannot_be_read_or_written_is_named(tmp_path, cont
         write_results(tmp_path / "no" / "a.json", [])
 
 
-def test_names_of_older_files_become_those_of_today(tmp_path):
-    for field, old, today in (
-        ("plant", "textbook", "ideal"),
-        ("plant", "realistic", "clean"),
-        ("plant", "hard", "degraded"),
-        ("plant", "needle", "needle"),
-        ("method", "paper", "published"),
-        ("metric", "fall_recall", "drop_recall"),
-    ):
-        (row,) = read_results(written(tmp_path / "a.json", {field: old}))
-        assert getattr(row, field) == today
-
-
-def test_an_older_precision_without_any_alarm_is_undefined(tmp_path):
-    cases = (0, None, True), (0, 0, True), (0, 0.5, False), (1, None, False)
-    for recall, soft, is_undefined in cases:
-        values = {"rupture_precision": 1, "rupture_recall": recall, "soft_transition_recall": soft}
-        rows = [{"metric": k, "value": value} for k, value in values.items() if value is not None]
-        found = read_results(written(tmp_path / "a.json", *rows))
-        assert math.isnan(found[0].value) == is_undefined
-
-
 def test_of_several_runs_the_last_one_of_a_scenario_and_a_plant_counts(tmp_path):
     first = [make_row(), make_row(plant="clean"), make_row(scenario="liver-constant")]
     more = [make_row(plant="clean", value=0.02), make_row(plant="clean", value=0.04, seed=1)]

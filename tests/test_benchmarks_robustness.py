@@ -79,8 +79,8 @@ def test_the_published_force_at_another_gain_is_that_of_a_sensor_with_that_gain(
         depth_m=run.truth.depth_m,
         axial_N=run.truth.axial_N,
         zeroed_s=run.tare_end_s,
-        start_s=run.contact_s,
-        end_s=run.withdrawn_s,
+        start_s=run.truth.contact_s,
+        end_s=run.truth.withdrawn_s,
     )
     slow, quick = (
         run_session(

@@ -31,7 +31,7 @@ def whole():
 
 def test_the_chain_finds_force_depth_and_layer(whole):
     session, found = whole
-    inside = (RUN.signals.t_s > RUN.contact_s) & (RUN.signals.t_s < RUN.withdrawn_s)
+    inside = (RUN.signals.t_s > RUN.truth.contact_s) & (RUN.signals.t_s < RUN.truth.withdrawn_s)
     axial = np.array([e.wrench.axial for e in found])
     assert np.sqrt(np.mean((axial - RUN.truth.axial_N)[inside] ** 2)) < 0.05
     assert len(ruptures(found)) == len(session.layers) == 1

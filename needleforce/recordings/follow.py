@@ -1,7 +1,6 @@
 """The bytes of a file, of a pipe, or of a file that still grows, as they come."""
 
 import codecs
-import gzip
 import io
 import os
 import select
@@ -15,7 +14,6 @@ from contextlib import contextmanager
 from dataclasses import dataclass
 from itertools import chain
 from pathlib import Path
-from typing import Any
 
 from needleforce.recordings.errors import (
     FileAccessError,
@@ -139,25 +137,10 @@ def _is_replaced(
 
 
 _GZIP = b"\x1f\x8b"
+_GZIP_WINDOW = 31  # for zlib: the largest window, with the head and the checksum of gzip
 _LONGEST_LINE = 1 << 24  # characters
 _WINDOWS = {0xDC00 + byte: bytes([byte]).decode("cp1252", "replace") for byte in range(128, 256)}
 """What bytes that are no UTF-8, as Python escapes them, mean in Windows text."""
-
-
-class _RawBlocks(io.RawIOBase):
-    """Blocks of bytes as a stream that can be read, which gives what has come, not more."""
-
-    def __init__(self, blocks: Iterable[bytes]) -> None:
-        self._blocks, self._held = iter(blocks), b""
-
-    def readable(self) -> bool:
-        return True
-
-    def readinto(self, buffer: Any) -> int:
-        data = self._held or next(self._blocks, b"")
-        taken, self._held = data[: len(buffer)], data[len(buffer) :]
-        buffer[: len(taken)] = taken
-        return len(taken)
 
 
 class TextLines:
@@ -218,15 +201,19 @@ class TextLines:
             yield from blocks
             return
         # A megabyte of gzip can hold a gigabyte: it is unpacked piece by piece.
-        member: Any = _RawBlocks(blocks)
+        member, is_open = zlib.decompressobj(_GZIP_WINDOW), False
         try:
-            with gzip.GzipFile(fileobj=member) as file:
-                while block := file.read1(BLOCK):
-                    yield block
-        except EOFError:
-            self._fault = "the compressed file is cut short"
-        except (gzip.BadGzipFile, zlib.error):
+            for packed in blocks:
+                # Members may follow each other, and zeros the last.
+                while packed and (is_open or (packed := packed.lstrip(b"\x00"))):
+                    yield member.decompress(packed, BLOCK)
+                    packed, is_open = member.unconsumed_tail, not member.eof
+                    if member.eof:
+                        packed, member = member.unused_data, zlib.decompressobj(_GZIP_WINDOW)
+        except zlib.error:
             self._fault = "the compressed file is damaged"
+        else:
+            self._fault = "the compressed file is cut short" if is_open else ""
 
     def _split(self, escaped: str) -> Iterator[list[str]]:
         text = escaped if escaped.isascii() else escaped.translate(_WINDOWS)

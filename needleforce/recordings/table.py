@@ -28,7 +28,6 @@ class Table:
     Attributes:
         columns: name to values, shape (n,) or (n, k), read-only copies as float64; those of whole
             numbers that float64 would round, as nanoseconds since 1970 are, as int64.
-        constants: single numbers of the file, such as a sample rate.
         warnings: what the reader had to leave out or guess.
         joint_names: for two-dimensional columns of a file that names joints, their names in the
             order of the column.
@@ -37,7 +36,6 @@ class Table:
     """
 
     columns: Mapping[str, np.ndarray]
-    constants: Mapping[str, float] = field(default_factory=dict)
     warnings: tuple[str, ...] = ()
     joint_names: Mapping[str, tuple[str, ...]] = field(default_factory=dict)
     start_ns: int = 0
