@@ -133,7 +133,7 @@ def run(
     *ids: str,
     plant: Sequence[str] = (),
     seeds: Positive = 1,
-    first_seed: int = 0,
+    first_seed: int | None = None,
     data: Annotated[Path | None, Parameter(env_var=DATA_VARIABLE)] = None,
     json: Path | None = None,
     report: Path | None = None,
@@ -143,12 +143,15 @@ def run(
     """Run benchmarks, print tables and targets.
 
     Args:
-        ids: Names of the list, tissue, robustness, or all but that; default: a quick set.
+        ids: Names of the list, tissue, robustness, or all but that; default: a quick set. Or, by
+            themselves, control for the needle in closed loop (20 minutes a seed), or one part of
+            it: control-constraints, -guidance, -teleoperation, -autonomous, -faults.
         plant: ideal, clean, fri, degraded, or needle (no arm), with commas between several; may be
             given more than once. Default: clean; for drawn scenarios needle. Of robustness, names
             of perturbations (benchmarks/perturbations.toml); default: all.
         seeds: Run so many seeds.
-        first_seed: The first of them. Methods are tuned on seeds below 1000.
+        first_seed: The first of them; default: 0, for control 1000. Methods are tuned on seeds
+            below 1000.
         data: Folder of real recordings.
         json: Write the numbers there.
         report: Write a page into that folder: the published figures from these runs, and all
@@ -156,6 +159,7 @@ def run(
         jobs: Processes at a time; default: one per processor.
         strict: Exit with 1 if a target is missed.
     """
+    from benchmarks.control_study import FIRST_SEED, IDS, PLANTS
     from benchmarks.report import write_report
     from benchmarks.rows import write_results
     from benchmarks.runner import Request, make_plan
@@ -166,11 +170,16 @@ def run(
     plants = [name.strip() for names in plant for name in names.split(",") if name.strip()]
     if plant and not plants:
         raise BenchmarkError("--plant: expected at least one name")
+    if ids and set(ids) <= set(IDS):
+        first = FIRST_SEED if first_seed is None else first_seed
+        control_seeds = range(first, first + seeds)
+        missed = _run_control(ids, plants or PLANTS, control_seeds, jobs or _processors(), json)
+        return FAILURE if missed and strict else 0
     console = new_console()
     try:
         # The folder first: better before minutes of work than after.
         with folder_if_filled(report) as folder:
-            plan = make_plan(Request(ids, plants, seeds, first_seed, data, folder))
+            plan = make_plan(Request(ids, plants, seeds, first_seed or 0, data, folder))
             outcomes = _timed(plan.jobs, jobs or _processors(), console)
             rows = [row for outcome in outcomes for row in outcome.rows]
             failed = _print_outcomes(console, rows, outcomes, plan.skipped)
@@ -183,6 +192,32 @@ def run(
         raise BenchmarkError(str(error)) from error
     missed = strict and not all(found.is_met for found in evaluate(rows))
     return FAILURE if failed or missed else 0
+
+
+def _run_control(
+    ids: Sequence[str], plants: Sequence[str], seeds: Sequence[int], processes: int, to: Path | None
+) -> bool:
+    """Print the table of the needle in closed loop; returns whether a target was missed."""
+    from benchmarks.control_study import (
+        JUDGED,
+        control_jobs,
+        control_table,
+        run_control,
+        write_control,
+    )
+    from benchmarks.tables import new_console
+
+    console, begin_s = new_console(), perf_counter()
+    jobs = control_jobs(ids, plants, seeds)
+    with progress_bar(1) as update:
+        rows, failed = run_control(jobs, processes, partial(update, 0))
+    console.print(f"{len(jobs)} runs in {perf_counter() - begin_s:.0f} s")
+    console.print(control_table(rows).rich())
+    for line in failed:
+        console.print(f"failed: {line}", style="red", markup=False)
+    if to is not None:
+        write_control(to, rows)
+    return bool(failed) or not all(row.is_met for row in rows if row.plant == JUDGED)
 
 
 def _timed(jobs: Sequence["Job"], processes: int, console: "Console") -> list["Outcome"]:

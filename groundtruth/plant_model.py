@@ -41,6 +41,13 @@ class PlantModel:
     """Standard deviation, per axis, of the error of the tool's centre of mass: the mass error
     times the 50 mm size of an F/T sensor with its adapters."""
 
+    kinematic_error_m: float = 0.0
+    """Standard deviation, per joint and axis, of the error of where the estimator's model has the
+    joint's frame."""
+
+    kinematic_error_rad: float = 0.0
+    """The same of how that frame is turned."""
+
     torque_noise_std_Nm: tuple[float, ...] = (0.0,) * 7
     """Noise of one sample: 0.03 % of limit."""
 
@@ -201,3 +208,16 @@ DEGRADED = replace(
 
 PLANT_MODELS = {model.name: model for model in (IDEAL, CLEAN, FRI, DEGRADED)}
 """The plant models by name."""
+
+
+def with_kinematic_error(plant_model: PlantModel) -> PlantModel:
+    """The same plant on an arm whose kinematics were never calibrated: 0.2 mm and 0.3 mrad.
+
+    Where estimator and plant have the same kinematics, errors of micrometres mean nothing.
+    """
+    return replace(
+        plant_model,
+        name=f"{plant_model.name}, kinematic error",
+        kinematic_error_m=0.2e-3,
+        kinematic_error_rad=0.3e-3,
+    )
