@@ -378,7 +378,7 @@ def inject_faults(
 @app.command(name="stream")
 def stream_recordings(
     seconds: Positive = 60,
-    format: Sequence[Literal[".csv", ".csv.gz", ".npz", ".parquet", ".mcap"]] = (),
+    format: Sequence[Literal[".csv", ".npz", ".parquet", ".mcap"]] = (),
     folder: Path | None = None,
     strict: bool = False,
 ) -> int:

@@ -139,7 +139,7 @@ def test_a_log_shows_that_its_clock_was_set_back():
     assert "stamps running backward: 100 (first: row 1001, 0 s after 0.999 s)" in log.warnings[1]
 
 
-SUFFIXES = ("csv", "csv.gz", "npz", "parquet", "mcap")
+SUFFIXES = ("csv", "npz", "parquet", "mcap")
 EPOCH_NS = 1_700_000_000_123_456_789
 
 

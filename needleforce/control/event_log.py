@@ -8,7 +8,6 @@ from typing import Any, NamedTuple
 
 from needleforce.control.errors import SettingError
 
-
 _COLUMNS = ("seq", "t_s", "from", "event", "to", "refused", "data")
 
 

@@ -1,7 +1,6 @@
 """CSV and its kin, plain or compressed with gzip: read whole or as it comes, and written."""
 
 import csv
-import gzip
 import io
 import re
 from collections.abc import Callable, Iterable, Iterator
@@ -319,16 +318,3 @@ class CsvWriter:
         self._stream.flush()
 
     finish = flush
-
-
-class CsvGzipWriter(CsvWriter):
-    """The same, compressed with gzip."""
-
-    def __init__(self, stream: BinaryIO, labels: Labels) -> None:
-        # No name and no time in the archive: the same columns give the same bytes.
-        packed = gzip.GzipFile(filename="", mode="wb", fileobj=stream, mtime=0, compresslevel=3)
-        super().__init__(packed, labels)  # type: ignore[arg-type]
-
-    def finish(self) -> None:
-        """Write what is still held back, and the end of the archive."""
-        self._stream.close()

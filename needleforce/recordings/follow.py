@@ -6,11 +6,9 @@ import os
 import select
 import stat
 import sys
-import tempfile
 import time
 import zlib
 from collections.abc import Callable, Iterable, Iterator
-from contextlib import contextmanager
 from dataclasses import dataclass
 from itertools import chain
 from pathlib import Path
@@ -28,8 +26,6 @@ STANDARD_STREAM = "-"
 """Instead of a file: standard input or standard output."""
 
 _POLL_S = 0.05
-_GONE_S = 1.0
-"""So long after its last row a file that is no more under its name is read to its end."""
 _SMALL, _PAUSE_S = 4096, 0.005  # rows that come one by one are taken some at a time
 _CHECKED_TAIL = 256
 """So many bytes before the place of reading show whether a file was written anew."""
@@ -44,7 +40,7 @@ class FollowOptions:
         idle_s: stop when nothing came for this long; None to wait for ever.
         should_stop: asked before more is read; True to stop.
         progress: gets the fraction of the recording that was read, where it is known.
-        warn: gets in words why reading ended before the user wanted it to.
+        warn: gets in words what is waited for.
     """
 
     follow: bool = False
@@ -100,7 +96,7 @@ def _blocks(handle: int, options: FollowOptions, path: Path | None) -> Iterator[
                     time.sleep(_PAUSE_S)
                 continue
             # The writer of a pipe that has closed it will not come back.
-            if not follows or _is_replaced(handle, path, last_s, options.warn):
+            if not follows:
                 return
             yield b""
             time.sleep(_POLL_S)
@@ -118,25 +114,9 @@ def _require_unchanged(handle: int, path: Path | None, done: int, tail: bytes | 
         raise FileAccessError(f"{path} was written anew while it was followed; start again")
 
 
-def _is_replaced(
-    handle: int, path: Path | None, last_s: float, warn: Callable[[str], None]
-) -> bool:
-    """Return whether nothing will come of a followed file, because it is no more at its place."""
-    if path is None or time.monotonic() - last_s < _GONE_S:
-        return False
-    try:
-        if os.path.samestat(path.stat(), os.fstat(handle)):
-            return False
-    except OSError:
-        pass
-    warn(
-        f"{path} was moved, deleted or replaced while it was followed; it was read to its end, and "
-        "no other file is; start again to follow the new one"
-    )
-    return True
-
-
 _GZIP = b"\x1f\x8b"
+_BINARY = {b"\x89MCA": "MCAP", b"SQLi": "SQLite", b"PK\x03\x04": "npz", b"PAR1": "Parquet"}
+_MAGIC_BYTES = 4
 _GZIP_WINDOW = 31  # for zlib: the largest window, with the head and the checksum of gzip
 _LONGEST_LINE = 1 << 24  # characters
 _WINDOWS = {0xDC00 + byte: bytes([byte]).decode("cp1252", "replace") for byte in range(128, 256)}
@@ -192,15 +172,16 @@ class TextLines:
             self.warnings.remove(self._fault)
 
     def _unpacked(self) -> Iterator[bytes]:
-        """Yield blocks, of at most `BLOCK` bytes if they are compressed."""
         head = b""
-        while len(head) < len(_GZIP) and (more := next(self._blocks, b"")):
+        while len(head) < _MAGIC_BYTES and (more := next(self._blocks, b"")):
             head += more
+        if (kind := _BINARY.get(head[:_MAGIC_BYTES])) is not None:
+            raise FormatError(f"it is {kind}, not text; give it as a file, under its own suffix")
         blocks = chain([head] if head else [], self._blocks)
-        if not head.startswith(_GZIP):
-            yield from blocks
-            return
-        # A megabyte of gzip can hold a gigabyte: it is unpacked piece by piece.
+        yield from self._gunzipped(blocks) if head.startswith(_GZIP) else blocks
+
+    def _gunzipped(self, blocks: Iterable[bytes]) -> Iterator[bytes]:
+        """Yield blocks of at most `BLOCK` bytes: a megabyte of gzip can hold a gigabyte."""
         member, is_open = zlib.decompressobj(_GZIP_WINDOW), False
         try:
             for packed in blocks:
@@ -227,47 +208,3 @@ class TextLines:
         if lines:
             self._count += len(lines)
             yield lines
-
-
-_MAGIC = {
-    b"\x89MCAP0\r\n": ".mcap",
-    b"SQLite format 3\x00": ".db3",
-    b"PK\x03\x04": ".npz",
-    b"PAR1": ".parquet",
-}
-"""How files begin, and their suffix."""
-
-
-def peek(blocks: Iterable[bytes]) -> tuple[str, Iterator[bytes]]:
-    """Return the suffix of a recording as it begins, empty if it is text, and all its bytes.
-
-    No more is waited for than decides it.
-    """
-    rest, head = iter(blocks), b""
-    for block in rest:
-        head += block
-        if not any(magic.startswith(head) for magic in _MAGIC):
-            break
-    suffix = next((end for magic, end in _MAGIC.items() if head.startswith(magic)), "")
-    return suffix, chain([head] if head else [], rest)
-
-
-@contextmanager
-def spooled(blocks: Iterable[bytes], suffix: str) -> Iterator[Path]:
-    """Keep a binary recording from a pipe in a temporary file while the context is entered.
-
-    What a column means, or where it stands, is known at the end of such a format.
-    """
-    with tempfile.TemporaryDirectory(ignore_cleanup_errors=True) as folder:
-        path = Path(folder) / f"standard-input{suffix}"
-        try:
-            with path.open("wb") as file:
-                file.writelines(blocks)
-        except FileAccessError:
-            raise
-        except OSError as error:
-            raise FileAccessError(
-                f"cannot keep the piped recording in {folder}: {error.strerror or error}; "
-                "give it as a file, or set TMPDIR to a folder with more room"
-            ) from error
-        yield path

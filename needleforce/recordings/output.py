@@ -13,7 +13,7 @@ from numpy.typing import ArrayLike
 from needleforce.recordings.bag_messages import METADATA, is_bag
 from needleforce.recordings.bag_types import McapWriter
 from needleforce.recordings.columnar import NpzWriter, ParquetWriter
-from needleforce.recordings.csv_file import CsvGzipWriter, CsvWriter
+from needleforce.recordings.csv_file import CsvWriter
 from needleforce.recordings.errors import FileAccessError, LogError, file_errors
 from needleforce.recordings.follow import STANDARD_STREAM
 from needleforce.recordings.log import Log
@@ -24,12 +24,10 @@ Writer = Callable[[BinaryIO, Labels], Any]
 
 WRITERS: Mapping[str, Writer] = {
     ".csv": CsvWriter,
-    ".csv.gz": CsvGzipWriter,
     ".npz": NpzWriter,
     ".parquet": ParquetWriter,
     ".mcap": McapWriter,
 }
-_GROWS = (".csv", ".csv.gz")
 
 
 class OpenTable:
@@ -103,7 +101,7 @@ def open_table(
     path = Path(path)
     with file_errors(path, "write"):
         # A pipe cannot be replaced by a file: whoever reads it waits for its bytes.
-        grows = is_live and path.name.lower().endswith(_GROWS)
+        grows = is_live and path.suffix.lower() == ".csv"
         stays = grows or path.is_fifo()
     part = path if stays else path.with_name(f".{path.name}.{os.getpid()}.part")
     writer = _find_writer(path)
@@ -148,8 +146,7 @@ def write_table(
     `q_rad` becomes `q_rad_1`, `q_rad_2`, ...; `read_log` joins them again.
 
     Args:
-        path: a file ending in `.csv`, `.csv.gz`, `.npz`, `.parquet` or `.mcap`; replaced if it
-            exists.
+        path: a file ending in `.csv`, `.npz`, `.parquet` or `.mcap`; replaced if it exists.
         columns: name, with its unit, to numbers, shape (n,) or (n, k), all of the same n.
         labels: what the formats that have room for it say beside the numbers.
 
