@@ -229,21 +229,6 @@ def further_sections(drawings: Sequence[Drawing]) -> list[Section]:
     ]
 
 
-def missing_section(sections: Sequence[Section]) -> Section | None:
-    """Which command draws the figures that these runs do not include; None if none is missing."""
-    here = {section.anchor for section in sections}
-    absent = [item for item in PUBLISHED_FIGURES if item.anchor not in here]
-    if not absent:
-        return None
-    rows = tuple((item.heading, f"`{item.command}`") for item in absent)
-    return Section(
-        heading="Figures that need other runs",
-        anchor="missing",
-        paragraphs=("`python -m benchmarks run --report DIR` draws all of them.",),
-        tables=(PageTable(caption="Commands", head=("figure", "command"), rows=rows),),
-    )
-
-
 def _section(
     item: PublishedFigure, mine: Sequence[Drawing], tables: tuple[PageTable, ...], here: set[str]
 ) -> Section:
@@ -318,8 +303,7 @@ def write_report(folder: Path, rows: Sequence[Row], drawings: Sequence[Drawing])
         ),
         tables=tuple(map(page_table, result_tables(rows))),
     )
-    missing = missing_section(figures)
-    sections = [*figures, *further_sections(everything), numbers, *([missing] if missing else [])]
+    sections = [*figures, *further_sections(everything), numbers]
     return write_page(folder / PAGE, Page(title=TITLE, lead=LEAD, sections=tuple(sections)))
 
 

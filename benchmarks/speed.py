@@ -1,8 +1,6 @@
 """What an update of the estimators costs, beside the bare Pinocchio calls it cannot do without."""
 
-import gc
-from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
-from contextlib import contextmanager
+from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass, replace
 from time import perf_counter_ns
 from types import MappingProxyType
@@ -132,37 +130,6 @@ class ChainUpdate:
             self.layers.extend(range(k + 1 - LAYER_TICKS, k + 1))
 
 
-@contextmanager
-def gc_pauses() -> Iterator[list[float]]:
-    """Lengths of all garbage collections meanwhile [us]; each is in whatever update is next."""
-    pauses_us: list[float] = []
-    start_ns = 0
-
-    def note(phase: str, _: dict[str, Any]) -> None:
-        nonlocal start_ns
-        if phase == "start":
-            start_ns = perf_counter_ns()
-        else:
-            pauses_us.append((perf_counter_ns() - start_ns) / NS_PER_US)
-
-    gc.callbacks.append(note)
-    try:
-        yield pauses_us
-    finally:
-        gc.callbacks.remove(note)
-
-
-def pause_line(pauses_us: Sequence[float]) -> str:
-    """What the garbage collector took, in one line."""
-    if not pauses_us:
-        return "No garbage collection happened meanwhile."
-    return (
-        f"{len(pauses_us)} garbage collections happened meanwhile, in whatever update was next; "
-        f"the longest took {max(pauses_us):.0f} us. gc.freeze() after the tare spares a "
-        "controller most of it (docs/loop.md)."
-    )
-
-
 @dataclass(frozen=True, slots=True, kw_only=True)
 class SpeedReport:
     """What was timed; updates are counted from the first that was timed."""
@@ -170,7 +137,6 @@ class SpeedReport:
     times: dict[str, Times]  # by subject
     alarms: dict[str, list[int]]  # updates that raised a rupture, by chain
     layers: dict[str, list[int]]  # updates that worked on identifying a layer, by chain
-    pauses_us: list[float]  # garbage collections meanwhile
 
     def ratio(self, name: str) -> float:
         """Cost of a subject relative to its bare dynamics."""
@@ -205,13 +171,11 @@ def measure_speed(progress: Callable[[float], None]) -> SpeedReport:
     }
     # The first counted update comes after that of the tare.
     first = tare + 1
-    with gc_pauses() as pauses_us:
-        times = time_side_by_side(subjects, first, len(even.t_s))
+    times = time_side_by_side(subjects, first, len(even.t_s))
     return SpeedReport(
         times=times,
         alarms={name: [k - first for k in each.alarms] for name, each in chains.items()},
         layers={name: [k - first for k in each.layers] for name, each in chains.items()},
-        pauses_us=pauses_us,
     )
 
 
@@ -260,11 +224,10 @@ def _fed(estimator: Any, signals: JointSignals, tare: int = -1) -> Update:
     return update
 
 
-def speed_report(report: SpeedReport) -> tuple[list[ResultTable], str, bool]:
-    """Tables, a closing line, and whether all targets are met."""
+def speed_report(report: SpeedReport) -> tuple[list[ResultTable], bool]:
+    """Tables, and whether all targets are met."""
     tables = [speed_table(report), event_table(report)]
-    is_met = not any("missed" in line for table in tables for line in table.lines)
-    return tables, pause_line(report.pauses_us), is_met
+    return tables, not any("missed" in line for table in tables for line in table.lines)
 
 
 def _ratio_cells(ratio: float, limit: float | None) -> tuple[str, str, str]:

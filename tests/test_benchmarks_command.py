@@ -151,7 +151,7 @@ def test_speed_fails_when_strict_and_too_slow(monkeypatch, capsys, cost, code):
         bare = {subject.bare for subject in speed.SUBJECTS.values()}
         costs = dict.fromkeys(speed.SUBJECTS, cost) | dict.fromkeys(bare, 1.0)
         times = {name: np.full((2, 3), each) for name, each in costs.items()}
-        return speed.SpeedReport(times=times, alarms={}, layers={}, pauses_us=[])
+        return speed.SpeedReport(times=times, alarms={}, layers={})
 
     monkeypatch.setattr(speed, "measure_speed", measured)
     monkeypatch.setattr(speed, "COMPILER", "numba")
