@@ -4,7 +4,7 @@
 reads the force at its base. Both return what a robot would give and, apart from it, the truth.
 """
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable
 from dataclasses import dataclass, fields
 from typing import Any
 
@@ -15,8 +15,8 @@ from groundtruth.arm_control import ArmTrace, drive
 from groundtruth.arm_motion import InsertionPath, scenario_motion, scenario_path
 from groundtruth.arm_plant import ArmPlant, TissueContact, lwr_bodies
 from groundtruth.bearing_friction import BearingFriction
-from groundtruth.errors import GroundTruthError, NoiseError, PlantModelError, RunError
-from groundtruth.force_noise import NOISES, ForceNoise
+from groundtruth.errors import PlantModelError, RunError
+from groundtruth.force_noise import MINI45, ForceNoise
 from groundtruth.plant_model import PLANT_MODELS, PlantModel, TICK_s
 from groundtruth.scenarios import Scenario
 from groundtruth.scenarios import scenario as scenario_named
@@ -140,7 +140,9 @@ def simulate(
         PlantError: The tissue has pushed the arm off its motion.
     """
     chosen = scenario_named(scenario) if isinstance(scenario, str) else scenario
-    plant_model: PlantModel = _named(plant, PLANT_MODELS, "plant model", PlantModelError)
+    if isinstance(plant, str) and plant not in PLANT_MODELS:
+        raise PlantModelError(f"no plant model {plant!r}; known: {', '.join(PLANT_MODELS)}")
+    plant_model = PLANT_MODELS[plant] if isinstance(plant, str) else plant
     tool = NeedleTool()
     mass_seed, sensor_seed, friction_seed = np.random.SeedSequence(seed).spawn(3)
     bodies = lwr_bodies(tool, plant_model, np.random.default_rng(mass_seed))
@@ -165,15 +167,6 @@ def simulate(
         truth=_truth(trace, tissue, time, kept),
         tare_end_s=chosen.motion.tare_end_s,
     )
-
-
-def _named(item: Any, known: Mapping[str, Any], kind: str, error: type[GroundTruthError]) -> Any:
-    """The item of that name; what is no name is one already."""
-    if not isinstance(item, str):
-        return item
-    if item not in known:
-        raise error(f"no {kind} {item!r}; known: {', '.join(known)}")
-    return known[item]
 
 
 def _contact(path: InsertionPath, scenario: Scenario) -> TissueContact:
@@ -256,7 +249,7 @@ def insert_needle(
     *,
     seed: int = 0,
     rate_hz: float = 1000.0,
-    noise: ForceNoise | str = "mini45",
+    noise: ForceNoise = MINI45,
 ) -> NeedleRun:
     """Carry out a scenario with the needle alone: the tip follows the motion exactly.
 
@@ -264,15 +257,13 @@ def insert_needle(
         scenario: A scenario or the name of a catalogued one.
         seed: Seed of the sensor noise; the same seed gives the same run.
         rate_hz: Samples per second.
-        noise: A noise model, `mini45` or `clean`.
+        noise: What the force sensor adds, see `groundtruth.force_noise`.
 
     Raises:
         ScenarioError: There is no scenario of that name.
-        NoiseError: There is no noise model of that name.
         RunError: The rate is unusable.
     """
     chosen = scenario_named(scenario) if isinstance(scenario, str) else scenario
-    sensor: ForceNoise = _named(noise, NOISES, "noise model", NoiseError)
     if not (np.isfinite(rate_hz) and rate_hz > 0.0):
         raise RunError(f"rate_hz is {rate_hz!r}; give samples per second, above zero")
     motion = chosen.motion
@@ -293,7 +284,7 @@ def insert_needle(
         t_s=t_s,
         depth_m=depth_m,
         speed_m_s=speed_m_s,
-        force_N=sensor.reading_N(truth.axial_N, t_s, motion.tare_end_s, rng),
+        force_N=noise.reading_N(truth.axial_N, t_s, motion.tare_end_s, rng),
         tare_end_s=motion.tare_end_s,
         truth=truth,
     )

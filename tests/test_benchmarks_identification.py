@@ -34,6 +34,7 @@ from benchmarks.methods import Alarm, alarms_of, first_compensation
 from benchmarks.signals import InsertionTruth, NeedleSignal, insertion_truth, lagging
 from benchmarks.tables import TABLES
 from groundtruth import SCENARIOS, Rupture, Scenario, insert_needle
+from groundtruth.force_noise import CLEAN
 from groundtruth.motion import constant_motion
 
 SPEED = 2e-3
@@ -264,7 +265,7 @@ def stack(release_m=0.3e-3, thickness_m=14e-3):
     layer = replace(GEL, release_m=release_m, thickness_m=thickness_m)
     motion = constant_motion(speed_m_s=4e-3, depth_m=2.0 * thickness_m + 11e-3, standoff_m=5e-3)
     chosen = Scenario(id="two", title="two gels", layers=(layer, layer), motion=motion)
-    return insert_needle(chosen, noise="clean")
+    return insert_needle(chosen, noise=CLEAN)
 
 
 @pytest.fixture(scope="module")
