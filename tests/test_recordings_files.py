@@ -122,7 +122,8 @@ def test_text_that_is_not_utf8_is_read_and_reported(read):
         ("Of Monday\nt,f\n0,1\n", "2 with 2.; check .* what stands above the header begins with #"),
         ("Of Monday\nat noon\n0,1\n", "no column .* what stands above the header begins with #"),
         ("t f\n0 1\n", "no column holds a number: column 't f' holds text .line 2, '0 1'"),
-        (b"PK\x03\x04\x00\x00\x01", "only comments.*goes on with NUL bytes"),
+        (b"PK\x03\x04\x00\x00\x01", "it is npz, not text; give it as a file"),
+        (b"#a\n\x00\x01", "only comments.*goes on with NUL bytes"),
         (b"\x00" * 9, "it is not text"),
     ],
 )

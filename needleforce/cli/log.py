@@ -189,16 +189,19 @@ def check_outputs(source: str, output: Output) -> None:
 
 
 @contextmanager
-def open_output(
-    output: Output, log: LogSession, labels: Callable[[], Labels]
-) -> Iterator[OpenTable | None]:
-    """Open the table that the command line names; yields None if it names none."""
+def open_output(output: Output, log: LogSession, labels: Labels) -> Iterator[OpenTable | None]:
+    """Open the table that the command line names; yields None if it names none.
+
+    The start of the clock is the log's, known when there are rows.
+    """
     path = output.output
     if path is None:
         yield None
         return
     is_there = path != STANDARD_STREAM and Path(path).is_file()
-    with open_table(path, is_live=log.is_live, labels=labels) as table:
+    with open_table(
+        path, is_live=log.is_live, labels=lambda: replace(labels, start_ns=log.start_ns)
+    ) as table:
         yield table
     if is_there and log.exit_code:
         say(f"warning: {path} holds these rows only; the table that was there is replaced")
