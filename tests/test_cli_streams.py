@@ -251,8 +251,8 @@ def test_a_full_disk_is_reported(logs, output):
         ("force", bytes(range(256)) * 20, "standard input: it is not text"),
         ("force", b"t,q1,tau1\n", "a header but no rows"),
         ("force", b"t,f\n0,1\n1,2\n", "no column found for q"),
-        ("identify", b"PK\x03\x04\x00", "not an npz"),
-        ("identify", b"\x89MCAP0\r\n", "no messages"),
+        ("identify", b"PK\x03\x04\x00", "it is npz, not text"),
+        ("identify", b"\x89MCAP0\r\n", "it is MCAP, not text"),
     ],
 )
 def test_standard_input_without_a_log_is_one_clear_line(
