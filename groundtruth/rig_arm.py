@@ -64,6 +64,8 @@ class ArmTruth(NamedTuple):
     t_s: float
     q_rad: Array
     dq_rad_s: Array
+    tau_Nm: Array
+    """Joint torques held over the tick that begins."""
     tip_m: Array
     """Where the tip is, base axes."""
     rotation: Array
@@ -252,12 +254,14 @@ class SimulatedArm:
         self._sensors = _OnlineSensors(plant_model, limit_Nm, self._ticks, sensing)
         self._servo = _Servo(self.robot, self.home_rad, servo)
         self._commands = _Commands(self.robot.nv, latency_ticks)
-        self._tick, self._torque_Nm = 0, None
+        self._tick, self._is_begun = 0, False
+        self._torque_Nm = np.zeros(self.robot.nv)
         self._depths_m: list[float] = []
         self._forces: list[TissueForce] = []
         self._deepest_m = -np.inf
         self._faults: list[tuple[int, Callable[[ArmSample], ArmSample | None]]] = []
         self._lost_until = self._refused_until = 0
+        self._unreported_s = 0.0  # of samples that a fault has lost
 
     def __iter__(self) -> Iterator[ArmSample]:
         """The samples from now on."""
@@ -266,8 +270,9 @@ class SimulatedArm:
     def __next__(self) -> ArmSample:
         """Let the tick pass, and those after it whose samples are not received."""
         while True:
-            if self._torque_Nm is not None:
-                self._pass_tick(self._torque_Nm)
+            if self._is_begun:
+                self._pass_tick()
+            self._is_begun = True
             if self._tick >= self._ticks:
                 raise StopIteration
             plant = self._plant
@@ -304,6 +309,7 @@ class SimulatedArm:
             t_s=self.time_s,
             q_rad=plant.q_rad.copy(),
             dq_rad_s=plant.dq_rad_s.copy(),
+            tau_Nm=self._torque_Nm.copy(),
             tip_m=plant.tip_m.copy(),
             rotation=plant.tip_axes.copy(),
             depth_m=plant.depth_m,
@@ -364,20 +370,24 @@ class SimulatedArm:
         return self._tick + 1 + round(seconds / TICK_s)
 
     def _with_faults(self, sample: ArmSample | None) -> ArmSample | None:
-        if self._faults:
-            self._faults = [item for item in self._faults if item[0] > self._tick]
+        if sample is None:
+            return None
+        self._faults = [item for item in self._faults if item[0] > self._tick]
+        sample = sample._replace(dt_s=sample.dt_s + self._unreported_s)
+        self._unreported_s = sample.dt_s
         for _, fault in self._faults:
+            sample = fault(sample)
             if sample is None:
                 return None
-            sample = fault(sample)
+        self._unreported_s = 0.0
         return sample
 
-    def _pass_tick(self, torque_Nm: Array) -> None:
+    def _pass_tick(self) -> None:
         plant = self._plant
         self._commands.end_tick()
         self._depths_m.append(plant.depth_m)
         self._deepest_m = max(self._deepest_m, plant.depth_m)
-        plant.tick(torque_Nm)
+        plant.tick(self._torque_Nm)
         self._forces.append(plant.tissue_force)
         self._tick += 1
 

@@ -265,8 +265,11 @@ class TouchedPoint:
     def act(self, t_s: float, dq_rad_s: Array, step_s: float) -> None:
         """Apply the contacts' forces for one physics step, and move the point along."""
         vx, vy, vz, wx, wy, wz = self._jacobian.dot(dq_rad_s).tolist()
-        position, axis, _, _ = self._now
         speed, turning = (vx, vy, vz), (wx, wy, wz)
+        change = cross(turning, self._now.axis)
+        # At the middle of the step: a force held from its start would feed energy into a spring.
+        position = add(self._now.position_m, speed, 0.5 * step_s)
+        axis = add(self._now.axis, change, 0.5 * step_s)
         motion = PointMotion(position, axis, speed, turning)
         force, torque = NO_FORCE, NO_FORCE
         for contact in self._contacts:
@@ -275,5 +278,5 @@ class TouchedPoint:
             lever = add(add(where, position, -1.0), self._from_com_m)
             torque = add(torque, cross(lever, part))
         self._wrench[:] = force + torque
-        moved = add(position, speed, step_s)
-        self._now = PointMotion(moved, add(axis, cross(turning, axis), step_s), speed, turning)
+        end = add(position, speed, 0.5 * step_s)
+        self._now = PointMotion(end, add(axis, change, 0.5 * step_s), speed, turning)

@@ -22,6 +22,7 @@ SAYS = {
         r"(?s).*layer 1 ruptured at 3\d.\d mm.*at most \d\.\d\d N.*; 0 samples rejected"
     ),
     "own_torque_estimate": r"at most 0\.\d\d N; the gel is 2[789]\.\d mm thick",
+    "remote_centre": r"entry held within 0\.0\d\d mm; tip back within 0\.\d\d mm",
     "stop_and_resume": r"both read -?\d\.\d{6} N in the end",
 }
 """What the files in examples/ print."""

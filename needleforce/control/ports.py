@@ -15,13 +15,37 @@ from urdf import Robot
 Array = NDArray[np.float64]
 
 
-class ArmSample(NamedTuple):
-    """What an arm reports in one cycle."""
+class ArmReading(Protocol):
+    """What an arm reports in one cycle; `ArmSample` is one, any object with these names is."""
 
-    dt_s: float  # since the previous sample
-    q_rad: Array  # joint positions, shape (n,)
-    dq_rad_s: Array | None  # joint velocities, shape (n,); None where the interface has none
-    tau_Nm: Array  # measured link-side joint torques, shape (n,)
+    @property
+    def dt_s(self) -> float:
+        """Time since the previous sample."""
+        ...
+
+    @property
+    def q_rad(self) -> Array:
+        """Joint positions, shape (n,)."""
+        ...
+
+    @property
+    def dq_rad_s(self) -> Array | None:
+        """Joint velocities, shape (n,); None where the interface has none."""
+        ...
+
+    @property
+    def tau_Nm(self) -> Array:
+        """Measured link-side joint torques, shape (n,)."""
+        ...
+
+
+class ArmSample(NamedTuple):
+    """The plainest `ArmReading`."""
+
+    dt_s: float
+    q_rad: Array
+    dq_rad_s: Array | None
+    tau_Nm: Array
 
 
 class Arm(Protocol):
@@ -32,7 +56,7 @@ class Arm(Protocol):
         """The arm as its user knows it."""
         ...
 
-    def __iter__(self) -> Iterator[ArmSample]:
+    def __iter__(self) -> Iterator[ArmReading]:
         """Samples, one per cycle; ends with the connection."""
         ...
 
@@ -41,19 +65,43 @@ class Arm(Protocol):
         ...
 
 
-class MasterSample(NamedTuple):
-    """What a haptic device reports."""
+class MasterReading(Protocol):
+    """What a haptic device reports; any object with these names is one."""
 
-    t_s: float  # on the device's own clock
-    position_m: Array  # of its handle, shape (3,)
-    velocity_m_s: Array  # shape (3,)
-    clutch: bool  # True while the hand moves the needle
+    @property
+    def t_s(self) -> float:
+        """Time on the device's own clock."""
+        ...
+
+    @property
+    def position_m(self) -> Array:
+        """Place of its handle, shape (3,), in the device's axes."""
+        ...
+
+    @property
+    def velocity_m_s(self) -> Array:
+        """Velocity of its handle, shape (3,)."""
+        ...
+
+    @property
+    def clutch(self) -> bool:
+        """True while the hand moves the needle."""
+        ...
+
+
+class MasterSample(NamedTuple):
+    """The plainest `MasterReading`."""
+
+    t_s: float
+    position_m: Array
+    velocity_m_s: Array
+    clutch: bool
 
 
 class HapticDevice(Protocol):
     """An impedance device: it reports where its handle is and takes a force to show."""
 
-    def read(self) -> MasterSample | None:
+    def read(self) -> MasterReading | None:
         """The newest sample; None if there is nothing new or the device has gone."""
         ...
 
