@@ -50,23 +50,24 @@ def test_every_size_has_a_source_and_a_mixture_is_of_three_groups():
 
 
 def test_a_needle_sees_the_tissue_move_and_its_truth_is_that_of_the_tissue():
-    still, moved = (perturbed_needle(name, BRIEF, 3) for name in ("none", "breathing"))
+    (still, before), (moved, after) = (
+        perturbed_needle(name, BRIEF, 3) for name in ("none", "breathing")
+    )
     assert np.allclose(still.depth_m, moved.depth_m, atol=1e-4)
-    off_m = moved.truth.depth_m - still.truth.depth_m
-    assert 0.5e-3 < np.abs(off_m).max() < 3e-3
-    (rupture,) = moved.truth.ruptures
-    at = float(np.interp(rupture.onset_s, moved.truth.t_s, moved.truth.depth_m))
+    assert 0.5e-3 < np.abs(after.depth_m - before.depth_m).max() < 3e-3
+    (rupture,) = after.ruptures
+    at = float(np.interp(rupture.onset_s, after.t_s, after.depth_m))
     assert at == pytest.approx(rupture.onset_m, abs=5e-5)
 
 
 def test_sensor_and_interface_of_a_needle_are_those_of_the_plant():
-    rate, alone = (perturbed_needle(name, BRIEF, 1) for name in ("rate", "depth-only"))
+    (rate, true), (alone, _) = (perturbed_needle(n, BRIEF, 1) for n in ("rate", "depth-only"))
     assert 2e-3 <= np.median(np.diff(rate.t_s)) <= 5e-3
-    assert len(rate.t_s) == len(rate.truth.axial_N) == len(rate.force_N)
+    assert len(rate.t_s) == len(true.axial_N) == len(rate.force_N)
     assert alone.speed_m_s is None
-    loud = perturbed_needle("force-noise", BRIEF, 1)
+    loud, true = perturbed_needle("force-noise", BRIEF, 1)
     world, _ = perturbed("force-noise", BRIEF, 1)
-    assert np.std(loud.force_N - loud.truth.axial_N) == pytest.approx(
+    assert np.std(loud.force_N - true.axial_N) == pytest.approx(
         world.plant.ft_noise_std[2], rel=0.1
     )
 
@@ -136,10 +137,10 @@ def test_every_plant_number_that_is_changed_exists():
 
 
 def test_a_session_tared_a_sample_late_by_its_own_clock_is_judged_on_its_own_samples():
-    case = perturbed_needle("none", BRIEF, 1)
-    whole = identify(case.signal, case.truth, "default")
+    signal, truth = perturbed_needle("none", BRIEF, 1)
+    whole = identify(signal, truth, "default")
     late = replace(whole.result, estimates=whole.result.estimates[1:])
-    found = identify(case.signal, case.truth, "default", result=late)
+    found = identify(signal, truth, "default", result=late)
     assert found.start == whole.start + 1
-    assert found.start + len(found.enhanced_N) == len(case.t_s)
+    assert found.start + len(found.enhanced_N) == len(signal.t_s)
     assert [alarm.sample for alarm in found.alarms] == [alarm.sample for alarm in whole.alarms]
