@@ -24,6 +24,7 @@ if TYPE_CHECKING:
     from rich.console import Console
 
     from benchmarks.benchmark import Job, Outcome
+    from benchmarks.control_study import ControlRow
     from benchmarks.rows import Row
 
 DATA_VARIABLE = "NEEDLEFORCE_DATA"
@@ -159,7 +160,6 @@ def run(
         jobs: Processes at a time; default: one per processor.
         strict: Exit with 1 if a target is missed.
     """
-    from benchmarks.control_study import FIRST_SEED, IDS, PLANTS
     from benchmarks.report import write_report
     from benchmarks.rows import write_results
     from benchmarks.runner import Request, make_plan
@@ -167,15 +167,10 @@ def run(
     from benchmarks.targets import evaluate
     from needleforce.plots import FiguresError, folder_if_filled
 
-    plants = [name.strip() for names in plant for name in names.split(",") if name.strip()]
-    if plant and not plants:
-        raise BenchmarkError("--plant: expected at least one name")
-    if ids and set(ids) <= set(IDS):
-        first = FIRST_SEED if first_seed is None else first_seed
-        control_seeds = range(first, first + seeds)
-        missed = _run_control(ids, plants or PLANTS, control_seeds, jobs or _processors(), json)
-        return FAILURE if missed and strict else 0
-    console = new_console()
+    plants, console = _plant_names(plant), new_console()
+    if any(name.startswith("control") for name in ids):
+        rows = _run_control(ids, plants, (first_seed, seeds), jobs or _processors(), json)
+        return FAILURE if strict and not all(row.is_met for row in rows) else 0
     try:
         # The folder first: better before minutes of work than after.
         with folder_if_filled(report) as folder:
@@ -194,30 +189,27 @@ def run(
     return FAILURE if failed or missed else 0
 
 
-def _run_control(
-    ids: Sequence[str], plants: Sequence[str], seeds: Sequence[int], processes: int, to: Path | None
-) -> bool:
-    """Print the table of the needle in closed loop; returns whether a target was missed."""
-    from benchmarks.control_study import (
-        JUDGED,
-        control_jobs,
-        control_table,
-        run_control,
-        write_control,
-    )
-    from benchmarks.tables import new_console
+def _plant_names(plant: Sequence[str]) -> list[str]:
+    names = [name.strip() for given in plant for name in given.split(",") if name.strip()]
+    if plant and not names:
+        raise BenchmarkError("--plant: expected at least one name")
+    return names
 
-    console, begin_s = new_console(), perf_counter()
-    jobs = control_jobs(ids, plants, seeds)
+
+def _run_control(
+    ids: Sequence[str],
+    plants: Sequence[str],
+    seeds: tuple[int | None, int],
+    processes: int,
+    to: Path | None,
+) -> list["ControlRow"]:
+    """Print the table of the needle in closed loop, and return the rows with targets."""
+    from benchmarks.control_study import control_jobs, run_control, show_control
+
+    work = control_jobs(ids, plants, *seeds)
     with progress_bar(1) as update:
-        rows, failed = run_control(jobs, processes, partial(update, 0))
-    console.print(f"{len(jobs)} runs in {perf_counter() - begin_s:.0f} s")
-    console.print(control_table(rows).rich())
-    for line in failed:
-        console.print(f"failed: {line}", style="red", markup=False)
-    if to is not None:
-        write_control(to, rows)
-    return bool(failed) or not all(row.is_met for row in rows if row.plant == JUDGED)
+        rows = run_control(work, processes, partial(update, 0))
+    return show_control(rows, to)
 
 
 def _timed(jobs: Sequence["Job"], processes: int, console: "Console") -> list["Outcome"]:

@@ -20,8 +20,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from benchmarks.control_study import Figure
-from groundtruth.plant_model import PLANT_MODELS, with_kinematic_error
-from groundtruth.rig_arm import SimulatedArm
+from groundtruth.plant_model import PLANT_MODELS
+from groundtruth.rig_arm import SimulatedArm, with_kinematic_error
 from groundtruth.rig_contacts import Contact, HandOnArm, Trocar, distance_to_axis_m
 from needleforce.control.controller import Controller
 from needleforce.control.tasks import (

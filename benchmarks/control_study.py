@@ -18,17 +18,13 @@ from itertools import product
 from pathlib import Path
 from typing import Any, NamedTuple
 
-import numpy as np
-
-from benchmarks import ResultsError
+from benchmarks import ResultsError, UnknownIdError
 from benchmarks.benchmark import Progress
 from benchmarks.runner import THREAD_SETTINGS
-from benchmarks.tables import ResultTable
+from benchmarks.tables import ResultTable, new_console
 
 PREFIX = "control"
 PARTS = ("constraints", "guidance", "teleoperation", "autonomous", "faults")
-IDS = (PREFIX, *(f"{PREFIX}-{part}" for part in PARTS))
-"""What the command takes: all parts, or one of them."""
 PLANTS = ("clean", "fri")
 JUDGED = "clean"
 FIRST_SEED = 1000
@@ -91,42 +87,56 @@ class ControlRow(NamedTuple):
         return self.badness <= 1.0
 
 
-def control_jobs(ids: Iterable[str], plants: Sequence[str], seeds: Sequence[int]) -> list[Any]:
-    """All cases of the parts that the names of `IDS` stand for."""
+def control_jobs(
+    ids: Iterable[str], plants: Sequence[str], first_seed: int | None, seeds: int
+) -> list[ControlJob]:
+    """All cases of the parts that are asked for: ``control`` for all, ``control-<part>`` for one.
+
+    Args:
+        ids: What is asked for.
+        plants: `PLANTS` when empty.
+        first_seed: `FIRST_SEED` when None.
+        seeds: So many.
+
+    Raises:
+        UnknownIdError: There is no such part.
+    """
+    known = {PREFIX, *(f"{PREFIX}-{part}" for part in PARTS)}
+    if unknown := set(ids) - known:
+        raise UnknownIdError(f"no part {min(unknown)!r}; choose from: {', '.join(sorted(known))}")
     asked = [part for part in PARTS if {PREFIX, f"{PREFIX}-{part}"} & set(ids)]
     asked = [part for part in asked if find_spec(f"benchmarks.control_{part}")]
     cases = [(part, case) for part in asked for case in _module(part).CASES]
-    return [ControlJob(*case, *run) for case, run in product(cases, product(plants, seeds))]
+    first = FIRST_SEED if first_seed is None else first_seed
+    runs = product(cases, plants or PLANTS, range(first, first + seeds))
+    return [ControlJob(*case, plant, seed) for case, plant, seed in runs]
 
 
 def _module(part: str) -> Any:
     return import_module(f"benchmarks.control_{part}")
 
 
-def measured(job: ControlJob) -> list[Figure] | str:
-    """The figures of a job, or one line that says why there are none."""
+def measured(job: ControlJob) -> list[Figure]:
+    """The figures of a job; of one that fails, a missed one that says why."""
     try:
         return list(_module(job.part).measure(job.case, job.plant, job.seed))
-    except Exception as error:  # a case that fails must not take hours of others with it
-        return f"{' '.join(job[:3])} seed {job.seed}: {type(error).__name__}: {error}"
+    except Exception as error:  # it must not take hours of others with it
+        why = f"{job.case} failed: {type(error).__name__}: {error}"
+        return [Figure(why, "", math.nan, "", 0.0)]
 
 
-def run_control(
-    jobs: Sequence[ControlJob], processes: int, progress: Progress
-) -> tuple[list[ControlRow], list[str]]:
-    """Do all jobs on so many processes; their rows, and what failed."""
+def run_control(jobs: Sequence[ControlJob], processes: int, progress: Progress) -> list[ControlRow]:
+    """Do all jobs on so many processes, and join their seeds."""
     found = {}
-    for job, answer in _answers(jobs, processes):
-        found[job] = answer
+    for job, figures in _answers(jobs, processes):
+        found[job] = figures
         progress(len(found) / len(jobs))
-    ordered = [(job, found[job]) for job in jobs]
-    rows = _rows([(job, answer) for job, answer in ordered if not isinstance(answer, str)])
-    return rows, [answer for _, answer in ordered if isinstance(answer, str)]
+    return _rows((job, found[job]) for job in jobs)
 
 
 def _answers(
     jobs: Sequence[ControlJob], processes: int
-) -> Iterator[tuple[ControlJob, list[Figure] | str]]:
+) -> Iterator[tuple[ControlJob, list[Figure]]]:
     if processes <= 1 or len(jobs) <= 1:
         yield from ((job, measured(job)) for job in jobs)
         return
@@ -139,7 +149,6 @@ def _answers(
 
 
 def _rows(found: Iterable[tuple[ControlJob, list[Figure]]]) -> list[ControlRow]:
-    """Join the seeds."""
     groups: dict[tuple[Any, ...], list[Figure]] = {}
     for job, figures in found:
         for figure in figures:
@@ -148,10 +157,10 @@ def _rows(found: Iterable[tuple[ControlJob, list[Figure]]]) -> list[ControlRow]:
     rows = []
     for (part, what, servo, plant, unit), figures in groups.items():
         first = figures[0]
-        level = 1.0 - first.quantile if first.at_least else first.quantile
-        # Of the values themselves, from the side of the good ones.
-        method = "lower" if first.at_least else "higher"
-        value = float(np.quantile([item.value for item in figures], level, method=method))
+        values = sorted((item.value for item in figures), reverse=first.at_least)
+        value = values[math.ceil(first.quantile * len(values) - 1e-9) - 1]
+        if not all(map(math.isfinite, values)):
+            value = math.nan
         rows.append(
             ControlRow(
                 part, what, servo, plant, value, unit, first.target, first.at_least, len(figures)
@@ -198,6 +207,14 @@ def _evaluation(row: ControlRow | None) -> str:
     if row is None or row.target is None:
         return ""
     return "met" if row.is_met else "missed"
+
+
+def show_control(rows: Sequence[ControlRow], to: Path | None) -> list[ControlRow]:
+    """Print the table, write rows to a file if one is named, and return those that are judged."""
+    new_console().print(control_table(rows).rich())
+    if to is not None:
+        write_control(to, rows)
+    return [row for row in rows if row.plant == JUDGED]
 
 
 def write_control(path: Path, rows: Iterable[ControlRow]) -> None:

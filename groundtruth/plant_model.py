@@ -12,6 +12,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
+from groundtruth.errors import PlantModelError
 from groundtruth.force_noise import MINI45
 
 TICK_s = 1e-3
@@ -210,14 +211,10 @@ PLANT_MODELS = {model.name: model for model in (IDEAL, CLEAN, FRI, DEGRADED)}
 """The plant models by name."""
 
 
-def with_kinematic_error(plant_model: PlantModel) -> PlantModel:
-    """The same plant on an arm whose kinematics were never calibrated: 0.2 mm and 0.3 mrad.
-
-    Where estimator and plant have the same kinematics, errors of micrometres mean nothing.
-    """
-    return replace(
-        plant_model,
-        name=f"{plant_model.name}, kinematic error",
-        kinematic_error_m=0.2e-3,
-        kinematic_error_rad=0.3e-3,
-    )
+def plant_named(plant: PlantModel | str) -> PlantModel:
+    """The plant model of that name, `PlantModelError` if there is none; one is what it is."""
+    if isinstance(plant, PlantModel):
+        return plant
+    if plant not in PLANT_MODELS:
+        raise PlantModelError(f"no plant model {plant!r}; known: {', '.join(PLANT_MODELS)}")
+    return PLANT_MODELS[plant]

@@ -10,6 +10,7 @@ that now begins; the caller answers with `SimulatedArm.send`; the next sample en
 
 from collections import deque
 from collections.abc import Callable, Iterator, Sequence
+from dataclasses import replace
 from typing import Literal, NamedTuple
 
 import numpy as np
@@ -20,9 +21,9 @@ from numpy.typing import ArrayLike, NDArray
 from groundtruth.arm_control import MASS_TICKS, BANDWIDTH_rad_s
 from groundtruth.arm_motion import LWR_POSTURE_rad, needle_down
 from groundtruth.arm_plant import ArmPlant, TissueContact, lwr_bodies
-from groundtruth.bearing_friction import BearingFriction
-from groundtruth.errors import PlantError, PlantModelError
-from groundtruth.plant_model import PLANT_MODELS, PlantModel, TICK_s
+from groundtruth.bearing_friction import bearings
+from groundtruth.errors import PlantError
+from groundtruth.plant_model import PlantModel, TICK_s, plant_named
 from groundtruth.rig_contacts import Contact, HandOnArm, distance_to_axis_m
 from groundtruth.scenarios import Scenario
 from groundtruth.scenarios import scenario as scenario_named
@@ -89,6 +90,8 @@ class _Servo:
     """
 
     def __init__(self, robot: Robot, q_rad: Array, kind: Servo) -> None:
+        if kind not in ("stiff", "impedance"):
+            raise PlantError(f"no servo {kind!r}; expected 'stiff' or 'impedance'")
         self._model, self._data = robot.model, robot.create_data()
         self._is_stiff = kind == "stiff"
         self._q_rad, self._dq_rad_s = q_rad.copy(), np.zeros_like(q_rad)
@@ -126,9 +129,11 @@ class _Servo:
 class _Commands:
     """The line from the controller to the arm's loop, one command a tick."""
 
-    def __init__(self, joints: int, latency_ticks: int) -> None:
-        # What is sent during a tick can at the earliest act in the next one.
-        self._line: deque[Array | None] = deque([None] * latency_ticks)
+    def __init__(self, joints: int, latency_s: float) -> None:
+        ticks = round(latency_s / TICK_s)
+        if ticks < 1:  # what is sent during a tick can at the earliest act in the next one
+            raise PlantError(f"latency_s is {latency_s!r}; expected at least a tick, {TICK_s} s")
+        self._line: deque[Array | None] = deque([None] * ticks)
         self._velocity_rad_s = np.zeros(joints)
         self._silent_ticks = 0
         self.new: Array | None = None
@@ -227,22 +232,15 @@ class SimulatedArm:
             PlantModelError: There is no plant model of that name.
             PlantError: A servo or a latency that does not exist.
         """
-        if servo not in ("stiff", "impedance"):
-            raise PlantError(f"no servo {servo!r}; expected 'stiff' or 'impedance'")
-        latency_ticks = round(latency_s / TICK_s)
-        if latency_ticks < 1:
-            raise PlantError(f"latency_s is {latency_s!r}; expected at least a tick, {TICK_s} s")
         chosen = scenario_named(scenario) if isinstance(scenario, str) else scenario
-        plant_model = _plant_model(plant)
-        mass, sensing, bearings = np.random.SeedSequence(seed).spawn(3)
+        plant_model = plant_named(plant)
+        mass, sensing, bearing = np.random.SeedSequence(seed).spawn(3)
         self.tool = NeedleTool()
         bodies = lwr_bodies(self.tool, plant_model, np.random.default_rng(mass))
         self.robot = bodies.robot
         self.home_rad = needle_down(self.robot, np.array(LWR_POSTURE_rad))
         limit_Nm = self.robot.effort_limit_Nm
-        friction = None
-        if plant_model.joint_coulomb > 0.0 or any(plant_model.joint_viscous_Nms_per_rad):
-            friction = BearingFriction(plant_model, limit_Nm, np.random.default_rng(bearings))
+        friction = bearings(plant_model, limit_Nm, np.random.default_rng(bearing))
         tissue = _tissue_below(bodies.kinematics, self.home_rad, chosen, standoff_m)
         self.contacts = tuple(contacts)
         if chosen is not None and chosen.elbow is not None:
@@ -253,7 +251,7 @@ class SimulatedArm:
         self._ticks = round(duration_s / TICK_s)
         self._sensors = _OnlineSensors(plant_model, limit_Nm, self._ticks, sensing)
         self._servo = _Servo(self.robot, self.home_rad, servo)
-        self._commands = _Commands(self.robot.nv, latency_ticks)
+        self._commands = _Commands(self.robot.nv, latency_s)
         self._tick, self._is_begun = 0, False
         self._torque_Nm = np.zeros(self.robot.nv)
         self._depths_m: list[float] = []
@@ -392,12 +390,17 @@ class SimulatedArm:
         self._tick += 1
 
 
-def _plant_model(plant: PlantModel | str) -> PlantModel:
-    if isinstance(plant, PlantModel):
-        return plant
-    if plant not in PLANT_MODELS:
-        raise PlantModelError(f"no plant model {plant!r}; known: {', '.join(PLANT_MODELS)}")
-    return PLANT_MODELS[plant]
+def with_kinematic_error(plant_model: PlantModel) -> PlantModel:
+    """The same plant on an arm whose kinematics were never calibrated: 0.2 mm and 0.3 mrad.
+
+    Where controller and plant have the same kinematics, errors of micrometres mean nothing.
+    """
+    return replace(
+        plant_model,
+        name=f"{plant_model.name}, kinematic error",
+        kinematic_error_m=0.2e-3,
+        kinematic_error_rad=0.3e-3,
+    )
 
 
 def _tissue_below(

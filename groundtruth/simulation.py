@@ -14,10 +14,10 @@ from numpy.typing import NDArray
 from groundtruth.arm_control import ArmTrace, drive
 from groundtruth.arm_motion import InsertionPath, scenario_motion, scenario_path
 from groundtruth.arm_plant import ArmPlant, TissueContact, lwr_bodies
-from groundtruth.bearing_friction import BearingFriction
-from groundtruth.errors import PlantModelError, RunError
+from groundtruth.bearing_friction import bearings
+from groundtruth.errors import RunError
 from groundtruth.force_noise import MINI45, ForceNoise
-from groundtruth.plant_model import PLANT_MODELS, PlantModel, TICK_s
+from groundtruth.plant_model import PlantModel, TICK_s, plant_named
 from groundtruth.scenarios import Scenario
 from groundtruth.scenarios import scenario as scenario_named
 from groundtruth.sensors import (
@@ -140,9 +140,7 @@ def simulate(
         PlantError: The tissue has pushed the arm off its motion.
     """
     chosen = scenario_named(scenario) if isinstance(scenario, str) else scenario
-    if isinstance(plant, str) and plant not in PLANT_MODELS:
-        raise PlantModelError(f"no plant model {plant!r}; known: {', '.join(PLANT_MODELS)}")
-    plant_model = PLANT_MODELS[plant] if isinstance(plant, str) else plant
+    plant_model = plant_named(plant)
     tool = NeedleTool()
     mass_seed, sensor_seed, friction_seed = np.random.SeedSequence(seed).spawn(3)
     bodies = lwr_bodies(tool, plant_model, np.random.default_rng(mass_seed))
@@ -150,9 +148,7 @@ def simulate(
     contact = _contact(path, chosen)
     motion = scenario_motion(path, chosen)
     limit_Nm = bodies.robot.effort_limit_Nm
-    friction = None
-    if plant_model.joint_coulomb > 0.0 or any(plant_model.joint_viscous_Nms_per_rad):
-        friction = BearingFriction(plant_model, limit_Nm, np.random.default_rng(friction_seed))
+    friction = bearings(plant_model, limit_Nm, np.random.default_rng(friction_seed))
     trace = drive(ArmPlant(bodies, contact, friction), bodies.model(), motion, progress)
     time = np.arange(len(trace.q_rad), dtype=np.float64) * TICK_s
     kept, signals = _sense(trace, time, limit_Nm, plant_model, sensor_seed)

@@ -11,8 +11,8 @@ from hypothesis import strategies as st
 from groundtruth import sensors
 from groundtruth.arm_plant import ArmPlant, TissueContact, lwr_bodies
 from groundtruth.errors import PlantError, PlantModelError
-from groundtruth.plant_model import PLANT_MODELS, TICK_s, with_kinematic_error
-from groundtruth.rig_arm import SimulatedArm
+from groundtruth.plant_model import PLANT_MODELS, TICK_s
+from groundtruth.rig_arm import SimulatedArm, with_kinematic_error
 from groundtruth.rig_contacts import HandOnArm, PointMotion, Trocar, Wall, distance_to_axis_m
 from groundtruth.tissue import Tissue
 from urdf import NeedleTool

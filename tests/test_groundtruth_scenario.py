@@ -1,13 +1,12 @@
 """Motions, the catalogue and the random stacks: the paper's values, and needle-only runs."""
 
-import time
-from dataclasses import fields, replace
+from dataclasses import replace
 from itertools import pairwise, product
 
 import numpy as np
 import pytest
 
-from groundtruth import SCENARIOS, ForceNoise, insert_needle, random_stack, scenario
+from groundtruth import SCENARIOS, insert_needle, random_stack, scenario
 from groundtruth.errors import MotionError, NoiseError, RunError, ScenarioError
 from groundtruth.force_noise import CLEAN, MINI45
 from groundtruth.materials import TABLE_I_SPEED_M_S
@@ -82,9 +81,6 @@ GOOD = {
 }
 
 
-REST = {"profile": "rest", "start_s": 0.0, "duration_s": 1.0, "start_m": 0.0, "travel_m": 0.0}
-
-
 def test_motions_and_strokes_that_cannot_be_carried_out_are_refused():
     with pytest.raises(MotionError, match="too short"):
         constant_motion(speed_m_s=0.1, depth_m=0.01, standoff_m=0.01)
@@ -92,19 +88,15 @@ def test_motions_and_strokes_that_cannot_be_carried_out_are_refused():
         sinusoidal_motion(stroke_m=0.02, frequency_hz=0.016, standoff_m=0.02)
     with pytest.raises(MotionError, match="not finite"):
         CONSTANT.position_m(float("nan"))
-    for field, value in (("duration_s", 0.0), ("ramp_fraction", 0.6)):
-        with pytest.raises(MotionError, match=field):
-            Stroke(**{**REST, field: value})
     for make, good in GOOD.items():
-        for field, value in product(good, (0.0, -1e-3, float("nan"))):
+        for field, value in product(good, (0.0, float("nan"))):
             with pytest.raises(MotionError, match=field):
                 make(**{**good, field: value})
     names = ("tare_end_s", "insertion_end_s", "withdrawal_start_s", "withdrawal_end_s")
-    instants = dict.fromkeys(names, 1.0)
+    rest = {"profile": "rest", "duration_s": 1.0, "start_m": 0.0, "travel_m": 0.0}
+    strokes = tuple(Stroke(**rest, start_s=start_s) for start_s in (0.0, 2.0))
     with pytest.raises(MotionError, match="follow each other"):
-        Motion(strokes=(Stroke(**REST), Stroke(**{**REST, "start_s": 2.0})), **instants)
-    with pytest.raises(MotionError, match="at least one"):
-        Motion(strokes=(), **instants)
+        Motion(strokes=strokes, **dict.fromkeys(names, 1.0))
 
 
 # The catalogue.
@@ -125,8 +117,6 @@ def runs():
 def test_names_are_permanent_and_choose_motion_and_seed():
     assert set(SCENARIOS) == {*RUPTURES, "free-motion"}
     assert all(scenario(name).id == name for name in SCENARIOS)
-    with pytest.raises(TypeError):
-        SCENARIOS["mine"] = scenario("free-motion")
     assert named_scenario("random-stack", 7) == DRAWN[7] != DRAWN[8]
     gel = scenario("gel-25-constant")
     assert named_scenario("gel-25-constant", 7) is gel
@@ -146,9 +136,6 @@ def test_speeds_peaks_ruptures_and_friction_are_the_papers(runs):
         speed_m_s = 3e-3 if "glove" in name else 2.3e-3
         assert run.speed_m_s[inside] == pytest.approx(speed_m_s, rel=1e-9)
     # About 15 s into the constant and 20 s into the sinusoidal insertion (Figs. 2, 8, 9).
-    peaks = [runs[f"gel-{percent}-constant"].truth.axial_N.max() for percent in (25, 50, 70)]
-    assert peaks[0] < peaks[1] < peaks[2]
-    assert 2.5 < peaks[2] < 3.0
     for name, expected_s in (("gel-70-constant", 15.0), ("gel-70-sinusoidal", 20.0)):
         rupture_s = runs[name].truth.rupture_s[0] - runs[name].tare_end_s
         assert rupture_s == pytest.approx(expected_s, abs=2.0)
@@ -185,28 +172,15 @@ def test_free_motion_meets_nothing_and_reads_noise_as_large_as_stated(runs):
     assert steps == pytest.approx(np.round(steps), abs=1e-9)
 
 
-def test_runs_are_quick_and_equal_for_equal_seeds_and_other_seeds_change_the_noise_only():
-    begin = time.perf_counter()
+def test_runs_are_equal_for_equal_seeds_and_other_seeds_change_the_noise_only():
     first, again, other = (insert_needle("gel-25-constant", seed=s) for s in (3, 3, 4))
-    assert time.perf_counter() - begin < 0.3 * first.t_s[-1], "seconds for minutes"
     assert (first.force_N == again.force_N).all()
     assert (first.force_N != other.force_N).any()
     assert (first.truth.axial_N == other.truth.axial_N).all()
     run = insert_needle("gel-25-constant", noise=CLEAN)
     assert (run.force_N == run.truth.axial_N).all()
-    for part in (run, run.truth):
-        values = [getattr(part, item.name) for item in fields(part)]
-        arrays = [value for value in values if isinstance(value, np.ndarray)]
-        assert arrays
-        assert not any(array.flags.writeable for array in arrays)
-
-
-def test_drift_is_counted_from_where_the_sensor_was_zeroed():
-    drift = ForceNoise(white_std_N=0.0, drift_std_N_per_s=1.0, step_N=0.0)
-    t = np.linspace(0.0, 10.0, 11)
-    reading = drift.reading_N(np.zeros(11), t, 4.0, np.random.default_rng(0))
-    assert reading[4] == 0.0
-    assert reading == pytest.approx(reading[5] * (t - 4.0))
+    assert not run.force_N.flags.writeable
+    assert not run.truth.axial_N.flags.writeable
 
 
 @pytest.mark.parametrize("name", ["stack-glove-constant", "liver-constant", "abdomen-sinusoidal"])

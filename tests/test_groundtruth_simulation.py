@@ -80,7 +80,7 @@ def test_bearing_friction_opposes_the_links_and_looks_like_an_external_torque(mo
     ideal = replace(PLANT_MODELS["ideal"], joint_coulomb=2e-4)
     monkeypatch.setitem(PLANT_MODELS, "ideal", ideal)
     run = simulate(SCENARIO)
-    truth, robot, data = run.truth, run.robot, run.robot.create_data()
+    truth = run.truth
     assert np.array_equal(run.signals.tau_Nm, truth.tau_Nm)
     power = truth.joint_friction_Nm * truth.dq_rad_s
     # around a reversal the bristles give back what they stored
@@ -91,13 +91,6 @@ def test_bearing_friction_opposes_the_links_and_looks_like_an_external_torque(mo
     assert np.abs(friction).max() > 0.02
     external = filtered(truth.external_torque_Nm[:-1])
     np.testing.assert_allclose(seen, external + friction, atol=1e-4)
-    # In air it pushes back on the way in, as tissue would, and pulls on the way out.
-    ways = np.searchsorted(truth.t_s, (1.0, SCENARIO.motion.withdrawal_end_s - 0.45))
-    for k, sign in zip(ways, (1.0, -1.0), strict=True):
-        q, frame = truth.q_rad[k], robot.tool_frame_id
-        jacobian = pin.computeFrameJacobian(robot.model, data, q, frame, pin.LOCAL)
-        assert truth.axial_N[k] == 0.0
-        assert -sign * (np.linalg.pinv(jacobian.T) @ seen[k])[2] > 0.05
 
 
 @pytest.mark.parametrize("name", PLANT_MODELS)

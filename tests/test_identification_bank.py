@@ -3,7 +3,6 @@
 import numpy as np
 import pytest
 
-from identification import hypothesis_bank, hypothesis_filter
 from identification.disturbance_levels import DisturbanceLevels
 from identification.hypothesis_bank import (
     CAPACITY,
@@ -11,7 +10,6 @@ from identification.hypothesis_bank import (
     RUPTURE_FORCE,
     RUPTURE_S,
     RUPTURE_SPEED,
-    Bank,
     Place,
     first_bank,
     prune,
@@ -20,7 +18,6 @@ from identification.hypothesis_bank import (
 from identification.hypothesis_filter import (
     AIR,
     COLOUR,
-    EXIT,
     HEART,
     IS_HELD,
     KIND,
@@ -39,14 +36,11 @@ from identification.hypothesis_filter import (
     TIP,
     UNKNOWNS,
     absorb,
-    after_event,
-    judge_fraction,
     predict,
     regressors,
 )
 from identification.rupture_report import (
     Evaluation,
-    answer_at,
     count_ruptures,
     friction_left,
     may_be_braking,
@@ -96,14 +90,6 @@ def test_the_force_goes_on_as_it_was_across_an_event(seed, kind, is_held):
     assert len(after.log_weights) <= CAPACITY
 
 
-def test_first_contact_takes_nothing_from_the_force():
-    before = first_bank()
-    after = spawn(before, PLACE, PLACE.depth - 0.1)
-    assert sorted(after.facts[1:, KIND]) == [LAYER, MEMBRANE]
-    assert force_of(after) == pytest.approx(np.zeros(3))
-    assert (after.facts[1:, [ROOT, TIP]] == PLACE.depth).all()
-
-
 def test_the_friction_of_a_layer_left_stays_on_the_shaft_and_is_remembered():
     before = hypothesis(5, LAYER)
     born = spawn(before, PLACE, PLACE.depth - 0.3)
@@ -146,31 +132,6 @@ def test_a_force_that_was_expected_teaches_as_kalman_says():
     assert (row @ far[0][0] - force) > 0.0
 
 
-@pytest.mark.parametrize("function", [absorb, predict, after_event, judge_fraction, regressors])
-def test_compiled_and_plain_arithmetic_agree(function):
-    bank = hypothesis(3, LAYER)
-    rows = regressors(bank.facts, PLACE.depth, PLACE.speed, PLACE.deflection)
-    arguments = {
-        "absorb": (bank.means, bank.spreads, bank.facts, rows, (0.8, 1e-4, 12.0, 0.01)),
-        "predict": (bank.means, bank.spreads, np.zeros(1), 0.01, 0.04, np.full(4, 1e-4)),
-        "after_event": (
-            bank.means[0],
-            bank.spreads[0],
-            rows[0],
-            (EXIT, LAYER, LAYER, False, True),
-            (8.0, 8.0, 1.0, 4.0, 0.5, 0.9),
-        ),
-        "judge_fraction": (bank.means[0], bank.spreads[0], 4.0, True),
-        "regressors": (bank.facts, 12.0, 4.0, 0.7),
-    }[function.__name__]
-    plain = getattr(function, "py_func", function)
-    found, expected = function(*arguments), plain(*arguments)
-    for one, other in zip(
-        np.atleast_1d(found) if function is regressors else found, expected, strict=True
-    ):
-        assert np.asarray(one) == pytest.approx(np.asarray(other), rel=1e-9, abs=1e-14)
-
-
 def test_what_the_force_contradicts_is_dropped_and_the_rest_bounded():
     bank, rng = first_bank(), np.random.default_rng(4)
     for step in range(400):
@@ -186,30 +147,6 @@ def test_what_the_force_contradicts_is_dropped_and_the_rest_bounded():
     assert bank.damage == ""
     assert bank.facts[0, KIND] == AIR
     assert count_ruptures(bank, 0, 0.01).more < 0.01
-
-
-def test_hypotheses_that_differ_make_an_answer_less_certain():
-    one, other = hypothesis(6, LAYER), hypothesis(6, LAYER)
-    other.means[0, OWN_COULOMB] += 0.02
-    both = Bank(*(np.concatenate(parts) for parts in zip(one, other, strict=True)))
-    alone, mixed = answer_at(one, PLACE, 1), answer_at(both, PLACE, 1)
-    length = PLACE.depth - 4.0
-    assert mixed.coulomb == pytest.approx(alone.coulomb + 0.01 * length)
-    assert mixed.var_coulomb == pytest.approx(alone.var_coulomb + (0.01 * length) ** 2)
-    assert mixed.in_contact
-    assert mixed.layer == 2
-
-
-def test_the_fraction_of_friction_is_a_prior_that_waits_for_the_slope():
-    bank = hypothesis(7, LAYER)
-    assert not judge_fraction(bank.means[0], 1e4 * bank.spreads[0], 4.0, False)[0]
-    is_judged, mean, spread = judge_fraction(bank.means[0], bank.spreads[0], 4.0, True)
-    assert is_judged
-    assert np.trace(spread) < np.trace(bank.spreads[0])
-    slope = [mean[STIFFNESS], mean[OWN_COULOMB] + 4.0 * mean[OWN_VISCOUS]]
-    was = bank.means[0, [STIFFNESS, OWN_COULOMB, OWN_VISCOUS]] @ [0.0, 1.0, 4.0]
-    before = was / (was + bank.means[0, STIFFNESS])
-    assert abs(slope[1] / sum(slope) - 0.55) < abs(before - 0.55)
 
 
 def test_noise_is_learned_part_by_part_and_a_ramp_is_none():
@@ -228,20 +165,6 @@ def test_noise_is_learned_part_by_part_and_a_ramp_is_none():
     assert 0.02 < heart < 0.08
     assert np.sqrt(ramp.levels).max() < 1e-6
     assert levels.restarted().with_force(1.0, 0.01, 2.0).steps == 1.0
-
-
-@pytest.mark.parametrize(
-    "change",
-    [
-        {"means": np.zeros((2, UNKNOWNS))},
-        {"spreads": np.full((1, UNKNOWNS, UNKNOWNS), np.nan)},
-        {"facts": np.zeros((1, hypothesis_filter.FACTS))},
-        {"records": np.zeros((1, hypothesis_bank.RECORDS - 1))},
-    ],
-)
-def test_a_damaged_bank_says_so(change):
-    assert first_bank().damage == ""
-    assert first_bank()._replace(**change).damage != ""
 
 
 @pytest.mark.parametrize(

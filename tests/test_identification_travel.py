@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from identification import Identifier, SampleStatus
-from identification.travel_filter import TravelState, filter_travel, learn_noise
+from identification.travel_filter import TravelState, filter_travel
 
 
 def motion(seconds=10.0, rate_hz=1000.0, jitter=0.0, seed=0):
@@ -92,15 +92,6 @@ def test_rest_of_a_rounded_depth_teaches_no_noise():
     found, state = filtered(t_s, rounded, np.full(len(t_s), math.nan))
     assert math.sqrt(state.of_depth[0]) > 1e-6
     assert np.abs(found[(t_s > 2.0) & (t_s < 5.0), 1] - 4e-3).max() < 4e-4
-
-
-def test_distance_from_the_line_between_uneven_neighbours_is_its_noise():
-    rng = np.random.default_rng(3)
-    known, t_s = (0.0,) * 5, np.cumsum(rng.uniform(0.5e-3, 2e-3, 5000))
-    values = 5e-3 * t_s + 1e-5 * rng.standard_normal(len(t_s))
-    for value, dt_s in zip(values.tolist(), np.diff(t_s, prepend=0.0).tolist(), strict=True):
-        known = learn_noise(known, value, dt_s, 1e-16)
-    assert math.sqrt(known[0]) == pytest.approx(1e-5, rel=0.1)
 
 
 def test_after_a_gap_it_starts_anew():

@@ -133,16 +133,14 @@ def test_inertia_no_body_can_have_is_refused(urdf_file, old, new, message):
     [
         *(
             ('value="1"', f'value="{text}"', f'<mass value="{text}"> is not one number')
-            for text in (" 1 ", "1 ", "", "nan", "inf", "1e400", "0x10", "1_0", "1,5", "1 kg", "１")
+            for text in ("1 ", "", "nan", "1e400", "0x10", "1,5", "１")
         ),
         ('ixx="0.01"', 'ixx="0,01"', '<inertia ixx="0,01"> is not one number'),
         *(
             (ORIGIN, f'<origin xyz="{text}"/>', f'<origin xyz="{text}"> is not 3 numbers')
-            for text in ("0, 0, 0.1", "0 0,05 0.1", "0 0", "0 0 0 0", "", "0 0 nan")
+            for text in ("0, 0, 0.1", "0 0", "0 0 nan")
         ),
         (ORIGIN, '<origin rpy="0 0 pi/2"/>', '<origin rpy="0 0 pi/2"> is not 3 numbers'),
-        (ORIGIN, '<origin xyz="0&#9;0 0.1"/>', "is not 3 numbers"),
-        (MASS, "", "needs <mass> with the number value"),
         (MASS, "<mass/>", "needs <mass> with the number value"),
         (INERTIA, "<inertia/>", "needs <inertia> with the number ixx"),
     ],
@@ -230,7 +228,6 @@ ENTITIES = "".join(f'<!ENTITY e{k + 1} "{10 * f"&e{k};"}">' for k in range(9))
         (f'<robot name="x" xmlns:xacro="{XACRO}"><xacro:arm/></robot>', "is a xacro file"),
         (f'<!DOCTYPE r [<!ENTITY e0 "ha">{ENTITIES}]><robot name="&e9;"/>', "well-formed XML"),
         ("<robot name='toy'>" + 10_000 * "<a>" + 10_000 * "</a>" + "</robot>", "not a valid URDF"),
-        (f"<robot name='toy'>{joint('j', 'ghost', 'a')}</robot>", "not a valid URDF"),
         (f"<robot name='t'><link name='base'/>{link('a')}{SHIFTED}</robot>", "not a valid URDF"),
     ],
 )
@@ -246,15 +243,12 @@ def test_malformed_files_are_refused_with_the_reason(tmp_path, text, message):
     [
         ({"locked_joints": ["j9"]}, UnknownNameError, r"cannot lock 'j9'.*joints: j1"),
         ({"locked_joints": "j1"}, InputError, "expected a list of names"),
-        ({"locked_joints": {"j1": np.nan}}, InputError, "position of 'j1' is nan"),
         ({"without": ["hand"]}, UnknownNameError, "leave out 'hand'.*links: base, needle_tip"),
         ({"without": ["base"]}, InputError, "'base', it is the root"),
         ({"without": "base"}, InputError, "expected a list of link names"),
         ({"tool_frame": "tool"}, UnknownNameError, r"no frame 'tool'.*base, j1, needle_tip"),
         ({"tool_placement": [1, 2]}, InputError, r"tool_placement has shape \(2,\)"),
         ({"tool_placement": 2 * np.eye(4)}, InputError, "tool_placement is not a rigid motion"),
-        ({"gravity_m_s2": [0, 0]}, InputError, "gravity_m_s2"),
-        ({"gravity_m_s2": [0, 0, np.nan]}, InputError, "gravity_m_s2"),
         ({"gravity_m_s2": 9.81}, InputError, "gravity_m_s2"),
         ({"payload": 0.3}, InputError, "Payload, NeedleTool or None, got float"),
         ({"payload": NeedleTool()}, UnknownNameError, "'needle_tip', but robot 'toy' has one"),
