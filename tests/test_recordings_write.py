@@ -14,13 +14,12 @@ from needleforce.recordings import (
     FileAccessError,
     Log,
     LogError,
-    check_writable,
     read_log,
     read_table,
     write_log,
     write_table,
 )
-from needleforce.recordings.output import open_table
+from needleforce.recordings.output import check_outputs, open_table
 from needleforce.recordings.table import Labels
 
 SUFFIXES = ("csv", "npz")
@@ -141,10 +140,9 @@ def test_the_log_that_is_being_read_is_no_place_to_write(tmp_path):
     path = tmp_path / "log.csv"
     write_table(path, {"t": T_S})
     (tmp_path / "link.csv").symlink_to(path)
-    check_writable(tmp_path / "other.csv", source=path)
-    check_writable("-", source=path)
+    check_outputs({"-o": tmp_path / "other.csv"}, path)
     with pytest.raises(FileAccessError, match="it is the log itself"):
-        check_writable(tmp_path / "link.csv", source=path)
+        check_outputs({"-o": tmp_path / "link.csv"}, path)
 
 
 @pytest.fixture

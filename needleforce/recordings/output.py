@@ -169,27 +169,24 @@ def write_log(path: str | Path, log: Log) -> None:
     write_table(path, columns, labels=Labels(start_ns=log.start_ns))
 
 
-def check_writable(path: str | Path, *, source: str | Path | None = None) -> None:
+def check_writable(path: str | Path) -> None:
     """Find out before the work what `write_table` would refuse after it.
 
-    Args:
-        path: see `write_table`; or `-` for standard output.
-        source: a file or folder that is being read and must not be harmed.
-
     Raises:
-        FileAccessError: the suffix is not known, there is no such folder, something stands there
-            that must not be replaced, or it and the source lie one inside the other.
+        FileAccessError: the suffix is not known, there is no such folder, or a folder stands there.
     """
-    if str(path) == STANDARD_STREAM:
-        return
-    path = Path(path)
+    if str(path) != STANDARD_STREAM:
+        _find_writer(Path(path))
+        require_place(Path(path))
+
+
+def require_place(path: Path) -> None:
+    """Check that a file can stand there; `FileAccessError` if not."""
     with file_errors(path, "write"):
-        _find_writer(path)
         if not path.parent.is_dir():
             raise FileAccessError(f"cannot write {path}: there is no folder {path.parent}")
         if path.is_dir():
             raise FileAccessError(f"cannot write {path}: it is a folder")
-        check_outputs({"": path}, None if source is None else Path(source))
 
 
 def check_outputs(outputs: Mapping[str, Path], source: Path | None = None) -> None:
