@@ -38,6 +38,9 @@ Array = NDArray[np.float64]
 SERVOS: dict[str, Literal["stiff", "impedance"]] = {"S": "stiff", "I": "impedance"}
 MILLI = 1e3
 
+GAIN_per_s, PUSHED_GAIN_per_s = 30.0, 60.0
+"""K of the constraints. Noise of the measured positions passes the loop and grows with the root of
+K; what a push displaces falls with K. A needle in a fixture is held by a hand, so it gets more."""
 SETTLE_s = 0.3
 """Rest before a constraint is set: its place is the mean of what is measured meanwhile."""
 BEHIND_TIP_m = 0.08
@@ -109,7 +112,7 @@ def _circle(test: ClosedLoop) -> tuple[Array, Array]:
     true = rig.truth
     centre_m = true.tip_m - BEHIND_TIP_m * true.rotation[:, 2]
     home_m = tool.tip_m
-    constraint = RemoteCentre(home_m - BEHIND_TIP_m * tool.axis)
+    constraint = RemoteCentre(home_m - BEHIND_TIP_m * tool.axis, GAIN_per_s)
     tip, posture = TipVelocity((0.0, 0.0, 0.0), home_m, 10.0), Posture(rig.home_rad)
     off_m: list[float] = []
 
@@ -184,7 +187,7 @@ def _insertion(test: ClosedLoop, with_fixture: bool = True) -> tuple[Array, floa
     rig, tool = test.rig, test.control.tool
     true = rig.truth
     line_m, axis = true.tip_m, true.rotation[:, 2]
-    fixture = Fixture(tool.tip_m, tool.rotation)
+    fixture = Fixture(tool.tip_m, tool.rotation, PUSHED_GAIN_per_s)
     inwards, aside = tool.axis, across(test.seed + 2)
     user, posture = TipVelocity((0.0, 0.0, 0.0)), Posture(rig.home_rad)
     seconds = INSERTION_m / INSERTION_m_s
@@ -252,7 +255,7 @@ def fixture_published(servo: str, plant: str, seed: int) -> Iterator[Figure]:
 def _turn(test: ClosedLoop) -> float:
     """Largest distance of the tip from where it should rest, per angle [m/rad]."""
     tool, start_m = test.control.tool, test.rig.truth.tip_m
-    motion, posture = DecoupledMotion(tool), Posture(test.rig.home_rad)
+    motion, posture = DecoupledMotion(tool, GAIN_per_s), Posture(test.rig.home_rad)
     axis = np.random.default_rng([test.seed, 5]).standard_normal(3)
     axis /= np.linalg.norm(axis)
     rest = np.zeros(3)

@@ -110,6 +110,7 @@ class SessionSnapshot(NamedTuple):
     identifier: IdentifierSnapshot
     zero: TravelZero
     travel: Travel  # the last
+    lagging: Travel  # the same as late as the force
     speed_lag_s: float  # setting of the session
     unused_s: float  # time of valid samples that were not used for identification
     time_s: float  # see `SessionEstimate`
@@ -243,7 +244,7 @@ class InsertionSession:
     def begin_insertion(self) -> None:
         """Count depth from here and forget the layers; the tare stays."""
         self._zero_depth()
-        self._last_travel = Travel(0.0, 0.0)
+        self._last_travel = self._lagging = Travel(0.0, 0.0)
         self._identifier.reset()
         self._identification = self._identifier.snapshot().last
         self._unused_s = 0.0
@@ -261,6 +262,7 @@ class InsertionSession:
             self._identifier.snapshot(),
             self._zero,
             self._last_travel,
+            self._lagging,
             self._speed_lag_s,
             self._unused_s,
             self._time_s,
@@ -290,7 +292,8 @@ class InsertionSession:
         self._identifier.restore(snapshot.identifier)
         self._count_from(snapshot.zero)
         self._is_started = snapshot.sensor.last is not None
-        self._last_travel, self._unused_s = snapshot.travel, snapshot.unused_s
+        self._last_travel, self._lagging = snapshot.travel, snapshot.lagging
+        self._unused_s = snapshot.unused_s
         self._time_s = snapshot.time_s
         self._identification = _without_events(snapshot.identifier.last)
 
@@ -336,13 +339,14 @@ class InsertionSession:
             last_m_s = self._last_travel.speed_m_s
             weight = -math.expm1(-elapsed_s / self._speed_lag_s)
             speed_m_s = last_m_s + weight * (speed_m_s - last_m_s)
-        self._last_travel = _new(Travel, (depth_m, speed_m_s))
+        self._last_travel = travel = _new(Travel, (depth_m, speed_m_s))
+        self._lagging = self._as_late_as_force(travel, elapsed_s)
         if status is not _OK or (wrench.warnings and wrench.warnings & _NOT_USED):
             self._unused_s += elapsed_s
             return self._idle(wrench)
         if self._unused_s:
             elapsed_s, self._unused_s = elapsed_s + self._unused_s, 0.0
-        found = self._identifier.update(depth_m, speed_m_s, wrench.axial, elapsed_s, self._time_s)
+        found = self._identifier.update(*self._lagging, wrench.axial, elapsed_s, self._time_s)
         if found.rupture is not None:
             # A lateral push looks like a rupture before its mismatch has lasted long enough.
             wrench = self._sensor.recheck(wrench)
@@ -355,6 +359,19 @@ class InsertionSession:
             SessionEstimate,
             (wrench, depth_m, speed_m_s, found, status, found.status in _USED, self._time_s),
         )
+
+    def _as_late_as_force(self, travel: Travel, elapsed_s: float) -> Travel:
+        """Depth and speed behind the lag of the force, so that what belongs together meets.
+
+        A needle that a hand drives changes its speed within the observer's lag: the force of a
+        moment ago, beside the speed of now, would look like friction that comes and goes.
+        """
+        if (lag_s := self._sensor.filter_lag_s) <= 0.0:
+            return travel
+        kept = math.exp(-elapsed_s / lag_s)
+        depth_m = travel.depth_m + kept * (self._lagging.depth_m - travel.depth_m)
+        speed_m_s = travel.speed_m_s + kept * (self._lagging.speed_m_s - travel.speed_m_s)
+        return _new(Travel, (depth_m, speed_m_s))
 
     def _idle(self, wrench: WrenchEstimate) -> SessionEstimate:
         """A tick that is not used for identification."""

@@ -9,11 +9,10 @@ from benchmark_cases import gel_slice
 from hypothesis import given
 from hypothesis import strategies as st
 
-from benchmarks import DataError, UnknownMetricError
+from benchmarks import DataError
 from benchmarks.benchmark import Job
 from benchmarks.methods import ForceReading, force_lag_s, wrench_metrics
 from benchmarks.published_figures import NEEDED
-from benchmarks.rows import Measurement
 from benchmarks.runner import BENCHMARKS, Request, make_plan
 from benchmarks.signals import ForceTruth
 from benchmarks.simulated import read_sensors, run_needle, simulated_metrics
@@ -212,10 +211,3 @@ def test_only_the_judged_part_counts_and_without_any_nothing_is_a_number():
     found = {item.metric: item.value for item in wrench_metrics(reading(saw(T)), never)}
     assert "wrench_rmse_N" in found
     assert all(math.isnan(value) for value in found.values())
-
-
-def test_a_measurement_takes_its_unit_from_the_catalogue():
-    where = "gel-25-constant", "degraded", 4
-    assert Measurement("ft", "default", "wrench_lag_ms", 3.0).row(*where).unit == "ms"
-    with pytest.raises(UnknownMetricError, match="no metric"):
-        Measurement("ft", "default", "luck", 3.0).row(*where)

@@ -20,9 +20,9 @@ from residual import SensorWarning, Status
 
 @pytest.fixture(scope="module")
 def needle():
-    """Columns of an insertion from the end of the free motion on."""
+    """Columns of an insertion from the end of the free motion until it has left the gel."""
     run = insert_needle("gel-50-constant", seed=1, rate_hz=250.0)
-    part = slice(int(np.searchsorted(run.t_s, run.tare_end_s)), None)
+    part = slice(*np.searchsorted(run.t_s, (run.tare_end_s, run.truth.rupture_s[0] + 5.0)))
     names = ("t_s", "depth_m", "force_N", "speed_m_s")
     return {name: getattr(run, name)[part] for name in names}
 

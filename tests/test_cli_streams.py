@@ -30,9 +30,13 @@ def logs(lwr, tmp_path_factory):
     """A log for each command, one of them without the speed that is then derived."""
     folder = tmp_path_factory.mktemp("log")
     run = insert_needle("gel-50-constant", seed=1, rate_hz=150.0)
-    columns = {"t_s": run.t_s, "depth_m": run.depth_m, "force_N": run.force_N}
-    write_table(folder / "derived.csv", columns)
-    write_table(folder / "identify.csv", columns | {"speed_m_s": run.speed_m_s})
+    names = ("t_s", "depth_m", "force_N", "speed_m_s")
+    whole = {name: getattr(run, name) for name in names}
+    part = slice(*np.searchsorted(run.t_s, (run.tare_end_s, run.truth.rupture_s[0] + 4.0)))
+    columns = {name: values[part] for name, values in whole.items()}
+    write_table(folder / "whole.csv", whole)
+    write_table(folder / "identify.csv", columns)
+    write_table(folder / "derived.csv", {name: columns[name] for name in names[:3]})
     write_insertion(folder / "force.csv", lwr)
     return folder
 
@@ -136,7 +140,8 @@ def interrupted(monkeypatch):
 @pytest.mark.parametrize("suffix", ["csv", "npz"])
 @pytest.mark.parametrize("name", ["force", "identify"])
 def test_ctrl_c_keeps_what_was_done_and_says_what_it_replaced(logs, tmp_path, capsys, name, suffix):
-    log, path = logs / f"{name}.csv", tmp_path / f"out.{suffix}"
+    log = logs / {"force": "force.csv", "identify": "whole.csv"}[name]
+    path = tmp_path / f"out.{suffix}"
     argv = [name, str(log), *OPTIONS[name], "-o", str(path)]
     assert main(argv) == 130
     printed = capsys.readouterr()

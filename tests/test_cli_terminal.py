@@ -32,7 +32,6 @@ from needleforce.recordings import (
     read_log,
     write_table,
 )
-from needleforce.recordings.output import open_table
 from needleforce.recordings.table import Labels
 
 
@@ -75,18 +74,6 @@ def test_what_was_not_foreseen_is_not_hidden_and_the_code_of_the_work_handed_on(
     printed = capsys.readouterr()
     assert printed.err == "two lines\ntable\n"
     assert printed.out == "result\n"
-
-
-def test_closed_standard_streams_are_done_without_and_a_table_needs_one(monkeypatch, capsys):
-    monkeypatch.setattr(sys, "stdout", None)
-    write_out("nobody reads this\n")
-    with pytest.raises(FileAccessError, match="standard output: it is closed"):
-        open_table("-").__enter__()
-    monkeypatch.setattr(sys, "stderr", None)
-    say("nobody hears this")
-    write_out("nor this\n", to_stderr=True)
-    monkeypatch.undo()
-    assert capsys.readouterr().err == ""
 
 
 def test_the_first_ctrl_c_asks_and_the_second_interrupts():

@@ -84,6 +84,26 @@ def test_a_force_on_the_tip_reaches_joints_and_ft_sensor_and_bends_the_arm_as_it
     np.testing.assert_allclose(truth.tip_m - free.truth.tip_m, compliance @ push, atol=2e-6)
 
 
+def test_momentum_of_a_moving_arm_changes_by_its_torques_and_the_hands_force():
+    push = np.array([6.0, -9.0, 4.0])
+    rig = SimulatedArm(plant=IDEAL, contacts=[HandOnArm(at="wrist", force_N=lambda t_s: push)])
+    run(rig, 0.2, lambda t_s, rig: np.full(7, 0.3))
+    model, data = rig.robot.model, rig.robot.create_data()
+    momentum, rate = [], []
+    for _ in range(100):
+        truth = rig.truth
+        q, dq = truth.q_rad, truth.dq_rad_s
+        momentum.append(pin.crba(model, data, q).copy() @ dq)
+        drift = pin.computeCoriolisMatrix(model, data, q, dq).T @ dq
+        drift = drift - pin.computeGeneralizedGravity(model, data, q)
+        rate.append((drift + jacobian(rig.robot, q, model.names[6])[:3].T @ push, truth.tau_Nm))
+        next(rig), rig.send(np.full(7, 0.3))
+    drift, torque = np.array(rate).transpose(1, 0, 2)
+    # The torque is held over a tick, the rest changes along it.
+    impulse = TICK_s * (0.5 * (drift[1:] + drift[:-1]) + torque[:-1])
+    np.testing.assert_allclose(np.diff(momentum, axis=0), impulse, atol=2e-7)
+
+
 def test_elastic_contacts_keep_the_energy_of_an_arm_without_motors():
     bodies = lwr_bodies(NeedleTool(), IDEAL, np.random.default_rng(0))
     air = TissueContact(law=Tissue(()), surface_in_base_m=np.zeros(3), axis_in_base=DOWN)
@@ -238,7 +258,9 @@ def test_lost_samples_and_signals_are_lost_as_long_as_asked():
 def test_a_plant_that_loses_samples_shows_it_in_the_time_between_them():
     rig = SimulatedArm(plant=replace(IDEAL, ticks_per_sample=5), duration_s=0.1)
     periods = [sample.dt_s for sample in rig]
-    np.testing.assert_allclose(periods[1:], 5e-3)
+    np.testing.assert_allclose(periods[1:], [5e-3] * 19)
+    assert next(rig, None) is None
+    assert (rig.time_s, np.isfinite(rig.ft_wrench).all()) == (0.1, True)
 
 
 def test_tissue_lies_where_it_was_asked_for_and_ruptures_are_counted():

@@ -54,16 +54,6 @@ def test_the_needle_is_in_air_for_the_tare_and_withdrawal_mirrors_the_insertion(
     assert outward == pytest.approx(inward, abs=1e-12)
 
 
-def test_constant_insertion_holds_its_speed_from_before_contact_to_after_the_target():
-    t = np.linspace(CONSTANT.tare_end_s, CONSTANT.insertion_end_s, 20_000)
-    z, v = CONSTANT.position_m(t), CONSTANT.speed_m_s(t)
-    assert v[(z > -3e-3) & (z < 43e-3)] == pytest.approx(2.3e-3, rel=1e-9)
-    assert v.max() == pytest.approx(2.3e-3)
-    assert CONSTANT.deepest_m == pytest.approx(45e-3)
-    assert CONSTANT.start_m == CONSTANT.position_m(0.0)
-    assert z[::999] == pytest.approx([CONSTANT.position_m(float(x)) for x in t[::999]])
-
-
 def test_sinusoidal_insertion_is_the_papers_and_free_motion_stays_above_the_surface():
     s = np.linspace(0.0, 0.5 / 0.016, 500)
     expected = 0.035 * (1.0 - np.cos(2.0 * np.pi * 0.016 * s)) - 20e-3

@@ -6,17 +6,14 @@ import pytest
 from identification.disturbance_levels import DisturbanceLevels
 from identification.hypothesis_bank import (
     CAPACITY,
-    QUOTAS,
     RUPTURE_FORCE,
     RUPTURE_S,
     RUPTURE_SPEED,
     Place,
     first_bank,
-    prune,
     spawn,
 )
 from identification.hypothesis_filter import (
-    AIR,
     COLOUR,
     HEART,
     IS_HELD,
@@ -41,7 +38,6 @@ from identification.hypothesis_filter import (
 )
 from identification.rupture_report import (
     Evaluation,
-    count_ruptures,
     friction_left,
     may_be_braking,
 )
@@ -130,23 +126,6 @@ def test_a_force_that_was_expected_teaches_as_kalman_says():
     far = absorb(bank.means, bank.spreads, bank.facts, rows, (force + 1.0, 4e-4, 12.0, 0.0))
     assert far[2][0] < evidence[0]
     assert (row @ far[0][0] - force) > 0.0
-
-
-def test_what_the_force_contradicts_is_dropped_and_the_rest_bounded():
-    bank, rng = first_bank(), np.random.default_rng(4)
-    for step in range(400):
-        place = PLACE._replace(depth=0.04 * step, force=0.01 * rng.standard_normal())
-        bank = prune(spawn(bank, place, place.depth - 0.04), place)
-        rows = regressors(bank.facts, place.depth, place.speed, 1.0)
-        means, spreads, evidence = absorb(
-            bank.means, bank.spreads, bank.facts, rows, (place.force, 1e-4, place.depth, 0.0)
-        )
-        bank = bank._replace(means=means, spreads=spreads, log_weights=bank.log_weights + evidence)
-        assert len(bank.log_weights) <= sum(QUOTAS)
-    bank = prune(bank, place)
-    assert bank.damage == ""
-    assert bank.facts[0, KIND] == AIR
-    assert count_ruptures(bank, 0, 0.01).more < 0.01
 
 
 def test_noise_is_learned_part_by_part_and_a_ramp_is_none():

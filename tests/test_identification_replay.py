@@ -42,7 +42,7 @@ def test_with_recorded_speed_it_is_a_loop_over_update(columns):
     assert result.layers == identifier.layers
 
 
-@settings(max_examples=3)
+@settings(max_examples=2)
 @given(st.lists(st.integers(HEAD_ROWS, 3000), max_size=6), st.booleans())
 def test_pieces_give_what_the_whole_gives_bit_for_bit(columns, cuts, has_speed):
     t_s, depth_m, force_N, speed_m_s = columns

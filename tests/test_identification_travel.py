@@ -77,15 +77,6 @@ def test_a_needle_that_stops_or_turns_is_followed(given):
     assert not late[(t_s > 5.3) & (t_s < 7.0)].any()
 
 
-def test_exact_samples_stay_exact():
-    t_s, depth_m, speed_m_s = motion()
-    for given in (speed_m_s, np.full(len(t_s), math.nan)):
-        found, _ = filtered(t_s, depth_m, given)
-        assert np.abs(found[:, 0] - depth_m).max() < 2e-6
-        steady = (t_s > 2.0) & (t_s < 5.0)
-        assert np.abs(found[steady, 1] - speed_m_s[steady]).max() < 1e-5
-
-
 def test_rest_of_a_rounded_depth_teaches_no_noise():
     t_s, depth_m, _ = motion()
     rounded = np.round(depth_m / 1e-5) * 1e-5

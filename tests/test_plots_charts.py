@@ -1,8 +1,6 @@
 """Charts: what is drawn is what was given, also when there is too much of it."""
 
-import os
 import re
-import stat
 import xml.etree.ElementTree as ElementTree
 
 import numpy as np
@@ -26,7 +24,6 @@ from needleforce.plots.chart import (
     WriteError,
     draw,
     limits_of,
-    write_file,
 )
 
 pytest.importorskip("matplotlib")
@@ -158,18 +155,3 @@ def test_what_cannot_be_drawn_or_written_is_refused(tmp_path):
     with pytest.raises(WriteError, match="cannot write"):
         save_figure(chart(curve([0.0])), tmp_path / "none" / "a.png")
     assert issubclass(WriteError, FiguresError)
-
-
-def test_a_link_and_a_pipe_stay_what_they_are(tmp_path):
-    target, link, pipe = tmp_path / "target", tmp_path / "link", tmp_path / "pipe"
-    target.write_bytes(b"old")
-    link.symlink_to(target)
-    assert write_file(link, b"new") == link
-    assert link.is_symlink()
-    assert target.read_bytes() == b"new"
-    os.mkfifo(pipe)
-    reader = os.open(pipe, os.O_RDONLY | os.O_NONBLOCK)
-    write_file(pipe, b"through")
-    assert os.read(reader, 10) == b"through"
-    os.close(reader)
-    assert stat.S_ISFIFO(pipe.stat().st_mode)

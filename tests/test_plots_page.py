@@ -1,7 +1,6 @@
-"""The page: everything inside, nothing from outside, nothing taken for markup; in a browser."""
+"""The page: everything inside, nothing from outside, nothing taken for markup."""
 
 import re
-from dataclasses import make_dataclass
 
 import pytest
 
@@ -10,7 +9,6 @@ from needleforce.plots import (
     PageFigure,
     PageTable,
     Section,
-    settings_table,
     write_page,
 )
 from needleforce.plots.chart import ChartError, WriteError
@@ -84,11 +82,3 @@ def test_what_cannot_be_written_or_read_or_is_ragged_is_refused(page, tmp_path):
     lost = PageFigure(path=tmp_path / "lost.svg", alt="a", caption="b")
     with pytest.raises(WriteError, match="cannot read"):
         Page(title="a", sections=(Section(heading="a", anchor="a", figures=(lost,)),)).html()
-
-
-def test_settings_are_listed_with_those_within():
-    inner = make_dataclass("Inner", ["gain", "names"])(1234567.0, ("a", 2.5))
-    outer = make_dataclass("Outer", ["inner", "friction", "empty"])(inner, None, ())
-    inside = {"`inner.gain`": "1.23457e+06", "`inner.names`": "a, 2.5"}
-    table = settings_table(outer, "Sensor")
-    assert dict(table.rows) == inside | {"`friction`": "none", "`empty`": "none"}

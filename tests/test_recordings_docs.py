@@ -8,10 +8,10 @@ import pytest
 from page_sessions import session_failures
 
 from needleforce import recordings
-from needleforce.recordings import CHANNELS, ColumnMapping, load_mapping, read_log
+from needleforce.recordings import CHANNELS, ColumnMapping, read_log
 from needleforce.recordings.bag_types import bag_topics, standard_types
 from needleforce.recordings.csv_file import CSV_SUFFIXES, HEAD_ROWS
-from needleforce.recordings.mapping import parse_column_spec, read_toml
+from needleforce.recordings.mapping import parse_column_spec
 from needleforce.recordings.table import Labels
 
 DOCS = Path(__file__).parents[1] / "docs"
@@ -62,13 +62,6 @@ def test_every_suffix_and_error_named_is_the_codes():
     for name in set(re.findall(r"`(\w+Error)`", TEXT + BAGS)):
         assert issubclass(getattr(recordings, name), recordings.RecordingError)
     assert f"decided from the first {HEAD_ROWS} rows" in TEXT
-
-
-def test_the_payload_of_the_page_is_read():
-    (lines,) = re.findall(r"```toml\n(.*?)```", BAGS, re.DOTALL)
-    Path("payload.toml").write_text(lines, encoding="utf-8")
-    payload = load_mapping("payload.toml").payload
-    assert payload == read_toml("payload.toml", "payload file")["payload"]
 
 
 def test_the_table_of_topics_is_the_codes():

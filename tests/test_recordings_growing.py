@@ -27,8 +27,6 @@ from bag_samples import (
 )
 
 from needleforce.recordings import (
-    ColumnError,
-    ColumnMapping,
     FileAccessError,
     FormatError,
     read_log,
@@ -138,17 +136,6 @@ def test_a_topic_that_is_not_there_yet_is_waited_for_and_reported_once(tmp_path)
         "growing.mcap: waiting for more topics; needed are q, tau, depth, and until now there are "
         "/joint_states"
     ]
-
-
-def test_a_topic_that_never_comes_is_an_error_when_the_recording_has_ended(tmp_path):
-    path, reported = tmp_path / "growing.mcap", []
-    path.write_bytes(recorded(tmp_path / "bag", late_topic(600)))
-    patience = FollowOptions(follow=True, idle_s=LONGEST_S, warn=reported.append)
-    with pytest.raises(ColumnError, match="no column found for depth"):
-        followed(path, patience)
-    with pytest.raises(ColumnError, match="'/none' is no topic"):
-        followed(path, patience, ColumnMapping(reference_topic="/none"), required=("q",))
-    assert "waiting for more topics; reference_topic = '/none' is no topic" in reported[-1]
 
 
 FORCE = {"required": ("q", "force")}

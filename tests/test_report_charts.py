@@ -11,9 +11,6 @@ from benchmarks.benchmark import Job
 from benchmarks.force_plots import force_figures
 from benchmarks.identification_figures import draw_identification
 from benchmarks.identification_metrics import SIGMA1_N, identify_as_run
-from benchmarks.identification_plots import (
-    enhanced_chart,
-)
 from benchmarks.methods import ForceReading, identify
 from benchmarks.signals import ForceTruth, NeedleSignal, insertion_truth
 from groundtruth import insert_needle
@@ -81,16 +78,6 @@ def run():
         published=made["published"],
         commanded_m_s=commanded_m_s,
     )
-
-
-def test_a_chart_marks_the_true_rupture_the_alarm_and_the_identified_friction(run):
-    chart, zero = enhanced_chart("a", run.truth, run.ours), run.truth.tare_end_s
-    (shading,) = chart.shadings
-    (rupture,) = run.truth.ruptures
-    assert shading.spans == ((rupture.onset_s - zero, rupture.end_s - zero),)
-    detected, identified = chart.instants
-    assert detected.places == tuple(alarm.alarm_s - zero for alarm in run.ours.alarms)
-    assert min(identified.places) > detected.places[0]
 
 
 def test_the_published_method_with_its_authors_settings_comes_near_the_truth(run):
