@@ -146,7 +146,7 @@ def run(
     Args:
         ids: Names of the list, tissue, robustness, or all but that; default: a quick set. Or, by
             themselves, control for the needle in closed loop (20 minutes a seed), or one part of
-            it: control-constraints, -guidance, -teleoperation, -autonomous, -faults.
+            it: control-priority, -constraints, -guidance, -teleoperation, -autonomous, -faults.
         plant: ideal, clean, fri, degraded, or needle (no arm), with commas between several; may be
             given more than once. Default: clean; for drawn scenarios needle. Of robustness, names
             of perturbations (benchmarks/perturbations.toml); default: all.

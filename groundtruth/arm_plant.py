@@ -14,7 +14,7 @@ from groundtruth.bearing_friction import BearingFriction
 from groundtruth.disturbances import ElbowPush, LateralForce, TissueMotion
 from groundtruth.errors import PlantError, PlantModelError
 from groundtruth.plant_model import PlantModel, TICK_s
-from groundtruth.rig_contacts import GRIPS, Contact, TouchedPoint
+from groundtruth.rig_contacts import Contact, TouchedPoint
 from groundtruth.tissue import TissueForce, TissueLaw, no_force
 from urdf import NeedleTool, Payload, Robot, load_lwr
 
@@ -311,8 +311,10 @@ class ArmPlant:
         self.friction_Nm = np.zeros(self._model.nv)
         self._held_Nm = np.zeros(self._model.nv)
         self._time_s = self._surface_m_s = 0.0
-        held = [[item for item in touching if item.at == place] for place in GRIPS]
-        self._touched = [TouchedPoint(self._model, self._data, items) for items in held if items]
+        self._touched = [
+            TouchedPoint(self._model, self._data, [item for item in touching if item.at == place])
+            for place in dict.fromkeys(item.at for item in touching)
+        ]
         self._locate()
 
     def place(self, q_rad: Array, dq_rad_s: Array) -> None:

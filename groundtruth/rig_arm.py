@@ -268,11 +268,11 @@ class SimulatedArm:
     def __next__(self) -> ArmSample:
         """Let the tick pass, and those after it whose samples are not received."""
         while True:
-            if self._is_begun:
+            if self._is_begun and self._tick < self._ticks:
                 self._pass_tick()
-            self._is_begun = True
             if self._tick >= self._ticks:
                 raise StopIteration
+            self._is_begun = True
             plant = self._plant
             self._torque_Nm = self._servo.torque(
                 self._commands.next_rad_s(), plant.q_rad, plant.dq_rad_s
@@ -321,7 +321,12 @@ class SimulatedArm:
     @property
     def ft_wrench(self) -> Array:
         """Reading of the reference F/T sensor one tick ago, shape (6,), see `Signals`."""
-        return self._sensors.wrench(self._tick, self._plant.ft_wrench)
+        return self._sensors.wrench(max(self._tick - 1, 0), self._plant.ft_wrench)
+
+    @property
+    def depths_m(self) -> Array:
+        """True depth of the tip at the start of every tick that has passed."""
+        return np.array(self._depths_m)
 
     def tissue_truth(self) -> TissueTruth:
         """Forces of the tissue and ruptures of the run so far, at all ticks; `PlantError` at 0."""

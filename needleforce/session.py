@@ -144,6 +144,7 @@ class SessionSnapshot(NamedTuple):
     identifier: IdentifierSnapshot
     zero: TravelZero
     travel: Travel  # the last
+    lagging: Travel  # the same as late as the force
     speed_lag_s: float  # setting of the session
     unused_s: float  # time of valid samples that were not used for identification
     time_s: float  # see `SessionEstimate`
@@ -277,7 +278,7 @@ class InsertionSession:
     def begin_insertion(self) -> None:
         """Count depth from here and forget the layers; the tare stays."""
         self._travel.zero()
-        self._last_travel = Travel(0.0, 0.0)
+        self._last_travel = self._lagging = Travel(0.0, 0.0)
         self._identifier.reset()
         self._identification = self._identifier.snapshot().last
         self._unused_s = 0.0
@@ -295,6 +296,7 @@ class InsertionSession:
             self._identifier.snapshot(),
             self._travel.state,
             self._last_travel,
+            self._lagging,
             self._speed_lag_s,
             self._unused_s,
             self._time_s,
@@ -324,7 +326,8 @@ class InsertionSession:
         self._identifier.restore(snapshot.identifier)
         self._travel.restore(snapshot.zero)
         self._is_started = snapshot.sensor.last is not None
-        self._last_travel, self._unused_s = snapshot.travel, snapshot.unused_s
+        self._last_travel, self._lagging = snapshot.travel, snapshot.lagging
+        self._unused_s = snapshot.unused_s
         self._time_s = snapshot.time_s
         self._identification = _without_events(snapshot.identifier.last)
 
@@ -360,14 +363,15 @@ class InsertionSession:
             last = self._last_travel.speed_m_s
             weight = -math.expm1(-elapsed_s / self._speed_lag_s)
             travel = travel._replace(speed_m_s=last + weight * (travel.speed_m_s - last))
-        self._last_travel = travel
+        lagging = self._as_late_as_force(travel, elapsed_s)
+        self._last_travel, self._lagging = travel, lagging
         if status is not _OK or (wrench.warnings and wrench.warnings & _NOT_USED):
             self._unused_s += elapsed_s
             return self._idle(wrench)
         if self._unused_s:
             elapsed_s, self._unused_s = elapsed_s + self._unused_s, 0.0
         depth_m, speed_m_s = travel
-        found = self._identifier.update(depth_m, speed_m_s, wrench.axial, elapsed_s, self._time_s)
+        found = self._identifier.update(*self._lagging, wrench.axial, elapsed_s, self._time_s)
         if found.rupture is not None:
             # A lateral push looks like a rupture before its mismatch has lasted long enough.
             wrench = self._sensor.recheck(wrench)
@@ -380,6 +384,19 @@ class InsertionSession:
             SessionEstimate,
             (wrench, depth_m, speed_m_s, found, status, found.status in _USED, self._time_s),
         )
+
+    def _as_late_as_force(self, travel: Travel, elapsed_s: float) -> Travel:
+        """Depth and speed behind the lag of the force, so that what belongs together meets.
+
+        A needle that a hand drives changes its speed within the observer's lag: the force of a
+        moment ago, beside the speed of now, would look like friction that comes and goes.
+        """
+        if (lag_s := self._sensor.filter_lag_s) <= 0.0:
+            return travel
+        kept = math.exp(-elapsed_s / lag_s)
+        depth_m = travel.depth_m + kept * (self._lagging.depth_m - travel.depth_m)
+        speed_m_s = travel.speed_m_s + kept * (self._lagging.speed_m_s - travel.speed_m_s)
+        return _new(Travel, (depth_m, speed_m_s))
 
     def _idle(self, wrench: WrenchEstimate) -> SessionEstimate:
         """A tick that is not used for identification."""

@@ -21,12 +21,13 @@ from needleforce.control.manager import (
     replay,
     transition,
 )
-from needleforce.control.monitors import NOTHING_BESIDE, Beside, SafetyLimits
+from needleforce.control.monitors import Beside, SafetyLimits
 from needleforce.control.ports import ArmSample
 from residual import SensorWarning, Status, TareError
 from urdf import load_lwr
 
 ROBOT = load_lwr()
+NOTHING = Beside()
 LIMITS = SafetyLimits(axial_N=2.0)
 FIRST = InsertionSession(ROBOT).update(np.zeros(7), np.zeros(7), np.zeros(7), 1e-3)
 ALL = Facts(*[True] * len(Facts._fields))
@@ -65,10 +66,10 @@ class Sensor:
 def new_manager(limits=LIMITS, log=None):
     sensor = Sensor()
     sensor.reads()
-    return Manager(ROBOT, limits, session=sensor, log=log), sensor
+    return Manager(sensor, limits, log=log), sensor
 
 
-def run(manager, seconds=1e-3, beside=NOTHING_BESIDE, dt_s=1e-3):
+def run(manager, seconds=1e-3, beside=NOTHING, dt_s=1e-3):
     for _ in range(round(seconds / 1e-3)):
         manager.heartbeat()
         now = manager.update(ArmSample(dt_s, np.zeros(7), np.zeros(7), np.zeros(7)), beside)
@@ -255,7 +256,7 @@ def test_single_bad_samples_do_not_stop():
     ("beside", "reason"),
     [
         (Beside(accepted=False), "refused commands"),
-        (Beside(command_rad_s=np.full(7, 0.5)), "off what was commanded"),
+        (Beside(command_rad_s=np.full(7, 0.05)), "does not follow its commands"),
         (Beside(axial_N=3.0), "axial force 3.00 N"),
     ],
 )

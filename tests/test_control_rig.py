@@ -258,7 +258,9 @@ def test_lost_samples_and_signals_are_lost_as_long_as_asked():
 def test_a_plant_that_loses_samples_shows_it_in_the_time_between_them():
     rig = SimulatedArm(plant=replace(IDEAL, ticks_per_sample=5), duration_s=0.1)
     periods = [sample.dt_s for sample in rig]
-    np.testing.assert_allclose(periods[1:], 5e-3)
+    np.testing.assert_allclose(periods[1:], [5e-3] * 19)
+    assert next(rig, None) is None
+    assert (rig.time_s, np.isfinite(rig.ft_wrench).all()) == (0.1, True)
 
 
 def test_tissue_lies_where_it_was_asked_for_and_ruptures_are_counted():

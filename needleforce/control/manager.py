@@ -8,15 +8,16 @@ from collections.abc import Iterable, Mapping
 from enum import StrEnum
 from pathlib import Path
 from types import MappingProxyType
-from typing import Any, NamedTuple
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 from needleforce.control.errors import SettingError
 from needleforce.control.event_log import EventLog, LoggedEvent
-from needleforce.control.monitors import NOTHING_BESIDE, Beside, Monitors, SafetyLimits
-from needleforce.control.ports import ArmSample
-from needleforce.session import InsertionSession, SessionEstimate
+from needleforce.control.monitors import Beside, Monitors, SafetyLimits
+from needleforce.control.ports import ArmReading
 from residual import TareError
-from urdf import Robot
+
+if TYPE_CHECKING:
+    from needleforce.session import InsertionSession, SessionEstimate
 
 
 class State(StrEnum):
@@ -133,7 +134,7 @@ class Situation(NamedTuple):
     state_s: float  # time in this state
     time_s: float  # sum of the time steps since the start, bad samples included
     reason: str  # why it was stopped, faulted or refused last; empty if it never was
-    estimate: SessionEstimate
+    estimate: "SessionEstimate"
 
     @property
     def is_moving(self) -> bool:
@@ -143,6 +144,7 @@ class Situation(NamedTuple):
 
 _ENTRY_MARGIN_M = 1e-3
 """So far above the place of the first contact the needle counts as outside."""
+_NOTHING = Beside()
 _LONGEST_STEP_S = 0.1
 """A longer time step is a clock that was set, not time that passed here."""
 
@@ -155,9 +157,8 @@ class Manager:
     of a second.
 
     Args:
-        robot: The arm with its payload, as its user knows it.
+        session: Force sensor and identification, for the manager alone to update.
         limits: What stops a motion; without them nothing moves.
-        session: Of the same robot; by default one with its defaults.
         log: File for the events, one JSON object per line, appended to; None to keep them in
             `events` only.
         heartbeat_s: Longest time between two heartbeats [s].
@@ -169,14 +170,13 @@ class Manager:
 
     def __init__(
         self,
-        robot: Robot,
+        session: "InsertionSession",
         limits: SafetyLimits | None = None,
         *,
-        session: InsertionSession | None = None,
         log: str | Path | None = None,
         heartbeat_s: float = 0.1,
     ) -> None:
-        self.session = InsertionSession(robot) if session is None else session
+        self.session = session
         self._limits, self._heartbeat_s = limits, heartbeat_s
         self._monitors = Monitors(limits or SafetyLimits(axial_N=1.0))
         self._log = EventLog(log)
@@ -194,7 +194,7 @@ class Manager:
         """The program in charge is alive."""
         self._beat_s = self._time_s
 
-    def update(self, sample: ArmSample, beside: Beside = NOTHING_BESIDE) -> Situation:
+    def update(self, sample: ArmReading, beside: Beside = _NOTHING) -> Situation:
         """Take one sample of the arm and what came beside it; never raises for a bad one."""
         usable = 0.0 < sample.dt_s <= _LONGEST_STEP_S
         self._last_step_s = step_s = sample.dt_s if usable else self._last_step_s
