@@ -14,7 +14,6 @@ from groundtruth.tissue import (
     UNLOADING_M,
     Tissue,
     bristle_step,
-    relaxation_step,
 )
 
 SPEED = 2.3e-3
@@ -94,14 +93,6 @@ def test_bristle_stays_in_its_range_follows_the_travel_and_half_steps_agree(
     once = bristle_step(bristle, travel, 1e-3, length, 0.0)
     half = bristle_step(bristle, travel / 2, 5e-4, length, 0.0)
     assert bristle_step(half, travel / 2, 5e-4, length, 0.0) == pytest.approx(once, abs=1e-9)
-
-
-@given(relaxed=fractions, speed=travels, dt=times)
-def test_relaxation_stays_a_fraction_and_half_steps_agree(relaxed, speed, dt):
-    once = relaxation_step(relaxed, speed, dt)
-    twice = relaxation_step(relaxation_step(relaxed, speed, dt / 2), speed, dt / 2)
-    assert 0.0 <= once <= 1.0
-    assert twice == pytest.approx(once, abs=1e-9)
 
 
 @EVERY_GEL

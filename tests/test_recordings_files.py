@@ -146,6 +146,9 @@ def test_a_compressed_file_reads_the_same_and_a_cut_one_up_to_the_cut(read):
     assert values(table) == {name: column[:rows] for name, column in whole.items()}
     lost = f"the compressed file is cut short; what follows line {rows + 1} is lost"
     assert table.warnings == (lost,)
+    place = len(packed) * 3 // 4
+    table = read(packed[:place] + bytes(2000) + packed[place + 2000 :], "log.csv.gz")
+    assert "is damaged; what follows line" in table.warnings[0]
 
 
 cells = st.floats() | st.integers(-(10**6), 10**6)

@@ -57,14 +57,6 @@ def test_csv_numbers_two_dimensional_columns_and_quotes_names(tmp_path):
     assert list(read_table(path).columns) == ["n", "on", "w, z_1", "w, z_2"]
 
 
-@pytest.mark.parametrize("suffix", SUFFIXES)
-def test_the_same_columns_give_the_same_bytes(tmp_path, suffix):
-    paths = [tmp_path / f"{name}.{suffix}" for name in "ab"]
-    for path in paths:
-        write_table(path, {"t_s": T_S, "file": T_S})
-    assert paths[0].read_bytes() == paths[1].read_bytes()
-
-
 @pytest.mark.parametrize(
     ("columns", "message"),
     [
