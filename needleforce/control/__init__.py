@@ -8,7 +8,7 @@
 Not a medical device: nothing here is claimed beyond the simulation it is measured on.
 
 Reading order: `ports` (what lies outside), `tool_state`, `tasks`, `velocity_box`,
-`priority_solver`, `controller` (one tick), `manager`.
+`priority_solver`, `controller` (one tick), `manager`, `passivity`, `teleoperation`.
 """
 
 from needleforce.control.controller import Command, CommandStatus, Controller
@@ -37,6 +37,7 @@ from needleforce.control.tasks import (
     Task,
     TipVelocity,
 )
+from needleforce.control.teleoperation import DelayLine, TeleopCommand, Teleoperation, shown_force
 from needleforce.control.tool_state import ToolState
 from needleforce.control.velocity_box import Limits
 
@@ -50,6 +51,7 @@ __all__ = [
     "CommandStatus",
     "ControlError",
     "Controller",
+    "DelayLine",
     "DecoupledMotion",
     "Fixture",
     "ForceSensor",
@@ -71,9 +73,12 @@ __all__ = [
     "Situation",
     "State",
     "Task",
+    "TeleopCommand",
+    "Teleoperation",
     "TipVelocity",
     "ToolState",
     "depth_of",
     "read_events",
     "replay",
+    "shown_force",
 ]
