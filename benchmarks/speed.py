@@ -35,8 +35,6 @@ BLOCK = 200
 down slows all of them."""
 NS_PER_US = 1e3
 SCENARIO, PLANT = "stack-constant", "clean"
-JITTER_s = 5e-5
-"""Of the uneven clock: that of the degraded arm."""
 LAYER_TICKS = 6
 """A layer is identified over so many updates at most: the last one reports it."""
 PERCENTILES = {"median": 50.0, "99 %": 99.0, "99.9 %": 99.9, "worst": 100.0}
@@ -54,13 +52,11 @@ class Subject(NamedTuple):
 
 OBSERVER, SENSOR, CHAIN = "observer", "sensor", "chain"
 PUBLISHED_CHAIN = "chain, published identifier"
-UNEVEN, ESTIMATED = ", uneven clock", ", velocity estimated"
+ESTIMATED = ", velocity estimated"
 SUBJECTS: Mapping[str, Subject] = MappingProxyType(
     {
         OBSERVER: Subject(BARE_OBSERVER, *OBSERVER_COST_RATIOS),
-        OBSERVER + UNEVEN: Subject(BARE_OBSERVER),
         SENSOR: Subject(BARE_SENSOR, *SENSOR_COST_RATIOS),
-        SENSOR + UNEVEN: Subject(BARE_SENSOR),
         CHAIN: Subject(BARE_SENSOR, *CHAIN_COST_RATIOS),
         CHAIN + ESTIMATED: Subject(BARE_SENSOR, ESTIMATED_VELOCITY_COST_RATIO),
         PUBLISHED_CHAIN: Subject(BARE_SENSOR, *CHAIN_COST_RATIOS),
@@ -146,32 +142,26 @@ class SpeedReport:
 def measure_speed(progress: Callable[[float], None]) -> SpeedReport:
     """Time everything on the signals of a simulated insertion, from the tare on."""
     run = simulate(SCENARIO, PLANT, 0, progress)
-    even = JointSignals.of_run(run)
-    noise = np.random.default_rng(0).normal(scale=JITTER_s, size=len(even.t_s))
-    uneven = replace(even, t_s=even.t_s + noise)
-    blind = replace(even, dq_rad_s=None)
-    tare = int(np.searchsorted(even.t_s, run.tare_end_s))
+    signals = JointSignals.of_run(run)
+    blind = replace(signals, dq_rad_s=None)
+    tare = int(np.searchsorted(signals.t_s, run.tare_end_s))
     chains = {
-        name + how: ChainUpdate(run.robot, signals, tare, config)
+        name + how: ChainUpdate(run.robot, sent, tare, config)
         for name, config in ((CHAIN, MULTILAYER), (PUBLISHED_CHAIN, PUBLISHED))
-        for how, signals in (("", even), (ESTIMATED, blind))
+        for how, sent in (("", signals), (ESTIMATED, blind))
     }
-    observers = [
-        MomentumObserver(run.robot, DEFAULT.gain_per_s, alignment="hold") for _ in range(2)
-    ]
-    sensors = [VirtualForceSensor(run.robot, on_lwr(DEFAULT)) for _ in range(2)]
+    observer = MomentumObserver(run.robot, DEFAULT.gain_per_s, alignment="hold")
+    sensor = VirtualForceSensor(run.robot, on_lwr(DEFAULT))
     subjects = {
-        BARE_OBSERVER: _bare_observer(run.robot, even),
-        OBSERVER: _fed(observers[0], even),
-        OBSERVER + UNEVEN: _fed(observers[1], uneven),
-        BARE_SENSOR: bare_sensor(run.robot, even),
-        SENSOR: _fed(sensors[0], even, tare),
-        SENSOR + UNEVEN: _fed(sensors[1], uneven, tare),
+        BARE_OBSERVER: _bare_observer(run.robot, signals),
+        OBSERVER: _fed(observer, signals),
+        BARE_SENSOR: bare_sensor(run.robot, signals),
+        SENSOR: _fed(sensor, signals, tare),
         **chains,
     }
     # The first counted update comes after that of the tare.
     first = tare + 1
-    times = time_side_by_side(subjects, first, len(even.t_s))
+    times = time_side_by_side(subjects, first, len(signals.t_s))
     return SpeedReport(
         times=times,
         alarms={name: [k - first for k in each.alarms] for name, each in chains.items()},

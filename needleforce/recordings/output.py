@@ -91,11 +91,10 @@ def open_table(
     if str(path) == STANDARD_STREAM:
         if sys.stdout is None:
             raise FileAccessError("cannot write standard output: it is closed")
-        output = OpenTable(
-            lambda: CsvWriter(sys.stdout.buffer, labels()), is_live=True, name="standard output"
-        )
+        name, standard = "standard output", sys.stdout.buffer
+        output = OpenTable(lambda: CsvWriter(standard, labels()), is_live=True, name=name)
         yield output
-        with file_errors("standard output", "write"):
+        with file_errors(name, "write"):
             output.finish()
         return
     path = Path(path)
