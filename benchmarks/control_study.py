@@ -24,7 +24,7 @@ from benchmarks.runner import THREAD_SETTINGS
 from benchmarks.tables import ResultTable, new_console
 
 PREFIX = "control"
-PARTS = ("constraints", "guidance", "teleoperation", "autonomous", "faults")
+PARTS = ("priority", "constraints", "guidance", "teleoperation", "autonomous", "faults")
 PLANTS = ("clean", "fri")
 JUDGED = "clean"
 FIRST_SEED = 1000

@@ -1,5 +1,6 @@
 """One tick: from a sample of the arm and a stack of tasks to joint velocities within limits."""
 
+import itertools
 from collections.abc import Sequence
 from enum import StrEnum
 from typing import Literal, NamedTuple
@@ -9,14 +10,14 @@ import numpy as np
 from needleforce.control.errors import ControlError, SettingError
 from needleforce.control.ports import ArmReading, Array
 from needleforce.control.priority_solver import Hierarchical, Published, Solver, Stack
-from needleforce.control.tasks import Task
+from needleforce.control.tasks import JointVelocity, Task
 from needleforce.control.tool_state import ToolState
 from needleforce.control.velocity_box import (
     ACCELERATION,
     Limits,
     LONGEST_STEP_s,
-    assess,
-    fill_bounds,
+    SLACK_rad_s,
+    joint_bounds,
 )
 from urdf import Robot
 
@@ -42,19 +43,15 @@ class Command(NamedTuple):
     Attributes:
         dq_rad_s: To be sent to the arm, shape (n,).
         status: How it came about.
-        missed: Largest part of each task's rates that this command leaves unmet [m/s or rad/s];
-            empty unless solved. A posture below other tasks always misses something.
         reason: Why it was skipped or braked; empty otherwise.
     """
 
     dq_rad_s: Array
     status: CommandStatus
-    missed: Array
     reason: str = ""
 
 
 _OK, _SATURATED = CommandStatus.OK, CommandStatus.SATURATED
-_NOTHING = np.zeros(0)
 _new = tuple.__new__  # makes a named tuple in half the time: there is one in every tick
 
 
@@ -89,9 +86,7 @@ class Controller:
         self.tool = ToolState(robot)
         self._limits, self._joints = limits.table, robot.nv
         self._solver = SOLVERS[solver]
-        self._box = np.zeros((2, robot.nv))
-        endless = np.full((2, robot.nv), np.inf) * [[-1.0], [1.0]]
-        self._clip = self._box if solver == "hierarchical" else endless
+        self._numbers = Stack((), robot.nv)
         self._solvers: dict[tuple[int, ...], tuple[Stack, Solver]] = {}
         self._step_s = 1e-3
         self.reset()
@@ -120,25 +115,39 @@ class Controller:
                 return self._skip(f"{q.size} positions, dt_s = {dt_s:g}")
             self._step_s = min(dt_s, LONGEST_STEP_s)
             self.tool.update(q)
-            numbers, solver = self._numbers_for(tuple([task.size for task in stack]))
+            last = stack[-1] if stack else None
+            # A wish of the joints that comes last needs no rows: it is the QP's own cost.
+            above = stack[:-1] if isinstance(last, JointVelocity) else stack
+            numbers, solver = self._numbers_for(tuple([task.size for task in above]))
+            if isinstance(last, JointVelocity):
+                last.write_velocity(q, numbers.wish)
+            else:
+                numbers.wish[:] = 0.0
             first = 0
-            for task in stack:
+            for task in above:
                 task.write(self.tool, numbers.rows, numbers.rates, first)
                 first += task.size
         except (TypeError, ValueError, ControlError) as error:
             return self._skip(str(error))
-        box, bounds = self._box, numbers.bounds
-        if not fill_bounds(self._limits, q, self._last, self._step_s, box, bounds):
+        self._numbers, bounds = numbers, numbers.bounds
+        if not joint_bounds(self._limits, q, self._last, self._step_s, bounds):
             return self._skip("positions or tasks are not finite")
-        velocity = solver.solve() if first else None
+        velocity, is_limited = solver.solve() if stack else (None, False)
         if velocity is None:
-            velocity = np.clip(0.0, box[0], box[1])
-            reason = "the solver found no velocity" if first else ""
-            return self._send(Command(velocity, CommandStatus.BRAKING, _NOTHING, reason))
-        missed = np.empty(len(stack))
-        is_limited = assess(velocity, self._clip, numbers.rows, numbers.rates, numbers.ends, missed)
-        status = _SATURATED if is_limited else _OK
-        return self._send(_new(Command, (velocity, status, missed, "")))
+            velocity = np.clip(0.0, bounds[0, : self._joints], bounds[1, : self._joints])
+            reason = "the solver found no velocity" if stack else ""
+            return self._send(Command(velocity, CommandStatus.BRAKING, reason))
+        return self._send(_new(Command, (velocity, _SATURATED if is_limited else _OK, "")))
+
+    @property
+    def missed(self) -> list[float]:
+        """Largest part of each task's rates that the last command leaves unmet [m/s or rad/s].
+
+        Without that of a wish of the joints that comes last; of the last valid sample.
+        """
+        numbers = self._numbers
+        left = np.abs(numbers.rows[: numbers.rates.size] @ self._last - numbers.rates)
+        return [float(left[i:k].max()) for i, k in itertools.pairwise((0, *numbers.ends))]
 
     def _numbers_for(self, sizes: tuple[int, ...]) -> tuple[Stack, Solver]:
         """Numbers and solver of a stack; made when such a stack comes first."""
@@ -150,9 +159,9 @@ class Controller:
 
     def _skip(self, reason: str) -> Command:
         """Brake from the last command at the rate that limits allow."""
-        change = self._limits[ACCELERATION] * self._step_s
+        change = self._limits[ACCELERATION] * self._step_s - SLACK_rad_s
         velocity = self._last - np.clip(self._last, -change, change)
-        return self._send(Command(velocity, CommandStatus.SKIPPED, _NOTHING, reason))
+        return self._send(Command(velocity, CommandStatus.SKIPPED, reason))
 
     def _send(self, command: Command) -> Command:
         command.dq_rad_s.setflags(write=False)

@@ -1,10 +1,9 @@
 """Tasks: what joint velocities should do to the needle, as rows J dq = v.
 
-A task with error e asks for e' = -K e, so the error decays with time constant 1/K where no limit
-and no task above it is in the way. Errors are of *measured* joint positions. The loop is stable
-while K times the delay from measurement to motion stays below about 0.6.
-
-A stack is a list of tasks, the first wins.
+A task with error e asks for e' = -K e, so that e fades with time constant 1/K where no limit and no
+task above it is in the way. Errors are of *measured* positions; the loop is stable while K times
+the delay from measurement to motion stays below about 0.6. A stack is a list of tasks, the first
+wins.
 """
 
 import math
@@ -18,35 +17,36 @@ from needleforce.control.ports import Array
 from needleforce.control.tool_state import ToolState
 from needleforce.jit import Matrix, Vector, WrittenMatrix, WrittenVector, compiled
 
-GAIN_PER_S = 60.0
-"""K of the constraints: at 2 ms of delay it holds a pushed needle twice as close as 30 / s."""
+GAIN_PER_S = 30.0
+"""K of the constraints. 60 / s hold a pushed needle closer where positions are fine; where they are
+rounded to an encoder's steps they make the command rough."""
 
 
 class Task:
     """Rows J dq = v of equal priority; J in m or 1 per joint, v in m/s or rad/s.
 
     Attributes:
-        size: Number of rows.
+        size: Number of rows m.
     """
 
     size = 0
 
     def write(self, tool: ToolState, rows: Array, rates: Array, first: int) -> None:
-        """Write J into ``rows``, shape (m, n), and v into ``rates``, shape (m,), from a row on."""
+        """Write J into ``rows``, shape (>= m, n), and v into ``rates``, from row ``first`` on."""
         raise NotImplementedError
 
     def rows(self, tool: ToolState) -> tuple[Array, Array]:
-        """J, shape (size, n), and v, shape (size,), in arrays of their own."""
+        """J, shape (m, n), and v, shape (m,), in arrays of their own."""
         rows, rates = np.zeros((self.size, tool.q_rad.size)), np.zeros(self.size)
         self.write(tool, rows, rates, 0)
         return rows, rates
 
 
 def vector(value: ArrayLike, size: int, name: str) -> Array:
-    """Finite numbers in an array of their own; `SettingError` if they are not."""
+    """Numbers in an array of their own; `SettingError` if there are more or less of them."""
     given = np.array(value, dtype=np.float64)
-    if given.shape != (size,) or not np.isfinite(given).all():
-        raise SettingError(f"{name} is {value!r}, expected {size} finite numbers")
+    if given.shape != (size,):
+        raise SettingError(f"{name} is {value!r}, expected {size} numbers")
     return given
 
 
@@ -61,10 +61,11 @@ def rotation_matrix(value: ArrayLike) -> Array:
 class RemoteCentre(Task):
     """The needle's axis passes through a fixed point, the entry; two rows.
 
-        e = N^T (c - p),   J = N^T J_v - [n_i x (c - p)]^T J_w,   v = K e
+        e = N^T (c - p),   J = N^T (J_v - [c - p]_x J_w),   v = K e
 
-    with N = (n_1, n_2) the tool's x and y axes, p the tip, c the point (Aghakhani et al., ICRA
-    2013, without their parameter of the place along the needle).
+    with N the tool's x and y axes, p the tip, c the point: what the tool has there moves across
+    the needle towards it (after Aghakhani et al., ICRA 2013, without their extra unknown, the
+    place of the point along the needle).
 
     Args:
         point_m: The point c in the base, shape (3,).
@@ -78,41 +79,39 @@ class RemoteCentre(Task):
 
     def write(self, tool: ToolState, rows: Array, rates: Array, first: int) -> None:
         """See `Task.write`."""
-        _remote_centre(tool.pose, tool.jacobian, self.point_m, self.gain_per_s, rows, rates, first)
+        goal = (self.point_m, self.gain_per_s)
+        _remote_centre(tool.pose, tool.jacobian, goal, rows, rates, first)
 
 
 @compiled
 def _remote_centre(
     pose: Matrix,
     jacobian: Matrix,
-    point: Vector,
-    gain: float,
+    goal: tuple[Vector, float],
     rows: WrittenMatrix,
     rates: WrittenVector,
     first: int,
 ) -> None:
-    dx, dy, dz = point[0] - pose[0, 3], point[1] - pose[1, 3], point[2] - pose[2, 3]
-    for i in range(2):
-        x, y, z = pose[0, i], pose[1, i], pose[2, i]
-        cx, cy, cz = y * dz - z * dy, z * dx - x * dz, x * dy - y * dx
-        for k in range(jacobian.shape[1]):
-            linear = x * jacobian[0, k] + y * jacobian[1, k] + z * jacobian[2, k]
-            turning = cx * jacobian[3, k] + cy * jacobian[4, k] + cz * jacobian[5, k]
-            rows[first + i, k] = linear - turning
-        rates[first + i] = gain * (x * dx + y * dy + z * dz)
+    point, gain = goal
+    arm = point - pose[:3, 3]
+    x, y, z = arm
+    swing = np.array([[0.0, z, -y], [-z, 0.0, x], [y, -x, 0.0]])  # w x arm, as a matrix on w
+    across = np.ascontiguousarray(pose[:3, :2].T)
+    rows[first : first + 2] = across @ (jacobian[:3] + swing @ jacobian[3:])
+    rates[first : first + 2] = gain * (across @ arm)
 
 
 class Fixture(Task):
     """The needle moves along a line fixed in space and keeps its direction; four or five rows.
 
-        e = (B^T (o - p), e_R),   J = (B^T J_v, J_w),   v = K e
+        e = B^T (o - p, log(R_d R^T)),   J = B^T (J_v, J_w),   v = K e
 
-    with B two directions across the axis and e_R = log(R_d R^T) the rotation that is missing; with
-    `turn_free` only the part B^T e_R of it, so that the needle may turn about itself.
+    where B takes the components along two directions across the line, of the rotation also the
+    third, about the line, unless the needle may turn about itself.
 
     Args:
-        origin_m: A point of the line, shape (3,).
-        rotation: Axes of the tool in the base, shape (3, 3); the third is the line.
+        origin_m: A point o of the line, shape (3,).
+        rotation: Axes R_d of the tool in the base, shape (3, 3); the third is the line.
         gain_per_s: K.
         turn_free: Whether the needle may turn about itself.
     """
@@ -138,23 +137,21 @@ class Fixture(Task):
 
     def write(self, tool: ToolState, rows: Array, rates: Array, first: int) -> None:
         """See `Task.write`."""
-        goal = (self.origin_m, self.rotation, self.gain_per_s)
-        _fixture(tool.pose, tool.jacobian, goal, self.size, rows, rates, first)
+        goal = (self.origin_m, self.rotation, self.gain_per_s, self.size)
+        _fixture(tool.pose, tool.jacobian, goal, rows, rates, first)
 
 
 @compiled
 def rotation_error(goal: Matrix, pose: Matrix) -> tuple[float, float, float]:
-    """Rotation log(R_d R^T) that turns R into R_d [rad], in the axes both are given in."""
-    # Twice its sine times its axis is the sum of the cross products of the axes.
+    """Rotation log(R_d R^T) [rad] that is missing from R to R_d, in the axes both are given in."""
     x = y = z = trace = 0.0
-    for i in range(3):
+    for i in range(3):  # half the sum of r_i x r_d,i is the axis times the sine
         a, b, c = pose[0, i], pose[1, i], pose[2, i]
         d, e, f = goal[0, i], goal[1, i], goal[2, i]
         x, y, z = x + 0.5 * (b * f - c * e), y + 0.5 * (c * d - a * f), z + 0.5 * (a * e - b * d)
         trace += a * d + b * e + c * f
     sine, cosine = math.sqrt(x * x + y * y + z * z), 0.5 * (trace - 1.0)
-    # A half turn has no direction of its own: any does.
-    if sine < 1e-9:
+    if sine < 1e-9:  # nothing missing, or half a turn, for which any direction will do
         return (x, y, z) if cosine > 0.0 else (math.pi, 0.0, 0.0)
     scale = math.atan2(sine, cosine) / sine
     return scale * x, scale * y, scale * z
@@ -164,27 +161,21 @@ def rotation_error(goal: Matrix, pose: Matrix) -> tuple[float, float, float]:
 def _fixture(
     pose: Matrix,
     jacobian: Matrix,
-    goal: tuple[Vector, Matrix, float],
-    size: int,
+    goal: tuple[Vector, Matrix, float, int],
     rows: WrittenMatrix,
     rates: WrittenVector,
     first: int,
 ) -> None:
-    origin, rotation, gain = goal
-    dx, dy, dz = origin[0] - pose[0, 3], origin[1] - pose[1, 3], origin[2] - pose[2, 3]
-    wx, wy, wz = rotation_error(rotation, pose)
-    turns = size - 2
-    for i in range(2):
-        x, y, z = rotation[0, i], rotation[1, i], rotation[2, i]
-        for k in range(jacobian.shape[1]):
-            rows[first + i, k] = x * jacobian[0, k] + y * jacobian[1, k] + z * jacobian[2, k]
-        rates[first + i] = gain * (x * dx + y * dy + z * dz)
-    for i in range(turns):
-        x, y, z = rotation[0, i], rotation[1, i], rotation[2, i]
-        row = first + 2 + i
-        for k in range(jacobian.shape[1]):
-            rows[row, k] = x * jacobian[3, k] + y * jacobian[4, k] + z * jacobian[5, k]
-        rates[row] = gain * (x * wx + y * wy + z * wz)
+    origin, rotation, gain, size = goal
+    error = np.zeros(6)
+    error[:3] = origin - pose[:3, 3]
+    error[3], error[4], error[5] = rotation_error(rotation, pose)
+    for i in range(size):
+        across, part = (i, 0) if i < 2 else (i - 2, 3)
+        rows[first + i], rates[first + i] = 0.0, 0.0
+        for k in range(3):
+            rows[first + i] += rotation[k, across] * jacobian[part + k]
+            rates[first + i] += gain * rotation[k, across] * error[part + k]
 
 
 class TipVelocity(Task):
@@ -221,10 +212,8 @@ def _tip_velocity(
     first: int,
 ) -> None:
     velocity, place, gain = goal
-    for i in range(3):
-        for k in range(jacobian.shape[1]):
-            rows[first + i, k] = jacobian[i, k]
-        rates[first + i] = velocity[i] + gain * (place[i] - pose[i, 3])
+    rows[first : first + 3] = jacobian[:3]
+    rates[first : first + 3] = velocity + gain * (place - pose[:3, 3])
 
 
 class Orientation(Task):
@@ -233,7 +222,7 @@ class Orientation(Task):
     Args:
         rotation: Axes R_d of the tool in the base, shape (3, 3).
         angular_rad_s: Angular velocity w of the goal in base axes, shape (3,).
-        gain_per_s: K.
+        gain_per_s: K; with 0 the angular velocity alone.
     """
 
     size = 3
@@ -250,31 +239,15 @@ class Orientation(Task):
 
     def write(self, tool: ToolState, rows: Array, rates: Array, first: int) -> None:
         """See `Task.write`."""
-        goal = (self.angular_rad_s, self.rotation, self.gain_per_s)
-        _orientation(tool.pose, tool.jacobian, goal, rows, rates, first)
-
-
-@compiled
-def _orientation(
-    pose: Matrix,
-    jacobian: Matrix,
-    goal: tuple[Vector, Matrix, float],
-    rows: WrittenMatrix,
-    rates: WrittenVector,
-    first: int,
-) -> None:
-    angular, rotation, gain = goal
-    missing = rotation_error(rotation, pose)
-    for i in range(3):
-        for k in range(jacobian.shape[1]):
-            rows[first + i, k] = jacobian[3 + i, k]
-        rates[first + i] = angular[i] + gain * missing[i]
+        x, y, z = rotation_error(self.rotation, tool.pose)
+        rows[first : first + 3] = tool.jacobian[3:]
+        rates[first : first + 3] = self.angular_rad_s + self.gain_per_s * np.array((x, y, z))
 
 
 class DecoupledMotion(Task):
     """Linear and angular velocity set apart: neither moves what the other has not asked for.
 
-    Place and orientation that the wishes of `move` have added up to are held by feedback; six rows.
+    Feedback holds the place and the orientation that the wishes of `move` add up to; six rows.
 
     Args:
         tool: Where to begin.
@@ -283,7 +256,7 @@ class DecoupledMotion(Task):
 
     size = 6
     MOST_LAG_m, MOST_LAG_rad = 5e-3, 0.05
-    """The wish waits for an arm that limits hold this far behind it."""
+    """A wish waits for an arm that limits hold this far behind it."""
 
     def __init__(self, tool: ToolState, gain_per_s: float = GAIN_PER_S) -> None:
         self.place = TipVelocity((0.0, 0.0, 0.0), tool.tip_m, gain_per_s)
@@ -294,12 +267,11 @@ class DecoupledMotion(Task):
     ) -> None:
         """Wish velocities in base axes, shape (3,) each, for the coming tick."""
         place, turn = self.place, self.direction
-        place.velocity_m_s = vector(linear_m_s, 3, "linear_m_s")
+        behind_m = np.linalg.norm(place.goal_m - tool.tip_m)
+        behind_rad = math.hypot(*rotation_error(turn.rotation, tool.pose))
+        place.velocity_m_s = vector(linear_m_s, 3, "linear_m_s") * (behind_m < self.MOST_LAG_m)
         turn.angular_rad_s = vector(angular_rad_s, 3, "angular_rad_s")
-        if np.linalg.norm(place.goal_m - tool.tip_m) > self.MOST_LAG_m:
-            place.velocity_m_s = np.zeros(3)
-        if math.hypot(*rotation_error(turn.rotation, tool.pose)) > self.MOST_LAG_rad:
-            turn.angular_rad_s = np.zeros(3)
+        turn.angular_rad_s *= behind_rad < self.MOST_LAG_rad
         place.goal_m = place.goal_m + dt_s * place.velocity_m_s
         turn.rotation = np.ascontiguousarray(pin.exp3(dt_s * turn.angular_rad_s) @ turn.rotation)
 
@@ -325,23 +297,9 @@ class AxialSpeed(Task):
 
     def write(self, tool: ToolState, rows: Array, rates: Array, first: int) -> None:
         """See `Task.write`."""
-        axis = tool.axis if self.axis is None else self.axis
-        _axial_speed(axis, tool.jacobian, self.speed_m_s, rows, rates, first)
-
-
-@compiled
-def _axial_speed(
-    axis: Vector,
-    jacobian: Matrix,
-    speed: float,
-    rows: WrittenMatrix,
-    rates: WrittenVector,
-    first: int,
-) -> None:
-    for k in range(jacobian.shape[1]):
-        along = axis[0] * jacobian[0, k] + axis[1] * jacobian[1, k]
-        rows[first, k] = along + axis[2] * jacobian[2, k]
-    rates[first] = speed
+        axis = tool.pose[:3, 2] if self.axis is None else self.axis
+        rows[first] = axis @ tool.jacobian[:3]
+        rates[first] = self.speed_m_s
 
 
 class JointVelocity(Task):
@@ -362,34 +320,27 @@ class JointVelocity(Task):
         self.goal_rad = vector(goal, self.size, "goal_rad")
         self.gain_per_s = 0.0 if goal_rad is None else float(gain_per_s)
 
+    def write_velocity(self, q_rad: Array, velocity: Array) -> None:
+        """Write what it asks for at joint positions, shape (n,); `SettingError` for another n."""
+        if q_rad.size != self.size:
+            raise SettingError(f"a task of {self.size} joints, the robot has {q_rad.size}")
+        _joint_velocity(q_rad, self.velocity_rad_s, self.goal_rad, self.gain_per_s, velocity)
+
     def write(self, tool: ToolState, rows: Array, rates: Array, first: int) -> None:
-        """See `Task.write`; `SettingError` if the robot has another number of joints."""
-        if tool.q_rad.size != self.size:
-            raise SettingError(
-                f"a task of {self.size} joints on a robot of {tool.q_rad.size}; give one per joint"
-            )
-        goal = (self.velocity_rad_s, self.goal_rad, self.gain_per_s)
-        _joint_velocity(tool.q_rad, goal, rows, rates, first)
+        """See `Task.write`."""
+        self.write_velocity(tool.q_rad, rates[first : first + self.size])
+        rows[first : first + self.size] = np.eye(self.size)
 
 
 @compiled
 def _joint_velocity(
-    q: Vector,
-    goal: tuple[Vector, Vector, float],
-    rows: WrittenMatrix,
-    rates: WrittenVector,
-    first: int,
+    q: Vector, velocity: Vector, goal: Vector, gain: float, result: WrittenVector
 ) -> None:
-    velocity, place, gain = goal
-    for i in range(q.size):
-        for k in range(q.size):
-            rows[first + i, k] = 0.0
-        rows[first + i, i] = 1.0
-        rates[first + i] = velocity[i] + gain * (place[i] - q[i])
+    result[:] = velocity + gain * (goal - q)
 
 
 class Posture(JointVelocity):
-    """A posture that redundant joints return to, slowly; n rows. Put it last.
+    """A posture that joints left free return to, slowly; n rows. Put it last.
 
     Args:
         q_rad: The posture, shape (n,).

@@ -7,13 +7,13 @@ from numpy.typing import ArrayLike
 
 from needleforce.control.errors import SettingError
 from needleforce.control.ports import Array
-from needleforce.jit import Matrix, Vector, WrittenMatrix, WrittenVector, compiled
+from needleforce.jit import Matrix, Vector, WrittenMatrix, compiled
 from urdf import Robot
 
 LONGEST_STEP_s = 0.02
 """A sample that comes later gives the arm no more acceleration than this one."""
-SOLVER_TOLERANCE = 1e-6
-"""A solver may exceed bounds by this [rad/s]: limits are narrowed by it first."""
+SLACK_rad_s = 1e-7
+"""Speeds and their changes stay this far inside, and a solver may exceed the box by as much."""
 LOWEST, HIGHEST, SPEED, ACCELERATION = 0, 1, 2, 3
 """Rows of `Limits.table`."""
 
@@ -30,8 +30,8 @@ class Limits:
             command.
 
     Attributes:
-        table: Lowest position, highest position [rad], speed [rad/s] and acceleration [rad/s^2]
-            of every joint, shape (4, n).
+        table: Lowest and highest position [rad], speed [rad/s] and acceleration [rad/s^2] of
+            every joint, shape (4, n).
 
     Raises:
         SettingError: A limit is missing, not positive, or above the robot's.
@@ -44,10 +44,9 @@ class Limits:
         acceleration_rad_s2: ArrayLike = 10.0,
         margin_rad: float = 0.02,
     ) -> None:
-        lowest = robot.position_lower_rad + margin_rad
-        highest = robot.position_upper_rad - margin_rad
         own = robot.velocity_limit_rad_s
-        rows = (lowest, highest, own if velocity_rad_s is None else velocity_rad_s)
+        ends = (robot.position_lower_rad + margin_rad, robot.position_upper_rad - margin_rad)
+        rows = (*ends, own if velocity_rad_s is None else velocity_rad_s)
         try:
             same = [np.broadcast_to(row, robot.nv) for row in (*rows, acceleration_rad_s2)]
         except ValueError:
@@ -63,15 +62,16 @@ class Limits:
             if wrong.any():
                 joints = ", ".join(np.array(robot.joint_names)[wrong])
                 raise SettingError(f"joints {joints}: {what}")
+        table[SPEED] -= SLACK_rad_s
         table.setflags(write=False)
         self.table: Array = table
 
 
 @compiled
-def velocity_box(
-    limits: Matrix, q: Vector, last: Vector, step_s: float, box: WrittenMatrix
-) -> None:
-    """Bounds l <= dq <= u of the coming tick, written into the rows of ``box``, shape (2, n).
+def joint_bounds(
+    limits: Matrix, q: Vector, last: Vector, step_s: float, bounds: WrittenMatrix
+) -> bool:
+    """Bounds l <= dq <= u of the coming tick, in the first n columns of the bounds of a stack.
 
         u = min(v, sqrt((a T)^2 + 2 a (q_max - q)) - a T),   clipped to dq_last -+ a T
 
@@ -80,87 +80,25 @@ def velocity_box(
     such a speed within reach of a again. Where noise or a push has moved the arm too close, the
     clip lets the acceleration win: it brakes as hard as it may. Clipping keeps l <= u.
 
+    The other columns are of rows, which are equalities: row 1 becomes row 0.
+
     Args:
         limits: `Limits.table`.
         q: Measured positions [rad], shape (n,).
         last: Velocities commanded last [rad/s], shape (n,).
         step_s: Length of the tick T.
-        box: Takes the result.
-    """
-    for k in range(q.size):
-        rate = limits[ACCELERATION, k]
-        change = rate * step_s
-        above = max(limits[HIGHEST, k] - q[k], 0.0)
-        below = max(q[k] - limits[LOWEST, k], 0.0)
-        most = math.sqrt(change * change + 2.0 * rate * above) - change
-        least = change - math.sqrt(change * change + 2.0 * rate * below)
-        low, high = last[k] - change, last[k] + change
-        box[0, k] = min(max(least, -limits[SPEED, k], low), high)
-        box[1, k] = max(min(most, limits[SPEED, k], high), low)
-
-
-@compiled
-def fill_bounds(
-    limits: Matrix,
-    q: Vector,
-    last: Vector,
-    step_s: float,
-    box: WrittenMatrix,
-    bounds: WrittenMatrix,
-) -> bool:
-    """`velocity_box`, and with it all bounds of a `Stack` whose rates stand in row 0.
-
-    Rows are equalities. Limits are narrowed by what the solver may exceed them by.
+        bounds: Lower and upper bounds, shape (2, n + m).
 
     Returns:
-        Whether all numbers are finite.
+        Whether all that has come is finite.
     """
-    velocity_box(limits, q, last, step_s, box)
-    joints, total = q.size, 0.0
-    for k in range(joints):
-        inside = min(SOLVER_TOLERANCE, 0.25 * (box[1, k] - box[0, k]))
-        bounds[0, k], bounds[1, k] = box[0, k] + inside, box[1, k] - inside
-        total += q[k]
-    for k in range(joints, bounds.shape[1]):
-        bounds[1, k] = bounds[0, k]
-        total += bounds[0, k]
-    return math.isfinite(total)
-
-
-@compiled
-def assess(
-    velocity: WrittenVector,
-    box: Matrix,
-    rows: Matrix,
-    rates: Vector,
-    ends: Vector,
-    missed: WrittenVector,
-) -> bool:
-    r"""Clip a solution to the box, and say what it leaves unmet.
-
-    Args:
-        velocity: Joint velocities [rad/s], shape (n,), clipped in place.
-        box: See `velocity_box`.
-        rows: J of all tasks, shape (m, n).
-        rates: v of all tasks, shape (m,).
-        ends: Index behind the last row of each task, shape (tasks,).
-        missed: Takes the largest part of J dq - v that stays, of each task, shape (tasks,).
-
-    Returns:
-        Whether a joint is at a limit.
-    """
-    is_limited = False
-    for k in range(velocity.size):
-        velocity[k] = min(max(velocity[k], box[0, k]), box[1, k])
-        room = min(velocity[k] - box[0, k], box[1, k] - velocity[k])
-        is_limited = is_limited or room <= 2.0 * SOLVER_TOLERANCE
-    row = 0
-    for task in range(ends.size):
-        worst = 0.0
-        while row < int(ends[task]):
-            left = -rates[row]
-            for k in range(velocity.size):
-                left += rows[row, k] * velocity[k]
-            worst, row = max(worst, abs(left)), row + 1
-        missed[task] = worst
-    return is_limited
+    joints, speed, rate = q.size, limits[SPEED], limits[ACCELERATION]
+    change = rate * step_s - SLACK_rad_s
+    low, high, square = last - change, last + change, change * change
+    most = np.sqrt(square + 2.0 * rate * np.maximum(limits[HIGHEST] - q, 0.0)) - change
+    least = change - np.sqrt(square + 2.0 * rate * np.maximum(q - limits[LOWEST], 0.0))
+    bounds[0, :joints] = np.maximum(np.minimum(np.maximum(least, -speed), high), low)
+    bounds[1, :joints] = np.minimum(np.maximum(np.minimum(most, speed), low), high)
+    rates = bounds[0, joints:]
+    bounds[1, joints:] = rates
+    return math.isfinite(q.dot(q) + rates.dot(rates))
