@@ -102,7 +102,7 @@ def _teleop(progress: Progress) -> Shown:
 
 
 def _teleop_charts(made: Teleinsertion) -> tuple[tuple[str, Chart, str], ...]:
-    t_s, step = made.rows("t_s"), 10
+    t_s, step = made.rows("t_s"), 20
     depth_mm = 1e3 * (made.rows("depth_m") - made.depth_m[0])
 
     def curve(name: str, label: str, style: object, scale: float = 1.0) -> Curve:
@@ -118,7 +118,7 @@ def _teleop_charts(made: Teleinsertion) -> tuple[tuple[str, Chart, str], ...]:
         curve("tip_N", "true force at the tip", palette.TRUE_PART),
     )
     contrast = Chart(
-        title="What the surgeon feels\nhand-driven needle, three gels with a glove, 10 ms delay",
+        title="What the surgeon feels\nneedle driven by a hand, three gels, 10 ms delay",
         x_label=palette.TIME,
         panels=(Panel(y_label="force [N]", curves=forces),),
         shadings=marks,
