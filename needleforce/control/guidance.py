@@ -67,6 +67,7 @@ class Guidance:
         """Rest: call it when guidance begins."""
         self._velocity = np.zeros_like(self._damping)
         self._beyond_Nm, self._rejected_s = self._velocity, 0.0
+        self._sigma_Nm = np.full(self._damping.shape, np.inf)
 
     def update(
         self, residual_Nm: Array, sigma_Nm: Array, dt_s: float, *, is_valid: bool = True
@@ -79,7 +80,10 @@ class Guidance:
             dt_s: Time since the last call.
             is_valid: Whether the residual is of this cycle, `Status.OK`.
         """
-        zone = self._least_Nm + self._sigmas * sigma_Nm
+        # A hand is no contact at the tip: the sensor takes it for an error of its own and widens
+        # sigma as the residual grows. What counts is sigma without a hand.
+        self._sigma_Nm = np.fmin(self._sigma_Nm, sigma_Nm)
+        zone = self._least_Nm + self._sigmas * self._sigma_Nm
         beyond = residual_Nm - np.clip(residual_Nm, -zone, zone)
         if not 0.0 < dt_s < math.inf:
             return JointVelocity(self._velocity)
