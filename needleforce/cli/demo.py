@@ -4,7 +4,7 @@ Simulation only; nothing here is a medical device or claimed of one.
 """
 
 import math
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import NamedTuple
 
@@ -12,6 +12,7 @@ import numpy as np
 
 from groundtruth.rig_arm import SimulatedArm
 from groundtruth.rig_contacts import HandOnArm, Trocar
+from groundtruth.tissue_truth import Rupture
 from needleforce import InsertionSession
 from needleforce.cli.demo_runs import (
     STANDOFF_M,
@@ -212,8 +213,24 @@ def _autonomous(progress: Progress) -> Shown:
     t_s, depth, force = np.array(rows)[::10].T
     ruptures = [item for item in arm.tissue_truth().ruptures if item.layer]
     past_mm = float(depth.max() - 1e3 * ruptures[0].onset_m) if ruptures else math.nan
-    marks = tuple((item.onset_s, item.end_s) for item in ruptures)
-    chart = Chart(
+    begin_s = inserted_s if math.isfinite(inserted_s) else 0.0
+    chart = _stop_chart(t_s, depth, force, ruptures, begin_s)
+    table = (
+        ("ruptures passed", f"{len(ruptures)} (asked: 1)"),
+        ("overshoot past the rupture", f"{past_mm:.2f} mm"),
+    )
+    return Shown("Autonomous insertion", table, (("stop", chart, "Depth and measured force."),))
+
+
+def _stop_chart(
+    t_s: np.ndarray,
+    depth: np.ndarray,
+    force: np.ndarray,
+    ruptures: Sequence[Rupture],
+    begin_s: float,
+) -> Chart:
+    marks = tuple((item.onset_s, min(item.end_s, float(t_s[-1]))) for item in ruptures)
+    return Chart(
         title="Autonomous insertion\nstops after the first rupture, 5 mm/s",
         x_label=palette.TIME,
         panels=(
@@ -221,13 +238,8 @@ def _autonomous(progress: Progress) -> Shown:
             Panel(y_label="force [N]", curves=(Curve(style=palette.READING, x=t_s, y=force),)),
         ),
         shadings=(Shading("the layer ruptures", palette.TRUE_RUPTURE, marks, 1.5),),
-        x_limits=(inserted_s, float(t_s[-1])) if math.isfinite(inserted_s) else None,
+        x_limits=(begin_s, float(t_s[-1])),
     )
-    table = (
-        ("ruptures passed", f"{len(ruptures)} (asked: 1)"),
-        ("overshoot past the rupture", f"{past_mm:.2f} mm"),
-    )
-    return Shown("Autonomous insertion", table, (("stop", chart, "Depth and measured force."),))
 
 
 PUSH_S, PUSH_END_S, GUIDED_S, PUSH_N = 5.0, 9.0, 12.0, 4.0
@@ -263,20 +275,24 @@ def _guidance(progress: Progress) -> Shown:
     moved = 1e3 * np.linalg.norm(np.array(tip_m).T - np.array(tip_m).T[0], axis=1)
     yielded = int(np.argmax(moved > 0.5))
     rest = t_s > PUSH_END_S + 1.0
-    panels = (
-        Panel(y_label="push [N]", curves=(Curve(style=palette.READING, x=t_s, y=force),)),
-        Panel(y_label="tip moved [mm]", curves=(Curve(style=palette.OURS, x=t_s, y=moved),)),
-    )
-    chart = Chart(
-        title="Manual guidance\na push at the hub grows by 1 N/s, then lets go",
-        x_label=palette.TIME,
-        panels=panels,
-    )
+    chart = _guidance_chart(t_s, force, moved)
     table = (
         ("force at which the arm has yielded by 0.5 mm", f"{force[yielded]:.2f} N"),
         ("creep, from 1 s after it was let go", f"{np.ptp(moved[rest]):.4f} mm in 2 s"),
     )
     return Shown("Manual guidance", table, (("guidance", chart, "Push and motion of the tip."),))
+
+
+def _guidance_chart(t_s: np.ndarray, force: np.ndarray, moved: np.ndarray) -> Chart:
+    panels = (
+        Panel(y_label="push [N]", curves=(Curve(style=palette.READING, x=t_s, y=force),)),
+        Panel(y_label="tip moved [mm]", curves=(Curve(style=palette.OURS, x=t_s, y=moved),)),
+    )
+    return Chart(
+        title="Manual guidance\na push at the hub grows by 1 N/s, then lets go",
+        x_label=palette.TIME,
+        panels=panels,
+    )
 
 
 DEMOS: dict[str, Callable[[Progress], Shown]] = {
