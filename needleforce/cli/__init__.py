@@ -338,7 +338,9 @@ def report_command(
 
 @app.command(name="demo")
 def demo_command(
-    kind: Annotated[Literal["teleop", "autonomous", "rcm"], Parameter(name="KIND", group=LOG)],
+    kind: Annotated[
+        Literal["guidance", "teleop", "autonomous", "rcm"], Parameter(name="KIND", group=LOG)
+    ],
     /,
     *,
     report: Annotated[Path | None, Parameter(metavar="DIR", group=OUTPUT)] = None,

@@ -11,7 +11,7 @@ from typing import NamedTuple
 import numpy as np
 
 from groundtruth.rig_arm import SimulatedArm
-from groundtruth.rig_contacts import Trocar
+from groundtruth.rig_contacts import HandOnArm, Trocar
 from needleforce import InsertionSession
 from needleforce.cli.demo_runs import (
     STANDOFF_M,
@@ -25,6 +25,7 @@ from needleforce.control import (
     AxialSpeed,
     Controller,
     Fixture,
+    Guidance,
     InsertionPlan,
     InsertionProfile,
     Limits,
@@ -37,6 +38,7 @@ from needleforce.control import (
 from needleforce.plots import palette
 from needleforce.plots.chart import Chart, Curve, Panel, Shading, require_matplotlib, save_figure
 from needleforce.plots.page import PAGE, Page, PageTable, Section, save_page_figure, write_page
+from residual import Status, VirtualForceSensor
 
 Rows = tuple[tuple[str, str], ...]
 Progress = Callable[[float], None]
@@ -102,7 +104,7 @@ def _teleop(progress: Progress) -> Shown:
 
 
 def _teleop_charts(made: Teleinsertion) -> tuple[tuple[str, Chart, str], ...]:
-    t_s, step = made.rows("t_s"), 10
+    t_s, step = made.rows("t_s"), 20
     depth_mm = 1e3 * (made.rows("depth_m") - made.depth_m[0])
 
     def curve(name: str, label: str, style: object, scale: float = 1.0) -> Curve:
@@ -118,7 +120,7 @@ def _teleop_charts(made: Teleinsertion) -> tuple[tuple[str, Chart, str], ...]:
         curve("tip_N", "true force at the tip", palette.TRUE_PART),
     )
     contrast = Chart(
-        title="What the surgeon feels\nhand-driven needle, three gels with a glove, 10 ms delay",
+        title="What the surgeon feels\nneedle driven by a hand, three gels, 10 ms delay",
         x_label=palette.TIME,
         panels=(Panel(y_label="force [N]", curves=forces),),
         shadings=marks,
@@ -228,7 +230,57 @@ def _autonomous(progress: Progress) -> Shown:
     return Shown("Autonomous insertion", table, (("stop", chart, "Depth and measured force."),))
 
 
+PUSH_S, PUSH_END_S, GUIDED_S, PUSH_N = 5.0, 9.0, 12.0, 4.0
+
+
+def _guidance(progress: Progress) -> Shown:
+    """A hand pushes the hub aside with a growing force and lets go; the arm yields and rests."""
+
+    def push_N(t_s: float) -> tuple[float, float, float]:
+        inside = PUSH_S <= t_s < PUSH_END_S
+        return (PUSH_N * (t_s - PUSH_S) / (PUSH_END_S - PUSH_S) if inside else 0.0, 0.0, 0.0)
+
+    arm = SimulatedArm(contacts=[HandOnArm(at="hub", force_N=push_N)], duration_s=GUIDED_S)
+    sensor, control = VirtualForceSensor(arm.robot), Controller(arm.robot, Limits(arm.robot))
+    control.tool.update(arm.home_rad)
+    guidance, shaft, rows = Guidance(arm.robot), Fixture.here(control.tool, 20.0), []
+    for sample in arm:
+        wrench = sensor.update(sample.q_rad, sample.dq_rad_s, sample.tau_Nm, sample.dt_s)
+        if not sensor.tared:
+            speed_m_s = 0.02 * math.sin(math.pi * arm.time_s / 2.0)  # a stroke there and back
+            stack = [shaft, AxialSpeed(speed_m_s)]
+            if arm.time_s > 4.0:
+                sensor.tare()
+        else:
+            valid = wrench.status is Status.OK
+            sigma_Nm = sensor.residual_std_Nm
+            wish = guidance.update(wrench.residual, sigma_Nm, sample.dt_s, is_valid=valid)
+            stack = [wish]
+        arm.send(control.update(sample, stack).dq_rad_s)
+        rows.append((arm.time_s, push_N(arm.time_s)[0], *arm.truth.tip_m))
+        progress(arm.time_s / GUIDED_S)
+    t_s, force, *tip_m = np.array(rows)[round(1e3 * PUSH_S) - 500 :].T
+    moved = 1e3 * np.linalg.norm(np.array(tip_m).T - np.array(tip_m).T[0], axis=1)
+    yielded = int(np.argmax(moved > 0.5))
+    rest = t_s > PUSH_END_S + 1.0
+    panels = (
+        Panel(y_label="push [N]", curves=(Curve(style=palette.READING, x=t_s, y=force),)),
+        Panel(y_label="tip moved [mm]", curves=(Curve(style=palette.OURS, x=t_s, y=moved),)),
+    )
+    chart = Chart(
+        title="Manual guidance\na push at the hub grows by 1 N/s, then lets go",
+        x_label=palette.TIME,
+        panels=panels,
+    )
+    table = (
+        ("force at which the arm has yielded by 0.5 mm", f"{force[yielded]:.2f} N"),
+        ("creep, from 1 s after it was let go", f"{np.ptp(moved[rest]):.4f} mm in 2 s"),
+    )
+    return Shown("Manual guidance", table, (("guidance", chart, "Push and motion of the tip."),))
+
+
 DEMOS: dict[str, Callable[[Progress], Shown]] = {
+    "guidance": _guidance,
     "teleop": _teleop,
     "autonomous": _autonomous,
     "rcm": _rcm,
