@@ -1,5 +1,8 @@
 """Manual guidance: the dead zone, the lag, rejected samples and an arm that a hand leads."""
 
+import runpy
+from pathlib import Path
+
 import numpy as np
 import pytest
 
@@ -43,3 +46,9 @@ def test_a_sigma_that_grows_under_the_hand_does_not_stop_it():
 def test_a_damping_that_cannot_work_is_refused(damping):
     with pytest.raises(SettingError, match="damping"):
         Guidance(ROBOT, damping)
+
+
+def test_the_example_moves_where_it_is_pushed(capsys):
+    runpy.run_path(str(Path(__file__).parents[1] / "examples" / "hand_guidance.py"))
+    moved_mm = float(capsys.readouterr().out.split()[-2])
+    assert 20.0 < moved_mm < 400.0

@@ -17,8 +17,9 @@ from needleforce.control.ports import Array
 from needleforce.control.tasks import JointVelocity
 from urdf import Robot
 
-LWR_DAMPING_Nms = (10.0, 10.0, 5.0, 5.0, 2.0, 1.5, 0.5)
-"""Per rad, for the seven joints of an LWR: a hub at 100 mm/s takes about 2.5 N."""
+LWR_DAMPING_Nms = (5.0, 5.0, 2.5, 2.5, 1.0, 0.75, 0.25)
+"""Per rad, for the seven joints of an LWR: on the simulated one a hub at 100 mm/s takes 6 N. With
+two fifths of it a hand of 1000 N/m at the wrist makes the arm oscillate."""
 HOLD_s = 0.02
 """The last residual stands in for rejected ones for so long, and fades after that: a hand that lets
 go looks like a spike, and an arm that stopped at once for it would make the next one."""
