@@ -334,3 +334,24 @@ def report_command(
     if has_channels(log, columns, ("q", "tau_ext" if sensor.external_torque else "tau")):
         return force.run(log, output, robot, sensor, columns, options)
     return identify.run(log, output, options, columns)
+
+
+@app.command(name="demo")
+def demo_command(
+    kind: Annotated[
+        Literal["guidance", "teleop", "autonomous", "rcm"], Parameter(name="KIND", group=LOG)
+    ],
+    /,
+    *,
+    report: Annotated[Path | None, Parameter(metavar="DIR", group=OUTPUT)] = None,
+    figure: Annotated[Path | None, Parameter(metavar="FILE", group=OUTPUT)] = None,
+) -> int:
+    """Show the needle moved in closed loop on the simulated arm: a table, and a page in DIR.
+
+    Simulation only: not a medical device. --figure writes the first picture alone.
+
+    needleforce demo teleop --report demo
+    """
+    from needleforce.cli.demo import run
+
+    return run(kind, report, figure)

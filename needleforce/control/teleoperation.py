@@ -232,6 +232,9 @@ class Teleoperation:
         lines: From the device to the needle, and back; None for no delay.
         damping_Ns_m: Of quick motion of the handle, see `DeviceSide`.
 
+    Attributes:
+        shown_N: The force that is to be felt, before scale, delay and passivity.
+
     Raises:
         SettingError: A scale out of range, a limit that is not positive, an unknown force, an axis
             without a direction, or a line that cannot be.
@@ -270,7 +273,7 @@ class Teleoperation:
         self._there, self._here = lines or (DelayLine(), DelayLine())
         self._from_hand: HandPacket | None = None
         self._from_needle: NeedlePacket | None = None
-        self._force_N = 0.0
+        self.shown_N = 0.0
 
     def update(
         self, sample: MasterReading | None, estimate: "SessionEstimate", dt_s: float
@@ -283,16 +286,16 @@ class Teleoperation:
             dt_s: Time since the last call.
         """
         if estimate.status is Status.OK:
-            self._force_N = shown_force(estimate, self._shown)
+            self.shown_N = shown_force(estimate, self._shown)
         else:
-            self._force_N *= _FADE_S / (_FADE_S + dt_s)
+            self.shown_N *= _FADE_S / (_FADE_S + dt_s)
         if sample is not None and not np.isfinite((sample.position_m, sample.velocity_m_s)).all():
             sample = None
         force_N, to_needle = self.device.update(sample, self._from_needle, dt_s)
         self._from_hand = self._there.exchange(to_needle, dt_s)
         speed_m_s, to_hand = self.needle.update(
             self._from_hand,
-            self._force_N,
+            self.shown_N,
             estimate.depth_m,
             estimate.speed_m_s,
             dt_s,
