@@ -16,7 +16,7 @@ from groundtruth.motion import Motion
 from groundtruth.plant_model import PLANT_MODELS, PlantModel
 from groundtruth.scenarios import SCENARIOS, Scenario, random_stack, scenario
 from groundtruth.simulation import NeedleRun, Run, Signals, Truth, insert_needle, simulate
-from groundtruth.tissue import TissueForce, TissueLaw
+from groundtruth.tissue import Tissue, TissueForce
 from groundtruth.tissue_truth import Rupture
 
 __all__ = [
@@ -32,8 +32,8 @@ __all__ = [
     "Rupture",
     "Scenario",
     "Signals",
+    "Tissue",
     "TissueForce",
-    "TissueLaw",
     "Truth",
     "insert_needle",
     "random_stack",

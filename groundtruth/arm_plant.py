@@ -15,7 +15,7 @@ from groundtruth.disturbances import ElbowPush, LateralForce, TissueMotion
 from groundtruth.errors import PlantError, PlantModelError
 from groundtruth.plant_model import PlantModel, TICK_s
 from groundtruth.rig_contacts import Contact, TouchedPoint
-from groundtruth.tissue import TissueForce, TissueLaw, no_force
+from groundtruth.tissue import Tissue, TissueForce, no_force
 from urdf import NeedleTool, Payload, Robot, load_lwr
 
 try:
@@ -250,7 +250,7 @@ class TissueContact:
         elbow: Pushes at the elbow.
     """
 
-    law: TissueLaw
+    law: Tissue
     surface_in_base_m: Array
     axis_in_base: Array
     motion: TissueMotion | None = None
@@ -343,7 +343,7 @@ class ArmPlant:
         self._time_s += TICK_s
         self._locate()
 
-    def _tissue_tick(self, law: TissueLaw) -> None:
+    def _tissue_tick(self, law: Tissue) -> None:
         """Let the tissue act at each substep, along the needle and held over the substep.
 
         The Jacobian of the tick's start serves all its substeps: the arm turns by less than

@@ -15,8 +15,8 @@ from groundtruth.arm_control import ArmTrace, drive
 from groundtruth.arm_motion import InsertionPath, scenario_motion, scenario_path
 from groundtruth.arm_plant import ArmPlant, TissueContact, lwr_bodies
 from groundtruth.bearing_friction import bearings
-from groundtruth.errors import NoiseError, RunError
-from groundtruth.force_noise import NOISES, ForceNoise
+from groundtruth.errors import RunError
+from groundtruth.force_noise import MINI45, ForceNoise
 from groundtruth.plant_model import PlantModel, TICK_s, plant_named
 from groundtruth.scenarios import Scenario
 from groundtruth.scenarios import scenario as scenario_named
@@ -112,16 +112,6 @@ class Run:
     signals: Signals
     truth: Truth
     tare_end_s: float
-
-    @property
-    def contact_s(self) -> float:
-        """True first contact, nan without tissue."""
-        return self.truth.contact_s
-
-    @property
-    def withdrawn_s(self) -> float:
-        """The tip has left the surface in withdrawal, nan without tissue."""
-        return self.truth.withdrawn_s
 
 
 def simulate(
@@ -255,8 +245,7 @@ def insert_needle(
     *,
     seed: int = 0,
     rate_hz: float = 1000.0,
-    substeps: int = 1,
-    noise: ForceNoise | str = "mini45",
+    noise: ForceNoise = MINI45,
 ) -> NeedleRun:
     """Carry out a scenario with the needle alone: the tip follows the motion exactly.
 
@@ -264,48 +253,34 @@ def insert_needle(
         scenario: A scenario or the name of a catalogued one.
         seed: Seed of the sensor noise; the same seed gives the same run.
         rate_hz: Samples per second.
-        substeps: Steps of the tissue law per sample.
-        noise: A noise model, `mini45` or `clean`.
+        noise: What the force sensor adds, see `groundtruth.force_noise`.
 
     Raises:
         ScenarioError: There is no scenario of that name.
-        NoiseError: There is no noise model of that name.
-        RunError: The rate or the number of sub-steps is unusable.
+        RunError: The rate is unusable.
     """
     chosen = scenario_named(scenario) if isinstance(scenario, str) else scenario
-    if isinstance(noise, str) and noise not in NOISES:
-        raise NoiseError(f"no noise model {noise!r}; known: {', '.join(NOISES)}")
-    sensor = NOISES[noise] if isinstance(noise, str) else noise
-    fine_s = _fine_times(chosen.motion.duration_s, rate_hz, substeps)
-    depth, speed = chosen.motion.position_m(fine_s), chosen.motion.speed_m_s(fine_s)
-    moved = (np.zeros_like(fine_s),) * 2
+    if not (np.isfinite(rate_hz) and rate_hz > 0.0):
+        raise RunError(f"rate_hz is {rate_hz!r}; give samples per second, above zero")
+    motion = chosen.motion
+    t_s = np.arange(round(motion.duration_s * rate_hz) + 1) / rate_hz
+    depth_m, speed_m_s = motion.position_m(t_s), motion.speed_m_s(t_s)
+    inside_m, relative_m_s = depth_m, speed_m_s
     if chosen.tissue_motion is not None:
-        moved = chosen.tissue_motion.at(fine_s)
-    inside_m, relative_m_s = depth - moved[0], speed - moved[1]
-    law, dt_s = chosen.new_tissue(), 1.0 / (rate_hz * substeps)
+        surface_m, surface_m_s = chosen.tissue_motion.at(t_s)
+        inside_m, relative_m_s = depth_m - surface_m, speed_m_s - surface_m_s
+    law = chosen.new_tissue()
     samples = zip(inside_m.tolist(), relative_m_s.tolist(), strict=True)
-    forces = [law.step(z, v, dt_s) for z, v in samples][::substeps]
-    t_s, depth_m = fine_s[::substeps].copy(), depth[::substeps].copy()
-    truth = collect_truth(law, t_s, inside_m[::substeps], forces)
-    tare_end_s = chosen.motion.tare_end_s
+    forces = [law.step(z, v, 1.0 / rate_hz) for z, v in samples]
+    truth = collect_truth(law, t_s, inside_m, forces)
     rng = np.random.default_rng(seed)
     return NeedleRun(
         scenario=chosen,
         seed=seed,
         t_s=t_s,
         depth_m=depth_m,
-        speed_m_s=speed[::substeps].copy(),
-        force_N=sensor.reading_N(truth.axial_N, t_s, tare_end_s, rng),
-        tare_end_s=tare_end_s,
+        speed_m_s=speed_m_s,
+        force_N=noise.reading_N(truth.axial_N, t_s, motion.tare_end_s, rng),
+        tare_end_s=motion.tare_end_s,
         truth=truth,
     )
-
-
-def _fine_times(duration_s: float, rate_hz: float, substeps: int) -> Array:
-    """Times of the samples, and of the sub-steps between the first and the last of them."""
-    if not (np.isfinite(rate_hz) and rate_hz > 0.0):
-        raise RunError(f"rate_hz is {rate_hz!r}; give samples per second, above zero")
-    if not (isinstance(substeps, int) and substeps >= 1):
-        raise RunError(f"substeps is {substeps!r}; give a whole number from 1 up")
-    count = round(duration_s * rate_hz) + 1
-    return np.arange((count - 1) * substeps + 1) / (rate_hz * substeps)

@@ -66,7 +66,7 @@ def listed(names):
 def test_one_update_of_the_chain_passes_few_files():
     run = short_run()
     session, tare = InsertionSession(run.robot), tare_index(run)
-    touched = int(np.searchsorted(run.signals.t_s, run.contact_s))
+    touched = int(np.searchsorted(run.signals.t_s, run.truth.contact_s))
     found = []
     for k, sample in enumerate(JointSignals.of_run(run).samples()[: touched + 3000]):
         if k == tare:

@@ -15,7 +15,7 @@ from needleforce.cli.simulate import truth_table
 from needleforce.recordings import read_log, read_table
 
 ID = "gel-25-constant"
-SUFFIXES = (".csv", ".csv.gz", ".npz", ".parquet", ".mcap", ".db3")
+SUFFIXES = (".csv", ".npz", ".parquet", ".mcap")
 
 
 @pytest.fixture(scope="module")

@@ -28,7 +28,6 @@ from needleforce.cli.terminal import (
 from needleforce.plots import FiguresError
 from needleforce.recordings import (
     FileAccessError,
-    check_writable,
     load_mapping,
     read_log,
     write_table,
@@ -128,11 +127,14 @@ COLUMNS = {"t_s": np.arange(3) / 1000.0, "force_N": np.ones(3)}
 def folder(tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
     write_table("log.csv", COLUMNS)
-    write_table("bag.db3", COLUMNS)
-    (tmp_path / "link").symlink_to(tmp_path / "bag.db3")
+    (tmp_path / "bag").mkdir()
+    write_table("bag/bag.mcap", COLUMNS)
+    (tmp_path / "bag/metadata.yaml").touch()
+    (tmp_path / "link").symlink_to(tmp_path / "bag")
     (tmp_path / "log.png").symlink_to(tmp_path / "log.csv")
     (tmp_path / "hard.csv").hardlink_to(tmp_path / "log.csv")
     (tmp_path / "f.csv").touch()
+    (tmp_path / "t.csv").mkdir()
     (tmp_path / "f.png").symlink_to(tmp_path / "f.csv")
     return tmp_path
 
@@ -146,14 +148,16 @@ def check(source, **outputs):
 @pytest.mark.parametrize(
     ("source", "outputs", "message"),
     [
-        ("bag.db3", {"output": "bag.db3/x.db3"}, "the log"),
-        ("link", {"output": "bag.db3/x.csv"}, "the log"),
-        ("bag.db3", {"report": "bag.db3/r"}, "the log"),
+        ("bag/bag.mcap", {"output": "bag/x.csv"}, "the log"),
+        ("link", {"output": "bag/x.csv"}, "the log"),
+        ("bag", {"report": "bag/r"}, "the log"),
         ("log.csv", {"figure": "log.png"}, "it is the log itself"),
         ("log.csv", {"output": "hard.csv"}, "it is the log itself"),
         ("log.csv", {"output": "f.csv", "figure": "f.png"}, "both write to"),
         ("other.csv", {"figure": "picture.gif"}, "cannot write picture.gif"),
         ("other.csv", {"figure": "no/where.svg"}, "there is no folder no"),
+        ("log.csv", {"output": "t.csv"}, "it is a folder"),
+        ("log.csv", {"output": "bag.db3"}, "bags are written as MCAP; name it .mcap"),
     ],
     ids=str,
 )
@@ -161,31 +165,12 @@ def test_an_output_that_would_harm_something_is_refused(source, outputs, message
     pytest.importorskip("matplotlib")
     with pytest.raises((FileAccessError, CommandError, FiguresError), match=message):
         check(source, **outputs)
-    if set(outputs) == {"output"}:
-        with pytest.raises(FileAccessError, match=message):
-            check_writable(outputs["output"], source=source)
 
 
-def test_outputs_side_by_side_are_fine_and_only_a_bag_is_replaced_by_a_bag(folder):
+@pytest.mark.usefixtures("folder")
+def test_outputs_side_by_side_are_fine():
     assert check("log.csv", output="f.csv", figure="g.pdf", report=".") is None
-    assert check("log.csv", output="bag.db3") is None
-    write_table("bag.db3", COLUMNS)
-    notes = folder / "bag.db3" / "notes.txt"
-    notes.write_text("dear")
-    (folder / "file.db3").write_text("dear")
-    (folder / "empty.db3").mkdir()
-    (folder / "t.csv").mkdir()
-    for name, message in (
-        ("bag.db3", "'notes.txt', which is no part of a bag"),
-        ("file.db3", "a file of this name"),
-        ("empty.db3", "it is no bag"),
-        ("t.csv", "it is a folder"),
-    ):
-        with pytest.raises(FileAccessError, match=message):
-            check("log.csv", output=name)
-    with pytest.raises(FileAccessError, match="no part of a bag"):
-        write_table("bag.db3", COLUMNS)
-    assert notes.read_text() == "dear"
+    assert check("bag", output="f.mcap", figure="g.png", report="report") is None
 
 
 @pytest.mark.parametrize("pieces", [1, 90])

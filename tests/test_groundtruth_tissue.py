@@ -12,10 +12,8 @@ from groundtruth.layers import CUTTING_ONSET_M, Membrane, ShaftFriction
 from groundtruth.materials import BOVINE_CAPSULE, GEL_TIP_FORCE_N, GLOVE, bovine_liver, gel
 from groundtruth.tissue import (
     UNLOADING_M,
-    MultilayerTissue,
     Tissue,
     bristle_step,
-    relaxation_step,
 )
 
 SPEED = 2.3e-3
@@ -97,14 +95,6 @@ def test_bristle_stays_in_its_range_follows_the_travel_and_half_steps_agree(
     assert bristle_step(half, travel / 2, 5e-4, length, 0.0) == pytest.approx(once, abs=1e-9)
 
 
-@given(relaxed=fractions, speed=travels, dt=times)
-def test_relaxation_stays_a_fraction_and_half_steps_agree(relaxed, speed, dt):
-    once = relaxation_step(relaxed, speed, dt)
-    twice = relaxation_step(relaxation_step(relaxed, speed, dt / 2), speed, dt / 2)
-    assert 0.0 <= once <= 1.0
-    assert twice == pytest.approx(once, abs=1e-9)
-
-
 @EVERY_GEL
 def test_tip_force_ends_within_the_release_and_withdrawal_is_friction_on_the_length(percent):
     layer = gel(percent)
@@ -168,11 +158,10 @@ def test_membrane_holds_back_the_layer_and_the_shaft_then_enters_it_gradually():
     assert friction[-1] == pytest.approx(slope * depth[-1], rel=0.03)
 
 
-@pytest.mark.parametrize("law", [Tissue, MultilayerTissue])
-def test_air_gives_no_force_and_an_unusable_sample_is_refused_and_leaves_the_state(law):
-    assert law(()).step(0.01, 1e-3, 1e-3).axial_N == 0.0
-    assert law(()).interfaces == ()
-    tissue, twin = law((gel(25),)), law((gel(25),))
+def test_air_gives_no_force_and_an_unusable_sample_is_refused_and_leaves_the_state():
+    assert Tissue(()).step(0.01, 1e-3, 1e-3).axial_N == 0.0
+    assert Tissue(()).interfaces == ()
+    tissue, twin = Tissue((gel(25),)), Tissue((gel(25),))
     advance(tissue, -1e-3, 5e-3), advance(twin, -1e-3, 5e-3)
     nan, inf = float("nan"), float("inf")
     bad = [(nan, 0.0, 1e-3), (0.0, inf, 1e-3), (0.0, 0.0, 0.0), (0.0, 0.0, -1e-3), (0.0, 0.0, nan)]
@@ -180,33 +169,3 @@ def test_air_gives_no_force_and_an_unusable_sample_is_refused_and_leaves_the_sta
         with pytest.raises(TissueError, match=r"finite numbers .* state is unchanged"):
             tissue.step(*sample)
     assert tissue.step(6e-3, SPEED, 1e-3) == twin.step(6e-3, SPEED, 1e-3)
-
-
-def equation_3(z, v):
-    """f = K_i Δz_i + B_i Δz_i v + B̄_d v on first insertion, written from the paper."""
-    if z <= 0.0:
-        return 0.0
-    cumulative = 0.0
-    for i, layer in enumerate(GELS):
-        dz, b = z - TOPS[i], layer.friction.equivalent_viscous_Ns_per_m2
-        if dz < layer.thickness_m:
-            return layer.stiffness_N_per_m * dz + b * dz * v + cumulative * v
-        cumulative += b * layer.thickness_m
-    return cumulative * v
-
-
-def test_first_insertion_is_equation_3_with_table_i_and_withdrawal_friction_alone():
-    rng = np.random.default_rng(0)
-    for depth_m, speed_m_s in rng.uniform((-0.02, -0.01), (0.12, 0.01), (200, 2)).tolist():
-        force = MultilayerTissue(GELS).step(depth_m, speed_m_s, 1e-3)
-        assert force.axial_N == pytest.approx(equation_3(depth_m, speed_m_s), abs=1e-12)
-    law = MultilayerTissue(GELS)
-    force = law.step(0.105, 1.0, 1e-3)
-    assert force.layer_friction_N == pytest.approx([113.0, 283.0, 534.0])
-    assert (force.layer, force.tip_N) == (4, 0.0)
-    back = [law.step(float(z), -2e-3, 1e-3) for z in np.linspace(0.1, 0.001, 50)]
-    assert all(force.tip_N == 0.0 and force.axial_N < 0.0 for force in back)
-    assert MultilayerTissue(GELS).step(0.01, 2e-3, 1e-3).tip_N > 0.0
-    # They rupture at once where they lie.
-    assert [b.onset_m for b in law.interfaces] == pytest.approx(TOPS)
-    assert law.interfaces[3].drop_N == pytest.approx(gel(70).exit_force_N)

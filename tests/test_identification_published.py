@@ -204,11 +204,6 @@ def test_without_a_measured_speed_it_takes_the_one_estimated_from_depth():
     assert layer.friction_Ns_per_m2 == pytest.approx(LAYERS[0][2], rel=0.25)
 
 
-def test_nothing_happens_before_contact():
-    _, estimates = run(np.linspace(-0.01, -0.001, 500), np.zeros(500))
-    assert all(not e.in_contact and e.layer == 0 and e.rupture is None for e in estimates)
-
-
 @pytest.mark.parametrize(
     ("change", "message"),
     [

@@ -9,7 +9,7 @@ from hypothesis import strategies as st
 
 from groundtruth import insert_needle
 from identification import Identifier, replay
-from identification.log_replay import HEAD_ROWS, ReplayStream
+from identification.log_replay import HEAD_ROWS, ReplayStream, SignCheck
 from needleforce.recordings.table import RowClock
 
 
@@ -62,6 +62,17 @@ def test_a_clock_that_mostly_stands_still_has_a_usual_step_all_the_same():
     t_s = np.repeat(np.arange(100) / 100, 3)
     result = replay(t_s, 0.01 * t_s, 0.0 * t_s)
     assert sum(estimate.status.is_used for estimate in result.estimates) == 100
+
+
+def test_a_wrong_sign_of_the_speed_and_a_depth_that_stands_still_get_a_hint(columns):
+    _, depth_m, force_N, speed_m_s = columns
+    for depth, speed, words in (
+        (depth_m, -speed_m_s, "speed has the sign opposite"),
+        (0.0 * depth_m, speed_m_s, "there is nothing to identify"),
+    ):
+        check = SignCheck()
+        check.update(depth, speed, force_N)
+        assert words in check.hints()[-1]
 
 
 def ruptures_s(result):

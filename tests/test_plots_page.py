@@ -5,7 +5,6 @@ import re
 import pytest
 
 from needleforce.plots import (
-    Attachment,
     Page,
     PageFigure,
     PageTable,
@@ -36,7 +35,6 @@ def page(tmp_path):
         "figures": (figure, figure),
         "tables": (table,),
         "command": "python -m a > b",
-        "attachments": (Attachment("a.json", "application/json", b"{}"),),
     }
     sections = [Section(heading=f"Part {k}", anchor=f"part-{k}", **parts) for k in range(3)]
     return Page(title="A & B", lead=("Lead.",), sections=tuple(sections))
@@ -52,7 +50,7 @@ def test_everything_is_there_and_nothing_comes_from_outside(page):
     assert '<meta name="viewport"' in html
     assert "content=\"default-src 'none';" in html
     found = re.findall(r' (?:src|srcset|href)="([^"]*)"', html)
-    assert len(found) == len(re.findall(r"(?:src|srcset|href)=", html)) == 6 + 6 + 3 + 3 + 1
+    assert len(found) == len(re.findall(r"(?:src|srcset|href)=", html)) == 6 + 6 + 3 + 1
     assert all(place.startswith(("data:", "#")) for place in found)
     assert not re.search(r"url\(|@import", html)
     boxes = re.findall(r'<div class=scroll role=region tabindex=0 aria-label="[^"]+">', html)

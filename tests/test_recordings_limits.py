@@ -86,9 +86,17 @@ def test_compressed_text_is_read_up_to_the_limit(tmp_path):
     path.write_bytes(gzip.compress(b"t,f\n0,1\n" + b"# note\n" * (BOMB // 28)))
     with (
         bounded(peak=12 * SMALL, seconds=60.0),
-        pytest.raises(FormatError, match="raise max_bytes"),
+        pytest.raises(FormatError, match=r"raise max_bytes|lines after line 2 are"),
     ):
         read_table(path, max_bytes=SMALL)
+
+
+def test_line_ends_without_end_are_left_soon(tmp_path):
+    path = tmp_path / "x.csv.gz"
+    path.write_bytes(gzip.compress(b"t,f\n0,1\n" + b"\n" * BOMB))
+    message = "1000000 lines after line 2 are blank or comments"
+    with bounded(peak=12 * SMALL, seconds=20.0), pytest.raises(FormatError, match=message):
+        read_table(path)
 
 
 @pytest.mark.parametrize("order", ["C", "F"])

@@ -14,16 +14,15 @@ from needleforce.recordings import (
     FileAccessError,
     Log,
     LogError,
-    check_writable,
     read_log,
     read_table,
     write_log,
     write_table,
 )
-from needleforce.recordings.output import open_table
+from needleforce.recordings.output import check_outputs, open_table
 from needleforce.recordings.table import Labels
 
-SUFFIXES = ("csv", "csv.gz", "npz")
+SUFFIXES = ("csv", "npz")
 START_NS = 1_700_000_000_123_456_789
 T_S = np.arange(3) / 1000.0
 
@@ -33,7 +32,7 @@ T_S = np.arange(3) / 1000.0
     values=arrays(np.float64, st.tuples(st.integers(2, 20), st.integers(1, 3))),
     steps_ns=st.lists(st.integers(1, 10**10), min_size=20, max_size=20),
     start_ns=st.sampled_from([0, 5, START_NS]),
-    suffix=st.sampled_from((*SUFFIXES, "parquet", "mcap", "db3")),
+    suffix=st.sampled_from((*SUFFIXES, "parquet", "mcap")),
 )
 def test_numbers_and_stamps_read_back_bit_for_bit(
     tmp_path_factory, values, steps_ns, start_ns, suffix
@@ -56,14 +55,6 @@ def test_csv_numbers_two_dimensional_columns_and_quotes_names(tmp_path):
     write_table(path, {"n": [1, 2], "on": [True, False], "w, z": np.array([[0.1, 0.2], [1, 2]])})
     assert path.read_text() == 'n,on,"w, z_1","w, z_2"\n1,1,0.1,0.2\n2,0,1.0,2.0\n'
     assert list(read_table(path).columns) == ["n", "on", "w, z_1", "w, z_2"]
-
-
-@pytest.mark.parametrize("suffix", SUFFIXES)
-def test_the_same_columns_give_the_same_bytes(tmp_path, suffix):
-    paths = [tmp_path / f"{name}.{suffix}" for name in "ab"]
-    for path in paths:
-        write_table(path, {"t_s": T_S, "file": T_S})
-    assert paths[0].read_bytes() == paths[1].read_bytes()
 
 
 @pytest.mark.parametrize(
@@ -113,9 +104,8 @@ def test_rows_appended_are_rows_written_at_once(tmp_path, suffix):
         assert np.load(path)["status"].dtype == columns["status"].dtype
 
 
-@pytest.mark.parametrize("suffix", ["csv", "csv.gz"])
-def test_a_live_table_shows_its_rows_and_keeps_them(tmp_path, suffix):
-    path = tmp_path / f"t.{suffix}"
+def test_a_live_table_shows_its_rows_and_keeps_them(tmp_path):
+    path = tmp_path / "t.csv"
     write_table(path, {"old": [1.0]})
     with suppress(ZeroDivisionError), open_table(path, is_live=True) as table:
         assert list(read_table(path).columns) == ["old"]
@@ -142,15 +132,14 @@ def test_the_log_that_is_being_read_is_no_place_to_write(tmp_path):
     path = tmp_path / "log.csv"
     write_table(path, {"t": T_S})
     (tmp_path / "link.csv").symlink_to(path)
-    check_writable(tmp_path / "other.csv", source=path)
-    check_writable("-", source=path)
+    check_outputs({"-o": tmp_path / "other.csv"}, path)
     with pytest.raises(FileAccessError, match="it is the log itself"):
-        check_writable(tmp_path / "link.csv", source=path)
+        check_outputs({"-o": tmp_path / "link.csv"}, path)
 
 
-@pytest.fixture(params=[".mcap", ".db3"])
-def path(request, tmp_path):
-    return tmp_path / f"out{request.param}"
+@pytest.fixture
+def path(tmp_path):
+    return tmp_path / "out.mcap"
 
 
 def joint_columns(rows=20):
@@ -220,8 +209,6 @@ def test_metadata_and_definitions_are_there(path):
     (_, state), *_ = messages_of(path, "/joint_states")
     assert state.velocity.size == 0
     assert state.name == ["joint_1", "joint_2"]
-    if path.suffix == ".db3":
-        assert sorted(p.name for p in path.iterdir()) == ["metadata.yaml", "out.db3"]
 
 
 def test_an_existing_bag_is_replaced_only_by_a_whole_one(path):

@@ -118,6 +118,7 @@ class Raises:
 
 STEPS = {
     "far beyond": 10**5000,
+    "next to nothing": 5e-324,
     "a stranger": Raises(),
     "NaN": np.float64("nan"),
     "true": True,

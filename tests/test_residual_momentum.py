@@ -179,6 +179,7 @@ def test_sigmoid_friction_is_zero_at_rest_and_follows_its_formula():
         ({"viscous_Nms": [-1.0]}, "negative"),
         ({"coulomb_Nm": [1.0, 2.0]}, "differ in length"),
         ({"offset_Nm": [np.nan]}, "offset_Nm"),
+        ({"offset_Nm": ["much"]}, "offset_Nm"),
         ({"reversal_speed_rad_s": 0.0}, "reversal_speed"),
     ],
 )

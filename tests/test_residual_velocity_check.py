@@ -165,6 +165,12 @@ def test_wrong_velocities_are_reported_within_seconds_and_stay_reported_at_rest(
     assert velocity_fault(match) == found[-1][1]
 
 
+def test_a_position_that_stands_still_under_a_velocity_is_reported():
+    times, q, dq = stroke()
+    found = reports(times, 0.0 * q, 0.0 * dq + 1.0)[0]
+    assert "moves while q stands still" in found[-1][1]
+
+
 # What is reported of wrong velocities: by the sensor and by a session.
 
 

@@ -32,7 +32,7 @@ def whole():
 
 def test_the_chain_finds_force_depth_and_layer(whole):
     session, found = whole
-    touched = int(np.searchsorted(RUN.signals.t_s, RUN.contact_s))
+    touched = int(np.searchsorted(RUN.signals.t_s, RUN.truth.contact_s))
     axial = np.array([e.wrench.axial for e in found])
     error = (axial - RUN.truth.axial_N[: len(found)])[touched:]
     assert np.sqrt(np.mean(error**2)) < 0.05

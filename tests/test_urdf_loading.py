@@ -241,6 +241,7 @@ def test_malformed_files_are_refused_with_the_reason(tmp_path, text, message):
     [
         ({"locked_joints": ["j9"]}, UnknownNameError, r"cannot lock 'j9'.*joints: j1"),
         ({"locked_joints": "j1"}, InputError, "expected a list of names"),
+        ({"locked_joints": {"j1": np.nan}}, InputError, "position of 'j1' is nan"),
         ({"without": ["hand"]}, UnknownNameError, "leave out 'hand'.*links: base, needle_tip"),
         ({"without": ["base"]}, InputError, "'base', it is the root"),
         ({"without": "base"}, InputError, "expected a list of link names"),

@@ -43,15 +43,10 @@ def run(
     request = ChannelRequest(mapping=known, required=REQUIRED, optional=OPTIONAL)
 
     def estimate(log: LogSession) -> IdentificationResult:
-        with logs.open_output(output, log, lambda: _labels(log)) as table:
+        with logs.open_output(output, log, Labels(prefix="/needleforce/identification")) as table:
             return identify_layers(log, log.name, options, table)
 
     return logs.run_log(source, output, request, estimate)
-
-
-def _labels(log: LogSession) -> Labels:
-    """Return what a bag of estimates says beside the numbers."""
-    return Labels(start_ns=log.start_ns, prefix="/needleforce/identification")
 
 
 # From a log to its result.

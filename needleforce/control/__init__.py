@@ -14,6 +14,7 @@ Reading order: `ports` (what lies outside), `tool_state`, `tasks`, `velocity_box
 from needleforce.control.controller import Command, CommandStatus, Controller
 from needleforce.control.errors import ControlError, RefusedError, SettingError
 from needleforce.control.event_log import LoggedEvent, read_events
+from needleforce.control.guidance import Guidance
 from needleforce.control.insertion_profile import InsertionPlan, InsertionProfile, depth_of
 from needleforce.control.manager import Manager, Situation, State, replay
 from needleforce.control.monitors import Beside, SafetyLimits
@@ -51,10 +52,11 @@ __all__ = [
     "CommandStatus",
     "ControlError",
     "Controller",
-    "DelayLine",
     "DecoupledMotion",
+    "DelayLine",
     "Fixture",
     "ForceSensor",
+    "Guidance",
     "HapticDevice",
     "InsertionPlan",
     "InsertionProfile",

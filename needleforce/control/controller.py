@@ -140,6 +140,11 @@ class Controller:
         return self._send(_new(Command, (velocity, _SATURATED if is_limited else _OK, "")))
 
     @property
+    def last_rad_s(self) -> Array:
+        """What was commanded last, shape (n,)."""
+        return self._last
+
+    @property
     def missed(self) -> list[float]:
         """Largest part of each task's rates that the last command leaves unmet [m/s or rad/s].
 

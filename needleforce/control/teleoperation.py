@@ -13,7 +13,7 @@ and delayed friction is what makes a delayed loop swing.
 
 import math
 from collections import deque
-from typing import Generic, Literal, NamedTuple, TypeVar
+from typing import TYPE_CHECKING, Generic, Literal, NamedTuple, TypeVar
 
 import numpy as np
 from numpy.random import Generator
@@ -22,8 +22,10 @@ from numpy.typing import ArrayLike
 from needleforce.control.errors import SettingError
 from needleforce.control.passivity import HandPort, NeedlePort
 from needleforce.control.ports import Array, MasterReading
-from needleforce.session import SessionEstimate, Travel
 from residual import Status
+
+if TYPE_CHECKING:
+    from needleforce.session import SessionEstimate
 
 Shown = Literal["tip", "enhanced", "raw"]
 Packet = TypeVar("Packet")
@@ -89,7 +91,7 @@ class DelayLine(Generic[Packet]):
         return self._newest
 
 
-def shown_force(estimate: SessionEstimate, shown: Shown = "tip") -> float:
+def shown_force(estimate: "SessionEstimate", shown: Shown = "tip") -> float:
     """The force to be felt [N], positive against insertion.
 
     Never beyond the measured force nor against it: a friction estimate extrapolated to the speed
@@ -178,14 +180,20 @@ class NeedleSide:
         self._silent_s = 0.0
 
     def update(
-        self, news: HandPacket | None, force_N: float, tip: Travel, dt_s: float
+        self,
+        news: HandPacket | None,
+        force_N: float,
+        depth_m: float,
+        now_m_s: float,
+        dt_s: float,
     ) -> tuple[float, NeedlePacket]:
         """The speed to move with, positive inwards, and the packet to send.
 
         Args:
             news: Newest packet of the device.
             force_N: Force to be shown, not scaled.
-            tip: Depth of the tip, from any zero, and its rate.
+            depth_m: Of the tip, from any zero.
+            now_m_s: Its rate.
             dt_s: Time since the last call.
         """
         self._silent_s = self._silent_s + dt_s if news is self._last else 0.0
@@ -193,15 +201,13 @@ class NeedleSide:
         wanted_m_s, incoming_J = 0.0, 0.0
         if news is not None:
             if self._start_m is None:
-                self._start_m = tip.depth_m - news.travel_m
+                self._start_m = depth_m - news.travel_m
             incoming_J = news.energy_J
             if self._silent_s < _SILENCE_S:
-                behind_m = self._start_m + news.travel_m - tip.depth_m
+                behind_m = self._start_m + news.travel_m - depth_m
                 wanted_m_s = news.speed_m_s + _CATCH_UP_PER_S * behind_m
         wanted_m_s = min(max(wanted_m_s, -self._limit_m_s), self._limit_m_s)
-        speed_m_s = self.port.update(
-            wanted_m_s, force_N, tip.speed_m_s, incoming_J / self._scale, dt_s
-        )
+        speed_m_s = self.port.update(wanted_m_s, force_N, now_m_s, incoming_J / self._scale, dt_s)
         energy_J = self._scale * self.port.energy.in_J
         return speed_m_s, NeedlePacket(self._force_scale * force_N, energy_J)
 
@@ -225,6 +231,9 @@ class Teleoperation:
         speed_limit_m_s: Largest speed of the needle.
         lines: From the device to the needle, and back; None for no delay.
         damping_Ns_m: Of quick motion of the handle, see `DeviceSide`.
+
+    Attributes:
+        shown_N: The force that is to be felt, before scale, delay and passivity.
 
     Raises:
         SettingError: A scale out of range, a limit that is not positive, an unknown force, an axis
@@ -264,28 +273,31 @@ class Teleoperation:
         self._there, self._here = lines or (DelayLine(), DelayLine())
         self._from_hand: HandPacket | None = None
         self._from_needle: NeedlePacket | None = None
-        self._force_N = 0.0
+        self.shown_N = 0.0
 
     def update(
-        self, sample: MasterReading | None, estimate: SessionEstimate, dt_s: float
+        self, sample: MasterReading | None, estimate: "SessionEstimate", dt_s: float
     ) -> TeleopCommand:
         """Take the device's newest sample and the newest force; never raises.
 
         Args:
-            sample: Of the haptic device; None if it gave none.
+            sample: Of the haptic device; None if it gave none; one with nan counts as none.
             estimate: Of the session: force and depth.
             dt_s: Time since the last call.
         """
         if estimate.status is Status.OK:
-            self._force_N = shown_force(estimate, self._shown)
+            self.shown_N = shown_force(estimate, self._shown)
         else:
-            self._force_N *= _FADE_S / (_FADE_S + dt_s)
+            self.shown_N *= _FADE_S / (_FADE_S + dt_s)
+        if sample is not None and not np.isfinite((sample.position_m, sample.velocity_m_s)).all():
+            sample = None
         force_N, to_needle = self.device.update(sample, self._from_needle, dt_s)
         self._from_hand = self._there.exchange(to_needle, dt_s)
         speed_m_s, to_hand = self.needle.update(
             self._from_hand,
-            self._force_N,
-            Travel(estimate.depth_m, estimate.speed_m_s),
+            self.shown_N,
+            estimate.depth_m,
+            estimate.speed_m_s,
             dt_s,
         )
         self._from_needle = self._here.exchange(to_hand, dt_s)
