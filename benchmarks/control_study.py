@@ -157,7 +157,7 @@ def _rows(found: Iterable[tuple[ControlJob, list[Figure]]]) -> list[ControlRow]:
     rows = []
     for (part, what, servo, plant, unit), figures in groups.items():
         first = figures[0]
-        values = sorted((item.value for item in figures), reverse=first.at_least)
+        values = sorted((float(item.value) for item in figures), reverse=first.at_least)
         value = values[math.ceil(first.quantile * len(values) - 1e-9) - 1]
         if not all(map(math.isfinite, values)):
             value = math.nan

@@ -5,6 +5,7 @@ import math
 import sys
 from types import SimpleNamespace
 
+import numpy as np
 import pytest
 
 from benchmarks import ResultsError, UnknownIdError, control_constraints, control_study
@@ -52,7 +53,7 @@ def part(monkeypatch):
             raise ValueError("no arm")
         worse = 10.0 if plant == "fri" else 1.0
         yield Figure("delay", "S", worse * (seed - 999), "ms", 4.0, quantile=0.5)
-        yield Figure("error", "S", worse * (seed - 999), "mm", 2.0)
+        yield Figure("error", "S", np.float64(worse * (seed - 999)), "mm", 2.0)
         yield Figure("contrast", "I", 90.0 + seed - 1000, "%", 85.0, at_least=True)
         yield Figure("shown", "", math.nan if seed == 1001 else 1.0, "N", 1.0)
         yield Figure("reference", "", 5.0, "N")
