@@ -88,8 +88,8 @@ class _Approach:
     def __init__(self, session: InsertionSession) -> None:
         self._session, self._rest_s = session, 0.0
 
-    def speed_m_s(self, estimate: SessionEstimate, t_s: float) -> float | None:
-        """Speed along the needle; None once the session is tared."""
+    def speed_m_s(self, estimate: SessionEstimate, t_s: float) -> float:
+        """Speed along the needle until the session is tared."""
         left_m = TARE_STROKE_M - estimate.depth_m
         if left_m > 2e-4:
             return float(min(TARE_SPEED_M_S * min(t_s / 0.3, 1.0), 8.0 * left_m))
@@ -97,7 +97,7 @@ class _Approach:
         if self._rest_s < 0.4:
             return 0.0
         self._session.tare()
-        return None
+        return 0.0  # the estimate at hand still counts depth from before
 
 
 def teleoperate(
