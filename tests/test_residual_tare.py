@@ -200,7 +200,7 @@ def test_age_counts_from_the_tare_and_joints_are_as_they_were_moved(lwr):
     theta[basis.groups["drift"]] = 0.01
     theta[basis.groups["drift"].start + 7 :] = 0.0
     theta[basis.groups["hysteresis"]] = np.repeat([0.1, 0.2, 0.4], 7)
-    theta[basis.groups["viscous"]] = 2.0
+    theta[basis.groups["friction"]][-7:] = 2.0  # viscous
     trend = STILL.copy()
     trend[:LOOPS] = [[1.0], [0.0], [-1.0]]
     trend[-1] = 0.05
