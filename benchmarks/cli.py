@@ -24,6 +24,7 @@ if TYPE_CHECKING:
     from rich.console import Console
 
     from benchmarks.benchmark import Job, Outcome
+    from benchmarks.control_study import ControlRow
     from benchmarks.rows import Row
 
 DATA_VARIABLE = "NEEDLEFORCE_DATA"
@@ -133,7 +134,7 @@ def run(
     *ids: str,
     plant: Sequence[str] = (),
     seeds: Positive = 1,
-    first_seed: int = 0,
+    first_seed: int | None = None,
     data: Annotated[Path | None, Parameter(env_var=DATA_VARIABLE)] = None,
     json: Path | None = None,
     report: Path | None = None,
@@ -143,12 +144,15 @@ def run(
     """Run benchmarks, print tables and targets.
 
     Args:
-        ids: Names of the list, tissue, robustness, or all but that; default: a quick set.
+        ids: Names of the list, tissue, robustness, or all but that; default: a quick set. Or, by
+            themselves, control for the needle in closed loop (20 minutes a seed), or one part of
+            it: control-priority, -constraints, -guidance, -teleoperation, -autonomous, -faults.
         plant: ideal, clean, fri, degraded, or needle (no arm), with commas between several; may be
             given more than once. Default: clean; for drawn scenarios needle. Of robustness, names
             of perturbations (benchmarks/perturbations.toml); default: all.
         seeds: Run so many seeds.
-        first_seed: The first of them. Methods are tuned on seeds below 1000.
+        first_seed: The first of them; default: 0, for control 1000. Methods are tuned on seeds
+            below 1000.
         data: Folder of real recordings.
         json: Write the numbers there.
         report: Write a page into that folder: the published figures from these runs, and all
@@ -163,14 +167,14 @@ def run(
     from benchmarks.targets import evaluate
     from needleforce.plots import FiguresError, folder_if_filled
 
-    plants = [name.strip() for names in plant for name in names.split(",") if name.strip()]
-    if plant and not plants:
-        raise BenchmarkError("--plant: expected at least one name")
-    console = new_console()
+    plants, console = _plant_names(plant), new_console()
+    if any(name.startswith("control") for name in ids):
+        rows = _run_control(ids, plants, (first_seed, seeds), jobs or _processors(), json)
+        return FAILURE if strict and not all(row.is_met for row in rows) else 0
     try:
         # The folder first: better before minutes of work than after.
         with folder_if_filled(report) as folder:
-            plan = make_plan(Request(ids, plants, seeds, first_seed, data, folder))
+            plan = make_plan(Request(ids, plants, seeds, first_seed or 0, data, folder))
             outcomes = _timed(plan.jobs, jobs or _processors(), console)
             rows = [row for outcome in outcomes for row in outcome.rows]
             failed = _print_outcomes(console, rows, outcomes, plan.skipped)
@@ -183,6 +187,29 @@ def run(
         raise BenchmarkError(str(error)) from error
     missed = strict and not all(found.is_met for found in evaluate(rows))
     return FAILURE if failed or missed else 0
+
+
+def _plant_names(plant: Sequence[str]) -> list[str]:
+    names = [name.strip() for given in plant for name in given.split(",") if name.strip()]
+    if plant and not names:
+        raise BenchmarkError("--plant: expected at least one name")
+    return names
+
+
+def _run_control(
+    ids: Sequence[str],
+    plants: Sequence[str],
+    seeds: tuple[int | None, int],
+    processes: int,
+    to: Path | None,
+) -> list["ControlRow"]:
+    """Print the table of the needle in closed loop, and return the rows with targets."""
+    from benchmarks.control_study import control_jobs, run_control, show_control
+
+    work = control_jobs(ids, plants, *seeds)
+    with progress_bar(1) as update:
+        rows = run_control(work, processes, partial(update, 0))
+    return show_control(rows, to)
 
 
 def _timed(jobs: Sequence["Job"], processes: int, console: "Console") -> list["Outcome"]:
@@ -299,13 +326,11 @@ def time_updates(soak: bool = False, ticks: Positive = 1_000_000, strict: bool =
     with progress_bar(1) as update:
         if soak:
             found = run_soak(ticks, partial(update, 0))
-            tables, closing, is_met = [soak_table(found, ticks)], "", found.is_met
+            tables, is_met = [soak_table(found, ticks)], found.is_met
         else:
-            tables, closing, is_met = speed_report(measure_speed(partial(update, 0)))
+            tables, is_met = speed_report(measure_speed(partial(update, 0)))
     for table in tables:
         console.print(table.rich())
-    if closing:
-        console.print(closing)
     return FAILURE if strict and not is_met else 0
 
 
@@ -343,7 +368,7 @@ def inject_faults(
 @app.command(name="stream")
 def stream_recordings(
     seconds: Positive = 60,
-    format: Sequence[Literal[".csv", ".csv.gz", ".npz", ".parquet", ".mcap"]] = (),
+    format: Sequence[Literal[".csv", ".npz", ".parquet", ".mcap"]] = (),
     folder: Path | None = None,
     strict: bool = False,
 ) -> int:

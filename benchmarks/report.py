@@ -21,7 +21,6 @@ from benchmarks.rows import Row, to_json
 from benchmarks.tables import NOTHING, ResultTable, result_tables
 from benchmarks.targets import GELS, TABLE_ONE_Ns_per_m
 from needleforce.plots import (
-    Attachment,
     Chart,
     Curve,
     LineStyle,
@@ -230,21 +229,6 @@ def further_sections(drawings: Sequence[Drawing]) -> list[Section]:
     ]
 
 
-def missing_section(sections: Sequence[Section]) -> Section | None:
-    """Which command draws the figures that these runs do not include; None if none is missing."""
-    here = {section.anchor for section in sections}
-    absent = [item for item in PUBLISHED_FIGURES if item.anchor not in here]
-    if not absent:
-        return None
-    rows = tuple((item.heading, f"`{item.command}`") for item in absent)
-    return Section(
-        heading="Figures that need other runs",
-        anchor="missing",
-        paragraphs=("`python -m benchmarks run --report DIR` draws all of them.",),
-        tables=(PageTable(caption="Commands", head=("figure", "command"), rows=rows),),
-    )
-
-
 def _section(
     item: PublishedFigure, mine: Sequence[Drawing], tables: tuple[PageTable, ...], here: set[str]
 ) -> Section:
@@ -306,20 +290,20 @@ def write_report(folder: Path, rows: Sequence[Row], drawings: Sequence[Drawing])
     Raises:
         FiguresError: A file cannot be written.
     """
-    content = to_json(rows).encode()
-    write_file(folder / "results.json", content)
+    write_file(folder / "results.json", to_json(rows).encode())
     gels = gel_friction(rows)
     everything = [*drawings, *([] if gels is None else [_friction_drawing(folder, gels)])]
     figures = published_sections(everything, rows)
     numbers = Section(
         heading="All numbers of these runs",
         anchor="numbers",
-        paragraphs=("As printed by the command; targets last.",),
+        paragraphs=(
+            "As printed by the command, targets last; `results.json` beside this page has "
+            "them all.",
+        ),
         tables=tuple(map(page_table, result_tables(rows))),
-        attachments=(Attachment("results.json", "application/json", content),),
     )
-    missing = missing_section(figures)
-    sections = [*figures, *further_sections(everything), numbers, *([missing] if missing else [])]
+    sections = [*figures, *further_sections(everything), numbers]
     return write_page(folder / PAGE, Page(title=TITLE, lead=LEAD, sections=tuple(sections)))
 
 

@@ -5,7 +5,7 @@ itself is what changes, since its sensor would double the time.
 """
 
 from collections.abc import Iterator
-from dataclasses import dataclass, fields, replace
+from dataclasses import fields, replace
 from functools import lru_cache
 
 import numpy as np
@@ -43,34 +43,12 @@ SCENARIOS = ("gel-25-constant", "stack-constant", "liver-constant", "abdomen-sin
 """A single layer, several, one with a membrane, and a motion that is never constant."""
 
 
-@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
-class NeedleCase:
-    """n samples of an insertion by the needle alone, and their truth.
+def perturbed_needle(
+    name: str, scenario: Scenario | str, seed: int
+) -> tuple[NeedleSignal, InsertionTruth]:
+    """Insert the needle alone in a perturbed world; return the reading and the truth.
 
     Depth and speed are as an arm that follows its motion exactly would measure them.
-    """
-
-    perturbations: tuple[str, ...]  # their names
-    t_s: Array  # time stamps, shape (n,)
-    depth_m: Array  # travel since the end of the tare, shape (n,)
-    speed_m_s: Array | None  # its rate, shape (n,); None where there is only the depth
-    force_N: Array  # F/T sensor, zeroed in free air, shape (n,)
-    truth: InsertionTruth  # at the same samples
-
-    @property
-    def signal(self) -> NeedleSignal:
-        """What an identifier gets."""
-        return NeedleSignal(
-            source="ft",
-            t_s=self.t_s,
-            depth_m=self.depth_m,
-            speed_m_s=self.speed_m_s,
-            force_N=self.force_N,
-        )
-
-
-def perturbed_needle(name: str, scenario: Scenario | str, seed: int) -> NeedleCase:
-    """Insert the needle alone in a perturbed world.
 
     Args:
         name: One of `PERTURBATIONS`, or ``mixed``.
@@ -78,7 +56,7 @@ def perturbed_needle(name: str, scenario: Scenario | str, seed: int) -> NeedleCa
         seed: Of sizes and noise; of the scenario too, where that is drawn.
     """
     chosen = named_scenario(scenario, seed) if isinstance(scenario, str) else scenario
-    world, names = perturbed(name, chosen, seed)
+    world, _ = perturbed(name, chosen, seed)
     plant, robot = world.plant, _lwr()
     run = insert_needle(world.scenario, seed=seed, noise=ft_noise(plant))
     along = scenario_motion(scenario_path(robot, world.scenario), world.scenario)
@@ -98,14 +76,14 @@ def perturbed_needle(name: str, scenario: Scenario | str, seed: int) -> NeedleCa
     else:
         still = replace(signals, dq_rad_s=np.zeros_like(signals.q_rad))
         travel = measured_travel(robot, still, run.tare_end_s)
-    return NeedleCase(
-        perturbations=names,
+    signal = NeedleSignal(
+        source="ft",
         t_s=signals.t_s,
         depth_m=travel.depth_m,
         speed_m_s=travel.speed_m_s if world.has_speed else None,
         force_N=run.force_N[kept],
-        truth=_at_samples(insertion_truth(run), kept),
     )
+    return signal, _at_samples(insertion_truth(run), kept)
 
 
 def run_robustness(job: Job, progress: Progress) -> Findings:
@@ -114,8 +92,7 @@ def run_robustness(job: Job, progress: Progress) -> Findings:
     chosen = job.benchmark.removeprefix(PERTURBED)
     scenario = SCENARIOS[job.seed % len(SCENARIOS)] if chosen == MIXED else chosen
     if name in FT_ONLY:
-        case = perturbed_needle(name, scenario, job.seed)
-        signal, truth = case.signal, case.truth
+        signal, truth = perturbed_needle(name, scenario, job.seed)
         found = [
             identify(signal, truth, "default"),
             identify_as_run(signal, truth, truth.speed_m_s),

@@ -66,22 +66,6 @@ NAMES = Row.__struct_fields__
 SCHEMA = 1
 SIGNIFICANT_DIGITS = 6
 """More would only record rounding."""
-OLD_NAMES: dict[str, dict[str, str]] = {
-    "plant": {"textbook": "ideal", "realistic": "clean", "hard": "degraded"},
-    "method": {"paper": "published"},
-    "metric": {
-        "exit_residue_pct": "remaining_force_pct",
-        "rupture_dating_error_ms": "rupture_timing_error_ms",
-        "rupture_overshoot_mm": "detection_depth_error_mm",
-        "rupture_dated_depth_error_mm": "estimated_depth_error_mm",
-        "falls_per_insertion": "drops_per_insertion",
-        "fall_recall": "drop_recall",
-        "ruptures_at_falls": "ruptures_at_drops",
-        "ruptures_without_fall": "ruptures_without_drop",
-    },
-}
-"""Names in files written before plants, methods and metrics got the field's words: a run of that
-time must still be comparable with one of today."""
 
 
 def to_json(rows: Iterable[Row]) -> str:
@@ -109,7 +93,7 @@ class _File(msgspec.Struct):
 
 
 def read_results(path: str | Path) -> list[Row]:
-    """Read rows from a file; null becomes nan, `OLD_NAMES` become today's.
+    """Read rows from a file; null becomes nan.
 
     Raises:
         ResultsError: The file cannot be read, is not JSON of this schema, lacks a field, or has
@@ -117,40 +101,23 @@ def read_results(path: str | Path) -> list[Row]:
     """
     try:
         items = msgspec.json.decode(Path(path).read_bytes(), type=_File).rows
-        rows = msgspec.convert([_today(item) for item in items], list[Row])
+        rows = msgspec.convert([_with_nan(item) for item in items], list[Row])
     except OSError as error:
         raise ResultsError(f"cannot read {path}: {error.strerror}") from error
     except msgspec.ValidationError as error:
         raise ResultsError(f"{path} is not a file of results: {error}") from error
     except (msgspec.DecodeError, ValueError) as error:
         raise ResultsError(f"{path} is not JSON: {error}") from error
-    found: dict[RowKey, Row] = {}
+    found: set[RowKey] = set()
     for row in rows:
         if row.key in found:
             raise ResultsError(f"{path} has more than one row for: {row.key}")
-        found[row.key] = row
-    return [_undefined_as_nan(row, found) for row in rows]
+        found.add(row.key)
+    return rows
 
 
-def _undefined_as_nan(row: Row, found: Mapping[RowKey, Row]) -> Row:
-    """Older files say precision 1 where nothing was detected; today it is undefined there.
-
-    With an alarm, precision is 1 only if that alarm found a rupture or a soft transition. So a
-    precision of 1 beside recalls of 0 was written without any alarm.
-    """
-    names = ("rupture_recall", "soft_transition_recall")
-    recalls = [found[key].value for n in names if (key := row.key._replace(metric=n)) in found]
-    was_silent = row.metric == "rupture_precision" and bool(recalls) and not any(recalls)
-    return msgspec.structs.replace(row, value=math.nan) if was_silent and row.value == 1.0 else row
-
-
-def _today(item: dict[str, Any]) -> dict[str, Any]:
-    """A stored row with nan for null, and with today's names."""
-    item = {name: math.nan if value is None else value for name, value in item.items()}
-    for name, today in OLD_NAMES.items():
-        if isinstance(old := item.get(name), str):
-            item[name] = today.get(old, old)
-    return item
+def _with_nan(item: dict[str, Any]) -> dict[str, Any]:
+    return {name: math.nan if value is None else value for name, value in item.items()}
 
 
 def read_merged(paths: Sequence[str | Path]) -> list[Row]:

@@ -11,7 +11,7 @@ from scipy.signal import lfilter
 
 from benchmarks.rows import Source
 from groundtruth import NeedleRun, Run, Rupture
-from needleforce.session import TipTravel
+from needleforce.session import tip_motion
 from residual import VelocityEstimator
 from residual.tool_kinematics import ToolKinematics
 from urdf import Robot
@@ -71,7 +71,7 @@ def insertion_truth(run: Run | NeedleRun) -> InsertionTruth:
         layer=true.layer,
         ruptures=true.ruptures,
         tare_end_s=run.tare_end_s,
-        contact_s=run.truth.contact_s if isinstance(run, NeedleRun) else run.contact_s,
+        contact_s=run.truth.contact_s,
         insertion_end_s=run.scenario.motion.insertion_end_s,
         boundaries_m=tuple(accumulate(layer.thickness_m for layer in run.scenario.layers)),
     )
@@ -162,12 +162,12 @@ def measured_travel(robot: Robot, signals: JointSignals, zero_s: float) -> Measu
         q_rad, dq_rad_s = (np.array([each[k] for each in matched]) for k in (0, 1))
     kinematics = ToolKinematics(robot)
     kinematics.update(q_rad[int(np.searchsorted(signals.t_s, zero_s))])
-    travel = TipTravel(kinematics)
+    axis, start_m = kinematics.axis_in_base.copy(), kinematics.place_in_base_m.copy()
     found = np.zeros((len(signals.t_s), 2))
     for k, (q, dq) in enumerate(zip(q_rad, dq_rad_s, strict=True)):
         kinematics.update(q)
-        found[k] = travel.read(dq)
-    return MeasuredTravel(found[:, 0].copy(), found[:, 1].copy())
+        found[k] = tip_motion(axis, kinematics.pose, kinematics.axial_jacobian, dq)
+    return MeasuredTravel(found[:, 0] - float(axis.dot(start_m)), found[:, 1].copy())
 
 
 def lagging(values: Array, t_s: Array, lag_s: float) -> Array:

@@ -99,11 +99,12 @@ def read_sensors(
         depth_m=run.truth.depth_m,
         axial_N=run.truth.axial_N,
         zeroed_s=run.tare_end_s,
-        start_s=run.tare_end_s if free else run.contact_s,
-        end_s=run.truth.t_s[-1] if free else run.withdrawn_s,
+        start_s=run.tare_end_s if free else run.truth.contact_s,
+        end_s=run.truth.t_s[-1] if free else run.truth.withdrawn_s,
     )
     place_m = run.scenario.motion.position_m
-    contact_m = 0.0 if free else place_m(run.contact_s) - place_m(run.tare_end_s)
+    touches_s = run.tare_end_s if free else run.truth.contact_s
+    contact_m = float(place_m(touches_s) - place_m(run.tare_end_s))
     sessions: dict[Method, SessionRun] = {}
     for k, method in enumerate(methods):
         part = progress_part(progress, k / len(methods), (k + 1) / len(methods))

@@ -1,8 +1,6 @@
 """What an update of the estimators costs, beside the bare Pinocchio calls it cannot do without."""
 
-import gc
-from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
-from contextlib import contextmanager
+from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass, replace
 from time import perf_counter_ns
 from types import MappingProxyType
@@ -12,21 +10,18 @@ import numpy as np
 import pinocchio as pin
 from numpy.typing import NDArray
 
-from benchmarks.methods import IDENTIFIERS, on_lwr
+from benchmarks.methods import on_lwr
 from benchmarks.signals import JointSignals
 from benchmarks.tables import ResultTable, met_mark
 from benchmarks.targets import (
     CHAIN_COST_RATIOS,
     ESTIMATED_VELOCITY_COST_RATIO,
-    LAYER_COST_RATIO,
     MEAN_TICK_RATIO,
     OBSERVER_COST_RATIOS,
     SENSOR_COST_RATIOS,
 )
-from groundtruth import Scenario, insert_needle, simulate
-from groundtruth.materials import TABLE_I_SPEED_M_S, gel
-from groundtruth.motion import constant_motion
-from identification import MULTILAYER, PUBLISHED, Identifier, MultilayerConfig, PublishedConfig
+from groundtruth import simulate
+from identification import MULTILAYER, PUBLISHED, MultilayerConfig, PublishedConfig
 from needleforce import InsertionSession
 from needleforce.jit import COMPILER
 from residual import DEFAULT, MomentumObserver, VirtualForceSensor
@@ -40,14 +35,8 @@ BLOCK = 200
 down slows all of them."""
 NS_PER_US = 1e3
 SCENARIO, PLANT = "stack-constant", "clean"
-JITTER_s = 5e-5
-"""Of the uneven clock: that of the degraded arm."""
 LAYER_TICKS = 6
 """A layer is identified over so many updates at most: the last one reports it."""
-SHORT_S, LONG_S = 10.0, 60.0
-"""Time spent in the layer, at 1 kHz, before it is identified."""
-REPEATS = 9
-"""Insertions of each kind: the median is free of whatever else a busy machine did."""
 PERCENTILES = {"median": 50.0, "99 %": 99.0, "99.9 %": 99.9, "worst": 100.0}
 
 BARE_OBSERVER, BARE_SENSOR = "dynamics of the observer", "dynamics of the sensor"
@@ -63,13 +52,11 @@ class Subject(NamedTuple):
 
 OBSERVER, SENSOR, CHAIN = "observer", "sensor", "chain"
 PUBLISHED_CHAIN = "chain, published identifier"
-UNEVEN, ESTIMATED = ", uneven clock", ", velocity estimated"
+ESTIMATED = ", velocity estimated"
 SUBJECTS: Mapping[str, Subject] = MappingProxyType(
     {
         OBSERVER: Subject(BARE_OBSERVER, *OBSERVER_COST_RATIOS),
-        OBSERVER + UNEVEN: Subject(BARE_OBSERVER),
         SENSOR: Subject(BARE_SENSOR, *SENSOR_COST_RATIOS),
-        SENSOR + UNEVEN: Subject(BARE_SENSOR),
         CHAIN: Subject(BARE_SENSOR, *CHAIN_COST_RATIOS),
         CHAIN + ESTIMATED: Subject(BARE_SENSOR, ESTIMATED_VELOCITY_COST_RATIO),
         PUBLISHED_CHAIN: Subject(BARE_SENSOR, *CHAIN_COST_RATIOS),
@@ -139,37 +126,6 @@ class ChainUpdate:
             self.layers.extend(range(k + 1 - LAYER_TICKS, k + 1))
 
 
-@contextmanager
-def gc_pauses() -> Iterator[list[float]]:
-    """Lengths of all garbage collections meanwhile [us]; each is in whatever update is next."""
-    pauses_us: list[float] = []
-    start_ns = 0
-
-    def note(phase: str, _: dict[str, Any]) -> None:
-        nonlocal start_ns
-        if phase == "start":
-            start_ns = perf_counter_ns()
-        else:
-            pauses_us.append((perf_counter_ns() - start_ns) / NS_PER_US)
-
-    gc.callbacks.append(note)
-    try:
-        yield pauses_us
-    finally:
-        gc.callbacks.remove(note)
-
-
-def pause_line(pauses_us: Sequence[float]) -> str:
-    """What the garbage collector took, in one line."""
-    if not pauses_us:
-        return "No garbage collection happened meanwhile."
-    return (
-        f"{len(pauses_us)} garbage collections happened meanwhile, in whatever update was next; "
-        f"the longest took {max(pauses_us):.0f} us. gc.freeze() after the tare spares a "
-        "controller most of it (docs/loop.md)."
-    )
-
-
 @dataclass(frozen=True, slots=True, kw_only=True)
 class SpeedReport:
     """What was timed; updates are counted from the first that was timed."""
@@ -177,59 +133,39 @@ class SpeedReport:
     times: dict[str, Times]  # by subject
     alarms: dict[str, list[int]]  # updates that raised a rupture, by chain
     layers: dict[str, list[int]]  # updates that worked on identifying a layer, by chain
-    pauses_us: list[float]  # garbage collections meanwhile
-    layer_us: dict[tuple[str, float], float]  # `layer_us` by identifier and seconds in the layer
 
     def ratio(self, name: str) -> float:
         """Cost of a subject relative to its bare dynamics."""
         return cost_ratio(self.times[name], self.times[SUBJECTS[name].bare])
 
-    def layer_ratio(self, identifier_us: float) -> float:
-        """A sensor's median update and an identifier's, relative to the bare dynamics."""
-        sensor, bare = (np.median(self.times[name]) for name in (SENSOR, BARE_SENSOR))
-        return float((sensor + identifier_us) / bare)
-
 
 def measure_speed(progress: Callable[[float], None]) -> SpeedReport:
     """Time everything on the signals of a simulated insertion, from the tare on."""
     run = simulate(SCENARIO, PLANT, 0, progress)
-    even = JointSignals.of_run(run)
-    noise = np.random.default_rng(0).normal(scale=JITTER_s, size=len(even.t_s))
-    uneven = replace(even, t_s=even.t_s + noise)
-    blind = replace(even, dq_rad_s=None)
-    tare = int(np.searchsorted(even.t_s, run.tare_end_s))
+    signals = JointSignals.of_run(run)
+    blind = replace(signals, dq_rad_s=None)
+    tare = int(np.searchsorted(signals.t_s, run.tare_end_s))
     chains = {
-        name + how: ChainUpdate(run.robot, signals, tare, config)
+        name + how: ChainUpdate(run.robot, sent, tare, config)
         for name, config in ((CHAIN, MULTILAYER), (PUBLISHED_CHAIN, PUBLISHED))
-        for how, signals in (("", even), (ESTIMATED, blind))
+        for how, sent in (("", signals), (ESTIMATED, blind))
     }
-    observers = [
-        MomentumObserver(run.robot, DEFAULT.gain_per_s, alignment="hold") for _ in range(2)
-    ]
-    sensors = [VirtualForceSensor(run.robot, on_lwr(DEFAULT)) for _ in range(2)]
+    observer = MomentumObserver(run.robot, DEFAULT.gain_per_s, alignment="hold")
+    sensor = VirtualForceSensor(run.robot, on_lwr(DEFAULT))
     subjects = {
-        BARE_OBSERVER: _bare_observer(run.robot, even),
-        OBSERVER: _fed(observers[0], even),
-        OBSERVER + UNEVEN: _fed(observers[1], uneven),
-        BARE_SENSOR: bare_sensor(run.robot, even),
-        SENSOR: _fed(sensors[0], even, tare),
-        SENSOR + UNEVEN: _fed(sensors[1], uneven, tare),
+        BARE_OBSERVER: _bare_observer(run.robot, signals),
+        OBSERVER: _fed(observer, signals),
+        BARE_SENSOR: bare_sensor(run.robot, signals),
+        SENSOR: _fed(sensor, signals, tare),
         **chains,
     }
     # The first counted update comes after that of the tare.
     first = tare + 1
-    with gc_pauses() as pauses_us:
-        times = time_side_by_side(subjects, first, len(even.t_s))
+    times = time_side_by_side(subjects, first, len(signals.t_s))
     return SpeedReport(
         times=times,
         alarms={name: [k - first for k in each.alarms] for name, each in chains.items()},
         layers={name: [k - first for k in each.layers] for name, each in chains.items()},
-        pauses_us=pauses_us,
-        layer_us={
-            (name, seconds): layer_us(seconds, config)
-            for name, config in IDENTIFIERS.items()
-            for seconds in (SHORT_S, LONG_S)
-        },
     )
 
 
@@ -278,51 +214,10 @@ def _fed(estimator: Any, signals: JointSignals, tare: int = -1) -> Update:
     return update
 
 
-def slab(seconds: float) -> Scenario:
-    """One gel of such a thickness that the needle is in it for a time [s]."""
-    thickness = TABLE_I_SPEED_M_S * seconds
-    return Scenario(
-        id=f"slab-{seconds:g}s",
-        title=f"one 70 % gel, {1e3 * thickness:.0f} mm",
-        layers=(replace(gel(70), thickness_m=thickness),),
-        motion=constant_motion(
-            speed_m_s=TABLE_I_SPEED_M_S, depth_m=thickness + 8e-3, standoff_m=5e-3
-        ),
-    )
-
-
-def layer_us(seconds: float, config: MultilayerConfig | PublishedConfig) -> float:
-    """Time of the slowest update from the first alarm until the last layer is identified [us].
-
-    Of each update the median of `REPEATS` equal insertions that spend so many seconds in the layer.
-    """
-    run = insert_needle(slab(seconds), seed=0)
-    inside = run.t_s > run.tare_end_s
-    columns = (run.depth_m, run.speed_m_s, run.force_N)
-    samples = list(zip(*(column[inside].tolist() for column in columns), strict=True))
-    taken_us, alarms, layers = [], set[int](), set[int]()
-    for _ in range(REPEATS):
-        identifier = Identifier(config)
-
-        def update(k: int, identifier: Identifier = identifier) -> None:
-            depth_m, speed_m_s, force_N = samples[k]
-            found = identifier.update(depth_m, speed_m_s, force_N, 1e-3)
-            if found.rupture is not None:
-                alarms.add(k)
-            if found.identified_layer is not None:
-                layers.add(k)
-
-        taken_us.append(time_each(update, range(len(samples))))
-    # The same work every time, so the same alarms. What is slow only once was interrupted.
-    medians = np.median(taken_us, axis=0)[min(alarms, default=0) : max(layers, default=-1) + 1]
-    return float(np.max(medians, initial=0.0))
-
-
-def speed_report(report: SpeedReport) -> tuple[list[ResultTable], str, bool]:
-    """Tables, a closing line, and whether all targets are met."""
-    tables = [speed_table(report), event_table(report), layer_table(report)]
-    is_met = not any("missed" in line for table in tables for line in table.lines)
-    return tables, pause_line(report.pauses_us), is_met
+def speed_report(report: SpeedReport) -> tuple[list[ResultTable], bool]:
+    """Tables, and whether all targets are met."""
+    tables = [speed_table(report), event_table(report)]
+    return tables, not any("missed" in line for table in tables for line in table.lines)
 
 
 def _ratio_cells(ratio: float, limit: float | None) -> tuple[str, str, str]:
@@ -377,20 +272,4 @@ def event_table(report: SpeedReport) -> ResultTable:
         heads=("what", "in", "ticks", "median\nus", "worst\nus", "worst,\nratio"),
         align="LLrrrr",
         lines=tuple(lines),
-    )
-
-
-def layer_table(report: SpeedReport) -> ResultTable:
-    """The update that identifies a layer, after short and long layers, with its target."""
-    sensor = float(np.median(report.times[SENSOR]))
-    lines = []
-    for (name, seconds), taken in report.layer_us.items():
-        cells = _ratio_cells(report.layer_ratio(taken), LAYER_COST_RATIO)
-        lines.append((name, f"{seconds:g} s", f"{sensor + taken:.0f}", *cells))
-    return ResultTable(
-        title="The tick that identifies a layer, with the sensor's median tick",
-        heads=("identifier", "layer", "us", "ratio", "target", ""),
-        align="LrrrrL",
-        lines=tuple(lines),
-        caption="median of insertions into one gel of the needle alone, at 1 kHz",
     )

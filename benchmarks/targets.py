@@ -99,8 +99,6 @@ ESTIMATED_VELOCITY_COST_RATIO = 5.0
 """The same of a chain that must estimate the velocities, compiled."""
 MEAN_TICK_RATIO = 1.25
 """Most that the mean update may cost, relative to the median: work is spread over updates."""
-LAYER_COST_RATIO = 60.0
-"""Of the update that identifies a layer, after 60 s in the layer."""
 SOAK_COST_RATIO = 1.1
 """Most an update may cost after a million, relative to one at the start."""
 SOAK_GROWTH_KB = 100.0

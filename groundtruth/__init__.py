@@ -1,11 +1,12 @@
 """The simulated ground truth: arm, needle, tissue and sensors, which the estimators never see.
 
 Two simulations of one scenario: `insert_needle` moves the needle by itself, in half a second;
-`simulate` has the arm move it, in MuJoCo, and reports what the arm's sensors read.
+`simulate` has the arm move it, in MuJoCo, and reports what the arm's sensors read. In closed loop
+`rig_arm.SimulatedArm` takes joint velocities, one sample at a time.
 
 Reading order: `scenarios` (what is simulated), `tissue` (the laws), `materials` and `plant_model`
 (every number and its source), `simulation` (both simulations and their results), then `arm_plant`
-and `arm_control`.
+and `arm_control`; for the closed loop `rig_arm`, `rig_contacts`, `rig_operator`.
 """
 
 from groundtruth.errors import GroundTruthError
@@ -15,7 +16,7 @@ from groundtruth.motion import Motion
 from groundtruth.plant_model import PLANT_MODELS, PlantModel
 from groundtruth.scenarios import SCENARIOS, Scenario, random_stack, scenario
 from groundtruth.simulation import NeedleRun, Run, Signals, Truth, insert_needle, simulate
-from groundtruth.tissue import TissueForce, TissueLaw
+from groundtruth.tissue import Tissue, TissueForce
 from groundtruth.tissue_truth import Rupture
 
 __all__ = [
@@ -31,8 +32,8 @@ __all__ = [
     "Rupture",
     "Scenario",
     "Signals",
+    "Tissue",
     "TissueForce",
-    "TissueLaw",
     "Truth",
     "insert_needle",
     "random_stack",

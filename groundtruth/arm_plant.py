@@ -3,8 +3,8 @@
 # MuJoCo's names live in a compiled module without stubs.
 # pyright: reportAttributeAccessIssue=false, reportOptionalMemberAccess=false
 
-from collections.abc import Iterable
-from dataclasses import dataclass
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass, replace
 
 import numpy as np
 import pinocchio as pin
@@ -14,7 +14,8 @@ from groundtruth.bearing_friction import BearingFriction
 from groundtruth.disturbances import ElbowPush, LateralForce, TissueMotion
 from groundtruth.errors import PlantError, PlantModelError
 from groundtruth.plant_model import PlantModel, TICK_s
-from groundtruth.tissue import TissueForce, TissueLaw, no_force
+from groundtruth.rig_contacts import Contact, TouchedPoint
+from groundtruth.tissue import Tissue, TissueForce, no_force
 from urdf import NeedleTool, Payload, Robot, load_lwr
 
 try:
@@ -82,20 +83,22 @@ class PlantBodies:
     """Kinematics and true inertias of arm, F/T sensor and needle.
 
     Attributes:
-        robot: The estimator's robot: kinematics and frames are shared, its inertias are not used.
+        robot: The estimator's robot.
+        kinematics: The same with the true places of its joints; its inertias are not used.
         links: Bare links 1..7, each in its joint frame.
         sensor: The tool up to the sensor's measuring plane, in the flange frame.
         needle: Everything beyond the measuring plane, in the ``ft_sensor`` frame.
     """
 
     robot: Robot
+    kinematics: Robot
     links: tuple[pin.Inertia, ...]
     sensor: pin.Inertia
     needle: pin.Inertia
 
     def model(self) -> pin.Model:
-        """Pinocchio model of the true arm: the robot's, with the true inertia of every joint."""
-        model = self.robot.model.copy()
+        """Pinocchio model of the true arm, with the true inertia of every joint."""
+        model = self.kinematics.model.copy()
         for joint, link in enumerate(self.links, start=1):
             model.inertias[joint] = link
         last = len(self.links)
@@ -113,7 +116,7 @@ def lwr_bodies(tool: NeedleTool, plant_model: PlantModel, rng: np.random.Generat
     Args:
         tool: The tool as the estimator knows it.
         plant_model: How far the truth is from that.
-        rng: Source of the payload error.
+        rng: Source of the errors of payload and kinematics.
 
     Returns:
         The bodies; with a plant model without model error, exactly the estimator's.
@@ -131,10 +134,25 @@ def lwr_bodies(tool: NeedleTool, plant_model: PlantModel, rng: np.random.Generat
 
     return PlantBodies(
         robot=robot,
+        kinematics=_with_displaced_joints(robot, plant_model, rng),
         links=blended_links(robot.bare_model, plant_model.cad_fraction),
         sensor=with_error(tool.sensor),
         needle=with_error(tool.beyond_sensor),
     )
+
+
+def _with_displaced_joints(
+    robot: Robot, plant_model: PlantModel, rng: np.random.Generator
+) -> Robot:
+    size_m, size_rad = plant_model.kinematic_error_m, plant_model.kinematic_error_rad
+    if size_m == size_rad == 0.0:
+        return robot
+    model = pin.Model(robot.bare_model)
+    for joint in range(1, model.njoints):
+        turn = pin.exp3(size_rad * rng.standard_normal(3))
+        error = pin.SE3(turn, size_m * rng.standard_normal(3))
+        model.jointPlacements[joint] = model.jointPlacements[joint] * error
+    return replace(robot, bare_model=model)
 
 
 def _placement(robot: Robot, frame: str) -> pin.SE3:
@@ -177,7 +195,7 @@ def arm_mjcf(bodies: PlantBodies, substep_s: float) -> str:
     Returns:
         MJCF text.
     """
-    robot = bodies.robot
+    robot = bodies.kinematics
     parts = [_HEAD.format(step=repr(substep_s), gravity=_numbers(robot.gravity_m_s2))]
     for joint, (name, link) in enumerate(zip(robot.joint_names, bodies.links, strict=True), 1):
         placement = robot.model.jointPlacements[joint]
@@ -232,7 +250,7 @@ class TissueContact:
         elbow: Pushes at the elbow.
     """
 
-    law: TissueLaw
+    law: Tissue
     surface_in_base_m: Array
     axis_in_base: Array
     motion: TissueMotion | None = None
@@ -254,12 +272,22 @@ class ArmPlant:
         tissue_force: Force of the tissue at the start of the last tick.
         mean_axial_N: Its axial part, mean over the last tick.
         friction_Nm: Torque of the joint bearings on the links, shape (7,), mean over the last tick.
+        tip_m: Where the needle's tip is now, base axes, shape (3,), a view.
+        tip_axes: Axes of the needle there in base axes, shape (3, 3), a view; the third points
+            along it.
     """
 
     def __init__(
-        self, bodies: PlantBodies, contact: TissueContact, friction: BearingFriction | None = None
+        self,
+        bodies: PlantBodies,
+        contact: TissueContact,
+        friction: BearingFriction | None = None,
+        touching: Sequence[Contact] = (),
     ) -> None:
-        """Compile the model of the true arm; `PlantError` if MuJoCo is not installed."""
+        """Compile the model of the true arm, and let contacts act on it besides the tissue.
+
+        `PlantError` if MuJoCo is not installed.
+        """
         if mujoco is None:
             raise PlantError("the simulated arm needs the library mujoco: pip install mujoco")
         self._model = mujoco.MjModel.from_xml_string(arm_mjcf(bodies, SUBSTEP_s))
@@ -269,11 +297,11 @@ class ArmPlant:
         self._has_tissue = bool(contact.law.layers)
         self._tip = self._model.body("tip").id
         self._tip_force: Array = self._data.xfrc_applied[self._tip, :3]
-        self._tip_axes: Array = self._data.xmat[self._tip].reshape(3, 3)
-        self._tip_axis: Array = self._tip_axes[:, 2]
+        self.tip_axes: Array = self._data.xmat[self._tip].reshape(3, 3)
+        self._tip_axis: Array = self.tip_axes[:, 2]
         elbow = self._model.body("link_4").id
         self._elbow_force: Array = self._data.xfrc_applied[elbow, :3]
-        self._tip_position: Array = self._data.xpos[self._tip]
+        self.tip_m: Array = self._data.xpos[self._tip]
         self._jacobian = np.zeros((3, self._model.nv))
         self.q_rad: Array = self._data.qpos
         self.dq_rad_s: Array = self._data.qvel
@@ -283,13 +311,22 @@ class ArmPlant:
         self.friction_Nm = np.zeros(self._model.nv)
         self._held_Nm = np.zeros(self._model.nv)
         self._time_s = self._surface_m_s = 0.0
+        self._touched = [
+            TouchedPoint(self._model, self._data, [item for item in touching if item.at == place])
+            for place in dict.fromkeys(item.at for item in touching)
+        ]
         self._locate()
 
     def place(self, q_rad: Array, dq_rad_s: Array) -> None:
-        """Put the arm into a state of joint positions and velocities, shape (7,) each."""
+        """Put the arm into a state of joint positions and velocities, shape (7,) each.
+
+        All contacts but the tissue begin there.
+        """
         self.q_rad[:] = q_rad
         self.dq_rad_s[:] = dq_rad_s
         self._locate()
+        for point in self._touched:
+            point.begin()
 
     def tick(self, torque_Nm: Array) -> None:
         """Hold a joint torque, shape (7,), for one tick."""
@@ -306,7 +343,7 @@ class ArmPlant:
         self._time_s += TICK_s
         self._locate()
 
-    def _tissue_tick(self, law: TissueLaw) -> None:
+    def _tissue_tick(self, law: Tissue) -> None:
         """Let the tissue act at each substep, along the needle and held over the substep.
 
         The Jacobian of the tick's start serves all its substeps: the arm turns by less than
@@ -315,7 +352,7 @@ class ArmPlant:
         rate, back = self.axial_jacobian, -self._tip_axis
         aside: Array | float = 0.0
         if self._contact.lateral is not None:
-            aside = self._tip_axes[:, :2] @ self._contact.lateral.at(self.depth_m)
+            aside = self.tip_axes[:, :2] @ self._contact.lateral.at(self.depth_m)
         away = self._surface_m_s
         depth, speed = self.depth_m, float(rate.dot(self.dq_rad_s)) - away
         force = self.tissue_force = law.step(depth, speed, SUBSTEP_s)
@@ -332,7 +369,9 @@ class ArmPlant:
         self.mean_axial_N = total / SUBSTEPS
 
     def _step(self) -> None:
-        """Step once, with the friction of the bearings held over the step."""
+        """Step once, with the friction of the bearings and all contacts held over the step."""
+        for point in self._touched:
+            point.act(self._time_s, self.dq_rad_s, SUBSTEP_s)
         if self._friction is not None:
             friction = self._friction.step(self.dq_rad_s, SUBSTEP_s)
             self._data.qfrc_applied[:] = self._held_Nm + friction
@@ -352,11 +391,13 @@ class ArmPlant:
         """Update the tip's position and Jacobian, which a Runge-Kutta step leaves at a stage."""
         mujoco.mj_kinematics(self._model, self._data)
         mujoco.mj_comPos(self._model, self._data)
-        mujoco.mj_jac(self._model, self._data, self._jacobian, None, self._tip_position, self._tip)
+        mujoco.mj_jac(self._model, self._data, self._jacobian, None, self.tip_m, self._tip)
         self.axial_jacobian = self._tip_axis @ self._jacobian
-        from_surface = self._tip_position - self._contact.surface_in_base_m
+        from_surface = self.tip_m - self._contact.surface_in_base_m
         depth = float(from_surface.dot(self._contact.axis_in_base))
         if self._contact.motion is not None:
             moved_m, self._surface_m_s = map(float, self._contact.motion.at(self._time_s))
             depth -= moved_m
         self.depth_m = depth if self._has_tissue else 0.0
+        for point in self._touched:
+            point.locate()

@@ -33,6 +33,15 @@ PRESLIDING_rad = 1e-4
 """Rotation over which a bearing begins to slide. Chosen: 5 um at a bearing radius of 50 mm."""
 
 
+def bearings(
+    plant_model: PlantModel, limit_Nm: Array, rng: np.random.Generator
+) -> "BearingFriction | None":
+    """The bearings of an arm with these effort limits, shape (n,); None without friction."""
+    if plant_model.joint_coulomb == 0.0 and not any(plant_model.joint_viscous_Nms_per_rad):
+        return None
+    return BearingFriction(plant_model, limit_Nm, rng)
+
+
 class BearingFriction:
     """Friction torque of all joints, one physics step at a time, from rest without load."""
 

@@ -20,7 +20,7 @@ class ScenarioError(GroundTruthError, LookupError):
 
 
 class NoiseError(GroundTruthError, ValueError):
-    """An unknown noise model, or one with a negative or non-finite value."""
+    """A noise model with a negative or non-finite value."""
 
 
 class RunError(GroundTruthError, ValueError):

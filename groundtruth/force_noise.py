@@ -80,6 +80,3 @@ paper found 0.01 N on this sensor (its σ₀), and the liver recordings have 0.0
 Drift: warmed up, 0.055 N between minute 4 and minute 10 after switching on. Step: the converter's
 1/16 N, averaged over 16 samples that the raw noise dithers.
 """
-
-NOISES = {"clean": CLEAN, "mini45": MINI45}
-"""The named noise models."""

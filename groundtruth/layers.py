@@ -277,11 +277,6 @@ class Layer:
         # Tissue does not pull at the tip.
         return max(force + inside * self.texture.force_N(penetration_m), 0.0)
 
-    @property
-    def stiffness_N_per_m(self) -> float:
-        """The K of equation (3) that ends the layer with the same tip force."""
-        return self.exit_force_N / self.thickness_m
-
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Interface:

@@ -3,10 +3,10 @@
 from collections.abc import Sequence
 from dataclasses import dataclass
 from itertools import pairwise
-from typing import Literal, overload
+from typing import Literal
 
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike, NDArray
 
 from groundtruth.errors import MotionError, require_positive
 
@@ -144,23 +144,15 @@ class Motion:
         """The deepest point reached."""
         return max(stroke.end_m for stroke in self.strokes)
 
-    @overload
-    def position_m(self, t_s: float) -> float: ...
-    @overload
-    def position_m(self, t_s: Array) -> Array: ...
-    def position_m(self, t_s: float | Array) -> float | Array:
+    def position_m(self, t_s: ArrayLike) -> Array:
         """Position of the tip at one time or an array of times."""
         return self._at(t_s, 0)
 
-    @overload
-    def speed_m_s(self, t_s: float) -> float: ...
-    @overload
-    def speed_m_s(self, t_s: Array) -> Array: ...
-    def speed_m_s(self, t_s: float | Array) -> float | Array:
+    def speed_m_s(self, t_s: ArrayLike) -> Array:
         """Speed of the tip at one time or an array of times, positive inwards."""
         return self._at(t_s, 1)
 
-    def _at(self, t_s: float | Array, which: int) -> float | Array:
+    def _at(self, t_s: ArrayLike, which: int) -> Array:
         t = np.asarray(t_s, dtype=np.float64)
         if not np.isfinite(t).all():
             raise MotionError("t_s has a value that is not finite; give times in seconds")
@@ -170,7 +162,7 @@ class Motion:
         for i in np.unique(index):
             inside = index == i
             out[inside] = self.strokes[i].evaluate(t[inside])[which]
-        return out if isinstance(t_s, np.ndarray) else float(out)
+        return out[()]  # a number for a number
 
 
 def chain_strokes(

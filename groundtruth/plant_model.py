@@ -12,6 +12,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
+from groundtruth.errors import PlantModelError
 from groundtruth.force_noise import MINI45
 
 TICK_s = 1e-3
@@ -40,6 +41,13 @@ class PlantModel:
     payload_com_spread_m: float = 0.0
     """Standard deviation, per axis, of the error of the tool's centre of mass: the mass error
     times the 50 mm size of an F/T sensor with its adapters."""
+
+    kinematic_error_m: float = 0.0
+    """Standard deviation, per joint and axis, of the error of where the estimator's model has the
+    joint's frame."""
+
+    kinematic_error_rad: float = 0.0
+    """The same of how that frame is turned."""
 
     torque_noise_std_Nm: tuple[float, ...] = (0.0,) * 7
     """Noise of one sample: 0.03 % of limit."""
@@ -201,3 +209,12 @@ DEGRADED = replace(
 
 PLANT_MODELS = {model.name: model for model in (IDEAL, CLEAN, FRI, DEGRADED)}
 """The plant models by name."""
+
+
+def plant_named(plant: PlantModel | str) -> PlantModel:
+    """The plant model of that name, `PlantModelError` if there is none; one is what it is."""
+    if isinstance(plant, PlantModel):
+        return plant
+    if plant not in PLANT_MODELS:
+        raise PlantModelError(f"no plant model {plant!r}; known: {', '.join(PLANT_MODELS)}")
+    return PLANT_MODELS[plant]

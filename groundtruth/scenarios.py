@@ -8,7 +8,6 @@ show, with room on both sides, so that nothing can be tuned to a dozen curves.
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from types import MappingProxyType
-from typing import Literal
 
 import numpy as np
 
@@ -25,23 +24,19 @@ from groundtruth.materials import (
     gel,
 )
 from groundtruth.motion import Motion, constant_motion, free_motion, sinusoidal_motion
-from groundtruth.tissue import MultilayerTissue, Tissue, TissueLaw
+from groundtruth.tissue import Tissue
 from groundtruth.variations import VARIATIONS, TissueVariation, random_variation
-
-LawName = Literal["tissue", "multilayer"]
-LAWS = {"tissue": Tissue, "multilayer": MultilayerTissue}
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Scenario:
-    """One insertion, ready to be simulated: layers, motion, and the law of the tissue.
+    """One insertion, ready to be simulated: layers and motion.
 
     Attributes:
         id: Permanent name.
         title: One line for people.
         layers: First the one the needle meets first; none for free motion.
         motion: Motion of the needle tip relative to the undeformed surface.
-        law: `tissue` (realistic) or `multilayer` (exactly equation 3).
         tissue_motion: Motion of the surface about its place, if it does not rest.
         lateral: Force across the needle, if any; the needle alone does not feel it.
         elbow: Pushes at the elbow, if any; neither does it feel those.
@@ -51,23 +46,17 @@ class Scenario:
     title: str
     layers: tuple[Layer, ...]
     motion: Motion
-    law: LawName = "tissue"
     tissue_motion: TissueMotion | None = None
     lateral: LateralForce | None = None
     elbow: ElbowPush | None = None
-
-    def __post_init__(self) -> None:
-        """Raise `ScenarioError` if the law is unknown."""
-        if self.law not in LAWS:
-            raise ScenarioError(f"unknown tissue law {self.law!r}; known: {', '.join(LAWS)}")
 
     def with_variation(self, change: TissueVariation, rng: np.random.Generator) -> "Scenario":
         """The same scenario with every layer changed; the generator draws the texture."""
         return replace(self, layers=tuple(change.layer(layer, rng) for layer in self.layers))
 
-    def new_tissue(self) -> TissueLaw:
-        """Fresh, uncut tissue under the scenario's law."""
-        return LAWS[self.law](self.layers)
+    def new_tissue(self) -> Tissue:
+        """Fresh, uncut tissue."""
+        return Tissue(self.layers)
 
     @property
     def thickness_m(self) -> float:

@@ -33,34 +33,68 @@ def measured_torque(
     Returns:
         Shape (n, 7).
     """
-    shape = tau_Nm.shape
-    bias = rng.uniform(plant_model.torque_bias_min_Nm, plant_model.torque_bias_max_Nm)
-    bias *= rng.choice((-1.0, 1.0), bias.shape)
-    phase = rng.uniform(0.0, 2.0 * np.pi, shape[1])
-    drift = limit_Nm * _relative_drift(shape, plant_model, rng)
-    white = rng.standard_normal(shape)
-    noise = coloured(white, TICK_s, plant_model.torque_noise_correlation_s)
-    noise = np.array(plant_model.torque_noise_std_Nm) * noise
-    seen = tau_Nm
+    sensor = TorqueSensor(tau_Nm.shape, limit_Nm, plant_model, rng)
+    lagging = tau_Nm
     if plant_model.torque_hysteresis > 0.0:
-        seen = backlash(tau_Nm, plant_model.torque_hysteresis * limit_Nm)
-    if plant_model.torque_ripple > 0.0:
-        angle = 2.0 * np.array(LWR_GEAR_RATIO) * q_rad + phase
-        seen = seen + plant_model.torque_ripple * limit_Nm * np.sin(angle)
-    if plant_model.torque_nonlinearity > 0.0:
-        largest_Nm = plant_model.torque_nonlinearity * limit_Nm
-        seen = seen + largest_Nm * _bend(tau_Nm / limit_Nm, rng)
-    return seen + bias + drift + noise
+        lagging = backlash(tau_Nm, sensor.backlash_Nm)
+    return sensor.reading(tau_Nm, lagging, q_rad, slice(None))
 
 
-def _bend(load: Array, rng: np.random.Generator) -> Array:
+class TorqueSensor:
+    """The strain gauges of all joints, with everything that is drawn for n ticks.
+
+    Attributes:
+        backlash_Nm: Half-width of their hysteresis, shape (7,); zero for none.
+    """
+
+    def __init__(
+        self,
+        shape: tuple[int, int],
+        limit_Nm: Array,
+        plant_model: PlantModel,
+        rng: np.random.Generator,
+    ) -> None:
+        """Draw errors of shape (n, 7) for joints of these effort limits."""
+        # Drawn in this order: another order gives other errors for the same seed.
+        joints = shape[1]
+        bias = rng.uniform(plant_model.torque_bias_min_Nm, plant_model.torque_bias_max_Nm)
+        self._bias_Nm = bias * rng.choice((-1.0, 1.0), bias.shape)
+        self._phase_rad = rng.uniform(0.0, 2.0 * np.pi, joints)
+        self._drift_Nm = limit_Nm * _relative_drift(shape, plant_model, rng)
+        white = rng.standard_normal(shape)
+        noise = coloured(white, TICK_s, plant_model.torque_noise_correlation_s)
+        self._noise_Nm = np.array(plant_model.torque_noise_std_Nm) * noise
+        self._plant_model, self._limit_Nm = plant_model, limit_Nm
+        self.backlash_Nm = plant_model.torque_hysteresis * limit_Nm
+        if plant_model.torque_nonlinearity > 0.0:
+            size, bow = rng.uniform(size=joints), rng.uniform(-1.0, 1.0, joints)
+            self._bend = size * rng.choice((-1.0, 1.0), joints), bow
+
+    def reading(self, tau_Nm: Array, lagging_Nm: Array, q_rad: Array, ticks: int | slice) -> Array:
+        """What the gauges report at some ticks, shape (7,) or (n, 7) like the arguments.
+
+        Args:
+            tau_Nm: True torques.
+            lagging_Nm: The same behind the hysteresis, see `backlash`.
+            q_rad: True positions.
+            ticks: Which of the n ticks these are.
+        """
+        seen, plant_model = lagging_Nm, self._plant_model
+        if plant_model.torque_ripple > 0.0:
+            angle = 2.0 * np.array(LWR_GEAR_RATIO) * q_rad + self._phase_rad
+            seen = seen + plant_model.torque_ripple * self._limit_Nm * np.sin(angle)
+        if plant_model.torque_nonlinearity > 0.0:
+            largest_Nm = plant_model.torque_nonlinearity * self._limit_Nm
+            seen = seen + largest_Nm * _bent(tau_Nm / self._limit_Nm, *self._bend)
+        return seen + self._bias_Nm + self._drift_Nm[ticks] + self._noise_Nm[ticks]
+
+
+def _bent(load: Array, size: Array, bow: Array) -> Array:
     """A smooth deviation from a straight line, at most 1 for loads from -1 to 1: bow and S.
 
-    Chebyshev polynomials of second and third degree, in drawn parts and sizes.
+    Chebyshev polynomials of second and third degree, in parts given by the bow, of a signed size.
     """
-    size, bow = rng.uniform(size=load.shape[1]), rng.uniform(-1.0, 1.0, load.shape[1])
-    bent = bow * (2.0 * load**2 - 1.0) + (1.0 - np.abs(bow)) * (4.0 * load**3 - 3.0 * load)
-    return size * rng.choice((-1.0, 1.0), load.shape[1]) * bent
+    return size * (bow * (2.0 * load**2 - 1.0) + (1.0 - np.abs(bow)) * (4.0 * load**3 - 3.0 * load))
 
 
 def _relative_drift(

@@ -4,7 +4,7 @@
 reads the force at its base. Both return what a robot would give and, apart from it, the truth.
 """
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable
 from dataclasses import dataclass, fields
 from typing import Any
 
@@ -14,10 +14,10 @@ from numpy.typing import NDArray
 from groundtruth.arm_control import ArmTrace, drive
 from groundtruth.arm_motion import InsertionPath, scenario_motion, scenario_path
 from groundtruth.arm_plant import ArmPlant, TissueContact, lwr_bodies
-from groundtruth.bearing_friction import BearingFriction
-from groundtruth.errors import GroundTruthError, NoiseError, PlantModelError, RunError
-from groundtruth.force_noise import NOISES, ForceNoise
-from groundtruth.plant_model import PLANT_MODELS, PlantModel, TICK_s
+from groundtruth.bearing_friction import bearings
+from groundtruth.errors import RunError
+from groundtruth.force_noise import MINI45, ForceNoise
+from groundtruth.plant_model import PlantModel, TICK_s, plant_named
 from groundtruth.scenarios import Scenario
 from groundtruth.scenarios import scenario as scenario_named
 from groundtruth.sensors import (
@@ -113,16 +113,6 @@ class Run:
     truth: Truth
     tare_end_s: float
 
-    @property
-    def contact_s(self) -> float:
-        """True first contact, nan without tissue."""
-        return self.truth.contact_s
-
-    @property
-    def withdrawn_s(self) -> float:
-        """The tip has left the surface in withdrawal, nan without tissue."""
-        return self.truth.withdrawn_s
-
 
 def simulate(
     scenario: Scenario | str,
@@ -150,7 +140,7 @@ def simulate(
         PlantError: The tissue has pushed the arm off its motion.
     """
     chosen = scenario_named(scenario) if isinstance(scenario, str) else scenario
-    plant_model: PlantModel = _named(plant, PLANT_MODELS, "plant model", PlantModelError)
+    plant_model = plant_named(plant)
     tool = NeedleTool()
     mass_seed, sensor_seed, friction_seed = np.random.SeedSequence(seed).spawn(3)
     bodies = lwr_bodies(tool, plant_model, np.random.default_rng(mass_seed))
@@ -158,9 +148,7 @@ def simulate(
     contact = _contact(path, chosen)
     motion = scenario_motion(path, chosen)
     limit_Nm = bodies.robot.effort_limit_Nm
-    friction = None
-    if plant_model.joint_coulomb > 0.0 or any(plant_model.joint_viscous_Nms_per_rad):
-        friction = BearingFriction(plant_model, limit_Nm, np.random.default_rng(friction_seed))
+    friction = bearings(plant_model, limit_Nm, np.random.default_rng(friction_seed))
     trace = drive(ArmPlant(bodies, contact, friction), bodies.model(), motion, progress)
     time = np.arange(len(trace.q_rad), dtype=np.float64) * TICK_s
     kept, signals = _sense(trace, time, limit_Nm, plant_model, sensor_seed)
@@ -175,15 +163,6 @@ def simulate(
         truth=_truth(trace, tissue, time, kept),
         tare_end_s=chosen.motion.tare_end_s,
     )
-
-
-def _named(item: Any, known: Mapping[str, Any], kind: str, error: type[GroundTruthError]) -> Any:
-    """The item of that name; what is no name is one already."""
-    if not isinstance(item, str):
-        return item
-    if item not in known:
-        raise error(f"no {kind} {item!r}; known: {', '.join(known)}")
-    return known[item]
 
 
 def _contact(path: InsertionPath, scenario: Scenario) -> TissueContact:
@@ -266,8 +245,7 @@ def insert_needle(
     *,
     seed: int = 0,
     rate_hz: float = 1000.0,
-    substeps: int = 1,
-    noise: ForceNoise | str = "mini45",
+    noise: ForceNoise = MINI45,
 ) -> NeedleRun:
     """Carry out a scenario with the needle alone: the tip follows the motion exactly.
 
@@ -275,46 +253,34 @@ def insert_needle(
         scenario: A scenario or the name of a catalogued one.
         seed: Seed of the sensor noise; the same seed gives the same run.
         rate_hz: Samples per second.
-        substeps: Steps of the tissue law per sample.
-        noise: A noise model, `mini45` or `clean`.
+        noise: What the force sensor adds, see `groundtruth.force_noise`.
 
     Raises:
         ScenarioError: There is no scenario of that name.
-        NoiseError: There is no noise model of that name.
-        RunError: The rate or the number of sub-steps is unusable.
+        RunError: The rate is unusable.
     """
     chosen = scenario_named(scenario) if isinstance(scenario, str) else scenario
-    sensor: ForceNoise = _named(noise, NOISES, "noise model", NoiseError)
-    fine_s = _fine_times(chosen.motion.duration_s, rate_hz, substeps)
-    depth, speed = chosen.motion.position_m(fine_s), chosen.motion.speed_m_s(fine_s)
-    moved = (np.zeros_like(fine_s),) * 2
+    if not (np.isfinite(rate_hz) and rate_hz > 0.0):
+        raise RunError(f"rate_hz is {rate_hz!r}; give samples per second, above zero")
+    motion = chosen.motion
+    t_s = np.arange(round(motion.duration_s * rate_hz) + 1) / rate_hz
+    depth_m, speed_m_s = motion.position_m(t_s), motion.speed_m_s(t_s)
+    inside_m, relative_m_s = depth_m, speed_m_s
     if chosen.tissue_motion is not None:
-        moved = chosen.tissue_motion.at(fine_s)
-    inside_m, relative_m_s = depth - moved[0], speed - moved[1]
-    law, dt_s = chosen.new_tissue(), 1.0 / (rate_hz * substeps)
+        surface_m, surface_m_s = chosen.tissue_motion.at(t_s)
+        inside_m, relative_m_s = depth_m - surface_m, speed_m_s - surface_m_s
+    law = chosen.new_tissue()
     samples = zip(inside_m.tolist(), relative_m_s.tolist(), strict=True)
-    forces = [law.step(z, v, dt_s) for z, v in samples][::substeps]
-    t_s, depth_m = fine_s[::substeps].copy(), depth[::substeps].copy()
-    truth = collect_truth(law, t_s, inside_m[::substeps], forces)
-    tare_end_s = chosen.motion.tare_end_s
+    forces = [law.step(z, v, 1.0 / rate_hz) for z, v in samples]
+    truth = collect_truth(law, t_s, inside_m, forces)
     rng = np.random.default_rng(seed)
     return NeedleRun(
         scenario=chosen,
         seed=seed,
         t_s=t_s,
         depth_m=depth_m,
-        speed_m_s=speed[::substeps].copy(),
-        force_N=sensor.reading_N(truth.axial_N, t_s, tare_end_s, rng),
-        tare_end_s=tare_end_s,
+        speed_m_s=speed_m_s,
+        force_N=noise.reading_N(truth.axial_N, t_s, motion.tare_end_s, rng),
+        tare_end_s=motion.tare_end_s,
         truth=truth,
     )
-
-
-def _fine_times(duration_s: float, rate_hz: float, substeps: int) -> Array:
-    """Times of the samples, and of the sub-steps between the first and the last of them."""
-    if not (np.isfinite(rate_hz) and rate_hz > 0.0):
-        raise RunError(f"rate_hz is {rate_hz!r}; give samples per second, above zero")
-    if not (isinstance(substeps, int) and substeps >= 1):
-        raise RunError(f"substeps is {substeps!r}; give a whole number from 1 up")
-    count = round(duration_s * rate_hz) + 1
-    return np.arange((count - 1) * substeps + 1) / (rate_hz * substeps)

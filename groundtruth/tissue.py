@@ -1,17 +1,16 @@
-"""The laws of tissue: `Tissue` for realistic runs, `MultilayerTissue` for equation (3).
+"""The law of tissue: depth and speed of the tip in, force out.
 
-`Tissue` has ruptures of finite travel, membranes, cutting, presliding and relaxation. It is
+It has ruptures of finite travel, membranes, cutting, presliding and relaxation. It is
 not the law that the published method identifies (equation 3): it shares the geometry with it and,
 at each layer's reference speed, the shaft friction. Our multilayer estimator does share its form
 (cutting onset, release, presliding), so `groundtruth.variations` departs from it.
 """
 
 import math
-from dataclasses import replace
-from typing import NamedTuple, Protocol
+from typing import NamedTuple
 
 from groundtruth.errors import TissueError
-from groundtruth.layers import Interface, Layer, interfaces
+from groundtruth.layers import Layer, interfaces
 
 RELAXATION_S = 10.0
 """Time constant. Real liver (de Jong 2017, 19 holds of 60 s) loses 63 % of what it will lose in
@@ -43,42 +42,9 @@ class TissueForce(NamedTuple):
     layer_friction_N: tuple[float, ...]
 
 
-class TissueLaw(Protocol):
-    """A law of tissue: depth and speed of the tip in, force out.
-
-    Attributes:
-        layers: First the one the needle meets first.
-        interfaces: The boundaries, from the surface to the exit, as they rupture under this law.
-    """
-
-    layers: tuple[Layer, ...]
-    interfaces: tuple[Interface, ...]
-
-    def step(self, depth_m: float, speed_m_s: float, dt_s: float) -> TissueForce:
-        """Advance by one step and return the force at its end.
-
-        Args:
-            depth_m: Travel of the tip since first contact, at the end of the step; negative above.
-            speed_m_s: Speed of the tip, positive inwards.
-            dt_s: Length of the step.
-
-        Raises:
-            TissueError: A value is not finite or `dt_s` is not positive; the state is unchanged.
-        """
-        ...
-
-
 def no_force(layer_count: int) -> TissueForce:
     """The force on a needle in free air."""
     return TissueForce(0.0, 0.0, 0.0, 0, (0.0,) * layer_count)
-
-
-def _check_sample(depth_m: float, speed_m_s: float, dt_s: float) -> None:
-    if not (math.isfinite(depth_m + speed_m_s + dt_s) and dt_s > 0.0):
-        raise TissueError(
-            f"depth_m={depth_m!r}, speed_m_s={speed_m_s!r}, dt_s={dt_s!r}: "
-            "a tissue law needs finite numbers and dt_s above zero; its state is unchanged"
-        )
 
 
 def relaxation_step(relaxed: float, speed_m_s: float, dt_s: float) -> float:
@@ -151,8 +117,21 @@ class Tissue:
         self._bristles = [0.0] * len(self.layers)  # presliding deflection per layer, -1 to 1
 
     def step(self, depth_m: float, speed_m_s: float, dt_s: float) -> TissueForce:
-        """Advance by one step and return the force at its end, see `TissueLaw.step`."""
-        _check_sample(depth_m, speed_m_s, dt_s)
+        """Advance by one step and return the force at its end.
+
+        Args:
+            depth_m: Travel of the tip since first contact, at the end of the step; negative above.
+            speed_m_s: Speed of the tip, positive inwards.
+            dt_s: Length of the step.
+
+        Raises:
+            TissueError: A value is not finite or `dt_s` is not positive; the state is unchanged.
+        """
+        if not (math.isfinite(depth_m + speed_m_s + dt_s) and dt_s > 0.0):
+            raise TissueError(
+                f"depth_m={depth_m!r}, speed_m_s={speed_m_s!r}, dt_s={dt_s!r}: "
+                "a tissue needs finite numbers and dt_s above zero; its state is unchanged"
+            )
         # The first step says where the needle is, not how far it came: no presliding yet.
         travel = 0.0 if self._depth_m is None else depth_m - self._depth_m
         self._depth_m = depth_m
@@ -216,58 +195,3 @@ class Tissue:
             coulomb = friction.coulomb_N_per_m * self._bristles[i]
             found[i] = embedded * (coulomb + friction.rising_N_per_m(speed_m_s))
         return tuple(found)
-
-
-class MultilayerTissue:
-    """A stack of layers under equation (3), the estimators' own model: proves algebra only.
-
-    f = K_i Δz_i + B_i Δz_i v + B̄_d v. The elastic part of a layer ends for good when the tip
-    reaches its far end, so there is none after the exit and none in withdrawal. Membranes and
-    cutting force are not in equation (3) and are left out; K_i and B_i are those of the layer's
-    `stiffness_N_per_m` and `equivalent_viscous_Ns_per_m2`.
-
-    Attributes:
-        layers: First the one the needle meets first.
-        interfaces: The boundaries; the tip force of the layer above vanishes at once, membranes
-            are bare.
-    """
-
-    def __init__(self, layers: tuple[Layer, ...]) -> None:
-        """Lay fresh tissue; no layers are free air."""
-        self.layers = tuple(layers)
-        self.interfaces = tuple(
-            replace(
-                boundary,
-                onset_m=boundary.depth_m,
-                release_m=0.0,
-                drop_N=0.0 if i == 0 else self.layers[i - 1].exit_force_N,
-                membrane=None,
-                kept_fraction=0.0,
-            )
-            for i, boundary in enumerate(interfaces(self.layers))
-        )
-        self._traversed = 0  # layers whose far end the tip has reached
-
-    def step(self, depth_m: float, speed_m_s: float, dt_s: float) -> TissueForce:
-        """Advance by one step and return the force at its end, see `TissueLaw.step`.
-
-        Equation (3) has no memory of time: `dt_s` is only checked.
-        """
-        _check_sample(depth_m, speed_m_s, dt_s)
-        index, top, tip = 0, 0.0, 0.0
-        per_layer = [0.0] * len(self.layers)
-        for i, layer in enumerate(self.layers):
-            if depth_m <= top:
-                break
-            index = i + 1
-            inside, thickness = depth_m - top, layer.thickness_m
-            viscous = layer.friction.equivalent_viscous_Ns_per_m2
-            per_layer[i] = viscous * min(inside, thickness) * speed_m_s
-            if inside >= thickness:
-                self._traversed = max(self._traversed, index)
-                index += 1
-            elif i >= self._traversed:
-                tip = layer.stiffness_N_per_m * inside
-            top += thickness
-        friction = sum(per_layer)
-        return TissueForce(tip + friction, tip, friction, index, tuple(per_layer))

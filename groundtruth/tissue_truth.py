@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from groundtruth.layers import Interface
-from groundtruth.tissue import TissueForce, TissueLaw
+from groundtruth.tissue import Tissue, TissueForce
 
 Array = NDArray[np.float64]
 
@@ -86,7 +86,7 @@ def freeze(result: Any) -> None:
 
 
 def collect_truth(
-    law: TissueLaw, t_s: Array, depth_m: Array, forces: Sequence[TissueForce]
+    law: Tissue, t_s: Array, depth_m: Array, forces: Sequence[TissueForce]
 ) -> TissueTruth:
     """Turn the forces of a run into its ground truth.
 

@@ -37,22 +37,15 @@ def _check_kind(name: str, value: object, kind: type) -> None:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class CheckConfig:
-    """Limits of a plausible sample.
+    """Limits of a plausible sample."""
 
-    Attributes:
-        gap_s: An interval longer than this, and than ten usual ones, is a gap.
-        jump_m: Change of depth beyond what speed explains that counts as a jump; a needle at
-            a surgical 100 mm/s moves a tenth of this between samples at 1 kHz.
-        sign_memory_s: Time constant over which travel from depth and from speed are compared.
-        sign_travel_m: Both must exceed this, with opposite signs, to be called contradictory.
-        force_limit_N: Largest plausible axial force; needles buckle far below.
-    """
-
-    gap_s: float = 0.25
+    gap_s: float = 0.25  # an interval longer than this, and than ten usual ones, is a gap
+    # Change of depth beyond what speed explains that counts as a jump; a needle at a surgical
+    # 100 mm/s moves a tenth of this between samples at 1 kHz.
     jump_m: float = 1e-3
-    sign_memory_s: float = 0.2
-    sign_travel_m: float = 5e-5
-    force_limit_N: float = 200.0
+    sign_memory_s: float = 0.2  # memory of the travel from depth and from speed that are compared
+    sign_travel_m: float = 5e-5  # both must exceed this, with opposite signs, to be contradictory
+    force_limit_N: float = 200.0  # largest plausible axial force; needles buckle far below
 
     def __post_init__(self) -> None:
         """Raise `InvalidConfigError` unless every limit is positive and finite."""
@@ -61,14 +54,9 @@ class CheckConfig:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class MultilayerConfig:
-    """Settings of the multi-layer method; its physical priors stand where they are used.
+    """Settings of the multi-layer method; its physical priors stand where they are used."""
 
-    Attributes:
-        alarm_probability: Probability of one more rupture at which an alarm is raised.
-        check: Limits of a plausible sample.
-    """
-
-    alarm_probability: float = 0.98
+    alarm_probability: float = 0.98  # of one more rupture, at which an alarm is raised
     check: CheckConfig = field(default_factory=CheckConfig)
 
     def __post_init__(self) -> None:
@@ -89,38 +77,24 @@ class PublishedConfig:
     """Everything the published identification needs; the defaults are the published values.
 
     Settings of Section VI and of the authors' framework.
-
-    Attributes:
-        model: `ml`, equation (3), or `kv`, equation (2).
-        sigma0_N: Standard deviation of the error in the standard case, equation (9).
-        sigma1_N: Standard deviation of the error at an abrupt change, equation (9).
-        derivative_threshold_N_per_s: beta; a filtered derivative below -beta announces a rupture.
-        derivative_rise_N_per_s: How much beta grows at each detection.
-        derivative_time_constant_s: Of the derivative's low-pass. Not published: at this value
-            10 mN of noise leave 0.05 N/s, just below beta.
-        reset_frequency_Hz: f_CR of the covariance resetting.
-        drop_travel_m: k_v of T_drop = k_v / v; published as 1 with speeds in mm/s.
-        var_stiffness: sigma^2_K,0 of Psi_0.
-        var_friction: sigma^2_B,0 of Psi_0.
-        contact_depth_m: Depth of the first contact, which the method assumes known.
-        least_speed_m_s: Below this speed T_drop has no meaning and no rupture is detected.
-        most_windows: Reset windows kept per layer before neighbours are merged (27 minutes of
-            one layer merge to half the reset frequency four times).
-        check: Limits of a plausible sample.
     """
 
-    model: Model = "ml"
-    sigma0_N: float = 0.01
-    sigma1_N: float = 0.08
-    derivative_threshold_N_per_s: float = 0.075
-    derivative_rise_N_per_s: float = 0.025
+    model: Model = "ml"  # `ml`, equation (3), or `kv`, equation (2)
+    sigma0_N: float = 0.01  # standard deviation of the error in the standard case, equation (9)
+    sigma1_N: float = 0.08  # the same at an abrupt change, equation (9)
+    derivative_threshold_N_per_s: float = 0.075  # beta; below -beta a rupture is expected
+    derivative_rise_N_per_s: float = 0.025  # how much beta grows at each detection
+    # Of the derivative's low-pass. Not published: at this value 10 mN of noise leave 0.05 N/s, just
+    # below beta.
     derivative_time_constant_s: float = 0.2
-    reset_frequency_Hz: float = 40.0
-    drop_travel_m: float = 1e-3
-    var_stiffness: float = 1e6
-    var_friction: float = 1e6
-    contact_depth_m: float = 0.0
-    least_speed_m_s: float = 1e-4
+    reset_frequency_Hz: float = 40.0  # f_CR of the covariance resetting
+    drop_travel_m: float = 1e-3  # k_v of T_drop = k_v / v; published as 1 with speeds in mm/s
+    var_stiffness: float = 1e6  # sigma^2_K,0 of Psi_0
+    var_friction: float = 1e6  # sigma^2_B,0 of Psi_0
+    contact_depth_m: float = 0.0  # of the first contact, which the method assumes known
+    least_speed_m_s: float = 1e-4  # below it T_drop has no meaning and no rupture is detected
+    # Reset windows kept per layer before neighbours are merged (27 minutes of one layer merge to
+    # half the reset frequency four times).
     most_windows: int = 4096
     check: CheckConfig = field(default_factory=CheckConfig)
 

@@ -10,11 +10,14 @@ from typing import NamedTuple
 import numpy as np
 
 from identification.estimate import Array
-from identification.hypothesis_filter import BEATS, COLOUR_S, oscillation
 from needleforce.jit import Matrix, Vector, WrittenMatrix, WrittenVector, compiled
 
 STEP_S = 0.01
 """Time between two forces in the differences."""
+BEATS = ((1.2, 0.3), (0.3, 0.5))
+"""Frequency [Hz] and damping of the tissue's own motion: heartbeat, breathing."""
+COLOUR_S = 0.025
+"""Correlation time of a force sensor's noise behind its filter."""
 _MEMORY = 400
 """Differences over which a level is learned: four seconds."""
 _MOVED_MM = 3.0
@@ -23,16 +26,54 @@ _MEDIAN = 0.455
 """Of a squared standard normal. Ruptures are a minority of the differences, heartbeats are not."""
 
 
-def _likeness(part: int, lag_s: float) -> float:
-    """Correlation of a part of the noise with itself some time before."""
-    if part < 2:
-        return math.exp(-lag_s / COLOUR_S) if part else 0.0
-    return oscillation(lag_s, *BEATS[part - 2])[0]
+def oscillation(dt_s: float, hz: float, damping: float) -> tuple[float, float, float, float]:
+    """Transition of a damped oscillator's deflection and rate, row by row."""
+    w = 2.0 * math.pi * hz
+    d = w * math.sqrt(1.0 - damping**2)
+    decay, cosine, sine = math.exp(-damping * w * dt_s), math.cos(d * dt_s), math.sin(d * dt_s)
+    return (
+        decay * (cosine + damping * w / d * sine),
+        decay * sine / d,
+        -decay * w * w / d * sine,
+        decay * (cosine - damping * w / d * sine),
+    )
+
+
+def smooth_walk(travel: float, length: float) -> tuple[float, float, float, float]:
+    """Transition of a critically damped value and its slope (Matern 3/2), row by row."""
+    reach = travel / length
+    decay = math.exp(-reach)
+    slope = -decay * reach / length
+    return decay * (1.0 + reach), decay * travel, slope, decay * (1.0 - reach)
+
+
+def transitions(
+    dt_s: float, travel: float, length: float, variances: tuple[float, float, float]
+) -> Array:
+    """How heartbeat, breathing and an error that lasts for a length go on, shape (3, 7).
+
+    Of each the transition, row by row, and the covariance of the noise that leaves its stationary
+    variances as they are: of its value, of both, of its rate.
+    """
+    turns = [oscillation(dt_s, *beat) for beat in BEATS] + [smooth_walk(travel, length)]
+    rates = [2.0 * math.pi * hz for hz, _ in BEATS] + [1.0 / length]
+    rows = []
+    for (a, b, c, d), rate, level in zip(turns, rates, variances, strict=True):
+        fast = level * rate**2
+        noise = level - a * a * level - b * b * fast, -(a * c * level + b * d * fast)
+        rows.append((a, b, c, d, *noise, fast - c * c * level - d * d * fast))
+    return np.array(rows)
 
 
 def _difference(part: int, lag_s: float) -> float:
     """Variance of a second difference of a part of the noise of unit variance."""
-    return 6.0 - 8.0 * _likeness(part, lag_s) + 2.0 * _likeness(part, 2.0 * lag_s)
+
+    def likeness(lag_s: float) -> float:
+        if part < 2:
+            return math.exp(-lag_s / COLOUR_S) if part else 0.0
+        return oscillation(lag_s, *BEATS[part - 2])[0]
+
+    return 6.0 - 8.0 * likeness(lag_s) + 2.0 * likeness(2.0 * lag_s)
 
 
 _DESIGN = np.array([[_difference(part, STEP_S * 2**k) for k in range(8)] for part in range(4)])
@@ -65,20 +106,12 @@ class DisturbanceLevels(NamedTuple):
         if filled < STEP_S * (1.0 - 1e-6):
             return self._replace(force_sum=total, filled_s=filled)
         past = np.append(self.past[1:], total / filled)
-        squares, seen = self.squares.copy(), self.seen.copy()
-        _learn(past, self.steps + 1.0, squares, seen)
-        levels, count = self.levels, self.steps + 1.0
+        squares, seen, count = self.squares.copy(), self.seen.copy(), self.steps + 1.0
+        _learn(past, count, squares, seen)
+        levels = self.levels
         if count % 10.0 == 0.0 and seen[0] > 10.0:
             levels = _levels(squares, seen, _DESIGN, speed)
-        return self._replace(
-            past=past,
-            steps=count,
-            squares=squares,
-            seen=seen,
-            levels=levels,
-            force_sum=0.0,
-            filled_s=0.0,
-        )
+        return DisturbanceLevels(past, count, squares, seen, levels)
 
 
 @compiled
@@ -102,11 +135,9 @@ def _levels(squares: Matrix, seen: Vector, design: Matrix, speed: float) -> Vect
         if known > min(2 * 2**k, 30):
             left[k] = np.sort(squares[k, :known])[known // 2] / _MEDIAN
     for part in range(4):
-        level = 0.0
         for k in (2 * part, 2 * part + 1):
             is_tissue = part >= 2 and 2**k * STEP_S * speed >= _MOVED_MM
             if seen[k] > 2 * 2**k and not is_tissue:
-                level = max(level, left[k] / design[part, k])
-        levels[part] = level
-        left -= level * design[part]
+                levels[part] = max(levels[part], left[k] / design[part, k])
+        left -= levels[part] * design[part]
     return levels

@@ -47,61 +47,24 @@ class RuptureState(Enum):
     FRICTION_IDENTIFIED = "friction identified"
 
 
-MUTED = frozenset({RuptureState.FORCE_DROP_MEASURING, RuptureState.FRICTION_IDENTIFIED})
-"""States in which no new rupture is detected."""
-
-
-def next_rupture_state(
-    state: RuptureState,
-    *,
-    is_alarm: bool = False,
-    is_expected: bool = False,
-    is_measured: bool = False,
-    is_settled: bool = True,
-) -> RuptureState:
-    """Advance the rupture state by one sample."""
-    if state in (RuptureState.NO_RUPTURE, RuptureState.EXPECTED):
-        if is_alarm:
-            return RuptureState.DETECTED
-        return RuptureState.EXPECTED if is_expected else RuptureState.NO_RUPTURE
-    if state is RuptureState.DETECTED:
-        return RuptureState.FORCE_DROP_MEASURING
-    if state is RuptureState.FORCE_DROP_MEASURING:
-        return RuptureState.FRICTION_IDENTIFIED if is_measured else state
-    return RuptureState.NO_RUPTURE if is_settled else state
-
-
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Rupture:
-    """The tip leaves a layer. Raised at the alarm, provisionally; a false one is retracted later.
+    """The tip leaves a layer. Raised at the alarm; a false one is retracted later."""
 
-    Attributes:
-        layer: Number of the layer that ends, from 1.
-        alarm_s: Time of the sample that raised the alarm.
-        alarm_depth_m: Depth at the alarm.
-        time_s: Estimated instant t_r, not later than the alarm.
-        depth_m: Depth at that instant.
-        force_N: Axial force at that instant.
-        speed_m_s: Speed at that instant.
-        probability: That the tissue gave way there and it is no chance of the signal, 0 to 1; of a
-            retracted one, what is left of it.
-        is_final: Whether it is settled: while False it may still be retracted.
-        contact_depth_m: Depth at which the first layer was met: found by the multi-layer method,
-            known beforehand in `published`.
-        partial_rupture_probability: That it was partial and not the layer's end, None where the
-            method does not distinguish them.
-    """
-
-    layer: int
-    alarm_s: float
-    alarm_depth_m: float
-    time_s: float
-    depth_m: float
-    force_N: float
-    speed_m_s: float
+    layer: int  # number of the layer that ends, from 1
+    alarm_s: float  # time of the sample that raised the alarm
+    alarm_depth_m: float  # depth at the alarm
+    time_s: float  # estimated instant t_r, not later than the alarm
+    depth_m: float  # depth at that instant
+    force_N: float  # axial force at that instant
+    speed_m_s: float  # speed at that instant
+    # That the tissue gave way there and it is no chance of the signal, 0 to 1; of a retracted one,
+    # what is left of it.
     probability: float
-    is_final: bool = False
+    is_final: bool = False  # whether it is settled: while False it may still be retracted
+    # Depth of first contact: found by the multi-layer method, known beforehand in `published`.
     contact_depth_m: float
+    # That it was partial and not the layer's end, None where the method does not distinguish them.
     partial_rupture_probability: float | None = None
 
 
@@ -114,39 +77,30 @@ class LayerEstimate:
     deviation of the one before it, None where the method states none (`published`); one that ends
     in ``_identified`` is whether the data determine the value.
 
-    Attributes:
-        layer: Number from 1.
-        is_final: Whether the measurement of its rupture has ended: False in a provisional estimate,
-            which a final one follows unless the alarm is retracted. `Identifier.layers` goes on
-            refining final estimates with what later layers reveal about their friction.
-        start_depth_m: Depth at which it begins.
-        thickness_m: d_i, travel from there to its rupture.
-        rupture: How it ended.
-        force_drop_N: Elastic force released.
-        stiffness_N_per_m: K_i.
-        friction_Ns_per_m2: B_i at the rupture's speed (for `kv` in Ns/m).
-        friction_N: Friction of this layer on the shaft at its rupture, B_i d_i v.
-        coulomb_N_per_m: Part of the friction that does not depend on speed, per embedded length;
-            None for `published`, which knows viscous friction only. Identified where the motion
-            separated it from the viscous part.
-        viscous_Ns_per_m2: Part of the friction proportional to speed, per embedded length.
+    The values are those at the rupture's speed.
     """
 
-    layer: int
+    layer: int  # number from 1
+    # Whether the measurement of its rupture has ended: False in a provisional estimate, which a
+    # final one follows unless the alarm is retracted. `Identifier.layers` goes on refining final
+    # estimates with what later layers reveal about their friction.
     is_final: bool
-    start_depth_m: float
-    thickness_m: float
-    rupture: Rupture
-    force_drop_N: float
+    start_depth_m: float  # depth at which it begins
+    thickness_m: float  # d_i, travel from there to its rupture
+    rupture: Rupture  # how it ended
+    force_drop_N: float  # elastic force released
     force_drop_std_N: float | None = None
-    stiffness_N_per_m: float
+    stiffness_N_per_m: float  # K_i
     stiffness_std_N_per_m: float | None = None
     stiffness_identified: bool
-    friction_Ns_per_m2: float
+    friction_Ns_per_m2: float  # B_i (for `kv` in Ns/m)
     friction_std_Ns_per_m2: float | None = None
     friction_identified: bool
-    friction_N: float
+    friction_N: float  # friction of this layer on the shaft at its rupture, B_i d_i v
     friction_std_N: float | None = None
+    # Per embedded length the part of the friction that does not depend on speed, and the part in
+    # proportion to it; None for `published`, which knows viscous friction only. Identified where
+    # the motion separated the two.
     coulomb_N_per_m: float | None = None
     coulomb_std_N_per_m: float | None = None
     coulomb_identified: bool = False
@@ -227,13 +181,7 @@ def layers_traversed(layers: tuple[LayerEstimate, ...]) -> int:
     return layers[-1].layer if layers else 0
 
 
-class Sample(NamedTuple):
-    """A checked sample as a method gets it; every number is finite."""
-
-    time_s: float  # Time of the sample on the caller's clock, see `Identifier.update`
-    dt_s: float  # Interval since the previous sample that was used, positive
-    depth_m: float  # Tip travel along the insertion axis, jumps removed
-    speed_m_s: float  # Rate of depth
-    depth_std_m: float  # Standard deviation of its noise
-    speed_std_m_s: float  # The same of the speed
-    force_N: float  # Axial force, positive when tissue pushes back
+Sample = tuple[float, float, float, float, float, float, float]
+"""A checked sample as a method gets it; every number is finite: time on the caller's clock, see
+`Identifier.update`; interval since the previous sample that was used, positive; depth, jumps
+removed; its rate; standard deviations of the noise of both; axial force."""

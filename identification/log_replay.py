@@ -3,7 +3,6 @@
 from collections import Counter
 from dataclasses import dataclass
 from itertools import repeat
-from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -86,14 +85,6 @@ HEAD_ROWS = 200
 """The usual time step is the median over so many first rows."""
 
 
-class ReplayedRows(NamedTuple):
-    """Consecutive rows with their estimates."""
-
-    t_s: Array  # Time stamps [s], shape (n,)
-    force_N: Array  # Axial force as recorded [N], shape (n,)
-    estimates: list[Estimate]  # One per row
-
-
 class ReplayStream:
     """Runs the identifier over a recording; results do not depend on how the rows come.
 
@@ -132,13 +123,18 @@ class ReplayStream:
         force_N: Array,
         speed_m_s: Array | None = None,
         dt_s: Array | None = None,
-    ) -> ReplayedRows:
-        """Take further rows, as `replay` takes them all.
+    ) -> list[Estimate]:
+        """Estimates of further rows, which come as `replay` takes them all.
 
         The first call must bring `HEAD_ROWS` rows, or all that there are. The very first ``dt_s``
         is not read.
         """
-        dt_s = self._since_latest(t_s) if dt_s is None else np.array(dt_s)
+        if dt_s is None:
+            latest_s = t_s[0] if self._latest_s is None else self._latest_s
+            # A stamp that is no number spoils its own row only.
+            latest_s = np.fmax.accumulate(np.concatenate(([latest_s], t_s)))
+            self._latest_s, dt_s = float(latest_s[-1]), t_s - latest_s[:-1]
+        dt_s = np.array(dt_s)
         if not self._has_begun:
             steps_s = dt_s[1:HEAD_ROWS]
             forward = steps_s[steps_s > 0.0]
@@ -146,36 +142,20 @@ class ReplayStream:
             self._has_begun = True
         self._signs.update(depth_m, speed_m_s, force_N)
         speeds = repeat(None) if speed_m_s is None else speed_m_s.tolist()
-        columns = (column.tolist() for column in (depth_m, force_N, dt_s, t_s))
-        depths, forces, steps, times = columns
+        depths, forces, steps, times = (each.tolist() for each in (depth_m, force_N, dt_s, t_s))
         estimates = list(map(self._identifier.update, depths, speeds, forces, steps, times))
         self._rejected.update(estimate.status for estimate in estimates)
-        return ReplayedRows(t_s, force_N, estimates)
-
-    def _since_latest(self, t_s: Array) -> Array:
-        """Time since the latest stamp before each row, not positive where time does not advance."""
-        latest_s = t_s[0] if self._latest_s is None else self._latest_s
-        # A stamp that is no number spoils its own row only.
-        latest_s = np.fmax.accumulate(np.concatenate(([latest_s], t_s)))
-        self._latest_s = float(latest_s[-1])
-        return t_s - latest_s[:-1]
+        return estimates
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class Replay:
-    """Online estimates of a recording.
+    """Online estimates of a recording."""
 
-    Attributes:
-        t_s: Time stamps of the recording, shape (n,), read-only.
-        estimates: One per row.
-        layers: Layers traversed, as known at the end.
-        hints: Suspicions about signs and units.
-    """
-
-    t_s: Array
-    estimates: tuple[Estimate, ...]
-    layers: tuple[LayerEstimate, ...]
-    hints: tuple[str, ...]
+    t_s: Array  # time stamps of the recording, shape (n,), read-only
+    estimates: tuple[Estimate, ...]  # one per row
+    layers: tuple[LayerEstimate, ...]  # layers traversed, as known at the end
+    hints: tuple[str, ...]  # suspicions about signs and units
 
 
 def replay(
@@ -210,6 +190,6 @@ def replay(
     v = None if speed_m_s is None else read_column("speed_m_s", speed_m_s, len(t))
     steps = None if dt_s is None else read_column("dt_s", dt_s, len(t))
     stream = ReplayStream(config)
-    estimates = stream.run(t, z, f, v, steps).estimates
+    estimates = stream.run(t, z, f, v, steps)
     t.setflags(write=False)
     return Replay(t_s=t, estimates=tuple(estimates), layers=stream.layers, hints=stream.hints)

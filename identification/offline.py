@@ -5,7 +5,6 @@ Resisting force is positive here; the paper's minus signs are part of that conve
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -25,18 +24,13 @@ _BLOCKS = 60
 class LayerSpan:
     """Where and when one layer acts on the needle, known beforehand in the offline analysis.
 
-    Attributes:
-        start_s: Instant t_i at which the tip enters the layer.
-        start_depth_m: Depth of the tip at that instant.
-        thickness_m: Thickness d_i along the insertion axis.
-        rupture_s: Instant t_r at which the layer stops pushing back elastically. Without a
-            membrane it is the instant the tip leaves the layer; with one it is earlier or later.
+    Without a membrane it ruptures as the tip leaves it; with one earlier or later.
     """
 
-    start_s: float
-    start_depth_m: float
-    thickness_m: float
-    rupture_s: float
+    start_s: float  # instant t_i at which the tip enters the layer
+    start_depth_m: float  # depth of the tip at that instant
+    thickness_m: float  # thickness d_i along the insertion axis
+    rupture_s: float  # instant t_r at which the layer stops pushing back elastically
 
     def __post_init__(self) -> None:
         """Raise `InvalidConfigError` unless thickness is positive and times are ordered."""
@@ -52,33 +46,15 @@ class LayerSpan:
             )
 
 
-def elastic_column(t_s: Array, depth_m: Array, layer: LayerSpan) -> Array:
-    """Column phi_K of equation (4): dz_i between entry and rupture, zero elsewhere. Shape (n,)."""
-    acting = (t_s > layer.start_s) & (t_s <= layer.rupture_s)
-    return np.where(acting, np.maximum(depth_m - layer.start_depth_m, 0.0), 0.0)
-
-
-def friction_column(
-    t_s: Array, depth_m: Array, speed_m_s: Array, layer: LayerSpan, model: Model
-) -> Array:
-    """Column phi_B of equation (4). Shape (n,).
-
-    `ml`: embedded length times speed. During an insertion the embedded length is dz_i inside the
-    layer and d_i beyond it, which is (4); during withdrawal it shrinks, which (4) leaves open.
-    `kv`: the speed, from entry on and as long as the tip is deeper than the entry.
-    """
-    reach_m = depth_m - layer.start_depth_m
-    if model == "kv":
-        return np.where((t_s > layer.start_s) & (reach_m > 0), speed_m_s, 0.0)
-    return np.where(t_s > layer.start_s, np.clip(reach_m, 0.0, layer.thickness_m), 0.0) * speed_m_s
-
-
 def regression_matrix(
     t_s: Array, depth_m: Array, speed_m_s: Array, layers: Sequence[LayerSpan], model: Model = "ml"
 ) -> Array:
-    """Matrix Phi = [phi_K1 phi_B1 ... phi_Kl phi_Bl] of equation (5).
+    """Matrix Phi = [phi_K1 phi_B1 ... phi_Kl phi_Bl] of equation (5), the l layers as entered.
 
-    Columns of shape (n,), the l layers in order of entry.
+    phi_K of equation (4) is dz_i between entry and rupture, zero elsewhere. phi_B is, from entry
+    on, for `ml` embedded length times speed: dz_i inside the layer and d_i beyond it, which is (4);
+    during withdrawal it shrinks, which (4) leaves open. For `kv` it is the speed, as long as the
+    tip is deeper than the entry. Columns have shape (n,).
 
     Returns:
         Shape (n, 2 l); parameters in the order K_1, B_1, ..., K_l, B_l.
@@ -92,26 +68,24 @@ def regression_matrix(
         raise InvalidConfigError("at least one layer is needed to build a regression matrix")
     columns = []
     for layer in layers:
-        columns.append(elastic_column(t_s, depth_m, layer))
-        columns.append(friction_column(t_s, depth_m, speed_m_s, layer, model))
+        reach_m, is_entered = depth_m - layer.start_depth_m, t_s > layer.start_s
+        is_acting = is_entered & (t_s <= layer.rupture_s)
+        columns.append(np.where(is_acting, np.maximum(reach_m, 0.0), 0.0))
+        embedded = np.clip(reach_m, 0.0, layer.thickness_m) if model == "ml" else reach_m > 0.0
+        columns.append(np.where(is_entered, embedded, 0.0) * speed_m_s)
     return np.column_stack(columns)
 
 
-class LeastSquaresFit(NamedTuple):
-    """Answer of a linear least squares with an assessment of itself."""
-
-    parameters: Array  # Minimum-norm solution in scaled columns, shape (p,)
-    standard_deviations: Array  # Shape (p,); infinite where not identified
-    identified: NDArray[np.bool_]  # Shape (p,); False where the data leave the parameter free
-    rank: int  # Numerical rank of the scaled matrix
-    condition_number: float  # Of the scaled matrix; infinite for an empty column
-    rmse: float  # Root mean square residual, in units of the right-hand side
-
-
-def solve_least_squares(matrix: Array, target: Array) -> LeastSquaresFit:
+def solve_least_squares(
+    matrix: Array, target: Array
+) -> tuple[Array, Array, NDArray[np.bool_], int]:
     """Solve theta = Phi^# f, equation (6), on columns scaled to unit length.
 
     Autocorrelated residuals are allowed for in the standard deviations.
+
+    Returns:
+        The solution of minimum norm in scaled columns, shape (p,); standard deviations, infinite
+        where the data leave a parameter free; where they do not; rank of the scaled matrix.
     """
     scale = np.linalg.norm(matrix, axis=0)
     safe = np.where(scale > 0, scale, 1.0)
@@ -128,14 +102,8 @@ def solve_least_squares(matrix: Array, target: Array) -> LeastSquaresFit:
     free = 1.0 - np.sum(vt[kept] ** 2, axis=0)
     identified = (free < _FREE_FRACTION**2) & (scale > 0)
     deviation = np.sqrt(np.maximum(np.diag(covariance), 0.0)) / safe
-    return LeastSquaresFit(
-        parameters=solution / safe,
-        standard_deviations=np.where(identified, deviation, np.inf),
-        identified=identified,
-        rank=int(np.count_nonzero(kept)),
-        condition_number=float(s[0] / s[-1]) if s[-1] > 0 else float("inf"),
-        rmse=float(np.sqrt(np.mean(residual**2))),
-    )
+    std = np.where(identified, deviation, np.inf)
+    return solution / safe, std, identified, int(np.count_nonzero(kept))
 
 
 def read_column(
@@ -166,47 +134,26 @@ def read_column(
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class OfflineLayer:
-    """One layer identified offline.
+    """One layer identified offline; standard deviations are infinite where not identified."""
 
-    Attributes:
-        stiffness_N_per_m: K_i.
-        stiffness_std_N_per_m: Its standard deviation; infinite when not identified.
-        stiffness_identified: Whether the data separate it from the other parameters.
-        friction: B_i [Ns/m^2] for `ml`, [Ns/m] for `kv`.
-        friction_std: As for the stiffness.
-        friction_identified: As for the stiffness.
-        cumulative_friction_Ns_per_m: Part of this layer in the cumulative friction: B_i d_i for
-            `ml` (the values of Table I), B_i for `kv`.
-    """
-
-    stiffness_N_per_m: float
+    stiffness_N_per_m: float  # K_i
     stiffness_std_N_per_m: float
-    stiffness_identified: bool
-    friction: float
+    stiffness_identified: bool  # whether the data separate it from the other parameters
+    friction: float  # B_i [Ns/m^2] for `ml`, [Ns/m] for `kv`
     friction_std: float
     friction_identified: bool
-    cumulative_friction_Ns_per_m: float
+    cumulative_friction_Ns_per_m: float  # B_i d_i for `ml` (the values of Table I), B_i for `kv`
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class OfflineIdentification:
-    """Result of equation (6) over one recording.
-
-    Attributes:
-        model: `ml` or `kv`.
-        layers: One entry per layer, in order of entry.
-        rank: Numerical rank of the scaled regression matrix.
-        condition_number: Of the scaled regression matrix.
-        rmse_N: Root mean square reconstruction error.
-        predicted_force_N: Reconstruction Phi theta, shape (n,), read-only.
-    """
+    """Result of equation (6) over one recording."""
 
     model: Model
-    layers: tuple[OfflineLayer, ...]
-    rank: int
-    condition_number: float
-    rmse_N: float
-    predicted_force_N: Array
+    layers: tuple[OfflineLayer, ...]  # in order of entry
+    rank: int  # of the scaled regression matrix
+    rmse_N: float  # root mean square reconstruction error
+    predicted_force_N: Array  # reconstruction Phi theta, shape (n,), read-only
 
 
 def identify_offline(
@@ -232,46 +179,39 @@ def identify_offline(
         model: `ml`, equation (3), or `kv`, equation (2).
 
     Returns:
-        Parameters per layer with standard deviations, rank, condition number, reconstruction.
+        Parameters per layer with standard deviations, rank, reconstruction.
 
     Raises:
         InvalidLogError: Empty, ragged, non-finite or unordered columns.
         InvalidConfigError: No layer, or an unknown model.
     """
-    t, z, v, f = _read_log(t_s=t_s, depth_m=depth_m, speed_m_s=speed_m_s, force_N=force_N)
-    matrix = regression_matrix(t, z, v, layers, model)
-    fit = solve_least_squares(matrix, f)
-    predicted = matrix @ fit.parameters
-    predicted.setflags(write=False)
-    return OfflineIdentification(
-        model=model,
-        layers=tuple(_layer(fit, k, span, model) for k, span in enumerate(layers)),
-        rank=fit.rank,
-        condition_number=fit.condition_number,
-        rmse_N=fit.rmse,
-        predicted_force_N=predicted,
-    )
-
-
-def _read_log(**columns: ArrayLike) -> list[Array]:
-    """The columns, of which the first is the time."""
-    t_s, *others = columns
-    t = read_column(t_s, columns[t_s], finite=True)
+    t = read_column("t_s", t_s, finite=True)
     if np.any(np.diff(t) <= 0):
         raise InvalidLogError("t_s must increase; sort the recording or drop repeated samples")
-    return [t, *(read_column(name, columns[name], len(t), finite=True) for name in others)]
-
-
-def _layer(fit: LeastSquaresFit, k: int, span: LayerSpan, model: Model) -> OfflineLayer:
-    """Layer k of a fit: parameters are in pairs of stiffness and friction."""
-    columns = (fit.parameters, fit.standard_deviations, fit.identified)
-    values, deviations, identified = (column[2 * k : 2 * k + 2].tolist() for column in columns)
-    return OfflineLayer(
-        stiffness_N_per_m=values[0],
-        stiffness_std_N_per_m=deviations[0],
-        stiffness_identified=identified[0],
-        friction=values[1],
-        friction_std=deviations[1],
-        friction_identified=identified[1],
-        cumulative_friction_Ns_per_m=values[1] * (span.thickness_m if model == "ml" else 1.0),
+    others = {"depth_m": depth_m, "speed_m_s": speed_m_s, "force_N": force_N}
+    z, v, f = (read_column(name, others[name], len(t), finite=True) for name in others)
+    matrix = regression_matrix(t, z, v, layers, model)
+    *columns, rank = solve_least_squares(matrix, f)
+    predicted = matrix @ columns[0]
+    predicted.setflags(write=False)
+    found = []
+    for k, span in enumerate(layers):
+        (stiffness, friction), stds, known = (each[2 * k : 2 * k + 2].tolist() for each in columns)
+        found.append(
+            OfflineLayer(
+                stiffness_N_per_m=stiffness,
+                stiffness_std_N_per_m=stds[0],
+                stiffness_identified=known[0],
+                friction=friction,
+                friction_std=stds[1],
+                friction_identified=known[1],
+                cumulative_friction_Ns_per_m=friction * (span.thickness_m if model == "ml" else 1),
+            )
+        )
+    return OfflineIdentification(
+        model=model,
+        layers=tuple(found),
+        rank=rank,
+        rmse_N=float(np.sqrt(np.mean((f - predicted) ** 2))),
+        predicted_force_N=predicted,
     )

@@ -1,4 +1,4 @@
-"""The published method beyond `published_update`: windows, ruptures, layers (Section III-B)."""
+"""The published method beyond `published_update`: ruptures and layers, equations (10) to (12)."""
 
 from typing import Any, NamedTuple
 
@@ -6,32 +6,34 @@ import numpy as np
 
 from identification.config import PublishedConfig
 from identification.estimate import (
-    MUTED,
+    Array,
     LayerEstimate,
     Rupture,
     RuptureState,
     Sample,
     layers_traversed,
-    next_rupture_state,
 )
 from identification.published_update import (
     NO_SUMS,
     NO_WINDOWS,
-    Array,
-    PublishedCoefficients,
+    ROUNDING,
+    Coefficients,
+    Pair,
     PublishedMemory,
-    RlsState,
     append_window,
-    is_window_full,
     less_viscous_windows,
     published_outputs,
     rerun_windows,
     update_published,
 )
-from needleforce.jit import jit_arguments
 
 _MOST_LAYERS = 256
 """Layers kept: far more than a needle meets; the oldest go first."""
+_SMALLEST_RATIO = 1e-3
+_LEAST_THICKNESS_M = 1e-9
+_LEAST_SPEED_M_S = 1e-6
+_WATCHING = (RuptureState.NO_RUPTURE, RuptureState.EXPECTED)
+"""States in which a new rupture is detected."""
 
 
 class RupturedLayer(NamedTuple):
@@ -56,7 +58,7 @@ class PublishedState(NamedTuple):
 
 
 class PublishedMethod:
-    """The published method, sample by sample; see `identification.identifier.Method`."""
+    """The published method, sample by sample."""
 
     takes_filtered_travel = False
 
@@ -67,13 +69,11 @@ class PublishedMethod:
     @property
     def state(self) -> PublishedState:
         """All that it remembers."""
-        rls, *others = self._memory
-        return self._state._replace(memory=PublishedMemory(RlsState(*rls), *others))
+        return self._state._replace(memory=PublishedMemory._make(self._memory))
 
     def restore(self, state: PublishedState) -> None:
         """Go on from there."""
         self.before = state
-        self._coefficients = None
         self._keep(state)
 
     @property
@@ -83,67 +83,62 @@ class PublishedMethod:
 
     def report(self) -> tuple[Any, ...]:
         """What there is to report without a sample."""
-        outputs = published_outputs(0.0, 0.0, 0.0, self._memory, self._arguments)
+        outputs = published_outputs(0.0, 0.0, 0.0, self._memory, self._coefficients)
         return (self._state.rupture_state, *outputs, None, None, None)
 
     def update(self, sample: Sample) -> tuple[Any, ...]:
         """Use one sample: what to report of it, from the rupture state to the events."""
         _, dt_s, depth_m, speed_m_s, _, _, force_N = sample
         is_all, memory, outputs = update_published(
-            depth_m, speed_m_s, force_N, dt_s, self._memory, self._arguments
+            depth_m, speed_m_s, force_N, dt_s, self._memory, self._coefficients
         )
         if is_all:
             self._memory = memory
             return (self._state.rupture_state, *outputs, None, None, None)
         before, self._memory = self.state, memory
-        known, ruptured = before.layers, before.ruptured
         state = published_step(self.state, sample, self._config)
         self._keep(state)
         rupture = None
-        if state.ruptured is not None and ruptured is None:
+        if state.ruptured is not None and before.ruptured is None:
             self.before, rupture = before, state.ruptured.rupture
-        outputs = published_outputs(depth_m, speed_m_s, force_N, self._memory, self._arguments)
-        layer = None if state.layers is known else state.layers[-1]
+        outputs = published_outputs(depth_m, speed_m_s, force_N, self._memory, self._coefficients)
+        layer = None if state.layers is before.layers else state.layers[-1]
         return (state.rupture_state, *outputs, rupture, layer, None)
 
     def _keep(self, state: PublishedState) -> None:
-        self._memory: Any = (tuple(state.memory.rls), *state.memory[1:])
-        self._state = state
-        coefficients = published_coefficients(state, self._config)
-        if coefficients != self._coefficients:
-            self._coefficients = coefficients
-            self._arguments = jit_arguments(PublishedCoefficients, coefficients)
+        self._state, self._memory = state, state.memory[:]
+        self._coefficients = published_coefficients(state, self._config)
 
 
 def _fresh_memory(config: PublishedConfig) -> PublishedMemory:
-    variances = float(config.var_stiffness), 0.0, float(config.var_friction)
-    return PublishedMemory(RlsState(0.0, 0.0, *variances))
+    return PublishedMemory((0.0, 0.0, float(config.var_stiffness), 0.0, float(config.var_friction)))
 
 
-def cusum_constants(sigma0_N: float, sigma1_N: float) -> tuple[float, float]:
+def cusum_constants(sigma0_N: float, sigma1_N: float) -> Pair:
     """Drift nu and threshold gamma [N^2] of the CUSUM on the squared error, equation (9)."""
     var0, var1 = sigma0_N * sigma0_N, sigma1_N * sigma1_N
     return (var1 + var0) / 2.0, (var1 - var0) / 2.0
 
 
-def published_coefficients(state: PublishedState, config: PublishedConfig) -> PublishedCoefficients:
-    """What follows from a state and seldom changes; beta grows at each detection."""
+def published_coefficients(state: PublishedState, config: PublishedConfig) -> Coefficients:
+    """What `update_published` reads and a sample seldom changes; beta grows at each detection."""
     count = layers_traversed(state.layers) + (state.ruptured is not None)
     drift, threshold = cusum_constants(config.sigma0_N, config.sigma1_N)
-    return PublishedCoefficients(
-        least_speed_m_s=config.least_speed_m_s,
-        drift=drift,
-        threshold=threshold,
-        beta=config.derivative_threshold_N_per_s + count * config.derivative_rise_N_per_s,
-        derivative_s=config.derivative_time_constant_s,
-        reset_Hz=config.reset_frequency_Hz,
-        is_ml=config.model == "ml",
-        start_m=state.start_depth_m,
-        is_inside=count > 0,
-        layer=count + 1,
-        cumulative_Ns_per_m=state.cumulative_friction_Ns_per_m,
-        is_muted=state.rupture_state in MUTED or state.rupture_state is RuptureState.DETECTED,
-        is_expected=state.rupture_state is RuptureState.EXPECTED,
+    is_expected = state.rupture_state is RuptureState.EXPECTED
+    return (
+        float(config.least_speed_m_s),
+        float(drift),
+        float(threshold),
+        float(config.derivative_threshold_N_per_s + count * config.derivative_rise_N_per_s),
+        float(config.derivative_time_constant_s),
+        float(config.reset_frequency_Hz),
+        config.model == "ml",
+        float(state.start_depth_m),
+        count > 0,
+        count + 1,
+        float(state.cumulative_friction_Ns_per_m),
+        state.rupture_state not in _WATCHING,
+        is_expected,
     )
 
 
@@ -156,23 +151,26 @@ def published_step(
     (12) and re-run.
     """
     memory, ruptured, windows = state.memory, state.ruptured, state.windows
-    if is_window_full(memory.window_s, config.reset_frequency_Hz):
+    if memory.window_s * config.reset_frequency_Hz >= 1.0 - ROUNDING:
         windows = append_window(windows, memory.window, config.most_windows)
-        rls = RlsState(*memory.rls[:2], *_fresh_memory(config).rls[2:])
+        rls = (*memory.rls[:2], *_fresh_memory(config).rls[2:])
         memory = memory._replace(rls=rls, window=NO_SUMS, window_s=0.0)
-    drop_s = config.drop_travel_m / ruptured.rupture.speed_m_s if ruptured is not None else 0.0
-    rupture_state = next_rupture_state(
-        state.rupture_state,
-        is_alarm=memory.is_alarm,
-        is_expected=memory.is_expected,
-        is_measured=ruptured is not None and memory.waited_s >= drop_s,
-        is_settled=memory.waited_s * config.reset_frequency_Hz >= 1.0,
-    )
-    state = state._replace(memory=memory, windows=windows, rupture_state=rupture_state)
-    if rupture_state is RuptureState.DETECTED and ruptured is None:
+    now, waited_s = state.rupture_state, memory.waited_s
+    if now in _WATCHING:
+        now = RuptureState.EXPECTED if memory.is_expected else RuptureState.NO_RUPTURE
+        now = RuptureState.DETECTED if memory.is_alarm else now
+    elif now is RuptureState.DETECTED:
+        now = RuptureState.FORCE_DROP_MEASURING
+    elif now is RuptureState.FRICTION_IDENTIFIED:
+        is_settled = waited_s * config.reset_frequency_Hz >= 1.0
+        now = RuptureState.NO_RUPTURE if is_settled else now
+    elif ruptured is not None and waited_s >= config.drop_travel_m / ruptured.rupture.speed_m_s:
+        now = RuptureState.FRICTION_IDENTIFIED
+    state = state._replace(memory=memory, windows=windows, rupture_state=now)
+    if now is RuptureState.DETECTED and ruptured is None:
         return _open_layer(state, sample, config)
-    if rupture_state is RuptureState.FRICTION_IDENTIFIED and ruptured is not None:
-        return _identify(state, ruptured, sample.force_N, config)
+    if now is RuptureState.FRICTION_IDENTIFIED and ruptured is not None:
+        return _identify(state, ruptured, sample[-1], config)
     return state
 
 
@@ -182,15 +180,15 @@ def _open_layer(state: PublishedState, sample: Sample, config: PublishedConfig) 
     f(t_r) of (10) is the last force before the alarming sample, which may have dropped already. So
     may those of its whole reset window: the layer's re-run is without it.
     """
-    memory = state.memory
+    memory, (time_s, _, depth_m, speed_m_s, *_) = state.memory, sample
     rupture = Rupture(
         layer=layers_traversed(state.layers) + 1,
-        alarm_s=sample.time_s,
-        alarm_depth_m=sample.depth_m,
-        time_s=sample.time_s,
-        depth_m=sample.depth_m,
+        alarm_s=time_s,
+        alarm_depth_m=depth_m,
+        time_s=time_s,
+        depth_m=depth_m,
         force_N=memory.force_before_N,
-        speed_m_s=sample.speed_m_s,
+        speed_m_s=speed_m_s,
         probability=1.0,
         is_final=True,
         contact_depth_m=float(config.contact_depth_m),
@@ -198,30 +196,23 @@ def _open_layer(state: PublishedState, sample: Sample, config: PublishedConfig) 
     windows = state.windows
     if not len(windows):
         windows = append_window(windows, memory.window, config.most_windows)
+    fresh = _fresh_memory(config)
     return state._replace(
-        memory=_fresh_memory(config)._replace(
-            derivative_N_per_s=memory.derivative_N_per_s,
-            force_N=memory.force_N,
-            force_before_N=memory.force_before_N,
-            predicted_N=memory.predicted_N,
-            is_expected=memory.is_expected,
+        memory=memory._replace(
+            rls=fresh.rls, window=NO_SUMS, **dict.fromkeys(_OF_A_LAYER, 0.0), is_alarm=False
         ),
-        start_depth_m=sample.depth_m,
+        start_depth_m=depth_m,
         windows=NO_WINDOWS,
         ruptured=RupturedLayer(state.start_depth_m, windows, memory.mean_speed_m_s, rupture),
     )
 
 
-# Equations (10) to (12): force drop, ratios, re-weighting.
-
-_SMALLEST_RATIO = 1e-3
-_LEAST_THICKNESS_M = 1e-9
-_LEAST_SPEED_M_S = 1e-6
+_OF_A_LAYER = ("window_s", "travel_s", "mean_speed_m_s", "decision", "waited_s")
 
 
 def force_ratios(
     drop_N: float, force_at_rupture_N: float, cumulative_friction_Ns_per_m: float, speed_m_s: float
-) -> tuple[float, float]:
+) -> Pair:
     """Elastic and friction ratio (r_K, r_B) of the layer just traversed, equation (11).
 
     A drop below zero or above the whole force has no physical ratio; r_K is kept inside
@@ -247,7 +238,11 @@ def reweighted_friction_variance(
 def _identify(
     state: PublishedState, ruptured: RupturedLayer, force_N: float, config: PublishedConfig
 ) -> PublishedState:
-    """Identify the layer that ruptured: equations (10) to (12) and the re-run."""
+    """Identify the layer that ruptured, (10) to (12), and take its friction out of the force.
+
+    The sums of the layer after it are corrected for the friction now known, so its estimate goes
+    on as if that friction had been subtracted from the rupture onwards.
+    """
     rupture = ruptured.rupture
     drop = rupture.force_N - force_N  # (10): f(t_r) - f(t_r + T_drop)
     elastic, friction_ratio = force_ratios(
@@ -273,24 +268,14 @@ def _identify(
         friction_identified=drop > 0.0,
         friction_N=damping * rupture.speed_m_s,
     )
-    return _subtract(state, damping, config)._replace(
-        ruptured=None, layers=(*state.layers, layer)[-_MOST_LAYERS:]
-    )
-
-
-def _subtract(state: PublishedState, damping: float, config: PublishedConfig) -> PublishedState:
-    """Take the friction of a layer found out of the force, for the layer after it.
-
-    The sums of the new layer are corrected for the friction now known, so its estimate goes on
-    as if that friction had been subtracted from the rupture onwards.
-    """
-    memory = state.memory
-    windows = less_viscous_windows(np.vstack((state.windows, memory.window)), damping)
+    windows = less_viscous_windows(np.vstack((state.windows, state.memory.window)), damping)
     variances = _fresh_memory(config).rls[2:]
-    own = rerun_windows(windows, (variances[0], variances[2]))
+    rls = (*rerun_windows(windows, (variances[0], variances[2])), *variances)
     window: Any = tuple(windows[-1].tolist())
     return state._replace(
-        memory=memory._replace(rls=RlsState(*own, *variances), window=window, waited_s=0.0),
+        memory=state.memory._replace(rls=rls, window=window, waited_s=0.0),
         windows=windows[:-1],
         cumulative_friction_Ns_per_m=state.cumulative_friction_Ns_per_m + damping,
+        ruptured=None,
+        layers=(*state.layers, layer)[-_MOST_LAYERS:],
     )

@@ -1,9 +1,9 @@
 """What every sample asks of the published method: equations (3) and (7) to (9), the derivative.
 
-And the re-run over a whole layer (Section III-B), window by window. A window between two covariance
-resets maps the estimate linearly, theta_k = A_k theta_{k-1} + c_k: RLS with lambda = 1 is a
-regularised least squares, theta = (Psi_0^-1 + S)^-1 (Psi_0^-1 theta_prev + b) with S = sum phi phi'
-and b = sum phi f. A re-run needs S and b of each window, not its samples.
+A window between two covariance resets maps the estimate linearly, theta_k = A_k theta_{k-1} + c_k:
+RLS with lambda = 1 is a regularised least squares, theta = (Psi_0^-1 + S)^-1 (Psi_0^-1 theta_prev +
+b) with S = sum phi phi' and b = sum phi f. A re-run over a layer (Section III-B) needs S and b of
+each window, not its samples.
 """
 
 import math
@@ -14,11 +14,11 @@ import numpy as np
 from identification.estimate import Array, Outputs
 from needleforce.jit import Matrix, compiled
 
-_ROUNDING = 1e-9
+ROUNDING = 1e-9
 
 Pair = tuple[float, float]
 Rls = tuple[float, float, float, float, float]
-"""The fields of `RlsState`."""
+"""Estimate K, B and covariance Psi[0, 0], Psi[0, 1], Psi[1, 1] of a two-parameter RLS."""
 Sums = tuple[float, float, float, float, float, float, float]
 """Over the samples between two covariance resets: phi_K^2, phi_K phi_B, phi_B^2, phi_K f, phi_B f;
 and phi_K v, phi_B v, which with `kv` allow a later change of the cumulative friction."""
@@ -26,22 +26,16 @@ NO_SUMS: Sums = (0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0)
 _KF, _BF, _KV, _BV = 3, 4, 5, 6
 Memory = tuple[Rls, Sums, float, float, float, float, float, float, float, float, float, bool, bool]
 """The fields of `PublishedMemory`."""
-
-
-class RlsState(NamedTuple):
-    """Estimate and covariance of a two-parameter recursive least squares."""
-
-    stiffness: float  # First parameter, K
-    friction: float  # Second parameter, B
-    var_stiffness: float  # Psi[0, 0]
-    covariance: float  # Psi[0, 1] = Psi[1, 0]
-    var_friction: float  # Psi[1, 1]
+Coefficients = tuple[
+    float, float, float, float, float, float, bool, float, bool, int, float, bool, bool
+]  # fmt: skip
+"""What `published_identifier.published_coefficients` returns."""
 
 
 class PublishedMemory(NamedTuple):
     """What every sample changes. Compiled code takes and gives plain tuples."""
 
-    rls: RlsState  # Current estimate and covariance
+    rls: Rls  # Current estimate and covariance
     window: Sums = NO_SUMS  # Since the last covariance reset
     window_s: float = 0.0  # Time since then
     travel_s: float = 0.0  # Time spent in the layer the tip is in
@@ -55,32 +49,12 @@ class PublishedMemory(NamedTuple):
     is_alarm: bool = False  # Whether g exceeds its threshold
     is_expected: bool = False  # Whether the derivative announces a rupture
 
-
-class PublishedCoefficients(NamedTuple):
-    """What `update_published` reads; changes with a layer or the rupture state only."""
-
-    least_speed_m_s: float  # Setting
-    drift: float  # nu of equation (9)
-    threshold: float  # gamma of equation (9)
-    beta: float  # Threshold of the derivative, grown by the detections so far
-    derivative_s: float  # Setting ``derivative_time_constant_s``
-    reset_Hz: float  # Setting ``reset_frequency_Hz``
-    is_ml: bool  # Whether the model is (3), not (2)
-    start_m: float  # Depth at which the current layer begins
-    is_inside: bool  # Whether a layer has been traversed: the needle is in tissue
-    layer: int  # Number of the current layer
-    cumulative_Ns_per_m: float  # Sum of B_j d_j
-    is_muted: bool  # Whether the rupture state detects no new rupture
-    is_expected: bool  # Whether it expects one
-
-
-Coefficients = tuple[PublishedCoefficients, ...]
-
-
-@compiled
-def is_window_full(window_s: float, reset_Hz: float) -> bool:
-    """Whether the covariance is to be reset (Section III-A)."""
-    return window_s * reset_Hz >= 1.0 - _ROUNDING
+    @property
+    def damage(self) -> str:
+        """What is wrong with the covariance, if anything."""
+        *_, first, both, second = self.rls
+        is_definite = min(first, second) >= 0.0 and both * both <= 1.002 * first * second
+        return "" if is_definite else "its covariance is not positive semi-definite"
 
 
 @compiled
@@ -112,15 +86,8 @@ def add_sample(sums: Sums, phi: Pair, force_N: float, speed_m_s: float) -> Sums:
     """Add one sample to the sums of its window."""
     kk, kb, bb, kf, bf, kv, bv = sums
     x, y = phi
-    return (
-        kk + x * x,
-        kb + x * y,
-        bb + y * y,
-        kf + x * force_N,
-        bf + y * force_N,
-        kv + x * speed_m_s,
-        bv + y * speed_m_s,
-    )
+    kf, bf, kv, bv = kf + x * force_N, bf + y * force_N, kv + x * speed_m_s, bv + y * speed_m_s
+    return kk + x * x, kb + x * y, bb + y * y, kf, bf, kv, bv
 
 
 @compiled
@@ -133,10 +100,7 @@ def cusum_step(decision: float, error_N: float, drift: float) -> float:
 def derivative_step(
     derivative_N_per_s: float, change_N: float, dt_s: float, time_constant_s: float
 ) -> float:
-    """Advance the first-order low-pass of df/dt; exact for a force linear over the step.
-
-    The second criterion of Section III-B.
-    """
+    """First-order low-pass of df/dt (Section III-B); exact for a force linear over the step."""
     keep = math.exp(-dt_s / time_constant_s)
     return keep * derivative_N_per_s + (1.0 - keep) * change_N / dt_s
 
@@ -146,32 +110,18 @@ def published_outputs(
     depth_m: float, speed_m_s: float, force_N: float, memory: Memory, coefficients: Coefficients
 ) -> Outputs:
     """Enhanced force f - sum(B_j d_j) v and its companions; see `update_published`."""
-    c = coefficients[0]
-    depth = max(depth_m - c.start_m, 0.0)
-    in_contact = depth > 0.0 or c.is_inside
+    _, _, _, _, _, _, is_ml, start_m, is_inside, layer, cumulative, _, _ = coefficients
+    depth = max(depth_m - start_m, 0.0)
+    in_contact = depth > 0.0 or is_inside
     stiffness, friction = memory[0][0], memory[0][1]
-    phi = regressor(depth, speed_m_s, c.is_ml)
-    earlier = c.cumulative_Ns_per_m * speed_m_s
+    phi = regressor(depth, speed_m_s, is_ml)
+    earlier = cumulative * speed_m_s
     own = friction * phi[1] if in_contact else 0.0
-    return (
-        in_contact,
-        c.layer if in_contact else 0,
-        force_N - earlier,
-        None,
-        force_N - earlier - own,
-        None,
-        earlier + own,
-        None,
-        memory[10],
-        stiffness,
-        None,
-        False,
-        friction,
-        None,
-        False,
-        c.cumulative_Ns_per_m,
-        None,
-    )
+    tip = force_N - earlier - own
+    forces = (force_N - earlier, None, tip, None, earlier + own, None, memory[10])
+    found = (stiffness, None, False, friction, None, False, cumulative, None)
+    # Numba knows no starred parts of a tuple.
+    return (in_contact, layer if in_contact else 0) + forces + found  # noqa: RUF005
 
 
 @compiled
@@ -189,32 +139,32 @@ def update_published(
         Whether that was all: no window is full, the rupture state stays what it is; the new
         memory, and what to report, see `published_outputs`.
     """
-    c = coefficients[0]
+    least_speed, drift, threshold, beta, derivative_s, reset_Hz = coefficients[:6]
+    is_ml, start_m, is_inside, _, cumulative, is_muted, was_expected = coefficients[6:]
     rls, window, window_s, travel_s, mean, decision, derivative, last, _, waited, _, _, was = memory
     before = force_N if math.isnan(last) else last
-    layer_depth = depth_m - c.start_m
-    if layer_depth <= 0.0 and not c.is_inside:
+    layer_depth = depth_m - start_m
+    if layer_depth <= 0.0 and not is_inside:
         so_far = (rls, window, window_s, travel_s, mean, decision, derivative)
-        # Numba knows no starred parts of a tuple.
         free = so_far + (force_N, before, waited, 0.0, False, was)  # noqa: RUF005
         return True, free, published_outputs(depth_m, speed_m_s, force_N, free, coefficients)
-    phi = regressor(max(layer_depth, 0.0), speed_m_s, c.is_ml)
-    earlier = c.cumulative_Ns_per_m * speed_m_s
+    phi = regressor(max(layer_depth, 0.0), speed_m_s, is_ml)
+    earlier = cumulative * speed_m_s
     own = force_N - earlier
     rls, error = rls_step(rls, phi, own)
     window_s, travel_s, waited = window_s + dt_s, travel_s + dt_s, waited + dt_s
-    is_quiet = c.is_muted or speed_m_s < c.least_speed_m_s
-    decision = 0.0 if is_quiet else cusum_step(decision, error, c.drift)
-    derivative = derivative_step(derivative, force_N - before, dt_s, c.derivative_s)
-    is_alarm = decision > c.threshold
-    is_expected = not is_quiet and derivative < -c.beta
+    is_quiet = is_muted or speed_m_s < least_speed
+    decision = 0.0 if is_quiet else cusum_step(decision, error, drift)
+    derivative = derivative_step(derivative, force_N - before, dt_s, derivative_s)
+    is_alarm = decision > threshold
+    is_expected = not is_quiet and derivative < -beta
     window = add_sample(window, phi, own, speed_m_s)
     mean += (speed_m_s - mean) * dt_s / travel_s
     so_far = (rls, window, window_s, travel_s, mean, decision, derivative)
     predicted = own - error + earlier
     new = so_far + (force_N, before, waited, predicted, is_alarm, is_expected)  # noqa: RUF005
-    is_all = not (is_alarm or c.is_muted) and is_expected == c.is_expected
-    is_all = is_all and not is_window_full(window_s, c.reset_Hz)
+    is_all = not (is_alarm or is_muted) and is_expected == was_expected
+    is_all = is_all and window_s * reset_Hz < 1.0 - ROUNDING
     return is_all, new, published_outputs(depth_m, speed_m_s, force_N, new, coefficients)
 
 

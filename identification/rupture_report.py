@@ -11,37 +11,10 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from identification.estimate import LayerEstimate, Rupture
-from identification.hypothesis_bank import (
-    CONTACT_MM,
-    PART_FRICTION,
-    PART_START,
-    RUPTURE_FORCE,
-    RUPTURE_MM,
-    RUPTURE_S,
-    RUPTURE_SPEED,
-    STIFFNESS_HERE,
-    WAS_PARTIAL,
-    Bank,
-    Place,
-)
-from identification.hypothesis_filter import (
-    AIR,
-    EARLIER,
-    HELD,
-    IS_HELD,
-    KEPT,
-    KIND,
-    LAYER,
-    LEFT,
-    MEMBRANE,
-    OFFSET,
-    RELEASED,
-    RUPTURES,
-    regressors,
-    shaft_mixture,
-)
-from identification.switching_update import Answer
+from identification import hypothesis_filter as law
+from identification.estimate import Array, LayerEstimate, Rupture
+from identification.hypothesis_bank import Bank, BankMemory, Place
+from identification.switching_update import NO_ANSWER
 
 _MM = 1e3
 _LEAST_WEIGHT = 1e-3
@@ -63,41 +36,35 @@ _IDENTIFIED = 0.25
 """A value is identified if its standard deviation is no more of it."""
 _NAMES = ("stiffness", "coulomb", "viscous")
 _UNITS = (("N_per_m", _MM), ("N_per_m", _MM), ("Ns_per_m2", _MM * _MM))
+_TIP = slice(law.RELEASED, law.KEPT + 1)
+"""The tip's unknowns."""
 
 
-def answer_at(bank: Bank, place: Place, ruptures: int) -> Answer:
-    """Friction of the shaft at a place, for the samples that follow; `ruptures` known so far."""
-    every = bank.weights
-    likely = every > _LEAST_WEIGHT
-    weights = every[likely] / every[likely].sum()
-    facts, means, spreads = bank.facts[likely], bank.means[likely], bank.spreads[likely]
-    mean, spread = shaft_mixture(means, spreads, facts, weights, place.depth)
-    is_met = (facts[:, KIND] != AIR) | (facts[:, RUPTURES] > 0.0)
-    row = regressors(facts[:1], place.depth, place.speed, place.deflection)[0]
-    tip = slice(RELEASED, KEPT + 1)
-    in_contact = bool(weights @ is_met > 0.5)
-    contact = float(bank.records[likely][int(np.argmax(is_met)), CONTACT_MM]) / _MM
-    diagonal = np.maximum(spread.diagonal(), 0.0)
-    fields = (
-        in_contact,
-        ruptures + 1 if in_contact else 0,
-        contact if in_contact else 0.0,
-        place.depth,
-        place.noise**2,
-        *mean.tolist(),
-        float(row[tip] @ means[0, tip]),
-        float(diagonal[0]),
-        *(float(spread[i, j]) for i, j in _PAIRS),
-        float(diagonal[5]),
-        float(spread[5, 6]),
-        float(diagonal[6]),
-        float(diagonal[7]),
-        0.0,
-    )
-    return Answer._make(fields)
+def answer_at(memory: BankMemory, place: Place, ruptures: int, speed: float) -> Array:
+    """Friction of the shaft at a place, for the samples that follow; see `switching_update`.
 
-
-_PAIRS = ((0, 1), (0, 2), (1, 1), (1, 2), (2, 2), (0, 3), (0, 4), (3, 3), (3, 4), (4, 4))
+    Args:
+        memory: The bank.
+        place: Where.
+        ruptures: How many are known so far.
+        speed: Of the last rupture [mm/s], 0 before the first.
+    """
+    bank = memory.bank
+    weights = bank.weights
+    weights[weights <= _LEAST_WEIGHT] = 0.0
+    weights /= weights.sum()
+    answer, best = NO_ANSWER.copy(), int(weights.nonzero()[0][0])
+    answer[1], answer[2:] = law.shaft_mixture(memory.store, weights, place.depth)
+    diagonal = answer[2:].reshape(-1)[:: len(answer[1]) + 1]
+    np.maximum(diagonal, 0.0, out=diagonal)
+    is_met = (bank.facts[:, law.KIND] != law.AIR) | (bank.facts[:, law.RUPTURES] > 0.0)
+    row = law.regressor(bank.facts[best], (place.depth, place.speed, place.deflection))
+    tip = float(row[_TIP] @ bank.means[best, _TIP])
+    if weights @ is_met > 0.5:
+        contact = bank.records[int(np.argmax(is_met & (weights > 0.0))), law.CONTACT_MM] / _MM
+        answer[0, :3] = 1.0, ruptures + 1, contact
+    answer[0, 3:7] = place.depth, place.noise**2, tip, speed
+    return answer
 
 
 class Evaluation(NamedTuple):
@@ -113,14 +80,14 @@ def count_ruptures(bank: Bank, known: int, noise: float) -> Evaluation:
     """Compare the number of ruptures known with those of the hypotheses."""
     weights, facts = bank.weights, bank.facts
     # After a partial rupture part of the force is held: what has fallen is the rest.
-    is_partial = (facts[:, KIND] == LAYER) & (facts[:, IS_HELD] > 0.0)
-    released = bank.means[:, RELEASED] - bank.means[:, KEPT]
-    released -= np.where(is_partial, bank.means[:, HELD], 0.0)
-    more = facts[:, RUPTURES] > known
+    is_partial = (facts[:, law.KIND] == law.LAYER) & (facts[:, law.IS_HELD] > 0.0)
+    released = bank.means[:, law.RELEASED] - bank.means[:, law.KEPT]
+    released -= np.where(is_partial, bank.means[:, law.HELD], 0.0)
+    more = facts[:, law.RUPTURES] > known
     is_clear = released > _CLEAR_SIGMAS * noise
     pick = int(np.argmax(np.where(more, weights, -1.0))) if more.any() else -1
-    fewer = float(weights[facts[:, RUPTURES] < known].sum())
-    best = int(facts[int(np.argmax(weights)), RUPTURES])
+    fewer = float(weights[facts[:, law.RUPTURES] < known].sum())
+    best = int(facts[int(np.argmax(weights)), law.RUPTURES])
     return Evaluation(float(weights[more & is_clear].sum()), fewer, pick, best)
 
 
@@ -130,14 +97,14 @@ def may_be_braking(bank: Bank, evaluation: Evaluation, place: Place) -> bool:
     The speed is known late, and friction falls with it at once: a fall that is small beside the
     force waits until the speed would show, and counts only if it is more than the speed explains.
     """
-    record, offset = bank.records[evaluation.pick], float(bank.means[evaluation.pick, OFFSET])
-    force = abs(float(record[RUPTURE_FORCE]) - offset)
-    fall = float(record[RUPTURE_FORCE]) - place.force
-    if place.time_s < record[RUPTURE_S] + _SPEED_LAG_S:
+    record, offset = bank.records[evaluation.pick], float(bank.means[evaluation.pick, law.OFFSET])
+    force = abs(float(record[law.RUPTURE_FORCE]) - offset)
+    fall = float(record[law.RUPTURE_FORCE]) - place.force
+    if place.time_s < record[law.RUPTURE_S] + _SPEED_LAG_S:
         return fall < _EARLY_FALL * force
     if fall > _LARGE_FALL * force:
         return False
-    slowed = 1.0 - place.speed / max(float(record[RUPTURE_SPEED]), 1e-3)
+    slowed = 1.0 - place.speed / max(float(record[law.RUPTURE_SPEED]), 1e-3)
     return slowed > _LEAST_SLOWED and fall < _SLOWED * slowed * force
 
 
@@ -150,21 +117,21 @@ def rupture_of(
         layer=layer,
         alarm_s=alarm[0],
         alarm_depth_m=alarm[1],
-        time_s=min(float(record[RUPTURE_S]), alarm[0]),
-        depth_m=float(record[RUPTURE_MM]) / _MM,
-        force_N=float(record[RUPTURE_FORCE]),
-        speed_m_s=float(record[RUPTURE_SPEED]) / _MM,
+        time_s=min(float(record[law.RUPTURE_S]), alarm[0]),
+        depth_m=float(record[law.RUPTURE_MM]) / _MM,
+        force_N=float(record[law.RUPTURE_FORCE]),
+        speed_m_s=float(record[law.RUPTURE_SPEED]) / _MM,
         probability=min(probability, 1.0),
-        contact_depth_m=float(record[CONTACT_MM]) / _MM,
+        contact_depth_m=float(record[law.CONTACT_MM]) / _MM,
         partial_rupture_probability=partial_rupture_probability(
-            bank, int(bank.facts[pick, RUPTURES])
+            bank, int(bank.facts[pick, law.RUPTURES])
         ),
     )
 
 
 def _is_meeting(bank: Bank) -> NDArray[np.bool_]:
     """Which hypotheses say that the tip pushes a membrane under the last layer."""
-    return (bank.facts[:, KIND] == MEMBRANE) & (bank.facts[:, IS_HELD] > 0.0)
+    return (bank.facts[:, law.KIND] == law.MEMBRANE) & (bank.facts[:, law.IS_HELD] > 0.0)
 
 
 def friction_left(bank: Bank, known: int, *, before: bool = False) -> tuple[float, float] | None:
@@ -172,11 +139,11 @@ def friction_left(bank: Bank, known: int, *, before: bool = False) -> tuple[floa
 
     None where other hypotheses are likelier than those that know of this rupture as the last.
     """
-    mine, weights = bank.facts[:, RUPTURES] == known, bank.weights
-    place = np.where(_is_meeting(bank), EARLIER, LEFT)
+    mine, weights = bank.facts[:, law.RUPTURES] == known, bank.weights
+    place = np.where(_is_meeting(bank), law.EARLIER, law.LEFT)
     if before:
         mine &= ~_is_meeting(bank)
-        place = np.full_like(place, EARLIER)
+        place = np.full_like(place, law.EARLIER)
     total = float(weights[mine].sum())
     if total < _LEAST_PROBABILITY:
         return None
@@ -189,30 +156,32 @@ def friction_left(bank: Bank, known: int, *, before: bool = False) -> tuple[floa
 
 def layer_left(bank: Bank, rupture: Rupture, known: int) -> LayerEstimate | None:
     """The layer, or the part of one, that the last rupture ended; None as in `friction_left`."""
-    mine = (bank.facts[:, RUPTURES] == known) & ~_is_meeting(bank)
+    mine = (bank.facts[:, law.RUPTURES] == known) & ~_is_meeting(bank)
     likely, known_friction = np.where(mine, bank.weights, 0.0), friction_left(bank, known)
     if known_friction is None or not mine.any():
         return None
     best = int(np.argmax(likely))
     record = bank.records[best]
-    thickness = max(float(record[RUPTURE_MM] - record[PART_START]), 1e-3)
+    thickness = max(float(record[law.RUPTURE_MM] - record[law.PART_START]), 1e-3)
     fields: dict[str, float | bool] = {}
     for k, (name, (unit, factor)) in enumerate(zip(_NAMES, _UNITS, strict=True)):
-        value, variance = record[STIFFNESS_HERE + 2 * k : STIFFNESS_HERE + 2 * k + 2].tolist()
+        value, variance = record[
+            law.STIFFNESS_HERE + 2 * k : law.STIFFNESS_HERE + 2 * k + 2
+        ].tolist()
         value, deviation = factor * max(value, 0.0), factor * math.sqrt(max(variance, 0.0))
         fields[f"{name}_{unit}"], fields[f"{name}_std_{unit}"] = value, deviation
         fields[f"{name}_identified"] = deviation <= _IDENTIFIED * value
     layer = LayerEstimate(
         layer=rupture.layer,
         is_final=False,
-        start_depth_m=float(record[PART_START]) / _MM,
+        start_depth_m=float(record[law.PART_START]) / _MM,
         thickness_m=thickness / _MM,
         rupture=rupture,
-        force_drop_N=float(bank.means[best, RELEASED]),
-        force_drop_std_N=math.sqrt(max(float(bank.spreads[best, RELEASED, RELEASED]), 0.0)),
+        force_drop_N=float(bank.means[best, law.RELEASED]),
+        force_drop_std_N=math.sqrt(max(float(bank.spreads[best, law.RELEASED, law.RELEASED]), 0.0)),
         friction_Ns_per_m2=0.0,
         friction_identified=False,
-        friction_N=max(float(record[PART_FRICTION]), 0.0),
+        friction_N=max(float(record[law.PART_FRICTION]), 0.0),
         **fields,  # type: ignore[arg-type]
     )
     return with_friction(layer, *known_friction)
@@ -237,6 +206,6 @@ def with_friction(layer: LayerEstimate, friction: float, std: float) -> LayerEst
 
 def partial_rupture_probability(bank: Bank, known: int) -> float:
     """How likely the last rupture was a partial one, not the end of a layer."""
-    weights = np.where(bank.facts[:, RUPTURES] == known, bank.weights, 0.0)
+    weights = np.where(bank.facts[:, law.RUPTURES] == known, bank.weights, 0.0)
     total = float(weights.sum())
-    return float(weights @ bank.records[:, WAS_PARTIAL]) / total if total > 0.0 else 0.0
+    return float(weights @ bank.records[:, law.WAS_PARTIAL]) / total if total > 0.0 else 0.0

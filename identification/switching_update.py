@@ -4,10 +4,11 @@ All else is done once per block of samples, see `switching_identifier`.
 """
 
 import math
-from typing import NamedTuple
+
+import numpy as np
 
 from identification.estimate import Outputs
-from needleforce.jit import compiled
+from needleforce.jit import Matrix, Vector, WrittenVector, compiled
 
 _MM = 1e3
 _BLOCK_S, _BLOCK_MM, _LEAST_S = 0.01, 0.06, 0.002
@@ -29,220 +30,153 @@ _UNLOADED_M = 1e-3
 _IDENTIFIED = 0.25
 """A value is identified if its standard deviation is no more of it."""
 _TINY = 1e-12
+_NOWHERE_M = -1e9
+"""Deepest point before the first sample."""
 
+# Places in the memory. Length of the block being filled, and integrals over it: of depth [m s],
+# speed [m], presliding deflection [s] and force [N s]. That deflection, -1 to 1; depth less the
+# jitter of its measurement; how far friction may have let go at rest, 0 to 1; deepest point so far;
+# noise of the last depth and speed.
+FILLED, DEPTH_SUM, SPEED_SUM, DEFLECTION_SUM, FORCE_SUM = range(5)
+_DEFLECTION, _FOLLOWER, _REST, _DEEPEST, DEPTH_STD, SPEED_STD = range(5, 11)
+FIRST_MEMORY = np.zeros(11)
+FIRST_MEMORY[_DEEPEST] = _NOWHERE_M
+FIRST_MEMORY.setflags(write=False)
 
-Motion = tuple[float, float, float, float]
-"""Depth [m], speed [m/s], and the standard deviations of their noise."""
-
-
-class SwitchingMemory(NamedTuple):
-    """What every sample changes. Compiled code takes and returns the fields as a plain tuple."""
-
-    due: float = 0.0  # 1 if the next sample finds work to do even if it fills no block
-    filled_s: float = 0.0  # length of the block being filled; integrals over it follow
-    depth_sum: float = 0.0  # of the depth [m s]
-    speed_sum: float = 0.0  # of the speed [m]
-    deflection_sum: float = 0.0  # of the presliding deflection [s]
-    force_sum: float = 0.0  # of the force [N s]
-    deflection: float = 0.0  # presliding, -1 to 1
-    follower_m: float = 0.0  # depth less the jitter of its measurement
-    rest: float = 0.0  # how far friction may have let go at rest, 0 to 1
-    deepest_m: float = -math.inf  # deepest point so far; minus infinity before the first sample
-    depth_std_m: float = 0.0  # noise of the last depth
-    speed_std_m_s: float = 0.0  # noise of the last speed
-
-
-Memory = tuple[
-    float, float, float, float, float, float, float, float, float, float, float, float
-]  # fmt: skip
-"""Fields of `SwitchingMemory`, plain."""
-
-
-class Answer(NamedTuple):
-    """What the bank knows of the shaft at one depth, all hypotheses together; N, mm, mm/s.
-
-    C and V are Coulomb and viscous friction of the layers left, A and B those of the whole shaft.
-    """
-
-    in_contact: bool = False
-    layer: int = 0  # the one the tip is in, from 1; 0 before contact
-    contact_m: float = 0.0  # depth at which the first layer was met
-    depth: float = 0.0  # that the answer is of
-    noise: float = 0.0  # variance of a sample's force
-    offset: float = 0.0  # force in free air
-    left_coulomb: float = 0.0  # C
-    left_viscous: float = 0.0  # V
-    coulomb: float = 0.0  # A
-    viscous: float = 0.0  # B
-    own_coulomb: float = 0.0  # growth of A with depth
-    own_viscous: float = 0.0  # growth of B with depth
-    stiffness: float = 0.0  # of the tip's force with depth
-    tip: float = 0.0  # force at the tip
-    var_offset: float = 0.0
-    cov_offset_left_coulomb: float = 0.0
-    cov_offset_left_viscous: float = 0.0
-    var_left_coulomb: float = 0.0
-    cov_left: float = 0.0
-    var_left_viscous: float = 0.0
-    cov_offset_coulomb: float = 0.0
-    cov_offset_viscous: float = 0.0
-    var_coulomb: float = 0.0
-    cov_both: float = 0.0
-    var_viscous: float = 0.0
-    var_own_coulomb: float = 0.0
-    cov_own: float = 0.0
-    var_own_viscous: float = 0.0
-    stiffness_variance: float = 0.0
-    # Speed for the cumulative friction: that of the last rupture; 0 before the first, to take the
-    # present one
-    cumulative_speed: float = 0.0
-
-
-class LeftLayer(NamedTuple):
-    """Friction of one layer left, as the needle is withdrawn through it."""
-
-    start_m: float  # depth at which it begins
-    thickness_m: float
-    coulomb_N: float  # Coulomb friction of its whole length
-    viscous: float  # viscous friction of its whole length [N/(mm/s)]
+# Places in an answer, shape (10, 8): what the bank knows of the shaft at one depth, all hypotheses
+# together; N, mm, mm/s. Its first row: whether tissue has been met; the layer the tip is in, from
+# 1, 0 before contact; depth at which the first was met [m]; depth the answer is of; variance of a
+# sample's force; force at the tip; speed for the cumulative friction: that of the last rupture, 0
+# before the first, to take the present one. The second row holds the mean, the others the
+# covariance of: force in free air; Coulomb and viscous friction of the layers left, and of the
+# whole shaft; their growth with depth; stiffness of the tip's force.
+IN_CONTACT, LAYER_NUMBER, CONTACT_M, DEPTH, NOISE, TIP_FORCE, CUMULATIVE_SPEED = range(7)
+_OFFSET, LEFT_COULOMB, LEFT_VISCOUS, COULOMB, VISCOUS = range(5)
+_OWN_COULOMB, _OWN_VISCOUS, _STIFFNESS = range(5, 8)
+NO_ANSWER = np.zeros((10, 8))
+NO_ANSWER.setflags(write=False)
 
 
 @compiled
-def _embedded(depth_m: float, layers: tuple[LeftLayer, ...]) -> tuple[float, float]:
+def _embedded(depth_m: float, layers: Matrix) -> tuple[float, float]:
     """Fraction of the Coulomb and the viscous friction of the layers left still on the shaft."""
     coulomb = viscous = all_coulomb = all_viscous = _TINY
     for k in range(len(layers)):
-        layer = layers[k]
-        fraction = min(max(depth_m - layer.start_m, 0.0) / layer.thickness_m, 1.0)
-        coulomb += fraction * layer.coulomb_N
-        viscous += fraction * layer.viscous
-        all_coulomb += layer.coulomb_N
-        all_viscous += layer.viscous
+        fraction = min(max(depth_m - layers[k, 0], 0.0) / layers[k, 1], 1.0)
+        coulomb += fraction * layers[k, 2]
+        viscous += fraction * layers[k, 3]
+        all_coulomb += layers[k, 2]
+        all_viscous += layers[k, 3]
     return coulomb / all_coulomb, viscous / all_viscous
 
 
 @compiled
-def _per_speed(
-    speed: float, coulomb: float, viscous: float, spread: tuple[float, float, float]
-) -> tuple[float, float]:
+def _variance(answer: Matrix, first: int, w: float, speed: float) -> float:
+    """Of a Coulomb part times w and the viscous one behind it times the speed."""
+    row = 2 + first
+    variance = w * w * answer[row, first] + 2.0 * w * speed * answer[row, first + 1]
+    return variance + speed * speed * answer[row + 1, first + 1]
+
+
+@compiled
+def _with_offset(answer: Matrix, first: int, w: float, speed: float, variance: float) -> float:
+    """Standard deviation of a force less the offset and such a friction of that variance."""
+    both = w * answer[2, first] + speed * answer[2, first + 1]
+    return math.sqrt(max(answer[0, NOISE] + answer[2, _OFFSET] + variance + 2.0 * both, 0.0))
+
+
+@compiled
+def _per_speed(answer: Matrix, first: int, speed: float) -> tuple[float, float]:
     """Coulomb and viscous friction as one damping at a speed, and its standard deviation."""
-    var_coulomb, both, var_viscous = spread
-    variance = var_coulomb / (speed * speed) + 2.0 * both / speed + var_viscous
-    return coulomb / speed + viscous, math.sqrt(max(variance, 0.0))
+    damping = answer[1, first] / speed + answer[1, first + 1]
+    return damping, math.sqrt(max(_variance(answer, first, 1.0 / speed, 1.0), 0.0))
 
 
 @compiled
 def _forces(
-    motion: Motion,
-    force: float,
-    memory: Memory,
-    answers: tuple[Answer, ...],
-    layers: tuple[LeftLayer, ...],
+    depth_m: float, speed: float, force: float, memory: Vector, answer: Matrix, layers: Matrix
 ) -> tuple[float, float, float, float, float, float]:
     """Enhanced force, tip force and shaft friction, each with its standard deviation [N]."""
-    a = answers[0]
-    depth_m, speed = motion[0], _MM * motion[1]
-    w, rest, deepest_m = memory[6], memory[8], memory[9]
-    force -= a.offset
-    std = math.sqrt(a.noise + a.var_offset)
-    if not a.in_contact or depth_m < a.contact_m:
+    w, rest, mean = memory[_DEFLECTION], memory[_REST], answer[1]
+    force -= mean[_OFFSET]
+    std = math.sqrt(answer[0, NOISE] + answer[2, _OFFSET])
+    if answer[0, IN_CONTACT] == 0.0 or depth_m < answer[0, CONTACT_M]:
         return force, std, force, std, 0.0, 0.0
-    coulomb_share = viscous_share = 1.0
-    if depth_m < deepest_m - _UNLOADED_M and len(layers) > 0:
-        coulomb_share, viscous_share = _embedded(depth_m, layers)
+    is_unloaded = depth_m < memory[_DEEPEST] - _UNLOADED_M
+    coulomb_fraction = viscous_fraction = 1.0
+    if is_unloaded and len(layers) > 0:
+        coulomb_fraction, viscous_fraction = _embedded(depth_m, layers)
     # Friction after a rest, and while it turns, lies somewhere between none and all of it.
     loose = _UNKNOWN * max(1.0 - abs(w), rest)
     w *= 1.0 - _RELAXED * rest
-    p, q = w * coulomb_share, speed * viscous_share
-    left = p * a.left_coulomb + q * a.left_viscous
-    var_left = p * p * a.var_left_coulomb + 2.0 * p * q * a.cov_left + q * q * a.var_left_viscous
-    var_left += (loose * a.left_coulomb) ** 2
-    both = p * a.cov_offset_left_coulomb + q * a.cov_offset_left_viscous
-    left_std = math.sqrt(max(a.noise + a.var_offset + var_left + 2.0 * both, 0.0))
-    if depth_m < deepest_m - _UNLOADED_M:
+    p, q = w * coulomb_fraction, speed * viscous_fraction
+    left = p * mean[LEFT_COULOMB] + q * mean[LEFT_VISCOUS]
+    variance = _variance(answer, LEFT_COULOMB, p, q) + (loose * mean[LEFT_COULOMB]) ** 2
+    left_std = _with_offset(answer, LEFT_COULOMB, p, q, variance)
+    if is_unloaded:
         return force - left, left_std, 0.0, std, force, std
-    further = _MM * depth_m - a.depth
-    friction = w * (a.coulomb + a.own_coulomb * further)
-    friction += speed * (a.viscous + a.own_viscous * further)
-    variance = w * w * a.var_coulomb + 2.0 * w * speed * a.cov_both
-    variance += speed * speed * a.var_viscous + (loose * a.coulomb) ** 2
-    both = w * a.cov_offset_coulomb + speed * a.cov_offset_viscous
-    tip_std = math.sqrt(max(a.noise + a.var_offset + variance + 2.0 * both, 0.0))
+    further = _MM * depth_m - answer[0, DEPTH]
+    friction = w * (mean[COULOMB] + mean[_OWN_COULOMB] * further)
+    friction += speed * (mean[VISCOUS] + mean[_OWN_VISCOUS] * further)
+    variance = _variance(answer, COULOMB, w, speed) + (loose * mean[COULOMB]) ** 2
+    tip_std = _with_offset(answer, COULOMB, w, speed, variance)
     friction_std = math.sqrt(max(variance, 0.0))
     return force - left, left_std, force - friction, tip_std, friction, friction_std
 
 
 @compiled
 def switching_outputs(
-    motion: Motion,
-    force_N: float,
-    memory: Memory,
-    answers: tuple[Answer, ...],
-    layers: tuple[LeftLayer, ...],
+    depth_m: float, speed_m_s: float, force_N: float, memory: Vector, answer: Matrix, layers: Matrix
 ) -> Outputs:
-    """Enhanced force, tip force and their companions, for one sample; see `update_switching`."""
-    a = answers[0]
+    """What to report of a sample: the fields of an `Estimate` from ``in_contact`` to the events.
+
+    Args:
+        depth_m: Depth [m].
+        speed_m_s: Speed [m/s].
+        force_N: Force [N].
+        memory: See `update_switching`.
+        answer: What the bank knows.
+        layers: Of the layers left where they begin [m], their thickness [m], and Coulomb [N] and
+            viscous friction [N/(mm/s)] of their whole length, shape (n, 4).
+    """
+    speed, mean = _MM * speed_m_s, answer[1]
     enhanced, enhanced_std, tip, tip_std, friction, friction_std = _forces(
-        motion, force_N, memory, answers, layers
+        depth_m, speed, force_N, memory, answer, layers
     )
-    predicted = a.offset + friction + a.tip + a.stiffness * (_MM * motion[0] - a.depth)
-    speed = max(_MM * abs(motion[1]), _REST_SPEED)
-    spread = (a.var_own_coulomb, a.cov_own, a.var_own_viscous)
-    b, b_std = _per_speed(speed, a.own_coulomb, a.own_viscous, spread)
-    if a.cumulative_speed != 0.0:
-        speed = a.cumulative_speed
-    spread = (a.var_left_coulomb, a.cov_left, a.var_left_viscous)
-    d, d_std = _per_speed(speed, a.left_coulomb, a.left_viscous, spread)
-    k, k_std = _MM * a.stiffness, _MM * math.sqrt(a.stiffness_variance)
+    predicted = mean[_OFFSET] + friction + answer[0, TIP_FORCE]
+    predicted += mean[_STIFFNESS] * (_MM * depth_m - answer[0, DEPTH])
+    speed = max(abs(speed), _REST_SPEED)
+    b, b_std = _per_speed(answer, _OWN_COULOMB, speed)
+    if answer[0, CUMULATIVE_SPEED] != 0.0:
+        speed = answer[0, CUMULATIVE_SPEED]
+    d, d_std = _per_speed(answer, LEFT_COULOMB, speed)
+    k, k_std = _MM * mean[_STIFFNESS], _MM * math.sqrt(answer[2 + _STIFFNESS, _STIFFNESS])
     b, b_std = _MM * _MM * b, _MM * _MM * b_std
-    return (
-        a.in_contact,
-        a.layer,
-        enhanced,
-        enhanced_std,
-        tip,
-        tip_std,
-        friction,
-        friction_std,
-        predicted,
-        k,
-        k_std,
-        a.in_contact and k_std <= _IDENTIFIED * abs(k),
-        b,
-        b_std,
-        a.in_contact and b_std <= _IDENTIFIED * abs(b),
-        _MM * d,
-        _MM * d_std,
-    )
-
-
-@compiled
-def is_full(memory: Memory) -> bool:
-    """Whether the block being filled is."""
-    filled, travel = memory[1], _MM * abs(memory[3])
-    is_far = travel >= _BLOCK_MM and filled > _LEAST_S * (1.0 - 1e-6)
-    return is_far or filled > _BLOCK_S * (1.0 - 1e-6)
+    in_contact = answer[0, IN_CONTACT] > 0.0
+    forces = (enhanced, enhanced_std, tip, tip_std, friction, friction_std, predicted)
+    stiffness = (k, k_std, in_contact and k_std <= _IDENTIFIED * abs(k))
+    damping = (b, b_std, in_contact and b_std <= _IDENTIFIED * abs(b), _MM * d, _MM * d_std)
+    # Numba knows no starred parts of a tuple.
+    return (in_contact, int(answer[0, LAYER_NUMBER])) + forces + stiffness + damping  # noqa: RUF005
 
 
 @compiled
 def update_switching(
-    motion: Motion,
+    motion: tuple[float, float, float, float],
     force_N: float,
     dt_s: float,
-    memory: Memory,
-    answers: tuple[Answer, ...],
-    layers: tuple[LeftLayer, ...],
-) -> tuple[bool, Memory, Outputs]:
-    """Use one sample.
+    memory: WrittenVector,
+    answer: Matrix,
+    layers: Matrix,
+) -> tuple[bool, Outputs]:
+    """Use one sample: depth [m], speed [m/s] and the standard deviations of their noise; the force.
 
     Returns:
-        Whether that was all: no block is full, nothing else is due; the new memory, and what to
-        report, see `switching_outputs`.
+        Whether the block being filled is full, and what to report, see `switching_outputs`.
     """
-    depth_m, speed_m_s, depth_std_m, speed_std_m_s = motion
-    due, filled, depth_sum, speed_sum, deflection_sum, force_sum = memory[:6]
-    w, last, rest, deepest, _, _ = memory[6:]
-    if deepest == -math.inf:
+    m, (depth_m, speed_m_s, depth_std_m, speed_std_m_s) = memory, motion
+    w, last, rest = m[_DEFLECTION], m[_FOLLOWER], m[_REST]
+    if m[_DEEPEST] == _NOWHERE_M:
         last = depth_m
     deadband = max(_DEADBAND * depth_std_m, _LEAST_DEADBAND_M)
     follower = depth_m - deadband if last < depth_m - deadband else min(last, depth_m + deadband)
@@ -253,19 +187,14 @@ def update_switching(
         w, rest = aim + (w - aim) * kept, rest * kept
     if _MM * abs(speed_m_s) < _REST_SPEED:
         rest += (1.0 - rest) * -math.expm1(-dt_s / _REST_S)
-    new = (
-        due,
-        filled + dt_s,
-        depth_sum + dt_s * depth_m,
-        speed_sum + dt_s * speed_m_s,
-        deflection_sum + dt_s * w,
-        force_sum + dt_s * force_N,
-        w,
-        follower,
-        rest,
-        max(deepest, depth_m),
-        depth_std_m,
-        speed_std_m_s,
-    )
-    is_all = due == 0.0 and not is_full(new)
-    return is_all, new, switching_outputs(motion, force_N, new, answers, layers)
+    m[FILLED] += dt_s
+    m[DEPTH_SUM] += dt_s * depth_m
+    m[SPEED_SUM] += dt_s * speed_m_s
+    m[DEFLECTION_SUM] += dt_s * w
+    m[FORCE_SUM] += dt_s * force_N
+    m[_DEFLECTION], m[_FOLLOWER], m[_REST] = w, follower, rest
+    m[_DEEPEST] = max(m[_DEEPEST], depth_m)
+    m[DEPTH_STD], m[SPEED_STD] = depth_std_m, speed_std_m_s
+    is_far = _MM * abs(m[SPEED_SUM]) >= _BLOCK_MM and m[FILLED] > _LEAST_S * (1.0 - 1e-6)
+    is_full = is_far or m[FILLED] > _BLOCK_S * (1.0 - 1e-6)
+    return is_full, switching_outputs(depth_m, speed_m_s, force_N, m, answer, layers)

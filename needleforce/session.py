@@ -22,7 +22,6 @@ from needleforce.jit import Matrix, Vector, compiled
 from residual import DEFAULT as DEFAULT_SENSOR
 from residual import SensorConfig, SensorWarning, Status, VirtualForceSensor, WrenchEstimate
 from residual.bias_model import Tare
-from residual.tool_kinematics import ToolKinematics
 from residual.virtual_force_sensor import SensorState
 from urdf import Robot
 
@@ -48,9 +47,6 @@ class SnapshotFileError(InsertionError, ValueError):
     """A file that is no snapshot, or one of a version that cannot be read."""
 
 
-# Depth and speed of the needle, from the kinematics of the arm.
-
-
 class Travel(NamedTuple):
     """Travel of the tip along the needle, and its rate."""
 
@@ -72,36 +68,6 @@ def tip_motion(
     """Place of the tip along an axis in base axes [m], and its speed along the needle [m/s]."""
     tip_m = np.ascontiguousarray(pose[:3, 3])
     return float(axis.dot(tip_m)), float(axial_jacobian.dot(dq))
-
-
-class TipTravel:
-    """Depth and speed from kinematics of the tool that somebody else keeps up to date."""
-
-    def __init__(self, kinematics: ToolKinematics) -> None:
-        self._kinematics = kinematics
-        self.zero()
-
-    def zero(self) -> None:
-        """Count depth from where the tip is, along the needle's present direction."""
-        tool = self._kinematics
-        self.restore(TravelZero(tool.place_in_base_m.copy(), tool.axis_in_base.copy()))
-
-    def read(self, dq: NDArray[np.float64]) -> Travel:
-        """Depth and speed in the present posture, for joint velocities [rad/s], shape (n,)."""
-        tool = self._kinematics
-        along_m, speed_m_s = tip_motion(self._axis, tool.pose, tool.axial_jacobian, dq)
-        return _new(Travel, (along_m - self._start_m, speed_m_s))
-
-    @property
-    def state(self) -> TravelZero:
-        """Where depth is counted from."""
-        return self._zero
-
-    def restore(self, state: TravelZero) -> None:
-        """Count from a `state` taken earlier."""
-        self._zero = state
-        self._axis = state.axis_in_base
-        self._start_m = float(self._axis.dot(state.start_in_base_m))
 
 
 # What a session returns in every tick, and what it remembers.
@@ -144,6 +110,7 @@ class SessionSnapshot(NamedTuple):
     identifier: IdentifierSnapshot
     zero: TravelZero
     travel: Travel  # the last
+    lagging: Travel  # the same as late as the force
     speed_lag_s: float  # setting of the session
     unused_s: float  # time of valid samples that were not used for identification
     time_s: float  # see `SessionEstimate`
@@ -205,7 +172,7 @@ class InsertionSession:
             raise SettingError(f"speed_lag_s is {speed_lag_s!r}, expected a finite number >= 0")
         self._sensor = VirtualForceSensor(robot, sensor_config)
         self._identifier, self._identifier_config = Identifier(identifier_config), identifier_config
-        self._travel = TipTravel(self._sensor.kinematics)
+        self._tool = self._sensor.kinematics
         self._speed_lag_s = float(speed_lag_s)
         self.reset()
 
@@ -276,8 +243,8 @@ class InsertionSession:
 
     def begin_insertion(self) -> None:
         """Count depth from here and forget the layers; the tare stays."""
-        self._travel.zero()
-        self._last_travel = Travel(0.0, 0.0)
+        self._zero_depth()
+        self._last_travel = self._lagging = Travel(0.0, 0.0)
         self._identifier.reset()
         self._identification = self._identifier.snapshot().last
         self._unused_s = 0.0
@@ -293,8 +260,9 @@ class InsertionSession:
         return SessionSnapshot(
             self._sensor.snapshot(),
             self._identifier.snapshot(),
-            self._travel.state,
+            self._zero,
             self._last_travel,
+            self._lagging,
             self._speed_lag_s,
             self._unused_s,
             self._time_s,
@@ -322,9 +290,10 @@ class InsertionSession:
         # The last that can fail, and it fails as a whole.
         self._sensor.restore(snapshot.sensor)
         self._identifier.restore(snapshot.identifier)
-        self._travel.restore(snapshot.zero)
+        self._count_from(snapshot.zero)
         self._is_started = snapshot.sensor.last is not None
-        self._last_travel, self._unused_s = snapshot.travel, snapshot.unused_s
+        self._last_travel, self._lagging = snapshot.travel, snapshot.lagging
+        self._unused_s = snapshot.unused_s
         self._time_s = snapshot.time_s
         self._identification = _without_events(snapshot.identifier.last)
 
@@ -343,31 +312,41 @@ class InsertionSession:
         except Exception as error:  # whatever a damaged state makes of its parts
             raise SnapshotMismatchError(f"the snapshot is damaged: {error!r}") from error
 
+    def _zero_depth(self) -> None:
+        """Count depth from where the tip is, along the needle's present direction."""
+        tool = self._tool
+        self._count_from(TravelZero(tool.place_in_base_m.copy(), tool.axis_in_base.copy()))
+
+    def _count_from(self, zero: TravelZero) -> None:
+        self._zero, self._start_m = zero, float(zero.axis_in_base.dot(zero.start_in_base_m))
+
     def _follow(self, wrench: WrenchEstimate) -> SessionEstimate:
         """Depth, speed and, where the force can be used, the identification."""
         status = wrench.status
         if status is _REJECTED:
             return self._idle(wrench)
         if not self._is_started:
-            self._travel.zero()
+            self._zero_depth()
             self._is_started = True
         else:
             # The sensor's clock counts the time of rejected samples and knows one that was set.
             self._time_s += self._sensor.elapsed_s
-        elapsed_s = self._sensor.elapsed_s
-        travel = self._travel.read(self._sensor.velocity_rad_s)
+        elapsed_s, tool, axis = self._sensor.elapsed_s, self._tool, self._zero.axis_in_base
+        dq = self._sensor.velocity_rad_s
+        along_m, speed_m_s = tip_motion(axis, tool.pose, tool.axial_jacobian, dq)
+        depth_m = along_m - self._start_m
         if self._speed_lag_s > 0.0:
-            last = self._last_travel.speed_m_s
+            last_m_s = self._last_travel.speed_m_s
             weight = -math.expm1(-elapsed_s / self._speed_lag_s)
-            travel = travel._replace(speed_m_s=last + weight * (travel.speed_m_s - last))
-        self._last_travel = travel
+            speed_m_s = last_m_s + weight * (speed_m_s - last_m_s)
+        self._last_travel = travel = _new(Travel, (depth_m, speed_m_s))
+        self._lagging = self._as_late_as_force(travel, elapsed_s)
         if status is not _OK or (wrench.warnings and wrench.warnings & _NOT_USED):
             self._unused_s += elapsed_s
             return self._idle(wrench)
         if self._unused_s:
             elapsed_s, self._unused_s = elapsed_s + self._unused_s, 0.0
-        depth_m, speed_m_s = travel
-        found = self._identifier.update(depth_m, speed_m_s, wrench.axial, elapsed_s, self._time_s)
+        found = self._identifier.update(*self._lagging, wrench.axial, elapsed_s, self._time_s)
         if found.rupture is not None:
             # A lateral push looks like a rupture before its mismatch has lasted long enough.
             wrench = self._sensor.recheck(wrench)
@@ -380,6 +359,19 @@ class InsertionSession:
             SessionEstimate,
             (wrench, depth_m, speed_m_s, found, status, found.status in _USED, self._time_s),
         )
+
+    def _as_late_as_force(self, travel: Travel, elapsed_s: float) -> Travel:
+        """Depth and speed behind the lag of the force, so that what belongs together meets.
+
+        A needle that a hand drives changes its speed within the observer's lag: the force of a
+        moment ago, beside the speed of now, would look like friction that comes and goes.
+        """
+        if (lag_s := self._sensor.filter_lag_s) <= 0.0:
+            return travel
+        kept = math.exp(-elapsed_s / lag_s)
+        depth_m = travel.depth_m + kept * (self._lagging.depth_m - travel.depth_m)
+        speed_m_s = travel.speed_m_s + kept * (self._lagging.speed_m_s - travel.speed_m_s)
+        return _new(Travel, (depth_m, speed_m_s))
 
     def _idle(self, wrench: WrenchEstimate) -> SessionEstimate:
         """A tick that is not used for identification."""

@@ -26,7 +26,7 @@ from needleforce.session import SessionSnapshot, SnapshotFileError
 from residual.virtual_force_sensor import SensorState
 
 SNAPSHOT_FORMAT = "needleforce-snapshot"
-SNAPSHOT_VERSION = 5
+SNAPSHOT_VERSION = 6
 """Grows whenever a file of the version before could no longer be read, or would be misread."""
 MOST_BYTES = 64 << 20
 """A snapshot has some 100 kB; a device or a wrong file is not read to its end."""
@@ -37,13 +37,12 @@ AnySnapshot = SessionSnapshot | SensorState | IdentifierSnapshot
 
 _KINDS = {"session": SessionSnapshot, "sensor": SensorState, "identifier": IdentifierSnapshot}
 # The annotations of an identifier's snapshot name both methods; the envelope says which it is.
-_METHODS: dict[str, dict[str, type | None]] = {
+_METHODS: dict[str, dict[str, Any]] = {
     "multilayer": {"config": MultilayerConfig, "state": SwitchingState},
     "published": {"config": PublishedConfig, "state": PublishedState},
 }
 _NOT_FINITE = {
     "limit_s": math.inf,
-    "deepest_m": -math.inf,
     "release_m": math.nan,
     "squares": math.inf,
     "force_N": math.nan,
@@ -150,47 +149,28 @@ def _check_envelope(envelope: _Envelope, path: str | os.PathLike[str]) -> None:
 
 def _decoded(envelope: _Envelope) -> AnySnapshot:
     """The state tree of an envelope, typed to its leaves."""
-    plain = msgspec.msgpack.decode(envelope.data)
     if envelope.kind == "sensor":
-        return _convert(plain, SensorState)
+        return _typed(envelope.data, SensorState)
     if envelope.method not in _METHODS:
         raise SnapshotFileError(
             f"the snapshot is of the method {envelope.method!r}, expected one of "
             f"{', '.join(_METHODS)}"
         )
+    identifier = _annotated(IdentifierSnapshot, _METHODS[envelope.method])
     if envelope.kind == "identifier":
-        return _named(IdentifierSnapshot, plain, _METHODS[envelope.method])
-    identifier = _named(
-        IdentifierSnapshot,
-        _field(SessionSnapshot, plain, "identifier"),
-        _METHODS[envelope.method],
-    )
-    return _named(SessionSnapshot, plain, {"identifier": None})._replace(identifier=identifier)
+        return IdentifierSnapshot(*_typed(envelope.data, identifier))
+    found = _typed(envelope.data, _annotated(SessionSnapshot, {"identifier": identifier}))
+    return SessionSnapshot(*found)._replace(identifier=IdentifierSnapshot(*found.identifier))
 
 
-def _named(kind: type[Any], plain: Any, special: dict[str, type | None]) -> Any:
-    """A named tuple, field by field: some of its types are known from elsewhere, None for later."""
-    hints = get_type_hints(kind) | special
-    fields = {name: _field(kind, plain, name) for name in kind._fields}
-    return kind(
-        **{
-            name: None if hints[name] is None else _convert(value, hints[name])
-            for name, value in fields.items()
-        }
-    )
+def _annotated(kind: type[Any], special: dict[str, Any]) -> Any:
+    """A named tuple like another one, some of its annotations replaced."""
+    annotations: Any = (get_type_hints(kind) | special).items()
+    return NamedTuple(kind.__name__, annotations)
 
 
-def _field(kind: type[Any], plain: Any, name: str) -> Any:
-    if not isinstance(plain, list) or len(plain) != len(kind._fields):
-        raise SnapshotFileError(
-            f"the snapshot is damaged: {kind.__name__} has {len(kind._fields)} fields, got "
-            f"{str(plain)[:80]}"
-        )
-    return plain[kind._fields.index(name)]
-
-
-def _convert(plain: Any, kind: Any) -> Any:
-    return msgspec.convert(plain, kind, dec_hook=_array)
+def _typed(data: bytes, kind: Any) -> Any:
+    return msgspec.msgpack.decode(data, type=kind, dec_hook=_array)
 
 
 def _plain_array(value: Any) -> Any:

@@ -56,6 +56,8 @@ class SampleStream:
     """What the caller calls the torque."""
     lag_s = 0.0
     """Time by which the estimate follows the torque [s], where that is known here."""
+    filter_lag_s = 0.0
+    """The part of it by which the estimate follows the positions that it is reported with [s]."""
 
     def __init__(self, robot: Robot, config: SensorConfig, *, has_velocity: bool) -> None:
         self.has_velocity = has_velocity
@@ -166,7 +168,8 @@ class JointStream(SampleStream):
         self._max_gap_s = config.max_gap_s
         self._settling_s = self.SETTLING_LAGS / config.slowest_gain_per_s - ROUNDING_S
         self._age_s = self._missed_s = 0.0
-        self.lag_s = 1.0 / config.slowest_gain_per_s + self._delay_s
+        self.filter_lag_s = 1.0 / config.slowest_gain_per_s
+        self.lag_s = self.filter_lag_s + self._delay_s
 
     def _estimate(self, rows: Array, dt_s: float) -> TorqueSample:
         last_s = dt_s

@@ -224,6 +224,11 @@ class VirtualForceSensor:
         self._followed_N, self._follows = np.zeros(3), False
         self._unchecked_s = 0.0
 
+    @property
+    def filter_lag_s(self) -> float:
+        """Time by which the force follows the posture it is reported with [s]: the observer's."""
+        return 0.0 if self._stream is None else self._stream.filter_lag_s
+
     def snapshot(self) -> SensorState:
         """All that the sensor remembers; immutable. `needleforce.write_snapshot` stores it."""
         stream = self._stream

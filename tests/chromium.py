@@ -1,4 +1,4 @@
-"""A page opened in headless Chromium: what it logs, what it measures, how it prints."""
+"""A page opened in headless Chromium: what it logs and what it measures."""
 
 import json
 import re
@@ -23,11 +23,13 @@ FLAGS = (
     "--disable-dev-shm-usage",
     "--enable-logging=stderr",
     "--virtual-time-budget=10000",
+    "--dump-dom",
+    "--window-size=1280,900",
 )
-PHONE, DESK = (390, 844), (1280, 900)
-"""Width and height of a window."""
 SECONDS = 120.0
 
+PHONE = (390, 844)
+"""Width and height of a window."""
 needs_chromium = pytest.mark.skipif(
     PROGRAM is None, reason="no chromium on this machine: apt-get install chromium"
 )
@@ -35,20 +37,12 @@ needs_chromium = pytest.mark.skipif(
 POLICY = "style-src 'unsafe-inline'"
 MEASURE = """<script>
 addEventListener("load", () => {
-  const images = [...document.images];
-  const root = document.scrollingElement;
-  const letters = [...document.querySelectorAll("p, td, th, figcaption, li, caption")];
   const found = {
-    window: innerWidth,
-    content: root.scrollWidth,
-    images: images.map(image => ({
-      alt: image.alt, natural: image.naturalWidth, width: image.getBoundingClientRect().width,
-      height: image.getBoundingClientRect().height})),
+    content: document.scrollingElement.scrollWidth,
+    images: [...document.images].map(image => image.getBoundingClientRect().height),
     wide: [...document.querySelectorAll("body *")].filter(item =>
       item.getBoundingClientRect().right > innerWidth + 1 && !item.closest(".scroll, pre")
     ).map(item => item.tagName),
-    hints: [...document.querySelectorAll(".hint")].filter(item => item.offsetHeight).length,
-    letters: Math.min(...letters.map(item => parseFloat(getComputedStyle(item).fontSize))),
   };
   parent.postMessage(JSON.stringify(found), "*");
 });
@@ -59,16 +53,15 @@ addEventListener("message", event => document.body.append("<<" + event.data + ">
 </script><iframe src="copy.html" width="{width}" height="{height}"></iframe>"""
 
 
-def _run(page, *more):
+def _run(page):
     with tempfile.TemporaryDirectory() as profile:
-        window = (f"--user-data-dir={profile}", f"--window-size={DESK[0]},{DESK[1]}")
-        command = [PROGRAM, *FLAGS, *window, *more, Path(page).resolve().as_uri()]
+        command = [PROGRAM, *FLAGS, f"--user-data-dir={profile}", Path(page).resolve().as_uri()]
         return subprocess.run(command, capture_output=True, text=True, timeout=SECONDS, check=True)
 
 
 def logged(page):
     """What the page writes to the browser's console, as it is delivered."""
-    return [line for line in _run(page, "--dump-dom").stderr.splitlines() if "CONSOLE" in line]
+    return [line for line in _run(page).stderr.splitlines() if "CONSOLE" in line]
 
 
 def measured(page, size):
@@ -81,13 +74,7 @@ def measured(page, size):
         copy, frame = Path(folder) / "copy.html", Path(folder) / "frame.html"
         copy.write_text(text.replace("</body>", f"{MEASURE}</body>"), encoding="utf-8")
         frame.write_text(FRAME.format(width=size[0], height=size[1]), encoding="utf-8")
-        said = _run(frame, "--dump-dom").stdout
+        said = _run(frame).stdout
     found = re.search(r"&lt;&lt;(.*)&gt;&gt;", said, re.DOTALL)
     assert found, said[-2000:]
     return json.loads(unescape(found.group(1)))
-
-
-def printed(page, path):
-    """The page as PDF; returns the number of its sheets."""
-    _run(page, f"--print-to-pdf={path}", "--no-pdf-header-footer")
-    return len(re.findall(rb"/Type\s*/Page\b", Path(path).read_bytes()))

@@ -1,5 +1,7 @@
 """Joint signals of an ideal arm for the tests of `residual`: rigid-body torque minus J' F."""
 
+from functools import lru_cache
+
 import numpy as np
 import pinocchio as pin
 
@@ -19,22 +21,20 @@ def external_torque_of(robot, q, force_at_tip_in_base):
     return jacobian.reshape(6, -1)[:3].T @ np.asarray(force_at_tip_in_base)
 
 
-def swing(
-    robot,
-    *,
-    seconds,
-    rate_hz=1000.0,
-    amplitude=0.2,
-    start=0.0,
-    middle=None,
-    force_at_tip_in_base=(0.0, 0.0, 0.0),
-):
+def swing(robot, *, amplitude=0.2, middle=None, force_at_tip_in_base=(0.0, 0.0, 0.0), **span):
     """Times, q, dq and link-side torque of a smooth joint motion under a constant tip force."""
+    middle = MIDDLE if middle is None else np.asarray(middle)
+    force = tuple(map(float, force_at_tip_in_base))
+    made = _swing(robot, amplitude, tuple(middle[: robot.nv].tolist()), force, **span)
+    return tuple(values.copy() for values in made)
+
+
+@lru_cache(maxsize=50)
+def _swing(robot, amplitude, middle, force_at_tip_in_base, *, seconds, rate_hz=1000.0, start=0.0):
     times = start + np.arange(round(seconds * rate_hz)) / rate_hz
-    middle = (MIDDLE if middle is None else np.asarray(middle))[: robot.nv]
     omega = 1.0 + 0.3 * np.arange(robot.nv)
     phase = np.outer(times, omega)
-    q = middle + amplitude * (1 - np.cos(phase))
+    q = np.array(middle) + amplitude * (1 - np.cos(phase))
     dq = amplitude * omega * np.sin(phase)
     ddq = amplitude * omega**2 * np.cos(phase)
     data = robot.create_data()
@@ -48,18 +48,25 @@ def swing(
     return times, q, dq, tau
 
 
-def tared_sensor(robot, config=DEFAULT, *, with_velocity=True, bias=BIAS):
+def tared_sensor(robot, config=DEFAULT, *, with_velocity=True):
     """A sensor that has seen two seconds of free motion and was tared."""
     sensor = VirtualForceSensor(robot, config)
-    _, q, dq, tau = swing(robot, seconds=2.0, amplitude=0.03)
-    for k in range(len(q)):
-        sensor.update(q[k], dq[k] if with_velocity else None, tau[k] - bias, 1e-3)
-    sensor.tare()
+    sensor.restore(_tared_state(robot, config, with_velocity))
     return sensor
 
 
-def push(robot, sensor, force, *, with_velocity=True, bias=BIAS):
+@lru_cache(maxsize=20)
+def _tared_state(robot, config, with_velocity):
+    sensor = VirtualForceSensor(robot, config)
+    _, q, dq, tau = swing(robot, seconds=2.0, amplitude=0.03)
+    for k in range(len(q)):
+        sensor.update(q[k], dq[k] if with_velocity else None, tau[k] - BIAS, 1e-3)
+    sensor.tare()
+    return sensor.snapshot()
+
+
+def push(robot, sensor, force, *, with_velocity=True):
     _, q, dq, tau = swing(robot, seconds=0.5, start=2.0, amplitude=0.03, force_at_tip_in_base=force)
     for k in range(len(q)):
-        estimate = sensor.update(q[k], dq[k] if with_velocity else None, tau[k] - bias, 1e-3)
+        estimate = sensor.update(q[k], dq[k] if with_velocity else None, tau[k] - BIAS, 1e-3)
     return q[-1], estimate

@@ -3,11 +3,10 @@
 import re
 from pathlib import Path
 
-import numpy as np
 import pytest
 from benchmark_cases import make_row
 
-from benchmarks import DataError, cli, runner
+from benchmarks import DataError, runner
 from benchmarks.benchmark import Benchmark, Findings, Job
 from benchmarks.cli import main
 from benchmarks.rows import Measurement, read_results, write_results
@@ -117,50 +116,6 @@ def test_wrong_usage_is_exit_code_2_and_help_says_how_long_a_slow_command_takes(
         assert re.search(r"Takes about \d+ s", capsys.readouterr().out)
 
 
-@pytest.mark.parametrize("stops", [KeyboardInterrupt, DataError])
-def test_work_that_comes_to_nothing_leaves_no_folder_but_what_it_has_drawn(
-    tmp_path, monkeypatch, capsys, stops
-):
-    def stop(request):
-        raise stops
-
-    def draw_and_stop(jobs, processes, progress):
-        (jobs[0].drawings / "force.svg").write_text("")
-        raise KeyboardInterrupt
-
-    with monkeypatch.context() as patched:
-        patched.setattr(runner, "make_plan", stop)
-        assert run("--report", str(tmp_path / "deep" / "report")) != 0
-        assert list(tmp_path.iterdir()) == []
-        (tmp_path / "own").mkdir()
-        assert run("--report", str(tmp_path / "own")) != 0
-        assert (tmp_path / "own").is_dir()
-    capsys.readouterr()
-    monkeypatch.setattr(runner, "run_jobs", draw_and_stop)
-    assert run("--report", str(tmp_path / "report")) == 130
-    assert (tmp_path / "report" / "force.svg").is_file()
-    assert capsys.readouterr().err == "interrupted\n"
-
-
-@pytest.mark.parametrize(("cost", "code"), [(1.9, 0), (3.5, 1)])
-def test_speed_fails_when_strict_and_too_slow(monkeypatch, capsys, cost, code):
-    from benchmarks import speed
-
-    def measured(progress):
-        progress(1.0)
-        bare = {subject.bare for subject in speed.SUBJECTS.values()}
-        costs = dict.fromkeys(speed.SUBJECTS, cost) | dict.fromkeys(bare, 1.0)
-        times = {name: np.full((2, 3), each) for name, each in costs.items()}
-        layer_us = {("default", 10.0): 20.0}
-        return speed.SpeedReport(times=times, alarms={}, layers={}, pauses_us=[], layer_us=layer_us)
-
-    monkeypatch.setattr(speed, "measure_speed", measured)
-    monkeypatch.setattr(speed, "COMPILER", "numba")
-    assert main(["speed", "--strict"]) == code
-    assert main(["speed"]) == 0
-    assert "99.9 %" in capsys.readouterr().out
-
-
 def test_compare_fails_on_what_is_worse_or_lost_and_says_it(tmp_path, monkeypatch, capsys):
     monkeypatch.chdir(tmp_path)
     rows = {"old": [0.1, 0.1], "new": [0.3, 0.1], "lost": [float("nan"), 0.1], "one": [0.1]}
@@ -178,19 +133,6 @@ def test_compare_fails_on_what_is_worse_or_lost_and_says_it(tmp_path, monkeypatc
     ):
         assert main(["compare", *pair.split()]) == code
         assert said in "".join(capsys.readouterr())
-
-
-def test_a_missing_package_is_named_and_any_other_fault_is_not_hidden(monkeypatch, capsys):
-    def fail(*_, **__):
-        raise ModuleNotFoundError(name=missing)
-
-    monkeypatch.setattr(cli, "app", fail)
-    missing = "mujoco"
-    assert main(["list"]) == 2
-    assert "mujoco is not installed; pip install -e '.[bench]'" in capsys.readouterr().err
-    missing = "ours"
-    with pytest.raises(ModuleNotFoundError):
-        main(["list"])
 
 
 def test_processes_return_outcomes_in_the_order_of_the_jobs():

@@ -1,18 +1,12 @@
 """Faults in a running insertion: reported, recovered from, never infinite; docs/loop.md."""
 
-import math
 import re
 from pathlib import Path
 
-import numpy as np
 import pytest
 
 from benchmarks.fault_study import (
-    FaultResult,
     FaultStudy,
-    fault_table,
-    is_finite,
-    late,
     recovery,
 )
 from benchmarks.faults import PARTS, SIGNAL_FAULTS
@@ -63,23 +57,3 @@ def test_faults_that_must_be_reported_are(results):
     assert not reported["pushed aside with 1 N, 2 s"]
     # A weight along the needle is the only fault that raises a rupture.
     assert [result.name for result in results if result.note] == ["50 g hung on the tool, 2 s"]
-
-
-def test_the_table_prints_what_was_found():
-    names = ("name", "worst_N", "worst_sigma", "recovery_s", "reported", "is_finite")
-    rows = ("x", 1.234, 2.0, math.inf, (), False), ("y", 0.0, 0.0, 0.0123, ("a", "B"), True)
-    bad, good = (FaultResult(**dict(zip(names, row, strict=True))) for row in rows)
-    header, _, *rows = fault_table([bad, good]).markdown()
-    assert header in PAGE
-    assert rows[0].startswith("| x | 1.23 | 2 | never | – | not finite")
-    assert rows[1] == "| y | 0.00 | 0 | 12 ms | a, B |  |"
-    # A number that is not finite is found anywhere.
-    assert is_finite((1.0, (np.zeros(2), "text", None)))
-    assert not is_finite((1.0, (np.array([0.0, np.inf]),)))
-    assert not is_finite((math.nan,))
-
-
-def test_a_late_force_lags_by_what_it_should():
-    ramp = 1e-3 * np.arange(2000)
-    assert late(ramp)[-1] == pytest.approx(ramp[-1] - 0.014, abs=1e-3)
-    assert late(ramp, with_velocity=False)[-1] == pytest.approx(ramp[-1] - 0.024, abs=2e-3)

@@ -9,19 +9,11 @@ import pytest
 from benchmarks import DataError
 from benchmarks.benchmark import Job
 from benchmarks.methods import joint_residual
-from benchmarks.recorded.bovine import FILE as BOVINE_FILE
-from benchmarks.recorded.bovine import FOLDER as BOVINE
-from benchmarks.recorded.bovine import NOISE_N, depth_metrics, read_bovine, run_bovine_real
+from benchmarks.recorded.bovine import depth_metrics, run_bovine_real
 from benchmarks.recorded.liver import (
-    NUMBERS,
-    VISIBLE_SIGMAS,
     at_drops,
     force_drops,
-    insertion_parts,
-    mean_at_depth,
     read_arrays,
-    read_liver,
-    read_table,
     run_liver_real,
 )
 from benchmarks.recorded.panda import FOLDER as PANDA
@@ -58,9 +50,6 @@ def test_the_whole_chain_runs_on_real_torques_with_real_tissue(recordings_dir, t
     # Turned round, the force would be off by twice its mean of 1.4 N.
     assert abs(found["virtual", "default", "wrench_bias_N"]) < 1.0
     assert list(tmp_path.glob("panda-liver-recording-1-*.svg"))
-    names = {name for source, _, name in found if source == "ft"}
-    assert {"pullout_error_42mm_median_pct", "pullout_error_78mm_median_pct"} < names
-    assert {"drop_recall", "ruptures_at_drops", "ruptures_per_insertion"} < names
     # The force itself at the arm's uneven clock: as in liver-real.
     assert found["ft", "default", "drop_recall"] == 1.0
     assert found["ft", "default", "ruptures_at_drops"] > 0.8
@@ -77,17 +66,6 @@ def test_the_weight_on_the_ur10e_is_found(recordings_dir):
     assert found["default", "force_up_loaded_N"] == pytest.approx(-25.3, abs=1.5)
     assert 1.05 < found["default", "torque_scale"] < 1.2
     assert abs(found["default", "weight_error_pct"]) < 10.0
-
-
-def test_every_liver_insertion_begins_at_rest_without_force(recordings_dir):
-    for index in (0, len(NUMBERS) - 1):
-        insertion = read_liver(recordings_dir, index)
-        assert insertion.depth_m[0] < 1e-3
-        assert abs(insertion.force_N[0]) < 0.1
-        assert insertion.force_N[insertion.insertion].max() > 1.0
-    for index in (-1, len(NUMBERS)):
-        with pytest.raises(DataError, match="19 liver insertions"):
-            read_liver(recordings_dir, index)
 
 
 @pytest.mark.parametrize("name", ["panda-real", "panda-liver", "ur10e-payload"])
@@ -112,15 +90,9 @@ def test_broken_recordings_models_and_missing_velocities_are_refused(tmp_path, l
     ):
         with pytest.raises(DataError, match=message):
             read_arrays(path, names)
-    for content in (b"", b"PK\x03\x04 torn off", b"no archive at all", path.read_bytes()[:500]):
-        path.write_bytes(content)
-        with pytest.raises(DataError, match="cannot read"):
-            read_arrays(path, ["good"])
-    path = tmp_path / "model.json"
-    for content, message in (("{", "cannot read"), ("[1]", "no table")):
-        path.write_text(content)
-        with pytest.raises(DataError, match=message):
-            read_table(path)
+    path.write_bytes(path.read_bytes()[:500])
+    with pytest.raises(DataError, match="cannot read"):
+        read_arrays(path, ["good"])
     for read, folder in ((read_panda, PANDA), (read_ur10e, UR10E)):
         (tmp_path / folder).mkdir()
         arrays = {key: np.zeros((2, 7)) for key in ("t_s", "q_rad", "dq_rad_s", "tau_Nm")}
@@ -134,39 +106,12 @@ def test_broken_recordings_models_and_missing_velocities_are_refused(tmp_path, l
         joint_residual(lwr, signals, 50.0)
 
 
-def test_a_recording_is_split_where_the_needle_turns():
-    inward = np.linspace(0, 0.08, 801)
-    depth = np.concatenate((inward, np.full(100, 0.08), inward[::-1]))
-    insertion, withdrawal = insertion_parts(depth)
-    assert depth[insertion].max() == pytest.approx(0.08, abs=2e-4)
-    assert withdrawal.start > 901
-    assert depth[withdrawal].max() < 0.0785
-    assert mean_at_depth(depth[insertion], 10.0 * depth[insertion], 0.02) == pytest.approx(0.2)
-    assert np.isnan(mean_at_depth(depth, depth, 0.09))
-
-
 def test_annotated_ruptures_are_found_missed_or_invented():
     values = depth_metrics([10.2, 20.4, 33.0], [10.0, 20.3, 32.9], [10.0, 20.0, 30.0])
     assert (values["ruptures_missed"], values["ruptures_false"]) == (1.0, 1.0)
     assert values["rupture_depth_error_mm"] == pytest.approx(0.4)
     assert values["estimated_depth_error_mm"] == pytest.approx(0.3)
     assert depth_metrics([], [], [10.0]) == {"ruptures_missed": 1.0, "ruptures_false": 0.0}
-
-
-def test_a_digitised_curve_becomes_a_signal_at_its_speed(tmp_path):
-    folder = tmp_path / BOVINE
-    folder.mkdir()
-    # The last point begins a second stroke of the pen.
-    (folder / BOVINE_FILE).write_text("depth_m,force_N\n0,0\n0.03,3\n0.03,1\n0.06,2\n0.02,9\n")
-    t_s, depth_m, force_N = read_bovine(tmp_path, np.random.default_rng(0))
-    assert np.diff(depth_m) / np.diff(t_s) == pytest.approx(3e-3)
-    assert depth_m[-1] == pytest.approx(0.06, abs=1e-5)
-    assert force_N.max() < 3.1
-    assert force_N[-1] == pytest.approx(2.0, abs=0.05)
-    for text in ("", "depth_m,force_N\n0,x\n", "depth_m,force_N\n0,1,2\n1,2,3\n"):
-        (folder / BOVINE_FILE).write_text(text)
-        with pytest.raises(DataError):
-            read_bovine(tmp_path, np.random.default_rng(0))
 
 
 def test_sudden_drops_are_found_and_slow_ones_and_the_end_are_not():
@@ -185,27 +130,19 @@ def test_sudden_drops_are_found_and_slow_ones_and_the_end_are_not():
     assert [len(force_drops(depth, force, least)) for least in (0.3, 0.5)] == [1, 0]
 
 
-def test_real_liver_has_a_row_for_every_method(recordings_dir):
+def test_real_liver_has_a_row_for_every_method(recordings_dir, monkeypatch):
+    """Of five of the insertions."""
+    monkeypatch.setattr("benchmarks.recorded.liver.NUMBERS", (0, 8, 18, 26, 34))
     by_key = values(run_liver_real, "liver-real", recordings_dir)
-    # What the data's description says of the rule of thumb.
-    assert by_key["guess", "pullout_error_median_pct"] == pytest.approx(14.0, abs=1.0)
-    assert by_key["guess", "pullout_error_p90_pct"] == pytest.approx(42.0, abs=1.0)
+    assert 5.0 < by_key["guess", "pullout_error_median_pct"] < 30.0
     assert ("guess", "ruptures_per_insertion") not in by_key
     assert by_key["default", "drop_recall"] > 0.5
     assert np.isfinite(list(by_key.values())).all()
 
 
-def test_bovine_liver_has_its_four_ruptures_and_its_curve_falls_in_two_more_places(recordings_dir):
+def test_the_four_ruptures_of_bovine_liver_are_found(recordings_dir):
     by_key = values(run_bovine_real, "bovine-real", recordings_dir)
     assert by_key["default", "ruptures_missed"] == 0.0
     assert by_key["default", "rupture_depth_error_mm"] < 1.0
     # Whatever else it reports is a drop of the curve, too.
     assert by_key["default", "ruptures_without_drop"] == 0.0
-    # As docs/limits.md says: a dip that fills again, and the last drop before the plateau. The
-    # first lies in free air: it is as high as the dip at 15.7 mm.
-    _, depth_m, force_N = read_bovine(recordings_dir, None)
-    found = force_drops(depth_m, force_N, VISIBLE_SIGMAS * NOISE_N)
-    depths = [1e3 * drop.from_m for drop in found]
-    assert depths == pytest.approx([0.1, 15.7, 19.1, 30.0, 32.7, 36.6, 38.6], abs=0.06)
-    drops = [drop.drop_N for drop in found]
-    assert drops == pytest.approx([0.09, 0.09, 1.20, 0.83, 0.93, 0.74, 0.16], abs=0.01)

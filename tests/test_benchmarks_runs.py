@@ -8,16 +8,14 @@ import pytest
 from benchmark_cases import gel_slice
 from hypothesis import given
 from hypothesis import strategies as st
-from scipy.signal import lfilter
 
-from benchmarks import DataError, UnknownMetricError
+from benchmarks import DataError
 from benchmarks.benchmark import Job
 from benchmarks.methods import ForceReading, force_lag_s, wrench_metrics
 from benchmarks.published_figures import NEEDED
-from benchmarks.rows import Measurement
 from benchmarks.runner import BENCHMARKS, Request, make_plan
 from benchmarks.signals import ForceTruth
-from benchmarks.simulated import drawn_noise, read_sensors, run_needle, simulated_metrics
+from benchmarks.simulated import read_sensors, run_needle, simulated_metrics
 from benchmarks.tables import TABLES
 from groundtruth import SCENARIOS, simulate
 
@@ -55,12 +53,6 @@ def test_a_needle_alone_gives_both_methods_on_the_ft_sensor_charts_and_lines(tmp
         assert TABLES[name]([]).lines == ()
     # Without tissue there is nothing to identify.
     assert run_needle(job, replace(SHORT, layers=()), silent, is_drawn=False).measurements == []
-
-
-def test_drawn_noise_stays_within_a_factor_of_two():
-    levels = [drawn_noise(np.random.default_rng(k)).white_std_N for k in range(200)]
-    assert 0.005 <= min(levels) < 0.006
-    assert 0.019 < max(levels) <= 0.02
 
 
 def case_of(plant, chosen=BRIEF):
@@ -103,9 +95,6 @@ def test_without_tissue_only_the_virtual_sensor_is_judged_and_from_the_tare_on()
     assert case.truth.start_s == case.run.tare_end_s
     numbers = {"wrench_rmse_N", "wrench_bias_N", "wrench_coverage_2sigma", "tare_refused"}
     assert {metric for _, _, metric in values(case)} == numbers
-
-
-RECORDED = {item.id for item in BENCHMARKS.values() if item.is_recorded}
 
 
 @pytest.fixture
@@ -162,13 +151,6 @@ def test_every_named_benchmark_runs_once_for_every_plant_and_seed(data, tmp_path
     assert names(plan("liver-constant", drawings=tmp_path)) == ["liver-constant"]
 
 
-def test_every_scenario_and_every_real_recording_can_be_run_by_name():
-    named = {name for name, item in BENCHMARKS.items() if not item.perturbs}
-    assert set(SCENARIOS) | {"random-stack", "random-tissue"} | RECORDED == named
-    quick = {"panda-real", "panda-liver", "ur10e-payload", "liver-real", "bovine-real"}
-    assert quick == RECORDED
-
-
 def test_what_lacks_an_arm_or_its_recording_is_refused_with_the_reason(tmp_path):
     with pytest.raises(DataError, match="free-motion needs a plant, one of ideal, clean"):
         plan("free-motion", plants=["needle"])
@@ -209,17 +191,6 @@ def test_a_delay_is_found_whatever_the_offset(delay, offset):
     assert found == pytest.approx(delay, abs=1e-4)
 
 
-def test_a_filter_has_about_its_time_constant_as_lag_and_what_never_changes_none():
-    # On a ramp it is the time constant, on a step less: ruptures count for more than ramps.
-    decay = np.exp(-1e-3 / 0.1)
-    late = lfilter([1.0 - decay], [1.0, -decay], saw(T))
-    assert 0.06 < force_lag_s(T, late, saw(T)) < 0.1
-    for size in (0, 1, 300):
-        assert math.isnan(force_lag_s(T[:size], T[:size], T[:size]))
-    assert math.isnan(force_lag_s(T, saw(T), np.zeros(len(T))))
-    assert "wrench_lag_ms" not in measured(np.sin(T), np.zeros(len(T)))
-
-
 def test_a_constant_error_is_a_bias_and_coverage_counts_two_stated_deviations():
     found = measured(saw(T) + 0.05, saw(T))
     assert found["wrench_rmse_N"] == pytest.approx(0.05)
@@ -240,10 +211,3 @@ def test_only_the_judged_part_counts_and_without_any_nothing_is_a_number():
     found = {item.metric: item.value for item in wrench_metrics(reading(saw(T)), never)}
     assert "wrench_rmse_N" in found
     assert all(math.isnan(value) for value in found.values())
-
-
-def test_a_measurement_takes_its_unit_from_the_catalogue():
-    where = "gel-25-constant", "degraded", 4
-    assert Measurement("ft", "default", "wrench_lag_ms", 3.0).row(*where).unit == "ms"
-    with pytest.raises(UnknownMetricError, match="no metric"):
-        Measurement("ft", "default", "luck", 3.0).row(*where)

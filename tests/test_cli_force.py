@@ -1,18 +1,14 @@
 """`needleforce force`: the forces it writes are those that were put into the log."""
 
-from dataclasses import replace
-
 import numpy as np
 import pinocchio as pin
 import pytest
 from residual_command_log import AXIAL_N, CONTACT_S, SMALL_ARM, insertion, write_insertion
 
 from needleforce.cli import main
-from needleforce.cli.force import component_curves, panel_of
-from needleforce.plots import palette
 from needleforce.recordings import read_log, read_table, write_table
 from residual import SensorWarning
-from urdf import MissingPackageError, example_robot_path, load_urdf
+from urdf import load_urdf
 
 TARE = ["--tare", "0:2.5"]
 
@@ -41,8 +37,7 @@ def run(tmp_path, capsys):
     [
         [],
         ["--mode", "point"],
-        ["--mode", "full", "--alignment", "trapezoid"],
-        ["--gain", "30"],
+        ["--mode", "full", "--alignment", "trapezoid", "--gain", "30"],
         ["--external-torque"],
         ["--insertion-axis", "0", "0", "2"],
     ],
@@ -105,16 +100,12 @@ def test_a_tare_is_chosen_and_reported_when_none_was_given(log, run):
     assert "tare         none" in printed
 
 
-def test_a_tare_may_be_counted_from_the_first_stamp_or_end_with_the_log(run, lwr, tmp_path):
+def test_a_tare_may_be_counted_from_the_first_stamp(run, lwr, tmp_path):
     path = str(write_insertion(tmp_path / "late.npz", lwr, start_s=1000.0))
     relative, _ = run(path, "--tare", "+0:+2.5")
     absolute, _ = run(path, "--tare", ":1002.5")
     np.testing.assert_array_equal(relative["axial_N"], absolute["axial_N"])
     assert relative["axial_N"][-1] == pytest.approx(AXIAL_N, abs=0.15)
-    calm = str(write_insertion(tmp_path / "calm.npz", lwr, seconds=2.0, contact_s=9.0))
-    columns, printed = run(calm, "--tare", "+0.6:1.999")
-    assert columns["force_status"].max() == 2
-    assert "0.6 to 1.999 s" in printed
     late = str(write_insertion(tmp_path / "epoch.npz", lwr, start_s=1.7e9))
     assert "1700000000 to 1700000002.5 s" in run(late, "--tare", "+0:+2.5")[1]
 
@@ -206,7 +197,7 @@ def test_torque_without_gravity_or_negated_is_named_and_an_option_cures_it(
         np.testing.assert_allclose(found["axial_N"], expected["axial_N"], atol=0.02)
 
 
-def test_any_urdf_with_locked_joints_or_without_a_link_gives_forces(lwr, run, log, tmp_path):
+def test_any_urdf_with_locked_joints_or_without_a_link_gives_forces(lwr, run, tmp_path):
     urdf = tmp_path / "arm.urdf"
     urdf.write_text(SMALL_ARM)
     arm = load_urdf(urdf, tool_frame="tip", locked_joints={"gripper": 0.02})
@@ -220,7 +211,6 @@ def test_any_urdf_with_locked_joints_or_without_a_link_gives_forces(lwr, run, lo
     assert "arm, 2 joints" in printed
     assert "point force at tool" in printed
     # A known arm is loaded by its name.
-    assert "lwr4plus" in run(log, "--robot", "lwr", "--no-tare")[1]
     columns, path = insertion(lwr, seconds=0.6), tmp_path / "ur.npz"
     six = {name: columns[name][:, :6] for name in ("q_rad", "tau_Nm")}
     write_table(path, {"t_s": columns["t_s"]} | six)
@@ -239,63 +229,9 @@ def test_a_payload_that_the_model_lacks_reads_as_its_weight_downward(log, run, t
     assert "payload 0.068 kg" in printed_lacking
 
 
-FRICTION = """
-[sigmoid]
-amplitude_Nm = [0.54615, 0.87224, 0.64068, 1.2794, 0.83904, 0.30301, 0.56489]
-slope_s_rad = [5.1181, 9.0657, 10.136, 5.5903, 8.3469, 17.133, 10.336]
-shift_rad_s = [0.039533, 0.025882, -0.04607, 0.036194, 0.026226, -0.021047, 0.0035526]
-"""
-
-
-@pytest.fixture
-def panda(recordings_dir, tmp_path):
-    """A Franka Panda in free motion, recorded."""
-    log = recordings_dir / "panda_gaz2019" / "free_motion.npz"
-    if not log.is_file():
-        pytest.skip(f"no {log.name} of the Panda")
-    try:
-        urdf = str(example_robot_path("panda"))
-    except MissingPackageError as error:
-        pytest.skip(str(error))
-    (tmp_path / "friction.toml").write_text(FRICTION)
-    return str(log), urdf, ["--friction", str(tmp_path / "friction.toml")]
-
-
-def test_a_real_arm_in_free_motion_reads_no_more_force_than_its_model_is_off(panda, run, capsys):
-    log, urdf, friction = panda
-    tare = ["--tare", ":10", "--force-tare"]
-    named, printed = run(log, "--robot", "panda", *friction, *tare)
-    tared = named["force_status"] == 0
-    axial_N, std_N = named["axial_N"][tared], named["axial_std_N"][tared]
-    assert tared.sum() > 10_000
-    # The public model is wrong by up to 0.75 Nm rms per joint, a few N at the hand.
-    assert np.sqrt(np.mean(axial_N**2)) < 4.0
-    assert np.mean(np.abs(axial_N) < 2.0 * std_N) > 0.7
-    assert "panda, 7 joints, payload 0 kg" in printed
-    fingers = ["--lock", "panda_finger_joint1", "panda_finger_joint2"]
-    by_file = ["--urdf", urdf, "--tool-frame", "panda_hand_tcp", *fingers]
-    columns, _ = run(log, *by_file, *friction, *tare)
-    np.testing.assert_array_equal(columns["axial_N"], named["axial_N"])
-    # Fingers that are not in the log must be locked.
-    assert main(["force", log, *by_file[:4], *friction, "--no-tare"]) == 2
-    message = capsys.readouterr().err
-    assert "mimics" in message
-    assert "lock it with --lock" in message
-
-
-def curves_of(status, after_gap=(), untared_N=0.0):
-    """Curves of rows of a status, and their panel."""
-    k = np.arange(len(status), dtype=float)
-    rows = {"t_s": 0.01 * k, "status": np.array(status), "after_gap": np.isin(k, after_gap)}
-    axial_N = k + untared_N * (rows["status"] == 1)
-    axial = ("axial force", palette.OURS, axial_N, np.full(len(k), 0.5))
-    return component_curves(rows, rows["t_s"], axial), panel_of("N", rows, rows["t_s"], [axial])
-
-
 @pytest.mark.parametrize(
     ("options", "suffix"),
     [
-        (["--tare", "+0:+2.5"], "png"),
         (["--tare", "+0:+2.5", "--mode", "full"], "pdf"),
         (["--tare", "+0:+2.5", "--mode", "point", "--over", "depth", "--from", "1"], "svg"),
         (["--no-tare", "--from", "1", "--to", "1.5"], "png"),
@@ -328,22 +264,3 @@ def test_a_log_without_a_valid_row_still_has_figures_but_no_window(lwr, tmp_path
     assert "$\\frac{$" in (tmp_path / "page" / "index.html").read_text()
     assert main([*argv, "--from", "90"]) == 2
     assert "window from 90 to 0.099; the end must lie after" in capsys.readouterr().err
-
-
-def test_a_gap_leaves_a_hole_and_what_is_not_tared_is_grey_and_not_in_the_scale():
-    (untared, tared), _ = curves_of([1, 0, 3, 0, 0], after_gap=[4])
-    np.testing.assert_array_equal(tared.y, [np.nan, 1.0, 3.0, np.nan])
-    np.testing.assert_array_equal(tared.x, [0.0, 0.01, 0.03, 0.04])
-    assert untared.y[0] == 0.0
-    (untared, tared), _ = curves_of([1, 1, 0, 0])
-    assert (untared.label, untared.std) == ("not tared", None)
-    np.testing.assert_array_equal(np.isfinite(untared.y), [True, True, False, False])
-    assert tared.style is palette.OURS
-    assert tared.label == "axial force"
-    np.testing.assert_array_equal(np.isfinite(tared.y), [False, False, True, True])
-    (only,), _ = curves_of([1, 1])
-    assert only.label == "axial force, not tared"
-    assert only.style == replace(palette.UNTARED, color=palette.OURS.color)
-    low, high = curves_of([1, 1, 0, 0], untared_N=50.0)[1].limits
-    assert low < 0.0
-    assert 3.0 + 2 * 0.5 < high < 5.0

@@ -11,7 +11,6 @@ from groundtruth import insert_needle
 from identification import replay
 from needleforce import session
 from needleforce.cli import main
-from needleforce.cli.identify import IdentificationResult
 from needleforce.cli.simulate import signal_table
 from needleforce.recordings import write_table
 from needleforce.recordings.channels import FORCE_STATUS, WORTHLESS
@@ -21,9 +20,9 @@ from residual import SensorWarning, Status
 
 @pytest.fixture(scope="module")
 def needle():
-    """Columns of an insertion from the end of the free motion on."""
+    """Columns of an insertion from the end of the free motion until it has left the gel."""
     run = insert_needle("gel-50-constant", seed=1, rate_hz=250.0)
-    part = slice(int(np.searchsorted(run.t_s, run.tare_end_s)), None)
+    part = slice(*np.searchsorted(run.t_s, (run.tare_end_s, run.truth.rupture_s[0] + 5.0)))
     names = ("t_s", "depth_m", "force_N", "speed_m_s")
     return {name: getattr(run, name)[part] for name in names}
 
@@ -120,39 +119,6 @@ def test_marked_rows_are_left_out_and_counted_and_a_users_own_status_is_none(nee
     assert len(identify("--ignore-status", **marked)[1]) == 1
 
 
-def result(method="published-kv", **changes):
-    names = ("force_N", "depth_m", "predicted_force_N", "enhanced_force_N", "tip_force_N")
-    parameters = ("stiffness_N_per_m", "friction_Ns_per_m2", "cumulative_friction_Ns_per_m")
-    rows = {name: np.ones(50) for name in (*names, *parameters, "used")}
-    rows |= {name.replace("_N", "_std_N", 1): np.full(50, np.nan) for name in parameters}
-    rows |= {"t_s": np.linspace(0.0, 1.0, 50), "identified_layer": np.arange(50) == 49}
-    return IdentificationResult("log", method, (), (), rows | changes)
-
-
-def test_charts_have_units_and_clock_of_the_log_and_no_band_is_invented():
-    kv, ml = result().chart(), result("published").chart()
-    assert kv.panels[2].y_label == "friction B\n[Ns/m]"
-    assert ml.panels[2].y_label == "friction B\n[Ns/m²]"
-    assert all(curve.std is None for panel in kv.panels for curve in panel.curves)
-    assert (kv.x_limits, kv.x_label) == ((0.0, 1.0), "time of the log [s]")
-    # Seconds since 1970 are counted from the first sample.
-    chart = result(t_s=1.7e9 + np.linspace(0.0, 1.0, 50)).chart()
-    assert chart.x_limits == (0.0, 1.0)
-    assert chart.x_label == "time since the first sample [s]"
-    assert chart.instants[1].places == (1.0,)
-
-
-@pytest.mark.parametrize("over", ["time", "depth"])
-def test_nothing_is_drawn_before_the_first_row_that_was_used(over):
-    made = result(used=np.repeat([0.0, 1.0, 0.0], [10, 30, 10])).chart(over)
-    forces, *parameters = made.panels
-    for curve in (*forces.curves[1:], *(panel.curves[0] for panel in parameters)):
-        assert np.isnan(curve.y[:10]).all()
-        assert np.isfinite(curve.y[10:]).all()
-    assert np.isfinite(forces.curves[0].y).all()
-    assert forces.curves[0].x[-1] == (1.0 if over == "time" else 1000.0)
-
-
 @pytest.fixture(scope="module")
 def insertion(tmp_path_factory):
     """A simulated recording, its forces with a tare, and the layers in them, each with a page."""
@@ -202,4 +168,4 @@ def test_pages_open_on_a_phone(insertion):
         assert found["content"] <= PHONE[0]
         assert found["wide"] == []
         assert len(found["images"]) == page.read_text(encoding="utf-8").count("<figcaption>")
-        assert all(image["height"] > 150 for image in found["images"])
+        assert min(found["images"]) > 150

@@ -7,13 +7,11 @@ import subprocess
 import sys
 import tomllib
 from pathlib import Path
-from typing import Literal, get_args, get_origin, get_type_hints
 
 import numpy as np
 import pytest
 from residual_command_log import insertion
 
-from needleforce import cli
 from needleforce.cli import Output, app, main
 from needleforce.cli.log import RowOverview, check_outputs
 from needleforce.cli.terminal import (
@@ -21,6 +19,7 @@ from needleforce.cli.terminal import (
     INTERRUPTED,
     READER_GONE,
     CommandError,
+    progress_bar,
     run_command,
     say,
     stop_request,
@@ -28,14 +27,11 @@ from needleforce.cli.terminal import (
 )
 from needleforce.plots import FiguresError
 from needleforce.recordings import (
-    CHANNELS,
     FileAccessError,
-    check_writable,
     load_mapping,
     read_log,
     write_table,
 )
-from needleforce.recordings.output import open_table
 from needleforce.recordings.table import Labels
 
 
@@ -78,18 +74,6 @@ def test_what_was_not_foreseen_is_not_hidden_and_the_code_of_the_work_handed_on(
     printed = capsys.readouterr()
     assert printed.err == "two lines\ntable\n"
     assert printed.out == "result\n"
-
-
-def test_closed_standard_streams_are_done_without_and_a_table_needs_one(monkeypatch, capsys):
-    monkeypatch.setattr(sys, "stdout", None)
-    write_out("nobody reads this\n")
-    with pytest.raises(FileAccessError, match="standard output: it is closed"):
-        open_table("-").__enter__()
-    monkeypatch.setattr(sys, "stderr", None)
-    say("nobody hears this")
-    write_out("nor this\n", to_stderr=True)
-    monkeypatch.undo()
-    assert capsys.readouterr().err == ""
 
 
 def test_the_first_ctrl_c_asks_and_the_second_interrupts():
@@ -136,25 +120,6 @@ def test_the_packages_forward_to_their_command_and_shells_complete_its_options()
             assert word in script
 
 
-def test_options_name_every_channel_and_every_choice():
-    known = {name for name in CHANNELS if hasattr(cli.AllColumns, name)}
-    assert set(CHANNELS) - known == {"force_status", "force_warnings"}  # found, or in a mapping
-    from groundtruth import PLANT_MODELS
-    from needleforce.cli.identify import METHODS
-    from residual.momentum_observer import Alignment
-    from residual.wrench_estimator import Mode
-
-    def choices(kind, name):
-        hint = get_type_hints(kind)[name]
-        (literal,) = [part for part in (hint, *get_args(hint)) if get_origin(part) is Literal]
-        return set(get_args(literal))
-
-    assert choices(cli.SimulationOptions, "plant") == set(PLANT_MODELS)
-    assert choices(cli.IdentificationOptions, "method") == set(METHODS)
-    assert choices(cli.SensorOptions, "mode") == set(get_args(Mode))
-    assert choices(cli.SensorOptions, "alignment") == set(get_args(Alignment))
-
-
 COLUMNS = {"t_s": np.arange(3) / 1000.0, "force_N": np.ones(3)}
 
 
@@ -162,11 +127,14 @@ COLUMNS = {"t_s": np.arange(3) / 1000.0, "force_N": np.ones(3)}
 def folder(tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
     write_table("log.csv", COLUMNS)
-    write_table("bag.db3", COLUMNS)
-    (tmp_path / "link").symlink_to(tmp_path / "bag.db3")
+    (tmp_path / "bag").mkdir()
+    write_table("bag/bag.mcap", COLUMNS)
+    (tmp_path / "bag/metadata.yaml").touch()
+    (tmp_path / "link").symlink_to(tmp_path / "bag")
     (tmp_path / "log.png").symlink_to(tmp_path / "log.csv")
     (tmp_path / "hard.csv").hardlink_to(tmp_path / "log.csv")
     (tmp_path / "f.csv").touch()
+    (tmp_path / "t.csv").mkdir()
     (tmp_path / "f.png").symlink_to(tmp_path / "f.csv")
     return tmp_path
 
@@ -180,17 +148,16 @@ def check(source, **outputs):
 @pytest.mark.parametrize(
     ("source", "outputs", "message"),
     [
-        ("bag.db3", {"output": "bag.db3/x.db3"}, "the log"),
-        ("bag.db3/bag.db3", {"output": "bag.db3"}, "the log"),
-        ("link", {"output": "bag.db3/x.csv"}, "the log"),
-        ("bag.db3", {"figure": "bag.db3/x.png"}, "the log"),
-        ("bag.db3", {"report": "bag.db3/r"}, "the log"),
+        ("bag/bag.mcap", {"output": "bag/x.csv"}, "the log"),
+        ("link", {"output": "bag/x.csv"}, "the log"),
+        ("bag", {"report": "bag/r"}, "the log"),
         ("log.csv", {"figure": "log.png"}, "it is the log itself"),
         ("log.csv", {"output": "hard.csv"}, "it is the log itself"),
         ("log.csv", {"output": "f.csv", "figure": "f.png"}, "both write to"),
-        ("log.csv", {"output": "out.db3", "report": "out.db3"}, "both write to"),
         ("other.csv", {"figure": "picture.gif"}, "cannot write picture.gif"),
         ("other.csv", {"figure": "no/where.svg"}, "there is no folder no"),
+        ("log.csv", {"output": "t.csv"}, "it is a folder"),
+        ("log.csv", {"output": "bag.db3"}, "bags are written as MCAP; name it .mcap"),
     ],
     ids=str,
 )
@@ -198,58 +165,26 @@ def test_an_output_that_would_harm_something_is_refused(source, outputs, message
     pytest.importorskip("matplotlib")
     with pytest.raises((FileAccessError, CommandError, FiguresError), match=message):
         check(source, **outputs)
-    if set(outputs) == {"output"}:
-        with pytest.raises(FileAccessError, match=message):
-            check_writable(outputs["output"], source=source)
 
 
-def test_outputs_side_by_side_are_fine_and_only_a_bag_is_replaced_by_a_bag(folder):
-    for source, outputs in (
-        ("log.csv", {"output": "f.csv", "figure": "g.pdf", "report": "."}),
-        ("bag.db3", {"output": "f.db3", "figure": "g.png", "report": "report"}),
-        ("log.csv", {"output": "bag.db3"}),
-        ("-", {"output": "-", "figure": "g.svg"}),
-    ):
-        assert check(source, **outputs) is None
-    write_table("bag.db3", COLUMNS)
-    notes = folder / "bag.db3" / "notes.txt"
-    notes.write_text("dear")
-    (folder / "file.db3").write_text("dear")
-    (folder / "empty.db3").mkdir()
-    (folder / "t.csv").mkdir()
-    for name, message in (
-        ("bag.db3", "'notes.txt', which is no part of a bag"),
-        ("file.db3", "a file of this name"),
-        ("empty.db3", "it is no bag"),
-        ("t.csv", "it is a folder"),
-    ):
-        with pytest.raises(FileAccessError, match=message):
-            check("log.csv", output=name)
-    with pytest.raises(FileAccessError, match="no part of a bag"):
-        write_table("bag.db3", COLUMNS)
-    assert notes.read_text() == (folder / "file.db3").read_text() == "dear"
+@pytest.mark.usefixtures("folder")
+def test_outputs_side_by_side_are_fine():
+    assert check("log.csv", output="f.csv", figure="g.pdf", report=".") is None
+    assert check("bag", output="f.mcap", figure="g.png", report="report") is None
 
 
-@pytest.mark.parametrize("pieces", [1, 7, 90])
-def test_of_a_long_table_few_rows_stay_and_the_extremes_and_a_short_one_is_kept_whole(pieces):
+@pytest.mark.parametrize("pieces", [1, 90])
+def test_of_a_long_table_few_rows_stay_and_the_extremes(pieces):
     x = np.random.default_rng(0).normal(size=5_000)
     x[::7] = np.nan
-    overview = RowOverview(("x", "v"), most_rows=200)
+    overview = RowOverview(("x",), most_rows=200)
     for numbers in np.array_split(np.arange(len(x)), pieces):
-        values = x[numbers]
-        overview.add({"n": numbers, "x": values, "v": np.stack([values, -values], axis=1)})
+        overview.add({"n": numbers, "x": x[numbers]})
     kept = overview.columns()
     assert 50 < len(kept["n"]) <= 200
-    assert (np.diff(kept["n"]) > 0).all()
-    assert np.diff(kept["n"]).max() < 500
+    assert 0 < np.diff(kept["n"]).min() <= np.diff(kept["n"]).max() < 500
     np.testing.assert_array_equal(kept["x"], x[kept["n"]])
-    assert np.nanmin(kept["x"]) == np.nanmin(x)
-    assert np.nanmax(kept["x"]) == np.nanmax(x)
-    overview = RowOverview(("n",), most_rows=300)
-    assert overview.columns() == {}
-    for numbers in np.array_split(np.arange(300), pieces):
-        overview.add({"n": numbers})
-    np.testing.assert_array_equal(overview.columns()["n"], np.arange(300))
+    assert (np.nanmin(kept["x"]), np.nanmax(kept["x"])) == (np.nanmin(x), np.nanmax(x))
 
 
 @pytest.fixture
@@ -313,10 +248,46 @@ def test_the_payload_may_stand_in_the_mapping(run, lwr):
     for lines, options, summary, printed in (
         ("joints = []", [], "payload 0.304 kg", "needle_mass_kg = 0.068"),
         ('payload = "none"', [], "payload 0 kg", 'payload = "none"'),
-        ('payload = "none"', ["--payload", "needle"], "payload 0.304 kg", "[payload.needle]"),
         ("[payload]\nmass_kg = 1.5\ncom_m = [0, 0, 0.1]", [], "payload 1.5 kg", "mass_kg = 1.5"),
         ("[payload.needle]\nsensor_mass_kg = 0.0", [], "payload 0.068 kg", "sensor_mass_kg = 0.0"),
     ):
         argv = ["force", "log.npz", "--mapping", written(lines), *options]
         assert summary in run(*argv, "--no-tare").splitlines()[0]
         assert printed in run(*argv, "--print-config")
+
+
+# A long command shows on a terminal how far it is, on stderr, and nowhere else.
+
+
+ROWS = np.arange(20_000)
+LONG_COLUMNS = {"t_s": ROWS / 1000, "depth_m": 1e-6 * ROWS, "force_N": 1e-3 * ROWS**0.5}
+
+
+class Terminal(io.StringIO):
+    def isatty(self):
+        return True
+
+
+@pytest.mark.parametrize("is_terminal", [False, True])
+def test_a_bar_is_drawn_on_a_terminal_only(monkeypatch, is_terminal):
+    stream = Terminal() if is_terminal else io.StringIO()
+    monkeypatch.setattr("sys.stderr", stream)
+    monkeypatch.setenv("TERM", "xterm")
+    with progress_bar("log.csv") as progress:
+        progress(0.5)
+    with progress_bar("other.csv", is_wanted=False) as progress:
+        progress(0.5)
+    assert ("log.csv" in stream.getvalue(), "50%" in stream.getvalue()) == (is_terminal,) * 2
+    assert "other.csv" not in stream.getvalue()
+
+
+def test_a_command_draws_it_and_prints_what_it_prints_without(tmp_path, monkeypatch, capsys):
+    path = tmp_path / "log.csv"
+    write_table(path, LONG_COLUMNS)
+    assert main(["identify", str(path)]) == 0
+    plain, stream = capsys.readouterr().out, Terminal()
+    monkeypatch.setattr("sys.stderr", stream)
+    monkeypatch.setenv("TERM", "xterm")
+    assert main(["identify", str(path)]) == 0
+    assert capsys.readouterr().out == plain
+    assert "log.csv" in stream.getvalue()

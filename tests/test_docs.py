@@ -1,20 +1,27 @@
 """README and docs say what there is: examples run, commands exist, links lead somewhere."""
 
 import gc
+import inspect
 import io
 import re
 import runpy
 from contextlib import redirect_stdout
+from importlib import import_module
 from pathlib import Path
+from types import ModuleType
 
+import numpy as np
+import pinocchio as pin
 import pytest
 
+import urdf
 from needleforce import InsertionSession
 from needleforce.snapshot import SNAPSHOT_FORMAT, SNAPSHOT_VERSION
-from residual import SensorWarning, Status
+from residual import SensorWarning, Status, TareError
 from residual.config import DEFAULT
 from residual.estimate import UNSEEN_STD
 from residual.velocity_estimator import VelocityEstimator
+from urdf import MissingPackageError, example_robot_path
 
 ROOT = Path(__file__).parents[1]
 SAYS = {
@@ -22,6 +29,8 @@ SAYS = {
         r"(?s).*layer 1 ruptured at 3\d.\d mm.*at most \d\.\d\d N.*; 0 samples rejected"
     ),
     "own_torque_estimate": r"at most 0\.\d\d N; the gel is 2[789]\.\d mm thick",
+    "remote_centre": r"entry held within 0\.0\d\d mm; tip back within 0\.\d\d mm",
+    "teleoperation": r"2\d\.\d mm deep, 0\.\d\d N shown\nleast energy .*: -?0\.0\d\d mJ",
     "stop_and_resume": r"both read -?\d\.\d{6} N in the end",
 }
 """What the files in examples/ print."""
@@ -128,3 +137,113 @@ def test_every_call_the_loop_lists_exists():
 def test_the_format_of_snapshots_is_the_one_written():
     assert f'"format": "{SNAPSHOT_FORMAT}", "version": {SNAPSHOT_VERSION}' in LOOP
     assert f"{UNSEEN_STD:.0e}".replace("+0", "") in LOOP
+
+
+# docs/panda.md runs as it stands, and what it measures is what it hung there.
+
+
+PANDA = (ROOT / "docs" / "panda.md").read_text(encoding="utf-8")
+
+
+@pytest.fixture(scope="module")
+def names():
+    """What the page's blocks leave behind, run one after another."""
+    try:
+        example_robot_path("panda")
+    except MissingPackageError as error:
+        pytest.skip(str(error))
+    names = {}
+    for code in re.findall(r"^```python\n(.*?)^```$", PANDA, re.DOTALL | re.MULTILINE):
+        exec(compile(code, "panda.md", "exec"), names)
+    return names
+
+
+def test_the_arms_are_what_the_page_says(names):
+    arm, bent = names["arm"], names["bent"]
+    assert (arm.flange_frame, arm.tool_frame) == ("panda_link8", "needle_tip")
+    bare = urdf.load_example("panda", without=["panda_hand"])
+    added = pin.computeTotalMass(arm.model) - pin.computeTotalMass(bare.model)
+    assert added == pytest.approx(0.040)
+    flange = bent.model.frames[bent.frame_id("panda_link8")].placement
+    tip = flange.actInv(bent.model.frames[bent.tool_frame_id].placement)
+    assert tip.translation == pytest.approx([0.150, 0, 0.05])
+    assert tip.rotation @ [0, 0, 1] == pytest.approx([1, 0, 0])
+    data = arm.create_data()
+    pin.framesForwardKinematics(arm.model, data, names["READY"])
+    assert data.oMf[arm.tool_frame_id].rotation[2, 2] == pytest.approx(-1.0, abs=0.01)
+
+
+def test_torque_at_rest_is_gravity(names):
+    assert names["tau"] == pytest.approx(names["gravity"](names["arm"], names["q"]), abs=0.2)
+
+
+@pytest.mark.parametrize(
+    ("force", "weight_N", "tolerance_N"),
+    [("force", 1.961, 0.1), ("force_compensated", 1.961, 0.1), ("force_ur", 19.61, 1.0)],
+)
+def test_a_hung_weight_reads_as_its_weight(names, force, weight_N, tolerance_N):
+    assert names[force] == pytest.approx(np.array([0.0, 0.0, -weight_N]), abs=tolerance_N)
+
+
+def test_a_stream_without_gravity_needs_the_option(names):
+    with pytest.raises(TareError, match="set torque_is_gravity_compensated=True"):
+        names["weigh"](names["arm"], names["compensated"], names["three"])
+
+
+def test_names_and_links_of_the_page_exist(names):
+    for name in re.findall(r"names: ([\w, ]+) \|", PANDA)[0].split(", "):
+        assert urdf.load_example(name).nv >= 6
+    assert callable(urdf.identify_payload_static)
+
+
+# docs/notation.md names what exists.
+
+
+NOTATION = (ROOT / "docs" / "notation.md").read_text(encoding="utf-8")
+PACKAGES = ("urdf", "residual", "identification", "groundtruth")
+NAMES = sorted(set(re.findall(rf"`((?:{'|'.join(PACKAGES)})\.[\w.]+(?:\(\w+\))?)`", NOTATION)))
+COLUMNS = ["symbol", "name in the code", "unit", "shape", "equation"]
+
+
+def tables():
+    """Header and rows of every table with a column of code names."""
+    for block in re.findall(r"(?:^\|.*\n)+", NOTATION, re.MULTILINE):
+        header, _, *rows = [
+            [cell.strip() for cell in line.split("|")[1:-1]] for line in block.splitlines()
+        ]
+        if "name in the code" in header:
+            yield header, rows
+
+
+def resolve(path):
+    """The object at a dotted path: modules first, then attributes."""
+    parts = path.split(".")
+    found = import_module(parts[0])
+    for depth, part in enumerate(parts[1:], 2):
+        if not hasattr(found, part) and isinstance(found, ModuleType):
+            import_module(".".join(parts[:depth]))
+        found = getattr(found, part)
+    return found
+
+
+@pytest.mark.parametrize("name", NAMES)
+def test_every_name_exists(name):
+    path, _, argument = name.partition("(")
+    found = resolve(path)
+    assert found is not None
+    if argument:
+        assert argument.rstrip(")") in inspect.signature(found).parameters
+
+
+def test_every_row_fills_its_columns_and_every_equation_of_the_paper_has_one():
+    found = list(tables())
+    assert len(found) == 7
+    for header, rows in found:
+        assert header == COLUMNS
+        for row in rows:
+            assert len(row) == len(COLUMNS), row
+            assert set(re.findall(r"`([^`]*)`", row[1])) <= set(NAMES), row
+            assert row[0]
+            assert row[1].startswith("`")
+    equations = " ".join(row[-1] for _, rows in found for row in rows)
+    assert [number for number in range(2, 14) if f"({number})" not in equations] == []

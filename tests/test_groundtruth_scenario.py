@@ -1,13 +1,12 @@
 """Motions, the catalogue and the random stacks: the paper's values, and needle-only runs."""
 
-import time
-from dataclasses import fields, replace
+from dataclasses import replace
 from itertools import pairwise, product
 
 import numpy as np
 import pytest
 
-from groundtruth import SCENARIOS, ForceNoise, insert_needle, random_stack, scenario
+from groundtruth import SCENARIOS, insert_needle, random_stack, scenario
 from groundtruth.errors import MotionError, NoiseError, RunError, ScenarioError
 from groundtruth.force_noise import CLEAN, MINI45
 from groundtruth.materials import TABLE_I_SPEED_M_S
@@ -20,7 +19,6 @@ from groundtruth.motion import (
     sinusoidal_motion,
 )
 from groundtruth.scenarios import named_scenario
-from groundtruth.tissue import MultilayerTissue, Tissue
 
 CONSTANT = constant_motion(speed_m_s=2.3e-3, depth_m=45e-3, standoff_m=5e-3)
 SINE = sinusoidal_motion(stroke_m=70e-3, frequency_hz=0.016, standoff_m=20e-3)
@@ -56,18 +54,6 @@ def test_the_needle_is_in_air_for_the_tare_and_withdrawal_mirrors_the_insertion(
     assert outward == pytest.approx(inward, abs=1e-12)
 
 
-def test_constant_insertion_holds_its_speed_from_before_contact_to_after_the_target():
-    t = np.linspace(CONSTANT.tare_end_s, CONSTANT.insertion_end_s, 20_000)
-    z, v = CONSTANT.position_m(t), CONSTANT.speed_m_s(t)
-    assert v[(z > -3e-3) & (z < 43e-3)] == pytest.approx(2.3e-3, rel=1e-9)
-    assert v.max() == pytest.approx(2.3e-3)
-    assert CONSTANT.deepest_m == pytest.approx(45e-3)
-    assert CONSTANT.start_m == CONSTANT.position_m(0.0)
-    assert z[::999] == pytest.approx([CONSTANT.position_m(float(x)) for x in t[::999]])
-    assert isinstance(CONSTANT.position_m(3.0), float)
-    assert isinstance(CONSTANT.speed_m_s(3.0), float)
-
-
 def test_sinusoidal_insertion_is_the_papers_and_free_motion_stays_above_the_surface():
     s = np.linspace(0.0, 0.5 / 0.016, 500)
     expected = 0.035 * (1.0 - np.cos(2.0 * np.pi * 0.016 * s)) - 20e-3
@@ -85,9 +71,6 @@ GOOD = {
 }
 
 
-REST = {"profile": "rest", "start_s": 0.0, "duration_s": 1.0, "start_m": 0.0, "travel_m": 0.0}
-
-
 def test_motions_and_strokes_that_cannot_be_carried_out_are_refused():
     with pytest.raises(MotionError, match="too short"):
         constant_motion(speed_m_s=0.1, depth_m=0.01, standoff_m=0.01)
@@ -95,19 +78,15 @@ def test_motions_and_strokes_that_cannot_be_carried_out_are_refused():
         sinusoidal_motion(stroke_m=0.02, frequency_hz=0.016, standoff_m=0.02)
     with pytest.raises(MotionError, match="not finite"):
         CONSTANT.position_m(float("nan"))
-    for field, value in (("duration_s", 0.0), ("ramp_fraction", 0.6)):
-        with pytest.raises(MotionError, match=field):
-            Stroke(**{**REST, field: value})
     for make, good in GOOD.items():
-        for field, value in product(good, (0.0, -1e-3, float("nan"))):
+        for field, value in product(good, (0.0, float("nan"))):
             with pytest.raises(MotionError, match=field):
                 make(**{**good, field: value})
     names = ("tare_end_s", "insertion_end_s", "withdrawal_start_s", "withdrawal_end_s")
-    instants = dict.fromkeys(names, 1.0)
+    rest = {"profile": "rest", "duration_s": 1.0, "start_m": 0.0, "travel_m": 0.0}
+    strokes = tuple(Stroke(**rest, start_s=start_s) for start_s in (0.0, 2.0))
     with pytest.raises(MotionError, match="follow each other"):
-        Motion(strokes=(Stroke(**REST), Stroke(**{**REST, "start_s": 2.0})), **instants)
-    with pytest.raises(MotionError, match="at least one"):
-        Motion(strokes=(), **instants)
+        Motion(strokes=strokes, **dict.fromkeys(names, 1.0))
 
 
 # The catalogue.
@@ -125,21 +104,15 @@ def runs():
     return {name: insert_needle(name, rate_hz=500.0) for name in SCENARIOS}
 
 
-def test_names_are_permanent_and_choose_motion_seed_and_law():
+def test_names_are_permanent_and_choose_motion_and_seed():
     assert set(SCENARIOS) == {*RUPTURES, "free-motion"}
     assert all(scenario(name).id == name for name in SCENARIOS)
-    with pytest.raises(TypeError):
-        SCENARIOS["mine"] = scenario("free-motion")
     assert named_scenario("random-stack", 7) == DRAWN[7] != DRAWN[8]
     gel = scenario("gel-25-constant")
     assert named_scenario("gel-25-constant", 7) is gel
     for ask in (scenario, lambda name: named_scenario(name, 0)):
         with pytest.raises(ScenarioError, match=r"no scenario 'gel-80'; known: .*random-stack"):
             ask("gel-80")
-    assert isinstance(gel.new_tissue(), Tissue)
-    assert isinstance(replace(gel, law="multilayer").new_tissue(), MultilayerTissue)
-    with pytest.raises(ScenarioError, match="multilayer"):
-        replace(gel, law="springs")
     # The needle goes at least a centimetre beyond and is long enough.
     for case in (*(scenario(name) for name in RUPTURES), *DRAWN):
         assert case.motion.deepest_m - case.thickness_m >= 10e-3
@@ -153,9 +126,6 @@ def test_speeds_peaks_ruptures_and_friction_are_the_papers(runs):
         speed_m_s = 3e-3 if "glove" in name else 2.3e-3
         assert run.speed_m_s[inside] == pytest.approx(speed_m_s, rel=1e-9)
     # About 15 s into the constant and 20 s into the sinusoidal insertion (Figs. 2, 8, 9).
-    peaks = [runs[f"gel-{percent}-constant"].truth.axial_N.max() for percent in (25, 50, 70)]
-    assert peaks[0] < peaks[1] < peaks[2]
-    assert 2.5 < peaks[2] < 3.0
     for name, expected_s in (("gel-70-constant", 15.0), ("gel-70-sinusoidal", 20.0)):
         rupture_s = runs[name].truth.rupture_s[0] - runs[name].tare_end_s
         assert rupture_s == pytest.approx(expected_s, abs=2.0)
@@ -192,37 +162,21 @@ def test_free_motion_meets_nothing_and_reads_noise_as_large_as_stated(runs):
     assert steps == pytest.approx(np.round(steps), abs=1e-9)
 
 
-def test_runs_are_quick_and_equal_for_equal_seeds_and_other_seeds_change_the_noise_only():
-    begin = time.perf_counter()
+def test_runs_are_equal_for_equal_seeds_and_other_seeds_change_the_noise_only():
     first, again, other = (insert_needle("gel-25-constant", seed=s) for s in (3, 3, 4))
-    assert time.perf_counter() - begin < 0.3 * first.t_s[-1], "seconds for minutes"
     assert (first.force_N == again.force_N).all()
     assert (first.force_N != other.force_N).any()
     assert (first.truth.axial_N == other.truth.axial_N).all()
-    for noise in ("clean", CLEAN):
-        run = insert_needle("gel-25-constant", noise=noise)
-        assert (run.force_N == run.truth.axial_N).all()
-    for part in (run, run.truth):
-        values = [getattr(part, item.name) for item in fields(part)]
-        arrays = [value for value in values if isinstance(value, np.ndarray)]
-        assert arrays
-        assert not any(array.flags.writeable for array in arrays)
+    run = insert_needle("gel-25-constant", noise=CLEAN)
+    assert (run.force_N == run.truth.axial_N).all()
+    assert not run.force_N.flags.writeable
+    assert not run.truth.axial_N.flags.writeable
 
 
-def test_drift_is_counted_from_where_the_sensor_was_zeroed():
-    drift = ForceNoise(white_std_N=0.0, drift_std_N_per_s=1.0, step_N=0.0)
-    t = np.linspace(0.0, 10.0, 11)
-    reading = drift.reading_N(np.zeros(11), t, 4.0, np.random.default_rng(0))
-    assert reading[4] == 0.0
-    assert reading == pytest.approx(reading[5] * (t - 4.0))
-
-
-@pytest.mark.parametrize("name", ["stack-glove-constant", "liver-constant", "abdomen-sinusoidal"])
-def test_substeps_and_rate_change_the_sampling_not_the_force(name):
-    coarse = insert_needle(name, noise="clean")
-    split = insert_needle(name, substeps=4, noise="clean")
-    assert split.truth.axial_N == pytest.approx(coarse.truth.axial_N, abs=2e-4)
-    rare = insert_needle(name, rate_hz=250.0, noise="clean")
+@pytest.mark.parametrize("name", ["liver-constant", "abdomen-sinusoidal"])
+def test_the_rate_changes_the_sampling_not_the_force(name):
+    coarse = insert_needle(name, noise=CLEAN)
+    rare = insert_needle(name, rate_hz=250.0, noise=CLEAN)
     assert rare.t_s == pytest.approx(coarse.t_s[::4][: rare.t_s.size])
     assert rare.truth.axial_N == pytest.approx(coarse.truth.axial_N[::4][: rare.t_s.size], abs=1e-3)
 
@@ -246,13 +200,9 @@ def test_tissue_acts_inside_only_and_its_tip_never_pulls_nor_its_friction_drives
 
 
 def test_unusable_settings_are_refused_by_name():
-    unusable = {"rate_hz": (0.0, -1.0, float("nan"), float("inf")), "substeps": (0, -2, 1.5)}
-    for name, values in unusable.items():
-        for value in values:
-            with pytest.raises(RunError, match=name):
-                insert_needle("gel-25-constant", **{name: value})
-    with pytest.raises(NoiseError, match="known: clean, mini45"):
-        insert_needle("gel-25-constant", noise="loud")
+    for value in (0.0, -1.0, float("nan"), float("inf")):
+        with pytest.raises(RunError, match="rate_hz"):
+            insert_needle("gel-25-constant", rate_hz=value)
     with pytest.raises(NoiseError, match="white_std_N"):
         replace(CLEAN, white_std_N=-1.0)
 

@@ -1,7 +1,6 @@
 """Layers and membranes, and the laws of tissue: ruptures, withdrawal, rest, equation (3)."""
 
 from dataclasses import replace
-from itertools import pairwise
 
 import numpy as np
 import pytest
@@ -9,15 +8,12 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from groundtruth.errors import TissueError
-from groundtruth.layers import CUTTING_ONSET_M, Membrane, ShaftFriction, interfaces
+from groundtruth.layers import CUTTING_ONSET_M, Membrane, ShaftFriction
 from groundtruth.materials import BOVINE_CAPSULE, GEL_TIP_FORCE_N, GLOVE, bovine_liver, gel
 from groundtruth.tissue import (
-    RELAXATION_S,
     UNLOADING_M,
-    MultilayerTissue,
     Tissue,
     bristle_step,
-    relaxation_step,
 )
 
 SPEED = 2.3e-3
@@ -43,20 +39,7 @@ def test_tip_force_rises_to_the_exit_force_and_cutting_within_a_needle_diameter(
         assert (np.diff(force) > 0.0).all()
     cutting = replace(gel(50), cutting_fraction=1.0)
     assert cutting.tip_force_N(0.5 * CUTTING_ONSET_M) == pytest.approx(0.75 * cutting.exit_force_N)
-    for penetration in (CUTTING_ONSET_M, 0.01, 0.03):
-        assert cutting.tip_force_N(penetration) == pytest.approx(cutting.exit_force_N)
-    for percent in (25, 50, 70):  # Fig. 8: about half of the peak is gone once the tip is through
-        layer = gel(percent)
-        peak = layer.exit_force_N + layer.friction.sliding_N_per_m(2.3e-3) * layer.thickness_m
-        assert 0.4 < layer.exit_force_N / peak < 0.6
-
-
-@given(hardening=fractions, u=fractions)
-def test_membrane_stiffens_up_to_its_puncture_force(hardening, u):
-    membrane = replace(MEMBRANE, hardening=hardening)
-    assert membrane.force_N(4e-3) == pytest.approx(1.2)
-    assert membrane.force_N(-1e-3) == 0.0
-    assert 0.0 <= membrane.force_N(u * 4e-3) <= 1.2 * u + 1e-12
+    assert cutting.tip_force_N(0.01) == pytest.approx(cutting.exit_force_N)
 
 
 @given(force=st.floats(0.1, 100.0), speed=st.floats(1e-4, 0.1), fraction=fractions)
@@ -86,24 +69,6 @@ def test_what_no_tissue_has_is_refused_by_name():
         replace(bovine_liver(), thickness_m=12e-3)
     with pytest.raises(TissueError, match="25, 50 and 70"):
         gel(60)
-    good = {"force_N_per_m": 10.0, "presliding_m": 1e-4}
-    with pytest.raises(TissueError, match="coulomb_fraction"):
-        ShaftFriction.calibrated(**good, reference_speed_m_s=1e-3, coulomb_fraction=1.2)
-    with pytest.raises(TissueError, match="reference_speed_m_s"):
-        ShaftFriction.calibrated(**good, reference_speed_m_s=0.0, coulomb_fraction=0.5)
-
-
-def test_boundaries_release_fast_at_first_and_are_all_listed():
-    boundary = interfaces((gel(50),))[1]
-    released = [boundary.released(boundary.onset_m + x) for x in np.linspace(-1e-4, 4e-4, 101)]
-    assert (released[0], released[-1]) == (0.0, 1.0)
-    assert (np.diff(released) >= 0.0).all()
-    assert boundary.released(boundary.onset_m + boundary.release_m / 2) == pytest.approx(0.75)
-    found = interfaces((gel(25), gel(50, membrane=GLOVE)))
-    assert [b.drop_N for b in found] == pytest.approx([0.0, 0.30 + GLOVE.puncture_N, 0.75])
-    assert found[1].onset_m == pytest.approx(gel(25).thickness_m + GLOVE.indentation_m)
-    assert found[1].release_m == GLOVE.release_m
-    assert interfaces(()) == ()
 
 
 def advance(law, start_m, end_m, speed_m_s=SPEED):
@@ -128,25 +93,6 @@ def test_bristle_stays_in_its_range_follows_the_travel_and_half_steps_agree(
     once = bristle_step(bristle, travel, 1e-3, length, 0.0)
     half = bristle_step(bristle, travel / 2, 5e-4, length, 0.0)
     assert bristle_step(half, travel / 2, 5e-4, length, 0.0) == pytest.approx(once, abs=1e-9)
-
-
-def test_bristle_after_a_rest_and_a_reversal():
-    for before, travel, dt, fraction, after in (
-        (1.0, 0.0, 100.0 * RELAXATION_S, 0.4, 0.6),  # a long rest leaves the held fraction
-        (-1.0, 0.0, 100.0 * RELAXATION_S, 0.4, -0.6),
-        (0.3, 0.0, 100.0, 0.4, 0.3),  # no travel and no relaxation leave it all
-        (0.8, 0.0, 100.0, 0.0, 0.8),
-        (1.0, -2e-4, 1e-9, 0.0, 1.0 - 2.0 * (1.0 - np.exp(-1.0))),  # 63 % of a reversal
-    ):
-        assert bristle_step(before, travel, dt, 2e-4, fraction) == pytest.approx(after, abs=1e-9)
-
-
-@given(relaxed=fractions, speed=travels, dt=times)
-def test_relaxation_stays_a_fraction_and_half_steps_agree(relaxed, speed, dt):
-    once = relaxation_step(relaxed, speed, dt)
-    twice = relaxation_step(relaxation_step(relaxed, speed, dt / 2), speed, dt / 2)
-    assert 0.0 <= once <= 1.0
-    assert twice == pytest.approx(once, abs=1e-9)
 
 
 @EVERY_GEL
@@ -175,7 +121,7 @@ def test_tip_force_ends_within_the_release_and_withdrawal_is_friction_on_the_len
     assert (axial[depth < 0.0] == 0.0).all()
 
 
-def test_reinsertion_meets_friction_only_until_the_deepest_point_and_cycles_dissipate():
+def test_reinsertion_meets_friction_only_until_the_deepest_point():
     law = Tissue((gel(70),))
     advance(law, -1e-3, 20e-3)
     advance(law, 20e-3, 5e-3)
@@ -184,15 +130,6 @@ def test_reinsertion_meets_friction_only_until_the_deepest_point_and_cycles_diss
     assert (tip[depth < 20e-3 - UNLOADING_M - 1e-5] == 0.0).all()
     assert tip[depth > 20e-3 + 1e-5].min() > 0.5
     assert (np.abs(np.diff(tip)) < 0.02).all()
-    # A closed cycle inside tissue dissipates.
-    law = Tissue((gel(70),))
-    advance(law, -1e-3, 30e-3)
-    work = 0.0
-    for turn, (start, end) in enumerate(pairwise([30e-3, 29.7e-3] * 3 + [30e-3])):
-        depth, forces = advance(law, start, end)
-        if turn >= 2:
-            work += (depth[1] - depth[0]) * sum(force.friction_N for force in forces)
-    assert work > 0.0
 
 
 def test_rest_relaxes_the_force_as_the_recordings_show_and_travel_restores_it():
@@ -205,16 +142,6 @@ def test_rest_relaxes_the_force_as_the_recordings_show_and_travel_restores_it():
     assert (np.diff(tips(resting)) <= 0.0).all()
     _, after = advance(law, 25e-3, 26.5e-3)
     assert after[-1].tip_N == pytest.approx(layer.tip_force_N(26.5e-3 - layer.entry_m), rel=0.02)
-    # De Jong 2017: at 85 mm the force falls to 0.37 (0.25-0.5) of itself within a minute.
-    thick = replace(
-        bovine_liver(), thickness_m=0.2, exit_force_N=0.01, stiffening=0.0, membrane=None
-    )
-    law = Tissue((thick,))
-    _, moving = advance(law, 0.0, 85e-3, speed_m_s=5e-3)
-    held = [law.step(85e-3, 0.0, 1e-3) for _ in range(60_000)][-1]
-    assert 0.85 < moving[-1].axial_N < 0.95
-    assert 0.25 < held.axial_N / moving[-1].axial_N < 0.5
-    assert held.axial_N > 0.3
 
 
 def test_membrane_holds_back_the_layer_and_the_shaft_then_enters_it_gradually():
@@ -231,25 +158,10 @@ def test_membrane_holds_back_the_layer_and_the_shaft_then_enters_it_gradually():
     assert friction[-1] == pytest.approx(slope * depth[-1], rel=0.03)
 
 
-def test_intact_membrane_springs_back_and_an_inner_one_releases_both_forces_at_once():
-    law = Tissue((bovine_liver(),))
-    (_, pushed), (_, back) = advance(law, -1e-3, 8e-3), advance(law, 8e-3, 4e-3)
-    assert pushed[-1].tip_N > back[-1].tip_N > 0.0
-    assert back[-1].tip_N == pytest.approx(BOVINE_CAPSULE.force_N(4e-3), rel=0.02)
-    glove = Membrane(puncture_N=1.0, indentation_m=3e-3, hardening=0.5, release_m=5e-4)
-    law = Tissue((gel(25), gel(50, membrane=glove)))
-    boundary = law.interfaces[1]
-    assert boundary.drop_N == pytest.approx(gel(25).exit_force_N + 1.0)
-    depth, forces = advance(law, -1e-3, boundary.onset_m + 2e-3)
-    assert tips(forces).max() == pytest.approx(boundary.drop_N, rel=0.01)
-    assert depth[tips(forces).argmax()] == pytest.approx(boundary.onset_m, abs=1e-5)
-
-
-@pytest.mark.parametrize("law", [Tissue, MultilayerTissue])
-def test_air_gives_no_force_and_an_unusable_sample_is_refused_and_leaves_the_state(law):
-    assert law(()).step(0.01, 1e-3, 1e-3).axial_N == 0.0
-    assert law(()).interfaces == ()
-    tissue, twin = law((gel(25),)), law((gel(25),))
+def test_air_gives_no_force_and_an_unusable_sample_is_refused_and_leaves_the_state():
+    assert Tissue(()).step(0.01, 1e-3, 1e-3).axial_N == 0.0
+    assert Tissue(()).interfaces == ()
+    tissue, twin = Tissue((gel(25),)), Tissue((gel(25),))
     advance(tissue, -1e-3, 5e-3), advance(twin, -1e-3, 5e-3)
     nan, inf = float("nan"), float("inf")
     bad = [(nan, 0.0, 1e-3), (0.0, inf, 1e-3), (0.0, 0.0, 0.0), (0.0, 0.0, -1e-3), (0.0, 0.0, nan)]
@@ -257,35 +169,3 @@ def test_air_gives_no_force_and_an_unusable_sample_is_refused_and_leaves_the_sta
         with pytest.raises(TissueError, match=r"finite numbers .* state is unchanged"):
             tissue.step(*sample)
     assert tissue.step(6e-3, SPEED, 1e-3) == twin.step(6e-3, SPEED, 1e-3)
-
-
-def equation_3(z, v):
-    """f = K_i Δz_i + B_i Δz_i v + B̄_d v on first insertion, written from the paper."""
-    if z <= 0.0:
-        return 0.0
-    cumulative = 0.0
-    for i, layer in enumerate(GELS):
-        dz, b = z - TOPS[i], layer.friction.equivalent_viscous_Ns_per_m2
-        if dz < layer.thickness_m:
-            return layer.stiffness_N_per_m * dz + b * dz * v + cumulative * v
-        cumulative += b * layer.thickness_m
-    return cumulative * v
-
-
-def test_first_insertion_is_equation_3_with_table_i_and_withdrawal_friction_alone():
-    rng = np.random.default_rng(0)
-    for depth_m, speed_m_s in rng.uniform((-0.02, -0.01), (0.12, 0.01), (200, 2)).tolist():
-        force = MultilayerTissue(GELS).step(depth_m, speed_m_s, 1e-3)
-        assert force.axial_N == pytest.approx(equation_3(depth_m, speed_m_s), abs=1e-12)
-    law = MultilayerTissue(GELS)
-    force = law.step(0.105, 1.0, 1e-3)
-    assert force.layer_friction_N == pytest.approx([113.0, 283.0, 534.0])
-    assert (force.layer, force.tip_N) == (4, 0.0)
-    back = [law.step(float(z), -2e-3, 1e-3) for z in np.linspace(0.1, 0.001, 50)]
-    assert all(force.tip_N == 0.0 and force.axial_N < 0.0 for force in back)
-    assert MultilayerTissue(GELS).step(0.01, 2e-3, 1e-3).tip_N > 0.0
-    boundaries = law.interfaces  # they rupture at once where they lie
-    assert [b.onset_m for b in boundaries] == pytest.approx(TOPS)
-    assert all(b.release_m == 0.0 for b in boundaries)
-    assert boundaries[0].drop_N == 0.0
-    assert boundaries[3].drop_N == pytest.approx(gel(70).exit_force_N)

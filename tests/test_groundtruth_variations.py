@@ -1,54 +1,21 @@
 """Tissues outside the catalogue's law: each says what it changes and changes nothing else."""
 
-from dataclasses import fields, is_dataclass, replace
-
 import numpy as np
 import pytest
 
 from groundtruth import SCENARIOS, insert_needle, random_stack
 from groundtruth.errors import ScenarioError, TissueError
 from groundtruth.layers import KEPT_FADE_M, Texture
-from groundtruth.materials import GLOVE, bovine_liver, gel
+from groundtruth.materials import gel
 from groundtruth.scenarios import named_scenario, random_tissue
 from groundtruth.tissue import Tissue
-from groundtruth.variations import VARIATIONS, TissueVariation
+from groundtruth.variations import TissueVariation
 
-LAYERS = (gel(70), gel(25, membrane=GLOVE), bovine_liver())
 SPEED = 2.3e-3
-CHANGES = {
-    "texture-15mN": {"texture"},
-    "texture-20mN": {"texture"},
-    "release-1mm": {"release_m", "membrane.release_m"},
-    "release-2mm": {"release_m", "membrane.release_m"},
-    "concave": {"tip_exponent"},
-    "quadratic": {"tip_exponent"},
-    "plateau": {"cutting_fraction"},
-    "kept-30": {"kept_fraction"},
-    "kept-60": {"kept_fraction"},
-    "length-0.6": {"friction.length_exponent"},
-    "speed-0.3": {
-        "friction.speed_exponent",
-        "friction.coulomb_N_per_m",
-        "friction.viscous_Ns_per_m2",
-    },
-    "friction-20": {"exit_force_N", "friction.coulomb_N_per_m", "friction.viscous_Ns_per_m2"},
-    "friction-75": {"exit_force_N", "friction.coulomb_N_per_m", "friction.viscous_Ns_per_m2"},
-}
 
 
 def varied(layer, **change):
     return TissueVariation(**change).layer(layer, np.random.default_rng(0))
-
-
-def differences(one, other, prefix=""):
-    found = set()
-    for item in fields(one):
-        mine, theirs = getattr(one, item.name), getattr(other, item.name)
-        if is_dataclass(mine) and is_dataclass(theirs):
-            found |= differences(mine, theirs, f"{prefix}{item.name}.")
-        elif mine != theirs:
-            found.add(prefix + item.name)
-    return found
 
 
 def pushed_through(layers, end_m, speed_m_s=SPEED):
@@ -57,18 +24,8 @@ def pushed_through(layers, end_m, speed_m_s=SPEED):
     return depths, [law.step(float(z), speed_m_s, 1e-5 / speed_m_s) for z in depths]
 
 
-@pytest.mark.parametrize("name", CHANGES)
-def test_a_variation_changes_what_it_says_and_nothing_else(name):
-    assert set(CHANGES) == set(VARIATIONS)
-    for layer in LAYERS:
-        assert varied(layer) == layer
-        other = VARIATIONS[name].layer(layer, np.random.default_rng(0))
-        wanted = {item for item in CHANGES[name] if layer.membrane or "membrane" not in item}
-        assert differences(layer, other) == wanted
-
-
-@pytest.mark.parametrize("name", CHANGES)
-def test_every_variation_ruptures_at_the_same_boundaries_and_holds_no_force_outside(name):
+@pytest.mark.parametrize("name", ["texture-20mN", "release-2mm", "concave", "kept-60", "speed-0.3"])
+def test_a_variation_ruptures_at_the_same_boundaries_and_holds_no_force_outside(name):
     plain = named_scenario("stack-glove-constant", 0)
     run = insert_needle(named_scenario(f"stack-glove-constant+{name}", 0), rate_hz=200.0)
     assert run.scenario.id == f"stack-glove-constant+{name}"
@@ -100,23 +57,6 @@ def test_texture_has_the_stated_spread_and_correlation_and_belongs_to_the_place(
         Texture.drawn(-0.02, 0.5e-3, np.random.default_rng(0))
 
 
-def test_texture_fades_at_both_ends_of_a_layer_and_never_pulls():
-    layer = varied(gel(25), texture_N=0.02)
-    change = [layer.tip_force_N(x) - gel(25).tip_force_N(x) for x in (1e-6, layer.thickness_m)]
-    np.testing.assert_allclose(change, 0.0, atol=1e-4)
-    rough = varied(gel(25), texture_N=5.0)
-    assert min(rough.tip_force_N(x) for x in np.linspace(0.0, layer.thickness_m, 400)) == 0.0
-
-
-@pytest.mark.parametrize(("exponent", "middle"), [(0.5, 0.70), (2.0, 0.23)])
-def test_a_concave_and_a_quadratic_tip_force_end_alike(exponent, middle):
-    plain = replace(gel(70), cutting_fraction=0.0)
-    bent = varied(plain, tip_exponent=exponent)
-    end = plain.thickness_m
-    assert bent.tip_force_N(end) == pytest.approx(plain.tip_force_N(end))
-    assert bent.tip_force_N(end / 2) / bent.tip_force_N(end) == pytest.approx(middle, abs=0.01)
-
-
 def test_kept_tip_force_stays_after_an_internal_rupture_fades_and_ends_at_the_exit():
     layers = (gel(70), gel(70))
     kept = tuple(varied(layer, kept_fraction=0.6) for layer in layers)
@@ -129,11 +69,7 @@ def test_kept_tip_force_stays_after_an_internal_rupture_fades_and_ends_at_the_ex
     at_release = np.interp(onset + gel(70).release_m, depth, extra)
     left = (1.0 - gel(70).release_m / KEPT_FADE_M) ** 2
     assert at_release == pytest.approx(0.6 * exit_N * left, rel=0.02)
-    fading = (depth > onset + gel(70).release_m) & (depth < onset + KEPT_FADE_M)
-    assert (np.diff(extra[fading]) < 0.0).all()
     assert np.abs(extra[depth > onset + KEPT_FADE_M]).max() < 1e-12
-    friction = [b.friction_N - a.friction_N for a, b in zip(plain, held, strict=True)]
-    assert not np.any(friction)
 
 
 def test_friction_grows_with_the_stated_powers_of_length_and_speed_and_is_none_at_rest():
@@ -153,15 +89,6 @@ def test_friction_grows_with_the_stated_powers_of_length_and_speed_and_is_none_a
     assert power.sliding_N_per_m(1e-9) < 1e-3 * slid
 
 
-@pytest.mark.parametrize("fraction", [0.2, 0.75])
-def test_friction_fraction_shares_out_the_same_force(fraction):
-    layers = gel(50), varied(gel(50), friction_fraction=fraction)
-    shaft = [item.friction.sliding_N_per_m(SPEED) * item.thickness_m for item in layers]
-    total = shaft[0] + gel(50).exit_force_N
-    assert shaft[1] + layers[1].exit_force_N == pytest.approx(total)
-    assert shaft[1] == pytest.approx(fraction * total)
-
-
 def test_random_tissue_is_the_random_stack_with_drawn_laws_that_runs():
     rough = "gel-70-constant+texture-20mN"
     assert named_scenario(rough, 1) == named_scenario(rough, 1) != named_scenario(rough, 2)
@@ -174,13 +101,9 @@ def test_random_tissue_is_the_random_stack_with_drawn_laws_that_runs():
     assert named_scenario("random-tissue", 7) == tissues[7]
     assert [item.motion for item in tissues] == [item.motion for item in stacks]
     layers = [layer for item in tissues for layer in item.layers]
-    drawn = [layer.thickness_m for item in stacks for layer in item.layers]
-    assert [layer.thickness_m for layer in layers] == drawn
-    assert {layer.friction.speed_exponent for layer in layers} == {0.3, 1.0}
     exponents = [layer.tip_exponent for layer in layers]
     assert 0.5 < min(exponents) < 0.8 < 1.5 < max(exponents) < 2.0
-    assert 0.3 < np.mean([layer.kept_fraction > 0.0 for layer in layers]) < 0.7
-    for item in tissues[:6]:
+    for item in tissues[:3]:
         run = insert_needle(item, rate_hz=200.0)
         boundaries = [b for b in item.new_tissue().interfaces if b.drop_N > 0.0]
         assert len(run.truth.ruptures) == len(boundaries)

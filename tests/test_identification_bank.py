@@ -3,24 +3,10 @@
 import numpy as np
 import pytest
 
-from identification import hypothesis_bank, hypothesis_filter
-from identification.disturbance_levels import DisturbanceLevels
-from identification.hypothesis_bank import (
-    CAPACITY,
-    QUOTAS,
-    RUPTURE_FORCE,
-    RUPTURE_S,
-    RUPTURE_SPEED,
-    Bank,
-    Place,
-    first_bank,
-    prune,
-    spawn,
-)
+from identification.disturbance_levels import DisturbanceLevels, transitions
+from identification.hypothesis_bank import CAPACITY, Bank, BankMemory, Place, first_bank
 from identification.hypothesis_filter import (
-    AIR,
     COLOUR,
-    EXIT,
     HEART,
     IS_HELD,
     KIND,
@@ -33,21 +19,20 @@ from identification.hypothesis_filter import (
     OWN_VISCOUS,
     RELEASE,
     ROOT,
+    RUPTURE_FORCE,
+    RUPTURE_S,
+    RUPTURE_SPEED,
     RUPTURES,
     STIFFNESS,
     TEMPER,
     TIP,
     UNKNOWNS,
     absorb,
-    after_event,
-    judge_fraction,
     predict,
-    regressors,
+    regressor,
 )
 from identification.rupture_report import (
     Evaluation,
-    answer_at,
-    count_ruptures,
     friction_left,
     may_be_braking,
 )
@@ -79,8 +64,17 @@ def hypothesis(seed, kind, *, is_held=False):
     return bank._replace(means=means, spreads=(factor @ factor.T)[None], facts=facts)
 
 
-def force_of(bank, place=PLACE):
-    rows = regressors(bank.facts, place.depth, place.speed, place.deflection)
+SCENE = (PLACE.depth, PLACE.speed, PLACE.deflection)
+
+
+def spawn(bank, place, before):
+    memory = BankMemory(bank)
+    memory.spawn(place, before, 0.0)
+    return memory.bank
+
+
+def force_of(bank):
+    rows = np.array([regressor(fact, SCENE) for fact in bank.facts])
     return np.einsum("ni,ni->n", rows, bank.means)
 
 
@@ -89,19 +83,11 @@ def force_of(bank, place=PLACE):
 def test_the_force_goes_on_as_it_was_across_an_event(seed, kind, is_held):
     before = hypothesis(seed, kind, is_held=is_held)
     after = spawn(before, PLACE, PLACE.depth - 0.3)
-    born = after.take(np.arange(1, len(after.log_weights)))
+    born = Bank(*(part[1:] for part in after))
     assert len(born.log_weights) > 2
     assert force_of(born) == pytest.approx(np.repeat(force_of(before), len(born.log_weights)))
     assert set(born.facts[:, RUPTURES] - before.facts[0, RUPTURES]) <= {0.0, 1.0}
     assert len(after.log_weights) <= CAPACITY
-
-
-def test_first_contact_takes_nothing_from_the_force():
-    before = first_bank()
-    after = spawn(before, PLACE, PLACE.depth - 0.1)
-    assert sorted(after.facts[1:, KIND]) == [LAYER, MEMBRANE]
-    assert force_of(after) == pytest.approx(np.zeros(3))
-    assert (after.facts[1:, [ROOT, TIP]] == PLACE.depth).all()
 
 
 def test_the_friction_of_a_layer_left_stays_on_the_shaft_and_is_remembered():
@@ -116,100 +102,43 @@ def test_the_friction_of_a_layer_left_stays_on_the_shaft_and_is_remembered():
     assert friction[0] == pytest.approx(length * own)
 
 
+def later(bank, dt_s, travel, levels):
+    memory = BankMemory(bank)
+    turns = transitions(dt_s, travel, 5.0, tuple(levels[1:].tolist()))
+    colour = np.array([np.exp(-dt_s / 0.025), levels[0]])
+    predict(memory.store, 1, 0.0, dt_s, colour, turns)
+    return memory.bank
+
+
 def test_two_steps_of_time_and_travel_are_one():
-    bank, levels, none = hypothesis(1, LAYER), np.array([1e-4, 2e-4, 3e-4, 4e-4]), np.zeros(1)
-    whole = predict(bank.means, bank.spreads, none, 0.02, 0.08, levels)
-    half = predict(
-        *predict(bank.means, bank.spreads, none, 0.01, 0.04, levels), none, 0.01, 0.04, levels
-    )
+    bank, levels = hypothesis(1, LAYER), np.array([1e-4, 2e-4, 3e-4, 4e-4])
+    whole = later(bank, 0.02, 0.08, levels)
+    half = later(later(bank, 0.01, 0.04, levels), 0.01, 0.04, levels)
     for one, other in zip(whole, half, strict=True):
         assert one == pytest.approx(other, abs=1e-12)
-    _, late = predict(bank.means, bank.spreads, none, 60.0, 300.0, levels)
+    late = later(bank, 60.0, 300.0, levels).spreads
     assert late[0, [COLOUR, HEART, LAW], [COLOUR, HEART, LAW]] == pytest.approx(levels[[0, 1, 3]])
+
+
+def learned(bank, force):
+    memory = BankMemory(bank)
+    absorb(memory.store, 1, SCENE, force, 4e-4, 0.0)
+    return memory.bank
 
 
 def test_a_force_that_was_expected_teaches_as_kalman_says():
     bank = hypothesis(2, LAYER)
-    rows = regressors(bank.facts, PLACE.depth, PLACE.speed, PLACE.deflection)
-    row, spread, force = rows[0], bank.spreads[0], float(force_of(bank)[0])
-    means, spreads, evidence = absorb(
-        bank.means, bank.spreads, bank.facts, rows, (force, 4e-4, 12.0, 0.0)
-    )
-    assert means[0] == pytest.approx(bank.means[0])
+    row, spread, force = regressor(bank.facts[0], SCENE), bank.spreads[0], float(force_of(bank)[0])
+    found = learned(bank, force)
+    assert found.means[0] == pytest.approx(bank.means[0])
     variance = row @ spread @ row + 4e-4
     # Late in the layer nothing is being released, and no other noise comes on top.
     cross = spread @ row
-    assert spreads[0] == pytest.approx(spread - np.outer(cross, cross) / variance)
-    assert evidence[0] == pytest.approx(-0.5 * TEMPER * np.log(variance))
-    far = absorb(bank.means, bank.spreads, bank.facts, rows, (force + 1.0, 4e-4, 12.0, 0.0))
-    assert far[2][0] < evidence[0]
-    assert (row @ far[0][0] - force) > 0.0
-
-
-@pytest.mark.parametrize("function", [absorb, predict, after_event, judge_fraction, regressors])
-def test_compiled_and_plain_arithmetic_agree(function):
-    bank = hypothesis(3, LAYER)
-    rows = regressors(bank.facts, PLACE.depth, PLACE.speed, PLACE.deflection)
-    arguments = {
-        "absorb": (bank.means, bank.spreads, bank.facts, rows, (0.8, 1e-4, 12.0, 0.01)),
-        "predict": (bank.means, bank.spreads, np.zeros(1), 0.01, 0.04, np.full(4, 1e-4)),
-        "after_event": (
-            bank.means[0],
-            bank.spreads[0],
-            rows[0],
-            (EXIT, LAYER, LAYER, False, True),
-            (8.0, 8.0, 1.0, 4.0, 0.5, 0.9),
-        ),
-        "judge_fraction": (bank.means[0], bank.spreads[0], 4.0, True),
-        "regressors": (bank.facts, 12.0, 4.0, 0.7),
-    }[function.__name__]
-    plain = getattr(function, "py_func", function)
-    found, expected = function(*arguments), plain(*arguments)
-    for one, other in zip(
-        np.atleast_1d(found) if function is regressors else found, expected, strict=True
-    ):
-        assert np.asarray(one) == pytest.approx(np.asarray(other), rel=1e-9, abs=1e-14)
-
-
-def test_what_the_force_contradicts_is_dropped_and_the_rest_bounded():
-    bank, rng = first_bank(), np.random.default_rng(4)
-    for step in range(400):
-        place = PLACE._replace(depth=0.04 * step, force=0.01 * rng.standard_normal())
-        bank = prune(spawn(bank, place, place.depth - 0.04), place)
-        rows = regressors(bank.facts, place.depth, place.speed, 1.0)
-        means, spreads, evidence = absorb(
-            bank.means, bank.spreads, bank.facts, rows, (place.force, 1e-4, place.depth, 0.0)
-        )
-        bank = bank._replace(means=means, spreads=spreads, log_weights=bank.log_weights + evidence)
-        assert len(bank.log_weights) <= sum(QUOTAS)
-    bank = prune(bank, place)
-    assert bank.damage == ""
-    assert bank.facts[0, KIND] == AIR
-    assert count_ruptures(bank, 0, 0.01).more < 0.01
-
-
-def test_hypotheses_that_differ_make_an_answer_less_certain():
-    one, other = hypothesis(6, LAYER), hypothesis(6, LAYER)
-    other.means[0, OWN_COULOMB] += 0.02
-    both = Bank(*(np.concatenate(parts) for parts in zip(one, other, strict=True)))
-    alone, mixed = answer_at(one, PLACE, 1), answer_at(both, PLACE, 1)
-    length = PLACE.depth - 4.0
-    assert mixed.coulomb == pytest.approx(alone.coulomb + 0.01 * length)
-    assert mixed.var_coulomb == pytest.approx(alone.var_coulomb + (0.01 * length) ** 2)
-    assert mixed.in_contact
-    assert mixed.layer == 2
-
-
-def test_the_fraction_of_friction_is_a_prior_that_waits_for_the_slope():
-    bank = hypothesis(7, LAYER)
-    assert not judge_fraction(bank.means[0], 1e4 * bank.spreads[0], 4.0, False)[0]
-    is_judged, mean, spread = judge_fraction(bank.means[0], bank.spreads[0], 4.0, True)
-    assert is_judged
-    assert np.trace(spread) < np.trace(bank.spreads[0])
-    slope = [mean[STIFFNESS], mean[OWN_COULOMB] + 4.0 * mean[OWN_VISCOUS]]
-    was = bank.means[0, [STIFFNESS, OWN_COULOMB, OWN_VISCOUS]] @ [0.0, 1.0, 4.0]
-    before = was / (was + bank.means[0, STIFFNESS])
-    assert abs(slope[1] / sum(slope) - 0.55) < abs(before - 0.55)
+    assert found.spreads[0] == pytest.approx(spread - np.outer(cross, cross) / variance)
+    assert found.log_weights[0] == pytest.approx(-0.5 * TEMPER * np.log(variance))
+    far = learned(bank, force + 1.0)
+    assert far.log_weights[0] < found.log_weights[0]
+    assert (row @ far.means[0] - force) > 0.0
 
 
 def test_noise_is_learned_part_by_part_and_a_ramp_is_none():
@@ -228,20 +157,6 @@ def test_noise_is_learned_part_by_part_and_a_ramp_is_none():
     assert 0.02 < heart < 0.08
     assert np.sqrt(ramp.levels).max() < 1e-6
     assert levels.restarted().with_force(1.0, 0.01, 2.0).steps == 1.0
-
-
-@pytest.mark.parametrize(
-    "change",
-    [
-        {"means": np.zeros((2, UNKNOWNS))},
-        {"spreads": np.full((1, UNKNOWNS, UNKNOWNS), np.nan)},
-        {"facts": np.zeros((1, hypothesis_filter.FACTS))},
-        {"records": np.zeros((1, hypothesis_bank.RECORDS - 1))},
-    ],
-)
-def test_a_damaged_bank_says_so(change):
-    assert first_bank().damage == ""
-    assert first_bank()._replace(**change).damage != ""
 
 
 @pytest.mark.parametrize(

@@ -82,15 +82,6 @@ def test_membrane_ends_elastic_column_at_its_own_rupture():
     assert matrix[-1, 1] == pytest.approx(0.02 * v[-1])
 
 
-def test_multilayer_model_explains_a_plateau_the_kelvin_voigt_model_cannot():
-    t, z, v = _insertion(_sinusoidal)
-    span, _ = _one_layer(t, z)
-    force = regression_matrix(t, z, v, [span]) @ [STIFFNESS, FRICTION]
-    ml = identify_offline(t, z, v, force, [span], model="ml")
-    kv = identify_offline(t, z, v, force, [span], model="kv")
-    assert ml.rmse_N < 0.1 * kv.rmse_N
-
-
 @pytest.mark.parametrize(("model", "columns"), [("kv", (0.5, 0.1)), ("ml", (0.5, 0.5 * 0.1))])
 def test_a_row_inside_a_layer_is_that_of_its_equation(model, columns):
     """K z + B v, equation (2); K dz + B dz v, equation (3)."""
@@ -110,11 +101,8 @@ def test_friction_column_shrinks_again_on_the_way_out():
 @pytest.mark.parametrize(
     ("change", "message"),
     [
-        ({"force_N": []}, "non-empty"),
         ({"force_N": [1.0]}, "rows"),
         ({"force_N": ["a", "b", "c"]}, "not a vector of numbers"),
-        ({"force_N": [0.0, 1j, 0.0]}, "complex"),
-        ({"force_N": [0.0, 10**400, 0.0]}, "not a vector of numbers"),
         ({"force_N": [0.0, np.nan, 0.0]}, "not finite"),
         ({"t_s": [0.0, 2.0, 1.0]}, "increase"),
         ({"depth_m": [[0.0], [1.0], [2.0]]}, "vector"),
@@ -136,7 +124,6 @@ SPAN = {"start_s": 0.0, "start_depth_m": 0.0, "thickness_m": 0.1, "rupture_s": 9
     [
         ({"thickness_m": 0.0}, "thickness"),
         ({"start_s": 2.0, "rupture_s": 1.0}, "rupture"),
-        ({"start_s": np.nan}, "non-finite"),
     ],
 )
 def test_bad_layers_are_refused(change, message):

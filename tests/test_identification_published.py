@@ -1,7 +1,5 @@
 """The published method: its equations one by one, the re-run by windows, and its own model (3)."""
 
-from itertools import product
-
 import numpy as np
 import pytest
 from hypothesis import given, settings
@@ -9,8 +7,6 @@ from hypothesis import strategies as st
 
 from identification.config import PUBLISHED, PUBLISHED_KV, PublishedConfig
 from identification.errors import InvalidConfigError
-from identification.estimate import RuptureState as S
-from identification.estimate import next_rupture_state
 from identification.identifier import Identifier
 from identification.published_identifier import (
     cusum_constants,
@@ -24,7 +20,6 @@ from identification.published_update import (
     append_window,
     cusum_step,
     derivative_step,
-    less_viscous_windows,
     rerun_windows,
     rls_step,
 )
@@ -123,78 +118,6 @@ def test_rerun_from_sums_equals_the_rerun_over_samples(seed, length, window, rat
     assert np.all(gap < 1e-6 * scale)
 
 
-ALARMS = [{"is_alarm": a, "is_expected": e} for a, e in product((False, True), repeat=2)]
-
-
-@pytest.mark.parametrize(
-    ("state", "flags", "expected"),
-    [
-        (S.NO_RUPTURE, {}, S.NO_RUPTURE),
-        (S.NO_RUPTURE, {"is_expected": True}, S.EXPECTED),
-        (S.NO_RUPTURE, {"is_alarm": True}, S.DETECTED),
-        (S.EXPECTED, {}, S.NO_RUPTURE),
-        (S.EXPECTED, {"is_alarm": True, "is_expected": True}, S.DETECTED),
-        *((S.DETECTED, flags, S.FORCE_DROP_MEASURING) for flags in ALARMS),
-        *((S.FORCE_DROP_MEASURING, flags, S.FORCE_DROP_MEASURING) for flags in ALARMS),
-        (S.FORCE_DROP_MEASURING, {"is_measured": True}, S.FRICTION_IDENTIFIED),
-        *(
-            (S.FRICTION_IDENTIFIED, {"is_settled": False, **f}, S.FRICTION_IDENTIFIED)
-            for f in ALARMS
-        ),
-        (S.FRICTION_IDENTIFIED, {}, S.NO_RUPTURE),
-    ],
-)
-def test_the_states_follow_each_other_and_no_alarm_interrupts_a_measurement(state, flags, expected):
-    assert next_rupture_state(state, **flags) is expected
-
-
-def windows(count, *, friction=0.0, noise=1e-4):
-    """Windows of a needle at nearly constant speed: columns are nearly collinear."""
-    rng = np.random.default_rng(count)
-    found = []
-    for k in range(count):
-        sums = NO_SUMS
-        for j in range(25):
-            depth = 2.3e-6 * (25 * k + j + 1)
-            speed = 2.3e-3 + noise * rng.standard_normal()
-            force = 60.0 * depth + 9000.0 * depth * speed + 0.01 * rng.standard_normal()
-            sums = add_sample(sums, (depth, depth * speed), force - friction * speed, speed)
-        found.append(sums)
-    return tuple(found)
-
-
-def history_of(found, most=4096):
-    history = NO_WINDOWS
-    for sums in found:
-        history = append_window(history, sums, most)
-    return history
-
-
-@pytest.mark.parametrize("count", [0, 130])
-def test_a_later_friction_is_taken_out_of_every_window(count):
-    """As if it had been subtracted from every sample."""
-    expected = history_of(windows(count, friction=3.0))
-    np.testing.assert_allclose(less_viscous_windows(history_of(windows(count)), 3.0), expected)
-
-
-def test_memory_is_bounded_by_adding_neighbours_and_an_older_history_stays_what_it_was():
-    found = windows(145)
-    history = history_of(found[:144], most=128)
-    pairs = np.array(found[:144]).reshape(72, 2, 7)
-    np.testing.assert_allclose(history, pairs.sum(axis=1))
-    before = history.copy()
-    grown = append_window(history, found[-1], 128)
-    np.testing.assert_array_equal(history, before)
-    odd = append_window(grown, found[0], 58)  # 74 windows
-    np.testing.assert_allclose(odd.sum(axis=0), grown.sum(axis=0) + found[0])
-    assert len(odd) == 37
-    assert len(append_window(odd, found[0], 22)) == 19
-    assert len(append_window(odd[:36], found[0], 21)) == 19  # the last one stays alone
-    for sums in found:
-        history = append_window(history, sums, 128)
-    assert len(history) <= 128 + 16
-
-
 DT_S, SPEED = 1e-3, 2.3e-3
 LAYERS = ((0.030, 15.0, 8_000.0), (0.020, 60.0, 9_000.0))
 
@@ -233,15 +156,6 @@ def test_finds_ruptures_and_friction_of_its_own_model():
     assert last < abs(np.mean([e.enhanced_force_N for e in kelvin_voigt]))
 
 
-def test_states_follow_the_machine():
-    states = [e.rupture_state for e in run(*ml_insertion(LAYERS[:1]))[1]]
-    detected = states.index(S.DETECTED)
-    measuring = states.count(S.FORCE_DROP_MEASURING) * DT_S
-    assert states[detected + 1] is S.FORCE_DROP_MEASURING
-    assert measuring == pytest.approx(1e-3 / SPEED, abs=0.01)
-    assert states[-1] in (S.NO_RUPTURE, S.EXPECTED)
-
-
 def test_compensation_leaves_no_jump_in_the_prediction():
     z, f = ml_insertion(noise_N=0.002)
     _, estimates = run(z, f)
@@ -265,7 +179,7 @@ def test_a_layer_is_subtracted_in_the_sample_that_identifies_it():
 
 
 @pytest.mark.parametrize("swing_m_s", [0.0, 1.5e-3])
-@pytest.mark.parametrize("stiffness", [15.0, 30.0, 60.0])
+@pytest.mark.parametrize("stiffness", [15.0, 60.0])
 def test_a_layer_of_equation_3_without_noise_is_identified_exactly(swing_m_s, stiffness):
     """The re-run is without the alarming sample: with it the friction erred by 2 to 225 %."""
     t_s = np.arange(0.0, 15.0, DT_S)
@@ -290,18 +204,12 @@ def test_without_a_measured_speed_it_takes_the_one_estimated_from_depth():
     assert layer.friction_Ns_per_m2 == pytest.approx(LAYERS[0][2], rel=0.25)
 
 
-def test_nothing_happens_before_contact():
-    _, estimates = run(np.linspace(-0.01, -0.001, 500), np.zeros(500))
-    assert all(not e.in_contact and e.layer == 0 and e.rupture is None for e in estimates)
-
-
 @pytest.mark.parametrize(
     ("change", "message"),
     [
         ({"model": "xx"}, "unknown model"),
         ({"sigma0_N": 0.1}, "exceed"),
         ({"reset_frequency_Hz": 0.0}, "positive"),
-        ({"drop_travel_m": float("nan")}, "finite"),
         ({"most_windows": 0.5}, "most_windows"),
     ],
 )

@@ -10,17 +10,18 @@ from hypothesis import strategies as st
 from groundtruth import insert_needle
 from identification import Identifier, replay
 from identification.log_replay import HEAD_ROWS, ReplayStream, SignCheck
-from needleforce.cli import main
-from needleforce.recordings import write_table
 from needleforce.recordings.table import RowClock
 
 
 @pytest.fixture(scope="module")
 def columns():
+    """An insertion from the end of the free motion until it has left the gel, one depth missing."""
     run = insert_needle("gel-50-constant", seed=1, rate_hz=100.0)
-    depth_m = run.depth_m.copy()
+    ends_s = run.tare_end_s, run.truth.rupture_s[0] + 3.0
+    part = slice(*np.searchsorted(run.t_s, ends_s))
+    depth_m = run.depth_m[part].copy()
     depth_m[300] = np.nan
-    return run.t_s, depth_m, run.force_N, run.speed_m_s
+    return run.t_s[part], depth_m, run.force_N[part], run.speed_m_s[part]
 
 
 def pieces(rows, cuts):
@@ -41,7 +42,7 @@ def test_with_recorded_speed_it_is_a_loop_over_update(columns):
     assert result.layers == identifier.layers
 
 
-@settings(max_examples=3)
+@settings(max_examples=2)
 @given(st.lists(st.integers(HEAD_ROWS, 3000), max_size=6), st.booleans())
 def test_pieces_give_what_the_whole_gives_bit_for_bit(columns, cuts, has_speed):
     t_s, depth_m, force_N, speed_m_s = columns
@@ -52,36 +53,26 @@ def test_pieces_give_what_the_whole_gives_bit_for_bit(columns, cuts, has_speed):
         stream.run(t_s[p], depth_m[p], force_N[p], speed_m_s[p] if has_speed else None)
         for p in pieces(len(t_s), cuts)
     ]
-    np.testing.assert_array_equal(np.concatenate([rows.t_s for rows in found]), t_s)
-    np.testing.assert_array_equal(np.concatenate([rows.force_N for rows in found]), force_N)
-    assert [e for rows in found for e in rows.estimates] == list(whole.estimates)
+    assert [e for estimates in found for e in estimates] == list(whole.estimates)
     assert stream.layers == whole.layers
     assert stream.hints == whole.hints
-
-
-@pytest.mark.parametrize("rows", [1, 2, 3])
-def test_the_shortest_recordings_need_no_speed(rows):
-    t_s = np.arange(rows) / 1000
-    assert len(replay(t_s, 0.01 * t_s, 0.0 * t_s).estimates) == rows
-
-
-@given(st.integers(1, 900), st.sampled_from([1.0, -1.0]), st.sampled_from([1.0, -1.0]))
-def test_hints_do_not_depend_on_how_rows_come(columns, cut, sign, speed_sign):
-    _, depth_m, force_N, speed_m_s = columns
-    found = []
-    for parts in ([slice(None)], [slice(0, cut), slice(cut, None)]):
-        check = SignCheck()
-        for part in parts:
-            check.update(sign * depth_m[part], speed_sign * speed_m_s[part], force_N[part])
-        found.append(check.hints())
-    assert found[0] == found[1]
-    assert bool(found[0]) == (sign < 0.0 or speed_sign < 0.0)
 
 
 def test_a_clock_that_mostly_stands_still_has_a_usual_step_all_the_same():
     t_s = np.repeat(np.arange(100) / 100, 3)
     result = replay(t_s, 0.01 * t_s, 0.0 * t_s)
     assert sum(estimate.status.is_used for estimate in result.estimates) == 100
+
+
+def test_a_wrong_sign_of_the_speed_and_a_depth_that_stands_still_get_a_hint(columns):
+    _, depth_m, force_N, speed_m_s = columns
+    for depth, speed, words in (
+        (depth_m, -speed_m_s, "speed has the sign opposite"),
+        (0.0 * depth_m, speed_m_s, "there is nothing to identify"),
+    ):
+        check = SignCheck()
+        check.update(depth, speed, force_N)
+        assert words in check.hints()[-1]
 
 
 def ruptures_s(result):
@@ -123,21 +114,6 @@ def test_a_clock_that_was_set_back_hides_no_event(columns, has_speed):
     # The step in which it was set is not known.
     # Events are on the clock of the log, which stands 20 s earlier by then.
     assert ruptures_s(followed) == pytest.approx([ruptures_s(clean)[0] - 20.0], abs=0.03)
-
-
-def test_the_library_reads_a_clock_as_the_command_does(columns, tmp_path):
-    t_s, depth_m, force_N, speed_m_s = columns
-    t_s = t_s.copy()
-    t_s[500:] -= 3600.0
-    t_s[700::40] -= 0.05
-    path, out = tmp_path / "log.csv", tmp_path / "out.csv"
-    table = {"t_s": t_s, "depth_m": depth_m, "force_N": force_N, "speed_m_s": speed_m_s}
-    write_table(path, table)
-    assert main(["identify", str(path), "-o", str(out)]) == 0
-    rows = np.genfromtxt(out, delimiter=",", names=True)
-    estimates = replay(t_s, depth_m, force_N, speed_m_s, dt_s=RowClock().update(t_s)).estimates
-    np.testing.assert_array_equal(rows["used"], [e.status.is_used for e in estimates])
-    np.testing.assert_array_equal(rows["tip_force_N"], [e.tip_force_N for e in estimates])
 
 
 def test_a_stamp_that_is_no_number_spoils_its_own_row_only(columns):

@@ -19,12 +19,13 @@ from identification.config import (
 from identification.errors import InvalidConfigError, InvalidSnapshotError
 from identification.estimate import SampleStatus
 from identification.identifier import Identifier
-from identification.input_validation import (
+from identification.sample_filter import (
     LAST_USED,
+    SAMPLE_MEMORY,
     STATUSES,
-    CheckState,
+    TIME,
     check_limits,
-    check_sample,
+    take_sample,
 )
 
 GOOD = (0.001, 0.002, 0.1, 1e-3)
@@ -41,11 +42,8 @@ class Hostile:
 
 
 NO_NUMBERS = [
-    *(1j, np.complex128(1.0), np.complex64(1.0), np.array(1.0 + 0.0j)),
-    *(np.ma.masked, np.ma.array(1.0, mask=True), np.ma.array([1.0, 2.0], mask=[True, False])),
-    *(True, np.bool_(True), np.array(True), "0.1", np.array("0.1"), b"0.1", None, np.array(None)),
-    *(np.datetime64("2026-01-01"), np.timedelta64(1, "ms"), Hostile(), {}),
-    *([0.1], np.zeros(3), [[1.0], [1.0, 2.0]]),
+    *(1j, np.array(1.0 + 0.0j), np.ma.masked, np.ma.array(1.0, mask=True), True, np.array(True)),
+    *("0.1", np.array("0.1"), None, np.timedelta64(1, "ms"), Hostile(), [0.1], np.zeros(3)),
 ]
 BAD_ANYWHERE = [
     *((value, SampleStatus.NOT_A_SCALAR) for value in NO_NUMBERS),
@@ -98,7 +96,7 @@ def test_numpy_scalars_integers_and_fractions_are_welcome(sample):
 
 
 @pytest.mark.parametrize("config", [MULTILAYER, PUBLISHED])
-@pytest.mark.parametrize("dt_s", [1e308, 1e7, 5e-324, 1e-13])
+@pytest.mark.parametrize("dt_s", [1e308, 1e-13])
 def test_an_absurd_interval_is_rejected_and_every_number_stays_finite(config, dt_s):
     identifier = Identifier(config)
     for k in range(300):
@@ -125,7 +123,7 @@ def test_events_are_on_the_clock_of_the_caller():
     assert two.depth_m == one.depth_m
 
 
-@pytest.mark.parametrize("time_s", [math.nan, math.inf, "now", [1.0], 1j])
+@pytest.mark.parametrize("time_s", [math.nan, "now", [1.0]])
 def test_a_sample_without_a_usable_time_is_rejected(time_s):
     identifier = Identifier()
     identifier.update(0.0, 0.0, 0.0, 1e-3, 7.0)
@@ -155,31 +153,18 @@ def test_events_count_depth_from_the_zero_of_the_caller(config):
     assert two.thickness_m == pytest.approx(one.thickness_m, abs=1e-5)
 
 
-def test_clock_runs_on_over_bad_forces_and_motion_is_not_called_a_jump():
-    identifier = Identifier(PUBLISHED)
-    depth, speed = 0.0, 5e-3
-    for k in range(1500):
-        force = math.nan if 200 <= k < 1200 else 0.1
-        place = math.nan if 200 <= k < 1200 else depth
-        estimate = identifier.update(place, speed, force, 1e-3)
-        depth += speed * 1e-3
-        if k == 1200:
-            assert estimate.status is SampleStatus.TIME_GAP
-    assert estimate.status is SampleStatus.OK
-    assert estimate.time_s == pytest.approx(1.5)
-
-
 def check_rows(rows):
     """Statuses, memory after each row, and the depth of the last one used."""
-    memory, seen, depth_m, used_s = tuple(CheckState()), [], None, 0.0
+    memory, seen, depth_m, used_s = np.zeros(SAMPLE_MEMORY), [], None, 0.0
     for row in rows:
-        number, dt_s, depth, memory = check_sample(*row, True, memory, check_limits(CheckConfig()))
+        taken = take_sample(*row, True, memory, check_limits(CheckConfig()))
+        number, dt_s, _, depth, _ = taken
         seen.append(STATUSES[number])
         if number <= LAST_USED:
             depth_m, used_s = depth, used_s + dt_s
             # What has passed over rejected samples is in the interval of the next one used.
-            assert CheckState(*memory).time_s == pytest.approx(used_s)
-    return seen, CheckState(*memory).time_s, depth_m
+            assert memory[TIME] == pytest.approx(used_s)
+    return seen, memory[TIME], depth_m
 
 
 def test_a_jump_of_depth_is_removed_for_good():
@@ -210,26 +195,6 @@ def test_time_passes_over_jumps_of_depth(jumps, after):
     assert set(seen[101 + jumps :]) == {SampleStatus.OK}
 
 
-def test_times_of_samples_rejected_for_different_reasons_add_up():
-    bad = [(0.05 * (k // 3), (0.0, math.nan, 1000.0)[k % 3]) for k in range(100, 400)]
-    far = [(0.0, 0.0)] * 100 + bad + [(bad[-1][0], 0.0)] * 100
-    seen, time_s, _ = check_rows([(z + 2e-6 * k, 2e-3, f, 1e-3) for k, (z, f) in enumerate(far)])
-    assert SampleStatus.TIME_GAP in seen[400:]
-    assert set(seen[100:400]) >= {SampleStatus.DEPTH_JUMP, SampleStatus.NOT_FINITE}
-    assert time_s == pytest.approx(0.5)
-
-
-@pytest.mark.parametrize("before", [0, 400])
-def test_one_speed_says_nothing_of_the_travel_through_a_gap(before):
-    """13 s of a tare, then a needle that sets out: 0.1 mm/s of noise are no travel of -1.3 mm."""
-    rows = [(0.0, 0.0, 0.0, 1e-3)] * before + [(0.0, 0.0, math.nan, 1e-3)] * 13000
-    rows += [(2e-6 * k, 2e-3 if k > 1 else -1e-4, 0.0, 1e-3) for k in range(1, 401)]
-    seen, time_s, _ = check_rows(rows)
-    assert set(seen[-399:]) == {SampleStatus.OK}
-    assert seen[-400] is (SampleStatus.TIME_GAP if before else SampleStatus.OK)
-    assert time_s == pytest.approx(13.4 + 1e-3 * before)
-
-
 def test_unknown_configuration_and_foreign_snapshots_are_refused():
     with pytest.raises(InvalidConfigError, match="PublishedConfig"):
         Identifier(object())
@@ -245,17 +210,7 @@ FIELDS = [
 
 
 @pytest.mark.parametrize(("kind", "name"), FIELDS)
-@pytest.mark.parametrize(
-    "value", [None, "1", 1j, True, [1.0], np.ones(2), np.nan, np.inf, 10**400, {}]
-)
-def test_what_is_no_number_is_refused(kind, name, value):
-    with pytest.raises(InvalidConfigError, match=name):
-        kind(**{name: value})
-
-
-@pytest.mark.parametrize(("kind", "name"), FIELDS)
-def test_its_own_value_is_welcome_as_a_numpy_scalar_too(kind, name):
-    value = getattr(kind(), name)
-    if isinstance(value, float | int):
-        value = np.asarray(value)[()]
-    assert getattr(kind(**{name: value}), name) == value
+def test_what_is_no_number_is_refused(kind, name):
+    for value in (None, "1", True, np.ones(2), np.nan, 10**400):
+        with pytest.raises(InvalidConfigError, match=name):
+            kind(**{name: value})

@@ -1,14 +1,10 @@
 """The switching filter on forces made here: two layers, noise, the tissue's own motion, rests."""
 
-import pickle
-from itertools import pairwise
-
 import numpy as np
 import pytest
 
-from identification import MULTILAYER, Identifier, MultilayerConfig, RuptureState, SampleStatus
-from identification.errors import InvalidConfigError, InvalidSnapshotError
-from needleforce import read_snapshot, write_snapshot
+from identification import MULTILAYER, Identifier, MultilayerConfig, SampleStatus
+from identification.errors import InvalidConfigError
 
 SPEED = 4e-3
 THICK_M = (15e-3, 20e-3)
@@ -162,34 +158,6 @@ def test_a_needle_drawn_out_feels_friction_only_and_then_nothing():
     assert abs(withdrawn[-1].tip_force_N) < 0.05
 
 
-@pytest.mark.parametrize("cut", [900, 4003, 5200])
-def test_it_goes_on_bit_for_bit_from_a_snapshot(cut, tmp_path):
-    rows = straight(7)[:6500]
-    identifier, expected = run(rows[:cut])
-    kept = identifier.snapshot()
-    before = pickle.dumps(kept)
-    expected += run(rows[cut:], identifier)[1]
-    assert pickle.dumps(kept) == before
-    write_snapshot(kept, tmp_path / "state")
-    for snapshot in (pickle.loads(before), read_snapshot(tmp_path / "state")):
-        other = Identifier(MULTILAYER)
-        other.restore(snapshot)
-        assert run(rows[cut:], other)[1] == expected[cut:]
-
-
-def test_damaged_snapshots_are_refused():
-    identifier, _ = run(straight(7)[:3000])
-    kept = identifier.snapshot()
-    bank = kept.state.bank
-    for damage in (
-        bank._replace(means=bank.means[1:]),
-        bank._replace(log_weights=bank.log_weights * np.nan),
-        bank._replace(spreads=bank.spreads[:, :-1]),
-    ):
-        with pytest.raises(InvalidSnapshotError, match="bank"):
-            identifier.restore(kept._replace(state=kept.state._replace(bank=damage)))
-
-
 def test_a_bad_sample_is_reported_and_changes_nothing():
     rows = straight(8)[:3000]
     one, other = Identifier(MULTILAYER), Identifier(MULTILAYER)
@@ -216,27 +184,7 @@ def test_a_gap_in_time_is_no_rupture():
     assert of(estimates, "rupture") == []
 
 
-def test_a_block_is_worked_off_in_three_samples():
-    identifier = Identifier(MULTILAYER)
-    stages = []
-    for row in straight(10)[:2600]:
-        identifier.update(*row)
-        stages.append(identifier.snapshot().state.stage)
-    pairs = set(pairwise(stages[2000:]))
-    assert pairs == {(0, 0), (0, 1), (1, 2), (2, 0)}
-    assert len(stages) // 10 * 3 > sum(one > 0 for one in stages) > 0
-
-
 @pytest.mark.parametrize("probability", [0.3, 1.0, np.nan, -1.0])
 def test_a_probability_of_an_alarm_must_be_one(probability):
     with pytest.raises(InvalidConfigError, match="alarm_probability"):
         MultilayerConfig(alarm_probability=probability)
-
-
-def test_before_contact_there_is_nothing_to_take_off():
-    identifier, estimates = run(straight(11)[:900])
-    assert not any(one.in_contact for one in estimates)
-    assert {one.shaft_friction_N for one in estimates} == {0.0}
-    assert {one.layer for one in estimates} == {0}
-    assert identifier.layers == ()
-    assert {one.rupture_state for one in estimates} == {RuptureState.NO_RUPTURE}

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from identification import Identifier, SampleStatus
-from identification.travel_filter import TravelState, filter_travel, learn_noise
+from identification.sample_filter import OF_DEPTH, SAMPLE_MEMORY, filter_travel
 
 
 def motion(seconds=10.0, rate_hz=1000.0, jitter=0.0, seed=0):
@@ -38,12 +38,11 @@ def speed_given(kind, t_s, depth_m, speed_m_s, rng):
 
 
 def filtered(t_s, depth_m, speed_m_s):
-    memory, found = TravelState()[:], []
+    memory = np.zeros(SAMPLE_MEMORY)
     steps = np.diff(t_s, prepend=t_s[0] - 1e-3)
-    for row in zip(depth_m.tolist(), speed_m_s.tolist(), steps.tolist(), strict=True):
-        answer, memory = filter_travel(*row, memory)
-        found.append(answer)
-    return np.array(found), TravelState(*memory)
+    rows = zip(depth_m.tolist(), speed_m_s.tolist(), steps.tolist(), strict=True)
+    found = [filter_travel(*row, not math.isnan(row[1]), memory) for row in rows]
+    return np.array(found), math.sqrt(memory[OF_DEPTH])
 
 
 @pytest.mark.parametrize("given", ["none", "measured", "estimated"])
@@ -53,8 +52,8 @@ def test_noise_is_learned_and_what_it_leaves_is_stated(given, noise_m, rate_hz, 
     rng = np.random.default_rng(1)
     t_s, depth_m, speed_m_s = motion(rate_hz=rate_hz, jitter=jitter)
     noisy_m = depth_m + noise_m * rng.standard_normal(len(t_s))
-    found, state = filtered(t_s, noisy_m, speed_given(given, t_s, noisy_m, speed_m_s, rng))
-    assert math.sqrt(state.of_depth[0]) == pytest.approx(noise_m, rel=0.15)
+    found, known_m = filtered(t_s, noisy_m, speed_given(given, t_s, noisy_m, speed_m_s, rng))
+    assert known_m == pytest.approx(noise_m, rel=0.15)
     steady = (t_s > 2.0) & (t_s < 5.0)
     off_m, off_m_s = (found[:, :2] - np.column_stack((depth_m, speed_m_s)))[steady].T
     std_m, std_m_s = found[steady, 2:].mean(axis=0)
@@ -77,30 +76,12 @@ def test_a_needle_that_stops_or_turns_is_followed(given):
     assert not late[(t_s > 5.3) & (t_s < 7.0)].any()
 
 
-def test_exact_samples_stay_exact():
-    t_s, depth_m, speed_m_s = motion()
-    for given in (speed_m_s, np.full(len(t_s), math.nan)):
-        found, _ = filtered(t_s, depth_m, given)
-        assert np.abs(found[:, 0] - depth_m).max() < 2e-6
-        steady = (t_s > 2.0) & (t_s < 5.0)
-        assert np.abs(found[steady, 1] - speed_m_s[steady]).max() < 1e-5
-
-
 def test_rest_of_a_rounded_depth_teaches_no_noise():
     t_s, depth_m, _ = motion()
     rounded = np.round(depth_m / 1e-5) * 1e-5
-    found, state = filtered(t_s, rounded, np.full(len(t_s), math.nan))
-    assert math.sqrt(state.of_depth[0]) > 1e-6
+    found, known_m = filtered(t_s, rounded, np.full(len(t_s), math.nan))
+    assert known_m > 1e-6
     assert np.abs(found[(t_s > 2.0) & (t_s < 5.0), 1] - 4e-3).max() < 4e-4
-
-
-def test_distance_from_the_line_between_uneven_neighbours_is_its_noise():
-    rng = np.random.default_rng(3)
-    known, t_s = (0.0,) * 5, np.cumsum(rng.uniform(0.5e-3, 2e-3, 5000))
-    values = 5e-3 * t_s + 1e-5 * rng.standard_normal(len(t_s))
-    for value, dt_s in zip(values.tolist(), np.diff(t_s, prepend=0.0).tolist(), strict=True):
-        known = learn_noise(known, value, dt_s, 1e-16)
-    assert math.sqrt(known[0]) == pytest.approx(1e-5, rel=0.1)
 
 
 def test_after_a_gap_it_starts_anew():

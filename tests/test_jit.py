@@ -1,14 +1,18 @@
 """Functions that numba may compile: the same numbers without it, and safe to keep on disk."""
 
 import ast
-import math
+import os
 import subprocess
 import sys
 from pathlib import Path
 
+import numpy as np
 import pytest
 
+from identification import MULTILAYER, PUBLISHED, replay
+from needleforce import InsertionSession
 from needleforce.jit import COMPILER, compiled
+from urdf import NeedleTool, load_lwr
 
 ROOT = Path(__file__).resolve().parents[1]
 PACKAGES = ("residual", "identification", "needleforce")
@@ -35,13 +39,6 @@ def test_what_is_compiled_uses_nothing_of_another_file():
                     found[f"{path.relative_to(ROOT)}:{node.name}"] = used
     assert found == {}
     assert count > 20
-
-
-def test_a_compiled_function_gives_what_the_plain_one_gives():
-    def hypotenuse(a, b):
-        return math.sqrt(a * a + b * b)
-
-    assert compiled(hypotenuse)(3.0, 4.0) == hypotenuse(3.0, 4.0) == 5.0
 
 
 @pytest.mark.skipif(not COMPILER, reason="numba (the extra `fast`) is not installed")
@@ -74,3 +71,56 @@ def test_everything_runs_without_a_compiler(hidden):
     options = {"cwd": ROOT, "env": {"NUMBA_DISABLE_JIT": "1"}, "text": True, "check": True}
     done = subprocess.run([sys.executable, "-c", script], capture_output=True, **options)
     assert done.stdout == "plain\n"
+
+
+@pytest.mark.skipif(not COMPILER, reason="numba (the extra `fast`) is not installed")
+def test_every_compiled_function_is_compiled_once_before_the_first_sample():
+    modules = [sys.modules[name] for name in sorted(sys.modules) if name.startswith(PACKAGES)]
+    found = {
+        f"{function.__module__}.{function.__name__}": function
+        for module in modules
+        for function in vars(module).values()
+        if hasattr(function, "py_func")
+    }
+    before = {name: len(function.signatures) for name, function in found.items()}
+    assert len(found) > 20
+    assert set(before.values()) == {1}
+    chain_numbers(10, 300)
+    assert {name: len(function.signatures) for name, function in found.items()} == before
+
+
+def chain_numbers(joint_rows, needle_rows):
+    """What a sensor with both kinds of velocity and both identifiers make of made-up signals."""
+    rng, robot, found = np.random.default_rng(0), load_lwr(payload=NeedleTool()), []
+    times = 1e-3 * np.arange(joint_rows)[:, None]
+    q = 0.3 + 0.05 * np.cos(times * np.arange(1, 8))
+    dq = -0.05 * np.arange(1, 8) * np.sin(times * np.arange(1, 8))
+    tau = 2.0 + np.sin(times) + 0.01 * rng.normal(size=q.shape)
+    for has_velocity in (True, False):
+        session = InsertionSession(robot)
+        for k in range(joint_rows):
+            if k == 1000:
+                session.tare(ignore_contact=True)
+            estimate = session.update(q[k], dq[k] if has_velocity else None, tau[k], 1e-3)
+            wrench = estimate.wrench
+            found.append([wrench.axial, wrench.axial_std, estimate.speed_m_s])
+    depth_m = 2e-5 * np.arange(needle_rows) - 2e-3
+    force_N = np.where(depth_m < 0.01, 60.0, 20.0) * np.maximum(depth_m, 0.0)
+    force_N += 0.005 * rng.normal(size=needle_rows)
+    force_N[100] = np.nan
+    depth_m[200:] += 0.05
+    for config in (MULTILAYER, PUBLISHED):
+        made = replay(0.01 * np.arange(needle_rows), depth_m, force_N, config=config)
+        found += [[e.tip_force_N, e.enhanced_force_N, e.predicted_force_N] for e in made.estimates]
+    return np.array(found)
+
+
+@pytest.mark.skipif(not COMPILER, reason="numba (the extra `fast`) is not installed")
+def test_the_chain_gives_the_same_numbers_without_the_compiler(tmp_path):
+    script = f"import test_jit; test_jit.np.save({str(tmp_path / 'a')!r}, test_jit.chain_numbers"
+    environment = os.environ | {"NUMBA_DISABLE_JIT": "1", "PYTHONPATH": f"{ROOT}:{ROOT / 'tests'}"}
+    command = [sys.executable, "-c", f"{script}(1100, 1500))"]
+    subprocess.run(command, env=environment, check=True)
+    plain, compiled_ = np.load(tmp_path / "a.npy"), chain_numbers(1100, 1500)
+    assert np.isfinite(plain).all()
+    np.testing.assert_allclose(compiled_, plain, rtol=1e-6, atol=1e-9)

@@ -187,15 +187,6 @@ def test_of_several_topics_that_would_fit_the_robot_or_the_mapping_chooses(folde
     assert "dq_rad_s" in log
 
 
-def test_messages_of_another_length_are_reported(folder):
-    array = TYPES.types["std_msgs/msg/Float64MultiArray"]
-    layout = TYPES.types["std_msgs/msg/MultiArrayLayout"]([], 0)
-    rows = [("/tau", k, array(layout, np.arange(float(n)))) for k, n in enumerate([2, 2, 3, 2])]
-    log = read_log(write_bag(folder, rows), required=["tau"])
-    np.testing.assert_array_equal(np.isfinite(log["tau_Nm"][:, 0]), [True, True, False, True])
-    assert "/tau: messages with another number of values of /tau: 1" in log.warnings
-
-
 JOINT_STATE = "sensor_msgs/msg/JointState"
 
 

@@ -1,6 +1,5 @@
 """ROS 2 bags that are cut, damaged or stored in other ways."""
 
-import re
 import shutil
 import sqlite3
 import sys
@@ -14,7 +13,6 @@ from bag_samples import (
     data_file,
     insertion_rows,
     joint_state,
-    mapped,
     write_bag,
 )
 from hypothesis import given, settings
@@ -22,7 +20,6 @@ from hypothesis import strategies as st
 
 from needleforce.recordings import (
     FileAccessError,
-    FollowOptions,
     FormatError,
     RecordingError,
     read_log,
@@ -30,9 +27,7 @@ from needleforce.recordings import (
     write_table,
 )
 from needleforce.recordings.bag_messages import read_messages
-from needleforce.recordings.bag_reader import bag_tables
 from needleforce.recordings.errors import MAX_BYTES
-from needleforce.recordings.mapping import ChannelRequest
 
 
 @pytest.fixture
@@ -105,7 +100,7 @@ def test_messages_that_a_killed_recorder_left_beside_the_file_are_reported(tmp_p
     assert "sqlite3 bag.db3 'PRAGMA wal_checkpoint'" in faults[0]
 
 
-@settings(max_examples=60)
+@settings(max_examples=30)
 @given(
     kind=st.sampled_from(tuple(KINDS)),
     where=st.floats(0.0, 1.0, exclude_max=True),
@@ -162,24 +157,14 @@ def test_a_damaged_message_costs_that_message_only(tmp_path, place):
 @pytest.mark.parametrize(
     ("storage", "compression"), [("mcap", None), ("mcap", "STORAGE"), ("sqlite3", None)]
 )
-@pytest.mark.parametrize("place", ["bag", "run#1", "ü x", "it's"])
-def test_every_storage_gives_the_same_log_in_a_folder_of_any_name(
-    tmp_path, storage, compression, place
-):
-    write_bag(tmp_path / "made", insertion_rows(50), storage=storage, compression=compression)
-    folder = (tmp_path / "made").rename(tmp_path / place)
-    if storage == "sqlite3" and "#" in place:
-        with pytest.raises(FileAccessError, match=r"needs a path without \?, # and %"):
-            read_log(folder)
-        return
+def test_every_storage_gives_the_same_log_in_a_folder_of_any_name(tmp_path, storage, compression):
+    folder = tmp_path / "it's x"
+    write_bag(folder, insertion_rows(50), storage=storage, compression=compression)
     for path in (folder, data_file(folder)):
         log = read_log(path, required=["q", "tau"], optional=["dq"])
         np.testing.assert_array_equal(log["q_rad"][:, 0], np.arange(50.0))
         np.testing.assert_array_equal(log["tau_Nm"], 2.0 * log["q_rad"])
         assert "dq_rad_s" not in log
-        assert log.warnings == (
-            "q: it reaches 49.2 in SI; if the file is in deg, say unit = 'deg', or --q COLUMN:deg",
-        )
 
 
 def test_bags_compressed_by_file_or_message_are_refused_with_what_to_do(tmp_path):
@@ -209,33 +194,6 @@ def test_joints_whose_names_identify_none_keep_their_places(folder, names):
     np.testing.assert_array_equal(log["q_rad"], [[k, 2 * k, 3 * k] for k in range(1, 5)])
 
 
-@pytest.mark.parametrize("rows", [1, 64, 1000])
-def test_chunks_are_the_bag_in_pieces(folder, rows):
-    write_bag(folder, insertion_rows(333))
-    wanted = ChannelRequest(mapping=mapped(depth="/depth_mm", force="/ft/wrench/force_xyz[2]"))
-    whole = read_table(folder, wanted)
-    chunks = list(bag_tables(folder, wanted, FollowOptions(), MAX_BYTES, rows))
-    for name, values in whole.columns.items():
-        joined = np.concatenate([chunk.columns[name] for chunk in chunks])
-        np.testing.assert_array_equal(joined, values)
-    assert [w for chunk in chunks for w in chunk.warnings] == list(whole.warnings)
-    assert max(chunk.columns["t_s"].size for chunk in chunks) <= rows
-
-
-def test_the_warning_counts_what_was_read(tmp_path):
-    path = data_file(write_bag(tmp_path / "bag", insertion_rows(2000)))
-    path.write_bytes(path.read_bytes()[: path.stat().st_size // 2])
-    reported = re.fullmatch(
-        rf"{path.name} is cut short: (\d+) messages from ([\d.]+) s to ([\d.]+) s "
-        r"could be read, what came after, if anything, is lost",
-        read_table(path).warnings[0],
-    )
-    assert reported
-    assert float(reported[2]) == pytest.approx(1_700_000_000.123, abs=1e-3)
-    span_s = float(reported[3]) - float(reported[2])
-    assert span_s == pytest.approx(int(reported[1]) / 2200, abs=0.02)
-
-
 @pytest.mark.parametrize("share", [0.001, 0.3, 0.99])
 def test_a_cut_sqlite_bag_is_refused_with_what_may_recover_it(tmp_path, bags, share):
     name, data = bags["sqlite3"]
@@ -249,9 +207,7 @@ def test_a_cut_sqlite_bag_is_refused_with_what_may_recover_it(tmp_path, bags, sh
     [
         "UPDATE messages SET data = 'text' WHERE id = 3",
         "UPDATE messages SET timestamp = 'text' WHERE id < 3",
-        "UPDATE topics SET name = x'00ff' WHERE id = 1",
         "DROP TABLE messages",
-        "DROP TABLE topics; CREATE TABLE topics(id, name)",
         # A view could run any query, and without end.
         "DROP TABLE messages; CREATE VIEW messages AS WITH RECURSIVE n(i) AS (SELECT 1 UNION ALL "
         "SELECT i FROM n) SELECT i id, 1 topic_id, 1 timestamp, x'00' data FROM n",

@@ -8,10 +8,10 @@ import pytest
 from page_sessions import session_failures
 
 from needleforce import recordings
-from needleforce.recordings import CHANNELS, ColumnMapping, load_mapping, read_log
+from needleforce.recordings import CHANNELS, ColumnMapping, read_log
 from needleforce.recordings.bag_types import bag_topics, standard_types
 from needleforce.recordings.csv_file import CSV_SUFFIXES, HEAD_ROWS
-from needleforce.recordings.mapping import parse_column_spec, read_toml
+from needleforce.recordings.mapping import parse_column_spec
 from needleforce.recordings.table import Labels
 
 DOCS = Path(__file__).parents[1] / "docs"
@@ -28,10 +28,6 @@ def _files_of_the_page(tmp_path, monkeypatch):
         (tmp_path / name).write_text(f"# {name}\n{content}", encoding="utf-8")
 
 
-def test_the_page_has_the_files_it_speaks_of():
-    assert set(FILES) == {"insertion.csv", "robot.csv", "robot.toml", "broken.csv"}
-
-
 @pytest.mark.parametrize("page", PAGES, ids=lambda page: page.name)
 def test_the_sessions_give_what_the_pages_show(page):
     assert session_failures(page) == ""
@@ -45,14 +41,6 @@ def test_the_options_on_the_page_give_the_mapping_that_it_describes():
     assert log["force_N"].tolist() == [2.5, 2.5]
     assert log["depth_m"].tolist() == [0.09, 0.09]
     assert log.t_s[0] == 0.001
-
-
-def test_the_patterns_named_beside_the_mapping_mean_the_same():
-    toml = Path("robot.toml").read_text(encoding="utf-8")
-    expected = read_log("robot.csv", load_mapping("robot.toml"))["q_rad"].tolist()
-    for other in ('"axis*"', '["axis1", "axis2"]', '"axis"'):
-        Path("other.toml").write_text(toml.replace('"axis{1..2}"', other), encoding="utf-8")
-        assert read_log("robot.csv", load_mapping("other.toml"))["q_rad"].tolist() == expected
 
 
 def test_the_table_of_names_and_units_is_the_codes():
@@ -74,13 +62,6 @@ def test_every_suffix_and_error_named_is_the_codes():
     for name in set(re.findall(r"`(\w+Error)`", TEXT + BAGS)):
         assert issubclass(getattr(recordings, name), recordings.RecordingError)
     assert f"decided from the first {HEAD_ROWS} rows" in TEXT
-
-
-def test_the_payload_of_the_page_is_read():
-    (lines,) = re.findall(r"```toml\n(.*?)```", BAGS, re.DOTALL)
-    Path("payload.toml").write_text(lines, encoding="utf-8")
-    payload = load_mapping("payload.toml").payload
-    assert payload == read_toml("payload.toml", "payload file")["payload"]
 
 
 def test_the_table_of_topics_is_the_codes():

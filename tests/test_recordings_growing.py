@@ -2,8 +2,6 @@
 
 import threading
 import time
-import tracemalloc
-from struct import pack
 
 import numpy as np
 import pytest
@@ -29,15 +27,11 @@ from bag_samples import (
 )
 
 from needleforce.recordings import (
-    ColumnError,
-    ColumnMapping,
     FileAccessError,
     FormatError,
     read_log,
 )
-from needleforce.recordings.bag_messages import MAGIC, NONE_YET, read_messages
-from needleforce.recordings.bag_reader import Bag, JoinedRows, survey
-from needleforce.recordings.errors import MAX_BYTES
+from needleforce.recordings.bag_messages import MAGIC
 from needleforce.recordings.follow import FollowOptions
 from needleforce.recordings.mapping import ChannelRequest
 from needleforce.recordings.open_recording import stream_tables
@@ -100,22 +94,10 @@ def test_who_stops_hears_nothing_of_what_was_not_finished_and_an_idle_end_shows_
     assert "cut short" not in "".join(warnings)
 
 
-def test_a_recording_shorter_than_what_decides_its_topics_is_read_when_it_ends(tmp_path):
-    path = tmp_path / "growing.mcap"
-    writer = grow(path, in_pieces(recorded(tmp_path / "bag", insertion_rows(300)), 5))
-    chunks, warnings = followed(path)
-    writer.join()
-    log = read_log(path, **ASKED)
-    assert_same(chunks, log)
-    assert set(warnings) == set(log.warnings)
-
-
 @pytest.mark.parametrize(
     ("name", "data", "error", "message"),
     [
         ("x.db3", None, FileAccessError, r"x.db3 cannot be followed.*ros2 bag record -s mcap"),
-        ("x.npz", None, FileAccessError, r"cannot be followed.*when it is complete"),
-        ("x.csv", None, FileAccessError, r"cannot read .*x.csv: No such file"),
         ("x.mcap", None, FileAccessError, r"cannot read .*x.mcap: No such file"),
         ("bag", None, FileAccessError, r"is a folder.*name the .mcap file in it"),
         ("x.mcap", b"", FormatError, "x.mcap is empty"),
@@ -154,17 +136,6 @@ def test_a_topic_that_is_not_there_yet_is_waited_for_and_reported_once(tmp_path)
         "growing.mcap: waiting for more topics; needed are q, tau, depth, and until now there are "
         "/joint_states"
     ]
-
-
-def test_a_topic_that_never_comes_is_an_error_when_the_recording_has_ended(tmp_path):
-    path, reported = tmp_path / "growing.mcap", []
-    path.write_bytes(recorded(tmp_path / "bag", late_topic(600)))
-    patience = FollowOptions(follow=True, idle_s=LONGEST_S, warn=reported.append)
-    with pytest.raises(ColumnError, match="no column found for depth"):
-        followed(path, patience)
-    with pytest.raises(ColumnError, match="'/none' is no topic"):
-        followed(path, patience, ColumnMapping(reference_topic="/none"), required=("q",))
-    assert "waiting for more topics; reference_topic = '/none' is no topic" in reported[-1]
 
 
 FORCE = {"required": ("q", "force")}
@@ -210,32 +181,3 @@ def test_rows_do_not_wait_for_a_topic_that_has_gone(tmp_path):
     assert np.isnan(first.columns["/ft/force_xyz"][300:]).all()
     is_over.set()
     assert sum(len(table.columns["t_s"]) for table in tables) == 101
-
-
-def test_while_the_clock_is_silent_what_other_topics_bring_does_not_fill_memory(tmp_path):
-    bag = Bag(write_bag(tmp_path / "bag", arm_and_force(200)))
-    assert survey(bag) is None
-    wanted = ChannelRequest(mapping=ColumnMapping(reference_topic="/joint_states"))
-    columns = frozenset({"/joint_states/position", "/ft/force_xyz"})
-    joined = JoinedRows(bag, wanted, columns)
-    whole = list(read_messages(bag.path, [], MAX_BYTES))
-    force = next(message for message in whole if message.topic.name == "/ft")
-
-    def messages():
-        yield from whole
-        for k in range(20_000):
-            log_ns = START_NS + (200 + k) * STEP_NS
-            stamp = pack("<iI", *divmod(log_ns, 1_000_000_000))
-            yield force._replace(log_ns=log_ns, data=force.data[:4] + stamp + force.data[12:])
-            if k % 100 == 0:
-                yield NONE_YET
-                held.append(tracemalloc.get_traced_memory()[0])
-
-    held = []
-    tracemalloc.start()
-    try:
-        rows = sum(len(table) for table in joined.tables(messages(), 2048))
-    finally:
-        tracemalloc.stop()
-    assert rows == 200
-    assert held[-1] - held[len(held) // 2] < 50_000

@@ -1,7 +1,6 @@
 """What is written reads back, bags are valid for others, a failed write leaves no trace."""
 
-import sqlite3
-from contextlib import closing, suppress
+from contextlib import suppress
 
 import numpy as np
 import pytest
@@ -15,16 +14,15 @@ from needleforce.recordings import (
     FileAccessError,
     Log,
     LogError,
-    check_writable,
     read_log,
     read_table,
     write_log,
     write_table,
 )
-from needleforce.recordings.output import open_table
+from needleforce.recordings.output import check_outputs, open_table
 from needleforce.recordings.table import Labels
 
-SUFFIXES = ("csv", "csv.gz", "npz")
+SUFFIXES = ("csv", "npz")
 START_NS = 1_700_000_000_123_456_789
 T_S = np.arange(3) / 1000.0
 
@@ -34,7 +32,7 @@ T_S = np.arange(3) / 1000.0
     values=arrays(np.float64, st.tuples(st.integers(2, 20), st.integers(1, 3))),
     steps_ns=st.lists(st.integers(1, 10**10), min_size=20, max_size=20),
     start_ns=st.sampled_from([0, 5, START_NS]),
-    suffix=st.sampled_from((*SUFFIXES, "parquet", "mcap", "db3")),
+    suffix=st.sampled_from((*SUFFIXES, "parquet", "mcap")),
 )
 def test_numbers_and_stamps_read_back_bit_for_bit(
     tmp_path_factory, values, steps_ns, start_ns, suffix
@@ -59,25 +57,13 @@ def test_csv_numbers_two_dimensional_columns_and_quotes_names(tmp_path):
     assert list(read_table(path).columns) == ["n", "on", "w, z_1", "w, z_2"]
 
 
-@pytest.mark.parametrize("suffix", SUFFIXES)
-def test_the_same_columns_give_the_same_bytes(tmp_path, suffix):
-    paths = [tmp_path / f"{name}.{suffix}" for name in "ab"]
-    for path in paths:
-        write_table(path, {"t_s": T_S, "file": T_S})
-    assert paths[0].read_bytes() == paths[1].read_bytes()
-
-
 @pytest.mark.parametrize(
     ("columns", "message"),
     [
         ({}, "no columns"),
-        ({"": T_S}, "is empty"),
         ({"#t": T_S}, "starts with '#'"),
         ({"t": T_S, "f": T_S[:2]}, r"'f' has shape \(2,\).*expected numbers of shape \(3,\)"),
-        ({"t": 1.0}, "shape"),
-        ({"t": np.zeros((2, 2, 2))}, "shape"),
         ({"t": ["a", "b"]}, "type <U1"),
-        ({"t": [[1.0], [1.0, 2.0]]}, "'t' is not an array of numbers"),
         ({"q": np.zeros((3, 2)), "q_1": T_S}, "'q_1' would stand twice"),
     ],
 )
@@ -118,9 +104,8 @@ def test_rows_appended_are_rows_written_at_once(tmp_path, suffix):
         assert np.load(path)["status"].dtype == columns["status"].dtype
 
 
-@pytest.mark.parametrize("suffix", ["csv", "csv.gz"])
-def test_a_live_table_shows_its_rows_and_keeps_them(tmp_path, suffix):
-    path = tmp_path / f"t.{suffix}"
+def test_a_live_table_shows_its_rows_and_keeps_them(tmp_path):
+    path = tmp_path / "t.csv"
     write_table(path, {"old": [1.0]})
     with suppress(ZeroDivisionError), open_table(path, is_live=True) as table:
         assert list(read_table(path).columns) == ["old"]
@@ -130,26 +115,6 @@ def test_a_live_table_shows_its_rows_and_keeps_them(tmp_path, suffix):
         raise ZeroDivisionError
     assert len(read_table(path).columns["t"]) == 6
     assert [entry.name for entry in tmp_path.iterdir()] == [path.name]
-
-
-def test_what_cannot_grow_is_written_in_the_end_and_not_after_a_failure(tmp_path):
-    path = tmp_path / "t.npz"
-    with open_table(path, is_live=True) as table:
-        table.append({"t": T_S})
-        assert not path.exists()
-    assert len(read_table(path).columns["t"]) == 3
-    with suppress(ZeroDivisionError), open_table(path) as table:
-        table.append({"t": [1.0]})
-        raise ZeroDivisionError
-    assert len(read_table(path).columns["t"]) == 3
-
-
-def test_a_table_without_rows_touches_nothing(tmp_path):
-    with open_table(tmp_path / "t.csv", is_live=True):
-        pass
-    with open_table(tmp_path / "t.npz"):
-        pass
-    assert list(tmp_path.iterdir()) == []
 
 
 @pytest.mark.parametrize(
@@ -167,15 +132,14 @@ def test_the_log_that_is_being_read_is_no_place_to_write(tmp_path):
     path = tmp_path / "log.csv"
     write_table(path, {"t": T_S})
     (tmp_path / "link.csv").symlink_to(path)
-    check_writable(tmp_path / "other.csv", source=path)
-    check_writable("-", source=path)
+    check_outputs({"-o": tmp_path / "other.csv"}, path)
     with pytest.raises(FileAccessError, match="it is the log itself"):
-        check_writable(tmp_path / "link.csv", source=path)
+        check_outputs({"-o": tmp_path / "link.csv"}, path)
 
 
-@pytest.fixture(params=[".mcap", ".db3"])
-def path(request, tmp_path):
-    return tmp_path / f"out{request.param}"
+@pytest.fixture
+def path(tmp_path):
+    return tmp_path / "out.mcap"
 
 
 def joint_columns(rows=20):
@@ -245,13 +209,6 @@ def test_metadata_and_definitions_are_there(path):
     (_, state), *_ = messages_of(path, "/joint_states")
     assert state.velocity.size == 0
     assert state.name == ["joint_1", "joint_2"]
-    if path.suffix == ".db3":
-        text = (path / "metadata.yaml").read_text()
-        assert "storage_identifier: sqlite3" in text
-        assert "version: 8" in text
-        assert sorted(p.name for p in path.iterdir()) == ["metadata.yaml", "out.db3"]
-        with closing(sqlite3.connect(path / "out.db3")) as connection:
-            assert connection.execute("PRAGMA integrity_check").fetchone() == ("ok",)
 
 
 def test_an_existing_bag_is_replaced_only_by_a_whole_one(path):

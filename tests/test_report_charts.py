@@ -8,13 +8,9 @@ import pytest
 from benchmark_cases import gel_slice
 
 from benchmarks.benchmark import Job
-from benchmarks.force_plots import force_chart, force_figures, rmse_N
+from benchmarks.force_plots import force_figures
 from benchmarks.identification_figures import draw_identification
 from benchmarks.identification_metrics import SIGMA1_N, identify_as_run
-from benchmarks.identification_plots import (
-    enhanced_chart,
-    true_friction,
-)
 from benchmarks.methods import ForceReading, identify
 from benchmarks.signals import ForceTruth, NeedleSignal, insertion_truth
 from groundtruth import insert_needle
@@ -46,16 +42,6 @@ READINGS = (
 )
 
 
-def test_a_wild_curve_flattens_no_other_and_an_rmse_counts_the_judged_part_only():
-    labels = [curve.label for curve in force_chart("a", TRUTH, READINGS).panels[0].curves]
-    assert "virtual sensor, ours, RMSE 0.050 N" in labels
-    wild = force_chart("a", TRUTH, (*READINGS[:2], reading("virtual", "published", 50.0)))
-    low, high = wild.panels[1].limits
-    assert -low == high < 0.5
-    late = replace(READINGS[1], axial_N=np.where(T < 4.0, 9.0, 1.0))
-    assert rmse_N(late, TRUTH, TRUTH.axial_N) == pytest.approx(0.0, abs=0.05)
-
-
 def test_figure_5_has_two_panels_and_the_papers_numbers_and_other_runs_one_wide_panel(tmp_path):
     over_time, over_depth = force_figures(GEL, tmp_path, TRUTH, READINGS)
     assert [item.figure + item.panel for item in (over_time, over_depth)] == ["5a", "5c"]
@@ -68,23 +54,7 @@ def test_figure_5_has_two_panels_and_the_papers_numbers_and_other_runs_one_wide_
     assert over_depth.shown.path.is_file()
     job = Job(benchmark="random-stack", plant="degraded", seed=3)
     (drawing,) = force_figures(job, tmp_path, TRUTH, READINGS)
-    assert (drawing.figure, drawing.facts) == ("", ())
     assert drawing.shown.path.name == "random-stack-degraded-3-force-time.svg"
-    assert drawing.shown.wide.is_file()
-    assert drawing.job.where == "degraded plant, seed 3"
-
-
-def test_what_figure_5_says_of_delay_and_band_is_of_this_run(tmp_path):
-    """A sensor that is late and too sure of itself must not be praised."""
-    wave = np.sin(T)
-    truth = replace(TRUTH, axial_N=wave)
-    late, sure = np.interp(T - 0.1, T, wave), np.full(len(T), 1e-4)
-    ours = ForceReading(source="virtual", method="default", axial_N=late, std_N=sure)
-    published, ft = reading("virtual", "published", 0.2), reading("ft", "default", 0.01)
-    readings = (ours, ft, replace(published, axial_N=wave))
-    *_, delay, within = force_figures(GEL, tmp_path, truth, readings)[0].facts
-    assert dict(delay.here) == {"published, here": "0", "ours, here": "100"}
-    assert float(dict(within.here)["ours, here"]) < 1.0
 
 
 SHORT = gel_slice()
@@ -108,27 +78,6 @@ def run():
         published=made["published"],
         commanded_m_s=commanded_m_s,
     )
-
-
-def test_a_chart_marks_the_true_rupture_the_alarm_and_the_identified_friction(run):
-    chart, zero = enhanced_chart("a", run.truth, run.ours), run.truth.tare_end_s
-    (shading,) = chart.shadings
-    (rupture,) = run.truth.ruptures
-    assert shading.spans == ((rupture.onset_s - zero, rupture.end_s - zero),)
-    detected, identified = chart.instants
-    assert detected.places == tuple(alarm.alarm_s - zero for alarm in run.ours.alarms)
-    assert min(identified.places) > detected.places[0]
-
-
-def test_true_friction_is_force_over_speed_at_the_rupture(run):
-    (rupture,) = run.truth.ruptures
-    steps = true_friction(run.truth)
-    times, total = steps["cumulative_friction_Ns_per_m"]
-    assert total[0] == 0.0
-    assert total[-1] == pytest.approx(rupture.layer_friction_N / 5e-3, rel=1e-3)
-    assert times[-1] == run.truth.insertion_end_s
-    _, local = steps["friction_Ns_per_m2"]
-    assert local[0] == pytest.approx(total[-1] / rupture.onset_m)
 
 
 def test_the_published_method_with_its_authors_settings_comes_near_the_truth(run):
@@ -166,7 +115,3 @@ def test_a_run_of_a_figure_draws_panels_of_their_own_letters_and_numbers(run, tm
     assert 0.0 <= float(ours[2]) < 10.0
     tuned = dict(facts[1].here)["published, tuned, here"]
     assert float(tuned) == pytest.approx(float(ours[1]), rel=0.15)
-    assert all(
-        item.shown.alt and item.shown.caption and item.shown.path.is_file() for item in drawings
-    )
-    assert [item.shown.wide is not None for item in drawings] == [False, False, False, True]

@@ -6,7 +6,7 @@ from guarded_sensor import NOISE, feed, tared
 from residual_signals import BIAS, MIDDLE, swing
 
 from residual import SensorWarning, Status, VirtualForceSensor
-from residual.stuck_signals import LONGEST_REFUSAL_S, stands_out
+from residual.stuck_signals import LONGEST_REFUSAL_S
 
 
 def held(values, samples, rng=None):
@@ -25,8 +25,8 @@ def rounded(values, resolution):
 SOURCES = {
     **{
         f"resolution of {lsb:g} Nm, noise of {noise:g} Nm": (lsb, noise, 1)
-        for lsb in (0.0, 1e-3, 4e-3, 0.02, 0.1)
-        for noise in (0.0, 4e-3, 0.03)
+        for lsb in (0.0, 4e-3, 0.1)
+        for noise in (0.0, 0.03)
     },
     "100 Hz": (0.0, 0.03, 10),
     "250 Hz and 0.02 Nm": (0.02, 4e-3, 4),
@@ -54,7 +54,7 @@ def test_an_arm_at_rest_is_not_refused_whatever_its_source(lwr, source, moves_fi
 
 
 @pytest.mark.parametrize("which", ["torque", "position", "all"])
-@pytest.mark.parametrize("resolution", [0.0, 1e-3, 1e-2])
+@pytest.mark.parametrize("resolution", [0.0, 1e-2])
 def test_what_stays_the_same_in_all_joints_is_frozen_until_it_moves_again(lwr, resolution, which):
     sensor, rows = tared(lwr)
     rows = [(q, dq, rounded(tau, resolution)) for q, dq, tau in rows]
@@ -118,22 +118,10 @@ def test_signals_without_noise_may_repeat_themselves(lwr):
     assert not found[-1].warnings
 
 
-@pytest.mark.parametrize("slope", [0.0, 0.3, 1.0, 2.7])
-def test_noise_stands_out_of_a_resolution_finer_than_itself_and_motion_never_does(slope):
-    rng = np.random.default_rng(0)
-    ramp = slope * np.arange(500.0)[:, None] * 1e-3
-    quiet, loud = (sigma * rng.normal(size=(500, 50)) for sigma in (3e-4, 3e-3))
-    assert not stands_out(np.repeat(ramp, 3, axis=1)).any()
-    assert not stands_out(rounded(ramp + quiet, 1e-3)).any()
-    assert stands_out(rounded(ramp + loud, 1e-3)).all()
-    assert stands_out(ramp + quiet).all()
-    assert stands_out(held(ramp + loud, 4)).all()
-
-
 # A source slower than the clock repeats its samples, then jumps: that is no spike.
 
 
-MILLISECONDS = (2, 3, 5, 8, 10, 20)
+MILLISECONDS = (2, 5, 20)
 
 
 def moving(robot, noise_rad, seconds=1.5):
@@ -155,7 +143,7 @@ def estimates(sensor, q, dq, tau):
 
 
 @pytest.mark.parametrize("with_velocity", [True, False])
-@pytest.mark.parametrize("noise_rad", [0.0, 1e-5, 1e-4])
+@pytest.mark.parametrize("noise_rad", [0.0, 1e-4])
 @pytest.mark.parametrize("samples", MILLISECONDS)
 def test_positions_held_from_50_to_500_hz_are_no_spikes(lwr, samples, noise_rad, with_velocity):
     q, dq, tau = moving(lwr, noise_rad)
@@ -164,14 +152,6 @@ def test_positions_held_from_50_to_500_hz_are_no_spikes(lwr, samples, noise_rad,
         found = estimates(VirtualForceSensor(lwr), *sent)
         assert not any(e.warnings for e in found)
         assert found[-1].status is Status.NOT_TARED
-
-
-@pytest.mark.parametrize("which", [1, 2])
-def test_velocities_or_torques_held_at_100_hz_are_no_spikes(lwr, which):
-    signals = list(moving(lwr, 1e-5))
-    signals[1] = signals[1] + 0.01 * np.random.default_rng(2).normal(size=signals[1].shape)
-    signals[which] = held(signals[which], 10)
-    assert not spikes(estimates(VirtualForceSensor(lwr), *signals))
 
 
 @pytest.mark.parametrize("samples", MILLISECONDS)
@@ -193,14 +173,3 @@ def test_a_rest_of_any_length_makes_no_gate_wide(lwr):
     dq, tau = 1e-3 * rng.normal(size=q.shape), tau[0] + 0.03 * rng.normal(size=q.shape)
     q[3990, 4] += 1e-3
     assert spikes(estimates(VirtualForceSensor(lwr), q, dq, tau)) == [3990]
-
-
-def test_a_hold_is_remembered_by_a_snapshot(lwr):
-    q, dq, tau = moving(lwr, 1e-5)
-    q = held(q, 20)
-    sensor, other = VirtualForceSensor(lwr), VirtualForceSensor(lwr)
-    estimates(sensor, q[:1015], dq[:1015], tau[:1015])
-    state = sensor.snapshot()
-    assert state.joints.guard.held_s == pytest.approx(0.014)
-    other.restore(state)
-    assert not spikes(estimates(other, q[1015:], dq[1015:], tau[1015:]))

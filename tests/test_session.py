@@ -3,11 +3,11 @@
 import numpy as np
 import pinocchio as pin
 import pytest
-from insertion_run import insert, resumed_after, same, samples, short_run, tare_index, time_steps
+from insertion_run import insert, resumed_after, samples, short_run, tare_index, time_steps
 
 from benchmarks.signals import JointSignals, measured_travel
 from identification import MultilayerConfig, SampleStatus
-from identification.input_validation import CheckConfig
+from identification.config import CheckConfig
 from needleforce import InsertionError, InsertionSession
 from residual import DEFAULT, PUBLISHED, SensorWarning, Status, TareError
 from residual.tool_kinematics import ToolKinematics
@@ -25,15 +25,17 @@ def ruptures(found):
 
 @pytest.fixture(scope="module")
 def whole():
+    """Until the needle has left the gel."""
     session = InsertionSession(RUN.robot)
-    return session, insert(session)
+    return session, insert(session, TARE + 17_500)
 
 
 def test_the_chain_finds_force_depth_and_layer(whole):
     session, found = whole
-    inside = (RUN.signals.t_s > RUN.contact_s) & (RUN.signals.t_s < RUN.withdrawn_s)
+    touched = int(np.searchsorted(RUN.signals.t_s, RUN.truth.contact_s))
     axial = np.array([e.wrench.axial for e in found])
-    assert np.sqrt(np.mean((axial - RUN.truth.axial_N)[inside] ** 2)) < 0.05
+    error = (axial - RUN.truth.axial_N[: len(found)])[touched:]
+    assert np.sqrt(np.mean(error**2)) < 0.05
     assert len(ruptures(found)) == len(session.layers) == 1
     assert session.layers[0].thickness_m == pytest.approx(28.2e-3, abs=1e-3)
     assert found[-1].status is Status.OK
@@ -87,17 +89,6 @@ def test_only_valid_tared_forces_of_this_tick_are_used_for_identification():
     assert estimate.time_s == pytest.approx(k * 1e-3, abs=2e-3)
 
 
-def test_a_rupture_and_its_retraction_are_reported_once(whole):
-    k = ruptures(whole[1])[0]
-    reported = whole[1][k].identification
-    session, ((q, dq, tau, dt_s),) = resumed_after(k, 1)
-    for event in ({}, {"rupture": None, "retracted": reported.rupture}):
-        session._identification = reported._replace(**event)
-        for _ in range(2):
-            idle = session.update(q, dq, tau * np.nan, dt_s).identification
-            assert idle == reported._replace(rupture=None)
-
-
 def test_a_refused_tare_changes_nothing_and_another_insertion_keeps_the_tare():
     session, (first, second) = resumed_after(TARE + 12_000, 2)
     deep = session.update(*first)
@@ -119,7 +110,7 @@ def test_a_refused_tare_changes_nothing_and_another_insertion_keeps_the_tare():
 
 
 def test_the_robots_own_external_torque_gives_force_and_speed():
-    sent, truth, last = RUN.signals, RUN.truth, TARE + 8000
+    sent, truth, last = RUN.signals, RUN.truth, TARE + 5000
     noise = 0.01 * np.random.default_rng(0).normal(size=truth.external_torque_Nm.shape)
     torque = truth.external_torque_Nm + 0.3 + noise
     for with_velocity in (True, False):
@@ -249,18 +240,15 @@ def test_a_push_on_the_elbow_raises_no_rupture(first):
     assert all(e.status is Status.OK for e in found)
 
 
-def test_a_rupture_after_a_push_on_the_elbow_is_found_and_one_without_is_not_delayed():
+def test_a_rupture_after_a_push_on_the_elbow_is_found():
     found, layers = {}, {}
-    for case in ("undisturbed", "pushed", "unchecked"):
+    for case in ("undisturbed", "pushed"):
         session, rows = resumed_after(INSIDE, 12_000)
         if case == "pushed":
             rows = pushed(rows, (0.0, 2.0, 0.0), 100, 200, joint=4)
-        if case == "unchecked":
-            session._sensor.recheck = lambda last: last
         found[case] = tuple(session.update(*row) for row in rows)
         layers[case] = session.layers
     assert len(ruptures(found["undisturbed"])) == 1
-    assert same(found["undisturbed"], found["unchecked"])
     # Blocks of the identifier begin elsewhere after the pause.
     assert ruptures(found["pushed"]) == pytest.approx(ruptures(found["undisturbed"]), abs=10)
     assert len(layers["pushed"]) == len(layers["undisturbed"]) == 1

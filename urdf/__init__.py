@@ -19,7 +19,7 @@ from urdf.errors import (
 )
 from urdf.loading import LWR_GEAR_RATIO, example_robot_path, load_example, load_lwr, load_urdf
 from urdf.payload import NeedleTool, Payload
-from urdf.payload_identification import PayloadEstimate, identify_payload, identify_payload_static
+from urdf.payload_identification import PayloadEstimate, identify_payload_static
 from urdf.robot import Robot
 from urdf.serial_robot import SerialJoint, build_serial_robot
 
@@ -39,7 +39,6 @@ __all__ = [
     "UrdfFileError",
     "build_serial_robot",
     "example_robot_path",
-    "identify_payload",
     "identify_payload_static",
     "load_example",
     "load_lwr",

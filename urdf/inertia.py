@@ -1,17 +1,13 @@
-r"""Inertial parameters of one rigid body as a vector of ten, and what makes them physical.
+"""Inertial parameters of one rigid body as a vector of ten, and what makes them physical.
 
 The ten numbers, in Pinocchio's order, are linear in every torque the body causes:
 
     phi = (m, m c_x, m c_y, m c_z, I_xx, I_xy, I_yy, I_xz, I_yz, I_zz),
 
 with c the centre of mass and I the inertia about the frame origin. A body with non-negative density
-exists for phi exactly when the pseudo-inertia
-
-    J(phi) = [[S, m c], [(m c)^T, m]],   S = tr(I)/2 - I,
-
-is positive semidefinite (Wensing, Kim, Slotine, "Linear matrix inequalities for physically
-consistent inertial parameter identification", RA-L 2018); that is m >= 0, a positive semidefinite
-inertia about the centre of mass, and principal moments that obey the triangle inequality.
+exists for phi exactly when m >= 0, the inertia about the centre of mass is positive semidefinite,
+and its principal moments obey the triangle inequality (Wensing, Kim, Slotine, "Linear matrix
+inequalities for physically consistent inertial parameter identification", RA-L 2018).
 
 In every function parameters have shape (10,), in kg, kg m and kg m^2.
 """
@@ -31,16 +27,6 @@ _MOMENTS = ([0, 0, 1, 0, 1, 2], [0, 1, 1, 2, 2, 2])
 _LARGEST = 1e9
 
 
-def pseudo_inertia(parameters: Array) -> Array:
-    """Return J(phi), shape (4, 4)."""
-    return pin.PseudoInertia.FromDynamicParameters(parameters).toMatrix()
-
-
-def from_pseudo_inertia(matrix: Array) -> Array:
-    """Return the ten parameters of a pseudo-inertia; the inverse of `pseudo_inertia`."""
-    return pin.PseudoInertia.FromMatrix(matrix).toDynamicParameters()
-
-
 def parameters_about_com(mass_kg: float, com_m: Array, inertia_kg_m2: Array) -> Array:
     """Return the ten parameters of a body given by its inertia about the centre of mass."""
     # What overflows comes out as infinite, which `require_mass` refuses by name.
@@ -48,17 +34,6 @@ def parameters_about_com(mass_kg: float, com_m: Array, inertia_kg_m2: Array) -> 
         steiner = mass_kg * (com_m @ com_m * np.eye(3) - np.outer(com_m, com_m))
         about_origin = inertia_kg_m2 + steiner
         return np.concatenate([[mass_kg], mass_kg * com_m, about_origin[_MOMENTS]])
-
-
-def moved_parameters(parameters: Array, rotation: Array, translation_m: Array) -> Array:
-    """Describe the same body in another frame, where its points p are at R p + t.
-
-    With T = [[R, t], [0, 1]] the pseudo-inertia becomes T J T^T: the map is linear in phi.
-    """
-    transform = np.eye(4)
-    transform[:3, :3] = rotation
-    transform[:3, 3] = translation_m
-    return from_pseudo_inertia(transform @ pseudo_inertia(parameters) @ transform.T)
 
 
 def require_mass(parameters: Array, owner: str) -> None:
@@ -93,41 +68,3 @@ def require_physical(parameters: Array, owner: str) -> None:
             f"{owner}: principal moments {shown} kg m^2 break the triangle inequality (the largest "
             f"exceeds the sum of the others by {moments[2] - moments[0] - moments[1]:.3g} kg m^2)"
         )
-
-
-# For `nearest_body`. Weight of directions that the data do not determine, against the strongest:
-# enough to give them one answer.
-_PRIOR = 1e-6
-# The barrier shrinks from a tenth of the cost's scale until it no longer matters.
-_BARRIERS = np.logspace(-1, -14, 27)
-_BASIS = np.array([pseudo_inertia(unit) for unit in np.eye(10)])
-
-
-def nearest_body(solution: Array, information_root: Array) -> Array:
-    """Return the consistent parameters of least cost ``|R (phi - solution)|^2``.
-
-    The consistent parameters are a convex cone, J(phi) positive semidefinite, so there is one
-    answer. It is approached from inside by Newton's method with a barrier ``-mu log det J(phi)``
-    whose weight shrinks; the cost ends within 4 mu of the least. ``solution`` is in units in which
-    parameters are of comparable size; ``information_root`` is R, shape (10, 10).
-    """
-    strongest = np.linalg.norm(information_root, 2)
-    root = np.vstack([information_root / strongest, _PRIOR * np.eye(10)])
-    hessian = root.T @ root
-    size = max(float(np.linalg.norm(solution)), 1e-12)
-    parameters = np.array([1.0, 0, 0, 0, 1, 0, 1, 0, 0, 1]) * size
-    for barrier in _BARRIERS * size**2:
-        # Half the cost plus the barrier, divided by ``barrier``, is self-concordant: a Newton step
-        # shortened by 1 / (1 + its decrement) never leaves the cone and always descends (Boyd and
-        # Vandenberghe, section 9.6).
-        for _ in range(100):
-            scaled = np.linalg.solve(pseudo_inertia(parameters), _BASIS)
-            slope = hessian @ (parameters - solution) / barrier
-            slope -= np.trace(scaled, axis1=1, axis2=2)
-            curvature = hessian / barrier + np.einsum("aij,bji->ab", scaled, scaled)
-            step = np.linalg.solve(curvature, slope)
-            decrement = float(np.sqrt(max(slope @ step, 0.0)))
-            parameters = parameters - step / (1.0 + decrement)
-            if decrement < 1e-3:
-                break
-    return parameters

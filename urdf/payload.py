@@ -8,7 +8,7 @@ import pinocchio as pin
 from numpy.typing import ArrayLike
 
 from urdf.errors import Array, InputError, finite_array, read_only
-from urdf.inertia import moved_parameters, parameters_about_com, require_mass, require_physical
+from urdf.inertia import parameters_about_com, require_mass, require_physical
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -73,7 +73,8 @@ class Payload:
         shift = finite_array(translation_m, (3,), "translation_m")
         if not np.allclose(turn @ turn.T, np.eye(3), atol=1e-9) or np.linalg.det(turn) < 0.0:
             raise InputError(f"rotation is not a rotation matrix: {turn.tolist()}")
-        return Payload.from_parameters(moved_parameters(self.parameters, turn, shift))
+        body = pin.SE3(turn.copy(), shift.copy()).act(self.spatial_inertia)
+        return Payload.from_parameters(body.toDynamicParameters())
 
     def __add__(self, other: "Payload") -> "Payload":
         """Join two bodies given in the same frame into one."""

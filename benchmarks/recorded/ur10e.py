@@ -157,4 +157,4 @@ def _payload_kg(robot: Robot, q_rad: Array, residual: Array, noise_Nm: Array) ->
     gravity = np.array([pin.computeGeneralizedGravity(robot.model, data, q) for q in q_rad])
     torque = gravity - residual
     found = identify_payload_static(robot, q_rad, torque, torque_noise_std_Nm=noise_Nm)
-    return float(found.unconstrained_parameters[0])
+    return float(found.parameters[0])

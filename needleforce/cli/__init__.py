@@ -108,8 +108,8 @@ class Output:
     output: Annotated[
         str | None, Parameter(name=("--output", "-o"), metavar="FILE", allow_leading_hyphen=True)
     ] = None
-    """Table of the estimates, row by row: .csv, .csv.gz, .npz, .parquet, .mcap, a folder .db3, or
-    - for CSV on standard output."""
+    """Table of the estimates, row by row: .csv, .npz, .parquet, .mcap (a ROS 2 bag), or - for CSV
+    on standard output."""
     figure: Annotated[Path | None, Parameter(name=("--figure", "--png"), metavar="FILE")] = None
     """Figure: .png, .svg or .pdf."""
     over: Over = "time"
@@ -200,7 +200,7 @@ class SimulationOptions:
     """What is simulated, and where it goes."""
 
     output: Annotated[Path | None, Parameter(name=("--output", "-o"), metavar="FILE")] = None
-    """Recording: .csv, .csv.gz, .npz, .parquet, .mcap, or .db3 for a folder with a ROS 2 bag."""
+    """Recording: .csv, .npz, .parquet, or .mcap, a ROS 2 bag."""
     truth: Annotated[Path | None, Parameter(metavar="FILE")] = None
     """Ground truth, which the robot does not know: forces, depth, layers, ruptures."""
     plant: Literal["ideal", "clean", "fri", "degraded"] = "clean"
@@ -334,3 +334,24 @@ def report_command(
     if has_channels(log, columns, ("q", "tau_ext" if sensor.external_torque else "tau")):
         return force.run(log, output, robot, sensor, columns, options)
     return identify.run(log, output, options, columns)
+
+
+@app.command(name="demo")
+def demo_command(
+    kind: Annotated[
+        Literal["guidance", "teleop", "autonomous", "rcm"], Parameter(name="KIND", group=LOG)
+    ],
+    /,
+    *,
+    report: Annotated[Path | None, Parameter(metavar="DIR", group=OUTPUT)] = None,
+    figure: Annotated[Path | None, Parameter(metavar="FILE", group=OUTPUT)] = None,
+) -> int:
+    """Show the needle moved in closed loop on the simulated arm: a table, and a page in DIR.
+
+    Simulation only: not a medical device. --figure writes the first picture alone.
+
+    needleforce demo teleop --report demo
+    """
+    from needleforce.cli.demo import run
+
+    return run(kind, report, figure)

@@ -23,7 +23,6 @@ from needleforce.recordings.mapping import ChannelRequest
 from needleforce.recordings.open_recording import suggest_mapping
 from needleforce.recordings.table import Labels
 from residual import SensorConfig, SensorWarning, Status
-from urdf import Robot
 
 
 def run(
@@ -72,7 +71,9 @@ def estimate_forces(
     tracked += ["force_N", "std"] if config.mode != "axial" else []
     tracked += ["torque_Nm"] if config.mode == "full" else []
     result, overview, forces = ForceResult(log.name, replay), logs.RowOverview(tracked), []
-    with logs.open_output(output, log, lambda: _labels(log, replay.robot, config)) as table:
+    # Frame 0 is Pinocchio's own "universe"; the first of the URDF is its root link.
+    frame = replay.robot.frame_names[1] if config.axes == "base" else replay.frame
+    with logs.open_output(output, log, Labels(frame=frame)) as table:
         for chunk in log:
             rows = replay.run(chunk)
             result.add(rows)
@@ -86,14 +87,6 @@ def estimate_forces(
     if layers is not None and result.counts[Status.OK]:
         result.layers = identify_layers(forces, log.name, layers)
     return result
-
-
-def _labels(log: LogSession, robot: Robot, config: SensorConfig) -> Labels:
-    """Return what a bag of forces says beside the numbers."""
-    tool_frame = config.frame if config.frame is not None else robot.tool_frame
-    # Frame 0 is Pinocchio's own "universe"; the first of the URDF is its root link.
-    frame = robot.frame_names[1] if config.axes == "base" else tool_frame
-    return Labels(start_ns=log.start_ns, frame=frame)
 
 
 def _as_log(chunk: LogChunk, rows: Rows) -> LogChunk:

@@ -180,6 +180,7 @@ class Replay:
     def __init__(self, robot: Robot, config: SensorConfig, options: SensorOptions) -> None:
         self.sensor = VirtualForceSensor(robot, config)
         self.robot, self.config, self.is_external = robot, config, options.external_torque
+        self.frame = config.frame if config.frame is not None else robot.tool_frame
         self._options, self._has_velocity = options, False
         self._tool = ToolKinematics(robot, config.frame, config.insertion_axis)
         self._start_m: NDArray[np.float64] | None = None
@@ -195,8 +196,8 @@ class Replay:
     def description(self) -> str:
         """What is estimated from what."""
         config = self.config
-        frame = config.frame if config.frame is not None else self.robot.tool_frame
-        what = f"wrench at {frame}" if config.mode == "full" else f"{config.mode} force at {frame}"
+        what = "wrench" if config.mode == "full" else f"{config.mode} force"
+        what = f"{what} at {self.frame}"
         if self.is_external:
             return f"{what}, from the robot's own external torque"
         velocity = "velocity from the log" if self._has_velocity else "velocity estimated"

@@ -1,7 +1,7 @@
 """`needleforce identify`: layers and ruptures from depth and force, as table, figure and page."""
 
 from collections import Counter
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterable
 from dataclasses import dataclass
 from operator import attrgetter
 from pathlib import Path
@@ -9,8 +9,8 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from identification import MULTILAYER, PUBLISHED, PUBLISHED_KV, LayerEstimate
-from identification.log_replay import ReplayedRows, ReplayStream
+from identification import MULTILAYER, PUBLISHED, PUBLISHED_KV, Estimate, LayerEstimate
+from identification.log_replay import ReplayStream
 from needleforce import cli, plots
 from needleforce.cli import log as logs
 from needleforce.cli.log import LogSession
@@ -43,15 +43,10 @@ def run(
     request = ChannelRequest(mapping=known, required=REQUIRED, optional=OPTIONAL)
 
     def estimate(log: LogSession) -> IdentificationResult:
-        with logs.open_output(output, log, lambda: _labels(log)) as table:
+        with logs.open_output(output, log, Labels(prefix="/needleforce/identification")) as table:
             return identify_layers(log, log.name, options, table)
 
     return logs.run_log(source, output, request, estimate)
-
-
-def _labels(log: LogSession) -> Labels:
-    """Return what a bag of estimates says beside the numbers."""
-    return Labels(start_ns=log.start_ns, prefix="/needleforce/identification")
 
 
 # From a log to its result.
@@ -87,9 +82,13 @@ def identify_layers(
     stream, left_out = ReplayStream(METHODS[options.method]), Counter[str]()
     drawn = (*(force for force, _, _ in _FORCES), *_PARAMETERS, "identified_layer")
     overview = logs.RowOverview(drawn)
-    for rows, depth_m in _replayed(chunks, stream, None if options.ignore_status else left_out):
-        columns = estimate_table(rows)
-        overview.add({"depth_m": depth_m, "force_N": rows.force_N} | columns)
+    for chunk in chunks:
+        t_s, depth_m, force_N = chunk.t_s, chunk.channels["depth_m"], chunk.channels["force_N"]
+        if not options.ignore_status:
+            force_N = usable_force(chunk, left_out)
+        speed_m_s = chunk.channels.get("speed_m_s")
+        columns = estimate_table(t_s, stream.run(t_s, depth_m, force_N, speed_m_s, chunk.dt_s))
+        overview.add({"depth_m": depth_m, "force_N": force_N} | columns)
         if table is not None:
             table.append(columns)
     flip = "; a factor of -1 after the unit does, as in --force fz:N:-1"
@@ -105,16 +104,6 @@ def identify_layers(
     return IdentificationResult(name, options.method, layers, warnings, overview.columns())
 
 
-def _replayed(
-    chunks: Iterable[LogChunk], stream: ReplayStream, left_out: Counter[str] | None
-) -> Iterator[tuple[ReplayedRows, NDArray[np.float64]]]:
-    """Yield rows with estimates, and their depths."""
-    for chunk in chunks:
-        depth_m, speed_m_s = chunk.channels["depth_m"], chunk.channels.get("speed_m_s")
-        force_N = chunk.channels["force_N"] if left_out is None else usable_force(chunk, left_out)
-        yield stream.run(chunk.t_s, depth_m, force_N, speed_m_s, chunk.dt_s), depth_m
-
-
 _EVENTS = ("rupture", "identified_layer", "retracted")
 _NUMBERS = (
     *("enhanced_force_N", "tip_force_N", "shaft_friction_N", "shaft_friction_std_N"),
@@ -126,7 +115,7 @@ _NUMBERS = (
 _read = attrgetter(*_NUMBERS, "status.is_used", *_EVENTS)
 
 
-def estimate_table(rows: ReplayedRows) -> Rows:
+def estimate_table(t_s: NDArray[np.float64], estimates: list[Estimate]) -> Rows:
     """Return the columns of the estimates of at least one row; names carry the unit.
 
     `used` is 0 for rows that were rejected. On the rows of events stands the number of a layer,
@@ -134,8 +123,8 @@ def estimate_table(rows: ReplayedRows) -> Rows:
     provisionally or, with `is_final`, finally, `retracted` where the alarm proved false. Standard
     deviations that a method does not state are nan.
     """
-    *numbers, ruptures, layers, retracted = zip(*map(_read, rows.estimates), strict=True)
-    table = {"t_s": rows.t_s}
+    *numbers, ruptures, layers, retracted = zip(*map(_read, estimates), strict=True)
+    table = {"t_s": t_s}
     for name, values in zip((*_NUMBERS, "used"), numbers, strict=True):
         # None becomes nan.
         table[name] = np.array(values, dtype=np.float64)

@@ -22,7 +22,7 @@ from needleforce.cli.terminal import (
 from needleforce.plots.page import PAGE
 from needleforce.recordings import CHANNELS, ColumnMapping, FollowOptions, LogStream, RecordingError
 from needleforce.recordings import output as output_files
-from needleforce.recordings.errors import file_errors, readable_path
+from needleforce.recordings.errors import readable_path
 from needleforce.recordings.follow import STANDARD_STREAM
 from needleforce.recordings.log import LogChunk
 from needleforce.recordings.mapping import ChannelRequest, parse_column_spec
@@ -178,27 +178,26 @@ def check_outputs(source: str, output: Output) -> None:
         recordings.check_writable(output.output)
     if output.figure is not None:
         plots.require_matplotlib("--figure", output.figure)
-        with file_errors(output.figure, "write"):
-            if output.figure.is_dir():
-                raise CommandError(f"cannot write {output.figure}: it is a folder")
-            if not (folder := output.figure.parent).is_dir():
-                raise CommandError(f"cannot write {output.figure}: there is no folder {folder}")
+        output_files.require_place(output.figure)
     output_files.check_outputs(
         outputs, None if source == STANDARD_STREAM else readable_path(source)
     )
 
 
 @contextmanager
-def open_output(
-    output: Output, log: LogSession, labels: Callable[[], Labels]
-) -> Iterator[OpenTable | None]:
-    """Open the table that the command line names; yields None if it names none."""
+def open_output(output: Output, log: LogSession, labels: Labels) -> Iterator[OpenTable | None]:
+    """Open the table that the command line names; yields None if it names none.
+
+    The start of the clock is the log's, known when there are rows.
+    """
     path = output.output
     if path is None:
         yield None
         return
     is_there = path != STANDARD_STREAM and Path(path).is_file()
-    with open_table(path, is_live=log.is_live, labels=labels) as table:
+    with open_table(
+        path, is_live=log.is_live, labels=lambda: replace(labels, start_ns=log.start_ns)
+    ) as table:
         yield table
     if is_there and log.exit_code:
         say(f"warning: {path} holds these rows only; the table that was there is replaced")

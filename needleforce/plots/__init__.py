@@ -19,7 +19,6 @@ from needleforce.plots.chart import (
     save_figure,
 )
 from needleforce.plots.page import (
-    Attachment,
     Page,
     PageFigure,
     PageTable,
@@ -31,7 +30,6 @@ from needleforce.plots.page import (
 )
 
 __all__ = [
-    "Attachment",
     "Chart",
     "Curve",
     "FiguresError",

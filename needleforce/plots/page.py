@@ -7,7 +7,7 @@ from contextlib import contextmanager, suppress
 from dataclasses import dataclass, fields, is_dataclass, replace
 from importlib.resources import files
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import Any
 
 from needleforce.plots.chart import (
     WIDE_IN,
@@ -53,14 +53,6 @@ class PageTable:
                 )
 
 
-class Attachment(NamedTuple):
-    """A file that is kept inside the page and can be saved from it."""
-
-    name: str
-    media_type: str
-    content: bytes
-
-
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Section:
     """A part of a page."""
@@ -72,7 +64,6 @@ class Section:
     command: str = ""  # as typed
     figures: tuple[PageFigure, ...] = ()  # side by side where there is room
     tables: tuple[PageTable, ...] = ()
-    attachments: tuple[Attachment, ...] = ()
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -98,17 +89,13 @@ class Page:
         return printable(environment.from_string(source).render(page=self))
 
 
-def _data_uri(item: Path | Attachment) -> str:
-    if isinstance(item, Attachment):
-        media_type, content = item.media_type, item.content
-    else:
-        # As an image, not as elements of the page: names inside two drawings cannot clash.
-        media_type = MEDIA_TYPES[item.suffix]
-        try:
-            content = item.read_bytes()
-        except OSError as error:
-            raise WriteError(f"cannot read {item}: {error.strerror or error}") from error
-    return f"data:{media_type};base64,{b64encode(content).decode()}"
+def _data_uri(path: Path) -> str:
+    """As an image, not as elements of the page: names inside two drawings cannot clash."""
+    try:
+        content = path.read_bytes()
+    except OSError as error:
+        raise WriteError(f"cannot read {path}: {error.strerror or error}") from error
+    return f"data:{MEDIA_TYPES[path.suffix]};base64,{b64encode(content).decode()}"
 
 
 def write_page(path: str | Path, page: Page) -> Path:

@@ -23,6 +23,8 @@ from needleforce.recordings.errors import (
 from needleforce.recordings.follow import FollowOptions, byte_blocks
 
 BAG_SUFFIXES = (".mcap", ".db3")
+METADATA = "metadata.yaml"
+"""Beside the files of a bag that is a folder."""
 _LATEST_NS = (1 << 63) - 1
 _MOST_OPEN = 64  # files
 
@@ -278,7 +280,12 @@ _SQLITE_MAGIC = b"SQLite format 3\x00"
 def _sqlite_messages(path: Path, faults: list[str]) -> Iterator[RawMessage]:
     """Read an SQLite bag in order of recording; a damaged one is refused."""
     path = path.resolve()
-    require_sqlite_name(path, "read")
+    if set("?#%") & set(str(path)) or not path.suffix.islower():
+        # rosbags makes a URI of the path, without quoting.
+        raise FileAccessError(
+            f"cannot read {path}: a bag in an SQLite file needs a path without ?, # and %, and the "
+            "suffix .db3 in small letters; give another name, or use .mcap"
+        )
     with path.open("rb") as stream:
         _require_magic(stream.read(len(_SQLITE_MAGIC)), _SQLITE_MAGIC, "SQLite")
     journal = Path(f"{path}-wal")
@@ -314,12 +321,3 @@ def _sqlite_topic(found: Any) -> BagTopic:
         raise TypeError(f"{found.topic!r:.40} is no name of a topic")
     text = found.msgdef.data if found.msgdef.format.name == "MSG" else ""
     return BagTopic(found.topic, found.msgtype, str(found.ext.serialization_format), text)
-
-
-def require_sqlite_name(path: Path, verb: str) -> None:
-    """Refuse a path that rosbags would misread: it makes a URI of it, without quoting."""
-    if set("?#%") & set(str(path.absolute())) or not path.suffix.islower():
-        raise FileAccessError(
-            f"cannot {verb} {path}: a bag in an SQLite file needs a path without ?, # and %, and "
-            "the suffix .db3 in small letters; give another name, or use .mcap"
-        )

@@ -1,14 +1,10 @@
-"""ROS messages as columns of numbers, and rows as messages; `rosbags` has their types.
-
-Bags are written as MCAP, with checksums, or as SQLite.
-"""
+"""ROS messages as columns of numbers, and rows as messages; `rosbags` has their types."""
 
 import re
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from contextlib import suppress
 from functools import cache, lru_cache
 from operator import attrgetter
-from pathlib import Path
 from typing import Any, BinaryIO, NamedTuple
 
 import numpy as np
@@ -181,8 +177,6 @@ def _column_name(topic: BagTopic, path: tuple[str, ...]) -> str:
     return topic.name if path == ("data",) else "/".join((topic.name, *path))
 
 
-_METADATA_VERSION = 8
-"""Of the metadata of an SQLite bag: the latest that ROS 2 Humble reads."""
 _CHUNK_BYTES = 1 << 20
 
 
@@ -261,12 +255,18 @@ def _wrenches(name: str, vectors: list[np.ndarray], headers: Iterable[Any]) -> O
     return OutTopic(name, kind, (types[kind](header, content) for header, content in rows))
 
 
-class _BagWriter:
-    """Writes each row as one message on each topic, stamped with the row's time."""
+class McapWriter:
+    """Writes a bag as one MCAP file: each row as one message on each topic, of the row's time.
 
-    def __init__(self, labels: Labels) -> None:
+    Chunks are compressed and carry checksums.
+    """
+
+    def __init__(self, stream: BinaryIO, labels: Labels) -> None:
         self._types, self._labels = standard_types(), labels
-        self._connections: dict[str, Any] = {}
+        self._channels: dict[str, int] = {}
+        library = optional_library("mcap.writer", "MCAP files")
+        self._bag = library.Writer(stream, chunk_size=_CHUNK_BYTES, enable_data_crcs=True)
+        self._bag.start(profile="ros2", library="needleforce")
 
     def append(self, columns: Columns) -> None:
         """Write rows of checked columns, the same in every call.
@@ -276,20 +276,20 @@ class _BagWriter:
         stamps_ns = _stamps(columns, self._labels.start_ns).tolist()
         topics = list(bag_topics(columns, self._labels, stamps_ns))
         for topic in topics:
-            if topic.name not in self._connections:
-                self._connections[topic.name] = self._connect(topic.name, topic.kind)
+            if topic.name not in self._channels:
+                text, _ = self._types.generate_msgdef(topic.kind, ros_version=2)
+                schema = self._bag.register_schema(topic.kind, "ros2msg", text.encode())
+                self._channels[topic.name] = self._bag.register_channel(topic.name, CDR, schema)
         serialize = self._types.serialize_cdr
-        places = [(self._connections[topic.name], topic.kind) for topic in topics]
+        places = [(self._channels[topic.name], topic.kind) for topic in topics]
         rows = zip(*(topic.messages for topic in topics), strict=True)
         for stamp_ns, messages in zip(stamps_ns, rows, strict=bool(topics)):
-            for (connection, kind), message in zip(places, messages, strict=True):
-                self._write(connection, stamp_ns, serialize(message, kind))
+            for (channel, kind), message in zip(places, messages, strict=True):
+                self._bag.add_message(channel, stamp_ns, serialize(message, kind), stamp_ns)
 
-    def _connect(self, name: str, kind: str) -> Any:
-        raise NotImplementedError
-
-    def _write(self, connection: Any, stamp_ns: int, data: Any) -> None:
-        raise NotImplementedError
+    def finish(self) -> None:
+        """Write the index."""
+        self._bag.finish()
 
 
 def _stamps(columns: Columns, start_ns: int) -> NDArray[np.int64]:
@@ -302,47 +302,3 @@ def _stamps(columns: Columns, start_ns: int) -> NDArray[np.int64]:
     if stamps_ns.size and stamps_ns.min() < 0:
         raise LogError(f"a bag cannot hold time stamps before zero; t_s reaches {t_s.min()} s")
     return stamps_ns
-
-
-class SqliteBagWriter(_BagWriter):
-    """Writes a new folder with an SQLite file and its metadata."""
-
-    def __init__(self, folder: Path, labels: Labels) -> None:
-        super().__init__(labels)
-        library = optional_library("rosbags.rosbag2", "ROS 2 bags")
-        self._bag = library.Writer(
-            folder, version=_METADATA_VERSION, storage_plugin=library.StoragePlugin.SQLITE3
-        )
-        self._bag.open()
-
-    def _connect(self, name: str, kind: str) -> Any:
-        return self._bag.add_connection(name, kind, typestore=self._types)
-
-    def _write(self, connection: Any, stamp_ns: int, data: Any) -> None:
-        self._bag.write(connection, stamp_ns, data)
-
-    def finish(self) -> None:
-        """Write the index and the metadata."""
-        self._bag.close()
-
-
-class McapWriter(_BagWriter):
-    """Writes a bag as one MCAP file; chunks are compressed and carry checksums."""
-
-    def __init__(self, stream: BinaryIO, labels: Labels) -> None:
-        super().__init__(labels)
-        library = optional_library("mcap.writer", "MCAP files")
-        self._bag = library.Writer(stream, chunk_size=_CHUNK_BYTES, enable_data_crcs=True)
-        self._bag.start(profile="ros2", library="needleforce")
-
-    def _connect(self, name: str, kind: str) -> int:
-        text, _ = self._types.generate_msgdef(kind, ros_version=2)
-        schema = self._bag.register_schema(kind, "ros2msg", text.encode())
-        return self._bag.register_channel(name, CDR, schema)
-
-    def _write(self, connection: int, stamp_ns: int, data: Any) -> None:
-        self._bag.add_message(connection, stamp_ns, data, stamp_ns)
-
-    def finish(self) -> None:
-        """Write the index."""
-        self._bag.finish()

@@ -31,7 +31,7 @@ _CUT = "so that nothing can be read without its end"
 
 
 def read_npz(path: Path, max_bytes: int) -> Table:
-    """Read an npz archive: arrays of numbers become columns, single numbers constants.
+    """Read an npz archive: arrays of numbers become columns; single numbers are not.
 
     Arrays that hold no numbers, or are damaged, are left out, with a warning. Raises as
     `read_table` does.
@@ -64,18 +64,13 @@ def _npz_table(path: Path, archive: zipfile.ZipFile, max_bytes: int) -> Table:
         except Exception as error:
             # A damaged header raises whatever numpy's and Python's parsers run into.
             warnings.append(f"column {name!r} cannot be read ({error}) and was left out")
-    constants = {name: values.item() for name, values in arrays.items() if not values.ndim}
+    start = arrays.get(START_KEY)
+    start_ns = int(start) if start is not None and start.shape == () else 0
     columns = {name: values for name, values in arrays.items() if values.ndim}
     if not columns:
         reasons = f": {'; '.join(warnings)}" if warnings else ""
         raise FormatError(f"{path} holds no array of numbers{reasons}")
-    start_ns = int(constants.pop(START_KEY, 0))
-    return Table(
-        columns=columns,
-        warnings=tuple(warnings),
-        start_ns=start_ns,
-        constants={name: float(value) for name, value in constants.items()},
-    )
+    return Table(columns=columns, warnings=tuple(warnings), start_ns=start_ns)
 
 
 def _npy_size(stream: IO[bytes]) -> int:
@@ -118,8 +113,8 @@ class NpzWriter:
 def read_parquet(path: Path, max_bytes: int) -> Table:
     """Read a Parquet file.
 
-    Columns of numbers, or of lists of equally many numbers, are taken; empty cells are NaN. Time
-    stamps become seconds, without loss. Columns of anything else are left out, with a warning.
+    Columns of numbers are taken; empty cells are NaN. Time stamps become seconds, without loss.
+    Columns of anything else are left out, with a warning.
     Raises as `read_table` does.
     """
     parquet = optional_library("pyarrow.parquet", "Parquet files")
@@ -160,8 +155,7 @@ def _parquet_table(path: Path, file: Any, arrow: Any) -> Table:
         try:
             columns[name] = _numbers(cells, arrow)
         except (arrow.ArrowInvalid, arrow.ArrowNotImplementedError, TypeError):
-            what = "lists of any length" if arrow.types.is_list(cells.type) else "no numbers"
-            warnings.append(f"column {name!r} holds {cells.type}, {what}, and was left out")
+            warnings.append(f"column {name!r} holds {cells.type}, no numbers, and was left out")
     if not columns:
         left_out = "".join(f" ({warning})" for warning in warnings)
         raise FormatError(f"{path} holds {file.metadata.num_rows} rows without numbers{left_out}")
@@ -169,22 +163,14 @@ def _parquet_table(path: Path, file: Any, arrow: Any) -> Table:
 
 
 def _numbers(cells: Any, arrow: Any) -> np.ndarray:
-    """Return cells as numbers, empty ones as NaN; lists become rows as wide as the first."""
-    types, float64 = arrow.types, arrow.float64()
-    if types.is_list(cells.type) or types.is_large_list(cells.type):
-        width = len(cells.drop_null()[0]) if cells.null_count < len(cells) else 0
-        cells = cells.cast(arrow.list_(cells.type.value_type, width))
-    if types.is_fixed_size_list(cells.type):
-        width, inner = cells.type.list_size, _numbers(cells.flatten(), arrow)
-        rows = np.full((len(cells), width), np.nan)
-        rows[cells.is_valid().to_numpy(zero_copy_only=False)] = inner.reshape(-1, width)
-        return rows
+    """Return cells as numbers, empty ones as NaN."""
+    types = arrow.types
     if types.is_string(cells.type) or types.is_large_string(cells.type):
         raise TypeError("text, which a cast would read as numbers")
     if types.is_integer(cells.type) and not cells.null_count:
         return cells.to_numpy(zero_copy_only=False)
     # Without the check of `safe`, which refuses integers that a double rounds.
-    return cells.cast(float64, safe=False).to_numpy(zero_copy_only=False)
+    return cells.cast(arrow.float64(), safe=False).to_numpy(zero_copy_only=False)
 
 
 class ParquetWriter:

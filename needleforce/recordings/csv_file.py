@@ -1,7 +1,6 @@
 """CSV and its kin, plain or compressed with gzip: read whole or as it comes, and written."""
 
 import csv
-import gzip
 import io
 import re
 from collections.abc import Callable, Iterable, Iterator
@@ -28,6 +27,8 @@ CSV_SUFFIXES = (".csv", ".csv.gz", ".tsv", ".tsv.gz", ".txt")
 
 _ROW_BYTES = 100
 """What Python adds to the text of a row."""
+_MOST_WITHOUT_ROW = 1_000_000
+"""A megabyte of gzip can hold a thousand million line ends, which take minutes to look at."""
 _DELIMITERS = (",", ";", "\t")
 _COMMENT = "#"
 _START = re.compile(rf"{_COMMENT}\s*{START_KEY}\s*=\s*(-?\d{{1,19}})\s*$")
@@ -52,7 +53,7 @@ class _CsvRows:
         self.omitted: dict[int, str] = {}
         """Which columns are left out, and why."""
         self._delimiter, self._comment, self._header = ",", "", ""
-        self._lines = self._total = self._start_ns = 0
+        self._lines = self._latest = self._total = self._start_ns = 0
         self._is_chosen = False
         self._has_number: set[int] = set()
         self._faults: dict[str, tuple[int, str]] = {}
@@ -64,6 +65,12 @@ class _CsvRows:
         rows = [(n, line) for n, line in enumerate(lines, self._lines + 1) if _is_row(line)]
         self._lines += len(lines)
         self._total += len(rows)
+        self._latest = rows[-1][0] if rows else self._latest
+        if self._lines - self._latest > _MOST_WITHOUT_ROW:
+            raise FormatError(
+                f"{_MOST_WITHOUT_ROW} lines after line {self._latest} are blank or comments; it is "
+                "damaged, or no table: cut it there"
+            )
         self.rows += rows
 
     def end(self, tail: str, *, is_growing: bool) -> None:
@@ -227,7 +234,7 @@ class _CsvRows:
 
 
 def _is_row(line: str) -> bool:
-    return bool(line) and line[0] != _COMMENT and not line.isspace()
+    return line[:1] not in ("", _COMMENT) and not line.isspace()
 
 
 def _number(cell: str) -> float | None:
@@ -311,16 +318,3 @@ class CsvWriter:
         self._stream.flush()
 
     finish = flush
-
-
-class CsvGzipWriter(CsvWriter):
-    """The same, compressed with gzip."""
-
-    def __init__(self, stream: BinaryIO, labels: Labels) -> None:
-        # No name and no time in the archive: the same columns give the same bytes.
-        packed = gzip.GzipFile(filename="", mode="wb", fileobj=stream, mtime=0, compresslevel=3)
-        super().__init__(packed, labels)  # type: ignore[arg-type]
-
-    def finish(self) -> None:
-        """Write what is still held back, and the end of the archive."""
-        self._stream.close()

@@ -1,21 +1,17 @@
 """The bytes of a file, of a pipe, or of a file that still grows, as they come."""
 
 import codecs
-import gzip
 import io
 import os
 import select
 import stat
 import sys
-import tempfile
 import time
 import zlib
 from collections.abc import Callable, Iterable, Iterator
-from contextlib import contextmanager
 from dataclasses import dataclass
 from itertools import chain
 from pathlib import Path
-from typing import Any
 
 from needleforce.recordings.errors import (
     FileAccessError,
@@ -30,8 +26,6 @@ STANDARD_STREAM = "-"
 """Instead of a file: standard input or standard output."""
 
 _POLL_S = 0.05
-_GONE_S = 1.0
-"""So long after its last row a file that is no more under its name is read to its end."""
 _SMALL, _PAUSE_S = 4096, 0.005  # rows that come one by one are taken some at a time
 _CHECKED_TAIL = 256
 """So many bytes before the place of reading show whether a file was written anew."""
@@ -46,7 +40,7 @@ class FollowOptions:
         idle_s: stop when nothing came for this long; None to wait for ever.
         should_stop: asked before more is read; True to stop.
         progress: gets the fraction of the recording that was read, where it is known.
-        warn: gets in words why reading ended before the user wanted it to.
+        warn: gets in words what is waited for.
     """
 
     follow: bool = False
@@ -102,7 +96,7 @@ def _blocks(handle: int, options: FollowOptions, path: Path | None) -> Iterator[
                     time.sleep(_PAUSE_S)
                 continue
             # The writer of a pipe that has closed it will not come back.
-            if not follows or _is_replaced(handle, path, last_s, options.warn):
+            if not follows:
                 return
             yield b""
             time.sleep(_POLL_S)
@@ -120,44 +114,13 @@ def _require_unchanged(handle: int, path: Path | None, done: int, tail: bytes | 
         raise FileAccessError(f"{path} was written anew while it was followed; start again")
 
 
-def _is_replaced(
-    handle: int, path: Path | None, last_s: float, warn: Callable[[str], None]
-) -> bool:
-    """Return whether nothing will come of a followed file, because it is no more at its place."""
-    if path is None or time.monotonic() - last_s < _GONE_S:
-        return False
-    try:
-        if os.path.samestat(path.stat(), os.fstat(handle)):
-            return False
-    except OSError:
-        pass
-    warn(
-        f"{path} was moved, deleted or replaced while it was followed; it was read to its end, and "
-        "no other file is; start again to follow the new one"
-    )
-    return True
-
-
 _GZIP = b"\x1f\x8b"
+_BINARY = {b"\x89MCA": "MCAP", b"SQLi": "SQLite", b"PK\x03\x04": "npz", b"PAR1": "Parquet"}
+_MAGIC_BYTES = 4
+_GZIP_WINDOW = 31  # for zlib: the largest window, with the head and the checksum of gzip
 _LONGEST_LINE = 1 << 24  # characters
 _WINDOWS = {0xDC00 + byte: bytes([byte]).decode("cp1252", "replace") for byte in range(128, 256)}
 """What bytes that are no UTF-8, as Python escapes them, mean in Windows text."""
-
-
-class _RawBlocks(io.RawIOBase):
-    """Blocks of bytes as a stream that can be read, which gives what has come, not more."""
-
-    def __init__(self, blocks: Iterable[bytes]) -> None:
-        self._blocks, self._held = iter(blocks), b""
-
-    def readable(self) -> bool:
-        return True
-
-    def readinto(self, buffer: Any) -> int:
-        data = self._held or next(self._blocks, b"")
-        taken, self._held = data[: len(buffer)], data[len(buffer) :]
-        buffer[: len(taken)] = taken
-        return len(taken)
 
 
 class TextLines:
@@ -209,24 +172,29 @@ class TextLines:
             self.warnings.remove(self._fault)
 
     def _unpacked(self) -> Iterator[bytes]:
-        """Yield blocks, of at most `BLOCK` bytes if they are compressed."""
         head = b""
-        while len(head) < len(_GZIP) and (more := next(self._blocks, b"")):
+        while len(head) < _MAGIC_BYTES and (more := next(self._blocks, b"")):
             head += more
+        if (kind := _BINARY.get(head[:_MAGIC_BYTES])) is not None:
+            raise FormatError(f"it is {kind}, not text; give it as a file, under its own suffix")
         blocks = chain([head] if head else [], self._blocks)
-        if not head.startswith(_GZIP):
-            yield from blocks
-            return
-        # A megabyte of gzip can hold a gigabyte: it is unpacked piece by piece.
-        member: Any = _RawBlocks(blocks)
+        yield from self._gunzipped(blocks) if head.startswith(_GZIP) else blocks
+
+    def _gunzipped(self, blocks: Iterable[bytes]) -> Iterator[bytes]:
+        """Yield blocks of at most `BLOCK` bytes: a megabyte of gzip can hold a gigabyte."""
+        member, is_open = zlib.decompressobj(_GZIP_WINDOW), False
         try:
-            with gzip.GzipFile(fileobj=member) as file:
-                while block := file.read1(BLOCK):
-                    yield block
-        except EOFError:
-            self._fault = "the compressed file is cut short"
-        except (gzip.BadGzipFile, zlib.error):
+            for packed in blocks:
+                # Members may follow each other, and zeros the last.
+                while packed and (is_open or (packed := packed.lstrip(b"\x00"))):
+                    yield member.decompress(packed, BLOCK)
+                    packed, is_open = member.unconsumed_tail, not member.eof
+                    if member.eof:
+                        packed, member = member.unused_data, zlib.decompressobj(_GZIP_WINDOW)
+        except zlib.error:
             self._fault = "the compressed file is damaged"
+        else:
+            self._fault = "the compressed file is cut short" if is_open else ""
 
     def _split(self, escaped: str) -> Iterator[list[str]]:
         text = escaped if escaped.isascii() else escaped.translate(_WINDOWS)
@@ -240,47 +208,3 @@ class TextLines:
         if lines:
             self._count += len(lines)
             yield lines
-
-
-_MAGIC = {
-    b"\x89MCAP0\r\n": ".mcap",
-    b"SQLite format 3\x00": ".db3",
-    b"PK\x03\x04": ".npz",
-    b"PAR1": ".parquet",
-}
-"""How files begin, and their suffix."""
-
-
-def peek(blocks: Iterable[bytes]) -> tuple[str, Iterator[bytes]]:
-    """Return the suffix of a recording as it begins, empty if it is text, and all its bytes.
-
-    No more is waited for than decides it.
-    """
-    rest, head = iter(blocks), b""
-    for block in rest:
-        head += block
-        if not any(magic.startswith(head) for magic in _MAGIC):
-            break
-    suffix = next((end for magic, end in _MAGIC.items() if head.startswith(magic)), "")
-    return suffix, chain([head] if head else [], rest)
-
-
-@contextmanager
-def spooled(blocks: Iterable[bytes], suffix: str) -> Iterator[Path]:
-    """Keep a binary recording from a pipe in a temporary file while the context is entered.
-
-    What a column means, or where it stands, is known at the end of such a format.
-    """
-    with tempfile.TemporaryDirectory(ignore_cleanup_errors=True) as folder:
-        path = Path(folder) / f"standard-input{suffix}"
-        try:
-            with path.open("wb") as file:
-                file.writelines(blocks)
-        except FileAccessError:
-            raise
-        except OSError as error:
-            raise FileAccessError(
-                f"cannot keep the piped recording in {folder}: {error.strerror or error}; "
-                "give it as a file, or set TMPDIR to a folder with more room"
-            ) from error
-        yield path

@@ -2,6 +2,7 @@
 
 from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import dataclass
+from itertools import chain
 from types import MappingProxyType
 from typing import NamedTuple
 
@@ -11,6 +12,7 @@ from needleforce.recordings.channels import (
     CHANNELS,
     Channel,
     detect_columns,
+    find_columns,
     parse_column_name,
     width_of,
 )
@@ -32,74 +34,13 @@ from needleforce.recordings.table import (
     to_seconds,
 )
 
-_RATE_NAMES = ("sample_rate_hz", "sampling_rate_hz", "rate_hz", "fs_hz")
-
-
-# Beyond these an SI value is implausible for a robot or a needle: two turns of a joint,
-# a needle of a metre, a force that buckles any needle. For time it is the median step: ten
-# samples a second are not a force log.
-_LIMITS = {
-    "t_s": ("time", 0.1, "ms"),
-    "q_rad": ("q", 4.0 * np.pi, "deg"),
-    "depth_m": ("depth", 1.0, "mm"),
-    "speed_m_s": ("speed", 1.0, "mm/s"),
-    "force_N": ("force", 200.0, "mN"),
-}
-# Steps of so many units belong to logs between 10 Hz and 10 kHz.
-_STEPS = ((1e5, "ns"), (200.0, "us"))
-
-
-class _Watch:
-    """Looks for what is odd in one channel, however many rows come at a time."""
-
-    def __init__(self, key: str) -> None:
-        self._key, self._size, self._is_doubted = key, 0.0, False
-        self._rows = self._bad = self._first_bad = 0
-        self._any_finite = False
-
-    def update(self, values: FloatArray, *, is_unit_stated: bool = True) -> None:
-        """Take rows; the step of time is that of the first ones."""
-        finite = np.isfinite(values)
-        bad = np.flatnonzero(~finite.all(axis=tuple(range(1, values.ndim))))
-        if bad.size:
-            self._first_bad = self._first_bad or self._rows + int(bad[0]) + 1
-            self._bad += bad.size
-        self._any_finite = self._any_finite or bool(finite.any())
-        if not is_unit_stated:
-            sizes = np.abs(values[finite])
-            if self._key != "t_s":
-                self._size = max(self._size, float(np.max(sizes, initial=0.0)))
-            elif not self._rows and sizes.size > 1:
-                self._size = float(np.median(np.abs(np.diff(values[finite]))))
-        self._rows += len(values)
-
-    def not_finite(self) -> tuple[str, ...]:
-        """Report rows that are not finite; `LogError` if there was no finite value at all."""
-        if self._bad and not self._any_finite:
-            raise LogError(f"{self._key} has no finite value in {self._rows} rows")
-        what = f"rows with NaN or infinity: {self._bad} (first: row {self._first_bad})"
-        return (f"{self._key}: {what}",) if self._bad else ()
-
-    def hardly_si(self) -> tuple[str, ...]:
-        """Report, once, values whose unit was assumed and that hardly are in SI units."""
-        name, limit, unit = _LIMITS.get(self._key, ("", np.inf, ""))
-        if self._size <= limit or self._is_doubted:
-            return ()
-        self._is_doubted = True
-        is_time = self._key == "t_s"
-        unit = next((u for least, u in _STEPS if is_time and self._size >= least), unit)
-        return (
-            f"{name}: {'its median step' if is_time else 'it'} reaches {self._size:.4g} in SI; if "
-            f"the file is in {unit}, say unit = {unit!r}, or --{name} COLUMN:{unit}",
-        )
-
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class Log:
     """Time stamps and named channels of equal length.
 
     Rows are kept as recorded. Backward or repeated stamps and non-finite values are reported in
-    `warnings`; the online steps skip them.
+    the `warnings` of a log that was read; the online steps skip them.
 
     Attributes:
         t_s: time stamps in s, shape (n,), finite, read-only; the file's clock, not rebased.
@@ -115,10 +56,10 @@ class Log:
     start_ns: int = 0
 
     def __post_init__(self) -> None:
-        """Copy, freeze and check the data; add what is wrong with them to `warnings`.
+        """Copy, freeze and check the data.
 
-        `LogError` if there is no channel, something is no array of numbers of the right shape, time
-        is not finite or never advances, or a channel has no finite value.
+        `LogError` if there is no channel, something is no array of numbers of the right shape, or
+        time is not finite.
         """
         t_s = read_only("t_s", self.t_s)
         channels = {name: read_only(name, values) for name, values in self.channels.items()}
@@ -129,21 +70,14 @@ class Log:
         bad = np.flatnonzero(~np.isfinite(t_s))
         if bad.size:
             raise LogError(f"t_s: rows that are not finite: {bad.size} (first: row {bad[0] + 1})")
-        stamps = RowClock()
-        stamps.update(t_s)
-        warnings = [*self.warnings, *stamps.warnings()]
         for name, values in channels.items():
             if values.ndim not in (1, 2) or values.shape[0] != t_s.size:
                 raise LogError(
                     f"{name} has shape {values.shape}; expected ({t_s.size},) or ({t_s.size}, k), "
                     f"as t_s has {t_s.size} stamps"
                 )
-            watch = _Watch(name)
-            watch.update(values)
-            warnings += watch.not_finite()
         object.__setattr__(self, "t_s", t_s)
         object.__setattr__(self, "channels", MappingProxyType(channels))
-        object.__setattr__(self, "warnings", tuple(dict.fromkeys(warnings)))
 
     def __len__(self) -> int:
         """Return the number of rows."""
@@ -162,17 +96,23 @@ class Log:
         return self.channels[name]
 
 
-class _SiChannel(NamedTuple):
-    """A channel's values in SI units, the names of its columns, and how they were converted."""
+class _Source(NamedTuple):
+    """Where in a table a channel stands, and how its values become SI."""
 
-    values: FloatArray
+    channel: Channel
+    columns: tuple[str, ...]
+    factors: FloatArray  # to SI, one for each value of a row
     is_unit_stated: bool
-    columns: tuple[str, ...] = ()
-    factor: float = 1.0  # from the file's unit to SI, of the first column
+
+    def read(self, table: Table) -> FloatArray:
+        """Return the values of a table's rows, shape (n,) or (n, joints)."""
+        found = [values for name in self.columns for _, values in find_columns(table, name)]
+        values = np.column_stack(found) * self.factors
+        return values if self.channel.per_joint else values[:, 0]
 
 
-def _si_channel(table: Table, channel: Channel, spec: ColumnSpec | None) -> _SiChannel | None:
-    """Find a channel in a table and convert it to SI units; None if no name looks like it.
+def _find_source(table: Table, channel: Channel, spec: ColumnSpec | None) -> _Source | None:
+    """Find a channel in a table; None if no name looks like it.
 
     The unit is the specification's, else the one in each column's name, else SI.
     """
@@ -193,14 +133,66 @@ def _si_channel(table: Table, channel: Channel, spec: ColumnSpec | None) -> _SiC
         )
     units = [spec.unit or parse_column_name(name, channel.units).unit for name in columns]
     si = np.array([channel.units[unit or channel.si_unit] for unit in units])
-    factors = np.repeat(si, widths) * scales
-    values = np.column_stack([values for _, values in found]) * factors
-    return _SiChannel(
-        values=values if channel.per_joint else values[:, 0],
-        is_unit_stated=all(units),
-        columns=columns,
-        factor=float(factors[0]),
-    )
+    return _Source(channel, columns, np.repeat(si, widths) * scales, all(units))
+
+
+# Beyond these an SI value is implausible for a robot or a needle: two turns of a joint,
+# a needle of a metre, a force that buckles any needle. For time it is the median step: ten
+# samples a second are not a force log.
+_LIMITS = {
+    "t_s": ("time", 0.1, "ms"),
+    "q_rad": ("q", 4.0 * np.pi, "deg"),
+    "depth_m": ("depth", 1.0, "mm"),
+    "speed_m_s": ("speed", 1.0, "mm/s"),
+    "force_N": ("force", 200.0, "mN"),
+}
+# Steps of so many units belong to logs between 10 Hz and 10 kHz.
+_STEPS = ((1e5, "ns"), (200.0, "us"))
+
+
+class _Watch:
+    """Looks for what is odd in one channel, however many rows come at a time."""
+
+    def __init__(self, key: str, source: _Source) -> None:
+        self._key, self._size, self._is_doubted = key, 0.0, source.is_unit_stated
+        self._rows = self._bad = self._first_bad = 0
+        self._any_finite = False
+
+    def update(self, values: FloatArray) -> None:
+        """Take rows; the step of time is that of the first ones."""
+        finite = np.isfinite(values)
+        if not finite.all():
+            bad = np.flatnonzero(~finite.all(axis=tuple(range(1, values.ndim))))
+            self._first_bad = self._first_bad or self._rows + int(bad[0]) + 1
+            self._bad += bad.size
+        self._any_finite = self._any_finite or bool(finite.any())
+        if not self._is_doubted:
+            sizes = np.abs(values[finite])
+            if self._key != "t_s":
+                self._size = max(self._size, float(np.max(sizes, initial=0.0)))
+            elif not self._rows and sizes.size > 1:
+                self._size = float(np.median(np.abs(np.diff(values[finite]))))
+        self._rows += len(values)
+
+    def not_finite(self) -> tuple[str, ...]:
+        """Report rows that are not finite; `LogError` if there was no finite value at all."""
+        if self._bad and not self._any_finite:
+            raise LogError(f"{self._key} has no finite value in {self._rows} rows")
+        what = f"rows with NaN or infinity: {self._bad} (first: row {self._first_bad})"
+        return (f"{self._key}: {what}",) if self._bad else ()
+
+    def hardly_si(self) -> tuple[str, ...]:
+        """Report, once, values whose unit was assumed and that hardly are in SI units."""
+        name, limit, unit = _LIMITS.get(self._key, ("", np.inf, ""))
+        if self._is_doubted or self._size <= limit:
+            return ()
+        self._is_doubted = True
+        is_time = self._key == "t_s"
+        unit = next((u for least, u in _STEPS if is_time and self._size >= least), unit)
+        return (
+            f"{name}: {'its median step' if is_time else 'it'} reaches {self._size:.4g} in SI; if "
+            f"the file is in {unit}, say unit = {unit!r}, or --{name} COLUMN:{unit}",
+        )
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -240,6 +232,7 @@ class LogStream:
         self._reported: dict[str, bool] = {}
         self._rows = self._lost = self._first_lost = self._clock_ns = 0
         self._stamps = RowClock()
+        self._sources: dict[str, _Source] = {}
         self._watches: dict[str, _Watch] = {}
         self.start_ns = 0
         """The instant of t_s = 0, see `Table`; known after the first chunk."""
@@ -262,102 +255,85 @@ class LogStream:
         head = next(self._tables)
         self._report(head.warnings)
         self.start_ns = head.start_ns
-        found = self._find_channels(head)
-        self._watches = {key: _Watch(key) for key in ("t_s", *found)}
-        yield from self._chunk(head, found)
-        for table in self._tables:
+        self._find_channels(head)
+        if self._mapping.rate_hz is None:
+            self._find_time(head)
+        self._watches = {key: _Watch(key, source) for key, source in self._sources.items()}
+        for table in chain([head], self._tables):
             self._report(table.warnings)
-            if len(table):
-                channels = {
-                    CHANNELS[name].key: _si_channel(table, CHANNELS[name], spec)
-                    for name, spec in self._mapping.channels.items()
-                    if CHANNELS[name].key in found
-                }
-                yield from self._chunk(table, {k: c for k, c in channels.items() if c is not None})
+            if len(table) or table is head:
+                yield from self._chunk(table)
         self._finish()
 
-    def _find_channels(self, table: Table) -> dict[str, _SiChannel]:
-        """Return the channels that a table has, by their key in a `Log`."""
+    def _find_channels(self, table: Table) -> None:
+        """Decide from the first table which columns are read."""
         names = tuple(name for name in CHANNELS if name != "time")
         for name in (*self._required, *self._optional):
             if name not in names:
                 raise MappingError(f"unknown channel {name!r}; channels are: {', '.join(names)}")
         optional = self._optional if self._required or self._optional else names
-        selected: dict[str, _SiChannel] = {}
         missing: list[Channel] = []
         for name in (*self._required, *optional):
-            spec = self._mapping.channels.get(name)
-            found = _si_channel(table, CHANNELS[name], spec)
-            if found is None:
-                missing += [CHANNELS[name]] * (name in self._required)
-            elif name in self._required or spec is not None or np.isfinite(found.values).any():
-                selected[CHANNELS[name].key] = found
+            channel, spec = CHANNELS[name], self._mapping.channels.get(name)
+            source = _find_source(table, channel, spec)
+            if source is None:
+                missing += [channel] * (name in self._required)
+            elif name in self._required or spec or np.isfinite(source.read(table)).any():
+                self._sources[channel.key] = source
             else:
                 self._report((f"{name}: its columns hold no finite value and were left out",))
         if missing:
             raise _missing(table, *missing)
-        if not selected:
+        if not self._sources:
             raise ColumnError(f"no channel was recognised. Columns are: {table.describe()}")
-        return selected
 
-    def _chunk(self, table: Table, found: Mapping[str, _SiChannel]) -> Iterator[LogChunk]:
-        rows = len(next(iter(found.values())).values)
-        time = self._find_time(table, rows)
-        everything = {"t_s": time, **found}
-        _check_sizes(everything)
-        keep = np.isfinite(time.values)
-        for key, channel in everything.items():
-            values = channel.values if key == "t_s" else channel.values[keep]
-            self._watches[key].update(values, is_unit_stated=channel.is_unit_stated)
+    def _find_time(self, table: Table) -> None:
+        time = _find_source(table, CHANNELS["time"], self._mapping.channels.get("time"))
+        if time is None:
+            raise ColumnError(
+                "no time column found; say which one with --time, or the sample rate with "
+                "--rate (rate_hz in the mapping). "
+                f"Columns are: {table.describe()}{table.left_out()}"
+            )
+        self._sources = {"t_s": time, **self._sources}
+
+    def _chunk(self, table: Table) -> Iterator[LogChunk]:
+        values = {key: source.read(table) for key, source in self._sources.items()}
+        rows = len(next(iter(values.values())))
+        values["t_s"] = self._time_s(table, values, rows)
         if not self._rows:
-            self._report_units()
-            self._mapping = _settled(self._mapping, everything)
+            _check_sizes(values)
+        keep = np.isfinite(values["t_s"])
         if not keep.all():
             self._first_lost = self._first_lost or self._rows + int(np.argmin(keep)) + 1
             self._lost += int(np.count_nonzero(~keep))
+        kept = values if keep.all() else {key: each[keep] for key, each in values.items()}
+        for key, watch in self._watches.items():
+            watch.update(kept[key])
+        if not self._rows:
+            self._report_units()
         self._rows += rows
-        if keep.any():
-            t_s = time.values[keep]
-            channels = {key: channel.values[keep] for key, channel in found.items()}
-            yield LogChunk(t_s=t_s, dt_s=self._stamps.update(t_s), channels=channels)
+        t_s = kept.pop("t_s")
+        if len(t_s):
+            yield LogChunk(t_s=t_s, dt_s=self._stamps.update(t_s), channels=kept)
 
-    def _find_time(self, table: Table, rows: int) -> _SiChannel:
-        """Return a table's time stamps in s.
+    def _time_s(self, table: Table, values: Mapping[str, FloatArray], rows: int) -> FloatArray:
+        """Return stamps in s: of the mapping's rate, or those of a column.
 
-        In this order: the mapping's `rate_hz`; its time column; a column with a usual name; a
-        sample rate stored in the file (`sample_rate_Hz` and the like), with a warning.
+        Whole nanoseconds too large for float64 are counted from the first, so that none is lost.
         """
         rate_hz = self._mapping.rate_hz
-        if rate_hz is None:
-            found = _si_channel(table, CHANNELS["time"], self._mapping.channels.get("time"))
-            if found is not None:
-                return self._exact_time(table, found)
-            for name, value in table.constants.items():
-                if name.lower() in _RATE_NAMES and 0.0 < value < np.inf:
-                    self._report((f"no time column: time from {name} = {value:g}",))
-                    rate_hz = value
-                    break
-            else:
-                raise ColumnError(
-                    "no time column found; say which one with --time, or the sample rate with "
-                    "--rate (rate_hz in the mapping). "
-                    f"Columns are: {table.describe()}{table.left_out()}"
-                )
-        times = np.arange(self._rows, self._rows + rows) / rate_hz
-        return _SiChannel(values=times, is_unit_stated=True)
-
-    def _exact_time(self, table: Table, found: _SiChannel) -> _SiChannel:
-        """Count whole nanoseconds too large for float64 from the first, so that none is lost."""
-        raw = table.columns.get(found.columns[0], found.values)
-        if table.start_ns or found.factor * NS_PER_S != 1.0:
-            return found
+        if rate_hz is not None:
+            return np.arange(self._rows, self._rows + rows) / rate_hz
+        found_s, source = values["t_s"], self._sources["t_s"]
+        if table.start_ns or source.factors[0] * NS_PER_S != 1.0:
+            return found_s
+        raw = table.columns.get(source.columns[0], found_s)
         if not self._rows and raw.dtype.kind == "i":
             self._clock_ns = self.start_ns = start_of_clock(int(raw[0]))
-        if self._clock_ns == 0:
-            return found
-        if raw.dtype.kind == "i":
-            return found._replace(values=to_seconds(raw, self._clock_ns))
-        return found._replace(values=found.values - self._clock_ns / NS_PER_S)
+        if raw.dtype.kind == "i" and self._clock_ns:
+            return to_seconds(raw, self._clock_ns)
+        return found_s - self._clock_ns / NS_PER_S
 
     def _finish(self) -> None:
         """Report and refuse what only the whole log shows."""
@@ -397,16 +373,6 @@ class LogStream:
         )
 
 
-def _settled(mapping: ColumnMapping, found: Mapping[str, _SiChannel]) -> ColumnMapping:
-    """Return a mapping that names the columns that were found, and no others."""
-    specs = {}
-    for name, channel in CHANNELS.items():
-        if channel.key in found and (columns := found[channel.key].columns):
-            given = mapping.channels.get(name, ColumnSpec(columns=columns))
-            specs[name] = ColumnSpec(columns=columns, unit=given.unit, scale=given.scale)
-    return ColumnMapping(channels=specs, rate_hz=mapping.rate_hz)
-
-
 def _missing(table: Table, channel: Channel, *others: Channel) -> ColumnError:
     also = ", ".join(f"{other.name} ({other.meaning})" for other in others)
     return ColumnError(
@@ -417,9 +383,9 @@ def _missing(table: Table, channel: Channel, *others: Channel) -> ColumnError:
     )
 
 
-def _check_sizes(channels: Mapping[str, _SiChannel]) -> None:
+def _check_sizes(values: Mapping[str, FloatArray]) -> None:
     """Refuse channels that differ in length or in the number of joints."""
-    shapes = {key: found.values.shape for key, found in channels.items()}
+    shapes = {key: each.shape for key, each in values.items()}
     if len({shape[0] for shape in shapes.values()}) > 1:
         lengths = ", ".join(f"{key} {shape[0]}" for key, shape in shapes.items())
         turned = [

@@ -14,17 +14,10 @@ from needleforce.recordings.errors import (
     MAX_BYTES,
     ColumnError,
     FileAccessError,
-    RecordingError,
     file_errors,
     readable_path,
 )
-from needleforce.recordings.follow import (
-    STANDARD_STREAM,
-    FollowOptions,
-    byte_blocks,
-    peek,
-    spooled,
-)
+from needleforce.recordings.follow import STANDARD_STREAM, FollowOptions, byte_blocks
 from needleforce.recordings.log import Log, LogStream
 from needleforce.recordings.mapping import (
     ChannelRequest,
@@ -115,8 +108,7 @@ def stream_tables(
     """Read a recording as it comes, so that memory stays bounded (but for npz and Parquet).
 
     Args:
-        source: a file, see `read_table`, or `-` for standard input: CSV, plain or compressed, or
-            a binary format, which is kept in a temporary file until all of it has come.
+        source: a file, see `read_table`, or `-` for standard input: CSV, plain or compressed.
         options: how long more is waited for; any source is left when it says to stop.
         request: what is read of a bag; of other sources everything is.
         max_bytes: the most memory that the rows of one table may take, or a file that is read as
@@ -138,21 +130,8 @@ def stream_tables(
                 return
         return
     name = "standard input" if path is None else str(path)
-    suffix, blocks = peek(byte_blocks(path, options))
-    if not suffix or (path is not None and not path.is_fifo()):
-        growth = {"is_growing": options.follow, "is_stopped": options.should_stop}
-        yield from csv_tables(blocks, name, **growth, max_bytes=max_bytes)
-        return
-    options.warn(
-        f"{name} is {suffix[1:]}, not text: it is read to its end, into a temporary file, "
-        "before anything is estimated"
-    )
-    with spooled(blocks, suffix) as file:
-        try:
-            # What stopped the pipe has not stopped the reading of what came.
-            yield from _binary_tables(file, FollowOptions(), request, max_bytes)
-        except RecordingError as error:
-            raise type(error)(str(error).replace(str(file), name)) from error
+    growth = {"is_growing": options.follow, "is_stopped": options.should_stop}
+    yield from csv_tables(byte_blocks(path, options), name, **growth, max_bytes=max_bytes)
 
 
 def is_text(path: Path) -> bool:

@@ -1,7 +1,6 @@
 """Tables that are written: whole or not at all, or row by row for others to follow."""
 
 import os
-import shutil
 import sys
 from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager, suppress
@@ -11,10 +10,10 @@ from typing import Any, BinaryIO
 
 from numpy.typing import ArrayLike
 
-from needleforce.recordings.bag_messages import is_bag, require_sqlite_name
-from needleforce.recordings.bag_types import McapWriter, SqliteBagWriter
+from needleforce.recordings.bag_messages import METADATA, is_bag
+from needleforce.recordings.bag_types import McapWriter
 from needleforce.recordings.columnar import NpzWriter, ParquetWriter
-from needleforce.recordings.csv_file import CsvGzipWriter, CsvWriter
+from needleforce.recordings.csv_file import CsvWriter
 from needleforce.recordings.errors import FileAccessError, LogError, file_errors
 from needleforce.recordings.follow import STANDARD_STREAM
 from needleforce.recordings.log import Log
@@ -25,15 +24,10 @@ Writer = Callable[[BinaryIO, Labels], Any]
 
 WRITERS: Mapping[str, Writer] = {
     ".csv": CsvWriter,
-    ".csv.gz": CsvGzipWriter,
     ".npz": NpzWriter,
     ".parquet": ParquetWriter,
     ".mcap": McapWriter,
 }
-FOLDER_SUFFIX = ".db3"
-"""A bag in an SQLite file, which ROS 2 wants in a folder with `metadata.yaml`."""
-_METADATA = "metadata.yaml"
-_GROWS = (".csv", ".csv.gz")
 
 
 class OpenTable:
@@ -80,8 +74,7 @@ def open_table(
     """Open a table for writing; the file is not touched before there are rows.
 
     Args:
-        path: a file with a suffix of `WRITERS`, a folder ending in `.db3` for a ROS 2 bag in an
-            SQLite file, or `-` for CSV on standard output.
+        path: a file with a suffix of `WRITERS`, or `-` for CSV on standard output.
         is_live: Write rows to the file itself as they come, and leave them there whatever
             happens. Otherwise the file is replaced when all rows are written, or not at all. What
             cannot grow (npz) is always written at the end.
@@ -98,31 +91,18 @@ def open_table(
     if str(path) == STANDARD_STREAM:
         if sys.stdout is None:
             raise FileAccessError("cannot write standard output: it is closed")
-        output = OpenTable(
-            lambda: CsvWriter(sys.stdout.buffer, labels()), is_live=True, name="standard output"
-        )
+        name, standard = "standard output", sys.stdout.buffer
+        output = OpenTable(lambda: CsvWriter(standard, labels()), is_live=True, name=name)
         yield output
-        with file_errors("standard output", "write"):
+        with file_errors(name, "write"):
             output.finish()
         return
     path = Path(path)
-    part = path.with_name(f".{path.name}.{os.getpid()}.part")
-    if _is_folder_name(path):
-        opened = _open_folder(path, part, labels)
-    else:
+    with file_errors(path, "write"):
         # A pipe cannot be replaced by a file: whoever reads it waits for its bytes.
-        with file_errors(path, "write"):
-            grows = is_live and path.name.lower().endswith(_GROWS)
-            opened = _open_file(path, path if grows or path.is_fifo() else part, labels, grows)
-    with opened as table:
-        yield table
-
-
-@contextmanager
-def _open_file(
-    path: Path, part: Path, labels: Callable[[], Labels], is_live: bool
-) -> Iterator[OpenTable]:
-    """Write into a part that replaces the file at the end, or into the file itself."""
+        grows = is_live and path.suffix.lower() == ".csv"
+        stays = grows or path.is_fifo()
+    part = path if stays else path.with_name(f".{path.name}.{os.getpid()}.part")
     writer = _find_writer(path)
     streams: list[BinaryIO] = []
 
@@ -131,7 +111,7 @@ def _open_file(
         return writer(streams[0], labels())
 
     try:
-        table = OpenTable(begin, is_live=is_live, name=str(path))
+        table = OpenTable(begin, is_live=grows, name=str(path))
         yield table
         with file_errors(path, "write"):
             if table.finish():
@@ -147,56 +127,13 @@ def _open_file(
             part.unlink(missing_ok=True)
 
 
-@contextmanager
-def _open_folder(path: Path, part: Path, labels: Callable[[], Labels]) -> Iterator[OpenTable]:
-    """Write a bag into a folder that replaces the old one at the end."""
-    _require_replaceable(path)
-    bag = part / path.stem
-    try:
-        table = OpenTable(lambda: SqliteBagWriter(bag, labels()), is_live=False, name=str(path))
-        yield table
-        with file_errors(path, "write"):
-            if table.finish():
-                if path.exists():
-                    # Minutes may have passed since it was looked at.
-                    _require_replaceable(path)
-                    path.rename(part / "old")
-                bag.rename(path)
-    finally:
-        shutil.rmtree(part, ignore_errors=True)
-
-
-def _is_folder_name(path: Path) -> bool:
-    return path.name.lower().endswith(FOLDER_SUFFIX)
-
-
-def _require_replaceable(path: Path) -> None:
-    """Check that what stands where a bag is to be written is nothing, or a bag like it."""
-    with file_errors(path):
-        require_sqlite_name(path, "write")
-        if not os.path.lexists(path):
-            return
-        if not path.is_dir():
-            raise FileAccessError(
-                f"cannot write {path}: a bag is written as a folder, and a file of this name is "
-                "there"
-            )
-        others = [
-            entry.name
-            for entry in sorted(path.iterdir())
-            if not (entry.is_file() and (entry.name == _METADATA or _is_folder_name(entry)))
-        ]
-    if others or not (path / _METADATA).exists():
-        what = f"it holds {others[0]!r}, which is no part of a bag" if others else "it is no bag"
-        raise FileAccessError(f"will not replace the folder {path}: {what}; give another name")
-
-
 def _find_writer(path: Path) -> Writer:
     for suffix, writer in WRITERS.items():
         if path.name.lower().endswith(suffix):
             return writer
-    known = (*WRITERS, FOLDER_SUFFIX)
-    raise FileAccessError(f"{path} has no known suffix; known are: {', '.join(known)}")
+    if path.name.lower().endswith(".db3"):
+        raise FileAccessError(f"cannot write {path}: bags are written as MCAP; name it .mcap")
+    raise FileAccessError(f"{path} has no known suffix; known are: {', '.join(WRITERS)}")
 
 
 def write_table(
@@ -208,8 +145,7 @@ def write_table(
     `q_rad` becomes `q_rad_1`, `q_rad_2`, ...; `read_log` joins them again.
 
     Args:
-        path: a file ending in `.csv`, `.csv.gz`, `.npz`, `.parquet` or `.mcap`, or a folder
-            ending in `.db3`; replaced if it exists.
+        path: a file ending in `.csv`, `.npz`, `.parquet` or `.mcap`; replaced if it exists.
         columns: name, with its unit, to numbers, shape (n,) or (n, k), all of the same n.
         labels: what the formats that have room for it say beside the numbers.
 
@@ -232,30 +168,24 @@ def write_log(path: str | Path, log: Log) -> None:
     write_table(path, columns, labels=Labels(start_ns=log.start_ns))
 
 
-def check_writable(path: str | Path, *, source: str | Path | None = None) -> None:
+def check_writable(path: str | Path) -> None:
     """Find out before the work what `write_table` would refuse after it.
 
-    Args:
-        path: see `write_table`; or `-` for standard output.
-        source: a file or folder that is being read and must not be harmed.
-
     Raises:
-        FileAccessError: the suffix is not known, there is no such folder, something stands there
-            that must not be replaced, or it and the source lie one inside the other.
+        FileAccessError: the suffix is not known, there is no such folder, or a folder stands there.
     """
-    if str(path) == STANDARD_STREAM:
-        return
-    path = Path(path)
+    if str(path) != STANDARD_STREAM:
+        _find_writer(Path(path))
+        require_place(Path(path))
+
+
+def require_place(path: Path) -> None:
+    """Check that a file can stand there; `FileAccessError` if not."""
     with file_errors(path, "write"):
-        if not _is_folder_name(path):
-            _find_writer(path)
         if not path.parent.is_dir():
             raise FileAccessError(f"cannot write {path}: there is no folder {path.parent}")
-        if _is_folder_name(path):
-            _require_replaceable(path)
-        elif path.is_dir():
+        if path.is_dir():
             raise FileAccessError(f"cannot write {path}: it is a folder")
-        check_outputs({"": path}, None if source is None else Path(source))
 
 
 def check_outputs(outputs: Mapping[str, Path], source: Path | None = None) -> None:
@@ -271,7 +201,7 @@ def check_outputs(outputs: Mapping[str, Path], source: Path | None = None) -> No
     if source is None or not source.exists():
         return
     whole = source.resolve().parent
-    is_part = source.is_file() and is_bag(source) and (whole / _METADATA).exists()
+    is_part = source.is_file() and is_bag(source) and (whole / METADATA).exists()
     for path in outputs.values():
         if path.exists() and path.samefile(source):
             raise FileAccessError(f"cannot write {path}: it is the log itself; give another name")

@@ -28,7 +28,6 @@ class Table:
     Attributes:
         columns: name to values, shape (n,) or (n, k), read-only copies as float64; those of whole
             numbers that float64 would round, as nanoseconds since 1970 are, as int64.
-        constants: single numbers of the file, such as a sample rate.
         warnings: what the reader had to leave out or guess.
         joint_names: for two-dimensional columns of a file that names joints, their names in the
             order of the column.
@@ -37,7 +36,6 @@ class Table:
     """
 
     columns: Mapping[str, np.ndarray]
-    constants: Mapping[str, float] = field(default_factory=dict)
     warnings: tuple[str, ...] = ()
     joint_names: Mapping[str, tuple[str, ...]] = field(default_factory=dict)
     start_ns: int = 0
@@ -229,6 +227,8 @@ def interpolate(
     return result
 
 
+_SET_BACK = "clock set back, from where it counts anew"
+_BACK, _REPEATED = "stamps running backward", "stamps repeated"
 _SET_AFTER_S = 0.1
 _SET_AFTER_ROWS = 3
 """A row that is not later than those before came late. When so many rows in a row, over so much
@@ -245,14 +245,9 @@ class RowClock:
 
     def __init__(self) -> None:
         self._latest_s = -math.inf
-        self._behind_s = math.inf
-        self._behind, self._ran_s = 0, 0.0
+        self._behind: list[float] = []  # stamps since the latest, each later than the one before
         self._rows = self._advanced = 0
-        self._faults: dict[str, tuple[int, str]] = {
-            "clock set back, from where it counts anew": (0, ""),
-            "stamps running backward": (0, ""),
-            "stamps repeated": (0, ""),
-        }
+        self._faults: dict[str, tuple[int, str]] = {_SET_BACK: (0, ""), _BACK: (0, "")}
 
     def update(self, t_s: FloatArray) -> FloatArray:
         """Take time stamps in s, shape (n,); return time in s since the latest row that advanced.
@@ -264,37 +259,30 @@ class RowClock:
         if not (dt_s > 0.0).all():
             return np.array([self._step(now_s) for now_s in t_s.tolist()])
         if t_s.size:
-            self._latest_s, self._behind = float(t_s[-1]), 0
+            self._latest_s = float(t_s[-1])
+            self._behind.clear()
             self._rows, self._advanced = self._rows + t_s.size, self._advanced + t_s.size
         return dt_s
 
     def _step(self, now_s: float) -> float:
-        before_s = self._latest_s
-        dt_s = self._since_latest(now_s)
-        self._rows += 1
+        before_s, dt_s = self._latest_s, now_s - self._latest_s
+        what, self._rows = _REPEATED if dt_s == 0.0 else _BACK, self._rows + 1
+        if dt_s < 0.0:
+            if self._behind and now_s < self._behind[-1]:
+                self._behind.clear()
+            if not self._behind or now_s > self._behind[-1]:
+                self._behind.append(now_s)
+            ran_s = now_s - self._behind[0]
+            if len(self._behind) >= _SET_AFTER_ROWS and ran_s >= _SET_AFTER_S:
+                what, dt_s = _SET_BACK, ran_s
         if dt_s > 0.0:
-            self._advanced += 1
-            self._latest_s, self._behind = now_s, 0
-        set_back, backward, repeated = self._faults
-        what = repeated if dt_s == 0.0 else set_back if dt_s > 0.0 else backward
-        if now_s < before_s or dt_s == 0.0:
+            self._latest_s, self._advanced = now_s, self._advanced + 1
+            self._behind.clear()
+        if now_s <= before_s:
+            count, first = self._faults.get(what, (0, ""))
             here = f"row {self._rows}, {now_s:.9g} s after {before_s:.9g} s"
-            count, first = self._faults[what]
             self._faults[what] = count + 1, first or here
         return dt_s
-
-    def _since_latest(self, now_s: float) -> float:
-        dt_s = now_s - self._latest_s
-        # A stamp that is no number says nothing of the clock.
-        if not dt_s < 0.0 or (self._behind and now_s == self._behind_s):
-            return dt_s
-        if not self._behind or now_s < self._behind_s:
-            self._behind, self._ran_s = 0, 0.0
-        else:
-            self._ran_s += now_s - self._behind_s
-        self._behind, self._behind_s = self._behind + 1, now_s
-        is_set = self._behind >= _SET_AFTER_ROWS and self._ran_s >= _SET_AFTER_S
-        return self._ran_s if is_set else dt_s
 
     def warnings(self) -> tuple[str, ...]:
         """Report stamps that do not advance, a line for each kind of fault; rows count from 1.

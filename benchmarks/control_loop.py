@@ -1,0 +1,105 @@
+"""One autonomous insertion of the simulated arm: rig, manager, program and controller in a loop."""
+
+from collections.abc import Iterator
+
+import numpy as np
+
+from benchmarks.methods import on_lwr
+from groundtruth.rig_arm import SimulatedArm
+from identification import Identifier
+from needleforce import InsertionSession
+from needleforce.control import (
+    AxialSpeed,
+    Beside,
+    Controller,
+    Fixture,
+    InsertionPlan,
+    InsertionProfile,
+    Limits,
+    Manager,
+    Posture,
+    SafetyLimits,
+    Situation,
+    State,
+)
+from residual import DEFAULT
+from urdf import Robot
+
+STANDOFF_M = 5e-3
+"""Height of the tip above the tissue where it is tared."""
+GAIN_PER_S = 20.0
+"""Of the fixture: with a higher one, positions rounded to 1.75e-4 rad shake the needle."""
+REST_S = 0.15
+"""After the end of an insertion; the arm has come to rest by then."""
+
+
+class Insertion:
+    """Runs a plan on a rig; each step of the iteration is one cycle, until the insertion has ended.
+
+    Args:
+        rig: The arm, and what is true of it.
+        plan: What to do.
+        limits: Of the manager.
+        with_ft: Take the rig's F/T sensor for force and identification, zeroed over the tare
+            stroke, over which the needle's weight and inertia do not show.
+        known: The robot as the session is to know it, if not as it is.
+
+    Attributes:
+        manager: Of the run.
+        ended_s: When the insertion ended, on the rig's clock; None before.
+    """
+
+    def __init__(
+        self,
+        rig: SimulatedArm,
+        plan: InsertionPlan,
+        limits: SafetyLimits,
+        *,
+        with_ft: bool = False,
+        known: Robot | None = None,
+    ) -> None:
+        session = InsertionSession(rig.robot if known is None else known, on_lwr(DEFAULT))
+        self.rig, self.manager = rig, Manager(session, limits)
+        self._profile, self._with_ft = InsertionProfile(plan), with_ft
+        self._identifier, self._free_N, self._zero_N = Identifier(), list[float](), 0.0
+        self.ended_s: float | None = None
+
+    def __iter__(self) -> Iterator[Situation]:
+        """Run until the arm rests at the end of the insertion, or the rig's time is over."""
+        rig, manager, beside = self.rig, self.manager, Beside()
+        control = Controller(rig.robot, Limits(rig.robot))
+        control.tool.update(rig.home_rad)
+        line, posture = Fixture.here(control.tool, GAIN_PER_S), Posture(rig.home_rad)
+        was_inserting = False
+        for sample in rig:
+            manager.heartbeat()
+            axial_N = self._axial_N() if self._with_ft else None
+            now = manager.update(sample, beside._replace(axial_N=axial_N))
+            step = self._profile.update(now, *self._identified(now, sample.dt_s, axial_N))
+            if step.event:
+                manager.request(step.event)
+            stack = [line, AxialSpeed(step.speed_m_s), posture]
+            command = control.update(sample, [] if now.state is State.FAULTED else stack)
+            beside = Beside(rig.send(command.dq_rad_s), command.dq_rad_s)
+            if was_inserting and self.ended_s is None and now.state is not State.INSERTION:
+                self.ended_s = rig.time_s
+            was_inserting |= now.state is State.INSERTION
+            yield now
+            if self.ended_s is not None and rig.time_s > self.ended_s + REST_S:
+                return
+
+    def _axial_N(self) -> float | None:
+        """Force along the needle of the F/T sensor; None before it is zeroed."""
+        reading_N = -float(self.rig.ft_wrench[2])
+        if not self.manager.session.tared:
+            self._free_N.append(reading_N)
+            return None
+        self._zero_N = self._zero_N or float(np.mean(self._free_N))
+        return reading_N - self._zero_N
+
+    def _identified(self, now: Situation, dt_s: float, axial_N: float | None) -> tuple:
+        """What the program is given beside the situation."""
+        if axial_N is None:
+            return ()
+        travel = now.estimate.depth_m, now.estimate.speed_m_s
+        return self._identifier.update(*travel, axial_N, dt_s), axial_N

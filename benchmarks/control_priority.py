@@ -1,0 +1,252 @@
+"""Strict priority and hard limits, over random stacks of tasks and against hostile input.
+
+Half of the postures are within 1e-9 to 1e-2 rad of a singular one. *Leak*: how far the tasks below
+change what a task above gets. *Cascade*: each level again as a QP of its own, set up by pink and
+solved through qpsolvers, with what the levels above got as equalities; how much better it is than
+the level of our solution. *Hostile*: ticks with leaps of measured positions, late samples, goals
+out of reach and numbers that are none; an ideal arm integrates what was commanded before.
+"""
+
+from collections.abc import Iterator, Sequence
+
+import numpy as np
+import pink  # pyright: ignore[reportMissingImports]
+import qpsolvers  # pyright: ignore[reportMissingImports]
+from numpy.typing import NDArray
+from pink.limits import Limit  # pyright: ignore[reportMissingImports]
+from pink.tasks import Task as PinkTask  # pyright: ignore[reportMissingImports]
+
+from benchmarks.control_study import Figure
+from groundtruth.arm_motion import LWR_POSTURE_rad
+from needleforce.control.controller import Controller
+from needleforce.control.ports import ArmSample
+from needleforce.control.priority_solver import Hierarchical, Published, Solver, Stack
+from needleforce.control.tasks import (
+    AxialSpeed,
+    Fixture,
+    Orientation,
+    Posture,
+    RemoteCentre,
+    Task,
+    TipVelocity,
+)
+from needleforce.control.tool_state import ToolState
+from needleforce.control.velocity_box import Limits, LONGEST_STEP_s, joint_bounds
+from urdf import NeedleTool, Robot, load_lwr
+
+Array = NDArray[np.float64]
+CASES = ("leak", "cascade", "hostile")
+STACKS, CASCADES, TICKS = 5_000, 250, 50_000
+"""Of one seed: with 20 seeds 1e5 stacks and 1e6 ticks."""
+SINGULAR_JOINTS = (1, 3, 5)
+"""Near zero the LWR is stretched, or two of its axes are one."""
+
+
+def measure(case: str, plant: str, seed: int) -> Iterator[Figure]:
+    """Figures of one case and seed; no plant plays a part, so only ``clean`` has them."""
+    if plant == "clean":
+        rng = np.random.default_rng(seed)
+        robot = load_lwr(payload=NeedleTool())
+        yield from {"leak": leaks, "cascade": cascades, "hostile": hostile_ticks}[case](robot, rng)
+
+
+class RandomStacks:
+    """Postures, stacks of tasks and boxes, drawn without end."""
+
+    def __init__(self, robot: Robot, rng: np.random.Generator) -> None:
+        self.robot, self.rng = robot, rng
+        self.limits, self.tool = Limits(robot), ToolState(robot)
+
+    def posture(self, is_singular: bool) -> Array:
+        """Joint positions within limits."""
+        rng, table = self.rng, self.limits.table
+        q = rng.uniform(table[0], table[1])
+        if is_singular:
+            joint = rng.choice(SINGULAR_JOINTS)
+            q[joint] = rng.choice((-1.0, 1.0)) * 10.0 ** rng.uniform(-9.0, -2.0)
+        return q
+
+    def tasks(self) -> list[Task]:
+        """Two to four tasks, in any order, then a posture, around where the tool is."""
+        rng, tool = self.rng, self.tool
+        near = tool.tip_m + 1e-3 * rng.standard_normal(3)
+        speed = 10.0 ** rng.uniform(-3.0, 0.0)
+        kinds: list[Task] = [
+            RemoteCentre(near - rng.uniform(0.02, 0.2) * tool.axis),
+            Fixture(near, tool.rotation, turn_free=bool(rng.integers(2))),
+            TipVelocity(speed * rng.standard_normal(3)),
+            Orientation(tool.rotation, speed * rng.standard_normal(3)),
+            AxialSpeed(speed * rng.standard_normal()),
+        ]
+        chosen = rng.permutation(len(kinds))[: rng.integers(2, 5)]
+        goal = rng.uniform(self.limits.table[0] - 0.5, self.limits.table[1] + 0.5)
+        return [*(kinds[k] for k in chosen), Posture(goal)]
+
+    def draw(self, is_singular: bool) -> tuple[list[Task], Array]:
+        """Tasks at a new posture, and the velocity commanded last."""
+        q = self.posture(is_singular)
+        self.tool.update(q)
+        fraction = self.rng.choice((0.0, 0.01, 0.3, 1.0))
+        last = fraction * self.limits.table[2] * self.rng.uniform(-1.0, 1.0, q.size)
+        return self.tasks(), last
+
+
+class Levels:
+    """Solves the first levels of a stack, as `Controller` does."""
+
+    def __init__(self, stacks: RandomStacks, kind: type[Solver]) -> None:
+        self._stacks, self._kind = stacks, kind
+        self._made: dict[tuple[int, ...], tuple[Stack, Solver]] = {}
+
+    def solve(self, tasks: Sequence[Task], last: Array) -> tuple[Stack, Array]:
+        """Numbers of the tasks, and the velocity that serves them."""
+        tool = self._stacks.tool
+        wishes = isinstance(tasks[-1], Posture)
+        above = tasks[:-1] if wishes else tasks
+        sizes = tuple(task.size for task in above)
+        if sizes not in self._made:
+            stack = Stack(sizes, tool.q_rad.size)
+            self._made[sizes] = stack, self._kind(stack)
+        stack, solver = self._made[sizes]
+        stack.wish[:] = 0.0
+        if isinstance(tasks[-1], Posture):
+            tasks[-1].write_velocity(tool.q_rad, stack.wish)
+        first = 0
+        for task in above:
+            task.write(tool, stack.rows, stack.rates, first)
+            first += task.size
+        joint_bounds(self._stacks.limits.table, tool.q_rad, last, 1e-3, stack.bounds)
+        velocity, _ = solver.solve()
+        if velocity is None:
+            raise RuntimeError(f"no answer to {tasks} at {tool.q_rad.tolist()}")
+        return stack, velocity
+
+
+def leaks(robot: Robot, rng: np.random.Generator) -> Iterator[Figure]:
+    """How far lower tasks move what higher ones get."""
+    for kind, target in ((Hierarchical, 1e-12), (Published, None)):
+        stacks = RandomStacks(robot, np.random.default_rng(rng.integers(2**32)))
+        levels, worst = Levels(stacks, kind), [0.0, 0.0]
+        for index in range(STACKS):
+            is_singular = bool(index % 2)
+            tasks, last = stacks.draw(is_singular)
+            _, full = levels.solve(tasks, last)
+            for count in range(1, len(tasks)):
+                stack, alone = levels.solve(tasks[:count], last)
+                leak = float(np.abs(stack.rows[: stack.rates.size] @ (full - alone)).max())
+                worst[is_singular] = max(worst[is_singular], leak)
+        for leak, where in zip(worst, ("regular", "near singular"), strict=True):
+            what = f"leak into higher tasks, {kind.__name__.lower()}, {where}"
+            yield Figure(what, "", leak, "m/s, rad/s", target)
+
+
+class Rows(PinkTask):
+    """Rows J dq = v as a task of pink, for displacements of one second."""
+
+    def __init__(self, rows: Array, rates: Array) -> None:
+        super().__init__(cost=1.0, gain=1.0)
+        self.jacobian, self.rates = rows, rates
+
+    def __repr__(self) -> str:
+        """For pink's messages."""
+        return f"Rows(size={len(self.rates)})"
+
+    def compute_error(self, configuration: pink.Configuration) -> Array:
+        """What is missing, which pink's sign convention makes -v."""
+        return -self.rates
+
+    def compute_jacobian(self, configuration: pink.Configuration) -> Array:
+        """The rows."""
+        return self.jacobian
+
+
+class Box(Limit):
+    """Bounds of joint velocities as a limit of pink."""
+
+    def __init__(self, bounds: Array) -> None:
+        self.bounds = bounds
+
+    def compute_qp_inequalities(
+        self, configuration: pink.Configuration, dt: float
+    ) -> tuple[Array, Array]:
+        """G dq <= h."""
+        identity = np.eye(self.bounds.shape[1])
+        return np.vstack((identity, -identity)), np.concatenate((self.bounds[1], -self.bounds[0]))
+
+
+def cascades(robot: Robot, rng: np.random.Generator) -> Iterator[Figure]:
+    """How much better than ours each level can be, given what ours leaves to it."""
+    stacks = RandomStacks(robot, rng)
+    levels, worst, unsolved = Levels(stacks, Hierarchical), 0.0, 0
+    for index in range(CASCADES):
+        tasks, last = stacks.draw(bool(index % 2))
+        stack, velocity = levels.solve(tasks, last)
+        configuration = pink.Configuration(robot.model, robot.create_data(), stacks.tool.q_rad)
+        box = Box(stack.bounds[:, : velocity.size])
+        scale = np.maximum(np.linalg.norm(stack.rows, axis=1), 1e-9)
+        rows = stack.rows / scale[:, None]
+        rates = np.concatenate((stack.rates, stack.wish)) / scale
+        first = 0
+        for end in (*stack.ends, len(rows)):
+            level = Rows(rows[first:end], rates[first:end])
+            above = rows[:first]
+            fixed = [] if first == 0 else [Rows(*_independent(above, above @ velocity))]
+            problem = pink.build_ik(configuration, [level], 1.0, 1e-12, [box], constraints=fixed)
+            found = qpsolvers.solve_problem(problem, "daqp", primal_tol=1e-9)
+            best = found.x
+            if best is None:
+                unsolved += 1
+            else:
+                ours, theirs = (
+                    np.linalg.norm(level.jacobian @ x - level.rates) for x in (velocity, best)
+                )
+                worst = max(worst, float(ours - theirs))
+            first = end
+    yield Figure("better in a cascade of QPs, of unit rows", "", worst, "rad/s", 1e-5)
+    yield Figure("levels that the cascade's solver left unsolved", "", unsolved, "")
+
+
+def _independent(rows: Array, rates: Array) -> tuple[Array, Array]:
+    """Orthonormal rows with the same solutions, for a solver that wants them independent."""
+    left, sizes, right = np.linalg.svd(rows, full_matrices=False)
+    kept = sizes > 1e-7 * sizes[0]
+    return right[kept], (left.T @ rates)[kept] / sizes[kept]
+
+
+def hostile_ticks(robot: Robot, rng: np.random.Generator) -> Iterator[Figure]:
+    """How far commands pass a limit, and how many ticks go without an answer."""
+    stacks = RandomStacks(robot, rng)
+    control, q, tasks = Controller(robot, stacks.limits), np.array(LWR_POSTURE_rad), []
+    before, over, silent, step_s = np.zeros(robot.nv), np.full(3, -np.inf), 0, 1e-3
+    for tick in range(TICKS):
+        if tick % 200 == 0:
+            stacks.tool.update(q)
+            tasks = stacks.tasks()
+        elapsed_s, dt_s, seen = _hostile_sample(q, rng)
+        last_step_s, step_s = step_s, min(dt_s, LONGEST_STEP_s) if dt_s > 0.0 else step_s
+        q = q + elapsed_s * before
+        dq = control.update(ArmSample(dt_s, seen, None, seen), tasks).dq_rad_s
+        silent += not np.isfinite(dq).all()
+        change = np.abs(dq - before) - stacks.limits.table[3] * max(step_s, last_step_s)
+        beyond = np.maximum(robot.position_lower_rad - q, q - robot.position_upper_rad)
+        speed = np.abs(dq) - robot.velocity_limit_rad_s
+        over = np.maximum(over, [beyond.max(), speed.max(), change.max()])
+        before = dq
+    units = ("rad", "rad/s", "rad/s a tick")
+    for what, value, unit in zip(("position", "speed", "acceleration"), over, units, strict=True):
+        yield Figure(f"hostile ticks: beyond the limit of {what}", "", float(value), unit, 0.0)
+    yield Figure("hostile ticks without an answer", "", silent, "", 0.0)
+
+
+def _hostile_sample(q: Array, rng: np.random.Generator) -> tuple[float, float, Array]:
+    """Time that passes, time that is reported, positions that are reported."""
+    elapsed_s = float(rng.choice((1e-3, 5e-3, 0.02), p=(0.99, 0.007, 0.003)))
+    dt_s, seen = elapsed_s, q + 1e-5 * rng.standard_normal(q.size)
+    kind = rng.random()
+    if kind < 0.005:
+        dt_s = float(rng.choice((0.0, -1.0, 1e3, np.nan)))
+    elif kind < 0.01:
+        seen = seen + 0.05 * rng.standard_normal(q.size)
+    elif kind < 0.015:
+        seen = seen[:3] if kind < 0.0125 else np.full(q.size, np.nan)
+    return elapsed_s, dt_s, seen

@@ -1,0 +1,282 @@
+"""What touches the arm in closed loop: a trocar, a wall, a person's hand.
+
+Each contact is a law, motion of one point of the arm in, force out. It acts at every physics step
+of `ArmPlant`; between the arm's ticks its point moves by the Jacobian of the tick's start. Plain
+numbers instead of arrays: there are several of these calls in each tick.
+"""
+
+# MuJoCo's names live in a compiled module without stubs.
+# pyright: reportAttributeAccessIssue=false, reportOptionalMemberAccess=false
+
+import math
+from collections.abc import Callable, Iterable, Sequence
+from dataclasses import dataclass, field
+from typing import Any, Literal, NamedTuple, Protocol
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from groundtruth.errors import PlantError, require_non_negative, require_positive
+
+try:
+    import mujoco
+except ModuleNotFoundError:  # The laws do not need it.
+    mujoco = None
+
+Array = NDArray[np.float64]
+Vector3 = tuple[float, float, float]
+NO_FORCE: Vector3 = (0.0, 0.0, 0.0)
+
+Place = Literal["tip", "hub", "wrist", "elbow"]
+GRIPS: dict[str, tuple[str, str]] = {
+    "tip": ("tip", "needle"),
+    "hub": ("sensor", "sensor"),
+    "wrist": ("link_6", "link_6"),
+    "elbow": ("link_4", "link_4"),
+}
+"""Places that can be touched: the body whose origin it is, and the body that takes the force. The
+hub is the housing between flange and F/T sensor: this does not feel the hand."""
+
+
+class PointMotion(NamedTuple):
+    """Motion of a point of the arm and of the body it belongs to, in base axes.
+
+    Attributes:
+        position_m: Of the point.
+        axis: Direction of the body's z axis; of the needle at the tip.
+        velocity_m_s: Of the point.
+        angular_velocity_rad_s: Of the body.
+    """
+
+    position_m: Vector3
+    axis: Vector3
+    velocity_m_s: Vector3
+    angular_velocity_rad_s: Vector3
+
+
+class Contact(Protocol):
+    """A law of force at one point of the arm."""
+
+    @property
+    def at(self) -> str:
+        """Which point, one of `GRIPS`."""
+        ...
+
+    def begin(self, motion: PointMotion) -> None:
+        """Learn where the point is when the arm is placed; a new start each time."""
+        ...
+
+    def force(self, t_s: float, motion: PointMotion) -> tuple[Vector3, Vector3]:
+        """Force on the arm [N] and where it acts [m], in base axes."""
+        ...
+
+
+def dot(a: Vector3, b: Vector3) -> float:
+    """Scalar product."""
+    return a[0] * b[0] + a[1] * b[1] + a[2] * b[2]
+
+
+def add(a: Vector3, b: Vector3, scale: float = 1.0) -> Vector3:
+    """The sum a + scale b."""
+    return a[0] + scale * b[0], a[1] + scale * b[1], a[2] + scale * b[2]
+
+
+def cross(a: Vector3, b: Vector3) -> Vector3:
+    """Vector product."""
+    return a[1] * b[2] - a[2] * b[1], a[2] * b[0] - a[0] * b[2], a[0] * b[1] - a[1] * b[0]
+
+
+def distance_to_axis_m(point_m: ArrayLike, on_axis_m: ArrayLike, axis: Array) -> float:
+    """Distance of a point from a line through another point, along a unit vector."""
+    apart = np.subtract(point_m, on_axis_m)
+    return float(np.linalg.norm(apart - np.dot(apart, axis) * axis))
+
+
+@dataclass(slots=True, kw_only=True)
+class Trocar:
+    """Holds the needle elastically where it passes a point, and lets it slide and turn there.
+
+    Attributes:
+        behind_tip_m: Where along the needle that point lies when the arm is placed.
+        stiffness_N_per_m: Across the needle.
+        damping_Ns_per_m: Across it.
+        point_m: The point, in base axes; set when the arm is placed.
+    """
+
+    behind_tip_m: float
+    stiffness_N_per_m: float = 1000.0
+    damping_Ns_per_m: float = 5.0
+    point_m: Vector3 = field(default=NO_FORCE, init=False)
+    at: str = field(default="tip", init=False)
+
+    def __post_init__(self) -> None:
+        """Raise `PlantError` for a value that is negative or not finite."""
+        require_non_negative(
+            PlantError,
+            behind_tip_m=self.behind_tip_m,
+            stiffness_N_per_m=self.stiffness_N_per_m,
+            damping_Ns_per_m=self.damping_Ns_per_m,
+        )
+
+    def begin(self, motion: PointMotion) -> None:
+        """Lie where the needle is now."""
+        self.point_m = add(motion.position_m, motion.axis, -self.behind_tip_m)
+
+    def force(self, t_s: float, motion: PointMotion) -> tuple[Vector3, Vector3]:
+        """Spring and damper across the needle, at the point of its axis nearest to the trocar."""
+        tip, axis = motion.position_m, motion.axis
+        along = dot(add(self.point_m, tip, -1.0), axis)
+        nearest = add(tip, axis, along)
+        lever = (along * axis[0], along * axis[1], along * axis[2])
+        speed = add(motion.velocity_m_s, cross(motion.angular_velocity_rad_s, lever))
+        across = add(speed, axis, -dot(speed, axis))
+        apart = add(self.point_m, nearest, -1.0)
+        pull = add(NO_FORCE, apart, self.stiffness_N_per_m)
+        return add(pull, across, -self.damping_Ns_per_m), nearest
+
+
+@dataclass(slots=True, kw_only=True)
+class Wall:
+    """A stiff plane across the needle's way, such as bone; it pushes only, and without friction.
+
+    Attributes:
+        distance_m: From the tip, along the needle, when the arm is placed.
+        stiffness_N_per_m: Along the needle.
+        damping_Ns_per_m: While in contact. At 20 kN/m and the 3 kg that the arm has along its
+            needle, 50 is a tenth of critical.
+        penetration_m: Of the tip now, negative in front of the wall.
+    """
+
+    distance_m: float
+    stiffness_N_per_m: float = 20e3
+    damping_Ns_per_m: float = 50.0
+    penetration_m: float = field(default=-math.inf, init=False)
+    at: str = field(default="tip", init=False)
+    _surface: tuple[Vector3, Vector3] = field(default=(NO_FORCE, NO_FORCE), init=False)
+
+    def __post_init__(self) -> None:
+        """Raise `PlantError` for a stiffness or damping that is negative or not finite."""
+        require_non_negative(
+            PlantError,
+            stiffness_N_per_m=self.stiffness_N_per_m,
+            damping_Ns_per_m=self.damping_Ns_per_m,
+        )
+
+    def begin(self, motion: PointMotion) -> None:
+        """Stand across the needle's present direction."""
+        self._surface = (add(motion.position_m, motion.axis, self.distance_m), motion.axis)
+
+    def force(self, t_s: float, motion: PointMotion) -> tuple[Vector3, Vector3]:
+        """Push back along the wall's normal, never pull."""
+        point, normal = self._surface
+        tip = motion.position_m
+        self.penetration_m = dot(add(tip, point, -1.0), normal)
+        if self.penetration_m <= 0.0:
+            return NO_FORCE, tip
+        push = self.stiffness_N_per_m * self.penetration_m
+        push += self.damping_Ns_per_m * dot(motion.velocity_m_s, normal)
+        return add(NO_FORCE, normal, -max(push, 0.0)), tip
+
+
+@dataclass(slots=True, kw_only=True)
+class HandOnArm:
+    """A person's hand: a force over time, or a spring and damper that leads along a path.
+
+    Attributes:
+        at: What it has taken hold of.
+        force_N: Force over time [s], base axes; None for none.
+        path_m: Where the hand goes over time, relative to where it took hold, base axes; None if
+            it holds nothing.
+        stiffness_N_per_m: Of the hand along a path.
+        damping_Ns_per_m: Of it, against the motion of the arm.
+        applied_N: Force on the arm now, base axes.
+        stretch_m: How far the arm is from where the hand wants it, base axes.
+    """
+
+    at: Place
+    force_N: Callable[[float], Iterable[float]] | None = None
+    path_m: Callable[[float], Iterable[float]] | None = None
+    stiffness_N_per_m: float = 500.0
+    damping_Ns_per_m: float = 8.0
+    applied_N: Vector3 = field(default=NO_FORCE, init=False)
+    stretch_m: Vector3 = field(default=NO_FORCE, init=False)
+    _hold_m: Vector3 = field(default=NO_FORCE, init=False)
+
+    def __post_init__(self) -> None:
+        """Raise `PlantError` for an unknown place or an unusable spring."""
+        if self.at not in GRIPS:
+            raise PlantError(f"no place {self.at!r} to hold; expected one of {', '.join(GRIPS)}")
+        require_positive(PlantError, stiffness_N_per_m=self.stiffness_N_per_m)
+        require_non_negative(PlantError, damping_Ns_per_m=self.damping_Ns_per_m)
+
+    def begin(self, motion: PointMotion) -> None:
+        """Take hold."""
+        self._hold_m = motion.position_m
+
+    def force(self, t_s: float, motion: PointMotion) -> tuple[Vector3, Vector3]:
+        """The wanted force and that of spring and damper."""
+        push = NO_FORCE
+        if self.force_N is not None:
+            fx, fy, fz = self.force_N(t_s)
+            push = fx, fy, fz
+        if self.path_m is not None:
+            px, py, pz = self.path_m(t_s)
+            wanted = add(self._hold_m, (px, py, pz))
+            self.stretch_m = add(wanted, motion.position_m, -1.0)
+            push = add(push, self.stretch_m, self.stiffness_N_per_m)
+            push = add(push, motion.velocity_m_s, -self.damping_Ns_per_m)
+        self.applied_N = push
+        return push, motion.position_m
+
+
+class TouchedPoint:
+    """A point of the arm with the contacts that act on it, in a MuJoCo model.
+
+    Between ticks the point is moved by the Jacobian of the tick's start: the arm turns by less
+    than 1e-3 rad meanwhile, which leaves 0.1 um at a lever of 0.2 m.
+    """
+
+    def __init__(self, model: Any, data: Any, contacts: Sequence[Contact]) -> None:
+        """Bind contacts that all act at the same of `GRIPS`; `locate` comes before all else."""
+        point, body = GRIPS[contacts[0].at]
+        self._model, self._data, self._contacts = model, data, contacts
+        self._point, self._body = model.body(point).id, model.body(body).id
+        self._jacobian = np.zeros((6, model.nv))
+        self._wrench: Array = data.xfrc_applied[self._body]
+        self._now = PointMotion(NO_FORCE, NO_FORCE, NO_FORCE, NO_FORCE)
+        self._from_com_m: Vector3 = NO_FORCE
+
+    def locate(self) -> None:
+        """Take over the posture at the start of a tick."""
+        data, jacobian = self._data, self._jacobian
+        place = data.xpos[self._point]
+        mujoco.mj_jac(self._model, data, jacobian[:3], jacobian[3:], place, self._body)
+        x, y, z = place.tolist()
+        _, _, ax, _, _, ay, _, _, az = data.xmat[self._point].tolist()
+        cx, cy, cz = data.xipos[self._body].tolist()
+        self._now = PointMotion((x, y, z), (ax, ay, az), NO_FORCE, NO_FORCE)
+        self._from_com_m = x - cx, y - cy, z - cz
+
+    def begin(self) -> None:
+        """Let the contacts take hold of the arm as it stands."""
+        for contact in self._contacts:
+            contact.begin(self._now)
+
+    def act(self, t_s: float, dq_rad_s: Array, step_s: float) -> None:
+        """Apply the contacts' forces for one physics step, and move the point along."""
+        vx, vy, vz, wx, wy, wz = self._jacobian.dot(dq_rad_s).tolist()
+        speed, turning = (vx, vy, vz), (wx, wy, wz)
+        change = cross(turning, self._now.axis)
+        # At the middle of the step: a force held from its start would feed energy into a spring.
+        position = add(self._now.position_m, speed, 0.5 * step_s)
+        axis = add(self._now.axis, change, 0.5 * step_s)
+        motion = PointMotion(position, axis, speed, turning)
+        force, torque = NO_FORCE, NO_FORCE
+        for contact in self._contacts:
+            part, where = contact.force(t_s, motion)
+            force = add(force, part)
+            lever = add(add(where, position, -1.0), self._from_com_m)
+            torque = add(torque, cross(lever, part))
+        self._wrench[:] = force + torque
+        end = add(position, speed, 0.5 * step_s)
+        self._now = PointMotion(end, add(axis, change, 0.5 * step_s), speed, turning)

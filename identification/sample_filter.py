@@ -1,0 +1,297 @@
+"""From raw samples to depth and speed of the tip: a check, then a Kalman filter.
+
+The filter's state is depth and speed; the speed changes as white acceleration makes it. Every
+sample measures the depth, and the speed where the robot reports it. How noisy either is shows in
+how far a sample lies from the line between its neighbours, which no needle's motion does within a
+few milliseconds. A speed that was itself made from positions is late, and its noise is smooth: what
+its means over 16 ms scatter says how little it knows.
+"""
+
+import math
+from dataclasses import astuple
+from typing import Any
+
+import numpy as np
+
+from identification.config import CheckConfig
+from identification.estimate import SampleStatus
+from needleforce.jit import WrittenVector, compiled
+
+_NO_NUMBERS = (str, bytes, bool, np.bool_, complex, np.complexfloating, np.timedelta64)
+"""What Python or numpy would make a float of, though nobody measures it."""
+LEAST_DT_S, LARGEST_DT_S = 1e-12, 1e6
+"""Intervals outside are wrong units or garbage: quotients by them, or their sum, overflow."""
+LARGEST_MOTION = 1e3
+"""No needle is as deep [m] or as fast [m/s]; powers of larger numbers overflow."""
+_ACCELERATION_M2_PER_S3 = 2e-7
+"""Spectral density of the acceleration: the speed changes by half a millimetre per second in 0.1 s,
+one standard deviation. Starts and stops are quicker, see `_density`."""
+_MEMORY_S = 2.0
+"""Over which noise is learned."""
+_FIRST, _CLIP = 50.0, 9.0
+"""After so many values a square counts at most so many times the known one: no noise, but motion
+or a slip."""
+_LEAST_DEPTH_VARIANCE, _LEAST_SPEED_VARIANCE = 1e-16, 1e-14
+"""0.01 um and 0.1 um/s: what rounding leaves of exact samples."""
+_BLOCK_S = 0.016
+_ENOUGH_BLOCKS = 12.0
+_HASTE_S = 0.05
+_SIGNIFICANT = 4.0
+_MOST_SURPRISE = 5.0
+"""Standard deviations that one innovation counts: a single odd depth is not a needle that turns."""
+_GAP_S = 0.25
+"""After a longer step the filter starts anew."""
+_UNKNOWN_DEPTH_VARIANCE, _UNKNOWN_SPEED_VARIANCE = 1e-8, 1e-2
+"""At its first sample: 0.1 mm, and a tenth of a metre per second."""
+
+STATUSES = tuple(SampleStatus)
+"""In the order of their numbers; those used come first."""
+_OK, _TIME_GAP, _NOT_A_SCALAR, _NOT_FINITE, _TIME_NOT_FORWARD = range(5)
+_DEPTH_JUMP, _SPEED_SIGN, _FORCE_RANGE, _TIME_RANGE, _MOTION_RANGE = range(5, 10)
+LAST_USED = _TIME_GAP
+
+# Places in the memory. Of the check: time since the start, smoothed interval; last depth that could
+# be read, of a sample used or rejected; sum of all jumps removed; recent travel by depth and by
+# speed; time since that last depth, whether there is one, and time from the last sample used to it.
+TIME, _USUAL_DT, _RAW_DEPTH, SHIFT, _BY_DEPTH, _BY_SPEED, _PENDING, _HAS_DEPTH, _REJECTED = range(9)
+# Of the filter: its state and covariance, and of that what noise of the samples alone has left in
+# the answer; means of the latest standardised innovations of depth and of a measured speed.
+_DEPTH, _SPEED, _VAR_DEPTH, _COVARIANCE, _VAR_SPEED = range(9, 14)
+_NOISE_DEPTH, _NOISE_BOTH, _NOISE_SPEED, _SURPRISE, _SPEED_SURPRISE = range(14, 19)
+# What is known of the noise of depth, of speed and of means of the speed: five numbers each. Of the
+# block of such a mean being filled: its length, the number of its samples, the sum of their speeds.
+OF_DEPTH, _OF_SPEED, _OF_BLOCKS, _FILLED, _SAMPLES, _SPEED_SUM = 19, 24, 29, 34, 35, 36
+SAMPLE_MEMORY = 37
+# Of a noise: variance of single samples, on how many values that rests; the last value, the one
+# before, and the time between them, 0 while there are none.
+_VARIANCE, _SEEN, _LAST, _BEFORE, _LAST_DT = range(5)
+
+Limits = tuple[float, float, float, float, float]
+"""The fields of `CheckConfig`."""
+Motion = tuple[float, float, float, float]
+"""Depth [m], speed [m/s] and the standard deviation that noise of the samples leaves in each."""
+
+
+def check_limits(config: CheckConfig) -> Limits:
+    """The limits as `take_sample` takes them."""
+    gap_s, jump_m, memory_s, travel_m, force_N = map(float, astuple(config))
+    return gap_s, jump_m, memory_s, travel_m, force_N
+
+
+def as_scalar(value: Any) -> float | None:
+    """As a float, or None if it is not a single real number."""
+    if isinstance(value, float):
+        return float(value)
+    try:
+        if isinstance(value, np.ndarray) and value.ndim == 0:
+            value = value[()]
+        if isinstance(value, _NO_NUMBERS) or value is np.ma.masked:
+            return None
+        return None if np.ndim(value) > 0 else float(value)
+    except OverflowError:
+        return math.inf
+    except Exception:  # foreign objects convert by code of their own, which may raise anything
+        return None
+
+
+@compiled
+def _check_motion(
+    depth: float,
+    speed: float,
+    dt_s: float,
+    is_measured: bool,
+    memory: WrittenVector,
+    limits: Limits,
+) -> tuple[int, float]:
+    """Compare depth with speed; returns the status and the time since the last sample used."""
+    m = memory
+    gap_s, jump_m, sign_memory_s, sign_travel_m, _ = limits
+    # Of the time since the last depth, and since the last sample that was used.
+    dt = dt_s + m[_PENDING]
+    elapsed = dt + m[_REJECTED]
+    gap, has_depth = max(gap_s, 10.0 * m[_USUAL_DT]), m[_HAS_DEPTH] > 0.0
+    change = depth - m[_RAW_DEPTH] if has_depth else 0.0
+    surprise = change - speed * dt
+    keep = math.exp(-dt / sign_memory_s)
+    is_jump = abs(surprise) > jump_m + abs(speed) * dt
+    by_depth, by_speed = keep * m[_BY_DEPTH], keep * m[_BY_SPEED]
+    if is_jump:
+        m[SHIFT] += surprise
+    elif has_depth and dt <= gap and is_measured:
+        # One speed says nothing of the travel through a gap, nor of that before the first depth.
+        by_depth, by_speed = by_depth + change, by_speed + speed * dt
+    is_contrary = by_depth * by_speed < 0.0 and min(abs(by_depth), abs(by_speed)) > sign_travel_m
+    m[_BY_DEPTH], m[_BY_SPEED], m[_RAW_DEPTH], m[_HAS_DEPTH] = by_depth, by_speed, depth, 1.0
+    m[_PENDING], m[_REJECTED], status = 0.0, 0.0, _OK
+    if is_jump or is_contrary:
+        status, m[_REJECTED] = (_DEPTH_JUMP if is_jump else _SPEED_SIGN), elapsed
+    elif has_depth and elapsed > gap:
+        status = _TIME_GAP
+    usual = m[_USUAL_DT] if m[_USUAL_DT] != 0.0 else dt_s
+    m[_USUAL_DT] = usual + 0.05 * (dt_s - usual)
+    m[TIME] += dt_s
+    return status, elapsed
+
+
+@compiled
+def check_sample(
+    depth_m: float,
+    speed_m_s: float,
+    force_N: float,
+    dt_s: float,
+    is_measured: bool,
+    memory: WrittenVector,
+    limits: Limits,
+) -> tuple[int, float]:
+    """Check one raw sample: depth, speed, force and interval as `Identifier.update` takes them.
+
+    Where nobody measured the speed, it is the last one estimated, which contradicts no depth.
+
+    Time runs on over samples that are rejected, as long as their interval is valid: a dropped
+    force does not shift the clock of what follows.
+
+    Returns:
+        The status by its place in `STATUSES`, and of a sample to use the interval since the one
+        used before [s].
+    """
+    if not math.isfinite(dt_s):
+        return _NOT_FINITE, 0.0
+    if dt_s <= 0.0:
+        return _TIME_NOT_FORWARD, 0.0
+    if dt_s < LEAST_DT_S or dt_s > LARGEST_DT_S:
+        return _TIME_RANGE, 0.0
+    status = _OK
+    if not math.isfinite(depth_m + speed_m_s + force_N):
+        status = _NOT_FINITE
+    elif max(abs(depth_m), abs(speed_m_s)) > LARGEST_MOTION:
+        status = _MOTION_RANGE
+    elif abs(force_N) > limits[4]:
+        status = _FORCE_RANGE
+    if status == _OK:
+        return _check_motion(depth_m, speed_m_s, dt_s, is_measured, memory, limits)
+    memory[TIME] += dt_s
+    memory[_PENDING] += dt_s
+    return status, 0.0
+
+
+@compiled
+def learn_noise(memory: WrittenVector, at: int, value: float, dt_s: float, least: float) -> None:
+    """Use one value, `dt_s` after the last one, for the noise whose numbers begin at a place.
+
+    With weights a, 1 - a of its neighbours the middle of three values is off their line by a
+    variance of 1 + a^2 + (1 - a)^2 single ones. A value that has not changed at all is one of a
+    needle at rest or rounded: it says nothing.
+    """
+    variance, seen = memory[at + _VARIANCE], memory[at + _SEEN]
+    last, before, last_dt = memory[at + _LAST], memory[at + _BEFORE], memory[at + _LAST_DT]
+    if last_dt > 0.0 and not (value == last and last == before):
+        a = last_dt / (last_dt + dt_s)
+        off = last - (a * value + (1.0 - a) * before)
+        square = off * off / (1.0 + a * a + (1.0 - a) * (1.0 - a))
+        if seen >= _FIRST:
+            square = min(square, _CLIP * variance)
+        seen = min(seen + 1.0, max(_MEMORY_S / dt_s, _FIRST))
+        memory[at + _SEEN] = seen
+        memory[at + _VARIANCE] = max(variance + (square - variance) / seen, least)
+    memory[at + _LAST], memory[at + _BEFORE], memory[at + _LAST_DT] = value, last, dt_s
+
+
+@compiled
+def _density(memory: WrittenVector, gain: float) -> float:
+    """Spectral density of the acceleration just now.
+
+    Innovations of a filter that keeps up have no mean: one that chance does not explain shows a
+    needle that starts, stops or turns.
+    """
+    surprise = max(abs(memory[_SURPRISE]), abs(memory[_SPEED_SURPRISE]))
+    haste = max(surprise * surprise * (2.0 - gain) / gain / _SIGNIFICANT, 1.0) ** 2
+    return haste * _ACCELERATION_M2_PER_S3
+
+
+@compiled
+def _measure(memory: WrittenVector, k: int, value: float, noise: float) -> float:
+    """Use a measurement of depth (k = 0) or speed (1); returns the standardised innovation."""
+    m = memory
+    own, other, n_own, n_other = _VAR_DEPTH + 2 * k, _VAR_SPEED - 2 * k, _NOISE_DEPTH, _NOISE_SPEED
+    if k == 1:
+        n_own, n_other = _NOISE_SPEED, _NOISE_DEPTH
+    total = m[own] + noise
+    error, gain, cross = value - m[_DEPTH + k], m[own] / total, m[_COVARIANCE] / total
+    left, of_own, of_both = 1.0 - gain, m[n_own], m[_NOISE_BOTH]
+    m[_DEPTH + k] += gain * error
+    m[_SPEED - k] += cross * error
+    m[other] -= cross * m[_COVARIANCE]
+    m[own] *= left
+    m[_COVARIANCE] *= left
+    m[n_own] = left * left * of_own + gain * gain * noise
+    m[_NOISE_BOTH] = left * (of_both - cross * of_own) + gain * cross * noise
+    m[n_other] += cross * (cross * (of_own + noise) - 2.0 * of_both)
+    return min(max(error / math.sqrt(total), -_MOST_SURPRISE), _MOST_SURPRISE)
+
+
+@compiled
+def filter_travel(
+    depth_m: float, speed_m_s: float, dt_s: float, is_measured: bool, memory: WrittenVector
+) -> Motion:
+    """Use one checked sample; time steps may differ, the filter is exact for each."""
+    m, gain = memory, -math.expm1(-dt_s / _HASTE_S)
+    learn_noise(m, OF_DEPTH, depth_m, dt_s, _LEAST_DEPTH_VARIANCE)
+    noise = max(m[OF_DEPTH], _LEAST_DEPTH_VARIANCE)
+    if m[_VAR_DEPTH] == 0.0 or dt_s > _GAP_S:
+        m[_DEPTH:OF_DEPTH] = 0.0
+        m[_DEPTH], m[_SPEED] = depth_m, (speed_m_s if is_measured else 0.0)
+        m[_VAR_DEPTH], m[_VAR_SPEED] = _UNKNOWN_DEPTH_VARIANCE, _UNKNOWN_SPEED_VARIANCE
+        m[_NOISE_DEPTH] = noise
+    else:
+        density = _density(m, gain)
+        m[_DEPTH] += m[_SPEED] * dt_s
+        m[_VAR_DEPTH] += dt_s * (2.0 * m[_COVARIANCE] + dt_s * m[_VAR_SPEED])
+        m[_VAR_DEPTH] += density * dt_s**3 / 3.0
+        m[_COVARIANCE] += dt_s * m[_VAR_SPEED] + density * dt_s * dt_s / 2.0
+        m[_VAR_SPEED] += density * dt_s
+        m[_NOISE_DEPTH] += dt_s * (2.0 * m[_NOISE_BOTH] + dt_s * m[_NOISE_SPEED])
+        m[_NOISE_BOTH] += dt_s * m[_NOISE_SPEED]
+        m[_SURPRISE] += gain * (_measure(m, 0, depth_m, noise) - m[_SURPRISE])
+    if is_measured:
+        learn_noise(m, _OF_SPEED, speed_m_s, dt_s, _LEAST_SPEED_VARIANCE)
+        m[_FILLED] += dt_s
+        m[_SAMPLES] += 1.0
+        m[_SPEED_SUM] += speed_m_s
+    if is_measured and m[_OF_SPEED + _SEEN] > 0.0:
+        # Of a smooth noise samples of one block are as good as one.
+        is_known = m[_OF_BLOCKS + _SEEN] >= _ENOUGH_BLOCKS
+        noise = max(m[_OF_SPEED], m[_OF_BLOCKS] * _BLOCK_S / dt_s if is_known else 0.0)
+        m[_SPEED_SURPRISE] += gain * (_measure(m, 1, speed_m_s, noise) - m[_SPEED_SURPRISE])
+    if m[_FILLED] >= _BLOCK_S:
+        mean = m[_SPEED_SUM] / m[_SAMPLES]
+        learn_noise(m, _OF_BLOCKS, mean, m[_FILLED], _LEAST_SPEED_VARIANCE)
+        m[_FILLED] = m[_SAMPLES] = m[_SPEED_SUM] = 0.0
+    depth_std, speed_std = (
+        math.sqrt(max(m[_NOISE_DEPTH], 0.0)),
+        math.sqrt(max(m[_NOISE_SPEED], 0.0)),
+    )
+    return float(m[_DEPTH]), float(m[_SPEED]), depth_std, speed_std
+
+
+@compiled
+def take_sample(
+    depth_m: float,
+    speed_m_s: float,
+    force_N: float,
+    dt_s: float,
+    is_measured: bool,
+    memory: WrittenVector,
+    limits: Limits,
+) -> tuple[int, float, float, float, Motion]:
+    """Check one raw sample and, if it can be used, filter its depth and speed.
+
+    Returns:
+        As `check_sample`; the time since the start; the depth less the jumps removed; the motion.
+    """
+    speed = speed_m_s if is_measured else memory[_SPEED]
+    number, elapsed_s = check_sample(depth_m, speed, force_N, dt_s, is_measured, memory, limits)
+    depth, time_s = depth_m - float(memory[SHIFT]), float(memory[TIME])
+    if number > LAST_USED:
+        return number, float(elapsed_s), time_s, depth, (0.0, 0.0, 0.0, 0.0)
+    motion = filter_travel(depth, speed, elapsed_s, is_measured, memory)
+    return number, float(elapsed_s), time_s, depth, motion

@@ -1,0 +1,303 @@
+"""`needleforce demo`: the needle moved in closed loop on the simulated arm, as a table and a page.
+
+Simulation only; nothing here is a medical device or claimed of one.
+"""
+
+import math
+from collections.abc import Callable, Sequence
+from pathlib import Path
+from typing import NamedTuple
+
+import numpy as np
+
+from groundtruth.rig_arm import SimulatedArm
+from groundtruth.rig_contacts import HandOnArm, Trocar
+from groundtruth.tissue_truth import Rupture
+from needleforce import InsertionSession
+from needleforce.cli.demo_runs import (
+    STANDOFF_M,
+    HandPlan,
+    Teleinsertion,
+    ruptures_felt,
+    teleoperate,
+)
+from needleforce.cli.terminal import CommandError, progress_bar, write_out
+from needleforce.control import (
+    AxialSpeed,
+    Controller,
+    Fixture,
+    Guidance,
+    InsertionPlan,
+    InsertionProfile,
+    Limits,
+    Manager,
+    Posture,
+    RemoteCentre,
+    SafetyLimits,
+    TipVelocity,
+)
+from needleforce.plots import palette
+from needleforce.plots.chart import Chart, Curve, Panel, Shading, require_matplotlib, save_figure
+from needleforce.plots.page import PAGE, Page, PageTable, Section, save_page_figure, write_page
+from residual import Status, VirtualForceSensor
+
+Rows = tuple[tuple[str, str], ...]
+Progress = Callable[[float], None]
+NEVER = "Simulation only: not a medical device."
+
+
+class Shown(NamedTuple):
+    """What a demonstration has to show."""
+
+    title: str
+    rows: Rows
+    charts: tuple[tuple[str, Chart, str], ...]  # name of the file, the chart, its caption
+
+
+def run(kind: str, folder: Path | None, picture: Path | None) -> int:
+    """Run a demonstration, print its table, and write what was asked for."""
+    if folder is not None or picture is not None:
+        require_matplotlib("demo")
+    if kind not in DEMOS:
+        raise CommandError(f"no demonstration {kind!r}; known: {', '.join(DEMOS)}")
+    with progress_bar(f"demonstrating {kind}") as progress:
+        shown = DEMOS[kind](progress)
+    width = max(len(name) for name, _ in shown.rows)
+    lines = [f"{name:<{width}}  {value}" for name, value in shown.rows]
+    write_out("\n".join((shown.title, *lines, NEVER, "")))
+    if picture is not None:
+        save_figure(shown.charts[0][1], picture)
+    if folder is not None:
+        folder.mkdir(parents=True, exist_ok=True)
+        figures = tuple(
+            save_page_figure(chart, folder / f"{name}.svg", alt=caption, caption=caption)
+            for name, chart, caption in shown.charts
+        )
+        table = PageTable(caption="Result", head=("what", "value"), rows=shown.rows)
+        section = Section(heading=shown.title, anchor=kind, figures=figures, tables=(table,))
+        write_page(
+            folder / PAGE,
+            Page(title=f"needleforce demo {kind}", lead=(NEVER,), sections=(section,)),
+        )
+        write_out(f"{folder / PAGE}\n")
+    return 0
+
+
+def _teleop(progress: Progress) -> Shown:
+    """A hand drives the needle through three gels and feels the force at its tip."""
+    arm = SimulatedArm("stack-glove-constant", "clean", 1, standoff_m=STANDOFF_M)
+    hand = HandPlan(needle_speed_m_s=4e-3, needle_travel_m=108e-3, scale=0.4)
+    made = teleoperate(arm, hand, seed=1, delay_s=0.01, progress=progress)
+    felt = ruptures_felt(made)
+    rows = tuple(
+        (
+            f"rupture {k}: contrast with, without compensation",
+            f"{100 * item.shown_drop:.0f} %, {100 * item.raw_drop:.0f} %",
+        )
+        for k, item in enumerate(felt, 1)
+    )
+    rows += (
+        ("alarms for ruptures", f"{len(made.alarms_s)} for {len(felt)}"),
+        ("least energy at the hand's port", f"{1e3 * made.least_energy_J:.3f} mJ"),
+        ("drift between hand and needle", f"{1e3 * abs(made.drift_m):.2f} mm"),
+    )
+    return Shown("Teleoperation, 10 ms of delay each way", rows, _teleop_charts(made))
+
+
+def _teleop_charts(made: Teleinsertion) -> tuple[tuple[str, Chart, str], ...]:
+    t_s, step = made.rows("t_s"), 20
+    depth_mm = 1e3 * (made.rows("depth_m") - made.depth_m[0])
+
+    def curve(name: str, label: str, style: object, scale: float = 1.0) -> Curve:
+        kept = made.rows(name)
+        smooth = np.convolve(kept, np.full(step, 1.0 / step), "same")[::step]
+        return Curve(style=style, x=t_s[::step], y=scale * smooth, label=label)  # type: ignore[arg-type]
+
+    ends = tuple((item.onset_s, item.end_s) for item in made.ruptures if item.layer)
+    marks = (Shading("a layer ruptures", palette.TRUE_RUPTURE, ends, 1.5),)
+    forces = (
+        curve("raw_N", "without compensation: force at the base", palette.READING),
+        curve("shown_N", "with compensation: shown to the hand", palette.OURS),
+        curve("tip_N", "true force at the tip", palette.TRUE_PART),
+    )
+    contrast = Chart(
+        title="What the surgeon feels\nneedle driven by a hand, three gels, 10 ms delay",
+        x_label=palette.TIME,
+        panels=(Panel(y_label="force [N]", curves=forces),),
+        shadings=marks,
+    )
+    motion = Curve(style=palette.OURS, x=t_s[::step], y=depth_mm[::step], label="needle")
+    energy = Chart(
+        title="Energy that the hand has put in, and depth\nnever below zero: passive",
+        x_label=palette.TIME,
+        panels=(
+            Panel(y_label="energy [mJ]", curves=(curve("energy_J", "", palette.OURS, 1e3),)),
+            Panel(y_label="travel [mm]", curves=(motion,)),
+        ),
+        shadings=marks,
+    )
+    return (
+        ("contrast", contrast, "Force before and after each rupture, with friction and without."),
+        ("energy", energy, "Energy through the hand's port and travel of the needle."),
+    )
+
+
+CIRCLE_M, CIRCLE_S, ENTRY_M = 40e-3 / 2, 8.0, 80e-3
+
+
+def _rcm(progress: Progress) -> Shown:
+    """The tip draws a circle while the needle turns about its entry point."""
+    trocar = Trocar(behind_tip_m=ENTRY_M)
+    arm = SimulatedArm(contacts=[trocar], duration_s=CIRCLE_S + 0.5)
+    control = Controller(arm.robot, Limits(arm.robot))
+    control.tool.update(arm.home_rad)
+    start_m, axis = control.tool.tip_m.copy(), control.tool.axis.copy()
+    tip = TipVelocity((0.0, 0.0, 0.0), start_m, gain_per_s=20.0)
+    stack = [RemoteCentre(start_m - ENTRY_M * axis), tip, Posture(arm.home_rad)]
+    rows = []
+    for sample in arm:
+        part = min(arm.time_s / CIRCLE_S, 1.0)
+        angle = 2.0 * math.pi * (part - math.sin(2.0 * math.pi * part) / (2.0 * math.pi))
+        offset = CIRCLE_M * (1.0 - math.cos(angle)), CIRCLE_M * math.sin(angle), 0.0
+        rate = 2.0 * math.pi / CIRCLE_S * (1.0 - math.cos(2.0 * math.pi * part))
+        along = np.array((math.sin(angle), math.cos(angle), 0.0))
+        tip.goal_m, tip.velocity_m_s = start_m + offset, CIRCLE_M * rate * along
+        arm.send(control.update(sample, stack).dq_rad_s)
+        entry_m = arm.distance_to_axis_m(trocar.point_m)
+        rows.append((arm.time_s, entry_m, math.dist(arm.truth.tip_m, tip.goal_m)))
+        progress(arm.time_s / (CIRCLE_S + 0.5))
+    t_s, entry, error = np.array(rows)[::10].T
+    panels = (
+        Panel(y_label="entry [µm]", curves=(Curve(style=palette.OURS, x=t_s, y=1e6 * entry),)),
+        Panel(y_label="tip [mm]", curves=(Curve(style=palette.TIP, x=t_s, y=1e3 * error),)),
+    )
+    chart = Chart(
+        title="Remote centre of motion\nerror at the entry and of the tip, circle of 40 mm in 8 s",
+        x_label=palette.TIME,
+        panels=panels,
+    )
+    table = (
+        ("entry, largest error", f"{1e3 * entry.max():.4f} mm"),
+        ("tip, largest error", f"{1e3 * error.max():.2f} mm"),
+        ("kinematics", "shared by arm and controller; a real arm's are off by some 0.1 mm"),
+    )
+    return Shown("Remote centre of motion", table, (("rcm", chart, "Errors over the circle."),))
+
+
+def _autonomous(progress: Progress) -> Shown:
+    """The needle goes in by itself until it has left the first layer."""
+    arm = SimulatedArm("stack-glove-constant", standoff_m=5e-3, duration_s=40.0)
+    manager = Manager(InsertionSession(arm.robot), SafetyLimits(axial_N=20.0))
+    profile = InsertionProfile(InsertionPlan(speed_m_s=5e-3, depth_m=0.12, layer=1))
+    control = Controller(arm.robot, Limits(arm.robot))
+    control.tool.update(arm.home_rad)
+    line, posture, rows = Fixture.here(control.tool, 20.0), Posture(arm.home_rad), []
+    inserted_s = stopped_s = math.inf
+    for sample in arm:
+        manager.heartbeat()
+        now = manager.update(sample)
+        step = profile.update(now)
+        if step.event:
+            manager.request(step.event)
+        stack = [line, AxialSpeed(step.speed_m_s), posture]
+        arm.send(control.update(sample, stack).dq_rad_s)
+        truth = arm.truth
+        rows.append((arm.time_s, 1e3 * truth.depth_m, now.estimate.wrench.axial))
+        if now.state == "insertion":
+            inserted_s = min(inserted_s, arm.time_s)
+        elif inserted_s < arm.time_s:
+            stopped_s = min(stopped_s, arm.time_s)
+        progress(arm.time_s / 40.0)
+        if arm.time_s > stopped_s + 0.5:
+            break
+    t_s, depth, force = np.array(rows)[::10].T
+    ruptures = [item for item in arm.tissue_truth().ruptures if item.layer]
+    past_mm = float(depth.max() - 1e3 * ruptures[0].onset_m) if ruptures else math.nan
+    begin_s = inserted_s if math.isfinite(inserted_s) else 0.0
+    chart = _stop_chart(t_s, depth, force, ruptures, begin_s)
+    table = (
+        ("ruptures passed", f"{len(ruptures)} (asked: 1)"),
+        ("overshoot past the rupture", f"{past_mm:.2f} mm"),
+    )
+    return Shown("Autonomous insertion", table, (("stop", chart, "Depth and measured force."),))
+
+
+def _stop_chart(
+    t_s: np.ndarray,
+    depth: np.ndarray,
+    force: np.ndarray,
+    ruptures: Sequence[Rupture],
+    begin_s: float,
+) -> Chart:
+    marks = tuple((item.onset_s, min(item.end_s, float(t_s[-1]))) for item in ruptures)
+    return Chart(
+        title="Autonomous insertion\nstops after the first rupture, 5 mm/s",
+        x_label=palette.TIME,
+        panels=(
+            Panel(y_label="depth [mm]", curves=(Curve(style=palette.OURS, x=t_s, y=depth),)),
+            Panel(y_label="force [N]", curves=(Curve(style=palette.READING, x=t_s, y=force),)),
+        ),
+        shadings=(Shading("the layer ruptures", palette.TRUE_RUPTURE, marks, 1.5),),
+        x_limits=(begin_s, float(t_s[-1])),
+    )
+
+
+PUSH_S, PUSH_END_S, GUIDED_S, PUSH_N = 5.0, 9.0, 12.0, 4.0
+
+
+def _guidance(progress: Progress) -> Shown:
+    """A hand pushes the hub aside with a growing force and lets go; the arm yields and rests."""
+
+    def push_N(t_s: float) -> tuple[float, float, float]:
+        inside = PUSH_S <= t_s < PUSH_END_S
+        return (PUSH_N * (t_s - PUSH_S) / (PUSH_END_S - PUSH_S) if inside else 0.0, 0.0, 0.0)
+
+    arm = SimulatedArm(contacts=[HandOnArm(at="hub", force_N=push_N)], duration_s=GUIDED_S)
+    sensor, control = VirtualForceSensor(arm.robot), Controller(arm.robot, Limits(arm.robot))
+    control.tool.update(arm.home_rad)
+    guidance, shaft, rows = Guidance(arm.robot), Fixture.here(control.tool, 20.0), []
+    for sample in arm:
+        wrench = sensor.update(sample.q_rad, sample.dq_rad_s, sample.tau_Nm, sample.dt_s)
+        if not sensor.tared:
+            speed_m_s = 0.02 * math.sin(math.pi * arm.time_s / 2.0)  # a stroke there and back
+            stack = [shaft, AxialSpeed(speed_m_s)]
+            if arm.time_s > 4.0:
+                sensor.tare()
+        else:
+            valid = wrench.status is Status.OK
+            sigma_Nm = sensor.residual_std_Nm
+            wish = guidance.update(wrench.residual, sigma_Nm, sample.dt_s, is_valid=valid)
+            stack = [wish]
+        arm.send(control.update(sample, stack).dq_rad_s)
+        rows.append((arm.time_s, push_N(arm.time_s)[0], *arm.truth.tip_m))
+        progress(arm.time_s / GUIDED_S)
+    t_s, force, *tip_m = np.array(rows)[round(1e3 * PUSH_S) - 500 :].T
+    moved = 1e3 * np.linalg.norm(np.array(tip_m).T - np.array(tip_m).T[0], axis=1)
+    yielded = int(np.argmax(moved > 0.5))
+    rest = t_s > PUSH_END_S + 1.0
+    chart = _guidance_chart(t_s, force, moved)
+    table = (
+        ("force at which the arm has yielded by 0.5 mm", f"{force[yielded]:.2f} N"),
+        ("creep, from 1 s after it was let go", f"{np.ptp(moved[rest]):.4f} mm in 2 s"),
+    )
+    return Shown("Manual guidance", table, (("guidance", chart, "Push and motion of the tip."),))
+
+
+def _guidance_chart(t_s: np.ndarray, force: np.ndarray, moved: np.ndarray) -> Chart:
+    panels = (
+        Panel(y_label="push [N]", curves=(Curve(style=palette.READING, x=t_s, y=force),)),
+        Panel(y_label="tip moved [mm]", curves=(Curve(style=palette.OURS, x=t_s, y=moved),)),
+    )
+    return Chart(
+        title="Manual guidance\na push at the hub grows by 1 N/s, then lets go",
+        x_label=palette.TIME,
+        panels=panels,
+    )
+
+
+DEMOS: dict[str, Callable[[Progress], Shown]] = {
+    "guidance": _guidance,
+    "teleop": _teleop,
+    "autonomous": _autonomous,
+    "rcm": _rcm,
+}

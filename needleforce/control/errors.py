@@ -1,0 +1,27 @@
+"""Errors of `needleforce.control`: one base; each of the others is also a standard exception."""
+
+import math
+from collections.abc import Container
+from dataclasses import fields
+
+
+class ControlError(Exception):
+    """Base of the errors of this package; those of the estimators pass through."""
+
+
+class SettingError(ControlError, ValueError):
+    """A setting that cannot work: the message names it, what came and what is valid."""
+
+
+class RefusedError(ControlError, RuntimeError):
+    """Something that must not be done now; the message says why, and what has to come first."""
+
+
+def require_positive(settings: object, or_zero: Container[str] = ()) -> None:
+    """Refuse a dataclass with a number that is not finite and positive; None is left alone."""
+    for field in fields(settings):  # type: ignore[arg-type]
+        value = getattr(settings, field.name)
+        if value is None or (value == 0.0 and field.name in or_zero):
+            continue
+        if not (isinstance(value, int | float) and 0.0 < value < math.inf):
+            raise SettingError(f"{field.name} is {value!r}, expected a positive number")

@@ -1,0 +1,101 @@
+"""Manual guidance: the arm yields to a hand anywhere on it, felt through the joint residual.
+
+    T dv/dt + v = dz(r) / D,     dz(r) = r - clip(r, -h, h),     h = f r_max + s sigma
+
+with r the residual, D a damping per joint, h a dead zone: a fraction f of the torque limit and s
+standard deviations. Without a hand r stays within h and v is exactly zero, so nothing creeps.
+Viscous, without stiffness: the arm stays where it is let go.
+"""
+
+import math
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from needleforce.control.errors import SettingError
+from needleforce.control.ports import Array
+from needleforce.control.tasks import JointVelocity
+from urdf import Robot
+
+LWR_DAMPING_Nms = (5.0, 5.0, 2.5, 2.5, 1.0, 0.75, 0.25)
+"""Per rad, for the seven joints of an LWR: on the simulated one a hub at 100 mm/s takes 6 N. With
+two fifths of it a hand of 1000 N/m at the wrist makes the arm oscillate."""
+HOLD_s = 0.02
+"""The last residual stands in for rejected ones for so long, and fades after that: a hand that lets
+go looks like a spike, and an arm that stopped at once for it would make the next one."""
+REST_rad_s = 1e-6
+
+
+class Guidance:
+    """Joint velocities that yield to a hand, as a task that belongs last in a stack.
+
+    With a needle in tissue stack it below `Fixture` and `AxialSpeed(0)`: a push from the side shows
+    up along the needle too, and would withdraw it.
+
+    Args:
+        robot: The arm; its torque limits set the dead zone.
+        damping_Nms_per_rad: D of every joint, shape (n,); those of an LWR where None.
+        lag_s: T.
+        deadband_fraction: f.
+        deadband_sigmas: s.
+
+    Raises:
+        SettingError: A number is not positive, or the robot is no LWR and has no damping.
+    """
+
+    def __init__(
+        self,
+        robot: Robot,
+        damping_Nms_per_rad: ArrayLike | None = None,
+        *,
+        lag_s: float = 0.03,
+        deadband_fraction: float = 2e-3,
+        deadband_sigmas: float = 4.0,
+    ) -> None:
+        given = LWR_DAMPING_Nms if damping_Nms_per_rad is None else damping_Nms_per_rad
+        self._damping = np.array(given, dtype=np.float64)
+        settings = (lag_s, deadband_fraction, deadband_sigmas, *self._damping.flat)
+        if self._damping.shape != (robot.nv,) or not all(0.0 < s < math.inf for s in settings):
+            raise SettingError(
+                f"damping is {given!r}, lag and dead zone are {settings[:3]}; expected positive "
+                f"numbers, of the damping one for each of {robot.nv} joints"
+            )
+        self._least_Nm = deadband_fraction * robot.effort_limit_Nm
+        self._lag_s, self._sigmas = lag_s, deadband_sigmas
+        self.reset()
+
+    def reset(self) -> None:
+        """Rest: call it when guidance begins."""
+        self._velocity = np.zeros_like(self._damping)
+        self._beyond_Nm, self._rejected_s = self._velocity, 0.0
+        self._sigma_Nm = np.full(self._damping.shape, np.inf)
+
+    def update(
+        self, residual_Nm: Array, sigma_Nm: Array, dt_s: float, *, is_valid: bool = True
+    ) -> JointVelocity:
+        """The task of the coming cycle. A number that is not finite counts as a rejected sample.
+
+        Args:
+            residual_Nm: Torque of the environment on the joints, `WrenchEstimate.residual`.
+            sigma_Nm: Its standard deviation, `VirtualForceSensor.residual_std_Nm`.
+            dt_s: Time since the last call.
+            is_valid: Whether the residual is of this cycle, `Status.OK`.
+        """
+        # A hand is no contact at the tip: the sensor takes it for an error of its own and widens
+        # sigma as the residual grows. What counts is sigma without a hand.
+        self._sigma_Nm = np.fmin(self._sigma_Nm, sigma_Nm)
+        zone = self._least_Nm + self._sigmas * self._sigma_Nm
+        beyond = residual_Nm - np.clip(residual_Nm, -zone, zone)
+        if not 0.0 < dt_s < math.inf:
+            return JointVelocity(self._velocity)
+        if is_valid and np.isfinite(beyond).all():
+            self._beyond_Nm, self._rejected_s = beyond, 0.0
+        else:
+            self._rejected_s += dt_s
+            if self._rejected_s > HOLD_s:
+                self._beyond_Nm = self._beyond_Nm * math.exp(-dt_s / self._lag_s)
+        step = -math.expm1(-dt_s / self._lag_s)
+        self._velocity = self._velocity + step * (self._beyond_Nm / self._damping - self._velocity)
+        if not self._beyond_Nm.any() and np.abs(self._velocity).max() < REST_rad_s:
+            self._velocity = np.zeros_like(self._velocity)
+        return JointVelocity(self._velocity)

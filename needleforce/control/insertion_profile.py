@@ -1,0 +1,207 @@
+"""An insertion by itself: approach, tare stroke, insertion, dwell, withdrawal.
+
+A program follows a plan: from what the manager knows it returns the speed along the needle and the
+event that ends the present state. Planned ends are reached with gentle braking; a stop asks for
+rest at once, and the controller brakes with all that the limits of the arm allow.
+"""
+
+import math
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, NamedTuple
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from identification import Estimate, RuptureState
+from needleforce.control.errors import SettingError, require_positive
+from needleforce.control.ports import Array
+
+if TYPE_CHECKING:
+    from needleforce.control.manager import Situation
+
+_TRACK_PER_S = 10.0
+"""Gain with which a stroke keeps to its course."""
+_NEAR_M = 2e-5
+"""So near to its end a motion has arrived."""
+_SMOOTH_S, _SLOW_S, _LEARN_S, _PEAK_S = 3e-3, 0.015, 1.0, 0.1
+"""Time constants: of the force, of what its noise is measured against, of that measurement, and of
+the memory of the last peak."""
+_FIRST_NOISE_N, _SIGMAS = 0.03, 7.0
+"""Noise before it is measured; a fall by so many standard deviations of it is one."""
+_LARGE = 0.15
+"""A fall by so much of the force is a rupture whatever the identification still waits for."""
+_APART_M = 3e-3
+"""Two ruptures less far apart are one."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class InsertionPlan:
+    """What to do, along the needle, inwards positive; `SettingError` for numbers that cannot be.
+
+    Attributes:
+        speed_m_s: Of insertion and withdrawal.
+        depth_m: Where the insertion ends at the latest, from the place of the tare.
+        layer: Layer after whose rupture it ends; None for the depth.
+        approach_m: Way to the place of the tare, in free air.
+        tare_stroke_m: Length of the stroke back and forth before the tare.
+        stroke_s: Time of the approach, and of the stroke each way.
+        dwell_s: Time at the end of the insertion.
+        acceleration_m_s2: Of starts and of planned ends.
+    """
+
+    speed_m_s: float
+    depth_m: float
+    layer: int | None = None
+    approach_m: float = 0.0
+    tare_stroke_m: float = 0.06
+    stroke_s: float = 3.0
+    dwell_s: float = 1.0
+    acceleration_m_s2: float = 0.3
+
+    def __post_init__(self) -> None:
+        """Check every number."""
+        require_positive(self, or_zero=("approach_m", "dwell_s"))
+
+
+def depth_of(
+    target_m: ArrayLike, tip_m: ArrayLike, axis: Array, *, tolerance_m: float = 1e-3
+) -> float:
+    """Depth [m] of a planned target, base frame, shape (3,), from the place of the tip at the tare.
+
+    `SettingError` where it lies behind the tip, or off the needle's line by more than a tolerance.
+    """
+    way = np.subtract(target_m, tip_m)
+    depth_m = float(axis @ way)
+    miss_m = float(np.linalg.norm(way - depth_m * axis))
+    if depth_m <= 0.0 or miss_m > tolerance_m:
+        raise SettingError(
+            f"the target lies {1e3 * depth_m:.1f} mm ahead and {1e3 * miss_m:.1f} mm beside the "
+            f"needle's line, expected ahead and within {1e3 * tolerance_m:g} mm: align the needle"
+        )
+    return depth_m
+
+
+class RuptureCount:
+    """Ruptures, counted by a program that knows how the needle is commanded.
+
+    By itself the identification must wait whether a fall of the force is a needle that brakes. At a
+    steady command it is none: a rupture that is likelier than not counts once the force has fallen
+    by more than its noise, and so does a large and sudden fall. An alarm without a fall does not
+    count: a tip that meets the next membrane has left no layer yet.
+    """
+
+    def __init__(self) -> None:
+        self.count, self._last_m = 0, -math.inf
+        self._force_N = self._slow_N = self._peak_N = self._rise_N = 0.0
+        self._variance_N2 = _FIRST_NOISE_N**2
+
+    def update(self, found: Estimate, axial_N: float, travel: tuple[float, float, bool]) -> bool:
+        """Whether one more layer has been left.
+
+        Args:
+            found: Of the identification.
+            axial_N: Force that it was given.
+            travel: Depth of the tip [m], time since the last call [s], whether the speed is steady.
+        """
+        depth_m, dt_s, is_steady = travel
+        self._force_N -= math.expm1(-dt_s / _SMOOTH_S) * (axial_N - self._force_N)
+        self._slow_N -= math.expm1(-dt_s / _SLOW_S) * (self._force_N - self._slow_N)
+        off_N, weight = self._force_N - self._slow_N, min(dt_s / _LEARN_S, 1.0)
+        noise_N2 = (off_N - self._rise_N) ** 2
+        if noise_N2 > 9.0 * self._variance_N2:  # hardly noise
+            weight *= 0.1
+        self._rise_N += weight * (off_N - self._rise_N)
+        self._variance_N2 += weight * (noise_N2 - self._variance_N2)
+        self._peak_N += dt_s / _PEAK_S * (self._force_N - self._peak_N)
+        self._peak_N, alarm = max(self._peak_N, self._force_N), found.rupture
+        before_N = self._peak_N if alarm is None else max(self._peak_N, alarm.force_N)
+        fall_N = before_N - self._force_N
+        is_likely = found.rupture_state is RuptureState.EXPECTED or fall_N > _LARGE * before_N
+        has_fallen = fall_N > _SIGMAS * math.sqrt(self._variance_N2)
+        if not (has_fallen and (alarm or (is_steady and is_likely))):
+            return False
+        if depth_m < self._last_m + _APART_M:
+            return False
+        self.count, self._last_m = self.count + 1, depth_m
+        return True
+
+
+class Step(NamedTuple):
+    """What to do in the coming cycle."""
+
+    speed_m_s: float  # along the needle, inwards
+    event: str = ""  # to request of the manager
+
+
+class InsertionProfile:
+    """Runs a plan once; call `update` after every `Manager.update`."""
+
+    def __init__(self, plan: InsertionPlan) -> None:
+        self._plan, self._ruptures = plan, RuptureCount()
+        self._program = ["tare", "insert"]
+        if plan.approach_m > 0.0:
+            self._program.insert(0, "approach")
+        self._speed_m_s = self._from_m = self._last_s = 0.0
+
+    def update(
+        self,
+        now: "Situation",
+        identification: Estimate | None = None,
+        axial_N: float | None = None,
+    ) -> Step:
+        """Speed and event that follow from what is known now.
+
+        Args:
+            now: From the manager.
+            identification: Of another force sensor; by default that of the session.
+            axial_N: Axial force of that sensor.
+        """
+        plan, estimate, depth_m = self._plan, now.estimate, now.estimate.depth_m
+        dt_s, self._last_s = now.time_s - self._last_s, now.time_s
+        if now.state_s == 0.0 or not now.is_moving:
+            self._from_m, self._speed_m_s = depth_m, 0.0
+        match now.state.value:
+            case "idle" if self._program:
+                return Step(0.0, self._program.pop(0))
+            case "approach":
+                return self._stroke(now, (plan.approach_m,))
+            case "tare":
+                return self._stroke(now, (-plan.tare_stroke_m, plan.tare_stroke_m))
+            case "insertion":
+                force_N = estimate.wrench.axial if axial_N is None else axial_N
+                return self._insert(identification or estimate.identification, force_N, now, dt_s)
+            case "dwell" if now.state_s >= plan.dwell_s:
+                return Step(0.0, "arrived")
+            case "withdraw":
+                return self._travel(-depth_m, dt_s)
+        return Step(0.0)
+
+    def _insert(self, found: Estimate, axial_N: float, now: "Situation", dt_s: float) -> Step:
+        depth_m, is_steady = now.estimate.depth_m, self._speed_m_s == self._plan.speed_m_s
+        is_left = self._ruptures.update(found, axial_N, (depth_m, dt_s, is_steady))
+        if is_left and self._ruptures.count == self._plan.layer:
+            return Step(0.0, "rupture")
+        return self._travel(self._plan.depth_m - depth_m, dt_s)
+
+    def _travel(self, left_m: float, dt_s: float) -> Step:
+        """Speed on a way that is left, to its end and no further."""
+        if abs(left_m) < _NEAR_M:
+            return Step(0.0, "arrived")
+        most, way_m = self._plan.acceleration_m_s2, abs(left_m)
+        wish = min(self._plan.speed_m_s, math.sqrt(2.0 * most * way_m), _TRACK_PER_S * way_m)
+        wish = math.copysign(wish, left_m)
+        low, high = self._speed_m_s - most * dt_s, self._speed_m_s + most * dt_s
+        self._speed_m_s = min(max(wish, low), high)
+        return Step(self._speed_m_s)
+
+    def _stroke(self, now: "Situation", legs_m: tuple[float, ...]) -> Step:
+        """Speed on quintic strokes from rest to rest, one after another."""
+        seconds = self._plan.stroke_s
+        index = int(now.state_s / seconds)
+        if index >= len(legs_m):
+            return Step(0.0, "arrived")
+        s, length_m = now.state_s / seconds - index, legs_m[index]
+        way_m = sum(legs_m[:index]) + length_m * s**3 * (10.0 + s * (6.0 * s - 15.0))
+        rate_m_s = length_m * 30.0 * (s * (1.0 - s)) ** 2 / seconds
+        off_m = self._from_m + way_m - now.estimate.depth_m
+        return Step(rate_m_s + _TRACK_PER_S * off_m)

@@ -1,0 +1,259 @@
+"""The system manager: what may move when, and why something was stopped or refused.
+
+One table of rules is the whole machine; `transition` applies it and is all that a replay needs.
+The manager reads the arm's samples, runs the session and the monitors, and logs every event.
+"""
+
+from collections.abc import Iterable, Mapping
+from enum import StrEnum
+from pathlib import Path
+from types import MappingProxyType
+from typing import TYPE_CHECKING, Any, NamedTuple
+
+from needleforce.control.errors import SettingError
+from needleforce.control.event_log import EventLog, LoggedEvent
+from needleforce.control.monitors import Beside, Monitors, SafetyLimits
+from needleforce.control.ports import ArmReading
+from residual import TareError
+
+if TYPE_CHECKING:
+    from needleforce.session import InsertionSession, SessionEstimate
+
+
+class State(StrEnum):
+    """What the arm is doing."""
+
+    IDLE = "idle"
+    GUIDANCE = "guidance"
+    TELEOP = "teleop"
+    APPROACH = "approach"
+    TARE = "tare"
+    INSERTION = "insertion"
+    DWELL = "dwell"
+    WITHDRAW = "withdraw"
+    STOPPED = "stopped"
+    FAULTED = "faulted"
+
+
+MOVING = frozenset(State) - {State.IDLE, State.DWELL, State.STOPPED, State.FAULTED}
+"""States in which the arm is commanded to move; in the others it is commanded to rest."""
+
+
+class Rule(NamedTuple):
+    """In which states an event leads to another one, and what must hold for it."""
+
+    event: str
+    sources: str
+    target: str  # "same": nothing changes, and that is no refusal
+    guards: str = ""  # names of `Facts`
+
+
+TABLE = (
+    # requests of a person or a program
+    Rule("guide", "idle", "guidance", "limit heartbeat tared outside"),
+    Rule("teleoperate", "idle dwell", "teleop", "limit heartbeat tared device"),
+    Rule("approach", "idle", "approach", "limit heartbeat outside"),
+    Rule("tare", "idle", "tare", "limit heartbeat outside"),
+    Rule("insert", "idle teleop dwell", "insertion", "limit heartbeat tared"),
+    Rule("withdraw", "idle teleop insertion dwell stopped", "withdraw", "limit heartbeat tared"),
+    Rule("release", "guidance teleop approach tare dwell stopped", "idle"),
+    Rule("stop", "idle guidance teleop approach tare insertion dwell withdraw", "stopped"),
+    Rule("stop", "stopped faulted", "same"),
+    Rule("reset", "faulted", "idle", "healthy"),
+    # what a motion comes to
+    Rule("arrived", "approach tare withdraw", "idle"),
+    Rule("arrived", "insertion", "dwell"),
+    Rule("arrived", "dwell", "withdraw", "limit heartbeat tared"),
+    Rule("rupture", "insertion", "dwell"),
+    # what monitors find
+    Rule("limit", "guidance teleop approach tare insertion dwell withdraw", "stopped"),
+    Rule("limit", "idle stopped faulted", "same"),
+    Rule("fault", "idle guidance teleop approach tare insertion dwell withdraw stopped", "faulted"),
+    Rule("fault", "faulted", "same"),
+)
+"""Every transition; any other pair of state and event is refused."""
+
+EVENTS = tuple(dict.fromkeys(rule.event for rule in TABLE))
+
+
+class Facts(NamedTuple):
+    """What guards look at, as it was when the event came."""
+
+    limit: bool = False
+    heartbeat: bool = False
+    tared: bool = False
+    outside: bool = False
+    device: bool = False
+    healthy: bool = False
+
+
+REFUSALS: Mapping[str, str] = MappingProxyType(
+    {
+        "limit": "no force limit is set: give the manager SafetyLimits",
+        "heartbeat": "the program in charge shows no sign of life: call heartbeat() in every cycle",
+        "tared": "the force sensor is not tared: request a tare in free air",
+        "outside": "the needle is in tissue: withdraw it first",
+        "device": "no haptic device answers: connect it and read it in every cycle",
+        "healthy": "the fault persists: see the last reason",
+    }
+)
+"""Why an event is refused where a fact does not hold."""
+
+
+def transition(state: State, event: str, facts: Facts) -> tuple[State, str]:
+    """The state after an event, and why it was refused; empty if it was not.
+
+    Raises:
+        SettingError: There is no such event.
+    """
+    if event not in EVENTS:
+        raise SettingError(f"unknown event {event!r}, expected one of {', '.join(EVENTS)}")
+    for rule in TABLE:
+        if rule.event == event and state in rule.sources.split():
+            for guard in rule.guards.split():
+                if not getattr(facts, guard):
+                    return state, REFUSALS[guard]
+            return state if rule.target == "same" else State(rule.target), ""
+    sources = " ".join(rule.sources for rule in TABLE if rule.event == event)
+    return state, f"{event} is not possible in {state}, only in {', '.join(sources.split())}"
+
+
+def replay(events: Iterable[LoggedEvent]) -> list[State]:
+    """States after each event of a session, from its events and the facts they met."""
+    state, states = State.IDLE, []
+    for event in events:
+        state, _ = transition(state, event.event, Facts(**event.data["facts"]))
+        states.append(state)
+    return states
+
+
+class Situation(NamedTuple):
+    """What the manager knows after a sample."""
+
+    state: State
+    state_s: float  # time in this state
+    time_s: float  # sum of the time steps since the start, bad samples included
+    reason: str  # why it was stopped, faulted or refused last; empty if it never was
+    estimate: "SessionEstimate"
+
+    @property
+    def is_moving(self) -> bool:
+        """Whether the arm may be commanded to move; otherwise command rest."""
+        return self.state in MOVING
+
+
+_ENTRY_MARGIN_M = 1e-3
+"""So far above the place of the first contact the needle counts as outside."""
+_NOTHING = Beside()
+_LONGEST_STEP_S = 0.1
+"""A longer time step is a clock that was set, not time that passed here."""
+
+
+class Manager:
+    """Schedules the modes of the arm, watches them, and logs why.
+
+    Call `heartbeat` and `update` in every cycle. A motion without a heartbeat for `heartbeat_s` is
+    stopped. At the end of the state ``tare``, with the arm at rest, `update` takes a few tenths
+    of a second.
+
+    Args:
+        session: Force sensor and identification, for the manager alone to update.
+        limits: What stops a motion; without them nothing moves.
+        log: File for the events, one JSON object per line, appended to; None to keep them in
+            `events` only.
+        heartbeat_s: Longest time between two heartbeats [s].
+
+    Attributes:
+        session: The force sensor and the identification.
+        events: Events so far, refusals included.
+    """
+
+    def __init__(
+        self,
+        session: "InsertionSession",
+        limits: SafetyLimits | None = None,
+        *,
+        log: str | Path | None = None,
+        heartbeat_s: float = 0.1,
+    ) -> None:
+        self.session = session
+        self._limits, self._heartbeat_s = limits, heartbeat_s
+        self._monitors = Monitors(limits or SafetyLimits(axial_N=1.0))
+        self._log = EventLog(log)
+        self._state, self._entered_s, self._reason = State.IDLE, 0.0, ""
+        self._time_s, self._last_step_s, self._beat_s = 0.0, 1e-3, -heartbeat_s
+        self._entry_m: float | None = None
+        self._estimate: SessionEstimate | None = None
+
+    @property
+    def events(self) -> tuple[LoggedEvent, ...]:
+        """Events so far, refusals included."""
+        return tuple(self._log.events)
+
+    def heartbeat(self) -> None:
+        """The program in charge is alive."""
+        self._beat_s = self._time_s
+
+    def update(self, sample: ArmReading, beside: Beside = _NOTHING) -> Situation:
+        """Take one sample of the arm and what came beside it; never raises for a bad one."""
+        usable = 0.0 < sample.dt_s <= _LONGEST_STEP_S
+        self._last_step_s = step_s = sample.dt_s if usable else self._last_step_s
+        self._time_s += step_s
+        estimate = self.session.update(sample.q_rad, sample.dq_rad_s, sample.tau_Nm, sample.dt_s)
+        self._estimate = estimate
+        if self._entry_m is None and estimate.identification.in_contact:
+            self._entry_m = estimate.depth_m
+        watched = estimate, sample, beside
+        found = self._monitors.update(self._state, watched, step_s, self.session.lag_s)
+        if found is not None and self._state is not State.FAULTED:
+            self._apply(found.event, {"reason": found.reason})
+        elif self._state in MOVING and not self._facts().heartbeat:
+            self._apply("stop", {"reason": f"no heartbeat for {self._heartbeat_s:g} s"})
+        return Situation(
+            self._state, self._time_s - self._entered_s, self._time_s, self._reason, estimate
+        )
+
+    def request(self, event: str, **data: Any) -> str:
+        """Ask for a transition; returns why it is refused, empty if it is not.
+
+        Args:
+            event: One of `EVENTS`.
+            data: What the log should hold beside it; a ``reason`` shows in `Situation.reason`.
+
+        Raises:
+            SettingError: There is no such event.
+        """
+        if event == "arrived" and self._state is State.TARE:
+            try:
+                self.session.tare()
+            except TareError as error:
+                return self._apply("limit", {"reason": f"the tare is refused: {error}"})
+            self._entry_m = None
+        refused = self._apply(event, data)
+        if event == "tare" and not refused:
+            self.session.start_tare_recording()
+        return refused
+
+    def _apply(self, event: str, data: dict[str, Any]) -> str:
+        facts, before = self._facts(), self._state
+        self._state, refused = transition(before, event, facts)
+        reason = refused or str(data.get("reason", ""))
+        self._reason = reason or self._reason
+        row = LoggedEvent(len(self._log.events), self._time_s, before, event, self._state, refused)
+        self._log.append(row._replace(data={**data, "facts": facts._asdict()}))
+        if self._state is not before:
+            self._entered_s = self._time_s
+            self._monitors.enter(self._estimate)
+        return refused
+
+    def _facts(self) -> Facts:
+        entry_m = self._entry_m
+        depth_m = 0.0 if self._estimate is None else self._estimate.depth_m
+        return Facts(
+            limit=self._limits is not None,
+            heartbeat=self._time_s - self._beat_s < self._heartbeat_s,
+            tared=self.session.tared,
+            outside=entry_m is None or depth_m < entry_m - _ENTRY_MARGIN_M,
+            device=self._monitors.has_device,
+            healthy=self._monitors.is_healthy,
+        )

@@ -1,0 +1,201 @@
+"""What stops a motion: force, side force, signals, commands, device; each says why.
+
+Forces are judged ahead of time: from the reading and its rate to the force at which the arm will
+have come to rest. A stiff contact is then noticed while its force is still small.
+"""
+
+import math
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, NamedTuple
+
+import numpy as np
+
+from needleforce.control.errors import require_positive
+from needleforce.control.ports import ArmReading, Array
+from residual import SensorWarning, Status
+
+if TYPE_CHECKING:
+    from needleforce.session import SessionEstimate
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class SafetyLimits:
+    """What a motion must not exceed; `SettingError` for a limit that is no positive number.
+
+    Attributes:
+        axial_N: Force against the motion along the needle.
+        lateral_N: Force across the needle.
+        free_N: Change of the axial force in free air, where it may not be tared yet.
+        lost_s: Time of bad samples beyond that of valid ones.
+        late_s: Longest time without a sample.
+        refused_s: Time of refused commands.
+        device_s: Longest time without news of the haptic device in teleoperation.
+        tracking_rad: Motion of a joint within a second that was not commanded.
+        reaction_s: Time from a decision to the arm at rest, over which forces are predicted.
+    """
+
+    axial_N: float
+    lateral_N: float = 0.5
+    free_N: float = 15.0
+    lost_s: float = 0.007
+    late_s: float = 0.03
+    refused_s: float = 0.005
+    device_s: float = 0.05
+    tracking_rad: float = 0.05
+    reaction_s: float = 0.015
+
+    def __post_init__(self) -> None:
+        """Check every limit."""
+        require_positive(self)
+
+
+class Beside(NamedTuple):
+    """What came beside a sample of the arm."""
+
+    accepted: bool = True  # whether the arm took the last command
+    command_rad_s: Array | None = None  # that command, shape (n,)
+    axial_N: float | None = None  # of an F/T sensor, its bias and the needle's weight removed
+    has_device: bool = False  # whether the haptic device has sent something new
+
+
+class Finding(NamedTuple):
+    """What a monitor has found."""
+
+    event: str  # "limit": stop; "fault": stop, and do not go on before a reset
+    reason: str
+
+
+_BROKEN = SensorWarning.FROZEN | SensorWarning.VELOCITY
+_UNUSABLE = (
+    SensorWarning.JOINT_LIMIT
+    | SensorWarning.NEAR_SINGULAR
+    | SensorWarning.MODEL_MISMATCH
+    | SensorWarning.TARE_EXPIRED
+)
+_IN_AIR, _AT_TISSUE = ("guidance", "approach", "tare"), ("teleop", "insertion", "dwell", "withdraw")
+_RATE_S = 0.01
+"""Time constant of the force's rate: shorter than the lag of the virtual sensor."""
+_TRACKING_S, _FOLLOWS_S, _LEAST_PATH_RAD = 1.0, 0.03, 2e-3
+"""Memory of commanded and made motion, time by which an arm may follow, least motion compared."""
+_CLEAR_S = 0.1
+"""A fault must be gone for so long before a reset."""
+
+
+class Monitors:
+    """Watch every sample, command and device; see `update`."""
+
+    def __init__(self, limits: SafetyLimits) -> None:
+        self._limits = limits
+        self._bad_s, self._device_s, self._clear_s = 0.0, math.inf, math.inf
+        self._entry_axial_N = self._entry_lateral_N = 0.0
+        self._position: Array | None = None
+        self.enter(None)
+
+    @property
+    def has_device(self) -> bool:
+        """Whether the haptic device has sent something of late."""
+        return self._device_s <= self._limits.device_s
+
+    @property
+    def is_healthy(self) -> bool:
+        """Whether no fault has been seen of late."""
+        return self._clear_s >= _CLEAR_S
+
+    def enter(self, estimate: "SessionEstimate | None") -> None:
+        """A new state begins: commands and forces are compared with what they are now."""
+        self._refused_s = self._path_rad = self._rate_N_per_s = 0.0
+        self._made_rad, self._asked_rad = np.zeros(1), np.zeros(1)
+        self._axial_N: float | None = None  # a tare makes the force jump
+        if estimate is not None:
+            self._entry_axial_N = estimate.wrench.axial
+            self._entry_lateral_N = estimate.wrench.lateral
+
+    def update(
+        self,
+        state: str,
+        watched: "tuple[SessionEstimate, ArmReading, Beside]",
+        step_s: float,
+        lag_s: float,
+    ) -> Finding | None:
+        """The gravest finding in one cycle; None if all is well.
+
+        Args:
+            state: Of the manager.
+            watched: What the session says of a sample, the sample, and what came beside it.
+            step_s: Time since the last sample, or the one before that where its clock was set.
+            lag_s: Time by which the session's force is late.
+        """
+        estimate, sample, beside = watched
+        self._device_s = 0.0 if beside.has_device else self._device_s + step_s
+        fault = f"no sample for {1e3 * sample.dt_s:.0f} ms"
+        if not sample.dt_s > self._limits.late_s:
+            fault = self._signals(estimate, step_s) or self._commands(*watched, step_s)
+        self._clear_s = 0.0 if fault else self._clear_s + step_s
+        if fault:
+            return Finding("fault", fault)
+        stop = self._forces(state, estimate, beside.axial_N, (step_s, lag_s))
+        if state == "teleop" and not self.has_device:
+            stop = f"the haptic device has been silent for {1e3 * self._device_s:.0f} ms"
+        return Finding("limit", stop) if stop else None
+
+    def _signals(self, estimate: "SessionEstimate", step_s: float) -> str:
+        is_bad = estimate.status is Status.REJECTED
+        self._bad_s = max(self._bad_s + (step_s if is_bad else -step_s), 0.0)
+        if self._bad_s > self._limits.lost_s:
+            return f"bad samples for {1e3 * self._bad_s:.0f} ms: {estimate.wrench.message}"
+        return estimate.wrench.message if estimate.warnings & _BROKEN and not is_bad else ""
+
+    def _commands(
+        self, estimate: "SessionEstimate", sample: ArmReading, beside: Beside, step_s: float
+    ) -> str:
+        command = beside.command_rad_s
+        self._refused_s = 0.0 if beside.accepted else self._refused_s + step_s
+        if self._refused_s > self._limits.refused_s:
+            return f"the arm has refused commands for {1e3 * self._refused_s:.0f} ms"
+        if command is None or estimate.status is Status.REJECTED:
+            return ""
+        position, kept = np.array(sample.q_rad, dtype=np.float64), math.exp(-step_s / _TRACKING_S)
+        moved = 0.0 if self._position is None else position - self._position
+        self._position = position
+        self._made_rad = kept * (self._made_rad + moved)
+        self._asked_rad = asked = kept * (self._asked_rad + step_s * command)
+        speed_rad_s = math.sqrt(float(command.dot(command)))
+        self._path_rad = kept * (self._path_rad + step_s * speed_rad_s)
+        off, late_rad = asked - self._made_rad, _FOLLOWS_S * speed_rad_s
+        behind_rad = float(off.dot(asked)) / max(math.sqrt(float(asked.dot(asked))), 1e-9)
+        if behind_rad > 0.5 * self._path_rad + _LEAST_PATH_RAD + late_rad:
+            return "the arm does not follow its commands"
+        if float(np.abs(off).max()) > self._limits.tracking_rad + late_rad:
+            return f"a joint has moved by {np.abs(off).max():.2g} rad that were not commanded"
+        return ""
+
+    def _forces(
+        self,
+        state: str,
+        estimate: "SessionEstimate",
+        sensor_N: float | None,
+        times_s: tuple[float, float],
+    ) -> str:
+        limits, wrench, (step_s, lag_s) = self._limits, estimate.wrench, times_s
+        axial_N, lag_s = (wrench.axial, lag_s) if sensor_N is None else (sensor_N, 0.0)
+        rise_N = 0.0 if self._axial_N is None else axial_N - self._axial_N
+        weight = -math.expm1(-step_s / _RATE_S)
+        self._rate_N_per_s += weight * (rise_N / step_s - self._rate_N_per_s)
+        self._axial_N = axial_N
+        if state in _IN_AIR:
+            change_N = abs(wrench.axial - self._entry_axial_N)
+            return f"axial force changed by {change_N:.1f} N" if change_N > limits.free_N else ""
+        if state not in _AT_TISSUE:
+            return ""
+        if estimate.warnings & _UNUSABLE:
+            return wrench.message
+        both_N = axial_N, axial_N + (lag_s + limits.reaction_s) * self._rate_N_per_s
+        inwards_N, outwards_N = max(both_N), -min(both_N)
+        most_N = outwards_N if state == "withdraw" else inwards_N
+        if state == "teleop":
+            most_N = max(inwards_N, outwards_N)
+        if most_N > limits.axial_N:
+            return f"axial force {axial_N:.2f} N, {most_N:.2f} N ahead; limit {limits.axial_N:g} N"
+        # A needle that was stopped by a side force must still come out.
+        side_N = limits.lateral_N + (self._entry_lateral_N if state == "withdraw" else 0.0)
+        return f"side force {wrench.lateral:.2f} N" if wrench.lateral > side_N else ""

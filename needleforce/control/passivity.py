@@ -1,0 +1,176 @@
+"""Passivity in the time domain: energy through a port is observed, and what may leave is limited.
+
+A port carries a force f that resists a motion x. With a force held between the samples its energy
+is known exactly, whatever moves it, since
+
+    ΔE_k = f_{k-1} (x_k - x_{k-1})          > 0 enters the network, < 0 leaves it
+
+A network of two ports with delayed packets between them is passive if at each of them no more
+leaves than entered, some time before, at the other:
+
+    out_M(t) ≤ in_S(t - T) + allowance,     out_S(t) ≤ in_M(t - T) + allowance
+
+(Ryu, Kwon & Hannaford 2004; Artigas, Ryu & Preusche 2010.) The port of a hand also keeps
+``out_M ≤ in_M``: then the hand, whatever it does and whatever happens on the line or beyond it,
+never gets more energy out than it has put in.
+"""
+
+import math
+
+
+class EnergyPort:
+    """Energy through one port since it was made.
+
+    Attributes:
+        in_J: What has entered the network here.
+        out_J: What has left it here.
+    """
+
+    def __init__(self) -> None:
+        self.in_J = self.out_J = 0.0
+
+    @property
+    def net_J(self) -> float:
+        """What the network has kept of it; below zero it has given more than it got."""
+        return self.in_J - self.out_J
+
+    def observe(self, force_N: float, travel_m: float) -> None:
+        """Count one interval: the force held over it, and the travel against that force."""
+        energy_J = force_N * travel_m
+        if energy_J > 0.0:
+            self.in_J += energy_J
+        else:
+            self.out_J -= energy_J
+
+
+def passive_part(leaving_J: float, budget_J: float) -> float:
+    """The fraction, 0 to 1, of a force (or a speed) with which no more leaves than the budget.
+
+    Args:
+        leaving_J: What would leave in the coming interval with all of it; not above zero: nothing.
+        budget_J: What may leave; below zero where too much has left already.
+    """
+    if leaving_J <= 0.0 or leaving_J <= budget_J:
+        return 1.0
+    return max(budget_J, 0.0) / leaving_J
+
+
+class _Allowance:
+    """What the line may give beyond what has entered at its other end.
+
+    Force and motion that meet with a delay never balance exactly, so a line that is held to the
+    last microjoule stops and goes. A fixed amount covers single events; a power, which hand and
+    tissue dissipate in any case, what adds up over a long insertion.
+    """
+
+    def __init__(self, energy_J: float, power_W: float) -> None:
+        self._energy_J, self._power_W = energy_J, power_W
+
+    def after(self, dt_s: float) -> float:
+        """The amount [J] when a further time has passed."""
+        self._energy_J += self._power_W * dt_s
+        return self._energy_J
+
+
+class HandPort:
+    """Observer and controller at the port where a device shows a force to a hand.
+
+    The force is first cut to what may leave in the coming interval. What must not leave because
+    the hand has not put it in is cut as if the device were free: the force f pushes a mass m
+    through v Δt - f Δt² / 2m, and
+
+        -f (v Δt - f Δt² / 2m) ≤ E     <=>     f ≤ (m / Δt) (v + √(v² + 2E / m))
+
+    A hand that pushes the same way may still take a little more; damping then takes it back.
+    Cutting comes first, since a damper needs speed and a sampled device cannot show much damping.
+
+    Args:
+        device_mass_kg: Mass of the handle as a hand feels it.
+        allowance_J: What may leave beyond what entered at the other side: a hand that yields to a
+            spring need not wait for the news that the spring has relaxed.
+        allowance_W: The same, per second.
+        most_damping_Ns_m: Largest damping.
+    """
+
+    def __init__(
+        self,
+        device_mass_kg: float = 0.25,
+        allowance_J: float = 1e-3,
+        allowance_W: float = 2e-3,
+        most_damping_Ns_m: float = 150.0,
+    ) -> None:
+        self.energy = EnergyPort()
+        self._mass_kg, self._most_damping_Ns_m = device_mass_kg, most_damping_Ns_m
+        self._allowance = _Allowance(allowance_J, allowance_W)
+        self._force_N = self._damping_N = self._damped_J = 0.0
+        self._position_m: float | None = None
+
+    def update(
+        self, wanted_N: float, position_m: float, speed_m_s: float, incoming_J: float, dt_s: float
+    ) -> float:
+        """The force to hold from now on.
+
+        Args:
+            wanted_N: Force to be shown, positive against positive motion.
+            position_m: Of the handle now.
+            speed_m_s: Its rate.
+            incoming_J: What has entered at the other side, as far as known here.
+            dt_s: Expected length of the coming interval.
+        """
+        port = self.energy
+        if self._position_m is not None:
+            travel_m = position_m - self._position_m
+            port.observe(self._force_N, travel_m)
+            # What damping has taken is paid back; not to count it would damp for ever after.
+            self._damped_J += self._damping_N * travel_m
+        owed_J = incoming_J + self._allowance.after(dt_s) + self._damped_J - port.out_J
+        force_N = wanted_N * passive_part(-wanted_N * speed_m_s * dt_s, owed_J)
+        against_m_s = math.copysign(speed_m_s, wanted_N * speed_m_s)
+        root_m_s = math.sqrt(speed_m_s * speed_m_s + 2.0 * max(port.net_J, 0.0) / self._mass_kg)
+        most_N = self._mass_kg / dt_s * (against_m_s + root_m_s)
+        force_N = math.copysign(min(abs(force_N), most_N), force_N)
+        self._damping_N = 0.0
+        missing_J = -min(owed_J, port.net_J)
+        if missing_J > 0.0:
+            most_J = self._most_damping_Ns_m * speed_m_s * speed_m_s * dt_s
+            part = passive_part(most_J, missing_J)
+            self._damping_N = part * self._most_damping_Ns_m * speed_m_s
+        self._force_N, self._position_m = force_N + self._damping_N, position_m
+        return self._force_N
+
+
+class NeedlePort:
+    """Observer and controller at the port where a robot moves a needle against a force.
+
+    The force is known only late, so the speed is delayed as much before both are multiplied: else
+    a needle that bounces off a wall, the force still high while it retreats, seems to bring energy.
+
+    Args:
+        allowance_J: What may leave beyond what has entered at the other side. A delayed force is
+            shown too low while it rises, so the hand always owes some.
+        allowance_W: The same, per second.
+        force_lag_s: Time constant by which the force follows the true one.
+    """
+
+    def __init__(self, allowance_J: float, allowance_W: float, force_lag_s: float) -> None:
+        self.energy = EnergyPort()
+        self._allowance, self._lag_s = _Allowance(allowance_J, allowance_W), force_lag_s
+        self._lagged_m_s = 0.0
+
+    def update(
+        self, wanted_m_s: float, force_N: float, speed_m_s: float, incoming_J: float, dt_s: float
+    ) -> float:
+        """The speed to move with from now on.
+
+        Args:
+            wanted_m_s: Wanted speed, positive into the tissue.
+            force_N: Force on the needle, positive when tissue pushes back.
+            speed_m_s: Speed of the needle now.
+            incoming_J: What has entered at the other side, as far as known here.
+            dt_s: Time since the last call, and expected length of the coming interval.
+        """
+        port = self.energy
+        self._lagged_m_s += (speed_m_s - self._lagged_m_s) * dt_s / (self._lag_s + dt_s)
+        port.observe(-force_N, self._lagged_m_s * dt_s)
+        budget_J = incoming_J + self._allowance.after(dt_s) - port.out_J
+        return wanted_m_s * passive_part(force_N * wanted_m_s * dt_s, budget_J)

@@ -1,0 +1,304 @@
+"""Teleoperation: a hand on a haptic device moves the needle and feels the force at its tip.
+
+The device's side and the needle's side exchange packets over a line that may be late. Motion goes
+one way, scaled; force comes back, scaled and kept passive at both ends, see `passivity`.
+
+    tele = Teleoperation(motion_scale=0.4, shown="tip")
+    move = tele.update(device.read(), session_estimate, dt_s)
+    device.render(move.force_N)                       # AxialSpeed(move.speed_m_s) for the arm
+
+Of the force on the needle the part at its tip is shown: friction along the shaft hides ruptures,
+and delayed friction is what makes a delayed loop swing.
+"""
+
+import math
+from collections import deque
+from typing import TYPE_CHECKING, Generic, Literal, NamedTuple, TypeVar
+
+import numpy as np
+from numpy.random import Generator
+from numpy.typing import ArrayLike
+
+from needleforce.control.errors import SettingError
+from needleforce.control.passivity import HandPort, NeedlePort
+from needleforce.control.ports import Array, MasterReading
+from residual import Status
+
+if TYPE_CHECKING:
+    from needleforce.session import SessionEstimate
+
+Shown = Literal["tip", "enhanced", "raw"]
+Packet = TypeVar("Packet")
+
+_CATCH_UP_PER_S = 10.0  # rate at which the needle makes up for travel that it could not follow
+_SPEED_LAG_S = 0.01  # low-pass on the speed of the handle, which comes from its encoder's steps
+_STEADY_S = 0.3  # what lasts longer is steady motion, which is not damped
+_FADE_S = 0.05  # a force that is not known any more fades
+_COUPLING_S = 0.2  # so softly the force comes and goes with the clutch: no step throws the hand
+_OWED_J, _OWED_W = 10e-3, 2e-3  # by the hand to the needle, see `NeedlePort`
+_FORCE_LAG_S = 0.015  # of the virtual sensor, see `InsertionSession.lag_s`
+_SILENCE_S = 0.1  # without news from the device for so long, the needle stands
+
+
+class HandPacket(NamedTuple):
+    """From the device to the needle."""
+
+    travel_m: float  # of the handle along the needle while coupled, scaled to the needle
+    speed_m_s: float  # its rate, scaled
+    energy_J: float  # that the hand has put in
+
+
+class NeedlePacket(NamedTuple):
+    """From the needle to the device."""
+
+    force_N: float  # to be shown, scaled to the hand
+    energy_J: float  # that the tissue has given back, scaled to the hand
+
+
+class DelayLine(Generic[Packet]):
+    """A line on which packets are late: ``delay ± jitter``, drawn evenly for each of them.
+
+    The newest that has arrived counts; one that is overtaken is dropped.
+
+    Raises:
+        SettingError: A delay or jitter below zero, or jitter without a generator.
+    """
+
+    def __init__(
+        self, delay_s: float = 0.0, jitter_s: float = 0.0, rng: Generator | None = None
+    ) -> None:
+        if not (0.0 <= jitter_s < math.inf and 0.0 <= delay_s < math.inf):
+            raise SettingError(f"delay {delay_s} s ± {jitter_s} s: expected finite numbers >= 0")
+        if jitter_s > 0.0 and rng is None:
+            raise SettingError("jitter is drawn at random: pass rng=numpy.random.default_rng(seed)")
+        self._delay_s, self._jitter_s, self._rng = delay_s, jitter_s, rng
+        self._under_way: deque[tuple[float, Packet]] = deque()
+        self._time_s = 0.0
+        self._newest: Packet | None = None
+
+    def exchange(self, packet: Packet, dt_s: float) -> Packet | None:
+        """Send a packet, let time pass, and return the newest that has arrived so far."""
+        self._time_s += dt_s
+        late_s = self._delay_s
+        if self._rng is not None:
+            late_s = max(0.0, late_s + self._rng.uniform(-self._jitter_s, self._jitter_s))
+        line, arrival_s = self._under_way, self._time_s + late_s
+        while line and line[-1][0] >= arrival_s:
+            line.pop()  # overtaken by this one
+        line.append((arrival_s, packet))
+        while line and line[0][0] <= self._time_s:
+            self._newest = line.popleft()[1]
+        return self._newest
+
+
+def shown_force(estimate: "SessionEstimate", shown: Shown = "tip") -> float:
+    """The force to be felt [N], positive against insertion.
+
+    Never beyond the measured force nor against it: a friction estimate extrapolated to the speed
+    of a jump would else pull the hand, with energy that no tissue has given.
+    """
+    axial_N = estimate.wrench.axial
+    if shown == "raw":
+        return axial_N
+    found = estimate.identification
+    wanted_N = found.tip_force_N if shown == "tip" else found.enhanced_force_N
+    return min(max(wanted_N, min(axial_N, 0.0)), max(axial_N, 0.0))
+
+
+class DeviceSide:
+    """The end at the haptic device: scales its motion, shows a passive force.
+
+    Args:
+        axis: Direction of the handle that drives the needle inwards, shape (3,), unit length.
+        motion_scale: Needle travel per travel of the handle.
+        damping_Ns_m: Damping of what is quicker than a steady advance: a delayed spring drives a
+            hand, and a hand springs forward when a membrane ruptures.
+        port: Observer and controller of the hand's energy.
+    """
+
+    def __init__(
+        self, axis: Array, motion_scale: float, damping_Ns_m: float, port: HandPort
+    ) -> None:
+        self._axis, self._scale, self.port = axis, motion_scale, port
+        self._damping_Ns_m = damping_Ns_m
+        self._travel_m = 0.0
+        self._position_m: float | None = None
+        self._packet = HandPacket(0.0, 0.0, 0.0)
+        self._coupled = 0.0  # 0 to 1
+        self._rate_m_s = self._steady_m_s = 0.0
+
+    def update(
+        self, sample: MasterReading | None, news: NeedlePacket | None, dt_s: float
+    ) -> tuple[float, HandPacket]:
+        """The force to render, positive against insertion, and the packet to send.
+
+        Args:
+            sample: Newest of the device; None if there is none: its force then goes to zero.
+            news: Newest packet of the needle.
+            dt_s: Time since the last call.
+        """
+        is_coupled = sample is not None and sample.clutch
+        self._coupled += (float(is_coupled) - self._coupled) * dt_s / (_COUPLING_S + dt_s)
+        if sample is None:
+            self._position_m = None
+            self._packet = self._packet._replace(speed_m_s=0.0)
+            return 0.0, self._packet
+        position_m = float(self._axis @ sample.position_m)
+        speed_m_s = float(self._axis @ sample.velocity_m_s)
+        if is_coupled and self._position_m is not None:
+            self._travel_m += self._scale * (position_m - self._position_m)
+        self._position_m = position_m
+        wanted_N, incoming_J = (0.0, 0.0) if news is None else news
+        self._rate_m_s += (speed_m_s - self._rate_m_s) * dt_s / (_SPEED_LAG_S + dt_s)
+        self._steady_m_s += (self._rate_m_s - self._steady_m_s) * dt_s / (_STEADY_S + dt_s)
+        wanted_N = self._coupled * wanted_N + self._damping_Ns_m * (
+            self._rate_m_s - self._steady_m_s
+        )
+        force_N = self.port.update(wanted_N, position_m, speed_m_s, incoming_J, dt_s)
+        rate_m_s = self._scale * self._rate_m_s if is_coupled else 0.0
+        self._packet = HandPacket(self._travel_m, rate_m_s, self.port.energy.in_J)
+        return force_N, self._packet
+
+
+class NeedleSide:
+    """The end at the robot: follows the hand within a speed limit, sends the force to be shown.
+
+    Args:
+        scale: Energy at the hand per energy at the needle: force scale / motion scale.
+        force_scale: Force at the hand per force at the needle.
+        speed_limit_m_s: Largest speed of the needle.
+        port: Observer and controller of the energy given to the tissue.
+    """
+
+    def __init__(
+        self, scale: float, force_scale: float, speed_limit_m_s: float, port: NeedlePort
+    ) -> None:
+        self._scale, self._force_scale = scale, force_scale
+        self._limit_m_s, self.port = speed_limit_m_s, port
+        self._start_m: float | None = None
+        self._last: HandPacket | None = None
+        self._silent_s = 0.0
+
+    def update(
+        self,
+        news: HandPacket | None,
+        force_N: float,
+        depth_m: float,
+        now_m_s: float,
+        dt_s: float,
+    ) -> tuple[float, NeedlePacket]:
+        """The speed to move with, positive inwards, and the packet to send.
+
+        Args:
+            news: Newest packet of the device.
+            force_N: Force to be shown, not scaled.
+            depth_m: Of the tip, from any zero.
+            now_m_s: Its rate.
+            dt_s: Time since the last call.
+        """
+        self._silent_s = self._silent_s + dt_s if news is self._last else 0.0
+        self._last = news
+        wanted_m_s, incoming_J = 0.0, 0.0
+        if news is not None:
+            if self._start_m is None:
+                self._start_m = depth_m - news.travel_m
+            incoming_J = news.energy_J
+            if self._silent_s < _SILENCE_S:
+                behind_m = self._start_m + news.travel_m - depth_m
+                wanted_m_s = news.speed_m_s + _CATCH_UP_PER_S * behind_m
+        wanted_m_s = min(max(wanted_m_s, -self._limit_m_s), self._limit_m_s)
+        speed_m_s = self.port.update(wanted_m_s, force_N, now_m_s, incoming_J / self._scale, dt_s)
+        energy_J = self._scale * self.port.energy.in_J
+        return speed_m_s, NeedlePacket(self._force_scale * force_N, energy_J)
+
+
+class TeleopCommand(NamedTuple):
+    """What to do until the next tick."""
+
+    speed_m_s: float  # of the needle along its axis, positive inwards
+    force_N: Array  # to render at the device, shape (3,), in its axes
+
+
+class Teleoperation:
+    """Both sides and the line between them, for a loop that has the device and the arm.
+
+    Args:
+        axis: Direction of the handle, in the device's axes, that drives the needle inwards.
+        motion_scale: Needle travel per travel of the handle, 0.1 to 1.
+        force_scale: Force at the hand per force at the needle.
+        shown: Force at the tip; ``enhanced``, without the friction of layers already traversed; or
+            ``raw``, as measured.
+        speed_limit_m_s: Largest speed of the needle.
+        lines: From the device to the needle, and back; None for no delay.
+        damping_Ns_m: Of quick motion of the handle, see `DeviceSide`.
+
+    Attributes:
+        shown_N: The force that is to be felt, before scale, delay and passivity.
+
+    Raises:
+        SettingError: A scale out of range, a limit that is not positive, an unknown force, an axis
+            without a direction, or a line that cannot be.
+    """
+
+    def __init__(
+        self,
+        *,
+        axis: ArrayLike = (0.0, 0.0, 1.0),
+        motion_scale: float = 0.4,
+        force_scale: float = 1.0,
+        shown: Shown = "tip",
+        speed_limit_m_s: float = 0.02,
+        lines: tuple[DelayLine[HandPacket], DelayLine[NeedlePacket]] | None = None,
+        damping_Ns_m: float = 15.0,
+    ) -> None:
+        direction = np.asarray(axis, dtype=np.float64)
+        length = float(np.linalg.norm(direction))
+        if direction.shape != (3,) or not 0.0 < length < math.inf:
+            raise SettingError(f"axis is {axis!r}, expected three numbers that are not all zero")
+        if not 0.1 <= motion_scale <= 1.0:
+            raise SettingError(f"motion_scale is {motion_scale!r}, expected 0.1 to 1")
+        if not (0.0 < force_scale < math.inf and 0.0 < speed_limit_m_s < math.inf):
+            raise SettingError(
+                f"force_scale {force_scale!r} and speed_limit_m_s {speed_limit_m_s!r} must be "
+                "positive and finite"
+            )
+        if shown not in ("tip", "enhanced", "raw"):
+            raise SettingError(f"shown is {shown!r}, expected 'tip', 'enhanced' or 'raw'")
+        self._shown: Shown = shown
+        self._back = -direction / length
+        scale = force_scale / motion_scale
+        self.device = DeviceSide(-self._back, motion_scale, damping_Ns_m, HandPort())
+        port = NeedlePort(_OWED_J / scale, _OWED_W / scale, _FORCE_LAG_S)
+        self.needle = NeedleSide(scale, force_scale, speed_limit_m_s, port)
+        self._there, self._here = lines or (DelayLine(), DelayLine())
+        self._from_hand: HandPacket | None = None
+        self._from_needle: NeedlePacket | None = None
+        self.shown_N = 0.0
+
+    def update(
+        self, sample: MasterReading | None, estimate: "SessionEstimate", dt_s: float
+    ) -> TeleopCommand:
+        """Take the device's newest sample and the newest force; never raises.
+
+        Args:
+            sample: Of the haptic device; None if it gave none; one with nan counts as none.
+            estimate: Of the session: force and depth.
+            dt_s: Time since the last call.
+        """
+        if estimate.status is Status.OK:
+            self.shown_N = shown_force(estimate, self._shown)
+        else:
+            self.shown_N *= _FADE_S / (_FADE_S + dt_s)
+        if sample is not None and not np.isfinite((sample.position_m, sample.velocity_m_s)).all():
+            sample = None
+        force_N, to_needle = self.device.update(sample, self._from_needle, dt_s)
+        self._from_hand = self._there.exchange(to_needle, dt_s)
+        speed_m_s, to_hand = self.needle.update(
+            self._from_hand,
+            self.shown_N,
+            estimate.depth_m,
+            estimate.speed_m_s,
+            dt_s,
+        )
+        self._from_needle = self._here.exchange(to_hand, dt_s)
+        return TeleopCommand(speed_m_s, force_N * self._back)

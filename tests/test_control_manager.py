@@ -1,0 +1,337 @@
+"""The manager: every state and event is defined, nothing moves unguarded, logs replay."""
+
+import json
+from itertools import pairwise
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from needleforce import InsertionSession
+from needleforce.control.errors import SettingError
+from needleforce.control.event_log import read_events
+from needleforce.control.manager import (
+    EVENTS,
+    MOVING,
+    TABLE,
+    Facts,
+    Manager,
+    State,
+    replay,
+    transition,
+)
+from needleforce.control.monitors import Beside, SafetyLimits
+from needleforce.control.ports import ArmSample
+from residual import SensorWarning, Status, TareError
+from urdf import load_lwr
+
+ROBOT = load_lwr()
+NOTHING = Beside()
+LIMITS = SafetyLimits(axial_N=2.0)
+FIRST = InsertionSession(ROBOT).update(np.zeros(7), np.zeros(7), np.zeros(7), 1e-3)
+ALL = Facts(*[True] * len(Facts._fields))
+REQUESTS = ("guide", "teleoperate", "approach", "tare", "insert", "withdraw", "arrived")
+
+
+class Sensor:
+    """Stands in for a session: what it reports is set by the test."""
+
+    lag_s = 0.014
+
+    def __init__(self):
+        self.tared, self.estimate, self.refuses = False, FIRST, False
+
+    def update(self, q, dq, tau, dt_s):
+        return self.estimate
+
+    def tare(self):
+        if self.refuses:
+            raise TareError("contact")
+        self.tared = True
+
+    def start_tare_recording(self):
+        self.tared = False
+
+    def reads(self, status=Status.OK, *, depth_m=0.0, in_contact=False, **wrench):
+        now, wrench = self.estimate, {"warnings": SensorWarning.NONE, "message": ""} | wrench
+        self.estimate = now._replace(
+            wrench=now.wrench._replace(status=status, **wrench),
+            status=status,
+            depth_m=depth_m,
+            identification=now.identification._replace(in_contact=in_contact),
+        )
+
+
+def new_manager(limits=LIMITS, log=None):
+    sensor = Sensor()
+    sensor.reads()
+    return Manager(sensor, limits, log=log), sensor
+
+
+def run(manager, seconds=1e-3, beside=NOTHING, dt_s=1e-3):
+    for _ in range(round(seconds / 1e-3)):
+        manager.heartbeat()
+        now = manager.update(ArmSample(dt_s, np.zeros(7), np.zeros(7), np.zeros(7)), beside)
+    return now
+
+
+def inserting(**kwargs):
+    manager, sensor = new_manager(**kwargs)
+    run(manager, 0.2)
+    for event in ("tare", "arrived", "insert"):
+        assert manager.request(event) == ""
+    return manager, sensor
+
+
+@pytest.mark.parametrize("state", State)
+@pytest.mark.parametrize("event", EVENTS)
+def test_every_state_and_event_is_defined_once(state, event):
+    rules = [r for r in TABLE if r.event == event and state in r.sources.split()]
+    assert len(rules) <= 1
+    target, refused = transition(state, event, ALL)
+    assert bool(refused) == (not rules)
+    assert refused == "" or (target is state and event in refused)
+    nothing, why = transition(state, event, Facts())
+    guards = rules[0].guards.split() if rules else []
+    assert set(guards) <= set(Facts._fields)
+    assert bool(why) == (not rules or bool(guards))
+    assert nothing is (state if why else target)
+
+
+def test_an_unknown_event_is_an_error():
+    with pytest.raises(SettingError, match=r"unknown event 'jump', expected one of guide"):
+        transition(State.IDLE, "jump", ALL)
+
+
+@pytest.mark.parametrize("state", set(State) - {State.FAULTED})
+def test_stop_and_fault_are_possible_everywhere(state):
+    assert transition(state, "stop", Facts()) == (State.STOPPED, "")
+    assert transition(state, "fault", Facts()) == (State.FAULTED, "")
+
+
+def test_faulted_is_left_by_reset_when_healthy_only():
+    for event in EVENTS:
+        assert transition(State.FAULTED, event, ALL._replace(healthy=False))[0] is State.FAULTED
+        target, _ = transition(State.FAULTED, event, ALL)
+        assert target is (State.IDLE if event == "reset" else State.FAULTED)
+
+
+@given(
+    st.lists(st.tuples(st.sampled_from(EVENTS), st.tuples(*[st.booleans()] * len(Facts._fields))))
+)
+def test_nothing_moves_without_limit_heartbeat_and_where_needed_tare(steps):
+    state = State.IDLE
+    for event, values in steps:
+        facts, before = Facts(*values), state
+        state, refused = transition(before, event, facts)
+        assert not refused or state is before
+        if state in MOVING and state is not before:
+            assert facts.limit
+            assert facts.heartbeat
+            assert facts.tared or state in (State.APPROACH, State.TARE)
+            assert facts.outside or state not in (State.GUIDANCE, State.APPROACH, State.TARE)
+
+
+ACTIONS = st.one_of(
+    st.sampled_from(EVENTS),
+    st.sampled_from(("wait", "bad", "force", "tissue", "air", "silent", "device", "late")),
+)
+
+
+def act(manager, sensor, action):
+    """One random thing that happens to a manager."""
+    if action in EVENTS:
+        manager.request(action)
+        return
+    wrench = {"axial": 3.0 if action == "force" else 0.0}
+    status = Status.REJECTED if action == "bad" else Status.OK
+    inside = action == "tissue"
+    sensor.reads(status, depth_m=0.01 if inside else -0.01, in_contact=inside, **wrench)
+    sample = ArmSample(0.05 if action == "late" else 1e-3, *[np.zeros(7)] * 3)
+    for _ in range(30):
+        if action != "silent":
+            manager.heartbeat()
+        manager.update(sample, Beside(has_device=action == "device"))
+
+
+@given(st.lists(ACTIONS, max_size=30))
+def test_a_log_replays_to_the_same_states(tmp_path_factory, actions):
+    path = tmp_path_factory.mktemp("log") / "events.jsonl"
+    manager, sensor = new_manager(log=path)
+    for action in actions:
+        act(manager, sensor, action)
+        now = run(manager)
+        untared = now.state in (State.TELEOP, State.INSERTION, State.WITHDRAW, State.GUIDANCE)
+        assert sensor.tared or not untared
+    events = read_events(path) if actions and path.exists() else list(manager.events)
+    assert [event.row() for event in events] == [event.row() for event in manager.events]
+    assert replay(events) == [event.target for event in events]
+    assert [event.seq for event in events] == list(range(len(events)))
+    assert all(a.target == b.origin for a, b in pairwise(events))
+
+
+def test_a_log_holds_the_named_fields_and_refusals(tmp_path):
+    path = tmp_path / "events.jsonl"
+    manager, _ = new_manager(limits=None, log=path)
+    run(manager)
+    refused = manager.request("approach", by="someone")
+    assert "SafetyLimits" in refused
+    (row,) = [json.loads(line) for line in path.read_text().splitlines()]
+    assert list(row) == ["seq", "t_s", "from", "event", "to", "refused", "data"]
+    assert (row["from"], row["to"], row["refused"]) == ("idle", "idle", refused)
+    assert row["data"]["by"] == "someone"
+    assert run(manager).reason == refused
+
+
+@pytest.mark.parametrize("line", ["{", "[]", '{"seq": 0}', '{"seq": 3}'])
+def test_a_damaged_log_is_refused(tmp_path, line):
+    path = tmp_path / "events.jsonl"
+    path.write_text(line + "\n")
+    with pytest.raises(SettingError, match="line 1 is no event"):
+        read_events(path)
+
+
+def test_a_log_out_of_order_is_refused(tmp_path):
+    path = tmp_path / "events.jsonl"
+    manager, _ = new_manager(log=path)
+    manager.request("stop")
+    path.write_text(path.read_text().replace('"seq": 0', '"seq": 2'))
+    with pytest.raises(SettingError, match="event 2 is out of order"):
+        read_events(path)
+
+
+@pytest.mark.parametrize(
+    ("change", "state", "reason"),
+    [
+        ({"axial": 2.5}, State.STOPPED, "axial force 2.50 N"),
+        ({"lateral": 1.5}, State.STOPPED, "side force 1.50 N"),
+        (
+            {"warnings": SensorWarning.MODEL_MISMATCH, "message": "no fit"},
+            State.STOPPED,
+            "no fit",
+        ),
+        ({"warnings": SensorWarning.FROZEN, "message": "repeats"}, State.FAULTED, "repeats"),
+        ({"status": Status.REJECTED, "message": "NaN"}, State.FAULTED, "bad samples"),
+    ],
+)
+def test_monitors_stop_an_insertion_and_say_why(change, state, reason):
+    manager, sensor = inserting()
+    sensor.reads(**change)
+    now = run(manager, 0.02)
+    assert now.state is state
+    assert reason in now.reason
+    assert not now.is_moving
+
+
+def test_a_rising_force_stops_before_it_is_there():
+    manager, sensor = inserting()
+    for k in range(100):
+        sensor.reads(axial=0.03 * k)
+        if run(manager).state is State.STOPPED:
+            break
+    assert 0.8 < 0.03 * k < 1.5
+
+
+def test_a_force_against_the_withdrawal_counts_there_and_the_other_does_not():
+    manager, sensor = inserting()
+    sensor.reads(axial=2.5, lateral=1.5)
+    assert run(manager, 0.01).state is State.STOPPED
+    assert manager.request("withdraw") == ""
+    assert run(manager, 0.1).state is State.WITHDRAW
+    sensor.reads(axial=-2.5)
+    assert run(manager, 0.1).state is State.STOPPED
+
+
+def test_single_bad_samples_do_not_stop():
+    manager, sensor = inserting()
+    for _ in range(50):
+        sensor.reads(Status.REJECTED)
+        run(manager)
+        sensor.reads()
+        assert run(manager, 2e-3).state is State.INSERTION
+
+
+@pytest.mark.parametrize(
+    ("beside", "reason"),
+    [
+        (Beside(accepted=False), "refused commands"),
+        (Beside(command_rad_s=np.full(7, 0.05)), "does not follow its commands"),
+        (Beside(axial_N=3.0), "axial force 3.00 N"),
+    ],
+)
+def test_commands_and_a_sensor_beside_are_watched(beside, reason):
+    manager, _ = inserting()
+    now = run(manager, 0.1, beside)
+    assert not now.is_moving
+    assert reason in now.reason
+
+
+def test_a_late_sample_and_a_silent_program_stop():
+    manager, _ = inserting()
+    now = run(manager, 1e-3, dt_s=0.05)
+    assert now.state is State.FAULTED
+    assert "no sample for 50 ms" in now.reason
+    assert "fault persists" in manager.request("reset")
+    run(manager, 0.2)
+    assert manager.request("reset") == ""
+    assert manager.request("insert") == ""
+    for _ in range(150):
+        now = manager.update(ArmSample(1e-3, *[np.zeros(7)] * 3))
+    assert now.state is State.STOPPED
+    assert "no heartbeat" in now.reason
+    assert "sign of life" in manager.request("withdraw")
+
+
+def test_a_clock_that_is_set_moves_no_time():
+    manager, _ = new_manager()
+    for dt_s in (-3600.0, np.nan, 0.0, 1e9):
+        assert run(manager, dt_s=dt_s).time_s < 0.01
+
+
+def test_a_refused_tare_stops():
+    manager, sensor = new_manager()
+    run(manager)
+    manager.request("tare")
+    sensor.refuses = True
+    manager.request("arrived")
+    now = run(manager)
+    assert now.state is State.STOPPED
+    assert now.reason == "the tare is refused: contact"
+
+
+def test_guidance_and_a_new_tare_are_refused_in_tissue():
+    manager, sensor = inserting()
+    sensor.reads(depth_m=0.005, in_contact=True)
+    run(manager)
+    sensor.reads(depth_m=0.02, in_contact=True)
+    run(manager)
+    for event in ("stop", "release"):
+        assert manager.request(event) == ""
+    for event in ("guide", "tare", "approach"):
+        assert "in tissue" in manager.request(event)
+    sensor.reads(depth_m=0.0, in_contact=True)
+    run(manager)
+    assert manager.request("guide") == ""
+
+
+def test_teleoperation_needs_its_device_and_stops_without():
+    manager, _ = inserting()
+    assert manager.request("arrived") == ""
+    assert "no haptic device" in manager.request("teleoperate")
+    run(manager, 0.01, Beside(has_device=True))
+    assert manager.request("teleoperate") == ""
+    now = run(manager, 0.1)
+    assert now.state is State.STOPPED
+    assert "haptic device has been silent" in now.reason
+
+
+@pytest.mark.parametrize("value", [0.0, -1.0, np.nan, np.inf, "2"])
+def test_limits_are_positive_numbers(value):
+    with pytest.raises(SettingError, match="axial_N is"):
+        SafetyLimits(axial_N=value)
+
+
+def test_a_stand_in_has_what_a_session_has():
+    names = [name for name in (*vars(Sensor), "tared") if name[0] != "_" and name != "reads"]
+    assert [name for name in names if not hasattr(InsertionSession(ROBOT), name)] == []

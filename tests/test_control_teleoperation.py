@@ -1,0 +1,189 @@
+"""Teleoperation of one-dimensional plants: passive at the hand, faithful in position and force."""
+
+from types import SimpleNamespace
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from groundtruth.rig_operator import HapticMaster, Operator, random_operator
+from needleforce.control import SettingError
+from needleforce.control.passivity import EnergyPort, HandPort, NeedlePort, passive_part
+from needleforce.control.teleoperation import DelayLine, Teleoperation, shown_force
+from residual import Status
+
+DT = 1e-3
+SURFACE_M = 5e-3
+PLANTS = {
+    "spring": lambda x, v: 500.0 * max(0.0, x - SURFACE_M),
+    "viscous": lambda x, v: 200.0 * v,
+    "wall": lambda x, v: 20e3 * max(0.0, x - SURFACE_M),
+}
+LEAST_J = {"spring": -0.1e-3, "viscous": -0.1e-3, "wall": -5e-3}
+
+
+def estimate(axial_N=0.0, tip_N=None, depth_m=0.0, speed_m_s=0.0, status=Status.OK):
+    tip_N = axial_N if tip_N is None else tip_N
+    found = SimpleNamespace(tip_force_N=tip_N, enhanced_force_N=0.5 * (tip_N + axial_N))
+    return SimpleNamespace(
+        wrench=SimpleNamespace(axial=axial_N),
+        identification=found,
+        depth_m=depth_m,
+        speed_m_s=speed_m_s,
+        status=status,
+    )
+
+
+def line(delay_s, rng):
+    return DelayLine(delay_s, min(5e-3, delay_s), rng)
+
+
+def drive(plant, tele, master, seconds, rng, clutch=lambda t: True):
+    """A needle that follows its command within 5 ms; force late by the observer's 14 ms."""
+    depth = speed = late_N = 0.0
+    for k in range(round(seconds / DT)):
+        master.clutch = clutch(k * DT)
+        late_N += (plant(depth, speed) - late_N) / 15.0
+        seen = estimate(late_N + 0.02 * rng.standard_normal(), None, depth, speed)
+        command = tele.update(master.read(), seen, DT)
+        master.render(command.force_N)
+        speed += (command.speed_m_s - speed) / 6.0
+        depth += speed * DT
+    return depth
+
+
+def advancing(speed_m_s, travel_m):
+    return lambda t: (0.0, 0.0, min(max(t - 0.2, 0.0) * speed_m_s, travel_m))
+
+
+@pytest.mark.parametrize("delay_s", [0.0, 0.01, 0.05])
+@pytest.mark.parametrize("plant", PLANTS)
+@pytest.mark.parametrize("seed", range(3))
+def test_hand_gets_no_more_energy_than_it_gave(plant, delay_s, seed):
+    rng = np.random.default_rng([seed, *plant.encode(), round(1e3 * delay_s)])
+    scale = float(rng.choice([0.1, 0.2, 0.4, 1.0]))
+    master = HapticMaster(random_operator(advancing(8e-3 / scale, 12e-3 / scale), rng))
+    lines = line(delay_s, rng), line(delay_s, rng)
+    tele = Teleoperation(motion_scale=scale, shown="raw", lines=lines)
+    drive(PLANTS[plant], tele, master, 3.0, rng)
+    assert master.least_energy_J >= LEAST_J[plant]
+
+
+def test_energy_is_observed_exactly_where_the_encoder_is():
+    rng = np.random.default_rng(1)
+    master = HapticMaster(Operator(wish_m=advancing(20e-3, 30e-3)), position_step_m=0.0)
+    tele = Teleoperation(shown="raw")
+    drive(PLANTS["spring"], tele, master, 2.0, rng)
+    assert tele.device.port.energy.net_J == pytest.approx(master.port_energy_J, rel=1e-9)
+
+
+def test_without_passivity_a_delayed_wall_gives_energy_away():
+    """The plants above are hard ones: the same loop without the controllers is not passive."""
+    rng = np.random.default_rng(5)
+    master = HapticMaster(Operator(wish_m=advancing(20e-3, 30e-3)))
+    tele = Teleoperation(lines=(line(0.05, rng), line(0.05, rng)), shown="raw")
+    tele.device.port.update = lambda wanted, *_: wanted
+    tele.needle.port.update = lambda wanted, *_: wanted
+    drive(PLANTS["wall"], tele, master, 3.0, rng)
+    assert master.least_energy_J < -5e-3
+
+
+@pytest.mark.parametrize("scale", [0.1, 0.4, 1.0])
+def test_needle_follows_the_scaled_hand_and_the_clutch_holds_it(scale):
+    rng = np.random.default_rng(3)
+    master = HapticMaster(Operator(wish_m=advancing(4e-3 / scale, 6e-3 / scale)))
+    tele = Teleoperation(motion_scale=scale, lines=(line(0.01, rng), line(0.01, rng)))
+    depth = drive(PLANTS["spring"], tele, master, 3.0, rng)
+    assert depth == pytest.approx(scale * master.position_m[2], abs=1e-4)
+    master.clutch = False
+    master._operator = Operator(wish_m=lambda t: (0.0, 0.0, -0.05))  # the hand goes elsewhere
+    tele.needle._start_m -= depth  # the plant of `drive` starts anew at zero
+    assert drive(lambda x, v: 0.0, tele, master, 1.0, rng, lambda t: False) == pytest.approx(
+        0.0, abs=1e-4
+    )
+
+
+def test_needle_stops_when_the_device_is_gone_and_force_fades_with_the_estimate():
+    tele = Teleoperation(lines=None)
+    sample = SimpleNamespace(position_m=np.zeros(3), velocity_m_s=np.zeros(3), clutch=True)
+    for k in range(1000):
+        sample.position_m = np.array([0.0, 0.0, 8e-6 * k])
+        sample.velocity_m_s = np.array([0.0, 0.0, 8e-3])
+        moving = tele.update(sample, estimate(1.0, depth_m=3.2e-6 * k), DT)
+    assert moving.speed_m_s == pytest.approx(3.2e-3, rel=0.02)
+    assert moving.force_N == pytest.approx([0.0, 0.0, -1.0], abs=0.02)
+    for _ in range(200):
+        gone = tele.update(None, estimate(1.0, depth_m=3.2e-3), DT)
+    assert gone.speed_m_s == pytest.approx(0.0, abs=1e-4)
+    assert not gone.force_N.any()
+    for _ in range(1000):
+        lost = tele.update(sample, estimate(1.0, depth_m=3.2e-3, status=Status.REJECTED), DT)
+    assert abs(lost.force_N[2]) < 0.2  # the damping of a handle that is said to move is left
+
+
+@given(axial=st.floats(-20.0, 20.0), tip=st.floats(-20.0, 20.0))
+def test_shown_force_lies_between_zero_and_the_measured_one(axial, tip):
+    for shown in ("tip", "enhanced"):
+        force = shown_force(estimate(axial, tip), shown)
+        assert min(axial, 0.0) <= force <= max(axial, 0.0)
+    assert shown_force(estimate(axial, tip), "raw") == axial
+
+
+@settings(deadline=None)
+@given(st.lists(st.tuples(st.floats(-30.0, 30.0), st.floats(-1.0, 1.0)), max_size=100))
+def test_a_free_device_never_gets_out_what_was_not_put_in(steps):
+    """Whatever force is wanted and however the handle is hit between the samples."""
+    port, position_m, mass_kg = HandPort(device_mass_kg=0.25), 0.0, 0.25
+    for wanted_N, speed_m_s in steps:
+        force_N = port.update(wanted_N, position_m, speed_m_s, 1e9, DT)
+        position_m += speed_m_s * DT - force_N / mass_kg * DT**2 / 2.0
+        port.update(0.0, position_m, 0.0, 1e9, DT)
+        assert port.energy.net_J >= -1e-12
+
+
+def test_energy_of_a_port_counts_both_ways_apart():
+    port = EnergyPort()
+    port.observe(2.0, 0.1)
+    port.observe(2.0, -0.05)
+    assert (port.in_J, port.out_J, port.net_J) == pytest.approx((0.2, 0.1, 0.1))
+    assert passive_part(1.0, 0.25) == 0.25
+    assert passive_part(1.0, -1.0) == 0.0
+    assert passive_part(-1.0, -1.0) == 1.0
+
+
+def test_needle_without_a_hand_behind_it_presses_no_further_than_its_allowance():
+    port, depth, speed = NeedlePort(1e-3, 0.0, 0.015), 0.0, 0.0
+    for _ in range(2000):
+        speed = port.update(0.02, 20e3 * depth, speed, 0.0, DT)
+        depth += speed * DT
+    assert 10e3 * depth**2 < 3e-3  # half k x^2, where 40 mm were asked for
+
+
+def test_line_keeps_the_order_and_the_newest_counts():
+    rng, sent = np.random.default_rng(0), 0
+    late = DelayLine(0.02, 0.015, rng)
+    last = -1
+    for sent in range(500):
+        got = late.exchange(sent, DT)
+        if got is not None:
+            assert got >= last
+            last = got
+            assert 4 <= sent - got <= 36
+    assert DelayLine().exchange("now", DT) == "now"
+
+
+@pytest.mark.parametrize(
+    ("make", "said"),
+    [
+        (lambda: Teleoperation(motion_scale=0.05), "motion_scale is 0.05, expected 0.1 to 1"),
+        (lambda: Teleoperation(force_scale=-1.0), "force_scale -1.0"),
+        (lambda: Teleoperation(axis=(0.0, 0.0, 0.0)), "three numbers that are not all zero"),
+        (lambda: Teleoperation(shown="all"), "expected 'tip', 'enhanced' or 'raw'"),
+        (lambda: DelayLine(-0.1), "expected finite numbers >= 0"),
+        (lambda: DelayLine(0.1, 0.01), "pass rng="),
+    ],
+)
+def test_settings_that_cannot_work_are_refused(make, said):
+    with pytest.raises(SettingError, match=said):
+        make()
