@@ -1,8 +1,9 @@
 """Fits a tare to blocks of free motion: Bayesian least squares with sizes that are learnt.
 
-The prior says how large link errors, hysteresis, friction and drift are on arms of a kind. Of one
-arm they may be several times smaller or larger: the sizes that make the motion likeliest are taken
-(empirical Bayes), so that the tare's covariance is that of this arm.
+The prior says how large link errors, friction and drift are on arms of a kind. Of one arm they may
+be several times smaller or larger: the sizes that make the motion likeliest are taken (empirical
+Bayes), so that the tare's covariance is that of this arm. The size of hysteresis is not learnt: in
+air it is so like friction that either would take half of the other.
 """
 
 from collections.abc import Iterator
@@ -13,8 +14,9 @@ from numpy.typing import NDArray
 from residual.bias_model import BiasModel, Tare, TareBlocks
 
 Array = NDArray[np.float64]
-LEARNT = ("links", "hysteresis", "coulomb", "stribeck", "viscous", "drift")
-"""Groups of columns whose size is learnt; offset and ripple are seen directly."""
+LEARNT = ("links", "friction", "drift")
+"""Groups of columns whose size is learnt, and the random walk; offset and ripple are seen
+directly."""
 OCTAVES = np.arange(-2.0, 5.1)
 """Sizes that are tried, as powers of two of the prior's: a quarter to thirty-two times."""
 OCTAVES_STD = 1.5

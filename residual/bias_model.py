@@ -30,9 +30,8 @@ class BiasPrior:
     """Standard deviations of what the tare fits, before it has seen data.
 
     They are properties of a class of arms, not of one recording; fractions are of each
-    joint's effort limit, the range of its torque sensor. The sizes of link errors, hysteresis,
-    friction and drift are where the tare starts from: the motion corrects them, see
-    `residual.bias_fit`.
+    joint's effort limit, the range of its torque sensor. The sizes of link errors, friction, drift
+    and walk are where the tare starts from: the motion corrects them, see `residual.bias_fit`.
 
     Attributes:
         offset_fraction: Constant offset. 1 %: joint-torque sensors of the LWR kind start with
@@ -162,9 +161,9 @@ class BiasModel:
             "offset": prior.offset_fraction * effort,
             "links": np.array(links),
             "hysteresis": np.tile(prior.hysteresis_fraction * effort, self.loops),
-            "coulomb": np.tile(coulomb * effort, self.elements),
-            "stribeck": coulomb * effort,
-            "viscous": viscous * effort,
+            "friction": np.concatenate(
+                (np.tile(coulomb * effort, self.elements + 1), viscous * effort)
+            ),
             "drift": np.tile(prior.drift_fraction_per_min / 60.0 * effort, 2),
         }
         if self.ripple_per_rad is not None:

@@ -17,6 +17,8 @@ from residual.velocity_estimator import VelocityEstimator, VelocityState
 from urdf import Robot
 
 Array = NDArray[np.float64]
+COARSE = 2.0
+"""Times the white noise of positions: steps of an encoder last longer than a sample."""
 _new = tuple.__new__  # makes a named tuple in half the time: there is one in every tick
 
 
@@ -194,7 +196,9 @@ class JointStream(SampleStream):
         noise = probe.add(signal, dt_s)
         if noise is not None:
             if self._velocity is not None:
-                noise = noise * self._velocity.noise_per_position_noise(dt_s)
+                # At rest a coarse encoder may show no noise; in motion its steps are not white.
+                largest = np.full_like(noise, COARSE * noise.max())
+                noise = largest * self._velocity.noise_per_position_noise(dt_s)
             self._observer.smooth_momentum(noise, q)
             self._probe = None
 
