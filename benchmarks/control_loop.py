@@ -1,6 +1,7 @@
 """One autonomous insertion of the simulated arm: rig, manager, program and controller in a loop."""
 
 from collections.abc import Iterator
+from typing import Any
 
 import numpy as np
 
@@ -22,7 +23,8 @@ from needleforce.control import (
     Situation,
     State,
 )
-from residual import DEFAULT
+from needleforce.control.insertion_profile import Step
+from residual import DEFAULT, Status
 from urdf import Robot
 
 STANDOFF_M = 5e-3
@@ -47,6 +49,7 @@ class Insertion:
     Attributes:
         manager: Of the run.
         ended_s: When the insertion ended, on the rig's clock; None before.
+        has_device: Whether a haptic device answers.
     """
 
     def __init__(
@@ -62,6 +65,7 @@ class Insertion:
         self.rig, self.manager = rig, Manager(session, limits)
         self._profile, self._with_ft = InsertionProfile(plan), with_ft
         self._identifier, self._free_N, self._zero_N = Identifier(), list[float](), 0.0
+        self.has_device = False
         self.ended_s: float | None = None
 
     def __iter__(self) -> Iterator[Situation]:
@@ -70,23 +74,32 @@ class Insertion:
         control = Controller(rig.robot, Limits(rig.robot))
         control.tool.update(rig.home_rad)
         line, posture = Fixture.here(control.tool, GAIN_PER_S), Posture(rig.home_rad)
-        was_inserting = False
+        was_inside, dq_rad_s = False, np.zeros(rig.robot.nv)
         for sample in rig:
             manager.heartbeat()
             axial_N = self._axial_N() if self._with_ft else None
-            now = manager.update(sample, beside._replace(axial_N=axial_N))
-            step = self._profile.update(now, *self._identified(now, sample.dt_s, axial_N))
+            beside = beside._replace(axial_N=axial_N, has_device=self.has_device)
+            now = manager.update(sample, beside)
+            step = self._step(now, *self._identified(now, sample.dt_s, axial_N))
             if step.event:
                 manager.request(step.event)
-            stack = [line, AxialSpeed(step.speed_m_s), posture]
-            command = control.update(sample, [] if now.state is State.FAULTED else stack)
-            beside = Beside(rig.send(command.dq_rad_s), command.dq_rad_s)
-            if was_inserting and self.ended_s is None and now.state is not State.INSERTION:
+            if now.estimate.status is not Status.REJECTED or now.state is State.FAULTED:
+                stack = [line, AxialSpeed(step.speed_m_s), posture]
+                command = control.update(sample, [] if now.state is State.FAULTED else stack)
+                dq_rad_s = command.dq_rad_s
+            # A sample that was rejected moves nothing: the last command stands until a fault.
+            beside = Beside(rig.send(dq_rad_s), dq_rad_s)
+            is_inside = now.state in (State.INSERTION, State.TELEOP)
+            if was_inside and not is_inside and self.ended_s is None:
                 self.ended_s = rig.time_s
-            was_inserting |= now.state is State.INSERTION
+            was_inside |= is_inside
             yield now
             if self.ended_s is not None and rig.time_s > self.ended_s + REST_S:
                 return
+
+    def _step(self, now: Situation, *beside: Any) -> Step:
+        """What the program wants."""
+        return self._profile.update(now, *beside)
 
     def _axial_N(self) -> float | None:
         """Force along the needle of the F/T sensor; None before it is zeroed."""
@@ -97,7 +110,7 @@ class Insertion:
         self._zero_N = self._zero_N or float(np.mean(self._free_N))
         return reading_N - self._zero_N
 
-    def _identified(self, now: Situation, dt_s: float, axial_N: float | None) -> tuple:
+    def _identified(self, now: Situation, dt_s: float, axial_N: float | None) -> tuple[Any, ...]:
         """What the program is given beside the situation."""
         if axial_N is None:
             return ()

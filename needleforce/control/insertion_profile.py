@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, NamedTuple
 import numpy as np
 from numpy.typing import ArrayLike
 
-from identification import Estimate, RuptureState
+from identification.estimate import Estimate, RuptureState
 from needleforce.control.errors import SettingError, require_positive
 from needleforce.control.ports import Array
 

@@ -14,7 +14,7 @@ from needleforce.control.errors import SettingError
 from needleforce.control.event_log import EventLog, LoggedEvent
 from needleforce.control.monitors import Beside, Monitors, SafetyLimits
 from needleforce.control.ports import ArmReading
-from residual import TareError
+from residual.errors import TareError
 
 if TYPE_CHECKING:
     from needleforce.session import InsertionSession, SessionEstimate

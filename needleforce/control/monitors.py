@@ -12,7 +12,7 @@ import numpy as np
 
 from needleforce.control.errors import require_positive
 from needleforce.control.ports import ArmReading, Array
-from residual import SensorWarning, Status
+from residual.estimate import SensorWarning, Status
 
 if TYPE_CHECKING:
     from needleforce.session import SessionEstimate

@@ -22,7 +22,7 @@ from numpy.typing import ArrayLike
 from needleforce.control.errors import SettingError
 from needleforce.control.passivity import HandPort, NeedlePort
 from needleforce.control.ports import Array, MasterReading
-from residual import Status
+from residual.estimate import Status
 
 if TYPE_CHECKING:
     from needleforce.session import SessionEstimate
