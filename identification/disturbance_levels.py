@@ -5,6 +5,7 @@ and each part shows most at lags near its own time. A part takes what the faster
 """
 
 import math
+from functools import lru_cache
 from typing import NamedTuple
 
 import numpy as np
@@ -26,6 +27,7 @@ _MEDIAN = 0.455
 """Of a squared standard normal. Ruptures are a minority of the differences, heartbeats are not."""
 
 
+@lru_cache(maxsize=64)
 def oscillation(dt_s: float, hz: float, damping: float) -> tuple[float, float, float, float]:
     """Transition of a damped oscillator's deflection and rate, row by row."""
     w = 2.0 * math.pi * hz

@@ -16,9 +16,9 @@ well it predicts the force is the evidence for it. Lengths are in mm, speeds in 
 """
 
 import math
+from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from needleforce.jit import (
     Matrix,
@@ -107,12 +107,21 @@ def _times(spread: Matrix, row: Vector) -> Vector:
     return found
 
 
-@compiled_or(lambda spread, gain, cross: np.subtract(spread, np.outer(gain, cross), out=spread))
-def _reduce(spread: WrittenMatrix, gain: Vector, cross: Vector) -> None:
-    """Take the outer product of two vectors from a matrix."""
+def _measure_plain(mean: Any, spread: Any, cross: Any, error: float, variance: float) -> None:
+    mean += cross / variance * error
+    spread -= np.outer(cross / variance, cross)
+
+
+@compiled_or(_measure_plain)
+def _measure(
+    mean: WrittenVector, spread: WrittenMatrix, cross: Vector, error: float, variance: float
+) -> None:
+    """Use a measurement, for its error and variance and its covariance with the unknowns."""
     for i in range(UNKNOWNS):
+        gain = cross[i] / variance
+        mean[i] += gain * error
         for j in range(UNKNOWNS):
-            spread[i, j] -= gain[i] * cross[j]
+            spread[i, j] -= gain * cross[j]
 
 
 @compiled_or(lambda change, matrix: (change @ matrix).T)
@@ -127,7 +136,7 @@ def _mapped(change: Matrix, matrix: Matrix) -> Matrix:
     return found
 
 
-def _turn_plain(spread: NDArray[np.float64], at: int, turn: NDArray[np.float64]) -> None:
+def _turn_plain(spread: Any, at: int, turn: Any) -> None:
     pair, matrix = slice(at, at + 2), turn[:4].reshape(2, 2)
     spread[pair] = matrix @ spread[pair]
     spread[:, pair] = spread[:, pair] @ matrix.T
@@ -214,9 +223,8 @@ def absorb(
         surprise = error * error / total
         evidence = -0.5 * (math.log(total) + (FREEDOM + 1.0) * math.log1p(surprise / FREEDOM))
         log_weights[k] += TEMPER * evidence
-        gain = cross / (total * max((FREEDOM + surprise) / (FREEDOM + 1.0), 1.0))
-        mean += gain * error
-        _reduce(spread, gain, cross)
+        total *= max((FREEDOM + surprise) / (FREEDOM + 1.0), 1.0)
+        _measure(mean, spread, cross, error, total)
 
 
 @compiled
@@ -348,23 +356,18 @@ def add_children(
 def _condition(mean: WrittenVector, spread: WrittenMatrix, row: Vector, variance: float) -> None:
     """Take row @ unknowns for zero, with a variance."""
     cross = _times(spread, row)
-    gain = cross / (np.dot(row, cross) + variance)
-    mean -= gain * np.dot(row, mean)
-    _reduce(spread, gain, cross)
+    _measure(mean, spread, cross, -np.dot(row, mean), np.dot(row, cross) + variance)
 
 
 @compiled
-def _judge_fraction(
-    mean: WrittenVector, spread: WrittenMatrix, fact: WrittenVector, depth: float, speed: float
-) -> None:
+def _judge_fraction(mean: WrittenVector, spread: WrittenMatrix, speed: float, is_due: bool) -> bool:
     """Apply the prior of friction's fraction in the growth of the force, once that is known."""
-    row, travel = np.zeros(UNKNOWNS), depth - fact[TIP]
+    row = np.zeros(UNKNOWNS)
     row[STIFFNESS], row[OWN_COULOMB], row[OWN_VISCOUS] = 1.0, 1.0, speed
     slope, variance = np.dot(row, mean), np.dot(row, _times(spread, row))
-    is_vague = variance > (0.2 * max(slope, 0.004)) ** 2 and travel < 10.0
-    if travel <= 1.0 or is_vague:
-        return
-    slope, speed, fact[IS_JUDGED] = max(slope, 2e-3), max(speed, 0.1), 1.0
+    if variance > (0.2 * max(slope, 0.004)) ** 2 and not is_due:
+        return False
+    slope, speed = max(slope, 2e-3), max(speed, 0.1)
     fraction, std, coulomb = friction_fraction(speed)
     row[STIFFNESS], row[OWN_COULOMB] = -fraction, 1.0 - fraction
     row[OWN_VISCOUS] = (1.0 - fraction) * speed
@@ -372,6 +375,7 @@ def _judge_fraction(
     row[STIFFNESS], row[OWN_COULOMB], row[OWN_VISCOUS] = 0.0, 1.0 - coulomb, -coulomb * speed
     std = coulomb * (1.0 - coulomb) * COULOMB_LOG_STD * fraction * slope
     _condition(mean, spread, row, std**2)
+    return True
 
 
 @compiled
@@ -396,8 +400,9 @@ def weigh(
     depth, speed, dt_s, noise = place
     for k in range(n):
         mean, fact, kind, travel = means[k], facts[k], facts[k, KIND], depth - facts[k, TIP]
-        if is_advancing and fact[IS_JUDGED] == 0.0:
-            _judge_fraction(mean, spreads[k], fact, depth, speed)
+        if is_advancing and fact[IS_JUDGED] == 0.0 and travel > 1.0:
+            is_certain = _judge_fraction(mean, spreads[k], speed, travel >= 10.0)
+            fact[IS_JUDGED] = 1.0 if is_certain else 0.0
         is_held, own = fact[IS_HELD] > 0.0, fact[OWN_FORCE]
         log_weights[k] += _hold_cutting(mean, spreads[k]) if kind == LAYER and not is_held else 0.0
         if own > 0.0 and depth > fact[RELEASE] + fact[LENGTH] + 0.1:

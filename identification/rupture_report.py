@@ -43,11 +43,7 @@ _TIP = slice(law.RELEASED, law.KEPT + 1)
 def answer_at(memory: BankMemory, place: Place, ruptures: int, speed: float) -> Array:
     """Friction of the shaft at a place, for the samples that follow; see `switching_update`.
 
-    Args:
-        memory: The bank.
-        place: Where.
-        ruptures: How many are known so far.
-        speed: Of the last rupture [mm/s], 0 before the first.
+    `ruptures` are known so far; the last was at a speed [mm/s], 0 before the first.
     """
     bank = memory.bank
     weights = bank.weights

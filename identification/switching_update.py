@@ -130,14 +130,8 @@ def switching_outputs(
 ) -> Outputs:
     """What to report of a sample: the fields of an `Estimate` from ``in_contact`` to the events.
 
-    Args:
-        depth_m: Depth [m].
-        speed_m_s: Speed [m/s].
-        force_N: Force [N].
-        memory: See `update_switching`.
-        answer: What the bank knows.
-        layers: Of the layers left where they begin [m], their thickness [m], and Coulomb [N] and
-            viscous friction [N/(mm/s)] of their whole length, shape (n, 4).
+    `layers`, shape (n, 4), are those left: where they begin [m], their thickness [m], and Coulomb
+    [N] and viscous friction [N/(mm/s)] of their whole length.
     """
     speed, mean = _MM * speed_m_s, answer[1]
     enhanced, enhanced_std, tip, tip_std, friction, friction_std = _forces(
