@@ -2,6 +2,7 @@
 
 import json
 from itertools import pairwise
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -335,3 +336,10 @@ def test_limits_are_positive_numbers(value):
 def test_a_stand_in_has_what_a_session_has():
     names = [name for name in (*vars(Sensor), "tared") if name[0] != "_" and name != "reads"]
     assert [name for name in names if not hasattr(InsertionSession(ROBOT), name)] == []
+
+
+def test_the_page_shows_the_table_as_it_is():
+    page = Path(__file__).resolve().parents[1] / "docs" / "control.md"
+    rows = [line.strip("| ").split(" | ") for line in page.read_text().splitlines()]
+    for rule in TABLE:
+        assert [rule.event, rule.sources, rule.target, rule.guards or "–"] in rows

@@ -31,6 +31,7 @@ SAYS = {
     "own_torque_estimate": r"at most 0\.\d\d N; the gel is 2[789]\.\d mm thick",
     "remote_centre": r"entry held within 0\.0\d\d mm; tip back within 0\.\d\d mm",
     "teleoperation": r"2\d\.\d mm deep, 0\.\d\d N shown\nleast energy .*: -?0\.0\d\d mJ",
+    "autonomous_insertion": r"rests 3[1-4]\.\d mm deep, in state dwell",
     "stop_and_resume": r"both read -?\d\.\d{6} N in the end",
 }
 """What the files in examples/ print."""

@@ -18,13 +18,14 @@ INSTALLED = (*LIBRARIES, "needleforce")
 PACKAGES = (*INSTALLED, "benchmarks")
 PROJECT = tomllib.loads((ROOT / "pyproject.toml").read_text(encoding="utf-8"))
 LIMITS = {
-    "product": (21_050, 110),
-    "benchmarks": (6_970, 36),
-    "tests": (15_950, 80),
-    "control": (1_800, 15),
+    "product": (20_400, 105),
+    "benchmarks": (6_770, 30),
+    "tests": (12_830, 72),
+    "control": (2_440, 15),
 }
 """Most lines and files of Python. Those of the chain are ceilings at today's size, to be lowered
-with every cut: the goal is 19,000, 6,500 and 13,000 lines. What moves the needle counts apart."""
+with every cut: the goal is 19,000, 6,500 and 13,000 lines. What moves the needle counts apart, its
+goal is 1,800."""
 CONTROL = ("needleforce/control/", "groundtruth/rig_", "benchmarks/control_", "tests/test_control_")
 """How the names of the files begin that move the needle."""
 MOST_LINES = 450
