@@ -61,7 +61,7 @@ def test_every_format_goes_through_both_commands_without_an_option(quick, capsys
     true = run.truth.ruptures[0]
     assert float(layer[3]) == pytest.approx(true.onset_s, abs=0.1)
     friction_N = float(layer[7].partition("±")[0])
-    assert friction_N == pytest.approx(true.layer_friction_N, rel=0.1)
+    assert friction_N == pytest.approx(true.layer_friction_N, rel=0.2)  # of formats, not of methods
     assert "--ignore-status takes them" in err
     assert len(err.splitlines()) == 1
 

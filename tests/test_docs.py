@@ -28,6 +28,7 @@ SAYS = {
     "controller_loop": (
         r"(?s).*layer 1 ruptured at 3\d.\d mm.*at most \d\.\d\d N.*; 0 samples rejected"
     ),
+    "hand_guidance": r"pushed by 4 N for a second, the tip moved \d+ mm",
     "own_torque_estimate": r"at most 0\.\d\d N; the gel is 2[789]\.\d mm thick",
     "remote_centre": r"entry held within 0\.0\d\d mm; tip back within 0\.\d\d mm",
     "teleoperation": r"2\d\.\d mm deep, 0\.\d\d N shown\nleast energy .*: -?0\.0\d\d mJ",
