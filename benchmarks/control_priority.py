@@ -147,7 +147,7 @@ class Rows(PinkTask):
         super().__init__(cost=1.0, gain=1.0)
         self.jacobian, self.rates = rows, rates
 
-    def __repr__(self) -> str:
+    def __repr__(self) -> str:  # pyright: ignore[reportIncompatibleMethodOverride]
         """For pink's messages."""
         return f"Rows(size={len(self.rates)})"
 
