@@ -22,12 +22,20 @@ LIMITS = {
     "benchmarks": (6_770, 30),
     "tests": (12_830, 72),
     "control": (2_440, 15),
+    "anatomy": (1_000, 8),
+    "scene": (700, 6),
+    "devices": (1_200, 9),
 }
 """Most lines and files of Python. Those of the chain are ceilings at today's size, to be lowered
-with every cut: the goal is 19,000, 6,500 and 13,000 lines. What moves the needle counts apart, its
-goal is 1,800."""
-CONTROL = ("needleforce/control/", "groundtruth/rig_", "benchmarks/control_", "tests/test_control_")
-"""How the names of the files begin that move the needle."""
+with every cut: the goal is 19,000, 6,500 and 13,000 lines. The packages around the chain count
+apart; the goal of control is 1,800."""
+APART = ("control", "anatomy", "scene", "devices")
+"""Packages around the chain."""
+AROUND = (
+    *(f"{place}{name}" for name in APART for place in ("needleforce/", "benchmarks/", "tests/test_")),
+    "groundtruth/rig_",
+)
+"""How the names of the files begin that belong to them."""
 MOST_LINES = 450
 MOST_CODE_LINES = 40
 MOST_PUBLIC_NAMES = 26
@@ -83,12 +91,13 @@ def functions(tree):
 
 def test_each_area_keeps_its_size(capsys):
     areas = {"product": INSTALLED, "benchmarks": ("benchmarks",), "tests": ("tests",)}
-    chain = [path for path in SOURCES if not name_of(path).startswith(CONTROL)]
+    chain = [path for path in SOURCES if not name_of(path).startswith(AROUND)]
     members = {
         area: [path for path in chain if path.relative_to(ROOT).parts[0] in folders]
         for area, folders in areas.items()
     }
-    members["control"] = [p for p in SOURCES if name_of(p).startswith(CONTROL[0])]
+    for name in APART:
+        members[name] = [p for p in SOURCES if name_of(p).startswith(f"needleforce/{name}/")]
     found = {}
     for area, files in members.items():
         lines = sum(path.read_text(encoding="utf-8").count("\n") for path in files)
