@@ -134,7 +134,7 @@ class SwitchingMethod:
 
     def report(self) -> tuple[Any, ...]:
         """What there is to report without a sample."""
-        return self._outputs((0.0,) * 8)
+        return self._outputs((0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0))
 
     def update(self, sample: Sample) -> tuple[Any, ...]:
         """Use one sample: what to report of it, from the rupture state to the events."""
