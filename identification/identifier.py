@@ -163,7 +163,8 @@ class Identifier:
         time = samples.as_scalar(0.0 if time_s is None else time_s)
         if time is not None and math.isfinite(time) and None not in numbers:
             numbers[1] = numbers[1] if is_measured else None
-            return self.update(*numbers, None if time_s is None else time, force_std_N)
+            clock_s = None if time_s is None else time
+            return self.update(*numbers, time_s=clock_s, force_std_N=force_std_N)
         # Handled as one that is not finite: its time passes, if it has one.
         dt_s = math.nan if numbers[-1] is None else numbers[-1]
         samples.take_sample(math.nan, 0.0, 0.0, dt_s, is_measured, self._samples, self._limits)
