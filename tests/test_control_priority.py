@@ -5,20 +5,19 @@ import pinocchio as pin
 import pytest
 
 from benchmarks import control_priority
+from groundtruth.rig_arm import ArmSample
 from needleforce.control import (
-    ArmSample,
     AxialSpeed,
     Controller,
     DecoupledMotion,
     Fixture,
     Limits,
-    Orientation,
     Posture,
     RemoteCentre,
     SettingError,
     TipVelocity,
-    ToolState,
 )
+from needleforce.control.tool_state import ToolState
 from urdf import NeedleTool, load_lwr
 
 ROBOT = load_lwr(payload=NeedleTool())
@@ -31,14 +30,22 @@ def tool_at(q):
     return tool
 
 
+def rows_of(task, tool):
+    rows, rates = np.zeros((task.size, 7)), np.zeros(task.size)
+    task.write(tool, rows, rates)
+    return rows, rates
+
+
 def tasks_near(tool):
     off = np.array([1e-3, -2e-3, 5e-4])
     turned = pin.exp3(np.array([0.02, -0.01, 0.03])) @ tool.rotation
+    turn = DecoupledMotion(tool, 1.0)
+    turn.goal_m, turn.rotation = tool.tip_m + off, turned
     return [
         RemoteCentre(tool.tip_m - 0.08 * tool.axis + off, 1.0),
         Fixture(tool.tip_m + off, turned, 1.0),
         TipVelocity(np.zeros(3), tool.tip_m + off, 1.0),
-        Orientation(turned, gain_per_s=1.0),
+        turn,
     ]
 
 
@@ -47,10 +54,10 @@ def test_a_task_with_gain_one_is_the_rate_at_which_its_error_falls(index):
     """v is the error at gain 1, and J its negative derivative over the joints."""
     tool, step = tool_at(Q), 1e-6
     task = tasks_near(tool)[index]
-    rows, rates = task.rows(tool)
+    rows, rates = rows_of(task, tool)
     for joint in range(7):
         ahead, behind = (tool_at(Q + side * step * np.eye(7)[joint]) for side in (1, -1))
-        slope = (task.rows(ahead)[1] - task.rows(behind)[1]) / (2.0 * step)
+        slope = (rows_of(task, ahead)[1] - rows_of(task, behind)[1]) / (2.0 * step)
         # Second order in the error itself, which turns with the tool.
         assert -slope == pytest.approx(rows[:, joint], abs=0.03)
     assert np.abs(rates).max() > 1e-4
