@@ -4,7 +4,7 @@ import numpy as np
 import pinocchio as pin
 import pytest
 
-from benchmarks import control_priority
+from benchmarks import control_priority, control_speed
 from groundtruth.rig_arm import ArmSample
 from needleforce.control import (
     AxialSpeed,
@@ -106,3 +106,26 @@ def test_the_wish_of_decoupled_motion_turns_without_moving_the_tip():
 def test_limits_that_cannot_be_are_refused(wrong):
     with pytest.raises(SettingError, match="joints"):
         Limits(ROBOT, **wrong)
+
+
+def test_cost_of_control_is_measured_beside_its_bare_calls(monkeypatch):
+    monkeypatch.setattr(control_speed, "SECONDS", 1.0)
+    monkeypatch.setattr(control_speed, "WARM_TICKS", 300)
+    (table,), is_met = control_speed.control_speed_report(lambda part: None)
+    rows = {line[0]: line for line in table.lines}
+    assert float(rows["Jacobian and placement"][3]) == 1.0
+    assert 1.0 < float(rows["control"][3]) < float(rows["session and control"][3])
+    assert is_met == all("missed" not in line for line in table.lines)
+
+
+def test_levels_are_those_of_a_cascade_of_qps(monkeypatch):
+    monkeypatch.setattr(control_priority, "CASCADES", 60)
+    found = {each.what: each for each in control_priority.measure("cascade", "clean", 3)}
+    assert found["better in a cascade of QPs, regular"].value < 1e-8
+
+
+def test_a_stack_of_another_robot_or_goals_that_are_no_numbers_are_skipped():
+    control, sample = Controller(ROBOT, Limits(ROBOT)), ArmSample(1e-3, Q, None, Q)
+    for task, said in ((Posture(np.zeros(6)), "6 joints"), (AxialSpeed(np.nan), "not finite")):
+        command = control.update(sample, [task])
+        assert (command.status, said in command.reason) == ("skipped", True)

@@ -35,6 +35,7 @@ class CommandStatus(StrEnum):
     """The sample or a task was no good, see `Command.reason`: braking without looking at them."""
 
 
+_new = tuple.__new__  # makes a named tuple in half the time: there is one in every tick
 _OK, _SATURATED = CommandStatus.OK, CommandStatus.SATURATED
 
 
@@ -70,6 +71,7 @@ class Controller:
         self.tool = ToolState(robot)
         self._limits, self._joints, self._solve = limits.table, robot.nv, solve
         self._stacks: dict[tuple[int, ...], Stack] = {}
+        self._tasks, self._numbers = list[Task](), Stack((), robot.nv)
         self._step_s = 1e-3
         self.reset()
 
@@ -98,7 +100,7 @@ class Controller:
                 return self._skip(f"{q.size} positions, dt_s = {dt_s:g}")
             self._step_s = min(dt_s, LONGEST_STEP_s)
             self.tool.update(q)
-            numbers = self._numbers(stack)
+            numbers = self._numbers_of(stack)
             numbers.fill(stack, self.tool)
             joint_bounds(self._limits, q, self.last_rad_s, self._step_s, numbers.bounds)
             if not stack:
@@ -108,14 +110,16 @@ class Controller:
             return self._skip(str(error))
         return self._send(velocity, _SATURATED if is_limited else _OK)
 
-    def _numbers(self, stack: Sequence[Task]) -> Stack:
+    def _numbers_of(self, stack: Sequence[Task]) -> Stack:
         """Room for the numbers of a stack; made when one of such tasks comes first."""
-        has_wish = bool(stack) and isinstance(stack[-1], JointTask)
-        key = (has_wish, *[task.size for task in stack])
-        made = self._stacks.get(key)
-        if made is None:
-            made = self._stacks[key] = Stack(stack, self._joints)
-        return made
+        if stack != self._tasks:  # the same tasks are equal, whatever has changed in them
+            self._tasks = list(stack)
+            has_wish = bool(stack) and isinstance(stack[-1], JointTask)
+            key = (has_wish, *[task.size for task in stack])
+            if key not in self._stacks:
+                self._stacks[key] = Stack(stack, self._joints)
+            self._numbers = self._stacks[key]
+        return self._numbers
 
     def _skip(self, reason: str) -> Command:
         """Brake from the last command at the rate that limits allow."""
@@ -126,4 +130,4 @@ class Controller:
     def _send(self, velocity: Array, status: CommandStatus, reason: str = "") -> Command:
         velocity.setflags(write=False)
         self.last_rad_s = velocity
-        return Command(velocity, status, reason)
+        return _new(Command, (velocity, status, reason))

@@ -46,6 +46,8 @@ class Stack:
 
     def __init__(self, tasks: Sequence[Task], joints: int) -> None:
         last = tasks[-1] if tasks else None
+        if isinstance(last, JointTask) and last.size != joints:
+            raise SettingError(f"a task of {last.size} joints, the robot has {joints}")
         sizes = [task.size for task in (tasks[:-1] if isinstance(last, JointTask) else tasks)]
         self.ends = tuple(itertools.accumulate(sizes))
         self.rows, self.rates = np.zeros((sum(sizes), joints)), np.zeros(sum(sizes))
@@ -56,13 +58,11 @@ class Stack:
         ]
 
     def fill(self, tasks: Sequence[Task], tool: ToolState) -> None:
-        """Take rows and rates of tasks of the same sizes; `SettingError` for another robot's."""
+        """Take rows and rates of tasks of the same sizes."""
         for task, (rows, rates) in zip(tasks, self._parts, strict=False):
             task.write(tool, rows, rates)
         last = tasks[-1] if tasks else None
         if isinstance(last, JointTask):
-            if last.size != self.bounds.shape[1]:
-                raise SettingError(f"a task of {last.size} joints, not {self.bounds.shape[1]}")
             self.wish = last.velocity(tool.q_rad)
 
 
@@ -78,7 +78,7 @@ def _all_met(rows: Array, rates: Array, bounds: Array, velocity: Array) -> bool:
         missing = np.zeros(velocity.size)
         missing[: rates.size] = rates - rows @ velocity
         triangle, step, failed = dgels(rows, missing)
-        if failed or np.abs(triangle.diagonal()).min() < _REGULAR:
+        if failed or min(map(abs, triangle.diagonal().tolist())) < _REGULAR:
             return False
         velocity += step
     return bool(((bounds[0] < velocity) & (velocity < bounds[1])).all())

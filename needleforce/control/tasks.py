@@ -96,7 +96,7 @@ def _tip_task(
     rates: WrittenVector,
 ) -> None:
     place, rotation, rate, gain_per_s, turns = goal
-    rows[:] = selection @ jacobian
+    np.dot(selection, jacobian, rows)
     rates[:] = rate
     if gain_per_s != 0.0:
         error = np.zeros(6)
@@ -218,7 +218,7 @@ def _remote_centre(
     x, y, z = arm = point - pose[:3, 3]
     swing = np.array([[0.0, z, -y], [-z, 0.0, x], [y, -x, 0.0]])  # w x arm, as a matrix on w
     across = np.ascontiguousarray(pose[:3, :2].T)
-    rows[:] = across @ (jacobian[:3] + swing @ jacobian[3:])
+    np.dot(across, jacobian[:3] + swing @ jacobian[3:], rows)
     rates[:] = gain_per_s * (across @ arm)
 
 
