@@ -191,8 +191,9 @@ class SwitchingMethod:
         filled, *sums = memory[: samples.FORCE_SUM + 1].tolist()
         z, v, w, force = (total / filled for total in sums)
         z, v = _MM * z, _MM * v
-        jitter = _MM * float(memory[samples.DEPTH_STD])
-        speed_noise = _MM * float(memory[samples.SPEED_STD])
+        jitter, speed_noise = (
+            _MM * float(memory[k]) for k in (samples.DEPTH_STD, samples.SPEED_STD)
+        )
         memory[: samples.FORCE_SUM + 1] = 0.0
         # Friction at a noisy speed would seem to be the same at all speeds: only a change that
         # noise does not explain is one.
@@ -223,14 +224,9 @@ class SwitchingMethod:
                 _weigh(bank, place, is_advancing=False)
         else:
             course, levels = course._replace(resumed=1.0), levels.restarted()
-        self._state = state._replace(
-            levels=levels,
-            course=course,
-            place=place,
-            stage=stage,
-            force_std=sample[7],
-            force_std_in_air=state.force_std_in_air if is_met else sample[7],
-        )
+        in_air = state.force_std_in_air if is_met else sample[7]
+        state = state._replace(force_std=sample[7], force_std_in_air=in_air, stage=stage)
+        self._state = state._replace(levels=levels, course=course, place=place)
 
     def _branch(self) -> None:
         """Begin hypotheses of what may have happened in the block's travel."""
