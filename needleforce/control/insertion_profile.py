@@ -187,15 +187,8 @@ class InsertionProfile:
             case "tare":
                 return self._stroke(now, (-plan.tare_stroke_m, plan.tare_stroke_m))
             case "insertion":
-                self._held_m, self._is_slack = depth_m, False
                 force_N = estimate.wrench.axial if axial_N is None else axial_N
-                is_steady = self._speed_m_s == plan.speed_m_s
-                is_left = self._ruptures.update(found, force_N, (depth_m, dt_s, is_steady))
-                if is_left and self._ruptures.count == plan.layer:
-                    return Step(self._hold(depth_m), "rupture")
-                step = self._travel(plan.depth_m - depth_m, dt_s)
-                self._is_slack = bool(step.event)  # a planned end is reached at rest
-                return step
+                return self._insert(found, force_N, depth_m, dt_s)
             case "dwell" if now.state_s >= plan.dwell_s:
                 return Step(0.0, "arrived")
             case "dwell" | "stopped":
@@ -205,6 +198,16 @@ class InsertionProfile:
             case _:
                 self._held_m = None
         return Step(0.0)
+
+    def _insert(self, found: Estimate, axial_N: float, depth_m: float, dt_s: float) -> Step:
+        self._held_m, self._is_slack = depth_m, False
+        is_steady = self._speed_m_s == self._plan.speed_m_s
+        is_left = self._ruptures.update(found, axial_N, (depth_m, dt_s, is_steady))
+        if is_left and self._ruptures.count == self._plan.layer:
+            return Step(self._hold(depth_m), "rupture")
+        step = self._travel(self._plan.depth_m - depth_m, dt_s)
+        self._is_slack = bool(step.event)  # a planned end is reached at rest
+        return step
 
     def _hold(self, depth_m: float) -> float:
         """Speed of a stop."""
