@@ -169,14 +169,15 @@ class InsertionProfile:
             axial_N: Axial force of that sensor.
         """
         dt_s, self._last_s = now.time_s - self._last_s, now.time_s
-        step = self._step(now, dt_s, identification or now.estimate.identification, axial_N)
+        found = identification or now.estimate.identification
+        force_N = now.estimate.wrench.axial if axial_N is None else axial_N
+        step = self._step(now, dt_s, found, force_N)
         self._speed_m_s = step.speed_m_s
         self._asked_m += dt_s * step.speed_m_s
         return step
 
-    def _step(self, now: "Situation", dt_s: float, found: Estimate, axial_N: float | None) -> Step:
-        plan, estimate = self._plan, now.estimate
-        depth_m = estimate.depth_m
+    def _step(self, now: "Situation", dt_s: float, found: Estimate, axial_N: float) -> Step:
+        plan, depth_m = self._plan, now.estimate.depth_m
         if now.is_moving and now.state_s == 0.0:
             self._from_m, self._speed_m_s, self._asked_m = depth_m, 0.0, depth_m
         match now.state.value:
@@ -187,8 +188,7 @@ class InsertionProfile:
             case "tare":
                 return self._stroke(now, (-plan.tare_stroke_m, plan.tare_stroke_m))
             case "insertion":
-                force_N = estimate.wrench.axial if axial_N is None else axial_N
-                return self._insert(found, force_N, depth_m, dt_s)
+                return self._insert(found, axial_N, depth_m, dt_s)
             case "dwell" if now.state_s >= plan.dwell_s:
                 return Step(0.0, "arrived")
             case "dwell" | "stopped":
