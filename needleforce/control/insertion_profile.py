@@ -171,6 +171,9 @@ class InsertionProfile:
         dt_s, self._last_s = now.time_s - self._last_s, now.time_s
         found = identification or now.estimate.identification
         force_N = now.estimate.wrench.axial if axial_N is None else axial_N
+        if now.is_moving and now.state_s == 0.0:
+            self._from_m = self._asked_m = now.estimate.depth_m
+            self._speed_m_s = 0.0
         step = self._step(now, dt_s, found, force_N)
         self._speed_m_s = step.speed_m_s
         self._asked_m += dt_s * step.speed_m_s
@@ -178,8 +181,6 @@ class InsertionProfile:
 
     def _step(self, now: "Situation", dt_s: float, found: Estimate, axial_N: float) -> Step:
         plan, depth_m = self._plan, now.estimate.depth_m
-        if now.is_moving and now.state_s == 0.0:
-            self._from_m, self._speed_m_s, self._asked_m = depth_m, 0.0, depth_m
         match now.state.value:
             case "idle" if self._program:
                 return Step(0.0, self._program.pop(0))
