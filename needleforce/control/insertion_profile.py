@@ -118,11 +118,13 @@ class RuptureCount:
         self._variance_N2 += weight * (noise_N2 - self._variance_N2)
         self._peak_N += dt_s / _PEAK_S * (self._force_N - self._peak_N)
         self._peak_N, alarm = max(self._peak_N, self._force_N), found.rupture
+        if not found.in_contact:  # what falls in free air is the start of the motion
+            self._peak_N = self._force_N
         before_N = self._peak_N if alarm is None else max(self._peak_N, alarm.force_N)
         fall_N = before_N - self._force_N
         is_likely = found.rupture_state is RuptureState.EXPECTED or fall_N > _LARGE * before_N
         has_fallen = fall_N > _SIGMAS * math.sqrt(self._variance_N2)
-        if not (has_fallen and (alarm or (is_steady and is_likely))):
+        if not (found.in_contact and has_fallen and (alarm or (is_steady and is_likely))):
             return False
         if depth_m < self._last_m + _APART_M:
             return False
