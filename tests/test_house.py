@@ -32,7 +32,11 @@ apart; the goal of control is 1,800."""
 APART = ("control", "anatomy", "scene", "devices")
 """Packages around the chain."""
 AROUND = (
-    *(f"{place}{name}" for name in APART for place in ("needleforce/", "benchmarks/", "tests/test_")),
+    *(
+        f"{place}{name}"
+        for name in APART
+        for place in ("needleforce/", "benchmarks/", "tests/test_")
+    ),
     "groundtruth/rig_",
 )
 """How the names of the files begin that belong to them."""

@@ -11,7 +11,7 @@ from groundtruth.bearing_friction import BearingFriction
 from groundtruth.plant_model import CLEAN
 from residual import DEFAULT, BiasPrior, ConfigurationError, TareError, WrenchEstimator
 from residual.bias_estimator import BiasEstimator, TareRecorder
-from residual.bias_fit import FreeMotionFit, fit_tare
+from residual.bias_fit import FreeMotionFit
 from residual.bias_model import BiasModel, TareBlocks
 from residual.joint_states import play_operator
 from residual.tare_check import check_free_of_contact
@@ -44,6 +44,10 @@ def stroke(
     return theta, TareBlocks(
         q_rad=q, states=trend, residual_Nm=residual, age_s=age, scatter_Nm2=scatter
     )
+
+
+def fit_tare(basis, blocks):
+    return FreeMotionFit(basis, blocks).tare
 
 
 @pytest.fixture
@@ -143,9 +147,9 @@ def recorded(values, block):
     """A recorder of one loop that was given samples at 1 kHz, in blocks of so many."""
     recorder = TareRecorder.of_size(values.shape[1], 1)
     for k, value in enumerate(values):
-        recorder.add(np.full_like(value, k), np.ones((1, len(value))), value, 1e-3)
+        recorder.add(np.full_like(value, k), np.ones((1, len(value))), value, 1e-3 * k, 1e-3)
         if (k + 1) % block == 0:
-            recorder.close_block(k * 1e-3)
+            recorder.close_block()
     return recorder
 
 
@@ -179,14 +183,14 @@ def test_ripple_of_a_known_gear_ratio_is_fitted(lwr):
 
 
 def test_torque_trend_remembers_at_rest_and_turns_over_the_width():
-    half_width, trend = np.array([0.01]), np.zeros(1)
+    half_width, trend = np.array([[0.01]]), np.zeros((1, 1))
     for _ in range(10):
         trend = play_operator(trend, np.array([0.002]), half_width)
-    assert trend[0] == 1.0
-    assert play_operator(trend, np.zeros(1), half_width)[0] == 1.0
+    assert trend[0, 0] == 1.0
+    assert play_operator(trend, np.zeros(1), half_width)[0, 0] == 1.0
     back = play_operator(trend, np.array([-0.01]), half_width)
-    assert back[0] == pytest.approx(0.0)
-    assert play_operator(back, np.array([-1.0]), half_width)[0] == -1.0
+    assert back[0, 0] == pytest.approx(0.0)
+    assert play_operator(back, np.array([-1.0]), half_width)[0, 0] == -1.0
 
 
 def test_settings_that_cannot_work_are_refused(lwr):
@@ -243,7 +247,7 @@ class Arm:
             pushed = -force(t) * self.wrench.kinematics.axial_jacobian
             residual = self.offset + rubbed + pushed
             tau = estimator._basis.gravity_Nm(q) - residual
-            estimator.follow(q, tau, DT_S)
+            estimator.follow(q, dq, tau, DT_S)
             residual = residual + NOISE_NM * self.rng.standard_normal(7)
             if record:
                 estimator.record(residual, DT_S)
