@@ -122,8 +122,7 @@ KINDS: Mapping[str, Callable[[Robot, np.random.Generator, int], Motion]] = Mappi
 
 def held_back(robot: Robot, motion: Motion, *, has_velocity: bool) -> int:
     """How many samples of a motion the sensor would not use."""
-    stream = SampleStream(robot, DEFAULT, is_external=False, has_velocity=has_velocity)
-    missed_s, count = 0.0, 0
+    stream, missed_s, count = SampleStream(robot, DEFAULT, has_velocity=has_velocity), 0.0, 0
     for q, dq, tau in zip(*motion, strict=True):
         try:
             stream.update(q, dq if has_velocity else None, tau, PERIOD_s + missed_s)

@@ -77,7 +77,7 @@ class SampleStream:
     """
 
     def __init__(
-        self, robot: Robot, config: SensorConfig, *, is_external: bool, has_velocity: bool
+        self, robot: Robot, config: SensorConfig, *, has_velocity: bool, is_external: bool = False
     ) -> None:
         n = self._joints = robot.nv
         self.is_external, self.has_velocity = is_external, has_velocity

@@ -82,8 +82,7 @@ class VirtualForceSensor:
     def __init__(self, robot: Robot, config: SensorConfig = DEFAULT) -> None:
         self._robot, self._config = robot, config
         self._digest = robot_digest(robot)
-        # Refuses what does not fit the robot now.
-        SampleStream(robot, config, is_external=False, has_velocity=True)
+        SampleStream(robot, config, has_velocity=True)  # refuses what does not fit the robot now
         self._offset = BiasEstimator(robot, config)
         self._wrench = WrenchEstimator(robot, config)
         alone = replace(config, mode="axial", axes="base", weighting="covariance")

@@ -46,10 +46,6 @@ def stroke(
     )
 
 
-def fit_tare(basis, blocks):
-    return FreeMotionFit(basis, blocks).tare
-
-
 @pytest.fixture
 def basis(lwr):
     return BiasModel(lwr, "model", BiasPrior())
@@ -77,8 +73,8 @@ def test_fit_extrapolates_better_than_a_constant(lwr, basis, seed):
     theta, blocks = stroke(lwr, basis, seed=seed)
     ahead, forward = MIDDLE + 0.8 * TOWARDS, FORWARD
     truth = basis.columns(ahead, forward, 20.0) @ theta
-    fitted = fit_tare(basis, blocks)
-    constant = fit_tare(BiasModel(lwr, "constant", BiasPrior()), blocks)
+    fitted = FreeMotionFit(basis, blocks).tare
+    constant = FreeMotionFit(BiasModel(lwr, "constant", BiasPrior()), blocks).tare
     ours = np.abs(fitted.bias_Nm(ahead, forward, 20.0) - truth).max()
     paper = np.abs(constant.bias_Nm(ahead, forward, 20.0) - truth).max()
     assert ours < 0.5 * paper
@@ -88,7 +84,7 @@ def test_stated_covariance_is_believable(lwr, basis):
     ahead, forward, scores = MIDDLE + 0.8 * TOWARDS, FORWARD, []
     for seed in range(20):
         theta, blocks = stroke(lwr, basis, seed=seed)
-        fitted = fit_tare(basis, blocks)
+        fitted = FreeMotionFit(basis, blocks).tare
         error = fitted.bias_Nm(ahead, forward, 20.0) - basis.columns(ahead, forward, 20.0) @ theta
         covariance = fitted.covariance_Nm2(ahead, forward, 20.0) - fitted.noise_Nm2
         scores.append((error**2 / covariance.diagonal())[1:4])
@@ -105,13 +101,14 @@ def test_waviness_does_not_pass_for_a_slope(lwr, basis):
     def uncertainty(tare):
         return np.sqrt((tare.covariance_Nm2(ahead, forward, 0.0) - tare.noise_Nm2).diagonal())
 
-    fitted = fit_tare(basis, wavy)
-    assert (uncertainty(fitted)[1:4] > 1.5 * uncertainty(fit_tare(basis, blocks))[1:4]).all()
+    fitted = FreeMotionFit(basis, wavy).tare
+    smooth = uncertainty(FreeMotionFit(basis, blocks).tare)
+    assert (uncertainty(fitted)[1:4] > 1.5 * smooth[1:4]).all()
     assert (np.abs(fitted.bias_Nm(ahead, forward, 0.0))[1:4] < 3.0 * uncertainty(fitted)[1:4]).all()
 
 
 def test_uncertainty_grows_with_distance_and_time(lwr, basis):
-    fitted = fit_tare(basis, stroke(lwr, basis)[1])
+    fitted = FreeMotionFit(basis, stroke(lwr, basis)[1]).tare
 
     def uncertainty(distance, age):
         covariance = fitted.covariance_Nm2(MIDDLE + distance * TOWARDS, STILL, age)
@@ -124,7 +121,7 @@ def test_uncertainty_grows_with_distance_and_time(lwr, basis):
 def test_constant_kind_is_the_mean_residual(lwr):
     basis = BiasModel(lwr, "constant", BiasPrior())
     _, blocks = stroke(lwr, basis, truth=OFFSET)
-    tare = fit_tare(basis, blocks)
+    tare = FreeMotionFit(basis, blocks).tare
     mean = blocks.residual_Nm.mean(axis=0)
     np.testing.assert_allclose(tare.bias_Nm(MIDDLE, STILL, 5.0), mean, atol=2e-4)
 
@@ -176,7 +173,7 @@ def test_ripple_of_a_known_gear_ratio_is_fitted(lwr):
     expected = 0.02 * np.sin(2 * np.array(ratio) * ahead) - 0.01 * np.cos(
         2 * np.array(ratio) * ahead
     )
-    got = fit_tare(basis, blocks).bias_Nm(ahead, FORWARD, 0.0)
+    got = FreeMotionFit(basis, blocks).tare.bias_Nm(ahead, FORWARD, 0.0)
     np.testing.assert_allclose(got[[1, 3]], expected[[1, 3]], atol=0.01)
     with pytest.raises(ConfigurationError, match="expected 7"):
         BiasModel(lwr, "model", BiasPrior(gear_ratio=(160.0,)))

@@ -5,7 +5,7 @@ import pinocchio as pin
 import pytest
 from residual_signals import MIDDLE, external_torque_of
 
-from residual import ConfigurationError, SampleError, SensorConfig, WrenchEstimator
+from residual import PUBLISHED, ConfigurationError, SampleError, SensorConfig, WrenchEstimator
 from residual.estimate import UNSEEN_STD
 from urdf import UrdfError, load_lwr
 
@@ -61,7 +61,7 @@ def test_unweighted_full_mode_is_the_pseudo_inverse_of_equation_13(lwr):
     jacobian = pin.computeFrameJacobian(
         lwr.model, data, MIDDLE, lwr.tool_frame_id, pin.LOCAL_WORLD_ALIGNED
     )
-    estimator = estimator_of(lwr, mode="full", weighting="none", expected_force_N=None)
+    estimator = WrenchEstimator(lwr, PUBLISHED)
     estimator.set_torque_covariance(np.diag(np.linspace(0.1, 0.7, 7)))
     estimate = estimator.estimate(MIDDLE, torque)
     expected = np.linalg.pinv(jacobian.T) @ torque
@@ -108,8 +108,7 @@ def test_damping_is_negligible_where_the_joints_see_well(lwr):
 
 
 def test_results_are_read_only_and_the_covariance_is_copied(lwr):
-    covariance = np.eye(7) * 0.01
-    estimator = estimator_of(lwr, mode="point")
+    covariance, estimator = np.eye(7) * 0.01, WrenchEstimator(lwr)
     estimator.set_torque_covariance(covariance)
     before = estimator.estimate(MIDDLE, np.zeros(7))
     covariance *= 100.0
