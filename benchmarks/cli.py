@@ -310,27 +310,32 @@ def results(
 
 
 @app.command(name="speed")
-def time_updates(soak: bool = False, ticks: Positive = 1_000_000, strict: bool = False) -> int:
+def time_updates(
+    soak: bool = False, control: bool = False, ticks: Positive = 1_000_000, strict: bool = False
+) -> int:
     """Time the estimators beside their bare dynamics. Takes about 75 s.
 
     Args:
         soak: Instead, many ticks of the chain (four minutes): growth of memory, cost at the end.
+        control: Instead, ticks of control, and of session and control together.
         ticks: How many, with --soak.
         strict: Exit with 1 if a target is missed.
     """
+    from benchmarks.control_speed import control_speed_report
     from benchmarks.long_runs import run_soak, soak_table
     from benchmarks.speed import measure_speed, speed_report
     from benchmarks.tables import new_console
 
-    console = new_console()
     with progress_bar(1) as update:
         if soak:
             found = run_soak(ticks, partial(update, 0))
             tables, is_met = [soak_table(found, ticks)], found.is_met
+        elif control:
+            tables, is_met = control_speed_report(partial(update, 0))
         else:
             tables, is_met = speed_report(measure_speed(partial(update, 0)))
     for table in tables:
-        console.print(table.rich())
+        new_console().print(table.rich())
     return FAILURE if strict and not is_met else 0
 
 

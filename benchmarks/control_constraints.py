@@ -19,11 +19,13 @@ from typing import Literal
 import numpy as np
 from numpy.typing import NDArray
 
+from benchmarks.control_published import published
 from benchmarks.control_study import Figure
 from groundtruth.plant_model import PLANT_MODELS
 from groundtruth.rig_arm import SimulatedArm, with_kinematic_error
 from groundtruth.rig_contacts import Contact, HandOnArm, Trocar, distance_to_axis_m
 from needleforce.control.controller import Controller
+from needleforce.control.priority_solver import Solver, hierarchical
 from needleforce.control.tasks import (
     DecoupledMotion,
     Fixture,
@@ -67,7 +69,7 @@ class ClosedLoop:
     scenario: str | None = None
     contacts: Sequence[Contact] = ()
     has_kinematic_error: bool = False
-    solver: Literal["hierarchical", "published"] = "hierarchical"
+    solver: Solver = hierarchical
     rig: SimulatedArm = field(init=False)
     control: Controller = field(init=False)
 
@@ -123,7 +125,7 @@ def _circle(test: ClosedLoop) -> tuple[Array, Array]:
         rate = 2.0 * math.pi / PERIOD_s
         out = np.array([math.cos(rate * t_s), math.sin(rate * t_s), 0.0])
         on = np.array([-out[1], out[0], 0.0])
-        tip.goal_m, tip.velocity_m_s = home_m + radius * out, growth * out + radius * rate * on
+        tip.goal_m, tip.rate = home_m + radius * out, growth * out + radius * rate * on
         off_m.append(float(np.linalg.norm(rig.truth.tip_m - true.tip_m - radius * out)))
         return constraint, tip, posture
 
@@ -177,7 +179,7 @@ def rcm_elbow(servo: str, plant: str, seed: int) -> Iterator[Figure]:
 def rcm_published(servo: str, plant: str, seed: int) -> Iterator[Figure]:
     """The circle by the published recursion."""
     contacts = _trocar_and_force(seed)
-    test = ClosedLoop(servo=servo, plant=plant, seed=seed, contacts=contacts, solver="published")
+    test = ClosedLoop(servo=servo, plant=plant, seed=seed, contacts=contacts, solver=published)
     worst = MILLI * _circle(test)[0].max()
     yield Figure("RCM on a circle, published recursion, max", servo, worst, "mm")
 
@@ -195,7 +197,7 @@ def _insertion(test: ClosedLoop, with_fixture: bool = True) -> tuple[Array, floa
     def stack(t_s: float) -> Sequence[Task]:
         speed = INSERTION_m_s * min(t_s / 0.1, (seconds - t_s) / 0.1, 1.0)
         wish = SIDEWAYS_m_s * math.sin(2.0 * math.pi * SIDEWAYS_Hz * t_s)
-        user.velocity_m_s = speed * inwards + wish * aside
+        user.rate = speed * inwards + wish * aside
         return (fixture, user, posture) if with_fixture else (user, posture)
 
     error = test.run(seconds, stack, lambda: distance_to_axis_m(rig.truth.tip_m, line_m, axis))
@@ -243,7 +245,7 @@ def fixture_kinematic(servo: str, plant: str, seed: int) -> Iterator[Figure]:
 def fixture_published(servo: str, plant: str, seed: int) -> Iterator[Figure]:
     """The same by the published recursion: what is left of the travel, too."""
     scenario = "stack-glove-constant"
-    test = ClosedLoop(servo=servo, plant=plant, seed=seed, scenario=scenario, solver="published")
+    test = ClosedLoop(servo=servo, plant=plant, seed=seed, scenario=scenario, solver=published)
     error, travel = _insertion(test)
     worst = MILLI * error.max()
     yield Figure("fixture, published recursion, max", servo, worst, "mm")

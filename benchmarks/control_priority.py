@@ -16,15 +16,16 @@ from numpy.typing import NDArray
 from pink.limits import Limit  # pyright: ignore[reportMissingImports]
 from pink.tasks import Task as PinkTask  # pyright: ignore[reportMissingImports]
 
+from benchmarks.control_published import published
 from benchmarks.control_study import Figure
 from groundtruth.arm_motion import LWR_POSTURE_rad
+from groundtruth.rig_arm import ArmSample
 from needleforce.control.controller import Controller
-from needleforce.control.ports import ArmSample
-from needleforce.control.priority_solver import Hierarchical, Published, Solver, Stack
+from needleforce.control.priority_solver import Solver, Stack, hierarchical
 from needleforce.control.tasks import (
     AxialSpeed,
+    DecoupledMotion,
     Fixture,
-    Orientation,
     Posture,
     RemoteCentre,
     Task,
@@ -71,11 +72,13 @@ class RandomStacks:
         rng, tool = self.rng, self.tool
         near = tool.tip_m + 1e-3 * rng.standard_normal(3)
         speed = 10.0 ** rng.uniform(-3.0, 0.0)
+        turn = DecoupledMotion(tool)
+        turn.move(tool, np.zeros(3), speed * rng.standard_normal(3), 1e-3)
         kinds: list[Task] = [
             RemoteCentre(near - rng.uniform(0.02, 0.2) * tool.axis),
-            Fixture(near, tool.rotation, turn_free=bool(rng.integers(2))),
+            Fixture(near, tool.rotation),
             TipVelocity(speed * rng.standard_normal(3)),
-            Orientation(tool.rotation, speed * rng.standard_normal(3)),
+            turn,
             AxialSpeed(speed * rng.standard_normal()),
         ]
         chosen = rng.permutation(len(kinds))[: rng.integers(2, 5)]
@@ -91,52 +94,32 @@ class RandomStacks:
         return self.tasks(), last
 
 
-class Levels:
-    """Solves the first levels of a stack, as `Controller` does."""
-
-    def __init__(self, stacks: RandomStacks, kind: type[Solver]) -> None:
-        self._stacks, self._kind = stacks, kind
-        self._made: dict[tuple[int, ...], tuple[Stack, Solver]] = {}
-
-    def solve(self, tasks: Sequence[Task], last: Array) -> tuple[Stack, Array]:
-        """Numbers of the tasks, and the velocity that serves them."""
-        tool = self._stacks.tool
-        wishes = isinstance(tasks[-1], Posture)
-        above = tasks[:-1] if wishes else tasks
-        sizes = tuple(task.size for task in above)
-        if sizes not in self._made:
-            stack = Stack(sizes, tool.q_rad.size)
-            self._made[sizes] = stack, self._kind(stack)
-        stack, solver = self._made[sizes]
-        stack.wish[:] = 0.0
-        if isinstance(tasks[-1], Posture):
-            tasks[-1].write_velocity(tool.q_rad, stack.wish)
-        first = 0
-        for task in above:
-            task.write(tool, stack.rows, stack.rates, first)
-            first += task.size
-        joint_bounds(self._stacks.limits.table, tool.q_rad, last, 1e-3, stack.bounds)
-        velocity, _ = solver.solve()
-        if velocity is None:
-            raise RuntimeError(f"no answer to {tasks} at {tool.q_rad.tolist()}")
-        return stack, velocity
+def solved(
+    stacks: RandomStacks, tasks: Sequence[Task], last: Array, solve: Solver = hierarchical
+) -> tuple[Stack, Array]:
+    """Numbers of the first levels of a stack, and the velocity that serves them."""
+    stack = Stack(tasks, last.size)
+    stack.fill(tasks, stacks.tool)
+    joint_bounds(stacks.limits.table, stacks.tool.q_rad, last, 1e-3, stack.bounds)
+    return stack, solve(stack)[0]
 
 
 def leaks(robot: Robot, rng: np.random.Generator) -> Iterator[Figure]:
     """How far lower tasks move what higher ones get."""
-    for kind, target in ((Hierarchical, 1e-12), (Published, None)):
+    solver: Solver
+    for solver, target in ((hierarchical, 1e-12), (published, None)):
         stacks = RandomStacks(robot, np.random.default_rng(rng.integers(2**32)))
-        levels, worst = Levels(stacks, kind), [0.0, 0.0]
+        worst = [0.0, 0.0]
         for index in range(STACKS):
             is_singular = bool(index % 2)
             tasks, last = stacks.draw(is_singular)
-            _, full = levels.solve(tasks, last)
+            _, full = solved(stacks, tasks, last, solver)
             for count in range(1, len(tasks)):
-                stack, alone = levels.solve(tasks[:count], last)
+                stack, alone = solved(stacks, tasks[:count], last, solver)
                 leak = float(np.abs(stack.rows[: stack.rates.size] @ (full - alone)).max())
                 worst[is_singular] = max(worst[is_singular], leak)
         for leak, where in zip(worst, ("regular", "near singular"), strict=True):
-            what = f"leak into higher tasks, {kind.__name__.lower()}, {where}"
+            what = f"leak into higher tasks, {solver.__name__}, {where}"
             yield Figure(what, "", leak, "m/s, rad/s", target)
 
 
@@ -177,14 +160,17 @@ class Box(Limit):
 def cascades(robot: Robot, rng: np.random.Generator) -> Iterator[Figure]:
     """How much better than ours each level can be, given what ours leaves to it."""
     stacks = RandomStacks(robot, rng)
-    levels, worst, unsolved = Levels(stacks, Hierarchical), 0.0, 0
+    worst, unsolved = [0.0, 0.0], 0
     for index in range(CASCADES):
         tasks, last = stacks.draw(bool(index % 2))
-        stack, velocity = levels.solve(tasks, last)
+        stack, velocity = solved(stacks, tasks, last)
         configuration = pink.Configuration(robot.model, robot.create_data(), stacks.tool.q_rad)
-        box = Box(stack.bounds[:, : velocity.size])
-        scale = np.maximum(np.linalg.norm(stack.rows, axis=1), 1e-9)
-        rows = stack.rows / scale[:, None]
+        box = Box(
+            np.array((np.fmin(stack.bounds[0], velocity), np.fmax(stack.bounds[1], velocity)))
+        )
+        rows = np.vstack((stack.rows, np.eye(velocity.size)))
+        scale = np.maximum(np.linalg.norm(rows, axis=1), 1e-9)
+        rows = rows / scale[:, None]
         rates = np.concatenate((stack.rates, stack.wish)) / scale
         first = 0
         for end in (*stack.ends, len(rows)):
@@ -192,7 +178,7 @@ def cascades(robot: Robot, rng: np.random.Generator) -> Iterator[Figure]:
             above = rows[:first]
             fixed = [] if first == 0 else [Rows(*_independent(above, above @ velocity))]
             problem = pink.build_ik(configuration, [level], 1.0, 1e-12, [box], constraints=fixed)
-            found = qpsolvers.solve_problem(problem, "daqp", primal_tol=1e-9)
+            found = qpsolvers.solve_problem(problem, "daqp", primal_tol=1e-13)
             best = found.x
             if best is None:
                 unsolved += 1
@@ -200,9 +186,10 @@ def cascades(robot: Robot, rng: np.random.Generator) -> Iterator[Figure]:
                 ours, theirs = (
                     np.linalg.norm(level.jacobian @ x - level.rates) for x in (velocity, best)
                 )
-                worst = max(worst, float(ours - theirs))
+                worst[index % 2] = max(worst[index % 2], float(ours - theirs))
             first = end
-    yield Figure("better in a cascade of QPs, of unit rows", "", worst, "rad/s", 1e-5)
+    for gain, where in zip(worst, ("regular", "near singular"), strict=True):
+        yield Figure(f"better in a cascade of QPs, {where}", "", gain, "rad/s", 1e-5)
     yield Figure("levels that the cascade's solver left unsolved", "", unsolved, "")
 
 

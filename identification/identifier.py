@@ -75,6 +75,7 @@ class Identifier:
         force_N: float,
         dt_s: float,
         time_s: float | None = None,
+        force_std_N: float = 0.0,
     ) -> Estimate:
         """Use one sample.
 
@@ -89,13 +90,17 @@ class Identifier:
             dt_s: Time since the previous sample [s].
             time_s: Time of the sample on the clock on which estimates and events are to be
                 reported [s]; None for the sum of ``dt_s`` since the reset.
+            force_std_N: Standard deviation of the force's slow error, as a virtual sensor states it
+                [N]. What it grows by after the contact is no part of the friction, and widens its
+                deviation. Not finite or below zero counts as not stated.
         """
         is_measured = speed_m_s is not None
         speed = speed_m_s if is_measured else 0.0
         if not (type(depth_m) is type(speed) is type(force_N) is type(dt_s) is float) or (
             time_s is not None and not (type(time_s) is float and math.isfinite(time_s))
         ):
-            return self._update_raw((depth_m, speed, force_N, dt_s), is_measured, time_s)
+            raw = (depth_m, speed, force_N, dt_s)
+            return self._update_raw(raw, is_measured, time_s, force_std_N)
         before, last, method = self._samples.copy(), self._last, self._method
         number, elapsed_s, clock_s, place_m, motion = samples.take_sample(
             depth_m, speed, force_N, dt_s, is_measured, self._samples, self._limits
@@ -106,7 +111,8 @@ class Identifier:
             return self._reject(samples.STATUSES[number], time_s)
         if not method.takes_filtered_travel:
             motion = (place_m, speed if is_measured else motion[1], 0.0, 0.0)
-        found = method.update((time_s, elapsed_s, *motion, force_N))
+        std = float(force_std_N) if 0.0 <= force_std_N < math.inf else 0.0
+        found = method.update((time_s, elapsed_s, *motion, force_N, std))
         estimate = self._last = _new(Estimate, (time_s, samples.STATUSES[number], *found))
         if found[_EVENTS:] != _NO_EVENTS:
             self._before = Snapshot(self._config, before, method.before, last)
@@ -149,13 +155,16 @@ class Identifier:
         self._samples = snapshot.samples.copy()
         self._last, self._before = snapshot.last, None
 
-    def _update_raw(self, values: tuple[Any, ...], is_measured: bool, time_s: object) -> Estimate:
+    def _update_raw(
+        self, values: tuple[Any, ...], is_measured: bool, time_s: object, force_std_N: float
+    ) -> Estimate:
         """As `update`, for values of any type; the speed is measured or estimated."""
         numbers: list[Any] = [samples.as_scalar(value) for value in values]
         time = samples.as_scalar(0.0 if time_s is None else time_s)
         if time is not None and math.isfinite(time) and None not in numbers:
             numbers[1] = numbers[1] if is_measured else None
-            return self.update(*numbers, time_s=None if time_s is None else time)
+            clock_s = None if time_s is None else time
+            return self.update(*numbers, time_s=clock_s, force_std_N=force_std_N)
         # Handled as one that is not finite: its time passes, if it has one.
         dt_s = math.nan if numbers[-1] is None else numbers[-1]
         samples.take_sample(math.nan, 0.0, 0.0, dt_s, is_measured, self._samples, self._limits)

@@ -123,6 +123,7 @@ class ReplayStream:
         force_N: Array,
         speed_m_s: Array | None = None,
         dt_s: Array | None = None,
+        force_std_N: Array | None = None,
     ) -> list[Estimate]:
         """Estimates of further rows, which come as `replay` takes them all.
 
@@ -143,7 +144,8 @@ class ReplayStream:
         self._signs.update(depth_m, speed_m_s, force_N)
         speeds = repeat(None) if speed_m_s is None else speed_m_s.tolist()
         depths, forces, steps, times = (each.tolist() for each in (depth_m, force_N, dt_s, t_s))
-        estimates = list(map(self._identifier.update, depths, speeds, forces, steps, times))
+        stds = repeat(0.0) if force_std_N is None else force_std_N.tolist()
+        estimates = list(map(self._identifier.update, depths, speeds, forces, steps, times, stds))
         self._rejected.update(estimate.status for estimate in estimates)
         return estimates
 

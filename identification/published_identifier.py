@@ -88,7 +88,7 @@ class PublishedMethod:
 
     def update(self, sample: Sample) -> tuple[Any, ...]:
         """Use one sample: what to report of it, from the rupture state to the events."""
-        _, dt_s, depth_m, speed_m_s, _, _, force_N = sample
+        _, dt_s, depth_m, speed_m_s, _, _, force_N, _ = sample
         is_all, memory, outputs = update_published(
             depth_m, speed_m_s, force_N, dt_s, self._memory, self._coefficients
         )
@@ -170,7 +170,7 @@ def published_step(
     if now is RuptureState.DETECTED and ruptured is None:
         return _open_layer(state, sample, config)
     if now is RuptureState.FRICTION_IDENTIFIED and ruptured is not None:
-        return _identify(state, ruptured, sample[-1], config)
+        return _identify(state, ruptured, sample[6], config)
     return state
 
 

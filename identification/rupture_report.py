@@ -150,13 +150,17 @@ def friction_left(bank: Bank, known: int, *, before: bool = False) -> tuple[floa
     return mean, math.sqrt(variance)
 
 
-def layer_left(bank: Bank, rupture: Rupture, known: int) -> LayerEstimate | None:
-    """The layer, or the part of one, that the last rupture ended; None as in `friction_left`."""
+def layer_left(
+    bank: Bank, rupture: Rupture, known: int, friction: tuple[float, float]
+) -> LayerEstimate | None:
+    """The layer, or the part of one, that the last rupture ended, with the friction it left.
+
+    None where no hypothesis knows of it.
+    """
     mine = (bank.facts[:, law.RUPTURES] == known) & ~_is_meeting(bank)
-    likely, known_friction = np.where(mine, bank.weights, 0.0), friction_left(bank, known)
-    if known_friction is None or not mine.any():
+    if not mine.any():
         return None
-    best = int(np.argmax(likely))
+    best = int(np.argmax(np.where(mine, bank.weights, 0.0)))
     record = bank.records[best]
     thickness = max(float(record[law.RUPTURE_MM] - record[law.PART_START]), 1e-3)
     fields: dict[str, float | bool] = {}
@@ -180,7 +184,7 @@ def layer_left(bank: Bank, rupture: Rupture, known: int) -> LayerEstimate | None
         friction_N=max(float(record[law.PART_FRICTION]), 0.0),
         **fields,  # type: ignore[arg-type]
     )
-    return with_friction(layer, *known_friction)
+    return with_friction(layer, *friction)
 
 
 def with_friction(layer: LayerEstimate, friction: float, std: float) -> LayerEstimate:

@@ -86,6 +86,8 @@ class SwitchingState(NamedTuple):
     alarm: Rupture | None = None  # the last one raised and not taken back
     layers: tuple[LayerEstimate, ...] = ()
     rupture_state: RuptureState = RuptureState.NO_RUPTURE
+    force_std: float = 0.0  # of the force's slow error, now [N]
+    force_std_in_air: float = 0.0  # before the contact: that error is part of the offset [N]
     events: Events = Events()  # of this sample
 
     @property
@@ -97,6 +99,12 @@ class SwitchingState(NamedTuple):
     def is_open(self) -> bool:
         """Whether the layer of the last alarm is not among the layers yet."""
         return self.alarm is not None and layers_traversed(self.layers) < self.alarm.layer
+
+    def friction_left(self, bank: Bank, *, before: bool = False) -> tuple[float, float] | None:
+        """As `rupture_report.friction_left`, with what the force's error grew by since the air."""
+        found = reports.friction_left(bank, self.ruptures, before=before)
+        grown = max(self.force_std**2 - self.force_std_in_air**2, 0.0)
+        return None if found is None else (found[0], math.sqrt(found[1] ** 2 + grown))
 
 
 class SwitchingMethod:
@@ -126,7 +134,7 @@ class SwitchingMethod:
 
     def report(self) -> tuple[Any, ...]:
         """What there is to report without a sample."""
-        return self._outputs((0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0))
+        return self._outputs((0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0))
 
     def update(self, sample: Sample) -> tuple[Any, ...]:
         """Use one sample: what to report of it, from the rupture state to the events."""
@@ -183,8 +191,9 @@ class SwitchingMethod:
         filled, *sums = memory[: samples.FORCE_SUM + 1].tolist()
         z, v, w, force = (total / filled for total in sums)
         z, v = _MM * z, _MM * v
-        jitter = _MM * float(memory[samples.DEPTH_STD])
-        speed_noise = _MM * float(memory[samples.SPEED_STD])
+        jitter, speed_noise = (
+            _MM * float(memory[k]) for k in (samples.DEPTH_STD, samples.SPEED_STD)
+        )
         memory[: samples.FORCE_SUM + 1] = 0.0
         # Friction at a noisy speed would seem to be the same at all speeds: only a change that
         # noise does not explain is one.
@@ -215,7 +224,9 @@ class SwitchingMethod:
                 _weigh(bank, place, is_advancing=False)
         else:
             course, levels = course._replace(resumed=1.0), levels.restarted()
-        self._state = state._replace(levels=levels, course=course, place=place, stage=stage)
+        in_air = state.force_std_in_air if is_met else sample[7]
+        state = state._replace(force_std=sample[7], force_std_in_air=in_air, stage=stage)
+        self._state = state._replace(levels=levels, course=course, place=place)
 
     def _branch(self) -> None:
         """Begin hypotheses of what may have happened in the block's travel."""
@@ -356,7 +367,8 @@ def _report_layer(state: SwitchingState, bank: Bank, alarm: Rupture) -> Switchin
     layers, events = state.layers, state.events
     travel = state.place.depth / _MM - alarm.depth_m
     if state.is_open:
-        layer = reports.layer_left(bank, alarm, state.ruptures)
+        known = state.friction_left(bank)
+        layer = None if known is None else reports.layer_left(bank, alarm, state.ruptures, known)
         if layer is None or travel < _PROVISIONAL_M:
             return state
         return state._replace(
@@ -367,7 +379,7 @@ def _report_layer(state: SwitchingState, bank: Bank, alarm: Rupture) -> Switchin
     is_due = not layers[-1].is_final and (travel >= _FINAL_M or travel < 0.0)
     if not is_due and state.levels.steps % _REVISE != 0.0:
         return state
-    friction = reports.friction_left(bank, state.ruptures)
+    friction = state.friction_left(bank)
     layer = layers[-1] if friction is None else reports.with_friction(layers[-1], *friction)
     if is_due:
         partial = reports.partial_rupture_probability(bank, state.ruptures)
@@ -375,7 +387,7 @@ def _report_layer(state: SwitchingState, bank: Bank, alarm: Rupture) -> Switchin
         layer = replace(layer, is_final=True, rupture=rupture)
         events = events._replace(identified_layer=layer)
     kept = [*layers[:-1], layer]
-    earlier = reports.friction_left(bank, state.ruptures, before=True)
+    earlier = state.friction_left(bank, before=True)
     if earlier is not None and len(kept) > 1:
         kept[-2] = reports.with_friction(kept[-2], *earlier)
     return state._replace(layers=tuple(kept), events=events)

@@ -346,7 +346,9 @@ class InsertionSession:
             return self._idle(wrench)
         if self._unused_s:
             elapsed_s, self._unused_s = elapsed_s + self._unused_s, 0.0
-        found = self._identifier.update(*self._lagging, wrench.axial, elapsed_s, self._time_s)
+        found = self._identifier.update(
+            *self._lagging, wrench.axial, elapsed_s, self._time_s, wrench.axial_std
+        )
         if found.rupture is not None:
             # A lateral push looks like a rupture before its mismatch has lasted long enough.
             wrench = self._sensor.recheck(wrench)

@@ -82,7 +82,7 @@ NO_TARE = (
 
 
 class VelocityMatch(NamedTuple):
-    """How velocities match positions; each (n,) but for the last two.
+    """How velocities match positions; each (n,) but for the last three.
 
     The sums fade over `MEMORY_S` of motion and are taken while the joint moves.
     """
@@ -94,20 +94,19 @@ class VelocityMatch(NamedTuple):
     travel_dq: Array  # Fading travel of dq [rad]
     seconds: Array  # Time for which a joint has been judged [s]
     beyond: Array  # Sum of squares of the difference of both travels beyond a lag [rad^2 s]
-    square_dq: Array  # Sum of squares of dq's travel [rad^2 s]
-    square_change: Array  # Of the change of q's travel [rad^2/s]
-    change_travel: Array  # Sum of products of that change with q's travel [rad^2]
-    change_dq: Array  # The same with dq's travel [rad^2]
-    # Row i, column j: square of the travel of joint i while joint j is judged [rad^2 s], shape (n,
+    # Sums of products of dq's travel, q's, and the change of q's, two and two; shape (n, 3, 3)
+    moments: Array
+    # Row i, column j: square of the travel of joint j while joint i is judged [rad^2 s], shape (n,
     # n)
     squares: Array
-    products: Array  # Row i, column j: product of that travel with dq's of joint j, shape (n, n)
+    products: Array  # Row i, column j: product of that travel with dq's of joint i, shape (n, n)
 
 
 def first_match(q: Array, dq: Array) -> VelocityMatch:
     """A match that knows one check only, of position [rad] and velocity [rad/s], shape (n,)."""
-    rest = [np.zeros(len(q))] * 9 + [np.zeros((len(q), len(q)))] * 2
-    return VelocityMatch(q, dq, *rest)
+    n, still = len(q), np.zeros(len(q))
+    sums = still, still, np.zeros((n, 3, 3)), np.zeros((n, n)), np.zeros((n, n))
+    return VelocityMatch(q, dq, still, still, still, *sums)
 
 
 def velocity_match_step(match: VelocityMatch, q: Array, dq: Array, dt_s: float) -> VelocityMatch:
@@ -124,21 +123,17 @@ def velocity_match_step(match: VelocityMatch, q: Array, dq: Array, dt_s: float) 
     if not moves.any():
         return match._replace(position=q, velocity=dq, rate=rate, travel=a, travel_dq=b)
     tolerated = TOLERATED_RAD + TOLERATED_LAG_S / dt_s * np.maximum(np.abs(way), np.abs(way_dq))
-    change = (a - match.travel) / dt_s
-    others = a[:, None]
+    own = np.stack((b, a, (a - match.travel) / dt_s), axis=1)
     terms = (
         np.ones(len(q)),
         np.maximum(np.abs(b - a) - tolerated, 0.0) ** 2,
-        b * b,
-        change * change,
-        change * a,
-        change * b,
-        others * others,
-        others * b,
+        own[:, :, None] * own[:, None, :],
+        np.tile(a * a, (len(q), 1)),
+        np.outer(b, a),
     )
-    faded, weight = 1.0 - math.exp(-dt_s / MEMORY_S), moves * 1.0
+    faded = 1.0 - math.exp(-dt_s / MEMORY_S)
     sums = [
-        last + weight * (dt_s * term - faded * last)
+        last + moves.reshape(-1, *[1] * (last.ndim - 1)) * (dt_s * term - faded * last)
         for last, term in zip(match[5:], terms, strict=True)
     ]
     return VelocityMatch(q, dq, rate, a, b, *sums)
@@ -146,11 +141,11 @@ def velocity_match_step(match: VelocityMatch, q: Array, dq: Array, dt_s: float) 
 
 def velocity_fault(match: VelocityMatch) -> str:
     """What is wrong with velocities, joint by joint, with likely reasons; empty if nothing is."""
-    own = match.squares.diagonal()
+    square_dq, product, own = match.moments[:, 0, 0], match.moments[:, 0, 1], match.moments[:, 1, 1]
     differs = (match.beyond > LEAST_BEYOND**2 * own) & (match.seconds >= LEAST_SECONDS)
     if not differs.any():
         return ""
-    difference = match.square_dq - 2.0 * match.products.diagonal() + own
+    difference = square_dq - 2.0 * product + own
     off = (match.seconds >= LEAST_SECONDS) & (difference > LEAST_OFF**2 * own)
     joints: dict[str, list[int]] = {}
     is_sure = False
@@ -168,7 +163,7 @@ def velocity_fault(match: VelocityMatch) -> str:
 
 def _other_joint(match: VelocityMatch, i: int, off: NDArray[np.bool_]) -> str:
     """The joint whose rate a velocity is, if there is one: its own velocity is not right either."""
-    squares, products, square_dq = match.squares[:, i], match.products[:, i], match.square_dq[i]
+    squares, products, square_dq = match.squares[i], match.products[i], match.moments[i, 0, 0]
     is_right = (match.seconds >= LEAST_SECONDS) & ~off
     moves = squares > match.seconds[i] * (0.2 * LEAST_TRAVEL_RAD) ** 2
     left = np.where(moves & ~is_right, square_dq - 2.0 * products + squares, np.inf)
@@ -184,15 +179,13 @@ def _late(match: VelocityMatch, i: int) -> str:
 
     Least squares of dq's travel over q's and over the change of q's.
     """
-    own, product, square_dq = match.squares[i, i], match.products[i, i], match.square_dq[i]
-    change, change_own = match.square_change[i], match.change_travel[i]
-    change_dq = match.change_dq[i]
-    scale = own * change - change_own**2
-    if scale <= 0.0 or match.seconds[i] < LAG_SECONDS:
+    (square_dq, *others), (product, own, _), (_, _, change) = match.moments[i]
+    normal = match.moments[i, 1:, 1:]
+    if np.linalg.det(normal) <= 0.0 or match.seconds[i] < LAG_SECONDS:
         return ""
-    factor = (product * change - change_dq * change_own) / scale
-    late_s = (product * change_own - change_dq * own) / scale
-    left = square_dq - factor * product + late_s * change_dq
+    found = np.linalg.solve(normal, others)
+    late_s = -found[1]
+    left = square_dq - found.dot(others)
     difference, explained = square_dq - 2.0 * product + own, late_s**2 * change
     is_all = left < UNEXPLAINED * difference < 2.0 * UNEXPLAINED * explained
     if abs(late_s) < LONGEST_LAG_S or not is_all:
@@ -203,7 +196,7 @@ def _late(match: VelocityMatch, i: int) -> str:
 
 def _factor(match: VelocityMatch, i: int) -> str:
     """What a constant factor between velocity and rate stands for, or that there is none."""
-    own, product, square_dq = match.squares[i, i], match.products[i, i], match.square_dq[i]
+    (square_dq, product, _), (_, own, _), _ = match.moments[i]
     if square_dq < STILL**2 * own:
         return "stands still while q moves: is it sent at all?"
     if own < STILL**2 * square_dq:
@@ -231,7 +224,16 @@ class MonitorState(NamedTuple):
 
 
 class ConsistencyMonitor:
-    """Checks now and then what is too slow, and too costly, for every sample."""
+    """Checks now and then what is too slow, and too costly, for every sample.
+
+    Attributes:
+        state: All that it remembers; its arrays are never written again.
+        mismatch: Smoothed model mismatch, see `WrenchEstimate`.
+        velocity_fault: What is wrong with measured velocities, in words; empty if nothing surely
+            is.
+        warnings: What was found at the last check.
+        message: The same in words.
+    """
 
     def __init__(self, robot: Robot, wrench: WrenchEstimator) -> None:
         self._lower = robot.position_lower_rad + LIMIT_MARGIN_RAD
@@ -255,34 +257,40 @@ class ConsistencyMonitor:
             tared: Whether the residual's covariance is a fitted one.
         """
         found = SensorWarning.NONE
-        at_limit = np.flatnonzero((q <= self._lower) | (q >= self._upper)).tolist()
+        outside = (q <= self._lower) | (q >= self._upper)
+        at_limit = tuple(np.flatnonzero(outside).tolist()) if outside.any() else ()
         if at_limit:
             found |= SensorWarning.JOINT_LIMIT
         if self._wrench.smallest_singular_value() < LEAST_SINGULAR_VALUE:
             found |= SensorWarning.NEAR_SINGULAR
-        widening, last = self._state.widening, self._state.mismatch_squared
+        widening, last = self.state.widening, self.state.mismatch_squared
         now = widening * self._wrench.mismatch_squared(residual) if tared else 0.0
         square = last - math.expm1(-dt_s / MISMATCH_MEMORY_S) * (now - last)
         if square > MOST_MISMATCH**2:
             found |= SensorWarning.MODEL_MISMATCH
-        match = self._state.match
+        match = self.state.match
         if dq is None:
             match = None
         elif match is None or dt_s <= 0.0:
             match = first_match(q, dq)
         else:
             match = velocity_match_step(match, q, dq, dt_s)
-        self.restore(MonitorState(square, widening, int(found), tuple(at_limit), match))
+        self.restore(MonitorState(square, widening, int(found), at_limit, match))
 
-    def widened(self, covariance_Nm2: Array) -> Array:
-        """A covariance that contains what no wrench explains: a push on the arm, a wrong model.
+    @property
+    def wanted_widening(self) -> float:
+        """Factor of a covariance that contains what no wrench explains: a push, a wrong model.
 
         The variance factor of least squares: what is seen in the torques that the wrench does not
         make is likely to be in those that it does; twice, since four torques show a variance only
         within a factor of two.
         """
-        widening = 1.0 + 2.0 * max(0.0, self._state.mismatch_squared - 1.0)
-        self._state = self._state._replace(widening=widening)
+        return 1.0 + 2.0 * max(0.0, self.state.mismatch_squared - 1.0)
+
+    def widened(self, covariance_Nm2: Array) -> Array:
+        """A covariance times `wanted_widening`, which is now the one in use."""
+        widening = self.wanted_widening
+        self.state = self.state._replace(widening=widening)
         return widening * covariance_Nm2
 
     def check_velocity(self) -> None:
@@ -293,56 +301,41 @@ class ConsistencyMonitor:
     def forget_velocity(self) -> None:
         """Compare velocities with positions anew."""
         warnings = int(self.warnings & ~SensorWarning.VELOCITY)
-        self.restore(self._state._replace(match=None, warnings=warnings))
+        self.restore(self.state._replace(match=None, warnings=warnings))
 
     def recheck(self, last: WrenchEstimate) -> WrenchEstimate:
         """The last estimate, with `SensorWarning.MODEL_MISMATCH` if this sample does not fit.
 
-        Too costly for every sample, and a knock does it too: for what must not wait.
+        Not for every sample, since a knock does it too: for what must not wait.
         """
-        square = self._state.widening * self._wrench.mismatch_squared(last.residual)
+        square = self.state.widening * self._wrench.mismatch_squared(last.residual)
         if square <= MOST_MISMATCH**2:
             return last
         found = SensorWarning.MODEL_MISMATCH
-        message = "; ".join(filter(None, (last.message, self._reason(found))))
+        message = "; ".join(filter(None, (last.message, _REASONS[found])))
         return last._replace(warnings=last.warnings | found, message=message)
 
     @property
     def limit(self) -> str:
         """Which joints are at a position limit, in words; empty if none is."""
-        at_limit = list(self._state.at_limit)
+        at_limit = list(self.state.at_limit)
         return f"joint index {at_limit} is at its position limit" if at_limit else ""
-
-    def _reason(self, warning: SensorWarning) -> str:
-        if warning is SensorWarning.JOINT_LIMIT:
-            return self.limit
-        if warning is SensorWarning.NEAR_SINGULAR:
-            return "the joints hardly feel a force in this pose"
-        return "the joint torques do not fit the assumed contact"
-
-    @property
-    def state(self) -> MonitorState:
-        """All that is remembered; its arrays are never written again."""
-        return self._state
 
     def restore(self, state: MonitorState) -> None:
         """Go on from a `state` taken earlier."""
-        self._state = state
+        self.state = state
         self.mismatch = math.sqrt(state.mismatch_squared)
-        """Smoothed model mismatch, see `WrenchEstimate`."""
         self.velocity_fault = "" if state.match is None else velocity_fault(state.match)
-        """What is wrong with measured velocities, in words; empty if nothing surely is."""
         self.warnings = SensorWarning(state.warnings)
-        """What was found at the last check."""
         self.message = ""
-        """The same in words."""
         if self.velocity_fault:
             self.warnings |= SensorWarning.VELOCITY
         if self.warnings:
-            named = (
-                SensorWarning.JOINT_LIMIT,
-                SensorWarning.NEAR_SINGULAR,
-                SensorWarning.MODEL_MISMATCH,
-            )
-            reasons = [self._reason(one) for one in named if one in self.warnings]
-            self.message = "; ".join(filter(None, (self.velocity_fault, *reasons)))
+            reasons = [text for one, text in _REASONS.items() if one in self.warnings]
+            self.message = "; ".join(filter(None, (self.velocity_fault, self.limit, *reasons)))
+
+
+_REASONS = {
+    SensorWarning.NEAR_SINGULAR: "the joints hardly feel a force in this pose",
+    SensorWarning.MODEL_MISMATCH: "the joint torques do not fit the assumed contact",
+}

@@ -16,7 +16,7 @@ SIGMA = np.full(7, 0.01)
 def velocity(guidance, torque, ticks=1, **how):
     for _ in range(ticks):
         task = guidance.update(np.full(7, torque), SIGMA, 1e-3, **how)
-    return task.velocity_rad_s
+    return task.wish
 
 
 def test_below_the_dead_zone_it_rests_exactly_and_above_it_is_viscous():
@@ -38,7 +38,7 @@ def test_it_comes_to_an_exact_rest_when_let_go_also_through_rejected_samples():
 def test_a_sigma_that_grows_under_the_hand_does_not_stop_it():
     guidance = Guidance(ROBOT)
     before = velocity(guidance, 5.0, 300)
-    after = guidance.update(np.full(7, 5.0), 100.0 * SIGMA, 1e-3).velocity_rad_s
+    after = guidance.update(np.full(7, 5.0), 100.0 * SIGMA, 1e-3).wish
     assert after == pytest.approx(before, rel=0.05)
 
 

@@ -4,21 +4,20 @@ import numpy as np
 import pinocchio as pin
 import pytest
 
-from benchmarks import control_priority
+from benchmarks import control_priority, control_speed
+from groundtruth.rig_arm import ArmSample
 from needleforce.control import (
-    ArmSample,
     AxialSpeed,
     Controller,
     DecoupledMotion,
     Fixture,
     Limits,
-    Orientation,
     Posture,
     RemoteCentre,
     SettingError,
     TipVelocity,
-    ToolState,
 )
+from needleforce.control.tool_state import ToolState
 from urdf import NeedleTool, load_lwr
 
 ROBOT = load_lwr(payload=NeedleTool())
@@ -31,14 +30,22 @@ def tool_at(q):
     return tool
 
 
+def rows_of(task, tool):
+    rows, rates = np.zeros((task.size, 7)), np.zeros(task.size)
+    task.write(tool, rows, rates)
+    return rows, rates
+
+
 def tasks_near(tool):
     off = np.array([1e-3, -2e-3, 5e-4])
     turned = pin.exp3(np.array([0.02, -0.01, 0.03])) @ tool.rotation
+    turn = DecoupledMotion(tool, 1.0)
+    turn.goal_m, turn.rotation = tool.tip_m + off, turned
     return [
         RemoteCentre(tool.tip_m - 0.08 * tool.axis + off, 1.0),
         Fixture(tool.tip_m + off, turned, 1.0),
         TipVelocity(np.zeros(3), tool.tip_m + off, 1.0),
-        Orientation(turned, gain_per_s=1.0),
+        turn,
     ]
 
 
@@ -47,10 +54,10 @@ def test_a_task_with_gain_one_is_the_rate_at_which_its_error_falls(index):
     """v is the error at gain 1, and J its negative derivative over the joints."""
     tool, step = tool_at(Q), 1e-6
     task = tasks_near(tool)[index]
-    rows, rates = task.rows(tool)
+    rows, rates = rows_of(task, tool)
     for joint in range(7):
         ahead, behind = (tool_at(Q + side * step * np.eye(7)[joint]) for side in (1, -1))
-        slope = (task.rows(ahead)[1] - task.rows(behind)[1]) / (2.0 * step)
+        slope = (rows_of(task, ahead)[1] - rows_of(task, behind)[1]) / (2.0 * step)
         # Second order in the error itself, which turns with the tool.
         assert -slope == pytest.approx(rows[:, joint], abs=0.03)
     assert np.abs(rates).max() > 1e-4
@@ -71,6 +78,8 @@ def test_without_tasks_or_with_bad_samples_it_brakes_within_limits():
     for _ in range(50):
         q = q + 1e-3 * control.update(ArmSample(1e-3, q, None, q), [AxialSpeed(0.05)]).dq_rad_s
     moving = np.abs(control.last_rad_s).max()
+    lost = control.update(ArmSample(1e-3, np.full(7, np.nan), None, q), [])
+    assert (lost.status, np.isfinite(lost.dq_rad_s).all()) == ("skipped", True)
     bad = control.update(ArmSample(1e-3, np.full(7, np.nan), None, q), [AxialSpeed(0.05)])
     assert (bad.status, moving - np.abs(bad.dq_rad_s).max() > 0.005) == ("skipped", True)
     for _ in range(200):
@@ -99,3 +108,26 @@ def test_the_wish_of_decoupled_motion_turns_without_moving_the_tip():
 def test_limits_that_cannot_be_are_refused(wrong):
     with pytest.raises(SettingError, match="joints"):
         Limits(ROBOT, **wrong)
+
+
+def test_cost_of_control_is_measured_beside_its_bare_calls(monkeypatch):
+    monkeypatch.setattr(control_speed, "SECONDS", 1.0)
+    monkeypatch.setattr(control_speed, "WARM_TICKS", 300)
+    (table,), is_met = control_speed.control_speed_report(lambda part: None)
+    rows = {line[0]: line for line in table.lines}
+    assert float(rows["Jacobian and placement"][3]) == 1.0
+    assert 1.0 < float(rows["control"][3]) < float(rows["session and control"][3])
+    assert is_met == all("missed" not in line for line in table.lines)
+
+
+def test_levels_are_those_of_a_cascade_of_qps(monkeypatch):
+    monkeypatch.setattr(control_priority, "CASCADES", 60)
+    found = {each.what: each for each in control_priority.measure("cascade", "clean", 3)}
+    assert found["better in a cascade of QPs, regular"].value < 1e-8
+
+
+def test_a_stack_of_another_robot_or_goals_that_are_no_numbers_are_skipped():
+    control, sample = Controller(ROBOT, Limits(ROBOT)), ArmSample(1e-3, Q, None, Q)
+    for task, said in ((Posture(np.zeros(6)), "6 joints"), (AxialSpeed(np.nan), "not finite")):
+        command = control.update(sample, [task])
+        assert (command.status, said in command.reason) == ("skipped", True)

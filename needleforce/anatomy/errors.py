@@ -10,4 +10,4 @@ class VolumeError(AnatomyError, ValueError):
 
 
 class RefusedError(AnatomyError, ValueError):
-    """Data from which no registration may be made; the message begins with the name of the fault."""
+    """Data from which no registration is made; the message begins with the fault's name."""

@@ -211,6 +211,28 @@ class SimulationOptions:
     """Print the scenarios and stop."""
 
 
+@Parameter(name="*", group=LOG)
+@dataclass(frozen=True, kw_only=True)
+class LiveOptions:
+    """How long an arm is listened to."""
+
+    seconds: Annotated[float, Parameter(metavar="S")] = float("inf")
+    """Stop after so long; else at Ctrl-C or when the arm stays away."""
+    tare: Annotated[float, Parameter(metavar="S", group=TARE)] = 4.0
+    """Of `live`: tare after so many seconds of motion without contact, and again after as many
+    where that is refused."""
+
+
+ArmName = Annotated[
+    str,
+    Parameter(
+        name="ARM",
+        group=LOG,
+        help="fri or fri:PORT (KUKA LWR 4+ that sends to this machine), franka:ADDRESS, "
+        "ur:ADDRESS, or sim:SCENARIO for a simulated one.",
+    ),
+]
+
 # The commands.
 
 app = App(
@@ -355,3 +377,42 @@ def demo_command(
     from needleforce.cli.demo import run
 
     return run(kind, report, figure)
+
+
+@app.command(name="record")
+def record_command(
+    arm: ArmName,
+    /,
+    *,
+    output: Annotated[
+        Path, Parameter(name=("--output", "-o"), metavar="FILE", group=OUTPUT, help="Recording.")
+    ],
+    options: LiveOptions = LiveOptions(),
+    robot: RobotOptions = RobotOptions(),
+) -> int:
+    """Write an arm's joint signals into a recording as they come, until Ctrl-C.
+
+    needleforce record fri -o insertion.mcap
+    """
+    from needleforce.cli.live import record
+
+    return record(arm, output, options, robot)
+
+
+@app.command(name="live")
+def live_command(
+    arm: ArmName,
+    /,
+    *,
+    options: LiveOptions = LiveOptions(),
+    robot: RobotOptions = RobotOptions(),
+) -> int:
+    """Watch an arm: force on the needle, tip force, depth, ruptures, warnings, until Ctrl-C.
+
+    Move the needle in free air first: the tare is taken after --tare seconds of that.
+
+    needleforce live sim:stack-glove-constant
+    """
+    from needleforce.cli.live import watch
+
+    return watch(arm, options, robot)

@@ -161,7 +161,7 @@ def _rcm(progress: Progress) -> Shown:
         offset = CIRCLE_M * (1.0 - math.cos(angle)), CIRCLE_M * math.sin(angle), 0.0
         rate = 2.0 * math.pi / CIRCLE_S * (1.0 - math.cos(2.0 * math.pi * part))
         along = np.array((math.sin(angle), math.cos(angle), 0.0))
-        tip.goal_m, tip.velocity_m_s = start_m + offset, CIRCLE_M * rate * along
+        tip.goal_m, tip.rate = start_m + offset, CIRCLE_M * rate * along
         arm.send(control.update(sample, stack).dq_rad_s)
         entry_m = arm.distance_to_axis_m(trocar.point_m)
         rows.append((arm.time_s, entry_m, math.dist(arm.truth.tip_m, tip.goal_m)))

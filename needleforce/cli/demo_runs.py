@@ -11,13 +11,13 @@ from typing import NamedTuple
 import numpy as np
 
 from groundtruth.rig_arm import SimulatedArm
+from groundtruth.rig_line import DelayLine
 from groundtruth.rig_operator import HapticMaster, Operator
 from groundtruth.tissue_truth import Rupture
 from needleforce import InsertionSession, SessionEstimate
 from needleforce.control import (
     AxialSpeed,
     Controller,
-    DelayLine,
     Fixture,
     Limits,
     Posture,

@@ -91,7 +91,7 @@ def estimate_forces(
 
 def _as_log(chunk: LogChunk, rows: Rows) -> LogChunk:
     """Return forces as `needleforce identify` would read them from their table."""
-    names = {"depth_m": "travel_m", "force_N": "axial_N"}
+    names = {"depth_m": "travel_m", "force_N": "axial_N", "force_std_N": "axial_std_N"}
     names |= {"force_status": "status", "force_warnings": "warnings"}
     channels = {name: rows[column] for name, column in names.items()}
     return LogChunk(t_s=chunk.t_s, dt_s=chunk.dt_s, channels=channels)

@@ -23,7 +23,8 @@ from needleforce.recordings.open_recording import suggest_mapping
 from needleforce.recordings.output import OpenTable
 from needleforce.recordings.table import Labels
 
-REQUIRED, OPTIONAL = ("depth", "force"), ("speed", "force_status", "force_warnings")
+REQUIRED = ("depth", "force")
+OPTIONAL = ("speed", "force_std", "force_status", "force_warnings")
 """Channels that are read of a log beside time."""
 METHODS = {"multilayer": MULTILAYER, "published": PUBLISHED, "published-kv": PUBLISHED_KV}
 """What ``--method`` may be."""
@@ -86,8 +87,9 @@ def identify_layers(
         t_s, depth_m, force_N = chunk.t_s, chunk.channels["depth_m"], chunk.channels["force_N"]
         if not options.ignore_status:
             force_N = usable_force(chunk, left_out)
-        speed_m_s = chunk.channels.get("speed_m_s")
-        columns = estimate_table(t_s, stream.run(t_s, depth_m, force_N, speed_m_s, chunk.dt_s))
+        speed_m_s, std_N = chunk.channels.get("speed_m_s"), chunk.channels.get("force_std_N")
+        estimates = stream.run(t_s, depth_m, force_N, speed_m_s, chunk.dt_s, std_N)
+        columns = estimate_table(t_s, estimates)
         overview.add({"depth_m": depth_m, "force_N": force_N} | columns)
         if table is not None:
             table.append(columns)

@@ -13,10 +13,6 @@ class SettingError(ControlError, ValueError):
     """A setting that cannot work: the message names it, what came and what is valid."""
 
 
-class RefusedError(ControlError, RuntimeError):
-    """Something that must not be done now; the message says why, and what has to come first."""
-
-
 def require_positive(settings: object, or_zero: Container[str] = ()) -> None:
     """Refuse a dataclass with a number that is not finite and positive; None is left alone."""
     for field in fields(settings):  # type: ignore[arg-type]

@@ -1,17 +1,24 @@
-"""The events of a session as JSON lines, and their replay."""
+"""The events of a session, as JSON lines and as MCAP."""
 
-import json
-from collections.abc import Mapping
+from collections.abc import Iterable
 from pathlib import Path
-from types import MappingProxyType
-from typing import Any, NamedTuple
+from typing import Any
+
+import msgspec
 
 from needleforce.control.errors import SettingError
 
-_COLUMNS = ("seq", "t_s", "from", "event", "to", "refused", "data")
+mcap: Any
+try:
+    import mcap.reader
+    import mcap.writer
+except ImportError:
+    mcap = None
+
+MCAP_TOPIC = "/needleforce/events"
 
 
-class LoggedEvent(NamedTuple):
+class LoggedEvent(msgspec.Struct, frozen=True, rename={"origin": "from", "target": "to"}):
     """One event, a refused one included."""
 
     seq: int  # counts from 0
@@ -20,42 +27,63 @@ class LoggedEvent(NamedTuple):
     event: str
     target: str  # state after it; "to" in the file
     refused: str  # why it was refused; empty if it was not
-    data: Mapping[str, Any] = MappingProxyType({})  # what came with it, and the facts it met
-
-    def row(self) -> dict[str, Any]:
-        """The event as it stands in the file."""
-        return dict(zip(_COLUMNS, self, strict=True))
+    data: dict[str, Any]  # what came with it, and the facts it met
 
 
-class EventLog:
-    """Keeps events, and appends each to a file at once, so that a crash loses none."""
+def _encoded(event: LoggedEvent) -> bytes:
+    return msgspec.json.encode(event, enc_hook=str)
 
-    def __init__(self, path: str | Path | None = None) -> None:
-        self.events: list[LoggedEvent] = []
-        self._path = None if path is None else Path(path)
 
-    def append(self, event: LoggedEvent) -> None:
-        """Keep one more event and write it."""
-        self.events.append(event)
-        if self._path is not None:
-            with self._path.open("a", encoding="utf-8") as file:
-                file.write(json.dumps(event.row(), default=str) + "\n")
+def append_event(event: LoggedEvent, path: str | Path) -> None:
+    """Write one more line at once, so that a crash loses none."""
+    with Path(path).open("ab") as file:
+        file.write(_encoded(event) + b"\n")
+
+
+def write_mcap(events: Iterable[LoggedEvent], path: str | Path) -> None:
+    """Write events as JSON messages of an MCAP file, on the manager's clock; it replaces another.
+
+    Raises:
+        SettingError: The extra ``recordings`` is not installed.
+        OSError: The file cannot be written.
+    """
+    _require_mcap()
+    writer = mcap.writer.Writer(str(path))
+    writer.start(library="needleforce")
+    schema = msgspec.json.encode(msgspec.json.schema(LoggedEvent))
+    schema_id = writer.register_schema("LoggedEvent", "jsonschema", schema)
+    channel_id = writer.register_channel(MCAP_TOPIC, "json", schema_id)
+    for event in events:
+        time_ns = round(1e9 * event.t_s)
+        writer.add_message(channel_id, time_ns, _encoded(event), time_ns, event.seq)
+    writer.finish()
+
+
+def _require_mcap() -> None:
+    if mcap is None:
+        raise SettingError("MCAP needs: pip install 'needleforce[recordings]'")
 
 
 def read_events(path: str | Path) -> list[LoggedEvent]:
-    """Read a log back.
+    """Read a log back, of JSON lines or, where its name ends in ``.mcap``, of MCAP.
 
     Raises:
         SettingError: A line is no event, or the numbers of the events do not follow each other;
             they start anew where another session was appended.
         OSError: The file cannot be read.
     """
+    if Path(path).suffix == ".mcap":
+        with Path(path).open("rb") as file:
+            _require_mcap()
+            messages = mcap.reader.make_reader(file).iter_messages(topics=[MCAP_TOPIC])
+            lines = [message.data for _, _, message in messages]
+    else:
+        lines = Path(path).read_bytes().splitlines()
     events: list[LoggedEvent] = []
-    for number, line in enumerate(Path(path).read_text(encoding="utf-8").splitlines(), 1):
+    for number, line in enumerate(lines, 1):
         try:
-            row = json.loads(line)
-            event = LoggedEvent(*(row[name] for name in _COLUMNS))
-        except (ValueError, KeyError, TypeError) as error:
+            event = msgspec.json.decode(line, type=LoggedEvent)
+        except msgspec.DecodeError as error:
             raise SettingError(f"{path}, line {number} is no event: {line[:80]!r}") from error
         if event.seq not in (0, events[-1].seq + 1 if events else 0):
             raise SettingError(f"{path}, line {number}: event {event.seq} is out of order")

@@ -66,9 +66,8 @@ class Guidance:
 
     def reset(self) -> None:
         """Rest: call it when guidance begins."""
-        self._velocity = np.zeros_like(self._damping)
-        self._beyond_Nm, self._rejected_s = self._velocity, 0.0
-        self._sigma_Nm = np.full(self._damping.shape, np.inf)
+        self._velocity = self._beyond_Nm = np.zeros_like(self._damping)
+        self._sigma_Nm, self._rejected_s = np.full(self._damping.shape, np.inf), 0.0
 
     def update(
         self, residual_Nm: Array, sigma_Nm: Array, dt_s: float, *, is_valid: bool = True
@@ -88,14 +87,14 @@ class Guidance:
         beyond = residual_Nm - np.clip(residual_Nm, -zone, zone)
         if not 0.0 < dt_s < math.inf:
             return JointVelocity(self._velocity)
+        kept = math.exp(-dt_s / self._lag_s)
         if is_valid and np.isfinite(beyond).all():
             self._beyond_Nm, self._rejected_s = beyond, 0.0
         else:
             self._rejected_s += dt_s
-            if self._rejected_s > HOLD_s:
-                self._beyond_Nm = self._beyond_Nm * math.exp(-dt_s / self._lag_s)
-        step = -math.expm1(-dt_s / self._lag_s)
-        self._velocity = self._velocity + step * (self._beyond_Nm / self._damping - self._velocity)
+            self._beyond_Nm = self._beyond_Nm * (kept if self._rejected_s > HOLD_s else 1.0)
+        wish = self._beyond_Nm / self._damping
+        self._velocity = wish + kept * (self._velocity - wish)
         if not self._beyond_Nm.any() and np.abs(self._velocity).max() < REST_rad_s:
             self._velocity = np.zeros_like(self._velocity)
         return JointVelocity(self._velocity)

@@ -4,16 +4,16 @@ One table of rules is the whole machine; `transition` applies it and is all that
 The manager reads the arm's samples, runs the session and the monitors, and logs every event.
 """
 
-from collections.abc import Iterable, Mapping
+from collections.abc import Collection, Iterable, Mapping
 from enum import StrEnum
 from pathlib import Path
 from types import MappingProxyType
 from typing import TYPE_CHECKING, Any, NamedTuple
 
 from needleforce.control.errors import SettingError
-from needleforce.control.event_log import EventLog, LoggedEvent
-from needleforce.control.monitors import Beside, Monitors, SafetyLimits
-from needleforce.control.ports import ArmReading
+from needleforce.control.event_log import LoggedEvent, append_event
+from needleforce.control.monitors import NOTHING, Beside, Monitors, SafetyLimits
+from needleforce.control.ports import ArmSample
 from residual.errors import TareError
 
 if TYPE_CHECKING:
@@ -45,7 +45,7 @@ class Rule(NamedTuple):
     event: str
     sources: str
     target: str  # "same": nothing changes, and that is no refusal
-    guards: str = ""  # names of `Facts`
+    guards: str = ""  # of `REFUSALS`
 
 
 TABLE = (
@@ -76,17 +76,6 @@ TABLE = (
 EVENTS = tuple(dict.fromkeys(rule.event for rule in TABLE))
 
 
-class Facts(NamedTuple):
-    """What guards look at, as it was when the event came."""
-
-    limit: bool = False
-    heartbeat: bool = False
-    tared: bool = False
-    outside: bool = False
-    device: bool = False
-    healthy: bool = False
-
-
 REFUSALS: Mapping[str, str] = MappingProxyType(
     {
         "limit": "no force limit is set: give the manager SafetyLimits",
@@ -97,11 +86,16 @@ REFUSALS: Mapping[str, str] = MappingProxyType(
         "healthy": "the fault persists: see the last reason",
     }
 )
-"""Why an event is refused where a fact does not hold."""
+"""The facts that guards look at, and why an event is refused where one does not hold."""
 
 
-def transition(state: State, event: str, facts: Facts) -> tuple[State, str]:
+def transition(state: State, event: str, facts: Collection[str]) -> tuple[State, str]:
     """The state after an event, and why it was refused; empty if it was not.
+
+    Args:
+        state: Before it.
+        event: One of `EVENTS`.
+        facts: Those of `REFUSALS` that held when it came.
 
     Raises:
         SettingError: There is no such event.
@@ -111,7 +105,7 @@ def transition(state: State, event: str, facts: Facts) -> tuple[State, str]:
     for rule in TABLE:
         if rule.event == event and state in rule.sources.split():
             for guard in rule.guards.split():
-                if not getattr(facts, guard):
+                if guard not in facts:
                     return state, REFUSALS[guard]
             return state if rule.target == "same" else State(rule.target), ""
     sources = " ".join(rule.sources for rule in TABLE if rule.event == event)
@@ -122,7 +116,7 @@ def replay(events: Iterable[LoggedEvent]) -> list[State]:
     """States after each event of a session, from its events and the facts they met."""
     state, states = State.IDLE, []
     for event in events:
-        state, _ = transition(state, event.event, Facts(**event.data["facts"]))
+        state, _ = transition(state, event.event, event.data["facts"])
         states.append(state)
     return states
 
@@ -144,7 +138,6 @@ class Situation(NamedTuple):
 
 _ENTRY_MARGIN_M = 1e-3
 """So far above the place of the first contact the needle counts as outside."""
-_NOTHING = Beside()
 _LONGEST_STEP_S = 0.1
 """A longer time step is a clock that was set, not time that passed here."""
 
@@ -179,22 +172,18 @@ class Manager:
         self.session = session
         self._limits, self._heartbeat_s = limits, heartbeat_s
         self._monitors = Monitors(limits or SafetyLimits(axial_N=1.0))
-        self._log = EventLog(log)
+        self.events: list[LoggedEvent] = []
+        self._log = log
         self._state, self._entered_s, self._reason = State.IDLE, 0.0, ""
         self._time_s, self._last_step_s, self._beat_s = 0.0, 1e-3, -heartbeat_s
         self._entry_m: float | None = None
         self._estimate: SessionEstimate | None = None
 
-    @property
-    def events(self) -> tuple[LoggedEvent, ...]:
-        """Events so far, refusals included."""
-        return tuple(self._log.events)
-
     def heartbeat(self) -> None:
         """The program in charge is alive."""
         self._beat_s = self._time_s
 
-    def update(self, sample: ArmReading, beside: Beside = _NOTHING) -> Situation:
+    def update(self, sample: ArmSample, beside: Beside = NOTHING) -> Situation:
         """Take one sample of the arm and what came beside it; never raises for a bad one."""
         usable = 0.0 < sample.dt_s <= _LONGEST_STEP_S
         self._last_step_s = step_s = sample.dt_s if usable else self._last_step_s
@@ -204,10 +193,10 @@ class Manager:
         if self._entry_m is None and estimate.identification.in_contact:
             self._entry_m = estimate.depth_m
         watched = estimate, sample, beside
-        found = self._monitors.update(self._state, watched, step_s, self.session.lag_s)
-        if found is not None and self._state is not State.FAULTED:
-            self._apply(found.event, {"reason": found.reason})
-        elif self._state in MOVING and not self._facts().heartbeat:
+        event, reason = self._monitors.update(self._state, watched, step_s, self.session.lag_s)
+        if event and self._state is not State.FAULTED:
+            self._apply(event, {"reason": reason})
+        elif self._state in MOVING and not self._is_led:
             self._apply("stop", {"reason": f"no heartbeat for {self._heartbeat_s:g} s"})
         return Situation(
             self._state, self._time_s - self._entered_s, self._time_s, self._reason, estimate
@@ -237,23 +226,30 @@ class Manager:
     def _apply(self, event: str, data: dict[str, Any]) -> str:
         facts, before = self._facts(), self._state
         self._state, refused = transition(before, event, facts)
-        reason = refused or str(data.get("reason", ""))
-        self._reason = reason or self._reason
-        row = LoggedEvent(len(self._log.events), self._time_s, before, event, self._state, refused)
-        self._log.append(row._replace(data={**data, "facts": facts._asdict()}))
+        self._reason = refused or str(data.get("reason", "")) or self._reason
+        seq, data = len(self.events), {**data, "facts": facts}
+        row = LoggedEvent(seq, self._time_s, before, event, self._state, refused, data)
+        self.events.append(row)
+        if self._log is not None:
+            append_event(row, self._log)
         if self._state is not before:
             self._entered_s = self._time_s
             self._monitors.enter(self._estimate)
         return refused
 
-    def _facts(self) -> Facts:
+    def _facts(self) -> list[str]:
         entry_m = self._entry_m
         depth_m = 0.0 if self._estimate is None else self._estimate.depth_m
-        return Facts(
-            limit=self._limits is not None,
-            heartbeat=self._time_s - self._beat_s < self._heartbeat_s,
-            tared=self.session.tared,
-            outside=entry_m is None or depth_m < entry_m - _ENTRY_MARGIN_M,
-            device=self._monitors.has_device,
-            healthy=self._monitors.is_healthy,
-        )
+        holds = {
+            "limit": self._limits is not None,
+            "heartbeat": self._is_led,
+            "tared": self.session.tared,
+            "outside": entry_m is None or depth_m < entry_m - _ENTRY_MARGIN_M,
+            "device": self._monitors.has_device,
+            "healthy": self._monitors.is_healthy,
+        }
+        return [name for name, is_so in holds.items() if is_so]
+
+    @property
+    def _is_led(self) -> bool:
+        return self._time_s - self._beat_s < self._heartbeat_s

@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, NamedTuple
 import numpy as np
 
 from needleforce.control.errors import require_positive
-from needleforce.control.ports import ArmReading, Array
+from needleforce.control.ports import ArmSample, Array
 from residual.estimate import SensorWarning, Status
 
 if TYPE_CHECKING:
@@ -58,12 +58,7 @@ class Beside(NamedTuple):
     has_device: bool = False  # whether the haptic device has sent something new
 
 
-class Finding(NamedTuple):
-    """What a monitor has found."""
-
-    event: str  # "limit": stop; "fault": stop, and do not go on before a reset
-    reason: str
-
+NOTHING = Beside()
 
 _BROKEN = SensorWarning.FROZEN | SensorWarning.VELOCITY
 _UNUSABLE = (
@@ -87,7 +82,6 @@ class Monitors:
     def __init__(self, limits: SafetyLimits) -> None:
         self._limits = limits
         self._bad_s, self._device_s, self._clear_s = 0.0, math.inf, math.inf
-        self._entry_axial_N = self._entry_lateral_N = 0.0
         self._position: Array | None = None
         self.enter(None)
 
@@ -104,20 +98,20 @@ class Monitors:
     def enter(self, estimate: "SessionEstimate | None") -> None:
         """A new state begins: commands and forces are compared with what they are now."""
         self._refused_s = self._path_rad = self._rate_N_per_s = 0.0
-        self._made_rad, self._asked_rad = np.zeros(1), np.zeros(1)
+        self._made_rad = self._asked_rad = np.zeros(1)
         self._axial_N: float | None = None  # a tare makes the force jump
-        if estimate is not None:
-            self._entry_axial_N = estimate.wrench.axial
-            self._entry_lateral_N = estimate.wrench.lateral
+        wrench = None if estimate is None else estimate.wrench
+        self._entry_axial_N = 0.0 if wrench is None else wrench.axial
+        self._entry_lateral_N = 0.0 if wrench is None else wrench.lateral
 
     def update(
         self,
         state: str,
-        watched: "tuple[SessionEstimate, ArmReading, Beside]",
+        watched: "tuple[SessionEstimate, ArmSample, Beside]",
         step_s: float,
         lag_s: float,
-    ) -> Finding | None:
-        """The gravest finding in one cycle; None if all is well.
+    ) -> tuple[str, str]:
+        """The gravest event in one cycle, ``fault`` or ``limit``, and its reason; empty if none.
 
         Args:
             state: Of the manager.
@@ -132,11 +126,13 @@ class Monitors:
             fault = self._signals(estimate, step_s) or self._commands(*watched, step_s)
         self._clear_s = 0.0 if fault else self._clear_s + step_s
         if fault:
-            return Finding("fault", fault)
-        stop = self._forces(state, estimate, beside.axial_N, (step_s, lag_s))
+            return "fault", fault
+        ahead_s = self._limits.reaction_s + (lag_s if beside.axial_N is None else 0.0)
+        axial_N = estimate.wrench.axial if beside.axial_N is None else beside.axial_N
+        stop = self._forces(state, estimate, axial_N, self._predicted_N(axial_N, step_s, ahead_s))
         if state == "teleop" and not self.has_device:
             stop = f"the haptic device has been silent for {1e3 * self._device_s:.0f} ms"
-        return Finding("limit", stop) if stop else None
+        return ("limit", stop) if stop else ("", "")
 
     def _signals(self, estimate: "SessionEstimate", step_s: float) -> str:
         is_bad = estimate.status is Status.REJECTED
@@ -146,7 +142,7 @@ class Monitors:
         return estimate.wrench.message if estimate.warnings & _BROKEN and not is_bad else ""
 
     def _commands(
-        self, estimate: "SessionEstimate", sample: ArmReading, beside: Beside, step_s: float
+        self, estimate: "SessionEstimate", sample: ArmSample, beside: Beside, step_s: float
     ) -> str:
         command = beside.command_rad_s
         self._refused_s = 0.0 if beside.accepted else self._refused_s + step_s
@@ -165,23 +161,20 @@ class Monitors:
         behind_rad = float(off.dot(asked)) / max(math.sqrt(float(asked.dot(asked))), 1e-9)
         if behind_rad > 0.5 * self._path_rad + _LEAST_PATH_RAD + late_rad:
             return "the arm does not follow its commands"
-        if float(np.abs(off).max()) > self._limits.tracking_rad + late_rad:
-            return f"a joint has moved by {np.abs(off).max():.2g} rad that were not commanded"
+        if (most_rad := float(np.abs(off).max())) > self._limits.tracking_rad + late_rad:
+            return f"a joint has moved by {most_rad:.2g} rad that were not commanded"
         return ""
 
-    def _forces(
-        self,
-        state: str,
-        estimate: "SessionEstimate",
-        sensor_N: float | None,
-        times_s: tuple[float, float],
-    ) -> str:
-        limits, wrench, (step_s, lag_s) = self._limits, estimate.wrench, times_s
-        axial_N, lag_s = (wrench.axial, lag_s) if sensor_N is None else (sensor_N, 0.0)
+    def _predicted_N(self, axial_N: float, step_s: float, ahead_s: float) -> float:
         rise_N = 0.0 if self._axial_N is None else axial_N - self._axial_N
-        weight = -math.expm1(-step_s / _RATE_S)
-        self._rate_N_per_s += weight * (rise_N / step_s - self._rate_N_per_s)
         self._axial_N = axial_N
+        self._rate_N_per_s -= math.expm1(-step_s / _RATE_S) * (rise_N / step_s - self._rate_N_per_s)
+        return axial_N + ahead_s * self._rate_N_per_s
+
+    def _forces(
+        self, state: str, estimate: "SessionEstimate", axial_N: float, ahead_N: float
+    ) -> str:
+        limits, wrench = self._limits, estimate.wrench
         if state in _IN_AIR:
             change_N = abs(wrench.axial - self._entry_axial_N)
             return f"axial force changed by {change_N:.1f} N" if change_N > limits.free_N else ""
@@ -189,8 +182,7 @@ class Monitors:
             return ""
         if estimate.warnings & _UNUSABLE:
             return wrench.message
-        both_N = axial_N, axial_N + (lag_s + limits.reaction_s) * self._rate_N_per_s
-        inwards_N, outwards_N = max(both_N), -min(both_N)
+        inwards_N, outwards_N = max(axial_N, ahead_N), -min(axial_N, ahead_N)
         most_N = outwards_N if state == "withdraw" else inwards_N
         if state == "teleop":
             most_N = max(inwards_N, outwards_N)

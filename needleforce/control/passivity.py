@@ -18,15 +18,24 @@ never gets more energy out than it has put in.
 import math
 
 
-class EnergyPort:
+class Port:
     """Energy through one port since it was made.
+
+    Force and motion that meet with a delay never balance exactly, so a line that is held to the
+    last microjoule stops and goes. A fixed allowance covers single events; a power, which hand and
+    tissue dissipate in any case, what adds up over a long insertion.
+
+    Args:
+        allowance_J: What may leave beyond what has entered at the other side.
+        allowance_W: The same, per second.
 
     Attributes:
         in_J: What has entered the network here.
         out_J: What has left it here.
     """
 
-    def __init__(self) -> None:
+    def __init__(self, allowance_J: float = 0.0, allowance_W: float = 0.0) -> None:
+        self._allowance_J, self._allowance_W = allowance_J, allowance_W
         self.in_J = self.out_J = 0.0
 
     @property
@@ -37,10 +46,13 @@ class EnergyPort:
     def observe(self, force_N: float, travel_m: float) -> None:
         """Count one interval: the force held over it, and the travel against that force."""
         energy_J = force_N * travel_m
-        if energy_J > 0.0:
-            self.in_J += energy_J
-        else:
-            self.out_J -= energy_J
+        self.in_J += max(energy_J, 0.0)
+        self.out_J -= min(energy_J, 0.0)
+
+    def budget_J(self, incoming_J: float, dt_s: float) -> float:
+        """What may still leave when a further time has passed, see the module."""
+        self._allowance_J += self._allowance_W * dt_s
+        return incoming_J + self._allowance_J - self.out_J
 
 
 def passive_part(leaving_J: float, budget_J: float) -> float:
@@ -55,24 +67,7 @@ def passive_part(leaving_J: float, budget_J: float) -> float:
     return max(budget_J, 0.0) / leaving_J
 
 
-class _Allowance:
-    """What the line may give beyond what has entered at its other end.
-
-    Force and motion that meet with a delay never balance exactly, so a line that is held to the
-    last microjoule stops and goes. A fixed amount covers single events; a power, which hand and
-    tissue dissipate in any case, what adds up over a long insertion.
-    """
-
-    def __init__(self, energy_J: float, power_W: float) -> None:
-        self._energy_J, self._power_W = energy_J, power_W
-
-    def after(self, dt_s: float) -> float:
-        """The amount [J] when a further time has passed."""
-        self._energy_J += self._power_W * dt_s
-        return self._energy_J
-
-
-class HandPort:
+class HandPort(Port):
     """Observer and controller at the port where a device shows a force to a hand.
 
     The force is first cut to what may leave in the coming interval. What must not leave because
@@ -86,8 +81,8 @@ class HandPort:
 
     Args:
         device_mass_kg: Mass of the handle as a hand feels it.
-        allowance_J: What may leave beyond what entered at the other side: a hand that yields to a
-            spring need not wait for the news that the spring has relaxed.
+        allowance_J: See `Port`: a hand that yields to a spring need not wait for the news that the
+            spring has relaxed.
         allowance_W: The same, per second.
         most_damping_Ns_m: Largest damping.
     """
@@ -99,9 +94,8 @@ class HandPort:
         allowance_W: float = 2e-3,
         most_damping_Ns_m: float = 150.0,
     ) -> None:
-        self.energy = EnergyPort()
+        super().__init__(allowance_J, allowance_W)
         self._mass_kg, self._most_damping_Ns_m = device_mass_kg, most_damping_Ns_m
-        self._allowance = _Allowance(allowance_J, allowance_W)
         self._force_N = self._damping_N = self._damped_J = 0.0
         self._position_m: float | None = None
 
@@ -117,20 +111,19 @@ class HandPort:
             incoming_J: What has entered at the other side, as far as known here.
             dt_s: Expected length of the coming interval.
         """
-        port = self.energy
         if self._position_m is not None:
             travel_m = position_m - self._position_m
-            port.observe(self._force_N, travel_m)
+            self.observe(self._force_N, travel_m)
             # What damping has taken is paid back; not to count it would damp for ever after.
             self._damped_J += self._damping_N * travel_m
-        owed_J = incoming_J + self._allowance.after(dt_s) + self._damped_J - port.out_J
+        owed_J = self.budget_J(incoming_J, dt_s) + self._damped_J
         force_N = wanted_N * passive_part(-wanted_N * speed_m_s * dt_s, owed_J)
         against_m_s = math.copysign(speed_m_s, wanted_N * speed_m_s)
-        root_m_s = math.sqrt(speed_m_s * speed_m_s + 2.0 * max(port.net_J, 0.0) / self._mass_kg)
+        root_m_s = math.sqrt(speed_m_s * speed_m_s + 2.0 * max(self.net_J, 0.0) / self._mass_kg)
         most_N = self._mass_kg / dt_s * (against_m_s + root_m_s)
         force_N = math.copysign(min(abs(force_N), most_N), force_N)
         self._damping_N = 0.0
-        missing_J = -min(owed_J, port.net_J)
+        missing_J = -min(owed_J, self.net_J)
         if missing_J > 0.0:
             most_J = self._most_damping_Ns_m * speed_m_s * speed_m_s * dt_s
             part = passive_part(most_J, missing_J)
@@ -139,23 +132,22 @@ class HandPort:
         return self._force_N
 
 
-class NeedlePort:
+class NeedlePort(Port):
     """Observer and controller at the port where a robot moves a needle against a force.
 
     The force is known only late, so the speed is delayed as much before both are multiplied: else
     a needle that bounces off a wall, the force still high while it retreats, seems to bring energy.
 
     Args:
-        allowance_J: What may leave beyond what has entered at the other side. A delayed force is
-            shown too low while it rises, so the hand always owes some.
+        allowance_J: See `Port`: a delayed force is shown too low while it rises, so the hand always
+            owes some.
         allowance_W: The same, per second.
         force_lag_s: Time constant by which the force follows the true one.
     """
 
     def __init__(self, allowance_J: float, allowance_W: float, force_lag_s: float) -> None:
-        self.energy = EnergyPort()
-        self._allowance, self._lag_s = _Allowance(allowance_J, allowance_W), force_lag_s
-        self._lagged_m_s = 0.0
+        super().__init__(allowance_J, allowance_W)
+        self._lag_s, self._lagged_m_s = force_lag_s, 0.0
 
     def update(
         self, wanted_m_s: float, force_N: float, speed_m_s: float, incoming_J: float, dt_s: float
@@ -169,8 +161,7 @@ class NeedlePort:
             incoming_J: What has entered at the other side, as far as known here.
             dt_s: Time since the last call, and expected length of the coming interval.
         """
-        port = self.energy
         self._lagged_m_s += (speed_m_s - self._lagged_m_s) * dt_s / (self._lag_s + dt_s)
-        port.observe(-force_N, self._lagged_m_s * dt_s)
-        budget_J = incoming_J + self._allowance.after(dt_s) - port.out_J
+        self.observe(-force_N, self._lagged_m_s * dt_s)
+        budget_J = self.budget_J(incoming_J, dt_s)
         return wanted_m_s * passive_part(force_N * wanted_m_s * dt_s, budget_J)

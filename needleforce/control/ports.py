@@ -1,11 +1,11 @@
-"""What lies outside: arm, force sensor and haptic device, as protocols.
+"""What lies outside: arm and haptic device, as protocols.
 
 A driver of a real arm, the simulated rig and the tests implement them; nothing here knows which.
 SI units; vectors in the axes of the robot's base unless said otherwise.
 """
 
 from collections.abc import Iterator
-from typing import NamedTuple, Protocol
+from typing import Protocol
 
 import numpy as np
 from numpy.typing import NDArray
@@ -15,8 +15,8 @@ from urdf import Robot
 Array = NDArray[np.float64]
 
 
-class ArmReading(Protocol):
-    """What an arm reports in one cycle; `ArmSample` is one, any object with these names is."""
+class ArmSample(Protocol):
+    """What an arm reports in one cycle; any object with these names is one."""
 
     @property
     def dt_s(self) -> float:
@@ -39,15 +39,6 @@ class ArmReading(Protocol):
         ...
 
 
-class ArmSample(NamedTuple):
-    """The plainest `ArmReading`."""
-
-    dt_s: float
-    q_rad: Array
-    dq_rad_s: Array | None
-    tau_Nm: Array
-
-
 class Arm(Protocol):
     """An arm that takes joint velocities."""
 
@@ -56,7 +47,7 @@ class Arm(Protocol):
         """The arm as its user knows it."""
         ...
 
-    def __iter__(self) -> Iterator[ArmReading]:
+    def __iter__(self) -> Iterator[ArmSample]:
         """Samples, one per cycle; ends with the connection."""
         ...
 
@@ -65,13 +56,8 @@ class Arm(Protocol):
         ...
 
 
-class MasterReading(Protocol):
+class MasterSample(Protocol):
     """What a haptic device reports; any object with these names is one."""
-
-    @property
-    def t_s(self) -> float:
-        """Time on the device's own clock."""
-        ...
 
     @property
     def position_m(self) -> Array:
@@ -89,30 +75,13 @@ class MasterReading(Protocol):
         ...
 
 
-class MasterSample(NamedTuple):
-    """The plainest `MasterReading`."""
-
-    t_s: float
-    position_m: Array
-    velocity_m_s: Array
-    clutch: bool
-
-
 class HapticDevice(Protocol):
     """An impedance device: it reports where its handle is and takes a force to show."""
 
-    def read(self) -> MasterReading | None:
+    def read(self) -> MasterSample | None:
         """The newest sample; None if there is nothing new or the device has gone."""
         ...
 
     def render(self, force_N: Array) -> None:
         """Force on the operator's hand from now on, shape (3,)."""
-        ...
-
-
-class ForceSensor(Protocol):
-    """A force/torque sensor at the needle's base, in its own axes."""
-
-    def read(self) -> Array | None:
-        """Force [N] and torque [Nm] of the environment on the needle, shape (6,), or None."""
         ...

@@ -2,82 +2,86 @@
 
     lexmin_dq (|J_1 dq - v_1|, |J_2 dq - v_2|, ..., |dq - w|)   subject to   l <= dq <= u
 
-with a wish w of the joints that comes last, zero or a posture. `Hierarchical` solves that (Kanoun
-et al., IEEE T-RO 2011). Norms are of rows scaled to length one, so rows of one task count by how
-far joints move for them. `Published` is the recursion of Ferro et al., Section V.B, with the
-damped inverses of the authors' code: it knows no limits, and a projector made of damped inverses
-is none, so near singular postures lower tasks undo higher ones. It is here to compare with.
+with a wish w of the joints that comes last, zero or a posture (Kanoun et al., IEEE T-RO 2011).
+Norms are of rows scaled to length one, so rows of one task count by how far joints move for them.
 """
 
 import itertools
 import math
-from collections.abc import Sequence
-from typing import Any, Protocol
+from collections.abc import Callable, Sequence
 
 import numpy as np
+from scipy.linalg.lapack import dgels  # pyright: ignore[reportAttributeAccessIssue]
 
 from needleforce.control.errors import SettingError
 from needleforce.control.ports import Array
+from needleforce.control.tasks import JointTask, Task
+from needleforce.control.tool_state import ToolState
 from needleforce.control.velocity_box import SLACK_rad_s
-from needleforce.jit import COMPILER, Matrix, Vector, WrittenVector, compiled
+from needleforce.jit import Matrix, Vector, WrittenVector, compiled, compiled_or
 
-daqp: Any
-try:
-    import daqp  # pyright: ignore[reportMissingImports]
-except ImportError:
-    daqp = None
-
-
-REGULAR = 0.01
-"""A row of length one counts as independent if this much of it is new."""
-
-
-AT_LIMIT = 1e-6
-"""Joint velocities this close to a limit are at it [rad/s]."""
-MET = 1e-8
-"""A row that misses by less is met but for the solver's digits."""
+_REGULAR = 1e-6
+"""Where less than that of a row is new, it counts as dependent on those above it."""
+_AT_LIMIT_rad_s = 1e-6
+_NO_WAY = 1e-13
+"""A direction that moves a row of length one by less does not move it."""
+_MOST_CHANGES = 60
+"""Of the joints held at a bound, in one level; what is found by then is kept."""
+_GAIN = 1e-12
+"""Letting go of a joint that gains less by it is not worth while."""
 
 
 class Stack:
-    """Room for the numbers of a stack of tasks, over and over.
+    """The numbers of a stack of tasks, in arrays that are used over and over.
+
+    A joint velocity as the last task needs no rows: it is the wish.
 
     Attributes:
-        rows: J of all tasks, shape (m, n), then one row for each joint's wish, shape (m + n, n).
-        bounds: Lower bounds (row 0) and upper bounds (row 1) of joint velocities, then of rows,
-            shape (2, n + m + n).
-        rates: v of all tasks, shape (m,), a part of row 0 of the bounds.
-        wish: w, shape (n,), the part behind them.
+        rows: J of the other tasks, shape (m, n).
+        rates: v of them, shape (m,).
+        wish: w, shape (n,); zero without one.
+        bounds: l and u, shape (2, n), for its user to fill in.
         ends: Index behind the last row of each task.
     """
 
-    def __init__(self, sizes: Sequence[int], joints: int) -> None:
+    def __init__(self, tasks: Sequence[Task], joints: int) -> None:
+        last = tasks[-1] if tasks else None
+        if isinstance(last, JointTask) and last.size != joints:
+            raise SettingError(f"a task of {last.size} joints, the robot has {joints}")
+        sizes = [task.size for task in (tasks[:-1] if isinstance(last, JointTask) else tasks)]
         self.ends = tuple(itertools.accumulate(sizes))
-        total = sum(sizes)
-        self.rows = np.vstack((np.zeros((total, joints)), np.eye(joints)))
-        self.bounds = np.zeros((2, joints + total + joints))
-        self.rates, self.wish = np.split(self.bounds[0, joints:], [total])
+        self.rows, self.rates = np.zeros((sum(sizes), joints)), np.zeros(sum(sizes))
+        self.wish, self.bounds = np.zeros(joints), np.zeros((2, joints))
+        self._parts = [
+            (self.rows[first:end], self.rates[first:end])
+            for first, end in itertools.pairwise((0, *self.ends))
+        ]
+
+    def fill(self, tasks: Sequence[Task], tool: ToolState) -> None:
+        """Take rows and rates of tasks of the same sizes."""
+        for task, (rows, rates) in zip(tasks, self._parts, strict=False):
+            task.write(tool, rows, rates)
+        last = tasks[-1] if tasks else None
+        if isinstance(last, JointTask):
+            self.wish = last.velocity(tool.q_rad)
 
 
-class Solver(Protocol):
-    """Finds joint velocities for a stack that its user fills in."""
-
-    def __init__(self, stack: Stack) -> None: ...
-
-    def solve(self) -> tuple[Array | None, bool]:
-        """Joint velocities, shape (n,), in an array of their own, and whether one is at a limit.
-
-        None where it finds none.
-        """
-        ...
+Solver = Callable[[Stack], tuple[Array, bool]]
+"""Joint velocities for a stack, in an array of their own, and whether one is at a limit."""
 
 
-@compiled
-def is_inside(velocity: Vector, bounds: Matrix) -> bool:
-    """Whether joint velocities are within the first columns of the bounds of a stack."""
-    inside = True
-    for k in range(velocity.size):
-        inside = inside and bounds[0, k] < velocity[k] < bounds[1, k]
-    return inside
+def _all_met(rows: Array, rates: Array, bounds: Array, velocity: Array) -> bool:
+    """As `all_met`, by LAPACK: J = L Q, the least step Q^T L^-1 (v - J w)."""
+    if rates.size > velocity.size:
+        return False
+    if rates.size:
+        missing = np.zeros(velocity.size)
+        missing[: rates.size] = rates - rows @ velocity
+        triangle, step, failed = dgels(rows, missing)
+        if failed or min(map(abs, triangle.diagonal().tolist())) < _REGULAR:
+            return False
+        velocity += step
+    return bool(((bounds[0] < velocity) & (velocity < bounds[1])).all())
 
 
 @compiled
@@ -90,113 +94,121 @@ def dot(one: Vector, other: Vector) -> float:
 
 
 @compiled
-def meet_rows(
-    numbers: tuple[Matrix, Vector], free: Vector, within: float, velocity: WrittenVector
-) -> int:
-    """Change a velocity as little as possible so that rows are met to the last digit, in order.
+def add_scaled(vector: WrittenVector, factor: float, other: Vector) -> None:
+    """Add a multiple of a vector to another."""
+    for k in range(vector.size):
+        vector[k] += factor * other[k]
 
-    Gram-Schmidt steps, twice for accuracy, make a basis q_i of the rows; moving along q_i meets
-    row i and leaves the rows before it met. In loops, for a compiler.
 
-    Args:
-        numbers: J, shape (>= m, n), and v, shape (m,).
-        free: 1 for joints that may change, 0 for others, shape (n,).
-        within: A row that misses by more stays as it is.
-        velocity: Joint velocities, changed in place.
+@compiled_or(_all_met)
+def all_met(rows: Matrix, rates: Vector, bounds: Matrix, velocity: WrittenVector) -> bool:
+    """Change a velocity as little as meets all rows; whether it is then within bounds.
 
-    Returns:
-        Number of rows that are independent of those before them; others are passed over.
+    If it is, it solves the whole hierarchy. Gram-Schmidt steps, twice for accuracy, make a basis
+    of the rows; moving along its i-th direction meets row i and leaves the rows before it met.
     """
-    rows, rates = numbers
-    joints, count = velocity.size, 0
-    basis = np.empty((joints + 1, joints))
-    for i in range(rates.size):
-        new = basis[min(count, joints)]
-        new[:] = rows[i] * free
+    joints, is_met = velocity.size, rates.size <= velocity.size
+    basis = np.empty((joints, joints))
+    for i in range(rates.size if is_met else 0):
+        new = basis[i]
+        new[:] = rows[i]
+        for j in range(2 * i):
+            add_scaled(new, -dot(new, basis[j % i]), basis[j % i])
         size = math.sqrt(dot(new, new))
-        for j in range(2 * count):
-            old = basis[j % count]
-            new -= dot(new, old) * old
-        rest = math.sqrt(dot(new, new))
-        if rest > REGULAR * size:
-            new /= rest
-            left = rates[i] - dot(rows[i], velocity)
-            if abs(left) <= within:
-                velocity += (left / rest) * new
-            count += 1
-    return count
+        if size < _REGULAR:
+            is_met = False
+            break
+        new /= size
+        left = rates[i] - dot(rows[i], velocity)
+        add_scaled(velocity, left / dot(rows[i], new), new)
+    for k in range(joints):
+        is_met = is_met and bounds[0, k] < velocity[k] < bounds[1, k]
+    return is_met
 
 
-class Hierarchical:
-    """Hierarchical QP: strict priorities within hard limits.
+def hierarchical(stack: Stack) -> tuple[Array, bool]:
+    """Strict priorities within hard limits, level by level; see `Solver`.
 
-    Where all rows can be met within limits, `meet_rows` does so and no QP is needed: with a
-    compiler that comes first. DAQP has the others, and what it meets is made exact.
+    Each level moves within the null space N of the rows above it, which therefore keep what they
+    have got:  dq_k = dq_{k-1} + N y,  min_y |J_k N y - (v_k - J_k dq_{k-1})|,  l <= dq_k <= u.
+    Where all rows can be met there is no need for levels.
     """
-
-    # DAQP softens levels by a penalty, of which it corrects what exceeds the tolerance. A smaller
-    # penalty costs digits.
-    SETTINGS = {"rho_soft": 1e-6, "primal_tol": 1e-10}  # noqa: RUF012
-
-    def __init__(self, stack: Stack) -> None:
-        if daqp is None:
-            raise SettingError("task priorities need daqp: pip install 'needleforce[control]'")
-        self._stack, joints = stack, stack.wish.size
-        self._all_free = np.ones(joints)
-        self._sense = np.zeros(stack.bounds.shape[1], dtype=np.intc)
-        levels = np.array([joints + end for end in (0, *stack.ends, len(stack.rows))], np.intc)
-        lower, upper = stack.bounds
-        cost = np.eye(joints), np.zeros(joints)
-        self._model = daqp.Model()
-        self._model.setup(*cost, stack.rows, upper, lower, self._sense, levels)
-        self._model.settings = self.SETTINGS
-
-    def solve(self) -> tuple[Array | None, bool]:
-        """See `Solver`."""
-        stack, model = self._stack, self._model
-        numbers, velocity = (stack.rows, stack.rates), stack.wish.copy()
-        if COMPILER:
-            count = meet_rows(numbers, self._all_free, math.inf, velocity)
-            if count == stack.rates.size and is_inside(velocity, stack.bounds):
-                return velocity, False
-        # The model looks at the arrays themselves: naming the rows renews the bounds too, and
-        # naming the sense forgets the last active set, so that answers have no history.
-        if model.update(A=stack.rows, sense=self._sense) < 0:
-            return None, False
-        velocity, _, flag, _ = model.solve()
-        if flag < 0:
-            return None, False
-        lower, upper = stack.bounds[:, : velocity.size]
-        velocity = np.minimum(np.maximum(velocity, lower - SLACK_rad_s), upper + SLACK_rad_s)
-        room = np.minimum(velocity - lower, upper - velocity)
-        if COMPILER:
-            meet_rows(numbers, (room > AT_LIMIT).astype(np.float64), MET, velocity)
-        return velocity, bool(np.minimum.reduce(room) <= AT_LIMIT)
+    velocity = stack.wish.copy()
+    if all_met(stack.rows, stack.rates, stack.bounds, velocity):
+        return velocity, False
+    if not (np.isfinite(stack.rows).all() and np.isfinite((*stack.rates, *stack.wish)).all()):
+        raise SettingError("positions or goals are not finite")
+    lower, upper = stack.bounds
+    # From where no lower task has a say, so that it cannot matter to a higher one.
+    velocity, free = np.minimum(np.maximum(0.0, lower), upper), np.eye(velocity.size)
+    parts = [slice(*ends) for ends in itertools.pairwise((0, *stack.ends))]
+    for rows, rates in [*((stack.rows[k], stack.rates[k]) for k in parts), (free, stack.wish)]:
+        if free.size:
+            length = np.maximum(np.sqrt((rows * rows).sum(axis=1)), 1e-9)
+            level = rows / length[:, None], rates / length
+            velocity, free = serve_level(*level, free, stack.bounds, velocity)
+    velocity = np.minimum(np.maximum(velocity, lower - SLACK_rad_s), upper + SLACK_rad_s)
+    room = np.minimum(velocity - lower, upper - velocity)
+    return velocity, bool(room.min() <= _AT_LIMIT_rad_s)
 
 
-class Published:
-    """The published recursion: no limits, damped inverses.
+@compiled
+def null_space(rows: Matrix) -> Matrix:
+    """Orthonormal directions that no row sees, in columns."""
+    if rows.size == 0:
+        return np.eye(rows.shape[1])
+    _, sizes, turned = np.linalg.svd(rows)
+    return np.ascontiguousarray(turned[(sizes > _NO_WAY).sum() :].T)
 
-    dq_k = dq_{k-1} + (J_k P_{k-1})^# (v_k - J_k dq_{k-1}),   P_k = P_{k-1} - (J_k P_{k-1})^# J_k P
+
+@compiled
+def blocking(velocity: Vector, step: Vector, bounds: Matrix, is_held: Vector) -> tuple[float, int]:
+    """The part of a step that bounds allow, 0 to 1, and the joint that ends it; -1 for none."""
+    part, joint = 1.0, -1
+    for k in range(step.size):
+        if is_held[k] == 0.0 and abs(step[k]) > 1e-12:
+            bound = bounds[1, k] if step[k] > 0.0 else bounds[0, k]
+            until = max((bound - velocity[k]) / step[k], 0.0)
+            if until < part:
+                part, joint = until, k
+    return part, joint
+
+
+@compiled
+def serve_level(
+    rows: Matrix, rates: Vector, free: Matrix, bounds: Matrix, start: Vector
+) -> tuple[Array, Array]:
+    """One level by a primal active-set method: its velocity, and the N of the levels below.
+
+    On the joints that are held at a bound the nearest velocity is a least-squares solution. The
+    way there ends where another joint meets its bound, which is then held too. At its end that
+    joint is let go which gains most from it, the first of them after many changes, so that no
+    circle can form; with none the level is served. Rows are of length one, N is orthonormal, the
+    levels above are content with the start.
     """
-
-    DETERMINANT, DAMPING = 1e-10, 0.5
-    """The authors' code adds the damping to A A^T where its determinant is this small."""
-
-    def __init__(self, stack: Stack) -> None:
-        self._stack = stack
-
-    def solve(self) -> tuple[Array | None, bool]:
-        """See `Solver`."""
-        rows, rates, wish = self._stack.rows, self._stack.rates, self._stack.wish
-        velocity, projector = np.zeros_like(wish), np.eye(wish.size)
-        for first, end in itertools.pairwise((0, *self._stack.ends)):
-            free = rows[first:end] @ projector
-            square = free @ free.T
-            if np.linalg.det(square) <= self.DETERMINANT:
-                square = square + self.DAMPING * np.eye(len(square))
-            inverse = free.T @ np.linalg.inv(square)
-            velocity = velocity + inverse @ (rates[first:end] - rows[first:end] @ velocity)
-            projector = projector - inverse @ free
-        velocity = velocity + projector @ (wish - velocity)
-        return (velocity if np.isfinite(velocity).all() else None), False
+    velocity, is_held = start.copy(), np.zeros(start.size)
+    seen = rows @ free
+    for change in range(_MOST_CHANGES):
+        held = free[is_held != 0.0]
+        ways = np.ascontiguousarray(free @ null_space(held))
+        if ways.shape[1]:
+            found = np.linalg.lstsq(rows @ ways, rates - rows @ velocity, 1e-8)[0]
+            step = ways @ found
+            part, joint = blocking(velocity, step, bounds, is_held)
+            velocity += part * step
+            if joint >= 0:
+                velocity[joint] = bounds[1 if step[joint] > 0.0 else 0, joint]
+                is_held[joint] = 1.0 if step[joint] > 0.0 else -1.0
+                continue
+        if not len(held):
+            break
+        gain = seen.T @ (rates - rows @ velocity)
+        push = np.linalg.lstsq(np.ascontiguousarray(held.T), gain, 1e-12)[0]
+        joints = np.flatnonzero(is_held)
+        inwards = push * is_held[joints]
+        wrong = np.flatnonzero(inwards < -_GAIN)
+        if not wrong.size:
+            break
+        worst = wrong[0] if change > _MOST_CHANGES // 2 else np.argmin(inwards)
+        is_held[joints[worst]] = 0.0
+    return velocity, np.ascontiguousarray(free @ null_space(seen))

@@ -12,16 +12,14 @@ and delayed friction is what makes a delayed loop swing.
 """
 
 import math
-from collections import deque
-from typing import TYPE_CHECKING, Generic, Literal, NamedTuple, TypeVar
+from typing import TYPE_CHECKING, Literal, NamedTuple, Protocol, TypeVar
 
 import numpy as np
-from numpy.random import Generator
 from numpy.typing import ArrayLike
 
 from needleforce.control.errors import SettingError
 from needleforce.control.passivity import HandPort, NeedlePort
-from needleforce.control.ports import Array, MasterReading
+from needleforce.control.ports import Array, MasterSample
 from residual.estimate import Status
 
 if TYPE_CHECKING:
@@ -55,40 +53,12 @@ class NeedlePacket(NamedTuple):
     energy_J: float  # that the tissue has given back, scaled to the hand
 
 
-class DelayLine(Generic[Packet]):
-    """A line on which packets are late: ``delay ± jitter``, drawn evenly for each of them.
-
-    The newest that has arrived counts; one that is overtaken is dropped.
-
-    Raises:
-        SettingError: A delay or jitter below zero, or jitter without a generator.
-    """
-
-    def __init__(
-        self, delay_s: float = 0.0, jitter_s: float = 0.0, rng: Generator | None = None
-    ) -> None:
-        if not (0.0 <= jitter_s < math.inf and 0.0 <= delay_s < math.inf):
-            raise SettingError(f"delay {delay_s} s ± {jitter_s} s: expected finite numbers >= 0")
-        if jitter_s > 0.0 and rng is None:
-            raise SettingError("jitter is drawn at random: pass rng=numpy.random.default_rng(seed)")
-        self._delay_s, self._jitter_s, self._rng = delay_s, jitter_s, rng
-        self._under_way: deque[tuple[float, Packet]] = deque()
-        self._time_s = 0.0
-        self._newest: Packet | None = None
+class Line(Protocol[Packet]):
+    """One way between the two sides."""
 
     def exchange(self, packet: Packet, dt_s: float) -> Packet | None:
         """Send a packet, let time pass, and return the newest that has arrived so far."""
-        self._time_s += dt_s
-        late_s = self._delay_s
-        if self._rng is not None:
-            late_s = max(0.0, late_s + self._rng.uniform(-self._jitter_s, self._jitter_s))
-        line, arrival_s = self._under_way, self._time_s + late_s
-        while line and line[-1][0] >= arrival_s:
-            line.pop()  # overtaken by this one
-        line.append((arrival_s, packet))
-        while line and line[0][0] <= self._time_s:
-            self._newest = line.popleft()[1]
-        return self._newest
+        ...
 
 
 def shown_force(estimate: "SessionEstimate", shown: Shown = "tip") -> float:
@@ -113,22 +83,18 @@ class DeviceSide:
         motion_scale: Needle travel per travel of the handle.
         damping_Ns_m: Damping of what is quicker than a steady advance: a delayed spring drives a
             hand, and a hand springs forward when a membrane ruptures.
-        port: Observer and controller of the hand's energy.
     """
 
-    def __init__(
-        self, axis: Array, motion_scale: float, damping_Ns_m: float, port: HandPort
-    ) -> None:
-        self._axis, self._scale, self.port = axis, motion_scale, port
-        self._damping_Ns_m = damping_Ns_m
-        self._travel_m = 0.0
+    def __init__(self, axis: Array, motion_scale: float, damping_Ns_m: float) -> None:
+        self._axis, self._scale, self._damping_Ns_m = axis, motion_scale, damping_Ns_m
+        self.port = HandPort()
         self._position_m: float | None = None
         self._packet = HandPacket(0.0, 0.0, 0.0)
         self._coupled = 0.0  # 0 to 1
         self._rate_m_s = self._steady_m_s = 0.0
 
     def update(
-        self, sample: MasterReading | None, news: NeedlePacket | None, dt_s: float
+        self, sample: MasterSample | None, news: NeedlePacket | None, dt_s: float
     ) -> tuple[float, HandPacket]:
         """The force to render, positive against insertion, and the packet to send.
 
@@ -139,24 +105,23 @@ class DeviceSide:
         """
         is_coupled = sample is not None and sample.clutch
         self._coupled += (float(is_coupled) - self._coupled) * dt_s / (_COUPLING_S + dt_s)
+        before_m, self._position_m = self._position_m, None
         if sample is None:
-            self._position_m = None
             self._packet = self._packet._replace(speed_m_s=0.0)
             return 0.0, self._packet
-        position_m = float(self._axis @ sample.position_m)
+        self._position_m = position_m = float(self._axis @ sample.position_m)
         speed_m_s = float(self._axis @ sample.velocity_m_s)
-        if is_coupled and self._position_m is not None:
-            self._travel_m += self._scale * (position_m - self._position_m)
-        self._position_m = position_m
-        wanted_N, incoming_J = (0.0, 0.0) if news is None else news
         self._rate_m_s += (speed_m_s - self._rate_m_s) * dt_s / (_SPEED_LAG_S + dt_s)
         self._steady_m_s += (self._rate_m_s - self._steady_m_s) * dt_s / (_STEADY_S + dt_s)
-        wanted_N = self._coupled * wanted_N + self._damping_Ns_m * (
-            self._rate_m_s - self._steady_m_s
-        )
+        wanted_N, incoming_J = news or (0.0, 0.0)
+        wanted_N *= self._coupled
+        wanted_N += self._damping_Ns_m * (self._rate_m_s - self._steady_m_s)
         force_N = self.port.update(wanted_N, position_m, speed_m_s, incoming_J, dt_s)
-        rate_m_s = self._scale * self._rate_m_s if is_coupled else 0.0
-        self._packet = HandPacket(self._travel_m, rate_m_s, self.port.energy.in_J)
+        travel_m, rate_m_s = self._packet.travel_m, 0.0
+        if is_coupled:
+            rate_m_s = self._scale * self._rate_m_s
+            travel_m += 0.0 if before_m is None else self._scale * (position_m - before_m)
+        self._packet = HandPacket(travel_m, rate_m_s, self.port.in_J)
         return force_N, self._packet
 
 
@@ -167,14 +132,11 @@ class NeedleSide:
         scale: Energy at the hand per energy at the needle: force scale / motion scale.
         force_scale: Force at the hand per force at the needle.
         speed_limit_m_s: Largest speed of the needle.
-        port: Observer and controller of the energy given to the tissue.
     """
 
-    def __init__(
-        self, scale: float, force_scale: float, speed_limit_m_s: float, port: NeedlePort
-    ) -> None:
-        self._scale, self._force_scale = scale, force_scale
-        self._limit_m_s, self.port = speed_limit_m_s, port
+    def __init__(self, scale: float, force_scale: float, speed_limit_m_s: float) -> None:
+        self._scale, self._force_scale, self._limit_m_s = scale, force_scale, speed_limit_m_s
+        self.port = NeedlePort(_OWED_J / scale, _OWED_W / scale, _FORCE_LAG_S)
         self._start_m: float | None = None
         self._last: HandPacket | None = None
         self._silent_s = 0.0
@@ -208,8 +170,7 @@ class NeedleSide:
                 wanted_m_s = news.speed_m_s + _CATCH_UP_PER_S * behind_m
         wanted_m_s = min(max(wanted_m_s, -self._limit_m_s), self._limit_m_s)
         speed_m_s = self.port.update(wanted_m_s, force_N, now_m_s, incoming_J / self._scale, dt_s)
-        energy_J = self._scale * self.port.energy.in_J
-        return speed_m_s, NeedlePacket(self._force_scale * force_N, energy_J)
+        return speed_m_s, NeedlePacket(self._force_scale * force_N, self._scale * self.port.in_J)
 
 
 class TeleopCommand(NamedTuple):
@@ -236,8 +197,8 @@ class Teleoperation:
         shown_N: The force that is to be felt, before scale, delay and passivity.
 
     Raises:
-        SettingError: A scale out of range, a limit that is not positive, an unknown force, an axis
-            without a direction, or a line that cannot be.
+        SettingError: A scale out of range, a limit that is not positive, an unknown force, or an
+            axis without a direction.
     """
 
     def __init__(
@@ -248,7 +209,7 @@ class Teleoperation:
         force_scale: float = 1.0,
         shown: Shown = "tip",
         speed_limit_m_s: float = 0.02,
-        lines: tuple[DelayLine[HandPacket], DelayLine[NeedlePacket]] | None = None,
+        lines: tuple[Line[HandPacket], Line[NeedlePacket]] | None = None,
         damping_Ns_m: float = 15.0,
     ) -> None:
         direction = np.asarray(axis, dtype=np.float64)
@@ -265,18 +226,14 @@ class Teleoperation:
         if shown not in ("tip", "enhanced", "raw"):
             raise SettingError(f"shown is {shown!r}, expected 'tip', 'enhanced' or 'raw'")
         self._shown: Shown = shown
-        self._back = -direction / length
-        scale = force_scale / motion_scale
-        self.device = DeviceSide(-self._back, motion_scale, damping_Ns_m, HandPort())
-        port = NeedlePort(_OWED_J / scale, _OWED_W / scale, _FORCE_LAG_S)
-        self.needle = NeedleSide(scale, force_scale, speed_limit_m_s, port)
-        self._there, self._here = lines or (DelayLine(), DelayLine())
-        self._from_hand: HandPacket | None = None
+        self._axis, self._lines = direction / length, lines
+        self.device = DeviceSide(self._axis, motion_scale, damping_Ns_m)
+        self.needle = NeedleSide(force_scale / motion_scale, force_scale, speed_limit_m_s)
         self._from_needle: NeedlePacket | None = None
         self.shown_N = 0.0
 
     def update(
-        self, sample: MasterReading | None, estimate: "SessionEstimate", dt_s: float
+        self, sample: MasterSample | None, estimate: "SessionEstimate", dt_s: float
     ) -> TeleopCommand:
         """Take the device's newest sample and the newest force; never raises.
 
@@ -291,14 +248,11 @@ class Teleoperation:
             self.shown_N *= _FADE_S / (_FADE_S + dt_s)
         if sample is not None and not np.isfinite((sample.position_m, sample.velocity_m_s)).all():
             sample = None
-        force_N, to_needle = self.device.update(sample, self._from_needle, dt_s)
-        self._from_hand = self._there.exchange(to_needle, dt_s)
-        speed_m_s, to_hand = self.needle.update(
-            self._from_hand,
-            self.shown_N,
-            estimate.depth_m,
-            estimate.speed_m_s,
-            dt_s,
+        force_N, sent = self.device.update(sample, self._from_needle, dt_s)
+        arrived = sent if self._lines is None else self._lines[0].exchange(sent, dt_s)
+        speed_m_s, answer = self.needle.update(
+            arrived, self.shown_N, estimate.depth_m, estimate.speed_m_s, dt_s
         )
-        self._from_needle = self._here.exchange(to_hand, dt_s)
-        return TeleopCommand(speed_m_s, force_N * self._back)
+        back = self._lines
+        self._from_needle = answer if back is None else back[1].exchange(answer, dt_s)
+        return TeleopCommand(speed_m_s, -force_N * self._axis)

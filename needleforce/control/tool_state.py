@@ -13,22 +13,18 @@ class ToolState:
     """Pose and Jacobian of the needle's tip, which all tasks of a tick read.
 
     Args:
-        robot: The arm; the z axis of the frame is the needle, growing inwards.
-        frame: Name of the frame; the robot's tool frame when None.
+        robot: The arm; the z axis of its tool frame is the needle, growing inwards.
 
     Attributes:
         q_rad: Joint positions of the last `update`, shape (n,).
         jacobian: Velocity of the tip (rows 0 to 2) and angular velocity (3 to 5) per joint
             velocity, both in base axes, shape (6, n).
         pose: Of the tip in the base, homogeneous, shape (4, 4).
-
-    Raises:
-        urdf.UnknownNameError: There is no such frame.
     """
 
-    def __init__(self, robot: Robot, frame: str | None = None) -> None:
+    def __init__(self, robot: Robot) -> None:
         self._model, self._data = robot.model, robot.create_data()
-        self._frame_id = robot.frame_id(robot.tool_frame if frame is None else frame)
+        self._frame_id = robot.tool_frame_id
         self.update(pin.neutral(robot.model))
 
     def update(self, q_rad: Array) -> None:
@@ -39,11 +35,6 @@ class ToolState:
         self.jacobian: Array = jacobian if jacobian.ndim == 2 else jacobian[:, None]
         self.pose: Array = pin.updateFramePlacement(model, data, frame).homogeneous
         self.q_rad = q_rad
-
-    @property
-    def placement(self) -> pin.SE3:
-        """Pose of the tip in the base."""
-        return pin.SE3(self.pose)
 
     @property
     def tip_m(self) -> Array:

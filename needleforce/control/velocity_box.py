@@ -1,7 +1,5 @@
 """Limits of position, velocity and acceleration as bounds on the joint velocity of one tick."""
 
-import math
-
 import numpy as np
 from numpy.typing import ArrayLike
 
@@ -70,8 +68,8 @@ class Limits:
 @compiled
 def joint_bounds(
     limits: Matrix, q: Vector, last: Vector, step_s: float, bounds: WrittenMatrix
-) -> bool:
-    """Bounds l <= dq <= u of the coming tick, in the first n columns of the bounds of a stack.
+) -> None:
+    """Bounds l <= dq <= u of the coming tick.
 
         u = min(v, sqrt((a T)^2 + 2 a (q_max - q)) - a T),   clipped to dq_last -+ a T
 
@@ -80,25 +78,17 @@ def joint_bounds(
     such a speed within reach of a again. Where noise or a push has moved the arm too close, the
     clip lets the acceleration win: it brakes as hard as it may. Clipping keeps l <= u.
 
-    The other columns are of rows, which are equalities: row 1 becomes row 0.
-
     Args:
         limits: `Limits.table`.
         q: Measured positions [rad], shape (n,).
         last: Velocities commanded last [rad/s], shape (n,).
         step_s: Length of the tick T.
-        bounds: Lower and upper bounds, shape (2, n + m).
-
-    Returns:
-        Whether all that has come is finite.
+        bounds: Lower and upper bounds, shape (2, n); nan where a position is.
     """
-    joints, speed, rate = q.size, limits[SPEED], limits[ACCELERATION]
+    speed, rate = limits[SPEED], limits[ACCELERATION]
     change = rate * step_s - SLACK_rad_s
-    low, high, square = last - change, last + change, change * change
-    most = np.sqrt(square + 2.0 * rate * np.maximum(limits[HIGHEST] - q, 0.0)) - change
-    least = change - np.sqrt(square + 2.0 * rate * np.maximum(q - limits[LOWEST], 0.0))
-    bounds[0, :joints] = np.maximum(np.minimum(np.maximum(least, -speed), high), low)
-    bounds[1, :joints] = np.minimum(np.maximum(np.minimum(most, speed), low), high)
-    rates = bounds[0, joints:]
-    bounds[1, joints:] = rates
-    return math.isfinite(q.dot(q) + rates.dot(rates))
+    square, way, low, high = change * change, 2.0 * rate, last - change, last + change
+    most = np.sqrt(square + way * np.maximum(limits[HIGHEST] - q, 0.0)) - change
+    least = change - np.sqrt(square + way * np.maximum(q - limits[LOWEST], 0.0))
+    bounds[0] = np.minimum(np.maximum(np.maximum(least, -speed), low), high)
+    bounds[1] = np.minimum(np.maximum(np.minimum(most, speed), low), high)

@@ -92,6 +92,8 @@ _SINGLE = (
     ("speed", "speed_m_s", _SPEED, "speed v insertion_speed", "rate of depth"),
     ("force", "force_N", _FORCE, "force f fz f_z force_z axial axial_force insertion_force",
      "axial force, positive when tissue pushes back"),
+    ("force_std", "force_std_N", _FORCE, "force_std axial_std",
+     "standard deviation of the force"),
     ("force_status", "force_status", _CODE, "force_status",
      "whether the force can be used, as `needleforce force` writes it"),
     ("force_warnings", "force_warnings", _CODE, "force_warnings",

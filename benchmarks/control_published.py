@@ -1,0 +1,38 @@
+"""The published recursion of task priority, to compare with: Ferro et al., Section V.B.
+
+It has the damped inverses of the authors' code and knows no limits. A projector made of damped
+inverses is none, so near singular postures lower tasks undo higher ones.
+"""
+
+import itertools
+
+import numpy as np
+from numpy.typing import NDArray
+
+from needleforce.control.errors import ControlError
+from needleforce.control.priority_solver import Stack
+
+Array = NDArray[np.float64]
+
+
+def published(stack: Stack) -> tuple[Array, bool]:
+    """Joint velocities, and False, see `needleforce.control.priority_solver.Solver`.
+
+    dq_k = dq_{k-1} + (J_k P_{k-1})^# (v_k - J_k dq_{k-1}),   P_k = P_{k-1} - (J_k P_{k-1})^# J_k P
+
+    The authors' code adds 0.5 to the diagonal of A A^T where its determinant is below 1e-10.
+    """
+    rows, rates, wish = stack.rows, stack.rates, stack.wish
+    velocity, projector = np.zeros_like(wish), np.eye(wish.size)
+    for first, end in itertools.pairwise((0, *stack.ends)):
+        free = rows[first:end] @ projector
+        square = free @ free.T
+        if np.linalg.det(square) <= 1e-10:
+            square = square + 0.5 * np.eye(len(square))
+        inverse = free.T @ np.linalg.inv(square)
+        velocity = velocity + inverse @ (rates[first:end] - rows[first:end] @ velocity)
+        projector = projector - inverse @ free
+    velocity = velocity + projector @ (wish - velocity)
+    if not np.isfinite(velocity).all():
+        raise ControlError("positions or goals are not finite")
+    return velocity, False

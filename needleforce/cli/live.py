@@ -1,0 +1,182 @@
+"""`needleforce record` and `needleforce live`: an arm's joint signals into a file, or watched."""
+
+import math
+import sys
+import time
+from collections.abc import Iterator
+from contextlib import contextmanager
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from groundtruth import simulate
+from needleforce.cli import LiveOptions, RobotOptions
+from needleforce.cli.robot import robot_from_options
+from needleforce.cli.terminal import CommandError, progress_bar, say, stop_request, write_out
+from needleforce.devices import ArmSample, FrankaArm, FriArm, ReplayArm, UrArm, paced
+from needleforce.recordings.output import open_table
+from needleforce.recordings.table import Labels
+from needleforce.session import InsertionSession, SessionEstimate
+from residual import Status, TareError
+from urdf import Robot
+
+CHUNK = 500
+"""Samples written at a time."""
+PANEL_s, LINE_s = 0.1, 1.0
+"""Between two pictures on a terminal, and two lines elsewhere."""
+ROBOTS = {"fri": "lwr", "franka": "panda", "ur": "ur10e"}
+"""What each kind of arm is unless it is described."""
+
+
+@contextmanager
+def arm_named(text: str, options: RobotOptions) -> Iterator[tuple[Any, Robot]]:
+    """Open the arm that a user names, with its model; it is closed in the end."""
+    kind, _, rest = text.partition(":")
+    if kind == "sim":
+        with progress_bar("simulating"):
+            run = simulate(rest or "stack-glove-constant", plant="clean")
+        signals = run.signals
+        dt_s = np.diff(signals.t_s, prepend=2.0 * signals.t_s[0] - signals.t_s[1])
+        yield ReplayArm(dt_s, signals.q_rad, signals.dq_rad_s, signals.tau_Nm), run.robot
+        return
+    is_port = rest.isdecimal() or not rest
+    if kind not in ROBOTS or (not is_port if kind == "fri" else not rest):
+        raise CommandError(
+            f"{text}: expected an arm as fri, fri:PORT, franka:ADDRESS, ur:ADDRESS or sim:SCENARIO"
+        )
+    if options.robot is None and options.urdf is None:
+        options = replace(options, robot=ROBOTS[kind])
+    robot = robot_from_options(options, None)
+    if kind == "fri":
+        arm: Any = FriArm(port=int(rest)) if rest else FriArm()
+    else:
+        arm = FrankaArm(rest) if kind == "franka" else UrArm(rest)
+    with arm:
+        if arm.joints != robot.nv:
+            raise CommandError(
+                f"{text} has {arm.joints} joints, the robot that describes it {robot.nv}: "
+                "name another with --robot or --urdf"
+            )
+        yield arm, robot
+
+
+def _until(arm: Any, options: LiveOptions) -> Iterator[ArmSample]:
+    """Samples until the time is over, the arm stays away, or Ctrl-C."""
+    if not options.seconds > 0.0:
+        raise CommandError(f"--seconds {options.seconds}: expected a positive time")
+    passed_s = 0.0
+    with stop_request() as is_asked:
+        for sample in paced(arm) if isinstance(arm, ReplayArm) else arm:
+            passed_s += sample.dt_s
+            yield sample
+            if passed_s >= options.seconds or is_asked():
+                return
+
+
+def record(arm_name: str, output: Path, options: LiveOptions, robot: RobotOptions) -> int:
+    """Write the joint signals of an arm as they come; return the exit code."""
+    with (
+        arm_named(arm_name, robot) as (arm, model),
+        open_table(
+            output, is_live=True, labels=lambda: Labels(joint_names=model.joint_names)
+        ) as to,
+    ):
+        t_s, rows, samples = 0.0, 0, _until(arm, options)
+        while chunk := [sample for _, sample in zip(range(CHUNK), samples, strict=False)]:
+            times = t_s + np.cumsum([sample.dt_s for sample in chunk])
+            if rows == 0:
+                times -= chunk[0].dt_s
+            to.append({"t_s": times, **_columns(chunk)})
+            t_s, rows = float(times[-1]), rows + len(chunk)
+    say(f"{rows} samples, {t_s:.3f} s in {output}; {arm.report}")
+    return 0
+
+
+def _columns(chunk: list[ArmSample]) -> dict[str, Any]:
+    names = {"q_rad": "q_rad", "dq_rad_s": "dq_rad_s", "tau_Nm": "tau_Nm"}
+    names["external_Nm"] = "tau_ext_Nm"
+    found = {}
+    for field, name in names.items():
+        values = [getattr(sample, field) for sample in chunk]
+        if values[0] is not None:
+            found[name] = np.array(values)
+    return found
+
+
+class _Watch:
+    """What a session knows, as a panel on a terminal or a line a second elsewhere."""
+
+    def __init__(self, session: InsertionSession, arm: Any) -> None:
+        self._session, self._arm, self._next_s = session, arm, 0.0
+        self._events: list[str] = []
+
+    def show(self, now: SessionEstimate, live: Any) -> None:
+        if (rupture := now.identification.rupture) is not None:
+            chance = f"{100.0 * rupture.probability:.0f} %"
+            self._events.append(
+                f"rupture of layer {rupture.layer} at {1e3 * rupture.depth_m:.1f} mm ({chance})"
+            )
+            if live is None:
+                write_out(f"{self._events[-1]}\n")
+        if now.time_s < self._next_s:
+            return
+        self._next_s = now.time_s + (LINE_s if live is None else PANEL_s)
+        lines = self._lines(now)
+        if live is None:
+            write_out("  ".join(lines[:3]) + "\n")
+        else:
+            live.update("\n".join(lines))
+
+    def _lines(self, now: SessionEstimate) -> list[str]:
+        wrench, found = now.wrench, now.identification
+        depth = f"depth {1e3 * now.depth_m:6.1f} mm  layer {len(self._session.layers) + 1}"
+        return [
+            f"{now.time_s:8.1f} s  {now.status}",
+            f"force {wrench.axial:6.2f} ± {min(wrench.axial_std, 99.0):.3f} N",
+            f"tip {found.tip_force_N:6.2f} N  {depth}",
+            *self._events[-5:],
+            str(now.warnings or ""),
+            wrench.message,
+            f"link: {self._arm.report}",
+        ]
+
+
+def watch(arm_name: str, options: LiveOptions, robot: RobotOptions) -> int:
+    """Watch force and layers of an arm; return the exit code."""
+    if not 0.0 < options.tare < math.inf:
+        raise CommandError(f"--tare {options.tare}: expected seconds of free motion")
+    with arm_named(arm_name, robot) as (arm, model):
+        session = InsertionSession(model)
+        view, tare_at_s = _Watch(session, arm), options.tare
+        with _panel() as panel:
+            for sample in _until(arm, options):
+                if sample.tau_Nm is None:
+                    raise CommandError(
+                        f"{arm_name} sends no joint torques; record it, or see docs/panda.md for "
+                        "a UR's motor constants"
+                    )
+                now = session.update(sample.q_rad, sample.dq_rad_s, sample.tau_Nm, sample.dt_s)
+                if not session.tared and now.status is Status.NOT_TARED and now.time_s > tare_at_s:
+                    tare_at_s = now.time_s + options.tare
+                    try:
+                        session.tare()
+                    except TareError as error:
+                        say(f"no tare: {error}")
+                view.show(now, panel)
+    say(f"{arm.report}; {session.rejected} samples rejected by the session")
+    return 0
+
+
+@contextmanager
+def _panel() -> Iterator[Any]:
+    """A place on the terminal that is written over; None where there is no terminal."""
+    if not sys.stdout.isatty():
+        yield None
+        return
+    from rich.live import Live
+
+    with Live("", refresh_per_second=1.0 / PANEL_s) as panel:
+        yield panel
+        time.sleep(PANEL_s)

@@ -1,0 +1,273 @@
+"""Emulators of an LWR's controller and of a Net F/T sensor, each in a process of its own.
+
+They speak the protocols of `fri` and `rdt` over loopback, in real time, and break on demand: lost,
+late, reordered, repeated, truncated packets, garbage, silence, a connection that gets worse.
+"""
+
+import multiprocessing
+import socket
+import threading
+import time
+from collections.abc import Callable, Iterator
+from contextlib import suppress
+from dataclasses import dataclass, field
+from http.server import BaseHTTPRequestHandler, HTTPServer
+from multiprocessing.connection import Connection
+from typing import Any
+
+import numpy as np
+
+from needleforce.devices import fri, rdt
+from needleforce.devices.proxy import LOOPBACK, Array, LinkError
+
+START_s = 20.0
+"""A process that imports numpy on a busy machine takes its time."""
+Window = tuple[float, float]
+"""Start and end [s] since the first packet."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Faults:
+    """What goes wrong on the wire: probabilities per packet, and windows of time."""
+
+    lost: float = 0.0
+    late: float = 0.0  # by three packets: it comes out of order
+    repeated: float = 0.0
+    truncated: float = 0.0
+    garbage: float = 0.0  # a datagram of random bytes and length goes before
+    silent: tuple[Window, ...] = ()  # nothing is sent
+    bad_quality: tuple[Window, ...] = ()  # the controller rates the connection as bad
+    seed: int = 0
+
+
+class _Wire:
+    """Sends datagrams, and breaks them."""
+
+    def __init__(self, send: Callable[[bytes], Any], faults: Faults) -> None:
+        self._send, self._faults = send, faults
+        self._rng = np.random.default_rng(faults.seed)
+        self._held: list[tuple[int, bytes]] = []
+        self._number = 0
+        self.sent = 0
+
+    def put(self, data: bytes, t_s: float) -> None:
+        faults, draw = self._faults, self._rng.random(5)
+        self._number += 1
+        for due, held in list(self._held):
+            if due <= self._number:
+                self._held.remove((due, held))
+                self._send(held)
+        if is_within(faults.silent, t_s) or draw[0] < faults.lost:
+            return
+        if draw[1] < faults.late:
+            self._held.append((self._number + 3, data))
+            return
+        if draw[2] < faults.garbage:
+            self._send(self._rng.bytes(int(self._rng.integers(0, 2000))))
+        if draw[3] < faults.truncated:
+            self._send(data[: int(self._rng.integers(0, len(data)))])
+            return
+        self._send(data)
+        self.sent += 1
+        if draw[4] < faults.repeated:
+            self._send(data)
+
+
+def is_within(windows: tuple[Window, ...], t_s: float) -> bool:
+    """Whether a time lies in one of the windows."""
+    return any(start <= t_s < end for start, end in windows)
+
+
+class Emulator:
+    """A process that emulates a device; for the ``with`` statement.
+
+    Attributes:
+        ready: What the device says when it is up: its ports.
+    """
+
+    def __init__(self, work: Callable[..., dict[str, Any]], *settings: Any) -> None:
+        """Start the process.
+
+        Args:
+            work: Module-level function: takes a connection to this process and the settings; sends
+                what is `ready`, ends when something comes back, and returns counts.
+            settings: Passed on.
+
+        Raises:
+            LinkError: It did not start.
+        """
+        context = multiprocessing.get_context("spawn")
+        self._pipe, other = context.Pipe()
+        self._process = context.Process(target=_run, args=(other, work, settings), daemon=True)
+        self._process.start()
+        other.close()
+        self.ready: dict[str, Any] = self._reply()
+
+    def _reply(self) -> dict[str, Any]:
+        try:
+            if self._pipe.poll(START_s):
+                return self._pipe.recv()
+        except EOFError:
+            pass
+        self._process.kill()
+        raise LinkError("the emulator has ended without an answer; its message stands above")
+
+    def counts(self) -> dict[str, Any]:
+        """What it has counted, once it has ended by itself."""
+        found = self._reply()
+        self._process.join(START_s)
+        return found
+
+    def stop(self) -> dict[str, Any]:
+        """End it; what it has counted."""
+        self._pipe.send("stop")
+        return self.counts()
+
+    def __enter__(self) -> "Emulator":
+        """Itself."""
+        return self
+
+    def __exit__(self, *error: object) -> None:
+        """Kill it, if it still runs."""
+        self._process.kill()
+        self._process.join()
+
+
+def _run(pipe: Connection, work: Callable[..., dict[str, Any]], settings: tuple[Any, ...]) -> None:
+    pipe.send(work(pipe, *settings))
+
+
+@dataclass(frozen=True, kw_only=True)
+class FriSettings:
+    """What the emulated controller does.
+
+    Rows of the signals are sent one a cycle, over and over; commands move nothing but the commanded
+    position that is reported.
+    """
+
+    port: int  # to which it sends
+    q_rad: Array  # shape (m, 7)
+    tau_Nm: Array  # shape (m, 7)
+    period_s: float = 1e-3
+    cycles: int | None = None  # then it ends
+    command_from_s: float = float("inf")  # when it goes from monitor to command mode
+    faults: Faults = field(default_factory=Faults)
+
+
+def emulate_fri(pipe: Connection, settings: FriSettings) -> dict[str, Any]:
+    """The controller of an LWR; counts of cycles and of answers in the same cycle."""
+    link = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
+    link.bind((LOOPBACK, 0))
+    wire = _Wire(lambda data: link.sendto(data, (LOOPBACK, settings.port)), settings.faults)
+    packet = np.zeros((), fri.MEASUREMENT)
+    packet["size"], packet["kind"] = fri.MEASUREMENT.itemsize, fri.MEASUREMENT_KIND
+    packet["period_s"], packet["commanded_rad"] = settings.period_s, settings.q_rad[0]
+    counts = {"cycles": 0, "same_cycle": 0, "late": 0, "wrong": 0}
+    pipe.send({"port": link.getsockname()[1]})
+    begin_s = time.monotonic()
+    while counts["cycles"] != settings.cycles and not (counts["cycles"] % 100 == 0 and pipe.poll()):
+        number, t_s = counts["cycles"], counts["cycles"] * settings.period_s
+        row, is_bad = number % len(settings.q_rad), is_within(settings.faults.bad_quality, t_s)
+        is_commanded = t_s >= settings.command_from_s and not is_bad
+        packet["count"], packet["stamp_s"] = number % fri.COUNTS, t_s
+        packet["state"] = fri.State.COMMAND if is_commanded else fri.State.MONITOR
+        packet["quality"] = fri.Quality.BAD if is_bad else fri.Quality.PERFECT
+        packet["position_rad"], packet["torque_Nm"] = settings.q_rad[row], settings.tau_Nm[row]
+        wire.put(packet.tobytes(), t_s)
+        is_answered = False
+        for data in _until(link, begin_s + t_s + settings.period_s):
+            if len(data) != fri.COMMAND.itemsize:
+                counts["wrong"] += 1
+                continue
+            answer = np.frombuffer(data, fri.COMMAND)[0]
+            is_same = answer["reflected"] == packet["count"]
+            is_answered |= is_same
+            counts["late"] += not is_same
+            if is_commanded and is_same:
+                packet["commanded_rad"] = answer["position_rad"]
+        counts["cycles"] += 1
+        counts["same_cycle"] += is_answered
+    return {**counts, "sent": wire.sent, "commanded_rad": packet["commanded_rad"].copy()}
+
+
+def _until(link: socket.socket, end_s: float) -> Iterator[bytes]:
+    """Datagrams that come before a time."""
+    while (left_s := end_s - time.monotonic()) > 0.0:
+        link.settimeout(left_s)
+        try:
+            yield link.recv(2048)
+        except ConnectionError:  # nobody listens yet
+            continue
+        except (TimeoutError, BlockingIOError):
+            return
+
+
+@dataclass(frozen=True, kw_only=True)
+class RdtSettings:
+    """What the emulated sensor does: rows of wrenches are sent over and over once it is asked."""
+
+    wrench: Array  # force [N] and torque [Nm], shape (m, 6)
+    rate_hz: float = 7000.0
+    scale: tuple[float, float] = (1e6, 1e6)  # counts per N and per Nm
+    records: int = 40  # to a datagram in buffered mode
+    faults: Faults = field(default_factory=Faults)
+
+
+def emulate_rdt(pipe: Connection, settings: RdtSettings) -> dict[str, Any]:
+    """A Net F/T box with its page; counts of the records sent."""
+    link = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
+    link.bind((LOOPBACK, 0))
+    pipe.send({"port": link.getsockname()[1], "page": _serve_scale(*settings.scale)})
+    rows = np.round(settings.wrench * np.repeat(settings.scale, 3)).astype(">i4")
+    zero, number, size = np.zeros(6, dtype=">i4"), 0, 1
+    listener: Any = None
+    wire = _Wire(lambda data: link.sendto(data, listener), settings.faults)
+    begin_s = time.monotonic()
+    while not pipe.poll():
+        while listener is not None and number + size <= _elapsed(begin_s, settings.rate_hz):
+            records = np.zeros(size, rdt.RECORD)
+            counted = np.arange(number, number + size)
+            records["count"] = records["ft_count"] = counted % rdt.COUNTS
+            records["counts"] = rows[counted % len(rows)] - zero
+            wire.put(records.tobytes(), number / settings.rate_hz)
+            number += size
+        for command, sender in _requests(link):
+            if command == rdt.SOFTWARE_BIAS:
+                zero = rows[number % len(rows)].copy()
+            elif command == rdt.STOP:
+                listener = None
+            elif listener is None:
+                listener, size = sender, settings.records if command == rdt.BUFFERED else 1
+                begin_s = time.monotonic() - number / settings.rate_hz
+    return {"records": number, "sent": wire.sent}
+
+
+def _elapsed(begin_s: float, rate_hz: float) -> int:
+    return int((time.monotonic() - begin_s) * rate_hz)
+
+
+def _requests(link: socket.socket) -> Iterator[tuple[int, tuple[str, int]]]:
+    """Commands that have come, and from where; waits for one a little."""
+    link.settimeout(0.2e-3)
+    with suppress(TimeoutError, BlockingIOError, ConnectionError):
+        data, sender = link.recvfrom(64)
+        if len(data) == rdt.REQUEST.size and data[:2] == rdt.REQUEST_MARK.to_bytes(2, "big"):
+            yield rdt.REQUEST.unpack(data)[1], sender
+
+
+def _serve_scale(per_N: float, per_Nm: float) -> str:
+    """Serve the page that says the counts per unit; its address."""
+    text = f"<netft><calcpf>{per_N:g}</calcpf><calcpt>{per_Nm:g}</calcpt></netft>"
+
+    class Page(BaseHTTPRequestHandler):
+        def do_GET(self) -> None:
+            self.send_response(200)
+            self.end_headers()
+            self.wfile.write(text.encode())
+
+        def log_message(self, format: str, *args: object) -> None:
+            """Nothing is logged."""
+
+    server = HTTPServer((LOOPBACK, 0), Page)
+    threading.Thread(target=server.serve_forever, daemon=True).start()
+    return f"http://{LOOPBACK}:{server.server_address[1]}/netftcalapi.xml"

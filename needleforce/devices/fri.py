@@ -1,0 +1,250 @@
+"""KUKA LWR 4+ through the Fast Research Interface 1.0 of its controller (KRC2 lr).
+
+The controller sends a measurement of 916 bytes every cycle and wants a command of 376 bytes back
+within it. A cycle is answered before its sample is handed on: the answer carries the motion that
+was asked for in the cycle before.
+"""
+
+from collections.abc import Iterator
+from enum import IntEnum
+from time import monotonic
+from typing import Any
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from needleforce.devices.proxy import (
+    LOOPBACK,
+    ArmSample,
+    DatagramPeer,
+    DeviceSettingError,
+    Link,
+    LinkReport,
+)
+
+PORT, JOINTS, COUNTS = 49938, 7, 1 << 16
+_HEADER = {"count": ("<u2", 0), "reflected": ("<u2", 2), "size": ("<u2", 4), "kind": ("<u2", 6)}
+
+
+def _packet(size: int, fields: dict[str, tuple[object, int]]) -> np.dtype:
+    """A packet of so many bytes with these fields: their types and first bytes."""
+    both = _HEADER | fields
+    formats, offsets = zip(*both.values(), strict=True)
+    table = {"names": list(both), "formats": formats, "offsets": offsets, "itemsize": size}
+    return np.dtype(table)  # pyright: ignore[reportCallIssue, reportArgumentType]
+
+
+# Little endian; from published descriptions of the interface (Schreiber, Stemmer, Bischoff, ICRA
+# 2010 workshop, and public drivers). Only what is used here.
+MEASUREMENT, MEASUREMENT_KIND = (
+    _packet(
+        916,
+        {
+            "stamp_s": ("<f4", 140),
+            "state": ("<u2", 144),
+            "quality": ("<u2", 146),
+            "period_s": ("<f4", 148),
+            "error": ("<u2", 184),
+            "position_rad": (("<f4", JOINTS), 216),
+            "commanded_rad": (("<f4", JOINTS), 292),
+            "added_rad": (("<f4", JOINTS), 320),  # what this interface has added to the command
+            "torque_Nm": (("<f4", JOINTS), 444),  # behind the gears
+            "external_Nm": (("<f4", JOINTS), 472),
+        },
+    ),
+    0x2006,
+)
+COMMAND, COMMAND_KIND = (
+    _packet(376, {"flags": ("<u4", 140), "position_rad": (("<f4", JOINTS), 144)}),
+    0x1005,
+)
+POSITION_FLAG = 0x1
+SILENT_CYCLES = 5
+"""After so many cycles without `send` the arm is held."""
+LONGEST_COUNTED_s = 1.0
+"""Of a longer gap the counter may have gone round or begun anew: our own clock says how long."""
+
+
+class State(IntEnum):
+    """Of the interface."""
+
+    OFF = 0
+    MONITOR = 1
+    COMMAND = 2
+
+
+class Quality(IntEnum):
+    """Of the connection, as the controller rates it."""
+
+    UNACCEPTABLE = 0
+    BAD = 1
+    GOOD = 2
+    PERFECT = 3
+
+
+def read_measurement(data: bytes) -> np.void | None:
+    """Decode a datagram; None if it is no measurement of this version, or has impossible values."""
+    if len(data) != MEASUREMENT.itemsize:
+        return None
+    found = np.frombuffer(data, MEASUREMENT)[0]
+    names = ("stamp_s", "position_rad", "commanded_rad", "added_rad", "torque_Nm", "external_Nm")
+    is_valid = (
+        (found["size"], found["kind"]) == (MEASUREMENT.itemsize, MEASUREMENT_KIND)
+        and found["state"] <= max(State)
+        and found["quality"] <= max(Quality)
+        and 0.0 < found["period_s"] <= 0.1
+        and all(np.isfinite(found[name]).all() for name in names)
+    )
+    return found if is_valid else None
+
+
+class FriArm(Link):
+    """The arm at the end of the interface.
+
+    In monitor mode every answer mirrors the position that the controller commands, as it demands.
+    In command mode, which the program on the controller begins (friStart), with a good or perfect
+    connection and no error, velocities given to `send` are integrated. The interface transmits no
+    velocity: samples have ``dq_rad_s=None``.
+
+    The sign of the torques is that of the controller; hang a known mass on the flange and compare
+    before you believe it.
+
+    Attributes:
+        report: What has come, and what has not.
+        robot: The model of the arm that was given, for those who need both.
+        state: Of the interface, of the last sample.
+        quality: Of the connection, of the last sample.
+    """
+
+    def __init__(
+        self,
+        host: str = LOOPBACK,
+        port: int = PORT,
+        *,
+        peer: str | None = None,
+        wait_s: float = 0.1,
+        give_up_s: float = 10.0,
+        robot: Any = None,
+    ) -> None:
+        """Listen.
+
+        Args:
+            host: Address of this machine on which the controller sends.
+            port: The port set in its configuration; 0 for any free one, see `address`.
+            peer: Address of the controller; others are dropped. None: whoever is valid first.
+            wait_s: A silence longer than this counts as an outage.
+            give_up_s: After so long a silence the samples end.
+            robot: Kept as `robot`.
+
+        Raises:
+            LinkError: The address cannot be bound.
+            DeviceSettingError: A port or a time that cannot work.
+        """
+        if not 0.0 < wait_s <= give_up_s:
+            raise DeviceSettingError(
+                f"wait_s={wait_s!r}, give_up_s={give_up_s!r}: expected 0 < wait_s <= give_up_s"
+            )
+        self.report, self.robot, self.joints = LinkReport(), robot, JOINTS
+        self.state, self.quality = State.OFF, Quality.UNACCEPTABLE
+        self._wait_s, self._give_up_s = wait_s, give_up_s
+        self._socket = DatagramPeer(host, port, self.report, peer=peer)
+        self._last: np.void | None = None
+        self._arrival_s = monotonic()
+        self._answer = np.zeros((), COMMAND)
+        self._answer["size"], self._answer["kind"] = COMMAND.itemsize, COMMAND_KIND
+        self._answer["flags"] = POSITION_FLAG
+        self._target_rad = self._velocity_rad_s = np.zeros(JOINTS)
+        self._silent, self._is_open = SILENT_CYCLES, True
+
+    @property
+    def address(self) -> tuple[str, int]:
+        """Where it listens."""
+        return self._socket.address
+
+    def __iter__(self) -> Iterator[ArmSample]:
+        """Samples as they come, each answered already."""
+        silent_s = 0.0
+        while self._is_open and silent_s < self._give_up_s:
+            data = self._socket.receive(self._wait_s)
+            if data is None:
+                self.report.outages += silent_s == 0.0
+                silent_s += self._wait_s
+                self.state = State.OFF
+                self._socket.forget()
+            elif (found := self._checked(data)) is not None:
+                silent_s, before = 0.0, self._last
+                self._send_answer(found)
+                yield self._sample(found, before)
+
+    def send(self, dq_rad_s: ArrayLike) -> bool:
+        """Joint velocity for the coming cycles [rad/s], shape (7,).
+
+        It holds for five cycles; then the arm is held where it is. False where the arm takes no
+        commands, and for numbers that are not finite.
+        """
+        velocity = np.array(dq_rad_s, dtype=float)
+        is_usable = velocity.shape == (JOINTS,) and bool(np.isfinite(velocity).all())
+        if not (is_usable and self._takes_commands()):
+            return False
+        self._velocity_rad_s, self._silent = velocity, 0
+        return True
+
+    def close(self) -> None:
+        """Stop listening; the controller falls back to monitor mode by itself."""
+        self._is_open = False
+        self._socket.close()
+
+    def _takes_commands(self) -> bool:
+        is_well = self._last is not None and self._last["error"] == 0
+        return self.state is State.COMMAND and self.quality >= Quality.GOOD and is_well
+
+    def _checked(self, data: bytes) -> np.void | None:
+        """A measurement that is newer than the last; anything else is counted."""
+        found = read_measurement(data)
+        if found is None:
+            self.report.malformed += 1
+            return None
+        is_counted = self._last is not None and monotonic() - self._arrival_s < LONGEST_COUNTED_s
+        if is_counted and not 0 < self._cycles_ahead(found, self._last) < COUNTS // 2:
+            self.report.stale += 1
+            return None
+        self._socket.accept()
+        return found
+
+    @staticmethod
+    def _cycles_ahead(found: np.void, before: np.void | None) -> int:
+        return 1 if before is None else (int(found["count"]) - int(before["count"])) % COUNTS
+
+    def _send_answer(self, found: np.void) -> None:
+        was_commanded = self._takes_commands()
+        self._last = found
+        self.state, self.quality = State(found["state"]), Quality(found["quality"])
+        if not (was_commanded and self._takes_commands()):
+            self._target_rad = found["commanded_rad"].astype(float) + found["added_rad"]
+            self._silent = SILENT_CYCLES
+        elif self._silent < SILENT_CYCLES:
+            self._silent += 1
+            self._target_rad = self._target_rad + found["period_s"] * self._velocity_rad_s
+        answer = self._answer
+        answer["count"] = (int(answer["count"]) + 1) % COUNTS
+        answer["reflected"], answer["position_rad"] = found["count"], self._target_rad
+        self._socket.send(answer.tobytes())
+
+    def _sample(self, found: np.void, before: np.void | None) -> ArmSample:
+        now_s = monotonic()
+        silence_s, self._arrival_s = now_s - self._arrival_s, now_s
+        # The period as it was meant: 1 ms is not a number of 32 bits.
+        period_s = round(float(found["period_s"]), 6)
+        cycles = self._cycles_ahead(found, before)
+        if before is not None and silence_s >= LONGEST_COUNTED_s:
+            cycles = round(silence_s / period_s)
+        self.report.use(cycles, cycles * period_s)
+        return ArmSample(
+            dt_s=cycles * period_s,
+            q_rad=found["position_rad"].astype(float),
+            dq_rad_s=None,
+            tau_Nm=found["torque_Nm"].astype(float),
+            external_Nm=found["external_Nm"].astype(float),
+            missed=cycles - 1,
+            accepts_commands=self._takes_commands(),
+        )

@@ -1,0 +1,205 @@
+"""A haptic device a lab can buy: Haply's Inverse3, through its local service; and an emulator.
+
+The service speaks JSON over a websocket on this machine, in its format 3.1 as public examples show
+it. It sends the state of its devices, and the next one after a force has come. The clutch is button
+A of the grip where there is one; without a grip the hand always moves the needle.
+
+Other devices: whatever satisfies `needleforce.control.ports.HapticDevice` will do.
+"""
+
+import json
+import threading
+import time
+from multiprocessing.connection import Connection
+from typing import Any
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from needleforce.devices.proxy import (
+    Array,
+    DeviceSettingError,
+    Link,
+    LinkError,
+    LinkReport,
+    MasterSample,
+    MissingClientError,
+)
+
+ADDRESS = "ws://127.0.0.1:10001"
+AXES = "xyz"
+GRIPS = ("wireless_verse_grip", "verse_grip")
+LOST_s = 0.1
+"""After so long a silence the force is asked for again."""
+
+
+class HaplyMaster(Link):
+    """The device: an impedance device of three degrees of freedom.
+
+    Attributes:
+        report: What has come, and what has not.
+    """
+
+    def __init__(self, address: str = ADDRESS, *, most_force_N: float = 5.0) -> None:
+        """Connect to the service.
+
+        Args:
+            address: Of the service.
+            most_force_N: Longer forces are shortened to this.
+
+        Raises:
+            MissingClientError: websockets is not installed.
+            LinkError: The service does not answer.
+            DeviceSettingError: A force that is not positive.
+        """
+        if not 0.0 < most_force_N < np.inf:
+            raise DeviceSettingError(f"most_force_N={most_force_N!r}: expected a positive number")
+        try:
+            from websockets.exceptions import WebSocketException
+            from websockets.sync.client import connect
+        except ImportError as error:
+            raise MissingClientError(
+                "websockets is not installed; pip install websockets"
+            ) from error
+        self.report, self._most_N, self._gone = LinkReport(), most_force_N, WebSocketException
+        try:
+            self._socket = connect(address, max_size=1 << 20, open_timeout=5.0)
+        except (OSError, WebSocketException) as error:
+            raise LinkError(
+                f"no haptic service at {address}: {error}; is it running, is a device plugged in?"
+            ) from error
+        self._force_N, self._device = np.zeros(3), ""
+        self._begin_s = self._last_s = time.monotonic()
+
+    def read(self) -> MasterSample | None:
+        """The newest state, or None: nothing has come, or the device is gone; see `report`."""
+        found, now_s = None, time.monotonic()
+        try:
+            while (text := self._next()) is not None:
+                found = self._decoded(text, now_s - self._begin_s) or found
+            if found is not None:
+                self.report.longest_gap_s = max(self.report.longest_gap_s, now_s - self._last_s)
+                self._last_s = now_s
+                self.report.used += 1
+                self._command()
+            elif now_s - self._last_s > LOST_s:
+                self.report.outages += 1
+                self._last_s = now_s
+                self._command()
+        except self._gone:
+            self.report.outages += 1
+        return found
+
+    def render(self, force_N: ArrayLike) -> None:
+        """Force on the hand from now on [N], shape (3,); sent with the next state.
+
+        What is longer than the most is shortened, what is not finite is no force.
+        """
+        force = np.array(force_N, dtype=float)
+        if force.shape != (3,) or not np.isfinite(force).all():
+            force = np.zeros(3)
+        size = float(np.linalg.norm(force))
+        self._force_N = force * min(1.0, self._most_N / size) if size > 0.0 else force
+
+    def close(self) -> None:
+        """Show no force, and end the connection."""
+        self._force_N = np.zeros(3)
+        try:
+            self._command()
+            self._socket.close()
+        except self._gone:
+            pass
+
+    def _next(self) -> str | bytes | None:
+        try:
+            return self._socket.recv(timeout=0)
+        except TimeoutError:
+            return None
+
+    def _command(self) -> None:
+        if self._device:
+            values = dict(zip(AXES, self._force_N.tolist(), strict=True))
+            commands = {"set_cursor_force": {"values": values}}
+            device = {"device_id": self._device, "commands": commands}
+            self._socket.send(json.dumps({"inverse3": [device]}))
+
+    def _decoded(self, text: str | bytes, t_s: float) -> MasterSample | None:
+        try:
+            state = json.loads(text)
+            device = state["inverse3"][0]
+            position, velocity = (
+                np.array([float(device["state"][name][axis]) for axis in AXES])
+                for name in ("cursor_position", "cursor_velocity")
+            )
+            if not (np.isfinite(position).all() and np.isfinite(velocity).all()):
+                raise ValueError
+            self._device = str(device["device_id"])
+            return MasterSample(t_s, position, velocity, _clutch(state))
+        except (ValueError, TypeError, LookupError, AttributeError):
+            self.report.malformed += 1
+            return None
+
+
+def _clutch(state: dict[str, Any]) -> bool:
+    """Button A of the first grip; True without one."""
+    for kind in GRIPS:
+        for grip in state.get(kind) or ():
+            buttons = grip.get("state", {}).get("buttons", {})
+            if "a" in buttons:
+                return bool(buttons["a"])
+    return True
+
+
+def emulate_haply(pipe: Connection, wish_m: Array, period_s: float = 1e-3) -> dict[str, Any]:
+    """The service with one device in an emulated operator's hand; a function for `Emulator`.
+
+    Args:
+        pipe: To the process that started it.
+        wish_m: Where the person wants the handle, a row per period, shape (m, 3); the last row
+            holds from then on.
+        period_s: Of the device.
+
+    Returns:
+        How many cycles passed, and the energy that went through the handle.
+    """
+    from websockets.exceptions import ConnectionClosed
+    from websockets.sync.server import ServerConnection, serve
+
+    from groundtruth.rig_operator import HapticMaster, Operator
+
+    last = len(wish_m) - 1
+    hand = Operator(wish_m=lambda t_s: wish_m[min(round(t_s / period_s), last)])
+    master, counts = HapticMaster(hand), {"cycles": 0}
+
+    def session(link: ServerConnection) -> None:
+        due_s = time.monotonic()
+        while True:
+            sample = master.read()
+            counts["cycles"] += 1
+            if sample is not None:
+                link.send(json.dumps(_state(sample.position_m, sample.velocity_m_s)))
+            due_s += period_s
+            try:
+                # The device goes on with its last force when no new one comes in time.
+                while (left_s := due_s - time.monotonic()) > 0.0:
+                    command = json.loads(link.recv(timeout=left_s))
+                    values = command["inverse3"][0]["commands"]["set_cursor_force"]["values"]
+                    master.render([values[axis] for axis in AXES])
+            except TimeoutError:
+                continue
+            except ConnectionClosed:
+                return
+
+    with serve(session, "127.0.0.1", 0) as server:
+        pipe.send({"address": f"ws://127.0.0.1:{server.socket.getsockname()[1]}"})
+        threading.Thread(target=server.serve_forever, daemon=True).start()
+        while not pipe.poll(0.05):
+            pass
+        server.shutdown()
+    return {**counts, "port_energy_J": master.port_energy_J}
+
+
+def _state(position_m: Array, velocity_m_s: Array) -> dict[str, Any]:
+    values = {"cursor_position": position_m, "cursor_velocity": velocity_m_s}
+    state = {name: dict(zip(AXES, v.tolist(), strict=True)) for name, v in values.items()}
+    return {"inverse3": [{"device_id": "emulated", "state": state}]}

@@ -1,0 +1,235 @@
+"""What every device offers, real or emulated, and how a link reports what it has missed.
+
+An arm is iterated over: one sample per cycle, in SI units; what the interface lacks is None. Arms
+and haptic devices satisfy the protocols of `needleforce.control.ports`, as the simulated ones do.
+
+    with FriArm() as arm:
+        for sample in arm:
+            session.update(sample.q_rad, sample.dq_rad_s, sample.tau_Nm, sample.dt_s)
+    print(arm.report)
+"""
+
+import socket
+from collections.abc import Iterable, Iterator
+from contextlib import suppress
+from dataclasses import asdict, dataclass
+from time import monotonic, sleep
+from types import TracebackType
+from typing import NamedTuple, Protocol, Self, TypeVar
+
+import numpy as np
+from numpy.typing import NDArray
+
+Array = NDArray[np.float64]
+
+
+# Errors: one base; each of the others is also a standard exception.
+
+
+class DeviceError(Exception):
+    """Base of all errors of this package."""
+
+
+class DeviceSettingError(DeviceError, ValueError):
+    """An address, a rate or a scale that cannot work."""
+
+
+class LinkError(DeviceError, ConnectionError):
+    """A device that cannot be reached, does not answer or has stayed away for too long."""
+
+
+class MissingClientError(DeviceError, ImportError):
+    """The vendor's client library is not installed; the message names it."""
+
+
+LOOPBACK = "127.0.0.1"
+"""Where links bind and connect unless an address is named."""
+MOST_DATAGRAM = 65536
+
+
+class ArmSample(NamedTuple):
+    """What an arm reports in one cycle.
+
+    Attributes:
+        dt_s: Time since the previous sample, by the arm's own count of cycles.
+        q_rad: Joint positions, shape (n,).
+        dq_rad_s: Joint velocities, shape (n,); None where the interface has none.
+        tau_Nm: Measured joint torques behind the gears, with gravity, shape (n,); None where the
+            interface has none.
+        external_Nm: The arm's own estimate of the external torques, shape (n,), or None.
+        missed: Cycles since the previous sample that brought nothing valid.
+        accepts_commands: Whether the arm would move now.
+    """
+
+    dt_s: float
+    q_rad: Array
+    dq_rad_s: Array | None
+    tau_Nm: Array | None
+    external_Nm: Array | None
+    missed: int
+    accepts_commands: bool
+
+
+@dataclass(slots=True)
+class LinkReport:
+    """Counts of what a link has received since it was opened."""
+
+    used: int = 0  # valid, passed on
+    missed: int = 0  # cycles of which nothing valid came
+    malformed: int = 0  # wrong size, type or checks, or numbers that are not finite
+    stale: int = 0  # the same as the one before, or older
+    foreign: int = 0  # from another address than the device's
+    outages: int = 0  # silences longer than the time that the link waits
+    longest_gap_s: float = 0.0  # between two valid ones
+
+    def use(self, cycles: int, gap_s: float) -> None:
+        """Count a sample that came so many cycles, and so long, after the one before."""
+        self.used += 1
+        self.missed += cycles - 1
+        self.longest_gap_s = max(self.longest_gap_s, gap_s)
+
+    def __str__(self) -> str:
+        """One line for people: what is not zero."""
+        counts = (f"{value:g} {name}" for name, value in asdict(self).items() if value)
+        return ", ".join(counts).replace("longest_gap_s", "s the longest gap") or "nothing received"
+
+
+class MasterSample(NamedTuple):
+    """What a haptic device reports."""
+
+    t_s: float  # on its own clock
+    position_m: Array  # of the handle, shape (3,), in the device's axes
+    velocity_m_s: Array  # shape (3,)
+    clutch: bool  # True while the hand moves the needle
+
+
+class _Timed(Protocol):
+    @property
+    def dt_s(self) -> float: ...
+
+
+S = TypeVar("S", bound=_Timed)
+
+
+def paced(arm: Iterable[S]) -> Iterator[S]:
+    """The samples of a simulated arm in real time: each waits until its time has come."""
+    due_s = monotonic()
+    for sample in arm:
+        due_s += sample.dt_s
+        sleep(max(due_s - monotonic(), 0.0))
+        yield sample
+
+
+class Link:
+    """What closes itself: for the ``with`` statement."""
+
+    def close(self) -> None:
+        """End the connection."""
+
+    def __enter__(self) -> Self:
+        """Itself."""
+        return self
+
+    def __exit__(
+        self,
+        kind: type[BaseException] | None,
+        error: BaseException | None,
+        trace: TracebackType | None,
+    ) -> None:
+        """Close it."""
+        self.close()
+
+
+class ReplayArm(Link):
+    """Recorded joint signals as an `Arm` that takes no commands.
+
+    Attributes:
+        report: How many samples were given out.
+        joints: How many joints it has.
+    """
+
+    def __init__(self, dt_s: Array, q_rad: Array, dq_rad_s: Array | None, tau_Nm: Array) -> None:
+        """Take m samples: time steps, shape (m,), the others (m, n); velocities may be None."""
+        self.report, self.joints = LinkReport(), q_rad.shape[1]
+        dq = [None] * len(dt_s) if dq_rad_s is None else dq_rad_s
+        self._rows = zip(dt_s.tolist(), q_rad, dq, tau_Nm, strict=True)
+
+    def __iter__(self) -> Iterator[ArmSample]:
+        """The samples, as fast as they are taken; see `paced`."""
+        for dt_s, q, dq, tau in self._rows:
+            self.report.used += 1
+            yield ArmSample(dt_s, q, dq, tau, None, 0, accepts_commands=False)
+
+    def send(self, dq_rad_s: Array, /) -> bool:
+        """No command is taken: False."""
+        return False
+
+
+class DatagramPeer:
+    """A UDP socket with one peer; datagrams from elsewhere are counted and dropped.
+
+    Raises:
+        LinkError: The address cannot be bound.
+        DeviceSettingError: A port outside 0 to 65535.
+    """
+
+    def __init__(
+        self, host: str, port: int, report: LinkReport, *, peer: str | None = None
+    ) -> None:
+        if not 0 <= port <= 65535:
+            raise DeviceSettingError(f"port {port}: expected 0 to 65535 (0: any free one)")
+        self._report, self._wanted = report, peer
+        self.peer: tuple[str, int] | None = None
+        self._candidate: tuple[str, int] | None = None
+        self._socket = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
+        try:
+            self._socket.bind((host, port))
+        except OSError as error:
+            self._socket.close()
+            raise LinkError(
+                f"cannot listen on {host}:{port}: {error.strerror or error}; is another program "
+                "using the port, and is the address one of this machine?"
+            ) from error
+
+    @property
+    def address(self) -> tuple[str, int]:
+        """Where it listens."""
+        return self._socket.getsockname()
+
+    def receive(self, timeout_s: float) -> bytes | None:
+        """The next datagram that may be the peer's; None when none came in time (0: now).
+
+        Until a peer is accepted, or named, everyone may be it.
+        """
+        deadline_s = monotonic() + timeout_s
+        while True:
+            self._socket.settimeout(max(deadline_s - monotonic(), 0.0))
+            try:
+                data, sender = self._socket.recvfrom(MOST_DATAGRAM)
+            except (TimeoutError, BlockingIOError):
+                return None
+            except ConnectionError:  # what was sent before found nobody listening
+                continue
+            if sender[0] == (self._wanted or sender[0]) and self.peer in (None, sender):
+                self._candidate = sender
+                return data
+            self._report.foreign += 1
+
+    def accept(self) -> None:
+        """Take whoever sent the last datagram for the peer: it was valid."""
+        self.peer = self._candidate
+
+    def forget(self) -> None:
+        """Let another be the peer: after an outage a device may come back on another port."""
+        self.peer = None
+
+    def send(self, data: bytes, to: tuple[str, int] | None = None) -> None:
+        """Send to the peer, or to an address; what the network refuses is lost, as on a wire."""
+        target = to or self.peer
+        if target is not None:
+            with suppress(OSError):
+                self._socket.sendto(data, target)
+
+    def close(self) -> None:
+        """Free the port."""
+        self._socket.close()

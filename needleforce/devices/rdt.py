@@ -1,0 +1,183 @@
+"""ATI Net F/T: force and torque through its raw data transfer (RDT).
+
+One request begins the stream; records of 36 bytes come back, one to a datagram or, buffered, forty.
+Numbers are big endian; counts per newton are set in the sensor and read from it, never assumed.
+"""
+
+import struct
+from collections.abc import Iterator
+from time import monotonic
+from typing import NamedTuple
+from urllib.error import URLError
+from urllib.request import urlopen
+from xml.etree import ElementTree
+
+import numpy as np
+
+from needleforce.devices.proxy import (
+    LOOPBACK,
+    Array,
+    DatagramPeer,
+    DeviceSettingError,
+    Link,
+    LinkError,
+    LinkReport,
+)
+
+PORT = 49152
+REQUEST = struct.Struct(">HHI")
+REQUEST_MARK = 0x1234
+STOP, STREAM, BUFFERED, SOFTWARE_BIAS = 0, 2, 3, 0x42
+RECORD = np.dtype([("count", ">u4"), ("ft_count", ">u4"), ("status", ">u4"), ("counts", ">i4", 6)])
+COUNTS = 1 << 32
+LONGEST_COUNTED_s = 1.0
+"""A sensor that was silent for longer may have been switched off and count from zero."""
+MOST_REPLY = 1 << 20
+FAULT_BITS = 0xFFFF0000
+"""Of the status word: an error of the sensor, a saturated gauge, a lost supply."""
+
+
+class Scale(NamedTuple):
+    """How many counts the sensor gives."""
+
+    per_N: float
+    per_Nm: float
+
+
+def read_scale(url: str, *, timeout_s: float = 2.0) -> Scale:
+    """Ask the sensor's page of its calibration for its counts.
+
+    Raises:
+        LinkError: The page cannot be read or names no counts.
+    """
+    try:
+        with urlopen(url, timeout=timeout_s) as reply:
+            tree = ElementTree.fromstring(reply.read(MOST_REPLY))
+    except (URLError, OSError, ElementTree.ParseError, ValueError) as error:
+        raise LinkError(f"no counts per newton from {url}: {error}; is it the sensor?") from error
+    numbers = []
+    for name in ("calcpf", "calcpt"):
+        text = tree.findtext(f".//{name}")
+        try:
+            numbers.append(float(text or ""))
+        except ValueError:
+            raise LinkError(f"{url} has no number under <{name}>: {text!r}") from None
+    return checked_scale(Scale(*numbers))
+
+
+def checked_scale(scale: Scale) -> Scale:
+    """The scale; `DeviceSettingError` unless both numbers are positive and finite."""
+    if not all(np.isfinite(value) and value > 0.0 for value in scale):
+        raise DeviceSettingError(f"{scale}: expected positive counts per N and per Nm")
+    return scale
+
+
+class NetFT(Link):
+    """The sensor: the newest reading, or a stream of all.
+
+    Attributes:
+        report: What has come, and what has not.
+        scale: Counts per newton and per newton metre.
+        status: Word of the last record; 0 when all is well.
+    """
+
+    def __init__(
+        self,
+        host: str = LOOPBACK,
+        port: int = PORT,
+        *,
+        scale: Scale | str | None = None,
+        buffered: bool = False,
+        listen_on: str | None = None,
+    ) -> None:
+        """Ask for the stream.
+
+        Args:
+            host: Address of the sensor.
+            port: Its port.
+            scale: Its counts, or the page that says them; None: the sensor's own page.
+            buffered: Forty records to a datagram: fewer interruptions, up to 6 ms later.
+            listen_on: Address of this machine; None: loopback for a sensor there, else any.
+
+        Raises:
+            LinkError: The sensor's page cannot be read, or no port is free here.
+            DeviceSettingError: A scale that is not positive.
+        """
+        page = scale or f"http://{host}/netftcalapi.xml"
+        self.scale = read_scale(page) if isinstance(page, str) else checked_scale(page)
+        self.report, self.status = LinkReport(), 0
+        local = listen_on or (LOOPBACK if host.startswith("127.") else "0.0.0.0")
+        self._socket = DatagramPeer(local, 0, self.report, peer=host)
+        self._sensor, self._mode = (host, port), BUFFERED if buffered else STREAM
+        self._divisor = np.repeat(self.scale, 3)
+        self._last: int | None = None
+        self._arrival_s = monotonic()
+        self._zero, self._newest = np.zeros(6), np.zeros(6)
+        self._request(self._mode)
+
+    def read(self) -> Array | None:
+        """The newest wrench of all that have come: force [N], torque [Nm], shape (6,); else None.
+
+        Raises nothing: what is malformed or old is counted in `report`.
+        """
+        found = None
+        while (data := self._socket.receive(0.0)) is not None:
+            for wrench in self._records(data):
+                found = wrench
+        return found
+
+    def stream(self, wait_s: float = 0.1) -> Iterator[Array | None]:
+        """Every wrench as it comes, shape (6,); None after a silence: it is asked for again."""
+        while True:
+            data = self._socket.receive(wait_s)
+            if data is None:
+                self.report.outages += 1
+                self._request(self._mode)
+                yield None
+            else:
+                yield from self._records(data)
+
+    def bias(self) -> None:
+        """Take the last reading for zero, here; the sensor's own zero stays as it is."""
+        self._zero = self._newest.copy()
+
+    def unbias(self) -> None:
+        """Forget that."""
+        self._zero = np.zeros(6)
+
+    def bias_sensor(self) -> None:
+        """Let the sensor itself take its present load for zero."""
+        self._request(SOFTWARE_BIAS)
+
+    def close(self) -> None:
+        """Ask the sensor to stop, and free the port."""
+        self._request(STOP)
+        self._socket.close()
+
+    def _request(self, command: int) -> None:
+        self._socket.send(REQUEST.pack(REQUEST_MARK, command, 0), self._sensor)
+
+    def _records(self, data: bytes) -> Iterator[Array]:
+        """Valid wrenches of a datagram, oldest first."""
+        report, now_s = self.report, monotonic()
+        if not data or len(data) % RECORD.itemsize:
+            report.malformed += 1
+            return
+        if now_s - self._arrival_s > LONGEST_COUNTED_s:
+            self._last = None  # it may have begun to count anew
+            report.longest_gap_s = max(report.longest_gap_s, now_s - self._arrival_s)
+        self._arrival_s = now_s
+        for record in np.frombuffer(data, RECORD):
+            count, last = int(record["count"]), self._last
+            ahead = 1 if last is None else (count - last) % COUNTS
+            if ahead == 0 or ahead >= COUNTS // 2:
+                report.stale += 1
+                continue
+            self._last, self.status = count, int(record["status"])
+            report.missed += ahead - 1
+            if self.status & FAULT_BITS:
+                report.malformed += 1
+                continue
+            report.used += 1
+            self._newest = record["counts"] / self._divisor
+            yield self._newest - self._zero

@@ -1,0 +1,285 @@
+"""Arms, force sensors and haptic devices against emulators in processes of their own."""
+
+import json
+import socket
+import time
+
+import numpy as np
+import pytest
+
+from needleforce.devices import (
+    DeviceSettingError,
+    FriArm,
+    LinkError,
+    NetFT,
+    ReplayArm,
+    Scale,
+    fri,
+    paced,
+    rdt,
+)
+from needleforce.devices.emulators import (
+    Emulator,
+    Faults,
+    FriSettings,
+    RdtSettings,
+    emulate_fri,
+    emulate_rdt,
+)
+from needleforce.devices.proxy import LOOPBACK
+
+ROWS = np.linspace(0.0, 1.0, 700).reshape(100, 7).astype(np.float32).astype(float)
+WRENCH = np.random.default_rng(0).normal(size=(5000, 6))
+
+
+def fri_run(cycles, faults=None, *, send=None, give_up_s=0.3, **settings):
+    """Samples, the arm and the counts of an emulated controller that sends so many cycles."""
+    arm = FriArm(port=0, wait_s=0.05, give_up_s=give_up_s)
+    wanted = FriSettings(
+        port=arm.address[1],
+        q_rad=ROWS,
+        tau_Nm=2.0 * ROWS,
+        cycles=cycles,
+        faults=faults or Faults(),
+        **settings,
+    )
+    found = []
+    with arm, Emulator(emulate_fri, wanted) as emulator:
+        for sample in arm:
+            found.append(sample)
+            if send is not None:
+                arm.send(send)
+        return found, arm, emulator.counts()
+
+
+def measurement(**values):
+    packet = np.zeros((), fri.MEASUREMENT)
+    fields = {"size": 916, "kind": fri.MEASUREMENT_KIND, "period_s": 1e-3, "state": 1} | values
+    for name, value in fields.items():
+        packet[name] = value
+    return packet.tobytes()
+
+
+def test_every_cycle_of_an_lwr_is_answered_and_handed_on():
+    found, arm, counts = fri_run(1000)
+    assert len(found) == 1000 == arm.report.used
+    assert counts["same_cycle"] + counts["late"] == 1000
+    assert counts["same_cycle"] > 900  # what the machine's other work delays
+    assert [sample.dt_s for sample in found[:3]] == [1e-3] * 3
+    assert np.array_equal(found[42].q_rad, ROWS[42])
+    assert np.array_equal(found[42].tau_Nm, 2.0 * ROWS[42])
+    assert found[42].dq_rad_s is None
+
+
+def test_nothing_invalid_is_handed_on_and_all_that_is_missed_is_counted():
+    faults = Faults(lost=0.02, late=0.02, repeated=0.02, truncated=0.02, garbage=0.05)
+    found, arm, _ = fri_run(2000, faults)
+    assert all(np.array_equal(sample.tau_Nm, 2.0 * sample.q_rad) for sample in found)
+    report = arm.report
+    assert report.malformed > 50
+    assert report.stale > 20
+    assert report.missed > 30
+    assert report.used + report.missed == round(sum(sample.dt_s for sample in found) / 1e-3)
+    assert sum(sample.missed for sample in found) == report.missed
+
+
+def test_after_an_outage_the_samples_go_on_with_the_time_that_passed():
+    found, arm, _ = fri_run(2500, Faults(silent=((0.3, 2.3),)), give_up_s=4.0)
+    gap = max(found, key=lambda sample: sample.dt_s)
+    assert gap.dt_s == pytest.approx(2.0, abs=0.05)
+    assert gap.missed == pytest.approx(2000, abs=50)
+    assert arm.report.outages == 2  # the second is the end
+    assert len(found) == pytest.approx(500, abs=10)
+
+
+def test_commands_move_the_arm_only_in_command_mode_on_a_good_connection():
+    faults = Faults(bad_quality=((0.6, 0.8),))
+    found, _, counts = fri_run(1000, faults, send=np.full(7, 0.1), command_from_s=0.2)
+    accepted = np.array([sample.accepts_commands for sample in found])
+    assert not accepted[:190].any()
+    assert accepted[220:580].all()
+    assert not accepted[620:790].any()
+    moved = counts["commanded_rad"] - ROWS[0]
+    assert np.allclose(moved, 0.1 * np.count_nonzero(accepted) * 1e-3, rtol=0.1)
+
+
+def test_commands_that_cannot_be_are_refused():
+    with FriArm(port=0) as arm:
+        for bad in (np.zeros(6), np.full(7, np.nan), np.zeros(7)):
+            assert not arm.send(bad)  # the last because nothing has come yet
+
+
+@pytest.mark.parametrize(
+    "data",
+    [
+        b"",
+        bytes(916),
+        measurement(size=915),
+        measurement(kind=0x1005),
+        measurement(period_s=0.0),
+        measurement(state=3),
+        measurement(position_rad=np.nan),
+        measurement(torque_Nm=np.inf),
+        measurement()[:-1],
+        measurement() + b"x",
+    ],
+)
+def test_what_is_no_measurement_is_refused(data):
+    assert fri.read_measurement(data) is None
+
+
+def test_random_datagrams_do_no_harm():
+    rng = np.random.default_rng(1)
+    assert fri.read_measurement(measurement()) is not None
+    for _ in range(20_000):
+        size = int(rng.choice([8, 376, 915, 916, 1500]))
+        found = fri.read_measurement(rng.bytes(size))
+        assert found is None or np.isfinite(found["position_rad"]).all()
+
+
+def test_another_sender_is_not_listened_to():
+    arm = FriArm(port=0, wait_s=0.05, give_up_s=0.1)
+    with (
+        arm,
+        socket.socket(type=socket.SOCK_DGRAM) as one,
+        socket.socket(type=socket.SOCK_DGRAM) as other,
+    ):
+        for count in range(3):
+            one.sendto(measurement(count=count), arm.address)
+            other.sendto(measurement(count=100 + count), arm.address)
+        found = list(arm)
+    assert len(found) == 3
+    assert arm.report.foreign == 3
+    named = FriArm(port=0, peer="127.0.0.2", wait_s=0.05, give_up_s=0.1)
+    with named, socket.socket(type=socket.SOCK_DGRAM) as one:
+        one.sendto(measurement(), named.address)
+        assert list(named) == []
+    assert named.report.foreign == 1
+
+
+def test_an_address_that_cannot_be_is_said_so():
+    with FriArm(port=0) as arm, pytest.raises(LinkError, match="another program"):
+        FriArm(port=arm.address[1])
+    with pytest.raises(DeviceSettingError, match="expected 0 to 65535"):
+        FriArm(port=70000)
+    with pytest.raises(DeviceSettingError, match="wait_s"):
+        FriArm(port=0, wait_s=2.0, give_up_s=1.0)
+    with pytest.raises(LinkError, match="is it the sensor"):
+        NetFT(scale="http://127.0.0.1:9/none.xml")
+    with pytest.raises(DeviceSettingError, match="positive counts"):
+        NetFT(scale=Scale(0.0, 1.0))
+
+
+@pytest.mark.parametrize("buffered", [False, True])
+def test_every_record_of_a_force_sensor_comes_in_newtons(buffered):
+    settings = RdtSettings(wrench=WRENCH, scale=(500_000.0, 2e6))
+    with Emulator(emulate_rdt, settings) as box:
+        ft = NetFT(port=box.ready["port"], scale=box.ready["page"], buffered=buffered)
+        with ft:
+            assert ft.scale == (500_000.0, 2e6)
+            found, end_s, stream = [], time.monotonic() + 1.0, ft.stream()
+            for wrench in stream:
+                found.append(wrench)
+                if time.monotonic() > end_s:
+                    break
+            ft.bias()
+            zero = found[-1]
+            assert np.allclose(next(stream), WRENCH[len(found) % 5000] - zero, atol=3e-6)
+            ft.unbias()
+    assert ft.report.missed == 0
+    assert len(found) > 6000
+    assert np.allclose(found, WRENCH[np.arange(len(found)) % 5000], atol=2e-6)
+
+
+def test_a_force_sensor_that_loses_records_says_how_many():
+    settings = RdtSettings(wrench=WRENCH, faults=Faults(lost=0.01, truncated=0.01, repeated=0.01))
+    with (
+        Emulator(emulate_rdt, settings) as box,
+        NetFT(port=box.ready["port"], scale=Scale(1e6, 1e6)) as ft,
+    ):
+        end_s = time.monotonic() + 1.0
+        while time.monotonic() < end_s:
+            time.sleep(1e-3)
+            ft.read()
+    report = ft.report
+    assert report.used > 5000
+    assert report.missed == pytest.approx(0.02 * (report.used + report.missed), rel=0.5)
+    assert report.malformed > 20
+    assert report.stale > 20
+
+
+def test_a_sensor_that_reports_a_fault_gives_no_force():
+    record = np.zeros(1, rdt.RECORD)
+    with socket.socket(type=socket.SOCK_DGRAM) as box:
+        box.bind((LOOPBACK, 0))
+        with NetFT(port=box.getsockname()[1], scale=Scale(1e6, 1e6)) as ft:
+            _, asked_from = box.recvfrom(64)
+            for count, status in enumerate((0, 1 << 31, 0)):
+                record["count"], record["status"] = count, status
+                box.sendto(record.tobytes(), asked_from)
+            time.sleep(0.05)
+            assert ft.read() is not None
+            assert (ft.report.used, ft.report.malformed) == (2, 1)
+
+
+def test_a_haptic_device_moves_and_is_felt():
+    pytest.importorskip("websockets")
+    from needleforce.devices import HaplyMaster
+    from needleforce.devices.haptic import emulate_haply
+
+    wish = np.zeros((1000, 3))
+    wish[:, 2] = 0.02
+    wish[0] = 0.0
+    with Emulator(emulate_haply, wish) as service:
+        with HaplyMaster(service.ready["address"], most_force_N=2.0) as master:
+            places, end_s = [], time.monotonic() + 1.0
+            while time.monotonic() < end_s:
+                if (sample := master.read()) is not None:
+                    places.append(sample.position_m[2])
+                    master.render([0.0, 0.0, -100.0])  # shortened to 2 N
+                else:
+                    time.sleep(2e-4)
+        counts = service.stop()
+    assert len(places) > 800
+    # A hand of 300 N/m at 20 mm against 2 N; it swings at 2 Hz.
+    assert np.mean(places[-480:]) == pytest.approx(0.02 - 2.0 / 300.0, abs=2e-3)
+    assert counts["port_energy_J"] > 0.0
+
+
+def test_what_a_haptic_service_should_not_send_is_counted():
+    server = pytest.importorskip("websockets.sync.server")
+    import threading
+
+    from needleforce.devices import HaplyMaster
+
+    place = {"x": 0, "y": 0, "z": 1}
+    state = {"cursor_position": place, "cursor_velocity": place}
+    good = {"inverse3": [{"device_id": "a", "state": state}]}
+    grip = {"wireless_verse_grip": [{"state": {"buttons": {"a": False}}}]}
+    bad = ["{", "[]", "{}", '{"inverse3": []}', json.dumps({"inverse3": [{"state": {}}]})]
+
+    def talk(link):
+        for text in (*bad, json.dumps(good | grip)):
+            link.send(text)
+        time.sleep(0.2)
+
+    with server.serve(talk, LOOPBACK, 0) as service:
+        threading.Thread(target=service.serve_forever, daemon=True).start()
+        with HaplyMaster(f"ws://{LOOPBACK}:{service.socket.getsockname()[1]}") as master:
+            time.sleep(0.1)
+            sample = master.read()
+        service.shutdown()
+    assert sample is not None
+    assert not sample.clutch
+    assert sample.position_m.tolist() == [0.0, 0.0, 1.0]
+    assert master.report.malformed == len(bad)
+    with pytest.raises(LinkError, match="is it running"):
+        HaplyMaster("ws://127.0.0.1:9")
+
+
+def test_recorded_signals_come_in_real_time():
+    arm = ReplayArm(np.full(100, 1e-3), ROWS, None, ROWS)
+    begin_s = time.monotonic()
+    assert len(list(paced(arm))) == 100
+    assert time.monotonic() - begin_s > 0.09
+    assert not arm.send(np.zeros(7))

@@ -1,0 +1,79 @@
+"""Arms of vendors through the vendors' own clients, against emulators in other processes."""
+
+import sys
+
+import numpy as np
+import pytest
+from vendor_emulators import ArmSettings, emulate_franka, emulate_ur
+
+from needleforce.devices import DeviceSettingError, FrankaArm, LinkError, MissingClientError, UrArm
+from needleforce.devices.emulators import Emulator
+
+
+def rows(joints, rate_hz, **settings):
+    rng = np.random.default_rng(0)
+    q, dq, effort = rng.normal(size=(3, 1000, joints))
+    return ArmSettings(q_rad=q, dq_rad_s=dq, effort=effort, rate_hz=rate_hz, **settings)
+
+
+def taken(arm, count):
+    found = []
+    for sample in arm:
+        found.append(sample)
+        if len(found) == count:
+            return found
+    return found
+
+
+def test_a_franka_arm_is_read_bit_for_bit():
+    pytest.importorskip("panda_py")
+    settings = rows(7, 1000.0)
+    with Emulator(emulate_franka, settings) as emulator, FrankaArm() as arm:
+        found = taken(arm, 1000)
+        assert emulator.stop()["sent"] >= 1000
+    assert len(found) == 1000
+    first = next(k for k in range(1000) if np.array_equal(settings.q_rad[k], found[0].q_rad))
+    at = first + np.cumsum([sample.missed + 1 for sample in found]) - found[0].missed - 1
+    for name, wanted in (
+        ("q_rad", settings.q_rad),
+        ("dq_rad_s", settings.dq_rad_s),
+        ("tau_Nm", settings.effort),
+    ):
+        assert np.array_equal([getattr(sample, name) for sample in found], wanted[at % 1000])
+    assert not arm.send(np.zeros(7))
+
+
+def test_a_ur_arm_is_read_and_its_currents_become_torques():
+    pytest.importorskip("rtde_receive")
+    settings = rows(6, 500.0)
+    constants = np.arange(1.0, 7.0)
+    with Emulator(emulate_ur, settings) as emulator:
+        with UrArm(torque_constant_Nm_A=constants) as arm:
+            found = taken(arm, 500)
+        assert emulator.stop()["sent"] >= 500
+    assert len(found) == 500
+    for sample in found[::50]:
+        row = np.flatnonzero((settings.q_rad == sample.q_rad).all(axis=1))
+        assert row.size == 1
+        assert np.array_equal(sample.tau_Nm, constants * settings.effort[row[0]])
+    assert sum(sample.missed for sample in found) == arm.report.missed
+
+
+def test_an_arm_that_is_not_there_is_said_so():
+    pytest.importorskip("panda_py")
+    pytest.importorskip("rtde_receive")
+    with pytest.raises(LinkError, match="no Franka arm"):
+        FrankaArm()
+    with pytest.raises(LinkError, match="no UR arm"):
+        UrArm()
+    with pytest.raises(DeviceSettingError, match="six positive"):
+        UrArm(torque_constant_Nm_A=[1.0])
+
+
+def test_a_client_that_is_not_installed_is_named(monkeypatch):
+    monkeypatch.setitem(sys.modules, "panda_py.libfranka", None)
+    monkeypatch.setitem(sys.modules, "rtde_receive", None)
+    with pytest.raises(MissingClientError, match="pip install panda-python"):
+        FrankaArm()
+    with pytest.raises(MissingClientError, match="pip install ur_rtde"):
+        UrArm()

@@ -1,0 +1,199 @@
+"""Emulators of arms that vendors' own clients accept: Franka FER (libfranka 0.9), UR e-Series.
+
+Each is a function for `emulators.Emulator`. They serve one client after the other on loopback, on
+the fixed ports of the vendors, and know reading only. Layouts are those of the public protocols:
+research interface version 5; RTDE version 2.
+"""
+
+import socket
+import struct
+import time
+from collections.abc import Callable
+from dataclasses import dataclass
+from multiprocessing.connection import Connection
+from typing import Any
+
+import numpy as np
+
+from needleforce.devices.emulators import Window, is_within
+from needleforce.devices.proxy import LOOPBACK, Array
+
+FRANKA_PORT, FRANKA_VERSION = 1337, 5
+FRANKA_HEADER = struct.Struct("<3I")  # command, number of the command, bytes in all
+FRANKA_DOUBLES = 284
+FRANKA_AT = {"tau_Nm": 126, "q_rad": 147, "dq_rad_s": 161, "external_Nm": 208}
+"""Doubles at which the arrays of seven begin, in the state's 284, after its number."""
+FRANKA_STATE_BYTES = 2373
+RTDE_PORT = 30004
+RTDE_HEADER = struct.Struct(">HB")
+RTDE_TYPES = {
+    "timestamp": "DOUBLE",
+    **dict.fromkeys(("actual_q", "actual_qd", "actual_current"), "VECTOR6D"),
+}
+VERSION, CONTROLLER, OUTPUTS, START, PAUSE, DATA = (
+    b"V"[0],
+    b"v"[0],
+    b"O"[0],
+    b"S"[0],
+    b"P"[0],
+    b"U"[0],
+)
+
+
+@dataclass(frozen=True, kw_only=True)
+class ArmSettings:
+    """What an emulated arm sends: rows over and over."""
+
+    q_rad: Array  # shape (m, n)
+    dq_rad_s: Array
+    effort: Array  # torques [Nm] of a Franka, currents [A] of a UR
+    rate_hz: float = 1000.0
+    silent: tuple[Window, ...] = ()  # nothing is sent meanwhile
+
+
+def _listen(port: int) -> socket.socket:
+    listener = socket.socket()
+    listener.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
+    listener.bind((LOOPBACK, port))
+    listener.listen(1)
+    listener.settimeout(0.1)
+    return listener
+
+
+def _stream(settings: ArmSettings, put: Callable[[int], object], ends: Callable[[], bool]) -> int:
+    """Call for each row in real time until it ends, or the other goes; how many were sent."""
+    begin_s, number, sent = time.monotonic(), 0, 0
+    while not (number % 50 == 0 and ends()):
+        t_s = number / settings.rate_hz
+        time.sleep(max(begin_s + t_s - time.monotonic(), 0.0))
+        if not is_within(settings.silent, t_s):
+            try:
+                put(number)
+            except OSError:
+                break
+            sent += 1
+        number += 1
+    return sent
+
+
+def _read(link: socket.socket, size: int) -> bytes:
+    """So many bytes; `ConnectionError` if the other has gone."""
+    data = b""
+    while len(data) < size:
+        piece = link.recv(size - len(data))
+        if not piece:
+            raise ConnectionError
+        data += piece
+    return data
+
+
+def emulate_franka(pipe: Connection, settings: ArmSettings) -> dict[str, Any]:
+    """An arm that answers the connection and sends its state at 1 kHz."""
+    with _listen(FRANKA_PORT) as listener, socket.socket(type=socket.SOCK_DGRAM) as states:
+        pipe.send({"port": FRANKA_PORT})
+        sent = 0
+        while not pipe.poll():
+            try:
+                link, (host, _) = listener.accept()
+            except TimeoutError:
+                continue
+            with link:
+                _, number, size = FRANKA_HEADER.unpack(_read(link, FRANKA_HEADER.size))
+                version, port = struct.unpack_from("<2H", _read(link, size - FRANKA_HEADER.size))
+                # Status 1: another version of the interface.
+                reply = struct.pack("<BH", version != FRANKA_VERSION, FRANKA_VERSION)
+                whole = FRANKA_HEADER.size + len(reply)
+                link.sendall(FRANKA_HEADER.pack(0, number, whole) + reply)
+                link.setblocking(False)
+                sent += _stream(
+                    settings,
+                    lambda k, port=port, host=host: states.sendto(
+                        franka_state(k, settings), (host, port)
+                    ),
+                    lambda link=link: pipe.poll() or _is_gone(link),
+                )
+    return {"sent": sent}
+
+
+def _is_gone(link: socket.socket) -> bool:
+    try:
+        return link.recv(1) == b""
+    except BlockingIOError:
+        return False
+    except ConnectionError:
+        return True
+
+
+def franka_state(number: int, settings: ArmSettings) -> bytes:
+    """The state of one millisecond: 2,373 bytes."""
+    row = number % len(settings.q_rad)
+    values = np.zeros(FRANKA_DOUBLES)
+    rows = {"q_rad": settings.q_rad, "dq_rad_s": settings.dq_rad_s, "tau_Nm": settings.effort}
+    for name, array in rows.items():
+        values[FRANKA_AT[name] :][:7] = array[row]
+    values[:96] = np.tile(np.eye(4).ravel(), 6)  # six poses
+    flags = bytes(2 + 2 * 41) + bytes([1])  # modes, errors, reasons of a reflex; idle
+    return struct.pack("<Q", number + 1) + values.tobytes() + flags + struct.pack("<d", 1.0)
+
+
+def emulate_ur(pipe: Connection, settings: ArmSettings) -> dict[str, Any]:
+    """A controller that answers the setup of outputs and sends them."""
+    sent = 0
+    with _listen(RTDE_PORT) as listener:
+        pipe.send({"port": RTDE_PORT})
+        while not pipe.poll():
+            try:
+                link, _ = listener.accept()
+            except TimeoutError:
+                continue
+            with link:
+                try:
+                    names = _rtde_setup(link)
+                    link.setblocking(False)
+                    sent += _stream(
+                        settings,
+                        lambda k, link=link, names=names: link.sendall(
+                            _rtde(DATA, rtde_data(names, k, settings))
+                        ),
+                        lambda link=link: pipe.poll() or _is_gone(link),
+                    )
+                except ConnectionError:
+                    continue
+    return {"sent": sent}
+
+
+def _rtde(kind: int, payload: bytes) -> bytes:
+    return RTDE_HEADER.pack(RTDE_HEADER.size + len(payload), kind) + payload
+
+
+def _rtde_setup(link: socket.socket) -> list[str]:
+    """Answer until the client starts the data; the names it wants."""
+    names: list[str] = []
+    while True:
+        size, kind = RTDE_HEADER.unpack(_read(link, RTDE_HEADER.size))
+        payload = _read(link, size - RTDE_HEADER.size)
+        if kind == VERSION:
+            link.sendall(_rtde(kind, bytes([payload == b"\x00\x02"])))
+        elif kind == CONTROLLER:
+            link.sendall(_rtde(kind, struct.pack(">4I", 5, 12, 0, 0)))
+        elif kind == OUTPUTS:
+            names = payload[8:].decode().rstrip(",").split(",")
+            types = ",".join(RTDE_TYPES.get(name, "NOT_FOUND") for name in names)
+            link.sendall(_rtde(kind, bytes([1]) + types.encode()))
+        else:
+            link.sendall(_rtde(kind, bytes([1])))
+            if kind == START:
+                return names
+
+
+def rtde_data(names: list[str], number: int, settings: ArmSettings) -> bytes:
+    """One package of outputs of recipe 1."""
+    row = number % len(settings.q_rad)
+    rows = {
+        "timestamp": [number / settings.rate_hz],
+        "actual_q": settings.q_rad[row],
+        "actual_qd": settings.dq_rad_s[row],
+        "actual_current": settings.effort[row],
+    }
+    values = [value for name in names for value in rows[name]]
+    return bytes([1]) + struct.pack(f">{len(values)}d", *values)
