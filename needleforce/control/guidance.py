@@ -20,8 +20,8 @@ from urdf import Robot
 LWR_DAMPING_Nms = (9.0, 9.0, 4.5, 4.5, 1.8, 1.35, 0.45)
 """Per rad, for the seven joints of an LWR: on the simulated one a hub at 100 mm/s takes 8 N. A hand
 of stiffness k with an arm that moves by A per force is stable while k A stays below what the lags
-of observer, low-pass and servo allow together, some 40 / s: with half of this damping the
-arm runs away from a hand of 2000 N/m."""
+of observer, low-pass and servo allow together, some 40 / s: with half of this damping it runs
+away from a hand of 2000 N/m."""
 HOLD_s = 0.02
 """The last residual stands in for rejected ones for so long, and fades after that: a hand that lets
 go looks like a spike, and an arm that stopped at once for it would make the next one."""
