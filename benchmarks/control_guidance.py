@@ -43,8 +43,8 @@ SPEED_m_s, HAND_N_per_m = 0.1, 500.0
 DEEP_m, SIDE_N = 0.04, 10.0
 SWING_m = 2e-4
 REST_s, AWAY_m = 0.5, 0.025
-"""From so long on the hand rests. An arm further from it than it has pulled, 20 mm, has run away; it
-may then stand still because the sensor takes nothing in any more, so its swing alone says nothing."""
+"""From so long on the hand rests. An arm further from it than it has pulled, 20 mm, has run away;
+it may then stand still because the sensor takes nothing in, so its swing alone says nothing."""
 DRIFT_s = 60.0
 
 
