@@ -32,8 +32,9 @@ _SMOOTH_S, _SLOW_S, _LEARN_S, _PEAK_S = 3e-3, 0.015, 1.0, 0.1
 the memory of the last peak."""
 _FIRST_NOISE_N, _SIGMAS = 0.03, 7.0
 """Noise before it is measured; a fall by so many standard deviations of it is one."""
-_LARGE = 0.15
-"""A fall by so much of the force is a rupture whatever the identification still waits for."""
+_LARGE, _LARGE_N = 0.15, 0.1
+"""A fall by so much of the force, and in newtons, is a rupture whatever the identification still
+waits for; smaller ones are errors of the force that go with the posture."""
 _APART_M = 3e-3
 """Two ruptures less far apart are one."""
 
@@ -118,11 +119,14 @@ class RuptureCount:
         self._variance_N2 += weight * (noise_N2 - self._variance_N2)
         self._peak_N += dt_s / _PEAK_S * (self._force_N - self._peak_N)
         self._peak_N, alarm = max(self._peak_N, self._force_N), found.rupture
+        if not found.in_contact:  # what falls in free air is the start of the motion
+            self._peak_N = self._force_N
         before_N = self._peak_N if alarm is None else max(self._peak_N, alarm.force_N)
         fall_N = before_N - self._force_N
-        is_likely = found.rupture_state is RuptureState.EXPECTED or fall_N > _LARGE * before_N
+        large_N = max(_LARGE * before_N, _LARGE_N)
+        is_likely = found.rupture_state is RuptureState.EXPECTED or fall_N > large_N
         has_fallen = fall_N > _SIGMAS * math.sqrt(self._variance_N2)
-        if not (has_fallen and (alarm or (is_steady and is_likely))):
+        if not (found.in_contact and has_fallen and (alarm or (is_steady and is_likely))):
             return False
         if depth_m < self._last_m + _APART_M:
             return False
@@ -142,8 +146,8 @@ class InsertionProfile:
 
     A soft arm is stretched by the force on its needle: what is commanded lies ahead of the tip. If
     the command only came to rest, the tip would follow while the force falls, after a rupture by
-    several tenths of a millimetre. So a stop takes the command back to where the tip is, as fast
-    as the arm's limits allow, and then holds the tip there.
+    several tenths of a millimetre. So a rupture takes the command back to where the tip is, as fast
+    as the arm's limits allow; then the tip is held there.
     """
 
     def __init__(self, plan: InsertionPlan) -> None:
@@ -192,7 +196,7 @@ class InsertionProfile:
                 return self._insert(found, axial_N, depth_m, dt_s)
             case "dwell" if now.state_s >= plan.dwell_s:
                 return Step(0.0, "arrived")
-            case "dwell" | "stopped":
+            case "dwell":
                 return Step(self._hold(depth_m))
             case "withdraw":
                 return self._travel(-depth_m, dt_s)
@@ -211,7 +215,7 @@ class InsertionProfile:
         return step
 
     def _hold(self, depth_m: float) -> float:
-        """Speed of a stop."""
+        """Speed after an insertion: first back, if it has not come to rest by itself."""
         if self._held_m is None:
             return 0.0
         ahead_m = self._asked_m - depth_m
