@@ -24,6 +24,10 @@ MOST_TORQUES = 1000
 """As many samples are kept between two renewals at most; then their sum is."""
 MOST_BLOCKS = 400
 """When there are as many, the older half is merged in pairs: a fit takes a fraction of a second."""
+WEIGH_S = 0.25
+"""So often the covariance is renewed: it changes with pose and age, both slowly. At once where
+motion lets a variance grow by `MOST_GROWTH` of itself."""
+MOST_GROWTH = 0.1
 SMOOTHING_S = 0.05
 """Lag of the velocity whose distance from the present one is the acceleration: noise of an encoder
 then stays below a tenth of the torque sensor's, and a motion of 2 Hz loses a sixth."""
@@ -105,6 +109,9 @@ class BiasState:
     torque_sum: Array  # Of the torques since the last renewal [Nm], shape (n,)
     bias: Array  # Offset that is subtracted [Nm], shape (n,)
     motion_Nm2: Array  # Variance of the residual's error by motion, shape (n,)
+    # The same, and all of the variance, when the covariance was asked for last, shape (2, n)
+    weighed_Nm2: Array
+    weighed_s: float = -WEIGH_S  # When that was [s]
     q: Array  # Last position [rad], shape (n,)
     dq: Array  # Last velocity [rad/s], shape (n,)
     smooth_dq: Array  # Velocity of a moment ago [rad/s], shape (n,)
@@ -143,7 +150,9 @@ class BiasEstimator:
         self._config = config
         self._basis = basis = BiasModel(robot, config.tare, config.prior)
         self._block_s = self.BLOCK_LAGS / config.slowest_gain_per_s
-        self._model, self._data, self._joints = robot.model, robot.create_data(), robot.nv
+        self._weightless, self._data = pin.Model(robot.model), robot.create_data()
+        self._weightless.gravity = pin.Motion.Zero()
+        self._joints = robot.nv
         self._half_widths = np.vstack(
             (
                 np.outer(config.prior.hysteresis_widths, basis.effort_Nm),
@@ -218,11 +227,11 @@ class BiasEstimator:
         A tare is of slow motion. It corrects masses and first moments as far as gravity shows them;
         what turns and accelerates the links is still as uncertain as the prior says.
         """
-        memory, model, data = self.memory, self._model, self._data
+        memory = self.memory
         behind = memory.dq - memory.smooth_dq
         memory.smooth_dq = memory.smooth_dq - math.expm1(-dt_s / SMOOTHING_S) * behind
-        gravity = pin.computeGeneralizedGravity(model, data, memory.q)
-        motion = pin.rnea(model, data, memory.q, memory.dq, behind / SMOOTHING_S) - gravity
+        acceleration = behind / SMOOTHING_S
+        motion = pin.rnea(self._weightless, self._data, memory.q, memory.dq, acceleration)
         return np.square(self._config.prior.mass_fraction * motion)
 
     def sum_torques(self) -> None:
@@ -244,11 +253,23 @@ class BiasEstimator:
     def _clear_recorder(self) -> None:
         self.memory.recorder = TareRecorder.of_size(self._joints, self._basis.states)
 
+    @property
+    def is_covariance_due(self) -> bool:
+        """Whether `covariance_Nm2` may have changed since the last call."""
+        memory = self.memory
+        if memory.now_s - memory.weighed_s >= WEIGH_S - ROUNDING_S:
+            return True
+        motion_Nm2, variance_Nm2 = memory.weighed_Nm2
+        return bool((memory.motion_Nm2 > motion_Nm2 + MOST_GROWTH * variance_Nm2).any())
+
     def covariance_Nm2(self) -> Array:
         """Covariance of the corrected residual here and now [Nm^2], shape (n, n)."""
         memory = self.memory
         covariance = self._tare.covariance_Nm2(memory.q, memory.states, self._age_s)
-        return covariance + np.diag(memory.motion_Nm2)
+        covariance += np.diag(memory.motion_Nm2)
+        memory.weighed_s = memory.now_s
+        memory.weighed_Nm2 = np.stack((memory.motion_Nm2, np.diag(covariance)))
+        return covariance
 
     @property
     def _age_s(self) -> float:
@@ -312,6 +333,7 @@ class BiasEstimator:
                 torque_sum=still,
                 bias=still,
                 motion_Nm2=still,
+                weighed_Nm2=np.zeros((2, self._joints)),
                 q=still,
                 dq=still,
                 smooth_dq=still,

@@ -13,6 +13,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from needleforce.jit import Matrix, Vector, compiled
 from residual.errors import VelocityError
 from residual.estimate import SensorWarning, WrenchEstimate
 from residual.wrench_estimator import WrenchEstimator
@@ -82,18 +83,14 @@ NO_TARE = (
 
 
 class VelocityMatch(NamedTuple):
-    """How velocities match positions; each (n,) but for the last three.
+    """How velocities match positions; the sums fade over `MEMORY_S` and are taken in motion."""
 
-    The sums fade over `MEMORY_S` of motion and are taken while the joint moves.
-    """
-
-    position: Array  # At the last check [rad]
-    velocity: Array  # Measured there [rad/s]
-    rate: Array  # Of the position there [rad/s]
-    travel: Array  # Fading travel of q [rad]
-    travel_dq: Array  # Fading travel of dq [rad]
-    seconds: Array  # Time for which a joint has been judged [s]
-    beyond: Array  # Sum of squares of the difference of both travels beyond a lag [rad^2 s]
+    # Position [rad], velocity as measured and rate of the position [rad/s] at the last check; then
+    # fading travel of q and of dq [rad]; shape (5, n)
+    motion: Array
+    seconds: Array  # Time for which a joint has been judged [s], shape (n,)
+    # Sum of squares of the difference of both travels beyond a lag [rad^2 s], shape (n,)
+    beyond: Array
     # Sums of products of dq's travel, q's, and the change of q's, two and two; shape (n, 3, 3)
     moments: Array
     # Row i, column j: square of the travel of joint j while joint i is judged [rad^2 s], shape (n,
@@ -106,24 +103,37 @@ def first_match(q: Array, dq: Array) -> VelocityMatch:
     """A match that knows one check only, of position [rad] and velocity [rad/s], shape (n,)."""
     n, still = len(q), np.zeros(len(q))
     sums = still, still, np.zeros((n, 3, 3)), np.zeros((n, n)), np.zeros((n, n))
-    return VelocityMatch(q, dq, still, still, still, *sums)
+    return VelocityMatch(np.stack((q, dq, still, still, still)), *sums)
+
+
+@compiled
+def travels(motion: Matrix) -> NDArray[np.bool_]:
+    """Which joints have moved far enough to be judged, shape (n,)."""
+    most = np.maximum(DQ_RATIO * np.abs(motion[3]), np.abs(motion[4]))
+    return most > DQ_RATIO * LEAST_TRAVEL_RAD
+
+
+@compiled
+def travel_step(motion: Matrix, q: Vector, dq: Vector, dt_s: float) -> tuple[Array, bool]:
+    """``motion`` of a `VelocityMatch` at the next check, and whether any joint travels."""
+    way, way_dq = q - motion[0], 0.5 * dt_s * (dq + motion[1])
+    now = np.zeros_like(motion)
+    now[0], now[1], now[2] = q, dq, way / dt_s
+    jump = np.abs(now[2] - motion[2]).max()
+    if jump <= MOST_ACCELERATION_RAD_S2 * dt_s and dt_s <= LONGEST_S:
+        kept = math.exp(-dt_s / TRAVEL_S)
+        now[3], now[4] = kept * motion[3] + way, kept * motion[4] + way_dq
+    return now, bool(travels(now).any())
 
 
 def velocity_match_step(match: VelocityMatch, q: Array, dq: Array, dt_s: float) -> VelocityMatch:
     """The match after the next check, q [rad] and dq [rad/s], a time ``dt_s`` > 0 later."""
-    way, way_dq = q - match.position, 0.5 * dt_s * (dq + match.velocity)
-    rate = way / dt_s
-    jump = np.abs(rate - match.rate).max()
-    if jump > MOST_ACCELERATION_RAD_S2 * dt_s or dt_s > LONGEST_S:
-        still = np.zeros(len(q))
-        return match._replace(position=q, velocity=dq, rate=rate, travel=still, travel_dq=still)
-    kept = math.exp(-dt_s / TRAVEL_S)
-    a, b = kept * match.travel + way, kept * match.travel_dq + way_dq
-    moves = np.maximum(DQ_RATIO * np.abs(a), np.abs(b)) > DQ_RATIO * LEAST_TRAVEL_RAD
-    if not moves.any():
-        return match._replace(position=q, velocity=dq, rate=rate, travel=a, travel_dq=b)
+    motion, is_moving = travel_step(match.motion, q, dq, dt_s)
+    if not is_moving:
+        return VelocityMatch(motion, *match[1:])
+    (*_, a, b), way, way_dq = motion, q - match.motion[0], 0.5 * dt_s * (dq + match.motion[1])
     tolerated = TOLERATED_RAD + TOLERATED_LAG_S / dt_s * np.maximum(np.abs(way), np.abs(way_dq))
-    own = np.stack((b, a, (a - match.travel) / dt_s), axis=1)
+    own = np.stack((b, a, (a - match.motion[3]) / dt_s), axis=1)
     terms = (
         np.ones(len(q)),
         np.maximum(np.abs(b - a) - tolerated, 0.0) ** 2,
@@ -131,12 +141,12 @@ def velocity_match_step(match: VelocityMatch, q: Array, dq: Array, dt_s: float) 
         np.tile(a * a, (len(q), 1)),
         np.outer(b, a),
     )
-    faded = 1.0 - math.exp(-dt_s / MEMORY_S)
+    faded, moves = 1.0 - math.exp(-dt_s / MEMORY_S), travels(motion)
     sums = [
         last + moves.reshape(-1, *[1] * (last.ndim - 1)) * (dt_s * term - faded * last)
-        for last, term in zip(match[5:], terms, strict=True)
+        for last, term in zip(match[1:], terms, strict=True)
     ]
-    return VelocityMatch(q, dq, rate, a, b, *sums)
+    return VelocityMatch(motion, *sums)
 
 
 def velocity_fault(match: VelocityMatch) -> str:
@@ -275,23 +285,31 @@ class ConsistencyMonitor:
             match = first_match(q, dq)
         else:
             match = velocity_match_step(match, q, dq, dt_s)
-        self.restore(MonitorState(square, widening, int(found), at_limit, match))
+        last_match, fault = self.state.match, self.velocity_fault
+        self.state = MonitorState(square, widening, int(found), at_limit, match)
+        # While nothing moves the sums stay.
+        if match is None or last_match is None or match.beyond is not last_match.beyond:
+            fault = "" if match is None else velocity_fault(match)
+        self._report(fault)
 
     @property
-    def wanted_widening(self) -> float:
-        """Factor of a covariance that contains what no wrench explains: a push, a wrong model.
+    def _wanted(self) -> float:
+        return 1.0 + 2.0 * max(0.0, self.state.mismatch_squared - 1.0)
+
+    @property
+    def wants_widening(self) -> bool:
+        """Whether the covariance in use is clearly too small for what is seen now."""
+        return self._wanted > 1.1 * self.state.widening
+
+    def widened(self, covariance_Nm2: Array) -> Array:
+        """A covariance that contains what no wrench explains: a push on the arm, a wrong model.
 
         The variance factor of least squares: what is seen in the torques that the wrench does not
         make is likely to be in those that it does; twice, since four torques show a variance only
         within a factor of two.
         """
-        return 1.0 + 2.0 * max(0.0, self.state.mismatch_squared - 1.0)
-
-    def widened(self, covariance_Nm2: Array) -> Array:
-        """A covariance times `wanted_widening`, which is now the one in use."""
-        widening = self.wanted_widening
-        self.state = self.state._replace(widening=widening)
-        return widening * covariance_Nm2
+        self.state = self.state._replace(widening=self._wanted)
+        return self.state.widening * covariance_Nm2
 
     def check_velocity(self) -> None:
         """Refuse a tare with velocities that are not the rate of positions: a `VelocityError`."""
@@ -324,10 +342,12 @@ class ConsistencyMonitor:
     def restore(self, state: MonitorState) -> None:
         """Go on from a `state` taken earlier."""
         self.state = state
-        self.mismatch = math.sqrt(state.mismatch_squared)
-        self.velocity_fault = "" if state.match is None else velocity_fault(state.match)
-        self.warnings = SensorWarning(state.warnings)
-        self.message = ""
+        self._report("" if state.match is None else velocity_fault(state.match))
+
+    def _report(self, velocity_fault: str) -> None:
+        self.velocity_fault, self.message = velocity_fault, ""
+        self.mismatch = math.sqrt(self.state.mismatch_squared)
+        self.warnings = SensorWarning(self.state.warnings)
         if self.velocity_fault:
             self.warnings |= SensorWarning.VELOCITY
         if self.warnings:

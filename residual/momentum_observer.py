@@ -7,7 +7,7 @@ low-pass of the external torque (paper, Section IV; Haddadin et al. 2017).
 
 import math
 from dataclasses import dataclass, field
-from typing import Literal, Protocol, get_args
+from typing import Any, Literal, Protocol, get_args
 
 import numpy as np
 import pinocchio as pin
@@ -16,6 +16,8 @@ from numpy.typing import ArrayLike, NDArray
 from needleforce.jit import Matrix, Vector, WrittenMatrix, compiled
 from residual.errors import ConfigurationError
 from residual.input_validation import (
+    MOST_PLAUSIBLE,
+    all_fit,
     check_choice,
     check_interval,
     check_joint_vector,
@@ -38,6 +40,8 @@ NOISE_THRESHOLD_SIGMAS = 3.0
 _LEAST_MOMENTUM_NOISE = 1e-9
 """Keeps the ratios of `momentum_step` finite for a signal without noise [kg m^2/s]."""
 _NAMES = ("q", "dq", "tau")
+_PACKED = {(8,)}
+"""Distance in memory of the numbers of a contiguous array."""
 
 RESIDUAL, MOMENTUM, CORIOLIS, GRAVITY, TORQUE = range(5)
 """Rows of a step at the start of a tick: r [Nm], p [kg m^2/s], C' dq, g + tau_f and tau [Nm]."""
@@ -322,10 +326,16 @@ class MomentumObserver:
             SampleError: For a wrong shape, a number that is not finite or a time step that does
                 not advance; the state is then unchanged.
         """
-        rows = read_rows(_NAMES, (q, dq, tau), self._joints)
-        check_rows(_NAMES, rows)
+        sample: Any = (q, dq, tau)
+        # Compiled code takes contiguous arrays.
+        if not all_fit(sample, self._joints) or {sample[1].strides, sample[2].strides} != _PACKED:
+            sample = tuple(read_rows(_NAMES, sample, self._joints))
+        position, velocity, torque = sample
+        numbers = (*position.tolist(), *velocity.tolist(), *torque.tolist())
+        if not math.hypot(*numbers) < MOST_PLAUSIBLE:
+            check_rows(_NAMES, np.stack(sample))
         dt_s = check_interval(dt_s) if self.memory.started else 0.0
-        residual = self.absorb(rows[0], rows[1], rows[2], dt_s)
+        residual = self.absorb(position, velocity, torque, dt_s)
         residual.setflags(False)  # pyright: ignore[reportCallIssue]  # thrice as long by name
         return residual
 

@@ -328,7 +328,7 @@ class VirtualForceSensor:
         if settled and not tared:
             offset.record(residual, elapsed_s)
         self._unchecked_s += elapsed_s
-        if renewed:
+        if renewed and (offset.is_covariance_due or monitor.wants_widening):
             self._weigh()
         wrench.kinematics.update(q, data)
         # One more lag follows the force; it begins where the force is.

@@ -60,6 +60,13 @@ def pseudo_inverse(symmetric: Matrix, least: float) -> tuple[Array, NDArray[np.b
 
 
 @compiled
+def inverse_of(symmetric: Matrix) -> tuple[float, Array]:
+    """Least eigenvalue, and the inverse where that is positive."""
+    values, vectors = np.linalg.eigh(symmetric)
+    return values[0], (vectors / np.maximum(values, 1e-300)).dot(vectors.T)
+
+
+@compiled
 def weighted_inverse(
     jacobian: Matrix, error_covariance: Matrix, precision: Matrix, damping: Vector
 ) -> tuple[Array, Array, float, Array]:
@@ -156,9 +163,6 @@ def wrench_step(
     )
 
 
-_PAIR = np.eye(2)
-
-
 @compiled
 def unexplained(rows: Matrix, precision: Matrix) -> tuple[float, Array]:
     """What of joint torque no wrench explains, whose unknowns make torque by ``rows``, (k, n).
@@ -243,12 +247,11 @@ class WrenchEstimator:
         # Written so that a NaN is refused too.
         if not asymmetry <= 1e-6 * abs(np.trace(covariance_Nm2)):
             raise ConfigurationError("covariance_Nm2 must be finite and symmetric")
-        try:
-            root = np.linalg.inv(np.linalg.cholesky(covariance_Nm2))
-        except np.linalg.LinAlgError as error:
-            raise ConfigurationError("covariance_Nm2 is not positive definite") from error
-        self._covariance = covariance_Nm2.copy()
-        self._inverse = root.T @ root
+        covariance = np.array(covariance_Nm2, order="C")
+        least, inverse = inverse_of(covariance)
+        if least <= 0.0:
+            raise ConfigurationError("covariance_Nm2 is not positive definite")
+        self._covariance, self._inverse = covariance, inverse
 
     @property
     def torque_covariance(self) -> Array:
@@ -275,8 +278,9 @@ class WrenchEstimator:
         tool.update(q)
         jacobian, axis, size = tool.jacobian, tool.axis_in_tool, max(len(directions), 3)
         if self._in_base:
-            turn = np.kron(_PAIR, tool.rotation_tool_to_base)
-            jacobian, axis = turn.dot(jacobian), turn[:3, :3].dot(axis)
+            turn = tool.rotation_tool_to_base
+            jacobian = np.concatenate((turn.dot(jacobian[:3]), turn.dot(jacobian[3:])))
+            axis = turn.dot(axis)
         if len(directions) == 1:
             directions = np.concatenate((axis, _NOTHING))[None]
         rows, inverse = directions.dot(jacobian), self._inverse
