@@ -75,8 +75,8 @@ def _tail_us(update: Update, indices: Sequence[int]) -> float:
     return float(np.percentile(taken, 99.9))
 
 
-def control_speed_report(progress: Callable[[float], None]) -> tuple[list[ResultTable], bool]:
-    """The table, and whether all targets are met."""
+def _subjects(progress: Callable[[float], None]) -> dict[str, Update]:
+    """What is timed, by name."""
     loop, samples = _recorded(SECONDS, lambda part: progress(0.4 * part))
     hasty, pressed = _recorded(0.5, lambda part: progress(0.4 + 0.4 * part))
     robot = SimulatedArm(plant="clean", duration_s=1.0).robot
@@ -93,15 +93,20 @@ def control_speed_report(progress: Callable[[float], None]) -> tuple[list[Result
         beside.update(q, dq, tau, dt_s)
         loop.command(samples[k], k)
 
-    subjects: dict[str, Update] = {
+    return {
         BARE: bare,
         CONTROL: lambda k: loop.command(samples[k], k),
         SATURATED: lambda k: hasty.command(pressed[k], k),
         SESSION: lambda k: session.update(*samples[k][1:], samples[k].dt_s),
         TOGETHER: together,
     }
-    times = time_side_by_side(subjects, WARM_TICKS, len(samples))
-    again = range(WARM_TICKS, len(samples))
+
+
+def control_speed_report(progress: Callable[[float], None]) -> tuple[list[ResultTable], bool]:
+    """The table, and whether all targets are met."""
+    subjects = _subjects(progress)
+    times = time_side_by_side(subjects, WARM_TICKS, round(1e3 * SECONDS))
+    again = range(WARM_TICKS, round(1e3 * SECONDS))
     tails = {name: _tail_us(update, again) for name, update in subjects.items()}
     progress(1.0)
     medians = {name: float(np.median(each)) for name, each in times.items()}

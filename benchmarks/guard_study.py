@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 
 from groundtruth import PLANT_MODELS
 from residual import DEFAULT, SampleError
-from residual.sample_stream import JointStream
+from residual.sample_stream import SampleStream
 from urdf import NeedleTool, Robot, load_lwr
 
 Array = NDArray[np.float64]
@@ -122,7 +122,7 @@ KINDS: Mapping[str, Callable[[Robot, np.random.Generator, int], Motion]] = Mappi
 
 def held_back(robot: Robot, motion: Motion, *, has_velocity: bool) -> int:
     """How many samples of a motion the sensor would not use."""
-    stream, missed_s, count = JointStream(robot, DEFAULT, has_velocity=has_velocity), 0.0, 0
+    stream, missed_s, count = SampleStream(robot, DEFAULT, has_velocity=has_velocity), 0.0, 0
     for q, dq, tau in zip(*motion, strict=True):
         try:
             stream.update(q, dq if has_velocity else None, tau, PERIOD_s + missed_s)

@@ -8,7 +8,7 @@ The names below live in `urdf`, `residual`, `identification` and the modules of 
 is imported when it is first used, so that ``import needleforce`` costs next to nothing.
 
 Reading order: `session` (the whole chain, tick by tick), `snapshot`, `jit`; then the packages
-`recordings`, `plots`, `cli`, `control` (what moves the needle).
+`recordings`, `plots`, `cli`, `control` (what moves the needle), `anatomy` (what it enters).
 """
 
 from importlib import import_module

@@ -1,9 +1,11 @@
 """Keeps the tare: records free motion, fits, subtracts, and says how far it may be trusted."""
 
+import math
 from dataclasses import dataclass
 from typing import NamedTuple, Self
 
 import numpy as np
+import pinocchio as pin
 from numpy.typing import NDArray
 
 from residual.bias_fit import FreeMotionFit
@@ -12,8 +14,7 @@ from residual.config import SensorConfig
 from residual.errors import TareError
 from residual.estimate import FORGOTTEN, TARE_EXPIRED
 from residual.input_validation import ROUNDING_S
-from residual.joint_states import JointStates
-from residual.snapshot import copied
+from residual.joint_states import follow_joints
 from residual.tare_check import check_free_of_contact
 from residual.wrench_estimator import WrenchEstimator
 from urdf import Robot
@@ -23,94 +24,69 @@ MOST_TORQUES = 1000
 """As many samples are kept between two renewals at most; then their sum is."""
 MOST_BLOCKS = 400
 """When there are as many, the older half is merged in pairs: a fit takes a fraction of a second."""
+WEIGH_S = 0.25
+"""So often the covariance is renewed: it changes with pose and age, both slowly. At once where
+motion lets a variance grow by `MOST_GROWTH` of itself."""
+MOST_GROWTH = 0.1
+SMOOTHING_S = 0.05
+"""Lag of the velocity whose distance from the present one is the acceleration: noise of an encoder
+then stays below a tenth of the torque sensor's, and a motion of 2 Hz loses a sixth."""
 
 
 @dataclass(slots=True, eq=False)
 class TareRecorder:
-    """Means of residual, position and joint states over short blocks of free motion.
+    """Sums of residual, position and joint states over short blocks of free motion.
 
     Memory is bounded: once there are `MOST_BLOCKS`, pairs of neighbours in the older half become
     one; the latest blocks stay short.
     """
 
-    means: Array  # Of every block: position, residual, states; shape (m, 2 + states, n)
-    time_s: Array  # Middle of every block [s], shape (m,)
-    scatter: Array  # Variance within every block [Nm^2], shape (m, n)
-    samples: tuple[int, ...]  # Number of samples of every block, shape (m,)
-    sums: Array  # Of the open block, shape (2 + states, n)
-    squares: Array  # Of its residuals [Nm^2], shape (n,)
-    summed: int = 0  # Number of its samples
+    # Of every block: samples, their times [s], positions, residuals, squares of these, and states;
+    # shape (m, 5 + states, n)
+    sums: Array
+    open: Array  # The same of the block that is not complete yet, shape (5 + states, n)
     age_s: float = 0.0  # Its length so far [s]
 
     @classmethod
     def of_size(cls, joints: int, states: int) -> Self:
         """Nothing recorded yet."""
-        shape = (2 + states, joints)
-        return cls(
-            means=np.zeros((0, *shape)),
-            time_s=np.zeros(0),
-            scatter=np.zeros((0, joints)),
-            samples=(),
-            sums=np.zeros(shape),
-            squares=np.zeros(joints),
-        )
+        return cls(np.zeros((0, 5 + states, joints)), np.zeros((5 + states, joints)))
 
     @property
     def is_empty(self) -> bool:
         """Whether nothing has been recorded."""
-        return not (self.samples or self.summed)
+        return not (len(self.sums) or self.open[0].any())
 
-    def add(self, q: Array, states: Array, residual: Array, dt_s: float) -> None:
+    def add(self, q: Array, states: Array, residual: Array, now_s: float, dt_s: float) -> None:
         """Add position [rad], joint states and residual [Nm] a time after the last ones."""
-        self.sums[0] += q
-        self.sums[1] += residual
-        self.sums[2:] += states
-        self.squares += residual * residual
-        self.summed += 1
+        one = np.ones_like(q)
+        self.open += np.vstack((one, now_s * one, q, residual, residual * residual, states))
         self.age_s += dt_s
 
-    def close_block(self, now_s: float) -> None:
+    def close_block(self) -> None:
         """End the open block; the next sample begins another."""
-        means = self.sums / self.summed
-        scatter = np.maximum(self.squares / self.summed - means[1] ** 2, 0.0)
-        self.means = np.concatenate((self.means, means[None]))
-        self.time_s = np.append(self.time_s, now_s - 0.5 * self.age_s)
-        self.scatter = np.concatenate((self.scatter, scatter[None]))
-        self.samples = (*self.samples, self.summed)
-        self.sums, self.squares = np.zeros_like(self.sums), np.zeros_like(self.squares)
-        self.summed, self.age_s = 0, 0.0
-        if len(self.samples) >= MOST_BLOCKS:
-            self._merge_older()
-
-    def _merge_older(self) -> None:
-        half = MOST_BLOCKS // 2
-        first, second = slice(0, half, 2), slice(1, half, 2)
-        counts = np.array(self.samples[:half])
-        count = counts[::2] + counts[1::2]
-        a, b = counts[::2] / count, counts[1::2] / count
-        means, scatter, time_s = self.means, self.scatter, self.time_s
-        between = (a * b)[:, None] * (means[first, 1] - means[second, 1]) ** 2
-        merged = a[:, None, None] * means[first] + b[:, None, None] * means[second]
-        spread = a[:, None] * scatter[first] + b[:, None] * scatter[second] + between
-        self.means = np.concatenate((merged, means[half:]))
-        self.scatter = np.concatenate((spread, scatter[half:]))
-        self.time_s = np.append(a * time_s[first] + b * time_s[second], time_s[half:])
-        self.samples = (*count.tolist(), *self.samples[half:])
+        self.sums = np.concatenate((self.sums, self.open[None]))
+        self.open, self.age_s = np.zeros_like(self.open), 0.0
+        if len(self.sums) >= MOST_BLOCKS:
+            older = self.sums[: MOST_BLOCKS // 2]
+            self.sums = np.concatenate((older[::2] + older[1::2], self.sums[MOST_BLOCKS // 2 :]))
 
     def blocks(self, now_s: float, window_s: float | None = None) -> TareBlocks:
         """What was recorded, or the last ``window_s`` of it [s]; there must be a block."""
-        kept = np.ones(len(self.samples), dtype=bool)
+        means = self.sums / self.sums[:, :1]
+        age_s = means[:, 1, 0] - now_s
         if window_s is not None:
-            kept = now_s - self.time_s <= window_s
+            kept = -age_s <= window_s
             kept[-1] = True
-        means = self.means[kept]
+            means, age_s = means[kept], age_s[kept]
+        scatter = np.maximum(means[:, 4] - means[:, 3] ** 2, 0.0)
         return TareBlocks(
-            q_rad=means[:, 0],
-            states=means[:, 2:],
-            residual_Nm=means[:, 1],
-            age_s=self.time_s[kept] - now_s,
+            q_rad=means[:, 2],
+            states=means[:, 5:],
+            residual_Nm=means[:, 3],
+            age_s=age_s,
             # The median, so that a knock in one block does not pass for noise in all.
-            scatter_Nm2=np.median(self.scatter[kept], axis=0),
+            scatter_Nm2=np.median(scatter, axis=0),
         )
 
 
@@ -128,12 +104,18 @@ class BiasState:
     """All that a `BiasEstimator` remembers."""
 
     recorder: TareRecorder  # Free motion recorded for the next tare
-    # Of hysteresis and friction, see `residual.joint_states`; None before a sample
-    joint_memory: Array | None = None
+    joint_memory: Array  # Of hysteresis and friction, see `residual.joint_states`
     states: Array  # What follows from it, shape (states, n)
     torque_sum: Array  # Of the torques since the last renewal [Nm], shape (n,)
     bias: Array  # Offset that is subtracted [Nm], shape (n,)
+    motion_Nm2: Array  # Variance of the residual's error by motion, shape (n,)
+    # The same, and all of the variance, when the covariance was asked for last, shape (2, n)
+    weighed_Nm2: Array
+    weighed_s: float = -WEIGH_S  # When that was [s]
     q: Array  # Last position [rad], shape (n,)
+    dq: Array  # Last velocity [rad/s], shape (n,)
+    smooth_dq: Array  # Velocity of a moment ago [rad/s], shape (n,)
+    started: bool = False  # Whether a sample has come
     tare: TareNumbers | None = None  # The tare in force; None before the first
     tared: bool = False  # Whether it is the current one
     tared_s: float = 0.0  # When it was taken [s]
@@ -166,9 +148,17 @@ class BiasEstimator:
 
     def __init__(self, robot: Robot, config: SensorConfig) -> None:
         self._config = config
-        self._basis = BiasModel(robot, config.tare, config.prior)
+        self._basis = basis = BiasModel(robot, config.tare, config.prior)
         self._block_s = self.BLOCK_LAGS / config.slowest_gain_per_s
+        self._weightless, self._data = pin.Model(robot.model), robot.create_data()
+        self._weightless.gravity = pin.Motion.Zero()
         self._joints = robot.nv
+        self._half_widths = np.vstack(
+            (
+                np.outer(config.prior.hysteresis_widths, basis.effort_Nm),
+                np.outer(config.prior.presliding_rad, np.ones(robot.nv)),
+            )
+        )
         self.reset()
 
     @property
@@ -183,14 +173,14 @@ class BiasEstimator:
         """Whether neither tare nor recorded motion is of any use now."""
         return not self.memory.tared and self.memory.recorder.is_empty
 
-    def follow(self, q: Array, tau: Array, dt_s: float) -> bool:
-        """Follow position [rad], torque [Nm], both kept, not copied, and time since the last [s].
+    def follow(self, q: Array, dq: Array, tau: Array, dt_s: float) -> bool:
+        """Follow position [rad], velocity, torque [Nm], kept, not copied, a time after the last.
 
         Returns:
             Whether joint states and offset have been renewed; the covariance may then be read anew.
         """
         memory = self.memory
-        memory.q = q
+        memory.q, memory.dq = q, dq
         memory.now_s += dt_s
         if dt_s > self.LEAP_S:
             # A drift fitted to motion on both sides of it would be far off.
@@ -200,26 +190,52 @@ class BiasEstimator:
                 self._clear_recorder()
         self._torques.append(tau)
         if len(self._torques) >= MOST_TORQUES:  # a clock of nanoseconds
-            self._sum_torques()
+            self.sum_torques()
         if memory.now_s < memory.due_s - ROUNDING_S:
             return False
         self._renew()
         return True
 
     def _renew(self) -> None:
-        """Renew what changes slowly: hysteresis, friction and the offset."""
-        memory = self.memory
+        """Renew what changes slowly: hysteresis, friction, the offset, and the error by motion."""
+        memory, basis, q = self.memory, self._basis, self.memory.q
         dt_s = memory.now_s - memory.renewed_s
-        self._sum_torques()
+        self.sum_torques()
         torque = memory.torque_sum / memory.summed
         memory.torque_sum, memory.summed = np.zeros(self._joints), 0
         memory.renewed_s, memory.due_s = memory.now_s, memory.now_s + self.RENEW_S
-        self._states.follow(memory.q, torque, dt_s)
-        memory.states, memory.joint_memory = self._states.rows, self._states.memory
-        memory.bias = self._tare.bias_Nm(memory.q, memory.states, self._age_s)
+        if not memory.started:
+            memory.joint_memory[-2:] = torque, q
+            memory.smooth_dq, memory.started = memory.dq, True
+        if dt_s > 0.0:
+            follow_joints(
+                memory.joint_memory,
+                memory.states,
+                q,
+                torque,
+                self._half_widths,
+                basis.loops,
+                basis.prior.stribeck_rad_s,
+                dt_s,
+            )
+        memory.bias = self._tare.bias_Nm(q, memory.states, self._age_s)
+        memory.motion_Nm2 = self._motion_variance_Nm2(dt_s)
 
-    def _sum_torques(self) -> None:
-        """Keep the sum of the torques only."""
+    def _motion_variance_Nm2(self, dt_s: float) -> Array:
+        """Variance of the residual's error per joint because the arm moves fast, shape (n,).
+
+        A tare is of slow motion. It corrects masses and first moments as far as gravity shows them;
+        what turns and accelerates the links is still as uncertain as the prior says.
+        """
+        memory = self.memory
+        behind = memory.dq - memory.smooth_dq
+        memory.smooth_dq = memory.smooth_dq - math.expm1(-dt_s / SMOOTHING_S) * behind
+        acceleration = behind / SMOOTHING_S
+        motion = pin.rnea(self._weightless, self._data, memory.q, memory.dq, acceleration)
+        return np.square(self._config.prior.mass_fraction * motion)
+
+    def sum_torques(self) -> None:
+        """Keep the sum of the torques only: `memory` is then complete."""
         memory = self.memory
         memory.torque_sum = np.add.reduce([memory.torque_sum, *self._torques])
         memory.summed += len(self._torques)
@@ -230,16 +246,30 @@ class BiasEstimator:
         memory = self.memory
         if not memory.tared:
             recorder = memory.recorder
-            recorder.add(memory.q, memory.states, residual, dt_s)
+            recorder.add(memory.q, memory.states, residual, memory.now_s, dt_s)
             if recorder.age_s >= self._block_s - ROUNDING_S:
-                recorder.close_block(memory.now_s)
+                recorder.close_block()
 
     def _clear_recorder(self) -> None:
         self.memory.recorder = TareRecorder.of_size(self._joints, self._basis.states)
 
+    @property
+    def is_covariance_due(self) -> bool:
+        """Whether `covariance_Nm2` may have changed since the last call."""
+        memory = self.memory
+        if memory.now_s - memory.weighed_s >= WEIGH_S - ROUNDING_S:
+            return True
+        motion_Nm2, variance_Nm2 = memory.weighed_Nm2
+        return bool((memory.motion_Nm2 > motion_Nm2 + MOST_GROWTH * variance_Nm2).any())
+
     def covariance_Nm2(self) -> Array:
         """Covariance of the corrected residual here and now [Nm^2], shape (n, n)."""
-        return self._tare.covariance_Nm2(self.memory.q, self.memory.states, self._age_s)
+        memory = self.memory
+        covariance = self._tare.covariance_Nm2(memory.q, memory.states, self._age_s)
+        covariance += np.diag(memory.motion_Nm2)
+        memory.weighed_s = memory.now_s
+        memory.weighed_Nm2 = np.stack((memory.motion_Nm2, np.diag(covariance)))
+        return covariance
 
     @property
     def _age_s(self) -> float:
@@ -259,7 +289,7 @@ class BiasEstimator:
                 "already tared, and nothing was recorded since; call "
                 "start_tare_recording(), move in free air, then tare() again"
             )
-        if not memory.recorder.samples:
+        if not len(memory.recorder.sums):
             nothing = (
                 f"no settled free motion has been recorded (less than {self._block_s:g} s of it); "
                 "update() the sensor without contact first, in steps no longer than max_gap_s, "
@@ -284,31 +314,28 @@ class BiasEstimator:
         self._clear_recorder()
         self.memory.tared, self.memory.leapt_s = False, 0.0
 
-    @property
-    def state(self) -> BiasState:
-        """All that is remembered, as copies."""
-        self._sum_torques()
-        return copied(self.memory)
-
-    def restore(self, state: BiasState) -> None:
-        """Go on from a `state` taken earlier with the same robot and settings."""
-        memory = self.memory = copied(state)
+    def restore(self, memory: BiasState) -> None:
+        """Go on from a `memory`, which is kept, of an estimator of the same robot and settings."""
+        self.memory = memory
         self._torques: list[Array] = []
         self._tare = prior_tare(self._basis)
-        self._states = JointStates(self._basis)
-        self._states.memory, self._states.rows = memory.joint_memory, memory.states
         if memory.tare is not None:
             self._tare = Tare(basis=self._basis, **memory.tare._asdict())
 
     def reset(self) -> None:
         """Forget everything."""
-        still = np.zeros(self._joints)
+        still, states = np.zeros(self._joints), self._basis.states
         self.restore(
             BiasState(
-                recorder=TareRecorder.of_size(self._joints, self._basis.states),
-                states=np.zeros((self._basis.states, self._joints)),
+                recorder=TareRecorder.of_size(self._joints, states),
+                joint_memory=np.zeros((states, self._joints)),
+                states=np.zeros((states, self._joints)),
                 torque_sum=still,
                 bias=still,
+                motion_Nm2=still,
+                weighed_Nm2=np.zeros((2, self._joints)),
                 q=still,
+                dq=still,
+                smooth_dq=still,
             )
         )

@@ -162,11 +162,6 @@ class FreeMotionFit:
         return information - shared.T @ self._covariance @ shared, evidence
 
 
-def fit_tare(basis: BiasModel, blocks: TareBlocks) -> Tare:
-    """Fit the offset over blocks of free motion, see `FreeMotionFit`."""
-    return FreeMotionFit(basis, blocks).tare
-
-
 def _walk_columns(age_s: Array, terms: int) -> Array:
     """A random walk before the end of the tare, zero there, as a series of sines, (blocks, terms).
 

@@ -15,6 +15,7 @@ import numpy as np
 import pinocchio as pin
 from numpy.typing import NDArray
 
+from needleforce.jit import Matrix, compiled
 from residual.errors import ConfigurationError
 from residual.input_validation import known_limits
 from urdf import Robot
@@ -104,6 +105,15 @@ class BiasPrior:
                 )
 
 
+@compiled
+def own_rows(states: Matrix, age_s: float, fading_s: float) -> Array:
+    """Rows of offset, joint states, steady and fading drift, see `BiasModel`."""
+    rows = np.ones((len(states) + 3, states.shape[1]))
+    rows[1:-2] = states
+    rows[-2], rows[-1] = age_s, -fading_s * math.expm1(-age_s / fading_s)
+    return rows
+
+
 class BiasModel:
     """The linear model of a residual without contact: ``bias = H(q, states, age) theta``.
 
@@ -185,16 +195,26 @@ class BiasModel:
         """H at a position [rad], states and age of the tare [s], shape (n, m)."""
         if self.kind == "constant":
             return np.eye(self.joints)
-        fading_s = self.prior.fading_s
-        one = np.ones((1, self.joints))
-        rows = [one, states, age_s * one, -fading_s * math.expm1(-age_s / fading_s) * one]
-        if self.ripple_per_rad is not None:
-            angle = self.ripple_per_rad * q
-            rows += [np.sin(angle)[None], np.cos(angle)[None]]
         columns = np.zeros((self.joints, len(self.std)))
         columns[:, self.groups["links"]] = self.regressor(q)
-        columns[self._own] = np.concatenate(rows).ravel()
+        columns[self._own] = self._own_rows(q, states, age_s).ravel()
         return columns
+
+    def bias_Nm(self, mean: Array, q: Array, states: Array, age_s: float) -> Array:
+        """``H theta`` with parameters of a `mean`, shape (m,), without making H, shape (n,)."""
+        if self.kind == "constant":
+            return mean
+        links = self.regressor(q).dot(mean[self.groups["links"]])
+        own = mean[self._own[1]].reshape(-1, self.joints)
+        return links + (self._own_rows(q, states, age_s) * own).sum(axis=0)
+
+    def _own_rows(self, q: Array, states: Array, age_s: float) -> Array:
+        """What each joint's own parameters are multiplied with, a row each, shape (rows, n)."""
+        rows = own_rows(states, age_s, self.prior.fading_s)
+        if self.ripple_per_rad is None:
+            return rows
+        angle = self.ripple_per_rad * q
+        return np.vstack((rows, np.sin(angle), np.cos(angle)))
 
     def resolution_variance(self) -> Array:
         """Least variance of a residual [Nm^2], shape (n,)."""
@@ -237,7 +257,7 @@ class Tare:
 
     def bias_Nm(self, q: Array, states: Array, age_s: float) -> Array:
         """Residual without contact at a configuration, states and age of the tare [s], (n,)."""
-        return self.basis.columns(q, states, age_s).dot(self.mean)
+        return self.basis.bias_Nm(self.mean, q, states, age_s)
 
     def covariance_Nm2(self, q: Array, states: Array, age_s: float) -> Array:
         """Covariance of the residual's error after the tare: noise, model and drift, (n, n)."""

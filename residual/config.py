@@ -1,15 +1,19 @@
 """Settings of the virtual force sensor, validated once, and the two presets."""
 
 from dataclasses import dataclass, field
-from typing import get_args
+from typing import Literal, get_args
 
 from residual.bias_model import BiasPrior, TareKind
 from residual.errors import ConfigurationError
-from residual.input_validation import check_choice, check_positive, check_switch
-from residual.momentum_observer import ALIGNMENTS, Alignment, FrictionModel
+from residual.input_validation import check_bandwidth, check_choice, check_positive, check_switch
+from residual.momentum_observer import Alignment, FrictionModel
 from residual.tool_kinematics import check_offset, unit_axis
-from residual.velocity_estimator import check_bandwidth
-from residual.wrench_estimator import Axes, Mode, Weighting, check_expected
+
+Mode = Literal["axial", "point", "full"]
+"""What is assumed of the contact: a force along the needle axis, a force at the frame's origin,
+or a force and a torque."""
+Axes = Literal["base", "tool"]
+Weighting = Literal["covariance", "none"]
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -36,7 +40,8 @@ class SensorConfig:
         torque_is_gravity_compensated: The measured torque leaves gravity out, as some drivers
             report it: g(q) is added back. Not for the external torque of a robot's own estimate
             (Panda's ``tau_ext_hat_filtered``), which goes to ``update_external_torque``.
-        expected_force_N: See `WrenchEstimator`; None for no damping.
+        expected_force_N: Size of force beyond which an estimate is drawn to zero where the joints
+            cannot see it (damping near singular poses, not without weighting); None for no damping.
         tare: Kind of offset removal.
         tare_window_s: Only this much of the past enters a tare [s]; None for all of it.
         prior: What the residual may be off by before data.
@@ -71,15 +76,7 @@ class SensorConfig:
     max_gap_s: float = 0.1
 
     def __post_init__(self) -> None:
-        gains = self.gain_per_s if isinstance(self.gain_per_s, tuple) else (self.gain_per_s,)
-        for gain in gains or (None,):
-            check_positive("gain_per_s", gain)
-        check_bandwidth("velocity_bandwidth_per_s", self.velocity_bandwidth_per_s)
-        for name in ("contact_force_N", "max_gap_s"):
-            check_positive(name, getattr(self, name))
-        if self.tare_window_s is not None:
-            check_positive("tare_window_s", self.tare_window_s)
-        check_expected("expected_force_N", self.expected_force_N)
+        self._check_numbers()
         for name in ("smooth_momentum", "guard", "torque_is_gravity_compensated"):
             check_switch(name, getattr(self, name))
         unit_axis(self.insertion_axis)
@@ -91,11 +88,27 @@ class SensorConfig:
                 f"friction is {self.friction!r}, expected a JointFriction or another object that "
                 "gives a torque(dq), or None"
             )
-        check_choice("alignment", self.alignment, ALIGNMENTS)
-        check_choice("mode", self.mode, get_args(Mode))
-        check_choice("weighting", self.weighting, get_args(Weighting))
-        check_choice("axes", self.axes, get_args(Axes))
-        check_choice("tare", self.tare, get_args(TareKind))
+        for name, choices in (
+            ("alignment", Alignment),
+            ("mode", Mode),
+            ("weighting", Weighting),
+            ("axes", Axes),
+            ("tare", TareKind),
+        ):
+            check_choice(name, getattr(self, name), get_args(choices))
+
+    def _check_numbers(self) -> None:
+        gains = self.gain_per_s if isinstance(self.gain_per_s, tuple) else (self.gain_per_s,)
+        for gain in gains or (None,):
+            check_positive("gain_per_s", gain)
+        check_bandwidth("velocity_bandwidth_per_s", self.velocity_bandwidth_per_s)
+        for name in ("contact_force_N", "max_gap_s"):
+            check_positive(name, getattr(self, name))
+        if self.tare_window_s is not None:
+            check_positive("tare_window_s", self.tare_window_s)
+        if self.expected_force_N is not None:
+            # Its inverse square is calculated with.
+            check_positive("expected_force_N", self.expected_force_N, least=1e-6, most=1e9)
 
     @property
     def slowest_gain_per_s(self) -> float:

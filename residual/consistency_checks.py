@@ -13,6 +13,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from needleforce.jit import Matrix, Vector, compiled
 from residual.errors import VelocityError
 from residual.estimate import SensorWarning, WrenchEstimate
 from residual.wrench_estimator import WrenchEstimator
@@ -82,75 +83,79 @@ NO_TARE = (
 
 
 class VelocityMatch(NamedTuple):
-    """How velocities match positions; each (n,) but for the last two.
+    """How velocities match positions; the sums fade over `MEMORY_S` and are taken in motion."""
 
-    The sums fade over `MEMORY_S` of motion and are taken while the joint moves.
-    """
-
-    position: Array  # At the last check [rad]
-    velocity: Array  # Measured there [rad/s]
-    rate: Array  # Of the position there [rad/s]
-    travel: Array  # Fading travel of q [rad]
-    travel_dq: Array  # Fading travel of dq [rad]
-    seconds: Array  # Time for which a joint has been judged [s]
-    beyond: Array  # Sum of squares of the difference of both travels beyond a lag [rad^2 s]
-    square_dq: Array  # Sum of squares of dq's travel [rad^2 s]
-    square_change: Array  # Of the change of q's travel [rad^2/s]
-    change_travel: Array  # Sum of products of that change with q's travel [rad^2]
-    change_dq: Array  # The same with dq's travel [rad^2]
-    # Row i, column j: square of the travel of joint i while joint j is judged [rad^2 s], shape (n,
+    # Position [rad], velocity as measured and rate of the position [rad/s] at the last check; then
+    # fading travel of q and of dq [rad]; shape (5, n)
+    motion: Array
+    seconds: Array  # Time for which a joint has been judged [s], shape (n,)
+    # Sum of squares of the difference of both travels beyond a lag [rad^2 s], shape (n,)
+    beyond: Array
+    # Sums of products of dq's travel, q's, and the change of q's, two and two; shape (n, 3, 3)
+    moments: Array
+    # Row i, column j: square of the travel of joint j while joint i is judged [rad^2 s], shape (n,
     # n)
     squares: Array
-    products: Array  # Row i, column j: product of that travel with dq's of joint j, shape (n, n)
+    products: Array  # Row i, column j: product of that travel with dq's of joint i, shape (n, n)
 
 
 def first_match(q: Array, dq: Array) -> VelocityMatch:
     """A match that knows one check only, of position [rad] and velocity [rad/s], shape (n,)."""
-    rest = [np.zeros(len(q))] * 9 + [np.zeros((len(q), len(q)))] * 2
-    return VelocityMatch(q, dq, *rest)
+    n, still = len(q), np.zeros(len(q))
+    sums = still, still, np.zeros((n, 3, 3)), np.zeros((n, n)), np.zeros((n, n))
+    return VelocityMatch(np.stack((q, dq, still, still, still)), *sums)
+
+
+@compiled
+def travels(motion: Matrix) -> NDArray[np.bool_]:
+    """Which joints have moved far enough to be judged, shape (n,)."""
+    most = np.maximum(DQ_RATIO * np.abs(motion[3]), np.abs(motion[4]))
+    return most > DQ_RATIO * LEAST_TRAVEL_RAD
+
+
+@compiled
+def travel_step(motion: Matrix, q: Vector, dq: Vector, dt_s: float) -> tuple[Array, bool]:
+    """``motion`` of a `VelocityMatch` at the next check, and whether any joint travels."""
+    way, way_dq = q - motion[0], 0.5 * dt_s * (dq + motion[1])
+    now = np.zeros_like(motion)
+    now[0], now[1], now[2] = q, dq, way / dt_s
+    jump = np.abs(now[2] - motion[2]).max()
+    if jump <= MOST_ACCELERATION_RAD_S2 * dt_s and dt_s <= LONGEST_S:
+        kept = math.exp(-dt_s / TRAVEL_S)
+        now[3], now[4] = kept * motion[3] + way, kept * motion[4] + way_dq
+    return now, bool(travels(now).any())
 
 
 def velocity_match_step(match: VelocityMatch, q: Array, dq: Array, dt_s: float) -> VelocityMatch:
     """The match after the next check, q [rad] and dq [rad/s], a time ``dt_s`` > 0 later."""
-    way, way_dq = q - match.position, 0.5 * dt_s * (dq + match.velocity)
-    rate = way / dt_s
-    jump = np.abs(rate - match.rate).max()
-    if jump > MOST_ACCELERATION_RAD_S2 * dt_s or dt_s > LONGEST_S:
-        still = np.zeros(len(q))
-        return match._replace(position=q, velocity=dq, rate=rate, travel=still, travel_dq=still)
-    kept = math.exp(-dt_s / TRAVEL_S)
-    a, b = kept * match.travel + way, kept * match.travel_dq + way_dq
-    moves = np.maximum(DQ_RATIO * np.abs(a), np.abs(b)) > DQ_RATIO * LEAST_TRAVEL_RAD
-    if not moves.any():
-        return match._replace(position=q, velocity=dq, rate=rate, travel=a, travel_dq=b)
+    motion, is_moving = travel_step(match.motion, q, dq, dt_s)
+    if not is_moving:
+        return VelocityMatch(motion, *match[1:])
+    (*_, a, b), way, way_dq = motion, q - match.motion[0], 0.5 * dt_s * (dq + match.motion[1])
     tolerated = TOLERATED_RAD + TOLERATED_LAG_S / dt_s * np.maximum(np.abs(way), np.abs(way_dq))
-    change = (a - match.travel) / dt_s
-    others = a[:, None]
+    own = np.stack((b, a, (a - match.motion[3]) / dt_s), axis=1)
     terms = (
         np.ones(len(q)),
         np.maximum(np.abs(b - a) - tolerated, 0.0) ** 2,
-        b * b,
-        change * change,
-        change * a,
-        change * b,
-        others * others,
-        others * b,
+        own[:, :, None] * own[:, None, :],
+        np.tile(a * a, (len(q), 1)),
+        np.outer(b, a),
     )
-    faded, weight = 1.0 - math.exp(-dt_s / MEMORY_S), moves * 1.0
+    faded, moves = 1.0 - math.exp(-dt_s / MEMORY_S), travels(motion)
     sums = [
-        last + weight * (dt_s * term - faded * last)
-        for last, term in zip(match[5:], terms, strict=True)
+        last + moves.reshape(-1, *[1] * (last.ndim - 1)) * (dt_s * term - faded * last)
+        for last, term in zip(match[1:], terms, strict=True)
     ]
-    return VelocityMatch(q, dq, rate, a, b, *sums)
+    return VelocityMatch(motion, *sums)
 
 
 def velocity_fault(match: VelocityMatch) -> str:
     """What is wrong with velocities, joint by joint, with likely reasons; empty if nothing is."""
-    own = match.squares.diagonal()
+    square_dq, product, own = match.moments[:, 0, 0], match.moments[:, 0, 1], match.moments[:, 1, 1]
     differs = (match.beyond > LEAST_BEYOND**2 * own) & (match.seconds >= LEAST_SECONDS)
     if not differs.any():
         return ""
-    difference = match.square_dq - 2.0 * match.products.diagonal() + own
+    difference = square_dq - 2.0 * product + own
     off = (match.seconds >= LEAST_SECONDS) & (difference > LEAST_OFF**2 * own)
     joints: dict[str, list[int]] = {}
     is_sure = False
@@ -168,7 +173,7 @@ def velocity_fault(match: VelocityMatch) -> str:
 
 def _other_joint(match: VelocityMatch, i: int, off: NDArray[np.bool_]) -> str:
     """The joint whose rate a velocity is, if there is one: its own velocity is not right either."""
-    squares, products, square_dq = match.squares[:, i], match.products[:, i], match.square_dq[i]
+    squares, products, square_dq = match.squares[i], match.products[i], match.moments[i, 0, 0]
     is_right = (match.seconds >= LEAST_SECONDS) & ~off
     moves = squares > match.seconds[i] * (0.2 * LEAST_TRAVEL_RAD) ** 2
     left = np.where(moves & ~is_right, square_dq - 2.0 * products + squares, np.inf)
@@ -184,15 +189,13 @@ def _late(match: VelocityMatch, i: int) -> str:
 
     Least squares of dq's travel over q's and over the change of q's.
     """
-    own, product, square_dq = match.squares[i, i], match.products[i, i], match.square_dq[i]
-    change, change_own = match.square_change[i], match.change_travel[i]
-    change_dq = match.change_dq[i]
-    scale = own * change - change_own**2
-    if scale <= 0.0 or match.seconds[i] < LAG_SECONDS:
+    (square_dq, *others), (product, own, _), (_, _, change) = match.moments[i]
+    normal = match.moments[i, 1:, 1:]
+    if np.linalg.det(normal) <= 0.0 or match.seconds[i] < LAG_SECONDS:
         return ""
-    factor = (product * change - change_dq * change_own) / scale
-    late_s = (product * change_own - change_dq * own) / scale
-    left = square_dq - factor * product + late_s * change_dq
+    found = np.linalg.solve(normal, others)
+    late_s = -found[1]
+    left = square_dq - found.dot(others)
     difference, explained = square_dq - 2.0 * product + own, late_s**2 * change
     is_all = left < UNEXPLAINED * difference < 2.0 * UNEXPLAINED * explained
     if abs(late_s) < LONGEST_LAG_S or not is_all:
@@ -203,7 +206,7 @@ def _late(match: VelocityMatch, i: int) -> str:
 
 def _factor(match: VelocityMatch, i: int) -> str:
     """What a constant factor between velocity and rate stands for, or that there is none."""
-    own, product, square_dq = match.squares[i, i], match.products[i, i], match.square_dq[i]
+    (square_dq, product, _), (_, own, _), _ = match.moments[i]
     if square_dq < STILL**2 * own:
         return "stands still while q moves: is it sent at all?"
     if own < STILL**2 * square_dq:
@@ -231,7 +234,16 @@ class MonitorState(NamedTuple):
 
 
 class ConsistencyMonitor:
-    """Checks now and then what is too slow, and too costly, for every sample."""
+    """Checks now and then what is too slow, and too costly, for every sample.
+
+    Attributes:
+        state: All that it remembers; its arrays are never written again.
+        mismatch: Smoothed model mismatch, see `WrenchEstimate`.
+        velocity_fault: What is wrong with measured velocities, in words; empty if nothing surely
+            is.
+        warnings: What was found at the last check.
+        message: The same in words.
+    """
 
     def __init__(self, robot: Robot, wrench: WrenchEstimator) -> None:
         self._lower = robot.position_lower_rad + LIMIT_MARGIN_RAD
@@ -255,24 +267,39 @@ class ConsistencyMonitor:
             tared: Whether the residual's covariance is a fitted one.
         """
         found = SensorWarning.NONE
-        at_limit = np.flatnonzero((q <= self._lower) | (q >= self._upper)).tolist()
+        outside = (q <= self._lower) | (q >= self._upper)
+        at_limit = tuple(np.flatnonzero(outside).tolist()) if outside.any() else ()
         if at_limit:
             found |= SensorWarning.JOINT_LIMIT
         if self._wrench.smallest_singular_value() < LEAST_SINGULAR_VALUE:
             found |= SensorWarning.NEAR_SINGULAR
-        widening, last = self._state.widening, self._state.mismatch_squared
+        widening, last = self.state.widening, self.state.mismatch_squared
         now = widening * self._wrench.mismatch_squared(residual) if tared else 0.0
         square = last - math.expm1(-dt_s / MISMATCH_MEMORY_S) * (now - last)
         if square > MOST_MISMATCH**2:
             found |= SensorWarning.MODEL_MISMATCH
-        match = self._state.match
+        match = self.state.match
         if dq is None:
             match = None
         elif match is None or dt_s <= 0.0:
             match = first_match(q, dq)
         else:
             match = velocity_match_step(match, q, dq, dt_s)
-        self.restore(MonitorState(square, widening, int(found), tuple(at_limit), match))
+        last_match, fault = self.state.match, self.velocity_fault
+        self.state = MonitorState(square, widening, int(found), at_limit, match)
+        # While nothing moves the sums stay.
+        if match is None or last_match is None or match.beyond is not last_match.beyond:
+            fault = "" if match is None else velocity_fault(match)
+        self._report(fault)
+
+    @property
+    def _wanted(self) -> float:
+        return 1.0 + 2.0 * max(0.0, self.state.mismatch_squared - 1.0)
+
+    @property
+    def wants_widening(self) -> bool:
+        """Whether the covariance in use is clearly too small for what is seen now."""
+        return self._wanted > 1.1 * self.state.widening
 
     def widened(self, covariance_Nm2: Array) -> Array:
         """A covariance that contains what no wrench explains: a push on the arm, a wrong model.
@@ -281,9 +308,8 @@ class ConsistencyMonitor:
         make is likely to be in those that it does; twice, since four torques show a variance only
         within a factor of two.
         """
-        widening = 1.0 + 2.0 * max(0.0, self._state.mismatch_squared - 1.0)
-        self._state = self._state._replace(widening=widening)
-        return widening * covariance_Nm2
+        self.state = self.state._replace(widening=self._wanted)
+        return self.state.widening * covariance_Nm2
 
     def check_velocity(self) -> None:
         """Refuse a tare with velocities that are not the rate of positions: a `VelocityError`."""
@@ -293,56 +319,43 @@ class ConsistencyMonitor:
     def forget_velocity(self) -> None:
         """Compare velocities with positions anew."""
         warnings = int(self.warnings & ~SensorWarning.VELOCITY)
-        self.restore(self._state._replace(match=None, warnings=warnings))
+        self.restore(self.state._replace(match=None, warnings=warnings))
 
     def recheck(self, last: WrenchEstimate) -> WrenchEstimate:
         """The last estimate, with `SensorWarning.MODEL_MISMATCH` if this sample does not fit.
 
-        Too costly for every sample, and a knock does it too: for what must not wait.
+        Not for every sample, since a knock does it too: for what must not wait.
         """
-        square = self._state.widening * self._wrench.mismatch_squared(last.residual)
+        square = self.state.widening * self._wrench.mismatch_squared(last.residual)
         if square <= MOST_MISMATCH**2:
             return last
         found = SensorWarning.MODEL_MISMATCH
-        message = "; ".join(filter(None, (last.message, self._reason(found))))
+        message = "; ".join(filter(None, (last.message, _REASONS[found])))
         return last._replace(warnings=last.warnings | found, message=message)
 
     @property
     def limit(self) -> str:
         """Which joints are at a position limit, in words; empty if none is."""
-        at_limit = list(self._state.at_limit)
+        at_limit = list(self.state.at_limit)
         return f"joint index {at_limit} is at its position limit" if at_limit else ""
-
-    def _reason(self, warning: SensorWarning) -> str:
-        if warning is SensorWarning.JOINT_LIMIT:
-            return self.limit
-        if warning is SensorWarning.NEAR_SINGULAR:
-            return "the joints hardly feel a force in this pose"
-        return "the joint torques do not fit the assumed contact"
-
-    @property
-    def state(self) -> MonitorState:
-        """All that is remembered; its arrays are never written again."""
-        return self._state
 
     def restore(self, state: MonitorState) -> None:
         """Go on from a `state` taken earlier."""
-        self._state = state
-        self.mismatch = math.sqrt(state.mismatch_squared)
-        """Smoothed model mismatch, see `WrenchEstimate`."""
-        self.velocity_fault = "" if state.match is None else velocity_fault(state.match)
-        """What is wrong with measured velocities, in words; empty if nothing surely is."""
-        self.warnings = SensorWarning(state.warnings)
-        """What was found at the last check."""
-        self.message = ""
-        """The same in words."""
+        self.state = state
+        self._report("" if state.match is None else velocity_fault(state.match))
+
+    def _report(self, velocity_fault: str) -> None:
+        self.velocity_fault, self.message = velocity_fault, ""
+        self.mismatch = math.sqrt(self.state.mismatch_squared)
+        self.warnings = SensorWarning(self.state.warnings)
         if self.velocity_fault:
             self.warnings |= SensorWarning.VELOCITY
         if self.warnings:
-            named = (
-                SensorWarning.JOINT_LIMIT,
-                SensorWarning.NEAR_SINGULAR,
-                SensorWarning.MODEL_MISMATCH,
-            )
-            reasons = [self._reason(one) for one in named if one in self.warnings]
-            self.message = "; ".join(filter(None, (self.velocity_fault, *reasons)))
+            reasons = [text for one, text in _REASONS.items() if one in self.warnings]
+            self.message = "; ".join(filter(None, (self.velocity_fault, self.limit, *reasons)))
+
+
+_REASONS = {
+    SensorWarning.NEAR_SINGULAR: "the joints hardly feel a force in this pose",
+    SensorWarning.MODEL_MISMATCH: "the joint torques do not fit the assumed contact",
+}

@@ -15,10 +15,8 @@ from needleforce.jit import Vector, compiled
 from residual.errors import SuspectSampleError
 from residual.estimate import SensorWarning
 from residual.input_validation import ROUNDING_S, known_limits
-from residual.snapshot import copied
 from residual.stuck_signals import (
     NoiseProbe,
-    NoiseState,
     SingleSignalDetector,
     StuckSignalDetector,
     new_rows,
@@ -114,10 +112,6 @@ class OutlierGate:
         self.weight = self.narrowest / sure
         """What differences are multiplied with before, at most 1, shape of a sample."""
 
-    def is_near(self, off: Array) -> bool:
-        """Whether a difference is within the narrowest gates, all signals together."""
-        return math.hypot(*(off * self.weight).tolist()) < self.narrowest
-
     @property
     def torque_Nm(self) -> Array:
         """Torque that may step within no time, shape (n,)."""
@@ -185,7 +179,7 @@ class GuardState:
     velocity: Array  # Velocity that it left off with [rad/s], shape (n,)
     alone: SingleSignalDetector  # Of the check for single torques that repeat
     noise: Array | None = None  # Learnt noise of the same signals; None until learnt
-    probe: NoiseState | None = None  # What is known of the noise so far; None once it is learnt
+    probe: NoiseProbe | None = None  # What is known of the noise so far; None once it is learnt
     rejected: Array | None = None  # Last sample held back as a spike, or None
     step_s: float = 0.0  # Time between the last two accepted samples [s]; 0 before two
     missed_s: float = 0.0  # Time since the last accepted sample [s]
@@ -213,6 +207,9 @@ class FaultDetector:
         has_velocity: Whether samples carry a velocity.
         velocity_delay_s: Age of the velocity that `accept` gets [s].
         tool: What forces act on; the robot's tool frame when None.
+
+    Attributes:
+        memory: All that it remembers.
     """
 
     def __init__(
@@ -233,7 +230,7 @@ class FaultDetector:
                 before=np.zeros(size),
                 velocity=np.zeros(n),
                 alone=SingleSignalDetector.of_size(n),
-                probe=NoiseProbe(size).state,
+                probe=NoiseProbe.of_size(size),
             )
         )
 
@@ -260,16 +257,14 @@ class FaultDetector:
         self._repeats = _NO_REPEATS
         if off.item(0) == 0.0 or off.item(-1) == 0.0:
             self._check_frozen(off, dt_s)
-        if memory.noise is None or self._gates.is_near(off):
-            return False
-        return self._check_jump(now, dt_s)
+        return memory.noise is not None and self._check_jump(now, dt_s)
 
     def accept(self, now: Array, velocity: Array, dt_s: float) -> None:
         """The sample last checked has been used; the arrays are kept, not copied.
 
         Its joint velocity [rad/s] is measured or estimated; ``dt_s`` is 0 for the first sample.
         """
-        memory, probe = self.memory, self._probe
+        memory, probe = self.memory, self.memory.probe
         memory.before, memory.step_s = memory.last, dt_s
         memory.last, memory.velocity = now, velocity
         position_repeats, motion_repeats, torque_repeats = self._repeats
@@ -285,8 +280,8 @@ class FaultDetector:
             memory.torque.accept(torque_repeats, dt_s, learning=learning)
         if memory.missed_s:
             memory.rejected, memory.missed_s, memory.stayed_s = None, 0.0, 0.0
-        if probe is not None and probe.add(now, dt_s) is not None:
-            self._learn(probe.rows)
+        if probe is not None and (rows := probe.add(now, dt_s)) is not None:
+            self._learn(rows)
         memory.age_s += dt_s
         if memory.age_s >= CHECK_S - ROUNDING_S:
             self._check_each()
@@ -297,7 +292,7 @@ class FaultDetector:
         # Each signal by its own clock: what mostly repeats would seem to have no noise.
         signals = np.split(rows, rows.shape[1] // n, axis=1)
         memory.noise = np.concatenate([white_noise(new_rows(signal)) for signal in signals])
-        self._probe = None
+        memory.probe = None
         self._gates.learn(memory.noise)
         torque = stands_out(rows[:, -n:])
         memory.torque.is_telling = bool(torque.all())
@@ -391,15 +386,8 @@ class FaultDetector:
                 beyond[-1] = False
         return beyond
 
-    @property
-    def state(self) -> GuardState:
-        """All that is remembered, as copies."""
-        self.memory.probe = None if self._probe is None else self._probe.state
-        return copied(self.memory)
-
-    def restore(self, state: GuardState) -> None:
-        """Go on from a `state` taken earlier."""
-        memory = self.memory = copied(state)
-        self._probe = None if memory.probe is None else NoiseProbe.of(memory.probe)
+    def restore(self, memory: GuardState) -> None:
+        """Go on from a `memory`, which is kept, of a detector of the same robot and signals."""
+        self.memory = memory
         self._gates.learn(np.zeros_like(memory.last) if memory.noise is None else memory.noise)
         self._repeats = _NO_REPEATS

@@ -9,57 +9,59 @@ sensor: its friction reads as an external torque against the motion, and it stay
 import numpy as np
 from numpy.typing import NDArray
 
-from residual.bias_model import BiasModel
+from needleforce.jit import Matrix, Vector, WrittenMatrix, compiled
 
 Array = NDArray[np.float64]
-LAGS_S = np.array(((0.05,), (0.01,)))
+TORQUE_LAG_S, POSITION_LAG_S = 0.05, 0.01
 """Lags of the torque and the position that are followed [s]. The residual is 14 ms late: states
 that are much later than it turn round too late in each stroke, and hysteresis and friction are
 confused."""
 
 
-def play_operator(state: Array, change: Array, half_width: Array) -> Array:
+@compiled
+def play_operator(state: Matrix, change: Vector, half_width: Matrix) -> Array:
     """+1 once a signal has risen by the loop's width, -1 once it has fallen by it.
 
-    It remembers at rest, as strain gauges and bearings do. States, -1 to 1, half widths and the
-    change, both in the signal's unit, have the shape (loops, n).
+    It remembers at rest, as strain gauges and bearings do. States, -1 to 1, and half widths have
+    the shape (loops, n), the change (n,); half widths and change are in the signal's unit.
     """
     return np.minimum(np.maximum(state + change / half_width, -1.0), 1.0)
 
 
-class JointStates:
-    """Follows hysteresis and friction of all joints.
+@compiled
+def follow_joints(
+    memory: WrittenMatrix,
+    states: WrittenMatrix,
+    q: Vector,
+    torque: Vector,
+    half_widths: Matrix,
+    loops: int,
+    stribeck_rad_s: float,
+    dt_s: float,
+) -> None:
+    """Follow position [rad] and torque [Nm], both (n,), a time [s] after the last ones.
 
-    Attributes:
-        memory: Rows: states of the torques' loops and of the bearings' elements, then torque [Nm]
-            and position [rad] with their lags; shape (loops + elements + 2, n).
-        rows: What `BiasModel` has columns for: loops, elements, what friction has more at low
-            speed, and speed [rad/s]; shape (loops + elements + 2, n).
+    Args:
+        memory: States of the torques' loops and of the bearings' elements, then torque [Nm] and
+            position [rad] with their lags; shape (loops + elements + 2, n). Brought up to date.
+        states: What `residual.bias_model.BiasModel` has columns for: loops, elements, what friction
+            has more at low speed, and speed [rad/s]; the same shape, written.
+        q: Position.
+        torque: Measured torque.
+        half_widths: Of loops [Nm] and elements [rad], shape (loops + elements, n).
+        loops: How many there are.
+        stribeck_rad_s: See `residual.bias_model.BiasPrior`.
+        dt_s: Time > 0.
     """
-
-    def __init__(self, basis: BiasModel) -> None:
-        prior, one = basis.prior, np.ones(basis.joints)
-        self._kinds = np.array((basis.loops, basis.elements))
-        loops = np.outer(prior.hysteresis_widths, basis.effort_Nm)
-        self._half_widths = np.vstack((loops, np.outer(prior.presliding_rad, one)))
-        self._stribeck_rad_s = prior.stribeck_rad_s
-        self.memory: Array | None = None
-        self.rows = np.zeros((basis.states, basis.joints))
-
-    def follow(self, q: Array, torque: Array, dt_s: float) -> None:
-        """Follow position [rad] and torque [Nm], a time [s] after the last ones."""
-        followed = np.stack((torque, q))
-        if self.memory is None:
-            self.memory = np.vstack((np.zeros_like(self._half_widths), followed))
-        if dt_s <= 0.0:
-            return
-        last = self.memory[-2:]
-        change = (followed - last) * (dt_s / (LAGS_S + dt_s))
-        plays = play_operator(
-            self.memory[:-2], np.repeat(change, self._kinds, axis=0), self._half_widths
-        )
-        self.memory = np.concatenate((plays, last + change))
-        speed = change[1] / dt_s
-        sliding = plays[self._kinds[0] :].mean(axis=0)
-        excess = sliding * np.exp(-np.abs(speed) / self._stribeck_rad_s)
-        self.rows = np.concatenate((plays, excess[None], speed[None]))
+    plays = len(half_widths)
+    twist = (torque - memory[plays]) * (dt_s / (TORQUE_LAG_S + dt_s))
+    way = (q - memory[plays + 1]) * (dt_s / (POSITION_LAG_S + dt_s))
+    memory[:loops] = play_operator(memory[:loops], twist, half_widths[:loops])
+    memory[loops:plays] = play_operator(memory[loops:plays], way, half_widths[loops:])
+    memory[plays] += twist
+    memory[plays + 1] += way
+    speed = way / dt_s
+    sliding = memory[loops:plays].sum(axis=0) / (plays - loops)
+    states[:plays] = memory[:plays]
+    states[plays] = sliding * np.exp(-np.abs(speed) / stribeck_rad_s)
+    states[plays + 1] = speed

@@ -7,7 +7,7 @@ low-pass of the external torque (paper, Section IV; Haddadin et al. 2017).
 
 import math
 from dataclasses import dataclass, field
-from typing import Any, Literal, NamedTuple, Protocol
+from typing import Any, Literal, Protocol, get_args
 
 import numpy as np
 import pinocchio as pin
@@ -22,7 +22,8 @@ from residual.input_validation import (
     check_interval,
     check_joint_vector,
     check_positive,
-    read_joint_vector,
+    check_rows,
+    read_rows,
 )
 from urdf import Robot
 
@@ -30,7 +31,6 @@ Array = NDArray[np.float64]
 Alignment = Literal["hold", "trapezoid"]
 """How torque fills a tick: ``hold``, the torque of the earlier sample acts until the next one
 (a commanded torque); ``trapezoid``, the mean of both samples (a sampled sensor)."""
-ALIGNMENTS = ("hold", "trapezoid")
 
 BANDWIDTH_PER_S = 10.0
 """Bandwidth of the smoothed momentum at rest [1/s]: well below that of the torque, which alone
@@ -41,8 +41,7 @@ _LEAST_MOMENTUM_NOISE = 1e-9
 """Keeps the ratios of `momentum_step` finite for a signal without noise [kg m^2/s]."""
 _NAMES = ("q", "dq", "tau")
 _PACKED = {(8,)}
-"""Distance in memory of the numbers of a contiguous array, as compiled code takes them."""
-
+"""Distance in memory of the numbers of a contiguous array."""
 
 RESIDUAL, MOMENTUM, CORIOLIS, GRAVITY, TORQUE = range(5)
 """Rows of a step at the start of a tick: r [Nm], p [kg m^2/s], C' dq, g + tau_f and tau [Nm]."""
@@ -229,44 +228,6 @@ class SigmoidFriction:
         return 1.0 / (1.0 + np.exp(np.minimum(exponent, _MOST_EXPONENT)))
 
 
-class MomentumTerms:
-    """Dynamics of one robot, straight from Pinocchio, and its joint friction.
-
-    Rotor inertia, where an arm needs it (motor-current torque), is part of the robot's model
-    (`Robot.with_armature`); on the LWR, whose torque is measured behind the gear, it is zero.
-
-    Attributes:
-        data: Workspace; joint placements and Jacobians of the latest call stand in it.
-
-    A friction model of another number of joints is refused.
-    """
-
-    def __init__(self, robot: Robot, friction: FrictionModel | None = None) -> None:
-        if friction is not None:
-            _check_length(friction, robot.nv)
-        self._model = robot.model
-        self.data = robot.create_data()
-        self._friction = friction
-
-    def at(self, q: Array, dq: Array) -> tuple[Array, Array, Array]:
-        """M [kg m^2] and C, both (n, n), and g + tau_f [Nm], (n,), at (q, dq), both (n,)."""
-        model, data = self._model, self.data
-        inertia = pin.crba(model, data, q)
-        coriolis = pin.computeCoriolisMatrix(model, data, q, dq)
-        gravity = pin.computeGeneralizedGravity(model, data, q)
-        if self._friction is not None:
-            # A model that writes into its argument must not change the caller's sample.
-            still = dq.view()
-            still.setflags(write=False)
-            gravity += self._friction.torque(still)
-        return inertia, coriolis, gravity
-
-    def momentum_variance(self, velocity_noise_rad_s: Array, q: Array) -> Array:
-        """Variance of M(q) dq for a velocity noise per joint [rad/s], shape (n,)."""
-        inertia = pin.crba(self._model, self.data, q)
-        return np.square(inertia).dot(np.square(velocity_noise_rad_s))
-
-
 def _check_length(friction: FrictionModel, joints: int) -> None:
     try:
         shape = np.shape(friction.torque(np.zeros(joints)))
@@ -278,10 +239,12 @@ def _check_length(friction: FrictionModel, joints: int) -> None:
         raise ConfigurationError(f"friction gives torques of shape {shape}, expected ({joints},)")
 
 
-class MomentumState(NamedTuple):
+@dataclass(slots=True, eq=False)
+class MomentumState:
     """All that a `MomentumObserver` remembers."""
 
-    rows: Array | None  # The first five of a step, shape (BEFORE, n); None before a sample
+    rows: Array  # Of the last step, shape (ROWS, n)
+    started: bool = False  # Whether there was one
     noise: Array | None = None  # Momentum noise per joint for smoothing, shape (n,); None without
 
 
@@ -292,6 +255,9 @@ class MomentumObserver:
     gap in time longer than ``max_gap_s`` the momentum is set anew and the residual goes on from
     its last value, rather than integrating across the hole.
 
+    Rotor inertia, where an arm needs it (motor-current torque), is part of the robot's model
+    (`Robot.with_armature`); on the LWR, whose torque is measured behind the gear, it is zero.
+
     Args:
         robot: The arm with its payload.
         gain_per_s: K, one for all joints or one each [1/s]; 1/K is the lag of the residual.
@@ -299,8 +265,13 @@ class MomentumObserver:
         friction: Joint friction between torque sensor and link, if any is modelled.
         max_gap_s: Longest time step that is still integrated [s].
 
+    Attributes:
+        data: Workspace; joint placements and Jacobians of the latest sample stand in it.
+        memory: All that it remembers.
+
     Raises:
-        ConfigurationError: For a gain, alignment or gap that cannot work.
+        ConfigurationError: For a gain, alignment or gap that cannot work, or friction of another
+            number of joints.
     """
 
     def __init__(
@@ -312,16 +283,18 @@ class MomentumObserver:
         friction: FrictionModel | None = None,
         max_gap_s: float = 0.1,
     ) -> None:
-        check_choice("alignment", alignment, ALIGNMENTS)
+        check_choice("alignment", alignment, get_args(Alignment))
         check_positive("max_gap_s", max_gap_s)
         n = self._joints = robot.nv
         gains = _gain_vector(gain_per_s, n)
         # One where it serves all: on an uneven clock its weights change every tick.
         self._gains = gains[:1].copy() if np.ndim(gain_per_s) == 0 else gains
-        self._terms = MomentumTerms(robot, friction)
+        if friction is not None:
+            _check_length(friction, n)
+        self._model, self._friction = robot.model, friction
+        self.data = robot.create_data()
         self._held = alignment == "hold"
         self._max_gap_s = max_gap_s
-        self._rows = np.zeros((ROWS, n))
         self._weights = np.zeros((len(self._gains), ROWS))
         self._dt_s = math.nan
         self.reset()
@@ -329,12 +302,7 @@ class MomentumObserver:
     @property
     def residual(self) -> Array:
         """Latest residual [Nm], shape (n,), a copy; zeros before the first sample."""
-        return self._rows[0].copy()
-
-    @property
-    def data(self) -> pin.Data:
-        """Workspace in which joint placements and Jacobians of the latest sample stand."""
-        return self._terms.data
+        return self.memory.rows[0].copy()
 
     @property
     def gain_per_s(self) -> Array:
@@ -359,32 +327,42 @@ class MomentumObserver:
                 not advance; the state is then unchanged.
         """
         sample: Any = (q, dq, tau)
+        # Compiled code takes contiguous arrays.
         if not all_fit(sample, self._joints) or {sample[1].strides, sample[2].strides} != _PACKED:
-            sample = [
-                np.ascontiguousarray(read_joint_vector(name, value, self._joints))
-                for name, value in zip(_NAMES, sample, strict=True)
-            ]
+            sample = tuple(read_rows(_NAMES, sample, self._joints))
         position, velocity, torque = sample
-        # One number stands for all; a NaN fails.
         numbers = (*position.tolist(), *velocity.tolist(), *torque.tolist())
         if not math.hypot(*numbers) < MOST_PLAUSIBLE:
-            for name, value in zip(_NAMES, sample, strict=True):
-                check_joint_vector(name, value, self._joints)
-        dt_s = check_interval(dt_s) if self._initialized else 0.0
+            check_rows(_NAMES, np.stack(sample))
+        dt_s = check_interval(dt_s) if self.memory.started else 0.0
         residual = self.absorb(position, velocity, torque, dt_s)
         residual.setflags(False)  # pyright: ignore[reportCallIssue]  # thrice as long by name
         return residual
 
     def absorb(self, q: Array, dq: Array, tau: Array, dt_s: float) -> Array:
         """As `update`, for finite, contiguous arrays of the right shape and a checked time step."""
-        if not self._initialized or dt_s > self._max_gap_s:
-            self._initialized, dt_s = True, 0.0
+        memory = self.memory
+        if not memory.started or dt_s > self._max_gap_s:
+            memory.started, dt_s = True, 0.0
         elif dt_s != self._dt_s:  # on an even clock that is once
             set_step_weights(self._weights, self._gains, dt_s, self._held)
             self._dt_s = dt_s
-        rows, threshold = self._rows, self._noise_threshold
-        momentum_step(rows, self._terms.at(q, dq), dq, tau, self._weights, threshold, dt_s)
+        rows, weights, threshold = memory.rows, self._weights, self._noise_threshold
+        momentum_step(rows, self._dynamics(q, dq), dq, tau, weights, threshold, dt_s)
         return rows[0].copy()
+
+    def _dynamics(self, q: Array, dq: Array) -> tuple[Array, Array, Array]:
+        """M [kg m^2] and C, both (n, n), and g + tau_f [Nm], (n,), at (q, dq), both (n,)."""
+        model, data = self._model, self.data
+        inertia = pin.crba(model, data, q)
+        coriolis = pin.computeCoriolisMatrix(model, data, q, dq)
+        load = pin.computeGeneralizedGravity(model, data, q)
+        if self._friction is not None:
+            # A model that writes into its argument must not change the caller's sample.
+            still = dq.view()
+            still.setflags(write=False)
+            load += self._friction.torque(still)
+        return inertia, coriolis, load
 
     def smooth_momentum(self, velocity_noise_rad_s: Array, q: Array) -> None:
         """From now on smooth the momentum of an arm that hardly accelerates, see `momentum_step`.
@@ -395,40 +373,29 @@ class MomentumObserver:
                 noise of velocity into noise of momentum.
         """
         noise = check_joint_vector("velocity_noise_rad_s", velocity_noise_rad_s, self._joints)
-        q = check_joint_vector("q", q, self._joints)
-        variance = self._terms.momentum_variance(noise, q)
-        self._set_noise(np.sqrt(variance) + _LEAST_MOMENTUM_NOISE)
+        inertia = pin.crba(self._model, self.data, check_joint_vector("q", q, self._joints))
+        variance = np.square(inertia).dot(np.square(noise))
+        self.memory.noise = np.sqrt(variance) + _LEAST_MOMENTUM_NOISE
+        self.restore(self.memory)
 
-    def _set_noise(self, noise: Array | None) -> None:
-        self._noise = noise
-        self._noise_threshold = np.zeros(0) if noise is None else NOISE_THRESHOLD_SIGMAS * noise
-
-    @property
-    def state(self) -> MomentumState:
-        """All that the observer remembers, as copies."""
-        return MomentumState(self._rows[:BEFORE].copy() if self._initialized else None, self._noise)
-
-    def restore(self, state: MomentumState) -> None:
-        """Go on from a `state` taken earlier.
+    def restore(self, memory: MomentumState) -> None:
+        """Go on from a `memory`, which is kept, of an observer of the same robot and settings.
 
         Raises:
             ConfigurationError: If it belongs to a robot with another number of joints, or is
                 damaged; nothing has then changed.
         """
-        rows, noise, n = state.rows, state.noise, self._joints
-        if rows is not None and rows.shape != (BEFORE, n):
-            raise ConfigurationError(
-                f"state has rows of shape {rows.shape}, expected {(BEFORE, n)}"
-            )
+        rows, noise, n = memory.rows, memory.noise, self._joints
+        if rows.shape != (ROWS, n):
+            raise ConfigurationError(f"state has rows of shape {rows.shape}, expected {(ROWS, n)}")
         if noise is not None and not (noise.shape == (n,) and (noise > 0.0).all()):
             raise ConfigurationError(f"state has noise {noise}, expected {n} positive numbers")
-        self._initialized = rows is not None
-        self._set_noise(noise)
-        self._rows[:BEFORE] = 0.0 if rows is None else rows
+        self.memory = memory
+        self._noise_threshold = np.zeros(0) if noise is None else NOISE_THRESHOLD_SIGMAS * noise
 
     def reset(self) -> None:
         """Forget everything; the next sample is a first one."""
-        self.restore(MomentumState(None))
+        self.restore(MomentumState(np.zeros((ROWS, self._joints))))
 
 
 def _gain_vector(gain_per_s: float | ArrayLike, joints: int) -> Array:

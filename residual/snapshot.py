@@ -16,14 +16,10 @@ from urdf import Robot
 
 Array = NDArray[np.float64]
 Tree = TypeVar("Tree")
-GROWING = ("probe.rows", "recorder.means", "recorder.time_s", "recorder.scatter")
-"""Ends of the places of arrays whose first dimension counts what was gathered so far."""
-LIKE = {
-    "guard.noise": "guard.last",
-    "guard.rejected": "guard.last",
-    "guard.swept": "guard.velocity",
-}
-"""Arrays that a new sensor has not got yet, and others of the same shape."""
+GROWING = "recorder.sums"
+"""End of the place of the array whose first dimension counts what was gathered so far."""
+LIKE = {"guard.rejected": "guard.last", "guard.noise": "guard.last", "guard.swept": "offset.q"}
+"""Places of arrays that a new sensor has not got yet, and others of the same shape."""
 _SPEEDS_RAD_S = np.array([0.0, 1e-4, 1e-3, 3e-3, 1e-2, 3e-2, 0.1, 0.3, 1.0, 3.0])
 
 
@@ -77,9 +73,9 @@ def check_form(state: object, model: object) -> None:
     expected = {place: array.shape for place, array in _arrays(model)}
     for place, array in _arrays(state):
         first = 1 if place.endswith(GROWING) else 0
-        known = place
-        for new, old in LIKE.items():
-            known = known.replace(new, old)
+        stream, _, end = place.partition(".")
+        like = LIKE.get(end, end)
+        known = place if end not in LIKE else like if like in expected else f"{stream}.{like}"
         wanted = expected.get(known, array.shape)
         if array.ndim != len(wanted) or array.shape[first:] != wanted[first:]:
             raise SnapshotError(f"{place} has shape {array.shape}, expected {wanted}")
@@ -163,13 +159,11 @@ def try_out(twin: Any, state: Any) -> None:
     try:
         if state.joints is not None and state.external_torque is not None:
             raise SnapshotError("it is of two streams")
-        still = np.zeros_like(twin.velocity_rad_s)
+        still = np.zeros(len(state.weighed_at))
         _run(twin, state, still, still, still)
         check_form(state, twin.snapshot())
         twin._take(copied(state))
-        memory = state.offset.joint_memory
-        torque = still if memory is None else memory[-2]
-        _run(twin, state, state.offset.q, state.velocity, torque)
+        _run(twin, state, state.offset.q, state.offset.dq, state.offset.joint_memory[-2])
     except Exception as error:  # whatever a damaged state makes of its parts
         raise SnapshotError(f"the snapshot is damaged: {error}") from error
 

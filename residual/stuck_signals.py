@@ -9,7 +9,7 @@ force is then left to `residual.consistency_checks` to notice.
 
 import math
 from dataclasses import dataclass
-from typing import NamedTuple, Self
+from typing import Self
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -36,6 +36,8 @@ that has none."""
 ROUNDING = 1e-9
 """No smaller difference counts as one [rad, rad/s, Nm]."""
 LEAST_ROWS = 16
+LEAST_SAMPLES, MOST_SAMPLES = 32, 2048
+"""Of which noise is learnt, however slow or fast the clock."""
 
 
 def new_rows(rows: Array) -> Array:
@@ -72,57 +74,30 @@ def stands_out(rows: Array) -> NDArray[np.bool_]:
     return (third > LEAST_WHITENESS * second) & (noise >= resolution)
 
 
-class NoiseState(NamedTuple):
-    """All that a `NoiseProbe` remembers: samples so far, shape (m, size), and the time left [s]."""
-
-    rows: Array
-    left_s: float
-
-
+@dataclass(slots=True, eq=False)
 class NoiseProbe:
     """Noise of a smooth vector signal, from its first samples; see `white_noise`."""
 
-    LEAST_SAMPLES = 32
-    """However slow the clock."""
-    MOST_SAMPLES = 2048
-    """However fast the clock."""
-
-    def __init__(self, size: int, seconds: float = 0.5) -> None:
-        self._rows = np.empty((self.MOST_SAMPLES, size))
-        self._count = 0
-        self._left_s = seconds
+    rows: Array  # Samples so far, then room, shape (MOST_SAMPLES, size)
+    count: int = 0  # Number of samples so far
+    left_s: float = 0.5  # Time until they are enough [s]
 
     @classmethod
-    def of(cls, state: NoiseState) -> Self:
-        """A probe that goes on from a state."""
-        probe = cls(state.rows.shape[1], state.left_s)
-        probe._count = len(state.rows)
-        probe._rows[: probe._count] = state.rows
-        return probe
+    def of_size(cls, size: int) -> Self:
+        """Nothing seen yet of so many signals."""
+        return cls(np.zeros((MOST_SAMPLES, size)))
 
     def add(self, value: ArrayLike, dt_s: float) -> Array | None:
         """Take a sample, shape (size,), that came ``dt_s`` after the one before.
 
         Returns:
-            Standard deviation of the noise, shape (size,), with the last sample; None before.
+            All samples, shape (m, size), with the last one; None before.
         """
-        self._rows[self._count] = value
-        self._count += 1
-        self._left_s -= dt_s
-        enough = self._left_s <= ROUNDING_S and self._count >= self.LEAST_SAMPLES
-        if not enough and self._count < self.MOST_SAMPLES:
-            return None
-        return white_noise(self.rows)
-
-    @property
-    def rows(self) -> Array:
-        """Samples so far, shape (m, size): not to be written."""
-        return self._rows[: self._count]
-
-    @property
-    def state(self) -> NoiseState:
-        """All that the probe remembers, as copies."""
-        return NoiseState(self.rows.copy(), self._left_s)
+        self.rows[self.count] = value
+        self.count += 1
+        self.left_s -= dt_s
+        enough = self.left_s <= ROUNDING_S and self.count >= LEAST_SAMPLES
+        return self.rows[: self.count] if enough or self.count >= MOST_SAMPLES else None
 
 
 @dataclass(slots=True)

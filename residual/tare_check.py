@@ -1,5 +1,7 @@
 """Refuses a tare that would hide a contact, and says what a residual looks like."""
 
+from typing import TYPE_CHECKING
+
 import numpy as np
 from numpy.typing import NDArray
 from scipy.optimize import linear_sum_assignment
@@ -7,7 +9,9 @@ from scipy.optimize import linear_sum_assignment
 from residual.bias_fit import FreeMotionFit
 from residual.bias_model import BiasModel, TareBlocks, prior_tare
 from residual.errors import TareError
-from residual.wrench_estimator import WrenchEstimator
+
+if TYPE_CHECKING:
+    from residual.wrench_estimator import WrenchEstimator
 
 Array = NDArray[np.float64]
 SIGMAS = 5.0
@@ -30,7 +34,7 @@ FURTHEST_M = 0.5
 
 
 def check_free_of_contact(
-    fit: FreeMotionFit, wrench: WrenchEstimator, contact_force_N: float, *, is_external: bool
+    fit: FreeMotionFit, wrench: "WrenchEstimator", contact_force_N: float, *, is_external: bool
 ) -> None:
     """Refuse a tare whose motion was not free, or whose torques are not what they are taken for.
 
@@ -72,7 +76,7 @@ def check_free_of_contact(
 
 
 def _beyond_prior(
-    basis: BiasModel, blocks: TareBlocks, wrench: WrenchEstimator
+    basis: BiasModel, blocks: TareBlocks, wrench: "WrenchEstimator"
 ) -> tuple[float, float]:
     """Axial force that no error of the prior's size makes, and its std; zeros if there is none."""
     prior, worst, excess = prior_tare(basis), (0.0, 0.0), SIGMAS
@@ -87,7 +91,7 @@ def _beyond_prior(
 
 
 def _likeliest_contact(
-    fit: FreeMotionFit, wrench: WrenchEstimator
+    fit: FreeMotionFit, wrench: "WrenchEstimator"
 ) -> tuple[NDArray[np.bool_], Array]:
     """Torque per newton on the tip, in the likeliest interval of contact, shape (blocks, n, 3).
 

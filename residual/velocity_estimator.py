@@ -6,28 +6,28 @@ the torque is delayed by exactly as much: motion does not read as force. The com
 """
 
 import math
-from typing import NamedTuple
+from dataclasses import dataclass
+from typing import NamedTuple, get_args
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from residual.errors import ConfigurationError
 from residual.input_validation import (
     ROUNDING_S,
+    check_bandwidth,
     check_choice,
     check_interval,
     check_positive,
     check_rows,
     read_rows,
 )
-from residual.momentum_observer import ALIGNMENTS, Alignment
+from residual.momentum_observer import Alignment
 
 Array = NDArray[np.float64]
 ROWS = 4
 """Rows of a step: output of the first lag, of the second, input at the start and at the end."""
-REMEMBERED = 3
-"""So many of them are known before the tick."""
 _NAMES = ("q", "tau")
+_new = tuple.__new__  # makes a named tuple in half the time: there is one in every tick
 
 
 def lag_pair_coefficients(bandwidth_per_s: float, dt_s: float) -> Array:
@@ -62,12 +62,12 @@ class MatchedSample(NamedTuple):
     settled: bool  # Whether the start of the filter has faded; before that dq is not usable
 
 
-class VelocityState(NamedTuple):
+@dataclass(slots=True, eq=False)
+class VelocityState:
     """All that a `VelocityEstimator` remembers."""
 
-    # Output of both lags and the last sample, position then torque, shape (3, 2 n); None before a
-    # sample
-    rows: Array | None
+    rows: Array  # Of the last step, position then torque, shape (ROWS, 2 n)
+    started: bool = False  # Whether there was one
     age_s: float = 0.0  # Time since the filter started [s]
 
 
@@ -81,6 +81,9 @@ class VelocityEstimator:
         alignment: How torque fills a tick, see `residual.momentum_observer.Alignment`. The filtered
             torque is continuous: feed the observer with ``trapezoid``.
         max_gap_s: A longer time step starts the filter anew [s].
+
+    Attributes:
+        memory: All that it remembers; one of the same settings and joints may stand in its place.
 
     Raises:
         ConfigurationError: For a setting that cannot work.
@@ -99,16 +102,15 @@ class VelocityEstimator:
     ) -> None:
         check_bandwidth("bandwidth_per_s", bandwidth_per_s)
         check_positive("joints", joints)
-        check_choice("alignment", alignment, ALIGNMENTS)
+        check_choice("alignment", alignment, get_args(Alignment))
         check_positive("max_gap_s", max_gap_s)
         self._joints = int(joints)
         self._bandwidth = float(bandwidth_per_s)
         self._held = alignment == "hold"
         self._max_gap_s = max_gap_s
         self._settling_s = self.SETTLING_LAGS / bandwidth_per_s
-        self._rows = np.zeros((ROWS, 2 * self._joints))
+        self.memory = VelocityState(np.zeros((ROWS, 2 * self._joints)))
         self._dt_s = math.nan
-        self.reset()
 
     @property
     def delay_s(self) -> float:
@@ -127,30 +129,30 @@ class VelocityEstimator:
         """
         rows = read_rows(_NAMES, (q, tau), self._joints)
         check_rows(_NAMES, rows)
-        dt_s = check_interval(dt_s) if self._initialized else 0.0
-        return MatchedSample(*self.absorb(rows, dt_s))
+        dt_s = check_interval(dt_s) if self.memory.started else 0.0
+        return self.absorb(rows, dt_s)
 
-    def absorb(self, sample: Array, dt_s: float) -> tuple[Array, Array, Array, bool]:
-        """The fields of a `MatchedSample`; as `update`, for finite numbers and a checked time step.
+    def absorb(self, sample: Array, dt_s: float) -> MatchedSample:
+        """As `update`, for finite numbers and a checked time step.
 
         The sample is position and torque, shape (2, n), contiguous.
         """
-        n, rows, given = self._joints, self._rows, sample.ravel()
-        if not self._initialized or (dt_s != self._dt_s and self._is_gap(dt_s)):
+        n, memory, given = self._joints, self.memory, sample.ravel()
+        rows = memory.rows
+        if not memory.started or (dt_s != self._dt_s and self._is_gap(dt_s)):
             rows[:] = given
-            self._age_s = 0.0
-            self._initialized = True
-            return sample[0].copy(), np.zeros(n), sample[1].copy(), False
+            memory.age_s, memory.started = 0.0, True
+            return MatchedSample(sample[0].copy(), np.zeros(n), sample[1].copy(), False)
         rows[3] = given
         if self._held:
             rows[3, n:] = rows[2, n:]
         out = self._coefficients.dot(rows)
         rows[:2] = out[:2]
         rows[2] = given
-        self._age_s += dt_s
-        settled = self._age_s >= self._settling_s - ROUNDING_S
+        memory.age_s += dt_s
+        settled = memory.age_s >= self._settling_s - ROUNDING_S
         second = out[1]
-        return second[:n], out[2, :n], second[n:], settled
+        return _new(MatchedSample, (second[:n], out[2, :n], second[n:], settled))
 
     def _is_gap(self, dt_s: float) -> bool:
         """Whether a new time step is too long; renews the coefficients if it is not."""
@@ -160,33 +162,6 @@ class VelocityEstimator:
         self._dt_s = dt_s
         return False
 
-    @property
-    def state(self) -> VelocityState:
-        """All that the estimator remembers, as copies."""
-        rows = self._rows[:REMEMBERED].copy() if self._initialized else None
-        return VelocityState(rows, self._age_s)
-
-    def restore(self, state: VelocityState) -> None:
-        """Go on from a `state` taken earlier.
-
-        Raises:
-            ConfigurationError: If it belongs to another number of joints.
-        """
-        if state.rows is not None:
-            expected = (REMEMBERED, 2 * self._joints)
-            if state.rows.shape != expected:
-                raise ConfigurationError(
-                    f"state has rows of shape {state.rows.shape}, expected {expected}"
-                )
-            self._rows[:REMEMBERED] = state.rows
-        self._initialized = state.rows is not None
-        self._age_s = state.age_s
-
     def reset(self) -> None:
         """Forget everything; the next sample is a first one."""
-        self.restore(VelocityState(None))
-
-
-def check_bandwidth(name: str, value: object) -> None:
-    """Refuse a bandwidth [1/s] that no sampled signal has: its square or cube would overflow."""
-    check_positive(name, value, most=1e6, least=1e-3)
+        self.memory.started = False

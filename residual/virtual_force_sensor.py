@@ -1,6 +1,7 @@
 """The virtual force/torque sensor: the few calls that a controller makes."""
 
 import math
+from dataclasses import replace
 from typing import NamedTuple
 
 import numpy as np
@@ -22,14 +23,7 @@ from residual.estimate import (
     unknown_wrench,
 )
 from residual.input_validation import SampleClock
-from residual.motion_error import MotionError
-from residual.sample_stream import (
-    ExternalTorqueStream,
-    JointStream,
-    SampleStream,
-    StreamState,
-    TorqueSample,
-)
+from residual.sample_stream import SampleStream, StreamState, TorqueSample
 from residual.snapshot import copied, robot_digest, settings_text, try_out
 from residual.tool_kinematics import ToolKinematics
 from residual.wrench_estimator import COMPONENTS, WrenchEstimator
@@ -58,8 +52,6 @@ class SensorState(NamedTuple):
     followed_N: NDArray[np.float64]
     follows: bool  # Whether it does so already
     unchecked_s: float  # Time since the last consistency check [s]
-    smooth_velocity: NDArray[np.float64]  # See `residual.motion_error`; shape (n,)
-    velocity: NDArray[np.float64]  # Joint velocity of the last sample [rad/s], shape (n,)
     last: WrenchEstimate | None  # Last estimate; None before the first
     missed_s: float  # Time of samples rejected since then [s]
     rejected: int  # Number of bad samples so far
@@ -84,37 +76,29 @@ class VirtualForceSensor:
         lag_s: Time by which the estimate follows the force [s]; 0 before the first sample, and for
             external torques of the robot itself: their lag is not known here.
         elapsed_s: Time between the last two samples that were used [s]; 0 for the first.
-        velocity_rad_s: Joint velocity of the last sample used, given or estimated, shape (n,).
         rejected: Bad samples since the last `reset`.
     """
 
     def __init__(self, robot: Robot, config: SensorConfig = DEFAULT) -> None:
         self._robot, self._config = robot, config
         self._digest = robot_digest(robot)
-        JointStream(robot, config, has_velocity=True)  # refuses what does not fit the robot now
+        SampleStream(robot, config, has_velocity=True)  # refuses what does not fit the robot now
         self._offset = BiasEstimator(robot, config)
-        where = {
-            "frame": config.frame,
-            "insertion_axis": config.insertion_axis,
-            "tool_offset_m": config.tool_offset_m,
-        }
-        self._wrench = WrenchEstimator(
-            robot,
-            config.mode,
-            axes=config.axes,
-            weighting=config.weighting,
-            expected_force_N=config.expected_force_N,
-            **where,
-        )
-        self._contact = WrenchEstimator(robot, "axial", **where)
+        self._wrench = WrenchEstimator(robot, config)
+        alone = replace(config, mode="axial", axes="base", weighting="covariance")
+        self._contact = WrenchEstimator(robot, replace(alone, expected_force_N=100.0))
         self._monitor = ConsistencyMonitor(robot, self._wrench)
-        self._motion = MotionError(robot, config.prior.mass_fraction)
         self.reset()
 
     @property
     def tared(self) -> bool:
         """Whether the offset has been removed."""
         return self._offset.memory.tared
+
+    @property
+    def velocity_rad_s(self) -> NDArray[np.float64]:
+        """Joint velocity of the last sample used, given or estimated [rad/s], shape (n,)."""
+        return self._offset.memory.dq
 
     @property
     def kinematics(self) -> ToolKinematics:
@@ -148,7 +132,7 @@ class VirtualForceSensor:
         Returns:
             The wrench with its uncertainty and status. A bad sample is reported there, not raised.
         """
-        return self._absorb(JointStream, q, dq, tau, dt_s)
+        return self._absorb(False, q, dq, tau, dt_s)
 
     def update_external_torque(
         self, q: ArrayLike, dq: ArrayLike | None, external_torque: ArrayLike, dt_s: float
@@ -162,7 +146,7 @@ class VirtualForceSensor:
             external_torque: Torque of the environment on the joints [Nm], shape (n,).
             dt_s: Time since the previous call [s].
         """
-        return self._absorb(ExternalTorqueStream, q, dq, external_torque, dt_s)
+        return self._absorb(True, q, dq, external_torque, dt_s)
 
     def tare(self, *, ignore_contact: bool = False) -> Tare:
         """Fit the offset to the free motion seen since the start or `start_tare_recording`.
@@ -185,7 +169,7 @@ class VirtualForceSensor:
         """
         if not ignore_contact:
             self._monitor.check_velocity()
-        external = isinstance(self._stream, ExternalTorqueStream)
+        external = self._stream is not None and self._stream.is_external
         try:
             tare = self._offset.tare(
                 self._contact, ignore_contact=ignore_contact, is_external=external
@@ -194,10 +178,14 @@ class VirtualForceSensor:
             # What may be the cause of it.
             hint = long_step(self.elapsed_s, self._config.max_gap_s)
             raise TareError("; ".join(filter(None, (str(error), hint)))) from None
-        self._wrench.set_torque_covariance(self._monitor.widened(self._offset.covariance_Nm2()))
-        self._wrench.weigh(self._offset.memory.q)
+        self._weigh()
         self._follows = False
         return tare
+
+    def _weigh(self) -> None:
+        """Weigh the joints by the residual's covariance where the arm is."""
+        self._wrench.set_torque_covariance(self._monitor.widened(self._offset.covariance_Nm2()))
+        self._wrench.weigh(self._offset.memory.q)
 
     def start_tare_recording(self) -> None:
         """Record free motion anew for the next `tare`; estimates are `NOT_TARED` until then.
@@ -212,7 +200,6 @@ class VirtualForceSensor:
         self._stream: SampleStream | None = None
         self.lag_s = self.elapsed_s = 0.0
         self._restart()
-        self.velocity_rad_s = np.zeros(self._robot.nv)
         self._last: WrenchEstimate | None = None
         self._clock = SampleClock(self._config.max_gap_s)
         self.rejected = 0
@@ -231,28 +218,28 @@ class VirtualForceSensor:
 
     def snapshot(self) -> SensorState:
         """All that the sensor remembers; immutable. `needleforce.write_snapshot` stores it."""
+        self._offset.sum_torques()
         stream = self._stream
-        return copied(
-            SensorState(
-                robot=self._digest,
-                config=settings_text(self._config, self._robot.nv),
-                joints=stream.state if isinstance(stream, JointStream) else None,
-                external_torque=stream.state if isinstance(stream, ExternalTorqueStream) else None,
-                lag_s=self.lag_s,
-                offset=self._offset.state,
-                torque_covariance=self._wrench.torque_covariance,
-                weighed_at=self._wrench.weighed_at,
-                monitor=self._monitor.state,
-                followed_N=self._followed_N,
-                follows=self._follows,
-                unchecked_s=self._unchecked_s,
-                smooth_velocity=self._motion.smooth_velocity,
-                velocity=self.velocity_rad_s,
-                last=self._last,
-                missed_s=self._clock.missed_s,
-                rejected=self.rejected,
-            )
+        kept = None if stream is None else stream.memory
+        is_external = stream is not None and stream.is_external
+        state = SensorState(
+            robot=self._digest,
+            config=settings_text(self._config, self._robot.nv),
+            joints=None if is_external else kept,
+            external_torque=kept if is_external else None,
+            lag_s=self.lag_s,
+            offset=self._offset.memory,
+            torque_covariance=self._wrench.torque_covariance,
+            weighed_at=self._wrench.weighed_at,
+            monitor=self._monitor.state,
+            followed_N=self._followed_N,
+            follows=self._follows,
+            unchecked_s=self._unchecked_s,
+            last=self._last,
+            missed_s=self._clock.missed_s,
+            rejected=self.rejected,
         )
+        return copied(state)
 
     def restore(self, state: SensorState) -> None:
         """Go on, bit for bit, from where `snapshot` was taken.
@@ -278,22 +265,21 @@ class VirtualForceSensor:
 
     def _take(self, state: SensorState) -> None:
         self.reset()
-        for kind, kept in (
-            (JointStream, state.joints),
-            (ExternalTorqueStream, state.external_torque),
-        ):
-            if kept is not None:
-                has_velocity = kept.velocity is None
-                self._stream = kind(self._robot, self._config, has_velocity=has_velocity)
-                self._stream.restore(kept)
+        kept = state.joints or state.external_torque
+        if kept is not None:
+            self._stream = SampleStream(
+                self._robot,
+                self._config,
+                is_external=state.joints is None,
+                has_velocity=kept.velocity is None,
+            )
+            self._stream.restore(kept)
         self._offset.restore(state.offset)
         self._wrench.set_torque_covariance(state.torque_covariance)
         self._wrench.weigh(state.weighed_at)
         self._monitor.restore(state.monitor)
         self._followed_N, self._follows = state.followed_N, state.follows
-        self.lag_s, self.velocity_rad_s = state.lag_s, state.velocity
-        self._unchecked_s = state.unchecked_s
-        self._motion.smooth_velocity = state.smooth_velocity
+        self.lag_s, self._unchecked_s = state.lag_s, state.unchecked_s
         self._last, self.rejected = state.last, state.rejected
         self._clock.missed_s = state.missed_s
         if state.last is not None:
@@ -304,7 +290,7 @@ class VirtualForceSensor:
 
     def _absorb(
         self,
-        kind: type[SampleStream],
+        is_external: bool,
         q: ArrayLike,
         dq: ArrayLike | None,
         torque: ArrayLike,
@@ -313,10 +299,13 @@ class VirtualForceSensor:
         """One sample of either kind, or why it was rejected."""
         stream = self._stream
         try:
-            if stream is None or type(stream) is not kind:
+            if stream is None or stream.is_external != is_external:
                 if stream is not None and not self._offset.is_fresh:
                     raise SampleError(OTHER_KIND)
-                stream = kind(self._robot, self._config, has_velocity=dq is not None)
+                has_velocity = dq is not None
+                stream = SampleStream(
+                    self._robot, self._config, is_external=is_external, has_velocity=has_velocity
+                )
             elapsed_s = 0.0 if self._last is None else self._clock.elapsed(dt_s)
             sample = stream.update(q, dq, torque, elapsed_s)
         except SampleError as error:
@@ -330,19 +319,17 @@ class VirtualForceSensor:
         self, sample: TorqueSample, stream: SampleStream, elapsed_s: float
     ) -> WrenchEstimate:
         """Remove the offset, project, and say what the caller should know."""
-        q, self.velocity_rad_s, tau, residual, settled, data = sample
+        q, dq, tau, residual, settled, data = sample
         self._clock.missed_s = 0.0
         self.elapsed_s, self.lag_s = elapsed_s, stream.lag_s
         offset, wrench, monitor = self._offset, self._wrench, self._monitor
-        renewed, bias = offset.follow(q, tau, elapsed_s), offset.memory
+        renewed, bias = offset.follow(q, dq, tau, elapsed_s), offset.memory
         tared = bias.tared
         if settled and not tared:
             offset.record(residual, elapsed_s)
         self._unchecked_s += elapsed_s
-        if renewed:
-            motion = self._motion.variance_Nm2(q, self.velocity_rad_s, self._unchecked_s)
-            wrench.set_torque_covariance(monitor.widened(offset.covariance_Nm2() + np.diag(motion)))
-            wrench.weigh(q)
+        if renewed and (offset.is_covariance_due or monitor.wants_widening):
+            self._weigh()
         wrench.kinematics.update(q, data)
         # One more lag follows the force; it begins where the force is.
         fraction, lag_s = 1.0, stream.lag_s
@@ -351,8 +338,8 @@ class VirtualForceSensor:
         found = wrench.solve(q, residual, bias.bias, self._followed_N, fraction)
         self._follows = True
         if renewed:
-            dq = self.velocity_rad_s if stream.has_velocity else None
-            monitor.check(q, dq, found[-1], self._unchecked_s, tared=tared)
+            sent = dq if stream.has_velocity else None
+            monitor.check(q, sent, found[-1], self._unchecked_s, tared=tared)
             self._unchecked_s = 0.0
         status, message, warnings = _OK, monitor.message, monitor.warnings
         if not (settled and tared) or bias.leapt_s or stream.warning:

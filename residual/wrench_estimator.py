@@ -1,32 +1,28 @@
 """From external joint torque to the wrench at a named frame: equation (13) and better."""
 
 import math
-from typing import Any, Literal, NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import NDArray
 
 from needleforce.jit import Matrix, Vector, WrittenVector, compiled
+from residual.config import DEFAULT, SensorConfig
 from residual.errors import ConfigurationError, SampleError
 from residual.estimate import MOST_CONDITIONING, UNSEEN_STD, WrenchEstimate
-from residual.input_validation import check_choice, check_joint_vector, check_positive
+from residual.input_validation import check_joint_vector
 from residual.tool_kinematics import ToolKinematics
 from urdf import Robot
 
 Array = NDArray[np.float64]
-Mode = Literal["axial", "point", "full"]
-"""What is assumed of the contact: a force along the needle axis, a force at the frame's origin,
-or a force and a torque."""
-Axes = Literal["base", "tool"]
-Weighting = Literal["covariance", "none"]
 COMPONENTS = {"axial": 1, "point": 3, "full": 6}
 """Unknowns of every mode."""
 EXPECTED_TORQUE_NM = 10.0
-"""Of the full mode: as `WrenchEstimator`'s ``expected_force_N``."""
+"""Of the full mode: as `SensorConfig`'s ``expected_force_N``."""
 _NOTHING = np.zeros(3)
 _NOTHING.setflags(write=False)
-
-
+# What is compiled uses constants of its own file only.
+_UNSEEN, _CONDITIONING = UNSEEN_STD**2, MOST_CONDITIONING
 MOST_TURN_RAD = 1e-3
 """A gain holds until a joint has moved so far: the force is then off by a thousandth of itself. A
 needle at 10 mm/s takes longer than a renewal to turn the arm by as much."""
@@ -43,10 +39,36 @@ class WrenchGain(NamedTuple):
     axis: Array
     # ``covariance``, ``conditioning`` and ``damping_fraction`` of `WrenchEstimate`
     reported: tuple[Array, float, Array]
+    weakest_m: float  # See `WrenchEstimator.smallest_singular_value`
+    unexplained: Array  # Makes `WrenchEstimator.mismatch_squared` of joint torque, shape (n, n)
 
 
+@compiled
+def pseudo_inverse(symmetric: Matrix, least: float) -> tuple[Array, NDArray[np.bool_]]:
+    """Of a symmetric matrix without negative eigenvalues, shape (k, k).
+
+    Directions whose eigenvalue is below ``least`` times the largest stay at zero.
+
+    Returns:
+        It, shape (k, k), and which unknowns have a part in such a direction, shape (k,).
+    """
+    values, vectors = np.linalg.eigh(symmetric)
+    seen = values > values[-1] * least
+    scale = seen / np.where(seen, values, 1.0)
+    unseen = (vectors * vectors).dot(1.0 - seen)
+    return (vectors * scale).dot(vectors.T), unseen > 1e-18
+
+
+@compiled
+def inverse_of(symmetric: Matrix) -> tuple[float, Array]:
+    """Least eigenvalue, and the inverse where that is positive."""
+    values, vectors = np.linalg.eigh(symmetric)
+    return values[0], (vectors / np.maximum(values, 1e-300)).dot(vectors.T)
+
+
+@compiled
 def weighted_inverse(
-    jacobian: Array, error_covariance: Array, precision: Array, damping: Array
+    jacobian: Matrix, error_covariance: Matrix, precision: Matrix, damping: Vector
 ) -> tuple[Array, Array, float, Array]:
     """Solve ``torque = J' x + error`` by weighted least squares; the paper's (13) generalised.
 
@@ -68,18 +90,17 @@ def weighted_inverse(
     """
     weighted = jacobian.dot(precision)
     information = weighted.dot(jacobian.T)
-    eigenvalues, vectors = np.linalg.eigh(information + np.diag(damping))
     # Directions below rounding of the largest are unseen: the pseudo-inverse leaves them at zero.
-    seen = eigenvalues > eigenvalues[-1] * 1e-12
-    inverse = (vectors[:, seen] / eigenvalues[seen]) @ vectors[:, seen].T
+    inverse, blind = pseudo_inverse(information + np.diag(damping), 1e-12)
     gain = inverse.dot(weighted)
-    covariance = gain.dot(error_covariance).dot(gain.T) + inverse * damping @ inverse
-    if not seen.all():
-        blind = (np.abs(vectors[:, ~seen]) > 1e-9).any(axis=1)
-        covariance[blind, blind] = UNSEEN_STD**2
+    covariance = gain.dot(error_covariance).dot(gain.T) + (inverse * damping).dot(inverse)
+    for i in range(len(blind)):
+        if blind[i]:
+            covariance[i, i] = _UNSEEN
     own = np.linalg.eigvalsh(information)
-    sightless = own[0] <= own[-1] / MOST_CONDITIONING**2
-    conditioning = MOST_CONDITIONING if sightless else float(np.sqrt(own[-1] / own[0]))
+    conditioning = _CONDITIONING
+    if own[0] > own[-1] / conditioning**2:
+        conditioning = math.sqrt(own[-1] / own[0])
     return gain, covariance, conditioning, np.diag(inverse) * damping
 
 
@@ -142,55 +163,70 @@ def wrench_step(
     )
 
 
+@compiled
+def unexplained(rows: Matrix, precision: Matrix) -> tuple[float, Array]:
+    """What of joint torque no wrench explains, whose unknowns make torque by ``rows``, (k, n).
+
+    Returns:
+        The smallest singular value of the rows, and what makes of a torque the mean square of what
+        is left, in units of its covariance, the inverse of ``precision``; shape (n, n).
+    """
+    count, joints = rows.shape
+    gram = rows.dot(rows.T) if count < joints else rows.T.dot(rows)
+    weakest_m = math.sqrt(max(np.linalg.eigvalsh(gram)[0], 0.0))
+    if count >= joints:
+        return weakest_m, np.zeros((joints, joints))
+    weighted = rows.dot(precision)
+    inverse = pseudo_inverse(weighted.dot(rows.T), 1e-12)[0]
+    left = precision - weighted.T.dot(inverse).dot(weighted)
+    return weakest_m, left / (joints - count)
+
+
+@compiled
+def _variances(axis: Vector, covariance: Matrix) -> tuple[float, float]:
+    """Of the axial force, and of the lateral in the direction known least; those of the unseen.
+
+    Force and axis in the same axes; where a component is not seen, neither is.
+    """
+    if np.diag(covariance).max() >= _UNSEEN:
+        return _UNSEEN, _UNSEEN
+    across = np.eye(3) - np.outer(axis, axis)
+    lateral = np.linalg.eigvalsh(across.dot(covariance).dot(across))[-1]
+    return axis.dot(covariance).dot(axis), lateral
+
+
 class WrenchEstimator:
     """Wrench of the environment on the tool, by covariance-weighted least squares.
 
-    Sign and frames: the wrench acts on the tool at the origin of ``frame``, in ``axes`` axes; a
-    weight hung there reads as a force down. The axial force is minus the force along the insertion
-    direction, so that tissue pushing back is positive.
+    Sign and frames: the wrench acts on the tool at the tip, in the axes asked for; a weight hung
+    there reads as a force down. The axial force is minus the force along the insertion direction,
+    so that tissue pushing back is positive.
 
     Args:
         robot: The arm with its payload.
-        mode: What is assumed of the contact, see `Mode`.
-        frame: Name of the frame; the robot's tool frame when None.
-        axes: Axes in which force and torque are expressed.
-        insertion_axis: Insertion direction in the frame's axes, normalised here.
-        tool_offset_m: Where the tip, at which the wrench acts, is in the frame [m].
-        weighting: ``covariance``, by the inverse covariance of the torque; ``none``, the plain
-            pseudo-inverse of equation (13), which has no damping either.
-        expected_force_N: Size of force beyond which an estimate is drawn to zero where the joints
-            cannot see it (damping near singular poses); None for no damping.
+        config: Of it ``mode``, ``weighting`` (``none`` has no damping either),
+            ``expected_force_N``, ``frame``, ``axes``, ``insertion_axis`` and ``tool_offset_m``.
 
     Raises:
-        ConfigurationError: For an unknown mode or axes, or a zero axis.
         urdf.UrdfError: For an unknown frame.
     """
 
-    def __init__(
-        self,
-        robot: Robot,
-        mode: Mode = "point",
-        *,
-        frame: str | None = None,
-        axes: Axes = "base",
-        insertion_axis: ArrayLike = (0.0, 0.0, 1.0),
-        tool_offset_m: ArrayLike = (0.0, 0.0, 0.0),
-        weighting: Weighting = "covariance",
-        expected_force_N: float | None = 100.0,
-    ) -> None:
-        check_choice("mode", mode, tuple(COMPONENTS))
-        check_choice("weighting", weighting, ("covariance", "none"))
-        check_choice("axes", axes, ("base", "tool"))
-        self.kinematics = ToolKinematics(robot, frame, insertion_axis, tool_offset_m)
-        self._in_base = axes == "base"
-        self._joints = robot.nv
-        check_expected("expected_force_N", expected_force_N)
+    def __init__(self, robot: Robot, config: SensorConfig = DEFAULT) -> None:
+        self.kinematics = ToolKinematics(
+            robot, config.frame, config.insertion_axis, config.tool_offset_m
+        )
+        self._in_base = config.axes == "base"
+        self._joints, size = robot.nv, COMPONENTS[config.mode]
         # Which components of force and torque, in the frame's axes, an unknown stands for.
-        self._directions = np.eye(6)[: COMPONENTS[mode]]
-        if mode == "axial":
+        self._directions = np.eye(6)[:size]
+        if size == 1:
             self._directions = np.concatenate((self.kinematics.axis_in_tool, _NOTHING))[None]
-        self._damping = _damping(mode, None if weighting == "none" else expected_force_N)
-        self._weighted = weighting == "covariance"
+        self._weighted = config.weighting == "covariance"
+        # Diagonal of the damping: inverse variance of the wrench that is expected at most.
+        self._damping = np.zeros(size)
+        if self._weighted and config.expected_force_N is not None:
+            expected = [config.expected_force_N] * 3 + [EXPECTED_TORQUE_NM] * 3
+            self._damping = np.array(expected[:size]) ** -2.0
         self._covariance = self._inverse = np.eye(robot.nv)
         self.weigh(np.zeros(robot.nv))
 
@@ -211,12 +247,11 @@ class WrenchEstimator:
         # Written so that a NaN is refused too.
         if not asymmetry <= 1e-6 * abs(np.trace(covariance_Nm2)):
             raise ConfigurationError("covariance_Nm2 must be finite and symmetric")
-        try:
-            root = np.linalg.inv(np.linalg.cholesky(covariance_Nm2))
-        except np.linalg.LinAlgError as error:
-            raise ConfigurationError("covariance_Nm2 is not positive definite") from error
-        self._covariance = covariance_Nm2.copy()
-        self._inverse = root.T @ root
+        covariance = np.array(covariance_Nm2, order="C")
+        least, inverse = inverse_of(covariance)
+        if least <= 0.0:
+            raise ConfigurationError("covariance_Nm2 is not positive definite")
+        self._covariance, self._inverse = covariance, inverse
 
     @property
     def torque_covariance(self) -> Array:
@@ -239,25 +274,28 @@ class WrenchEstimator:
 
     def weigh(self, q: Array) -> None:
         """Weigh the joints at a configuration [rad], shape (n,); `solve` does so until the next."""
-        tool, k, size = self.kinematics, len(self._directions), max(len(self._directions), 3)
+        tool, directions = self.kinematics, self._directions
         tool.update(q)
-        jacobian, axis, directions = tool.jacobian, tool.axis_in_tool, self._directions
+        jacobian, axis, size = tool.jacobian, tool.axis_in_tool, max(len(directions), 3)
         if self._in_base:
-            turn = np.kron(np.eye(2), tool.rotation_tool_to_base)
-            jacobian, axis = turn.dot(jacobian), turn[:3, :3].dot(axis)
-        if k == 1:
+            turn = tool.rotation_tool_to_base
+            jacobian = np.concatenate((turn.dot(jacobian[:3]), turn.dot(jacobian[3:])))
+            axis = turn.dot(axis)
+        if len(directions) == 1:
             directions = np.concatenate((axis, _NOTHING))[None]
-        precision = self._inverse if self._weighted else np.eye(self._joints)
+        rows, inverse = directions.dot(jacobian), self._inverse
+        precision = inverse if self._weighted else np.eye(self._joints)
         gain, covariance, conditioning, removed = weighted_inverse(
-            directions.dot(jacobian), self._covariance, precision, self._damping
+            rows, self._covariance, precision, self._damping
         )
         variances = (covariance[0, 0], UNSEEN_STD**2)
-        if k > 1:
-            variances = _variances(axis, covariance[:3, :3])
+        if len(directions) > 1:
+            variances = _variances(axis, np.ascontiguousarray(covariance[:3, :3]))
         self._gain = WrenchGain(
-            rows=np.vstack((q, directions[:, :size].T.dot(gain))),
-            axis=np.append(axis, variances),
-            reported=(covariance, conditioning, removed),
+            np.vstack((q, directions[:, :size].T.dot(gain))),
+            np.append(axis, variances),
+            (covariance, conditioning, removed),
+            *unexplained(rows, inverse),
         )
         for array in (covariance, removed):
             array.setflags(write=False)
@@ -276,13 +314,13 @@ class WrenchEstimator:
         Raises:
             SampleError: For numbers that are not finite.
         """
-        rows, axis, reported = self._gain
+        rows, axis, reported, _, _ = self._gain
         size = len(rows) - 1
         found = np.empty(size + self._joints)
         scalars = wrench_step(q, residual, offset, rows, axis, fraction, followed_N, found)
         if not math.isfinite(scalars[0]):
             self.weigh(q)
-            rows, axis, reported = self._gain
+            rows, axis, reported, _, _ = self._gain
             scalars = wrench_step(q, residual, offset, rows, axis, fraction, followed_N, found)
             if not math.isfinite(scalars[0]):
                 raise SampleError("q and residual must be finite; skip this sample")
@@ -296,59 +334,19 @@ class WrenchEstimator:
         """Configuration of the last `weigh` [rad], shape (n,): with it `weigh` gives the same."""
         return self._gain.rows[0]
 
-    @property
-    def _rows(self) -> Array:
-        """Joint torque of each unknown where the arm stands, in the tool's axes, shape (k, n)."""
-        return self._directions.dot(self.kinematics.jacobian)
-
     def smallest_singular_value(self) -> float:
         """How much the joints feel of a newton in the direction they feel least [m].
 
         Of the directions that the mode asks for (in the full mode a newton metre counts as a
-        newton), at the last configuration.
+        newton), where the joints were weighed last.
         """
-        return float(np.linalg.svd(self._rows, compute_uv=False)[-1])
+        return self._gain.weakest_m
 
     def mismatch_squared(self, residual: Array) -> float:
         """Mean square of the joint torque [Nm] that no wrench of the mode explains.
 
-        In units of its covariance, at the last configuration: about 1 when the model holds, 0 where
-        the mode has as many unknowns as there are joints. The residual is that without offset.
+        In units of its covariance, where the joints were weighed last: about 1 when the model
+        holds, 0 where the mode has as many unknowns as there are joints. The residual is that
+        without offset.
         """
-        rows = self._rows
-        spare = rows.shape[1] - len(rows)
-        if spare <= 0:
-            return 0.0
-        weighted = rows.dot(self._inverse)
-        seen = weighted.dot(residual)
-        # The smallest solution: nothing where it sees nothing.
-        wrench = np.linalg.lstsq(weighted.dot(rows.T), seen, rcond=1e-12)[0]
-        left = float(residual.dot(self._inverse).dot(residual) - seen.dot(wrench))
-        return max(left, 0.0) / spare
-
-
-def _variances(axis: Array, covariance: Array) -> tuple[float, float]:
-    """Of the axial force, and of the lateral in the direction known least; those of the unseen.
-
-    Force and axis in the same axes; where a component is not seen, neither is.
-    """
-    if (np.diag(covariance) >= UNSEEN_STD**2).any():
-        return UNSEEN_STD**2, UNSEEN_STD**2
-    across = np.eye(3) - np.outer(axis, axis)
-    lateral = np.linalg.eigvalsh(across.dot(covariance).dot(across))[-1]
-    return float(axis.dot(covariance).dot(axis)), float(lateral)
-
-
-def _damping(mode: Mode, expected_force_N: float | None) -> Array:
-    """Diagonal of the damping: inverse variance of the wrench that is expected at most."""
-    size = COMPONENTS[mode]
-    if expected_force_N is None:
-        return np.zeros(size)
-    expected = np.array([expected_force_N] * 3 + [EXPECTED_TORQUE_NM] * 3)[:size]
-    return 1.0 / expected**2
-
-
-def check_expected(name: str, value: float | None) -> None:
-    """Refuse an expected size of force or torque whose inverse square overflows; None is none."""
-    if value is not None:
-        check_positive(name, value, least=1e-6, most=1e9)
+        return max(float(residual.dot(self._gain.unexplained).dot(residual)), 0.0)

@@ -78,6 +78,8 @@ def test_without_tasks_or_with_bad_samples_it_brakes_within_limits():
     for _ in range(50):
         q = q + 1e-3 * control.update(ArmSample(1e-3, q, None, q), [AxialSpeed(0.05)]).dq_rad_s
     moving = np.abs(control.last_rad_s).max()
+    lost = control.update(ArmSample(1e-3, np.full(7, np.nan), None, q), [])
+    assert (lost.status, np.isfinite(lost.dq_rad_s).all()) == ("skipped", True)
     bad = control.update(ArmSample(1e-3, np.full(7, np.nan), None, q), [AxialSpeed(0.05)])
     assert (bad.status, moving - np.abs(bad.dq_rad_s).max() > 0.005) == ("skipped", True)
     for _ in range(200):

@@ -14,7 +14,8 @@ from residual import (
     SigmoidFriction,
     VelocityEstimator,
 )
-from residual.momentum_observer import BEFORE, ROWS, set_step_weights
+from residual.momentum_observer import ROWS, set_step_weights
+from residual.snapshot import copied
 from residual.velocity_estimator import lag_pair_coefficients
 
 numbers = st.floats(-100.0, 100.0)
@@ -139,7 +140,7 @@ def test_the_state_with_its_smoothing_resumes_bit_equal_and_is_forgotten_by_rese
     one.smooth_momentum(np.full(7, 1e-3), q[0])
     for k in range(50):
         one.update(q[k], dq[k], tau[k], 1e-3)
-    other.restore(one.state)
+    other.restore(copied(one.memory))
     sample = (q[50], dq[50] + 1e-3, tau[50], 1e-3)
     np.testing.assert_array_equal(one.update(*sample), other.update(*sample))
     handed_out = one.update(*sample)
@@ -148,7 +149,7 @@ def test_the_state_with_its_smoothing_resumes_bit_equal_and_is_forgotten_by_rese
     np.testing.assert_array_equal(handed_out, kept)
     assert not handed_out.flags.writeable
     with pytest.raises(ConfigurationError, match="rows of shape"):
-        one.restore(type(one.state)(np.zeros((BEFORE, 3))))
+        one.restore(type(one.memory)(np.zeros((ROWS, 3))))
     one.reset()
     fresh = MomentumObserver(lwr, 50.0)
     for k in range(3):

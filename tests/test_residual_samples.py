@@ -1,6 +1,7 @@
 """What is no sample of real numbers is refused by every estimator alike, without a warning."""
 
 import warnings
+from dataclasses import replace
 from fractions import Fraction
 
 import numpy as np
@@ -11,6 +12,7 @@ from residual import (
     DEFAULT,
     MomentumObserver,
     SampleError,
+    SensorConfig,
     SnapshotError,
     VelocityEstimator,
     VirtualForceSensor,
@@ -42,7 +44,7 @@ UPDATES = {
     "momentum, tau": lambda robot, bad: MomentumObserver(robot).update(STILL, STILL, bad, 1e-3),
     **{
         f"{mode} wrench, {name}": lambda robot, bad, mode=mode, name=name: WrenchEstimator(
-            robot, mode
+            robot, SensorConfig(mode=mode)
         ).estimate(**({"q": MIDDLE, "residual": STILL} | {name: bad}))
         for mode in ("axial", "point", "full")
         for name in ("q", "residual")
@@ -105,9 +107,9 @@ def test_noise_of_another_arm_is_refused(lwr, noise):
     for one in zip(q, dq, tau, strict=True):
         sensor.update(*one, 1e-3)
     state = sensor.snapshot()
-    damaged = state.joints.observer._replace(noise=noise)
+    damaged = replace(state.joints.observer, noise=noise)
     with pytest.raises(SnapshotError, match="noise"):
-        sensor.restore(state._replace(joints=state.joints._replace(observer=damaged)))
+        sensor.restore(state._replace(joints=replace(state.joints, observer=damaged)))
 
 
 @pytest.mark.parametrize("has_velocity", [True, False])

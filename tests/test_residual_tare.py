@@ -11,7 +11,7 @@ from groundtruth.bearing_friction import BearingFriction
 from groundtruth.plant_model import CLEAN
 from residual import DEFAULT, BiasPrior, ConfigurationError, TareError, WrenchEstimator
 from residual.bias_estimator import BiasEstimator, TareRecorder
-from residual.bias_fit import FreeMotionFit, fit_tare
+from residual.bias_fit import FreeMotionFit
 from residual.bias_model import BiasModel, TareBlocks
 from residual.joint_states import play_operator
 from residual.tare_check import check_free_of_contact
@@ -73,8 +73,8 @@ def test_fit_extrapolates_better_than_a_constant(lwr, basis, seed):
     theta, blocks = stroke(lwr, basis, seed=seed)
     ahead, forward = MIDDLE + 0.8 * TOWARDS, FORWARD
     truth = basis.columns(ahead, forward, 20.0) @ theta
-    fitted = fit_tare(basis, blocks)
-    constant = fit_tare(BiasModel(lwr, "constant", BiasPrior()), blocks)
+    fitted = FreeMotionFit(basis, blocks).tare
+    constant = FreeMotionFit(BiasModel(lwr, "constant", BiasPrior()), blocks).tare
     ours = np.abs(fitted.bias_Nm(ahead, forward, 20.0) - truth).max()
     paper = np.abs(constant.bias_Nm(ahead, forward, 20.0) - truth).max()
     assert ours < 0.5 * paper
@@ -84,7 +84,7 @@ def test_stated_covariance_is_believable(lwr, basis):
     ahead, forward, scores = MIDDLE + 0.8 * TOWARDS, FORWARD, []
     for seed in range(20):
         theta, blocks = stroke(lwr, basis, seed=seed)
-        fitted = fit_tare(basis, blocks)
+        fitted = FreeMotionFit(basis, blocks).tare
         error = fitted.bias_Nm(ahead, forward, 20.0) - basis.columns(ahead, forward, 20.0) @ theta
         covariance = fitted.covariance_Nm2(ahead, forward, 20.0) - fitted.noise_Nm2
         scores.append((error**2 / covariance.diagonal())[1:4])
@@ -101,13 +101,14 @@ def test_waviness_does_not_pass_for_a_slope(lwr, basis):
     def uncertainty(tare):
         return np.sqrt((tare.covariance_Nm2(ahead, forward, 0.0) - tare.noise_Nm2).diagonal())
 
-    fitted = fit_tare(basis, wavy)
-    assert (uncertainty(fitted)[1:4] > 1.5 * uncertainty(fit_tare(basis, blocks))[1:4]).all()
+    fitted = FreeMotionFit(basis, wavy).tare
+    smooth = uncertainty(FreeMotionFit(basis, blocks).tare)
+    assert (uncertainty(fitted)[1:4] > 1.5 * smooth[1:4]).all()
     assert (np.abs(fitted.bias_Nm(ahead, forward, 0.0))[1:4] < 3.0 * uncertainty(fitted)[1:4]).all()
 
 
 def test_uncertainty_grows_with_distance_and_time(lwr, basis):
-    fitted = fit_tare(basis, stroke(lwr, basis)[1])
+    fitted = FreeMotionFit(basis, stroke(lwr, basis)[1]).tare
 
     def uncertainty(distance, age):
         covariance = fitted.covariance_Nm2(MIDDLE + distance * TOWARDS, STILL, age)
@@ -120,7 +121,7 @@ def test_uncertainty_grows_with_distance_and_time(lwr, basis):
 def test_constant_kind_is_the_mean_residual(lwr):
     basis = BiasModel(lwr, "constant", BiasPrior())
     _, blocks = stroke(lwr, basis, truth=OFFSET)
-    tare = fit_tare(basis, blocks)
+    tare = FreeMotionFit(basis, blocks).tare
     mean = blocks.residual_Nm.mean(axis=0)
     np.testing.assert_allclose(tare.bias_Nm(MIDDLE, STILL, 5.0), mean, atol=2e-4)
 
@@ -143,9 +144,9 @@ def recorded(values, block):
     """A recorder of one loop that was given samples at 1 kHz, in blocks of so many."""
     recorder = TareRecorder.of_size(values.shape[1], 1)
     for k, value in enumerate(values):
-        recorder.add(np.full_like(value, k), np.ones((1, len(value))), value, 1e-3)
+        recorder.add(np.full_like(value, k), np.ones((1, len(value))), value, 1e-3 * k, 1e-3)
         if (k + 1) % block == 0:
-            recorder.close_block(k * 1e-3)
+            recorder.close_block()
     return recorder
 
 
@@ -172,21 +173,21 @@ def test_ripple_of_a_known_gear_ratio_is_fitted(lwr):
     expected = 0.02 * np.sin(2 * np.array(ratio) * ahead) - 0.01 * np.cos(
         2 * np.array(ratio) * ahead
     )
-    got = fit_tare(basis, blocks).bias_Nm(ahead, FORWARD, 0.0)
+    got = FreeMotionFit(basis, blocks).tare.bias_Nm(ahead, FORWARD, 0.0)
     np.testing.assert_allclose(got[[1, 3]], expected[[1, 3]], atol=0.01)
     with pytest.raises(ConfigurationError, match="expected 7"):
         BiasModel(lwr, "model", BiasPrior(gear_ratio=(160.0,)))
 
 
 def test_torque_trend_remembers_at_rest_and_turns_over_the_width():
-    half_width, trend = np.array([0.01]), np.zeros(1)
+    half_width, trend = np.array([[0.01]]), np.zeros((1, 1))
     for _ in range(10):
         trend = play_operator(trend, np.array([0.002]), half_width)
-    assert trend[0] == 1.0
-    assert play_operator(trend, np.zeros(1), half_width)[0] == 1.0
+    assert trend[0, 0] == 1.0
+    assert play_operator(trend, np.zeros(1), half_width)[0, 0] == 1.0
     back = play_operator(trend, np.array([-0.01]), half_width)
-    assert back[0] == pytest.approx(0.0)
-    assert play_operator(back, np.array([-1.0]), half_width)[0] == -1.0
+    assert back[0, 0] == pytest.approx(0.0)
+    assert play_operator(back, np.array([-1.0]), half_width)[0, 0] == -1.0
 
 
 def test_settings_that_cannot_work_are_refused(lwr):
@@ -243,7 +244,7 @@ class Arm:
             pushed = -force(t) * self.wrench.kinematics.axial_jacobian
             residual = self.offset + rubbed + pushed
             tau = estimator._basis.gravity_Nm(q) - residual
-            estimator.follow(q, tau, DT_S)
+            estimator.follow(q, dq, tau, DT_S)
             residual = residual + NOISE_NM * self.rng.standard_normal(7)
             if record:
                 estimator.record(residual, DT_S)

@@ -5,12 +5,16 @@ import pinocchio as pin
 import pytest
 from residual_signals import MIDDLE, external_torque_of
 
-from residual import ConfigurationError, SampleError, WrenchEstimator
+from residual import PUBLISHED, ConfigurationError, SampleError, SensorConfig, WrenchEstimator
 from residual.estimate import UNSEEN_STD
 from urdf import UrdfError, load_lwr
 
 POINTING_DOWN = np.array([0.0, 0.6, 0.0, -1.4, 0.0, 1.14159265, 0.0])
 MODES = ["axial", "point", "full"]
+
+
+def estimator_of(robot, **settings):
+    return WrenchEstimator(robot, SensorConfig(**settings))
 
 
 def tip_axis(robot, q):
@@ -24,7 +28,7 @@ def test_weight_hung_on_the_tip_reads_as_a_wrench_down(lwr, mode):
     assert tip_axis(lwr, POINTING_DOWN) == pytest.approx([0, 0, -1], abs=1e-6)
     weight = np.array([0.0, 0.0, -2.0])
     torque = external_torque_of(lwr, POINTING_DOWN, weight)
-    estimate = WrenchEstimator(lwr, mode).estimate(POINTING_DOWN, torque)
+    estimate = estimator_of(lwr, mode=mode).estimate(POINTING_DOWN, torque)
     np.testing.assert_allclose(estimate.force, weight, atol=2e-3)
     assert estimate.axial == pytest.approx(-2.0, abs=2e-3), "a pull on the needle is negative"
 
@@ -34,7 +38,7 @@ def test_weight_hung_on_the_tip_reads_as_a_wrench_down(lwr, mode):
 def test_tissue_that_pushes_back_is_a_positive_axial_force(lwr, mode, axes):
     push_back = -1.5 * tip_axis(lwr, MIDDLE)
     torque = external_torque_of(lwr, MIDDLE, push_back)
-    estimate = WrenchEstimator(lwr, mode, axes=axes).estimate(MIDDLE, torque)
+    estimate = estimator_of(lwr, mode=mode, axes=axes).estimate(MIDDLE, torque)
     assert estimate.axial == pytest.approx(1.5, abs=2e-3)
     expected = push_back if axes == "base" else [0.0, 0.0, -1.5]
     np.testing.assert_allclose(estimate.force, expected, atol=2e-3)
@@ -46,7 +50,7 @@ def test_force_and_torque_are_reported_apart_at_any_named_frame(lwr):
     jacobian = pin.computeFrameJacobian(
         lwr.model, data, MIDDLE, lwr.frame_id("flange"), pin.LOCAL_WORLD_ALIGNED
     )
-    estimator = WrenchEstimator(lwr, "full", frame="flange", expected_force_N=None)
+    estimator = estimator_of(lwr, mode="full", frame="flange", expected_force_N=None)
     estimate = estimator.estimate(MIDDLE, jacobian.T @ wrench)
     np.testing.assert_allclose(np.r_[estimate.force, estimate.torque], wrench, atol=1e-9)
 
@@ -57,7 +61,7 @@ def test_unweighted_full_mode_is_the_pseudo_inverse_of_equation_13(lwr):
     jacobian = pin.computeFrameJacobian(
         lwr.model, data, MIDDLE, lwr.tool_frame_id, pin.LOCAL_WORLD_ALIGNED
     )
-    estimator = WrenchEstimator(lwr, "full", weighting="none", expected_force_N=None)
+    estimator = WrenchEstimator(lwr, PUBLISHED)
     estimator.set_torque_covariance(np.diag(np.linspace(0.1, 0.7, 7)))
     estimate = estimator.estimate(MIDDLE, torque)
     expected = np.linalg.pinv(jacobian.T) @ torque
@@ -69,14 +73,14 @@ def test_unweighted_full_mode_is_the_pseudo_inverse_of_equation_13(lwr):
 def test_standard_deviation_is_that_of_repeated_noise(lwr, mode, weighting):
     rng = np.random.default_rng(0)
     std = np.array([0.05, 0.05, 0.03, 0.03, 0.03, 0.011, 0.011])
-    estimator = WrenchEstimator(lwr, mode, weighting=weighting)
+    estimator = estimator_of(lwr, mode=mode, weighting=weighting)
     estimator.set_torque_covariance(np.diag(std**2))
     estimates = [estimator.estimate(MIDDLE, std * rng.normal(size=7)) for _ in range(2000)]
     assert np.std([e.axial for e in estimates]) == pytest.approx(estimates[0].axial_std, rel=0.06)
 
 
 def test_fewer_unknowns_mean_less_noise(lwr):
-    std = {m: WrenchEstimator(lwr, m).estimate(MIDDLE, np.zeros(7)).axial_std for m in MODES}
+    std = {m: estimator_of(lwr, mode=m).estimate(MIDDLE, np.zeros(7)).axial_std for m in MODES}
     assert std["axial"] < std["point"] < std["full"]
 
 
@@ -84,19 +88,19 @@ def test_singular_pose_gives_finite_numbers_that_say_so(lwr):
     stretched = np.zeros(7)
     torque = external_torque_of(lwr, stretched, [0.0, 0.0, 5.0])
     for mode in MODES:
-        estimate = WrenchEstimator(lwr, mode).estimate(stretched, torque)
+        estimate = estimator_of(lwr, mode=mode).estimate(stretched, torque)
         assert np.isfinite(estimate.axial)
         assert np.isfinite(estimate.force).all()
         assert estimate.axial_std > 50.0, "the joints cannot see a force along the stretched arm"
         assert estimate.conditioning > 1e3
         assert estimate.damping_fraction.max() > 0.5
-    undamped = WrenchEstimator(lwr, "full", expected_force_N=None).estimate(stretched, torque)
+    undamped = estimator_of(lwr, mode="full", expected_force_N=None).estimate(stretched, torque)
     assert undamped.axial_std == UNSEEN_STD
     assert np.isfinite(undamped.force).all()
 
 
 def test_damping_is_negligible_where_the_joints_see_well(lwr):
-    estimator = WrenchEstimator(lwr, "point")
+    estimator = estimator_of(lwr, mode="point")
     estimator.set_torque_covariance(1e-4 * np.eye(7))
     estimate = estimator.estimate(MIDDLE, np.zeros(7))
     assert estimate.damping_fraction.max() < 1e-5
@@ -104,8 +108,7 @@ def test_damping_is_negligible_where_the_joints_see_well(lwr):
 
 
 def test_results_are_read_only_and_the_covariance_is_copied(lwr):
-    covariance = np.eye(7) * 0.01
-    estimator = WrenchEstimator(lwr, "point")
+    covariance, estimator = np.eye(7) * 0.01, WrenchEstimator(lwr)
     estimator.set_torque_covariance(covariance)
     before = estimator.estimate(MIDDLE, np.zeros(7))
     covariance *= 100.0
@@ -116,7 +119,7 @@ def test_results_are_read_only_and_the_covariance_is_copied(lwr):
 
 def test_an_unknown_frame_and_what_is_no_covariance_are_refused(lwr):
     with pytest.raises(UrdfError, match="needle_tip"):
-        WrenchEstimator(lwr, frame="nowhere")
+        estimator_of(lwr, frame="nowhere")
     with pytest.raises(ConfigurationError, match="shape"):
         WrenchEstimator(lwr).set_torque_covariance(np.eye(6))
     for matrix in (np.eye(7) * np.nan, 1.0 * np.eye(7) + np.triu(np.ones((7, 7)), 1)):
@@ -128,7 +131,7 @@ def test_an_unknown_frame_and_what_is_no_covariance_are_refused(lwr):
 
 @pytest.mark.parametrize("mode", MODES)
 def test_bad_input_of_an_estimate_is_refused(lwr, mode):
-    estimator = WrenchEstimator(lwr, mode)
+    estimator = estimator_of(lwr, mode=mode)
     with pytest.raises(SampleError, match="q has shape"):
         estimator.estimate(MIDDLE[:3], np.zeros(7))
     with pytest.raises(SampleError, match="finite"):
@@ -139,12 +142,12 @@ def test_bad_input_of_an_estimate_is_refused(lwr, mode):
 def test_length_of_the_insertion_axis_does_not_matter(lwr):
     for axis in ((0, 0, 1e-200), (0, 0, 1e200)):
         torque = external_torque_of(lwr, MIDDLE, -tip_axis(lwr, MIDDLE))
-        estimate = WrenchEstimator(lwr, insertion_axis=axis).estimate(MIDDLE, torque)
+        estimate = estimator_of(lwr, insertion_axis=axis).estimate(MIDDLE, torque)
         assert estimate.axial == pytest.approx(1.0, abs=2e-3)
 
 
 def test_arm_without_needle_reads_at_its_flange():
     robot = load_lwr()
     torque = external_torque_of(robot, MIDDLE, [0.0, 0.0, -1.0])
-    estimate = WrenchEstimator(robot, "point").estimate(MIDDLE, torque)
+    estimate = estimator_of(robot, mode="point").estimate(MIDDLE, torque)
     np.testing.assert_allclose(estimate.force, [0.0, 0.0, -1.0], atol=1e-3)

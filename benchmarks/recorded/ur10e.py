@@ -17,7 +17,7 @@ from benchmarks.methods import joint_residual
 from benchmarks.recorded.liver import read_arrays, read_table
 from benchmarks.rows import Measurement
 from benchmarks.signals import JointSignals, tool_jacobians
-from residual import JointFriction, WrenchEstimator
+from residual import PUBLISHED, JointFriction, WrenchEstimator
 from urdf import Robot, SerialJoint, build_serial_robot, identify_payload_static
 
 FOLDER = "ur10e_mamedov2020"
@@ -139,7 +139,7 @@ def _settled(signals: JointSignals) -> NDArray[np.bool_]:
 
 def _force_up(robot: Robot, signals: JointSignals, residual: Array, name: str) -> dict[str, float]:
     """Mean and scatter of the vertical force in base axes, by equation (13), torque scale 1."""
-    wrench = WrenchEstimator(robot, "full", weighting="none", expected_force_N=None)
+    wrench = WrenchEstimator(robot, PUBLISHED)
     jacobians = tool_jacobians(robot, signals.q_rad)
     regular = np.linalg.svd(jacobians, compute_uv=False)[:, -1] > LEAST_SINGULAR_VALUE
     seen = _settled(signals) & regular

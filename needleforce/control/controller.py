@@ -104,6 +104,8 @@ class Controller:
             numbers.fill(stack, self.tool)
             joint_bounds(self._limits, q, self.last_rad_s, self._step_s, numbers.bounds)
             if not stack:
+                if not math.isfinite(numbers.bounds.sum()):
+                    return self._skip("positions are not finite")
                 return self._send(np.clip(0.0, *numbers.bounds), CommandStatus.BRAKING)
             velocity, is_limited = self._solve(numbers)
         except (TypeError, ValueError, ControlError) as error:

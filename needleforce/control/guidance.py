@@ -17,9 +17,11 @@ from needleforce.control.ports import Array
 from needleforce.control.tasks import JointVelocity
 from urdf import Robot
 
-LWR_DAMPING_Nms = (5.0, 5.0, 2.5, 2.5, 1.0, 0.75, 0.25)
-"""Per rad, for the seven joints of an LWR: on the simulated one a hub at 100 mm/s takes 6 N. With
-two fifths of it a hand of 1000 N/m at the wrist makes the arm oscillate."""
+LWR_DAMPING_Nms = (9.0, 9.0, 4.5, 4.5, 1.8, 1.35, 0.45)
+"""Per rad, for the seven joints of an LWR: on the simulated one a hub at 100 mm/s takes 8 N. A hand
+of stiffness k with an arm that moves by A per force is stable while k A stays below what the lags
+of observer, low-pass and servo allow together, some 40 / s: with half of this damping it runs
+away from a hand of 2000 N/m."""
 HOLD_s = 0.02
 """The last residual stands in for rejected ones for so long, and fades after that: a hand that lets
 go looks like a spike, and an arm that stopped at once for it would make the next one."""
@@ -48,7 +50,7 @@ class Guidance:
         robot: Robot,
         damping_Nms_per_rad: ArrayLike | None = None,
         *,
-        lag_s: float = 0.03,
+        lag_s: float = 0.02,
         deadband_fraction: float = 2e-3,
         deadband_sigmas: float = 4.0,
     ) -> None:

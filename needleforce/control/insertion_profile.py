@@ -21,6 +21,10 @@ if TYPE_CHECKING:
 
 _TRACK_PER_S = 10.0
 """Gain with which a stroke keeps to its course."""
+_BACK_m_s2 = 2.0
+"""With which a command that was taken back comes to rest."""
+_HOLD_PER_S = 5.0
+"""Gain with which a stopped tip is held; a soft arm follows in a tenth of a second."""
 _NEAR_M = 2e-5
 """So near to its end a motion has arrived."""
 _SMOOTH_S, _SLOW_S, _LEARN_S, _PEAK_S = 3e-3, 0.015, 1.0, 0.1
@@ -28,8 +32,9 @@ _SMOOTH_S, _SLOW_S, _LEARN_S, _PEAK_S = 3e-3, 0.015, 1.0, 0.1
 the memory of the last peak."""
 _FIRST_NOISE_N, _SIGMAS = 0.03, 7.0
 """Noise before it is measured; a fall by so many standard deviations of it is one."""
-_LARGE = 0.15
-"""A fall by so much of the force is a rupture whatever the identification still waits for."""
+_LARGE, _LARGE_N = 0.15, 0.1
+"""A fall by so much of the force, and in newtons, is a rupture whatever the identification still
+waits for; smaller ones are errors of the force that go with the posture."""
 _APART_M = 3e-3
 """Two ruptures less far apart are one."""
 
@@ -114,11 +119,14 @@ class RuptureCount:
         self._variance_N2 += weight * (noise_N2 - self._variance_N2)
         self._peak_N += dt_s / _PEAK_S * (self._force_N - self._peak_N)
         self._peak_N, alarm = max(self._peak_N, self._force_N), found.rupture
+        if not found.in_contact:  # what falls in free air is the start of the motion
+            self._peak_N = self._force_N
         before_N = self._peak_N if alarm is None else max(self._peak_N, alarm.force_N)
         fall_N = before_N - self._force_N
-        is_likely = found.rupture_state is RuptureState.EXPECTED or fall_N > _LARGE * before_N
+        large_N = max(_LARGE * before_N, _LARGE_N)
+        is_likely = found.rupture_state is RuptureState.EXPECTED or fall_N > large_N
         has_fallen = fall_N > _SIGMAS * math.sqrt(self._variance_N2)
-        if not (has_fallen and (alarm or (is_steady and is_likely))):
+        if not (found.in_contact and has_fallen and (alarm or (is_steady and is_likely))):
             return False
         if depth_m < self._last_m + _APART_M:
             return False
@@ -134,14 +142,22 @@ class Step(NamedTuple):
 
 
 class InsertionProfile:
-    """Runs a plan once; call `update` after every `Manager.update`."""
+    """Runs a plan once; call `update` after every `Manager.update`.
+
+    A soft arm is stretched by the force on its needle: what is commanded lies ahead of the tip. If
+    the command only came to rest, the tip would follow while the force falls, after a rupture by
+    several tenths of a millimetre. So a rupture takes the command back to where the tip is, as fast
+    as the arm's limits allow; then the tip is held there.
+    """
 
     def __init__(self, plan: InsertionPlan) -> None:
         self._plan, self._ruptures = plan, RuptureCount()
         self._program = ["tare", "insert"]
         if plan.approach_m > 0.0:
             self._program.insert(0, "approach")
-        self._speed_m_s = self._from_m = self._last_s = 0.0
+        self._speed_m_s = self._from_m = self._last_s = self._asked_m = 0.0
+        self._held_m: float | None = None  # where an insertion has ended
+        self._is_slack = False
 
     def update(
         self,
@@ -156,10 +172,19 @@ class InsertionProfile:
             identification: Of another force sensor; by default that of the session.
             axial_N: Axial force of that sensor.
         """
-        plan, estimate, depth_m = self._plan, now.estimate, now.estimate.depth_m
         dt_s, self._last_s = now.time_s - self._last_s, now.time_s
-        if now.state_s == 0.0 or not now.is_moving:
-            self._from_m, self._speed_m_s = depth_m, 0.0
+        found = identification or now.estimate.identification
+        force_N = now.estimate.wrench.axial if axial_N is None else axial_N
+        if now.is_moving and now.state_s == 0.0:
+            self._from_m = self._asked_m = now.estimate.depth_m
+            self._speed_m_s = 0.0
+        step = self._step(now, dt_s, found, force_N)
+        self._speed_m_s = step.speed_m_s
+        self._asked_m += dt_s * step.speed_m_s
+        return step
+
+    def _step(self, now: "Situation", dt_s: float, found: Estimate, axial_N: float) -> Step:
+        plan, depth_m = self._plan, now.estimate.depth_m
         match now.state.value:
             case "idle" if self._program:
                 return Step(0.0, self._program.pop(0))
@@ -168,20 +193,36 @@ class InsertionProfile:
             case "tare":
                 return self._stroke(now, (-plan.tare_stroke_m, plan.tare_stroke_m))
             case "insertion":
-                force_N = estimate.wrench.axial if axial_N is None else axial_N
-                return self._insert(identification or estimate.identification, force_N, now, dt_s)
+                return self._insert(found, axial_N, depth_m, dt_s)
             case "dwell" if now.state_s >= plan.dwell_s:
                 return Step(0.0, "arrived")
+            case "dwell":
+                return Step(self._hold(depth_m))
             case "withdraw":
                 return self._travel(-depth_m, dt_s)
+            case _:
+                self._held_m = None
         return Step(0.0)
 
-    def _insert(self, found: Estimate, axial_N: float, now: "Situation", dt_s: float) -> Step:
-        depth_m, is_steady = now.estimate.depth_m, self._speed_m_s == self._plan.speed_m_s
+    def _insert(self, found: Estimate, axial_N: float, depth_m: float, dt_s: float) -> Step:
+        self._held_m, self._is_slack = depth_m, False
+        is_steady = self._speed_m_s == self._plan.speed_m_s
         is_left = self._ruptures.update(found, axial_N, (depth_m, dt_s, is_steady))
         if is_left and self._ruptures.count == self._plan.layer:
-            return Step(0.0, "rupture")
-        return self._travel(self._plan.depth_m - depth_m, dt_s)
+            return Step(self._hold(depth_m), "rupture")
+        step = self._travel(self._plan.depth_m - depth_m, dt_s)
+        self._is_slack = bool(step.event)  # a planned end is reached at rest
+        return step
+
+    def _hold(self, depth_m: float) -> float:
+        """Speed after an insertion: first back, if it has not come to rest by itself."""
+        if self._held_m is None:
+            return 0.0
+        ahead_m = self._asked_m - depth_m
+        self._is_slack = self._is_slack or ahead_m < _NEAR_M
+        if self._is_slack:
+            return _HOLD_PER_S * (self._held_m - depth_m)
+        return -math.sqrt(2.0 * _BACK_m_s2 * ahead_m)
 
     def _travel(self, left_m: float, dt_s: float) -> Step:
         """Speed on a way that is left, to its end and no further."""
