@@ -98,10 +98,7 @@ class DeviceSide:
     ) -> tuple[float, HandPacket]:
         """The force to render, positive against insertion, and the packet to send.
 
-        Args:
-            sample: Newest of the device; None if there is none: its force then goes to zero.
-            news: Newest packet of the needle.
-            dt_s: Time since the last call.
+        Without a sample of the device its force goes to zero.
         """
         is_coupled = sample is not None and sample.clutch
         self._coupled += (float(is_coupled) - self._coupled) * dt_s / (_COUPLING_S + dt_s)
@@ -128,14 +125,12 @@ class DeviceSide:
 class NeedleSide:
     """The end at the robot: follows the hand within a speed limit, sends the force to be shown.
 
-    Args:
-        scale: Energy at the hand per energy at the needle: force scale / motion scale.
-        force_scale: Force at the hand per force at the needle.
-        speed_limit_m_s: Largest speed of the needle.
+    Energy at the hand is that at the needle times force scale / motion scale.
     """
 
-    def __init__(self, scale: float, force_scale: float, speed_limit_m_s: float) -> None:
-        self._scale, self._force_scale, self._limit_m_s = scale, force_scale, speed_limit_m_s
+    def __init__(self, motion_scale: float, force_scale: float, speed_limit_m_s: float) -> None:
+        self._scale = scale = force_scale / motion_scale
+        self._force_scale, self._limit_m_s = force_scale, speed_limit_m_s
         self.port = NeedlePort(_OWED_J / scale, _OWED_W / scale, _FORCE_LAG_S)
         self._start_m: float | None = None
         self._last: HandPacket | None = None
@@ -151,12 +146,7 @@ class NeedleSide:
     ) -> tuple[float, NeedlePacket]:
         """The speed to move with, positive inwards, and the packet to send.
 
-        Args:
-            news: Newest packet of the device.
-            force_N: Force to be shown, not scaled.
-            depth_m: Of the tip, from any zero.
-            now_m_s: Its rate.
-            dt_s: Time since the last call.
+        The force is the one to be shown, not scaled; depth counts from any zero.
         """
         self._silent_s = self._silent_s + dt_s if news is self._last else 0.0
         self._last = news
@@ -228,7 +218,7 @@ class Teleoperation:
         self._shown: Shown = shown
         self._axis, self._lines = direction / length, lines
         self.device = DeviceSide(self._axis, motion_scale, damping_Ns_m)
-        self.needle = NeedleSide(force_scale / motion_scale, force_scale, speed_limit_m_s)
+        self.needle = NeedleSide(motion_scale, force_scale, speed_limit_m_s)
         self._from_needle: NeedlePacket | None = None
         self.shown_N = 0.0
 
@@ -253,6 +243,6 @@ class Teleoperation:
         speed_m_s, answer = self.needle.update(
             arrived, self.shown_N, estimate.depth_m, estimate.speed_m_s, dt_s
         )
-        back = self._lines
-        self._from_needle = answer if back is None else back[1].exchange(answer, dt_s)
+        lines = self._lines
+        self._from_needle = answer if lines is None else lines[1].exchange(answer, dt_s)
         return TeleopCommand(speed_m_s, -force_N * self._axis)
