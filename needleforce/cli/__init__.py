@@ -223,6 +223,23 @@ class LiveOptions:
     where that is refused."""
 
 
+@Parameter(name="*", group=LOG)
+@dataclass(frozen=True, kw_only=True)
+class ViewOptions:
+    """What is shown beside a recording, and where."""
+
+    anatomy: Annotated[Path | None, Parameter(metavar="DIR")] = None
+    """Folder with labels.nii.gz (or .nrrd, .seg.nrrd) and plan.json: see docs/scene.md."""
+    tare: Annotated[float, Parameter(metavar="S", group=TARE)] = 4.0
+    """Tare after so many seconds of motion without contact."""
+    export: Annotated[Path | None, Parameter(metavar="FILE", group=OUTPUT)] = None
+    """Write the scene as one page (.html) with the insertion as a film, and end."""
+    host: Annotated[str, Parameter(metavar="ADDRESS", group=OUTPUT)] = "127.0.0.1"
+    """Where the page is served."""
+    port: Annotated[int, Parameter(metavar="N", group=OUTPUT)] = 8080
+    """Its port; another is taken if it is busy."""
+
+
 ArmName = Annotated[
     str,
     Parameter(
@@ -392,6 +409,23 @@ def demo_command(
     from needleforce.cli.demo import run
 
     return run(kind, report, figure)
+
+
+@app.command(name="view")
+def view_command(
+    recording: Annotated[Path, Parameter(name="RECORDING", group=LOG)],
+    /,
+    *,
+    options: ViewOptions = ViewOptions(),
+    robot: RobotOptions = RobotOptions(),
+) -> int:
+    """Show a recording of joint signals in a 3-D scene: a page for the browser, until Ctrl-C.
+
+    needleforce view insertion.csv --tare 13
+    """
+    from needleforce.cli.live_view import run
+
+    return run(recording, options, robot)
 
 
 @app.command(name="record")

@@ -1,0 +1,130 @@
+"""A viewer beside a control loop: a process of its own, fed through shared memory.
+
+In a thread of the loop's own process the page would cost it a millisecond now and then; here the
+loop writes a row and goes on.
+"""
+
+import multiprocessing
+import os
+from contextlib import suppress
+from multiprocessing.connection import Connection
+from pathlib import Path
+from typing import Any, Self
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from needleforce.scene.nodes import EMPTY, PlanScene
+from needleforce.scene.state_ring import StateRing, ViewRow
+from needleforce.scene.viewer import LOOPBACK, SceneError, Viewer
+from urdf import Robot
+
+UPDATES_HZ = 30.0
+START_s = 60.0
+NOT_KNOWN = 0.0
+
+
+def view_row(now: Any, q_rad: ArrayLike) -> ViewRow:
+    """A row of a `SessionEstimate` and the joint positions [rad], shape (n,)."""
+    wrench, found, rupture = now.wrench, now.identification, now.identification.rupture
+    values = (
+        now.time_s,
+        now.depth_m,
+        now.speed_m_s,
+        wrench.axial,
+        wrench.axial_std,
+        found.tip_force_N,
+        found.tip_force_std_N or NOT_KNOWN,
+        found.shaft_friction_N,
+        float(found.layer),
+        0.0 if rupture is None else float(rupture.layer),
+        0.0 if rupture is None else rupture.depth_m,
+        float(now.status.value == "ok"),
+    )
+    return ViewRow(values, tuple(np.asarray(q_rad, dtype=float).tolist()))
+
+
+class LiveView:
+    """A page in another process; made by `open_viewer`.
+
+    Attributes:
+        url: Where the page is.
+    """
+
+    def __init__(self, ring: StateRing, process: Any, pipe: Connection, url: str) -> None:
+        self._ring, self._process, self._pipe, self.url = ring, process, pipe, url
+
+    def put(self, now: Any, q_rad: ArrayLike) -> None:
+        """Hand over a tick: the session's estimate and the joint positions. Never waits."""
+        self._ring.put(view_row(now, q_rad))
+
+    def close(self) -> None:
+        """End the page and its process."""
+        with suppress(OSError):
+            self._pipe.send("stop")
+        self._process.join(5.0)
+        self._process.kill()
+        self._ring.close()
+
+    def __enter__(self) -> Self:
+        """Itself."""
+        return self
+
+    def __exit__(self, *error: object) -> None:
+        """Close it."""
+        self.close()
+
+
+def open_viewer(
+    robot: Robot,
+    plan: PlanScene = EMPTY,
+    *,
+    urdf_path: Path | None = None,
+    host: str = LOOPBACK,
+    port: int = 8080,
+) -> LiveView:
+    """Open a page beside a loop; arguments as of `Viewer`.
+
+    Raises:
+        SceneError: The page could not be opened.
+    """
+    context = multiprocessing.get_context("spawn")
+    ring, (pipe, other) = StateRing(robot.nv), context.Pipe()
+    settings = (other, ring.name, robot, plan, urdf_path, host, port)
+    process = context.Process(target=_serve, args=settings, daemon=True)
+    process.start()
+    other.close()
+    answer = "its process has not started"
+    with suppress(EOFError, OSError):
+        answer = pipe.recv() if pipe.poll(START_s) else answer
+    if not answer.startswith("http"):
+        process.kill()
+        ring.close()
+        raise SceneError(f"no page: {answer}")
+    return LiveView(ring, process, pipe, answer)
+
+
+def _serve(
+    pipe: Connection,
+    ring_name: str,
+    robot: Robot,
+    plan: PlanScene,
+    urdf_path: Path | None,
+    host: str,
+    port: int,
+) -> None:
+    """The page's process: 30 times a second what has come."""
+    with suppress(OSError, AttributeError):
+        # A child inherits real-time priority, and would take it from the loop.
+        os.sched_setscheduler(0, os.SCHED_OTHER, os.sched_param(0))
+    try:
+        viewer = Viewer(robot, plan, urdf_path=urdf_path, host=host, port=port)
+    except (SceneError, OSError) as error:
+        pipe.send(str(error))
+        return
+    ring, count = StateRing(robot.nv, ring_name), 0
+    pipe.send(viewer.url)
+    while not pipe.poll(1.0 / UPDATES_HZ):
+        count, rows = ring.since(count)
+        viewer.append(rows)
+        viewer.follow()

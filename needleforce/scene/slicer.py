@@ -1,0 +1,78 @@
+"""To 3D Slicer through OpenIGTLink: the needle's pose, the forces, detected ruptures.
+
+Slicer's OpenIGTLinkIF module connects as a client. Poses are in the model's coordinates, turned
+from LPS metres to Slicer's RAS millimetres.
+"""
+
+import json
+from typing import Any, Self
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+PORT = 18944
+MOST_HZ = 50.0
+LPS_TO_RAS = np.diag([-1.0, -1.0, 1.0, 1.0])
+
+
+class SlicerOutput:
+    """A server that sends at most `MOST_HZ` updates a second.
+
+    Args:
+        port: Where Slicer connects.
+        any_address: Listen on every address of this machine, not on loopback only.
+    """
+
+    def __init__(self, port: int = PORT, *, any_address: bool = False) -> None:
+        import pyigtl
+
+        self._igtl: Any = pyigtl
+        self._server = pyigtl.OpenIGTLinkServer(port=port, local_server=not any_address)
+        self._next_s = -np.inf
+
+    @property
+    def is_connected(self) -> bool:
+        """Whether Slicer listens."""
+        return bool(self._server.is_connected())
+
+    def put(self, now: Any, pose_m: ArrayLike) -> bool:
+        """Send a tick: the session's estimate, the needle's pose in the model, shape (4, 4).
+
+        Ruptures are sent whenever they come. Returns whether anything was sent.
+        """
+        rupture = now.identification.rupture
+        if rupture is not None:
+            text = {"layer": rupture.layer, "depth_mm": 1e3 * rupture.depth_m}
+            text |= {"probability": rupture.probability, "time_s": rupture.time_s}
+            self._send(self._igtl.StringMessage(json.dumps(text), device_name="Rupture"))
+        if now.time_s < self._next_s:
+            return rupture is not None
+        self._next_s = now.time_s + 1.0 / MOST_HZ
+        matrix = np.array(pose_m, dtype=float)
+        matrix[:3, 3] *= 1e3
+        self._send(
+            self._igtl.TransformMessage(LPS_TO_RAS @ matrix, device_name="NeedleToReference")
+        )
+        forces = {
+            "force_N": now.wrench.axial,
+            "force_std_N": now.wrench.axial_std,
+            "tip_force_N": now.identification.tip_force_N,
+            "depth_mm": 1e3 * now.depth_m,
+        }
+        self._send(self._igtl.StringMessage(json.dumps(forces), device_name="Force"))
+        return True
+
+    def _send(self, message: Any) -> None:
+        self._server.send_message(message, wait=False)
+
+    def close(self) -> None:
+        """End the connection."""
+        self._server.stop()
+
+    def __enter__(self) -> Self:
+        """Itself."""
+        return self
+
+    def __exit__(self, *error: object) -> None:
+        """Close it."""
+        self.close()

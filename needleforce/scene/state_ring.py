@@ -1,0 +1,85 @@
+"""What a control loop hands to a viewer in another process: a ring of rows in shared memory.
+
+One writer, which never waits: it writes a row, then raises the count. A reader that was too slow
+finds the rows it missed overwritten, and goes on with the newest.
+"""
+
+import struct
+from multiprocessing.shared_memory import SharedMemory
+from typing import NamedTuple, Self
+
+import numpy as np
+from numpy.typing import NDArray
+
+Array = NDArray[np.float64]
+
+FIELDS = (
+    *("time_s", "depth_m", "speed_m_s", "force_N", "force_std_N", "tip_N", "tip_std_N"),
+    *("friction_N", "layer", "rupture", "rupture_depth_m", "is_good"),
+)
+"""Of a row, before the joint positions. `rupture` is the number of the layer that ruptured, else 0;
+`is_good`: 1 if the force is tared and of this tick."""
+ROWS = 4096
+_COUNT = struct.Struct("<Q")
+
+
+class ViewRow(NamedTuple):
+    """One tick, as a viewer wants it."""
+
+    values: tuple[float, ...]  # by `FIELDS`
+    q_rad: tuple[float, ...]
+
+
+class StateRing:
+    """The ring; the side that makes it removes it.
+
+    Args:
+        joints: How many positions a row has.
+        name: Of an existing ring; None to make one.
+    """
+
+    def __init__(self, joints: int, name: str | None = None) -> None:
+        self._row = struct.Struct(f"<{len(FIELDS) + joints}d")
+        self._is_owner = name is None
+        size = _COUNT.size + ROWS * self._row.size
+        self._memory = SharedMemory(name, create=self._is_owner, size=size if name is None else 0)
+        self._buffer, self._count = self._memory.buf, 0
+        if self._is_owner:
+            _COUNT.pack_into(self._buffer, 0, 0)
+
+    @property
+    def name(self) -> str:
+        """By which another process finds it."""
+        return self._memory.name
+
+    def put(self, row: ViewRow) -> None:
+        """Write a row; takes microseconds and never waits."""
+        at = _COUNT.size + (self._count % ROWS) * self._row.size
+        self._row.pack_into(self._buffer, at, *row.values, *row.q_rad)
+        self._count += 1
+        _COUNT.pack_into(self._buffer, 0, self._count)
+
+    def since(self, count: int) -> tuple[int, Array]:
+        """Rows written after the first `count`, as far as they are still there: (n, fields)."""
+        (now,) = _COUNT.unpack_from(self._buffer, 0)
+        # A quarter of the ring is left for what the writer does meanwhile.
+        first = max(count, now - 3 * ROWS // 4)
+        width = self._row.size // 8
+        table = np.frombuffer(self._buffer, "<f8", ROWS * width, _COUNT.size).reshape(ROWS, width)
+        rows = table[np.arange(first, now) % ROWS].copy()
+        return now, rows
+
+    def close(self) -> None:
+        """Let go of it; its owner also removes it."""
+        self._buffer = None
+        self._memory.close()
+        if self._is_owner:
+            self._memory.unlink()
+
+    def __enter__(self) -> Self:
+        """Itself."""
+        return self
+
+    def __exit__(self, *error: object) -> None:
+        """Close it."""
+        self.close()

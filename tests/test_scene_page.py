@@ -1,0 +1,227 @@
+"""The insertion in a browser page, beside a loop, and in 3D Slicer."""
+
+import json
+import subprocess
+import sys
+import time
+from types import SimpleNamespace
+
+import numpy as np
+import pytest
+from chromium import PROGRAM
+from insertion_run import short_run
+
+pytest.importorskip("viser")
+
+from needleforce import NeedleTool, load_lwr
+from needleforce.cli import main
+from needleforce.scene import PlanScene, SlicerOutput, StateRing, Viewer, open_viewer
+from needleforce.scene.state_ring import FIELDS, ROWS, ViewRow
+
+HOME = np.array([0.0, 0.5, 0.0, -1.2, 0.0, 1.0, 0.0])
+needs_chromium = pytest.mark.skipif(PROGRAM is None, reason="no chromium: apt-get install chromium")
+
+
+def row(time_s, depth_m=0.0, rupture=0.0, q=HOME):
+    values = dict.fromkeys(FIELDS, 0.0) | {"time_s": time_s, "depth_m": depth_m, "is_good": 1.0}
+    values |= {"force_N": 20.0 * depth_m, "tip_N": 10.0 * depth_m, "force_std_N": 0.05}
+    values |= {"rupture": rupture, "rupture_depth_m": depth_m, "layer": 1.0}
+    return ViewRow(tuple(values[name] for name in FIELDS), tuple(q))
+
+
+def insertion(count=200):
+    rows = [row(0.05 * k, 1e-4 * k, 1.0 if k == 120 else 0.0) for k in range(count)]
+    return np.array([(*one.values, *one.q_rad) for one in rows])
+
+
+def plan():
+    """Two boxes under the needle, and the way through them."""
+    box = np.array([[x, y, z] for x in (0, 1) for y in (0, 1) for z in (0, 1)], dtype=float) * 0.05
+    triangles = np.array([[0, 1, 3], [0, 3, 2], [4, 7, 5], [4, 6, 7], [0, 4, 5], [0, 5, 1]])
+    surfaces = [
+        SimpleNamespace(
+            structure=SimpleNamespace(name=name, color=color),
+            vertices_m=box + shift,
+            triangles=triangles,
+        )
+        for name, color, shift in (
+            ("liver", (0.6, 0.2, 0.2), [-0.6, 0.0, 0.2]),
+            ("rib", (0.9, 0.9, 0.9), [-0.6, 0.0, 0.1]),
+        )
+    ]
+    layers = [
+        SimpleNamespace(name="fat", exit_m=0.02, is_obstacle=False),
+        SimpleNamespace(name="liver", exit_m=0.05, is_obstacle=False),
+        SimpleNamespace(name="rib", exit_m=0.08, is_obstacle=True),
+    ]
+    return PlanScene(surfaces, layers, np.array([-0.6, 0.0, 0.3]), np.array([-0.6, 0.0, 0.2]))
+
+
+@pytest.fixture
+def viewer():
+    page = Viewer(load_lwr(payload=NeedleTool()), plan(), port=8231)
+    yield page
+    page.stop()
+
+
+def test_a_ring_hands_over_rows_and_skips_what_was_overwritten():
+    with StateRing(7) as ring:
+        reader = StateRing(7, ring.name)
+        count, rows = reader.since(0)
+        assert (count, len(rows)) == (0, 0)
+        for k in range(10):
+            ring.put(row(0.001 * k))
+        count, rows = reader.since(count)
+        assert (count, len(rows)) == (10, 10)
+        assert np.allclose(rows[:, 0], 0.001 * np.arange(10))
+        assert np.allclose(rows[3, len(FIELDS) :], HOME)
+        for k in range(3 * ROWS):
+            ring.put(row(float(k)))
+        count, rows = reader.since(count)
+        assert count == 10 + 3 * ROWS
+        assert len(rows) == 3 * ROWS // 4
+        assert rows[-1, 0] == 3 * ROWS - 1
+        reader.close()
+
+
+def test_marks_are_where_and_when_ruptures_were_and_vanish_when_time_goes_back(viewer):
+    rows = insertion()
+    for part in np.array_split(rows, 7):
+        viewer.append(part)
+    viewer.show()
+    (mark,) = viewer.marks
+    assert mark.text == "rupture 1 at 12.0 mm"
+    assert mark.time_s == pytest.approx(6.0)
+    assert all(handle.visible for handle in mark.handles)
+    viewer.show(3.0)
+    assert not any(handle.visible for handle in mark.handles)
+    viewer.show(7.0)
+    assert all(handle.visible for handle in mark.handles)
+
+
+@needs_chromium
+def test_the_page_shows_the_insertion_in_a_browser(viewer, tmp_path):
+    from scene_page import open_page
+
+    viewer.append(insertion())
+    viewer.show()
+    with open_page(viewer.url) as page:
+        assert page.wait_for("document.querySelectorAll('canvas').length > 0")
+        assert page.wait_for("document.body.innerText.includes('tip force')")
+        assert page.wait_for("document.body.innerText.includes('rupture 1 at 12.0 mm')")
+        text = page.evaluate("document.body.innerText")
+        assert "not a medical device" in text
+        viewer.show(3.0)
+        assert page.wait_for("!document.body.innerText.includes('rupture 1 at 12.0 mm')")
+        assert page.wait_for("document.body.innerText.includes('3.0 s')")
+        picture = page.picture(tmp_path / "scene.png")
+        assert picture.stat().st_size > 20_000
+        assert page.errors == []
+
+
+def test_beside_a_loop_the_page_is_a_process_that_costs_it_next_to_nothing():
+    robot = load_lwr(payload=NeedleTool())
+    wrench = SimpleNamespace(axial=1.0, axial_std=0.1)
+    found = SimpleNamespace(
+        rupture=None, tip_force_N=0.5, tip_force_std_N=None, shaft_friction_N=0.1, layer=1
+    )
+    with open_viewer(robot, port=8241) as view:
+        assert view.url.startswith("http://127.0.0.1:")
+        for k in range(2000):
+            now = SimpleNamespace(
+                time_s=0.001 * k,
+                depth_m=0.0,
+                speed_m_s=0.0,
+                wrench=wrench,
+                identification=found,
+                status=SimpleNamespace(value="ok"),
+            )
+            view.put(now, HOME)
+        time.sleep(0.2)
+
+
+@needs_chromium
+def test_a_recording_becomes_one_page_that_needs_nothing_else(tmp_path, monkeypatch, capsys):
+    from scene_page import open_page
+
+    from needleforce.cli.simulate import signal_table
+    from needleforce.recordings import write_table
+
+    monkeypatch.chdir(tmp_path)
+    run = short_run()
+    table = {name: values[::4] for name, values in signal_table(run).items()}
+    write_table(
+        "insertion.npz", {name: table[name] for name in ("t_s", "q_rad", "dq_rad_s", "tau_Nm")}
+    )
+    options = ["--payload", "needle", "--tare", "13", "--export", "scene.html", "--port", "8251"]
+    assert main(["view", "insertion.npz", *options]) == 0
+    assert "scene.html" in capsys.readouterr().out
+    text = (tmp_path / "scene.html").read_text(encoding="utf-8")
+    assert len(text) > 100_000
+    with open_page((tmp_path / "scene.html").as_uri()) as page:
+        assert page.wait_for("document.querySelectorAll('canvas').length > 0")
+
+
+def test_a_plan_that_cannot_be_read_is_said_so(tmp_path, capsys):
+    (tmp_path / "a.csv").write_text("t,q_1\n0,0\n")
+    assert main(["view", "a.csv", "--anatomy", str(tmp_path)]) == 2
+    assert "expected labels.nii.gz" in capsys.readouterr().err
+
+
+RECEIVER = """
+import json, sys, time, pyigtl
+client = pyigtl.OpenIGTLinkClient("127.0.0.1", int(sys.argv[1]))
+client.start()
+found, end_s = {"poses": 0, "forces": 0, "ruptures": []}, time.monotonic() + 20.0
+print("ready", flush=True)
+while time.monotonic() < end_s and not found["ruptures"]:
+    for message in client.get_latest_messages():
+        if message.device_name == "NeedleToReference":
+            found["poses"] += 1
+            found["matrix"] = message.matrix.tolist()
+        elif message.device_name == "Force":
+            found["forces"] += 1
+        elif message.device_name == "Rupture":
+            found["ruptures"].append(json.loads(message.string))
+    time.sleep(0.005)
+print(json.dumps(found), flush=True)
+client.stop()
+"""
+
+
+def test_3d_slicer_gets_pose_force_and_ruptures():
+    pytest.importorskip("pyigtl")
+    port = 18977
+    with SlicerOutput(port) as output:
+        receiver = subprocess.Popen(
+            [sys.executable, "-c", RECEIVER, str(port)], stdout=subprocess.PIPE, text=True
+        )
+        try:
+            assert receiver.stdout.readline().strip() == "ready"
+            end_s = time.monotonic() + 20.0
+            while not output.is_connected and time.monotonic() < end_s:
+                time.sleep(0.05)
+            assert output.is_connected
+            pose = np.eye(4)
+            pose[:3, 3] = 0.01, 0.02, 0.03
+            rupture = SimpleNamespace(layer=1, depth_m=0.02, probability=0.9, time_s=1.0)
+            sent = 0
+            for k in range(1000):
+                now = SimpleNamespace(
+                    time_s=0.001 * k,
+                    depth_m=0.02,
+                    wrench=SimpleNamespace(axial=1.0, axial_std=0.1),
+                    identification=SimpleNamespace(
+                        tip_force_N=0.5, rupture=rupture if k == 999 else None
+                    ),
+                )
+                sent += output.put(now, pose)
+                time.sleep(0.001)
+            assert sent == pytest.approx(51, abs=1)
+            found = json.loads(receiver.communicate(timeout=30.0)[0])
+        finally:
+            receiver.kill()
+    assert found["poses"] > 5
+    assert found["forces"] > 5
+    assert found["ruptures"][0]["depth_mm"] == pytest.approx(20.0)
+    assert np.allclose(np.array(found["matrix"])[:3, 3], [-10.0, -20.0, 30.0], atol=1e-3)
