@@ -191,9 +191,7 @@ class SwitchingMethod:
         filled, *sums = memory[: samples.FORCE_SUM + 1].tolist()
         z, v, w, force = (total / filled for total in sums)
         z, v = _MM * z, _MM * v
-        jitter, speed_noise = (
-            _MM * float(memory[k]) for k in (samples.DEPTH_STD, samples.SPEED_STD)
-        )
+        jitter, speed_noise = (_MM * memory[samples.DEPTH_STD : samples.SPEED_STD + 1]).tolist()
         memory[: samples.FORCE_SUM + 1] = 0.0
         # Friction at a noisy speed would seem to be the same at all speeds: only a change that
         # noise does not explain is one.

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from groundtruth.tissue_truth import Rupture
-from needleforce.cli import main
+from needleforce.cli import demo, main
 from needleforce.cli.demo_runs import BACK_S, HAND_STROKE_M, HandPlan, Teleinsertion, ruptures_felt
 
 
@@ -35,12 +35,45 @@ def test_felt_rupture_is_the_fall_of_each_force():
     assert felt == pytest.approx((1.0 / 1.1, 0.25, 0.1, 0.05), rel=1e-6)
 
 
-def test_demo_prints_a_table_and_writes_a_page(tmp_path, capsys):
-    assert (
-        main(["demo", "rcm", "--report", str(tmp_path), "--figure", str(tmp_path / "a.svg")]) == 0
-    )
-    out = capsys.readouterr().out
-    assert "entry, largest error" in out
-    assert "not a medical device" in out
-    assert "data:image/svg+xml" in (tmp_path / "index.html").read_text(encoding="utf-8")
-    assert (tmp_path / "a.svg").read_text(encoding="utf-8").startswith("<?xml")
+def number_behind(text, words):
+    """The number that a line of a table begins with behind some words."""
+    return float(text.split(words)[1].split()[0])
+
+
+def shown(kind, folder, capsys):
+    """What a demonstration prints, once its page holds as many charts as it has pictures."""
+    assert main(["demo", kind, "--report", str(folder), "--figure", str(folder / "a.svg")]) == 0
+    page = (folder / "index.html").read_text(encoding="utf-8")
+    assert page.count("data:image/svg+xml") == len(list(folder.glob("*.svg"))) - 1 > 0
+    assert (folder / "a.svg").read_text(encoding="utf-8").startswith("<?xml")
+    said = capsys.readouterr().out
+    assert "not a medical device" in said
+    return said
+
+
+def test_a_needle_turns_about_its_entry(tmp_path, capsys):
+    assert number_behind(shown("rcm", tmp_path, capsys), "entry, largest error") < 0.01
+
+
+def test_an_arm_yields_to_a_push_and_rests_when_let_go(tmp_path, capsys, monkeypatch):
+    for name, value in (("PUSH_S", 4.5), ("PUSH_END_S", 7.5), ("GUIDED_S", 9.0)):
+        monkeypatch.setattr(demo, name, value)
+    said = shown("guidance", tmp_path, capsys)
+    assert 0.5 < number_behind(said, "yielded by 0.5 mm") < 2.0
+    assert number_behind(said, "after it was let go") == 0.0
+
+
+def test_a_needle_stops_by_itself_behind_a_rupture(tmp_path, capsys):
+    said = shown("autonomous", tmp_path, capsys)
+    assert number_behind(said, "ruptures passed") == 1
+    assert 0.0 < number_behind(said, "overshoot past the rupture") < 0.25
+
+
+def test_a_hand_feels_a_rupture_more_with_compensation(tmp_path, capsys, monkeypatch):
+    plan = HandPlan(needle_speed_m_s=4e-3, needle_travel_m=45e-3, scale=0.4)
+    monkeypatch.setattr(demo, "HandPlan", lambda **_: plan)
+    said = shown("teleop", tmp_path, capsys)
+    with_, without = said.split("without compensation")[1].split("%")[:2]
+    assert float(with_) > 80.0 > 60.0 > float(without.strip(" ,"))
+    assert number_behind(said, "at the hand's port") >= -0.1
+    assert number_behind(said, "between hand and needle") < 1.0

@@ -22,13 +22,13 @@ LIMITS = {
     "benchmarks": (6_770, 30),
     "tests": (12_830, 72),
     "control": (2_265, 15),
-    "anatomy": (1_000, 8),
+    "anatomy": (1_360, 8),
     "scene": (700, 6),
     "devices": (1_360, 9),
 }
 """Most lines and files of Python. Those of the chain are ceilings at today's size, to be lowered
 with every cut: the goal is 19,000, 6,500 and 13,000 lines. The packages around the chain, with
-their commands, count apart; the goals: control 1,800, devices 1,200."""
+their commands, count apart; the goals: control 1,800, anatomy 1,000, devices 1,200."""
 APART = ("control", "anatomy", "scene", "devices")
 """Packages around the chain."""
 AROUND = (
@@ -38,6 +38,7 @@ AROUND = (
         for place in ("needleforce/", "benchmarks/", "tests/test_")
     ),
     "groundtruth/rig_",
+    "groundtruth/torso",
     "needleforce/cli/demo",
     "needleforce/cli/live",
     "tests/vendor_emulators",

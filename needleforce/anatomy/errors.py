@@ -1,13 +1,29 @@
-"""Errors of `needleforce.anatomy`: one base; each of the others is also a standard exception."""
+"""Errors of anatomy: one base; each of the others is also a standard exception."""
 
 
 class AnatomyError(Exception):
-    """Base of the errors of this package."""
+    """Base of all errors of this package."""
 
 
 class VolumeError(AnatomyError, ValueError):
-    """A file, volume or point that cannot be used: what came, what was expected, what to do."""
+    """A volume or a segmentation that cannot be read, or that contradicts itself or another."""
 
 
-class RefusedError(AnatomyError, ValueError):
-    """Data from which no registration is made; the message begins with the fault's name."""
+class StructureError(AnatomyError, KeyError):
+    """A structure that the segmentation does not have, or that is empty."""
+
+    def __str__(self) -> str:
+        """The message itself; a KeyError would put it in quotes."""
+        return str(self.args[0])
+
+
+class PathError(AnatomyError, ValueError):
+    """Entry or target of a needle that cannot be."""
+
+
+class RegistrationError(AnatomyError, ValueError):
+    """A registration that is refused; the message says why and what would help."""
+
+
+class PlanError(AnatomyError, ValueError):
+    """A plan that cannot be matched with ruptures."""

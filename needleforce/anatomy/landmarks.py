@@ -1,0 +1,197 @@
+"""Rigid registration from landmarks, and how far off it is at any point.
+
+The model (CT, LPS) is carried into the robot's base: y = R x + t. Least squares (Arun, Huang,
+Blostein 1987); the covariance of the six parameters gives the target registration error at any
+point, equal to Fitzpatrick's formula (1998) for isotropic errors. Residuals at the landmarks do not
+say how large the error at the target is (Fitzpatrick 2009); they serve to estimate the touches'
+deviation, and to refuse.
+"""
+
+from dataclasses import dataclass
+from itertools import combinations
+
+import numpy as np
+from numpy.typing import ArrayLike
+from scipy.stats import chi2
+from scipy.stats import f as f_distribution
+
+from needleforce.anatomy.errors import RegistrationError
+from needleforce.anatomy.volume import Array
+
+LEAST_WIDTH_m = 5e-3
+"""Root mean square distance of landmarks from a line below which they count as collinear."""
+LARGEST_SCALE = 5.0
+"""Beyond this, or its inverse, units differ."""
+FALSE_REFUSAL = 1e-6
+"""Probability that good landmarks do not fit."""
+
+
+@dataclass(frozen=True, eq=False)
+class Registration:
+    """Where the model lies in the robot's base, with its uncertainty.
+
+    Attributes:
+        rotation: R, shape (3, 3).
+        translation_m: t, shape (3,).
+        covariance: Of a small rotation [rad] about `pivot_m`, and a shift [m], in the robot's base,
+            shape (6, 6); nan where nothing can be said.
+        pivot_m: In the robot's base, shape (3,).
+        degrees: Of freedom behind the covariance; infinite where the deviation was known.
+        residual_rms_m: At the landmarks or touches; says nothing of the target.
+    """
+
+    rotation: Array
+    translation_m: Array
+    covariance: Array
+    pivot_m: Array
+    degrees: float
+    residual_rms_m: float
+
+    def to_robot(self, points_m: ArrayLike) -> Array:
+        """Points of the model, shape (..., 3), in the robot's base."""
+        return np.asarray(points_m, dtype=float) @ self.rotation.T + self.translation_m
+
+    def to_model(self, points_m: ArrayLike) -> Array:
+        """Points in the robot's base, shape (..., 3), in the model."""
+        return (np.asarray(points_m, dtype=float) - self.translation_m) @ self.rotation
+
+    def covariance_at(self, point_m: ArrayLike) -> Array:
+        """Covariance of the error at a point of the model, in the robot's base, shape (3, 3)."""
+        lever = point_jacobian(self.to_robot(point_m) - self.pivot_m)
+        return lever @ self.covariance @ lever.T
+
+    def tre_m(self, point_m: ArrayLike) -> float:
+        """Root mean square error to be expected at a point of the model."""
+        return float(np.sqrt(np.trace(self.covariance_at(point_m))))
+
+    def std_along_m(self, axis: ArrayLike, point_m: ArrayLike) -> float:
+        """Standard deviation at a point of the model along an axis in the robot's base."""
+        unit = np.asarray(axis, dtype=float) / np.linalg.norm(axis)
+        return float(np.sqrt(unit @ self.covariance_at(point_m) @ unit))
+
+    def region_contains(self, point_m: ArrayLike, truth_m: ArrayLike, level: float = 0.95) -> bool:
+        """Whether a place in the robot's base lies in the region of that level about a point."""
+        error = np.asarray(truth_m, dtype=float) - self.to_robot(point_m)
+        distance = error @ np.linalg.solve(self.covariance_at(point_m), error)
+        return bool(distance <= region_size(level, self.degrees))
+
+
+def region_size(level: float, degrees: float) -> float:
+    """Squared Mahalanobis distance within which so much of the errors in 3-D lies."""
+    if not np.isfinite(degrees):
+        return float(chi2.ppf(level, 3))
+    return 3.0 * float(f_distribution.ppf(level, 3, degrees))
+
+
+def point_jacobian(lever_m: Array) -> Array:
+    """Displacement of points (..., 3) about a pivot by a small rotation and shift, (..., 3, 6)."""
+    x, y, z = np.moveaxis(lever_m, -1, 0)
+    o, one = np.zeros_like(x), np.ones_like(x)
+    rows = [[o, z, -y, one, o, o], [-z, o, x, o, one, o], [y, -x, o, o, o, one]]
+    return np.moveaxis(np.array(rows), (0, 1), (-2, -1))
+
+
+def fit_landmarks(
+    model_m: ArrayLike, robot_m: ArrayLike, *, std_m: float = 1e-3, is_std_known: bool = False
+) -> Registration:
+    """Register by landmarks.
+
+    Args:
+        model_m: Landmarks in the CT [m], LPS, shape (n, 3).
+        robot_m: The same, in the same order, touched with the robot's pointer [m], base axes.
+        std_m: Standard deviation of a touch along each axis, localisation in the CT included: what
+            does not fit with several times as much is refused.
+        is_std_known: Believe it in the covariance too; else that is estimated from the residuals,
+            and with three landmarks, which leave next to none, nothing is claimed.
+
+    Raises:
+        RegistrationError: Too few, collinear, mirrored or swapped landmarks, millimetres for
+            metres, one that lies elsewhere. Three landmarks cannot show a mirror image.
+    """
+    model, robot = _checked(model_m, robot_m)
+    rotation, translation = rigid_fit(model, robot)
+    error = model @ rotation.T + translation - robot
+    squares = float((error**2).sum())
+    degrees = 3 * len(model) - 6
+    if squares > _limit(len(model), std_m):
+        raise RegistrationError(_why(model, robot, std_m))
+    moved = model @ rotation.T + translation
+    pivot = moved.mean(axis=0)
+    lever = point_jacobian(moved - pivot).reshape(-1, 6)
+    variance = std_m**2 if is_std_known else squares / degrees if len(model) > 3 else np.nan
+    return Registration(
+        rotation=rotation,
+        translation_m=translation,
+        covariance=np.asarray(variance * np.linalg.inv(lever.T @ lever), dtype=float),
+        pivot_m=pivot,
+        degrees=np.inf if is_std_known else float(degrees),
+        residual_rms_m=float(np.sqrt(squares / len(model))),
+    )
+
+
+def rigid_fit(model: Array, robot: Array, *, mirrored: bool = False) -> tuple[Array, Array]:
+    """Rotation (or its mirror image) and shift with the least squares."""
+    one, two = model.mean(axis=0), robot.mean(axis=0)
+    u, _, vt = np.linalg.svd((robot - two).T @ (model - one))
+    sign = np.sign(np.linalg.det(u @ vt)) * (-1.0 if mirrored else 1.0)
+    rotation = u @ np.diag([1.0, 1.0, sign]) @ vt
+    return rotation, two - rotation @ one
+
+
+def _checked(model_m: ArrayLike, robot_m: ArrayLike) -> tuple[Array, Array]:
+    model, robot = (np.asarray(points, dtype=float) for points in (model_m, robot_m))
+    if model.ndim != 2 or model.shape[1:] != (3,) or model.shape != robot.shape:
+        raise RegistrationError(
+            f"landmarks of shapes {model.shape} and {robot.shape}: expected (n, 3) twice"
+        )
+    if len(model) < 3:
+        raise RegistrationError(f"too few landmarks: {len(model)}; touch three or more")
+    if not (np.isfinite(model).all() and np.isfinite(robot).all()):
+        raise RegistrationError("a landmark is not finite; touch it again")
+    sizes = [np.linalg.svd(p - p.mean(axis=0), compute_uv=False) for p in (model, robot)]
+    scale = sizes[1][0] / max(sizes[0][0], 1e-12)
+    if not 1.0 / LARGEST_SCALE < scale < LARGEST_SCALE:
+        raise RegistrationError(
+            f"the touched landmarks are {scale:.3g} times as far apart as those of the model: "
+            "millimetres for metres? Give both in metres"
+        )
+    if min(size[1] for size in sizes) < LEAST_WIDTH_m * np.sqrt(len(model)):
+        raise RegistrationError(
+            "the landmarks are collinear: the model could turn about their line; touch one that "
+            "lies aside"
+        )
+    return model, robot
+
+
+def _limit(count: int, std_m: float) -> float:
+    return std_m**2 * float(chi2.isf(FALSE_REFUSAL, 3 * count - 6))
+
+
+def _squares(model: Array, robot: Array, *, mirrored: bool = False) -> float:
+    rotation, translation = rigid_fit(model, robot, mirrored=mirrored)
+    return float(((model @ rotation.T + translation - robot) ** 2).sum())
+
+
+def _why(model: Array, robot: Array, std_m: float) -> str:
+    """What makes landmarks that do not fit fit: order before mirror before scale before one."""
+    count, limit = len(model), _limit(len(model), std_m)
+    for i, j in combinations(range(count), 2):
+        order = np.arange(count)
+        order[[i, j]] = j, i
+        if _squares(model, robot[order]) <= limit:
+            return f"landmarks {i + 1} and {j + 1} are swapped; touch them in the model's order"
+    if _squares(model, robot, mirrored=True) <= limit:
+        return "the touched landmarks are the mirror image of the model's: left for right?"
+    spread = [float(np.sqrt(((p - p.mean(axis=0)) ** 2).sum())) for p in (model, robot)]
+    scale = spread[1] / spread[0]
+    if _squares(scale * model, robot) <= limit:
+        return f"the touched landmarks fit with a scale of {scale:.3f}: is the spacing right?"
+    for k in range(count if count > 4 else 0):
+        kept = np.arange(count) != k
+        if _squares(model[kept], robot[kept]) <= _limit(count - 1, std_m):
+            return f"landmark {k + 1} lies elsewhere than in the model; touch it again"
+    rms_mm = 1e3 * np.sqrt(_squares(model, robot) / count)
+    return (
+        f"the landmarks do not fit: {rms_mm:.1f} mm rms are left with {1e3 * std_m:g} mm per axis "
+        "expected; are they the same points, in the same order?"
+    )

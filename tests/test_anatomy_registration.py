@@ -1,0 +1,229 @@
+"""Landmarks, touches, and the plan that ruptures correct."""
+
+import numpy as np
+import pytest
+from scipy.spatial.transform import Rotation
+
+trimesh = pytest.importorskip("trimesh")
+pytest.importorskip("SimpleITK")
+
+from needleforce.anatomy import (  # noqa: E402
+    PathLayer,
+    PlanError,
+    PlanMatch,
+    Registration,
+    RegistrationError,
+    TouchSurface,
+    fit_landmarks,
+    fit_surface,
+)
+
+FRONT = np.array(
+    [[-90, -60, 60], [85, -65, 70], [0, -110, 40], [-120, 10, -80], [110, 5, -75], [10, -105, -90]]
+)
+FRONT_m = 1e-3 * FRONT
+TARGET_m = np.array([-0.03, 0.0, 0.01])
+
+
+def pose(rng):
+    return Rotation.random(random_state=int(rng.integers(1 << 30))).as_matrix(), rng.normal(size=3)
+
+
+def touched(points, rng, std=0.5e-3):
+    rotation, shift = pose(rng)
+    return points @ rotation.T + shift + std * rng.normal(size=points.shape), (rotation, shift)
+
+
+@pytest.mark.parametrize(("count", "is_known"), [(3, True), (4, True), (4, False), (6, False)])
+def test_the_error_at_the_target_is_as_stated(count, is_known):
+    rng, inside, errors, stated = np.random.default_rng(count), [], [], []
+    for _ in range(1500):
+        robot, (rotation, shift) = touched(FRONT_m[:count], rng)
+        found = fit_landmarks(FRONT_m[:count], robot, std_m=0.5e-3, is_std_known=is_known)
+        truth = rotation @ TARGET_m + shift
+        errors.append(np.linalg.norm(found.to_robot(TARGET_m) - truth))
+        stated.append(found.tre_m(TARGET_m))
+        inside.append(found.region_contains(TARGET_m, truth))
+    assert np.mean(inside) == pytest.approx(0.95, abs=0.02)
+    rms = [np.sqrt(np.mean(np.square(values))) for values in (errors, stated)]
+    assert rms[0] == pytest.approx(rms[1], rel=0.05)
+    assert np.allclose(found.to_model(found.to_robot(TARGET_m)), TARGET_m)
+
+
+def test_three_landmarks_claim_nothing_from_their_residuals():
+    robot, _ = touched(FRONT_m[:3], np.random.default_rng(0))
+    assert np.isnan(fit_landmarks(FRONT_m[:3], robot).tre_m(TARGET_m))
+    assert np.isfinite(fit_landmarks(FRONT_m[:3], robot, is_std_known=True).tre_m(TARGET_m))
+
+
+def swapped(points):
+    points = points.copy()
+    points[[1, 3]] = points[[3, 1]]
+    return points
+
+
+@pytest.mark.parametrize(
+    ("change", "says"),
+    [
+        (lambda p: 1e3 * p, "millimetres for metres"),
+        (lambda p: p * [-1, 1, 1], "mirror image"),
+        (swapped, "landmarks 2 and 4 are swapped"),
+        (lambda p: 1.1 * p, "a scale of 1.[01]"),
+        (lambda p: p + np.eye(6, 3, -2) * 0.03, "do not fit|landmark 3"),
+        (lambda p: p[:2], r"expected \(n, 3\) twice"),
+        (lambda p: np.full_like(p, np.nan), "not finite"),
+    ],
+)
+def test_landmarks_that_cannot_be_right_are_refused_by_name(change, says):
+    robot, _ = touched(FRONT_m, np.random.default_rng(1))
+    with pytest.raises(RegistrationError, match=says):
+        fit_landmarks(FRONT_m, change(robot))
+
+
+def test_too_few_and_collinear_landmarks_are_refused():
+    with pytest.raises(RegistrationError, match="too few"):
+        fit_landmarks(FRONT_m[:2], FRONT_m[:2])
+    line = np.outer(np.linspace(0.0, 0.2, 5), [1.0, 0.5, 0.0])
+    with pytest.raises(RegistrationError, match="collinear"):
+        fit_landmarks(line, line)
+
+
+def organ():
+    """A body without symmetry."""
+    mesh = trimesh.creation.icosphere(4, 0.05)
+    x, y, z = mesh.vertices.T
+    bulge = 1.0 + 0.25 * x / 0.05 + 0.3 * (y / 0.05) ** 2 + 0.2 * x * z / 0.05**2
+    mesh.vertices *= bulge[:, None] * [1.0, 0.8, 1.2]
+    return mesh
+
+
+def touch(mesh, count, rng, outliers=0.1):
+    looks_up = mesh.area_faces * (mesh.face_normals[:, 1] < -0.1)
+    chosen = rng.choice(len(looks_up), count, p=looks_up / looks_up.sum())
+    points = np.einsum("nk,nkj->nj", rng.dirichlet([1, 1, 1], count), mesh.triangles[chosen])
+    points = points + 0.5e-3 * rng.normal(size=points.shape)
+    slipped = rng.random(count) < outliers
+    away = rng.uniform(5e-3, 20e-3, (slipped.sum(), 1))
+    points[slipped] += away * mesh.face_normals[chosen[slipped]]
+    return points
+
+
+def rough(points, robot, truth, rng, size=1.0):
+    """A start some degrees and millimetres off."""
+    turned = truth[0] @ Rotation.from_rotvec(size * rng.normal(0.0, 0.05, 3)).as_matrix()
+    middle = points.mean(axis=0)
+    shift = truth[0] @ middle + truth[1] - turned @ middle + size * rng.normal(0.0, 5e-3, 3)
+    return Registration(turned, shift, np.eye(6), np.zeros(3), np.inf, 0.0)
+
+
+def test_touches_find_the_surface_among_those_that_slipped():
+    rng, mesh, inside = np.random.default_rng(2), organ(), []
+    surface = TouchSurface(mesh.vertices, mesh.faces)
+    for _ in range(12):
+        points = touch(mesh, 100, rng)
+        robot, truth = touched(points, rng, 0.0)
+        found = fit_surface(surface, robot, rough(points, robot, truth, rng), check=False)
+        place = truth[0] @ np.zeros(3) + truth[1]
+        assert np.linalg.norm(found.to_robot(np.zeros(3)) - place) < 1e-3
+        inside.append(found.region_contains(np.zeros(3), place))
+        assert found.std_along_m([0.0, 0.0, 1.0], np.zeros(3)) < 1e-3
+    assert np.mean(inside) > 0.8
+
+
+@pytest.mark.parametrize("shape", ["sphere", "half sphere", "cylinder", "plane"])
+def test_surfaces_that_slide_or_spin_are_refused(shape):
+    rng = np.random.default_rng(3)
+    if "sphere" in shape:
+        mesh = trimesh.creation.icosphere(4, 0.06)
+        kept = mesh.face_normals[:, 1] < (0.0 if "half" in shape else 2.0)
+    elif shape == "cylinder":
+        mesh = trimesh.creation.cylinder(0.04, 0.2, sections=48).subdivide().subdivide()
+        kept = np.abs(mesh.face_normals[:, 2]) < 0.5
+    else:
+        mesh = trimesh.creation.box((0.12, 0.1, 0.08)).subdivide().subdivide().subdivide()
+        kept = mesh.face_normals[:, 1] < -0.5
+    mesh = trimesh.Trimesh(mesh.vertices, mesh.faces[kept])
+    points = touch(mesh, 100, rng, 0.0)
+    robot, truth = touched(points, rng, 0.0)
+    surface, start = TouchSurface(mesh.vertices, mesh.faces), rough(points, robot, truth, rng)
+    with pytest.raises(RegistrationError, match="slides or spins"):
+        fit_surface(surface, robot, start)
+
+
+def test_touches_that_cannot_register_are_refused():
+    rng, mesh = np.random.default_rng(4), organ()
+    surface = TouchSurface(mesh.vertices, mesh.faces)
+    points = touch(mesh, 100, rng)
+    robot, truth = touched(points, rng, 0.0)
+    good = rough(points, robot, truth, rng)
+    fit_surface(surface, robot, good)
+    with pytest.raises(RegistrationError, match="too few touches: 10"):
+        fit_surface(surface, robot[:10], good)
+    with pytest.raises(RegistrationError, match="finite"):
+        fit_surface(surface, robot * np.nan, good)
+    away = mesh.vertices.mean(axis=0) - [0.0, 0.2, 0.0] + rng.normal(0.0, 5e-3, (60, 3))
+    wild = np.vstack([robot[:40], away @ truth[0].T + truth[1]])
+    with pytest.raises(RegistrationError):
+        fit_surface(surface, wild, good)
+
+
+NAMES = ("fat", "muscle", "liver", "lesion", "liver")
+
+
+def plan(*depths_mm, std_mm=0.5):
+    edges = [0.0, *depths_mm, depths_mm[-1] + 50.0]
+    return [
+        PathLayer(
+            *(NAMES[k], k, 1e-3 * edges[k], 1e-3 * edges[k + 1]),
+            *(1e-3 * std_mm * (k > 0), 1e-3 * std_mm, False),
+        )
+        for k in range(len(depths_mm) + 1)
+    ]
+
+
+def test_ruptures_move_the_plan_and_name_the_layer():
+    match = PlanMatch(plan(20, 35, 60), 3e-3)
+    assert match.state(0.005).name == "fat"
+    first = match.add(0.024)
+    assert (first.name, first.next_name) == ("muscle", "liver")
+    assert 1e-3 < first.offset_m < 4e-3  # or a membrane gave way late
+    second = match.add(0.039)
+    assert second.offset_m == pytest.approx(4e-3, abs=0.5e-3)
+    assert second.offset_std_m < 1.2e-3
+    assert second.next_m == pytest.approx(0.064, abs=1e-3)
+    assert second.matched == 1
+    low, high = match.interval_m(0.039)
+    assert low < 4e-3 < high
+    assert match.add(0.064).next_name == ""
+    match.reset()
+    assert match.state(0.0).offset_m == pytest.approx(0.0, abs=1e-6)
+
+
+def test_a_boundary_that_nobody_felt_is_passed_all_the_same():
+    match = PlanMatch(plan(20, 35, 60), 2e-3)
+    match.add(0.0200)
+    assert match.state(0.030).name == "muscle"
+    assert match.state(0.050).name == "liver"
+    found = match.add(0.0601)
+    assert found.matched == 2
+    assert found.name == "lesion"
+
+
+def test_a_false_alarm_does_not_count_as_a_boundary():
+    match = PlanMatch(plan(20, 60), 1e-3)
+    match.add(0.0200)
+    found = match.add(0.041)
+    assert found.matched == -1
+    assert found.name == "muscle"
+
+
+def test_what_cannot_be_a_plan_is_refused():
+    with pytest.raises(PlanError, match="1 layers"):
+        PlanMatch(plan(20)[:1], 1e-3)
+    with pytest.raises(PlanError, match="positive standard deviation"):
+        PlanMatch(plan(20), 0.0)
+    match = PlanMatch(plan(20, 35), 3e-3)
+    match.add(0.03)
+    for bad in (float("nan"), 0.01):
+        with pytest.raises(PlanError, match="rupture at"):
+            match.add(bad)
