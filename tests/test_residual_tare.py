@@ -177,9 +177,8 @@ def test_ripple_of_a_known_gear_ratio_is_fitted(lwr):
     theta[basis.groups["sine"]], theta[basis.groups["cosine"]] = 0.02, -0.01
     _, blocks = stroke(lwr, basis, truth=theta)
     ahead = MIDDLE + 0.5 * TOWARDS
-    expected = 0.02 * np.sin(2 * np.array(ratio) * ahead) - 0.01 * np.cos(
-        2 * np.array(ratio) * ahead
-    )
+    angle = 2 * np.array(ratio) * ahead
+    expected = 0.02 * np.sin(angle) - 0.01 * np.cos(angle)
     got = basis.bias_Nm(FreeMotionFit(basis, blocks).tare, ahead, FORWARD, 0.0)
     np.testing.assert_allclose(got[[1, 3]], expected[[1, 3]], atol=0.01)
     with pytest.raises(ConfigurationError, match="expected 7"):
@@ -198,12 +197,9 @@ def test_torque_trend_remembers_at_rest_and_turns_over_the_width():
 
 
 def test_settings_that_cannot_work_are_refused(lwr):
-    with pytest.raises(ConfigurationError, match="mass_fraction"):
-        BiasPrior(mass_fraction=0.0)
-    with pytest.raises(ConfigurationError, match="hysteresis_widths"):
-        BiasPrior(hysteresis_widths=1e-4)
-    with pytest.raises(ConfigurationError, match="com_m"):
-        BiasPrior(com_m=np.nan)
+    for name, value in (("mass_fraction", 0.0), ("hysteresis_widths", 1e-4), ("com_m", np.nan)):
+        with pytest.raises(ConfigurationError, match=name):
+            BiasPrior(**{name: value})
     with pytest.raises(ConfigurationError, match="constant"):
         BiasModel(lwr, "quadratic", BiasPrior())
 
