@@ -150,20 +150,22 @@ def _answers(
 
 def _rows(found: Iterable[tuple[ControlJob, list[Figure]]]) -> list[ControlRow]:
     groups: dict[tuple[Any, ...], list[Figure]] = {}
+    seeds: dict[tuple[Any, ...], set[int]] = {}  # one may have several such figures
     for job, figures in found:
         for figure in figures:
             key = (job.part, figure.what, figure.servo, job.plant, figure.unit)
             groups.setdefault(key, []).append(figure)
+            seeds.setdefault(key, set()).add(job.seed)
     rows = []
-    for (part, what, servo, plant, unit), figures in groups.items():
-        first = figures[0]
+    for key, figures in groups.items():
+        (part, what, servo, plant, unit), first = key, figures[0]
         values = sorted((float(item.value) for item in figures), reverse=first.at_least)
         value = values[math.ceil(first.quantile * len(values) - 1e-9) - 1]
         if not all(map(math.isfinite, values)):
             value = math.nan
         rows.append(
             ControlRow(
-                part, what, servo, plant, value, unit, first.target, first.at_least, len(figures)
+                part, what, servo, plant, value, unit, first.target, first.at_least, len(seeds[key])
             )
         )
     return rows

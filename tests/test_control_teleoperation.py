@@ -100,7 +100,7 @@ def test_needle_follows_the_scaled_hand_and_the_clutch_holds_it(scale):
     assert depth == pytest.approx(scale * master.position_m[2], abs=1e-4)
     master.clutch = False
     master._operator = Operator(wish_m=lambda t: (0.0, 0.0, -0.05))  # the hand goes elsewhere
-    tele.needle._start_m -= depth  # the plant of `drive` starts anew at zero
+    tele.needle.start_m -= depth  # the plant of `drive` starts anew at zero
     assert drive(lambda x, v: 0.0, tele, master, 1.0, rng, lambda t: False) == pytest.approx(
         0.0, abs=1e-4
     )
@@ -122,6 +122,21 @@ def test_needle_stops_when_the_device_is_gone_and_force_fades_with_the_estimate(
     for _ in range(1000):
         lost = tele.update(sample, estimate(1.0, depth_m=3.2e-3, status=Status.REJECTED), DT)
     assert abs(lost.force_N[2]) < 0.2  # the damping of a handle that is said to move is left
+
+
+def test_after_a_pause_the_needle_stays_where_it_is_once_reset():
+    place = SimpleNamespace(position_m=np.zeros(3), velocity_m_s=np.zeros(3), clutch=True)
+    wanted = {}
+    for is_reset in (False, True):
+        tele = Teleoperation()
+        place.position_m = np.zeros(3)
+        tele.update(place, estimate(depth_m=0.05), DT)
+        place.position_m = np.array([0.0, 0.0, 0.1])  # while nobody asked, and the depth is new
+        if is_reset:
+            tele.reset()
+        wanted[is_reset] = tele.update(place, estimate(depth_m=0.0), DT).speed_m_s
+    assert wanted[False] == pytest.approx(0.02)
+    assert wanted[True] == 0.0
 
 
 @given(axial=st.floats(-20.0, 20.0), tip=st.floats(-20.0, 20.0))

@@ -10,7 +10,7 @@ import numpy as np
 from needleforce.control.errors import ControlError, SettingError
 from needleforce.control.ports import ArmSample, Array
 from needleforce.control.priority_solver import Solver, Stack, hierarchical
-from needleforce.control.tasks import JointTask, Task
+from needleforce.control.tasks import JointVelocity, Task
 from needleforce.control.tool_state import ToolState
 from needleforce.control.velocity_box import (
     ACCELERATION,
@@ -116,7 +116,7 @@ class Controller:
         """Room for the numbers of a stack; made when one of such tasks comes first."""
         if stack != self._tasks:  # the same tasks are equal, whatever has changed in them
             self._tasks = list(stack)
-            has_wish = bool(stack) and isinstance(stack[-1], JointTask)
+            has_wish = bool(stack) and isinstance(stack[-1], JointVelocity)
             key = (has_wish, *[task.size for task in stack])
             if key not in self._stacks:
                 self._stacks[key] = Stack(stack, self._joints)

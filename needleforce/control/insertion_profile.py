@@ -103,10 +103,7 @@ class RuptureCount:
     def update(self, found: Estimate, axial_N: float, travel: tuple[float, float, bool]) -> bool:
         """Whether one more layer has been left.
 
-        Args:
-            found: Of the identification.
-            axial_N: Force that it was given.
-            travel: Depth of the tip [m], time since the last call [s], whether the speed is steady.
+        Travel is depth [m], time since the last call [s], and whether the speed is steady.
         """
         depth_m, dt_s, is_steady = travel
         self._force_N -= math.expm1(-dt_s / _SMOOTH_S) * (axial_N - self._force_N)

@@ -92,13 +92,7 @@ REFUSALS: Mapping[str, str] = MappingProxyType(
 def transition(state: State, event: str, facts: Collection[str]) -> tuple[State, str]:
     """The state after an event, and why it was refused; empty if it was not.
 
-    Args:
-        state: Before it.
-        event: One of `EVENTS`.
-        facts: Those of `REFUSALS` that held when it came.
-
-    Raises:
-        SettingError: There is no such event.
+    Facts are those of `REFUSALS` that held when it came. `SettingError` for an unknown event.
     """
     if event not in EVENTS:
         raise SettingError(f"unknown event {event!r}, expected one of {', '.join(EVENTS)}")
@@ -157,7 +151,6 @@ class Manager:
         heartbeat_s: Longest time between two heartbeats [s].
 
     Attributes:
-        session: The force sensor and the identification.
         events: Events so far, refusals included.
     """
 

@@ -113,11 +113,8 @@ class Monitors:
     ) -> tuple[str, str]:
         """The gravest event in one cycle, ``fault`` or ``limit``, and its reason; empty if none.
 
-        Args:
-            state: Of the manager.
-            watched: What the session says of a sample, the sample, and what came beside it.
-            step_s: Time since the last sample, or the one before that where its clock was set.
-            lag_s: Time by which the session's force is late.
+        Watched is what the session says of a sample, the sample, and what came beside it; the step
+        is the one before where the clock was set, the lag that of the session's force.
         """
         estimate, sample, beside = watched
         self._device_s = 0.0 if beside.has_device else self._device_s + step_s

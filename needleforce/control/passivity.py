@@ -58,9 +58,8 @@ class Port:
 def passive_part(leaving_J: float, budget_J: float) -> float:
     """The fraction, 0 to 1, of a force (or a speed) with which no more leaves than the budget.
 
-    Args:
-        leaving_J: What would leave in the coming interval with all of it; not above zero: nothing.
-        budget_J: What may leave; below zero where too much has left already.
+    The budget is below zero where too much has left already, what would leave is where energy
+    enters.
     """
     if leaving_J <= 0.0 or leaving_J <= budget_J:
         return 1.0
@@ -102,14 +101,10 @@ class HandPort(Port):
     def update(
         self, wanted_N: float, position_m: float, speed_m_s: float, incoming_J: float, dt_s: float
     ) -> float:
-        """The force to hold from now on.
+        """The force to hold over the coming interval, positive against positive motion.
 
-        Args:
-            wanted_N: Force to be shown, positive against positive motion.
-            position_m: Of the handle now.
-            speed_m_s: Its rate.
-            incoming_J: What has entered at the other side, as far as known here.
-            dt_s: Expected length of the coming interval.
+        It is what should be shown, the handle's place and rate and what has entered at the other
+        side, as far as known here, that decide.
         """
         if self._position_m is not None:
             travel_m = position_m - self._position_m
@@ -152,14 +147,10 @@ class NeedlePort(Port):
     def update(
         self, wanted_m_s: float, force_N: float, speed_m_s: float, incoming_J: float, dt_s: float
     ) -> float:
-        """The speed to move with from now on.
+        """The speed to move with over the coming interval, positive into the tissue.
 
-        Args:
-            wanted_m_s: Wanted speed, positive into the tissue.
-            force_N: Force on the needle, positive when tissue pushes back.
-            speed_m_s: Speed of the needle now.
-            incoming_J: What has entered at the other side, as far as known here.
-            dt_s: Time since the last call, and expected length of the coming interval.
+        It depends on the wanted one, the force against it, the speed now and what has entered at
+        the other side, as far as known here.
         """
         self._lagged_m_s += (speed_m_s - self._lagged_m_s) * dt_s / (self._lag_s + dt_s)
         self.observe(-force_N, self._lagged_m_s * dt_s)

@@ -15,7 +15,7 @@ from scipy.linalg.lapack import dgels  # pyright: ignore[reportAttributeAccessIs
 
 from needleforce.control.errors import SettingError
 from needleforce.control.ports import Array
-from needleforce.control.tasks import JointTask, Task
+from needleforce.control.tasks import JointVelocity, Task
 from needleforce.control.tool_state import ToolState
 from needleforce.control.velocity_box import SLACK_rad_s
 from needleforce.jit import Matrix, Vector, WrittenVector, compiled, compiled_or
@@ -46,9 +46,9 @@ class Stack:
 
     def __init__(self, tasks: Sequence[Task], joints: int) -> None:
         last = tasks[-1] if tasks else None
-        if isinstance(last, JointTask) and last.size != joints:
+        if isinstance(last, JointVelocity) and last.size != joints:
             raise SettingError(f"a task of {last.size} joints, the robot has {joints}")
-        sizes = [task.size for task in (tasks[:-1] if isinstance(last, JointTask) else tasks)]
+        sizes = [task.size for task in (tasks[:-1] if isinstance(last, JointVelocity) else tasks)]
         self.ends = tuple(itertools.accumulate(sizes))
         self.rows, self.rates = np.zeros((sum(sizes), joints)), np.zeros(sum(sizes))
         self.wish, self.bounds = np.zeros(joints), np.zeros((2, joints))
@@ -62,7 +62,7 @@ class Stack:
         for task, (rows, rates) in zip(tasks, self._parts, strict=False):
             task.write(tool, rows, rates)
         last = tasks[-1] if tasks else None
-        if isinstance(last, JointTask):
+        if isinstance(last, JointVelocity):
             self.wish = last.velocity(tool.q_rad)
 
 

@@ -236,38 +236,23 @@ class AxialSpeed(Task):
         rates[0] = self.speed_m_s
 
 
-class JointTask(Task):
-    """A velocity of every joint, n rows; cheapest as the last of a stack.
+class JointVelocity(Task):
+    """A velocity of every joint [rad/s], n rows; cheapest as the last of a stack."""
 
-    Attributes:
-        wish: Positions (`Posture`) or velocities (`JointVelocity`), shape (n,).
-    """
-
-    def __init__(self, wish: ArrayLike, name: str) -> None:
-        self.size = np.size(wish)
-        self.wish = vector(wish, self.size, name)
+    def __init__(self, velocity_rad_s: ArrayLike) -> None:
+        self.size = np.size(velocity_rad_s)
+        self.wish = vector(velocity_rad_s, self.size, "velocity_rad_s")
 
     def velocity(self, q_rad: Array) -> Array:
         """What it asks for at joint positions, shape (n,)."""
-        raise NotImplementedError
+        return self.wish
 
     def write(self, tool: ToolState, rows: Array, rates: Array) -> None:
         """See `Task.write`."""
         rates[:], rows[:] = self.velocity(tool.q_rad), np.eye(self.size)
 
 
-class JointVelocity(JointTask):
-    """A velocity of every joint [rad/s], shape (n,)."""
-
-    def __init__(self, velocity_rad_s: ArrayLike) -> None:
-        super().__init__(velocity_rad_s, "velocity_rad_s")
-
-    def velocity(self, q_rad: Array) -> Array:
-        """See `JointTask.velocity`."""
-        return self.wish
-
-
-class Posture(JointTask):
+class Posture(JointVelocity):
     """A posture that joints left free return to, slowly: dq = K (q_d - q). Put it last.
 
     Args:
@@ -276,9 +261,9 @@ class Posture(JointTask):
     """
 
     def __init__(self, q_rad: ArrayLike, gain_per_s: float = 1.0) -> None:
-        super().__init__(q_rad, "q_rad")
+        super().__init__(q_rad)
         self.gain_per_s = float(gain_per_s)
 
     def velocity(self, q_rad: Array) -> Array:
-        """See `JointTask.velocity`."""
+        """See `JointVelocity.velocity`."""
         return self.gain_per_s * (self.wish - q_rad)

@@ -88,7 +88,7 @@ class DeviceSide:
     def __init__(self, axis: Array, motion_scale: float, damping_Ns_m: float) -> None:
         self._axis, self._scale, self._damping_Ns_m = axis, motion_scale, damping_Ns_m
         self.port = HandPort()
-        self._position_m: float | None = None
+        self.position_m: float | None = None  # of the handle, until a reset
         self._packet = HandPacket(0.0, 0.0, 0.0)
         self._coupled = 0.0  # 0 to 1
         self._rate_m_s = self._steady_m_s = 0.0
@@ -98,18 +98,15 @@ class DeviceSide:
     ) -> tuple[float, HandPacket]:
         """The force to render, positive against insertion, and the packet to send.
 
-        Args:
-            sample: Newest of the device; None if there is none: its force then goes to zero.
-            news: Newest packet of the needle.
-            dt_s: Time since the last call.
+        Without a sample of the device its force goes to zero.
         """
         is_coupled = sample is not None and sample.clutch
         self._coupled += (float(is_coupled) - self._coupled) * dt_s / (_COUPLING_S + dt_s)
-        before_m, self._position_m = self._position_m, None
+        before_m, self.position_m = self.position_m, None
         if sample is None:
             self._packet = self._packet._replace(speed_m_s=0.0)
             return 0.0, self._packet
-        self._position_m = position_m = float(self._axis @ sample.position_m)
+        self.position_m = position_m = float(self._axis @ sample.position_m)
         speed_m_s = float(self._axis @ sample.velocity_m_s)
         self._rate_m_s += (speed_m_s - self._rate_m_s) * dt_s / (_SPEED_LAG_S + dt_s)
         self._steady_m_s += (self._rate_m_s - self._steady_m_s) * dt_s / (_STEADY_S + dt_s)
@@ -128,16 +125,14 @@ class DeviceSide:
 class NeedleSide:
     """The end at the robot: follows the hand within a speed limit, sends the force to be shown.
 
-    Args:
-        scale: Energy at the hand per energy at the needle: force scale / motion scale.
-        force_scale: Force at the hand per force at the needle.
-        speed_limit_m_s: Largest speed of the needle.
+    Energy at the hand is that at the needle times force scale / motion scale.
     """
 
-    def __init__(self, scale: float, force_scale: float, speed_limit_m_s: float) -> None:
-        self._scale, self._force_scale, self._limit_m_s = scale, force_scale, speed_limit_m_s
+    def __init__(self, motion_scale: float, force_scale: float, speed_limit_m_s: float) -> None:
+        self._scale = scale = force_scale / motion_scale
+        self._force_scale, self._limit_m_s = force_scale, speed_limit_m_s
         self.port = NeedlePort(_OWED_J / scale, _OWED_W / scale, _FORCE_LAG_S)
-        self._start_m: float | None = None
+        self.start_m: float | None = None  # depth without travel of the hand, until a reset
         self._last: HandPacket | None = None
         self._silent_s = 0.0
 
@@ -151,22 +146,17 @@ class NeedleSide:
     ) -> tuple[float, NeedlePacket]:
         """The speed to move with, positive inwards, and the packet to send.
 
-        Args:
-            news: Newest packet of the device.
-            force_N: Force to be shown, not scaled.
-            depth_m: Of the tip, from any zero.
-            now_m_s: Its rate.
-            dt_s: Time since the last call.
+        The force is the one to be shown, not scaled; depth counts from any zero.
         """
         self._silent_s = self._silent_s + dt_s if news is self._last else 0.0
         self._last = news
         wanted_m_s, incoming_J = 0.0, 0.0
         if news is not None:
-            if self._start_m is None:
-                self._start_m = depth_m - news.travel_m
+            if self.start_m is None:
+                self.start_m = depth_m - news.travel_m
             incoming_J = news.energy_J
             if self._silent_s < _SILENCE_S:
-                behind_m = self._start_m + news.travel_m - depth_m
+                behind_m = self.start_m + news.travel_m - depth_m
                 wanted_m_s = news.speed_m_s + _CATCH_UP_PER_S * behind_m
         wanted_m_s = min(max(wanted_m_s, -self._limit_m_s), self._limit_m_s)
         speed_m_s = self.port.update(wanted_m_s, force_N, now_m_s, incoming_J / self._scale, dt_s)
@@ -228,9 +218,17 @@ class Teleoperation:
         self._shown: Shown = shown
         self._axis, self._lines = direction / length, lines
         self.device = DeviceSide(self._axis, motion_scale, damping_Ns_m)
-        self.needle = NeedleSide(force_scale / motion_scale, force_scale, speed_limit_m_s)
+        self.needle = NeedleSide(motion_scale, force_scale, speed_limit_m_s)
         self._from_needle: NeedlePacket | None = None
         self.shown_N = 0.0
+
+    def reset(self) -> None:
+        """Begin anew from where handle and needle are; accounts of energy go on.
+
+        Call it after a pause or a new zero of depth: else the needle makes up for all that the
+        hand has moved meanwhile.
+        """
+        self.device.position_m = self.needle.start_m = None
 
     def update(
         self, sample: MasterSample | None, estimate: "SessionEstimate", dt_s: float
@@ -253,6 +251,6 @@ class Teleoperation:
         speed_m_s, answer = self.needle.update(
             arrived, self.shown_N, estimate.depth_m, estimate.speed_m_s, dt_s
         )
-        back = self._lines
-        self._from_needle = answer if back is None else back[1].exchange(answer, dt_s)
+        lines = self._lines
+        self._from_needle = answer if lines is None else lines[1].exchange(answer, dt_s)
         return TeleopCommand(speed_m_s, -force_N * self._axis)

@@ -76,14 +76,8 @@ def joint_bounds(
     and l alike. The root is the fastest speed from which the arm, braking at a after this tick of
     T, stops before q_max: u^2 / 2a + u T = q_max - q. From anywhere in the box the next tick has
     such a speed within reach of a again. Where noise or a push has moved the arm too close, the
-    clip lets the acceleration win: it brakes as hard as it may. Clipping keeps l <= u.
-
-    Args:
-        limits: `Limits.table`.
-        q: Measured positions [rad], shape (n,).
-        last: Velocities commanded last [rad/s], shape (n,).
-        step_s: Length of the tick T.
-        bounds: Lower and upper bounds, shape (2, n); nan where a position is.
+    clip lets the acceleration win: it brakes as hard as it may. Clipping keeps l <= u. Limits are
+    a `Limits.table`, bounds of shape (2, n), and nan where a position is.
     """
     speed, rate = limits[SPEED], limits[ACCELERATION]
     change = rate * step_s - SLACK_rad_s

@@ -1,0 +1,85 @@
+"""The program of an insertion: what counts as a rupture, how a stretched arm stops behind it."""
+
+from types import SimpleNamespace
+
+import numpy as np
+import pytest
+
+from identification.estimate import RuptureState
+from needleforce.control import InsertionPlan, InsertionProfile, SettingError, State, depth_of
+from needleforce.control.insertion_profile import RuptureCount
+
+DT, SPEED_M_S = 1e-3, 5e-3
+
+
+def found(in_contact=True, state=RuptureState.NO_RUPTURE, alarm_N=None):
+    rupture = None if alarm_N is None else SimpleNamespace(force_N=alarm_N)
+    return SimpleNamespace(in_contact=in_contact, rupture_state=state, rupture=rupture)
+
+
+def counted(before_N, fall_N, steady=True, alarm_N=None, **how):
+    """Layers left after a force that has grown for three seconds falls within 20 ms."""
+    ruptures, rng = RuptureCount(), np.random.default_rng(0)
+    for k in range(3100):
+        force_N = before_N * min(k / 3000.0, 1.0) - fall_N * min(max(k - 3000, 0) / 20.0, 1.0)
+        noisy_N = force_N + 0.005 * rng.standard_normal()
+        seen = found(alarm_N=alarm_N if k == 3030 else None, **how)
+        ruptures.update(seen, noisy_N, (5e-6 * k, DT, steady))
+    return ruptures.count
+
+
+@pytest.mark.parametrize(
+    ("before_N", "fall_N", "how", "count"),
+    [
+        (2.0, 1.0, {}, 1),
+        (2.0, 1.0, {"steady": False}, 0),  # a needle that brakes
+        (2.0, 1.0, {"steady": False, "alarm_N": 2.0}, 1),
+        (2.0, 0.2, {}, 0),
+        (2.0, 0.2, {"state": RuptureState.EXPECTED}, 1),
+        (0.2, 0.07, {}, 0),  # an error of the force
+        (0.2, 0.2, {"in_contact": False}, 0),  # the start of the motion
+    ],
+)
+def test_a_fall_of_the_force_is_a_rupture_where_nothing_else_explains_it(
+    before_N, fall_N, how, count
+):
+    assert counted(before_N, fall_N, **how) == count
+
+
+def situation(state, depth_m, k, state_s, **kind):
+    estimate = SimpleNamespace(
+        depth_m=depth_m, wrench=SimpleNamespace(axial=2.0), identification=found(**kind)
+    )
+    moving = state in (State.TARE, State.INSERTION)
+    return SimpleNamespace(
+        state=state, state_s=state_s, time_s=k * DT, is_moving=moving, estimate=estimate
+    )
+
+
+def test_behind_a_rupture_the_command_goes_back_to_the_tip_and_holds_it():
+    profile = InsertionProfile(InsertionPlan(speed_m_s=SPEED_M_S, depth_m=0.05, layer=1))
+    asked_m = tip_m = 0.0
+    for k in range(1000):
+        step = profile.update(situation(State.INSERTION, tip_m, k, k * DT))
+        asked_m += DT * step.speed_m_s
+        tip_m = asked_m - min(0.5e-3, 0.2 * asked_m)  # stretched by half a millimetre
+    step = profile.update(situation(State.INSERTION, tip_m, 1000, 1.0, alarm_N=9.0))
+    assert step.event == "rupture"
+    speeds = [step.speed_m_s]
+    for k in range(1001, 1200):
+        asked_m += DT * speeds[-1]
+        speeds.append(profile.update(situation(State.DWELL, tip_m, k, 1e-3)).speed_m_s)
+    assert min(speeds) < -0.02
+    assert asked_m == pytest.approx(tip_m, abs=5e-5)
+    assert speeds[-1] == 0.0
+    back = profile.update(situation(State.DWELL, tip_m - 1e-4, 1200, 2e-3))
+    assert back.speed_m_s == pytest.approx(5e-4)
+    assert profile.update(situation(State.STOPPED, tip_m, 1201, 0.0)).speed_m_s == 0.0
+
+
+def test_a_target_is_a_depth_where_the_needle_points_at_it():
+    axis = np.array((0.0, 0.0, -1.0))
+    assert depth_of((0.1, 0.0, 0.2), (0.1, 5e-4, 0.25), axis) == pytest.approx(0.05)
+    for target in ((0.1, 0.0, 0.3), (0.1, 0.01, 0.2)):
+        with pytest.raises(SettingError, match="align the needle"):
+            depth_of(target, (0.1, 0.0, 0.25), axis)
