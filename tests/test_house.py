@@ -22,7 +22,7 @@ LIMITS = {
     "benchmarks": (6_770, 30),
     "tests": (12_830, 72),
     "control": (2_225, 15),
-    "anatomy": (1_360, 8),
+    "anatomy": (1_390, 8),
     "scene": (700, 6),
     "devices": (1_360, 9),
 }

@@ -26,6 +26,8 @@ TAIL_DEGREES = 5.0
 """Student's t for the offset: a standard deviation that is stated too small does not deceive."""
 MISSED = 0.15
 """Probability that a boundary ruptures unnoticed."""
+ENTRY_MISSED = 0.8
+"""The same of the surface, which ruptures only where a membrane covers it, and then late."""
 FALSE_PER_m = 1.0
 """False alarms per metre of travel."""
 LATE = 0.2
@@ -42,12 +44,12 @@ class PlanState(NamedTuple):
     layer: int  # index of the layer that the tip is in most likely
     name: str  # of that layer
     probability: float  # that the tip is in it
-    offset_m: float  # how much deeper everything lies than planned
+    offset_m: float  # how much deeper everything lies than planned: the posterior's median
     offset_std_m: float
     next_name: str  # of the layer behind the next boundary; empty behind the last
     next_m: float  # depth at which it will be met; nan behind the last
     next_std_m: float
-    matched: int  # index of the boundary that the last rupture was most likely; -1: none
+    matched: int  # index of the layer into which the last rupture most likely led; -1: none
     matched_probability: float  # the same, of that boundary or of a false alarm
     is_obstacle_next: bool  # whether bone or cartilage comes next
 
@@ -77,9 +79,12 @@ class PlanMatch:
         self.layers = tuple(layers)
         self._entry_m = float(entry_depth_m)
         self._std_m = float(offset_std_m)
-        # Depth and deviation of the boundaries behind each layer but the last.
-        self._bound_m = np.array([layer.exit_m for layer in layers[:-1]]) + self._entry_m
-        self._bound_std_m = np.array([layer.exit_std_m for layer in layers[:-1]])
+        # Boundary k is the one in front of layer k: the first is the surface.
+        self._bound_m = np.array([layer.entry_m for layer in layers]) + self._entry_m
+        self._bound_std_m = np.array([layer.entry_std_m for layer in layers])
+        self._missed = np.full(len(layers), MISSED)
+        self._late = np.full(len(layers), LATE)
+        self._missed[0], self._late[0] = ENTRY_MISSED, 1.0
         half = round(REACH * self._std_m / GRID_m)
         self._offset_m = GRID_m * np.arange(-half, half + 1)
         self.reset()
@@ -111,9 +116,9 @@ class PlanMatch:
         by_boundary[0] = moved.sum()
         for boundary in range(count):
             # From any earlier one, with those between missed.
-            missed = MISSED ** np.arange(boundary, -1, -1.0)
+            missed = [self._missed[last:boundary].prod() for last in range(boundary + 1)]
             came = self._weight[:, : boundary + 1] @ missed
-            arrived = (1.0 - MISSED) * came * likelihood[:, boundary]
+            arrived = (1.0 - self._missed[boundary]) * came * likelihood[:, boundary]
             moved[:, boundary + 1] += arrived
             by_boundary[boundary + 1] = arrived.sum()
         total = moved.sum()
@@ -128,14 +133,14 @@ class PlanMatch:
         error = depth_m - self._bound_m - self._offset_m[:, None]
         std = np.hypot(self._bound_std_m, RUPTURE_STD_m)
         late = norm.pdf(error, LATE_m, np.hypot(std, LATE_STD_m))
-        return (1.0 - LATE) * norm.pdf(error, 0.0, std) + LATE * late
+        return (1.0 - self._late) * norm.pdf(error, 0.0, std) + self._late * late
 
     def _unruptured(self, depth_m: float) -> Array:
         """Probability that a boundary has not ruptured by a depth, though it will; (n, k)."""
         error = depth_m - self._bound_m - self._offset_m[:, None]
         std = np.hypot(self._bound_std_m, RUPTURE_STD_m)
         late = norm.sf(error, LATE_m, np.hypot(std, LATE_STD_m))
-        return (1.0 - LATE) * norm.sf(error, 0.0, std) + LATE * late
+        return (1.0 - self._late) * norm.sf(error, 0.0, std) + self._late * late
 
     def state(self, depth_m: float) -> PlanState:
         """What is known with the tip at a depth: also that nothing ruptured there counts.
@@ -144,18 +149,21 @@ class PlanMatch:
         """
         weight, passed = self._at(depth_m)
         count = len(self._bound_m)
-        layer = int(np.argmax(passed))
+        # Before the surface the tip is counted as in front of the first layer.
+        layer = max(int(np.argmax(passed)) - 1, 0)
         offset = weight.sum(axis=1)
-        mean = float(offset @ self._offset_m)
-        std = float(np.sqrt(max(offset @ (self._offset_m - mean) ** 2, 0.0)))
-        following = self._bound_m[layer] + mean if layer < count else float("nan")
-        spread = np.hypot(std, self._bound_std_m[layer]) if layer < count else float("nan")
-        after = self.layers[layer + 1] if layer < count else None
+        # The median: where two assignments compete, their mean is what neither says.
+        middle = float(np.interp(0.5, np.cumsum(offset), self._offset_m))
+        std = float(np.sqrt(offset @ (self._offset_m - middle) ** 2))
+        is_last = layer == count - 1
+        following = float("nan") if is_last else self._bound_m[layer + 1] + middle
+        spread = float("nan") if is_last else np.hypot(std, self._bound_std_m[layer + 1])
+        after = None if is_last else self.layers[layer + 1]
         return PlanState(
             layer=layer,
             name=self.layers[layer].name,
-            probability=float(passed[layer]),
-            offset_m=mean,
+            probability=float(passed[layer + 1] + (passed[0] if layer == 0 else 0.0)),
+            offset_m=middle,
             offset_std_m=std,
             next_name="" if after is None else after.name,
             next_m=float(following),
@@ -181,12 +189,13 @@ class PlanMatch:
             stays = np.ones_like(column)
             for boundary in range(last, count):
                 # Either it still stands, or it has been passed unnoticed.
-                stands = stays * (1.0 - MISSED) * waiting[:, boundary]
-                lies_ahead = stays * MISSED * (self._deeper(boundary) > depth_m)
+                missed, lies_here = self._missed[boundary], self._deeper(boundary) <= depth_m
+                stands = stays * (1.0 - missed) * waiting[:, boundary]
+                lies_ahead = stays * missed * ~lies_here
                 here = column * (stands + lies_ahead)
                 weight[:, last] += here
                 passed[boundary] += here.sum()
-                stays = stays * MISSED * (self._deeper(boundary) <= depth_m)
+                stays = stays * missed * lies_here
             weight[:, last] += column * stays
             passed[count] += (column * stays).sum()
         total = weight.sum()

@@ -361,19 +361,34 @@ def report_command(
 @app.command(name="demo")
 def demo_command(
     kind: Annotated[
-        Literal["guidance", "teleop", "autonomous", "rcm"], Parameter(name="KIND", group=LOG)
+        Literal["guidance", "teleop", "autonomous", "rcm", "abdomen"],
+        Parameter(name="KIND", group=LOG),
     ],
     /,
     *,
     report: Annotated[Path | None, Parameter(metavar="DIR", group=OUTPUT)] = None,
     figure: Annotated[Path | None, Parameter(metavar="FILE", group=OUTPUT)] = None,
+    data: Annotated[
+        Path | None,
+        Parameter(
+            metavar="DIR",
+            group=LOG,
+            help="Of abdomen: folder with ct.nii.gz and labels.nii.gz; else an analytic torso.",
+        ),
+    ] = None,
+    seed: Annotated[int, Parameter(metavar="N", group=LOG, help="Of abdomen.")] = 0,
 ) -> int:
-    """Show the needle moved in closed loop on the simulated arm: a table, and a page in DIR.
+    """Show the needle moved in closed loop on the simulated arm, or planned on a CT (abdomen).
 
-    Simulation only: not a medical device. --figure writes the first picture alone.
+    Prints a table, and writes a page into DIR; --figure writes the first picture alone. Simulation
+    only: not a medical device.
 
     needleforce demo teleop --report demo
     """
+    if kind == "abdomen":
+        from needleforce.cli import demo_abdomen
+
+        return demo_abdomen.run(report, figure, data, seed)
     from needleforce.cli.demo import run
 
     return run(kind, report, figure)
