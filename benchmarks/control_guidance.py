@@ -146,10 +146,18 @@ def _force(servo: str, plant: str, seed: int) -> Iterator[Figure]:
     # What was left of the stroke's speed is gone by then.
     yields = (t for t in arm.run(5.0) if t > 0.1 and arm.control.last_rad_s.any())
     yield Figure("breakaway at the hub", servo, next(yields, math.nan), "N", 1.2)
-    arm = GuidedArm(servo, plant, seed)
-    arm.hand.path_m = lambda time_s: SPEED_m_s * max(time_s - begin_s - 0.1, 0.0) * across
-    forces = [np.linalg.norm(arm.hand.applied_N) for now_s in arm.run(1.4) if now_s > 0.6]
-    yield Figure("force at the hub at 100 mm/s", servo, float(np.mean(forces)), "N", 3.0)
+    for stiffness in (HAND_N_per_m, STIFFEST_N_per_m[servo]):
+        arm = GuidedArm(servo, plant, seed)
+        arm.hand.stiffness_N_per_m = stiffness
+        arm.hand.path_m = lambda time_s: SPEED_m_s * max(time_s - begin_s - 0.1, 0.0) * across
+        led = np.array([arm.hand.applied_N for now_s in arm.run(1.4) if now_s > 0.6])
+        if stiffness == HAND_N_per_m:
+            mean_N = float(np.linalg.norm(led, axis=1).mean())
+            yield Figure("force at the hub at 100 mm/s", servo, mean_N, "N", 3.0)
+        else:
+            swing_N = float(np.sqrt(led.var(axis=0).sum()))
+            what = f"swing of the force of a leading hand, {stiffness:.0f} N/m, rms"
+            yield Figure(what, servo, swing_N, "N")
 
 
 def _stability(servo: str, plant: str, seed: int, at: Place) -> Iterator[Figure]:

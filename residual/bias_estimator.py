@@ -2,14 +2,14 @@
 
 import math
 from dataclasses import dataclass
-from typing import NamedTuple, Self
+from typing import Self
 
 import numpy as np
 import pinocchio as pin
 from numpy.typing import NDArray
 
 from residual.bias_fit import FreeMotionFit
-from residual.bias_model import BiasModel, Tare, TareBlocks, prior_tare
+from residual.bias_model import BiasModel, Tare, TareBlocks
 from residual.config import SensorConfig
 from residual.errors import TareError
 from residual.estimate import FORGOTTEN, TARE_EXPIRED
@@ -90,15 +90,6 @@ class TareRecorder:
         )
 
 
-class TareNumbers(NamedTuple):
-    """A fitted `Tare` without its basis, which robot and settings give; see there."""
-
-    mean: Array
-    covariance: Array
-    noise_Nm2: Array
-    walk_Nm2_per_s: Array
-
-
 @dataclass(slots=True, kw_only=True, eq=False)
 class BiasState:
     """All that a `BiasEstimator` remembers."""
@@ -115,8 +106,8 @@ class BiasState:
     q: Array  # Last position [rad], shape (n,)
     dq: Array  # Last velocity [rad/s], shape (n,)
     smooth_dq: Array  # Velocity of a moment ago [rad/s], shape (n,)
+    tare: Tare  # The tare in force, the prior's before the first
     started: bool = False  # Whether a sample has come
-    tare: TareNumbers | None = None  # The tare in force; None before the first
     tared: bool = False  # Whether it is the current one
     tared_s: float = 0.0  # When it was taken [s]
     now_s: float = 0.0  # Time since the start [s]
@@ -218,7 +209,7 @@ class BiasEstimator:
                 basis.prior.stribeck_rad_s,
                 dt_s,
             )
-        memory.bias = self._tare.bias_Nm(q, memory.states, self._age_s)
+        memory.bias = basis.bias_Nm(memory.tare, q, memory.states, self._age_s)
         memory.motion_Nm2 = self._motion_variance_Nm2(dt_s)
 
     def _motion_variance_Nm2(self, dt_s: float) -> Array:
@@ -265,7 +256,7 @@ class BiasEstimator:
     def covariance_Nm2(self) -> Array:
         """Covariance of the corrected residual here and now [Nm^2], shape (n, n)."""
         memory = self.memory
-        covariance = self._tare.covariance_Nm2(memory.q, memory.states, self._age_s)
+        covariance = self._basis.covariance_Nm2(memory.tare, memory.q, memory.states, self._age_s)
         covariance += np.diag(memory.motion_Nm2)
         memory.weighed_s = memory.now_s
         memory.weighed_Nm2 = np.stack((memory.motion_Nm2, np.diag(covariance)))
@@ -302,12 +293,10 @@ class BiasEstimator:
             check_free_of_contact(
                 fit, wrench, self._config.contact_force_N, is_external=is_external
             )
-        fitted = self._tare = fit.tare
-        numbers = (getattr(fitted, name) for name in TareNumbers._fields)
-        memory.tare = TareNumbers(*numbers)
+        memory.tare = fit.tare
         memory.tared, memory.tared_s, memory.leapt_s = True, memory.now_s, 0.0
-        memory.bias = fitted.bias_Nm(memory.q, memory.states, 0.0)
-        return fitted
+        memory.bias = self._basis.bias_Nm(fit.tare, memory.q, memory.states, 0.0)
+        return fit.tare
 
     def start_tare_recording(self) -> None:
         """Forget what was recorded and record anew; the tare in force stays until the next."""
@@ -318,9 +307,6 @@ class BiasEstimator:
         """Go on from a `memory`, which is kept, of an estimator of the same robot and settings."""
         self.memory = memory
         self._torques: list[Array] = []
-        self._tare = prior_tare(self._basis)
-        if memory.tare is not None:
-            self._tare = Tare(basis=self._basis, **memory.tare._asdict())
 
     def reset(self) -> None:
         """Forget everything."""
@@ -337,5 +323,6 @@ class BiasEstimator:
                 q=still,
                 dq=still,
                 smooth_dq=still,
+                tare=self._basis.prior_tare,
             )
         )

@@ -50,6 +50,7 @@ class FreeMotionFit:
         learn: Whether the sizes are learnt; the prior's otherwise.
 
     Attributes:
+        basis: The causes.
         blocks: The motion.
         tare: What was found.
         sizes: Of the groups in `LEARNT` and of the random walk, relative to the prior's.
@@ -63,7 +64,7 @@ class FreeMotionFit:
         *,
         learn: bool = True,
     ) -> None:
-        self.blocks = blocks
+        self.basis, self.blocks = basis, blocks
         columns = np.stack(
             [
                 basis.columns(q, states, age)
@@ -86,12 +87,13 @@ class FreeMotionFit:
         noise_Nm2 = self._fit(basis, std, groups if learn and not is_few else {}, is_few)
         own = slice(0, size)
         self.tare = Tare(
-            basis=basis,
-            mean=self._mean[own].copy(),
-            covariance=self._covariance[own, own].copy(),
-            noise_Nm2=np.diag(noise_Nm2),
-            walk_Nm2_per_s=basis.walk_Nm2_per_s() * self.sizes.get("walk", 1.0) ** 2,
+            self._mean[own].copy(),
+            self._covariance[own, own].copy(),
+            np.diag(noise_Nm2),
+            basis.walk_Nm2_per_s() * self.sizes.get("walk", 1.0) ** 2,
         )
+        for array in self.tare:
+            array.setflags(write=False)
 
     def _fit(self, basis: BiasModel, std: Array, groups: dict[str, slice], is_few: bool) -> Array:
         """Both passes; returns the variance of a single residual about the fit, shape (n,)."""

@@ -9,7 +9,7 @@ its integral, so that it does not fade.
 
 import math
 from dataclasses import dataclass, replace
-from typing import Literal
+from typing import Literal, NamedTuple
 
 import numpy as np
 import pinocchio as pin
@@ -103,6 +103,20 @@ class BiasPrior:
                 raise ConfigurationError(
                     f"{name} must be a tuple of numbers, got {getattr(self, name)!r}"
                 )
+
+
+class Tare(NamedTuple):
+    """A fitted offset: parameters of a `BiasModel`, which robot and settings give."""
+
+    mean: Array  # Offsets first, shape (m,)
+    covariance: Array  # Of the parameters, shape (m, m)
+    noise_Nm2: Array  # Covariance of a single residual about the model, shape (n, n)
+    walk_Nm2_per_s: Array  # Variance that the sensors' random walk adds in a second, shape (n,)
+
+    @property
+    def kind(self) -> TareKind:
+        """With parameters beyond one offset per joint or not."""
+        return "constant" if len(self.mean) == len(self.noise_Nm2) else "model"
 
 
 @compiled
@@ -200,13 +214,26 @@ class BiasModel:
         columns[self._own] = self._own_rows(q, states, age_s).ravel()
         return columns
 
-    def bias_Nm(self, mean: Array, q: Array, states: Array, age_s: float) -> Array:
-        """``H theta`` with parameters of a `mean`, shape (m,), without making H, shape (n,)."""
+    def bias_Nm(self, tare: Tare, q: Array, states: Array, age_s: float) -> Array:
+        """Residual without contact at a position, states and age: H theta, H not made, (n,)."""
         if self.kind == "constant":
-            return mean
-        links = self.regressor(q).dot(mean[self.groups["links"]])
-        own = mean[self._own[1]].reshape(-1, self.joints)
+            return tare.mean
+        links = self.regressor(q).dot(tare.mean[self.groups["links"]])
+        own = tare.mean[self._own[1]].reshape(-1, self.joints)
         return links + (self._own_rows(q, states, age_s) * own).sum(axis=0)
+
+    def covariance_Nm2(self, tare: Tare, q: Array, states: Array, age_s: float) -> Array:
+        """Covariance of the residual's error after the tare: noise, model and drift, (n, n)."""
+        columns = self.columns(q, states, age_s)
+        model = columns.dot(tare.covariance).dot(columns.T)
+        return model + tare.noise_Nm2 + np.diag(max(age_s, 0.0) * tare.walk_Nm2_per_s)
+
+    @property
+    def prior_tare(self) -> Tare:
+        """What is known before any free motion was seen: no offset, the prior's covariance."""
+        noise = np.diag((1e-3 * self.effort_Nm) ** 2)
+        walk_Nm2_per_s = self.walk_Nm2_per_s()
+        return Tare(np.zeros(len(self.std)), np.diag(self.std**2), noise, walk_Nm2_per_s)
 
     def _own_rows(self, q: Array, states: Array, age_s: float) -> Array:
         """What each joint's own parameters are multiplied with, a row each, shape (rows, n)."""
@@ -239,40 +266,3 @@ class TareBlocks:
         """Some of the blocks, shape (m,)."""
         names = ("q_rad", "states", "residual_Nm", "age_s")
         return replace(self, **{name: getattr(self, name)[kept] for name in names})
-
-
-@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
-class Tare:
-    """A fitted offset; its arrays are read-only."""
-
-    basis: BiasModel  # The linear model
-    mean: Array  # Its parameters, shape (m,)
-    covariance: Array  # Of the parameters, shape (m, m)
-    noise_Nm2: Array  # Covariance of a single residual about the model, shape (n, n)
-    walk_Nm2_per_s: Array  # Variance that the sensors' random walk adds in a second, shape (n,)
-
-    def __post_init__(self) -> None:
-        for array in (self.mean, self.covariance, self.noise_Nm2, self.walk_Nm2_per_s):
-            array.setflags(write=False)
-
-    def bias_Nm(self, q: Array, states: Array, age_s: float) -> Array:
-        """Residual without contact at a configuration, states and age of the tare [s], (n,)."""
-        return self.basis.bias_Nm(self.mean, q, states, age_s)
-
-    def covariance_Nm2(self, q: Array, states: Array, age_s: float) -> Array:
-        """Covariance of the residual's error after the tare: noise, model and drift, (n, n)."""
-        columns = self.basis.columns(q, states, age_s)
-        model = columns.dot(self.covariance).dot(columns.T)
-        return model + self.noise_Nm2 + np.diag(max(age_s, 0.0) * self.walk_Nm2_per_s)
-
-
-def prior_tare(basis: BiasModel) -> Tare:
-    """What is known before any free motion was seen: no offset, the prior's covariance."""
-    noise = np.diag((1e-3 * basis.effort_Nm) ** 2)
-    return Tare(
-        basis=basis,
-        mean=np.zeros(len(basis.std)),
-        covariance=np.diag(basis.std**2),
-        noise_Nm2=noise,
-        walk_Nm2_per_s=basis.walk_Nm2_per_s(),
-    )

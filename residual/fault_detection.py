@@ -83,76 +83,6 @@ def fresh_distance(now: Vector, last: Vector, weight: Vector, joints: int) -> fl
     return math.sqrt(np.vdot(off, off))  # `dot` warns of an overflow
 
 
-class OutlierGate:
-    """Largest plausible jump of position (less its velocity times the time), velocity and torque.
-
-    Positions are predicted with a velocity of the age ``delay_s``.
-    """
-
-    def __init__(self, robot: Robot, *, has_velocity: bool, delay_s: float) -> None:
-        n = self._joints = robot.nv
-        self._has_velocity, self._delay_s = has_velocity, delay_s
-        self.effort_Nm = known_limits(robot.effort_limit_Nm, np.inf)
-        """Effort limits [Nm], infinite where the description gives none, shape (n,)."""
-        self._effort = known_limits(robot.effort_limit_Nm, UNKNOWN_EFFORT_NM)
-        self.learn(np.zeros((3 if has_velocity else 2) * n))
-
-    def learn(self, noise: Array) -> None:
-        """Take the noise of all signals: position, velocity if there is one, torque."""
-        n = self._joints
-        # The difference of two samples has sqrt(2) times the noise of one.
-        self._base = SIGMAS * np.sqrt(2.0) * noise
-        self._base[:n] += LEAST_POSITION_RAD
-        self._base[-n:] += np.maximum(TORQUE_RATIO * self._effort, LEAST_TORQUE_NM)
-        sure = self._base.copy()
-        if self._has_velocity:
-            sure[n:-n] += ACCELERATION_RAD_S2 * 1e-4
-        self.narrowest = float(sure.min())
-        """What is surely nearer than this is within all gates; a NaN is not."""
-        self.weight = self.narrowest / sure
-        """What differences are multiplied with before, at most 1, shape of a sample."""
-
-    @property
-    def torque_Nm(self) -> Array:
-        """Torque that may step within no time, shape (n,)."""
-        return self._base[-self._joints :]
-
-    def beyond(
-        self, off: Array, velocity: Array, dt_s: float, swept_rad: Array | None = None
-    ) -> NDArray[np.bool_]:
-        """Which differences of all signals are beyond what an arm can do, shape (signals, n).
-
-        Of positions, what the velocity [rad/s] predicts over ``dt_s`` is subtracted already;
-        ``swept_rad`` is what `sweep` gave, None if positions had not repeated.
-        """
-        n = self._joints
-        gate = self._base.copy()
-        late_s = dt_s + self._delay_s
-        # A tick too: a sample that comes twice is no spike.
-        unsure_s = dt_s + CLOCK_S
-        gate[:n] += np.abs(velocity) * unsure_s + ACCELERATION_RAD_S2 * dt_s * late_s
-        if swept_rad is not None:
-            gate[:n] += swept_rad
-        if self._has_velocity:
-            gate[n:-n] += ACCELERATION_RAD_S2 * dt_s
-        gate[-n:] += TORQUE_RATIO_PER_S * dt_s * self._effort
-        return (np.abs(off) > gate).reshape(-1, n)
-
-    def sweep(self, swept_rad: Array | None, velocity: Array, dt_s: float, held_s: float) -> Array:
-        """Travel that positions may lag by after one more sample in which they repeated [rad].
-
-        A source of positions that is slower than the clock makes up for it in one step. They have
-        repeated for ``held_s``, with ``swept_rad`` after the sample before, None if that was new.
-        """
-        speed = np.abs(velocity)
-        if not self._has_velocity:
-            speed = speed + HELD_ACCELERATION_RAD_S2 * min(held_s, LONGEST_HELD_S)
-        if swept_rad is None:
-            return speed * dt_s
-        # Forgets, so that noise of the velocity does not add up while an arm rests.
-        return swept_rad * max(1.0 - dt_s / LONGEST_HELD_S, 0.0) + speed * dt_s
-
-
 def is_contact(jacobian: Array, jump: Array, scale: Array) -> bool:
     """Whether a plausible force on the tool explains a jump of the torques [Nm], shape (n,).
 
@@ -222,7 +152,10 @@ class FaultDetector:
     ) -> None:
         n = self._joints = robot.nv
         size = (3 if has_velocity else 2) * n
-        self._gates = OutlierGate(robot, has_velocity=has_velocity, delay_s=velocity_delay_s)
+        self._has_velocity, self._delay_s = has_velocity, velocity_delay_s
+        # Infinite, or those of a large arm, where the description gives none.
+        self._limit_Nm = known_limits(robot.effort_limit_Nm, np.inf)
+        self._effort_Nm = known_limits(robot.effort_limit_Nm, UNKNOWN_EFFORT_NM)
         self._tool = tool or ToolKinematics(robot)
         self.restore(
             GuardState(
@@ -234,12 +167,26 @@ class FaultDetector:
             )
         )
 
+    def _set_gates(self, noise: Array) -> None:
+        """Largest plausible jump within no time, of signals with a noise; shape of a sample."""
+        n = self._joints
+        # The difference of two samples has sqrt(2) times the noise of one.
+        self._gates = SIGMAS * np.sqrt(2.0) * noise
+        self._gates[:n] += LEAST_POSITION_RAD
+        self._gates[-n:] += np.maximum(TORQUE_RATIO * self._effort_Nm, LEAST_TORQUE_NM)
+        sure = self._gates.copy()
+        if self._has_velocity:
+            sure[n:-n] += ACCELERATION_RAD_S2 * 1e-4
+        # A weighted difference that is smaller than the narrowest gate is within all.
+        self._narrowest = float(sure.min())
+        self._weight = self._narrowest / sure
+
     def surely_passes(self, now: Array) -> bool:
         """Whether a sample, of any numbers, need not be checked: nearly all that come are such."""
         self._repeats = _NO_REPEATS
-        gates, memory = self._gates, self.memory
-        distance = fresh_distance(now, memory.last, gates.weight, self._joints)
-        return distance < gates.narrowest and not memory.is_loaded
+        memory = self.memory
+        distance = fresh_distance(now, memory.last, self._weight, self._joints)
+        return distance < self._narrowest and not memory.is_loaded
 
     def check(self, now: Array, dt_s: float) -> bool:
         """Judge a sample; what it is compared with changes only with `accept`.
@@ -270,7 +217,7 @@ class FaultDetector:
         position_repeats, motion_repeats, torque_repeats = self._repeats
         if position_repeats:
             memory.held_s += dt_s
-            memory.swept = self._gates.sweep(memory.swept, velocity, dt_s, memory.held_s)
+            memory.swept = self._sweep(velocity, dt_s)
         elif memory.held_s:
             memory.held_s, memory.swept = 0.0, None
         learning = probe is not None
@@ -286,6 +233,19 @@ class FaultDetector:
         if memory.age_s >= CHECK_S - ROUNDING_S:
             self._check_each()
 
+    def _sweep(self, velocity: Array, dt_s: float) -> Array:
+        """Travel that positions may lag by after one more sample in which they repeated [rad].
+
+        A source of positions that is slower than the clock makes up for it in one step.
+        """
+        memory, speed = self.memory, np.abs(velocity)
+        if not self._has_velocity:
+            speed = speed + HELD_ACCELERATION_RAD_S2 * min(memory.held_s, LONGEST_HELD_S)
+        if memory.swept is None:
+            return speed * dt_s
+        # Forgets, so that noise of the velocity does not add up while an arm rests.
+        return memory.swept * max(1.0 - dt_s / LONGEST_HELD_S, 0.0) + speed * dt_s
+
     def _learn(self, rows: Array) -> None:
         """The first half second, shape (m, size), is over: learn noise and resolution."""
         n, memory = self._joints, self.memory
@@ -293,7 +253,7 @@ class FaultDetector:
         signals = np.split(rows, rows.shape[1] // n, axis=1)
         memory.noise = np.concatenate([white_noise(new_rows(signal)) for signal in signals])
         memory.probe = None
-        self._gates.learn(memory.noise)
+        self._set_gates(memory.noise)
         torque = stands_out(rows[:, -n:])
         memory.torque.is_telling = bool(torque.all())
         memory.alone.learn(torque, memory.torque.usual_s)
@@ -306,7 +266,7 @@ class FaultDetector:
         memory = self.memory
         torque = memory.last[-self._joints :]
         stuck = memory.alone.check(torque, memory.age_s)
-        memory.is_loaded = bool((np.abs(torque) >= LOADED_RATIO * self._gates.effort_Nm).any())
+        memory.is_loaded = bool((np.abs(torque) >= LOADED_RATIO * self._limit_Nm).any())
         memory.age_s = 0.0
         memory.warning = ""
         if stuck and not memory.torque.repeats:
@@ -317,7 +277,7 @@ class FaultDetector:
             )
 
     def _check_saturated(self, now: Array) -> None:
-        limit = SATURATED_RATIO * self._gates.effort_Nm
+        limit = SATURATED_RATIO * self._limit_Nm
         clipped = [int(i) for i in np.flatnonzero(np.abs(now[-self._joints :]) >= limit)]
         if clipped:
             raise SuspectSampleError(
@@ -371,23 +331,34 @@ class FaultDetector:
 
     def _beyond(self, now: Array, last: Array, dt_s: float) -> NDArray[np.bool_]:
         """Which signals have jumped further than an arm or a contact can, shape (signals, n)."""
-        n, memory, gates = self._joints, self.memory, self._gates
-        velocity, change = memory.velocity, now - last
+        n, memory, velocity = self._joints, self.memory, self.memory.velocity
+        change = now - last
+        gates = self._gates.copy()
+        # A tick too: a sample that comes twice is no spike.
+        gates[:n] += np.abs(velocity) * (dt_s + CLOCK_S)
+        # Positions are predicted with a velocity that is late.
+        gates[:n] += ACCELERATION_RAD_S2 * dt_s * (dt_s + self._delay_s)
+        if memory.swept is not None:
+            gates[:n] += memory.swept
+        if self._has_velocity:
+            gates[n:-n] += ACCELERATION_RAD_S2 * dt_s
+        gates[-n:] += TORQUE_RATIO_PER_S * dt_s * self._effort_Nm
         off = change.copy()
         off[:n] -= velocity * dt_s
-        beyond = gates.beyond(off, velocity, dt_s, memory.swept)
+        beyond = np.abs(off) > gates
         if beyond.any() and memory.step_s > 0.0:
             # A fast arm goes on as it did: no single sample that is far off does.
             course = (memory.last - memory.before) * (dt_s / memory.step_s)
-            beyond &= gates.beyond(change - course, velocity, dt_s, memory.swept)
+            beyond &= np.abs(change - course) > gates
+        beyond = beyond.reshape(-1, n)
         if beyond[-1].any() and not beyond[:-1].any():
             self._tool.update(now[:n])
-            if is_contact(self._tool.jacobian[:3], change[-n:], gates.torque_Nm):
+            if is_contact(self._tool.jacobian[:3], change[-n:], self._gates[-n:]):
                 beyond[-1] = False
         return beyond
 
     def restore(self, memory: GuardState) -> None:
         """Go on from a `memory`, which is kept, of a detector of the same robot and signals."""
         self.memory = memory
-        self._gates.learn(np.zeros_like(memory.last) if memory.noise is None else memory.noise)
+        self._set_gates(np.zeros_like(memory.last) if memory.noise is None else memory.noise)
         self._repeats = _NO_REPEATS

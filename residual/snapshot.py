@@ -18,7 +18,11 @@ Array = NDArray[np.float64]
 Tree = TypeVar("Tree")
 GROWING = "recorder.sums"
 """End of the place of the array whose first dimension counts what was gathered so far."""
-LIKE = {"guard.rejected": "guard.last", "guard.noise": "guard.last", "guard.swept": "offset.q"}
+LIKE = {
+    "stream.guard.noise": "stream.guard.last",
+    "stream.guard.rejected": "stream.guard.last",
+    "stream.guard.swept": "stream.guard.velocity",
+}
 """Places of arrays that a new sensor has not got yet, and others of the same shape."""
 _SPEEDS_RAD_S = np.array([0.0, 1e-4, 1e-3, 3e-3, 1e-2, 3e-2, 0.1, 0.3, 1.0, 3.0])
 
@@ -73,10 +77,7 @@ def check_form(state: object, model: object) -> None:
     expected = {place: array.shape for place, array in _arrays(model)}
     for place, array in _arrays(state):
         first = 1 if place.endswith(GROWING) else 0
-        stream, _, end = place.partition(".")
-        like = LIKE.get(end, end)
-        known = place if end not in LIKE else like if like in expected else f"{stream}.{like}"
-        wanted = expected.get(known, array.shape)
+        wanted = expected.get(LIKE.get(place, place), array.shape)
         if array.ndim != len(wanted) or array.shape[first:] != wanted[first:]:
             raise SnapshotError(f"{place} has shape {array.shape}, expected {wanted}")
 
@@ -157,8 +158,6 @@ def try_out(twin: Any, state: Any) -> None:
     The twin is a new `VirtualForceSensor` of the same robot and settings, that nobody uses.
     """
     try:
-        if state.joints is not None and state.external_torque is not None:
-            raise SnapshotError("it is of two streams")
         still = np.zeros(len(state.weighed_at))
         _run(twin, state, still, still, still)
         check_form(state, twin.snapshot())
@@ -170,10 +169,10 @@ def try_out(twin: Any, state: Any) -> None:
 
 def _run(twin: Any, state: Any, q: Array, dq: Array, torque: Array) -> None:
     """A few samples of the kind that the state is of."""
-    stream = state.joints or state.external_torque
+    stream = state.stream
     if stream is None:
         return
-    update = twin.update if state.joints is not None else twin.update_external_torque
+    update = twin.update_external_torque if state.is_external else twin.update
     for _ in range(TRIED):
         found = update(q, dq if stream.velocity is None else None, torque, TRIED_S)
         if not np.isfinite(found[:4]).all() or not math.isfinite(found.model_mismatch):

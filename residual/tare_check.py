@@ -7,7 +7,7 @@ from numpy.typing import NDArray
 from scipy.optimize import linear_sum_assignment
 
 from residual.bias_fit import FreeMotionFit
-from residual.bias_model import BiasModel, TareBlocks, prior_tare
+from residual.bias_model import BiasModel, TareBlocks
 from residual.errors import TareError
 
 if TYPE_CHECKING:
@@ -53,7 +53,7 @@ def check_free_of_contact(
         TareError: If there is contact, with the force seen, or wrong torques, with the likely
             reason.
     """
-    basis, blocks = fit.tare.basis, fit.blocks
+    basis, blocks = fit.basis, fit.blocks
     force, std = _beyond_prior(basis, blocks, wrench)
     if force == 0.0:
         at_prior = FreeMotionFit(basis, blocks, learn=False)
@@ -79,11 +79,11 @@ def _beyond_prior(
     basis: BiasModel, blocks: TareBlocks, wrench: "WrenchEstimator"
 ) -> tuple[float, float]:
     """Axial force that no error of the prior's size makes, and its std; zeros if there is none."""
-    prior, worst, excess = prior_tare(basis), (0.0, 0.0), SIGMAS
+    prior, worst, excess = basis.prior_tare, (0.0, 0.0), SIGMAS
     for part in np.array_split(np.arange(len(blocks.age_s)), min(INTERVALS, len(blocks.age_s))):
         k = part[len(part) // 2]
         q, age_s = blocks.q_rad[k], abs(float(blocks.age_s[k]))
-        wrench.set_torque_covariance(prior.covariance_Nm2(q, blocks.states[k], age_s))
+        wrench.set_torque_covariance(basis.covariance_Nm2(prior, q, blocks.states[k], age_s))
         seen = wrench.estimate(q, blocks.residual_Nm[part].mean(axis=0))
         if abs(seen.axial) > excess * seen.axial_std:
             worst, excess = (seen.axial, seen.axial_std), abs(seen.axial) / seen.axial_std

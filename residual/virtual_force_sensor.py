@@ -38,10 +38,8 @@ class SensorState(NamedTuple):
 
     robot: str  # `robot_digest` of its robot
     config: str  # Its settings in words; they must be the same to go on
-    # Of the stream of joint signals; None before the first sample of one
-    joints: StreamState | None
-    # Of the stream of external torques; None before the first sample of one
-    external_torque: StreamState | None
+    stream: StreamState | None  # Of the stream of samples; None before the first
+    is_external: bool  # Whether it is one of the robot's own external torques
     lag_s: float  # Of the stream that the last sample came by [s]
     offset: BiasState  # Of the offset removal
     # Of the residual's error, as last renewed [Nm^2], shape (n, n)
@@ -220,13 +218,11 @@ class VirtualForceSensor:
         """All that the sensor remembers; immutable. `needleforce.write_snapshot` stores it."""
         self._offset.sum_torques()
         stream = self._stream
-        kept = None if stream is None else stream.memory
-        is_external = stream is not None and stream.is_external
         state = SensorState(
             robot=self._digest,
             config=settings_text(self._config, self._robot.nv),
-            joints=None if is_external else kept,
-            external_torque=kept if is_external else None,
+            stream=None if stream is None else stream.memory,
+            is_external=stream is not None and stream.is_external,
             lag_s=self.lag_s,
             offset=self._offset.memory,
             torque_covariance=self._wrench.torque_covariance,
@@ -265,15 +261,10 @@ class VirtualForceSensor:
 
     def _take(self, state: SensorState) -> None:
         self.reset()
-        kept = state.joints or state.external_torque
-        if kept is not None:
-            self._stream = SampleStream(
-                self._robot,
-                self._config,
-                is_external=state.joints is None,
-                has_velocity=kept.velocity is None,
-            )
-            self._stream.restore(kept)
+        if state.stream is not None:
+            has_velocity = state.stream.velocity is None
+            self._stream = self._new_stream(state.is_external, has_velocity)
+            self._stream.restore(state.stream)
         self._offset.restore(state.offset)
         self._wrench.set_torque_covariance(state.torque_covariance)
         self._wrench.weigh(state.weighed_at)
@@ -287,6 +278,11 @@ class VirtualForceSensor:
                 if isinstance(value, np.ndarray):  # it may be handed out again
                     value.setflags(write=False)
             self.kinematics.update(self._offset.memory.q)
+
+    def _new_stream(self, is_external: bool, has_velocity: bool) -> SampleStream:
+        return SampleStream(
+            self._robot, self._config, is_external=is_external, has_velocity=has_velocity
+        )
 
     def _absorb(
         self,
@@ -302,10 +298,7 @@ class VirtualForceSensor:
             if stream is None or stream.is_external != is_external:
                 if stream is not None and not self._offset.is_fresh:
                     raise SampleError(OTHER_KIND)
-                has_velocity = dq is not None
-                stream = SampleStream(
-                    self._robot, self._config, is_external=is_external, has_velocity=has_velocity
-                )
+                stream = self._new_stream(is_external, dq is not None)
             elapsed_s = 0.0 if self._last is None else self._clock.elapsed(dt_s)
             sample = stream.update(q, dq, torque, elapsed_s)
         except SampleError as error:

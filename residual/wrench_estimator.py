@@ -24,8 +24,8 @@ _NOTHING.setflags(write=False)
 # What is compiled uses constants of its own file only.
 _UNSEEN, _CONDITIONING = UNSEEN_STD**2, MOST_CONDITIONING
 MOST_TURN_RAD = 1e-3
-"""A gain holds until a joint has moved so far: the force is then off by a thousandth of itself. A
-needle at 10 mm/s takes longer than a renewal to turn the arm by as much."""
+"""A gain holds until the joints together have moved so far: the force is then off by a thousandth
+of itself."""
 
 
 class WrenchGain(NamedTuple):
@@ -136,7 +136,8 @@ def wrench_step(
         deviation of one of its components [N]; NaN, and nothing else has happened, where the arm
         has turned too far for the gain.
     """
-    if not np.abs(q - rows[0]).max() <= MOST_TURN_RAD:
+    turned = q - rows[0]
+    if not turned.dot(turned) <= MOST_TURN_RAD**2:
         return math.nan, math.nan, math.nan, math.nan
     size = len(rows) - 1
     corrected = residual - offset
@@ -249,7 +250,7 @@ class WrenchEstimator:
             raise ConfigurationError("covariance_Nm2 must be finite and symmetric")
         covariance = np.array(covariance_Nm2, order="C")
         least, inverse = inverse_of(covariance)
-        if least <= 0.0:
+        if not least > 0.0:
             raise ConfigurationError("covariance_Nm2 is not positive definite")
         self._covariance, self._inverse = covariance, inverse
 

@@ -107,9 +107,9 @@ def test_noise_of_another_arm_is_refused(lwr, noise):
     for one in zip(q, dq, tau, strict=True):
         sensor.update(*one, 1e-3)
     state = sensor.snapshot()
-    damaged = replace(state.joints.observer, noise=noise)
+    damaged = replace(state.stream.observer, noise=noise)
     with pytest.raises(SnapshotError, match="noise"):
-        sensor.restore(state._replace(joints=replace(state.joints, observer=damaged)))
+        sensor.restore(state._replace(stream=replace(state.stream, observer=damaged)))
 
 
 @pytest.mark.parametrize("has_velocity", [True, False])

@@ -7,13 +7,7 @@ import pytest
 from guarded_sensor import feed, signals, tared
 from residual_signals import BIAS, external_torque_of, swing, tared_sensor
 
-from residual import (
-    DEFAULT,
-    SensorWarning,
-    Status,
-    TareError,
-    VirtualForceSensor,
-)
+from residual import DEFAULT, SensorWarning, Status, TareError, VirtualForceSensor
 
 
 def test_a_second_tare_needs_new_motion(lwr):

@@ -189,9 +189,9 @@ class ForceResult:
         window = self.replay.tare
         if window is None or window.tare is None:
             return "none: forces carry the errors of the model and of the torque sensors"
-        basis = window.tare.basis
-        offset_Nm = float(np.abs(window.tare.mean[basis.groups["offset"]]).max())
-        return f"{window} of the log, kind {basis.kind!r}, offsets up to {offset_Nm:.2g} Nm"
+        tare = window.tare
+        offset_Nm = float(np.abs(tare.mean[: len(tare.noise_Nm2)]).max())
+        return f"{window} of the log, kind {tare.kind!r}, offsets up to {offset_Nm:.2g} Nm"
 
     def _force(self) -> str:
         status = Status.OK if self.counts[Status.OK] else Status.NOT_TARED

@@ -80,9 +80,7 @@ class Controller:
 
         Call it when the arm has not followed: its commands were refused, or it has stopped itself.
         """
-        self.last_rad_s = np.zeros(self._joints)
-        if dq_rad_s is not None:
-            self.last_rad_s[:] = dq_rad_s
+        self.last_rad_s = np.zeros(self._joints) + (0.0 if dq_rad_s is None else dq_rad_s)
 
     def update(self, sample: ArmSample, stack: Sequence[Task]) -> Command:
         """The command for the coming cycle. It never raises and always answers.

@@ -30,14 +30,13 @@ class LoggedEvent(msgspec.Struct, frozen=True, rename={"origin": "from", "target
     data: dict[str, Any]  # what came with it, and the facts it met
 
 
-def _encoded(event: LoggedEvent) -> bytes:
-    return msgspec.json.encode(event, enc_hook=str)
+_ENCODER = msgspec.json.Encoder(enc_hook=str)
 
 
 def append_event(event: LoggedEvent, path: str | Path) -> None:
     """Write one more line at once, so that a crash loses none."""
     with Path(path).open("ab") as file:
-        file.write(_encoded(event) + b"\n")
+        file.write(_ENCODER.encode(event) + b"\n")
 
 
 def write_mcap(events: Iterable[LoggedEvent], path: str | Path) -> None:
@@ -55,7 +54,7 @@ def write_mcap(events: Iterable[LoggedEvent], path: str | Path) -> None:
     channel_id = writer.register_channel(MCAP_TOPIC, "json", schema_id)
     for event in events:
         time_ns = round(1e9 * event.t_s)
-        writer.add_message(channel_id, time_ns, _encoded(event), time_ns, event.seq)
+        writer.add_message(channel_id, time_ns, _ENCODER.encode(event), time_ns, event.seq)
     writer.finish()
 
 

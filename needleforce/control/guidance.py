@@ -1,10 +1,15 @@
 """Manual guidance: the arm yields to a hand anywhere on it, felt through the joint residual.
 
-    T dv/dt + v = dz(r) / D,     dz(r) = r - clip(r, -h, h),     h = f r_max + s sigma
+    T dv/dt + v = dz(r) / (c D),     dz(r) = r - clip(r, -h, h),     h = f r_max + s sigma
 
 with r the residual, D a damping per joint, h a dead zone: a fraction f of the torque limit and s
 standard deviations. Without a hand r stays within h and v is exactly zero, so nothing creeps.
 Viscous, without stiffness: the arm stays where it is let go.
+
+A stiff hand makes a loop with the arm that swings unless D is high, and a hand that leads wants it
+low. So the damping is light where the motion is steady, and full where it swings:
+
+    c = 1 - (1 - c_0) (m^T D m / p)^16,      m = mean of v,  p = mean of v^T D v,  over 0.12 s
 """
 
 import math
@@ -18,10 +23,14 @@ from needleforce.control.tasks import JointVelocity
 from urdf import Robot
 
 LWR_DAMPING_Nms = (9.0, 9.0, 4.5, 4.5, 1.8, 1.35, 0.45)
-"""Per rad, for the seven joints of an LWR: on the simulated one a hub at 100 mm/s takes 8 N. A hand
+"""Per rad, for the seven joints of an LWR: of motion that swings. A hand
 of stiffness k with an arm that moves by A per force is stable while k A stays below what the lags
 of observer, low-pass and servo allow together, some 40 / s: with half of this damping it runs
 away from a hand of 2000 N/m."""
+LIGHT, STEADY_s, SHARP = 0.4, 0.12, 16.0
+"""c_0, the time of the means and their power: the lower or the smaller, the lighter a leading hand,
+and the more a stiff one swings as it leads: with 0.1 and 6 a hub at 100 mm/s takes 3 N instead of
+5, but pulls at a hand of 2000 N/m with 50 N."""
 HOLD_s = 0.02
 """The last residual stands in for rejected ones for so long, and fades after that: a hand that lets
 go looks like a spike, and an arm that stopped at once for it would make the next one."""
@@ -68,7 +77,8 @@ class Guidance:
 
     def reset(self) -> None:
         """Rest: call it when guidance begins."""
-        self._velocity = self._beyond_Nm = np.zeros_like(self._damping)
+        self._velocity = self._beyond_Nm = self._mean = np.zeros_like(self._damping)
+        self._power_W = 0.0
         self._sigma_Nm, self._rejected_s = np.full(self._damping.shape, np.inf), 0.0
 
     def update(
@@ -95,8 +105,17 @@ class Guidance:
         else:
             self._rejected_s += dt_s
             self._beyond_Nm = self._beyond_Nm * (kept if self._rejected_s > HOLD_s else 1.0)
-        wish = self._beyond_Nm / self._damping
+        wish = self._beyond_Nm / (self._damping * self._heaviness(dt_s))
         self._velocity = wish + kept * (self._velocity - wish)
         if not self._beyond_Nm.any() and np.abs(self._velocity).max() < REST_rad_s:
             self._velocity = np.zeros_like(self._velocity)
         return JointVelocity(self._velocity)
+
+    def _heaviness(self, dt_s: float) -> float:
+        """C of the coming cycle."""
+        old = math.exp(-dt_s / STEADY_s)
+        self._mean = old * self._mean + (1.0 - old) * self._velocity
+        power_W = float(self._velocity**2 @ self._damping)
+        self._power_W = old * self._power_W + (1.0 - old) * power_W
+        steady_W = float(self._mean**2 @ self._damping)
+        return 1.0 - (1.0 - LIGHT) * (steady_W / max(self._power_W, 1e-9)) ** SHARP
