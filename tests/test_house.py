@@ -38,6 +38,7 @@ AROUND = (
         for place in ("needleforce/", "benchmarks/", "tests/test_")
     ),
     "groundtruth/rig_",
+    "groundtruth/torso",
     "needleforce/cli/demo",
     "needleforce/cli/live",
     "tests/vendor_emulators",

@@ -14,7 +14,7 @@ Reading order: `volume`, `surface`, `path_layers`, `errors`.
 from needleforce.anatomy.errors import AnatomyError, RefusedError, VolumeError
 from needleforce.anatomy.path_layers import Layer
 from needleforce.anatomy.surface import Surface
-from needleforce.anatomy.volume import Grid, Labels, Structure, Volume
+from needleforce.anatomy.volume import Grid, Labels, Structure, Volume, read_labels, read_volume
 
 __all__ = [
     "AnatomyError",
@@ -26,4 +26,6 @@ __all__ = [
     "Surface",
     "Volume",
     "VolumeError",
+    "read_labels",
+    "read_volume",
 ]

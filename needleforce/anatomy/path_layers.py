@@ -1,6 +1,30 @@
-"""The layers that a straight needle crosses."""
+"""What a straight needle crosses: layers in order, from the label volume itself.
+
+Around each point of the path every voxel votes for its label, weighted by a smooth kernel; the
+label with most votes holds the point. Where the winner changes is a boundary, refined between two
+points. The layers therefore follow each other without gaps or overlaps, which rays through the
+surfaces of neighbouring structures do not grant.
+"""
 
 from dataclasses import dataclass
+from itertools import pairwise
+from typing import TYPE_CHECKING
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from needleforce.anatomy.errors import VolumeError
+
+if TYPE_CHECKING:
+    from needleforce.anatomy.volume import Labels, Structure
+
+UNLABELLED = "unlabelled"
+"""Name of what no structure covers."""
+WIDTH_VOXELS, REACH_VOXELS, STEP_VOXELS = 1.2, 3, 0.5
+"""Of the kernel: standard deviation and reach; and the distance of points on the path."""
+VOTE_STD = 0.1
+"""Standard deviation of the difference of two votes, from the voxels' size alone: of the analytic
+torso's seeds below 1000, at 1 and 3 mm."""
 
 
 @dataclass(frozen=True)
@@ -15,5 +39,103 @@ class Layer:
     is_obstacle: bool  # bone or cartilage
 
 
-UNLABELLED = "unlabelled"
-"""Name of what no structure covers."""
+def layers_on_path(
+    labels: "Labels", entry_m: ArrayLike, target_m: ArrayLike, boundary_std_m: float = 0.0
+) -> list[Layer]:
+    """Return what the straight path between two points crosses, in order, without gaps or overlaps.
+
+    Where structures overlap the smaller one counts. Layers thinner than about 1.5 voxels may be
+    missed.
+
+    Args:
+        labels: The segmentation.
+        entry_m: First point, (3,) in LPS.
+        target_m: Last point, inside the volume.
+        boundary_std_m: Standard deviation of the segmentation's boundaries along their normals. The
+            stated deviations hold what the voxels' size brings, and this.
+
+    Raises:
+        VolumeError: A point is not finite, both are the same, or the target lies outside.
+    """
+    entry, target = np.asarray(entry_m, float), np.asarray(target_m, float)
+    if entry.shape != (3,) or target.shape != (3,) or not np.all(np.isfinite([entry, target])):
+        raise VolumeError(
+            f"entry {entry_m} and target {target_m}: expected two points of 3 numbers"
+        )
+    first, last = labels.grid.indices(np.array([entry, target]))
+    if np.any(last < -0.5) or np.any(last > np.array(labels.grid.shape) - 0.5):
+        raise VolumeError(f"the target {target.tolist()} m lies outside the volume")
+    length_m, steps = float(np.linalg.norm(target - entry)), np.linalg.norm(last - first)
+    if steps == 0.0:
+        raise VolumeError(f"entry and target are the same point {entry.tolist()}")
+    ranks, ordered = _ranks(labels)
+    at = np.linspace(0.0, 1.0, int(np.ceil(steps / STEP_VOXELS)) + 1)
+    votes = _votes(labels, ranks, first + at[:, None] * (last - first))
+    winners = votes.argmax(axis=1)
+    (i,) = np.nonzero(np.diff(winners))
+    left, right = winners[i], winners[i + 1]
+    lead_m = np.diff(at)[i] * length_m  # the winner leads before a boundary and trails behind it
+    lead, trail = votes[i, left] - votes[i, right], votes[i + 1, right] - votes[i + 1, left]
+    fall = np.maximum(lead + trail, 1e-9)
+    cuts_m = at[i] * length_m + lead_m * lead / fall
+    # Across a flat boundary the lead falls by 2 k(0) a voxel, k the kernel in one dimension.
+    steepest_1_m = 3.0 / (np.sqrt(2.0 * np.pi) * WIDTH_VOXELS) / np.cbrt(labels.grid.voxel_m3)
+    std_m = np.hypot(VOTE_STD, boundary_std_m * steepest_1_m) * lead_m / fall
+    depths = [0.0, *cuts_m.tolist(), length_m]
+    deviations = [0.0, *np.minimum(std_m, length_m).tolist(), 0.0]
+    stretches = zip(winners[[0, *(i + 1)]], pairwise(depths), pairwise(deviations), strict=True)
+    return [
+        Layer(
+            ordered[rank - 1].name if rank else UNLABELLED,
+            *depth,
+            *deviation,
+            is_obstacle=bool(rank) and ordered[rank - 1].is_obstacle,
+        )
+        for rank, depth, deviation in stretches
+    ]
+
+
+def _ranks(labels: "Labels") -> tuple[list[NDArray[np.intp]], list["Structure"]]:
+    """Tables from label to rank, one per volume, and the structures of ranks 1, 2, ...: by size.
+
+    Where volumes overlap, the highest rank, which is the smallest structure, holds the voxel.
+    """
+    ordered = sorted(labels.structures, key=lambda item: -item.voxels)
+    tables = [np.zeros(np.iinfo(volume.dtype).max + 1, np.intp) for volume in labels.volumes]
+    for rank, item in enumerate(ordered, 1):
+        tables[item.volume][item.value] = rank
+    return tables, ordered
+
+
+def _votes(
+    labels: "Labels", ranks: list[NDArray[np.intp]], indices: NDArray[np.float64]
+) -> NDArray[np.float64]:
+    """Votes for each rank, 0 for no structure, at points (n, 3): (n, ranks), each row sums to 1.
+
+    The kernel, a Gaussian times 5/2 - r^2 / 2, has no second moment: it keeps boundaries that curve
+    in place where a Gaussian would pull them inwards (Wand and Schucany 1990).
+    """
+    count = len(indices)
+    offsets = np.arange(-REACH_VOXELS, REACH_VOXELS + 1)
+    nearest = np.rint(indices).astype(int)
+    voxels = nearest[:, :, None] + offsets  # (n, 3, 7)
+    squares = ((voxels - indices[:, :, None]) / WIDTH_VOXELS) ** 2
+    bells = np.exp(-0.5 * squares)
+
+    outer = "ni,nj,nk->nijk"
+    weights = np.einsum(outer, *np.moveaxis(bells, 1, 0))
+    x, y, z = np.moveaxis(squares, 1, 0)
+    weights *= 2.5 - 0.5 * (x[:, :, None, None] + y[:, None, :, None] + z[:, None, None, :])
+    weights /= weights.sum(axis=(1, 2, 3), keepdims=True)
+    limits = np.array(labels.grid.shape)[:, None]
+    places = np.clip(voxels, 0, limits - 1)
+    i, j, k = places[:, 0, :, None, None], places[:, 1, None, :, None], places[:, 2, None, None, :]
+    found = np.zeros(weights.shape, np.intp)
+    for volume, table in zip(labels.volumes, ranks, strict=True):
+        np.maximum(found, table[volume[i, j, k]], out=found)
+    if np.any(places != voxels):  # outside the volume is no structure
+        found *= np.einsum(outer, *np.moveaxis(places == voxels, 1, 0).astype(np.intp))
+    size = 1 + len(labels.structures)
+    found += size * np.arange(count)[:, None, None, None]
+    votes = np.bincount(found.ravel(), weights.ravel(), count * size)
+    return votes.reshape(count, size).astype(float, copy=False)
