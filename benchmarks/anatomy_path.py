@@ -1,7 +1,7 @@
 """Layers along 1,000 straight paths through analytic torsos, against the exact crossings."""
 
 from collections.abc import Iterator, Sequence
-from itertools import pairwise
+from itertools import groupby, pairwise
 from pathlib import Path
 from time import perf_counter
 from typing import NamedTuple
@@ -120,14 +120,18 @@ def measure_path(torso: Torso, labels: Labels, entry_m: NDArray, target_m: NDArr
 
 
 def in_order(truth: Sequence[Stretch], layers: Sequence[Layer], thick_m: float) -> bool:
-    """Whether thick true layers all appear in order, and thick layers found are all true."""
+    """Whether thick true layers all appear in order, and thick layers found are all true.
+
+    Where a thin layer may be missed, what lies on both of its sides counts once.
+    """
 
     def appear(few: list[str], many: list[str]) -> bool:
         rest = iter(many)
         return all(name in rest for name in few)
 
     def names(items: Sequence[Stretch] | Sequence[Layer], least_m: float) -> list[str]:
-        return [item.name for item in items if item.exit_m - item.entry_m > least_m]
+        thick = (item.name for item in items if item.exit_m - item.entry_m > least_m)
+        return [name for name, _ in groupby(thick)]
 
     return appear(names(truth, thick_m), names(layers, 0.0)) and appear(
         names(layers, thick_m), names(truth, 0.0)

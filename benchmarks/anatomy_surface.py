@@ -113,7 +113,7 @@ def _centroids(rng: np.random.Generator) -> Iterator[Figure]:
 def oblique_image(
     signs: NDArray[np.float64], rng: np.random.Generator
 ) -> tuple[Any, NDArray[np.float64]]:
-    """Make a SimpleITK image of an L in an oblique, anisotropic grid, and its centroid, LPS in m."""
+    """Make a SimpleITK image of an L in an oblique, anisotropic grid; and its centroid (m)."""
     import SimpleITK
 
     values = np.zeros((14, 12, 10), np.uint8)  # k, j, i

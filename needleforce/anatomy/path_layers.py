@@ -22,7 +22,7 @@ UNLABELLED = "unlabelled"
 """Name of what no structure covers."""
 WIDTH_VOXELS, REACH_VOXELS, STEP_VOXELS = 1.2, 3, 0.5
 """Of the kernel: standard deviation and reach; and the distance of points on the path."""
-VOTE_STD = 0.11
+VOTE_STD = 0.105
 """Standard deviation of the difference of two votes, from the voxels' size alone: of the analytic
 torso's seeds below 1000, at 1 and 3 mm."""
 

@@ -19,6 +19,9 @@ SMOOTHING = 0.5, -0.53, 40
 TOLERANCE_VOXELS = 0.1
 """Simplification moves the surface at most so far: a triangle stays where fewer would show."""
 
+VOLUME_ROUNDS = 50
+"""At most; an organ needs two or three, a single voxel more."""
+
 
 @dataclass(frozen=True, eq=False)
 class Surface:
@@ -61,7 +64,10 @@ def surface_of(labels: "Labels", name: str) -> Surface:
     del padded
     if enclosed(vertices, triangles) < 0.0:
         triangles = triangles[:, ::-1]
-    vertices, triangles = _simplified(_smoothed(vertices, triangles), triangles)
+    smooth = _smoothed(vertices, triangles)
+    if enclosed(smooth, triangles) > 0.5 * enclosed(vertices, triangles):
+        vertices, triangles = _simplified(smooth, triangles)
+    # Else smoothing has folded a structure of a few voxels: its cubes' surface stays as it is.
     vertices = _with_volume(vertices, triangles, float(structure.voxels))
     start = np.array([part.start for part in structure.box]) - 1.0
     points_m = labels.grid.points_m(vertices + start)
@@ -100,8 +106,6 @@ def _simplified(
 
     mesh = manifold3d.Mesh(vertices, np.ascontiguousarray(triangles, np.uint32))
     found = manifold3d.Manifold(mesh).simplify(TOLERANCE_VOXELS).to_mesh()
-    if len(found.tri_verts) == 0:  # a structure of a few voxels would vanish
-        return vertices.astype(float), triangles
     return np.array(found.vert_properties[:, :3], float), np.array(found.tri_verts, np.int64)
 
 
@@ -109,7 +113,7 @@ def _with_volume(
     vertices: NDArray[np.float64], triangles: NDArray[np.integer], volume: float
 ) -> NDArray[np.float64]:
     """Move vertices along the normals until the surface holds a volume."""
-    for _ in range(3):
+    for _ in range(VOLUME_ROUNDS):
         a, b, c = (vertices[triangles[:, corner]] for corner in range(3))
         areas = np.cross(b - a, c - a) / 6.0  # a third of each triangle's to each of its corners
         normals = np.zeros_like(vertices)
@@ -118,6 +122,9 @@ def _with_volume(
                 found = np.bincount(triangles[:, corner], areas[:, axis], len(vertices))
                 normals[:, axis] += found
         lengths = np.linalg.norm(normals, axis=1, keepdims=True)
-        step = (volume - enclosed(vertices, triangles)) / lengths.sum()
+        missing = volume - enclosed(vertices, triangles)
+        if abs(missing) < 1e-7 * volume:
+            break
+        step = missing / lengths.sum()
         vertices = vertices + step * normals / np.maximum(lengths, 1e-12)
     return vertices

@@ -1,0 +1,101 @@
+"""Layers along a path: against the exact crossings, and against rays through the surfaces."""
+
+from itertools import pairwise
+
+import numpy as np
+import pytest
+
+from benchmarks.anatomy_path import measure_path, random_path, scan_of
+from groundtruth.torso import analytic_torso
+from needleforce.anatomy import Grid, Labels, Structure, VolumeError
+
+SPACING_MM = (3.0, 3.0, 3.0)
+
+
+@pytest.fixture(scope="module")
+def scanned():
+    rng = np.random.default_rng(1001)
+    torso = analytic_torso(rng)
+    return torso, scan_of(torso, SPACING_MM, rng), rng
+
+
+def test_paths_through_a_torso_are_right_and_have_no_gaps(scanned):
+    torso, labels, rng = scanned
+    found = [measure_path(torso, labels, *random_path(torso, rng)) for _ in range(150)]
+    errors = np.array([error for one in found for error in one.errors_voxels])
+    scores = np.abs([score for one in found for score in one.scores])
+    assert np.sqrt(np.mean(errors**2)) < 0.18
+    assert np.mean([one.is_right for one in found]) > 0.97
+    assert not any(one.has_gaps for one in found)
+    assert 0.9 < np.mean(scores < 1.96) <= 1.0
+
+
+def test_rays_through_the_surface_cross_where_the_layers_do(scanned):
+    trimesh = pytest.importorskip("trimesh")
+    pytest.importorskip("embreex")
+    torso, labels, rng = scanned
+    surface = labels.surfaces(["lesion"])["lesion"]
+    mesh = trimesh.Trimesh(surface.vertices_m, surface.triangles, process=False)
+    differences = []
+    for _ in range(30):
+        entry, _ = random_path(torso, rng)
+        target = labels.centroid_m("lesion")
+        layers = labels.layers_along(entry, target)
+        assert layers[-1].name == "lesion"
+        along = (target - entry) / np.linalg.norm(target - entry)
+        hits, _, _ = mesh.ray.intersects_location(entry[None], along[None])
+        depths = (hits - entry) @ along
+        differences.append(layers[-1].entry_m - depths.min())
+    assert np.sqrt(np.mean(np.square(differences))) < 0.2 * 1e-3 * SPACING_MM[0]
+
+
+def slabs(names, spacing_m=1e-3):
+    """Structures of ten voxels each, one behind the other along x."""
+    values = np.repeat(np.arange(1, len(names) + 1, dtype=np.uint8), 10)
+    values = np.broadcast_to(values[:, None, None], (len(values), 20, 20)).copy()
+    grid = Grid(values.shape, np.zeros(3), spacing_m * np.eye(3))
+    return Labels.of([values], grid, [Structure.named(n, i) for i, n in enumerate(names, 1)])
+
+
+def test_flat_layers_are_exact_and_bone_is_an_obstacle():
+    labels = slabs(["fat", "rib_left_9", "muscle"])
+    layers = labels.layers_along([-0.0105, 0.01, 0.01], [0.0255, 0.01, 0.01])
+    names = ["unlabelled", "fat", "rib_left_9", "muscle"]
+    assert [layer.name for layer in layers] == names
+    assert [layer.is_obstacle for layer in layers] == [False, False, True, False]
+    ends = [layer.exit_m for layer in layers]
+    np.testing.assert_allclose(ends, [0.010, 0.020, 0.030, 0.036], atol=2e-5)
+    assert all(before.exit_m == after.entry_m for before, after in pairwise(layers))
+    assert all(before.exit_std_m == after.entry_std_m for before, after in pairwise(layers))
+    assert layers[0].entry_std_m == layers[-1].exit_std_m == 0.0
+
+
+def test_a_slanting_path_and_uncertain_boundaries_state_more():
+    labels = slabs(["fat", "muscle"])
+    straight = labels.layers_along([0.002, 0.01, 0.01], [0.017, 0.01, 0.01])[1].entry_std_m
+    slanting = labels.layers_along([0.005, 0.002, 0.01], [0.014, 0.017, 0.01])[1].entry_std_m
+    cosine = 9.0 / np.hypot(9.0, 15.0)
+    assert slanting == pytest.approx(straight / cosine, rel=0.1)
+    wide = labels.layers_along([0.002, 0.01, 0.01], [0.017, 0.01, 0.01], 0.5e-3)[1].entry_std_m
+    assert wide == pytest.approx(np.hypot(straight, 0.5e-3), rel=0.02)
+
+
+def test_a_path_from_outside_the_volume_stays_in_order():
+    layers = slabs(["fat", "muscle"]).layers_along([-0.05, -0.02, -0.02], [0.019, 0.01, 0.01])
+    depths = [layer.entry_m for layer in layers]
+    assert depths == sorted(depths)
+    assert layers[-1].name == "muscle"
+
+
+@pytest.mark.parametrize(
+    ("entry", "target", "why"),
+    [
+        ([0, 0, 0], [10, 10, 10], "outside the volume"),
+        ([0, 0, np.nan], [0.01, 0.01, 0.01], "two points of 3 numbers"),
+        ([0, 0], [0.01, 0.01, 0.01], "two points of 3 numbers"),
+        ([0.01, 0.01, 0.01], [0.01, 0.01, 0.01], "same point"),
+    ],
+)
+def test_paths_that_cannot_be_are_refused(entry, target, why):
+    with pytest.raises(VolumeError, match=why):
+        slabs(["fat", "muscle"]).layers_along(entry, target)

@@ -1,0 +1,193 @@
+"""Scans and segmentations from files: places, names, refusals."""
+
+import os
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from benchmarks.anatomy_surface import FORMATS, oblique_image, write_labels, write_series
+from groundtruth.torso import analytic_torso
+from needleforce.anatomy import (
+    Grid,
+    Labels,
+    Structure,
+    Volume,
+    VolumeError,
+    read_labels,
+    read_volume,
+)
+
+sitk = pytest.importorskip("SimpleITK")
+ROOT = Path(__file__).resolve().parents[1]
+CT = Path(os.environ.get("NEEDLEFORCE_DATA", ROOT.parent / "shared" / "data"))
+CT = CT / "torso_ct_totalsegmentator"
+
+
+def cube(shape=(6, 5, 4), spacing_m=1e-3):
+    values = np.zeros(shape, np.uint8)
+    values[2:4, 1:4, 1:3] = 1
+    return values, Grid(shape, np.zeros(3), spacing_m * np.eye(3))
+
+
+@pytest.mark.parametrize("name", FORMATS)
+@pytest.mark.parametrize("signs", [(1, 1, 1), (-1, -1, 1), (1, 1, -1)])
+def test_an_oblique_label_lies_where_it_was_written(tmp_path, name, signs):
+    image, centre_m = oblique_image(np.array(signs, float), np.random.default_rng(3))
+    write_labels(image, tmp_path / name)
+    labels = read_labels(tmp_path / name, {1: "part"})
+    np.testing.assert_allclose(labels.centroid_m("part"), centre_m, rtol=0.0, atol=1e-8)
+
+
+def test_overlapping_segments_bring_names_colours_and_layers(tmp_path):
+    values = np.zeros((14, 14, 14, 2), np.uint8)
+    values[1:13, 1:13, 1:13, 0] = 1
+    values[4:10, 4:10, 4:10, 1] = 1
+    image = sitk.GetImageFromArray(values, isVector=True)
+    fields = {
+        "Segment0_ID": "s0", "Segment0_Name": "liver", "Segment0_LabelValue": "1",
+        "Segment0_Layer": "0", "Segment0_Color": "0.5 0.25 0.125",
+        "Segment1_ID": "s1", "Segment1_Name": "lesion", "Segment1_LabelValue": "1",
+        "Segment1_Layer": "1", "Segment2_ID": "s2", "Segment2_Name": "nothing",
+        "Segment2_LabelValue": "7", "Segment2_Layer": "0",
+    }  # fmt: skip
+    for key, value in fields.items():
+        image.SetMetaData(key, value)
+    sitk.WriteImage(image, str(tmp_path / "a.seg.nrrd"))
+    labels = read_labels(tmp_path / "a.seg.nrrd")
+    assert [(item.name, item.voxels) for item in labels.structures] == [
+        ("liver", 1728),
+        ("lesion", 216),
+    ]
+    assert labels["liver"].colour == (0.5, 0.25, 0.125)
+    names = [layer.name for layer in labels.layers_along([-0.002, 0.0065, 0.0065], [0.0065] * 3)]
+    assert names == ["unlabelled", "liver", "lesion"]
+    with pytest.raises(VolumeError, match="no structure with voxels is named 'nothing'"):
+        labels["nothing"]
+
+
+def edited_series(folder, edit):
+    """Write eight slices, and change what lies in the folder."""
+    image, _ = oblique_image(np.ones(3), np.random.default_rng(1))
+    folder.mkdir()
+    write_series(image, folder)
+    edit(folder, image)
+
+
+def another_series(folder, image):
+    (folder / "more").mkdir()
+    write_series(image, folder / "more", "1.2.826.0.1.3680043.2.1125.7")
+    for path in list((folder / "more").iterdir()):
+        path.rename(folder / f"more-{path.name}")
+
+
+def other_spacing(folder, image):
+    image.SetSpacing((0.8, 0.9, 2.5))
+    write_series(image[:, :, :3], folder)
+
+
+@pytest.mark.parametrize(
+    ("edit", "why"),
+    [
+        (lambda folder, image: (folder / "004.dcm").unlink(), "missing or doubled"),
+        (another_series, "2 DICOM series"),
+        (other_spacing, "mixed series"),
+        (lambda folder, image: [path.unlink() for path in folder.iterdir()], "0 DICOM series"),
+    ],
+)
+def test_a_series_that_is_not_one_whole_scan_is_refused(tmp_path, edit, why):
+    edited_series(tmp_path / "scan", edit)
+    with pytest.raises(VolumeError, match=why):
+        read_volume(tmp_path / "scan")
+
+
+@pytest.mark.parametrize(
+    ("values", "spacing", "why"),
+    [
+        (np.zeros((4, 4, 4), np.uint8), 1.0, "no voxel is labelled"),
+        (np.full((4, 4, 4), 0.5, np.float32), 1.0, "expected labels"),
+        (np.full((4, 4, 4), -3, np.int16), 1.0, "expected labels"),
+        (np.ones((4, 4, 4), np.uint8), 1e-3, "expected a file in millimetres"),
+        (np.ones((4, 4), np.uint8), 1.0, "expected three dimensions"),
+    ],
+)
+def test_files_that_hold_no_labels_are_refused(tmp_path, values, spacing, why):
+    image = sitk.GetImageFromArray(values)
+    image.SetSpacing([spacing] * values.ndim)
+    sitk.WriteImage(image, str(tmp_path / "labels.nrrd"))
+    with pytest.raises(VolumeError, match=why):
+        read_labels(tmp_path / "labels.nrrd")
+
+
+def test_a_file_that_is_not_there_or_no_image_is_refused(tmp_path):
+    (tmp_path / "a.nrrd").write_text("no volume")
+    for name, why in (("none.nrrd", "no such file"), ("a.nrrd", "cannot read")):
+        with pytest.raises(VolumeError, match=why):
+            read_volume(tmp_path / name)
+
+
+@pytest.mark.parametrize(
+    ("shift_m", "cut", "why"),
+    [
+        ((0.0, 0.0, 0.0), False, None),
+        ((0.0, 0.0, 0.0), True, None),
+        ((0.0015, 0.0, 0.0), False, "as large as the scan's"),
+        ((0.2, 0.0, 0.0), True, "voxels outside the scan"),
+    ],
+)
+def test_labels_must_lie_in_the_scan(tmp_path, shift_m, cut, why):
+    values, grid = cube()
+    part = values[1:, 1:, :] if cut else values
+    origin_mm = 1e3 * (np.array(shift_m) + (grid.points_m([1, 1, 0]) if cut else 0.0))
+    image = sitk.GetImageFromArray(part.T.copy())
+    image.SetOrigin(origin_mm.tolist())
+    sitk.WriteImage(image, str(tmp_path / "labels.nrrd"))
+    scan = Volume(np.zeros(grid.shape), grid)
+    if why is None:
+        assert read_labels(tmp_path / "labels.nrrd", scan=scan)["label_1"].voxels == 12
+    else:
+        with pytest.raises(VolumeError, match=why):
+            read_labels(tmp_path / "labels.nrrd", scan=scan)
+
+
+def test_a_crop_keeps_places():
+    values, grid = cube()
+    labels = Labels.of([values], grid, [Structure.named("liver", 1)])
+    cut = labels.cropped([0.001, 0.001, 0.0], [0.004, 0.004, 0.003])
+    assert cut.grid.shape < grid.shape
+    np.testing.assert_allclose(cut.centroid_m("liver"), labels.centroid_m("liver"), atol=1e-15)
+    with pytest.raises(VolumeError, match="is it in metres"):
+        labels.cropped([50, 50, 50], [60, 60, 60])
+
+
+def test_names_say_what_stops_a_needle():
+    stops = ("rib_left_7", "costal_cartilages", "hip_right", "vertebrae_L1")
+    assert all(Structure.named(name, 1).is_obstacle for name in stops)
+    goes = ("hippocampus", "liver", "tribology")
+    assert not any(Structure.named(name, 1).is_obstacle for name in goes)
+
+
+def test_the_body_is_found_in_a_scan_stored_the_other_way_round():
+    torso = analytic_torso()
+    shape, axes, origin = (56, 40, 52), 6e-3 * np.eye(3), np.array([-0.165, -0.117, -0.153])
+    values = torso.voxels(shape, origin, axes)
+    grid = Grid(shape, origin, axes)
+    names = [Structure.named(body.name, n) for n, body in enumerate(torso.shapes, 1)]
+    labels = Labels.of([values], grid, names)
+    flipped = Grid(shape, grid.points_m([55, 39, 0]), axes * [-1.0, -1.0, 1.0])
+    scan = Volume(np.where(values > 0, 40.0, -1000.0)[::-1, ::-1, :], flipped)
+    body = labels.with_body(scan)
+    assert body["body"].voxels == np.count_nonzero(values)
+    np.testing.assert_allclose(body.centroid_m("body"), grid.points_m(np.argwhere(values).mean(0)))
+
+
+@pytest.mark.skipif(not CT.is_dir(), reason="no recordings: NEEDLEFORCE_DATA names their folder")
+def test_in_a_real_ct_left_is_left():
+    scan = read_volume(CT / "ct.nii.gz")
+    labels = read_labels(CT / "labels.nii.gz", CT / "labels.json", scan)
+    assert len(labels.structures) == 61
+    middle = labels.centroid_m("vertebrae_L1")
+    left, right = labels.centroid_m("spleen") - middle, labels.centroid_m("liver") - middle
+    assert left[0] > 0.05 > 0.0 > right[0]  # LPS: x to the left
+    assert labels.centroid_m("vertebrae_T12")[2] > labels.centroid_m("vertebrae_L4")[2]
+    assert middle[1] > labels.centroid_m("liver")[1]  # y to the back
