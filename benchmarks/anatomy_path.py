@@ -52,7 +52,7 @@ def measure(seed: int, data: Path | None, progress: Progress) -> Iterator[Figure
             progress((number + (turn + 1) / TORSOS) / len(SPACINGS_MM))
         errors = np.array([error for one in found for error in one.errors_voxels])
         scores = np.abs([score for one in found for score in one.scores])
-        right = 100.0 * np.mean([one.is_right for one in found])
+        right = float(100.0 * np.mean([one.is_right for one in found]))
         slow_ms = 1e3 * float(np.median([one.seconds for one in found]))
         yield Figure(
             f"{name}: depth error, rms", "", float(np.sqrt(np.mean(errors**2))), "voxel", 0.15
@@ -63,10 +63,16 @@ def measure(seed: int, data: Path | None, progress: Progress) -> Iterator[Figure
         )
         yield Figure(f"{name}: time of a path, median", "", slow_ms, "ms", 5.0)
         yield Figure(
-            f"{name}: errors within 1.96 stated deviations", "", 100.0 * np.mean(scores < 1.96), "%"
+            f"{name}: errors within 1.96 stated deviations",
+            "",
+            float(100.0 * np.mean(scores < 1.96)),
+            "%",
         )
         yield Figure(
-            f"{name}: errors within 1 stated deviation", "", 100.0 * np.mean(scores < 1.0), "%"
+            f"{name}: errors within 1 stated deviation",
+            "",
+            float(100.0 * np.mean(scores < 1.0)),
+            "%",
         )
         found_percent = 100.0 * len(errors) / sum(one.crossings for one in found)
         yield Figure(f"{name}: true crossings found, of any thickness", "", found_percent, "%")

@@ -51,7 +51,9 @@ def _ellipsoids(spacing_mm: float, rng: np.random.Generator) -> Iterator[Figure]
     pooled = float(np.sqrt(np.mean(np.square(rms))))
     yield Figure(f"{name}: distance from the surface, rms of all", "", pooled, "voxel", 0.1)
     yield Figure(f"{name}: the same, worst ellipsoid", "", max(rms), "voxel")
-    yield Figure(f"{name}: watertight", "", 100.0 * np.mean(closed), "%", 100.0, at_least=True)
+    yield Figure(
+        f"{name}: watertight", "", float(100.0 * np.mean(closed)), "%", 100.0, at_least=True
+    )
 
 
 def label_ellipsoid(
@@ -85,7 +87,7 @@ def _real_ct(folder: Path) -> Iterator[Figure]:
     labels = read_labels(folder / "labels.nii.gz", folder / "labels.json", scan)
     judged = [item.name for item in labels.structures if item.voxels >= LEAST_VOXELS]
     found = labels.surfaces(judged).values()
-    closed = 100.0 * np.mean([surface.is_watertight for surface in found])
+    closed = float(100.0 * np.mean([surface.is_watertight for surface in found]))
     worst = max(_volume_error(labels, surface) for surface in found)
     yield Figure(f"CT, {len(judged)} structures: watertight", "", closed, "%", 100.0, at_least=True)
     yield Figure("CT: volume against voxels, worst", "", worst, "%", 0.1)
@@ -144,7 +146,7 @@ def write_labels(image: Any, path: Path) -> None:
     write_series(image, path)
 
 
-def write_series(image: Any, folder: Path, uid: str = "1.2.826.0.1.3680043.2.1125.1") -> None:
+def write_series(image: Any, folder: Path, uid: str = "2.25.42") -> None:
     """Write an image as a DICOM series, one file per slice."""
     import SimpleITK
 

@@ -93,7 +93,7 @@ class Torso:
         return inside[-1] if inside else ""
 
     def voxels(
-        self, shape: tuple[int, int, int], origin_m: ArrayLike, axes_m: ArrayLike
+        self, shape: tuple[int, ...], origin_m: ArrayLike, axes_m: ArrayLike
     ) -> NDArray[np.uint8]:
         """Label every voxel with the number, from 1, of the last shape that holds its centre.
 

@@ -76,7 +76,7 @@ def edited_series(folder, edit):
 
 def another_series(folder, image):
     (folder / "more").mkdir()
-    write_series(image, folder / "more", "1.2.826.0.1.3680043.2.1125.7")
+    write_series(image, folder / "more", "2.25.43")
     for path in list((folder / "more").iterdir()):
         path.rename(folder / f"more-{path.name}")
 

@@ -37,8 +37,7 @@ AROUND = (
         for name in APART
         for place in ("needleforce/", "benchmarks/", "tests/test_")
     ),
-    "groundtruth/rig_",
-    "groundtruth/torso",
+    *(f"groundtruth/{name}" for name in ("rig_", "torso")),
     "needleforce/cli/demo",
     "needleforce/cli/live",
     "tests/vendor_emulators",
