@@ -146,7 +146,8 @@ def run(
     Args:
         ids: Names of the list, tissue, robustness, or all but that; default: a quick set. Or, by
             themselves, control for the needle in closed loop (20 minutes a seed), or one part of
-            it: control-priority, -constraints, -guidance, -teleoperation, -autonomous, -faults.
+            it: control-priority, -constraints, -guidance, -teleoperation, -autonomous, -faults;
+            or anatomy, or one part of it: anatomy-surface, -path, -fullsize.
         plant: ideal, clean, fri, degraded, or needle (no arm), with commas between several; may be
             given more than once. Default: clean; for drawn scenarios needle. Of robustness, names
             of perturbations (benchmarks/perturbations.toml); default: all.
@@ -168,8 +169,9 @@ def run(
     from needleforce.plots import FiguresError, folder_if_filled
 
     plants, console = _plant_names(plant), new_console()
-    if any(name.startswith("control") for name in ids):
-        rows = _run_control(ids, plants, (first_seed, seeds), jobs or _processors(), json)
+    if any(name.startswith(("control", "anatomy")) for name in ids):
+        spread = (first_seed, seeds), jobs or _processors()
+        rows = _run_apart(ids, plants, *spread, data, json)
         return FAILURE if strict and not all(row.is_met for row in rows) else 0
     try:
         # The folder first: better before minutes of work than after.
@@ -196,18 +198,23 @@ def _plant_names(plant: Sequence[str]) -> list[str]:
     return names
 
 
-def _run_control(
+def _run_apart(
     ids: Sequence[str],
     plants: Sequence[str],
     seeds: tuple[int | None, int],
     processes: int,
+    data: Path | None,
     to: Path | None,
-) -> list["ControlRow"]:
-    """Print the table of the needle in closed loop, and return the rows with targets."""
+) -> Sequence["ControlRow"]:
+    """Print the table of the closed loop or the anatomy, and return the rows with targets."""
+    from benchmarks.anatomy_study import run_anatomy, show_anatomy
     from benchmarks.control_study import control_jobs, run_control, show_control
 
-    work = control_jobs(ids, plants, *seeds)
+    is_anatomy = any(name.startswith("anatomy") for name in ids)
+    work = [] if is_anatomy else control_jobs(ids, plants, *seeds)
     with progress_bar(1) as update:
+        if is_anatomy:
+            return show_anatomy(run_anatomy(ids, seeds[0], data, partial(update, 0)), to)
         rows = run_control(work, processes, partial(update, 0))
     return show_control(rows, to)
 

@@ -1,158 +1,101 @@
-"""Surfaces of structures, and what a needle crosses, against an analytic torso."""
+"""Layers along a path: against the exact crossings, and against rays through the surfaces."""
 
 from itertools import pairwise
 
 import numpy as np
 import pytest
 
-pytest.importorskip("SimpleITK")
-trimesh = pytest.importorskip("trimesh")
-pytest.importorskip("skimage")
-pytest.importorskip("manifold3d")
+from benchmarks.anatomy_path import measure_path, random_path, scan_of
+from groundtruth.torso import analytic_torso
+from needleforce.anatomy import Grid, Labels, Structure, VolumeError
 
-from groundtruth.torso import Ellipsoid, Torso, random_torso  # noqa: E402
-from needleforce.anatomy import (  # noqa: E402
-    Grid,
-    Labels,
-    PathError,
-    Structure,
-    StructureError,
-    layers_along,
-    surface_of,
-    surfaces,
-)
-
-TURN = np.array([[0.8, -0.6, 0.0], [0.6, 0.8, 0.0], [0.0, 0.0, 1.0]])
-
-
-def labelled(torso, spacing_m, rotation=None):
-    numbers, origin, axes = torso.voxels(spacing_m, rotation)
-    structures = {n: Structure(n, name, (1.0, 0.0, 0.0)) for n, name in torso.names.items()}
-    return Labels(Grid(origin, axes, numbers.shape), numbers, structures)
+SPACING_MM = (3.0, 3.0, 3.0)
 
 
 @pytest.fixture(scope="module")
-def torso():
-    return random_torso(np.random.default_rng(0))
+def scanned():
+    rng = np.random.default_rng(1001)
+    torso = analytic_torso(rng)
+    return torso, scan_of(torso, SPACING_MM, rng), rng
 
 
-@pytest.fixture(scope="module")
-def labels(torso):
-    return labelled(torso, 2e-3, TURN)
+def test_paths_through_a_torso_are_right_and_have_no_gaps(scanned):
+    torso, labels, rng = scanned
+    found = [measure_path(torso, labels, *random_path(torso, rng)) for _ in range(150)]
+    errors = np.array([error for one in found for error in one.errors_voxels])
+    scores = np.abs([score for one in found for score in one.scores])
+    assert np.sqrt(np.mean(errors**2)) < 0.18
+    assert np.mean([one.is_right for one in found]) > 0.97
+    assert not any(one.has_gaps for one in found)
+    assert 0.9 < np.mean(scores < 1.96) <= 1.0
 
 
-def egg():
-    body = Ellipsoid("egg", np.zeros(3), np.array([0.03, 0.02, 0.025]), TURN)
-    return body, Torso([body])
+def test_rays_through_the_surface_cross_where_the_layers_do(scanned):
+    trimesh = pytest.importorskip("trimesh")
+    pytest.importorskip("embreex")
+    torso, labels, rng = scanned
+    surface = labels.surfaces(["lesion"])["lesion"]
+    mesh = trimesh.Trimesh(surface.vertices_m, surface.triangles, process=False)
+    differences = []
+    for _ in range(30):
+        entry, _ = random_path(torso, rng)
+        target = labels.centroid_m("lesion")
+        layers = labels.layers_along(entry, target)
+        assert layers[-1].name == "lesion"
+        along = (target - entry) / np.linalg.norm(target - entry)
+        hits, _, _ = mesh.ray.intersects_location(entry[None], along[None])
+        depths = (hits - entry) @ along
+        differences.append(layers[-1].entry_m - depths.min())
+    assert np.sqrt(np.mean(np.square(differences))) < 0.2 * 1e-3 * SPACING_MM[0]
 
 
-@pytest.mark.parametrize("mirror", [1.0, -1.0])
-def test_a_surface_is_closed_and_holds_its_volume(mirror):
-    body, torso = egg()
-    numbers, origin, axes = torso.voxels(1e-3)
-    grid = Grid(origin * [mirror, 1, 1], np.diag([mirror, 1.0, 1.0]) @ axes, numbers.shape)
-    labels = Labels(grid, numbers, {1: Structure(1, "egg", (1.0, 0.0, 0.0))})
-    found = surface_of(labels, "egg")
-    assert found.is_watertight
-    assert found.volume_m3 == pytest.approx(labels.volume_m3("egg"), rel=1e-9)
-    assert found.volume_m3 == pytest.approx(body.volume_m3, rel=5e-3)
-    local = (found.vertices_m * [mirror, 1, 1]) @ TURN / body.radii_m
-    off_m = (np.linalg.norm(local, axis=1) - 1.0) * 0.02
-    assert np.sqrt((off_m**2).mean()) < 0.1e-3
-    full = surface_of(labels, "egg", simplify=False)
-    assert full.is_watertight
-    assert len(full.triangles) > 1.5 * len(found.triangles)
+def slabs(names, spacing_m=1e-3):
+    """Structures of ten voxels each, one behind the other along x."""
+    values = np.repeat(np.arange(1, len(names) + 1, dtype=np.uint8), 10)
+    values = np.broadcast_to(values[:, None, None], (len(values), 20, 20)).copy()
+    grid = Grid(values.shape, np.zeros(3), spacing_m * np.eye(3))
+    return Labels.of([values], grid, [Structure.named(n, i) for i, n in enumerate(names, 1)])
 
 
-def test_an_organ_that_the_volume_cuts_is_closed_too():
-    numbers = np.ones((12, 9, 7), dtype=np.uint8)
-    labels = Labels(
-        Grid(np.zeros(3), 1e-3 * np.eye(3), numbers.shape),
-        numbers,
-        {1: Structure(1, "all", (0,) * 3)},
-    )
-    found = surface_of(labels, "all")
-    assert found.is_watertight
-    assert found.volume_m3 == pytest.approx(12 * 9 * 7 * 1e-9, rel=1e-6)
+def test_flat_layers_are_exact_and_bone_is_an_obstacle():
+    labels = slabs(["fat", "rib_left_9", "muscle"])
+    layers = labels.layers_along([-0.0105, 0.01, 0.01], [0.0255, 0.01, 0.01])
+    names = ["unlabelled", "fat", "rib_left_9", "muscle"]
+    assert [layer.name for layer in layers] == names
+    assert [layer.is_obstacle for layer in layers] == [False, False, True, False]
+    ends = [layer.exit_m for layer in layers]
+    np.testing.assert_allclose(ends, [0.010, 0.020, 0.030, 0.036], atol=2e-5)
+    assert all(before.exit_m == after.entry_m for before, after in pairwise(layers))
+    assert all(before.exit_std_m == after.entry_std_m for before, after in pairwise(layers))
+    assert layers[0].entry_std_m == layers[-1].exit_std_m == 0.0
 
 
-def test_all_surfaces_come_with_progress_and_small_ones_may_be_left_out(labels):
-    done = []
-    found = surfaces(labels, least_voxels=1000, progress=done.append)
-    assert done[-1] == 1.0
-    assert "liver" in [surface.structure.name for surface in found]
-    small = [n for n in labels.structures if np.count_nonzero(labels.numbers == n) < 1000]
-    assert len(found) == len(labels.structures) - len(small)
-    with pytest.raises(StructureError, match="no structure"):
-        surface_of(labels, "heart")
-    empty = Labels(
-        labels.grid, labels.numbers, {**labels.structures, 99: Structure(99, "x", (0,) * 3)}
-    )
-    with pytest.raises(StructureError, match="no voxels"):
-        surface_of(empty, "x")
+def test_a_slanting_path_and_uncertain_boundaries_state_more():
+    labels = slabs(["fat", "muscle"])
+    straight = labels.layers_along([0.002, 0.01, 0.01], [0.017, 0.01, 0.01])[1].entry_std_m
+    slanting = labels.layers_along([0.005, 0.002, 0.01], [0.014, 0.017, 0.01])[1].entry_std_m
+    cosine = 9.0 / np.hypot(9.0, 15.0)
+    assert slanting == pytest.approx(straight / cosine, rel=0.1)
+    wide = labels.layers_along([0.002, 0.01, 0.01], [0.017, 0.01, 0.01], 0.5e-3)[1].entry_std_m
+    assert wide == pytest.approx(np.hypot(straight, 0.5e-3), rel=0.02)
 
 
-def paths(torso, rng, count):
-    for _ in range(count):
-        target = torso.bodies[5].center_m + 0.02 * rng.normal(size=3)
-        axis = np.array([0.3 * rng.normal(), -1.0, 0.3 * rng.normal()])
-        yield target + 0.16 * axis / np.linalg.norm(axis), target
-
-
-def test_layers_are_those_of_the_torso_without_gaps(torso, labels):
-    rng, errors, stated = np.random.default_rng(1), [], []
-    compared = 0
-    for entry, target in paths(torso, rng, 60):
-        found, true = layers_along(labels, entry, target), torso.layers(entry, target)
-        assert found[0].entry_m == 0.0
-        assert found[-1].exit_m == pytest.approx(0.16)
-        assert all(a.exit_m == b.entry_m for a, b in pairwise(found))
-        if min(stop - start for _, start, stop in true) < 4e-3:
-            continue
-        compared += 1
-        assert [layer.number for layer in found] == [number for number, _, _ in true]
-        errors += [layer.exit_m - t[2] for layer, t in zip(found[:-1], true, strict=False)]
-        stated += [layer.exit_std_m for layer in found[:-1]]
-    assert compared > 30
-    assert np.sqrt(np.mean(np.square(errors))) < 0.15 * 2e-3
-    assert np.mean(np.abs(errors) < 2.0 * np.array(stated)) > 0.9
-
-
-def test_rays_through_the_surfaces_say_the_same(torso, labels):
-    (liver,) = [s for s in surfaces(labels) if s.structure.name == "liver"]
-    entry, target = next(paths(torso, np.random.default_rng(5), 1))
-    axis = (target - entry) / np.linalg.norm(target - entry)
-    hits, _, _ = liver.mesh.ray.intersects_location([entry], [axis])
-    depths = sorted((hits - entry) @ axis)
-    inside = [layer for layer in layers_along(labels, entry, target) if layer.name == "liver"]
-    assert inside[0].entry_m == pytest.approx(depths[0], abs=1e-3)
-
-
-def test_bone_on_the_path_is_an_obstacle_and_air_is_named():
-    numbers = np.zeros((20, 20, 20), dtype=np.uint8)
-    numbers[:, 5:10], numbers[:, 10:12], numbers[:, 12:] = 1, 2, 1
-    structures = {1: Structure(1, "muscle", (1, 0, 0)), 2: Structure(2, "rib_left_9", (1, 1, 1))}
-    labels = Labels(Grid(np.zeros(3), 1e-3 * np.eye(3), (20, 20, 20)), numbers, structures)
-    found = layers_along(labels, [0.01, 0.0, 0.01], [0.01, 0.018, 0.01])
-    assert [(layer.name, layer.is_obstacle) for layer in found] == [
-        ("unlabelled", False),
-        ("muscle", False),
-        ("rib_left_9", True),
-        ("muscle", False),
-    ]
-    assert found[1].entry_m == pytest.approx(4.5e-3, abs=0.05e-3)
+def test_a_path_from_outside_the_volume_stays_in_order():
+    layers = slabs(["fat", "muscle"]).layers_along([-0.05, -0.02, -0.02], [0.019, 0.01, 0.01])
+    depths = [layer.entry_m for layer in layers]
+    assert depths == sorted(depths)
+    assert layers[-1].name == "muscle"
 
 
 @pytest.mark.parametrize(
-    ("entry", "target", "says"),
+    ("entry", "target", "why"),
     [
-        ([0, 0, 0], [0, 0, 0], "0 m apart"),
-        ([0, 0, 0], [40, 60, 80], "in millimetres"),
-        ([0, 0, 0], [0, 0, 0.9], "outside the volume"),
-        ([0, 0], [0, 0, 0.1], "three metres"),
-        ([0, np.nan, 0], [0, 0, 0.1], "three metres"),
+        ([0, 0, 0], [10, 10, 10], "outside the volume"),
+        ([0, 0, np.nan], [0.01, 0.01, 0.01], "two points of 3 numbers"),
+        ([0, 0], [0.01, 0.01, 0.01], "two points of 3 numbers"),
+        ([0.01, 0.01, 0.01], [0.01, 0.01, 0.01], "same point"),
     ],
 )
-def test_a_path_that_cannot_be_is_refused(labels, entry, target, says):
-    with pytest.raises(PathError, match=says):
-        layers_along(labels, entry, target)
+def test_paths_that_cannot_be_are_refused(entry, target, why):
+    with pytest.raises(VolumeError, match=why):
+        slabs(["fat", "muscle"]).layers_along(entry, target)

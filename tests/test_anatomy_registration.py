@@ -8,7 +8,7 @@ trimesh = pytest.importorskip("trimesh")
 pytest.importorskip("SimpleITK")
 
 from needleforce.anatomy import (  # noqa: E402
-    PathLayer,
+    Layer,
     PlanError,
     PlanMatch,
     Registration,
@@ -173,8 +173,8 @@ NAMES = ("fat", "muscle", "liver", "lesion", "liver")
 def plan(*depths_mm, std_mm=0.5):
     edges = [0.0, *depths_mm, depths_mm[-1] + 50.0]
     return [
-        PathLayer(
-            *(NAMES[k], k, 1e-3 * edges[k], 1e-3 * edges[k + 1]),
+        Layer(
+            *(NAMES[k], 1e-3 * edges[k], 1e-3 * edges[k + 1]),
             *(1e-3 * std_mm * (k > 0), 1e-3 * std_mm, False),
         )
         for k in range(len(depths_mm) + 1)

@@ -1,176 +1,193 @@
-"""Scans and segmentations: where they lie, and what is refused."""
+"""Scans and segmentations from files: places, names, refusals."""
 
-import json
-import shutil
-from itertools import product
+import os
+from pathlib import Path
 
 import numpy as np
 import pytest
 
-sitk = pytest.importorskip("SimpleITK")
-
-from needleforce.anatomy import (  # noqa: E402
-    AnatomyError,
+from benchmarks.anatomy_surface import FORMATS, oblique_image, write_labels, write_series
+from groundtruth.torso import analytic_torso
+from needleforce.anatomy import (
     Grid,
-    Image,
     Labels,
     Structure,
-    StructureError,
+    Volume,
     VolumeError,
-    read_image,
     read_labels,
+    read_volume,
 )
 
-TURN = np.array([[0.8, -0.6, 0.0], [0.6, 0.8, 0.0], [0.0, 0.0, 1.0]])
+sitk = pytest.importorskip("SimpleITK")
+ROOT = Path(__file__).resolve().parents[1]
+CT = Path(os.environ.get("NEEDLEFORCE_DATA", ROOT.parent / "shared" / "data"))
+CT = CT / "torso_ct_totalsegmentator"
 
 
-def written(path, numbers, axes_mm, origin_mm, meta=()):
-    """A volume indexed [i, j, k] in a file, with columns of axes as they are in LPS."""
-    image = sitk.GetImageFromArray(np.ascontiguousarray(numbers.T))
-    spacing = np.linalg.norm(axes_mm, axis=0)
-    image.SetSpacing(spacing.tolist())
-    image.SetDirection((axes_mm / spacing).ravel().tolist())
-    image.SetOrigin(list(origin_mm))
-    for key, value in dict(meta).items():
+def cube(shape=(6, 5, 4), spacing_m=1e-3):
+    values = np.zeros(shape, np.uint8)
+    values[2:4, 1:4, 1:3] = 1
+    return values, Grid(shape, np.zeros(3), spacing_m * np.eye(3))
+
+
+@pytest.mark.parametrize("name", FORMATS)
+@pytest.mark.parametrize("signs", [(1, 1, 1), (-1, -1, 1), (1, 1, -1)])
+def test_an_oblique_label_lies_where_it_was_written(tmp_path, name, signs):
+    image, centre_m = oblique_image(np.array(signs, float), np.random.default_rng(3))
+    write_labels(image, tmp_path / name)
+    labels = read_labels(tmp_path / name, {1: "part"})
+    np.testing.assert_allclose(labels.centroid_m("part"), centre_m, rtol=0.0, atol=1e-8)
+
+
+def test_overlapping_segments_bring_names_colours_and_layers(tmp_path):
+    values = np.zeros((14, 14, 14, 2), np.uint8)
+    values[1:13, 1:13, 1:13, 0] = 1
+    values[4:10, 4:10, 4:10, 1] = 1
+    image = sitk.GetImageFromArray(values, isVector=True)
+    fields = {
+        "Segment0_ID": "s0", "Segment0_Name": "liver", "Segment0_LabelValue": "1",
+        "Segment0_Layer": "0", "Segment0_Color": "0.5 0.25 0.125",
+        "Segment1_ID": "s1", "Segment1_Name": "lesion", "Segment1_LabelValue": "1",
+        "Segment1_Layer": "1", "Segment2_ID": "s2", "Segment2_Name": "nothing",
+        "Segment2_LabelValue": "7", "Segment2_Layer": "0",
+    }  # fmt: skip
+    for key, value in fields.items():
         image.SetMetaData(key, value)
-    sitk.WriteImage(image, str(path))
-    return path
-
-
-def two_organs():
-    numbers = np.zeros((14, 11, 9), dtype=np.uint8)
-    numbers[2:9, 3:6, 1:5] = 1
-    numbers[9:13, 2:9, 4:8] = 7
-    numbers[2, 3, 1] = 0  # nothing is symmetric
-    return numbers
-
-
-@pytest.mark.parametrize("suffix", [".nii.gz", ".nrrd", ".mha", ".seg.nrrd"])
-@pytest.mark.parametrize("signs", list(product((1.0, -1.0), repeat=3)))
-def test_a_label_lies_where_it_is_whatever_format_and_orientation(tmp_path, suffix, signs):
-    numbers = two_organs()
-    axes_mm = TURN * [0.9, 1.3, 2.1] * signs
-    origin_mm = np.array([31.0, -57.0, 113.0])
-    meta = {
-        "Segment0_LabelValue": "1",
-        "Segment0_Name": "liver",
-        "Segment0_Layer": "0",
-        "Segment0_Color": "0.5 0.25 0",
-        "Segment1_LabelValue": "7",
-        "Segment1_Name": "rib 9",
-        "Segment1_Layer": "0",
-    }
-    path = written(
-        tmp_path / f"labels{suffix}", numbers, axes_mm, origin_mm, meta if "seg" in suffix else ()
-    )
-    (tmp_path / "labels.json").write_text('{"1": "liver", "7": "rib 9"}')
-    labels = read_labels(path)
-    for name, number in (("liver", 1), ("rib 9", 7)):
-        true_mm = origin_mm + np.argwhere(numbers == number).mean(axis=0) @ axes_mm.T
-        assert np.abs(1e3 * labels.centroid_m(name) - true_mm).max() < 1e-5
-        count = np.count_nonzero(numbers == number)
-        assert labels.volume_m3(name) == pytest.approx(1e-9 * count * 0.9 * 1.3 * 2.1, rel=1e-6)
-    assert labels.named("rib 9").is_obstacle
-    assert not labels.named("liver").is_obstacle
-    if "seg" in suffix:
-        assert labels.named("liver").color == (0.5, 0.25, 0.0)
-
-
-def test_of_overlapping_segments_the_later_lies_on_top(tmp_path):
-    one, two = np.zeros((6, 6, 6), np.uint8), np.zeros((6, 6, 6), np.uint8)
-    one[1:4], two[3:5] = 1, 1
-    images = [sitk.GetImageFromArray(each.T.copy()) for each in (one, two)]
-    both = sitk.Compose(images)
-    for number, name in enumerate(("liver", "lesion")):
-        both.SetMetaData(f"Segment{number}_LabelValue", "1")
-        both.SetMetaData(f"Segment{number}_Name", name)
-        both.SetMetaData(f"Segment{number}_Layer", str(number))
-    sitk.WriteImage(both, str(tmp_path / "a.seg.nrrd"))
+    sitk.WriteImage(image, str(tmp_path / "a.seg.nrrd"))
     labels = read_labels(tmp_path / "a.seg.nrrd")
-    volumes = {name: round(labels.volume_m3(name) / 1e-9) for name in ("liver", "lesion")}
-    assert volumes == {"liver": 72, "lesion": 72}
+    assert [(item.name, item.voxels) for item in labels.structures] == [
+        ("liver", 1728),
+        ("lesion", 216),
+    ]
+    assert labels["liver"].colour == (0.5, 0.25, 0.125)
+    names = [layer.name for layer in labels.layers_along([-0.002, 0.0065, 0.0065], [0.0065] * 3)]
+    assert names == ["unlabelled", "liver", "lesion"]
+    with pytest.raises(VolumeError, match="no structure with voxels is named 'nothing'"):
+        labels["nothing"]
 
 
-def dicom(folder, count=6, *, leave_out=(), series="1.2.3"):
-    folder.mkdir(exist_ok=True)
-    writer = sitk.ImageFileWriter()
-    writer.KeepOriginalImageUIDOn()
-    for k in range(count):
-        if k in leave_out:
-            continue
-        image = sitk.GetImageFromArray(np.full((5, 4), 10 * k, np.int16))
-        image.SetSpacing((0.7, 0.8))
-        tags = {
-            "0008|0060": "CT",
-            "0020|000e": series,
-            "0020|0032": f"3\\4\\{2.0 * k:g}",
-            "0020|0037": "1\\0\\0\\0\\1\\0",
-            "0018|0050": "2.0",
-            "0020|0013": str(k),
-        }
-        for tag, value in tags.items():
-            image.SetMetaData(tag, value)
-        writer.SetFileName(str(folder / f"{series}-{k}.dcm"))
-        writer.Execute(image)
-    return folder
+def edited_series(folder, edit):
+    """Write eight slices, and change what lies in the folder."""
+    image, _ = oblique_image(np.ones(3), np.random.default_rng(1))
+    folder.mkdir()
+    write_series(image, folder)
+    edit(folder, image)
 
 
-def test_a_dicom_series_is_read(tmp_path):
-    image = read_image(dicom(tmp_path / "a"))
-    assert image.grid.shape == image.values.shape == (4, 5, 6)
-    assert np.allclose(1e3 * image.grid.spacing_m, [0.7, 0.8, 2.0])
-    assert image.values[1, 2, 3] == 30
+def another_series(folder, image):
+    (folder / "more").mkdir()
+    write_series(image, folder / "more", "2.25.43")
+    for path in list((folder / "more").iterdir()):
+        path.rename(folder / f"more-{path.name}")
 
 
-def test_what_cannot_be_a_scan_is_refused_by_name(tmp_path):
-    with pytest.raises(VolumeError, match="slices are missing or double"):
-        read_image(dicom(tmp_path / "gap", leave_out=(2,)))
-    mixed = dicom(tmp_path / "mixed")
-    dicom(mixed, series="1.2.4")
-    with pytest.raises(VolumeError, match="holds 2 DICOM series"):
-        read_image(mixed)
-    (tmp_path / "empty").mkdir()
-    with pytest.raises(VolumeError, match="no DICOM series"):
-        read_image(tmp_path / "empty")
-    with pytest.raises(VolumeError, match="does not exist"):
-        read_image(tmp_path / "none.nii")
-    (tmp_path / "text.nii").write_text("no volume")
-    with pytest.raises(VolumeError, match="no volume that can be read"):
-        read_image(tmp_path / "text.nii")
-    fractions = written(tmp_path / "f.nrrd", np.full((3, 3, 3), 0.5), np.eye(3), np.zeros(3))
-    with pytest.raises(VolumeError, match="fractions"):
-        read_labels(fractions)
-    nothing = written(tmp_path / "0.nrrd", np.zeros((3, 3, 3), np.uint8), np.eye(3), np.zeros(3))
-    with pytest.raises(VolumeError, match="every voxel is 0"):
-        read_labels(nothing)
-    shutil.copy(nothing, tmp_path / "names.nrrd")
-    with pytest.raises(VolumeError, match="expected a JSON object"):
-        read_labels(nothing, tmp_path / "names.nrrd")
+def other_spacing(folder, image):
+    image.SetSpacing((0.8, 0.9, 2.5))
+    write_series(image[:, :, :3], folder)
 
 
-def test_names_come_from_the_caller_too(tmp_path):
-    path = written(tmp_path / "a.nrrd", two_organs(), np.eye(3), np.zeros(3))
-    assert read_labels(path, {1: "liver"}).named("liver").number == 1
-    assert read_labels(path).named("label 7").number == 7
-    (tmp_path / "n.json").write_text(json.dumps({"7": "spleen"}))
-    labels = read_labels(path, tmp_path / "n.json")
-    assert labels.name_of(7) == "spleen"
-    assert labels.name_of(0) == "unlabelled"
-    with pytest.raises(StructureError, match="there are: label 1, spleen"):
-        labels.named("heart")
-    assert issubclass(StructureError, AnatomyError)
+@pytest.mark.parametrize(
+    ("edit", "why"),
+    [
+        (lambda folder, image: (folder / "004.dcm").unlink(), "missing or doubled"),
+        (another_series, "2 DICOM series"),
+        (other_spacing, "mixed series"),
+        (lambda folder, image: [path.unlink() for path in folder.iterdir()], "0 DICOM series"),
+    ],
+)
+def test_a_series_that_is_not_one_whole_scan_is_refused(tmp_path, edit, why):
+    edited_series(tmp_path / "scan", edit)
+    with pytest.raises(VolumeError, match=why):
+        read_volume(tmp_path / "scan")
 
 
-def test_a_segmentation_of_another_scan_is_refused():
-    grid = Grid(np.zeros(3), 1e-3 * np.eye(3), (14, 11, 9))
-    labels = Labels(grid, two_organs(), {1: Structure(1, "liver", (1.0, 0.0, 0.0))})
-    scan = Image(grid, np.zeros(grid.shape))
-    labels.require_same_space(scan)
-    moved = Grid(np.array([0.0, 0.0, 0.2]), grid.axes_m, grid.shape)
-    with pytest.raises(VolumeError, match="outside the scan"):
-        labels.require_same_space(Image(moved, scan.values))
-    thicker = Grid(grid.origin_m, 1e-3 * np.diag([1.0, 1.0, 1.5]), grid.shape)
-    with pytest.raises(VolumeError, match="different axes or spacing"):
-        labels.require_same_space(Image(thicker, scan.values))
-    with pytest.raises(VolumeError, match="expected one"):
-        Labels(grid, np.zeros((2, 2, 2), np.uint8), {})
+@pytest.mark.parametrize(
+    ("values", "spacing", "why"),
+    [
+        (np.zeros((4, 4, 4), np.uint8), 1.0, "no voxel is labelled"),
+        (np.full((4, 4, 4), 0.5, np.float32), 1.0, "expected labels"),
+        (np.full((4, 4, 4), -3, np.int16), 1.0, "expected labels"),
+        (np.ones((4, 4, 4), np.uint8), 1e-3, "expected a file in millimetres"),
+        (np.ones((4, 4), np.uint8), 1.0, "expected three dimensions"),
+    ],
+)
+def test_files_that_hold_no_labels_are_refused(tmp_path, values, spacing, why):
+    image = sitk.GetImageFromArray(values)
+    image.SetSpacing([spacing] * values.ndim)
+    sitk.WriteImage(image, str(tmp_path / "labels.nrrd"))
+    with pytest.raises(VolumeError, match=why):
+        read_labels(tmp_path / "labels.nrrd")
+
+
+def test_a_file_that_is_not_there_or_no_image_is_refused(tmp_path):
+    (tmp_path / "a.nrrd").write_text("no volume")
+    for name, why in (("none.nrrd", "no such file"), ("a.nrrd", "cannot read")):
+        with pytest.raises(VolumeError, match=why):
+            read_volume(tmp_path / name)
+
+
+@pytest.mark.parametrize(
+    ("shift_m", "cut", "why"),
+    [
+        ((0.0, 0.0, 0.0), False, None),
+        ((0.0, 0.0, 0.0), True, None),
+        ((0.0015, 0.0, 0.0), False, "as large as the scan's"),
+        ((0.2, 0.0, 0.0), True, "voxels outside the scan"),
+    ],
+)
+def test_labels_must_lie_in_the_scan(tmp_path, shift_m, cut, why):
+    values, grid = cube()
+    part = values[1:, 1:, :] if cut else values
+    origin_mm = 1e3 * (np.array(shift_m) + (grid.points_m([1, 1, 0]) if cut else 0.0))
+    image = sitk.GetImageFromArray(part.T.copy())
+    image.SetOrigin(origin_mm.tolist())
+    sitk.WriteImage(image, str(tmp_path / "labels.nrrd"))
+    scan = Volume(np.zeros(grid.shape), grid)
+    if why is None:
+        assert read_labels(tmp_path / "labels.nrrd", scan=scan)["label_1"].voxels == 12
+    else:
+        with pytest.raises(VolumeError, match=why):
+            read_labels(tmp_path / "labels.nrrd", scan=scan)
+
+
+def test_a_crop_keeps_places():
+    values, grid = cube()
+    labels = Labels.of([values], grid, [Structure.named("liver", 1)])
+    cut = labels.cropped([0.001, 0.001, 0.0], [0.004, 0.004, 0.003])
+    assert cut.grid.shape < grid.shape
+    np.testing.assert_allclose(cut.centroid_m("liver"), labels.centroid_m("liver"), atol=1e-15)
+    with pytest.raises(VolumeError, match="is it in metres"):
+        labels.cropped([50, 50, 50], [60, 60, 60])
+
+
+def test_names_say_what_stops_a_needle():
+    stops = ("rib_left_7", "costal_cartilages", "hip_right", "vertebrae_L1")
+    assert all(Structure.named(name, 1).is_obstacle for name in stops)
+    goes = ("hippocampus", "liver", "tribology")
+    assert not any(Structure.named(name, 1).is_obstacle for name in goes)
+
+
+def test_the_body_is_found_in_a_scan_stored_the_other_way_round():
+    torso = analytic_torso()
+    shape, axes, origin = (56, 40, 52), 6e-3 * np.eye(3), np.array([-0.165, -0.117, -0.153])
+    values = torso.voxels(shape, origin, axes)
+    grid = Grid(shape, origin, axes)
+    names = [Structure.named(body.name, n) for n, body in enumerate(torso.shapes, 1)]
+    labels = Labels.of([values], grid, names)
+    flipped = Grid(shape, grid.points_m([55, 39, 0]), axes * [-1.0, -1.0, 1.0])
+    scan = Volume(np.where(values > 0, 40.0, -1000.0)[::-1, ::-1, :], flipped)
+    body = labels.with_body(scan)
+    assert body["body"].voxels == np.count_nonzero(values)
+    np.testing.assert_allclose(body.centroid_m("body"), grid.points_m(np.argwhere(values).mean(0)))
+
+
+@pytest.mark.skipif(not CT.is_dir(), reason="no recordings: NEEDLEFORCE_DATA names their folder")
+def test_in_a_real_ct_left_is_left():
+    scan = read_volume(CT / "ct.nii.gz")
+    labels = read_labels(CT / "labels.nii.gz", CT / "labels.json", scan)
+    assert len(labels.structures) == 61
+    middle = labels.centroid_m("vertebrae_L1")
+    left, right = labels.centroid_m("spleen") - middle, labels.centroid_m("liver") - middle
+    assert left[0] > 0.05 > 0.0 > right[0]  # LPS: x to the left
+    assert labels.centroid_m("vertebrae_T12")[2] > labels.centroid_m("vertebrae_L4")[2]
+    assert middle[1] > labels.centroid_m("liver")[1]  # y to the back

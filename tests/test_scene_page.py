@@ -40,7 +40,8 @@ def plan():
     triangles = np.array([[0, 1, 3], [0, 3, 2], [4, 7, 5], [4, 6, 7], [0, 4, 5], [0, 5, 1]])
     surfaces = [
         SimpleNamespace(
-            structure=SimpleNamespace(name=name, color=color),
+            name=name,
+            colour=color,
             vertices_m=box + shift,
             triangles=triangles,
         )

@@ -1,48 +1,42 @@
-"""Volumes, surfaces, what a needle crosses, registration, and a plan that ruptures correct.
+"""The patient: labelled volumes, surfaces, layers along a needle, registration, plan and ruptures.
 
-Stands alone: points and depths in metres, LPS; no robots, no forces. Not a medical device.
+    labels = read_labels("abdomen.seg.nrrd")
+    surfaces = labels.surfaces()                       # name to closed surface
+    for layer in labels.layers_along(entry_m, target_m):
+        print(layer.name, layer.entry_m, layer.exit_m, layer.is_obstacle)
 
-Reading order: `volume` (scans and segmentations), `surface`, `path_layers`, `landmarks`,
-`surface_fit`, `plan_match`; `errors`.
+Points are in the patient's frame LPS (x to the left, y to the back, z to the head), in metres.
+Stands alone: no robots, no forces. Not a medical device.
+
+Reading order: `volume`, `surface`, `path_layers`; `landmarks`, `surface_fit`; `plan_match`;
+`errors`.
 """
 
-from needleforce.anatomy.errors import (
-    AnatomyError,
-    PathError,
-    PlanError,
-    RegistrationError,
-    StructureError,
-    VolumeError,
-)
+from needleforce.anatomy.errors import AnatomyError, PlanError, RegistrationError, VolumeError
 from needleforce.anatomy.landmarks import Registration, fit_landmarks
-from needleforce.anatomy.path_layers import PathLayer, layers_along
+from needleforce.anatomy.path_layers import Layer
 from needleforce.anatomy.plan_match import PlanMatch, PlanState
-from needleforce.anatomy.surface import Surface, surface_of, surfaces
+from needleforce.anatomy.surface import Surface
 from needleforce.anatomy.surface_fit import TouchSurface, fit_surface
-from needleforce.anatomy.volume import Grid, Image, Labels, Structure, read_image, read_labels
+from needleforce.anatomy.volume import Grid, Labels, Structure, Volume, read_labels, read_volume
 
 __all__ = [
     "AnatomyError",
     "Grid",
-    "Image",
     "Labels",
-    "PathError",
-    "PathLayer",
+    "Layer",
     "PlanError",
     "PlanMatch",
     "PlanState",
     "Registration",
     "RegistrationError",
     "Structure",
-    "StructureError",
     "Surface",
     "TouchSurface",
+    "Volume",
     "VolumeError",
     "fit_landmarks",
     "fit_surface",
-    "layers_along",
-    "read_image",
     "read_labels",
-    "surface_of",
-    "surfaces",
+    "read_volume",
 ]

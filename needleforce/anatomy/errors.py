@@ -6,19 +6,7 @@ class AnatomyError(Exception):
 
 
 class VolumeError(AnatomyError, ValueError):
-    """A volume or a segmentation that cannot be read, or that contradicts itself or another."""
-
-
-class StructureError(AnatomyError, KeyError):
-    """A structure that the segmentation does not have, or that is empty."""
-
-    def __str__(self) -> str:
-        """The message itself; a KeyError would put it in quotes."""
-        return str(self.args[0])
-
-
-class PathError(AnatomyError, ValueError):
-    """Entry or target of a needle that cannot be."""
+    """A volume, a segmentation or a path that cannot be read, or contradicts itself or another."""
 
 
 class RegistrationError(AnatomyError, ValueError):

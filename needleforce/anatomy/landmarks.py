@@ -11,12 +11,13 @@ from dataclasses import dataclass
 from itertools import combinations
 
 import numpy as np
-from numpy.typing import ArrayLike
+from numpy.typing import ArrayLike, NDArray
 from scipy.stats import chi2
 from scipy.stats import f as f_distribution
 
 from needleforce.anatomy.errors import RegistrationError
-from needleforce.anatomy.volume import Array
+
+Array = NDArray[np.float64]
 
 LEAST_WIDTH_m = 5e-3
 """Root mean square distance of landmarks from a line below which they count as collinear."""

@@ -16,8 +16,9 @@ from scipy.stats import norm
 from scipy.stats import t as student
 
 from needleforce.anatomy.errors import PlanError
-from needleforce.anatomy.path_layers import PathLayer
-from needleforce.anatomy.volume import Array
+from needleforce.anatomy.path_layers import Layer
+
+Array = NDArray[np.float64]
 
 GRID_m = 0.1e-3
 REACH = 5.0
@@ -68,7 +69,7 @@ class PlanMatch:
     """
 
     def __init__(
-        self, layers: Sequence[PathLayer], offset_std_m: float, *, entry_depth_m: float = 0.0
+        self, layers: Sequence[Layer], offset_std_m: float, *, entry_depth_m: float = 0.0
     ) -> None:
         if len(layers) < 2:
             raise PlanError(f"the plan has {len(layers)} layers: expected two or more")

@@ -1,175 +1,130 @@
-"""Watertight surfaces of segmented structures.
+"""Closed surfaces of labelled structures.
 
-Marching cubes on the padded mask, Taubin's smoothing, a simplification that keeps manifolds, then
-vertices moved along their normals until the volume is that of the voxels again.
+Marching cubes on the binary mask, Taubin's smoothing, simplification that keeps the surface closed,
+and a step along the normals that gives back the volume of the voxels. All but the last line works
+in voxels, so that unequal spacings are smoothed alike.
 """
 
-from typing import Any, NamedTuple
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import NDArray
 
-from needleforce.anatomy.errors import StructureError
-from needleforce.anatomy.volume import Array, Labels, Structure
+if TYPE_CHECKING:
+    from needleforce.anatomy.volume import Labels
 
-SMOOTHING = {"lamb": 0.5, "nu": 0.53, "iterations": 20}
-"""Taubin (1995): shrinks and grows in turn, so that little volume is lost."""
-VOLUME_ROUNDS = 4
-SIMPLIFIED_VOXELS = 0.05
-"""A simplified surface may lie so far from the full one, in voxels."""
-MOST_VOXELS = 3_000_000
-"""A larger structure is averaged over blocks of voxels first."""
+SMOOTHING = 0.5, -0.53, 40
+"""Factors and pairs of steps (Taubin 1995, doi 10.1145/218380.218473)."""
+TOLERANCE_VOXELS = 0.1
+"""Simplification moves the surface at most so far: a triangle stays where fewer would show."""
+
+VOLUME_ROUNDS = 50
+"""At most; an organ needs two or three, a single voxel more."""
 
 
-class Surface(NamedTuple):
-    """A closed surface, seen from outside anticlockwise."""
+@dataclass(frozen=True, eq=False)
+class Surface:
+    """A closed surface of one structure, triangles seen counter-clockwise from outside."""
 
-    structure: Structure
-    vertices_m: Array  # shape (v, 3), LPS
-    triangles: NDArray[np.int64]  # indices of vertices, shape (t, 3)
-
-    @property
-    def mesh(self) -> Any:
-        """As a `trimesh.Trimesh`."""
-        import trimesh
-
-        return trimesh.Trimesh(self.vertices_m, self.triangles, process=False)
+    name: str
+    vertices_m: NDArray[np.float64]  # (n, 3), LPS
+    triangles: NDArray[np.int32]  # (m, 3) indices of vertices
+    colour: tuple[float, ...]  # red, green, blue from 0 to 1
 
     @property
     def volume_m3(self) -> float:
-        """Enclosed volume."""
-        return enclosed_volume(self.vertices_m, self.triangles)
+        """Volume inside."""
+        return enclosed(self.vertices_m, self.triangles)
 
     @property
     def is_watertight(self) -> bool:
-        """Whether every edge has two triangles, in opposite directions."""
-        mesh = self.mesh
-        return bool(mesh.is_watertight and mesh.is_winding_consistent)
+        """Whether every edge joins two triangles that run along it in opposite directions."""
+        size = len(self.vertices_m)
+        edges = np.concatenate([self.triangles[:, (i, (i + 1) % 3)] for i in range(3)])
+        there = np.sort(edges[:, 0].astype(np.int64) * size + edges[:, 1])
+        back = np.sort(edges[:, 1].astype(np.int64) * size + edges[:, 0])
+        return bool(np.array_equal(there, back) and np.all(np.diff(there) > 0))
 
 
-def surface_of(labels: Labels, name: str, *, simplify: bool = True) -> Surface:
-    """The surface of one structure.
+def surface_of(labels: "Labels", name: str) -> Surface:
+    """Return the closed surface of a structure, whose volume is that of its voxels.
 
-    Args:
-        labels: The segmentation.
-        name: Of the structure.
-        simplify: Leave out triangles that a smooth surface does not need.
+    A structure that the volume cuts off is closed there; one in several parts stays so.
 
     Raises:
-        StructureError: There is no such structure, or it has no voxels.
+        VolumeError: No structure with voxels has that name.
     """
-    from scipy.ndimage import find_objects
-
-    structure = labels.named(name)
-    boxes = find_objects(labels.numbers == structure.number, max_label=1)
-    if not boxes or boxes[0] is None:
-        raise StructureError(f"structure {name!r} has no voxels")
-    return _surface(labels, structure, boxes[0], simplify=simplify)
-
-
-def surfaces(labels: Labels, *, least_voxels: int = 1, progress: Any = None) -> list[Surface]:
-    """The surfaces of all structures with so many voxels at least.
-
-    Args:
-        labels: The segmentation.
-        least_voxels: Smaller structures are left out.
-        progress: Called with the fraction done.
-    """
-    from scipy.ndimage import find_objects
-
-    found, boxes = [], find_objects(labels.numbers)
-    for done, (number, structure) in enumerate(labels.structures.items()):
-        box = boxes[number - 1] if number <= len(boxes) else None
-        if box is not None and np.count_nonzero(labels.numbers[box] == number) >= least_voxels:
-            found.append(_surface(labels, structure, box, simplify=True))
-        if progress is not None:
-            progress((done + 1) / len(labels.structures))
-    return found
-
-
-def _surface(
-    labels: Labels, structure: Structure, box: tuple[slice, ...], *, simplify: bool
-) -> Surface:
-    import trimesh
     from skimage.measure import marching_cubes
 
-    mask = labels.numbers[box] == structure.number
-    volume_m3 = np.count_nonzero(mask) * labels.grid.voxel_m3
-    # Organs may be cut by the volume's border: without a margin the surface would be open there.
-    padded, step = _averaged(np.pad(mask, 2))
-    vertices, triangles, _, _ = marching_cubes(padded, 0.5, allow_degenerate=False)
-    if labels.grid.axes_m.shape and np.linalg.det(labels.grid.axes_m) < 0.0:
-        triangles = triangles[:, ::-1]  # a grid of the left hand turns every triangle over
-    start = np.array([part.start - 2 for part in box])
-    index = start + 0.5 * (step - 1) + step * vertices
-    points_m = labels.grid.to_world(index)
-    # In millimetres: libraries have tolerances of their own.
-    mesh = trimesh.Trimesh(1e3 * points_m, triangles, process=False)
-    if mesh.volume < 0.0:
-        mesh.invert()
-    trimesh.smoothing.filter_taubin(mesh, **SMOOTHING)
-    points_m, triangles = 1e-3 * np.asarray(mesh.vertices), np.asarray(mesh.faces)
-    if simplify:
-        tolerance_m = SIMPLIFIED_VOXELS * step * float(labels.grid.spacing_m.min())
-        points_m, triangles = _simplified(points_m, triangles, tolerance_m)
-    return Surface(structure, _with_volume(points_m, triangles, volume_m3), triangles)
+    structure, mask = labels[name], labels.mask(name)
+    padded = np.zeros([size + 2 for size in mask.shape], np.float32)
+    padded[1:-1, 1:-1, 1:-1] = mask
+    vertices, triangles, _, _ = marching_cubes(padded, 0.5)
+    del padded
+    if enclosed(vertices, triangles) < 0.0:
+        triangles = triangles[:, ::-1]
+    smooth = _smoothed(vertices, triangles)
+    if enclosed(smooth, triangles) > 0.5 * enclosed(vertices, triangles):
+        vertices, triangles = _simplified(smooth, triangles)
+    # Else smoothing has folded a structure of a few voxels: its cubes' surface stays as it is.
+    vertices = _with_volume(vertices, triangles, float(structure.voxels))
+    start = np.array([part.start for part in structure.box]) - 1.0
+    points_m = labels.grid.points_m(vertices + start)
+    if np.linalg.det(labels.grid.axes_m) < 0.0:  # a mirrored grid turns triangles inside out
+        triangles = triangles[:, ::-1]
+    return Surface(name, points_m, np.ascontiguousarray(triangles, np.int32), structure.colour)
 
 
-def _averaged(mask: NDArray[np.bool_]) -> tuple[NDArray[np.float32], int]:
-    """The mask as a field from 0 to 1, averaged over blocks where it is large, and their size."""
-    step = 1
-    while mask.size / step**3 > MOST_VOXELS:
-        step += 1
-    field = mask.astype(np.float32)
-    if step == 1:
-        return field, 1
-    field = np.pad(field, [(0, -size % step) for size in field.shape])
-    blocks = [part for size in field.shape for part in (size // step, step)]
-    return np.pad(field.reshape(blocks).mean(axis=(1, 3, 5))[...], 0), step
+def enclosed(vertices: NDArray[np.floating], triangles: NDArray[np.integer]) -> float:
+    """Volume inside a closed surface, by the divergence theorem; negative if it is inside out."""
+    a, b, c = (vertices[triangles[:, corner]].astype(float) for corner in range(3))
+    return float(np.vecdot(np.cross(a, b), c).sum() / 6.0)
+
+
+def _smoothed(
+    vertices: NDArray[np.floating], triangles: NDArray[np.integer]
+) -> NDArray[np.float32]:
+    from scipy import sparse
+
+    # Every edge is an edge of two triangles, once in each direction.
+    edges = np.concatenate([triangles[:, (i, (i + 1) % 3)] for i in range(3)])
+    weights = 1.0 / np.bincount(edges[:, 0], minlength=len(vertices)).astype(np.float32)
+    size = len(vertices), len(vertices)
+    mean = sparse.csr_array((weights[edges[:, 0]], (edges[:, 0], edges[:, 1])), shape=size)
+    points = vertices.astype(np.float32)
+    shrink, grow, pairs = SMOOTHING
+    for factor in (shrink, grow) * pairs:
+        points += factor * (mean @ points - points)
+    return points
 
 
 def _simplified(
-    points_m: Array, triangles: NDArray[np.int64], tolerance_m: float
-) -> tuple[Array, NDArray[np.int64]]:
-    """Fewer triangles within a tolerance; as they are where they are no manifold."""
+    vertices: NDArray[np.float32], triangles: NDArray[np.integer]
+) -> tuple[NDArray[np.float64], NDArray[np.integer]]:
     import manifold3d
 
-    body = manifold3d.Manifold(
-        manifold3d.Mesh(
-            vert_properties=(1e3 * points_m).astype(np.float32),
-            tri_verts=triangles.astype(np.uint32),
-        )
-    )
-    if body.status() != manifold3d.Error.NoError or body.is_empty():
-        return points_m, triangles
-    found = body.simplify(1e3 * tolerance_m).to_mesh()
-    if not len(found.tri_verts):
-        return points_m, triangles
-    return 1e-3 * found.vert_properties[:, :3].astype(float), found.tri_verts.astype(np.int64)
+    mesh = manifold3d.Mesh(vertices, np.ascontiguousarray(triangles, np.uint32))
+    found = manifold3d.Manifold(mesh).simplify(TOLERANCE_VOXELS).to_mesh()
+    return np.array(found.vert_properties[:, :3], float), np.array(found.tri_verts, np.int64)
 
 
-def _with_volume(points_m: Array, triangles: NDArray[np.int64], volume_m3: float) -> Array:
-    """Vertices moved along their normals until the surface encloses a volume."""
+def _with_volume(
+    vertices: NDArray[np.float64], triangles: NDArray[np.integer], volume: float
+) -> NDArray[np.float64]:
+    """Move vertices along the normals until the surface holds a volume."""
     for _ in range(VOLUME_ROUNDS):
-        normals, area = _area_vectors(points_m, triangles)
-        missing = volume_m3 - enclosed_volume(points_m, triangles)
-        points_m = points_m + missing / area * normals
-    return points_m
-
-
-def _area_vectors(points_m: Array, triangles: NDArray[np.int64]) -> tuple[Array, float]:
-    """Unit normals of the vertices, shape (v, 3), and the area by which moving them adds volume."""
-    a, b, c = (points_m[triangles[:, k]] for k in range(3))
-    crossed = np.cross(b - a, c - a)
-    normals = np.zeros_like(points_m)
-    for k in range(3):
-        np.add.at(normals, triangles[:, k], crossed / 6.0)
-    sizes = np.linalg.norm(normals, axis=1)
-    return normals / np.maximum(sizes, 1e-30)[:, None], float(sizes.sum())
-
-
-def enclosed_volume(points_m: Array, triangles: NDArray[np.int64]) -> float:
-    """Volume [m^3] that a closed surface encloses, by the divergence theorem."""
-    middle = points_m.mean(axis=0)
-    a, b, c = (points_m[triangles[:, k]] - middle for k in range(3))
-    return float(np.einsum("ij,ij->", a, np.cross(b, c))) / 6.0
+        a, b, c = (vertices[triangles[:, corner]] for corner in range(3))
+        areas = np.cross(b - a, c - a) / 6.0  # a third of each triangle's to each of its corners
+        normals = np.zeros_like(vertices)
+        for corner in range(3):
+            for axis in range(3):
+                found = np.bincount(triangles[:, corner], areas[:, axis], len(vertices))
+                normals[:, axis] += found
+        lengths = np.linalg.norm(normals, axis=1, keepdims=True)
+        missing = volume - enclosed(vertices, triangles)
+        if abs(missing) < 1e-7 * volume:
+            break
+        step = missing / lengths.sum()
+        vertices = vertices + step * normals / np.maximum(lengths, 1e-12)
+    return vertices

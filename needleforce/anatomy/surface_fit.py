@@ -13,8 +13,7 @@ from scipy.linalg import expm
 from scipy.spatial import KDTree
 
 from needleforce.anatomy.errors import RegistrationError
-from needleforce.anatomy.landmarks import Registration, point_jacobian
-from needleforce.anatomy.volume import Array
+from needleforce.anatomy.landmarks import Array, Registration, point_jacobian
 
 TOUCH_STD_m = 0.5e-3
 SURFACE_STD_m = 0.35e-3

@@ -1,62 +1,63 @@
-"""Volumes and segmentations: DICOM series, NIfTI, NRRD, 3D Slicer's .seg.nrrd.
+"""Scans and segmentations from files: where each voxel lies and which structure it belongs to.
 
-Inside, everything is in metres and LPS (x to the patient's left, y to the back, z to the head), as
-DICOM has it; SimpleITK converts what is stored in RAS. Arrays are indexed [i, j, k], i along the
-first axis of the grid, whatever the order in the file.
+SimpleITK reads every format and gives physical places in LPS millimetres; arrays of two files may
+be stored in different orders and still agree, so only places are ever compared. Inside it is LPS
+and metres, and arrays are (i, j, k) along the axes of their `Grid`.
 """
 
-import colorsys
 import json
-import re
-from collections.abc import Mapping
-from dataclasses import dataclass
+from collections.abc import Callable, Iterable, Mapping, Sequence
+from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from needleforce.anatomy.errors import StructureError, VolumeError
+from needleforce.anatomy.errors import VolumeError
 
-Array = NDArray[np.float64]
+if TYPE_CHECKING:
+    from needleforce.anatomy.path_layers import Layer
+    from needleforce.anatomy.surface import Surface
 
-MM = 1e-3
-UNLABELLED = "unlabelled"
-"""Name of voxels with the number 0: tissue between the segmented structures, and air."""
-OBSTACLES = re.compile(
-    r"bone|vertebra|rib|sacrum|hip|femur|humerus|scapula|clavicula|sternum|skull|cartilage|pelvis"
-)
-"""A needle does not go through a structure with such a name."""
-_SLICE_TOLERANCE = 0.02
-"""Relative difference of slice distances that is still one series."""
-_SAME_MM = 1e-3
+SIZES_M = (0.005, 5.0)
+"""Least and most diagonal of a volume: beyond them its unit is not the millimetre."""
+BODY_HU = -300.0
+"""Between air and fat, in Hounsfield units."""
+OBSTACLES = "bone rib ribs costal cartilage cartilages vertebra vertebrae sacrum hip femur sternum"
+OBSTACLES += " scapula clavicula clavicle humerus pelvis skull"
+"""Words in the names of structures that stop a needle."""
+_COLOURS = {
+    OBSTACLES: (241, 214, 145),
+    "liver": (221, 130, 101),
+    "spleen": (157, 108, 162),
+    "kidney adrenal": (185, 102, 83),
+    "gallbladder": (139, 150, 98),
+    "stomach": (216, 132, 105),
+    "pancreas": (249, 180, 111),
+    "lung": (197, 165, 145),
+    "aorta artery": (216, 101, 79),
+    "vein vena cava vessel": (0, 151, 206),
+    "bowel duodenum colon bladder": (205, 167, 142),
+    "gluteus iliopsoas autochthon muscle": (192, 104, 88),
+    "fat": (230, 220, 70),
+    "body skin": (177, 122, 101),
+    "lesion tumor tumour mass": (144, 238, 144),
+}
+"""By words in names; red, green, blue of 3D Slicer's table of generic anatomy."""
 
 
 @dataclass(frozen=True, eq=False)
 class Grid:
-    """Where the voxels lie.
+    """Where voxels lie: point = origin + axes @ index; whole indices are voxel centres."""
 
-    Attributes:
-        origin_m: Centre of voxel (0, 0, 0), shape (3,).
-        axes_m: Steps from voxel to voxel, one column per index, shape (3, 3).
-        shape: Voxels along each index.
-    """
-
-    origin_m: Array
-    axes_m: Array
-    shape: tuple[int, int, int]
-
-    def to_world(self, index: ArrayLike) -> Array:
-        """Points [m] of indices, shape (..., 3), which need not be whole."""
-        return self.origin_m + np.asarray(index, dtype=float) @ self.axes_m.T
-
-    def to_index(self, points_m: ArrayLike) -> Array:
-        """Indices of points [m], shape (..., 3)."""
-        return (np.asarray(points_m, dtype=float) - self.origin_m) @ np.linalg.inv(self.axes_m).T
+    shape: tuple[int, ...]  # voxels along each of three axes
+    origin_m: NDArray[np.float64]  # (3,) centre of voxel 0, 0, 0 in LPS
+    axes_m: NDArray[np.float64]  # (3, 3) columns: step from a voxel to the next along each axis
 
     @property
-    def spacing_m(self) -> Array:
-        """Size of a voxel along each index, shape (3,)."""
+    def spacing_m(self) -> NDArray[np.float64]:
+        """Distance between voxels along each axis, (3,)."""
         return np.linalg.norm(self.axes_m, axis=0)
 
     @property
@@ -64,250 +65,350 @@ class Grid:
         """Volume of a voxel."""
         return abs(float(np.linalg.det(self.axes_m)))
 
+    def points_m(self, indices: ArrayLike) -> NDArray[np.float64]:
+        """Points (..., 3) in LPS of indices (..., 3), which may lie between voxels."""
+        return self.origin_m + np.asarray(indices, float) @ self.axes_m.T
+
+    def indices(self, points_m: ArrayLike) -> NDArray[np.float64]:
+        """Indices (..., 3), with fractions, of points (..., 3) in LPS."""
+        return (np.asarray(points_m, float) - self.origin_m) @ np.linalg.inv(self.axes_m).T
+
+    def corners_m(self) -> NDArray[np.float64]:
+        """Centres of the eight voxels in the corners, (8, 3)."""
+        return self.points_m(np.indices((2, 2, 2)).reshape(3, 8).T * (np.array(self.shape) - 1))
+
+    def box(self, lower_m: ArrayLike, upper_m: ArrayLike) -> tuple[slice, ...]:
+        """Slices of the voxels that a box, given by two corners in LPS, reaches."""
+        pair = np.array([lower_m, upper_m], float)
+        corners = self.indices(
+            [[pair[a, 0], pair[b, 1], pair[c, 2]] for a, b, c in np.ndindex(2, 2, 2)]
+        )
+        low = np.maximum(np.floor(corners.min(axis=0)), 0).astype(int)
+        high = np.minimum(np.ceil(corners.max(axis=0)) + 1, self.shape).astype(int)
+        if not np.all(low < high):
+            raise VolumeError(
+                f"the box {pair.tolist()} m lies outside the volume: is it in metres?"
+            )
+        return tuple(slice(int(a), int(b)) for a, b in zip(low, high, strict=True))
+
+    def within(self, box: Sequence[slice]) -> "Grid":
+        """Return the grid of the voxels in a box of slices."""
+        shape = tuple(part.stop - part.start for part in box)
+        return Grid(shape, self.points_m([part.start for part in box]), self.axes_m)
+
 
 @dataclass(frozen=True, eq=False)
-class Image:
-    """A CT or another scan: its grid and values, shape as the grid's."""
+class Volume:
+    """A scan: one number per voxel, of a CT in Hounsfield units."""
 
+    values: NDArray[Any]  # (i, j, k)
     grid: Grid
-    values: NDArray[Any]
+
+    def cropped(self, lower_m: ArrayLike, upper_m: ArrayLike) -> "Volume":
+        """Return what a box, given by two corners in LPS, reaches."""
+        box = self.grid.box(lower_m, upper_m)
+        return Volume(self.values[box], self.grid.within(box))
 
 
 @dataclass(frozen=True)
 class Structure:
-    """One segmented structure."""
+    """One labelled structure of a segmentation."""
 
-    number: int  # of its voxels
     name: str
-    color: tuple[float, float, float]  # red, green, blue, 0 to 1
+    value: int  # of its voxels
+    colour: tuple[float, ...]  # red, green, blue from 0 to 1
+    is_obstacle: bool = False  # bone or cartilage
+    volume: int = 0  # in which label volume it lies: segments that overlap need several
+    voxels: int = 0
+    box: tuple[slice, ...] = ()  # around its voxels
 
-    @property
-    def is_obstacle(self) -> bool:
-        """Whether a needle cannot go through: bone or cartilage, by its name."""
-        return OBSTACLES.search(self.name.lower()) is not None
+    @classmethod
+    def named(cls, name: str, value: int, volume: int = 0) -> "Structure":
+        """Return a structure whose colour, and whether it stops a needle, its name implies."""
+        words = set(name.lower().replace("-", "_").replace(" ", "_").split("_"))
+        fitting = [colour for key, colour in _COLOURS.items() if words & set(key.split())]
+        shade = (0.618 * value) % 1.0  # golden ratio: no two numbers close by look alike
+        colour = fitting[0] if fitting else (90 + 150 * shade, 200 - 60 * shade, 240 - 150 * shade)
+        stops = bool(words & set(OBSTACLES.split()))
+        return cls(name, value, tuple(part / 255.0 for part in colour), stops, volume)
 
 
 @dataclass(frozen=True, eq=False)
 class Labels:
-    """A segmentation: every voxel belongs to one structure, or with number 0 to none.
+    """A segmentation: label volumes on one grid, and what their values mean."""
 
-    Attributes:
-        grid: Where the voxels lie.
-        numbers: Of the structures, shape as the grid's.
-        structures: By number.
-    """
-
+    volumes: Sequence[NDArray[np.integer]]  # each (i, j, k); 0 is no structure
     grid: Grid
-    numbers: NDArray[Any]
-    structures: Mapping[int, Structure]
+    structures: tuple[Structure, ...]  # those with voxels
 
-    def __post_init__(self) -> None:
-        """Raise `VolumeError` if the numbers have another shape than the grid."""
-        if self.numbers.shape != self.grid.shape:
-            raise VolumeError(f"numbers {self.numbers.shape}, grid {self.grid.shape}: expected one")
+    @classmethod
+    def of(
+        cls, volumes: Sequence[NDArray[Any]], grid: Grid, structures: Iterable[Structure]
+    ) -> "Labels":
+        """Count the voxels of each structure; those without any are left out.
 
-    def named(self, name: str) -> Structure:
-        """The structure of that name; `StructureError` if there is none."""
-        for structure in self.structures.values():
+        Raises:
+            VolumeError: No structure has a voxel, or two have the same name.
+        """
+        from scipy.ndimage import find_objects
+
+        boxes = [find_objects(volume) for volume in volumes]
+        found: dict[str, Structure] = {}
+        for item in structures:
+            of_volume = boxes[item.volume]
+            box = of_volume[item.value - 1] if 0 < item.value <= len(of_volume) else None
+            if item.name in found:
+                raise VolumeError(f"two structures are named {item.name!r}: rename one")
+            if box is not None:
+                voxels = int(np.count_nonzero(volumes[item.volume][box] == item.value))
+                found[item.name] = replace(item, voxels=voxels, box=box)
+        if not found:
+            raise VolumeError("no voxel is labelled: expected at least one structure")
+        return cls(volumes, grid, tuple(found.values()))
+
+    def __getitem__(self, name: str) -> Structure:
+        """Return the structure of that name."""
+        for structure in self.structures:
             if structure.name == name:
                 return structure
-        known = ", ".join(structure.name for structure in self.structures.values())
-        raise StructureError(f"no structure {name!r}; there are: {known}")
+        names = ", ".join(item.name for item in self.structures)
+        raise VolumeError(f"no structure with voxels is named {name!r}; there are {names}")
 
-    def name_of(self, number: int) -> str:
-        """Name of the structure with that number."""
-        found = self.structures.get(number)
-        return UNLABELLED if found is None else found.name
+    def mask(self, name: str) -> NDArray[np.bool_]:
+        """Which voxels belong to a structure, (i, j, k) in the structure's box."""
+        structure = self[name]
+        return self.volumes[structure.volume][structure.box] == structure.value
 
-    def is_obstacle(self, number: int) -> bool:
-        """Whether a needle cannot go through that structure."""
-        found = self.structures.get(number)
-        return found is not None and found.is_obstacle
+    def centroid_m(self, name: str) -> NDArray[np.float64]:
+        """Mean place of a structure's voxels in LPS, (3,)."""
+        start = [part.start for part in self[name].box]
+        return self.grid.points_m(np.argwhere(self.mask(name)).mean(axis=0) + start)
 
-    def centroid_m(self, name: str) -> Array:
-        """Centre of a structure's voxels, shape (3,); `StructureError` if it is empty."""
-        return self.grid.to_world(self._voxels(name).mean(axis=0))
+    def cropped(self, lower_m: ArrayLike, upper_m: ArrayLike) -> "Labels":
+        """Return what a box, given by two corners in LPS, reaches."""
+        box = self.grid.box(lower_m, upper_m)
+        return Labels.of([v[box] for v in self.volumes], self.grid.within(box), self.structures)
 
-    def volume_m3(self, name: str) -> float:
-        """Volume of a structure's voxels."""
-        return len(self._voxels(name)) * self.grid.voxel_m3
+    def with_body(self, scan: Volume) -> "Labels":
+        """Add ``body``: all that is not air around the patient, found in the CT."""
+        from scipy import ndimage
 
-    def _voxels(self, name: str) -> NDArray[np.int64]:
-        found = np.argwhere(self.numbers == self.named(name).number)
-        if not len(found):
-            raise StructureError(f"structure {name!r} has no voxels")
+        _require_agreement(self, scan)
+        parts: NDArray[np.int32] = np.zeros(scan.grid.shape, np.int32)
+        ndimage.label(scan.values > BODY_HU, output=parts)
+        inside = parts == np.bincount(parts.ravel())[1:].argmax() + 1
+        head = int(np.abs(scan.grid.axes_m[2]).argmax())  # lungs are open at the top of a scan
+        for section in np.moveaxis(inside, head, 0):
+            section[:] = ndimage.binary_fill_holes(section)
+        # Each of our voxels takes the scan's nearest: grids may be flipped, cropped or finer.
+        first = scan.grid.indices(self.grid.origin_m).tolist()
+        steps = np.linalg.solve(scan.grid.axes_m, self.grid.axes_m)
+        body = ndimage.affine_transform(
+            inside.astype(np.uint8), steps, first, self.grid.shape, order=0, mode="nearest"
+        )
+        extra = Structure.named("body", 1, len(self.volumes))
+        volumes = [*self.volumes, body]
+        return Labels.of(volumes, self.grid, (*self.structures, extra))
+
+    def surfaces(
+        self, names: Iterable[str] | None = None, progress: Callable[[float], None] | None = None
+    ) -> "dict[str, Surface]":
+        """Closed surfaces by name (`surface.surface_of`); ``progress`` gets the fraction done."""
+        from needleforce.anatomy.surface import surface_of
+
+        wanted = list(names) if names is not None else [item.name for item in self.structures]
+        found = {}
+        for done, name in enumerate(wanted, 1):
+            found[name] = surface_of(self, name)
+            if progress is not None:
+                progress(done / len(wanted))
         return found
 
-    def require_same_space(self, image: Image) -> None:
-        """Raise `VolumeError` unless the labelled voxels lie inside an image's grid.
+    def layers_along(
+        self, entry_m: ArrayLike, target_m: ArrayLike, boundary_std_m: float = 0.0
+    ) -> "list[Layer]":
+        """What a straight needle crosses, see `path_layers.layers_on_path`."""
+        from needleforce.anatomy.path_layers import layers_on_path
 
-        A segmentation may be cropped or finer, but one whose origin, axes or units are not those of
-        the scan puts organs where they are not.
-        """
-        filled = np.argwhere(self.numbers != 0)
-        ends = np.array([filled.min(axis=0), filled.max(axis=0)])
-        corners = np.stack(np.meshgrid(*ends.T, indexing="ij"), axis=-1).reshape(-1, 3)
-        index = image.grid.to_index(self.grid.to_world(corners))
-        beyond = np.maximum(-0.5 - index, index - (np.array(image.grid.shape) - 0.5)).max()
-        if beyond > 1.0:
-            raise VolumeError(
-                f"labelled voxels lie {beyond:.1f} voxels outside the scan: the segmentation is of "
-                "another scan, or lost its origin; export it again with its own geometry"
-            )
-        if self.numbers.shape == image.values.shape and not np.allclose(
-            self.grid.axes_m, image.grid.axes_m, atol=_SAME_MM * MM
-        ):
-            raise VolumeError(
-                "segmentation and scan have the same size but different axes or spacing: "
-                f"{self.grid.axes_m.tolist()} and {image.grid.axes_m.tolist()} m"
-            )
+        return layers_on_path(self, entry_m, target_m, boundary_std_m)
 
 
-def read_image(path: str | Path) -> Image:
-    """Read a scan: a file (NIfTI, NRRD, MetaImage), or a folder with one DICOM series.
+def read_volume(path: Path | str) -> Volume:
+    """Read a scan: a folder with one DICOM series, a NIfTI file or an NRRD file.
 
     Raises:
-        VolumeError: It cannot be read, several series lie in the folder, or slices are missing.
+        VolumeError: Not readable, not three-dimensional, not in millimetres; of DICOM: no series or
+            several, slices that are missing, doubled, of different sizes or sheared.
     """
-    found = _read(Path(path))
-    if found.GetNumberOfComponentsPerPixel() != 1:
-        raise VolumeError(f"{path} has several values per voxel; expected a scan with one")
-    return Image(*_arrays(found))
+    image = _read_image(Path(path))
+    if image.GetNumberOfComponentsPerPixel() != 1:
+        raise VolumeError(f"{path} has several numbers per voxel: expected a scan")
+    return Volume(_arrays(image)[0], _grid_of(image, path))
 
 
-def read_labels(path: str | Path, names: Mapping[int, str] | str | Path | None = None) -> Labels:
-    """Read a segmentation.
+def read_labels(
+    path: Path | str,
+    names: Mapping[int, str] | Path | str | None = None,
+    scan: Volume | None = None,
+) -> Labels:
+    """Read a segmentation: 3D Slicer's ``.seg.nrrd``, or NIfTI or NRRD with one label per voxel.
 
     Args:
-        path: A file of whole numbers. Slicer's .seg.nrrd brings names and colours along.
-        names: Names by number, or a JSON file of them; None: `labels.json` beside the file, where
-            there is one. What has no name is called by its number.
+        path: The file, or a folder with a DICOM series.
+        names: Of label values, or a JSON file with them (``{"5": "liver"}``); labels without a name
+            are called ``label_5``. Segments of a ``.seg.nrrd`` bring names and colours.
+        scan: The CT to which the labels belong: places must agree.
 
     Raises:
-        VolumeError: It cannot be read, holds no whole numbers, is empty, or names no voxels.
+        VolumeError: As `read_volume`; values that are no labels, no voxel labelled, or labels that
+            lie elsewhere than the scan.
     """
-    place = Path(path)
-    found = _read(place)
-    grid, numbers = _arrays(found)
-    meta = {key: found.GetMetaData(key) for key in found.GetMetaDataKeys()}
-    if any(re.match(r"Segment\d+_LabelValue", key) for key in meta):
-        numbers, structures = _slicer_segments(numbers, meta)
-    else:
-        if numbers.ndim != 3:
-            raise VolumeError(f"{place} has several values per voxel, and is no .seg.nrrd")
-        numbers = _whole_numbers(numbers, place)
-        known = _names(place, names)
-        present = [int(number) for number in np.unique(numbers) if number != 0]
-        structures = {n: Structure(n, known.get(n, f"label {n}"), _color(n)) for n in present}
-    if not structures or not numbers.any():
-        raise VolumeError(f"{place} is empty: every voxel is 0; is it the segmentation?")
-    return Labels(grid, numbers, structures)
-
-
-def _read(path: Path) -> Any:
-    import SimpleITK as sitk
-
-    if not path.exists():
-        raise VolumeError(f"{path} does not exist; expected a file, or a folder of DICOM slices")
+    image = _read_image(Path(path))
+    volumes, grid = [], _grid_of(image, path)
+    for values in _arrays(image):
+        whole = values if np.issubdtype(values.dtype, np.integer) else values.astype(np.int32)
+        if whole.min() < 0 or whole.max() > np.iinfo(np.uint16).max or np.any(whole != values):
+            raise VolumeError(f"{path} holds {values.min():g} to {values.max():g}: expected labels")
+        volumes.append(whole.astype(np.uint8 if whole.max() < 256 else np.uint16, copy=False))
     try:
-        if path.is_dir():
-            return _read_series(path, sitk)
-        return sitk.ReadImage(str(path))
+        labels = Labels.of(volumes, grid, _segments(image) or _plain_structures(volumes, names))
+    except VolumeError as error:
+        raise VolumeError(f"{path}: {error}") from None
+    if scan is not None:
+        _require_agreement(labels, scan)
+    return labels
+
+
+def _plain_structures(
+    volumes: Sequence[NDArray[Any]], names: Mapping[int, str] | Path | str | None
+) -> list[Structure]:
+    if isinstance(names, Path | str):
+        try:
+            names = {int(k): str(v) for k, v in json.loads(Path(names).read_bytes()).items()}
+        except (OSError, ValueError, AttributeError) as error:
+            raise VolumeError(f"cannot read names from {names}: {error}") from error
+    if len(volumes) > 1:
+        raise VolumeError("several labels per voxel and no segments: expected a .seg.nrrd file")
+    given = names or {}
+    return [
+        Structure.named(given.get(value, f"label_{value}"), value)
+        for value in range(1, int(volumes[0].max()) + 1)
+    ]
+
+
+def _segments(image: Any) -> list[Structure]:
+    """Return the segments that 3D Slicer described in the file's header, none in other files."""
+    keys, found = set(image.GetMetaDataKeys()), []
+    while f"Segment{len(found)}_ID" in keys:
+
+        def field(what: str, default: str, number: int = len(found)) -> str:
+            key = f"Segment{number}_{what}"
+            return image.GetMetaData(key) if key in keys else default
+
+        value = int(field("LabelValue", str(len(found) + 1)))
+        made = Structure.named(field("Name", field("ID", "")), value, int(field("Layer", "0")))
+        colour = tuple(float(part) for part in field("Color", "").split()) or made.colour
+        found.append(replace(made, colour=colour))
+    return found
+
+
+def _read_image(path: Path) -> Any:
+    import SimpleITK
+
+    SimpleITK.ProcessObject.GlobalWarningDisplayOff()  # what it warns of is refused here
+    try:
+        image = _read_series(path) if path.is_dir() else SimpleITK.ReadImage(str(path))
     except RuntimeError as error:
-        reason = str(error).strip().splitlines()[-1]
-        raise VolumeError(f"{path} is no volume that can be read: {reason}") from error
-
-
-def _read_series(folder: Path, sitk: Any) -> Any:
-    reader = sitk.ImageSeriesReader()
-    series = reader.GetGDCMSeriesIDs(str(folder))
-    if len(series) != 1:
-        what = f"holds {len(series)} DICOM series" if series else "holds no DICOM series"
-        raise VolumeError(f"{folder} {what}; expected one: put each series into its own folder")
-    reader.SetFileNames(reader.GetGDCMSeriesFileNames(str(folder), series[0]))
-    reader.MetaDataDictionaryArrayUpdateOn()
-    image = reader.Execute()
-    slices = range(image.GetSize()[2])
-    places = [_numbers(reader, k, "0020|0032") for k in slices]
-    tilts = [_numbers(reader, k, "0020|0037") for k in slices]
-    if np.ptp(tilts, axis=0).max() > 1e-4:
-        raise VolumeError(f"{folder}: slices are tilted against each other; expected one series")
-    steps = np.linalg.norm(np.diff(places, axis=0), axis=1)
-    usual = float(np.median(steps)) if len(steps) else 1.0
-    odd = np.flatnonzero(np.abs(steps - usual) > _SLICE_TOLERANCE * usual)
-    if len(odd):
+        why = "no such file" if not path.exists() else str(error).strip().splitlines()[-1]
         raise VolumeError(
-            f"{folder}: slices are {usual:.4g} mm apart, but {steps[odd[0]]:.4g} mm after slice "
-            f"{odd[0] + 1}: slices are missing or double; export the series again"
-        )
+            f"cannot read {path}: {why}; expected DICOM, .nii, .nii.gz, .nrrd or .seg.nrrd"
+        ) from error
+    if image.GetDimension() != 3 or min(image.GetSize()) < 2:
+        raise VolumeError(f"{path} has {image.GetSize()} voxels: expected three dimensions")
     return image
 
 
-def _numbers(reader: Any, slice_number: int, tag: str) -> list[float]:
-    return [float(value) for value in reader.GetMetaData(slice_number, tag).split("\\")]
+def _read_series(folder: Path) -> Any:
+    import SimpleITK
 
-
-def _arrays(image: Any) -> tuple[Grid, NDArray[Any]]:
-    """Grid and values, [i, j, k] or with several values per voxel [i, j, k, component]."""
-    import SimpleITK as sitk
-
-    if image.GetDimension() != 3:
-        raise VolumeError(f"expected a volume, got {image.GetDimension()} dimensions")
-    direction = np.array(image.GetDirection()).reshape(3, 3)
-    axes_m = MM * direction * np.array(image.GetSpacing())
-    if abs(np.linalg.det(axes_m)) < 1e-15:
-        raise VolumeError(f"spacing {image.GetSpacing()} mm and axes span no volume")
-    values = sitk.GetArrayFromImage(image)
-    values = values.transpose(2, 1, 0, *range(3, values.ndim))
-    return Grid(MM * np.array(image.GetOrigin()), axes_m, values.shape[:3]), values
-
-
-def _whole_numbers(values: NDArray[Any], path: Path) -> NDArray[Any]:
-    if np.issubdtype(values.dtype, np.integer):
-        return values
-    whole = np.rint(values)
-    if not (np.isfinite(values).all() and np.array_equal(whole, values)):
-        raise VolumeError(f"{path} holds fractions: expected the whole numbers of a segmentation")
-    return whole.astype(np.int32)
-
-
-def _names(path: Path, names: Mapping[int, str] | str | Path | None) -> dict[int, str]:
-    if isinstance(names, Mapping):
-        return {int(number): str(name) for number, name in names.items()}
-    place = path.with_name("labels.json") if names is None else Path(names)
-    if names is None and not place.exists():
-        return {}
-    try:
-        table = json.loads(place.read_text(encoding="utf-8"))
-        return {int(number): str(name) for number, name in table.items()}
-    except (OSError, ValueError, AttributeError) as error:
+    reader = SimpleITK.ImageSeriesReader()
+    series = reader.GetGDCMSeriesIDs(str(folder))
+    if len(series) != 1:
         raise VolumeError(
-            f'{place}: {error}; expected a JSON object such as {{"1": "liver"}}'
-        ) from error
+            f"{folder} holds {len(series)} DICOM series: expected one; put each into its own folder"
+        )
+    files = reader.GetGDCMSeriesFileNames(str(folder), series[0])
+    headers = [_slice_header(name) for name in files]
+    if len({repr(header[1:]) for header in headers}) != 1:
+        raise VolumeError(f"{folder}: slices differ in size, spacing or orientation: mixed series")
+    rows, columns = np.array(headers[0][1]).reshape(2, 3)
+    places = np.array([header[0] for header in headers])
+    steps = np.diff(places, axis=0)
+    along = steps @ np.cross(rows, columns)
+    usual = float(np.median(along)) if len(along) else 0.0
+    if len(files) > 1 and np.any(np.abs(along - usual) > 0.01 * abs(usual)):
+        worst = int(np.abs(along - usual).argmax())
+        raise VolumeError(
+            f"{folder}: slices are {usual:.3f} mm apart, but {along[worst]:.3f} mm after "
+            f"{Path(files[worst]).name}: a slice is missing or doubled"
+        )
+    if len(files) > 1 and np.abs(steps @ np.array([rows, columns]).T).max() > 0.01 * abs(usual):
+        raise VolumeError(f"{folder}: slices are sheared (gantry tilt): resample the scan first")
+    reader.SetFileNames(files)
+    return reader.Execute()
 
 
-def _slicer_segments(
-    values: NDArray[Any], meta: Mapping[str, str]
-) -> tuple[NDArray[Any], dict[int, Structure]]:
-    """Segments of a .seg.nrrd, renumbered from 1; of those that overlap the later lies on top."""
-    layers = values if values.ndim == 4 else values[..., None]
-    numbers = np.zeros(layers.shape[:3], dtype=np.uint16)
-    structures: dict[int, Structure] = {}
-    segments = sorted(int(m[1]) for key in meta if (m := re.match(r"Segment(\d+)_LabelValue", key)))
-    for number, segment in enumerate(segments, start=1):
-        field = f"Segment{segment}_"
-        layer = layers[..., int(meta.get(field + "Layer", 0))]
-        inside = layer == int(meta[field + "LabelValue"])
-        if not inside.any():
-            continue
-        numbers[inside] = number
-        parts = [float(part) for part in meta.get(field + "Color", "").split()]
-        red, green, blue = parts if len(parts) == 3 else _color(number)
-        name = meta.get(field + "Name", f"label {number}")
-        structures[number] = Structure(number, name, (red, green, blue))
-    return numbers, structures
+def _slice_header(name: str) -> tuple[list[float], ...]:
+    """Position, orientation, spacing and size of a DICOM slice."""
+    import SimpleITK
+
+    reader = SimpleITK.ImageFileReader()
+    reader.SetFileName(name)
+    reader.ReadImageInformation()
+    found = []
+    for tag in ("0020|0032", "0020|0037", "0028|0030", "0028|0010", "0028|0011"):
+        if not reader.HasMetaDataKey(tag):
+            raise VolumeError(f"{name} has no DICOM tag {tag}: expected slices of one scan")
+        found.append([float(part) for part in reader.GetMetaData(tag).split("\\")])
+    return tuple(found)
 
 
-def _color(number: int) -> tuple[float, float, float]:
-    """A colour that differs from those of the neighbouring numbers."""
-    return colorsys.hsv_to_rgb((0.618034 * number) % 1.0, 0.55, 0.85)
+def _arrays(image: Any) -> list[NDArray[Any]]:
+    """Return one array (i, j, k) per component."""
+    import SimpleITK
+
+    values = SimpleITK.GetArrayFromImage(image)
+    return [values.T] if values.ndim == 3 else [values[..., c].T for c in range(values.shape[3])]
+
+
+def _grid_of(image: Any, path: Path | str) -> Grid:
+    axes = np.array(image.GetDirection()).reshape(3, 3) * np.array(image.GetSpacing())
+    grid = Grid(image.GetSize(), 1e-3 * np.array(image.GetOrigin()), 1e-3 * axes)
+    diagonal = float(np.linalg.norm(np.ptp(grid.corners_m(), axis=0)))
+    if not SIZES_M[0] < diagonal < SIZES_M[1]:
+        raise VolumeError(f"{path} measures {diagonal:.3g} m: expected a file in millimetres")
+    return grid
+
+
+def _require_agreement(labels: Labels, scan: Volume) -> None:
+    """Refuse labels on a grid as large as the scan's elsewhere, or with voxels outside the scan."""
+    last = np.array(scan.grid.shape) - 1.0
+
+    def beyond(grid: Grid) -> float:
+        found = scan.grid.indices(grid.corners_m())
+        return float(np.maximum(-found, found - last).max())
+
+    extents = (np.sort(np.ptp(grid.corners_m(), axis=0)) for grid in (labels.grid, scan.grid))
+    off = beyond(labels.grid)
+    if np.allclose(*extents, atol=0.1 * scan.grid.spacing_m.min()) and off > 0.1:
+        raise VolumeError(
+            f"the labels' grid is as large as the scan's and lies {off:.1f} voxels beside it: "
+            "origin or directions of one of the files are wrong"
+        )
+    for item in labels.structures:
+        off = beyond(labels.grid.within(item.box))
+        if off > 1.0:
+            raise VolumeError(
+                f"{item.name} lies {off:.0f} voxels outside the scan: the labels belong to another "
+                "scan, or lost their origin when they were cropped"
+            )

@@ -16,15 +16,14 @@ from scipy import ndimage
 from scipy.spatial.transform import Rotation
 
 from groundtruth import Run, Scenario, simulate
-from groundtruth.layers import Layer
+from groundtruth.layers import Layer as TissueLayer
 from groundtruth.materials import abdominal_fat, abdominal_liver, abdominal_muscle
 from groundtruth.motion import constant_motion
-from groundtruth.torso import random_torso
+from groundtruth.torso import analytic_torso
 from needleforce.anatomy import (
     Grid,
-    Image,
     Labels,
-    PathLayer,
+    Layer,
     PlanMatch,
     PlanState,
     Registration,
@@ -33,10 +32,8 @@ from needleforce.anatomy import (
     TouchSurface,
     fit_landmarks,
     fit_surface,
-    layers_along,
-    read_image,
     read_labels,
-    surface_of,
+    read_volume,
 )
 from needleforce.cli.terminal import CommandError, progress_bar, write_out
 from needleforce.plots import palette
@@ -56,10 +53,8 @@ NEVER = "Simulation only: not a medical device."
 Array = NDArray[np.float64]
 Progress = Callable[[float], None]
 
-BODY = "soft tissue"
-"""Name of the voxels inside the skin that no structure of a CT's segmentation has."""
-BODY_NUMBER = 250
-AIR_HU = -300.0
+VOXEL_m = 2e-3
+"""Of the analytic torso's scan."""
 SHIFT_STD_m = 3e-3
 """How far the organs lie from where the CT saw them, along the needle: breathing, deformation."""
 TOUCHES, TOUCH_STD_m = 100, 0.5e-3
@@ -78,7 +73,7 @@ class Insertion(NamedTuple):
     labels: Labels
     entry_m: Array  # of the plan, in the model
     target_m: Array
-    plan: list[PathLayer]
+    plan: list[Layer]
     rough: Registration  # by landmarks
     fine: Registration  # by touches
     truth: tuple[Array, Array]  # true rotation and shift from the model to the robot
@@ -104,40 +99,31 @@ class Insertion(NamedTuple):
 def read_torso(folder: Path | None, rng: np.random.Generator) -> Labels:
     """A CT with labels from a folder, or a built-in analytic torso."""
     if folder is None:
-        torso = random_torso(rng)
-        numbers, origin, axes = torso.voxels(2e-3)
-        colors = ((0.9, 0.8, 0.5), (0.75, 0.35, 0.3), (0.95, 0.85, 0.7), (0.6, 0.25, 0.2))
-        colors += ((0.25, 0.35, 0.75), (0.3, 0.6, 0.3))
-        structures = {n: Structure(n, name, colors[n - 1]) for n, name in torso.names.items()}
-        return Labels(Grid(origin, axes, numbers.shape), numbers, structures)
+        torso = analytic_torso(rng)
+        skin = torso["fat"]
+        half = np.ceil(skin.reach_m / VOXEL_m).astype(int) + 4
+        grid = Grid(
+            tuple((2 * half + 1).tolist()), skin.centre_m - VOXEL_m * half, VOXEL_m * np.eye(3)
+        )
+        structures = [Structure.named(body.name, n) for n, body in enumerate(torso.shapes, 1)]
+        numbers = torso.voxels(grid.shape, grid.origin_m, grid.axes_m)
+        return Labels.of([numbers], grid, structures)
     files = [*sorted(folder.glob("labels*.n*")), *sorted(folder.glob("*.seg.nrrd"))]
     scans = sorted(folder.glob("ct.n*"))
     if not files or not scans:
         raise CommandError(f"{folder}: expected ct.nii.gz (or .nrrd) and labels.nii.gz beside it")
-    labels, scan = read_labels(files[0]), read_image(scans[0])
-    labels.require_same_space(scan)
-    return with_body(labels, scan)
+    return read_named_labels(files[0]).with_body(read_volume(scans[0]))
 
 
-def with_body(labels: Labels, scan: Image) -> Labels:
-    """The labels with what is left inside the skin as a structure of its own.
+def read_named_labels(path: Path) -> Labels:
+    """Labels with the names of a `labels.json` beside them, where there is one."""
+    names = path.with_name("labels.json")
+    return read_labels(path, names if names.exists() else None)
 
-    Raises:
-        CommandError: The scan has another grid than the labels.
-    """
-    if scan.values.shape != labels.numbers.shape:
-        raise CommandError("the CT and its labels have different grids; resample one of them")
-    dense: Any = ndimage.label(ndimage.binary_opening(scan.values > AIR_HU, iterations=1))
-    dense = dense[0]
-    sizes = np.bincount(dense.ravel())
-    sizes[0] = 0
-    body = dense == sizes.argmax()
-    for k in range(body.shape[2]):  # lungs and bowel are inside
-        body[:, :, k] = ndimage.binary_fill_holes(body[:, :, k])
-    numbers = labels.numbers.astype(np.int32)
-    numbers[(numbers == 0) & body] = BODY_NUMBER
-    structures = {**labels.structures, BODY_NUMBER: Structure(BODY_NUMBER, BODY, (0.9, 0.8, 0.6))}
-    return Labels(labels.grid, numbers, structures)
+
+def inside_body(labels: Labels) -> NDArray[np.bool_]:
+    """Which voxels any structure covers."""
+    return np.any([volume != 0 for volume in labels.volumes], axis=0)
 
 
 def plan_path(labels: Labels, organ: str, rng: np.random.Generator) -> tuple[Array, Array]:
@@ -148,19 +134,20 @@ def plan_path(labels: Labels, organ: str, rng: np.random.Generator) -> tuple[Arr
     Raises:
         CommandError: There is none from the front.
     """
-    inside = labels.numbers == labels.named(organ).number
-    core = ndimage.binary_erosion(inside, iterations=3)
-    places = labels.grid.to_world(np.argwhere(core if core.any() else inside))
+    organ_mask, corner = labels.mask(organ), [part.start for part in labels[organ].box]
+    core = ndimage.binary_erosion(organ_mask, iterations=3)
+    places = labels.grid.points_m(np.argwhere(core if core.any() else organ_mask) + corner)
+    body = inside_body(labels)
     best: tuple[tuple[int, float], Array, Array] | None = None
     for _ in range(200):
         target = places[rng.integers(len(places))]
         turn = np.radians(STEEPEST_deg) * rng.uniform(-1.0, 1.0, 2)
         axis = Rotation.from_euler("xz", turn).apply(FRONT)
-        found = _skin_along(labels, target, axis)
+        found = _skin_along(labels.grid, body, target, axis)
         if found is None or not LENGTHS_m[0] < found < LENGTHS_m[1]:
             continue
         entry = target + found * axis
-        layers = layers_along(labels, entry, target)
+        layers = labels.layers_along(entry, target)
         rank = -len(layers), found
         if len(layers) > 1 and not any(layer.is_obstacle for layer in layers):
             best = (rank, entry, target) if best is None or rank < best[0] else best
@@ -169,17 +156,15 @@ def plan_path(labels: Labels, organ: str, rng: np.random.Generator) -> tuple[Arr
     return best[1], best[2]
 
 
-def _skin_along(labels: Labels, start: Array, axis: Array) -> float | None:
+def _skin_along(grid: Grid, body: NDArray[np.bool_], start: Array, axis: Array) -> float | None:
     """Distance at which a ray from inside leaves the body; None where the volume ends first."""
-    step = 0.5 * float(labels.grid.spacing_m.min())
+    step = 0.5 * float(grid.spacing_m.min())
     distance = step * np.arange(1, int(0.3 / step))
-    index = np.rint(labels.grid.to_index(start + distance[:, None] * axis)).astype(int)
-    valid: Any = ((index >= 0) & (index < labels.grid.shape)).all(axis=1)
-    number = np.where(valid, labels.numbers[tuple(np.where(valid[:, None], index, 0).T)], 0)
-    outside = np.flatnonzero(number == 0)
-    if not len(outside) or not valid[outside[0]]:
-        return None
-    return float(distance[outside[0]])
+    index = np.rint(grid.indices(start + distance[:, None] * axis)).astype(int)
+    valid: Any = ((index >= 0) & (index < grid.shape)).all(axis=1)
+    is_body = valid & body[tuple(np.where(valid[:, None], index, 0).T)]
+    outside = np.flatnonzero(~is_body)
+    return float(distance[outside[0]]) if len(outside) and valid[outside[0]] else None
 
 
 def register(
@@ -200,12 +185,8 @@ def register(
 
 
 def _skin(labels: Labels) -> Surface:
-    body = Labels(
-        labels.grid,
-        (labels.numbers != 0).astype(np.uint8),
-        {1: Structure(1, "skin", (0.9, 0.8, 0.7))},
-    )
-    return surface_of(body, "skin")
+    volume = inside_body(labels).astype(np.uint8)
+    return Labels.of([volume], labels.grid, [Structure.named("skin", 1)]).surfaces()["skin"]
 
 
 def _spread(points: Array, count: int, rng: np.random.Generator) -> list[int]:
@@ -218,7 +199,7 @@ def _spread(points: Array, count: int, rng: np.random.Generator) -> list[int]:
     return chosen
 
 
-def tissue(plan: list[PathLayer]) -> tuple[Layer, ...]:
+def tissue(plan: list[Layer]) -> tuple[TissueLayer, ...]:
     """Layers of the simulation as thick as those of the plan, and one behind the target."""
     kinds = {"liver": abdominal_liver, "muscle": abdominal_muscle}
     layers = [
@@ -238,7 +219,7 @@ def insert(folder: Path | None, seed: int, progress: Progress = lambda fraction:
     rng = np.random.default_rng(seed)
     labels = read_torso(folder, rng)
     entry, target = plan_path(labels, "liver", rng)
-    plan = [p for p in layers_along(labels, entry, target) if p.exit_m - p.entry_m > LEAST_LAYER_m]
+    plan = [p for p in labels.layers_along(entry, target) if p.exit_m - p.entry_m > LEAST_LAYER_m]
     truth = (
         Rotation.from_euler("x", 90.0 + 5.0 * rng.normal(), degrees=True).as_matrix(),
         (np.array([0.6, 0.0, 0.3]) + 0.02 * rng.normal(size=3)),
@@ -328,6 +309,8 @@ def run(folder: Path | None, picture: Path | None, data: Path | None, seed: int)
     return 0
 
 
+LEAST_NAMED = 800
+"""Pixels from which on a structure's name is written."""
 SLICE = (
     "The plane of the needle through the segmentation, as planned: entry and target, planned "
     "boundaries (white), detected ruptures (yellow), and where the tip stopped (red), each moved "
@@ -403,20 +386,17 @@ def draw_slice(made: Insertion, path: Path) -> Path:
     side /= np.linalg.norm(side)
     along, across = np.arange(-0.03, made.length_m + 0.06, 5e-4), np.arange(-0.09, 0.09, 5e-4)
     places = made.entry_m + along[:, None, None] * axis + across[None, :, None] * side
-    index = np.rint(made.labels.grid.to_index(places)).astype(int)
+    index = np.rint(made.labels.grid.indices(places)).astype(int)
     valid: Any = ((index >= 0) & (index < made.labels.grid.shape)).all(axis=-1)
-    number = made.labels.numbers[tuple(np.moveaxis(np.where(valid[..., None], index, 0), -1, 0))]
-    number = np.where(valid, number, 0)
-    colors = np.zeros((*number.shape, 3))
+    at = tuple(np.moveaxis(np.where(valid[..., None], index, 0), -1, 0))
+    colors = np.zeros((*valid.shape, 3))
     figure, plane = plt.subplots(figsize=(6.4, 5.2), layout="constrained")
-    for structure in made.labels.structures.values():
-        inside = number == structure.number
-        colors[inside] = structure.color
-        if np.count_nonzero(inside) > 800:
-            row, column = (
-                1e3 * np.median(v)
-                for v in (along[np.nonzero(inside)[0]], across[np.nonzero(inside)[1]])
-            )
+    for structure in sorted(made.labels.structures, key=lambda item: -item.voxels):
+        inside = valid & (made.labels.volumes[structure.volume][at] == structure.value)
+        colors[inside] = structure.colour
+        if np.count_nonzero(inside) > LEAST_NAMED:
+            rows, columns = np.nonzero(inside)
+            row, column = 1e3 * np.median(along[rows]), 1e3 * np.median(across[columns])
             plane.text(column, row, structure.name, color="white", ha="center", fontsize=8)
     extent = (1e3 * across[0], 1e3 * across[-1], 1e3 * along[-1], 1e3 * along[0])
     plane.imshow(colors, extent=extent, aspect="equal")

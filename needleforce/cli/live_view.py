@@ -7,8 +7,8 @@ from time import sleep
 
 import numpy as np
 
-from needleforce.anatomy import layers_along, read_labels, surfaces
 from needleforce.cli import RobotOptions, ViewOptions
+from needleforce.cli.demo_abdomen import read_named_labels
 from needleforce.cli.robot import robot_from_options
 from needleforce.cli.terminal import CommandError, progress_bar, say, stop_request, write_out
 from needleforce.recordings import read_log
@@ -84,7 +84,7 @@ def read_plan(folder: Path) -> PlanScene:
     found = [*sorted(folder.glob("labels*.n*")), *sorted(folder.glob("*.seg.nrrd"))]
     if not found:
         raise CommandError(f"{folder}: expected labels.nii.gz, labels.nrrd or a .seg.nrrd there")
-    labels = read_labels(found[0])
+    labels = read_named_labels(found[0])
     try:
         plan = json.loads((folder / PLAN).read_text(encoding="utf-8"))
         rotation, shift, entry, target = (
@@ -96,6 +96,6 @@ def read_plan(folder: Path) -> PlanScene:
     except (OSError, ValueError, KeyError, TypeError) as error:
         raise CommandError(f"{folder / PLAN}: {error}; expected {EXPECTED}") from error
     with progress_bar("surfaces") as progress:
-        made = surfaces(labels, least_voxels=LEAST_VOXELS, progress=progress)
-    layers = layers_along(labels, entry, target)
-    return PlanScene(made, layers, entry, target, rotation, shift)
+        large = [item.name for item in labels.structures if item.voxels >= LEAST_VOXELS]
+        made = list(labels.surfaces(large, progress).values())
+    return PlanScene(made, labels.layers_along(entry, target), entry, target, rotation, shift)

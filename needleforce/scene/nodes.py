@@ -25,7 +25,7 @@ NEEDLE_m, NEEDLE_RADIUS_m = 0.2, 0.8e-3
 class PlanScene(NamedTuple):
     """Anatomy and plan as the viewer shows them."""
 
-    surfaces: Sequence[Any] = ()  # with `structure`, `vertices_m`, `triangles`, in the model
+    surfaces: Sequence[Any] = ()  # with `name`, `colour`, `vertices_m`, `triangles`, in the model
     layers: Sequence[Any] = ()  # with `name`, `exit_m`, `is_obstacle`
     entry_m: Array | None = None  # in the model
     target_m: Array | None = None
@@ -98,10 +98,10 @@ def add_anatomy(server: Any, plan: PlanScene) -> list[Any]:
     """Translucent structures, the planned way, and a ring with a name at every boundary."""
     handles = []
     for surface in plan.surfaces:
-        color = tuple(round(255 * part) for part in surface.structure.color)
+        color = tuple(round(255 * part) for part in surface.colour)
         handles.append(
             server.scene.add_mesh_simple(
-                f"/anatomy/{surface.structure.name}",
+                f"/anatomy/{surface.name}",
                 plan.to_robot(surface.vertices_m).astype(np.float32),
                 np.asarray(surface.triangles, dtype=np.uint32),
                 color=color,

@@ -6,7 +6,7 @@ finds the rows it missed overwritten, and goes on with the newest.
 
 import struct
 from multiprocessing.shared_memory import SharedMemory
-from typing import NamedTuple, Self
+from typing import Any, NamedTuple, Self
 
 import numpy as np
 from numpy.typing import NDArray
@@ -43,7 +43,8 @@ class StateRing:
         self._is_owner = name is None
         size = _COUNT.size + ROWS * self._row.size
         self._memory = SharedMemory(name, create=self._is_owner, size=size if name is None else 0)
-        self._buffer, self._count = self._memory.buf, 0
+        self._buffer: Any = self._memory.buf
+        self._count = 0
         if self._is_owner:
             _COUNT.pack_into(self._buffer, 0, 0)
 

@@ -1,0 +1,75 @@
+"""Surfaces: closed, outward, of the right volume and at the right place."""
+
+import numpy as np
+import pytest
+
+from benchmarks.anatomy_surface import distance_rms_m, label_ellipsoid
+from groundtruth.torso import Ellipsoid
+from needleforce.anatomy import Grid, Labels, Structure, Surface
+
+pytest.importorskip("skimage")
+trimesh = pytest.importorskip("trimesh")
+
+
+def of_mask(mask, axes_m):
+    grid = Grid(mask.shape, np.array([0.1, -0.2, 0.3]), axes_m)
+    return Labels.of([mask.astype(np.uint8)], grid, [Structure.named("part", 1)])
+
+
+@pytest.mark.parametrize("spacing_mm", [(1.0, 1.0, 1.0), (3.0, 3.0, 3.0), (1.0, 1.0, 2.0)])
+def test_an_ellipsoid_comes_back(spacing_mm):
+    spacing_m = 1e-3 * np.array(spacing_mm)
+    body = Ellipsoid("body", np.array([0.01, 0.02, 0.03]), np.array([0.03, 0.02, 0.025]), np.eye(3))
+    labels = label_ellipsoid(body, spacing_m, np.random.default_rng(5))
+    surface = labels.surfaces()["body"]
+    assert surface.is_watertight
+    assert trimesh.Trimesh(surface.vertices_m, surface.triangles, process=False).is_watertight
+    voxels_m3 = labels["body"].voxels * labels.grid.voxel_m3
+    assert surface.volume_m3 == pytest.approx(voxels_m3, rel=1e-6)
+    assert distance_rms_m(surface, body) < 0.12 * np.cbrt(labels.grid.voxel_m3)
+
+
+SHAPES = {
+    "one voxel": lambda m: m[4, 4, 4],
+    "two that touch at an edge": lambda m: (m[3, 3, 3], m[4, 4, 3]),
+    "two that touch at a corner": lambda m: (m[3, 3, 3], m[4, 4, 4]),
+    "cut off by the volume": lambda m: m[:, :, :5],
+    "a shell": lambda m: (m[1:8, 1:8, 1:3], m[1:8, 1:8, 6:8], m[1:3, 1:8, 1:8]),
+    "two parts": lambda m: (m[1:3, 1:3, 1:3], m[6:8, 6:8, 6:8]),
+}
+
+
+@pytest.mark.parametrize("name", SHAPES)
+@pytest.mark.parametrize("signs", [(1, 1, 1), (-1, 1, 1)])
+def test_awkward_structures_are_closed_and_keep_their_volume(name, signs):
+    mask = np.zeros((9, 9, 9), bool)
+    places = np.arange(mask.size).reshape(mask.shape)
+    chosen = SHAPES[name](places)
+    for group in chosen if isinstance(chosen, tuple) else (chosen,):
+        mask.ravel()[np.ravel(group)] = True
+    surface = of_mask(mask, 2e-3 * np.diag(np.array(signs, float))).surfaces()["part"]
+    assert surface.is_watertight
+    assert surface.volume_m3 == pytest.approx(8e-9 * mask.sum(), rel=1e-3)
+
+
+def test_random_voxels_are_closed():
+    mask = np.random.default_rng(0).uniform(size=(12, 12, 12)) > 0.5
+    surface = of_mask(mask, 1e-3 * np.eye(3)).surfaces()["part"]
+    assert surface.is_watertight
+
+
+def test_an_open_or_twisted_surface_is_noticed():
+    corners = np.array([[0, 0, 0], [1, 0, 0], [0, 1, 0], [0, 0, 1]], float)
+    faces = np.array([[0, 2, 1], [0, 1, 3], [0, 3, 2], [1, 2, 3]], np.int32)
+    whole = Surface("part", corners, faces, (1.0, 1.0, 1.0))
+    assert whole.is_watertight
+    assert whole.volume_m3 == pytest.approx(1.0 / 6.0)
+    twisted = np.vstack([faces[:3], faces[3:, ::-1]])
+    for bad in (faces[:3], twisted):
+        assert not Surface("part", corners, bad, (1.0, 1.0, 1.0)).is_watertight
+
+
+def test_progress_reaches_one():
+    seen = []
+    of_mask(np.pad(np.ones((3, 3, 3), bool), 2), 1e-3 * np.eye(3)).surfaces(progress=seen.append)
+    assert seen == [1.0]
