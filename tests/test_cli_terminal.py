@@ -12,8 +12,9 @@ import numpy as np
 import pytest
 from residual_command_log import insertion
 
-from needleforce.cli import Output, app, main
+from needleforce.cli import app, main
 from needleforce.cli.log import RowOverview, check_outputs
+from needleforce.cli.options import Output
 from needleforce.cli.terminal import (
     FAILED,
     INTERRUPTED,

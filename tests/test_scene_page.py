@@ -98,6 +98,12 @@ def test_marks_are_where_and_when_ruptures_were_and_vanish_when_time_goes_back(v
     assert not any(handle.visible for handle in mark.handles)
     viewer.show(7.0)
     assert all(handle.visible for handle in mark.handles)
+    viewer.show(1.0)
+    later = insertion(260)[200:]
+    later[30, FIELDS.index("rupture")] = 2.0
+    viewer.append(later)  # while somebody looks at the past
+    viewer.show(1.0)
+    assert not any(handle.visible for handle in viewer.marks[1].handles)
 
 
 @needs_chromium
@@ -115,6 +121,7 @@ def test_the_page_shows_the_insertion_in_a_browser(viewer, tmp_path):
         viewer.show(3.0)
         assert page.wait_for("!document.body.innerText.includes('rupture 1 at 12.0 mm')")
         assert page.wait_for("document.body.innerText.includes('3.0 s')")
+        time.sleep(3.0)  # the scene fades in
         picture = page.picture(tmp_path / "scene.png")
         assert picture.stat().st_size > 20_000
         assert page.errors == []

@@ -255,15 +255,17 @@ def read_labels(
 
     Args:
         path: The file, or a folder with a DICOM series.
-        names: Of label values, or a JSON file with them (``{"5": "liver"}``); labels without a name
-            are called ``label_5``. Segments of a ``.seg.nrrd`` bring names and colours.
+        names: Of label values, or a JSON file with them (``{"5": "liver"}``), by default
+            ``labels.json`` beside the file; labels without a name are called ``label_5``. Segments
+            of a ``.seg.nrrd`` bring names and colours.
         scan: The CT to which the labels belong: places must agree.
 
     Raises:
         VolumeError: As `read_volume`; values that are no labels, no voxel labelled, or labels that
             lie elsewhere than the scan.
     """
-    image = _read_image(Path(path))
+    image, beside = _read_image(Path(path)), Path(path).with_name("labels.json")
+    names = beside if names is None and beside.exists() else names
     volumes, grid = [], _grid_of(image, path)
     for values in _arrays(image):
         whole = values if np.issubdtype(values.dtype, np.integer) else values.astype(np.int32)

@@ -112,13 +112,7 @@ def read_torso(folder: Path | None, rng: np.random.Generator) -> Labels:
     scans = sorted(folder.glob("ct.n*"))
     if not files or not scans:
         raise CommandError(f"{folder}: expected ct.nii.gz (or .nrrd) and labels.nii.gz beside it")
-    return read_named_labels(files[0]).with_body(read_volume(scans[0]))
-
-
-def read_named_labels(path: Path) -> Labels:
-    """Labels with the names of a `labels.json` beside them, where there is one."""
-    names = path.with_name("labels.json")
-    return read_labels(path, names if names.exists() else None)
+    return read_labels(files[0]).with_body(read_volume(scans[0]))
 
 
 def inside_body(labels: Labels) -> NDArray[np.bool_]:

@@ -9,8 +9,9 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from needleforce import cli, plots
+from needleforce import plots
 from needleforce.cli import log as logs
+from needleforce.cli import options as cli
 from needleforce.cli import robot as robots
 from needleforce.cli.force_replay import Replay, Rows, has_status, tare_window
 from needleforce.cli.identify import IdentificationResult, identify_layers

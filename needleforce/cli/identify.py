@@ -11,8 +11,9 @@ from numpy.typing import NDArray
 
 from identification import MULTILAYER, PUBLISHED, PUBLISHED_KV, Estimate, LayerEstimate
 from identification.log_replay import ReplayStream
-from needleforce import cli, plots
+from needleforce import plots
 from needleforce.cli import log as logs
+from needleforce.cli import options as cli
 from needleforce.cli.log import LogSession
 from needleforce.cli.terminal import say, write_out
 from needleforce.plots import Chart, Curve, Panel, palette

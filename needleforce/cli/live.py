@@ -12,7 +12,8 @@ from typing import Any
 import numpy as np
 
 from groundtruth import simulate
-from needleforce.cli import LiveOptions, RobotOptions
+from needleforce.cli.live_commands import LiveOptions
+from needleforce.cli.options import RobotOptions
 from needleforce.cli.robot import robot_from_options
 from needleforce.cli.terminal import CommandError, progress_bar, say, stop_request, write_out
 from needleforce.devices import ArmSample, FrankaArm, FriArm, ReplayArm, UrArm, paced

@@ -7,8 +7,9 @@ from time import sleep
 
 import numpy as np
 
-from needleforce.cli import RobotOptions, ViewOptions
-from needleforce.cli.demo_abdomen import read_named_labels
+from needleforce.anatomy import read_labels
+from needleforce.cli.live_commands import ViewOptions
+from needleforce.cli.options import RobotOptions
 from needleforce.cli.robot import robot_from_options
 from needleforce.cli.terminal import CommandError, progress_bar, say, stop_request, write_out
 from needleforce.recordings import read_log
@@ -84,7 +85,7 @@ def read_plan(folder: Path) -> PlanScene:
     found = [*sorted(folder.glob("labels*.n*")), *sorted(folder.glob("*.seg.nrrd"))]
     if not found:
         raise CommandError(f"{folder}: expected labels.nii.gz, labels.nrrd or a .seg.nrrd there")
-    labels = read_named_labels(found[0])
+    labels = read_labels(found[0])
     try:
         plan = json.loads((folder / PLAN).read_text(encoding="utf-8"))
         rotation, shift, entry, target = (

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from needleforce import plots, recordings
-from needleforce.cli import Columns, Output
+from needleforce.cli.options import Columns, Output
 from needleforce.cli.terminal import (
     INTERRUPTED,
     CommandError,

@@ -9,7 +9,7 @@ import msgspec
 import numpy as np
 
 import urdf
-from needleforce.cli import RobotOptions, SensorOptions
+from needleforce.cli.options import RobotOptions, SensorOptions
 from needleforce.cli.terminal import CommandError
 from needleforce.recordings import load_mapping
 from needleforce.recordings.mapping import read_toml

@@ -7,7 +7,7 @@ from numpy.typing import NDArray
 
 from groundtruth import SCENARIOS, Run, simulate
 from groundtruth.scenarios import RANDOM_STACK, RANDOM_TISSUE, Scenario, named_scenario
-from needleforce.cli import SimulationOptions
+from needleforce.cli.options import SimulationOptions
 from needleforce.cli.terminal import CommandError, progress_bar, write_out
 from needleforce.recordings import check_writable, write_table
 from needleforce.recordings.output import check_outputs

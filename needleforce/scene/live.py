@@ -9,13 +9,13 @@ import os
 from contextlib import suppress
 from multiprocessing.connection import Connection
 from pathlib import Path
-from typing import Any, Self
+from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike
 
 from needleforce.scene.nodes import EMPTY, PlanScene
-from needleforce.scene.state_ring import StateRing, ViewRow
+from needleforce.scene.state_ring import Closing, StateRing, ViewRow
 from needleforce.scene.viewer import LOOPBACK, SceneError, Viewer
 from urdf import Robot
 
@@ -44,7 +44,7 @@ def view_row(now: Any, q_rad: ArrayLike) -> ViewRow:
     return ViewRow(values, tuple(np.asarray(q_rad, dtype=float).tolist()))
 
 
-class LiveView:
+class LiveView(Closing):
     """A page in another process; made by `open_viewer`.
 
     Attributes:
@@ -65,14 +65,6 @@ class LiveView:
         self._process.join(5.0)
         self._process.kill()
         self._ring.close()
-
-    def __enter__(self) -> Self:
-        """Itself."""
-        return self
-
-    def __exit__(self, *error: object) -> None:
-        """Close it."""
-        self.close()
 
 
 def open_viewer(

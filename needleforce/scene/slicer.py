@@ -5,17 +5,19 @@ from LPS metres to Slicer's RAS millimetres.
 """
 
 import json
-from typing import Any, Self
+from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike
+
+from needleforce.scene.state_ring import Closing
 
 PORT = 18944
 MOST_HZ = 50.0
 LPS_TO_RAS = np.diag([-1.0, -1.0, 1.0, 1.0])
 
 
-class SlicerOutput:
+class SlicerOutput(Closing):
     """A server that sends at most `MOST_HZ` updates a second.
 
     Args:
@@ -68,11 +70,3 @@ class SlicerOutput:
     def close(self) -> None:
         """End the connection."""
         self._server.stop()
-
-    def __enter__(self) -> Self:
-        """Itself."""
-        return self
-
-    def __exit__(self, *error: object) -> None:
-        """Close it."""
-        self.close()

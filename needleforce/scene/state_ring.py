@@ -30,7 +30,22 @@ class ViewRow(NamedTuple):
     q_rad: tuple[float, ...]
 
 
-class StateRing:
+class Closing:
+    """What is closed at the end of a ``with`` block."""
+
+    def close(self) -> None:
+        """End it."""
+
+    def __enter__(self) -> Self:
+        """Itself."""
+        return self
+
+    def __exit__(self, *error: object) -> None:
+        """Close it."""
+        self.close()
+
+
+class StateRing(Closing):
     """The ring; the side that makes it removes it.
 
     Args:
@@ -76,11 +91,3 @@ class StateRing:
         self._memory.close()
         if self._is_owner:
             self._memory.unlink()
-
-    def __enter__(self) -> Self:
-        """Itself."""
-        return self
-
-    def __exit__(self, *error: object) -> None:
-        """Close it."""
-        self.close()

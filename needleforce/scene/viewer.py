@@ -112,14 +112,19 @@ class Viewer:
         series = (
             uplot.Series(label=x_label),
             uplot.Series(label="force [N]", stroke=COLORS["force"], width=1.5),
-            uplot.Series(label="+ 2 std", stroke=COLORS["force"], width=0.3),
-            uplot.Series(label="- 2 std", stroke=COLORS["force"], width=0.3),
+            uplot.Series(label="upper, 2 std", stroke=COLORS["force"], width=0.3),
+            uplot.Series(label="lower", stroke=COLORS["force"], width=0.3),
             uplot.Series(label="tip force [N]", stroke=COLORS["tip force"], width=2.0),
         )
         band = uplot.Band(series=(2, 3), fill="rgba(42, 157, 111, 0.18)")
         scales = {"x": uplot.Scale(time=False, auto=True), "y": uplot.Scale(auto=True)}
         return self._server.gui.add_uplot(
-            nothing, series, title=x_label, bands=(band,), scales=scales, aspect=1.6
+            nothing,
+            series,
+            title=f"force [N] over {x_label}",
+            bands=(band,),
+            scales=scales,
+            aspect=1.6,
         )
 
     def append(self, rows: Array) -> None:
@@ -144,6 +149,8 @@ class Viewer:
         text = f"rupture {row[AT['rupture']]:.0f} at {1e3 * row[AT['rupture_depth_m']]:.1f} mm"
         name = f"/ruptures/{len(self._marks) + 1}"
         handles = add_ring(self._server, name, tip - back * axis, axis, FOUND, text)
+        for handle in handles:
+            handle.visible = False  # until its time is shown
         self._marks.append(Mark(float(row[0]), text, handles))
 
     def show(self, time_s: float | None = None) -> None:
@@ -219,13 +226,16 @@ class Viewer:
     def _replay(self) -> None:
         """From where the time line stands to its end, in real time."""
         self._live.value = False
+        self._play.disabled = True
         start_s, begin_s = float(self._slider.value), time.monotonic()
-        if start_s >= self._slider.max - 0.05:
-            start_s = 0.0
-        while (now_s := start_s + time.monotonic() - begin_s) < self._slider.max:
+        start_s = 0.0 if start_s >= self._slider.max - 0.05 else start_s
+        now_s = start_s
+        while now_s < self._slider.max:
+            now_s = min(start_s + time.monotonic() - begin_s, self._slider.max)
             self._slider.value = round(now_s, 2)
             self.show(now_s)
             time.sleep(1.0 / 20.0)
+        self._play.disabled = False
 
     def export(self, path: str | Path, *, frames: int = 120) -> Path:
         """Write the scene as one page that needs nothing else, with the insertion as a film.

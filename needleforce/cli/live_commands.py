@@ -1,0 +1,108 @@
+"""The commands `record`, `live` and `view`, and their options."""
+
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Annotated
+
+from cyclopts import Parameter
+
+from needleforce.cli.options import LOG, OUTPUT, TARE, RobotOptions, app
+
+LWR = RobotOptions()
+"""The arm unless another is named."""
+
+
+@Parameter(name="*", group=LOG)
+@dataclass(frozen=True, kw_only=True)
+class LiveOptions:
+    """How long an arm is listened to."""
+
+    seconds: Annotated[float, Parameter(metavar="S")] = float("inf")
+    """Stop after so long; else at Ctrl-C or when the arm stays away."""
+    tare: Annotated[float, Parameter(metavar="S", group=TARE)] = 4.0
+    """Of `live`: tare after so many seconds of motion without contact, and again after as many
+    where that is refused."""
+
+
+@Parameter(name="*", group=LOG)
+@dataclass(frozen=True, kw_only=True)
+class ViewOptions:
+    """What is shown beside a recording, and where."""
+
+    anatomy: Annotated[Path | None, Parameter(metavar="DIR")] = None
+    """Folder with labels.nii.gz (or .nrrd, .seg.nrrd) and plan.json: see docs/scene.md."""
+    tare: Annotated[float, Parameter(metavar="S", group=TARE)] = 4.0
+    """Tare after so many seconds of motion without contact."""
+    export: Annotated[Path | None, Parameter(metavar="FILE", group=OUTPUT)] = None
+    """Write the scene as one page (.html) with the insertion as a film, and end."""
+    host: Annotated[str, Parameter(metavar="ADDRESS", group=OUTPUT)] = "127.0.0.1"
+    """Where the page is served."""
+    port: Annotated[int, Parameter(metavar="N", group=OUTPUT)] = 8080
+    """Its port; another is taken if it is busy."""
+
+
+ArmName = Annotated[
+    str,
+    Parameter(
+        name="ARM",
+        group=LOG,
+        help="fri or fri:PORT (KUKA LWR 4+ that sends to this machine), franka:ADDRESS, "
+        "ur:ADDRESS, or sim:SCENARIO for a simulated one.",
+    ),
+]
+
+
+@app.command(name="view")
+def view_command(
+    recording: Annotated[Path, Parameter(name="RECORDING", group=LOG)],
+    /,
+    *,
+    options: ViewOptions = ViewOptions(),
+    robot: RobotOptions = LWR,
+) -> int:
+    """Show a recording of joint signals in a 3-D scene: a page for the browser, until Ctrl-C.
+
+    needleforce view insertion.csv --tare 13
+    """
+    from needleforce.cli.live_view import run
+
+    return run(recording, options, robot)
+
+
+@app.command(name="record")
+def record_command(
+    arm: ArmName,
+    /,
+    *,
+    output: Annotated[
+        Path, Parameter(name=("--output", "-o"), metavar="FILE", group=OUTPUT, help="Recording.")
+    ],
+    options: LiveOptions = LiveOptions(),
+    robot: RobotOptions = LWR,
+) -> int:
+    """Write an arm's joint signals into a recording as they come, until Ctrl-C.
+
+    needleforce record fri -o insertion.mcap
+    """
+    from needleforce.cli.live import record
+
+    return record(arm, output, options, robot)
+
+
+@app.command(name="live")
+def live_command(
+    arm: ArmName,
+    /,
+    *,
+    options: LiveOptions = LiveOptions(),
+    robot: RobotOptions = LWR,
+) -> int:
+    """Watch an arm: force on the needle, tip force, depth, ruptures, warnings, until Ctrl-C.
+
+    Move the needle in free air first: the tare is taken after --tare seconds of that.
+
+    needleforce live sim:stack-glove-constant
+    """
+    from needleforce.cli.live import watch
+
+    return watch(arm, options, robot)

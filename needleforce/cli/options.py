@@ -1,0 +1,214 @@
+"""Options of the commands: frozen dataclasses from which cyclopts builds the parser.
+
+The text below a field is its help.
+"""
+
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Annotated, Literal
+
+from cyclopts import App, Group, Parameter
+
+LOG = Group("Log", sort_key=1)
+OUTPUT = Group("Output", help="Without any of these, only a summary is printed.", sort_key=2)
+ROBOT = Group("Robot", sort_key=3)
+SENSOR = Group("Sensor", sort_key=4)
+TARE = Group("Tare", sort_key=5)
+COLUMNS = Group(
+    "Columns",
+    help="COLUMNS is a column name, a pattern such as q{1..7} or q_*, or names separated by "
+    "commas; a unit and a factor may follow, as in z:mm or fz:N:-1. What is not given is found "
+    "by its usual names.",
+    sort_key=6,
+)
+
+Source = Annotated[
+    str,
+    Parameter(
+        name="LOG",
+        group=LOG,
+        allow_leading_hyphen=True,
+        help="Recording: .csv, .csv.gz, .npz, .parquet, or a ROS 2 bag; - for standard input.",
+    ),
+]
+
+_COLUMN = Parameter(metavar="COLUMNS")
+
+
+@Parameter(name="*", group=COLUMNS)
+@dataclass(frozen=True, kw_only=True)
+class Columns:
+    """Which columns are which channels; a field of a channel's name holds its columns."""
+
+    time: Annotated[str | None, _COLUMN] = None
+    """Time stamp (s, ms, us, ns)."""
+    rate: Annotated[float | None, Parameter(metavar="HZ")] = None
+    """Sample rate, when there is no time."""
+    mapping: Annotated[str | None, Parameter(metavar="FILE")] = None
+    """TOML file that says all this."""
+    print_config: bool = False
+    """Print such a file for this log, to be edited, and stop."""
+
+
+@Parameter(name="*", group=COLUMNS)
+@dataclass(frozen=True, kw_only=True)
+class JointColumns(Columns):
+    """Channels of `force`."""
+
+    q: Annotated[str | None, _COLUMN] = None
+    """Joint position (rad, deg)."""
+    dq: Annotated[str | None, _COLUMN] = None
+    """Joint velocity (rad/s, deg/s)."""
+    tau: Annotated[str | None, _COLUMN] = None
+    """Measured joint torque (Nm, mNm)."""
+    tau_ext: Annotated[str | None, _COLUMN] = None
+    """External joint torque as the robot estimates it (Nm, mNm)."""
+
+
+@Parameter(name="*", group=COLUMNS)
+@dataclass(frozen=True, kw_only=True)
+class DepthColumns(Columns):
+    """Channels of `identify`."""
+
+    depth: Annotated[str | None, _COLUMN] = None
+    """Travel of the needle tip along its axis, growing into the tissue (m, cm, mm, um)."""
+    speed: Annotated[str | None, _COLUMN] = None
+    """Rate of depth (m/s, cm/s, mm/s, um/s)."""
+    force: Annotated[str | None, _COLUMN] = None
+    """Axial force, positive when tissue pushes back (N, mN)."""
+
+
+@Parameter(name="*", group=COLUMNS)
+@dataclass(frozen=True, kw_only=True)
+class AllColumns(JointColumns, DepthColumns):
+    """Channels of `report`."""
+
+
+Over = Literal["time", "depth"]
+
+
+@Parameter(name="*", group=OUTPUT)
+@dataclass(frozen=True, kw_only=True)
+class Output:
+    """How long a log is read, and the files to write."""
+
+    follow: Annotated[bool, Parameter(group=LOG)] = False
+    """Go on reading as the file (CSV, MCAP) grows, until Ctrl-C or --idle."""
+    idle: Annotated[float | None, Parameter(metavar="SECONDS", group=LOG)] = None
+    """Stop when nothing new came for so long, with --follow or a pipe."""
+    output: Annotated[
+        str | None, Parameter(name=("--output", "-o"), metavar="FILE", allow_leading_hyphen=True)
+    ] = None
+    """Table of the estimates, row by row: .csv, .npz, .parquet, .mcap (a ROS 2 bag), or - for CSV
+    on standard output."""
+    figure: Annotated[Path | None, Parameter(name=("--figure", "--png"), metavar="FILE")] = None
+    """Figure: .png, .svg or .pdf."""
+    over: Over = "time"
+    """Draw the figure over time, or over the depth of the needle."""
+    start: Annotated[float | None, Parameter(name="--from", metavar="X")] = None
+    """Start of the figure on its own axis, in seconds or, with --over depth, millimetres."""
+    end: Annotated[float | None, Parameter(name="--to", metavar="X")] = None
+    """End of the figure, likewise."""
+    report: Annotated[Path | None, Parameter(metavar="DIR")] = None
+    """Folder for a page with charts, results, warnings and settings."""
+
+
+@Parameter(name="*", group=ROBOT)
+@dataclass(frozen=True, kw_only=True)
+class RobotOptions:
+    """The robot on which the log was recorded."""
+
+    robot: Annotated[str | None, Parameter(metavar="NAME")] = None
+    """A known arm: lwr (KUKA LWR 4+, default), panda, ur3, ur5, ur5e, ur10, ur10e, xarm7."""
+    urdf: Annotated[str | None, Parameter(metavar="FILE")] = None
+    """Any other robot."""
+    tool_frame: Annotated[str | None, Parameter(metavar="NAME")] = None
+    """Link that carries the payload and whose z axis is the insertion direction (default: that of
+    the known arm; of a URDF the last link, if there is one only)."""
+    tip_offset: Annotated[tuple[float, float, float] | None, Parameter(metavar="X Y Z")] = None
+    """Where the tool is mounted in that frame [m], without editing the URDF."""
+    without: Annotated[tuple[str, ...], Parameter(metavar="LINK", consume_multiple=True)] = ()
+    """Links to leave out with all that they carry, such as panda_hand where the hand is off."""
+    lock: Annotated[
+        tuple[str, ...], Parameter(metavar="JOINT[=POSITION]", consume_multiple=True)
+    ] = ()
+    """With --urdf: joints that are not in the log, held at a position in rad or m (default: 0)."""
+    payload: Annotated[str | None, Parameter(metavar="FILE|needle|none")] = None
+    """What hangs on the flange: a TOML file; the paper's 304 g force sensor and needle (default of
+    the LWR); or nothing (default of other robots); else what the mapping says."""
+
+
+@Parameter(name="*", group=SENSOR)
+@dataclass(frozen=True, kw_only=True)
+class SensorOptions:
+    """How joint signals become a force."""
+
+    gain: Annotated[float | None, Parameter(metavar="K")] = None
+    """Observer gain K in 1/s (lag 1/K)."""
+    alignment: Literal["hold", "trapezoid"] | None = None
+    """Torques are commands held until the next sample (hold), or a sensor's samples (trapezoid)."""
+    mode: Literal["axial", "point", "full"] | None = None
+    """Contact: force along the needle (axial), 3-D force at the tip (point), 6-D wrench (full)."""
+    insertion_axis: Annotated[tuple[float, float, float] | None, Parameter(metavar="X Y Z")] = None
+    """Insertion direction in the tool frame (default: its z axis, 0 0 1)."""
+    published: bool = False
+    """The method as published."""
+    config: Annotated[str | None, Parameter(metavar="FILE")] = None
+    """TOML file of further settings."""
+    friction: Annotated[str | None, Parameter(metavar="FILE")] = None
+    """TOML file of joint friction and rotor inertia."""
+    gravity_compensated: bool = False
+    """The measured torque leaves gravity out already, as some drivers report it."""
+    external_torque: bool = False
+    """Read the external torque that the robot estimates itself (tau_ext) instead of tau."""
+    tare: Annotated[
+        str | None, Parameter(metavar="START:END", allow_leading_hyphen=True, group=TARE)
+    ] = None
+    """Motion without contact, in seconds of the log's clock, or (+0:+4) from its first stamp."""
+    no_tare: Annotated[bool, Parameter(group=TARE)] = False
+    """Leave the offset in the forces."""
+    force_tare: Annotated[bool, Parameter(group=TARE)] = False
+    """Tare even where contact is seen."""
+
+
+Method = Literal["multilayer", "published", "published-kv"]
+
+
+@Parameter(name="*", group=SENSOR)
+@dataclass(frozen=True, kw_only=True)
+class IdentificationOptions:
+    """How forces become layers."""
+
+    method: Method = "multilayer"
+    """Ours, or the method as published with the multi-layer or the Kelvin-Voigt model."""
+    ignore_status: bool = False
+    """Use also rows that `needleforce force` has marked as not tared, initializing or doubtful."""
+
+
+@Parameter(name="*", group=OUTPUT)
+@dataclass(frozen=True, kw_only=True)
+class SimulationOptions:
+    """What is simulated, and where it goes."""
+
+    output: Annotated[Path | None, Parameter(name=("--output", "-o"), metavar="FILE")] = None
+    """Recording: .csv, .npz, .parquet, or .mcap, a ROS 2 bag."""
+    truth: Annotated[Path | None, Parameter(metavar="FILE")] = None
+    """Ground truth, which the robot does not know: forces, depth, layers, ruptures."""
+    plant: Literal["ideal", "clean", "fri", "degraded"] = "clean"
+    """Plant model: how good arm and sensors are (default: clean)."""
+    seed: Annotated[int, Parameter(metavar="N")] = 0
+    """Of everything that is drawn at random (default: 0)."""
+    list: bool = False
+    """Print the scenarios and stop."""
+
+
+app = App(
+    name="needleforce",
+    help="Needle-tip force from a robot's joint torques, and the layers that the needle passes.",
+    default_parameter=Parameter(negative=(), show_default=False),
+    help_format="markdown",
+    version_flags=["--version"],
+    group_parameters=LOG,
+    group_arguments=LOG,
+)
+app.register_install_completion_command(help="Install completion for bash, zsh or fish.")
