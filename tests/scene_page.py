@@ -71,7 +71,7 @@ def open_page(url, size=(1400, 900)):
     from websockets.sync.client import connect
 
     flags = [flag for flag in FLAGS if flag not in UNWANTED]
-    with tempfile.TemporaryDirectory() as profile:
+    with tempfile.TemporaryDirectory(ignore_cleanup_errors=True) as profile:
         command = [
             *(PROGRAM, *flags, f"--window-size={size[0]},{size[1]}", "--remote-debugging-port=0"),
             *(f"--user-data-dir={profile}", "about:blank"),
