@@ -15,7 +15,7 @@ from benchmarks.control_study import FIRST_SEED, JUDGED, ControlRow, Figure, wri
 from benchmarks.tables import ResultTable, new_console
 
 PREFIX = "anatomy"
-PARTS = ("surface", "path", "registration", "match")
+PARTS = ("surface", "path", "registration", "match", "abdomen")
 """What ``anatomy`` alone runs; ``fullsize`` takes a minute and 1.5 GB and is asked for by name."""
 CT_FOLDER = "torso_ct_totalsegmentator"
 

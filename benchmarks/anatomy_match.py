@@ -1,0 +1,113 @@
+"""The plan against the ruptures of random stacks, found through the virtual sensor.
+
+The plan lies off by 3 mm, its boundaries by 0.5 mm (standard deviations). Then the same with 30 %
+of the ruptures withheld, and with the offset's deviation misstated twofold either way.
+"""
+
+from collections.abc import Iterator
+from pathlib import Path
+from typing import NamedTuple
+
+import numpy as np
+
+from benchmarks.anatomy_study import Figure
+from benchmarks.benchmark import Progress
+from benchmarks.signals import JointSignals
+from groundtruth import simulate
+from groundtruth.scenarios import RANDOM_STACK, named_scenario
+from needleforce import InsertionSession
+from needleforce.anatomy import Layer, PlanMatch
+
+STACKS, PLANS = 40, 5
+"""Insertions, and plans for each; 200 pairs."""
+OFFSET_STD_m, BOUNDARY_STD_m = 3e-3, 0.5e-3
+SAME_m = 3e-3
+"""A rupture is that of a boundary if its release began so close to it."""
+CASES = {
+    "as stated": (0.0, 1.0),
+    "30 % withheld": (0.3, 1.0),
+    "deviation stated twice too large": (0.0, 2.0),
+    "deviation stated half": (0.0, 0.5),
+}
+
+
+class Found(NamedTuple):
+    """The ruptures of one insertion."""
+
+    boundaries_m: np.ndarray  # true, below the surface
+    depths_m: list[float]  # of the ruptures reported
+    layers: list[int]  # into which each led, -1 for a false alarm
+
+
+def ruptures_of(seed: int) -> Found:
+    """Push a needle through a drawn stack, and collect what the session reports."""
+    run = simulate(named_scenario(RANDOM_STACK, seed), "clean", seed)
+    session, true = InsertionSession(run.robot), run.truth
+    tare, zero, depths = int(np.searchsorted(run.signals.t_s, run.tare_end_s)), 0.0, []
+    for k, row in enumerate(JointSignals.of_run(run).samples()):
+        now = session.update(*row)
+        if k == tare:
+            session.tare()
+            zero = float(true.depth_m[k])
+        elif k > tare and (rupture := now.identification.rupture) is not None:
+            depths.append(rupture.depth_m + zero)
+    layers = []
+    for depth in depths:
+        near = min(true.ruptures, key=lambda one: abs(one.onset_m - depth), default=None)
+        is_same = near is not None and abs(near.onset_m - depth) < SAME_m
+        layers.append(near.layer if near is not None and is_same else -1)
+    thickness = [layer.thickness_m for layer in run.scenario.layers]
+    return Found(np.cumsum(thickness), depths, layers)
+
+
+def measure(seed: int, data: Path | None, progress: Progress) -> Iterator[Figure]:
+    """Yield the figures of every case."""
+    del data
+    found = []
+    for k in range(STACKS):
+        found.append(ruptures_of(seed + k))
+        progress((k + 1) / STACKS)
+    for name, (withheld, stated) in CASES.items():
+        rng = np.random.default_rng([seed, 11])
+        offsets, right, inside = [], [], []
+        for one in found:
+            for _ in range(PLANS):
+                _matched(one, withheld, stated, rng, (offsets, right, inside))
+        rms_mm = 1e3 * float(np.sqrt(np.mean(np.square(offsets)))) if offsets else float("nan")
+        cover, least = float(np.mean(inside)), 95.0 if withheld else 97.0
+        hits = 100.0 * float(np.mean(right))
+        yield Figure(f"plan, {name}: offset after three ruptures, rms", "", rms_mm, "mm", 0.8)
+        yield Figure(f"plan, {name}: right boundary", "", hits, "%", least, at_least=True)
+        yield Figure(f"plan, {name}: 95 % interval covers", "", cover, "", 0.93, at_least=True)
+        yield Figure(f"plan, {name}: 95 % interval covers, at most", "", cover, "", 0.98)
+
+
+def _matched(
+    one: Found,
+    withheld: float,
+    stated: float,
+    rng: np.random.Generator,
+    results: tuple[list[float], list[bool], list[bool]],
+) -> None:
+    """Match one insertion with a plan that is drawn, and append what came of it."""
+    offset = OFFSET_STD_m * float(rng.normal())
+    planned = one.boundaries_m - offset + BOUNDARY_STD_m * rng.normal(size=len(one.boundaries_m))
+    edges = np.concatenate(([0.0], planned, [planned[-1] + 0.05]))
+    if (np.diff(edges) <= 5e-4).any():
+        return
+    layers = [
+        Layer(str(k), edges[k], edges[k + 1], BOUNDARY_STD_m * (k > 0), BOUNDARY_STD_m, False)
+        for k in range(len(edges) - 1)
+    ]
+    match, count, last = PlanMatch(layers, stated * OFFSET_STD_m), 0, -np.inf
+    for depth, layer in zip(one.depths_m, one.layers, strict=True):
+        if rng.random() < withheld:
+            continue
+        last = max(depth, last)
+        state = match.add(last)
+        count += 1
+        low, high = match.interval_m(last)
+        results[1].append(state.matched == layer)
+        results[2].append(low <= offset <= high)
+        if count == 3:
+            results[0].append(state.offset_m - offset)
