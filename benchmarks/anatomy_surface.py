@@ -13,6 +13,7 @@ from benchmarks.anatomy_study import CT_FOLDER, Figure
 from benchmarks.benchmark import Progress
 from groundtruth.torso import Ellipsoid
 from needleforce.anatomy import Grid, Labels, Structure, Surface, read_labels, read_volume
+from needleforce.anatomy.volume import kept_locale
 
 ELLIPSOIDS = 12
 LEAST_VOXELS = 500
@@ -168,4 +169,5 @@ def write_series(image: Any, folder: Path, uid: str = "2.25.42") -> None:
         ):
             section.SetMetaData(tag, value)
         writer.SetFileName(str(folder / f"{k:03d}.dcm"))
-        writer.Execute(section)
+        with kept_locale():
+            writer.Execute(section)

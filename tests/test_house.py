@@ -22,7 +22,7 @@ LIMITS = {
     "benchmarks": (6_780, 30),
     "tests": (12_830, 72),
     "control": (2_240, 15),
-    "anatomy": (1_412, 8),
+    "anatomy": (1_430, 8),
     "scene": (716, 6),
     "devices": (1_360, 9),
 }

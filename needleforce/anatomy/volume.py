@@ -6,7 +6,9 @@ and metres, and arrays are (i, j, k) along the axes of their `Grid`.
 """
 
 import json
-from collections.abc import Callable, Iterable, Mapping, Sequence
+import locale
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from contextlib import contextmanager
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -314,12 +316,23 @@ def _segments(image: Any) -> list[Structure]:
     return found
 
 
+@contextmanager
+def kept_locale() -> Iterator[None]:
+    """Put the locale back: the DICOM library sets C, and Python's text files would be ASCII."""
+    before = locale.setlocale(locale.LC_CTYPE)
+    try:
+        yield
+    finally:
+        locale.setlocale(locale.LC_CTYPE, before)
+
+
 def _read_image(path: Path) -> Any:
     import SimpleITK
 
     SimpleITK.ProcessObject.GlobalWarningDisplayOff()  # what it warns of is refused here
     try:
-        image = _read_series(path) if path.is_dir() else SimpleITK.ReadImage(str(path))
+        with kept_locale():
+            image = _read_series(path) if path.is_dir() else SimpleITK.ReadImage(str(path))
     except RuntimeError as error:
         why = "no such file" if not path.exists() else str(error).strip().splitlines()[-1]
         raise VolumeError(

@@ -63,8 +63,8 @@ SPEED_m_s, STANDOFF_m, BEYOND_m = 4e-3, 15e-3, 12e-3
 FRONT = np.array([0.0, -1.0, 0.0])
 STEEPEST_deg = 35.0
 LENGTHS_m = (0.05, 0.1)
-LEAST_LAYER_m = 4e-3
-"""Thinner layers are no tissue of the simulation's."""
+LEAST_LAYER_m = 6.5e-3
+"""Thinner layers are no tissue of the simulation's: they join the one before."""
 
 
 class Insertion(NamedTuple):
@@ -141,9 +141,11 @@ def plan_path(labels: Labels, organ: str, rng: np.random.Generator) -> tuple[Arr
         if found is None or not LENGTHS_m[0] < found < LENGTHS_m[1]:
             continue
         entry = target + found * axis
-        layers = labels.layers_along(entry, target)
+        crossed = labels.layers_along(entry, target)
+        layers = thick_layers(crossed)
         rank = -len(layers), found
-        if len(layers) > 1 and not any(layer.is_obstacle for layer in layers):
+        ends_inside = len(layers) > 1 and layers[-1].name == organ
+        if ends_inside and not any(layer.is_obstacle for layer in crossed):
             best = (rank, entry, target) if best is None or rank < best[0] else best
     if best is None:
         raise CommandError(f"no straight way from the front into {organ!r} without bone")
@@ -193,6 +195,19 @@ def _spread(points: Array, count: int, rng: np.random.Generator) -> list[int]:
     return chosen
 
 
+def thick_layers(layers: list[Layer]) -> list[Layer]:
+    """The same without layers thinner than `LEAST_LAYER_m`, and without gaps."""
+    found: list[Layer] = []
+    for layer in layers:
+        is_thin = layer.exit_m - layer.entry_m < LEAST_LAYER_m
+        if found and (is_thin or layer.name == found[-1].name):
+            found[-1] = replace(found[-1], exit_m=layer.exit_m, exit_std_m=layer.exit_std_m)
+        elif not is_thin:
+            start = {"entry_m": 0.0, "entry_std_m": 0.0} if not found else {}
+            found.append(replace(layer, **start))
+    return found
+
+
 def tissue(plan: list[Layer]) -> tuple[TissueLayer, ...]:
     """Layers of the simulation as thick as those of the plan, and one behind the target."""
     kinds = {"liver": abdominal_liver, "muscle": abdominal_muscle}
@@ -203,7 +218,6 @@ def tissue(plan: list[Layer]) -> tuple[TissueLayer, ...]:
             thickness_m=layer.exit_m - layer.entry_m,
         )
         for layer in plan
-        if layer.exit_m - layer.entry_m > LEAST_LAYER_m
     ]
     return (*layers[:-1], replace(layers[-1], thickness_m=layers[-1].thickness_m + 2.0 * BEYOND_m))
 
@@ -213,7 +227,7 @@ def insert(folder: Path | None, seed: int, progress: Progress = lambda fraction:
     rng = np.random.default_rng(seed)
     labels = read_torso(folder, rng)
     entry, target = plan_path(labels, "liver", rng)
-    plan = [p for p in labels.layers_along(entry, target) if p.exit_m - p.entry_m > LEAST_LAYER_m]
+    plan = thick_layers(labels.layers_along(entry, target))
     truth = (
         Rotation.from_euler("x", 90.0 + 5.0 * rng.normal(), degrees=True).as_matrix(),
         (np.array([0.6, 0.0, 0.3]) + 0.02 * rng.normal(size=3)),
