@@ -318,13 +318,20 @@ def results(
 
 @app.command(name="speed")
 def time_updates(
-    soak: bool = False, control: bool = False, ticks: Positive = 1_000_000, strict: bool = False
+    soak: bool = False,
+    control: bool = False,
+    loop: float = 0.0,
+    scene: bool = False,
+    ticks: Positive = 1_000_000,
+    strict: bool = False,
 ) -> int:
     """Time the estimators beside their bare dynamics. Takes about 75 s.
 
     Args:
         soak: Instead, many ticks of the chain (four minutes): growth of memory, cost at the end.
         control: Instead, ticks of control, and of session and control together.
+        loop: Instead, so many seconds of a 1 kHz loop against an emulated FRI.
+        scene: With --loop: the same again beside the scene.
         ticks: How many, with --soak.
         strict: Exit with 1 if a target is missed.
     """
@@ -337,6 +344,10 @@ def time_updates(
         if soak:
             found = run_soak(ticks, partial(update, 0))
             tables, is_met = [soak_table(found, ticks)], found.is_met
+        elif loop > 0.0:
+            from benchmarks.devices_loop import loop_table
+
+            tables, is_met = [loop_table(loop, with_scene=scene, progress=partial(update, 0))], True
         elif control:
             tables, is_met = control_speed_report(partial(update, 0))
         else:

@@ -19,12 +19,12 @@ PACKAGES = (*INSTALLED, "benchmarks")
 PROJECT = tomllib.loads((ROOT / "pyproject.toml").read_text(encoding="utf-8"))
 LIMITS = {
     "product": (19_790, 100),
-    "benchmarks": (6_780, 30),
+    "benchmarks": (6_790, 30),
     "tests": (12_830, 72),
     "control": (2_240, 15),
     "anatomy": (1_430, 8),
     "scene": (716, 6),
-    "devices": (1_360, 9),
+    "devices": (1_372, 9),
 }
 """Most lines and files of Python. Those of the chain are ceilings at today's size, to be lowered
 with every cut: the goal is 19,000, 6,500 and 13,000 lines. The packages around the chain, with

@@ -5,6 +5,7 @@ late, reordered, repeated, truncated packets, garbage, silence, a connection tha
 """
 
 import multiprocessing
+import os
 import socket
 import threading
 import time
@@ -38,6 +39,14 @@ class Faults:
     silent: tuple[Window, ...] = ()  # nothing is sent
     bad_quality: tuple[Window, ...] = ()  # the controller rates the connection as bad
     seed: int = 0
+
+
+def take_real_time(priority: int = 60) -> bool:
+    """Ask for first-in-first-out scheduling; whether the system grants it."""
+    with suppress(OSError, AttributeError):
+        os.sched_setscheduler(0, os.SCHED_FIFO, os.sched_param(priority))
+        return True
+    return False
 
 
 class _Wire:
@@ -150,12 +159,15 @@ class FriSettings:
     tau_Nm: Array  # shape (m, 7)
     period_s: float = 1e-3
     cycles: int | None = None  # then it ends
+    in_real_time: bool = False  # whether it asks the system for real-time priority
     command_from_s: float = float("inf")  # when it goes from monitor to command mode
     faults: Faults = field(default_factory=Faults)
 
 
 def emulate_fri(pipe: Connection, settings: FriSettings) -> dict[str, Any]:
     """The controller of an LWR; counts of cycles and of answers in the same cycle."""
+    if settings.in_real_time:
+        take_real_time()
     link = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
     link.bind((LOOPBACK, 0))
     wire = _Wire(lambda data: link.sendto(data, (LOOPBACK, settings.port)), settings.faults)

@@ -1,0 +1,90 @@
+"""A loop at 1 kHz with the whole session, fed by the emulated controller of an LWR.
+
+The controller is a process of its own; each of its cycles is answered, then estimated. An overrun
+is a tick that takes longer than a cycle. Real-time priority is taken where the system grants it.
+"""
+
+import os
+from contextlib import ExitStack, suppress
+from time import perf_counter_ns
+from typing import Any
+
+import numpy as np
+
+from benchmarks.benchmark import Progress
+from benchmarks.tables import ResultTable
+from groundtruth import simulate
+from needleforce import InsertionSession
+from needleforce.devices import FriArm
+from needleforce.devices.emulators import Emulator, FriSettings, emulate_fri, take_real_time
+
+SCENARIO, PLANT = "gel-25-constant", "fri"
+WARM_UP = 2000
+"""Cycles before which nothing is counted: what is compiled or loaded late."""
+QUANTILES = (50.0, 99.0, 99.9, 100.0)
+
+
+def loop_table(seconds: float, *, with_scene: bool, progress: Progress) -> ResultTable:
+    """Run the loop, alone and, if wanted, with the scene in another process."""
+    run = simulate(SCENARIO, PLANT, 0, lambda part: progress(0.2 * part))
+    kinds = ("alone", "with the scene") if with_scene else ("alone",)
+    lines = []
+    for number, kind in enumerate(kinds):
+        lines.append((kind, *_one(run, seconds, has_scene=number > 0)))
+        progress(0.2 + 0.8 * (number + 1) / len(kinds))
+    tick = tuple(f"tick p{q:g}, us" if q < 100.0 else "most, us" for q in QUANTILES)
+    is_real_time = "with" if _is_real_time() else "without"
+    return ResultTable(
+        title=f"{seconds:g} s at 1 kHz with the session against an emulated FRI, {is_real_time} "
+        "real-time priority",
+        heads=("loop", "cycles", "answered in the cycle", "missed", *tick, "overruns"),
+        align="L" + (len(tick) + 4) * "r",
+        lines=tuple(lines),
+    )
+
+
+def _is_real_time() -> bool:
+    is_granted = take_real_time()
+    _give_back()
+    return is_granted
+
+
+def _give_back() -> None:
+    with suppress(OSError, AttributeError):
+        os.sched_setscheduler(0, os.SCHED_OTHER, os.sched_param(0))
+
+
+def _one(run: Any, seconds: float, *, has_scene: bool) -> tuple[str, ...]:
+    signals, cycles = run.signals, round(1e3 * seconds) + WARM_UP
+    arm, session = FriArm(port=0, give_up_s=0.5), InsertionSession(run.robot)
+    settings = FriSettings(
+        port=arm.address[1],
+        q_rad=signals.q_rad,
+        tau_Nm=signals.tau_Nm,
+        cycles=cycles,
+        in_real_time=True,
+    )
+    taken_us: list[float] = []
+    with ExitStack() as stack:
+        stack.enter_context(arm)
+        view = None
+        if has_scene:
+            from needleforce.scene import open_viewer
+
+            view = stack.enter_context(open_viewer(run.robot))
+        controller = stack.enter_context(Emulator(emulate_fri, settings))
+        take_real_time()
+        for sample in arm:
+            before, tau = perf_counter_ns(), sample.tau_Nm
+            assert tau is not None  # an LWR sends it
+            now = session.update(sample.q_rad, None, tau, sample.dt_s)
+            if view is not None:
+                view.put(now, sample.q_rad)
+            taken_us.append((perf_counter_ns() - before) / 1e3)
+        _give_back()
+        counts = controller.counts()
+    measured = np.array(taken_us[WARM_UP:])
+    percent = 100.0 * counts["same_cycle"] / counts["cycles"]
+    ticks = (f"{np.percentile(measured, q):.0f}" for q in QUANTILES)
+    overruns = str(int(np.count_nonzero(measured > 1000.0)))
+    return (str(counts["cycles"]), f"{percent:.2f} %", str(arm.report.missed), *ticks, overruns)
