@@ -23,7 +23,7 @@ LIMITS = {
     "tests": (12_830, 72),
     "control": (2_240, 15),
     "anatomy": (1_430, 8),
-    "scene": (716, 6),
+    "scene": (718, 6),
     "devices": (1_372, 9),
 }
 """Most lines and files of Python. Those of the chain are ceilings at today's size, to be lowered

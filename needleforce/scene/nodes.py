@@ -128,7 +128,7 @@ def add_anatomy(server: Any, plan: PlanScene) -> list[Any]:
 def add_ring(
     server: Any, name: str, place: Array, axis: Array, color: tuple[int, int, int], text: str
 ) -> list[Any]:
-    """A ring about the needle's line with a label."""
+    """A ring about the needle's line with a label: on one side if found, else on the other."""
     side = np.cross(axis, [0.0, 1.0, 0.0] if abs(axis[1]) < 0.9 else [1.0, 0.0, 0.0])
     side /= np.linalg.norm(side)
     angle = np.linspace(0.0, 2.0 * np.pi, 33)[:, None]
