@@ -137,7 +137,6 @@ def add_ring(
     line = server.scene.add_line_segments(
         name, points=points, colors=color, thickness=4.0, thickness_units="screen"
     )
-    label = server.scene.add_label(
-        f"{name}/label", text, position=tuple(place + 2.0 * RING_m * side)
-    )
+    away = (2.0 if color == FOUND else -6.0) * RING_m
+    label = server.scene.add_label(f"{name}/label", text, position=tuple(place + away * side))
     return [line, label]
