@@ -1,5 +1,6 @@
 """Commands on pipes and growing files, and what signals, full disks and gone readers leave."""
 
+import contextlib
 import os
 import signal
 import subprocess
@@ -16,6 +17,7 @@ from groundtruth import insert_needle
 from identification.log_replay import ReplayStream
 from needleforce.cli import main
 from needleforce.cli.force_replay import Replay
+from needleforce.cli.terminal import run_command
 from needleforce.recordings import read_table, write_table
 
 PROGRAM = [sys.executable, "-m", "needleforce"]
@@ -187,6 +189,16 @@ def _is_open(pid, path):
         return False
 
 
+def test_sigterm_counts_where_a_library_makes_another_error_of_it(capsys):
+    def work():
+        with contextlib.suppress(BaseException):
+            signal.raise_signal(signal.SIGTERM)
+        raise SystemError("returned a result with an exception set")
+
+    assert run_command(work) == 143
+    assert capsys.readouterr().err == "terminated\n"
+
+
 @pytest.mark.parametrize("suffix", ["csv", "mcap"])
 def test_sigterm_leaves_the_older_table_and_nothing_else(logs, tmp_path, suffix):
     out = tmp_path / f"out.{suffix}"
@@ -195,8 +207,8 @@ def test_sigterm_leaves_the_older_table_and_nothing_else(logs, tmp_path, suffix)
     with start("force", logs / "force.csv", *OPTIONS["force"], "-o", out) as process:
         wait_for(lambda: sorted(tmp_path.iterdir()) != before or process.poll() is not None)
         process.send_signal(signal.SIGTERM)
-        process.communicate(timeout=PATIENCE_S)
-    assert process.returncode == 143
+        _, said = process.communicate(timeout=PATIENCE_S)
+    assert (process.returncode, said) == (143, b"terminated\n")
     assert sorted(tmp_path.iterdir()) == before
     assert len(read_table(out).columns["t_s"]) == 2
 

@@ -27,8 +27,11 @@ class _Terminated(BaseException):
 
 def run_command(work: Callable[[], int]) -> int:
     """Run what returns an exit code; every foreseen failure is one line on stderr and a code."""
+    is_terminated = False
 
     def end(_number: int, _frame: FrameType | None) -> None:
+        nonlocal is_terminated
+        is_terminated = True
         raise _Terminated
 
     try:
@@ -46,6 +49,10 @@ def run_command(work: Callable[[], int]) -> int:
         say("terminated")
         return TERMINATED
     except Exception as error:
+        # A library in C may turn what the handler raised into an error of its own.
+        if is_terminated:
+            say("terminated")
+            return TERMINATED
         say(f"error: {_explained(error)}")
         return FAILED
 
