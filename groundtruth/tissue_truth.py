@@ -88,22 +88,12 @@ def freeze(result: Any) -> None:
 def collect_truth(
     law: Tissue, t_s: Array, depth_m: Array, forces: Sequence[TissueForce]
 ) -> TissueTruth:
-    """Turn the forces of a run into its ground truth.
-
-    Args:
-        law: The law that was run.
-        t_s: Sample times, shape (n,).
-        depth_m: True depth at those times, shape (n,).
-        forces: The law's answers at those times, n of them.
-    """
+    """Return the ground truth of a run: true depths at n times, and the law's n answers."""
     columns = np.array([force[:3] for force in forces], dtype=np.float64)
     per_layer = np.array([force.layer_friction_N for force in forces], dtype=np.float64)
-    contact_s = withdrawn_s = float("nan")
-    if law.layers:
-        contact_s = _first_crossing_s(t_s, depth_m, 0.0)
-    if not np.isnan(contact_s):
-        deepest_s = float(t_s[int(np.argmax(depth_m))])
-        withdrawn_s = _first_crossing_s(t_s, -depth_m, 0.0, after_s=deepest_s)
+    contact_s = _first_crossing_s(t_s, depth_m, 0.0) if law.layers else np.nan
+    deepest = int(np.argmax(depth_m))
+    withdrawn_s = _first_crossing_s(t_s[deepest:], -depth_m[deepest:], 0.0)
     return TissueTruth(
         axial_N=columns[:, 0],
         tip_N=columns[:, 1],
@@ -112,18 +102,13 @@ def collect_truth(
         layer=np.array([force.layer for force in forces], dtype=np.int64),
         ruptures=_ruptures(law.interfaces, t_s, depth_m, columns[:, 1], per_layer),
         contact_s=contact_s,
-        withdrawn_s=withdrawn_s,
+        withdrawn_s=np.nan if np.isnan(contact_s) else withdrawn_s,
     )
 
 
-def _first_crossing_s(
-    t_s: Array, signal: Array, level: float, *, after_s: float = -np.inf
-) -> float:
-    """Time at which a signal first reaches a level from below, by linear interpolation.
-
-    Only samples at or after `after_s` count; nan when the level is not reached.
-    """
-    reached = np.flatnonzero((signal >= level) & (t_s >= after_s))
+def _first_crossing_s(t_s: Array, signal: Array, level: float) -> float:
+    """Time at which a signal first reaches a level from below, by linear interpolation; or nan."""
+    reached = np.flatnonzero(signal >= level)
     if reached.size == 0:
         return float("nan")
     k = int(reached[0])
