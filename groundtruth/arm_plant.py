@@ -222,20 +222,14 @@ class TissueContact:
 class ArmPlant:
     """MuJoCo arm with a needle, driven by joint torques held over each tick.
 
-    Attributes:
-        q_rad: Joint positions now, shape (7,), a view.
-        dq_rad_s: Joint velocities now, shape (7,), a view.
-        axial_jacobian: Speed of the tip along the needle per joint velocity, shape (7,), now.
-        depth_m: Depth of the tip below the surface, now; zero where there is no tissue.
-        ft_wrench: Reading of the F/T sensor at the start of the last tick, shape (6,), a view:
-            force (N) and torque (Nm) of the environment on the needle, plus weight, minus
-            inertia, in ``ft_sensor`` axes.
-        tissue_force: Force of the tissue at the start of the last tick.
-        mean_axial_N: Its axial part, mean over the last tick.
-        friction_Nm: Torque of the joint bearings on the links, shape (7,), mean over the last tick.
-        tip_m: Where the needle's tip is now, base axes, shape (3,), a view.
-        tip_axes: Axes of the needle there in base axes, shape (3, 3), a view; the third points
-            along it.
+    Now, views: joint positions `q_rad` and velocities `dq_rad_s`, shape (7,); where the needle's
+    tip is, `tip_m`, and the needle's axes, `tip_axes`, of which the third points along it, in base
+    axes. Now, too: `axial_jacobian`, speed of the tip along the needle per joint velocity, shape
+    (7,), and `depth_m` below the surface, zero without tissue.
+    At the start of the last tick: `ft_wrench`, the reading of the F/T sensor (force and torque of
+    the environment on the needle, plus weight, minus inertia, in ``ft_sensor`` axes, N and Nm), and
+    `tissue_force`. Mean over that tick: `mean_axial_N` of it, and `friction_Nm` of the bearings on
+    the links, shape (7,).
     """
 
     def __init__(

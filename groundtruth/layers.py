@@ -48,18 +48,12 @@ class Membrane:
 
     Its force is `puncture_N ((1 - hardening) u + hardening u²)`, u = indentation / indentation_m:
     the second-order spring of Okamura, Simone, O'Leary 2004 for the capsule of bovine liver.
-
-    Attributes:
-        puncture_N: Force at which it ruptures.
-        indentation_m: How far it has then been pushed in.
-        hardening: Fraction of the quadratic part, 0 (linear) to 1.
-        release_m: Travel of the tip over which the force is released after the puncture.
     """
 
-    puncture_N: float
-    indentation_m: float
-    hardening: float
-    release_m: float
+    puncture_N: float  # force at which it ruptures
+    indentation_m: float  # how far it has then been pushed in
+    hardening: float  # fraction of the quadratic part, 0 (linear) to 1
+    release_m: float  # travel of the tip over which the force is released after the puncture
 
     def __post_init__(self) -> None:
         """Raise `TissueError` naming the value that no membrane can have."""
@@ -86,22 +80,14 @@ class ShaftFriction:
     In steady sliding the force per length is `coulomb sign(v) + viscous v`. Around a reversal the
     tissue first moves along with the shaft: the Coulomb part builds up over `presliding_m`
     (Dahl's model, see `groundtruth.tissue.bristle_step`).
-
-    Attributes:
-        coulomb_N_per_m: Part that does not depend on speed.
-        viscous_Ns_per_m2: Part proportional to speed.
-        presliding_m: Travel over which the Coulomb part closes 63 % of the way to its new value.
-        reference_speed_m_s: Speed at which the friction was measured or calibrated.
-        speed_exponent: n, of a second part that grows with v^n, alike at the reference speed.
-        length_exponent: n, of friction that grows with length^n, alike on the whole layer.
     """
 
     coulomb_N_per_m: float
     viscous_Ns_per_m2: float
-    presliding_m: float
-    reference_speed_m_s: float
-    speed_exponent: float = 1.0
-    length_exponent: float = 1.0
+    presliding_m: float  # where the Coulomb part is 63 % of the way to its new value
+    reference_speed_m_s: float  # at which the friction was measured or calibrated
+    speed_exponent: float = 1.0  # the second part grows with v^n, alike at the reference speed
+    length_exponent: float = 1.0  # friction grows with length^n, alike on the whole layer
 
     def __post_init__(self) -> None:
         """Raise `TissueError` naming the value that no friction can have."""

@@ -44,28 +44,16 @@ class Rupture:
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class TissueTruth:
-    """The ground truth of the tissue at n samples; all arrays are read-only.
+    """The ground truth of the tissue at n samples, see `TissueForce`; arrays are read-only."""
 
-    Attributes:
-        axial_N: Force of the tissue on the needle, shape (n,), positive when it pushes back.
-        tip_N: Its part at the tip, shape (n,).
-        friction_N: Its part along the shaft, shape (n,); negative in withdrawal.
-        layer_friction_N: Part of each layer in the friction, shape (n, number of layers).
-        layer: 0 above the tissue, i in layer i, see `TissueForce`, shape (n,).
-        ruptures: In the order they happened.
-        contact_s: The tip first touches the undeformed surface; nan if it never does, or without
-            tissue.
-        withdrawn_s: It last leaves that surface in withdrawal; nan if it does not.
-    """
-
-    axial_N: Array
+    axial_N: Array  # shape (n,), positive when tissue pushes back, as the next two
     tip_N: Array
-    friction_N: Array
-    layer_friction_N: Array
-    layer: NDArray[np.int64]
-    ruptures: tuple[Rupture, ...]
-    contact_s: float
-    withdrawn_s: float
+    friction_N: Array  # negative in withdrawal
+    layer_friction_N: Array  # shape (n, number of layers)
+    layer: NDArray[np.int64]  # shape (n,)
+    ruptures: tuple[Rupture, ...]  # in the order they happened
+    contact_s: float  # the tip first touches the undeformed surface; nan if it never does
+    withdrawn_s: float  # it leaves that surface in withdrawal; nan if it does not
 
     def __post_init__(self) -> None:
         """Make the arrays read-only."""
