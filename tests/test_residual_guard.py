@@ -146,7 +146,8 @@ def test_a_step_of_a_coarse_encoder_at_rest_is_no_spike(lwr):
     edge = np.round(q / step) * step + 0.5 * step - 4e-5
     at = [np.round((edge + 1.5e-5 * rng.normal(size=7)) / step) * step for _ in range(8000)]
     changes = np.count_nonzero(np.diff(at, axis=0), axis=0)
-    assert (changes > 10).all() and (changes < 400).all()
+    assert (changes > 10).all()
+    assert (changes < 400).all()
     sensor.reset()
     found = feed(sensor, [(each, None, tau + 0.03 * rng.normal(size=7)) for each in at])
     assert sensor.rejected == 0, {e.message for e in found}
