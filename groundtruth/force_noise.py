@@ -23,19 +23,12 @@ def coloured(white: Array, period_s: float, correlation_s: float) -> Array:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class ForceNoise:
-    """Noise, drift since the last zeroing, and steps of the reading; zero switches off.
+    """Noise, drift since the last zeroing, and steps of the reading; zero switches off."""
 
-    Attributes:
-        white_std_N: Standard deviation of the noise of one sample.
-        drift_std_N_per_s: Standard deviation of the drift rate, drawn once per run.
-        step_N: Smallest step of the reading.
-        correlation_s: Time constant of the noise if it is not white.
-    """
-
-    white_std_N: float
-    drift_std_N_per_s: float
-    step_N: float
-    correlation_s: float = 0.0
+    white_std_N: float  # standard deviation of the noise of one sample
+    drift_std_N_per_s: float  # standard deviation of the drift rate, drawn once per run
+    step_N: float  # smallest step of the reading
+    correlation_s: float = 0.0  # time constant of the noise if it is not white
 
     def __post_init__(self) -> None:
         """Raise `NoiseError` naming the value that is negative or not finite."""

@@ -157,36 +157,23 @@ class ShaftFriction:
 class Layer:
     """What a needle meets between two ruptures.
 
-    Attributes:
-        name: For tables and legends.
-        thickness_m: d_i of the paper.
-        exit_force_N: Tip force at the far end of the layer, at which it ruptures there.
-        cutting_fraction: Fraction of it that is a constant cutting force; the rest is elastic and
-            grows with the penetration.
-        stiffening: How much steeper the chord of the elastic part is at the end than the slope at
-            the start: 0.1 means 10 %.
-        release_m: Travel of the tip over which the tip force is released when it leaves the layer.
-        relaxed_fraction: Fraction of the tip force and of the Coulomb friction lost after a long
-            rest.
-        friction: Friction of the layer on the shaft.
-        membrane: What must be punctured to enter the layer, if anything.
-        tip_exponent: Power of the elastic part, 1 above: 0.5 concave, 2 quadratic. It ends alike.
-        kept_fraction: Fraction of the tip force kept when the needle leaves for a next layer.
-        texture: Unevenness of the tip force, faded over a cutting onset at both ends of the layer.
+    The tip force grows with the penetration up to `exit_force_N`, at which the far end ruptures. A
+    fraction of it is a constant cutting force, the rest elastic: the chord of that at the end is
+    steeper by `stiffening` than the slope at the start, 0.1 for 10 %.
     """
 
-    name: str
-    thickness_m: float
+    name: str  # for tables and legends
+    thickness_m: float  # d_i of the paper
     exit_force_N: float
     cutting_fraction: float
     stiffening: float
-    release_m: float
-    relaxed_fraction: float
+    release_m: float  # travel over which the tip force is released when the tip leaves the layer
+    relaxed_fraction: float  # of tip force and Coulomb friction, lost after a long rest
     friction: ShaftFriction
-    membrane: Membrane | None = None
-    tip_exponent: float = 1.0
-    kept_fraction: float = 0.0
-    texture: Texture | None = None
+    membrane: Membrane | None = None  # to be punctured to enter the layer
+    tip_exponent: float = 1.0  # power of the elastic part: 0.5 concave, 2 quadratic; it ends alike
+    kept_fraction: float = 0.0  # of the tip force, when the needle leaves for a next layer
+    texture: Texture | None = None  # of the tip force, faded over a cutting onset at both ends
 
     def __post_init__(self) -> None:
         """Raise `TissueError` naming the value that no layer can have.

@@ -90,20 +90,13 @@ class Motion:
 
     Zero is the undeformed surface of the tissue; negative is above it, in free air. Before the
     first stroke and after the last the needle rests.
-
-    Attributes:
-        strokes: Contiguous in time and position.
-        tare_end_s: End of the stroke in free air; contact has not happened before it.
-        insertion_end_s: The needle is at its deepest and rests.
-        withdrawal_start_s: It starts to withdraw.
-        withdrawal_end_s: It is back above the surface.
     """
 
-    strokes: tuple[Stroke, ...]
-    tare_end_s: float
-    insertion_end_s: float
+    strokes: tuple[Stroke, ...]  # contiguous in time and position
+    tare_end_s: float  # end of the stroke in free air; contact has not happened before it
+    insertion_end_s: float  # the needle is at its deepest and rests
     withdrawal_start_s: float
-    withdrawal_end_s: float
+    withdrawal_end_s: float  # it is back above the surface
 
     def __post_init__(self) -> None:
         """Raise `MotionError` unless each stroke begins where and when the one before ended."""

@@ -30,25 +30,15 @@ from groundtruth.variations import VARIATIONS, TissueVariation, random_variation
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Scenario:
-    """One insertion, ready to be simulated: layers and motion.
+    """One insertion, ready to be simulated: layers and motion."""
 
-    Attributes:
-        id: Permanent name.
-        title: One line for people.
-        layers: First the one the needle meets first; none for free motion.
-        motion: Motion of the needle tip relative to the undeformed surface.
-        tissue_motion: Motion of the surface about its place, if it does not rest.
-        lateral: Force across the needle, if any; the needle alone does not feel it.
-        elbow: Pushes at the elbow, if any; neither does it feel those.
-    """
-
-    id: str
-    title: str
-    layers: tuple[Layer, ...]
-    motion: Motion
-    tissue_motion: TissueMotion | None = None
-    lateral: LateralForce | None = None
-    elbow: ElbowPush | None = None
+    id: str  # permanent name
+    title: str  # one line for people
+    layers: tuple[Layer, ...]  # first the one the needle meets first; none for free motion
+    motion: Motion  # of the needle tip relative to the undeformed surface
+    tissue_motion: TissueMotion | None = None  # of the surface about its place
+    lateral: LateralForce | None = None  # across the needle; the needle alone does not feel it
+    elbow: ElbowPush | None = None  # neither does it feel those
 
     def with_variation(self, change: TissueVariation, rng: np.random.Generator) -> "Scenario":
         """The same scenario with every layer changed; the generator draws the texture."""

@@ -24,22 +24,15 @@ UNLOADING_M = 0.5e-3
 class TissueForce(NamedTuple):
     """Force of the tissue on the needle, along its axis.
 
-    A named tuple, not a dataclass: it is made at every physics step.
-
-    Attributes:
-        axial_N: Tip force and shaft friction together, positive when tissue pushes back.
-        tip_N: Elastic, membrane and cutting force at the tip; never negative.
-        friction_N: Friction along the whole shaft; it opposes motion, negative in withdrawal.
-        layer: 0 above the surface (or before its membrane is punctured), i with the tip in layer
-            i, number of layers + 1 beyond the last.
-        layer_friction_N: The part of each layer in `friction_N`.
+    A named tuple, not a dataclass: it is made at every physics step. `layer` is 0 above the surface
+    (or before its membrane is punctured), i with the tip in layer i, one more beyond the last.
     """
 
-    axial_N: float
-    tip_N: float
-    friction_N: float
+    axial_N: float  # tip force and shaft friction together, positive when tissue pushes back
+    tip_N: float  # elastic, membrane and cutting force at the tip; never negative
+    friction_N: float  # along the whole shaft; it opposes motion, negative in withdrawal
     layer: int
-    layer_friction_N: tuple[float, ...]
+    layer_friction_N: tuple[float, ...]  # the part of each layer in `friction_N`
 
 
 def no_force(layer_count: int) -> TissueForce:

@@ -17,29 +17,20 @@ Array = NDArray[np.float64]
 class Rupture:
     """One boundary that ruptures under the advancing tip.
 
-    Attributes:
-        onset_s: The release begins; between samples, by interpolation.
-        end_s: It ends; the end of the run if the needle stopped within it.
-        onset_m: Depth of the tip at the onset.
-        layer: The layer the tip leaves; 0 for a membrane on the surface.
-        is_membrane: A membrane was punctured.
-        drop_N: Force the tip loses: elastic, membrane and cutting force held at the onset.
-        visible_drop_N: Fall of the axial force from the onset to its least value before the end;
-            smaller than `drop_N` where the next layer or its friction already pushes, a little
-            larger where the needle slows down meanwhile.
-        layer_friction_N: Friction of the layer that the tip leaves, at the onset.
-        friction_N: Friction of the whole shaft when the release has ended.
+    The visible drop is the fall of the axial force from the onset to its least value before the
+    end: smaller than `drop_N` where the next layer or its friction already pushes, a little larger
+    where the needle slows down meanwhile.
     """
 
-    onset_s: float
-    end_s: float
-    onset_m: float
-    layer: int
-    is_membrane: bool
-    drop_N: float
+    onset_s: float  # the release begins; between samples, by interpolation
+    end_s: float  # it ends; the end of the run if the needle stopped within it
+    onset_m: float  # depth of the tip at the onset
+    layer: int  # the one the tip leaves; 0 for a membrane on the surface
+    is_membrane: bool  # a membrane was punctured
+    drop_N: float  # force the tip loses: elastic, membrane and cutting force held at the onset
     visible_drop_N: float
-    layer_friction_N: float
-    friction_N: float
+    layer_friction_N: float  # of the layer that the tip leaves, at the onset
+    friction_N: float  # of the whole shaft when the release has ended
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
