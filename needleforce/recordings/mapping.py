@@ -66,10 +66,8 @@ def parse_column_spec(text: str, channel: Channel) -> ColumnSpec:
     """Read the short form of the command line: `NAMES[:UNIT][:SCALE]`, as in `fz:N:-1`.
 
     `NAMES` is a name, a pattern or a list separated by commas. What follows a colon counts as
-    scale or unit only if it is one, since column names may hold colons themselves.
-
-    Raises:
-        MappingError: no column is named, or the scale is zero or not finite.
+    scale or unit only if it is one, since column names may hold colons themselves. `MappingError`
+    if no column is named, or the scale is zero or not finite.
     """
     names, unit, scale = text, None, 1.0
     head, colon, tail = names.rpartition(":")

@@ -195,13 +195,10 @@ def exceed_float64(values: np.ndarray) -> bool:
 def interpolate(
     at_ns: NDArray[np.int64], stamps_ns: NDArray[np.int64], values: FloatArray, limit_ns: float
 ) -> FloatArray:
-    """Interpolate linearly; where stamps agree, the values are taken as they are.
+    """Interpolate values (m, k) linearly; where stamps agree, they are taken as they are.
 
-    Args:
-        at_ns: where values are wanted, shape (n,).
-        stamps_ns: where they are known, shape (m,), in any order.
-        values: shape (m, k).
-        limit_ns: between stamps further apart than this the result is NaN, as outside them.
+    They are known at stamps in any order; where these are further apart than the limit the result
+    is NaN, as outside them.
     """
     if not stamps_ns.size:
         return np.full((at_ns.size, values.shape[1]), np.nan)
