@@ -118,14 +118,14 @@ def simulate(
     scenario: Scenario | str,
     plant: PlantModel | str = "ideal",
     seed: int = 0,
-    progress: Callable[[float], None] | None = None,
+    progress: Callable[[float], None] = lambda _: None,
 ) -> Run:
     """Push the needle of a simulated LWR 4+ through a scenario's tissue and back out.
 
     A scenario without layers moves all joints in free air instead.
 
     Args:
-        scenario: A scenario or the name of a catalogued one.
+        scenario: A scenario or its name, see `groundtruth.scenario`.
         plant: A plant model or the name of one: ``ideal``, ``clean``, ``fri`` or ``degraded``.
         seed: Seed of everything drawn; equal arguments give equal runs.
         progress: Called now and then with the fraction done, 0 to 1.
@@ -139,7 +139,7 @@ def simulate(
         PathError: The needle's line is out of the arm's reach.
         PlantError: The tissue has pushed the arm off its motion.
     """
-    chosen = scenario_named(scenario) if isinstance(scenario, str) else scenario
+    chosen = scenario_named(scenario, seed) if isinstance(scenario, str) else scenario
     plant_model = plant_named(plant)
     tool = NeedleTool()
     mass_seed, sensor_seed, friction_seed = np.random.SeedSequence(seed).spawn(3)
@@ -250,8 +250,8 @@ def insert_needle(
     """Carry out a scenario with the needle alone: the tip follows the motion exactly.
 
     Args:
-        scenario: A scenario or the name of a catalogued one.
-        seed: Seed of the sensor noise; the same seed gives the same run.
+        scenario: A scenario or its name, see `groundtruth.scenario`.
+        seed: Seed of the sensor noise and of a drawn scenario; the same seed gives the same run.
         rate_hz: Samples per second.
         noise: What the force sensor adds, see `groundtruth.force_noise`.
 
@@ -259,7 +259,7 @@ def insert_needle(
         ScenarioError: There is no scenario of that name.
         RunError: The rate is unusable.
     """
-    chosen = scenario_named(scenario) if isinstance(scenario, str) else scenario
+    chosen = scenario_named(scenario, seed) if isinstance(scenario, str) else scenario
     if not (np.isfinite(rate_hz) and rate_hz > 0.0):
         raise RunError(f"rate_hz is {rate_hz!r}; give samples per second, above zero")
     motion = chosen.motion

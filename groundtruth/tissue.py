@@ -52,15 +52,7 @@ def relaxation_step(relaxed: float, speed_m_s: float, dt_s: float) -> float:
 
     Tissue slowly relaxes around a resting needle; an advancing tip meets fresh tissue. Exact step
     of dr/dt = (1 - r) / RELAXATION_S - r |v| / RECOVERY_M for a held speed, so any step is
-    stable. In motion it stays near zero (1.3 % at 2.3 mm/s).
-
-    Args:
-        relaxed: Relaxation before, 0 (fresh) to 1 (a long rest).
-        speed_m_s: Speed of the tip.
-        dt_s: Length of the step.
-
-    Returns:
-        The relaxation after the step, 0 to 1.
+    stable. From 0 (fresh) to 1 (a long rest); in motion near zero (1.3 % at 2.3 mm/s).
     """
     rate = 1.0 / RELAXATION_S + abs(speed_m_s) / RECOVERY_M
     settled = 1.0 / (RELAXATION_S * rate)
@@ -75,16 +67,7 @@ def bristle_step(
     Travel pulls the deflection to the direction of motion, dw/dx = (sign(dx) - w) / presliding
     (Dahl 1968, exponent 1); time lets a deflection beyond 1 - relaxed_fraction sink to that. Both
     act at once and the step is their exact solution: it cannot leave [-1, 1], whatever its size.
-
-    Args:
-        bristle: Deflection before, -1 to 1; the Coulomb force is `coulomb * bristle`.
-        travel_m: Signed travel of the shaft during the step.
-        dt_s: Length of the step.
-        presliding_m: Travel constant of the tissue.
-        relaxed_fraction: Fraction of the Coulomb force lost after a long rest.
-
-    Returns:
-        The deflection after the step.
+    The Coulomb force is `coulomb * bristle`; a long rest loses the relaxed fraction of it.
     """
     pull = abs(travel_m) / presliding_m
     target = math.copysign(pull, travel_m)

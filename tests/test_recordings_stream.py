@@ -11,12 +11,7 @@ from bag_samples import grow
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from needleforce.recordings import (
-    FileAccessError,
-    FormatError,
-    read_log,
-    write_table,
-)
+from needleforce.recordings import FileAccessError, FormatError, read_log, write_table
 from needleforce.recordings.csv_file import HEAD_ROWS, csv_tables
 from needleforce.recordings.follow import FollowOptions, byte_blocks
 from needleforce.recordings.log import LogStream

@@ -10,12 +10,7 @@ from typing import IO, Any, BinaryIO
 
 import numpy as np
 
-from needleforce.recordings.errors import (
-    FormatError,
-    file_errors,
-    optional_library,
-    require_size,
-)
+from needleforce.recordings.errors import FormatError, file_errors, optional_library, require_size
 from needleforce.recordings.table import (
     START_KEY,
     Columns,

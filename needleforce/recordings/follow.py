@@ -13,12 +13,7 @@ from dataclasses import dataclass
 from itertools import chain
 from pathlib import Path
 
-from needleforce.recordings.errors import (
-    FileAccessError,
-    FormatError,
-    file_errors,
-    readable_path,
-)
+from needleforce.recordings.errors import FileAccessError, FormatError, file_errors, readable_path
 
 BLOCK = 1 << 18
 """The most bytes that are read, or unpacked, at a time."""

@@ -19,12 +19,7 @@ from needleforce.recordings.errors import (
 )
 from needleforce.recordings.follow import STANDARD_STREAM, FollowOptions, byte_blocks
 from needleforce.recordings.log import Log, LogStream
-from needleforce.recordings.mapping import (
-    ChannelRequest,
-    ColumnMapping,
-    comment_line,
-    mapping_text,
-)
+from needleforce.recordings.mapping import ChannelRequest, ColumnMapping, comment_line, mapping_text
 from needleforce.recordings.table import Table, joined_tables
 
 CHUNK_ROWS = 2048
