@@ -8,15 +8,12 @@ from dataclasses import dataclass
 
 import numpy as np
 import pinocchio as pin
-from numpy.typing import NDArray
 
 from groundtruth.arm_motion import JointMotion
 from groundtruth.arm_plant import ArmPlant
-from groundtruth.errors import PlantError
+from groundtruth.errors import Array, PlantError
 from groundtruth.plant_model import TICK_s
 from groundtruth.tissue import TissueForce
-
-Array = NDArray[np.float64]
 
 BANDWIDTH_rad_s = 200.0
 """Natural frequency of the loop, critically damped: stiff enough that the few newtons of a rupture

@@ -8,11 +8,10 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 import pinocchio as pin
-from numpy.typing import NDArray
 
 from groundtruth.bearing_friction import BearingFriction
 from groundtruth.disturbances import ElbowPush, LateralForce, TissueMotion
-from groundtruth.errors import PlantError, PlantModelError
+from groundtruth.errors import Array, PlantError, PlantModelError
 from groundtruth.plant_model import PlantModel, TICK_s
 from groundtruth.rig_contacts import Contact, TouchedPoint
 from groundtruth.tissue import Tissue, TissueForce, no_force
@@ -23,7 +22,6 @@ try:
 except ModuleNotFoundError:  # The needle without an arm does not need it.
     mujoco = None
 
-Array = NDArray[np.float64]
 
 SUBSTEPS = 4
 """Physics steps per tick. Runge-Kutta steps of fourth order close the momentum balance of a moving

@@ -1,6 +1,15 @@
-"""Errors of the ground truth: one base, each leaf also a builtin, so that both can be caught."""
+"""Errors of the ground truth: one base, each leaf also a builtin, so that both can be caught.
+
+And the checks of numbers that raise them.
+"""
 
 import math
+from typing import TypeAlias
+
+import numpy as np
+from numpy.typing import NDArray
+
+Array: TypeAlias = NDArray[np.float64]
 
 
 class GroundTruthError(Exception):

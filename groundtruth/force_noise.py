@@ -3,12 +3,9 @@
 from dataclasses import asdict, dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.signal import lfilter
 
-from groundtruth.errors import NoiseError, require_non_negative
-
-Array = NDArray[np.float64]
+from groundtruth.errors import Array, NoiseError, require_non_negative
 
 
 def coloured(white: Array, period_s: float, correlation_s: float) -> Array:

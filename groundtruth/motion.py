@@ -6,16 +6,15 @@ from itertools import pairwise
 from typing import Literal
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
-from groundtruth.errors import MotionError, require_positive
+from groundtruth.errors import Array, MotionError, require_positive
 
 Profile = Literal["rest", "quintic", "cruise", "cosine"]
 """`quintic`: minimum jerk; `cruise`: constant speed between smooth ramps; `cosine`: half a period
 of a sinusoid."""
 Move = tuple[Profile, float, float]
 """Profile, duration [s] and travel [m] of a stroke."""
-Array = NDArray[np.float64]
 
 FIRST_REST_S = 1.0
 TARE_STROKE_M = 100e-3

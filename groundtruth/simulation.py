@@ -15,7 +15,7 @@ from groundtruth.arm_control import ArmTrace, drive
 from groundtruth.arm_motion import InsertionPath, scenario_motion, scenario_path
 from groundtruth.arm_plant import ArmPlant, TissueContact, lwr_bodies
 from groundtruth.bearing_friction import bearings
-from groundtruth.errors import RunError
+from groundtruth.errors import Array, RunError
 from groundtruth.force_noise import MINI45, ForceNoise
 from groundtruth.plant_model import PlantModel, TICK_s, plant_named
 from groundtruth.scenarios import Scenario
@@ -30,8 +30,6 @@ from groundtruth.sensors import (
 )
 from groundtruth.tissue_truth import TissueTruth, collect_truth, freeze
 from urdf import NeedleTool, Robot
-
-Array = NDArray[np.float64]
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
