@@ -180,12 +180,8 @@ def _column_name(topic: BagTopic, path: tuple[str, ...]) -> str:
 _CHUNK_BYTES = 1 << 20
 
 
-class OutTopic(NamedTuple):
-    """A topic to write, with its messages, one for each row."""
-
-    name: str
-    kind: str
-    messages: Iterable[Any]
+OutTopic = tuple[str, str, Iterable[Any]]
+"""Name and type of a topic to write, and its messages, one for each row."""
 
 
 def bag_topics(columns: Columns, labels: Labels, stamps_ns: Sequence[int]) -> Iterator[OutTopic]:
@@ -216,7 +212,7 @@ def bag_topics(columns: Columns, labels: Labels, stamps_ns: Sequence[int]) -> It
         topic = f"{labels.prefix}/{re.sub(r'[^A-Za-z0-9_]', '_', name)}"
         # Without a header: its time stamp is the one of the record.
         kind = "std_msgs/msg/Float64"
-        yield OutTopic(topic, kind, map(standard_types().types[kind], values.tolist()))
+        yield topic, kind, map(standard_types().types[kind], values.tolist())
 
 
 def _headers(stamps_ns: Sequence[int], frame: str) -> Iterator[Any]:
@@ -233,7 +229,7 @@ def _joint_states(
         names = [f"joint_{i + 1}" for i in range(width)]
     cls, named = standard_types().types[kind], list(names)
     rows = zip(headers, *numbers, strict=True)
-    return OutTopic("/joint_states", kind, (cls(header, named, *row) for header, *row in rows))
+    return "/joint_states", kind, (cls(header, named, *row) for header, *row in rows)
 
 
 def _pop_vector(columns: dict[str, np.ndarray], part: str) -> np.ndarray | None:
@@ -252,7 +248,7 @@ def _wrenches(name: str, vectors: list[np.ndarray], headers: Iterable[Any]) -> O
     vector, wrench = types["geometry_msgs/msg/Vector3"], types["geometry_msgs/msg/Wrench"]
     force, torque = ([vector(*row) for row in values.tolist()] for values in vectors)
     rows = zip(headers, map(wrench, force, torque), strict=True)
-    return OutTopic(name, kind, (types[kind](header, content) for header, content in rows))
+    return name, kind, (types[kind](header, content) for header, content in rows)
 
 
 class McapWriter:
@@ -275,14 +271,14 @@ class McapWriter:
         """
         stamps_ns = _stamps(columns, self._labels.start_ns).tolist()
         topics = list(bag_topics(columns, self._labels, stamps_ns))
-        for topic in topics:
-            if topic.name not in self._channels:
-                text, _ = self._types.generate_msgdef(topic.kind, ros_version=2)
-                schema = self._bag.register_schema(topic.kind, "ros2msg", text.encode())
-                self._channels[topic.name] = self._bag.register_channel(topic.name, CDR, schema)
+        for name, kind, _ in topics:
+            if name not in self._channels:
+                text, _ = self._types.generate_msgdef(kind, ros_version=2)
+                schema = self._bag.register_schema(kind, "ros2msg", text.encode())
+                self._channels[name] = self._bag.register_channel(name, CDR, schema)
         serialize = self._types.serialize_cdr
-        places = [(self._channels[topic.name], topic.kind) for topic in topics]
-        rows = zip(*(topic.messages for topic in topics), strict=True)
+        places = [(self._channels[name], kind) for name, kind, _ in topics]
+        rows = zip(*(messages for *_, messages in topics), strict=True)
         for stamp_ns, messages in zip(stamps_ns, rows, strict=bool(topics)):
             for (channel, kind), message in zip(places, messages, strict=True):
                 self._bag.add_message(channel, stamp_ns, serialize(message, kind), stamp_ns)

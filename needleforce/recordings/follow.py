@@ -28,21 +28,13 @@ _CHECKED_TAIL = 256
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class FollowOptions:
-    """How long more is waited for.
+    """How long more is waited for, and who hears of it."""
 
-    Attributes:
-        follow: whether a file is read on when its end is reached, because it grows.
-        idle_s: stop when nothing came for this long; None to wait for ever.
-        should_stop: asked before more is read; True to stop.
-        progress: gets the fraction of the recording that was read, where it is known.
-        warn: gets in words what is waited for.
-    """
-
-    follow: bool = False
-    idle_s: float | None = None
-    should_stop: Callable[[], bool] = lambda: False
-    progress: Callable[[float], None] = lambda _: None
-    warn: Callable[[str], None] = lambda text: None
+    follow: bool = False  # a file is read on when its end is reached, because it grows
+    idle_s: float | None = None  # stop when nothing came for this long; None to wait for ever
+    should_stop: Callable[[], bool] = lambda: False  # asked before more is read
+    progress: Callable[[float], None] = lambda _: None  # gets the fraction read, where it is known
+    warn: Callable[[str], None] = lambda text: None  # gets in words what is waited for
 
 
 def byte_blocks(
