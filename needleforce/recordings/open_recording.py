@@ -114,7 +114,7 @@ def stream_tables(
 
     Args:
         source: a file, see `read_table`, or `-` for standard input: CSV, plain or compressed, as
-            it comes; any other format, told by how it begins, when all of it has come.
+            it comes; any other format, known by how it begins, when all of it has come.
         options: how long more is waited for; any source is left when it says to stop.
         request: what is read of a bag; of other sources everything is.
         max_bytes: the most memory that the rows of one table may take, or a file that is read as
