@@ -13,8 +13,7 @@ from groundtruth.errors import Array, MotionError, require_positive
 Profile = Literal["rest", "quintic", "cruise", "cosine"]
 """`quintic`: minimum jerk; `cruise`: constant speed between smooth ramps; `cosine`: half a period
 of a sinusoid."""
-Move = tuple[Profile, float, float]
-"""Profile, duration [s] and travel [m] of a stroke."""
+Move = tuple[Profile, float, float]  # profile, duration [s] and travel [m] of a stroke
 
 FIRST_REST_S = 1.0
 TARE_STROKE_M = 100e-3
@@ -24,11 +23,9 @@ TARE_SPEED_M_S = 25e-3
 """Mean speed of the tare stroke: fast enough to excite the arm, slow enough to be safe in air."""
 TURNING_REST_S = 2.0
 LAST_REST_S = 0.5
-RAMP_S = 0.5
-"""Time in which a constant-speed stroke reaches its speed: under 1 mm of travel."""
+RAMP_S = 0.5  # time in which a constant-speed stroke reaches its speed: under 1 mm of travel
 RAMP_FRACTION_MAX = 0.5
-TOLERANCE = 1e-9
-"""Seconds and metres within which two strokes meet."""
+TOLERANCE = 1e-9  # seconds and metres within which two strokes meet
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

@@ -15,8 +15,7 @@ from numpy.typing import NDArray
 from groundtruth.errors import PlantModelError
 from groundtruth.force_noise import MINI45
 
-TICK_s = 1e-3
-"""Period of controller and sensors."""
+TICK_s = 1e-3  # period of controller and sensors
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

@@ -54,12 +54,9 @@ class Scenario:
         return sum(layer.thickness_m for layer in self.layers)
 
 
-GLOVE_SPEED_M_S = 3e-3
-"""The paper's speed for the stack with the glove."""
-BEYOND_M = 12e-3
-"""How far a constant-speed insertion goes beyond the last layer."""
-CONSTANT_STANDOFF_M = 5e-3
-"""Room to reach the constant speed before contact."""
+GLOVE_SPEED_M_S = 3e-3  # the paper's speed for the stack with the glove
+BEYOND_M = 12e-3  # how far a constant-speed insertion goes beyond the last layer
+CONSTANT_STANDOFF_M = 5e-3  # room to reach the constant speed before contact
 SINE_STANDOFF_M = 20e-3
 """With A = 70 mm the 70 % gel then ruptures 20.7 s into the stroke; the paper says about 20 s."""
 GEL_STROKE_M, GEL_FREQUENCY_HZ = 70e-3, 0.016
@@ -137,10 +134,8 @@ SCENARIOS: Mapping[str, Scenario] = MappingProxyType(
 )
 """Every catalogued scenario under its permanent name."""
 
-RANDOM_STACK = "random-stack"
-"""The id of every drawn scenario under the catalogue's law."""
-RANDOM_TISSUE = "random-tissue"
-"""The id of those whose layers draw their law too."""
+RANDOM_STACK = "random-stack"  # the id of every drawn scenario under the catalogue's law
+RANDOM_TISSUE = "random-tissue"  # the id of those whose layers draw their law too
 DRAWN = (RANDOM_STACK, RANDOM_TISSUE)
 
 
@@ -175,34 +170,24 @@ def scenario(name: str, seed: int = 0) -> Scenario:
 # Ranges of the random scenarios.
 
 LAYERS = (1, 4)
-THICKNESS_M = (10e-3, 40e-3)
-"""From muscle over a rib to a slice of liver; gels are 28-38 mm."""
-TOTAL_MAX_M = 110e-3
-"""With the stretch beyond and the standoff, still short of the 153 mm needle."""
-FRICTION_N_PER_M = (4.0, 40.0)
-"""At the nominal speed: phantom fat 4, gels 9-38, real liver 6.5-18."""
-COULOMB_FRACTION = (0.2, 0.8)
-"""Gels 0.4, liver 0.8."""
-PRESLIDING_M = (0.1e-3, 0.9e-3)
-"""Gels 0.2, liver 0.9 mm."""
-RELAXED_FRACTION = (0.1, 0.6)
-"""Gels 0.2, liver 0.55."""
+THICKNESS_M = (10e-3, 40e-3)  # from muscle over a rib to a slice of liver; gels are 28-38 mm
+TOTAL_MAX_M = 110e-3  # with the stretch beyond and the standoff, still short of the 153 mm needle
+FRICTION_N_PER_M = (4.0, 40.0)  # at the nominal speed: phantom fat 4, gels 9-38, real liver 6.5-18
+COULOMB_FRACTION = (0.2, 0.8)  # gels 0.4, liver 0.8
+PRESLIDING_M = (0.1e-3, 0.9e-3)  # gels 0.2, liver 0.9 mm
+RELAXED_FRACTION = (0.1, 0.6)  # gels 0.2, liver 0.55
 EXIT_FORCE_N = (0.15, 2.0)
 """Tip force at the end of a layer: gels 0.3-1.4 N; ruptures in real liver drop 0.15-1.4 N."""
 CUTTING_FRACTION = (0.0, 0.2)
 STIFFENING = (0.0, 0.3)
-RELEASE_M = (0.1e-3, 0.5e-3)
-"""Travel of a release in gels and most tissues."""
+RELEASE_M = (0.1e-3, 0.5e-3)  # travel of a release in gels and most tissues
 MEMBRANE_CHANCE = 0.25
-PUNCTURE_N = (0.4, 2.0)
-"""Phantom skin 0.6, latex 1.0, bovine liver capsule 1.43 N."""
+PUNCTURE_N = (0.4, 2.0)  # phantom skin 0.6, latex 1.0, bovine liver capsule 1.43 N
 INDENTATION_FRACTION = (0.1, 0.3)
 """Of the layer's thickness: the bovine capsule is pushed in by 11 mm on 32."""
 HARDENING = (0.3, 1.0)
-SPEED_M_S = (2e-3, 6e-3)
-"""Constant speed: the paper 2.3 and 3 mm/s, real liver 5 mm/s."""
-PEAK_SPEED_M_S = (3e-3, 8e-3)
-"""Of a sinusoid: gels 3.5, abdomen 7.2 mm/s."""
+SPEED_M_S = (2e-3, 6e-3)  # constant speed: the paper 2.3 and 3 mm/s, real liver 5 mm/s
+PEAK_SPEED_M_S = (3e-3, 8e-3)  # of a sinusoid: gels 3.5, abdomen 7.2 mm/s
 RANDOM_BEYOND_M = (11e-3, 16e-3)
 RANDOM_STANDOFF_M = (12e-3, 22e-3)
 """Of a sinusoid: deep enough inside the stroke for contact at speed."""

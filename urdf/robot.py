@@ -18,8 +18,7 @@ from urdf.errors import (
 )
 from urdf.payload import NeedleTool, Payload
 
-STANDARD_GRAVITY_M_S2 = (0.0, 0.0, -9.80665)
-"""Straight down along the base's z axis, m/s^2."""
+STANDARD_GRAVITY_M_S2 = (0.0, 0.0, -9.80665)  # straight down along the base's z axis, m/s^2
 
 SENSOR_FRAME, TIP_FRAME, TOOL_FRAME = "ft_sensor", "needle_tip", "tool"
 """Frames that a needle tool adds (the first two) and a tool placement."""

@@ -268,8 +268,7 @@ _CAPTIONS: dict[cli.Over, str] = {
     "depth": "The same over the travel of the tool along the needle since the first sample: in "
     "tissue the upper branch is the insertion, the lower the withdrawal.",
 }
-_LEAST_TRAVEL_M = 1e-3
-"""A chart over travel has nothing to show where the tool hardly moves."""
+_LEAST_TRAVEL_M = 1e-3  # a chart over travel has nothing to show where the tool hardly moves
 
 # Charts.
 

@@ -23,8 +23,7 @@ from needleforce.recordings.errors import (
 from needleforce.recordings.follow import FollowOptions, byte_blocks
 
 BAG_SUFFIXES = (".mcap", ".db3")
-METADATA = "metadata.yaml"
-"""Beside the files of a bag that is a folder."""
+METADATA = "metadata.yaml"  # beside the files of a bag that is a folder
 _LATEST_NS = (1 << 63) - 1
 _MOST_OPEN = 64  # files
 
@@ -127,10 +126,8 @@ def _unpacked(packed: bytes, compression: str, size: int) -> bytes:
 
 
 MAGIC = b"\x89MCAP0\r\n"
-_HEAD = struct.Struct("<BQ")
-"""Number and size, with which a record begins."""
-_MESSAGE_HEAD = struct.Struct("<HIQQ")
-"""Channel, sequence, when it was recorded and published."""
+_HEAD = struct.Struct("<BQ")  # number and size, with which a record begins
+_MESSAGE_HEAD = struct.Struct("<HIQQ")  # channel, sequence, when it was recorded and published
 _SCHEMA, _CHANNEL, _MESSAGE, _CHUNK, _DATA_END, _PRIVATE = 0x03, 0x04, 0x05, 0x06, 0x0F, 0x80
 """Numbers of records: none lies between the end of the data and private ones."""
 _PARSED = {_SCHEMA: "Schema", _CHANNEL: "Channel", _CHUNK: "Chunk"}

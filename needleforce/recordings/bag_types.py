@@ -14,21 +14,17 @@ from needleforce.recordings.bag_messages import BagTopic
 from needleforce.recordings.errors import FormatError, LogError, optional_library
 from needleforce.recordings.table import NS_PER_S, Columns, Labels, flat_columns, to_nanoseconds
 
-STANDARD = "ROS2_HUMBLE"
-"""Whose standard messages are meant where a bag holds no definitions."""
+STANDARD = "ROS2_HUMBLE"  # whose standard messages are meant where a bag holds no definitions
 CDR = "cdr"
-_NAMES = ("name", "names", "joint_names")
-"""Fields that name the elements of the arrays beside them."""
+_NAMES = ("name", "names", "joint_names")  # fields that name the elements of the arrays beside them
 _VECTORS = (tuple("xyzw"), tuple("xyz"), tuple("xy"))
 _STAMP = {("header", "stamp", "sec"), ("header", "stamp", "nanosec")}
-_MOST_ELEMENTS = 64
-"""Longer arrays are images and point clouds, not signals."""
+_MOST_ELEMENTS = 64  # longer arrays are images and point clouds, not signals
 _SIGNALS = ("q_rad", "dq_rad_s", "tau_Nm")
 """What a `JointState` holds as position, velocity and effort."""
 _SENSOR = ("ft_force_N", "ft_torque_Nm")
 _LONGEST_DEFINITION = 1 << 18  # characters
-_MOST_UNROLLED = 2000
-"""`rosbags` generates code for each element of an array of texts or messages."""
+_MOST_UNROLLED = 2000  # `rosbags` generates code for each element of an array of texts or messages
 _TYPE_NAME = re.compile(r"[A-Za-z]\w*(/[A-Za-z]\w*)*", re.ASCII)
 _FIELD_NAME = re.compile(r"[A-Za-z_]\w*", re.ASCII)
 _BASE, _NAME, _ARRAY = 1, 2, 3  # kinds of fields, as rosbags numbers them

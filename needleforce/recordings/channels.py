@@ -29,8 +29,7 @@ _CODE = {"1": 1.0}
 # How people write the same unit; applied in this order.
 _SPELLINGS = (("µ", "u"), ("μ", "u"), ("°", "deg"), ("N·m", "Nm"), ("N.m", "Nm"), ("N*m", "Nm"))
 _SLASHES = ("_per_", "_")
-_UNIT_PARTS = 3
-"""The longest unit in a name has so many parts: `mm_per_s`."""
+_UNIT_PARTS = 3  # the longest unit in a name has so many parts: `mm_per_s`
 
 FORCE_STATUS = ("ok", "not tared", "initializing", "rejected")
 """What 0, 1, 2, ... of the column `force_status` mean; only the first is a usable force."""

@@ -25,8 +25,7 @@ from needleforce.recordings.table import (
 
 CSV_SUFFIXES = (".csv", ".csv.gz", ".tsv", ".tsv.gz", ".txt")
 
-_ROW_BYTES = 100
-"""What Python adds to the text of a row."""
+_ROW_BYTES = 100  # what Python adds to the text of a row
 _MOST_WITHOUT_ROW = 1_000_000
 """A megabyte of gzip can hold a thousand million line ends, which take minutes to look at."""
 _DELIMITERS = (",", ";", "\t")

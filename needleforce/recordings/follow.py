@@ -15,10 +15,8 @@ from pathlib import Path
 
 from needleforce.recordings.errors import FileAccessError, FormatError, file_errors, readable_path
 
-BLOCK = 1 << 18
-"""The most bytes that are read, or unpacked, at a time."""
-STANDARD_STREAM = "-"
-"""Instead of a file: standard input or standard output."""
+BLOCK = 1 << 18  # the most bytes that are read, or unpacked, at a time
+STANDARD_STREAM = "-"  # instead of a file: standard input or standard output
 
 _POLL_S = 0.05
 _SMALL, _PAUSE_S = 4096, 0.005  # rows that come one by one are taken some at a time

@@ -32,10 +32,8 @@ from needleforce.recordings.log import Log, LogStream
 from needleforce.recordings.mapping import ChannelRequest, ColumnMapping, comment_line, mapping_text
 from needleforce.recordings.table import Table, joined_tables
 
-CHUNK_ROWS = 2048
-"""The most rows of a table of a binary format."""
-SUFFIXES = (*CSV_SUFFIXES, ".npz", ".parquet", *BAG_SUFFIXES)
-"""What can be read."""
+CHUNK_ROWS = 2048  # the most rows of a table of a binary format
+SUFFIXES = (*CSV_SUFFIXES, ".npz", ".parquet", *BAG_SUFFIXES)  # what can be read
 
 
 def read_table(

@@ -15,8 +15,7 @@ Columns = Mapping[str, np.ndarray]
 
 HEAD_ROWS = 200
 """So many rows decide which columns a stream has; they come in one table, however they arrive."""
-START_KEY = "start_ns"
-"""What files of numbers call `Labels.start_ns`."""
+START_KEY = "start_ns"  # what files of numbers call `Labels.start_ns`
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -160,10 +159,8 @@ def flat_columns(columns: Columns) -> dict[str, np.ndarray]:
 
 
 NS_PER_S = 1_000_000_000
-_EXACT_NS = 1 << 52
-"""Up to here (52 days) a double of seconds resolves nanoseconds."""
-_EXACT = 1 << 53
-"""Up to here float64 holds every whole number."""
+_EXACT_NS = 1 << 52  # up to here (52 days) a double of seconds resolves nanoseconds
+_EXACT = 1 << 53  # up to here float64 holds every whole number
 
 
 def start_of_clock(first_ns: int) -> int:
