@@ -54,17 +54,6 @@ def is_bag(path: Path) -> bool:
     return path.name.lower().endswith(BAG_SUFFIXES) or (path.is_dir() and bool(_storage(path)))
 
 
-def bag_files(path: Path) -> list[Path]:
-    """Find the files of a bag: a `.mcap` or `.db3` file, or those in a folder, in their order."""
-    found = _storage(path) if path.is_dir() else [path]
-    if not found:
-        raise FormatError(
-            f"{path} is a folder without {' or '.join(BAG_SUFFIXES)} files; those that end in "
-            ".zstd must be unpacked: zstd -d"
-        )
-    return found
-
-
 def _storage(folder: Path) -> list[Path]:
     """Return the files of messages in a folder; those of a split bag are numbered."""
     with file_errors(folder):
@@ -96,7 +85,13 @@ def read_messages(
         finally:
             faults.extend(f"{file.name} {fault}" for fault in found)
 
-    files = [messages(file) for file in bag_files(path)]
+    found = _storage(path) if path.is_dir() else [path]
+    if not found:
+        raise FormatError(
+            f"{path} is a folder without {' or '.join(BAG_SUFFIXES)} files; those that end in "
+            ".zstd must be unpacked: zstd -d"
+        )
+    files = list(map(messages, found))
     # Files may have been recorded side by side; of a bag split into many, one at a time is open.
     if len(files) > _MOST_OPEN:
         return chain.from_iterable(files)

@@ -163,8 +163,16 @@ def _copy(blocks: Iterable[bytes], path: Path, name: str, max_bytes: int) -> Non
 def _binary_tables(
     path: Path, options: FollowOptions, request: ChannelRequest | None, max_bytes: int
 ) -> Iterator[Table]:
-    if options.follow:
-        _require_followable(path)
+    if options.follow and path.is_dir():
+        raise FileAccessError(
+            f"{path} is a folder, which cannot be followed while it grows; name the .mcap file in "
+            "it, or read it when it is complete"
+        )
+    if options.follow and not path.name.lower().endswith(".mcap"):
+        raise FileAccessError(
+            f"{path} cannot be followed while it grows; only CSV and MCAP can. Record one of them "
+            "(ros2 bag record -s mcap), or read it when it is complete"
+        )
     with file_errors(path):
         holds_messages = is_bag(path)
     if holds_messages:
@@ -175,19 +183,6 @@ def _binary_tables(
             yield read(path, max_bytes)
             return
     raise FileAccessError(f"{path} has no known suffix; known are: {', '.join(SUFFIXES)}")
-
-
-def _require_followable(path: Path) -> None:
-    if path.is_dir():
-        raise FileAccessError(
-            f"{path} is a folder, which cannot be followed while it grows; name the .mcap file in "
-            "it, or read it when it is complete"
-        )
-    if not path.name.lower().endswith(".mcap"):
-        raise FileAccessError(
-            f"{path} cannot be followed while it grows; only CSV and MCAP can. Record one of them "
-            "(ros2 bag record -s mcap), or read it when it is complete"
-        )
 
 
 def suggest_mapping(

@@ -22,21 +22,15 @@ START_KEY = "start_ns"  # what files of numbers call `Labels.start_ns`
 class Table:
     """Named columns as read from a file, in the file's own units.
 
-    Columns may differ in length (an npz file may hold several recordings); a `Log` may not.
-
-    Attributes:
-        columns: name to values, shape (n,) or (n, k), read-only copies as float64; those of whole
-            numbers that float64 would round, as nanoseconds since 1970 are, as int64.
-        warnings: what the reader had to leave out or guess.
-        joint_names: for two-dimensional columns of a file that names joints, their names in the
-            order of the column.
-        start_ns: the instant of t = 0 on the clock that stamped the file, in ns; not zero only
-            where stamps are too large for seconds in float64 to resolve nanoseconds.
+    Columns may differ in length (an npz file may hold several recordings); a `Log` may not. They
+    are read-only copies as float64; those of whole numbers that float64 would round, as nanoseconds
+    since 1970 are, as int64. `start_ns` is the instant of t = 0 on the clock that stamped the file,
+    in ns: zero, unless stamps are too large for seconds in float64 to resolve nanoseconds.
     """
 
-    columns: Mapping[str, np.ndarray]
-    warnings: tuple[str, ...] = ()
-    joint_names: Mapping[str, tuple[str, ...]] = field(default_factory=dict)
+    columns: Mapping[str, np.ndarray]  # by name, shape (n,) or (n, k)
+    warnings: tuple[str, ...] = ()  # what the reader had to leave out or guess
+    joint_names: Mapping[str, tuple[str, ...]] = field(default_factory=dict)  # of (n, k) columns
     start_ns: int = 0
 
     def __post_init__(self) -> None:
