@@ -45,12 +45,10 @@ class _CsvRows:
     """
 
     def __init__(self) -> None:
-        self.names: tuple[str, ...] = ()
-        """Unique; a column without a name is `column_N`."""
+        self.names: tuple[str, ...] = ()  # unique; a column without a name is `column_N`
         self.rows: list[tuple[int, str]] = []
         """Rows that wait to be read, each with the number of its line."""
-        self.omitted: dict[int, str] = {}
-        """Which columns are left out, and why."""
+        self.omitted: dict[int, str] = {}  # which columns are left out, and why
         self._delimiter, self._comment, self._header = ",", "", ""
         self._lines = self._latest = self._total = self._start_ns = 0
         self._is_chosen = False

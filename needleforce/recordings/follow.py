@@ -127,12 +127,9 @@ class TextLines:
         decoder = codecs.getincrementaldecoder("utf-8-sig")("surrogateescape")
         self._decoder = io.IncrementalNewlineDecoder(decoder, translate=True)
         self._count, self._fault, self._is_blank = 0, "", True
-        self.tail = ""
-        """Once all is read: what stands behind the last line end."""
-        self.size = 0
-        """Bytes of text so far."""
-        self.warnings: list[str] = []
-        """What was lost or guessed."""
+        self.tail = ""  # once all is read: what stands behind the last line end
+        self.size = 0  # bytes of text so far
+        self.warnings: list[str] = []  # what was lost or guessed
 
     def __iter__(self) -> Iterator[list[str]]:
         """Yield the lines, without their ends; `FormatError` if there is no text."""

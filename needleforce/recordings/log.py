@@ -229,8 +229,7 @@ class LogStream:
         self._stamps = RowClock()
         self._sources: dict[str, _Source] = {}
         self._watches: dict[str, _Watch] = {}
-        self.start_ns = 0
-        """The instant of t_s = 0, see `Table`; known after the first chunk."""
+        self.start_ns = 0  # the instant of t_s = 0, see `Table`; known after the first chunk
 
     def take_warnings(self) -> tuple[str, ...]:
         """Return what has been found wrong with the recording since the last call."""
