@@ -48,6 +48,11 @@ class PlantError(GroundTruthError, RuntimeError):
     """The simulated arm cannot run, or has left its commanded motion."""
 
 
+def fields_of(owner: object, names: str) -> dict[str, float]:
+    """Numbers of an object by name, as the checks below take them."""
+    return {name: getattr(owner, name) for name in names.split()}
+
+
 def require_positive(error: type[GroundTruthError], **values: float) -> None:
     """Raise `error`, naming the field, unless every value is finite and above zero."""
     for name, value in values.items():

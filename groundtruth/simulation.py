@@ -36,22 +36,16 @@ from urdf import NeedleTool, Robot
 class Signals:
     """What a robot and its F/T sensor give, n samples; all that an estimator may see.
 
-    Attributes:
-        t_s: Time stamps, shape (n,), increasing; jittered, or with gaps, on some plants.
-        q_rad: Joint positions, shape (n, 7).
-        dq_rad_s: Joint velocities, shape (n, 7), or None where the interface reports none.
-        tau_Nm: Link-side joint torques, shape (n, 7). Row k is held from its sample to the next
-            tick (torque alignment ``hold``); at rest it equals the gravity torque.
-        ft_wrench: F/T reading in ``ft_sensor`` axes (z along the insertion), shape (n, 6), force N,
-            then torque Nm: wrench of the environment on the needle plus the needle's weight (so
-            tissue that pushes back lowers z), minus its inertia.
+    A row of torques is held from its sample to the next tick (torque alignment ``hold``); at rest
+    it equals the gravity torque. A wrench is that of the environment on the needle plus the
+    needle's weight (so tissue that pushes back lowers z), minus its inertia.
     """
 
-    t_s: Array
-    q_rad: Array
-    dq_rad_s: Array | None
-    tau_Nm: Array
-    ft_wrench: Array
+    t_s: Array  # time stamps, shape (n,), increasing; jittered, or with gaps, on some plants
+    q_rad: Array  # shape (n, 7), as the next two
+    dq_rad_s: Array | None  # None where the interface reports none
+    tau_Nm: Array  # of the joints, on the link side
+    ft_wrench: Array  # force N, then torque Nm, shape (n, 6), ``ft_sensor`` axes, z inwards
 
     def __post_init__(self) -> None:
         """Make the arrays read-only."""
