@@ -213,7 +213,7 @@ class Layer:
         return max(force + inside * self.texture.force_N(penetration_m), 0.0)
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
+@dataclass(frozen=True, slots=True)
 class Interface:
     """The boundary above a layer, or behind the last one.
 
@@ -265,15 +265,6 @@ def interfaces(layers: tuple[Layer, ...]) -> tuple[Interface, ...]:
         kept = 0.0
         if i and below is not None:
             kept = layers[i - 1].kept_fraction * layers[i - 1].exit_force_N / drop
-        found.append(
-            Interface(
-                depth_m=depth,
-                onset_m=onset,
-                release_m=release,
-                drop_N=drop,
-                membrane=membrane,
-                kept_fraction=kept,
-            )
-        )
+        found.append(Interface(depth, onset, release, drop, membrane, kept))
         depth += 0.0 if below is None else below.thickness_m
     return tuple(found)

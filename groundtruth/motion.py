@@ -28,7 +28,7 @@ RAMP_FRACTION_MAX = 0.5
 TOLERANCE = 1e-9  # seconds and metres within which two strokes meet
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
+@dataclass(frozen=True, slots=True)
 class Stroke:
     """A stroke from rest to rest; position and speed are continuous, acceleration is bounded."""
 
@@ -149,16 +149,8 @@ def chain_strokes(
     strokes: list[Stroke] = []
     time, place = 0.0, start_m
     for profile, duration, travel in moves:
-        stroke = Stroke(
-            profile=profile,
-            start_s=time,
-            duration_s=duration,
-            start_m=place,
-            travel_m=travel,
-            ramp_fraction=ramp_fraction,
-        )
-        strokes.append(stroke)
-        time, place = stroke.end_s, stroke.end_m
+        strokes.append(Stroke(profile, time, duration, place, travel, ramp_fraction))
+        time, place = strokes[-1].end_s, strokes[-1].end_m
     return tuple(strokes)
 
 

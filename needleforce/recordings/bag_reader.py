@@ -186,11 +186,6 @@ class Bag:
         self.topics[message.topic.name].learn(message)
         return is_new
 
-    def count_from(self, log_ns: int) -> None:
-        """Count all topics from this time on; the message of it counts for its own."""
-        for topic in self.topics.values():
-            topic.count, topic.first_ns = int(topic.first_ns == log_ns), log_ns
-
     @property
     def warnings(self) -> list[str]:
         """What was lost or is damaged, and how much there is."""
@@ -415,8 +410,9 @@ def survey(
             continue
         settled_ns = message.log_ns + _SETTLED_NS
         if is_new:
-            # Counted anew from here, so that rates are those of the same time.
-            bag.count_from(message.log_ns)
+            # Counted anew from this message on, so that rates are those of the same time.
+            for topic in bag.topics.values():
+                topic.count, topic.first_ns = int(topic.first_ns == message.log_ns), message.log_ns
             continue
         joined, missing = _join(bag, request or ChannelRequest())
         if joined is not None:

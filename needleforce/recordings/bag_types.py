@@ -87,12 +87,8 @@ def size_of(value: Any) -> int | None:
     return len(value) if isinstance(value, tuple | np.ndarray) else None
 
 
-class _Column(NamedTuple):
-    """Where the numbers of a column stand in a message."""
-
-    path: tuple[str, ...]
-    get: Callable[[Any], Any]
-    is_array: bool = False
+_Column = tuple[tuple[str, ...], Callable[[Any], Any], bool]
+"""Where the numbers of a column stand in a message, what gets them, and whether it is an array."""
 
 
 class TopicDecoder:
@@ -113,13 +109,12 @@ class TopicDecoder:
             columns = list(self._columns((), topic.kind))
         except (KeyError, RecursionError) as error:
             raise FormatError(f"has the type {topic.kind}, whose definition is damaged") from error
-        paths = {column.path for column in columns}
-        self._has_stamp = paths >= _STAMP
+        self._has_stamp = {path for path, *_ in columns} >= _STAMP
         self._names = next((name for name in _NAMES if name in fields), None)
         self._getters = [
-            (_column_name(topic, column.path), column.get, column.is_array, len(column.path) == 1)
-            for column in columns
-            if not (self._has_stamp and column.path in _STAMP)
+            (_column_name(topic, path), get, is_array, len(path) == 1)
+            for path, get, is_array in columns
+            if not (self._has_stamp and path in _STAMP)
         ]
 
     def _columns(self, path: tuple[str, ...], kind: str) -> Iterator[_Column]:
@@ -128,16 +123,16 @@ class TopicDecoder:
         names = tuple(name for name, _ in fields)
         if names in _VECTORS and {kind for _, kind in fields} <= _FLOATS:
             last = "_".join((*path[-1:], "".join(names)))
-            yield _Column((*path[:-1], last), attrgetter(*(".".join((*path, x)) for x in names)))
+            yield (*path[:-1], last), attrgetter(*(".".join((*path, x)) for x in names)), False
             return
         for name, (node, rest) in fields:
             place = (*path, name)
             if node == _NAME:
                 yield from self._columns(place, rest)
             elif node == _BASE and rest[0] != "string":
-                yield _Column(place, attrgetter(".".join(place)))
+                yield place, attrgetter(".".join(place)), False
             elif node >= _ARRAY and rest[0][0] == _BASE and rest[0][1][0] != "string":
-                yield _Column(place, attrgetter(".".join(place)), is_array=True)
+                yield place, attrgetter(".".join(place)), True
 
     def decode(self, data: bytes) -> Content:
         """Decode a message; `FormatError` if it does not fit its type."""

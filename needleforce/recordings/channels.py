@@ -44,7 +44,7 @@ WORTHLESS = {
 """Bits of the column `force_warnings` that make a force worthless to an identifier."""
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
+@dataclass(frozen=True, slots=True)
 class Channel:
     """One quantity of a log."""
 
@@ -93,12 +93,7 @@ _TIME_ROW = ("time", "t_s", _TIME, "t time timestamp time_stamp stamp", "time st
 CHANNELS: Mapping[str, Channel] = MappingProxyType(
     {
         name: Channel(
-            name=name,
-            key=key,
-            units=MappingProxyType(units),
-            per_joint=rows is _JOINTS,
-            spellings=tuple(spellings.split()),
-            meaning=meaning,
+            name, key, MappingProxyType(units), rows is _JOINTS, tuple(spellings.split()), meaning
         )
         for rows in ((_TIME_ROW,), _JOINTS, _SINGLE)
         for name, key, units, spellings, meaning in rows
