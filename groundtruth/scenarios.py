@@ -13,17 +13,10 @@ from types import MappingProxyType
 import numpy as np
 from numpy.typing import ArrayLike
 
+from groundtruth import materials
 from groundtruth.errors import Array, ScenarioError
 from groundtruth.layers import Layer, Membrane, ShaftFriction
-from groundtruth.materials import (
-    GLOVE,
-    TABLE_I_SPEED_M_S,
-    abdominal_fat,
-    abdominal_liver,
-    abdominal_muscle,
-    bovine_liver,
-    gel,
-)
+from groundtruth.materials import TABLE_I_SPEED_M_S, gel
 from groundtruth.motion import Motion, constant_motion, protocol, sinusoidal_motion
 from groundtruth.tissue import Tissue
 from groundtruth.variations import VARIATIONS, TissueVariation, random_variation
@@ -144,7 +137,7 @@ def _gels_and_stacks() -> list[Scenario]:
         found.append(_constant(name, title, layers, TABLE_I_SPEED_M_S))
         found.append(_sinusoidal(name, title, layers, GEL_STROKE_M))
     bare = (gel(25), gel(50), gel(70))
-    gloved = (gel(25), gel(50, membrane=GLOVE), gel(70, membrane=GLOVE))
+    gloved = (gel(25), gel(50, membrane=materials.GLOVE), gel(70, membrane=materials.GLOVE))
     glove = "three gels, latex glove around the middle one"
     return [
         *found,
@@ -158,11 +151,17 @@ def _gels_and_stacks() -> list[Scenario]:
 
 def _organs_and_air() -> list[Scenario]:
     return [
-        _constant("liver", "bovine liver, capsule first", (bovine_liver(),), TABLE_I_SPEED_M_S),
+        _constant(
+            "liver", "bovine liver, capsule first", (materials.bovine_liver(),), TABLE_I_SPEED_M_S
+        ),
         Scenario(
             id="abdomen-sinusoidal",
             title="abdominal phantom: fat, muscle, liver; sinusoidal speed",
-            layers=(abdominal_fat(), abdominal_muscle(), abdominal_liver()),
+            layers=(
+                materials.abdominal_fat(),
+                materials.abdominal_muscle(),
+                materials.abdominal_liver(),
+            ),
             motion=sinusoidal_motion(
                 stroke_m=ABDOMEN_STROKE_M,
                 frequency_hz=ABDOMEN_FREQUENCY_HZ,

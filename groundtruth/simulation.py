@@ -11,6 +11,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from groundtruth import sensors
 from groundtruth.arm_control import ArmTrace, drive
 from groundtruth.arm_motion import InsertionPath, scenario_motion, scenario_path
 from groundtruth.arm_plant import ArmPlant, TissueContact, lwr_bodies
@@ -20,14 +21,6 @@ from groundtruth.force_noise import MINI45, ForceNoise
 from groundtruth.plant_model import PlantModel, TICK_s, plant_named
 from groundtruth.scenarios import Scenario
 from groundtruth.scenarios import scenario as scenario_named
-from groundtruth.sensors import (
-    measured_position,
-    measured_torque,
-    measured_velocity,
-    measured_wrench,
-    received_samples,
-    time_stamps,
-)
 from groundtruth.tissue_truth import TissueTruth, collect_truth, freeze
 from urdf import NeedleTool, Robot
 
@@ -160,15 +153,15 @@ def _sense(
 ) -> tuple[NDArray[np.intp], Signals]:
     """Pass the true signals through sensors and wire; each of them has its own stream of noise."""
     clock, loss, position, velocity, torque, wrench = map(np.random.default_rng, seed.spawn(6))
-    kept = received_samples(len(time), plant_model, loss)
-    dq = measured_velocity(trace.dq_rad_s, plant_model, velocity)
-    tau = measured_torque(trace.tau_Nm, trace.q_rad, limit_Nm, plant_model, torque)
+    kept = sensors.received_samples(len(time), plant_model, loss)
+    dq = sensors.measured_velocity(trace.dq_rad_s, plant_model, velocity)
+    tau = sensors.measured_torque(trace.tau_Nm, trace.q_rad, limit_Nm, plant_model, torque)
     return kept, Signals(
-        t_s=time_stamps(time, plant_model, clock)[kept],
-        q_rad=measured_position(trace.q_rad, plant_model, position)[kept],
+        t_s=sensors.time_stamps(time, plant_model, clock)[kept],
+        q_rad=sensors.measured_position(trace.q_rad, plant_model, position)[kept],
         dq_rad_s=None if dq is None else dq[kept],
         tau_Nm=tau[kept],
-        ft_wrench=measured_wrench(trace.ft_wrench, plant_model, wrench)[kept],
+        ft_wrench=sensors.measured_wrench(trace.ft_wrench, plant_model, wrench)[kept],
     )
 
 

@@ -356,14 +356,9 @@ def bag_tables(
 ) -> Iterator[Table]:
     """Read a ROS 2 bag in tables of at most so many rows; all its columns without a request.
 
-    The messages of one topic are the rows, those of others are interpolated to its time stamps.
-    A cut or damaged MCAP file yields what can be read of it, and the warnings say what was lost.
-    If a required channel is missing, one table has all columns, without rows.
-
-    The file is read from its start twice: until it is clear which topics are read, and for their
-    rows. An MCAP file that is followed is read on as a recorder writes it, until it is finished.
-
-    Raises as `stream_tables` does.
+    If a required channel is missing, one table has all columns, without rows. A file is read from
+    its start twice: until it is clear which topics are read, and for their rows. An MCAP file that
+    is followed is read on as a recorder writes it, until it is finished. Raises as `stream_tables`.
     """
     bag, growing = Bag(path), options if options.follow else None
     joined = survey(bag, request, growing, max_bytes)
