@@ -150,18 +150,14 @@ def _gels_and_stacks() -> list[Scenario]:
 
 
 def _organs_and_air() -> list[Scenario]:
+    liver = (materials.bovine_liver(),)
+    abdomen = (materials.abdominal_fat(), materials.abdominal_muscle(), materials.abdominal_liver())
     return [
-        _constant(
-            "liver", "bovine liver, capsule first", (materials.bovine_liver(),), TABLE_I_SPEED_M_S
-        ),
+        _constant("liver", "bovine liver, capsule first", liver, TABLE_I_SPEED_M_S),
         Scenario(
             id="abdomen-sinusoidal",
             title="abdominal phantom: fat, muscle, liver; sinusoidal speed",
-            layers=(
-                materials.abdominal_fat(),
-                materials.abdominal_muscle(),
-                materials.abdominal_liver(),
-            ),
+            layers=abdomen,
             motion=sinusoidal_motion(
                 stroke_m=ABDOMEN_STROKE_M,
                 frequency_hz=ABDOMEN_FREQUENCY_HZ,
