@@ -2,7 +2,7 @@
 
 import math
 import numbers
-from typing import NamedTuple
+from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -19,11 +19,15 @@ from identification import (
 )
 from identification import Snapshot as IdentifierSnapshot
 from needleforce.jit import Matrix, Vector, compiled
+from needleforce.plan_follower import Plan, PlanFollower, PlanMemory
 from residual import DEFAULT as DEFAULT_SENSOR
 from residual import SensorConfig, SensorWarning, Status, VirtualForceSensor, WrenchEstimate
 from residual.bias_model import Tare
 from residual.virtual_force_sensor import SensorState
 from urdf import Robot
+
+if TYPE_CHECKING:
+    from needleforce.anatomy import PlanState
 
 _new = tuple.__new__  # makes a named tuple in half the time: there is one in every tick
 
@@ -87,6 +91,8 @@ class SessionEstimate(NamedTuple):
         used_for_identification: Whether this tick's force went into the identification.
         time_s: Sum of the time steps since the first sample after `reset` [s]: the clock of all
             events. Rejected samples count, a clock that was set does not.
+        plan: What plan and ruptures say together: the layer, the next boundary, the offset; None
+            before the tare, and without `InsertionSession.follow`.
     """
 
     wrench: WrenchEstimate
@@ -96,6 +102,7 @@ class SessionEstimate(NamedTuple):
     status: Status
     used_for_identification: bool
     time_s: float
+    plan: "PlanState | None" = None
 
     @property
     def warnings(self) -> SensorWarning:
@@ -114,6 +121,7 @@ class SessionSnapshot(NamedTuple):
     speed_lag_s: float  # setting of the session
     unused_s: float  # time of valid samples that were not used for identification
     time_s: float  # see `SessionEstimate`
+    plan: PlanMemory
 
 
 # The session.
@@ -174,6 +182,7 @@ class InsertionSession:
         self._identifier, self._identifier_config = Identifier(identifier_config), identifier_config
         self._tool = self._sensor.kinematics
         self._speed_lag_s = float(speed_lag_s)
+        self._plan = PlanFollower(None, None)
         self.reset()
 
     @property
@@ -241,6 +250,26 @@ class InsertionSession:
         """Record free motion anew for the next `tare`; estimates are `NOT_TARED` until then."""
         self._sensor.start_tare_recording()
 
+    def follow(self, plan: Plan | None, entry_in_base_m: ArrayLike | None = None) -> None:
+        """Match the ruptures from now on with a plan: see `SessionEstimate.plan`.
+
+        Args:
+            plan: A `needleforce.anatomy.PlanMatch`; None to follow none.
+            entry_in_base_m: The plan's entry point in the robot's base, shape (3,), as
+                `Registration.to_robot` gives it; None where the plan's depths count from where the
+                session's do.
+
+        Raises:
+            SettingError: For anything but a plan, or an entry that is no point.
+        """
+        if plan is not None and not hasattr(plan, "fingerprint"):
+            raise SettingError(f"plan is a {type(plan).__name__}, expected a PlanMatch of anatomy")
+        entry_m = None if entry_in_base_m is None else np.array(entry_in_base_m, dtype=float)
+        if entry_m is not None and not (entry_m.shape == (3,) and np.isfinite(entry_m).all()):
+            raise SettingError(f"entry_in_base_m is {entry_in_base_m!r}, expected 3 finite numbers")
+        self._plan = PlanFollower(plan, entry_m)
+        self._plan.begin(*self._zero)
+
     def begin_insertion(self) -> None:
         """Count depth from here and forget the layers; the tare stays."""
         self._zero_depth()
@@ -248,6 +277,7 @@ class InsertionSession:
         self._identifier.reset()
         self._identification = self._identifier.snapshot().last
         self._unused_s = 0.0
+        self._plan.begin(*self._zero)
 
     def reset(self) -> None:
         """Forget everything, the tare included."""
@@ -266,6 +296,7 @@ class InsertionSession:
             self._speed_lag_s,
             self._unused_s,
             self._time_s,
+            self._plan.memory,
         )
 
     def restore(self, snapshot: SessionSnapshot) -> None:
@@ -273,7 +304,7 @@ class InsertionSession:
 
         Raises:
             SnapshotMismatchError: Not a snapshot of a session, a damaged one, or one of another
-                speed lag.
+                speed lag or plan.
             residual.SnapshotError: A damaged one, or of another robot or settings of the sensor.
             identification.IdentificationError: One of other settings of the identifier.
         """
@@ -286,7 +317,11 @@ class InsertionSession:
                 f"the snapshot is of speed_lag_s {snapshot.speed_lag_s:g}, this session has "
                 f"{self._speed_lag_s:g}"
             )
-        self._try_out(snapshot)
+        if snapshot.plan.fingerprint != self._plan.memory.fingerprint:
+            what = "with another plan or entry: follow() the same"
+            what = what if snapshot.plan.fingerprint else "without a plan: follow(None)"
+            raise SnapshotMismatchError(f"the snapshot is of a session {what} before restore()")
+        plan_state = self._try_out(snapshot)
         # The last that can fail, and it fails as a whole.
         self._sensor.restore(snapshot.sensor)
         self._identifier.restore(snapshot.identifier)
@@ -296,8 +331,9 @@ class InsertionSession:
         self._unused_s = snapshot.unused_s
         self._time_s = snapshot.time_s
         self._identification = _without_events(snapshot.identifier.last)
+        self._plan.resume(snapshot.plan, plan_state)
 
-    def _try_out(self, snapshot: SessionSnapshot) -> None:
+    def _try_out(self, snapshot: SessionSnapshot) -> "PlanState | None":
         """Refuse what would fail in later updates; nothing of this session changes."""
         twin = Identifier(self._identifier_config)
         try:
@@ -307,6 +343,7 @@ class InsertionSession:
             sizes = [np.shape(part) for part in snapshot.zero]
             if sizes != [(3,), (3,)] or not np.isfinite(snapshot.zero).all():
                 raise SnapshotMismatchError(f"the snapshot is damaged: its zero is {snapshot.zero}")
+            return self._plan.read(snapshot.plan)
         except (IdentificationError, InsertionError):
             raise
         except Exception as error:  # whatever a damaged state makes of its parts
@@ -357,10 +394,9 @@ class InsertionSession:
                 self._unused_s = elapsed_s
                 return self._idle(wrench)
         self._identification = found
-        return _new(
-            SessionEstimate,
-            (wrench, depth_m, speed_m_s, found, status, found.status in _USED, self._time_s),
-        )
+        self._plan.follow(found, self._lagging.depth_m)
+        at = (found.status in _USED, self._time_s, self._plan.state)
+        return _new(SessionEstimate, (wrench, *travel, found, status, *at))
 
     def _as_late_as_force(self, travel: Travel, elapsed_s: float) -> Travel:
         """Depth and speed behind the lag of the force, so that what belongs together meets.
@@ -380,7 +416,8 @@ class InsertionSession:
         last = self._identification
         if (last.rupture, last.identified_layer, last.retracted) != (None, None, None):
             last = self._identification = _without_events(last)
-        return SessionEstimate(wrench, *self._last_travel, last, wrench.status, False, self._time_s)
+        at = (False, self._time_s, self._plan.state)
+        return SessionEstimate(wrench, *self._last_travel, last, wrench.status, *at)
 
 
 def _check_kind(value: object, kind: type, name: str, hint: str) -> None:
