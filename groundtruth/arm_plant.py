@@ -8,13 +8,12 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 import pinocchio as pin
-from numpy.typing import NDArray
 
 from groundtruth.bearing_friction import BearingFriction
-from groundtruth.disturbances import ElbowPush, LateralForce, TissueMotion
-from groundtruth.errors import PlantError, PlantModelError
+from groundtruth.errors import Array, PlantError, PlantModelError
 from groundtruth.plant_model import PlantModel, TICK_s
 from groundtruth.rig_contacts import Contact, TouchedPoint
+from groundtruth.scenarios import ElbowPush, LateralForce, TissueMotion
 from groundtruth.tissue import Tissue, TissueForce, no_force
 from urdf import NeedleTool, Payload, Robot, load_lwr
 
@@ -23,7 +22,6 @@ try:
 except ModuleNotFoundError:  # The needle without an arm does not need it.
     mujoco = None
 
-Array = NDArray[np.float64]
 
 SUBSTEPS = 4
 """Physics steps per tick. Runge-Kutta steps of fourth order close the momentum balance of a moving
@@ -166,11 +164,15 @@ def arm_mjcf(bodies: PlantBodies, substep_s: float) -> str:
     arm exerts on the needle body: everything beyond the measuring plane.
     """
     robot = bodies.kinematics
+    model, data = robot.model, robot.create_data()
+    pin.computeJointJacobians(model, data, pin.neutral(model))
     parts = [_HEAD.format(step=repr(substep_s), gravity=_numbers(robot.gravity_m_s2))]
     for joint, (name, link) in enumerate(zip(robot.joint_names, bodies.links, strict=True), 1):
-        placement = robot.model.jointPlacements[joint]
+        placement = model.jointPlacements[joint]
+        local = pin.getJointJacobian(model, data, joint, pin.ReferenceFrame.LOCAL)
+        axis = local[3:, model.joints[joint].idx_v]
         parts.append(f'<body name="link_{joint}" {_pose(placement)}>\n{_inertial(link)}\n')
-        parts.append(f'<joint name="{name}" axis="{_numbers(_joint_axis(robot.model, joint))}"/>\n')
+        parts.append(f'<joint name="{name}" axis="{_numbers(axis)}"/>\n')
     flange, sensor = _placement(robot, robot.flange_frame), _placement(robot, "ft_sensor")
     tip = _placement(robot, "needle_tip")
     parts.append(f'<body name="sensor" {_pose(flange)}>\n{_inertial(bodies.sensor)}\n</body>\n')
@@ -179,14 +181,6 @@ def arm_mjcf(bodies: PlantBodies, substep_s: float) -> str:
     parts.append(f'<body name="tip" {_pose(sensor.actInv(tip))}><site name="tip"/></body>\n</body>')
     parts.append("</body>\n" * len(bodies.links))
     return "".join(parts) + _TAIL
-
-
-def _joint_axis(model: pin.Model, joint: int) -> np.ndarray:
-    """Axis of a revolute joint in its own frame."""
-    data = model.createData()
-    pin.computeJointJacobians(model, data, pin.neutral(model))
-    local = pin.getJointJacobian(model, data, joint, pin.ReferenceFrame.LOCAL)
-    return local[3:, model.joints[joint].idx_v]
 
 
 def _pose(placement: pin.SE3) -> str:

@@ -70,8 +70,42 @@ def tip_motion(
     axis: Vector, pose: Matrix, axial_jacobian: Vector, dq: Vector
 ) -> tuple[float, float]:
     """Place of the tip along an axis in base axes [m], and its speed along the needle [m/s]."""
-    tip_m = np.ascontiguousarray(pose[:3, 3])
-    return float(axis.dot(tip_m)), float(axial_jacobian.dot(dq))
+    along_m = axis[0] * pose[0, 3] + axis[1] * pose[1, 3] + axis[2] * pose[2, 3]
+    speed_m_s = 0.0
+    for k in range(len(dq)):  # a product of BLAS takes longer to call
+        speed_m_s += axial_jacobian[k] * dq[k]
+    return float(along_m), speed_m_s
+
+
+@compiled
+def travel_step(
+    tip: tuple[Vector, Matrix, Vector, Vector],
+    start_m: float,
+    last: tuple[float, float, float, float],
+    dt_s: float,
+    lags_s: tuple[float, float],
+) -> tuple[float, float, float, float]:
+    """Depth [m] and speed [m/s] of the tip, and the same as late as the force.
+
+    A needle that a hand drives changes its speed within the observer's lag: the force of a moment
+    ago, beside the speed of now, would look like friction that comes and goes.
+
+    Args:
+        tip: What `tip_motion` takes.
+        start_m: Place at depth zero.
+        last: What the step before returned.
+        dt_s: Time since then.
+        lags_s: Of the speed's own low-pass, 0 for none, and of the force.
+    """
+    along, speed = tip_motion(*tip)
+    depth, (speed_lag_s, force_lag_s) = along - start_m, lags_s
+    _, last_speed, late_depth, late_speed = last
+    if speed_lag_s > 0.0:
+        speed = last_speed - math.expm1(-dt_s / speed_lag_s) * (speed - last_speed)
+    if force_lag_s <= 0.0:
+        return depth, speed, depth, speed
+    kept = math.exp(-dt_s / force_lag_s)
+    return depth, speed, depth + kept * (late_depth - depth), speed + kept * (late_speed - speed)
 
 
 # What a session returns in every tick, and what it remembers.
@@ -273,7 +307,7 @@ class InsertionSession:
     def begin_insertion(self) -> None:
         """Count depth from here and forget the layers; the tare stays."""
         self._zero_depth()
-        self._last_travel = self._lagging = Travel(0.0, 0.0)
+        self._travel = 0.0, 0.0, 0.0, 0.0
         self._identifier.reset()
         self._identification = self._identifier.snapshot().last
         self._unused_s = 0.0
@@ -291,8 +325,8 @@ class InsertionSession:
             self._sensor.snapshot(),
             self._identifier.snapshot(),
             self._zero,
-            self._last_travel,
-            self._lagging,
+            Travel(*self._travel[:2]),
+            Travel(*self._travel[2:]),
             self._speed_lag_s,
             self._unused_s,
             self._time_s,
@@ -327,7 +361,7 @@ class InsertionSession:
         self._identifier.restore(snapshot.identifier)
         self._count_from(snapshot.zero)
         self._is_started = snapshot.sensor.last is not None
-        self._last_travel, self._lagging = snapshot.travel, snapshot.lagging
+        self._travel = *snapshot.travel, *snapshot.lagging
         self._unused_s = snapshot.unused_s
         self._time_s = snapshot.time_s
         self._identification = _without_events(snapshot.identifier.last)
@@ -369,22 +403,16 @@ class InsertionSession:
             # The sensor's clock counts the time of rejected samples and knows one that was set.
             self._time_s += self._sensor.elapsed_s
         elapsed_s, tool, axis = self._sensor.elapsed_s, self._tool, self._zero.axis_in_base
-        dq = self._sensor.velocity_rad_s
-        along_m, speed_m_s = tip_motion(axis, tool.pose, tool.axial_jacobian, dq)
-        depth_m = along_m - self._start_m
-        if self._speed_lag_s > 0.0:
-            last_m_s = self._last_travel.speed_m_s
-            weight = -math.expm1(-elapsed_s / self._speed_lag_s)
-            speed_m_s = last_m_s + weight * (speed_m_s - last_m_s)
-        self._last_travel = travel = _new(Travel, (depth_m, speed_m_s))
-        self._lagging = self._as_late_as_force(travel, elapsed_s)
+        dq, lag_s = self._sensor.velocity_rad_s, self._sensor.filter_lag_s
+        tip, lags_s = (axis, tool.pose, tool.axial_jacobian, dq), (self._speed_lag_s, lag_s)
+        self._travel = travel = travel_step(tip, self._start_m, self._travel, elapsed_s, lags_s)
         if status is not _OK or (wrench.warnings and wrench.warnings & _NOT_USED):
             self._unused_s += elapsed_s
             return self._idle(wrench)
         if self._unused_s:
             elapsed_s, self._unused_s = elapsed_s + self._unused_s, 0.0
         found = self._identifier.update(
-            *self._lagging, wrench.axial, elapsed_s, self._time_s, wrench.axial_std
+            *travel[2:], wrench.axial, elapsed_s, self._time_s, wrench.axial_std
         )
         if found.rupture is not None:
             # A lateral push looks like a rupture before its mismatch has lasted long enough.
@@ -394,22 +422,9 @@ class InsertionSession:
                 self._unused_s = elapsed_s
                 return self._idle(wrench)
         self._identification = found
-        self._plan.follow(found, self._lagging.depth_m)
+        self._plan.follow(found, travel[2])
         at = (found.status in _USED, self._time_s, self._plan.state)
-        return _new(SessionEstimate, (wrench, *travel, found, status, *at))
-
-    def _as_late_as_force(self, travel: Travel, elapsed_s: float) -> Travel:
-        """Depth and speed behind the lag of the force, so that what belongs together meets.
-
-        A needle that a hand drives changes its speed within the observer's lag: the force of a
-        moment ago, beside the speed of now, would look like friction that comes and goes.
-        """
-        if (lag_s := self._sensor.filter_lag_s) <= 0.0:
-            return travel
-        kept = math.exp(-elapsed_s / lag_s)
-        depth_m = travel.depth_m + kept * (self._lagging.depth_m - travel.depth_m)
-        speed_m_s = travel.speed_m_s + kept * (self._lagging.speed_m_s - travel.speed_m_s)
-        return _new(Travel, (depth_m, speed_m_s))
+        return _new(SessionEstimate, (wrench, *travel[:2], found, status, *at))
 
     def _idle(self, wrench: WrenchEstimate) -> SessionEstimate:
         """A tick that is not used for identification."""
@@ -417,7 +432,7 @@ class InsertionSession:
         if (last.rupture, last.identified_layer, last.retracted) != (None, None, None):
             last = self._identification = _without_events(last)
         at = (False, self._time_s, self._plan.state)
-        return SessionEstimate(wrench, *self._last_travel, last, wrench.status, *at)
+        return SessionEstimate(wrench, *self._travel[:2], last, wrench.status, *at)
 
 
 def _check_kind(value: object, kind: type, name: str, hint: str) -> None:

@@ -198,10 +198,8 @@ def open_output(output: Output, log: LogSession, labels: Labels) -> Iterator[Ope
 
 # Figures: their axis, and few rows of a log of any length that look the same.
 
-LATE_CLOCK_S = 1e5
-"""Seconds since 1970 would leave an axis no digits for what happened."""
-MOST_ROWS = 20_000
-"""More rows than these are thinned for a figure."""
+LATE_CLOCK_S = 1e5  # seconds since 1970 would leave an axis no digits for what happened
+MOST_ROWS = 20_000  # more rows than these are thinned for a figure
 
 
 def time_axis(t_s: np.ndarray) -> tuple[float, str]:

@@ -25,15 +25,12 @@ from needleforce.recordings.table import (
 
 _SETTLED_NS = NS_PER_S
 """When so much recording has brought no new topic, it is decided which topics are read."""
-_AS_MANY = 0.9
-"""A topic with this fraction of another's messages counts as equally fast."""
-_LEARNED = 20
-"""Messages of a topic that are looked into."""
+_AS_MANY = 0.9  # a topic with this fraction of another's messages counts as equally fast
+_LEARNED = 20  # messages of a topic that are looked into
 _SHORTEST_LIMIT_S = 0.1
 _PERIODS = 5.0
 """So many periods of a topic may lie between two of its messages and still be bridged."""
-_LATE_NS = NS_PER_S
-"""A topic whose messages come so much later than those of others loses nothing."""
+_LATE_NS = NS_PER_S  # a topic whose messages come so much later than those of others loses nothing
 
 
 class Topic:
@@ -188,11 +185,6 @@ class Bag:
             self.topics[message.topic.name] = Topic(message.topic, message.log_ns)
         self.topics[message.topic.name].learn(message)
         return is_new
-
-    def count_from(self, log_ns: int) -> None:
-        """Count all topics from this time on; the message of it counts for its own."""
-        for topic in self.topics.values():
-            topic.count, topic.first_ns = int(topic.first_ns == log_ns), log_ns
 
     @property
     def warnings(self) -> list[str]:
@@ -364,14 +356,9 @@ def bag_tables(
 ) -> Iterator[Table]:
     """Read a ROS 2 bag in tables of at most so many rows; all its columns without a request.
 
-    The messages of one topic are the rows, those of others are interpolated to its time stamps.
-    A cut or damaged MCAP file yields what can be read of it, and the warnings say what was lost.
-    If a required channel is missing, one table has all columns, without rows.
-
-    The file is read from its start twice: until it is clear which topics are read, and for their
-    rows. An MCAP file that is followed is read on as a recorder writes it, until it is finished.
-
-    Raises as `stream_tables` does.
+    If a required channel is missing, one table has all columns, without rows. A file is read from
+    its start twice: until it is clear which topics are read, and for their rows. An MCAP file that
+    is followed is read on as a recorder writes it, until it is finished. Raises as `stream_tables`.
     """
     bag, growing = Bag(path), options if options.follow else None
     joined = survey(bag, request, growing, max_bytes)
@@ -418,8 +405,9 @@ def survey(
             continue
         settled_ns = message.log_ns + _SETTLED_NS
         if is_new:
-            # Counted anew from here, so that rates are those of the same time.
-            bag.count_from(message.log_ns)
+            # Counted anew from this message on, so that rates are those of the same time.
+            for topic in bag.topics.values():
+                topic.count, topic.first_ns = int(topic.first_ns == message.log_ns), message.log_ns
             continue
         joined, missing = _join(bag, request or ChannelRequest())
         if joined is not None:

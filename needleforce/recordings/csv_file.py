@@ -25,8 +25,7 @@ from needleforce.recordings.table import (
 
 CSV_SUFFIXES = (".csv", ".csv.gz", ".tsv", ".tsv.gz", ".txt")
 
-_ROW_BYTES = 100
-"""What Python adds to the text of a row."""
+_ROW_BYTES = 100  # what Python adds to the text of a row
 _MOST_WITHOUT_ROW = 1_000_000
 """A megabyte of gzip can hold a thousand million line ends, which take minutes to look at."""
 _DELIMITERS = (",", ";", "\t")
@@ -46,12 +45,10 @@ class _CsvRows:
     """
 
     def __init__(self) -> None:
-        self.names: tuple[str, ...] = ()
-        """Unique; a column without a name is `column_N`."""
+        self.names: tuple[str, ...] = ()  # unique; a column without a name is `column_N`
         self.rows: list[tuple[int, str]] = []
         """Rows that wait to be read, each with the number of its line."""
-        self.omitted: dict[int, str] = {}
-        """Which columns are left out, and why."""
+        self.omitted: dict[int, str] = {}  # which columns are left out, and why
         self._delimiter, self._comment, self._header = ",", "", ""
         self._lines = self._latest = self._total = self._start_ns = 0
         self._is_chosen = False
