@@ -27,6 +27,7 @@ from needleforce.anatomy import (
     PlanMatch,
     PlanState,
     Registration,
+    RegistrationError,
     Structure,
     Surface,
     TouchSurface,
@@ -172,7 +173,10 @@ def _skin_along(grid: Grid, body: NDArray[np.bool_], start: Array, axis: Array) 
 def register(
     labels: Labels, entry_m: Array, truth: tuple[Array, Array], rng: np.random.Generator
 ) -> tuple[Registration, Registration]:
-    """Register by landmarks and by touches of the skin around the entry, with a pointer."""
+    """Register by landmarks, and by touches of the skin around the entry, with a pointer.
+
+    Where the touches cannot register (a torso that could spin), it is the landmarks twice.
+    """
     skin = _skin(labels)
     front = skin.vertices_m[skin.vertices_m @ FRONT > np.quantile(skin.vertices_m @ FRONT, 0.4)]
     marks = front[_spread(front, LANDMARKS, rng)]
@@ -183,7 +187,10 @@ def register(
     slipped = rng.random(TOUCHES) < 0.1
     touched[slipped] += rng.uniform(5e-3, 20e-3, (int(slipped.sum()), 1)) * FRONT
     surface = TouchSurface(skin.vertices_m, skin.triangles)
-    return rough, fit_surface(surface, touched @ truth[0].T + truth[1], rough)
+    try:
+        return rough, fit_surface(surface, touched @ truth[0].T + truth[1], rough)
+    except RegistrationError:
+        return rough, rough
 
 
 def _skin(labels: Labels) -> Surface:

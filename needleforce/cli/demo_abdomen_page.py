@@ -5,6 +5,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+from scipy.ndimage import distance_transform_edt
 from scipy.spatial.transform import Rotation
 
 from needleforce.cli.demo_abdomen import LANDMARKS, TOUCHES, Insertion, insert
@@ -100,7 +101,9 @@ def _rows(made: Insertion) -> tuple[tuple[str, str], ...]:
         ),
         (
             f"and {TOUCHES} touches of the skin",
-            f"{errors[1]:.1f} mm at the target, {stated[1]:.1f} stated",
+            "refused: the skin slides or spins on itself"
+            if made.fine is made.rough
+            else f"{errors[1]:.1f} mm at the target, {stated[1]:.1f} stated",
         ),
     ]
     for k, (depth, state) in enumerate(made.states, 1):
@@ -147,25 +150,14 @@ def draw_slice(made: Insertion, path: Path) -> Path:
     """Draw the plane of the needle into a file."""
     import matplotlib.pyplot as plt
 
-    axis = (made.target_m - made.entry_m) / made.length_m
-    side = np.cross(axis, [0.0, 0.0, 1.0])
-    side /= np.linalg.norm(side)
     along, across = np.arange(-0.03, made.length_m + 0.06, 5e-4), np.arange(-0.09, 0.09, 5e-4)
-    places = made.entry_m + along[:, None, None] * axis + across[None, :, None] * side
-    index = np.rint(made.labels.grid.indices(places)).astype(int)
-    valid: Any = ((index >= 0) & (index < made.labels.grid.shape)).all(axis=-1)
-    at = tuple(np.moveaxis(np.where(valid[..., None], index, 0), -1, 0))
-    colors = np.zeros((*valid.shape, 3))
+    colors, names = _section(made, along, across)
     figure, plane = plt.subplots(figsize=(6.4, 5.2), layout="constrained")
-    for structure in sorted(made.labels.structures, key=lambda item: -item.voxels):
-        inside = valid & (made.labels.volumes[structure.volume][at] == structure.value)
-        colors[inside] = structure.colour
-        if np.count_nonzero(inside) > LEAST_NAMED:
-            rows, columns = np.nonzero(inside)
-            row, column = 1e3 * np.median(along[rows]), 1e3 * np.median(across[columns])
-            plane.text(column, row, structure.name, color="white", ha="center", fontsize=8)
     extent = (1e3 * across[0], 1e3 * across[-1], 1e3 * along[-1], 1e3 * along[0])
     plane.imshow(colors, extent=extent, aspect="equal")
+    for name, row, column in names:
+        place = (1e3 * across[column], 1e3 * along[row])
+        plane.text(*place, name, color="white", ha="center", va="center", fontsize=8)
     tip = made.stop_m - made.shift_m
     plane.plot([0.0, 0.0], [-30.0, 1e3 * tip], color="0.9", linewidth=2.0)
     plane.plot(0.0, 1e3 * made.length_m, "o", mfc="none", mec="white", ms=11, label="target")
@@ -181,3 +173,26 @@ def draw_slice(made: Insertion, path: Path) -> Path:
     figure.savefig(path, dpi=130)
     plt.close(figure)
     return path
+
+
+def _section(made: Insertion, along: Any, across: Any) -> tuple[Any, list[tuple[str, int, int]]]:
+    """Colours in the needle's plane, and each large structure's name where it is widest."""
+    axis = (made.target_m - made.entry_m) / made.length_m
+    side = np.cross(axis, [0.0, 0.0, 1.0])
+    side /= np.linalg.norm(side)
+    places = made.entry_m + along[:, None, None] * axis + across[None, :, None] * side
+    index = np.rint(made.labels.grid.indices(places)).astype(int)
+    valid: Any = ((index >= 0) & (index < made.labels.grid.shape)).all(axis=-1)
+    at = tuple(np.moveaxis(np.where(valid[..., None], index, 0), -1, 0))
+    ordered = sorted(made.labels.structures, key=lambda item: -item.voxels)
+    owner, colors, names = np.full(valid.shape, -1), np.zeros((*valid.shape, 3)), []
+    for k, structure in enumerate(ordered):
+        owner[valid & (made.labels.volumes[structure.volume][at] == structure.value)] = k
+    for k, structure in enumerate(ordered):
+        inside = owner == k
+        colors[inside] = structure.colour
+        if np.count_nonzero(inside) > LEAST_NAMED:
+            depth: Any = distance_transform_edt(np.pad(inside, 1))
+            row, column = np.unravel_index(int(np.argmax(depth)), depth.shape)
+            names.append((structure.name, int(row) - 1, int(column) - 1))
+    return colors, names
