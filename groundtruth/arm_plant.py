@@ -101,11 +101,8 @@ def lwr_bodies(tool: NeedleTool, plant_model: PlantModel, rng: np.random.Generat
     com_shift_m = plant_model.payload_com_spread_m * rng.standard_normal(3)
 
     def with_error(part: Payload) -> pin.Inertia:
-        return pin.Inertia(
-            part.mass_kg * mass_factor,
-            part.com_m + com_shift_m,
-            part.inertia_kg_m2 * mass_factor,
-        )
+        inertia_kg_m2 = part.inertia_kg_m2 * mass_factor
+        return pin.Inertia(part.mass_kg * mass_factor, part.com_m + com_shift_m, inertia_kg_m2)
 
     return PlantBodies(
         robot=robot,

@@ -32,7 +32,6 @@ from needleforce.recordings.log import Log, LogStream
 from needleforce.recordings.mapping import ChannelRequest, ColumnMapping, comment_line, mapping_text
 from needleforce.recordings.table import Table, joined_tables
 
-CHUNK_ROWS = 2048  # the most rows of a table of a binary format
 SUFFIXES = (*CSV_SUFFIXES, ".npz", ".parquet", *BAG_SUFFIXES)  # what can be read
 
 
@@ -147,8 +146,7 @@ def stream_tables(
             except RecordingError as error:
                 raise type(error)(str(error).replace(str(copy), name)) from error
         return
-    growth = {"is_growing": options.follow, "is_stopped": options.should_stop}
-    yield from csv_tables(blocks, name, **growth, max_bytes=max_bytes)
+    yield from csv_tables(blocks, name, options, max_bytes)
 
 
 def _copy(blocks: Iterable[bytes], path: Path, name: str, max_bytes: int) -> None:
@@ -176,7 +174,7 @@ def _binary_tables(
     with file_errors(path):
         holds_messages = is_bag(path)
     if holds_messages:
-        yield from bag_tables(path, request, options, max_bytes, CHUNK_ROWS)
+        yield from bag_tables(path, request, options, max_bytes)
         return
     for suffix, read in ((".npz", read_npz), (".parquet", read_parquet)):
         if path.name.lower().endswith(suffix):
