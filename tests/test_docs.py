@@ -35,7 +35,7 @@ SAYS = {
     "autonomous_insertion": r"rests 3[1-4]\.\d mm deep, in state dwell",
     "watched_plan": (
         r"the scene is at http://127.0.0.1:\d+\nrupture at 3\d\.\d mm, into behind\n"
-        r"everything lies \+[12]\.\d ± 0\.\d mm deeper than planned"
+        r"everything lies \+[12]\.\d ± \d\.\d mm deeper than planned"
     ),
     "stop_and_resume": r"both read -?\d\.\d{6} N in the end",
 }

@@ -32,8 +32,10 @@ ENTRY_MISSED = 0.8
 """The same of the surface, which ruptures only where a membrane covers it, and then late."""
 FALSE_PER_m = 1.0
 """False alarms per metre of travel."""
-LATE = 0.2
-"""Probability that a boundary is a membrane, which ruptures late."""
+LATE, CAPSULE_LATE = 0.2, 0.8
+"""Probability that a boundary is a membrane, which ruptures late; where an organ's name says so."""
+CAPSULES = frozenset(("liver", "spleen", "kidney"))
+"""Words in the names of organs in a capsule (liver: Okamura 2004, doi 10.1109/TBME.2004.831542)."""
 LATE_m, LATE_STD_m = 5e-3, 2.5e-3
 """By so much."""
 RUPTURE_STD_m = 0.3e-3
@@ -99,6 +101,10 @@ class PlanMatch:
         self._law_std_m[0] = np.hypot(self._law_std_m[0], offset_std_m)
         self._missed = np.full(len(layers), MISSED)
         self._late = np.full((len(layers), 1), LATE)
+        for k, layer in enumerate(layers):
+            first = layer.name not in {before.name for before in layers[:k]}
+            if first and CAPSULES & set(layer.name.lower().split("_")):
+                self._late[k] = CAPSULE_LATE
         self._missed[0], self._late[0] = ENTRY_MISSED, 1.0
         half = round(REACH * offset_std_m / GRID_m)
         self._offset_m = GRID_m * np.arange(-half, half + 1)
@@ -134,22 +140,19 @@ class PlanMatch:
         depth = float(depth_m) - entry_depth_m
         deepest = depth if deepest_m is None else max(float(deepest_m) - entry_depth_m, depth)
         joint = self._joint(deepest, ruptures)
-        passed = np.broadcast_to(np.arange(len(joint))[:, None], joint.shape)
+        by_layer = joint.sum(axis=1)
         if depth < deepest - BACK_m:
-            above = np.searchsorted(self._bound_m, depth - self._offset_m, "right")
-            passed = np.minimum(passed, above)
-        by_layer = np.bincount(passed.ravel(), joint.ravel(), len(joint))
+            by_layer = self._withdrawn(joint, depth)
         layer = int(np.argmax(by_layer)) - 1
-        offset = joint.sum(axis=0)
         # The median: where two assignments compete, their mean is what neither says.
         middle = self._quantile_m(joint, 0.5)
-        variance = float(offset @ (self._offset_m - middle) ** 2)
+        variance = float((joint @ (self._offset_m - middle) ** 2).sum())
         after = self.layers[layer + 1] if layer + 1 < len(self.layers) else None
-        next_m = next_std_m = float("nan")
+        next_m = next_std_m = np.nan
         if after is not None:
-            next_m = float(self._bound_m[layer + 1]) + middle + entry_depth_m
-            next_std_m = float(np.sqrt(variance + self._bound_std_m[layer + 1] ** 2))
-        matched, matched_probability = self._after(ruptures)[1]
+            next_m = self._bound_m[layer + 1] + middle + entry_depth_m
+            next_std_m = np.sqrt(variance + self._bound_std_m[layer + 1] ** 2)
+        matched, likely = self._after(ruptures)[1]
         matched_name = self.layers[matched].name if matched >= 0 else FALSE_ALARM
         return PlanState(
             layer=layer,
@@ -158,11 +161,11 @@ class PlanMatch:
             offset_m=middle,
             offset_std_m=float(np.sqrt(variance)),
             next_name="" if after is None else after.name,
-            next_m=next_m,
-            next_std_m=next_std_m,
+            next_m=float(next_m),
+            next_std_m=float(next_std_m),
             matched=matched,
             matched_name=matched_name if ruptures else "",
-            matched_probability=matched_probability,
+            matched_probability=likely,
             is_obstacle_next=after is not None and after.is_obstacle,
         )
 
@@ -178,6 +181,12 @@ class PlanMatch:
         """Offset below which so much of the probability lies."""
         each = joint.sum(axis=0)
         return float(np.interp(part, np.cumsum(each) - 0.5 * each, self._offset_m))
+
+    def _withdrawn(self, joint: Array, depth_m: float) -> Array:
+        """How likely so many boundaries lie above a tip that comes back from further below."""
+        passed = np.arange(len(joint))[:, None]
+        above = np.searchsorted(self._bound_m, depth_m - self._offset_m, "right")
+        return np.bincount(np.minimum(passed, above).ravel(), joint.ravel(), len(joint))
 
     def _after(self, ruptures_m: tuple[float, ...]) -> tuple[Array, tuple[int, float]]:
         """Weights after ruptures, which boundary the last one was, and how likely."""
