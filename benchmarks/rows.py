@@ -7,7 +7,6 @@ A relative tolerance of 1 marks a number shown for reference, by which nothing i
 """
 
 import csv
-import json
 import math
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from pathlib import Path
@@ -68,23 +67,26 @@ SIGNIFICANT_DIGITS = 6
 """More would only record rounding."""
 
 
-def to_json(rows: Iterable[Row]) -> str:
+def to_json(rows: Iterable[Row]) -> bytes:
     """Rows and nothing else, so that equal runs give equal bytes; not finite becomes null."""
-    lines = ",\n".join("  " + json.dumps(_plain(row), allow_nan=False) for row in rows)
-    return f'{{"schema": {SCHEMA}, "rows": [\n{lines}\n]}}\n'
+    lines = b",\n  ".join(map(_line, rows))
+    return b'{"schema": %d, "rows": [\n  %b\n]}\n' % (SCHEMA, lines)
 
 
-def _plain(row: Row) -> dict[str, Any]:
-    value = float(f"{row.value:.{SIGNIFICANT_DIGITS}g}") if math.isfinite(row.value) else None
-    return msgspec.structs.asdict(row) | {"value": value}
+def _line(row: Row) -> bytes:
+    value = float(f"{row.value:.{SIGNIFICANT_DIGITS}g}")
+    return msgspec.json.encode(msgspec.structs.replace(row, value=value))
 
 
 def write_results(path: str | Path, rows: Iterable[Row]) -> None:
-    """Write rows to a file; raises `ResultsError` where that cannot be done."""
+    """Write rows to a file, whole or not at all; raises `ResultsError` where that cannot be."""
+    from needleforce.plots import FiguresError
+    from needleforce.plots.chart import write_file
+
     try:
-        Path(path).write_text(to_json(rows), encoding="utf-8")
-    except OSError as error:
-        raise ResultsError(f"cannot write {path}: {error.strerror}") from error
+        write_file(path, to_json(rows))
+    except FiguresError as error:
+        raise ResultsError(str(error)) from error
 
 
 class _File(msgspec.Struct):

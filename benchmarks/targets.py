@@ -258,3 +258,30 @@ def _change(metric: str, old: Row | None, new: Row | None) -> Change:
         return Change.WORSE
     # The same tolerance both ways: what would not count as worse does not count as better.
     return Change.BETTER if kind.is_regression(new.value, old.value) else Change.SAME
+
+
+class Headline(NamedTuple):
+    """A line of the README's summary: one metric over a group of runs."""
+
+    metric: str
+    form: str  # format of a number
+    what: str  # for people, with the unit
+    source: str = "virtual"
+    plant: str = "clean"
+    scenarios: str = "tissue"  # one of `GROUPS`, or a scenario
+
+
+_FORCE = Headline("wrench_rmse_N", ".3f", "axial force, rms error, N")
+_RECALL = Headline("rupture_recall", ".2f", "ruptures found, fraction")
+_PULL_OUT = "friction against pull-out force, median error, %"
+HEADLINES = (
+    _FORCE,
+    _FORCE._replace(plant="fri"),
+    _FORCE._replace(plant="degraded"),
+    _RECALL,
+    _RECALL._replace(plant="fri"),
+    _RECALL._replace(plant="degraded"),
+    Headline("friction_error_online_worst_pct", ".1f", "friction of a layer, worst error, %"),
+    Headline("pullout_error_median_pct", ".0f", _PULL_OUT, "ft", "recording", "liver-real"),
+)
+"""At most eight: the README shows them."""

@@ -4,26 +4,37 @@ import json
 import math
 import re
 
+import numpy as np
 import pytest
 from benchmark_cases import TEMPLATE, make_row
 from hypothesis import given
 from hypothesis import strategies as st
 
 from benchmarks import ResultsError
+from benchmarks.campaign_intervals import interval
 from benchmarks.cli import main
 from benchmarks.rows import METRICS, metric, read_merged, read_results, to_json, write_results
 from benchmarks.runner import BENCHMARKS
 from benchmarks.tables import (
     BEGIN,
     END,
-    HEADLINES,
     TABLES,
     result_tables,
     summary_block,
     summary_table,
     target_table,
 )
-from benchmarks.targets import GELS, STACKS, TARGETS, TISSUE, Change, Target, compare_rows, evaluate
+from benchmarks.targets import (
+    GELS,
+    HEADLINES,
+    STACKS,
+    TARGETS,
+    TISSUE,
+    Change,
+    Target,
+    compare_rows,
+    evaluate,
+)
 
 
 def test_rows_survive_the_way_through_a_file_of_the_documented_schema(tmp_path):
@@ -88,7 +99,7 @@ def test_fractions_show_mean_and_least_and_a_dash_where_nothing_was_detected():
         rows = [make_row(metric=name, unit="1", seed=k, value=v) for k, v in enumerate(values)]
         return TABLES["ruptures"](rows).lines[0][column]
 
-    assert cell(4, "rupture_recall", 1.0, 1.0, 0.4) == "0.80 (0.40)"
+    assert cell(4, "rupture_recall", 1.0, 1.0, 0.4) == "0.80 [0.40, 1.00] (0.40)"
     assert cell(5, "rupture_precision", math.nan) == "–"
     assert cell(5, "rupture_precision", math.nan, 0.5) == "0.50"
     assert result_tables([]) == []
@@ -110,6 +121,29 @@ def test_the_force_table_shows_ratio_published_figure_and_targets_the_missed_fir
     assert [line[4] for line in target_table(rows).lines] == ["missed", "met"]
 
 
+def test_an_interval_covers_the_middle_and_draws_seeds_where_there_are_enough():
+    rng = np.random.default_rng(1)
+    inside = 0
+    for _ in range(200):
+        values = rng.normal(size=40)
+        low, high = interval(values, np.arange(40), np.random.default_rng(0), is_mean=True)
+        inside += low <= 0.0 <= high
+    assert 0.89 <= inside / 200 <= 0.98
+    # Runs of one seed that are all alike tell no more than one of them.
+    seeds, by_seed = np.repeat(np.arange(8), 12), np.repeat(rng.normal(size=8), 12)
+    widths = [
+        np.ptp(interval(by_seed, each, np.random.default_rng(0), is_mean=True))
+        for each in (seeds, np.arange(96), seeds % 2)
+    ]
+    assert widths[0] > 2.0 * widths[1]
+    assert widths[1] == widths[2]
+    again = interval(by_seed, seeds, np.random.default_rng(0), is_mean=False)
+    assert again == interval(by_seed, seeds, np.random.default_rng(0), is_mean=False)
+    # A seed that lacks some runs.
+    low, high = interval(by_seed[5:], seeds[5:], np.random.default_rng(0), is_mean=False)
+    assert by_seed.min() <= low < high <= by_seed.max()
+
+
 def clean_rows():
     return [
         make_row(plant="clean", value=0.012),
@@ -125,9 +159,19 @@ def test_the_summary_has_at_most_eight_lines_the_bad_ones_first():
     assert len(HEADLINES) <= 8
     table = summary_table(clean_rows())
     degraded, recall, force = sorted(table.lines[:2]) + list(table.lines[2:])
-    assert recall == ("ruptures found, fraction", "tissue, clean", "–", "–", "0.40", "1", "missed")
-    assert degraded[1:] == ("tissue, degraded", "–", "–", "0.300", "1", "missed")
-    assert force[1:] == ("tissue, clean", "0.151", "0.080", "0.021 (0.030)", "2", "met")
+    assert recall == (
+        "ruptures found, fraction",
+        "tissue, clean",
+        "–",
+        "–",
+        "0.40",
+        "",
+        "1",
+        "missed",
+    )
+    assert degraded[1:] == ("tissue, degraded", "–", "–", "0.300", "", "1", "missed")
+    ours = ("0.021 [0.012, 0.030]", "0.030", "2", "met")
+    assert force[1:] == ("tissue, clean", "0.151", "0.080", *ours)
 
 
 def test_the_command_writes_the_page_and_the_readme(tmp_path, capsys):
@@ -136,7 +180,7 @@ def test_the_command_writes_the_page_and_the_readme(tmp_path, capsys):
     readme.write_text(f"before\n{BEGIN}\nold\n{END}\nafter\n", encoding="utf-8")
     paths = ["--page", str(page), "--readme", str(readme)]
     assert main(["results", str(tmp_path / "a.json"), *paths]) == 0
-    assert "0.021 (0.030)" in capsys.readouterr().out
+    assert "0.021 [0.012, 0.030]" in capsys.readouterr().out
     block = summary_block(read_results(tmp_path / "a.json"), "python -m benchmarks results a.json")
     assert readme.read_text(encoding="utf-8") == f"before\n{BEGIN}\n{block}{END}\nafter\n"
     assert "python -m benchmarks results a.json" in block
