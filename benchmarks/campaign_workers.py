@@ -125,16 +125,27 @@ def _on_cluster(
     except (OSError, ValueError) as error:
         raise BenchmarkError(f"no Dask scheduler at {address}: {error}") from error
     with client:
-        if not client.nthreads():
-            raise BenchmarkError(f"{address} has no workers; start some: dask worker {address}")
+        try:
+            client.wait_for_workers(1, timeout=CONNECT_S)
+        except TimeoutError as error:
+            how = f"{address} has no workers; start some: dask worker {address} --nthreads 1"
+            raise BenchmarkError(how) from error
         futures = client.map(work, jobs, pure=False)
         order = {future.key: index for index, future in enumerate(futures)}
-        coming = as_completed(futures)
+        coming = as_completed(futures, loop=client.loop)
         del futures  # so that the cluster forgets each answer once it has come
-        for future in coming:
-            try:
-                yield order[future.key], future.result()
-            except KilledWorker:
-                yield order[future.key], None
-            except CancelledError as error:
-                raise BenchmarkError(f"lost the cluster at {address}") from error
+        lost = list[int]()
+
+        def alone(index: int) -> Answer | None:
+            with suppress(KilledWorker):
+                return client.submit(work, jobs[index], pure=False).result()
+
+        try:
+            for future in coming:
+                if isinstance(future.exception(), KilledWorker):
+                    lost.append(order[future.key])
+                else:
+                    yield order[future.key], future.result()
+            yield from ((index, alone(index)) for index in lost)
+        except CancelledError as error:
+            raise BenchmarkError(f"lost the cluster at {address}") from error

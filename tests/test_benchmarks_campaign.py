@@ -37,9 +37,8 @@ def cluster():
     distributed = pytest.importorskip("distributed")
     from dask import config
 
-    settings = {"distributed.scheduler.allowed-failures": 1, "distributed.worker.daemon": True}
     with (
-        config.set(settings),
+        config.set({"distributed.scheduler.allowed-failures": 1}),
         distributed.LocalCluster(
             2, threads_per_worker=1, host="127.0.0.1", dashboard_address=None
         ) as local,
