@@ -14,7 +14,7 @@ from benchmarks.anatomy_study import Figure
 from benchmarks.benchmark import Progress
 from benchmarks.signals import JointSignals
 from groundtruth import simulate
-from groundtruth.scenarios import RANDOM_STACK, named_scenario
+from groundtruth.scenarios import RANDOM_STACK, scenario
 from needleforce import InsertionSession
 from needleforce.anatomy import Layer, PlanMatch
 
@@ -41,7 +41,7 @@ class Found(NamedTuple):
 
 def ruptures_of(seed: int) -> Found:
     """Push a needle through a drawn stack, and collect what the session reports."""
-    run = simulate(named_scenario(RANDOM_STACK, seed), "clean", seed)
+    run = simulate(scenario(RANDOM_STACK, seed), "clean", seed)
     session, true = InsertionSession(run.robot), run.truth
     tare, zero, depths = int(np.searchsorted(run.signals.t_s, run.tare_end_s)), 0.0, []
     for k, row in enumerate(JointSignals.of_run(run).samples()):

@@ -31,15 +31,9 @@ from benchmarks.signals import (
     NeedleSignal,
     insertion_truth,
 )
-from groundtruth import (
-    ForceNoise,
-    Run,
-    Scenario,
-    insert_needle,
-    simulate,
-)
+from groundtruth import ForceNoise, Run, Scenario, insert_needle, scenario, simulate
 from groundtruth.force_noise import MINI45
-from groundtruth.scenarios import DRAWN, named_scenario
+from groundtruth.scenarios import DRAWN
 
 Array = NDArray[np.float64]
 
@@ -52,7 +46,7 @@ bar."""
 
 def run_simulated(job: Job, progress: Progress) -> Findings:
     """Simulate, read every sensor, identify, measure, draw."""
-    chosen = named_scenario(job.benchmark, job.seed)
+    chosen = scenario(job.benchmark, job.seed)
     if job.plant == NEEDLE:
         return run_needle(job, chosen, progress, is_drawn=job.benchmark in DRAWN)
     run = simulate(chosen, job.plant, job.seed, progress_part(progress, 0.0, SIMULATION_PART))

@@ -27,33 +27,22 @@ MASS_TICKS = 10
 
 _REPORT_TICKS = 500
 _MAX_POSITION_ERROR_rad = 0.02
+_OF_JOINTS = ("q_rad", "dq_rad_s", "tau_Nm", "joint_friction_Nm")
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class ArmTrace:
-    """True signals of n ticks of an arm with m joints; row k belongs to the tick's start.
+    """True signals of n ticks of an arm with m joints; row k belongs to the tick's start."""
 
-    Attributes:
-        q_rad: Joint positions, shape (n, m).
-        dq_rad_s: Joint velocities, shape (n, m).
-        tau_Nm: Joint torques held over the tick, shape (n, m).
-        ft_wrench: Reading of the F/T sensor, shape (n, 6), see `ArmPlant`.
-        axial_jacobian: Speed of the tip along the needle per joint velocity, shape (n + 1, m).
-        depth_m: Depth of the tip, shape (n,).
-        mean_axial_N: Axial force of the tissue, mean over the tick, shape (n,).
-        joint_friction_Nm: Torque of the bearings on the links, mean over the tick, shape (n, m).
-        forces: The tissue's answer, n of them.
-    """
-
-    q_rad: Array
+    q_rad: Array  # shape (n, m), as the next two
     dq_rad_s: Array
-    tau_Nm: Array
-    ft_wrench: Array
-    axial_jacobian: Array
-    depth_m: Array
-    mean_axial_N: Array
-    joint_friction_Nm: Array
-    forces: list[TissueForce]
+    tau_Nm: Array  # held over the tick
+    ft_wrench: Array  # reading of the F/T sensor, shape (n, 6), see `ArmPlant`
+    axial_jacobian: Array  # speed of the tip along the needle per joint velocity, (n + 1, m)
+    depth_m: Array  # of the tip, shape (n,)
+    mean_axial_N: Array  # force of the tissue, mean over the tick, shape (n,)
+    joint_friction_Nm: Array  # of the bearings on the links, mean over the tick, shape (n, m)
+    forces: list[TissueForce]  # the tissue's answer, n of them
 
     @property
     def speed_m_s(self) -> Array:
@@ -71,21 +60,23 @@ def drive(
     plant: ArmPlant,
     model: pin.Model,
     motion: JointMotion,
-    progress: Callable[[float], None] | None = None,
+    progress: Callable[[float], None] = lambda _: None,
 ) -> ArmTrace:
-    """Let the controller follow a motion of n ticks from its first sample on.
+    """Place the arm at the start of a motion and let the controller follow it, n ticks.
 
-    Args:
-        plant: The arm; it is placed at the start of the motion.
-        model: The true arm, for the feed-forward.
-        motion: The commanded motion, n + 1 samples.
-        progress: Called with the fraction done, 0 to 1.
-
-    Raises:
-        PlantError: The arm has lost the motion.
+    The model of the true arm gives the feed-forward; `progress` gets the fraction done, 0 to 1.
+    `PlantError` if the arm has lost the motion.
     """
     feed_forward, mass = _dynamics_along(model, motion)
-    trace = _empty_trace(*feed_forward.shape)
+    ticks, joints = feed_forward.shape
+    trace = ArmTrace(
+        **{name: np.empty((ticks, joints)) for name in _OF_JOINTS},
+        ft_wrench=np.empty((ticks, 6)),
+        axial_jacobian=np.empty((ticks + 1, joints)),
+        depth_m=np.empty(ticks),
+        mean_axial_N=np.empty(ticks),
+        forces=[],
+    )
     plant.place(motion.q_rad[0], motion.dq_rad_s[0])
     for k, ahead in enumerate(feed_forward):
         error = motion.q_rad[k] - plant.q_rad
@@ -93,8 +84,7 @@ def drive(
         torque = _joint_torque(error, velocity_error, mass[k // MASS_TICKS], ahead)
         if k % _REPORT_TICKS == 0:
             _check_tracking(error, k)
-            if progress is not None:
-                progress(k / len(feed_forward))
+            progress(k / ticks)
         trace.q_rad[k], trace.dq_rad_s[k], trace.tau_Nm[k] = plant.q_rad, plant.dq_rad_s, torque
         trace.axial_jacobian[k], trace.depth_m[k] = plant.axial_jacobian, plant.depth_m
         plant.tick(torque)
@@ -102,8 +92,7 @@ def drive(
         trace.joint_friction_Nm[k] = plant.friction_Nm
         trace.forces.append(plant.tissue_force)
     trace.axial_jacobian[-1] = plant.axial_jacobian
-    if progress is not None:
-        progress(1.0)
+    progress(1.0)
     return trace
 
 
@@ -124,35 +113,16 @@ def _dynamics_along(model: pin.Model, motion: JointMotion) -> tuple[Array, Array
     )
 
 
-def _joint_torque(
-    position_error_rad: Array,
-    velocity_error_rad_s: Array,
-    mass_matrix: Array,
-    feed_forward_Nm: Array,
-) -> Array:
+def _joint_torque(error_rad: Array, error_rad_s: Array, mass: Array, ahead_Nm: Array) -> Array:
     """Torque to hold over the next tick: tau = tau_ff + M (w^2 e + 2 w de).
 
     The mass matrix makes all directions of the arm equally fast, whatever its posture. The loop
     reads the true joint state: it runs inside the robot on the fine motor encoders, while the
     noise of a plant model belongs to what the robot's interface reports.
     """
-    acceleration = (BANDWIDTH_rad_s * BANDWIDTH_rad_s) * position_error_rad
-    acceleration += (2.0 * BANDWIDTH_rad_s) * velocity_error_rad_s
-    return feed_forward_Nm + mass_matrix @ acceleration
-
-
-def _empty_trace(ticks: int, joints: int) -> ArmTrace:
-    return ArmTrace(
-        q_rad=np.empty((ticks, joints)),
-        dq_rad_s=np.empty((ticks, joints)),
-        tau_Nm=np.empty((ticks, joints)),
-        ft_wrench=np.empty((ticks, 6)),
-        axial_jacobian=np.empty((ticks + 1, joints)),
-        depth_m=np.empty(ticks),
-        mean_axial_N=np.empty(ticks),
-        joint_friction_Nm=np.empty((ticks, joints)),
-        forces=[],
-    )
+    acceleration = (BANDWIDTH_rad_s * BANDWIDTH_rad_s) * error_rad
+    acceleration += (2.0 * BANDWIDTH_rad_s) * error_rad_s
+    return ahead_Nm + mass @ acceleration
 
 
 def _check_tracking(error_rad: Array, tick: int) -> None:

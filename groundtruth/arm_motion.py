@@ -49,28 +49,17 @@ class InsertionPath:
 
     Quintic spline through knots solved to rounding every 5 mm; between knots the tip leaves the
     line by less than a nanometre.
-
-    Attributes:
-        spline: Joint positions (7,) as a function of travel in m.
-        transform_start_to_base: Pose of the tool frame at travel zero; z is the insertion axis.
     """
 
-    spline: BSpline
-    transform_start_to_base: pin.SE3
+    spline: BSpline  # joint positions (7,) as a function of travel in m
+    transform_start_to_base: pin.SE3  # of the tool frame at travel zero; z is the insertion axis
 
 
 def needle_down(robot: Robot, posture_rad: Array) -> Array:
     """Turn a posture, tip kept in place, until the tool's z axis points straight down.
 
-    Args:
-        robot: Robot with a tool frame.
-        posture_rad: Shape (n,), tool within 90 degrees of vertical.
-
-    Returns:
-        Joint positions, shape (n,).
-
-    Raises:
-        PathError: The posture cannot be reached, or lies outside the limits or near a singularity.
+    The tool is within 90 degrees of that. `PathError` if the posture cannot be reached, or lies
+    outside the limits or near a singularity.
     """
     data = robot.create_data()
     pin.framesForwardKinematics(robot.model, data, posture_rad)
@@ -85,19 +74,10 @@ def needle_down(robot: Robot, posture_rad: Array) -> Array:
 def insertion_path(robot: Robot, start_rad: Array, travel_m: tuple[float, float]) -> InsertionPath:
     """Plan the straight line along the tool's z axis, orientation kept.
 
-    Each knot takes the smallest joint step from its neighbour, so the redundancy is resolved by
-    least motion.
-
-    Args:
-        robot: Robot with a tool frame.
-        start_rad: Posture at travel zero, shape (n,).
-        travel_m: Smallest and largest travel needed, positive along the tool's z axis.
-
-    Returns:
-        The path, valid over that range and one knot beyond.
-
-    Raises:
-        PathError: The line leaves the workspace, the joint limits or comes near a singularity.
+    It is valid from the smallest to the largest travel, counted from the start, and one knot
+    beyond. Each knot takes the smallest joint step from its neighbour, so the redundancy is
+    resolved by least motion. `PathError` if the line leaves the workspace or the joint limits, or
+    comes near a singularity.
     """
     data = robot.create_data()
     pin.framesForwardKinematics(robot.model, data, start_rad)
@@ -146,26 +126,15 @@ def _check_postures(robot: Robot, data: pin.Data, postures: Array) -> None:
 
 
 def motion_along(path: InsertionPath, travel_m: Array, speed_m_s: Array) -> JointMotion:
-    """Follow a straight path with a given travel over time: q(s(t)) and dq/ds ds/dt.
-
-    Args:
-        path: The line in joint space, q(s).
-        travel_m: s at each tick, shape (n + 1,).
-        speed_m_s: Its rate at each tick, shape (n + 1,).
-    """
+    """Follow a path q(s) with travel s and its rate at each tick: q(s(t)) and dq/ds ds/dt."""
     slope = path.spline(travel_m, nu=1)
     return JointMotion(q_rad=path.spline(travel_m), dq_rad_s=slope * speed_m_s[:, None])
 
 
 def joint_excitation(centre_rad: Array, duration_s: float) -> JointMotion:
-    """Move all joints at once in free air, by slow sines that start and end at rest.
+    """Move all joints at once about a posture in free air, by slow sines from rest to rest.
 
-    Args:
-        centre_rad: Posture around which the joints swing, shape (7,).
-        duration_s: Length of the run; a rest of 1 s at both ends is part of it.
-
-    Returns:
-        The motion, n = duration / tick + 1 samples.
+    A rest of 1 s at both ends is part of the duration.
     """
     time = np.arange(round(duration_s / TICK_s) + 1, dtype=np.float64) * TICK_s
     moving_s = duration_s - 2.0 * _REST_s
@@ -191,11 +160,7 @@ def _fade(time: Array, duration_s: float) -> tuple[Array, Array]:
 
 
 def scenario_path(robot: Robot, scenario: Scenario) -> InsertionPath:
-    """Plan the needle's line for a scenario, from the LWR's starting posture straight down.
-
-    Raises:
-        PathError: The line is out of the arm's reach.
-    """
+    """Plan a scenario's line from the LWR's starting posture straight down; may be `PathError`."""
     start = needle_down(robot, np.array(LWR_POSTURE_rad))
     motion = scenario.motion
     return insertion_path(robot, start, (0.0, motion.deepest_m - motion.start_m))

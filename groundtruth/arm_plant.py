@@ -50,19 +50,10 @@ _CAD_TABLE = (
 
 
 def blended_links(nominal: pin.Model, cad_fraction: float) -> tuple[pin.Inertia, ...]:
-    """Blend the links of a model with the CAD table: phi = (1 - a) phi_nominal + a phi_CAD.
+    """Blend the links of the bare LWR 4+ with the CAD table: phi = (1 - a) phi_nominal + a phi_CAD.
 
     Physically consistent 10-vectors form a convex set: a blend of two consistent links is one.
-
-    Args:
-        nominal: The LWR 4+ as the estimator knows it, without tool.
-        cad_fraction: a in [0, 1].
-
-    Returns:
-        Links 1..7, each in its joint frame.
-
-    Raises:
-        PlantModelError: The fraction lies outside [0, 1].
+    Links 1 to 7, each in its joint frame; `PlantModelError` if a lies outside [0, 1].
     """
     if not 0.0 <= cad_fraction <= 1.0:
         raise PlantModelError(
@@ -80,21 +71,13 @@ def blended_links(nominal: pin.Model, cad_fraction: float) -> tuple[pin.Inertia,
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class PlantBodies:
-    """Kinematics and true inertias of arm, F/T sensor and needle.
+    """Kinematics and true inertias of arm, F/T sensor and needle."""
 
-    Attributes:
-        robot: The estimator's robot.
-        kinematics: The same with the true places of its joints; its inertias are not used.
-        links: Bare links 1..7, each in its joint frame.
-        sensor: The tool up to the sensor's measuring plane, in the flange frame.
-        needle: Everything beyond the measuring plane, in the ``ft_sensor`` frame.
-    """
-
-    robot: Robot
-    kinematics: Robot
-    links: tuple[pin.Inertia, ...]
-    sensor: pin.Inertia
-    needle: pin.Inertia
+    robot: Robot  # the estimator's
+    kinematics: Robot  # the same with the true places of its joints; its inertias are not used
+    links: tuple[pin.Inertia, ...]  # bare, 1 to 7, each in its joint frame
+    sensor: pin.Inertia  # the tool up to the sensor's measuring plane, in the flange frame
+    needle: pin.Inertia  # everything beyond the measuring plane, in the ``ft_sensor`` frame
 
     def model(self) -> pin.Model:
         """Pinocchio model of the true arm, with the true inertia of every joint."""
@@ -111,15 +94,9 @@ class PlantBodies:
 
 
 def lwr_bodies(tool: NeedleTool, plant_model: PlantModel, rng: np.random.Generator) -> PlantBodies:
-    """Draw the true LWR 4+ with its needle for one seed.
+    """Draw the true LWR 4+ with its needle: errors of payload and kinematics.
 
-    Args:
-        tool: The tool as the estimator knows it.
-        plant_model: How far the truth is from that.
-        rng: Source of the errors of payload and kinematics.
-
-    Returns:
-        The bodies; with a plant model without model error, exactly the estimator's.
+    With a plant model without such errors the bodies are exactly the estimator's.
     """
     robot = load_lwr(payload=tool)
     mass_factor = 1.0 + plant_model.payload_error * rng.choice((-1.0, 1.0))
@@ -177,7 +154,7 @@ _TAIL = """</worldbody>
 
 
 def arm_mjcf(bodies: PlantBodies, substep_s: float) -> str:
-    """Write the MuJoCo model of the arm, so that truth and estimator share no dynamics code.
+    """Write the MJCF model of the arm, so that truth and estimator share no dynamics code.
 
     Bodies: one per joint; ``sensor``, rigid on the flange; ``needle``, all that lies beyond the
     F/T sensor's measuring plane; and the massless ``tip``, so that a force on it acts at the
@@ -187,13 +164,6 @@ def arm_mjcf(bodies: PlantBodies, substep_s: float) -> str:
 
     The force and torque sensors sit at the ``ft_sensor`` frame and report, in its axes, what the
     arm exerts on the needle body: everything beyond the measuring plane.
-
-    Args:
-        bodies: The true arm.
-        substep_s: Physics time step.
-
-    Returns:
-        MJCF text.
     """
     robot = bodies.kinematics
     parts = [_HEAD.format(step=repr(substep_s), gravity=_numbers(robot.gravity_m_s2))]
@@ -239,21 +209,12 @@ def _numbers(values: Iterable[float]) -> str:
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class TissueContact:
-    """What the arm touches: tissue in front of the needle, perhaps a hand at the elbow.
+    """What the arm touches: tissue in front of the needle, perhaps a hand at the elbow."""
 
-    Attributes:
-        law: The tissue; one without layers is free air.
-        surface_in_base_m: Point of the surface that the tip meets, shape (3,).
-        axis_in_base: Direction of insertion along which depth is measured, shape (3,).
-        motion: Of the surface along that direction.
-        lateral: Force of the tissue across the needle.
-        elbow: Pushes at the elbow.
-    """
-
-    law: Tissue
-    surface_in_base_m: Array
-    axis_in_base: Array
-    motion: TissueMotion | None = None
+    law: Tissue  # one without layers is free air
+    surface_in_base_m: Array  # point of the surface that the tip meets, shape (3,)
+    axis_in_base: Array  # direction of insertion along which depth is measured, shape (3,)
+    motion: TissueMotion | None = None  # of the surface along that direction
     lateral: LateralForce | None = None
     elbow: ElbowPush | None = None
 
@@ -261,20 +222,14 @@ class TissueContact:
 class ArmPlant:
     """MuJoCo arm with a needle, driven by joint torques held over each tick.
 
-    Attributes:
-        q_rad: Joint positions now, shape (7,), a view.
-        dq_rad_s: Joint velocities now, shape (7,), a view.
-        axial_jacobian: Speed of the tip along the needle per joint velocity, shape (7,), now.
-        depth_m: Depth of the tip below the surface, now; zero where there is no tissue.
-        ft_wrench: Reading of the F/T sensor at the start of the last tick, shape (6,), a view:
-            force (N) and torque (Nm) of the environment on the needle, plus weight, minus
-            inertia, in ``ft_sensor`` axes.
-        tissue_force: Force of the tissue at the start of the last tick.
-        mean_axial_N: Its axial part, mean over the last tick.
-        friction_Nm: Torque of the joint bearings on the links, shape (7,), mean over the last tick.
-        tip_m: Where the needle's tip is now, base axes, shape (3,), a view.
-        tip_axes: Axes of the needle there in base axes, shape (3, 3), a view; the third points
-            along it.
+    Now, views: joint positions `q_rad` and velocities `dq_rad_s`, shape (7,); where the needle's
+    tip is, `tip_m`, and the needle's axes, `tip_axes`, of which the third points along it, in base
+    axes. Now, too: `axial_jacobian`, speed of the tip along the needle per joint velocity, shape
+    (7,), and `depth_m` below the surface, zero without tissue.
+    At the start of the last tick: `ft_wrench`, the reading of the F/T sensor (force and torque of
+    the environment on the needle, plus weight, minus inertia, in ``ft_sensor`` axes, N and Nm), and
+    `tissue_force`. Mean over that tick: `mean_axial_N` of it, and `friction_Nm` of the bearings on
+    the links, shape (7,).
     """
 
     def __init__(
@@ -334,16 +289,11 @@ class ArmPlant:
             self._elbow_force[:] = self._contact.elbow.at(self._time_s)
         self._held_Nm = self._data.qfrc_applied[:] = torque_Nm
         self.friction_Nm = np.zeros(self._model.nv)
-        if self._has_tissue:
-            self._tissue_tick(self._contact.law)
-        else:
-            self._step_and_read()
-            for _ in range(SUBSTEPS - 1):
-                self._step()
+        self._substeps(self._contact.law)
         self._time_s += TICK_s
         self._locate()
 
-    def _tissue_tick(self, law: Tissue) -> None:
+    def _substeps(self, law: Tissue) -> None:
         """Let the tissue act at each substep, along the needle and held over the substep.
 
         The Jacobian of the tick's start serves all its substeps: the arm turns by less than
@@ -358,7 +308,10 @@ class ArmPlant:
         force = self.tissue_force = law.step(depth, speed, SUBSTEP_s)
         total = force.axial_N
         self._tip_force[:] = total * back + aside
-        self._step_and_read()
+        self._step()
+        # MuJoCo evaluates its sensors at the state the step starts from, and reports what the arm
+        # exerts on the needle; the reading is what the needle exerts on the arm.
+        np.negative(self._data.sensordata, out=self.ft_wrench)
         for _ in range(SUBSTEPS - 1):
             before, speed = speed, float(rate.dot(self.dq_rad_s)) - away
             depth += 0.5 * SUBSTEP_s * (before + speed)
@@ -377,15 +330,6 @@ class ArmPlant:
             self._data.qfrc_applied[:] = self._held_Nm + friction
             self.friction_Nm += friction / SUBSTEPS
         mujoco.mj_step(self._model, self._data)
-
-    def _step_and_read(self) -> None:
-        """Step once and read the F/T sensor.
-
-        MuJoCo evaluates its sensors at the state the step starts from, and reports what the arm
-        exerts on the needle; the reading is what the needle exerts on the arm.
-        """
-        self._step()
-        np.negative(self._data.sensordata, out=self.ft_wrench)
 
     def _locate(self) -> None:
         """Update the tip's position and Jacobian, which a Runge-Kutta step leaves at a stage."""

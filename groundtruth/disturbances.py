@@ -14,13 +14,9 @@ Array = NDArray[np.float64]
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class TissueMotion:
-    """The tissue moves along the needle, as with heart or breath: a sum of waves.
+    """The tissue moves along the needle, as with heart or breath: a sum of waves."""
 
-    Attributes:
-        waves: Amplitude [m], frequency [Hz] and phase [rad] of each.
-    """
-
-    waves: tuple[tuple[float, float, float], ...]
+    waves: tuple[tuple[float, float, float], ...]  # amplitude [m], frequency [Hz], phase [rad]
 
     def at(self, t_s: ArrayLike) -> tuple[Array, Array]:
         """Place [m] of the undeformed surface, positive away from the robot, and its speed."""
@@ -32,19 +28,12 @@ class TissueMotion:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class LateralForce:
-    """Tissue pushes the needle aside at its tip: in contact only, across the needle.
-
-    Attributes:
-        constant_N: Part that does not depend on depth.
-        growth_N_per_m: Part that grows with depth.
-        direction_rad: Where it points at the surface, from the tool's x axis towards its y axis.
-        turn_rad_per_m: How that direction turns with depth.
-    """
+    """Tissue pushes the needle aside at its tip: in contact only, across the needle."""
 
     constant_N: float = 0.0
-    growth_N_per_m: float = 0.0
-    direction_rad: float = 0.0
-    turn_rad_per_m: float = 0.0
+    growth_N_per_m: float = 0.0  # with depth
+    direction_rad: float = 0.0  # at the surface, from the tool's x axis towards its y axis
+    turn_rad_per_m: float = 0.0  # of that direction, with depth
 
     def at(self, depth_m: float) -> tuple[float, float]:
         """Force on the needle along the tool's x and y axes [N]."""
@@ -57,17 +46,11 @@ class LateralForce:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class ElbowPush:
-    """A hand pushes the elbow now and then and lets go: half a sine each time.
+    """A hand pushes the elbow now and then and lets go: half a sine each time."""
 
-    Attributes:
-        force_N: Largest force, in base axes.
-        start_s: When each push begins.
-        duration_s: How long each lasts.
-    """
-
-    force_N: tuple[float, float, float]
-    start_s: tuple[float, ...]
-    duration_s: float
+    force_N: tuple[float, float, float]  # the largest, in base axes
+    start_s: tuple[float, ...]  # of each push
+    duration_s: float  # of each
 
     def at(self, t_s: float) -> Array:
         """Force on the elbow in base axes [N], shape (3,)."""

@@ -40,29 +40,21 @@ class PlantError(GroundTruthError, RuntimeError):
 
 
 def require_positive(error: type[GroundTruthError], **values: float) -> None:
-    """Check that every named value is finite and above zero.
-
-    Args:
-        error: The error class to raise.
-        **values: Field name (with its unit) and value.
-
-    Raises:
-        GroundTruthError: Of class `error`, naming the field, its value and what was expected.
-    """
+    """Raise `error`, naming the field, unless every value is finite and above zero."""
     for name, value in values.items():
         if not (math.isfinite(value) and value > 0.0):
             raise error(f"{name} is {value!r}; give a finite number above zero")
 
 
 def require_non_negative(error: type[GroundTruthError], **values: float) -> None:
-    """Check that every named value is finite and not negative; else as `require_positive`."""
+    """Raise `error`, naming the field, unless every value is finite and not negative."""
     for name, value in values.items():
         if not (math.isfinite(value) and value >= 0.0):
             raise error(f"{name} is {value!r}; give a finite number, zero or above")
 
 
 def require_fraction(error: type[GroundTruthError], **values: float) -> None:
-    """Check that every named value is a fraction from 0 to 1; else as `require_positive`."""
+    """Raise `error`, naming the field, unless every value is a fraction from 0 to 1."""
     for name, value in values.items():
         if not 0.0 <= value <= 1.0:
             raise error(f"{name} is {value!r}; give a fraction from 0 to 1")

@@ -1,6 +1,6 @@
 """The axial force sensor at the needle base: what it adds to the true force."""
 
-from dataclasses import dataclass
+from dataclasses import asdict, dataclass
 
 import numpy as np
 from numpy.typing import NDArray
@@ -23,40 +23,23 @@ def coloured(white: Array, period_s: float, correlation_s: float) -> Array:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class ForceNoise:
-    """Noise, drift since the last zeroing, and steps of the reading; zero switches off.
+    """Noise, drift since the last zeroing, and steps of the reading; zero switches off."""
 
-    Attributes:
-        white_std_N: Standard deviation of the noise of one sample.
-        drift_std_N_per_s: Standard deviation of the drift rate, drawn once per run.
-        step_N: Smallest step of the reading.
-        correlation_s: Time constant of the noise if it is not white.
-    """
-
-    white_std_N: float
-    drift_std_N_per_s: float
-    step_N: float
-    correlation_s: float = 0.0
+    white_std_N: float  # standard deviation of the noise of one sample
+    drift_std_N_per_s: float  # standard deviation of the drift rate, drawn once per run
+    step_N: float  # smallest step of the reading
+    correlation_s: float = 0.0  # time constant of the noise if it is not white
 
     def __post_init__(self) -> None:
         """Raise `NoiseError` naming the value that is negative or not finite."""
-        require_non_negative(
-            NoiseError,
-            white_std_N=self.white_std_N,
-            drift_std_N_per_s=self.drift_std_N_per_s,
-            step_N=self.step_N,
-            correlation_s=self.correlation_s,
-        )
+        require_non_negative(NoiseError, **asdict(self))
 
     def reading_N(
         self, force_N: Array, t_s: Array, zeroed_s: float, rng: np.random.Generator
     ) -> Array:
-        """The sensor's reading of a true force; read-only, shape (n,).
+        """The reading of a true force at some times, all of shape (n,); read-only.
 
-        Args:
-            force_N: True force, shape (n,).
-            t_s: Sample times, shape (n,).
-            zeroed_s: When the sensor was last zeroed: the drift passes through zero there.
-            rng: Source of the noise.
+        The sensor was last zeroed at `zeroed_s`: the drift passes through zero there.
         """
         white = rng.standard_normal(force_N.shape)
         period_s = float(np.median(np.diff(t_s))) if t_s.size > 1 else 1.0

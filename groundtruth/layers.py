@@ -7,24 +7,15 @@ from typing import Self
 import numpy as np
 from scipy.special import ndtri
 
-from groundtruth.errors import (
-    TissueError,
-    require_fraction,
-    require_non_negative,
-    require_positive,
-)
+from groundtruth.errors import TissueError, require_fraction, require_non_negative, require_positive
 
 CUTTING_ONSET_M = 1e-3
 """Penetration over which the cutting force builds up: about one needle diameter (18G 1.27 mm)."""
-
-
 KEPT_FADE_M = 5e-3
 """Travel over which the tip force kept after an internal rupture fades. Chosen: four diameters. In
 a thinner layer the rest goes with its own rupture."""
-
 SPEED_ROUNDING_M_S = 2e-5
 """Below it a power law of speed is linear: no physics step can follow an infinite slope."""
-
 TEXTURE_WAVES = 16
 
 
@@ -57,18 +48,12 @@ class Membrane:
 
     Its force is `puncture_N ((1 - hardening) u + hardening u²)`, u = indentation / indentation_m:
     the second-order spring of Okamura, Simone, O'Leary 2004 for the capsule of bovine liver.
-
-    Attributes:
-        puncture_N: Force at which it ruptures.
-        indentation_m: How far it has then been pushed in.
-        hardening: Fraction of the quadratic part, 0 (linear) to 1.
-        release_m: Travel of the tip over which the force is released after the puncture.
     """
 
-    puncture_N: float
-    indentation_m: float
-    hardening: float
-    release_m: float
+    puncture_N: float  # force at which it ruptures
+    indentation_m: float  # how far it has then been pushed in
+    hardening: float  # fraction of the quadratic part, 0 (linear) to 1
+    release_m: float  # travel of the tip over which the force is released after the puncture
 
     def __post_init__(self) -> None:
         """Raise `TissueError` naming the value that no membrane can have."""
@@ -81,11 +66,7 @@ class Membrane:
         require_fraction(TissueError, hardening=self.hardening)
 
     def force_N(self, indentation_m: float) -> float:
-        """Force of the intact membrane, zero when it is not touched.
-
-        Args:
-            indentation_m: How far the tip is beyond the membrane's place at rest.
-        """
+        """Force of the intact membrane, pushed in from its place at rest; zero if untouched."""
         if indentation_m <= 0.0:
             return 0.0
         u = indentation_m / self.indentation_m
@@ -99,22 +80,14 @@ class ShaftFriction:
     In steady sliding the force per length is `coulomb sign(v) + viscous v`. Around a reversal the
     tissue first moves along with the shaft: the Coulomb part builds up over `presliding_m`
     (Dahl's model, see `groundtruth.tissue.bristle_step`).
-
-    Attributes:
-        coulomb_N_per_m: Part that does not depend on speed.
-        viscous_Ns_per_m2: Part proportional to speed.
-        presliding_m: Travel over which the Coulomb part closes 63 % of the way to its new value.
-        reference_speed_m_s: Speed at which the friction was measured or calibrated.
-        speed_exponent: n, of a second part that grows with v^n, alike at the reference speed.
-        length_exponent: n, of friction that grows with length^n, alike on the whole layer.
     """
 
     coulomb_N_per_m: float
     viscous_Ns_per_m2: float
-    presliding_m: float
-    reference_speed_m_s: float
-    speed_exponent: float = 1.0
-    length_exponent: float = 1.0
+    presliding_m: float  # where the Coulomb part is 63 % of the way to its new value
+    reference_speed_m_s: float  # at which the friction was measured or calibrated
+    speed_exponent: float = 1.0  # the second part grows with v^n, alike at the reference speed
+    length_exponent: float = 1.0  # friction grows with length^n, alike on the whole layer
 
     def __post_init__(self) -> None:
         """Raise `TissueError` naming the value that no friction can have."""
@@ -140,16 +113,9 @@ class ShaftFriction:
         coulomb_fraction: float,
         presliding_m: float,
     ) -> "ShaftFriction":
-        """Split a friction measured at one speed into its Coulomb and its viscous part.
+        """Split the friction of steady sliding at one speed into Coulomb and viscous part.
 
-        Args:
-            force_N_per_m: Friction per length in steady sliding at the reference speed.
-            reference_speed_m_s: That speed.
-            coulomb_fraction: Fraction of it, 0 to 1, that does not depend on speed.
-            presliding_m: See the class.
-
-        Raises:
-            TissueError: The fraction is outside 0 to 1, or a value is not physical.
+        `TissueError` if the fraction is outside 0 to 1, or a value is not physical.
         """
         require_fraction(TissueError, coulomb_fraction=coulomb_fraction)
         require_positive(TissueError, reference_speed_m_s=reference_speed_m_s)
@@ -191,36 +157,23 @@ class ShaftFriction:
 class Layer:
     """What a needle meets between two ruptures.
 
-    Attributes:
-        name: For tables and legends.
-        thickness_m: d_i of the paper.
-        exit_force_N: Tip force at the far end of the layer, at which it ruptures there.
-        cutting_fraction: Fraction of it that is a constant cutting force; the rest is elastic and
-            grows with the penetration.
-        stiffening: How much steeper the chord of the elastic part is at the end than the slope at
-            the start: 0.1 means 10 %.
-        release_m: Travel of the tip over which the tip force is released when it leaves the layer.
-        relaxed_fraction: Fraction of the tip force and of the Coulomb friction lost after a long
-            rest.
-        friction: Friction of the layer on the shaft.
-        membrane: What must be punctured to enter the layer, if anything.
-        tip_exponent: Power of the elastic part, 1 above: 0.5 concave, 2 quadratic. It ends alike.
-        kept_fraction: Fraction of the tip force kept when the needle leaves for a next layer.
-        texture: Unevenness of the tip force, faded over a cutting onset at both ends of the layer.
+    The tip force grows with the penetration up to `exit_force_N`, at which the far end ruptures. A
+    fraction of it is a constant cutting force, the rest elastic: the chord of that at the end is
+    steeper by `stiffening` than the slope at the start, 0.1 for 10 %.
     """
 
-    name: str
-    thickness_m: float
+    name: str  # for tables and legends
+    thickness_m: float  # d_i of the paper
     exit_force_N: float
     cutting_fraction: float
     stiffening: float
-    release_m: float
-    relaxed_fraction: float
+    release_m: float  # travel over which the tip force is released when the tip leaves the layer
+    relaxed_fraction: float  # of tip force and Coulomb friction, lost after a long rest
     friction: ShaftFriction
-    membrane: Membrane | None = None
-    tip_exponent: float = 1.0
-    kept_fraction: float = 0.0
-    texture: Texture | None = None
+    membrane: Membrane | None = None  # to be punctured to enter the layer
+    tip_exponent: float = 1.0  # power of the elastic part: 0.5 concave, 2 quadratic; it ends alike
+    kept_fraction: float = 0.0  # of the tip force, when the needle leaves for a next layer
+    texture: Texture | None = None  # of the tip force, faded over a cutting onset at both ends
 
     def __post_init__(self) -> None:
         """Raise `TissueError` naming the value that no layer can have.
@@ -257,10 +210,9 @@ class Layer:
         return 0.0 if self.membrane is None else self.membrane.indentation_m
 
     def tip_force_N(self, penetration_m: float) -> float:
-        """Elastic and cutting force at the tip of an advancing needle, tissue not relaxed.
+        """Elastic and cutting force at the advancing tip, tissue not relaxed.
 
-        Args:
-            penetration_m: Travel of the tip since it began to cut this layer.
+        The penetration is the travel of the tip since it began to cut this layer.
         """
         if penetration_m <= 0.0:
             return 0.0
@@ -285,22 +237,14 @@ class Interface:
     A membrane at a boundary backs up the tissue above it: the tip force of the layer above is
     held while the membrane is pushed in, and both are released together at the puncture. So each
     boundary gives one rupture.
-
-    Attributes:
-        depth_m: Where it lies in undeformed tissue.
-        onset_m: Depth of the tip at which it begins to rupture.
-        release_m: Travel over which the force is then released.
-        drop_N: Force released, tissue not relaxed; zero at a bare surface.
-        membrane: The membrane to puncture there, if any.
-        kept_fraction: Fraction of `drop_N` that is not released but fades: layers hang together.
     """
 
-    depth_m: float
-    onset_m: float
-    release_m: float
-    drop_N: float
-    membrane: Membrane | None
-    kept_fraction: float = 0.0
+    depth_m: float  # in undeformed tissue
+    onset_m: float  # depth of the tip at which it begins to rupture
+    release_m: float  # travel over which the force is then released
+    drop_N: float  # force released, tissue not relaxed; zero at a bare surface
+    membrane: Membrane | None  # to be punctured there
+    kept_fraction: float = 0.0  # of `drop_N`, not released but fading: layers hang together
 
     def held(self, deepest_m: float) -> float:
         """Fraction of the force held, 1 to 0, once the tip has been as deep as `deepest_m`."""
@@ -325,17 +269,10 @@ class Interface:
 
 
 def interfaces(layers: tuple[Layer, ...]) -> tuple[Interface, ...]:
-    """All boundaries of a stack, from the surface to the exit: one more than layers.
-
-    Args:
-        layers: The layers, first the one the needle meets first; none gives no boundary.
-    """
-    if not layers:
-        return ()
+    """All boundaries of a stack, from the surface to the exit: one more than layers, or none."""
     found: list[Interface] = []
     depth = 0.0
-    for i in range(len(layers) + 1):
-        below = layers[i] if i < len(layers) else None
+    for i, below in enumerate((*layers, None) if layers else ()):
         membrane = None if below is None else below.membrane
         onset, drop = depth, layers[i - 1].exit_force_N if i else 0.0
         release = layers[max(i - 1, 0)].release_m

@@ -82,15 +82,7 @@ def _layer(
 
 
 def gel(percent: int, *, membrane: Membrane | None = None) -> Layer:
-    """One of the paper's isinglass gels.
-
-    Args:
-        percent: 25, 50 or 70.
-        membrane: What envelops it, if anything.
-
-    Raises:
-        TissueError: The paper has no gel of that strength.
-    """
+    """One of the paper's gels, of 25, 50 or 70 % (else `TissueError`), in a membrane, if any."""
     if percent not in GEL_THICKNESS_M:
         raise TissueError(f"no gel of {percent!r} %; the paper's gels are 25, 50 and 70 %")
     thickness = GEL_THICKNESS_M[percent]
@@ -112,11 +104,9 @@ def gel(percent: int, *, membrane: Membrane | None = None) -> Layer:
 
 
 def soft_tissue_friction(force_N_per_m: float, nominal_speed_m_s: float) -> ShaftFriction:
-    """Friction of organic tissue that is `force_N_per_m` at the recordings' 5 mm/s.
+    """Friction of organic tissue of so much force at the recordings' 5 mm/s.
 
-    Args:
-        force_N_per_m: That friction.
-        nominal_speed_m_s: Speed of the scenario, at which the law of equation (3) shall agree.
+    At the nominal speed, the scenario's, the law of equation (3) shall agree.
     """
     measured = ShaftFriction.calibrated(
         force_N_per_m=force_N_per_m,

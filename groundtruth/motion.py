@@ -11,6 +11,8 @@ from numpy.typing import ArrayLike, NDArray
 from groundtruth.errors import MotionError, require_positive
 
 Profile = Literal["rest", "quintic", "cruise", "cosine"]
+"""`quintic`: minimum jerk; `cruise`: constant speed between smooth ramps; `cosine`: half a period
+of a sinusoid."""
 Move = tuple[Profile, float, float]
 """Profile, duration [s] and travel [m] of a stroke."""
 Array = NDArray[np.float64]
@@ -32,24 +34,14 @@ TOLERANCE = 1e-9
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Stroke:
-    """A stroke from rest to rest; position and speed are continuous, acceleration is bounded.
-
-    Attributes:
-        profile: `rest`; `quintic` (minimum jerk); `cruise` (constant speed between smooth ramps);
-            `cosine` (half a period of a sinusoid).
-        start_s: When it begins.
-        duration_s: How long it takes.
-        start_m: Where it begins.
-        travel_m: Signed travel.
-        ramp_fraction: Fraction of the duration that each ramp of a `cruise` takes, up to 0.5.
-    """
+    """A stroke from rest to rest; position and speed are continuous, acceleration is bounded."""
 
     profile: Profile
     start_s: float
     duration_s: float
     start_m: float
-    travel_m: float
-    ramp_fraction: float = 0.1
+    travel_m: float  # signed
+    ramp_fraction: float = 0.1  # of the duration that each ramp of a `cruise` takes, up to 0.5
 
     def __post_init__(self) -> None:
         """Raise `MotionError` if the duration or the ramp fraction is out of range."""
@@ -70,11 +62,7 @@ class Stroke:
         return self.start_m + self.travel_m
 
     def evaluate(self, t_s: Array) -> tuple[Array, Array]:
-        """Position [m] and speed [m/s] at the given times; outside the stroke its ends, at rest.
-
-        Args:
-            t_s: Times, any shape.
-        """
+        """Position [m] and speed [m/s] at any times; outside the stroke at its ends, at rest."""
         s = np.clip((t_s - self.start_s) / self.duration_s, 0.0, 1.0)
         if self.profile == "quintic":
             done, rate = s**3 * (10.0 + s * (6.0 * s - 15.0)), 30.0 * (s * (1.0 - s)) ** 2
@@ -102,20 +90,13 @@ class Motion:
 
     Zero is the undeformed surface of the tissue; negative is above it, in free air. Before the
     first stroke and after the last the needle rests.
-
-    Attributes:
-        strokes: Contiguous in time and position.
-        tare_end_s: End of the stroke in free air; contact has not happened before it.
-        insertion_end_s: The needle is at its deepest and rests.
-        withdrawal_start_s: It starts to withdraw.
-        withdrawal_end_s: It is back above the surface.
     """
 
-    strokes: tuple[Stroke, ...]
-    tare_end_s: float
-    insertion_end_s: float
+    strokes: tuple[Stroke, ...]  # contiguous in time and position
+    tare_end_s: float  # end of the stroke in free air; contact has not happened before it
+    insertion_end_s: float  # the needle is at its deepest and rests
     withdrawal_start_s: float
-    withdrawal_end_s: float
+    withdrawal_end_s: float  # it is back above the surface
 
     def __post_init__(self) -> None:
         """Raise `MotionError` unless each stroke begins where and when the one before ended."""
@@ -168,16 +149,7 @@ class Motion:
 def chain_strokes(
     start_m: float, moves: Sequence[Move], *, ramp_fraction: float = 0.1
 ) -> tuple[Stroke, ...]:
-    """Strokes one after the other, the first at time zero.
-
-    Args:
-        start_m: Where the first begins.
-        moves: What each does.
-        ramp_fraction: Of every `cruise` among them.
-
-    Raises:
-        MotionError: A duration or the ramp fraction is out of range.
-    """
+    """Strokes one after the other, the first at time zero; `MotionError` as of `Stroke`."""
     strokes: list[Stroke] = []
     time, place = 0.0, start_m
     for profile, duration, travel in moves:
@@ -229,15 +201,10 @@ def protocol(
 
 
 def constant_motion(*, speed_m_s: float, depth_m: float, standoff_m: float) -> Motion:
-    """The protocol with an insertion at constant speed between smooth ramps.
+    """The protocol with an insertion at constant speed between smooth ramps, down to a depth.
 
-    Args:
-        speed_m_s: Speed of insertion and withdrawal.
-        depth_m: How deep below the surface the tip goes.
-        standoff_m: How far above the surface the insertion begins and the withdrawal ends.
-
-    Raises:
-        MotionError: A value is not positive, or the travel is too short to reach the speed.
+    It begins and the withdrawal ends at the standoff above the surface. `MotionError` if a value is
+    not positive, or the travel is too short to reach the speed.
     """
     require_positive(MotionError, speed_m_s=speed_m_s, depth_m=depth_m, standoff_m=standoff_m)
     travel = depth_m + standoff_m
@@ -250,15 +217,9 @@ def constant_motion(*, speed_m_s: float, depth_m: float, standoff_m: float) -> M
 def sinusoidal_motion(*, stroke_m: float, frequency_hz: float, standoff_m: float) -> Motion:
     """The protocol with an insertion z = A/2 (1 - cos 2πft): A is the stroke.
 
-    Contact happens inside the stroke, at the speed the sinusoid then has.
-
-    Args:
-        stroke_m: A of the paper.
-        frequency_hz: f of the paper; in and out take one period, the rest between them aside.
-        standoff_m: How far above the surface the stroke begins and the withdrawal ends.
-
-    Raises:
-        MotionError: A value is not positive, or the stroke does not reach the surface.
+    In and out take one period, the rest between them aside. Contact happens inside the stroke, at
+    the standoff below its start. `MotionError` if a value is not positive, or the stroke does not
+    reach the surface.
     """
     require_positive(
         MotionError, stroke_m=stroke_m, frequency_hz=frequency_hz, standoff_m=standoff_m
@@ -266,18 +227,3 @@ def sinusoidal_motion(*, stroke_m: float, frequency_hz: float, standoff_m: float
     if stroke_m <= standoff_m:
         raise MotionError(f"a stroke of {stroke_m} m ends above the surface, {standoff_m} m away")
     return protocol(standoff_m, [("cosine", 0.5 / frequency_hz, stroke_m)])
-
-
-def free_motion(*, height_m: float, stroke_m: float, frequency_hz: float) -> Motion:
-    """The protocol in free air: the sinusoidal stroke turns `height_m` above the surface.
-
-    Args:
-        height_m: Least distance from the surface.
-        stroke_m: Stroke along the needle axis.
-        frequency_hz: Frequency of the stroke.
-
-    Raises:
-        MotionError: A value is not positive.
-    """
-    require_positive(MotionError, height_m=height_m, stroke_m=stroke_m, frequency_hz=frequency_hz)
-    return protocol(height_m + stroke_m, [("cosine", 0.5 / frequency_hz, stroke_m)])

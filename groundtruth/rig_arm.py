@@ -232,7 +232,7 @@ class SimulatedArm:
             PlantModelError: There is no plant model of that name.
             PlantError: A servo or a latency that does not exist.
         """
-        chosen = scenario_named(scenario) if isinstance(scenario, str) else scenario
+        chosen = scenario_named(scenario, seed) if isinstance(scenario, str) else scenario
         plant_model = plant_named(plant)
         mass, sensing, bearing = np.random.SeedSequence(seed).spawn(3)
         self.tool = NeedleTool()

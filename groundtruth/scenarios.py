@@ -23,32 +23,22 @@ from groundtruth.materials import (
     bovine_liver,
     gel,
 )
-from groundtruth.motion import Motion, constant_motion, free_motion, sinusoidal_motion
+from groundtruth.motion import Motion, constant_motion, protocol, sinusoidal_motion
 from groundtruth.tissue import Tissue
 from groundtruth.variations import VARIATIONS, TissueVariation, random_variation
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Scenario:
-    """One insertion, ready to be simulated: layers and motion.
+    """One insertion, ready to be simulated: layers and motion."""
 
-    Attributes:
-        id: Permanent name.
-        title: One line for people.
-        layers: First the one the needle meets first; none for free motion.
-        motion: Motion of the needle tip relative to the undeformed surface.
-        tissue_motion: Motion of the surface about its place, if it does not rest.
-        lateral: Force across the needle, if any; the needle alone does not feel it.
-        elbow: Pushes at the elbow, if any; neither does it feel those.
-    """
-
-    id: str
-    title: str
-    layers: tuple[Layer, ...]
-    motion: Motion
-    tissue_motion: TissueMotion | None = None
-    lateral: LateralForce | None = None
-    elbow: ElbowPush | None = None
+    id: str  # permanent name
+    title: str  # one line for people
+    layers: tuple[Layer, ...]  # first the one the needle meets first; none for free motion
+    motion: Motion  # of the needle tip relative to the undeformed surface
+    tissue_motion: TissueMotion | None = None  # of the surface about its place
+    lateral: LateralForce | None = None  # across the needle; the needle alone does not feel it
+    elbow: ElbowPush | None = None  # neither does it feel those
 
     def with_variation(self, change: TissueVariation, rng: np.random.Generator) -> "Scenario":
         """The same scenario with every layer changed; the generator draws the texture."""
@@ -136,7 +126,8 @@ def _organs_and_air() -> list[Scenario]:
             id="free-motion",
             title="no tissue",
             layers=(),
-            motion=free_motion(height_m=20e-3, stroke_m=120e-3, frequency_hz=0.05),
+            # A sinusoid of 0.05 Hz that turns 20 mm above the surface.
+            motion=protocol(20e-3 + 120e-3, [("cosine", 10.0, 120e-3)]),
         ),
     ]
 
@@ -153,19 +144,7 @@ RANDOM_TISSUE = "random-tissue"
 DRAWN = (RANDOM_STACK, RANDOM_TISSUE)
 
 
-def scenario(scenario_id: str) -> Scenario:
-    """The catalogued scenario of that name.
-
-    Raises:
-        ScenarioError: There is none; the message lists the names.
-    """
-    if scenario_id not in SCENARIOS:
-        known = ", ".join((*SCENARIOS, *DRAWN))
-        raise ScenarioError(f"no scenario {scenario_id!r}; known: {known} (two drawn from a seed)")
-    return SCENARIOS[scenario_id]
-
-
-def named_scenario(name: str, seed: int) -> Scenario:
+def scenario(name: str, seed: int = 0) -> Scenario:
     """A catalogued scenario, or one drawn from the seed.
 
     Args:
@@ -177,8 +156,14 @@ def named_scenario(name: str, seed: int) -> Scenario:
         ScenarioError: There is none of that name; the message lists the names.
     """
     base, plus, change = name.partition("+")
-    drawn = {RANDOM_STACK: random_stack, RANDOM_TISSUE: random_tissue}.get(base)
-    chosen = scenario(base) if drawn is None else drawn(np.random.default_rng(seed))
+    if base in DRAWN:
+        draw = random_stack if base == RANDOM_STACK else random_tissue
+        chosen = draw(np.random.default_rng(seed))
+    elif base in SCENARIOS:
+        chosen = SCENARIOS[base]
+    else:
+        known = ", ".join((*SCENARIOS, *DRAWN))
+        raise ScenarioError(f"no scenario {base!r}; known: {known} (two drawn from a seed)")
     if not plus:
         return chosen
     if change not in VARIATIONS:

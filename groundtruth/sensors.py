@@ -21,17 +21,9 @@ JITTER_LIMIT = 0.4
 def measured_torque(
     tau_Nm: Array, q_rad: Array, limit_Nm: Array, plant_model: PlantModel, rng: np.random.Generator
 ) -> Array:
-    """Link-side joint torque as the strain gauges report it.
+    """Link-side joint torques, shape (n, 7), as the strain gauges report them.
 
-    Args:
-        tau_Nm: True torques at every tick, shape (n, 7).
-        q_rad: True positions, shape (n, 7).
-        limit_Nm: Effort limits, shape (7,); ranges of the sensors.
-        plant_model: Gives hysteresis, ripple, non-linearity, offset, drift and noise.
-        rng: Source of everything drawn.
-
-    Returns:
-        Shape (n, 7).
+    The effort limits, shape (7,), are the ranges of the sensors.
     """
     sensor = TorqueSensor(tau_Nm.shape, limit_Nm, plant_model, rng)
     lagging = tau_Nm
@@ -71,13 +63,9 @@ class TorqueSensor:
             self._bend = size * rng.choice((-1.0, 1.0), joints), bow
 
     def reading(self, tau_Nm: Array, lagging_Nm: Array, q_rad: Array, ticks: int | slice) -> Array:
-        """What the gauges report at some ticks, shape (7,) or (n, 7) like the arguments.
+        """What the gauges report at some of the n ticks, shape (7,) or (n, 7) like the arguments.
 
-        Args:
-            tau_Nm: True torques.
-            lagging_Nm: The same behind the hysteresis, see `backlash`.
-            q_rad: True positions.
-            ticks: Which of the n ticks these are.
+        These are true torques, the same behind the hysteresis, see `backlash`, and true positions.
         """
         seen, plant_model = lagging_Nm, self._plant_model
         if plant_model.torque_ripple > 0.0:
@@ -117,12 +105,7 @@ def _relative_drift(
 def backlash(signal: Array, half_width: Array) -> Array:
     """Play operator: the output rests until the input has moved by the half-width, then follows.
 
-    Args:
-        signal: Shape (n, k).
-        half_width: Shape (k,).
-
-    Returns:
-        Shape (n, k), within the half-width of the signal; starts on it.
+    It starts on the signal, shape (n, k), and stays within the half-width, shape (k,), of it.
     """
     low, high = signal - half_width, signal + half_width
     out = np.empty_like(signal)

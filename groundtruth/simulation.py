@@ -64,68 +64,47 @@ class Signals:
 class Truth(TissueTruth):
     """What was true at the same n samples: of the tissue, see `TissueTruth`, and of the arm.
 
-    Attributes:
-        t_s: True instants of the samples, shape (n,).
-        q_rad: Joint positions, shape (n, 7).
-        dq_rad_s: Joint velocities, shape (n, 7).
-        tau_Nm: Joint torques, held from each sample to the next tick, shape (n, 7).
-        external_torque_Nm: Torque of the tissue on the joints, shape (n, 7), mean over the tick
-            that begins at the sample: what a momentum observer can learn from that sample and
-            the next.
-        joint_friction_Nm: Torque of the bearings on the links, against their motion, shape (n, 7),
-            mean over the same tick. No torque sensor sees it; an observer takes it for external.
-        depth_m: Depth of the tip in the tissue, negative above, shape (n,); zero where there is
-            none.
-        speed_m_s: Speed of the tip along the needle, shape (n,).
+    Torques of the tissue on the joints and of the bearings on the links, which no torque sensor
+    sees and an observer takes for external, are means over the tick that begins at the sample: what
+    a momentum observer can learn from that sample and the next.
     """
 
-    t_s: Array
-    q_rad: Array
+    t_s: Array  # true instants of the samples, shape (n,)
+    q_rad: Array  # shape (n, 7), as all of the joints
     dq_rad_s: Array
-    tau_Nm: Array
+    tau_Nm: Array  # held from each sample to the next tick
     external_torque_Nm: Array
     joint_friction_Nm: Array
-    depth_m: Array
-    speed_m_s: Array
+    depth_m: Array  # of the tip in the tissue, negative above, shape (n,); zero without tissue
+    speed_m_s: Array  # of the tip along the needle, shape (n,)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class Run:
-    """One simulated insertion.
-
-    Attributes:
-        scenario: What was simulated.
-        plant: Name of the plant model.
-        seed: Seed of everything drawn.
-        robot: The robot as the estimator knows it: nominal links, nominal tool.
-        tool: The tool as the estimator knows it.
-        signals: What the robot gave.
-        truth: What was true.
-        tare_end_s: The needle has not met anything before this; a user knows that.
-    """
+    """One simulated insertion: what the robot gave, and what was true."""
 
     scenario: Scenario
-    plant: str
-    seed: int
-    robot: Robot
-    tool: NeedleTool
+    plant: str  # name of the plant model
+    seed: int  # of everything drawn
+    robot: Robot  # as the estimator knows it: nominal links, nominal tool
+    tool: NeedleTool  # likewise
     signals: Signals
     truth: Truth
-    tare_end_s: float
+    tare_end_s: float  # the needle has not met anything before this; a user knows that
 
 
 def simulate(
     scenario: Scenario | str,
     plant: PlantModel | str = "ideal",
     seed: int = 0,
-    progress: Callable[[float], None] | None = None,
+    progress: Callable[[float], None] = lambda _: None,
 ) -> Run:
     """Push the needle of a simulated LWR 4+ through a scenario's tissue and back out.
 
     A scenario without layers moves all joints in free air instead.
 
     Args:
-        scenario: A scenario or the name of a catalogued one.
+        scenario: A scenario or its name, see `groundtruth.scenario`.
         plant: A plant model or the name of one: ``ideal``, ``clean``, ``fri`` or ``degraded``.
         seed: Seed of everything drawn; equal arguments give equal runs.
         progress: Called now and then with the fraction done, 0 to 1.
@@ -139,7 +118,7 @@ def simulate(
         PathError: The needle's line is out of the arm's reach.
         PlantError: The tissue has pushed the arm off its motion.
     """
-    chosen = scenario_named(scenario) if isinstance(scenario, str) else scenario
+    chosen = scenario_named(scenario, seed) if isinstance(scenario, str) else scenario
     plant_model = plant_named(plant)
     tool = NeedleTool()
     mass_seed, sensor_seed, friction_seed = np.random.SeedSequence(seed).spawn(3)
@@ -212,27 +191,15 @@ def _truth(trace: ArmTrace, tissue: TissueTruth, time: Array, kept: NDArray[np.i
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class NeedleRun:
-    """Signals and truth of one needle-only insertion; all arrays are read-only, n samples.
-
-    Attributes:
-        scenario: What was run.
-        seed: Of the sensor noise.
-        t_s: Time, shape (n,).
-        depth_m: Place of the tip below the surface where that would rest, negative above, shape
-            (n,).
-        speed_m_s: Its rate, shape (n,).
-        force_N: Reading of the sensor, zeroed at the end of the tare stroke, shape (n,).
-        tare_end_s: Contact has not happened before this time; all that a user knows of it.
-        truth: What only the simulation knows.
-    """
+    """Signals and truth of one needle-only insertion; arrays are read-only, shape (n,)."""
 
     scenario: Scenario
-    seed: int
+    seed: int  # of the sensor noise
     t_s: Array
-    depth_m: Array
-    speed_m_s: Array
-    force_N: Array
-    tare_end_s: float
+    depth_m: Array  # of the tip below the surface where that would rest, negative above
+    speed_m_s: Array  # its rate
+    force_N: Array  # reading of the sensor, zeroed at the end of the tare stroke
+    tare_end_s: float  # contact has not happened before; all that a user knows of it
     truth: TissueTruth
 
     def __post_init__(self) -> None:
@@ -250,8 +217,8 @@ def insert_needle(
     """Carry out a scenario with the needle alone: the tip follows the motion exactly.
 
     Args:
-        scenario: A scenario or the name of a catalogued one.
-        seed: Seed of the sensor noise; the same seed gives the same run.
+        scenario: A scenario or its name, see `groundtruth.scenario`.
+        seed: Seed of the sensor noise and of a drawn scenario; the same seed gives the same run.
         rate_hz: Samples per second.
         noise: What the force sensor adds, see `groundtruth.force_noise`.
 
@@ -259,7 +226,7 @@ def insert_needle(
         ScenarioError: There is no scenario of that name.
         RunError: The rate is unusable.
     """
-    chosen = scenario_named(scenario) if isinstance(scenario, str) else scenario
+    chosen = scenario_named(scenario, seed) if isinstance(scenario, str) else scenario
     if not (np.isfinite(rate_hz) and rate_hz > 0.0):
         raise RunError(f"rate_hz is {rate_hz!r}; give samples per second, above zero")
     motion = chosen.motion

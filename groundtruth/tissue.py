@@ -24,22 +24,15 @@ UNLOADING_M = 0.5e-3
 class TissueForce(NamedTuple):
     """Force of the tissue on the needle, along its axis.
 
-    A named tuple, not a dataclass: it is made at every physics step.
-
-    Attributes:
-        axial_N: Tip force and shaft friction together, positive when tissue pushes back.
-        tip_N: Elastic, membrane and cutting force at the tip; never negative.
-        friction_N: Friction along the whole shaft; it opposes motion, negative in withdrawal.
-        layer: 0 above the surface (or before its membrane is punctured), i with the tip in layer
-            i, number of layers + 1 beyond the last.
-        layer_friction_N: The part of each layer in `friction_N`.
+    A named tuple, not a dataclass: it is made at every physics step. `layer` is 0 above the surface
+    (or before its membrane is punctured), i with the tip in layer i, one more beyond the last.
     """
 
-    axial_N: float
-    tip_N: float
-    friction_N: float
+    axial_N: float  # tip force and shaft friction together, positive when tissue pushes back
+    tip_N: float  # elastic, membrane and cutting force at the tip; never negative
+    friction_N: float  # along the whole shaft; it opposes motion, negative in withdrawal
     layer: int
-    layer_friction_N: tuple[float, ...]
+    layer_friction_N: tuple[float, ...]  # the part of each layer in `friction_N`
 
 
 def no_force(layer_count: int) -> TissueForce:
@@ -52,15 +45,7 @@ def relaxation_step(relaxed: float, speed_m_s: float, dt_s: float) -> float:
 
     Tissue slowly relaxes around a resting needle; an advancing tip meets fresh tissue. Exact step
     of dr/dt = (1 - r) / RELAXATION_S - r |v| / RECOVERY_M for a held speed, so any step is
-    stable. In motion it stays near zero (1.3 % at 2.3 mm/s).
-
-    Args:
-        relaxed: Relaxation before, 0 (fresh) to 1 (a long rest).
-        speed_m_s: Speed of the tip.
-        dt_s: Length of the step.
-
-    Returns:
-        The relaxation after the step, 0 to 1.
+    stable. From 0 (fresh) to 1 (a long rest); in motion near zero (1.3 % at 2.3 mm/s).
     """
     rate = 1.0 / RELAXATION_S + abs(speed_m_s) / RECOVERY_M
     settled = 1.0 / (RELAXATION_S * rate)
@@ -75,16 +60,7 @@ def bristle_step(
     Travel pulls the deflection to the direction of motion, dw/dx = (sign(dx) - w) / presliding
     (Dahl 1968, exponent 1); time lets a deflection beyond 1 - relaxed_fraction sink to that. Both
     act at once and the step is their exact solution: it cannot leave [-1, 1], whatever its size.
-
-    Args:
-        bristle: Deflection before, -1 to 1; the Coulomb force is `coulomb * bristle`.
-        travel_m: Signed travel of the shaft during the step.
-        dt_s: Length of the step.
-        presliding_m: Travel constant of the tissue.
-        relaxed_fraction: Fraction of the Coulomb force lost after a long rest.
-
-    Returns:
-        The deflection after the step.
+    The Coulomb force is `coulomb * bristle`; a long rest loses the relaxed fraction of it.
     """
     pull = abs(travel_m) / presliding_m
     target = math.copysign(pull, travel_m)

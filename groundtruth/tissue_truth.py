@@ -17,55 +17,34 @@ Array = NDArray[np.float64]
 class Rupture:
     """One boundary that ruptures under the advancing tip.
 
-    Attributes:
-        onset_s: The release begins; between samples, by interpolation.
-        end_s: It ends; the end of the run if the needle stopped within it.
-        onset_m: Depth of the tip at the onset.
-        layer: The layer the tip leaves; 0 for a membrane on the surface.
-        is_membrane: A membrane was punctured.
-        drop_N: Force the tip loses: elastic, membrane and cutting force held at the onset.
-        visible_drop_N: Fall of the axial force from the onset to its least value before the end;
-            smaller than `drop_N` where the next layer or its friction already pushes, a little
-            larger where the needle slows down meanwhile.
-        layer_friction_N: Friction of the layer that the tip leaves, at the onset.
-        friction_N: Friction of the whole shaft when the release has ended.
+    The visible drop is the fall of the axial force from the onset to its least value before the
+    end: smaller than `drop_N` where the next layer or its friction already pushes, a little larger
+    where the needle slows down meanwhile.
     """
 
-    onset_s: float
-    end_s: float
-    onset_m: float
-    layer: int
-    is_membrane: bool
-    drop_N: float
+    onset_s: float  # the release begins; between samples, by interpolation
+    end_s: float  # it ends; the end of the run if the needle stopped within it
+    onset_m: float  # depth of the tip at the onset
+    layer: int  # the one the tip leaves; 0 for a membrane on the surface
+    is_membrane: bool  # a membrane was punctured
+    drop_N: float  # force the tip loses: elastic, membrane and cutting force held at the onset
     visible_drop_N: float
-    layer_friction_N: float
-    friction_N: float
+    layer_friction_N: float  # of the layer that the tip leaves, at the onset
+    friction_N: float  # of the whole shaft when the release has ended
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class TissueTruth:
-    """The ground truth of the tissue at n samples; all arrays are read-only.
+    """The ground truth of the tissue at n samples, see `TissueForce`; arrays are read-only."""
 
-    Attributes:
-        axial_N: Force of the tissue on the needle, shape (n,), positive when it pushes back.
-        tip_N: Its part at the tip, shape (n,).
-        friction_N: Its part along the shaft, shape (n,); negative in withdrawal.
-        layer_friction_N: Part of each layer in the friction, shape (n, number of layers).
-        layer: 0 above the tissue, i in layer i, see `TissueForce`, shape (n,).
-        ruptures: In the order they happened.
-        contact_s: The tip first touches the undeformed surface; nan if it never does, or without
-            tissue.
-        withdrawn_s: It last leaves that surface in withdrawal; nan if it does not.
-    """
-
-    axial_N: Array
+    axial_N: Array  # shape (n,), positive when tissue pushes back, as the next two
     tip_N: Array
-    friction_N: Array
-    layer_friction_N: Array
-    layer: NDArray[np.int64]
-    ruptures: tuple[Rupture, ...]
-    contact_s: float
-    withdrawn_s: float
+    friction_N: Array  # negative in withdrawal
+    layer_friction_N: Array  # shape (n, number of layers)
+    layer: NDArray[np.int64]  # shape (n,)
+    ruptures: tuple[Rupture, ...]  # in the order they happened
+    contact_s: float  # the tip first touches the undeformed surface; nan if it never does
+    withdrawn_s: float  # it leaves that surface in withdrawal; nan if it does not
 
     def __post_init__(self) -> None:
         """Make the arrays read-only."""
@@ -88,22 +67,12 @@ def freeze(result: Any) -> None:
 def collect_truth(
     law: Tissue, t_s: Array, depth_m: Array, forces: Sequence[TissueForce]
 ) -> TissueTruth:
-    """Turn the forces of a run into its ground truth.
-
-    Args:
-        law: The law that was run.
-        t_s: Sample times, shape (n,).
-        depth_m: True depth at those times, shape (n,).
-        forces: The law's answers at those times, n of them.
-    """
+    """Return the ground truth of a run: true depths at n times, and the law's n answers."""
     columns = np.array([force[:3] for force in forces], dtype=np.float64)
     per_layer = np.array([force.layer_friction_N for force in forces], dtype=np.float64)
-    contact_s = withdrawn_s = float("nan")
-    if law.layers:
-        contact_s = _first_crossing_s(t_s, depth_m, 0.0)
-    if not np.isnan(contact_s):
-        deepest_s = float(t_s[int(np.argmax(depth_m))])
-        withdrawn_s = _first_crossing_s(t_s, -depth_m, 0.0, after_s=deepest_s)
+    contact_s = _first_crossing_s(t_s, depth_m, 0.0) if law.layers else np.nan
+    deepest = int(np.argmax(depth_m))
+    withdrawn_s = _first_crossing_s(t_s[deepest:], -depth_m[deepest:], 0.0)
     return TissueTruth(
         axial_N=columns[:, 0],
         tip_N=columns[:, 1],
@@ -112,18 +81,13 @@ def collect_truth(
         layer=np.array([force.layer for force in forces], dtype=np.int64),
         ruptures=_ruptures(law.interfaces, t_s, depth_m, columns[:, 1], per_layer),
         contact_s=contact_s,
-        withdrawn_s=withdrawn_s,
+        withdrawn_s=np.nan if np.isnan(contact_s) else withdrawn_s,
     )
 
 
-def _first_crossing_s(
-    t_s: Array, signal: Array, level: float, *, after_s: float = -np.inf
-) -> float:
-    """Time at which a signal first reaches a level from below, by linear interpolation.
-
-    Only samples at or after `after_s` count; nan when the level is not reached.
-    """
-    reached = np.flatnonzero((signal >= level) & (t_s >= after_s))
+def _first_crossing_s(t_s: Array, signal: Array, level: float) -> float:
+    """Time at which a signal first reaches a level from below, by linear interpolation; or nan."""
+    reached = np.flatnonzero(signal >= level)
     if reached.size == 0:
         return float("nan")
     k = int(reached[0])

@@ -15,31 +15,21 @@ import numpy as np
 from groundtruth.layers import Layer, ShaftFriction, Texture
 
 TEXTURE_LENGTH_M = 0.5e-3
+"""Over which a texture is correlated."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class TissueVariation:
-    """What is different in each layer; every default leaves the layer as it is.
+    """What is different in each layer; every default leaves the layer as it is."""
 
-    Attributes:
-        texture_N: Standard deviation of a texture of the tip force, correlated over 0.5 mm.
-        release_m: Travel over which a rupture releases the force, membranes included.
-        tip_exponent: Power of the elastic tip force over penetration.
-        cutting_fraction: Part of the tip force that is constant cutting force.
-        kept_fraction: Part of the tip force that stays after an internal rupture, fading over 5 mm.
-        length_exponent: Friction grows with embedded length to this power.
-        speed_exponent: All friction grows with speed to this power: no Coulomb part.
-        friction_fraction: Part of friction in the force at the end of a layer; that force stays.
-    """
-
-    texture_N: float = 0.0
-    release_m: float | None = None
-    tip_exponent: float = 1.0
-    cutting_fraction: float | None = None
-    kept_fraction: float = 0.0
-    length_exponent: float = 1.0
-    speed_exponent: float = 1.0
-    friction_fraction: float | None = None
+    texture_N: float = 0.0  # standard deviation of a texture of the tip force
+    release_m: float | None = None  # travel of a rupture's release, membranes included
+    tip_exponent: float = 1.0  # power of the elastic tip force over penetration
+    cutting_fraction: float | None = None  # constant cutting force in the tip force
+    kept_fraction: float = 0.0  # of the tip force after an internal rupture, fading over 5 mm
+    length_exponent: float = 1.0  # friction grows with embedded length to this power
+    speed_exponent: float = 1.0  # all friction grows with speed to this power: no Coulomb part
+    friction_fraction: float | None = None  # in the force at the end of a layer, which stays
 
     def layer(self, layer: Layer, rng: np.random.Generator) -> Layer:
         """The layer under this variation, its texture drawn; `TissueError` if it is too thin."""

@@ -40,6 +40,8 @@ TORQUE_RATIO_PER_S = 2.0
 ACCELERATION_RAD_S2 = 20.0
 """An arm that inserts a needle stays far below."""
 LEAST_POSITION_RAD = 1e-4
+COARSE_RAD = 1e-3
+"""Step of a coarse encoder: a position that has repeated may make one [rad]."""
 UNKNOWN_EFFORT_NM = 300.0
 """Stands in where a description gives no effort limit: the shoulder of an arm for ten kilograms.
 Torques from motor currents step by 20 Nm there where the friction of its gears turns round."""
@@ -340,6 +342,10 @@ class FaultDetector:
         gates[:n] += ACCELERATION_RAD_S2 * dt_s * (dt_s + self._delay_s)
         if memory.swept is not None:
             gates[:n] += memory.swept
+        if memory.step_s > 0.0:
+            # A joint at rest shows its encoder's step at times, and not in the learnt noise.
+            step = np.abs(memory.last[:n] - memory.before[:n])
+            gates[:n] += np.where(step == 0.0, COARSE_RAD, np.minimum(step, COARSE_RAD))
         if self._has_velocity:
             gates[n:-n] += ACCELERATION_RAD_S2 * dt_s
         gates[-n:] += TORQUE_RATIO_PER_S * dt_s * self._effort_Nm

@@ -10,19 +10,11 @@ from groundtruth import SCENARIOS, insert_needle, random_stack, scenario
 from groundtruth.errors import MotionError, NoiseError, RunError, ScenarioError
 from groundtruth.force_noise import CLEAN, MINI45
 from groundtruth.materials import TABLE_I_SPEED_M_S
-from groundtruth.motion import (
-    TARE_STROKE_M,
-    Motion,
-    Stroke,
-    constant_motion,
-    free_motion,
-    sinusoidal_motion,
-)
-from groundtruth.scenarios import named_scenario
+from groundtruth.motion import TARE_STROKE_M, Motion, Stroke, constant_motion, sinusoidal_motion
 
 CONSTANT = constant_motion(speed_m_s=2.3e-3, depth_m=45e-3, standoff_m=5e-3)
 SINE = sinusoidal_motion(stroke_m=70e-3, frequency_hz=0.016, standoff_m=20e-3)
-FREE = free_motion(height_m=20e-3, stroke_m=120e-3, frequency_hz=0.05)
+FREE = SCENARIOS["free-motion"].motion
 
 
 @pytest.mark.parametrize("motion", [CONSTANT, SINE, FREE])
@@ -67,7 +59,6 @@ def test_sinusoidal_insertion_is_the_papers_and_free_motion_stays_above_the_surf
 GOOD = {
     constant_motion: {"speed_m_s": 2e-3, "depth_m": 0.05, "standoff_m": 5e-3},
     sinusoidal_motion: {"stroke_m": 0.07, "frequency_hz": 0.016, "standoff_m": 0.02},
-    free_motion: {"height_m": 0.02, "stroke_m": 0.1, "frequency_hz": 0.05},
 }
 
 
@@ -107,12 +98,10 @@ def runs():
 def test_names_are_permanent_and_choose_motion_and_seed():
     assert set(SCENARIOS) == {*RUPTURES, "free-motion"}
     assert all(scenario(name).id == name for name in SCENARIOS)
-    assert named_scenario("random-stack", 7) == DRAWN[7] != DRAWN[8]
-    gel = scenario("gel-25-constant")
-    assert named_scenario("gel-25-constant", 7) is gel
-    for ask in (scenario, lambda name: named_scenario(name, 0)):
-        with pytest.raises(ScenarioError, match=r"no scenario 'gel-80'; known: .*random-stack"):
-            ask("gel-80")
+    assert scenario("random-stack", 7) == DRAWN[7] != DRAWN[8]
+    assert scenario("gel-25-constant", 7) is scenario("gel-25-constant")
+    with pytest.raises(ScenarioError, match=r"no scenario 'gel-80'; known: .*random-stack"):
+        scenario("gel-80")
     # The needle goes at least a centimetre beyond and is long enough.
     for case in (*(scenario(name) for name in RUPTURES), *DRAWN):
         assert case.motion.deepest_m - case.thickness_m >= 10e-3

@@ -10,11 +10,7 @@ from hypothesis import strategies as st
 from groundtruth.errors import TissueError
 from groundtruth.layers import CUTTING_ONSET_M, Membrane, ShaftFriction
 from groundtruth.materials import BOVINE_CAPSULE, GEL_TIP_FORCE_N, GLOVE, bovine_liver, gel
-from groundtruth.tissue import (
-    UNLOADING_M,
-    Tissue,
-    bristle_step,
-)
+from groundtruth.tissue import UNLOADING_M, Tissue, bristle_step
 
 SPEED = 2.3e-3
 MEMBRANE = Membrane(puncture_N=1.2, indentation_m=4e-3, hardening=0.5, release_m=5e-4)

@@ -7,7 +7,7 @@ from groundtruth import SCENARIOS, insert_needle, random_stack
 from groundtruth.errors import ScenarioError, TissueError
 from groundtruth.layers import KEPT_FADE_M, Texture
 from groundtruth.materials import gel
-from groundtruth.scenarios import named_scenario, random_tissue
+from groundtruth.scenarios import random_tissue, scenario
 from groundtruth.tissue import Tissue
 from groundtruth.variations import TissueVariation
 
@@ -26,8 +26,8 @@ def pushed_through(layers, end_m, speed_m_s=SPEED):
 
 @pytest.mark.parametrize("name", ["texture-20mN", "release-2mm", "concave", "kept-60", "speed-0.3"])
 def test_a_variation_ruptures_at_the_same_boundaries_and_holds_no_force_outside(name):
-    plain = named_scenario("stack-glove-constant", 0)
-    run = insert_needle(named_scenario(f"stack-glove-constant+{name}", 0), rate_hz=200.0)
+    plain = scenario("stack-glove-constant", 0)
+    run = insert_needle(scenario(f"stack-glove-constant+{name}", 0), rate_hz=200.0)
     assert run.scenario.id == f"stack-glove-constant+{name}"
     assert run.scenario.motion == plain.motion
     onsets = [boundary.onset_m for boundary in plain.new_tissue().interfaces[1:]]
@@ -91,14 +91,14 @@ def test_friction_grows_with_the_stated_powers_of_length_and_speed_and_is_none_a
 
 def test_random_tissue_is_the_random_stack_with_drawn_laws_that_runs():
     rough = "gel-70-constant+texture-20mN"
-    assert named_scenario(rough, 1) == named_scenario(rough, 1) != named_scenario(rough, 2)
-    assert named_scenario("random-stack+kept-60", 3).layers[0].kept_fraction == 0.6
+    assert scenario(rough, 1) == scenario(rough, 1) != scenario(rough, 2)
+    assert scenario("random-stack+kept-60", 3).layers[0].kept_fraction == 0.6
     assert "gel-70-constant" in SCENARIOS
     with pytest.raises(ScenarioError, match=r"no variation 'soft'; known: texture-15mN"):
-        named_scenario("gel-70-constant+soft", 0)
+        scenario("gel-70-constant+soft", 0)
     stacks = [random_stack(np.random.default_rng(seed)) for seed in range(60)]
     tissues = [random_tissue(np.random.default_rng(seed)) for seed in range(60)]
-    assert named_scenario("random-tissue", 7) == tissues[7]
+    assert scenario("random-tissue", 7) == tissues[7]
     assert [item.motion for item in tissues] == [item.motion for item in stacks]
     layers = [layer for item in tissues for layer in item.layers]
     exponents = [layer.tip_exponent for layer in layers]

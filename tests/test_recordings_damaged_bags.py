@@ -7,14 +7,7 @@ from contextlib import closing
 
 import numpy as np
 import pytest
-from bag_samples import (
-    STEP_NS,
-    TYPES,
-    data_file,
-    insertion_rows,
-    joint_state,
-    write_bag,
-)
+from bag_samples import STEP_NS, TYPES, data_file, insertion_rows, joint_state, write_bag
 from hypothesis import given, settings
 from hypothesis import strategies as st
 

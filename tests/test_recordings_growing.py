@@ -26,11 +26,7 @@ from bag_samples import (
     write_bag,
 )
 
-from needleforce.recordings import (
-    FileAccessError,
-    FormatError,
-    read_log,
-)
+from needleforce.recordings import FileAccessError, FormatError, read_log
 from needleforce.recordings.bag_messages import MAGIC
 from needleforce.recordings.follow import FollowOptions
 from needleforce.recordings.mapping import ChannelRequest

@@ -11,12 +11,7 @@ from bag_samples import grow
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from needleforce.recordings import (
-    FileAccessError,
-    FormatError,
-    read_log,
-    write_table,
-)
+from needleforce.recordings import FileAccessError, FormatError, read_log, write_table
 from needleforce.recordings.csv_file import HEAD_ROWS, csv_tables
 from needleforce.recordings.follow import FollowOptions, byte_blocks
 from needleforce.recordings.log import LogStream
@@ -161,16 +156,34 @@ def piped(data, path, size):
     return t_s, np.concatenate([chunk.channels["force_N"] for chunk in chunks])
 
 
-@pytest.mark.parametrize("packed", [False, True])
+@pytest.mark.parametrize("suffix", ["csv", "csv.gz", "npz", "parquet", "mcap"])
 @pytest.mark.parametrize("size", [3000, 1 << 20])
-def test_what_comes_through_a_pipe_is_what_the_file_gives(tmp_path, packed, size):
-    path = tmp_path / "log.csv"
+def test_what_comes_through_a_pipe_is_what_the_file_gives(tmp_path, suffix, size):
+    path = tmp_path / f"log.{suffix.removesuffix('.gz')}"
     write_table(path, COLUMNS)
     data = path.read_bytes()
-    t_s, force_N = piped(gzip.compress(data) if packed else data, tmp_path / "pipe", size)
+    packed = gzip.compress(data) if suffix.endswith("gz") else data
+    t_s, force_N = piped(packed, tmp_path / "pipe", size)
     log = read_log(path, required=["depth", "force"])
     np.testing.assert_array_equal(t_s, log.t_s)
     np.testing.assert_array_equal(force_N, log["force_N"])
+
+
+@pytest.mark.parametrize(
+    ("data", "message"),
+    [
+        (b"PK\x03\x04" + bytes(2000), "takes 0.002 MB unpacked, more than the limit of 0.001 MB"),
+        (b"PAR1" + bytes(500), "standard input is not a Parquet file"),
+        (b"SQLi" + bytes(500), "standard input is not an SQLite file"),
+    ],
+)
+def test_a_pipe_without_a_recording_is_refused(tmp_path, monkeypatch, data, message):
+    path = tmp_path / "data"
+    path.write_bytes(data)
+    with path.open() as stream:
+        monkeypatch.setattr("sys.stdin", stream)
+        with pytest.raises(FormatError, match=message):
+            list(stream_tables("-", FollowOptions(), max_bytes=1000))
 
 
 @pytest.mark.parametrize("suffix", ["mcap", "npz", "parquet"])

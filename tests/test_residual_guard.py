@@ -138,6 +138,21 @@ def test_no_valid_sample_of_a_fast_arm_a_hand_or_a_rupture_is_held_back(lwr, kin
     assert held_back(lwr, motion, has_velocity=with_velocity) == 0
 
 
+def test_a_step_of_a_coarse_encoder_at_rest_is_no_spike(lwr):
+    rng, step = np.random.default_rng(0), 3.5e-4
+    sensor, rows = tared(lwr, with_velocity=False)
+    q, _, tau = rows[0]
+    # Near the edge of a step, which noise passes now and then only.
+    edge = np.round(q / step) * step + 0.5 * step - 4e-5
+    at = [np.round((edge + 1.5e-5 * rng.normal(size=7)) / step) * step for _ in range(8000)]
+    changes = np.count_nonzero(np.diff(at, axis=0), axis=0)
+    assert (changes > 10).all()
+    assert (changes < 400).all()
+    sensor.reset()
+    found = feed(sensor, [(each, None, tau + 0.03 * rng.normal(size=7)) for each in at])
+    assert sensor.rejected == 0, {e.message for e in found}
+
+
 def test_a_spike_of_a_fast_arm_is_still_held_back(lwr):
     rng = np.random.default_rng(1)
     q, dq, tau = sensed(KINDS["up to the velocity limits"](lwr, rng, 2000), rng)

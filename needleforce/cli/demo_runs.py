@@ -15,14 +15,7 @@ from groundtruth.rig_line import DelayLine
 from groundtruth.rig_operator import HapticMaster, Operator
 from groundtruth.tissue_truth import Rupture
 from needleforce import InsertionSession, SessionEstimate
-from needleforce.control import (
-    AxialSpeed,
-    Controller,
-    Fixture,
-    Limits,
-    Posture,
-    Teleoperation,
-)
+from needleforce.control import AxialSpeed, Controller, Fixture, Limits, Posture, Teleoperation
 from needleforce.control.teleoperation import Shown
 
 TARE_STROKE_M, GAP_M, TARE_SPEED_M_S = 60e-3, 5e-3, 20e-3

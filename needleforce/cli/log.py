@@ -63,15 +63,7 @@ def has_channels(source: str, columns: Columns, channels: Iterable[str]) -> bool
 
 
 class LogSession:
-    """Iterates over the log that the command line names; reports on stderr what is wrong with it.
-
-    Attributes:
-        name: What to call the log.
-        is_live: Whether rows come as they are recorded, so that results must not wait for the end.
-        is_stopped: Whether Ctrl-C has ended the log: the rows read so far are all there are.
-        warnings: What was found wrong with the log so far.
-        start_ns: The instant of t = 0, see `Table`; known when the first rows are.
-    """
+    """Iterates over the log of the command line; reports on stderr what is wrong with it."""
 
     def __init__(
         self,
@@ -85,10 +77,11 @@ class LogSession:
         self._source, self._output, self._request = source, output, request
         is_piped = source == STANDARD_STREAM
         self.name = "standard input" if is_piped else Path(source).name
+        # Rows come as they are recorded, and results must not wait for the end.
         self.is_live = output.follow or is_piped or Path(source).is_fifo()
-        self.is_stopped = is_stopped
+        self.is_stopped = is_stopped  # whether Ctrl-C has ended the log
         self.warnings: list[str] = []
-        self.start_ns = 0
+        self.start_ns = 0  # see `Table`; known when the first rows are
 
     @property
     def exit_code(self) -> int:

@@ -15,6 +15,7 @@ from needleforce.recordings import load_mapping
 from needleforce.recordings.mapping import read_toml
 from residual import DEFAULT, PUBLISHED, FrictionModel, JointFriction, SensorConfig, SigmoidFriction
 from urdf import NeedleTool, Payload, Robot
+from urdf.errors import finite_array
 
 # A validated dataclass from a table of a TOML file, with errors that name the key.
 
@@ -195,23 +196,12 @@ def with_friction(robot: Robot, path: str | None) -> tuple[Robot, FrictionModel 
         where = f"{path}: [{name}]"
         for key, value in table.items() if isinstance(table, dict) else ():
             if isinstance(value, list):
-                _per_joint(value, f"{where}: {key}", robot.nv)
+                finite_array(value, (robot.nv,), f"{where}: {key}, one number per joint,")
         friction = decoded(_MODELS[name], table, where)
     if rotor is not None:
-        robot = robot.with_armature(_per_joint(rotor, f"{path}: rotor_inertia_kg_m2", robot.nv))
+        name = f"{path}: rotor_inertia_kg_m2, one number per joint,"
+        robot = robot.with_armature(finite_array(rotor, (robot.nv,), name))
     return robot, friction
-
-
-def _per_joint(value: Any, what: str, joints: int) -> np.ndarray:
-    try:
-        array = np.array(value, dtype=np.float64)
-    except (TypeError, ValueError, OverflowError):
-        array = np.array(np.nan)
-    if array.shape != (joints,):
-        raise CommandError(
-            f"{what}: found shape {array.shape}, expected {joints} numbers, one per joint"
-        )
-    return array
 
 
 def sensor_config(options: SensorOptions, friction: FrictionModel | None) -> SensorConfig:

@@ -5,8 +5,9 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from groundtruth import SCENARIOS, Run, simulate
-from groundtruth.scenarios import RANDOM_STACK, RANDOM_TISSUE, Scenario, named_scenario
+from groundtruth import SCENARIOS, Run, Scenario, simulate
+from groundtruth.scenarios import RANDOM_STACK, RANDOM_TISSUE
+from groundtruth.scenarios import scenario as scenario_named
 from needleforce.cli.options import SimulationOptions
 from needleforce.cli.terminal import CommandError, progress_bar, write_out
 from needleforce.recordings import check_writable, write_table
@@ -45,7 +46,7 @@ def _checked(scenario: str | None, options: SimulationOptions) -> Scenario:
         raise CommandError("no scenario is named; --list prints them")
     if options.seed < 0:
         raise CommandError(f"--seed {options.seed}: expected a whole number from 0 up")
-    chosen = named_scenario(scenario, options.seed)
+    chosen = scenario_named(scenario, options.seed)
     check_outputs(paths)
     for path in paths.values():
         check_writable(path)

@@ -6,6 +6,7 @@ late, reordered, repeated, truncated packets, garbage, silence, a connection tha
 
 import multiprocessing
 import os
+import select
 import socket
 import threading
 import time
@@ -204,14 +205,13 @@ def emulate_fri(pipe: Connection, settings: FriSettings) -> dict[str, Any]:
 
 def _until(link: socket.socket, end_s: float) -> Iterator[bytes]:
     """Datagrams that come before a time."""
+    link.setblocking(False)
+    # `select` waits for microseconds, a socket's own timeout for whole milliseconds.
     while (left_s := end_s - time.monotonic()) > 0.0:
-        link.settimeout(left_s)
-        try:
-            yield link.recv(2048)
-        except ConnectionError:  # nobody listens yet
-            continue
-        except (TimeoutError, BlockingIOError):
+        if not select.select([link], [], [], left_s)[0]:
             return
+        with suppress(ConnectionError, BlockingIOError):  # nobody listens yet
+            yield link.recv(2048)
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -78,12 +78,9 @@ def read_messages(
 ) -> Iterator[RawMessage]:
     """Read messages as they were recorded; of a damaged or cut MCAP file those that can be had.
 
-    Args:
-        path: a bag; an MCAP file if it is followed.
-        faults: gets what is wrong with the files, one sentence each.
-        max_bytes: a chunk or message may take an eighth of it when unpacked.
-        options: how a growing file is followed until its recorder finishes it. `NONE_YET` comes
-            each time before more is waited for. None to read what there is.
+    `faults` gets what is wrong with the files, one sentence each. With options, a growing MCAP file
+    is followed until its recorder finishes it, and `NONE_YET` comes each time before more is waited
+    for. A chunk or message may take an eighth of `max_bytes` when unpacked.
     """
     optional_library("rosbags.typesys", "ROS 2 bags")
 

@@ -47,24 +47,14 @@ WORTHLESS = {
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Channel:
-    """One quantity of a log.
+    """One quantity of a log."""
 
-    Attributes:
-        name: how mappings and options call it, such as `q`.
-        key: its name in a `Log`, with the SI unit, such as `q_rad`.
-        units: units accepted in a file, with their factors to SI; the first is SI.
-        per_joint: whether it has one column per joint (2-D) rather than one value (1-D).
-        spellings: column names, without unit and joint number and in lower case, that are
-            recognised when no mapping is given.
-        meaning: one phrase for help texts.
-    """
-
-    name: str
-    key: str
+    name: str  # how mappings and options call it, such as `q`
+    key: str  # in a `Log`, with the SI unit, such as `q_rad`
     units: Units
-    per_joint: bool
-    spellings: tuple[str, ...]
-    meaning: str
+    per_joint: bool  # one column per joint (2-D) rather than one value (1-D)
+    spellings: tuple[str, ...]  # usual column names, without unit and number and in lower case
+    meaning: str  # one phrase for help texts
 
     @property
     def si_unit(self) -> str:
@@ -138,14 +128,10 @@ _ELEMENT = re.compile(r"^(?P<name>.+)\[(?P<index>\d{1,9})\]$")
 class ColumnName(NamedTuple):
     """A column name taken apart."""
 
-    stem: str
-    """Lower case, without path, number and unit: `q` in `/robot/q_3_rad`."""
-    family: str
-    """The name with its number blanked; the columns of one signal share it."""
-    number: int | None
-    """The trailing number (a joint's)."""
-    unit: str | None
-    """The unit that the name carries."""
+    stem: str  # lower case, without path, number and unit: `q` in `/robot/q_3_rad`
+    family: str  # the name with its number blanked; the columns of one signal have the same
+    number: int | None  # the trailing one (a joint's)
+    unit: str | None  # that the name carries
 
 
 def parse_column_name(name: str, units: Units) -> ColumnName:

@@ -10,12 +10,7 @@ from typing import IO, Any, BinaryIO
 
 import numpy as np
 
-from needleforce.recordings.errors import (
-    FormatError,
-    file_errors,
-    optional_library,
-    require_size,
-)
+from needleforce.recordings.errors import FormatError, file_errors, optional_library, require_size
 from needleforce.recordings.table import (
     START_KEY,
     Columns,
@@ -26,7 +21,6 @@ from needleforce.recordings.table import (
     to_seconds,
 )
 
-_NUMBER_KINDS = "fiub"
 _CUT = "so that nothing can be read without its end"
 
 
@@ -79,7 +73,7 @@ def _npy_size(stream: IO[bytes]) -> int:
         shape, _, dtype = np.lib.format.read_array_header_1_0(stream)
     else:
         shape, _, dtype = np.lib.format.read_array_header_2_0(stream)
-    if dtype.kind not in _NUMBER_KINDS:
+    if dtype.kind not in "fiub":
         raise ValueError(f"it holds {dtype}, no numbers")
     if len(shape) > 2 or any(n < 1 for n in shape):
         raise ValueError(f"its shape is {shape}, not (n,) or (n, k)")

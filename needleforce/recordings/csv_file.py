@@ -252,18 +252,12 @@ def csv_tables(
     is_stopped: Callable[[], bool] = lambda: False,
     max_bytes: int = MAX_BYTES,
 ) -> Iterator[Table]:
-    """Read CSV text as it comes: a header row, then rows of numbers.
+    """Read CSV text in blocks as it comes: a header row, then rows of numbers.
 
-    Args:
-        blocks: bytes as read.
-        name: of the source, for errors.
-        is_growing: whether the source may end in the middle of a line that is being written.
-        is_stopped: asked at the end, whether it is one only because the user wanted no more.
-        max_bytes: the most bytes of text that wait to be read.
-
-    Yields:
-        Tables of consecutive rows with equal columns, the first of `HEAD_ROWS` rows if there are so
-        many; then one without rows, whose warnings report all that was wrong.
+    Yield tables of consecutive rows with equal columns, the first of `HEAD_ROWS` rows if there are
+    so many; then one without rows, whose warnings report all that was wrong. A source that grows
+    may end in the middle of a line that is being written; one that was stopped ended only because
+    the user wanted no more. `name` stands in errors.
     """
     lines, rows = TextLines(blocks), _CsvRows()
     is_first, read_until = True, 0

@@ -1,8 +1,5 @@
 """What this package raises, and the limits that every format shares."""
 
-import errno
-import os
-import stat
 from collections.abc import Iterator
 from contextlib import contextmanager
 from importlib import import_module
@@ -85,12 +82,6 @@ def readable_path(path: str | Path) -> Path:
     """
     path = Path(path)
     with file_errors(path):
-        try:
-            mode = os.stat(path).st_mode
-        except OSError as error:
-            if error.errno == errno.ENAMETOOLONG:
-                raise
-            return path
-    if not (stat.S_ISREG(mode) or stat.S_ISDIR(mode) or stat.S_ISFIFO(mode)):
-        raise FileAccessError(f"cannot read {path}: it is neither a file, a folder nor a pipe")
+        if path.exists() and not (path.is_file() or path.is_dir() or path.is_fifo()):
+            raise FileAccessError(f"cannot read {path}: it is neither a file, a folder nor a pipe")
     return path

@@ -13,12 +13,7 @@ from dataclasses import dataclass
 from itertools import chain
 from pathlib import Path
 
-from needleforce.recordings.errors import (
-    FileAccessError,
-    FormatError,
-    file_errors,
-    readable_path,
-)
+from needleforce.recordings.errors import FileAccessError, FormatError, file_errors, readable_path
 
 BLOCK = 1 << 18
 """The most bytes that are read, or unpacked, at a time."""
@@ -55,11 +50,8 @@ def byte_blocks(
 ) -> Iterator[bytes]:
     """Read a file, or standard input if None; whoever waits for more gets at once what there is.
 
-    With pauses, an empty block says each time that more is now waited for.
-
-    Raises:
-        FileAccessError: the file cannot be read, or was shortened or rewritten while it was
-            followed.
+    With pauses, an empty block says each time that more is now waited for. `FileAccessError` if the
+    file cannot be read, or was shortened or rewritten while it was followed.
     """
     with file_errors("standard input" if path is None else path):
         if path is not None:
@@ -114,9 +106,19 @@ def _require_unchanged(handle: int, path: Path | None, done: int, tail: bytes | 
         raise FileAccessError(f"{path} was written anew while it was followed; start again")
 
 
+BINARY = {b"\x89MCA": ".mcap", b"SQLi": ".db3", b"PK\x03\x04": ".npz", b"PAR1": ".parquet"}
+"""How files begin that are no text, and their suffixes."""
+
+
+def head_of(blocks: Iterable[bytes]) -> tuple[bytes, Iterator[bytes]]:
+    """Return the first four bytes, if there are so many, and all blocks."""
+    blocks, head = iter(blocks), b""
+    while len(head) < 4 and (more := next(blocks, b"")):
+        head += more
+    return head[:4], chain([head] if head else [], blocks)
+
+
 _GZIP = b"\x1f\x8b"
-_BINARY = {b"\x89MCA": "MCAP", b"SQLi": "SQLite", b"PK\x03\x04": "npz", b"PAR1": "Parquet"}
-_MAGIC_BYTES = 4
 _GZIP_WINDOW = 31  # for zlib: the largest window, with the head and the checksum of gzip
 _LONGEST_LINE = 1 << 24  # characters
 _WINDOWS = {0xDC00 + byte: bytes([byte]).decode("cp1252", "replace") for byte in range(128, 256)}
@@ -131,7 +133,7 @@ class TextLines:
     """
 
     def __init__(self, blocks: Iterable[bytes]) -> None:
-        self._blocks = iter(blocks)
+        self._blocks = blocks
         decoder = codecs.getincrementaldecoder("utf-8-sig")("surrogateescape")
         self._decoder = io.IncrementalNewlineDecoder(decoder, translate=True)
         self._count, self._fault, self._is_blank = 0, "", True
@@ -172,12 +174,10 @@ class TextLines:
             self.warnings.remove(self._fault)
 
     def _unpacked(self) -> Iterator[bytes]:
-        head = b""
-        while len(head) < _MAGIC_BYTES and (more := next(self._blocks, b"")):
-            head += more
-        if (kind := _BINARY.get(head[:_MAGIC_BYTES])) is not None:
+        head, blocks = head_of(self._blocks)
+        if head in BINARY:
+            kind = BINARY[head][1:]
             raise FormatError(f"it is {kind}, not text; give it as a file, under its own suffix")
-        blocks = chain([head] if head else [], self._blocks)
         yield from self._gunzipped(blocks) if head.startswith(_GZIP) else blocks
 
     def _gunzipped(self, blocks: Iterable[bytes]) -> Iterator[bytes]:

@@ -246,11 +246,7 @@ class LogStream:
     def __iter__(self) -> Iterator[LogChunk]:
         """Yield the rows; the first chunk has 200, if there are so many.
 
-        Raises:
-            RecordingError: see `stream_tables`.
-            ColumnError: time, a required or a mapped channel was not found, or is ambiguous.
-            MappingError: a channel name is unknown, or a scale does not fit its columns.
-            LogError: the channels do not form a log; what only the end shows is reported there.
+        Raises as `read_log`; what only the end shows is reported there.
         """
         head = next(self._tables)
         self._report(head.warnings)

@@ -66,10 +66,8 @@ def parse_column_spec(text: str, channel: Channel) -> ColumnSpec:
     """Read the short form of the command line: `NAMES[:UNIT][:SCALE]`, as in `fz:N:-1`.
 
     `NAMES` is a name, a pattern or a list separated by commas. What follows a colon counts as
-    scale or unit only if it is one, since column names may hold colons themselves.
-
-    Raises:
-        MappingError: no column is named, or the scale is zero or not finite.
+    scale or unit only if it is one, since column names may hold colons themselves. `MappingError`
+    if no column is named, or the scale is zero or not finite.
     """
     names, unit, scale = text, None, 1.0
     head, colon, tail = names.rpartition(":")
@@ -202,14 +200,10 @@ def read_toml(path: str | Path, what: str) -> dict[str, Any]:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class ChannelRequest:
-    """Channels, and which columns they are; a format that holds much reads only that.
+    """Channels, and which columns they are, see `read_log`; a bag is read only for that.
 
-    Attributes:
-        mapping: see `read_log`.
-        required: see `read_log`.
-        optional: see `read_log`.
-        joints: the robot's joints in its order; a recording that names joints, and has all of
-            these, is put into this order. `mapping.joints` goes before.
+    A recording that has all of the robot's joints by name is put into their order, or into that of
+    `mapping.joints`, if it has some.
     """
 
     mapping: ColumnMapping = field(default_factory=ColumnMapping)

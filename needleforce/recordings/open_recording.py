@@ -3,7 +3,9 @@
 import json
 from collections.abc import Iterable, Iterator, Sequence
 from contextlib import suppress
+from dataclasses import replace
 from pathlib import Path
+from tempfile import TemporaryDirectory
 
 from needleforce.recordings.bag_messages import BAG_SUFFIXES, is_bag
 from needleforce.recordings.bag_reader import Bag, bag_tables, survey
@@ -14,17 +16,20 @@ from needleforce.recordings.errors import (
     MAX_BYTES,
     ColumnError,
     FileAccessError,
+    RecordingError,
     file_errors,
     readable_path,
+    require_size,
 )
-from needleforce.recordings.follow import STANDARD_STREAM, FollowOptions, byte_blocks
+from needleforce.recordings.follow import (
+    BINARY,
+    STANDARD_STREAM,
+    FollowOptions,
+    byte_blocks,
+    head_of,
+)
 from needleforce.recordings.log import Log, LogStream
-from needleforce.recordings.mapping import (
-    ChannelRequest,
-    ColumnMapping,
-    comment_line,
-    mapping_text,
-)
+from needleforce.recordings.mapping import ChannelRequest, ColumnMapping, comment_line, mapping_text
 from needleforce.recordings.table import Table, joined_tables
 
 CHUNK_ROWS = 2048
@@ -108,11 +113,12 @@ def stream_tables(
     """Read a recording as it comes, so that memory stays bounded (but for npz and Parquet).
 
     Args:
-        source: a file, see `read_table`, or `-` for standard input: CSV, plain or compressed.
+        source: a file, see `read_table`, or `-` for standard input: CSV, plain or compressed, as
+            it comes; any other format, told by how it begins, when all of it has come.
         options: how long more is waited for; any source is left when it says to stop.
         request: what is read of a bag; of other sources everything is.
         max_bytes: the most memory that the rows of one table may take, or a file that is read as
-            a whole.
+            a whole; and the most bytes that come through a pipe, if it is no text.
 
     Yields:
         Tables of consecutive rows with equal columns, the first with `HEAD_ROWS` rows at least,
@@ -123,20 +129,37 @@ def stream_tables(
             MCAP (`FileAccessError`).
     """
     path = None if str(source) == STANDARD_STREAM else readable_path(source)
-    if path is not None and not is_text(path):
+    is_pipe = path is None or path.is_fifo()
+    if not is_pipe and not path.name.lower().endswith(CSV_SUFFIXES):
         for table in _binary_tables(path, options, request, max_bytes):
             yield table
             if options.should_stop() and not options.follow:
                 return
         return
     name = "standard input" if path is None else str(path)
+    head, blocks = head_of(byte_blocks(path, options))
+    if is_pipe and head in BINARY:
+        # It is not read in the order of its bytes.
+        with TemporaryDirectory() as folder:
+            copy = Path(folder) / f"{Path(name).name}{BINARY[head]}"
+            _copy(blocks, copy, name, max_bytes)
+            whole = replace(options, follow=False)
+            try:
+                yield from stream_tables(copy, whole, request, max_bytes=max_bytes)
+            except RecordingError as error:
+                raise type(error)(str(error).replace(str(copy), name)) from error
+        return
     growth = {"is_growing": options.follow, "is_stopped": options.should_stop}
-    yield from csv_tables(byte_blocks(path, options), name, **growth, max_bytes=max_bytes)
+    yield from csv_tables(blocks, name, **growth, max_bytes=max_bytes)
 
 
-def is_text(path: Path) -> bool:
-    """Return whether a path is read as CSV: by its suffix, or because it is a pipe."""
-    return path.name.lower().endswith(CSV_SUFFIXES) or path.is_fifo()
+def _copy(blocks: Iterable[bytes], path: Path, name: str, max_bytes: int) -> None:
+    size = 0
+    with file_errors(path, "write"), path.open("wb") as file:
+        for block in blocks:
+            size += len(block)
+            require_size(size, max_bytes, f"{name}: what comes through it")
+            file.write(block)
 
 
 def _binary_tables(
@@ -179,15 +202,9 @@ def suggest_mapping(
 ) -> str:
     """Return a mapping of a recording as TOML to be edited, with what else there is as comments.
 
-    Args:
-        source: see `stream_tables`.
-        channels: the channels that are looked for, apart from time.
-        mapping: what is known already; only what it does not say is looked for.
-        joints: the robot's joints in its order.
-        payload: lines that say what hangs on the robot.
-
-    Raises:
-        RecordingError: see `read_table`; or the mapping names a column that is not there.
+    Channels, apart from time, are looked for where the known mapping does not say which columns
+    they are; joints are the robot's, and lines of the payload say what hangs on it. Raises as
+    `read_table`; `ColumnError` if the mapping names a column that is not there.
     """
     known, names = mapping or ColumnMapping(), list(channels)
     title = f"Mapping of {Path(source).name}; edit it, then: --mapping FILE"

@@ -107,22 +107,16 @@ def joined_tables(tables: Iterable[Table], max_bytes: int) -> Table:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Labels:
-    """Names that go with the columns of a table that is written.
+    """What goes with the columns of a table that is written.
 
-    Bags carry all of them, the other formats `start_ns`, if it is not zero.
-
-    Attributes:
-        start_ns: the instant of t_s = 0 on the clock of the source, in ns; a log read from a bag
-            has it, and the bag written from it then has the source's stamps, to the nanosecond.
-        joint_names: in the order of the columns of `q_rad`, `dq_rad_s` and `tau_Nm`.
-        frame: the frame in which forces are given.
-        prefix: how the topics of a bag begin that hold estimates.
+    Bags carry all of it, the other formats `start_ns`, see `Table`, if it is not zero. A bag
+    written from a log that was read from one has the source's stamps, to the nanosecond.
     """
 
     start_ns: int = 0
-    joint_names: tuple[str, ...] = ()
-    frame: str = ""
-    prefix: str = "/needleforce"
+    joint_names: tuple[str, ...] = ()  # in the order of the columns of joint signals
+    frame: str = ""  # in which forces are given
+    prefix: str = "/needleforce"  # how the topics of a bag begin that hold estimates
 
 
 def checked_columns(columns: Mapping[str, ArrayLike]) -> Columns:
@@ -201,13 +195,10 @@ def exceed_float64(values: np.ndarray) -> bool:
 def interpolate(
     at_ns: NDArray[np.int64], stamps_ns: NDArray[np.int64], values: FloatArray, limit_ns: float
 ) -> FloatArray:
-    """Interpolate linearly; where stamps agree, the values are taken as they are.
+    """Interpolate values (m, k) linearly; where stamps agree, they are taken as they are.
 
-    Args:
-        at_ns: where values are wanted, shape (n,).
-        stamps_ns: where they are known, shape (m,), in any order.
-        values: shape (m, k).
-        limit_ns: between stamps further apart than this the result is NaN, as outside them.
+    They are known at stamps in any order; where these are further apart than the limit the result
+    is NaN, as outside them.
     """
     if not stamps_ns.size:
         return np.full((at_ns.size, values.shape[1]), np.nan)
