@@ -24,6 +24,7 @@ from benchmarks.targets import (
     PUBLISHED_RMSE_N,
     TARGETS,
     Comparison,
+    Headline,
     TABLE_ONE_Ns_per_m,
     evaluate,
 )
@@ -148,7 +149,7 @@ class Column(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
         if self.is_fraction:
             middle, worst = values.mean(), values.min()
         found = f"{middle:{self.form}} "
-        if self.has_interval:
+        if self.has_interval and values.nunique() > 1:
             rng = np.random.default_rng(INTERVAL_SEED)
             low, high = interval(values, seeds, rng, is_mean=self.is_fraction)
             found += f"[{low:{self.form}}, {high:{self.form}}] "
@@ -366,23 +367,12 @@ def summary_table(rows: Sequence[Row]) -> ResultTable:
         wanted = wanted[wanted["scenario"].isin(GROUPS.get(line.scenarios, (line.scenarios,)))]
         if wanted.empty:
             continue
-        kind = metric(line.metric)
-        cells, errors, worst = [], [], ""
-        for method in SUMMED:
-            mine = select(wanted, method=method)
-            column = Column("", line.form, is_fraction=kind.best == 1.0, has_interval=True)
-            text, _, worst = column.cell(mine).partition(" (")
-            cells.append(text)
-            # Of no number at all nothing can be worse.
-            error = abs(float(mine["value"].median()) - kind.best)
-            errors.append(error if math.isfinite(error) else math.inf)
+        cells, is_better = _compared(line, wanted)
         is_met = met.get((line.metric, line.source, line.plant))
         runs = str((wanted["method"] == "default").sum())
         where = f"{line.scenarios}, {line.plant}"
-        cells.append(worst.rstrip(")"))
         mark = NOTHING if is_met is None else met_mark(is_met)
-        badness = (is_met is not False, errors[-1] < min(errors[:-1]))
-        lines.append((badness, (line.what, where, *cells, runs, mark)))
+        lines.append(((is_met is not False, is_better), (line.what, where, *cells, runs, mark)))
     lines.sort(key=lambda item: item[0])
     return ResultTable(
         title="Results",
@@ -393,10 +383,25 @@ def summary_table(rows: Sequence[Row]) -> ResultTable:
         align="LLrrrrrL",
         lines=tuple(line for _, line in lines),
         caption="Virtual force sensor on a simulated arm, but for `liver-real`, a recording of "
-        "real tissue. Several runs: median, of fractions mean, with its 95 % bootstrap interval "
-        "over seeds (of fewer than five seeds, over runs). As run, best K: the published method "
-        "with commanded speed, its threshold and gain chosen for each run.",
+        "real tissue. Several runs: median, of fractions mean [95 % bootstrap interval over seeds; "
+        "of fewer than five, over runs]. As run, best K: the published method with commanded "
+        "speed, its threshold and gain chosen for each run.",
     )
+
+
+def _compared(line: Headline, wanted: Frame) -> tuple[list[str], bool]:
+    """Cells of all methods, the worst run of ours, and whether ours is better than the others."""
+    kind = metric(line.metric)
+    column = Column("", line.form, is_fraction=kind.best == 1.0, has_interval=True)
+    cells, errors, worst = [], [], ""
+    for method in SUMMED:
+        mine = select(wanted, method=method)
+        text, _, worst = column.cell(mine).partition(" (")
+        cells.append(text)
+        # Of no number at all nothing can be worse.
+        error = abs(float(mine["value"].median()) - kind.best)
+        errors.append(error if math.isfinite(error) else math.inf)
+    return [*cells, worst.rstrip(")")], errors[-1] < min(errors[:-1])
 
 
 def results_page(rows: Sequence[Row], command: str) -> str:

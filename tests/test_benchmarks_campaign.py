@@ -6,11 +6,13 @@ import threading
 import time
 from contextlib import contextmanager
 
+import numpy as np
 import pytest
 from campaign_jobs import ANSWERS, fatal, squares
 
 from benchmarks import campaign, campaign_workers, runner
 from benchmarks.benchmark import Benchmark, Findings
+from benchmarks.campaign_intervals import interval
 from benchmarks.campaign_workers import Workers, answers
 from benchmarks.cli import main
 from benchmarks.rows import Measurement, read_results
@@ -123,3 +125,26 @@ def test_a_cluster_that_is_not_there_is_one_line(jobs_done, monkeypatch, capsys)
     monkeypatch.setattr(campaign_workers, "CONNECT_S", 0.5)
     assert main(["run", "--cluster", "tcp://127.0.0.1:9"]) == 2
     assert "error: no Dask scheduler at tcp://127.0.0.1:9" in capsys.readouterr().err
+
+
+def test_an_interval_covers_the_middle_and_draws_seeds_where_there_are_enough():
+    rng = np.random.default_rng(1)
+    inside = 0
+    for _ in range(200):
+        values = rng.normal(size=40)
+        low, high = interval(values, np.arange(40), np.random.default_rng(0), is_mean=True)
+        inside += low <= 0.0 <= high
+    assert 0.89 <= inside / 200 <= 0.98
+    # Runs of one seed that are all alike tell no more than one of them.
+    seeds, by_seed = np.repeat(np.arange(8), 12), np.repeat(rng.normal(size=8), 12)
+    widths = [
+        np.ptp(interval(by_seed, each, np.random.default_rng(0), is_mean=True))
+        for each in (seeds, np.arange(96), seeds % 2)
+    ]
+    assert widths[0] > 2.0 * widths[1]
+    assert widths[1] == widths[2]
+    again = interval(by_seed, seeds, np.random.default_rng(0), is_mean=False)
+    assert again == interval(by_seed, seeds, np.random.default_rng(0), is_mean=False)
+    # A seed that lacks some runs.
+    low, high = interval(by_seed[5:], seeds[5:], np.random.default_rng(0), is_mean=False)
+    assert by_seed.min() <= low < high <= by_seed.max()

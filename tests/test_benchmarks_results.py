@@ -4,37 +4,26 @@ import json
 import math
 import re
 
-import numpy as np
 import pytest
 from benchmark_cases import TEMPLATE, make_row
 from hypothesis import given
 from hypothesis import strategies as st
 
 from benchmarks import ResultsError
-from benchmarks.campaign_intervals import interval
 from benchmarks.cli import main
 from benchmarks.rows import METRICS, metric, read_merged, read_results, to_json, write_results
 from benchmarks.runner import BENCHMARKS
 from benchmarks.tables import (
     BEGIN,
     END,
+    HEADLINES,
     TABLES,
     result_tables,
     summary_block,
     summary_table,
     target_table,
 )
-from benchmarks.targets import (
-    GELS,
-    HEADLINES,
-    STACKS,
-    TARGETS,
-    TISSUE,
-    Change,
-    Target,
-    compare_rows,
-    evaluate,
-)
+from benchmarks.targets import GELS, STACKS, TARGETS, TISSUE, Change, Target, compare_rows, evaluate
 
 
 def test_rows_survive_the_way_through_a_file_of_the_documented_schema(tmp_path):
@@ -119,29 +108,6 @@ def test_the_force_table_shows_ratio_published_figure_and_targets_the_missed_fir
     assert [line[-1] for line in good] == ["met", "–"]
     rows = [make_row(value=0.11), make_row(value=0.12, method="published")]
     assert [line[4] for line in target_table(rows).lines] == ["missed", "met"]
-
-
-def test_an_interval_covers_the_middle_and_draws_seeds_where_there_are_enough():
-    rng = np.random.default_rng(1)
-    inside = 0
-    for _ in range(200):
-        values = rng.normal(size=40)
-        low, high = interval(values, np.arange(40), np.random.default_rng(0), is_mean=True)
-        inside += low <= 0.0 <= high
-    assert 0.89 <= inside / 200 <= 0.98
-    # Runs of one seed that are all alike tell no more than one of them.
-    seeds, by_seed = np.repeat(np.arange(8), 12), np.repeat(rng.normal(size=8), 12)
-    widths = [
-        np.ptp(interval(by_seed, each, np.random.default_rng(0), is_mean=True))
-        for each in (seeds, np.arange(96), seeds % 2)
-    ]
-    assert widths[0] > 2.0 * widths[1]
-    assert widths[1] == widths[2]
-    again = interval(by_seed, seeds, np.random.default_rng(0), is_mean=False)
-    assert again == interval(by_seed, seeds, np.random.default_rng(0), is_mean=False)
-    # A seed that lacks some runs.
-    low, high = interval(by_seed[5:], seeds[5:], np.random.default_rng(0), is_mean=False)
-    assert by_seed.min() <= low < high <= by_seed.max()
 
 
 def clean_rows():
