@@ -10,8 +10,9 @@ import csv
 import math
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from pathlib import Path
+from sys import intern
 from types import MappingProxyType
-from typing import Any, Literal, NamedTuple
+from typing import Literal, NamedTuple
 
 import msgspec
 
@@ -62,6 +63,7 @@ class Row(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True)
 
 
 NAMES = Row.__struct_fields__
+TEXTS = tuple(name for name in NAMES if name not in ("seed", "value"))
 SCHEMA = 1
 SIGNIFICANT_DIGITS = 6
 """More would only record rounding."""
@@ -89,9 +91,16 @@ def write_results(path: str | Path, rows: Iterable[Row]) -> None:
         raise ResultsError(str(error)) from error
 
 
+class _Line(Row, frozen=True, kw_only=True):
+    value: float | None  # pyright: ignore[reportIncompatibleVariableOverride]
+
+
 class _File(msgspec.Struct):
     schema: Literal[1]
-    rows: list[dict[str, Any]]
+    rows: list[msgspec.Raw]
+
+
+_decode_line = msgspec.json.Decoder(_Line).decode
 
 
 def read_results(path: str | Path) -> list[Row]:
@@ -102,8 +111,8 @@ def read_results(path: str | Path) -> list[Row]:
             two rows with one key.
     """
     try:
-        items = msgspec.json.decode(Path(path).read_bytes(), type=_File).rows
-        rows = msgspec.convert([_with_nan(item) for item in items], list[Row])
+        lines = msgspec.json.decode(Path(path).read_bytes(), type=_File).rows
+        rows = [_row(_decode_line(line)) for line in lines]
     except OSError as error:
         raise ResultsError(f"cannot read {path}: {error.strerror}") from error
     except msgspec.ValidationError as error:
@@ -118,8 +127,10 @@ def read_results(path: str | Path) -> list[Row]:
     return rows
 
 
-def _with_nan(item: dict[str, Any]) -> dict[str, Any]:
-    return {name: math.nan if value is None else value for name, value in item.items()}
+def _row(line: _Line) -> Row:
+    """A campaign has millions: each text is kept once."""
+    texts = {name: intern(getattr(line, name)) for name in TEXTS}
+    return Row(seed=line.seed, value=math.nan if line.value is None else line.value, **texts)
 
 
 def read_merged(paths: Sequence[str | Path]) -> list[Row]:

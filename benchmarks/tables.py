@@ -83,7 +83,8 @@ class ResultTable:
 
 def frame_of(rows: Iterable[Row]) -> Frame:
     """Rows as a frame, with the ratios that tables show as rows of further metrics."""
-    frame = pd.DataFrame([[getattr(row, n) for n in NAMES] for row in rows], columns=list(NAMES))
+    found = list(rows)
+    frame = pd.DataFrame({name: [getattr(row, name) for row in found] for name in NAMES})
     ours = {"metric": _RMSE, "source": "virtual", "method": "default"}
     ratio = _ratio(frame, "wrench_rmse_ratio", ours, ours | {"method": "published"})
     best_gain = _ratio(frame, "wrench_best_K_ratio", ours, ours | {"method": "published-best-K"})
@@ -185,7 +186,10 @@ class GroupTable(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_field
 
     def __call__(self, rows: Iterable[Row]) -> ResultTable:
         """The table of some rows."""
-        frame = frame_of(rows)
+        return self.of_frame(frame_of(rows))
+
+    def of_frame(self, frame: Frame) -> ResultTable:
+        """The table of the rows of a frame."""
         is_perturbed = frame["scenario"].str.startswith(PERTURBED)
         frame = frame[is_perturbed == self.perturbed]
         names = [n for n, kind in METRICS.items() if self.perturbed or kind.table == self.shows]
@@ -326,7 +330,8 @@ def comparison_table(found: Iterable[Comparison]) -> ResultTable:
 
 def result_tables(rows: Sequence[Row]) -> list[ResultTable]:
     """The tables that these rows have something for."""
-    tables = (*(make(rows) for make in TABLES.values()), target_table(rows))
+    frame = frame_of(rows)
+    tables = (*(make.of_frame(frame) for make in TABLES.values()), target_table(rows))
     return [table for table in tables if table.lines]
 
 
