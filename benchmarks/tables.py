@@ -84,7 +84,8 @@ class ResultTable:
 def frame_of(rows: Iterable[Row]) -> Frame:
     """Rows as a frame, with the ratios that tables show as rows of further metrics."""
     found = list(rows)
-    frame = pd.DataFrame({name: [getattr(row, name) for row in found] for name in NAMES})
+    columns = {name: [getattr(row, name) for row in found] for name in NAMES}
+    frame = pd.DataFrame(columns, dtype=None if found else object)
     ours = {"metric": _RMSE, "source": "virtual", "method": "default"}
     ratio = _ratio(frame, "wrench_rmse_ratio", ours, ours | {"method": "published"})
     best_gain = _ratio(frame, "wrench_best_K_ratio", ours, ours | {"method": "published-best-K"})

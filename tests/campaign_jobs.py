@@ -2,7 +2,10 @@
 
 import os
 import signal
+import time
 from pathlib import Path
+
+import numpy as np
 
 
 def square(job):
@@ -30,3 +33,14 @@ def fatal(job):
 
 ANSWERS = {number: None if number == 5 else number**2 for number in range(10)}
 """Of `fatal`."""
+
+
+def quick_job(job, progress=None):
+    """Instead of `run_job`: a tenth of a second, and a number that depends on the seed."""
+    from benchmarks.benchmark import Outcome
+    from benchmarks.rows import Measurement
+
+    time.sleep(0.1)
+    value = float(np.random.default_rng(job.seed).normal())
+    row = Measurement("virtual", "default", "wrench_rmse_N", value)
+    return Outcome(job=job, rows=(row.row(job.benchmark, job.plant, job.seed),))
