@@ -5,6 +5,7 @@ of the ruptures withheld, and with the offset's deviation misstated twofold eith
 """
 
 from collections.abc import Iterator
+from itertools import pairwise
 from pathlib import Path
 from typing import NamedTuple
 
@@ -31,33 +32,43 @@ CASES = {
 }
 
 
+class Event(NamedTuple):
+    """A rupture that the session reported, or took back."""
+
+    tip_m: float  # below the surface, at the alarm
+    depth_m: float  # of the rupture
+    layer: int  # into which it led, -1 for a false alarm
+    is_retracted: bool
+
+
 class Found(NamedTuple):
     """The ruptures of one insertion."""
 
-    boundaries_m: np.ndarray  # true, below the surface
-    depths_m: list[float]  # of the ruptures reported
-    layers: list[int]  # into which each led, -1 for a false alarm
+    boundaries_m: np.ndarray  # true, below the surface, the surface first
+    events: list[Event]
 
 
 def ruptures_of(seed: int) -> Found:
     """Push a needle through a drawn stack, and collect what the session reports."""
     run = simulate(scenario(RANDOM_STACK, seed), "clean", seed)
     session, true = InsertionSession(run.robot), run.truth
-    tare, zero, depths = int(np.searchsorted(run.signals.t_s, run.tare_end_s)), 0.0, []
+    tare, zero, events = int(np.searchsorted(run.signals.t_s, run.tare_end_s)), 0.0, []
     for k, row in enumerate(JointSignals.of_run(run).samples()):
         now = session.update(*row)
         if k == tare:
             session.tare()
             zero = float(true.depth_m[k])
-        elif k > tare and (rupture := now.identification.rupture) is not None:
-            depths.append(rupture.depth_m + zero)
-    layers = []
-    for depth in depths:
-        near = min(true.ruptures, key=lambda one: abs(one.onset_m - depth), default=None)
-        is_same = near is not None and abs(near.onset_m - depth) < SAME_m
-        layers.append(near.layer if near is not None and is_same else -1)
+        found = now.identification
+        for rupture in (found.rupture, found.retracted):
+            if k > tare and rupture is not None:
+                depth = rupture.depth_m + zero
+                near = min(true.ruptures, key=lambda one: abs(one.onset_m - depth), default=None)
+                is_same = near is not None and abs(near.onset_m - depth) < SAME_m
+                layer = near.layer if near is not None and is_same else -1
+                is_retracted = rupture is found.retracted
+                events.append(Event(now.depth_m + zero, depth, layer, is_retracted))
     thickness = [layer.thickness_m for layer in run.scenario.layers]
-    return Found(np.cumsum(thickness), depths, layers)
+    return Found(np.cumsum([0.0, *thickness]), events)
 
 
 def measure(seed: int, data: Path | None, progress: Progress) -> Iterator[Figure]:
@@ -91,23 +102,23 @@ def _matched(
 ) -> None:
     """Match one insertion with a plan that is drawn, and append what came of it."""
     offset = OFFSET_STD_m * float(rng.normal())
-    planned = one.boundaries_m - offset + BOUNDARY_STD_m * rng.normal(size=len(one.boundaries_m))
-    edges = np.concatenate(([0.0], planned, [planned[-1] + 0.05]))
+    edges = one.boundaries_m - offset + BOUNDARY_STD_m * rng.normal(size=len(one.boundaries_m))
     if (np.diff(edges) <= 5e-4).any():
         return
     layers = [
-        Layer(str(k), edges[k], edges[k + 1], BOUNDARY_STD_m * (k > 0), BOUNDARY_STD_m, False)
-        for k in range(len(edges) - 1)
+        Layer(str(k), start, end, BOUNDARY_STD_m, BOUNDARY_STD_m, False)
+        for k, (start, end) in enumerate(pairwise([*edges, edges[-1] + 0.05]))
     ]
-    match, count, last = PlanMatch(layers, stated * OFFSET_STD_m), 0, -np.inf
-    for depth, layer in zip(one.depths_m, one.layers, strict=True):
-        if rng.random() < withheld:
+    match, ruptures = PlanMatch(layers, stated * OFFSET_STD_m), []
+    for event in one.events:
+        if event.is_retracted:
+            ruptures = [depth for depth in ruptures if depth != event.depth_m]
+        if event.is_retracted or rng.random() < withheld:
             continue
-        last = max(depth, last)
-        state = match.add(last)
-        count += 1
-        low, high = match.interval_m(last)
-        results[1].append(state.matched == layer)
+        ruptures.append(event.depth_m)
+        state = match.state(event.tip_m, ruptures)
+        low, high = match.interval_m(event.tip_m, ruptures)
+        results[1].append(state.matched == event.layer)
         results[2].append(low <= offset <= high)
-        if count == 3:
+        if len(ruptures) == 3:
             results[0].append(state.offset_m - offset)

@@ -16,8 +16,8 @@ import msgspec
 import numpy as np
 
 from groundtruth import PLANT_MODELS, Motion, PlantModel, Scenario
-from groundtruth.disturbances import ElbowPush, LateralForce, TissueMotion
 from groundtruth.motion import Move, protocol
+from groundtruth.scenarios import ElbowPush, LateralForce, TissueMotion
 from groundtruth.variations import TissueVariation, random_variation
 
 Rng = np.random.Generator

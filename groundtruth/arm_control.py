@@ -8,15 +8,12 @@ from dataclasses import dataclass
 
 import numpy as np
 import pinocchio as pin
-from numpy.typing import NDArray
 
 from groundtruth.arm_motion import JointMotion
 from groundtruth.arm_plant import ArmPlant
-from groundtruth.errors import PlantError
+from groundtruth.errors import Array, PlantError
 from groundtruth.plant_model import TICK_s
 from groundtruth.tissue import TissueForce
-
-Array = NDArray[np.float64]
 
 BANDWIDTH_rad_s = 200.0
 """Natural frequency of the loop, critically damped: stiff enough that the few newtons of a rupture
@@ -83,7 +80,11 @@ def drive(
         velocity_error = motion.dq_rad_s[k] - plant.dq_rad_s
         torque = _joint_torque(error, velocity_error, mass[k // MASS_TICKS], ahead)
         if k % _REPORT_TICKS == 0:
-            _check_tracking(error, k)
+            if not (worst := np.abs(error).max()) < _MAX_POSITION_ERROR_rad:
+                raise PlantError(
+                    f"a joint is {worst:.3g} rad off its motion at tick {k}, expected less than "
+                    f"{_MAX_POSITION_ERROR_rad}; use softer tissue or a slower motion"
+                )
             progress(k / ticks)
         trace.q_rad[k], trace.dq_rad_s[k], trace.tau_Nm[k] = plant.q_rad, plant.dq_rad_s, torque
         trace.axial_jacobian[k], trace.depth_m[k] = plant.axial_jacobian, plant.depth_m
@@ -123,12 +124,3 @@ def _joint_torque(error_rad: Array, error_rad_s: Array, mass: Array, ahead_Nm: A
     acceleration = (BANDWIDTH_rad_s * BANDWIDTH_rad_s) * error_rad
     acceleration += (2.0 * BANDWIDTH_rad_s) * error_rad_s
     return ahead_Nm + mass @ acceleration
-
-
-def _check_tracking(error_rad: Array, tick: int) -> None:
-    worst = np.abs(error_rad).max()
-    if not worst < _MAX_POSITION_ERROR_rad:
-        raise PlantError(
-            f"a joint is {worst:.3g} rad off its motion at tick {tick}, expected less than "
-            f"{_MAX_POSITION_ERROR_rad}; use softer tissue or a slower motion"
-        )

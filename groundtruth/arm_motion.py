@@ -4,15 +4,12 @@ from dataclasses import dataclass
 
 import numpy as np
 import pinocchio as pin
-from numpy.typing import NDArray
 from scipy.interpolate import BSpline, make_interp_spline
 
-from groundtruth.errors import PathError
+from groundtruth.errors import Array, PathError
 from groundtruth.plant_model import TICK_s
 from groundtruth.scenarios import Scenario
 from urdf import Robot
-
-Array = NDArray[np.float64]
 
 LWR_POSTURE_rad = (0.2, 0.4, 0.3, -1.5, -0.2, 1.2, 0.1)
 """Where every run of the LWR starts, once `needle_down` has made it exactly vertical: elbow

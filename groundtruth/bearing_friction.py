@@ -16,11 +16,9 @@ de Wit et al. 1995) holds a joint at rest elastically, for ever, up to the peak.
 """
 
 import numpy as np
-from numpy.typing import NDArray
 
+from groundtruth.errors import Array
 from groundtruth.plant_model import PlantModel, drawn_factors
-
-Array = NDArray[np.float64]
 
 STRIBECK_PEAK = 1.5
 """Friction at the onset of sliding over that of fast sliding. Chosen; with it one Coulomb level

@@ -1,6 +1,15 @@
-"""Errors of the ground truth: one base, each leaf also a builtin, so that both can be caught."""
+"""Errors of the ground truth: one base, each leaf also a builtin, so that both can be caught.
+
+And the checks of numbers that raise them.
+"""
 
 import math
+from typing import TypeAlias
+
+import numpy as np
+from numpy.typing import NDArray
+
+Array: TypeAlias = NDArray[np.float64]
 
 
 class GroundTruthError(Exception):
@@ -37,6 +46,11 @@ class PathError(GroundTruthError, ValueError):
 
 class PlantError(GroundTruthError, RuntimeError):
     """The simulated arm cannot run, or has left its commanded motion."""
+
+
+def fields_of(owner: object, names: str) -> dict[str, float]:
+    """Numbers of an object by name, as the checks below take them."""
+    return {name: getattr(owner, name) for name in names.split()}
 
 
 def require_positive(error: type[GroundTruthError], **values: float) -> None:

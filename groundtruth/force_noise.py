@@ -3,12 +3,9 @@
 from dataclasses import asdict, dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.signal import lfilter
 
-from groundtruth.errors import NoiseError, require_non_negative
-
-Array = NDArray[np.float64]
+from groundtruth.errors import Array, NoiseError, require_non_negative
 
 
 def coloured(white: Array, period_s: float, correlation_s: float) -> Array:
@@ -52,8 +49,7 @@ class ForceNoise:
         return reading
 
 
-CLEAN = ForceNoise(white_std_N=0.0, drift_std_N_per_s=0.0, step_N=0.0)
-"""A perfect sensor."""
+CLEAN = ForceNoise(white_std_N=0.0, drift_std_N_per_s=0.0, step_N=0.0)  # a perfect sensor
 
 MINI45 = ForceNoise(white_std_N=0.01, drift_std_N_per_s=1.5e-4, step_N=1.0 / 256.0)
 """ATI Mini45 SI-145-5 along z, read at 1 kHz as a driver delivers it: averaged.

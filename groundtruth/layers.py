@@ -7,7 +7,13 @@ from typing import Self
 import numpy as np
 from scipy.special import ndtri
 
-from groundtruth.errors import TissueError, require_fraction, require_non_negative, require_positive
+from groundtruth.errors import (
+    TissueError,
+    fields_of,
+    require_fraction,
+    require_non_negative,
+    require_positive,
+)
 
 CUTTING_ONSET_M = 1e-3
 """Penetration over which the cutting force builds up: about one needle diameter (18G 1.27 mm)."""
@@ -57,12 +63,7 @@ class Membrane:
 
     def __post_init__(self) -> None:
         """Raise `TissueError` naming the value that no membrane can have."""
-        require_positive(
-            TissueError,
-            puncture_N=self.puncture_N,
-            indentation_m=self.indentation_m,
-            release_m=self.release_m,
-        )
+        require_positive(TissueError, **fields_of(self, "puncture_N indentation_m release_m"))
         require_fraction(TissueError, hardening=self.hardening)
 
     def force_N(self, indentation_m: float) -> float:
@@ -91,18 +92,9 @@ class ShaftFriction:
 
     def __post_init__(self) -> None:
         """Raise `TissueError` naming the value that no friction can have."""
-        require_non_negative(
-            TissueError,
-            coulomb_N_per_m=self.coulomb_N_per_m,
-            viscous_Ns_per_m2=self.viscous_Ns_per_m2,
-        )
-        require_positive(
-            TissueError,
-            presliding_m=self.presliding_m,
-            reference_speed_m_s=self.reference_speed_m_s,
-            speed_exponent=self.speed_exponent,
-            length_exponent=self.length_exponent,
-        )
+        positive = "presliding_m reference_speed_m_s speed_exponent length_exponent"
+        require_positive(TissueError, **fields_of(self, positive))
+        require_non_negative(TissueError, **fields_of(self, "coulomb_N_per_m viscous_Ns_per_m2"))
 
     @classmethod
     def calibrated(
@@ -181,20 +173,11 @@ class Layer:
         A layer must be thicker than its membrane's indentation, its cutting onset and the releases
         at both its ends.
         """
-        require_positive(
-            TissueError,
-            thickness_m=self.thickness_m,
-            exit_force_N=self.exit_force_N,
-            release_m=self.release_m,
-            tip_exponent=self.tip_exponent,
-        )
+        positive = "thickness_m exit_force_N release_m tip_exponent"
+        fractions = "kept_fraction cutting_fraction relaxed_fraction"
+        require_positive(TissueError, **fields_of(self, positive))
         require_non_negative(TissueError, stiffening=self.stiffening)
-        require_fraction(
-            TissueError,
-            kept_fraction=self.kept_fraction,
-            cutting_fraction=self.cutting_fraction,
-            relaxed_fraction=self.relaxed_fraction,
-        )
+        require_fraction(TissueError, **fields_of(self, fractions))
         taken = self.entry_m + CUTTING_ONSET_M + self.release_m
         if self.membrane is not None:
             taken += self.membrane.release_m
@@ -230,7 +213,7 @@ class Layer:
         return max(force + inside * self.texture.force_N(penetration_m), 0.0)
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
+@dataclass(frozen=True, slots=True)
 class Interface:
     """The boundary above a layer, or behind the last one.
 
@@ -282,15 +265,6 @@ def interfaces(layers: tuple[Layer, ...]) -> tuple[Interface, ...]:
         kept = 0.0
         if i and below is not None:
             kept = layers[i - 1].kept_fraction * layers[i - 1].exit_force_N / drop
-        found.append(
-            Interface(
-                depth_m=depth,
-                onset_m=onset,
-                release_m=release,
-                drop_N=drop,
-                membrane=membrane,
-                kept_fraction=kept,
-            )
-        )
+        found.append(Interface(depth, onset, release, drop, membrane, kept))
         depth += 0.0 if below is None else below.thickness_m
     return tuple(found)

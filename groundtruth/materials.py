@@ -31,30 +31,24 @@ TABLE_I_SPEED_M_S = 2.3e-3
 """The paper's constant speed for single gels and liver: where gel friction is Table I's."""
 TABLE_I_FRICTION_NS_PER_M = {25: 113.0, 50: 283.0, 70: 534.0}
 """B d of each gel (isinglass per cent), offline column."""
-GEL_THICKNESS_M = {25: 28.2e-3, 50: 37.7e-3, 70: 32.2e-3}
-"""Measured by the authors."""
+GEL_THICKNESS_M = {25: 28.2e-3, 50: 37.7e-3, 70: 32.2e-3}  # measured by the authors
 GEL_TIP_FORCE_N = {25: 0.30, 50: 0.75, 70: 1.40}
 """At the far end of the gel; about as much as its friction at 2.3 mm/s, as in Fig. 8."""
 GEL_COULOMB_FRACTION = 0.4
-GEL_PRESLIDING_M = 0.2e-3
-"""A fraction of a needle diameter: gel sticks little to a wet shaft."""
-GEL_RELEASE_M = 0.3e-3
-"""Clean fracture of a brittle gel."""
+GEL_PRESLIDING_M = 0.2e-3  # a fraction of a needle diameter: gel sticks little to a wet shaft
+GEL_RELEASE_M = 0.3e-3  # clean fracture of a brittle gel
 GEL_RELAXED_FRACTION = 0.2
 CUTTING_FRACTION = 0.1
 STIFFENING = 0.1
 
-LIVER_SPEED_M_S = 5e-3
-"""Speed of the recordings the liver friction comes from."""
-LIVER_FRICTION_N_PER_M = 10.6
-"""Median pull-out force per embedded length (de Jong 2017)."""
+LIVER_SPEED_M_S = 5e-3  # speed of the recordings the liver friction comes from
+LIVER_FRICTION_N_PER_M = 10.6  # median pull-out force per embedded length (de Jong 2017)
 ABDOMEN_SPEED_M_S = 6e-3
 """About the speed of the abdomen's sinusoid inside the tissue (4.6 to 7.2 mm/s)."""
 TISSUE_COULOMB_FRACTION = 0.8
 TISSUE_PRESLIDING_M = 0.9e-3
 TISSUE_RELAXED_FRACTION = 0.55
-TISSUE_RELEASE_M = 0.5e-3
-"""Fibrous tissue tears more gradually than gel."""
+TISSUE_RELEASE_M = 0.5e-3  # fibrous tissue ruptures more gradually than gel
 
 
 def _layer(

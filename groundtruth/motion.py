@@ -6,16 +6,14 @@ from itertools import pairwise
 from typing import Literal
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
-from groundtruth.errors import MotionError, require_positive
+from groundtruth.errors import Array, MotionError, fields_of, require_positive
 
 Profile = Literal["rest", "quintic", "cruise", "cosine"]
 """`quintic`: minimum jerk; `cruise`: constant speed between smooth ramps; `cosine`: half a period
 of a sinusoid."""
-Move = tuple[Profile, float, float]
-"""Profile, duration [s] and travel [m] of a stroke."""
-Array = NDArray[np.float64]
+Move = tuple[Profile, float, float]  # profile, duration [s] and travel [m] of a stroke
 
 FIRST_REST_S = 1.0
 TARE_STROKE_M = 100e-3
@@ -25,14 +23,12 @@ TARE_SPEED_M_S = 25e-3
 """Mean speed of the tare stroke: fast enough to excite the arm, slow enough to be safe in air."""
 TURNING_REST_S = 2.0
 LAST_REST_S = 0.5
-RAMP_S = 0.5
-"""Time in which a constant-speed stroke reaches its speed: under 1 mm of travel."""
+RAMP_S = 0.5  # time in which a constant-speed stroke reaches its speed: under 1 mm of travel
 RAMP_FRACTION_MAX = 0.5
-TOLERANCE = 1e-9
-"""Seconds and metres within which two strokes meet."""
+TOLERANCE = 1e-9  # seconds and metres within which two strokes meet
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
+@dataclass(frozen=True, slots=True)
 class Stroke:
     """A stroke from rest to rest; position and speed are continuous, acceleration is bounded."""
 
@@ -45,7 +41,7 @@ class Stroke:
 
     def __post_init__(self) -> None:
         """Raise `MotionError` if the duration or the ramp fraction is out of range."""
-        require_positive(MotionError, duration_s=self.duration_s, ramp_fraction=self.ramp_fraction)
+        require_positive(MotionError, **fields_of(self, "duration_s ramp_fraction"))
         if self.ramp_fraction > RAMP_FRACTION_MAX:
             raise MotionError(
                 f"ramp_fraction is {self.ramp_fraction!r}; two ramps need at most 0.5 each"
@@ -153,16 +149,8 @@ def chain_strokes(
     strokes: list[Stroke] = []
     time, place = 0.0, start_m
     for profile, duration, travel in moves:
-        stroke = Stroke(
-            profile=profile,
-            start_s=time,
-            duration_s=duration,
-            start_m=place,
-            travel_m=travel,
-            ramp_fraction=ramp_fraction,
-        )
-        strokes.append(stroke)
-        time, place = stroke.end_s, stroke.end_m
+        strokes.append(Stroke(profile, time, duration, place, travel, ramp_fraction))
+        time, place = strokes[-1].end_s, strokes[-1].end_m
     return tuple(strokes)
 
 

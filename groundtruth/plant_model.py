@@ -15,8 +15,7 @@ from numpy.typing import NDArray
 from groundtruth.errors import PlantModelError
 from groundtruth.force_noise import MINI45
 
-TICK_s = 1e-3
-"""Period of controller and sensors."""
+TICK_s = 1e-3  # period of controller and sensors
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -46,11 +45,9 @@ class PlantModel:
     """Standard deviation, per joint and axis, of the error of where the estimator's model has the
     joint's frame."""
 
-    kinematic_error_rad: float = 0.0
-    """The same of how that frame is turned."""
+    kinematic_error_rad: float = 0.0  # the same of how that frame is turned
 
-    torque_noise_std_Nm: tuple[float, ...] = (0.0,) * 7
-    """Noise of one sample: 0.03 % of limit."""
+    torque_noise_std_Nm: tuple[float, ...] = (0.0,) * 7  # noise of one sample: 0.03 % of limit
 
     torque_noise_correlation_s: float = 0.0
     """Time constant of that noise, zero for white. The source states the 0.03 % after an 8 Hz
@@ -75,8 +72,7 @@ class PlantModel:
     """Part of the zero, as a fraction of limit, that fades while the sensor warms up; the sign is
     drawn. Chosen: 1e-3 over a minute, some times the 4e-4 in 4 minutes of the sensor above."""
 
-    warm_up_s: float = 60.0
-    """Time constant of that."""
+    warm_up_s: float = 60.0  # time constant of that
 
     torque_ripple: float = 0.0
     """Amplitude, as a fraction of limit, of a ripple periodic in joint position: the elliptic wave
@@ -95,8 +91,7 @@ class PlantModel:
     """Coulomb friction between torque sensor and link, as a fraction of limit, see
     `groundtruth.bearing_friction`. No source states it; calibrated, see `FRI`."""
 
-    joint_viscous_Nms_per_rad: tuple[float, ...] = (0.0,) * 7
-    """Viscous friction there."""
+    joint_viscous_Nms_per_rad: tuple[float, ...] = (0.0,) * 7  # viscous friction there
 
     size_spread: float = 1.0
     """Friction and drift of each joint are drawn within this factor of their stated size."""
@@ -117,8 +112,7 @@ class PlantModel:
     """Error of the time stamps, cut at 0.4 ticks so that they keep their order. 5e-5: stamps taken
     on arrival by a PC without a tuned real-time kernel."""
 
-    ticks_per_sample: int = 1
-    """The interface sends every so many ticks: 1 for 1 kHz, 5 for 200 Hz."""
+    ticks_per_sample: int = 1  # the interface sends every so many ticks: 1 for 1 kHz, 5 for 200 Hz
 
     drop_probability: float = 0.0
     """Probability, at each sample, that a loss begins. 1e-3: UDP through a shared switch."""
@@ -130,8 +124,7 @@ class PlantModel:
     """White noise of one sample of the reference F/T sensor, N and Nm. Along z that of `MINI45`;
     the other axes in proportion to raw samples of one: 20, 19, 50 mN; 0.53, 0.53, 0.50 mNm."""
 
-    ft_noise_correlation_s: float = 0.0
-    """Time constant of that noise, zero for white."""
+    ft_noise_correlation_s: float = 0.0  # time constant of that noise, zero for white
 
     ft_drift_std_per_min: tuple[float, ...] = (0.0,) * 6
     """Standard deviation of its linear drift rate, N/min and Nm/min. Along z that of `MINI45`; the

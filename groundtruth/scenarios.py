@@ -5,27 +5,70 @@ speed and motion within documented ranges, which span what the catalogue and the
 show, with room on both sides, so that nothing can be tuned to a dozen curves.
 """
 
+import math
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from types import MappingProxyType
 
 import numpy as np
+from numpy.typing import ArrayLike
 
-from groundtruth.disturbances import ElbowPush, LateralForce, TissueMotion
-from groundtruth.errors import ScenarioError
+from groundtruth import materials
+from groundtruth.errors import Array, ScenarioError
 from groundtruth.layers import Layer, Membrane, ShaftFriction
-from groundtruth.materials import (
-    GLOVE,
-    TABLE_I_SPEED_M_S,
-    abdominal_fat,
-    abdominal_liver,
-    abdominal_muscle,
-    bovine_liver,
-    gel,
-)
+from groundtruth.materials import TABLE_I_SPEED_M_S, gel
 from groundtruth.motion import Motion, constant_motion, protocol, sinusoidal_motion
 from groundtruth.tissue import Tissue
 from groundtruth.variations import VARIATIONS, TissueVariation, random_variation
+
+# What reaches arm and tissue from outside; no estimator learns of it but through the signals.
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class TissueMotion:
+    """The tissue moves along the needle, as with heart or breath: a sum of waves."""
+
+    waves: tuple[tuple[float, float, float], ...]  # amplitude [m], frequency [Hz], phase [rad]
+
+    def at(self, t_s: ArrayLike) -> tuple[Array, Array]:
+        """Place [m] of the undeformed surface, positive away from the robot, and its speed."""
+        amplitude, frequency, phase = np.array(self.waves).T
+        rate = 2.0 * np.pi * frequency
+        angle = np.multiply.outer(np.asarray(t_s, dtype=np.float64), rate) + phase
+        return np.sin(angle) @ amplitude, np.cos(angle) @ (rate * amplitude)
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class LateralForce:
+    """Tissue pushes the needle aside at its tip: in contact only, across the needle."""
+
+    constant_N: float = 0.0
+    growth_N_per_m: float = 0.0  # with depth
+    direction_rad: float = 0.0  # at the surface, from the tool's x axis towards its y axis
+    turn_rad_per_m: float = 0.0  # of that direction, with depth
+
+    def at(self, depth_m: float) -> tuple[float, float]:
+        """Force on the needle along the tool's x and y axes [N]."""
+        if depth_m <= 0.0:
+            return 0.0, 0.0
+        size = self.constant_N + self.growth_N_per_m * depth_m
+        angle = self.direction_rad + self.turn_rad_per_m * depth_m
+        return size * math.cos(angle), size * math.sin(angle)
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class ElbowPush:
+    """A hand pushes the elbow now and then and lets go: half a sine each time."""
+
+    force_N: tuple[float, float, float]  # the largest, in base axes
+    start_s: tuple[float, ...]  # of each push
+    duration_s: float  # of each
+
+    def at(self, t_s: float) -> Array:
+        """Force on the elbow in base axes [N], shape (3,)."""
+        done = [(t_s - start) / self.duration_s for start in self.start_s]
+        size = sum(math.sin(math.pi * part) for part in done if 0.0 < part < 1.0)
+        return size * np.array(self.force_N)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -54,12 +97,9 @@ class Scenario:
         return sum(layer.thickness_m for layer in self.layers)
 
 
-GLOVE_SPEED_M_S = 3e-3
-"""The paper's speed for the stack with the glove."""
-BEYOND_M = 12e-3
-"""How far a constant-speed insertion goes beyond the last layer."""
-CONSTANT_STANDOFF_M = 5e-3
-"""Room to reach the constant speed before contact."""
+GLOVE_SPEED_M_S = 3e-3  # the paper's speed for the stack with the glove
+BEYOND_M = 12e-3  # how far a constant-speed insertion goes beyond the last layer
+CONSTANT_STANDOFF_M = 5e-3  # room to reach the constant speed before contact
 SINE_STANDOFF_M = 20e-3
 """With A = 70 mm the 70 % gel then ruptures 20.7 s into the stroke; the paper says about 20 s."""
 GEL_STROKE_M, GEL_FREQUENCY_HZ = 70e-3, 0.016
@@ -97,7 +137,7 @@ def _gels_and_stacks() -> list[Scenario]:
         found.append(_constant(name, title, layers, TABLE_I_SPEED_M_S))
         found.append(_sinusoidal(name, title, layers, GEL_STROKE_M))
     bare = (gel(25), gel(50), gel(70))
-    gloved = (gel(25), gel(50, membrane=GLOVE), gel(70, membrane=GLOVE))
+    gloved = (gel(25), gel(50, membrane=materials.GLOVE), gel(70, membrane=materials.GLOVE))
     glove = "three gels, latex glove around the middle one"
     return [
         *found,
@@ -110,12 +150,14 @@ def _gels_and_stacks() -> list[Scenario]:
 
 
 def _organs_and_air() -> list[Scenario]:
+    liver = (materials.bovine_liver(),)
+    abdomen = (materials.abdominal_fat(), materials.abdominal_muscle(), materials.abdominal_liver())
     return [
-        _constant("liver", "bovine liver, capsule first", (bovine_liver(),), TABLE_I_SPEED_M_S),
+        _constant("liver", "bovine liver, capsule first", liver, TABLE_I_SPEED_M_S),
         Scenario(
             id="abdomen-sinusoidal",
             title="abdominal phantom: fat, muscle, liver; sinusoidal speed",
-            layers=(abdominal_fat(), abdominal_muscle(), abdominal_liver()),
+            layers=abdomen,
             motion=sinusoidal_motion(
                 stroke_m=ABDOMEN_STROKE_M,
                 frequency_hz=ABDOMEN_FREQUENCY_HZ,
@@ -137,10 +179,8 @@ SCENARIOS: Mapping[str, Scenario] = MappingProxyType(
 )
 """Every catalogued scenario under its permanent name."""
 
-RANDOM_STACK = "random-stack"
-"""The id of every drawn scenario under the catalogue's law."""
-RANDOM_TISSUE = "random-tissue"
-"""The id of those whose layers draw their law too."""
+RANDOM_STACK = "random-stack"  # the id of every drawn scenario under the catalogue's law
+RANDOM_TISSUE = "random-tissue"  # the id of those whose layers draw their law too
 DRAWN = (RANDOM_STACK, RANDOM_TISSUE)
 
 
@@ -175,34 +215,24 @@ def scenario(name: str, seed: int = 0) -> Scenario:
 # Ranges of the random scenarios.
 
 LAYERS = (1, 4)
-THICKNESS_M = (10e-3, 40e-3)
-"""From muscle over a rib to a slice of liver; gels are 28-38 mm."""
-TOTAL_MAX_M = 110e-3
-"""With the stretch beyond and the standoff, still short of the 153 mm needle."""
-FRICTION_N_PER_M = (4.0, 40.0)
-"""At the nominal speed: phantom fat 4, gels 9-38, real liver 6.5-18."""
-COULOMB_FRACTION = (0.2, 0.8)
-"""Gels 0.4, liver 0.8."""
-PRESLIDING_M = (0.1e-3, 0.9e-3)
-"""Gels 0.2, liver 0.9 mm."""
-RELAXED_FRACTION = (0.1, 0.6)
-"""Gels 0.2, liver 0.55."""
+THICKNESS_M = (10e-3, 40e-3)  # from muscle over a rib to a slice of liver; gels are 28-38 mm
+TOTAL_MAX_M = 110e-3  # with the stretch beyond and the standoff, still short of the 153 mm needle
+FRICTION_N_PER_M = (4.0, 40.0)  # at the nominal speed: phantom fat 4, gels 9-38, real liver 6.5-18
+COULOMB_FRACTION = (0.2, 0.8)  # gels 0.4, liver 0.8
+PRESLIDING_M = (0.1e-3, 0.9e-3)  # gels 0.2, liver 0.9 mm
+RELAXED_FRACTION = (0.1, 0.6)  # gels 0.2, liver 0.55
 EXIT_FORCE_N = (0.15, 2.0)
 """Tip force at the end of a layer: gels 0.3-1.4 N; ruptures in real liver drop 0.15-1.4 N."""
 CUTTING_FRACTION = (0.0, 0.2)
 STIFFENING = (0.0, 0.3)
-RELEASE_M = (0.1e-3, 0.5e-3)
-"""Travel of a release in gels and most tissues."""
+RELEASE_M = (0.1e-3, 0.5e-3)  # travel of a release in gels and most tissues
 MEMBRANE_CHANCE = 0.25
-PUNCTURE_N = (0.4, 2.0)
-"""Phantom skin 0.6, latex 1.0, bovine liver capsule 1.43 N."""
+PUNCTURE_N = (0.4, 2.0)  # phantom skin 0.6, latex 1.0, bovine liver capsule 1.43 N
 INDENTATION_FRACTION = (0.1, 0.3)
 """Of the layer's thickness: the bovine capsule is pushed in by 11 mm on 32."""
 HARDENING = (0.3, 1.0)
-SPEED_M_S = (2e-3, 6e-3)
-"""Constant speed: the paper 2.3 and 3 mm/s, real liver 5 mm/s."""
-PEAK_SPEED_M_S = (3e-3, 8e-3)
-"""Of a sinusoid: gels 3.5, abdomen 7.2 mm/s."""
+SPEED_M_S = (2e-3, 6e-3)  # constant speed: the paper 2.3 and 3 mm/s, real liver 5 mm/s
+PEAK_SPEED_M_S = (3e-3, 8e-3)  # of a sinusoid: gels 3.5, abdomen 7.2 mm/s
 RANDOM_BEYOND_M = (11e-3, 16e-3)
 RANDOM_STANDOFF_M = (12e-3, 22e-3)
 """Of a sinusoid: deep enough inside the stroke for contact at speed."""

@@ -7,11 +7,10 @@ and the generator that they are drawn from.
 import numpy as np
 from numpy.typing import NDArray
 
+from groundtruth.errors import Array
 from groundtruth.force_noise import coloured
 from groundtruth.plant_model import PlantModel, TICK_s, drawn_factors
 from urdf import LWR_GEAR_RATIO
-
-Array = NDArray[np.float64]
 
 SECONDS_PER_MINUTE = 60.0
 JITTER_LIMIT = 0.4

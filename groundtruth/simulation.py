@@ -11,49 +11,34 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from groundtruth import sensors
 from groundtruth.arm_control import ArmTrace, drive
 from groundtruth.arm_motion import InsertionPath, scenario_motion, scenario_path
 from groundtruth.arm_plant import ArmPlant, TissueContact, lwr_bodies
 from groundtruth.bearing_friction import bearings
-from groundtruth.errors import RunError
+from groundtruth.errors import Array, RunError
 from groundtruth.force_noise import MINI45, ForceNoise
 from groundtruth.plant_model import PlantModel, TICK_s, plant_named
 from groundtruth.scenarios import Scenario
 from groundtruth.scenarios import scenario as scenario_named
-from groundtruth.sensors import (
-    measured_position,
-    measured_torque,
-    measured_velocity,
-    measured_wrench,
-    received_samples,
-    time_stamps,
-)
 from groundtruth.tissue_truth import TissueTruth, collect_truth, freeze
 from urdf import NeedleTool, Robot
-
-Array = NDArray[np.float64]
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class Signals:
     """What a robot and its F/T sensor give, n samples; all that an estimator may see.
 
-    Attributes:
-        t_s: Time stamps, shape (n,), increasing; jittered, or with gaps, on some plants.
-        q_rad: Joint positions, shape (n, 7).
-        dq_rad_s: Joint velocities, shape (n, 7), or None where the interface reports none.
-        tau_Nm: Link-side joint torques, shape (n, 7). Row k is held from its sample to the next
-            tick (torque alignment ``hold``); at rest it equals the gravity torque.
-        ft_wrench: F/T reading in ``ft_sensor`` axes (z along the insertion), shape (n, 6), force N,
-            then torque Nm: wrench of the environment on the needle plus the needle's weight (so
-            tissue that pushes back lowers z), minus its inertia.
+    A row of torques is held from its sample to the next tick (torque alignment ``hold``); at rest
+    it equals the gravity torque. A wrench is that of the environment on the needle plus the
+    needle's weight (so tissue that pushes back lowers z), minus its inertia.
     """
 
-    t_s: Array
-    q_rad: Array
-    dq_rad_s: Array | None
-    tau_Nm: Array
-    ft_wrench: Array
+    t_s: Array  # time stamps, shape (n,), increasing; jittered, or with gaps, on some plants
+    q_rad: Array  # shape (n, 7), as the next two
+    dq_rad_s: Array | None  # None where the interface reports none
+    tau_Nm: Array  # of the joints, on the link side
+    ft_wrench: Array  # force N, then torque Nm, shape (n, 6), ``ft_sensor`` axes, z inwards
 
     def __post_init__(self) -> None:
         """Make the arrays read-only."""
@@ -168,15 +153,15 @@ def _sense(
 ) -> tuple[NDArray[np.intp], Signals]:
     """Pass the true signals through sensors and wire; each of them has its own stream of noise."""
     clock, loss, position, velocity, torque, wrench = map(np.random.default_rng, seed.spawn(6))
-    kept = received_samples(len(time), plant_model, loss)
-    dq = measured_velocity(trace.dq_rad_s, plant_model, velocity)
-    tau = measured_torque(trace.tau_Nm, trace.q_rad, limit_Nm, plant_model, torque)
+    kept = sensors.received_samples(len(time), plant_model, loss)
+    dq = sensors.measured_velocity(trace.dq_rad_s, plant_model, velocity)
+    tau = sensors.measured_torque(trace.tau_Nm, trace.q_rad, limit_Nm, plant_model, torque)
     return kept, Signals(
-        t_s=time_stamps(time, plant_model, clock)[kept],
-        q_rad=measured_position(trace.q_rad, plant_model, position)[kept],
+        t_s=sensors.time_stamps(time, plant_model, clock)[kept],
+        q_rad=sensors.measured_position(trace.q_rad, plant_model, position)[kept],
         dq_rad_s=None if dq is None else dq[kept],
         tau_Nm=tau[kept],
-        ft_wrench=measured_wrench(trace.ft_wrench, plant_model, wrench)[kept],
+        ft_wrench=sensors.measured_wrench(trace.ft_wrench, plant_model, wrench)[kept],
     )
 
 
@@ -208,11 +193,7 @@ class NeedleRun:
 
 
 def insert_needle(
-    scenario: Scenario | str,
-    *,
-    seed: int = 0,
-    rate_hz: float = 1000.0,
-    noise: ForceNoise = MINI45,
+    scenario: Scenario | str, *, seed: int = 0, rate_hz: float = 1000.0, noise: ForceNoise = MINI45
 ) -> NeedleRun:
     """Carry out a scenario with the needle alone: the tip follows the motion exactly.
 

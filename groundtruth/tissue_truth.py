@@ -7,10 +7,9 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from groundtruth.errors import Array
 from groundtruth.layers import Interface
 from groundtruth.tissue import Tissue, TissueForce
-
-Array = NDArray[np.float64]
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

@@ -14,8 +14,7 @@ import numpy as np
 
 from groundtruth.layers import Layer, ShaftFriction, Texture
 
-TEXTURE_LENGTH_M = 0.5e-3
-"""Over which a texture is correlated."""
+TEXTURE_LENGTH_M = 0.5e-3  # over which a texture is correlated
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

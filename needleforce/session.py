@@ -2,7 +2,7 @@
 
 import math
 import numbers
-from typing import NamedTuple
+from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -19,11 +19,15 @@ from identification import (
 )
 from identification import Snapshot as IdentifierSnapshot
 from needleforce.jit import Matrix, Vector, compiled
+from needleforce.plan_follower import Plan, PlanFollower, PlanMemory
 from residual import DEFAULT as DEFAULT_SENSOR
 from residual import SensorConfig, SensorWarning, Status, VirtualForceSensor, WrenchEstimate
 from residual.bias_model import Tare
 from residual.virtual_force_sensor import SensorState
 from urdf import Robot
+
+if TYPE_CHECKING:
+    from needleforce.anatomy import PlanState
 
 _new = tuple.__new__  # makes a named tuple in half the time: there is one in every tick
 
@@ -66,8 +70,42 @@ def tip_motion(
     axis: Vector, pose: Matrix, axial_jacobian: Vector, dq: Vector
 ) -> tuple[float, float]:
     """Place of the tip along an axis in base axes [m], and its speed along the needle [m/s]."""
-    tip_m = np.ascontiguousarray(pose[:3, 3])
-    return float(axis.dot(tip_m)), float(axial_jacobian.dot(dq))
+    along_m = axis[0] * pose[0, 3] + axis[1] * pose[1, 3] + axis[2] * pose[2, 3]
+    speed_m_s = 0.0
+    for k in range(len(dq)):  # a product of BLAS takes longer to call
+        speed_m_s += axial_jacobian[k] * dq[k]
+    return float(along_m), speed_m_s
+
+
+@compiled
+def travel_step(
+    tip: tuple[Vector, Matrix, Vector, Vector],
+    start_m: float,
+    last: tuple[float, float, float, float],
+    dt_s: float,
+    lags_s: tuple[float, float],
+) -> tuple[float, float, float, float]:
+    """Depth [m] and speed [m/s] of the tip, and the same as late as the force.
+
+    A needle that a hand drives changes its speed within the observer's lag: the force of a moment
+    ago, beside the speed of now, would look like friction that comes and goes.
+
+    Args:
+        tip: What `tip_motion` takes.
+        start_m: Place at depth zero.
+        last: What the step before returned.
+        dt_s: Time since then.
+        lags_s: Of the speed's own low-pass, 0 for none, and of the force.
+    """
+    along, speed = tip_motion(*tip)
+    depth, (speed_lag_s, force_lag_s) = along - start_m, lags_s
+    _, last_speed, late_depth, late_speed = last
+    if speed_lag_s > 0.0:
+        speed = last_speed - math.expm1(-dt_s / speed_lag_s) * (speed - last_speed)
+    if force_lag_s <= 0.0:
+        return depth, speed, depth, speed
+    kept = math.exp(-dt_s / force_lag_s)
+    return depth, speed, depth + kept * (late_depth - depth), speed + kept * (late_speed - speed)
 
 
 # What a session returns in every tick, and what it remembers.
@@ -87,6 +125,8 @@ class SessionEstimate(NamedTuple):
         used_for_identification: Whether this tick's force went into the identification.
         time_s: Sum of the time steps since the first sample after `reset` [s]: the clock of all
             events. Rejected samples count, a clock that was set does not.
+        plan: What plan and ruptures say together: the layer, the next boundary, the offset; None
+            before the tare, and without `InsertionSession.follow`.
     """
 
     wrench: WrenchEstimate
@@ -96,6 +136,7 @@ class SessionEstimate(NamedTuple):
     status: Status
     used_for_identification: bool
     time_s: float
+    plan: "PlanState | None" = None
 
     @property
     def warnings(self) -> SensorWarning:
@@ -114,6 +155,7 @@ class SessionSnapshot(NamedTuple):
     speed_lag_s: float  # setting of the session
     unused_s: float  # time of valid samples that were not used for identification
     time_s: float  # see `SessionEstimate`
+    plan: PlanMemory
 
 
 # The session.
@@ -174,6 +216,7 @@ class InsertionSession:
         self._identifier, self._identifier_config = Identifier(identifier_config), identifier_config
         self._tool = self._sensor.kinematics
         self._speed_lag_s = float(speed_lag_s)
+        self._plan = PlanFollower(None, None)
         self.reset()
 
     @property
@@ -241,13 +284,34 @@ class InsertionSession:
         """Record free motion anew for the next `tare`; estimates are `NOT_TARED` until then."""
         self._sensor.start_tare_recording()
 
+    def follow(self, plan: Plan | None, entry_in_base_m: ArrayLike | None = None) -> None:
+        """Match the ruptures from now on with a plan: see `SessionEstimate.plan`.
+
+        Args:
+            plan: A `needleforce.anatomy.PlanMatch`; None to follow none.
+            entry_in_base_m: The plan's entry point in the robot's base, shape (3,), as
+                `Registration.to_robot` gives it; None where the plan's depths count from where the
+                session's do.
+
+        Raises:
+            SettingError: For anything but a plan, or an entry that is no point.
+        """
+        if plan is not None and not hasattr(plan, "fingerprint"):
+            raise SettingError(f"plan is a {type(plan).__name__}, expected a PlanMatch of anatomy")
+        entry_m = None if entry_in_base_m is None else np.array(entry_in_base_m, dtype=float)
+        if entry_m is not None and not (entry_m.shape == (3,) and np.isfinite(entry_m).all()):
+            raise SettingError(f"entry_in_base_m is {entry_in_base_m!r}, expected 3 finite numbers")
+        self._plan = PlanFollower(plan, entry_m)
+        self._plan.begin(*self._zero)
+
     def begin_insertion(self) -> None:
         """Count depth from here and forget the layers; the tare stays."""
         self._zero_depth()
-        self._last_travel = self._lagging = Travel(0.0, 0.0)
+        self._travel = 0.0, 0.0, 0.0, 0.0
         self._identifier.reset()
         self._identification = self._identifier.snapshot().last
         self._unused_s = 0.0
+        self._plan.begin(*self._zero)
 
     def reset(self) -> None:
         """Forget everything, the tare included."""
@@ -261,11 +325,12 @@ class InsertionSession:
             self._sensor.snapshot(),
             self._identifier.snapshot(),
             self._zero,
-            self._last_travel,
-            self._lagging,
+            Travel(*self._travel[:2]),
+            Travel(*self._travel[2:]),
             self._speed_lag_s,
             self._unused_s,
             self._time_s,
+            self._plan.memory,
         )
 
     def restore(self, snapshot: SessionSnapshot) -> None:
@@ -273,7 +338,7 @@ class InsertionSession:
 
         Raises:
             SnapshotMismatchError: Not a snapshot of a session, a damaged one, or one of another
-                speed lag.
+                speed lag or plan.
             residual.SnapshotError: A damaged one, or of another robot or settings of the sensor.
             identification.IdentificationError: One of other settings of the identifier.
         """
@@ -286,18 +351,23 @@ class InsertionSession:
                 f"the snapshot is of speed_lag_s {snapshot.speed_lag_s:g}, this session has "
                 f"{self._speed_lag_s:g}"
             )
-        self._try_out(snapshot)
+        if snapshot.plan.fingerprint != self._plan.memory.fingerprint:
+            what = "with another plan or entry: follow() the same"
+            what = what if snapshot.plan.fingerprint else "without a plan: follow(None)"
+            raise SnapshotMismatchError(f"the snapshot is of a session {what} before restore()")
+        plan_state = self._try_out(snapshot)
         # The last that can fail, and it fails as a whole.
         self._sensor.restore(snapshot.sensor)
         self._identifier.restore(snapshot.identifier)
         self._count_from(snapshot.zero)
         self._is_started = snapshot.sensor.last is not None
-        self._last_travel, self._lagging = snapshot.travel, snapshot.lagging
+        self._travel = *snapshot.travel, *snapshot.lagging
         self._unused_s = snapshot.unused_s
         self._time_s = snapshot.time_s
         self._identification = _without_events(snapshot.identifier.last)
+        self._plan.resume(snapshot.plan, plan_state)
 
-    def _try_out(self, snapshot: SessionSnapshot) -> None:
+    def _try_out(self, snapshot: SessionSnapshot) -> "PlanState | None":
         """Refuse what would fail in later updates; nothing of this session changes."""
         twin = Identifier(self._identifier_config)
         try:
@@ -307,6 +377,7 @@ class InsertionSession:
             sizes = [np.shape(part) for part in snapshot.zero]
             if sizes != [(3,), (3,)] or not np.isfinite(snapshot.zero).all():
                 raise SnapshotMismatchError(f"the snapshot is damaged: its zero is {snapshot.zero}")
+            return self._plan.read(snapshot.plan)
         except (IdentificationError, InsertionError):
             raise
         except Exception as error:  # whatever a damaged state makes of its parts
@@ -332,22 +403,16 @@ class InsertionSession:
             # The sensor's clock counts the time of rejected samples and knows one that was set.
             self._time_s += self._sensor.elapsed_s
         elapsed_s, tool, axis = self._sensor.elapsed_s, self._tool, self._zero.axis_in_base
-        dq = self._sensor.velocity_rad_s
-        along_m, speed_m_s = tip_motion(axis, tool.pose, tool.axial_jacobian, dq)
-        depth_m = along_m - self._start_m
-        if self._speed_lag_s > 0.0:
-            last_m_s = self._last_travel.speed_m_s
-            weight = -math.expm1(-elapsed_s / self._speed_lag_s)
-            speed_m_s = last_m_s + weight * (speed_m_s - last_m_s)
-        self._last_travel = travel = _new(Travel, (depth_m, speed_m_s))
-        self._lagging = self._as_late_as_force(travel, elapsed_s)
+        dq, lag_s = self._sensor.velocity_rad_s, self._sensor.filter_lag_s
+        tip, lags_s = (axis, tool.pose, tool.axial_jacobian, dq), (self._speed_lag_s, lag_s)
+        self._travel = travel = travel_step(tip, self._start_m, self._travel, elapsed_s, lags_s)
         if status is not _OK or (wrench.warnings and wrench.warnings & _NOT_USED):
             self._unused_s += elapsed_s
             return self._idle(wrench)
         if self._unused_s:
             elapsed_s, self._unused_s = elapsed_s + self._unused_s, 0.0
         found = self._identifier.update(
-            *self._lagging, wrench.axial, elapsed_s, self._time_s, wrench.axial_std
+            *travel[2:], wrench.axial, elapsed_s, self._time_s, wrench.axial_std
         )
         if found.rupture is not None:
             # A lateral push looks like a rupture before its mismatch has lasted long enough.
@@ -357,30 +422,17 @@ class InsertionSession:
                 self._unused_s = elapsed_s
                 return self._idle(wrench)
         self._identification = found
-        return _new(
-            SessionEstimate,
-            (wrench, depth_m, speed_m_s, found, status, found.status in _USED, self._time_s),
-        )
-
-    def _as_late_as_force(self, travel: Travel, elapsed_s: float) -> Travel:
-        """Depth and speed behind the lag of the force, so that what belongs together meets.
-
-        A needle that a hand drives changes its speed within the observer's lag: the force of a
-        moment ago, beside the speed of now, would look like friction that comes and goes.
-        """
-        if (lag_s := self._sensor.filter_lag_s) <= 0.0:
-            return travel
-        kept = math.exp(-elapsed_s / lag_s)
-        depth_m = travel.depth_m + kept * (self._lagging.depth_m - travel.depth_m)
-        speed_m_s = travel.speed_m_s + kept * (self._lagging.speed_m_s - travel.speed_m_s)
-        return _new(Travel, (depth_m, speed_m_s))
+        self._plan.follow(found, travel[2])
+        at = (found.status in _USED, self._time_s, self._plan.state)
+        return _new(SessionEstimate, (wrench, *travel[:2], found, status, *at))
 
     def _idle(self, wrench: WrenchEstimate) -> SessionEstimate:
         """A tick that is not used for identification."""
         last = self._identification
         if (last.rupture, last.identified_layer, last.retracted) != (None, None, None):
             last = self._identification = _without_events(last)
-        return SessionEstimate(wrench, *self._last_travel, last, wrench.status, False, self._time_s)
+        at = (False, self._time_s, self._plan.state)
+        return SessionEstimate(wrench, *self._travel[:2], last, wrench.status, *at)
 
 
 def _check_kind(value: object, kind: type, name: str, hint: str) -> None:

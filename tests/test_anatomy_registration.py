@@ -1,5 +1,7 @@
 """Landmarks, touches, and the plan that ruptures correct."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
@@ -167,7 +169,7 @@ def test_touches_that_cannot_register_are_refused():
         fit_surface(surface, wild, good)
 
 
-NAMES = ("fat", "muscle", "liver", "lesion", "liver")
+NAMES = ("fat", "muscle", "gland", "lesion", "gland")
 
 
 def plan(*depths_mm, std_mm=0.5):
@@ -184,35 +186,48 @@ def plan(*depths_mm, std_mm=0.5):
 def test_ruptures_move_the_plan_and_name_the_layer():
     match = PlanMatch(plan(20, 35, 60), 3e-3)
     assert match.state(0.005).name == "fat"
-    first = match.add(0.024)
-    assert (first.name, first.next_name) == ("muscle", "liver")
+    first = match.state(0.024, [0.024])
+    assert (first.name, first.next_name) == ("muscle", "gland")
     assert 1e-3 < first.offset_m < 4e-3  # or a membrane gave way late
-    second = match.add(0.039)
+    second = match.state(0.039, [0.024, 0.039])
     assert second.offset_m == pytest.approx(4e-3, abs=0.5e-3)
     assert second.offset_std_m < 1.2e-3
     assert second.next_m == pytest.approx(0.064, abs=1e-3)
     assert second.matched == 2
-    low, high = match.interval_m(0.039)
+    low, high = match.interval_m(0.039, [0.024, 0.039])
     assert low < 4e-3 < high
-    assert match.add(0.064).next_name == ""
-    match.reset()
-    assert match.state(0.0).offset_m == pytest.approx(0.0, abs=1e-4)
+    assert match.state(0.064, [0.024, 0.039, 0.064]).next_name == ""
+    assert match.state(0.0).offset_m == pytest.approx(0.0, abs=2e-4)
+    moved = match.state(0.139, [0.124, 0.139], entry_depth_m=0.1)
+    assert moved.next_m == pytest.approx(second.next_m + 0.1)
+    assert moved.offset_m == pytest.approx(second.offset_m)
 
 
 def test_a_boundary_that_nobody_felt_is_passed_all_the_same():
     match = PlanMatch(plan(20, 35, 60), 2e-3)
-    match.add(0.0200)
-    assert match.state(0.030).name == "muscle"
-    assert match.state(0.050).name == "liver"
-    found = match.add(0.0601)
+    assert match.state(0.030, [0.0200]).name == "muscle"
+    assert match.state(0.050, [0.0200]).name == "gland"
+    found = match.state(0.0601, [0.0200, 0.0601])
     assert found.matched == 3
     assert found.name == "lesion"
 
 
+def test_a_capsule_is_expected_to_rupture_late():
+    layers = plan(20, 35, 60)
+    states = [
+        PlanMatch([*layers[:2], replace(layers[2], name=name)], 3e-3).state(0.0385, [0.0385])
+        for name in ("gland", "liver")
+    ]
+    assert [state.matched for state in states] == [2, 2]
+    assert states[0].offset_m == pytest.approx(3e-3, abs=1e-3)
+    assert states[1].offset_m == pytest.approx(-1e-3, abs=1e-3)
+    # Inside the organ there is no capsule.
+    inside = [replace(layers[0], name="liver"), layers[1], replace(layers[2], name="liver")]
+    assert PlanMatch(inside, 3e-3)._late[:, 0].tolist() == [1.0, 0.2, 0.2]
+
+
 def test_a_false_alarm_does_not_count_as_a_boundary():
-    match = PlanMatch(plan(20, 60), 1e-3)
-    match.add(0.0200)
-    found = match.add(0.041)
+    found = PlanMatch(plan(20, 60), 1e-3).state(0.041, [0.0200, 0.041])
     assert found.matched == -1
     assert found.name == "muscle"
 
@@ -223,7 +238,6 @@ def test_what_cannot_be_a_plan_is_refused():
     with pytest.raises(PlanError, match="positive standard deviation"):
         PlanMatch(plan(20), 0.0)
     match = PlanMatch(plan(20, 35), 3e-3)
-    match.add(0.03)
     for bad in (float("nan"), 0.01):
         with pytest.raises(PlanError, match="rupture at"):
-            match.add(bad)
+            match.state(0.03, [0.03, bad])

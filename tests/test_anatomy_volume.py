@@ -150,16 +150,6 @@ def test_labels_must_lie_in_the_scan(tmp_path, shift_m, cut, why):
             read_labels(tmp_path / "labels.nrrd", scan=scan)
 
 
-def test_a_crop_keeps_places():
-    values, grid = cube()
-    labels = Labels.of([values], grid, [Structure.named("liver", 1)])
-    cut = labels.cropped([0.001, 0.001, 0.0], [0.004, 0.004, 0.003])
-    assert cut.grid.shape < grid.shape
-    np.testing.assert_allclose(cut.centroid_m("liver"), labels.centroid_m("liver"), atol=1e-15)
-    with pytest.raises(VolumeError, match="is it in metres"):
-        labels.cropped([50, 50, 50], [60, 60, 60])
-
-
 def test_names_say_what_stops_a_needle():
     stops = ("rib_left_7", "costal_cartilages", "hip_right", "vertebrae_L1")
     assert all(Structure.named(name, 1).is_obstacle for name in stops)

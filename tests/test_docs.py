@@ -33,6 +33,10 @@ SAYS = {
     "remote_centre": r"entry held within 0\.0\d\d mm; tip back within 0\.\d\d mm",
     "teleoperation": r"2\d\.\d mm deep, 0\.\d\d N shown\nleast energy .*: -?0\.0\d\d mJ",
     "autonomous_insertion": r"rests 3[1-4]\.\d mm deep, in state dwell",
+    "watched_plan": (
+        r"the scene is at http://127.0.0.1:\d+\nrupture at 3\d\.\d mm, into behind\n"
+        r"everything lies \+[12]\.\d ± \d\.\d mm deeper than planned"
+    ),
     "stop_and_resume": r"both read -?\d\.\d{6} N in the end",
 }
 """What the files in examples/ print."""

@@ -22,8 +22,8 @@ LIMITS = {
     "benchmarks": (6_790, 30),
     "tests": (12_870, 72),
     "control": (2_240, 15),
-    "anatomy": (1_430, 8),
-    "scene": (718, 6),
+    "anatomy": (1_395, 8),
+    "scene": (735, 6),
     "devices": (1_372, 9),
 }
 """Most lines and files of Python. Those of the chain are ceilings at today's size, to be lowered

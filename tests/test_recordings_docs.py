@@ -75,9 +75,9 @@ def test_the_table_of_topics_is_the_codes():
         "axial_N": rows,
     }
     table = BAGS.split("## What is written")[1].split("## When")[0]
-    for topic in bag_topics(columns, Labels(), [0]):
-        (row,) = [line for line in table.splitlines() if f"| `{topic.name}`" in line]
-        assert f"`{topic.kind.replace('/msg', '')}`" in row
+    for name, kind, _ in bag_topics(columns, Labels(), [0]):
+        (row,) = [line for line in table.splitlines() if f"| `{name}`" in line]
+        assert f"`{kind.replace('/msg', '')}`" in row
     for kind in re.findall(r"`(\w+_msgs/\w+)`", BAGS):
         package, name = kind.split("/")
         assert f"{package}/msg/{name}" in standard_types().types

@@ -14,24 +14,35 @@ from insertion_run import short_run
 pytest.importorskip("viser")
 
 from needleforce import NeedleTool, load_lwr
+from needleforce.anatomy.plan_match import PlanState
 from needleforce.cli import main
 from needleforce.scene import PlanScene, SlicerOutput, StateRing, Viewer, open_viewer
-from needleforce.scene.state_ring import FIELDS, ROWS, ViewRow
+from needleforce.scene.state_ring import FIELDS, PLAN_FIELDS, ROWS, ViewRow, view_row
 
 HOME = np.array([0.0, 0.5, 0.0, -1.2, 0.0, 1.0, 0.0])
 needs_chromium = pytest.mark.skipif(PROGRAM is None, reason="no chromium: apt-get install chromium")
 
 
-def row(time_s, depth_m=0.0, rupture=0.0, q=HOME):
+def row(time_s, depth_m=0.0, rupture=0.0, q=HOME, **more):
     values = dict.fromkeys(FIELDS, 0.0) | {"time_s": time_s, "depth_m": depth_m, "is_good": 1.0}
+    values |= {f"plan_{name}": np.nan for name in PLAN_FIELDS}
     values |= {"force_N": 20.0 * depth_m, "tip_N": 10.0 * depth_m, "force_std_N": 0.05}
-    values |= {"rupture": rupture, "rupture_depth_m": depth_m, "layer": 1.0}
-    return ViewRow(tuple(values[name] for name in FIELDS), tuple(q))
+    values |= {"rupture": rupture, "rupture_depth_m": depth_m, "layer": 1.0, "tip_std_N": 0.1}
+    return ViewRow(tuple((values | more)[name] for name in FIELDS), tuple(q))
+
+
+def table(rows):
+    return np.array([(*one.values, *one.q_rad) for one in rows])
 
 
 def insertion(count=200):
-    rows = [row(0.05 * k, 1e-4 * k, 1.0 if k == 120 else 0.0) for k in range(count)]
-    return np.array([(*one.values, *one.q_rad) for one in rows])
+    return table(row(0.05 * k, 1e-4 * k, 1.0 if k == 120 else 0.0) for k in range(count))
+
+
+def planned(layer, next_mm, matched=-1):
+    """What a plan says, as fields of a row."""
+    values = (layer, 0.93, 2e-3, 0.4e-3, 1e-3 * next_mm, 0.5e-3, matched, 0.97)
+    return {f"plan_{name}": value for name, value in zip(PLAN_FIELDS, values, strict=True)}
 
 
 def plan():
@@ -106,6 +117,53 @@ def test_marks_are_where_and_when_ruptures_were_and_vanish_when_time_goes_back(v
     assert not any(handle.visible for handle in viewer.marks[1].handles)
 
 
+def test_a_plan_names_layers_and_what_proved_false_is_taken_back(viewer):
+    viewer.append(table([row(0.0, **planned(-1, 2.0)), row(1.0, 0.01, **planned(0, 22.0))]))
+    viewer.show(0.5)
+    assert "in **outside** (93 %), fat at 2.0 ± 1.0 mm" in viewer._text.content
+    viewer.show()
+    assert "in **fat** (93 %), liver at 22.0 ± 1.0 mm" in viewer._text.content
+    assert "all lies +2.0 ± 0.8 mm deeper than planned" in viewer._text.content
+    ring, label = viewer._ahead
+    assert ring.visible
+    assert label.text == "liver, expected"
+    alarm = row(2.0, 0.0221, 1.0, **planned(1, 52.0, 1))
+    viewer.append(table([alarm, row(3.0, 0.03, retracted=1.0, **planned(0, 32.0))]))
+    viewer.append(table([row(4.0, 0.032, 1.0, **planned(2, np.nan, -1))]))
+    viewer.show()
+    texts = [
+        "rupture 1 at 22.1 mm: into liver (97 %)",
+        "rupture 1 at 32.0 mm: a false alarm (97 %)",
+    ]
+    assert [mark.text for mark in viewer.marks] == texts
+    for time_s, shown in ((1.9, [0, 0]), (2.5, [1, 0]), (3.5, [0, 0]), (4.0, [0, 1])):
+        viewer.show(time_s)
+        assert [mark.handles[0].visible for mark in viewer.marks] == shown
+    assert "in **rib** (93 %)\n" in viewer._text.content
+    assert not ring.visible
+
+
+def test_a_row_holds_the_estimate_and_its_plan():
+    plan = PlanState(1, "liver", 0.9, 2e-3, 1e-3, "rib", 0.05, 1e-3, 1, "liver", 0.8, True)
+    rupture = SimpleNamespace(layer=1, depth_m=0.03)
+    found = SimpleNamespace(rupture=None, retracted=rupture, tip_force_N=0.5, layer=2)
+    found.tip_force_std_N, found.shaft_friction_N = None, 0.1
+    now = SimpleNamespace(time_s=1.0, depth_m=0.04, speed_m_s=0.0, identification=found, plan=plan)
+    now.wrench, now.status = SimpleNamespace(axial=1.0, axial_std=0.1), SimpleNamespace(value="ok")
+    made = dict(zip(FIELDS, view_row(now, HOME).values, strict=True))
+    assert (made["retracted"], made["rupture"], made["is_good"]) == (1, 0, 1)
+    assert [made[f"plan_{name}"] for name in PLAN_FIELDS] == [
+        1,
+        0.9,
+        2e-3,
+        1e-3,
+        0.05,
+        1e-3,
+        1,
+        0.8,
+    ]
+
+
 @needs_chromium
 def test_the_page_shows_the_insertion_in_a_browser(viewer, tmp_path):
     from scene_page import open_page
@@ -130,9 +188,8 @@ def test_the_page_shows_the_insertion_in_a_browser(viewer, tmp_path):
 def test_beside_a_loop_the_page_is_a_process_that_costs_it_next_to_nothing():
     robot = load_lwr(payload=NeedleTool())
     wrench = SimpleNamespace(axial=1.0, axial_std=0.1)
-    found = SimpleNamespace(
-        rupture=None, tip_force_N=0.5, tip_force_std_N=None, shaft_friction_N=0.1, layer=1
-    )
+    found = SimpleNamespace(rupture=None, retracted=None, tip_force_N=0.5, tip_force_std_N=None)
+    found.shaft_friction_N, found.layer = 0.1, 1
     with open_viewer(robot, port=8241) as view:
         assert view.url.startswith("http://127.0.0.1:")
         for k in range(2000):
@@ -143,6 +200,7 @@ def test_beside_a_loop_the_page_is_a_process_that_costs_it_next_to_nothing():
                 wrench=wrench,
                 identification=found,
                 status=SimpleNamespace(value="ok"),
+                plan=None,
             )
             view.put(now, HOME)
         time.sleep(0.2)
@@ -170,10 +228,20 @@ def test_a_recording_becomes_one_page_that_needs_nothing_else(tmp_path, monkeypa
         assert page.wait_for("document.querySelectorAll('canvas').length > 0")
 
 
+def test_an_arm_is_watched_with_the_scene_beside_it(monkeypatch, capsys):
+    monkeypatch.setattr("needleforce.cli.live.simulate", lambda *_, **__: short_run())
+    assert (
+        main(["live", "sim:gel-25-constant", "--view", "--port", "8261", "--seconds", "0.5"]) == 0
+    )
+    assert "http://127.0.0.1:8261 shows the scene" in capsys.readouterr().err
+
+
 def test_a_plan_that_cannot_be_read_is_said_so(tmp_path, capsys):
     (tmp_path / "a.csv").write_text("t,q_1\n0,0\n")
     assert main(["view", "a.csv", "--anatomy", str(tmp_path)]) == 2
-    assert "expected labels.nii.gz" in capsys.readouterr().err
+    said = capsys.readouterr().err
+    assert "plan.json: " in said
+    assert "docs/scene.md" in said
 
 
 RECEIVER = """

@@ -80,13 +80,9 @@ def load_lwr(
 
     Joints ``lwr_joint_1`` to ``lwr_joint_7`` in the order of KUKA's interface (A1, A2, E1, A3, A4,
     A5, A6), zero when the arm points straight up. The frame ``flange`` lies in the flange's face, z
-    outward.
-
-    Args:
-        payload: A body in the flange frame; or a needle tool, which adds the frames ``ft_sensor``
-            and ``needle_tip`` (z in the direction of insertion) and makes ``needle_tip`` the tool
-            frame. Without one the tool frame is ``flange``.
-        gravity_m_s2: As in `load_urdf`, which names the errors.
+    outward; it is the tool frame. A needle tool as payload adds the frames ``ft_sensor`` and
+    ``needle_tip`` (z in the direction of insertion), and ``needle_tip`` is the tool frame then.
+    Arguments and errors are those of `load_urdf`.
     """
     return load_example("lwr4plus", payload=payload, gravity_m_s2=gravity_m_s2)
 

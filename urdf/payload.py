@@ -17,19 +17,14 @@ class Payload:
 
     Two payloads in the same frame compose with ``+``. Arrays are stored as read-only copies.
 
-    Attributes:
-        mass_kg: Mass in kg; zero only for no body at all.
-        com_m: Centre of mass in the frame, shape (3,), m.
-        inertia_kg_m2: Inertia about the centre of mass in the frame's axes, shape (3, 3), kg m^2.
-
     Raises:
         InputError: Wrong shape, not finite, or an inertia that is not symmetric.
         InertiaError: Numbers no rigid body can have.
     """
 
-    mass_kg: float
-    com_m: Array
-    inertia_kg_m2: Array
+    mass_kg: float  # zero only for no body at all
+    com_m: Array  # centre of mass in the frame, shape (3,)
+    inertia_kg_m2: Array  # about the centre of mass in the frame's axes, shape (3, 3)
 
     def __post_init__(self) -> None:
         mass = float(finite_array(self.mass_kg, (), "payload mass_kg"))
@@ -92,9 +87,10 @@ _MAY_BE_ZERO = ("sensor_mass_kg", "sensor_height_m", "needle_mass_kg", "shaft_de
 class NeedleTool:
     """F/T sensor, hub and needle in a row along the flange's z axis, pointing outward.
 
-    Without a sensor give ``sensor_height_m=0``: the hub then sits on the flange. The defaults are
-    the tool of Ferro et al., which weighs 236 g up to the sensor's measuring plane and 68 g beyond
-    it, and its needle reaches 153 mm from there. Its inertias follow from shapes:
+    Without a sensor give ``sensor_height_m=0``: the hub then sits on the flange, and the default
+    ``sensor_mass_kg`` counts as zero. The defaults are the tool of Ferro et al., which weighs 236 g
+    up to the sensor's measuring plane and 68 g beyond it, and its needle reaches 153 mm from there.
+    Its inertias follow from shapes:
 
     - Sensor: a Mini45 fills 45 mm by 15.7 mm with 92 g; at that density 236 g of sensor and
       adapters of the same diameter are 40 mm high. A homogeneous cylinder.
@@ -104,31 +100,19 @@ class NeedleTool:
     - Hub: the rest of ``needle_mass_kg``, a homogeneous cylinder at the measuring plane. 67 g of
       aluminium 30 mm across are 35 mm high.
 
-    Attributes:
-        sensor_mass_kg: Mass on the flange's side of the measuring plane, kg; without a sensor the
-            default counts as zero.
-        sensor_height_m: From the flange face to the measuring plane, zero without a sensor, m.
-        sensor_diameter_m: Diameter of the sensor, m.
-        needle_mass_kg: Mass beyond the measuring plane, hub and shaft, kg.
-        needle_length_m: From the measuring plane to the tip, m.
-        needle_diameter_m: Outer diameter of the shaft, m.
-        shaft_density_kg_m3: Density of the shaft; lower it for a hollow needle, kg/m^3.
-        hub_length_m: Height of the hub, less than ``needle_length_m``, m.
-        hub_diameter_m: Diameter of the hub, m.
-
     Raises:
         InputError: A number that is not finite, not positive (masses, density and sensor height
             may be zero), or a shaft heavier or a hub longer than the needle.
     """
 
-    sensor_mass_kg: float = _SENSOR_MASS_KG
-    sensor_height_m: float = 0.040
+    sensor_mass_kg: float = _SENSOR_MASS_KG  # on the flange's side of the measuring plane
+    sensor_height_m: float = 0.040  # from the flange face to the measuring plane
     sensor_diameter_m: float = 0.045
-    needle_mass_kg: float = 0.068
-    needle_length_m: float = 0.153
-    needle_diameter_m: float = 0.00127
-    shaft_density_kg_m3: float = 7850.0
-    hub_length_m: float = 0.035
+    needle_mass_kg: float = 0.068  # beyond the measuring plane, hub and shaft
+    needle_length_m: float = 0.153  # from the measuring plane to the tip
+    needle_diameter_m: float = 0.00127  # of the shaft, outside
+    shaft_density_kg_m3: float = 7850.0  # lower it for a hollow needle
+    hub_length_m: float = 0.035  # less than the needle's
     hub_diameter_m: float = 0.030
 
     def __post_init__(self) -> None:

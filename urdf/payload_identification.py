@@ -34,23 +34,15 @@ _REWEIGHTINGS = 3
 class PayloadEstimate:
     """An identified payload with its uncertainty. Arrays are read-only.
 
-    The four parameters are mass and first moments in the flange frame, kg and kg m.
-
-    Attributes:
-        payload: A point mass in the flange frame; none where the data ask for a negative mass.
-        parameters: The least-squares answer, shape (4,). A mass that is negative by many standard
-            deviations means a wrong sign, frame, scale or robot model.
-        covariance: Of the parameters, shape (4, 4); infinite variance for what the data do not
-            determine.
-        rank: Number of parameter combinations the data determine.
-        residual_rms_Nm: Torque the parameters leave unexplained, per joint, shape (nv,), Nm.
+    The four parameters are mass and first moments in the flange frame, kg and kg m. A mass that is
+    negative by many standard deviations means a wrong sign, frame, scale or robot model.
     """
 
-    payload: Payload
-    parameters: Array
-    covariance: Array
-    rank: int
-    residual_rms_Nm: Array
+    payload: Payload  # a point mass in the flange frame; none where the mass came out negative
+    parameters: Array  # the least-squares answer, shape (4,)
+    covariance: Array  # shape (4, 4); infinite variance for what the data do not determine
+    rank: int  # number of parameter combinations that the data determine
+    residual_rms_Nm: Array  # torque left unexplained, per joint, shape (nv,)
 
     @property
     def is_identified(self) -> bool:

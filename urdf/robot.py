@@ -18,8 +18,7 @@ from urdf.errors import (
 )
 from urdf.payload import NeedleTool, Payload
 
-STANDARD_GRAVITY_M_S2 = (0.0, 0.0, -9.80665)
-"""Straight down along the base's z axis, m/s^2."""
+STANDARD_GRAVITY_M_S2 = (0.0, 0.0, -9.80665)  # straight down along the base's z axis, m/s^2
 
 SENSOR_FRAME, TIP_FRAME, TOOL_FRAME = "ft_sensor", "needle_tip", "tool"
 """Frames that a needle tool adds (the first two) and a tool placement."""
@@ -29,16 +28,8 @@ SENSOR_FRAME, TIP_FRAME, TOOL_FRAME = "ft_sensor", "needle_tip", "tool"
 class Robot:
     """An arm of one-number joints, what it carries, and the frame forces are asked for.
 
-    Build one with a loader of `urdf` or with `urdf.build_serial_robot`.
-
-    Attributes:
-        bare_model: The arm without payload; copied on construction.
-        tool_frame: Name of the frame whose wrench is of interest.
-        flange_frame: Name of the frame that carries the payload.
-        payload: What hangs on the flange, in the flange frame, or None.
-        model: The Pinocchio model with the payload, handed out directly for hot loops: read it, do
-            not write it.
-        tool_frame_id: Index of the tool frame in ``model.frames``.
+    Build one with a loader of `urdf` or with `urdf.build_serial_robot`. ``model`` has the payload
+    and is handed out directly for hot loops: read it, do not write it.
 
     Raises:
         UnknownNameError: The tool or flange frame is not in the model.
@@ -46,12 +37,12 @@ class Robot:
             are, or none that moves.
     """
 
-    bare_model: pin.Model
-    tool_frame: str
-    flange_frame: str
-    payload: Payload | None = None
+    bare_model: pin.Model  # the arm without payload; copied on construction
+    tool_frame: str  # whose wrench is of interest
+    flange_frame: str  # that carries the payload
+    payload: Payload | None = None  # what hangs on the flange, in the flange frame
     model: pin.Model = field(init=False, repr=False)
-    tool_frame_id: int = field(init=False)
+    tool_frame_id: int = field(init=False)  # in ``model.frames``
 
     def __post_init__(self) -> None:
         bare = pin.Model(self.bare_model)

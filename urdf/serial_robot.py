@@ -18,24 +18,19 @@ class SerialJoint:
     """One revolute joint and the link behind it.
 
     A row (alpha, a, d) of a modified Denavit-Hartenberg table is the placement Rx(alpha) Tx(a)
-    Tz(d) with axis z; a URDF row (xyz, rpy, axis) is that placement and axis.
-
-    Attributes:
-        name: Name of the joint, and of the frame of the link behind it.
-        placement: Frame of the joint at zero in the frame of the previous one (the base for the
-            first): ``pin.SE3`` or a homogeneous matrix of shape (4, 4), m.
-        axis: Axis of rotation in the joint's frame, shape (3,); any length but zero.
-        inertia: The link's ten parameters (see `urdf.inertia`) in the joint's frame, shape (10,).
+    Tz(d) with axis z; a URDF row (xyz, rpy, axis) is that placement and axis. A placement is that
+    of the joint's frame at zero in the previous one (the base for the first); ``pin.SE3`` or a
+    homogeneous matrix of shape (4, 4), m.
 
     Raises:
         InputError: Wrong shape, not finite, no rigid motion, or an axis of length zero.
         InertiaError: No mass, but moments.
     """
 
-    name: str
+    name: str  # of the joint, and of the frame of the link behind it
     placement: pin.SE3 | Array
-    axis: Array
-    inertia: Array
+    axis: Array  # of rotation in the joint's frame, shape (3,); any length but zero
+    inertia: Array  # the link's ten parameters, see `urdf.inertia`, in the joint's frame
 
     def __post_init__(self) -> None:
         owner = f"joint {self.name!r}"

@@ -12,8 +12,9 @@ from itertools import combinations
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
+from scipy.spatial.transform import Rotation
 from scipy.stats import chi2
-from scipy.stats import f as f_distribution
+from scipy.stats import f as f_law
 
 from needleforce.anatomy.errors import RegistrationError
 
@@ -74,14 +75,10 @@ class Registration:
         """Whether a place in the robot's base lies in the region of that level about a point."""
         error = np.asarray(truth_m, dtype=float) - self.to_robot(point_m)
         distance = error @ np.linalg.solve(self.covariance_at(point_m), error)
-        return bool(distance <= region_size(level, self.degrees))
-
-
-def region_size(level: float, degrees: float) -> float:
-    """Squared Mahalanobis distance within which so much of the errors in 3-D lies."""
-    if not np.isfinite(degrees):
-        return float(chi2.ppf(level, 3))
-    return 3.0 * float(f_distribution.ppf(level, 3, degrees))
+        # Hotelling's T squared; with a known deviation chi squared.
+        is_known = not np.isfinite(self.degrees)
+        most = chi2.ppf(level, 3) if is_known else 3.0 * f_law.ppf(level, 3, self.degrees)
+        return bool(distance <= most)
 
 
 def point_jacobian(lever_m: Array) -> Array:
@@ -110,9 +107,7 @@ def fit_landmarks(
             metres, one that lies elsewhere. Three landmarks cannot show a mirror image.
     """
     model, robot = _checked(model_m, robot_m)
-    rotation, translation = rigid_fit(model, robot)
-    error = model @ rotation.T + translation - robot
-    squares = float((error**2).sum())
+    rotation, translation, squares = _rigid_fit(model, robot)
     degrees = 3 * len(model) - 6
     if squares > _limit(len(model), std_m):
         raise RegistrationError(_why(model, robot, std_m))
@@ -130,13 +125,11 @@ def fit_landmarks(
     )
 
 
-def rigid_fit(model: Array, robot: Array, *, mirrored: bool = False) -> tuple[Array, Array]:
-    """Rotation (or its mirror image) and shift with the least squares."""
+def _rigid_fit(model: Array, robot: Array) -> tuple[Array, Array, float]:
+    """Rotation and shift with the least squares, and their sum."""
     one, two = model.mean(axis=0), robot.mean(axis=0)
-    u, _, vt = np.linalg.svd((robot - two).T @ (model - one))
-    sign = np.sign(np.linalg.det(u @ vt)) * (-1.0 if mirrored else 1.0)
-    rotation = u @ np.diag([1.0, 1.0, sign]) @ vt
-    return rotation, two - rotation @ one
+    turn, distance = Rotation.align_vectors(robot - two, model - one)
+    return turn.as_matrix(), two - turn.apply(one), float(distance) ** 2
 
 
 def _checked(model_m: ArrayLike, robot_m: ArrayLike) -> tuple[Array, Array]:
@@ -168,30 +161,25 @@ def _limit(count: int, std_m: float) -> float:
     return std_m**2 * float(chi2.isf(FALSE_REFUSAL, 3 * count - 6))
 
 
-def _squares(model: Array, robot: Array, *, mirrored: bool = False) -> float:
-    rotation, translation = rigid_fit(model, robot, mirrored=mirrored)
-    return float(((model @ rotation.T + translation - robot) ** 2).sum())
-
-
 def _why(model: Array, robot: Array, std_m: float) -> str:
     """What makes landmarks that do not fit fit: order before mirror before scale before one."""
     count, limit = len(model), _limit(len(model), std_m)
     for i, j in combinations(range(count), 2):
         order = np.arange(count)
         order[[i, j]] = j, i
-        if _squares(model, robot[order]) <= limit:
+        if _rigid_fit(model, robot[order])[2] <= limit:
             return f"landmarks {i + 1} and {j + 1} are swapped; touch them in the model's order"
-    if _squares(model, robot, mirrored=True) <= limit:
+    if _rigid_fit(-model, robot)[2] <= limit:
         return "the touched landmarks are the mirror image of the model's: left for right?"
     spread = [float(np.sqrt(((p - p.mean(axis=0)) ** 2).sum())) for p in (model, robot)]
     scale = spread[1] / spread[0]
-    if _squares(scale * model, robot) <= limit:
+    if _rigid_fit(scale * model, robot)[2] <= limit:
         return f"the touched landmarks fit with a scale of {scale:.3f}: is the spacing right?"
     for k in range(count if count > 4 else 0):
         kept = np.arange(count) != k
-        if _squares(model[kept], robot[kept]) <= _limit(count - 1, std_m):
+        if _rigid_fit(model[kept], robot[kept])[2] <= _limit(count - 1, std_m):
             return f"landmark {k + 1} lies elsewhere than in the model; touch it again"
-    rms_mm = 1e3 * np.sqrt(_squares(model, robot) / count)
+    rms_mm = 1e3 * np.sqrt(_rigid_fit(model, robot)[2] / count)
     return (
         f"the landmarks do not fit: {rms_mm:.1f} mm rms are left with {1e3 * std_m:g} mm per axis "
         "expected; are they the same points, in the same order?"

@@ -8,11 +8,12 @@ the forward recursion over assignments that keep the order.
 """
 
 from collections.abc import Sequence
+from hashlib import sha256
 from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.stats import norm
+from scipy.special import ndtr
 from scipy.stats import t as student
 
 from needleforce.anatomy.errors import PlanError
@@ -31,19 +32,25 @@ ENTRY_MISSED = 0.8
 """The same of the surface, which ruptures only where a membrane covers it, and then late."""
 FALSE_PER_m = 1.0
 """False alarms per metre of travel."""
-LATE = 0.2
-"""Probability that a boundary is a membrane, which ruptures late."""
+LATE, CAPSULE_LATE = 0.2, 0.8
+"""Probability that a boundary is a membrane, which ruptures late; where an organ's name says so."""
+CAPSULES = frozenset(("liver", "spleen", "kidney"))
+"""Words in the names of organs in a capsule (liver: Okamura 2004, doi 10.1109/TBME.2004.831542)."""
 LATE_m, LATE_STD_m = 5e-3, 2.5e-3
 """By so much."""
 RUPTURE_STD_m = 0.3e-3
 """Of a rupture's depth."""
+BACK_m = 1e-3
+"""A tip so far above the deepest point is being withdrawn."""
+OUTSIDE, FALSE_ALARM = "outside", "a false alarm"
+"""Where the tip is before the first boundary; what a rupture is that belongs to none."""
 
 
 class PlanState(NamedTuple):
     """What plan and ruptures say together; depths are those of the ruptures."""
 
-    layer: int  # index of the layer that the tip is in most likely
-    name: str  # of that layer
+    layer: int  # index of the layer that the tip is in most likely; -1: before the first
+    name: str  # of that layer, or `OUTSIDE`
     probability: float  # that the tip is in it
     offset_m: float  # how much deeper everything lies than planned: the posterior's median
     offset_std_m: float
@@ -51,26 +58,31 @@ class PlanState(NamedTuple):
     next_m: float  # depth at which it will be met; nan behind the last
     next_std_m: float
     matched: int  # index of the layer into which the last rupture most likely led; -1: none
-    matched_probability: float  # the same, of that boundary or of a false alarm
+    matched_name: str  # of that layer; `FALSE_ALARM`; empty without ruptures
+    matched_probability: float  # of that
     is_obstacle_next: bool  # whether bone or cartilage comes next
 
 
 class PlanMatch:
-    """Matches ruptures, in the order in which they come, with a plan.
+    """Matches ruptures, in the order in which they came, with a plan.
+
+    It remembers nothing: the same depths give the same answer, so `InsertionSession.follow` can
+    take a false alarm back and go on from a snapshot.
 
     Args:
         layers: From `layers_along`, the first where the needle starts.
         offset_std_m: Standard deviation of the plan's error along the needle, as
             `Registration.std_along_m` gives it.
-        entry_depth_m: Depth, as the ruptures count it, of the plan's entry point.
+
+    Attributes:
+        layers: The same.
+        fingerprint: By which two plans are told apart.
 
     Raises:
         PlanError: No boundary in the plan, or a deviation that is not positive.
     """
 
-    def __init__(
-        self, layers: Sequence[Layer], offset_std_m: float, *, entry_depth_m: float = 0.0
-    ) -> None:
+    def __init__(self, layers: Sequence[Layer], offset_std_m: float) -> None:
         if len(layers) < 2:
             raise PlanError(f"the plan has {len(layers)} layers: expected two or more")
         if not 0.0 < offset_std_m < 0.1:
@@ -78,131 +90,152 @@ class PlanMatch:
                 f"offset_std_m={offset_std_m!r}: expected a positive standard deviation in metres"
             )
         self.layers = tuple(layers)
-        self._entry_m = float(entry_depth_m)
-        self._std_m = float(offset_std_m)
         # Boundary k is the one in front of layer k: the first is the surface.
-        self._bound_m = np.array([layer.entry_m for layer in layers]) + self._entry_m
-        self._bound_std_m = np.array([layer.entry_std_m for layer in layers])
+        bounds = [(float(layer.entry_m), float(layer.entry_std_m)) for layer in layers]
+        names = [(layer.name, layer.is_obstacle) for layer in layers]
+        made_of = repr((names, bounds, float(offset_std_m)))
+        self.fingerprint = sha256(made_of.encode()).hexdigest()[:16]
+        self._bound_m, self._bound_std_m = np.array(bounds).T
+        self._law_std_m = np.hypot(self._bound_std_m, RUPTURE_STD_m)[:, None]
+        # Organs move beneath the skin: where that lies says little of the offset.
+        self._law_std_m[0] = np.hypot(self._law_std_m[0], offset_std_m)
         self._missed = np.full(len(layers), MISSED)
-        self._late = np.full(len(layers), LATE)
+        self._late = np.full((len(layers), 1), LATE)
+        for k, layer in enumerate(layers):
+            first = layer.name not in {before.name for before in layers[:k]}
+            if first and CAPSULES & set(layer.name.lower().split("_")):
+                self._late[k] = CAPSULE_LATE
         self._missed[0], self._late[0] = ENTRY_MISSED, 1.0
-        half = round(REACH * self._std_m / GRID_m)
+        half = round(REACH * offset_std_m / GRID_m)
         self._offset_m = GRID_m * np.arange(-half, half + 1)
-        self.reset()
+        # Rows: the last boundary matched, the first for none. Columns: offsets.
+        first = np.zeros((len(layers) + 1, len(self._offset_m)))
+        first[0] = student.pdf(self._offset_m / offset_std_m, TAIL_DEGREES)
+        self._first = first / first.sum()
+        self._known: tuple[tuple[float, ...], Array, tuple[int, float]]
+        self._known = (), self._first, (-1, 1.0)
 
-    def reset(self) -> None:
-        """Forget the ruptures: the needle begins again."""
-        prior = student.pdf(self._offset_m / self._std_m, TAIL_DEGREES)
-        # Rows: offsets. Columns: the last boundary matched, the first for none.
-        self._weight = np.zeros((len(self._offset_m), len(self._bound_m) + 1))
-        self._weight[:, 0] = prior / prior.sum()
-        self._last_m = -np.inf
-        self._matched = (-1, 1.0)
-
-    def add(self, rupture_m: float) -> PlanState:
-        """Take a rupture; see `state`.
-
-        Args:
-            rupture_m: Its depth, not less than that of the one before.
-
-        Raises:
-            PlanError: A depth that is not finite, or above the last rupture.
-        """
-        if not np.isfinite(rupture_m) or rupture_m < self._last_m - 1e-3:
-            raise PlanError(f"rupture at {rupture_m!r} m after one at {self._last_m:.4f} m")
-        likelihood = self._likelihood(rupture_m)
-        count = len(self._bound_m)
-        moved = FALSE_PER_m * self._weight
-        by_boundary = np.zeros(count + 1)
-        by_boundary[0] = moved.sum()
-        for boundary in range(count):
-            # From any earlier one, with those between missed.
-            missed = [self._missed[last:boundary].prod() for last in range(boundary + 1)]
-            came = self._weight[:, : boundary + 1] @ missed
-            arrived = (1.0 - self._missed[boundary]) * came * likelihood[:, boundary]
-            moved[:, boundary + 1] += arrived
-            by_boundary[boundary + 1] = arrived.sum()
-        total = moved.sum()
-        self._weight = moved / total
-        self._last_m = max(self._last_m, float(rupture_m))
-        best = int(np.argmax(by_boundary))
-        self._matched = best - 1, float(by_boundary[best] / total)
-        return self.state(rupture_m)
-
-    def _likelihood(self, depth_m: float) -> Array:
-        """Density of a rupture at a depth, for each offset and boundary [1/m]."""
-        error = depth_m - self._bound_m - self._offset_m[:, None]
-        std = np.hypot(self._bound_std_m, RUPTURE_STD_m)
-        late = norm.pdf(error, LATE_m, np.hypot(std, LATE_STD_m))
-        return (1.0 - self._late) * norm.pdf(error, 0.0, std) + self._late * late
-
-    def _unruptured(self, depth_m: float) -> Array:
-        """Probability that a boundary has not ruptured by a depth, though it will; (n, k)."""
-        error = depth_m - self._bound_m - self._offset_m[:, None]
-        std = np.hypot(self._bound_std_m, RUPTURE_STD_m)
-        late = norm.sf(error, LATE_m, np.hypot(std, LATE_STD_m))
-        return (1.0 - self._late) * norm.sf(error, 0.0, std) + self._late * late
-
-    def state(self, depth_m: float) -> PlanState:
+    def state(
+        self,
+        depth_m: float,
+        ruptures_m: Sequence[float] = (),
+        *,
+        deepest_m: float | None = None,
+        entry_depth_m: float = 0.0,
+    ) -> PlanState:
         """What is known with the tip at a depth: also that nothing ruptured there counts.
 
         A boundary that should have ruptured long ago has been missed, or lies deeper.
+
+        Args:
+            depth_m: Of the tip.
+            ruptures_m: Depths of all ruptures so far, in the order in which they came.
+            deepest_m: Where the tip has been before it was withdrawn; by default ``depth_m``.
+            entry_depth_m: Depth, from where the others count, of the plan's entry point.
+
+        Raises:
+            PlanError: A depth of a rupture that is not finite, or above the one before.
         """
-        weight, passed = self._at(depth_m)
-        count = len(self._bound_m)
-        # Before the surface the tip is counted as in front of the first layer.
-        layer = max(int(np.argmax(passed)) - 1, 0)
-        offset = weight.sum(axis=1)
+        ruptures = tuple(float(depth) - entry_depth_m for depth in ruptures_m)
+        depth = float(depth_m) - entry_depth_m
+        deepest = depth if deepest_m is None else max(float(deepest_m) - entry_depth_m, depth)
+        joint = self._joint(deepest, ruptures)
+        by_layer = joint.sum(axis=1)
+        if depth < deepest - BACK_m:
+            by_layer = self._withdrawn(joint, depth)
+        layer = int(np.argmax(by_layer)) - 1
         # The median: where two assignments compete, their mean is what neither says.
-        middle = float(np.interp(0.5, np.cumsum(offset), self._offset_m))
-        std = float(np.sqrt(offset @ (self._offset_m - middle) ** 2))
-        is_last = layer == count - 1
-        following = float("nan") if is_last else self._bound_m[layer + 1] + middle
-        spread = float("nan") if is_last else np.hypot(std, self._bound_std_m[layer + 1])
-        after = None if is_last else self.layers[layer + 1]
+        middle = self._quantile_m(joint, 0.5)
+        variance = float((joint @ (self._offset_m - middle) ** 2).sum())
+        after = self.layers[layer + 1] if layer + 1 < len(self.layers) else None
+        next_m = next_std_m = np.nan
+        if after is not None:
+            next_m = self._bound_m[layer + 1] + middle + entry_depth_m
+            next_std_m = np.sqrt(variance + self._bound_std_m[layer + 1] ** 2)
+        matched, likely = self._after(ruptures)[1]
+        matched_name = self.layers[matched].name if matched >= 0 else FALSE_ALARM
         return PlanState(
             layer=layer,
-            name=self.layers[layer].name,
-            probability=float(passed[layer + 1] + (passed[0] if layer == 0 else 0.0)),
+            name=self.layers[layer].name if layer >= 0 else OUTSIDE,
+            probability=float(by_layer[layer + 1]),
             offset_m=middle,
-            offset_std_m=std,
+            offset_std_m=float(np.sqrt(variance)),
             next_name="" if after is None else after.name,
-            next_m=float(following),
-            next_std_m=float(spread),
-            matched=self._matched[0],
-            matched_probability=self._matched[1],
+            next_m=float(next_m),
+            next_std_m=float(next_std_m),
+            matched=matched,
+            matched_name=matched_name if ruptures else "",
+            matched_probability=likely,
             is_obstacle_next=after is not None and after.is_obstacle,
         )
 
-    def interval_m(self, depth_m: float, level: float = 0.95) -> tuple[float, float]:
-        """Offsets between which the true one lies with that probability."""
-        total = np.cumsum(self._at(depth_m)[0].sum(axis=1))
-        low, high = np.interp([0.5 - 0.5 * level, 0.5 + 0.5 * level], total, self._offset_m)
-        return float(low), float(high)
+    def interval_m(
+        self, depth_m: float, ruptures_m: Sequence[float] = (), level: float = 0.95
+    ) -> tuple[float, float]:
+        """Offsets between which the true one lies with that probability, see `state`."""
+        joint = self._joint(depth_m, tuple(ruptures_m))
+        beyond = 0.5 - 0.5 * level
+        return self._quantile_m(joint, beyond), self._quantile_m(joint, 1.0 - beyond)
 
-    def _at(self, depth_m: float) -> tuple[Array, NDArray[np.float64]]:
-        """Weights with the tip at a depth, and how likely it is in each layer."""
-        count = len(self._bound_m)
-        waiting = self._unruptured(depth_m)
-        weight, passed = np.zeros_like(self._weight), np.zeros(count + 1)
-        for last in range(count + 1):
-            column = self._weight[:, last].copy()
-            stays = np.ones_like(column)
-            for boundary in range(last, count):
-                # Either it still stands, or it has been passed unnoticed.
-                missed, lies_here = self._missed[boundary], self._deeper(boundary) <= depth_m
-                stands = stays * (1.0 - missed) * waiting[:, boundary]
-                lies_ahead = stays * missed * ~lies_here
-                here = column * (stands + lies_ahead)
-                weight[:, last] += here
-                passed[boundary] += here.sum()
-                stays = stays * missed * lies_here
-            weight[:, last] += column * stays
-            passed[count] += (column * stays).sum()
-        total = weight.sum()
-        if total <= 0.0:  # nothing explains it: what was known before stays
-            return self._weight, self._weight.sum(axis=0)
-        return weight / total, passed / total
+    def _quantile_m(self, joint: Array, part: float) -> float:
+        """Offset below which so much of the probability lies."""
+        each = joint.sum(axis=0)
+        return float(np.interp(part, np.cumsum(each) - 0.5 * each, self._offset_m))
 
-    def _deeper(self, boundary: int) -> Array:
-        return self._bound_m[boundary] + self._offset_m
+    def _withdrawn(self, joint: Array, depth_m: float) -> Array:
+        """How likely so many boundaries lie above a tip that comes back from further below."""
+        passed = np.arange(len(joint))[:, None]
+        above = np.searchsorted(self._bound_m, depth_m - self._offset_m, "right")
+        return np.bincount(np.minimum(passed, above).ravel(), joint.ravel(), len(joint))
+
+    def _after(self, ruptures_m: tuple[float, ...]) -> tuple[Array, tuple[int, float]]:
+        """Weights after ruptures, which boundary the last one was, and how likely."""
+        known, weight, matched = self._known  # what the last call asked for, or a part of it
+        if ruptures_m[: len(known)] != known:
+            known, weight, matched = (), self._first, (-1, 1.0)
+        for k in range(len(known), len(ruptures_m)):
+            depth_m, last_m = ruptures_m[k], max(ruptures_m[:k], default=-np.inf)
+            if not np.isfinite(depth_m) or depth_m < last_m - 1e-3:
+                raise PlanError(f"rupture at {depth_m!r} m after one at {last_m:.4f} m")
+            density, _ = self._rupture_law(depth_m)
+            moved, came = FALSE_PER_m * weight, np.zeros(weight.shape[1])
+            likely = [float(moved.sum())]
+            for boundary, missed in enumerate(self._missed):
+                came += weight[boundary]
+                arrived = (1.0 - missed) * came * density[boundary]
+                moved[boundary + 1] += arrived
+                likely.append(float(arrived.sum()))
+                came *= missed
+            best, total = int(np.argmax(likely)), sum(likely)
+            weight, matched = moved / total, (best - 1, likely[best] / total)
+        self._known = ruptures_m, weight, matched
+        return weight, matched
+
+    def _rupture_law(self, depth_m: float) -> tuple[Array, Array]:
+        """Density [1/m] of a rupture at a depth, and probability of one behind it.
+
+        For each boundary (rows) and offset, given that the boundary ruptures: at once, or late.
+        """
+        error = depth_m - self._bound_m[:, None] - self._offset_m
+        std, late_std = self._law_std_m, np.hypot(self._law_std_m, LATE_STD_m)
+        at_once, late = error / std, (error - LATE_m) / late_std
+        bells = [np.exp(-0.5 * z**2) / np.sqrt(2.0 * np.pi) for z in (at_once, late)]
+        density = (1.0 - self._late) * bells[0] / std + self._late * bells[1] / late_std
+        return density, (1.0 - self._late) * ndtr(-at_once) + self._late * ndtr(-late)
+
+    def _joint(self, depth_m: float, ruptures_m: tuple[float, ...]) -> Array:
+        """Probability of so many boundaries passed (rows) and each offset, with the tip there."""
+        weight, _ = self._after(ruptures_m)
+        _, waiting = self._rupture_law(depth_m)
+        is_behind = self._bound_m[:, None] + self._offset_m <= depth_m
+        joint, came = np.empty_like(weight), np.zeros(weight.shape[1])
+        for boundary, missed in enumerate(self._missed):
+            came = came + weight[boundary]
+            # Either it still stands, or it lies ahead, or it has been passed unnoticed.
+            stands = (1.0 - missed) * waiting[boundary] + missed * ~is_behind[boundary]
+            joint[boundary] = came * stands
+            came = came * missed * is_behind[boundary]
+        joint[-1] = came + weight[-1]
+        total = joint.sum()
+        # Where nothing explains it, what was known before stays.
+        return joint / total if total > 0.0 else weight

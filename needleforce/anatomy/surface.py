@@ -113,18 +113,17 @@ def _with_volume(
     vertices: NDArray[np.float64], triangles: NDArray[np.integer], volume: float
 ) -> NDArray[np.float64]:
     """Move vertices along the normals until the surface holds a volume."""
+    from scipy import sparse
+
+    # Which triangles meet in a vertex: a third of each one's area to each of its corners.
+    rows, columns = triangles.ravel(), np.repeat(np.arange(len(triangles)), 3)
+    corners = sparse.csr_array((np.full(len(rows), 1.0 / 6.0), (rows, columns)))
     for _ in range(VOLUME_ROUNDS):
-        a, b, c = (vertices[triangles[:, corner]] for corner in range(3))
-        areas = np.cross(b - a, c - a) / 6.0  # a third of each triangle's to each of its corners
-        normals = np.zeros_like(vertices)
-        for corner in range(3):
-            for axis in range(3):
-                found = np.bincount(triangles[:, corner], areas[:, axis], len(vertices))
-                normals[:, axis] += found
-        lengths = np.linalg.norm(normals, axis=1, keepdims=True)
         missing = volume - enclosed(vertices, triangles)
         if abs(missing) < 1e-7 * volume:
             break
-        step = missing / lengths.sum()
-        vertices = vertices + step * normals / np.maximum(lengths, 1e-12)
+        a, b, c = (vertices[triangles[:, corner]] for corner in range(3))
+        normals = corners @ np.cross(b - a, c - a)
+        lengths = np.linalg.norm(normals, axis=1, keepdims=True)
+        vertices = vertices + missing / lengths.sum() * normals / np.maximum(lengths, 1e-12)
     return vertices

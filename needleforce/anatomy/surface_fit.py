@@ -5,15 +5,19 @@ nothing. A segmented surface is off by a few tenths of a millimetre, and neighbo
 same: taken for independent, a hundred touches would promise ten times too much.
 """
 
-from typing import NamedTuple
+from itertools import product
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
-from scipy.linalg import expm
+from numpy.typing import ArrayLike
+from scipy.linalg import eigh
 from scipy.spatial import KDTree
+from scipy.spatial.transform import Rotation
 
 from needleforce.anatomy.errors import RegistrationError
 from needleforce.anatomy.landmarks import Array, Registration, point_jacobian
+
+Pose = tuple[Array, Array]
+"""Rotation and shift."""
 
 TOUCH_STD_m = 0.5e-3
 SURFACE_STD_m = 0.35e-3
@@ -38,19 +42,6 @@ TRIES_rad, TRIES_m = 0.2, 12e-3
 """Other starts: turned and shifted by so much."""
 
 
-class _Fit(NamedTuple):
-    rotation: Array  # from robot to model
-    translation: Array
-    weights: Array
-    distances: Array
-    rows: Array  # derivatives of the distances, shape (n, 6)
-
-    @property
-    def cost(self) -> float:
-        """Median absolute distance: outliers do not matter."""
-        return float(np.median(np.abs(self.distances)))
-
-
 class TouchSurface:
     """A surface to find touches on.
 
@@ -69,35 +60,72 @@ class TouchSurface:
 
     def nearest(self, points: Array) -> tuple[Array, Array]:
         """Nearest places on the surface and the normals there, shape (n, 3) each."""
-        _, found = self._tree.query(points, k=min(NEIGHBOURS, len(self._corners)))
-        found = found.reshape(len(points), -1)
-        corners = self._corners[found]
-        places = _nearest_in_triangles(points[:, None, :], corners)
-        best = np.argmin(((places - points[:, None, :]) ** 2).sum(axis=-1), axis=1)
-        rows = np.arange(len(points))
+        from trimesh.triangles import closest_point
+
+        count, near = len(points), min(NEIGHBOURS, len(self._corners))
+        found = self._tree.query(points, k=near)[1].reshape(count, near)
+        # In millimetres: its tolerances are absolute, and in metres as large as a small triangle.
+        corners = 1e3 * self._corners[found].reshape(-1, 3, 3)
+        places = 1e-3 * closest_point(corners, 1e3 * np.repeat(points, near, axis=0))
+        places = places.reshape(count, near, 3)
+        best = np.argmin(((places - points[:, None]) ** 2).sum(axis=-1), axis=1)
+        rows = np.arange(count)
         return places[rows, best], self._normals[found[rows, best]]
 
 
-def _nearest_in_triangles(points: Array, corners: Array) -> Array:
-    """Nearest points of triangles (..., 3, 3) to points (..., 3): inside, or on an edge."""
-    a, b, c = corners[..., 0, :], corners[..., 1, :], corners[..., 2, :]
-    ab, ac, ap = b - a, c - a, points - a
-    d00, d01, d11 = ((x * y).sum(-1) for x, y in ((ab, ab), (ab, ac), (ac, ac)))
-    d20, d21 = (ap * ab).sum(-1), (ap * ac).sum(-1)
-    scale = np.maximum(d00 * d11 - d01 * d01, 1e-30)
-    v, w = (d11 * d20 - d01 * d21) / scale, (d00 * d21 - d01 * d20) / scale
-    inside = (v >= 0.0) & (w >= 0.0) & (v + w <= 1.0)
-    best = a + v[..., None] * ab + w[..., None] * ac
-    least = np.where(inside, ((best - points) ** 2).sum(-1), np.inf)
-    for start, end in ((a, b), (b, c), (c, a)):
-        edge = end - start
-        along = ((points - start) * edge).sum(-1) / np.maximum((edge * edge).sum(-1), 1e-30)
-        place = start + np.clip(along, 0.0, 1.0)[..., None] * edge
-        distance = ((place - points) ** 2).sum(-1)
-        is_nearer = ~inside & (distance < least)
-        best = np.where(is_nearer[..., None], place, best)
-        least = np.where(is_nearer, distance, least)
-    return best
+class _Fit:
+    """A solution from the robot to the model: Gauss-Newton from a start, with Tukey's weights."""
+
+    def __init__(self, surface: TouchSurface, touches: Array, std_m: float, start: Pose) -> None:
+        self._given = surface, touches, std_m
+        self.pose = start
+        for count in range(ROUNDS):
+            self.points = touches @ self.pose[0].T + self.pose[1]
+            places, normals = surface.nearest(self.points)
+            apart = self.points - places
+            self.distances = (apart * normals).sum(axis=1)
+            # While far away everything counts; then what lies further than the rest does not.
+            far = np.linalg.norm(apart, axis=1)
+            scale = max(1.4826 * float(np.median(far)), 1.5 * std_m)
+            self.weights = (1.0 - np.minimum(far / (TUKEY * scale), 1.0) ** 2) ** 2
+            # Derivatives of the distances, shape (n, 6).
+            self.rows = np.einsum("ni,nij->nj", normals, self._levers())
+            normal = self.rows.T @ (self.weights[:, None] * self.rows)
+            # What the touches do not hold is held a little, so that a sphere has a solution too.
+            spins, slides = np.trace(normal[:3, :3]), np.trace(normal[3:, 3:])
+            normal += 1e-6 * np.diag([spins] * 3 + [slides] * 3)
+            step = -np.linalg.solve(normal, self.rows.T @ (self.weights * self.distances))
+            self.pose = self._moved(step)
+            if count > 5 and np.linalg.norm(step * [0.1, 0.1, 0.1, 1, 1, 1]) < LAST_STEP:
+                break
+        # Median absolute distance: outliers do not matter.
+        self.cost = float(np.median(np.abs(self.distances)))
+
+    def _levers(self) -> Array:
+        return point_jacobian(self.points - self.points.mean(axis=0))
+
+    def _moved(self, step: Array) -> Pose:
+        """The pose after a small rotation about the touches' middle, and a shift."""
+        turn, pivot = Rotation.from_rotvec(step[:3]).as_matrix(), self.points.mean(axis=0)
+        return turn @ self.pose[0], turn @ (self.pose[1] - pivot) + pivot + step[3:]
+
+    def pushed(self, direction: Array, size_m: float) -> tuple[float, float]:
+        """Move it along a direction of its six, by so much at the touches, and fit again.
+
+        Returns how far away it then is, root mean square at the touches, and its cost.
+        """
+        moved = self._levers() @ direction
+        step = direction * size_m / float(np.sqrt((moved**2).sum(axis=1).mean()))
+        again = _Fit(*self._given, self._moved(step))
+        difference = self._given[1] @ (again.pose[0] - self.pose[0]).T
+        difference += again.pose[1] - self.pose[1]
+        return float(np.sqrt((difference**2).sum(axis=1).mean())), again.cost
+
+    def weakest(self) -> Array:
+        """The three directions along which the distances change least, by motion of the touches."""
+        levers = self._levers().reshape(-1, 6)
+        held = self.rows.T @ (self.weights[:, None] * self.rows)
+        return eigh(held, levers.T @ levers / len(self.points))[1][:, :3].T
 
 
 def fit_surface(
@@ -129,7 +157,7 @@ def fit_surface(
             f"too few touches: {len(touches)}; expected {LEAST_TOUCHES} or more, spread widely"
         )
     inverse = start.rotation.T, -start.rotation.T @ start.translation_m
-    found = _fit(surface, touches, inverse, touch_std_m)
+    found = _Fit(surface, touches, touch_std_m, inverse)
     outliers = float(np.mean(found.weights == 0.0))
     if outliers > MOST_OUTLIERS:
         raise RegistrationError(
@@ -137,121 +165,51 @@ def fit_surface(
             "a start too far away; register by landmarks again"
         )
     if check:
-        _require_no_symmetry(surface, touches, found, touch_std_m)
-        _require_no_better(surface, touches, found, touch_std_m)
+        _require_no_other(touches, found, touch_std_m)
     return _registration(touches, found, touch_std_m)
 
 
-def _fit(surface: TouchSurface, touches: Array, start: tuple[Array, Array], std_m: float) -> _Fit:
-    rotation, translation = start
-    weights = distances = rows = np.empty(0)
-    for count in range(ROUNDS):
-        points = touches @ rotation.T + translation
-        places, normals = surface.nearest(points)
-        distances = ((points - places) * normals).sum(axis=1)
-        # While far away everything counts; then what lies further than the rest does not.
-        true_distance = np.linalg.norm(points - places, axis=1)
-        scale = max(1.4826 * float(np.median(true_distance)), 1.5 * std_m)
-        ratio = np.minimum(true_distance / (TUKEY * scale), 1.0)
-        weights = (1.0 - ratio**2) ** 2
-        pivot = points.mean(axis=0)
-        levers = point_jacobian(points - pivot)
-        rows = np.einsum("ni,nij->nj", normals, levers)
-        normal = rows.T @ (weights[:, None] * rows)
-        # What the touches do not hold is held a little, so that a sphere has a solution too.
-        normal += 1e-6 * np.diag([np.trace(normal[:3, :3])] * 3 + [np.trace(normal[3:, 3:])] * 3)
-        step = -np.linalg.solve(normal, rows.T @ (weights * distances))
-        turn = expm(_skew(step[:3]))
-        rotation, translation = turn @ rotation, turn @ (translation - pivot) + pivot + step[3:]
-        if count > 5 and np.linalg.norm(step * [0.1, 0.1, 0.1, 1, 1, 1]) < LAST_STEP:
-            break
-    return _Fit(rotation, translation, weights, distances, rows)
-
-
-def _skew(v: Array) -> Array:
-    return np.array([[0.0, -v[2], v[1]], [v[2], 0.0, -v[0]], [-v[1], v[0], 0.0]])
-
-
-def _apart(touches: Array, one: tuple[Array, Array], two: tuple[Array, Array]) -> float:
-    """Root mean square distance of the touches under two solutions."""
-    difference = touches @ (one[0] - two[0]).T + one[1] - two[1]
-    return float(np.sqrt((difference**2).sum(axis=1).mean()))
-
-
-def _pushed(touches: Array, found: _Fit, direction: Array, size_m: float) -> tuple[Array, Array]:
-    """A solution moved along a direction of its six, by so much at the touches."""
-    points = touches @ found.rotation.T + found.translation
-    pivot = points.mean(axis=0)
-    moved = point_jacobian(points - pivot) @ direction
-    step = direction * size_m / float(np.sqrt((moved**2).sum(axis=1).mean()))
-    turn = expm(_skew(step[:3]))
-    return turn @ found.rotation, turn @ (found.translation - pivot) + pivot + step[3:]
-
-
-def _weakest(touches: Array, found: _Fit) -> NDArray[np.float64]:
-    """The three directions along which the distances change least, by motion of the touches."""
-    points = touches @ found.rotation.T + found.translation
-    levers = point_jacobian(points - points.mean(axis=0)).reshape(-1, 6)
-    held = found.rows.T @ (found.weights[:, None] * found.rows)
-    lower = np.linalg.cholesky(levers.T @ levers / len(points))
-    half = np.linalg.solve(lower, np.linalg.solve(lower, held).T)
-    _, vectors = np.linalg.eigh(0.5 * (half + half.T))
-    return np.asarray(np.linalg.solve(lower.T, vectors[:, :3]).T, dtype=float)
-
-
-def _require_no_symmetry(surface: TouchSurface, touches: Array, found: _Fit, std_m: float) -> None:
-    best = (found.rotation, found.translation)
-    for direction in _weakest(touches, found):
-        pushed = _pushed(touches, found, direction, PUSH_m)
-        again = _fit(surface, touches, pushed, std_m)
-        left_m = _apart(touches, (again.rotation, again.translation), best)
-        is_as_good = again.cost < 1.3 * max(found.cost, 0.5 * std_m)
-        if left_m > BACK * PUSH_m and is_as_good:
+def _require_no_other(touches: Array, found: _Fit, std_m: float) -> None:
+    """Refuse a surface that the solution slides along, and one that fits better elsewhere."""
+    for direction in found.weakest():
+        left_m, cost = found.pushed(direction, PUSH_m)
+        if left_m > BACK * PUSH_m and cost < 1.3 * max(found.cost, 0.5 * std_m):
             raise RegistrationError(
                 f"the surface slides or spins on itself: pushed {1e3 * PUSH_m:g} mm along its "
                 f"weakest direction, the solution stays {1e3 * left_m:.1f} mm away and fits as "
                 "well; touch a part with edges or another shape"
             )
-
-
-def _require_no_better(surface: TouchSurface, touches: Array, found: _Fit, std_m: float) -> None:
-    best = (found.rotation, found.translation)
     radius = float(np.sqrt(((touches - touches.mean(axis=0)) ** 2).sum(axis=1).mean()))
-    for axis in range(3):
-        for sign in (1.0, -1.0):
-            direction = np.zeros(6)
-            direction[axis], direction[3 + axis] = sign * TRIES_rad, sign * TRIES_m
-            size_m = float(np.hypot(TRIES_rad * radius * np.sqrt(2.0 / 3.0), TRIES_m))
-            again = _fit(surface, touches, _pushed(touches, found, direction, size_m), std_m)
-            left_m = _apart(touches, (again.rotation, again.translation), best)
-            if left_m > FAR_m and again.cost < 0.9 * found.cost:
-                raise RegistrationError(
-                    f"another solution, {1e3 * left_m:.0f} mm away, fits better: the start lies "
-                    "outside the basin; register by landmarks again"
-                )
+    size_m = float(np.hypot(TRIES_rad * radius * np.sqrt(2.0 / 3.0), TRIES_m))
+    for axis, sign in product(range(3), (1.0, -1.0)):
+        direction = np.zeros(6)
+        direction[axis], direction[3 + axis] = sign * TRIES_rad, sign * TRIES_m
+        left_m, cost = found.pushed(direction, size_m)
+        if left_m > FAR_m and cost < 0.9 * found.cost:
+            raise RegistrationError(
+                f"another solution, {1e3 * left_m:.0f} mm away, fits better: the start lies "
+                "outside the basin; register by landmarks again"
+            )
 
 
 def _registration(touches: Array, found: _Fit, touch_std_m: float) -> Registration:
     """The fit from model to robot, with a covariance of touches and correlated surface errors."""
     kept = found.weights > 0.0
     weights, rows, distances = found.weights[kept], found.rows[kept], found.distances[kept]
-    points = touches[kept] @ found.rotation.T + found.translation
-    held = rows.T @ (weights[:, None] * rows)
-    gain = np.linalg.solve(held, rows.T * weights)
+    points = found.points[kept]
+    gain = np.linalg.solve(rows.T @ (weights[:, None] * rows), rows.T * weights)
     apart = np.linalg.norm(points[:, None, :] - points[None, :, :], axis=-1)
     degrees = max(float(kept.sum()) - 6.0, 1.0)
     observed = float((weights * distances**2).sum() / weights.sum()) * len(weights) / degrees
     surface_var = max(observed - touch_std_m**2, SURFACE_STD_m**2)
     errors = surface_var * np.exp(-0.5 * (apart / SURFACE_REACH_m) ** 2) + SURFACE_BIAS_m**2
     errors[np.diag_indices_from(errors)] += touch_std_m**2
-    covariance = gain @ errors @ gain.T
-    rotation = found.rotation.T
+    rotation = found.pose[0].T
     turn = np.kron(np.eye(2), rotation)  # rotation and shift, from the model's axes to the robot's
-    covariance = turn @ covariance @ turn.T
     return Registration(
         rotation=rotation,
-        translation_m=-rotation @ found.translation,
-        covariance=covariance,
+        translation_m=-rotation @ found.pose[1],
+        covariance=turn @ gain @ errors @ gain.T @ turn.T,
         pivot_m=touches.mean(axis=0),
         degrees=degrees,
         residual_rms_m=float(np.sqrt((distances**2).mean())),

@@ -79,20 +79,6 @@ class Grid:
         """Centres of the eight voxels in the corners, (8, 3)."""
         return self.points_m(np.indices((2, 2, 2)).reshape(3, 8).T * (np.array(self.shape) - 1))
 
-    def box(self, lower_m: ArrayLike, upper_m: ArrayLike) -> tuple[slice, ...]:
-        """Slices of the voxels that a box, given by two corners in LPS, reaches."""
-        pair = np.array([lower_m, upper_m], float)
-        corners = self.indices(
-            [[pair[a, 0], pair[b, 1], pair[c, 2]] for a, b, c in np.ndindex(2, 2, 2)]
-        )
-        low = np.maximum(np.floor(corners.min(axis=0)), 0).astype(int)
-        high = np.minimum(np.ceil(corners.max(axis=0)) + 1, self.shape).astype(int)
-        if not np.all(low < high):
-            raise VolumeError(
-                f"the box {pair.tolist()} m lies outside the volume: is it in metres?"
-            )
-        return tuple(slice(int(a), int(b)) for a, b in zip(low, high, strict=True))
-
     def within(self, box: Sequence[slice]) -> "Grid":
         """Return the grid of the voxels in a box of slices."""
         shape = tuple(part.stop - part.start for part in box)
@@ -105,11 +91,6 @@ class Volume:
 
     values: NDArray[Any]  # (i, j, k)
     grid: Grid
-
-    def cropped(self, lower_m: ArrayLike, upper_m: ArrayLike) -> "Volume":
-        """Return what a box, given by two corners in LPS, reaches."""
-        box = self.grid.box(lower_m, upper_m)
-        return Volume(self.values[box], self.grid.within(box))
 
 
 @dataclass(frozen=True)
@@ -170,11 +151,11 @@ class Labels:
 
     def __getitem__(self, name: str) -> Structure:
         """Return the structure of that name."""
-        for structure in self.structures:
-            if structure.name == name:
-                return structure
-        names = ", ".join(item.name for item in self.structures)
-        raise VolumeError(f"no structure with voxels is named {name!r}; there are {names}")
+        named = {item.name: item for item in self.structures}
+        if name not in named:
+            there = ", ".join(named)
+            raise VolumeError(f"no structure with voxels is named {name!r}; there are {there}")
+        return named[name]
 
     def mask(self, name: str) -> NDArray[np.bool_]:
         """Which voxels belong to a structure, (i, j, k) in the structure's box."""
@@ -185,11 +166,6 @@ class Labels:
         """Mean place of a structure's voxels in LPS, (3,)."""
         start = [part.start for part in self[name].box]
         return self.grid.points_m(np.argwhere(self.mask(name)).mean(axis=0) + start)
-
-    def cropped(self, lower_m: ArrayLike, upper_m: ArrayLike) -> "Labels":
-        """Return what a box, given by two corners in LPS, reaches."""
-        box = self.grid.box(lower_m, upper_m)
-        return Labels.of([v[box] for v in self.volumes], self.grid.within(box), self.structures)
 
     def with_body(self, scan: Volume) -> "Labels":
         """Add ``body``: all that is not air around the patient, found in the CT."""
@@ -353,39 +329,38 @@ def _read_series(folder: Path) -> Any:
             f"{folder} holds {len(series)} DICOM series: expected one; put each into its own folder"
         )
     files = reader.GetGDCMSeriesFileNames(str(folder), series[0])
-    headers = [_slice_header(name) for name in files]
-    if len({repr(header[1:]) for header in headers}) != 1:
+    headers = np.array([_slice_header(name) for name in files])
+    if np.ptp(headers[:, 3:], axis=0).any():
         raise VolumeError(f"{folder}: slices differ in size, spacing or orientation: mixed series")
-    rows, columns = np.array(headers[0][1]).reshape(2, 3)
-    places = np.array([header[0] for header in headers])
-    steps = np.diff(places, axis=0)
-    along = steps @ np.cross(rows, columns)
-    usual = float(np.median(along)) if len(along) else 0.0
-    if len(files) > 1 and np.any(np.abs(along - usual) > 0.01 * abs(usual)):
+    axes, steps = headers[0, 3:9].reshape(2, 3), np.diff(headers[:, :3], axis=0)
+    if len(files) > 1:
+        along = steps @ np.cross(*axes)
+        usual = float(np.median(along))
         worst = int(np.abs(along - usual).argmax())
-        raise VolumeError(
-            f"{folder}: slices are {usual:.3f} mm apart, but {along[worst]:.3f} mm after "
-            f"{Path(files[worst]).name}: a slice is missing or doubled"
-        )
-    if len(files) > 1 and np.abs(steps @ np.array([rows, columns]).T).max() > 0.01 * abs(usual):
-        raise VolumeError(f"{folder}: slices are sheared (gantry tilt): resample the scan first")
+        if abs(along[worst] - usual) > 0.01 * abs(usual):
+            raise VolumeError(
+                f"{folder}: slices are {usual:.3f} mm apart, but {along[worst]:.3f} mm after "
+                f"{Path(files[worst]).name}: a slice is missing or doubled"
+            )
+        if np.abs(steps @ axes.T).max() > 0.01 * abs(usual):
+            raise VolumeError(f"{folder}: slices are sheared (gantry tilt): resample the scan")
     reader.SetFileNames(files)
     return reader.Execute()
 
 
-def _slice_header(name: str) -> tuple[list[float], ...]:
-    """Position, orientation, spacing and size of a DICOM slice."""
+def _slice_header(name: str) -> list[float]:
+    """Position, orientation, spacing and size of a DICOM slice, 13 numbers."""
     import SimpleITK
 
     reader = SimpleITK.ImageFileReader()
     reader.SetFileName(name)
     reader.ReadImageInformation()
-    found = []
+    found: list[float] = []
     for tag in ("0020|0032", "0020|0037", "0028|0030", "0028|0010", "0028|0011"):
         if not reader.HasMetaDataKey(tag):
             raise VolumeError(f"{name} has no DICOM tag {tag}: expected slices of one scan")
-        found.append([float(part) for part in reader.GetMetaData(tag).split("\\")])
-    return tuple(found)
+        found += [float(part) for part in reader.GetMetaData(tag).split("\\")]
+    return found
 
 
 def _arrays(image: Any) -> list[NDArray[Any]]:

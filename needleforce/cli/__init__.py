@@ -16,20 +16,8 @@ from typing import Annotated, Literal
 from cyclopts import Parameter, UnusedCliTokensError
 
 from needleforce.cli import live_commands
-from needleforce.cli.options import (
-    LOG,
-    OUTPUT,
-    AllColumns,
-    DepthColumns,
-    IdentificationOptions,
-    JointColumns,
-    Output,
-    RobotOptions,
-    SensorOptions,
-    SimulationOptions,
-    Source,
-    app,
-)
+from needleforce.cli import options as cli
+from needleforce.cli.options import app
 from needleforce.cli.terminal import CommandError, run_command
 
 __all__ = ["app", "live_commands", "main"]
@@ -55,11 +43,12 @@ def main(argv: Sequence[str] | None = None) -> int:
 @app.command(name="simulate")
 def simulate_command(
     scenario: Annotated[
-        str | None, Parameter(name="SCENARIO", group=OUTPUT, help="What is simulated; see --list.")
+        str | None,
+        Parameter(name="SCENARIO", group=cli.OUTPUT, help="What is simulated; see --list."),
     ] = None,
     /,
     *,
-    options: SimulationOptions = SimulationOptions(),
+    options: cli.SimulationOptions = cli.SimulationOptions(),
 ) -> int:
     """Simulate an insertion and write it as a recording.
 
@@ -75,13 +64,13 @@ def simulate_command(
 
 @app.command(name="force")
 def force_command(
-    log: Source,
+    log: cli.Source,
     /,
     *,
-    output: Output = Output(),
-    robot: RobotOptions = RobotOptions(),
-    sensor: SensorOptions = SensorOptions(),
-    columns: JointColumns = JointColumns(),
+    output: cli.Output = cli.Output(),
+    robot: cli.RobotOptions = cli.RobotOptions(),
+    sensor: cli.SensorOptions = cli.SensorOptions(),
+    columns: cli.JointColumns = cli.JointColumns(),
 ) -> int:
     """Estimate the force on a needle from a robot's recorded joint signals.
 
@@ -98,12 +87,12 @@ def force_command(
 
 @app.command(name="identify")
 def identify_command(
-    log: Source,
+    log: cli.Source,
     /,
     *,
-    output: Output = Output(),
-    options: IdentificationOptions = IdentificationOptions(),
-    columns: DepthColumns = DepthColumns(),
+    output: cli.Output = cli.Output(),
+    options: cli.IdentificationOptions = cli.IdentificationOptions(),
+    columns: cli.DepthColumns = cli.DepthColumns(),
 ) -> int:
     """Identify ruptures, layers, stiffness and friction from depth, speed and axial force.
 
@@ -120,14 +109,14 @@ def identify_command(
 
 @app.command(name="report")
 def report_command(
-    log: Source,
-    folder: Annotated[Path, Parameter(name="DIR", group=LOG, help="Made if it is not there.")],
+    log: cli.Source,
+    folder: Annotated[Path, Parameter(name="DIR", group=cli.LOG, help="Made if it is not there.")],
     /,
     *,
-    robot: RobotOptions = RobotOptions(),
-    sensor: SensorOptions = SensorOptions(),
-    options: IdentificationOptions = IdentificationOptions(),
-    columns: AllColumns = AllColumns(),
+    robot: cli.RobotOptions = cli.RobotOptions(),
+    sensor: cli.SensorOptions = cli.SensorOptions(),
+    options: cli.IdentificationOptions = cli.IdentificationOptions(),
+    columns: cli.AllColumns = cli.AllColumns(),
 ) -> int:
     """Write a page with charts, results, warnings and settings of a log into a folder.
 
@@ -140,7 +129,7 @@ def report_command(
     from needleforce.cli import force, identify
     from needleforce.cli.log import has_channels
 
-    output = Output(report=folder)
+    output = cli.Output(report=folder)
     if has_channels(log, columns, ("q", "tau_ext" if sensor.external_torque else "tau")):
         return force.run(log, output, robot, sensor, columns, options)
     return identify.run(log, output, options, columns)
@@ -150,21 +139,21 @@ def report_command(
 def demo_command(
     kind: Annotated[
         Literal["guidance", "teleop", "autonomous", "rcm", "abdomen"],
-        Parameter(name="KIND", group=LOG),
+        Parameter(name="KIND", group=cli.LOG),
     ],
     /,
     *,
-    report: Annotated[Path | None, Parameter(metavar="DIR", group=OUTPUT)] = None,
-    figure: Annotated[Path | None, Parameter(metavar="FILE", group=OUTPUT)] = None,
+    report: Annotated[Path | None, Parameter(metavar="DIR", group=cli.OUTPUT)] = None,
+    figure: Annotated[Path | None, Parameter(metavar="FILE", group=cli.OUTPUT)] = None,
     data: Annotated[
         Path | None,
         Parameter(
             metavar="DIR",
-            group=LOG,
+            group=cli.LOG,
             help="Of abdomen: folder with ct.nii.gz and labels.nii.gz; else an analytic torso.",
         ),
     ] = None,
-    seed: Annotated[int, Parameter(metavar="N", group=LOG, help="Of abdomen.")] = 0,
+    seed: Annotated[int, Parameter(metavar="N", group=cli.LOG, help="Of abdomen.")] = 0,
 ) -> int:
     """Show the needle moved in closed loop on the simulated arm, or planned on a CT (abdomen).
 

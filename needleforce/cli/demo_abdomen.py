@@ -255,7 +255,7 @@ def _followed(run: Run, made: Insertion, offset_std_m: float) -> Insertion:
     signals, true = run.signals, run.truth
     session, match = InsertionSession(run.robot), PlanMatch(made.plan, offset_std_m)
     velocity = signals.dq_rad_s if signals.dq_rad_s is not None else [None] * len(signals.t_s)
-    rows, states, zero, last_s, stop = [], [], 0.0, signals.t_s[0], None
+    rows, states, entry_m, last_s, stop = [], [], 0.0, signals.t_s[0], None
     for k, (t_s, q, dq, tau) in enumerate(
         zip(signals.t_s, signals.q_rad, velocity, signals.tau_Nm, strict=True)
     ):
@@ -263,18 +263,23 @@ def _followed(run: Run, made: Insertion, offset_std_m: float) -> Insertion:
         last_s = t_s
         if not session.tared and t_s > run.tare_end_s:
             session.tare()
-            # Depths count from the planned entry, where the robot knows its tip to be; the tissue
-            # lies deeper by what nobody knows.
-            zero = float(true.depth_m[k]) + made.shift_m
+            # The robot knows where its tip is, and where the planned entry; the tissue lies deeper
+            # by what nobody knows.
+            entry_m = -float(true.depth_m[k]) - made.shift_m
+            start_m, axis = session.snapshot().zero
+            session.follow(match, start_m + entry_m * axis)
             continue
-        if not session.tared or t_s > run.scenario.motion.insertion_end_s:
+        if now.plan is None or t_s > run.scenario.motion.insertion_end_s:
             continue
-        depth = now.depth_m + zero
+        depth, found = now.depth_m - entry_m, now.identification
         if k % 20 == 0:
-            rows.append((depth, now.wrench.axial, now.identification.tip_force_N))
-        if (rupture := now.identification.rupture) is not None:
-            states.append((rupture.depth_m + zero, match.add(rupture.depth_m + zero)))
-        if stop is None and depth >= made.length_m + match.state(depth).offset_m:
+            rows.append((depth, now.wrench.axial, found.tip_force_N))
+        if found.rupture is not None:
+            states.append((found.rupture.depth_m - entry_m, now.plan))
+        if found.retracted is not None:
+            wrong_m = found.retracted.depth_m - entry_m
+            states = [one for one in states if one[0] != wrong_m]
+        if stop is None and depth >= made.length_m + now.plan.offset_m:
             stop = depth
     depth, force, tip = np.array(rows).T
     return made._replace(
@@ -346,7 +351,7 @@ def _rows(made: Insertion) -> tuple[tuple[str, str], ...]:
         ),
     ]
     for k, (depth, state) in enumerate(made.states, 1):
-        where = f"into {made.plan[state.matched].name}" if state.matched >= 0 else "a false alarm"
+        where = f"into {state.matched_name}" if state.matched >= 0 else state.matched_name
         rows.append(
             (
                 f"rupture {k} at {1e3 * depth:.1f} mm",

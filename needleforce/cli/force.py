@@ -19,7 +19,6 @@ from needleforce.cli.log import LogSession
 from needleforce.cli.terminal import CommandError, write_out
 from needleforce.plots import Chart, Curve, LineStyle, Panel, palette
 from needleforce.plots.chart import limits_of
-from needleforce.recordings.log import LogChunk
 from needleforce.recordings.mapping import ChannelRequest
 from needleforce.recordings.open_recording import suggest_mapping
 from needleforce.recordings.table import Labels
@@ -59,6 +58,9 @@ def run(
 
 # From a log to its result.
 
+_CHANNELS = {"depth_m": "travel_m", "force_N": "axial_N", "force_std_N": "axial_std_N"}
+_CHANNELS |= {"force_status": "status", "force_warnings": "warnings"}
+
 
 def estimate_forces(
     log: LogSession,
@@ -82,20 +84,14 @@ def estimate_forces(
             if table is not None:
                 table.append(force_table(rows, config))
             if layers is not None:
-                forces.append(_as_log(chunk, rows))
+                # As `needleforce identify` would read them from their table.
+                channels = {name: rows[column] for name, column in _CHANNELS.items()}
+                forces.append(replace(chunk, channels=channels))
         replay.finish(is_whole=not log.is_stopped())
     result.rows = overview.columns()
     if layers is not None and result.counts[Status.OK]:
         result.layers = identify_layers(forces, log.name, layers)
     return result
-
-
-def _as_log(chunk: LogChunk, rows: Rows) -> LogChunk:
-    """Return forces as `needleforce identify` would read them from their table."""
-    names = {"depth_m": "travel_m", "force_N": "axial_N", "force_std_N": "axial_std_N"}
-    names |= {"force_status": "status", "force_warnings": "warnings"}
-    channels = {name: rows[column] for name, column in names.items()}
-    return LogChunk(t_s=chunk.t_s, dt_s=chunk.dt_s, channels=channels)
 
 
 def force_table(rows: Rows, config: SensorConfig) -> dict[str, NDArray]:
@@ -268,8 +264,7 @@ _CAPTIONS: dict[cli.Over, str] = {
     "depth": "The same over the travel of the tool along the needle since the first sample: in "
     "tissue the upper branch is the insertion, the lower the withdrawal.",
 }
-_LEAST_TRAVEL_M = 1e-3
-"""A chart over travel has nothing to show where the tool hardly moves."""
+_LEAST_TRAVEL_M = 1e-3  # a chart over travel has nothing to show where the tool hardly moves
 
 # Charts.
 

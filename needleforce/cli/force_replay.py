@@ -8,7 +8,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from needleforce.cli import SensorOptions
+from needleforce.cli.options import SensorOptions
 from needleforce.cli.terminal import CommandError
 from needleforce.recordings.log import LogChunk
 from residual import (

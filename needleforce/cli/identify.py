@@ -32,10 +32,7 @@ METHODS = {"multilayer": MULTILAYER, "published": PUBLISHED, "published-kv": PUB
 
 
 def run(
-    source: str,
-    output: cli.Output,
-    options: cli.IdentificationOptions,
-    columns: cli.DepthColumns,
+    source: str, output: cli.Output, options: cli.IdentificationOptions, columns: cli.DepthColumns
 ) -> int:
     """Run the command and return its exit code; what it raises is reported in one line."""
     known = logs.mapping_from_options(columns)
@@ -176,22 +173,17 @@ class IdentificationResult:
             curve = Curve(style=palette.OURS, x=x, y=rows[name], **band)
             is_kv = name == "friction_Ns_per_m2" and self.method.endswith("kv")
             panels.append(Panel(y_label=_OF_KELVIN_VOIGT if is_kv else label, curves=(curve,)))
-        ruptures_s = [layer.rupture.time_s for layer in self.layers]
-        identified_s = rows["t_s"][self.rows["identified_layer"] > 0]
+        ruptures = tuple(layer.rupture.time_s - start_s for layer in self.layers)
+        identified = tuple(rows["t_s"][self.rows["identified_layer"] > 0] - start_s)
         events = (
-            ("estimated rupture time", palette.RUPTURE, ruptures_s),
-            ("friction identified", palette.COMPENSATION, identified_s),
+            plots.Instants("estimated rupture time", palette.RUPTURE, ruptures),
+            plots.Instants("friction identified", palette.COMPENSATION, identified),
         )
         return Chart(
             title=f"Forces and identified parameters\n{self.log}, method {self.method}",
             x_label=x_label,
             panels=tuple(panels),
-            instants=tuple(
-                plots.Instants(
-                    label=label, style=style, places=tuple(t_s - start_s for t_s in times_s)
-                )
-                for label, style, times_s in (events if over == "time" else ())
-            ),
+            instants=events if over == "time" else (),
             x_limits=logs.span(x),
             height_in=6.4,
         )

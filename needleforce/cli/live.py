@@ -12,7 +12,7 @@ from typing import Any
 import numpy as np
 
 from groundtruth import simulate
-from needleforce.cli.live_commands import LiveOptions
+from needleforce.cli.live_commands import LiveOptions, WatchOptions
 from needleforce.cli.options import RobotOptions
 from needleforce.cli.robot import robot_from_options
 from needleforce.cli.terminal import CommandError, progress_bar, say, stop_request, write_out
@@ -114,19 +114,16 @@ class _Watch:
         self._events: list[str] = []
 
     def show(self, now: SessionEstimate, live: Any) -> None:
-        if (rupture := now.identification.rupture) is not None:
-            chance = f"{100.0 * rupture.probability:.0f} %"
-            self._events.append(
-                f"rupture of layer {rupture.layer} at {1e3 * rupture.depth_m:.1f} mm ({chance})"
-            )
+        for text in _events(now):
+            self._events.append(text)
             if live is None:
-                write_out(f"{self._events[-1]}\n")
+                write_out(f"{text}\n")
         if now.time_s < self._next_s:
             return
         self._next_s = now.time_s + (LINE_s if live is None else PANEL_s)
         lines = self._lines(now)
         if live is None:
-            write_out("  ".join(lines[:3]) + "\n")
+            write_out("  ".join(lines[: 3 if now.plan is None else 4]) + "\n")
         else:
             live.update("\n".join(lines))
 
@@ -137,6 +134,7 @@ class _Watch:
             f"{now.time_s:8.1f} s  {now.status}",
             f"force {wrench.axial:6.2f} ± {min(wrench.axial_std, 99.0):.3f} N",
             f"tip {found.tip_force_N:6.2f} N  {depth}",
+            *(() if now.plan is None else (_plan_words(now.plan),)),
             *self._events[-5:],
             str(now.warnings or ""),
             wrench.message,
@@ -144,12 +142,66 @@ class _Watch:
         ]
 
 
-def watch(arm_name: str, options: LiveOptions, robot: RobotOptions) -> int:
+def _events(now: SessionEstimate) -> Iterator[str]:
+    """What this tick has brought, in words."""
+    found, plan = now.identification, now.plan
+    if (rupture := found.rupture) is not None:
+        chance = f"{100.0 * rupture.probability:.0f} %"
+        text = f"rupture of layer {rupture.layer} at {1e3 * rupture.depth_m:.1f} mm ({chance})"
+        if plan is not None:
+            where = f"into {plan.matched_name}" if plan.matched >= 0 else plan.matched_name
+            text += f", by the plan {where} ({100.0 * plan.matched_probability:.0f} %)"
+        yield text
+    if found.retracted is not None:
+        yield f"no rupture of layer {found.retracted.layer} after all: the force came back"
+
+
+def _plan_words(plan: Any) -> str:
+    text = f"in {plan.name} ({100.0 * plan.probability:.0f} %)"
+    if plan.next_name:
+        text += f", {plan.next_name} at {1e3 * plan.next_m:.1f} ± {1e3 * plan.next_std_m:.1f} mm"
+    return f"{text}, offset {1e3 * plan.offset_m:+.1f} ± {1e3 * plan.offset_std_m:.1f} mm"
+
+
+@contextmanager
+def _page(arm_name: str, watched: WatchOptions, model: Robot, robot: RobotOptions) -> Iterator[Any]:
+    """The plan if one is named, and the scene beside the session if it is wanted."""
+    if watched.plan is None and not watched.view:
+        yield None, None
+        return
+    from needleforce.cli.live_view import description, read_plan
+    from needleforce.scene import SceneError, open_viewer
+    from needleforce.scene.nodes import EMPTY
+
+    plan = None if watched.plan is None else read_plan(watched.plan)
+    if not watched.view:
+        yield plan, None
+        return
+    if robot.robot is None and robot.urdf is None:
+        robot = replace(robot, robot=ROBOTS.get(arm_name.partition(":")[0]))
+    scene = EMPTY if plan is None else plan.scene
+    try:
+        view = open_viewer(model, scene, urdf_path=description(robot), port=watched.port)
+    except SceneError as error:
+        raise CommandError(str(error)) from error
+    with view:
+        say(f"{view.url} shows the scene")
+        yield plan, view
+
+
+def watch_arm(
+    arm_name: str, options: LiveOptions, watched: WatchOptions, robot: RobotOptions
+) -> int:
     """Watch force and layers of an arm; return the exit code."""
     if not 0.0 < options.tare < math.inf:
         raise CommandError(f"--tare {options.tare}: expected seconds of free motion")
-    with arm_named(arm_name, robot) as (arm, model):
+    with (
+        arm_named(arm_name, robot) as (arm, model),
+        _page(arm_name, watched, model, robot) as (plan, page),
+    ):
         session = InsertionSession(model)
+        if plan is not None:
+            session.follow(plan.match, plan.entry_in_base_m)
         view, tare_at_s = _Watch(session, arm), options.tare
         with _panel() as panel:
             for sample in _until(arm, options):
@@ -166,6 +218,8 @@ def watch(arm_name: str, options: LiveOptions, robot: RobotOptions) -> int:
                     except TareError as error:
                         say(f"no tare: {error}")
                 view.show(now, panel)
+                if page is not None:
+                    page.put(now, sample.q_rad)
     say(f"{arm.report}; {session.rejected} samples rejected by the session")
     return 0
 

@@ -24,13 +24,26 @@ class LiveOptions:
     where that is refused."""
 
 
+@Parameter(name="*", group=OUTPUT)
+@dataclass(frozen=True, kw_only=True)
+class WatchOptions:
+    """What an arm is watched with."""
+
+    plan: Annotated[Path | None, Parameter(metavar="FILE", group=LOG)] = None
+    """Plan to match ruptures with (plan.json, or its folder): see docs/scene.md."""
+    view: Annotated[bool, Parameter(negative="")] = False
+    """Open the scene in a browser page beside the session."""
+    port: Annotated[int, Parameter(metavar="N")] = 8080
+    """Its port; another is taken if it is busy."""
+
+
 @Parameter(name="*", group=LOG)
 @dataclass(frozen=True, kw_only=True)
 class ViewOptions:
     """What is shown beside a recording, and where."""
 
     anatomy: Annotated[Path | None, Parameter(metavar="DIR")] = None
-    """Folder with labels.nii.gz (or .nrrd, .seg.nrrd) and plan.json: see docs/scene.md."""
+    """Folder with plan.json and labels.nii.gz (or .nrrd, .seg.nrrd): see docs/scene.md."""
     tare: Annotated[float, Parameter(metavar="S", group=TARE)] = 4.0
     """Tare after so many seconds of motion without contact."""
     export: Annotated[Path | None, Parameter(metavar="FILE", group=OUTPUT)] = None
@@ -95,14 +108,15 @@ def live_command(
     /,
     *,
     options: LiveOptions = LiveOptions(),
+    watch: WatchOptions = WatchOptions(),
     robot: RobotOptions = LWR,
 ) -> int:
     """Watch an arm: force on the needle, tip force, depth, ruptures, warnings, until Ctrl-C.
 
     Move the needle in free air first: the tare is taken after --tare seconds of that.
 
-    needleforce live sim:stack-glove-constant
+    needleforce live sim:stack-glove-constant --view
     """
-    from needleforce.cli.live import watch
+    from needleforce.cli.live import watch_arm
 
-    return watch(arm, options, robot)
+    return watch_arm(arm, options, watch, robot)

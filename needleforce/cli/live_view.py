@@ -1,13 +1,14 @@
 """`needleforce view`: a recording in the scene, with anatomy and plan."""
 
-import json
 from importlib.resources import files
 from pathlib import Path
 from time import sleep
+from typing import NamedTuple
 
+import msgspec
 import numpy as np
 
-from needleforce.anatomy import read_labels
+from needleforce.anatomy import AnatomyError, Layer, PlanMatch, read_labels
 from needleforce.cli.live_commands import ViewOptions
 from needleforce.cli.options import RobotOptions
 from needleforce.cli.robot import robot_from_options
@@ -21,18 +22,43 @@ from urdf import Robot, example_robot_path
 
 LEAST_VOXELS = 500
 PLAN = "plan.json"
-EXPECTED = (
-    'a JSON object with "rotation" (3 rows of 3), "translation_m" (from the scan, LPS, to the '
-    'robot\'s base), "entry_m" and "target_m" (in the scan)'
-)
+Point = tuple[float, float, float]
+
+
+class Planned(NamedTuple):
+    """What a plan's file says."""
+
+    scene: PlanScene
+    match: PlanMatch
+    entry_in_base_m: np.ndarray | None  # None: depths count as the session's
+
+
+class _LayerOfFile(msgspec.Struct, forbid_unknown_fields=True):
+    name: str
+    exit_m: float
+    exit_std_m: float = 0.5e-3
+    is_obstacle: bool = False
+
+
+class _PlanFile(msgspec.Struct, forbid_unknown_fields=True):
+    """See docs/scene.md."""
+
+    rotation: tuple[Point, Point, Point] = ((1.0, 0.0, 0.0), (0.0, 1.0, 0.0), (0.0, 0.0, 1.0))
+    translation_m: Point = (0.0, 0.0, 0.0)
+    entry_m: Point | None = None
+    target_m: Point | None = None
+    offset_std_m: float = 3e-3
+    start_m: float = 0.0
+    layers: tuple[_LayerOfFile, ...] = ()
 
 
 def run(recording: Path, options: ViewOptions, robot: RobotOptions) -> int:
     """Show a recording until Ctrl-C, or write it as one page; return the exit code."""
     model = robot_from_options(robot, None)
-    plan = EMPTY if options.anatomy is None else read_plan(options.anatomy)
-    rows = replayed(recording, model, options.tare)
-    viewer = Viewer(model, plan, urdf_path=description(robot), host=options.host, port=options.port)
+    plan = None if options.anatomy is None else read_plan(options.anatomy)
+    rows = replayed(recording, model, options.tare, plan)
+    scene, shapes = EMPTY if plan is None else plan.scene, description(robot)
+    viewer = Viewer(model, scene, urdf_path=shapes, host=options.host, port=options.port)
     viewer.append(rows)
     viewer.show()
     if options.export is not None:
@@ -56,10 +82,14 @@ def description(options: RobotOptions) -> Path | None:
     return Path(example_robot_path(options.robot))
 
 
-def replayed(recording: Path, model: Robot, tare_s: float) -> np.ndarray:
+def replayed(
+    recording: Path, model: Robot, tare_s: float, plan: Planned | None = None
+) -> np.ndarray:
     """Rows of the session over a recording of joint signals."""
     log = read_log(recording, required=["q", "tau"], optional=["dq"])
     session, rows, tare_at_s = InsertionSession(model), [], tare_s
+    if plan is not None:
+        session.follow(plan.match, plan.entry_in_base_m)
     q, tau = log["q_rad"], log["tau_Nm"]
     dq = log["dq_rad_s"] if "dq_rad_s" in log else [None] * len(q)
     steps = np.diff(log.t_s, prepend=2.0 * log.t_s[0] - log.t_s[1])
@@ -72,7 +102,8 @@ def replayed(recording: Path, model: Robot, tare_s: float) -> np.ndarray:
                     session.tare()
                 except TareError as error:
                     say(f"no tare at {now.time_s:.1f} s: {error}")
-            if k % 10 == 0 or now.identification.rupture is not None:
+            found = now.identification
+            if k % 10 == 0 or found.rupture is not None or found.retracted is not None:
                 row = view_row(now, q[k])
                 rows.append((*row.values, *row.q_rad))
             if k % 1000 == 0:
@@ -80,23 +111,45 @@ def replayed(recording: Path, model: Robot, tare_s: float) -> np.ndarray:
     return np.array(rows)
 
 
-def read_plan(folder: Path) -> PlanScene:
-    """Anatomy and plan of a folder: labels, and `plan.json`."""
-    found = [*sorted(folder.glob("labels*.n*")), *sorted(folder.glob("*.seg.nrrd"))]
-    if not found:
-        raise CommandError(f"{folder}: expected labels.nii.gz, labels.nrrd or a .seg.nrrd there")
-    labels = read_labels(found[0])
+def read_plan(place: Path) -> Planned:
+    """A plan from its file, or from a folder with `plan.json`; labels may lie beside it."""
+    path = place / PLAN if place.is_dir() else place
     try:
-        plan = json.loads((folder / PLAN).read_text(encoding="utf-8"))
-        rotation, shift, entry, target = (
-            np.array(plan[name], dtype=float)
-            for name in ("rotation", "translation_m", "entry_m", "target_m")
-        )
-        if (rotation.shape, shift.shape, entry.shape, target.shape) != ((3, 3), (3,), (3,), (3,)):
-            raise ValueError("wrong shapes")
-    except (OSError, ValueError, KeyError, TypeError) as error:
-        raise CommandError(f"{folder / PLAN}: {error}; expected {EXPECTED}") from error
+        plan = msgspec.json.decode(path.read_bytes(), type=_PlanFile)
+        scene, layers = _segmented(plan, path.parent)
+        match = PlanMatch(_given(plan) or layers, plan.offset_std_m)
+    except (OSError, ValueError, msgspec.MsgspecError, AnatomyError) as error:
+        raise CommandError(f"{path}: {error}; docs/scene.md says what a plan holds") from error
+    entry_m = None if scene.entry_m is None else scene.to_robot(scene.entry_m)
+    return Planned(scene._replace(layers=match.layers), match, entry_m)
+
+
+def _segmented(plan: _PlanFile, folder: Path) -> tuple[PlanScene, list[Layer]]:
+    """Surfaces, and the layers between entry and target, of the labels in a folder."""
+    files = [*sorted(folder.glob("labels*.n*")), *sorted(folder.glob("*.seg.nrrd"))]
+    turn, shift = np.array(plan.rotation), np.array(plan.translation_m)
+    if plan.entry_m is None or plan.target_m is None:
+        if not plan.layers:
+            raise ValueError("neither layers nor entry_m and target_m in it")
+        return PlanScene(rotation=turn, translation_m=shift), []
+    way = np.array(plan.entry_m), np.array(plan.target_m)
+    if not files:
+        if not plan.layers:
+            raise ValueError("no layers in it, nor labels.nii.gz, .nrrd or a .seg.nrrd beside it")
+        return PlanScene((), (), *way, turn, shift), []
+    labels = read_labels(files[0])
     with progress_bar("surfaces") as progress:
         large = [item.name for item in labels.structures if item.voxels >= LEAST_VOXELS]
-        made = list(labels.surfaces(large, progress).values())
-    return PlanScene(made, labels.layers_along(entry, target), entry, target, rotation, shift)
+        made = tuple(labels.surfaces(large, progress).values())
+    return PlanScene(made, (), *way, turn, shift), labels.layers_along(*way)
+
+
+def _given(plan: _PlanFile) -> list[Layer]:
+    """The layers that stand in the file itself."""
+    found, depth_m, std_m = [], plan.start_m, 0.0
+    for one in plan.layers:
+        if not one.exit_m > depth_m:
+            raise ValueError(f"{one.name!r} ends at {one.exit_m} m, not below where it begins")
+        found.append(Layer(one.name, depth_m, one.exit_m, std_m, one.exit_std_m, one.is_obstacle))
+        depth_m, std_m = one.exit_m, one.exit_std_m
+    return found

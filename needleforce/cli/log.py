@@ -66,11 +66,7 @@ class LogSession:
     """Iterates over the log of the command line; reports on stderr what is wrong with it."""
 
     def __init__(
-        self,
-        source: str,
-        output: Output,
-        request: ChannelRequest,
-        is_stopped: Callable[[], bool],
+        self, source: str, output: Output, request: ChannelRequest, is_stopped: Callable[[], bool]
     ) -> None:
         if output.idle is not None and not 0.0 < output.idle < math.inf:
             raise CommandError(f"--idle {output.idle:g}: expected a number of seconds > 0")
@@ -198,10 +194,8 @@ def open_output(output: Output, log: LogSession, labels: Labels) -> Iterator[Ope
 
 # Figures: their axis, and few rows of a log of any length that look the same.
 
-LATE_CLOCK_S = 1e5
-"""Seconds since 1970 would leave an axis no digits for what happened."""
-MOST_ROWS = 20_000
-"""More rows than these are thinned for a figure."""
+LATE_CLOCK_S = 1e5  # seconds since 1970 would leave an axis no digits for what happened
+MOST_ROWS = 20_000  # more rows than these are thinned for a figure
 
 
 def time_axis(t_s: np.ndarray) -> tuple[float, str]:

@@ -20,8 +20,7 @@ from urdf.errors import finite_array
 # A validated dataclass from a table of a TOML file, with errors that name the key.
 
 T = TypeVar("T")
-NOTHING = "none"
-"""How a file says None, for which TOML has no word."""
+NOTHING = "none"  # how a file says None, for which TOML has no word
 
 
 def decoded(kind: type[T], table: Any, where: str, preset: Any = None) -> T:

@@ -6,46 +6,25 @@ Reading order: `chart` (charts as plain data, saved as PNG, SVG or PDF), `palett
 styles, words of an axis), `page` (one HTML file with figures, tables and text inside).
 """
 
-from needleforce.plots import palette
+from needleforce.plots import palette as palette
 from needleforce.plots.chart import (
-    Chart,
-    Curve,
-    FiguresError,
-    Instants,
-    LineStyle,
-    Panel,
-    Shading,
-    require_matplotlib,
-    save_figure,
+    Chart as Chart,
+    Curve as Curve,
+    FiguresError as FiguresError,
+    Instants as Instants,
+    LineStyle as LineStyle,
+    Panel as Panel,
+    Shading as Shading,
+    require_matplotlib as require_matplotlib,
+    save_figure as save_figure,
 )
 from needleforce.plots.page import (
-    Page,
-    PageFigure,
-    PageTable,
-    Section,
-    folder_if_filled,
-    save_page_figure,
-    settings_table,
-    write_page,
+    Page as Page,
+    PageFigure as PageFigure,
+    PageTable as PageTable,
+    Section as Section,
+    folder_if_filled as folder_if_filled,
+    save_page_figure as save_page_figure,
+    settings_table as settings_table,
+    write_page as write_page,
 )
-
-__all__ = [
-    "Chart",
-    "Curve",
-    "FiguresError",
-    "Instants",
-    "LineStyle",
-    "Page",
-    "PageFigure",
-    "PageTable",
-    "Panel",
-    "Section",
-    "Shading",
-    "folder_if_filled",
-    "palette",
-    "require_matplotlib",
-    "save_figure",
-    "save_page_figure",
-    "settings_table",
-    "write_page",
-]

@@ -325,10 +325,8 @@ FORMATS: dict[str, dict[str, Any]] = {
 def require_matplotlib(what: str, path: str | Path | None = None) -> None:
     """Find out before the work what could not be drawn after it.
 
-    Raises:
-        MissingExtraError: matplotlib or jinja2 is not installed; ``what``, such as ``--report``,
-            is what needs it.
-        ChartError: The path of a figure does not end in one of `FORMATS`.
+    `MissingExtraError` if matplotlib or jinja2 is not installed, which ``what``, such as
+    ``--report``, needs; `ChartError` if the path of a figure does not end in one of `FORMATS`.
     """
     if path is not None and Path(path).suffix.lower() not in FORMATS:
         raise ChartError(f"cannot write {path}: its name must end in one of {', '.join(FORMATS)}")
@@ -345,9 +343,7 @@ def require_matplotlib(what: str, path: str | Path | None = None) -> None:
 def save_figure(chart: Chart, path: str | Path) -> Path:
     """Draw a chart and write it as PNG, SVG or PDF, by the ending of its name; returns its path.
 
-    Raises:
-        MissingExtraError: As `require_matplotlib`, and `ChartError` as well.
-        WriteError: The file cannot be written.
+    Raises as `require_matplotlib`, and `WriteError` if the file cannot be written.
     """
     require_matplotlib("a figure", path)
     from matplotlib import rc_context

@@ -10,41 +10,30 @@ names), `mapping`, `log`. The formats: `follow` (bytes as they come), `csv_file`
 Parquet); ROS 2 bags: `bag_reader`, `bag_messages`, `bag_types`. Writing: `output`.
 """
 
-from needleforce.recordings.channels import CHANNELS
+from needleforce.recordings.channels import CHANNELS as CHANNELS
 from needleforce.recordings.errors import (
-    ColumnError,
-    FileAccessError,
-    FormatError,
-    LogError,
-    MappingError,
-    RecordingError,
+    ColumnError as ColumnError,
+    FileAccessError as FileAccessError,
+    FormatError as FormatError,
+    LogError as LogError,
+    MappingError as MappingError,
+    RecordingError as RecordingError,
 )
-from needleforce.recordings.follow import FollowOptions
-from needleforce.recordings.log import Log, LogStream
-from needleforce.recordings.mapping import ColumnMapping, ColumnSpec, load_mapping
-from needleforce.recordings.open_recording import read_log, read_table, stream_tables
-from needleforce.recordings.output import check_writable, write_log, write_table
-from needleforce.recordings.table import Table
-
-__all__ = [
-    "CHANNELS",
-    "ColumnError",
-    "ColumnMapping",
-    "ColumnSpec",
-    "FileAccessError",
-    "FollowOptions",
-    "FormatError",
-    "Log",
-    "LogError",
-    "LogStream",
-    "MappingError",
-    "RecordingError",
-    "Table",
-    "check_writable",
-    "load_mapping",
-    "read_log",
-    "read_table",
-    "stream_tables",
-    "write_log",
-    "write_table",
-]
+from needleforce.recordings.follow import FollowOptions as FollowOptions
+from needleforce.recordings.log import Log as Log, LogStream as LogStream
+from needleforce.recordings.mapping import (
+    ColumnMapping as ColumnMapping,
+    ColumnSpec as ColumnSpec,
+    load_mapping as load_mapping,
+)
+from needleforce.recordings.open_recording import (
+    read_log as read_log,
+    read_table as read_table,
+    stream_tables as stream_tables,
+)
+from needleforce.recordings.output import (
+    check_writable as check_writable,
+    write_log as write_log,
+    write_table as write_table,
+)
+from needleforce.recordings.table import Table as Table

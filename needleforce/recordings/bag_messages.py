@@ -23,8 +23,7 @@ from needleforce.recordings.errors import (
 from needleforce.recordings.follow import FollowOptions, byte_blocks
 
 BAG_SUFFIXES = (".mcap", ".db3")
-METADATA = "metadata.yaml"
-"""Beside the files of a bag that is a folder."""
+METADATA = "metadata.yaml"  # beside the files of a bag that is a folder
 _LATEST_NS = (1 << 63) - 1
 _MOST_OPEN = 64  # files
 
@@ -53,17 +52,6 @@ NONE_YET = RawMessage(BagTopic("", "", ""), 0, b"")
 def is_bag(path: Path) -> bool:
     """Return whether a path names a ROS 2 bag: by its suffix, or as a folder that holds one."""
     return path.name.lower().endswith(BAG_SUFFIXES) or (path.is_dir() and bool(_storage(path)))
-
-
-def bag_files(path: Path) -> list[Path]:
-    """Find the files of a bag: a `.mcap` or `.db3` file, or those in a folder, in their order."""
-    found = _storage(path) if path.is_dir() else [path]
-    if not found:
-        raise FormatError(
-            f"{path} is a folder without {' or '.join(BAG_SUFFIXES)} files; those that end in "
-            ".zstd must be unpacked: zstd -d"
-        )
-    return found
 
 
 def _storage(folder: Path) -> list[Path]:
@@ -97,7 +85,13 @@ def read_messages(
         finally:
             faults.extend(f"{file.name} {fault}" for fault in found)
 
-    files = [messages(file) for file in bag_files(path)]
+    found = _storage(path) if path.is_dir() else [path]
+    if not found:
+        raise FormatError(
+            f"{path} is a folder without {' or '.join(BAG_SUFFIXES)} files; those that end in "
+            ".zstd must be unpacked: zstd -d"
+        )
+    files = list(map(messages, found))
     # Files may have been recorded side by side; of a bag split into many, one at a time is open.
     if len(files) > _MOST_OPEN:
         return chain.from_iterable(files)
@@ -127,10 +121,8 @@ def _unpacked(packed: bytes, compression: str, size: int) -> bytes:
 
 
 MAGIC = b"\x89MCAP0\r\n"
-_HEAD = struct.Struct("<BQ")
-"""Number and size, with which a record begins."""
-_MESSAGE_HEAD = struct.Struct("<HIQQ")
-"""Channel, sequence, when it was recorded and published."""
+_HEAD = struct.Struct("<BQ")  # number and size, with which a record begins
+_MESSAGE_HEAD = struct.Struct("<HIQQ")  # channel, sequence, when it was recorded and published
 _SCHEMA, _CHANNEL, _MESSAGE, _CHUNK, _DATA_END, _PRIVATE = 0x03, 0x04, 0x05, 0x06, 0x0F, 0x80
 """Numbers of records: none lies between the end of the data and private ones."""
 _PARSED = {_SCHEMA: "Schema", _CHANNEL: "Channel", _CHUNK: "Chunk"}

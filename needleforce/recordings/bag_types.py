@@ -14,21 +14,17 @@ from needleforce.recordings.bag_messages import BagTopic
 from needleforce.recordings.errors import FormatError, LogError, optional_library
 from needleforce.recordings.table import NS_PER_S, Columns, Labels, flat_columns, to_nanoseconds
 
-STANDARD = "ROS2_HUMBLE"
-"""Whose standard messages are meant where a bag holds no definitions."""
+STANDARD = "ROS2_HUMBLE"  # whose standard messages are meant where a bag holds no definitions
 CDR = "cdr"
-_NAMES = ("name", "names", "joint_names")
-"""Fields that name the elements of the arrays beside them."""
+_NAMES = ("name", "names", "joint_names")  # fields that name the elements of the arrays beside them
 _VECTORS = (tuple("xyzw"), tuple("xyz"), tuple("xy"))
 _STAMP = {("header", "stamp", "sec"), ("header", "stamp", "nanosec")}
-_MOST_ELEMENTS = 64
-"""Longer arrays are images and point clouds, not signals."""
+_MOST_ELEMENTS = 64  # longer arrays are images and point clouds, not signals
 _SIGNALS = ("q_rad", "dq_rad_s", "tau_Nm")
 """What a `JointState` holds as position, velocity and effort."""
 _SENSOR = ("ft_force_N", "ft_torque_Nm")
 _LONGEST_DEFINITION = 1 << 18  # characters
-_MOST_UNROLLED = 2000
-"""`rosbags` generates code for each element of an array of texts or messages."""
+_MOST_UNROLLED = 2000  # `rosbags` generates code for each element of an array of texts or messages
 _TYPE_NAME = re.compile(r"[A-Za-z]\w*(/[A-Za-z]\w*)*", re.ASCII)
 _FIELD_NAME = re.compile(r"[A-Za-z_]\w*", re.ASCII)
 _BASE, _NAME, _ARRAY = 1, 2, 3  # kinds of fields, as rosbags numbers them
@@ -91,12 +87,8 @@ def size_of(value: Any) -> int | None:
     return len(value) if isinstance(value, tuple | np.ndarray) else None
 
 
-class _Column(NamedTuple):
-    """Where the numbers of a column stand in a message."""
-
-    path: tuple[str, ...]
-    get: Callable[[Any], Any]
-    is_array: bool = False
+_Column = tuple[tuple[str, ...], Callable[[Any], Any], bool]
+"""Where the numbers of a column stand in a message, what gets them, and whether it is an array."""
 
 
 class TopicDecoder:
@@ -117,13 +109,12 @@ class TopicDecoder:
             columns = list(self._columns((), topic.kind))
         except (KeyError, RecursionError) as error:
             raise FormatError(f"has the type {topic.kind}, whose definition is damaged") from error
-        paths = {column.path for column in columns}
-        self._has_stamp = paths >= _STAMP
+        self._has_stamp = {path for path, *_ in columns} >= _STAMP
         self._names = next((name for name in _NAMES if name in fields), None)
         self._getters = [
-            (_column_name(topic, column.path), column.get, column.is_array, len(column.path) == 1)
-            for column in columns
-            if not (self._has_stamp and column.path in _STAMP)
+            (_column_name(topic, path), get, is_array, len(path) == 1)
+            for path, get, is_array in columns
+            if not (self._has_stamp and path in _STAMP)
         ]
 
     def _columns(self, path: tuple[str, ...], kind: str) -> Iterator[_Column]:
@@ -132,16 +123,16 @@ class TopicDecoder:
         names = tuple(name for name, _ in fields)
         if names in _VECTORS and {kind for _, kind in fields} <= _FLOATS:
             last = "_".join((*path[-1:], "".join(names)))
-            yield _Column((*path[:-1], last), attrgetter(*(".".join((*path, x)) for x in names)))
+            yield (*path[:-1], last), attrgetter(*(".".join((*path, x)) for x in names)), False
             return
         for name, (node, rest) in fields:
             place = (*path, name)
             if node == _NAME:
                 yield from self._columns(place, rest)
             elif node == _BASE and rest[0] != "string":
-                yield _Column(place, attrgetter(".".join(place)))
+                yield place, attrgetter(".".join(place)), False
             elif node >= _ARRAY and rest[0][0] == _BASE and rest[0][1][0] != "string":
-                yield _Column(place, attrgetter(".".join(place)), is_array=True)
+                yield place, attrgetter(".".join(place)), True
 
     def decode(self, data: bytes) -> Content:
         """Decode a message; `FormatError` if it does not fit its type."""
@@ -180,12 +171,8 @@ def _column_name(topic: BagTopic, path: tuple[str, ...]) -> str:
 _CHUNK_BYTES = 1 << 20
 
 
-class OutTopic(NamedTuple):
-    """A topic to write, with its messages, one for each row."""
-
-    name: str
-    kind: str
-    messages: Iterable[Any]
+OutTopic = tuple[str, str, Iterable[Any]]
+"""Name and type of a topic to write, and its messages, one for each row."""
 
 
 def bag_topics(columns: Columns, labels: Labels, stamps_ns: Sequence[int]) -> Iterator[OutTopic]:
@@ -216,7 +203,7 @@ def bag_topics(columns: Columns, labels: Labels, stamps_ns: Sequence[int]) -> It
         topic = f"{labels.prefix}/{re.sub(r'[^A-Za-z0-9_]', '_', name)}"
         # Without a header: its time stamp is the one of the record.
         kind = "std_msgs/msg/Float64"
-        yield OutTopic(topic, kind, map(standard_types().types[kind], values.tolist()))
+        yield topic, kind, map(standard_types().types[kind], values.tolist())
 
 
 def _headers(stamps_ns: Sequence[int], frame: str) -> Iterator[Any]:
@@ -233,7 +220,7 @@ def _joint_states(
         names = [f"joint_{i + 1}" for i in range(width)]
     cls, named = standard_types().types[kind], list(names)
     rows = zip(headers, *numbers, strict=True)
-    return OutTopic("/joint_states", kind, (cls(header, named, *row) for header, *row in rows))
+    return "/joint_states", kind, (cls(header, named, *row) for header, *row in rows)
 
 
 def _pop_vector(columns: dict[str, np.ndarray], part: str) -> np.ndarray | None:
@@ -252,7 +239,7 @@ def _wrenches(name: str, vectors: list[np.ndarray], headers: Iterable[Any]) -> O
     vector, wrench = types["geometry_msgs/msg/Vector3"], types["geometry_msgs/msg/Wrench"]
     force, torque = ([vector(*row) for row in values.tolist()] for values in vectors)
     rows = zip(headers, map(wrench, force, torque), strict=True)
-    return OutTopic(name, kind, (types[kind](header, content) for header, content in rows))
+    return name, kind, (types[kind](header, content) for header, content in rows)
 
 
 class McapWriter:
@@ -275,14 +262,14 @@ class McapWriter:
         """
         stamps_ns = _stamps(columns, self._labels.start_ns).tolist()
         topics = list(bag_topics(columns, self._labels, stamps_ns))
-        for topic in topics:
-            if topic.name not in self._channels:
-                text, _ = self._types.generate_msgdef(topic.kind, ros_version=2)
-                schema = self._bag.register_schema(topic.kind, "ros2msg", text.encode())
-                self._channels[topic.name] = self._bag.register_channel(topic.name, CDR, schema)
+        for name, kind, _ in topics:
+            if name not in self._channels:
+                text, _ = self._types.generate_msgdef(kind, ros_version=2)
+                schema = self._bag.register_schema(kind, "ros2msg", text.encode())
+                self._channels[name] = self._bag.register_channel(name, CDR, schema)
         serialize = self._types.serialize_cdr
-        places = [(self._channels[topic.name], topic.kind) for topic in topics]
-        rows = zip(*(topic.messages for topic in topics), strict=True)
+        places = [(self._channels[name], kind) for name, kind, _ in topics]
+        rows = zip(*(messages for *_, messages in topics), strict=True)
         for stamp_ns, messages in zip(stamps_ns, rows, strict=bool(topics)):
             for (channel, kind), message in zip(places, messages, strict=True):
                 self._bag.add_message(channel, stamp_ns, serialize(message, kind), stamp_ns)

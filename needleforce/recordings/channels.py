@@ -29,8 +29,7 @@ _CODE = {"1": 1.0}
 # How people write the same unit; applied in this order.
 _SPELLINGS = (("µ", "u"), ("μ", "u"), ("°", "deg"), ("N·m", "Nm"), ("N.m", "Nm"), ("N*m", "Nm"))
 _SLASHES = ("_per_", "_")
-_UNIT_PARTS = 3
-"""The longest unit in a name has so many parts: `mm_per_s`."""
+_UNIT_PARTS = 3  # the longest unit in a name has so many parts: `mm_per_s`
 
 FORCE_STATUS = ("ok", "not tared", "initializing", "rejected")
 """What 0, 1, 2, ... of the column `force_status` mean; only the first is a usable force."""
@@ -45,7 +44,7 @@ WORTHLESS = {
 """Bits of the column `force_warnings` that make a force worthless to an identifier."""
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
+@dataclass(frozen=True, slots=True)
 class Channel:
     """One quantity of a log."""
 
@@ -94,12 +93,7 @@ _TIME_ROW = ("time", "t_s", _TIME, "t time timestamp time_stamp stamp", "time st
 CHANNELS: Mapping[str, Channel] = MappingProxyType(
     {
         name: Channel(
-            name=name,
-            key=key,
-            units=MappingProxyType(units),
-            per_joint=rows is _JOINTS,
-            spellings=tuple(spellings.split()),
-            meaning=meaning,
+            name, key, MappingProxyType(units), rows is _JOINTS, tuple(spellings.split()), meaning
         )
         for rows in ((_TIME_ROW,), _JOINTS, _SINGLE)
         for name, key, units, spellings, meaning in rows

@@ -105,11 +105,9 @@ class NpzWriter:
 
 
 def read_parquet(path: Path, max_bytes: int) -> Table:
-    """Read a Parquet file.
+    """Read columns of numbers, empty cells as NaN, and time stamps, as seconds, without loss.
 
-    Columns of numbers are taken; empty cells are NaN. Time stamps become seconds, without loss.
-    Columns of anything else are left out, with a warning.
-    Raises as `read_table` does.
+    Columns of anything else are left out, with a warning. Raises as `read_table` does.
     """
     parquet = optional_library("pyarrow.parquet", "Parquet files")
     arrow = optional_library("pyarrow", "Parquet files")

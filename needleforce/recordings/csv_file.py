@@ -3,7 +3,7 @@
 import csv
 import io
 import re
-from collections.abc import Callable, Iterable, Iterator
+from collections.abc import Iterable, Iterator
 from contextlib import suppress
 from math import nan
 from typing import BinaryIO
@@ -11,7 +11,7 @@ from typing import BinaryIO
 import numpy as np
 
 from needleforce.recordings.errors import MAX_BYTES, FormatError, require_size
-from needleforce.recordings.follow import TextLines
+from needleforce.recordings.follow import FollowOptions, TextLines
 from needleforce.recordings.table import (
     HEAD_ROWS,
     START_KEY,
@@ -25,8 +25,7 @@ from needleforce.recordings.table import (
 
 CSV_SUFFIXES = (".csv", ".csv.gz", ".tsv", ".tsv.gz", ".txt")
 
-_ROW_BYTES = 100
-"""What Python adds to the text of a row."""
+_ROW_BYTES = 100  # what Python adds to the text of a row
 _MOST_WITHOUT_ROW = 1_000_000
 """A megabyte of gzip can hold a thousand million line ends, which take minutes to look at."""
 _DELIMITERS = (",", ";", "\t")
@@ -46,12 +45,10 @@ class _CsvRows:
     """
 
     def __init__(self) -> None:
-        self.names: tuple[str, ...] = ()
-        """Unique; a column without a name is `column_N`."""
+        self.names: tuple[str, ...] = ()  # unique; a column without a name is `column_N`
         self.rows: list[tuple[int, str]] = []
         """Rows that wait to be read, each with the number of its line."""
-        self.omitted: dict[int, str] = {}
-        """Which columns are left out, and why."""
+        self.omitted: dict[int, str] = {}  # which columns are left out, and why
         self._delimiter, self._comment, self._header = ",", "", ""
         self._lines = self._latest = self._total = self._start_ns = 0
         self._is_chosen = False
@@ -247,19 +244,16 @@ def _number(cell: str) -> float | None:
 def csv_tables(
     blocks: Iterable[bytes],
     name: str,
-    *,
-    is_growing: bool = False,
-    is_stopped: Callable[[], bool] = lambda: False,
+    options: FollowOptions | None = None,
     max_bytes: int = MAX_BYTES,
 ) -> Iterator[Table]:
     """Read CSV text in blocks as it comes: a header row, then rows of numbers.
 
     Yield tables of consecutive rows with equal columns, the first of `HEAD_ROWS` rows if there are
     so many; then one without rows, whose warnings report all that was wrong. A source that grows
-    may end in the middle of a line that is being written; one that was stopped ended only because
-    the user wanted no more. `name` stands in errors.
+    may end in the middle of a line that is being written. `name` stands in errors.
     """
-    lines, rows = TextLines(blocks), _CsvRows()
+    lines, rows, options = TextLines(blocks), _CsvRows(), options or FollowOptions()
     is_first, read_until = True, 0
     try:
         for batch in lines:
@@ -269,9 +263,9 @@ def csv_tables(
                 is_first, read_until = False, lines.size
             waiting = lines.size - read_until + _ROW_BYTES * len(rows.rows)
             require_size(waiting, max_bytes, "its text")
-        if is_stopped():
+        if options.should_stop():
             lines.forgive_end()
-        rows.end(lines.tail, is_growing=is_growing)
+        rows.end(lines.tail, is_growing=options.follow)
         if rows.rows:
             yield rows.table()
     except FormatError as error:

@@ -15,10 +15,8 @@ from pathlib import Path
 
 from needleforce.recordings.errors import FileAccessError, FormatError, file_errors, readable_path
 
-BLOCK = 1 << 18
-"""The most bytes that are read, or unpacked, at a time."""
-STANDARD_STREAM = "-"
-"""Instead of a file: standard input or standard output."""
+BLOCK = 1 << 18  # the most bytes that are read, or unpacked, at a time
+STANDARD_STREAM = "-"  # instead of a file: standard input or standard output
 
 _POLL_S = 0.05
 _SMALL, _PAUSE_S = 4096, 0.005  # rows that come one by one are taken some at a time
@@ -28,21 +26,13 @@ _CHECKED_TAIL = 256
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class FollowOptions:
-    """How long more is waited for.
+    """How long more is waited for, and who hears of it."""
 
-    Attributes:
-        follow: whether a file is read on when its end is reached, because it grows.
-        idle_s: stop when nothing came for this long; None to wait for ever.
-        should_stop: asked before more is read; True to stop.
-        progress: gets the fraction of the recording that was read, where it is known.
-        warn: gets in words what is waited for.
-    """
-
-    follow: bool = False
-    idle_s: float | None = None
-    should_stop: Callable[[], bool] = lambda: False
-    progress: Callable[[float], None] = lambda _: None
-    warn: Callable[[str], None] = lambda text: None
+    follow: bool = False  # a file is read on when its end is reached, because it grows
+    idle_s: float | None = None  # stop when nothing came for this long; None to wait for ever
+    should_stop: Callable[[], bool] = lambda: False  # asked before more is read
+    progress: Callable[[float], None] = lambda _: None  # gets the fraction read, where it is known
+    warn: Callable[[str], None] = lambda text: None  # gets in words what is waited for
 
 
 def byte_blocks(
@@ -137,12 +127,9 @@ class TextLines:
         decoder = codecs.getincrementaldecoder("utf-8-sig")("surrogateescape")
         self._decoder = io.IncrementalNewlineDecoder(decoder, translate=True)
         self._count, self._fault, self._is_blank = 0, "", True
-        self.tail = ""
-        """Once all is read: what stands behind the last line end."""
-        self.size = 0
-        """Bytes of text so far."""
-        self.warnings: list[str] = []
-        """What was lost or guessed."""
+        self.tail = ""  # once all is read: what stands behind the last line end
+        self.size = 0  # bytes of text so far
+        self.warnings: list[str] = []  # what was lost or guessed
 
     def __iter__(self) -> Iterator[list[str]]:
         """Yield the lines, without their ends; `FormatError` if there is no text."""

@@ -40,20 +40,15 @@ class Log:
     """Time stamps and named channels of equal length.
 
     Rows are kept as recorded. Backward or repeated stamps and non-finite values are reported in
-    the `warnings` of a log that was read; the online steps skip them.
-
-    Attributes:
-        t_s: time stamps in s, shape (n,), finite, read-only; the file's clock, not rebased.
-        channels: name with SI unit (`q_rad`, `dq_rad_s`, `tau_Nm`, `tau_ext_Nm`, `depth_m`,
-            `speed_m_s`, `force_N`) to values, shape (n,) or (n, joints), read-only.
-        warnings: what is wrong with the recording, one sentence each.
-        start_ns: the instant of t_s = 0 on the clock that stamped the file, see `Table`.
+    the `warnings` of a log that was read; the online steps skip them. Channels have names with
+    their SI unit: `q_rad`, `dq_rad_s`, `tau_Nm`, `tau_ext_Nm`, `depth_m`, `speed_m_s`, `force_N`.
+    Arrays are read-only.
     """
 
-    t_s: FloatArray
-    channels: Mapping[str, FloatArray]
-    warnings: tuple[str, ...] = ()
-    start_ns: int = 0
+    t_s: FloatArray  # time stamps, shape (n,), finite; on the file's clock, not rebased
+    channels: Mapping[str, FloatArray]  # by name, shape (n,) or (n, joints)
+    warnings: tuple[str, ...] = ()  # what is wrong with the recording, one sentence each
+    start_ns: int = 0  # the instant of t_s = 0, see `Table`
 
     def __post_init__(self) -> None:
         """Copy, freeze and check the data.
@@ -234,8 +229,7 @@ class LogStream:
         self._stamps = RowClock()
         self._sources: dict[str, _Source] = {}
         self._watches: dict[str, _Watch] = {}
-        self.start_ns = 0
-        """The instant of t_s = 0, see `Table`; known after the first chunk."""
+        self.start_ns = 0  # the instant of t_s = 0, see `Table`; known after the first chunk
 
     def take_warnings(self) -> tuple[str, ...]:
         """Return what has been found wrong with the recording since the last call."""

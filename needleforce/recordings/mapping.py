@@ -37,15 +37,12 @@ _LONGEST_TOML = 1 << 22  # bytes
 class ColumnSpec:
     """The columns of one channel.
 
-    Attributes:
-        columns: a name, a pattern such as `q{1..7}` or `q_*`, or a tuple of them, in joint order.
-        unit: the unit in the file; None to take it from the column's name, else SI.
-        scale: factor applied after conversion to SI, one for all columns or one each; negative
-            to turn a sign.
+    The scale, one for all columns or one each, is applied after conversion to SI; a negative one
+    turns a sign.
     """
 
-    columns: str | tuple[str, ...]
-    unit: str | None = None
+    columns: str | tuple[str, ...]  # name or pattern, as `q{1..7}` or `q_*`, or several, by joint
+    unit: str | None = None  # in the file; None to take it from the column's name, else SI
     scale: float | tuple[float, ...] = 1.0
 
     def __post_init__(self) -> None:
@@ -87,19 +84,14 @@ def parse_column_spec(text: str, channel: Channel) -> ColumnSpec:
 class ColumnMapping:
     """Columns for some or all channels; channels not listed are found by their usual names.
 
-    Attributes:
-        channels: channel name (a key of `CHANNELS`) to its columns.
-        rate_hz: sample rate of a file without time stamps; it replaces a time column.
-        joints: for a bag, the names of the robot's joints in the robot's order; joint signals
-            are put into this order by name.
-        reference_topic: for a bag, the topic whose messages are the rows of the log.
-        payload: what hangs on the robot, as the command that needs it understands it.
+    The last three are for a bag, whose joint signals are put into the order of `joints` by name,
+    and for the command that needs to know what hangs on the robot.
     """
 
-    channels: Mapping[str, ColumnSpec] = field(default_factory=dict)
-    rate_hz: float | None = None
-    joints: tuple[str, ...] = ()
-    reference_topic: str | None = None
+    channels: Mapping[str, ColumnSpec] = field(default_factory=dict)  # by keys of `CHANNELS`
+    rate_hz: float | None = None  # of a file without time stamps; it replaces a time column
+    joints: tuple[str, ...] = ()  # the robot's, in its order
+    reference_topic: str | None = None  # whose messages are the rows of the log
     payload: Any = None
 
     def __post_init__(self) -> None:

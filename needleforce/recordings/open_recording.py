@@ -32,10 +32,7 @@ from needleforce.recordings.log import Log, LogStream
 from needleforce.recordings.mapping import ChannelRequest, ColumnMapping, comment_line, mapping_text
 from needleforce.recordings.table import Table, joined_tables
 
-CHUNK_ROWS = 2048
-"""The most rows of a table of a binary format."""
-SUFFIXES = (*CSV_SUFFIXES, ".npz", ".parquet", *BAG_SUFFIXES)
-"""What can be read."""
+SUFFIXES = (*CSV_SUFFIXES, ".npz", ".parquet", *BAG_SUFFIXES)  # what can be read
 
 
 def read_table(
@@ -114,7 +111,7 @@ def stream_tables(
 
     Args:
         source: a file, see `read_table`, or `-` for standard input: CSV, plain or compressed, as
-            it comes; any other format, told by how it begins, when all of it has come.
+            it comes; any other format, known by how it begins, when all of it has come.
         options: how long more is waited for; any source is left when it says to stop.
         request: what is read of a bag; of other sources everything is.
         max_bytes: the most memory that the rows of one table may take, or a file that is read as
@@ -149,8 +146,7 @@ def stream_tables(
             except RecordingError as error:
                 raise type(error)(str(error).replace(str(copy), name)) from error
         return
-    growth = {"is_growing": options.follow, "is_stopped": options.should_stop}
-    yield from csv_tables(blocks, name, **growth, max_bytes=max_bytes)
+    yield from csv_tables(blocks, name, options, max_bytes)
 
 
 def _copy(blocks: Iterable[bytes], path: Path, name: str, max_bytes: int) -> None:
@@ -165,31 +161,26 @@ def _copy(blocks: Iterable[bytes], path: Path, name: str, max_bytes: int) -> Non
 def _binary_tables(
     path: Path, options: FollowOptions, request: ChannelRequest | None, max_bytes: int
 ) -> Iterator[Table]:
-    if options.follow:
-        _require_followable(path)
+    if options.follow and path.is_dir():
+        raise FileAccessError(
+            f"{path} is a folder, which cannot be followed while it grows; name the .mcap file in "
+            "it, or read it when it is complete"
+        )
+    if options.follow and not path.name.lower().endswith(".mcap"):
+        raise FileAccessError(
+            f"{path} cannot be followed while it grows; only CSV and MCAP can. Record one of them "
+            "(ros2 bag record -s mcap), or read it when it is complete"
+        )
     with file_errors(path):
         holds_messages = is_bag(path)
     if holds_messages:
-        yield from bag_tables(path, request, options, max_bytes, CHUNK_ROWS)
+        yield from bag_tables(path, request, options, max_bytes)
         return
     for suffix, read in ((".npz", read_npz), (".parquet", read_parquet)):
         if path.name.lower().endswith(suffix):
             yield read(path, max_bytes)
             return
     raise FileAccessError(f"{path} has no known suffix; known are: {', '.join(SUFFIXES)}")
-
-
-def _require_followable(path: Path) -> None:
-    if path.is_dir():
-        raise FileAccessError(
-            f"{path} is a folder, which cannot be followed while it grows; name the .mcap file in "
-            "it, or read it when it is complete"
-        )
-    if not path.name.lower().endswith(".mcap"):
-        raise FileAccessError(
-            f"{path} cannot be followed while it grows; only CSV and MCAP can. Record one of them "
-            "(ros2 bag record -s mcap), or read it when it is complete"
-        )
 
 
 def suggest_mapping(

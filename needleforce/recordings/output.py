@@ -73,20 +73,11 @@ def open_table(
 ) -> Iterator[OpenTable]:
     """Open a table for writing; the file is not touched before there are rows.
 
-    Args:
-        path: a file with a suffix of `WRITERS`, or `-` for CSV on standard output.
-        is_live: Write rows to the file itself as they come, and leave them there whatever
-            happens. Otherwise the file is replaced when all rows are written, or not at all. What
-            cannot grow (npz) is always written at the end.
-        labels: gives what the formats that have room for it say beside the numbers; asked when
-            the first rows are there.
-
-    Yields:
-        The table, to be given rows.
-
-    Raises:
-        FileAccessError: the file cannot be written, or its suffix is not known.
-        BrokenPipeError: the reader of standard output has gone.
+    Its name has a suffix of `WRITERS`, or is `-` for CSV on standard output. Live rows are written
+    to the file itself as they come, and stay there whatever happens; otherwise the file is replaced
+    when all rows are written, or not at all. What cannot grow (npz) is always written at the end.
+    `labels` are what formats that have room for it say beside the numbers, asked for with the first
+    rows. `FileAccessError` if the file cannot be written, or its suffix is not known.
     """
     if str(path) == STANDARD_STREAM:
         if sys.stdout is None:
@@ -159,21 +150,13 @@ def write_table(
 
 
 def write_log(path: str | Path, log: Log) -> None:
-    """Write a log's time and channels, in SI units.
-
-    Raises:
-        FileAccessError: the file cannot be written, or its suffix is not known.
-    """
+    """Write a log's time and channels, in SI units; raises as `write_table`."""
     columns = {"t_s": log.t_s, **log.channels}
     write_table(path, columns, labels=Labels(start_ns=log.start_ns))
 
 
 def check_writable(path: str | Path) -> None:
-    """Find out before the work what `write_table` would refuse after it.
-
-    Raises:
-        FileAccessError: the suffix is not known, there is no such folder, or a folder stands there.
-    """
+    """Find out before the work that the suffix is not known, or that no file can stand there."""
     if str(path) != STANDARD_STREAM:
         _find_writer(Path(path))
         require_place(Path(path))

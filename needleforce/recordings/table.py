@@ -15,29 +15,22 @@ Columns = Mapping[str, np.ndarray]
 
 HEAD_ROWS = 200
 """So many rows decide which columns a stream has; they come in one table, however they arrive."""
-START_KEY = "start_ns"
-"""What files of numbers call `Labels.start_ns`."""
+START_KEY = "start_ns"  # what files of numbers call `Labels.start_ns`
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class Table:
     """Named columns as read from a file, in the file's own units.
 
-    Columns may differ in length (an npz file may hold several recordings); a `Log` may not.
-
-    Attributes:
-        columns: name to values, shape (n,) or (n, k), read-only copies as float64; those of whole
-            numbers that float64 would round, as nanoseconds since 1970 are, as int64.
-        warnings: what the reader had to leave out or guess.
-        joint_names: for two-dimensional columns of a file that names joints, their names in the
-            order of the column.
-        start_ns: the instant of t = 0 on the clock that stamped the file, in ns; not zero only
-            where stamps are too large for seconds in float64 to resolve nanoseconds.
+    Columns may differ in length (an npz file may hold several recordings); a `Log` may not. They
+    are read-only copies as float64; those of whole numbers that float64 would round, as nanoseconds
+    since 1970 are, as int64. `start_ns` is the instant of t = 0 on the clock that stamped the file,
+    in ns: zero, unless stamps are too large for seconds in float64 to resolve nanoseconds.
     """
 
-    columns: Mapping[str, np.ndarray]
-    warnings: tuple[str, ...] = ()
-    joint_names: Mapping[str, tuple[str, ...]] = field(default_factory=dict)
+    columns: Mapping[str, np.ndarray]  # by name, shape (n,) or (n, k)
+    warnings: tuple[str, ...] = ()  # what the reader had to leave out or guess
+    joint_names: Mapping[str, tuple[str, ...]] = field(default_factory=dict)  # of (n, k) columns
     start_ns: int = 0
 
     def __post_init__(self) -> None:
@@ -160,10 +153,8 @@ def flat_columns(columns: Columns) -> dict[str, np.ndarray]:
 
 
 NS_PER_S = 1_000_000_000
-_EXACT_NS = 1 << 52
-"""Up to here (52 days) a double of seconds resolves nanoseconds."""
-_EXACT = 1 << 53
-"""Up to here float64 holds every whole number."""
+_EXACT_NS = 1 << 52  # up to here (52 days) a double of seconds resolves nanoseconds
+_EXACT = 1 << 53  # up to here float64 holds every whole number
 
 
 def start_of_clock(first_ns: int) -> int:

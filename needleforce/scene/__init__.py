@@ -4,10 +4,10 @@ Reading order: `state_ring` (what a loop hands over), `nodes` (what stands in th
 (the page), `live` (the page beside a loop), `slicer` (OpenIGTLink).
 """
 
-from needleforce.scene.live import LiveView, open_viewer, view_row
+from needleforce.scene.live import LiveView, open_viewer
 from needleforce.scene.nodes import PlanScene
 from needleforce.scene.slicer import SlicerOutput
-from needleforce.scene.state_ring import StateRing, ViewRow
+from needleforce.scene.state_ring import StateRing, ViewRow, view_row
 from needleforce.scene.viewer import SceneError, Viewer
 
 __all__ = [

@@ -8,40 +8,17 @@ import multiprocessing
 import os
 from contextlib import suppress
 from multiprocessing.connection import Connection
-from pathlib import Path
 from typing import Any
 
-import numpy as np
 from numpy.typing import ArrayLike
 
 from needleforce.scene.nodes import EMPTY, PlanScene
-from needleforce.scene.state_ring import Closing, StateRing, ViewRow
-from needleforce.scene.viewer import LOOPBACK, SceneError, Viewer
+from needleforce.scene.state_ring import Closing, StateRing, view_row
+from needleforce.scene.viewer import SceneError, Viewer
 from urdf import Robot
 
 UPDATES_HZ = 30.0
 START_s = 60.0
-NOT_KNOWN = 0.0
-
-
-def view_row(now: Any, q_rad: ArrayLike) -> ViewRow:
-    """A row of a `SessionEstimate` and the joint positions [rad], shape (n,)."""
-    wrench, found, rupture = now.wrench, now.identification, now.identification.rupture
-    values = (
-        now.time_s,
-        now.depth_m,
-        now.speed_m_s,
-        wrench.axial,
-        wrench.axial_std,
-        found.tip_force_N,
-        found.tip_force_std_N or NOT_KNOWN,
-        found.shaft_friction_N,
-        float(found.layer),
-        0.0 if rupture is None else float(rupture.layer),
-        0.0 if rupture is None else rupture.depth_m,
-        float(now.status.value == "ok"),
-    )
-    return ViewRow(values, tuple(np.asarray(q_rad, dtype=float).tolist()))
 
 
 class LiveView(Closing):
@@ -67,23 +44,16 @@ class LiveView(Closing):
         self._ring.close()
 
 
-def open_viewer(
-    robot: Robot,
-    plan: PlanScene = EMPTY,
-    *,
-    urdf_path: Path | None = None,
-    host: str = LOOPBACK,
-    port: int = 8080,
-) -> LiveView:
-    """Open a page beside a loop; arguments as of `Viewer`.
+def open_viewer(robot: Robot, plan: PlanScene = EMPTY, **settings: Any) -> LiveView:
+    """Open a page beside a loop; arguments and keywords as of `Viewer`.
 
     Raises:
         SceneError: The page could not be opened.
     """
     context = multiprocessing.get_context("spawn")
     ring, (pipe, other) = StateRing(robot.nv), context.Pipe()
-    settings = (other, ring.name, robot, plan, urdf_path, host, port)
-    process = context.Process(target=_serve, args=settings, daemon=True)
+    given = (other, ring.name, robot, plan, settings)
+    process = context.Process(target=_serve, args=given, daemon=True)
     process.start()
     other.close()
     answer = "its process has not started"
@@ -97,20 +67,14 @@ def open_viewer(
 
 
 def _serve(
-    pipe: Connection,
-    ring_name: str,
-    robot: Robot,
-    plan: PlanScene,
-    urdf_path: Path | None,
-    host: str,
-    port: int,
+    pipe: Connection, ring_name: str, robot: Robot, plan: PlanScene, settings: dict[str, Any]
 ) -> None:
     """The page's process: 30 times a second what has come."""
     with suppress(OSError, AttributeError):
         # A child inherits real-time priority, and would take it from the loop.
         os.sched_setscheduler(0, os.SCHED_OTHER, os.sched_param(0))
     try:
-        viewer = Viewer(robot, plan, urdf_path=urdf_path, host=host, port=port)
+        viewer = Viewer(robot, plan, **settings)
     except (SceneError, OSError) as error:
         pipe.send(str(error))
         return

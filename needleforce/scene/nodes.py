@@ -17,6 +17,8 @@ from urdf import Robot
 Array = NDArray[np.float64]
 
 PLANNED, FOUND, OBSTACLE = (235, 235, 235), (255, 205, 0), (220, 60, 40)
+EXPECTED = (90, 200, 250)
+"""The next boundary, moved by what the ruptures have shown."""
 OPACITY = 0.35
 RING_m = 6e-3
 NEEDLE_m, NEEDLE_RADIUS_m = 0.2, 0.8e-3
@@ -63,7 +65,6 @@ class ArmNodes:
         self._needle = server.scene.add_cylinder(
             "/needle", radius=NEEDLE_RADIUS_m, height=NEEDLE_m, color=(200, 200, 210)
         )
-        self._bones: Any = None
 
     def update(self, q_rad: ArrayLike) -> tuple[Array, Array]:
         """Move it; returns the tip and the needle's direction, base axes."""
@@ -76,13 +77,7 @@ class ArmNodes:
             self._shapes.update_cfg(q[self._order])
         else:
             places = np.array([data.oMi[k].translation for k in range(model.njoints)] + [tip])
-            self._bones = self._server.scene.add_line_segments(
-                "/bones",
-                points=np.stack([places[:-1], places[1:]], axis=1),
-                colors=(90, 100, 120),
-                thickness=6.0,
-                thickness_units="screen",
-            )
+            _add_lines(self._server, "/bones", places, (90, 100, 120), 6.0)
         self._needle.position = tuple(tip - 0.5 * NEEDLE_m * axis)
         self._needle.wxyz = turned_to(axis)
         return tip, axis
@@ -94,49 +89,41 @@ def turned_to(axis: Array) -> tuple[float, ...]:
     return float(found.w), float(found.x), float(found.y), float(found.z)
 
 
-def add_anatomy(server: Any, plan: PlanScene) -> list[Any]:
+def add_anatomy(server: Any, plan: PlanScene) -> None:
     """Translucent structures, the planned way, and a ring with a name at every boundary."""
-    handles = []
     for surface in plan.surfaces:
-        color = tuple(round(255 * part) for part in surface.colour)
-        handles.append(
-            server.scene.add_mesh_simple(
-                f"/anatomy/{surface.name}",
-                plan.to_robot(surface.vertices_m).astype(np.float32),
-                np.asarray(surface.triangles, dtype=np.uint32),
-                color=color,
-                opacity=OPACITY,
-                side="double",
-            )
-        )
+        vertices = plan.to_robot(surface.vertices_m).astype(np.float32)
+        faces = np.asarray(surface.triangles, dtype=np.uint32)
+        look = {"opacity": OPACITY, "side": "double"}
+        look["color"] = tuple(round(255 * part) for part in surface.colour)
+        server.scene.add_mesh_simple(f"/anatomy/{surface.name}", vertices, faces, **look)
     if plan.entry_m is None or plan.target_m is None:
-        return handles
+        return
     entry, target = plan.to_robot(plan.entry_m), plan.to_robot(plan.target_m)
     axis = (target - entry) / np.linalg.norm(target - entry)
-    way = np.array([[entry - 0.03 * axis, target]])
-    server.scene.add_line_segments(
-        "/plan/way", points=way, colors=PLANNED, thickness=2.0, thickness_units="screen"
-    )
+    _add_lines(server, "/plan/way", np.array([entry - 0.03 * axis, target]), PLANNED, 2.0)
     server.scene.add_icosphere("/plan/target", 3e-3, color=(80, 220, 120), position=tuple(target))
     for k, (layer, behind) in enumerate(zip(plan.layers[:-1], plan.layers[1:], strict=True)):
         color = OBSTACLE if behind.is_obstacle else PLANNED
         name = f"/plan/boundary {k + 1}"
         add_ring(server, name, entry + layer.exit_m * axis, axis, color, behind.name)
-    return handles
 
 
 def add_ring(
     server: Any, name: str, place: Array, axis: Array, color: tuple[int, int, int], text: str
 ) -> list[Any]:
-    """A ring about the needle's line with a label: on one side if found, else on the other."""
-    side = np.cross(axis, [0.0, 1.0, 0.0] if abs(axis[1]) < 0.9 else [1.0, 0.0, 0.0])
-    side /= np.linalg.norm(side)
-    angle = np.linspace(0.0, 2.0 * np.pi, 33)[:, None]
-    ring = place + RING_m * (np.cos(angle) * side + np.sin(angle) * np.cross(axis, side))
-    points = np.stack([ring[:-1], ring[1:]], axis=1)
-    line = server.scene.add_line_segments(
-        name, points=points, colors=color, thickness=4.0, thickness_units="screen"
+    """A ring about the needle's line with a label: on one side if planned, else on the other."""
+    angle = np.linspace(0.0, 2.0 * np.pi, 33)
+    ring = RING_m * np.stack([np.cos(angle), np.sin(angle), np.zeros(33)], axis=1)
+    line = _add_lines(server, name, ring, color, 4.0)
+    line.position, line.wxyz = tuple(place), turned_to(axis)
+    away = (2.0 if color in (FOUND, EXPECTED) else -6.0) * RING_m
+    return [line, server.scene.add_label(f"{name}/label", text, position=(away, 0.0, 0.0))]
+
+
+def _add_lines(server: Any, name: str, points: Array, color: tuple[int, ...], width: float) -> Any:
+    """A line through points, (n, 3), so many pixels wide."""
+    pairs = np.stack([points[:-1], points[1:]], axis=1)
+    return server.scene.add_line_segments(
+        name, points=pairs, colors=color, thickness=width, thickness_units="screen"
     )
-    away = (2.0 if color == FOUND else -6.0) * RING_m
-    label = server.scene.add_label(f"{name}/label", text, position=tuple(place + away * side))
-    return [line, label]

@@ -5,20 +5,27 @@ finds the rows it missed overwritten, and goes on with the newest.
 """
 
 import struct
+from contextlib import AbstractContextManager
 from multiprocessing.shared_memory import SharedMemory
-from typing import Any, NamedTuple, Self
+from typing import Any, NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike, NDArray
 
 Array = NDArray[np.float64]
 
+PLAN_FIELDS = (
+    *("layer", "probability", "offset_m", "offset_std_m", "next_m", "next_std_m"),
+    *("matched", "matched_probability"),
+)
+"""Of a `PlanState`, nan without a plan."""
 FIELDS = (
     *("time_s", "depth_m", "speed_m_s", "force_N", "force_std_N", "tip_N", "tip_std_N"),
-    *("friction_N", "layer", "rupture", "rupture_depth_m", "is_good"),
+    *("friction_N", "layer", "rupture", "rupture_depth_m", "retracted", "is_good"),
+    *(f"plan_{name}" for name in PLAN_FIELDS),
 )
-"""Of a row, before the joint positions. `rupture` is the number of the layer that ruptured, else 0;
-`is_good`: 1 if the force is tared and of this tick."""
+"""Of a row, before the joint positions. `rupture` and `retracted` are the number of the layer that
+ruptured, or did not after all, else 0; `is_good`: 1 if the force is tared and of this tick."""
 ROWS = 4096
 _COUNT = struct.Struct("<Q")
 
@@ -30,15 +37,25 @@ class ViewRow(NamedTuple):
     q_rad: tuple[float, ...]
 
 
-class Closing:
+def view_row(now: Any, q_rad: ArrayLike) -> ViewRow:
+    """A row of a `SessionEstimate` and the joint positions [rad], shape (n,)."""
+    wrench, found, plan = now.wrench, now.identification, now.plan
+    rupture, retracted = found.rupture, found.retracted
+    values = (
+        *(now.time_s, now.depth_m, now.speed_m_s, wrench.axial, wrench.axial_std),
+        *(found.tip_force_N, found.tip_force_std_N or 0.0, found.shaft_friction_N, found.layer),
+        *((0.0, 0.0) if rupture is None else (rupture.layer, rupture.depth_m)),
+        *(0.0 if retracted is None else retracted.layer, now.status.value == "ok"),
+        *(np.nan if plan is None else getattr(plan, name) for name in PLAN_FIELDS),
+    )
+    return ViewRow(values, tuple(np.asarray(q_rad, dtype=float).tolist()))
+
+
+class Closing(AbstractContextManager[Any]):
     """What is closed at the end of a ``with`` block."""
 
     def close(self) -> None:
         """End it."""
-
-    def __enter__(self) -> Self:
-        """Itself."""
-        return self
 
     def __exit__(self, *error: object) -> None:
         """Close it."""

@@ -6,13 +6,24 @@ line back takes back what had not happened yet: the arm, the forces, the marks o
 
 import threading
 import time
+from collections.abc import Iterator
 from pathlib import Path
+from types import SimpleNamespace
 from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
-from needleforce.scene.nodes import EMPTY, FOUND, ArmNodes, PlanScene, add_anatomy, add_ring
+from needleforce.scene.nodes import (
+    EMPTY,
+    EXPECTED,
+    FOUND,
+    ArmNodes,
+    PlanScene,
+    add_anatomy,
+    add_ring,
+    turned_to,
+)
 from needleforce.scene.state_ring import FIELDS
 from urdf import Robot
 
@@ -25,8 +36,13 @@ POINTS = 500
 """Of a curve; older ones are thinned."""
 KEPT_HZ = 50.0
 MOST_ROWS = 30_000
+FRAME_s = 0.05
 NOTE = "Simulation and research only: not a medical device."
-COLORS = {"force": "#2a9d6f", "tip force": "#8a3ab9"}
+CURVES = {
+    "force": ("force_N", "force_std_N", "42, 157, 111"),
+    "tip force": ("tip_N", "tip_std_N", "138, 58, 185"),
+}
+"""Name, fields of the rows, colour."""
 AT = {name: column for column, name in enumerate(FIELDS)}
 
 
@@ -34,8 +50,46 @@ class Mark(NamedTuple):
     """A detected rupture in the scene."""
 
     time_s: float
+    number: float  # of the layer that ruptured
     text: str
     handles: list[Any]
+    until_s: float = np.inf  # when it was taken back
+
+
+class _Seen(SimpleNamespace):
+    """A row by the names of its fields, in words; behind ± stand two standard deviations."""
+
+    def __init__(self, row: Array, plan: PlanScene) -> None:
+        super().__init__(**dict(zip(FIELDS, row.tolist(), strict=False)))
+        self.names = {-1: "outside"} | {k: layer.name for k, layer in enumerate(plan.layers)}
+        self.next_name = self.names.get(self.plan_layer + 1.0, "")
+
+    def event(self) -> str:
+        """The rupture of this row."""
+        text = f"rupture {self.rupture:.0f} at {1e3 * self.rupture_depth_m:.1f} mm"
+        if np.isnan(self.plan_matched):
+            return text
+        into = self.names.get(self.plan_matched, "")
+        where = f"into {into}" if self.plan_matched >= 0.0 else "a false alarm"
+        return f"{text}: {where} ({100.0 * self.plan_matched_probability:.0f} %)"
+
+    def lines(self) -> Iterator[str]:
+        """What is known."""
+        tared = "" if self.is_good else " (not tared, or doubtful)"
+        place = f"at {1e3 * self.depth_m:.1f} mm, layer {self.layer:.0f}"
+        yield f"**{self.time_s:.1f} s** {place}"
+        yield f"force {self.force_N:.2f} ± {2.0 * self.force_std_N:.2f} N{tared}"
+        tip = f"**tip force {self.tip_N:.2f} ± {2.0 * self.tip_std_N:.2f} N**"
+        yield f"{tip}, shaft friction {self.friction_N:.2f} N; the bar is full at {MOST_N:g} N"
+        if np.isnan(self.plan_layer):
+            return
+        here = (
+            f"in **{self.names.get(self.plan_layer, '')}** ({100.0 * self.plan_probability:.0f} %)"
+        )
+        next_mm = f"{1e3 * self.plan_next_m:.1f} ± {2e3 * self.plan_next_std_m:.1f} mm"
+        yield f"{here}, {self.next_name} at {next_mm}" if self.next_name else here
+        off = f"{1e3 * self.plan_offset_m:+.1f} ± {2e3 * self.plan_offset_std_m:.1f} mm"
+        yield f"all lies {off} deeper than planned"
 
 
 class SceneError(Exception):
@@ -51,6 +105,9 @@ class Viewer:
         urdf_path: The arm's description, for its shapes.
         host: Address to listen on.
         port: Where; another is taken if it is busy, see `url`.
+
+    Attributes:
+        marks: The ruptures shown, past and to come.
 
     Raises:
         SceneError: viser is not installed.
@@ -72,10 +129,12 @@ class Viewer:
         self._server = viser.ViserServer(host=host, port=port, label="needleforce", verbose=False)
         self._server.scene.set_up_direction("+z")
         self._plan, self._rows = plan, np.empty((0, len(FIELDS) + robot.nv))
-        self._marks: list[Mark] = []
+        self.marks: list[Mark] = []
         self._lock = threading.Lock()
         self._arm = ArmNodes(self._server, robot, urdf_path)
         add_anatomy(self._server, plan)
+        up = np.array([0.0, 0.0, 1.0])
+        self._ahead = add_ring(self._server, "/ahead", np.zeros(3), up, EXPECTED, "")
         self._server.scene.add_grid("/floor", width=2.0, height=2.0, cell_size=0.1)
         self._shown_s = -1.0
         self._add_panel()
@@ -85,11 +144,6 @@ class Viewer:
     def url(self) -> str:
         """Where the page is."""
         return f"http://{self._server.get_host()}:{self._server.get_port()}"
-
-    @property
-    def marks(self) -> tuple[Mark, ...]:
-        """The ruptures shown, past and to come."""
-        return tuple(self._marks)
 
     def _add_panel(self) -> None:
         gui = self._server.gui
@@ -108,22 +162,18 @@ class Viewer:
     def _add_plot(self, x_label: str) -> Any:
         from viser import uplot
 
-        nothing = tuple(np.zeros(1) for _ in range(5))
-        series = (
-            uplot.Series(label=x_label),
-            uplot.Series(label="force [N]", stroke=COLORS["force"], width=1.5),
-            uplot.Series(label="upper, 2 std", stroke=COLORS["force"], width=0.3),
-            uplot.Series(label="lower", stroke=COLORS["force"], width=0.3),
-            uplot.Series(label="tip force [N]", stroke=COLORS["tip force"], width=2.0),
-        )
-        band = uplot.Band(series=(2, 3), fill="rgba(42, 157, 111, 0.18)")
-        scales = {"x": uplot.Scale(time=False, auto=True), "y": uplot.Scale(auto=True)}
+        series, bands = [uplot.Series(label=x_label)], []
+        for name, (_, _, color) in CURVES.items():
+            pair = (len(series) + 1, len(series) + 2)
+            bands.append(uplot.Band(series=pair, fill=f"rgba({color}, 0.18)"))
+            for label, width in ((f"{name} [N]", 2.0), ("+ 2 std", 0.3), ("- 2 std", 0.3)):
+                series.append(uplot.Series(label=label, stroke=f"rgb({color})", width=width))
         return self._server.gui.add_uplot(
-            nothing,
-            series,
+            tuple(np.zeros(1) for _ in series),
+            tuple(series),
             title=f"force [N] over {x_label}",
-            bands=(band,),
-            scales=scales,
+            bands=tuple(bands),
+            scales={"x": uplot.Scale(time=False, auto=True), "y": uplot.Scale(auto=True)},
             aspect=1.6,
         )
 
@@ -133,7 +183,7 @@ class Viewer:
         if not len(rows):
             return
         with self._lock:
-            for row in rows[rows[:, AT["rupture"]] > 0.0]:
+            for row in rows[(rows[:, [AT["rupture"], AT["retracted"]]] > 0.0).any(axis=1)]:
                 self._mark(row)
             step_s = 1.0 / KEPT_HZ
             slots = np.floor(rows[:, 0] / step_s)
@@ -144,14 +194,18 @@ class Viewer:
                 self._rows = self._rows[::2]
 
     def _mark(self, row: Array) -> None:
+        """Mark the rupture of a row, or take the last one back."""
+        seen = _Seen(row, self._plan)
+        if self.marks and self.marks[-1].number == seen.retracted:
+            self.marks[-1] = self.marks[-1]._replace(until_s=seen.time_s)
+        if not seen.rupture:
+            return
         tip, axis = self._arm.update(row[len(FIELDS) :])
-        back = row[AT["depth_m"]] - row[AT["rupture_depth_m"]]
-        text = f"rupture {row[AT['rupture']]:.0f} at {1e3 * row[AT['rupture_depth_m']]:.1f} mm"
-        name = f"/ruptures/{len(self._marks) + 1}"
-        handles = add_ring(self._server, name, tip - back * axis, axis, FOUND, text)
+        place, text = tip + (seen.rupture_depth_m - seen.depth_m) * axis, seen.event()
+        handles = add_ring(self._server, f"/ruptures/{len(self.marks)}", place, axis, FOUND, text)
         for handle in handles:
             handle.visible = False  # until its time is shown
-        self._marks.append(Mark(float(row[0]), text, handles))
+        self.marks.append(Mark(seen.time_s, seen.rupture, text, handles))
 
     def show(self, time_s: float | None = None) -> None:
         """Show the state at a time, by default the newest."""
@@ -172,36 +226,29 @@ class Viewer:
             self.show()
 
     def _draw(self, at: int) -> None:
-        row = self._rows[at]
+        row, (ring, label) = self._rows[at], self._ahead
+        seen = _Seen(row, self._plan)
         with self._server.atomic():
-            tip, _ = self._arm.update(row[len(FIELDS) :])
-            for mark in self._marks:
+            tip, axis = self._arm.update(row[len(FIELDS) :])
+            past = [mark for mark in self.marks if mark.time_s <= seen.time_s < mark.until_s]
+            for mark in self.marks:
                 for handle in mark.handles:
-                    handle.visible = mark.time_s <= row[0]
+                    handle.visible = mark in past
+            ring.visible = label.visible = bool(np.isfinite(seen.plan_next_m))
+            if ring.visible:
+                ring.position = tuple(tip + (seen.plan_next_m - seen.depth_m) * axis)
+                ring.wxyz, label.text = turned_to(axis), f"{seen.next_name}, expected"
             self._slider.max = max(float(self._rows[-1, 0]), 0.01)
             if self._live.value:
-                self._slider.value = round(float(row[0]), 2)
-            self._text.content = self._words(row)
-            past = [mark.text for mark in self._marks if mark.time_s <= row[0]]
-            self._events.content = "\n".join(f"- {text}" for text in past)
-            self._bar.value = float(np.clip(100.0 * row[AT["tip_N"]] / MOST_N, 0.0, 100.0))
+                self._slider.value = round(seen.time_s, 2)
+            self._text.content = "\n\n".join(seen.lines())
+            self._events.content = "\n".join(f"- {mark.text}" for mark in past)
+            self._bar.value = float(np.clip(100.0 * seen.tip_N / MOST_N, 0.0, 100.0))
             self._draw_curves(at)
         if not self._has_camera:
             self._has_camera = True
             self._server.initial_camera.look_at = tuple(tip)
             self._server.initial_camera.position = tuple(tip + np.array([0.45, -0.55, 0.25]))
-
-    def _words(self, row: Array) -> str:
-        value = {name: row[column] for name, column in AT.items()}
-        tared = "" if value["is_good"] else " (not tared, or doubtful)"
-        lines = (
-            f"**{value['time_s']:.1f} s** at {1e3 * value['depth_m']:.1f} mm, "
-            f"layer {value['layer']:.0f}",
-            f"force {value['force_N']:.2f} ± {2.0 * value['force_std_N']:.2f} N{tared}",
-            f"**tip force {value['tip_N']:.2f} N**, shaft friction {value['friction_N']:.2f} N; "
-            f"the bar is full at {MOST_N:g} N",
-        )
-        return "\n\n".join(lines)
 
     def _draw_curves(self, at: int) -> None:
         rows = self._rows[: at + 1]
@@ -209,9 +256,10 @@ class Viewer:
         if len(good) < 2:
             return
         good = good[:: max(len(good) // POINTS, 1)]
-        force, std = good[:, AT["force_N"]], good[:, AT["force_std_N"]]
-        tip = good[:, AT["tip_N"]]
-        curves = (force, force + 2.0 * std, force - 2.0 * std, tip)
+        curves = []
+        for value, std, _ in CURVES.values():
+            middle, band = good[:, AT[value]], 2.0 * good[:, AT[std]]
+            curves += [middle, middle + band, middle - band]
         self._plots["time [s]"].data = (good[:, 0], *curves)
         # A curve over depth runs forth and back: only what is deeper than all before.
         depth = good[:, AT["depth_m"]]
@@ -227,14 +275,12 @@ class Viewer:
         """From where the time line stands to its end, in real time."""
         self._live.value = False
         self._play.disabled = True
-        start_s, begin_s = float(self._slider.value), time.monotonic()
-        start_s = 0.0 if start_s >= self._slider.max - 0.05 else start_s
-        now_s = start_s
-        while now_s < self._slider.max:
-            now_s = min(start_s + time.monotonic() - begin_s, self._slider.max)
-            self._slider.value = round(now_s, 2)
+        now_s, last_s = float(self._slider.value), self._slider.max
+        begin_s = time.monotonic() - (0.0 if now_s >= last_s - FRAME_s else now_s)
+        while (now_s := time.monotonic() - begin_s) < last_s + FRAME_s:
+            self._slider.value = round(min(now_s, last_s), 2)
             self.show(now_s)
-            time.sleep(1.0 / 20.0)
+            time.sleep(FRAME_s)
         self._play.disabled = False
 
     def export(self, path: str | Path, *, frames: int = 120) -> Path:
@@ -246,16 +292,16 @@ class Viewer:
         if len(self._rows) < 2:
             raise SceneError("nothing to export: no rows have come")
         serializer = self._server.get_scene_serializer()
-        times = np.linspace(self._rows[0, 0], self._rows[-1, 0], frames)
-        for now_s in times:
-            self.show(float(now_s))
-            serializer.insert_sleep(float(times[1] - times[0]))
-        place = Path(path)
+        first_s, last_s = self._rows[[0, -1], 0].tolist()
+        times, step_s = np.linspace(first_s, last_s, frames, retstep=True)
+        for now_s in times.tolist():
+            self.show(now_s)
+            serializer.insert_sleep(float(step_s))
         try:
-            place.write_text(serializer.as_html(), encoding="utf-8")
+            Path(path).write_text(serializer.as_html(), encoding="utf-8")
         except OSError as error:
             raise SceneError(f"cannot write {path}: {error.strerror}") from error
-        return place
+        return Path(path)
 
     def stop(self) -> None:
         """Close the page."""

@@ -1,0 +1,94 @@
+"""The plan beside a session: ruptures are matched with it, false alarms taken back from it."""
+
+from typing import TYPE_CHECKING, NamedTuple, Protocol
+
+import numpy as np
+from numpy.typing import NDArray
+
+from identification import Estimate
+
+if TYPE_CHECKING:
+    from needleforce.anatomy import PlanState
+
+STEP_m = 0.1e-3
+"""Travel after which the plan is read again, beside at events: it takes longer than a tick."""
+
+
+class Plan(Protocol):
+    """What a session needs of a plan; `needleforce.anatomy.PlanMatch` is one."""
+
+    fingerprint: str  # by which two plans are told apart
+
+    def state(
+        self,
+        depth_m: float,
+        ruptures_m: tuple[float, ...],
+        *,
+        deepest_m: float,
+        entry_depth_m: float,
+    ) -> "PlanState":
+        """What is known with the tip at a depth; of the same depths always the same."""
+        ...
+
+
+class PlanMemory(NamedTuple):
+    """What a session remembers of its plan: with what that was last read."""
+
+    fingerprint: str  # of plan and entry; empty without a plan
+    entry_depth_m: float = 0.0  # depth of the plan's entry
+    ruptures_m: tuple[float, ...] = ()
+    depth_m: float | None = None  # None: not read yet
+    deepest_m: float = 0.0
+
+
+class PlanFollower:
+    """Takes a session's events to a plan; does nothing without one.
+
+    Attributes:
+        memory: Immutable.
+        state: What the plan says; None without one, or not read yet.
+    """
+
+    def __init__(self, plan: Plan | None, entry_in_base_m: NDArray[np.float64] | None) -> None:
+        self._plan, self._entry_m = plan, entry_in_base_m
+        where = "" if entry_in_base_m is None else f" from {entry_in_base_m.tolist()}"
+        self.memory = PlanMemory("" if plan is None else plan.fingerprint + where)
+        self.state: PlanState | None = None
+
+    def begin(self, start_in_base_m: NDArray[np.float64], axis: NDArray[np.float64]) -> None:
+        """Count depth from a point, and forget the ruptures."""
+        above_m = 0.0 if self._entry_m is None else axis.dot(self._entry_m - start_in_base_m)
+        self.resume(PlanMemory(self.memory.fingerprint, float(above_m)), None)
+
+    def follow(self, found: Estimate, depth_m: float) -> None:
+        """Take events to the plan, and read it where there was one or the tip has moved."""
+        if self._plan is None:
+            return
+        last, ruptures_m = self.memory, self.memory.ruptures_m
+        if found.retracted is not None:
+            wrong_m = found.retracted.depth_m
+            ruptures_m = tuple(one for one in ruptures_m if one != wrong_m)
+        # A needle that is pushed in again may rupture what it has ruptured before.
+        if found.rupture is not None and found.rupture.depth_m >= max(ruptures_m, default=-np.inf):
+            ruptures_m = (*ruptures_m, found.rupture.depth_m)
+        is_same = ruptures_m == last.ruptures_m
+        if is_same and last.depth_m is not None and abs(depth_m - last.depth_m) < STEP_m:
+            return
+        deepest_m = depth_m if last.depth_m is None else max(last.deepest_m, depth_m)
+        memory = PlanMemory(last.fingerprint, last.entry_depth_m, ruptures_m, depth_m, deepest_m)
+        self.resume(memory, self.read(memory))
+
+    def read(self, memory: PlanMemory) -> "PlanState | None":
+        """What the plan says with a memory."""
+        if self._plan is None or memory.depth_m is None:
+            return None
+        return self._plan.state(
+            memory.depth_m,
+            memory.ruptures_m,
+            deepest_m=memory.deepest_m,
+            entry_depth_m=memory.entry_depth_m,
+        )
+
+    def resume(self, memory: PlanMemory, state: "PlanState | None") -> None:
+        """Go on from a memory and what `read` makes of it."""
+        self.memory, self.state = memory, state
