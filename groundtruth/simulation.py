@@ -193,11 +193,7 @@ class NeedleRun:
 
 
 def insert_needle(
-    scenario: Scenario | str,
-    *,
-    seed: int = 0,
-    rate_hz: float = 1000.0,
-    noise: ForceNoise = MINI45,
+    scenario: Scenario | str, *, seed: int = 0, rate_hz: float = 1000.0, noise: ForceNoise = MINI45
 ) -> NeedleRun:
     """Carry out a scenario with the needle alone: the tip follows the motion exactly.
 

@@ -88,7 +88,8 @@ def test_an_example_is_short_runs_and_says_what_it_found(name, capsys):
 
 
 def test_the_readme_is_short_and_its_first_screen_says_what_and_for_whom():
-    assert len(README.split()) <= 1600
+    words = [word for word in README.split() if re.search(r"\w", word)]  # no rules of tables
+    assert len(words) <= 1430
     first = "\n".join(README.splitlines()[:20])
     for word in ("virtual force/torque sensor", "control engineers", "researchers", "rupture"):
         assert word in first

@@ -38,6 +38,11 @@ AROUND = (
         for name in APART
         for place in ("needleforce/", "benchmarks/", "tests/test_")
     ),
+    "benchmarks/campaign",
+    "benchmarks/kdl",
+    "tests/campaign_jobs",
+    "tests/test_benchmarks_campaign",
+    "tests/test_benchmarks_kdl",
     "groundtruth/rig_",
     "groundtruth/torso",
     "needleforce/cli/demo",
@@ -45,7 +50,7 @@ AROUND = (
     "tests/scene_page",
     "tests/vendor_emulators",
 )
-"""How the names of the files begin that belong to them."""
+"""How the names of the files begin that belong to them; campaigns and KDL count with them."""
 MOST_LINES = 450
 MOST_CODE_LINES = 40
 MOST_PUBLIC_NAMES = 26
