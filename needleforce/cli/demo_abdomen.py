@@ -57,6 +57,7 @@ STEEPEST_deg, DRAWS = 35.0, 1000
 LENGTHS_m = (0.05, 0.1)
 CROSSABLE = ("lean", "fat", "muscle", "cavity", "lesion", UNLABELLED)
 """What a needle may cross on its way into an organ: neither lung nor bowel nor large vessel."""
+CLEARANCE_m = 6e-3
 LEAST_LAYER_m = 6.5e-3
 """Thinner layers are no tissue of the simulation's: they join the one before."""
 
@@ -129,8 +130,8 @@ def inside_body(labels: Labels) -> NDArray[np.bool_]:
 def plan_path(labels: Labels, organ: str, rng: np.random.Generator) -> tuple[Array, Array]:
     """Entry on the skin and a target inside an organ: the way through the most tissues.
 
-    Of straight ways through what is `CROSSABLE` and of `LENGTHS_m`; of as many tissues the
-    shortest.
+    Of straight ways through what is `CROSSABLE`, also so far aside as `CLEARANCE_m`, and of
+    `LENGTHS_m`; of as many tissues the shortest.
 
     Raises:
         CommandError: There is none from the front.
@@ -152,11 +153,26 @@ def plan_path(labels: Labels, organ: str, rng: np.random.Generator) -> tuple[Arr
         layers = thick_layers(crossed)
         rank = -len(layers), found
         ends_inside = len(layers) > 1 and layers[-1].name == organ
-        if ends_inside and all(layer.name in (*CROSSABLE, organ) for layer in crossed):
-            best = (rank, entry, target) if best is None or rank < best[0] else best
+        is_better = best is None or rank < best[0]
+        if ends_inside and is_better and _is_clear(labels, entry, target, organ):
+            best = rank, entry, target
     if best is None:
         raise CommandError(f"no straight way from the front into {organ!r} through soft tissue")
     return best[1], best[2]
+
+
+def _is_clear(labels: Labels, entry: Array, target: Array, organ: str) -> bool:
+    """Whether a way, and those beside it, cross only what a needle may."""
+    axis = (target - entry) / np.linalg.norm(target - entry)
+    side = np.cross(axis, [0.0, 0.0, 1.0])
+    side /= np.linalg.norm(side)
+    turns = np.radians(np.arange(0.0, 360.0, 60.0))[:, None]
+    around = np.cos(turns) * side + np.sin(turns) * np.cross(axis, side)
+    return all(
+        layer.name in (*CROSSABLE, organ)
+        for aside in (np.zeros(3), *(CLEARANCE_m * around))
+        for layer in labels.layers_along(entry + aside, target + aside)
+    )
 
 
 def _skin_along(grid: Grid, body: NDArray[np.bool_], start: Array, axis: Array) -> float | None:
