@@ -26,8 +26,8 @@ REACH = 5.0
 """Of the grid, in standard deviations of the offset."""
 TAIL_DEGREES = 3.0
 """Student's t for the offset: a standard deviation that is stated too small does not deceive."""
-MISSED = 0.2
-"""Probability that a boundary ruptures unnoticed."""
+MISSED, SOFT_MISSED = 0.2, 0.6
+"""Probability that a boundary ruptures unnoticed; where fat ends, which holds little force."""
 ENTRY_MISSED = 0.8
 """The same of the surface, which ruptures only where a membrane covers it, and then late."""
 FALSE_PER_m = 0.5
@@ -103,10 +103,13 @@ class PlanMatch:
         self._law_std_m[0] = np.hypot(self._law_std_m[0], offset_std_m)
         self._missed = np.full(len(layers), MISSED)
         self._late = np.full((len(layers), 1), LATE)
+        words = [set(layer.name.lower().split("_")) for layer in layers]
         for k, layer in enumerate(layers):
             first = layer.name not in {before.name for before in layers[:k]}
-            if first and CAPSULES & set(layer.name.lower().split("_")):
+            if first and CAPSULES & words[k]:
                 self._late[k] = CAPSULE_LATE
+            elif k and "fat" in words[k - 1]:
+                self._missed[k] = SOFT_MISSED
         self._missed[0], self._late[0] = ENTRY_MISSED, 1.0
         half = round(REACH * offset_std_m / GRID_m)
         self._offset_m = GRID_m * np.arange(-half, half + 1)
