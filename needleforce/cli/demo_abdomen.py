@@ -17,7 +17,7 @@ from scipy.spatial.transform import Rotation
 
 from groundtruth import Run, Scenario, simulate
 from groundtruth.layers import Layer as TissueLayer
-from groundtruth.materials import abdominal_fat, abdominal_liver, abdominal_muscle
+from groundtruth.materials import ABDOMEN
 from groundtruth.motion import constant_motion
 from groundtruth.torso import analytic_torso
 from needleforce.anatomy import (
@@ -210,10 +210,10 @@ def thick_layers(layers: list[Layer]) -> list[Layer]:
 
 def tissue(plan: list[Layer]) -> tuple[TissueLayer, ...]:
     """Layers of the simulation as thick as those of the plan, and one behind the target."""
-    kinds = {"liver": abdominal_liver, "muscle": abdominal_muscle}
+    kinds = {layer.name: layer for layer in ABDOMEN}
     layers = [
         replace(
-            kinds.get(layer.name, abdominal_fat)(),
+            kinds.get(layer.name, kinds["fat"]),
             name=layer.name,
             thickness_m=layer.exit_m - layer.entry_m,
         )
