@@ -4,37 +4,41 @@ Packages that only some commands need are imported inside them: `compare` needs 
 """
 
 import math
-import os
 import sys
 from collections import Counter
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
+from dataclasses import dataclass
 from functools import partial
 from itertools import product
 from pathlib import Path
 from time import perf_counter
 from typing import TYPE_CHECKING, Annotated, Literal
 
-from cyclopts import App, CycloptsError, Parameter
+from cyclopts import App, Parameter
 from cyclopts.validators import Number
 
 from benchmarks import BenchmarkError, ResultsError
+from benchmarks.campaign_workers import Workers
+from needleforce.cli.terminal import CommandError, progress_bar, run_command
 
 if TYPE_CHECKING:
     from rich.console import Console
 
-    from benchmarks.benchmark import Job, Outcome
+    from benchmarks.benchmark import Outcome
     from benchmarks.control_study import ControlRow
     from benchmarks.rows import Row
+    from benchmarks.runner import Plan
 
 DATA_VARIABLE = "NEEDLEFORCE_DATA"
-EXTRA_PACKAGES = ("rich", "mujoco", "matplotlib", "pandas", "psutil")
+EXTRAS = dict.fromkeys(("rich", "mujoco", "matplotlib", "pandas", "psutil"), "bench") | {
+    "distributed": "cluster"
+}
+"""Which extra brings a package that may be missing."""
 FAILURE = 1
 """Exit code of a command that has done its work, and found what the help names."""
 USAGE = 2
 """Exit code after one line that says what is wrong with options or files."""
-INTERRUPTED, READER_GONE = 130, 141
-"""Exit codes after Ctrl-C and when the reader of standard output has gone, as shells have them."""
 
 app = App(
     name="python -m benchmarks",
@@ -51,53 +55,38 @@ Positive = Annotated[int, Parameter(validator=Number(gte=1))]
 def main(arguments: Sequence[str] | None = None) -> int:
     """Run a command line, by default that of this process, and return its exit code."""
     tokens = sys.argv[1:] if arguments is None else list(arguments)
-    try:
+
+    def dispatch() -> int:
         if not tokens:
             app.help_print([])
             return USAGE
-        code = app(tokens, exit_on_error=False, print_error=False, result_action="return_value")
-        sys.stdout.flush()
+        try:
+            code = app(tokens, exit_on_error=False, print_error=False, result_action="return_value")
+        except BenchmarkError as error:
+            raise CommandError(str(error)) from error
+        except ModuleNotFoundError as error:
+            extra = EXTRAS.get(error.name or "")
+            if extra is None:
+                raise
+            why = f"{error.name} is not installed; pip install -e '.[{extra}]'"
+            raise CommandError(why) from error
         return code or 0
-    except (BenchmarkError, CycloptsError) as error:
-        return _fail(error)
-    except ModuleNotFoundError as error:
-        if error.name not in EXTRA_PACKAGES:
-            raise
-        return _fail(f"{error.name} is not installed; pip install -e '.[bench]'")
-    except KeyboardInterrupt:
-        sys.stderr.write("interrupted\n")
-        return INTERRUPTED
-    except BrokenPipeError:
-        # What is still buffered goes nowhere, or Python would complain at its end.
-        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
-        return READER_GONE
 
-
-def _fail(reason: object) -> int:
-    sys.stderr.write(f"error: {' '.join(str(reason).split())}\n")
-    return USAGE
+    return run_command(dispatch)
 
 
 @contextmanager
-def progress_bar(jobs: int) -> Iterator[Callable[[int, float], None]]:
-    """Show a bar on stderr; yields what takes the index of a job and the fraction of it done.
-
-    Nothing is drawn where there is no terminal.
-    """
-    if not sys.stderr.isatty():
-        yield lambda index, fraction: None
-        return
-    from rich.console import Console
-    from rich.progress import Progress, TimeElapsedColumn
-
-    done = [0.0] * jobs
-    columns = (*Progress.get_default_columns(), TimeElapsedColumn())
-    with Progress(*columns, console=Console(stderr=True), transient=True) as bar:
-        task = bar.add_task(f"{jobs} benchmarks", total=float(jobs))
+def progress_of(jobs: int) -> Iterator[Callable[[int, float], None]]:
+    """A bar for many jobs: yields what takes the index of one and the fraction of it done."""
+    done = dict.fromkeys(range(jobs), 0.0)
+    total = 0.0
+    with progress_bar(f"{jobs} benchmarks") as show:
 
         def update(index: int, fraction: float) -> None:
-            bar.advance(task, fraction - done[index])
+            nonlocal total
+            total += fraction - done[index]
             done[index] = fraction
+            show(total / jobs)
 
         yield update
 
@@ -125,8 +114,19 @@ def list_benchmarks() -> None:
     console.print(f"Plants of a simulation: {', '.join(PLANTS)}")
 
 
-def _processors() -> int:
-    return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
+@Parameter(name="*")
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Kept:
+    """Where numbers are written."""
+
+    json: Path | None = None
+    """Write the numbers there, as they come."""
+
+    resume: bool = False
+    """Go on with that file: runs whose numbers it has are not done again."""
+
+
+_KEPT, _WORKERS = Kept(), Workers()
 
 
 @app.command
@@ -136,9 +136,9 @@ def run(
     seeds: Positive = 1,
     first_seed: int | None = None,
     data: Annotated[Path | None, Parameter(env_var=DATA_VARIABLE)] = None,
-    json: Path | None = None,
+    kept: Kept = _KEPT,
     report: Path | None = None,
-    jobs: Positive | None = None,
+    workers: Workers = _WORKERS,
     strict: bool = False,
 ) -> int:
     """Run benchmarks, print tables and targets.
@@ -155,33 +155,30 @@ def run(
         first_seed: The first of them; default: 0, for control 1000. Methods are tuned on seeds
             below 1000.
         data: Folder of real recordings.
-        json: Write the numbers there.
+        kept: Where the numbers are written.
         report: Write a page into that folder: the published figures from these runs, and all
             tables. With no ID named, runs all that the figures need.
-        jobs: Processes at a time; default: one per processor.
+        workers: Who does the runs.
         strict: Exit with 1 if a target is missed.
     """
     from benchmarks.report import write_report
-    from benchmarks.rows import write_results
     from benchmarks.runner import Request, make_plan
     from benchmarks.tables import new_console
     from benchmarks.targets import evaluate
     from needleforce.plots import FiguresError, folder_if_filled
 
     plants, console = _plant_names(plant), new_console()
-    if any(name.startswith(("control", "anatomy")) for name in ids):
-        spread = (first_seed, seeds), jobs or _processors()
-        rows = _run_apart(ids, plants, *spread, data, json)
+    is_apart = any(name.startswith(("control", "anatomy")) for name in ids)
+    _check_kept(kept, workers, is_drawn=report is not None, is_apart=is_apart)
+    if is_apart:
+        rows = _run_apart(ids, plants, (first_seed, seeds), workers, data, kept.json)
         return FAILURE if strict and not all(row.is_met for row in rows) else 0
     try:
         # The folder first: better before minutes of work than after.
         with folder_if_filled(report) as folder:
             plan = make_plan(Request(ids, plants, seeds, first_seed or 0, data, folder))
-            outcomes = _timed(plan.jobs, jobs or _processors(), console)
-            rows = [row for outcome in outcomes for row in outcome.rows]
+            outcomes, rows = _timed(plan, workers, kept, console)
             failed = _print_outcomes(console, rows, outcomes, plan.skipped)
-            if json is not None:
-                write_results(json, rows)
             if folder is not None:
                 drawings = [drawing for item in outcomes for drawing in item.drawings]
                 console.print(f"Report: {write_report(folder, rows, drawings)}")
@@ -189,6 +186,13 @@ def run(
         raise BenchmarkError(str(error)) from error
     missed = strict and not all(found.is_met for found in evaluate(rows))
     return FAILURE if failed or missed else 0
+
+
+def _check_kept(kept: Kept, workers: Workers, *, is_drawn: bool, is_apart: bool) -> None:
+    if kept.resume and (kept.json is None or is_apart):
+        raise BenchmarkError("--resume goes on with the file of --json; not control or anatomy")
+    if workers.cluster and is_drawn:
+        raise BenchmarkError("--report draws on this machine: use it without --cluster")
 
 
 def _plant_names(plant: Sequence[str]) -> list[str]:
@@ -202,7 +206,7 @@ def _run_apart(
     ids: Sequence[str],
     plants: Sequence[str],
     seeds: tuple[int | None, int],
-    processes: int,
+    workers: Workers,
     data: Path | None,
     to: Path | None,
 ) -> Sequence["ControlRow"]:
@@ -211,22 +215,26 @@ def _run_apart(
     from benchmarks.control_study import control_jobs, run_control, show_control
 
     is_anatomy = any(name.startswith("anatomy") for name in ids)
+    if is_anatomy and workers.cluster:
+        raise BenchmarkError("anatomy runs in this process: use it without --cluster")
     work = [] if is_anatomy else control_jobs(ids, plants, *seeds)
-    with progress_bar(1) as update:
+    with progress_bar("anatomy" if is_anatomy else "control") as update:
         if is_anatomy:
-            return show_anatomy(run_anatomy(ids, seeds[0], data, partial(update, 0)), to)
-        rows = run_control(work, processes, partial(update, 0))
+            return show_anatomy(run_anatomy(ids, seeds[0], data, update), to)
+        rows = run_control(work, workers, update)
     return show_control(rows, to)
 
 
-def _timed(jobs: Sequence["Job"], processes: int, console: "Console") -> list["Outcome"]:
-    from benchmarks.runner import run_jobs
+def _timed(
+    plan: "Plan", workers: Workers, kept: Kept, console: "Console"
+) -> tuple[list["Outcome"], list["Row"]]:
+    from benchmarks.campaign import run_jobs
 
     begin_s = perf_counter()
-    with progress_bar(len(jobs)) as update:
-        outcomes = run_jobs(jobs, processes, update)
-    console.print(f"{len(jobs)} runs in {perf_counter() - begin_s:.0f} s")
-    return outcomes
+    with progress_of(len(plan.jobs)) as update:
+        outcomes = run_jobs(plan.jobs, workers, update, kept.json, is_resumed=kept.resume)
+    console.print(f"{len(plan.jobs)} runs in {perf_counter() - begin_s:.0f} s")
+    return outcomes, [row for outcome in outcomes for row in outcome.rows]
 
 
 def _print_outcomes(
@@ -322,6 +330,7 @@ def time_updates(
     control: bool = False,
     loop: float = 0.0,
     scene: bool = False,
+    kdl: bool = False,
     ticks: Positive = 1_000_000,
     strict: bool = False,
 ) -> int:
@@ -332,6 +341,7 @@ def time_updates(
         control: Instead, ticks of control, and of session and control together.
         loop: Instead, so many seconds of a 1 kHz loop against an emulated FRI.
         scene: With --loop: the same again beside the scene.
+        kdl: Instead, error and time beside orocos KDL's estimator, if that is installed.
         ticks: How many, with --soak.
         strict: Exit with 1 if a target is missed.
     """
@@ -340,18 +350,22 @@ def time_updates(
     from benchmarks.speed import measure_speed, speed_report
     from benchmarks.tables import new_console
 
-    with progress_bar(1) as update:
+    with progress_bar("timing") as update:
         if soak:
-            found = run_soak(ticks, partial(update, 0))
+            found = run_soak(ticks, update)
             tables, is_met = [soak_table(found, ticks)], found.is_met
         elif loop > 0.0:
             from benchmarks.devices_loop import loop_table
 
-            tables, is_met = [loop_table(loop, with_scene=scene, progress=partial(update, 0))], True
+            tables, is_met = [loop_table(loop, with_scene=scene, progress=update)], True
+        elif kdl:
+            from benchmarks.kdl_peer import compare_with_kdl
+
+            tables, is_met = compare_with_kdl(update)
         elif control:
-            tables, is_met = control_speed_report(partial(update, 0))
+            tables, is_met = control_speed_report(update)
         else:
-            tables, is_met = speed_report(measure_speed(partial(update, 0)))
+            tables, is_met = speed_report(measure_speed(update))
     for table in tables:
         new_console().print(table.rich())
     return FAILURE if strict and not is_met else 0
@@ -371,14 +385,14 @@ def inject_faults(
     from benchmarks.fault_study import FaultStudy, fault_table
     from benchmarks.tables import new_console
 
-    with progress_bar(1) as update:
+    with progress_bar("faults") as update:
         study = FaultStudy(
-            lambda fraction: update(0, 0.2 * fraction), with_velocity=not without_velocity
+            lambda fraction: update(0.2 * fraction), with_velocity=not without_velocity
         )
         found = []
         for result in study.results():
             found.append(result)
-            update(0, min(0.2 + 0.03 * len(found), 1.0))
+            update(min(0.2 + 0.03 * len(found), 1.0))
     console, table = new_console(), fault_table(found)
     if markdown:
         console.print("\n".join(table.markdown()), soft_wrap=True, markup=False)
@@ -409,7 +423,7 @@ def stream_recordings(
     if seconds < LEAST_SECONDS:
         raise BenchmarkError(f"--seconds must be at least {LEAST_SECONDS:g}: the tare takes half")
     cases = list(product(RECORDINGS, format or [".csv"]))
-    with progress_bar(len(cases)) as update:
+    with progress_of(len(cases)) as update:
         speeds = [
             measure_stream(*case, seconds, folder, partial(update, index))
             for index, case in enumerate(cases)

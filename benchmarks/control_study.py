@@ -8,10 +8,7 @@ plant ``clean``; ``fri`` stands beside it.
 
 import json
 import math
-import multiprocessing
-import os
-from collections.abc import Iterable, Iterator, Sequence
-from concurrent.futures import ProcessPoolExecutor, as_completed
+from collections.abc import Iterable, Sequence
 from importlib import import_module
 from importlib.util import find_spec
 from itertools import product
@@ -20,7 +17,7 @@ from typing import Any, NamedTuple
 
 from benchmarks import ResultsError, UnknownIdError
 from benchmarks.benchmark import Progress
-from benchmarks.runner import THREAD_SETTINGS
+from benchmarks.campaign_workers import DIED, Workers, answers
 from benchmarks.tables import ResultTable, new_console
 
 PREFIX = "control"
@@ -125,27 +122,16 @@ def measured(job: ControlJob) -> list[Figure]:
         return [Figure(why, "", math.nan, "", 0.0)]
 
 
-def run_control(jobs: Sequence[ControlJob], processes: int, progress: Progress) -> list[ControlRow]:
-    """Do all jobs on so many processes, and join their seeds."""
-    found = {}
-    for job, figures in _answers(jobs, processes):
-        found[job] = figures
+def run_control(
+    jobs: Sequence[ControlJob], workers: Workers, progress: Progress
+) -> list[ControlRow]:
+    """Let workers do all jobs, and join their seeds."""
+    found: dict[int, list[Figure]] = {}
+    for index, figures in answers(measured, jobs, workers):
+        died = Figure(f"{jobs[index].case} failed: {DIED}", "", math.nan, "", 0.0)
+        found[index] = [died] if figures is None else figures
         progress(len(found) / len(jobs))
-    return _rows((job, found[job]) for job in jobs)
-
-
-def _answers(
-    jobs: Sequence[ControlJob], processes: int
-) -> Iterator[tuple[ControlJob, list[Figure]]]:
-    if processes <= 1 or len(jobs) <= 1:
-        yield from ((job, measured(job)) for job in jobs)
-        return
-    for name in THREAD_SETTINGS:
-        os.environ.setdefault(name, "1")
-    context = multiprocessing.get_context("spawn")
-    with ProcessPoolExecutor(min(processes, len(jobs)), mp_context=context) as pool:
-        running = {pool.submit(measured, job): job for job in jobs}
-        yield from ((running[future], future.result()) for future in as_completed(running))
+    return _rows((job, found[index]) for index, job in enumerate(jobs))
 
 
 def _rows(found: Iterable[tuple[ControlJob, list[Figure]]]) -> list[ControlRow]:

@@ -290,7 +290,7 @@ def write_report(folder: Path, rows: Sequence[Row], drawings: Sequence[Drawing])
     Raises:
         FiguresError: A file cannot be written.
     """
-    write_file(folder / "results.json", to_json(rows).encode())
+    write_file(folder / "results.json", to_json(rows))
     gels = gel_friction(rows)
     everything = [*drawings, *([] if gels is None else [_friction_drawing(folder, gels)])]
     figures = published_sections(everything, rows)

@@ -7,12 +7,12 @@ A relative tolerance of 1 marks a number shown for reference, by which nothing i
 """
 
 import csv
-import json
 import math
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from pathlib import Path
+from sys import intern
 from types import MappingProxyType
-from typing import Any, Literal, NamedTuple
+from typing import Literal, NamedTuple
 
 import msgspec
 
@@ -63,33 +63,44 @@ class Row(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True)
 
 
 NAMES = Row.__struct_fields__
+TEXTS = tuple(name for name in NAMES if name not in ("seed", "value"))
 SCHEMA = 1
 SIGNIFICANT_DIGITS = 6
 """More would only record rounding."""
 
 
-def to_json(rows: Iterable[Row]) -> str:
+def to_json(rows: Iterable[Row]) -> bytes:
     """Rows and nothing else, so that equal runs give equal bytes; not finite becomes null."""
-    lines = ",\n".join("  " + json.dumps(_plain(row), allow_nan=False) for row in rows)
-    return f'{{"schema": {SCHEMA}, "rows": [\n{lines}\n]}}\n'
+    lines = b",\n  ".join(map(_line, rows))
+    return b'{"schema": %d, "rows": [\n  %b\n]}\n' % (SCHEMA, lines)
 
 
-def _plain(row: Row) -> dict[str, Any]:
-    value = float(f"{row.value:.{SIGNIFICANT_DIGITS}g}") if math.isfinite(row.value) else None
-    return msgspec.structs.asdict(row) | {"value": value}
+def _line(row: Row) -> bytes:
+    value = float(f"{row.value:.{SIGNIFICANT_DIGITS}g}")
+    return msgspec.json.encode(msgspec.structs.replace(row, value=value))
 
 
 def write_results(path: str | Path, rows: Iterable[Row]) -> None:
-    """Write rows to a file; raises `ResultsError` where that cannot be done."""
+    """Write rows to a file, whole or not at all; raises `ResultsError` where that cannot be."""
+    from needleforce.plots import FiguresError
+    from needleforce.plots.chart import write_file
+
     try:
-        Path(path).write_text(to_json(rows), encoding="utf-8")
-    except OSError as error:
-        raise ResultsError(f"cannot write {path}: {error.strerror}") from error
+        write_file(path, to_json(rows))
+    except FiguresError as error:
+        raise ResultsError(str(error)) from error
+
+
+class _Line(Row, frozen=True, kw_only=True):
+    value: float | None  # pyright: ignore[reportIncompatibleVariableOverride]
 
 
 class _File(msgspec.Struct):
     schema: Literal[1]
-    rows: list[dict[str, Any]]
+    rows: list[msgspec.Raw]
+
+
+_decode_line = msgspec.json.Decoder(_Line).decode
 
 
 def read_results(path: str | Path) -> list[Row]:
@@ -100,8 +111,8 @@ def read_results(path: str | Path) -> list[Row]:
             two rows with one key.
     """
     try:
-        items = msgspec.json.decode(Path(path).read_bytes(), type=_File).rows
-        rows = msgspec.convert([_with_nan(item) for item in items], list[Row])
+        lines = msgspec.json.decode(Path(path).read_bytes(), type=_File).rows
+        rows = [_row(_decode_line(line)) for line in lines]
     except OSError as error:
         raise ResultsError(f"cannot read {path}: {error.strerror}") from error
     except msgspec.ValidationError as error:
@@ -116,8 +127,10 @@ def read_results(path: str | Path) -> list[Row]:
     return rows
 
 
-def _with_nan(item: dict[str, Any]) -> dict[str, Any]:
-    return {name: math.nan if value is None else value for name, value in item.items()}
+def _row(line: _Line) -> Row:
+    """A campaign has millions: each text is kept once."""
+    texts = {name: intern(getattr(line, name)) for name in TEXTS}
+    return Row(seed=line.seed, value=math.nan if line.value is None else line.value, **texts)
 
 
 def read_merged(paths: Sequence[str | Path]) -> list[Row]:

@@ -1,15 +1,11 @@
-"""Every benchmark by name, from a request to jobs, and the jobs on several processes."""
+"""Every benchmark by name, from a request to jobs, and what becomes of a job."""
 
-import multiprocessing
-import os
-import signal
-from collections.abc import Callable, Mapping, Sequence
-from concurrent.futures import FIRST_EXCEPTION, Future, ProcessPoolExecutor, wait
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from functools import partial
 from pathlib import Path
+from traceback import format_exc
 from types import MappingProxyType
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 from benchmarks import BenchmarkError, DataError, UnknownIdError
 from benchmarks.benchmark import RECORDING, Benchmark, Job, Outcome, Progress
@@ -256,70 +252,13 @@ KNOWN = (BenchmarkError, GroundTruthError, ResidualError, UrdfError, RecordingEr
 """Errors that come back from a job as one line, not as a traceback."""
 
 
-def run_job(job: Job, progress: Progress) -> Outcome:
-    """Rows of a job, or the reason why there are none; unforeseen errors are raised."""
+def run_job(job: Job, progress: Progress = lambda fraction: None) -> Outcome:
+    """Rows of a job, or the reason why there are none: of an unforeseen error, where it was."""
     try:
         found = benchmark_named(job.benchmark).run(job, progress)
     except KNOWN as error:
         return Outcome(job=job, failure=f"{type(error).__name__}: {error}")
+    except Exception:  # it must not take hours of others with it
+        return Outcome(job=job, failure=format_exc())
     rows = tuple(item.row(job.benchmark, job.plant, job.seed) for item in found.measurements)
     return Outcome(job=job, rows=rows, drawings=found.drawings)
-
-
-POLL_s = 0.2
-THREAD_SETTINGS = ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS")
-
-JobProgress = Callable[[int, float], None]
-"""Takes the index of a job and the fraction of it that is done, 0 to 1."""
-
-_worker_queue: Any = None
-
-
-def run_jobs(jobs: Sequence[Job], processes: int, on_progress: JobProgress) -> list[Outcome]:
-    """Do all jobs, so many at a time, and return their outcomes in the order of the jobs.
-
-    With one process, all is done in this one.
-    """
-    if processes <= 1 or len(jobs) <= 1:
-        return [run_job(job, partial(on_progress, index)) for index, job in enumerate(jobs)]
-    # Matrices are 7 by 7: more threads than processes only get in each other's way.
-    for name in THREAD_SETTINGS:
-        os.environ.setdefault(name, "1")
-    context = multiprocessing.get_context("spawn")
-    queue = context.SimpleQueue()
-    pool = ProcessPoolExecutor(
-        max_workers=min(processes, len(jobs)),
-        mp_context=context,
-        initializer=_attach,
-        initargs=(queue,),
-    )
-    try:
-        futures = [pool.submit(_work, index, job) for index, job in enumerate(jobs)]
-        _watch(futures, queue, on_progress)
-        return [future.result() for future in futures]
-    finally:
-        pool.shutdown(wait=True, cancel_futures=True)
-
-
-def _watch(futures: Sequence[Future[Outcome]], queue: Any, on_progress: JobProgress) -> None:
-    """Pass progress on until all is done or something unforeseen happens."""
-    running = set(futures)
-    while running:
-        done, running = wait(running, timeout=POLL_s, return_when=FIRST_EXCEPTION)
-        while not queue.empty():
-            on_progress(*queue.get())
-        if any(future.exception() for future in done):
-            return
-
-
-def _attach(queue: Any) -> None:
-    # Ctrl-C reaches the whole group: end without a traceback each, the parent reports.
-    signal.signal(signal.SIGINT, signal.SIG_DFL)
-    global _worker_queue
-    _worker_queue = queue
-
-
-def _work(index: int, job: Job) -> Outcome:
-    outcome = run_job(job, lambda fraction: _worker_queue.put((index, fraction)))
-    _worker_queue.put((index, 1.0))
-    return outcome

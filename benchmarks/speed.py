@@ -154,9 +154,9 @@ def measure_speed(progress: Callable[[float], None]) -> SpeedReport:
     sensor = VirtualForceSensor(run.robot, on_lwr(DEFAULT))
     subjects = {
         BARE_OBSERVER: _bare_observer(run.robot, signals),
-        OBSERVER: _fed(observer, signals),
+        OBSERVER: fed(observer, signals),
         BARE_SENSOR: bare_sensor(run.robot, signals),
-        SENSOR: _fed(sensor, signals, tare),
+        SENSOR: fed(sensor, signals, tare),
         **chains,
     }
     # The first counted update comes after that of the tare.
@@ -202,7 +202,7 @@ def bare_sensor(robot: Robot, signals: JointSignals) -> Update:
     return update
 
 
-def _fed(estimator: Any, signals: JointSignals, tare: int = -1) -> Update:
+def fed(estimator: Any, signals: JointSignals, tare: int = -1) -> Update:
     """An estimator that gets the sample of each index, and is tared before that of `tare`."""
     samples = signals.samples()
 

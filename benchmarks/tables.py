@@ -1,11 +1,12 @@
 """The tables of a run: in the terminal, in docs/results.md, in README.md and in the report."""
 
 import math
+import re
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 from types import MappingProxyType
-from typing import Any, NamedTuple
+from typing import Any
 
 import msgspec
 import numpy as np
@@ -14,13 +15,16 @@ from rich.console import Console
 from rich.table import Table
 
 from benchmarks import ResultsError
+from benchmarks.campaign_intervals import INTERVAL_SEED, interval
 from benchmarks.perturbations import PERTURBATIONS, PERTURBED
-from benchmarks.rows import METRICS, NAMES, Row, metric
+from benchmarks.rows import METRICS, NAMES, Metric, Row, metric
 from benchmarks.targets import (
     GROUPS,
+    HEADLINES,
     PUBLISHED_RMSE_N,
     TARGETS,
     Comparison,
+    Headline,
     TABLE_ONE_Ns_per_m,
     evaluate,
 )
@@ -30,7 +34,7 @@ NOTHING = "–"
 BAD = "not finite"
 COLORS = {"met": "green", "missed": "red", BAD: "red"}
 """Of cells, by what they say."""
-LEAST_WIDTH = 150
+LEAST_WIDTH = 200
 """Of a table that goes into a file or a pipe."""
 _RMSE, _CUMULATIVE = "wrench_rmse_N", "cumulative_friction_{}_Ns_per_m"
 Frame = Any
@@ -79,7 +83,9 @@ class ResultTable:
 
 def frame_of(rows: Iterable[Row]) -> Frame:
     """Rows as a frame, with the ratios that tables show as rows of further metrics."""
-    frame = pd.DataFrame([[getattr(row, n) for n in NAMES] for row in rows], columns=list(NAMES))
+    found = list(rows)
+    columns = {name: [getattr(row, name) for row in found] for name in NAMES}
+    frame = pd.DataFrame(columns, dtype=None if found else object)
     ours = {"metric": _RMSE, "source": "virtual", "method": "default"}
     ratio = _ratio(frame, "wrench_rmse_ratio", ours, ours | {"method": "published"})
     best_gain = _ratio(frame, "wrench_best_K_ratio", ours, ours | {"method": "published-best-K"})
@@ -116,6 +122,7 @@ class Column(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     source: str | None = None
     scale: float = 1.0  # factor on the values
     is_fraction: bool = False  # of several runs, show mean and least, not median and worst
+    has_interval: bool = False  # of several runs, show how well the middle is known too
     text: str = ""  # name in `TEXTS` of what is shown of the group instead of a number
 
     def cell(self, group: Frame) -> str:
@@ -124,28 +131,31 @@ class Column(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
             return TEXTS[self.text](group)
         mine = select(group, metric=self.metric, method=self.method, source=self.source)
         known = METRICS.get(mine["metric"].iloc[0]) if len(mine) else None
-        values = mine["value"] * self.scale
         if known is not None and known.may_be_undefined:
-            values = values.dropna()
-        best = known.best if known is not None else 0.0
-        return summary(values, self.form, best, is_fraction=self.is_fraction)
+            mine = mine.dropna(subset="value")
+        return self._summary(mine["value"] * self.scale, mine["seed"], known)
 
+    def _summary(self, values: Frame, seeds: Frame, known: Metric | None) -> str:
+        """One value as it is; of more the median, and in brackets the one farthest from the best.
 
-def summary(values: Frame, form: str, best: float = 0.0, *, is_fraction: bool = False) -> str:
-    """One value as it is; of more the median, and in brackets the one farthest from the best.
-
-    Of fractions the mean and the least instead.
-    """
-    if values.empty:
-        return NOTHING
-    if not np.isfinite(values).all():
-        return BAD
-    if len(values) == 1:
-        return format(values.iloc[0], form)
-    if is_fraction:
-        return f"{values.mean():{form}} ({values.min():{form}})"
-    worst = values.iloc[int((values - best).abs().to_numpy().argmax())]
-    return f"{values.median():{form}} ({worst:{form}})"
+        Of fractions the mean and the least instead.
+        """
+        if values.empty:
+            return NOTHING
+        if not np.isfinite(values).all():
+            return BAD
+        if len(values) == 1:
+            return format(values.iloc[0], self.form)
+        best = 0.0 if known is None else known.best
+        middle, worst = values.median(), values.iloc[int((values - best).abs().argmax())]
+        if self.is_fraction:
+            middle, worst = values.mean(), values.min()
+        found = f"{middle:{self.form}} "
+        if self.has_interval and values.nunique() > 1:
+            rng = np.random.default_rng(INTERVAL_SEED)
+            low, high = interval(values, seeds, rng, is_mean=self.is_fraction)
+            found += f"[{low:{self.form}}, {high:{self.form}}] "
+        return f"{found}({worst:{self.form}})"
 
 
 HEADS = {"source": "force", "metric": "what"}
@@ -177,7 +187,10 @@ class GroupTable(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_field
 
     def __call__(self, rows: Iterable[Row]) -> ResultTable:
         """The table of some rows."""
-        frame = frame_of(rows)
+        return self.of_frame(frame_of(rows))
+
+    def of_frame(self, frame: Frame) -> ResultTable:
+        """The table of the rows of a frame."""
         is_perturbed = frame["scenario"].str.startswith(PERTURBED)
         frame = frame[is_perturbed == self.perturbed]
         names = [n for n, kind in METRICS.items() if self.perturbed or kind.table == self.shows]
@@ -318,7 +331,8 @@ def comparison_table(found: Iterable[Comparison]) -> ResultTable:
 
 def result_tables(rows: Sequence[Row]) -> list[ResultTable]:
     """The tables that these rows have something for."""
-    tables = (*(make(rows) for make in TABLES.values()), target_table(rows))
+    frame = frame_of(rows)
+    tables = (*(make.of_frame(frame) for make in TABLES.values()), target_table(rows))
     return [table for table in tables if table.lines]
 
 
@@ -340,31 +354,6 @@ BEGIN = "<!-- results:begin -->"
 END = "<!-- results:end -->"
 
 
-class Headline(NamedTuple):
-    """A line of the summary: one metric over a group of runs."""
-
-    metric: str
-    form: str  # format of a number
-    what: str  # for people, with the unit
-    source: str = "virtual"
-    plant: str = "clean"
-    scenarios: str = "tissue"  # a group of `benchmarks.targets`, or a scenario
-
-
-_FORCE = Headline("wrench_rmse_N", ".3f", "axial force, rms error, N")
-_RECALL = Headline("rupture_recall", ".2f", "ruptures found, fraction")
-_PULL_OUT = "friction against pull-out force, median error, %"
-HEADLINES = (
-    _FORCE,
-    _FORCE._replace(plant="fri"),
-    _FORCE._replace(plant="degraded"),
-    _RECALL,
-    _RECALL._replace(plant="fri"),
-    _RECALL._replace(plant="degraded"),
-    Headline("friction_error_online_worst_pct", ".1f", "friction of a layer, worst error, %"),
-    Headline("pullout_error_median_pct", ".0f", _PULL_OUT, "ft", "recording", "liver-real"),
-)
-"""At most eight: the README shows them."""
 SUMMED = ("published", "published-best-K", "default")
 
 
@@ -384,30 +373,41 @@ def summary_table(rows: Sequence[Row]) -> ResultTable:
         wanted = wanted[wanted["scenario"].isin(GROUPS.get(line.scenarios, (line.scenarios,)))]
         if wanted.empty:
             continue
-        kind = metric(line.metric)
-        cells, errors = [], []
-        for method in SUMMED:
-            mine = select(wanted, method=method)
-            cells.append(Column("", line.form, is_fraction=kind.best == 1.0).cell(mine))
-            # Of no number at all nothing can be worse.
-            error = abs(float(mine["value"].median()) - kind.best)
-            errors.append(error if math.isfinite(error) else math.inf)
+        cells, is_better = _compared(line, wanted)
         is_met = met.get((line.metric, line.source, line.plant))
         runs = str((wanted["method"] == "default").sum())
         where = f"{line.scenarios}, {line.plant}"
         mark = NOTHING if is_met is None else met_mark(is_met)
-        badness = (is_met is not False, errors[-1] < min(errors[:-1]))
-        lines.append((badness, (line.what, where, *cells, runs, mark)))
+        lines.append(((is_met is not False, is_better), (line.what, where, *cells, runs, mark)))
     lines.sort(key=lambda item: item[0])
     return ResultTable(
         title="Results",
-        heads=("what", "runs of", "published method", "as run, best K", "ours", "runs", "targets"),
-        align="LLrrrrL",
+        heads=(
+            *("what", "runs of", "published method", "as run, best K", "ours", "worst of ours"),
+            *("runs", "targets"),
+        ),
+        align="LLrrrrrL",
         lines=tuple(line for _, line in lines),
         caption="Virtual force sensor on a simulated arm, but for `liver-real`, a recording of "
-        "real tissue. Several runs: median (worst), of fractions mean (least). As run, best K: the "
-        "published method with commanded speed, its threshold and gain chosen for each run.",
+        "real tissue. Several runs: median, of fractions mean [95 % bootstrap interval over seeds; "
+        "of fewer than five, over runs]. As run, best K: the published method with commanded "
+        "speed, its threshold and gain chosen for each run.",
     )
+
+
+def _compared(line: Headline, wanted: Frame) -> tuple[list[str], bool]:
+    """Cells of all methods, the worst run of ours, and whether ours is better than the others."""
+    kind = metric(line.metric)
+    column = Column("", line.form, is_fraction=kind.best == 1.0, has_interval=True)
+    cells, errors, worst = [], [], ""
+    for method in SUMMED:
+        mine = select(wanted, method=method)
+        text, _, worst = column.cell(mine).partition(" (")
+        cells.append(text)
+        # Of no number at all nothing can be worse.
+        error = abs(float(mine["value"].median()) - kind.best)
+        errors.append(error if math.isfinite(error) else math.inf)
+    return [*cells, worst.rstrip(")")], errors[-1] < min(errors[:-1])
 
 
 def results_page(rows: Sequence[Row], command: str) -> str:
@@ -442,8 +442,8 @@ def fill(text: str, block: str) -> str:
     Raises:
         ResultsError: The page does not have each mark once, in order.
     """
-    before, begin, rest = text.partition(BEGIN)
-    _, end, after = rest.partition(END)
-    if not begin or not end or BEGIN in after or END in after or END in before:
+    filled = f"{BEGIN}\n{block}{END}"
+    text, found = re.subn(f"{BEGIN}\n.*?{END}", lambda _: filled, text, flags=re.DOTALL)
+    if found != 1:
         raise ResultsError(f"expected one {BEGIN} and, after it, one {END} in the page")
-    return f"{before}{BEGIN}\n{block}{END}{after}"
+    return text

@@ -49,12 +49,6 @@ class Target(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=Tr
     of_published: bool = False  # the limits are for the ratio to ``published`` in the same run
     where_reported: bool = False  # runs in which ``published`` has no such number are left out
 
-    def applies_to(self, row: Row) -> bool:
-        """Whether the row is one of those judged."""
-        wanted = (self.metric, self.plant, self.source, self.method)
-        named = not self.scenarios or row.scenario in self.scenarios
-        return named and (row.metric, row.plant, row.source, row.method) == wanted
-
     def is_met_by(self, value: float) -> bool:
         """Whether a value keeps the limits; one that is not finite does not."""
         return math.isfinite(value) and self.at_least <= value <= self.at_most
@@ -146,24 +140,31 @@ class Evaluation(NamedTuple):
 
 def evaluate(rows: Iterable[Row], targets: Sequence[Target] = TARGETS) -> list[Evaluation]:
     """Judge every target that any of the rows belongs to."""
-    by_key = {row.key: row for row in rows}
-    judged = ((target, judged_values(target, by_key)) for target in targets)
+    by_kind: dict[tuple[str, ...], dict[RowKey, Row]] = {}
+    for row in rows:
+        kind = (row.metric, row.plant, row.source, row.method)
+        by_kind.setdefault(kind, {})[row.key] = row
+    judged = ((target, judged_values(target, by_kind)) for target in targets)
     return [_evaluation(target, values) for target, values in judged if values]
 
 
-def judged_values(target: Target, by_key: Mapping[RowKey, Row]) -> dict[RowKey, float]:
+def judged_values(
+    target: Target, by_kind: Mapping[tuple[str, ...], Mapping[RowKey, Row]]
+) -> dict[RowKey, float]:
     """What a target looks at, by row: values, or their ratios to the published method's.
 
     A value that is undefined by its metric's definition does not count unless all are.
     """
     values: dict[RowKey, float] = {}
-    for key, row in by_key.items():
-        if not target.applies_to(row):
+    kind = (target.metric, target.plant, target.source)
+    theirs = by_kind.get((*kind, "published"), {})
+    for key, row in by_kind.get((*kind, target.method), {}).items():
+        if target.scenarios and row.scenario not in target.scenarios:
             continue
         if not target.of_published:
             values[key] = row.value
             continue
-        published = by_key.get(key._replace(method="published"))
+        published = theirs.get(key._replace(method="published"))
         if published is not None and published.value != 0.0:
             values[key] = row.value / published.value
         elif published is not None or not target.where_reported:
@@ -258,3 +259,30 @@ def _change(metric: str, old: Row | None, new: Row | None) -> Change:
         return Change.WORSE
     # The same tolerance both ways: what would not count as worse does not count as better.
     return Change.BETTER if kind.is_regression(new.value, old.value) else Change.SAME
+
+
+class Headline(NamedTuple):
+    """A line of the README's summary: one metric over a group of runs."""
+
+    metric: str
+    form: str  # format of a number
+    what: str  # for people, with the unit
+    source: str = "virtual"
+    plant: str = "clean"
+    scenarios: str = "tissue"  # one of `GROUPS`, or a scenario
+
+
+_FORCE = Headline("wrench_rmse_N", ".3f", "axial force, rms error, N")
+_RECALL = Headline("rupture_recall", ".2f", "ruptures found, fraction")
+_PULL_OUT = "friction against pull-out force, median error, %"
+HEADLINES = (
+    _FORCE,
+    _FORCE._replace(plant="fri"),
+    _FORCE._replace(plant="degraded"),
+    _RECALL,
+    _RECALL._replace(plant="fri"),
+    _RECALL._replace(plant="degraded"),
+    Headline("friction_error_online_worst_pct", ".1f", "friction of a layer, worst error, %"),
+    Headline("pullout_error_median_pct", ".0f", _PULL_OUT, "ft", "recording", "liver-real"),
+)
+"""At most eight: the README shows them."""

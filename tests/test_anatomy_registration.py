@@ -1,5 +1,7 @@
 """Landmarks, touches, and the plan that ruptures correct."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
@@ -167,7 +169,7 @@ def test_touches_that_cannot_register_are_refused():
         fit_surface(surface, wild, good)
 
 
-NAMES = ("fat", "muscle", "liver", "lesion", "liver")
+NAMES = ("fat", "muscle", "gland", "lesion", "gland")
 
 
 def plan(*depths_mm, std_mm=0.5):
@@ -185,7 +187,7 @@ def test_ruptures_move_the_plan_and_name_the_layer():
     match = PlanMatch(plan(20, 35, 60), 3e-3)
     assert match.state(0.005).name == "fat"
     first = match.state(0.024, [0.024])
-    assert (first.name, first.next_name) == ("muscle", "liver")
+    assert (first.name, first.next_name) == ("muscle", "gland")
     assert 1e-3 < first.offset_m < 4e-3  # or a membrane gave way late
     second = match.state(0.039, [0.024, 0.039])
     assert second.offset_m == pytest.approx(4e-3, abs=0.5e-3)
@@ -204,10 +206,24 @@ def test_ruptures_move_the_plan_and_name_the_layer():
 def test_a_boundary_that_nobody_felt_is_passed_all_the_same():
     match = PlanMatch(plan(20, 35, 60), 2e-3)
     assert match.state(0.030, [0.0200]).name == "muscle"
-    assert match.state(0.050, [0.0200]).name == "liver"
+    assert match.state(0.050, [0.0200]).name == "gland"
     found = match.state(0.0601, [0.0200, 0.0601])
     assert found.matched == 3
     assert found.name == "lesion"
+
+
+def test_a_capsule_is_expected_to_rupture_late():
+    layers = plan(20, 35, 60)
+    states = [
+        PlanMatch([*layers[:2], replace(layers[2], name=name)], 3e-3).state(0.0385, [0.0385])
+        for name in ("gland", "liver")
+    ]
+    assert [state.matched for state in states] == [2, 2]
+    assert states[0].offset_m == pytest.approx(3e-3, abs=1e-3)
+    assert states[1].offset_m == pytest.approx(-1e-3, abs=1e-3)
+    # Inside the organ there is no capsule.
+    inside = [replace(layers[0], name="liver"), layers[1], replace(layers[2], name="liver")]
+    assert PlanMatch(inside, 3e-3)._late[:, 0].tolist() == [1.0, 0.25, 0.25]
 
 
 def test_a_false_alarm_does_not_count_as_a_boundary():

@@ -8,6 +8,8 @@ from benchmark_cases import make_row
 
 from benchmarks import DataError, runner
 from benchmarks.benchmark import Benchmark, Findings, Job
+from benchmarks.campaign import run_jobs
+from benchmarks.campaign_workers import Workers
 from benchmarks.cli import main
 from benchmarks.rows import Measurement, read_results, write_results
 
@@ -35,7 +37,7 @@ def _pretended(monkeypatch):
 
 
 def run(*arguments):
-    return main(["run", "--jobs", "1", *arguments])
+    return main(["run", "--workers", "1", *arguments])
 
 
 def test_a_run_prints_its_targets_and_what_it_skipped_and_fails_only_when_strict(capsys):
@@ -139,7 +141,7 @@ def test_processes_return_outcomes_in_the_order_of_the_jobs():
     """The names are unknown to the processes, which see the true catalogue: they fail at once."""
     jobs = [Job(benchmark=f"none-{k}", plant="degraded") for k in range(3)]
     done = {}
-    outcomes = runner.run_jobs(jobs, 2, done.__setitem__)
+    outcomes = run_jobs(jobs, Workers(workers=2), done.__setitem__)
     assert [item.job for item in outcomes] == jobs
     for k, item in enumerate(outcomes):
         assert f"no benchmark 'none-{k}'" in (item.failure or "")

@@ -88,7 +88,7 @@ def test_fractions_show_mean_and_least_and_a_dash_where_nothing_was_detected():
         rows = [make_row(metric=name, unit="1", seed=k, value=v) for k, v in enumerate(values)]
         return TABLES["ruptures"](rows).lines[0][column]
 
-    assert cell(4, "rupture_recall", 1.0, 1.0, 0.4) == "0.80 (0.40)"
+    assert cell(4, "rupture_recall", 1.0, 1.0, 0.4) == "0.80 [0.40, 1.00] (0.40)"
     assert cell(5, "rupture_precision", math.nan) == "–"
     assert cell(5, "rupture_precision", math.nan, 0.5) == "0.50"
     assert result_tables([]) == []
@@ -125,9 +125,19 @@ def test_the_summary_has_at_most_eight_lines_the_bad_ones_first():
     assert len(HEADLINES) <= 8
     table = summary_table(clean_rows())
     degraded, recall, force = sorted(table.lines[:2]) + list(table.lines[2:])
-    assert recall == ("ruptures found, fraction", "tissue, clean", "–", "–", "0.40", "1", "missed")
-    assert degraded[1:] == ("tissue, degraded", "–", "–", "0.300", "1", "missed")
-    assert force[1:] == ("tissue, clean", "0.151", "0.080", "0.021 (0.030)", "2", "met")
+    assert recall == (
+        "ruptures found, fraction",
+        "tissue, clean",
+        "–",
+        "–",
+        "0.40",
+        "",
+        "1",
+        "missed",
+    )
+    assert degraded[1:] == ("tissue, degraded", "–", "–", "0.300", "", "1", "missed")
+    ours = ("0.021 [0.012, 0.030]", "0.030", "2", "met")
+    assert force[1:] == ("tissue, clean", "0.151", "0.080", *ours)
 
 
 def test_the_command_writes_the_page_and_the_readme(tmp_path, capsys):
@@ -136,7 +146,7 @@ def test_the_command_writes_the_page_and_the_readme(tmp_path, capsys):
     readme.write_text(f"before\n{BEGIN}\nold\n{END}\nafter\n", encoding="utf-8")
     paths = ["--page", str(page), "--readme", str(readme)]
     assert main(["results", str(tmp_path / "a.json"), *paths]) == 0
-    assert "0.021 (0.030)" in capsys.readouterr().out
+    assert "0.021 [0.012, 0.030]" in capsys.readouterr().out
     block = summary_block(read_results(tmp_path / "a.json"), "python -m benchmarks results a.json")
     assert readme.read_text(encoding="utf-8") == f"before\n{BEGIN}\n{block}{END}\nafter\n"
     assert "python -m benchmarks results a.json" in block

@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 
 from benchmarks import ResultsError, UnknownIdError, control_constraints, control_study
+from benchmarks.campaign_workers import Workers
 from benchmarks.cli import main
 from benchmarks.control_constraints import CASES, measure
 from benchmarks.control_study import ControlRow, Figure, control_jobs, control_table, run_control
@@ -67,7 +68,7 @@ def test_rows_are_the_worst_seeds_and_misses_stand_on_top(part):
     jobs = control_jobs(["control-fake"], (), None, 3)
     assert len(jobs) == 2 * 2 * 3
     done = []
-    rows = run_control(jobs, 1, done.append)
+    rows = run_control(jobs, Workers(workers=1), done.append)
     assert done[-1] == 1.0
     clean = {row.what: row for row in rows if row.plant == "clean"}
     assert (clean["error"].value, clean["error"].is_met, clean["error"].seeds) == (3.0, False, 3)
@@ -84,7 +85,7 @@ def test_rows_are_the_worst_seeds_and_misses_stand_on_top(part):
 
 def test_the_command_prints_writes_and_says_what_is_missed(part, tmp_path, capsys):
     to = tmp_path / "control.json"
-    arguments = ["run", "control", "--seeds", "2", "--jobs", "1", "--plant", "clean"]
+    arguments = ["run", "control", "--seeds", "2", "--workers", "1", "--plant", "clean"]
     assert main([*arguments, "--json", str(to), "--strict"]) == 1
     said = capsys.readouterr().out
     assert "missed" in said

@@ -35,7 +35,7 @@ SAYS = {
     "autonomous_insertion": r"rests 3[1-4]\.\d mm deep, in state dwell",
     "watched_plan": (
         r"the scene is at http://127.0.0.1:\d+\nrupture at 3\d\.\d mm, into behind\n"
-        r"everything lies \+[12]\.\d ± 0\.\d mm deeper than planned"
+        r"everything lies \+[12]\.\d ± \d\.\d mm deeper than planned"
     ),
     "stop_and_resume": r"both read -?\d\.\d{6} N in the end",
 }
@@ -88,7 +88,8 @@ def test_an_example_is_short_runs_and_says_what_it_found(name, capsys):
 
 
 def test_the_readme_is_short_and_its_first_screen_says_what_and_for_whom():
-    assert len(README.split()) <= 1600
+    words = [word for word in README.split() if re.search(r"\w", word)]  # no rules of tables
+    assert len(words) <= 1430
     first = "\n".join(README.splitlines()[:20])
     for word in ("virtual force/torque sensor", "control engineers", "researchers", "rupture"):
         assert word in first

@@ -16,7 +16,7 @@ from groundtruth.arm_motion import (
     scenario_motion,
     scenario_path,
 )
-from groundtruth.arm_plant import ArmPlant, TissueContact, arm_mjcf, blended_links, lwr_bodies
+from groundtruth.arm_plant import ArmPlant, TissueContact, arm_model, blended_links, lwr_bodies
 from groundtruth.errors import PathError, PlantError, PlantModelError
 from groundtruth.plant_model import PLANT_MODELS, TICK_s
 from groundtruth.scenarios import SCENARIOS
@@ -172,7 +172,7 @@ def plant_in(law, bodies):
 def test_mujoco_and_pinocchio_agree_on_the_dynamics_of_rigid_bodies(name):
     bodies = bodies_of(name)
     model = bodies.model()
-    physics = mujoco.MjModel.from_xml_string(arm_mjcf(bodies, TICK_s))
+    physics = arm_model(bodies, TICK_s)
     assert physics.opt.integrator == mujoco.mjtIntegrator.mjINT_RK4
     assert physics.ngeom == 0
     for other in ("jnt_limited", "dof_damping", "dof_armature", "dof_frictionloss"):

@@ -18,12 +18,12 @@ INSTALLED = (*LIBRARIES, "needleforce")
 PACKAGES = (*INSTALLED, "benchmarks")
 PROJECT = tomllib.loads((ROOT / "pyproject.toml").read_text(encoding="utf-8"))
 LIMITS = {
-    "product": (19_815, 100),
+    "product": (19_065, 99),
     "benchmarks": (6_790, 30),
     "tests": (12_870, 72),
     "control": (2_240, 15),
-    "anatomy": (1_430, 8),
-    "scene": (718, 6),
+    "anatomy": (1_395, 8),
+    "scene": (735, 6),
     "devices": (1_372, 9),
 }
 """Most lines and files of Python. Those of the chain are ceilings at today's size, to be lowered
@@ -38,6 +38,11 @@ AROUND = (
         for name in APART
         for place in ("needleforce/", "benchmarks/", "tests/test_")
     ),
+    "benchmarks/campaign",
+    "benchmarks/kdl",
+    "tests/campaign_jobs",
+    "tests/test_benchmarks_campaign",
+    "tests/test_benchmarks_kdl",
     "groundtruth/rig_",
     "groundtruth/torso",
     "needleforce/cli/demo",
@@ -45,7 +50,7 @@ AROUND = (
     "tests/scene_page",
     "tests/vendor_emulators",
 )
-"""How the names of the files begin that belong to them."""
+"""How the names of the files begin that belong to them; campaigns and KDL count with them."""
 MOST_LINES = 450
 MOST_CODE_LINES = 40
 MOST_PUBLIC_NAMES = 26

@@ -95,7 +95,7 @@ def test_table_one_and_its_chart_have_the_published_numbers_beside_ours(dot):
 
 
 def test_the_command_writes_page_drawings_and_numbers(tmp_path):
-    plant = ["--plant", "needle", "--jobs", "1"]
+    plant = ["--plant", "needle", "--workers", "1"]
     arguments = ["run", "gel-70-constant", *plant, "--report", str(tmp_path)]
     assert main(arguments) == 0
     page = (tmp_path / "index.html").read_text(encoding="utf-8")

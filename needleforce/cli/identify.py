@@ -32,10 +32,7 @@ METHODS = {"multilayer": MULTILAYER, "published": PUBLISHED, "published-kv": PUB
 
 
 def run(
-    source: str,
-    output: cli.Output,
-    options: cli.IdentificationOptions,
-    columns: cli.DepthColumns,
+    source: str, output: cli.Output, options: cli.IdentificationOptions, columns: cli.DepthColumns
 ) -> int:
     """Run the command and return its exit code; what it raises is reported in one line."""
     known = logs.mapping_from_options(columns)

@@ -66,11 +66,7 @@ class LogSession:
     """Iterates over the log of the command line; reports on stderr what is wrong with it."""
 
     def __init__(
-        self,
-        source: str,
-        output: Output,
-        request: ChannelRequest,
-        is_stopped: Callable[[], bool],
+        self, source: str, output: Output, request: ChannelRequest, is_stopped: Callable[[], bool]
     ) -> None:
         if output.idle is not None and not 0.0 < output.idle < math.inf:
             raise CommandError(f"--idle {output.idle:g}: expected a number of seconds > 0")

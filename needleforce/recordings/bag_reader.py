@@ -23,6 +23,7 @@ from needleforce.recordings.table import (
     to_seconds,
 )
 
+MOST_ROWS = 2048  # of a table
 _SETTLED_NS = NS_PER_S
 """When so much recording has brought no new topic, it is decided which topics are read."""
 _AS_MANY = 0.9  # a topic with this fraction of another's messages counts as equally fast
@@ -251,8 +252,8 @@ class JoinedRows:
         self._start_ns: int | None = None
         self._is_new = True
 
-    def tables(self, messages: Iterable[RawMessage], rows: int) -> Iterator[Table]:
-        """Turn the messages of the topics into tables of at most so many rows, with `t_s`.
+    def tables(self, messages: Iterable[RawMessage]) -> Iterator[Table]:
+        """Turn the messages of the topics into tables of at most `MOST_ROWS`, with `t_s`.
 
         Rows do not wait for what comes after `NONE_YET`.
         """
@@ -261,17 +262,17 @@ class JoinedRows:
             if message.topic.name in self.topics:
                 self.topics[message.topic.name].add(message)
             is_pause = message is NONE_YET
-            if is_pause or len(reference.new_ns) >= rows:
+            if is_pause or len(reference.new_ns) >= MOST_ROWS:
                 # Which columns are which channels is decided from the first table.
                 while (ready := self._ready()) >= (
-                    1 if is_pause and not self._is_new else min(rows, HEAD_ROWS)
+                    1 if is_pause and not self._is_new else HEAD_ROWS
                 ):
-                    yield self._table(min(ready, rows))
+                    yield self._table(min(ready, MOST_ROWS))
                 self._forget()
         self._ready()
         self._warnings += [note for topic in self.topics.values() for note in topic.notes()]
         while reference.stamps_ns.size or self._is_new or self._warnings:
-            yield self._table(rows)
+            yield self._table(MOST_ROWS)
 
     def _ready(self) -> int:
         """Collect what has come; return how many rows nothing that may still come can change."""
@@ -348,13 +349,9 @@ def _joints(topic: Topic, request: ChannelRequest) -> tuple[tuple[str, ...], lis
 
 
 def bag_tables(
-    path: Path,
-    request: ChannelRequest | None,
-    options: FollowOptions,
-    max_bytes: int,
-    rows: int,
+    path: Path, request: ChannelRequest | None, options: FollowOptions, max_bytes: int
 ) -> Iterator[Table]:
-    """Read a ROS 2 bag in tables of at most so many rows; all its columns without a request.
+    """Read a ROS 2 bag in tables of at most `MOST_ROWS`; all its columns without a request.
 
     If a required channel is missing, one table has all columns, without rows. A file is read from
     its start twice: until it is clear which topics are read, and for their rows. An MCAP file that
@@ -376,7 +373,7 @@ def bag_tables(
         joined = JoinedRows(bag, request or ChannelRequest(), needed)
     faults: list[str] = []
     table, done, count = None, 0, joined.reference.count
-    for table in joined.tables(read_messages(path, faults, max_bytes, growing), rows):
+    for table in joined.tables(read_messages(path, faults, max_bytes, growing)):
         yield table
         done += len(table)
         if is_whole:

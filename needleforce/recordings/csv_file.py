@@ -3,7 +3,7 @@
 import csv
 import io
 import re
-from collections.abc import Callable, Iterable, Iterator
+from collections.abc import Iterable, Iterator
 from contextlib import suppress
 from math import nan
 from typing import BinaryIO
@@ -11,7 +11,7 @@ from typing import BinaryIO
 import numpy as np
 
 from needleforce.recordings.errors import MAX_BYTES, FormatError, require_size
-from needleforce.recordings.follow import TextLines
+from needleforce.recordings.follow import FollowOptions, TextLines
 from needleforce.recordings.table import (
     HEAD_ROWS,
     START_KEY,
@@ -244,19 +244,16 @@ def _number(cell: str) -> float | None:
 def csv_tables(
     blocks: Iterable[bytes],
     name: str,
-    *,
-    is_growing: bool = False,
-    is_stopped: Callable[[], bool] = lambda: False,
+    options: FollowOptions | None = None,
     max_bytes: int = MAX_BYTES,
 ) -> Iterator[Table]:
     """Read CSV text in blocks as it comes: a header row, then rows of numbers.
 
     Yield tables of consecutive rows with equal columns, the first of `HEAD_ROWS` rows if there are
     so many; then one without rows, whose warnings report all that was wrong. A source that grows
-    may end in the middle of a line that is being written; one that was stopped ended only because
-    the user wanted no more. `name` stands in errors.
+    may end in the middle of a line that is being written. `name` stands in errors.
     """
-    lines, rows = TextLines(blocks), _CsvRows()
+    lines, rows, options = TextLines(blocks), _CsvRows(), options or FollowOptions()
     is_first, read_until = True, 0
     try:
         for batch in lines:
@@ -266,9 +263,9 @@ def csv_tables(
                 is_first, read_until = False, lines.size
             waiting = lines.size - read_until + _ROW_BYTES * len(rows.rows)
             require_size(waiting, max_bytes, "its text")
-        if is_stopped():
+        if options.should_stop():
             lines.forgive_end()
-        rows.end(lines.tail, is_growing=is_growing)
+        rows.end(lines.tail, is_growing=options.follow)
         if rows.rows:
             yield rows.table()
     except FormatError as error:

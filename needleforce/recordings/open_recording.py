@@ -32,7 +32,6 @@ from needleforce.recordings.log import Log, LogStream
 from needleforce.recordings.mapping import ChannelRequest, ColumnMapping, comment_line, mapping_text
 from needleforce.recordings.table import Table, joined_tables
 
-CHUNK_ROWS = 2048  # the most rows of a table of a binary format
 SUFFIXES = (*CSV_SUFFIXES, ".npz", ".parquet", *BAG_SUFFIXES)  # what can be read
 
 
@@ -127,8 +126,8 @@ def stream_tables(
             MCAP (`FileAccessError`).
     """
     path = None if str(source) == STANDARD_STREAM else readable_path(source)
-    is_pipe = path is None or path.is_fifo()
-    if not is_pipe and not path.name.lower().endswith(CSV_SUFFIXES):
+    is_file = path is not None and not path.is_fifo()
+    if path is not None and is_file and not path.name.lower().endswith(CSV_SUFFIXES):
         for table in _binary_tables(path, options, request, max_bytes):
             yield table
             if options.should_stop() and not options.follow:
@@ -136,7 +135,7 @@ def stream_tables(
         return
     name = "standard input" if path is None else str(path)
     head, blocks = head_of(byte_blocks(path, options))
-    if is_pipe and head in BINARY:
+    if head in BINARY and not is_file:
         # It is not read in the order of its bytes.
         with TemporaryDirectory() as folder:
             copy = Path(folder) / f"{Path(name).name}{BINARY[head]}"
@@ -147,8 +146,7 @@ def stream_tables(
             except RecordingError as error:
                 raise type(error)(str(error).replace(str(copy), name)) from error
         return
-    growth = {"is_growing": options.follow, "is_stopped": options.should_stop}
-    yield from csv_tables(blocks, name, **growth, max_bytes=max_bytes)
+    yield from csv_tables(blocks, name, options, max_bytes)
 
 
 def _copy(blocks: Iterable[bytes], path: Path, name: str, max_bytes: int) -> None:
@@ -176,7 +174,7 @@ def _binary_tables(
     with file_errors(path):
         holds_messages = is_bag(path)
     if holds_messages:
-        yield from bag_tables(path, request, options, max_bytes, CHUNK_ROWS)
+        yield from bag_tables(path, request, options, max_bytes)
         return
     for suffix, read in ((".npz", read_npz), (".parquet", read_parquet)):
         if path.name.lower().endswith(suffix):

@@ -28,7 +28,6 @@ FIELDS = (
 ruptured, or did not after all, else 0; `is_good`: 1 if the force is tared and of this tick."""
 ROWS = 4096
 _COUNT = struct.Struct("<Q")
-_NO_PLAN = (np.nan,) * len(PLAN_FIELDS)
 
 
 class ViewRow(NamedTuple):
@@ -47,7 +46,7 @@ def view_row(now: Any, q_rad: ArrayLike) -> ViewRow:
         *(found.tip_force_N, found.tip_force_std_N or 0.0, found.shaft_friction_N, found.layer),
         *((0.0, 0.0) if rupture is None else (rupture.layer, rupture.depth_m)),
         *(0.0 if retracted is None else retracted.layer, now.status.value == "ok"),
-        *(_NO_PLAN if plan is None else (getattr(plan, name) for name in PLAN_FIELDS)),
+        *(np.nan if plan is None else getattr(plan, name) for name in PLAN_FIELDS),
     )
     return ViewRow(values, tuple(np.asarray(q_rad, dtype=float).tolist()))
 

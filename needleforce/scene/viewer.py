@@ -19,6 +19,7 @@ from needleforce.scene.nodes import (
     EXPECTED,
     FOUND,
     ArmNodes,
+    CAMERA_m,
     PlanScene,
     add_anatomy,
     add_ring,
@@ -61,33 +62,31 @@ class _Seen(SimpleNamespace):
 
     def __init__(self, row: Array, plan: PlanScene) -> None:
         super().__init__(**dict(zip(FIELDS, row.tolist(), strict=False)))
-        self._names = ("", "outside", *(layer.name for layer in plan.layers), "")
-        self.has_plan = self.plan_layer == self.plan_layer
-        self.next_name = self._name(self.plan_layer + 1.0)
-
-    def _name(self, index: float) -> str:
-        return self._names[int(index) + 2] if -2 < index < len(self._names) - 2 else ""
+        self.names = {-1: "outside"} | {k: layer.name for k, layer in enumerate(plan.layers)}
+        self.next_name = self.names.get(self.plan_layer + 1.0, "")
 
     def event(self) -> str:
         """The rupture of this row."""
         text = f"rupture {self.rupture:.0f} at {1e3 * self.rupture_depth_m:.1f} mm"
-        if not self.has_plan:
+        if np.isnan(self.plan_matched):
             return text
-        is_one = self.plan_matched >= 0.0
-        where = f"into {self._name(self.plan_matched)}" if is_one else "a false alarm"
+        into = self.names.get(self.plan_matched, "")
+        where = f"into {into}" if self.plan_matched >= 0.0 else "a false alarm"
         return f"{text}: {where} ({100.0 * self.plan_matched_probability:.0f} %)"
 
     def lines(self) -> Iterator[str]:
         """What is known."""
         tared = "" if self.is_good else " (not tared, or doubtful)"
-        depth_mm = 1e3 * self.depth_m
-        yield f"**{self.time_s:.1f} s** at {depth_mm:.1f} mm, layer {self.layer:.0f}"
+        place = f"at {1e3 * self.depth_m:.1f} mm, layer {self.layer:.0f}"
+        yield f"**{self.time_s:.1f} s** {place}"
         yield f"force {self.force_N:.2f} ± {2.0 * self.force_std_N:.2f} N{tared}"
         tip = f"**tip force {self.tip_N:.2f} ± {2.0 * self.tip_std_N:.2f} N**"
         yield f"{tip}, shaft friction {self.friction_N:.2f} N; the bar is full at {MOST_N:g} N"
-        if not self.has_plan:
+        if np.isnan(self.plan_layer):
             return
-        here = f"in **{self._name(self.plan_layer)}** ({100.0 * self.plan_probability:.0f} %)"
+        here = (
+            f"in **{self.names.get(self.plan_layer, '')}** ({100.0 * self.plan_probability:.0f} %)"
+        )
         next_mm = f"{1e3 * self.plan_next_m:.1f} ± {2e3 * self.plan_next_std_m:.1f} mm"
         yield f"{here}, {self.next_name} at {next_mm}" if self.next_name else here
         off = f"{1e3 * self.plan_offset_m:+.1f} ± {2e3 * self.plan_offset_std_m:.1f} mm"
@@ -250,7 +249,7 @@ class Viewer:
         if not self._has_camera:
             self._has_camera = True
             self._server.initial_camera.look_at = tuple(tip)
-            self._server.initial_camera.position = tuple(tip + np.array([0.45, -0.55, 0.25]))
+            self._server.initial_camera.position = tuple(tip + CAMERA_m)
 
     def _draw_curves(self, at: int) -> None:
         rows = self._rows[: at + 1]

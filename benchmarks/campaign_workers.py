@@ -1,0 +1,151 @@
+"""Jobs on the processes of this machine or on a Dask cluster; answers as they come.
+
+A process that dies takes none of the others with it: the jobs it may have held are done once more.
+"""
+
+import os
+import signal
+from collections import deque
+from collections.abc import Callable, Iterator, Sequence
+from concurrent.futures import FIRST_COMPLETED, CancelledError, Future, ProcessPoolExecutor, wait
+from concurrent.futures.process import BrokenProcessPool
+from contextlib import suppress
+from dataclasses import dataclass
+from multiprocessing import get_context
+from typing import Annotated, TypeVar
+
+from cyclopts import Parameter
+from cyclopts.validators import Number
+
+from benchmarks import BenchmarkError
+
+THREAD_SETTINGS = ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS")
+AHEAD = 2
+"""Jobs handed out at a time, per process: none waits for the one that hands out."""
+CONNECT_S = 10.0
+DIED = "its process died, twice"
+"""What became of a job without an answer."""
+Job = TypeVar("Job")
+Answer = TypeVar("Answer")
+
+
+@Parameter(name="*")
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Workers:
+    """Who does the jobs."""
+
+    workers: Annotated[int | None, Parameter(validator=Number(gte=1))] = None
+    """Processes at a time; default: one per processor."""
+
+    cluster: str = ""
+    """Instead, address of a Dask scheduler whose workers do the jobs."""
+
+    @property
+    def processes(self) -> int:
+        """On this machine."""
+        if self.workers is not None:
+            return self.workers
+        if hasattr(os, "sched_getaffinity"):
+            return len(os.sched_getaffinity(0))
+        return os.cpu_count() or 1
+
+    def is_serial(self, jobs: int) -> bool:
+        """Whether so many jobs are done in this process."""
+        return not self.cluster and min(self.processes, jobs) <= 1
+
+
+def answers(
+    work: Callable[[Job], Answer], jobs: Sequence[Job], workers: Workers
+) -> Iterator[tuple[int, Answer | None]]:
+    """Do all jobs; yields the index of each with its answer, None if its process died twice.
+
+    Args:
+        work: Does a job; but for a serial run, a function of a module.
+        jobs: What can be pickled, like the answers.
+        workers: Who does them.
+
+    Raises:
+        BenchmarkError: The cluster cannot be reached, has no workers, or is lost.
+    """
+    if workers.is_serial(len(jobs)):
+        return ((index, work(job)) for index, job in enumerate(jobs))
+    if workers.cluster:
+        return _on_cluster(work, jobs, workers.cluster)
+    return _on_processes(work, jobs, min(workers.processes, len(jobs)))
+
+
+def _new_pool(processes: int) -> ProcessPoolExecutor:
+    # Matrices are 7 by 7: more threads than processes only get in each other's way.
+    for name in THREAD_SETTINGS:
+        os.environ.setdefault(name, "1")
+    # Ctrl-C reaches the whole group: workers end without a traceback each, the parent reports.
+    ended = (signal.SIGINT, signal.SIG_DFL)
+    context = get_context("spawn")
+    return ProcessPoolExecutor(processes, context, initializer=signal.signal, initargs=ended)
+
+
+def _on_processes(
+    work: Callable[[Job], Answer], jobs: Sequence[Job], processes: int
+) -> Iterator[tuple[int, Answer | None]]:
+    waiting = deque(range(len(jobs)))
+    while waiting:
+        pool, running, lost = _new_pool(processes), dict[Future[Answer], int](), list[int]()
+        try:
+            while running or (waiting and not lost):
+                while waiting and not lost and len(running) < AHEAD * processes:
+                    index = waiting.popleft()
+                    try:
+                        running[pool.submit(work, jobs[index])] = index
+                    except BrokenProcessPool:
+                        lost.append(index)
+                for future in wait(running, return_when=FIRST_COMPLETED).done:
+                    index = running.pop(future)
+                    if isinstance(future.exception(), BrokenProcessPool):
+                        lost.append(index)
+                    else:
+                        yield index, future.result()
+        finally:
+            pool.shutdown(cancel_futures=True)
+        # Each by itself: it is not known which of them the process died of.
+        yield from ((index, _alone(work, jobs[index])) for index in lost)
+
+
+def _alone(work: Callable[[Job], Answer], job: Job) -> Answer | None:
+    with _new_pool(1) as pool, suppress(BrokenProcessPool):
+        return pool.submit(work, job).result()
+
+
+def _on_cluster(
+    work: Callable[[Job], Answer], jobs: Sequence[Job], address: str
+) -> Iterator[tuple[int, Answer | None]]:
+    from distributed import Client, KilledWorker, as_completed
+
+    try:
+        client = Client(address, timeout=CONNECT_S, set_as_default=False)
+    except (OSError, ValueError) as error:
+        raise BenchmarkError(f"no Dask scheduler at {address}: {error}") from error
+    with client:
+        try:
+            client.wait_for_workers(1, timeout=CONNECT_S)
+        except TimeoutError as error:
+            how = f"{address} has no workers; start some: dask worker {address} --nthreads 1"
+            raise BenchmarkError(how) from error
+        futures = client.map(work, jobs, pure=False)
+        order = {future.key: index for index, future in enumerate(futures)}
+        coming = as_completed(futures, loop=client.loop)
+        del futures  # so that the cluster forgets each answer once it has come
+        lost = list[int]()
+
+        def alone(index: int) -> Answer | None:
+            with suppress(KilledWorker):
+                return client.submit(work, jobs[index], pure=False).result()
+
+        try:
+            for future in coming:
+                if isinstance(future.exception(), KilledWorker):
+                    lost.append(order[future.key])
+                else:
+                    yield order[future.key], future.result()
+            yield from ((index, alone(index)) for index in lost)
+        except CancelledError as error:
+            raise BenchmarkError(f"lost the cluster at {address}") from error
