@@ -21,8 +21,8 @@ from identification import MultilayerConfig, PublishedConfig
 from identification import Snapshot as IdentifierSnapshot
 from identification.published_identifier import PublishedState
 from identification.switching_identifier import SwitchingState
+from needleforce.files import whole_file
 from needleforce.session import SessionSnapshot, SnapshotFileError
-from needleforce.whole_file import whole_file
 from residual.virtual_force_sensor import SensorState
 
 SNAPSHOT_FORMAT = "needleforce-snapshot"

@@ -17,7 +17,7 @@ from scipy.spatial.transform import Rotation
 
 from groundtruth import Run, Scenario, simulate
 from groundtruth.layers import Layer as TissueLayer
-from groundtruth.materials import abdominal_fat, abdominal_liver, abdominal_muscle
+from groundtruth.materials import ABDOMEN
 from groundtruth.motion import constant_motion
 from groundtruth.torso import analytic_torso
 from needleforce.anatomy import (
@@ -239,10 +239,11 @@ def thick_layers(layers: list[Layer]) -> list[Layer]:
 
 def tissue(plan: list[Layer]) -> tuple[TissueLayer, ...]:
     """Layers of the simulation as thick as those of the plan, and one behind the target."""
-    kinds = {"liver": abdominal_liver, "fat": abdominal_fat, "cavity": abdominal_fat}
+    fat, muscle, liver = ABDOMEN
+    kinds = {"liver": liver, "fat": fat, "cavity": fat}
     layers = [
         replace(
-            kinds.get(layer.name, abdominal_muscle)(),
+            kinds.get(layer.name, muscle),
             name=layer.name,
             thickness_m=layer.exit_m - layer.entry_m,
         )

@@ -19,7 +19,7 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from needleforce.whole_file import whole_file
+from needleforce.files import whole_file
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes

@@ -9,6 +9,7 @@ from typing import Any, BinaryIO
 
 from numpy.typing import ArrayLike
 
+from needleforce.files import whole_file
 from needleforce.recordings.bag_messages import METADATA, is_bag
 from needleforce.recordings.bag_types import McapWriter
 from needleforce.recordings.columnar import NpzWriter, ParquetWriter
@@ -17,7 +18,6 @@ from needleforce.recordings.errors import FileAccessError, LogError, file_errors
 from needleforce.recordings.follow import STANDARD_STREAM
 from needleforce.recordings.log import Log
 from needleforce.recordings.table import Labels, checked_columns
-from needleforce.whole_file import whole_file
 
 Writer = Callable[[BinaryIO, Labels], Any]
 """Makes what appends checked columns to a stream, flushes and finishes it."""
