@@ -106,8 +106,8 @@ class PlanMatch:
         self._late = np.full((len(layers), 1), LATE)
         words = [set(layer.name.lower().split("_")) for layer in layers]
         for k, layer in enumerate(layers):
-            first = layer.name not in {before.name for before in layers[:k]}
-            if first and CAPSULES & words[k]:
+            is_first = layer.name not in {before.name for before in layers[:k]}
+            if is_first and CAPSULES & words[k]:
                 self._late[k] = CAPSULE_LATE
             elif k and "fat" in words[k - 1]:
                 self._missed[k] = SOFT_MISSED
@@ -146,9 +146,8 @@ class PlanMatch:
         deepest = depth if deepest_m is None else max(float(deepest_m) - entry_depth_m, depth)
         ahead, (weight, false) = self._ahead(deepest), self._after(ruptures)
         joint = self._joint(ahead, weight)
-        by_layer = joint.sum(axis=1)
-        if depth < deepest - BACK_m:
-            by_layer = self._withdrawn(joint, depth)
+        is_back = depth < deepest - BACK_m
+        by_layer = self._withdrawn(joint, depth) if is_back else joint.sum(axis=1)
         layer = int(np.argmax(by_layer)) - 1
         # The median: where two assignments compete, their mean is what neither says.
         middle = self._quantile_m(joint, 0.5)
@@ -156,10 +155,10 @@ class PlanMatch:
         after = self.layers[layer + 1] if layer + 1 < len(self.layers) else None
         next_m = next_std_m = np.nan
         if after is not None:
-            next_m = self._bound_m[layer + 1] + middle + entry_depth_m
-            next_std_m = np.sqrt(variance + self._bound_std_m[layer + 1] ** 2)
+            next_m = after.entry_m + middle + entry_depth_m
+            next_std_m = np.sqrt(variance + after.entry_std_m**2)
         matched, likely = self._matched(ahead, weight, false)
-        matched_name = self.layers[matched].name if matched >= 0 else FALSE_ALARM
+        what = self.layers[matched].name if matched >= 0 else FALSE_ALARM
         return PlanState(
             layer=layer,
             name=self.layers[layer].name if layer >= 0 else OUTSIDE,
@@ -170,7 +169,7 @@ class PlanMatch:
             next_m=float(next_m),
             next_std_m=float(next_std_m),
             matched=matched,
-            matched_name=matched_name if ruptures else "",
+            matched_name=what if ruptures else "",
             matched_probability=likely,
             is_obstacle_next=after is not None and after.is_obstacle,
         )
