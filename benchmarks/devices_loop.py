@@ -66,8 +66,7 @@ def _one(run: Any, seconds: float, *, has_scene: bool) -> list[tuple[str, ...]]:
         cycles=cycles,
         in_real_time=True,
     )
-    taken_us: list[float] = []
-    arrived_us: list[float] = []
+    taken_us, arrived_us = list[float](), list[float]()
     with ExitStack() as stack:
         stack.enter_context(arm)
         view = None
