@@ -66,7 +66,7 @@ def _one(run: Any, seconds: float, *, has_scene: bool) -> list[tuple[str, ...]]:
         cycles=cycles,
         in_real_time=True,
     )
-    taken_us, arrived_us = list[float](), list[float]()
+    arrived_us, taken_us = list[float](), list[float]()
     with ExitStack() as stack:
         stack.enter_context(arm)
         view = None

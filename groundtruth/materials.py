@@ -121,33 +121,21 @@ PHANTOM_CAPSULE = Membrane(puncture_N=0.6, indentation_m=4e-3, hardening=0.5, re
 """Synthetic skin around the liver of an abdominal phantom: thinner than a real capsule."""
 
 
-def bovine_liver() -> Layer:
-    """A slice of bovine liver behind its capsule, 32 mm: 9 s from puncture to exit in Fig. 13."""
-    return _layer(
-        "liver",
-        32e-3,
-        0.9,  # human liver peaks at 1.1-3.4 N over 85 mm, friction included: this is mid-range
-        soft_tissue_friction(LIVER_FRICTION_N_PER_M, TABLE_I_SPEED_M_S),
-        membrane=BOVINE_CAPSULE,
-    )
+BOVINE_LIVER = _layer(
+    "liver",
+    32e-3,
+    0.9,  # human liver peaks at 1.1-3.4 N over 85 mm, friction included: this is mid-range
+    soft_tissue_friction(LIVER_FRICTION_N_PER_M, TABLE_I_SPEED_M_S),
+    membrane=BOVINE_CAPSULE,
+)
+"""A slice of bovine liver behind its capsule, 32 mm: 9 s from puncture to exit in Fig. 13."""
 
-
-def abdominal_fat() -> Layer:
-    """Fat: slippery and soft; its end is the transition the paper's method misses (Fig. 14)."""
-    return _layer("fat", 25e-3, 0.12, soft_tissue_friction(4.0, ABDOMEN_SPEED_M_S))
-
-
-def abdominal_muscle() -> Layer:
-    """Muscle: fibres grip the shaft about twice as hard as liver does."""
-    return _layer("muscle", 15e-3, 1.0, soft_tissue_friction(20.0, ABDOMEN_SPEED_M_S))
-
-
-def abdominal_liver() -> Layer:
-    """Liver of the phantom behind its synthetic capsule."""
-    return _layer(
-        "liver",
-        40e-3,
-        1.1,
-        soft_tissue_friction(LIVER_FRICTION_N_PER_M, ABDOMEN_SPEED_M_S),
-        membrane=PHANTOM_CAPSULE,
-    )
+_PHANTOM_LIVER = soft_tissue_friction(LIVER_FRICTION_N_PER_M, ABDOMEN_SPEED_M_S)
+ABDOMEN = (
+    # Slippery and soft; its end is the transition the paper's method misses (Fig. 14).
+    _layer("fat", 25e-3, 0.12, soft_tissue_friction(4.0, ABDOMEN_SPEED_M_S)),
+    # Fibres grip the shaft about twice as hard as liver does.
+    _layer("muscle", 15e-3, 1.0, soft_tissue_friction(20.0, ABDOMEN_SPEED_M_S)),
+    _layer("liver", 40e-3, 1.1, _PHANTOM_LIVER, membrane=PHANTOM_CAPSULE),
+)
+"""Fat, muscle and liver of the abdominal phantom."""

@@ -89,7 +89,7 @@ class PlantModel:
 
     joint_coulomb: float = 0.0
     """Coulomb friction between torque sensor and link, as a fraction of limit, see
-    `groundtruth.bearing_friction`. No source states it; calibrated, see `FRI`."""
+    `groundtruth.arm_plant.BearingFriction`. No source states it; calibrated, see `FRI`."""
 
     joint_viscous_Nms_per_rad: tuple[float, ...] = (0.0,) * 7  # viscous friction there
 

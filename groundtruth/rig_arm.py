@@ -20,8 +20,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from groundtruth.arm_control import MASS_TICKS, BANDWIDTH_rad_s
 from groundtruth.arm_motion import LWR_POSTURE_rad, needle_down
-from groundtruth.arm_plant import ArmPlant, TissueContact, lwr_bodies
-from groundtruth.bearing_friction import bearings
+from groundtruth.arm_plant import ArmPlant, TissueContact, bearings, lwr_bodies
 from groundtruth.errors import PlantError
 from groundtruth.plant_model import PlantModel, TICK_s, plant_named
 from groundtruth.rig_contacts import Contact, HandOnArm, distance_to_axis_m

@@ -13,10 +13,9 @@ from types import MappingProxyType
 import numpy as np
 from numpy.typing import ArrayLike
 
-from groundtruth import materials
 from groundtruth.errors import Array, ScenarioError
 from groundtruth.layers import Layer, Membrane, ShaftFriction
-from groundtruth.materials import TABLE_I_SPEED_M_S, gel
+from groundtruth.materials import ABDOMEN, BOVINE_LIVER, GLOVE, TABLE_I_SPEED_M_S, gel
 from groundtruth.motion import Motion, constant_motion, protocol, sinusoidal_motion
 from groundtruth.tissue import Tissue
 from groundtruth.variations import VARIATIONS, TissueVariation, random_variation
@@ -91,11 +90,6 @@ class Scenario:
         """Fresh, uncut tissue."""
         return Tissue(self.layers)
 
-    @property
-    def thickness_m(self) -> float:
-        """All layers together."""
-        return sum(layer.thickness_m for layer in self.layers)
-
 
 GLOVE_SPEED_M_S = 3e-3  # the paper's speed for the stack with the glove
 BEYOND_M = 12e-3  # how far a constant-speed insertion goes beyond the last layer
@@ -137,7 +131,7 @@ def _gels_and_stacks() -> list[Scenario]:
         found.append(_constant(name, title, layers, TABLE_I_SPEED_M_S))
         found.append(_sinusoidal(name, title, layers, GEL_STROKE_M))
     bare = (gel(25), gel(50), gel(70))
-    gloved = (gel(25), gel(50, membrane=materials.GLOVE), gel(70, membrane=materials.GLOVE))
+    gloved = (gel(25), gel(50, membrane=GLOVE), gel(70, membrane=GLOVE))
     glove = "three gels, latex glove around the middle one"
     return [
         *found,
@@ -150,14 +144,12 @@ def _gels_and_stacks() -> list[Scenario]:
 
 
 def _organs_and_air() -> list[Scenario]:
-    liver = (materials.bovine_liver(),)
-    abdomen = (materials.abdominal_fat(), materials.abdominal_muscle(), materials.abdominal_liver())
     return [
-        _constant("liver", "bovine liver, capsule first", liver, TABLE_I_SPEED_M_S),
+        _constant("liver", "bovine liver, capsule first", (BOVINE_LIVER,), TABLE_I_SPEED_M_S),
         Scenario(
             id="abdomen-sinusoidal",
             title="abdominal phantom: fat, muscle, liver; sinusoidal speed",
-            layers=abdomen,
+            layers=ABDOMEN,
             motion=sinusoidal_motion(
                 stroke_m=ABDOMEN_STROKE_M,
                 frequency_hz=ABDOMEN_FREQUENCY_HZ,

@@ -14,8 +14,7 @@ from numpy.typing import NDArray
 from groundtruth import sensors
 from groundtruth.arm_control import ArmTrace, drive
 from groundtruth.arm_motion import InsertionPath, scenario_motion, scenario_path
-from groundtruth.arm_plant import ArmPlant, TissueContact, lwr_bodies
-from groundtruth.bearing_friction import bearings
+from groundtruth.arm_plant import ArmPlant, TissueContact, bearings, lwr_bodies
 from groundtruth.errors import Array, RunError
 from groundtruth.force_noise import MINI45, ForceNoise
 from groundtruth.plant_model import PlantModel, TICK_s, plant_named

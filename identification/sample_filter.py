@@ -3,8 +3,8 @@
 The filter's state is depth and speed; the speed changes as white acceleration makes it. Every
 sample measures the depth, and the speed where the robot reports it. How noisy either is shows in
 how far a sample lies from the line between its neighbours, which no needle's motion does within a
-few milliseconds. A speed that was itself made from positions is late, and its noise is smooth: what
-its means over 16 ms scatter says how little it knows.
+few milliseconds. Noise of positions behind a filter, or of a coarse encoder, is smooth, and so is
+that of a speed made from them: what their means over 16 ms scatter says how little they know.
 """
 
 import math
@@ -58,10 +58,11 @@ TIME, _USUAL_DT, _RAW_DEPTH, SHIFT, _BY_DEPTH, _BY_SPEED, _PENDING, _HAS_DEPTH, 
 # the answer; means of the latest standardised innovations of depth and of a measured speed.
 _DEPTH, _SPEED, _VAR_DEPTH, _COVARIANCE, _VAR_SPEED = range(9, 14)
 _NOISE_DEPTH, _NOISE_BOTH, _NOISE_SPEED, _SURPRISE, _SPEED_SURPRISE = range(14, 19)
-# What is known of the noise of depth, of speed and of means of the speed: five numbers each. Of the
-# block of such a mean being filled: its length, the number of its samples, the sum of their speeds.
-OF_DEPTH, _OF_SPEED, _OF_BLOCKS, _FILLED, _SAMPLES, _SPEED_SUM = 19, 24, 29, 34, 35, 36
-SAMPLE_MEMORY = 37
+# What is known of the noise of depth and speed and of their means: five numbers each. Of the block
+# of such means being filled: its length, the number of its samples, the sums of both.
+OF_DEPTH, _OF_SPEED, _OF_DEPTHS, _OF_SPEEDS = 19, 24, 29, 34
+_FILLED, _SAMPLES, _DEPTH_SUM, _SPEED_SUM = 39, 40, 41, 42
+SAMPLE_MEMORY = 43
 # Of a noise: variance of single samples, on how many values that rests; the last value, the one
 # before, and the time between them, 0 while there are none.
 _VARIANCE, _SEEN, _LAST, _BEFORE, _LAST_DT = range(5)
@@ -230,13 +231,21 @@ def _measure(memory: WrittenVector, k: int, value: float, noise: float) -> float
 
 
 @compiled
+def _noise(memory: WrittenVector, single: int, means: int, dt_s: float) -> float:
+    """Variance of a sample's noise, as if it were white: of a smooth one a block is one sample."""
+    is_known = memory[means + _SEEN] >= _ENOUGH_BLOCKS
+    of_mean = memory[means + _VARIANCE] * _BLOCK_S / dt_s if is_known else 0.0
+    return max(memory[single + _VARIANCE], of_mean)
+
+
+@compiled
 def filter_travel(
     depth_m: float, speed_m_s: float, dt_s: float, is_measured: bool, memory: WrittenVector
 ) -> Motion:
     """Use one checked sample; time steps may differ, the filter is exact for each."""
     m, gain = memory, -math.expm1(-dt_s / _HASTE_S)
     learn_noise(m, OF_DEPTH, depth_m, dt_s, _LEAST_DEPTH_VARIANCE)
-    noise = max(m[OF_DEPTH], _LEAST_DEPTH_VARIANCE)
+    noise = max(_noise(m, OF_DEPTH, _OF_DEPTHS, dt_s), _LEAST_DEPTH_VARIANCE)
     if m[_VAR_DEPTH] == 0.0 or dt_s > _GAP_S:
         m[_DEPTH:OF_DEPTH] = 0.0
         m[_DEPTH], m[_SPEED] = depth_m, (speed_m_s if is_measured else 0.0)
@@ -254,18 +263,19 @@ def filter_travel(
         m[_SURPRISE] += gain * (_measure(m, 0, depth_m, noise) - m[_SURPRISE])
     if is_measured:
         learn_noise(m, _OF_SPEED, speed_m_s, dt_s, _LEAST_SPEED_VARIANCE)
-        m[_FILLED] += dt_s
-        m[_SAMPLES] += 1.0
         m[_SPEED_SUM] += speed_m_s
     if is_measured and m[_OF_SPEED + _SEEN] > 0.0:
-        # Of a smooth noise samples of one block are as good as one.
-        is_known = m[_OF_BLOCKS + _SEEN] >= _ENOUGH_BLOCKS
-        noise = max(m[_OF_SPEED], m[_OF_BLOCKS] * _BLOCK_S / dt_s if is_known else 0.0)
+        noise = _noise(m, _OF_SPEED, _OF_SPEEDS, dt_s)
         m[_SPEED_SURPRISE] += gain * (_measure(m, 1, speed_m_s, noise) - m[_SPEED_SURPRISE])
+    m[_FILLED] += dt_s
+    m[_SAMPLES] += 1.0
+    m[_DEPTH_SUM] += depth_m
     if m[_FILLED] >= _BLOCK_S:
-        mean = m[_SPEED_SUM] / m[_SAMPLES]
-        learn_noise(m, _OF_BLOCKS, mean, m[_FILLED], _LEAST_SPEED_VARIANCE)
-        m[_FILLED] = m[_SAMPLES] = m[_SPEED_SUM] = 0.0
+        n, length_s = m[_SAMPLES], m[_FILLED]
+        learn_noise(m, _OF_DEPTHS, m[_DEPTH_SUM] / n, length_s, _LEAST_DEPTH_VARIANCE)
+        if is_measured:
+            learn_noise(m, _OF_SPEEDS, m[_SPEED_SUM] / n, length_s, _LEAST_SPEED_VARIANCE)
+        m[_FILLED:SAMPLE_MEMORY] = 0.0
     depth_std, speed_std = (
         math.sqrt(max(m[_NOISE_DEPTH], 0.0)),
         math.sqrt(max(m[_NOISE_SPEED], 0.0)),

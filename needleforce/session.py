@@ -432,7 +432,7 @@ class InsertionSession:
         if (last.rupture, last.identified_layer, last.retracted) != (None, None, None):
             last = self._identification = _without_events(last)
         at = (False, self._time_s, self._plan.state)
-        return SessionEstimate(wrench, *self._travel[:2], last, wrench.status, *at)
+        return _new(SessionEstimate, (wrench, *self._travel[:2], last, wrench.status, *at))
 
 
 def _check_kind(value: object, kind: type, name: str, hint: str) -> None:

@@ -9,7 +9,6 @@ snapshot is of, and the SHA-256 of its bytes; see docs/loop.md.
 import hashlib
 import math
 import os
-import secrets
 from collections.abc import Iterator
 from dataclasses import fields, is_dataclass
 from pathlib import Path
@@ -22,6 +21,7 @@ from identification import MultilayerConfig, PublishedConfig
 from identification import Snapshot as IdentifierSnapshot
 from identification.published_identifier import PublishedState
 from identification.switching_identifier import SwitchingState
+from needleforce.files import whole_file
 from needleforce.session import SessionSnapshot, SnapshotFileError
 from residual.virtual_force_sensor import SensorState
 
@@ -87,7 +87,8 @@ def write_snapshot(snapshot: AnySnapshot, path: str | os.PathLike[str]) -> None:
     data = msgspec.msgpack.encode(snapshot, enc_hook=_plain_array)
     digest = hashlib.sha256(data).hexdigest()
     envelope = _Envelope(SNAPSHOT_FORMAT, SNAPSHOT_VERSION, kind, method, digest, data)
-    _write_whole(Path(path), msgspec.msgpack.encode(envelope))
+    with whole_file(path) as file:
+        file.write(msgspec.msgpack.encode(envelope))
 
 
 def read_snapshot(path: str | os.PathLike[str]) -> AnySnapshot:
@@ -227,17 +228,3 @@ def _check_number(place: str, number: Any) -> None:
     allowed = _NOT_FINITE.get(place, 0.0)
     if not np.array_equal(odd, np.full(odd.shape, allowed), equal_nan=True):
         raise SnapshotFileError(f"the snapshot is damaged: {place} cannot be {str(number)[:80]}")
-
-
-def _write_whole(path: Path, content: bytes) -> None:
-    """Replace a file at once, by way of a new file whose name nobody can plant a link under."""
-    partial = path.with_name(f"{path.name}.{secrets.token_hex(4)}.part")
-    try:
-        with partial.open("xb") as file:
-            file.write(content)
-            file.flush()
-            os.fsync(file.fileno())
-        partial.replace(path)
-    except BaseException:
-        partial.unlink(missing_ok=True)
-        raise

@@ -169,6 +169,10 @@ def test_the_body_is_found_in_a_scan_stored_the_other_way_round():
     body = labels.with_body(scan)
     assert body["body"].voxels == np.count_nonzero(values)
     np.testing.assert_allclose(body.centroid_m("body"), grid.points_m(np.argwhere(values).mean(0)))
+    soft = np.where(values == 1, -90.0, scan.values[::-1, ::-1, :])[::-1, ::-1, :]
+    parts = Labels.of([values], grid, names[1:]).with_body(Volume(soft, flipped), fat=True)
+    assert parts["lean"].voxels + parts["fat"].voxels == np.count_nonzero(values)
+    assert parts["fat"].voxels == pytest.approx(np.count_nonzero(values == 1), rel=0.1)
 
 
 @pytest.mark.skipif(not CT.is_dir(), reason="no recordings: NEEDLEFORCE_DATA names their folder")

@@ -10,7 +10,7 @@ from hypothesis.extra.numpy import arrays
 from scipy.signal import welch
 
 from groundtruth import sensors
-from groundtruth.bearing_friction import (
+from groundtruth.arm_plant import (
     STRIBECK_PEAK,
     BearingFriction,
     PRESLIDING_rad,

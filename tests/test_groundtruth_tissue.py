@@ -9,7 +9,7 @@ from hypothesis import strategies as st
 
 from groundtruth.errors import TissueError
 from groundtruth.layers import CUTTING_ONSET_M, Membrane, ShaftFriction
-from groundtruth.materials import BOVINE_CAPSULE, GEL_TIP_FORCE_N, GLOVE, bovine_liver, gel
+from groundtruth.materials import BOVINE_CAPSULE, BOVINE_LIVER, GEL_TIP_FORCE_N, GLOVE, gel
 from groundtruth.tissue import UNLOADING_M, Tissue, bristle_step
 
 SPEED = 2.3e-3
@@ -27,7 +27,7 @@ bristles, lengths = st.floats(-1.0, 1.0), st.floats(1e-5, 1e-2)
 
 
 def test_tip_force_rises_to_the_exit_force_and_cutting_within_a_needle_diameter():
-    for layer in (gel(25), gel(70, membrane=GLOVE), bovine_liver()):
+    for layer in (gel(25), gel(70, membrane=GLOVE), BOVINE_LIVER):
         penetration = np.linspace(0.0, layer.thickness_m - layer.entry_m, 500)
         force = [layer.tip_force_N(float(p)) for p in penetration]
         assert force[0] == 0.0
@@ -62,7 +62,7 @@ def test_what_no_tissue_has_is_refused_by_name():
             with pytest.raises(TissueError, match=field):
                 replace(good, **{field: value})
     with pytest.raises(TissueError, match="make it thicker"):
-        replace(bovine_liver(), thickness_m=12e-3)
+        replace(BOVINE_LIVER, thickness_m=12e-3)
     with pytest.raises(TissueError, match="25, 50 and 70"):
         gel(60)
 
@@ -129,7 +129,7 @@ def test_reinsertion_meets_friction_only_until_the_deepest_point():
 
 
 def test_rest_relaxes_the_force_as_the_recordings_show_and_travel_restores_it():
-    layer = bovine_liver()
+    layer = BOVINE_LIVER
     law = Tissue((layer,))
     _, before = advance(law, -1e-3, 25e-3)
     resting = [law.step(25e-3, 0.0, 1e-3) for _ in range(60_000)]
@@ -141,7 +141,7 @@ def test_rest_relaxes_the_force_as_the_recordings_show_and_travel_restores_it():
 
 
 def test_membrane_holds_back_the_layer_and_the_shaft_then_enters_it_gradually():
-    depth, forces = advance(Tissue((bovine_liver(),)), -1e-3, BOVINE_CAPSULE.indentation_m + 3e-3)
+    depth, forces = advance(Tissue((BOVINE_LIVER,)), -1e-3, BOVINE_CAPSULE.indentation_m + 3e-3)
     friction = np.array([force.friction_N for force in forces])
     intact = depth < BOVINE_CAPSULE.indentation_m
     assert not any(force.layer for force, whole in zip(forces, intact, strict=True) if whole)
@@ -150,7 +150,7 @@ def test_membrane_holds_back_the_layer_and_the_shaft_then_enters_it_gradually():
     assert forces[-1].layer == 1
     assert 0.0 < forces[-1].axial_N < 0.25 * tips(forces).max()
     assert np.diff(friction).max() < 0.05 * friction[-1]
-    slope = bovine_liver().friction.sliding_N_per_m(SPEED)
+    slope = BOVINE_LIVER.friction.sliding_N_per_m(SPEED)
     assert friction[-1] == pytest.approx(slope * depth[-1], rel=0.03)
 
 

@@ -84,6 +84,24 @@ def test_rest_of_a_rounded_depth_teaches_no_noise():
     assert np.abs(found[(t_s > 2.0) & (t_s < 5.0), 1] - 4e-3).max() < 4e-4
 
 
+@pytest.mark.parametrize("step_m", [5e-5, 1.2e-4])
+def test_smooth_noise_of_a_coarse_encoder_is_learned_too(step_m):
+    """As from an arm without velocities: several joints, each rounded, behind a filter."""
+    t_s, depth_m, speed_m_s = motion()
+    at_m, rate_m_s = np.zeros(len(t_s)), np.zeros(len(t_s))
+    for part, rng in zip((0.5, 0.3, 0.2), np.random.default_rng(6).spawn(3), strict=True):
+        noisy_m = part * depth_m + 0.3 * step_m * rng.standard_normal(len(t_s))
+        rounded_m = np.round(noisy_m / step_m) * step_m
+        rate = speed_given("estimated", t_s, rounded_m, None, rng)
+        rate_m_s += rate
+        at_m += rounded_m[0] + np.cumsum(rate * np.diff(t_s, prepend=t_s[0]))
+    found, _ = filtered(t_s, at_m, rate_m_s)
+    steady = (t_s > 2.0) & (t_s < 5.0)
+    off_m_s = (found[:, 1] - speed_m_s)[steady]
+    assert np.std(off_m_s) < 0.25 * np.std((rate_m_s - speed_m_s)[steady])
+    assert 0.3 < np.std(off_m_s) / found[steady, 3].mean() < 3.0
+
+
 def test_after_a_gap_it_starts_anew():
     t_s, depth_m, speed_m_s = motion()
     kept = (t_s < 2.0) | (t_s > 4.0)

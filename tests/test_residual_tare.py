@@ -7,7 +7,7 @@ import pinocchio as pin
 import pytest
 from residual_signals import MIDDLE
 
-from groundtruth.bearing_friction import BearingFriction
+from groundtruth.arm_plant import BearingFriction
 from groundtruth.plant_model import CLEAN
 from residual import DEFAULT, BiasPrior, ConfigurationError, TareError, WrenchEstimator
 from residual.bias_estimator import BiasEstimator, TareRecorder

@@ -4,7 +4,7 @@ Conventions: SI units; joint vectors in the order of ``Robot.joint_names``; a pa
 the axes of the robot's flange frame, whose z points outward; gravity in base axes.
 
 Reading order: `robot` (what the estimators get), `loading` with `description` (from a file to a
-robot), `serial_robot` (from numbers to a robot), `payload` with `inertia` (ten numbers of a body),
+robot), `serial_robot` (from numbers to a robot), `payload` (with the ten numbers of a body),
 `payload_identification`.
 """
 

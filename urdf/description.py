@@ -15,7 +15,7 @@ import numpy as np
 import pinocchio as pin
 
 from urdf.errors import Array, InputError, UnknownNameError, UnsupportedJointError, UrdfFileError
-from urdf.inertia import require_physical
+from urdf.payload import require_physical
 
 MAX_LINKS = 1000
 """Most links of a robot; more are refused. urdfdom and Pinocchio recurse once per link of a chain

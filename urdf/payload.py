@@ -1,4 +1,15 @@
-"""What hangs on the flange: a rigid body, or a needle behind a force/torque sensor."""
+"""What hangs on the flange: a rigid body, or a needle behind a force/torque sensor.
+
+The inertial parameters of one rigid body are ten numbers in kg, kg m and kg m^2, in Pinocchio's
+order, linear in every torque the body causes:
+
+    phi = (m, m c_x, m c_y, m c_z, I_xx, I_xy, I_yy, I_xz, I_yz, I_zz),
+
+with c the centre of mass and I the inertia about the frame origin. A body with non-negative density
+exists for phi exactly when m >= 0, the inertia about the centre of mass is positive semidefinite,
+and its principal moments obey the triangle inequality (Wensing, Kim, Slotine, "Linear matrix
+inequalities for physically consistent inertial parameter identification", RA-L 2018).
+"""
 
 from dataclasses import dataclass, fields
 from typing import Self
@@ -7,8 +18,51 @@ import numpy as np
 import pinocchio as pin
 from numpy.typing import ArrayLike
 
-from urdf.errors import Array, InputError, finite_array, read_only
-from urdf.inertia import parameters_about_com, require_mass, require_physical
+from urdf.errors import Array, InertiaError, InputError, finite_array, read_only
+
+# Tables carry a few digits: a thin rod, once rounded, may miss the boundary by this fraction.
+_ROUNDING = 1e-6
+# Fraction of the inertia about the origin that subtracting m c^2 may lose in double precision.
+_CANCELLATION = 1e-12
+# Where the six moments stand in a matrix, in the order of the parameters.
+_MOMENTS = ([0, 0, 1, 0, 1, 2], [0, 1, 1, 2, 2, 2])
+# No link or tool comes near this in kg, kg m or kg m^2, and no product of them overflows.
+_LARGEST_PARAMETER = 1e9
+
+
+def require_mass(parameters: Array, owner: str) -> None:
+    """Raise `InertiaError`, naming the owner, for absurd numbers or moments without a mass."""
+    if not np.all(np.abs(parameters) <= _LARGEST_PARAMETER):
+        raise InertiaError(
+            f"{owner}: inertial parameters {parameters.tolist()} (mass, first moments, inertia) "
+            f"are not finite or above {_LARGEST_PARAMETER:g} in SI units; check the numbers and "
+            "their units"
+        )
+    if parameters[0] == 0.0 and np.any(parameters):
+        raise InertiaError(f"{owner}: mass is 0 kg but its moments are not; give it a mass")
+
+
+def require_physical(parameters: Array, owner: str) -> None:
+    """Raise `InertiaError` unless a body can have these, to the rounding of a written table."""
+    require_mass(parameters, owner)
+    mass = parameters[0]
+    if mass < 0.0:
+        raise InertiaError(f"{owner}: mass is {mass:g} kg, expected a positive mass")
+    if mass == 0.0:
+        return
+    moments = np.linalg.eigvalsh(pin.Inertia.FromDynamicParameters(parameters).inertia)
+    slack = _ROUNDING * moments[2] + _CANCELLATION * np.sum(parameters[[4, 6, 9]])
+    shown = ", ".join(f"{moment:.6g}" for moment in moments)
+    if moments[0] < -slack:
+        raise InertiaError(
+            f"{owner}: inertia about the centre of mass is not positive definite "
+            f"(principal moments {shown} kg m^2); check signs and the frame it is expressed in"
+        )
+    if moments[0] + moments[1] < moments[2] - slack:
+        raise InertiaError(
+            f"{owner}: principal moments {shown} kg m^2 break the triangle inequality (the largest "
+            f"exceeds the sum of the others by {moments[2] - moments[0] - moments[1]:.3g} kg m^2)"
+        )
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -38,7 +92,7 @@ class Payload:
 
     @classmethod
     def from_parameters(cls, parameters: ArrayLike) -> Self:
-        """Build a payload from its ten parameters (see `urdf.inertia`), shape (10,)."""
+        """Build a payload from its ten parameters, shape (10,)."""
         phi = finite_array(parameters, (10,), "payload parameters")
         require_mass(phi, "payload")
         if phi[0] == 0.0:
@@ -48,8 +102,13 @@ class Payload:
 
     @property
     def parameters(self) -> Array:
-        """The ten parameters of `urdf.inertia`, shape (10,)."""
-        return parameters_about_com(self.mass_kg, self.com_m, self.inertia_kg_m2)
+        """The ten parameters, shape (10,)."""
+        mass, com = self.mass_kg, self.com_m
+        # What overflows comes out as infinite, which `require_mass` refuses by name.
+        with np.errstate(over="ignore", invalid="ignore"):
+            steiner = mass * (com @ com * np.eye(3) - np.outer(com, com))
+            about_origin = self.inertia_kg_m2 + steiner
+            return np.concatenate([[mass], mass * com, about_origin[_MOMENTS]])
 
     @property
     def spatial_inertia(self) -> pin.Inertia:

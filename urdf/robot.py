@@ -43,6 +43,11 @@ class Robot:
     payload: Payload | None = None  # what hangs on the flange, in the flange frame
     model: pin.Model = field(init=False, repr=False)
     tool_frame_id: int = field(init=False)  # in ``model.frames``
+    # Limits, shape (nv,), read-only; of sliding joints in m, m/s and N.
+    position_lower_rad: Array = field(init=False, repr=False)
+    position_upper_rad: Array = field(init=False, repr=False)
+    velocity_limit_rad_s: Array = field(init=False, repr=False)
+    effort_limit_Nm: Array = field(init=False, repr=False)
 
     def __post_init__(self) -> None:
         bare = pin.Model(self.bare_model)
@@ -50,6 +55,10 @@ class Robot:
         object.__setattr__(self, "bare_model", bare)
         object.__setattr__(self, "model", pin.Model(bare))
         object.__setattr__(self, "tool_frame_id", self.frame_id(self.tool_frame))
+        object.__setattr__(self, "position_lower_rad", read_only(bare.lowerPositionLimit))
+        object.__setattr__(self, "position_upper_rad", read_only(bare.upperPositionLimit))
+        object.__setattr__(self, "velocity_limit_rad_s", read_only(bare.upperVelocityLimit))
+        object.__setattr__(self, "effort_limit_Nm", read_only(bare.upperEffortLimit))
         flange = bare.frames[self.frame_id(self.flange_frame)]
         if self.payload is not None and self.payload.mass_kg > 0.0:
             self.model.appendBodyToJoint(
@@ -75,26 +84,6 @@ class Robot:
     def gravity_m_s2(self) -> Array:
         """Gravity in base axes, shape (3,), m/s^2."""
         return read_only(self.model.gravity.linear)
-
-    @property
-    def position_lower_rad(self) -> Array:
-        """Lower position limits, shape (nv,), rad (m for sliding joints)."""
-        return read_only(self.model.lowerPositionLimit)
-
-    @property
-    def position_upper_rad(self) -> Array:
-        """Upper position limits, shape (nv,), rad (m for sliding joints)."""
-        return read_only(self.model.upperPositionLimit)
-
-    @property
-    def velocity_limit_rad_s(self) -> Array:
-        """Velocity limits, shape (nv,), rad/s (m/s for sliding joints)."""
-        return read_only(self.model.upperVelocityLimit)
-
-    @property
-    def effort_limit_Nm(self) -> Array:
-        """Torque limits, shape (nv,), Nm (N for sliding joints)."""
-        return read_only(self.model.upperEffortLimit)
 
     def frame_id(self, name: str) -> int:
         """Return the index of a frame in ``model.frames``.

@@ -8,8 +8,7 @@ import pinocchio as pin
 from numpy.typing import ArrayLike
 
 from urdf.errors import Array, InputError, finite_array, read_only
-from urdf.inertia import require_mass, require_physical
-from urdf.payload import NeedleTool, Payload
+from urdf.payload import NeedleTool, Payload, require_mass, require_physical
 from urdf.robot import STANDARD_GRAVITY_M_S2, TOOL_FRAME, Robot, assemble_robot, rigid_motion
 
 
@@ -30,7 +29,7 @@ class SerialJoint:
     name: str  # of the joint, and of the frame of the link behind it
     placement: pin.SE3 | Array
     axis: Array  # of rotation in the joint's frame, shape (3,); any length but zero
-    inertia: Array  # the link's ten parameters, see `urdf.inertia`, in the joint's frame
+    inertia: Array  # the link's ten parameters, see `urdf.payload`, in the joint's frame
 
     def __post_init__(self) -> None:
         owner = f"joint {self.name!r}"

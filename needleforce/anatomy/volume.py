@@ -24,8 +24,8 @@ if TYPE_CHECKING:
 
 SIZES_M = (0.005, 5.0)
 """Least and most diagonal of a volume: beyond them its unit is not the millimetre."""
-BODY_HU = -300.0
-"""Between air and fat, in Hounsfield units."""
+BODY_HU, FAT_HU = -300.0, -30.0
+"""Between air and fat, and between fat and lean tissue, in Hounsfield units."""
 OBSTACLES = "bone rib ribs costal cartilage cartilages vertebra vertebrae sacrum hip femur sternum"
 OBSTACLES += " scapula clavicula clavicle humerus pelvis skull"
 """Words in the names of structures that stop a needle."""
@@ -41,7 +41,7 @@ _COLOURS = {
     "aorta artery": (216, 101, 79),
     "vein vena cava vessel": (0, 151, 206),
     "bowel duodenum colon bladder": (205, 167, 142),
-    "gluteus iliopsoas autochthon muscle": (192, 104, 88),
+    "gluteus iliopsoas autochthon muscle lean": (192, 104, 88),
     "fat": (230, 220, 70),
     "body skin": (177, 122, 101),
     "lesion tumor tumour mass": (144, 238, 144),
@@ -167,8 +167,11 @@ class Labels:
         start = [part.start for part in self[name].box]
         return self.grid.points_m(np.argwhere(self.mask(name)).mean(axis=0) + start)
 
-    def with_body(self, scan: Volume) -> "Labels":
-        """Add ``body``: all that is not air around the patient, found in the CT."""
+    def with_body(self, scan: Volume, *, fat: bool = False) -> "Labels":
+        """Add ``body``: all that is not air around the patient, found in the CT.
+
+        With ``fat`` it comes as two structures, ``lean`` and ``fat``.
+        """
         from scipy import ndimage
 
         _require_agreement(self, scan)
@@ -178,15 +181,18 @@ class Labels:
         head = int(np.abs(scan.grid.axes_m[2]).argmax())  # lungs are open at the top of a scan
         for section in np.moveaxis(inside, head, 0):
             section[:] = ndimage.binary_fill_holes(section)
+        kinds = inside.astype(np.uint8)
+        if fat:  # among the neighbours, not in every voxel: scans are noisy
+            kinds += inside & (ndimage.median_filter(scan.values, 3) < FAT_HU)
         # Each of our voxels takes the scan's nearest: grids may be flipped, cropped or finer.
         first = scan.grid.indices(self.grid.origin_m).tolist()
         steps = np.linalg.solve(scan.grid.axes_m, self.grid.axes_m)
         body = ndimage.affine_transform(
-            inside.astype(np.uint8), steps, first, self.grid.shape, order=0, mode="nearest"
+            kinds, steps, first, self.grid.shape, order=0, mode="nearest"
         )
-        extra = Structure.named("body", 1, len(self.volumes))
-        volumes = [*self.volumes, body]
-        return Labels.of(volumes, self.grid, (*self.structures, extra))
+        names = ("lean", "fat") if fat else ("body",)
+        extra = [Structure.named(name, k, len(self.volumes)) for k, name in enumerate(names, 1)]
+        return Labels.of([*self.volumes, body], self.grid, (*self.structures, *extra))
 
     def surfaces(
         self, names: Iterable[str] | None = None, progress: Callable[[float], None] | None = None

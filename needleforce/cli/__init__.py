@@ -163,9 +163,9 @@ def demo_command(
     needleforce demo teleop --report demo
     """
     if kind == "abdomen":
-        from needleforce.cli import demo_abdomen
+        from needleforce.cli import demo_abdomen_page
 
-        return demo_abdomen.run(report, figure, data, seed)
+        return demo_abdomen_page.run(report, figure, data, seed)
     from needleforce.cli.demo import run
 
     return run(kind, report, figure)

@@ -17,7 +17,7 @@ from scipy.spatial.transform import Rotation
 
 from groundtruth import Run, Scenario, simulate
 from groundtruth.layers import Layer as TissueLayer
-from groundtruth.materials import abdominal_fat, abdominal_liver, abdominal_muscle
+from groundtruth.materials import ABDOMEN
 from groundtruth.motion import constant_motion
 from groundtruth.torso import analytic_torso
 from needleforce.anatomy import (
@@ -27,6 +27,7 @@ from needleforce.anatomy import (
     PlanMatch,
     PlanState,
     Registration,
+    RegistrationError,
     Structure,
     Surface,
     TouchSurface,
@@ -35,21 +36,12 @@ from needleforce.anatomy import (
     read_labels,
     read_volume,
 )
-from needleforce.cli.terminal import CommandError, progress_bar, write_out
-from needleforce.plots import palette
-from needleforce.plots.chart import Chart, Curve, Instants, Panel, require_matplotlib
-from needleforce.plots.page import (
-    PAGE,
-    Page,
-    PageFigure,
-    PageTable,
-    Section,
-    save_page_figure,
-    write_page,
-)
-from needleforce.session import InsertionSession
+from needleforce.anatomy.path_layers import UNLABELLED
+from needleforce.cli.terminal import CommandError
+from needleforce.scene.state_ring import FIELDS, view_row
+from needleforce.session import InsertionSession, SessionEstimate
+from urdf import Robot
 
-NEVER = "Simulation only: not a medical device."
 Array = NDArray[np.float64]
 Progress = Callable[[float], None]
 
@@ -61,8 +53,11 @@ TOUCHES, TOUCH_STD_m = 100, 0.5e-3
 LANDMARKS = 5
 SPEED_m_s, STANDOFF_m, BEYOND_m = 4e-3, 15e-3, 12e-3
 FRONT = np.array([0.0, -1.0, 0.0])
-STEEPEST_deg = 35.0
+STEEPEST_deg, DRAWS = 35.0, 1000
 LENGTHS_m = (0.05, 0.1)
+CROSSABLE = ("lean", "fat", "muscle", "cavity", "lesion", UNLABELLED)
+"""What a needle may cross on its way into an organ: neither lung nor bowel nor large vessel."""
+CLEARANCE_m = 6e-3
 LEAST_LAYER_m = 6.5e-3
 """Thinner layers are no tissue of the simulation's: they join the one before."""
 
@@ -83,6 +78,10 @@ class Insertion(NamedTuple):
     tip_N: Array
     states: list[tuple[float, PlanState]]  # after each rupture: its depth, what is known
     stop_m: float  # depth at which the plan, corrected, has the target
+    robot: Robot
+    rows: Array  # as the scene takes them
+    entry_in_base_m: Array  # where the needle meets the planned entry
+    axis: Array  # of the needle there
 
     @property
     def length_m(self) -> float:
@@ -91,9 +90,17 @@ class Insertion(NamedTuple):
 
     @property
     def errors_m(self) -> tuple[float, float]:
-        """How far from the target the tip stops along the needle: by the plan alone, corrected."""
+        """How far from the target the tip stops: by the plan alone, corrected.
+
+        The shift lies along the needle; what registration errs by across it stays in both.
+        """
+        truth = self.truth[0] @ self.target_m + self.truth[1]
+        axis = self.truth[0] @ (self.target_m - self.entry_m) / self.length_m
+        wrong = self.fine.to_robot(self.target_m) - truth
+        across = float(np.linalg.norm(wrong - (wrong @ axis) * axis))
         true = self.length_m + self.shift_m
-        return abs(self.length_m - true), abs(self.stop_m - true)
+        by_plan, corrected = np.hypot([self.length_m - true, self.stop_m - true], across).tolist()
+        return by_plan, corrected
 
 
 def read_torso(folder: Path | None, rng: np.random.Generator) -> Labels:
@@ -112,7 +119,7 @@ def read_torso(folder: Path | None, rng: np.random.Generator) -> Labels:
     scans = sorted(folder.glob("ct.n*"))
     if not files or not scans:
         raise CommandError(f"{folder}: expected ct.nii.gz (or .nrrd) and labels.nii.gz beside it")
-    return read_labels(files[0]).with_body(read_volume(scans[0]))
+    return read_labels(files[0]).with_body(read_volume(scans[0]), fat=True)
 
 
 def inside_body(labels: Labels) -> NDArray[np.bool_]:
@@ -123,7 +130,8 @@ def inside_body(labels: Labels) -> NDArray[np.bool_]:
 def plan_path(labels: Labels, organ: str, rng: np.random.Generator) -> tuple[Array, Array]:
     """Entry on the skin and a target inside an organ: the way through the most tissues.
 
-    Of straight ways without obstacles and of `LENGTHS_m`; of as many tissues the shortest.
+    Of straight ways through what is `CROSSABLE`, also so far aside as `CLEARANCE_m`, and of
+    `LENGTHS_m`; of as many tissues the shortest.
 
     Raises:
         CommandError: There is none from the front.
@@ -133,7 +141,7 @@ def plan_path(labels: Labels, organ: str, rng: np.random.Generator) -> tuple[Arr
     places = labels.grid.points_m(np.argwhere(core if core.any() else organ_mask) + corner)
     body = inside_body(labels)
     best: tuple[tuple[int, float], Array, Array] | None = None
-    for _ in range(200):
+    for _ in range(DRAWS):
         target = places[rng.integers(len(places))]
         turn = np.radians(STEEPEST_deg) * rng.uniform(-1.0, 1.0, 2)
         axis = Rotation.from_euler("xz", turn).apply(FRONT)
@@ -145,11 +153,26 @@ def plan_path(labels: Labels, organ: str, rng: np.random.Generator) -> tuple[Arr
         layers = thick_layers(crossed)
         rank = -len(layers), found
         ends_inside = len(layers) > 1 and layers[-1].name == organ
-        if ends_inside and not any(layer.is_obstacle for layer in crossed):
-            best = (rank, entry, target) if best is None or rank < best[0] else best
+        is_better = best is None or rank < best[0]
+        if ends_inside and is_better and _is_clear(labels, entry, target, organ):
+            best = rank, entry, target
     if best is None:
-        raise CommandError(f"no straight way from the front into {organ!r} without bone")
+        raise CommandError(f"no straight way from the front into {organ!r} through soft tissue")
     return best[1], best[2]
+
+
+def _is_clear(labels: Labels, entry: Array, target: Array, organ: str) -> bool:
+    """Whether a way, and those beside it, cross only what a needle may."""
+    axis = (target - entry) / np.linalg.norm(target - entry)
+    side = np.cross(axis, [0.0, 0.0, 1.0])
+    side /= np.linalg.norm(side)
+    turns = np.radians(np.arange(0.0, 360.0, 60.0))[:, None]
+    around = np.cos(turns) * side + np.sin(turns) * np.cross(axis, side)
+    return all(
+        layer.name in (*CROSSABLE, organ)
+        for aside in (np.zeros(3), *(CLEARANCE_m * around))
+        for layer in labels.layers_along(entry + aside, target + aside)
+    )
 
 
 def _skin_along(grid: Grid, body: NDArray[np.bool_], start: Array, axis: Array) -> float | None:
@@ -166,7 +189,10 @@ def _skin_along(grid: Grid, body: NDArray[np.bool_], start: Array, axis: Array) 
 def register(
     labels: Labels, entry_m: Array, truth: tuple[Array, Array], rng: np.random.Generator
 ) -> tuple[Registration, Registration]:
-    """Register by landmarks and by touches of the skin around the entry, with a pointer."""
+    """Register by landmarks, and by touches of the skin around the entry, with a pointer.
+
+    Where the touches cannot register (a torso that could spin), it is the landmarks twice.
+    """
     skin = _skin(labels)
     front = skin.vertices_m[skin.vertices_m @ FRONT > np.quantile(skin.vertices_m @ FRONT, 0.4)]
     marks = front[_spread(front, LANDMARKS, rng)]
@@ -177,7 +203,10 @@ def register(
     slipped = rng.random(TOUCHES) < 0.1
     touched[slipped] += rng.uniform(5e-3, 20e-3, (int(slipped.sum()), 1)) * FRONT
     surface = TouchSurface(skin.vertices_m, skin.triangles)
-    return rough, fit_surface(surface, touched @ truth[0].T + truth[1], rough)
+    try:
+        return rough, fit_surface(surface, touched @ truth[0].T + truth[1], rough)
+    except RegistrationError:
+        return rough, rough
 
 
 def _skin(labels: Labels) -> Surface:
@@ -210,10 +239,11 @@ def thick_layers(layers: list[Layer]) -> list[Layer]:
 
 def tissue(plan: list[Layer]) -> tuple[TissueLayer, ...]:
     """Layers of the simulation as thick as those of the plan, and one behind the target."""
-    kinds = {"liver": abdominal_liver, "muscle": abdominal_muscle}
+    fat, muscle, liver = ABDOMEN
+    kinds = {"liver": liver, "fat": fat, "cavity": fat}
     layers = [
         replace(
-            kinds.get(layer.name, abdominal_fat)(),
+            kinds.get(layer.name, muscle),
             name=layer.name,
             thickness_m=layer.exit_m - layer.entry_m,
         )
@@ -245,7 +275,8 @@ def insert(folder: Path | None, seed: int, progress: Progress = lambda fraction:
     std = float(np.hypot(fine.std_along_m(axis, target), SHIFT_STD_m))
     none = np.empty(0)
     made = Insertion(
-        *(labels, entry, target, plan, rough, fine, truth, shift), none, none, none, [], 0.0
+        *(labels, entry, target, plan, rough, fine, truth, shift, none, none, none, [], 0.0),
+        *(run.robot, none, none, none),
     )
     return _followed(run, made, std)
 
@@ -255,7 +286,8 @@ def _followed(run: Run, made: Insertion, offset_std_m: float) -> Insertion:
     signals, true = run.signals, run.truth
     session, match = InsertionSession(run.robot), PlanMatch(made.plan, offset_std_m)
     velocity = signals.dq_rad_s if signals.dq_rad_s is not None else [None] * len(signals.t_s)
-    rows, states, entry_m, last_s, stop = [], [], 0.0, signals.t_s[0], None
+    rows, states, last_s, stop = [], [], signals.t_s[0], None
+    entry_m, start_m, axis = 0.0, np.zeros(3), np.zeros(3)
     for k, (t_s, q, dq, tau) in enumerate(
         zip(signals.t_s, signals.q_rad, velocity, signals.tau_Nm, strict=True)
     ):
@@ -271,160 +303,34 @@ def _followed(run: Run, made: Insertion, offset_std_m: float) -> Insertion:
             continue
         if now.plan is None or t_s > run.scenario.motion.insertion_end_s:
             continue
-        depth, found = now.depth_m - entry_m, now.identification
-        if k % 20 == 0:
-            rows.append((depth, now.wrench.axial, found.tip_force_N))
-        if found.rupture is not None:
-            states.append((found.rupture.depth_m - entry_m, now.plan))
-        if found.retracted is not None:
-            wrong_m = found.retracted.depth_m - entry_m
-            states = [one for one in states if one[0] != wrong_m]
-        if stop is None and depth >= made.length_m + now.plan.offset_m:
-            stop = depth
-    depth, force, tip = np.array(rows).T
+        is_event = _took_event(now, entry_m, states)
+        if k % 20 == 0 or is_event:
+            row = view_row(now, q)
+            rows.append((*row.values, *row.q_rad))
+        if stop is None and now.depth_m - entry_m >= made.length_m + now.plan.offset_m:
+            stop = now.depth_m - entry_m
+    table = np.array(rows)
+    depth = table[:, FIELDS.index("depth_m")] - entry_m
     return made._replace(
         depth_m=depth,
-        force_N=force,
-        tip_N=tip,
+        force_N=table[:, FIELDS.index("force_N")],
+        tip_N=table[:, FIELDS.index("tip_N")],
         states=states,
         stop_m=depth[-1] if stop is None else stop,
+        rows=table,
+        entry_in_base_m=start_m + entry_m * axis,
+        axis=axis,
     )
 
 
-# What is shown.
-
-
-def run(folder: Path | None, picture: Path | None, data: Path | None, seed: int) -> int:
-    """Do it, print a table, and write a page or its first picture; return the exit code."""
-    if folder is not None or picture is not None:
-        require_matplotlib("demo")
-    with progress_bar("demonstrating abdomen") as progress:
-        made = insert(data, seed, progress)
-    rows = _rows(made)
-    width = max(len(name) for name, _ in rows)
-    lines = [f"{name:<{width}}  {value}" for name, value in rows]
-    title = "From a CT to a needle whose ruptures correct the plan"
-    write_out("\n".join((title, *lines, NEVER, "")))
-    if picture is not None:
-        draw_slice(made, picture)
-    if folder is not None:
-        folder.mkdir(parents=True, exist_ok=True)
-        figures = [
-            PageFigure(path=draw_slice(made, folder / "slice.png"), alt=SLICE, caption=SLICE)
-        ]
-        for name, chart, caption in _charts(made):
-            place = folder / f"{name}.svg"
-            figures.append(save_page_figure(chart, place, alt=caption, caption=caption))
-        table = PageTable(caption="Result", head=("what", "value"), rows=rows)
-        section = Section(heading=title, anchor="abdomen", figures=tuple(figures), tables=(table,))
-        page = Page(title="needleforce demo abdomen", lead=(NEVER,), sections=(section,))
-        write_out(f"{write_page(folder / PAGE, page)}\n")
-    return 0
-
-
-LEAST_NAMED = 800
-"""Pixels from which on a structure's name is written."""
-SLICE = (
-    "The plane of the needle through the segmentation, as planned: entry and target, planned "
-    "boundaries (white), detected ruptures (yellow), and where the tip stopped (red), each moved "
-    "back by the true shift."
-)
-
-
-def _rows(made: Insertion) -> tuple[tuple[str, str], ...]:
-    by_plan, corrected = (f"{1e3 * error:.1f} mm" for error in made.errors_m)
-    true = made.truth[0] @ made.target_m + made.truth[1]
-    errors = [
-        1e3 * np.linalg.norm(r.to_robot(made.target_m) - true) for r in (made.rough, made.fine)
-    ]
-    stated = [1e3 * r.tre_m(made.target_m) for r in (made.rough, made.fine)]
-    path = ", ".join(f"{p.name} {1e3 * (p.exit_m - p.entry_m):.0f} mm" for p in made.plan)
-    rows = [
-        ("planned path", path),
-        (
-            f"registration by {LANDMARKS} landmarks",
-            f"{errors[0]:.1f} mm at the target, {stated[0]:.1f} stated",
-        ),
-        (
-            f"and {TOUCHES} touches of the skin",
-            f"{errors[1]:.1f} mm at the target, {stated[1]:.1f} stated",
-        ),
-    ]
-    for k, (depth, state) in enumerate(made.states, 1):
-        where = f"into {state.matched_name}" if state.matched >= 0 else state.matched_name
-        rows.append(
-            (
-                f"rupture {k} at {1e3 * depth:.1f} mm",
-                f"{where} ({100 * state.matched_probability:.0f} %); all lies "
-                f"{1e3 * state.offset_m:+.1f} ± {1e3 * state.offset_std_m:.1f} mm deeper",
-            )
-        )
-    rows += [
-        ("true shift along the needle", f"{1e3 * made.shift_m:+.1f} mm"),
-        ("tip from the target, by the plan alone", by_plan),
-        ("tip from the target, corrected by force", corrected),
-    ]
-    return tuple(rows)
-
-
-def _charts(made: Insertion) -> tuple[tuple[str, Chart, str], ...]:
-    x = 1e3 * made.depth_m
-    planned = tuple(1e3 * layer.exit_m for layer in made.plan[:-1])
-    found = tuple(1e3 * depth for depth, _ in made.states)
-    marks = (
-        Instants(label="planned boundary", style=palette.COMPENSATION, places=planned),
-        Instants(label="detected rupture", style=palette.RUPTURE, places=found),
-    )
-    forces = (
-        Curve(style=palette.READING, x=x, y=made.force_N, label="force, virtual sensor"),
-        Curve(style=palette.TIP, x=x, y=made.tip_N, label="tip force"),
-    )
-    chart = Chart(
-        title="Force and tip force over depth\nboundaries as planned, ruptures as detected",
-        x_label="depth below the planned entry [mm]",
-        panels=(Panel(y_label=palette.FORCE, curves=forces),),
-        instants=marks,
-    )
-    return (
-        ("force", chart, "Force over depth: where the plan expected boundaries, where they were."),
-    )
-
-
-def draw_slice(made: Insertion, path: Path) -> Path:
-    """Draw the plane of the needle into a file."""
-    import matplotlib.pyplot as plt
-
-    axis = (made.target_m - made.entry_m) / made.length_m
-    side = np.cross(axis, [0.0, 0.0, 1.0])
-    side /= np.linalg.norm(side)
-    along, across = np.arange(-0.03, made.length_m + 0.06, 5e-4), np.arange(-0.09, 0.09, 5e-4)
-    places = made.entry_m + along[:, None, None] * axis + across[None, :, None] * side
-    index = np.rint(made.labels.grid.indices(places)).astype(int)
-    valid: Any = ((index >= 0) & (index < made.labels.grid.shape)).all(axis=-1)
-    at = tuple(np.moveaxis(np.where(valid[..., None], index, 0), -1, 0))
-    colors = np.zeros((*valid.shape, 3))
-    figure, plane = plt.subplots(figsize=(6.4, 5.2), layout="constrained")
-    for structure in sorted(made.labels.structures, key=lambda item: -item.voxels):
-        inside = valid & (made.labels.volumes[structure.volume][at] == structure.value)
-        colors[inside] = structure.colour
-        if np.count_nonzero(inside) > LEAST_NAMED:
-            rows, columns = np.nonzero(inside)
-            row, column = 1e3 * np.median(along[rows]), 1e3 * np.median(across[columns])
-            plane.text(column, row, structure.name, color="white", ha="center", fontsize=8)
-    extent = (1e3 * across[0], 1e3 * across[-1], 1e3 * along[-1], 1e3 * along[0])
-    plane.imshow(colors, extent=extent, aspect="equal")
-    tip = made.stop_m - made.shift_m
-    plane.plot([0.0, 0.0], [-30.0, 1e3 * tip], color="0.9", linewidth=2.0)
-    plane.plot(0.0, 1e3 * made.length_m, "o", mfc="none", mec="white", ms=11, label="target")
-    plane.plot(0.0, 1e3 * tip, "x", color="red", ms=8, mew=2, label="tip")
-    for layer in made.plan[:-1]:
-        plane.plot([-8.0, 8.0], [1e3 * layer.exit_m] * 2, color="white", linewidth=1.0)
-    for depth, _ in made.states:
-        plane.plot([-5.0, 5.0], [1e3 * (depth - made.shift_m)] * 2, color="yellow", linewidth=2.0)
-    plane.set(
-        xlabel="across the needle [mm]", ylabel="along the needle [mm]", title="Plan and insertion"
-    )
-    plane.legend(loc="lower right", fontsize=8)
-    figure.savefig(path, dpi=130)
-    plt.close(figure)
-    return path
+def _took_event(
+    now: SessionEstimate, entry_m: float, states: list[tuple[float, PlanState]]
+) -> bool:
+    """Note a rupture, or strike out one that proved false; whether there was either."""
+    found = now.identification
+    if found.rupture is not None and now.plan is not None:
+        states.append((found.rupture.depth_m - entry_m, now.plan))
+    if found.retracted is not None:
+        wrong_m = found.retracted.depth_m - entry_m
+        states[:] = [one for one in states if one[0] != wrong_m]
+    return found.rupture is not None or found.retracted is not None

@@ -209,7 +209,7 @@ class ForceResult:
         for name, unit, values, std in _vectors(rows, config):
             if std is not None:
                 groups[f"{name},\n{config.axes} axes [{unit}]"] = [
-                    (f"{name} {xyz}", _STYLES[i], values[:, i], std[:, i])
+                    (f"{name} {xyz}", palette.COMPONENTS[i], values[:, i], std[:, i])
                     for i, xyz in enumerate("xyz")
                 ]
         rejected = tuple(x[has_status(rows, Status.REJECTED)].tolist())
@@ -269,12 +269,6 @@ _LEAST_TRAVEL_M = 1e-3  # a chart over travel has nothing to show where the tool
 # Charts.
 
 _PANEL_IN = 2.2
-_DASHES = (palette.OURS.dash, palette.DASHED, palette.DASH_DOTTED)
-_STYLES = [
-    replace(palette.UNTARED, color=color, dash=dash)
-    for color, dash in zip(palette.AXES_XYZ, _DASHES, strict=True)
-]
-"""Of the components of a vector."""
 _Component = tuple[str, LineStyle, NDArray[np.float64], NDArray[np.float64]]
 
 

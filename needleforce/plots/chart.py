@@ -7,11 +7,9 @@ bytes.
     save_figure(chart.within(10.0, 20.0), "forces.pdf")
 """
 
-import os
 import re
 import warnings
 from collections.abc import Sequence
-from contextlib import suppress
 from dataclasses import dataclass, replace
 from io import BytesIO
 from pathlib import Path
@@ -20,6 +18,8 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
+
+from needleforce.files import whole_file
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -362,19 +362,9 @@ def save_figure(chart: Chart, path: str | Path) -> Path:
 
 def write_file(path: str | Path, content: bytes) -> Path:
     """Write a file whole, or raise `WriteError`: a full disk leaves the older one as it was."""
-    place = Path(os.path.realpath(path))
-    part = place.with_name(f".{place.name}.{os.getpid()}.part")
     try:
-        if place.exists() and not place.is_file():  # a pipe or a device stays what it is
-            place.write_bytes(content)
-            return Path(path)
-        part.unlink(missing_ok=True)
-        with part.open("xb") as file:
+        with whole_file(path) as file:
             file.write(content)
-        os.replace(part, place)
     except OSError as error:
         raise WriteError(f"cannot write {path}: {error.strerror or error}") from error
-    finally:
-        with suppress(OSError):
-            part.unlink(missing_ok=True)
     return Path(path)

@@ -20,7 +20,6 @@ CUMULATIVE_FRICTION = "cumulative\nfriction [Ns/m]"
 
 BLACK, GREY, GREEN, ORANGE = "#000000", "#7f7f7f", "#009e73", "#e69f00"
 BLUE, VERMILION, PURPLE = "#0072b2", "#d55e00", "#a3468a"
-AXES_XYZ = (VERMILION, GREEN, PURPLE)  # the components of a vector
 
 DOTTED: Dash = (0.0, (1.0, 1.6))
 DASHED: Dash = (0.0, (5.0, 2.0))
@@ -40,6 +39,12 @@ PUBLISHED = LineStyle(color=VERMILION, dash=DASHED, width_pt=1.2)
 PUBLISHED_KV = LineStyle(color=PURPLE, dash=DASH_DOTTED, width_pt=1.1)
 TIP = LineStyle(color=PURPLE, dash=DASH_DOTTED, width_pt=1.0)
 UNTARED = LineStyle(color=GREY, width_pt=1.0)
+# The components of a vector.
+COMPONENTS = (
+    replace(UNTARED, color=VERMILION),
+    replace(UNTARED, color=GREEN, dash=DASHED),
+    replace(UNTARED, color=PURPLE, dash=DASH_DOTTED),
+)
 
 RUPTURE = LineStyle(color=BLACK, marker="|", width_pt=1.6, size_pt=13.0)
 COMPENSATION = replace(RUPTURE, marker="o", width_pt=0.5, size_pt=3.0)

@@ -126,8 +126,8 @@ def stream_tables(
             MCAP (`FileAccessError`).
     """
     path = None if str(source) == STANDARD_STREAM else readable_path(source)
-    is_pipe = path is None or path.is_fifo()
-    if not is_pipe and not path.name.lower().endswith(CSV_SUFFIXES):
+    is_file = path is not None and not path.is_fifo()
+    if path is not None and is_file and not path.name.lower().endswith(CSV_SUFFIXES):
         for table in _binary_tables(path, options, request, max_bytes):
             yield table
             if options.should_stop() and not options.follow:
@@ -135,7 +135,7 @@ def stream_tables(
         return
     name = "standard input" if path is None else str(path)
     head, blocks = head_of(byte_blocks(path, options))
-    if is_pipe and head in BINARY:
+    if head in BINARY and not is_file:
         # It is not read in the order of its bytes.
         with TemporaryDirectory() as folder:
             copy = Path(folder) / f"{Path(name).name}{BINARY[head]}"

@@ -1,15 +1,15 @@
 """Tables that are written: whole or not at all, or row by row for others to follow."""
 
-import os
 import sys
 from collections.abc import Callable, Iterator, Mapping
-from contextlib import contextmanager, suppress
+from contextlib import ExitStack, contextmanager
 from itertools import combinations
 from pathlib import Path
 from typing import Any, BinaryIO
 
 from numpy.typing import ArrayLike
 
+from needleforce.files import whole_file
 from needleforce.recordings.bag_messages import METADATA, is_bag
 from needleforce.recordings.bag_types import McapWriter
 from needleforce.recordings.columnar import NpzWriter, ParquetWriter
@@ -60,11 +60,10 @@ class OpenTable:
             if self._is_live:
                 self._writer.flush()
 
-    def finish(self) -> bool:
-        """Write what is still held back; return whether there was anything to write."""
+    def finish(self) -> None:
+        """Write what is still held back."""
         if self._writer is not None:
             self._writer.finish()
-        return self._writer is not None
 
 
 @contextmanager
@@ -88,34 +87,17 @@ def open_table(
         with file_errors(name, "write"):
             output.finish()
         return
-    path = Path(path)
-    with file_errors(path, "write"):
-        # A pipe cannot be replaced by a file: whoever reads it waits for its bytes.
-        grows = is_live and path.suffix.lower() == ".csv"
-        stays = grows or path.is_fifo()
-    part = path if stays else path.with_name(f".{path.name}.{os.getpid()}.part")
-    writer = _find_writer(path)
-    streams: list[BinaryIO] = []
+    writer, grows = _find_writer(Path(path)), is_live and Path(path).suffix.lower() == ".csv"
+    with ExitStack() as files:
 
-    def begin() -> Any:
-        streams.append(part.open("wb"))
-        return writer(streams[0], labels())
+        def begin() -> Any:
+            return writer(files.enter_context(whole_file(path, is_in_place=grows)), labels())
 
-    try:
         table = OpenTable(begin, is_live=grows, name=str(path))
         yield table
         with file_errors(path, "write"):
-            if table.finish():
-                streams[0].close()
-                if part != path:
-                    os.replace(part, path)
-    finally:
-        # On a full disk closing fails too, but that has been reported.
-        with suppress(OSError):
-            for stream in streams:
-                stream.close()
-        if streams and part != path:
-            part.unlink(missing_ok=True)
+            table.finish()
+            files.close()
 
 
 def _find_writer(path: Path) -> Writer:

@@ -19,6 +19,9 @@ Array = NDArray[np.float64]
 PLANNED, FOUND, OBSTACLE = (235, 235, 235), (255, 205, 0), (220, 60, 40)
 EXPECTED = (90, 200, 250)
 """The next boundary, moved by what the ruptures have shown."""
+CAMERA_m = np.array([0.45, -0.55, 0.25])
+"""From the tip, at first."""
+RIGHT = np.array([0.55, 0.45, 0.0]) / np.hypot(0.55, 0.45)
 OPACITY = 0.35
 RING_m = 6e-3
 NEEDLE_m, NEEDLE_RADIUS_m = 0.2, 0.8e-3
@@ -85,7 +88,11 @@ class ArmNodes:
 
 def turned_to(axis: Array) -> tuple[float, ...]:
     """Quaternion (w, x, y, z) that turns the z axis to a direction."""
-    found = pin.Quaternion.FromTwoVectors(np.array([0.0, 0.0, 1.0]), axis)
+    # x to the right of the first view, where labels stand.
+    right = RIGHT if abs(axis @ RIGHT) < 0.9 else np.array([0.0, 0.0, 1.0])
+    side = right - (right @ axis) * axis
+    side /= np.linalg.norm(side)
+    found = pin.Quaternion(np.column_stack([side, np.cross(axis, side), axis]))
     return float(found.w), float(found.x), float(found.y), float(found.z)
 
 

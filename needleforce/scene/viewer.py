@@ -19,6 +19,7 @@ from needleforce.scene.nodes import (
     EXPECTED,
     FOUND,
     ArmNodes,
+    CAMERA_m,
     PlanScene,
     add_anatomy,
     add_ring,
@@ -248,7 +249,7 @@ class Viewer:
         if not self._has_camera:
             self._has_camera = True
             self._server.initial_camera.look_at = tuple(tip)
-            self._server.initial_camera.position = tuple(tip + np.array([0.45, -0.55, 0.25]))
+            self._server.initial_camera.position = tuple(tip + CAMERA_m)
 
     def _draw_curves(self, at: int) -> None:
         rows = self._rows[: at + 1]

@@ -1,0 +1,198 @@
+"""`needleforce demo abdomen` on a page: table, forces, the needle's plane, the scene."""
+
+from importlib.util import find_spec
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from scipy.ndimage import distance_transform_edt
+from scipy.spatial.transform import Rotation
+
+from needleforce.cli.demo_abdomen import LANDMARKS, TOUCHES, Insertion, insert
+from needleforce.cli.live_view import LEAST_VOXELS, description
+from needleforce.cli.options import RobotOptions
+from needleforce.cli.terminal import progress_bar, write_out
+from needleforce.plots import palette
+from needleforce.plots.chart import Chart, Curve, Instants, Panel, require_matplotlib
+from needleforce.plots.page import (
+    PAGE,
+    Page,
+    PageFigure,
+    PageTable,
+    Section,
+    save_page_figure,
+    write_page,
+)
+
+NEVER = "Simulation only: not a medical device."
+
+
+def run(folder: Path | None, picture: Path | None, data: Path | None, seed: int) -> int:
+    """Do it, print a table, and write a page or its first picture; return the exit code."""
+    if folder is not None or picture is not None:
+        require_matplotlib("demo")
+    with progress_bar("demonstrating abdomen") as progress:
+        made = insert(data, seed, progress)
+    rows = _rows(made)
+    width = max(len(name) for name, _ in rows)
+    lines = [f"{name:<{width}}  {value}" for name, value in rows]
+    title = "From a CT to a needle whose ruptures correct the plan"
+    write_out("\n".join((title, *lines, NEVER, "")))
+    if picture is not None:
+        draw_slice(made, picture)
+    if folder is not None:
+        folder.mkdir(parents=True, exist_ok=True)
+        figures = [
+            PageFigure(path=draw_slice(made, folder / "slice.png"), alt=SLICE, caption=SLICE)
+        ]
+        for name, chart, caption in _charts(made):
+            place = folder / f"{name}.svg"
+            figures.append(save_page_figure(chart, place, alt=caption, caption=caption))
+        table = PageTable(caption="Result", head=("what", "value"), rows=rows)
+        section = Section(heading=title, anchor="abdomen", figures=tuple(figures), tables=(table,))
+        page = Page(title="needleforce demo abdomen", lead=(NEVER,), sections=(section,))
+        write_out(f"{write_page(folder / PAGE, page)}\n")
+        if find_spec("viser") is not None:
+            write_out(f"{write_scene(made, folder / 'scene.html')}\n")
+    return 0
+
+
+def write_scene(made: Insertion, path: Path) -> Path:
+    """Write the insertion as a film in the scene; the patient lies where the needle meets it."""
+    from needleforce.scene import PlanScene, Viewer
+
+    way = made.target_m - made.entry_m
+    up = [0.0, 0.0, 1.0]
+    turn = Rotation.align_vectors([made.axis, up], [way, up], weights=[np.inf, 1.0])[0]
+    names = [item.name for item in made.labels.structures if item.voxels >= LEAST_VOXELS]
+    surfaces = tuple(made.labels.surfaces(names).values())
+    shift = made.entry_in_base_m - turn.apply(made.entry_m)
+    scene = PlanScene(surfaces, made.plan, made.entry_m, made.target_m, turn.as_matrix(), shift)
+    viewer = Viewer(made.robot, scene, urdf_path=description(RobotOptions()))
+    viewer.append(made.rows)
+    try:
+        return viewer.export(path)
+    finally:
+        viewer.stop()
+
+
+LEAST_NAMED = 800
+"""Pixels from which on a structure's name is written."""
+SLICE = (
+    "The plane of the needle through the segmentation, as planned: entry and target, planned "
+    "boundaries (white), detected ruptures (yellow), and where the tip stopped (red), each moved "
+    "back by the true shift."
+)
+
+
+def _rows(made: Insertion) -> tuple[tuple[str, str], ...]:
+    by_plan, corrected = (f"{1e3 * error:.1f} mm" for error in made.errors_m)
+    true = made.truth[0] @ made.target_m + made.truth[1]
+    errors = [
+        1e3 * np.linalg.norm(r.to_robot(made.target_m) - true) for r in (made.rough, made.fine)
+    ]
+    stated = [1e3 * r.tre_m(made.target_m) for r in (made.rough, made.fine)]
+    path = ", ".join(f"{p.name} {1e3 * (p.exit_m - p.entry_m):.0f} mm" for p in made.plan)
+    rows = [
+        ("planned path", path),
+        (
+            f"registration by {LANDMARKS} landmarks",
+            f"{errors[0]:.1f} mm at the target, {stated[0]:.1f} stated",
+        ),
+        (
+            f"and {TOUCHES} touches of the skin",
+            "refused: the skin slides or spins on itself"
+            if made.fine is made.rough
+            else f"{errors[1]:.1f} mm at the target, {stated[1]:.1f} stated",
+        ),
+    ]
+    for k, (depth, state) in enumerate(made.states, 1):
+        where = f"into {state.matched_name}" if state.matched >= 0 else state.matched_name
+        rows.append(
+            (
+                f"rupture {k} at {1e3 * depth:.1f} mm",
+                f"{where} ({100 * state.matched_probability:.0f} %); all lies "
+                f"{1e3 * state.offset_m:+.1f} ± {1e3 * state.offset_std_m:.1f} mm deeper",
+            )
+        )
+    rows += [
+        ("true shift along the needle", f"{1e3 * made.shift_m:+.1f} mm"),
+        ("tip from the target, by the plan alone", by_plan),
+        ("tip from the target, corrected by force", corrected),
+    ]
+    return tuple(rows)
+
+
+def _charts(made: Insertion) -> tuple[tuple[str, Chart, str], ...]:
+    x = 1e3 * made.depth_m
+    planned = tuple(1e3 * layer.exit_m for layer in made.plan[:-1])
+    found = tuple(1e3 * depth for depth, _ in made.states)
+    marks = (
+        Instants(label="planned boundary", style=palette.COMPENSATION, places=planned),
+        Instants(label="detected rupture", style=palette.RUPTURE, places=found),
+    )
+    forces = (
+        Curve(style=palette.READING, x=x, y=made.force_N, label="force, virtual sensor"),
+        Curve(style=palette.TIP, x=x, y=made.tip_N, label="tip force"),
+    )
+    chart = Chart(
+        title="Force and tip force over depth\nboundaries as planned, ruptures as detected",
+        x_label="depth below the planned entry [mm]",
+        panels=(Panel(y_label=palette.FORCE, curves=forces),),
+        instants=marks,
+    )
+    return (
+        ("force", chart, "Force over depth: where the plan expected boundaries, where they were."),
+    )
+
+
+def draw_slice(made: Insertion, path: Path) -> Path:
+    """Draw the plane of the needle into a file."""
+    import matplotlib.pyplot as plt
+
+    along, across = np.arange(-0.03, made.length_m + 0.06, 5e-4), np.arange(-0.09, 0.09, 5e-4)
+    colors, names = _section(made, along, across)
+    figure, plane = plt.subplots(figsize=(6.4, 5.2), layout="constrained")
+    extent = (1e3 * across[0], 1e3 * across[-1], 1e3 * along[-1], 1e3 * along[0])
+    plane.imshow(colors, extent=extent, aspect="equal")
+    for name, row, column in names:
+        place = (1e3 * across[column], 1e3 * along[row])
+        plane.text(*place, name, color="white", ha="center", va="center", fontsize=8)
+    tip = made.stop_m - made.shift_m
+    plane.plot([0.0, 0.0], [-30.0, 1e3 * tip], color="0.9", linewidth=2.0)
+    plane.plot(0.0, 1e3 * made.length_m, "o", mfc="none", mec="white", ms=11, label="target")
+    plane.plot(0.0, 1e3 * tip, "x", color="red", ms=8, mew=2, label="tip")
+    for layer in made.plan[:-1]:
+        plane.plot([-8.0, 8.0], [1e3 * layer.exit_m] * 2, color="white", linewidth=1.0)
+    for depth, _ in made.states:
+        plane.plot([-5.0, 5.0], [1e3 * (depth - made.shift_m)] * 2, color="yellow", linewidth=2.0)
+    plane.set(
+        xlabel="across the needle [mm]", ylabel="along the needle [mm]", title="Plan and insertion"
+    )
+    plane.legend(loc="lower right", fontsize=8)
+    figure.savefig(path, dpi=130)
+    plt.close(figure)
+    return path
+
+
+def _section(made: Insertion, along: Any, across: Any) -> tuple[Any, list[tuple[str, int, int]]]:
+    """Colours in the needle's plane, and each large structure's name where it is widest."""
+    axis = (made.target_m - made.entry_m) / made.length_m
+    side = np.cross(axis, [0.0, 0.0, 1.0])
+    side /= np.linalg.norm(side)
+    places = made.entry_m + along[:, None, None] * axis + across[None, :, None] * side
+    index = np.rint(made.labels.grid.indices(places)).astype(int)
+    valid: Any = ((index >= 0) & (index < made.labels.grid.shape)).all(axis=-1)
+    at = tuple(np.moveaxis(np.where(valid[..., None], index, 0), -1, 0))
+    ordered = sorted(made.labels.structures, key=lambda item: -item.voxels)
+    owner, colors, names = np.full(valid.shape, -1), np.zeros((*valid.shape, 3)), []
+    for k, structure in enumerate(ordered):
+        owner[valid & (made.labels.volumes[structure.volume][at] == structure.value)] = k
+    for k, structure in enumerate(ordered):
+        inside = owner == k
+        colors[inside] = structure.colour
+        if np.count_nonzero(inside) > LEAST_NAMED:
+            depth: Any = distance_transform_edt(np.pad(inside, 1))
+            row, column = np.unravel_index(int(np.argmax(depth)), depth.shape)
+            names.append((structure.name, int(row) - 1, int(column) - 1))
+    return colors, names

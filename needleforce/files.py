@@ -1,0 +1,35 @@
+"""Files that are written whole or not at all."""
+
+import os
+import secrets
+from collections.abc import Iterator
+from contextlib import contextmanager, suppress
+from pathlib import Path
+from typing import BinaryIO
+
+
+@contextmanager
+def whole_file(path: str | os.PathLike[str], *, is_in_place: bool = False) -> Iterator[BinaryIO]:
+    """Open a file that takes the place of an older one when the block has ended without an error.
+
+    Otherwise the older one stays as it was. A pipe or a device stays what it is and is written to,
+    and so is what shall be written in place; of a link what it points at is replaced. `OSError` if
+    the file cannot be written.
+    """
+    place = part = Path(os.path.realpath(path))
+    stays = is_in_place or (place.exists() and not place.is_file())
+    if not stays:
+        # A new file, under a name where nobody can plant a link.
+        part = place.with_name(f".{place.name}.{secrets.token_hex(4)}.part")
+    stream = part.open("wb" if stays else "xb")
+    try:
+        yield stream
+        stream.flush()
+        if not stays:
+            os.fsync(stream.fileno())
+            part.replace(place)
+    finally:
+        with suppress(OSError):  # on a full disk closing fails, too, but that has been reported
+            stream.close()
+        if not stays:
+            part.unlink(missing_ok=True)

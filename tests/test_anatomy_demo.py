@@ -1,0 +1,41 @@
+"""The demonstration from a CT to the target: what it prints and writes."""
+
+import re
+
+import numpy as np
+import pytest
+
+from needleforce.cli import demo_abdomen, main
+
+pytest.importorskip("skimage")
+
+
+def test_ruptures_bring_the_tip_to_its_target(tmp_path, capsys, monkeypatch):
+    monkeypatch.setattr(demo_abdomen, "LENGTHS_m", (0.04, 0.06))
+    monkeypatch.setattr(demo_abdomen, "SPEED_m_s", 6e-3)
+    assert main(["demo", "abdomen", "--seed", "1", "--report", str(tmp_path)]) == 0
+    said = capsys.readouterr().out
+    assert "not a medical device" in said
+    shift, by_plan, corrected = (
+        float(re.search(rf"{what} +([-+]?\d+\.\d) mm", said)[1])
+        for what in ("true shift along the needle", "by the plan alone", "corrected by force")
+    )
+    assert by_plan == pytest.approx(abs(shift), abs=1.0)
+    assert corrected < 1.5
+    assert re.search(r"rupture 1 at .* into \w+ \(\d+ %\)", said)
+    page = (tmp_path / "index.html").read_text(encoding="utf-8")
+    assert page.count("<figure") == 2
+    pytest.importorskip("viser")
+    assert (tmp_path / "scene.html").stat().st_size > 100_000
+
+
+@pytest.mark.parametrize("seed", [0, 1])
+def test_a_planned_way_crosses_soft_tissue_only(seed):
+    rng = np.random.default_rng(seed)
+    labels = demo_abdomen.read_torso(None, rng)
+    entry, target = demo_abdomen.plan_path(labels, "liver", rng)
+    layers = labels.layers_along(entry, target)
+    assert layers[-1].name == "liver"
+    assert {layer.name for layer in layers} <= {*demo_abdomen.CROSSABLE, "liver"}
+    thick = demo_abdomen.thick_layers(layers)
+    assert min(layer.exit_m - layer.entry_m for layer in thick) >= demo_abdomen.LEAST_LAYER_m
