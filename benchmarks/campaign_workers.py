@@ -9,9 +9,9 @@ from collections import deque
 from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import FIRST_COMPLETED, CancelledError, Future, ProcessPoolExecutor, wait
 from concurrent.futures.process import BrokenProcessPool
-from contextlib import suppress
+from contextlib import contextmanager, suppress
 from dataclasses import dataclass
-from multiprocessing import get_context
+from multiprocessing import active_children, get_context
 from typing import Annotated, TypeVar
 
 from cyclopts import Parameter
@@ -74,14 +74,23 @@ def answers(
     return _on_processes(work, jobs, min(workers.processes, len(jobs)))
 
 
-def _new_pool(processes: int) -> ProcessPoolExecutor:
+@contextmanager
+def _pool(processes: int) -> Iterator[ProcessPoolExecutor]:
     # Matrices are 7 by 7: more threads than processes only get in each other's way.
     for name in THREAD_SETTINGS:
         os.environ.setdefault(name, "1")
     # Ctrl-C reaches the whole group: workers end without a traceback each, the parent reports.
     ended = (signal.SIGINT, signal.SIG_DFL)
     context = get_context("spawn")
-    return ProcessPoolExecutor(processes, context, initializer=signal.signal, initargs=ended)
+    pool = ProcessPoolExecutor(processes, context, initializer=signal.signal, initargs=ended)
+    try:
+        yield pool
+    except BaseException:
+        for process in active_children():  # nobody waits for what they are at
+            process.terminate()
+        raise
+    finally:
+        pool.shutdown(cancel_futures=True)
 
 
 def _on_processes(
@@ -89,8 +98,8 @@ def _on_processes(
 ) -> Iterator[tuple[int, Answer | None]]:
     waiting = deque(range(len(jobs)))
     while waiting:
-        pool, running, lost = _new_pool(processes), dict[Future[Answer], int](), list[int]()
-        try:
+        running, lost = dict[Future[Answer], int](), list[int]()
+        with _pool(processes) as pool:
             while running or (waiting and not lost):
                 while waiting and not lost and len(running) < AHEAD * processes:
                     index = waiting.popleft()
@@ -104,14 +113,12 @@ def _on_processes(
                         lost.append(index)
                     else:
                         yield index, future.result()
-        finally:
-            pool.shutdown(cancel_futures=True)
         # Each by itself: it is not known which of them the process died of.
         yield from ((index, _alone(work, jobs[index])) for index in lost)
 
 
 def _alone(work: Callable[[Job], Answer], job: Job) -> Answer | None:
-    with _new_pool(1) as pool, suppress(BrokenProcessPool):
+    with _pool(1) as pool, suppress(BrokenProcessPool):
         return pool.submit(work, job).result()
 
 
@@ -147,5 +154,6 @@ def _on_cluster(
                 else:
                     yield order[future.key], future.result()
             yield from ((index, alone(index)) for index in lost)
-        except CancelledError as error:
-            raise BenchmarkError(f"lost the cluster at {address}") from error
+        except (CancelledError, OSError) as error:
+            why = f"lost the cluster at {address}; --resume goes on with what was written"
+            raise BenchmarkError(why) from error

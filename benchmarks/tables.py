@@ -12,6 +12,7 @@ import msgspec
 import numpy as np
 import pandas as pd
 from rich.console import Console
+from rich.markup import escape
 from rich.table import Table
 
 from benchmarks import ResultsError
@@ -66,7 +67,7 @@ class ResultTable:
 
     def rich(self) -> Table:
         """For the terminal."""
-        table = Table(title=self.title, caption=self.caption or None)
+        table = Table(title=self.title, caption=escape(self.caption) or None)
         for head, align in zip(self.heads, self.align, strict=True):
             side = "right" if align == "r" else "left"
             table.add_column(head, justify=side, no_wrap=align != "l")

@@ -55,8 +55,8 @@ class InsertionPath:
 def needle_down(robot: Robot, posture_rad: Array) -> Array:
     """Turn a posture, tip kept in place, until the tool's z axis points straight down.
 
-    The tool is within 90 degrees of that. `PathError` if the posture cannot be reached, or lies
-    outside the limits or near a singularity.
+    It must do so within 90 degrees. `PathError` if the posture cannot be reached, or lies outside
+    the limits or near a singularity.
     """
     data = robot.create_data()
     pin.framesForwardKinematics(robot.model, data, posture_rad)

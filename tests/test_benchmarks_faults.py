@@ -5,10 +5,7 @@ from pathlib import Path
 
 import pytest
 
-from benchmarks.fault_study import (
-    FaultStudy,
-    recovery,
-)
+from benchmarks.fault_study import FaultStudy, recovery
 from benchmarks.faults import PARTS, SIGNAL_FAULTS
 
 PAGE = (Path(__file__).parents[1] / "docs" / "loop.md").read_text(encoding="utf-8")

@@ -7,9 +7,7 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
-from benchmarks.bounds import (
-    friction_bounds,
-)
+from benchmarks.bounds import friction_bounds
 from benchmarks.identification_metrics import (
     EARLY_s,
     LATE_s,

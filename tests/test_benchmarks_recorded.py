@@ -10,12 +10,7 @@ from benchmarks import DataError
 from benchmarks.benchmark import Job
 from benchmarks.methods import joint_residual
 from benchmarks.recorded.bovine import depth_metrics, run_bovine_real
-from benchmarks.recorded.liver import (
-    at_drops,
-    force_drops,
-    read_arrays,
-    run_liver_real,
-)
+from benchmarks.recorded.liver import at_drops, force_drops, read_arrays, run_liver_real
 from benchmarks.recorded.panda import FOLDER as PANDA
 from benchmarks.recorded.panda import read_panda, run_panda_liver, run_panda_real
 from benchmarks.recorded.ur10e import FOLDER as UR10E

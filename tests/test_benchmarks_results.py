@@ -18,6 +18,7 @@ from benchmarks.tables import (
     END,
     HEADLINES,
     TABLES,
+    new_console,
     result_tables,
     summary_block,
     summary_table,
@@ -106,6 +107,9 @@ def test_the_force_table_shows_ratio_published_figure_and_targets_the_missed_fir
     assert good[0][:4] == ("gel-70-constant", "clean", "–", "0.100")
     assert good[0][4:9] == ("–", "0.020", "0.20", "–", "0.2444")
     assert [line[-1] for line in good] == ["met", "–"]
+    with (console := new_console()).capture() as printed:
+        console.print(TABLES["force"](rows).rich())
+    assert "median [its 95 % interval" in " ".join(printed.get().split())
     rows = [make_row(value=0.11), make_row(value=0.12, method="published")]
     assert [line[4] for line in target_table(rows).lines] == ["missed", "met"]
 

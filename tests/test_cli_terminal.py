@@ -27,12 +27,7 @@ from needleforce.cli.terminal import (
     write_out,
 )
 from needleforce.plots import FiguresError
-from needleforce.recordings import (
-    FileAccessError,
-    load_mapping,
-    read_log,
-    write_table,
-)
+from needleforce.recordings import FileAccessError, load_mapping, read_log, write_table
 from needleforce.recordings.table import Labels
 
 

@@ -31,11 +31,7 @@ from identification.hypothesis_filter import (
     predict,
     regressor,
 )
-from identification.rupture_report import (
-    Evaluation,
-    friction_left,
-    may_be_braking,
-)
+from identification.rupture_report import Evaluation, friction_left, may_be_braking
 
 PLACE = Place(
     time_s=3.0,

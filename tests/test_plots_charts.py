@@ -18,13 +18,7 @@ from needleforce.plots import (
     require_matplotlib,
     save_figure,
 )
-from needleforce.plots.chart import (
-    SETTINGS,
-    ChartError,
-    WriteError,
-    draw,
-    limits_of,
-)
+from needleforce.plots.chart import SETTINGS, ChartError, WriteError, draw, limits_of
 
 pytest.importorskip("matplotlib")
 

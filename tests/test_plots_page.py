@@ -4,13 +4,7 @@ import re
 
 import pytest
 
-from needleforce.plots import (
-    Page,
-    PageFigure,
-    PageTable,
-    Section,
-    write_page,
-)
+from needleforce.plots import Page, PageFigure, PageTable, Section, write_page
 from needleforce.plots.chart import ChartError, WriteError
 
 pytest.importorskip("matplotlib")

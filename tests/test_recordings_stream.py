@@ -20,7 +20,7 @@ from needleforce.recordings.open_recording import stream_tables
 ASKED = {"required": ("q", "tau"), "optional": ("dq",)}
 
 
-def text_of(rows, broken=True):
+def text_of(rows):
     """A CSV text of two joints with the faults that recordings have."""
     rng = np.random.default_rng(rows)
     t_s = 0.001 * np.arange(rows)
@@ -30,19 +30,18 @@ def text_of(rows, broken=True):
         f"{t!r},{','.join(map(repr, row))},rest"
         for t, row in zip(t_s.tolist(), values.tolist(), strict=True)
     ]
-    if broken:
-        lines[5] = lines[5].replace(",rest", "")
-        lines[rows // 2] = "# a comment half way"
-        lines[rows // 2 + 1] = lines[rows // 2 - 1]
-        lines[rows // 2 + 3] = ",".join([*lines[rows // 2 + 3].split(",")[:-2], "oops,rest"])
-        lines[rows // 2 + 5] = ",1,2,3,4,5,6,rest"
-        lines[rows // 2 + 7] += ",more"
+    lines[5] = lines[5].replace(",rest", "")
+    lines[rows // 2] = "# a comment half way"
+    lines[rows // 2 + 1] = lines[rows // 2 - 1]
+    lines[rows // 2 + 3] = ",".join([*lines[rows // 2 + 3].split(",")[:-2], "oops,rest"])
+    lines[rows // 2 + 5] = ",1,2,3,4,5,6,rest"
+    lines[rows // 2 + 7] += ",more"
     return "\n".join(lines) + "\n"
 
 
-def streamed(tables, mapping=None, **asked):
+def streamed(tables):
     """Time, channels and warnings of a stream, joined."""
-    stream = LogStream(tables, mapping, **(asked or ASKED))
+    stream = LogStream(tables, **ASKED)
     chunks = list(stream)
     t_s = np.concatenate([chunk.t_s for chunk in chunks])
     channels = {
@@ -184,6 +183,17 @@ def test_a_pipe_without_a_recording_is_refused(tmp_path, monkeypatch, data, mess
         monkeypatch.setattr("sys.stdin", stream)
         with pytest.raises(FormatError, match=message):
             list(stream_tables("-", FollowOptions(), max_bytes=1000))
+
+
+@pytest.mark.parametrize("suffix", ["csv", "npz", "parquet"])
+def test_a_table_goes_into_a_pipe(tmp_path, suffix):
+    pipe, path = tmp_path / f"pipe.{suffix}", tmp_path / f"log.{suffix}"
+    os.mkfifo(pipe)
+    writer = threading.Thread(target=write_table, args=(pipe, COLUMNS))
+    writer.start()
+    path.write_bytes(pipe.read_bytes())
+    writer.join()
+    np.testing.assert_array_equal(read_log(path)["force_N"], COLUMNS["force_N"])
 
 
 @pytest.mark.parametrize("suffix", ["mcap", "npz", "parquet"])

@@ -22,11 +22,7 @@ from residual import (
     VirtualForceSensor,
     WrenchEstimator,
 )
-from urdf import (
-    Payload,
-    Robot,
-    UnsupportedJointError,
-)
+from urdf import Payload, Robot, UnsupportedJointError
 
 
 def same(one, other):

@@ -8,14 +8,7 @@ from guarded_sensor import feed, signals, tared
 from residual_signals import BIAS
 
 from needleforce import InsertionSession
-from residual import (
-    DEFAULT,
-    PUBLISHED,
-    SensorWarning,
-    Status,
-    TareError,
-    VirtualForceSensor,
-)
+from residual import DEFAULT, PUBLISHED, SensorWarning, Status, TareError, VirtualForceSensor
 from residual.consistency_checks import first_match, velocity_fault, velocity_match_step
 
 RATIOS = np.array([0.03, -0.8, 0.07, 1.05, 0.25, 1.8, 0.2])

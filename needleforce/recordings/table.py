@@ -142,7 +142,7 @@ def flat_columns(columns: Columns) -> dict[str, np.ndarray]:
     """
     flat: dict[str, np.ndarray] = {}
     for name, values in columns.items():
-        parts = {name: values} if values.ndim == 1 else {}
+        parts = {name: values}
         if values.ndim == 2:
             parts = {f"{name}_{i + 1}": column for i, column in enumerate(values.T)}
         for part, column in parts.items():
