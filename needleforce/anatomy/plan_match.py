@@ -191,7 +191,8 @@ class PlanMatch:
         """How likely so many boundaries lie above a tip that comes back from further below."""
         passed = np.arange(len(joint))[:, None]
         above = np.searchsorted(self._bound_m, depth_m - self._offset_m, "right")
-        return np.bincount(np.minimum(passed, above).ravel(), joint.ravel(), len(joint))
+        counts = np.bincount(np.minimum(passed, above).ravel(), joint.ravel(), len(joint))
+        return counts.astype(float, copy=False)
 
     def _after(self, ruptures_m: tuple[float, ...]) -> tuple[Array, Array]:
         """Weights after ruptures, and the part of them in which the last one was a false alarm."""
