@@ -154,5 +154,6 @@ def _on_cluster(
                 else:
                     yield order[future.key], future.result()
             yield from ((index, alone(index)) for index in lost)
-        except CancelledError as error:
-            raise BenchmarkError(f"lost the cluster at {address}") from error
+        except (CancelledError, OSError) as error:
+            why = f"lost the cluster at {address}; --resume goes on with what was written"
+            raise BenchmarkError(why) from error
