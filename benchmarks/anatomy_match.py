@@ -1,7 +1,7 @@
 """The plan against the ruptures of random stacks, found through the virtual sensor.
 
-The plan lies off by 3 mm as a whole, its boundaries by 0.5 mm (standard deviations). Then the same with 30 %
-of the ruptures withheld, and with the offset's deviation misstated twofold either way.
+The plan lies off by 3 mm as a whole, its boundaries by 0.5 mm (standard deviations). Then the same
+with 30 % of the ruptures withheld, and with the offset's deviation misstated twofold either way.
 """
 
 from collections.abc import Iterator
