@@ -28,12 +28,8 @@ class ScenarioError(GroundTruthError, LookupError):
     """An unknown scenario or tissue law; the message lists the known ones."""
 
 
-class NoiseError(GroundTruthError, ValueError):
-    """A noise model with a negative or non-finite value."""
-
-
 class RunError(GroundTruthError, ValueError):
-    """A simulation with settings it cannot use (rate, sub-steps, seed)."""
+    """A simulation with a rate or a noise that cannot be."""
 
 
 class PlantModelError(GroundTruthError, ValueError):

@@ -5,7 +5,7 @@ from dataclasses import asdict, dataclass
 import numpy as np
 from scipy.signal import lfilter
 
-from groundtruth.errors import Array, NoiseError, require_non_negative
+from groundtruth.errors import Array, RunError, require_non_negative
 
 
 def coloured(white: Array, period_s: float, correlation_s: float) -> Array:
@@ -28,8 +28,8 @@ class ForceNoise:
     correlation_s: float = 0.0  # time constant of the noise if it is not white
 
     def __post_init__(self) -> None:
-        """Raise `NoiseError` naming the value that is negative or not finite."""
-        require_non_negative(NoiseError, **asdict(self))
+        """Raise `RunError` naming the value that is negative or not finite."""
+        require_non_negative(RunError, **asdict(self))
 
     def reading_N(
         self, force_N: Array, t_s: Array, zeroed_s: float, rng: np.random.Generator

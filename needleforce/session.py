@@ -361,7 +361,8 @@ class InsertionSession:
         self._identifier.restore(snapshot.identifier)
         self._count_from(snapshot.zero)
         self._is_started = snapshot.sensor.last is not None
-        self._travel = *snapshot.travel, *snapshot.lagging
+        (depth_m, speed_m_s), (late_m, late_m_s) = snapshot.travel, snapshot.lagging
+        self._travel = depth_m, speed_m_s, late_m, late_m_s
         self._unused_s = snapshot.unused_s
         self._time_s = snapshot.time_s
         self._identification = _without_events(snapshot.identifier.last)

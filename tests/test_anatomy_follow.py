@@ -181,6 +181,7 @@ def test_an_arm_is_watched_with_a_plan(arm, tmp_path, capsys):
         ({"layers": [{"name": "fat"}]}, "missing required field `exit_m`"),
         ({"layers": [{"name": "fat", "exit_m": 0.0}]}, "'fat' ends at 0.0 m, not below"),
         ({"layers": [{"name": "fat", "exit_m": 0.1}]}, "1 layers: expected two"),
+        ({"rotation": [[1, 0, 0], [0, 1, 0], [0, 0, -1]]}, "no mirror image"),
         ({"entry_mm": [0, 0, 0]}, "unknown field `entry_mm`"),
         ({"entry_m": [0, 0]}, "expected `array` of length 3|Expected `array` of length 3"),
     ],

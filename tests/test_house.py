@@ -22,7 +22,7 @@ LIMITS = {
     "benchmarks": (6_790, 30),
     "tests": (12_870, 72),
     "control": (2_240, 15),
-    "anatomy": (1_395, 8),
+    "anatomy": (1_415, 8),
     "scene": (735, 6),
     "devices": (1_372, 9),
 }

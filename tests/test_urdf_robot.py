@@ -270,7 +270,7 @@ def test_the_lwr_from_numbers_is_the_lwr_from_its_urdf(lwr):
 def test_tool_placement_and_rotor_inertia_enter_the_model_and_modified_dh_rows(recordings_dir):
     offset = np.eye(4)
     offset[:3, 3] = [0.1, 0.2, 0.3]
-    robot = build_serial_robot([a_joint()], tool_placement=offset, rotor_inertia_kg_m2=[0.7])
+    robot = build_serial_robot([a_joint()], tool_placement=offset).with_armature([0.7])
     frame = robot.model.frames[robot.tool_frame_id]
     assert frame.placement.translation == pytest.approx([0.1, 0.2, 0.3])
     mass_matrix = pin.crba(robot.model, robot.create_data(), np.zeros(1))
@@ -312,7 +312,7 @@ def test_malformed_joints_chains_and_options_are_refused():
     for names in ([], ["a", "a"], ["tool"]):
         with pytest.raises(InputError, match="names"):
             build_serial_robot([a_joint(name=name) for name in names])
-    options = {"tool_placement": np.eye(3), "rotor_inertia_kg_m2": [1, 1], "gravity_m_s2": [1, 1]}
+    options = {"tool_placement": np.eye(3), "gravity_m_s2": [1, 1]}
     for name, value in options.items():
         with pytest.raises(InputError, match=name):
             build_serial_robot([a_joint()], **{name: value})

@@ -50,7 +50,6 @@ def build_serial_robot(
     name: str = "serial",
     tool_placement: pin.SE3 | ArrayLike | None = None,
     gravity_m_s2: ArrayLike = STANDARD_GRAVITY_M_S2,
-    rotor_inertia_kg_m2: ArrayLike | None = None,
     payload: Payload | NeedleTool | None = None,
     check_inertias: bool = True,
 ) -> Robot:
@@ -62,7 +61,6 @@ def build_serial_robot(
         tool_placement: Frame ``tool`` (tool frame and flange) in the last joint's frame; default:
             the same.
         gravity_m_s2: See `urdf.load_urdf`, as for ``check_inertias`` and the errors.
-        rotor_inertia_kg_m2: See `Robot.with_armature`; default none.
         payload: What hangs on the frame ``tool``.
         check_inertias: False accepts links no rigid body could be, as identified models have.
     """
@@ -87,7 +85,7 @@ def build_serial_robot(
         model.addJointFrame(index, -1)
         if joint.inertia[0] != 0.0:
             model.inertias[index] = pin.Inertia.FromDynamicParameters(joint.inertia.copy())
-    robot = assemble_robot(
+    return assemble_robot(
         model,
         flange_frame=names[-1],
         tool_placement=pin.SE3.Identity() if tool_placement is None else tool_placement,
@@ -95,4 +93,3 @@ def build_serial_robot(
         gravity_m_s2=gravity_m_s2,
         check_inertias=check_inertias,
     )
-    return robot if rotor_inertia_kg_m2 is None else robot.with_armature(rotor_inertia_kg_m2)

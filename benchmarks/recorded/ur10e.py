@@ -80,9 +80,8 @@ def _robot(table: dict[str, Any]) -> Robot:
         joints,
         name="ur10e",
         tool_placement=_placement(table["joints"][JOINTS]),
-        rotor_inertia_kg_m2=table["rotor_inertia_kg_m2"],
         check_inertias=False,
-    )
+    ).with_armature(table["rotor_inertia_kg_m2"])
 
 
 def _placement(row: dict[str, Any]) -> pin.SE3:

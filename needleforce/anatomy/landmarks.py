@@ -128,8 +128,9 @@ def fit_landmarks(
 def _rigid_fit(model: Array, robot: Array) -> tuple[Array, Array, float]:
     """Rotation and shift with the least squares, and their sum."""
     one, two = model.mean(axis=0), robot.mean(axis=0)
-    turn, distance = Rotation.align_vectors(robot - two, model - one)
-    return turn.as_matrix(), two - turn.apply(one), float(distance) ** 2
+    found = Rotation.align_vectors(robot - two, model - one)
+    turn = found[0]
+    return turn.as_matrix(), two - turn.apply(one), float(found[1]) ** 2
 
 
 def _checked(model_m: ArrayLike, robot_m: ArrayLike) -> tuple[Array, Array]:

@@ -101,12 +101,13 @@ class PlanMatch:
         self._law_std_m = np.hypot(self._bound_std_m, RUPTURE_STD_m)[:, None]
         # Organs move beneath the skin: where that lies says little of the offset.
         self._law_std_m[0] = np.hypot(self._law_std_m[0], offset_std_m)
+        self._late_std_m = np.hypot(self._law_std_m, LATE_STD_m)
         self._missed = np.full(len(layers), MISSED)
         self._late = np.full((len(layers), 1), LATE)
         words = [set(layer.name.lower().split("_")) for layer in layers]
         for k, layer in enumerate(layers):
-            first = layer.name not in {before.name for before in layers[:k]}
-            if first and CAPSULES & words[k]:
+            is_first = layer.name not in {before.name for before in layers[:k]}
+            if is_first and CAPSULES & words[k]:
                 self._late[k] = CAPSULE_LATE
             elif k and "fat" in words[k - 1]:
                 self._missed[k] = SOFT_MISSED
@@ -143,10 +144,10 @@ class PlanMatch:
         ruptures = tuple(float(depth) - entry_depth_m for depth in ruptures_m)
         depth = float(depth_m) - entry_depth_m
         deepest = depth if deepest_m is None else max(float(deepest_m) - entry_depth_m, depth)
-        joint = self._joint(deepest, ruptures)
-        by_layer = joint.sum(axis=1)
-        if depth < deepest - BACK_m:
-            by_layer = self._withdrawn(joint, depth)
+        ahead, (weight, false) = self._ahead(deepest), self._after(ruptures)
+        joint = self._joint(ahead, weight)
+        is_back = depth < deepest - BACK_m
+        by_layer = self._withdrawn(joint, depth) if is_back else joint.sum(axis=1)
         layer = int(np.argmax(by_layer)) - 1
         # The median: where two assignments compete, their mean is what neither says.
         middle = self._quantile_m(joint, 0.5)
@@ -154,10 +155,10 @@ class PlanMatch:
         after = self.layers[layer + 1] if layer + 1 < len(self.layers) else None
         next_m = next_std_m = np.nan
         if after is not None:
-            next_m = self._bound_m[layer + 1] + middle + entry_depth_m
-            next_std_m = np.sqrt(variance + self._bound_std_m[layer + 1] ** 2)
-        matched, likely = self._matched(deepest, ruptures)
-        matched_name = self.layers[matched].name if matched >= 0 else FALSE_ALARM
+            next_m = after.entry_m + middle + entry_depth_m
+            next_std_m = np.sqrt(variance + after.entry_std_m**2)
+        matched, likely = self._matched(ahead, weight, false)
+        what = self.layers[matched].name if matched >= 0 else FALSE_ALARM
         return PlanState(
             layer=layer,
             name=self.layers[layer].name if layer >= 0 else OUTSIDE,
@@ -168,7 +169,7 @@ class PlanMatch:
             next_m=float(next_m),
             next_std_m=float(next_std_m),
             matched=matched,
-            matched_name=matched_name if ruptures else "",
+            matched_name=what if ruptures else "",
             matched_probability=likely,
             is_obstacle_next=after is not None and after.is_obstacle,
         )
@@ -177,7 +178,7 @@ class PlanMatch:
         self, depth_m: float, ruptures_m: Sequence[float] = (), level: float = 0.95
     ) -> tuple[float, float]:
         """Offsets between which the true one lies with that probability, see `state`."""
-        joint = self._joint(depth_m, tuple(ruptures_m))
+        joint = self._joint(self._ahead(depth_m), self._after(tuple(ruptures_m))[0])
         beyond = 0.5 - 0.5 * level
         return self._quantile_m(joint, beyond), self._quantile_m(joint, 1.0 - beyond)
 
@@ -190,7 +191,8 @@ class PlanMatch:
         """How likely so many boundaries lie above a tip that comes back from further below."""
         passed = np.arange(len(joint))[:, None]
         above = np.searchsorted(self._bound_m, depth_m - self._offset_m, "right")
-        return np.bincount(np.minimum(passed, above).ravel(), joint.ravel(), len(joint))
+        counts = np.bincount(np.minimum(passed, above).ravel(), joint.ravel(), len(joint))
+        return counts.astype(float, copy=False)
 
     def _after(self, ruptures_m: tuple[float, ...]) -> tuple[Array, Array]:
         """Weights after ruptures, and the part of them in which the last one was a false alarm."""
@@ -201,7 +203,7 @@ class PlanMatch:
             depth_m, last_m = ruptures_m[k], max(ruptures_m[:k], default=-np.inf)
             if not np.isfinite(depth_m) or depth_m < last_m - 1e-3:
                 raise PlanError(f"rupture at {depth_m!r} m after one at {last_m:.4f} m")
-            density, _ = self._rupture_law(depth_m)
+            density = self._density(depth_m)
             false, came = FALSE_PER_m * weight, np.zeros(weight.shape[1])
             moved = false.copy()
             for boundary, missed in enumerate(self._missed):
@@ -213,30 +215,30 @@ class PlanMatch:
         self._known = ruptures_m, weight, false
         return weight, false
 
-    def _rupture_law(self, depth_m: float) -> tuple[Array, Array]:
-        """Density [1/m] of a rupture at a depth, and probability of one behind it.
-
-        For each boundary (rows) and offset, given that the boundary ruptures: at once, or late.
-        """
+    def _scaled(self, depth_m: float) -> tuple[Array, Array]:
+        """A depth from where each boundary (rows) would rupture, at once or late, in deviations."""
         error = depth_m - self._bound_m[:, None] - self._offset_m
-        std, late_std = self._law_std_m, np.hypot(self._law_std_m, LATE_STD_m)
-        at_once, late = error / std, (error - LATE_m) / late_std
-        bells = [np.exp(-0.5 * z**2) / np.sqrt(2.0 * np.pi) for z in (at_once, late)]
-        density = (1.0 - self._late) * bells[0] / std + self._late * bells[1] / late_std
-        return density, (1.0 - self._late) * ndtr(-at_once) + self._late * ndtr(-late)
+        return error / self._law_std_m, (error - LATE_m) / self._late_std_m
+
+    def _density(self, depth_m: float) -> Array:
+        """Of a rupture at a depth, given that the boundary ruptures [1/m]."""
+        at_once, late = self._scaled(depth_m)
+        plain = (1.0 - self._late) * np.exp(-0.5 * at_once**2) / self._law_std_m
+        delayed = self._late * np.exp(-0.5 * late**2) / self._late_std_m
+        return (plain + delayed) / np.sqrt(2.0 * np.pi)
 
     def _ahead(self, depth_m: float) -> tuple[Array, Array]:
         """How likely a boundary is not felt yet, or was passed unnoticed, with the tip there."""
-        _, waiting = self._rupture_law(depth_m - ALARM_m)
+        at_once, late = self._scaled(depth_m - ALARM_m)
+        waiting = (1.0 - self._late) * ndtr(-at_once) + self._late * ndtr(-late)
         is_behind = self._bound_m[:, None] + self._offset_m <= depth_m
         missed = self._missed[:, None]
         return (1.0 - missed) * waiting + missed * ~is_behind, missed * is_behind
 
-    def _joint(self, depth_m: float, ruptures_m: tuple[float, ...]) -> Array:
-        """Probability of so many boundaries passed (rows) and each offset, with the tip there."""
-        weight, _ = self._after(ruptures_m)
+    def _joint(self, ahead: tuple[Array, Array], weight: Array) -> Array:
+        """Probability of so many boundaries passed (rows) and each offset."""
         joint, came = np.empty_like(weight), np.zeros(weight.shape[1])
-        for boundary, (stands, slips) in enumerate(zip(*self._ahead(depth_m), strict=True)):
+        for boundary, (stands, slips) in enumerate(zip(*ahead, strict=True)):
             came = came + weight[boundary]
             joint[boundary] = came * stands
             came = came * slips
@@ -245,12 +247,13 @@ class PlanMatch:
         # Where nothing explains it, what was known before stays.
         return joint / total if total > 0.0 else weight
 
-    def _matched(self, depth_m: float, ruptures_m: tuple[float, ...]) -> tuple[int, float]:
+    def _matched(
+        self, ahead: tuple[Array, Array], weight: Array, false: Array
+    ) -> tuple[int, float]:
         """Into which layer the last rupture led, -1 for a false alarm, and how likely."""
-        weight, false = self._after(ruptures_m)
         # Whichever it was: what lies behind it was passed without another rupture.
         unfelt = np.ones_like(weight)
-        stands, slips = self._ahead(depth_m)
+        stands, slips = ahead
         for boundary in reversed(range(len(stands))):
             unfelt[boundary] = stands[boundary] + slips[boundary] * unfelt[boundary + 1]
         likely = ((weight - false) * unfelt).sum(axis=1)

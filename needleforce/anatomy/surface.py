@@ -40,11 +40,10 @@ class Surface:
     @property
     def is_watertight(self) -> bool:
         """Whether every edge joins two triangles that run along it in opposite directions."""
-        size = len(self.vertices_m)
-        edges = np.concatenate([self.triangles[:, (i, (i + 1) % 3)] for i in range(3)])
-        there = np.sort(edges[:, 0].astype(np.int64) * size + edges[:, 1])
-        back = np.sort(edges[:, 1].astype(np.int64) * size + edges[:, 0])
-        return bool(np.array_equal(there, back) and np.all(np.diff(there) > 0))
+        from trimesh import Trimesh
+
+        mesh = Trimesh(self.vertices_m, self.triangles, process=False)
+        return bool(mesh.is_watertight and mesh.is_winding_consistent)
 
 
 def surface_of(labels: "Labels", name: str) -> Surface:

@@ -340,7 +340,7 @@ def _read_series(folder: Path) -> Any:
         raise VolumeError(f"{folder}: slices differ in size, spacing or orientation: mixed series")
     axes, steps = headers[0, 3:9].reshape(2, 3), np.diff(headers[:, :3], axis=0)
     if len(files) > 1:
-        along = steps @ np.cross(*axes)
+        along = steps @ np.cross(axes[0], axes[1])
         usual = float(np.median(along))
         worst = int(np.abs(along - usual).argmax())
         if abs(along[worst] - usual) > 0.01 * abs(usual):

@@ -64,7 +64,8 @@ def write_scene(made: Insertion, path: Path) -> Path:
     way = made.target_m - made.entry_m
     up = [0.0, 0.0, 1.0]
     turn = Rotation.align_vectors([made.axis, up], [way, up], weights=[np.inf, 1.0])[0]
-    names = [item.name for item in made.labels.structures if item.voxels >= LEAST_VOXELS]
+    large = [item.name for item in made.labels.structures if item.voxels >= LEAST_VOXELS]
+    names = [name for name in large if name != "lean"]  # it would hide what lies in it
     surfaces = tuple(made.labels.surfaces(names).values())
     shift = made.entry_in_base_m - turn.apply(made.entry_m)
     scene = PlanScene(surfaces, made.plan, made.entry_m, made.target_m, turn.as_matrix(), shift)

@@ -128,6 +128,8 @@ def _segmented(plan: _PlanFile, folder: Path) -> tuple[PlanScene, list[Layer]]:
     """Surfaces, and the layers between entry and target, of the labels in a folder."""
     files = [*sorted(folder.glob("labels*.n*")), *sorted(folder.glob("*.seg.nrrd"))]
     turn, shift = np.array(plan.rotation), np.array(plan.translation_m)
+    if not np.allclose(turn @ turn.T, np.eye(3), atol=1e-3) or np.linalg.det(turn) < 0.0:
+        raise ValueError(f"rotation is {turn.tolist()}: expected orthonormal rows, no mirror image")
     if plan.entry_m is None or plan.target_m is None:
         if not plan.layers:
             raise ValueError("neither layers nor entry_m and target_m in it")
