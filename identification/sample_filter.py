@@ -276,11 +276,8 @@ def filter_travel(
         if is_measured:
             learn_noise(m, _OF_SPEEDS, m[_SPEED_SUM] / n, length_s, _LEAST_SPEED_VARIANCE)
         m[_FILLED:SAMPLE_MEMORY] = 0.0
-    depth_std, speed_std = (
-        math.sqrt(max(m[_NOISE_DEPTH], 0.0)),
-        math.sqrt(max(m[_NOISE_SPEED], 0.0)),
-    )
-    return float(m[_DEPTH]), float(m[_SPEED]), depth_std, speed_std
+    depth_variance, speed_variance = max(m[_NOISE_DEPTH], 0.0), max(m[_NOISE_SPEED], 0.0)
+    return m[_DEPTH], m[_SPEED], math.sqrt(depth_variance), math.sqrt(speed_variance)
 
 
 @compiled
