@@ -279,10 +279,10 @@ HEADLINES = (
     _FORCE,
     _FORCE._replace(plant="fri"),
     _FORCE._replace(plant="degraded"),
-    _RECALL,
     _RECALL._replace(plant="fri"),
     _RECALL._replace(plant="degraded"),
-    Headline("friction_error_online_worst_pct", ".1f", "friction of a layer, worst error, %"),
+    Headline("rupture_precision", ".2f", "alarms that are right, fraction", plant="fri"),
+    Headline("friction_error_mean_pct", ".1f", "friction of a layer, mean error, %", plant="fri"),
     Headline("pullout_error_median_pct", ".0f", _PULL_OUT, "ft", "recording", "liver-real"),
 )
 """At most eight: the README shows them."""

@@ -18,7 +18,7 @@ INSTALLED = (*LIBRARIES, "needleforce")
 PACKAGES = (*INSTALLED, "benchmarks")
 PROJECT = tomllib.loads((ROOT / "pyproject.toml").read_text(encoding="utf-8"))
 LIMITS = {
-    "product": (19_065, 99),
+    "product": (18_990, 98),
     "benchmarks": (6_790, 30),
     "tests": (12_870, 72),
     "control": (2_240, 15),
@@ -44,6 +44,7 @@ AROUND = (
     "tests/test_benchmarks_campaign",
     "tests/test_benchmarks_kdl",
     "groundtruth/rig_",
+    "needleforce/plan_follower",
     "groundtruth/torso",
     "needleforce/cli/demo",
     "needleforce/cli/live",
