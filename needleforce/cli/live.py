@@ -163,22 +163,29 @@ def _plan_words(plan: Any) -> str:
     return f"{text}, offset {1e3 * plan.offset_m:+.1f} ± {1e3 * plan.offset_std_m:.1f} mm"
 
 
+def _plan(watched: WatchOptions) -> Any:
+    """The plan that is named, None without one."""
+    if watched.plan is None:
+        return None
+    from needleforce.cli.live_view import read_plan
+
+    return read_plan(watched.plan)
+
+
 @contextmanager
-def _page(arm_name: str, watched: WatchOptions, model: Robot, robot: RobotOptions) -> Iterator[Any]:
-    """The plan if one is named, and the scene beside the session if it is wanted."""
-    if watched.plan is None and not watched.view:
-        yield None, None
+def _page(
+    kind: str, watched: WatchOptions, model: Robot, plan: Any, robot: RobotOptions
+) -> Iterator[Any]:
+    """The scene beside the session; None if it is not wanted."""
+    if not watched.view:
+        yield None
         return
-    from needleforce.cli.live_view import description, read_plan
+    from needleforce.cli.live_view import description
     from needleforce.scene import SceneError, open_viewer
     from needleforce.scene.nodes import EMPTY
 
-    plan = None if watched.plan is None else read_plan(watched.plan)
-    if not watched.view:
-        yield plan, None
-        return
     if robot.robot is None and robot.urdf is None:
-        robot = replace(robot, robot=ROBOTS.get(arm_name.partition(":")[0]))
+        robot = replace(robot, robot=ROBOTS.get(kind))
     scene = EMPTY if plan is None else plan.scene
     try:
         view = open_viewer(model, scene, urdf_path=description(robot), port=watched.port)
@@ -186,7 +193,7 @@ def _page(arm_name: str, watched: WatchOptions, model: Robot, robot: RobotOption
         raise CommandError(str(error)) from error
     with view:
         say(f"{view.url} shows the scene")
-        yield plan, view
+        yield view
 
 
 def watch_arm(
@@ -195,9 +202,10 @@ def watch_arm(
     """Watch force and layers of an arm; return the exit code."""
     if not 0.0 < options.tare < math.inf:
         raise CommandError(f"--tare {options.tare}: expected seconds of free motion")
+    plan, kind = _plan(watched), arm_name.partition(":")[0]
     with (
         arm_named(arm_name, robot) as (arm, model),
-        _page(arm_name, watched, model, robot) as (plan, page),
+        _page(kind, watched, model, plan, robot) as page,
     ):
         session = InsertionSession(model)
         if plan is not None:
