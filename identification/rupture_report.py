@@ -22,14 +22,16 @@ _LEAST_WEIGHT = 1e-3
 _CLEAR_SIGMAS = 3.0
 """Least released force of a rupture worth an alarm, in standard deviations of a block's force."""
 _EARLY_FALL, _LARGE_FALL = 0.12, 0.3
-"""Of the force: no robot brakes so hard within a tenth of a second; and more than it ever does
-without being seen to."""
+"""Of the force: no robot brakes so hard within a tenth of a second; and a fall that is large."""
 _SPEED_LAG_S = 0.1
 """By which a speed that nobody measures may be late: of the sensor and of the travel filter."""
 _LEAST_SLOWED = 0.02
 """Part of the speed lost that is no noise of a filtered speed."""
-_SLOWED = 3.0
-"""Fall of viscous friction, per part of the speed lost so far: the speed is late."""
+_SLOWED, _SLOWED_FAR = 3.0, 2.0
+"""Fall of viscous friction, per part of the speed lost so far: the speed is late, and travel shows
+its mean; of a large fall it must show half."""
+_RECENT_S = 0.5
+"""For so long travel since the rupture shows the speed better than a noisy speed does."""
 _LEAST_PROBABILITY = 0.3
 """Hypotheses with the last rupture must be so likely, together, to say what it was."""
 _IDENTIFIED = 0.25
@@ -98,10 +100,12 @@ def may_be_braking(bank: Bank, evaluation: Evaluation, place: Place) -> bool:
     fall = float(record[law.RUPTURE_FORCE]) - place.force
     if place.time_s < record[law.RUPTURE_S] + _SPEED_LAG_S:
         return fall < _EARLY_FALL * force
-    if fall > _LARGE_FALL * force:
-        return False
-    slowed = 1.0 - place.speed / max(float(record[law.RUPTURE_SPEED]), 1e-3)
-    return slowed > _LEAST_SLOWED and fall < _SLOWED * slowed * force
+    speed, since_s = place.speed, place.time_s - float(record[law.RUPTURE_S])
+    if since_s < _RECENT_S:
+        speed = min(speed, (place.depth - float(record[law.RUPTURE_MM])) / since_s)
+    slowed = 1.0 - speed / max(float(record[law.RUPTURE_SPEED]), 1e-3)
+    most = (_SLOWED_FAR if fall > _LARGE_FALL * force else _SLOWED) * slowed * force
+    return slowed > _LEAST_SLOWED and fall < most
 
 
 def rupture_of(

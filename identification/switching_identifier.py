@@ -318,7 +318,9 @@ def report(
         now = RuptureState.FORCE_DROP_MEASURING
     state = state._replace(stage=_NOTHING, rupture_state=now)
     is_likely = evaluation.more > config.alarm_probability
-    if is_likely and not reports.may_be_braking(bank, evaluation, place):
+    # A needle that does not advance ruptures nothing: what fell before is said when it goes on.
+    is_advancing = state.course.resumed < 1.0
+    if is_likely and is_advancing and not reports.may_be_braking(bank, evaluation, place):
         state = _raise_alarm(state, bank, at, evaluation)
     elif state.alarm is not None and evaluation.fewer > _TAKEN_BACK:
         state = _take_back(state, state.alarm, evaluation)

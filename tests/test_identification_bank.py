@@ -20,6 +20,7 @@ from identification.hypothesis_filter import (
     RELEASE,
     ROOT,
     RUPTURE_FORCE,
+    RUPTURE_MM,
     RUPTURE_S,
     RUPTURE_SPEED,
     RUPTURES,
@@ -163,7 +164,9 @@ def test_noise_is_learned_part_by_part_and_a_ramp_is_none():
         (0.15, 2.3, 0.05, False),  # the needle has not slowed down
         (0.15, 1.9, 0.20, True),  # by 17 %: friction falls as far
         (0.15, 2.2, 0.20, False),  # by 4 %: it does not
-        (0.15, 1.0, 0.40, False),
+        (0.15, 1.0, 0.40, True),  # by more than half, friction by less
+        (0.15, 1.9, 0.40, False),
+        (0.15, 2.3, 0.40, False),
     ],
 )
 def test_a_fall_that_braking_explains_is_no_rupture_yet(since_s, speed, fall_N, braking):
@@ -172,3 +175,7 @@ def test_a_fall_that_braking_explains_is_no_rupture_yet(since_s, speed, fall_N, 
     place = Place(10.0 + since_s, 0.01, 50.0, speed, 1.0, 1.0 - fall_N, 2.3, 0.004)
     evaluation = Evaluation(more=0.99, fewer=0.0, pick=0, best=1)
     assert may_be_braking(bank, evaluation, place) == braking
+    if not braking:
+        # The travel of a needle that has nearly stopped shows it, whatever a late speed says.
+        bank.records[0, RUPTURE_MM] = 50.0 - 0.4 * since_s
+        assert may_be_braking(bank, evaluation, place) == (since_s > 0.1)
