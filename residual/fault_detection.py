@@ -40,8 +40,9 @@ TORQUE_RATIO_PER_S = 2.0
 ACCELERATION_RAD_S2 = 20.0
 """An arm that inserts a needle stays far below."""
 LEAST_POSITION_RAD = 1e-4
-COARSE_RAD = 1e-3
-"""Step of a coarse encoder: a position that has repeated may make one [rad]."""
+COARSE_RAD = 5e-4
+"""A position that has repeated may make as large a step [rad]: three of an encoder on the link,
+which resolves 0.01 degrees."""
 UNKNOWN_EFFORT_NM = 300.0
 """Stands in where a description gives no effort limit: the shoulder of an arm for ten kilograms.
 Torques from motor currents step by 20 Nm there where the friction of its gears turns round."""
