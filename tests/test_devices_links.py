@@ -30,6 +30,8 @@ from needleforce.devices.proxy import LOOPBACK
 
 ROWS = np.linspace(0.0, 1.0, 700).reshape(100, 7).astype(np.float32).astype(float)
 WRENCH = np.random.default_rng(0).normal(size=(5000, 6))
+PATIENCE_S = 20.0
+"""On a busy machine things take longer; nothing here is a measurement of speed."""
 
 
 def fri_run(cycles, faults=None, *, send=None, give_up_s=0.3, **settings):
@@ -176,10 +178,10 @@ def test_every_record_of_a_force_sensor_comes_in_newtons(buffered):
         ft = NetFT(port=box.ready["port"], scale=box.ready["page"], buffered=buffered)
         with ft:
             assert ft.scale == (500_000.0, 2e6)
-            found, end_s, stream = [], time.monotonic() + 1.0, ft.stream()
+            found, end_s, stream = [], time.monotonic() + PATIENCE_S, ft.stream()
             for wrench in stream:
                 found.append(wrench)
-                if time.monotonic() > end_s:
+                if len(found) > 6000 or time.monotonic() > end_s:
                     break
             ft.bias()
             zero = found[-1]
@@ -196,8 +198,8 @@ def test_a_force_sensor_that_loses_records_says_how_many():
         Emulator(emulate_rdt, settings) as box,
         NetFT(port=box.ready["port"], scale=Scale(1e6, 1e6)) as ft,
     ):
-        end_s = time.monotonic() + 1.0
-        while time.monotonic() < end_s:
+        end_s = time.monotonic() + PATIENCE_S
+        while ft.report.used <= 5000 and time.monotonic() < end_s:
             time.sleep(1e-3)
             ft.read()
     report = ft.report
@@ -231,15 +233,15 @@ def test_a_haptic_device_moves_and_is_felt():
     wish[0] = 0.0
     with Emulator(emulate_haply, wish) as service:
         with HaplyMaster(service.ready["address"], most_force_N=2.0) as master:
-            places, end_s = [], time.monotonic() + 1.0
-            while time.monotonic() < end_s:
+            places, end_s = [], time.monotonic() + PATIENCE_S
+            while len(places) <= 1000 and time.monotonic() < end_s:
                 if (sample := master.read()) is not None:
                     places.append(sample.position_m[2])
                     master.render([0.0, 0.0, -100.0])  # shortened to 2 N
                 else:
                     time.sleep(2e-4)
         counts = service.stop()
-    assert len(places) > 800
+    assert len(places) > 1000
     # A hand of 300 N/m at 20 mm against 2 N; it swings at 2 Hz.
     assert np.mean(places[-480:]) == pytest.approx(0.02 - 2.0 / 300.0, abs=2e-3)
     assert counts["port_energy_J"] > 0.0
@@ -265,8 +267,10 @@ def test_what_a_haptic_service_should_not_send_is_counted():
     with server.serve(talk, LOOPBACK, 0) as service:
         threading.Thread(target=service.serve_forever, daemon=True).start()
         with HaplyMaster(f"ws://{LOOPBACK}:{service.socket.getsockname()[1]}") as master:
-            time.sleep(0.1)
-            sample = master.read()
+            sample, end_s = None, time.monotonic() + PATIENCE_S
+            while sample is None and time.monotonic() < end_s:
+                time.sleep(0.01)
+                sample = master.read()
         service.shutdown()
     assert sample is not None
     assert not sample.clutch

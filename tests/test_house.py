@@ -20,7 +20,7 @@ PROJECT = tomllib.loads((ROOT / "pyproject.toml").read_text(encoding="utf-8"))
 LIMITS = {
     "product": (18_990, 98),
     "benchmarks": (6_790, 30),
-    "tests": (12_870, 72),
+    "tests": (12_880, 72),
     "control": (2_240, 15),
     "anatomy": (1_415, 8),
     "scene": (735, 6),
