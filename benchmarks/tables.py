@@ -79,7 +79,7 @@ class ResultTable:
         """Lines of a page."""
         rule = ("---:" if align == "r" else "---" for align in self.align)
         rows = [[head.replace("\n", " ") for head in self.heads], rule, *self.lines]
-        return ["| " + " | ".join(row).replace("missed", "**missed**") + " |" for row in rows]
+        return ["| " + " | ".join(row).replace("| missed", "| **missed**") + " |" for row in rows]
 
 
 def frame_of(rows: Iterable[Row]) -> Frame:
