@@ -38,6 +38,8 @@ _ENOUGH_BLOCKS = 12.0
 _RISE_S = 60.0
 """Means of a moving needle lie off a line by its motion as well: their least scatter counts, and
 what was least once is forgotten in so long (minimum statistics, Martin 2001)."""
+_LEAST_BIAS = 1.5
+"""Mean over the usual least of such means."""
 _HASTE_S = 0.05
 _SIGNIFICANT = 4.0
 _MOST_SURPRISE = 5.0
@@ -246,9 +248,30 @@ def _learn_smooth_noise(
 ) -> None:
     """Use the mean of a block, for the noise whose numbers begin at a place, and for its least."""
     learn_noise(memory, at, value, dt_s, floor)
-    if memory[at + _SEEN] >= _ENOUGH_BLOCKS:
-        variance, last = memory[at + _VARIANCE], memory[least] * math.exp(dt_s / _RISE_S)
-        memory[least] = min(variance, last) if last > 0.0 else variance
+    variance, last = memory[at + _VARIANCE], memory[least] * math.exp(dt_s / _RISE_S)
+    if memory[at + _SEEN] < _ENOUGH_BLOCKS:
+        return
+    is_mean = memory[at + _SEEN] * dt_s >= 0.9 * _MEMORY_S  # of few blocks the least is too small
+    memory[least] = min(_LEAST_BIAS * variance, last) if is_mean else variance
+
+
+@compiled
+def _fill_block(
+    memory: WrittenVector, depth_m: float, speed_m_s: float, dt_s: float, is_measured: bool
+) -> None:
+    """Add a sample to the block of means, and learn smooth noise from a full one."""
+    m = memory
+    m[_FILLED] += dt_s
+    m[_SAMPLES] += 1.0
+    m[_DEPTH_SUM] += depth_m
+    m[_SPEED_SUM] += speed_m_s
+    if m[_FILLED] < _BLOCK_S:
+        return
+    depth, speed, length_s = m[_DEPTH_SUM] / m[_SAMPLES], m[_SPEED_SUM] / m[_SAMPLES], m[_FILLED]
+    _learn_smooth_noise(m, _OF_DEPTHS, _LEAST_DEPTHS, depth, length_s, _LEAST_DEPTH_VARIANCE)
+    if is_measured:
+        _learn_smooth_noise(m, _OF_SPEEDS, _LEAST_SPEEDS, speed, length_s, _LEAST_SPEED_VARIANCE)
+    m[_FILLED:_LEAST_DEPTHS] = 0.0
 
 
 @compiled
@@ -276,22 +299,10 @@ def filter_travel(
         m[_SURPRISE] += gain * (_measure(m, 0, depth_m, noise) - m[_SURPRISE])
     if is_measured:
         learn_noise(m, _OF_SPEED, speed_m_s, dt_s, _LEAST_SPEED_VARIANCE)
-        m[_SPEED_SUM] += speed_m_s
     if is_measured and m[_OF_SPEED + _SEEN] > 0.0:
         noise = _noise(m, _OF_SPEED, _LEAST_SPEEDS, dt_s)
         m[_SPEED_SURPRISE] += gain * (_measure(m, 1, speed_m_s, noise) - m[_SPEED_SURPRISE])
-    m[_FILLED] += dt_s
-    m[_SAMPLES] += 1.0
-    m[_DEPTH_SUM] += depth_m
-    if m[_FILLED] >= _BLOCK_S:
-        n, length_s = m[_SAMPLES], m[_FILLED]
-        depth, speed = m[_DEPTH_SUM] / n, m[_SPEED_SUM] / n
-        _learn_smooth_noise(m, _OF_DEPTHS, _LEAST_DEPTHS, depth, length_s, _LEAST_DEPTH_VARIANCE)
-        if is_measured:
-            _learn_smooth_noise(
-                m, _OF_SPEEDS, _LEAST_SPEEDS, speed, length_s, _LEAST_SPEED_VARIANCE
-            )
-        m[_FILLED:_LEAST_DEPTHS] = 0.0
+    _fill_block(m, depth_m, speed_m_s, dt_s, is_measured)
     depth_variance, speed_variance = max(m[_NOISE_DEPTH], 0.0), max(m[_NOISE_SPEED], 0.0)
     return m[_DEPTH], m[_SPEED], math.sqrt(depth_variance), math.sqrt(speed_variance)
 
