@@ -17,13 +17,10 @@ from collections.abc import Sequence
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.linalg import cholesky, solve_triangular, toeplitz
 
-from benchmarks.signals import InsertionTruth, NeedleSignal, lagging
+from benchmarks.signals import Array, InsertionTruth, NeedleSignal, lagging
 from groundtruth import Rupture
-
-Array = NDArray[np.float64]
 
 AROUND_s = 0.15
 """Left out from the onset of a release to so long after its end: there a lag looks like noise."""

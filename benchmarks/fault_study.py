@@ -5,8 +5,6 @@ from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
-from numpy.typing import NDArray
-from scipy.signal import lfilter
 
 from benchmarks.faults import (
     SIGNAL_FAULTS,
@@ -18,13 +16,12 @@ from benchmarks.faults import (
     wrist_at_limit,
 )
 from benchmarks.methods import on_lwr
+from benchmarks.signals import Array, lagging
 from benchmarks.tables import NOTHING, ResultTable
 from groundtruth import Run, simulate
 from needleforce import InsertionSession, SessionEstimate, SessionSnapshot
 from residual import DEFAULT, SensorWarning, Status, TareError
-from urdf import Payload, Robot
-
-Array = NDArray[np.float64]
+from urdf import Robot
 
 SCENARIO, PLANT = "gel-70-constant", "clean"
 DEPTH_M = 20e-3
@@ -124,9 +121,9 @@ def late(force_N: Array, *, with_velocity: bool = True) -> Array:
     rates_per_s = [DEFAULT.gain_per_s]
     if not with_velocity:
         rates_per_s += [DEFAULT.velocity_bandwidth_per_s] * 2
+    t_s = PERIOD_s * np.arange(len(force_N))
     for rate in rates_per_s:
-        decay = np.exp(-PERIOD_s * rate)
-        force_N = np.asarray(lfilter([1.0 - decay], [1.0, -decay], force_N), dtype=np.float64)
+        force_N = lagging(force_N, t_s, 1.0 / rate)
     return force_N
 
 
@@ -268,10 +265,9 @@ def _lighter(robot: Robot) -> Robot:
     """The robot with less of a tool than it really carries."""
     known = robot.payload
     assert known is not None
-    fraction = 1.0 - UNKNOWN_KG / known.mass_kg
-    inertia = fraction * known.inertia_kg_m2
-    mass_kg = fraction * known.mass_kg
-    return robot.with_payload(Payload(mass_kg=mass_kg, com_m=known.com_m, inertia_kg_m2=inertia))
+    mass_kg = known.mass_kg - UNKNOWN_KG
+    inertia_kg_m2 = mass_kg / known.mass_kg * known.inertia_kg_m2
+    return robot.with_payload(replace(known, mass_kg=mass_kg, inertia_kg_m2=inertia_kg_m2))
 
 
 def recovery(seconds: float) -> str:

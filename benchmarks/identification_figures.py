@@ -4,9 +4,6 @@ import math
 from collections.abc import Sequence
 from pathlib import Path
 
-import numpy as np
-from numpy.typing import NDArray
-
 from benchmarks.benchmark import Drawing, Fact, Job
 from benchmarks.force_plots import RunFigures
 from benchmarks.identification_metrics import (
@@ -24,11 +21,9 @@ from benchmarks.identification_plots import (
 )
 from benchmarks.methods import ForceReading, Identified, cumulative_friction_Ns_per_m
 from benchmarks.published_figures import ENHANCED_FIGURES, OFFLINE_PANELS, PublishedFigure
-from benchmarks.signals import InsertionTruth, NeedleSignal
+from benchmarks.signals import Array, InsertionTruth, NeedleSignal
 from benchmarks.targets import GELS
 from identification import PUBLISHED_KV, PublishedConfig
-
-Array = NDArray[np.float64]
 
 
 def draw_identification(

@@ -7,16 +7,13 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
 from benchmarks.identification_metrics import layer_spans, offline_fit, quiet_speed_m_s
 from benchmarks.methods import ForceReading, Identified
-from benchmarks.signals import InsertionTruth, NeedleSignal
+from benchmarks.signals import Array, InsertionTruth, NeedleSignal
 from identification.config import Model
 from identification.offline import regression_matrix
 from needleforce.plots import Chart, Curve, Instants, LineStyle, Panel, Shading, palette
-
-Array = NDArray[np.float64]
 
 MARGIN_s = 1.0
 """Shown before contact and after the deepest point."""

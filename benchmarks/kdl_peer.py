@@ -14,12 +14,11 @@ from tempfile import TemporaryDirectory
 
 import numpy as np
 import pinocchio as pin
-from numpy.typing import NDArray
 
 from benchmarks import BenchmarkError
 from benchmarks.benchmark import Progress, progress_part
 from benchmarks.methods import joint_residual, on_lwr
-from benchmarks.signals import ForceTruth, JointSignals
+from benchmarks.signals import Array, ForceTruth, JointSignals
 from benchmarks.simulated import read_sensors
 from benchmarks.speed import Times, Update, cost_ratio, fed, time_side_by_side
 from benchmarks.tables import ResultTable, met_mark
@@ -28,8 +27,6 @@ from needleforce.cli.terminal import say
 from residual import DEFAULT, PUBLISHED, MomentumObserver, VirtualForceSensor
 from residual.wrench_estimator import WrenchEstimator
 from urdf import Robot
-
-Array = NDArray[np.float64]
 
 SCENARIO, PLANT, SEEDS = "stack-constant", "clean", (1000, 1001, 1002)
 KDL, BARE = "KDL", "KDL, addresses known in advance"

@@ -2,18 +2,16 @@
 
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
-from types import MappingProxyType
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.optimize import minimize_scalar
 from scipy.signal import lfilter
 
 from benchmarks import DataError
 from benchmarks.benchmark import Progress
 from benchmarks.rows import Measurement, Method, Source
-from benchmarks.signals import ForceTruth, InsertionTruth, JointSignals, NeedleSignal
+from benchmarks.signals import Array, ForceTruth, InsertionTruth, JointSignals, NeedleSignal
 from groundtruth import Run
 from identification import (
     MULTILAYER,
@@ -32,15 +30,12 @@ from residual import FrictionModel, MomentumObserver, SensorConfig, TareError
 from residual.momentum_observer import Alignment
 from urdf import LWR_GEAR_RATIO, Robot
 
-Array = NDArray[np.float64]
-
-METHODS: Mapping[Method, SensorConfig] = MappingProxyType(
-    {"default": DEFAULT_SENSOR, "published": PUBLISHED_SENSOR}
-)
+METHODS: Mapping[Method, SensorConfig] = {"default": DEFAULT_SENSOR, "published": PUBLISHED_SENSOR}
 """Settings of the virtual sensor, by the name they are reported under."""
-IDENTIFIERS: Mapping[Method, MultilayerConfig | PublishedConfig] = MappingProxyType(
-    {"default": MULTILAYER, "published": PUBLISHED}
-)
+IDENTIFIERS: Mapping[Method, MultilayerConfig | PublishedConfig] = {
+    "default": MULTILAYER,
+    "published": PUBLISHED,
+}
 """Settings of the identification; one configuration each for every run."""
 
 
@@ -215,13 +210,13 @@ class Alarm(NamedTuple):
     online: LayerEstimate | None
 
 
-def alarms_of(result: Replay, t_s: NDArray[np.float64]) -> list[Alarm]:
-    """Every rupture reported, in order; `t_s` are the true instants of the samples, shape (n,)."""
+def alarms_of(result: Replay, t_s: Array, start: int) -> list[Alarm]:
+    """Every rupture reported, in order; estimates begin with sample `start` of the n instants."""
     by_alarm = {layer.rupture.alarm_s: layer for layer in result.layers}
     known = (one.identified_layer for one in result.estimates if one.identified_layer is not None)
     online = {layer.rupture.alarm_s: layer for layer in known}
     found = []
-    for k, estimate in enumerate(result.estimates):
+    for k, estimate in enumerate(result.estimates, start):
         event = estimate.rupture
         if event is None:
             continue
@@ -245,7 +240,7 @@ def cumulative_friction_Ns_per_m(alarms: Iterable[Alarm]) -> float:
     return sum(layer.friction_N / max(layer.rupture.speed_m_s, 1e-9) for layer in layers)
 
 
-@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+@dataclass(frozen=True, slots=True, eq=False)
 class Identified:
     """What a method made of a signal; sample k of it is sample ``start + k`` of the run."""
 
@@ -300,15 +295,8 @@ def identify(
         result = replay(t_s, depth_m, force_N, speed_m_s, config)
     # A session is tared by the arm's own clock, which may be a sample off.
     start = len(signal.t_s) - len(result.estimates)
-    alarms = alarms_of(result, truth.t_s[start:])
-    return Identified(
-        signal=signal,
-        method=method,
-        config=config,
-        start=start,
-        result=result,
-        alarms=tuple(alarm._replace(sample=alarm.sample + start) for alarm in alarms),
-    )
+    alarms = tuple(alarms_of(result, truth.t_s, start))
+    return Identified(signal, method, config, start, result, alarms)
 
 
 EARLIEST_S, LATEST_S = -0.1, 0.6

@@ -11,7 +11,6 @@ import math
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from pathlib import Path
 from sys import intern
-from types import MappingProxyType
 from typing import Literal, NamedTuple
 
 import msgspec
@@ -44,7 +43,7 @@ class RowKey(NamedTuple):
         return " ".join(map(str, self))
 
 
-class Row(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
+class Row(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     """One measured number."""
 
     scenario: str  # name of the benchmark
@@ -185,12 +184,10 @@ def table_lines(path: Path) -> Iterator[dict[str, str]]:
         yield from csv.DictReader(line for line in lines if not line.startswith("#"))
 
 
-METRICS: Mapping[str, Metric] = MappingProxyType(
-    {
-        line["name"]: msgspec.convert(line, Metric, strict=False)
-        for line in table_lines(Path(__file__).with_name("metrics.csv"))
-    }
-)
+METRICS: Mapping[str, Metric] = {
+    line["name"]: msgspec.convert(line, Metric, strict=False)
+    for line in table_lines(Path(__file__).with_name("metrics.csv"))
+}
 """By name."""
 
 
@@ -216,15 +213,5 @@ class Measurement(NamedTuple):
 
     def row(self, scenario: str, plant: str, seed: int) -> Row:
         """The row of a job's results; `UnknownMetricError` if `metrics.csv` lacks the metric."""
-        source, method, name, value = self
-        unit = metric(name).unit
-        return Row(
-            scenario=scenario,
-            plant=plant,
-            seed=seed,
-            source=source,
-            method=method,
-            metric=name,
-            value=float(value),
-            unit=unit,
-        )
+        unit = metric(self.metric).unit
+        return Row(scenario, plant, seed, *self[:3], value=float(self.value), unit=unit)

@@ -4,7 +4,6 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from traceback import format_exc
-from types import MappingProxyType
 from typing import NamedTuple
 
 from benchmarks import BenchmarkError, DataError, UnknownIdError
@@ -112,9 +111,9 @@ _RECORDED = (
         seeds=1,
     ),
 )
-BENCHMARKS: Mapping[str, Benchmark] = MappingProxyType(
-    {item.id: item for item in (*_SIMULATED, *_ROBUSTNESS, *_RECORDED)}
-)
+BENCHMARKS: Mapping[str, Benchmark] = {
+    item.id: item for item in (*_SIMULATED, *_ROBUSTNESS, *_RECORDED)
+}
 """By name."""
 
 

@@ -4,9 +4,8 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
-from numpy.typing import NDArray
 
-from benchmarks.benchmark import Drawing, Findings, Job, Progress, progress_part
+from benchmarks.benchmark import Findings, Job, Progress, progress_part
 from benchmarks.force_plots import force_figures
 from benchmarks.identification_figures import draw_identification
 from benchmarks.identification_metrics import identify_as_run, measure_identification
@@ -35,8 +34,6 @@ from groundtruth import ForceNoise, Run, Scenario, insert_needle, scenario, simu
 from groundtruth.force_noise import MINI45
 from groundtruth.scenarios import DRAWN
 
-Array = NDArray[np.float64]
-
 NEEDLE = "needle"
 """The plant of a simulation without an arm."""
 SIMULATION_PART, READING_PART = 0.5, 0.85
@@ -51,9 +48,7 @@ def run_simulated(job: Job, progress: Progress) -> Findings:
         return run_needle(job, chosen, progress, is_drawn=job.benchmark in DRAWN)
     run = simulate(chosen, job.plant, job.seed, progress_part(progress, 0.0, SIMULATION_PART))
     case = read_sensors(run, progress_part(progress, SIMULATION_PART, READING_PART))
-    drawings: tuple[Drawing, ...] = ()
-    if job.drawings is not None:
-        drawings += force_figures(job, job.drawings, case.truth, case.readings)
+    drawings = force_figures(job, job.drawings, case.truth, case.readings) if job.drawings else ()
     measured = simulated_metrics(case)
     if chosen.layers:
         found = _measured(job, identify_sources(case), insertion_truth(run), chosen, case.ft)
@@ -169,12 +164,8 @@ def _measured(
     ft: ForceReading | None = None,
 ) -> Findings:
     """Numbers and figures of the online identification on every source."""
-    measured = [
-        value
-        for found in sources
-        for item in found
-        for value in measure_identification(item, truth)
-    ]
+    items = [item for found in sources for item in found]
+    measured = [value for item in items for value in measure_identification(item, truth)]
     if job.drawings is None:
         return Findings(measured)
     commanded = scenario.motion.speed_m_s(truth.t_s)

@@ -3,7 +3,6 @@
 from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass, replace
 from time import perf_counter_ns
-from types import MappingProxyType
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -53,16 +52,14 @@ class Subject(NamedTuple):
 OBSERVER, SENSOR, CHAIN = "observer", "sensor", "chain"
 PUBLISHED_CHAIN = "chain, published identifier"
 ESTIMATED = ", velocity estimated"
-SUBJECTS: Mapping[str, Subject] = MappingProxyType(
-    {
-        OBSERVER: Subject(BARE_OBSERVER, *OBSERVER_COST_RATIOS),
-        SENSOR: Subject(BARE_SENSOR, *SENSOR_COST_RATIOS),
-        CHAIN: Subject(BARE_SENSOR, *CHAIN_COST_RATIOS),
-        CHAIN + ESTIMATED: Subject(BARE_SENSOR, ESTIMATED_VELOCITY_COST_RATIO),
-        PUBLISHED_CHAIN: Subject(BARE_SENSOR, *CHAIN_COST_RATIOS),
-        PUBLISHED_CHAIN + ESTIMATED: Subject(BARE_SENSOR, ESTIMATED_VELOCITY_COST_RATIO),
-    }
-)
+SUBJECTS: Mapping[str, Subject] = {
+    OBSERVER: Subject(BARE_OBSERVER, *OBSERVER_COST_RATIOS),
+    SENSOR: Subject(BARE_SENSOR, *SENSOR_COST_RATIOS),
+    CHAIN: Subject(BARE_SENSOR, *CHAIN_COST_RATIOS),
+    CHAIN + ESTIMATED: Subject(BARE_SENSOR, ESTIMATED_VELOCITY_COST_RATIO),
+    PUBLISHED_CHAIN: Subject(BARE_SENSOR, *CHAIN_COST_RATIOS),
+    PUBLISHED_CHAIN + ESTIMATED: Subject(BARE_SENSOR, ESTIMATED_VELOCITY_COST_RATIO),
+}
 Times = NDArray[np.float64]
 """Time of each update of a subject [us], shape (blocks, BLOCK)."""
 

@@ -11,16 +11,14 @@ from typing import Any, NamedTuple
 from zipfile import BadZipFile
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.ndimage import uniform_filter1d
 
 from benchmarks import DataError
 from benchmarks.benchmark import Findings, Job, Progress
 from benchmarks.methods import IDENTIFIERS
 from benchmarks.rows import Measurement, Method
+from benchmarks.signals import Array
 from identification import replay
-
-Array = NDArray[np.float64]
 
 WINDOW_m = 0.5e-3
 """The force at a depth is the mean over so much travel to either side."""

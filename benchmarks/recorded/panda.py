@@ -13,7 +13,7 @@ import numpy as np
 import pinocchio as pin
 
 from benchmarks import DataError
-from benchmarks.benchmark import Drawing, Findings, Job, Progress, progress_part
+from benchmarks.benchmark import Findings, Job, Progress, progress_part
 from benchmarks.force_plots import force_figures
 from benchmarks.methods import (
     IDENTIFIERS,
@@ -182,9 +182,7 @@ def run_panda_liver(job: Job, progress: Progress) -> Findings:
         real = replace(config, friction=panda.friction)
         made = run_session(panda.robot, signals, method, TARE_s, part, sensor=real)
         readings.append(made.reading)
-    drawings: tuple[Drawing, ...] = ()
-    if job.drawings is not None:
-        drawings = force_figures(job, job.drawings, truth, readings)
+    drawings = force_figures(job, job.drawings, truth, readings) if job.drawings else ()
     found: list[Measurement] = []
     for reading in readings:
         found += [item for item in wrench_metrics(reading, truth) if item.metric != NOT_JUDGED]

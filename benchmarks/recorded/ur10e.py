@@ -16,7 +16,7 @@ from benchmarks.benchmark import Findings, Job, Progress
 from benchmarks.methods import joint_residual
 from benchmarks.recorded.liver import read_arrays, read_table
 from benchmarks.rows import Measurement
-from benchmarks.signals import JointSignals, tool_jacobians
+from benchmarks.signals import Array, JointSignals, tool_jacobians
 from residual import PUBLISHED, JointFriction, WrenchEstimator
 from urdf import Robot, SerialJoint, build_serial_robot, identify_payload_static
 
@@ -87,8 +87,6 @@ def _robot(table: dict[str, Any]) -> Robot:
 def _placement(row: dict[str, Any]) -> pin.SE3:
     return pin.SE3(pin.rpy.rpyToMatrix(*row["rpy_rad"]), np.array(row["xyz_m"]))
 
-
-Array = NDArray[np.float64]
 
 GAIN_per_s = 20.0
 """That of the known-good figures."""
