@@ -121,7 +121,7 @@ def late(force_N: Array, *, with_velocity: bool = True) -> Array:
     rates_per_s = [DEFAULT.gain_per_s]
     if not with_velocity:
         rates_per_s += [DEFAULT.velocity_bandwidth_per_s] * 2
-    t_s = PERIOD_s * np.arange(len(force_N))
+    t_s = PERIOD_s * np.arange(len(force_N), dtype=np.float64)
     for rate in rates_per_s:
         force_N = lagging(force_N, t_s, 1.0 / rate)
     return force_N

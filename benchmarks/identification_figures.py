@@ -143,25 +143,14 @@ def _facts(figure: PublishedFigure, truth: InsertionTruth, compared: Compared) -
     heads = ("published, tuned, here", "published, one setting, here", "ours, one setting, here")
     items = (compared.tuned, compared.published, compared.ours)
     _, steps = true_friction(truth)["cumulative_friction_Ns_per_m"]
-    friction = [f"{cumulative_friction_Ns_per_m(item.alarms):.0f}" for item in items]
+    ruptures = [_ruptures(item, truth) for item in items]
+    sums = [f"{cumulative_friction_Ns_per_m(item.alarms):.0f}" for item in items]
     forces = [enhanced_metrics(item, truth) for item in items]
-    remaining = [f"{each.get('remaining_force_pct', math.nan):.1f}" for each in forces]
+    left = [f"{each.get('remaining_force_pct', math.nan):.1f}" for each in forces]
     lines = (
-        (
-            f"ruptures detected (true: {len(truth.ruptures)})",
-            figure.ruptures,
-            [_ruptures(item, truth) for item in items],
-        ),
-        (
-            f"cumulative friction in the end (true: {steps[-1]:.0f}) [Ns/m]",
-            figure.friction,
-            friction,
-        ),
-        (
-            "remaining force after the last rupture [% of the axial force]",
-            figure.remaining,
-            remaining,
-        ),
+        (f"ruptures detected (true: {len(truth.ruptures)})", figure.ruptures, ruptures),
+        (f"cumulative friction in the end (true: {steps[-1]:.0f}) [Ns/m]", figure.friction, sums),
+        ("remaining force after the last rupture [% of the axial force]", figure.remaining, left),
     )
     return tuple(
         Fact(what=what, published=published, here=tuple(zip(heads, texts, strict=True)))

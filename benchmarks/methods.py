@@ -1,6 +1,6 @@
 """Both methods on one signal: virtual sensor, F/T sensor, identification; errors of a force."""
 
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, replace
 from typing import NamedTuple
 
@@ -129,12 +129,7 @@ OBSERVER_GAINS_per_s = (5.0, 10.0, 20.0, 40.0, 70.0)
 """The authors' and larger ones; 70/s is ours."""
 
 
-def best_gain(
-    reading: ForceReading,
-    truth: ForceTruth,
-    dt_s: Array,
-    gains_per_s: Sequence[float] = OBSERVER_GAINS_per_s,
-) -> ForceReading:
+def best_gain(reading: ForceReading, truth: ForceTruth, dt_s: Array) -> ForceReading:
     """The published force with the gain of its observer that gives the least error.
 
     One lag is taken off the force and another put on. That is what another gain would give: the
@@ -145,12 +140,11 @@ def best_gain(
     kept = np.exp(-PUBLISHED_SENSOR.slowest_gain_per_s * dt_s[start + 1 :])
     unfiltered = (force[start + 1 :] - kept * force[start:-1]) / (1.0 - kept)
     found: list[tuple[float, Array]] = []
-    for gain_per_s in gains_per_s:
+    for gain_per_s in OBSERVER_GAINS_per_s:
         axial_N, last = force.copy(), float(force[start])
         passed = -np.expm1(-gain_per_s * dt_s[start + 1 :])
-        for k, (value, part) in enumerate(
-            zip(unfiltered.tolist(), passed.tolist(), strict=True), start + 1
-        ):
+        steps = zip(unfiltered.tolist(), passed.tolist(), strict=True)
+        for k, (value, part) in enumerate(steps, start + 1):
             axial_N[k] = last = last + part * (value - last)
         found.append((float(np.mean((axial_N - truth.axial_N)[judged] ** 2)), axial_N))
     return replace(reading, method="published-best-K", axial_N=min(found, key=lambda f: f[0])[1])
@@ -169,12 +163,8 @@ def ft_force(run: Run) -> ForceReading:
     t_s = run.signals.t_s
     resistance = -run.signals.ft_wrench[:, 2]
     free = resistance[(t_s > run.tare_end_s - TARE_s) & (t_s <= run.tare_end_s)]
-    return ForceReading(
-        source="ft",
-        method="default",
-        axial_N=resistance - free.mean(),
-        std_N=np.full(len(t_s), free.std()),
-    )
+    axial_N, std_N = resistance - free.mean(), np.full(len(t_s), free.std())
+    return ForceReading(source="ft", method="default", axial_N=axial_N, std_N=std_N)
 
 
 def joint_residual(
@@ -228,12 +218,6 @@ def alarms_of(result: Replay, t_s: Array, start: int) -> list[Alarm]:
     return found
 
 
-def first_compensation(result: Replay) -> int | None:
-    """Index of the sample at which friction was first identified, if ever."""
-    estimates = enumerate(result.estimates)
-    return next((k for k, found in estimates if found.identified_layer is not None), None)
-
-
 def cumulative_friction_Ns_per_m(alarms: Iterable[Alarm]) -> float:
     """Sum of B d over the traversed layers, each at the speed of its rupture, as known at last."""
     layers = [alarm.layer for alarm in alarms if alarm.layer is not None]
@@ -261,15 +245,9 @@ class Identified:
         """The force it was given, shape (n - start,)."""
         return self.signal.force_N[self.start :]
 
-    @property
-    def enhanced_N(self) -> Array:
-        """Its enhanced force, shape (n - start,)."""
-        return np.array([estimate.enhanced_force_N for estimate in self.result.estimates])
-
-    @property
-    def tip_N(self) -> Array:
-        """Its tip force, shape (n - start,)."""
-        return np.array([estimate.tip_force_N for estimate in self.result.estimates])
+    def series(self, name: str) -> Array:
+        """A number of every estimate, nan where it states none, shape (n - start,)."""
+        return np.array([getattr(each, name) for each in self.result.estimates], dtype=np.float64)
 
 
 def identify(

@@ -62,9 +62,9 @@ class Perturbation(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fie
     def __call__(self, world: "World", rng: Rng) -> "World":
         """The world with this changed, its size drawn."""
         plant = PLANT_MODELS[self.base] if self.base else world.plant
-        numbers: dict[str, Any] = {}
-        for name, limits in self.plant.items():
-            numbers[name] = _like(getattr(plant, name), limits, rng)
+        numbers: dict[str, Any] = {
+            name: _like(getattr(plant, name), limits, rng) for name, limits in self.plant.items()
+        }
         for name, limits in self.times.items():
             factor = drawn(limits, rng)
             numbers[name] = tuple(factor * each for each in getattr(plant, name))

@@ -223,8 +223,8 @@ def _section(
     absent = ", ".join(name for name in item.scenarios if name not in here)
     notice = f"Not among these runs, so missing here: {absent}. For all panels run:"
     return Section(
-        heading=item.heading,
-        anchor=item.anchor,
+        heading=f"{item.name}: {item.title}",
+        anchor=item.name.replace("Figure ", "figure-").replace("Table ", "table-"),
         paragraphs=(f"Published: {item.shows}", f"To compare: {item.see}"),
         notices=(notice,) if absent else (),
         figures=tuple(map(_figure, mine)),

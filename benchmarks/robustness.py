@@ -71,14 +71,9 @@ def perturbed_needle(
     )
     still = replace(signals, dq_rad_s=np.zeros_like(signals.q_rad))
     sent = signals if world.has_speed else still
-    depth_m, speed_m_s = measured_travel(robot, sent, run.tare_end_s)
-    signal = NeedleSignal(
-        source="ft",
-        t_s=signals.t_s,
-        depth_m=depth_m,
-        speed_m_s=speed_m_s if world.has_speed else None,
-        force_N=run.force_N[kept],
-    )
+    depth_m, measured_m_s = measured_travel(robot, sent, run.tare_end_s)
+    speed_m_s = measured_m_s if world.has_speed else None
+    signal = NeedleSignal("ft", signals.t_s, depth_m, speed_m_s, run.force_N[kept])
     return signal, _at_samples(insertion_truth(run), kept)
 
 

@@ -145,8 +145,6 @@ def read_merged(paths: Sequence[str | Path]) -> list[Row]:
 
 UNITS = {"_Ns_per_m": "Ns/m", "_Nm": "Nm", "_N": "N", "_mm": "mm", "_ms": "ms", "_pct": "%"}
 """By the end of a metric's name; a name that ends otherwise is that of a fraction or a count."""
-UNDEFINED = frozenset({"rupture_precision"})
-"""Metrics that may be nan by definition: without an alarm there is no precision."""
 
 
 class Metric(msgspec.Struct, frozen=True, kw_only=True):
@@ -167,8 +165,8 @@ class Metric(msgspec.Struct, frozen=True, kw_only=True):
 
     @property
     def may_be_undefined(self) -> bool:
-        """Whether nan is a result of it rather than a failure."""
-        return self.name in UNDEFINED
+        """Whether nan is a result of it, no failure: without an alarm there is no precision."""
+        return self.name == "rupture_precision"
 
     def is_regression(self, old: float, new: float) -> bool:
         """Whether the new value is worse beyond tolerance; a number that is not finite always."""

@@ -128,7 +128,7 @@ class JointSignals:
         return list(zip(self.q_rad, velocities, self.tau_Nm, self.dt_s.tolist(), strict=True))
 
 
-@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+@dataclass(frozen=True, slots=True, eq=False)
 class NeedleSignal:
     """n samples of depth, speed and force: what an identifier gets."""
 

@@ -123,14 +123,8 @@ def simulated_metrics(case: SimulatedCase) -> list[Measurement]:
 
 def session_signal(case: SimulatedCase, method: Method, force: ForceReading) -> NeedleSignal:
     """A force with depth and speed of a method's session, which come from measured joints."""
-    session = case.sessions[method]
-    return NeedleSignal(
-        source=force.source,
-        t_s=case.signals.t_s,
-        depth_m=session.depth_m,
-        speed_m_s=session.speed_m_s,
-        force_N=force.axial_N,
-    )
+    made, t_s = case.sessions[method], case.signals.t_s
+    return NeedleSignal(force.source, t_s, made.depth_m, made.speed_m_s, force.axial_N)
 
 
 def identify_sources(case: SimulatedCase) -> list[list[Identified]]:
@@ -189,13 +183,7 @@ def run_needle(job: Job, chosen: Scenario, progress: Progress, *, is_drawn: bool
     progress(0.2)
     # The zero of depth is where the tare ended: a user does not know the surface.
     zero = run.depth_m[int(np.searchsorted(run.t_s, run.tare_end_s))]
-    signal = NeedleSignal(
-        source="ft",
-        t_s=run.t_s,
-        depth_m=run.depth_m - zero,
-        speed_m_s=run.speed_m_s,
-        force_N=run.force_N,
-    )
+    signal = NeedleSignal("ft", run.t_s, run.depth_m - zero, run.speed_m_s, run.force_N)
     truth = insertion_truth(run)
     found = [identify(signal, truth, method) for method in IDENTIFIERS]
     found.append(identify_as_run(signal, truth, run.speed_m_s))

@@ -50,12 +50,9 @@ def read_ur10e(data: Path) -> Ur10e:
         robot = _robot(table)
     except KeyError as error:
         raise DataError(f"{folder / 'model.json'} lacks {error}") from error
-    return Ur10e(
-        robot=robot,
-        friction=JointFriction(viscous_Nms=viscous, coulomb_Nm=coulomb, offset_Nm=offset),
-        unloaded=_signals(folder / "unloaded.npz", constant),
-        loaded=_signals(folder / "payload_2805g.npz", constant),
-    )
+    friction = JointFriction(viscous_Nms=viscous, coulomb_Nm=coulomb, offset_Nm=offset)
+    names = ("unloaded.npz", "payload_2805g.npz")
+    return Ur10e(robot, friction, *(_signals(folder / name, constant) for name in names))
 
 
 def _signals(path: Path, torque_constant: np.ndarray) -> JointSignals:
@@ -76,12 +73,9 @@ def _robot(table: dict[str, Any]) -> Robot:
         for row, inertia in zip(table["joints"][:JOINTS], inertias, strict=True)
     ]
     # Identified parameters predict torque; not every link is a possible body.
-    return build_serial_robot(
-        joints,
-        name="ur10e",
-        tool_placement=_placement(table["joints"][JOINTS]),
-        check_inertias=False,
-    ).with_armature(table["rotor_inertia_kg_m2"])
+    tool = _placement(table["joints"][JOINTS])
+    arm = build_serial_robot(joints, name="ur10e", tool_placement=tool, check_inertias=False)
+    return arm.with_armature(table["rotor_inertia_kg_m2"])
 
 
 def _placement(row: dict[str, Any]) -> pin.SE3:
