@@ -21,7 +21,6 @@ from benchmarks.tables import NOTHING, ResultTable
 from groundtruth import Run, simulate
 from needleforce import InsertionSession, SessionEstimate, SessionSnapshot
 from residual import DEFAULT, SensorWarning, Status, TareError
-from urdf import Robot
 
 SCENARIO, PLANT = "gel-70-constant", "clean"
 DEPTH_M = 20e-3
@@ -245,7 +244,12 @@ def tare_in_contact(run: Run, at: int) -> FaultResult:
 
 def wrong_payload(run: Run) -> FaultResult:
     """The tool is heavier than the estimator knows, from the start."""
-    session = InsertionSession(_lighter(run.robot), on_lwr(DEFAULT))
+    known = run.robot.payload
+    assert known is not None
+    mass_kg = known.mass_kg - UNKNOWN_KG
+    inertia_kg_m2 = mass_kg / known.mass_kg * known.inertia_kg_m2
+    lighter = replace(known, mass_kg=mass_kg, inertia_kg_m2=inertia_kg_m2)
+    session = InsertionSession(run.robot.with_payload(lighter), on_lwr(DEFAULT))
     feed(session, FaultStream.of_run(run, 0, tare_index(run), np.zeros(len(run.signals.t_s))))
     session.tare()
     return _insert(session, run, f"payload {1e3 * UNKNOWN_KG:g} g wrong from the start")
@@ -259,15 +263,6 @@ def _insert(session: InsertionSession, run: Run, name: str) -> FaultResult:
     lasting = judge(name, insertion.copy(0, 0), found)
     worst = judge(name, insertion.copy(0, count - tare), found)
     return replace(worst, recovery_s=lasting.recovery_s)
-
-
-def _lighter(robot: Robot) -> Robot:
-    """The robot with less of a tool than it really carries."""
-    known = robot.payload
-    assert known is not None
-    mass_kg = known.mass_kg - UNKNOWN_KG
-    inertia_kg_m2 = mass_kg / known.mass_kg * known.inertia_kg_m2
-    return robot.with_payload(replace(known, mass_kg=mass_kg, inertia_kg_m2=inertia_kg_m2))
 
 
 def recovery(seconds: float) -> str:

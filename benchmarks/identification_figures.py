@@ -6,11 +6,7 @@ from pathlib import Path
 
 from benchmarks.benchmark import Drawing, Fact, Job
 from benchmarks.force_plots import RunFigures
-from benchmarks.identification_metrics import (
-    enhanced_metrics,
-    identify_as_run,
-    offline_metrics,
-)
+from benchmarks.identification_metrics import enhanced_metrics, identify_as_run, offline_metrics
 from benchmarks.identification_plots import (
     SENSORS,
     Compared,

@@ -35,8 +35,6 @@ QUICK = (
     "liver-constant",
     "abdomen-sinusoidal",
 )
-
-
 PLANTS = (*PLANT_MODELS, NEEDLE)
 _SIMULATED = (
     *(

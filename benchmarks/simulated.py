@@ -36,9 +36,6 @@ from groundtruth.scenarios import DRAWN
 
 NEEDLE = "needle"
 """The plant of a simulation without an arm."""
-SIMULATION_PART, READING_PART = 0.5, 0.85
-"""Of a job's time until the simulation has ended and until identification begins, for the progress
-bar."""
 
 
 def run_simulated(job: Job, progress: Progress) -> Findings:
@@ -46,8 +43,8 @@ def run_simulated(job: Job, progress: Progress) -> Findings:
     chosen = scenario(job.benchmark, job.seed)
     if job.plant == NEEDLE:
         return run_needle(job, chosen, progress, is_drawn=job.benchmark in DRAWN)
-    run = simulate(chosen, job.plant, job.seed, progress_part(progress, 0.0, SIMULATION_PART))
-    case = read_sensors(run, progress_part(progress, SIMULATION_PART, READING_PART))
+    run = simulate(chosen, job.plant, job.seed, progress_part(progress, 0.0, 0.5))
+    case = read_sensors(run, progress_part(progress, 0.5, 0.85))
     drawings = force_figures(job, job.drawings, case.truth, case.readings) if job.drawings else ()
     measured = simulated_metrics(case)
     if chosen.layers:

@@ -352,8 +352,6 @@ def worst_rows(rows: Sequence[Row]) -> str:
 
 BEGIN = "<!-- results:begin -->"
 END = "<!-- results:end -->"
-
-
 SUMMED = ("published", "published-best-K", "default")
 
 

@@ -141,9 +141,9 @@ def identification_values(
         virtual = liver_estimates(t_s, depth, by_method[method], method, reference)
         by_source: dict[Source, LiverEstimates] = {"ft": ft, "virtual": virtual}
         for source, item in by_source.items():
-            values = dict([*friction_values([item]), *rupture_values([item])])
-            kept = (each for each in values.items() if not each[0].endswith(OF_MANY))
-            found += [Measurement(source, method, *each) for each in kept]
+            for name, value in (*friction_values([item]), *rupture_values([item])):
+                if not name.endswith(OF_MANY):
+                    found.append(Measurement(source, method, name, value))
         off = float(np.sqrt(np.mean((virtual.enhanced_N - ft.enhanced_N) ** 2)))
         found.append(Measurement("virtual", method, "enhanced_against_ft_rmse_N", off))
     return found
