@@ -90,7 +90,7 @@ class Benchmark:
     title: str  # one line for people
     run: Callable[[Job, Progress], Findings]  # does a job of it
     needs: tuple[str, ...] = ()  # folders of recordings it reads; none for a simulation
-    recordings: int = 1  # how many there are: its seeds; a simulation has any number
+    seeds: int = 1  # how many recordings it has, one a seed; a simulation takes any seed
     is_default: bool = True  # whether it runs when nothing is named
     plants: tuple[str, ...] = ("clean",)  # on which plants a simulation runs when none is named
     possible: tuple[str, ...] = tuple(PLANT_MODELS)  # on which plants a simulation can run

@@ -86,7 +86,7 @@ _RECORDED = (
         title="real liver force on the real torques of a Panda; one insertion per seed",
         run=run_panda_liver,
         needs=(panda.FOLDER, liver.FOLDER),
-        recordings=len(liver.NUMBERS),
+        seeds=len(liver.NUMBERS),
     ),
     Benchmark(
         id="ur10e-payload",
@@ -220,7 +220,7 @@ def _jobs(item: Benchmark, request: Request) -> list[Job]:
     first, seeds = request.first_seed, request.seeds
     plants = _plants(item, request)
     if item.is_recorded:
-        first, seeds, plants = 0, min(item.recordings, request.seeds), (RECORDING,)
+        first, seeds, plants = 0, min(item.seeds, request.seeds), (RECORDING,)
     return [
         Job(
             benchmark=item.id,
