@@ -144,6 +144,13 @@ class SessionEstimate(NamedTuple):
         return self.wrench.warnings
 
 
+class Checkpoint(NamedTuple):
+    """Where the identification can go back to."""
+
+    time_s: float  # see `SessionEstimate`
+    identifier: IdentifierSnapshot
+
+
 class SessionSnapshot(NamedTuple):
     """All that an `InsertionSession` remembers; immutable."""
 
@@ -155,6 +162,7 @@ class SessionSnapshot(NamedTuple):
     speed_lag_s: float  # setting of the session
     unused_s: float  # time of valid samples that were not used for identification
     time_s: float  # see `SessionEstimate`
+    earlier: tuple[Checkpoint, Checkpoint]  # older and newer
     plan: PlanMemory
 
 
@@ -168,6 +176,8 @@ _NOT_USED = (
     | SensorWarning.TARE_EXPIRED
     | SensorWarning.VELOCITY
 )
+_TAKEN_BACK_S = 0.25
+"""A push on the arm grows for so long before it is known as one."""
 # Looking up a name of an enumeration takes as long as a call, so it is done once.
 _OK, _REJECTED = Status.OK, Status.REJECTED
 _USED = tuple(status for status in SampleStatus if status.is_used)
@@ -311,6 +321,7 @@ class InsertionSession:
         self._identifier.reset()
         self._identification = self._identifier.snapshot().last
         self._unused_s = 0.0
+        self._keep_checkpoint()
         self._plan.begin(*self._zero)
 
     def reset(self) -> None:
@@ -330,6 +341,7 @@ class InsertionSession:
             self._speed_lag_s,
             self._unused_s,
             self._time_s,
+            self._earlier,
             self._plan.memory,
         )
 
@@ -364,7 +376,7 @@ class InsertionSession:
         (depth_m, speed_m_s), (late_m, late_m_s) = snapshot.travel, snapshot.lagging
         self._travel = depth_m, speed_m_s, late_m, late_m_s
         self._unused_s = snapshot.unused_s
-        self._time_s = snapshot.time_s
+        self._time_s, self._earlier = snapshot.time_s, snapshot.earlier
         self._identification = _without_events(snapshot.identifier.last)
         self._plan.resume(snapshot.plan, plan_state)
 
@@ -372,7 +384,8 @@ class InsertionSession:
         """Refuse what would fail in later updates; nothing of this session changes."""
         twin = Identifier(self._identifier_config)
         try:
-            twin.restore(snapshot.identifier)
+            for part in (*(each.identifier for each in snapshot.earlier), snapshot.identifier):
+                twin.restore(part)
             for _ in range(3):
                 twin.update(*snapshot.travel, 0.0, 1e-3)
             sizes = [np.shape(part) for part in snapshot.zero]
@@ -408,7 +421,10 @@ class InsertionSession:
         tip, lags_s = (axis, tool.pose, tool.axial_jacobian, dq), (self._speed_lag_s, lag_s)
         self._travel = travel = travel_step(tip, self._start_m, self._travel, elapsed_s, lags_s)
         if status is not _OK or (wrench.warnings and wrench.warnings & _NOT_USED):
-            self._unused_s += elapsed_s
+            if wrench.warnings & SensorWarning.MODEL_MISMATCH and not self._unused_s:
+                self._go_back()
+            else:
+                self._unused_s += elapsed_s
             return self._idle(wrench)
         if self._unused_s:
             elapsed_s, self._unused_s = elapsed_s + self._unused_s, 0.0
@@ -419,13 +435,28 @@ class InsertionSession:
             # A lateral push looks like a rupture before its mismatch has lasted long enough.
             wrench = self._sensor.recheck(wrench)
             if wrench.warnings & SensorWarning.MODEL_MISMATCH:
-                self._identifier.undo_rupture()
-                self._unused_s = elapsed_s
+                self._go_back()
                 return self._idle(wrench)
         self._identification = found
+        if (found.rupture, found.identified_layer, found.retracted) != (None, None, None):
+            self._keep_checkpoint()  # what has been reported is not reported again
+        elif self._time_s >= self._earlier[1].time_s + _TAKEN_BACK_S:
+            self._earlier = self._earlier[1], Checkpoint(self._time_s, self._identifier.snapshot())
         self._plan.follow(found, travel[2])
         at = (found.status in _USED, self._time_s, self._plan.state)
         return _new(SessionEstimate, (wrench, *travel[:2], found, status, *at))
+
+    def _keep_checkpoint(self) -> None:
+        now = Checkpoint(self._time_s, self._identifier.snapshot())
+        self._earlier = now, now
+
+    def _go_back(self) -> None:
+        """Take from the identification what a push has put into it before it was known as one."""
+        before = self._earlier[0]
+        self._identifier.restore(before.identifier)
+        self._identification = before.identifier.last
+        self._unused_s = self._time_s - before.time_s
+        self._earlier = before, before
 
     def _idle(self, wrench: WrenchEstimate) -> SessionEstimate:
         """A tick that is not used for identification."""
