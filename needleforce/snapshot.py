@@ -22,7 +22,7 @@ from identification import Snapshot as IdentifierSnapshot
 from identification.published_identifier import PublishedState
 from identification.switching_identifier import SwitchingState
 from needleforce.files import whole_file
-from needleforce.session import SessionSnapshot, SnapshotFileError
+from needleforce.session import Checkpoint, SessionSnapshot, SnapshotFileError
 from residual.virtual_force_sensor import SensorState
 
 SNAPSHOT_FORMAT = "needleforce-snapshot"
@@ -160,8 +160,13 @@ def _decoded(envelope: _Envelope) -> AnySnapshot:
     identifier = _annotated(IdentifierSnapshot, _METHODS[envelope.method])
     if envelope.kind == "identifier":
         return IdentifierSnapshot(*_typed(envelope.data, identifier))
-    found = _typed(envelope.data, _annotated(SessionSnapshot, {"identifier": identifier}))
-    return SessionSnapshot(*found)._replace(identifier=IdentifierSnapshot(*found.identifier))
+    checkpoint = _annotated(Checkpoint, {"identifier": identifier})
+    special = {"identifier": identifier, "earlier": tuple[checkpoint, checkpoint]}
+    found = _typed(envelope.data, _annotated(SessionSnapshot, special))
+    older, newer = (Checkpoint(at, IdentifierSnapshot(*part)) for at, part in found.earlier)
+    return SessionSnapshot(*found)._replace(
+        identifier=IdentifierSnapshot(*found.identifier), earlier=(older, newer)
+    )
 
 
 def _annotated(kind: type[Any], special: dict[str, Any]) -> Any:

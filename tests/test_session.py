@@ -240,6 +240,22 @@ def test_a_push_on_the_elbow_raises_no_rupture(first):
     assert all(e.status is Status.OK for e in found)
 
 
+def test_what_a_push_did_before_it_was_known_is_taken_back():
+    session, rows = resumed_after(INSIDE, 900)
+    still, _ = resumed_after(INSIDE, 900)
+    history = []
+    for row in rows:
+        still.update(*row)
+        history.append(still.snapshot().identifier.samples)
+    for k, row in enumerate(pushed(rows, (0.0, 2.0, 0.0), 700, 200, joint=4)):
+        if SensorWarning.MODEL_MISMATCH in session.update(*row).warnings:
+            break
+    taken = session.snapshot().identifier.samples
+    same = [n for n, samples in enumerate(history) if np.array_equal(samples, taken)]
+    assert k - 520 < same[-1] <= k - 250  # as if nothing had come since
+    assert session.snapshot().unused_s == pytest.approx(1e-3 * (k - same[-1]), abs=2e-3)
+
+
 def test_a_rupture_after_a_push_on_the_elbow_is_found():
     found, layers = {}, {}
     for case in ("undisturbed", "pushed"):
