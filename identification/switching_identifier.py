@@ -207,7 +207,7 @@ class SwitchingMethod:
         place = Place(sample[0] - 0.5 * filled, filled, z, steady, w, force, usual, levels.noise)
         course = course._replace(deepest=max(last, z), usual_speed=usual, speed=steady)
         _predict(bank, place, fresh, levels)
-        facts = bank.bank.facts
+        facts = bank.store[3][: bank.size]
         is_met = bool((facts[:, law.KIND] != law.AIR).any() or (facts[:, law.RUPTURES] > 0.0).any())
         stage = _REPORT
         if (is_advancing or not is_met) and not is_gap:
@@ -233,7 +233,7 @@ class SwitchingMethod:
         is_fast = place.speed > _HALF * place.usual_speed
         if is_fast and place.depth - course.spawned >= STEP_MM:
             begin = place._replace(depth=place.depth - 0.5 * place.speed * place.dt_s)
-            bank.spawn(begin, course.spawned, _tissue_speed(bank.bank, place, state.levels))
+            bank.spawn(begin, course.spawned, _tissue_speed(bank, place, state.levels))
             course = course._replace(spawned=place.depth)
         _weigh(bank, place, is_advancing=True)
         self._state = state._replace(course=course, stage=_PRUNE)
@@ -290,9 +290,9 @@ def _learn(
     law.absorb(bank.store, bank.size, scene, place.force, variance, depth_std)
 
 
-def _tissue_speed(bank: Bank, place: Place, levels: DisturbanceLevels) -> float:
+def _tissue_speed(bank: BankMemory, place: Place, levels: DisturbanceLevels) -> float:
     """Standard deviation of the speed at which tissue moves by itself [mm/s], as its force says."""
-    best, fact = bank.means[0].tolist(), bank.facts[0].tolist()
+    best, fact = bank.store[0][0].tolist(), bank.store[3][0].tolist()
     travel, length = (max(place.depth - fact[at], 0.0) for at in (law.TIP, law.ROOT))
     slope = best[law.STIFFNESS] + 2.0 * best[law.STIFFENING] * travel
     slope += best[law.OWN_COULOMB] * place.deflection + best[law.OWN_VISCOUS] * place.speed
@@ -367,9 +367,11 @@ def _report_layer(state: SwitchingState, bank: Bank, alarm: Rupture) -> Switchin
     layers, events = state.layers, state.events
     travel = state.place.depth / _MM - alarm.depth_m
     if state.is_open:
+        if travel < _PROVISIONAL_M:
+            return state
         known = state.friction_left(bank)
         layer = None if known is None else reports.layer_left(bank, alarm, state.ruptures, known)
-        if layer is None or travel < _PROVISIONAL_M:
+        if layer is None:
             return state
         return state._replace(
             layers=(*layers, layer),
