@@ -247,7 +247,8 @@ def filter_travel(
     learn_noise(m, OF_DEPTH, depth_m, dt_s, _LEAST_DEPTH_VARIANCE)
     noise = max(_noise(m, OF_DEPTH, _OF_DEPTHS, dt_s), _LEAST_DEPTH_VARIANCE)
     if m[_VAR_DEPTH] == 0.0 or dt_s > _GAP_S:
-        m[_DEPTH:OF_DEPTH] = 0.0
+        for k in range(_DEPTH, OF_DEPTH):
+            m[k] = 0.0
         m[_DEPTH], m[_SPEED] = depth_m, (speed_m_s if is_measured else 0.0)
         m[_VAR_DEPTH], m[_VAR_SPEED] = _UNKNOWN_DEPTH_VARIANCE, _UNKNOWN_SPEED_VARIANCE
         m[_NOISE_DEPTH] = noise
@@ -275,7 +276,7 @@ def filter_travel(
         learn_noise(m, _OF_DEPTHS, m[_DEPTH_SUM] / n, length_s, _LEAST_DEPTH_VARIANCE)
         if is_measured:
             learn_noise(m, _OF_SPEEDS, m[_SPEED_SUM] / n, length_s, _LEAST_SPEED_VARIANCE)
-        m[_FILLED:SAMPLE_MEMORY] = 0.0
+        m[_FILLED] = m[_SAMPLES] = m[_DEPTH_SUM] = m[_SPEED_SUM] = 0.0
     depth_variance, speed_variance = max(m[_NOISE_DEPTH], 0.0), max(m[_NOISE_SPEED], 0.0)
     return m[_DEPTH], m[_SPEED], math.sqrt(depth_variance), math.sqrt(speed_variance)
 
