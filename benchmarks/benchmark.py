@@ -7,6 +7,7 @@ from typing import NamedTuple
 
 from benchmarks import DataError
 from benchmarks.rows import Measurement, Row
+from groundtruth import PLANT_MODELS
 from needleforce.plots import PageFigure
 
 RECORDING = "recording"
@@ -89,11 +90,11 @@ class Benchmark:
     title: str  # one line for people
     run: Callable[[Job, Progress], Findings]  # does a job of it
     needs: tuple[str, ...] = ()  # folders of recordings it reads; none for a simulation
-    seeds: int | None = None  # how many different seeds it has; None for any number
+    seeds: int = 1  # how many recordings it has, one a seed; a simulation takes any seed
     is_default: bool = True  # whether it runs when nothing is named
     plants: tuple[str, ...] = ("clean",)  # on which plants a simulation runs when none is named
+    possible: tuple[str, ...] = tuple(PLANT_MODELS)  # on which plants a simulation can run
     perturbs: bool = False  # whether its plants are names of perturbations
-    needs_arm: bool = True  # whether a simulation without an arm has nothing to show
 
     @property
     def is_recorded(self) -> bool:

@@ -17,13 +17,10 @@ from collections.abc import Sequence
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.linalg import cholesky, solve_triangular, toeplitz
 
-from benchmarks.signals import InsertionTruth, NeedleSignal, lagging
+from benchmarks.signals import Array, InsertionTruth, NeedleSignal, lagging
 from groundtruth import Rupture
-
-Array = NDArray[np.float64]
 
 AROUND_s = 0.15
 """Left out from the onset of a release to so long after its end: there a lag looks like noise."""
@@ -55,12 +52,6 @@ def autocovariance(error_N: Array, length: int) -> Array:
     spectrum = np.abs(np.fft.rfft(error_N, 2 * count)) ** 2
     lags = np.fft.irfft(spectrum)[: min(length, count)] / count
     return np.concatenate((lags, np.zeros(length - len(lags))))
-
-
-def whitener(covariance: Array) -> Array:
-    """Lower factor L of L L' = C for the Toeplitz matrix C of an autocovariance, shape (n, n)."""
-    matrix = toeplitz(covariance) + _FLOOR * covariance[0] * np.eye(len(covariance))
-    return np.asarray(np.linalg.cholesky(matrix), dtype=np.float64)
 
 
 MEASURED_m = 3e-3
@@ -179,13 +170,19 @@ def delay_bounds_s(
     """
     tick = truth.period_s
     before, within = round(BEFORE_s / tick), round(WITHIN_s / tick)
-    factor = whitener(autocovariance(error_N, before + within))
+    covariance = autocovariance(error_N, before + within)
+    matrix = toeplitz(covariance) + _FLOOR * covariance[0] * np.eye(len(covariance))
+    factor = cholesky(matrix, lower=True)
+    delays = tick * np.arange(1.0, within + 1.0)
+    needed_nats = np.log(np.maximum(INTERVAL_s / delays, math.e))
     found = []
     for rupture in ruptures:
         course = np.concatenate((np.zeros(before), release_course_N(truth, rupture, within)))
         course = lagging(course, tick * np.arange(float(len(course))), lag_s)
-        evidence = evidence_nats(course, factor)[before:]
-        found.append(least_delay_s(evidence, tick * np.arange(1.0, within + 1.0)))
+        # Kullback-Leibler divergence gathered up to each sample, noise of that covariance.
+        nats = 0.5 * np.cumsum(np.square(solve_triangular(factor, course, lower=True)))
+        enough = np.flatnonzero(nats[before:] >= needed_nats)
+        found.append(float(delays[enough[0]]) if len(enough) else math.inf)
     return found
 
 
@@ -199,20 +196,3 @@ def release_course_N(truth: InsertionTruth, rupture: Rupture, count: int) -> Arr
     inside = np.minimum(np.arange(begin, begin + count), len(truth.t_s) - 1)
     time = truth.t_s[inside] - rupture.onset_s
     return np.asarray(truth.axial_N[inside] - level - slope * time)
-
-
-def evidence_nats(course_N: Array, factor: Array) -> Array:
-    """Kullback-Leibler divergence gathered up to each sample, shape (n,).
-
-    `course_N`, shape (n,), is the mean of the force with the release less that without; `factor @
-    factor.T` the covariance of the noise, factor lower triangular, shape (n, n).
-    """
-    white = np.asarray(solve_triangular(factor, course_N, lower=True))
-    return np.asarray(0.5 * np.cumsum(white**2))
-
-
-def least_delay_s(evidence: Array, delay_s: Array, interval_s: float = INTERVAL_s) -> float:
-    """First delay by which the evidence [nats] is enough; inf if it never is; shapes (n,)."""
-    needed = np.log(np.maximum(interval_s / delay_s, math.e))
-    enough = np.flatnonzero(evidence >= needed)
-    return float(delay_s[enough[0]]) if len(enough) else math.inf

@@ -214,13 +214,13 @@ def _run_apart(
     from benchmarks.anatomy_study import run_anatomy, show_anatomy
     from benchmarks.control_study import control_jobs, run_control, show_control
 
-    is_anatomy = any(name.startswith("anatomy") for name in ids)
-    if is_anatomy and workers.cluster:
-        raise BenchmarkError("anatomy runs in this process: use it without --cluster")
-    work = [] if is_anatomy else control_jobs(ids, plants, *seeds)
-    with progress_bar("anatomy" if is_anatomy else "control") as update:
-        if is_anatomy:
+    if any(name.startswith("anatomy") for name in ids):
+        if workers.cluster:
+            raise BenchmarkError("anatomy runs in this process: use it without --cluster")
+        with progress_bar("anatomy") as update:
             return show_anatomy(run_anatomy(ids, seeds[0], data, update), to)
+    work = control_jobs(ids, plants, *seeds)
+    with progress_bar("control") as update:
         rows = run_control(work, workers, update)
     return show_control(rows, to)
 

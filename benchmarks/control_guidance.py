@@ -19,15 +19,7 @@ from benchmarks.control_study import Figure
 from benchmarks.methods import on_lwr
 from groundtruth.rig_arm import SimulatedArm
 from groundtruth.rig_contacts import HandOnArm
-from needleforce.control import (
-    AxialSpeed,
-    Controller,
-    Fixture,
-    Guidance,
-    Limits,
-    Posture,
-    Task,
-)
+from needleforce.control import AxialSpeed, Controller, Fixture, Guidance, Limits, Posture, Task
 from residual import DEFAULT, Status, VirtualForceSensor
 
 Array = NDArray[np.float64]

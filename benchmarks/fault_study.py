@@ -5,8 +5,6 @@ from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
-from numpy.typing import NDArray
-from scipy.signal import lfilter
 
 from benchmarks.faults import (
     SIGNAL_FAULTS,
@@ -18,13 +16,11 @@ from benchmarks.faults import (
     wrist_at_limit,
 )
 from benchmarks.methods import on_lwr
+from benchmarks.signals import Array, lagging
 from benchmarks.tables import NOTHING, ResultTable
 from groundtruth import Run, simulate
 from needleforce import InsertionSession, SessionEstimate, SessionSnapshot
 from residual import DEFAULT, SensorWarning, Status, TareError
-from urdf import Payload, Robot
-
-Array = NDArray[np.float64]
 
 SCENARIO, PLANT = "gel-70-constant", "clean"
 DEPTH_M = 20e-3
@@ -124,9 +120,9 @@ def late(force_N: Array, *, with_velocity: bool = True) -> Array:
     rates_per_s = [DEFAULT.gain_per_s]
     if not with_velocity:
         rates_per_s += [DEFAULT.velocity_bandwidth_per_s] * 2
+    t_s = PERIOD_s * np.arange(len(force_N), dtype=np.float64)
     for rate in rates_per_s:
-        decay = np.exp(-PERIOD_s * rate)
-        force_N = np.asarray(lfilter([1.0 - decay], [1.0, -decay], force_N), dtype=np.float64)
+        force_N = lagging(force_N, t_s, 1.0 / rate)
     return force_N
 
 
@@ -248,7 +244,12 @@ def tare_in_contact(run: Run, at: int) -> FaultResult:
 
 def wrong_payload(run: Run) -> FaultResult:
     """The tool is heavier than the estimator knows, from the start."""
-    session = InsertionSession(_lighter(run.robot), on_lwr(DEFAULT))
+    known = run.robot.payload
+    assert known is not None
+    mass_kg = known.mass_kg - UNKNOWN_KG
+    inertia_kg_m2 = mass_kg / known.mass_kg * known.inertia_kg_m2
+    lighter = replace(known, mass_kg=mass_kg, inertia_kg_m2=inertia_kg_m2)
+    session = InsertionSession(run.robot.with_payload(lighter), on_lwr(DEFAULT))
     feed(session, FaultStream.of_run(run, 0, tare_index(run), np.zeros(len(run.signals.t_s))))
     session.tare()
     return _insert(session, run, f"payload {1e3 * UNKNOWN_KG:g} g wrong from the start")
@@ -262,16 +263,6 @@ def _insert(session: InsertionSession, run: Run, name: str) -> FaultResult:
     lasting = judge(name, insertion.copy(0, 0), found)
     worst = judge(name, insertion.copy(0, count - tare), found)
     return replace(worst, recovery_s=lasting.recovery_s)
-
-
-def _lighter(robot: Robot) -> Robot:
-    """The robot with less of a tool than it really carries."""
-    known = robot.payload
-    assert known is not None
-    fraction = 1.0 - UNKNOWN_KG / known.mass_kg
-    inertia = fraction * known.inertia_kg_m2
-    mass_kg = fraction * known.mass_kg
-    return robot.with_payload(Payload(mass_kg=mass_kg, com_m=known.com_m, inertia_kg_m2=inertia))
 
 
 def recovery(seconds: float) -> str:

@@ -4,19 +4,16 @@ import math
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
 from functools import partial
-from types import MappingProxyType
 
 import numpy as np
 import pinocchio as pin
-from numpy.typing import NDArray
 
+from benchmarks.signals import Array, inverse_dynamics, tool_jacobians
 from groundtruth import PLANT_MODELS, Motion, Run, Scenario
 from groundtruth.arm_plant import lwr_bodies
 from groundtruth.materials import gel
-from groundtruth.motion import Move, Profile, chain_strokes
+from groundtruth.motion import Move, Profile, Stroke, chain_strokes
 from urdf import load_lwr
-
-Array = NDArray[np.float64]
 
 SERIES = ("dt_s", "q_rad", "dq_rad_s", "tau_Nm", "reference_N")
 """Fields of a stream with one entry per sample."""
@@ -136,28 +133,26 @@ def saturated(stream: FaultStream, at: int, *, samples: int) -> FaultStream:
     return stuck_torque(stream, at, samples=samples, value=-limit_Nm)
 
 
-SIGNAL_FAULTS: Mapping[str, Injection] = MappingProxyType(
-    {
-        "one torque NaN, 1 sample": partial(stuck_torque, samples=1, value=np.nan),
-        "one torque infinite, 100 ms": partial(stuck_torque, samples=100, value=np.inf),
-        "one torque NaN, 1 s": partial(stuck_torque, samples=1000, value=np.nan),
-        "all signals frozen, 200 ms": partial(frozen, samples=200),
-        "all signals frozen, 2 s": partial(frozen, samples=2000),
-        "one torque frozen, 2 s": partial(stuck_torque, samples=2000),
-        "1 ms lost": partial(lost, samples=1),
-        "10 ms lost": partial(lost, samples=10),
-        "100 ms lost": partial(lost, samples=100),
-        "500 ms lost": partial(lost, samples=500),
-        "clock jitter of 0.2 ms, 2 s": partial(jittering_clock, samples=2000, std_s=2e-4),
-        "time stamps repeated, 1 s": partial(repeated_stamps, samples=1000),
-        "clock 20 ms back and forth": partial(backward_stamp, back_s=0.02, returns=True),
-        "clock set back by an hour": partial(backward_stamp, back_s=3600.0, returns=False),
-        "position spike of 0.05 rad": partial(spike, q_rad=0.05),
-        "torque spike of 30 Nm": partial(spike, tau_Nm=30.0),
-        "ten torque spikes of 6 Nm, 1 s": partial(spike, tau_Nm=6.0, times=10),
-        "one torque saturated, 500 ms": partial(saturated, samples=500),
-    }
-)
+SIGNAL_FAULTS: Mapping[str, Injection] = {
+    "one torque NaN, 1 sample": partial(stuck_torque, samples=1, value=np.nan),
+    "one torque infinite, 100 ms": partial(stuck_torque, samples=100, value=np.inf),
+    "one torque NaN, 1 s": partial(stuck_torque, samples=1000, value=np.nan),
+    "all signals frozen, 200 ms": partial(frozen, samples=200),
+    "all signals frozen, 2 s": partial(frozen, samples=2000),
+    "one torque frozen, 2 s": partial(stuck_torque, samples=2000),
+    "1 ms lost": partial(lost, samples=1),
+    "10 ms lost": partial(lost, samples=10),
+    "100 ms lost": partial(lost, samples=100),
+    "500 ms lost": partial(lost, samples=500),
+    "clock jitter of 0.2 ms, 2 s": partial(jittering_clock, samples=2000, std_s=2e-4),
+    "time stamps repeated, 1 s": partial(repeated_stamps, samples=1000),
+    "clock 20 ms back and forth": partial(backward_stamp, back_s=0.02, returns=True),
+    "clock set back by an hour": partial(backward_stamp, back_s=3600.0, returns=False),
+    "position spike of 0.05 rad": partial(spike, q_rad=0.05),
+    "torque spike of 30 Nm": partial(spike, tau_Nm=30.0),
+    "ten torque spikes of 6 Nm, 1 s": partial(spike, tau_Nm=6.0, times=10),
+    "one torque saturated, 500 ms": partial(saturated, samples=500),
+}
 """What sensors, wires and clocks do, by name."""
 
 WRIST = 5
@@ -170,14 +165,9 @@ def loaded(
     run: Run, stream: FaultStream, at: int, samples: int, force_in_base_N: Array
 ) -> FaultStream:
     """A force on the tool beside that of the tissue, for some samples."""
-    bad = stream.copy(at, at + samples)
-    data = run.robot.create_data()
+    bad, part = stream.copy(at, at + samples), slice(at, at + samples)
     axes = pin.ReferenceFrame.LOCAL_WORLD_ALIGNED
-    for k in range(at, at + samples):
-        jacobian = pin.computeFrameJacobian(
-            run.robot.model, data, bad.q_rad[k], run.robot.tool_frame_id, axes
-        )
-        bad.tau_Nm[k] -= jacobian[:3].T @ force_in_base_N
+    bad.tau_Nm[part] -= force_in_base_N @ tool_jacobians(run.robot, bad.q_rad[part], axes)[:, :3]
     return bad
 
 
@@ -196,19 +186,15 @@ def detour(run: Run, stream: FaultStream, target_rad: Array, stop_Nm: Array) -> 
     mass_seed, _ = np.random.SeedSequence(run.seed).spawn(2)
     level = PLANT_MODELS[run.plant]
     model = lwr_bodies(run.tool, level, np.random.default_rng(mass_seed)).model()
-    data = model.createData()
-    ideal = np.array([pin.rnea(model, data, *row) for row in zip(q, dq, ddq, strict=True)])
-    offset = stream.tau_Nm[:20].mean(axis=0) - pin.computeGeneralizedGravity(model, data, start)
+    # It begins at rest: the first torque is that of gravity.
+    tau = inverse_dynamics(model, q, dq, ddq)
+    tau += stream.tau_Nm[:20].mean(axis=0) - tau[0] - (fraction > 1.0 - 1e-9)[:, None] * stop_Nm
     rng = np.random.default_rng(0)
-    pressed = fraction > 1.0 - 1e-9
     made = FaultStream(
         dt_s=np.full(len(q), PERIOD_s),
         q_rad=q + level.position_noise_std_rad * rng.normal(size=q.shape),
         dq_rad_s=dq + (level.velocity_noise_std_rad_s or 0.0) * rng.normal(size=q.shape),
-        tau_Nm=ideal
-        + offset
-        - pressed[:, None] * stop_Nm
-        + np.array(level.torque_noise_std_Nm) * rng.normal(size=q.shape),
+        tau_Nm=tau + np.array(level.torque_noise_std_Nm) * rng.normal(size=q.shape),
         reference_N=np.zeros(len(q)),
         stop=len(q),
     )
@@ -218,16 +204,10 @@ def detour(run: Run, stream: FaultStream, target_rad: Array, stop_Nm: Array) -> 
 
 def _there_and_back() -> tuple[Array, Array, Array]:
     """Fraction of the way and its first two derivatives: quintic out, a stay, quintic back."""
-    s = np.arange(0.0, 1.0, PERIOD_s / TRAVEL_S)
-    way = s**3 * (10.0 + s * (6.0 * s - 15.0))
-    rate = 30.0 * (s * (1.0 - s)) ** 2 / TRAVEL_S
-    change = 60.0 * s * (1.0 - s) * (1.0 - 2.0 * s) / TRAVEL_S**2
-    still = np.zeros(round(STAY_S / PERIOD_s))
-    return (
-        np.concatenate((way, still + 1.0, way[::-1])),
-        np.concatenate((rate, still, -rate[::-1])),
-        np.concatenate((change, still, change[::-1])),
-    )
+    t_s = np.arange(0.0, 2.0 * TRAVEL_S + STAY_S, PERIOD_s, dtype=np.float64)
+    out, back = (Stroke("quintic", at_s, TRAVEL_S, 0.0, 1.0) for at_s in (0.0, TRAVEL_S + STAY_S))
+    fraction, rate = np.subtract(out.evaluate(t_s), back.evaluate(t_s))
+    return fraction, rate, np.gradient(rate, PERIOD_s)
 
 
 def wrist_at_limit(run: Run, stream: FaultStream) -> FaultStream:

@@ -6,16 +6,14 @@ from pathlib import Path
 from typing import Literal
 
 import numpy as np
-from numpy.typing import NDArray
 
 from benchmarks.benchmark import Drawing, Fact, Job
 from benchmarks.methods import ForceReading, force_lag_s
 from benchmarks.published_figures import FORCE_PANELS
-from benchmarks.signals import ForceTruth
+from benchmarks.signals import Array, ForceTruth
 from benchmarks.targets import PUBLISHED_RMSE_N
 from needleforce.plots import Chart, Curve, LineStyle, Panel, palette, save_page_figure
 
-Array = NDArray[np.float64]
 Over = Literal["time", "depth"]
 """What is along the x axis."""
 
@@ -57,15 +55,7 @@ class RunFigures:
             caption=caption,
             is_alone=is_alone,
         )
-        self.saved.append(
-            Drawing(
-                figure=figure,
-                panel=letter,
-                job=job,
-                shown=shown,
-                facts=facts,
-            )
-        )
+        self.saved.append(Drawing(figure=figure, panel=letter, job=job, shown=shown, facts=facts))
 
     def _title(self, number: str, what: str) -> str:
         """What is shown, and below it of which run."""
@@ -88,10 +78,7 @@ CALM_RATIO = 3.0
 
 
 def force_chart(
-    title: str,
-    truth: ForceTruth,
-    readings: Sequence[ForceReading],
-    over: Over = "time",
+    title: str, truth: ForceTruth, readings: Sequence[ForceReading], over: Over = "time"
 ) -> Chart:
     """Force, and below it the error against the true force.
 
@@ -184,15 +171,13 @@ def _facts(scenario: str, truth: ForceTruth, readings: Sequence[ForceReading]) -
     part, both = truth.judged, (published, ours)
     time_s, true_N = truth.t_s[part], truth.axial_N[part]
     delays_ms = [1e3 * force_lag_s(time_s, item.axial_N[part], true_N) for item in both]
-    within = np.abs(ours.axial_N - truth.axial_N)[part] <= 2.0 * ours.std_N[part]
+    is_within = np.abs(ours.axial_N - truth.axial_N)[part] <= 2.0 * ours.std_N[part]
+    within = f"{100.0 * np.mean(is_within):.1f}"
     values = {
         "RMSE against the F/T sensor [N]": [f"{rmse_N(i, truth, ft.axial_N):.4f}" for i in both],
         "RMSE against the true force [N]": [f"{rmse_N(i, truth, truth.axial_N):.4f}" for i in both],
         "delay behind the true force [ms]": [f"{delay_ms:.0f}" for delay_ms in delays_ms],
-        "true force within 2 stated standard deviations [%]": [
-            "none stated",
-            f"{100.0 * np.mean(within):.1f}",
-        ],
+        "true force within 2 stated standard deviations [%]": ["none stated", within],
     }
     heads = ("published, here", "ours, here")
     return tuple(

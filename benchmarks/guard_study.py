@@ -5,18 +5,18 @@
 
 import sys
 from collections.abc import Callable, Mapping
-from types import MappingProxyType
 
 import numpy as np
 import pinocchio as pin
-from numpy.typing import NDArray
 
+from benchmarks.signals import Array, inverse_dynamics, tool_jacobians
 from groundtruth import PLANT_MODELS
+from groundtruth.motion import Stroke
+from groundtruth.sensors import measured_position, measured_velocity
 from residual import DEFAULT, SampleError
 from residual.sample_stream import SampleStream
 from urdf import NeedleTool, Robot, load_lwr
 
-Array = NDArray[np.float64]
 Motion = tuple[Array, Array, Array]
 """Positions [rad], velocities [rad/s] and torques [Nm] of m samples at 1 kHz, each (m, n)."""
 
@@ -31,20 +31,12 @@ LEARNT_s = 0.8
 """By then the guard has learnt the noise of the signals."""
 
 
-def torques(robot: Robot, q: Array, dq: Array, ddq: Array) -> Array:
-    """Torques of a motion in free air, shape (m, n)."""
-    data, rows = robot.create_data(), zip(q, dq, ddq, strict=True)
-    return np.array([pin.rnea(robot.model, data, *row) for row in rows])
-
-
 def sensed(motion: Motion, rng: np.random.Generator) -> Motion:
     """The motion as the sensors of the plant `clean` see it."""
-    q, dq, tau = motion
     level = PLANT_MODELS["clean"]
-    q = q + level.position_noise_std_rad * rng.normal(size=q.shape)
-    dq = dq + (level.velocity_noise_std_rad_s or 0.0) * rng.normal(size=q.shape)
-    tau = tau + np.array(level.torque_noise_std_Nm) * rng.normal(size=q.shape)
-    return np.round(q / level.position_step_rad) * level.position_step_rad, dq, tau
+    q, dq = measured_position(motion[0], level, rng), measured_velocity(motion[1], level, rng)
+    assert dq is not None
+    return q, dq, motion[2] + np.array(level.torque_noise_std_Nm) * rng.normal(size=q.shape)
 
 
 def fast_motion(robot: Robot, rng: np.random.Generator, count: int) -> Motion:
@@ -56,13 +48,13 @@ def fast_motion(robot: Robot, rng: np.random.Generator, count: int) -> Motion:
     quickest = MOST_ACCELERATION_RAD_S2 / most
     omega = np.exp(rng.uniform(np.log(0.3 * quickest), np.log(quickest)))
     phase = rng.uniform(0.0, 2.0 * np.pi, robot.nv)
-    t_s = PERIOD_s * np.arange(-2, count + 2)[:, None]
-    grown = np.clip(t_s - 0.6, 0.0, 1.0) if rng.random() < 0.5 else np.ones_like(t_s)
-    size = grown**3 * (10.0 + grown * (6.0 * grown - 15.0))
+    t_s = PERIOD_s * np.arange(-2, count + 2, dtype=np.float64)[:, None]
+    start = Stroke("quintic", 0.6, 1.0, 0.0, 1.0)
+    size = start.evaluate(t_s)[0] if rng.random() < 0.5 else np.ones_like(t_s)
     while True:
         q = middle + size * most / omega * np.sin(omega * t_s + phase)
         dq = np.gradient(q, PERIOD_s, axis=0)
-        tau = torques(robot, q, dq, np.gradient(dq, PERIOD_s, axis=0))
+        tau = inverse_dynamics(robot.model, q, dq, np.gradient(dq, PERIOD_s, axis=0))
         if (np.abs(tau) < LIMIT_RATIO * robot.effort_limit_Nm).all():
             return q[2:-2], dq[2:-2], tau[2:-2]
         omega = 0.8 * omega
@@ -73,7 +65,7 @@ def slow_motion(robot: Robot, rng: np.random.Generator, count: int) -> Motion:
     middle, omega = MIDDLE + rng.uniform(-0.5, 0.5, robot.nv), rng.uniform(0.2, 0.6, robot.nv)
     phase = omega * PERIOD_s * np.arange(count)[:, None]
     q, dq = middle + 0.05 * np.sin(phase), 0.05 * omega * np.cos(phase)
-    return q, dq, torques(robot, q, dq, -0.05 * omega**2 * np.sin(phase))
+    return q, dq, inverse_dynamics(robot.model, q, dq, -0.05 * omega**2 * np.sin(phase))
 
 
 def hands(robot: Robot, rng: np.random.Generator, count: int) -> Motion:
@@ -103,20 +95,21 @@ def hands(robot: Robot, rng: np.random.Generator, count: int) -> Motion:
 def ruptures(robot: Robot, rng: np.random.Generator, count: int) -> Motion:
     """A needle is pushed back with up to 5 N, which go within 1 to 30 ms."""
     q, dq, tau = slow_motion(robot, rng, count)
-    force_N, data, axes = np.zeros(count), robot.create_data(), pin.ReferenceFrame.LOCAL
+    force_N = np.zeros(count)
     for last in range(round((LEARNT_s + 0.1) / PERIOD_s), count - 40, 100):
         peak, fall = rng.uniform(0.5, 5.0), int(rng.integers(1, 31))
         force_N[last - 60 : last] = peak * np.linspace(0.0, 1.0, 60)
         force_N[last : last + fall] = peak * np.linspace(1.0, 0.0, fall + 1)[1:]
-    for k in np.flatnonzero(force_N):
-        lever = pin.computeFrameJacobian(robot.model, data, q[k], robot.tool_frame_id, axes)
-        tau[k] += force_N[k] * lever[2]
+    pressed = np.flatnonzero(force_N)
+    tau[pressed] += force_N[pressed, None] * tool_jacobians(robot, q[pressed])[:, 2]
     return q, dq, tau
 
 
-KINDS: Mapping[str, Callable[[Robot, np.random.Generator, int], Motion]] = MappingProxyType(
-    {"up to the velocity limits": fast_motion, "hands": hands, "ruptures": ruptures}
-)
+KINDS: Mapping[str, Callable[[Robot, np.random.Generator, int], Motion]] = {
+    "up to the velocity limits": fast_motion,
+    "hands": hands,
+    "ruptures": ruptures,
+}
 """Valid signals, by name."""
 
 

@@ -4,16 +4,9 @@ import math
 from collections.abc import Sequence
 from pathlib import Path
 
-import numpy as np
-from numpy.typing import NDArray
-
 from benchmarks.benchmark import Drawing, Fact, Job
 from benchmarks.force_plots import RunFigures
-from benchmarks.identification_metrics import (
-    enhanced_metrics,
-    identify_as_run,
-    offline_metrics,
-)
+from benchmarks.identification_metrics import enhanced_metrics, identify_as_run, offline_metrics
 from benchmarks.identification_plots import (
     SENSORS,
     Compared,
@@ -24,11 +17,9 @@ from benchmarks.identification_plots import (
 )
 from benchmarks.methods import ForceReading, Identified, cumulative_friction_Ns_per_m
 from benchmarks.published_figures import ENHANCED_FIGURES, OFFLINE_PANELS, PublishedFigure
-from benchmarks.signals import InsertionTruth, NeedleSignal
+from benchmarks.signals import Array, InsertionTruth, NeedleSignal
 from benchmarks.targets import GELS
 from identification import PUBLISHED_KV, PublishedConfig
-
-Array = NDArray[np.float64]
 
 
 def draw_identification(
@@ -148,25 +139,14 @@ def _facts(figure: PublishedFigure, truth: InsertionTruth, compared: Compared) -
     heads = ("published, tuned, here", "published, one setting, here", "ours, one setting, here")
     items = (compared.tuned, compared.published, compared.ours)
     _, steps = true_friction(truth)["cumulative_friction_Ns_per_m"]
-    friction = [f"{cumulative_friction_Ns_per_m(item.alarms):.0f}" for item in items]
+    ruptures = [_ruptures(item, truth) for item in items]
+    sums = [f"{cumulative_friction_Ns_per_m(item.alarms):.0f}" for item in items]
     forces = [enhanced_metrics(item, truth) for item in items]
-    remaining = [f"{each.get('remaining_force_pct', math.nan):.1f}" for each in forces]
+    left = [f"{each.get('remaining_force_pct', math.nan):.1f}" for each in forces]
     lines = (
-        (
-            f"ruptures detected (true: {len(truth.ruptures)})",
-            figure.ruptures,
-            [_ruptures(item, truth) for item in items],
-        ),
-        (
-            f"cumulative friction in the end (true: {steps[-1]:.0f}) [Ns/m]",
-            figure.friction,
-            friction,
-        ),
-        (
-            "remaining force after the last rupture [% of the axial force]",
-            figure.remaining,
-            remaining,
-        ),
+        (f"ruptures detected (true: {len(truth.ruptures)})", figure.ruptures, ruptures),
+        (f"cumulative friction in the end (true: {steps[-1]:.0f}) [Ns/m]", figure.friction, sums),
+        ("remaining force after the last rupture [% of the axial force]", figure.remaining, left),
     )
     return tuple(
         Fact(what=what, published=published, here=tuple(zip(heads, texts, strict=True)))

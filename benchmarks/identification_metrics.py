@@ -14,7 +14,6 @@ from benchmarks.methods import (
     Alarm,
     Identified,
     cumulative_friction_Ns_per_m,
-    first_compensation,
     force_lag_s,
     identify,
 )
@@ -114,7 +113,8 @@ def measure_identification(item: Identified, truth: InsertionTruth) -> Iterator[
     once, on the F/T reading.
     """
     values = event_metrics(item, truth) | enhanced_metrics(item, truth)
-    if is_single_gel(truth):
+    # Table I: one layer that ruptures, and no membrane.
+    if [rupture.layer for rupture in truth.ruptures] == [1]:
         values |= table_one(item, truth)
     if (item.source, item.method) == ("ft", "default"):
         values |= offline_metrics(item.signal, truth)
@@ -297,11 +297,6 @@ def friction_metrics(frictions: Sequence[LayerFriction], when: str = "") -> dict
     return values
 
 
-def is_single_gel(truth: InsertionTruth) -> bool:
-    """Whether Table I has a line for such a run: one layer that ruptures, and no membrane."""
-    return len(truth.ruptures) == 1 and truth.ruptures[0].layer == 1
-
-
 def table_one(identified: Identified, truth: InsertionTruth) -> dict[str, float]:
     """Cumulative friction B d of the one layer in Ns/m, by name, as in Table I.
 
@@ -333,17 +328,17 @@ def enhanced_metrics(identified: Identified, truth: InsertionTruth) -> dict[str,
     """
     values: dict[str, float] = {}
     after = truth.is_insertion[identified.start :].copy()
-    begin = first_compensation(identified.result)
-    if begin is None:
+    is_identified = [each.identified_layer is not None for each in identified.result.estimates]
+    if True not in is_identified:
         exits = (rupture.end_s for rupture in truth.ruptures if rupture.layer > 0)
         after &= truth.t_s[identified.start :] > next(exits, math.inf)
     else:
-        after[:begin] = False
-    enhanced = identified.enhanced_N
+        after[: is_identified.index(True)] = False
+    enhanced = identified.series("enhanced_force_N")
     if after.any():
         for name, estimate, true in (
             ("enhanced_rmse_N", enhanced, truth.enhanced_N),
-            ("tip_rmse_N", identified.tip_N, truth.tip_N),
+            ("tip_rmse_N", identified.series("tip_force_N"), truth.tip_N),
         ):
             error = (estimate - true[identified.start :])[after]
             values[name] = float(np.sqrt(np.mean(error**2)))

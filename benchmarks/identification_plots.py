@@ -7,16 +7,13 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
 from benchmarks.identification_metrics import layer_spans, offline_fit, quiet_speed_m_s
 from benchmarks.methods import ForceReading, Identified
-from benchmarks.signals import InsertionTruth, NeedleSignal
+from benchmarks.signals import Array, InsertionTruth, NeedleSignal
 from identification.config import Model
 from identification.offline import regression_matrix
 from needleforce.plots import Chart, Curve, Instants, LineStyle, Panel, Shading, palette
-
-Array = NDArray[np.float64]
 
 MARGIN_s = 1.0
 """Shown before contact and after the deepest point."""
@@ -81,17 +78,16 @@ def enhanced_chart(
         drawn.append((palette.OTHER_DASHED, whole, 0.5 * top_N * profile, "speed, not to scale"))
     if ft is not None:
         drawn.append((palette.OTHER_SENSOR, whole, ft.axial_N, "force of the F/T sensor"))
-    predicted_N = np.array([estimate.predicted_force_N for estimate in item.result.estimates])
     drawn += [
         (palette.READING, x, item.force_N, f"force of the {SENSORS[item.source]}"),
-        (palette.PREDICTED, x, predicted_N, "predicted force"),
+        (palette.PREDICTED, x, item.series("predicted_force_N"), "predicted force"),
     ]
     if kelvin_voigt is not None:
         there, label = _times_s(kelvin_voigt, truth), "enhanced force, Kelvin-Voigt"
-        drawn.append((palette.PUBLISHED_KV, there, kelvin_voigt.enhanced_N, label))
+        drawn.append((palette.PUBLISHED_KV, there, kelvin_voigt.series("enhanced_force_N"), label))
     enhanced, who = WHOSE[item.method]
     drawn += [
-        (enhanced, x, item.enhanced_N, f"enhanced force, {who}"),
+        (enhanced, x, item.series("enhanced_force_N"), f"enhanced force, {who}"),
         (palette.TRUE_PART, whole, truth.enhanced_N, "true enhanced force"),
     ]
     curves = tuple(Curve(style=style, x=x, y=y, label=label) for style, x, y, label in drawn)
@@ -194,13 +190,9 @@ def parameter_chart(title: str, truth: InsertionTruth, compared: Compared) -> Ch
 def _parameter(
     item: Identified, truth: InsertionTruth, style: LineStyle, label: str, name: str
 ) -> Curve:
-    estimates, std = item.result.estimates, None
-    if style is palette.OURS:
-        spread = name.replace("_N_", "_std_N_").replace("_Ns_", "_std_Ns_")
-        stated = [getattr(estimate, spread) for estimate in estimates]
-        std = np.array([np.nan if one is None else one for one in stated])
-    y = np.array([getattr(estimate, name) for estimate in estimates])
-    x, band = _times_s(item, truth), "ours, ± 2 std"
+    spread = name.replace("_N_", "_std_N_").replace("_Ns_", "_std_Ns_")
+    std = item.series(spread) if style is palette.OURS else None
+    x, y, band = _times_s(item, truth), item.series(name), "ours, ± 2 std"
     return Curve(style=style, x=x, y=y, label=label, std=std, band_label=band)
 
 

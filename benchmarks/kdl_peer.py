@@ -14,22 +14,19 @@ from tempfile import TemporaryDirectory
 
 import numpy as np
 import pinocchio as pin
-from numpy.typing import NDArray
 
 from benchmarks import BenchmarkError
 from benchmarks.benchmark import Progress, progress_part
 from benchmarks.methods import joint_residual, on_lwr
-from benchmarks.signals import ForceTruth, JointSignals
+from benchmarks.signals import Array, ForceTruth, JointSignals
 from benchmarks.simulated import read_sensors
-from benchmarks.speed import Times, Update, cost_ratio, fed, time_side_by_side
+from benchmarks.speed import Update, cost_ratio, fed, time_side_by_side
 from benchmarks.tables import ResultTable, met_mark
 from groundtruth import Run, simulate
 from needleforce.cli.terminal import say
 from residual import DEFAULT, PUBLISHED, MomentumObserver, VirtualForceSensor
 from residual.wrench_estimator import WrenchEstimator
 from urdf import Robot
-
-Array = NDArray[np.float64]
 
 SCENARIO, PLANT, SEEDS = "stack-constant", "clean", (1000, 1001, 1002)
 KDL, BARE = "KDL", "KDL, addresses known in advance"
@@ -184,7 +181,7 @@ def _rms(axial_N: Array, truth: ForceTruth) -> float:
     return float(np.sqrt(np.mean((axial_N - truth.axial_N)[truth.judged] ** 2)))
 
 
-def peer_times(run: Run, library: ctypes.CDLL) -> dict[str, Times]:
+def peer_times(run: Run, library: ctypes.CDLL) -> dict[str, Array]:
     """Time of every tick [us] from the tare on, taking turns."""
     signals, gain_per_s = JointSignals.of_run(run), DEFAULT.slowest_gain_per_s
     tare = int(np.searchsorted(signals.t_s, run.tare_end_s))
@@ -201,7 +198,7 @@ def peer_times(run: Run, library: ctypes.CDLL) -> dict[str, Times]:
 def compare_with_kdl(progress: Progress) -> tuple[list[ResultTable], bool]:
     """The table, and whether both targets are met; without KDL that is said, and there is none."""
     errors: list[Error] = []
-    times: dict[str, Times] = {}
+    times: dict[str, Array] = {}
     try:
         library = kdl_library()
     except KdlAbsentError as error:
@@ -215,7 +212,7 @@ def compare_with_kdl(progress: Progress) -> tuple[list[ResultTable], bool]:
     return _report(errors, times)
 
 
-def _report(errors: list[Error], times: dict[str, Times]) -> tuple[list[ResultTable], bool]:
+def _report(errors: list[Error], times: dict[str, Array]) -> tuple[list[ResultTable], bool]:
     middle = {name: float(np.median([found[name] for found in errors])) for name in errors[0]}
     targets = {OURS: ("time", TIME_RATIO), SENSOR: ("error", ERROR_RATIO)}
     lines, is_met = [], True

@@ -12,18 +12,15 @@ from dataclasses import dataclass
 from pathlib import Path
 from tempfile import TemporaryDirectory, TemporaryFile
 from time import perf_counter_ns
-from types import MappingProxyType
 from typing import NamedTuple
 
 import numpy as np
-import pinocchio as pin
 import psutil
-from numpy.typing import NDArray
 
 from benchmarks import BenchmarkError
 from benchmarks.benchmark import Progress, progress_part
 from benchmarks.methods import on_lwr
-from benchmarks.signals import JointSignals, tool_jacobians
+from benchmarks.signals import Array, JointSignals
 from benchmarks.tables import ResultTable, met_mark
 from benchmarks.targets import SOAK_COST_RATIO, SOAK_GROWTH_KB
 from groundtruth import insert_needle, simulate
@@ -31,7 +28,6 @@ from needleforce import InsertionSession
 from needleforce.recordings import RecordingError
 from needleforce.recordings.output import open_table
 from residual import DEFAULT
-from urdf import NeedleTool, Robot, load_lwr
 
 SCENARIO, PLANT = "gel-25-constant", "clean"
 WINDOW = 20_000
@@ -76,21 +72,21 @@ class Cycle:
     def __init__(self) -> None:
         run = simulate(SCENARIO, PLANT, 0)
         t_s = run.signals.t_s
-        self._robot = run.robot
-        self._rows = JointSignals.of_run(run).samples()
-        self._tare = int(np.searchsorted(t_s, run.tare_end_s))
+        self._robot, self.signals = run.robot, JointSignals.of_run(run)
+        self._rows = self.signals.samples()
+        self.tare = int(np.searchsorted(t_s, run.tare_end_s))
         at = int(np.searchsorted(t_s, run.scenario.motion.insertion_end_s + SETTLED_S))
         still = list(range(at, at + STILL))
         # Forth and back: a jump from the last to the first would be a spike to the session.
-        moving = len(self._rows) - self._tare
+        moving = len(self._rows) - self.tare
         rest = (still + still[::-1]) * (moving // (2 * STILL))
-        self._order = [*range(self._tare, at), *rest, *range(at, len(self._rows))]
-        self.length = len(self._order)
+        self.order = [*range(self.tare, at), *rest, *range(at, len(self._rows))]
+        self.length = len(self.order)
 
     def tared(self) -> InsertionSession:
         """A session in free air before the first insertion."""
         session = InsertionSession(self._robot, on_lwr(DEFAULT))
-        for row in self._rows[: self._tare]:
+        for row in self._rows[: self.tare]:
             session.update(*row)
         session.tare()
         return session
@@ -108,15 +104,13 @@ class Cycle:
                 session.begin_insertion()
             if k % WINDOW == 0:
                 progress(k / ticks)
-            row = self._rows[self._order[at]]
+            row = self._rows[self.order[at]]
             before = perf_counter_ns()
             found = session.update(*row)
             taken_us = (perf_counter_ns() - before) / NS_PER_US
             yield k, found.identification.rupture is not None, taken_us
 
-    def time(
-        self, ticks: int, progress: Progress
-    ) -> tuple[NDArray[np.float64], tuple[int, ...], int]:
+    def time(self, ticks: int, progress: Progress) -> tuple[Array, tuple[int, ...], int]:
         """Time of every update [us], shape (ticks,); ruptures by whole cycle; samples rejected."""
         session, taken, ruptures = self.tared(), np.zeros(ticks), [0] * (ticks // self.length + 1)
         for k, is_rupture, taken_us in self.updates(session, ticks, progress):
@@ -124,7 +118,7 @@ class Cycle:
             ruptures[k // self.length] += is_rupture
         return taken, tuple(ruptures[:-1]), session.rejected
 
-    def memory(self, ticks: int, progress: Progress) -> NDArray[np.float64]:
+    def memory(self, ticks: int, progress: Progress) -> Array:
         """Memory of Python [kB] and of the process [MB], after each whole cycle, shape (n, 2)."""
         session, process, held = self.tared(), psutil.Process(), []
         tracemalloc.start()
@@ -178,13 +172,12 @@ def soak_table(found: Soak, ticks: int) -> ResultTable:
     )
 
 
-Columns = dict[str, NDArray[np.float64]]
+Columns = dict[str, Array]
 
 RATE_HZ = 1000.0
 FREE_S = 10.0
 """So long at its start a recording of joint signals is without contact."""
-CYCLE_S, REACH_RAD, PUSH_N, RETURN_S = 20.0, 0.05, 1.5, 20.0
-TORQUE_NOISE_NM, FORCE_NOISE_N = 0.01, 0.003
+RETURN_S, FORCE_NOISE_N = 20.0, 0.003
 POLL_S, BYTES_IN_MB = 0.05, 1e6
 LEAST_TIMES_REAL = 20.0
 """Times real time, on one core."""
@@ -193,22 +186,23 @@ MOST_GROWTH_MB = 20.0
 LEAST_SECONDS = 2.0 * FREE_S
 
 
-def joint_recording(seconds: float, rng: np.random.Generator) -> Iterator[Columns]:
-    """Joint signals of an LWR that moves, and is pushed once in every cycle, part by part."""
-    cycle = _joint_cycle(load_lwr(payload=NeedleTool()))
-    for columns in _repeated(cycle, seconds):
-        torque = columns["tau_Nm"]
-        columns["tau_Nm"] = torque + TORQUE_NOISE_NM * rng.normal(size=torque.shape)
-        yield columns
+def joint_recording(seconds: float) -> Iterator[Columns]:
+    """Joint signals of the insertions of a soak, part by part."""
+    cycle = Cycle()
+    order, sent = [*range(cycle.tare), *cycle.order], cycle.signals
+    assert sent.dq_rad_s is not None
+    columns = {"q_rad": sent.q_rad, "dq_rad_s": sent.dq_rad_s, "tau_Nm": sent.tau_Nm}
+    taken = {name: values[order] for name, values in columns.items()}
+    return _repeated(taken, seconds, cycle.tare)
 
 
-def needle_recording(seconds: float, rng: np.random.Generator) -> Iterator[Columns]:
+def needle_recording(seconds: float) -> Iterator[Columns]:
     """Depth, speed and force of a needle that is inserted into gel and withdrawn, again and again.
 
-    As `joint_recording`. Every cycle is in fresh tissue, whose surface lies as deep as the needle
+    Every cycle is in fresh tissue, whose surface lies as deep as the needle
     has come before: in the channel of an insertion there is nothing left to rupture.
     """
-    run = insert_needle("gel-50-constant", seed=0, rate_hz=RATE_HZ)
+    run, rng = insert_needle("gel-50-constant", seed=0, rate_hz=RATE_HZ), np.random.default_rng(0)
     taring = int(np.searchsorted(run.t_s, run.tare_end_s))
     deepest_m = float(run.depth_m.max())
     way_m = deepest_m + float(run.depth_m[taring] - run.depth_m[-1])
@@ -227,7 +221,7 @@ def needle_recording(seconds: float, rng: np.random.Generator) -> Iterator[Colum
         yield columns
 
 
-def _repeated(cycle: Columns, seconds: float, again_from: int = 0) -> Iterator[Columns]:
+def _repeated(cycle: Columns, seconds: float, again_from: int) -> Iterator[Columns]:
     """The cycle, and then over and over its rows from `again_from` on."""
     left, done, start = round(seconds * RATE_HZ), 0, 0
     while left > 0:
@@ -237,27 +231,10 @@ def _repeated(cycle: Columns, seconds: float, again_from: int = 0) -> Iterator[C
         left, done, start = left - rows, done + rows, again_from
 
 
-def _joint_cycle(robot: Robot) -> Columns:
-    """Smooth motion that ends as it began, and a push along the needle in its second half."""
-    t = np.arange(CYCLE_S * RATE_HZ) / RATE_HZ
-    joints = np.arange(robot.nv)
-    pulsation = 2.0 * np.pi / CYCLE_S * (1.0 + joints % 3)
-    phase = np.outer(t, pulsation)
-    middle = np.array([0.0, 0.5, 0.0, -1.2, 0.0, 0.9, 0.0])
-    q = np.asarray(middle + REACH_RAD * np.sin(phase), dtype=np.float64)
-    dq = np.asarray(REACH_RAD * pulsation * np.cos(phase), dtype=np.float64)
-    ddq = -REACH_RAD * pulsation**2 * np.sin(phase)
-    push = np.where(t > FREE_S, PUSH_N * np.sin(np.pi * (t - FREE_S) / FREE_S) ** 2, 0.0)
-    data = robot.create_data()
-    free = [pin.rnea(robot.model, data, *row) for row in zip(q, dq, ddq, strict=True)]
-    # The tissue pushes the tool back along its z axis: torque of the environment.
-    external = -push[:, None] * tool_jacobians(robot, q)[:, 2]
-    return {"q_rad": q, "dq_rad_s": dq, "tau_Nm": np.array(free) - external}
-
-
-RECORDINGS: Mapping[str, Callable[[float, np.random.Generator], Iterator[Columns]]] = (
-    MappingProxyType({"residual": joint_recording, "identification": needle_recording})
-)
+RECORDINGS: Mapping[str, Callable[[float], Iterator[Columns]]] = {
+    "residual": joint_recording,
+    "identification": needle_recording,
+}
 """What is sent through a command, by its name."""
 
 
@@ -346,7 +323,7 @@ def measure_stream(
         with TemporaryDirectory(dir=folder) as place:
             log, out = Path(place) / f"log{suffix}", Path(place) / "out.csv"
             with open_table(log) as table:
-                for columns in RECORDINGS[command](seconds, np.random.default_rng(0)):
+                for columns in RECORDINGS[command](seconds):
                     table.append(columns)
                     rows += len(columns["t_s"])
                     progress(0.3 * rows / (seconds * RATE_HZ))

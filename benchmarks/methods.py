@@ -1,19 +1,17 @@
 """Both methods on one signal: virtual sensor, F/T sensor, identification; errors of a force."""
 
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, replace
-from types import MappingProxyType
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.optimize import minimize_scalar
 from scipy.signal import lfilter
 
 from benchmarks import DataError
 from benchmarks.benchmark import Progress
 from benchmarks.rows import Measurement, Method, Source
-from benchmarks.signals import ForceTruth, InsertionTruth, JointSignals, NeedleSignal
+from benchmarks.signals import Array, ForceTruth, InsertionTruth, JointSignals, NeedleSignal
 from groundtruth import Run
 from identification import (
     MULTILAYER,
@@ -32,15 +30,12 @@ from residual import FrictionModel, MomentumObserver, SensorConfig, TareError
 from residual.momentum_observer import Alignment
 from urdf import LWR_GEAR_RATIO, Robot
 
-Array = NDArray[np.float64]
-
-METHODS: Mapping[Method, SensorConfig] = MappingProxyType(
-    {"default": DEFAULT_SENSOR, "published": PUBLISHED_SENSOR}
-)
+METHODS: Mapping[Method, SensorConfig] = {"default": DEFAULT_SENSOR, "published": PUBLISHED_SENSOR}
 """Settings of the virtual sensor, by the name they are reported under."""
-IDENTIFIERS: Mapping[Method, MultilayerConfig | PublishedConfig] = MappingProxyType(
-    {"default": MULTILAYER, "published": PUBLISHED}
-)
+IDENTIFIERS: Mapping[Method, MultilayerConfig | PublishedConfig] = {
+    "default": MULTILAYER,
+    "published": PUBLISHED,
+}
 """Settings of the identification; one configuration each for every run."""
 
 
@@ -134,12 +129,7 @@ OBSERVER_GAINS_per_s = (5.0, 10.0, 20.0, 40.0, 70.0)
 """The authors' and larger ones; 70/s is ours."""
 
 
-def best_gain(
-    reading: ForceReading,
-    truth: ForceTruth,
-    dt_s: Array,
-    gains_per_s: Sequence[float] = OBSERVER_GAINS_per_s,
-) -> ForceReading:
+def best_gain(reading: ForceReading, truth: ForceTruth, dt_s: Array) -> ForceReading:
     """The published force with the gain of its observer that gives the least error.
 
     One lag is taken off the force and another put on. That is what another gain would give: the
@@ -150,12 +140,11 @@ def best_gain(
     kept = np.exp(-PUBLISHED_SENSOR.slowest_gain_per_s * dt_s[start + 1 :])
     unfiltered = (force[start + 1 :] - kept * force[start:-1]) / (1.0 - kept)
     found: list[tuple[float, Array]] = []
-    for gain_per_s in gains_per_s:
+    for gain_per_s in OBSERVER_GAINS_per_s:
         axial_N, last = force.copy(), float(force[start])
         passed = -np.expm1(-gain_per_s * dt_s[start + 1 :])
-        for k, (value, part) in enumerate(
-            zip(unfiltered.tolist(), passed.tolist(), strict=True), start + 1
-        ):
+        steps = zip(unfiltered.tolist(), passed.tolist(), strict=True)
+        for k, (value, part) in enumerate(steps, start + 1):
             axial_N[k] = last = last + part * (value - last)
         found.append((float(np.mean((axial_N - truth.axial_N)[judged] ** 2)), axial_N))
     return replace(reading, method="published-best-K", axial_N=min(found, key=lambda f: f[0])[1])
@@ -174,12 +163,8 @@ def ft_force(run: Run) -> ForceReading:
     t_s = run.signals.t_s
     resistance = -run.signals.ft_wrench[:, 2]
     free = resistance[(t_s > run.tare_end_s - TARE_s) & (t_s <= run.tare_end_s)]
-    return ForceReading(
-        source="ft",
-        method="default",
-        axial_N=resistance - free.mean(),
-        std_N=np.full(len(t_s), free.std()),
-    )
+    axial_N, std_N = resistance - free.mean(), np.full(len(t_s), free.std())
+    return ForceReading(source="ft", method="default", axial_N=axial_N, std_N=std_N)
 
 
 def joint_residual(
@@ -215,13 +200,13 @@ class Alarm(NamedTuple):
     online: LayerEstimate | None
 
 
-def alarms_of(result: Replay, t_s: NDArray[np.float64]) -> list[Alarm]:
-    """Every rupture reported, in order; `t_s` are the true instants of the samples, shape (n,)."""
+def alarms_of(result: Replay, t_s: Array, start: int) -> list[Alarm]:
+    """Every rupture reported, in order; estimates begin with sample `start` of the n instants."""
     by_alarm = {layer.rupture.alarm_s: layer for layer in result.layers}
     known = (one.identified_layer for one in result.estimates if one.identified_layer is not None)
     online = {layer.rupture.alarm_s: layer for layer in known}
     found = []
-    for k, estimate in enumerate(result.estimates):
+    for k, estimate in enumerate(result.estimates, start):
         event = estimate.rupture
         if event is None:
             continue
@@ -233,19 +218,13 @@ def alarms_of(result: Replay, t_s: NDArray[np.float64]) -> list[Alarm]:
     return found
 
 
-def first_compensation(result: Replay) -> int | None:
-    """Index of the sample at which friction was first identified, if ever."""
-    estimates = enumerate(result.estimates)
-    return next((k for k, found in estimates if found.identified_layer is not None), None)
-
-
 def cumulative_friction_Ns_per_m(alarms: Iterable[Alarm]) -> float:
     """Sum of B d over the traversed layers, each at the speed of its rupture, as known at last."""
     layers = [alarm.layer for alarm in alarms if alarm.layer is not None]
     return sum(layer.friction_N / max(layer.rupture.speed_m_s, 1e-9) for layer in layers)
 
 
-@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+@dataclass(frozen=True, slots=True, eq=False)
 class Identified:
     """What a method made of a signal; sample k of it is sample ``start + k`` of the run."""
 
@@ -266,15 +245,9 @@ class Identified:
         """The force it was given, shape (n - start,)."""
         return self.signal.force_N[self.start :]
 
-    @property
-    def enhanced_N(self) -> Array:
-        """Its enhanced force, shape (n - start,)."""
-        return np.array([estimate.enhanced_force_N for estimate in self.result.estimates])
-
-    @property
-    def tip_N(self) -> Array:
-        """Its tip force, shape (n - start,)."""
-        return np.array([estimate.tip_force_N for estimate in self.result.estimates])
+    def series(self, name: str) -> Array:
+        """A number of every estimate, nan where it states none, shape (n - start,)."""
+        return np.array([getattr(each, name) for each in self.result.estimates], dtype=np.float64)
 
 
 def identify(
@@ -300,15 +273,8 @@ def identify(
         result = replay(t_s, depth_m, force_N, speed_m_s, config)
     # A session is tared by the arm's own clock, which may be a sample off.
     start = len(signal.t_s) - len(result.estimates)
-    alarms = alarms_of(result, truth.t_s[start:])
-    return Identified(
-        signal=signal,
-        method=method,
-        config=config,
-        start=start,
-        result=result,
-        alarms=tuple(alarm._replace(sample=alarm.sample + start) for alarm in alarms),
-    )
+    alarms = tuple(alarms_of(result, truth.t_s, start))
+    return Identified(signal, method, config, start, result, alarms)
 
 
 EARLIEST_S, LATEST_S = -0.1, 0.6

@@ -8,7 +8,6 @@ import math
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from pathlib import Path
-from types import MappingProxyType
 from typing import Any
 from zlib import crc32
 
@@ -63,9 +62,9 @@ class Perturbation(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fie
     def __call__(self, world: "World", rng: Rng) -> "World":
         """The world with this changed, its size drawn."""
         plant = PLANT_MODELS[self.base] if self.base else world.plant
-        numbers: dict[str, Any] = {}
-        for name, limits in self.plant.items():
-            numbers[name] = _like(getattr(plant, name), limits, rng)
+        numbers: dict[str, Any] = {
+            name: _like(getattr(plant, name), limits, rng) for name, limits in self.plant.items()
+        }
         for name, limits in self.times.items():
             factor = drawn(limits, rng)
             numbers[name] = tuple(factor * each for each in getattr(plant, name))
@@ -178,15 +177,13 @@ def _pushes(elbow: _Elbow, motion: Motion, rng: Rng) -> ElbowPush:
     )
 
 
-GROUPS: Mapping[str, Mapping[str, Perturbation]] = MappingProxyType(
-    msgspec.toml.decode(
-        Path(__file__).with_suffix(".toml").read_bytes(), type=dict[str, dict[str, Perturbation]]
-    )
+GROUPS: Mapping[str, Mapping[str, Perturbation]] = msgspec.toml.decode(
+    Path(__file__).with_suffix(".toml").read_bytes(), type=dict[str, dict[str, Perturbation]]
 )
 """As in the file."""
-PERTURBATIONS: Mapping[str, Perturbation] = MappingProxyType(
-    {name: each for group in GROUPS.values() for name, each in group.items()}
-)
+PERTURBATIONS: Mapping[str, Perturbation] = {
+    name: each for group in GROUPS.values() for name, each in group.items()
+}
 """By name, in the order of the table."""
 ARM_ONLY = frozenset(name for group in ("pushes", "torque", "tare") for name in GROUPS[group])
 """Of these the needle without an arm feels nothing."""

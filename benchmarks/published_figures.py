@@ -24,14 +24,9 @@ class PublishedFigure(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_
     remaining: str = ""
 
     @property
-    def heading(self) -> str:
-        """Above its section."""
-        return f"{'Table' if self.number == TABLE_ONE else 'Figure'} {self.number}: {self.title}"
-
-    @property
-    def anchor(self) -> str:
-        """Of its section within the page."""
-        return f"{'table' if self.number == TABLE_ONE else 'figure'}-{self.number}"
+    def name(self) -> str:
+        """As in the publication."""
+        return f"{'Table' if self.number == TABLE_ONE else 'Figure'} {self.number}"
 
     @property
     def command(self) -> str:

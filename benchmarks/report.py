@@ -3,12 +3,11 @@
 import math
 import statistics
 from collections.abc import Iterable, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from pathlib import Path
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
 from benchmarks.benchmark import Drawing, Job
 from benchmarks.published_figures import (
@@ -18,7 +17,16 @@ from benchmarks.published_figures import (
     PublishedFigure,
 )
 from benchmarks.rows import Row, to_json
-from benchmarks.tables import NOTHING, ResultTable, result_tables
+from benchmarks.signals import Array
+from benchmarks.tables import (
+    CUMULATIVE,
+    NOTHING,
+    Frame,
+    ResultTable,
+    frame_of,
+    result_tables,
+    select,
+)
 from benchmarks.targets import GELS, TABLE_ONE_Ns_per_m
 from needleforce.plots import (
     Chart,
@@ -41,7 +49,6 @@ PLANTS = ("clean", "fri", "degraded", "ideal", "needle")
 SPEEDS = {"constant": palette.BLUE, "sinusoidal": palette.VERMILION}
 """With their colours in the publication."""
 PERCENTS = tuple(TABLE_ONE_Ns_per_m)
-Array = NDArray[np.float64]
 
 
 class Estimate(NamedTuple):
@@ -55,48 +62,29 @@ class Estimate(NamedTuple):
 TUNED = Estimate("online", "ft", "published-as-run")
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
-class GelFriction:
-    """Cumulative friction of the single gels on one plant, Ns/m."""
-
-    plant: str
-    seeds: int  # how many
-    scenarios: set[str]  # gels there are numbers of
-    by_gel: dict[tuple[str, Estimate], list[float]]  # one value per seed
-
-    def values(self, percent: int, estimate: Estimate, *speeds: str) -> list[float]:
-        """Of all seeds at the speeds, by default at both."""
-        names = [f"gel-{percent}-{speed}" for speed in speeds or SPEEDS]
-        return [value for name in names for value in self.by_gel.get((name, estimate), [])]
-
-    def medians(self, estimate: Estimate, speed: str) -> list[float]:
-        """One per gel; nan where there is none."""
-        found = [self.values(percent, estimate, speed) for percent in PERCENTS]
-        return [statistics.median(values) if values else math.nan for values in found]
-
-
-def gel_friction(rows: Iterable[Row]) -> GelFriction | None:
-    """The gels of the best plant they were run on; None without any."""
+def gel_friction(rows: Iterable[Row]) -> Frame | None:
+    """Rows of the gels' friction [Ns/m] on the best plant they were run on; None without any."""
     found = [row for row in rows if row.scenario in GELS and row.metric.startswith("cumulative_")]
     plant = _best_plant({row.plant for row in found})
-    if not plant:
-        return None
-    mine = [row for row in found if row.plant == plant]
-    by_gel: dict[tuple[str, Estimate], list[float]] = {}
-    for row in mine:
-        kind = row.metric.removeprefix("cumulative_friction_").removesuffix("_Ns_per_m")
-        key = row.scenario, Estimate(kind, row.source, row.method)
-        by_gel.setdefault(key, []).append(row.value)
-    return GelFriction(
-        plant=plant,
-        seeds=len({row.seed for row in mine}),
-        scenarios={row.scenario for row in mine},
-        by_gel=by_gel,
-    )
+    return frame_of(row for row in found if row.plant == plant) if plant else None
 
 
 def _best_plant(plants: set[str]) -> str:
     return next((plant for plant in PLANTS if plant in plants), "")
+
+
+def _values(gels: Frame, percent: int, estimate: Estimate, *speeds: str) -> list[float]:
+    """Of all seeds at the speeds, by default at both."""
+    kind, source, method = estimate
+    mine = select(gels, metric=CUMULATIVE.format(kind), source=source, method=method)
+    names = [f"gel-{percent}-{speed}" for speed in speeds or SPEEDS]
+    return mine[mine["scenario"].isin(names)]["value"].tolist()
+
+
+def _medians(gels: Frame, estimate: Estimate, speed: str) -> list[float]:
+    """One per gel; nan where there is none."""
+    found = [_values(gels, percent, estimate, speed) for percent in PERCENTS]
+    return [statistics.median(values) if values else math.nan for values in found]
 
 
 ONLINE = {
@@ -107,21 +95,21 @@ ONLINE = {
 }
 
 
-def gel_table(gels: GelFriction) -> PageTable:
+def gel_table(gels: Frame) -> PageTable:
     """The published Table I beside ours: mean ± spread over both speeds (and seeds)."""
     head = ["gel", "published\noffline", "published\nonline", "here\ntrue", "here\noffline"]
     head += [f"here online\n{words}" for words in ONLINE]
     rows = []
     for percent, known in TABLE_ONE_Ns_per_m.items():
-        offline = gels.values(percent, Estimate("offline"))
-        online = [gels.values(percent, estimate) for estimate in ONLINE.values()]
+        offline = _values(gels, percent, Estimate("offline"))
+        online = [_values(gels, percent, estimate) for estimate in ONLINE.values()]
         change_pct = 100.0 * (known.online / known.offline - 1.0)
         rows.append(
             (
                 f"{percent} %",
                 f"{known.offline} ± {known.offline_spread}",
                 f"{known.online} ± {known.online_spread} ({change_pct:+.0f} %)",
-                _cell(gels.values(percent, Estimate("true"))),
+                _cell(_values(gels, percent, Estimate("true"))),
                 _cell(offline),
                 *(_cell(values, offline) for values in online),
             )
@@ -157,7 +145,7 @@ SERIES = {
 PUBLISHED_PLACE, FIRST_PLACE, STEP = -0.36, -0.2, 0.14
 
 
-def friction_chart(title: str, gels: GelFriction) -> Chart:
+def friction_chart(title: str, gels: Frame) -> Chart:
     """After the published Figure 10: from the left the published means of a gel, then ours."""
     places, known = np.arange(3.0), TABLE_ONE_Ns_per_m.values()
     grey = LineStyle(color=palette.GREY, marker="^", size_pt=6.0)
@@ -169,7 +157,7 @@ def friction_chart(title: str, gels: GelFriction) -> Chart:
     for k, (words, (estimate, marker)) in enumerate(SERIES.items()):
         for speed, color in SPEEDS.items():
             style = LineStyle(color=color, marker=marker, size_pt=7.0 if marker == "*" else 5.5)
-            values = gels.medians(estimate, speed)
+            values = _medians(gels, estimate, speed)
             if np.isfinite(values).any():
                 x = places + FIRST_PLACE + k * STEP
                 points.append((style, x, values, f"{words}, {speed}"))
@@ -177,7 +165,7 @@ def friction_chart(title: str, gels: GelFriction) -> Chart:
     ends = np.array([FIRST_PLACE - 0.06, FIRST_PLACE + 3 * STEP + 0.06, math.nan])
     for speed, style in zip(SPEEDS, (palette.TRUE, palette.TRUE_PART), strict=True):
         x = np.add.outer(places, ends).ravel()
-        values = np.repeat(gels.medians(Estimate("true"), speed), 3)
+        values = np.repeat(_medians(gels, Estimate("true"), speed), 3)
         points.append((style, x, values, f"ground truth, {speed}"))
     curves = [Curve(style=style, x=x, y=np.array(y), label=label) for style, x, y, label in points]
     return Chart(
@@ -192,7 +180,7 @@ def friction_chart(title: str, gels: GelFriction) -> Chart:
 def published_sections(drawings: Sequence[Drawing], rows: Sequence[Row]) -> list[Section]:
     """One section per published figure that these runs give, at least in part."""
     sections, gels = [], gel_friction(rows)
-    of_gels = gels.scenarios if gels is not None else set()
+    of_gels = set() if gels is None else set(gels["scenario"])
     for item in PUBLISHED_FIGURES:
         mine = chosen(drawings, item.number)
         if item.number == TABLE_ONE and gels is not None:
@@ -235,8 +223,8 @@ def _section(
     absent = ", ".join(name for name in item.scenarios if name not in here)
     notice = f"Not among these runs, so missing here: {absent}. For all panels run:"
     return Section(
-        heading=item.heading,
-        anchor=item.anchor,
+        heading=f"{item.name}: {item.title}",
+        anchor=item.name.replace("Figure ", "figure-").replace("Table ", "table-"),
         paragraphs=(f"Published: {item.shows}", f"To compare: {item.see}"),
         notices=(notice,) if absent else (),
         figures=tuple(map(_figure, mine)),
@@ -307,12 +295,13 @@ def write_report(folder: Path, rows: Sequence[Row], drawings: Sequence[Drawing])
     return write_page(folder / PAGE, Page(title=TITLE, lead=LEAD, sections=tuple(sections)))
 
 
-def _friction_drawing(folder: Path, gels: GelFriction) -> Drawing:
-    run = "needle without an arm" if gels.plant == "needle" else f"{gels.plant} plant"
+def _friction_drawing(folder: Path, gels: Frame) -> Drawing:
+    plant, seeds = gels["plant"].iloc[0], gels["seed"].nunique()
+    run = "needle without an arm" if plant == "needle" else f"{plant} plant"
     title = f"Figure {FRICTION_FIGURE}: cumulative friction of the gels\n{run}"
     shown = save_page_figure(
         friction_chart(title, gels),
-        folder / f"figure-{FRICTION_FIGURE}-{gels.plant}.svg",
+        folder / f"figure-{FRICTION_FIGURE}-{plant}.svg",
         alt="Cumulative friction of the 25, 50 and 70 % gel: the published means and ours, offline "
         "and online, at both speeds",
         caption="Cumulative friction [Ns/m] by gel. Grey: the published means over both speeds "
@@ -320,8 +309,8 @@ def _friction_drawing(folder: Path, gels: GelFriction) -> Drawing:
         "the virtual sensor's; crosses: the published method on the F/T sensor's, with its "
         "authors' settings. The sinusoidal speed is lower at the rupture, and friction over speed "
         "is then another number: hence two lines of ground truth. Medians over "
-        f"{gels.seeds} seed{'' if gels.seeds == 1 else 's'}.",
+        f"{seeds} seed{'' if seeds == 1 else 's'}.",
         is_alone=True,
     )
-    job = Job(benchmark="gel-*", plant=gels.plant)
+    job = Job(benchmark="gel-*", plant=plant)
     return Drawing(figure=FRICTION_FIGURE, job=job, shown=shown)

@@ -37,8 +37,6 @@ from groundtruth.sensors import (
 )
 from urdf import NeedleTool, Robot, load_lwr
 
-Array = NDArray[np.float64]
-
 SCENARIOS = ("gel-25-constant", "stack-constant", "liver-constant", "abdomen-sinusoidal")
 """A single layer, several, one with a membrane, and a motion that is never constant."""
 
@@ -71,18 +69,11 @@ def perturbed_needle(
         dq_rad_s=None if dq is None or not world.has_speed else dq[kept],
         tau_Nm=np.zeros((len(kept), robot.nv)),
     )
-    if world.has_speed:
-        travel = measured_travel(robot, signals, run.tare_end_s)
-    else:
-        still = replace(signals, dq_rad_s=np.zeros_like(signals.q_rad))
-        travel = measured_travel(robot, still, run.tare_end_s)
-    signal = NeedleSignal(
-        source="ft",
-        t_s=signals.t_s,
-        depth_m=travel.depth_m,
-        speed_m_s=travel.speed_m_s if world.has_speed else None,
-        force_N=run.force_N[kept],
-    )
+    still = replace(signals, dq_rad_s=np.zeros_like(signals.q_rad))
+    sent = signals if world.has_speed else still
+    depth_m, measured_m_s = measured_travel(robot, sent, run.tare_end_s)
+    speed_m_s = measured_m_s if world.has_speed else None
+    signal = NeedleSignal("ft", signals.t_s, depth_m, speed_m_s, run.force_N[kept])
     return signal, _at_samples(insertion_truth(run), kept)
 
 
@@ -93,10 +84,8 @@ def run_robustness(job: Job, progress: Progress) -> Findings:
     scenario = SCENARIOS[job.seed % len(SCENARIOS)] if chosen == MIXED else chosen
     if name in FT_ONLY:
         signal, truth = perturbed_needle(name, scenario, job.seed)
-        found = [
-            identify(signal, truth, "default"),
-            identify_as_run(signal, truth, truth.speed_m_s),
-        ]
+        as_run = identify_as_run(signal, truth, truth.speed_m_s)
+        found = [identify(signal, truth, "default"), as_run]
         return Findings(list(_events(found, truth)))
     world, _ = perturbed(name, named_scenario(scenario, job.seed), job.seed)
     run = simulate(world.scenario, world.plant, job.seed, progress_part(progress, 0.0, 0.5))
@@ -128,6 +117,5 @@ def ft_noise(plant: PlantModel) -> ForceNoise:
 
 
 def _at_samples(truth: InsertionTruth, kept: NDArray[np.intp]) -> InsertionTruth:
-    arrays = {item.name: getattr(truth, item.name) for item in fields(truth)}
-    kept_ones = {n: each[kept] for n, each in arrays.items() if isinstance(each, np.ndarray)}
-    return replace(truth, **kept_ones)
+    values = {item.name: getattr(truth, item.name) for item in fields(truth)}
+    return replace(truth, **{n: v[kept] for n, v in values.items() if isinstance(v, np.ndarray)})

@@ -11,7 +11,6 @@ import math
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from pathlib import Path
 from sys import intern
-from types import MappingProxyType
 from typing import Literal, NamedTuple
 
 import msgspec
@@ -44,7 +43,7 @@ class RowKey(NamedTuple):
         return " ".join(map(str, self))
 
 
-class Row(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
+class Row(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     """One measured number."""
 
     scenario: str  # name of the benchmark
@@ -146,8 +145,6 @@ def read_merged(paths: Sequence[str | Path]) -> list[Row]:
 
 UNITS = {"_Ns_per_m": "Ns/m", "_Nm": "Nm", "_N": "N", "_mm": "mm", "_ms": "ms", "_pct": "%"}
 """By the end of a metric's name; a name that ends otherwise is that of a fraction or a count."""
-UNDEFINED = frozenset({"rupture_precision"})
-"""Metrics that may be nan by definition: without an alarm there is no precision."""
 
 
 class Metric(msgspec.Struct, frozen=True, kw_only=True):
@@ -168,8 +165,8 @@ class Metric(msgspec.Struct, frozen=True, kw_only=True):
 
     @property
     def may_be_undefined(self) -> bool:
-        """Whether nan is a result of it rather than a failure."""
-        return self.name in UNDEFINED
+        """Whether nan is a result of it, no failure: without an alarm there is no precision."""
+        return self.name == "rupture_precision"
 
     def is_regression(self, old: float, new: float) -> bool:
         """Whether the new value is worse beyond tolerance; a number that is not finite always."""
@@ -185,12 +182,10 @@ def table_lines(path: Path) -> Iterator[dict[str, str]]:
         yield from csv.DictReader(line for line in lines if not line.startswith("#"))
 
 
-METRICS: Mapping[str, Metric] = MappingProxyType(
-    {
-        line["name"]: msgspec.convert(line, Metric, strict=False)
-        for line in table_lines(Path(__file__).with_name("metrics.csv"))
-    }
-)
+METRICS: Mapping[str, Metric] = {
+    line["name"]: msgspec.convert(line, Metric, strict=False)
+    for line in table_lines(Path(__file__).with_name("metrics.csv"))
+}
 """By name."""
 
 
@@ -216,15 +211,5 @@ class Measurement(NamedTuple):
 
     def row(self, scenario: str, plant: str, seed: int) -> Row:
         """The row of a job's results; `UnknownMetricError` if `metrics.csv` lacks the metric."""
-        source, method, name, value = self
-        unit = metric(name).unit
-        return Row(
-            scenario=scenario,
-            plant=plant,
-            seed=seed,
-            source=source,
-            method=method,
-            metric=name,
-            value=float(value),
-            unit=unit,
-        )
+        unit = metric(self.metric).unit
+        return Row(scenario, plant, seed, *self[:3], value=float(self.value), unit=unit)

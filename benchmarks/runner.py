@@ -4,7 +4,6 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from traceback import format_exc
-from types import MappingProxyType
 from typing import NamedTuple
 
 from benchmarks import BenchmarkError, DataError, UnknownIdError
@@ -36,8 +35,7 @@ QUICK = (
     "liver-constant",
     "abdomen-sinusoidal",
 )
-
-
+PLANTS = (*PLANT_MODELS, NEEDLE)
 _SIMULATED = (
     *(
         Benchmark(
@@ -45,7 +43,7 @@ _SIMULATED = (
             title=item.title,
             run=run_simulated,
             is_default=item.id in QUICK,
-            needs_arm=not item.layers,
+            possible=PLANTS if item.layers else tuple(PLANT_MODELS),
         )
         for item in SCENARIOS.values()
     ),
@@ -56,7 +54,7 @@ _SIMULATED = (
             run=run_simulated,
             is_default=False,
             plants=(NEEDLE,),
-            needs_arm=False,
+            possible=PLANTS,
         )
         for name, drawn in ((RANDOM_STACK, "speed"), (RANDOM_TISSUE, "speed, tissue law"))
     ),
@@ -68,6 +66,7 @@ _ROBUSTNESS = tuple(
         run=run_robustness,
         is_default=False,
         plants=plants,
+        possible=plants,
         perturbs=True,
     )
     for name, title, plants in (
@@ -81,7 +80,6 @@ _RECORDED = (
         title="residual of a real Panda in free motion",
         run=run_panda_real,
         needs=(panda.FOLDER,),
-        seeds=1,
     ),
     Benchmark(
         id="panda-liver",
@@ -95,26 +93,23 @@ _RECORDED = (
         title="weight of a known payload from the currents of a real UR10e",
         run=run_ur10e_payload,
         needs=(ur10e.FOLDER,),
-        seeds=1,
     ),
     Benchmark(
         id="liver-real",
         title="friction in 19 insertions into real liver against the pull-out force",
         run=run_liver_real,
         needs=(liver.FOLDER,),
-        seeds=1,
     ),
     Benchmark(
         id="bovine-real",
         title="the ruptures of an insertion into real bovine liver",
         run=run_bovine_real,
         needs=(bovine.FOLDER,),
-        seeds=1,
     ),
 )
-BENCHMARKS: Mapping[str, Benchmark] = MappingProxyType(
-    {item.id: item for item in (*_SIMULATED, *_ROBUSTNESS, *_RECORDED)}
-)
+BENCHMARKS: Mapping[str, Benchmark] = {
+    item.id: item for item in (*_SIMULATED, *_ROBUSTNESS, *_RECORDED)
+}
 """By name."""
 
 
@@ -135,7 +130,6 @@ def benchmark_named(benchmark_id: str) -> Benchmark:
 ALL = "all"
 IDS = {"tissue": TISSUE, "robustness": tuple(PERTURBED + name for name in ROBUST)}
 """Names of several benchmarks; `ALL` is for all but those in perturbed worlds."""
-PLANTS = (*PLANT_MODELS, NEEDLE)
 
 
 @dataclass(frozen=True, slots=True)
@@ -208,7 +202,7 @@ def _chosen(request: Request) -> list[Benchmark]:
 def _missing(item: Benchmark, request: Request) -> str:
     """What a benchmark lacks, nothing for one that can run."""
     if not item.is_recorded:
-        return "" if _plants(item, request) else f"a plant, one of {', '.join(_possible(item))}"
+        return "" if _plants(item, request) else f"a plant, one of {', '.join(item.possible)}"
     data = request.data
     if data is None:
         return "recordings: give --data DIR or set NEEDLEFORCE_DATA"
@@ -218,22 +212,15 @@ def _missing(item: Benchmark, request: Request) -> str:
 
 def _plants(item: Benchmark, request: Request) -> tuple[str, ...]:
     """The plants a simulation runs on, each once; none when it needs an arm and none was named."""
-    asked = tuple(dict.fromkeys(request.plants)) or item.plants
-    return tuple(plant for plant in asked if plant in _possible(item))
-
-
-def _possible(item: Benchmark) -> tuple[str, ...]:
-    """The plants it can run on."""
-    if item.perturbs:
-        return item.plants
-    return tuple(PLANT_MODELS) if item.needs_arm else PLANTS
+    asked = dict.fromkeys(request.plants or item.plants)
+    return tuple(plant for plant in asked if plant in item.possible)
 
 
 def _jobs(item: Benchmark, request: Request) -> list[Job]:
     first, seeds = request.first_seed, request.seeds
-    if item.seeds is not None:
-        first, seeds = 0, min(item.seeds, request.seeds)
-    plants = (RECORDING,) if item.is_recorded else _plants(item, request)
+    plants = _plants(item, request)
+    if item.is_recorded:
+        first, seeds, plants = 0, min(item.seeds, request.seeds), (RECORDING,)
     return [
         Job(
             benchmark=item.id,

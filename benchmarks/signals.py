@@ -2,7 +2,6 @@
 
 from dataclasses import dataclass
 from itertools import accumulate
-from typing import NamedTuple
 
 import numpy as np
 import pinocchio as pin
@@ -129,7 +128,7 @@ class JointSignals:
         return list(zip(self.q_rad, velocities, self.tau_Nm, self.dt_s.tolist(), strict=True))
 
 
-@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+@dataclass(frozen=True, slots=True, eq=False)
 class NeedleSignal:
     """n samples of depth, speed and force: what an identifier gets."""
 
@@ -140,16 +139,10 @@ class NeedleSignal:
     force_N: Array  # axial force, zeroed in free air, shape (n,)
 
 
-class MeasuredTravel(NamedTuple):
-    """Travel of the tip along the needle's axis, and its rate, each of shape (n,)."""
+def measured_travel(robot: Robot, signals: JointSignals, zero_s: float) -> tuple[Array, Array]:
+    """Travel of the tip along the needle's axis and its rate, shape (n,) each.
 
-    depth_m: Array  # zero where the tare ended
-    speed_m_s: Array  # its rate
-
-
-def measured_travel(robot: Robot, signals: JointSignals, zero_s: float) -> MeasuredTravel:
-    """Forward kinematics of measured positions, Jacobian of measured velocities.
-
+    Forward kinematics of measured positions, Jacobian of measured velocities.
     Where the arm sends no velocity, velocity and the position that belongs to it are estimated as
     the virtual sensor does it. The tip's place and axis at `zero_s` are the zero and the direction
     of depth.
@@ -167,7 +160,7 @@ def measured_travel(robot: Robot, signals: JointSignals, zero_s: float) -> Measu
     for k, (q, dq) in enumerate(zip(q_rad, dq_rad_s, strict=True)):
         kinematics.update(q)
         found[k] = tip_motion(axis, kinematics.pose, kinematics.axial_jacobian, dq)
-    return MeasuredTravel(found[:, 0] - float(axis.dot(start_m)), found[:, 1].copy())
+    return found[:, 0] - float(axis.dot(start_m)), found[:, 1].copy()
 
 
 def lagging(values: Array, t_s: Array, lag_s: float) -> Array:
@@ -179,8 +172,15 @@ def lagging(values: Array, t_s: Array, lag_s: float) -> Array:
     return np.asarray(found, dtype=np.float64)
 
 
-def tool_jacobians(robot: Robot, q_rad: Array) -> Array:
+def inverse_dynamics(model: pin.Model, q_rad: Array, dq_rad_s: Array, ddq_rad_s2: Array) -> Array:
+    """Torques of a motion in free air, shape (n, j) like the arguments."""
+    data, rows = model.createData(), zip(q_rad, dq_rad_s, ddq_rad_s2, strict=True)
+    return np.array([pin.rnea(model, data, *row) for row in rows])
+
+
+def tool_jacobians(
+    robot: Robot, q_rad: Array, axes: pin.ReferenceFrame = pin.ReferenceFrame.LOCAL
+) -> Array:
     """Jacobians of the tool frame in its own axes, shape (n, 6, j); row 2 is along the needle."""
     model, data, frame = robot.model, robot.create_data(), robot.tool_frame_id
-    axes = pin.ReferenceFrame.LOCAL
     return np.array([pin.computeFrameJacobian(model, data, q, frame, axes) for q in q_rad])

@@ -4,9 +4,8 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
-from numpy.typing import NDArray
 
-from benchmarks.benchmark import Drawing, Findings, Job, Progress, progress_part
+from benchmarks.benchmark import Findings, Job, Progress, progress_part
 from benchmarks.force_plots import force_figures
 from benchmarks.identification_figures import draw_identification
 from benchmarks.identification_metrics import identify_as_run, measure_identification
@@ -35,13 +34,8 @@ from groundtruth import ForceNoise, Run, Scenario, insert_needle, scenario, simu
 from groundtruth.force_noise import MINI45
 from groundtruth.scenarios import DRAWN
 
-Array = NDArray[np.float64]
-
 NEEDLE = "needle"
 """The plant of a simulation without an arm."""
-SIMULATION_PART, READING_PART = 0.5, 0.85
-"""Of a job's time until the simulation has ended and until identification begins, for the progress
-bar."""
 
 
 def run_simulated(job: Job, progress: Progress) -> Findings:
@@ -49,11 +43,9 @@ def run_simulated(job: Job, progress: Progress) -> Findings:
     chosen = scenario(job.benchmark, job.seed)
     if job.plant == NEEDLE:
         return run_needle(job, chosen, progress, is_drawn=job.benchmark in DRAWN)
-    run = simulate(chosen, job.plant, job.seed, progress_part(progress, 0.0, SIMULATION_PART))
-    case = read_sensors(run, progress_part(progress, SIMULATION_PART, READING_PART))
-    drawings: tuple[Drawing, ...] = ()
-    if job.drawings is not None:
-        drawings += force_figures(job, job.drawings, case.truth, case.readings)
+    run = simulate(chosen, job.plant, job.seed, progress_part(progress, 0.0, 0.5))
+    case = read_sensors(run, progress_part(progress, 0.5, 0.85))
+    drawings = force_figures(job, job.drawings, case.truth, case.readings) if job.drawings else ()
     measured = simulated_metrics(case)
     if chosen.layers:
         found = _measured(job, identify_sources(case), insertion_truth(run), chosen, case.ft)
@@ -128,14 +120,8 @@ def simulated_metrics(case: SimulatedCase) -> list[Measurement]:
 
 def session_signal(case: SimulatedCase, method: Method, force: ForceReading) -> NeedleSignal:
     """A force with depth and speed of a method's session, which come from measured joints."""
-    session = case.sessions[method]
-    return NeedleSignal(
-        source=force.source,
-        t_s=case.signals.t_s,
-        depth_m=session.depth_m,
-        speed_m_s=session.speed_m_s,
-        force_N=force.axial_N,
-    )
+    made, t_s = case.sessions[method], case.signals.t_s
+    return NeedleSignal(force.source, t_s, made.depth_m, made.speed_m_s, force.axial_N)
 
 
 def identify_sources(case: SimulatedCase) -> list[list[Identified]]:
@@ -169,12 +155,8 @@ def _measured(
     ft: ForceReading | None = None,
 ) -> Findings:
     """Numbers and figures of the online identification on every source."""
-    measured = [
-        value
-        for found in sources
-        for item in found
-        for value in measure_identification(item, truth)
-    ]
+    items = [item for found in sources for item in found]
+    measured = [value for item in items for value in measure_identification(item, truth)]
     if job.drawings is None:
         return Findings(measured)
     commanded = scenario.motion.speed_m_s(truth.t_s)
@@ -198,13 +180,7 @@ def run_needle(job: Job, chosen: Scenario, progress: Progress, *, is_drawn: bool
     progress(0.2)
     # The zero of depth is where the tare ended: a user does not know the surface.
     zero = run.depth_m[int(np.searchsorted(run.t_s, run.tare_end_s))]
-    signal = NeedleSignal(
-        source="ft",
-        t_s=run.t_s,
-        depth_m=run.depth_m - zero,
-        speed_m_s=run.speed_m_s,
-        force_N=run.force_N,
-    )
+    signal = NeedleSignal("ft", run.t_s, run.depth_m - zero, run.speed_m_s, run.force_N)
     truth = insertion_truth(run)
     found = [identify(signal, truth, method) for method in IDENTIFIERS]
     found.append(identify_as_run(signal, truth, run.speed_m_s))

@@ -3,15 +3,13 @@
 from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass, replace
 from time import perf_counter_ns
-from types import MappingProxyType
 from typing import Any, NamedTuple
 
 import numpy as np
 import pinocchio as pin
-from numpy.typing import NDArray
 
 from benchmarks.methods import on_lwr
-from benchmarks.signals import JointSignals
+from benchmarks.signals import Array, JointSignals
 from benchmarks.tables import ResultTable, met_mark
 from benchmarks.targets import (
     CHAIN_COST_RATIOS,
@@ -53,29 +51,26 @@ class Subject(NamedTuple):
 OBSERVER, SENSOR, CHAIN = "observer", "sensor", "chain"
 PUBLISHED_CHAIN = "chain, published identifier"
 ESTIMATED = ", velocity estimated"
-SUBJECTS: Mapping[str, Subject] = MappingProxyType(
-    {
-        OBSERVER: Subject(BARE_OBSERVER, *OBSERVER_COST_RATIOS),
-        SENSOR: Subject(BARE_SENSOR, *SENSOR_COST_RATIOS),
-        CHAIN: Subject(BARE_SENSOR, *CHAIN_COST_RATIOS),
-        CHAIN + ESTIMATED: Subject(BARE_SENSOR, ESTIMATED_VELOCITY_COST_RATIO),
-        PUBLISHED_CHAIN: Subject(BARE_SENSOR, *CHAIN_COST_RATIOS),
-        PUBLISHED_CHAIN + ESTIMATED: Subject(BARE_SENSOR, ESTIMATED_VELOCITY_COST_RATIO),
-    }
-)
-Times = NDArray[np.float64]
-"""Time of each update of a subject [us], shape (blocks, BLOCK)."""
+SUBJECTS: Mapping[str, Subject] = {
+    OBSERVER: Subject(BARE_OBSERVER, *OBSERVER_COST_RATIOS),
+    SENSOR: Subject(BARE_SENSOR, *SENSOR_COST_RATIOS),
+    CHAIN: Subject(BARE_SENSOR, *CHAIN_COST_RATIOS),
+    CHAIN + ESTIMATED: Subject(BARE_SENSOR, ESTIMATED_VELOCITY_COST_RATIO),
+    PUBLISHED_CHAIN: Subject(BARE_SENSOR, *CHAIN_COST_RATIOS),
+    PUBLISHED_CHAIN + ESTIMATED: Subject(BARE_SENSOR, ESTIMATED_VELOCITY_COST_RATIO),
+}
 
 
-def cost_ratio(times: Times, bare: Times) -> float:
+def cost_ratio(times: Array, bare: Array) -> float:
     """Cost relative to the bare dynamics: median of the ratios of neighbouring blocks' medians."""
     return float(np.median(np.median(times, axis=1) / np.median(bare, axis=1)))
 
 
-def time_side_by_side(subjects: Mapping[str, Update], first: int, last: int) -> dict[str, Times]:
+def time_side_by_side(subjects: Mapping[str, Update], first: int, last: int) -> dict[str, Array]:
     """Let subjects take turns, block by block, over the same samples 0 to last - 1.
 
-    Updates before `first` are not counted: caches fill, filters settle.
+    Returns the time of each update of a subject [us], shape (blocks, BLOCK). Updates before `first`
+    are not counted: caches fill, filters settle.
     """
     for update in subjects.values():
         time_each(update, range(first))
@@ -130,13 +125,9 @@ class ChainUpdate:
 class SpeedReport:
     """What was timed; updates are counted from the first that was timed."""
 
-    times: dict[str, Times]  # by subject
+    times: dict[str, Array]  # by subject, as of `time_side_by_side`
     alarms: dict[str, list[int]]  # updates that raised a rupture, by chain
     layers: dict[str, list[int]]  # updates that worked on identifying a layer, by chain
-
-    def ratio(self, name: str) -> float:
-        """Cost of a subject relative to its bare dynamics."""
-        return cost_ratio(self.times[name], self.times[SUBJECTS[name].bare])
 
 
 def measure_speed(progress: Callable[[float], None]) -> SpeedReport:
@@ -220,26 +211,21 @@ def speed_report(report: SpeedReport) -> tuple[list[ResultTable], bool]:
     return tables, not any("missed" in line for table in tables for line in table.lines)
 
 
-def _ratio_cells(ratio: float, limit: float | None) -> tuple[str, str, str]:
-    if limit is None:
-        return f"{ratio:.2f}", "", ""
-    return f"{ratio:.2f}", f"≤ {limit:g}", met_mark(ratio <= limit)
-
-
 def speed_table(report: SpeedReport) -> ResultTable:
     """Microseconds per update, and the ratio to the bare dynamics with its target."""
     lines = []
     for name, times in report.times.items():
-        cells, subject = ("", "", ""), SUBJECTS.get(name)
-        if subject is not None:
-            limit = subject.compiled if COMPILER else subject.plain
-            cells = _ratio_cells(report.ratio(name), limit)
         taken = [float(np.percentile(times, percent)) for percent in PERCENTILES.values()]
-        mean = float(np.mean(times))
-        evenness: tuple[str, str] = ("", "")
-        if subject is not None and cells[1]:
-            evenness = (f"{mean / taken[0]:.2f}", met_mark(mean <= MEAN_TICK_RATIO * taken[0]))
-        lines.append((name, *(f"{value:.1f}" for value in (mean, *taken)), *cells, *evenness))
+        mean, cells, subject = float(np.mean(times)), [""] * 5, SUBJECTS.get(name)
+        if subject is not None:
+            ratio = cost_ratio(times, report.times[subject.bare])
+            limit = subject.compiled if COMPILER else subject.plain
+            cells[0] = f"{ratio:.2f}"
+            if limit is not None:
+                cells[1:3] = f"≤ {limit:g}", met_mark(ratio <= limit)
+                is_even = mean <= MEAN_TICK_RATIO * taken[0]
+                cells[3:] = f"{mean / taken[0]:.2f}", met_mark(is_even)
+        lines.append((name, *(f"{value:.1f}" for value in (mean, *taken)), *cells))
     ticks = next(iter(report.times.values())).size
     how = f"compiled by {COMPILER}" if COMPILER else "plain Python: no numba, the extra `fast`"
     return ResultTable(

@@ -5,7 +5,6 @@ import re
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
-from types import MappingProxyType
 from typing import Any
 
 import msgspec
@@ -37,7 +36,7 @@ COLORS = {"met": "green", "missed": "red", BAD: "red"}
 """Of cells, by what they say."""
 LEAST_WIDTH = 200
 """Of a table that goes into a file or a pipe."""
-_RMSE, _CUMULATIVE = "wrench_rmse_N", "cumulative_friction_{}_Ns_per_m"
+_RMSE, CUMULATIVE = "wrench_rmse_N", "cumulative_friction_{}_Ns_per_m"
 Frame = Any
 """A pandas.DataFrame with the columns of `Row`; its annotations leave open what a selection is."""
 
@@ -90,7 +89,7 @@ def frame_of(rows: Iterable[Row]) -> Frame:
     ours = {"metric": _RMSE, "source": "virtual", "method": "default"}
     ratio = _ratio(frame, "wrench_rmse_ratio", ours, ours | {"method": "published"})
     best_gain = _ratio(frame, "wrench_best_K_ratio", ours, ours | {"method": "published-best-K"})
-    online, offline = ({"metric": _CUMULATIVE.format(kind)} for kind in ("online", "offline"))
+    online, offline = ({"metric": CUMULATIVE.format(kind)} for kind in ("online", "offline"))
     change = _ratio(frame, "online_change", online, offline)
     return pd.concat([frame, ratio, best_gain, change.assign(value=change["value"] - 1.0)])
 
@@ -288,7 +287,7 @@ def _read() -> dict[str, GroupTable]:
     return {name: msgspec.structs.replace(table, shows=name) for name, table in found.items()}
 
 
-TABLES: Mapping[str, GroupTable] = MappingProxyType(_read())
+TABLES: Mapping[str, GroupTable] = _read()
 """In order, by the name in `metrics.csv`; a new kind of number gets its table in `tables.toml`."""
 
 
@@ -353,8 +352,6 @@ def worst_rows(rows: Sequence[Row]) -> str:
 
 BEGIN = "<!-- results:begin -->"
 END = "<!-- results:end -->"
-
-
 SUMMED = ("published", "published-best-K", "default")
 
 

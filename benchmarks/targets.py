@@ -12,7 +12,6 @@ import statistics
 from collections.abc import Iterable, Mapping, Sequence
 from enum import StrEnum
 from pathlib import Path
-from types import MappingProxyType
 from typing import Literal, NamedTuple
 
 import msgspec
@@ -25,9 +24,12 @@ TISSUE = tuple(item.id for item in SCENARIOS.values() if item.layers)
 GELS = tuple(name for name in TISSUE if name.startswith("gel-"))
 """Single gels, those of Table I."""
 STACKS = tuple(name for name in TISSUE if name.startswith("stack-"))
-GROUPS: Mapping[str, tuple[str, ...]] = MappingProxyType(
-    {"tissue": TISSUE, "gels": GELS, "stacks": STACKS, "random": (RANDOM_STACK,)}
-)
+GROUPS: Mapping[str, tuple[str, ...]] = {
+    "tissue": TISSUE,
+    "gels": GELS,
+    "stacks": STACKS,
+    "random": (RANDOM_STACK,),
+}
 """Scenarios that are judged together, by name."""
 
 Statistic = Literal["worst", "mean", "median"]
@@ -99,9 +101,7 @@ SOAK_GROWTH_KB = 100.0
 """Most that Python may hold more after a million updates: a tenth of a byte each. What layers found
 meanwhile and caches that fill late need is below it."""
 
-PUBLISHED_RMSE_N: Mapping[str, float] = MappingProxyType(
-    {"gel-70-constant": 0.2444, "stack-glove-constant": 0.285}
-)
+PUBLISHED_RMSE_N: Mapping[str, float] = {"gel-70-constant": 0.2444, "stack-glove-constant": 0.285}
 """Ferro et al., Figure 5: virtual against real F/T sensor on a real LWR 4+, by scenario [N]."""
 
 
@@ -114,13 +114,11 @@ class PublishedFriction(NamedTuple):
     online_spread: int
 
 
-TABLE_ONE_Ns_per_m: Mapping[int, PublishedFriction] = MappingProxyType(
-    {
-        25: PublishedFriction(113, 14, 84, 10),
-        50: PublishedFriction(283, 21, 232, 16),
-        70: PublishedFriction(534, 56, 481, 37),
-    }
-)
+TABLE_ONE_Ns_per_m: Mapping[int, PublishedFriction] = {
+    25: PublishedFriction(113, 14, 84, 10),
+    50: PublishedFriction(283, 21, 232, 16),
+    70: PublishedFriction(534, 56, 481, 37),
+}
 """Cumulative friction of single gels, by per cent of isinglass."""
 
 

@@ -78,11 +78,8 @@ class Bank(NamedTuple):
         if not np.allclose(scaled, scaled.transpose(0, 2, 1), rtol=0.0, atol=1e-3):
             return "its covariances are not symmetric"
         is_kind = np.isin(self.facts[:, law.KIND], (law.AIR, law.LAYER, law.MEMBRANE))
-        return (
-            ""
-            if (is_kind & (self.facts[:, law.LENGTH] > 0.0)).all()
-            else "its facts are impossible"
-        )
+        is_possible = (is_kind & (self.facts[:, law.LENGTH] > 0.0)).all()
+        return "" if is_possible else "its facts are impossible"
 
     @property
     def weights(self) -> Array:
@@ -152,10 +149,7 @@ class BankMemory:
         parents = _parents(log_weights, facts, place.depth, _OF_PARENT).tolist()
         step = max(place.depth - max(before, place.depth - 1.0), STEP_MM)
         is_membrane_due = int(place.depth / MEMBRANE_STEP_MM) != int(before / MEMBRANE_STEP_MM)
-        scene, time_s = (
-            (place.depth, place.speed, place.deflection),
-            place.time_s - 0.5 * place.dt_s,
-        )
+        scene, time_s = place[2:5], place.time_s - 0.5 * place.dt_s
         moment = (*scene, time_s, tissue_speed, place.force)
         for k in parents:
             happens = _events(facts[k].tolist(), place, HAZARD * step, is_membrane_due)
@@ -166,8 +160,8 @@ class BankMemory:
 
     def prune(self, place: Place) -> None:
         """Keep the likeliest of each class, best first."""
-        bank, depth = self.bank, place.depth
-        rows, log_weights = _ranked(bank.log_weights, bank.facts, depth, _OF_CLASS, QUOTAS)
+        bank = self.bank
+        rows, log_weights = _ranked(bank.log_weights, bank.facts, place.depth, _OF_CLASS)
         for source, target in zip(bank, self._other, strict=True):
             source.take(rows, axis=0, out=target[: len(rows)], mode="clip")
         self._other[2][: len(rows)] = log_weights
@@ -225,11 +219,7 @@ def _parents(
 
 @compiled
 def _ranked(
-    log_weights: Vector,
-    facts: Matrix,
-    depth: float,
-    places: tuple[int, int, int],
-    quotas: tuple[int, int, int, int],
+    log_weights: Vector, facts: Matrix, depth: float, places: tuple[int, int, int]
 ) -> tuple[Rows, Vector]:
     """The likeliest, so many of each class at most, best first, and their weights."""
     tip, kind, membrane = places
@@ -238,7 +228,7 @@ def _ranked(
     classes = 2 * is_old + 1 * is_pushed
     weights = log_weights - log_weights.max()
     weights -= math.log(np.exp(weights).sum())
-    left, kept, size = list(quotas), np.zeros(len(weights), dtype=np.int64), 0
+    left, kept, size = list(QUOTAS), np.zeros(len(weights), dtype=np.int64), 0
     for k in np.argsort(-weights, kind="mergesort"):
         if weights[k] <= NEGLIGIBLE:
             break

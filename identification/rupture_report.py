@@ -41,7 +41,7 @@ _NAMES = ("stiffness", "coulomb", "viscous")
 _UNITS = (("N_per_m", _MM), ("N_per_m", _MM), ("Ns_per_m2", _MM * _MM))
 _TIP = slice(law.RELEASED, law.KEPT + 1)
 """The tip's unknowns."""
-_OF_FACTS, _OF_MEANS = (law.KIND, law.IS_HELD, law.RUPTURES), (law.RELEASED, law.KEPT, law.HELD)
+_OF_COUNT = law.KIND, law.IS_HELD, law.RUPTURES, law.RELEASED, law.KEPT, law.HELD
 """Places, for compiled code: it does not use constants of another file."""
 
 
@@ -53,9 +53,9 @@ def answer_at(memory: BankMemory, place: Place, ruptures: int, speed: float) -> 
     bank = memory.bank
     weights = _shown(bank.log_weights)
     answer, best = NO_ANSWER.copy(), int(weights.argmax())
-    mean, spread, all_met, contact = law.shaft_mixture(memory.store, weights, place.depth)
-    answer[1], answer[2:] = mean, spread
-    diagonal = answer[2:].reshape(-1)[:: len(mean) + 1]
+    found = law.shaft_mixture(memory.store, weights, place.depth)
+    answer[1], answer[2:], all_met, contact = found
+    diagonal = answer[2:].reshape(-1)[:: len(answer[1]) + 1]
     np.maximum(diagonal, 0.0, out=diagonal)
     row = law.regressor(bank.facts[best], (place.depth, place.speed, place.deflection))
     tip = float(row[_TIP] @ bank.means[best, _TIP])
@@ -86,8 +86,7 @@ class Evaluation(NamedTuple):
 def count_ruptures(bank: Bank, known: int, noise: float) -> Evaluation:
     """Compare the number of ruptures known with those of the hypotheses."""
     limits = float(known), _CLEAR_SIGMAS * noise, law.LAYER
-    found = _counted(bank.log_weights, bank.facts, bank.means, limits, _OF_FACTS, _OF_MEANS)
-    return Evaluation(*found)
+    return Evaluation(*_counted(bank.log_weights, bank.facts, bank.means, limits, _OF_COUNT))
 
 
 @compiled
@@ -96,12 +95,10 @@ def _counted(
     facts: Matrix,
     means: Matrix,
     limits: tuple[float, float, float],
-    of_facts: tuple[int, int, int],
-    of_means: tuple[int, int, int],
+    places: tuple[int, int, int, int, int, int],
 ) -> tuple[float, float, int, int]:
     """An `Evaluation`, for the ruptures known, the least force released, and what a layer is."""
-    (known, least, layer), (kind, is_held, number) = limits, of_facts
-    released, kept, held = of_means
+    (known, least, layer), (kind, is_held, number, released, kept, held) = limits, places
     weights = np.exp(log_weights - log_weights.max())
     weights /= weights.sum()
     # After a partial rupture part of the force is held: what has fallen is the rest.
@@ -194,9 +191,7 @@ def layer_left(
     thickness = max(float(record[law.RUPTURE_MM] - record[law.PART_START]), 1e-3)
     fields: dict[str, float | bool] = {}
     for k, (name, (unit, factor)) in enumerate(zip(_NAMES, _UNITS, strict=True)):
-        value, variance = record[
-            law.STIFFNESS_HERE + 2 * k : law.STIFFNESS_HERE + 2 * k + 2
-        ].tolist()
+        value, variance = record[law.STIFFNESS_HERE + 2 * k :][:2].tolist()
         value, deviation = factor * max(value, 0.0), factor * math.sqrt(max(variance, 0.0))
         fields[f"{name}_{unit}"], fields[f"{name}_std_{unit}"] = value, deviation
         fields[f"{name}_identified"] = deviation <= _IDENTIFIED * value

@@ -35,6 +35,11 @@ _LEAST_DEPTH_VARIANCE, _LEAST_SPEED_VARIANCE = 1e-16, 1e-14
 """0.01 um and 0.1 um/s: what rounding leaves of exact samples."""
 _BLOCK_S = 0.016
 _ENOUGH_BLOCKS = 12.0
+_RISE_S = 60.0
+"""Means of a moving needle lie off a line by its motion as well: their least scatter counts, and
+what was least once is forgotten in so long (minimum statistics, Martin 2001)."""
+_LEAST_BIAS = 1.5
+"""Mean over the usual least of such means."""
 _HASTE_S = 0.05
 _SIGNIFICANT = 4.0
 _MOST_SURPRISE = 5.0
@@ -62,7 +67,8 @@ _NOISE_DEPTH, _NOISE_BOTH, _NOISE_SPEED, _SURPRISE, _SPEED_SURPRISE = range(14, 
 # of such means being filled: its length, the number of its samples, the sums of both.
 OF_DEPTH, _OF_SPEED, _OF_DEPTHS, _OF_SPEEDS = 19, 24, 29, 34
 _FILLED, _SAMPLES, _DEPTH_SUM, _SPEED_SUM = 39, 40, 41, 42
-SAMPLE_MEMORY = 43
+_LEAST_DEPTHS, _LEAST_SPEEDS = 43, 44
+SAMPLE_MEMORY = 45
 # Of a noise: variance of single samples, on how many values that rests; the last value, the one
 # before, and the time between them, 0 while there are none.
 _VARIANCE, _SEEN, _LAST, _BEFORE, _LAST_DT = range(5)
@@ -231,11 +237,42 @@ def _measure(memory: WrittenVector, k: int, value: float, noise: float) -> float
 
 
 @compiled
-def _noise(memory: WrittenVector, single: int, means: int, dt_s: float) -> float:
+def _noise(memory: WrittenVector, single: int, least: int, dt_s: float) -> float:
     """Variance of a sample's noise, as if it were white: of a smooth one a block is one sample."""
-    is_known = memory[means + _SEEN] >= _ENOUGH_BLOCKS
-    of_mean = memory[means + _VARIANCE] * _BLOCK_S / dt_s if is_known else 0.0
-    return max(memory[single + _VARIANCE], of_mean)
+    return max(memory[single + _VARIANCE], memory[least] * _BLOCK_S / dt_s)
+
+
+@compiled
+def _learn_smooth_noise(
+    memory: WrittenVector, at: int, least: int, value: float, dt_s: float, floor: float
+) -> None:
+    """Use the mean of a block, for the noise whose numbers begin at a place, and for its least."""
+    learn_noise(memory, at, value, dt_s, floor)
+    variance, last = memory[at + _VARIANCE], memory[least] * math.exp(dt_s / _RISE_S)
+    if memory[at + _SEEN] < _ENOUGH_BLOCKS:
+        return
+    is_mean = memory[at + _SEEN] * dt_s >= 0.9 * _MEMORY_S  # of few blocks the least is too small
+    memory[least] = min(_LEAST_BIAS * variance, last) if is_mean else variance
+
+
+@compiled
+def _fill_block(
+    memory: WrittenVector, depth_m: float, speed_m_s: float, dt_s: float, is_measured: bool
+) -> None:
+    """Add a sample to the block of means, and learn smooth noise from a full one."""
+    m = memory
+    m[_FILLED] += dt_s
+    m[_SAMPLES] += 1.0
+    m[_DEPTH_SUM] += depth_m
+    m[_SPEED_SUM] += speed_m_s
+    if m[_FILLED] < _BLOCK_S:
+        return
+    depth, speed, length_s = m[_DEPTH_SUM] / m[_SAMPLES], m[_SPEED_SUM] / m[_SAMPLES], m[_FILLED]
+    _learn_smooth_noise(m, _OF_DEPTHS, _LEAST_DEPTHS, depth, length_s, _LEAST_DEPTH_VARIANCE)
+    if is_measured:
+        _learn_smooth_noise(m, _OF_SPEEDS, _LEAST_SPEEDS, speed, length_s, _LEAST_SPEED_VARIANCE)
+    for k in range(_FILLED, _LEAST_DEPTHS):
+        m[k] = 0.0
 
 
 @compiled
@@ -245,7 +282,7 @@ def filter_travel(
     """Use one checked sample; time steps may differ, the filter is exact for each."""
     m, gain = memory, -math.expm1(-dt_s / _HASTE_S)
     learn_noise(m, OF_DEPTH, depth_m, dt_s, _LEAST_DEPTH_VARIANCE)
-    noise = max(_noise(m, OF_DEPTH, _OF_DEPTHS, dt_s), _LEAST_DEPTH_VARIANCE)
+    noise = max(_noise(m, OF_DEPTH, _LEAST_DEPTHS, dt_s), _LEAST_DEPTH_VARIANCE)
     if m[_VAR_DEPTH] == 0.0 or dt_s > _GAP_S:
         for k in range(_DEPTH, OF_DEPTH):
             m[k] = 0.0
@@ -264,19 +301,10 @@ def filter_travel(
         m[_SURPRISE] += gain * (_measure(m, 0, depth_m, noise) - m[_SURPRISE])
     if is_measured:
         learn_noise(m, _OF_SPEED, speed_m_s, dt_s, _LEAST_SPEED_VARIANCE)
-        m[_SPEED_SUM] += speed_m_s
     if is_measured and m[_OF_SPEED + _SEEN] > 0.0:
-        noise = _noise(m, _OF_SPEED, _OF_SPEEDS, dt_s)
+        noise = _noise(m, _OF_SPEED, _LEAST_SPEEDS, dt_s)
         m[_SPEED_SURPRISE] += gain * (_measure(m, 1, speed_m_s, noise) - m[_SPEED_SURPRISE])
-    m[_FILLED] += dt_s
-    m[_SAMPLES] += 1.0
-    m[_DEPTH_SUM] += depth_m
-    if m[_FILLED] >= _BLOCK_S:
-        n, length_s = m[_SAMPLES], m[_FILLED]
-        learn_noise(m, _OF_DEPTHS, m[_DEPTH_SUM] / n, length_s, _LEAST_DEPTH_VARIANCE)
-        if is_measured:
-            learn_noise(m, _OF_SPEEDS, m[_SPEED_SUM] / n, length_s, _LEAST_SPEED_VARIANCE)
-        m[_FILLED] = m[_SAMPLES] = m[_DEPTH_SUM] = m[_SPEED_SUM] = 0.0
+    _fill_block(m, depth_m, speed_m_s, dt_s, is_measured)
     depth_variance, speed_variance = max(m[_NOISE_DEPTH], 0.0), max(m[_NOISE_SPEED], 0.0)
     return m[_DEPTH], m[_SPEED], math.sqrt(depth_variance), math.sqrt(speed_variance)
 

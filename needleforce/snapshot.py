@@ -26,7 +26,7 @@ from needleforce.session import SessionSnapshot, SnapshotFileError
 from residual.virtual_force_sensor import SensorState
 
 SNAPSHOT_FORMAT = "needleforce-snapshot"
-SNAPSHOT_VERSION = 8
+SNAPSHOT_VERSION = 9
 """Grows whenever a file of the version before could no longer be read, or would be misread."""
 MOST_BYTES = 64 << 20
 """A snapshot has some 100 kB; a device or a wrong file is not read to its end."""

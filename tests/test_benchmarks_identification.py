@@ -83,8 +83,7 @@ def identified(enhanced_N, tip_N, compensated_at=None):
     ]
     return SimpleNamespace(
         start=len(T) - len(enhanced_N),
-        enhanced_N=enhanced_N,
-        tip_N=tip_N,
+        series={"enhanced_force_N": enhanced_N, "tip_force_N": tip_N}.get,
         result=SimpleNamespace(estimates=estimates, layers=()),
     )
 

@@ -25,9 +25,11 @@ PLANTS = {
 LEAST_J = {"spring": -0.1e-3, "viscous": -0.1e-3, "wall": -5e-3}
 
 
-def estimate(axial_N=0.0, tip_N=None, depth_m=0.0, speed_m_s=0.0, status=Status.OK):
+def estimate(axial_N=0.0, tip_N=None, depth_m=0.0, speed_m_s=0.0, status=Status.OK, rupture=None):
     tip_N = axial_N if tip_N is None else tip_N
-    found = SimpleNamespace(tip_force_N=tip_N, enhanced_force_N=0.5 * (tip_N + axial_N))
+    found = SimpleNamespace(
+        tip_force_N=tip_N, enhanced_force_N=0.5 * (tip_N + axial_N), rupture=rupture
+    )
     return SimpleNamespace(
         wrench=SimpleNamespace(axial=axial_N),
         identification=found,
@@ -104,6 +106,21 @@ def test_needle_follows_the_scaled_hand_and_the_clutch_holds_it(scale):
     assert drive(lambda x, v: 0.0, tele, master, 1.0, rng, lambda t: False) == pytest.approx(
         0.0, abs=1e-4
     )
+
+
+def test_noise_is_not_shown_and_a_rupture_is_at_once():
+    tele, rng, shown = Teleoperation(), np.random.default_rng(4), []
+    for noise_N in rng.normal(0.0, 0.1, 2000):
+        tele.update(None, estimate(1.0 + noise_N), DT)
+        shown.append(tele.shown_N)
+    assert np.std(shown[1000:]) < 0.02
+    assert np.mean(shown[1000:]) == pytest.approx(1.0, abs=0.02)
+    tele.update(None, estimate(0.5), DT)
+    assert tele.shown_N == pytest.approx(0.8)  # never further than 0.3 N
+    tele.update(None, estimate(0.5, rupture=object()), DT)
+    for _ in range(60):
+        tele.update(None, estimate(0.5), DT)
+    assert tele.shown_N == pytest.approx(0.5, abs=0.02)
 
 
 def test_needle_stops_when_the_device_is_gone_and_force_fades_with_the_estimate():

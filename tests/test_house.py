@@ -18,13 +18,13 @@ INSTALLED = (*LIBRARIES, "needleforce")
 PACKAGES = (*INSTALLED, "benchmarks")
 PROJECT = tomllib.loads((ROOT / "pyproject.toml").read_text(encoding="utf-8"))
 LIMITS = {
-    "product": (18_990, 98),
-    "benchmarks": (6_790, 30),
+    "product": (19_000, 98),
+    "benchmarks": (6_500, 30),
     "tests": (12_880, 72),
-    "control": (2_240, 15),
-    "anatomy": (1_415, 8),
-    "scene": (735, 6),
-    "devices": (1_372, 9),
+    "control": (2_250, 15),
+    "anatomy": (1_402, 8),
+    "scene": (715, 6),
+    "devices": (1_340, 8),
 }
 """Most lines and files of Python. Those of the chain are ceilings at today's size, to be lowered
 with every cut: the goal is 19,000, 6,500 and 13,000 lines. The packages around the chain, with

@@ -17,7 +17,7 @@ from needleforce import NeedleTool, load_lwr
 from needleforce.anatomy.plan_match import PlanState
 from needleforce.cli import main
 from needleforce.scene import PlanScene, SlicerOutput, StateRing, Viewer, open_viewer
-from needleforce.scene.state_ring import FIELDS, PLAN_FIELDS, ROWS, ViewRow, view_row
+from needleforce.scene.state_ring import FIELDS, PLAN_FIELDS, ROWS, view_row
 
 HOME = np.array([0.0, 0.5, 0.0, -1.2, 0.0, 1.0, 0.0])
 needs_chromium = pytest.mark.skipif(PROGRAM is None, reason="no chromium: apt-get install chromium")
@@ -28,15 +28,11 @@ def row(time_s, depth_m=0.0, rupture=0.0, q=HOME, **more):
     values |= {f"plan_{name}": np.nan for name in PLAN_FIELDS}
     values |= {"force_N": 20.0 * depth_m, "tip_N": 10.0 * depth_m, "force_std_N": 0.05}
     values |= {"rupture": rupture, "rupture_depth_m": depth_m, "layer": 1.0, "tip_std_N": 0.1}
-    return ViewRow(tuple((values | more)[name] for name in FIELDS), tuple(q))
-
-
-def table(rows):
-    return np.array([(*one.values, *one.q_rad) for one in rows])
+    return (*((values | more)[name] for name in FIELDS), *q)
 
 
 def insertion(count=200):
-    return table(row(0.05 * k, 1e-4 * k, 1.0 if k == 120 else 0.0) for k in range(count))
+    return np.array([row(0.05 * k, 1e-4 * k, 1.0 if k == 120 else 0.0) for k in range(count)])
 
 
 def planned(layer, next_mm, matched=-1):
@@ -118,7 +114,7 @@ def test_marks_are_where_and_when_ruptures_were_and_vanish_when_time_goes_back(v
 
 
 def test_a_plan_names_layers_and_what_proved_false_is_taken_back(viewer):
-    viewer.append(table([row(0.0, **planned(-1, 2.0)), row(1.0, 0.01, **planned(0, 22.0))]))
+    viewer.append(np.array([row(0.0, **planned(-1, 2.0)), row(1.0, 0.01, **planned(0, 22.0))]))
     viewer.show(0.5)
     assert "in **outside** (93 %), fat at 2.0 ± 1.0 mm" in viewer._text.content
     viewer.show()
@@ -128,8 +124,8 @@ def test_a_plan_names_layers_and_what_proved_false_is_taken_back(viewer):
     assert ring.visible
     assert label.text == "liver, expected"
     alarm = row(2.0, 0.0221, 1.0, **planned(1, 52.0, 1))
-    viewer.append(table([alarm, row(3.0, 0.03, retracted=1.0, **planned(0, 32.0))]))
-    viewer.append(table([row(4.0, 0.032, 1.0, **planned(2, np.nan, -1))]))
+    viewer.append(np.array([alarm, row(3.0, 0.03, retracted=1.0, **planned(0, 32.0))]))
+    viewer.append(np.array([row(4.0, 0.032, 1.0, **planned(2, np.nan, -1))]))
     viewer.show()
     texts = [
         "rupture 1 at 22.1 mm: into liver (97 %)",
@@ -150,7 +146,7 @@ def test_a_row_holds_the_estimate_and_its_plan():
     found.tip_force_std_N, found.shaft_friction_N = None, 0.1
     now = SimpleNamespace(time_s=1.0, depth_m=0.04, speed_m_s=0.0, identification=found, plan=plan)
     now.wrench, now.status = SimpleNamespace(axial=1.0, axial_std=0.1), SimpleNamespace(value="ok")
-    made = dict(zip(FIELDS, view_row(now, HOME).values, strict=True))
+    made = dict(zip(FIELDS, view_row(now, HOME), strict=False))
     assert (made["retracted"], made["rupture"], made["is_good"]) == (1, 0, 1)
     assert [made[f"plan_{name}"] for name in PLAN_FIELDS] == [
         1,

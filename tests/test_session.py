@@ -52,13 +52,13 @@ def test_depth_and_speed_are_those_of_the_offline_kinematics(whole, with_velocit
         found = insert(InsertionSession(RUN.robot), last, with_velocity=False)
     dq = sent.dq_rad_s if with_velocity else None
     signals = JointSignals(t_s=sent.t_s, q_rad=sent.q_rad, dq_rad_s=dq, tau_Nm=sent.tau_Nm)
-    offline = measured_travel(RUN.robot, signals, RUN.tare_end_s)
+    offline_m, offline_m_s = measured_travel(RUN.robot, signals, RUN.tare_end_s)
     part = slice(TARE, last + 1)
     depth, speed = np.array([(e.depth_m, e.speed_m_s) for e in found[part]]).T
     # The zero is noisy by a sample's worth; without velocities depth is 10 ms old.
     tolerance_m = 2e-5 if with_velocity else 8e-5
-    np.testing.assert_allclose(depth, offline.depth_m[part], atol=tolerance_m)
-    np.testing.assert_allclose(speed, offline.speed_m_s[part], atol=2e-6 if with_velocity else 1e-4)
+    np.testing.assert_allclose(depth, offline_m[part], atol=tolerance_m)
+    np.testing.assert_allclose(speed, offline_m_s[part], atol=2e-6 if with_velocity else 1e-4)
     truth = RUN.truth.depth_m[part] - RUN.truth.depth_m[TARE]
     np.testing.assert_allclose(depth, truth, atol=1e-4)
 

@@ -9,7 +9,6 @@ from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
-from numpy.typing import NDArray
 
 from benchmarks import DataError
 from benchmarks.benchmark import Findings, Job, Progress
@@ -17,9 +16,8 @@ from benchmarks.identification_metrics import nearest_pairs
 from benchmarks.methods import IDENTIFIERS
 from benchmarks.recorded.liver import VISIBLE_SIGMAS, at_drops, force_drops
 from benchmarks.rows import Measurement
+from benchmarks.signals import Array
 from identification import PublishedConfig, replay
-
-Array = NDArray[np.float64]
 
 FOLDER = "bovine_liver_okamura2004"
 FILE = "depth_force.csv"
@@ -52,11 +50,10 @@ def read_bovine(data: Path, rng: np.random.Generator | None) -> tuple[Array, Arr
     """
     path = data / FOLDER / FILE
     try:
-        lines = path.read_text(encoding="utf-8").splitlines()[1:]
-        table = np.array([line.split(",") for line in lines], dtype=np.float64)
+        table = np.loadtxt(path, delimiter=",", skiprows=1, ndmin=2)
     except (OSError, ValueError) as error:
         raise DataError(f"cannot read {path}: {error}") from error
-    if table.ndim != 2 or table.shape[1] != 2 or not np.isfinite(table).all():
+    if table.shape[1] != 2 or not np.isfinite(table).all():
         raise DataError(f"{path} should have two columns, depth_m and force_N, and finite values")
     lifts = np.flatnonzero(np.diff(table[:, 0]) < -PEN_UP_m)
     stroke = table[: lifts[0] + 1] if len(lifts) else table

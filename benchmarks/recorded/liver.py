@@ -4,23 +4,21 @@ de Jong, Dankelman, van den Dobbelsteen, "Dataset on needle insertions in ex viv
 Data in Brief 2017, doi 10.1016/j.dib.2017.01.018.
 """
 
-import json
 from collections.abc import Iterator, Sequence
 from pathlib import Path
 from typing import Any, NamedTuple
 from zipfile import BadZipFile
 
+import msgspec
 import numpy as np
-from numpy.typing import NDArray
 from scipy.ndimage import uniform_filter1d
 
 from benchmarks import DataError
 from benchmarks.benchmark import Findings, Job, Progress
 from benchmarks.methods import IDENTIFIERS
 from benchmarks.rows import Measurement, Method
+from benchmarks.signals import Array
 from identification import replay
-
-Array = NDArray[np.float64]
 
 WINDOW_m = 0.5e-3
 """The force at a depth is the mean over so much travel to either side."""
@@ -76,12 +74,11 @@ def read_table(path: Path) -> dict[str, Any]:
         DataError: The file cannot be read or is no JSON object.
     """
     try:
-        table = json.loads(path.read_text(encoding="utf-8"))
-    except (OSError, ValueError) as error:
+        return msgspec.json.decode(path.read_bytes(), type=dict[str, Any])
+    except msgspec.ValidationError as error:
+        raise DataError(f"{path} holds no table of named numbers") from error
+    except (OSError, msgspec.DecodeError) as error:
         raise DataError(f"cannot read {path}: {error}") from error
-    if not isinstance(table, dict):
-        raise DataError(f"{path} holds no table of named numbers")
-    return table
 
 
 FOLDER = "liver_dejong2017"

@@ -13,7 +13,7 @@ import numpy as np
 import pinocchio as pin
 
 from benchmarks import DataError
-from benchmarks.benchmark import Drawing, Findings, Job, Progress, progress_part
+from benchmarks.benchmark import Findings, Job, Progress, progress_part
 from benchmarks.force_plots import force_figures
 from benchmarks.methods import (
     IDENTIFIERS,
@@ -141,9 +141,9 @@ def identification_values(
         virtual = liver_estimates(t_s, depth, by_method[method], method, reference)
         by_source: dict[Source, LiverEstimates] = {"ft": ft, "virtual": virtual}
         for source, item in by_source.items():
-            values = dict([*friction_values([item]), *rupture_values([item])])
-            kept = (each for each in values.items() if not each[0].endswith(OF_MANY))
-            found += [Measurement(source, method, *each) for each in kept]
+            for name, value in (*friction_values([item]), *rupture_values([item])):
+                if not name.endswith(OF_MANY):
+                    found.append(Measurement(source, method, name, value))
         off = float(np.sqrt(np.mean((virtual.enhanced_N - ft.enhanced_N) ** 2)))
         found.append(Measurement("virtual", method, "enhanced_against_ft_rmse_N", off))
     return found
@@ -182,9 +182,7 @@ def run_panda_liver(job: Job, progress: Progress) -> Findings:
         real = replace(config, friction=panda.friction)
         made = run_session(panda.robot, signals, method, TARE_s, part, sensor=real)
         readings.append(made.reading)
-    drawings: tuple[Drawing, ...] = ()
-    if job.drawings is not None:
-        drawings = force_figures(job, job.drawings, truth, readings)
+    drawings = force_figures(job, job.drawings, truth, readings) if job.drawings else ()
     found: list[Measurement] = []
     for reading in readings:
         found += [item for item in wrench_metrics(reading, truth) if item.metric != NOT_JUDGED]

@@ -16,7 +16,7 @@ from benchmarks.benchmark import Findings, Job, Progress
 from benchmarks.methods import joint_residual
 from benchmarks.recorded.liver import read_arrays, read_table
 from benchmarks.rows import Measurement
-from benchmarks.signals import JointSignals, tool_jacobians
+from benchmarks.signals import Array, JointSignals, tool_jacobians
 from residual import PUBLISHED, JointFriction, WrenchEstimator
 from urdf import Robot, SerialJoint, build_serial_robot, identify_payload_static
 
@@ -50,12 +50,9 @@ def read_ur10e(data: Path) -> Ur10e:
         robot = _robot(table)
     except KeyError as error:
         raise DataError(f"{folder / 'model.json'} lacks {error}") from error
-    return Ur10e(
-        robot=robot,
-        friction=JointFriction(viscous_Nms=viscous, coulomb_Nm=coulomb, offset_Nm=offset),
-        unloaded=_signals(folder / "unloaded.npz", constant),
-        loaded=_signals(folder / "payload_2805g.npz", constant),
-    )
+    friction = JointFriction(viscous_Nms=viscous, coulomb_Nm=coulomb, offset_Nm=offset)
+    names = ("unloaded.npz", "payload_2805g.npz")
+    return Ur10e(robot, friction, *(_signals(folder / name, constant) for name in names))
 
 
 def _signals(path: Path, torque_constant: np.ndarray) -> JointSignals:
@@ -76,19 +73,14 @@ def _robot(table: dict[str, Any]) -> Robot:
         for row, inertia in zip(table["joints"][:JOINTS], inertias, strict=True)
     ]
     # Identified parameters predict torque; not every link is a possible body.
-    return build_serial_robot(
-        joints,
-        name="ur10e",
-        tool_placement=_placement(table["joints"][JOINTS]),
-        check_inertias=False,
-    ).with_armature(table["rotor_inertia_kg_m2"])
+    tool = _placement(table["joints"][JOINTS])
+    arm = build_serial_robot(joints, name="ur10e", tool_placement=tool, check_inertias=False)
+    return arm.with_armature(table["rotor_inertia_kg_m2"])
 
 
 def _placement(row: dict[str, Any]) -> pin.SE3:
     return pin.SE3(pin.rpy.rpyToMatrix(*row["rpy_rad"]), np.array(row["xyz_m"]))
 
-
-Array = NDArray[np.float64]
 
 GAIN_per_s = 20.0
 """That of the known-good figures."""

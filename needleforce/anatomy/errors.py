@@ -1,4 +1,9 @@
-"""Errors of anatomy: one base; each of the others is also a standard exception."""
+"""Errors of anatomy: one base; each of the others is also a standard exception. Arrays."""
+
+import numpy as np
+from numpy.typing import NDArray
+
+Array = NDArray[np.float64]
 
 
 class AnatomyError(Exception):

@@ -11,14 +11,12 @@ from dataclasses import dataclass
 from itertools import combinations
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 from scipy.spatial.transform import Rotation
 from scipy.stats import chi2
 from scipy.stats import f as f_law
 
-from needleforce.anatomy.errors import RegistrationError
-
-Array = NDArray[np.float64]
+from needleforce.anatomy.errors import Array, RegistrationError
 
 LEAST_WIDTH_m = 5e-3
 """Root mean square distance of landmarks from a line below which they count as collinear."""

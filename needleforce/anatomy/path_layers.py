@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from needleforce.anatomy.errors import VolumeError
+from needleforce.anatomy.errors import Array, VolumeError
 
 if TYPE_CHECKING:
     from needleforce.anatomy.volume import Labels, Structure
@@ -107,9 +107,7 @@ def _ranks(labels: "Labels") -> tuple[list[NDArray[np.intp]], list["Structure"]]
     return tables, ordered
 
 
-def _votes(
-    labels: "Labels", ranks: list[NDArray[np.intp]], indices: NDArray[np.float64]
-) -> NDArray[np.float64]:
+def _votes(labels: "Labels", ranks: list[NDArray[np.intp]], indices: Array) -> Array:
     """Votes for each rank, 0 for no structure, at points (n, 3): (n, ranks), each row sums to 1.
 
     The kernel, a Gaussian times 5/2 - r^2 / 2, has no second moment: it keeps boundaries that curve

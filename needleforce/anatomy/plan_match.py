@@ -12,14 +12,11 @@ from hashlib import sha256
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.special import ndtr
 from scipy.stats import t as student
 
-from needleforce.anatomy.errors import PlanError
+from needleforce.anatomy.errors import Array, PlanError
 from needleforce.anatomy.path_layers import Layer
-
-Array = NDArray[np.float64]
 
 GRID_m = 0.1e-3
 REACH = 5.0

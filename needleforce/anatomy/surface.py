@@ -11,6 +11,8 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.typing import NDArray
 
+from needleforce.anatomy.errors import Array
+
 if TYPE_CHECKING:
     from needleforce.anatomy.volume import Labels
 
@@ -28,7 +30,7 @@ class Surface:
     """A closed surface of one structure, triangles seen counter-clockwise from outside."""
 
     name: str
-    vertices_m: NDArray[np.float64]  # (n, 3), LPS
+    vertices_m: Array  # (n, 3), LPS
     triangles: NDArray[np.int32]  # (m, 3) indices of vertices
     colour: tuple[float, ...]  # red, green, blue from 0 to 1
 
@@ -100,7 +102,7 @@ def _smoothed(
 
 def _simplified(
     vertices: NDArray[np.float32], triangles: NDArray[np.integer]
-) -> tuple[NDArray[np.float64], NDArray[np.integer]]:
+) -> tuple[Array, NDArray[np.integer]]:
     import manifold3d
 
     mesh = manifold3d.Mesh(vertices, np.ascontiguousarray(triangles, np.uint32))
@@ -108,9 +110,7 @@ def _simplified(
     return np.array(found.vert_properties[:, :3], float), np.array(found.tri_verts, np.int64)
 
 
-def _with_volume(
-    vertices: NDArray[np.float64], triangles: NDArray[np.integer], volume: float
-) -> NDArray[np.float64]:
+def _with_volume(vertices: Array, triangles: NDArray[np.integer], volume: float) -> Array:
     """Move vertices along the normals until the surface holds a volume."""
     from scipy import sparse
 

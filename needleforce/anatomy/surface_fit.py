@@ -13,8 +13,8 @@ from scipy.linalg import eigh
 from scipy.spatial import KDTree
 from scipy.spatial.transform import Rotation
 
-from needleforce.anatomy.errors import RegistrationError
-from needleforce.anatomy.landmarks import Array, Registration, point_jacobian
+from needleforce.anatomy.errors import Array, RegistrationError
+from needleforce.anatomy.landmarks import Registration, point_jacobian
 
 Pose = tuple[Array, Array]
 """Rotation and shift."""

@@ -16,7 +16,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from needleforce.anatomy.errors import VolumeError
+from needleforce.anatomy.errors import Array, VolumeError
 
 if TYPE_CHECKING:
     from needleforce.anatomy.path_layers import Layer
@@ -54,11 +54,11 @@ class Grid:
     """Where voxels lie: point = origin + axes @ index; whole indices are voxel centres."""
 
     shape: tuple[int, ...]  # voxels along each of three axes
-    origin_m: NDArray[np.float64]  # (3,) centre of voxel 0, 0, 0 in LPS
-    axes_m: NDArray[np.float64]  # (3, 3) columns: step from a voxel to the next along each axis
+    origin_m: Array  # (3,) centre of voxel 0, 0, 0 in LPS
+    axes_m: Array  # (3, 3) columns: step from a voxel to the next along each axis
 
     @property
-    def spacing_m(self) -> NDArray[np.float64]:
+    def spacing_m(self) -> Array:
         """Distance between voxels along each axis, (3,)."""
         return np.linalg.norm(self.axes_m, axis=0)
 
@@ -67,15 +67,15 @@ class Grid:
         """Volume of a voxel."""
         return abs(float(np.linalg.det(self.axes_m)))
 
-    def points_m(self, indices: ArrayLike) -> NDArray[np.float64]:
+    def points_m(self, indices: ArrayLike) -> Array:
         """Points (..., 3) in LPS of indices (..., 3), which may lie between voxels."""
         return self.origin_m + np.asarray(indices, float) @ self.axes_m.T
 
-    def indices(self, points_m: ArrayLike) -> NDArray[np.float64]:
+    def indices(self, points_m: ArrayLike) -> Array:
         """Indices (..., 3), with fractions, of points (..., 3) in LPS."""
         return (np.asarray(points_m, float) - self.origin_m) @ np.linalg.inv(self.axes_m).T
 
-    def corners_m(self) -> NDArray[np.float64]:
+    def corners_m(self) -> Array:
         """Centres of the eight voxels in the corners, (8, 3)."""
         return self.points_m(np.indices((2, 2, 2)).reshape(3, 8).T * (np.array(self.shape) - 1))
 
@@ -162,7 +162,7 @@ class Labels:
         structure = self[name]
         return self.volumes[structure.volume][structure.box] == structure.value
 
-    def centroid_m(self, name: str) -> NDArray[np.float64]:
+    def centroid_m(self, name: str) -> Array:
         """Mean place of a structure's voxels in LPS, (3,)."""
         start = [part.start for part in self[name].box]
         return self.grid.points_m(np.argwhere(self.mask(name)).mean(axis=0) + start)

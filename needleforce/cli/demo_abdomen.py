@@ -305,8 +305,7 @@ def _followed(run: Run, made: Insertion, offset_std_m: float) -> Insertion:
             continue
         is_event = _took_event(now, entry_m, states)
         if k % 20 == 0 or is_event:
-            row = view_row(now, q)
-            rows.append((*row.values, *row.q_rad))
+            rows.append(view_row(now, q))
         if stop is None and now.depth_m - entry_m >= made.length_m + now.plan.offset_m:
             stop = now.depth_m - entry_m
     table = np.array(rows)

@@ -104,8 +104,7 @@ def replayed(
                     say(f"no tare at {now.time_s:.1f} s: {error}")
             found = now.identification
             if k % 10 == 0 or found.rupture is not None or found.retracted is not None:
-                row = view_row(now, q[k])
-                rows.append((*row.values, *row.q_rad))
+                rows.append(view_row(now, q[k]))
             if k % 1000 == 0:
                 progress(k / len(q))
     return np.array(rows)

@@ -32,6 +32,11 @@ _CATCH_UP_PER_S = 10.0  # rate at which the needle makes up for travel that it c
 _SPEED_LAG_S = 0.01  # low-pass on the speed of the handle, which comes from its encoder's steps
 _STEADY_S = 0.3  # what lasts longer is steady motion, which is not damped
 _FADE_S = 0.05  # a force that is not known any more fades
+# Noise that is shown moves a light hand by millimetres per second, friction follows, and what comes
+# back has the opposite sign: neither the loop nor the identification stands that. So the shown
+# force is smooth, but never further from the known one, until a rupture shows at once for a while.
+_SMOOTH_S, _FURTHEST_N = 0.2, 0.3
+_RUPTURE_S, _AT_ONCE_S = 0.3, 0.02
 _COUPLING_S = 0.2  # so softly the force comes and goes with the clutch: no step throws the hand
 _OWED_J, _OWED_W = 10e-3, 2e-3  # by the hand to the needle, see `NeedlePort`
 _FORCE_LAG_S = 0.015  # of the virtual sensor, see `InsertionSession.lag_s`
@@ -220,7 +225,7 @@ class Teleoperation:
         self.device = DeviceSide(self._axis, motion_scale, damping_Ns_m)
         self.needle = NeedleSide(motion_scale, force_scale, speed_limit_m_s)
         self._from_needle: NeedlePacket | None = None
-        self.shown_N = 0.0
+        self.shown_N = self._ruptured_s = 0.0
 
     def reset(self) -> None:
         """Begin anew from where handle and needle are; accounts of energy go on.
@@ -241,7 +246,7 @@ class Teleoperation:
             dt_s: Time since the last call.
         """
         if estimate.status is Status.OK:
-            self.shown_N = shown_force(estimate, self._shown)
+            self.shown_N = self._smoothed(estimate, dt_s)
         else:
             self.shown_N *= _FADE_S / (_FADE_S + dt_s)
         if sample is not None and not np.isfinite((sample.position_m, sample.velocity_m_s)).all():
@@ -254,3 +259,14 @@ class Teleoperation:
         lines = self._lines
         self._from_needle = answer if lines is None else lines[1].exchange(answer, dt_s)
         return TeleopCommand(speed_m_s, -force_N * self._axis)
+
+    def _smoothed(self, estimate: "SessionEstimate", dt_s: float) -> float:
+        """The force to be felt, less its noise; the raw one as it is."""
+        known_N = shown_force(estimate, self._shown)
+        if self._shown == "raw":
+            return known_N
+        has_ruptured = estimate.identification.rupture is not None
+        self._ruptured_s = _RUPTURE_S if has_ruptured else max(self._ruptured_s - dt_s, 0.0)
+        lag_s = _AT_ONCE_S if self._ruptured_s > 0.0 else _SMOOTH_S
+        smooth_N = self.shown_N + (known_N - self.shown_N) * dt_s / (lag_s + dt_s)
+        return min(max(smooth_N, known_N - _FURTHEST_N), known_N + _FURTHEST_N)

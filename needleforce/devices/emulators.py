@@ -20,7 +20,7 @@ from typing import Any
 import numpy as np
 
 from needleforce.devices import fri, rdt
-from needleforce.devices.proxy import LOOPBACK, Array, LinkError
+from needleforce.devices.proxy import LOOPBACK, Array, Link, LinkError
 
 START_s = 20.0
 """A process that imports numpy on a busy machine takes its time."""
@@ -88,7 +88,7 @@ def is_within(windows: tuple[Window, ...], t_s: float) -> bool:
     return any(start <= t_s < end for start, end in windows)
 
 
-class Emulator:
+class Emulator(Link):
     """A process that emulates a device; for the ``with`` statement.
 
     Attributes:
@@ -133,11 +133,7 @@ class Emulator:
         self._pipe.send("stop")
         return self.counts()
 
-    def __enter__(self) -> "Emulator":
-        """Itself."""
-        return self
-
-    def __exit__(self, *error: object) -> None:
+    def close(self) -> None:
         """Kill it, if it still runs."""
         self._process.kill()
         self._process.join()
@@ -236,7 +232,8 @@ def emulate_rdt(pipe: Connection, settings: RdtSettings) -> dict[str, Any]:
     wire = _Wire(lambda data: link.sendto(data, listener), settings.faults)
     begin_s = time.monotonic()
     while not pipe.poll():
-        while listener is not None and number + size <= _elapsed(begin_s, settings.rate_hz):
+        due = (time.monotonic() - begin_s) * settings.rate_hz
+        while listener is not None and number + size <= due:
             records = np.zeros(size, rdt.RECORD)
             counted = np.arange(number, number + size)
             records["count"] = records["ft_count"] = counted % rdt.COUNTS
@@ -252,10 +249,6 @@ def emulate_rdt(pipe: Connection, settings: RdtSettings) -> dict[str, Any]:
                 listener, size = sender, settings.records if command == rdt.BUFFERED else 1
                 begin_s = time.monotonic() - number / settings.rate_hz
     return {"records": number, "sent": wire.sent}
-
-
-def _elapsed(begin_s: float, rate_hz: float) -> int:
-    return int((time.monotonic() - begin_s) * rate_hz)
 
 
 def _requests(link: socket.socket) -> Iterator[tuple[int, tuple[str, int]]]:

@@ -36,28 +36,21 @@ def _packet(size: int, fields: dict[str, tuple[object, int]]) -> np.dtype:
 
 # Little endian; from published descriptions of the interface (Schreiber, Stemmer, Bischoff, ICRA
 # 2010 workshop, and public drivers). Only what is used here.
-MEASUREMENT, MEASUREMENT_KIND = (
-    _packet(
-        916,
-        {
-            "stamp_s": ("<f4", 140),
-            "state": ("<u2", 144),
-            "quality": ("<u2", 146),
-            "period_s": ("<f4", 148),
-            "error": ("<u2", 184),
-            "position_rad": (("<f4", JOINTS), 216),
-            "commanded_rad": (("<f4", JOINTS), 292),
-            "added_rad": (("<f4", JOINTS), 320),  # what this interface has added to the command
-            "torque_Nm": (("<f4", JOINTS), 444),  # behind the gears
-            "external_Nm": (("<f4", JOINTS), 472),
-        },
-    ),
-    0x2006,
-)
-COMMAND, COMMAND_KIND = (
-    _packet(376, {"flags": ("<u4", 140), "position_rad": (("<f4", JOINTS), 144)}),
-    0x1005,
-)
+_MEASURED = {
+    "stamp_s": ("<f4", 140),
+    "state": ("<u2", 144),
+    "quality": ("<u2", 146),
+    "period_s": ("<f4", 148),
+    "error": ("<u2", 184),
+    "position_rad": (("<f4", JOINTS), 216),
+    "commanded_rad": (("<f4", JOINTS), 292),
+    "added_rad": (("<f4", JOINTS), 320),  # what this interface has added to the command
+    "torque_Nm": (("<f4", JOINTS), 444),  # behind the gears
+    "external_Nm": (("<f4", JOINTS), 472),
+}
+MEASUREMENT, MEASUREMENT_KIND = _packet(916, _MEASURED), 0x2006
+COMMAND = _packet(376, {"flags": ("<u4", 140), "position_rad": (("<f4", JOINTS), 144)})
+COMMAND_KIND = 0x1005
 POSITION_FLAG = 0x1
 SILENT_CYCLES = 5
 """After so many cycles without `send` the arm is held."""
@@ -110,6 +103,7 @@ class FriArm(Link):
     before you believe it.
 
     Attributes:
+        address: Where it listens.
         report: What has come, and what has not.
         robot: The model of the arm that was given, for those who need both.
         state: Of the interface, of the last sample.
@@ -148,6 +142,7 @@ class FriArm(Link):
         self.state, self.quality = State.OFF, Quality.UNACCEPTABLE
         self._wait_s, self._give_up_s = wait_s, give_up_s
         self._socket = DatagramPeer(host, port, self.report, peer=peer)
+        self.address = self._socket.address
         self._last: np.void | None = None
         self._arrival_s = monotonic()
         self._answer = np.zeros((), COMMAND)
@@ -155,11 +150,6 @@ class FriArm(Link):
         self._answer["flags"] = POSITION_FLAG
         self._target_rad = self._velocity_rad_s = np.zeros(JOINTS)
         self._silent, self._is_open = SILENT_CYCLES, True
-
-    @property
-    def address(self) -> tuple[str, int]:
-        """Where it listens."""
-        return self._socket.address
 
     def __iter__(self) -> Iterator[ArmSample]:
         """Samples as they come, each answered already."""

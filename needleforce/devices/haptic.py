@@ -10,6 +10,7 @@ Other devices: whatever satisfies `needleforce.control.ports.HapticDevice` will 
 import json
 import threading
 import time
+from contextlib import suppress
 from multiprocessing.connection import Connection
 from typing import Any
 
@@ -75,17 +76,18 @@ class HaplyMaster(Link):
         """The newest state, or None: nothing has come, or the device is gone; see `report`."""
         found, now_s = None, time.monotonic()
         try:
-            while (text := self._next()) is not None:
-                found = self._decoded(text, now_s - self._begin_s) or found
+            with suppress(TimeoutError):
+                while True:
+                    text = self._socket.recv(timeout=0)
+                    found = self._decoded(text, now_s - self._begin_s) or found
             if found is not None:
-                self.report.longest_gap_s = max(self.report.longest_gap_s, now_s - self._last_s)
-                self._last_s = now_s
-                self.report.used += 1
-                self._command()
+                self.report.use(1, now_s - self._last_s)
             elif now_s - self._last_s > LOST_s:
                 self.report.outages += 1
-                self._last_s = now_s
-                self._command()
+            else:
+                return None
+            self._last_s = now_s
+            self._command()
         except self._gone:
             self.report.outages += 1
         return found
@@ -104,17 +106,9 @@ class HaplyMaster(Link):
     def close(self) -> None:
         """Show no force, and end the connection."""
         self._force_N = np.zeros(3)
-        try:
+        with suppress(self._gone):
             self._command()
             self._socket.close()
-        except self._gone:
-            pass
-
-    def _next(self) -> str | bytes | None:
-        try:
-            return self._socket.recv(timeout=0)
-        except TimeoutError:
-            return None
 
     def _command(self) -> None:
         if self._device:
@@ -142,12 +136,9 @@ class HaplyMaster(Link):
 
 def _clutch(state: dict[str, Any]) -> bool:
     """Button A of the first grip; True without one."""
-    for kind in GRIPS:
-        for grip in state.get(kind) or ():
-            buttons = grip.get("state", {}).get("buttons", {})
-            if "a" in buttons:
-                return bool(buttons["a"])
-    return True
+    grips = (grip for kind in GRIPS for grip in state.get(kind) or ())
+    buttons = (grip.get("state", {}).get("buttons", {}) for grip in grips)
+    return next((bool(each["a"]) for each in buttons if "a" in each), True)
 
 
 def emulate_haply(pipe: Connection, wish_m: Array, period_s: float = 1e-3) -> dict[str, Any]:

@@ -14,7 +14,6 @@ from collections.abc import Iterable, Iterator
 from contextlib import suppress
 from dataclasses import asdict, dataclass
 from time import monotonic, sleep
-from types import TracebackType
 from typing import NamedTuple, Protocol, Self, TypeVar
 
 import numpy as np
@@ -130,12 +129,7 @@ class Link:
         """Itself."""
         return self
 
-    def __exit__(
-        self,
-        kind: type[BaseException] | None,
-        error: BaseException | None,
-        trace: TracebackType | None,
-    ) -> None:
+    def __exit__(self, *error: object) -> None:
         """Close it."""
         self.close()
 
@@ -168,6 +162,10 @@ class ReplayArm(Link):
 class DatagramPeer:
     """A UDP socket with one peer; datagrams from elsewhere are counted and dropped.
 
+    Attributes:
+        address: Where it listens.
+        peer: The one that was accepted.
+
     Raises:
         LinkError: The address cannot be bound.
         DeviceSettingError: A port outside 0 to 65535.
@@ -190,11 +188,7 @@ class DatagramPeer:
                 f"cannot listen on {host}:{port}: {error.strerror or error}; is another program "
                 "using the port, and is the address one of this machine?"
             ) from error
-
-    @property
-    def address(self) -> tuple[str, int]:
-        """Where it listens."""
-        return self._socket.getsockname()
+        self.address: tuple[str, int] = self._socket.getsockname()
 
     def receive(self, timeout_s: float) -> bytes | None:
         """The next datagram that may be the peer's; None when none came in time (0: now).

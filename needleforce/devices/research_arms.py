@@ -56,9 +56,8 @@ class _ReadOnlyArm(Link):
     def _sample(self, time_s: float, *signals: Array | None) -> ArmSample | None:
         """Position, velocity, torque, external torque as a sample; None if not valid or old."""
         report, gap_s = self.report, time_s - self._last_s
-        if not all(
-            np.isfinite(x).all() and len(x) == self.joints for x in signals if x is not None
-        ):
+        given = [each for each in signals if each is not None]
+        if not all(np.isfinite(x).all() and len(x) == self.joints for x in given):
             report.malformed += 1
             return None
         if gap_s <= 0.0:

@@ -7,7 +7,7 @@ Reading order: `state_ring` (what a loop hands over), `nodes` (what stands in th
 from needleforce.scene.live import LiveView, open_viewer
 from needleforce.scene.nodes import PlanScene
 from needleforce.scene.slicer import SlicerOutput
-from needleforce.scene.state_ring import StateRing, ViewRow, view_row
+from needleforce.scene.state_ring import StateRing, view_row
 from needleforce.scene.viewer import SceneError, Viewer
 
 __all__ = [
@@ -16,7 +16,6 @@ __all__ = [
     "SceneError",
     "SlicerOutput",
     "StateRing",
-    "ViewRow",
     "Viewer",
     "open_viewer",
     "view_row",

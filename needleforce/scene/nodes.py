@@ -10,11 +10,10 @@ from typing import Any, NamedTuple
 
 import numpy as np
 import pinocchio as pin
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
+from needleforce.scene.state_ring import Array
 from urdf import Robot
-
-Array = NDArray[np.float64]
 
 PLANNED, FOUND, OBSTACLE = (235, 235, 235), (255, 205, 0), (220, 60, 40)
 EXPECTED = (90, 200, 250)

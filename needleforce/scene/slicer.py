@@ -44,25 +44,22 @@ class SlicerOutput(Closing):
         """
         rupture = now.identification.rupture
         if rupture is not None:
-            text = {"layer": rupture.layer, "depth_mm": 1e3 * rupture.depth_m}
-            text |= {"probability": rupture.probability, "time_s": rupture.time_s}
-            self._send("Rupture", text)
+            known = {"layer": rupture.layer, "depth_mm": 1e3 * rupture.depth_m}
+            known |= {"probability": rupture.probability, "time_s": rupture.time_s}
+            self._send(self._igtl.StringMessage(json.dumps(known), device_name="Rupture"))
         if now.time_s < self._next_s:
             return rupture is not None
         self._next_s = now.time_s + 1.0 / MOST_HZ
         matrix = np.array(pose_m, dtype=float)
         matrix[:3, 3] *= 1e3
-        self._send("NeedleToReference", LPS_TO_RAS @ matrix)
+        place = LPS_TO_RAS @ matrix
+        self._send(self._igtl.TransformMessage(place, device_name="NeedleToReference"))
         forces = {"force_N": now.wrench.axial, "force_std_N": now.wrench.axial_std}
         forces |= {"tip_force_N": now.identification.tip_force_N, "depth_mm": 1e3 * now.depth_m}
-        self._send("Force", forces)
+        self._send(self._igtl.StringMessage(json.dumps(forces), device_name="Force"))
         return True
 
-    def _send(self, name: str, content: Any) -> None:
-        if isinstance(content, dict):
-            message = self._igtl.StringMessage(json.dumps(content), device_name=name)
-        else:
-            message = self._igtl.TransformMessage(content, device_name=name)
+    def _send(self, message: Any) -> None:
         self._server.send_message(message, wait=False)
 
     def close(self) -> None:

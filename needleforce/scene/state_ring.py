@@ -7,7 +7,7 @@ finds the rows it missed overwritten, and goes on with the newest.
 import struct
 from contextlib import AbstractContextManager
 from multiprocessing.shared_memory import SharedMemory
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -30,25 +30,18 @@ ROWS = 4096
 _COUNT = struct.Struct("<Q")
 
 
-class ViewRow(NamedTuple):
-    """One tick, as a viewer wants it."""
-
-    values: tuple[float, ...]  # by `FIELDS`
-    q_rad: tuple[float, ...]
-
-
-def view_row(now: Any, q_rad: ArrayLike) -> ViewRow:
-    """A row of a `SessionEstimate` and the joint positions [rad], shape (n,)."""
+def view_row(now: Any, q_rad: ArrayLike) -> tuple[float, ...]:
+    """A row of a `SessionEstimate` and the joint positions [rad], shape (n,), behind `FIELDS`."""
     wrench, found, plan = now.wrench, now.identification, now.plan
     rupture, retracted = found.rupture, found.retracted
-    values = (
+    return (
         *(now.time_s, now.depth_m, now.speed_m_s, wrench.axial, wrench.axial_std),
         *(found.tip_force_N, found.tip_force_std_N or 0.0, found.shaft_friction_N, found.layer),
         *((0.0, 0.0) if rupture is None else (rupture.layer, rupture.depth_m)),
         *(0.0 if retracted is None else retracted.layer, now.status.value == "ok"),
         *(np.nan if plan is None else getattr(plan, name) for name in PLAN_FIELDS),
+        *np.asarray(q_rad, dtype=float).tolist(),
     )
-    return ViewRow(values, tuple(np.asarray(q_rad, dtype=float).tolist()))
 
 
 class Closing(AbstractContextManager[Any]):
@@ -68,6 +61,9 @@ class StateRing(Closing):
     Args:
         joints: How many positions a row has.
         name: Of an existing ring; None to make one.
+
+    Attributes:
+        name: By which another process finds it.
     """
 
     def __init__(self, joints: int, name: str | None = None) -> None:
@@ -76,19 +72,15 @@ class StateRing(Closing):
         size = _COUNT.size + ROWS * self._row.size
         self._memory = SharedMemory(name, create=self._is_owner, size=size if name is None else 0)
         self._buffer: Any = self._memory.buf
+        self.name = self._memory.name
         self._count = 0
         if self._is_owner:
             _COUNT.pack_into(self._buffer, 0, 0)
 
-    @property
-    def name(self) -> str:
-        """By which another process finds it."""
-        return self._memory.name
-
-    def put(self, row: ViewRow) -> None:
-        """Write a row; takes microseconds and never waits."""
+    def put(self, row: tuple[float, ...]) -> None:
+        """Write a `view_row`; takes microseconds and never waits."""
         at = _COUNT.size + (self._count % ROWS) * self._row.size
-        self._row.pack_into(self._buffer, at, *row.values, *row.q_rad)
+        self._row.pack_into(self._buffer, at, *row)
         self._count += 1
         _COUNT.pack_into(self._buffer, 0, self._count)
 

@@ -12,7 +12,6 @@ from types import SimpleNamespace
 from typing import Any, NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
 from needleforce.scene.nodes import (
     EMPTY,
@@ -25,10 +24,8 @@ from needleforce.scene.nodes import (
     add_ring,
     turned_to,
 )
-from needleforce.scene.state_ring import FIELDS
+from needleforce.scene.state_ring import FIELDS, Array
 from urdf import Robot
-
-Array = NDArray[np.float64]
 
 LOOPBACK = "127.0.0.1"
 MOST_N = 4.0
@@ -84,9 +81,8 @@ class _Seen(SimpleNamespace):
         yield f"{tip}, shaft friction {self.friction_N:.2f} N; the bar is full at {MOST_N:g} N"
         if np.isnan(self.plan_layer):
             return
-        here = (
-            f"in **{self.names.get(self.plan_layer, '')}** ({100.0 * self.plan_probability:.0f} %)"
-        )
+        name, certain = self.names.get(self.plan_layer, ""), 100.0 * self.plan_probability
+        here = f"in **{name}** ({certain:.0f} %)"
         next_mm = f"{1e3 * self.plan_next_m:.1f} ± {2e3 * self.plan_next_std_m:.1f} mm"
         yield f"{here}, {self.next_name} at {next_mm}" if self.next_name else here
         off = f"{1e3 * self.plan_offset_m:+.1f} ± {2e3 * self.plan_offset_std_m:.1f} mm"
@@ -108,6 +104,7 @@ class Viewer:
         port: Where; another is taken if it is busy, see `url`.
 
     Attributes:
+        url: Where the page is.
         marks: The ruptures shown, past and to come.
 
     Raises:
@@ -128,6 +125,7 @@ class Viewer:
         except ImportError as error:
             raise SceneError("viser is not installed; pip install viser") from error
         self._server = viser.ViserServer(host=host, port=port, label="needleforce", verbose=False)
+        self.url = f"http://{self._server.get_host()}:{self._server.get_port()}"
         self._server.scene.set_up_direction("+z")
         self._plan, self._rows = plan, np.empty((0, len(FIELDS) + robot.nv))
         self.marks: list[Mark] = []
@@ -141,11 +139,6 @@ class Viewer:
         self._add_panel()
         self._has_camera = False
 
-    @property
-    def url(self) -> str:
-        """Where the page is."""
-        return f"http://{self._server.get_host()}:{self._server.get_port()}"
-
     def _add_panel(self) -> None:
         gui = self._server.gui
         gui.add_markdown(f"**needleforce** – {NOTE}")
@@ -157,7 +150,7 @@ class Viewer:
             self._live = gui.add_checkbox("live", True)
             self._play = gui.add_button("Play")
         self._plots = {name: self._add_plot(name) for name in ("time [s]", "depth [mm]")}
-        self._slider.on_update(lambda event: self._scrubbed(event))
+        self._slider.on_update(self._scrubbed)
         self._play.on_click(lambda _: threading.Thread(target=self._replay, daemon=True).start())
 
     def _add_plot(self, x_label: str) -> Any:
@@ -186,9 +179,8 @@ class Viewer:
         with self._lock:
             for row in rows[(rows[:, [AT["rupture"], AT["retracted"]]] > 0.0).any(axis=1)]:
                 self._mark(row)
-            step_s = 1.0 / KEPT_HZ
-            slots = np.floor(rows[:, 0] / step_s)
-            last = np.floor(self._rows[-1, 0] / step_s) if len(self._rows) else -np.inf
+            slots = np.floor(rows[:, 0] * KEPT_HZ)
+            last = np.floor(self._rows[-1, 0] * KEPT_HZ) if len(self._rows) else -np.inf
             fresh = np.diff(slots, prepend=last) > 0.0
             self._rows = np.vstack([self._rows, rows[fresh]])
             if len(self._rows) > MOST_ROWS:
