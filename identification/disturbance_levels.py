@@ -5,7 +5,6 @@ and each part shows most at lags near its own time. A part takes what the faster
 """
 
 import math
-from functools import lru_cache
 from typing import NamedTuple
 
 import numpy as np
@@ -27,7 +26,7 @@ _MEDIAN = 0.455
 """Of a squared standard normal. Ruptures are a minority of the differences, heartbeats are not."""
 
 
-@lru_cache(maxsize=64)
+@compiled
 def oscillation(dt_s: float, hz: float, damping: float) -> tuple[float, float, float, float]:
     """Transition of a damped oscillator's deflection and rate, row by row."""
     w = 2.0 * math.pi * hz
@@ -41,6 +40,7 @@ def oscillation(dt_s: float, hz: float, damping: float) -> tuple[float, float, f
     )
 
 
+@compiled
 def smooth_walk(travel: float, length: float) -> tuple[float, float, float, float]:
     """Transition of a critically damped value and its slope (Matern 3/2), row by row."""
     reach = travel / length
@@ -49,6 +49,7 @@ def smooth_walk(travel: float, length: float) -> tuple[float, float, float, floa
     return decay * (1.0 + reach), decay * travel, slope, decay * (1.0 - reach)
 
 
+@compiled
 def transitions(
     dt_s: float, travel: float, length: float, variances: tuple[float, float, float]
 ) -> Array:
@@ -57,14 +58,19 @@ def transitions(
     Of each the transition, row by row, and the covariance of the noise that leaves its stationary
     variances as they are: of its value, of both, of its rate.
     """
-    turns = [oscillation(dt_s, *beat) for beat in BEATS] + [smooth_walk(travel, length)]
-    rates = [2.0 * math.pi * hz for hz, _ in BEATS] + [1.0 / length]
-    rows = []
-    for (a, b, c, d), rate, level in zip(turns, rates, variances, strict=True):
+    found = np.zeros((3, 7))
+    for part in range(3):
+        (a, b, c, d), rate, level = smooth_walk(travel, length), 1.0 / length, variances[part]
+        if part < 2:
+            hz, damping = BEATS[part]
+            (a, b, c, d), rate = oscillation(dt_s, hz, damping), 2.0 * math.pi * hz
         fast = level * rate**2
-        noise = level - a * a * level - b * b * fast, -(a * c * level + b * d * fast)
-        rows.append((a, b, c, d, *noise, fast - c * c * level - d * d * fast))
-    return np.array(rows)
+        row = found[part]
+        row[0], row[1], row[2], row[3] = a, b, c, d
+        row[4] = level - a * a * level - b * b * fast
+        row[5] = -(a * c * level + b * d * fast)
+        row[6] = fast - c * c * level - d * d * fast
+    return found
 
 
 def _difference(part: int, lag_s: float) -> float:
@@ -107,9 +113,8 @@ class DisturbanceLevels(NamedTuple):
         total, filled = self.force_sum + force * dt_s, self.filled_s + dt_s
         if filled < STEP_S * (1.0 - 1e-6):
             return self._replace(force_sum=total, filled_s=filled)
-        past = np.append(self.past[1:], total / filled)
         squares, seen, count = self.squares.copy(), self.seen.copy(), self.steps + 1.0
-        _learn(past, count, squares, seen)
+        past = _learn(self.past, total / filled, count, squares, seen)
         levels = self.levels
         if count % 10.0 == 0.0 and seen[0] > 10.0:
             levels = _levels(squares, seen, _DESIGN, speed)
@@ -117,8 +122,11 @@ class DisturbanceLevels(NamedTuple):
 
 
 @compiled
-def _learn(past: Vector, count: float, squares: WrittenMatrix, seen: WrittenVector) -> None:
-    """Keep the newest second differences."""
+def _learn(
+    past: Vector, force: float, count: float, squares: WrittenMatrix, seen: WrittenVector
+) -> Vector:
+    """Keep the newest second differences; returns the forces with the newest one."""
+    past = np.append(past[1:], force)
     for k in range(8):
         lag = 2**k
         if count <= 2 * lag:
@@ -126,6 +134,7 @@ def _learn(past: Vector, count: float, squares: WrittenMatrix, seen: WrittenVect
         square = (past[256] - 2.0 * past[256 - lag] + past[256 - 2 * lag]) ** 2
         squares[k, int(seen[k]) % _MEMORY] = square
         seen[k] += 1.0
+    return past
 
 
 @compiled
@@ -135,7 +144,7 @@ def _levels(squares: Matrix, seen: Vector, design: Matrix, speed: float) -> Vect
     for k in range(8):
         known = min(int(seen[k]), _MEMORY)
         if known > min(2 * 2**k, 30):
-            left[k] = np.sort(squares[k, :known])[known // 2] / _MEDIAN
+            left[k] = np.partition(squares[k, :known], known // 2)[known // 2] / _MEDIAN
     for part in range(4):
         for k in (2 * part, 2 * part + 1):
             is_tissue = part >= 2 and 2**k * STEP_S * speed >= _MOVED_MM

@@ -10,10 +10,11 @@ from collections.abc import Iterator
 from typing import NamedTuple
 
 import numpy as np
+from numpy.typing import NDArray
 
 from identification import hypothesis_filter as law
 from identification.estimate import Array
-from needleforce.jit import Vector, compiled
+from needleforce.jit import Matrix, Vector, compiled
 
 STEP_MM = 0.02
 """Least travel between new hypotheses."""
@@ -43,6 +44,13 @@ CAPACITY = sum(QUOTAS) + 90
 """With the children of one step, before they are pruned."""
 NEGLIGIBLE = -30.0
 """Logarithm of a weight that no force will raise again."""
+_LIKELY = 25.0
+"""By so much less may the logarithm be of what has children."""
+_OF_PARENT = law.RELEASE, law.LENGTH, law.KIND, law.IS_HELD
+_OF_CLASS = law.TIP, law.KIND, int(law.MEMBRANE)
+"""Places, for compiled code: it does not use constants of another file."""
+Rows = NDArray[np.int64]
+"""Of hypotheses, shape (m,)."""
 
 
 class Bank(NamedTuple):
@@ -70,11 +78,8 @@ class Bank(NamedTuple):
         if not np.allclose(scaled, scaled.transpose(0, 2, 1), rtol=0.0, atol=1e-3):
             return "its covariances are not symmetric"
         is_kind = np.isin(self.facts[:, law.KIND], (law.AIR, law.LAYER, law.MEMBRANE))
-        return (
-            ""
-            if (is_kind & (self.facts[:, law.LENGTH] > 0.0)).all()
-            else "its facts are impossible"
-        )
+        is_possible = (is_kind & (self.facts[:, law.LENGTH] > 0.0)).all()
+        return "" if is_possible else "its facts are impossible"
 
     @property
     def weights(self) -> Array:
@@ -140,23 +145,13 @@ class BankMemory:
 
         The tissue moves by itself at a speed of this standard deviation [mm/s].
         """
-        facts, weights = self.bank.facts, self.bank.log_weights
-        order = np.argsort(-weights, kind="stable")
-        likely = weights > weights[order[0]] - 25.0
-        likely &= place.depth > facts[:, law.RELEASE] + np.maximum(facts[:, law.LENGTH], 0.3)
-        order = order[likely[order]]
-        kinds = (2.0 * facts[order, law.KIND] + facts[order, law.IS_HELD]).tolist()
-        parents: dict[float, int] = {}
-        for kind, k in zip(kinds, order.tolist(), strict=True):
-            parents.setdefault(kind, k)  # what it was may only show at its end
+        facts, log_weights = self.bank.facts, self.bank.log_weights
+        parents = _parents(log_weights, facts, place.depth, _OF_PARENT).tolist()
         step = max(place.depth - max(before, place.depth - 1.0), STEP_MM)
         is_membrane_due = int(place.depth / MEMBRANE_STEP_MM) != int(before / MEMBRANE_STEP_MM)
-        scene, time_s = (
-            (place.depth, place.speed, place.deflection),
-            place.time_s - 0.5 * place.dt_s,
-        )
+        scene, time_s = place[2:5], place.time_s - 0.5 * place.dt_s
         moment = (*scene, time_s, tissue_speed, place.force)
-        for k in parents.values():
+        for k in parents:
             happens = _events(facts[k].tolist(), place, HAZARD * step, is_membrane_due)
             for what, becomes, is_kept, releases, chance in happens:
                 event = (what, becomes, is_kept)
@@ -165,11 +160,13 @@ class BankMemory:
 
     def prune(self, place: Place) -> None:
         """Keep the likeliest of each class, best first."""
-        facts = self.bank.facts
-        travel, is_pushed = place.depth - facts[:, law.TIP], facts[:, law.KIND] == law.MEMBRANE
-        classes = 2.0 * (travel >= np.where(is_pushed, 1.5, 0.4)) + is_pushed
-        self._other_size, n = self.size, _keep(self.store, self._other, self.size, classes, QUOTAS)
-        self.store, self._other, self.size = self._other, self.store, n
+        bank = self.bank
+        rows, log_weights = _ranked(bank.log_weights, bank.facts, place.depth, _OF_CLASS)
+        for source, target in zip(bank, self._other, strict=True):
+            source.take(rows, axis=0, out=target[: len(rows)], mode="clip")
+        self._other[2][: len(rows)] = log_weights
+        self.store, self._other = self._other, self.store
+        self.size, self._other_size = len(rows), self.size
 
 
 def _events(
@@ -206,21 +203,37 @@ def _events(
 
 
 @compiled
-def _keep(
-    source: law.Store, target: law.Store, n: int, classes: Vector, quotas: tuple[int, int, int, int]
-) -> int:
-    """Copy the likeliest of n hypotheses, so many of each class at most; returns how many."""
-    weights = source[2][:n] - source[2][:n].max()
+def _parents(
+    log_weights: Vector, facts: Matrix, depth: float, places: tuple[int, int, int, int]
+) -> Rows:
+    """The likeliest of each kind whose last release is over: what it was may only show there."""
+    release, length, kind, is_held = places
+    kinds = 2.0 * facts[:, kind] + facts[:, is_held]
+    may = depth > facts[:, release] + np.maximum(facts[:, length], 0.3)
+    may &= log_weights > log_weights.max() - 25.0
+    rows = [np.flatnonzero(may & (kinds == one)) for one in range(6)]
+    found = [mine[np.argmax(log_weights[mine])] for mine in rows if len(mine) > 0]
+    best = np.array(found, dtype=np.int64)
+    return best[np.argsort(-log_weights[best], kind="mergesort")]
+
+
+@compiled
+def _ranked(
+    log_weights: Vector, facts: Matrix, depth: float, places: tuple[int, int, int]
+) -> tuple[Rows, Vector]:
+    """The likeliest, so many of each class at most, best first, and their weights."""
+    tip, kind, membrane = places
+    is_pushed = facts[:, kind] == membrane
+    is_old = depth - facts[:, tip] >= np.where(is_pushed, 1.5, 0.4)
+    classes = 2 * is_old + 1 * is_pushed
+    weights = log_weights - log_weights.max()
     weights -= math.log(np.exp(weights).sum())
-    left, kept = list(quotas), 0
+    left, kept, size = list(QUOTAS), np.zeros(len(weights), dtype=np.int64), 0
     for k in np.argsort(-weights, kind="mergesort"):
-        group = int(classes[k])
         if weights[k] <= NEGLIGIBLE:
             break
-        if left[group] > 0:
-            left[group] -= 1
-            target[0][kept], target[1][kept] = source[0][k], source[1][k]
-            target[2][kept], target[3][kept] = weights[k], source[3][k]
-            target[4][kept] = source[4][k]
-            kept += 1
-    return kept
+        if left[classes[k]] > 0:
+            left[classes[k]] -= 1
+            kept[size] = k
+            size += 1
+    return kept[:size], weights[kept[:size]]

@@ -102,8 +102,9 @@ def _times(spread: Matrix, row: Vector) -> Vector:
     """A symmetric matrix times a vector."""
     found = np.zeros(UNKNOWNS)
     for i in range(UNKNOWNS):
-        for j in range(UNKNOWNS):
-            found[j] += row[i] * spread[i, j]
+        if row[i] != 0.0:
+            for j in range(UNKNOWNS):
+                found[j] += row[i] * spread[i, j]
     return found
 
 
@@ -310,13 +311,7 @@ def after_event(
 
 @compiled
 def add_children(
-    store: Store,
-    k: int,
-    n: int,
-    event: Event,
-    moment: Moment,
-    releases: Vector,
-    chance: float,
+    store: Store, k: int, n: int, event: Event, moment: Moment, releases: Vector, chance: float
 ) -> None:
     """Write, from row n on, what hypothesis k becomes by an event, one for each release length."""
     means, spreads, log_weights, facts, records = store
@@ -420,18 +415,25 @@ def weigh(
 
 
 @compiled
-def shaft_mixture(store: Store, weights: Vector, depth: float) -> tuple[Vector, Matrix]:
+def shaft_mixture(
+    store: Store, weights: Vector, depth: float
+) -> tuple[Vector, Matrix, float, float]:
     """Friction of the shaft at a depth, all hypotheses together, those of no weight left out.
 
     Returns:
         Mean and covariance of the offset, C, V, Coulomb and viscous friction of the whole shaft,
-        c, b and the stiffness at the tip, shapes (8,) and (8, 8).
+        c, b and the stiffness at the tip, shapes (8,) and (8, 8); how likely tissue has been met,
+        and at which depth.
     """
-    means, spreads, _, facts, _ = store
-    found, total, spread = np.zeros((len(means), 8)), np.zeros(8), np.zeros((8, 8))
-    for k in np.flatnonzero(weights):
+    means, spreads, _, facts, records = store
+    found, total, spread = np.zeros((len(weights), 8)), np.zeros(8), np.zeros((8, 8))
+    all_met, contact, rows = 0.0, 0.0, np.flatnonzero(weights)
+    for k in rows:
         row, length = np.zeros((8, UNKNOWNS)), max(depth - facts[k, ROOT], 0.0)
         met = 1.0 if facts[k, KIND] != AIR or facts[k, RUPTURES] > 0.0 else 0.0
+        if met > 0.0 and all_met == 0.0:
+            contact = records[k, CONTACT_MM]
+        all_met += weights[k] * met
         row[0, OFFSET] = 1.0
         row[1, COULOMB] = row[2, VISCOUS] = row[3, COULOMB] = row[4, VISCOUS] = met
         row[3, OWN_COULOMB] = row[4, OWN_VISCOUS] = met * length
@@ -441,6 +443,6 @@ def shaft_mixture(store: Store, weights: Vector, depth: float) -> tuple[Vector, 
         found[k] = np.dot(row, means[k])
         total += weights[k] * found[k]
         spread += weights[k] * np.dot(np.dot(row, spreads[k]), np.ascontiguousarray(row.T))
-    for k in np.flatnonzero(weights):
+    for k in rows:
         spread += weights[k] * np.outer(found[k] - total, found[k] - total)
-    return total, spread
+    return total, spread, all_met, contact

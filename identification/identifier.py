@@ -12,6 +12,7 @@ from identification.errors import InvalidConfigError, InvalidSnapshotError, NoRu
 from identification.estimate import Array, Estimate, Events, LayerEstimate, SampleStatus
 from identification.published_identifier import PublishedMethod, PublishedState
 from identification.switching_identifier import SwitchingMethod, SwitchingState
+from needleforce.jit import working_copy
 
 _new = tuple.__new__
 """Makes an `Estimate` of a tuple in a third of the time."""
@@ -64,7 +65,7 @@ class Identifier:
     def reset(self) -> None:
         """Forget everything: a new insertion begins, its clock at 0."""
         self._method = _METHODS[type(self._config)](self._config)
-        self._samples = np.zeros(samples.SAMPLE_MEMORY)
+        self._samples = working_copy(np.zeros(samples.SAMPLE_MEMORY))
         self._last = Estimate(0.0, SampleStatus.OK, *self._method.report())
         self._before: Snapshot | None = None
 
@@ -115,7 +116,7 @@ class Identifier:
         found = method.update((time_s, elapsed_s, *motion, force_N, std))
         estimate = self._last = _new(Estimate, (time_s, samples.STATUSES[number], *found))
         if found[_EVENTS:] != _NO_EVENTS:
-            self._before = Snapshot(self._config, before, method.before, last)
+            self._before = Snapshot(self._config, np.array(before), method.before, last)
             shift_m = float(self._samples[samples.SHIFT])
             events = (_in_callers_depth(event, shift_m) for event in found[_EVENTS:])
             estimate = self._last = _new(Estimate, (*estimate[:_EVENTS], *events))
@@ -133,7 +134,7 @@ class Identifier:
 
     def snapshot(self) -> Snapshot:
         """Everything needed to resume exactly here."""
-        return Snapshot(self._config, self._samples.copy(), self._method.state, self._last)
+        return Snapshot(self._config, np.array(self._samples), self._method.state, self._last)
 
     def restore(self, snapshot: Snapshot) -> None:
         """Resume where `snapshot` was taken, bit for bit.
@@ -152,7 +153,7 @@ class Identifier:
 
     def _resume(self, snapshot: Snapshot) -> None:
         self._method.restore(snapshot.state)
-        self._samples = snapshot.samples.copy()
+        self._samples = working_copy(snapshot.samples)
         self._last, self._before = snapshot.last, None
 
     def _update_raw(

@@ -15,6 +15,7 @@ from identification import hypothesis_filter as law
 from identification.estimate import Array, LayerEstimate, Rupture
 from identification.hypothesis_bank import Bank, BankMemory, Place
 from identification.switching_update import NO_ANSWER
+from needleforce.jit import Matrix, Vector, compiled
 
 _MM = 1e3
 _LEAST_WEIGHT = 1e-3
@@ -40,6 +41,8 @@ _NAMES = ("stiffness", "coulomb", "viscous")
 _UNITS = (("N_per_m", _MM), ("N_per_m", _MM), ("Ns_per_m2", _MM * _MM))
 _TIP = slice(law.RELEASED, law.KEPT + 1)
 """The tip's unknowns."""
+_OF_COUNT = law.KIND, law.IS_HELD, law.RUPTURES, law.RELEASED, law.KEPT, law.HELD
+"""Places, for compiled code: it does not use constants of another file."""
 
 
 def answer_at(memory: BankMemory, place: Place, ruptures: int, speed: float) -> Array:
@@ -48,21 +51,27 @@ def answer_at(memory: BankMemory, place: Place, ruptures: int, speed: float) -> 
     `ruptures` are known so far; the last was at a speed [mm/s], 0 before the first.
     """
     bank = memory.bank
-    weights = bank.weights
-    weights[weights <= _LEAST_WEIGHT] = 0.0
-    weights /= weights.sum()
-    answer, best = NO_ANSWER.copy(), int(weights.nonzero()[0][0])
-    answer[1], answer[2:] = law.shaft_mixture(memory.store, weights, place.depth)
+    weights = _shown(bank.log_weights)
+    answer, best = NO_ANSWER.copy(), int(weights.argmax())
+    found = law.shaft_mixture(memory.store, weights, place.depth)
+    answer[1], answer[2:], all_met, contact = found
     diagonal = answer[2:].reshape(-1)[:: len(answer[1]) + 1]
     np.maximum(diagonal, 0.0, out=diagonal)
-    is_met = (bank.facts[:, law.KIND] != law.AIR) | (bank.facts[:, law.RUPTURES] > 0.0)
     row = law.regressor(bank.facts[best], (place.depth, place.speed, place.deflection))
     tip = float(row[_TIP] @ bank.means[best, _TIP])
-    if weights @ is_met > 0.5:
-        contact = bank.records[int(np.argmax(is_met & (weights > 0.0))), law.CONTACT_MM] / _MM
-        answer[0, :3] = 1.0, ruptures + 1, contact
+    if all_met > 0.5:
+        answer[0, :3] = 1.0, ruptures + 1, contact / _MM
     answer[0, 3:7] = place.depth, place.noise**2, tip, speed
     return answer
+
+
+@compiled
+def _shown(log_weights: Vector) -> Vector:
+    """Probabilities, but for those that do not show in an answer."""
+    weights = np.exp(log_weights - log_weights.max())
+    weights /= weights.sum()
+    weights = np.where(weights > _LEAST_WEIGHT, weights, 0.0)
+    return weights / weights.sum()
 
 
 class Evaluation(NamedTuple):
@@ -76,17 +85,30 @@ class Evaluation(NamedTuple):
 
 def count_ruptures(bank: Bank, known: int, noise: float) -> Evaluation:
     """Compare the number of ruptures known with those of the hypotheses."""
-    weights, facts = bank.weights, bank.facts
+    limits = float(known), _CLEAR_SIGMAS * noise, law.LAYER
+    return Evaluation(*_counted(bank.log_weights, bank.facts, bank.means, limits, _OF_COUNT))
+
+
+@compiled
+def _counted(
+    log_weights: Vector,
+    facts: Matrix,
+    means: Matrix,
+    limits: tuple[float, float, float],
+    places: tuple[int, int, int, int, int, int],
+) -> tuple[float, float, int, int]:
+    """An `Evaluation`, for the ruptures known, the least force released, and what a layer is."""
+    (known, least, layer), (kind, is_held, number, released, kept, held) = limits, places
+    weights = np.exp(log_weights - log_weights.max())
+    weights /= weights.sum()
     # After a partial rupture part of the force is held: what has fallen is the rest.
-    is_partial = (facts[:, law.KIND] == law.LAYER) & (facts[:, law.IS_HELD] > 0.0)
-    released = bank.means[:, law.RELEASED] - bank.means[:, law.KEPT]
-    released -= np.where(is_partial, bank.means[:, law.HELD], 0.0)
-    more = facts[:, law.RUPTURES] > known
-    is_clear = released > _CLEAR_SIGMAS * noise
-    pick = int(np.argmax(np.where(more, weights, -1.0))) if more.any() else -1
-    fewer = float(weights[facts[:, law.RUPTURES] < known].sum())
-    best = int(facts[int(np.argmax(weights)), law.RUPTURES])
-    return Evaluation(float(weights[more & is_clear].sum()), fewer, pick, best)
+    is_partial = (facts[:, kind] == layer) & (facts[:, is_held] > 0.0)
+    fallen = means[:, released] - means[:, kept] - np.where(is_partial, means[:, held], 0.0)
+    ruptures = facts[:, number]
+    is_more = ruptures > known
+    pick = int(np.argmax(np.where(is_more, weights, -1.0))) if is_more.any() else -1
+    more, fewer = weights[is_more & (fallen > least)].sum(), weights[ruptures < known].sum()
+    return float(more), float(fewer), pick, int(ruptures[np.argmax(weights)])
 
 
 def may_be_braking(bank: Bank, evaluation: Evaluation, place: Place) -> bool:
@@ -169,9 +191,7 @@ def layer_left(
     thickness = max(float(record[law.RUPTURE_MM] - record[law.PART_START]), 1e-3)
     fields: dict[str, float | bool] = {}
     for k, (name, (unit, factor)) in enumerate(zip(_NAMES, _UNITS, strict=True)):
-        value, variance = record[
-            law.STIFFNESS_HERE + 2 * k : law.STIFFNESS_HERE + 2 * k + 2
-        ].tolist()
+        value, variance = record[law.STIFFNESS_HERE + 2 * k :][:2].tolist()
         value, deviation = factor * max(value, 0.0), factor * math.sqrt(max(variance, 0.0))
         fields[f"{name}_{unit}"], fields[f"{name}_std_{unit}"] = value, deviation
         fields[f"{name}_identified"] = deviation <= _IDENTIFIED * value

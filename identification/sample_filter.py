@@ -271,7 +271,8 @@ def _fill_block(
     _learn_smooth_noise(m, _OF_DEPTHS, _LEAST_DEPTHS, depth, length_s, _LEAST_DEPTH_VARIANCE)
     if is_measured:
         _learn_smooth_noise(m, _OF_SPEEDS, _LEAST_SPEEDS, speed, length_s, _LEAST_SPEED_VARIANCE)
-    m[_FILLED:_LEAST_DEPTHS] = 0.0
+    for k in range(_FILLED, _LEAST_DEPTHS):
+        m[k] = 0.0
 
 
 @compiled
@@ -283,7 +284,8 @@ def filter_travel(
     learn_noise(m, OF_DEPTH, depth_m, dt_s, _LEAST_DEPTH_VARIANCE)
     noise = max(_noise(m, OF_DEPTH, _LEAST_DEPTHS, dt_s), _LEAST_DEPTH_VARIANCE)
     if m[_VAR_DEPTH] == 0.0 or dt_s > _GAP_S:
-        m[_DEPTH:OF_DEPTH] = 0.0
+        for k in range(_DEPTH, OF_DEPTH):
+            m[k] = 0.0
         m[_DEPTH], m[_SPEED] = depth_m, (speed_m_s if is_measured else 0.0)
         m[_VAR_DEPTH], m[_VAR_SPEED] = _UNKNOWN_DEPTH_VARIANCE, _UNKNOWN_SPEED_VARIANCE
         m[_NOISE_DEPTH] = noise

@@ -31,6 +31,7 @@ from identification.estimate import (
     layers_traversed,
 )
 from identification.hypothesis_bank import STEP_MM, Bank, BankMemory, Place, first_bank
+from needleforce.jit import working_copy
 
 _MM = 1e3
 _HELD_DRIFT = 0.05
@@ -119,13 +120,21 @@ class SwitchingMethod:
     @property
     def state(self) -> SwitchingState:
         """All that it remembers."""
-        return self._state._replace(bank=self._bank.bank.copied(), memory=self._memory.copy())
+        return self._state._replace(bank=self._bank.bank.copied(), memory=np.array(self._memory))
 
     def restore(self, state: SwitchingState) -> None:
         """Go on from there."""
         self.before = state
-        self._state, self._bank, self._memory = state, BankMemory(state.bank), state.memory.copy()
-        self._is_due, self._left = state.is_due, left_layers(state)
+        self._bank, self._memory = BankMemory(state.bank), working_copy(state.memory)
+        self._take(state)
+
+    def _take(self, state: SwitchingState, last: SwitchingState | None = None) -> None:
+        """Make of a state what every sample needs, where it differs from the last."""
+        self._state, self._is_due = state, state.is_due
+        if last is None or state.layers is not last.layers:
+            self._left = left_layers(state)
+        if last is None or state.answer is not last.answer:
+            self._answer = working_copy(state.answer)
 
     @property
     def layers(self) -> tuple[LayerEstimate, ...]:
@@ -141,39 +150,35 @@ class SwitchingMethod:
         state, dt_s, motion, force_N = self._state, sample[1], sample[2:6], sample[6]
         before = self._memory.copy() if self._is_due else self._memory
         is_full, outputs = samples.update_switching(
-            motion, force_N, dt_s, self._memory, state.answer, self._left
+            motion, force_N, dt_s, self._memory, self._answer, self._left
         )
         if not (is_full or self._is_due):
             return (state.rupture_state, *outputs, None, None, None)
         whole = self._bank.bank.copied() if is_full and state.stage == _SPAWN else None
         self._state = state._replace(events=Events())
-        if is_full:
-            while self._state.stage != _NOTHING:  # blocks of one or two samples
-                self._work(sample)
-            if self._state.events.rupture is not None:
-                self._keep_before(state, before, whole)
-            self._absorb(sample)
-        elif state.stage != _NOTHING:
+        while self._state.stage != _NOTHING:
             self._work(sample)
-            if self._state.events.rupture is not None:
-                self._keep_before(state, before, whole)
-        self._is_due = self._state.is_due
-        if self._state.layers is not state.layers:
-            self._left = left_layers(self._state)
+            if not is_full:  # else blocks are of one or two samples
+                break
+        if self._state.events.rupture is not None:
+            self._keep_before(state, before, whole)
+        if is_full:
+            self._absorb(sample)
+        self._take(self._state, state)
         return self._outputs(sample)
 
     def _outputs(self, sample: Sample) -> tuple[Any, ...]:
         depth_m, speed_m_s, force_N = sample[2], sample[3], sample[6]
         outputs = samples.switching_outputs(
-            depth_m, speed_m_s, force_N, self._memory, self._state.answer, self._left
+            depth_m, speed_m_s, force_N, self._memory, self._answer, self._left
         )
         return (self._state.rupture_state, *outputs, *self._state.events)
 
-    def _keep_before(self, state: SwitchingState, memory: Array, bank: Bank | None) -> None:
+    def _keep_before(self, state: SwitchingState, memory: Any, bank: Bank | None) -> None:
         """Keep what was before this sample, which raised a rupture."""
         if bank is None:
             bank = (self._bank.bank if state.stage == _REPORT else self._bank.before).copied()
-        self.before = state._replace(bank=bank, memory=memory)
+        self.before = state._replace(bank=bank, memory=np.array(memory))
 
     def _work(self, sample: Sample) -> None:
         if self._state.stage == _SPAWN:
@@ -188,11 +193,11 @@ class SwitchingMethod:
         """Let every hypothesis law.predict the force of the block, and learn from it."""
         state, memory, bank = self._state, self._memory, self._bank
         course, levels, last = state.course, state.levels, state.course.deepest
-        filled, *sums = memory[: samples.FORCE_SUM + 1].tolist()
+        filled, *sums = map(float, memory[: samples.FORCE_SUM + 1])
         z, v, w, force = (total / filled for total in sums)
         z, v = _MM * z, _MM * v
-        jitter, speed_noise = (_MM * memory[samples.DEPTH_STD : samples.SPEED_STD + 1]).tolist()
-        memory[: samples.FORCE_SUM + 1] = 0.0
+        jitter, speed_noise = (_MM * float(std) for std in memory[samples.DEPTH_STD :])
+        memory[: samples.FORCE_SUM + 1] = [0.0] * (samples.FORCE_SUM + 1)
         # Friction at a noisy speed would seem to be the same at all speeds: only a change that
         # noise does not explain is one.
         deadband = _DEADBAND * speed_noise
@@ -207,7 +212,7 @@ class SwitchingMethod:
         place = Place(sample[0] - 0.5 * filled, filled, z, steady, w, force, usual, levels.noise)
         course = course._replace(deepest=max(last, z), usual_speed=usual, speed=steady)
         _predict(bank, place, fresh, levels)
-        facts = bank.bank.facts
+        facts = bank.store[3][: bank.size]
         is_met = bool((facts[:, law.KIND] != law.AIR).any() or (facts[:, law.RUPTURES] > 0.0).any())
         stage = _REPORT
         if (is_advancing or not is_met) and not is_gap:
@@ -233,7 +238,7 @@ class SwitchingMethod:
         is_fast = place.speed > _HALF * place.usual_speed
         if is_fast and place.depth - course.spawned >= STEP_MM:
             begin = place._replace(depth=place.depth - 0.5 * place.speed * place.dt_s)
-            bank.spawn(begin, course.spawned, _tissue_speed(bank.bank, place, state.levels))
+            bank.spawn(begin, course.spawned, _tissue_speed(bank, place, state.levels))
             course = course._replace(spawned=place.depth)
         _weigh(bank, place, is_advancing=True)
         self._state = state._replace(course=course, stage=_PRUNE)
@@ -290,9 +295,9 @@ def _learn(
     law.absorb(bank.store, bank.size, scene, place.force, variance, depth_std)
 
 
-def _tissue_speed(bank: Bank, place: Place, levels: DisturbanceLevels) -> float:
+def _tissue_speed(bank: BankMemory, place: Place, levels: DisturbanceLevels) -> float:
     """Standard deviation of the speed at which tissue moves by itself [mm/s], as its force says."""
-    best, fact = bank.means[0].tolist(), bank.facts[0].tolist()
+    best, fact = bank.store[0][0].tolist(), bank.store[3][0].tolist()
     travel, length = (max(place.depth - fact[at], 0.0) for at in (law.TIP, law.ROOT))
     slope = best[law.STIFFNESS] + 2.0 * best[law.STIFFENING] * travel
     slope += best[law.OWN_COULOMB] * place.deflection + best[law.OWN_VISCOUS] * place.speed
@@ -367,9 +372,11 @@ def _report_layer(state: SwitchingState, bank: Bank, alarm: Rupture) -> Switchin
     layers, events = state.layers, state.events
     travel = state.place.depth / _MM - alarm.depth_m
     if state.is_open:
+        if travel < _PROVISIONAL_M:
+            return state
         known = state.friction_left(bank)
         layer = None if known is None else reports.layer_left(bank, alarm, state.ruptures, known)
-        if layer is None or travel < _PROVISIONAL_M:
+        if layer is None:
             return state
         return state._replace(
             layers=(*layers, layer),

@@ -74,21 +74,21 @@ def _embedded(depth_m: float, layers: Matrix) -> tuple[float, float]:
 def _variance(answer: Matrix, first: int, w: float, speed: float) -> float:
     """Of a Coulomb part times w and the viscous one behind it times the speed."""
     row = 2 + first
-    variance = w * w * answer[row, first] + 2.0 * w * speed * answer[row, first + 1]
-    return variance + speed * speed * answer[row + 1, first + 1]
+    variance = w * w * answer[row][first] + 2.0 * w * speed * answer[row][first + 1]
+    return variance + speed * speed * answer[row + 1][first + 1]
 
 
 @compiled
 def _with_offset(answer: Matrix, first: int, w: float, speed: float, variance: float) -> float:
     """Standard deviation of a force less the offset and such a friction of that variance."""
-    both = w * answer[2, first] + speed * answer[2, first + 1]
-    return math.sqrt(max(answer[0, NOISE] + answer[2, _OFFSET] + variance + 2.0 * both, 0.0))
+    both = w * answer[2][first] + speed * answer[2][first + 1]
+    return math.sqrt(max(answer[0][NOISE] + answer[2][_OFFSET] + variance + 2.0 * both, 0.0))
 
 
 @compiled
 def _per_speed(answer: Matrix, first: int, speed: float) -> tuple[float, float]:
     """Coulomb and viscous friction as one damping at a speed, and its standard deviation."""
-    damping = answer[1, first] / speed + answer[1, first + 1]
+    damping = answer[1][first] / speed + answer[1][first + 1]
     return damping, math.sqrt(max(_variance(answer, first, 1.0 / speed, 1.0), 0.0))
 
 
@@ -99,8 +99,8 @@ def _forces(
     """Enhanced force, tip force and shaft friction, each with its standard deviation [N]."""
     w, rest, mean = memory[_DEFLECTION], memory[_REST], answer[1]
     force -= mean[_OFFSET]
-    std = math.sqrt(answer[0, NOISE] + answer[2, _OFFSET])
-    if answer[0, IN_CONTACT] == 0.0 or depth_m < answer[0, CONTACT_M]:
+    std = math.sqrt(answer[0][NOISE] + answer[2][_OFFSET])
+    if answer[0][IN_CONTACT] == 0.0 or depth_m < answer[0][CONTACT_M]:
         return force, std, force, std, 0.0, 0.0
     is_unloaded = depth_m < memory[_DEEPEST] - _UNLOADED_M
     coulomb_fraction = viscous_fraction = 1.0
@@ -115,7 +115,7 @@ def _forces(
     left_std = _with_offset(answer, LEFT_COULOMB, p, q, variance)
     if is_unloaded:
         return force - left, left_std, 0.0, std, force, std
-    further = _MM * depth_m - answer[0, DEPTH]
+    further = _MM * depth_m - answer[0][DEPTH]
     friction = w * (mean[COULOMB] + mean[_OWN_COULOMB] * further)
     friction += speed * (mean[VISCOUS] + mean[_OWN_VISCOUS] * further)
     variance = _variance(answer, COULOMB, w, speed) + (loose * mean[COULOMB]) ** 2
@@ -137,21 +137,21 @@ def switching_outputs(
     enhanced, enhanced_std, tip, tip_std, friction, friction_std = _forces(
         depth_m, speed, force_N, memory, answer, layers
     )
-    predicted = mean[_OFFSET] + friction + answer[0, TIP_FORCE]
-    predicted += mean[_STIFFNESS] * (_MM * depth_m - answer[0, DEPTH])
+    predicted = mean[_OFFSET] + friction + answer[0][TIP_FORCE]
+    predicted += mean[_STIFFNESS] * (_MM * depth_m - answer[0][DEPTH])
     speed = max(abs(speed), _REST_SPEED)
     b, b_std = _per_speed(answer, _OWN_COULOMB, speed)
-    if answer[0, CUMULATIVE_SPEED] != 0.0:
-        speed = answer[0, CUMULATIVE_SPEED]
+    if answer[0][CUMULATIVE_SPEED] != 0.0:
+        speed = answer[0][CUMULATIVE_SPEED]
     d, d_std = _per_speed(answer, LEFT_COULOMB, speed)
-    k, k_std = _MM * mean[_STIFFNESS], _MM * math.sqrt(answer[2 + _STIFFNESS, _STIFFNESS])
+    k, k_std = _MM * mean[_STIFFNESS], _MM * math.sqrt(answer[2 + _STIFFNESS][_STIFFNESS])
     b, b_std = _MM * _MM * b, _MM * _MM * b_std
-    in_contact = answer[0, IN_CONTACT] > 0.0
+    in_contact = answer[0][IN_CONTACT] > 0.0
     forces = (enhanced, enhanced_std, tip, tip_std, friction, friction_std, predicted)
     stiffness = (k, k_std, in_contact and k_std <= _IDENTIFIED * abs(k))
     damping = (b, b_std, in_contact and b_std <= _IDENTIFIED * abs(b), _MM * d, _MM * d_std)
     # Numba knows no starred parts of a tuple.
-    return (in_contact, int(answer[0, LAYER_NUMBER])) + forces + stiffness + damping  # noqa: RUF005
+    return (in_contact, int(answer[0][LAYER_NUMBER])) + forces + stiffness + damping  # noqa: RUF005
 
 
 @compiled

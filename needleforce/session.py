@@ -71,10 +71,7 @@ def tip_motion(
 ) -> tuple[float, float]:
     """Place of the tip along an axis in base axes [m], and its speed along the needle [m/s]."""
     along_m = axis[0] * pose[0, 3] + axis[1] * pose[1, 3] + axis[2] * pose[2, 3]
-    speed_m_s = 0.0
-    for k in range(len(dq)):  # a product of BLAS takes longer to call
-        speed_m_s += axial_jacobian[k] * dq[k]
-    return float(along_m), speed_m_s
+    return float(along_m), float(axial_jacobian.dot(dq))
 
 
 @compiled
